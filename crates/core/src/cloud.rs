@@ -1,0 +1,106 @@
+//! `GaussianCloud`: what is learned, unconstrained, one column a quantity.
+
+use crate::Real;
+use serde::{Deserialize, Serialize};
+
+/// N Gaussians before activation. Also the type of their gradients and of Adam's moments: a cloud is a vector space.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GaussianCloud {
+    /// Centres μ `[N,3]`, metres, world frame.
+    pub means: Vec<[Real; 3]>,
+    /// Natural logarithms of the scales `[N,3]`, scales in metres.
+    pub log_scales: Vec<[Real; 3]>,
+    /// Rotations `[N,4]` as w, x, y, z; normalised on use.
+    pub quats: Vec<[Real; 4]>,
+    /// Opacity o = σ(logit), `[N]`.
+    pub opacity_logits: Vec<Real>,
+    /// The signal s ∈ ℂ as two real channels `[N,2]`.
+    pub signals: Vec<[Real; 2]>,
+    /// Columns that this pipeline's pruners asked for, such as `mask_logits`; absent from a saved model.
+    pub extra: Vec<ExtraColumn>,
+}
+
+/// A named column `[N, width]` that a pruner asked for.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ExtraColumn {
+    /// What the pruner calls it.
+    pub name: String,
+    /// Numbers a Gaussian.
+    pub width: usize,
+    /// Row-major values, `len · width` of them.
+    pub values: Vec<Real>,
+}
+
+/// The names of the five fixed columns, in the order of [`GaussianCloud::columns`].
+pub const COLUMN_NAMES: [&str; 5] = ["means", "log_scales", "quats", "opacity_logits", "signals"];
+
+impl GaussianCloud {
+    /// N.
+    pub fn len(&self) -> usize {
+        self.means.len()
+    }
+
+    /// Whether N = 0.
+    pub fn is_empty(&self) -> bool {
+        self.means.is_empty()
+    }
+
+    /// Every column as (name, width, row-major values).
+    pub fn columns(&self) -> impl Iterator<Item = (&str, usize, &[Real])> {
+        let fixed = [
+            (COLUMN_NAMES[0], 3, self.means.as_flattened()),
+            (COLUMN_NAMES[1], 3, self.log_scales.as_flattened()),
+            (COLUMN_NAMES[2], 4, self.quats.as_flattened()),
+            (COLUMN_NAMES[3], 1, self.opacity_logits.as_slice()),
+            (COLUMN_NAMES[4], 2, self.signals.as_flattened()),
+        ];
+        fixed.into_iter().chain(self.extra.iter().map(|c| (c.name.as_str(), c.width, c.values.as_slice())))
+    }
+
+    /// Every column, to be changed; the same order as [`Self::columns`].
+    pub fn columns_mut(&mut self) -> impl Iterator<Item = (&str, usize, &mut [Real])> {
+        let fixed = [
+            (COLUMN_NAMES[0], 3, self.means.as_flattened_mut()),
+            (COLUMN_NAMES[1], 3, self.log_scales.as_flattened_mut()),
+            (COLUMN_NAMES[2], 4, self.quats.as_flattened_mut()),
+            (COLUMN_NAMES[3], 1, self.opacity_logits.as_mut_slice()),
+            (COLUMN_NAMES[4], 2, self.signals.as_flattened_mut()),
+        ];
+        fixed.into_iter().chain(self.extra.iter_mut().map(|c| (c.name.as_str(), c.width, c.values.as_mut_slice())))
+    }
+
+    /// The extra column called `name`.
+    pub fn extra(&self, name: &str) -> Option<&ExtraColumn> {
+        self.extra.iter().find(|c| c.name == name)
+    }
+
+    /// A cloud of the same columns and length, all zero.
+    pub fn zeros_like(&self) -> Self {
+        let mut zeros = self.clone();
+        zeros.columns_mut().for_each(|(_, _, values)| values.fill(0.0));
+        zeros
+    }
+
+    /// The rows listed, in that order; a row may be listed more than once.
+    pub fn select(&self, rows: &[usize]) -> Self {
+        fn pick<T: Copy>(column: &[T], rows: &[usize]) -> Vec<T> {
+            rows.iter().map(|&i| column[i]).collect()
+        }
+        Self {
+            means: pick(&self.means, rows),
+            log_scales: pick(&self.log_scales, rows),
+            quats: pick(&self.quats, rows),
+            opacity_logits: pick(&self.opacity_logits, rows),
+            signals: pick(&self.signals, rows),
+            extra: self
+                .extra
+                .iter()
+                .map(|c| ExtraColumn {
+                    name: c.name.clone(),
+                    width: c.width,
+                    values: rows.iter().flat_map(|&i| &c.values[i * c.width..(i + 1) * c.width]).copied().collect(),
+                })
+                .collect(),
+        }
+    }
+}

@@ -1,0 +1,74 @@
+//! `DataSource`, `Split`, `Baseline`: what is known, how it is divided, and what must be beaten.
+
+use crate::{Dataset, Image, Partition, Real, Result, plugin_kind, rng::Rng};
+use std::path::Path;
+
+/// Loads or makes a data set.
+#[typetag::serde]
+pub trait DataSource: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
+    /// Everything, in memory. Relative paths are relative to `base`, the folder of the pipeline file.
+    fn load(&self, base: &Path) -> Result<Dataset>;
+
+    /// The same source with its paths made relative to another folder: `absolute` maps a path of `base` to one that
+    /// holds everywhere. A source without paths returns `None`.
+    fn rebased(&self, absolute: &dyn Fn(&Path) -> std::path::PathBuf) -> Option<Box<dyn DataSource>> {
+        let _ = absolute;
+        None
+    }
+
+    /// One line for `pwrfgs plugins`.
+    fn about(&self) -> &'static str {
+        ""
+    }
+
+    /// Refuses settings that cannot work, when the pipeline is read.
+    fn check(&self) -> Result<(), String> {
+        Ok(())
+    }
+}
+plugin_kind!(DataSource);
+
+/// Divides samples into training, validation and test.
+#[typetag::serde]
+pub trait Split: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
+    /// Three disjoint sorted lists; train and test are not empty.
+    fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition>;
+
+    /// One line for `pwrfgs plugins`.
+    fn about(&self) -> &'static str {
+        ""
+    }
+
+    /// Refuses settings that cannot work, when the pipeline is read.
+    fn check(&self) -> Result<(), String> {
+        Ok(())
+    }
+}
+plugin_kind!(Split);
+
+/// A predictor without Gaussians, scored beside the model in every table.
+#[typetag::serde]
+pub trait Baseline: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
+    /// Its name in tables, such as `3-NN`.
+    fn name(&self) -> String;
+
+    /// Learns from the samples `train` (indices).
+    fn fit<'a>(&self, data: &'a Dataset, train: &[usize]) -> Result<Box<dyn Predict + 'a>>;
+
+    /// One line for `pwrfgs plugins`.
+    fn about(&self) -> &'static str {
+        ""
+    }
+
+    /// Refuses settings that cannot work, when the pipeline is read.
+    fn check(&self) -> Result<(), String> {
+        Ok(())
+    }
+}
+plugin_kind!(Baseline);
+
+/// Predicts the spectrum for a transmitter position.
+pub trait Predict: Send + Sync {
+    /// The spectrum for a transmitter at `tx` (metres, world frame); not clamped.
+    fn predict(&self, tx: [Real; 3]) -> Image;
+}

@@ -1,0 +1,96 @@
+//! `Deformation`: what the transmitter's position changes, D_Θ of eq. (5).
+
+use crate::{Pose, Real, plugin_kind, rng::Rng};
+
+/// The calibration terms ΔS, ΔR, Δs as functions of centre and transmitter. The weights Θ live outside the plugin.
+///
+/// A batch of B transmitters is one call. All outputs are `[B, N, ·]`: transmitter by transmitter.
+#[typetag::serde]
+pub trait Deformation: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
+    /// Names and shapes of the weight tensors, in the order in which they lie in the flat vector Θ.
+    fn layout(&self) -> Vec<WeightSpec> {
+        Vec::new()
+    }
+
+    /// Fresh weights, as long as [`Self::layout`] says.
+    fn init(&self, rng: &mut Rng) -> Vec<Real> {
+        let _ = rng;
+        Vec::new()
+    }
+
+    /// Whether scales or rotations depend on the transmitter. If not, a batch shares one projection and one sorting.
+    fn varies_geometry(&self) -> bool;
+
+    /// Whether the signals it gives replace the cloud's own (WRF-GS) instead of being added (P-WRFGS).
+    fn replaces_signals(&self) -> bool {
+        false
+    }
+
+    /// Calibration terms for `means` `[N,3]` and `txs` `[B,3]`.
+    fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: &[[Real; 3]], pose: &Pose) -> Deltas;
+
+    /// Adds to `d_weights` (as long as `weights`), and to `d_means` where given, given the cotangents `d` of the output.
+    fn vjp(
+        &self,
+        inputs: &DeformationInputs<'_>,
+        d: &Deltas,
+        d_weights: &mut [Real],
+        d_means: Option<&mut [[Real; 3]]>,
+    );
+
+    /// One line for `pwrfgs plugins`.
+    fn about(&self) -> &'static str {
+        ""
+    }
+
+    /// Refuses settings that cannot work, when the pipeline is read.
+    fn check(&self) -> Result<(), String> {
+        Ok(())
+    }
+}
+plugin_kind!(Deformation);
+
+/// The arguments of [`Deformation::forward`], once more for its derivative.
+#[derive(Clone, Copy, Debug)]
+pub struct DeformationInputs<'a> {
+    /// Θ.
+    pub weights: &'a [Real],
+    /// Centres `[N,3]`, metres.
+    pub means: &'a [[Real; 3]],
+    /// Transmitters `[B,3]`, metres.
+    pub txs: &'a [[Real; 3]],
+    /// Receiver.
+    pub pose: &'a Pose,
+}
+
+/// A tensor inside the flat weight vector.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct WeightSpec {
+    /// Such as `trunk.0.weight`.
+    pub name: String,
+    /// Shape, row-major; a linear layer's weight is `[out, in]`.
+    pub shape: Vec<usize>,
+}
+
+impl WeightSpec {
+    /// Numbers in it.
+    pub fn len(&self) -> usize {
+        self.shape.iter().product()
+    }
+
+    /// Whether it holds no number.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+}
+
+/// Calibration terms, each `[B, N]` rows or empty where the deformation leaves that quantity alone.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Deltas {
+    /// Added to the scales, metres.
+    pub scales: Vec<[Real; 3]>,
+    /// Added to the unit quaternions.
+    pub quats: Vec<[Real; 4]>,
+    /// Added to (or replacing) the signals.
+    pub signals: Vec<[Real; 2]>,
+}

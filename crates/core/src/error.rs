@@ -1,0 +1,77 @@
+//! What can go wrong, told to a person: each message names the thing and says what to do.
+
+use std::path::{Path, PathBuf};
+
+/// Any failure of the toolkit. `is_input` separates wrong input (exit code 2) from failure (exit code 1).
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A file could not be read.
+    #[error("cannot read {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A file or folder could not be written.
+    #[error("cannot write {}: {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A file says something that cannot be used. The message starts with line and column where there are any.
+    #[error("{}:{message}", path.display())]
+    Input {
+        /// The file.
+        path: PathBuf,
+        /// `line:column: what is wrong; what to do`, or ` what is wrong; what to do`.
+        message: String,
+    },
+    /// A setting, or a combination of settings, cannot work.
+    #[error("{0}")]
+    Config(String),
+    /// A number left the finite range.
+    #[error("{what} is not finite at step {step}; lower the learning rates or set `training.clip`, then start again")]
+    NonFinite {
+        /// The tensor.
+        what: String,
+        /// The training step, counted from 1.
+        step: u64,
+    },
+    /// Anything a plugin wants to say.
+    #[error("{0}")]
+    Plugin(#[source] Box<dyn std::error::Error + Send + Sync>),
+}
+
+/// Result with [`Error`].
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+impl Error {
+    /// A file that cannot be used, with a position: `line` and `column` count from 1.
+    pub fn at(path: &Path, line: usize, column: usize, message: impl std::fmt::Display) -> Self {
+        Self::Input { path: path.into(), message: format!("{line}:{column}: {message}") }
+    }
+
+    /// A file that cannot be used.
+    pub fn input(path: &Path, message: impl std::fmt::Display) -> Self {
+        Self::Input { path: path.into(), message: format!(" {message}") }
+    }
+
+    /// A file that cannot be read.
+    pub fn read(path: &Path, source: std::io::Error) -> Self {
+        Self::Read { path: path.into(), source }
+    }
+
+    /// A file that cannot be written.
+    pub fn write(path: &Path, source: std::io::Error) -> Self {
+        Self::Write { path: path.into(), source }
+    }
+
+    /// Whether what the user gave is at fault, as against the machine or the arithmetic.
+    pub fn is_input(&self) -> bool {
+        matches!(self, Self::Read { .. } | Self::Input { .. } | Self::Config(_) | Self::Plugin(_))
+    }
+}

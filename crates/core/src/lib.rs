@@ -1,0 +1,41 @@
+//! Plain data, plugin traits and the shared mathematics of pwrfgs. No input or output happens here.
+//!
+//! Data climbs a ladder: [`GaussianCloud`] (learned) → [`Primitives`] (in space, for one transmitter) → [`Splats`]
+//! (on the image plane) → [`Render`] → [`Image`]. A stage is a function between two rungs, and each trait is a stage:
+//! [`Initializer`], [`Deformation`], [`Projector`], [`Rasterizer`], [`Pruner`], [`Metric`], with [`DataSource`],
+//! [`Split`] and [`Baseline`] around them. Plugins hold no mutable state.
+
+mod cloud;
+mod data_source;
+mod deformation;
+mod error;
+mod image;
+mod initializer;
+mod metric;
+pub mod plugin;
+mod projector;
+mod pruner;
+mod rasterizer;
+mod real;
+pub mod rng;
+mod scene;
+mod splats;
+mod stats;
+pub mod tape;
+pub mod testing;
+
+pub use cloud::{COLUMN_NAMES, ExtraColumn, GaussianCloud};
+pub use data_source::{Baseline, DataSource, Predict, Split};
+pub use deformation::{Deformation, DeformationInputs, Deltas, WeightSpec};
+pub use error::{Error, Result};
+pub use image::{Axis, Image, ImagePlane};
+pub use initializer::Initializer;
+pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, StageTimes, Values};
+pub use plugin::{Checked, Plugin, registered};
+pub use projector::Projector;
+pub use pruner::{ColumnSpec, Pruner};
+pub use rasterizer::{Rasterizer, Render, RenderMemory, RenderVjp};
+pub use real::{Mat3, Real, Vec3, consts, logit, sigmoid};
+pub use scene::{Dataset, Partition, Pose, Sample, Scene};
+pub use splats::{Primitives, Splats};
+pub use stats::{CloudStats, Moment, Phase};

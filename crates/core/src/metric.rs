@@ -1,0 +1,103 @@
+//! `Metric`: how good a prediction is.
+
+use crate::{Image, ImagePlane, Real, Result, Scene, plugin_kind};
+
+/// Scores predictions or a whole model.
+#[typetag::serde]
+pub trait Metric: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
+    /// One or more measurements.
+    fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>>;
+
+    /// One line for `pwrfgs plugins`.
+    fn about(&self) -> &'static str {
+        ""
+    }
+
+    /// Refuses settings that cannot work, when the pipeline is read.
+    fn check(&self) -> Result<(), String> {
+        Ok(())
+    }
+}
+plugin_kind!(Metric);
+
+/// What a metric may look at.
+#[derive(Clone, Copy, Debug)]
+pub struct Evaluation<'a> {
+    /// Predictions, not clamped, one a test sample.
+    pub predictions: &'a [Image],
+    /// Measured spectra, in the same order.
+    pub truths: &'a [Image],
+    /// What a pixel means.
+    pub plane: &'a ImagePlane,
+    /// Receiver, bounds and points.
+    pub scene: &'a Scene,
+    /// The model, or `None` for a baseline.
+    pub model: Option<ModelFacts<'a>>,
+}
+
+/// What a metric may know of the model itself.
+#[derive(Clone, Copy)]
+pub struct ModelFacts<'a> {
+    /// Centres `[N,3]`, metres.
+    pub means: &'a [[Real; 3]],
+    /// Bytes of the Gaussians in the model file.
+    pub gaussian_bytes: usize,
+    /// Bytes of the network in the model file.
+    pub network_bytes: usize,
+    /// Predicts once and says how long each stage took.
+    pub timed_prediction: &'a dyn Fn() -> StageTimes,
+}
+
+impl std::fmt::Debug for ModelFacts<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ModelFacts").field("gaussians", &self.means.len()).finish_non_exhaustive()
+    }
+}
+
+/// Seconds of one prediction, stage by stage.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct StageTimes {
+    /// Deformation network.
+    pub network: f64,
+    /// Activation and projection.
+    pub projection: f64,
+    /// Depth order and tile lists.
+    pub sort: f64,
+    /// Blending and readout.
+    pub blending: f64,
+    /// All of it, from position to picture.
+    pub total: f64,
+}
+
+/// Which way is better.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Goal {
+    /// Larger is better.
+    Higher,
+    /// Smaller is better.
+    Lower,
+}
+
+/// One result.
+#[derive(Clone, Debug)]
+pub struct Measurement {
+    /// Column name in `scores.csv`, such as `ssim` or `eta_0db`.
+    pub key: String,
+    /// Unit, empty for a pure number.
+    pub unit: &'static str,
+    /// Which way is better.
+    pub goal: Goal,
+    /// The numbers.
+    pub values: Values,
+}
+
+/// The numbers of a [`Measurement`].
+#[derive(Clone, Debug, PartialEq)]
+pub enum Values {
+    /// One a test sample; reported as mean, median and 10th percentile.
+    PerSample(Vec<f64>),
+    /// One for the whole model.
+    Whole(f64),
+    /// Does not apply here, and why; reported as `n/a`.
+    NotApplicable(String),
+}

@@ -1,0 +1,36 @@
+//! `Projector`: from Gaussians in space to splats on the image plane.
+
+use crate::{ImagePlane, Pose, Primitives, Splats, plugin_kind};
+
+/// Projects Gaussians onto the picture that a receiver sees.
+///
+/// A new projection needs no covariance algebra: see `pwrfgs_raster::CameraModel`.
+#[typetag::serde]
+pub trait Projector: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
+    /// The grid it draws on, for spectra of `width` by `height` pixels.
+    fn plane(&self, width: usize, height: usize) -> ImagePlane;
+
+    /// Splats `[N]`, row for row; a Gaussian out of sight has radius 0.
+    fn project(&self, primitives: &Primitives, pose: &Pose, plane: &ImagePlane) -> Splats;
+
+    /// Cotangents of the primitives, given those of the splats' `means2d`, `conics` and `opacities`.
+    fn project_vjp(
+        &self,
+        primitives: &Primitives,
+        pose: &Pose,
+        plane: &ImagePlane,
+        splats: &Splats,
+        d: &Splats,
+    ) -> Primitives;
+
+    /// One line for `pwrfgs plugins`.
+    fn about(&self) -> &'static str {
+        ""
+    }
+
+    /// Refuses settings that cannot work, when the pipeline is read.
+    fn check(&self) -> Result<(), String> {
+        Ok(())
+    }
+}
+plugin_kind!(Projector);

@@ -1,0 +1,67 @@
+//! `Rasterizer`: from splats to a picture of signals.
+
+use crate::{ImagePlane, Real, Splats, plugin_kind};
+
+/// Draws splats. One geometry may carry the signals of many transmitters: `channels` numbers a splat.
+#[typetag::serde]
+pub trait Rasterizer: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
+    /// Draws `signals`, row-major `[N, channels]`.
+    fn forward(&self, splats: &Splats, signals: &[Real], channels: usize, plane: &ImagePlane) -> Render;
+
+    /// Cotangents of splats and signals, given `d_pixels` in the layout of [`Render::pixels`].
+    fn backward(
+        &self,
+        splats: &Splats,
+        signals: &[Real],
+        channels: usize,
+        plane: &ImagePlane,
+        render: &Render,
+        d_pixels: &[Real],
+    ) -> RenderVjp;
+
+    /// Refuses a plane it cannot draw on, when the pipeline is checked.
+    fn check_plane(&self, plane: &ImagePlane) -> Result<(), String> {
+        let _ = plane;
+        Ok(())
+    }
+
+    /// One line for `pwrfgs plugins`.
+    fn about(&self) -> &'static str {
+        ""
+    }
+
+    /// Refuses settings that cannot work, when the pipeline is read.
+    fn check(&self) -> Result<(), String> {
+        Ok(())
+    }
+}
+plugin_kind!(Rasterizer);
+
+/// A drawn picture.
+#[derive(Clone, Debug)]
+pub struct Render {
+    /// Blended signals, `[channels, height, width]`.
+    pub pixels: Vec<Real>,
+    /// Transmittance left behind the last splat, `[height, width]`.
+    pub transmittance: Vec<Real>,
+    /// Seconds spent on order and tile lists.
+    pub sort_seconds: f64,
+    /// Seconds spent on blending.
+    pub blend_seconds: f64,
+    /// Whatever the rasterizer wants to find again in `backward` (tile lists).
+    pub memory: RenderMemory,
+}
+
+/// Private notes of a rasterizer between forward and backward.
+pub type RenderMemory = Option<std::sync::Arc<dyn std::any::Any + Send + Sync>>;
+
+/// What [`Rasterizer::backward`] finds.
+#[derive(Clone, Debug)]
+pub struct RenderVjp {
+    /// Cotangents of `means2d`, `conics` and `opacities`; depths and radii carry none and stay 0.
+    pub splats: Splats,
+    /// Cotangents of the signals, `[N, channels]`.
+    pub signals: Vec<Real>,
+    /// Sum of blending weights γ·T of each splat over the picture, `[N]`.
+    pub weights: Vec<Real>,
+}

@@ -1,0 +1,72 @@
+//! The two rungs between a cloud and a picture: `Primitives` in space, `Splats` on the image plane.
+
+use crate::Real;
+
+/// Activated and gated Gaussians in space, ready to be projected, for one transmitter or for a batch of transmitters
+/// that share one geometry.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Primitives {
+    /// Centres `[N,3]`, metres, world frame.
+    pub means: Vec<[Real; 3]>,
+    /// Scales `[N,3]`, metres.
+    pub scales: Vec<[Real; 3]>,
+    /// Rotations `[N,4]` as w, x, y, z; unit length unless the calibration is `AsReleased`.
+    pub quats: Vec<[Real; 4]>,
+    /// Opacities `[N]` in [0, 1).
+    pub opacities: Vec<Real>,
+}
+
+/// Gaussians on the image plane.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Splats {
+    /// Centres `[N,2]` in pixels: (column, row); a pixel's centre has whole coordinates.
+    pub means2d: Vec<[Real; 2]>,
+    /// Inverse covariances `[N,3]`, px⁻²: (A, B, C) of A·dx² + 2B·dx·dy + C·dy².
+    pub conics: Vec<[Real; 3]>,
+    /// Distances from the receiver `[N]`, metres: the blending order.
+    pub depths: Vec<Real>,
+    /// Radii of three standard deviations `[N]`, px, rounded up; 0 for a Gaussian that does not reach the picture.
+    pub radii: Vec<Real>,
+    /// Opacities `[N]`.
+    pub opacities: Vec<Real>,
+}
+
+impl Primitives {
+    /// N.
+    pub fn len(&self) -> usize {
+        self.means.len()
+    }
+
+    /// Whether N = 0.
+    pub fn is_empty(&self) -> bool {
+        self.means.is_empty()
+    }
+
+    /// N rows of zeros, to collect gradients in.
+    pub fn zeros(n: usize) -> Self {
+        Self { means: vec![[0.0; 3]; n], scales: vec![[0.0; 3]; n], quats: vec![[0.0; 4]; n], opacities: vec![0.0; n] }
+    }
+}
+
+impl Splats {
+    /// N.
+    pub fn len(&self) -> usize {
+        self.means2d.len()
+    }
+
+    /// Whether N = 0.
+    pub fn is_empty(&self) -> bool {
+        self.means2d.is_empty()
+    }
+
+    /// N rows of zeros, to collect gradients in.
+    pub fn zeros(n: usize) -> Self {
+        Self {
+            means2d: vec![[0.0; 2]; n],
+            conics: vec![[0.0; 3]; n],
+            depths: vec![0.0; n],
+            radii: vec![0.0; n],
+            opacities: vec![0.0; n],
+        }
+    }
+}
