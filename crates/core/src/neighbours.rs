@@ -1,0 +1,114 @@
+//! Distances between points in space: the nearest other point (d² of the paper's initial covariance d²·I), the mean over
+//! the k nearest (the released initial scale), and the nearest point of another set (Chamfer distance). Points `[N,3]` in
+//! metres, results in m².
+//!
+//! A kd-tree (kiddo) answers all points in parallel. Only distances are returned, never indices, so equal distances
+//! cannot make two runs differ.
+
+use crate::Real;
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use rayon::prelude::*;
+use std::num::NonZero;
+
+type Tree = ImmutableKdTree<Real, 3>;
+
+/// Squared distance of each point to the nearest other point, `[N]`. A duplicate gives 0; a single point, having no
+/// neighbour, gives infinity.
+pub fn nearest_other_squared(points: &[[Real; 3]]) -> Vec<Real> {
+    mean_of_k_nearest_squared(points, 1)
+}
+
+/// Mean of the squared distances of each point to its `k` nearest other points, `[N]`; to all others where there are
+/// fewer than `k`. Infinity where there is none, or `k` is 0.
+pub fn mean_of_k_nearest_squared(points: &[[Real; 3]], k: usize) -> Vec<Real> {
+    let k = k.min(points.len().saturating_sub(1));
+    let (Some(tree), true) = (tree(points), k > 0) else { return vec![Real::INFINITY; points.len()] };
+    let with_itself = NonZero::<usize>::MIN.saturating_add(k);
+    let mean = |point: &[Real; 3]| {
+        let found = tree.query(point).nearest_n::<SquaredEuclidean<Real>>(with_itself).execute();
+        // The nearest of all is the point itself or its duplicate: either way at distance 0.
+        let others = found.iter().skip(1).map(|n| n.distance);
+        match found.len() {
+            0 | 1 => Real::INFINITY,
+            n => others.sum::<Real>() / (n - 1) as Real,
+        }
+    };
+    points.par_iter().map(mean).collect()
+}
+
+/// Squared distance of each point of `from` to the nearest point of `to`, `[from]`; infinity where `to` is empty.
+pub fn nearest_squared(from: &[[Real; 3]], to: &[[Real; 3]]) -> Vec<Real> {
+    let Some(tree) = tree(to) else { return vec![Real::INFINITY; from.len()] };
+    from.par_iter().map(|p| tree.query(p).nearest_one::<SquaredEuclidean<Real>>().execute().distance).collect()
+}
+
+/// The tree, or `None` for no points.
+fn tree(points: &[[Real; 3]]) -> Option<Tree> {
+    if points.is_empty() {
+        return None;
+    }
+    Some(Tree::new_from_slice(points).expect("a tree of some points can be built"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng;
+
+    fn cloud(n: usize, name: &str) -> Vec<[Real; 3]> {
+        let mut random = rng::stream(1, name, 0);
+        (0..n).map(|_| [(); 3].map(|()| 5.0 * rng::normal(&mut random))).collect()
+    }
+
+    fn squared(a: &[Real; 3], b: &[Real; 3]) -> Real {
+        (0..3).map(|k| (a[k] - b[k]).powi(2)).sum()
+    }
+
+    fn assert_close(found: &[Real], expected: &[Real]) {
+        assert_eq!(found.len(), expected.len());
+        for (f, e) in found.iter().zip(expected) {
+            assert!((f - e).abs() <= 1e-5 * e.max(1e-6), "{f} instead of {e}");
+        }
+    }
+
+    #[test]
+    fn distances_agree_with_brute_force() {
+        let (a, b) = (cloud(700, "a"), cloud(90, "b"));
+        let sorted = |p: &[Real; 3], others: &[[Real; 3]]| {
+            let mut d: Vec<Real> = others.iter().map(|q| squared(p, q)).collect();
+            d.sort_by(Real::total_cmp);
+            d
+        };
+        let one: Vec<Real> = a.iter().map(|p| sorted(p, &a)[1]).collect();
+        let three: Vec<Real> = a.iter().map(|p| sorted(p, &a)[1..4].iter().sum::<Real>() / 3.0).collect();
+        let across: Vec<Real> = a.iter().map(|p| sorted(p, &b)[0]).collect();
+        assert_close(&nearest_other_squared(&a), &one);
+        assert_close(&mean_of_k_nearest_squared(&a, 3), &three);
+        assert_close(&nearest_squared(&a, &b), &across);
+    }
+
+    #[test]
+    fn duplicates_are_at_distance_zero() {
+        let points = vec![[1.0, 2.0, 3.0]; 1000];
+        assert!(nearest_other_squared(&points).iter().all(|d| *d == 0.0));
+        assert!(mean_of_k_nearest_squared(&points, 3).iter().all(|d| *d == 0.0));
+    }
+
+    #[test]
+    fn too_few_points_are_no_accident() {
+        let one = [[1.0, 2.0, 3.0]];
+        assert!(nearest_other_squared(&[]).is_empty());
+        assert_eq!(nearest_other_squared(&one), [Real::INFINITY]);
+        assert_eq!(mean_of_k_nearest_squared(&[[0.0; 3], [2.0, 0.0, 0.0]], 3), [4.0, 4.0]);
+        assert_eq!(mean_of_k_nearest_squared(&[[0.0; 3], [2.0, 0.0, 0.0]], 0), [Real::INFINITY; 2]);
+        assert_eq!(nearest_squared(&one, &[]), [Real::INFINITY]);
+        assert!(nearest_squared(&[], &one).is_empty());
+    }
+
+    #[test]
+    fn a_point_that_is_not_a_number_does_not_panic() {
+        let points = [[0.0; 3], [Real::NAN, 0.0, 0.0], [1.0, 0.0, 0.0]];
+        assert_eq!(nearest_other_squared(&points).len(), 3);
+        assert_eq!(nearest_squared(&points, &points).len(), 3);
+    }
+}

@@ -1,0 +1,289 @@
+//! The trained SSIM and its derivative, once a picture and step: the hot path.
+//!
+//! With f the blur, μ₁ = f(P), μ₂ = f(G), σ₁² = f(P²) − μ₁² and so on, A = μ₁²+μ₂²+C₁, B = σ₁²+σ₂²+C₂, C = 2μ₁μ₂+C₁,
+//! D = 2σ₁₂+C₂, the map is m = CD/(AB), and since f is its own adjoint
+//! ∂/∂P Σm = f(∂m/∂μ₁) + 2P·f(∂m/∂σ₁²) + G·f(∂m/∂σ₁₂), where ∂m/∂μ₁ counts the μ₁ in the variances too.
+//!
+//! f is separable: rows first, then columns, both through [`blur`], which adds eleven slices. All loops run over blocks
+//! of [`LANES`] numbers and are compiled once for each instruction set (pulp). Every pixel is computed by the same
+//! operations in the same order on all of them, so the bits depend on neither machine nor threads.
+
+use super::{C1, C2};
+use crate::Real;
+use std::cell::RefCell;
+
+/// Taps of the blur.
+const TAPS: usize = 11;
+/// Half of them: the reach of the blur, px.
+const REACH: usize = TAPS / 2;
+/// exp(−x²/(2·1.5²)) at x = −5 … 5, divided by the sum.
+const WEIGHTS: [Real; TAPS] = [
+    0.001_028_380_084_479_109_2,
+    0.007_598_758_135_239_185,
+    0.036_000_772_128_430_83,
+    0.109_360_689_509_700_02,
+    0.213_005_537_711_253_7,
+    0.266_011_724_861_794_36,
+    0.213_005_537_711_253_7,
+    0.109_360_689_509_700_02,
+    0.036_000_772_128_430_83,
+    0.007_598_758_135_239_185,
+    0.001_028_380_084_479_109_2,
+];
+/// Numbers handled together.
+const LANES: usize = 16;
+type Block = [Real; LANES];
+
+/// SSIM as it is trained: Gaussian window, zeros beyond the border, mean over all pixels. Both pictures are row-major
+/// `[height, width]`; 1 for pictures without a pixel.
+pub fn training(prediction: &[Real], truth: &[Real], width: usize, height: usize) -> Real {
+    run(prediction, truth, width, height, None)
+}
+
+/// [`training`] and its derivative with respect to every pixel of `prediction`, `[height, width]`.
+pub fn training_vjp(prediction: &[Real], truth: &[Real], width: usize, height: usize) -> (Real, Vec<Real>) {
+    let mut d_prediction = vec![0.0; width * height];
+    let value = run(prediction, truth, width, height, Some(&mut d_prediction));
+    (value, d_prediction)
+}
+
+fn run(prediction: &[Real], truth: &[Real], width: usize, height: usize, d: Option<&mut [Real]>) -> Real {
+    assert_eq!((prediction.len(), truth.len()), (width * height, width * height), "pixels fill the picture");
+    if prediction.is_empty() {
+        return 1.0;
+    }
+    thread_local! {
+        static SCRATCH: RefCell<Scratch> = RefCell::default();
+    }
+    SCRATCH.with_borrow_mut(|scratch| {
+        scratch.fit(width, height);
+        pulp::Arch::new().dispatch(Job { prediction, truth, width, height, d, scratch })
+    })
+}
+
+/// Buffers, kept by each thread for the next picture. Rows are `stride` long, a multiple of [`LANES`] not below the
+/// width; what lies beyond the width is never read as a pixel.
+#[derive(Default)]
+struct Scratch {
+    width: usize,
+    stride: usize,
+    /// A row with [`REACH`] zeros before it and zeros behind it, for each quantity that is blurred at once.
+    padded: [Vec<Real>; 5],
+    /// Rows blurred along themselves: of P, G, P², G², PG, then of the three derivatives.
+    planes: [Vec<Real>; 8],
+    /// One row blurred both ways, for each quantity.
+    blurred: [Vec<Real>; 5],
+    /// A row beyond the border.
+    zeros: Vec<Real>,
+}
+
+impl Scratch {
+    fn fit(&mut self, width: usize, height: usize) {
+        let stride = width.next_multiple_of(LANES);
+        if (self.width, self.stride * height) != (width, self.planes[0].len()) {
+            (self.width, self.stride) = (width, stride);
+            self.padded = [(); 5].map(|()| vec![0.0; stride + 2 * REACH]);
+            self.planes = [(); 8].map(|()| vec![0.0; stride * height]);
+            self.blurred = [(); 5].map(|()| vec![0.0; stride]);
+            self.zeros = vec![0.0; stride];
+        }
+    }
+}
+
+struct Job<'a> {
+    prediction: &'a [Real],
+    truth: &'a [Real],
+    width: usize,
+    height: usize,
+    d: Option<&'a mut [Real]>,
+    scratch: &'a mut Scratch,
+}
+
+impl pulp::WithSimd for Job<'_> {
+    type Output = Real;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> Real {
+        let Job { prediction, truth, width, height, d, scratch } = self;
+        let Scratch { stride, padded, planes, blurred, zeros, .. } = scratch;
+        let (stride, (moments, slopes)) = (*stride, planes.split_at_mut(5));
+        for y in 0..height {
+            let row = y * width..(y + 1) * width;
+            products(padded, &prediction[row.clone()], &truth[row]);
+            for (padded, plane) in padded.iter().zip(&mut *moments) {
+                blur(&mut plane[y * stride..][..stride], along(padded, stride));
+            }
+        }
+        let mut total = [0.0; LANES];
+        for y in 0..height {
+            for (row, plane) in blurred.iter_mut().zip(&*moments) {
+                blur(row, across(plane, y, stride, zeros));
+            }
+            similarity(blurred, width, &mut total, d.is_some().then_some(&mut *padded));
+            if d.is_some() {
+                for (padded, plane) in padded.iter().zip(&mut *slopes) {
+                    blur(&mut plane[y * stride..][..stride], along(padded, stride));
+                }
+            }
+        }
+        let pixels = (width * height) as f64;
+        if let Some(d) = d {
+            for (y, d) in d.chunks_exact_mut(width).enumerate() {
+                for (row, plane) in blurred.iter_mut().zip(&*slopes) {
+                    blur(row, across(plane, y, stride, zeros));
+                }
+                let row = y * width..(y + 1) * width;
+                gather(d, &prediction[row.clone()], &truth[row], blurred, (1.0 / pixels) as Real);
+            }
+        }
+        (total.iter().sum::<f64>() / pixels) as Real
+    }
+}
+
+/// Eleven shifted views of one padded row.
+#[inline(always)]
+fn along(padded: &[Real], stride: usize) -> [&[Real]; TAPS] {
+    std::array::from_fn(|k| &padded[k..k + stride])
+}
+
+/// Eleven rows of a plane about row `y`, zeros beyond the border.
+#[inline(always)]
+fn across<'a>(plane: &'a [Real], y: usize, stride: usize, zeros: &'a [Real]) -> [&'a [Real]; TAPS] {
+    std::array::from_fn(|k| match (y + k).checked_sub(REACH) {
+        Some(row) if (row + 1) * stride <= plane.len() => &plane[row * stride..][..stride],
+        _ => zeros,
+    })
+}
+
+/// `out` = Σ weight · tap, all of one length, a multiple of [`LANES`].
+#[inline(always)]
+fn blur(out: &mut [Real], taps: [&[Real]; TAPS]) {
+    let taps = taps.map(|t| t.as_chunks::<LANES>().0);
+    for (i, out) in out.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
+        let mut sum: Block = [0.0; LANES];
+        for (tap, weight) in taps.iter().zip(WEIGHTS) {
+            let tap = &tap[i];
+            for (sum, tap) in sum.iter_mut().zip(tap) {
+                *sum += weight * tap;
+            }
+        }
+        *out = sum;
+    }
+}
+
+/// P, G, P², G², PG of one row, into the padded rows.
+#[inline(always)]
+fn products(padded: &mut [Vec<Real>; 5], p: &[Real], g: &[Real]) {
+    let [p1, g1, pp, gg, pg] = padded.each_mut().map(|row| &mut row[REACH..REACH + p.len()]);
+    p1.copy_from_slice(p);
+    g1.copy_from_slice(g);
+    for (out, p) in pp.iter_mut().zip(p) {
+        *out = p * p;
+    }
+    for (out, g) in gg.iter_mut().zip(g) {
+        *out = g * g;
+    }
+    for ((out, p), g) in pg.iter_mut().zip(p).zip(g) {
+        *out = p * g;
+    }
+}
+
+/// Adds the map of one row to `total` and, where asked for, writes ∂m/∂μ₁, ∂m/∂σ₁², ∂m/∂σ₁₂ into the first three padded
+/// rows.
+#[inline(always)]
+fn similarity(moments: &[Vec<Real>; 5], width: usize, total: &mut [f64; LANES], slopes: Option<&mut [Vec<Real>; 5]>) {
+    let blocks = moments.each_ref().map(|m| m.as_chunks::<LANES>().0);
+    let mut slopes = slopes;
+    for (i, start) in (0..width).step_by(LANES).enumerate() {
+        let valid = LANES.min(width - start);
+        let (map, d) = map_block(blocks.map(|b| &b[i]));
+        for (total, m) in total.iter_mut().zip(&map[..valid]) {
+            *total += *m as f64;
+        }
+        if let Some(slopes) = &mut slopes {
+            for (row, d) in slopes.iter_mut().zip(&d) {
+                row[REACH + start..][..valid].copy_from_slice(&d[..valid]);
+            }
+        }
+    }
+}
+
+/// The map m and ∂m/∂μ₁, ∂m/∂σ₁², ∂m/∂σ₁₂ of [`LANES`] pixels, given the five blurred quantities.
+#[inline(always)]
+fn map_block([mu1, mu2, e11, e22, e12]: [&Block; 5]) -> (Block, [Block; 3]) {
+    let (mut map, mut d) = ([0.0; LANES], [[0.0; LANES]; 3]);
+    let [d_mu, d_variance, d_covariance] = &mut d;
+    for i in 0..LANES {
+        let (m1, m2) = (mu1[i], mu2[i]);
+        let a = m1 * m1 + m2 * m2 + C1 as Real;
+        let b = (e11[i] - m1 * m1) + (e22[i] - m2 * m2) + C2 as Real;
+        let c = 2.0 * m1 * m2 + C1 as Real;
+        let s = 2.0 * (e12[i] - m1 * m2) + C2 as Real;
+        let inverse = 1.0 / (a * b);
+        let m = c * s * inverse;
+        map[i] = m;
+        d_mu[i] = 2.0 * (m2 * (s - c) + m1 * m * (a - b)) * inverse;
+        d_variance[i] = -m * a * inverse;
+        d_covariance[i] = 2.0 * c * inverse;
+    }
+    (map, d)
+}
+
+/// d = (f(∂m/∂μ₁) + 2P·f(∂m/∂σ₁²) + G·f(∂m/∂σ₁₂)) / pixels, one row.
+#[inline(always)]
+fn gather(d: &mut [Real], p: &[Real], g: &[Real], blurred: &[Vec<Real>; 5], scale: Real) {
+    let [mu, variance, covariance, ..] = blurred.each_ref().map(|row| &row[..d.len()]);
+    let (p, g) = (&p[..d.len()], &g[..d.len()]);
+    for (i, d) in d.iter_mut().enumerate() {
+        *d = scale * (mu[i] + 2.0 * p[i] * variance[i] + g[i] * covariance[i]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{rng, testing::check_vjp};
+
+    fn noise(n: usize, name: &str) -> Vec<Real> {
+        let mut random = rng::stream(2, name, 0);
+        (0..n).map(|_| rng::uniform(&mut random)).collect()
+    }
+
+    #[test]
+    fn the_derivative_agrees_with_central_differences() {
+        if size_of::<Real>() < 8 {
+            return; // the double-precision build checks it
+        }
+        for (width, height) in [(1, 1), (3, 14), (17, 12), (33, 4)] {
+            let (p, g) = (noise(width * height, "p"), noise(width * height, "g"));
+            check_vjp(
+                "training SSIM",
+                &p,
+                |p| vec![training(p, &g, width, height)],
+                |p, d| training_vjp(p, &g, width, height).1.iter().map(|v| v * d[0]).collect(),
+                1e-5,
+                1e-6,
+            );
+        }
+    }
+
+    #[test]
+    fn scratch_of_another_size_leaves_no_trace() {
+        let (p, g) = (noise(90 * 40, "p"), noise(90 * 40, "g"));
+        let before = training_vjp(&p, &g, 90, 40);
+        for (width, height) in [(40, 90), (7, 7), (1, 3600), (45, 80)] {
+            let _ = training_vjp(&p[..width * height], &g[..width * height], width, height);
+        }
+        assert_eq!(training_vjp(&p, &g, 90, 40), before);
+        assert_eq!(training(&p, &g, 90, 40), before.0);
+    }
+
+    #[test]
+    fn the_weights_are_a_gaussian_of_unit_sum() {
+        let raw = |k: usize| (-0.5 * ((k as f64 - 5.0) / 1.5).powi(2)).exp();
+        let sum: f64 = (0..TAPS).map(raw).sum();
+        for (k, weight) in WEIGHTS.iter().enumerate() {
+            assert!((*weight as f64 - raw(k) / sum).abs() < 1e-8);
+        }
+    }
+}
