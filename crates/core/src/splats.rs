@@ -25,6 +25,8 @@ pub struct Splats {
     pub conics: Vec<[Real; 3]>,
     /// Distances from the receiver `[N]`, metres: the blending order.
     pub depths: Vec<Real>,
+    /// Standard deviations along columns and rows `[N,2]`, px: how far a splat can reach. Not differentiated.
+    pub sigmas2d: Vec<[Real; 2]>,
     /// Radii of three standard deviations `[N]`, px, rounded up; 0 for a Gaussian that does not reach the picture.
     pub radii: Vec<Real>,
     /// Opacities `[N]`.
@@ -65,6 +67,7 @@ impl Splats {
             means2d: vec![[0.0; 2]; n],
             conics: vec![[0.0; 3]; n],
             depths: vec![0.0; n],
+            sigmas2d: vec![[0.0; 2]; n],
             radii: vec![0.0; n],
             opacities: vec![0.0; n],
         }

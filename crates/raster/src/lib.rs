@@ -1,1 +1,18 @@
-//! pwrfgs: raster.
+//! Projectors and the one differentiable rasterizer that every pipeline shares.
+//!
+//! [`Mercator`] and [`WrfgsCompat`] are two [`CameraModel`]s in one EWA projection (`ewa.rs`); [`AlphaBlending`] draws
+//! their splats tile by tile (`tiles.rs`, `blend.rs`); [`reference`] does the same by brute force, for tests.
+
+mod alpha_blending;
+mod blend;
+mod ewa;
+mod mercator;
+pub mod reference;
+mod simd;
+mod tiles;
+mod wrfgs_compat;
+
+pub use alpha_blending::{AlphaBlending, Support};
+pub use ewa::{CameraModel, View, project, project_vjp};
+pub use mercator::Mercator;
+pub use wrfgs_compat::WrfgsCompat;

@@ -1,0 +1,269 @@
+//! Activation: from a cloud and its calibration terms to [`Primitives`] and signals, and back. Eq. (6) of the paper.
+//!
+//! Base parameters are unconstrained; here they become scales, unit quaternions and opacities, meet the deformation's
+//! terms, and are multiplied by the pruners' gate M (opacity and scale alike, as in Compact-3DGS).
+
+use pwrfgs_core::{Deltas, GaussianCloud, Primitives, Real, sigmoid};
+use serde::{Deserialize, Serialize};
+
+/// How calibration terms meet the base parameters.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Calibration {
+    /// Scales exp(log s) + Δ, not below 0.1 mm; rotations normalise(q/|q| + Δ); signals s + Δ, signed.
+    #[default]
+    Physical,
+    /// As the released code has it: scales may go negative, rotations are not normalised again, signals become colours
+    /// max(0, 0.2821·s + 0.5), and the blended picture is clamped to [0, 1] before the loss.
+    AsReleased,
+}
+
+/// Smallest scale of [`Calibration::Physical`], metres: far below a pixel at any distance in a room.
+const SCALE_FLOOR: Real = 1e-4;
+/// Y₀₀, the constant spherical harmonic.
+const SH_C0: Real = 0.282_094_791_773_878_14;
+
+/// Which of a batch's transmitters, and how its signals are to be read.
+#[derive(Clone, Copy, Debug)]
+pub struct Activation {
+    /// How terms are added.
+    pub calibration: Calibration,
+    /// Whether the deformation's signals replace the cloud's.
+    pub replaces_signals: bool,
+    /// Channels kept of each signal: 1 or 2.
+    pub channels: usize,
+}
+
+impl Activation {
+    /// The geometry of row `b` of the batch in `deltas`, gated by `gate` `[N]` (`None`: all open).
+    pub fn geometry(&self, cloud: &GaussianCloud, deltas: &Deltas, b: usize, gate: Option<&[Real]>) -> Primitives {
+        let n = cloud.len();
+        let mut out = Primitives::zeros(n);
+        out.means.copy_from_slice(&cloud.means);
+        for i in 0..n {
+            let m = gate.map_or(1.0, |g| g[i]);
+            let d_scale = deltas.scales.get(b * n + i).copied().unwrap_or_default();
+            let d_quat = deltas.quats.get(b * n + i).copied().unwrap_or_default();
+            for k in 0..3 {
+                let s = cloud.log_scales[i][k].exp() + d_scale[k];
+                out.scales[i][k] = m * if self.calibration == Calibration::Physical { s.max(SCALE_FLOOR) } else { s };
+            }
+            let sum = add(normalise(cloud.quats[i]), d_quat);
+            out.quats[i] = match self.calibration {
+                Calibration::Physical => normalise(sum),
+                Calibration::AsReleased => sum,
+            };
+            out.opacities[i] = m * sigmoid(cloud.opacity_logits[i]);
+        }
+        out
+    }
+
+    /// Adds to `d_cloud`, `d_deltas` (rows of `b`) and `d_gate`, given the cotangents `d` of [`Self::geometry`].
+    #[allow(clippy::too_many_arguments)] // forward's arguments, the cotangent, and the three sums
+    pub fn geometry_vjp(
+        &self,
+        cloud: &GaussianCloud,
+        deltas: &Deltas,
+        b: usize,
+        gate: Option<&[Real]>,
+        d: &Primitives,
+        d_cloud: &mut GaussianCloud,
+        d_deltas: &mut Deltas,
+        d_gate: &mut [Real],
+    ) {
+        let n = cloud.len();
+        for i in 0..n {
+            let m = gate.map_or(1.0, |g| g[i]);
+            let d_scale = deltas.scales.get(b * n + i).copied().unwrap_or_default();
+            for k in 0..3 {
+                d_cloud.means[i][k] += d.means[i][k];
+                let base = cloud.log_scales[i][k].exp();
+                let s = base + d_scale[k];
+                let floored = self.calibration == Calibration::Physical && s < SCALE_FLOOR;
+                d_gate[i] += d.scales[i][k] * if floored { SCALE_FLOOR } else { s };
+                if !floored {
+                    d_cloud.log_scales[i][k] += m * d.scales[i][k] * base;
+                    if let Some(row) = d_deltas.scales.get_mut(b * n + i) {
+                        row[k] += m * d.scales[i][k];
+                    }
+                }
+            }
+            let mut d_quat = d.quats[i];
+            if self.calibration == Calibration::Physical {
+                let delta = deltas.quats.get(b * n + i).copied().unwrap_or_default();
+                d_quat = normalise_vjp(add(normalise(cloud.quats[i]), delta), d_quat);
+            }
+            if let Some(row) = d_deltas.quats.get_mut(b * n + i) {
+                *row = add(*row, d_quat);
+            }
+            d_cloud.quats[i] = add(d_cloud.quats[i], normalise_vjp(cloud.quats[i], d_quat));
+            let o = sigmoid(cloud.opacity_logits[i]);
+            d_gate[i] += d.opacities[i] * o;
+            d_cloud.opacity_logits[i] += m * d.opacities[i] * o * (1.0 - o);
+        }
+    }
+
+    /// Signals of the transmitters `batch` of `deltas`, `[N, batch · channels]`: what the rasterizer blends.
+    pub fn signals(&self, cloud: &GaussianCloud, deltas: &Deltas, batch: std::ops::Range<usize>) -> Vec<Real> {
+        let n = cloud.len();
+        let mut out = Vec::with_capacity(n * batch.len() * self.channels);
+        for i in 0..n {
+            for b in batch.clone() {
+                for c in 0..self.channels {
+                    let s = self.signal(cloud, deltas, b * n + i, i, c);
+                    out.push(match self.calibration {
+                        Calibration::Physical => s,
+                        Calibration::AsReleased => (SH_C0 * s + 0.5).max(0.0),
+                    });
+                }
+            }
+        }
+        out
+    }
+
+    /// Adds to `d_cloud` and `d_deltas`, given the cotangents of [`Self::signals`].
+    pub fn signals_vjp(
+        &self,
+        cloud: &GaussianCloud,
+        deltas: &Deltas,
+        batch: std::ops::Range<usize>,
+        d: &[Real],
+        d_cloud: &mut GaussianCloud,
+        d_deltas: &mut Deltas,
+    ) {
+        let n = cloud.len();
+        let mut d = d.iter();
+        for i in 0..n {
+            for b in batch.clone() {
+                for c in 0..self.channels {
+                    let mut d_signal = *d.next().expect("one cotangent a signal");
+                    if self.calibration == Calibration::AsReleased {
+                        let colour = SH_C0 * self.signal(cloud, deltas, b * n + i, i, c) + 0.5;
+                        d_signal *= if colour > 0.0 { SH_C0 } else { 0.0 };
+                    }
+                    if !self.replaces_signals {
+                        d_cloud.signals[i][c] += d_signal;
+                    }
+                    if let Some(row) = d_deltas.signals.get_mut(b * n + i) {
+                        row[c] += d_signal;
+                    }
+                }
+            }
+        }
+    }
+
+    fn signal(&self, cloud: &GaussianCloud, deltas: &Deltas, row: usize, i: usize, c: usize) -> Real {
+        let base = if self.replaces_signals { 0.0 } else { cloud.signals[i][c] };
+        base + deltas.signals.get(row).map_or(0.0, |d| d[c])
+    }
+}
+
+fn add(a: [Real; 4], b: [Real; 4]) -> [Real; 4] {
+    std::array::from_fn(|k| a[k] + b[k])
+}
+
+/// q/|q|; a quaternion too short to have a direction is the identity.
+fn normalise(q: [Real; 4]) -> [Real; 4] {
+    let norm = q.iter().map(|v| v * v).sum::<Real>().sqrt();
+    if norm > 1e-12 { q.map(|v| v / norm) } else { [1.0, 0.0, 0.0, 0.0] }
+}
+
+fn normalise_vjp(q: [Real; 4], d: [Real; 4]) -> [Real; 4] {
+    let norm = q.iter().map(|v| v * v).sum::<Real>().sqrt();
+    if norm <= 1e-12 {
+        return [0.0; 4];
+    }
+    let unit = q.map(|v| v / norm);
+    let along: Real = unit.iter().zip(d).map(|(u, d)| u * d).sum();
+    std::array::from_fn(|k| (d[k] - unit[k] * along) / norm)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pwrfgs_core::rng;
+    use pwrfgs_core::testing::check_vjp;
+
+    const N: usize = 3;
+    const BATCH: usize = 2;
+
+    /// Cloud, deltas and gate from one flat vector, so that every input is differentiated.
+    fn unpack(x: &[Real]) -> (GaussianCloud, Deltas, Vec<Real>) {
+        let mut x = x.iter().copied();
+        let mut next = || x.next().unwrap();
+        let mut cloud = GaussianCloud {
+            means: vec![[0.0; 3]; N],
+            log_scales: vec![[0.0; 3]; N],
+            quats: vec![[0.0; 4]; N],
+            opacity_logits: vec![0.0; N],
+            signals: vec![[0.0; 2]; N],
+            extra: vec![],
+        };
+        cloud.columns_mut().for_each(|(_, _, v)| v.iter_mut().for_each(|v| *v = next()));
+        let mut deltas = Deltas {
+            scales: vec![[0.0; 3]; N * BATCH],
+            quats: vec![[0.0; 4]; N * BATCH],
+            signals: vec![[0.0; 2]; N * BATCH],
+        };
+        deltas.scales.as_flattened_mut().iter_mut().for_each(|v| *v = 0.2 * next());
+        deltas.quats.as_flattened_mut().iter_mut().for_each(|v| *v = 0.2 * next());
+        deltas.signals.as_flattened_mut().iter_mut().for_each(|v| *v = next());
+        let gate = (0..N).map(|_| next()).collect();
+        (cloud, deltas, gate)
+    }
+
+    fn pack(cloud: &GaussianCloud, deltas: &Deltas, gate: &[Real]) -> Vec<Real> {
+        let mut x: Vec<Real> = cloud.columns().flat_map(|(_, _, v)| v.to_vec()).collect();
+        x.extend(deltas.scales.as_flattened().iter().map(|v| 0.2 * v));
+        x.extend(deltas.quats.as_flattened().iter().map(|v| 0.2 * v));
+        x.extend(deltas.signals.as_flattened());
+        x.extend(gate);
+        x
+    }
+
+    fn check(activation: Activation) {
+        let mut random = rng::stream(3, "activate", 0);
+        let size = N * 13 + N * BATCH * 9 + N;
+        let x: Vec<Real> = (0..size).map(|_| 0.5 * rng::normal(&mut random) + 0.3).collect();
+        let b = 1;
+        let f = |x: &[Real]| {
+            let (cloud, deltas, gate) = unpack(x);
+            let g = activation.geometry(&cloud, &deltas, b, Some(&gate));
+            let mut out: Vec<Real> = g.means.as_flattened().to_vec();
+            out.extend(g.scales.as_flattened());
+            out.extend(g.quats.as_flattened());
+            out.extend(&g.opacities);
+            out.extend(activation.signals(&cloud, &deltas, 0..BATCH));
+            out
+        };
+        let vjp = |x: &[Real], d: &[Real]| {
+            let (cloud, deltas, gate) = unpack(x);
+            let mut g = Primitives::zeros(N);
+            let mut d = d.iter().copied();
+            let mut fill = |v: &mut [Real]| v.iter_mut().for_each(|v| *v = d.next().unwrap());
+            fill(g.means.as_flattened_mut());
+            fill(g.scales.as_flattened_mut());
+            fill(g.quats.as_flattened_mut());
+            fill(&mut g.opacities);
+            let d_signals: Vec<Real> = d.collect();
+            let (mut d_cloud, mut d_deltas) = (cloud.zeros_like(), unpack(&vec![0.0; size]).1);
+            let mut d_gate = vec![0.0; N];
+            activation
+                .geometry_vjp(&cloud, &deltas, b, Some(&gate), &g, &mut d_cloud, &mut d_deltas, &mut d_gate);
+            activation.signals_vjp(&cloud, &deltas, 0..BATCH, &d_signals, &mut d_cloud, &mut d_deltas);
+            pack(&d_cloud, &d_deltas, &d_gate)
+        };
+        check_vjp("activate", &x, f, vjp, 1e-6, 1e-6);
+    }
+
+    #[test]
+    fn derivatives_agree_with_differences() {
+        if size_of::<Real>() < 8 {
+            return;
+        }
+        for calibration in [Calibration::Physical, Calibration::AsReleased] {
+            for (replaces_signals, channels) in [(false, 2), (true, 1)] {
+                check(Activation { calibration, replaces_signals, channels });
+            }
+        }
+    }
+}

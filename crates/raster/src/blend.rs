@@ -1,0 +1,224 @@
+//! The blending kernel: one tile, front to back, sixteen pixels at a time; and its derivative.
+//!
+//! Eq. (7) with γ = min(0.99, o·G), G = exp(-½ dᵀ conic d): pixel = Σᵢ sᵢ γᵢ Tᵢ, Tᵢ = Πⱼ﹤ᵢ (1-γⱼ). A splat counts in a
+//! pixel where γ ≥ 1/255; a pixel ends before the splat that would bring T below 10⁻⁴. The backward pass runs front to
+//! back once more: with q = ⟨∂L/∂pixel, sᵢ⟩ and the picture itself known, Σ behind i = total − Σ up to i, so
+//! ∂L/∂γᵢ = Tᵢ q − (total − prefix)/(1−γᵢ) needs neither division back to front nor stored weights.
+
+use crate::simd::exp_nonpositive;
+use crate::tiles::TILE;
+use pwrfgs_core::{ImagePlane, Real, Splats};
+use std::ops::Range;
+
+/// Pixels of a tile.
+pub(crate) const PIXELS: usize = TILE * TILE;
+/// Largest γ of one splat.
+pub(crate) const ALPHA_MAX: Real = 0.99;
+/// Smallest γ that counts: the step of an 8-bit picture.
+pub(crate) const ALPHA_MIN: Real = 1.0 / 255.0;
+/// A pixel is full before T falls below this.
+pub(crate) const T_MIN: Real = 1e-4;
+/// Cotangents of a splat's geometry in one tile: mean (2), conic (3), opacity, and its summed weight.
+pub(crate) const GEOMETRY: usize = 7;
+
+type Lanes = [Real; TILE];
+
+/// What the kernel knows of the tile.
+pub(crate) struct Tile<'a> {
+    /// All splats.
+    pub(crate) splats: &'a Splats,
+    /// Signals `[N, channels]`.
+    pub(crate) signals: &'a [Real],
+    /// Numbers a splat.
+    pub(crate) channels: usize,
+    /// The whole picture.
+    pub(crate) plane: &'a ImagePlane,
+    /// Those of this tile, nearest first.
+    pub(crate) list: &'a [u32],
+    /// Rows of the picture that each splat may touch, `[N]`.
+    pub(crate) rows: &'a [Range<i32>],
+    /// First column and row.
+    pub(crate) corner: (usize, usize),
+}
+
+/// Transmittance of a tile: `open` is 0 in a full pixel and outside the picture, `left` is what remains.
+pub(crate) struct Transmittance {
+    open: [Lanes; TILE],
+    pub(crate) left: [Lanes; TILE],
+    alive: [bool; TILE],
+}
+
+/// One splat as the lanes of a row see it.
+struct Brush {
+    /// Column offsets mean − pixel, nearest image.
+    dx: Lanes,
+    /// −½ A dx².
+    across: Lanes,
+    a: Real,
+    b: Real,
+    c: Real,
+    y: Real,
+    opacity: Real,
+}
+
+impl Tile<'_> {
+    #[inline(always)]
+    fn start(&self) -> Transmittance {
+        let mut t = Transmittance { open: [[0.0; TILE]; TILE], left: [[1.0; TILE]; TILE], alive: [false; TILE] };
+        let columns = (self.plane.width - self.corner.0).min(TILE);
+        for row in 0..(self.plane.height - self.corner.1).min(TILE) {
+            t.open[row][..columns].fill(1.0);
+            t.alive[row] = true;
+        }
+        t
+    }
+
+    #[inline(always)]
+    fn brush(&self, i: usize) -> Brush {
+        let [x, y] = self.splats.means2d[i];
+        let [a, b, c] = self.splats.conics[i];
+        let width = self.plane.width as Real;
+        let mut dx = [0.0; TILE];
+        for (lane, dx) in dx.iter_mut().enumerate() {
+            let d = x - (self.corner.0 + lane) as Real;
+            *dx = if self.plane.wraps { nearest_image(d, width) } else { d };
+        }
+        let across = dx.map(|dx| -0.5 * a * dx * dx);
+        Brush { dx, across, a, b, c, y, opacity: self.splats.opacities[i] }
+    }
+
+    /// Rows of this tile that splat `i` may touch.
+    #[inline(always)]
+    fn rows_of(&self, i: usize) -> Range<usize> {
+        let top = self.corner.1 as i32;
+        let rows = &self.rows[i];
+        (rows.start - top).max(0) as usize..(rows.end - top).clamp(0, TILE as i32) as usize
+    }
+
+    /// Blended signals `[channels][PIXELS]` into `out` (zeroed here), and what light is left.
+    #[inline(always)]
+    pub(crate) fn forward(&self, out: &mut [Real]) -> Transmittance {
+        out.fill(0.0);
+        let mut t = self.start();
+        for &i in self.list {
+            let i = i as usize;
+            let brush = self.brush(i);
+            let signal = &self.signals[i * self.channels..(i + 1) * self.channels];
+            for row in self.rows_of(i) {
+                if !t.alive[row] {
+                    continue;
+                }
+                let (_, alpha) = brush.alpha((self.corner.1 + row) as Real);
+                let weight = t.pass(row, &alpha);
+                for (s, out) in signal.iter().zip(out.chunks_exact_mut(PIXELS)) {
+                    let out = &mut out[row * TILE..(row + 1) * TILE];
+                    for lane in 0..TILE {
+                        out[lane] += s * weight[lane];
+                    }
+                }
+            }
+        }
+        t
+    }
+
+    /// For each splat of the list, its cotangents in this tile: `GEOMETRY` numbers, then one a channel. `pixels` and
+    /// `d_pixels` are `[channels][PIXELS]`.
+    #[inline(always)]
+    pub(crate) fn backward(&self, pixels: &[Real], d_pixels: &[Real], out: &mut [Real]) {
+        let mut behind = [0.0; PIXELS]; // ⟨∂L/∂pixel, signal of everything not yet passed⟩
+        for (p, d) in pixels.chunks_exact(PIXELS).zip(d_pixels.chunks_exact(PIXELS)) {
+            for k in 0..PIXELS {
+                behind[k] += p[k] * d[k];
+            }
+        }
+        let mut t = self.start();
+        let stride = GEOMETRY + self.channels;
+        let mut d_signal: Vec<Lanes> = vec![[0.0; TILE]; self.channels];
+        for (&i, out) in self.list.iter().zip(out.chunks_exact_mut(stride)) {
+            let i = i as usize;
+            let brush = self.brush(i);
+            let signal = &self.signals[i * self.channels..(i + 1) * self.channels];
+            let mut d = [[0.0; TILE]; GEOMETRY];
+            d_signal.fill([0.0; TILE]);
+            for row in self.rows_of(i) {
+                if !t.alive[row] {
+                    continue;
+                }
+                let (gauss, alpha) = brush.alpha((self.corner.1 + row) as Real);
+                let before = t.open[row];
+                let weight = t.pass(row, &alpha);
+                let mut q = [0.0; TILE];
+                for (c, s) in signal.iter().enumerate() {
+                    let g = &d_pixels[c * PIXELS + row * TILE..][..TILE];
+                    for lane in 0..TILE {
+                        q[lane] += s * g[lane];
+                        d_signal[c][lane] += weight[lane] * g[lane];
+                    }
+                }
+                let behind = &mut behind[row * TILE..][..TILE];
+                let dy = brush.y - (self.corner.1 + row) as Real;
+                for lane in 0..TILE {
+                    behind[lane] -= weight[lane] * q[lane];
+                    let d_alpha = before[lane] * q[lane] - behind[lane] / (1.0 - alpha[lane]);
+                    let d_alpha = if weight[lane] > 0.0 { d_alpha } else { 0.0 };
+                    let d_power = d_alpha * brush.opacity * gauss[lane];
+                    let dx = brush.dx[lane];
+                    d[0][lane] -= d_power * (brush.a * dx + brush.b * dy);
+                    d[1][lane] -= d_power * (brush.c * dy + brush.b * dx);
+                    d[2][lane] -= 0.5 * d_power * dx * dx;
+                    d[3][lane] -= d_power * dx * dy;
+                    d[4][lane] -= 0.5 * d_power * dy * dy;
+                    d[5][lane] += d_alpha * gauss[lane];
+                    d[6][lane] += weight[lane];
+                }
+            }
+            for (out, lanes) in out.iter_mut().zip(d.iter().chain(&d_signal)) {
+                *out = lanes.iter().sum();
+            }
+        }
+    }
+}
+
+impl Brush {
+    /// G and γ in the row `y`; γ is 0 where the splat does not count.
+    #[inline(always)]
+    fn alpha(&self, y: Real) -> (Lanes, Lanes) {
+        let dy = self.y - y;
+        let (along, cross) = (-0.5 * self.c * dy * dy, self.b * dy);
+        let (mut gauss, mut alpha) = ([0.0; TILE], [0.0; TILE]);
+        for lane in 0..TILE {
+            let power = self.across[lane] + along - cross * self.dx[lane];
+            gauss[lane] = exp_nonpositive(power);
+            let a = (self.opacity * gauss[lane]).min(ALPHA_MAX);
+            // One comparison for both rules of the released kernel: power ≤ 0 and alpha ≥ 1/255.
+            alpha[lane] = if power <= 0.0 && a >= ALPHA_MIN { a } else { 0.0 };
+        }
+        (gauss, alpha)
+    }
+}
+
+impl Transmittance {
+    /// Blending weights γ·T of a row; light that passes the splat is what is left for the next.
+    #[inline(always)]
+    fn pass(&mut self, row: usize, alpha: &Lanes) -> Lanes {
+        let (open, left) = (&mut self.open[row], &mut self.left[row]);
+        let mut weight = [0.0; TILE];
+        let mut most = 0.0;
+        for lane in 0..TILE {
+            let next = open[lane] * (1.0 - alpha[lane]);
+            let counts = next >= T_MIN;
+            weight[lane] = if counts { alpha[lane] * open[lane] } else { 0.0 };
+            left[lane] = if counts { next } else { left[lane] };
+            open[lane] = if counts { next } else { 0.0 };
+            most = if open[lane] > most { open[lane] } else { most };
+        }
+        self.alive[row] = most > 0.0;
+        weight
+    }
+}
+
+/// `d` brought into [-width/2, width/2): the nearest image of a splat on a picture that comes round.
+#[inline(always)]
+pub(crate) fn nearest_image(d: Real, width: Real) -> Real {
+    d - width * (d / width + 0.5).floor()
+}

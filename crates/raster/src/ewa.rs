@@ -1,0 +1,171 @@
+//! EWA projection: a Gaussian in space becomes, to first order, a Gaussian on the image plane.
+//!
+//! With v = A x + t the centre in the receiver frame, π the camera model and J its Jacobian at v,
+//! Σ′ = J A Σ Aᵀ Jᵀ + blur·I, Σ = R(q) S Sᵀ R(q)ᵀ (eq. 4), and the conic is Σ′⁻¹. A new projection needs only the three
+//! functions of [`CameraModel`]; it is monomorphised into [`project`] and [`project_vjp`].
+
+use pwrfgs_core::{ImagePlane, Mat3, Pose, Primitives, Real, Splats, Vec3};
+use rayon::prelude::*;
+
+/// Receiver coordinates v = `rotation` · x + `offset`.
+#[derive(Clone, Copy, Debug)]
+pub struct View {
+    /// `receiver_from_world`.
+    pub rotation: Mat3,
+    /// Metres.
+    pub offset: Vec3,
+}
+
+/// A projection of receiver coordinates (metres) onto pixels.
+pub trait CameraModel: Sync {
+    /// How world coordinates become the model's own.
+    fn view(&self, pose: &Pose) -> View;
+    /// Whether a Gaussian centred at `v` is drawn at all.
+    fn visible(&self, v: Vec3) -> bool;
+    /// Column and row of `v`.
+    fn pixel(&self, v: Vec3) -> [Real; 2];
+    /// Cotangent of `v`, given that of [`Self::pixel`].
+    fn pixel_vjp(&self, v: Vec3, d: [Real; 2]) -> Vec3;
+    /// The rows of J used for the covariance: px a metre.
+    fn jacobian(&self, v: Vec3) -> [Vec3; 2];
+    /// Cotangent of `v`, given that of [`Self::jacobian`].
+    fn jacobian_vjp(&self, v: Vec3, d: [Vec3; 2]) -> Vec3;
+    /// Added to both diagonal entries of Σ′, px²: no splat is thinner than a pixel.
+    fn blur(&self) -> Real;
+    /// Whether the splat with this centre, covariance (a, b, c) and radius reaches the picture.
+    fn reaches(&self, centre: [Real; 2], cov: [Real; 3], radius: Real, plane: &ImagePlane) -> bool;
+}
+
+/// What forward and backward both need of one Gaussian.
+struct Projected {
+    v: Vec3,
+    t: [Vec3; 2],
+    u: [Vec3; 2],
+    rotation: Mat3,
+    scaled: Mat3,
+    cov: [Real; 3],
+    det: Real,
+}
+
+fn project_one(model: &impl CameraModel, view: &View, p: &Primitives, i: usize) -> Projected {
+    let v = view.rotation * Vec3::from_array(p.means[i]) + view.offset;
+    let rotation = rotation_of(p.quats[i]);
+    let [sx, sy, sz] = p.scales[i];
+    let scaled = Mat3::from_cols(rotation.x_axis * sx, rotation.y_axis * sy, rotation.z_axis * sz);
+    let to_world = view.rotation.transpose();
+    let t = model.jacobian(v).map(|j| to_world * j);
+    let m = scaled.transpose();
+    let u = t.map(|t| m * t);
+    let blur = model.blur();
+    let (aa, bb, cc) = (u[0].dot(u[0]), u[0].dot(u[1]), u[1].dot(u[1]));
+    // A sum of squares: a·c − b² would cancel for long thin splats.
+    let cross = u[0].cross(u[1]);
+    let det = cross.dot(cross) + blur * (aa + cc) + blur * blur;
+    Projected { v, t, u, rotation, scaled, cov: [aa + blur, bb, cc + blur], det }
+}
+
+/// Radius of three standard deviations along the longest axis, rounded up, as in 3DGS.
+fn radius_of([a, _, c]: [Real; 3], det: Real) -> Real {
+    let mid = 0.5 * (a + c);
+    (3.0 * (mid + (mid * mid - det).max(0.1).sqrt()).sqrt()).ceil()
+}
+
+/// Splats of all primitives, row for row.
+pub fn project(model: &impl CameraModel, p: &Primitives, pose: &Pose, plane: &ImagePlane) -> Splats {
+    let n = p.len();
+    let view = model.view(pose);
+    let mut out = Splats::zeros(n);
+    let rows = (out.means2d.par_iter_mut())
+        .zip(out.conics.par_iter_mut())
+        .zip(out.depths.par_iter_mut())
+        .zip(out.sigmas2d.par_iter_mut())
+        .zip(out.radii.par_iter_mut())
+        .zip(out.opacities.par_iter_mut());
+    rows.enumerate().with_min_len(256).for_each(|(i, (((((mean, conic), depth), sigma), radius), opacity))| {
+        let g = project_one(model, &view, p, i);
+        *opacity = p.opacities[i];
+        *depth = g.v.length();
+        if !model.visible(g.v) || !(g.det > 0.0 && g.det.is_finite()) {
+            return;
+        }
+        let [a, b, c] = g.cov;
+        *mean = model.pixel(g.v);
+        *conic = [c / g.det, -b / g.det, a / g.det];
+        *sigma = [a.sqrt(), c.sqrt()];
+        let r = radius_of(g.cov, g.det);
+        if r.is_finite()
+            && mean.iter().chain(conic.iter()).all(|x| x.is_finite())
+            && model.reaches(*mean, g.cov, r, plane)
+        {
+            *radius = r;
+        }
+    });
+    out
+}
+
+/// Cotangents of the primitives, given those of the splats; Gaussians out of sight get none.
+pub fn project_vjp(model: &impl CameraModel, p: &Primitives, pose: &Pose, splats: &Splats, d: &Splats) -> Primitives {
+    let view = model.view(pose);
+    let mut out = Primitives::zeros(p.len());
+    let rows = (out.means.par_iter_mut())
+        .zip(out.scales.par_iter_mut())
+        .zip(out.quats.par_iter_mut())
+        .zip(out.opacities.par_iter_mut());
+    rows.enumerate().with_min_len(256).for_each(|(i, (((mean, scale), quat), opacity))| {
+        if splats.radii[i] == 0.0 {
+            return;
+        }
+        *opacity = d.opacities[i];
+        let g = project_one(model, &view, p, i);
+        let [d_a, d_b, d_c] = inverse_vjp(splats.conics[i], d.conics[i]);
+        let d_u = [g.u[0] * (2.0 * d_a) + g.u[1] * d_b, g.u[1] * (2.0 * d_c) + g.u[0] * d_b];
+        let d_j = d_u.map(|d| view.rotation * (g.scaled * d));
+        let d_v = model.jacobian_vjp(g.v, d_j) + model.pixel_vjp(g.v, d.means2d[i]);
+        *mean = (view.rotation.transpose() * d_v).to_array();
+        // uᵣ = Mᵀ tᵣ with M = R S: column k of ∂L/∂M is Σᵣ tᵣ (∂L/∂uᵣ)ₖ.
+        let d_m = Mat3::from_cols(
+            g.t[0] * d_u[0].x + g.t[1] * d_u[1].x,
+            g.t[0] * d_u[0].y + g.t[1] * d_u[1].y,
+            g.t[0] * d_u[0].z + g.t[1] * d_u[1].z,
+        );
+        *scale =
+            [g.rotation.x_axis.dot(d_m.x_axis), g.rotation.y_axis.dot(d_m.y_axis), g.rotation.z_axis.dot(d_m.z_axis)];
+        let [sx, sy, sz] = p.scales[i];
+        *quat = rotation_vjp(p.quats[i], Mat3::from_cols(d_m.x_axis * sx, d_m.y_axis * sy, d_m.z_axis * sz));
+    });
+    out
+}
+
+/// Cotangents of (a, b, c) of a symmetric matrix, given its inverse (A, B, C) and the cotangents of that.
+fn inverse_vjp([a, b, c]: [Real; 3], [d_a, d_b, d_c]: [Real; 3]) -> [Real; 3] {
+    let h = 0.5 * d_b;
+    // −Q G Q with Q the conic and G the symmetric cotangent.
+    let (p, q, r, s) = (a * d_a + b * h, a * h + b * d_c, b * d_a + c * h, b * h + c * d_c);
+    [-(p * a + q * b), -((p * b + q * c) + (r * a + s * b)), -(r * b + s * c)]
+}
+
+/// The rotation matrix of a quaternion w, x, y, z by the formula for unit ones, whatever its length (as released).
+fn rotation_of([w, x, y, z]: [Real; 4]) -> Mat3 {
+    Mat3::from_cols_array(&[
+        1.0 - 2.0 * (y * y + z * z),
+        2.0 * (x * y + w * z),
+        2.0 * (x * z - w * y),
+        2.0 * (x * y - w * z),
+        1.0 - 2.0 * (x * x + z * z),
+        2.0 * (y * z + w * x),
+        2.0 * (x * z + w * y),
+        2.0 * (y * z - w * x),
+        1.0 - 2.0 * (x * x + y * y),
+    ])
+}
+
+/// Cotangent of the quaternion, given that of [`rotation_of`].
+fn rotation_vjp([w, x, y, z]: [Real; 4], d: Mat3) -> [Real; 4] {
+    let (c0, c1, c2) = (d.x_axis, d.y_axis, d.z_axis); // cᵢ is column i: cᵢ.y is row 1
+    [
+        2.0 * (z * (c0.y - c1.x) + y * (c2.x - c0.z) + x * (c1.z - c2.y)),
+        2.0 * (y * (c1.x + c0.y) + z * (c2.x + c0.z) + w * (c1.z - c2.y) - 2.0 * x * (c1.y + c2.z)),
+        2.0 * (x * (c1.x + c0.y) + z * (c2.y + c1.z) + w * (c2.x - c0.z) - 2.0 * y * (c0.x + c2.z)),
+        2.0 * (x * (c2.x + c0.z) + y * (c2.y + c1.z) + w * (c0.y - c1.x) - 2.0 * z * (c0.x + c1.y)),
+    ]
+}

@@ -1,0 +1,130 @@
+//! `WrfgsCompat`: the projection of the released WRF-GS code, quirks and all.
+
+use crate::ewa::{self, CameraModel, View};
+use crate::tiles::square;
+use pwrfgs_core::{ImagePlane, Pose, Primitives, Projector, Real, Splats, Vec3, consts::PI};
+use serde::{Deserialize, Serialize};
+
+/// The released WRF-GS projection, for comparison with published code only.
+///
+/// It differs from [`crate::Mercator`] in all that matters for geometry: the receiver's position is used as the camera's
+/// translation (v = Rᵀx + r_o, so the centre is at -R r_o), the polar axis is the receiver's y axis, the *full* sphere is
+/// squeezed onto the rows (2° a row with 90 of them), and azimuth does not come round. A pixel therefore has no angle in
+/// the receiver frame, and whatever needs one refuses this plane. Pair it with
+/// `AlphaBlending(support: TileSquares)` and `calibration: AsReleased`.
+///
+/// ```
+/// use pwrfgs_core::{Plugin, Projector};
+/// # use pwrfgs_raster as _;
+/// Plugin::<dyn Projector>::parse("WrfgsCompat()").unwrap();
+/// ```
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct WrfgsCompat {}
+
+#[typetag::serde]
+impl Projector for WrfgsCompat {
+    fn plane(&self, width: usize, height: usize) -> ImagePlane {
+        ImagePlane { width, height, wraps: false, angles: None }
+    }
+
+    fn project(&self, primitives: &Primitives, pose: &Pose, plane: &ImagePlane) -> Splats {
+        ewa::project(&FullSphere::new(plane), primitives, pose, plane)
+    }
+
+    fn project_vjp(&self, p: &Primitives, pose: &Pose, plane: &ImagePlane, splats: &Splats, d: &Splats) -> Primitives {
+        ewa::project_vjp(&FullSphere::new(plane), p, pose, splats, d)
+    }
+
+    fn about(&self) -> &'static str {
+        "the projection of the released WRF-GS code: full sphere, wrong centre and axis, no seam; for comparison"
+    }
+}
+
+/// Added to denominators by the released kernel, and not differentiated.
+const EPS: Real = 1e-7;
+
+struct FullSphere {
+    width: Real,
+    height: Real,
+}
+
+impl FullSphere {
+    fn new(plane: &ImagePlane) -> Self {
+        Self { width: plane.width as Real, height: plane.height as Real }
+    }
+}
+
+impl CameraModel for FullSphere {
+    fn view(&self, pose: &Pose) -> View {
+        View { rotation: pose.world_from_receiver().transpose(), offset: pose.origin() }
+    }
+
+    fn visible(&self, v: Vec3) -> bool {
+        v.length_squared() > 0.04
+    }
+
+    fn pixel(&self, v: Vec3) -> [Real; 2] {
+        let longitude = v.x.atan2(v.z);
+        let latitude = (v.y / (v.length() + EPS)).clamp(-1.0, 1.0).asin();
+        [((longitude / PI + 1.0) * self.width - 1.0) / 2.0, ((2.0 * latitude / PI + 1.0) * self.height - 1.0) / 2.0]
+    }
+
+    fn pixel_vjp(&self, v: Vec3, d: [Real; 2]) -> Vec3 {
+        let [x, y] = self.jacobian(v);
+        x * d[0] + y * d[1]
+    }
+
+    fn jacobian(&self, v: Vec3) -> [Vec3; 2] {
+        let rho2 = v.x * v.x + v.z * v.z;
+        let (rho, r2) = (rho2.sqrt(), v.length_squared());
+        let a = 1.0 / (rho2 + EPS);
+        let b = 1.0 / (rho * r2 + EPS);
+        [
+            Vec3::new(v.z * a, 0.0, -v.x * a) * (self.width / (2.0 * PI)),
+            Vec3::new(-v.x * v.y * b, rho / (r2 + EPS), -v.z * v.y * b) * (self.height / PI),
+        ]
+    }
+
+    fn jacobian_vjp(&self, v: Vec3, d: [Vec3; 2]) -> Vec3 {
+        let rho2 = v.x * v.x + v.z * v.z + EPS;
+        let (rho, r2) = (rho2.sqrt(), v.length_squared() + EPS);
+        let d_rho = Vec3::new(v.x, 0.0, v.z) / rho;
+        let d_r2 = v * 2.0;
+        // (z dx − x dz)/ρ²
+        let g = v.z * d[0].x - v.x * d[0].z;
+        let around = Vec3::new(-d[0].z, 0.0, d[0].x) / rho2 - d_rho * (2.0 * g / (rho2 * rho));
+        // −y h/(ρ r²) + ρ dy/r² with h = x dx + z dz.
+        let h = v.x * d[1].x + v.z * d[1].z;
+        let d_h = Vec3::new(d[1].x, 0.0, d[1].z);
+        let up = (Vec3::Y * h + d_h * v.y) * (-1.0 / (rho * r2))
+            + d_rho * (v.y * h / (rho2 * r2) + d[1].y / r2)
+            + d_r2 * ((v.y * h / rho - rho * d[1].y) / (r2 * r2));
+        around * (self.width / (2.0 * PI)) + up * (self.height / PI)
+    }
+
+    fn blur(&self) -> Real {
+        0.3
+    }
+
+    fn reaches(&self, centre: [Real; 2], _cov: [Real; 3], radius: Real, plane: &ImagePlane) -> bool {
+        let (columns, rows) = square(centre, radius, plane);
+        !columns.is_empty() && !rows.is_empty()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn axes_land_where_the_released_code_puts_them() {
+        let model = FullSphere { width: 360.0, height: 90.0 };
+        let near = |a: Real, b: Real, tolerance: Real| assert!((a - b).abs() < tolerance, "{a} is not {b}");
+        let [x, y] = model.pixel(Vec3::Z);
+        near(x, 179.5, 1e-4);
+        near(y, 44.5, 1e-4);
+        near(model.pixel(Vec3::X)[0], 269.5, 1e-4);
+        near(model.pixel(Vec3::Y)[1], 89.487, 2e-2);
+    }
+}

@@ -1,0 +1,55 @@
+//! The tiled kernel against brute force, on random scenes.
+
+mod common;
+
+use common::{relative, signals, splats};
+use proptest::prelude::*;
+use pwrfgs_core::{Rasterizer, Real};
+use pwrfgs_raster::{AlphaBlending, reference};
+
+/// Bound on relative differences: rounding, and in single precision now and then a pixel where γ is within rounding
+/// of 1/255 and only one of the two draws it.
+const TOLERANCE: Real = if size_of::<Real>() == 8 { 1e-9 } else { 5e-3 };
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn tiles_are_bookkeeping_that_no_picture_shows(
+        n in 1usize..60, seed in 0u64..10_000, channels in 1usize..5, width in 40usize..130, height in 10usize..60,
+    ) {
+        let (splats, plane) = splats(n, seed, width, height);
+        let signals = signals(n, channels, seed);
+        let raster = AlphaBlending::default();
+        let render = raster.forward(&splats, &signals, channels, &plane);
+        let (pixels, light) = reference::forward(&splats, &signals, channels, &plane);
+        prop_assert!(relative(&pixels, &render.pixels) < TOLERANCE);
+        prop_assert!(relative(&light, &render.transmittance) < TOLERANCE);
+
+        let d: Vec<Real> = (0..pixels.len()).map(|k| (k as Real * 0.37).sin()).collect();
+        let ours = raster.backward(&splats, &signals, channels, &plane, &render, &d);
+        let theirs = reference::backward(&splats, &signals, channels, &plane, &d);
+        prop_assert!(relative(&theirs.signals, &ours.signals) < TOLERANCE);
+        prop_assert!(relative(&theirs.weights, &ours.weights) < TOLERANCE);
+        prop_assert!(relative(&theirs.splats.opacities, &ours.splats.opacities) < TOLERANCE);
+        for (a, b) in [(&theirs.splats.means2d, &ours.splats.means2d)] {
+            prop_assert!(relative(a.as_flattened(), b.as_flattened()) < TOLERANCE);
+        }
+        prop_assert!(relative(theirs.splats.conics.as_flattened(), ours.splats.conics.as_flattened()) < TOLERANCE);
+    }
+}
+
+#[test]
+fn the_same_bits_at_one_and_two_threads() {
+    let (splats, plane) = splats(300, 5, 360, 90);
+    let signals = signals(300, 2, 5);
+    let run = |threads| {
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| {
+            let raster = AlphaBlending::default();
+            let render = raster.forward(&splats, &signals, 2, &plane);
+            let d = raster.backward(&splats, &signals, 2, &plane, &render, &render.pixels);
+            (render.pixels, d.splats, d.signals)
+        })
+    };
+    assert_eq!(run(1), run(2));
+}

@@ -1,0 +1,198 @@
+//! `Pipeline`: a whole experiment as one RON value, and the patches that change it.
+
+use crate::settings::{Training, TrainingPatch};
+use pwrfgs_core::plugin::{Checked, Plugin, ron_options};
+use pwrfgs_core::{
+    Baseline, DataSource, Deformation, Error, Initializer, Metric, Projector, Pruner, Rasterizer, Result, Split,
+};
+use pwrfgs_model::{Calibration, Readout};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// Everything a run needs to know. Plugins are named in the words of the registry; plain settings are nested structs.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Pipeline {
+    /// Names the run folder: letters, digits, `.`, `-` and `_`.
+    pub name: String,
+    /// The one seed that decides everything.
+    #[serde(default)]
+    pub seed: u64,
+    /// Where the spectra come from.
+    pub data: Plugin<dyn DataSource>,
+    /// Training, validation and test.
+    #[serde(default = "official")]
+    pub split: Plugin<dyn Split>,
+    /// Where the Gaussians start.
+    pub initializer: Plugin<dyn Initializer>,
+    /// From space to the picture.
+    #[serde(default = "mercator")]
+    pub projector: Plugin<dyn Projector>,
+    /// From splats to pixels.
+    #[serde(default = "alpha_blending")]
+    pub rasterizer: Plugin<dyn Rasterizer>,
+    /// What the transmitter changes.
+    #[serde(default = "mlp")]
+    pub deformation: Plugin<dyn Deformation>,
+    /// How calibration terms meet the base parameters.
+    #[serde(default)]
+    pub calibration: Calibration,
+    /// From blended signals to a spectrum.
+    #[serde(default)]
+    pub readout: Readout,
+    /// Who decides which Gaussians stay; all must agree.
+    #[serde(default)]
+    pub pruners: Vec<Plugin<dyn Pruner>>,
+    /// Algorithm 1.
+    #[serde(default)]
+    pub training: Checked<Training>,
+    /// Scored beside the model.
+    #[serde(default = "baselines")]
+    pub baselines: Vec<Plugin<dyn Baseline>>,
+    /// How all are scored.
+    #[serde(default = "metrics")]
+    pub metrics: Vec<Plugin<dyn Metric>>,
+}
+
+/// A patch over a [`Pipeline`]: fields left out keep their value, plugins are replaced whole.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+#[allow(missing_docs)] // each field means what it means in `Pipeline`
+pub struct PipelinePatch {
+    pub name: Option<String>,
+    pub seed: Option<u64>,
+    pub data: Option<Plugin<dyn DataSource>>,
+    pub split: Option<Plugin<dyn Split>>,
+    pub initializer: Option<Plugin<dyn Initializer>>,
+    pub projector: Option<Plugin<dyn Projector>>,
+    pub rasterizer: Option<Plugin<dyn Rasterizer>>,
+    pub deformation: Option<Plugin<dyn Deformation>>,
+    pub calibration: Option<Calibration>,
+    pub readout: Option<Readout>,
+    pub pruners: Option<Vec<Plugin<dyn Pruner>>>,
+    pub training: Option<TrainingPatch>,
+    pub baselines: Option<Vec<Plugin<dyn Baseline>>>,
+    pub metrics: Option<Vec<Plugin<dyn Metric>>>,
+}
+
+impl Pipeline {
+    /// Reads a pipeline; `path` is for messages only.
+    ///
+    /// # Errors
+    /// [`Error::Input`] with line and column.
+    pub fn parse(text: &str, path: &Path) -> Result<Self> {
+        let pipeline: Self = read_ron(text, path)?;
+        pipeline.check().map_err(Error::Config)?;
+        Ok(pipeline)
+    }
+
+    /// The pipeline as RON text, every default written out; [`Self::parse`] gives the same pipeline back.
+    pub fn to_ron(&self) -> String {
+        let config = ron::ser::PrettyConfig::new().struct_names(true).depth_limit(6);
+        ron_options().to_string_pretty(self, config).expect("a pipeline is plain data") + "\n"
+    }
+
+    /// Takes over what the patch names.
+    ///
+    /// # Errors
+    /// [`Error::Config`] where the outcome cannot work.
+    pub fn apply(&mut self, patch: PipelinePatch) -> Result<()> {
+        macro_rules! take {
+            ($($field:ident),*) => { $(if let Some(value) = patch.$field { self.$field = value; })* };
+        }
+        take!(name, seed, data, split, initializer, projector, rasterizer, deformation, calibration, readout, pruners);
+        take!(baselines, metrics);
+        if let Some(patch) = patch.training {
+            let mut training = Training::clone(&self.training);
+            training.apply(patch);
+            self.training = Checked::new(training).map_err(|why| Error::Config(format!("training: {why}")))?;
+        }
+        self.check().map_err(Error::Config)
+    }
+
+    /// Applies one `--set` argument, such as `training.steps=1000` or `data=Teacher()`.
+    ///
+    /// # Errors
+    /// [`Error::Config`] naming the argument.
+    pub fn set(&mut self, argument: &str) -> Result<()> {
+        let (path, value) = argument
+            .split_once('=')
+            .ok_or_else(|| Error::Config(format!("--set {argument}: write it as path.to.field=value")))?;
+        let mut text = value.trim().to_owned();
+        for field in path.trim().rsplit('.') {
+            text = format!("({field}:{text})");
+        }
+        let patch = read_ron(&text, Path::new("--set")).map_err(|e| match e {
+            // The position would count inside the patch we wrapped around the argument: leave it out.
+            Error::Input { message, .. } => {
+                let said = message.splitn(3, ':').nth(2).unwrap_or(&message).trim();
+                Error::Config(format!("--set {argument}: {said}"))
+            }
+            other => other,
+        })?;
+        self.apply(patch)
+    }
+
+    /// What plugins cannot see of each other.
+    fn check(&self) -> Result<(), String> {
+        let good = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
+        if self.name.is_empty() || self.name.starts_with('.') || !self.name.chars().all(good) {
+            return Err(format!("name: `{}` cannot name a folder; use letters, digits, `.`, `-` and `_`", self.name));
+        }
+        let plane = self.projector.plane(360, 90);
+        self.rasterizer.check_plane(&plane).map_err(|why| format!("rasterizer: {why}"))
+    }
+}
+
+/// Reads RON with the project's extensions; suggests the nearest known name for a misspelt one.
+pub(crate) fn read_ron<T: serde::de::DeserializeOwned>(text: &str, path: &Path) -> Result<T> {
+    ron_options().from_str(text).map_err(|e| {
+        let said = e.code.to_string();
+        Error::at(path, e.span.end.line, e.span.end.col, format!("{said}{}", suggestion(&said)))
+    })
+}
+
+/// `; did you mean …?` where the message quotes an unknown name first and known ones after.
+fn suggestion(message: &str) -> String {
+    let names: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
+    let Some((&wrong, known)) = names.split_first() else { return String::new() };
+    if !message.to_lowercase().contains("unexpected") && !message.contains("unknown") {
+        return String::new();
+    }
+    known
+        .iter()
+        .map(|k| (strsim::damerau_levenshtein(wrong, k), k))
+        .min()
+        .filter(|(distance, k)| *distance <= 2 + k.len() / 3)
+        .map_or_else(String::new, |(_, k)| format!("; did you mean `{k}`?"))
+}
+
+/// A built-in plugin by name; the facade links them all.
+fn built_in<T: ?Sized + pwrfgs_core::plugin::PluginKind>(text: &str) -> Plugin<T>
+where
+    Box<T>: for<'de> Deserialize<'de>,
+{
+    Plugin::parse(text).expect("built-in plugins are linked by the facade")
+}
+
+fn official() -> Plugin<dyn Split> {
+    built_in("Official()")
+}
+fn mercator() -> Plugin<dyn Projector> {
+    built_in("Mercator()")
+}
+fn alpha_blending() -> Plugin<dyn Rasterizer> {
+    built_in("AlphaBlending()")
+}
+fn mlp() -> Plugin<dyn Deformation> {
+    built_in("Mlp()")
+}
+fn baselines() -> Vec<Plugin<dyn Baseline>> {
+    ["MeanSpectrum()", "NearestNeighbours(k: 1)", "NearestNeighbours(k: 3)", "NearestNeighbours(k: 5)"]
+        .map(built_in)
+        .into()
+}
+fn metrics() -> Vec<Plugin<dyn Metric>> {
+    let all = "Ssim() L1() Psnr() RateRatio() DirectionError() Chamfer() GaussianCount() ModelSize() Latency()";
+    all.split(' ').map(built_in).collect()
+}

@@ -1,0 +1,247 @@
+//! The plain settings of a pipeline: every constant of the method with the paper's value, and patches over them.
+//!
+//! A patch is the same struct with every field optional at every depth; what it does not name keeps its value. `--set`
+//! and the variants of a sweep are patches.
+
+use pwrfgs_core::{Real, plugin::Check};
+use serde::{Deserialize, Serialize};
+
+/// Declares settings with their defaults, and the patch over them: plain fields first, nested settings after.
+macro_rules! settings {
+    ($(#[$meta:meta])* $name:ident / $patch:ident {
+        $($(#[$doc:meta])* $field:ident : $ty:ty = $default:expr,)*
+        $(; $($(#[$ndoc:meta])* $nested:ident : $nty:ident / $npatch:ident,)*)?
+    }) => {
+        $(#[$meta])*
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+        #[serde(default, deny_unknown_fields)]
+        pub struct $name {
+            $($(#[$doc])* pub $field: $ty,)*
+            $($($(#[$ndoc])* pub $nested: $nty,)*)?
+        }
+        impl Default for $name {
+            fn default() -> Self {
+                Self { $($field: $default,)* $($($nested: <$nty>::default(),)*)? }
+            }
+        }
+        #[doc = concat!("A patch over [`", stringify!($name), "`]: fields left out keep their value.")]
+        #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+        #[serde(default, deny_unknown_fields)]
+        pub struct $patch {
+            $(#[doc = concat!("See [`", stringify!($name), "::", stringify!($field), "`].")] pub $field: Option<$ty>,)*
+            $($(#[doc = concat!("See [`", stringify!($name), "::", stringify!($nested), "`].")] pub $nested: Option<$npatch>,)*)?
+        }
+        impl $name {
+            /// Takes over what the patch names.
+            pub fn apply(&mut self, patch: $patch) {
+                $(if let Some(value) = patch.$field { self.$field = value; })*
+                $($(if let Some(value) = patch.$nested { self.$nested.apply(value); })*)?
+            }
+        }
+    };
+}
+
+/// A learning rate as a function of the step.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Schedule {
+    /// The same at every step.
+    Constant(Real),
+    /// Falls geometrically from `first` to `last` over `steps` steps, then stays; 0 steps means the whole training.
+    LogLinear {
+        /// Rate at step 1.
+        first: Real,
+        /// Rate from step `steps` on.
+        last: Real,
+        /// Steps the fall takes; 0 for `training.steps`.
+        #[serde(default)]
+        steps: u64,
+    },
+    /// Falls along half a cosine from `first` to `last` over `steps` steps, and periodically on, as released.
+    Cosine {
+        /// Rate at step 1.
+        first: Real,
+        /// Rate at step `steps`.
+        last: Real,
+        /// Half a period; 0 for `training.steps`.
+        #[serde(default)]
+        steps: u64,
+    },
+}
+
+impl Schedule {
+    /// The rate at `step` (from 1) of a training of `total` steps.
+    pub fn rate(&self, step: u64, total: u64) -> Real {
+        let part = |steps: u64| (step.saturating_sub(1)) as f64 / (if steps == 0 { total } else { steps }).max(1) as f64;
+        match *self {
+            Self::Constant(rate) => rate,
+            Self::LogLinear { first, last, steps } => {
+                let t = part(steps).min(1.0);
+                (f64::from(first as f32).ln() * (1.0 - t) + f64::from(last as f32).ln() * t).exp() as Real
+            }
+            Self::Cosine { first, last, steps } => {
+                let wave = 0.5 * (1.0 + (std::f64::consts::PI * part(steps)).cos());
+                last + (first - last) * wave as Real
+            }
+        }
+    }
+
+    fn check(&self, name: &str) -> Result<(), String> {
+        let ok = match *self {
+            Self::Constant(rate) => rate >= 0.0 && rate.is_finite(),
+            Self::LogLinear { first, last, .. } => first > 0.0 && last > 0.0 && (first + last).is_finite(),
+            Self::Cosine { first, last, .. } => first >= 0.0 && last >= 0.0 && (first + last).is_finite(),
+        };
+        if ok { Ok(()) } else { Err(format!("`{name}` needs finite rates that are not negative (LogLinear: positive)")) }
+    }
+}
+
+settings! {
+    /// The rendering loss (1-w)·L1 + w·(1-SSIM).
+    Loss / LossPatch {
+        /// w of eq. (9), between 0 and 1.
+        ssim_weight: Real = 0.2,
+    }
+}
+
+settings! {
+    /// Adam with a rate for each column.
+    Optimizer / OptimizerPatch {
+        /// Rate of the centres, metres a step; the defaults are WRF-GS+'s.
+        means: Schedule = Schedule::LogLinear { first: 8e-4, last: 8e-6, steps: 30_000 },
+        /// Rate of the logarithmic scales.
+        log_scales: Schedule = Schedule::Constant(0.005),
+        /// Rate of the quaternions.
+        quats: Schedule = Schedule::Constant(0.001),
+        /// Rate of the opacity logits.
+        opacity_logits: Schedule = Schedule::Constant(0.025),
+        /// Rate of the signals.
+        signals: Schedule = Schedule::Constant(0.0025),
+        /// Rate of the deformation network.
+        network: Schedule = Schedule::LogLinear { first: 8e-4, last: 1.6e-6, steps: 0 },
+        /// Decay of the first moment.
+        beta1: Real = 0.9,
+        /// Decay of the second moment.
+        beta2: Real = 0.999,
+        /// Floor of the denominator, Gaussians.
+        eps: Real = 1e-15,
+        /// Floor of the denominator, network.
+        network_eps: Real = 1e-15,
+        /// L2 weight decay of the network, added to the gradient (as WRF-GS does it: 5e-5).
+        network_l2: Real = 0.0,
+        /// Decoupled weight decay of the network (AdamW): each step takes rate · decay · weight away.
+        network_decay: Real = 0.0,
+    }
+}
+
+settings! {
+    /// Densification of 3DGS, algorithm 1 line 9.
+    Densify / DensifyPatch {
+        /// First step after which Gaussians may be cloned or split.
+        from: u64 = 500,
+        /// Steps between two densifications; 0 for none at all.
+        every: u64 = 100,
+        /// Mean norm of the 2-D gradient, in normalised device coordinates, from which on a Gaussian is densified.
+        gradient_threshold: Real = 0.0002,
+        /// Size of the scene, metres; 0 for half the diagonal of its bounds. The released code has 2.
+        extent_m: Real = 0.0,
+        /// Up to this share of the extent a Gaussian is cloned, above it is split.
+        clone_below: Real = 0.01,
+        /// Scales of the two children of a split are the parent's divided by this.
+        split_shrink: Real = 1.6,
+        /// A Gaussian less opaque than this is removed while densifying.
+        opacity_floor: Real = 0.005,
+        /// After `large_after` steps, a Gaussian larger than this share of the extent is removed; 0 for never.
+        large_above: Real = 0.1,
+        /// See `large_above`.
+        large_after: u64 = 3_000,
+        /// Steps between two opacity resets; 0 for none.
+        reset_every: u64 = 3_000,
+        /// Largest opacity after a reset.
+        reset_opacity: Real = 0.01,
+        /// No densification beyond this many Gaussians (the largest gradients go first); 0 for no limit.
+        max_gaussians: usize = 0,
+        /// Whether the pruners are asked while densifying too, as Compact-3DGS does.
+        prune_masked: bool = false,
+    }
+}
+
+settings! {
+    /// Training: algorithm 1 with every constant a field.
+    Training / TrainingPatch {
+        /// M, the number of steps.
+        steps: u64 = 200_000,
+        /// Transmitters a step.
+        batch: usize = 1,
+        /// M_d: densification ends after this step.
+        densify_until: u64 = 20_000,
+        /// M_p: pruning ends with this step.
+        prune_until: u64 = 40_000,
+        /// I_p: steps between two prunes.
+        prune_every: u64 = 1_000,
+        /// Standard deviation of a random shift of the transmitters in training, metres.
+        tx_jitter_m: Real = 0.0,
+        /// Steps between two looks at the validation part; 0 for none.
+        validate_every: u64 = 1_000,
+        /// Validation samples looked at, spread evenly over the part.
+        validation_samples: usize = 100,
+        /// Steps between two checkpoints.
+        checkpoint_every: u64 = 1_000,
+        ;
+        /// The rendering loss.
+        loss: Loss / LossPatch,
+        /// Learning rates.
+        optimizer: Optimizer / OptimizerPatch,
+        /// Clone, split, remove.
+        densify: Densify / DensifyPatch,
+    }
+}
+
+/// Ok, or the sentence.
+fn need(ok: bool, sentence: &str) -> Result<(), String> {
+    if ok { Ok(()) } else { Err(sentence.into()) }
+}
+
+impl Check for Training {
+    fn check(&self) -> Result<(), String> {
+        need(self.steps >= 1, "`steps` is 0; give at least 1")?;
+        need(self.batch >= 1, "`batch` is 0; give at least 1")?;
+        need(
+            self.prune_until >= self.densify_until,
+            "`prune_until` comes before `densify_until`; algorithm 1 densifies first, then prunes",
+        )?;
+        need(self.prune_every >= 1, "`prune_every` is 0; give at least 1")?;
+        need(self.checkpoint_every >= 1, "`checkpoint_every` is 0; give at least 1")?;
+        need(self.tx_jitter_m >= 0.0 && self.tx_jitter_m.is_finite(), "`tx_jitter_m` must be 0 or a positive length")?;
+        need((0.0..=1.0).contains(&self.loss.ssim_weight), "`ssim_weight` must lie between 0 and 1")?;
+        self.optimizer.check()?;
+        self.densify.check()
+    }
+}
+
+impl Optimizer {
+    fn check(&self) -> Result<(), String> {
+        self.means.check("means")?;
+        self.log_scales.check("log_scales")?;
+        self.quats.check("quats")?;
+        self.opacity_logits.check("opacity_logits")?;
+        self.signals.check("signals")?;
+        self.network.check("network")?;
+        let share = |x: Real| (0.0..1.0).contains(&x);
+        need(share(self.beta1) && share(self.beta2), "`beta1` and `beta2` must lie in [0, 1)")?;
+        need(self.eps > 0.0 && self.network_eps > 0.0, "`eps` and `network_eps` must be positive")?;
+        let decay = |x: Real| x >= 0.0 && x.is_finite();
+        need(decay(self.network_l2) && decay(self.network_decay), "weight decay must not be negative")
+    }
+}
+
+impl Densify {
+    fn check(&self) -> Result<(), String> {
+        let known = |x: Real| x >= 0.0 && x.is_finite();
+        need(known(self.gradient_threshold), "`gradient_threshold` must not be negative")?;
+        need(known(self.extent_m), "`extent_m` must be 0 (automatic) or a positive length")?;
+        need(known(self.clone_below) && known(self.large_above), "`clone_below` and `large_above` must not be negative")?;
+        need(self.split_shrink > 0.0 && self.split_shrink.is_finite(), "`split_shrink` must be positive")?;
+        need((0.0..1.0).contains(&self.opacity_floor), "`opacity_floor` must lie in [0, 1)")?;
+        need(self.reset_opacity > 0.0 && self.reset_opacity < 1.0, "`reset_opacity` must lie between 0 and 1")
+    }
+}
