@@ -1,1 +1,88 @@
-//! pwrfgs: init.
+//! Where the Gaussians start: on the surfaces of the scene, at random, or on a grid of directions.
+//!
+//! An initialiser chooses centres and isotropic scales; opacity, rotation and signals start alike in all of them
+//! ([`start`]). Columns that pruners ask for are added by the trainer.
+
+mod grid;
+mod point_cloud;
+mod random;
+mod start;
+
+pub use grid::Grid;
+pub use point_cloud::PointCloud;
+pub use random::Random;
+
+#[cfg(test)]
+mod tests {
+    use pwrfgs_core::{Axis, ImagePlane, Initializer, Plugin, Pose, Scene, registered, rng};
+
+    /// As a pipeline file has it: `Name(field: value)`.
+    fn written(plugin: &Plugin<dyn Initializer>) -> String {
+        let names = ron::ser::PrettyConfig::new().struct_names(true);
+        pwrfgs_core::plugin::ron_options().to_string_pretty(plugin, names).unwrap()
+    }
+
+    /// The measured receiver, with three points.
+    pub(crate) fn scene() -> Scene {
+        let orientation = [0.512_916_02, -0.486_741_36, -0.486_741_36, 0.512_916_02];
+        Scene {
+            receiver: Pose { position: [5.0, 0.26, 0.0], orientation },
+            bounds: ([-1.0, -1.0, 0.0], [5.0, 1.0, 2.0]),
+            points: vec![[0.0; 3], [3.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 4.5, 0.0]],
+        }
+    }
+
+    /// With angles (the true pose), or without (the released projection).
+    pub(crate) fn plane(angles: bool) -> ImagePlane {
+        let axis = Axis { first: 0.0, step: 1.0 };
+        ImagePlane { width: 360, height: 90, wraps: angles, angles: angles.then_some((axis, axis)) }
+    }
+
+    #[test]
+    fn laws_of_every_initialiser() {
+        let names = registered::<dyn Initializer>();
+        for name in ["Grid", "PointCloud", "Random"] {
+            assert!(names.contains(&name), "{name} is missing from {names:?}");
+            let plugin = Plugin::<dyn Initializer>::parse(&format!("{name}()")).unwrap();
+            assert!(!plugin.about().is_empty());
+            let text = written(&plugin);
+            assert_eq!(written(&Plugin::<dyn Initializer>::parse(&text).unwrap()), text);
+            for angles in [true, false] {
+                let make = || plugin.initialize(&scene(), &plane(angles), &mut rng::stream(3, "init", 0)).unwrap();
+                let cloud = make();
+                assert_eq!(make(), cloud, "{name} is deterministic");
+                assert!(!cloud.is_empty() && cloud.extra.is_empty());
+                for (column, width, values) in cloud.columns() {
+                    assert_eq!(values.len(), width * cloud.len(), "{name}: {column}");
+                    assert!(values.iter().all(|v| v.is_finite()), "{name}: {column}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn values_out_of_range_are_refused() {
+        for (text, field) in [
+            ("Random(count: 0)", "count"),
+            ("Random(count: 99000000)", "count"),
+            ("Random(std: 0.0)", "std"),
+            ("Random(std: NaN)", "std"),
+            ("Random(nearest: 0)", "nearest"),
+            ("Random(opacity: 1.0)", "opacity"),
+            ("Random(opacity: NaN)", "opacity"),
+            ("Random(signal_scale: 0.0)", "signal_scale"),
+            ("PointCloud(nearest: 0)", "nearest"),
+            ("PointCloud(max_points: 0)", "max_points"),
+            ("PointCloud(opacity: 0.0)", "opacity"),
+            ("PointCloud(signal_scale: inf)", "signal_scale"),
+            ("Grid(count: 0)", "count"),
+            ("Grid(distance_m: -1.0)", "distance_m"),
+            ("Grid(overlap: 0.0)", "overlap"),
+            ("Grid(opacity: 2.0)", "opacity"),
+            ("Grid(signal_scale: -1.0)", "signal_scale"),
+        ] {
+            let why = Plugin::<dyn Initializer>::parse(text).unwrap_err();
+            assert!(why.contains(&format!("`{field}`")), "{text}: {why}");
+        }
+    }
+}

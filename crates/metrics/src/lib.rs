@@ -1,1 +1,148 @@
-//! pwrfgs: metrics.
+//! Scores: how good a prediction is, and how big and how fast the model that made it.
+//!
+//! One metric a file. Metrics of a prediction give one number a test sample and run over samples in parallel; those of
+//! the model give one number, or say why they do not apply to a baseline.
+
+mod chamfer;
+mod direction_error;
+mod gaussian_count;
+mod l1;
+mod latency;
+mod model_size;
+mod psnr;
+mod rate_ratio;
+mod ssim;
+
+pub use chamfer::Chamfer;
+pub use direction_error::DirectionError;
+pub use gaussian_count::GaussianCount;
+pub use l1::L1;
+pub use latency::Latency;
+pub use model_size::ModelSize;
+pub use psnr::Psnr;
+pub use rate_ratio::RateRatio;
+pub use ssim::Ssim;
+
+use pwrfgs_core::{Error, Evaluation, Goal, Image, Measurement, Result, Values};
+use rayon::prelude::*;
+
+/// `score(prediction, truth)` of every sample, in order; the prediction is not clamped.
+fn per_sample(evaluation: &Evaluation<'_>, score: impl Fn(&Image, &Image) -> f64 + Sync) -> Result<Values> {
+    let (predictions, truths) = (evaluation.predictions, evaluation.truths);
+    let size = |i: &Image| (i.width, i.height, i.pixels.len());
+    let paired = predictions.iter().zip(truths).all(|(p, t)| size(p) == size(t));
+    if predictions.len() != truths.len() || !paired {
+        return Err(Error::Config(
+            "predictions and measured spectra differ in number or size; evaluate on data of the size trained on".into(),
+        ));
+    }
+    let scores = predictions.par_iter().zip(truths).map(|(p, t)| score(p, t)).collect();
+    Ok(Values::PerSample(scores))
+}
+
+/// One measurement, as [`pwrfgs_core::Metric::evaluate`] returns it.
+fn one(key: &str, unit: &'static str, goal: Goal, values: Values) -> Vec<Measurement> {
+    vec![Measurement { key: key.to_owned(), unit, goal, values }]
+}
+
+/// Why a metric of the model does not apply to a baseline.
+fn not_a_model() -> Values {
+    Values::NotApplicable("a baseline has no Gaussians".to_owned())
+}
+
+/// What tests evaluate.
+#[cfg(test)]
+mod fixture {
+    use pwrfgs_core::{
+        Axis, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Pose, Real, Scene, Values,
+    };
+
+    pub(crate) fn scene(points: &[[Real; 3]]) -> Scene {
+        Scene { receiver: Pose::IDENTITY, bounds: ([0.0; 3], [1.0; 3]), points: points.to_vec() }
+    }
+
+    /// One degree a pixel, as measured.
+    pub(crate) fn plane(width: usize, height: usize) -> ImagePlane {
+        let axis = Axis { first: 0.0, step: 1.0 };
+        ImagePlane { width, height, wraps: true, angles: Some((axis, axis)) }
+    }
+
+    /// A picture of zeros but for the pixels listed.
+    pub(crate) fn spots(width: usize, height: usize, spots: &[(usize, usize, Real)]) -> Image {
+        let mut image = Image::zeros(width, height);
+        for (x, y, value) in spots {
+            image.pixels[y * width + x] = *value;
+        }
+        image
+    }
+
+    pub(crate) fn of_pictures(metric: &dyn Metric, prediction: &Image, truth: &Image) -> Measurement {
+        of_plane(metric, prediction, truth, &plane(truth.width, truth.height))
+    }
+
+    pub(crate) fn of_plane(metric: &dyn Metric, prediction: &Image, truth: &Image, plane: &ImagePlane) -> Measurement {
+        let (predictions, truths) = (std::slice::from_ref(prediction), std::slice::from_ref(truth));
+        let evaluation = Evaluation { predictions, truths, plane, scene: &scene(&[]), model: None };
+        metric.evaluate(&evaluation).unwrap().remove(0)
+    }
+
+    pub(crate) fn of_model(metric: &dyn Metric, model: Option<ModelFacts<'_>>, scene: &Scene) -> Vec<Measurement> {
+        let evaluation = Evaluation { predictions: &[], truths: &[], plane: &plane(4, 3), scene, model };
+        metric.evaluate(&evaluation).unwrap()
+    }
+
+    pub(crate) fn value(measurement: &Measurement) -> f64 {
+        match &measurement.values {
+            Values::PerSample(values) => values[0],
+            Values::Whole(value) => *value,
+            Values::NotApplicable(why) => panic!("{why}"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pwrfgs_core::{Metric, Plugin, registered};
+
+    /// As a pipeline file has it: `Name(field: value)`.
+    fn written(plugin: &Plugin<dyn Metric>) -> String {
+        let names = ron::ser::PrettyConfig::new().struct_names(true);
+        pwrfgs_core::plugin::ron_options().to_string_pretty(plugin, names).unwrap()
+    }
+
+    #[test]
+    fn every_metric_is_registered_and_round_trips() {
+        let names = registered::<dyn Metric>();
+        for name in
+            ["Chamfer", "DirectionError", "GaussianCount", "L1", "Latency", "ModelSize", "Psnr", "RateRatio", "Ssim"]
+        {
+            assert!(names.contains(&name), "{name} is missing from {names:?}");
+            let plugin = Plugin::<dyn Metric>::parse(&format!("{name}()")).unwrap();
+            assert!(!plugin.about().is_empty());
+            let text = written(&plugin);
+            assert_eq!(written(&Plugin::<dyn Metric>::parse(&text).unwrap()), text);
+            assert!(Plugin::<dyn Metric>::parse(&format!("{name}(nonsense: 1)")).is_err());
+        }
+    }
+
+    #[test]
+    fn pictures_of_another_size_are_refused() {
+        let (small, large) = (Image::zeros(3, 3), Image::zeros(4, 3));
+        let evaluation = Evaluation {
+            predictions: &[small],
+            truths: &[large],
+            plane: &fixture::plane(4, 3),
+            scene: &fixture::scene(&[]),
+            model: None,
+        };
+        assert!(L1 {}.evaluate(&evaluation).is_err());
+        assert!(L1 {}.evaluate(&Evaluation { truths: &[], ..evaluation }).is_err());
+    }
+
+    #[test]
+    fn no_samples_give_no_scores() {
+        let found = fixture::of_model(&Ssim {}, None, &fixture::scene(&[]));
+        assert_eq!(found[0].values, Values::PerSample(vec![]));
+    }
+}

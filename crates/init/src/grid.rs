@@ -1,0 +1,144 @@
+//! Gaussians in evenly spread directions: a start in which every one can be seen.
+
+use crate::start;
+use pwrfgs_core::{GaussianCloud, ImagePlane, Initializer, Real, Result, Scene, Vec3, consts, rng::Rng};
+use serde::{Deserialize, Serialize};
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+/// A regular grid of directions on a sphere about the receiver.
+///
+/// Rings of equal elevation, each with as many azimuths as its share of the solid angle, so that directions are nearly
+/// uniform. Every Gaussian covers about the same part of the picture, and none is hidden or wasted: the best start for
+/// few Gaussians without a point cloud. Not of the paper. Where pixels are angles of the true pose, the grid is the
+/// hemisphere in front of the receiver; with the released projection it is the whole sphere about that projection's
+/// real centre, −R·r with R and r the receiver's orientation and position.
+///
+/// ```
+/// # use pwrfgs_init as _;
+/// # use pwrfgs_core::{Initializer, Plugin};
+/// Plugin::<dyn Initializer>::parse("Grid(count: 800, distance_m: 4.0)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Grid {
+    /// Number of Gaussians.
+    pub count: usize,
+    /// Distance from the receiver, metres.
+    pub distance_m: Real,
+    /// Scale (one standard deviation) over the spacing of the grid: 1 leaves no gap, 0.5 little overlap.
+    pub overlap: Real,
+    /// Opacity of every Gaussian, above 0 and below 1.
+    pub opacity: Real,
+    /// Width of the interval about 0 in which each channel of a signal is drawn uniformly. The released colours have
+    /// 1/0.28209479 = 3.5449.
+    pub signal_scale: Real,
+}
+
+impl Default for Grid {
+    fn default() -> Self {
+        Self { count: 500, distance_m: 5.0, overlap: 1.0, opacity: 0.1, signal_scale: 1.0 }
+    }
+}
+
+#[typetag::serde]
+impl Initializer for Grid {
+    fn initialize(&self, scene: &Scene, plane: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud> {
+        let world_from_receiver = scene.receiver.world_from_receiver();
+        let (lowest, centre) = match plane.angles {
+            Some(_) => (0.0, scene.receiver.origin()),
+            None => (-FRAC_PI_2, -(world_from_receiver * scene.receiver.origin())),
+        };
+        let place = |direction: [f64; 3]| {
+            let direction = Vec3::from_array(direction.map(|v| v as Real));
+            (centre + world_from_receiver * direction * self.distance_m).to_array()
+        };
+        let means: Vec<[Real; 3]> = directions(self.count, lowest).into_iter().map(place).collect();
+        // Each Gaussian has 2π or 4π over count of solid angle; the root is the side of that patch at unit distance.
+        let spacing = (consts::TAU * (1.0 - lowest.sin() as Real) / self.count as Real).sqrt();
+        let scales = vec![self.overlap * spacing * self.distance_m; means.len()];
+        Ok(start::cloud(means, &scales, self.opacity, self.signal_scale, rng))
+    }
+
+    fn about(&self) -> &'static str {
+        "evenly spread directions at one distance from the receiver"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        start::check_count("count", self.count)?;
+        start::positive("distance_m", self.distance_m, "metres from the receiver")?;
+        start::positive("overlap", self.overlap, "scale over spacing, about 1")?;
+        start::check(self.opacity, self.signal_scale)
+    }
+}
+
+/// `count` unit vectors, nearly uniform above the elevation `lowest` (radians).
+fn directions(count: usize, lowest: f64) -> Vec<[f64; 3]> {
+    let area_below = |elevation: f64| (elevation.sin() - lowest.sin()) / (1.0 - lowest.sin());
+    let patch = (TAU * (1.0 - lowest.sin()) / count as f64).sqrt();
+    let rings = ((FRAC_PI_2 - lowest) / patch).round().max(1.0) as usize;
+    let step = (FRAC_PI_2 - lowest) / rings as f64;
+    let mut all = Vec::with_capacity(count);
+    for ring in 0..rings {
+        // Rounding the running share, not each ring's own, makes the total exact.
+        let until = (count as f64 * area_below(lowest + (ring + 1) as f64 * step)).round() as usize;
+        let (elevation, n) = (lowest + (ring as f64 + 0.5) * step, until.min(count) - all.len());
+        // Every second ring is turned by half a step, like bricks.
+        let turn = 0.25 + 0.5 * (ring % 2) as f64;
+        all.extend((0..n).map(|k| {
+            let azimuth = TAU * (k as f64 + turn) / n as f64;
+            [elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), elevation.sin()]
+        }));
+    }
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests::{plane, scene};
+    use pwrfgs_core::{neighbours, rng};
+
+    fn make(count: usize, angles: bool) -> GaussianCloud {
+        let grid = Grid { count, ..Grid::default() };
+        grid.initialize(&scene(), &plane(angles), &mut rng::stream(1, "init", 0)).unwrap()
+    }
+
+    #[test]
+    fn the_count_is_exact_and_the_distance_kept() {
+        for count in [1, 2, 3, 7, 10, 157, 500, 2613] {
+            for (angles, centre) in [(true, Vec3::new(5.0, 0.26, 0.0)), (false, Vec3::new(-0.261_66, 4.993_15, -0.26))]
+            {
+                let cloud = make(count, angles);
+                assert_eq!(cloud.len(), count);
+                for mean in &cloud.means {
+                    let distance = (Vec3::from_array(*mean) - centre).length();
+                    assert!((distance - 5.0).abs() < 1e-4, "{distance}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn with_angles_every_gaussian_is_in_front() {
+        let receiver = scene().receiver;
+        let boresight = receiver.world_from_receiver().z_axis;
+        let lowest = make(500, true)
+            .means
+            .iter()
+            .fold(Real::MAX, |low, m| low.min((Vec3::from_array(*m) - receiver.origin()).dot(boresight)));
+        assert!(lowest > 0.05, "{lowest}");
+    }
+
+    #[test]
+    fn neighbours_are_about_a_spacing_apart_and_overlap() {
+        for angles in [true, false] {
+            let cloud = make(2000, angles);
+            let scale = cloud.log_scales[0][0].exp();
+            for squared in neighbours::nearest_other_squared(&cloud.means) {
+                let ratio = squared.sqrt() / scale;
+                assert!((0.6..1.4).contains(&ratio), "nearest neighbour at {ratio} scales");
+            }
+        }
+    }
+}

@@ -1,0 +1,135 @@
+//! Gaussians on the surfaces of the scene: the paper's initialisation.
+
+use crate::start;
+use pwrfgs_core::{
+    Error, GaussianCloud, ImagePlane, Initializer, Real, Result, Scene,
+    rng::{self, Rng},
+};
+use serde::{Deserialize, Serialize};
+
+/// One Gaussian on each point of the scene's point cloud.
+///
+/// Mean = point, covariance = d²·I with d the distance to the nearest neighbour (section III-C and eq. (14) of the
+/// paper), floored at sqrt(1e-7) m, so that duplicates are safe; a single point gets 1 m. Reflection and scattering
+/// happen on surfaces, so this is the better start wherever a scan of the scene is at hand. It makes as many Gaussians
+/// as there are points: `max_points` takes a random part of them, without repetition, and measures distances within
+/// that part.
+///
+/// ```
+/// # use pwrfgs_init as _;
+/// # use pwrfgs_core::{Initializer, Plugin};
+/// Plugin::<dyn Initializer>::parse("PointCloud(max_points: 5000, nearest: 3)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PointCloud {
+    /// Most Gaussians to start with; `None`, the default, takes every point.
+    pub max_points: Option<usize>,
+    /// Neighbours whose root mean squared distance is the scale: 1 as in the paper, 3 as in the released WRF-GS.
+    pub nearest: usize,
+    /// Opacity of every Gaussian, above 0 and below 1.
+    pub opacity: Real,
+    /// Width of the interval about 0 in which each channel of a signal is drawn uniformly. The released colours have
+    /// 1/0.28209479 = 3.5449.
+    pub signal_scale: Real,
+}
+
+impl Default for PointCloud {
+    fn default() -> Self {
+        Self { max_points: None, nearest: 1, opacity: 0.1, signal_scale: 1.0 }
+    }
+}
+
+#[typetag::serde]
+impl Initializer for PointCloud {
+    fn initialize(&self, scene: &Scene, _: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud> {
+        if scene.points.is_empty() {
+            return Err(Error::Config(
+                "no point cloud in this scene; use `Random(..)`, or set `points` of the data source".to_owned(),
+            ));
+        }
+        let means = match self.max_points {
+            Some(most) if most < scene.points.len() => {
+                subset(rng, scene.points.len(), most).into_iter().map(|i| scene.points[i]).collect()
+            }
+            _ => scene.points.clone(),
+        };
+        let scales = start::scales_from_neighbours(&means, self.nearest);
+        Ok(start::cloud(means, &scales, self.opacity, self.signal_scale, rng))
+    }
+
+    fn about(&self) -> &'static str {
+        "one Gaussian on each point of the scene (the paper's start)"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if self.max_points == Some(0) {
+            return Err("`max_points` is 0; give at least 1, or leave it out to take every point".to_owned());
+        }
+        start::check_nearest(self.nearest)?;
+        start::check(self.opacity, self.signal_scale)
+    }
+}
+
+/// `k` different indices of 0..n, ascending.
+fn subset(rng: &mut Rng, n: usize, k: usize) -> Vec<usize> {
+    let mut all: Vec<usize> = (0..n).collect();
+    for i in 0..k {
+        all.swap(i, i + rng::below(rng, n - i));
+    }
+    all.truncate(k);
+    all.sort_unstable();
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests::{plane, scene};
+
+    fn start(plugin: &PointCloud, points: Vec<[Real; 3]>) -> GaussianCloud {
+        let scene = Scene { points, ..scene() };
+        plugin.initialize(&scene, &plane(true), &mut rng::stream(1, "init", 0)).unwrap()
+    }
+
+    #[test]
+    fn scales_are_distances_to_the_nearest_neighbour() {
+        let points = scene().points;
+        let cloud = start(&PointCloud::default(), points.clone());
+        assert_eq!(cloud.means, points);
+        for (found, expected) in cloud.log_scales.iter().zip([3.0, 3.0, 0.5, 0.5]) {
+            assert!(found.iter().all(|l| (l.exp() - expected).abs() < 1e-5));
+        }
+        let released = start(&PointCloud { nearest: 3, ..PointCloud::default() }, points);
+        let rms = ((9.0 + 16.0 + 4.5 * 4.5) / 3.0 as Real).sqrt();
+        assert!((released.log_scales[0][0].exp() - rms).abs() < 1e-5);
+    }
+
+    #[test]
+    fn a_part_of_the_points_is_taken_without_repetition() {
+        let points: Vec<[Real; 3]> = (0..100).map(|i| [i as Real, 0.0, 0.0]).collect();
+        let some = PointCloud { max_points: Some(30), ..PointCloud::default() };
+        let cloud = start(&some, points.clone());
+        assert_eq!(cloud.len(), 30);
+        assert!(cloud.means.windows(2).all(|w| w[0][0] < w[1][0]));
+        assert_eq!(start(&PointCloud { max_points: Some(1), ..some.clone() }, points.clone()).len(), 1);
+        assert_eq!(start(&PointCloud { max_points: Some(100), ..some }, points.clone()).means, points);
+    }
+
+    #[test]
+    fn duplicates_and_a_single_point_are_safe() {
+        for points in [vec![[1.0; 3]; 50], vec![[1.0; 3]]] {
+            let cloud = start(&PointCloud::default(), points);
+            assert!(cloud.log_scales.iter().flatten().all(|l| l.is_finite()));
+        }
+    }
+
+    #[test]
+    fn without_points_it_says_what_to_do() {
+        let scene = Scene { points: vec![], ..scene() };
+        let made = PointCloud::default().initialize(&scene, &plane(true), &mut rng::stream(1, "init", 0));
+        let message = made.unwrap_err().to_string();
+        assert!(message.contains("Random(..)") && message.contains("`points`"), "{message}");
+    }
+}

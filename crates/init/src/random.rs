@@ -1,0 +1,111 @@
+//! Gaussians anywhere: the released initialisation, and the one for scenes without a scan.
+
+use crate::start;
+use pwrfgs_core::{
+    GaussianCloud, ImagePlane, Initializer, Real, Result, Scene, Vec3,
+    rng::{self, Rng},
+};
+use serde::{Deserialize, Serialize};
+
+/// Gaussians drawn from a normal distribution about the receiver.
+///
+/// Where pixels are angles of the true pose (`Mercator`), centres are normal about the receiver, and those behind it are
+/// mirrored to its front (local z > 0), so that none starts out of sight. With the released projection (`WrfgsCompat`)
+/// they are normal about the origin of the world, as released: count 20,000 and 10 m for WRF-GS, 200,000 and 20 m for
+/// WRF-GS+. The scale is the root mean squared distance to the three nearest neighbours, as released. Use it where
+/// there is no point cloud; the paper finds it slightly inferior to [`crate::PointCloud`].
+///
+/// ```
+/// # use pwrfgs_init as _;
+/// # use pwrfgs_core::{Initializer, Plugin};
+/// Plugin::<dyn Initializer>::parse("Random(count: 2000, std: 5.0)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Random {
+    /// Number of Gaussians.
+    pub count: usize,
+    /// Standard deviation along each axis, metres.
+    pub std: Real,
+    /// Neighbours whose root mean squared distance is the scale: 3 as released, 1 as the paper does with points.
+    pub nearest: usize,
+    /// Opacity of every Gaussian, above 0 and below 1.
+    pub opacity: Real,
+    /// Width of the interval about 0 in which each channel of a signal is drawn uniformly. The released colours have
+    /// 1/0.28209479 = 3.5449.
+    pub signal_scale: Real,
+}
+
+impl Default for Random {
+    fn default() -> Self {
+        Self { count: 20_000, std: 10.0, nearest: 3, opacity: 0.1, signal_scale: 1.0 }
+    }
+}
+
+#[typetag::serde]
+impl Initializer for Random {
+    fn initialize(&self, scene: &Scene, plane: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud> {
+        let (world_from_receiver, origin) = (scene.receiver.world_from_receiver(), scene.receiver.origin());
+        let draw = |rng: &mut Rng| [(); 3].map(|()| self.std * rng::normal(rng));
+        let in_front = |[x, y, z]: [Real; 3]| (origin + world_from_receiver * Vec3::new(x, y, z.abs())).to_array();
+        let means: Vec<[Real; 3]> =
+            (0..self.count).map(|_| draw(rng)).map(|p| if plane.angles.is_some() { in_front(p) } else { p }).collect();
+        let scales = start::scales_from_neighbours(&means, self.nearest);
+        Ok(start::cloud(means, &scales, self.opacity, self.signal_scale, rng))
+    }
+
+    fn about(&self) -> &'static str {
+        "normally distributed about the receiver and in front of it (the released start)"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        start::check_count("count", self.count)?;
+        start::positive("std", self.std, "metres along each axis")?;
+        start::check_nearest(self.nearest)?;
+        start::check(self.opacity, self.signal_scale)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests::{plane, scene};
+
+    fn means(angles: bool) -> Vec<Vec3> {
+        let cloud = Random { count: 4000, std: 2.0, ..Random::default() };
+        let cloud = cloud.initialize(&scene(), &plane(angles), &mut rng::stream(1, "init", 0)).unwrap();
+        cloud.means.into_iter().map(Vec3::from_array).collect()
+    }
+
+    fn assert_spread(means: &[Vec3], about: Vec3) {
+        let square = means.iter().map(|m| (*m - about).length_squared()).sum::<Real>() / means.len() as Real;
+        assert!((square / 12.0 - 1.0).abs() < 0.05, "{square} is not near three times the variance");
+    }
+
+    #[test]
+    fn with_angles_all_are_in_front_of_the_receiver() {
+        let (means, receiver) = (means(true), scene().receiver);
+        let boresight = receiver.world_from_receiver().z_axis;
+        assert!(means.iter().all(|m| (*m - receiver.origin()).dot(boresight) > -1e-4));
+        assert_spread(&means, receiver.origin());
+    }
+
+    #[test]
+    fn without_angles_they_lie_about_the_origin_as_released() {
+        let means = means(false);
+        let mean = means.iter().sum::<Vec3>() / means.len() as Real;
+        assert!(mean.length() < 0.2, "{mean} is not the origin");
+        assert_spread(&means, Vec3::ZERO);
+    }
+
+    #[test]
+    fn the_released_scales_come_out() {
+        let cloud = Random::default().initialize(&scene(), &plane(false), &mut rng::stream(1, "init", 0)).unwrap();
+        let mut scales: Vec<Real> = cloud.log_scales.iter().map(|l| l[0].exp()).collect();
+        scales.sort_by(Real::total_cmp);
+        // Measured on the released start: quantiles 1 and 50 % are 0.46 and 1.02 m.
+        assert!((scales[200] - 0.46).abs() < 0.03, "{}", scales[200]);
+        assert!((scales[10_000] - 1.02).abs() < 0.03, "{}", scales[10_000]);
+    }
+}

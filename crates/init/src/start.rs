@@ -1,0 +1,98 @@
+//! What all initialisers share: from centres and scales to a cloud of unconstrained columns.
+
+use pwrfgs_core::{
+    GaussianCloud, Real, logit, neighbours,
+    rng::{self, Rng},
+};
+
+/// Smallest squared scale, m², as released: duplicates have no distance, and a logarithm follows.
+const LEAST_SQUARE: Real = 1e-7;
+/// Scale of a Gaussian without neighbours, m.
+const LONELY: Real = 1.0;
+/// Most Gaussians that can be asked for: more is a slip of the pen, and would exhaust the memory.
+const MOST: usize = 10_000_000;
+
+/// Scale of each Gaussian, `[N]`, metres: root of the mean squared distance to its `nearest` neighbours, at least
+/// sqrt(1e-7) m; 1 m where there is no neighbour.
+pub(crate) fn scales_from_neighbours(means: &[[Real; 3]], nearest: usize) -> Vec<Real> {
+    let squares = neighbours::mean_of_k_nearest_squared(means, nearest);
+    squares.into_iter().map(|s| if s.is_finite() { s.max(LEAST_SQUARE).sqrt() } else { LONELY }).collect()
+}
+
+/// Isotropic Gaussians `[N]`, not rotated, all of one opacity, the two channels of each signal uniform between
+/// −`signal_scale`/2 and `signal_scale`/2.
+pub(crate) fn cloud(
+    means: Vec<[Real; 3]>,
+    scales: &[Real],
+    opacity: Real,
+    signal_scale: Real,
+    rng: &mut Rng,
+) -> GaussianCloud {
+    let n = means.len();
+    let mut channel = || (rng::uniform(rng) - 0.5) * signal_scale;
+    GaussianCloud {
+        log_scales: scales.iter().map(|s| [s.ln(); 3]).collect(),
+        quats: vec![[1.0, 0.0, 0.0, 0.0]; n],
+        opacity_logits: vec![logit(opacity); n],
+        signals: (0..n).map(|_| [channel(), channel()]).collect(),
+        means,
+        extra: Vec::new(),
+    }
+}
+
+/// Refuses an opacity or signal scale that cannot be learned from.
+pub(crate) fn check(opacity: Real, signal_scale: Real) -> Result<(), String> {
+    // The ends of the interval are left out, but also what rounds to them as a logit.
+    if !(1e-6..=1.0 - 1e-6).contains(&opacity) {
+        return Err(format!("`opacity` is {opacity}; give a number above 0 and below 1, such as 0.1"));
+    }
+    positive("signal_scale", signal_scale, "at 0 the magnitude of a signal has no derivative")
+}
+
+/// Refuses what is not a positive finite number.
+pub(crate) fn positive(field: &str, value: Real, why: &str) -> Result<(), String> {
+    if value > 0.0 && value.is_finite() {
+        return Ok(());
+    }
+    Err(format!("`{field}` is {value}; give a positive finite number: {why}"))
+}
+
+/// Refuses no Gaussians and absurdly many.
+pub(crate) fn check_count(field: &str, count: usize) -> Result<(), String> {
+    if (1..=MOST).contains(&count) {
+        return Ok(());
+    }
+    Err(format!("`{field}` is {count}; give a number between 1 and {MOST}"))
+}
+
+/// Refuses a scale rule that asks for no neighbour.
+pub(crate) fn check_nearest(nearest: usize) -> Result<(), String> {
+    if (1..=1000).contains(&nearest) {
+        return Ok(());
+    }
+    Err(format!("`nearest` is {nearest}; give 1 for the paper's rule, 3 for the released one, 1000 at most"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn duplicates_and_single_points_have_finite_scales() {
+        assert_eq!(scales_from_neighbours(&[[1.0; 3]], 1), [LONELY]);
+        assert_eq!(scales_from_neighbours(&[[1.0; 3]; 3], 1), [LEAST_SQUARE.sqrt(); 3]);
+        assert!(scales_from_neighbours(&[], 3).is_empty());
+    }
+
+    #[test]
+    fn columns_start_as_stated() {
+        let mut random = rng::stream(0, "init", 0);
+        let cloud = cloud(vec![[0.0; 3]; 500], &[0.5; 500], 0.1, 0.2, &mut random);
+        assert!((cloud.opacity_logits[7] - -2.197_224_6).abs() < 1e-5);
+        assert!((cloud.log_scales[7][2] - (0.5 as Real).ln()).abs() < 1e-6);
+        assert!(cloud.quats.iter().all(|q| *q == [1.0, 0.0, 0.0, 0.0]));
+        let signals = cloud.signals.as_flattened();
+        assert!(signals.iter().all(|s| s.abs() <= 0.1));
+        assert!(signals.iter().any(|s| *s > 0.08) && signals.iter().any(|s| *s < -0.08));
+    }
+}
