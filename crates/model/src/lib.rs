@@ -1,1 +1,15 @@
-//! pwrfgs: model.
+//! The model: a cloud, a deformation network, and the stages that turn a transmitter position into a spectrum.
+//!
+//! [`Model::predict`] is the whole path without tape, gates or pruners: deform → activate → project → rasterize → read
+//! out. The training step in `pwrfgs-train` runs the same functions and their derivatives.
+
+mod activate;
+pub mod deform;
+pub mod file;
+mod model;
+mod readout;
+pub mod tensors;
+
+pub use activate::{Activation, Calibration};
+pub use model::{Model, Stages};
+pub use readout::Readout;

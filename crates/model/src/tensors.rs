@@ -1,0 +1,114 @@
+//! Named tensors and a note in one safetensors file: the form of models and checkpoints.
+
+use pwrfgs_core::{Error, Real, Result};
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use std::collections::{BTreeMap, HashMap};
+use std::fs::File;
+use std::io::Write;
+use std::path::Path;
+
+/// The one metadata key: a second one would make the order of bytes depend on a hash.
+const NOTE: &str = "pwrfgs";
+
+/// Tensors by name, with shapes, and a JSON note.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Tensors {
+    /// JSON text.
+    pub note: String,
+    tensors: BTreeMap<String, (Vec<usize>, Vec<Real>)>,
+}
+
+impl Tensors {
+    /// No tensors yet; `note` is JSON text.
+    pub fn new(note: String) -> Self {
+        Self { note, tensors: BTreeMap::new() }
+    }
+
+    /// Adds a tensor; `values` fill `shape` row by row.
+    pub fn put(&mut self, name: impl Into<String>, shape: Vec<usize>, values: Vec<Real>) {
+        assert_eq!(shape.iter().product::<usize>(), values.len(), "a tensor fills its shape");
+        self.tensors.insert(name.into(), (shape, values));
+    }
+
+    /// Takes out a tensor of this shape.
+    ///
+    /// # Errors
+    /// Names the tensor, and the shape that was expected.
+    pub fn take(&mut self, name: &str, shape: &[usize]) -> Result<Vec<Real>, String> {
+        let (found, values) = self.tensors.remove(name).ok_or_else(|| format!("tensor `{name}` is missing"))?;
+        if found != shape {
+            return Err(format!("tensor `{name}` has shape {found:?}, expected {shape:?}"));
+        }
+        if let Some(at) = values.iter().position(|v| !v.is_finite()) {
+            return Err(format!("tensor `{name}` holds {} at {at}", values[at]));
+        }
+        Ok(values)
+    }
+
+    /// Shape of a tensor.
+    pub fn shape(&self, name: &str) -> Option<&[usize]> {
+        self.tensors.get(name).map(|(shape, _)| shape.as_slice())
+    }
+
+    /// The file's bytes; the same tensors give the same bytes.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let dtype = if size_of::<Real>() == 8 { Dtype::F64 } else { Dtype::F32 };
+        let bytes: Vec<(&String, &Vec<usize>, Vec<u8>)> = (self.tensors.iter())
+            .map(|(name, (shape, values))| (name, shape, values.iter().flat_map(|v| v.to_le_bytes()).collect()))
+            .collect();
+        let views = bytes.iter().map(|(name, shape, data)| {
+            let view = TensorView::new(dtype, (*shape).clone(), data).expect("a tensor fills its shape");
+            (name.as_str(), view)
+        });
+        let note = HashMap::from([(NOTE.to_owned(), self.note.clone())]);
+        safetensors::serialize(views, Some(note)).expect("shapes fit their data")
+    }
+
+    /// Reads a file's bytes.
+    ///
+    /// # Errors
+    /// What is wrong with them.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
+        let damaged = |e: safetensors::SafeTensorError| format!("not a whole safetensors file ({e})");
+        let (_, header) = SafeTensors::read_metadata(bytes).map_err(damaged)?;
+        let note = header.metadata().as_ref().and_then(|m| m.get(NOTE)).cloned();
+        let note = note.ok_or("a safetensors file, but not one of pwrfgs")?;
+        let file = SafeTensors::deserialize(bytes).map_err(damaged)?;
+        let mut tensors = BTreeMap::new();
+        for (name, view) in file.tensors() {
+            let data = view.data();
+            let values = match view.dtype() {
+                Dtype::F32 => data.chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().expect("four")) as Real).collect(),
+                Dtype::F64 => data.chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().expect("eight")) as Real).collect(),
+                other => return Err(format!("tensor `{name}` has type {other:?}; only F32 and F64 are used here")),
+            };
+            tensors.insert(name, (view.shape().to_vec(), values));
+        }
+        Ok(Self { note, tensors })
+    }
+}
+
+/// Writes a file so that at every instant either the old or the whole new one is there: a temporary file in the same
+/// folder, synced, then renamed.
+///
+/// # Errors
+/// [`Error::Write`]; the old file is then untouched.
+pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let temporary = path.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
+    let written = (|| {
+        let mut file = File::create(&temporary)?;
+        file.write_all(bytes)?;
+        file.sync_all()?;
+        std::fs::rename(&temporary, path)?;
+        // The rename itself lasts only once the folder is on disk; a file system that cannot sync folders still has it.
+        if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
+            let _ = File::open(folder).and_then(|folder| folder.sync_all());
+        }
+        Ok(())
+    })();
+    written.map_err(|e| {
+        let _ = std::fs::remove_file(&temporary);
+        Error::write(path, e)
+    })
+}
