@@ -1,1 +1,104 @@
-//! pwrfgs: prune.
+//! Which Gaussians stay: the paper's learnable mask, a floor on opacity, an exact budget.
+//!
+//! A pruner decides; the trainer asks it at the prune steps of algorithm 1, removes what any pruner of the list gives
+//! up, and keeps the best-scored Gaussian where all together would leave none.
+
+mod learnable_mask;
+mod opacity_threshold;
+mod top_k;
+
+pub use learnable_mask::LearnableMask;
+pub use opacity_threshold::OpacityThreshold;
+pub use top_k::{Score, TopK};
+
+/// What tests prune.
+#[cfg(test)]
+mod fixture {
+    use pwrfgs_core::{ColumnSpec, ExtraColumn, GaussianCloud, Moment, Phase, Real, Vec3};
+
+    pub(crate) fn moment(phase: Phase) -> Moment {
+        Moment { step: 21_000, phase, seed: 0 }
+    }
+
+    /// N Gaussians of unit scale with these opacity logits.
+    pub(crate) fn cloud(opacity_logits: &[Real]) -> GaussianCloud {
+        let n = opacity_logits.len();
+        GaussianCloud {
+            means: (0..n).map(|i| Vec3::splat(i as Real).to_array()).collect(),
+            log_scales: vec![[0.0; 3]; n],
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; n],
+            opacity_logits: opacity_logits.to_vec(),
+            signals: vec![[0.0; 2]; n],
+            extra: vec![],
+        }
+    }
+
+    /// Adds a column, as the trainer does.
+    pub(crate) fn with_column(mut cloud: GaussianCloud, column: &ColumnSpec, values: &[Real]) -> GaussianCloud {
+        let (name, width) = (column.name.to_owned(), column.width);
+        cloud.extra.push(ExtraColumn { name, width, values: values.to_vec() });
+        cloud
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::fixture::{cloud, moment, with_column};
+    use pwrfgs_core::{CloudStats, Phase, Plugin, Pruner, Real, registered};
+
+    /// As a pipeline file has it: `Name(field: value)`.
+    fn written(plugin: &Plugin<dyn Pruner>) -> String {
+        let names = ron::ser::PrettyConfig::new().struct_names(true);
+        pwrfgs_core::plugin::ron_options().to_string_pretty(plugin, names).unwrap()
+    }
+
+    #[test]
+    fn laws_of_every_pruner() {
+        let names = registered::<dyn Pruner>();
+        for name in ["LearnableMask", "OpacityThreshold", "TopK"] {
+            assert!(names.contains(&name), "{name} is missing from {names:?}");
+            let plugin = Plugin::<dyn Pruner>::parse(&format!("{name}()")).unwrap();
+            assert!(!plugin.about().is_empty());
+            let text = written(&plugin);
+            assert_eq!(written(&Plugin::<dyn Pruner>::parse(&text).unwrap()), text);
+            for n in [0, 1, 7] {
+                let mut cloud = cloud(&vec![0.0; n]);
+                for column in plugin.columns() {
+                    cloud = with_column(cloud, &column, &vec![column.init; n * column.width]);
+                }
+                let stats = CloudStats::zeros(n);
+                assert_eq!(plugin.keep(&cloud, &stats, &moment(Phase::Prune)), vec![true; n], "{name}: a fresh cloud");
+                assert_eq!(plugin.score(&cloud, &stats).len(), n);
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_not_a_number_does_not_panic() {
+        let cloud = cloud(&[Real::NAN, 0.0, Real::INFINITY, Real::NEG_INFINITY]);
+        for text in ["LearnableMask()", "OpacityThreshold()", "TopK(keep: 2)", "TopK(keep: 2, score: OpacityVolume)"] {
+            let plugin = Plugin::<dyn Pruner>::parse(text).unwrap();
+            assert_eq!(plugin.keep(&cloud, &CloudStats::zeros(4), &moment(Phase::Prune)).len(), 4);
+        }
+    }
+
+    #[test]
+    fn values_out_of_range_are_refused() {
+        for (text, field) in [
+            ("LearnableMask(lambda: -0.01)", "lambda"),
+            ("LearnableMask(lambda: NaN)", "lambda"),
+            ("LearnableMask(threshold: 0.0)", "threshold"),
+            ("LearnableMask(threshold: 1.0)", "threshold"),
+            ("LearnableMask(initial_logit: -9.0)", "initial_logit"),
+            ("LearnableMask(initial_logit: inf)", "initial_logit"),
+            ("LearnableMask(learning_rate: 0.0)", "learning_rate"),
+            ("OpacityThreshold(epsilon: 1.0)", "epsilon"),
+            ("OpacityThreshold(epsilon: NaN)", "epsilon"),
+            ("OpacityThreshold(epsilon: -0.1)", "epsilon"),
+            ("TopK(keep: 0)", "keep"),
+        ] {
+            let why = Plugin::<dyn Pruner>::parse(text).unwrap_err();
+            assert!(why.contains(&format!("`{field}`")), "{text}: {why}");
+        }
+    }
+}

@@ -1,0 +1,171 @@
+//! The paper's mask: m `[N]` is learned, M = 1[σ(m) ≥ threshold] multiplies opacity and scale (eqs. (10)–(13)).
+//!
+//! The worked example of a pruner that learns: a column, a gate and a penalty, written forward-only on the step's tape,
+//! and a decision. dfdx differentiates; nothing is derived by hand here.
+
+use dfdx::prelude::{MeanTo, Rank0};
+use pwrfgs_core::{
+    CloudStats, ColumnSpec, GaussianCloud, Moment, Phase, Pruner, Real, sigmoid,
+    tape::{Trace, TraceScalar, Traced},
+};
+use serde::{Deserialize, Serialize};
+
+/// The column of mask logits m.
+const COLUMN: &str = "mask_logits";
+
+/// One learned mask a Gaussian, under pressure from a penalty: the pruning of P-WRFGS.
+///
+/// While training, opacity and scale are multiplied by M = sg(1[σ(m) ≥ threshold] − σ(m)) + σ(m), eq. (11): forward 0 or
+/// 1, derivative σ′(m). The loss gains lambda · mean σ(m), eqs. (12) and (13). At a prune step what has M = 0 is
+/// discarded, eq. (10). A mask that crosses the threshold cannot come back: a Gaussian with M = 0 is not drawn, has no
+/// derivative from the picture, and only the penalty is left to move it. The pressure on one Gaussian is
+/// lambda/N · σ(1−σ), and Adam takes its size away for Gaussians that the picture does not need: at 0.01 a step they
+/// reach the threshold some 560 steps after the start, for any lambda above 0.
+///
+/// Use it to let training find how many Gaussians a quality is worth; a larger lambda leaves fewer (the paper: 2,613 at
+/// 0.01, 157 at 0.02, 8 at 0.04). For a number given beforehand use [`crate::TopK`]. Threshold and initial logit are
+/// those of Compact-3DGS, where the paper is silent.
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner};
+/// Plugin::<dyn Pruner>::parse("LearnableMask(lambda: 0.02)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LearnableMask {
+    /// Weight λ of the penalty, 0 or more.
+    pub lambda: Real,
+    /// A Gaussian stays where σ(m) is at least this; between 0 and 1.
+    pub threshold: Real,
+    /// m at the start; σ(1) is 0.73.
+    pub initial_logit: Real,
+    /// Adam's rate for m.
+    pub learning_rate: Real,
+}
+
+impl Default for LearnableMask {
+    fn default() -> Self {
+        Self { lambda: 0.01, threshold: 0.01, initial_logit: 1.0, learning_rate: 0.01 }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for LearnableMask {
+    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
+        // The same formula as the tape's sigmoid, so that exactly what was drawn is kept.
+        let open = |m: &Real| 1.0 / (1.0 + (-m).exp()) >= self.threshold;
+        cloud.extra(COLUMN).map_or_else(|| vec![true; cloud.len()], |c| c.values.iter().map(open).collect())
+    }
+
+    fn columns(&self) -> Vec<ColumnSpec> {
+        let learning_rate = Some(self.learning_rate);
+        vec![ColumnSpec { name: COLUMN, width: 1, init: self.initial_logit, learning_rate }]
+    }
+
+    fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Trace> {
+        (moment.phase != Phase::Finetune)
+            .then(|| cloud.straight_through(cloud.column(COLUMN).sigmoid(), self.threshold))
+    }
+
+    fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
+        (moment.phase != Phase::Finetune && !cloud.is_empty())
+            .then(|| cloud.column(COLUMN).sigmoid().mean::<Rank0, _>() * self.lambda)
+    }
+
+    fn score(&self, cloud: &GaussianCloud, _: &CloudStats) -> Vec<Real> {
+        cloud.extra(COLUMN).map_or_else(|| cloud.opacity_logits.clone(), |c| c.values.clone())
+    }
+
+    fn about(&self) -> &'static str {
+        "one learned mask a Gaussian, with a penalty on the mean mask (P-WRFGS)"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        let Self { lambda, threshold, initial_logit, learning_rate } = self;
+        if !(lambda.is_finite() && *lambda >= 0.0) {
+            return Err(format!("`lambda` is {lambda}; give 0 or more, such as 0.01: a larger one prunes more"));
+        }
+        if !(*threshold > 0.0 && *threshold < 1.0) {
+            return Err(format!("`threshold` is {threshold}; give a number above 0 and below 1, such as 0.01"));
+        }
+        if !initial_logit.is_finite() || sigmoid(*initial_logit) < *threshold {
+            return Err(format!(
+                "`initial_logit` is {initial_logit}, which closes every gate from the start; raise it, such as to 1.0"
+            ));
+        }
+        if !(learning_rate.is_finite() && *learning_rate > 0.0) {
+            return Err(format!("`learning_rate` is {learning_rate}; give a positive number, such as 0.01"));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixture::{cloud, moment, with_column};
+    use dfdx::prelude::{AsArray, Backward, SumTo};
+
+    /// Around the threshold at −4.595, far from it on both sides, and at it.
+    const LOGITS: [Real; 7] = [1.0, -4.0, -4.594, -4.596, -9.0, 3.0, 0.0];
+
+    fn masked(logits: &[Real]) -> GaussianCloud {
+        let column = &LearnableMask::default().columns()[0];
+        with_column(cloud(&vec![0.0; logits.len()]), column, logits)
+    }
+
+    /// ∂/∂m of the sum of a gate, or of a penalty.
+    fn derivative(traced: &Traced, scalar: TraceScalar) -> Vec<Real> {
+        scalar.backward().get(traced.leaf(COLUMN)).as_vec()
+    }
+
+    #[test]
+    fn the_straight_through_gate_has_its_closed_form() {
+        let (mask, traced) = (LearnableMask::default(), Traced::new(&masked(&LOGITS)));
+        let gate = mask.gate(&traced, &moment(Phase::Densify)).unwrap();
+        assert_eq!(gate.as_vec(), [1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0]);
+        // Cotangents that differ, so that a mixed-up order would show.
+        let weights: Vec<Real> = (0..LOGITS.len()).map(|i| i as Real - 2.5).collect();
+        let found = derivative(&traced, (gate * traced.constant(weights.clone())).sum());
+        for ((found, m), weight) in found.iter().zip(LOGITS).zip(weights) {
+            let s = sigmoid(m);
+            assert!((found - weight * s * (1.0 - s)).abs() < 1e-6, "m = {m}: {found}");
+        }
+    }
+
+    #[test]
+    fn the_penalty_presses_on_every_mask() {
+        let mask = LearnableMask { lambda: 0.03, ..LearnableMask::default() };
+        let traced = Traced::new(&masked(&LOGITS));
+        let penalty = mask.penalty(&traced, &moment(Phase::Prune)).unwrap();
+        let n = LOGITS.len() as Real;
+        let expected = 0.03 * LOGITS.iter().map(|m| sigmoid(*m)).sum::<Real>() / n;
+        assert!((penalty.array() - expected).abs() < 1e-7);
+        for (found, m) in derivative(&traced, penalty).iter().zip(LOGITS) {
+            let s = sigmoid(m);
+            assert!((found - 0.03 / n * s * (1.0 - s)).abs() < 1e-8, "m = {m}: {found}");
+        }
+    }
+
+    #[test]
+    fn what_is_drawn_is_kept() {
+        let mask = LearnableMask::default();
+        let edge = (0.01 as Real / 0.99).ln();
+        let logits: Vec<Real> = (-500..500).map(|i| edge + i as Real * edge.abs() * Real::EPSILON).collect();
+        let cloud = masked(&logits);
+        let kept = mask.keep(&cloud, &CloudStats::zeros(cloud.len()), &moment(Phase::Prune));
+        let gate = mask.gate(&Traced::new(&cloud), &moment(Phase::Prune)).unwrap().as_vec();
+        assert_eq!(gate, kept.iter().map(|k| Real::from(u8::from(*k))).collect::<Vec<_>>());
+        assert!(kept.contains(&true) && kept.contains(&false));
+        assert_eq!(mask.score(&cloud, &CloudStats::zeros(cloud.len())), logits);
+    }
+
+    #[test]
+    fn masks_are_gone_in_fine_tuning() {
+        let (mask, traced) = (LearnableMask::default(), Traced::new(&cloud(&[0.0; 3])));
+        assert!(mask.gate(&traced, &moment(Phase::Finetune)).is_none());
+        assert!(mask.penalty(&traced, &moment(Phase::Finetune)).is_none());
+    }
+}

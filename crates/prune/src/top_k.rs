@@ -1,0 +1,124 @@
+//! An exact budget: the best `keep` Gaussians stay.
+
+use pwrfgs_core::{CloudStats, GaussianCloud, Moment, Pruner, Real, sigmoid};
+use serde::{Deserialize, Serialize};
+
+/// Keeps the best-scored Gaussians, exactly as many as asked for.
+///
+/// Use it where memory or time is given and quality is to be found; `densify.max_gaussians` is its companion, which
+/// keeps densification from growing far beyond. Equal scores are taken in the order of the Gaussians. At the default of
+/// 2,613 it can be compared with the paper's model at lambda 0.01. `Weight`, the part in the picture that
+/// importance-based pruning of visual splatting uses, is the best guide; `Opacity` and `OpacityVolume` need no picture.
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner};
+/// Plugin::<dyn Pruner>::parse("TopK(keep: 500, score: Weight)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TopK {
+    /// Number of Gaussians that stay, 1 or more.
+    pub keep: usize,
+    /// What makes one Gaussian better than another.
+    pub score: Score,
+}
+
+/// How much a Gaussian matters.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Score {
+    /// Its part in the pictures: the sum of its blending weights γ·T over pixels and renders since the last
+    /// densification. Opacity where no picture has been drawn since.
+    #[default]
+    Weight,
+    /// Its opacity.
+    Opacity,
+    /// Its opacity times the product of its scales.
+    OpacityVolume,
+}
+
+impl Default for TopK {
+    fn default() -> Self {
+        Self { keep: 2613, score: Score::Weight }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for TopK {
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<bool> {
+        let scores = self.score(cloud, stats);
+        let mut best: Vec<usize> = (0..cloud.len()).collect();
+        // Stable, so that equal scores stay in order.
+        best.sort_by(|&i, &j| scores[j].total_cmp(&scores[i]));
+        let mut kept = vec![false; cloud.len()];
+        best.into_iter().take(self.keep).for_each(|i| kept[i] = true);
+        kept
+    }
+
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats) -> Vec<Real> {
+        // What is not a number counts as least.
+        let number = |s: Real| if s.is_nan() { Real::NEG_INFINITY } else { s };
+        let seen = stats.weight.len() == cloud.len() && stats.weight.iter().any(|w| *w > 0.0);
+        let volume = |(logit, scales): (&Real, &[Real; 3])| sigmoid(*logit) * scales.iter().sum::<Real>().exp();
+        match self.score {
+            Score::Weight if seen => stats.weight.iter().copied().map(number).collect(),
+            // The logit orders as the opacity does, and tells apart what rounds to 1.
+            Score::Weight | Score::Opacity => cloud.opacity_logits.iter().copied().map(number).collect(),
+            Score::OpacityVolume => {
+                cloud.opacity_logits.iter().zip(&cloud.log_scales).map(volume).map(number).collect()
+            }
+        }
+    }
+
+    fn about(&self) -> &'static str {
+        "keeps an exact number of Gaussians, the best-scored"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if self.keep == 0 {
+            return Err("`keep` is 0, which would leave nothing; give at least 1".to_owned());
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixture::{cloud, moment};
+    use pwrfgs_core::Phase;
+
+    fn kept(keep: usize, score: Score, cloud: &GaussianCloud, weight: &[Real]) -> Vec<usize> {
+        let stats = CloudStats { weight: weight.to_vec(), ..CloudStats::zeros(cloud.len()) };
+        let kept = TopK { keep, score }.keep(cloud, &stats, &moment(Phase::Prune));
+        (0..cloud.len()).filter(|&i| kept[i]).collect()
+    }
+
+    #[test]
+    fn each_score_has_its_own_best() {
+        let mut cloud = cloud(&[0.0, 2.0, 1.0, -3.0]);
+        cloud.log_scales[3] = [2.0; 3];
+        let weight = [5.0, 0.0, 7.0, 6.0];
+        assert_eq!(kept(2, Score::Weight, &cloud, &weight), [2, 3]);
+        assert_eq!(kept(2, Score::Opacity, &cloud, &weight), [1, 2]);
+        assert_eq!(kept(1, Score::OpacityVolume, &cloud, &weight), [3]);
+        assert_eq!(kept(2, Score::Weight, &cloud, &[0.0; 4]), [1, 2], "nothing drawn: opacity decides");
+    }
+
+    #[test]
+    fn the_budget_is_exact_even_among_equals() {
+        let cloud = cloud(&[1.0; 9]);
+        for score in [Score::Weight, Score::Opacity, Score::OpacityVolume] {
+            assert_eq!(kept(4, score, &cloud, &[2.0; 9]), [0, 1, 2, 3]);
+            assert_eq!(kept(9, score, &cloud, &[2.0; 9]).len(), 9);
+            assert_eq!(kept(90, score, &cloud, &[2.0; 9]).len(), 9);
+        }
+    }
+
+    #[test]
+    fn what_is_not_a_number_goes_first() {
+        let cloud = cloud(&[Real::NAN, 0.0, -1.0]);
+        assert_eq!(kept(2, Score::Opacity, &cloud, &[0.0; 3]), [1, 2]);
+    }
+}
