@@ -1,7 +1,7 @@
 //! Where the Gaussians start: on the surfaces of the scene, at random, or on a grid of directions.
 //!
 //! An initialiser chooses centres and isotropic scales; opacity, rotation and signals start alike in all of them
-//! ([`start`]). Columns that pruners ask for are added by the trainer.
+//! (module `start`). Columns that pruners ask for are added by the trainer.
 
 mod grid;
 mod point_cloud;
