@@ -6,7 +6,7 @@
 //!
 //! * [`evaluation`]: uniform 7x7 windows inside the picture, sample covariance (49/48); equal to scikit-image's
 //!   `structural_similarity(a, b, data_range=1)`.
-//! * [`training`], the `SSIM` of eq. (9): 11 Gaussian taps of σ = 1.5 px about every pixel, zeros beyond the border,
+//! * [`training()`], the `SSIM` of eq. (9): 11 Gaussian taps of σ = 1.5 px about every pixel, zeros beyond the border,
 //!   covariance `E[xy] − E[x]·E[y]`; as in the released training. [`training_vjp`] is its derivative.
 //!
 //! Neither wraps in azimuth. Pictures are row-major `[height, width]`.
