@@ -1,0 +1,124 @@
+//! Where the layers lie in the flat weight vector, and how the vector is divided over chunks and threads.
+
+use super::linear::Linear;
+use pwrfgs_core::{Real, WeightSpec, rng};
+use std::ops::Range;
+
+/// The tensors of a network, in order, each with the bound of its uniform initial values.
+#[derive(Debug, Default)]
+pub(super) struct Plan {
+    tensors: Vec<(WeightSpec, f64)>,
+    len: usize,
+}
+
+impl Plan {
+    fn push(&mut self, name: String, shape: Vec<usize>, bound: f64) -> usize {
+        let start = self.len;
+        let spec = WeightSpec { name, shape };
+        self.len += spec.len();
+        self.tensors.push((spec, bound));
+        start
+    }
+
+    /// A layer with PyTorch's initial values: weights and biases uniform within ±1/√inputs.
+    pub(super) fn linear(&mut self, name: &str, inputs: usize, outputs: usize) -> Linear {
+        self.heads(&[(name, outputs)], inputs, 1.0)
+    }
+
+    /// Layers that share their input, stored weights first and then biases, so that they act as one layer. Their
+    /// initial values are multiplied by `scale`.
+    pub(super) fn heads(&mut self, heads: &[(&str, usize)], inputs: usize, scale: f64) -> Linear {
+        let bound = scale / (inputs as f64).sqrt();
+        let (weight, outputs) = (self.len, heads.iter().map(|h| h.1).sum());
+        for (name, outputs) in heads {
+            self.push(format!("{name}.weight"), vec![*outputs, inputs], bound);
+        }
+        let bias = self.len;
+        for (name, outputs) in heads {
+            self.push(format!("{name}.bias"), vec![*outputs], bound);
+        }
+        Linear { inputs, outputs, weight, bias }
+    }
+
+    /// Numbers in the flat vector.
+    pub(super) fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Names and shapes.
+    pub(super) fn layout(self) -> Vec<WeightSpec> {
+        self.tensors.into_iter().map(|(spec, _)| spec).collect()
+    }
+
+    /// Fresh weights.
+    pub(super) fn init(&self, rng: &mut rng::Rng) -> Vec<Real> {
+        let mut flat = Vec::with_capacity(self.len);
+        for (spec, bound) in &self.tensors {
+            flat.extend((0..spec.len()).map(|_| (2.0 * rng::uniform(rng) - 1.0) * *bound as Real));
+        }
+        flat
+    }
+}
+
+/// A piece of work: these Gaussians for these transmitters.
+#[derive(Clone, Debug)]
+pub(super) struct Item {
+    pub(super) rows: Range<usize>,
+    pub(super) txs: Range<usize>,
+}
+
+/// Gaussians a chunk. Depends on nothing but N and the width, so that neither the number of threads nor the size of
+/// the batch shows in the bits. At most 192 (two activations of width 256 then stay in 1 MiB of second-level cache,
+/// and a stride of 256 or 512 floats, where gemm loses half its speed to cache conflicts, never occurs); fewer for
+/// small N, in an even number of chunks, so that two threads share N = 157.
+pub(super) fn rows_per_chunk(n: usize, width: usize) -> usize {
+    let most = (192 * 256 / width.max(1) / 16 * 16).clamp(48, 192);
+    let chunks = n.div_ceil(most).max((n / 64).min(24)).next_multiple_of(2);
+    n.div_ceil(chunks.max(1)).next_multiple_of(16).clamp(16, most)
+}
+
+/// All work for N Gaussians and B transmitters: chunk by chunk, the batch divided only where chunks alone are too few
+/// to keep a machine busy. Groups of transmitters outside, chunks inside.
+pub(super) fn items(n: usize, batch: usize, width: usize) -> Vec<Item> {
+    let rows = rows_per_chunk(n, width);
+    let chunks = n.div_ceil(rows);
+    let groups = 16usize.div_ceil(chunks.max(1)).clamp(1, batch.max(1));
+    let group = batch.div_ceil(groups).max(1);
+    let group_starts = (0..batch).step_by(group);
+    group_starts
+        .flat_map(|b| {
+            let txs = b..(b + group).min(batch);
+            (0..n).step_by(rows).map(move |i| Item { rows: i..(i + rows).min(n), txs: txs.clone() })
+        })
+        .collect()
+}
+
+/// How many items one weight-gradient accumulator takes, in their order. The number of accumulators is a power of two
+/// up to 16 and does not depend on the threads: each is summed in order, then they are added in order.
+pub(super) fn items_per_sum(items: usize) -> usize {
+    let half = (items / 2).max(1);
+    let sums = (1 << half.ilog2()).clamp(2, 16);
+    items.div_ceil(sums).max(1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn items_cover_every_gaussian_and_transmitter_once() {
+        for (n, batch, width) in [(1, 1, 256), (50, 3, 64), (157, 1, 256), (157, 32, 256), (2613, 5, 1024), (7, 40, 1)]
+        {
+            let mut seen = vec![0; n * batch];
+            for item in items(n, batch, width) {
+                assert!(item.rows.len() <= 192);
+                for b in item.txs {
+                    item.rows.clone().for_each(|i| seen[b * n + i] += 1);
+                }
+            }
+            assert!(seen.iter().all(|&s| s == 1), "{n} {batch} {width}");
+        }
+        assert_eq!(items(157, 1, 256).len(), 2);
+        assert!(items(0, 3, 256).is_empty() && items(3, 0, 256).is_empty());
+    }
+}

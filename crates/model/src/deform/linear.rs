@@ -1,0 +1,77 @@
+//! `Linear`: one layer inside the flat weight vector, and its products with chunks.
+
+use super::dense::{Matrix, MatrixMut, Store, product};
+use pwrfgs_core::Real;
+use std::ops::Range;
+
+/// A linear layer y = W·x + b: `W` `[outputs, inputs]` row-major and `b` `[outputs]` inside a flat vector.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Linear {
+    pub(super) inputs: usize,
+    pub(super) outputs: usize,
+    /// Where `W` starts.
+    pub(super) weight: usize,
+    /// Where `b` starts.
+    pub(super) bias: usize,
+}
+
+impl Linear {
+    pub(super) fn weight<'a>(&self, flat: &'a [Real]) -> Matrix<'a> {
+        Matrix::new(&flat[self.weight..][..self.outputs * self.inputs], self.outputs, self.inputs)
+    }
+
+    pub(super) fn weight_mut<'a>(&self, flat: &'a mut [Real]) -> MatrixMut<'a> {
+        MatrixMut::new(&mut flat[self.weight..][..self.outputs * self.inputs], self.outputs, self.inputs)
+    }
+
+    pub(super) fn bias<'a>(&self, flat: &'a [Real]) -> &'a [Real] {
+        &flat[self.bias..][..self.outputs]
+    }
+
+    pub(super) fn bias_mut<'a>(&self, flat: &'a mut [Real]) -> &'a mut [Real] {
+        &mut flat[self.bias..][..self.outputs]
+    }
+
+    /// The columns of W that see one of several inputs.
+    pub(super) fn part(&self, columns: Range<usize>) -> Part {
+        Part { layer: *self, columns }
+    }
+
+    /// All columns of W.
+    pub(super) fn whole(&self) -> Part {
+        self.part(0..self.inputs)
+    }
+}
+
+/// Some columns of a layer's W, acting on chunks: x `[columns, R]`, y `[outputs, R]`.
+#[derive(Clone, Debug)]
+pub(super) struct Part {
+    layer: Linear,
+    columns: Range<usize>,
+}
+
+impl Part {
+    /// `y = W·x` or `y += W·x`.
+    pub(super) fn apply(&self, weights: &[Real], x: &[Real], y: &mut [Real], store: Store) {
+        let (features, outputs) = (self.columns.len(), self.layer.outputs);
+        let rows = y.len() / outputs;
+        let w = self.layer.weight(weights).columns(self.columns.clone());
+        product(MatrixMut::new(y, outputs, rows), store, w, Matrix::new(x, features, rows));
+    }
+
+    /// Adds the derivative along W to `d_weights`.
+    pub(super) fn weight_vjp(&self, d_weights: &mut [Real], x: &[Real], d_y: &[Real]) {
+        let (features, outputs) = (self.columns.len(), self.layer.outputs);
+        let rows = d_y.len() / outputs;
+        let d_w = self.layer.weight_mut(d_weights).columns(self.columns.clone());
+        product(d_w, Store::Add, Matrix::new(d_y, outputs, rows), Matrix::new(x, features, rows).t());
+    }
+
+    /// `d_x = Wᵀ·d_y` or `d_x += Wᵀ·d_y`.
+    pub(super) fn input_vjp(&self, weights: &[Real], d_y: &[Real], d_x: &mut [Real], store: Store) {
+        let (features, outputs) = (self.columns.len(), self.layer.outputs);
+        let rows = d_y.len() / outputs;
+        let w = self.layer.weight(weights).columns(self.columns.clone());
+        product(MatrixMut::new(d_x, features, rows), store, w.t(), Matrix::new(d_y, outputs, rows));
+    }
+}

@@ -1,0 +1,70 @@
+//! The reference renders of WRF-GS: network inputs, weights, outputs and derivatives in double precision.
+
+use super::Wrfgs;
+use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Pose, Real, rng};
+use std::path::{Path, PathBuf};
+
+fn shared() -> PathBuf {
+    std::env::var_os("PWRFGS_SHARED")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared"), PathBuf::from)
+}
+
+fn array(folder: &Path, name: &str) -> Vec<Real> {
+    let file = std::fs::File::open(folder.join(format!("{name}.npy"))).unwrap();
+    let values = npyz::NpyFile::new(std::io::BufReader::new(file)).unwrap().into_vec::<f64>().unwrap();
+    values.into_iter().map(|v| v as Real).collect()
+}
+
+fn rows(values: &[Real]) -> Vec<[Real; 3]> {
+    values.as_chunks().0.to_vec()
+}
+
+/// The largest difference, as a share of the largest number.
+fn error(found: &[Real], expected: &[Real]) -> f64 {
+    assert_eq!(found.len(), expected.len());
+    let largest = expected.iter().fold(0.0, |m: Real, e| m.max(e.abs())).max(1e-300 as Real);
+    f64::from(found.iter().zip(expected).fold(0.0, |m: Real, (f, e)| m.max((f - e).abs())) / largest)
+}
+
+#[test]
+fn wrfgs_reproduces_the_reference_signals_and_derivatives() {
+    // In single precision a coordinate of 40 m is known to 2e-6 m, so an angle of 2⁹·x to 1e-3 rad.
+    let (signal_tolerance, derivative_tolerance) = if size_of::<Real>() == 8 { (1e-12, 1e-10) } else { (2e-3, 2e-2) };
+    for name in ["n8", "n64", "n64_mask"] {
+        let folder = shared().join("oracle").join(name);
+        if !folder.is_dir() {
+            eprintln!("skipped: no reference render {}", folder.display());
+            continue;
+        }
+        let wrfgs = Wrfgs::default();
+        let layout = wrfgs.layout();
+        let weights: Vec<Real> = layout.iter().flat_map(|spec| array(&folder, &format!("net_{}", spec.name))).collect();
+        let (means, txs) = (rows(&array(&folder, "in_xyz")), rows(&array(&folder, "in_tx")));
+        let position: [f64; 3] = std::array::from_fn(|k| f64::from(array(&folder, "in_r_o")[k]));
+        let pose = Pose { position, ..Pose::IDENTITY };
+
+        let signals = wrfgs.forward(&weights, &means, &txs, &pose).signals;
+        let first: Vec<Real> = signals.iter().map(|s| s[0]).collect();
+        let found = error(&first, &array(&folder, "out_signal"));
+        assert!(found < signal_tolerance, "{name}: signal: {found}");
+        assert!(signals.iter().all(|s| s[1] == 0.0));
+
+        let d = array(&folder, "grad_signal").into_iter().map(|d| [d, 0.0]).collect();
+        let inputs = DeformationInputs { weights: &weights, means: &means, txs: &txs, pose: &pose };
+        let mut d_weights = vec![0.0; weights.len()];
+        wrfgs.vjp(&inputs, &Deltas { signals: d, ..Deltas::default() }, &mut d_weights, None);
+        let mut rest = d_weights.as_slice();
+        for spec in layout {
+            let (these, after) = rest.split_at(spec.len());
+            rest = after;
+            let found = error(these, &array(&folder, &format!("gradnet_{}", spec.name)));
+            assert!(found < derivative_tolerance, "{name}: {}: {found}", spec.name);
+        }
+    }
+}
+
+#[test]
+fn start_is_reproducible() {
+    let wrfgs = Wrfgs::default();
+    assert_eq!(wrfgs.init(&mut rng::stream(0, "init", 0)), wrfgs.init(&mut rng::stream(0, "init", 0)));
+}

@@ -1,0 +1,223 @@
+//! What every deformation owes: derivatives, the same bits at any thread count and in any batch, honest sizes.
+
+use super::{Fixed, Mlp, Outputs, Wrfgs};
+use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Plugin, Pose, Real, rng, testing::check_vjp};
+
+const POSE: Pose = Pose { position: [0.5, -0.3, 0.2], orientation: [0.0, 0.0, 0.0, 1.0] };
+
+fn points(n: usize, name: &str) -> Vec<[Real; 3]> {
+    let mut random = rng::stream(11, name, 0);
+    (0..n).map(|_| std::array::from_fn(|_| rng::normal(&mut random))).collect()
+}
+
+/// All outputs in one vector.
+fn flat(deltas: &Deltas) -> Vec<Real> {
+    [deltas.quats.as_flattened(), deltas.scales.as_flattened(), deltas.signals.as_flattened()].concat()
+}
+
+/// The reverse of [`flat`], with the shape of `like`.
+fn deltas_like(like: &Deltas, values: &[Real]) -> Deltas {
+    let (quats, rest) = values.split_at(4 * like.quats.len());
+    let (scales, signals) = rest.split_at(3 * like.scales.len());
+    Deltas {
+        quats: quats.as_chunks().0.to_vec(),
+        scales: scales.as_chunks().0.to_vec(),
+        signals: signals.as_chunks().0.to_vec(),
+    }
+}
+
+/// A cotangent for the output of `forward`.
+fn cotangent(like: &Deltas) -> Deltas {
+    let mut random = rng::stream(5, "cotangent", 0);
+    let values: Vec<Real> = flat(like).iter().map(|_| rng::normal(&mut random)).collect();
+    deltas_like(like, &values)
+}
+
+/// Central differences along every weight, and along every centre where the deformation differentiates them.
+fn check_derivative(name: &str, deformation: &dyn Deformation, n: usize, batch: usize, along_means: bool) {
+    if size_of::<Real>() < 8 {
+        return;
+    }
+    deformation.check().unwrap();
+    let weights = deformation.init(&mut rng::stream(2, name, 0));
+    let (means, txs) = (points(n, "means"), points(batch, "txs"));
+    let moved = if along_means { means.as_flattened() } else { &[] };
+    let x = [weights.as_slice(), moved].concat();
+    let split = |x: &[Real]| {
+        let (w, m) = x.split_at(weights.len());
+        (w.to_vec(), if along_means { m.as_chunks::<3>().0.to_vec() } else { means.clone() })
+    };
+    let f = |x: &[Real]| {
+        let (w, means) = split(x);
+        flat(&deformation.forward(&w, &means, &txs, &POSE))
+    };
+    let vjp = |x: &[Real], d: &[Real]| {
+        let (w, means) = split(x);
+        let inputs = DeformationInputs { weights: &w, means: &means, txs: &txs, pose: &POSE };
+        let d = deltas_like(&deformation.forward(&w, &means, &txs, &POSE), d);
+        // Starting from ones shows that derivatives are added.
+        let (mut d_weights, mut d_means) = (vec![1.0; w.len()], vec![[1.0; 3]; n]);
+        deformation.vjp(&inputs, &d, &mut d_weights, along_means.then_some(&mut d_means));
+        if along_means {
+            d_weights.extend_from_slice(d_means.as_flattened());
+        }
+        d_weights.iter().map(|d| d - 1.0).collect()
+    };
+    check_vjp(name, &x, f, vjp, 1e-6, 2e-6);
+}
+
+fn small_mlp() -> Mlp {
+    Mlp {
+        depth: 4,
+        width: 9,
+        position_frequencies: 2,
+        tx_frequencies: 1,
+        tx_hidden: 6,
+        tx_features: 5,
+        skip: Some(1),
+        ..Mlp::default()
+    }
+}
+
+#[test]
+fn mlp_derivatives_agree_with_central_differences() {
+    check_derivative("all outputs", &small_mlp(), 35, 3, false);
+    check_derivative("no skip", &Mlp { skip: None, ..small_mlp() }, 5, 2, false);
+    check_derivative("signals", &Mlp { outputs: Outputs::Signals, skip: Some(0), ..small_mlp() }, 20, 4, false);
+    check_derivative("one layer", &Mlp { depth: 1, skip: None, ..small_mlp() }, 3, 1, false);
+    check_derivative("coordinates", &Mlp { position_frequencies: 0, tx_frequencies: 0, ..small_mlp() }, 3, 1, false);
+}
+
+#[test]
+fn wrfgs_derivatives_agree_with_central_differences() {
+    let small = Wrfgs { depth: 4, width: 8, frequencies: 2, skip: Some(1), gain: None };
+    check_derivative("wrfgs", &small, 35, 3, true);
+    check_derivative("wrfgs, fixed gain", &Wrfgs { gain: Some(3.0), skip: None, ..small.clone() }, 5, 1, true);
+    check_derivative("wrfgs, weights alone", &Wrfgs { depth: 1, skip: None, ..small }, 5, 2, false);
+}
+
+#[test]
+fn networks_have_the_published_sizes() {
+    let count = |d: &dyn Deformation| d.layout().iter().map(pwrfgs_core::WeightSpec::len).sum::<usize>();
+    assert_eq!(count(&Mlp::default()), 574_819);
+    assert_eq!(count(&Wrfgs::default()), 189_636);
+    assert_eq!(count(&Fixed::default()), 0);
+    let mut names: Vec<String> = Mlp::default().layout().into_iter().map(|spec| spec.name).collect();
+    names.sort();
+    names.dedup();
+    assert_eq!(names.len(), Mlp::default().layout().len());
+}
+
+#[test]
+fn initial_weights_are_uniform_within_one_over_root_inputs() {
+    let mlp = Mlp { head_init: 0.01, ..Mlp::default() };
+    let weights = mlp.init(&mut rng::stream(0, "init", 0));
+    let mut rest = weights.as_slice();
+    let mut inputs = std::collections::BTreeMap::new();
+    for spec in mlp.layout() {
+        let (these, after) = rest.split_at(spec.len());
+        rest = after;
+        let layer = spec.name.rsplit_once('.').unwrap().0.to_owned();
+        let inputs = *inputs.entry(layer).or_insert_with(|| spec.shape[1]);
+        let head = ["rotation", "scaling", "signal"].iter().any(|h| spec.name.starts_with(h));
+        let bound = if head { 0.01 } else { 1.0 } / (inputs as Real).sqrt();
+        let largest = these.iter().fold(0.0, |m: Real, w| m.max(w.abs()));
+        assert!(largest <= bound && (these.len() < 50 || largest > 0.9 * bound), "{}: {largest}", spec.name);
+    }
+}
+
+/// Deltas and weight derivative on a pool of so many threads.
+fn on_threads(threads: usize, deformation: &dyn Deformation, n: usize, batch: usize) -> (Deltas, Vec<Real>) {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    let weights = deformation.init(&mut rng::stream(1, "init", 0));
+    let (means, txs) = (points(n, "means"), points(batch, "txs"));
+    pool.install(|| {
+        let deltas = deformation.forward(&weights, &means, &txs, &POSE);
+        let inputs = DeformationInputs { weights: &weights, means: &means, txs: &txs, pose: &POSE };
+        let (mut d_weights, mut d_means) = (vec![0.0; weights.len()], vec![[0.0; 3]; n]);
+        deformation.vjp(&inputs, &cotangent(&deltas), &mut d_weights, Some(&mut d_means));
+        d_weights.extend_from_slice(d_means.as_flattened());
+        (deltas, d_weights)
+    })
+}
+
+#[test]
+fn one_thread_and_two_give_the_same_bits() {
+    let mlp = Mlp { width: 64, ..Mlp::default() };
+    let deformations: [&dyn Deformation; 2] = [&mlp, &Wrfgs { width: 32, ..Wrfgs::default() }];
+    for (n, batch) in [(157, 3), (1500, 2)] {
+        for deformation in deformations {
+            assert_eq!(on_threads(1, deformation, n, batch), on_threads(2, deformation, n, batch));
+        }
+    }
+}
+
+#[test]
+fn a_batch_gives_the_bits_of_single_calls() {
+    let mlp = Mlp { width: 64, depth: 6, ..Mlp::default() };
+    let deformations: [&dyn Deformation; 2] = [&mlp, &Wrfgs { width: 32, ..Wrfgs::default() }];
+    let (means, txs) = (points(300, "means"), points(5, "txs"));
+    for deformation in deformations {
+        let weights = deformation.init(&mut rng::stream(1, "init", 0));
+        let inputs = |txs| DeformationInputs { weights: &weights, means: &means, txs, pose: &POSE };
+        let batch = deformation.forward(&weights, &means, &txs, &POSE);
+        let d = cotangent(&batch);
+        let mut d_batch = vec![0.0; weights.len()];
+        deformation.vjp(&inputs(&txs), &d, &mut d_batch, None);
+        let mut d_singles = vec![0.0; weights.len()];
+        for (b, tx) in txs.chunks(1).enumerate() {
+            let single = deformation.forward(&weights, &means, tx, &POSE);
+            let rows = b * means.len()..(b + 1) * means.len();
+            let part = |d: &Deltas| Deltas {
+                scales: d.scales.get(rows.clone()).unwrap_or_default().to_vec(),
+                quats: d.quats.get(rows.clone()).unwrap_or_default().to_vec(),
+                signals: d.signals[rows.clone()].to_vec(),
+            };
+            assert_eq!(single, part(&batch));
+            deformation.vjp(&inputs(tx), &part(&d), &mut d_singles, None);
+        }
+        let largest = d_batch.iter().fold(0.0, |m: Real, d| m.max(d.abs()));
+        for (a, b) in d_batch.iter().zip(&d_singles) {
+            assert!((a - b).abs() <= 1e-4 * largest, "{a} {b}");
+        }
+    }
+}
+
+#[test]
+fn no_gaussian_and_no_transmitter_are_no_reason_to_fail() {
+    let deformations: [&dyn Deformation; 3] = [&small_mlp(), &Wrfgs { width: 8, ..Wrfgs::default() }, &Fixed {}];
+    for deformation in deformations {
+        for (n, batch) in [(0, 2), (3, 0), (0, 0)] {
+            let (deltas, d) = on_threads(1, deformation, n, batch);
+            assert!(flat(&deltas).is_empty() && d.iter().all(|d| *d == 0.0));
+        }
+    }
+}
+
+#[test]
+fn nonsense_is_refused_with_advice_and_defaults_round_trip() {
+    for text in ["Mlp()", "Wrfgs()", "Fixed()", "Mlp(skip: 2, depth: 4, outputs: Signals)", "Wrfgs(gain: 12.5)"] {
+        let plugin = Plugin::<dyn Deformation>::parse(text).unwrap();
+        let pretty = ron::ser::PrettyConfig::new().struct_names(true);
+        let written = pwrfgs_core::plugin::ron_options().to_string_pretty(&plugin, pretty).unwrap();
+        let again = Plugin::<dyn Deformation>::parse(&written).unwrap();
+        assert_eq!(format!("{plugin:?}"), format!("{again:?}"));
+        assert!(!plugin.about().is_empty());
+    }
+    for (text, words) in [
+        ("Mlp(depth: 0)", "give a number of layers"),
+        ("Mlp(width: 0)", "width is 0"),
+        ("Mlp(depth: 4)", "`skip: None`"),
+        ("Mlp(depth: 5)", "`skip: None`"),
+        ("Mlp(tx_hidden: 0)", "tx_hidden is 0"),
+        ("Mlp(position_frequencies: 17)", "from 0 to 16"),
+        ("Mlp(head_init: -1)", "not negative"),
+        ("Mlp(head_init: NaN)", "not negative"),
+        ("Wrfgs(width: 1, skip: None)", "at least 2"),
+        ("Wrfgs(gain: 0)", "positive"),
+        ("Mlp(widht: 3)", "widht"),
+    ] {
+        let refusal = Plugin::<dyn Deformation>::parse(text).unwrap_err();
+        assert!(refusal.contains(words), "{text}: {refusal}");
+    }
+}

@@ -1,0 +1,230 @@
+//! The stack of ReLU layers that both networks share: h₀ = relu(W₀·[γ, e] + b₀), …, with [γ, e] once more beside h
+//! after layer `skip`.
+//!
+//! γ depends on the Gaussian alone and e on the transmitter alone. So W·γ is computed once a chunk and serves every
+//! transmitter of the batch, W·e once a transmitter and becomes part of the bias; only h → h is left for each pair.
+
+use super::dense::{self, Matrix, MatrixMut, Store, product};
+use super::layers::Plan;
+use super::linear::{Linear, Part};
+use pwrfgs_core::Real;
+use std::ops::Range;
+
+/// Layers and where the inputs join.
+#[derive(Debug)]
+pub(super) struct Trunk {
+    layers: Vec<Linear>,
+    /// The layer that sees [γ, e, h].
+    joined: Option<usize>,
+    gamma: usize,
+    side: usize,
+    pub(super) width: usize,
+}
+
+/// What the constructor needs to know.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct TrunkShape {
+    pub(super) depth: usize,
+    pub(super) width: usize,
+    pub(super) skip: Option<usize>,
+    /// Numbers of γ.
+    pub(super) gamma: usize,
+    /// Numbers of e.
+    pub(super) side: usize,
+}
+
+/// A vector for each of the two layers that see γ and e: `[width]` as biases, `[width, R]` as W·γ. `joined` is empty
+/// without a skip.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Joints {
+    pub(super) first: Vec<Real>,
+    pub(super) joined: Vec<Real>,
+}
+
+/// What [`Trunk::backward`] adds to.
+#[derive(Debug)]
+pub(super) struct TrunkGradient<'a> {
+    /// As long as the weights.
+    pub(super) weights: &'a mut [Real],
+    /// Of W·γ, `[width, R]` each.
+    pub(super) shared: &'a mut Joints,
+    /// Of the folded biases, `[width]` each; the second is not read without a skip.
+    pub(super) folded: [&'a mut [Real]; 2],
+}
+
+impl Trunk {
+    pub(super) fn new(plan: &mut Plan, shape: TrunkShape) -> Self {
+        let joined = shape.skip.map(|s| s + 1);
+        let (gamma, side, width) = (shape.gamma, shape.side, shape.width);
+        let layers = (0..shape.depth)
+            .map(|l| {
+                let inputs = match l {
+                    0 => gamma + side,
+                    _ if Some(l) == joined => gamma + side + width,
+                    _ => width,
+                };
+                plan.linear(&format!("trunk.{l}"), inputs, width)
+            })
+            .collect();
+        Self { layers, joined, gamma, side, width }
+    }
+
+    pub(super) fn depth(&self) -> usize {
+        self.layers.len()
+    }
+
+    /// The columns of layer `l` that see h.
+    fn h_part(&self, l: usize) -> Part {
+        let before = if Some(l) == self.joined { self.gamma + self.side } else { 0 };
+        self.layers[l].part(before..before + self.width)
+    }
+
+    /// The layers that see γ and e, in order.
+    fn joints(&self) -> impl Iterator<Item = &Linear> {
+        self.layers.first().into_iter().chain(self.joined.map(|l| &self.layers[l]))
+    }
+
+    fn e_columns(&self) -> Range<usize> {
+        self.gamma..self.gamma + self.side
+    }
+
+    /// Zeros, `len` for each layer that sees γ and e.
+    pub(super) fn zero_joints(&self, len: usize) -> Joints {
+        Joints { first: vec![0.0; len], joined: vec![0.0; if self.joined.is_some() { len } else { 0 }] }
+    }
+
+    /// The biases of these layers with W·e added.
+    pub(super) fn fold(&self, weights: &[Real], e: &[Real]) -> Joints {
+        let mut folded = self.joints().map(|layer| {
+            let mut bias = layer.bias(weights).to_vec();
+            let w = layer.weight(weights).columns(self.e_columns());
+            product(MatrixMut::new(&mut bias, self.width, 1), Store::Add, w, Matrix::new(e, self.side, 1));
+            bias
+        });
+        Joints { first: folded.next().unwrap_or_default(), joined: folded.next().unwrap_or_default() }
+    }
+
+    /// The vjp of [`Self::fold`] for B transmitters: `e` `[B, side]`, `d_folded` one vector `[B, width]` a joint. Adds
+    /// to `d_weights` and returns that of e, `[B, side]`.
+    pub(super) fn fold_vjp(
+        &self,
+        weights: &[Real],
+        e: &[Real],
+        d_folded: &Joints,
+        d_weights: &mut [Real],
+    ) -> Vec<Real> {
+        let batch = d_folded.first.len() / self.width;
+        let mut d_e = vec![0.0; batch * self.side];
+        for (layer, d) in self.joints().zip([&d_folded.first, &d_folded.joined]) {
+            let d_rows = Matrix::new(d, batch, self.width);
+            let d_w = layer.weight_mut(d_weights).columns(self.e_columns());
+            product(d_w, Store::Add, d_rows.t(), Matrix::new(e, batch, self.side));
+            d.chunks_exact(self.width).for_each(|d| dense::add(layer.bias_mut(d_weights), d));
+            let w = layer.weight(weights).columns(self.e_columns());
+            product(MatrixMut::new(&mut d_e, batch, self.side), Store::Add, d_rows, w);
+        }
+        d_e
+    }
+
+    /// Adds derivatives of the biases of the layers that see γ.
+    pub(super) fn add_joint_biases(&self, d_weights: &mut [Real], d: &Joints) {
+        for (layer, d) in self.joints().zip([&d.first, &d.joined]) {
+            dense::add(layer.bias_mut(d_weights), d);
+        }
+    }
+
+    /// W·γ of the layers that see γ, for a chunk; γ `[gamma, R]`.
+    pub(super) fn share(&self, weights: &[Real], gamma: &[Real], shared: &mut Joints) {
+        let rows = gamma.len() / self.gamma;
+        for (layer, out) in self.joints().zip([&mut shared.first, &mut shared.joined]) {
+            out.resize(self.width * rows, 0.0);
+            layer.part(0..self.gamma).apply(weights, gamma, out, Store::Set);
+        }
+    }
+
+    /// The vjp of [`Self::share`]: adds to `d_weights`, and to `d_gamma` where given.
+    pub(super) fn share_vjp(
+        &self,
+        weights: &[Real],
+        gamma: &[Real],
+        d_shared: &Joints,
+        d_weights: &mut [Real],
+        mut d_gamma: Option<&mut [Real]>,
+    ) {
+        for (layer, d) in self.joints().zip([&d_shared.first, &d_shared.joined]) {
+            let part = layer.part(0..self.gamma);
+            part.weight_vjp(d_weights, gamma, d);
+            if let Some(d_gamma) = &mut d_gamma {
+                part.input_vjp(weights, d, d_gamma, Store::Add);
+            }
+        }
+    }
+
+    /// All layers for one chunk and one transmitter. Layer l writes slot `l % slots.len()`: two slots to predict, as
+    /// many as layers to differentiate. The result is in slot [`Self::last`].
+    pub(super) fn forward(&self, weights: &[Real], shared: &Joints, folded: &Joints, slots: &mut [Vec<Real>]) {
+        for (l, layer) in self.layers.iter().enumerate() {
+            let out = l % slots.len();
+            if l == 0 {
+                slots[out].clone_from(&shared.first);
+                dense::bias_relu(&mut slots[out], &folded.first);
+                continue;
+            }
+            let mut h = std::mem::take(&mut slots[out]);
+            let input = &slots[(l - 1) % slots.len()];
+            if Some(l) == self.joined {
+                h.clone_from(&shared.joined);
+                self.h_part(l).apply(weights, input, &mut h, Store::Add);
+                dense::bias_relu(&mut h, &folded.joined);
+            } else {
+                h.resize(shared.first.len(), 0.0);
+                self.h_part(l).apply(weights, input, &mut h, Store::Set);
+                dense::bias_relu(&mut h, layer.bias(weights));
+            }
+            slots[out] = h;
+        }
+    }
+
+    /// The slot that holds the last layer.
+    pub(super) fn last(&self, slots: usize) -> usize {
+        (self.depth() - 1) % slots
+    }
+
+    /// The vjp of [`Self::forward`] with all activations in `slots`. `d` is the cotangent of the last layer and is used
+    /// up, `spare` is room to work in.
+    pub(super) fn backward(
+        &self,
+        weights: &[Real],
+        slots: &[Vec<Real>],
+        d: &mut Vec<Real>,
+        spare: &mut Vec<Real>,
+        into: TrunkGradient<'_>,
+    ) {
+        let TrunkGradient { weights: d_weights, shared: d_shared, folded: [d_first, d_joined] } = into;
+        for (l, layer) in self.layers.iter().enumerate().rev() {
+            if l == 0 {
+                dense::bias_relu_vjp(d, &slots[0], d_first);
+                dense::add(&mut d_shared.first, d);
+                return;
+            }
+            if Some(l) == self.joined {
+                dense::bias_relu_vjp(d, &slots[l], d_joined);
+                dense::add(&mut d_shared.joined, d);
+            } else {
+                dense::bias_relu_vjp(d, &slots[l], layer.bias_mut(d_weights));
+            }
+            self.h_part(l).weight_vjp(d_weights, &slots[l - 1], d);
+            spare.resize(d.len(), 0.0);
+            self.h_part(l).input_vjp(weights, d, spare, Store::Set);
+            std::mem::swap(d, spare);
+        }
+    }
+}
+
+impl Joints {
+    /// The part of transmitter `b` in each of two `[B, width]`.
+    pub(super) fn of_tx(&mut self, b: usize, width: usize) -> [&mut [Real]; 2] {
+        let part = b * width..(b + 1) * width;
+        [&mut self.first[part.clone()], self.joined.get_mut(part).unwrap_or_default()]
+    }
+}

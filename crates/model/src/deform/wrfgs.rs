@@ -1,0 +1,144 @@
+//! `Wrfgs`: the network of WRF-GS as really implemented (spec of WRF-GS, section 3).
+
+use super::layers::Plan;
+use super::mlp::{check_frequencies, check_stack};
+use super::wrfgs_network::Network;
+use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Pose, Real, WeightSpec, rng::Rng};
+use serde::{Deserialize, Serialize};
+
+/// The network of WRF-GS, the released ancestor: it replaces the signals and leaves geometry alone.
+///
+/// A stack of ReLU layers sees γ(X) of the Gaussian's centre and gives an attenuation A and a feature; the feature,
+/// γ(p) of the transmitter and γ(X - p) pass two more layers that give an amplitude S. The signal is g·S·A ≥ 0 in the
+/// first channel and 0 in the second. As released, g = 40·F with F = √Σᵢ|Xᵢ - r|², one number for the whole cloud with
+/// r the receiver's position: it grows with √N and makes most starts saturate. A fixed `gain` gives a model that can be
+/// used.
+///
+/// The defaults are the released network, 189,636 weights; its two phases per Gaussian are computed and not used
+/// (their weights are kept, so that the layout is the released one).
+///
+/// ```
+/// use pwrfgs_core::{Deformation, Plugin};
+/// # use pwrfgs_model as _;
+/// let released = Plugin::<dyn Deformation>::parse("Wrfgs()").unwrap();
+/// assert!(released.replaces_signals());
+/// let usable = Plugin::<dyn Deformation>::parse("Wrfgs(width: 64, gain: 100)").unwrap();
+/// ```
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Wrfgs {
+    /// Number of ReLU layers before attenuation and feature, 1 or more. Default 8.
+    pub depth: usize,
+    /// Numbers a layer, 2 or more; the last hidden layer has half of them. Default 128.
+    pub width: usize,
+    /// Frequencies 2⁰…2^(L-1) rad/m of all three encodings; 0 gives the bare coordinates. Default 10.
+    pub frequencies: usize,
+    /// γ(X) enters again after this layer (counted from 0); `None` for a plain stack. Default 4.
+    pub skip: Option<usize>,
+    /// The factor g on every signal; `None` for 40·F as released. Default `None`.
+    pub gain: Option<f64>,
+}
+
+impl Default for Wrfgs {
+    fn default() -> Self {
+        Self { depth: 8, width: 128, frequencies: 10, skip: Some(4), gain: None }
+    }
+}
+
+/// 1 over the released 0.025.
+const RELEASED_GAIN: f64 = 40.0;
+
+impl Wrfgs {
+    /// F, the norm of all centres seen from the receiver at once, metres.
+    fn norm(means: &[[Real; 3]], pose: &Pose) -> f64 {
+        means.iter().flat_map(|x| (0..3).map(|k| (f64::from(x[k]) - pose.position[k]).powi(2))).sum::<f64>().sqrt()
+    }
+
+    /// The factor g.
+    fn gain(&self, means: &[[Real; 3]], pose: &Pose) -> f64 {
+        self.gain.unwrap_or_else(|| RELEASED_GAIN * Self::norm(means, pose))
+    }
+}
+
+#[typetag::serde]
+impl Deformation for Wrfgs {
+    fn layout(&self) -> Vec<WeightSpec> {
+        let mut plan = Plan::default();
+        Network::new(self, &mut plan);
+        plan.layout()
+    }
+
+    fn init(&self, rng: &mut Rng) -> Vec<Real> {
+        let mut plan = Plan::default();
+        Network::new(self, &mut plan);
+        plan.init(rng)
+    }
+
+    fn varies_geometry(&self) -> bool {
+        false
+    }
+
+    fn replaces_signals(&self) -> bool {
+        true
+    }
+
+    fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: &[[Real; 3]], pose: &Pose) -> Deltas {
+        let mut plan = Plan::default();
+        let network = Network::new(self, &mut plan);
+        assert_eq!(weights.len(), plan.len(), "as many weights as the layout says");
+        let gain = self.gain(means, pose) as Real;
+        let signals = network.forward(weights, means, txs).into_iter().map(|sa| [gain * sa, 0.0]).collect();
+        Deltas { signals, ..Deltas::default() }
+    }
+
+    fn vjp(
+        &self,
+        inputs: &DeformationInputs<'_>,
+        d: &Deltas,
+        d_weights: &mut [Real],
+        d_means: Option<&mut [[Real; 3]]>,
+    ) {
+        if d.signals.is_empty() {
+            return;
+        }
+        let mut plan = Plan::default();
+        let network = Network::new(self, &mut plan);
+        assert_eq!(inputs.weights.len(), plan.len(), "as many weights as the layout says");
+        assert_eq!(d_weights.len(), plan.len(), "a derivative for each weight");
+        let gain = self.gain(inputs.means, inputs.pose);
+        let d_products: Vec<Real> = d.signals.iter().map(|d| gain as Real * d[0]).collect();
+        let Some(d_means) = d_means else {
+            network.vjp(inputs, &d_products, d_weights, None);
+            return;
+        };
+        let along_gain = network.vjp(inputs, &d_products, d_weights, Some(&mut *d_means));
+        let norm = Self::norm(inputs.means, inputs.pose);
+        if self.gain.is_none() && norm > 0.0 {
+            // g·∂L/∂g is known; with g = 40·F, ∂g/∂X = g·(X - r)/F².
+            let scale = along_gain / (norm * norm);
+            for (d, x) in d_means.iter_mut().zip(inputs.means) {
+                for k in 0..3 {
+                    d[k] += (scale * (f64::from(x[k]) - inputs.pose.position[k])) as Real;
+                }
+            }
+        }
+    }
+
+    fn about(&self) -> &'static str {
+        "the network of WRF-GS: gives the signals of each transmitter, geometry stays"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_stack(self.depth, self.width, self.skip)?;
+        if self.width < 2 {
+            return Err("width is 1; give at least 2, because the last hidden layer has half of it".to_owned());
+        }
+        check_frequencies("frequencies", self.frequencies)?;
+        match self.gain {
+            Some(gain) if !(gain.is_finite() && gain > 0.0) => {
+                Err(format!("gain is {gain}; give a positive number, or `None` for the released 40·F"))
+            }
+            _ => Ok(()),
+        }
+    }
+}
