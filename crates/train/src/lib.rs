@@ -1,1 +1,22 @@
-//! pwrfgs: train.
+//! Training: algorithm 1 of the paper, as one loop over steps.
+//!
+//! [`Trainer::step`] is one screen: batch → gates → forward → loss → backward → statistics → Adam → (densify | prune).
+//! N changes in one place only, `edit.rs`.
+
+mod adam;
+mod checkpoint;
+mod densify;
+mod edit;
+mod graph;
+mod loss;
+mod pipeline;
+mod settings;
+mod trainer;
+
+pub use graph::{Batch, Outcome, loss_and_gradients};
+pub use loss::rendering_loss;
+pub use pipeline::{Pipeline, PipelinePatch};
+pub use settings::{
+    Densify, DensifyPatch, Loss, LossPatch, Optimizer, OptimizerPatch, Schedule, Training, TrainingPatch,
+};
+pub use trainer::{StepReport, Trainer};

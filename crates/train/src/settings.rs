@@ -71,7 +71,8 @@ pub enum Schedule {
 impl Schedule {
     /// The rate at `step` (from 1) of a training of `total` steps.
     pub fn rate(&self, step: u64, total: u64) -> Real {
-        let part = |steps: u64| (step.saturating_sub(1)) as f64 / (if steps == 0 { total } else { steps }).max(1) as f64;
+        let part =
+            |steps: u64| (step.saturating_sub(1)) as f64 / (if steps == 0 { total } else { steps }).max(1) as f64;
         match *self {
             Self::Constant(rate) => rate,
             Self::LogLinear { first, last, steps } => {
@@ -91,7 +92,11 @@ impl Schedule {
             Self::LogLinear { first, last, .. } => first > 0.0 && last > 0.0 && (first + last).is_finite(),
             Self::Cosine { first, last, .. } => first >= 0.0 && last >= 0.0 && (first + last).is_finite(),
         };
-        if ok { Ok(()) } else { Err(format!("`{name}` needs finite rates that are not negative (LogLinear: positive)")) }
+        if ok {
+            Ok(())
+        } else {
+            Err(format!("`{name}` needs finite rates that are not negative (LogLinear: positive)"))
+        }
     }
 }
 
@@ -239,7 +244,10 @@ impl Densify {
         let known = |x: Real| x >= 0.0 && x.is_finite();
         need(known(self.gradient_threshold), "`gradient_threshold` must not be negative")?;
         need(known(self.extent_m), "`extent_m` must be 0 (automatic) or a positive length")?;
-        need(known(self.clone_below) && known(self.large_above), "`clone_below` and `large_above` must not be negative")?;
+        need(
+            known(self.clone_below) && known(self.large_above),
+            "`clone_below` and `large_above` must not be negative",
+        )?;
         need(self.split_shrink > 0.0 && self.split_shrink.is_finite(), "`split_shrink` must be positive")?;
         need((0.0..1.0).contains(&self.opacity_floor), "`opacity_floor` must lie in [0, 1)")?;
         need(self.reset_opacity > 0.0 && self.reset_opacity < 1.0, "`reset_opacity` must lie between 0 and 1")

@@ -1,0 +1,106 @@
+//! Adam, our own: its moments must survive clone, split and prune, and each column has its rate.
+
+use crate::settings::{Optimizer, Training};
+use pwrfgs_core::{ColumnSpec, GaussianCloud, Real};
+use rayon::prelude::*;
+
+/// First and second moments of everything that is learned.
+#[derive(Clone, Debug)]
+pub(crate) struct Adam {
+    /// Moments of the cloud.
+    pub(crate) cloud: [GaussianCloud; 2],
+    /// Moments of the network.
+    pub(crate) weights: [Vec<Real>; 2],
+}
+
+/// Constants of one update.
+#[derive(Clone, Copy)]
+struct Update {
+    rate: Real,
+    beta1: Real,
+    beta2: Real,
+    eps: Real,
+    /// 1 − βᵏ after k steps.
+    unbias: [Real; 2],
+    l2: Real,
+    decay: Real,
+}
+
+impl Adam {
+    pub(crate) fn new(cloud: &GaussianCloud, weights: &[Real]) -> Self {
+        let zeros = cloud.zeros_like();
+        Self { cloud: [zeros.clone(), zeros], weights: [vec![0.0; weights.len()], vec![0.0; weights.len()]] }
+    }
+
+    /// One update at `step` (from 1). Returns the name of a column that is no longer finite.
+    pub(crate) fn step(
+        &mut self,
+        settings: &Training,
+        specs: &[ColumnSpec],
+        step: u64,
+        (cloud, d_cloud): (&mut GaussianCloud, &GaussianCloud),
+        (weights, d_weights): (&mut [Real], &[Real]),
+    ) -> Result<(), String> {
+        let o = &settings.optimizer;
+        let rate = |schedule: crate::Schedule| schedule.rate(step, settings.steps);
+        let update = Update {
+            rate: 0.0,
+            beta1: o.beta1,
+            beta2: o.beta2,
+            eps: o.eps,
+            unbias: [o.beta1, o.beta2].map(|b| 1.0 - b.powi(step.min(i32::MAX as u64) as i32)),
+            l2: 0.0,
+            decay: 0.0,
+        };
+        let [first, second] = &mut self.cloud;
+        let columns = cloud.columns_mut().zip(d_cloud.columns()).zip(first.columns_mut().zip(second.columns_mut()));
+        for (((name, _, x), (_, _, d)), ((_, _, m), (_, _, v))) in columns {
+            if let Some(rate) = rate_of(o, specs, name, rate) {
+                Update { rate, ..update }.apply(x, d, m, v).map_err(|()| format!("`{name}`"))?;
+            }
+        }
+        let [first, second] = &mut self.weights;
+        let network =
+            Update { rate: rate(o.network), eps: o.network_eps, l2: o.network_l2, decay: o.network_decay, ..update };
+        network.apply(weights, d_weights, first, second).map_err(|()| "the network".into())
+    }
+}
+
+/// The rate of column `name`; `None` for state that is not learned, and for a rate of 0.
+fn rate_of(o: &Optimizer, specs: &[ColumnSpec], name: &str, rate: impl Fn(crate::Schedule) -> Real) -> Option<Real> {
+    let rate = match name {
+        "means" => rate(o.means),
+        "log_scales" => rate(o.log_scales),
+        "quats" => rate(o.quats),
+        "opacity_logits" => rate(o.opacity_logits),
+        "signals" => rate(o.signals),
+        extra => specs.iter().find(|s| s.name == extra)?.learning_rate?,
+    };
+    (rate != 0.0).then_some(rate)
+}
+
+impl Update {
+    /// Adam of Kingma and Ba, with L2 added to the gradient and decoupled decay taken from the value.
+    fn apply(self, x: &mut [Real], d: &[Real], m: &mut [Real], v: &mut [Real]) -> Result<(), ()> {
+        const CHUNK: usize = 16_384;
+        let parts = (x.par_chunks_mut(CHUNK))
+            .zip(d.par_chunks(CHUNK))
+            .zip(m.par_chunks_mut(CHUNK))
+            .zip(v.par_chunks_mut(CHUNK));
+        let finite = parts
+            .map(|(((x, d), m), v)| {
+                let mut finite = true;
+                for (((x, d), m), v) in x.iter_mut().zip(d).zip(m).zip(v) {
+                    let g = d + self.l2 * *x;
+                    *m = self.beta1 * *m + (1.0 - self.beta1) * g;
+                    *v = self.beta2 * *v + (1.0 - self.beta2) * g * g;
+                    let step = (*m / self.unbias[0]) / ((*v / self.unbias[1]).sqrt() + self.eps);
+                    *x -= self.rate * (step + self.decay * *x);
+                    finite &= x.is_finite();
+                }
+                finite
+            })
+            .reduce(|| true, |a, b| a && b);
+        if finite { Ok(()) } else { Err(()) }
+    }
+}

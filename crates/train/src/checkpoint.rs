@@ -1,0 +1,101 @@
+//! Checkpoints: everything needed to go on as if nothing had happened, in one safetensors file.
+//!
+//! Random streams are functions of (seed, name, step), so a step number is all the state they have.
+
+use crate::trainer::Trainer;
+use crate::{Pipeline, adam::Adam};
+use pwrfgs_core::{Dataset, Error, ExtraColumn, GaussianCloud, Partition, Real, Result};
+use pwrfgs_model::file::{put_weights, take_weights};
+use pwrfgs_model::tensors::Tensors;
+use serde::{Deserialize, Serialize};
+
+#[derive(Serialize, Deserialize)]
+struct Note {
+    format: String,
+    version: u32,
+    done: u64,
+    gaussians: usize,
+    /// Extra columns and their widths.
+    extra: Vec<(String, usize)>,
+}
+
+const FORMAT: &str = "pwrfgs-checkpoint";
+const VERSION: u32 = 1;
+
+impl<'a> Trainer<'a> {
+    /// Everything needed to go on, as bytes.
+    pub fn checkpoint(&self) -> Vec<u8> {
+        let note = Note {
+            format: FORMAT.into(),
+            version: VERSION,
+            done: self.done,
+            gaussians: self.cloud.len(),
+            extra: self.cloud.extra.iter().map(|c| (c.name.clone(), c.width)).collect(),
+        };
+        let mut file = Tensors::new(serde_json::to_string(&note).expect("plain data"));
+        let clouds = [("value", &self.cloud), ("first", &self.adam.cloud[0]), ("second", &self.adam.cloud[1])];
+        for (prefix, cloud) in clouds {
+            for (name, width, values) in cloud.columns() {
+                file.put(format!("{prefix}.{name}"), vec![cloud.len(), width], values.to_vec());
+            }
+        }
+        let networks = [("value", &self.weights), ("first", &self.adam.weights[0]), ("second", &self.adam.weights[1])];
+        for (prefix, weights) in networks {
+            put_weights(&mut file, &format!("{prefix}.network."), weights, &self.stages);
+        }
+        for (name, values) in self.stats.clone().columns_mut() {
+            file.put(format!("stats.{name}"), vec![values.len()], values.clone());
+        }
+        file.to_bytes()
+    }
+
+    /// The trainer that wrote `bytes`, for the same pipeline and data.
+    ///
+    /// # Errors
+    /// [`Error::Config`] where the bytes are not such a checkpoint.
+    pub fn restore(pipeline: &Pipeline, data: &'a Dataset, partition: &Partition, bytes: &[u8]) -> Result<Self> {
+        let mut trainer = Self::new(pipeline, data, partition)?;
+        trainer.read(bytes).map_err(|why| {
+            Error::Config(format!("the checkpoint cannot be used: {why}; remove it to start again from step 1"))
+        })?;
+        Ok(trainer)
+    }
+
+    fn read(&mut self, bytes: &[u8]) -> Result<(), String> {
+        let mut file = Tensors::from_bytes(bytes)?;
+        let note: Note = serde_json::from_str(&file.note).map_err(|e| e.to_string())?;
+        if note.format != FORMAT || note.version != VERSION {
+            return Err(format!("it is a `{}` of version {}", note.format, note.version));
+        }
+        let n = note.gaussians;
+        let mut cloud = |prefix: &str| -> Result<GaussianCloud, String> {
+            let extra = (note.extra.iter())
+                .map(|(name, width)| ExtraColumn { name: name.clone(), width: *width, values: vec![0.0; n * width] })
+                .collect();
+            let mut cloud = GaussianCloud {
+                means: vec![[0.0; 3]; n],
+                log_scales: vec![[0.0; 3]; n],
+                quats: vec![[0.0; 4]; n],
+                opacity_logits: vec![0.0; n],
+                signals: vec![[0.0; 2]; n],
+                extra,
+            };
+            for (name, width, values) in cloud.columns_mut() {
+                values.copy_from_slice(&file.take(&format!("{prefix}.{name}"), &[n, width])?);
+            }
+            Ok(cloud)
+        };
+        self.cloud = cloud("value")?;
+        let moments = [cloud("first")?, cloud("second")?];
+        let mut network = |prefix: &str| take_weights(&mut file, &format!("{prefix}.network."), &self.stages);
+        self.weights = network("value")?;
+        self.adam = Adam { cloud: moments, weights: [network("first")?, network("second")?] };
+        self.stats = pwrfgs_core::CloudStats::zeros(n);
+        for (name, values) in self.stats.columns_mut() {
+            let read: Vec<Real> = file.take(&format!("stats.{name}"), &[n])?;
+            *values = read;
+        }
+        self.done = note.done;
+        Ok(())
+    }
+}

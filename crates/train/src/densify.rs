@@ -1,0 +1,122 @@
+//! Densification of 3D Gaussian splatting (algorithm 1, line 9): clone, split, remove, reset opacities.
+
+use crate::adam::Adam;
+use crate::edit::{self, Row};
+use crate::settings::Densify;
+use pwrfgs_core::{CloudStats, GaussianCloud, Real, Vec3, logit, rng, sigmoid};
+
+/// Whether densification is due after `step`.
+pub(crate) fn due(settings: &Densify, step: u64) -> bool {
+    settings.every > 0 && step > settings.from && step.is_multiple_of(settings.every)
+}
+
+/// Whether opacities are reset after `step`.
+pub(crate) fn reset_due(settings: &Densify, step: u64) -> bool {
+    settings.reset_every > 0 && step.is_multiple_of(settings.reset_every)
+}
+
+/// Clones small and splits large Gaussians with a strong 2-D gradient, then removes transparent and oversized ones.
+/// `extent` is the size of the scene, metres. The last Gaussian is never removed.
+pub(crate) fn densify(
+    settings: &Densify,
+    extent: Real,
+    (seed, step): (u64, u64),
+    cloud: &mut GaussianCloud,
+    adam: &mut Adam,
+    stats: &mut CloudStats,
+) {
+    let n = cloud.len();
+    let largest = |i: usize| cloud.log_scales[i].iter().fold(Real::MIN, |m, s| m.max(*s)).exp();
+    let chosen = chosen(settings, n, stats);
+    let (mut rows, mut children) = (Vec::with_capacity(n), Vec::new());
+    let mut copies = Vec::new();
+    for (i, chosen) in chosen.iter().enumerate() {
+        let small = largest(i) <= settings.clone_below * extent;
+        if !chosen || small {
+            rows.push(Row::Kept(i));
+        }
+        if *chosen {
+            let children_of = if small { 1 } else { 2 };
+            copies.extend(std::iter::repeat_n((i, small), children_of));
+        }
+    }
+    let mut random = rng::stream(seed, "densify", step);
+    for (i, small) in copies {
+        if !small {
+            children.push((rows.len(), child_mean(cloud, i, &mut random)));
+        }
+        rows.push(Row::Copied(i));
+    }
+    edit::rewrite(&rows, cloud, adam, stats);
+    for (row, mean) in children {
+        cloud.means[row] = mean;
+        cloud.log_scales[row].iter_mut().for_each(|s| *s -= settings.split_shrink.ln());
+    }
+    remove(settings, extent, step, cloud, adam, stats);
+}
+
+/// Gaussians to densify: mean gradient norm from the threshold on, within the budget; the strongest first.
+fn chosen(settings: &Densify, n: usize, stats: &CloudStats) -> Vec<bool> {
+    let mean = |i: usize| if stats.visible[i] > 0.0 { stats.gradient[i] / stats.visible[i] } else { 0.0 };
+    let mut strong: Vec<usize> = (0..n).filter(|&i| mean(i) >= settings.gradient_threshold).collect();
+    if settings.max_gaussians > 0 {
+        strong.sort_by(|&a, &b| mean(b).total_cmp(&mean(a)).then(a.cmp(&b)));
+        strong.truncate(settings.max_gaussians.saturating_sub(n));
+    }
+    let mut chosen = vec![false; n];
+    strong.into_iter().for_each(|i| chosen[i] = true);
+    chosen
+}
+
+/// A point drawn from Gaussian `i` itself: μ + R(q)·(s ∘ N(0, 1)).
+fn child_mean(cloud: &GaussianCloud, i: usize, random: &mut rng::Rng) -> [Real; 3] {
+    let [w, x, y, z] = cloud.quats[i];
+    let norm = (w * w + x * x + y * y + z * z).sqrt().max(1e-12);
+    let (w, v) = (w / norm, Vec3::new(x, y, z) / norm);
+    let offset = Vec3::from_array(cloud.log_scales[i].map(|s| s.exp() * rng::normal(random)));
+    // Rotation by a unit quaternion: o + 2 v × (v × o + w o).
+    let turned = offset + (v.cross(v.cross(offset) + offset * w)) * 2.0;
+    (Vec3::from_array(cloud.means[i]) + turned).to_array()
+}
+
+fn remove(
+    settings: &Densify,
+    extent: Real,
+    step: u64,
+    cloud: &mut GaussianCloud,
+    adam: &mut Adam,
+    stats: &mut CloudStats,
+) {
+    let too_large =
+        (settings.large_above > 0.0 && step > settings.large_after).then_some(settings.large_above * extent);
+    let mut keep: Vec<bool> = (0..cloud.len())
+        .map(|i| {
+            let large = cloud.log_scales[i].iter().any(|s| too_large.is_some_and(|limit| s.exp() > limit));
+            sigmoid(cloud.opacity_logits[i]) >= settings.opacity_floor && !large
+        })
+        .collect();
+    ensure_one(&mut keep, &cloud.opacity_logits, "densification");
+    edit::keep(&keep, cloud, adam, stats);
+}
+
+/// Where nothing would be left, keeps the one with the best score, and warns.
+pub(crate) fn ensure_one(keep: &mut [bool], score: &[Real], who: &str) {
+    if keep.iter().any(|k| *k) {
+        return;
+    }
+    if let Some(best) = (0..keep.len()).rev().max_by(|&a, &b| score[a].total_cmp(&score[b])) {
+        tracing::warn!("{who} would leave no Gaussian; the best one stays");
+        keep[best] = true;
+    }
+}
+
+/// opacity = min(opacity, limit), and the moments of opacity start anew.
+pub(crate) fn reset_opacities(limit: Real, cloud: &mut GaussianCloud, adam: &mut Adam) {
+    cloud.opacity_logits.iter_mut().for_each(|o| *o = o.min(logit(limit)));
+    adam.cloud.iter_mut().for_each(|moments| moments.opacity_logits.fill(0.0));
+}
+
+/// Size of the scene where the pipeline leaves it open: half the diagonal of its bounds, metres.
+pub(crate) fn extent_of((low, high): ([Real; 3], [Real; 3])) -> Real {
+    0.5 * (Vec3::from_array(high) - Vec3::from_array(low)).length()
+}

@@ -1,0 +1,54 @@
+//! The one place where N changes: a list of rows rewrites parameters, moments and statistics together.
+
+use crate::adam::Adam;
+use pwrfgs_core::{CloudStats, GaussianCloud};
+
+/// Where a row of the new cloud comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Row {
+    /// The same Gaussian: it keeps its moments.
+    Kept(usize),
+    /// A copy of that Gaussian: its moments start at 0.
+    Copied(usize),
+}
+
+/// Rewrites cloud, moments and statistics so that row k of the new is `rows[k]` of the old. Statistics start anew.
+pub(crate) fn rewrite(rows: &[Row], cloud: &mut GaussianCloud, adam: &mut Adam, stats: &mut CloudStats) {
+    let sources: Vec<usize> = rows
+        .iter()
+        .map(|row| match row {
+            Row::Kept(i) | Row::Copied(i) => *i,
+        })
+        .collect();
+    *cloud = cloud.select(&sources);
+    for moments in &mut adam.cloud {
+        *moments = moments.select(&sources);
+        for (_, width, values) in moments.columns_mut() {
+            for (row, values) in rows.iter().zip(values.chunks_exact_mut(width)) {
+                if matches!(row, Row::Copied(_)) {
+                    values.fill(0.0);
+                }
+            }
+        }
+    }
+    *stats = CloudStats::zeros(rows.len());
+}
+
+/// Keeps the rows that are true.
+pub(crate) fn keep(keep: &[bool], cloud: &mut GaussianCloud, adam: &mut Adam, stats: &mut CloudStats) {
+    let rows: Vec<Row> = keep.iter().enumerate().filter(|(_, keep)| **keep).map(|(i, _)| Row::Kept(i)).collect();
+    if rows.len() < keep.len() {
+        let mut before = stats.clone();
+        rewrite(&rows, cloud, adam, stats);
+        // A prune, unlike a densification, does not end the period over which statistics are summed.
+        for ((_, new), (_, old)) in stats.columns_mut().into_iter().zip(before.columns_mut()) {
+            *new = keep.iter().zip(old.iter()).filter(|(keep, _)| **keep).map(|(_, v)| *v).collect();
+        }
+    }
+}
+
+/// Removes all extra columns: after the pruning phase no mask is left.
+pub(crate) fn drop_extra(cloud: &mut GaussianCloud, adam: &mut Adam) {
+    cloud.extra.clear();
+    adam.cloud.iter_mut().for_each(|moments| moments.extra.clear());
+}

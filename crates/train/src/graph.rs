@@ -1,0 +1,284 @@
+//! One step's graph: the stages as ops on the dfdx tape, from the leaves of a cloud to the loss, and back.
+//!
+//! ```text
+//! cloud ── pruners.gate ──► M [N]
+//!   │  means, p_tx ─► deform ─► ΔS, ΔR, Δs
+//!   └──── draw: activate(cloud, Δ, M) ─► project ─► rasterize ─► read out ─► P̂ ─► loss (+ penalty)
+//! ```
+//! Gaussians whose gate is 0 are left out of `deform` and `draw`: they have opacity 0, hence no derivative either.
+
+use crate::loss::rendering_loss;
+use dfdx::prelude::{AsArray as _, Cpu, Tensor, TensorFromVec, Trace as _};
+use dfdx::tensor_ops::{Backward, SumTo};
+use pwrfgs_core::plugin::Plugin;
+use pwrfgs_core::tape::{Trace, TraceScalar, Traced, op};
+use pwrfgs_core::{CloudStats, DeformationInputs, Deltas, Error, GaussianCloud, Moment, Pruner, Real, Result, Splats};
+use pwrfgs_model::{Calibration, Stages};
+use std::cell::RefCell;
+use std::ops::Range;
+use std::rc::Rc;
+use std::sync::Arc;
+
+/// Transmitters of a step and what was measured for them.
+#[derive(Clone, Debug)]
+pub struct Batch {
+    /// Positions `[B,3]`, metres.
+    pub txs: Vec<[Real; 3]>,
+    /// Spectra `[B, H·W]` in [0, 1].
+    pub truths: Vec<Real>,
+}
+
+/// Loss of a step and its derivatives.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// Rendering loss, eq. (9).
+    pub loss: Real,
+    /// Sum of the pruners' penalties, the λ·L_m of eq. (11).
+    pub penalty: Real,
+    /// Derivative in every column of the cloud.
+    pub d_cloud: GaussianCloud,
+    /// Derivative in the network.
+    pub d_weights: Vec<Real>,
+    /// What was seen of each Gaussian in this step.
+    pub seen: CloudStats,
+}
+
+/// Runs the graph forward and backward.
+///
+/// # Errors
+/// [`Error::NonFinite`] where the loss is not a number.
+pub fn loss_and_gradients(
+    stages: &Arc<Stages>,
+    cloud: &GaussianCloud,
+    weights: &[Real],
+    batch: &Batch,
+    ssim_weight: Real,
+    pruners: &[Plugin<dyn Pruner>],
+    moment: &Moment,
+) -> Result<Outcome> {
+    let traced = Traced::new(cloud);
+    let weights: Tensor<(usize,), Real, Cpu> = traced.device().tensor_from_vec(weights.to_vec(), (weights.len(),));
+    let gate = pruners.iter().filter_map(|p| p.gate(&traced, moment)).reduce(|a, b| a * b);
+    let penalty = pruners.iter().filter_map(|p| p.penalty(&traced, moment)).reduce(|a, b| a + b);
+    let seen = Rc::new(RefCell::new(CloudStats::zeros(cloud.len())));
+    let graph = Graph {
+        stages: Arc::clone(stages),
+        txs: Arc::new(batch.txs.clone()),
+        open: Rc::new(Open::of(cloud, gate.as_ref())),
+        seen: Rc::clone(&seen),
+    };
+
+    let deltas = graph.deform(&traced, &weights);
+    let image = graph.picture(&traced, gate, deltas);
+    let loss = graph.loss(image, &batch.truths, ssim_weight);
+
+    let value = loss.array();
+    let penalty_value = penalty.as_ref().map_or(0.0, |p| p.array());
+    if !(value + penalty_value).is_finite() {
+        return Err(Error::NonFinite { what: "the loss".into(), step: moment.step });
+    }
+    let total = match penalty {
+        Some(penalty) => loss + penalty,
+        None => loss,
+    };
+    let mut gradients = total.backward();
+    let mut read = |leaf: &Tensor<(usize,), Real, Cpu>| {
+        gradients.get_or_alloc_mut(leaf).map(|g| g.to_vec()).expect("host memory holds one more column")
+    };
+    let mut d_cloud = cloud.zeros_like();
+    for (name, _, values) in d_cloud.columns_mut() {
+        values.copy_from_slice(&read(traced.leaf(name)));
+    }
+    let d_weights = read(&weights);
+    let seen = seen.borrow().clone();
+    Ok(Outcome { loss: value, penalty: penalty_value, d_cloud, d_weights, seen })
+}
+
+/// The Gaussians whose gate is open, as a cloud of their own.
+struct Open {
+    /// Their rows in the whole cloud.
+    rows: Vec<usize>,
+    cloud: GaussianCloud,
+    gate: Option<Vec<Real>>,
+    /// Rows of the whole cloud.
+    all: usize,
+}
+
+impl Open {
+    fn of(cloud: &GaussianCloud, gate: Option<&Trace>) -> Self {
+        let gate = gate.map(Tensor::as_vec);
+        let rows: Vec<usize> = (0..cloud.len()).filter(|&i| gate.as_ref().is_none_or(|g| g[i] != 0.0)).collect();
+        let gate = gate.map(|g| rows.iter().map(|&i| g[i]).collect());
+        Self { cloud: cloud.select(&rows), rows, gate, all: cloud.len() }
+    }
+
+    /// Rows of `width` numbers, put back where they belong in the whole cloud.
+    fn scatter(&self, width: usize, values: &[Real]) -> Vec<Real> {
+        let mut all = vec![0.0; self.all * width];
+        for (row, values) in self.rows.iter().zip(values.chunks_exact(width)) {
+            all[row * width..(row + 1) * width].copy_from_slice(values);
+        }
+        all
+    }
+}
+
+struct Graph {
+    stages: Arc<Stages>,
+    txs: Arc<Vec<[Real; 3]>>,
+    open: Rc<Open>,
+    seen: Rc<RefCell<CloudStats>>,
+}
+
+/// Calibration terms: their values, and the ones that are on the tape.
+struct TracedDeltas {
+    values: Rc<Deltas>,
+    traces: Vec<Trace>,
+}
+
+impl Graph {
+    /// The deformation network as an op: (Θ, means) → the terms that it gives.
+    fn deform(&self, traced: &Traced, weights: &Tensor<(usize,), Real, Cpu>) -> TracedDeltas {
+        let Stages { deformation, pose, .. } = &*self.stages;
+        let theta = weights.as_vec();
+        let values = Rc::new(deformation.forward(&theta, &self.open.cloud.means, &self.txs, pose));
+        let outputs: Vec<Vec<Real>> =
+            flat(&values).into_iter().filter(|v| !v.is_empty()).map(<[Real]>::to_vec).collect();
+        if outputs.is_empty() {
+            return TracedDeltas { values, traces: Vec::new() };
+        }
+        let (stages, txs, open, shape) =
+            (Arc::clone(&self.stages), Arc::clone(&self.txs), Rc::clone(&self.open), Rc::clone(&values));
+        let inputs = vec![weights.leaky_trace(), traced.column("means")];
+        let traces = op(inputs, outputs, move |d| {
+            let d = unflat(&shape, d);
+            let mut d_weights = vec![0.0; theta.len()];
+            let mut d_means = vec![[0.0; 3]; open.rows.len()];
+            let inputs = DeformationInputs { weights: &theta, means: &open.cloud.means, txs: &txs, pose: &stages.pose };
+            stages.deformation.vjp(&inputs, &d, &mut d_weights, Some(&mut d_means));
+            vec![d_weights, open.scatter(3, d_means.as_flattened())]
+        });
+        TracedDeltas { values, traces }
+    }
+
+    /// P̂ `[B, H·W]`: one drawing for all transmitters where they share geometry, else one each.
+    fn picture(&self, traced: &Traced, gate: Option<Trace>, deltas: TracedDeltas) -> Trace {
+        let batch = self.txs.len();
+        let groups: Vec<Range<usize>> = if self.stages.deformation.varies_geometry() {
+            (0..batch).map(|b| b..b + 1).collect()
+        } else {
+            vec![0..batch]
+        };
+        let inputs: Vec<Trace> = (pwrfgs_core::COLUMN_NAMES.iter().map(|name| traced.column(name)))
+            .chain(gate)
+            .chain(deltas.traces)
+            .collect();
+        let activation = self.stages.activation();
+        let (cloud, gate) = (&self.open.cloud, self.open.gate.as_deref());
+        let Stages { projector, rasterizer, pose, plane, .. } = &*self.stages;
+        let mut drawings = Vec::with_capacity(groups.len());
+        let mut blended = Vec::with_capacity(batch * activation.channels * plane.width * plane.height);
+        for group in groups {
+            let geometry = activation.geometry(cloud, &deltas.values, group.start, gate);
+            let splats = projector.project(&geometry, pose, plane);
+            let signals = activation.signals(cloud, &deltas.values, group.clone());
+            let render = rasterizer.forward(&splats, &signals, activation.channels * group.len(), plane);
+            blended.extend_from_slice(&render.pixels);
+            drawings.push((group, geometry, splats, signals, render));
+        }
+        let pixels = plane.width * plane.height;
+        if self.stages.calibration == Calibration::AsReleased {
+            blended.iter_mut().for_each(|p| *p = p.clamp(0.0, 1.0));
+        }
+        let image = self.stages.readout.forward(&blended, pixels);
+
+        let (stages, open, seen, values) =
+            (Arc::clone(&self.stages), Rc::clone(&self.open), Rc::clone(&self.seen), deltas.values);
+        let count = drawings.len() as Real;
+        let vjp = move |mut d: Vec<Vec<Real>>| {
+            let mut d_blended = stages.readout.vjp(&blended, pixels, &d.remove(0));
+            let activation = stages.activation();
+            let gate = open.gate.as_deref();
+            let mut d_cloud = open.cloud.zeros_like();
+            let mut d_deltas = zeros_like(&values);
+            let mut d_gate = vec![0.0; open.rows.len()];
+            let mut rest = d_blended.as_mut_slice();
+            for (group, geometry, splats, signals, render) in drawings {
+                let channels = activation.channels * group.len();
+                let (own, tail) = rest.split_at_mut(channels * pixels);
+                rest = tail;
+                if stages.calibration == Calibration::AsReleased {
+                    // The clamp to [0, 1] passes the derivative on the closed interval only.
+                    let inside = |p: &Real| (0.0..=1.0).contains(p);
+                    own.iter_mut().zip(&render.pixels).filter(|(_, p)| !inside(p)).for_each(|(d, _)| *d = 0.0);
+                }
+                let g = stages.rasterizer.backward(&splats, &signals, channels, &stages.plane, &render, own);
+                let d_geometry =
+                    stages.projector.project_vjp(&geometry, &stages.pose, &stages.plane, &splats, &g.splats);
+                let (cloud, b) = (&open.cloud, group.start);
+                activation.geometry_vjp(cloud, &values, b, gate, &d_geometry, &mut d_cloud, &mut d_deltas, &mut d_gate);
+                activation.signals_vjp(cloud, &values, group, &g.signals, &mut d_cloud, &mut d_deltas);
+                observe(&mut seen.borrow_mut(), &open.rows, &splats, &g.splats, &g.weights, &stages, count);
+            }
+            let columns = d_cloud.columns().take(5).map(|(_, width, values)| open.scatter(width, values));
+            let gate = gate.is_some().then(|| open.scatter(1, &d_gate));
+            let deltas = flat(&d_deltas).into_iter().filter(|v| !v.is_empty()).map(<[Real]>::to_vec);
+            columns.chain(gate).chain(deltas).collect()
+        };
+        op(inputs, vec![image], vjp).remove(0)
+    }
+
+    /// The rendering loss as an op.
+    fn loss(&self, image: Trace, truths: &[Real], ssim_weight: Real) -> TraceScalar {
+        let plane = &self.stages.plane;
+        let (value, d_image) = rendering_loss(&image.as_vec(), truths, (plane.width, plane.height), ssim_weight);
+        let loss = op(vec![image], vec![vec![value]], move |d| {
+            let upstream = d[0][0];
+            vec![d_image.iter().map(|d| upstream * d).collect()]
+        });
+        loss.into_iter().next().expect("one output").sum()
+    }
+}
+
+/// Adds one drawing to the statistics. `count` drawings share the mean of the loss: each counts with its own gradient.
+fn observe(
+    seen: &mut CloudStats,
+    rows: &[usize],
+    splats: &Splats,
+    d: &Splats,
+    weights: &[Real],
+    stages: &Stages,
+    count: Real,
+) {
+    let half = [0.5 * stages.plane.width as Real, 0.5 * stages.plane.height as Real];
+    for (k, &i) in rows.iter().enumerate() {
+        if splats.radii[k] > 0.0 {
+            let [dx, dy] = d.means2d[k];
+            seen.visible[i] += 1.0;
+            seen.gradient[i] += count * (dx * half[0]).hypot(dy * half[1]);
+            seen.radius[i] = seen.radius[i].max(splats.radii[k]);
+            seen.weight[i] += weights[k];
+        }
+    }
+}
+
+fn flat(deltas: &Deltas) -> [&[Real]; 3] {
+    [deltas.scales.as_flattened(), deltas.quats.as_flattened(), deltas.signals.as_flattened()]
+}
+
+fn zeros_like(deltas: &Deltas) -> Deltas {
+    Deltas {
+        scales: vec![[0.0; 3]; deltas.scales.len()],
+        quats: vec![[0.0; 4]; deltas.quats.len()],
+        signals: vec![[0.0; 2]; deltas.signals.len()],
+    }
+}
+
+/// The terms of `shape` that are not empty, from `values` in the same order.
+fn unflat(shape: &Deltas, values: Vec<Vec<Real>>) -> Deltas {
+    let mut out = zeros_like(shape);
+    let columns = [out.scales.as_flattened_mut(), out.quats.as_flattened_mut(), out.signals.as_flattened_mut()];
+    for (column, values) in columns.into_iter().filter(|c| !c.is_empty()).zip(values) {
+        column.copy_from_slice(&values);
+    }
+    out
+}

@@ -1,0 +1,261 @@
+//! `Trainer`: the loop of algorithm 1, step by step.
+
+use crate::adam::Adam;
+use crate::densify;
+use crate::edit;
+use crate::graph::{Batch, loss_and_gradients};
+use crate::pipeline::Pipeline;
+use pwrfgs_core::tape::Traced;
+use pwrfgs_core::{
+    CloudStats, ColumnSpec, Dataset, Error, ExtraColumn, GaussianCloud, Moment, Partition, Phase, Real, Result, rng,
+};
+use pwrfgs_model::{Model, Stages};
+use std::sync::Arc;
+
+/// What a step did.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StepReport {
+    /// Counted from 1.
+    pub step: u64,
+    /// Phase of algorithm 1.
+    pub phase: Phase,
+    /// Rendering loss before the update.
+    pub loss: f64,
+    /// Sum of the pruners' penalties before the update.
+    pub penalty: f64,
+    /// N after the step.
+    pub gaussians: usize,
+}
+
+/// A training under way. The same pipeline and data give the same bits at any thread count, interrupted or not.
+#[derive(Debug)]
+pub struct Trainer<'a> {
+    pub(crate) pipeline: Pipeline,
+    pub(crate) data: &'a Dataset,
+    pub(crate) train: Vec<usize>,
+    pub(crate) stages: Arc<Stages>,
+    pub(crate) specs: Vec<ColumnSpec>,
+    pub(crate) cloud: GaussianCloud,
+    pub(crate) weights: Vec<Real>,
+    pub(crate) adam: Adam,
+    pub(crate) stats: CloudStats,
+    pub(crate) done: u64,
+    /// The epoch at hand and its order of samples.
+    order: (u64, Vec<usize>),
+}
+
+impl<'a> Trainer<'a> {
+    /// Initialises cloud and network.
+    ///
+    /// # Errors
+    /// What the initializer lacks, or an empty training part.
+    pub fn new(pipeline: &Pipeline, data: &'a Dataset, partition: &Partition) -> Result<Self> {
+        let plane = pipeline.projector.plane(data.width, data.height);
+        pipeline.rasterizer.check_plane(&plane).map_err(|why| Error::Config(format!("rasterizer: {why}")))?;
+        if partition.train.is_empty() {
+            return Err(Error::Config("the training part is empty; use another split".into()));
+        }
+        let mut cloud =
+            pipeline.initializer.initialize(&data.scene, &plane, &mut rng::stream(pipeline.seed, "init", 0))?;
+        if cloud.is_empty() {
+            return Err(Error::Config("the initializer made no Gaussian; raise its count".into()));
+        }
+        let specs = specs_of(pipeline);
+        for spec in &specs {
+            let values = vec![spec.init; cloud.len() * spec.width];
+            cloud.extra.push(ExtraColumn { name: spec.name.into(), width: spec.width, values });
+        }
+        let weights = pipeline.deformation.init(&mut rng::stream(pipeline.seed, "network", 0));
+        let stages = Arc::new(Stages {
+            deformation: pipeline.deformation.clone(),
+            projector: pipeline.projector.clone(),
+            rasterizer: pipeline.rasterizer.clone(),
+            calibration: pipeline.calibration,
+            readout: pipeline.readout,
+            pose: data.scene.receiver,
+            plane,
+        });
+        Ok(Self {
+            adam: Adam::new(&cloud, &weights),
+            stats: CloudStats::zeros(cloud.len()),
+            pipeline: pipeline.clone(),
+            data,
+            train: partition.train.clone(),
+            stages,
+            specs,
+            cloud,
+            weights,
+            done: 0,
+            order: (u64::MAX, Vec::new()),
+        })
+    }
+
+    /// Steps taken.
+    pub fn done(&self) -> u64 {
+        self.done
+    }
+
+    /// Whether all steps are taken.
+    pub fn finished(&self) -> bool {
+        self.done >= self.pipeline.training.steps
+    }
+
+    /// Phase of algorithm 1 at `step`.
+    pub fn phase(&self, step: u64) -> Phase {
+        let t = &self.pipeline.training;
+        if step <= t.densify_until {
+            Phase::Densify
+        } else if step <= t.prune_until {
+            Phase::Prune
+        } else {
+            Phase::Finetune
+        }
+    }
+
+    /// One step: batch, gradients, Adam, then densification or pruning where due.
+    ///
+    /// # Errors
+    /// [`Error::NonFinite`], naming step and tensor; the trainer is then of no further use.
+    pub fn step(&mut self) -> Result<StepReport> {
+        let step = self.done + 1;
+        let moment = Moment { step, phase: self.phase(step), seed: self.pipeline.seed };
+        let batch = self.batch(step);
+        let pruners = if moment.phase == Phase::Finetune { Vec::new() } else { self.pipeline.pruners.clone() };
+        let ssim_weight = self.pipeline.training.loss.ssim_weight;
+        let outcome =
+            loss_and_gradients(&self.stages, &self.cloud, &self.weights, &batch, ssim_weight, &pruners, &moment)?;
+        self.add_to_stats(&outcome.seen);
+        self.adam
+            .step(
+                &self.pipeline.training,
+                &self.specs,
+                step,
+                (&mut self.cloud, &outcome.d_cloud),
+                (&mut self.weights, &outcome.d_weights),
+            )
+            .map_err(|what| Error::NonFinite { what, step })?;
+        for pruner in &pruners {
+            pruner.update(&mut self.cloud, &self.stats, &moment);
+        }
+        self.edit(&moment);
+        self.done = step;
+        let (loss, penalty) = (outcome.loss as f64, outcome.penalty as f64);
+        Ok(StepReport { step, phase: moment.phase, loss, penalty, gaussians: self.cloud.len() })
+    }
+
+    /// The model as it stands: Gaussians whose gate is closed are gone, and so are the masks.
+    pub fn model(&self) -> Model {
+        let moment = Moment { step: self.done.max(1), phase: self.phase(self.done.max(1)), seed: self.pipeline.seed };
+        let mut cloud = self.cloud.clone();
+        if let Some(open) = self.open_gates(&moment) {
+            let rows: Vec<usize> = (0..open.len()).filter(|&i| open[i]).collect();
+            cloud = cloud.select(&rows);
+        }
+        cloud.extra.clear();
+        Model { stages: Stages::clone(&self.stages), cloud, weights: self.weights.clone() }
+    }
+
+    /// Next transmitters: every sample once an epoch, in an order of its own each epoch.
+    fn batch(&mut self, step: u64) -> Batch {
+        let settings = &self.pipeline.training;
+        let (seed, n) = (self.pipeline.seed, self.train.len() as u64);
+        let mut jitter = rng::stream(seed, "jitter", step);
+        let mut batch = Batch { txs: Vec::new(), truths: Vec::new() };
+        for k in 0..settings.batch as u64 {
+            let drawn = (step - 1) * settings.batch as u64 + k;
+            if self.order.0 != drawn / n {
+                let mut order = self.train.clone();
+                rng::shuffle(&mut rng::stream(seed, "batches", drawn / n), &mut order);
+                self.order = (drawn / n, order);
+            }
+            let sample = self.order.1[(drawn % n) as usize];
+            let tx = self.data.samples[sample].tx;
+            batch.txs.push(tx.map(|x| x + settings.tx_jitter_m * rng::normal(&mut jitter)));
+            batch.truths.extend(self.data.samples[sample].spectrum.iter().map(|&v| Real::from(v) / 255.0));
+        }
+        batch
+    }
+
+    fn add_to_stats(&mut self, seen: &CloudStats) {
+        let mut seen = seen.clone();
+        for ((name, sum), (_, new)) in self.stats.columns_mut().into_iter().zip(seen.columns_mut()) {
+            for (sum, new) in sum.iter_mut().zip(new.iter()) {
+                *sum = if name == "radius" { sum.max(*new) } else { *sum + new };
+            }
+        }
+    }
+
+    /// Changes N where algorithm 1 says so.
+    fn edit(&mut self, moment: &Moment) {
+        let training = self.pipeline.training.clone();
+        let step = moment.step;
+        match moment.phase {
+            Phase::Densify => {
+                let settings = &training.densify;
+                if densify::due(settings, step) {
+                    let extent = match settings.extent_m {
+                        0.0 => densify::extent_of(self.data.scene.bounds),
+                        metres => metres,
+                    };
+                    let (seed, cloud) = (self.pipeline.seed, &mut self.cloud);
+                    densify::densify(settings, extent, (seed, step), cloud, &mut self.adam, &mut self.stats);
+                    if settings.prune_masked {
+                        self.prune(moment);
+                    }
+                }
+                if densify::reset_due(settings, step) && step < training.densify_until {
+                    densify::reset_opacities(settings.reset_opacity, &mut self.cloud, &mut self.adam);
+                }
+            }
+            Phase::Prune if step.is_multiple_of(training.prune_every) || step == training.prune_until => {
+                self.prune(moment);
+            }
+            _ => {}
+        }
+        if step == training.prune_until {
+            // Fine-tuning starts with M = 1 everywhere: closed gates go, and then the masks.
+            if let Some(mut open) = self.open_gates(moment) {
+                densify::ensure_one(&mut open, &self.cloud.opacity_logits, "closing the gates");
+                edit::keep(&open, &mut self.cloud, &mut self.adam, &mut self.stats);
+            }
+            edit::drop_extra(&mut self.cloud, &mut self.adam);
+        }
+    }
+
+    /// Asks every pruner; a Gaussian stays where all agree.
+    fn prune(&mut self, moment: &Moment) {
+        let pruners = &self.pipeline.pruners;
+        let Some(first) = pruners.first() else { return };
+        let mut keep = vec![true; self.cloud.len()];
+        for pruner in pruners {
+            let own = pruner.keep(&self.cloud, &self.stats, moment);
+            assert_eq!(own.len(), keep.len(), "a pruner answers for every Gaussian");
+            keep.iter_mut().zip(own).for_each(|(all, own)| *all &= own);
+        }
+        densify::ensure_one(&mut keep, &first.score(&self.cloud, &self.stats), "pruning");
+        edit::keep(&keep, &mut self.cloud, &mut self.adam, &mut self.stats);
+    }
+
+    /// Which gates are open; `None` where no pruner has one any more.
+    fn open_gates(&self, moment: &Moment) -> Option<Vec<bool>> {
+        if self.cloud.extra.is_empty() {
+            return None;
+        }
+        let traced = Traced::new(&self.cloud);
+        let gates = self.pipeline.pruners.iter().filter_map(|p| p.gate(&traced, moment));
+        gates.reduce(|a, b| a * b).map(|gate| gate.as_vec().into_iter().map(|m| m != 0.0).collect())
+    }
+}
+
+/// The columns that the pruners ask for, each once; none where there is no phase in which they count.
+fn specs_of(pipeline: &Pipeline) -> Vec<ColumnSpec> {
+    let mut specs: Vec<ColumnSpec> = Vec::new();
+    if pipeline.training.prune_until > 0 {
+        for spec in pipeline.pruners.iter().flat_map(|p| p.columns()) {
+            if specs.iter().all(|s| s.name != spec.name) {
+                specs.push(spec);
+            }
+        }
+    }
+    specs
+}
