@@ -1,1 +1,22 @@
-//! pwrfgs: data.
+//! What is known and how it is divided: data sources, point clouds, splits and the predictors to be beaten.
+//!
+//! * [`Nerf2Spectrum`] reads measured spectra in the NeRF2 layout, [`Teacher`] simulates some with a known answer.
+//! * [`read_points`] reads a point cloud from PLY, XYZ or CSV.
+//! * [`Official`], [`Random`], [`TimeBlock`], [`Voxel`] and [`Sparse`] divide samples; [`nearest_train_distance`] says
+//!   how far a division keeps its parts from each other.
+//! * [`MeanSpectrum`] and [`NearestNeighbours`] are scored beside every model.
+
+mod baselines;
+mod nearest;
+mod nerf2;
+mod points;
+mod splits;
+mod teacher;
+mod text;
+
+pub use baselines::{MeanSpectrum, NearestNeighbours};
+pub use nearest::{nearest_distances, nearest_train_distance};
+pub use nerf2::Nerf2Spectrum;
+pub use points::read_points;
+pub use splits::{Official, Random, Sparse, TimeBlock, Voxel};
+pub use teacher::Teacher;

@@ -1,0 +1,195 @@
+//! Predictors without Gaussians. What a model says is worth what it adds to these.
+
+use pwrfgs_core::{Baseline, Dataset, Error, Image, Predict, Real, Result};
+use serde::{Deserialize, Serialize};
+
+/// The mean of all training spectra, whatever the transmitter: the floor of every score.
+///
+/// ```
+/// # use pwrfgs_core::{Baseline, Plugin};
+/// # use pwrfgs_data as _;
+/// assert_eq!(Plugin::<dyn Baseline>::parse("MeanSpectrum()").unwrap().name(), "mean spectrum");
+/// ```
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MeanSpectrum {}
+
+#[typetag::serde]
+impl Baseline for MeanSpectrum {
+    fn name(&self) -> String {
+        "mean spectrum".into()
+    }
+
+    fn fit<'a>(&self, data: &'a Dataset, train: &[usize]) -> Result<Box<dyn Predict + 'a>> {
+        refuse_empty(train)?;
+        let weighted: Vec<(usize, f64)> = train.iter().map(|&i| (i, 1.0)).collect();
+        Ok(Box::new(Constant(weighted_mean(data, &weighted))))
+    }
+
+    fn about(&self) -> &'static str {
+        "the mean of all training spectra"
+    }
+}
+
+/// The mean of the spectra of the k nearest training transmitters, weighted by inverse distance.
+///
+/// Where the transmitter stands exactly on training transmitters, it is the mean of the spectra measured there.
+///
+/// * `k`: neighbours; 3 by default. More than there are training samples means all of them.
+///
+/// ```
+/// # use pwrfgs_core::{Baseline, Plugin};
+/// # use pwrfgs_data as _;
+/// assert_eq!(Plugin::<dyn Baseline>::parse("NearestNeighbours(k: 5)").unwrap().name(), "5-NN");
+/// assert!(Plugin::<dyn Baseline>::parse("NearestNeighbours(k: 0)").is_err());
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct NearestNeighbours {
+    /// Neighbours that are averaged, at least 1; default 3.
+    pub k: usize,
+}
+
+impl Default for NearestNeighbours {
+    fn default() -> Self {
+        Self { k: 3 }
+    }
+}
+
+#[typetag::serde]
+impl Baseline for NearestNeighbours {
+    fn name(&self) -> String {
+        format!("{}-NN", self.k)
+    }
+
+    fn fit<'a>(&self, data: &'a Dataset, train: &[usize]) -> Result<Box<dyn Predict + 'a>> {
+        refuse_empty(train)?;
+        Ok(Box::new(Lookup { data, train: train.to_vec(), k: self.k.min(train.len()) }))
+    }
+
+    fn about(&self) -> &'static str {
+        "the spectra of the k nearest training transmitters, weighted by inverse distance"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if self.k == 0 {
+            return Err("`k` is 0; use at least 1 neighbour".into());
+        }
+        Ok(())
+    }
+}
+
+fn refuse_empty(train: &[usize]) -> Result<()> {
+    if train.is_empty() {
+        return Err(Error::Config("a baseline needs at least one training sample; change the split".into()));
+    }
+    Ok(())
+}
+
+/// Always the same spectrum.
+struct Constant(Image);
+
+impl Predict for Constant {
+    fn predict(&self, _: [Real; 3]) -> Image {
+        self.0.clone()
+    }
+}
+
+/// Looks at every training transmitter: 4,000 take some microseconds.
+struct Lookup<'a> {
+    data: &'a Dataset,
+    train: Vec<usize>,
+    k: usize,
+}
+
+impl Lookup<'_> {
+    /// Samples with their weights: those at `tx` exactly, or else the k nearest. Ties go to the lower index.
+    fn neighbours(&self, tx: [Real; 3]) -> Vec<(usize, f64)> {
+        let squared = |a: &[Real; 3]| -> Real { a.iter().zip(&tx).map(|(a, b)| (a - b) * (a - b)).sum() };
+        let distance = |&i: &usize| (squared(&self.data.samples[i].tx), i);
+        let mut all: Vec<(Real, usize)> = self.train.iter().map(distance).collect();
+        let exact: Vec<(usize, f64)> = all.iter().filter(|(d, _)| *d == 0.0).map(|&(_, i)| (i, 1.0)).collect();
+        if !exact.is_empty() {
+            return exact;
+        }
+        let by_distance = |a: &(Real, usize), b: &(Real, usize)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
+        all.select_nth_unstable_by(self.k - 1, by_distance);
+        all.truncate(self.k);
+        all.sort_unstable_by(by_distance);
+        all.iter().map(|&(square, i)| (i, 1.0 / (square as f64).sqrt())).collect()
+    }
+}
+
+impl Predict for Lookup<'_> {
+    fn predict(&self, tx: [Real; 3]) -> Image {
+        weighted_mean(self.data, &self.neighbours(tx))
+    }
+}
+
+/// The mean of the samples listed, each with a positive weight.
+fn weighted_mean(data: &Dataset, weighted: &[(usize, f64)]) -> Image {
+    let mut sum = vec![0.0; data.width * data.height];
+    for &(i, weight) in weighted {
+        sum.iter_mut().zip(&data.samples[i].spectrum).for_each(|(s, &v)| *s += weight * f64::from(v));
+    }
+    let total: f64 = 255.0 * weighted.iter().map(|(_, w)| w).sum::<f64>();
+    let pixels = sum.iter().map(|s| (s / total) as Real).collect();
+    Image { width: data.width, height: data.height, pixels }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::splits::testing::{line_of_samples, samples_at};
+
+    fn predict(baseline: &dyn Baseline, data: &Dataset, train: &[usize], x: Real) -> f64 {
+        let image = baseline.fit(data, train).unwrap().predict([x, 0.0, 0.0]);
+        assert_eq!((image.width, image.height, image.pixels.len()), (1, 1, 1));
+        image.pixels[0] as f64 * 255.0
+    }
+
+    fn close(a: f64, b: f64) -> bool {
+        (a - b).abs() < 1e-4
+    }
+
+    #[test]
+    fn the_mean_spectrum_ignores_the_transmitter() {
+        let data = line_of_samples(4); // values 0, 1, 2, 3
+        assert!(close(predict(&MeanSpectrum {}, &data, &[1, 3], 100.0), 2.0));
+    }
+
+    #[test]
+    fn neighbours_are_weighted_by_inverse_distance() {
+        let data = line_of_samples(10);
+        assert!(close(predict(&NearestNeighbours { k: 1 }, &data, &[0, 4, 9], 5.0), 4.0));
+        assert!(close(
+            predict(&NearestNeighbours { k: 2 }, &data, &[0, 4, 9], 6.0),
+            (4.0 / 2.0 + 9.0 / 3.0) / (1.0 / 2.0 + 1.0 / 3.0)
+        ));
+        // More neighbours than samples: all of them.
+        let all = predict(&NearestNeighbours { k: 99 }, &data, &[4, 9], 6.0);
+        assert!(close(all, (4.0 / 2.0 + 9.0 / 3.0) / (1.0 / 2.0 + 1.0 / 3.0)));
+    }
+
+    #[test]
+    fn an_exact_hit_returns_what_was_measured_there() {
+        let data = samples_at(&[[0.0; 3], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]);
+        assert!(close(predict(&NearestNeighbours { k: 1 }, &data, &[0, 1, 2, 3], 1.0), 1.5));
+        assert!(close(predict(&NearestNeighbours { k: 3 }, &data, &[0, 1, 3], 1.0), 1.0));
+    }
+
+    #[test]
+    fn a_tie_goes_to_the_lower_index() {
+        let data = line_of_samples(3);
+        assert!(close(predict(&NearestNeighbours { k: 1 }, &data, &[2, 0], 1.0), 0.0));
+    }
+
+    #[test]
+    fn nothing_to_learn_from_is_an_error() {
+        let data = line_of_samples(3);
+        for baseline in [&MeanSpectrum {} as &dyn Baseline, &NearestNeighbours::default()] {
+            let message = baseline.fit(&data, &[]).err().unwrap().to_string();
+            assert_eq!(message, "a baseline needs at least one training sample; change the split");
+        }
+    }
+}

@@ -1,0 +1,136 @@
+//! `Nerf2Spectrum`: measured spectra in the folder layout of NeRF2, as found in the wild.
+
+mod gateway;
+mod index;
+mod pictures;
+#[cfg(test)]
+mod tests;
+
+use crate::{
+    read_points,
+    text::{XyzColumns, lines, read_text, split_commas},
+};
+pub(crate) use gateway::orientation_fault;
+use pwrfgs_core::{DataSource, Dataset, Error, Real, Result, Sample, Scene};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+const LAYOUT: &str = "a NeRF2 folder holds gateway_info.yml, tx_pos.csv and spectrum/00001.png ..";
+
+/// Measured spatial spectra in the layout of NeRF2 (Zhao et al., 2023).
+///
+/// ```text
+/// root/gateway_info.yml    gateway1: {position: [x, y, z], orientation: [x, y, z, w]}; metres, unit quaternion
+/// root/tx_pos.csv          header naming x, y, z among others; row k, counted from 1, is the transmitter of id k
+/// root/spectrum/00001.png  8-bit grey, one channel, all of one size; a row is an elevation, a column an azimuth
+/// root/train_index.txt     ids, one a line; this file and
+/// root/test_index.txt      this one come together or not at all
+/// ```
+///
+/// The samples are the ids that have a row and a picture; others must not be named by an index file. Lines may end in
+/// LF or CRLF, ids may be zero-padded. Pictures stay 8-bit in memory and decide the size of the image plane.
+///
+/// * `root`: the folder, `data/s23` by default; relative to the pipeline file.
+/// * `points`: a point cloud of the room ([`read_points`]), none by default; relative to the pipeline file.
+///
+/// ```
+/// # use pwrfgs_core::{DataSource, Plugin};
+/// # use pwrfgs_data as _;
+/// let data = Plugin::<dyn DataSource>::parse(r#"Nerf2Spectrum(root: "data/s23", points: "room.ply")"#);
+/// assert!(data.is_ok());
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Nerf2Spectrum {
+    /// The folder; default `data/s23`.
+    pub root: PathBuf,
+    /// Point cloud of the room (PLY, XYZ or CSV, metres, world frame); default none.
+    pub points: Option<PathBuf>,
+}
+
+impl Default for Nerf2Spectrum {
+    fn default() -> Self {
+        Self { root: "data/s23".into(), points: None }
+    }
+}
+
+#[typetag::serde]
+impl DataSource for Nerf2Spectrum {
+    fn load(&self, base: &Path) -> Result<Dataset> {
+        let root = base.join(&self.root);
+        if !root.is_dir() {
+            return Err(Error::input(&root, format!("no such folder; set `root` of Nerf2Spectrum ({LAYOUT})")));
+        }
+        let gateway = gateway::read(&root.join("gateway_info.yml"), LAYOUT)?;
+        let positions = read_transmitters(&root.join("tx_pos.csv"))?;
+        let files = pictures::list(&root.join("spectrum"), LAYOUT)?;
+        let known_pictures = files.keys().copied().collect();
+        let ids: Vec<u32> = files.keys().copied().filter(|&id| id as usize <= positions.len()).collect();
+        let known = index::Known { rows: positions.len(), pictures: &known_pictures, samples: &ids };
+        let official = index::read(&root, &known)?;
+        if ids.is_empty() {
+            let what = format!("no picture belongs to a row of tx_pos.csv; {LAYOUT}");
+            return Err(Error::input(&root.join("spectrum"), what));
+        }
+        if ids.len() < files.len() {
+            tracing::warn!(
+                "{} pictures of {} have no row in tx_pos.csv and are left out",
+                files.len() - ids.len(),
+                root.display()
+            );
+        }
+        let points = self.points.as_ref().map_or(Ok(Vec::new()), |points| read_points(&base.join(points)))?;
+        let paths: Vec<&Path> = ids.iter().map(|id| files[id].as_path()).collect();
+        let pictures::Pictures { width, height, bytes } = pictures::load(&paths)?;
+        let to_sample = |(&id, spectrum)| Sample { id, tx: positions[id as usize - 1], spectrum };
+        let samples: Vec<Sample> = ids.iter().zip(bytes).map(to_sample).collect();
+        let receiver = gateway.pose;
+        let known_places = samples.iter().map(|s| s.tx).chain(points.iter().copied());
+        let bounds = Dataset::bounds_of(known_places.chain([receiver.position.map(|v| v as Real)]));
+        let title = title(gateway.name, &root);
+        Ok(Dataset { title, scene: Scene { receiver, bounds, points }, width, height, samples, official })
+    }
+
+    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {
+        Some(Box::new(Self { root: absolute(&self.root), points: self.points.as_deref().map(absolute) }))
+    }
+
+    fn about(&self) -> &'static str {
+        "measured spectra in the NeRF2 folder layout"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if self.root.as_os_str().is_empty() {
+            return Err("`root` is empty; name the folder of the data set, or `.` for this one".into());
+        }
+        Ok(())
+    }
+}
+
+/// What a person should call it. A data set that calls itself simulated is not called measured.
+fn title(name: Option<String>, root: &Path) -> String {
+    let folder = || root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
+    let name = name.unwrap_or_else(folder);
+    if name.to_lowercase().contains("simulated") {
+        format!("{name} (NeRF2 layout)")
+    } else {
+        format!("{name} (measured, NeRF2 layout)")
+    }
+}
+
+/// `tx_pos.csv`: transmitter positions `[rows,3]`, metres.
+fn read_transmitters(path: &Path) -> Result<Vec<[Real; 3]>> {
+    let text = read_text(path, LAYOUT)?;
+    let mut rows = lines(&text);
+    let Some((line, header)) = rows.next() else {
+        return Err(Error::input(path, "is empty; write a header x,y,z and one row a sample, in metres"));
+    };
+    let columns = XyzColumns::from_header(path, line, &split_commas(header))?;
+    let positions = rows
+        .map(|(line, row)| columns.read(path, line, &split_commas(row), "give every row x, y and z in metres"))
+        .collect::<Result<Vec<_>>>()?;
+    if positions.is_empty() {
+        return Err(Error::input(path, "has a header but no row; write one row a sample, in metres"));
+    }
+    Ok(positions)
+}

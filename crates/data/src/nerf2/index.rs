@@ -1,0 +1,96 @@
+//! `train_index.txt` and `test_index.txt`: which ids serve what, one a line, zero-padded or not.
+
+use crate::text::{Field, lines, read_text, split_blanks};
+use pwrfgs_core::{Error, Result};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::Path,
+};
+
+/// What is known of the ids of a data set.
+pub(crate) struct Known<'a> {
+    /// Rows of `tx_pos.csv`: ids are 1 to this.
+    pub(crate) rows: usize,
+    /// Ids that have a picture.
+    pub(crate) pictures: &'a BTreeSet<u32>,
+    /// Ids that have both, sorted: the samples.
+    pub(crate) samples: &'a [u32],
+}
+
+/// The two lists as indices into the samples, sorted; `None` where neither file exists.
+pub(crate) fn read(root: &Path, known: &Known<'_>) -> Result<Option<(Vec<usize>, Vec<usize>)>> {
+    let [train, test] = ["train_index.txt", "test_index.txt"].map(|name| root.join(name));
+    match (train.exists(), test.exists()) {
+        (false, false) => Ok(None),
+        (true, true) => {
+            let mut seen = BTreeMap::new();
+            let train = read_list(&train, known, &mut seen)?;
+            Ok(Some((train, read_list(&test, known, &mut seen)?)))
+        }
+        (has_train, _) => {
+            let (here, missing) = if has_train { (train, "test_index.txt") } else { (test, "train_index.txt") };
+            let what =
+                format!("this file comes without {missing}; give both or neither (then use a split such as Random())");
+            Err(Error::input(&here, what))
+        }
+    }
+}
+
+/// One file; `seen` says where an id was named before.
+fn read_list(path: &Path, known: &Known<'_>, seen: &mut BTreeMap<u32, String>) -> Result<Vec<usize>> {
+    let text = read_text(path, "give both index files or neither")?;
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let mut list = Vec::new();
+    for (line, content) in lines(&text) {
+        for field in split_blanks(content) {
+            let id = id(path, line, field)?;
+            list.push(sample(known, id).map_err(|what| Error::at(path, line, field.column, what))?);
+            if let Some(before) = seen.insert(id, format!("{name}, line {line}")) {
+                let what = format!(
+                    "id {id} was already named in {before}; a sample serves one purpose: remove one of the two"
+                );
+                return Err(Error::at(path, line, field.column, what));
+            }
+        }
+    }
+    if list.is_empty() {
+        return Err(Error::input(path, "names no sample; list at least one id, or remove both index files"));
+    }
+    list.sort_unstable();
+    Ok(list)
+}
+
+fn id(path: &Path, line: usize, field: Field<'_>) -> Result<u32> {
+    let fault = || {
+        Error::at(
+            path,
+            line,
+            field.column,
+            format!("`{}` is not a sample id; write one a line, such as 00001", field.text),
+        )
+    };
+    let id: u32 = field.text.parse().ok().ok_or_else(fault)?;
+    if id == 0 {
+        return Err(Error::at(
+            path,
+            line,
+            field.column,
+            "there is no id 0; ids count from 1, the first row of tx_pos.csv",
+        ));
+    }
+    Ok(id)
+}
+
+/// Index of an id among the samples.
+fn sample(known: &Known<'_>, id: u32) -> Result<usize, String> {
+    if id as usize > known.rows {
+        return Err(format!(
+            "id {id} has no row in tx_pos.csv, which has {}; add the row or remove the id",
+            known.rows
+        ));
+    }
+    if !known.pictures.contains(&id) {
+        return Err(format!("id {id} has no picture spectrum/{id:05}.png; add the picture or remove the id"));
+    }
+    Ok(known.samples.binary_search(&id).expect("an id with a row and a picture is a sample"))
+}

@@ -1,0 +1,105 @@
+//! `spectrum/NNNNN.png`: 8-bit grey pictures, all of one size, decoded in parallel.
+
+use crate::text::{read_bytes, unreadable};
+use image::{ColorType, ExtendedColorType, ImageDecoder, ImageError, codecs::png::PngDecoder};
+use pwrfgs_core::{Error, Result};
+use rayon::prelude::*;
+use std::{
+    collections::BTreeMap,
+    io::Cursor,
+    path::{Path, PathBuf},
+};
+
+/// Largest picture that is read, pixels: a header may promise more than memory holds.
+const MAX_PIXELS: u64 = 1 << 24;
+const SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
+
+/// Pictures of one size, row-major 8-bit grey.
+#[derive(Debug)]
+pub(crate) struct Pictures {
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    pub(crate) bytes: Vec<Vec<u8>>,
+}
+
+/// The pictures in a folder by id: files whose name is a number and ends in `.png`; others are left alone.
+pub(crate) fn list(folder: &Path, advice: &str) -> Result<BTreeMap<u32, PathBuf>> {
+    let mut found = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).map_err(|e| unreadable(folder, e, "folder", advice))? {
+        let path = entry.map_err(|e| Error::read(folder, e))?.path();
+        let Some(id) = id_of(&path) else { continue };
+        if id == 0 {
+            return Err(Error::input(&path, "there is no id 0; ids count from 1, so number the pictures from 00001"));
+        }
+        if let Some(other) = found.insert(id, path.clone()) {
+            // The folder comes in no particular order; the message does not depend on it.
+            let (first, second) = if other < path { (other, path) } else { (path, other) };
+            let name = first.file_name().unwrap_or_default().to_string_lossy();
+            return Err(Error::input(&second, format!("{name} is id {id} as well; remove one of the two")));
+        }
+    }
+    Ok(found)
+}
+
+fn id_of(path: &Path) -> Option<u32> {
+    let stem = path.file_stem()?.to_str()?;
+    let is_png = path.extension()?.eq_ignore_ascii_case("png");
+    (is_png && stem.bytes().all(|b| b.is_ascii_digit())).then(|| stem.parse().ok())?
+}
+
+/// Decodes all; the first gives the size. The message is about the first bad file in the given order.
+pub(crate) fn load(files: &[&Path]) -> Result<Pictures> {
+    let Some(first) = files.first() else { return Ok(Pictures { width: 0, height: 0, bytes: Vec::new() }) };
+    let (width, height, bytes) = decode(first)?;
+    let name = first.file_name().unwrap_or_default().to_string_lossy();
+    let decode_like_first = |path: &&Path| {
+        let (w, h, bytes) = decode(path)?;
+        if (w, h) == (width, height) {
+            return Ok(bytes);
+        }
+        let what = format!("is {w} x {h} pixels, but {name} is {width} x {height}; all pictures must have one size");
+        Err(Error::input(path, what))
+    };
+    // Results first, so that which error is told does not depend on the threads.
+    let rest: Vec<Result<Vec<u8>>> = files[1..].par_iter().map(decode_like_first).collect();
+    let bytes = std::iter::once(Ok(bytes)).chain(rest).collect::<Result<_>>()?;
+    Ok(Pictures { width, height, bytes })
+}
+
+/// Width, height and grey values of one picture.
+fn decode(path: &Path) -> Result<(usize, usize, Vec<u8>)> {
+    let file = read_bytes(path, "add the picture")?;
+    if !file.starts_with(&SIGNATURE[..SIGNATURE.len().min(file.len()).max(1)]) {
+        return Err(Error::input(path, "is not a PNG picture; save the spectrum as 8-bit grey PNG"));
+    }
+    let damaged = |e: ImageError| {
+        let words = e.to_string();
+        Error::input(
+            path,
+            format!("is cut short or damaged ({}); copy it anew", words.lines().next().unwrap_or_default()),
+        )
+    };
+    let decoder = PngDecoder::new(Cursor::new(file)).map_err(damaged)?;
+    if decoder.original_color_type() != ExtendedColorType::L8 || decoder.color_type() != ColorType::L8 {
+        let kind = kind(decoder.original_color_type());
+        return Err(Error::input(path, format!("is {kind}; a spectrum is 8-bit grey with one channel: convert it")));
+    }
+    let (width, height) = decoder.dimensions();
+    if u64::from(width) * u64::from(height) > MAX_PIXELS {
+        let what = format!("is {width} x {height} pixels, more than {MAX_PIXELS} in all; make it smaller");
+        return Err(Error::input(path, what));
+    }
+    let mut bytes = vec![0; width as usize * height as usize];
+    decoder.read_image(&mut bytes).map_err(damaged)?;
+    Ok((width as usize, height as usize, bytes))
+}
+
+/// A colour type in words.
+fn kind(color: ExtendedColorType) -> String {
+    let bits = color.bits_per_pixel() / u16::from(color.channel_count());
+    match color.channel_count() {
+        1 => format!("{bits}-bit grey"),
+        2 => format!("{bits}-bit grey with transparency"),
+        _ => format!("a {bits}-bit colour picture"),
+    }
+}

@@ -1,0 +1,295 @@
+//! A small folder in the NeRF2 layout, and what is said when something in it is wrong.
+
+use super::*;
+use image::{ColorType, ExtendedColorType, ImageBuffer, Luma};
+use pwrfgs_core::Plugin;
+use std::fs;
+
+const WIDTH: u32 = 8;
+const HEIGHT: u32 = 3;
+
+/// Four rows; pictures 1, 2 and 3; 1 and 3 are training samples, 2 is a test sample.
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        let folder = Self(tempfile::tempdir().unwrap());
+        fs::create_dir_all(folder.path("s/spectrum")).unwrap();
+        folder.write("s/gateway_info.yml", "gateway1:\n  position: [5.0, 0.26, 0]\n  orientation: [0, 0, 0, 1]\n");
+        folder.write("s/tx_pos.csv", "x,y,z\n1,2,3\n4,5,6\n7,8,9\n1,1,1\n");
+        folder.write("s/train_index.txt", "00003\n00001\n");
+        folder.write("s/test_index.txt", "00002\n");
+        (1..=3).for_each(|id| folder.grey(&format!("{id:05}"), WIDTH, HEIGHT, id));
+        folder
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn write(&self, name: &str, text: impl AsRef<[u8]>) {
+        fs::write(self.path(name), text).unwrap();
+    }
+
+    fn grey(&self, stem: &str, width: u32, height: u32, value: u8) {
+        let picture = ImageBuffer::from_fn(width, height, |x, y| Luma([value + (x + 10 * y) as u8]));
+        picture.save(self.path(&format!("s/spectrum/{stem}.png"))).unwrap();
+    }
+
+    fn remove(&self, name: &str) {
+        fs::remove_file(self.path(name)).unwrap();
+    }
+
+    fn source() -> Nerf2Spectrum {
+        Nerf2Spectrum { root: "s".into(), points: None }
+    }
+
+    fn load(&self) -> Dataset {
+        Self::source().load(self.0.path()).unwrap()
+    }
+
+    /// The message, with the folder's own path as `DIR`.
+    fn fault(&self) -> String {
+        let error = Self::source().load(self.0.path()).unwrap_err();
+        assert!(error.is_input());
+        error.to_string().replace(&self.0.path().display().to_string(), "DIR")
+    }
+}
+
+#[test]
+fn a_good_folder_is_read() {
+    let folder = Folder::new();
+    let data = folder.load();
+    assert_eq!(data.title, "s (measured, NeRF2 layout)");
+    assert_eq!((data.width, data.height), (8, 3));
+    assert_eq!(
+        data.samples.iter().map(|s| (s.id, s.tx)).collect::<Vec<_>>(),
+        [(1, [1.0, 2.0, 3.0]), (2, [4.0, 5.0, 6.0]), (3, [7.0, 8.0, 9.0])]
+    );
+    assert_eq!(data.samples[1].spectrum[..3], [2, 3, 4]);
+    assert_eq!(data.samples[1].spectrum[8], 12);
+    assert_eq!(data.official, Some((vec![0, 2], vec![1])));
+    assert_eq!(data.scene.receiver.position, [5.0, 0.26, 0.0]);
+    assert_eq!(data.scene.bounds, ([1.0, 0.26, 0.0], [7.0, 8.0, 9.0]));
+}
+
+#[test]
+fn variations_found_in_the_wild_read_the_same() {
+    let folder = Folder::new();
+    let plain = folder.load();
+    folder.write("s/tx_pos.csv", "\u{feff}time, Z,Y ,X\r\n0,3,2,1\r\n1,6,5,4\r\n2,9,8,7\r\n3,1,1,1\r\n\r\n");
+    folder.write("s/train_index.txt", "1\r\n3\r\n");
+    folder.write("s/test_index.txt", "2");
+    folder.write("s/spectrum/notes.txt", "not a picture");
+    folder.write(
+        "s/gateway_info.yml",
+        "dataset_name: s\ngateway1: {position: [5, 0.26, 0.0], orientation: [0, 0, 0, 1.0]}\n",
+    );
+    let varied = folder.load();
+    assert_eq!(format!("{:?}", plain.samples), format!("{:?}", varied.samples));
+    assert_eq!(plain.official, varied.official);
+    assert_eq!(plain.title, varied.title);
+}
+
+#[test]
+fn index_files_may_be_absent_and_pictures_without_a_row_are_left_out() {
+    let folder = Folder::new();
+    folder.remove("s/train_index.txt");
+    folder.remove("s/test_index.txt");
+    folder.grey("00009", WIDTH, HEIGHT, 0);
+    let data = folder.load();
+    assert_eq!(data.official, None);
+    assert_eq!(data.samples.len(), 3);
+}
+
+#[test]
+fn points_widen_the_bounds() {
+    let folder = Folder::new();
+    folder.write("room.xyz", "-1 0 0\n0 20 0\n");
+    let source = Nerf2Spectrum { points: Some("room.xyz".into()), ..Folder::source() };
+    let data = source.load(folder.0.path()).unwrap();
+    assert_eq!(data.scene.points.len(), 2);
+    assert_eq!(data.scene.bounds, ([-1.0, 0.0, 0.0], [7.0, 20.0, 9.0]));
+}
+
+#[test]
+fn paths_move_with_the_pipeline() {
+    let source = Plugin::<dyn DataSource>::parse(r#"Nerf2Spectrum(root: "a", points: "b.ply")"#).unwrap();
+    let moved = source.rebased(&|path| Path::new("base").join(path)).unwrap();
+    assert_eq!(format!("{moved:?}"), r#"Nerf2Spectrum { root: "base/a", points: Some("base/b.ply") }"#);
+}
+
+#[test]
+fn a_missing_file_is_named() {
+    let of = |name: &str| {
+        let folder = Folder::new();
+        folder.remove(name);
+        folder.fault()
+    };
+    assert_eq!(of("s/gateway_info.yml"), format!("cannot read DIR/s/gateway_info.yml: no such file; {LAYOUT}"));
+    assert_eq!(of("s/tx_pos.csv"), format!("cannot read DIR/s/tx_pos.csv: no such file; {LAYOUT}"));
+    assert_eq!(
+        of("s/train_index.txt"),
+        "DIR/s/test_index.txt: this file comes without train_index.txt; give both or neither (then use a split such as Random())"
+    );
+    assert_eq!(
+        of("s/test_index.txt"),
+        "DIR/s/train_index.txt: this file comes without test_index.txt; give both or neither (then use a split such as Random())"
+    );
+    assert_eq!(
+        of("s/spectrum/00003.png"),
+        "DIR/s/train_index.txt:1:1: id 3 has no picture spectrum/00003.png; add the picture or remove the id"
+    );
+    let folder = Folder::new();
+    fs::rename(folder.path("s"), folder.path("t")).unwrap();
+    assert_eq!(folder.fault(), format!("DIR/s: no such folder; set `root` of Nerf2Spectrum ({LAYOUT})"));
+    let folder = Folder::new();
+    fs::rename(folder.path("s/spectrum"), folder.path("s/spectra")).unwrap();
+    assert_eq!(folder.fault(), format!("cannot read DIR/s/spectrum: no such folder; {LAYOUT}"));
+}
+
+#[test]
+fn mistakes_in_tx_pos_are_told_with_line_and_column() {
+    let advice = "give every row x, y and z in metres";
+    let cases: [(&str, String); 9] = [
+        ("", ": is empty; write a header x,y,z and one row a sample, in metres".into()),
+        ("x,y,z\n", ": has a header but no row; write one row a sample, in metres".into()),
+        ("x,y\n1,2\n", ":1:1: no column `z`; the first line must name the columns x, y and z".into()),
+        ("1,2,3\n", ":1:1: no column `x`; the first line must name the columns x, y and z".into()),
+        ("x,y,z\n1,2,3\n4,5\n", format!(":3:4: the row ends after 2 of the 3 columns that `z` needs; {advice}")),
+        ("x,y,z\r\n1,nan,3\r\n", format!(":2:3: `nan` is not finite; {advice}")),
+        ("x,y,z\n1,2, -inf\n", format!(":2:6: `-inf` is not finite; {advice}")),
+        ("x,y,z\n1,2,three\n", format!(":2:5: `three` is not a number; {advice}")),
+        ("x,y,z\n1,,3\n", format!(":2:3: `` is not a number; {advice}")),
+    ];
+    for (text, message) in cases {
+        let folder = Folder::new();
+        folder.write("s/tx_pos.csv", text);
+        assert_eq!(folder.fault(), format!("DIR/s/tx_pos.csv{message}"));
+    }
+}
+
+#[test]
+fn mistakes_in_index_files_are_told_with_line_and_column() {
+    let cases = [
+        ("00001\n0\n", "train_index.txt:2:1: there is no id 0; ids count from 1, the first row of tx_pos.csv"),
+        ("1\n\n 5\n", "train_index.txt:3:2: id 5 has no row in tx_pos.csv, which has 4; add the row or remove the id"),
+        ("4\n", "train_index.txt:1:1: id 4 has no picture spectrum/00004.png; add the picture or remove the id"),
+        ("a.png\n", "train_index.txt:1:1: `a.png` is not a sample id; write one a line, such as 00001"),
+        ("-1\n", "train_index.txt:1:1: `-1` is not a sample id; write one a line, such as 00001"),
+        (
+            "1\n00001\n",
+            "train_index.txt:2:1: id 1 was already named in train_index.txt, line 1; a sample serves one purpose: remove one of the two",
+        ),
+        (
+            "1\n3\n2\n",
+            "test_index.txt:1:1: id 2 was already named in train_index.txt, line 3; a sample serves one purpose: remove one of the two",
+        ),
+        ("\r\n", "train_index.txt: names no sample; list at least one id, or remove both index files"),
+    ];
+    for (text, message) in cases {
+        let folder = Folder::new();
+        folder.write("s/train_index.txt", text);
+        assert_eq!(folder.fault(), format!("DIR/s/{message}"));
+    }
+    let folder = Folder::new();
+    folder.write("s/test_index.txt", "");
+    assert_eq!(
+        folder.fault(),
+        "DIR/s/test_index.txt: names no sample; list at least one id, or remove both index files"
+    );
+}
+
+#[test]
+fn bad_pictures_are_named_and_described() {
+    let save = |folder: &Folder, bytes: &[u8], color: ExtendedColorType| {
+        image::save_buffer(folder.path("s/spectrum/00002.png"), bytes, WIDTH, HEIGHT, color).unwrap();
+        folder.fault()
+    };
+    let pixels = (WIDTH * HEIGHT) as usize;
+    let grey = "a spectrum is 8-bit grey with one channel: convert it";
+    for (color, kind) in [
+        (ColorType::L16, "16-bit grey"),
+        (ColorType::La8, "8-bit grey with transparency"),
+        (ColorType::Rgb8, "a 8-bit colour picture"),
+        (ColorType::Rgba16, "a 16-bit colour picture"),
+    ] {
+        let message = save(&Folder::new(), &vec![0; pixels * usize::from(color.bytes_per_pixel())], color.into());
+        assert_eq!(message, format!("DIR/s/spectrum/00002.png: is {kind}; {grey}"));
+    }
+    let folder = Folder::new();
+    folder.grey("00002", HEIGHT, WIDTH, 0);
+    assert_eq!(
+        folder.fault(),
+        "DIR/s/spectrum/00002.png: is 3 x 8 pixels, but 00001.png is 8 x 3; all pictures must have one size"
+    );
+    for text in ["GIF89a", "", "hello, I am text"] {
+        let folder = Folder::new();
+        folder.write("s/spectrum/00002.png", text);
+        assert_eq!(
+            folder.fault(),
+            "DIR/s/spectrum/00002.png: is not a PNG picture; save the spectrum as 8-bit grey PNG"
+        );
+    }
+}
+
+#[test]
+fn a_truncated_or_damaged_picture_is_an_error() {
+    let folder = Folder::new();
+    let whole = fs::read(folder.path("s/spectrum/00002.png")).unwrap();
+    let end_of_data = whole.len() - 12; // the last chunk, IEND, adds nothing
+    for length in 8..end_of_data {
+        folder.write("s/spectrum/00002.png", &whole[..length]);
+        let message = folder.fault();
+        assert!(message.starts_with("DIR/s/spectrum/00002.png: is cut short or damaged ("), "{length}: {message}");
+        assert!(message.ends_with("; copy it anew"), "{message}");
+    }
+    let mut flipped = whole;
+    flipped[end_of_data - 6] ^= 0xff;
+    folder.write("s/spectrum/00002.png", flipped);
+    assert!(folder.fault().contains("is cut short or damaged ("));
+}
+
+#[test]
+fn ids_of_pictures_are_unique_and_count_from_one() {
+    let folder = Folder::new();
+    folder.grey("2", WIDTH, HEIGHT, 0);
+    assert_eq!(folder.fault(), "DIR/s/spectrum/2.png: 00002.png is id 2 as well; remove one of the two");
+    let folder = Folder::new();
+    folder.grey("00000", WIDTH, HEIGHT, 0);
+    assert_eq!(
+        folder.fault(),
+        "DIR/s/spectrum/00000.png: there is no id 0; ids count from 1, so number the pictures from 00001"
+    );
+}
+
+#[test]
+fn a_folder_without_pictures_is_an_error() {
+    let folder = Folder::new();
+    (1..=3).for_each(|id| folder.remove(&format!("s/spectrum/{id:05}.png")));
+    folder.remove("s/train_index.txt");
+    folder.remove("s/test_index.txt");
+    assert_eq!(folder.fault(), format!("DIR/s/spectrum: no picture belongs to a row of tx_pos.csv; {LAYOUT}"));
+}
+
+/// The measured spectra, where they are at hand.
+#[test]
+fn the_measured_spectra_are_read() {
+    let shared = std::env::var("PWRFGS_SHARED")
+        .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared").into());
+    let root = Path::new(&shared).join("data/s23");
+    if !root.is_dir() {
+        println!("skipped: no measured spectra here; set PWRFGS_SHARED");
+        return;
+    }
+    let start = std::time::Instant::now();
+    let data = Nerf2Spectrum { root, points: None }.load(Path::new(".")).unwrap();
+    println!("{} spectra in {:.2} s", data.samples.len(), start.elapsed().as_secs_f64());
+    assert_eq!(data.title, "s23 (measured, NeRF2 layout)");
+    assert_eq!((data.width, data.height, data.samples.len()), (360, 90, 4898));
+    assert_eq!((data.samples[0].id, data.samples[0].tx), (1, [-0.327, -0.583, 1.019]));
+    assert_eq!(data.samples[4897].id, 6123);
+    let (train, test) = data.official.unwrap();
+    assert_eq!((train.len(), test.len()), (3918, 980));
+    assert!(data.samples.iter().all(|s| s.spectrum.contains(&0) && s.spectrum.contains(&255)));
+}

@@ -1,0 +1,191 @@
+//! The header of a PLY file: encoding, elements and their properties.
+
+use crate::text::{Field, split_blanks};
+use pwrfgs_core::{Error, Result};
+use std::path::Path;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Encoding {
+    Ascii,
+    Little,
+    Big,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Scalar {
+    I8,
+    U8,
+    I16,
+    U16,
+    I32,
+    U32,
+    F32,
+    F64,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Kind {
+    Scalar(Scalar),
+    List { length: Scalar, item: Scalar },
+}
+
+#[derive(Debug)]
+pub(super) struct Property {
+    name: String,
+    pub(super) kind: Kind,
+}
+
+#[derive(Debug)]
+pub(super) struct Element {
+    pub(super) name: String,
+    pub(super) count: usize,
+    pub(super) properties: Vec<Property>,
+    line: usize,
+}
+
+#[derive(Debug)]
+pub(super) struct Header {
+    pub(super) encoding: Encoding,
+    pub(super) elements: Vec<Element>,
+    /// Which element is `vertex`, and which of its properties are x, y and z.
+    pub(super) vertex: usize,
+    pub(super) xyz: [usize; 3],
+    /// Length of the header, in bytes and lines.
+    pub(super) bytes: usize,
+    pub(super) lines: usize,
+}
+
+impl Scalar {
+    fn named(name: &str) -> Option<Self> {
+        Some(match name {
+            "char" | "int8" => Self::I8,
+            "uchar" | "uint8" => Self::U8,
+            "short" | "int16" => Self::I16,
+            "ushort" | "uint16" => Self::U16,
+            "int" | "int32" => Self::I32,
+            "uint" | "uint32" => Self::U32,
+            "float" | "float32" => Self::F32,
+            "double" | "float64" => Self::F64,
+            _ => return None,
+        })
+    }
+
+    pub(super) fn size(self) -> usize {
+        match self {
+            Self::I8 | Self::U8 => 1,
+            Self::I16 | Self::U16 => 2,
+            Self::I32 | Self::U32 | Self::F32 => 4,
+            Self::F64 => 8,
+        }
+    }
+
+    /// The number in `raw`, which is [`Self::size`] bytes long.
+    pub(super) fn value(self, raw: &[u8], is_big: bool) -> f64 {
+        let mut bytes = [0; 8];
+        bytes[..raw.len()].copy_from_slice(raw);
+        if is_big {
+            bytes[..raw.len()].reverse();
+        }
+        let [a, b, c, d, ..] = bytes;
+        match self {
+            Self::I8 => f64::from(i8::from_le_bytes([a])),
+            Self::U8 => f64::from(a),
+            Self::I16 => f64::from(i16::from_le_bytes([a, b])),
+            Self::U16 => f64::from(u16::from_le_bytes([a, b])),
+            Self::I32 => f64::from(i32::from_le_bytes([a, b, c, d])),
+            Self::U32 => f64::from(u32::from_le_bytes([a, b, c, d])),
+            Self::F32 => f64::from(f32::from_le_bytes([a, b, c, d])),
+            Self::F64 => f64::from_le_bytes(bytes),
+        }
+    }
+}
+
+impl Header {
+    /// Reads up to and including `end_header`.
+    pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<Self> {
+        let (mut encoding, mut elements) = (None, Vec::new());
+        let (mut start, mut line) = (0, 0);
+        loop {
+            let Some(length) = bytes[start..].iter().position(|&b| b == b'\n') else {
+                let what = if bytes.starts_with(b"ply") { UNENDED } else { NOT_PLY };
+                return Err(Error::input(path, what));
+            };
+            let text = String::from_utf8_lossy(&bytes[start..start + length]);
+            start += length + 1;
+            line += 1;
+            let fields = split_blanks(&text);
+            let words: Vec<&str> = fields.iter().map(|f| f.text).collect();
+            let fault = |field: usize, what: &str| fault(path, line, fields[field], what);
+            match (line, words.as_slice()) {
+                (1, ["ply"]) | (2.., [] | ["comment" | "obj_info", ..]) => {}
+                (1, _) => return Err(Error::at(path, 1, 1, NOT_PLY)),
+                (_, ["format", name, ..]) => {
+                    encoding = Some(Encoding::named(name).ok_or_else(|| fault(1, FORMATS))?);
+                }
+                (_, ["element", name, count]) => {
+                    let count = count.parse().ok().ok_or_else(|| fault(2, "is not a count; write a whole number"))?;
+                    elements.push(Element { name: (*name).to_owned(), count, properties: Vec::new(), line });
+                }
+                (_, ["property", ..]) => {
+                    let element: &mut Element = elements.last_mut().ok_or_else(|| fault(0, UNOWNED))?;
+                    element.properties.push(property(path, line, &fields)?);
+                }
+                (_, ["end_header"]) => break,
+                _ => return Err(fault(0, "is not understood in a PLY header; remove or correct the line")),
+            }
+        }
+        let encoding = encoding.ok_or_else(|| Error::input(path, UNFORMATTED))?;
+        let (vertex, xyz) = vertex(path, &elements)?;
+        Ok(Self { encoding, elements, vertex, xyz, bytes: start, lines: line })
+    }
+}
+
+const UNENDED: &str = "the header has no end_header; copy the file anew";
+const UNOWNED: &str = "stands before any element; write an `element` line first";
+const UNFORMATTED: &str = "has no `format` line; write `format ascii 1.0` or a binary one";
+const NOT_PLY: &str = "is not a PLY file, which begins with the line `ply`; check the file or its extension";
+const FORMATS: &str = "is no format; use ascii, binary_little_endian or binary_big_endian";
+const TYPES: &str = "is no type; use char, uchar, short, ushort, int, uint, float or double";
+
+impl Encoding {
+    fn named(name: &str) -> Option<Self> {
+        match name {
+            "ascii" => Some(Self::Ascii),
+            "binary_little_endian" => Some(Self::Little),
+            "binary_big_endian" => Some(Self::Big),
+            _ => None,
+        }
+    }
+}
+
+/// A complaint about one word of the header.
+fn fault(path: &Path, line: usize, field: Field<'_>, what: &str) -> Error {
+    Error::at(path, line, field.column, format!("`{}` {what}", field.text))
+}
+
+/// `property TYPE NAME` or `property list TYPE TYPE NAME`.
+fn property(path: &Path, line: usize, fields: &[Field<'_>]) -> Result<Property> {
+    let scalar = |i: usize| Scalar::named(fields[i].text).ok_or_else(|| fault(path, line, fields[i], TYPES));
+    let (kind, name) = match fields.len() {
+        3 => (Kind::Scalar(scalar(1)?), fields[2]),
+        5 if fields[1].text == "list" => (Kind::List { length: scalar(2)?, item: scalar(3)? }, fields[4]),
+        _ => return Err(fault(path, line, fields[0], "needs a type and a name; write `property float x`")),
+    };
+    Ok(Property { name: name.text.to_owned(), kind })
+}
+
+/// Which element is `vertex`, and where its x, y and z are.
+fn vertex(path: &Path, elements: &[Element]) -> Result<(usize, [usize; 3])> {
+    let Some(vertex) = elements.iter().position(|e| e.name == "vertex") else {
+        return Err(Error::input(path, "has no element `vertex`; export the cloud with its points"));
+    };
+    let mut xyz = [0; 3];
+    for (place, name) in xyz.iter_mut().zip(["x", "y", "z"]) {
+        let is_it = |p: &Property| p.name == name && matches!(p.kind, Kind::Scalar(_));
+        *place = elements[vertex].properties.iter().position(is_it).ok_or_else(|| {
+            let what = format!("element `vertex` has no property `{name}`; export x, y and z as float or double");
+            Error::at(path, elements[vertex].line, 1, what)
+        })?;
+    }
+    Ok((vertex, xyz))
+}

@@ -1,0 +1,145 @@
+//! The same small cloud in every encoding, and what is said about broken files.
+
+use super::*;
+
+const BODY: &str = "comment a room\nelement camera 1\nproperty list uchar float pose\nelement vertex 2\n\
+    property uchar red\nproperty double z\nproperty float x\nproperty list uchar short tags\nproperty float y\n\
+    element face 1\nproperty list uchar int vertex_indices\nend_header\n";
+
+fn header(format: &str) -> Vec<u8> {
+    format!("ply\nformat {format} 1.0\n{BODY}").into_bytes()
+}
+
+fn binary(big: bool) -> Vec<u8> {
+    fn put<const N: usize>(out: &mut Vec<u8>, big: bool, mut little: [u8; N]) {
+        if big {
+            little.reverse();
+        }
+        out.extend(little);
+    }
+    let mut out = header(if big { "binary_big_endian" } else { "binary_little_endian" });
+    out.push(1);
+    put(&mut out, big, 9.0f32.to_le_bytes());
+    for (x, y, z) in [(1.0f32, -2.0f32, 0.5f64), (0.0, 4.0, 3.0)] {
+        out.push(200);
+        put(&mut out, big, z.to_le_bytes());
+        put(&mut out, big, x.to_le_bytes());
+        out.push(2);
+        put(&mut out, big, 7i16.to_le_bytes());
+        put(&mut out, big, (-7i16).to_le_bytes());
+        put(&mut out, big, y.to_le_bytes());
+    }
+    out.push(3);
+    (0..3i32).for_each(|i| put(&mut out, big, i.to_le_bytes()));
+    out
+}
+
+fn ascii() -> Vec<u8> {
+    let mut out = header("ascii");
+    out.extend(b"1 9\n200 .5 1 2 7 -7 -2\n\n200 3 0 0 4e0\n3 0 1 2\n");
+    out
+}
+
+fn read(bytes: &[u8]) -> Result<Vec<[Real; 3]>, String> {
+    parse(Path::new("a.ply"), bytes).map_err(|e| e.to_string())
+}
+
+#[test]
+fn every_encoding_gives_the_same_points() {
+    let points = vec![[1.0, -2.0, 0.5], [0.0, 4.0, 3.0]];
+    assert_eq!(read(&ascii()).unwrap(), points);
+    assert_eq!(read(&binary(false)).unwrap(), points);
+    assert_eq!(read(&binary(true)).unwrap(), points);
+    let crlf = String::from_utf8(ascii()).unwrap().replace('\n', "\r\n");
+    assert_eq!(read(crlf.as_bytes()).unwrap(), points);
+}
+
+#[test]
+fn every_truncation_is_an_error() {
+    for (whole, has_line_end) in [(ascii(), true), (binary(false), false), (binary(true), false)] {
+        // The end of the last line may be missing, and a number that is cut short may still be one.
+        for length in 0..whole.len() - 2 * usize::from(has_line_end) {
+            assert!(read(&whole[..length]).is_err(), "{length} of {} bytes", whole.len());
+        }
+    }
+    let cut = binary(true);
+    assert_eq!(
+        read(&cut[..cut.len() - 1]).unwrap_err(),
+        "a.ply: ends after 0 of 1 rows of element `face`; the file is cut short: copy it anew"
+    );
+}
+
+#[test]
+fn mistakes_are_told() {
+    let edit = |from: &str, to: &str| String::from_utf8(ascii()).unwrap().replace(from, to);
+    let cases = [
+        (edit(".5 1", "nan 1"), format!("a.ply:16:5: `nan` is not finite; {ROW_ADVICE}")),
+        (edit("4e0", "four"), format!("a.ply:18:11: `four` is not a number; {ROW_ADVICE}")),
+        (
+            edit("200 .5 1 2 7 -7 -2", "200 .5 1 2 7"),
+            "a.ply:16:13: the row of element `vertex` ends early; give every property of the header".into(),
+        ),
+        (edit("1 2 7", "1 -2 7"), "a.ply:16:10: `-2` is not the length of a list; correct the row".into()),
+        (
+            edit("float x", "float u"),
+            "a.ply:6:1: element `vertex` has no property `x`; export x, y and z as float or double".into(),
+        ),
+        (
+            edit("double z", "real z"),
+            format!(
+                "a.ply:8:10: `real` {TYPES}",
+                TYPES = "is no type; use char, uchar, short, ushort, int, uint, float or double"
+            ),
+        ),
+        (
+            edit("ascii", "text"),
+            "a.ply:2:8: `text` is no format; use ascii, binary_little_endian or binary_big_endian".into(),
+        ),
+        (edit("vertex 2", "vertex two"), "a.ply:6:16: `two` is not a count; write a whole number".into()),
+        (
+            edit("element vertex", "element point"),
+            "a.ply: has no element `vertex`; export the cloud with its points".into(),
+        ),
+        (
+            edit("end_header\n", ""),
+            "a.ply:14:1: `1` is not understood in a PLY header; remove or correct the line".into(),
+        ),
+        (
+            edit("format ascii 1.0\n", ""),
+            "a.ply: has no `format` line; write `format ascii 1.0` or a binary one".into(),
+        ),
+        (
+            "solid cube\n".into(),
+            "a.ply:1:1: is not a PLY file, which begins with the line `ply`; check the file or its extension".into(),
+        ),
+        ("ply\n".into(), "a.ply: the header has no end_header; copy the file anew".into()),
+    ];
+    for (text, message) in cases {
+        assert_eq!(read(text.as_bytes()).unwrap_err(), message);
+    }
+}
+
+#[test]
+fn a_binary_vertex_that_is_not_finite_is_an_error() {
+    let mut bytes = header("binary_little_endian");
+    bytes.extend([0, 0]);
+    bytes.extend(f64::NAN.to_le_bytes());
+    bytes.extend([0; 40]);
+    assert_eq!(read(&bytes).unwrap_err(), format!("a.ply: vertex 1 of 2 is not finite; {ROW_ADVICE}"));
+}
+
+#[test]
+fn a_header_that_promises_too_much_is_an_error_at_once() {
+    let huge = u64::MAX;
+    for format in ["ascii", "binary_big_endian"] {
+        let text = format!(
+            "ply\nformat {format} 1.0\nelement nothing {huge}\nelement vertex {huge}\nproperty float x\n\
+             property float y\nproperty float z\nend_header\n"
+        );
+        let message = read(text.as_bytes()).unwrap_err();
+        assert_eq!(
+            message,
+            format!("a.ply: ends after 0 of {huge} rows of element `vertex`; the file is cut short: copy it anew")
+        );
+    }
+}

@@ -1,0 +1,54 @@
+//! `Official`: the split that comes with the data.
+
+use super::{DEFAULT_VALIDATION, check_validation, finish, hold_out};
+use pwrfgs_core::{Dataset, Error, Partition, Result, Split, rng::Rng};
+use serde::{Deserialize, Serialize};
+
+/// The split that comes with the data: `train_index.txt` and `test_index.txt` of the NeRF2 layout.
+///
+/// Use it to compare with published figures. Samples that neither list names are left out. The index files of the
+/// NeRF2 spectra are random, so their test samples lie 8 mm from a training sample: read every score beside
+/// [`NearestNeighbours`](crate::NearestNeighbours).
+///
+/// * `validation`: share of the training list that is held out, at random; 0.1 by default, 0 for none.
+///
+/// ```
+/// # use pwrfgs_core::{Plugin, Split};
+/// # use pwrfgs_data as _;
+/// assert!(Plugin::<dyn Split>::parse("Official(validation: 0.1)").is_ok());
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Official {
+    /// Share of the training list held out at random, in [0, 1); default 0.1.
+    pub validation: f64,
+}
+
+impl Default for Official {
+    fn default() -> Self {
+        Self { validation: DEFAULT_VALIDATION }
+    }
+}
+
+#[typetag::serde]
+impl Split for Official {
+    fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
+        let Some((train, test)) = data.official.clone() else {
+            return Err(Error::Config(format!(
+                "{} comes without a split of its own (train_index.txt and test_index.txt); \
+                 use Random(), TimeBlock(), Voxel() or Sparse()",
+                data.title
+            )));
+        };
+        let (train, validation) = hold_out(train, self.validation, rng);
+        finish(train, validation, test)
+    }
+
+    fn about(&self) -> &'static str {
+        "the split that comes with the data"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_validation(self.validation)
+    }
+}

@@ -1,0 +1,64 @@
+//! `Sparse`: few training samples, everything else is the test set.
+
+use super::{DEFAULT_VALIDATION, check_validation, finish, hold_out};
+use pwrfgs_core::{
+    Dataset, Error, Partition, Result, Split,
+    rng::{self, Rng},
+};
+use serde::{Deserialize, Serialize};
+
+/// A given number of random training samples; all others are the test set.
+///
+/// Asks how far few measurements go: with 220 of the NeRF2 spectra the nearest training sample is 6 cm away.
+///
+/// * `train`: training samples, 220 by default, those held out for validation included.
+/// * `validation`: share of `train` that is held out, at random; 0.1 by default, 0 for none.
+///
+/// ```
+/// # use pwrfgs_core::{Plugin, Split};
+/// # use pwrfgs_data as _;
+/// assert!(Plugin::<dyn Split>::parse("Sparse(train: 220)").is_ok());
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Sparse {
+    /// Training samples, those held out included; default 220.
+    pub train: usize,
+    /// Share of `train` held out at random, in [0, 1); default 0.1.
+    pub validation: f64,
+}
+
+impl Default for Sparse {
+    fn default() -> Self {
+        Self { train: 220, validation: DEFAULT_VALIDATION }
+    }
+}
+
+#[typetag::serde]
+impl Split for Sparse {
+    fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
+        let count = data.samples.len();
+        if self.train >= count {
+            return Err(Error::Config(format!(
+                "Sparse(train: {}) leaves no test sample: there are {count} samples; lower `train`",
+                self.train
+            )));
+        }
+        let mut all: Vec<usize> = (0..count).collect();
+        rng::shuffle(rng, &mut all);
+        let test = all.split_off(self.train);
+        let (train, validation) = hold_out(all, self.validation, rng);
+        finish(train, validation, test)
+    }
+
+    fn about(&self) -> &'static str {
+        "a few random training samples, all others are the test set"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if self.train == 0 {
+            return Err("`train` is 0; use at least 1 training sample, such as 220".into());
+        }
+        check_validation(self.validation)
+    }
+}

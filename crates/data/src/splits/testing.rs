@@ -1,0 +1,189 @@
+//! Small data sets for tests, and the laws that every split keeps.
+
+use super::*;
+use proptest::prelude::*;
+use pwrfgs_core::{Dataset, Plugin, Pose, Real, Sample, Scene, Split};
+use std::collections::BTreeMap;
+
+/// Samples with one-pixel spectra at these places; every fifth belongs to the official test list.
+pub(crate) fn samples_at(places: &[[Real; 3]]) -> Dataset {
+    let to_sample = |(i, &tx): (usize, &[Real; 3])| Sample { id: i as u32 + 1, tx, spectrum: vec![i as u8] };
+    let (test, train) = (0..places.len()).partition(|i| i % 5 == 4);
+    Dataset {
+        title: "test".into(),
+        scene: Scene { receiver: Pose::IDENTITY, bounds: ([0.0; 3], [1.0; 3]), points: vec![] },
+        width: 1,
+        height: 1,
+        samples: places.iter().enumerate().map(to_sample).collect(),
+        official: Some((train, test)),
+    }
+}
+
+/// `count` samples on the x axis, one metre apart.
+pub(crate) fn line_of_samples(count: usize) -> Dataset {
+    samples_at(&(0..count).map(|i| [i as Real, 0.0, 0.0]).collect::<Vec<_>>())
+}
+
+fn split(split: &dyn Split, data: &Dataset) -> Result<Partition, String> {
+    split.split(data, &mut rng::stream(3, "split", 0)).map_err(|e| e.to_string())
+}
+
+/// Sorted, disjoint, complete, train and test not empty, the same again.
+fn keeps_the_laws(plugin: &dyn Split, data: &Dataset) -> Result<Partition, TestCaseError> {
+    let partition = split(plugin, data).map_err(TestCaseError::fail)?;
+    let lists = [&partition.train, &partition.validation, &partition.test];
+    for list in lists {
+        prop_assert!(list.is_sorted_by(|a, b| a < b));
+    }
+    let mut all: Vec<usize> = lists.into_iter().flatten().copied().collect();
+    all.sort_unstable();
+    prop_assert_eq!(all, (0..data.samples.len()).collect::<Vec<_>>());
+    prop_assert!(!partition.train.is_empty() && !partition.test.is_empty());
+    prop_assert_eq!(split(plugin, data).map_err(TestCaseError::fail)?, partition.clone());
+    Ok(partition)
+}
+
+proptest! {
+    #[test]
+    fn official_holds_out_of_its_training_list(n in 5usize..60, validation in 0.0..0.99) {
+        let data = line_of_samples(n);
+        let partition = keeps_the_laws(&Official { validation }, &data)?;
+        let (train, test) = data.official.clone().unwrap();
+        prop_assert_eq!(&partition.test, &test);
+        prop_assert_eq!(partition.validation.len(), part(validation, train.len()));
+    }
+
+    #[test]
+    fn random_has_the_shares_asked_for(n in 2usize..60, test in 0.01..0.99, validation in 0.0..0.99) {
+        let partition = keeps_the_laws(&Random { test, validation }, &line_of_samples(n))?;
+        prop_assert_eq!(partition.test.len(), part(test, n));
+        prop_assert_eq!(partition.validation.len(), part(validation, n - part(test, n)));
+    }
+
+    #[test]
+    fn sparse_has_the_number_asked_for(n in 2usize..60, share in 0.0..0.99, validation in 0.0..0.99) {
+        let train = part(share, n).max(1);
+        let partition = keeps_the_laws(&Sparse { train, validation }, &line_of_samples(n))?;
+        prop_assert_eq!(partition.train.len() + partition.validation.len(), train);
+    }
+
+    #[test]
+    fn a_time_block_is_contiguous_and_validation_lies_next_to_it(
+        n in 2usize..60, start in 0.0..0.99, length in 0.01..0.99, validation in 0.0..0.99,
+    ) {
+        let plugin = TimeBlock { start, length: length * (1.0 - start), validation };
+        prop_assert!(plugin.check().is_ok());
+        let partition = keeps_the_laws(&plugin, &line_of_samples(n))?;
+        let is_contiguous = |list: &[usize]| list.windows(2).all(|w| w[1] == w[0] + 1);
+        prop_assert!(is_contiguous(&partition.test));
+        let mut held_out = [partition.test, partition.validation].concat();
+        held_out.sort_unstable();
+        prop_assert!(is_contiguous(&held_out));
+    }
+
+    #[test]
+    fn voxel_cells_are_never_divided(
+        places in prop::collection::vec(prop::array::uniform3(-1.0..1.0 as Real), 10..80),
+        size_m in 0.1..0.9, test in 0.01..0.99, validation in 0.0..0.99,
+    ) {
+        let plugin = Voxel { size_m, test, validation };
+        let data = samples_at(&places);
+        let mut part_of_cell = BTreeMap::new();
+        prop_assume!(places.iter().any(|p| plugin.cell(*p) != plugin.cell(places[0])));
+        let partition = keeps_the_laws(&plugin, &data)?;
+        for (name, list) in [("train", partition.train), ("validation", partition.validation), ("test", partition.test)] {
+            for i in list {
+                prop_assert_eq!(*part_of_cell.entry(plugin.cell(places[i])).or_insert(name), name);
+            }
+        }
+    }
+}
+
+#[test]
+fn no_validation_gives_an_empty_list() {
+    let data = line_of_samples(30);
+    for text in ["Official", "Random", "TimeBlock", "Voxel", "Sparse"] {
+        let arguments = if text == "Sparse" { "train: 10, validation: 0" } else { "validation: 0" };
+        let plugin = Plugin::<dyn Split>::parse(&format!("{text}({arguments})")).unwrap();
+        assert_eq!(split(plugin.get(), &data).unwrap().validation, Vec::<usize>::new(), "{text}");
+    }
+}
+
+#[test]
+fn a_time_block_is_where_it_was_asked_for() {
+    let partition = split(&TimeBlock::default(), &line_of_samples(100)).unwrap();
+    assert_eq!(partition.test, (40..60).collect::<Vec<_>>());
+    assert_eq!(partition.validation, (60..68).collect::<Vec<_>>());
+    let at_the_end = TimeBlock { start: 0.75, length: 0.2, validation: 0.1 };
+    let partition = split(&at_the_end, &line_of_samples(100)).unwrap();
+    assert_eq!(partition.test, (75..95).collect::<Vec<_>>());
+    assert_eq!(partition.validation, [72, 73, 74, 95, 96, 97, 98, 99]);
+}
+
+#[test]
+fn voxel_reaches_its_share_with_small_cells() {
+    let places: Vec<[Real; 3]> =
+        (0..1000).map(|i| [(i % 10) as Real, (i / 10 % 10) as Real, (i / 100) as Real]).collect();
+    let partition = split(&Voxel { size_m: 1.0, test: 0.2, validation: 0.1 }, &samples_at(&places)).unwrap();
+    assert_eq!((partition.train.len(), partition.validation.len(), partition.test.len()), (720, 80, 200));
+}
+
+#[test]
+fn what_cannot_be_divided_is_refused_with_advice() {
+    let mut plain = line_of_samples(30);
+    plain.official = None;
+    let cases: [(&dyn Split, &Dataset, &str); 5] = [
+        (
+            &Official::default(),
+            &plain,
+            "test comes without a split of its own (train_index.txt and test_index.txt); \
+             use Random(), TimeBlock(), Voxel() or Sparse()",
+        ),
+        (&Sparse::default(), &plain, "Sparse(train: 220) leaves no test sample: there are 30 samples; lower `train`"),
+        (
+            &Voxel { size_m: 100.0, ..Voxel::default() },
+            &plain,
+            "all 30 samples lie in one cell of 100 m; lower `size_m` of Voxel",
+        ),
+        (
+            &Random::default(),
+            &line_of_samples(1),
+            "the split leaves no test sample of 1 in all; change its shares or give more samples",
+        ),
+        (
+            &TimeBlock::default(),
+            &line_of_samples(1),
+            "the split leaves no test sample of 1 in all; change its shares or give more samples",
+        ),
+    ];
+    for (plugin, data, message) in cases {
+        assert_eq!(split(plugin, data).unwrap_err(), message);
+    }
+}
+
+#[test]
+fn settings_out_of_range_are_refused_when_read() {
+    let texts = [
+        "Official(validation: 1)",
+        "Official(validation: -0.1)",
+        "Official(validation: NaN)",
+        "Random(test: 0)",
+        "Random(test: 1)",
+        "Random(test: NaN)",
+        "TimeBlock(start: 1)",
+        "TimeBlock(start: -0.1)",
+        "TimeBlock(start: NaN)",
+        "TimeBlock(length: 0)",
+        "TimeBlock(start: 0.9, length: 0.2)",
+        "Voxel(size_m: 0)",
+        "Voxel(size_m: inf)",
+        "Voxel(size_m: NaN)",
+        "Voxel(test: 2)",
+        "Sparse(train: 0)",
+        "Sparse(validation: 1)",
+        "Random(tset: 0.2)",
+    ];
+    for text in texts {
+        assert!(Plugin::<dyn Split>::parse(text).is_err(), "{text}");
+    }
+}

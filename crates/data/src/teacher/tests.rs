@@ -1,0 +1,131 @@
+//! The teacher keeps its promises.
+
+use super::*;
+use crate::{MeanSpectrum, NearestNeighbours, Official};
+use pwrfgs_core::{Baseline, Image, Split, ssim};
+use pwrfgs_raster as _;
+
+fn small() -> Teacher {
+    Teacher { samples: 20, width: 90, height: 24, ..Teacher::default() }
+}
+
+fn load(teacher: &Teacher) -> Dataset {
+    teacher.load(Path::new(".")).unwrap()
+}
+
+#[test]
+fn what_it_makes_is_complete_and_says_that_it_is_simulated() {
+    let data = load(&small());
+    assert_eq!(data.title, "20 simulated spectra of 12 Gaussians (Teacher, seed 0)");
+    assert_eq!((data.width, data.height, data.samples.len(), data.scene.points.len()), (90, 24, 20, 12));
+    assert_eq!(data.official.as_ref().unwrap().1, [4, 9, 14, 19]);
+    assert_eq!(data.samples.iter().flat_map(|s| &s.spectrum).max(), Some(&255));
+    let (low, high) = data.scene.bounds;
+    for sample in &data.samples {
+        assert_eq!(sample.spectrum.len(), 90 * 24);
+        assert!((0..3).all(|k| low[k] <= sample.tx[k] && sample.tx[k] <= high[k]));
+    }
+    let ids: Vec<u32> = data.samples.iter().map(|s| s.id).collect();
+    assert_eq!(ids, (1..=20).collect::<Vec<_>>());
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bits_at_any_thread_count() {
+    let spectra = |threads: usize, seed: u64| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let data = pool.install(|| load(&Teacher { seed, ..small() }));
+        data.samples.into_iter().map(|s| (s.tx, s.spectrum)).collect::<Vec<_>>()
+    };
+    assert_eq!(spectra(1, 0), spectra(3, 0));
+    assert_ne!(spectra(1, 0), spectra(1, 1));
+}
+
+#[test]
+fn the_answer_lies_where_it_is_said_to_lie() {
+    let wall = Pose { position: [5.0, 0.26, 0.0], orientation: [0.5, -0.5, -0.5, 0.5] };
+    for receiver in [Pose::IDENTITY, wall] {
+        let teacher = Teacher { receiver, gaussians: 50, ..small() };
+        let cloud = teacher.cloud();
+        assert_eq!(cloud.len(), 50);
+        let receiver_from_world = receiver.world_from_receiver().transpose();
+        for mean in &cloud.means {
+            let seen = receiver_from_world * (pwrfgs_core::Vec3::from_array(*mean) - receiver.origin());
+            let elevation = (seen.z / seen.length()).asin().to_degrees();
+            assert!((2.0..6.001).contains(&seen.length()) && (9.99..75.01).contains(&elevation), "{seen} {elevation}");
+        }
+        assert_eq!(load(&teacher).scene.points, cloud.means);
+    }
+}
+
+#[test]
+fn signals_vary_smoothly_with_the_transmitter() {
+    let teacher = small();
+    let means = teacher.cloud().signals;
+    for (here, (near, mean)) in
+        teacher.signals([0.1, 0.2, 1.0]).iter().zip(teacher.signals([0.1, 0.201, 1.0]).iter().zip(&means))
+    {
+        for k in 0..2 {
+            assert!(here[k] >= 0.0 && here[k] <= mean[k] / 0.55 * 1.0001);
+            // A millimetre changes a wave of 1 m by at most 0.45 · 2π/1000.
+            assert!((here[k] - near[k]).abs() <= 0.003);
+        }
+    }
+}
+
+#[test]
+fn it_is_neither_trivial_nor_out_of_reach() {
+    let data = load(&Teacher::default());
+    let partition = Official { validation: 0.0 }.split(&data, &mut rng::stream(0, "split", 0)).unwrap();
+    let score = |baseline: &dyn Baseline| {
+        let fitted = baseline.fit(&data, &partition.train).unwrap();
+        let of = |&i: &usize| ssim::evaluation(&fitted.predict(data.samples[i].tx), &data.image(i));
+        partition.test.iter().map(of).sum::<f64>() / partition.test.len() as f64
+    };
+    let (mean, nearest) = (score(&MeanSpectrum {}), score(&NearestNeighbours { k: 3 }));
+    println!("mean SSIM: mean spectrum {mean:.4}, 3-NN {nearest:.4}");
+    assert!((0.7..0.9).contains(&mean) && (0.95..0.99).contains(&nearest), "{mean} {nearest}");
+}
+
+#[test]
+fn a_plugin_with_every_field_is_read_and_written() {
+    let text = "Teacher(gaussians: 3, samples: 7, seed: 5, width: 60, height: 20, tx_box: ((0, 0, 0), (1, 1, 1)), \
+                wavelength_m: (1, 2), receiver: (position: (1, 2, 3), orientation: (0, 0, 0, 1)), \
+                projector: Mercator(), rasterizer: AlphaBlending())";
+    let plugin = Plugin::<dyn DataSource>::parse(text).unwrap();
+    let written = ron::ser::to_string_pretty(&plugin, ron::ser::PrettyConfig::default().struct_names(true)).unwrap();
+    let again = Plugin::<dyn DataSource>::parse(&written).unwrap();
+    assert_eq!(format!("{plugin:?}"), format!("{again:?}"));
+    let image = |plugin: &Plugin<dyn DataSource>| -> Image { plugin.load(Path::new(".")).unwrap().image(6) };
+    assert_eq!(image(&plugin), image(&again));
+}
+
+#[test]
+fn settings_out_of_range_are_refused_when_read() {
+    let texts = [
+        "gaussians: 0",
+        "samples: 0",
+        "width: 0",
+        "height: 2000000",
+        "samples: 1000000, width: 1000000",
+        "tx_box: ((0, 0, 0), (1, -1, 1))",
+        "tx_box: ((0, 0, NaN), (1, 1, 1))",
+        "wavelength_m: (0, 1)",
+        "wavelength_m: (2, 1)",
+        "wavelength_m: (1, inf)",
+        "receiver: (position: (0, 0, 0), orientation: (0, 0, 0, 0))",
+        "receiver: (position: (NaN, 0, 0), orientation: (0, 0, 0, 1))",
+        "samples: 5, colour: 3",
+    ];
+    for text in texts {
+        assert!(Plugin::<dyn DataSource>::parse(&format!("Teacher({text})")).is_err(), "{text}");
+    }
+}
+
+#[test]
+fn what_draws_must_be_linked() {
+    let message = linked::<dyn Projector>("Gnomonic", "projector").unwrap_err().to_string();
+    assert_eq!(
+        message,
+        "Teacher draws with Gnomonic, which is not linked into this program; link pwrfgs-raster or set `projector`"
+    );
+}

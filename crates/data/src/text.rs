@@ -1,0 +1,134 @@
+//! Text files whose mistakes are reported with line and column, both counted from 1.
+//!
+//! The `csv` crate gives no column of a field, so rows are split here; a quoted field may hold commas but no line end.
+
+use pwrfgs_core::{Error, Real, Result};
+use std::{io::ErrorKind, path::Path};
+
+/// A part of a line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Field<'a> {
+    pub(crate) text: &'a str,
+    pub(crate) column: usize,
+}
+
+/// The bytes of a file; `advice` says what to do where it does not exist.
+pub(crate) fn read_bytes(path: &Path, advice: &str) -> Result<Vec<u8>> {
+    std::fs::read(path).map_err(|source| unreadable(path, source, "file", advice))
+}
+
+/// A file or folder that cannot be read, with `advice` where it does not exist.
+pub(crate) fn unreadable(path: &Path, source: std::io::Error, what: &str, advice: &str) -> Error {
+    match source.kind() {
+        ErrorKind::NotFound => {
+            Error::read(path, std::io::Error::new(source.kind(), format!("no such {what}; {advice}")))
+        }
+        _ => Error::read(path, source),
+    }
+}
+
+/// A file as text, without a byte order mark.
+pub(crate) fn read_text(path: &Path, advice: &str) -> Result<String> {
+    let text = String::from_utf8(read_bytes(path, advice)?).map_err(|e| {
+        let good = &e.as_bytes()[..e.utf8_error().valid_up_to()];
+        let line = good.split(|&b| b == b'\n').count();
+        Error::at(path, line, 1, "this is not text; save the file as UTF-8")
+    })?;
+    Ok(text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text))
+}
+
+/// Lines that hold something, with their numbers.
+pub(crate) fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    text.lines().enumerate().map(|(i, line)| (i + 1, line)).filter(|(_, line)| !line.trim().is_empty())
+}
+
+/// Fields between commas, without surrounding blanks and quotes.
+pub(crate) fn split_commas(line: &str) -> Vec<Field<'_>> {
+    let mut quoted = false;
+    let parts = line.split(|c| {
+        quoted ^= c == '"';
+        c == ',' && !quoted
+    });
+    parts
+        .map(|part| {
+            let text = part.trim();
+            let text = text.strip_prefix('"').and_then(|t| t.strip_suffix('"')).unwrap_or(text).trim();
+            Field { text, column: column(line, text) }
+        })
+        .collect()
+}
+
+/// Fields between blanks.
+pub(crate) fn split_blanks(line: &str) -> Vec<Field<'_>> {
+    line.split_whitespace().map(|text| Field { text, column: column(line, text) }).collect()
+}
+
+/// Where `part`, a slice of `line`, begins: characters, counted from 1.
+fn column(line: &str, part: &str) -> usize {
+    let start = part.as_ptr() as usize - line.as_ptr() as usize;
+    line[..start].chars().count() + 1
+}
+
+/// A finite coordinate in metres; `advice` says what to do where it is none.
+pub(crate) fn coordinate(path: &Path, line: usize, field: Field<'_>, advice: &str) -> Result<Real> {
+    let fault = |what: &str| Error::at(path, line, field.column, format!("`{}` is {what}; {advice}", field.text));
+    let value: f64 = field.text.parse().ok().ok_or_else(|| fault("not a number"))?;
+    let value = value as Real;
+    if value.is_finite() { Ok(value) } else { Err(fault("not finite")) }
+}
+
+/// Where a row holds x, y and z.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct XyzColumns(pub(crate) [usize; 3]);
+
+impl XyzColumns {
+    /// From a header that names them, in any order and either case, among other columns.
+    pub(crate) fn from_header(path: &Path, line: usize, header: &[Field<'_>]) -> Result<Self> {
+        let find = |name: &str| {
+            header.iter().position(|field| field.text.eq_ignore_ascii_case(name)).ok_or_else(|| {
+                Error::at(path, line, 1, format!("no column `{name}`; the first line must name the columns x, y and z"))
+            })
+        };
+        Ok(Self([find("x")?, find("y")?, find("z")?]))
+    }
+
+    /// The three coordinates of a row.
+    pub(crate) fn read(self, path: &Path, line: usize, row: &[Field<'_>], advice: &str) -> Result<[Real; 3]> {
+        let mut point = [0.0; 3];
+        for ((value, column), name) in point.iter_mut().zip(self.0).zip(["x", "y", "z"]) {
+            let field = row.get(column).copied().ok_or_else(|| {
+                let end = row.last().map_or(1, |f| f.column + f.text.chars().count());
+                let (have, need) = (row.len(), column + 1);
+                let what = format!("the row ends after {have} of the {need} columns that `{name}` needs; {advice}");
+                Error::at(path, line, end, what)
+            })?;
+            *value = coordinate(path, line, field, advice)?;
+        }
+        Ok(point)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fields_know_their_columns() {
+        let fields = split_commas(" a, \"b,c\" ,,é,d");
+        let got: Vec<_> = fields.iter().map(|f| (f.text, f.column)).collect();
+        assert_eq!(got, [("a", 2), ("b,c", 6), ("", 12), ("é", 13), ("d", 15)]);
+        let got: Vec<_> = split_blanks("1  2\t3").iter().map(|f| (f.text, f.column)).collect();
+        assert_eq!(got, [("1", 1), ("2", 4), ("3", 6)]);
+    }
+
+    #[test]
+    fn a_byte_order_mark_is_dropped_and_binary_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.csv");
+        std::fs::write(&path, b"\xef\xbb\xbfx").unwrap();
+        assert_eq!(read_text(&path, "").unwrap(), "x");
+        std::fs::write(&path, b"x\n\xff").unwrap();
+        let message = read_text(&path, "").unwrap_err().to_string();
+        assert_eq!(message, format!("{}:2:1: this is not text; save the file as UTF-8", path.display()));
+    }
+}
