@@ -162,6 +162,16 @@ impl Network {
         dense::add_bias(out, self.out.bias(weights));
     }
 
+    /// The four outputs before |lrelu|, as the reference renders list them: two of `attn`, two of `out`.
+    #[cfg(test)]
+    pub(super) fn raw(&self, weights: &[Real], means: &[[Real; 3]], tx: [Real; 3]) -> Vec<[Real; 4]> {
+        let (mut scratch, n) = (Scratch::default(), means.len());
+        self.begin(weights, means, 2, &mut scratch);
+        self.branch(weights, means, tx, &self.tx_sides(weights, &[tx])[0], &mut scratch);
+        let Scratch { attenuation: a, out: s, .. } = scratch;
+        (0..n).map(|r| [a[r], a[n + r], s[r], s[n + r]]).collect()
+    }
+
     /// S·A, `[B, N]`.
     pub(super) fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: &[[Real; 3]]) -> Vec<Real> {
         let sides = self.tx_sides(weights, txs);
