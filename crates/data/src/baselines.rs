@@ -33,7 +33,7 @@ impl Baseline for MeanSpectrum {
 
 /// The mean of the spectra of the k nearest training transmitters, weighted by inverse distance.
 ///
-/// Where the transmitter stands exactly on training transmitters, it is the mean of the spectra measured there.
+/// Where the transmitter stands on training transmitters (to a micrometre), it is the mean of the spectra measured there.
 ///
 /// * `k`: neighbours; 3 by default. More than there are training samples means all of them.
 ///
@@ -105,19 +105,25 @@ struct Lookup<'a> {
 impl Lookup<'_> {
     /// Samples with their weights: those at `tx` exactly, or else the k nearest. Ties go to the lower index.
     fn neighbours(&self, tx: [Real; 3]) -> Vec<(usize, f64)> {
-        let squared = |a: &[Real; 3]| -> Real { a.iter().zip(&tx).map(|(a, b)| (a - b) * (a - b)).sum() };
-        let distance = |&i: &usize| (squared(&self.data.samples[i].tx), i);
-        let mut all: Vec<(Real, usize)> = self.train.iter().map(distance).collect();
+        let mut all: Vec<(f64, usize)> =
+            self.train.iter().map(|&i| (distance(self.data.samples[i].tx, tx), i)).collect();
         let exact: Vec<(usize, f64)> = all.iter().filter(|(d, _)| *d == 0.0).map(|&(_, i)| (i, 1.0)).collect();
         if !exact.is_empty() {
             return exact;
         }
-        let by_distance = |a: &(Real, usize), b: &(Real, usize)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
+        let by_distance = |a: &(f64, usize), b: &(f64, usize)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
         all.select_nth_unstable_by(self.k - 1, by_distance);
         all.truncate(self.k);
         all.sort_unstable_by(by_distance);
-        all.iter().map(|&(square, i)| (i, 1.0 / (square as f64).sqrt())).collect()
+        all.into_iter().map(|(distance, i)| (i, 1.0 / distance)).collect()
     }
+}
+
+/// |a - b|, metres, of positions rounded to a micrometre. Measured positions have four decimals, so many neighbours are
+/// equally far; without the rounding, single precision would choose others among them than double precision does.
+fn distance(a: [Real; 3], b: [Real; 3]) -> f64 {
+    let decimal = |v: Real| (v as f64 * 1e6).round() / 1e6;
+    a.iter().zip(b).map(|(&a, b)| (decimal(a) - decimal(b)).powi(2)).sum::<f64>().sqrt()
 }
 
 impl Predict for Lookup<'_> {

@@ -149,6 +149,17 @@ fn a_missing_file_is_named() {
 }
 
 #[test]
+fn a_file_that_cannot_be_read_is_named() {
+    for name in ["gateway_info.yml", "tx_pos.csv", "train_index.txt", "spectrum/00002.png"] {
+        let folder = Folder::new();
+        folder.remove(&format!("s/{name}"));
+        fs::create_dir(folder.path(&format!("s/{name}"))).unwrap(); // unreadable as a file, even for root
+        let message = folder.fault();
+        assert!(message.starts_with(&format!("cannot read DIR/s/{name}: ")), "{message}");
+    }
+}
+
+#[test]
 fn mistakes_in_tx_pos_are_told_with_line_and_column() {
     let advice = "give every row x, y and z in metres";
     let cases: [(&str, String); 9] = [

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 /// At the ends of a block consecutive ids are neighbours again. Behind the test block lies validation, so there only
 /// choices see near neighbours; before it lies training, and no gap is cut, since little depends on it: of the 980 test
 /// samples that the defaults give on the NeRF2 spectra, half lie further than 4.8 cm from training, 30 lie within 1 cm
-/// (the trajectory crosses itself), and one of those is at the end of the block. `samples.csv` lists every distance.
+/// (the trajectory comes near itself), and one of those is the first of the block. `samples.csv` lists every distance.
 ///
 /// * `start`: where the block begins, a fraction of the sorted ids; 0.4 by default.
 /// * `length`: how long it is, a fraction of the sorted ids; 0.2 by default.
