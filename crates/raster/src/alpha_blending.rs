@@ -1,6 +1,6 @@
 //! `AlphaBlending`: the rasterizer of the paper, eq. (7) and (8).
 
-use crate::blend::{GEOMETRY, PIXELS, Tile};
+use crate::blend::{Backward, Forward, GEOMETRY, PIXELS, Tile};
 use crate::simd::widest;
 use crate::tiles::{TILE, TileLists};
 use pwrfgs_core::{ImagePlane, Rasterizer, Real, Render, RenderMemory, RenderVjp, Splats};
@@ -61,7 +61,7 @@ impl Rasterizer for AlphaBlending {
                 if tile.list.is_empty() {
                     return; // zeros and ones already
                 }
-                let light = widest(|| tile.forward(scratch));
+                let light = widest(Forward { tile: &tile, out: scratch });
                 pictures.0.put(tile.corner, scratch);
                 pictures.1.put(tile.corner, light.left.as_flattened());
             },
@@ -104,7 +104,7 @@ impl Rasterizer for AlphaBlending {
                 }
                 gather(&render.pixels, plane, tile.corner, pixels);
                 gather(d_pixels, plane, tile.corner, d);
-                widest(|| tile.backward(pixels, d, out));
+                widest(Backward { tile: &tile, pixels, d_pixels: d, out });
             },
         );
         sum_over_tiles(lists, splats.len(), channels, &parts)

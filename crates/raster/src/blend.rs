@@ -5,7 +5,7 @@
 //! back once more: with q = ⟨∂L/∂pixel, sᵢ⟩ and the picture itself known, Σ behind i = total − Σ up to i, so
 //! ∂L/∂γᵢ = Tᵢ q − (total − prefix)/(1−γᵢ) needs neither division back to front nor stored weights.
 
-use crate::simd::exp_nonpositive;
+use crate::simd::{Lanes, exp_nonpositive};
 use crate::tiles::TILE;
 use pwrfgs_core::{ImagePlane, Real, Splats};
 use std::ops::Range;
@@ -21,7 +21,7 @@ pub(crate) const T_MIN: Real = 1e-4;
 /// Cotangents of a splat's geometry in one tile: mean (2), conic (3), opacity, and its summed weight.
 pub(crate) const GEOMETRY: usize = 7;
 
-type Lanes = [Real; TILE];
+type Row = [Real; TILE];
 
 /// What the kernel knows of the tile.
 pub(crate) struct Tile<'a> {
@@ -43,17 +43,17 @@ pub(crate) struct Tile<'a> {
 
 /// Transmittance of a tile: `open` is 0 in a full pixel and outside the picture, `left` is what remains.
 pub(crate) struct Transmittance {
-    open: [Lanes; TILE],
-    pub(crate) left: [Lanes; TILE],
+    open: [Row; TILE],
+    pub(crate) left: [Row; TILE],
     alive: [bool; TILE],
 }
 
 /// One splat as the lanes of a row see it.
 struct Brush {
     /// Column offsets mean − pixel, nearest image.
-    dx: Lanes,
+    dx: Row,
     /// −½ A dx².
-    across: Lanes,
+    across: Row,
     a: Real,
     b: Real,
     c: Real,
@@ -97,8 +97,9 @@ impl Tile<'_> {
 
     /// Blended signals `[channels][PIXELS]` into `out` (zeroed here), and what light is left.
     #[inline(always)]
-    pub(crate) fn forward(&self, out: &mut [Real]) -> Transmittance {
+    fn forward<S: pulp::Simd>(&self, simd: S, out: &mut [Real]) -> Transmittance {
         out.fill(0.0);
+        let out = out.as_chunks_mut::<TILE>().0; // row `row` of channel c is out[c · TILE + row]
         let mut t = self.start();
         for &i in self.list {
             let i = i as usize;
@@ -110,11 +111,8 @@ impl Tile<'_> {
                 }
                 let (_, alpha) = brush.alpha((self.corner.1 + row) as Real);
                 let weight = t.pass(row, &alpha);
-                for (s, out) in signal.iter().zip(out.chunks_exact_mut(PIXELS)) {
-                    let out = &mut out[row * TILE..(row + 1) * TILE];
-                    for lane in 0..TILE {
-                        out[lane] += s * weight[lane];
-                    }
+                for (s, out) in signal.iter().zip(out.chunks_exact_mut(TILE)) {
+                    Real::add_scaled(simd, &mut out[row], *s, &weight);
                 }
             }
         }
@@ -124,16 +122,17 @@ impl Tile<'_> {
     /// For each splat of the list, its cotangents in this tile: `GEOMETRY` numbers, then one a channel. `pixels` and
     /// `d_pixels` are `[channels][PIXELS]`.
     #[inline(always)]
-    pub(crate) fn backward(&self, pixels: &[Real], d_pixels: &[Real], out: &mut [Real]) {
-        let mut behind = [0.0; PIXELS]; // ⟨∂L/∂pixel, signal of everything not yet passed⟩
-        for (p, d) in pixels.chunks_exact(PIXELS).zip(d_pixels.chunks_exact(PIXELS)) {
-            for k in 0..PIXELS {
-                behind[k] += p[k] * d[k];
+    fn backward<S: pulp::Simd>(&self, simd: S, pixels: &[Real], d_pixels: &[Real], out: &mut [Real]) {
+        let (pixels, d_pixels) = (pixels.as_chunks::<TILE>().0, d_pixels.as_chunks::<TILE>().0);
+        let mut behind = [[0.0; TILE]; TILE]; // ⟨∂L/∂pixel, signal of everything not yet passed⟩
+        for (p, d) in pixels.chunks_exact(TILE).zip(d_pixels.chunks_exact(TILE)) {
+            for row in 0..TILE {
+                Real::add_product(simd, &mut behind[row], &p[row], &d[row]);
             }
         }
         let mut t = self.start();
         let stride = GEOMETRY + self.channels;
-        let mut d_signal: Vec<Lanes> = vec![[0.0; TILE]; self.channels];
+        let mut d_signal: Vec<Row> = vec![[0.0; TILE]; self.channels];
         for (&i, out) in self.list.iter().zip(out.chunks_exact_mut(stride)) {
             let i = i as usize;
             let brush = self.brush(i);
@@ -148,29 +147,25 @@ impl Tile<'_> {
                 let before = t.open[row];
                 let weight = t.pass(row, &alpha);
                 let mut q = [0.0; TILE];
-                for (c, s) in signal.iter().enumerate() {
-                    let g = &d_pixels[c * PIXELS + row * TILE..][..TILE];
-                    for lane in 0..TILE {
-                        q[lane] += s * g[lane];
-                        d_signal[c][lane] += weight[lane] * g[lane];
-                    }
+                for ((s, d_signal), g) in signal.iter().zip(&mut d_signal).zip(d_pixels.chunks_exact(TILE)) {
+                    Real::add_scaled(simd, &mut q, *s, &g[row]);
+                    Real::add_product(simd, d_signal, &weight, &g[row]);
                 }
-                let behind = &mut behind[row * TILE..][..TILE];
                 let dy = brush.y - (self.corner.1 + row) as Real;
+                let (mut d_alpha, mut d_power) = ([0.0; TILE], [0.0; TILE]);
                 for lane in 0..TILE {
-                    behind[lane] -= weight[lane] * q[lane];
-                    let d_alpha = before[lane] * q[lane] - behind[lane] / (1.0 - alpha[lane]);
-                    let d_alpha = if weight[lane] > 0.0 { d_alpha } else { 0.0 };
-                    let d_power = d_alpha * brush.opacity * gauss[lane];
-                    let dx = brush.dx[lane];
-                    d[0][lane] -= d_power * (brush.a * dx + brush.b * dy);
-                    d[1][lane] -= d_power * (brush.c * dy + brush.b * dx);
-                    d[2][lane] -= 0.5 * d_power * dx * dx;
-                    d[3][lane] -= d_power * dx * dy;
-                    d[4][lane] -= 0.5 * d_power * dy * dy;
-                    d[5][lane] += d_alpha * gauss[lane];
-                    d[6][lane] += weight[lane];
+                    behind[row][lane] -= weight[lane] * q[lane];
+                    let through = before[lane] * q[lane] - behind[row][lane] / (1.0 - alpha[lane]);
+                    d_alpha[lane] = if weight[lane] > 0.0 { through } else { 0.0 };
+                    d_power[lane] = d_alpha[lane] * brush.opacity * gauss[lane];
                 }
+                Real::add_product(simd, &mut d[0], &d_power, &brush.dx.map(|dx| -(brush.a * dx + brush.b * dy)));
+                Real::add_product(simd, &mut d[1], &d_power, &brush.dx.map(|dx| -(brush.c * dy + brush.b * dx)));
+                Real::add_product(simd, &mut d[2], &d_power, &brush.dx.map(|dx| -0.5 * dx * dx));
+                Real::add_product(simd, &mut d[3], &d_power, &brush.dx.map(|dx| -dx * dy));
+                Real::add_scaled(simd, &mut d[4], -0.5 * dy * dy, &d_power);
+                Real::add_product(simd, &mut d[5], &d_alpha, &gauss);
+                Real::add_scaled(simd, &mut d[6], 1.0, &weight);
             }
             for (out, lanes) in out.iter_mut().zip(d.iter().chain(&d_signal)) {
                 *out = lanes.iter().sum();
@@ -179,10 +174,40 @@ impl Tile<'_> {
     }
 }
 
+/// [`Tile::forward`], to be run at the widest vectors.
+pub(crate) struct Forward<'a, 'b> {
+    pub(crate) tile: &'b Tile<'a>,
+    pub(crate) out: &'b mut [Real],
+}
+
+impl pulp::WithSimd for Forward<'_, '_> {
+    type Output = Transmittance;
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, simd: S) -> Transmittance {
+        self.tile.forward(simd, self.out)
+    }
+}
+
+/// [`Tile::backward`], to be run at the widest vectors.
+pub(crate) struct Backward<'a, 'b> {
+    pub(crate) tile: &'b Tile<'a>,
+    pub(crate) pixels: &'b [Real],
+    pub(crate) d_pixels: &'b [Real],
+    pub(crate) out: &'b mut [Real],
+}
+
+impl pulp::WithSimd for Backward<'_, '_> {
+    type Output = ();
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, simd: S) {
+        self.tile.backward(simd, self.pixels, self.d_pixels, self.out);
+    }
+}
+
 impl Brush {
     /// G and γ in the row `y`; γ is 0 where the splat does not count.
     #[inline(always)]
-    fn alpha(&self, y: Real) -> (Lanes, Lanes) {
+    fn alpha(&self, y: Real) -> (Row, Row) {
         let dy = self.y - y;
         let (along, cross) = (-0.5 * self.c * dy * dy, self.b * dy);
         let (mut gauss, mut alpha) = ([0.0; TILE], [0.0; TILE]);
@@ -200,7 +225,7 @@ impl Brush {
 impl Transmittance {
     /// Blending weights γ·T of a row; light that passes the splat is what is left for the next.
     #[inline(always)]
-    fn pass(&mut self, row: usize, alpha: &Lanes) -> Lanes {
+    fn pass(&mut self, row: usize, alpha: &Row) -> Row {
         let (open, left) = (&mut self.open[row], &mut self.left[row]);
         let mut weight = [0.0; TILE];
         let mut most = 0.0;

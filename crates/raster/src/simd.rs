@@ -28,21 +28,49 @@ fn fast(x: f32) -> f32 {
     f32::from_bits(power) * p
 }
 
-/// Work that is compiled once for every vector width and run at the widest.
-pub(crate) struct Wide<F>(pub(crate) F);
-
-impl<F: FnOnce() -> R, R> pulp::WithSimd for Wide<F> {
-    type Output = R;
-    #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _simd: S) -> R {
-        (self.0)()
-    }
+/// Multiply and add over the lanes of a row, with explicit vectors: left to itself the compiler vectorises across
+/// channels instead, by gathering.
+pub(crate) trait Lanes: Sized {
+    /// sum += scale · x.
+    fn add_scaled<S: pulp::Simd, const N: usize>(simd: S, sum: &mut [Self; N], scale: Self, x: &[Self; N]);
+    /// sum += x · y.
+    fn add_product<S: pulp::Simd, const N: usize>(simd: S, sum: &mut [Self; N], x: &[Self; N], y: &[Self; N]);
 }
 
-/// Runs `work`, whose callees must all be `#[inline(always)]`, at the widest vectors of this processor.
+macro_rules! lanes {
+    ($real:ty, $vectors:ident, $vectors_mut:ident, $splat:ident, $mul_add:ident) => {
+        impl Lanes for $real {
+            #[inline(always)]
+            fn add_scaled<S: pulp::Simd, const N: usize>(simd: S, sum: &mut [Self; N], scale: Self, x: &[Self; N]) {
+                let (sum, sum_rest) = S::$vectors_mut(sum);
+                let (x, x_rest) = S::$vectors(x);
+                let many = simd.$splat(scale);
+                for (sum, x) in sum.iter_mut().zip(x) {
+                    *sum = simd.$mul_add(many, *x, *sum);
+                }
+                sum_rest.iter_mut().zip(x_rest).for_each(|(sum, x)| *sum = scale.mul_add(*x, *sum));
+            }
+            #[inline(always)]
+            fn add_product<S: pulp::Simd, const N: usize>(simd: S, sum: &mut [Self; N], x: &[Self; N], y: &[Self; N]) {
+                let (sum, sum_rest) = S::$vectors_mut(sum);
+                let ((x, x_rest), (y, y_rest)) = (S::$vectors(x), S::$vectors(y));
+                for (sum, (x, y)) in sum.iter_mut().zip(x.iter().zip(y)) {
+                    *sum = simd.$mul_add(*x, *y, *sum);
+                }
+                let rest = sum_rest.iter_mut().zip(x_rest.iter().zip(y_rest));
+                rest.for_each(|(sum, (x, y))| *sum = x.mul_add(*y, *sum));
+            }
+        }
+    };
+}
+lanes!(f32, as_simd_f32s, as_mut_simd_f32s, splat_f32s, mul_add_f32s);
+lanes!(f64, as_simd_f64s, as_mut_simd_f64s, splat_f64s, mul_add_f64s);
+
+/// Runs `work` at the widest vectors of this processor. `with_simd` must be `#[inline(always)]`, and so must all it
+/// calls: what is not inlined into the dispatch is compiled for the narrowest. (A closure is not, hence the structs.)
 #[inline(always)]
-pub(crate) fn widest<R>(work: impl FnOnce() -> R) -> R {
-    pulp::Arch::new().dispatch(Wide(work))
+pub(crate) fn widest<W: pulp::WithSimd>(work: W) -> W::Output {
+    pulp::Arch::new().dispatch(work)
 }
 
 #[cfg(test)]
