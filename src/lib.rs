@@ -1,1 +1,41 @@
-//! Facade.
+//! pwrfgs: pruned 3D Gaussian splatting for wireless radiance fields.
+//!
+//! This crate joins the others and links the built-in plugins: a program that uses it can read every name that
+//! `pwrfgs plugins` prints. A plugin of one's own is a struct, a trait and a two-line program:
+//!
+//! ```no_run
+//! use pwrfgs::prelude::*;
+//! # fn main() -> Result<()> {
+//! let text = std::fs::read_to_string("pipelines/quickstart.ron").expect("stand in the checkout");
+//! let pipeline = Pipeline::parse(&text, "pipelines/quickstart.ron".as_ref())?;
+//! let stop = std::sync::atomic::AtomicBool::new(false);
+//! let outcome = pwrfgs::experiment::run(&pipeline, "pipelines".as_ref(), "runs/first".as_ref(), &mut Silent, &stop)?;
+//! println!("{outcome:?}");
+//! # Ok(())
+//! # }
+//! ```
+
+pub use pwrfgs_core as core;
+pub use pwrfgs_data as data;
+pub use pwrfgs_experiment as experiment;
+pub use pwrfgs_init as init;
+pub use pwrfgs_metrics as metrics;
+pub use pwrfgs_model as model;
+pub use pwrfgs_prune as prune;
+pub use pwrfgs_raster as raster;
+pub use pwrfgs_train as train;
+
+/// What a plugin or a small program needs.
+pub mod prelude {
+    pub use pwrfgs_core::tape::{Trace, TraceScalar, Traced};
+    pub use pwrfgs_core::{
+        Baseline, CloudStats, ColumnSpec, DataSource, Dataset, Deformation, Deltas, Error, Evaluation, GaussianCloud,
+        Goal, Image, ImagePlane, Initializer, Measurement, Metric, Moment, Partition, Phase, Plugin, Pose, Predict,
+        Primitives, Projector, Pruner, Rasterizer, Real, Render, Result, Sample, Scene, Splats, Split, Values,
+    };
+    pub use pwrfgs_experiment::{Observer, Silent};
+    pub use pwrfgs_model::{Model, Stages};
+    pub use pwrfgs_train::{Pipeline, Trainer};
+    pub use serde::{Deserialize, Serialize};
+    pub use typetag;
+}

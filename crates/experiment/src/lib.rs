@@ -1,1 +1,22 @@
-//! pwrfgs: experiment.
+//! A run from pipeline to report: the training loop, the run folder, evaluation and `report.html`.
+//!
+//! This crate knows traits, not plugins; a program links the plugins it wants (`pwrfgs` links the built-in ones).
+
+pub mod clock;
+mod evaluate;
+mod facts;
+pub mod folder;
+mod observer;
+pub mod report;
+mod runner;
+mod samples;
+pub mod scores;
+mod series;
+mod validation;
+
+pub use evaluate::{Assessment, evaluate};
+pub use facts::{Facts, Machine};
+pub use folder::RunFolder;
+pub use observer::{Observer, Silent, Start, Validation};
+pub use runner::{Outcome, Subject, load, rebased, run};
+pub use scores::{ScoreTable, Scores, Summary};

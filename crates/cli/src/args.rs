@@ -1,0 +1,157 @@
+//! What can be said on the command line. The help texts are the first documentation that a user meets.
+
+use clap::{ArgAction, Args, Parser, Subcommand};
+use std::path::PathBuf;
+
+/// How much is said.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd)]
+pub(crate) enum Verbosity {
+    /// Errors and results.
+    Quiet,
+    /// Progress too.
+    Normal,
+    /// What happens inside too.
+    Verbose,
+}
+
+#[derive(Debug, Parser)]
+#[command(
+    name = "pwrfgs",
+    version,
+    about = "Pruned 3D Gaussian splatting for wireless radiance fields",
+    long_about = "Pruned 3D Gaussian splatting for wireless radiance fields (P-WRFGS).\n\nLearns, from spatial \
+        spectra measured at known transmitter positions, a small set of Gaussians that predicts the spectrum of any \
+        other position. An experiment is one RON file, a pipeline; a run of it is one folder.",
+    after_long_help = "EXAMPLES\n  A first run, without any download, in about a minute:\n      pwrfgs run \
+        pipelines/quickstart.ron\n  The same with other settings, elsewhere:\n      pwrfgs run pipelines/quickstart.ron \
+        --set training.steps=500 --set seed=1 --out runs/short\n  What a transmitter at 1.2, 0.3, 1.0 m would be heard \
+        from:\n      pwrfgs predict runs/quickstart/model.safetensors --tx 1.2,0.3,1.0 --out heard\n  Everything that a \
+        pipeline may name:\n      pwrfgs plugins\n\nEXIT CODES\n  0 done, 1 failed, 2 wrong input, 130 interrupted \
+        (the same command goes on)."
+)]
+pub(crate) struct Arguments {
+    #[command(subcommand)]
+    pub(crate) command: Command,
+    /// Threads to use [default: all processors]; results do not depend on it
+    #[arg(long, global = true, value_name = "N", value_parser = threads)]
+    pub(crate) threads: Option<usize>,
+    /// Say less: errors and results only
+    #[arg(short, long, global = true, action = ArgAction::SetTrue, conflicts_with = "verbose")]
+    quiet: bool,
+    /// Say more: what happens inside
+    #[arg(short, long, global = true, action = ArgAction::SetTrue)]
+    verbose: bool,
+}
+
+/// A number of threads.
+fn threads(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(count) if (1..=1024).contains(&count) => Ok(count),
+        _ => Err("give a number from 1 to 1024".into()),
+    }
+}
+
+impl Arguments {
+    pub(crate) fn verbosity(&self) -> Verbosity {
+        match (self.quiet, self.verbose) {
+            (true, _) => Verbosity::Quiet,
+            (_, true) => Verbosity::Verbose,
+            _ => Verbosity::Normal,
+        }
+    }
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    /// Train, prune, evaluate and report: everything a pipeline says
+    Run(Run),
+    /// Predict spectra for transmitter positions with a trained model
+    Predict(Predict),
+    /// Score a trained model, and the baselines beside it, on data of your choice
+    Evaluate(Evaluate),
+    /// Show every plugin that a pipeline may name, with its fields and defaults
+    Plugins(Plugins),
+}
+
+#[derive(Debug, Args)]
+#[command(
+    after_long_help = "The run folder holds pipeline.ron (every setting), curve.csv, validation.csv, scores.csv, \
+    samples.csv, run.json, the checkpoint, model.safetensors and report.html. The same command resumes a run that was \
+    stopped or killed, and ends in the same files. A folder that holds anything else is never touched.\n\nPaths in a \
+    pipeline are relative to its file; on the command line, to where you stand.\n\nEXAMPLES\n  pwrfgs run \
+    pipelines/s23-laptop.ron --set 'data=Nerf2Spectrum(root: \"../shared/data/s23\")'\n  pwrfgs run \
+    pipelines/pwrfgs.ron --set 'initializer=Random(count: 20_000, std: 10.0)' --out runs/fewer\n  pwrfgs run \
+    runs/fewer/pipeline.ron --set seed=1 --out runs/fewer-1"
+)]
+pub(crate) struct Run {
+    /// The pipeline file
+    #[arg(value_name = "PIPELINE")]
+    pub(crate) pipeline: PathBuf,
+    /// Change a setting, such as training.steps=1000; a plugin is given whole, such as 'split=Random(test: 0.3)'
+    #[arg(long = "set", value_name = "FIELD=VALUE")]
+    pub(crate) set: Vec<String>,
+    /// The run folder [default: runs/<name of the pipeline>]
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+#[command(after_long_help = "Needs nothing but the model file. Writes, for the first position, 00001.npy (float32, \
+    rows are elevation, columns azimuth) and 00001.png (8-bit grey), and so on, and predictions.csv with row, x, y, z, \
+    strongest direction (azimuth and elevation in degrees), its value, and the milliseconds it took.\n\nEXAMPLES\n  \
+    pwrfgs predict runs/quickstart/model.safetensors --tx 1.2,0.3,1.0 --out heard\n  pwrfgs predict \
+    runs/quickstart/model.safetensors --tx-csv positions.csv --out heard")]
+#[command(group(clap::ArgGroup::new("where").required(true).args(["tx", "tx_csv"])))]
+pub(crate) struct Predict {
+    /// The trained model, model.safetensors of a run folder
+    #[arg(value_name = "MODEL")]
+    pub(crate) model: PathBuf,
+    /// One transmitter position in metres, world frame
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    pub(crate) tx: Option<String>,
+    /// A CSV file with columns x, y, z in metres; others are ignored
+    #[arg(long, value_name = "FILE")]
+    pub(crate) tx_csv: Option<PathBuf>,
+    /// The folder to write to; made where it is missing
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
+}
+
+#[derive(Debug, Args)]
+#[command(
+    after_long_help = "Reads the pipeline.ron that lies beside the model for data, split, metrics and baselines; \
+    --set changes them. Prints the score table; with --out writes scores.csv, samples.csv and report.html.\n\nEXAMPLES\
+    \n  pwrfgs evaluate runs/s23/model.safetensors --set 'data=Nerf2Spectrum(root: \"data/other-day\")'\n  pwrfgs \
+    evaluate runs/s23/model.safetensors --set 'metrics=[Ssim(), RateRatio(snr_db: 20.0)]' --out again"
+)]
+pub(crate) struct Evaluate {
+    /// The trained model, model.safetensors of a run folder
+    #[arg(value_name = "MODEL")]
+    pub(crate) model: PathBuf,
+    /// The pipeline file [default: pipeline.ron beside the model]
+    #[arg(long, value_name = "FILE")]
+    pub(crate) pipeline: Option<PathBuf>,
+    /// Change a setting, such as 'data=Nerf2Spectrum(root: "..")'
+    #[arg(long = "set", value_name = "FIELD=VALUE")]
+    pub(crate) set: Vec<String>,
+    /// Where to write scores and report; nothing is written without it
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Plugins {
+    /// Only this plugin, or all of this kind (such as Pruner)
+    #[arg(value_name = "NAME")]
+    pub(crate) name: Option<String>,
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory as _;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        super::Arguments::command().debug_assert();
+    }
+}

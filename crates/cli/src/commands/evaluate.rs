@@ -1,0 +1,69 @@
+//! `pwrfgs evaluate`: scores of a trained model on data of one's choice.
+
+use crate::args::{Evaluate, Verbosity};
+use crate::output;
+use crate::pipeline::load;
+use pwrfgs::experiment::folder::{PIPELINE, REPORT};
+use pwrfgs::experiment::{Facts, Machine, Subject, evaluate as score, load as load_data};
+use pwrfgs::model::file;
+use pwrfgs_core::{Error, Result};
+use std::fmt::Write as _;
+use std::path::Path;
+use std::process::ExitCode;
+
+pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<ExitCode> {
+    let model = file::read(&arguments.model)?;
+    let beside = arguments.model.parent().unwrap_or(Path::new("")).join(PIPELINE);
+    let path = arguments.pipeline.as_ref().unwrap_or(&beside);
+    if arguments.pipeline.is_none() && !path.is_file() {
+        return Err(Error::input(
+            &arguments.model,
+            format!("there is no {PIPELINE} beside this model; name one with --pipeline FILE"),
+        ));
+    }
+    let pipeline = load(path, &arguments.set)?;
+    if let Some(out) = &arguments.out {
+        check_empty(out)?;
+    }
+    let (data, partition) = load_data(&pipeline, Path::new(""))?;
+    if verbosity != Verbosity::Quiet {
+        output::note(&format!("{}: scoring {} test spectra", data.title, partition.test.len()));
+        if data.scene.receiver != model.stages.pose {
+            output::note("warning: these data have another receiver pose than the model was trained with");
+        }
+    }
+    let assessment = score(&model, &pipeline, &data, &partition)?;
+    let mut text = assessment.scores.table().to_text();
+    if let Some(out) = &arguments.out {
+        std::fs::create_dir_all(out).map_err(|e| Error::write(out, e))?;
+        let facts = Facts {
+            version: env!("CARGO_PKG_VERSION").into(),
+            machine: Machine::here(),
+            gaussians: model.cloud.len(),
+            ..Facts::default()
+        };
+        let subject = Subject {
+            pipeline: &pipeline,
+            model: &model,
+            data: &data,
+            partition: &partition,
+            assessment: &assessment,
+            facts: &facts,
+        };
+        subject.write(out, None)?;
+        _ = writeln!(text, "\nreport: {}", out.join(REPORT).display());
+    }
+    output::result(&text);
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Refuses a folder that holds something.
+fn check_empty(out: &Path) -> Result<()> {
+    if out.exists() && !out.is_dir() {
+        return Err(Error::Config(format!("{} is no folder; choose another --out", out.display())));
+    }
+    match std::fs::read_dir(out).ok().and_then(|mut entries| entries.next()) {
+        None => Ok(()),
+        Some(_) => Err(Error::Config(format!("{} is not empty; choose another --out", out.display()))),
+    }
+}

@@ -1,0 +1,136 @@
+//! Progress of a run: a bar on a terminal, a plain line every few seconds elsewhere.
+
+use crate::args::Verbosity;
+use crate::output::{bars, note};
+use indicatif::{ProgressBar, ProgressStyle};
+use pwrfgs::experiment::clock::duration;
+use pwrfgs::experiment::scores::grouped;
+use pwrfgs::experiment::{Observer, Start, Validation};
+use pwrfgs::train::StepReport;
+use std::collections::VecDeque;
+use std::fmt::Write as _;
+use std::io::IsTerminal as _;
+use std::time::{Duration, Instant};
+
+/// Between two redraws of the bar.
+const REDRAW: Duration = Duration::from_millis(100);
+/// Between two plain lines.
+const LINE: Duration = Duration::from_secs(5);
+/// The speed is that of this last stretch.
+const WINDOW: Duration = Duration::from_secs(20);
+
+/// Draws or prints what a run reports.
+#[derive(Debug)]
+pub(crate) struct Progress {
+    verbosity: Verbosity,
+    bar: Option<ProgressBar>,
+    steps: u64,
+    /// When a step was noted, and which.
+    pace: VecDeque<(Instant, u64)>,
+    shown: Instant,
+    /// Running mean of the loss.
+    loss: f64,
+    validation: Option<Validation>,
+}
+
+impl Progress {
+    pub(crate) fn new(verbosity: Verbosity) -> Self {
+        let (pace, shown) = (VecDeque::new(), Instant::now());
+        Self { verbosity, bar: None, steps: 0, pace, shown, loss: f64::NAN, validation: None }
+    }
+
+    /// Takes the bar away.
+    pub(crate) fn finish(&mut self) {
+        if let Some(bar) = self.bar.take() {
+            bar.finish_and_clear();
+            bars().remove(&bar);
+        }
+    }
+
+    /// Steps a second over the last stretch.
+    fn speed(&self) -> Option<f64> {
+        let ((then, from), (now, to)) = (self.pace.front()?, self.pace.back()?);
+        let seconds = (*now - *then).as_secs_f64();
+        (seconds > 0.0).then(|| (to - from) as f64 / seconds)
+    }
+
+    /// Phase, loss, N, speed, time left.
+    fn words(&self, report: &StepReport) -> String {
+        let (phase, n) = (report.phase.name(), grouped(report.gaussians as i64));
+        let mut words = format!("{phase:<8}  loss {:.4}  N {n}", self.loss);
+        if let Some(v) = self.validation {
+            _ = write!(words, "  validation SSIM {:.3}", v.ssim_mean);
+        }
+        if let Some(speed) = self.speed() {
+            let left = duration((self.steps - report.step) as f64 / speed);
+            let _ = match speed >= 1.0 {
+                true => write!(words, "  {speed:.1} it/s  {left} left"),
+                false => write!(words, "  {:.1} s/it  {left} left", 1.0 / speed),
+            };
+        }
+        words
+    }
+}
+
+impl Observer for Progress {
+    fn on_start(&mut self, start: &Start<'_>) {
+        if self.verbosity == Verbosity::Quiet {
+            return;
+        }
+        let [train, validation, test] = start.samples.map(|n| grouped(n as i64));
+        note(&format!("{}: {train} training, {validation} validation, {test} test spectra", start.title));
+        let on = if start.done > 0 {
+            format!("going on after step {} of", grouped(start.done as i64))
+        } else {
+            "training".into()
+        };
+        note(&format!("{on} {} steps in {}", grouped(start.steps as i64), start.folder.display()));
+        self.steps = start.steps;
+        if std::io::stderr().is_terminal() {
+            let style = ProgressStyle::with_template("{bar:24.cyan/dim} {pos}/{len}  {msg}")
+                .unwrap_or_else(|_| ProgressStyle::default_bar())
+                .progress_chars("━╸─");
+            let bar = bars().add(ProgressBar::new(start.steps).with_style(style));
+            bar.set_position(start.done);
+            self.bar = Some(bar);
+        }
+    }
+
+    fn on_step(&mut self, report: &StepReport) {
+        self.loss = if self.loss.is_nan() { report.loss } else { 0.95 * self.loss + 0.05 * report.loss };
+        let now = Instant::now();
+        let every = if self.bar.is_some() { REDRAW } else { LINE };
+        let first = self.pace.is_empty();
+        if !first && now - self.shown < every && report.step != self.steps {
+            return;
+        }
+        self.shown = now;
+        self.pace.push_back((now, report.step));
+        while self.pace.len() > 2 && self.pace.front().is_some_and(|(then, _)| now - *then > WINDOW) {
+            self.pace.pop_front();
+        }
+        if let Some(bar) = &self.bar {
+            bar.set_position(report.step);
+            bar.set_message(self.words(report));
+        } else if self.verbosity != Verbosity::Quiet {
+            note(&format!("step {}/{}  {}", report.step, self.steps, self.words(report)));
+        }
+    }
+
+    fn on_validation(&mut self, validation: &Validation) {
+        self.validation = Some(*validation);
+        if self.verbosity == Verbosity::Verbose {
+            note(&format!(
+                "step {}: validation SSIM {:.4} (median {:.4}), eta at 0 dB {:.4}",
+                validation.step, validation.ssim_mean, validation.ssim_median, validation.eta_0db
+            ));
+        }
+    }
+
+    fn on_message(&mut self, message: &str) {
+        if self.verbosity != Verbosity::Quiet {
+            self.finish();
+            note(message);
+        }
+    }
+}

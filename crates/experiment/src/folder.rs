@@ -1,0 +1,120 @@
+//! `RunFolder`: one folder a run, claimed by its pipeline and never taken from another.
+
+use pwrfgs_core::{Error, Result};
+use pwrfgs_model::file::write_atomically;
+use pwrfgs_train::Pipeline;
+use std::fs::{File, TryLockError};
+use std::path::{Path, PathBuf};
+
+/// The file that names the run and makes a folder a run folder.
+pub const PIPELINE: &str = "pipeline.ron";
+/// Everything needed to go on.
+pub const CHECKPOINT: &str = "checkpoint.safetensors";
+/// The trained model.
+pub const MODEL_FILE: &str = "model.safetensors";
+/// Step, phase, loss, penalty, Gaussians, seconds.
+pub const CURVE: &str = "curve.csv";
+/// Step, SSIM and η on the validation part.
+pub const VALIDATION: &str = "validation.csv";
+/// Every score.
+pub const SCORES: &str = "scores.csv";
+/// Every transmitter.
+pub const SAMPLES: &str = "samples.csv";
+/// The report.
+pub const REPORT: &str = "report.html";
+
+/// A run folder that this process holds.
+#[derive(Debug)]
+pub struct RunFolder {
+    path: PathBuf,
+    /// Locked while the run is at work; the system releases it however the process ends.
+    _lock: File,
+}
+
+impl RunFolder {
+    /// Whether `path` may hold the run of this pipeline; reads only.
+    ///
+    /// # Errors
+    /// Where it is no folder, or holds something else, or a run of another pipeline.
+    pub fn inspect(path: &Path, pipeline: &str) -> Result<()> {
+        if path.exists() && !path.is_dir() {
+            return Err(Error::Config(format!("{} is no folder; choose another --out", path.display())));
+        }
+        let own = path.join(PIPELINE);
+        match std::fs::read_to_string(&own) {
+            Ok(text) => same_pipeline(path, &own, &text, pipeline),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => nothing_else(path),
+            Err(e) if e.kind() == std::io::ErrorKind::NotADirectory => Ok(()), // creating it will say why it fails
+            Err(e) => Err(Error::read(&own, e)),
+        }
+    }
+
+    /// Makes the folder where it is missing, writes `pipeline.ron` into it and locks it.
+    ///
+    /// # Errors
+    /// As [`Self::inspect`], or where it cannot be written, or another process is at work in it.
+    pub fn claim(path: &Path, pipeline: &str) -> Result<Self> {
+        Self::inspect(path, pipeline)?;
+        std::fs::create_dir_all(path).map_err(|e| Error::write(path, e))?;
+        let own = path.join(PIPELINE);
+        if !own.exists() {
+            write_atomically(&own, pipeline.as_bytes())?;
+        }
+        let lock = File::open(&own).map_err(|e| Error::read(&own, e))?;
+        match lock.try_lock() {
+            Err(TryLockError::WouldBlock) => Err(Error::Config(format!(
+                "another pwrfgs is at work in {}; wait until it ends, or choose another --out",
+                path.display()
+            ))),
+            // A file system without locks is no reason to refuse.
+            Ok(()) | Err(TryLockError::Error(_)) => Ok(Self { path: path.into(), _lock: lock }),
+        }
+    }
+
+    /// The folder.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// A file in it.
+    pub fn file(&self, name: &str) -> PathBuf {
+        self.path.join(name)
+    }
+}
+
+/// Refuses a folder that holds a run of another pipeline, naming the first difference.
+fn same_pipeline(folder: &Path, file: &Path, theirs: &str, ours: &str) -> Result<()> {
+    // Read and written again, so that fields added since with their defaults, or a comment, are no difference.
+    let theirs = Pipeline::parse(theirs, file).map_or_else(|_| theirs.to_owned(), |p| p.to_ron());
+    let differ = theirs.lines().zip(ours.lines()).enumerate().find(|(_, (a, b))| a != b);
+    match differ {
+        Some((line, (there, here))) => Err(Error::Config(format!(
+            "{} holds a run of another pipeline: its {PIPELINE}:{} has `{}`, this one has `{}`; \
+             choose another --out or remove the folder",
+            folder.display(),
+            line + 1,
+            there.trim().trim_end_matches(','),
+            here.trim().trim_end_matches(',')
+        ))),
+        None if theirs.lines().count() == ours.lines().count() => Ok(()),
+        None => Err(Error::Config(format!(
+            "{} holds a run of another pipeline; choose another --out or remove the folder",
+            folder.display()
+        ))),
+    }
+}
+
+/// Refuses a folder with files in it that no run has made.
+fn nothing_else(folder: &Path) -> Result<()> {
+    let Ok(entries) = std::fs::read_dir(folder) else { return Ok(()) };
+    // A first write that was killed leaves its temporary file behind.
+    let mut names = entries.flatten().map(|e| e.file_name()).filter(|n| !n.to_string_lossy().ends_with(".tmp"));
+    match names.next() {
+        None => Ok(()),
+        Some(name) => Err(Error::Config(format!(
+            "{} is not a run folder and not empty (it holds `{}`); choose another --out",
+            folder.display(),
+            name.to_string_lossy()
+        ))),
+    }
+}

@@ -1,0 +1,161 @@
+//! Which curves the report shows: loss and N over the steps, SSIM on validation, the spread of SSIM over the test part.
+
+use super::charts::{Band, Chart, Line};
+use crate::folder::{CURVE, VALIDATION};
+use crate::observer::Validation;
+use crate::runner::Subject;
+use crate::scores::MODEL;
+use crate::series;
+use plotters::style::RGBColor;
+use pwrfgs_core::Result;
+use serde::Serialize;
+use std::path::Path;
+
+/// At most this many places along a curve are drawn.
+const PLACES: usize = 400;
+const MODEL_COLOUR: RGBColor = RGBColor(24, 78, 163);
+/// For baselines, in their order: told apart by the colour-blind (Okabe and Ito).
+const FLOOR_COLOURS: [RGBColor; 5] = [
+    RGBColor(120, 124, 132),
+    RGBColor(230, 159, 0),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(213, 94, 0),
+];
+
+/// A chart with its heading and the meaning of its colours.
+#[derive(Serialize)]
+pub(super) struct Figure {
+    title: &'static str,
+    svg: String,
+    /// Name, colour and whether it is dashed.
+    legend: Vec<(String, String, bool)>,
+}
+
+/// Every figure there are numbers for.
+pub(super) fn all(
+    subject: &Subject<'_>,
+    curves: Option<&Path>,
+    floors: &[(String, Validation)],
+) -> Result<Vec<Figure>> {
+    let mut figures = Vec::new();
+    if let Some(folder) = curves {
+        let rows = series::read(&folder.join(CURVE));
+        let column = |k: usize| -> Vec<(f64, f64)> {
+            rows.iter().filter_map(|row| Some(((*row.first()?)?, (*row.get(k)?)?))).collect()
+        };
+        figures.extend(loss(subject, &column(2))?);
+        figures.extend(gaussians(subject, &column(4))?);
+        figures.extend(validation(subject, &series::read(&folder.join(VALIDATION)), floors)?);
+    }
+    figures.extend(distribution(subject)?);
+    Ok(figures)
+}
+
+/// A chart over the steps, with the three phases of algorithm 1 shaded.
+fn over_steps(subject: &Subject<'_>) -> Chart {
+    let t = &subject.pipeline.training;
+    let (d, p, end) = (t.densify_until as f64, t.prune_until as f64, t.steps as f64);
+    let band = |name, x, colour| Band { name, x, colour };
+    Chart {
+        x_name: "step",
+        x: (0.0, end),
+        bands: vec![
+            band("densify", (0.0, d), RGBColor(233, 240, 250)),
+            band("prune", (d, p), RGBColor(252, 240, 226)),
+            band("fine-tune", (p, end), RGBColor(238, 246, 238)),
+        ],
+        ..Chart::default()
+    }
+}
+
+fn line(points: Vec<(f64, f64)>, colour: RGBColor, width: u32) -> Line {
+    Line { points, colour, width, dashed: false }
+}
+
+fn figure(title: &'static str, chart: &Chart, legend: &[(&str, RGBColor, bool)]) -> Result<Option<Figure>> {
+    let css = |c: &RGBColor| format!("rgb({},{},{})", c.0, c.1, c.2);
+    let legend = legend.iter().map(|(name, colour, dashed)| ((*name).to_owned(), css(colour), *dashed)).collect();
+    Ok(chart.svg()?.map(|svg| Figure { title, svg, legend }))
+}
+
+/// The loss on a logarithmic axis: its mean over short stretches, and the range within each.
+fn loss(subject: &Subject<'_>, points: &[(f64, f64)]) -> Result<Option<Figure>> {
+    let stretches: Vec<&[(f64, f64)]> = points.chunks(points.len().div_ceil(PLACES).max(1)).collect();
+    let middle = |s: &[(f64, f64)], y: f64| (s[s.len() / 2].0, y);
+    let fold =
+        |s: &[(f64, f64)], f: fn(f64, f64) -> f64| middle(s, s.iter().map(|p| p.1).reduce(f).unwrap_or(f64::NAN));
+    let mean: Vec<_> =
+        stretches.iter().map(|s| middle(s, s.iter().map(|p| p.1).sum::<f64>() / s.len() as f64)).collect();
+    let upper = stretches.iter().map(|s| fold(s, f64::max));
+    let range: Vec<_> = upper.chain(stretches.iter().rev().map(|s| fold(s, f64::min))).collect();
+    let mut chart = Chart { log: true, ..over_steps(subject) };
+    if points.len() > stretches.len() {
+        chart.lines.push(line(range, MODEL_COLOUR, 0));
+    }
+    chart.lines.push(line(mean, MODEL_COLOUR, 2));
+    figure("Training loss", &chart, &[])
+}
+
+/// N on a logarithmic axis.
+fn gaussians(subject: &Subject<'_>, points: &[(f64, f64)]) -> Result<Option<Figure>> {
+    // A step function: each change keeps the point before it.
+    let mut drawn: Vec<(f64, f64)> = Vec::new();
+    for (i, &(step, n)) in points.iter().enumerate() {
+        let changes = |k: usize| points.get(k).is_none_or(|p| p.1 != n);
+        if i == 0 || changes(i - 1) || changes(i + 1) {
+            if let Some(last) = drawn.last().filter(|last| last.1 != n) {
+                drawn.push((step, last.1));
+            }
+            drawn.push((step, n));
+        }
+    }
+    let chart = Chart { log: true, lines: vec![line(drawn, MODEL_COLOUR, 2)], ..over_steps(subject) };
+    figure("Number of Gaussians", &chart, &[])
+}
+
+/// SSIM on the validation samples, with the floors on the very same samples.
+fn validation(
+    subject: &Subject<'_>,
+    rows: &[Vec<Option<f64>>],
+    floors: &[(String, Validation)],
+) -> Result<Option<Figure>> {
+    let column = |k: usize| rows.iter().filter_map(|r| Some(((*r.first()?)?, (*r.get(k)?)?))).collect::<Vec<_>>();
+    if rows.is_empty() {
+        return Ok(None);
+    }
+    let mut chart = over_steps(subject);
+    let mut legend = vec![("model, mean", MODEL_COLOUR, false), ("model, median", RGBColor(110, 160, 220), false)];
+    for ((name, floor), colour) in floors.iter().zip(FLOOR_COLOURS.iter().cycle()) {
+        let points = vec![(0.0, floor.ssim_mean), (chart.x.1, floor.ssim_mean)];
+        chart.lines.push(Line { dashed: true, ..line(points, *colour, 2) });
+        legend.push((name, *colour, true));
+    }
+    chart.lines.push(line(column(2), RGBColor(110, 160, 220), 2));
+    chart.lines.push(line(column(1), MODEL_COLOUR, 3));
+    figure("SSIM on validation samples", &chart, &legend)
+}
+
+/// Which share of the test spectra stays below an SSIM.
+fn distribution(subject: &Subject<'_>) -> Result<Option<Figure>> {
+    let scores = &subject.assessment.scores;
+    let mut chart = Chart { x_name: "SSIM", x: (1.0, 1.0), y: Some((0.0, 1.0)), ..Chart::default() };
+    let mut legend = Vec::new();
+    let mut floors = FLOOR_COLOURS.iter().cycle();
+    for (name, _) in &scores.predictors {
+        let Some(values) = scores.samples(name, "ssim") else { continue };
+        let mut sorted = values.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        let stride = sorted.len().div_ceil(PLACES).max(1);
+        let share = |i: usize| (i + 1) as f64 / sorted.len() as f64;
+        let mut points: Vec<_> = (0..sorted.len()).step_by(stride).map(|i| (sorted[i], share(i))).collect();
+        points.extend(sorted.last().map(|v| (*v, 1.0)));
+        chart.x.0 = chart.x.0.min(sorted.first().map_or(1.0, |v| (v * 10.0).floor() / 10.0)).max(-1.0);
+        let own = name == MODEL;
+        let colour = if own { MODEL_COLOUR } else { *floors.next().unwrap_or(&MODEL_COLOUR) };
+        chart.lines.push(line(points, colour, if own { 3 } else { 2 }));
+        legend.push((name.as_str(), colour, false));
+    }
+    chart.lines.reverse(); // the model on top
+    figure("Share of test spectra below an SSIM", &chart, &legend)
+}

@@ -1,0 +1,272 @@
+//! `run`: from a pipeline to a trained, evaluated, reported model; goes on where an earlier start left off.
+//!
+//! Order at every step: train, curve, validation, checkpoint. Rows reach the disk before the checkpoint that counts
+//! them, and a resumed run cuts the series back to its checkpoint: so it ends in the same files as one never stopped.
+
+use crate::evaluate::{Assessment, evaluate};
+use crate::facts::Facts;
+use crate::folder::{CHECKPOINT, CURVE, MODEL_FILE, REPORT, RunFolder, SAMPLES, SCORES, VALIDATION};
+use crate::observer::{Observer, Start};
+use crate::scores::ScoreTable;
+use crate::series::Series;
+use crate::{clock, report, samples, validation};
+use pwrfgs_core::{DataSource, Dataset, Error, Partition, Plugin, Result, rng};
+use pwrfgs_model::{Model, file};
+use pwrfgs_train::{Pipeline, StepReport, Trainer};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+/// Up to this many steps every one has its row in `curve.csv`, beyond every tenth.
+const DENSE_STEPS: u64 = 2_000;
+
+/// How a run ended.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outcome {
+    /// Everything is written.
+    Finished {
+        /// Summaries of all scores.
+        scores: ScoreTable,
+        /// Whether nothing was left to do.
+        already: bool,
+    },
+    /// It was asked to stop; the checkpoint is of this step, and the same command goes on.
+    Interrupted {
+        /// Steps done.
+        step: u64,
+    },
+}
+
+/// Runs `pipeline`, whose relative paths are relative to `base`, in the folder `out`; stops at the next step once
+/// `stop` is set.
+///
+/// # Errors
+/// Wrong input, before anything is written; a folder that cannot be written; numbers that leave the finite range. Files
+/// written so far stay intact.
+pub fn run(
+    pipeline: &Pipeline,
+    base: &Path,
+    out: &Path,
+    observer: &mut dyn Observer,
+    stop: &AtomicBool,
+) -> Result<Outcome> {
+    let begun = Instant::now();
+    let mut pipeline = pipeline.clone();
+    pipeline.data = rebased(&pipeline.data, base);
+    let text = pipeline.to_ron();
+    RunFolder::inspect(out, &text)?;
+    if let Some(scores) = finished(out) {
+        return Ok(Outcome::Finished { scores, already: true });
+    }
+    let (data, partition) = load(&pipeline, base)?;
+    let mut run = Run { pipeline: &pipeline, data: &data, partition: &partition, observer, stop, begun };
+    // Made before the folder is claimed: settings that cannot work must leave nothing behind.
+    let trainer = if out.join(MODEL_FILE).is_file() { None } else { Some(run.trainer(out)?) };
+    let folder = RunFolder::claim(out, &text)?;
+    let mut facts = Facts::open(out, pipeline.seed);
+    facts.data.clone_from(&data.title);
+    facts.samples = [partition.train.len(), partition.validation.len(), partition.test.len()];
+    let model = match trainer {
+        None => file::read(&folder.file(MODEL_FILE))?,
+        Some(mut trainer) => match run.train(&mut trainer, &folder, &mut facts)? {
+            Some(model) => model,
+            None => return Ok(Outcome::Interrupted { step: trainer.done() }),
+        },
+    };
+    let scores = run.assess(&model, &folder, &mut facts)?;
+    Ok(Outcome::Finished { scores, already: false })
+}
+
+/// Loads the data of a pipeline and divides them.
+///
+/// # Errors
+/// Whatever is wrong with the data, or a split that leaves nothing to train on or to test.
+pub fn load(pipeline: &Pipeline, base: &Path) -> Result<(Dataset, Partition)> {
+    let data = pipeline.data.load(base)?;
+    let partition = pipeline.split.split(&data, &mut rng::stream(pipeline.seed, "split", 0))?;
+    for (part, name) in [(&partition.train, "training"), (&partition.test, "test")] {
+        if part.is_empty() {
+            return Err(Error::Config(format!("split: no sample is left for the {name} part; change `split`")));
+        }
+    }
+    Ok((data, partition))
+}
+
+/// The data source with its relative paths taken from `base` and made absolute.
+pub fn rebased(data: &Plugin<dyn DataSource>, base: &Path) -> Plugin<dyn DataSource> {
+    let absolute = |path: &Path| -> PathBuf {
+        let joined = base.join(path);
+        joined.canonicalize().or_else(|_| std::path::absolute(&joined)).unwrap_or(joined)
+    };
+    data.rebased(&absolute).map_or_else(|| data.clone(), Plugin::from)
+}
+
+/// The scores of a run to which nothing is left to do.
+fn finished(out: &Path) -> Option<ScoreTable> {
+    let complete = [MODEL_FILE, SCORES, SAMPLES, REPORT].iter().all(|name| out.join(name).is_file());
+    let facts = Facts::read(out)?;
+    if complete && facts.finished.is_some() { facts.scores } else { None }
+}
+
+/// Whether `step` has a row in `curve.csv`: a function of the step alone, so that a resumed run writes the same rows.
+fn has_row(step: u64, steps: u64) -> bool {
+    steps <= DENSE_STEPS || step == 1 || step == steps || step.is_multiple_of(10)
+}
+
+struct Run<'a> {
+    pipeline: &'a Pipeline,
+    data: &'a Dataset,
+    partition: &'a Partition,
+    observer: &'a mut dyn Observer,
+    stop: &'a AtomicBool,
+    begun: Instant,
+}
+
+impl<'a> Run<'a> {
+    /// A trainer at the start, or where the checkpoint left it.
+    fn trainer(&self, out: &Path) -> Result<Trainer<'a>> {
+        let path = out.join(CHECKPOINT);
+        match std::fs::read(&path) {
+            Ok(bytes) => Trainer::restore(self.pipeline, self.data, self.partition, &bytes)
+                .map_err(|e| Error::input(&path, format!("{e}; remove it to start again"))),
+            Err(e) if [std::io::ErrorKind::NotFound, std::io::ErrorKind::NotADirectory].contains(&e.kind()) => {
+                Trainer::new(self.pipeline, self.data, self.partition)
+            }
+            Err(e) => Err(Error::read(&path, e)),
+        }
+    }
+
+    /// Trains to the end and writes the model, or returns nothing where it was asked to stop.
+    fn train(&mut self, trainer: &mut Trainer<'_>, folder: &RunFolder, facts: &mut Facts) -> Result<Option<Model>> {
+        let settings = &self.pipeline.training;
+        let (steps, earlier) = (settings.steps, facts.wall_seconds);
+        let header = "step,phase,loss,penalty,gaussians,seconds";
+        let (mut curve, last) = Series::open(&folder.file(CURVE), header, trainer.done())?;
+        let (mut looks, _) = Series::open(&folder.file(VALIDATION), validation::HEADER, trainer.done())?;
+        let mut seconds: f64 =
+            last.and_then(|row| row.rsplit(',').next().and_then(|s| s.parse().ok())).unwrap_or_default();
+        let looked_at = validation::spread(&self.partition.validation, settings.validation_samples);
+        self.observer.on_start(&Start {
+            folder: folder.path(),
+            title: &self.data.title,
+            samples: facts.samples,
+            done: trainer.done(),
+            steps,
+        });
+        while !trainer.finished() {
+            let stopped = self.stop.load(Ordering::Relaxed);
+            if !stopped {
+                let begun = Instant::now();
+                let report = trainer.step().inspect_err(|_| self.kept(folder))?;
+                seconds += begun.elapsed().as_secs_f64();
+                if has_row(report.step, steps) {
+                    curve.push(&row(&report, seconds))?;
+                }
+                let look = settings.validate_every > 0 && report.step.is_multiple_of(settings.validate_every);
+                if look && !looked_at.is_empty() {
+                    let seen = validation::validate(report.step, &trainer.model(), self.data, &looked_at)?;
+                    looks.push(&seen.row())?;
+                    self.observer.on_validation(&seen);
+                }
+                self.observer.on_step(&report);
+                facts.gaussians = report.gaussians;
+            }
+            let step = trainer.done();
+            if stopped || step.is_multiple_of(settings.checkpoint_every) || trainer.finished() {
+                curve.sync()?;
+                looks.sync()?;
+                file::write_atomically(&folder.file(CHECKPOINT), &trainer.checkpoint())?;
+                (facts.steps, facts.training_seconds) = (step, seconds);
+                facts.wall_seconds = earlier + self.begun.elapsed().as_secs_f64();
+                facts.write(folder.path())?;
+            }
+            if stopped {
+                return Ok(None);
+            }
+        }
+        let model = trainer.model();
+        file::write(&folder.file(MODEL_FILE), &model)?;
+        Ok(Some(model))
+    }
+
+    /// Says that the last checkpoint outlives a failed step.
+    fn kept(&mut self, folder: &RunFolder) {
+        let path = folder.file(CHECKPOINT);
+        if path.is_file() {
+            self.observer.on_message(&format!("the last checkpoint is kept in {}", path.display()));
+        }
+    }
+
+    /// Scores the model on the test part and writes scores, samples, report and facts.
+    fn assess(&mut self, model: &Model, folder: &RunFolder, facts: &mut Facts) -> Result<ScoreTable> {
+        let (earlier, begun) = (facts.wall_seconds, Instant::now());
+        self.observer.on_message(&format!("scoring {} test spectra", self.partition.test.len()));
+        let assessment = evaluate(model, self.pipeline, self.data, self.partition)?;
+        let scores = assessment.scores.table();
+        facts.steps = self.pipeline.training.steps;
+        facts.gaussians = model.cloud.len();
+        facts.scores = Some(scores.clone());
+        facts.wall_seconds = earlier + begun.elapsed().as_secs_f64();
+        facts.finished = Some(clock::now());
+        let subject = Subject {
+            pipeline: self.pipeline,
+            model,
+            data: self.data,
+            partition: self.partition,
+            assessment: &assessment,
+            facts,
+        };
+        subject.write(folder.path(), Some(folder.path()))?;
+        facts.write(folder.path())?;
+        self.observer.on_evaluation(&scores);
+        Ok(scores)
+    }
+}
+
+/// A row of `curve.csv`.
+fn row(report: &StepReport, seconds: f64) -> String {
+    let StepReport { step, phase, loss, penalty, gaussians } = report;
+    format!("{step},{},{loss},{penalty},{gaussians},{seconds:.3}", phase.name())
+}
+
+/// An evaluated model, to be written down.
+#[derive(Clone, Copy, Debug)]
+pub struct Subject<'a> {
+    /// How it was made.
+    pub pipeline: &'a Pipeline,
+    /// The model.
+    pub model: &'a Model,
+    /// The data it was scored on.
+    pub data: &'a Dataset,
+    /// And their split.
+    pub partition: &'a Partition,
+    /// The outcome.
+    pub assessment: &'a Assessment,
+    /// Circumstances.
+    pub facts: &'a Facts,
+}
+
+impl Subject<'_> {
+    /// Writes `scores.csv`, `samples.csv` and `report.html` into `folder`; `curves` is where the curves lie, if any.
+    ///
+    /// # Errors
+    /// Where the folder cannot be written.
+    pub fn write(&self, folder: &Path, curves: Option<&Path>) -> Result<()> {
+        let put = |name: &str, text: String| file::write_atomically(&folder.join(name), text.as_bytes());
+        put(SCORES, self.assessment.scores.to_csv())?;
+        put(SAMPLES, samples::to_csv(self.data, self.partition))?;
+        put(REPORT, report::of(self, curves)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::has_row;
+
+    #[test]
+    fn rows_depend_on_the_step_alone() {
+        assert!((1..=2000).all(|step| has_row(step, 2000)));
+        let sparse: Vec<u64> = (1..=2001).filter(|&s| has_row(s, 2001)).collect();
+        assert_eq!((sparse[0], sparse[1], *sparse.last().unwrap(), sparse.len()), (1, 10, 2001, 202));
+    }
+}

@@ -1,0 +1,334 @@
+//! `Scores`: what every predictor reached, as numbers a sample, as summaries and as text.
+//!
+//! Columns of `scores.csv`: predictor, metric, sample (a test id, or empty for a number about the whole model), value.
+
+use pwrfgs_core::{Goal, Measurement, Values};
+use serde::{Deserialize, Serialize};
+use std::fmt::Write as _;
+
+/// The name of the trained model in every table.
+pub const MODEL: &str = "model";
+
+/// All measurements of all predictors on the test part.
+#[derive(Clone, Debug)]
+pub struct Scores {
+    /// Ids of the test samples, in the order of per-sample values.
+    pub ids: Vec<u32>,
+    /// Predictors with their measurements; the model comes first.
+    pub predictors: Vec<(String, Vec<Measurement>)>,
+}
+
+/// Mean, median and 10th percentile of numbers a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Summary {
+    /// Arithmetic mean.
+    pub mean: f64,
+    /// Middle value.
+    pub median: f64,
+    /// A tenth of the samples lie below.
+    pub p10: f64,
+}
+
+impl Summary {
+    /// Of any number of values; NaN for none. Quantiles are interpolated linearly between order statistics.
+    pub fn of(values: &[f64]) -> Self {
+        let mut sorted = values.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        Self {
+            mean: values.iter().sum::<f64>() / values.len() as f64,
+            median: quantile(&sorted, 0.5),
+            p10: quantile(&sorted, 0.1),
+        }
+    }
+}
+
+/// The `q` quantile of ascending values.
+fn quantile(sorted: &[f64], q: f64) -> f64 {
+    let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
+    let place = q * last as f64;
+    let (low, part) = (place as usize, place.fract());
+    if part == 0.0 { sorted[low] } else { sorted[low] * (1.0 - part) + sorted[low + 1] * part }
+}
+
+/// Scores without the single samples, as `run.json` keeps them.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ScoreTable {
+    /// Predictors, the model first.
+    pub predictors: Vec<String>,
+    /// One entry a metric.
+    pub metrics: Vec<MetricRow>,
+}
+
+/// One metric of all predictors.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MetricRow {
+    /// Name, as in `scores.csv`.
+    pub key: String,
+    /// Unit, or empty.
+    pub unit: String,
+    /// Whether larger is better.
+    pub higher_is_better: bool,
+    /// One cell a predictor.
+    pub cells: Vec<Cell>,
+}
+
+/// One metric of one predictor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Cell {
+    /// Over the test samples. Infinite values (a perfect PSNR) are stored as `null`.
+    Samples {
+        /// Arithmetic mean.
+        #[serde(deserialize_with = "null_is_infinite")]
+        mean: f64,
+        /// Middle value.
+        #[serde(deserialize_with = "null_is_infinite")]
+        median: f64,
+        /// A tenth of the samples lie below.
+        #[serde(deserialize_with = "null_is_infinite")]
+        p10: f64,
+    },
+    /// One number for the whole model.
+    Whole(#[serde(deserialize_with = "null_is_infinite")] f64),
+    /// Does not apply, and why.
+    NotApplicable(String),
+}
+
+fn null_is_infinite<'de, D: serde::Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
+    Ok(Option::<f64>::deserialize(d)?.unwrap_or(f64::INFINITY))
+}
+
+impl Cell {
+    /// Mean, median, 10th percentile of numbers a sample; the one number of a whole model; nothing.
+    pub fn numbers(&self) -> Vec<f64> {
+        match self {
+            Self::Samples { mean, median, p10 } => vec![*mean, *median, *p10],
+            Self::Whole(value) => vec![*value],
+            Self::NotApplicable(_) => Vec::new(),
+        }
+    }
+}
+
+impl MetricRow {
+    /// Whether some predictor has a number a sample.
+    pub fn is_per_sample(&self) -> bool {
+        self.cells.iter().any(|c| matches!(c, Cell::Samples { .. }))
+    }
+
+    /// The rank (0 is best) of each predictor in statistic `k` (0 mean, 1 median, 2 tenth percentile), `None` where it
+    /// has no number. Equal values share a rank.
+    pub fn ranks(&self, k: usize) -> Vec<Option<usize>> {
+        let value = |c: &Cell| c.numbers().get(k).copied().filter(|v| !v.is_nan());
+        let better = |a: f64, b: f64| if self.higher_is_better { a > b } else { a < b };
+        let values: Vec<f64> = self.cells.iter().filter_map(value).collect();
+        let rank = |v: f64| values.iter().filter(|other| better(**other, v)).count();
+        self.cells.iter().map(|c| value(c).map(rank)).collect()
+    }
+}
+
+impl Scores {
+    /// The values of one per-sample metric of one predictor.
+    pub fn samples(&self, predictor: &str, key: &str) -> Option<&[f64]> {
+        let (_, measurements) = self.predictors.iter().find(|(name, _)| name == predictor)?;
+        measurements.iter().find(|m| m.key == key).and_then(|m| match &m.values {
+            Values::PerSample(values) => Some(values.as_slice()),
+            _ => None,
+        })
+    }
+
+    /// The summaries.
+    pub fn table(&self) -> ScoreTable {
+        let mut metrics: Vec<MetricRow> = Vec::new();
+        for (p, (_, measurements)) in self.predictors.iter().enumerate() {
+            for m in measurements {
+                let place = metrics.iter().position(|row| row.key == m.key).unwrap_or_else(|| {
+                    metrics.push(MetricRow {
+                        key: m.key.clone(),
+                        unit: m.unit.to_owned(),
+                        higher_is_better: m.goal == Goal::Higher,
+                        cells: vec![Cell::NotApplicable("not measured".into()); self.predictors.len()],
+                    });
+                    metrics.len() - 1
+                });
+                metrics[place].cells[p] = match &m.values {
+                    Values::PerSample(values) => {
+                        let Summary { mean, median, p10 } = Summary::of(values);
+                        Cell::Samples { mean, median, p10 }
+                    }
+                    Values::Whole(value) => Cell::Whole(*value),
+                    Values::NotApplicable(why) => Cell::NotApplicable(why.clone()),
+                };
+            }
+        }
+        ScoreTable { predictors: self.predictors.iter().map(|(name, _)| name.clone()).collect(), metrics }
+    }
+
+    /// The text of `scores.csv`.
+    pub fn to_csv(&self) -> String {
+        let mut out = String::from("predictor,metric,sample,value\n");
+        for (predictor, measurements) in &self.predictors {
+            for m in measurements {
+                let name = (quoted(predictor), quoted(&m.key));
+                match &m.values {
+                    Values::PerSample(values) => {
+                        for (id, value) in self.ids.iter().zip(values) {
+                            let _ = writeln!(out, "{},{},{id},{value}", name.0, name.1);
+                        }
+                    }
+                    Values::Whole(value) => _ = writeln!(out, "{},{},,{value}", name.0, name.1),
+                    Values::NotApplicable(_) => _ = writeln!(out, "{},{},,n/a", name.0, name.1),
+                }
+            }
+        }
+        out
+    }
+}
+
+/// A CSV field, in quotation marks where it needs them.
+fn quoted(field: &str) -> String {
+    if field.contains([',', '"', '\n', '\r']) { format!("\"{}\"", field.replace('"', "\"\"")) } else { field.into() }
+}
+
+impl ScoreTable {
+    /// Aligned text for a terminal: a line for each metric and statistic, a column for each predictor; the best of a
+    /// line carries a `*`.
+    pub fn to_text(&self) -> String {
+        let mut lines = vec![(["metric".to_owned(), String::new()], self.predictors.clone())];
+        for row in &self.metrics {
+            let arrow = if row.higher_is_better { "↑" } else { "↓" };
+            let unit = if row.unit.is_empty() { String::new() } else { format!(" [{}]", row.unit) };
+            let statistics: &[&str] = if row.is_per_sample() { &["mean", "median", "p10"] } else { &[""] };
+            for (k, statistic) in statistics.iter().enumerate() {
+                let name = if k == 0 { format!("{}{unit} {arrow}", row.key) } else { String::new() };
+                let ranks = row.ranks(k);
+                let alone = ranks.iter().flatten().count() < 2;
+                let cell = |(cell, rank): (&Cell, &Option<usize>)| match cell.numbers().get(k) {
+                    Some(value) => format!("{}{}", number(*value), if *rank == Some(0) && !alone { "*" } else { " " }),
+                    None => "n/a ".to_owned(),
+                };
+                let cells = row.cells.iter().zip(&ranks).map(cell).collect();
+                lines.push(([name, (*statistic).to_owned()], cells));
+            }
+        }
+        aligned(&lines)
+    }
+}
+
+/// Left-aligned heads, right-aligned cells.
+fn aligned(lines: &[([String; 2], Vec<String>)]) -> String {
+    let width = |text: &str| text.chars().count();
+    let heads = [0, 1].map(|k| lines.iter().map(|(head, _)| width(&head[k])).max().unwrap_or(0));
+    let columns = lines.iter().map(|(_, cells)| cells.len()).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..columns)
+        .map(|k| lines.iter().filter_map(|(_, cells)| cells.get(k)).map(|c| width(c)).max().unwrap_or(0))
+        .collect();
+    let mut out = String::new();
+    for ([name, statistic], cells) in lines {
+        let mut line = format!("{name:<0$}  {statistic:<1$}", heads[0], heads[1]);
+        for (cell, w) in cells.iter().zip(&widths) {
+            let _ = write!(line, "  {cell:>w$}");
+        }
+        out.push_str(line.trim_end());
+        out.push('\n');
+    }
+    out
+}
+
+/// Four significant digits or so, no exponent in the usual range, whole numbers as such.
+pub fn number(value: f64) -> String {
+    let size = value.abs();
+    if !value.is_finite() {
+        return if value.is_nan() {
+            "n/a".into()
+        } else if value > 0.0 {
+            "∞".into()
+        } else {
+            "−∞".into()
+        };
+    }
+    if value.fract() == 0.0 && (10.0..1e15).contains(&size) {
+        return grouped(value as i64);
+    }
+    match size {
+        0.0 => "0".into(),
+        s if s >= 1000.0 => grouped(value.round() as i64),
+        s if s >= 100.0 => format!("{value:.1}"),
+        s if s >= 10.0 => format!("{value:.2}"),
+        s if s >= 1.0 => format!("{value:.3}"),
+        s if s >= 1e-4 => format!("{value:.4}"),
+        _ => format!("{value:.2e}"),
+    }
+}
+
+/// 65469 as `65,469`.
+pub fn grouped(value: i64) -> String {
+    let digits = value.unsigned_abs().to_string();
+    let mut out = String::from(if value < 0 { "-" } else { "" });
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            out.push(',');
+        }
+        out.push(digit);
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scores() -> Scores {
+        let measure = |key: &str, goal, values| Measurement { key: key.into(), unit: "", goal, values };
+        Scores {
+            ids: vec![3, 7],
+            predictors: vec![
+                (
+                    MODEL.into(),
+                    vec![
+                        measure("ssim", Goal::Higher, Values::PerSample(vec![0.5, 0.7])),
+                        measure("gaussians", Goal::Lower, Values::Whole(2613.0)),
+                    ],
+                ),
+                (
+                    "k, far".into(),
+                    vec![
+                        measure("ssim", Goal::Higher, Values::PerSample(vec![0.75, 0.25])),
+                        measure("gaussians", Goal::Lower, Values::NotApplicable("no Gaussians".into())),
+                    ],
+                ),
+            ],
+        }
+    }
+
+    #[test]
+    fn quantiles_interpolate_as_numpy_does() {
+        let s = Summary::of(&[4.0, 1.0, 2.0, 3.0]);
+        assert_eq!((s.mean, s.median), (2.5, 2.5));
+        assert!((s.p10 - 1.3).abs() < 1e-12);
+        assert!(Summary::of(&[]).mean.is_nan());
+    }
+
+    #[test]
+    fn csv_has_one_line_a_value() {
+        let expected = "predictor,metric,sample,value\nmodel,ssim,3,0.5\nmodel,ssim,7,0.7\nmodel,gaussians,,2613\n\
+                        \"k, far\",ssim,3,0.75\n\"k, far\",ssim,7,0.25\n\"k, far\",gaussians,,n/a\n";
+        assert_eq!(scores().to_csv(), expected);
+    }
+
+    #[test]
+    fn the_table_marks_the_best_and_survives_json() {
+        let table = scores().table();
+        let text = table.to_text();
+        assert!(text.contains("0.6000*") && text.contains("2,613") && text.contains("n/a"), "{text}");
+        assert_eq!(table.metrics[0].ranks(0), vec![Some(0), Some(1)]);
+        assert_eq!(table.metrics[1].ranks(0), vec![Some(0), None]);
+        let json = serde_json::to_string(&table).unwrap();
+        assert_eq!(serde_json::from_str::<ScoreTable>(&json).unwrap(), table);
+    }
+
+    #[test]
+    fn numbers_are_short() {
+        let all = [0.0, 0.88125, 12.345, 65469.0, 1e-6, f64::INFINITY, 123.456].map(number);
+        assert_eq!(all, ["0", "0.8812", "12.35", "65,469", "1.00e-6", "∞", "123.5"]);
+    }
+}

@@ -1,0 +1,77 @@
+//! The look at the validation part while training, and the floors on the very same samples.
+
+use crate::evaluate::{Bench, predict};
+use crate::observer::Validation;
+use crate::scores::Summary;
+use pwrfgs_core::{Dataset, ImagePlane, Measurement, Metric, Partition, Plugin, Result, Values};
+use pwrfgs_model::Model;
+use pwrfgs_train::Pipeline;
+
+/// Header of `validation.csv`.
+pub(crate) const HEADER: &str = "step,ssim_mean,ssim_median,eta_0db";
+
+impl Validation {
+    /// A row of `validation.csv`.
+    pub(crate) fn row(&self) -> String {
+        format!("{},{},{},{}", self.step, self.ssim_mean, self.ssim_median, self.eta_0db)
+    }
+}
+
+/// At most `count` of `part`, evenly spread.
+pub(crate) fn spread(part: &[usize], count: usize) -> Vec<usize> {
+    let n = part.len().min(count);
+    (0..n).map(|i| part[i * part.len() / n]).collect()
+}
+
+/// SSIM and η(0 dB), as the built-in metrics define them.
+fn metrics() -> Vec<Plugin<dyn Metric>> {
+    ["Ssim()", "RateRatio(snr_db: 0.0)"]
+        .map(|text| Plugin::parse(text).expect("the built-in metrics are linked by the facade"))
+        .into()
+}
+
+/// One row of `validation.csv` from the two measurements.
+fn row(step: u64, measured: &[Measurement]) -> Validation {
+    let of = |k: usize| match measured.get(k).map(|m| &m.values) {
+        Some(Values::PerSample(values)) => Summary::of(values),
+        _ => Summary { mean: f64::NAN, median: f64::NAN, p10: f64::NAN },
+    };
+    Validation { step, ssim_mean: of(0).mean, ssim_median: of(0).median, eta_0db: of(1).mean }
+}
+
+/// Looks at the samples `part`.
+pub(crate) fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize]) -> Result<Validation> {
+    let bench = Bench::new(data, part, &model.stages.plane);
+    Ok(row(step, &bench.measure(&metrics(), &predict(model, &bench.txs), None)?))
+}
+
+/// What each baseline, having seen the training part alone, reaches on the samples that validation looks at.
+pub(crate) fn floors(
+    pipeline: &Pipeline,
+    plane: &ImagePlane,
+    data: &Dataset,
+    partition: &Partition,
+) -> Result<Vec<(String, Validation)>> {
+    let part = spread(&partition.validation, pipeline.training.validation_samples);
+    if part.is_empty() || pipeline.training.validate_every == 0 {
+        return Ok(Vec::new());
+    }
+    let bench = Bench::new(data, &part, plane);
+    let floor = |b: &Plugin<dyn pwrfgs_core::Baseline>| {
+        Ok((b.name(), row(0, &bench.baseline(b, &partition.train, &metrics())?)))
+    };
+    pipeline.baselines.iter().map(floor).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::spread;
+
+    #[test]
+    fn samples_are_spread_evenly() {
+        let part: Vec<usize> = (100..110).collect();
+        assert_eq!(spread(&part, 3), [100, 103, 106]);
+        assert_eq!(spread(&part, 50), part);
+        assert!(spread(&part, 0).is_empty() && spread(&[], 5).is_empty());
+    }
+}
