@@ -13,7 +13,7 @@ use std::sync::OnceLock;
 /// Width and height of a chart in SVG units.
 const SIZE: (u32, u32) = (560, 320);
 /// Room for axes: left, top, right, bottom.
-const MARGINS: (u32, u32, u32, u32) = (58, 24, 14, 40);
+const MARGINS: (u32, u32, u32, u32) = (62, 26, 18, 46);
 
 /// A chart.
 #[derive(Clone, Debug, Default)]
@@ -98,13 +98,13 @@ impl Chart {
             .margin_bottom(MARGINS.3)
             .build_cartesian_2d(self.x.0..self.x.1, y.0..y.1)?;
         let ink = RGBColor(70, 74, 82);
-        let style = |h: HPos, v: VPos| ("sans-serif", 12).into_font().color(&ink).pos(Pos::new(h, v));
+        let style = |h: HPos, v: VPos| ("sans-serif", 14).into_font().color(&ink).pos(Pos::new(h, v));
         for band in &self.bands {
             let (from, to) = (band.x.0.max(self.x.0), band.x.1.min(self.x.1));
             if from < to {
                 chart.draw_series([Rectangle::new([(from, y.0), (to, y.1)], band.colour.filled())])?;
                 let (a, b) = (chart.backend_coord(&(from, y.1)), chart.backend_coord(&(to, y.1)));
-                if b.0 - a.0 > 7 * band.name.len() as i32 {
+                if b.0 - a.0 > 8 * band.name.len() as i32 {
                     let middle = (i32::midpoint(a.0, b.0), a.1 - 6);
                     root.draw(&Text::new(band.name, middle, style(HPos::Center, VPos::Bottom)))?;
                 }
@@ -133,7 +133,7 @@ impl Chart {
         }
         let (a, b) = (chart.backend_coord(&(self.x.0, y.0)), chart.backend_coord(&(self.x.1, y.1)));
         root.draw(&PathElement::new([(a.0, b.1), a, (b.0, a.1)], ink.stroke_width(1)))?;
-        let below = (i32::midpoint(a.0, b.0), a.1 + 24);
+        let below = (i32::midpoint(a.0, b.0), a.1 + 27);
         root.draw(&Text::new(self.x_name, below, style(HPos::Center, VPos::Top)))?;
         root.present()?;
         Ok(())

@@ -94,7 +94,7 @@ impl Mark {
 pub(super) fn map(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark]) -> String {
     let (w, h) = (image.width, image.height);
     let height = MAP * h as f64 / w as f64;
-    let (left, top) = (34.0, 8.0);
+    let (left, top) = (44.0, 8.0);
     let (azimuth, elevation) = plane.angles.unwrap_or((Axis { first: 0.0, step: 1.0 }, Axis { first: 0.0, step: 1.0 }));
     let (across, up) = (Ruler::new(azimuth, w), Ruler::new(elevation, h));
     let mut rgba = Vec::with_capacity(4 * w * h);
@@ -106,7 +106,7 @@ pub(super) fn map(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark
         }
     }
     let mut svg = format!(
-        "<svg class=\"map\" viewBox=\"0 0 404 {:.0}\" role=\"img\"><image class=\"pixels\" x=\"{left}\" y=\"{top}\" \
+        "<svg class=\"map\" viewBox=\"0 0 418 {:.0}\" role=\"img\"><image class=\"pixels\" x=\"{left}\" y=\"{top}\" \
          width=\"{MAP}\" height=\"{height}\" preserveAspectRatio=\"none\" href=\"{}\"/>\
          <rect class=\"frame\" x=\"{left}\" y=\"{top}\" width=\"{MAP}\" height=\"{height}\"/>",
         top + height + 34.0,

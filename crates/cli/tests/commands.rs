@@ -1,0 +1,158 @@
+//! What each verb does when all is well, and that nothing of the user's is overwritten.
+
+mod common;
+
+use common::{SMALL, call, refuse, stderr, stdout, succeed, write};
+use std::path::Path;
+
+fn read(path: &Path) -> String {
+    std::fs::read_to_string(path).unwrap()
+}
+
+#[test]
+fn a_run_becomes_a_folder_that_predicts_and_evaluates() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("pipelines/small.ron"), SMALL);
+    let output = succeed(here, &["run", "pipelines/small.ron", "--threads", "1"]);
+    let table = stdout(&output);
+    assert!(
+        table.contains("ssim") && table.contains("mean spectrum") && table.contains("report: runs/small"),
+        "{table}"
+    );
+    assert!(stderr(&output).contains("step 60/60"), "plain lines where there is no terminal: {}", stderr(&output));
+
+    let run = here.join("runs/small");
+    for name in ["pipeline.ron", "model.safetensors", "checkpoint.safetensors", "validation.csv"] {
+        assert!(run.join(name).is_file(), "{name}");
+    }
+    let curve = read(&run.join("curve.csv"));
+    assert_eq!(curve.lines().next(), Some("step,phase,loss,penalty,gaussians,seconds"));
+    assert_eq!(curve.lines().count(), 61);
+    assert!(read(&run.join("samples.csv")).starts_with("id,x,y,z,split,nearest_train_m\n1,"));
+    let scores = read(&run.join("scores.csv"));
+    assert!(scores.starts_with("predictor,metric,sample,value\nmodel,ssim,5,"), "{scores}");
+    assert!(scores.lines().any(|l| l.starts_with("model,gaussians,,")) && scores.contains("\n3-NN,"), "{scores}");
+    let facts: serde_json::Value = serde_json::from_str(&read(&run.join("run.json"))).unwrap();
+    assert!(facts["finished"].is_string() && facts["wall_seconds"].as_f64().unwrap() > 0.0);
+    assert_eq!(facts["machine"]["threads"], 1);
+    let report = read(&run.join("report.html"));
+    for outside in ["src=\"http", "href=\"http", "<link", "<script"] {
+        assert!(!report.contains(outside), "the report needs {outside}");
+    }
+    assert!(report.contains("simulated") && report.matches("<svg").count() > 10);
+
+    // Again: nothing to do. From its own pipeline.ron: the same run.
+    let before = std::fs::metadata(run.join("report.html")).unwrap().modified().unwrap();
+    let again = succeed(here, &["run", "runs/small/pipeline.ron"]);
+    assert!(stderr(&again).contains("nothing to do"), "{}", stderr(&again));
+    assert_eq!(stdout(&again), table);
+    assert_eq!(std::fs::metadata(run.join("report.html")).unwrap().modified().unwrap(), before);
+    // A missing report is written again, from the same model.
+    std::fs::remove_file(run.join("report.html")).unwrap();
+    let model = std::fs::read(run.join("model.safetensors")).unwrap();
+    succeed(here, &["run", "pipelines/small.ron", "-q"]);
+    assert!(run.join("report.html").is_file());
+    assert_eq!(std::fs::read(run.join("model.safetensors")).unwrap(), model);
+
+    predicts(here);
+    evaluates(here, &scores);
+
+    // Another pipeline may not have the folder.
+    refuse(
+        here,
+        &["run", "pipelines/small.ron", "--set", "seed=1"],
+        2,
+        &["runs/small", "`seed: 0`", "`seed: 1`", "--out"],
+    );
+    assert_eq!(read(&run.join("scores.csv")).lines().count(), scores.lines().count());
+}
+
+/// `predict` needs nothing but the model file.
+fn predicts(here: &Path) {
+    let lonely = here.join("lonely");
+    std::fs::create_dir(&lonely).unwrap();
+    std::fs::copy(here.join("runs/small/model.safetensors"), lonely.join("m.safetensors")).unwrap();
+    write(&lonely.join("tx.csv"), "name,Z,y,x\r\na,0.9,0.1,0.2\r\nb,1.0,-0.2,0.3\r\n");
+    succeed(&lonely, &["predict", "m.safetensors", "--tx-csv", "tx.csv", "--out", "many"]);
+    succeed(&lonely, &["predict", "m.safetensors", "--tx", "-0.2,0.1,0.9", "--out", "one"]);
+    let list = read(&lonely.join("many/predictions.csv"));
+    assert!(list.starts_with("row,x,y,z,azimuth_deg,elevation_deg,peak,milliseconds\n1,0.2,0.1,0.9,"), "{list}");
+    assert_eq!(list.lines().count(), 3);
+    let bytes = std::fs::read(lonely.join("many/00002.npy")).unwrap();
+    let npy = npyz::NpyFile::new(&bytes[..]).unwrap();
+    assert_eq!(npy.shape(), [12, 48]);
+    let values: Vec<f32> = npy.into_vec().unwrap();
+    let png = image::open(lonely.join("many/00002.png")).unwrap();
+    assert_eq!(png.color(), image::ColorType::L8);
+    let grey = png.into_luma8();
+    for (pixel, value) in grey.as_raw().iter().zip(&values) {
+        assert!((f32::from(*pixel) - 255.0 * value.clamp(0.0, 1.0)).abs() <= 0.51);
+    }
+    // The same command again is fine, and leaves no picture of the longer list behind.
+    succeed(&lonely, &["predict", "m.safetensors", "--tx", "0,0,1", "--out", "many"]);
+    assert!(!lonely.join("many/00002.png").exists() && lonely.join("many/00001.png").exists());
+    // A folder of somebody else's pictures is left alone.
+    common::picture(&lonely.join("spectra/00001.png"), 4, 4);
+    let theirs = std::fs::read(lonely.join("spectra/00001.png")).unwrap();
+    refuse(&lonely, &["predict", "m.safetensors", "--tx", "0,0,1", "--out", "spectra"], 2, &["spectra", "00001.png"]);
+    assert_eq!(std::fs::read(lonely.join("spectra/00001.png")).unwrap(), theirs);
+}
+
+/// `evaluate` finds the pipeline beside the model and gives the scores of the run.
+fn evaluates(here: &Path, scores: &str) {
+    let model = "runs/small/model.safetensors";
+    succeed(here, &["evaluate", model, "--out", "again"]);
+    let own = |text: &str| text.lines().filter(|l| !l.contains("latency")).map(str::to_owned).collect::<Vec<_>>();
+    assert_eq!(own(&read(&here.join("again/scores.csv"))), own(scores));
+    let other =
+        succeed(here, &["evaluate", model, "--set", "data=Teacher(seed: 3, width: 48, height: 12, samples: 20)"]);
+    assert!(stdout(&other).contains("ssim"), "{}", stdout(&other));
+    refuse(here, &["evaluate", model, "--set", "data=Teacher(samples: 20)"], 2, &["48x12", "360x90"]);
+    refuse(here, &["evaluate", model, "--out", "again"], 2, &["again is not empty"]);
+    refuse(here, &["evaluate", "lonely/m.safetensors"], 2, &["m.safetensors", "--pipeline"]);
+}
+
+#[test]
+fn a_folder_with_something_else_in_it_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("small.ron"), SMALL);
+    write(&here.join("thesis/chapter.txt"), "years of work");
+    refuse(here, &["run", "small.ron", "--out", "thesis"], 2, &["thesis", "chapter.txt", "--out"]);
+    assert_eq!(std::fs::read_dir(here.join("thesis")).unwrap().count(), 1);
+    refuse(here, &["run", "small.ron", "--out", "small.ron"], 2, &["small.ron is no folder"]);
+    assert_eq!(read(&here.join("small.ron")), SMALL);
+}
+
+#[test]
+fn paths_of_a_pipeline_are_relative_to_it_and_those_of_set_to_where_one_stands() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    common::measured(&here.join("deep"));
+    succeed(here, &["run", "deep/p.ron", "--out", "a", "-q"]);
+    std::fs::rename(here.join("deep/data"), here.join("moved")).unwrap();
+    refuse(here, &["run", "deep/p.ron", "--out", "b"], 2, &["deep/data"]);
+    assert!(!here.join("b").exists(), "wrong input leaves nothing behind");
+    succeed(here, &["run", "deep/p.ron", "--out", "b", "-q", "--set", "data=Nerf2Spectrum(root: \"moved\")"]);
+    // The resolved pipeline holds everywhere.
+    succeed(&here.join("deep"), &["run", "../b/pipeline.ron", "--out", "c", "-q"]);
+    assert_eq!(std::fs::read(here.join("b/model.safetensors")).unwrap(), {
+        std::fs::read(here.join("deep/c/model.safetensors")).unwrap()
+    });
+}
+
+#[test]
+fn plugins_lists_every_kind_and_single_ones() {
+    let here = Path::new(".");
+    let all = stdout(&succeed(here, &["plugins"]));
+    for word in
+        ["Pruner (field `pruners`)", "LearnableMask(", "lambda: 0.01", "Mercator", "NearestNeighbours", "Teacher"]
+    {
+        assert!(all.contains(word), "{word} is not in {all}");
+    }
+    let one = stdout(&succeed(here, &["plugins", "TopK"]));
+    assert!(one.contains("keep") && !one.contains("LearnableMask"), "{one}");
+    refuse(here, &["plugins", "TopQ"], 2, &["did you mean `TopK`"]);
+    assert!(stdout(&call(here, &["--help"])).contains("EXAMPLES"));
+}

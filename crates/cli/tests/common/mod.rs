@@ -1,0 +1,92 @@
+//! The program under test, small pipelines and small data.
+#![allow(dead_code, unreachable_pub)] // each test file is a program and uses its part
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+/// A pipeline of seconds: spectra of 48x12 pixels, 8 Gaussians.
+pub const SMALL: &str = "Pipeline(
+    name: \"small\",
+    data: Teacher(gaussians: 4, samples: 40, width: 48, height: 12),
+    split: Official(validation: 0.2),
+    initializer: Grid(count: 8),
+    deformation: Mlp(depth: 2, width: 16, skip: None),
+    pruners: [LearnableMask(lambda: 0.02, learning_rate: 0.1), OpacityThreshold()],
+    training: (
+        steps: 60, batch: 2, densify_until: 20, prune_until: 40, prune_every: 10, validate_every: 20,
+        checkpoint_every: 10, densify: (every: 5, from: 5),
+    ),
+)
+";
+
+/// The program, told to stand in `folder`.
+pub fn pwrfgs(folder: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_pwrfgs"));
+    command.current_dir(folder).env_remove("RUST_LOG");
+    command
+}
+
+/// Runs it to its end.
+pub fn call(folder: &Path, arguments: &[&str]) -> Output {
+    pwrfgs(folder).args(arguments).output().unwrap()
+}
+
+pub fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+pub fn stdout(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
+/// Runs it and insists on success.
+pub fn succeed(folder: &Path, arguments: &[&str]) -> Output {
+    let output = call(folder, arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", stderr(&output));
+    output
+}
+
+/// Runs it and insists on exit code `code` and one message that holds all of `words`.
+pub fn refuse(folder: &Path, arguments: &[&str], code: i32, words: &[&str]) {
+    let output = call(folder, arguments);
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
+    assert_eq!(said.matches("error: ").count(), 1, "{arguments:?}: {said}");
+    assert!(!said.contains("panicked"), "{said}");
+    for word in words {
+        assert!(said.contains(word), "{arguments:?}: `{word}` is not in: {said}");
+    }
+}
+
+/// Writes a file, with the folders above it.
+pub fn write(path: &Path, content: impl AsRef<[u8]>) {
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    std::fs::write(path, content).unwrap();
+}
+
+/// A grey picture.
+pub fn picture(path: &Path, width: u32, height: u32) {
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    image::GrayImage::from_fn(width, height, |x, y| image::Luma([(7 * x + 11 * y) as u8])).save(path).unwrap();
+}
+
+/// Six measured spectra of 12x6 pixels in the NeRF2 layout, and a pipeline beside them.
+pub fn measured(folder: &Path) {
+    let root = folder.join("data");
+    for id in 1..=6 {
+        picture(&root.join(format!("spectrum/{id:05}.png")), 12, 6);
+    }
+    let rows: String = (1..=6).map(|i| format!("0.{i},1.0,0.5\n")).collect();
+    write(&root.join("tx_pos.csv"), format!("x,y,z\n{rows}"));
+    write(
+        &root.join("gateway_info.yml"),
+        "gateway1:\n  position: [0.0, 0.0, 0.0]\n  orientation: [0.0, 0.0, 0.0, 1.0]\n",
+    );
+    write(&root.join("train_index.txt"), "00001\n00002\n00003\n00004\n");
+    write(&root.join("test_index.txt"), "00005\n00006\n");
+    let text = SMALL
+        .replace("Teacher(gaussians: 4, samples: 40, width: 48, height: 12)", "Nerf2Spectrum(root: \"data\")")
+        .replace("validation: 0.2", "validation: 0")
+        .replace("steps: 60", "steps: 3");
+    write(&folder.join("p.ron"), text);
+}

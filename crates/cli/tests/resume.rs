@@ -1,0 +1,86 @@
+//! Killed, interrupted, resumed: the end is the same, byte for byte.
+
+mod common;
+
+use common::{SMALL, pwrfgs, refuse, succeed, write};
+use std::path::Path;
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+/// A few seconds of training in small steps, with densification, pruning and checkpoints on the way.
+fn longer() -> String {
+    SMALL
+        .replace("steps: 60", "steps: 2_400")
+        .replace("densify_until: 20", "densify_until: 900")
+        .replace(
+            "prune_until: 40, prune_every: 10, validate_every: 20",
+            "prune_until: 1_800, prune_every: 150, validate_every: 300",
+        )
+        .replace("checkpoint_every: 10", "checkpoint_every: 70")
+        .replace("every: 5, from: 5", "every: 100, from: 100, max_gaussians: 60")
+}
+
+/// `curve.csv` without its seconds.
+fn curve(run: &Path) -> Vec<String> {
+    let text = std::fs::read_to_string(run.join("curve.csv")).unwrap();
+    text.lines().map(|l| l.rsplit_once(',').unwrap().0.to_owned()).collect()
+}
+
+fn same_end(a: &Path, b: &Path) {
+    assert!(curve(a) == curve(b), "curves differ");
+    for name in ["model.safetensors", "validation.csv", "samples.csv"] {
+        assert!(std::fs::read(a.join(name)).unwrap() == std::fs::read(b.join(name)).unwrap(), "{name} differs");
+    }
+}
+
+#[test]
+fn a_killed_run_ends_as_one_never_stopped() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("p.ron"), longer());
+    let whole = Instant::now();
+    succeed(here, &["run", "p.ron", "--out", "whole", "-q"]);
+    let whole = whole.elapsed();
+    let mut kills = 0;
+    for i in 0..40 {
+        let mut child =
+            pwrfgs(here).args(["run", "p.ron", "--out", "killed", "-q"]).stdout(Stdio::null()).spawn().unwrap();
+        std::thread::sleep(whole.mul_f64(0.1) + Duration::from_millis(37 * (i % 5)));
+        child.kill().unwrap(); // SIGKILL
+        if child.wait().unwrap().success() {
+            break;
+        }
+        kills += 1;
+    }
+    println!("killed {kills} times");
+    succeed(here, &["run", "p.ron", "--out", "killed", "-q"]);
+    assert!(kills >= 2, "the run is long enough to be killed");
+    same_end(&here.join("whole"), &here.join("killed"));
+    let rows = curve(&here.join("whole"));
+    assert_eq!(rows.len(), 1 + 1 + 240, "a header, step 1 and every tenth");
+    assert!(rows.iter().any(|r| r.contains("prune")) && rows.iter().any(|r| r.contains("finetune")));
+}
+
+#[test]
+fn an_interrupted_run_says_how_to_go_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("p.ron"), longer());
+    let child =
+        pwrfgs(here).args(["run", "p.ron", "--out", "r"]).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    let begun = Instant::now();
+    while !here.join("r/checkpoint.safetensors").exists() && begun.elapsed() < Duration::from_secs(60) {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    // While it is at work nobody else may have the folder.
+    refuse(here, &["run", "p.ron", "--out", "r"], 2, &["another pwrfgs is at work in r"]);
+    let interrupt = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(interrupt.success());
+    let output = child.wait_with_output().unwrap();
+    let said = common::stderr(&output);
+    assert_eq!(output.status.code(), Some(130), "{said}");
+    assert!(said.contains("stopped after step") && said.contains("the same command goes on"), "{said}");
+    succeed(here, &["run", "p.ron", "--out", "r", "-q", "--threads", "1"]);
+    succeed(here, &["run", "p.ron", "--out", "whole", "-q", "--threads", "2"]);
+    same_end(&here.join("r"), &here.join("whole"));
+}
