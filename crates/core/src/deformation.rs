@@ -1,4 +1,4 @@
-//! `Deformation`: what the transmitter's position changes, D_Θ of eq. (5).
+//! `Deformation`: what the transmitter's position changes, `D_Θ` of eq. (5).
 
 use crate::{Pose, Real, plugin_kind, rng::Rng};
 

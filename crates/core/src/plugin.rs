@@ -237,10 +237,10 @@ where
     impl std::error::Error for Probe {}
     impl de::Error for Probe {
         fn custom<M: fmt::Display>(_: M) -> Self {
-            Probe(vec![])
+            Self(vec![])
         }
         fn unknown_variant(_: &str, expected: &'static [&'static str]) -> Self {
-            Probe(expected.to_vec())
+            Self(expected.to_vec())
         }
     }
     let probe = de::value::MapDeserializer::<_, Probe>::new([("", 0u8)].into_iter());

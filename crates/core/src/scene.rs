@@ -47,7 +47,7 @@ pub struct Scene {
 pub struct Sample {
     /// The number the data set gives it.
     pub id: u32,
-    /// Transmitter position p_tx, metres, world frame.
+    /// Transmitter position `p_tx`, metres, world frame.
     pub tx: [Real; 3],
     /// Spectrum, row-major 8-bit grey as stored (255 is 1.0).
     pub spectrum: Vec<u8>,

@@ -7,11 +7,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Phase {
-    /// t ≤ M_d: clone, split and remove.
+    /// `t ≤ M_d`: clone, split and remove.
     Densify,
-    /// M_d < t ≤ M_p: the pruners are asked every I_p steps.
+    /// `M_d < t ≤ M_p`: the pruners are asked every `I_p` steps.
     Prune,
-    /// t > M_p: N is fixed, masks are gone.
+    /// `t > M_p`: N is fixed, masks are gone.
     Finetune,
 }
 

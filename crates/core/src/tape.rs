@@ -77,7 +77,7 @@ impl Traced {
         &self.device
     }
 
-    /// The straight-through gate of eq. (10): forward 1[score ≥ threshold], derivative of the identity.
+    /// The straight-through gate of eq. (11): forward 1[score ≥ threshold], derivative of the identity.
     pub fn straight_through(&self, score: Trace, threshold: Real) -> Trace {
         let soft = score.as_vec();
         let shift = soft.iter().map(|s| Real::from(u8::from(*s >= threshold)) - s).collect();

@@ -247,8 +247,7 @@ mod tests {
             let d_signals: Vec<Real> = d.collect();
             let (mut d_cloud, mut d_deltas) = (cloud.zeros_like(), unpack(&vec![0.0; size]).1);
             let mut d_gate = vec![0.0; N];
-            activation
-                .geometry_vjp(&cloud, &deltas, b, Some(&gate), &g, &mut d_cloud, &mut d_deltas, &mut d_gate);
+            activation.geometry_vjp(&cloud, &deltas, b, Some(&gate), &g, &mut d_cloud, &mut d_deltas, &mut d_gate);
             activation.signals_vjp(&cloud, &deltas, 0..BATCH, &d_signals, &mut d_cloud, &mut d_deltas);
             pack(&d_cloud, &d_deltas, &d_gate)
         };

@@ -69,7 +69,10 @@ fn from_bytes(bytes: &[u8]) -> Result<Model, String> {
     let mut file = Tensors::from_bytes(bytes)?;
     let note: Note = serde_json::from_str(&file.note).map_err(|e| format!("not a pwrfgs model ({e})"))?;
     if note.format != FORMAT || note.version != VERSION {
-        return Err(format!("a `{}` of version {}, this program reads `{FORMAT}` {VERSION}", note.format, note.version));
+        return Err(format!(
+            "a `{}` of version {}, this program reads `{FORMAT}` {VERSION}",
+            note.format, note.version
+        ));
     }
     let stages = Stages {
         deformation: parse(&note.deformation)?,

@@ -78,8 +78,12 @@ impl Tensors {
         for (name, view) in file.tensors() {
             let data = view.data();
             let values = match view.dtype() {
-                Dtype::F32 => data.chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().expect("four")) as Real).collect(),
-                Dtype::F64 => data.chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().expect("eight")) as Real).collect(),
+                Dtype::F32 => {
+                    data.chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().expect("four")) as Real).collect()
+                }
+                Dtype::F64 => {
+                    data.chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().expect("eight")) as Real).collect()
+                }
                 other => return Err(format!("tensor `{name}` has type {other:?}; only F32 and F64 are used here")),
             };
             tensors.insert(name, (view.shape().to_vec(), values));

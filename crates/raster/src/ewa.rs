@@ -85,7 +85,7 @@ pub fn project(model: &impl CameraModel, p: &Primitives, pose: &Pose, plane: &Im
         let g = project_one(model, &view, p, i);
         *opacity = p.opacities[i];
         *depth = g.v.length();
-        if !model.visible(g.v) || !(g.det > 0.0 && g.det.is_finite()) {
+        if !(model.visible(g.v) && g.det > 0.0 && g.det.is_finite()) {
             return;
         }
         let [a, b, c] = g.cov;

@@ -92,7 +92,7 @@ impl Reach {
     /// All pixels where alpha may reach 1/255: the box around the ellipse dᵀ conic d ≤ 2 ln(255 o).
     fn exact(splats: &Splats, i: usize, plane: &ImagePlane) -> Self {
         let level = 2.0 * (255.0 * splats.opacities[i]).ln();
-        if !(level >= 0.0) || splats.radii[i] == 0.0 {
+        if level < 0.0 || level.is_nan() || splats.radii[i] == 0.0 {
             return Self::NONE;
         }
         // A hundredth of a pixel covers the rounding of the test in the kernel.

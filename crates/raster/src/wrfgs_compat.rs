@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 /// The released WRF-GS projection, for comparison with published code only.
 ///
 /// It differs from [`crate::Mercator`] in all that matters for geometry: the receiver's position is used as the camera's
-/// translation (v = Rᵀx + r_o, so the centre is at -R r_o), the polar axis is the receiver's y axis, the *full* sphere is
+/// translation (`v = Rᵀx + r_o`, so the centre is at `-R r_o`), the polar axis is the receiver's y axis, the *full* sphere is
 /// squeezed onto the rows (2° a row with 90 of them), and azimuth does not come round. A pixel therefore has no angle in
 /// the receiver frame, and whatever needs one refuses this plane. Pair it with
 /// `AlphaBlending(support: TileSquares)` and `calibration: AsReleased`.

@@ -104,3 +104,47 @@ impl Update {
         if finite { Ok(()) } else { Err(()) }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Three steps of PyTorch's Adam (lr 0.1, betas 0.9 and 0.999, eps 1e-8) from x = 1 with gradients 0.5, -1, 2.
+    #[test]
+    fn follows_pytorch() {
+        let update = |step: i32| Update {
+            rate: 0.1,
+            beta1: 0.9,
+            beta2: 0.999,
+            eps: 1e-8,
+            unbias: [1.0 - (0.9 as Real).powi(step), 1.0 - (0.999 as Real).powi(step)],
+            l2: 0.0,
+            decay: 0.0,
+        };
+        let (mut x, mut m, mut v) = (vec![1.0], vec![0.0], vec![0.0]);
+        // By hand: m̂/√v̂ is 1, -0.36610, 0.41966.
+        for (step, (gradient, expected)) in [(0.5, 0.9), (-1.0, 0.936_610), (2.0, 0.894_645)].into_iter().enumerate() {
+            update(step as i32 + 1).apply(&mut x, &[gradient], &mut m, &mut v).unwrap();
+            assert!((x[0] - expected as Real).abs() < 2e-5, "step {}: {} is not {expected}", step + 1, x[0]);
+        }
+    }
+
+    #[test]
+    fn decoupled_decay_shrinks_and_l2_goes_through_the_moments() {
+        let quiet =
+            Update { rate: 0.1, beta1: 0.9, beta2: 0.999, eps: 1e-8, unbias: [0.1, 0.001], l2: 0.0, decay: 0.5 };
+        let (mut x, mut m, mut v) = (vec![2.0], vec![0.0], vec![0.0]);
+        quiet.apply(&mut x, &[0.0], &mut m, &mut v).unwrap();
+        assert!((x[0] - 1.9).abs() < 1e-6, "2 - 0.1·0.5·2, found {}", x[0]);
+        let (mut x, mut m, mut v) = (vec![2.0], vec![0.0], vec![0.0]);
+        Update { l2: 0.5, decay: 0.0, ..quiet }.apply(&mut x, &[0.0], &mut m, &mut v).unwrap();
+        assert!((x[0] - 1.9).abs() < 1e-5, "Adam moves by the rate whatever the size of the gradient, found {}", x[0]);
+    }
+
+    #[test]
+    fn a_number_out_of_range_is_reported() {
+        let update =
+            Update { rate: 0.1, beta1: 0.9, beta2: 0.999, eps: 1e-8, unbias: [0.1, 0.001], l2: 0.0, decay: 0.0 };
+        assert!(update.apply(&mut [1.0], &[Real::NAN], &mut [0.0], &mut [0.0]).is_err());
+    }
+}

@@ -120,3 +120,70 @@ pub(crate) fn reset_opacities(limit: Real, cloud: &mut GaussianCloud, adam: &mut
 pub(crate) fn extent_of((low, high): ([Real; 3], [Real; 3])) -> Real {
     0.5 * (Vec3::from_array(high) - Vec3::from_array(low)).length()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pwrfgs_core::ExtraColumn;
+
+    /// A small, a large, a quiet and a transparent Gaussian, with a mask column and moments of 1.
+    fn scene() -> (GaussianCloud, Adam, CloudStats) {
+        let cloud = GaussianCloud {
+            means: (0..4).map(|i| [i as Real, 0.0, 0.0]).collect(),
+            log_scales: [0.001, 0.1, 0.1, 0.1].map(|s: Real| [s.ln(); 3]).to_vec(),
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; 4],
+            opacity_logits: [0.5, 0.5, 0.5, 0.001].map(logit).to_vec(),
+            signals: (0..4).map(|i| [i as Real, 1.0]).collect(),
+            extra: vec![ExtraColumn { name: "mask_logits".into(), width: 1, values: vec![1.0, 2.0, 3.0, 4.0] }],
+        };
+        let mut adam = Adam::new(&cloud, &[]);
+        adam.cloud.iter_mut().for_each(|m| m.columns_mut().for_each(|(_, _, v)| v.fill(1.0)));
+        let mut stats = CloudStats::zeros(4);
+        stats.visible = vec![2.0, 2.0, 2.0, 0.0];
+        stats.gradient = vec![1.0, 2.0, 0.0, 0.0];
+        (cloud, adam, stats)
+    }
+
+    #[test]
+    fn small_ones_are_cloned_large_ones_split_and_transparent_ones_removed() {
+        let (mut cloud, mut adam, mut stats) = scene();
+        let settings = Densify::default();
+        densify(&settings, 1.0, (0, 600), &mut cloud, &mut adam, &mut stats);
+        // Kept: 0, 2. Cloned: 0. Split: 1 into two, itself gone. Removed: 3.
+        assert_eq!(cloud.signals.iter().map(|s| s[0]).collect::<Vec<_>>(), [0.0, 2.0, 0.0, 1.0, 1.0]);
+        assert_eq!(cloud.extra[0].values, [1.0, 3.0, 1.0, 2.0, 2.0], "copies inherit the mask");
+        assert_eq!(cloud.means[2], [0.0; 3], "a clone stays where it is");
+        assert!(cloud.means[3] != cloud.means[4], "the children of a split part");
+        let child = cloud.log_scales[3][0].exp();
+        assert!((child - 0.1 / 1.6).abs() < 1e-6, "a child's scale is the parent's over 1.6, found {child}");
+        assert_eq!(adam.cloud[0].opacity_logits, [1.0, 1.0, 0.0, 0.0, 0.0], "new rows have no moments");
+        assert_eq!(adam.cloud[1].extra[0].values, [1.0, 1.0, 0.0, 0.0, 0.0]);
+        assert_eq!(stats, CloudStats::zeros(5));
+    }
+
+    #[test]
+    fn the_budget_takes_the_strongest_first() {
+        let (mut cloud, mut adam, mut stats) = scene();
+        let settings = Densify { max_gaussians: 5, opacity_floor: 0.0, ..Densify::default() };
+        densify(&settings, 1.0, (0, 600), &mut cloud, &mut adam, &mut stats);
+        assert_eq!(cloud.len(), 5);
+        assert_eq!(cloud.signals.iter().filter(|s| s[0] == 1.0).count(), 2, "the large one had the larger gradient");
+    }
+
+    #[test]
+    fn the_last_gaussian_stays() {
+        let (mut cloud, mut adam, mut stats) = scene();
+        let settings = Densify { opacity_floor: 0.9, gradient_threshold: 100.0, ..Densify::default() };
+        densify(&settings, 1.0, (0, 600), &mut cloud, &mut adam, &mut stats);
+        assert_eq!(cloud.len(), 1);
+    }
+
+    #[test]
+    fn a_reset_lowers_opacities_and_forgets_their_moments_only() {
+        let (mut cloud, mut adam, _) = scene();
+        reset_opacities(0.01, &mut cloud, &mut adam);
+        assert!(cloud.opacity_logits.iter().all(|o| sigmoid(*o) <= 0.010_001));
+        assert!(adam.cloud[0].opacity_logits.iter().all(|m| *m == 0.0));
+        assert!(adam.cloud[0].quats.iter().all(|m| *m == [1.0; 4]));
+    }
+}

@@ -8,14 +8,13 @@
 //! Gaussians whose gate is 0 are left out of `deform` and `draw`: they have opacity 0, hence no derivative either.
 
 use crate::loss::rendering_loss;
-use dfdx::prelude::{AsArray as _, Cpu, Tensor, TensorFromVec, Trace as _};
+use dfdx::prelude::{AsArray, Cpu, Tensor, TensorFromVec, Trace as _};
 use dfdx::tensor_ops::{Backward, SumTo};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::tape::{Trace, TraceScalar, Traced, op};
 use pwrfgs_core::{CloudStats, DeformationInputs, Deltas, Error, GaussianCloud, Moment, Pruner, Real, Result, Splats};
 use pwrfgs_model::{Calibration, Stages};
 use std::cell::RefCell;
-use std::ops::Range;
 use std::rc::Rc;
 use std::sync::Arc;
 
@@ -33,7 +32,7 @@ pub struct Batch {
 pub struct Outcome {
     /// Rendering loss, eq. (9).
     pub loss: Real,
-    /// Sum of the pruners' penalties, the λ·L_m of eq. (11).
+    /// Sum of the pruners' penalties, the `λ·L_m` of eq. (13).
     pub penalty: Real,
     /// Derivative in every column of the cloud.
     pub d_cloud: GaussianCloud,
@@ -73,7 +72,7 @@ pub fn loss_and_gradients(
     let loss = graph.loss(image, &batch.truths, ssim_weight);
 
     let value = loss.array();
-    let penalty_value = penalty.as_ref().map_or(0.0, |p| p.array());
+    let penalty_value = penalty.as_ref().map_or(0.0, AsArray::array);
     if !(value + penalty_value).is_finite() {
         return Err(Error::NonFinite { what: "the loss".into(), step: moment.step });
     }
@@ -163,11 +162,8 @@ impl Graph {
     /// P̂ `[B, H·W]`: one drawing for all transmitters where they share geometry, else one each.
     fn picture(&self, traced: &Traced, gate: Option<Trace>, deltas: TracedDeltas) -> Trace {
         let batch = self.txs.len();
-        let groups: Vec<Range<usize>> = if self.stages.deformation.varies_geometry() {
-            (0..batch).map(|b| b..b + 1).collect()
-        } else {
-            vec![0..batch]
-        };
+        let shared = if self.stages.deformation.varies_geometry() { 1 } else { batch };
+        let groups = (0..batch).step_by(shared).map(|b| b..b + shared);
         let inputs: Vec<Trace> = (pwrfgs_core::COLUMN_NAMES.iter().map(|name| traced.column(name)))
             .chain(gate)
             .chain(deltas.traces)
@@ -175,7 +171,7 @@ impl Graph {
         let activation = self.stages.activation();
         let (cloud, gate) = (&self.open.cloud, self.open.gate.as_deref());
         let Stages { projector, rasterizer, pose, plane, .. } = &*self.stages;
-        let mut drawings = Vec::with_capacity(groups.len());
+        let mut drawings = Vec::with_capacity(batch / shared);
         let mut blended = Vec::with_capacity(batch * activation.channels * plane.width * plane.height);
         for group in groups {
             let geometry = activation.geometry(cloud, &deltas.values, group.start, gate);

@@ -177,11 +177,11 @@ settings! {
         steps: u64 = 200_000,
         /// Transmitters a step.
         batch: usize = 1,
-        /// M_d: densification ends after this step.
+        /// `M_d`: densification ends after this step.
         densify_until: u64 = 20_000,
-        /// M_p: pruning ends with this step.
+        /// `M_p`: pruning ends with this step.
         prune_until: u64 = 40_000,
-        /// I_p: steps between two prunes.
+        /// `I_p`: steps between two prunes.
         prune_every: u64 = 1_000,
         /// Standard deviation of a random shift of the transmitters in training, metres.
         tx_jitter_m: Real = 0.0,

@@ -1,14 +1,15 @@
 //! Random scenes shared by the tests of this crate.
-#![allow(dead_code)] // each test file uses its own part
+#![allow(dead_code, clippy::unwrap_used)] // each test file uses its own part
 
 use pwrfgs_core::{ImagePlane, Pose, Primitives, Projector, Real, Splats, Vec3, rng};
 use pwrfgs_raster::Mercator;
 
 /// A tilted receiver away from the origin.
-pub const POSE: Pose = Pose { position: [1.0, -2.0, 0.5], orientation: [0.1, -0.2, 0.3, 0.927_361_849_549_570_4] };
+pub(crate) const POSE: Pose =
+    Pose { position: [1.0, -2.0, 0.5], orientation: [0.1, -0.2, 0.3, 0.927_361_849_549_570_4] };
 
 /// `n` Gaussians in front of [`POSE`], of all shapes, some across the seam, some near the zenith.
-pub fn primitives(n: usize, seed: u64, plane: &ImagePlane) -> Primitives {
+pub(crate) fn primitives(n: usize, seed: u64, plane: &ImagePlane) -> Primitives {
     let mut random = rng::stream(seed, "scene", n as u64);
     let r = POSE.world_from_receiver();
     let mut p = Primitives::zeros(n);
@@ -29,20 +30,20 @@ pub fn primitives(n: usize, seed: u64, plane: &ImagePlane) -> Primitives {
 }
 
 /// Signals `[n, channels]`.
-pub fn signals(n: usize, channels: usize, seed: u64) -> Vec<Real> {
+pub(crate) fn signals(n: usize, channels: usize, seed: u64) -> Vec<Real> {
     let mut random = rng::stream(seed, "signals", n as u64);
     (0..n * channels).map(|_| rng::normal(&mut random)).collect()
 }
 
 /// Splats of such a scene on a full picture.
-pub fn splats(n: usize, seed: u64, width: usize, height: usize) -> (Splats, ImagePlane) {
+pub(crate) fn splats(n: usize, seed: u64, width: usize, height: usize) -> (Splats, ImagePlane) {
     let projector = Mercator::default();
     let plane = projector.plane(width, height);
     (projector.project(&primitives(n, seed, &plane), &POSE, &plane), plane)
 }
 
 /// Largest difference, relative to the largest of the first.
-pub fn relative(a: &[Real], b: &[Real]) -> Real {
+pub(crate) fn relative(a: &[Real], b: &[Real]) -> Real {
     assert_eq!(a.len(), b.len());
     let largest = a.iter().fold(1e-12, |m: Real, x| m.max(x.abs()));
     a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, Real::max) / largest
