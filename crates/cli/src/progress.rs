@@ -63,9 +63,10 @@ impl Progress {
         }
         if let Some(speed) = self.speed() {
             let left = duration((self.steps - report.step) as f64 / speed);
-            let _ = match speed >= 1.0 {
-                true => write!(words, "  {speed:.1} it/s  {left} left"),
-                false => write!(words, "  {:.1} s/it  {left} left", 1.0 / speed),
+            let _ = if speed >= 1.0 {
+                write!(words, "  {speed:.1} it/s  {left} left")
+            } else {
+                write!(words, "  {:.1} s/it  {left} left", 1.0 / speed)
             };
         }
         words

@@ -1,4 +1,5 @@
 //! What each verb does when all is well, and that nothing of the user's is overwritten.
+#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
 
 mod common;
 

@@ -1,0 +1,67 @@
+//! Every shipped pipeline parses, survives its own text, and trains some steps on a small teacher.
+#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
+
+use pwrfgs::prelude::*;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+
+fn shipped() -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines");
+    let mut files: Vec<_> = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()).collect();
+    files.retain(|path| path.extension().is_some_and(|e| e == "ron"));
+    files.sort();
+    files
+}
+
+fn read(path: &Path) -> Pipeline {
+    Pipeline::parse(&std::fs::read_to_string(path).unwrap(), path).unwrap_or_else(|e| panic!("{e}"))
+}
+
+#[test]
+fn the_shipped_pipelines_are_there() {
+    let names: Vec<String> = shipped().iter().map(|p| p.file_stem().unwrap().to_string_lossy().into_owned()).collect();
+    for name in ["pwrfgs", "quickstart", "wrfgs"] {
+        assert!(names.iter().any(|n| n == name), "{name} is not among {names:?}");
+    }
+}
+
+#[test]
+fn every_pipeline_survives_its_own_text() {
+    for path in shipped() {
+        let text = read(&path).to_ron();
+        let again = Pipeline::parse(&text, &path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        assert_eq!(again.to_ron(), text, "{}", path.display());
+        assert_eq!(
+            read(&path).name,
+            path.file_stem().unwrap().to_string_lossy(),
+            "the run folder is named as the file"
+        );
+    }
+}
+
+#[test]
+fn every_pipeline_runs_some_steps() {
+    for path in shipped() {
+        let mut pipeline = read(&path);
+        let count = if pipeline.deformation.varies_geometry() { 30 } else { 60 };
+        for change in [
+            "data=Teacher(gaussians: 4, samples: 30, width: 72, height: 18)".to_owned(),
+            format!("initializer=Random(count: {count}, std: 5.0)"),
+            "training.densify_until=6".to_owned(),
+            "training.prune_until=9".to_owned(),
+            "training.prune_every=2".to_owned(),
+            "training.densify=(from: 1, every: 2, reset_every: 0)".to_owned(),
+            "training.steps=12".to_owned(),
+        ] {
+            pipeline.set(&change).unwrap_or_else(|e| panic!("{}: {change}: {e}", path.display()));
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("run");
+        let stop = AtomicBool::new(false);
+        let outcome = pwrfgs::experiment::run(&pipeline, Path::new("pipelines"), &out, &mut Silent, &stop);
+        outcome.unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        let curve = std::fs::read_to_string(out.join("curve.csv")).unwrap();
+        assert_eq!(curve.lines().count(), 13, "{}", path.display());
+        assert!(std::fs::read_to_string(out.join("report.html")).unwrap().contains("simulated"));
+    }
+}

@@ -1,0 +1,56 @@
+//! Every built-in plugin is linked by the facade, has defaults that pass its own check, and survives its own text.
+#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
+
+use pwrfgs::core::plugin::{PluginKind, ron_options};
+use pwrfgs::core::registered;
+use pwrfgs::prelude::*;
+
+/// All of `expected` are linked, and every linked one that needs no field round-trips.
+fn linked<T: ?Sized + PluginKind>(expected: &[&str])
+where
+    Box<T>: for<'de> Deserialize<'de>,
+    Plugin<T>: Serialize,
+{
+    let names = registered::<T>();
+    for name in expected {
+        assert!(names.contains(name), "{} {name} is not linked: {names:?}", T::KIND);
+    }
+    for name in names {
+        let plugin = Plugin::<T>::parse(&format!("{name}()")).unwrap_or_else(|e| panic!("{name}: {e}"));
+        let text = |p: &Plugin<T>| {
+            let config = pretty();
+            ron_options().to_string_pretty(p, config).unwrap()
+        };
+        let again = Plugin::<T>::parse(&text(&plugin)).unwrap_or_else(|e| panic!("{name}: {e}: {}", text(&plugin)));
+        assert_eq!(text(&again), text(&plugin));
+        assert!(text(&plugin).starts_with(name));
+        assert!(!plugin.about_plugin().is_empty(), "{name} says nothing about itself");
+    }
+}
+
+fn pretty() -> ron::ser::PrettyConfig {
+    ron::ser::PrettyConfig::new().struct_names(true)
+}
+
+#[test]
+fn every_built_in_name_is_registered() {
+    linked::<dyn DataSource>(&["Nerf2Spectrum", "Teacher"]);
+    linked::<dyn Split>(&["Official", "Random", "Sparse", "TimeBlock", "Voxel"]);
+    linked::<dyn Baseline>(&["MeanSpectrum", "NearestNeighbours"]);
+    linked::<dyn Initializer>(&["Grid", "PointCloud", "Random"]);
+    linked::<dyn Projector>(&["Mercator", "WrfgsCompat"]);
+    linked::<dyn Rasterizer>(&["AlphaBlending"]);
+    linked::<dyn Deformation>(&["Fixed", "Mlp", "Wrfgs"]);
+    linked::<dyn Pruner>(&["LearnableMask", "OpacityThreshold", "TopK"]);
+    linked::<dyn Metric>(&[
+        "Chamfer",
+        "DirectionError",
+        "GaussianCount",
+        "L1",
+        "Latency",
+        "ModelSize",
+        "Psnr",
+        "RateRatio",
+        "Ssim",
+    ]);
+}
