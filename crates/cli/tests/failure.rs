@@ -43,3 +43,14 @@ fn a_full_disk_leaves_what_is_written_and_the_run_goes_on_later() {
     let model = |run: &str| std::fs::read(here.join(run).join("model.safetensors")).unwrap();
     assert!(model("r") == model("whole"));
 }
+
+#[test]
+fn numbers_that_leave_the_finite_range_stop_the_run_and_keep_the_checkpoint() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let wild =
+        SMALL.replace("batch: 2,", "batch: 2, optimizer: (log_scales: LogLinear(first: 1e-3, last: 1e38, steps: 55)),");
+    write(&here.join("p.ron"), wild.replace("checkpoint_every: 10", "checkpoint_every: 4"));
+    refuse(here, &["run", "p.ron", "--out", "r"], 1, &["is not finite at step", "the last checkpoint is kept in r/"]);
+    assert!(here.join("r/checkpoint.safetensors").is_file() && !here.join("r/model.safetensors").exists());
+}

@@ -1,6 +1,7 @@
 //! `run.json`: with what, on what and how long.
 
 use crate::clock;
+use crate::folder::FACTS;
 use crate::scores::ScoreTable;
 use pwrfgs_core::{Error, Result};
 use pwrfgs_model::file::write_atomically;
@@ -88,14 +89,14 @@ impl Facts {
 
     /// The facts in `folder`, if there are any.
     pub fn read(folder: &Path) -> Option<Self> {
-        serde_json::from_str(&std::fs::read_to_string(folder.join("run.json")).ok()?).ok()
+        serde_json::from_str(&std::fs::read_to_string(folder.join(FACTS)).ok()?).ok()
     }
 
     /// Writes `run.json`.
     pub(crate) fn write(&mut self, folder: &Path) -> Result<()> {
         self.peak_memory_bytes = self.peak_memory_bytes.max(peak_memory());
         let text = serde_json::to_string_pretty(self).map_err(|e| Error::Config(format!("run.json: {e}")))?;
-        write_atomically(&folder.join("run.json"), (text + "\n").as_bytes())
+        write_atomically(&folder.join(FACTS), (text + "\n").as_bytes())
     }
 }
 

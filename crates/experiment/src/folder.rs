@@ -20,6 +20,8 @@ pub const VALIDATION: &str = "validation.csv";
 pub const SCORES: &str = "scores.csv";
 /// Every transmitter.
 pub const SAMPLES: &str = "samples.csv";
+/// Circumstances: machine, seed, times.
+pub const FACTS: &str = "run.json";
 /// The report.
 pub const REPORT: &str = "report.html";
 
@@ -67,7 +69,10 @@ impl RunFolder {
                 path.display()
             ))),
             // A file system without locks is no reason to refuse.
-            Ok(()) | Err(TryLockError::Error(_)) => Ok(Self { path: path.into(), _lock: lock }),
+            Ok(()) | Err(TryLockError::Error(_)) => {
+                remove_leftovers(path);
+                Ok(Self { path: path.into(), _lock: lock })
+            }
         }
     }
 
@@ -101,6 +106,19 @@ fn same_pipeline(folder: &Path, file: &Path, theirs: &str, ours: &str) -> Result
             "{} holds a run of another pipeline; choose another --out or remove the folder",
             folder.display()
         ))),
+    }
+}
+
+/// Removes the temporary files of starts that were killed while writing, `.checkpoint.safetensors.123.tmp` say; the lock
+/// tells that nobody is writing them any more. What cannot be removed does no harm.
+fn remove_leftovers(folder: &Path) {
+    let own = [PIPELINE, CHECKPOINT, MODEL_FILE, CURVE, VALIDATION, SCORES, SAMPLES, REPORT, FACTS];
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let stem = name.strip_prefix('.').and_then(|n| n.strip_suffix(".tmp")).and_then(|n| n.rsplit_once('.'));
+        if stem.is_some_and(|(file, process)| own.contains(&file) && process.bytes().all(|b| b.is_ascii_digit())) {
+            _ = std::fs::remove_file(entry.path());
+        }
     }
 }
 

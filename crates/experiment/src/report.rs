@@ -7,7 +7,7 @@ mod spectra;
 
 use crate::clock::duration;
 use crate::runner::Subject;
-use crate::scores::{MetricRow, ScoreTable, grouped, number};
+use crate::scores::{Cell, MetricRow, ScoreTable, grouped, number};
 use crate::{samples, validation};
 use minijinja::value::Serde;
 use minijinja::{Environment, context};
@@ -144,10 +144,12 @@ fn per_sample(scores: &ScoreTable) -> (Vec<Group>, Vec<Row>) {
 
 /// The numbers about the whole model, one each metric.
 fn whole(scores: &ScoreTable) -> Vec<(Group, String)> {
+    let text = |cell: &Cell, unit: &str| match cell {
+        Cell::NotApplicable(why) => format!("n/a: {why}"),
+        cell => format!("{} {unit}", cell.numbers().first().map_or_else(String::new, |v| number(*v))),
+    };
     let rows = scores.metrics.iter().filter(|m| !m.is_per_sample());
-    rows.filter_map(|m| m.cells.first().map(|cell| (m, cell)))
-        .map(|(m, cell)| (group(m), cell.numbers().first().map_or_else(|| "n/a".into(), |v| number(*v))))
-        .collect()
+    rows.filter_map(|m| m.cells.first().map(|cell| (group(m), text(cell, &m.unit)))).collect()
 }
 
 /// Ground truth, prediction and error of one test spectrum.

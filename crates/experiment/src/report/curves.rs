@@ -13,6 +13,8 @@ use std::path::Path;
 
 /// At most this many places along a curve are drawn.
 const PLACES: usize = 400;
+/// At most this many stretches of the loss are averaged.
+const STRETCHES: usize = 150;
 const MODEL_COLOUR: RGBColor = RGBColor(24, 78, 163);
 /// For baselines, in their order: told apart by the colour-blind (Okabe and Ito).
 const FLOOR_COLOURS: [RGBColor; 5] = [
@@ -81,7 +83,7 @@ fn figure(title: &'static str, chart: &Chart, legend: &[(&str, RGBColor, bool)])
 
 /// The loss on a logarithmic axis: its mean over short stretches, and the range within each.
 fn loss(subject: &Subject<'_>, points: &[(f64, f64)]) -> Result<Option<Figure>> {
-    let stretches: Vec<&[(f64, f64)]> = points.chunks(points.len().div_ceil(PLACES).max(1)).collect();
+    let stretches: Vec<&[(f64, f64)]> = points.chunks(points.len().div_ceil(STRETCHES).max(1)).collect();
     let middle = |s: &[(f64, f64)], y: f64| (s[s.len() / 2].0, y);
     let fold =
         |s: &[(f64, f64)], f: fn(f64, f64) -> f64| middle(s, s.iter().map(|p| p.1).reduce(f).unwrap_or(f64::NAN));
