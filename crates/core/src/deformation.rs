@@ -26,6 +26,12 @@ pub trait Deformation: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
         false
     }
 
+    /// Whether a Gaussian's terms depend on the centres of all (the released gain of WRF-GS does). Gaussians whose gate
+    /// is closed then stay among the inputs; otherwise they are left out.
+    fn couples_gaussians(&self) -> bool {
+        false
+    }
+
     /// Calibration terms for `means` `[N,3]` and `txs` `[B,3]`.
     fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: &[[Real; 3]], pose: &Pose) -> Deltas;
 

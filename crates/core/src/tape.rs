@@ -4,7 +4,7 @@
 //! computed outside and a vector-Jacobian product called when the gradients run back.
 
 use crate::{GaussianCloud, Real};
-use dfdx::prelude::{Cpu, Merge, OwnedTape, PutTape, SplitTape, Tape as _, Tensor, TensorFromVec, Trace as _};
+use dfdx::prelude::{Cpu, HasShape, Merge, OwnedTape, PutTape, SplitTape, Tape as _, Tensor, TensorFromVec, Trace as _};
 use dfdx::tensor::Gradients;
 
 /// A vector `[n]` on the step's tape.
@@ -79,10 +79,15 @@ impl Traced {
 
     /// The straight-through gate of eq. (11): forward 1[score ≥ threshold], derivative of the identity.
     pub fn straight_through(&self, score: Trace, threshold: Real) -> Trace {
-        let soft = score.as_vec();
+        let soft = values(&score);
         let shift = soft.iter().map(|s| Real::from(u8::from(*s >= threshold)) - s).collect();
         score + self.constant(shift)
     }
+}
+
+/// The numbers of a vector. dfdx's own `as_vec` panics on one of length 0, such as the weights of no network.
+pub fn values<T>(vector: &Tensor<(usize,), Real, Cpu, T>) -> Vec<Real> {
+    if vector.shape().0 == 0 { Vec::new() } else { vector.as_vec() }
 }
 
 /// Puts a kernel on the tape: `outputs` are its values for `inputs`; `vjp` turns the cotangents of the outputs into

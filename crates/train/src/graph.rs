@@ -5,13 +5,14 @@
 //!   │  means, p_tx ─► deform ─► ΔS, ΔR, Δs
 //!   └──── draw: activate(cloud, Δ, M) ─► project ─► rasterize ─► read out ─► P̂ ─► loss (+ penalty)
 //! ```
-//! Gaussians whose gate is 0 are left out of `deform` and `draw`: they have opacity 0, hence no derivative either.
+//! Gaussians whose gate is 0 are left out of `deform` and `draw`: they have opacity 0, hence no derivative either. A
+//! deformation that couples Gaussians is the exception: all go through, and the rasterizer skips those of opacity 0.
 
 use crate::loss::rendering_loss;
 use dfdx::prelude::{AsArray, Cpu, Tensor, TensorFromVec, Trace as _};
 use dfdx::tensor_ops::{Backward, SumTo};
 use pwrfgs_core::plugin::Plugin;
-use pwrfgs_core::tape::{Trace, TraceScalar, Traced, op};
+use pwrfgs_core::tape::{Trace, TraceScalar, Traced, op, values};
 use pwrfgs_core::{CloudStats, DeformationInputs, Deltas, Error, GaussianCloud, Moment, Pruner, Real, Result, Splats};
 use pwrfgs_model::{Calibration, Stages};
 use std::cell::RefCell;
@@ -63,7 +64,7 @@ pub fn loss_and_gradients(
     let graph = Graph {
         stages: Arc::clone(stages),
         txs: Arc::new(batch.txs.clone()),
-        open: Rc::new(Open::of(cloud, gate.as_ref())),
+        open: Rc::new(Open::of(cloud, gate.as_ref(), stages.deformation.couples_gaussians())),
         seen: Rc::clone(&seen),
     };
 
@@ -93,7 +94,7 @@ pub fn loss_and_gradients(
     Ok(Outcome { loss: value, penalty: penalty_value, d_cloud, d_weights, seen })
 }
 
-/// The Gaussians whose gate is open, as a cloud of their own.
+/// The Gaussians that are drawn, as a cloud of their own: those whose gate is open, or all where they are coupled.
 struct Open {
     /// Their rows in the whole cloud.
     rows: Vec<usize>,
@@ -104,9 +105,10 @@ struct Open {
 }
 
 impl Open {
-    fn of(cloud: &GaussianCloud, gate: Option<&Trace>) -> Self {
-        let gate = gate.map(Tensor::as_vec);
-        let rows: Vec<usize> = (0..cloud.len()).filter(|&i| gate.as_ref().is_none_or(|g| g[i] != 0.0)).collect();
+    fn of(cloud: &GaussianCloud, gate: Option<&Trace>, coupled: bool) -> Self {
+        let gate = gate.map(values);
+        let drawn = |i: &usize| coupled || gate.as_ref().is_none_or(|g| g[*i] != 0.0);
+        let rows: Vec<usize> = (0..cloud.len()).filter(drawn).collect();
         let gate = gate.map(|g| rows.iter().map(|&i| g[i]).collect());
         Self { cloud: cloud.select(&rows), rows, gate, all: cloud.len() }
     }
@@ -138,7 +140,7 @@ impl Graph {
     /// The deformation network as an op: (Θ, means) → the terms that it gives.
     fn deform(&self, traced: &Traced, weights: &Tensor<(usize,), Real, Cpu>) -> TracedDeltas {
         let Stages { deformation, pose, .. } = &*self.stages;
-        let theta = weights.as_vec();
+        let theta = values(weights);
         let values = Rc::new(deformation.forward(&theta, &self.open.cloud.means, &self.txs, pose));
         let outputs: Vec<Vec<Real>> =
             flat(&values).into_iter().filter(|v| !v.is_empty()).map(<[Real]>::to_vec).collect();

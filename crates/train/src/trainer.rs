@@ -5,7 +5,7 @@ use crate::densify;
 use crate::edit;
 use crate::graph::{Batch, loss_and_gradients};
 use crate::pipeline::Pipeline;
-use pwrfgs_core::tape::Traced;
+use pwrfgs_core::tape::{Traced, values};
 use pwrfgs_core::{
     CloudStats, ColumnSpec, Dataset, Error, ExtraColumn, GaussianCloud, Moment, Partition, Phase, Real, Result, rng,
 };
@@ -243,7 +243,7 @@ impl<'a> Trainer<'a> {
         }
         let traced = Traced::new(&self.cloud);
         let gates = self.pipeline.pruners.iter().filter_map(|p| p.gate(&traced, moment));
-        gates.reduce(|a, b| a * b).map(|gate| gate.as_vec().into_iter().map(|m| m != 0.0).collect())
+        gates.reduce(|a, b| a * b).map(|gate| values(&gate).into_iter().map(|m| m != 0.0).collect())
     }
 }
 

@@ -82,6 +82,10 @@ impl Deformation for Wrfgs {
         true
     }
 
+    fn couples_gaussians(&self) -> bool {
+        self.gain.is_none()
+    }
+
     fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: &[[Real; 3]], pose: &Pose) -> Deltas {
         let mut plan = Plan::default();
         let network = Network::new(self, &mut plan);
