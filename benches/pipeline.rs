@@ -1,0 +1,124 @@
+//! Every stage of a prediction and of a training step, at the three model sizes of the paper.
+//!
+//! `RAYON_NUM_THREADS=2 cargo bench -p pwrfgs --bench pipeline` takes about two minutes; a word after `--` selects, as
+//! in `-- predict`. `PWRFGS_MODEL=runs/x/model.safetensors` replaces the small trained model by one of yours. What the
+//! numbers were, and against what they are to be read, is in `docs/performance.md`.
+
+mod scene;
+
+use criterion::measurement::WallTime;
+use criterion::{BatchSize, BenchmarkGroup, BenchmarkId, Criterion};
+use pwrfgs::core::{DeformationInputs, RenderVjp};
+use pwrfgs::model::deform::Outputs;
+use pwrfgs::prelude::*;
+use scene::{SIZES, TX, seeded_cloud, trained, untrained};
+use std::time::Duration;
+
+/// Channels that one transmitter needs.
+const CHANNELS: usize = 2;
+
+fn main() {
+    let mut criterion = Criterion::default()
+        .sample_size(10)
+        .warm_up_time(Duration::from_millis(300))
+        .measurement_time(Duration::from_secs(1))
+        .configure_from_args();
+    network(&mut criterion, "network", Outputs::All);
+    network(&mut criterion, "network signals", Outputs::Signals);
+    stages(&mut criterion);
+    step(&mut criterion);
+    predict(&mut criterion);
+    criterion.final_summary();
+}
+
+/// Forward and backward of the 8x256 network for one transmitter.
+fn network(criterion: &mut Criterion, name: &str, outputs: Outputs) {
+    let mut group = criterion.benchmark_group(name);
+    for n in SIZES {
+        let model = untrained(seeded_cloud(n), outputs);
+        let Stages { deformation, pose, .. } = &model.stages;
+        let (weights, means, txs) = (&model.weights, &model.cloud.means, &[TX]);
+        let deltas = deformation.forward(weights, means, txs, pose);
+        group.bench_function(BenchmarkId::new("forward", n), |b| {
+            b.iter(|| deformation.forward(weights, means, txs, pose));
+        });
+        let inputs = DeformationInputs { weights, means, txs, pose };
+        let mut d_weights = vec![0.0; weights.len()];
+        let mut d_means = vec![[0.0; 3]; n];
+        group.bench_function(BenchmarkId::new("backward", n), |b| {
+            b.iter(|| deformation.vjp(&inputs, &deltas, &mut d_weights, Some(&mut d_means)));
+        });
+    }
+}
+
+/// Activation, projection and blending, forward and backward.
+fn stages(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("stages");
+    for n in SIZES {
+        let model = untrained(seeded_cloud(n), Outputs::All);
+        let Stages { deformation, projector, rasterizer, pose, plane, .. } = &model.stages;
+        let deltas = deformation.forward(&model.weights, &model.cloud.means, &[TX], pose);
+        let activation = model.stages.activation();
+        let geometry = activation.geometry(&model.cloud, &deltas, 0, None);
+        let signals = activation.signals(&model.cloud, &deltas, 0..1);
+        group.bench_function(BenchmarkId::new("activation", n), |b| {
+            let both = || {
+                let geometry = activation.geometry(&model.cloud, &deltas, 0, None);
+                (geometry, activation.signals(&model.cloud, &deltas, 0..1))
+            };
+            b.iter(both);
+        });
+        let splats = projector.project(&geometry, pose, plane);
+        group.bench_function(BenchmarkId::new("projection", n), |b| {
+            b.iter(|| projector.project(&geometry, pose, plane));
+        });
+        let render = rasterizer.forward(&splats, &signals, CHANNELS, plane);
+        group.bench_function(BenchmarkId::new("blending forward, with sorting", n), |b| {
+            b.iter(|| rasterizer.forward(&splats, &signals, CHANNELS, plane));
+        });
+        group.bench_function(BenchmarkId::new("sorting alone", n), |b| {
+            b.iter_custom(|rounds| {
+                let sort = || rasterizer.forward(&splats, &signals, CHANNELS, plane).sort_seconds;
+                Duration::from_secs_f64((0..rounds).map(|_| sort()).sum())
+            });
+        });
+        let d_pixels = vec![1e-4; render.pixels.len()];
+        let backward = || -> RenderVjp { rasterizer.backward(&splats, &signals, CHANNELS, plane, &render, &d_pixels) };
+        let d = backward().splats;
+        group.bench_function(BenchmarkId::new("blending backward", n), |b| b.iter(backward));
+        group.bench_function(BenchmarkId::new("projection backward", n), |b| {
+            b.iter(|| projector.project_vjp(&geometry, pose, plane, &splats, &d));
+        });
+    }
+}
+
+/// One training step with one transmitter: gates, forward, loss, backward, Adam.
+fn step(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("step");
+    let data = scene::two_samples();
+    let partition = Partition { train: vec![0, 1], ..Partition::default() };
+    for n in SIZES {
+        let pipeline = scene::pipeline(
+            &format!("Seeded(count: {n})"),
+            "deformation: Mlp(head_init: 0.001), training: (batch: 1, densify: (every: 0))",
+        );
+        let start = || Trainer::new(&pipeline, &data, &partition).expect("the pipeline can be trained");
+        // A fresh trainer for each: a trained one would drift away from the seeded cloud.
+        group.bench_function(BenchmarkId::new("one transmitter", n), |b| {
+            b.iter_batched(start, |mut trainer| trainer.step().map(|_| trainer), BatchSize::PerIteration);
+        });
+    }
+}
+
+/// From a transmitter's position to the picture.
+fn predict(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("predict");
+    let whole = |group: &mut BenchmarkGroup<'_, WallTime>, name: &str, model: &Model| {
+        group.bench_function(BenchmarkId::new(name, model.cloud.len()), |b| b.iter(|| model.predict(TX)));
+    };
+    for n in SIZES {
+        whole(&mut group, "seeded", &untrained(seeded_cloud(n), Outputs::All));
+        whole(&mut group, "seeded, signals", &untrained(seeded_cloud(n), Outputs::Signals));
+    }
+    whole(&mut group, "trained", &trained());
+}
