@@ -34,7 +34,7 @@ pub enum Error {
     #[error("{0}")]
     Config(String),
     /// A number left the finite range.
-    #[error("{what} is not finite at step {step}; lower the learning rates or set `training.clip`, then start again")]
+    #[error("{what} is not finite at step {step}; lower the learning rates in `training.optimizer`, then start again")]
     NonFinite {
         /// The tensor.
         what: String,

@@ -1,6 +1,7 @@
 //! Readout: from blended signals to a spectrum, and back.
 
 use pwrfgs_core::Real;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// How the two real channels of a blended signal become one grey value.
@@ -27,15 +28,15 @@ impl Readout {
         if self == Self::Real {
             return signals.to_vec();
         }
-        let mut image = Vec::with_capacity(signals.len() / 2);
-        for pair in signals.chunks_exact(2 * pixels) {
+        let mut image = vec![0.0; signals.len() / 2];
+        let pictures = image.par_chunks_exact_mut(pixels).zip(signals.par_chunks_exact(2 * pixels));
+        pictures.for_each(|(image, pair)| {
             let (c0, c1) = pair.split_at(pixels);
-            let power = c0.iter().zip(c1).map(|(a, b)| a * a + b * b);
-            match self {
-                Self::Magnitude => image.extend(power.map(Real::sqrt)),
-                _ => image.extend(power),
+            for ((value, a), b) in image.iter_mut().zip(c0).zip(c1) {
+                let power = a * a + b * b;
+                *value = if self == Self::Magnitude { power.sqrt() } else { power };
             }
-        }
+        });
         image
     }
 
@@ -44,19 +45,23 @@ impl Readout {
         if self == Self::Real {
             return d_image.to_vec();
         }
-        let mut d = Vec::with_capacity(signals.len());
-        for (pair, d_image) in signals.chunks_exact(2 * pixels).zip(d_image.chunks_exact(pixels)) {
-            let (c0, c1) = pair.split_at(pixels);
-            for own in [c0, c1] {
-                d.extend(own.iter().zip(c0.iter().zip(c1)).zip(d_image).map(|((s, (a, b)), d)| {
-                    if self == Self::Power {
-                        return 2.0 * s * d;
-                    }
-                    let magnitude = (a * a + b * b).sqrt();
-                    if magnitude > 0.0 { s / magnitude * d } else { 0.0 }
-                }));
+        let mut d = vec![0.0; signals.len()];
+        let pictures = (d.par_chunks_exact_mut(2 * pixels))
+            .zip(signals.par_chunks_exact(2 * pixels))
+            .zip(d_image.par_chunks_exact(pixels));
+        pictures.for_each(|((d, pair), d_image)| {
+            let ((c0, c1), (d0, d1)) = (pair.split_at(pixels), d.split_at_mut(pixels));
+            for k in 0..pixels {
+                if self == Self::Power {
+                    (d0[k], d1[k]) = (2.0 * c0[k] * d_image[k], 2.0 * c1[k] * d_image[k]);
+                    continue;
+                }
+                let magnitude = (c0[k] * c0[k] + c1[k] * c1[k]).sqrt();
+                if magnitude > 0.0 {
+                    (d0[k], d1[k]) = (c0[k] / magnitude * d_image[k], c1[k] / magnitude * d_image[k]);
+                }
             }
-        }
+        });
         d
     }
 }

@@ -10,6 +10,7 @@ use pwrfgs_core::{
     CloudStats, ColumnSpec, Dataset, Error, ExtraColumn, GaussianCloud, Moment, Partition, Phase, Real, Result, rng,
 };
 use pwrfgs_model::{Model, Stages};
+use rayon::prelude::*;
 use std::sync::Arc;
 
 /// What a step did.
@@ -161,6 +162,7 @@ impl<'a> Trainer<'a> {
         let (seed, n) = (self.pipeline.seed, self.train.len() as u64);
         let mut jitter = rng::stream(seed, "jitter", step);
         let mut batch = Batch { txs: Vec::new(), truths: Vec::new() };
+        let mut samples = Vec::with_capacity(settings.batch);
         for k in 0..settings.batch as u64 {
             let drawn = (step - 1) * settings.batch as u64 + k;
             if self.order.0 != drawn / n {
@@ -171,8 +173,14 @@ impl<'a> Trainer<'a> {
             let sample = self.order.1[(drawn % n) as usize];
             let tx = self.data.samples[sample].tx;
             batch.txs.push(tx.map(|x| x + settings.tx_jitter_m * rng::normal(&mut jitter)));
-            batch.truths.extend(self.data.samples[sample].spectrum.iter().map(|&v| Real::from(v) / 255.0));
+            samples.push(sample);
         }
+        let pixels = self.data.width * self.data.height;
+        batch.truths.resize(samples.len() * pixels, 0.0);
+        batch.truths.par_chunks_exact_mut(pixels).zip(&samples).for_each(|(truth, &sample)| {
+            let bytes = &self.data.samples[sample].spectrum;
+            truth.iter_mut().zip(bytes).for_each(|(t, &v)| *t = Real::from(v) / 255.0);
+        });
         batch
     }
 
