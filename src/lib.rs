@@ -39,3 +39,8 @@ pub mod prelude {
     pub use serde::{Deserialize, Serialize};
     pub use typetag;
 }
+
+/// The examples of this page are compiled and run with the tests.
+#[cfg(doctest)]
+#[doc = include_str!("../docs/plugins.md")]
+mod plugins_page {}
