@@ -4,7 +4,9 @@
 //! computed outside and a vector-Jacobian product called when the gradients run back.
 
 use crate::{GaussianCloud, Real};
-use dfdx::prelude::{Cpu, HasShape, Merge, OwnedTape, PutTape, SplitTape, Tape as _, Tensor, TensorFromVec, Trace as _};
+use dfdx::prelude::{
+    Cpu, HasShape, Merge, OwnedTape, PutTape, SplitTape, Tape as _, Tensor, TensorFromVec, Trace as _,
+};
 use dfdx::tensor::Gradients;
 
 /// A vector `[n]` on the step's tape.

@@ -15,4 +15,4 @@ mod wrfgs_compat;
 pub use alpha_blending::{AlphaBlending, Support};
 pub use ewa::{CameraModel, View, project, project_vjp};
 pub use mercator::Mercator;
-pub use wrfgs_compat::WrfgsCompat;
+pub use wrfgs_compat::{FullSphere, WrfgsCompat};

@@ -41,16 +41,21 @@ impl Projector for WrfgsCompat {
     }
 }
 
-/// Added to denominators by the released kernel, and not differentiated.
+/// Added to denominators by the released kernel.
 const EPS: Real = 1e-7;
+/// Floor of squares that vanish on the polar axis, where no angle has a derivative.
+const LEAST: Real = 1e-14;
 
-struct FullSphere {
+/// The camera model of [`WrfgsCompat`]: longitude about the receiver's y axis, the full sphere on the picture.
+#[derive(Clone, Copy, Debug)]
+pub struct FullSphere {
     width: Real,
     height: Real,
 }
 
 impl FullSphere {
-    fn new(plane: &ImagePlane) -> Self {
+    /// For pictures of this size.
+    pub fn new(plane: &ImagePlane) -> Self {
         Self { width: plane.width as Real, height: plane.height as Real }
     }
 }
@@ -71,35 +76,35 @@ impl CameraModel for FullSphere {
     }
 
     fn pixel_vjp(&self, v: Vec3, d: [Real; 2]) -> Vec3 {
-        let [x, y] = self.jacobian(v);
-        x * d[0] + y * d[1]
+        let (rho2, r) = (v.x * v.x + v.z * v.z, v.length());
+        let longitude = Vec3::new(v.z, 0.0, -v.x) / rho2.max(LEAST);
+        let sine = v.y / (r + EPS);
+        let d_sine = (Vec3::Y - v * (sine / r)) / (r + EPS);
+        let latitude = d_sine / (1.0 - sine * sine).max(LEAST).sqrt();
+        longitude * (d[0] * self.width / (2.0 * PI)) + latitude * (d[1] * self.height / PI)
     }
 
     fn jacobian(&self, v: Vec3) -> [Vec3; 2] {
-        let rho2 = v.x * v.x + v.z * v.z;
-        let (rho, r2) = (rho2.sqrt(), v.length_squared());
-        let a = 1.0 / (rho2 + EPS);
-        let b = 1.0 / (rho * r2 + EPS);
+        let [rho, a, p, q] = reciprocals(v);
         [
             Vec3::new(v.z * a, 0.0, -v.x * a) * (self.width / (2.0 * PI)),
-            Vec3::new(-v.x * v.y * b, rho / (r2 + EPS), -v.z * v.y * b) * (self.height / PI),
+            Vec3::new(-v.x * v.y * p * q, rho * q, -v.z * v.y * p * q) * (self.height / PI),
         ]
     }
 
     fn jacobian_vjp(&self, v: Vec3, d: [Vec3; 2]) -> Vec3 {
-        let rho2 = v.x * v.x + v.z * v.z + EPS;
-        let (rho, r2) = (rho2.sqrt(), v.length_squared() + EPS);
-        let d_rho = Vec3::new(v.x, 0.0, v.z) / rho;
-        let d_r2 = v * 2.0;
-        // (z dx − x dz)/ρ²
+        let [rho, a, p, q] = reciprocals(v);
+        let level = Vec3::new(v.x, 0.0, v.z);
+        let d_rho = level / rho.max(Real::MIN_POSITIVE);
+        // (z dx − x dz) a
         let g = v.z * d[0].x - v.x * d[0].z;
-        let around = Vec3::new(-d[0].z, 0.0, d[0].x) / rho2 - d_rho * (2.0 * g / (rho2 * rho));
-        // −y h/(ρ r²) + ρ dy/r² with h = x dx + z dz.
+        let around = Vec3::new(-d[0].z, 0.0, d[0].x) * a - level * (2.0 * g * a * a);
+        // −y h p q + ρ dy q with h = x dx + z dz.
         let h = v.x * d[1].x + v.z * d[1].z;
         let d_h = Vec3::new(d[1].x, 0.0, d[1].z);
-        let up = (Vec3::Y * h + d_h * v.y) * (-1.0 / (rho * r2))
-            + d_rho * (v.y * h / (rho2 * r2) + d[1].y / r2)
-            + d_r2 * ((v.y * h / rho - rho * d[1].y) / (r2 * r2));
+        let up = (Vec3::Y * h + d_h * v.y) * (-p * q)
+            + d_rho * (v.y * h * p * p * q + d[1].y * q)
+            + v * (2.0 * (v.y * h * p - rho * d[1].y) * q * q);
         around * (self.width / (2.0 * PI)) + up * (self.height / PI)
     }
 
@@ -111,6 +116,13 @@ impl CameraModel for FullSphere {
         let (columns, rows) = square(centre, radius, plane);
         !columns.is_empty() && !rows.is_empty()
     }
+}
+
+/// ρ = √(x² + z²), and the reciprocals of ρ², ρ and |v|² as the released kernel takes them.
+fn reciprocals(v: Vec3) -> [Real; 4] {
+    let rho2 = v.x * v.x + v.z * v.z;
+    let rho = rho2.sqrt();
+    [rho, 1.0 / (rho2 + EPS), 1.0 / (rho + EPS), 1.0 / (v.length_squared() + EPS)]
 }
 
 #[cfg(test)]
