@@ -1,0 +1,92 @@
+//! The same seed gives the same bits: at any thread count, and interrupted or not.
+
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // helpers of tests may fail and print, as tests do
+
+mod common;
+
+use common::pipeline;
+use pwrfgs::core::rng;
+use pwrfgs::prelude::*;
+use std::path::Path;
+
+const STEPS: u64 = 30;
+
+/// Every kind of edit within thirty steps: clone, split, removal, opacity reset, prune, end of the masks.
+fn busy() -> Pipeline {
+    pipeline(
+        "seed: 5, data: Teacher(gaussians: 6, samples: 20, width: 90, height: 24),
+         initializer: Random(count: 60, std: 3),
+         deformation: Mlp(depth: 3, width: 16, skip: Some(0), tx_hidden: 8, tx_features: 4),
+         pruners: [LearnableMask(lambda: 0.1, learning_rate: 0.6), OpacityThreshold(epsilon: 0.02), TopK(keep: 70)],
+         training: (steps: 30, batch: 3, tx_jitter_m: 0.02, densify_until: 15, prune_until: 25, prune_every: 4,
+             densify: (from: 2, every: 4, gradient_threshold: 0, clone_below: 0.2, large_above: 0.6,
+                       large_after: 8, reset_every: 9, reset_opacity: 0.05, prune_masked: true))",
+    )
+}
+
+fn data_of(pipeline: &Pipeline) -> (Dataset, Partition) {
+    let data = pipeline.data.load(Path::new(".")).unwrap();
+    let partition = pipeline.split.split(&data, &mut rng::stream(5, "split", 0)).unwrap();
+    (data, partition)
+}
+
+/// Checkpoints after 0, 1, … steps, and N after each step.
+fn train(pipeline: &Pipeline) -> (Vec<Vec<u8>>, Vec<usize>) {
+    let (data, partition) = data_of(pipeline);
+    let mut trainer = Trainer::new(pipeline, &data, &partition).unwrap();
+    let (mut checkpoints, mut counts) = (vec![trainer.checkpoint()], Vec::new());
+    while !trainer.finished() {
+        counts.push(trainer.step().unwrap().gaussians);
+        checkpoints.push(trainer.checkpoint());
+    }
+    (checkpoints, counts)
+}
+
+#[test]
+fn training_gives_the_same_bits_at_one_and_two_threads() {
+    let on = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| train(&busy()));
+    let ((one, counts), (two, _)) = (on(1), on(2));
+    println!("N: {counts:?}");
+    assert!(counts.windows(2).any(|w| w[1] > w[0]), "densification added something: {counts:?}");
+    assert!(counts.windows(2).any(|w| w[1] < w[0]), "pruning took something: {counts:?}");
+    for (step, (one, two)) in one.iter().zip(&two).enumerate() {
+        assert!(one == two, "bits differ after step {step}");
+    }
+}
+
+#[test]
+fn a_training_restored_at_any_step_ends_in_the_same_bits() {
+    let pipeline = busy();
+    let (checkpoints, _) = train(&pipeline);
+    let (data, partition) = data_of(&pipeline);
+    for (at, bytes) in checkpoints.iter().enumerate() {
+        let mut trainer = Trainer::restore(&pipeline, &data, &partition, bytes).unwrap();
+        assert_eq!(trainer.done(), at as u64);
+        assert!(trainer.checkpoint() == *bytes, "a checkpoint of step {at} survives reading");
+        // Far enough to see the next edit, and the end once.
+        let until = if at % 10 == 0 { STEPS } else { STEPS.min(at as u64 + 5) };
+        while trainer.done() < until {
+            trainer.step().unwrap();
+        }
+        assert!(trainer.checkpoint() == checkpoints[until as usize], "restored at step {at}, bits differ at {until}");
+    }
+}
+
+#[test]
+fn a_damaged_checkpoint_is_refused_with_a_sentence() {
+    let pipeline = busy();
+    let (data, partition) = data_of(&pipeline);
+    let good = Trainer::new(&pipeline, &data, &partition).unwrap().checkpoint();
+    for bytes in [&good[..0], &good[..7], &good[..good.len() / 2], &good[..good.len() - 1], b"not a checkpoint at all"]
+    {
+        let refused = Trainer::restore(&pipeline, &data, &partition, bytes).unwrap_err().to_string();
+        assert!(refused.contains("the checkpoint cannot be used"), "{refused}");
+    }
+}
+
+#[test]
+fn another_seed_gives_other_bits() {
+    let mut other = busy();
+    other.set("seed=6").unwrap();
+    assert!(train(&busy()).0[1] != train(&other).0[1]);
+}

@@ -1,0 +1,113 @@
+//! Gates and prunes: closed is absent, open is nothing at all, and something always stays.
+
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // helpers of tests may fail and print, as tests do
+
+mod common;
+
+use common::{MOMENT, batch, cloud, pipeline, plugin, stages, with_column};
+use pwrfgs::core::rng;
+use pwrfgs::model::Readout;
+use pwrfgs::prelude::*;
+use pwrfgs::train::loss_and_gradients;
+use std::path::Path;
+
+const N: usize = 8;
+
+#[test]
+fn a_closed_gate_equals_an_absent_gaussian() {
+    let deformations = [
+        "Fixed()",
+        "Mlp(depth: 2, width: 8, skip: None, tx_hidden: 8, tx_features: 4)",
+        "Mlp(depth: 2, width: 8, skip: None, tx_hidden: 8, tx_features: 4, outputs: Signals)",
+        "Wrfgs(depth: 2, width: 8, skip: None, gain: 2)",
+    ];
+    for deformation in deformations {
+        let stages = stages(deformation, Readout::Magnitude);
+        let weights = stages.deformation.init(&mut rng::stream(2, "network", 0));
+        let batch = batch(2, &stages);
+        let outcome = |cloud: &GaussianCloud| {
+            let pruners = [plugin("LearnableMask(lambda: 0)")];
+            loss_and_gradients(&stages, cloud, &weights, &batch, 0.2, &pruners, &MOMENT).unwrap()
+        };
+        for closed in 0..N {
+            let mut masks = vec![1.0; N];
+            masks[closed] = -20.0;
+            let whole = with_column(cloud(N, 11), "mask_logits", masks);
+            let others: Vec<usize> = (0..N).filter(|&i| i != closed).collect();
+            let (gated, without) = (outcome(&whole), outcome(&whole.select(&others)));
+            assert_eq!(gated.loss, without.loss, "{deformation}");
+            assert_eq!(gated.d_cloud.select(&others), without.d_cloud, "{deformation}");
+            assert_eq!(gated.d_weights, without.d_weights, "{deformation}");
+            let row = gated.d_cloud.select(&[closed]);
+            assert_eq!(row, row.zeros_like(), "{deformation}: what is not drawn has no derivative");
+            assert_eq!(gated.seen.visible[closed], 0.0);
+        }
+    }
+}
+
+/// A small training: 40 Gaussians where six are needed, pruned from step 6 on.
+fn training(pruners: &str, training: &str) -> Pipeline {
+    pipeline(&format!(
+        "data: Teacher(gaussians: 6, samples: 20, width: 60, height: 15), initializer: Grid(count: 40),
+         deformation: Mlp(depth: 2, width: 8, skip: None, tx_hidden: 8, tx_features: 4, outputs: Signals),
+         pruners: [{pruners}],
+         training: (steps: 30, densify_until: 6, prune_until: 24, densify: (every: 0), {training})"
+    ))
+}
+
+fn data_of(pipeline: &Pipeline) -> (Dataset, Partition) {
+    let data = pipeline.data.load(Path::new(".")).unwrap();
+    let partition = pipeline.split.split(&data, &mut rng::stream(0, "split", 0)).unwrap();
+    (data, partition)
+}
+
+#[test]
+fn pruning_open_gates_is_the_identity() {
+    let checkpoints = |every: u64| {
+        let pipeline = training("LearnableMask(), OpacityThreshold()", &format!("prune_every: {every}"));
+        let (data, partition) = data_of(&pipeline);
+        let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+        (1..24).map(|_| trainer.step().map(|report| (report, trainer.checkpoint())).unwrap()).collect::<Vec<_>>()
+    };
+    let (pruned, not_pruned) = (checkpoints(1), checkpoints(1000));
+    assert!(pruned == not_pruned, "asking the pruners at every step changed bits though every gate was open");
+}
+
+#[test]
+fn a_prune_that_would_leave_nothing_keeps_the_best() {
+    for pruners in [
+        "OpacityThreshold(epsilon: 0.99)",
+        "LearnableMask(lambda: 1, learning_rate: 3)",
+        "LearnableMask(lambda: 1, learning_rate: 3), OpacityThreshold(epsilon: 0.99), TopK(keep: 3)",
+    ] {
+        let pipeline = training(pruners, "prune_every: 6");
+        let (data, partition) = data_of(&pipeline);
+        let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+        let mut counts = Vec::new();
+        while !trainer.finished() {
+            counts.push(trainer.step().unwrap_or_else(|e| panic!("{pruners}: {e}")).gaussians);
+            let picture = trainer.model().predict([0.1, 0.2, 0.9]);
+            assert!(picture.pixels.iter().all(|p| p.is_finite()), "{pruners}");
+        }
+        assert_eq!((counts[10], counts[11], counts[29]), (40, 1, 1), "{pruners}: {counts:?}");
+        assert_eq!(trainer.model().cloud.len(), 1, "{pruners}");
+        assert!(trainer.model().cloud.extra.is_empty());
+    }
+}
+
+#[test]
+fn the_best_is_the_one_its_pruner_scores_highest() {
+    // All masks close at once, but for the score of `LearnableMask`: the largest mask stays.
+    let pipeline = training("OpacityThreshold(epsilon: 0.99)", "prune_every: 6");
+    let (data, partition) = data_of(&pipeline);
+    let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+    let mut before = trainer.model().cloud;
+    while trainer.done() < 12 {
+        before = trainer.model().cloud;
+        trainer.step().unwrap();
+    }
+    // One step of Adam lies between: the survivor is the most opaque one within that.
+    let survivor = trainer.model().cloud.opacity_logits[0];
+    let most = before.opacity_logits.iter().copied().fold(Real::MIN, Real::max);
+    assert!((survivor - most).abs() < 0.06, "{survivor} stays, {most} was the best");
+}

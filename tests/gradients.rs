@@ -1,0 +1,202 @@
+//! Central differences through the whole step, from every column of the cloud and from the network to the loss.
+//!
+//! Only in double precision: elsewhere these tests pass without a look. Gates are open; the straight-through gate, whose
+//! forward value no small change moves, is held to its closed form.
+
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // helpers of tests may fail and print, as tests do
+
+mod common;
+
+use common::{MOMENT, batch, cloud, plugin, stages, with_column};
+use pwrfgs::core::testing::check_vjp;
+use pwrfgs::core::{ColumnSpec, DeformationInputs, GaussianCloud, rng, sigmoid};
+use pwrfgs::model::{Readout, Stages};
+use pwrfgs::prelude::*;
+use pwrfgs::train::{Batch, Outcome, loss_and_gradients};
+use std::sync::Arc;
+
+const DOUBLE: bool = size_of::<Real>() == 8;
+const N: usize = 6;
+/// Weights of a network that are looked at, spread over all of them.
+const WEIGHTS: usize = 60;
+
+/// A gate that is a column itself: what a learned gate multiplies, open to differences.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Factor {}
+
+#[typetag::serde]
+impl Pruner for Factor {
+    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
+        vec![true; cloud.len()]
+    }
+    fn columns(&self) -> Vec<ColumnSpec> {
+        vec![ColumnSpec { name: "factor", width: 1, init: 1.0, learning_rate: Some(0.01) }]
+    }
+    fn gate(&self, cloud: &Traced, _: &Moment) -> Option<Trace> {
+        Some(cloud.column("factor"))
+    }
+}
+
+/// A deformation whose weights are its terms: each Gaussian's nine, for each of two transmitters.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Terms {}
+
+#[typetag::serde]
+impl Deformation for Terms {
+    fn varies_geometry(&self) -> bool {
+        true
+    }
+    fn forward(&self, weights: &[Real], _: &[[Real; 3]], txs: &[[Real; 3]], _: &Pose) -> Deltas {
+        let (scales, rest) = weights.split_at(3 * N * txs.len());
+        let (quats, signals) = rest.split_at(4 * N * txs.len());
+        Deltas {
+            scales: scales.as_chunks().0.to_vec(),
+            quats: quats.as_chunks().0.to_vec(),
+            signals: signals.as_chunks().0.to_vec(),
+        }
+    }
+    fn vjp(&self, _: &DeformationInputs<'_>, d: &Deltas, d_weights: &mut [Real], _: Option<&mut [[Real; 3]]>) {
+        let all = [d.scales.as_flattened(), d.quats.as_flattened(), d.signals.as_flattened()].concat();
+        d_weights.iter_mut().zip(all).for_each(|(sum, d)| *sum += d);
+    }
+}
+
+/// A step to be differentiated.
+struct Step {
+    stages: Arc<Stages>,
+    cloud: GaussianCloud,
+    weights: Vec<Real>,
+    batch: Batch,
+    ssim_weight: Real,
+    pruners: Vec<Plugin<dyn Pruner>>,
+}
+
+impl Step {
+    fn new(deformation: &str, readout: Readout, transmitters: usize, ssim_weight: Real, seed: u64) -> Self {
+        let stages = stages(deformation, readout);
+        let weights = stages.deformation.init(&mut rng::stream(seed, "network", 0));
+        let cloud = with_column(cloud(N, seed), "factor", (0..N).map(|i| 0.7 + 0.1 * i as Real).collect());
+        let batch = batch(transmitters, &stages);
+        Self { stages, cloud, weights, batch, ssim_weight, pruners: vec![plugin("Factor()")] }
+    }
+
+    fn outcome(&self, cloud: &GaussianCloud, weights: &[Real]) -> Outcome {
+        loss_and_gradients(&self.stages, cloud, weights, &self.batch, self.ssim_weight, &self.pruners, &MOMENT).unwrap()
+    }
+
+    /// Every column but `left_out`, then some of the weights, against differences.
+    fn check(&self, name: &str, left_out: Option<&str>) {
+        if !DOUBLE {
+            return;
+        }
+        let stride = self.weights.len().div_ceil(WEIGHTS).max(1);
+        let pack = |cloud: &GaussianCloud, weights: &[Real]| -> Vec<Real> {
+            let columns = cloud.columns().filter(|(name, ..)| Some(*name) != left_out);
+            columns.flat_map(|(_, _, v)| v.to_vec()).chain(weights.iter().copied().step_by(stride)).collect()
+        };
+        let unpack = |x: &[Real]| {
+            let (mut cloud, mut weights, mut x) = (self.cloud.clone(), self.weights.clone(), x.iter().copied());
+            for (_, _, values) in cloud.columns_mut().filter(|(name, ..)| Some(*name) != left_out) {
+                values.iter_mut().for_each(|v| *v = x.next().unwrap());
+            }
+            weights.iter_mut().step_by(stride).for_each(|w| *w = x.next().unwrap());
+            (cloud, weights)
+        };
+        check_vjp(
+            name,
+            &pack(&self.cloud, &self.weights),
+            |x| {
+                let (cloud, weights) = unpack(x);
+                vec![self.outcome(&cloud, &weights).loss]
+            },
+            |x, d| {
+                let (cloud, weights) = unpack(x);
+                let outcome = self.outcome(&cloud, &weights);
+                pack(&outcome.d_cloud, &outcome.d_weights).into_iter().map(|g| d[0] * g).collect()
+            },
+            1e-7,
+            1e-3,
+        );
+    }
+}
+
+#[test]
+fn without_deformation_every_column_differentiates_in_every_readout() {
+    for readout in [Readout::Magnitude, Readout::Power, Readout::Real] {
+        for (seed, ssim_weight) in [(1, 0.0), (2, 0.2), (3, 1.0)] {
+            let name = format!("Fixed, {readout:?}, SSIM {ssim_weight}");
+            Step::new("Fixed()", readout, 2, ssim_weight, seed).check(&name, None);
+        }
+    }
+}
+
+/// The network detaches the centres, as released: their own derivative is checked with the other deformations.
+#[test]
+fn the_network_differentiates_where_it_moves_geometry() {
+    let mlp = "Mlp(depth: 3, width: 16, skip: 0, tx_hidden: 16, tx_features: 8, position_frequencies: 3, \
+               tx_frequencies: 2, head_init: 0.3)";
+    for (readout, ssim_weight) in [(Readout::Magnitude, 0.2), (Readout::Power, 1.0), (Readout::Real, 0.2)] {
+        Step::new(mlp, readout, 2, ssim_weight, 4).check(&format!("Mlp All, {readout:?}"), Some("means"));
+    }
+}
+
+#[test]
+fn the_network_differentiates_where_it_moves_signals_of_a_batch() {
+    let mlp = "Mlp(depth: 2, width: 16, skip: None, tx_hidden: 16, tx_features: 8, position_frequencies: 3, \
+               tx_frequencies: 2, outputs: Signals)";
+    for (readout, ssim_weight) in [(Readout::Magnitude, 0.2), (Readout::Power, 0.2), (Readout::Real, 1.0)] {
+        Step::new(mlp, readout, 2, ssim_weight, 5).check(&format!("Mlp Signals, {readout:?}"), Some("means"));
+    }
+}
+
+#[test]
+fn every_term_of_each_transmitter_differentiates() {
+    let mut step = Step::new("Terms()", Readout::Magnitude, 2, 0.2, 6);
+    let random = &mut rng::stream(6, "terms", 0);
+    step.weights = (0..9 * N * 2).map(|_| 0.05 * rng::normal(random)).collect();
+    step.check("Terms", None);
+}
+
+#[test]
+fn the_released_network_differentiates_down_to_the_centres() {
+    for gain in ["1.5", "None"] {
+        let wrfgs = format!("Wrfgs(depth: 3, width: 16, frequencies: 2, skip: Some(0), gain: {gain})");
+        Step::new(&wrfgs, Readout::Real, 2, 0.2, 8).check(&wrfgs, None);
+    }
+}
+
+#[test]
+fn the_straight_through_gate_has_its_closed_form() {
+    let lambda: Real = 0.03;
+    let base = cloud(N, 9);
+    let step = |column: &str, values: Vec<Real>, pruner: &str| {
+        let step = Step {
+            pruners: vec![plugin(pruner)],
+            cloud: with_column(base.clone(), column, values),
+            ..Step::new("Fixed()", Readout::Magnitude, 2, 0.2, 9)
+        };
+        step.outcome(&step.cloud, &[])
+    };
+    let logits: Vec<Real> = (0..N).map(|i| i as Real - 3.0).collect();
+    let factor = step("factor", vec![1.0; N], "Factor()");
+    let masked = step("mask_logits", logits.clone(), &format!("LearnableMask(lambda: {lambda})"));
+    assert_eq!(masked.loss, factor.loss, "open gates change nothing");
+
+    // ∂L/∂o·o + Σ ∂L/∂s·s, from the derivatives in the logit of o and in log s.
+    let d = &masked.d_cloud;
+    let gates: Vec<Real> = (0..N)
+        .map(|i| d.opacity_logits[i] / (1.0 - sigmoid(base.opacity_logits[i])) + d.log_scales[i].iter().sum::<Real>())
+        .collect();
+    let size = gates.iter().fold(0.0, |m: Real, g| m.max(g.abs()));
+    assert!(size > 0.0);
+    let tolerance: Real = if DOUBLE { 1e-12 } else { 1e-5 };
+    let near = |found: Real, expected: Real, what: &str| {
+        assert!((found - expected).abs() < tolerance * (size + lambda), "{what}: {found}, not {expected}");
+    };
+    for i in 0..N {
+        let slope = sigmoid(logits[i]) * (1.0 - sigmoid(logits[i]));
+        near(factor.d_cloud.extra[0].values[i], gates[i], "gate");
+        near(d.extra[0].values[i], slope * (gates[i] + lambda / N as Real), "mask");
+    }
+    near(masked.penalty, lambda * logits.iter().map(|m| sigmoid(*m)).sum::<Real>() / N as Real, "penalty");
+}

@@ -1,0 +1,167 @@
+//! Laws that every linked plugin of a kind obeys; that all parse and survive their own text is in `registry.rs`.
+
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // helpers of tests may fail and print, as tests do
+
+mod common;
+
+use common::{MOMENT, cloud, plugin, stages, with_column};
+use pwrfgs::core::plugin::PluginKind;
+use pwrfgs::core::tape::values;
+use pwrfgs::core::{DeformationInputs, WeightSpec, registered, rng};
+use pwrfgs::model::Readout;
+use pwrfgs::prelude::*;
+use std::path::Path;
+
+/// Every linked plugin of a kind with its defaults.
+fn all<T: ?Sized + PluginKind>() -> Vec<(&'static str, Plugin<T>)>
+where
+    Box<T>: for<'de> Deserialize<'de>,
+{
+    let names = registered::<T>();
+    assert!(!names.is_empty(), "no {} is linked", T::KIND);
+    names.into_iter().map(|name| (name, plugin(&format!("{name}()")))).collect()
+}
+
+fn finite(values: &[Real]) -> bool {
+    values.iter().all(|v| v.is_finite())
+}
+
+fn data() -> Dataset {
+    plugin::<dyn DataSource>("Teacher(gaussians: 5, samples: 260, width: 60, height: 15)").load(Path::new(".")).unwrap()
+}
+
+#[test]
+fn initializers_are_deterministic_and_finite() {
+    let data = data();
+    for projector in ["Mercator()", "WrfgsCompat()"] {
+        let plane = plugin::<dyn Projector>(projector).plane(data.width, data.height);
+        for (name, initializer) in all::<dyn Initializer>() {
+            let start = |seed| initializer.initialize(&data.scene, &plane, &mut rng::stream(seed, "init", 0)).unwrap();
+            let cloud = start(1);
+            assert!(!cloud.is_empty() && cloud.columns().all(|(_, _, values)| finite(values)), "{name}");
+            assert!(cloud.columns().all(|(_, width, values)| values.len() == width * cloud.len()), "{name}");
+            assert!(cloud.extra.is_empty(), "{name}: columns of pruners are not the initializer's to add");
+            assert_eq!(cloud, start(1), "{name}");
+        }
+    }
+}
+
+#[test]
+fn splits_are_deterministic_disjoint_and_sorted() {
+    let data = data();
+    for (name, split) in all::<dyn Split>() {
+        let part = |seed| split.split(&data, &mut rng::stream(seed, "split", 0)).unwrap();
+        let Partition { train, validation, test } = part(1);
+        assert!(!train.is_empty() && !test.is_empty(), "{name}");
+        let lists = [&train, &validation, &test];
+        assert!(lists.iter().all(|list| list.is_sorted_by(|a, b| a < b)), "{name}");
+        let mut all: Vec<usize> = lists.into_iter().flatten().copied().collect();
+        let count = all.len();
+        all.sort_unstable();
+        all.dedup();
+        assert!(all.len() == count && all.iter().all(|&i| i < data.samples.len()), "{name}");
+        assert_eq!(part(1), Partition { train, validation, test }, "{name}");
+    }
+}
+
+#[test]
+fn pruners_answer_and_score_every_gaussian() {
+    for (name, pruner) in all::<dyn Pruner>() {
+        for n in [0, 1, 9] {
+            let mut cloud = cloud(n, 3);
+            for spec in pruner.columns() {
+                assert_eq!(spec.width, 1, "{name}: this test makes columns of one number");
+                cloud = with_column(cloud, spec.name, vec![spec.init; n]);
+            }
+            let stats = CloudStats::zeros(n);
+            let keep = pruner.keep(&cloud, &stats, &MOMENT);
+            assert_eq!(keep.len(), n, "{name}");
+            assert_eq!(keep, pruner.keep(&cloud, &stats, &MOMENT), "{name}");
+            assert_eq!(pruner.score(&cloud, &stats).len(), n, "{name}");
+            let traced = Traced::new(&cloud);
+            if let Some(gate) = pruner.gate(&traced, &MOMENT) {
+                assert!(values(&gate).len() == n && finite(&values(&gate)), "{name}");
+            }
+        }
+    }
+}
+
+#[test]
+fn deformations_keep_their_own_shapes() {
+    for (name, deformation) in all::<dyn Deformation>() {
+        let weights = deformation.init(&mut rng::stream(1, "network", 0));
+        assert_eq!(weights, deformation.init(&mut rng::stream(1, "network", 0)), "{name}");
+        assert_eq!(weights.len(), deformation.layout().iter().map(WeightSpec::len).sum::<usize>(), "{name}");
+        let txs = [[0.1, 0.2, 1.0], [-0.5, 0.3, 0.8]];
+        for n in [0, 1, 5] {
+            let means = cloud(n, 4).means;
+            let deltas = deformation.forward(&weights, &means, &txs, &Pose::IDENTITY);
+            let rows = [deltas.scales.len(), deltas.quats.len(), deltas.signals.len()];
+            assert!(rows.iter().all(|rows| [0, 2 * n].contains(rows)), "{name}: {rows:?} rows");
+            assert!(deformation.varies_geometry() || rows[..2] == [0, 0], "{name} varies geometry and does not say so");
+            let flat = [deltas.scales.as_flattened(), deltas.quats.as_flattened(), deltas.signals.as_flattened()];
+            assert!(flat.into_iter().all(finite), "{name}");
+            let (mut d_weights, mut d_means) = (vec![0.0; weights.len()], vec![[0.0; 3]; n]);
+            let inputs = DeformationInputs { weights: &weights, means: &means, txs: &txs, pose: &Pose::IDENTITY };
+            deformation.vjp(&inputs, &deltas, &mut d_weights, Some(&mut d_means));
+            assert!(finite(&d_weights) && finite(d_means.as_flattened()), "{name}");
+        }
+    }
+}
+
+#[test]
+fn projectors_and_rasterizers_answer_row_for_row() {
+    let stages = stages("Fixed()", Readout::Real);
+    let geometry = stages.activation().geometry(&cloud(7, 5), &Deltas::default(), 0, None);
+    for (name, projector) in all::<dyn Projector>() {
+        let plane = projector.plane(90, 24);
+        assert_eq!((plane.width, plane.height), (90, 24), "{name}");
+        let splats = projector.project(&geometry, &Pose::IDENTITY, &plane);
+        assert!(splats.len() == 7 && splats.radii.iter().all(|r| *r >= 0.0), "{name}");
+        for (kind, rasterizer) in all::<dyn Rasterizer>() {
+            rasterizer.check_plane(&plane).unwrap();
+            let render = rasterizer.forward(&splats, &[0.5; 14], 2, &plane);
+            assert!(render.pixels.len() == 2 * 90 * 24 && finite(&render.pixels), "{kind} on {name}");
+            let light = |t: &Real| (0.0..=1.0).contains(t);
+            assert!(render.transmittance.len() == 90 * 24 && render.transmittance.iter().all(light), "{kind}");
+            let d = rasterizer.backward(&splats, &[0.5; 14], 2, &plane, &render, &render.pixels);
+            assert!(d.signals.len() == 14 && d.weights.len() == 7 && finite(&d.signals), "{kind} on {name}");
+            let d = projector.project_vjp(&geometry, &Pose::IDENTITY, &plane, &splats, &d.splats);
+            assert!(d.len() == 7 && finite(d.means.as_flattened()) && finite(d.quats.as_flattened()), "{name}");
+        }
+    }
+}
+
+#[test]
+fn baselines_predict_pictures_of_the_right_size() {
+    let data = data();
+    let train: Vec<usize> = (0..30).collect();
+    for (name, baseline) in all::<dyn Baseline>() {
+        let picture = baseline.fit(&data, &train).unwrap().predict(data.samples[35].tx);
+        assert!((picture.width, picture.height) == (60, 15) && finite(&picture.pixels), "{name}");
+        assert!(!baseline.name().is_empty());
+    }
+}
+
+#[test]
+fn metrics_measure_every_sample_or_the_whole() {
+    let data = data();
+    let pictures: Vec<Image> = (0..4).map(|i| data.image(i)).collect();
+    for projector in ["Mercator()", "WrfgsCompat()"] {
+        let plane = plugin::<dyn Projector>(projector).plane(60, 15);
+        let evaluation =
+            Evaluation { predictions: &pictures, truths: &pictures, plane: &plane, scene: &data.scene, model: None };
+        for (name, metric) in all::<dyn Metric>() {
+            let measurements = metric.evaluate(&evaluation).unwrap();
+            assert!(!measurements.is_empty(), "{name}");
+            for m in measurements {
+                assert!(!m.key.is_empty(), "{name}");
+                match m.values {
+                    Values::PerSample(values) => assert_eq!(values.len(), 4, "{name}"),
+                    Values::Whole(value) => assert!(!value.is_nan(), "{name}"),
+                    Values::NotApplicable(why) => assert!(!why.is_empty(), "{name}"),
+                }
+            }
+        }
+    }
+}
