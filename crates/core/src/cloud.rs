@@ -35,6 +35,18 @@ pub struct ExtraColumn {
 pub const COLUMN_NAMES: [&str; 5] = ["means", "log_scales", "quats", "opacity_logits", "signals"];
 
 impl GaussianCloud {
+    /// N rows of zeros and no extra column.
+    pub fn zeros(n: usize) -> Self {
+        Self {
+            means: vec![[0.0; 3]; n],
+            log_scales: vec![[0.0; 3]; n],
+            quats: vec![[0.0; 4]; n],
+            opacity_logits: vec![0.0; n],
+            signals: vec![[0.0; 2]; n],
+            extra: Vec::new(),
+        }
+    }
+
     /// N.
     pub fn len(&self) -> usize {
         self.means.len()

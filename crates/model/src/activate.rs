@@ -190,14 +190,7 @@ mod tests {
     fn unpack(x: &[Real]) -> (GaussianCloud, Deltas, Vec<Real>) {
         let mut x = x.iter().copied();
         let mut next = || x.next().unwrap();
-        let mut cloud = GaussianCloud {
-            means: vec![[0.0; 3]; N],
-            log_scales: vec![[0.0; 3]; N],
-            quats: vec![[0.0; 4]; N],
-            opacity_logits: vec![0.0; N],
-            signals: vec![[0.0; 2]; N],
-            extra: vec![],
-        };
+        let mut cloud = GaussianCloud::zeros(N);
         cloud.columns_mut().for_each(|(_, _, v)| v.iter_mut().for_each(|v| *v = next()));
         let mut deltas = Deltas {
             scales: vec![[0.0; 3]; N * BATCH],

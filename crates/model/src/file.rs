@@ -112,14 +112,7 @@ pub fn put_cloud(file: &mut Tensors, prefix: &str, cloud: &GaussianCloud) {
 /// # Errors
 /// What is missing.
 pub fn take_cloud(file: &mut Tensors, prefix: &str, n: usize) -> Result<GaussianCloud, String> {
-    let mut cloud = GaussianCloud {
-        means: vec![[0.0; 3]; n],
-        log_scales: vec![[0.0; 3]; n],
-        quats: vec![[0.0; 4]; n],
-        opacity_logits: vec![0.0; n],
-        signals: vec![[0.0; 2]; n],
-        extra: Vec::new(),
-    };
+    let mut cloud = GaussianCloud::zeros(n);
     for (name, width, values) in cloud.columns_mut() {
         values.copy_from_slice(&file.take(&format!("{prefix}{name}"), &[n, width])?);
     }

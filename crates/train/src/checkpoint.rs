@@ -72,14 +72,7 @@ impl<'a> Trainer<'a> {
             let extra = (note.extra.iter())
                 .map(|(name, width)| ExtraColumn { name: name.clone(), width: *width, values: vec![0.0; n * width] })
                 .collect();
-            let mut cloud = GaussianCloud {
-                means: vec![[0.0; 3]; n],
-                log_scales: vec![[0.0; 3]; n],
-                quats: vec![[0.0; 4]; n],
-                opacity_logits: vec![0.0; n],
-                signals: vec![[0.0; 2]; n],
-                extra,
-            };
+            let mut cloud = GaussianCloud { extra, ..GaussianCloud::zeros(n) };
             for (name, width, values) in cloud.columns_mut() {
                 values.copy_from_slice(&file.take(&format!("{prefix}.{name}"), &[n, width])?);
             }
