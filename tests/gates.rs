@@ -97,7 +97,6 @@ fn a_prune_that_would_leave_nothing_keeps_the_best() {
 
 #[test]
 fn the_best_is_the_one_its_pruner_scores_highest() {
-    // All masks close at once, but for the score of `LearnableMask`: the largest mask stays.
     let pipeline = training("OpacityThreshold(epsilon: 0.99)", "prune_every: 6");
     let (data, partition) = data_of(&pipeline);
     let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();

@@ -41,7 +41,7 @@ fn draw(projector: &str, rasterizer: &str, p: &Primitives) -> (Vec<Real>, Primit
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(96))]
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(200) })]
 
     #[test]
     fn an_odd_number_spoils_no_picture(
