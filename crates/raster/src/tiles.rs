@@ -111,6 +111,9 @@ impl Reach {
 
     /// The released rule: every pixel of every tile that the square of the splat's radius meets.
     fn released(splats: &Splats, i: usize, plane: &ImagePlane) -> Self {
+        if splats.opacities[i].is_nan() {
+            return Self::NONE; // min(NaN, 0.99) would be 0.99
+        }
         let (columns, tile_rows) = square(splats.means2d[i], splats.radii[i], plane);
         let rows = (tile_rows.start * TILE) as i32..(tile_rows.end * TILE).min(plane.height) as i32;
         Self { columns: [columns, 0..0], tile_rows, rows }
