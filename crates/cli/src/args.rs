@@ -90,7 +90,7 @@ pub(crate) struct Run {
     /// Change a setting, such as training.steps=1000; a plugin is given whole, such as 'split=Random(test: 0.3)'
     #[arg(long = "set", value_name = "FIELD=VALUE")]
     pub(crate) set: Vec<String>,
-    /// The run folder [default: runs/<name of the pipeline>]
+    /// The run folder [default: runs/NAME, after the name of the pipeline]
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
 }

@@ -11,9 +11,9 @@ use pwrfgs_core::{Error, Result};
 use std::sync::OnceLock;
 
 /// Width and height of a chart in SVG units.
-const SIZE: (u32, u32) = (560, 320);
+const SIZE: (u32, u32) = (560, 334);
 /// Room for axes: left, top, right, bottom.
-const MARGINS: (u32, u32, u32, u32) = (62, 26, 18, 46);
+const MARGINS: (u32, u32, u32, u32) = (62, 40, 18, 46);
 
 /// A chart.
 #[derive(Clone, Debug, Default)]
@@ -104,10 +104,14 @@ impl Chart {
             if from < to {
                 chart.draw_series([Rectangle::new([(from, y.0), (to, y.1)], band.colour.filled())])?;
                 let (a, b) = (chart.backend_coord(&(from, y.1)), chart.backend_coord(&(to, y.1)));
-                if b.0 - a.0 > 8 * band.name.len() as i32 {
-                    let middle = (i32::midpoint(a.0, b.0), a.1 - 6);
-                    root.draw(&Text::new(band.name, middle, style(HPos::Center, VPos::Bottom)))?;
-                }
+                // A name wider than its band begins above the band, one line higher than those that fit.
+                let fits = b.0 - a.0 > 8 * band.name.len() as i32;
+                let (at, place) = if fits {
+                    ((i32::midpoint(a.0, b.0), a.1 - 6), HPos::Center)
+                } else {
+                    ((a.0, a.1 - 20), HPos::Left)
+                };
+                root.draw(&Text::new(band.name, at, style(place, VPos::Bottom)))?;
             }
         }
         let grid = RGBColor(222, 224, 229).stroke_width(1);
