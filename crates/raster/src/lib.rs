@@ -1,7 +1,7 @@
 //! Projectors and the one differentiable rasterizer that every pipeline shares.
 //!
 //! [`Mercator`] and [`WrfgsCompat`] are two [`CameraModel`]s in one EWA projection (`ewa.rs`); [`AlphaBlending`] draws
-//! their splats tile by tile (`tiles.rs`, `blend.rs`); [`reference`] does the same by brute force, for tests.
+//! their splats tile by tile (`tiles.rs`, `blend.rs`); [`mod@reference`] does the same by brute force, for tests.
 
 mod alpha_blending;
 mod blend;
