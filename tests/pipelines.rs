@@ -20,7 +20,7 @@ fn read(path: &Path) -> Pipeline {
 #[test]
 fn the_shipped_pipelines_are_there() {
     let names: Vec<String> = shipped().iter().map(|p| p.file_stem().unwrap().to_string_lossy().into_owned()).collect();
-    for name in ["pwrfgs", "quickstart", "wrfgs"] {
+    for name in ["pwrfgs", "quickstart", "s23-laptop", "wrfgs"] {
         assert!(names.iter().any(|n| n == name), "{name} is not among {names:?}");
     }
 }
