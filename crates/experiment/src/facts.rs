@@ -135,4 +135,15 @@ mod tests {
         assert_eq!((second.starts, second.wall_seconds, &second.started), (2, 12.5, &first.started));
         assert!(second.machine.threads >= 1);
     }
+
+    #[test]
+    fn numbers_come_back_as_the_bits_that_were_written() {
+        // serde_json rounds to the nearest only with its feature `float_roundtrip`; a table printed again would differ.
+        let mut random = pwrfgs_core::rng::stream(0, "facts", 0);
+        for _ in 0..20_000 {
+            let value = f64::from(pwrfgs_core::rng::normal(&mut random)) * 0.123_456_789;
+            let text = serde_json::to_string(&value).unwrap();
+            assert_eq!(serde_json::from_str::<f64>(&text).unwrap().to_bits(), value.to_bits(), "{text}");
+        }
+    }
 }
