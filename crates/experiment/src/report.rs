@@ -203,9 +203,9 @@ fn examples(subject: &Subject<'_>) -> (Vec<Example>, f64) {
             nearest: if distances[index].is_finite() { format!("{:.2} m", distances[index]) } else { "n/a".into() },
             peaks: peaks(subject, truth, prediction),
             panels: vec![
-                panel("Measured", truth, Scale::Power, &marks[..1]),
+                panel("Ground truth", truth, Scale::Power, &marks[..1]),
                 panel("Predicted", &prediction.clamped(), Scale::Power, &marks),
-                panel("Predicted − measured", error, Scale::Error(limit), &[]),
+                panel("Predicted − truth", error, Scale::Error(limit), &[]),
             ],
         }
     };
