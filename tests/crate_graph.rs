@@ -13,6 +13,7 @@ fn crates_depend_on_each_other_as_drawn() {
         ("prune", &["core"]),
         ("metrics", &["core"]),
         ("data", &["core"]),
+        ("sim", &["core", "data"]),
         ("model", &["core"]),
         ("train", &["core", "model"]),
         ("experiment", &["core", "model", "train"]),

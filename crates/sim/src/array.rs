@@ -1,0 +1,1 @@
+//! The antenna array at the receiver: its channel and its spatial spectrum.

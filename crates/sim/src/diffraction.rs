@@ -1,0 +1,1 @@
+//! Diffraction at a straight edge: the uniform theory of diffraction.

@@ -1,0 +1,1 @@
+//! Reflection and transmission of plane waves at half-spaces and slabs.

@@ -1,0 +1,1 @@
+//! Building materials of ITU-R P.2040.

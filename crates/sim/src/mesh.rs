@@ -1,0 +1,1 @@
+//! Triangle meshes from OBJ, STL and PLY files.

@@ -1,0 +1,1 @@
+//! Diffuse scattering off rough surfaces.

@@ -1,0 +1,1 @@
+//! Points sampled on surfaces, and the PLY file that holds them.

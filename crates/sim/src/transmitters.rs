@@ -1,0 +1,1 @@
+//! Where transmitters stand.
