@@ -1,1 +1,111 @@
-//! Reflection and transmission of plane waves at half-spaces and slabs.
+//! How much of a plane wave a flat surface throws back and lets through: half-space and slab, ITU-R P.2040-3.
+
+#[cfg(test)]
+mod tests;
+
+use crate::Complex;
+use std::f64::consts::TAU;
+
+/// A pair of coefficients, one for each polarisation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Polarized {
+    /// Electric field perpendicular to the plane of incidence (of an edge: parallel to it, soft).
+    pub te: Complex,
+    /// Electric field in the plane of incidence (of an edge: perpendicular to it, hard).
+    pub tm: Complex,
+}
+
+impl Polarized {
+    /// What reflects everything: -1 and 1.
+    pub const PERFECT_CONDUCTOR: Self = Self { te: Complex::new(-1.0, 0.0), tm: Complex::new(1.0, 0.0) };
+}
+
+/// Reflection by a slab of `thickness` metres, or by a half-space without one; ITU-R P.2040-3, section 2.2.
+///
+/// `eta` is the complex relative permittivity, `cos_incidence` the cosine from the normal (its sign does not matter),
+/// `wavelength` that in free space, metres. With c = cos θ, s = √(η - 1 + c²) and q = 2πds/λ a face reflects
+/// r = (x - s)/(x + s), where x is c for `te` and ηc for `tm`, and a slab R = r(1 - e^{-2jq})/(1 - r²e^{-2jq}).
+///
+/// With ŝ = k̂×n̂/|k̂×n̂|, p̂ᵢ = ŝ×k̂ᵢ, p̂ₒ = ŝ×k̂ₒ the reflected field is `te`·(E·ŝ)ŝ + `tm`·(E·p̂ᵢ)p̂ₒ; its phase is that at
+/// the front face.
+pub fn reflection(eta: Complex, thickness: Option<f64>, cos_incidence: f64, wavelength: f64) -> Polarized {
+    let face = Face::new(eta, cos_incidence);
+    let Some(depth) = thickness else { return face.each(Interface::reflection) };
+    let path = face.phase(depth, wavelength);
+    let echo = -exp_m1(Complex::new(2.0 * path.im, -2.0 * path.re));
+    face.each(|interface| {
+        let r = interface.reflection();
+        interface.over_echoes(r * echo, echo, Complex::ZERO)
+    })
+}
+
+/// Transmission through a slab of `thickness` metres and out again, as against free space along the same straight line:
+/// the T of ITU-R P.2040-3, section 2.2, times e^{jkd cos θ}, so that a slab of air changes nothing.
+///
+/// T = (1 - r²)e^{-jq}/(1 - r²e^{-2jq}). The field becomes `te`·(E·ŝ)ŝ + `tm`·(E·p̂)p̂, p̂ the same before and after.
+/// Arguments are those of [`reflection`]. That the ray leaves displaced along the slab is not modelled.
+pub fn transmission(eta: Complex, thickness: f64, cos_incidence: f64, wavelength: f64) -> Polarized {
+    let face = Face::new(eta, cos_incidence);
+    let path = face.phase(thickness, wavelength);
+    let echo = -exp_m1(Complex::new(2.0 * path.im, -2.0 * path.re));
+    let free = TAU * thickness / wavelength * cos_incidence.abs();
+    let through = Complex::new(path.im, free - path.re).exp();
+    face.each(|interface| interface.over_echoes(interface.through() * through, echo, Complex::ONE))
+}
+
+/// What both polarisations share: cos θ outside, and η and s = √(η - sin²θ) inside.
+struct Face {
+    eta: Complex,
+    cos: f64,
+    root: Complex,
+}
+
+impl Face {
+    fn new(eta: Complex, cos_incidence: f64) -> Self {
+        let cos = cos_incidence.abs();
+        let root = (eta - 1.0 + cos * cos).sqrt();
+        // Of the two roots the one that decays inwards; they differ for a real root of a negative number only.
+        Self { eta, cos, root: if root.im > 0.0 { root.conj() } else { root } }
+    }
+
+    /// q = 2πds/λ.
+    fn phase(&self, thickness: f64, wavelength: f64) -> Complex {
+        self.root * (TAU * thickness / wavelength)
+    }
+
+    fn each(&self, of: impl Fn(Interface) -> Complex) -> Polarized {
+        let (cos, root) = (self.cos, self.root);
+        Polarized { te: of(Interface(Complex::from(cos), root)), tm: of(Interface(self.eta * cos, root)) }
+    }
+}
+
+/// One interface and polarisation: r = (x - s)/(x + s), of which the numbers are x and s.
+#[derive(Clone, Copy)]
+struct Interface(Complex, Complex);
+
+impl Interface {
+    fn reflection(self) -> Complex {
+        let (x, s) = (self.0, self.1);
+        if x == s { Complex::ZERO } else { (x - s) / (x + s) }
+    }
+
+    /// 1 - r² without cancellation where |r| is near 1.
+    fn through(self) -> Complex {
+        let (x, s) = (self.0, self.1);
+        if x == s { Complex::ONE } else { (2.0 * x / (x + s)) * (2.0 * s / (x + s)) }
+    }
+
+    /// `amplitude` over 1 - r²e^{-2jq}, with `echo` = 1 - e^{-2jq}; `none` where there is nothing to meet: the slab has
+    /// no thickness and the wave does not enter.
+    fn over_echoes(self, amplitude: Complex, echo: Complex, none: Complex) -> Complex {
+        let r = self.reflection();
+        let denominator = self.through() + r * r * echo;
+        if denominator == Complex::ZERO { none } else { amplitude / denominator }
+    }
+}
+
+/// e^z - 1, also for small z.
+fn exp_m1(z: Complex) -> Complex {
+    let half = (0.5 * z.im).sin();
+    Complex::new(z.re.exp_m1() * z.im.cos() - 2.0 * half * half, z.re.exp() * z.im.sin())
+}
