@@ -1,1 +1,101 @@
-//! Diffuse scattering off rough surfaces.
+//! What a rough surface throws in all directions: effective roughness.
+
+#[cfg(test)]
+mod tests;
+
+use serde::{Deserialize, Serialize};
+use std::f64::consts::{PI, TAU};
+
+/// Largest exponent that is accepted: a lobe of 6° to half its power.
+const NARROWEST: u32 = 256;
+
+/// Where the scattered power goes: Degli-Esposti, Fuschini, Vitucci and Falciasecca, IEEE TAP 55 (2007), pp. 143-153.
+///
+/// ```
+/// # use pwrfgs_sim::scattering::Lobe;
+/// assert_eq!(ron::from_str("Directive(exponent: 4)"), Ok(Lobe::Directive { exponent: 4 }));
+/// ```
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum Lobe {
+    /// As the cosine from the normal, whencever the wave comes.
+    #[default]
+    Lambertian,
+    /// As ((1 + cos ψ)/2)^exponent, with ψ the angle from the specular direction.
+    Directive {
+        /// The larger, the narrower; 0 scatters alike in all directions.
+        exponent: u32,
+    },
+}
+
+impl Lobe {
+    /// Share of the scattered power per steradian, 1/sr; its integral over the hemisphere is 1.
+    ///
+    /// The cosines of incidence and of the way out are from the normal, in [0, 1]; `cos_psi` is that between the
+    /// specular direction and the way out.
+    pub fn density(&self, cos_incidence: f64, cos_scattered: f64, cos_psi: f64) -> f64 {
+        match *self {
+            Self::Lambertian => cos_scattered / PI,
+            Self::Directive { exponent } => {
+                // `as` is exact up to the largest exponent that `check` accepts.
+                (0.5 * (1.0 + cos_psi)).powi(exponent as i32) / lobe_integral(exponent, cos_incidence)
+            }
+        }
+    }
+
+    /// What is wrong with it, and what to do.
+    pub fn check(&self) -> Result<(), String> {
+        match *self {
+            Self::Directive { exponent } if exponent > NARROWEST => {
+                Err(format!("`exponent` of the lobe is {exponent}; use 0 to {NARROWEST}"))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// The integral of ((1 + cos ψ)/2)^α over the hemisphere, sr.
+///
+/// F = 2^-α Σⱼ C(α,j) Iⱼ over j = 0..α, with Iⱼ = 2π/(j + 1) for even j, and that times
+/// cos θ Σ C(2w,w) (sin²θ/4)^w over w = 0..(j - 1)/2 for odd j. All terms are positive.
+fn lobe_integral(exponent: u32, cos_incidence: f64) -> f64 {
+    let cos = cos_incidence.clamp(0.0, 1.0);
+    let quarter = 0.25 * (1.0 - cos * cos);
+    let (mut sum, mut binomial) = (0.0, 0.5_f64.powi(exponent as i32));
+    let (mut odd, mut term) = (0.0, 1.0);
+    for j in 0..=exponent {
+        let (power, left) = (f64::from(j), f64::from(exponent - j));
+        let mut part = TAU / (power + 1.0);
+        if j % 2 == 1 {
+            odd += term;
+            part *= cos * odd;
+            // C(2w+2,w+1)/C(2w,w) = 2(2w + 1)/(w + 1) with 2w + 1 = j.
+            term *= 4.0 * power / (power + 1.0) * quarter;
+        }
+        sum += binomial * part;
+        binomial *= left / (power + 1.0);
+    }
+    sum
+}
+
+/// Amplitude of the path by one patch of a rough surface between isotropic antennas: |gain|² is what arrives.
+///
+/// λ/4π · √(S²|Γ|² `density` dA cos θ)/(r₁r₂): the patch takes cos θ dA/(4πr₁²) of the power, throws back S²|Γ|² of
+/// that and `density` of it per steradian, which the receiver meets with its aperture λ²/4π. So what is left to the
+/// specular wave is √(1 - S²) of Γ.
+///
+/// * `scattering`: S, in [0, 1]; `reflection`: |Γ| of the smooth surface.
+/// * `density`: of [`Lobe::density`], 1/sr; `area`: dA, m²; `cos_incidence`: cos θ from the normal.
+/// * `distances`: r₁ from the transmitter to the patch and r₂ on to the receiver, metres, large against the patch.
+pub fn amplitude(
+    scattering: f64,
+    reflection: f64,
+    density: f64,
+    area: f64,
+    cos_incidence: f64,
+    distances: (f64, f64),
+    wavelength: f64,
+) -> f64 {
+    let spread = wavelength / (2.0 * TAU * distances.0 * distances.1);
+    scattering * reflection * spread * (density * area * cos_incidence).max(0.0).sqrt()
+}
