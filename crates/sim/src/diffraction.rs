@@ -32,7 +32,7 @@ const GRAZING: f64 = 1e-9;
 ///
 /// On a shadow or reflection boundary it is the limit from the lit side. At grazing incidence (φ′ of 0 or nπ) the
 /// incident and the reflected ray are one, and it is halved, as Kouyoumjian and Pathak have it: the direct ray counts
-/// once, the reflected one not at all. Zero where the ray runs along the edge, or an end lies on it.
+/// once, the reflected one not at all. A receiver on a face is not treated so. Zero where the ray runs along the edge, or an end lies on it.
 pub fn wedge(
     n: f64,
     k: f64,

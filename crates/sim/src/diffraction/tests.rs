@@ -209,6 +209,19 @@ fn the_edge_point_makes_the_path_shortest_and_its_angles_equal() {
     assert_eq!(edge_point(a, a, tx, rx), 0.0);
 }
 
+/// What an antenna hears of another across the reference's edge, by the vectors of [`wedge`]: both have their field
+/// along φ̂ (`horizontal`) or θ̂ of the direction away from them. Face 0 is y = 0, x < 0, and φ grows from there through
+/// y > 0, so that the edge points down.
+fn between_antennas(d: &Polarized, (phi_in, phi): (f64, f64), horizontal: bool) -> Complex {
+    let outward = |phi: f64| DVec3::new(-phi.cos(), phi.sin(), 0.0);
+    let (edge, before, after) = (-DVec3::Z, -outward(phi_in), outward(phi));
+    let (phi_hat_in, phi_hat) = (-edge.cross(before), edge.cross(after));
+    let (beta_hat_in, beta_hat) = (phi_hat_in.cross(before), phi_hat.cross(after));
+    let antenna = |away: DVec3| if horizontal { DVec3::Z.cross(away) } else { -DVec3::Z };
+    let (sent, heard) = (antenna(before), antenna(-after));
+    -d.te * sent.dot(beta_hat_in) * beta_hat.dot(heard) - d.tm * sent.dot(phi_hat_in) * phi_hat.dot(heard)
+}
+
 /// Metal wedge and half-plane at 920 MHz against an independent implementation in float64, and an established ray
 /// tracer in float32.
 #[test]
@@ -232,8 +245,8 @@ fn metal_edges_are_those_of_the_reference() {
         let angles = (2f64.atan2(3.0), degrees.to_radians());
         let d = wedge(n, 2.0 * PI / wavelength, (before, after), angles, 1.0, &METAL, &METAL);
         let hard = &row[column("pol")] == "H";
-        let d = if hard { -d.tm } else { d.te }; // φ̂ of the two antennas are opposite
-        let gain = d * wavelength / (4.0 * PI * (before * after * (before + after)).sqrt());
+        let gain =
+            between_antennas(&d, angles, hard) * wavelength / (4.0 * PI * (before * after * (before + after)).sqrt());
         // Nine digits are printed.
         let digits =
             |found: f64, printed: f64| (found - printed).abs() / 10f64.powf(printed.abs().log10().floor() - 8.0);
