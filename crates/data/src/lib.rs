@@ -1,12 +1,13 @@
 //! What is known and how it is divided: data sources, point clouds, splits and the predictors to be beaten.
 //!
 //! * [`Nerf2Spectrum`] reads measured spectra in the NeRF2 layout, [`Teacher`] simulates some with a known answer.
-//! * [`read_points`] reads a point cloud from PLY, XYZ or CSV.
+//! * [`read_points`] reads a point cloud from PLY, XYZ or CSV, [`read_mesh`] triangles from OBJ, STL or PLY.
 //! * [`Official`], [`Random`], [`TimeBlock`], [`Voxel`] and [`Sparse`] divide samples; [`nearest_train_distance`] says
 //!   how far a division keeps its parts from each other.
 //! * [`MeanSpectrum`] and [`NearestNeighbours`] are scored beside every model.
 
 mod baselines;
+mod mesh;
 mod nearest;
 mod nerf2;
 mod points;
@@ -15,6 +16,7 @@ mod teacher;
 mod text;
 
 pub use baselines::{MeanSpectrum, NearestNeighbours};
+pub use mesh::{Triangles, read_mesh};
 pub use nearest::{nearest_distances, nearest_train_distance};
 pub use nerf2::Nerf2Spectrum;
 pub use points::read_points;

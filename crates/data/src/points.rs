@@ -1,6 +1,6 @@
 //! Point clouds: PLY, plain XYZ (blanks between numbers) and CSV; coordinates in metres, world frame.
 
-mod ply;
+pub(crate) mod ply;
 
 use crate::text::{XyzColumns, lines, read_bytes, read_text, split_blanks, split_commas};
 use pwrfgs_core::{Error, Real, Result};

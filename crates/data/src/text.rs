@@ -69,12 +69,11 @@ fn column(line: &str, part: &str) -> usize {
     line[..start].chars().count() + 1
 }
 
-/// A finite coordinate in metres; `advice` says what to do where it is none.
-pub(crate) fn coordinate(path: &Path, line: usize, field: Field<'_>, advice: &str) -> Result<Real> {
+/// A finite number; `advice` says what to do where it is none.
+pub(crate) fn number(path: &Path, line: usize, field: Field<'_>, advice: &str) -> Result<f64> {
     let fault = |what: &str| Error::at(path, line, field.column, format!("`{}` is {what}; {advice}", field.text));
     let value: f64 = field.text.parse().ok().ok_or_else(|| fault("not a number"))?;
-    let value = value as Real;
-    if value.is_finite() { Ok(value) } else { Err(fault("not finite")) }
+    if (value as Real).is_finite() { Ok(value) } else { Err(fault("not finite")) }
 }
 
 /// Where a row holds x, y and z.
@@ -94,6 +93,11 @@ impl XyzColumns {
 
     /// The three coordinates of a row.
     pub(crate) fn read(self, path: &Path, line: usize, row: &[Field<'_>], advice: &str) -> Result<[Real; 3]> {
+        Ok(self.read_double(path, line, row, advice)?.map(|v| v as Real))
+    }
+
+    /// The three coordinates of a row in double precision.
+    pub(crate) fn read_double(self, path: &Path, line: usize, row: &[Field<'_>], advice: &str) -> Result<[f64; 3]> {
         let mut point = [0.0; 3];
         for ((value, column), name) in point.iter_mut().zip(self.0).zip(["x", "y", "z"]) {
             let field = row.get(column).copied().ok_or_else(|| {
@@ -102,7 +106,7 @@ impl XyzColumns {
                 let what = format!("the row ends after {have} of the {need} columns that `{name}` needs; {advice}");
                 Error::at(path, line, end, what)
             })?;
-            *value = coordinate(path, line, field, advice)?;
+            *value = number(path, line, field, advice)?;
         }
         Ok(point)
     }

@@ -1,5 +1,5 @@
-//! PLY: a header, then elements as text or as binary of either byte order. Only `x`, `y`, `z` of `vertex` are kept, but
-//! everything is walked through, so that a truncated file is noticed.
+//! PLY: a header, then elements as text or as binary of either byte order. Only `x`, `y`, `z` of `vertex` and the corners
+//! of `face` are kept, but everything is walked through, so that a truncated file is noticed.
 //!
 //! Read here rather than with `ply-rs-bw`: that crate refuses blank lines and numbers such as `.5` and `nan` as syntax,
 //! and its messages run over several lines.
@@ -8,41 +8,111 @@ mod header;
 #[cfg(test)]
 mod tests;
 
-use crate::text::{Field, XyzColumns, lines, split_blanks};
+use crate::mesh::{Polygons, Triangles};
+use crate::text::{Field, XyzColumns, lines, number, split_blanks};
 use header::{Element, Encoding, Header, Kind, Scalar};
 use pwrfgs_core::{Error, Real, Result};
 use std::path::Path;
 
 const ANEW: &str = "the file is cut short: copy it anew";
 const ROW_ADVICE: &str = super::ROW_ADVICE;
+const INDEX_ADVICE: &str = "correct the index of the vertex";
 
 /// The centres of all vertices.
 pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<Vec<[Real; 3]>> {
     let header = Header::parse(path, bytes)?;
-    match header.encoding {
-        Encoding::Ascii => parse_ascii(path, &header, &bytes[header.bytes..]),
-        Encoding::Little | Encoding::Big => parse_binary(path, &header, &bytes[header.bytes..]),
-    }
+    let contents = Contents::parse(path, &header, &bytes[header.bytes..], None)?;
+    Ok(contents.vertices.into_iter().map(|vertex| vertex.map(|v| v as Real)).collect())
 }
 
-fn parse_ascii(path: &Path, header: &Header, body: &[u8]) -> Result<Vec<[Real; 3]>> {
-    let text = String::from_utf8_lossy(body);
-    let mut rows = lines(&text).map(|(line, row)| (line + header.lines, row));
-    let mut points = Vec::new();
-    for (e, element) in header.elements.iter().enumerate().filter(|(_, element)| !element.properties.is_empty()) {
-        for i in 0..element.count {
-            let Some((line, row)) = rows.next() else {
-                return Err(Error::input(path, ends(element, i)));
-            };
-            let fields = split_blanks(row);
-            let starts = field_of_each_property(path, line, &fields, element)?;
-            if e == header.vertex {
-                let columns = XyzColumns(header.xyz.map(|property| starts[property]));
-                points.push(columns.read(path, line, &fields, ROW_ADVICE)?);
-            }
+/// The surface: vertices, and faces cut into triangles.
+pub(crate) fn parse_mesh(path: &Path, bytes: &[u8]) -> Result<Triangles> {
+    let header = Header::parse(path, bytes)?;
+    let corners = header.corners(path)?;
+    let contents = Contents::parse(path, &header, &bytes[header.bytes..], Some(corners))?;
+    contents.polygons.triangulate(path, contents.vertices)
+}
+
+/// What is kept of a file.
+#[derive(Default)]
+struct Contents {
+    vertices: Vec<[f64; 3]>,
+    polygons: Polygons,
+}
+
+impl Contents {
+    /// `corners`: which element holds the faces, and which of its properties are the corners.
+    fn parse(path: &Path, header: &Header, body: &[u8], corners: Option<(usize, usize)>) -> Result<Self> {
+        match header.encoding {
+            Encoding::Ascii => Self::parse_ascii(path, header, body, corners),
+            Encoding::Little | Encoding::Big => Self::parse_binary(path, header, body, corners),
         }
     }
-    Ok(points)
+
+    fn parse_ascii(path: &Path, header: &Header, body: &[u8], corners: Option<(usize, usize)>) -> Result<Self> {
+        let text = String::from_utf8_lossy(body);
+        let mut rows = lines(&text).map(|(line, row)| (line + header.lines, row));
+        let mut contents = Self::default();
+        for (e, element) in header.elements.iter().enumerate().filter(|(_, element)| !element.properties.is_empty()) {
+            for i in 0..element.count {
+                let Some((line, row)) = rows.next() else {
+                    return Err(Error::input(path, ends(element, i)));
+                };
+                let fields = split_blanks(row);
+                let starts = field_of_each_property(path, line, &fields, element)?;
+                if e == header.vertex {
+                    let columns = XyzColumns(header.xyz.map(|property| starts[property]));
+                    contents.vertices.push(columns.read_double(path, line, &fields, ROW_ADVICE)?);
+                }
+                if let Some((_, property)) = corners.filter(|(face, _)| e == *face) {
+                    let length = fields[starts[property]].text.parse().unwrap_or(0);
+                    let listed = fields[starts[property] + 1..].iter().take(length);
+                    let row = listed.map(|field| index(path, line, *field)).collect::<Result<Vec<i64>>>()?;
+                    let fault = |what| Error::at(path, line, 1, what);
+                    contents.polygons.push(&row, header.elements[header.vertex].count).map_err(fault)?;
+                }
+            }
+        }
+        Ok(contents)
+    }
+
+    fn parse_binary(path: &Path, header: &Header, body: &[u8], corners: Option<(usize, usize)>) -> Result<Self> {
+        let mut body = Body { rest: body, is_big: header.encoding == Encoding::Big };
+        let mut contents = Self::default();
+        let mut list = Vec::new();
+        for (e, element) in header.elements.iter().enumerate().filter(|(_, element)| !element.properties.is_empty()) {
+            for i in 0..element.count {
+                let mut point = [0.0; 3];
+                let ended = || Error::input(path, ends(element, i));
+                for (p, property) in element.properties.iter().enumerate() {
+                    match property.kind {
+                        Kind::Scalar(scalar) => {
+                            let value = body.value(scalar).ok_or_else(ended)?;
+                            if let Some(k) = header.xyz.iter().position(|&xyz| e == header.vertex && xyz == p) {
+                                point[k] = value;
+                            }
+                        }
+                        Kind::List { length, item } if corners == Some((e, p)) => {
+                            body.list(length, item, &mut list).ok_or_else(ended)?;
+                            let fault = |what| Error::input(path, format!("row {} of `face`: {what}", i + 1));
+                            contents.polygons.push(&list, header.elements[header.vertex].count).map_err(fault)?;
+                        }
+                        Kind::List { length, item } => {
+                            body.skip_list(length, item).ok_or_else(ended)?;
+                        }
+                    }
+                }
+                if e == header.vertex {
+                    if !point.iter().all(|v| (*v as Real).is_finite()) {
+                        let what = format!("vertex {} of {} is not finite; {ROW_ADVICE}", i + 1, element.count);
+                        return Err(Error::input(path, what));
+                    }
+                    contents.vertices.push(point);
+                }
+            }
+        }
+        Ok(contents)
+    }
 }
 
 /// At which field of a row each property begins: a list takes as many fields as its first says, and that one.
@@ -69,35 +139,16 @@ fn field_of_each_property(path: &Path, line: usize, fields: &[Field<'_>], elemen
     Ok(starts)
 }
 
-fn parse_binary(path: &Path, header: &Header, body: &[u8]) -> Result<Vec<[Real; 3]>> {
-    let mut body = Body { rest: body, is_big: header.encoding == Encoding::Big };
-    let mut points = Vec::new();
-    for (e, element) in header.elements.iter().enumerate().filter(|(_, element)| !element.properties.is_empty()) {
-        for i in 0..element.count {
-            let mut point = [0.0; 3];
-            for (p, property) in element.properties.iter().enumerate() {
-                match property.kind {
-                    Kind::Scalar(scalar) => {
-                        let value = body.value(scalar).ok_or_else(|| Error::input(path, ends(element, i)))?;
-                        if let Some(k) = header.xyz.iter().position(|&xyz| e == header.vertex && xyz == p) {
-                            point[k] = value as Real;
-                        }
-                    }
-                    Kind::List { length, item } => {
-                        body.skip_list(length, item).ok_or_else(|| Error::input(path, ends(element, i)))?;
-                    }
-                }
-            }
-            if e == header.vertex {
-                if !point.iter().all(|v| v.is_finite()) {
-                    let what = format!("vertex {} of {} is not finite; {ROW_ADVICE}", i + 1, element.count);
-                    return Err(Error::input(path, what));
-                }
-                points.push(point);
-            }
-        }
-    }
-    Ok(points)
+/// A whole number in a list of corners.
+fn index(path: &Path, line: usize, field: Field<'_>) -> Result<i64> {
+    let value = number(path, line, field, INDEX_ADVICE)?;
+    let fault = || Error::at(path, line, field.column, format!("`{}` is not whole; {INDEX_ADVICE}", field.text));
+    whole(value).ok_or_else(fault)
+}
+
+/// Indices beyond 2^53 are out of any range all the same.
+fn whole(value: f64) -> Option<i64> {
+    (value.fract() == 0.0).then_some(value as i64)
 }
 
 fn ends(element: &Element, done: usize) -> String {
@@ -126,5 +177,15 @@ impl<'a> Body<'a> {
     fn skip_list(&mut self, length: Scalar, item: Scalar) -> Option<()> {
         let length = self.value(length).filter(|l| *l >= 0.0)?;
         self.take((length as usize).checked_mul(item.size())?).map(|_| ())
+    }
+
+    /// Fills `list`. An item that is not whole counts as out of range.
+    fn list(&mut self, length: Scalar, item: Scalar, list: &mut Vec<i64>) -> Option<()> {
+        list.clear();
+        let length = self.value(length).filter(|l| *l >= 0.0)?;
+        let (size, is_big) = (item.size(), self.is_big);
+        let raw = self.take((length as usize).checked_mul(size)?)?;
+        list.extend(raw.chunks_exact(size).map(|raw| whole(item.value(raw, is_big)).unwrap_or(-1)));
+        Some(())
     }
 }

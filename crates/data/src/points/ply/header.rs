@@ -138,6 +138,21 @@ impl Header {
         let (vertex, xyz) = vertex(path, &elements)?;
         Ok(Self { encoding, elements, vertex, xyz, bytes: start, lines: line })
     }
+
+    /// Which element is `face`, and which of its properties lists the corners.
+    pub(super) fn corners(&self, path: &Path) -> Result<(usize, usize)> {
+        let Some(face) = self.elements.iter().position(|e| e.name == "face") else {
+            return Err(Error::input(path, "has no element `face`; export a mesh, not a point cloud"));
+        };
+        let is_it = |p: &Property| {
+            ["vertex_indices", "vertex_index"].contains(&p.name.as_str()) && matches!(p.kind, Kind::List { .. })
+        };
+        let list = self.elements[face].properties.iter().position(is_it).ok_or_else(|| {
+            let what = "element `face` has no list `vertex_indices`; export faces by their vertices";
+            Error::at(path, self.elements[face].line, 1, what)
+        })?;
+        Ok((face, list))
+    }
 }
 
 const UNENDED: &str = "the header has no end_header; copy the file anew";

@@ -143,3 +143,79 @@ fn a_header_that_promises_too_much_is_an_error_at_once() {
         );
     }
 }
+
+/// A square of one face, whose row holds another list and a number too.
+fn square(format: &str) -> Vec<u8> {
+    let header = "element face 1\nproperty list int char flags\nproperty list uchar uint vertex_index\n\
+        property short group\nelement vertex 4\nproperty float x\nproperty float y\nproperty double z\nend_header\n";
+    let mut out = format!("ply\nformat {format} 1.0\n{header}").into_bytes();
+    if format == "ascii" {
+        out.extend(b"2 7 7 4 0 1 2 3 -5\n0 0 0.1\n1 0 0.1\n1 1 0.1\n0 1 0.1\n");
+        return out;
+    }
+    out.extend(2i32.to_le_bytes());
+    out.extend([7, 7, 4]);
+    (0..4u32).for_each(|i| out.extend(i.to_le_bytes()));
+    out.extend((-5i16).to_le_bytes());
+    for (x, y) in [(0.0f32, 0.0f32), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)] {
+        out.extend(x.to_le_bytes());
+        out.extend(y.to_le_bytes());
+        out.extend(0.1f64.to_le_bytes());
+    }
+    out
+}
+
+#[test]
+fn faces_are_cut_into_triangles_in_double_precision() {
+    let corners = [[0.0, 0.0, 0.1], [1.0, 0.0, 0.1], [1.0, 1.0, 0.1], [0.0, 1.0, 0.1]];
+    for format in ["ascii", "binary_little_endian"] {
+        let (vertices, triangles) = parse_mesh(Path::new("a.ply"), &square(format)).unwrap();
+        assert_eq!(vertices, corners);
+        assert_eq!(triangles, [[0, 1, 2], [0, 2, 3]]);
+    }
+}
+
+#[test]
+fn every_truncation_of_a_mesh_is_an_error() {
+    for format in ["ascii", "binary_little_endian"] {
+        let whole = square(format);
+        for length in 0..whole.len() - 3 * usize::from(format == "ascii") {
+            assert!(parse_mesh(Path::new("a.ply"), &whole[..length]).is_err(), "{length} of {} bytes", whole.len());
+        }
+    }
+}
+
+#[test]
+fn mistakes_in_faces_are_told() {
+    let read = |bytes: &[u8]| parse_mesh(Path::new("a.ply"), bytes).unwrap_err().to_string();
+    let edit = |from: &str, to: &str| String::from_utf8(square("ascii")).unwrap().replace(from, to).into_bytes();
+    let index = "correct the index of the vertex";
+    let cases = [
+        (
+            edit("1 2 3 -5", "1 2 4 -5"),
+            "a.ply:12:1: a face names vertex 4, counted from 0, of 4; correct the index".to_owned(),
+        ),
+        (edit("1 2 3 -5", "1 2.5 3 -5"), format!("a.ply:12:13: `2.5` is not whole; {index}")),
+        (edit("1 2 3 -5", "1 two 3 -5"), format!("a.ply:12:13: `two` is not a number; {index}")),
+        (
+            edit("4 0 1 2 3 -5", "2 0 1 -5"),
+            "a.ply:12:1: a face has 2 corners; give at least three, or remove it".to_owned(),
+        ),
+        (
+            edit("vertex_index", "strip"),
+            "a.ply:3:1: element `face` has no list `vertex_indices`; export faces by their vertices".to_owned(),
+        ),
+        (
+            edit("element face", "element cell"),
+            "a.ply: has no element `face`; export a mesh, not a point cloud".to_owned(),
+        ),
+    ];
+    for (bytes, message) in cases {
+        assert_eq!(read(&bytes), message);
+    }
+    // The header of the cloud promises two vertices and its face names three.
+    assert_eq!(
+        read(&binary(true)),
+        "a.ply: row 1 of `face`: a face names vertex 2, counted from 0, of 2; correct the index"
+    );
+}

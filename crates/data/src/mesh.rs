@@ -1,0 +1,100 @@
+//! Triangle meshes: OBJ, STL and PLY; coordinates in metres unless the reader's caller scales them.
+//!
+//! Read here rather than with a crate, because a mesh that is read wrongly is a wrong room. What was tried: `tobj` 4.0.5
+//! panics on a texture index out of range, makes a triangle of two corners and takes a web page for an empty mesh;
+//! `mesh-loader` 0.1.13 refuses an OBJ file in which only some objects have textures and accepts a binary STL file that
+//! is cut short after a triangle; `stl_io` 0.11 reads a binary STL file as text if its header begins with `solid`, as
+//! some programs write it. None of them says line and column of every mistake.
+
+mod obj;
+mod polygons;
+mod stl;
+
+pub(crate) use polygons::Polygons;
+
+use crate::points::ply;
+use crate::text::read_bytes;
+use pwrfgs_core::{Error, Result};
+use std::path::Path;
+
+const ADVICE: &str = "check the path of the mesh";
+const VERTEX_ADVICE: &str = "give every vertex a finite x, y and z";
+
+/// Vertices `[V,3]` as the file has them, in double precision, and the triangles `[F,3]` over them, counted from 0.
+pub type Triangles = (Vec<[f64; 3]>, Vec<[u32; 3]>);
+
+/// Reads the surface of a mesh file; polygons are cut into triangles.
+///
+/// * `.obj`: `v` and `f`, with positive and negative indices; groups, normals, textures, materials, lines and points are
+///   left out, and free-form surfaces are an error.
+/// * `.stl`: ascii or binary; each triangle has three vertices of its own.
+/// * `.ply`: ascii or binary of either byte order, with an element `face` and its list `vertex_indices`.
+///
+/// # Errors
+/// Names the file, and line and column in text: truncated, not a number, not finite, an index out of range, a face of
+/// fewer than three corners, a polygon that no fan of triangles fills, unknown extension. A file without faces is read.
+pub fn read_mesh(path: &Path) -> Result<Triangles> {
+    let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+    let parse = match extension.as_str() {
+        "obj" => obj::parse,
+        "stl" => stl::parse,
+        "ply" => ply::parse_mesh,
+        _ => return Err(Error::input(path, "is no mesh by its extension; use .obj, .stl or .ply")),
+    };
+    parse(path, &read_bytes(path, ADVICE)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn a_file_is_read_by_its_extension() {
+        let folder = tempfile::tempdir().unwrap();
+        let triangle: Triangles = (vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 0.1, 0.0]], vec![[0, 1, 2]]);
+        let files = [
+            ("a.OBJ", "v 0 0 0\nv 1 0 0\nv 0 .1 0\nf 1 2 3\n"),
+            (
+                "a.stl",
+                "solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 .1 0\nendloop\nendfacet\n\
+                 endsolid\n",
+            ),
+            (
+                "a.ply",
+                "ply\nformat ascii 1.0\nelement vertex 3\nproperty double x\nproperty double y\nproperty double z\n\
+                 element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 .1 0\n3 0 1 2\n",
+            ),
+        ];
+        for (name, text) in files {
+            let path = folder.path().join(name);
+            std::fs::write(&path, text).unwrap();
+            assert_eq!(read_mesh(&path).unwrap(), triangle, "{name}");
+        }
+        let message = |name: &str| read_mesh(Path::new(name)).unwrap_err().to_string();
+        assert_eq!(message("a.step"), "a.step: is no mesh by its extension; use .obj, .stl or .ply");
+        assert_eq!(message("no/a.obj"), "cannot read no/a.obj: no such file; check the path of the mesh");
+    }
+
+    proptest! {
+        /// Every parser gives triangles over vertices it has, or an error; whatever the bytes.
+        #[test]
+        fn noise_never_panics(
+            noise in prop::collection::vec(any::<u8>(), 0..300),
+            words in "(v |f |-?[0-9]{1,20} |[0-9]/|solid |facet |normal |vertex |nan |\\.|\n){0,60}",
+            header in 0..3usize,
+        ) {
+            let ply = "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty char x\nproperty char y\n\
+                       property char z\nelement face 9\nproperty list char char vertex_indices\nend_header\n";
+            let head = ["", ply, "solid\n"][header];
+            for body in [&noise[..], words.as_bytes()] {
+                let bytes = [head.as_bytes(), body].concat();
+                for parse in [obj::parse, stl::parse, ply::parse_mesh] {
+                    if let Ok((vertices, triangles)) = parse(Path::new("a"), &bytes) {
+                        prop_assert!(triangles.iter().flatten().all(|&v| (v as usize) < vertices.len()));
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,136 @@
+//! Polygons over vertices, and how they are cut into triangles.
+
+use super::Triangles;
+use pwrfgs_core::{Error, Result};
+use std::path::Path;
+
+/// Faces of three and more corners, all within the vertices.
+#[derive(Debug, Default)]
+pub(crate) struct Polygons {
+    corners: Vec<u32>,
+    /// Where in `corners` each face ends.
+    ends: Vec<usize>,
+}
+
+impl Polygons {
+    /// Adds a face, whose corners count from 0 among `vertices`; says what is wrong with it otherwise.
+    pub(crate) fn push(&mut self, corners: &[i64], vertices: usize) -> Result<(), String> {
+        if corners.len() < 3 {
+            return Err(format!("a face has {} corners; give at least three, or remove it", corners.len()));
+        }
+        for &corner in corners {
+            let index = u32::try_from(corner).ok().filter(|&index| (index as usize) < vertices);
+            self.corners.push(index.ok_or_else(|| {
+                format!("a face names vertex {corner}, counted from 0, of {vertices}; correct the index")
+            })?);
+        }
+        self.ends.push(self.corners.len());
+        Ok(())
+    }
+
+    /// Cuts every face into a fan of triangles that keep its sense.
+    pub(crate) fn triangulate(self, path: &Path, vertices: Vec<[f64; 3]>) -> Result<Triangles> {
+        let mut triangles = Vec::with_capacity(self.corners.len().saturating_sub(2 * self.ends.len()));
+        let mut start = 0;
+        for (face, end) in self.ends.into_iter().enumerate() {
+            let corners = &self.corners[start..end];
+            start = end;
+            let apex = fan_apex(&vertices, corners).ok_or_else(|| {
+                let what = "is not filled by any fan of triangles; triangulate the mesh where it was made";
+                Error::input(path, format!("face {} of {} corners {what}", face + 1, corners.len()))
+            })?;
+            let at = |k: usize| corners[(apex + k) % corners.len()];
+            triangles.extend((1..corners.len() - 1).map(|k| [at(0), at(k), at(k + 1)]));
+        }
+        Ok((vertices, triangles))
+    }
+}
+
+/// The first corner from which all triangles of the fan have the sense of the whole polygon.
+///
+/// A simple polygon is then covered once, convex or not: an L has such a corner, a U has none.
+fn fan_apex(vertices: &[[f64; 3]], corners: &[u32]) -> Option<usize> {
+    if corners.len() == 3 {
+        return Some(0);
+    }
+    let at = |k: usize| vertices[corners[k % corners.len()] as usize];
+    let normal = (1..corners.len() - 1).fold([0.0; 3], |sum, k| add(sum, area(at(0), at(k), at(k + 1))));
+    (0..corners.len())
+        .find(|&apex| (1..corners.len() - 1).all(|k| dot(normal, area(at(apex), at(apex + k), at(apex + k + 1))) > 0.0))
+}
+
+/// Twice the area of a triangle, along its normal.
+fn area(a: [f64; 3], b: [f64; 3], c: [f64; 3]) -> [f64; 3] {
+    let (u, v) = (sub(b, a), sub(c, a));
+    [0, 1, 2].map(|k| u[(k + 1) % 3] * v[(k + 2) % 3] - u[(k + 2) % 3] * v[(k + 1) % 3])
+}
+
+fn add(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [0, 1, 2].map(|k| a[k] + b[k])
+}
+
+fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [0, 1, 2].map(|k| a[k] - b[k])
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn triangles(corners: &[[f64; 2]]) -> Result<Triangles, String> {
+        let vertices: Vec<[f64; 3]> = corners.iter().map(|[x, y]| [*x, *y, 2.0]).collect();
+        let mut polygons = Polygons::default();
+        let all: Vec<i64> = (0..corners.len() as i64).collect();
+        polygons.push(&all, vertices.len())?;
+        polygons.triangulate(Path::new("a.obj"), vertices).map_err(|e| e.to_string())
+    }
+
+    fn signed_area((vertices, triangles): &Triangles) -> f64 {
+        triangles
+            .iter()
+            .map(|t| area(vertices[t[0] as usize], vertices[t[1] as usize], vertices[t[2] as usize])[2])
+            .sum::<f64>()
+            / 2.0
+    }
+
+    #[test]
+    fn convex_and_star_shaped_polygons_are_filled_and_keep_their_sense() {
+        let square = [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]];
+        let cut = triangles(&square).unwrap();
+        assert_eq!(cut.1, [[0, 1, 2], [0, 2, 3]]);
+        assert_eq!(signed_area(&cut), 4.0);
+        // A fan from the first corner would leave the L.
+        let l = [[2.0, 0.0], [2.0, 1.0], [1.0, 1.0], [1.0, 2.0], [0.0, 2.0], [0.0, 0.0]];
+        let cut = triangles(&l).unwrap();
+        assert!(cut.1.iter().all(|t| t[0] == 2));
+        assert_eq!(signed_area(&cut), 3.0);
+        // A corner in the middle of a side: no triangle without area.
+        let five = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]];
+        let (vertices, cut) = triangles(&five).unwrap();
+        let area_of = |t: &[u32; 3]| area(vertices[t[0] as usize], vertices[t[1] as usize], vertices[t[2] as usize])[2];
+        assert!(cut.iter().all(|t| area_of(t) > 0.0));
+        let mut clockwise = l;
+        clockwise.reverse();
+        assert_eq!(signed_area(&triangles(&clockwise).unwrap()), -3.0);
+    }
+
+    #[test]
+    fn polygons_that_cannot_be_filled_are_told() {
+        let u = [[0.0, 0.0], [3.0, 0.0], [3.0, 3.0], [2.0, 3.0], [2.0, 1.0], [1.0, 1.0], [1.0, 3.0], [0.0, 3.0]];
+        let advice = "is not filled by any fan of triangles; triangulate the mesh where it was made";
+        assert_eq!(triangles(&u).unwrap_err(), format!("a.obj: face 1 of 8 corners {advice}"));
+        let flat = [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [3.0, 0.0]];
+        assert_eq!(triangles(&flat).unwrap_err(), format!("a.obj: face 1 of 4 corners {advice}"));
+        let bow = [[0.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.0, 1.0]];
+        assert_eq!(triangles(&bow).unwrap_err(), format!("a.obj: face 1 of 4 corners {advice}"));
+        assert_eq!(triangles(&u[..2]).unwrap_err(), "a face has 2 corners; give at least three, or remove it");
+        for (corner, name) in [(3, "3"), (-1, "-1"), (1 << 40, "1099511627776")] {
+            let message = Polygons::default().push(&[0, 1, corner], 3).unwrap_err();
+            assert_eq!(message, format!("a face names vertex {name}, counted from 0, of 3; correct the index"));
+        }
+    }
+}
