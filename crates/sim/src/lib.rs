@@ -9,6 +9,7 @@ pub mod material;
 pub mod mesh;
 mod path;
 pub mod scattering;
+pub mod spectrum;
 pub mod surface_points;
 pub mod transmitters;
 

@@ -1,0 +1,205 @@
+use super::*;
+use crate::SPEED_OF_LIGHT;
+use std::collections::HashMap;
+use std::path::PathBuf;
+
+const WAVELENGTH: f64 = 0.3258;
+
+fn line_of_sight(from: DVec3, to: DVec3) -> Path {
+    let length = from.distance(to);
+    Path {
+        gain: Complex::new(WAVELENGTH / (2.0 * TAU * length), 0.0),
+        length,
+        departure: (to - from) / length,
+        arrival: (from - to) / length,
+        source: from,
+        before: 0.0,
+        interactions: vec![],
+    }
+}
+
+#[test]
+fn x_runs_fastest_and_the_centre_is_the_mean() {
+    let array = Array { rows: 2, columns: 3, spacing_wavelengths: 0.25, ..Array::default() };
+    let offsets = array.offsets(4.0);
+    assert_eq!(offsets.len(), array.elements());
+    assert_eq!(offsets[0], DVec3::new(-1.0, -0.5, 0.0));
+    assert_eq!(offsets[1], DVec3::new(0.0, -0.5, 0.0));
+    assert_eq!(offsets[3], DVec3::new(-1.0, 0.5, 0.0));
+    assert_eq!(offsets.iter().sum::<DVec3>(), DVec3::ZERO);
+}
+
+#[test]
+fn arrays_that_cannot_be_are_told_apart() {
+    let good = Array::default();
+    assert_eq!(good.check(), Ok(()));
+    let cases = [
+        (Array { rows: 0, ..good.clone() }, "array: `rows` is 0; give 1 to 32 antennas"),
+        (Array { columns: 33, ..good.clone() }, "array: `columns` is 33; give 1 to 32 antennas"),
+        (
+            Array { spacing_wavelengths: 0.0, ..good.clone() },
+            "array: `spacing_wavelengths` is 0; give 0.001 to 100, usually 0.5",
+        ),
+        (
+            Array { spacing_wavelengths: f64::NAN, ..good.clone() },
+            "array: `spacing_wavelengths` is NaN; give 0.001 to 100, usually 0.5",
+        ),
+        (
+            Array { polarization: [0.0; 3], ..good.clone() },
+            "array: `polarization` is [0.0, 0.0, 0.0]; give an axis such as (0, 1, 0)",
+        ),
+        (
+            Array { element: Element::Patch { exponent: -1.0 }, ..good.clone() },
+            "array: `exponent` of Patch is -1; give 0 to 100, usually 1",
+        ),
+    ];
+    for (array, message) in cases {
+        assert_eq!(array.check(), Err(message.to_owned()));
+    }
+    assert!(Array { polarization: [0.0, f64::INFINITY, 0.0], ..good }.check().is_err());
+}
+
+#[test]
+fn an_upright_axis_gives_theta_hat() {
+    for (zenith, azimuth) in [(0.3, 0.1), (1.2, 2.5), (2.9, -1.0), (1e-7, 0.4), (1e-11, 0.4)] {
+        let ((st, ct), (sp, cp)) = (f64::sin_cos(zenith), f64::sin_cos(azimuth));
+        let direction = DVec3::new(st * cp, st * sp, ct);
+        let (amplitude, field) = response(&Element::Isotropic, DVec3::Z, direction);
+        assert!(field.abs_diff_eq(DVec3::new(ct * cp, ct * sp, -st), 1e-9), "{zenith}: {field}");
+        assert!(field.dot(direction).abs() < 1e-15);
+        assert_eq!(amplitude, 1.0);
+        let (amplitude, _) = response(&Element::Dipole, DVec3::Z, direction);
+        assert!((amplitude - st).abs() < 1e-15);
+    }
+}
+
+#[test]
+fn on_the_axis_the_field_is_still_a_unit_vector() {
+    for axis in [DVec3::X, DVec3::Y, DVec3::NEG_Z, DVec3::new(1.0, 2.0, -3.0).normalize()] {
+        for direction in [axis, -axis] {
+            for (element, amplitude) in [(Element::Isotropic, 1.0), (Element::Dipole, 0.0)] {
+                let (found, field) = response(&element, axis, direction);
+                assert!((found - amplitude).abs() < 1e-15);
+                assert!((field.length() - 1.0).abs() < 1e-14 && field.dot(direction).abs() < 1e-14, "{axis} {field}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_patch_sends_nothing_behind() {
+    let patch = Element::Patch { exponent: 2.0 };
+    let towards = |z: f64| response(&patch, DVec3::Y, DVec3::new((1.0 - z * z).sqrt(), 0.0, z)).0;
+    assert_eq!([towards(1.0), towards(0.5), towards(0.0), towards(-0.5)], [1.0, 0.25, 0.0, 0.0]);
+    let half_space = Element::Patch { exponent: 0.0 };
+    assert_eq!(response(&half_space, DVec3::Y, DVec3::X).0, 0.0);
+    assert_eq!(response(&half_space, DVec3::Y, DVec3::Z).0, 1.0);
+}
+
+#[test]
+fn a_spherical_wave_becomes_a_plane_one_far_away() {
+    let array = Array::default();
+    let center = DVec3::new(1.0, -2.0, 0.5);
+    let turn = DMat3::from_euler(glam::EulerRot::ZYX, 0.4, -1.1, 2.0);
+    let direction = DVec3::new(0.3, -0.5, 0.8).normalize();
+    // The sagitta a²/(2d) of the farthest element, a = 0.35 m, makes the difference: 2π/λ · 0.06/d radians.
+    for distance in [10.0, 100.0, 1000.0] {
+        let path = line_of_sight(center + turn * direction * distance, center);
+        let spherical = array.channel(std::slice::from_ref(&path), center, turn, WAVELENGTH);
+        let flat = Array { wavefront: Wavefront::Plane, ..array.clone() };
+        let plane = flat.channel(std::slice::from_ref(&path), center, turn, WAVELENGTH);
+        let worst = spherical.iter().zip(&plane).map(|(a, b)| (a / b - 1.0).norm()).fold(0.0, f64::max);
+        assert!(worst < 1.2 / distance && worst > 0.1 / distance, "{distance} m: {worst}");
+        let expected =
+            |offset: &DVec3| path.baseband(WAVELENGTH) * Complex::cis(TAU / WAVELENGTH * offset.dot(direction));
+        for (found, offset) in plane.iter().zip(array.offsets(WAVELENGTH)) {
+            assert!((found / expected(&offset) - 1.0).norm() < 1e-9);
+        }
+    }
+}
+
+#[test]
+fn without_paths_nothing_is_received() {
+    assert_eq!(Array::default().channel(&[], DVec3::ZERO, DMat3::IDENTITY, 1.0), vec![Complex::ZERO; 16]);
+}
+
+type Row = HashMap<String, String>;
+
+fn number(row: &Row, name: &str) -> f64 {
+    row[name].parse().unwrap()
+}
+
+/// Rows of a table of the reference by column; `None` with a note where there is none.
+fn reference(name: &str) -> Option<Vec<Row>> {
+    let shared = std::env::var("PWRFGS_SHARED")
+        .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared").to_owned());
+    let path = PathBuf::from(shared).join("reference/paths/sceneA").join(name);
+    let Ok(mut reader) = csv::Reader::from_path(&path) else {
+        println!("note: no {}; set PWRFGS_SHARED to check against it", path.display());
+        return None;
+    };
+    Some(reader.deserialize().map(|row| row.unwrap()).collect())
+}
+
+/// Position of the reference's receiver.
+const CENTER: DVec3 = DVec3::new(1.7, -0.9, 1.3);
+
+/// A path of the reference. Its directions were written in single precision, so the image of the transmitter is made
+/// anew from the names of the walls.
+fn reference_path(row: &Row) -> Path {
+    let mut source = match row["tx"].as_str() {
+        "tx1" => DVec3::new(-2.1, 1.4, 1.1),
+        "tx2" => DVec3::new(0.45, -1.85, 2.35),
+        _ => DVec3::new(-1.3, -0.65, 0.8),
+    };
+    for surface in row["surfaces"].split('>') {
+        let (coordinate, wall) = match surface {
+            "wall_xneg" => (&mut source.x, -3.0),
+            "wall_xpos" => (&mut source.x, 3.0),
+            "wall_yneg" => (&mut source.y, -2.5),
+            "wall_ypos" => (&mut source.y, 2.5),
+            "floor" => (&mut source.z, 0.0),
+            "ceiling" => (&mut source.z, 3.0),
+            _ => continue,
+        };
+        *coordinate = 2.0 * wall - *coordinate;
+    }
+    let length = number(row, "ref_len_m");
+    let arrival = (source - CENTER) / length;
+    let (az, el) = (number(row, "aoa_az_rad"), number(row, "aoa_el_rad"));
+    let theirs = DVec3::new(el.cos() * az.cos(), el.cos() * az.sin(), el.sin());
+    assert!(arrival.abs_diff_eq(theirs, 1e-4) && (source.distance(CENTER) - length).abs() < 1e-10);
+    let gain = Complex::new(number(row, "ref_a_re"), number(row, "ref_a_im"));
+    Path { gain, length, departure: DVec3::X, arrival, source, before: 0.0, interactions: vec![] }
+}
+
+#[test]
+fn the_channel_of_the_reference_array_is_that_of_the_reference() {
+    let (Some(array), Some(paths)) = (reference("array_4x4_920MHz_slab.csv"), reference("paths_920MHz_slab.csv"))
+    else {
+        return;
+    };
+    let wavelength = SPEED_OF_LIGHT / 920e6;
+    let (mut plane_error, mut spherical_error) = (0.0, 0.0);
+    for tx in ["tx1", "tx2", "tx3"] {
+        let rows: Vec<&Row> = array.iter().filter(|row| row["tx"] == tx).collect();
+        let paths: Vec<Path> = paths.iter().filter(|row| row["tx"] == tx).map(reference_path).collect();
+        assert_eq!((rows.len(), paths.len()), (16, 63));
+        let rel = |row: &&Row| DVec3::new(number(row, "rel_x"), number(row, "rel_y"), number(row, "rel_z"));
+        let elements: Vec<DVec3> = rows.iter().map(|row| CENTER + rel(row)).collect();
+        let plane = channel_at(&paths, &elements, CENTER, wavelength, Wavefront::Plane);
+        let spherical = channel_at(&paths, &elements, CENTER, wavelength, Wavefront::Spherical);
+        for ((row, plane), spherical) in rows.iter().zip(plane).zip(spherical) {
+            let expected =
+                |name: &str| Complex::new(number(row, &format!("{name}_re")), number(row, &format!("{name}_im")));
+            let synthetic = expected("ref_syn");
+            let error = (plane - synthetic).norm() / synthetic.norm();
+            assert!(error < 1e-8, "{tx}, element {}: {error:e}", row["elem"]);
+            let real = expected("ref_real");
+            plane_error += (plane - real).norm_sqr();
+            spherical_error += (spherical - real).norm_sqr();
+        }
+    }
+    println!("against paths traced anew: plane {}, spherical {}", plane_error.sqrt(), spherical_error.sqrt());
+    assert!(spherical_error < 0.2 * plane_error, "{spherical_error:e} against {plane_error:e}");
+}

@@ -1,0 +1,231 @@
+use super::*;
+use crate::array::Wavefront;
+use glam::{DMat3, DVec3};
+use pwrfgs_core::{Projector as _, rng};
+use std::f64::consts::TAU;
+
+/// Spacing of the measured array, 0.16 m at 920 MHz.
+const MEASURED: f64 = 0.16 * 920e6 / crate::SPEED_OF_LIGHT;
+
+/// Sample phases of the published script.
+const PHASES: [f64; 16] = [
+    -1.886, -1.923, -2.832, -1.743, -1.751, -1.899, -2.370, -3.113, -2.394, -2.464, 2.964, -2.904, -1.573, -2.525,
+    -3.039, -2.839,
+];
+
+fn measured_array() -> Array {
+    Array { spacing_wavelengths: MEASURED, ..Array::default() }
+}
+
+fn sample_channel() -> Vec<Complex> {
+    PHASES.iter().map(|phase| Complex::cis(-phase)).collect()
+}
+
+fn direction(azimuth: f64, elevation: f64) -> DVec3 {
+    let ((sa, ca), (se, ce)) = (azimuth.to_radians().sin_cos(), elevation.to_radians().sin_cos());
+    DVec3::new(ce * ca, ce * sa, se)
+}
+
+fn argmax(values: &[f64]) -> usize {
+    (0..values.len()).fold(0, |best, i| if values[i] > values[best] { i } else { best })
+}
+
+fn argmin(values: &[f64]) -> usize {
+    (0..values.len()).fold(0, |best, i| if values[i] < values[best] { i } else { best })
+}
+
+fn normalised(values: &[f64]) -> Vec<f64> {
+    let (low, high) = range(values);
+    values.iter().map(|v| (v - low) / (high - low)).collect()
+}
+
+fn close(found: f64, expected: f64) {
+    assert!((found - expected).abs() < 1e-6, "{found} is not {expected}");
+}
+
+#[test]
+fn the_published_script_gives_the_same_values_on_its_grid() {
+    let degrees = |first: f64| Axis { first, step: 1.0 };
+    let beamformer = Beamformer::on_grid(&measured_array(), (360, degrees(0.0)), (90, degrees(1.0)));
+    let raw = beamformer.amplitude(&sample_channel());
+    let (low, high) = range(&raw);
+    close(low, 0.001_327);
+    close(high, 0.927_321);
+    let values = normalised(&raw);
+    close(values.iter().sum::<f64>() / 32_400.0, 0.290_455);
+    assert_eq!((argmax(&values), argmin(&values)), (83 * 360 + 29, 2 * 360 + 183));
+    let cases = [
+        (0, 0, 0.053_406),
+        (0, 180, 0.021_497),
+        (29, 45, 0.097_874),
+        (44, 90, 0.163_584),
+        (59, 270, 0.156_502),
+        (89, 0, 0.926_409),
+        (10, 359, 0.074_595),
+    ];
+    for (row, column, value) in cases {
+        close(values[row * 360 + column], value);
+    }
+}
+
+#[test]
+fn the_grid_of_the_measured_files_has_its_values_too() {
+    let beamformer = Beamformer::new(&measured_array(), 360, 90);
+    let values = normalised(&beamformer.amplitude(&sample_channel()));
+    close(values.iter().sum::<f64>() / 32_400.0, 0.281_255);
+    assert_eq!((argmax(&values), argmin(&values)), (84 * 360 + 29, 3 * 360 + 183));
+    for (row, column, value) in [(0, 0, 0.053_221), (29, 45, 0.100_195), (89, 0, 0.944_564), (10, 359, 0.070_717)] {
+        close(values[row * 360 + column], value);
+    }
+}
+
+#[test]
+fn pixels_are_the_directions_that_the_projector_gives_them() {
+    for (width, height) in [(360, 90), (90, 24), (7, 5)] {
+        let plane = pwrfgs_raster::Mercator::default().plane(width, height);
+        let array = Array { spacing_wavelengths: 0.3, ..Array::default() };
+        let beamformer = Beamformer::new(&array, width, height);
+        let random = &mut rng::stream(1, "test pixels", 0);
+        for _ in 0..50 {
+            let (row, column) = (rng::below(random, height), rng::below(random, width));
+            let u = DVec3::from(plane.direction(column as _, row as _).unwrap().map(|v| v as f64));
+            let h: Vec<Complex> = array.offsets(1.0).iter().map(|p| Complex::cis(TAU * p.dot(u))).collect();
+            let amplitude = beamformer.amplitude(&h)[row * width + column];
+            assert!((amplitude - 1.0).abs() < 1e-9, "{width} x {height}, ({row}, {column}): {amplitude}");
+        }
+    }
+}
+
+/// Angle between a plane wave's direction and the strongest pixel, degrees.
+fn peak_error(array: &Array, beamformer: &Beamformer, azimuth: f64, elevation: f64) -> f64 {
+    let u = direction(azimuth, elevation);
+    let h: Vec<Complex> = array.offsets(1.0).iter().map(|p| Complex::cis(TAU * p.dot(u))).collect();
+    let peak = argmax(&beamformer.amplitude(&h));
+    direction((peak % 360) as f64, (peak / 360) as f64).angle_between(u).to_degrees()
+}
+
+#[test]
+fn a_plane_wave_peaks_within_a_degree_all_over_the_hemisphere() {
+    let array = measured_array();
+    let beamformer = Beamformer::new(&array, 360, 90);
+    let random = &mut rng::stream(2, "test hemisphere", 0);
+    let mut worst: f64 = 0.0;
+    let drawn = (0..400).map(|_| {
+        // Uniform on the hemisphere.
+        (360.0 * rng::uniform(random) as f64, (rng::uniform(random) as f64).asin().to_degrees())
+    });
+    // And where it is hardest: along the axes of the array, at the horizon and off the middle of pixels.
+    let horizon = (0..72).flat_map(|k| [0.0, 0.3, 0.5, 1.5, 2.5].map(|el| (5.0 * f64::from(k) + 0.5, el)));
+    let axes = [0.0, 90.0, 180.0, 270.0].into_iter().flat_map(|az| [0.0, 0.5, 1.0, 3.5, 10.0].map(|el| (az, el)));
+    for (azimuth, elevation) in drawn.chain(horizon).chain(axes).chain([(12.5, 89.9), (0.0, 90.0)]) {
+        let error = peak_error(&array, &beamformer, azimuth, elevation);
+        assert!(error <= 1.0 + 1e-9, "({azimuth}, {elevation}): {error}");
+        worst = worst.max(error);
+    }
+    println!("worst error of a peak: {worst} degrees");
+}
+
+#[test]
+fn half_a_wavelength_confuses_opposite_ends_of_an_axis_and_nothing_else() {
+    let array = Array::default();
+    let beamformer = Beamformer::new(&array, 360, 90);
+    let h: Vec<Complex> = array.offsets(1.0).iter().map(|p| Complex::cis(TAU * p.x)).collect();
+    let amplitude = beamformer.amplitude(&h);
+    assert!((amplitude[0] - amplitude[180]).abs() < 1e-12, "a wave along x is heard from both sides");
+    for azimuth in [0.0, 45.0, 90.0, 133.3, 270.0] {
+        for elevation in [5.0, 10.0, 40.0, 80.0] {
+            assert!(peak_error(&array, &beamformer, azimuth, elevation) <= 1.0, "({azimuth}, {elevation})");
+        }
+    }
+}
+
+#[test]
+fn the_kernel_is_the_definition_for_arrays_of_any_shape() {
+    for (rows, columns) in [(1, 1), (1, 5), (3, 1), (2, 3), (8, 7)] {
+        let array = Array { rows, columns, spacing_wavelengths: 0.4, ..Array::default() };
+        let random = &mut rng::stream(3, "test channel", rows as u64);
+        let mut draw = || rng::normal(random) as f64;
+        let h: Vec<Complex> = (0..rows * columns).map(|_| Complex::new(draw(), draw())).collect();
+        let found = Beamformer::new(&array, 11, 3).amplitude(&h);
+        assert_eq!(found.len(), 33);
+        for (pixel, found) in found.iter().enumerate() {
+            let u = direction((pixel % 11) as f64 * 360.0 / 11.0, (pixel / 11) as f64 * 30.0);
+            let steered = array.offsets(1.0).into_iter().zip(&h).map(|(p, h)| Complex::cis(-TAU * p.dot(u)) * h);
+            let expected = steered.sum::<Complex>().norm() / (rows * columns) as f64;
+            assert!((found - expected).abs() < 1e-13, "{rows} x {columns}, pixel {pixel}: {found} {expected}");
+        }
+    }
+}
+
+#[test]
+fn scale_is_kept_apart_from_the_picture_and_phase_is_nothing() {
+    let beamformer = Beamformer::new(&measured_array(), 360, 90);
+    let channel = sample_channel();
+    for kind in [SpectrumKind::Amplitude, SpectrumKind::Power] {
+        let one = beamformer.spectrum(&channel, kind);
+        // A power of two changes no bit but the exponent; j swaps parts.
+        let other: Vec<Complex> = channel.iter().map(|h| h * Complex::new(0.0, 0.25)).collect();
+        let other = beamformer.spectrum(&other, kind);
+        assert_eq!(one.pixels, other.pixels);
+        assert!((one.power - 1.0).abs() < 1e-12 && (other.power - 0.0625).abs() < 1e-12);
+        let scale: f64 = if kind == SpectrumKind::Amplitude { 0.25 } else { 0.0625 };
+        assert!((other.high / one.high / scale - 1.0).abs() < 1e-12);
+        let turned: Vec<Complex> = channel.iter().map(|h| h * Complex::cis(1.234)).collect();
+        let turned = beamformer.spectrum(&turned, kind);
+        assert!(one.pixels.iter().zip(&turned.pixels).all(|(a, b)| a.abs_diff(*b) <= 1));
+    }
+}
+
+#[test]
+fn amplitude_is_stretched_and_power_is_equation_2_over_its_largest() {
+    let beamformer = Beamformer::new(&measured_array(), 360, 90);
+    let channel = sample_channel();
+    let raw = beamformer.amplitude(&channel);
+    let amplitude = beamformer.spectrum(&channel, SpectrumKind::Amplitude);
+    assert_eq!(range(&raw), (amplitude.low, amplitude.high));
+    assert_eq!(amplitude.pixels.iter().min(), Some(&0));
+    assert_eq!(amplitude.pixels.iter().max(), Some(&255));
+    let power = beamformer.spectrum(&channel, SpectrumKind::Power);
+    assert!((power.high - 16.0 * amplitude.high.powi(2)).abs() < 1e-12);
+    assert!((power.low - 16.0 * amplitude.low.powi(2)).abs() < 1e-12);
+    for (pixel, value) in power.pixels.iter().zip(&raw) {
+        let expected = 255.0 * (value / amplitude.high).powi(2);
+        assert!((f64::from(*pixel) - (expected - 0.5)).abs() < 0.5 + 1e-9, "{pixel} {expected}");
+    }
+}
+
+#[test]
+fn nothing_received_and_nothing_told_apart_are_black() {
+    let beamformer = Beamformer::new(&measured_array(), 36, 9);
+    for kind in [SpectrumKind::Amplitude, SpectrumKind::Power] {
+        let silent = beamformer.spectrum(&[Complex::ZERO; 16], kind);
+        assert_eq!((silent.low, silent.high, silent.power), (0.0, 0.0, 0.0));
+        assert!(silent.pixels.iter().all(|p| *p == 0) && silent.pixels.len() == 36 * 9);
+        let broken = beamformer.spectrum(&[Complex::new(f64::NAN, 0.0); 16], kind);
+        assert!(broken.pixels.iter().all(|p| *p == 0));
+    }
+    // A single element of sixteen hears all directions alike, but for rounding.
+    let mut single = [Complex::ZERO; 16];
+    single[10] = Complex::new(0.3, -0.4);
+    assert!(beamformer.spectrum(&single, SpectrumKind::Amplitude).pixels.iter().all(|p| *p == 0));
+    assert!(beamformer.spectrum(&single, SpectrumKind::Power).pixels.iter().all(|p| *p >= 254));
+}
+
+#[test]
+fn a_receiver_that_is_turned_sees_the_wave_turned_back() {
+    let array = Array { wavefront: Wavefront::Plane, ..measured_array() };
+    let beamformer = Beamformer::new(&array, 360, 90);
+    let turn = DMat3::from_euler(glam::EulerRot::ZYX, 0.4, -1.1, 2.0);
+    let arrival = turn * direction(211.0, 37.0);
+    let path = crate::Path {
+        gain: Complex::ONE,
+        length: 10.0,
+        departure: -arrival,
+        arrival,
+        source: 10.0 * arrival,
+        before: 0.0,
+        interactions: vec![],
+    };
+    let channel = array.channel(&[path], DVec3::ZERO, turn, 0.3);
+    assert_eq!(argmax(&beamformer.amplitude(&channel)), 37 * 360 + 211);
+}
