@@ -121,5 +121,6 @@ pub(crate) fn two_samples() -> Dataset {
     let samples = vec![sample(1), sample(2)];
     let bounds = Dataset::bounds_of(samples.iter().map(|s| s.tx));
     let scene = Scene { receiver: RECEIVER, bounds, points: Vec::new() };
-    Dataset { title: "noise".into(), scene, width: PICTURE.0, height: PICTURE.1, samples, official: None }
+    let (width, height) = PICTURE;
+    Dataset { title: "noise".into(), scene, width, height, samples, official: None, simulation: None }
 }

@@ -1,7 +1,7 @@
 //! `DataSource`, `Split`, `Baseline`: what is known, how it is divided, and what must be beaten.
 
 use crate::{Dataset, Image, Partition, Real, Result, plugin_kind, rng::Rng};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Loads or makes a data set.
 #[typetag::serde]
@@ -11,7 +11,7 @@ pub trait DataSource: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
 
     /// The same source with its paths made relative to another folder: `absolute` maps a path of `base` to one that
     /// holds everywhere. A source without paths returns `None`.
-    fn rebased(&self, absolute: &dyn Fn(&Path) -> std::path::PathBuf) -> Option<Box<dyn DataSource>> {
+    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {
         let _ = absolute;
         None
     }
@@ -55,6 +55,13 @@ pub trait Baseline: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
     /// Learns from the samples `train` (indices).
     fn fit<'a>(&self, data: &'a Dataset, train: &[usize]) -> Result<Box<dyn Predict + 'a>>;
 
+    /// The same baseline with its paths made relative to another folder, as [`DataSource::rebased`] does. A baseline
+    /// without paths returns `None`.
+    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn Baseline>> {
+        let _ = absolute;
+        None
+    }
+
     /// One line for `pwrfgs plugins`.
     fn about(&self) -> &'static str {
         ""
@@ -71,4 +78,10 @@ plugin_kind!(Baseline);
 pub trait Predict: Send + Sync {
     /// The spectrum for a transmitter at `tx` (metres, world frame); not clamped.
     fn predict(&self, tx: [Real; 3]) -> Image;
+
+    /// A sentence that tables of scores print under themselves, for a predictor whose numbers mean something else than
+    /// those beside it: ray tracing in the very scene that made the spectra is an upper bound, say.
+    fn note(&self) -> Option<String> {
+        None
+    }
 }

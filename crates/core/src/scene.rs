@@ -68,6 +68,9 @@ pub struct Dataset {
     pub samples: Vec<Sample>,
     /// The split that comes with the data, if any: indices into `samples` for (train, test).
     pub official: Option<(Vec<usize>, Vec<usize>)>,
+    /// The scene that the spectra were computed from, every setting written out as RON text, where there is one: a
+    /// simulated room. `None` for measured data.
+    pub simulation: Option<String>,
 }
 
 impl Dataset {

@@ -88,7 +88,8 @@ impl DataSource for Nerf2Spectrum {
         let known_places = samples.iter().map(|s| s.tx).chain(points.iter().copied());
         let bounds = Dataset::bounds_of(known_places.chain([receiver.position.map(|v| v as Real)]));
         let title = title(gateway.name, &root);
-        Ok(Dataset { title, scene: Scene { receiver, bounds, points }, width, height, samples, official })
+        let scene = Scene { receiver, bounds, points };
+        Ok(Dataset { title, scene, width, height, samples, official, simulation: None })
     }
 
     fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {

@@ -160,6 +160,7 @@ impl DataSource for Teacher {
             height: self.height,
             samples,
             official: (!test.is_empty()).then_some((train, test)),
+            simulation: None,
         })
     }
 

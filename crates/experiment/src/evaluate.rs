@@ -4,7 +4,7 @@
 
 use crate::scores::{MODEL, Scores};
 use pwrfgs_core::{
-    Baseline, Dataset, Error, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Partition, Plugin, Real,
+    Dataset, Error, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Partition, Plugin, Predict, Real,
     Result,
 };
 use pwrfgs_model::Model;
@@ -53,11 +53,14 @@ pub fn evaluate(model: &Model, pipeline: &Pipeline, data: &Dataset, partition: &
     let mut predictors = vec![(MODEL.to_owned(), own)];
     let mut known = [partition.train.as_slice(), &partition.validation].concat();
     known.sort_unstable();
+    let mut notes: Vec<String> = Vec::new();
     for baseline in &pipeline.baselines {
-        predictors.push((baseline.name(), test.baseline(baseline, &known, &pipeline.metrics)?));
+        let fitted = baseline.fit(data, &known)?;
+        predictors.push((baseline.name(), test.baseline(&*fitted, &pipeline.metrics)?));
+        notes.extend(fitted.note().filter(|note| !notes.contains(note)));
     }
     let ids = partition.test.iter().map(|&i| data.samples[i].id).collect();
-    Ok(Assessment { scores: Scores { ids, predictors }, predictions, truths: test.truths })
+    Ok(Assessment { scores: Scores { ids, predictors, notes }, predictions, truths: test.truths })
 }
 
 /// Predictions for all of `txs`, a chunk at a time.
@@ -93,14 +96,8 @@ impl<'a> Bench<'a> {
         Ok(all?.into_iter().flatten().collect())
     }
 
-    /// Every measurement of a baseline that has seen the samples `known`.
-    pub(crate) fn baseline(
-        &self,
-        baseline: &Plugin<dyn Baseline>,
-        known: &[usize],
-        metrics: &[Plugin<dyn Metric>],
-    ) -> Result<Vec<Measurement>> {
-        let fitted = baseline.fit(self.data, known)?;
+    /// Every measurement of a baseline.
+    pub(crate) fn baseline(&self, fitted: &dyn Predict, metrics: &[Plugin<dyn Metric>]) -> Result<Vec<Measurement>> {
         let predictions: Vec<Image> = self.txs.par_iter().map(|tx| fitted.predict(*tx)).collect();
         self.measure(metrics, &predictions, None)
     }

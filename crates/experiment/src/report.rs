@@ -33,6 +33,7 @@ pub(crate) fn of(subject: &Subject<'_>, curves: Option<&Path>) -> Result<String>
         title => subject.data.title.clone(),
         facts => facts(subject),
         per_sample => Serde(per_sample(&scores)),
+        notes => scores.notes.clone(),
         whole => Serde(whole(&scores)),
         figures => Serde(figures),
         examples => Serde(examples),

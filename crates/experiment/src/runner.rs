@@ -10,7 +10,7 @@ use crate::observer::{Observer, Start};
 use crate::scores::ScoreTable;
 use crate::series::Series;
 use crate::{clock, report, samples, validation};
-use pwrfgs_core::{DataSource, Dataset, Error, Partition, Plugin, Result, rng};
+use pwrfgs_core::{Baseline, DataSource, Dataset, Error, Partition, Plugin, Result, rng};
 use pwrfgs_model::{Model, file};
 use pwrfgs_train::{Pipeline, StepReport, Trainer};
 use std::path::{Path, PathBuf};
@@ -52,7 +52,7 @@ pub fn run(
 ) -> Result<Outcome> {
     let begun = Instant::now();
     let mut pipeline = pipeline.clone();
-    pipeline.data = rebased(&pipeline.data, base);
+    rebase(&mut pipeline, base);
     let text = pipeline.to_ron();
     RunFolder::inspect(out, &text)?;
     if let Some(scores) = finished(out) {
@@ -92,13 +92,32 @@ pub fn load(pipeline: &Pipeline, base: &Path) -> Result<(Dataset, Partition)> {
     Ok((data, partition))
 }
 
-/// The data source with its relative paths taken from `base` and made absolute.
-pub fn rebased(data: &Plugin<dyn DataSource>, base: &Path) -> Plugin<dyn DataSource> {
-    let absolute = |path: &Path| -> PathBuf {
-        let joined = base.join(path);
-        joined.canonicalize().or_else(|_| std::path::absolute(&joined)).unwrap_or(joined)
-    };
-    data.rebased(&absolute).map_or_else(|| data.clone(), Plugin::from)
+/// Takes every relative path of the pipeline from `base` and makes it absolute.
+pub fn rebase(pipeline: &mut Pipeline, base: &Path) {
+    rebase_data(&mut pipeline.data, base);
+    rebase_baselines(&mut pipeline.baselines, base);
+}
+
+/// As [`rebase`], the data source alone.
+pub fn rebase_data(data: &mut Plugin<dyn DataSource>, base: &Path) {
+    if let Some(rebased) = data.rebased(&|path| absolute(base, path)) {
+        *data = rebased.into();
+    }
+}
+
+/// As [`rebase`], the baselines alone.
+pub fn rebase_baselines(baselines: &mut [Plugin<dyn Baseline>], base: &Path) {
+    for baseline in baselines {
+        if let Some(rebased) = baseline.rebased(&|path| absolute(base, path)) {
+            *baseline = rebased.into();
+        }
+    }
+}
+
+/// `path`, relative to `base`, as one that holds everywhere.
+fn absolute(base: &Path, path: &Path) -> PathBuf {
+    let joined = base.join(path);
+    joined.canonicalize().or_else(|_| std::path::absolute(&joined)).unwrap_or(joined)
 }
 
 /// The scores of a run to which nothing is left to do.

@@ -49,6 +49,7 @@ mod tests {
             height: 1,
             samples: vec![sample(1, 0.0), sample(2, 2.0), sample(5, 2.5), sample(6, 9.0)],
             official: None,
+            simulation: None,
         };
         let partition = Partition { train: vec![0, 1], validation: vec![], test: vec![2] };
         let text = to_csv(&data, &partition);

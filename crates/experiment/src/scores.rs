@@ -16,6 +16,8 @@ pub struct Scores {
     pub ids: Vec<u32>,
     /// Predictors with their measurements; the model comes first.
     pub predictors: Vec<(String, Vec<Measurement>)>,
+    /// What a reader of the numbers must know, one sentence each.
+    pub notes: Vec<String>,
 }
 
 /// Mean, median and 10th percentile of numbers a sample.
@@ -57,6 +59,9 @@ pub struct ScoreTable {
     pub predictors: Vec<String>,
     /// One entry a metric.
     pub metrics: Vec<MetricRow>,
+    /// Sentences printed under the table.
+    #[serde(default)]
+    pub notes: Vec<String>,
 }
 
 /// One metric of all predictors.
@@ -160,7 +165,8 @@ impl Scores {
                 };
             }
         }
-        ScoreTable { predictors: self.predictors.iter().map(|(name, _)| name.clone()).collect(), metrics }
+        let predictors = self.predictors.iter().map(|(name, _)| name.clone()).collect();
+        ScoreTable { predictors, metrics, notes: self.notes.clone() }
     }
 
     /// The text of `scores.csv`.
@@ -191,7 +197,7 @@ fn quoted(field: &str) -> String {
 
 impl ScoreTable {
     /// Aligned text for a terminal: a line for each metric and statistic, a column for each predictor; the best of a
-    /// line carries a `*`.
+    /// line carries a `*`. Notes follow.
     pub fn to_text(&self) -> String {
         let mut lines = vec![(["metric".to_owned(), String::new()], self.predictors.clone())];
         for row in &self.metrics {
@@ -210,7 +216,7 @@ impl ScoreTable {
                 lines.push(([name, (*statistic).to_owned()], cells));
             }
         }
-        aligned(&lines)
+        self.notes.iter().fold(aligned(&lines), |text, note| text + "note: " + note + "\n")
     }
 }
 
@@ -297,6 +303,7 @@ mod tests {
                     ],
                 ),
             ],
+            notes: vec!["k, far has seen the test spectra".into()],
         }
     }
 
@@ -320,6 +327,7 @@ mod tests {
         let table = scores().table();
         let text = table.to_text();
         assert!(text.contains("0.6000*") && text.contains("2,613") && text.contains("n/a"), "{text}");
+        assert!(text.ends_with("\nnote: k, far has seen the test spectra\n"), "{text}");
         assert_eq!(table.metrics[0].ranks(0), vec![Some(0), Some(1)]);
         assert_eq!(table.metrics[1].ranks(0), vec![Some(0), None]);
         let json = serde_json::to_string(&table).unwrap();

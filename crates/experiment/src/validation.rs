@@ -58,7 +58,8 @@ pub(crate) fn floors(
     }
     let bench = Bench::new(data, &part, plane);
     let floor = |b: &Plugin<dyn pwrfgs_core::Baseline>| {
-        Ok((b.name(), row(0, &bench.baseline(b, &partition.train, &metrics())?)))
+        let fitted = b.fit(data, &partition.train)?;
+        Ok((b.name(), row(0, &bench.baseline(&*fitted, &metrics())?)))
     };
     pipeline.baselines.iter().map(floor).collect()
 }

@@ -16,6 +16,7 @@ pub(crate) fn samples_at(places: &[[Real; 3]]) -> Dataset {
         height: 1,
         samples: places.iter().enumerate().map(to_sample).collect(),
         official: Some((train, test)),
+        simulation: None,
     }
 }
 

@@ -1,0 +1,75 @@
+//! A baseline of one's own: its paths hold everywhere, and its note stands under every table.
+#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
+
+use pwrfgs::experiment::{Outcome, run};
+use pwrfgs::prelude::*;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+
+/// Always one grey, which a file holds.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct GreyOfAFile {
+    path: PathBuf,
+}
+
+#[typetag::serde]
+impl Baseline for GreyOfAFile {
+    fn name(&self) -> String {
+        "grey".into()
+    }
+
+    fn fit<'a>(&self, data: &'a Dataset, _: &[usize]) -> Result<Box<dyn Predict + 'a>> {
+        let text = std::fs::read_to_string(&self.path).map_err(|e| Error::read(&self.path, e))?;
+        Ok(Box::new(Grey(Image {
+            pixels: vec![text.trim().parse().unwrap(); data.width * data.height],
+            ..data.image(0)
+        })))
+    }
+
+    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn Baseline>> {
+        Some(Box::new(Self { path: absolute(&self.path) }))
+    }
+}
+
+struct Grey(Image);
+
+impl Predict for Grey {
+    fn predict(&self, _: [Real; 3]) -> Image {
+        self.0.clone()
+    }
+
+    fn note(&self) -> Option<String> {
+        Some("grey <is> no competitor".into())
+    }
+}
+
+#[test]
+fn its_paths_hold_everywhere_and_its_note_stands_under_every_table() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    std::fs::write(here.join("grey.txt"), "0.25").unwrap();
+    let text = r#"Pipeline(
+        name: "grey",
+        data: Teacher(gaussians: 4, samples: 20, width: 24, height: 12),
+        initializer: Grid(count: 4),
+        deformation: Fixed(),
+        training: (steps: 2, densify_until: 0, prune_until: 0),
+        baselines: [GreyOfAFile(path: "grey.txt"), GreyOfAFile(path: "grey.txt"), MeanSpectrum()],
+    )"#;
+    let pipeline = Pipeline::parse(text, Path::new("grey.ron")).unwrap();
+    let out = here.join("run");
+    let start = || match run(&pipeline, here, &out, &mut Silent, &AtomicBool::new(false)).unwrap() {
+        Outcome::Finished { scores, already } => (scores.to_text(), already),
+        other => panic!("{other:?}"),
+    };
+    let (table, already) = start();
+    assert!(!already && table.ends_with("\nnote: grey <is> no competitor\n"), "{table}");
+    assert_eq!(table.matches("no competitor").count(), 1, "said once: {table}");
+    assert_eq!(start(), (table, true), "a finished run prints the same");
+    let resolved = std::fs::read_to_string(out.join("pipeline.ron")).unwrap();
+    let absolute = here.join("grey.txt").canonicalize().unwrap();
+    assert_eq!(resolved.matches(absolute.to_str().unwrap()).count(), 2, "{resolved}");
+    let report = std::fs::read_to_string(out.join("report.html")).unwrap();
+    assert!(report.contains("grey &lt;is&gt; no competitor"));
+}
