@@ -23,6 +23,7 @@ pub use pwrfgs_metrics as metrics;
 pub use pwrfgs_model as model;
 pub use pwrfgs_prune as prune;
 pub use pwrfgs_raster as raster;
+pub use pwrfgs_sim as sim;
 pub use pwrfgs_train as train;
 
 /// What a plugin or a small program needs.

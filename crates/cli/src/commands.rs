@@ -4,8 +4,10 @@ mod evaluate;
 mod plugins;
 mod predict;
 mod run;
+mod simulate;
 
 pub(crate) use evaluate::evaluate;
 pub(crate) use plugins::plugins;
 pub(crate) use predict::predict;
 pub(crate) use run::run;
+pub(crate) use simulate::simulate;

@@ -5,7 +5,7 @@
 //! reported where it stands.
 use serde::de::{self, DeserializeSeed, Deserializer, EnumAccess, MapAccess, VariantAccess, Visitor};
 use serde::{Deserialize, Serialize, Serializer, forward_to_deserialize_any};
-use std::{fmt, marker::PhantomData, ops::Deref, sync::Arc};
+use std::{fmt, marker::PhantomData, ops::Deref, path::Path, sync::Arc};
 
 /// A plugin of kind `T = dyn Trait`: immutable, shared, cheap to clone.
 #[derive(Debug)]
@@ -70,6 +70,32 @@ pub fn ron_options() -> ron::Options {
         .with_default_extension(Extensions::UNWRAP_VARIANT_NEWTYPES)
         .with_default_extension(Extensions::UNWRAP_NEWTYPES)
         .with_default_extension(Extensions::IMPLICIT_SOME)
+}
+
+/// Reads RON with the project's extensions; suggests the nearest known name for a misspelt one. `path` is for messages.
+///
+/// # Errors
+/// [`Error::Input`](crate::Error::Input) with line and column.
+pub fn read_ron<T: de::DeserializeOwned>(text: &str, path: &Path) -> crate::Result<T> {
+    ron_options().from_str(text).map_err(|e| {
+        let said = e.code.to_string();
+        crate::Error::at(path, e.span.end.line, e.span.end.col, format!("{said}{}", suggestion(&said)))
+    })
+}
+
+/// `; did you mean …?` where the message quotes an unknown name first and known ones after.
+fn suggestion(message: &str) -> String {
+    let names: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
+    let Some((&wrong, known)) = names.split_first() else { return String::new() };
+    if !message.to_lowercase().contains("unexpected") && !message.contains("unknown") {
+        return String::new();
+    }
+    known
+        .iter()
+        .map(|k| (strsim::damerau_levenshtein(wrong, k), k))
+        .min()
+        .filter(|(distance, k)| *distance <= 2 + k.len() / 3)
+        .map_or_else(String::new, |(_, k)| format!("; did you mean `{k}`?"))
 }
 
 /// Plain settings that check themselves while they are read, so that the message carries a position.

@@ -1,19 +1,45 @@
 //! A room that is known exactly: *simulated* spectra, their paths, and ray tracing as a baseline.
 //!
 //! Everything is in double precision, metres, hertz and radians; the time factor is e^{+jωt}.
+//!
+//! * [`Scene`] is a file, [`Simulator`] the scene made ready: paths, channel and spectrum of every transmitter.
+//! * [`World`](world::World) holds faces and edges; [`ImageTree`](images::ImageTree) and [`Tracer`](tracer::Tracer) find
+//!   the [`Path`]s.
+//! * [`material`], [`fresnel`], [`diffraction`] and [`scattering`] are the physics, each a few functions.
 
 pub mod array;
+pub mod cache;
 pub mod diffraction;
+mod field;
 pub mod fresnel;
+pub mod images;
 pub mod material;
 pub mod mesh;
+pub mod noise;
+pub mod output;
+mod patches;
 mod path;
+mod path_table;
+mod perturb;
+mod ray_tracing;
+mod recipe;
+mod room;
 pub mod scattering;
+pub mod scene;
+mod simulated;
+mod simulator;
 pub mod spectrum;
 pub mod surface_points;
+pub mod tracer;
 pub mod transmitters;
+pub mod world;
 
 pub use path::{Interaction, Path};
+pub use ray_tracing::RayTracing;
+pub use recipe::Recipe;
+pub use scene::Scene;
+pub use simulated::Simulated;
+pub use simulator::{HEIGHT, Outcome, Simulator, WIDTH, simulate};
 
 /// A complex number in double precision.
 pub type Complex = num_complex::Complex<f64>;

@@ -1,1 +1,136 @@
-//! Triangle meshes from OBJ, STL and PLY files.
+//! Triangle meshes: read from OBJ, STL or PLY, checked, and put in their place.
+
+use glam::{DMat3, DVec3};
+use pwrfgs_core::{Error, Result};
+use std::{collections::HashMap, path::Path};
+
+/// A triangle whose height is less than this part of its longest side has no area.
+const FLAT: f64 = 1e-9;
+
+/// A surface of triangles.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Mesh {
+    /// Corners, metres.
+    pub vertices: Vec<DVec3>,
+    /// Three vertices a triangle, counted from 0, counterclockwise as seen from outside.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// Reads a mesh, by the extension `.obj`, `.stl` (ascii or binary) or `.ply`; it is welded and checked.
+///
+/// # Errors
+/// Those of [`pwrfgs_data::read_mesh`] and of [`Mesh::check`].
+pub fn read(path: &Path) -> Result<Mesh> {
+    let (vertices, triangles) = pwrfgs_data::read_mesh(path)?;
+    let mesh = Mesh { vertices: vertices.into_iter().map(DVec3::from_array).collect(), triangles }.welded();
+    mesh.check(path)?;
+    Ok(mesh)
+}
+
+impl Mesh {
+    /// Whether every triangle is one; `path` is the file to name.
+    ///
+    /// # Errors
+    /// No triangle, a vertex that is not finite, an index out of range, a triangle without area. Triangles are counted
+    /// from 1, in the order of the file.
+    pub fn check(&self, path: &Path) -> Result<()> {
+        if self.triangles.is_empty() {
+            return Err(Error::input(path, "holds no triangle; export a surface with faces"));
+        }
+        for (number, triangle) in (1..).zip(&self.triangles) {
+            let fault = |what: String| Err(Error::input(path, format!("triangle {number} {what}")));
+            if let Some(vertex) = triangle.iter().find(|&&v| v as usize >= self.vertices.len()) {
+                let what = "counted from 0; correct the index";
+                return fault(format!("names vertex {vertex} of {}, {what}", self.vertices.len()));
+            }
+            let [a, b, c] = self.corners(*triangle);
+            if !(a.is_finite() && b.is_finite() && c.is_finite()) {
+                return fault("has a vertex that is not finite; give every vertex a finite x, y and z".into());
+            }
+            let longest = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
+            // Twice the area against the square of the longest side is height against that side.
+            if (b - a).cross(c - a).length() <= FLAT * longest {
+                let what = "remove degenerate faces where the mesh was made";
+                return fault(format!("at ({}, {}, {}) has no area; {what}", a.x, a.y, a.z));
+            }
+        }
+        Ok(())
+    }
+
+    /// Merges vertices that are equal, as the three of each triangle of an STL file are, and drops those that no
+    /// triangle names. Vertices come in the order in which the triangles name them; indices out of range are kept.
+    pub fn welded(self) -> Self {
+        let mut merged = HashMap::new();
+        let mut vertices = Vec::new();
+        let mut index = |old: u32| {
+            let Some(vertex) = self.vertices.get(old as usize) else { return old };
+            // Zero has two signs.
+            *merged.entry(vertex.to_array().map(|v| (v + 0.0).to_bits())).or_insert_with(|| {
+                vertices.push(*vertex);
+                vertices.len() as u32 - 1
+            })
+        };
+        let triangles = self.triangles.iter().map(|triangle| triangle.map(&mut index)).collect();
+        Self { vertices, triangles }
+    }
+
+    /// How many edges belong to one triangle only: the rim of an open surface. Weld the mesh before.
+    pub fn boundary_edges(&self) -> usize {
+        self.edges().filter(|triangles| *triangles == 1).count()
+    }
+
+    /// How many edges belong to more than two triangles, as where two bodies share an edge or a triangle is there
+    /// twice. Weld the mesh before.
+    pub fn crowded_edges(&self) -> usize {
+        self.edges().filter(|triangles| *triangles > 2).count()
+    }
+
+    /// Whether the surface has an inside: every edge belongs to an even number of triangles. Weld the mesh before.
+    pub fn is_closed(&self) -> bool {
+        !self.triangles.is_empty() && self.edges().all(|triangles| triangles % 2 == 0)
+    }
+
+    /// Scaled, then turned about +z by `yaw_deg` degrees counterclockwise, then shifted by metres. Quarter turns are
+    /// exact. A negative scale mirrors; the order of the corners is turned round so that outside stays outside.
+    pub fn transformed(mut self, scale: f64, yaw_deg: f64, shift: DVec3) -> Self {
+        let turn = turn(yaw_deg);
+        for vertex in &mut self.vertices {
+            *vertex = turn * (*vertex * scale) + shift;
+        }
+        if scale < 0.0 {
+            self.triangles.iter_mut().for_each(|triangle| triangle.swap(1, 2));
+        }
+        self
+    }
+
+    /// The corners of all triangles, metres. The indices must be in range, which [`Mesh::check`] says.
+    pub fn soup(&self) -> Vec<[DVec3; 3]> {
+        self.triangles.iter().map(|triangle| self.corners(*triangle)).collect()
+    }
+
+    fn corners(&self, triangle: [u32; 3]) -> [DVec3; 3] {
+        triangle.map(|v| self.vertices[v as usize])
+    }
+
+    /// To how many triangles each edge belongs.
+    fn edges(&self) -> impl Iterator<Item = usize> {
+        let ends = |[a, b, c]: &[u32; 3]| [[*a, *b], [*b, *c], [*c, *a]].map(|[u, v]| (u.min(v), u.max(v)));
+        let mut edges: Vec<(u32, u32)> = self.triangles.iter().flat_map(ends).collect();
+        edges.sort_unstable();
+        let counts: Vec<usize> = edges.chunk_by(|a, b| a == b).map(<[_]>::len).collect();
+        counts.into_iter()
+    }
+}
+
+/// The rotation about +z by degrees, exact for quarter turns.
+fn turn(degrees: f64) -> DMat3 {
+    let (quarters, rest) = ((degrees / 90.0).round(), degrees - 90.0 * (degrees / 90.0).round());
+    let (sin, cos) = rest.to_radians().sin_cos();
+    let (sin, cos) = match quarters.rem_euclid(4.0) as u8 {
+        0 => (sin, cos),
+        1 => (cos, -sin),
+        2 => (-sin, -cos),
+        _ => (-cos, sin),
+    };
+    DMat3::from_cols(DVec3::new(cos, sin, 0.0), DVec3::new(-sin, cos, 0.0), DVec3::Z)
+}

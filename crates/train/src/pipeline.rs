@@ -1,7 +1,7 @@
 //! `Pipeline`: a whole experiment as one RON value, and the patches that change it.
 
 use crate::settings::{Training, TrainingPatch};
-use pwrfgs_core::plugin::{Checked, Plugin, ron_options};
+use pwrfgs_core::plugin::{Checked, Plugin, read_ron, ron_options};
 use pwrfgs_core::{
     Baseline, DataSource, Deformation, Error, Initializer, Metric, Projector, Pruner, Rasterizer, Result, Split,
 };
@@ -142,29 +142,6 @@ impl Pipeline {
         let plane = self.projector.plane(360, 90);
         self.rasterizer.check_plane(&plane).map_err(|why| format!("rasterizer: {why}"))
     }
-}
-
-/// Reads RON with the project's extensions; suggests the nearest known name for a misspelt one.
-pub(crate) fn read_ron<T: serde::de::DeserializeOwned>(text: &str, path: &Path) -> Result<T> {
-    ron_options().from_str(text).map_err(|e| {
-        let said = e.code.to_string();
-        Error::at(path, e.span.end.line, e.span.end.col, format!("{said}{}", suggestion(&said)))
-    })
-}
-
-/// `; did you mean …?` where the message quotes an unknown name first and known ones after.
-fn suggestion(message: &str) -> String {
-    let names: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
-    let Some((&wrong, known)) = names.split_first() else { return String::new() };
-    if !message.to_lowercase().contains("unexpected") && !message.contains("unknown") {
-        return String::new();
-    }
-    known
-        .iter()
-        .map(|k| (strsim::damerau_levenshtein(wrong, k), k))
-        .min()
-        .filter(|(distance, k)| *distance <= 2 + k.len() / 3)
-        .map_or_else(String::new, |(_, k)| format!("; did you mean `{k}`?"))
 }
 
 /// A built-in plugin by name; the facade links them all.

@@ -1,0 +1,199 @@
+//! Image sources of a fixed point: which sequences of faces can reflect a ray to it, found once by tracing beams.
+//!
+//! The receiver is mirrored at a face, its image at the next face, and so on. Behind each image stands a beam: the cone
+//! from the image through what is left of the face. Only faces inside the beam make further images, and a transmitter
+//! has to be tested against the beam alone. Walls in the way are not looked at here.
+
+use crate::world::World;
+use glam::DVec3;
+use std::ops::Range;
+
+/// Corners closer than this to a plane lie on it, metres.
+const THIN: f64 = 1e-9;
+/// What is left of a face after clipping must be at least this large, m²: smaller beams are rounding.
+const LEAST_AREA: f64 = 1e-12;
+/// Most images of one point: more would exhaust the memory.
+pub const MOST_IMAGES: usize = 20_000_000;
+
+/// How often a path may be reflected.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Orders {
+    /// Reflections on any faces.
+    pub all: usize,
+    /// Reflections of a path that meets faces of the room alone.
+    pub room: usize,
+}
+
+/// An image of the receiver and the faces that made it.
+#[derive(Clone, Debug)]
+struct Node {
+    /// The image one reflection nearer to the receiver; `u32::MAX` for its first images.
+    parent: u32,
+    /// The last mirror, the first that a ray from a transmitter meets.
+    face: u32,
+    image: DVec3,
+    /// Planes through the image that bound the beam, and the plane of the mirror, in [`ImageTree::planes`]: a transmitter
+    /// sees the image where all are positive.
+    planes: Range<u32>,
+}
+
+/// All images of a point.
+#[derive(Debug)]
+pub struct ImageTree {
+    origin: DVec3,
+    nodes: Vec<Node>,
+    /// Normal and offset: positive inside.
+    planes: Vec<(DVec3, f64)>,
+}
+
+impl ImageTree {
+    /// Grows the tree of the point `origin`; `None` where it has more than [`MOST_IMAGES`].
+    pub fn grow(world: &World, origin: DVec3, orders: Orders) -> Option<Self> {
+        let mut tree = Self { origin, nodes: Vec::new(), planes: Vec::new() };
+        // The faces of the room, should more reflections be allowed on them than on all, come first.
+        let of_room = world.faces.iter().take_while(|f| f.is_room).count() as u32;
+        let mut beams = vec![(u32::MAX, origin, Vec::new(), true)];
+        for order in 1..=orders.all.max(orders.room) {
+            let mut next = Vec::new();
+            for (parent, image, beam, room_only) in &beams {
+                let any_face = order <= orders.all;
+                let candidates = if any_face { world.faces.len() as u32 } else { of_room };
+                for face in 0..candidates {
+                    let is_room = *room_only && face < of_room;
+                    if !any_face && !(is_room && order <= orders.room) {
+                        continue;
+                    }
+                    let Some((image, clipped)) = reflect(world, face, *image, beam) else { continue };
+                    let planes = tree.store_beam(world, face, image, &clipped);
+                    let id = tree.nodes.len() as u32;
+                    tree.nodes.push(Node { parent: *parent, face, image, planes: planes.clone() });
+                    if tree.nodes.len() > MOST_IMAGES {
+                        return None;
+                    }
+                    next.push((id, image, tree.planes[planes.start as usize..planes.end as usize].to_vec(), is_room));
+                }
+            }
+            beams = next;
+        }
+        Some(tree)
+    }
+
+    /// Number of images, the point itself not counted.
+    pub fn len(&self) -> usize {
+        self.nodes.len()
+    }
+
+    /// Whether nothing is mirrored.
+    pub fn is_empty(&self) -> bool {
+        self.nodes.is_empty()
+    }
+
+    /// Shows each sequence of faces with its reflection points, in the order of travel from `tx`, that geometry allows;
+    /// whether the way between them is free is for the caller to see. The first sequence is the empty one.
+    pub fn candidates(&self, world: &World, tx: DVec3, mut see: impl FnMut(&[u32], &[DVec3])) {
+        see(&[], &[]);
+        let (mut faces, mut points) = (Vec::new(), Vec::new());
+        for node in &self.nodes {
+            let planes = &self.planes[node.planes.start as usize..node.planes.end as usize];
+            if planes.iter().all(|(normal, offset)| normal.dot(tx) > *offset)
+                && self.unfold(world, node, tx, &mut faces, &mut points)
+            {
+                see(&faces, &points);
+            }
+        }
+    }
+
+    /// The receiver's position.
+    pub fn origin(&self) -> DVec3 {
+        self.origin
+    }
+
+    /// Follows the ray from `tx` towards the image of `node` from mirror to mirror. Hulls were clipped; a face with a
+    /// hole or a bay is looked at here.
+    fn unfold(&self, world: &World, node: &Node, tx: DVec3, faces: &mut Vec<u32>, points: &mut Vec<DVec3>) -> bool {
+        faces.clear();
+        points.clear();
+        let (mut from, mut node) = (tx, node);
+        loop {
+            let face = &world.faces[node.face as usize];
+            let (near, far) = (face.height(from), face.height(node.image));
+            let point = from + (node.image - from) * (near / (near - far));
+            if !world.is_on(node.face, point) {
+                return false;
+            }
+            faces.push(node.face);
+            points.push(point);
+            if node.parent == u32::MAX {
+                return true;
+            }
+            from = point;
+            node = &self.nodes[node.parent as usize];
+        }
+    }
+
+    /// Stores the beam behind `image` through the convex polygon `clipped` on `face`.
+    fn store_beam(&mut self, world: &World, face: u32, image: DVec3, clipped: &[DVec3]) -> Range<u32> {
+        let start = self.planes.len() as u32;
+        let face = &world.faces[face as usize];
+        // In front of the mirror: opposite to the image.
+        let side = -face.height(image).signum();
+        self.planes.push((side * face.normal, side * face.offset));
+        let middle = clipped.iter().sum::<DVec3>() / clipped.len() as f64;
+        for (i, a) in clipped.iter().enumerate() {
+            let b = clipped[(i + 1) % clipped.len()];
+            let normal = (*a - image).cross(b - image);
+            let normal = if normal.dot(middle - image) < 0.0 { -normal } else { normal };
+            let length = normal.length();
+            if length > 0.0 {
+                let normal = normal / length;
+                // A border shared by two beams belongs to both rather than to none.
+                self.planes.push((normal, normal.dot(image) - THIN));
+            }
+        }
+        start..self.planes.len() as u32
+    }
+}
+
+/// The image of `image` in `face`, and what of the face lies in the beam; `None` where nothing does.
+fn reflect(world: &World, face: u32, image: DVec3, beam: &[(DVec3, f64)]) -> Option<(DVec3, Vec<DVec3>)> {
+    let face = &world.faces[face as usize];
+    if face.height(image).abs() < THIN {
+        return None;
+    }
+    let mut polygon = face.hull.clone();
+    for plane in beam {
+        polygon = clip(&polygon, *plane);
+        if polygon.len() < 3 {
+            return None;
+        }
+    }
+    (area(&polygon) > LEAST_AREA).then(|| (face.mirror(image), polygon))
+}
+
+/// The part of a convex polygon where `normal`·x > `offset` (Sutherland and Hodgman, 1974).
+fn clip(polygon: &[DVec3], (normal, offset): (DVec3, f64)) -> Vec<DVec3> {
+    let height = |p: DVec3| {
+        let h = normal.dot(p) - offset;
+        if h.abs() < THIN { 0.0 } else { h }
+    };
+    if polygon.iter().all(|p| height(*p) <= 0.0) {
+        return Vec::new(); // a face in the plane of the last mirror, itself above all
+    }
+    let mut kept = Vec::with_capacity(polygon.len() + 1);
+    for (i, &a) in polygon.iter().enumerate() {
+        let b = polygon[(i + 1) % polygon.len()];
+        let (ha, hb) = (height(a), height(b));
+        if ha >= 0.0 {
+            kept.push(a);
+        }
+        if ha * hb < 0.0 {
+            kept.push(a + (b - a) * (ha / (ha - hb)));
+        }
+    }
+    kept
+}
+
+fn area(polygon: &[DVec3]) -> f64 {
+    let Some((first, rest)) = polygon.split_first() else { return 0.0 };
+    0.5 * rest.windows(2).map(|w| (w[0] - first).cross(w[1] - first)).sum::<DVec3>().length()
+}

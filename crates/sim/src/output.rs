@@ -1,0 +1,171 @@
+//! A simulated data set as a folder: the layout of NeRF2, and what only a simulation knows.
+
+use crate::path_table::PathTable;
+use crate::recipe::Recipe;
+use crate::simulator::{HEIGHT, Outcome, Simulator, WIDTH, simulate};
+use crate::surface_points;
+use glam::DVec3;
+use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
+use pwrfgs_core::{Error, Pose, Result};
+use std::fmt::Write as _;
+use std::fs;
+use std::io::{BufWriter, Write as _};
+use std::path::{Path, PathBuf};
+use tempfile::TempDir;
+
+/// Everything about how the folder was made; written last, so that a folder without it is not whole.
+pub const MANIFEST: &str = "manifest.json";
+/// The point cloud.
+pub const POINTS: &str = "points.ply";
+/// Every path of every transmitter.
+pub const PATHS: &str = "paths.csv";
+/// Absolute power of every spectrum.
+pub const POWER: &str = "power.csv";
+/// Every how-manieth sample belongs to the test list.
+const TEST_EVERY: usize = 5;
+
+/// Simulates `recipe` into the new folder `out`.
+///
+/// ```text
+/// out/gateway_info.yml      pose of the receiver; the name of the data set says «simulated»
+/// out/tx_pos.csv            x,y,z; row k is the transmitter of id k
+/// out/spectrum/00001.png    8-bit grey, 360x90
+/// out/train_index.txt, test_index.txt    every fifth id is a test id
+/// out/power.csv             id, path gain in dB (mean over the antennas), lowest and highest value of the spectrum
+/// out/paths.csv             a row each path, with `paths`
+/// out/points.ply            points on all surfaces, with normals
+/// out/manifest.json         the recipe
+/// ```
+///
+/// It is made beside `out` under another name and renamed at the end, so that `out` is whole or not there. `progress` is
+/// told how many spectra are done.
+///
+/// # Errors
+/// `out` holds something, or the disk refuses.
+pub fn write(recipe: &Recipe, paths: bool, out: &Path, progress: &mut dyn FnMut(usize)) -> Result<()> {
+    refuse_occupied(out)?;
+    let simulator = Simulator::new(&recipe.scene)?;
+    let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    fs::create_dir_all(parent).map_err(|e| Error::write(parent, e))?;
+    let name = out.file_name().unwrap_or_default().to_string_lossy();
+    let temporary = tempfile::Builder::new().prefix(&format!(".{name}.")).suffix(".tmp").tempdir_in(parent);
+    let temporary = temporary.map_err(|e| Error::write(parent, e))?;
+    let folder = temporary.path();
+    let spectra = folder.join("spectrum");
+    fs::create_dir(&spectra).map_err(|e| Error::write(&spectra, e))?;
+    let mut tables = Tables::new(folder, &simulator, paths)?;
+    simulate(&simulator, recipe.samples, recipe.seed, |i, tx, outcome| {
+        write_png(&spectra.join(format!("{:05}.png", i + 1)), &outcome.spectrum.pixels)?;
+        tables.add(i + 1, tx, &outcome)?;
+        progress(i + 1);
+        Ok(())
+    })?;
+    tables.finish(folder, recipe.samples)?;
+    put(&folder.join("gateway_info.yml"), &gateway(&recipe.scene.name, &recipe.scene.pose()))?;
+    let cloud = simulator.surface_points(recipe.points, recipe.seed);
+    let comment = format!("simulated by pwrfgs: surfaces of {}", recipe.scene.name);
+    put(&folder.join(POINTS), &surface_points::to_ply(&cloud, &comment))?;
+    put(&folder.join(MANIFEST), recipe.to_json())?;
+    publish(temporary, out)
+}
+
+/// Refuses a folder that is not empty.
+fn refuse_occupied(out: &Path) -> Result<()> {
+    let mut entries = match fs::read_dir(out) {
+        Ok(entries) => entries,
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(()),
+        Err(e) => return Err(Error::read(out, e)),
+    };
+    if entries.next().is_none() {
+        return Ok(());
+    }
+    Err(Error::input(out, "is not empty, and nothing is overwritten; name a new folder, or remove this one"))
+}
+
+/// Gives the finished folder its name. An empty folder there gives way.
+fn publish(temporary: TempDir, out: &Path) -> Result<()> {
+    // Where it does not exist, or is not empty, the rename says what matters.
+    let _ = fs::remove_dir(out);
+    open_to_all(temporary.path());
+    fs::rename(temporary.path(), out).map_err(|e| Error::write(out, e))?;
+    let _ = temporary.keep(); // nothing lies there any more
+    Ok(())
+}
+
+/// Temporary folders are for their owner alone; a data set has the permissions of any other new folder.
+#[cfg(unix)]
+fn open_to_all(folder: &Path) {
+    use std::os::unix::fs::PermissionsExt as _;
+    let _ = fs::set_permissions(folder, fs::Permissions::from_mode(0o755));
+}
+#[cfg(not(unix))]
+fn open_to_all(_: &Path) {}
+
+fn put(path: &Path, bytes: impl AsRef<[u8]>) -> Result<()> {
+    fs::write(path, bytes).map_err(|e| Error::write(path, e))
+}
+
+fn write_png(path: &Path, pixels: &[u8]) -> Result<()> {
+    let mut bytes = Vec::new();
+    PngEncoder::new(&mut bytes)
+        .write_image(pixels, WIDTH as u32, HEIGHT as u32, ExtendedColorType::L8)
+        .map_err(|e| Error::write(path, std::io::Error::other(e)))?;
+    put(path, bytes)
+}
+
+/// `gateway_info.yml`.
+fn gateway(name: &str, pose: &Pose) -> String {
+    let list = |v: &[f64]| v.iter().map(|v| format!("{v:?}")).collect::<Vec<_>>().join(", ");
+    format!(
+        "dataset_name: {}\ngateway1:\n  position: [{}]\n  orientation: [{}] # quaternion x, y, z, w\n",
+        serde_json::Value::from(format!("{name} (simulated)")), // a JSON string is a YAML string
+        list(&pose.position),
+        list(&pose.orientation)
+    )
+}
+
+/// The tables, which grow by a transmitter at a time.
+struct Tables {
+    positions: String,
+    power: String,
+    paths: Option<(PathTable, BufWriter<fs::File>, PathBuf)>,
+}
+
+impl Tables {
+    fn new(folder: &Path, simulator: &Simulator, paths: bool) -> Result<Self> {
+        let paths = if paths {
+            let path = folder.join(PATHS);
+            let file = fs::File::create(&path).map_err(|e| Error::write(&path, e))?;
+            let mut file = BufWriter::new(file);
+            writeln!(file, "{}", PathTable::HEADER).map_err(|e| Error::write(&path, e))?;
+            Some((PathTable::new(simulator), file, path))
+        } else {
+            None
+        };
+        Ok(Self { positions: "x,y,z\n".into(), power: "id,path_gain_db,low,high\n".into(), paths })
+    }
+
+    fn add(&mut self, id: usize, tx: DVec3, outcome: &Outcome) -> Result<()> {
+        let spectrum = &outcome.spectrum;
+        let decibel = 10.0 * spectrum.power.log10();
+        writeln!(self.positions, "{},{},{}", tx.x, tx.y, tx.z).expect("text grows");
+        writeln!(self.power, "{id},{decibel:.4},{:.6e},{:.6e}", spectrum.low, spectrum.high).expect("text grows");
+        if let Some((table, file, path)) = &mut self.paths {
+            file.write_all(table.rows(id, &outcome.paths).as_bytes()).map_err(|e| Error::write(path, e))?;
+        }
+        Ok(())
+    }
+
+    fn finish(self, folder: &Path, samples: usize) -> Result<()> {
+        if let Some((_, mut file, path)) = self.paths {
+            file.flush().map_err(|e| Error::write(&path, e))?;
+        }
+        put(&folder.join("tx_pos.csv"), self.positions)?;
+        put(&folder.join(POWER), self.power)?;
+        let list = |test: bool| -> String {
+            (1..=samples).filter(|id| id.is_multiple_of(TEST_EVERY) == test).map(|id| format!("{id:05}\n")).collect()
+        };
+        put(&folder.join("train_index.txt"), list(false))?;
+        put(&folder.join("test_index.txt"), list(true))
+    }
+}

@@ -1,0 +1,146 @@
+//! `RayTracing`: what a model must be read against where the room is known.
+
+use crate::perturb::{Errors, perturbed};
+use crate::scene::Scene;
+use crate::simulator::{HEIGHT, Simulator, WIDTH};
+use glam::DVec3;
+use pwrfgs_core::{Baseline, Dataset, Error, Image, Predict, Real, Result};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Ray tracing in a known room, as a predictor beside the model.
+///
+/// It learns nothing from the training spectra. With the scene that the data were simulated from it *is* their generator,
+/// an upper bound for every model, and tables say so; what the errors of the receiver take from it nobody can win back.
+/// `material_error` and `position_error_m` spoil the scene by a stated amount: what one would have in practice.
+///
+/// * `scene`: a scene file, relative to the pipeline file; left out, the scene of the data, which must be
+///   [`Simulated`](crate::Simulated).
+/// * `noise`: whether the scene's receiver errors are drawn, anew; no by default.
+/// * `material_error`: standard deviation of the logarithm of every permittivity, conductivity and thickness; 0 by
+///   default, 0.2 is about 20 %.
+/// * `position_error_m`: standard deviation of the place of every wall and object along each horizontal axis; 0 by
+///   default.
+/// * `seed`: which errors; 0 by default.
+///
+/// ```
+/// # use pwrfgs_core::{Baseline, Plugin};
+/// # use pwrfgs_sim as _;
+/// Plugin::<dyn Baseline>::parse("RayTracing(material_error: 0.2, position_error_m: 0.05)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RayTracing {
+    /// A scene file; default the scene of the data.
+    pub scene: Option<PathBuf>,
+    /// Whether receiver errors are drawn; default no.
+    pub noise: bool,
+    /// Standard deviation of the logarithm of material constants and thicknesses; default 0.
+    pub material_error: f64,
+    /// Standard deviation of places, metres; default 0.
+    pub position_error_m: f64,
+    /// Which errors; default 0.
+    pub seed: u64,
+}
+
+impl RayTracing {
+    fn is_exact(&self) -> bool {
+        self.material_error == 0.0 && self.position_error_m == 0.0
+    }
+
+    /// The scene as this baseline knows it.
+    fn scene(&self, data: &Dataset) -> Result<Scene> {
+        let scene = match (&self.scene, &data.simulation) {
+            (Some(path), _) => Scene::read(path)?,
+            (None, Some(text)) => Scene::parse(text, Path::new("scene of the data"))?,
+            (None, None) => {
+                let what = "RayTracing: these data are not simulated from a scene; name one in `scene`, such as \
+                            \"scenes/lab-s23.ron\"";
+                return Err(Error::Config(what.into()));
+            }
+        };
+        let errors = Errors { materials: self.material_error, positions_m: self.position_error_m, seed: self.seed };
+        Ok(perturbed(&scene, &errors))
+    }
+}
+
+#[typetag::serde]
+impl Baseline for RayTracing {
+    fn name(&self) -> String {
+        let mut name = match &self.scene {
+            None => "ray tracing".to_owned(),
+            Some(path) => format!("ray tracing, {}", path.file_stem().unwrap_or_default().to_string_lossy()),
+        };
+        if self.is_exact() {
+            name += ", exact";
+        }
+        if self.material_error > 0.0 {
+            name += &format!(", materials ±{:.0} %", self.material_error * 100.0);
+        }
+        if self.position_error_m > 0.0 {
+            name += &format!(", places ±{:.0} cm", self.position_error_m * 100.0);
+        }
+        if self.noise {
+            name += ", noisy";
+        }
+        name
+    }
+
+    fn fit<'a>(&self, data: &'a Dataset, _: &[usize]) -> Result<Box<dyn Predict + 'a>> {
+        if (data.width, data.height) != (WIDTH, HEIGHT) {
+            return Err(Error::Config(format!(
+                "RayTracing: spectra of this data set have {}x{} pixels, and it makes {WIDTH}x{HEIGHT}; leave it out",
+                data.width, data.height
+            )));
+        }
+        let simulator = Simulator::new(&self.scene(data)?)?;
+        let note = (self.scene.is_none() && self.is_exact()).then(|| {
+            format!(
+                "«{}» is the generator of these simulated spectra itself: an upper bound, not a competitor",
+                self.name()
+            )
+        });
+        Ok(Box::new(Traced { simulator, noise: self.noise, seed: self.seed, note }))
+    }
+
+    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn Baseline>> {
+        let scene = self.scene.as_deref().map(absolute);
+        Some(Box::new(Self { scene, ..self.clone() }))
+    }
+
+    fn about(&self) -> &'static str {
+        "ray tracing in a known room: the generator of simulated data, or a scene with errors"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        for (field, value) in [("material_error", self.material_error), ("position_error_m", self.position_error_m)] {
+            if !(0.0..=2.0).contains(&value) {
+                return Err(format!("`{field}` is {value}; give a number from 0 to 2, such as 0.05"));
+            }
+        }
+        Ok(())
+    }
+}
+
+struct Traced {
+    simulator: Simulator,
+    noise: bool,
+    seed: u64,
+    note: Option<String>,
+}
+
+impl Predict for Traced {
+    fn predict(&self, tx: [Real; 3]) -> Image {
+        // Another draw for every position, and none of those that the data have: these count from 0.
+        let draw = tx
+            .iter()
+            .fold(!self.seed, |hash, v| (hash ^ u64::from((*v as f32).to_bits())).wrapping_mul(0x0100_0000_01b3));
+        let outcome = self.simulator.spectrum(DVec3::from(tx.map(f64::from)), self.noise.then_some(draw | 1 << 63));
+        Image::from_bytes(WIDTH, HEIGHT, &outcome.spectrum.pixels)
+    }
+
+    fn note(&self) -> Option<String> {
+        self.note.clone()
+    }
+}

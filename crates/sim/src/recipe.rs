@@ -1,0 +1,88 @@
+//! Everything that decides a simulated data set, and the name under which it is kept.
+
+use crate::scene::{Object, Scene};
+use pwrfgs_core::{Error, Result};
+use std::path::Path;
+
+/// Changes whenever the same recipe would give other bytes than before.
+const EDITION: u32 = 1;
+/// Most spectra of a data set: file names have five digits.
+const MOST_SAMPLES: usize = 99_999;
+/// Most points of a cloud.
+const MOST_POINTS: usize = 50_000_000;
+
+/// What to simulate.
+#[derive(Clone, Debug)]
+pub struct Recipe {
+    /// The scene, read.
+    pub scene: Scene,
+    /// Spectra.
+    pub samples: usize,
+    /// Which transmitter positions and receiver errors.
+    pub seed: u64,
+    /// Points of the cloud.
+    pub points: usize,
+    /// Hash of every mesh file, in the order of the objects.
+    meshes: Vec<String>,
+}
+
+impl Recipe {
+    /// Reads the scene of a recipe, and the bytes of its meshes.
+    ///
+    /// # Errors
+    /// With line and column of a mistake in the scene; a mesh that cannot be read.
+    pub fn read(scene: &Path, samples: usize, seed: u64, points: usize) -> Result<Self> {
+        check(samples, points).map_err(Error::Config)?;
+        let scene = Scene::read(scene)?;
+        let file = |object: &Object| match object {
+            Object::Mesh { file, .. } => Some(file.clone()),
+            _ => None,
+        };
+        let hash = |file: std::path::PathBuf| {
+            let bytes = std::fs::read(&file).map_err(|e| Error::read(&file, e))?;
+            Ok(format!("{:016x}", fnv(&bytes)))
+        };
+        let meshes = scene.objects.iter().filter_map(file).map(hash).collect::<Result<Vec<_>>>()?;
+        Ok(Self { scene, samples, seed, points, meshes })
+    }
+
+    /// The manifest: two recipes with the same text give the same data set.
+    pub fn to_json(&self) -> String {
+        let manifest = serde_json::json!({
+            "program": concat!("pwrfgs ", env!("CARGO_PKG_VERSION")),
+            "edition": EDITION,
+            "simulated": true,
+            "name": self.scene.name,
+            "carrier_hz": self.scene.carrier_hz,
+            "samples": self.samples,
+            "seed": self.seed,
+            "points": self.points,
+            "mesh_hashes": self.meshes,
+            "scene": self.scene.to_ron(),
+        });
+        serde_json::to_string_pretty(&manifest).expect("a manifest is plain data") + "\n"
+    }
+
+    /// A name for a folder, the same for the same manifest.
+    pub fn folder_name(&self) -> String {
+        let good = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '-' };
+        let name: String = self.scene.name.chars().map(good).take(40).collect();
+        format!("{name}-{:016x}", fnv(self.to_json().as_bytes()))
+    }
+}
+
+/// Refuses numbers that cannot work.
+pub(crate) fn check(samples: usize, points: usize) -> Result<(), String> {
+    if !(5..=MOST_SAMPLES).contains(&samples) {
+        return Err(format!("`samples` is {samples}; give 5 to {MOST_SAMPLES}"));
+    }
+    if points > MOST_POINTS {
+        return Err(format!("`points` is {points}; give at most {MOST_POINTS}"));
+    }
+    Ok(())
+}
+
+/// The 64-bit FNV-1a hash: the same on every machine and in every version.
+fn fnv(bytes: &[u8]) -> u64 {
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(*b)).wrapping_mul(0x0100_0000_01b3))
+}

@@ -1,0 +1,163 @@
+//! From a scene file to a world: the room and what stands in it, as meshes.
+
+use crate::mesh::{self, Mesh};
+use crate::scene::{Finish, Object, Outline, Room, Scene};
+use crate::world::{Builder, Part, Surface, World};
+use earcut::Earcut;
+use glam::{DMat3, DVec2, DVec3};
+use pwrfgs_core::{Error, Result};
+use std::path::Path;
+
+/// The geometry of `scene`.
+///
+/// # Errors
+/// A mesh that cannot be read, or that is solid and not closed.
+pub(crate) fn world(scene: &Scene) -> Result<World> {
+    let mut builder = Builder::default();
+    add_room(&mut builder, scene);
+    for object in &scene.objects {
+        add_object(&mut builder, scene, object)?;
+    }
+    Ok(builder.build())
+}
+
+fn surface(scene: &Scene, owner: &str, finish: &Finish) -> Surface {
+    let material = scene.material(&finish.material).expect("materials were looked up when the scene was read");
+    if !material.vouches_for(scene.carrier_hz) {
+        tracing::debug!(
+            "material `{}` is extrapolated to {} GHz; the table covers {} to {} GHz",
+            finish.material,
+            scene.carrier_hz / 1e9,
+            material.range_ghz.0,
+            material.range_ghz.1
+        );
+    }
+    Surface {
+        object: owner.into(),
+        eta: material.permittivity(scene.carrier_hz),
+        thickness: finish.thickness_m,
+        roughness: finish.roughness.unwrap_or(scene.propagation.roughness),
+        lobe: scene.propagation.lobe,
+    }
+}
+
+fn add_room(builder: &mut Builder, scene: &Scene) {
+    let Room { outline, walls, floor, ceiling } = &scene.room;
+    let [walls, floor, ceiling] = [("walls", walls), ("floor", floor), ("ceiling", ceiling)]
+        .map(|(owner, f)| builder.surface(surface(scene, owner, f)));
+    let describe = |normal: DVec3, number: usize| match normal.z {
+        z if z > 0.5 => ("floor".into(), floor),
+        z if z < -0.5 => ("ceiling".into(), ceiling),
+        _ => (format!("wall {}", number + 1), walls),
+    };
+    builder.add(&Part { name: "room", mesh: &shell(outline), closed: true, describe: &describe });
+}
+
+/// Walls, floor and ceiling with normals inwards; the walls come first.
+fn shell(outline: &Outline) -> Mesh {
+    let (mut plan, bottom, top) = match outline {
+        Outline::Box { low: [x0, y0, z0], high: [x1, y1, z1] } => {
+            (vec![[*x0, *y0], [*x1, *y0], [*x1, *y1], [*x0, *y1]], *z0, *z1)
+        }
+        Outline::Plan { corners, floor, ceiling } => (corners.clone(), *floor, *ceiling),
+    };
+    let signed_area: f64 =
+        (0..plan.len()).map(|i| DVec2::from(plan[i]).perp_dot(DVec2::from(plan[(i + 1) % plan.len()]))).sum();
+    if signed_area < 0.0 {
+        plan.reverse();
+    }
+    let n = plan.len() as u32;
+    let level = |z: f64| plan.iter().map(move |p| DVec3::new(p[0], p[1], z));
+    let vertices: Vec<DVec3> = level(bottom).chain(level(top)).collect();
+    let mut triangles: Vec<[u32; 3]> = Vec::new();
+    for a in 0..n {
+        let b = (a + 1) % n;
+        triangles.extend([[a, b + n, b], [a, a + n, b + n]]);
+    }
+    let mut cut: Vec<u32> = Vec::new();
+    Earcut::new().earcut(plan.iter().copied(), &[], &mut cut);
+    for t in cut.chunks_exact(3) {
+        let [a, b, c] = [t[0], t[1], t[2]];
+        let turn = |i: u32, j: u32| DVec2::from(plan[j as usize]) - DVec2::from(plan[i as usize]);
+        let [b, c] = if turn(a, b).perp_dot(turn(a, c)) > 0.0 { [b, c] } else { [c, b] };
+        triangles.extend([[a, b, c], [a + n, c + n, b + n]]);
+    }
+    Mesh { vertices, triangles }
+}
+
+fn add_object(builder: &mut Builder, scene: &Scene, object: &Object) -> Result<()> {
+    let name = object.name();
+    let finish = builder.surface(surface(scene, name, object.finish()));
+    let described =
+        |label: &dyn Fn(DVec3, usize) -> String, normal, number| (format!("{name}{}", label(normal, number)), finish);
+    let solid = object.finish().thickness_m.is_none();
+    match object {
+        Object::Box { low, high, yaw_deg, .. } => {
+            let mesh = cuboid(DVec3::from(*low), DVec3::from(*high), *yaw_deg);
+            let label = |normal: DVec3, number: usize| match normal.z {
+                z if z > 0.5 => "/top".into(),
+                z if z < -0.5 => "/bottom".into(),
+                _ => format!("/side {}", number + 1),
+            };
+            let describe = |normal, number| described(&label, normal, number);
+            builder.add(&Part { name, mesh: &mesh, closed: true, describe: &describe });
+        }
+        Object::Panel { from, to, heights: [low, high], .. } => {
+            let corner = |p: &[f64; 2], z: f64| DVec3::new(p[0], p[1], z);
+            let vertices = vec![corner(from, *low), corner(to, *low), corner(to, *high), corner(from, *high)];
+            let mesh = Mesh { vertices, triangles: vec![[0, 1, 2], [0, 2, 3]] };
+            let describe = |normal, number| described(&|_, _| String::new(), normal, number);
+            builder.add(&Part { name, mesh: &mesh, closed: false, describe: &describe });
+        }
+        Object::Mesh { file, scale, yaw_deg, shift, .. } => {
+            let mesh = read_mesh(file, solid, name)?.transformed(*scale, *yaw_deg, DVec3::from(*shift));
+            let closed = mesh.is_closed();
+            let describe = |normal, number| described(&|_, number| format!("/face {}", number + 1), normal, number);
+            builder.add(&Part { name, mesh: &mesh, closed, describe: &describe });
+        }
+    }
+    Ok(())
+}
+
+/// The mesh of a file, checked.
+fn read_mesh(file: &Path, solid: bool, name: &str) -> Result<Mesh> {
+    let mesh = mesh::read(file)?;
+    mesh.check(file)?;
+    let mut mesh = mesh.welded();
+    if mesh.is_closed() && volume(&mesh) < 0.0 {
+        mesh.triangles.iter_mut().for_each(|t| t.swap(1, 2)); // normals must point outwards
+    }
+    if solid && !mesh.is_closed() {
+        let open = mesh.boundary_edges();
+        return Err(Error::input(
+            file,
+            format!(
+                "the surface of `{name}` is open ({open} sides of triangles have no neighbour), and a solid needs a closed \
+                 one; close it, or give its finish a `thickness_m` to make it a thin sheet"
+            ),
+        ));
+    }
+    Ok(mesh)
+}
+
+/// Volume inside a closed surface, m³; negative where the normals point inwards.
+fn volume(mesh: &Mesh) -> f64 {
+    let corner = |i: u32| mesh.vertices[i as usize];
+    mesh.triangles.iter().map(|&[a, b, c]| corner(a).dot(corner(b).cross(corner(c))) / 6.0).sum()
+}
+
+/// A box, turned about its upright axis; normals outwards, sides first.
+fn cuboid(low: DVec3, high: DVec3, yaw_deg: f64) -> Mesh {
+    let middle = 0.5 * (low + high);
+    let turn = DMat3::from_rotation_z(yaw_deg.to_radians());
+    let corner = |i: u32| {
+        let pick = |bit: u32, k: usize| if i >> bit & 1 == 1 { high[k] } else { low[k] };
+        // Corners 0 to 3 run counter-clockwise at the bottom, 4 to 7 above them.
+        let p = DVec3::new(if matches!(i & 3, 1 | 2) { high.x } else { low.x }, pick(1, 1), pick(2, 2));
+        middle + turn * (p - middle)
+    };
+    let vertices = (0..8).map(corner).collect();
+    let quad = |[a, b, c, d]: [u32; 4]| [[a, b, c], [a, c, d]];
+    let sides = [[0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7], [4, 5, 6, 7], [3, 2, 1, 0]];
+    Mesh { vertices, triangles: sides.into_iter().flat_map(quad).collect() }
+}

@@ -1,0 +1,89 @@
+//! `Simulated`: spectra of a known room as a data source.
+
+use crate::cache;
+use crate::output::POINTS;
+use crate::recipe::{self, Recipe};
+use pwrfgs_core::{DataSource, Dataset, Error, Result};
+use pwrfgs_data::Nerf2Spectrum;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// *Simulated* spectra of a room that is known exactly: ray tracing in a scene file.
+///
+/// Paths are found by image sources, diffraction at edges and diffuse patches; their sum on the antennas of the receiver
+/// gives the spectrum, as the measured files hold it (`docs/math.md`). The point cloud of the scene is exact, so that
+/// `PointCloud` initialisation and `Chamfer` mean something here. Every fifth sample belongs to the test list of
+/// [`Official`](pwrfgs_data::Official).
+///
+/// The data set is simulated once and kept in the user's cache folder (`$PWRFGS_CACHE` names another) under a key of the
+/// scene, its meshes and all fields; it can be removed at any time. `pwrfgs simulate` writes the same data set where you
+/// want it, with every path.
+///
+/// * `scene`: the scene file, relative to the pipeline file; `scenes/office.ron` by default.
+/// * `samples`: spectra; 1,000 by default.
+/// * `seed`: which transmitter positions and receiver errors; 0 by default. The pipeline's seed does not change them.
+/// * `points`: points of the cloud, spread over all surfaces; 190,000 by default, as many as in the paper.
+/// * `cache`: whether the data set is kept; yes by default.
+///
+/// ```
+/// # use pwrfgs_core::{DataSource, Plugin};
+/// # use pwrfgs_sim as _;
+/// Plugin::<dyn DataSource>::parse(r#"Simulated(scene: "../scenes/office.ron", samples: 200)"#)?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Simulated {
+    /// The scene file; default `scenes/office.ron`.
+    pub scene: PathBuf,
+    /// Spectra; default 1,000.
+    pub samples: usize,
+    /// Which transmitter positions and receiver errors; default 0.
+    pub seed: u64,
+    /// Points of the cloud; default 190,000.
+    pub points: usize,
+    /// Whether the data set is kept on disk; default yes.
+    pub cache: bool,
+}
+
+impl Default for Simulated {
+    fn default() -> Self {
+        Self { scene: "scenes/office.ron".into(), samples: 1000, seed: 0, points: 190_000, cache: true }
+    }
+}
+
+impl Simulated {
+    /// Reads what [`crate::output::write`] wrote.
+    fn read(&self, recipe: &Recipe, folder: &Path) -> Result<Dataset> {
+        let points = (self.points > 0).then(|| POINTS.into());
+        let points = points.map(|name: PathBuf| folder.join(name));
+        let mut data = Nerf2Spectrum { root: folder.into(), points }.load(Path::new(""))?;
+        if data.samples.len() != self.samples || data.scene.points.len() != self.points {
+            return Err(Error::input(folder, "holds another number of spectra or points than were simulated"));
+        }
+        data.title = format!("{} (simulated)", recipe.scene.name);
+        data.simulation = Some(recipe.scene.to_ron());
+        Ok(data)
+    }
+}
+
+#[typetag::serde]
+impl DataSource for Simulated {
+    fn load(&self, base: &Path) -> Result<Dataset> {
+        let recipe = Recipe::read(&base.join(&self.scene), self.samples, self.seed, self.points)?;
+        let root = if self.cache { cache::root() } else { None };
+        cache::open_or_make(&recipe, root.as_deref(), &mut |_| (), |folder| self.read(&recipe, folder))
+    }
+
+    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {
+        Some(Box::new(Self { scene: absolute(&self.scene), ..self.clone() }))
+    }
+
+    fn about(&self) -> &'static str {
+        "simulated spectra of a room known exactly, by ray tracing"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        recipe::check(self.samples, self.points)
+    }
+}

@@ -1,0 +1,187 @@
+//! `Simulator`: a scene made ready, and a spectrum for every transmitter position.
+
+use crate::array::Wavefront;
+use crate::noise;
+use crate::scene::Scene;
+use crate::spectrum::{Beamformer, Spectrum};
+use crate::surface_points::{self, SurfacePoints};
+use crate::tracer::{Antenna, Tracer};
+use crate::world::World;
+use crate::{Complex, Path, room};
+use glam::{DMat3, DQuat, DVec3};
+use pwrfgs_core::{Error, Pose, Result};
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// Columns of a spectrum: azimuths 0 to 359 degrees.
+pub const WIDTH: usize = 360;
+/// Rows of a spectrum: elevations 0 to 89 degrees.
+pub const HEIGHT: usize = 90;
+
+/// Transmitters simulated at a time.
+const CHUNK: usize = 32;
+
+/// A scene made ready: geometry, image trees and beamformer, everything that no transmitter changes.
+#[derive(Debug)]
+pub struct Simulator {
+    scene: Scene,
+    world: Arc<World>,
+    /// The tracer of the array's centre, and with [`Wavefront::Traced`] one for each element behind it.
+    tracers: Vec<Tracer>,
+    beamformer: Beamformer,
+}
+
+/// What one transmitter makes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Outcome {
+    /// Its picture.
+    pub spectrum: Spectrum,
+    /// Paths to the centre of the array.
+    pub paths: Vec<Path>,
+}
+
+impl Simulator {
+    /// Makes `scene` ready.
+    ///
+    /// # Errors
+    /// A mesh that cannot be read or is not closed where it must be, a receiver inside something, more images than fit
+    /// into memory.
+    pub fn new(scene: &Scene) -> Result<Self> {
+        let world = Arc::new(room::world(scene)?);
+        let pose = scene.pose();
+        let center = DVec3::from(pose.position);
+        world.check_free(center).map_err(|what| {
+            Error::Config(format!("scene `{}`: the receiver at {:?} is {what}; move it", scene.name, pose.position))
+        })?;
+        let wavelength = scene.wavelength();
+        let antennas = antennas(scene, &pose);
+        let turn = world_from_receiver(&pose);
+        let mut places = vec![center];
+        if scene.receiver.array.wavefront == Wavefront::Traced {
+            places.extend(scene.receiver.array.offsets(wavelength).into_iter().map(|o| center + turn * o));
+        }
+        let tracer = |place: &DVec3| {
+            Tracer::new(Arc::clone(&world), wavelength, antennas.clone(), *place, &scene.propagation).ok_or_else(|| {
+                Error::Config(format!(
+                    "scene `{}`: the receiver has more images than fit into memory; lower `order` of its propagation",
+                    scene.name
+                ))
+            })
+        };
+        let tracers = places.iter().map(tracer).collect::<Result<Vec<_>>>()?;
+        let beamformer = Beamformer::new(&scene.receiver.array, WIDTH, HEIGHT);
+        Ok(Self { scene: scene.clone(), world, tracers, beamformer })
+    }
+
+    /// The scene.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// Its geometry.
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// From the receiver's axes to the world's.
+    pub fn world_from_receiver(&self) -> DMat3 {
+        world_from_receiver(&self.scene.pose())
+    }
+
+    /// Images of the receiver that are tried for each transmitter.
+    pub fn images(&self) -> usize {
+        self.tracers[0].images()
+    }
+
+    /// Paths from `tx` to the centre of the array.
+    pub fn trace(&self, tx: DVec3) -> Vec<Path> {
+        self.tracers[0].trace(tx)
+    }
+
+    /// The channel h of the array's elements, without errors of the receiver, from the paths of `tx`.
+    pub fn channel(&self, tx: DVec3, paths: &[Path]) -> Vec<Complex> {
+        let (pose, wavelength) = (self.scene.pose(), self.scene.wavelength());
+        match self.tracers.split_first() {
+            Some((_, elements)) if !elements.is_empty() => elements
+                .iter()
+                .map(|tracer| tracer.trace(tx).iter().map(|path| path.baseband(wavelength)).sum())
+                .collect(),
+            _ => {
+                let array = &self.scene.receiver.array;
+                array.channel(paths, DVec3::from(pose.position), world_from_receiver(&pose), wavelength)
+            }
+        }
+    }
+
+    /// The spectrum of `tx`. `noise` is the number of the draw of the scene's receiver errors; `None`: without any.
+    pub fn spectrum(&self, tx: DVec3, noise: Option<u64>) -> Outcome {
+        let paths = self.trace(tx);
+        let mut channel = self.channel(tx, &paths);
+        if let Some(draw) = noise {
+            noise::add(&self.scene.noise, &mut channel, draw);
+        }
+        Outcome { spectrum: self.beamformer.spectrum(&channel, self.scene.spectrum), paths }
+    }
+
+    /// Positions of `count` transmitters.
+    ///
+    /// # Errors
+    /// No room for them, or a grid point inside something.
+    pub fn positions(&self, count: usize, seed: u64) -> Result<Vec<DVec3>> {
+        let free = |point: DVec3| self.world.check_free(point);
+        let drawn = self.scene.transmitter.positions.draw(count, seed, &free);
+        drawn.map_err(|e| Error::Config(format!("scene `{}`: {e}", self.scene.name)))
+    }
+
+    /// `count` points on all surfaces, with normals.
+    pub fn surface_points(&self, count: usize, seed: u64) -> SurfacePoints {
+        let triangles: Vec<[DVec3; 3]> = self.world.triangles.iter().map(|t| t.corners()).collect();
+        let normals: Vec<DVec3> =
+            self.world.triangles.iter().map(|t| self.world.faces[t.face as usize].normal).collect();
+        surface_points::sample(&triangles, &normals, count, seed)
+    }
+}
+
+/// Simulates `samples` transmitters, with the scene's receiver errors, and shows each with its position to `each`, in
+/// order. Memory holds a few at a time; bits do not depend on threads.
+///
+/// # Errors
+/// Those of [`Simulator::positions`] and of `each`.
+pub fn simulate(
+    simulator: &Simulator,
+    samples: usize,
+    seed: u64,
+    mut each: impl FnMut(usize, DVec3, Outcome) -> Result<()>,
+) -> Result<()> {
+    let positions = simulator.positions(samples, seed)?;
+    for (c, chunk) in positions.chunks(CHUNK).enumerate() {
+        let draw = |i: usize| seed.wrapping_mul(1 << 32).wrapping_add((c * CHUNK + i) as u64);
+        let outcomes: Vec<Outcome> =
+            chunk.par_iter().enumerate().map(|(i, tx)| simulator.spectrum(*tx, Some(draw(i)))).collect();
+        for ((i, tx), outcome) in chunk.iter().enumerate().zip(outcomes) {
+            each(c * CHUNK + i, *tx, outcome)?;
+        }
+    }
+    Ok(())
+}
+
+fn world_from_receiver(pose: &Pose) -> DMat3 {
+    let [x, y, z, w] = pose.orientation;
+    DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize())
+}
+
+/// Transmitter and receiver.
+fn antennas(scene: &Scene, pose: &Pose) -> (Antenna, Antenna) {
+    let array = &scene.receiver.array;
+    let transmitter = Antenna {
+        element: scene.transmitter.element.clone(),
+        axis: DVec3::from(scene.transmitter.polarization).normalize(),
+        world_from_antenna: DMat3::IDENTITY,
+    };
+    let receiver = Antenna {
+        element: array.element.clone(),
+        axis: DVec3::from(array.polarization).normalize(),
+        world_from_antenna: world_from_receiver(pose),
+    };
+    (transmitter, receiver)
+}

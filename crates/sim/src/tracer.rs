@@ -1,0 +1,231 @@
+//! From a transmitter to all paths that reach a receiver.
+
+use crate::array::{self, Element};
+use crate::field::Ray;
+use crate::images::{ImageTree, Orders};
+use crate::patches::{Patch, patches};
+use crate::scattering::amplitude;
+use crate::scene::Propagation;
+use crate::world::{Edge, World};
+use crate::{Complex, Interaction, Path, diffraction, fresnel};
+use glam::{DMat3, DVec3};
+use std::f64::consts::{PI, TAU};
+use std::sync::Arc;
+
+/// A path is given up where less than this of its field is left, against free space.
+const NEGLIGIBLE: f64 = 1e-8;
+
+/// An antenna with its pattern, turned.
+#[derive(Clone, Debug)]
+pub struct Antenna {
+    /// Pattern.
+    pub element: Element,
+    /// Axis of polarisation in the antenna's frame.
+    pub axis: DVec3,
+    /// From the antenna's frame to the world's.
+    pub world_from_antenna: DMat3,
+}
+
+impl Antenna {
+    /// The field, world frame, that it sends towards the unit vector `direction` or receives from there.
+    fn field(&self, direction: DVec3) -> DVec3 {
+        let local = self.world_from_antenna.transpose() * direction;
+        let (amplitude, polarization) = array::response(&self.element, self.axis, local);
+        self.world_from_antenna * polarization * amplitude
+    }
+}
+
+/// Everything about a receiver that does not depend on the transmitter, found once.
+#[derive(Debug)]
+pub struct Tracer {
+    world: Arc<World>,
+    wavelength: f64,
+    transmitter: Antenna,
+    receiver: Antenna,
+    tree: ImageTree,
+    propagation: Propagation,
+    /// The patches that the receiver sees.
+    patches: Vec<Patch>,
+}
+
+impl Tracer {
+    /// A tracer for one receiver; `None` where the image tree would not fit into memory.
+    pub fn new(
+        world: Arc<World>,
+        wavelength: f64,
+        (transmitter, receiver): (Antenna, Antenna),
+        position: DVec3,
+        propagation: &Propagation,
+    ) -> Option<Self> {
+        let orders = Orders { all: propagation.order, room: propagation.room_order };
+        let tree = ImageTree::grow(&world, position, orders)?;
+        let mut met = Vec::new();
+        let mut patches = patches(&world, propagation.patch_m, propagation.seed);
+        patches.retain(|patch| {
+            world.pass(patch.point, position, &mut met) && (propagation.transmission || met.is_empty())
+        });
+        Some(Self { world, wavelength, transmitter, receiver, tree, propagation: propagation.clone(), patches })
+    }
+
+    /// Images of the receiver that are tried for each transmitter.
+    pub fn images(&self) -> usize {
+        self.tree.len()
+    }
+
+    /// Every path from `tx`: specular ones by image order, then diffracted, then scattered ones.
+    pub fn trace(&self, tx: DVec3) -> Vec<Path> {
+        let mut walk = Walk { tracer: self, tx, rx: self.tree.origin(), met: Vec::new(), interactions: Vec::new() };
+        let mut paths = Vec::new();
+        self.tree.candidates(&self.world, tx, |faces, points| paths.extend(walk.specular(faces, points)));
+        if self.propagation.diffraction {
+            paths.extend(self.world.edges.iter().enumerate().filter_map(|(i, edge)| walk.diffracted(i as u32, edge)));
+        }
+        paths.extend(self.patches.iter().filter_map(|patch| walk.scattered(patch)));
+        paths
+    }
+
+    /// λ/4π: the amplitude between isotropic antennas at a metre.
+    fn unit_gain(&self) -> f64 {
+        self.wavelength / (4.0 * PI)
+    }
+}
+
+/// One transmitter's walk through the candidates; its buffers are used again and again.
+struct Walk<'a> {
+    tracer: &'a Tracer,
+    tx: DVec3,
+    rx: DVec3,
+    met: Vec<(f64, u32)>,
+    interactions: Vec<Interaction>,
+}
+
+impl Walk<'_> {
+    /// The ray after the straight way from `from` to `to`, through sheets; `None` where it is closed.
+    fn go(&mut self, ray: Ray, from: DVec3, to: DVec3) -> Option<Ray> {
+        let Self { tracer, met, interactions, .. } = self;
+        if !tracer.world.pass(from, to, met) || !(tracer.propagation.transmission || met.is_empty()) {
+            return None;
+        }
+        let through = |ray: Ray, &(at, face): &(f64, u32)| {
+            interactions.push(Interaction::Transmission { face, point: from.lerp(to, at) });
+            let normal = tracer.world.faces[face as usize].normal;
+            ray.transmitted(tracer.world.surface_of(face), normal, tracer.wavelength)
+        };
+        let ray = met.iter().try_fold(ray, through)?;
+        (ray.power() > NEGLIGIBLE * NEGLIGIBLE).then_some(ray)
+    }
+
+    /// A ray that leaves the transmitter towards `to`.
+    fn leave(&mut self, to: DVec3) -> Option<Ray> {
+        self.interactions.clear();
+        let direction = (to - self.tx).try_normalize()?;
+        Some(Ray::new(direction, self.tracer.transmitter.field(direction)))
+    }
+
+    /// The path that ends with `ray`; `gain` is its spreading.
+    fn arrive(&self, ray: Ray, gain: f64, departure: DVec3, (source, before): (DVec3, f64)) -> Path {
+        let arrival = -ray.direction;
+        let field = self.tracer.receiver.field(arrival);
+        Path {
+            gain: gain * ray.along(field),
+            length: before + self.rx.distance(source),
+            departure,
+            arrival,
+            source,
+            before,
+            interactions: self.interactions.clone(),
+        }
+    }
+
+    fn specular(&mut self, faces: &[u32], points: &[DVec3]) -> Option<Path> {
+        let tracer = self.tracer;
+        let first = points.first().copied().unwrap_or(self.rx);
+        let mut ray = self.leave(first)?;
+        let (departure, mut from, mut source) = (ray.direction, self.tx, self.tx);
+        for (&face, &point) in faces.iter().zip(points) {
+            ray = self.go(ray, from, point)?;
+            let plane = &tracer.world.faces[face as usize];
+            self.interactions.push(Interaction::Reflection { face, point });
+            ray = ray.reflected(tracer.world.surface_of(face), plane.normal, tracer.wavelength);
+            (from, source) = (point, plane.mirror(source));
+        }
+        ray = self.go(ray, from, self.rx)?;
+        if ray.power() <= NEGLIGIBLE * NEGLIGIBLE {
+            return None;
+        }
+        let gain = tracer.unit_gain() / self.rx.distance(source);
+        Some(self.arrive(ray, gain, departure, (source, 0.0)))
+    }
+
+    fn diffracted(&mut self, index: u32, edge: &Edge) -> Option<Path> {
+        let tracer = self.tracer;
+        let [a, b] = edge.ends;
+        let t = diffraction::edge_point(a, b, self.tx, self.rx);
+        if !(t > 0.0 && t < 1.0) {
+            return None;
+        }
+        let point = a.lerp(b, t);
+        let wedge = self.wedge(edge, point)?;
+        let ray = self.leave(point)?;
+        let departure = ray.direction;
+        let ray = self.go(ray, self.tx, point)?;
+        self.interactions.push(Interaction::Diffraction { edge: index, point });
+        let out = (self.rx - point).try_normalize()?;
+        let ray = self.go(ray.diffracted((b - a).normalize(), out, &wedge), point, self.rx)?;
+        let (before, after) = (self.tx.distance(point), self.rx.distance(point));
+        let gain = tracer.unit_gain() / (before * after * (before + after)).sqrt();
+        Some(self.arrive(ray, gain, departure, (point, before)))
+    }
+
+    /// Diffraction coefficients at a point of an edge; `None` where transmitter or receiver is inside the wedge or on the
+    /// edge's line.
+    fn wedge(&self, edge: &Edge, point: DVec3) -> Option<fresnel::Polarized> {
+        let Tracer { world, wavelength, .. } = self.tracer;
+        let direction = (edge.ends[1] - edge.ends[0]).normalize();
+        let angle = |to: DVec3| {
+            let angle = to.dot(edge.normal).atan2(to.dot(edge.along));
+            if angle < 0.0 { angle + TAU } else { angle }
+        };
+        let (to_tx, to_rx) = (self.tx - point, self.rx - point);
+        let (phi_in, phi_out) = (angle(to_tx), angle(to_rx));
+        let sine = direction.cross(to_tx).length() / to_tx.length();
+        let whole = edge.outer_angle * PI;
+        if phi_in >= whole || phi_out >= whole || sine < 1e-6 {
+            return None;
+        }
+        // The smaller of the two angles on either face: exact where reflection begins, and the same when transmitter and
+        // receiver change places (El-Sallabi and Vainikainen, 2005).
+        let at = |face: u32, grazing: f64| {
+            let surface = world.surface_of(face);
+            fresnel::reflection(surface.eta, surface.thickness, (grazing.sin() * sine).abs(), *wavelength)
+        };
+        let r0 = at(edge.faces[0], phi_in.min(phi_out));
+        let rn = at(edge.faces[1], whole - phi_in.max(phi_out));
+        let distances = (to_tx.length(), to_rx.length());
+        Some(diffraction::wedge(edge.outer_angle, TAU / wavelength, distances, (phi_in, phi_out), sine, &r0, &rn))
+    }
+
+    fn scattered(&mut self, patch: &Patch) -> Option<Path> {
+        let tracer = self.tracer;
+        let surface = tracer.world.surface_of(patch.face);
+        let normal = tracer.world.faces[patch.face as usize].normal;
+        let (to_tx, to_rx) = (self.tx - patch.point, self.rx - patch.point);
+        let out = to_rx.try_normalize()?;
+        let ray = self.leave(patch.point)?;
+        let (departure, cos_in, cos_out) = (ray.direction, -ray.direction.dot(normal), out.dot(normal));
+        if cos_in * cos_out <= 0.0 {
+            return None; // it scatters back to the side that the wave came from
+        }
+        let ray = self.go(ray, self.tx, patch.point)?;
+        let r = fresnel::reflection(surface.eta, surface.thickness, cos_in.abs(), tracer.wavelength);
+        let reflected = (0.5 * (r.te.norm_sqr() + r.tm.norm_sqr())).sqrt();
+        let specular = departure - 2.0 * departure.dot(normal) * normal;
+        let density = surface.lobe.density(cos_in.abs(), cos_out.abs(), specular.dot(out));
+        let (before, after) = (to_tx.length(), to_rx.length());
+        let (area, wavelength, roughness) = (patch.area, tracer.wavelength, surface.roughness);
+        let gain = amplitude(roughness, reflected, density, area, cos_in.abs(), (before, after), wavelength);
+        self.interactions.push(Interaction::Scattering { face: patch.face, point: patch.point });
+        let ray = self.go(ray.scattered(out, Complex::cis(patch.phase)), patch.point, self.rx)?;
+        Some(self.arrive(ray, gain, departure, (patch.point, before)))
+    }
+}

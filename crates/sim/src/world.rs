@@ -1,0 +1,190 @@
+//! The room as geometry: faces, edges, and the test what a straight segment runs into.
+
+mod build;
+mod hierarchy;
+
+use crate::Complex;
+use crate::scattering::Lobe;
+pub use build::{Builder, Part};
+use glam::DVec3;
+use hierarchy::{Hierarchy, Hit, crossing};
+use std::ops::Range;
+
+/// How close to its ends a segment meets nothing, metres: reflection points lie on faces.
+const MARGIN: f64 = 1e-6;
+
+/// What a face is made of.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Surface {
+    /// The object that has it, such as `desk 2`.
+    pub object: String,
+    /// Complex relative permittivity at the carrier.
+    pub eta: Complex,
+    /// Thickness of the sheet, metres; `None`: a solid that nothing passes.
+    pub thickness: Option<f64>,
+    /// Share of the reflected amplitude that is scattered diffusely, in [0, 1].
+    pub roughness: f64,
+    /// Shape of the diffuse lobe.
+    pub lobe: Lobe,
+}
+
+/// A plane piece of surface: connected triangles in one plane.
+#[derive(Clone, Debug)]
+pub struct Face {
+    /// Such as `floor` or `desk 2/top`.
+    pub name: String,
+    /// Unit normal n; of the room it points inwards, of an object outwards.
+    pub normal: DVec3,
+    /// n·x of its points, metres.
+    pub offset: f64,
+    /// Index into [`World::surfaces`].
+    pub surface: u32,
+    /// Its triangles in [`World::triangles`].
+    pub triangles: Range<usize>,
+    /// Convex hull, corners in order.
+    pub hull: Vec<DVec3>,
+    /// Whether it belongs to the room rather than to an object in it.
+    pub is_room: bool,
+}
+
+impl Face {
+    /// Distance of a point from the plane, metres, positive on the side of the normal.
+    pub fn height(&self, point: DVec3) -> f64 {
+        self.normal.dot(point) - self.offset
+    }
+
+    /// The point mirrored at the plane.
+    pub fn mirror(&self, point: DVec3) -> DVec3 {
+        point - 2.0 * self.height(point) * self.normal
+    }
+}
+
+/// A straight edge at which waves are diffracted.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Edge {
+    /// Its ends, metres.
+    pub ends: [DVec3; 2],
+    /// The two faces; the same twice for the rim of a sheet.
+    pub faces: [u32; 2],
+    /// Unit vector in face 0, perpendicular to the edge, away from it: angles are counted from here.
+    pub along: DVec3,
+    /// Unit normal of face 0 on the outer side.
+    pub normal: DVec3,
+    /// Outer angle between the faces, in units of π; 2 for a rim.
+    pub outer_angle: f64,
+}
+
+/// A triangle with its face.
+#[derive(Clone, Copy, Debug)]
+pub struct Triangle {
+    /// First corner, metres.
+    pub corner: DVec3,
+    /// From the first corner to the other two.
+    pub sides: [DVec3; 2],
+    /// Index into [`World::faces`].
+    pub face: u32,
+}
+
+impl Triangle {
+    /// Its corners, metres.
+    pub fn corners(&self) -> [DVec3; 3] {
+        [self.corner, self.corner + self.sides[0], self.corner + self.sides[1]]
+    }
+
+    /// Its area, m².
+    pub fn area(&self) -> f64 {
+        0.5 * self.sides[0].cross(self.sides[1]).length()
+    }
+
+    /// Whether a point of its plane lies in it, the border included.
+    fn contains(&self, point: DVec3) -> bool {
+        const BORDER: f64 = 1e-12;
+        let n = self.sides[0].cross(self.sides[1]);
+        let p = point - self.corner;
+        let scale = 1.0 / n.length_squared();
+        let u = p.cross(self.sides[1]).dot(n) * scale;
+        let v = self.sides[0].cross(p).dot(n) * scale;
+        u >= -BORDER && v >= -BORDER && u + v <= 1.0 + BORDER
+    }
+}
+
+/// Something closed.
+#[derive(Debug)]
+struct Body {
+    name: String,
+    bounds: [DVec3; 2],
+    triangles: Vec<Triangle>,
+}
+
+impl Body {
+    /// Whether a ray from the point crosses the surface an odd number of times. Its direction is askew to anything built.
+    fn holds(&self, point: DVec3) -> bool {
+        let [low, high] = self.bounds;
+        let reach = DVec3::new(0.311, 0.577, 0.813) * 4.0 * (high - low).length();
+        let in_box = point.cmpge(low).all() && point.cmple(high).all();
+        in_box && self.triangles.iter().filter(|t| crossing(t, point, reach).is_some()).count() % 2 == 1
+    }
+}
+
+/// Everything that a wave can meet.
+#[derive(Debug)]
+pub struct World {
+    /// What the faces are made of.
+    pub surfaces: Vec<Surface>,
+    /// All faces; those of the room come first.
+    pub faces: Vec<Face>,
+    /// All edges that diffract.
+    pub edges: Vec<Edge>,
+    /// All triangles, in the order of their faces.
+    pub triangles: Vec<Triangle>,
+    /// What has an inside; the room is the first.
+    bodies: Vec<Body>,
+    hierarchy: Hierarchy,
+}
+
+impl World {
+    /// What the face is made of.
+    pub fn surface_of(&self, face: u32) -> &Surface {
+        &self.surfaces[self.faces[face as usize].surface as usize]
+    }
+
+    /// Whether a point of its plane lies on the face.
+    pub fn is_on(&self, face: u32, point: DVec3) -> bool {
+        self.triangles[self.faces[face as usize].triangles.clone()].iter().any(|t| t.contains(point))
+    }
+
+    /// The faces between `from` and `to`, nearest first, put into `met` after clearing it. Returns whether the way is
+    /// open: a solid face closes it, and then `met` says nothing.
+    pub fn pass(&self, from: DVec3, to: DVec3, met: &mut Vec<(f64, u32)>) -> bool {
+        met.clear();
+        let span = to - from;
+        let margin = MARGIN / span.length().max(MARGIN);
+        let open = self.hierarchy.all(&self.triangles, from, span, |Hit { at, triangle }| {
+            if at <= margin || at >= 1.0 - margin {
+                return true;
+            }
+            let face = self.triangles[triangle].face;
+            met.push((at, face));
+            self.surface_of(face).thickness.is_some()
+        });
+        met.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        // On the seam of two triangles of a face both are met.
+        met.dedup_by(|b, a| a.1 == b.1 && b.0 - a.0 < margin);
+        open
+    }
+
+    /// Refuses a point where no antenna can be: outside the room, or inside an object, which is named.
+    ///
+    /// # Errors
+    /// What is in the way, such as «inside `desk 2`».
+    pub fn check_free(&self, point: DVec3) -> Result<(), String> {
+        let (room, objects) = self.bodies.split_first().expect("a world has a room");
+        if !room.holds(point) {
+            return Err("outside the room".into());
+        }
+        match objects.iter().find(|body| body.holds(point)) {
+            Some(body) => Err(format!("inside `{}`", body.name)),
+            None => Ok(()),
+        }
+    }
+}

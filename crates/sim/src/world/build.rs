@@ -1,0 +1,225 @@
+//! From triangle meshes to faces and edges.
+
+use super::hierarchy::Hierarchy;
+use super::{Body, Edge, Face, Surface, Triangle, World};
+use crate::mesh::Mesh;
+use glam::DVec3;
+use std::collections::BTreeMap;
+use std::f64::consts::PI;
+
+/// Triangles whose unit normals differ by less than this lie in one plane.
+const COPLANAR: f64 = 1e-7;
+/// Faces that meet at a smaller angle than this do not make an edge: facets of something round.
+const FLATTEST_EDGE: f64 = 5.0 * PI / 180.0;
+/// What lies closer than this to a face of something else touches it, metres.
+const TOUCHING: f64 = 1e-4;
+
+/// Collects bodies, and makes a world of them.
+#[derive(Debug, Default)]
+pub struct Builder {
+    surfaces: Vec<Surface>,
+    faces: Vec<Face>,
+    edges: Vec<Edge>,
+    triangles: Vec<Triangle>,
+    bodies: Vec<Body>,
+}
+
+/// Something to add: the room first.
+pub struct Part<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// Triangles with shared vertices; normals towards where the waves are.
+    pub mesh: &'a Mesh,
+    /// Whether the mesh is closed, so that no antenna can be inside (or, of the room, outside).
+    pub closed: bool,
+    /// Name of a face and the index of its surface, from the normal of the face and its number in the body.
+    pub describe: &'a dyn Fn(DVec3, usize) -> (String, u32),
+}
+
+impl Builder {
+    /// A surface that faces may have; returns its index.
+    pub fn surface(&mut self, surface: Surface) -> u32 {
+        self.surfaces.push(surface);
+        self.surfaces.len() as u32 - 1
+    }
+
+    /// Adds the room, or after it an object.
+    pub fn add(&mut self, part: &Part<'_>) {
+        let is_room = self.faces.iter().all(|face| !face.is_room);
+        let plain: Vec<Triangle> = part.mesh.triangles.iter().map(|t| triangle(part.mesh, *t)).collect();
+        let shared = edges_of(part.mesh);
+        let groups = coplanar_groups(&plain, &shared);
+        let first = self.faces.len() as u32;
+        let mut face_of = vec![u32::MAX; plain.len()]; // hidden faces keep u32::MAX
+        for (number, group) in groups.iter().enumerate() {
+            let start = self.triangles.len();
+            let face = self.face(&plain, group, is_room, number, part);
+            if !is_room && self.is_hidden(&face) {
+                continue;
+            }
+            let id = self.faces.len() as u32;
+            for &t in group {
+                face_of[t] = id;
+                self.triangles.push(Triangle { face: id, ..plain[t] });
+            }
+            self.faces.push(Face { triangles: start..self.triangles.len(), ..face });
+        }
+        let found = shared.iter().filter_map(|(ends, owners)| edge(part.mesh, *ends, owners, &plain, &face_of));
+        let touches = |e: &Edge| {
+            let middle = e.ends[0].midpoint(e.ends[1]);
+            self.faces[..first as usize].iter().any(|f| is_near(f, middle, &self.triangles))
+        };
+        let found: Vec<Edge> = found.map(|edge| self.oriented(edge)).filter(|e| !touches(e)).collect();
+        self.edges.extend(found);
+        if part.closed {
+            let low = part.mesh.vertices.iter().copied().reduce(DVec3::min).unwrap_or_default();
+            let high = part.mesh.vertices.iter().copied().reduce(DVec3::max).unwrap_or_default();
+            self.bodies.push(Body { name: part.name.into(), bounds: [low, high], triangles: plain });
+        }
+    }
+
+    /// The world.
+    pub fn build(self) -> World {
+        let Self { surfaces, faces, edges, triangles, bodies } = self;
+        let hierarchy = Hierarchy::new(&triangles);
+        World { surfaces, faces, edges, triangles, bodies, hierarchy }
+    }
+
+    fn face(&self, plain: &[Triangle], group: &[usize], is_room: bool, number: usize, part: &Part<'_>) -> Face {
+        let largest = group.iter().map(|&t| &plain[t]).max_by(|a, b| a.area().total_cmp(&b.area()));
+        let largest = largest.expect("a group has a triangle");
+        let normal = largest.sides[0].cross(largest.sides[1]).normalize();
+        let (name, surface) = (part.describe)(normal, number);
+        let corners = group.iter().flat_map(|&t| plain[t].corners()).collect();
+        let hull = convex_hull(corners, normal);
+        Face { name, normal, offset: normal.dot(largest.corner), surface, triangles: 0..0, hull, is_room }
+    }
+
+    /// Whether a face lies in one of the room, as the underside of a cupboard does: no wave gets there.
+    fn is_hidden(&self, face: &Face) -> bool {
+        let room = self.faces.iter().filter(|f| f.is_room);
+        room.into_iter().any(|wall| face.hull.iter().all(|p| wall.height(*p).abs() < TOUCHING))
+    }
+
+    /// Puts in the plane and the normal of the first face.
+    fn oriented(&self, edge: Edge) -> Edge {
+        let normal = self.faces[edge.faces[0] as usize].normal;
+        Edge { normal, ..edge }
+    }
+}
+
+fn triangle(mesh: &Mesh, [a, b, c]: [u32; 3]) -> Triangle {
+    let [a, b, c] = [a, b, c].map(|i| mesh.vertices[i as usize]);
+    Triangle { corner: a, sides: [b - a, c - a], face: u32::MAX }
+}
+
+/// Each side of a triangle with the triangles that have it; sides as pairs of vertices, the lower first.
+fn edges_of(mesh: &Mesh) -> BTreeMap<[u32; 2], Vec<usize>> {
+    let mut edges: BTreeMap<[u32; 2], Vec<usize>> = BTreeMap::new();
+    for (t, &[a, b, c]) in mesh.triangles.iter().enumerate() {
+        for [p, q] in [[a, b], [b, c], [c, a]] {
+            edges.entry([p.min(q), p.max(q)]).or_default().push(t);
+        }
+    }
+    edges
+}
+
+fn unit_normal(t: &Triangle) -> DVec3 {
+    t.sides[0].cross(t.sides[1]).normalize()
+}
+
+/// Triangles that hang together in one plane, in the order of their first.
+fn coplanar_groups(triangles: &[Triangle], edges: &BTreeMap<[u32; 2], Vec<usize>>) -> Vec<Vec<usize>> {
+    let mut neighbours = vec![Vec::new(); triangles.len()];
+    for owners in edges.values() {
+        for &a in owners {
+            neighbours[a].extend(owners.iter().copied().filter(|&b| b != a));
+        }
+    }
+    let mut seen = vec![false; triangles.len()];
+    let mut groups = Vec::new();
+    for start in 0..triangles.len() {
+        if std::mem::replace(&mut seen[start], true) {
+            continue;
+        }
+        // Compared with the first of the group, not with the neighbour: a gently curved surface stays in pieces.
+        let normal = unit_normal(&triangles[start]);
+        let mut group = vec![start];
+        let mut next = 0;
+        while next < group.len() {
+            for &other in &neighbours[group[next]] {
+                if !seen[other] && (unit_normal(&triangles[other]) - normal).length() < COPLANAR {
+                    seen[other] = true;
+                    group.push(other);
+                }
+            }
+            next += 1;
+        }
+        group.sort_unstable();
+        groups.push(group);
+    }
+    groups
+}
+
+/// The edge between the faces of `owners`, or the rim of a sheet; nothing inside a face, in a hollow, or between more
+/// than two.
+fn edge(mesh: &Mesh, ends: [u32; 2], owners: &[usize], plain: &[Triangle], face_of: &[u32]) -> Option<Edge> {
+    let [p, q] = ends.map(|i| mesh.vertices[i as usize]);
+    let direction = (q - p).normalize();
+    let third = |t: usize| {
+        let index = mesh.triangles[t].into_iter().find(|i| !ends.contains(i)).expect("a triangle has three corners");
+        mesh.vertices[index as usize]
+    };
+    let (faces, outer_angle) = match *owners {
+        [only] => ([face_of[only]; 2], 2.0),
+        [one, other] if face_of[one] != face_of[other] => {
+            let (n0, n1) = (unit_normal(&plain[one]), unit_normal(&plain[other]));
+            let turn = n0.cross(n1).length().atan2(n0.dot(n1));
+            let is_convex = n0.dot(third(other) - p) < 0.0;
+            if !is_convex || turn < FLATTEST_EDGE {
+                return None;
+            }
+            ([face_of[one], face_of[other]], 1.0 + turn / PI)
+        }
+        _ => return None,
+    };
+    if faces.contains(&u32::MAX) {
+        return None;
+    }
+    let inwards = third(owners[0]) - p;
+    let along = (inwards - inwards.dot(direction) * direction).normalize();
+    Some(Edge { ends: [p, q], faces, along, normal: DVec3::ZERO, outer_angle })
+}
+
+/// Whether a point touches a face.
+fn is_near(face: &Face, point: DVec3, triangles: &[Triangle]) -> bool {
+    let height = face.height(point);
+    height.abs() < TOUCHING
+        && triangles[face.triangles.clone()].iter().any(|t| t.contains(point - height * face.normal))
+}
+
+/// Corners of the convex hull of points in a plane, counter-clockwise about its normal (Andrew's monotone chain).
+fn convex_hull(mut points: Vec<DVec3>, normal: DVec3) -> Vec<DVec3> {
+    let u = normal.any_orthonormal_vector();
+    let v = normal.cross(u);
+    let flat = |p: DVec3| (p.dot(u), p.dot(v));
+    points.sort_by(|a, b| {
+        let (a, b) = (flat(*a), flat(*b));
+        a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1))
+    });
+    let turns_left = |a: DVec3, b: DVec3, c: DVec3| (b - a).cross(c - b).dot(normal) > 1e-12;
+    let half = |points: &mut dyn Iterator<Item = DVec3>| {
+        let mut chain: Vec<DVec3> = Vec::new();
+        for p in points {
+            while chain.len() >= 2 && !turns_left(chain[chain.len() - 2], chain[chain.len() - 1], p) {
+                chain.pop();
+            }
+            chain.push(p);
+        }
+        chain.pop();
+        chain
+    };
+    let mut hull = half(&mut points.iter().copied());
+    hull.extend(half(&mut points.iter().rev().copied()));
+    hull
+}

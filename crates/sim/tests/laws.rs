@@ -1,0 +1,218 @@
+//! Laws that every room obeys: closed forms, reciprocity, occlusion, energy.
+#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
+
+mod common;
+
+use glam::DVec3;
+use proptest::prelude::*;
+use pwrfgs_sim::fresnel::reflection;
+use pwrfgs_sim::{Complex, Interaction, Path, Scene, Simulator};
+use std::f64::consts::{PI, TAU};
+
+/// A scene from its objects, receiver and further fields; the room is a large box.
+fn scene(room: &str, objects: &str, receiver: [f64; 3], propagation: &str) -> Scene {
+    let text = format!(
+        "(name: \"law\", carrier_hz: 2e9, room: {room}, objects: [{objects}],
+          receiver: (position: {receiver:?}, orientation: Quaternion(0, 0, 0, 1), array: (polarization: (0, 0, 1))),
+          transmitter: (positions: Uniform(low: (-1, -1, 1), high: (1, 1, 2))),
+          propagation: ({propagation}))"
+    );
+    let text = text.replace("position: [", "position: (").replace("], orientation", "), orientation");
+    Scene::parse(&text, std::path::Path::new("law.ron")).unwrap()
+}
+
+const WALLS: &str = "(outline: Box(low: (-10, -8, 0), high: (10, 8, 6)), walls: (material: \"concrete\"), \
+                     floor: (material: \"concrete\"), ceiling: (material: \"wood\", thickness_m: 0.02))";
+const NOTHING: &str = "order: 0, room_order: 0, diffraction: false";
+
+#[test]
+fn free_space_is_friis() {
+    let rx = [1.0, -2.0, 3.0];
+    let simulator = Simulator::new(&scene(WALLS, "", rx, NOTHING)).unwrap();
+    let wavelength = simulator.scene().wavelength();
+    for tx in [[-9.0, 7.0, 0.5], [1.0, -1.5, 1.0], [9.9, -7.9, 5.9]] {
+        let paths = simulator.trace(DVec3::from(tx));
+        let distance = DVec3::from(tx).distance(DVec3::from(rx));
+        let [path] = &paths[..] else { panic!("one path") };
+        let friis = wavelength / (4.0 * PI * distance);
+        assert!((path.gain - friis).norm() < 1e-15 * friis.max(1.0));
+        assert!((path.delay() - distance / 299_792_458.0).abs() < 1e-20);
+    }
+}
+
+#[test]
+fn two_rays_over_ground_follow_the_closed_form() {
+    // One bounce, on the floor: the walls are of air.
+    let air = "(outline: Box(low: (-200, -8, 0), high: (200, 8, 60)), walls: (material: \"vacuum\", thickness_m: 0.1), \
+               floor: (material: \"medium_dry_ground\"), ceiling: (material: \"vacuum\", thickness_m: 0.1))";
+    let simulator =
+        Simulator::new(&scene(air, "", [-90.0, 0.0, 2.0], "order: 1, room_order: 1, diffraction: false")).unwrap();
+    let wavelength = simulator.scene().wavelength();
+    let eta = simulator.scene().material("medium_dry_ground").unwrap().permittivity(2e9);
+    for distance in [5.0, 11.0, 30.0, 70.0, 180.0] {
+        let height = 1.5;
+        let paths = simulator.trace(DVec3::new(-90.0 + distance, 0.0, height));
+        let found: Complex = paths.iter().map(|p| p.baseband(wavelength)).sum();
+        let wave = |length: f64| Complex::cis(-TAU * length / wavelength) * wavelength / (4.0 * PI * length);
+        let (direct, bounced) = (distance.hypot(2.0 - height), distance.hypot(2.0 + height));
+        // Upright antennas send the ground a TM wave; E keeps its upright part where the magnetic field does.
+        let expected = wave(direct) + reflection(eta, None, (2.0 + height) / bounced, wavelength).tm * wave(bounced);
+        assert!((found - expected).norm() < 1e-12 * expected.norm().max(1e-9), "{distance} m: {found} and {expected}");
+    }
+}
+
+/// A room with a bit of everything.
+const CLUTTER: &str = "
+    Box(name: \"desk\", low: (-1, -2, 0.7), high: (1.5, -1, 0.75), yaw_deg: 20, finish: (material: \"wood\", thickness_m: 0.03)),
+    Box(name: \"cupboard\", low: (2, 1, 0), high: (3, 2, 2), finish: (material: \"metal\")),
+    Panel(name: \"glass\", from: (-3, -3), to: (-2, 3), heights: (0.2, 2.5), finish: (material: \"glass\", thickness_m: 0.01))";
+
+fn cluttered(rx: [f64; 3], propagation: &str) -> Simulator {
+    Simulator::new(&scene(WALLS, CLUTTER, rx, propagation)).unwrap()
+}
+
+/// Gains sorted, for comparison of sets.
+fn sorted(paths: &[Path]) -> Vec<(f64, f64)> {
+    let mut all: Vec<(f64, f64)> = paths.iter().map(|p| (p.length, p.gain.norm())).collect();
+    all.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    all
+}
+
+#[test]
+fn transmitter_and_receiver_may_change_places() {
+    let everything = "order: 2, room_order: 3, roughness: 0.3, patch_m: 1.5";
+    for (a, b) in [
+        ([-6.0, 1.0, 1.2], [5.0, -3.0, 2.2]),
+        ([0.3, 4.0, 0.4], [-4.0, -5.0, 5.0]),
+        ([2.5, 3.0, 1.0], [2.4, -0.5, 1.1]),
+    ] {
+        let (there, back) = (cluttered(b, everything), cluttered(a, everything));
+        let (there, back) = (there.trace(DVec3::from(a)), back.trace(DVec3::from(b)));
+        let specular = |paths: &[Path]| {
+            let smooth = |p: &&Path| !p.interactions.iter().any(|i| matches!(i, Interaction::Scattering { .. }));
+            let kept: Vec<Path> = paths.iter().filter(smooth).cloned().collect();
+            sorted(&kept)
+        };
+        let (one, other) = (specular(&there), specular(&back));
+        assert_eq!(one.len(), other.len());
+        for (x, y) in one.iter().zip(&other) {
+            assert!((x.0 - y.0).abs() < 1e-9 && (x.1 - y.1).abs() < 1e-9 * x.1.max(1e-3), "{x:?} and {y:?}");
+        }
+        // Patches bend polarisation one way or the other; their lengths must agree.
+        assert!(there.len().abs_diff(back.len()) <= 2);
+    }
+}
+
+#[test]
+fn a_solid_closes_the_way_and_a_sheet_weakens_it() {
+    let rx = [4.0, 1.5, 1.0];
+    let tx = DVec3::new(0.0, 1.5, 1.0); // the cupboard stands between them
+    let line_of_sight = |s: &Simulator, tx: DVec3| {
+        let direct = |p: &Path| p.interactions.iter().all(|i| matches!(i, Interaction::Transmission { .. }));
+        s.trace(tx).into_iter().find(direct)
+    };
+    assert!(line_of_sight(&cluttered(rx, NOTHING), tx).is_none());
+    assert!(line_of_sight(&cluttered(rx, NOTHING), DVec3::new(0.0, 1.5, 5.5)).is_some());
+    let glass = cluttered([-6.0, 0.1, 1.0], NOTHING);
+    let behind = line_of_sight(&glass, DVec3::new(0.0, 0.1, 1.0)).unwrap();
+    let free = glass.scene().wavelength() / (4.0 * PI * 6.0);
+    assert!(matches!(behind.interactions[..], [Interaction::Transmission { .. }]));
+    assert!(behind.gain.norm() < 0.95 * free && behind.gain.norm() > 0.5 * free);
+    let closed = cluttered([-6.0, 0.1, 1.0], "order: 0, room_order: 0, diffraction: false, transmission: false");
+    assert!(line_of_sight(&closed, DVec3::new(0.0, 0.1, 1.0)).is_none());
+}
+
+/// Field at the receiver behind the rim of a metal board, in a room of air.
+fn behind_a_board(tx: DVec3) -> Complex {
+    let air = "(material: \"vacuum\", thickness_m: 0.1)";
+    let room =
+        format!("(outline: Box(low: (-10, -50, -50), high: (10, 50, 50)), walls: {air}, floor: {air}, ceiling: {air})");
+    let board = "Panel(name: \"board\", from: (0, -40), to: (0, 0), heights: (-45, 45), \
+                 finish: (material: \"metal\", thickness_m: 0.01))";
+    let simulator = Simulator::new(&scene(&room, board, [4.0, -1.5, 0.3], "order: 1, room_order: 0")).unwrap();
+    let wavelength = simulator.scene().wavelength();
+    simulator.trace(tx).iter().map(|p| p.baseband(wavelength)).sum()
+}
+
+#[test]
+fn diffraction_makes_up_for_the_edge_of_the_shadow() {
+    // From (-4, y) the line of sight touches the rim (0, 0) at y = 1.5.
+    let at = |y: f64| behind_a_board(DVec3::new(-4.0, y, 0.0));
+    let jump = (at(1.5 + 1e-6) - at(1.5 - 1e-6)).norm();
+    assert!(jump < 1e-3 * at(1.5 + 1e-6).norm(), "{jump:e}");
+    // Half of the free field is left there, and it fades into the shadow.
+    let free = 299_792_458.0 / 2e9 / (4.0 * PI * DVec3::new(8.0, 3.0, 0.3).length());
+    assert!((at(1.5 - 1e-6).norm() / free - 0.5).abs() < 0.02);
+    assert!(at(0.5).norm() < 0.25 * free && at(-3.0).norm() < at(0.5).norm());
+}
+
+#[test]
+fn a_room_with_more_faces_only_adds_image_sequences_it_can_see() {
+    // Every image is tried against a brute force over all pairs of faces, without beams.
+    let simulator = cluttered([0.5, 0.5, 1.4], "order: 2, room_order: 2, diffraction: false, transmission: false");
+    let world = simulator.world();
+    for tx in [[-5.0, 2.0, 1.0], [4.0, -4.0, 3.0], [0.0, -1.5, 0.5]] {
+        let tx = DVec3::from(tx);
+        let rx = DVec3::new(0.5, 0.5, 1.4);
+        let found = simulator.trace(tx);
+        let mut count = 0;
+        let faces = world.faces.len() as u32;
+        let mut met = Vec::new();
+        let mut check = |sequence: &[u32]| {
+            // Mirror the transmitter, then walk back from the receiver.
+            let images: Vec<DVec3> = sequence
+                .iter()
+                .scan(tx, |image, &f| {
+                    *image = world.faces[f as usize].mirror(*image);
+                    Some(*image)
+                })
+                .collect();
+            let (mut from, mut open) = (rx, true);
+            for (k, &f) in sequence.iter().enumerate().rev() {
+                let face = &world.faces[f as usize];
+                let (h, g) = (face.height(from), face.height(images[k]));
+                if h * g >= 0.0 {
+                    return;
+                }
+                let point = from.lerp(images[k], h / (h - g));
+                open &= world.is_on(f, point) && world.pass(from, point, &mut met) && met.is_empty();
+                from = point;
+            }
+            open &= world.pass(from, tx, &mut met) && met.is_empty();
+            count += usize::from(open);
+        };
+        check(&[]);
+        for a in 0..faces {
+            check(&[a]);
+            (0..faces).filter(|b| *b != a).for_each(|b| check(&[a, b]));
+        }
+        assert_eq!(found.len(), count, "from {tx}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn energy_never_grows_by_reflection(x in -4.0..4.0f64, y in -4.0..4.0f64, z in 0.3..5.0f64) {
+        let simulator = cluttered([6.0, -5.0, 2.0], "order: 2, room_order: 3, diffraction: false");
+        let wavelength = simulator.scene().wavelength();
+        let tx = DVec3::new(x, y, z);
+        prop_assume!(simulator.world().check_free(tx).is_ok());
+        for path in simulator.trace(tx) {
+            prop_assert!(path.gain.norm() <= wavelength / (4.0 * PI * path.length) * (1.0 + 1e-12));
+            prop_assert!((path.departure.length() - 1.0).abs() < 1e-12 && (path.arrival.length() - 1.0).abs() < 1e-12);
+            // The pieces add up to the length.
+            let mut at = tx;
+            let mut length = 0.0;
+            for interaction in &path.interactions {
+                let (Interaction::Reflection { point, .. } | Interaction::Transmission { point, .. }
+                    | Interaction::Diffraction { point, .. } | Interaction::Scattering { point, .. }) = *interaction;
+                length += at.distance(point);
+                at = point;
+            }
+            length += at.distance(DVec3::new(6.0, -5.0, 2.0));
+            prop_assert!((length - path.length).abs() < 1e-9);
+        }
+    }
+}
