@@ -1,0 +1,236 @@
+//! Simulated data sets: the same bits always, kept whole or not at all, and mistakes told clearly.
+#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
+
+use glam::DVec3;
+use pwrfgs_core::{Baseline, DataSource, Plugin};
+use pwrfgs_sim::output::{MANIFEST, POINTS, write};
+use pwrfgs_sim::{Recipe, Scene, Simulator, cache, simulate};
+use std::cell::Cell;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// A small room with one of everything; `more` are further fields of the scene.
+fn scene_text(more: &str) -> String {
+    format!(
+        r#"(
+    name: "small",
+    carrier_hz: 2.4e9,
+    room: (
+        outline: Box(low: (0, 0, 0), high: (4, 3, 2.5)),
+        walls: (material: "plasterboard", thickness_m: 0.1),
+        floor: (material: "concrete"),
+        ceiling: (material: "wood", thickness_m: 0.02, roughness: 0.3),
+    ),
+    objects: [Box(name: "desk", low: (1, 1, 0), high: (2, 2, 0.7), finish: (material: "metal"))],
+    receiver: (position: (0.2, 1.5, 1.5), orientation: Facing(direction: (1, 0, 0)), array: (rows: 4, columns: 4)),
+    transmitter: (positions: Uniform(low: (0.9, 0.9, 0.4), high: (3.5, 2.5, 1.5))),
+    {more}
+)"#
+    )
+}
+
+fn file(folder: &Path, name: &str, text: &str) -> PathBuf {
+    let path = folder.join(name);
+    fs::write(&path, text).unwrap();
+    path
+}
+
+fn recipe(folder: &Path) -> Recipe {
+    let noise = "noise: (snr_db: 20, phase_error_deg: 3),";
+    Recipe::read(&file(folder, "small.ron", &scene_text(noise)), 12, 7, 500).unwrap()
+}
+
+/// Every file of a folder with its bytes.
+fn contents(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let mut all = Vec::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(next) = folders.pop() {
+        for entry in fs::read_dir(next).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                all.push((path.strip_prefix(folder).unwrap().to_owned(), fs::read(&path).unwrap()));
+            }
+        }
+    }
+    all.sort();
+    all
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes_at_any_thread_count() {
+    let folder = tempfile::tempdir().unwrap();
+    let recipe = recipe(folder.path());
+    let made = [1, 2, 5].map(|threads| {
+        let out = folder.path().join(format!("out{threads}"));
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| write(&recipe, true, &out, &mut |_| ())).unwrap();
+        contents(&out)
+    });
+    assert_eq!(made[0].len(), 12 + 8);
+    assert!(made[0] == made[1] && made[0] == made[2]);
+    // Nothing but the three folders and the scene is left.
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 4);
+}
+
+#[test]
+fn a_folder_that_holds_something_is_not_touched() {
+    let folder = tempfile::tempdir().unwrap();
+    let recipe = recipe(folder.path());
+    let message = write(&recipe, true, folder.path(), &mut |_| ()).unwrap_err();
+    assert!(message.is_input() && message.to_string().contains("nothing is overwritten"), "{message}");
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+}
+
+#[test]
+fn a_kept_data_set_is_used_only_while_it_is_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let recipe = recipe(folder.path());
+    let root = folder.path().join("cache");
+    let simulated = Cell::new(0);
+    let load = || {
+        let mut count = |_| simulated.set(simulated.get() + 1);
+        let read = |entry: &Path| {
+            let text = format!("Nerf2Spectrum(root: {:?}, points: {:?})", entry, entry.join(POINTS));
+            Plugin::<dyn DataSource>::parse(&text).unwrap().load(Path::new(""))
+        };
+        let data = cache::open_or_make(&recipe, Some(&root), &mut count, read).unwrap();
+        let spectra: Vec<Vec<u8>> = data.samples.into_iter().map(|s| s.spectrum).collect();
+        (spectra, simulated.replace(0) > 0)
+    };
+    let (truth, made) = load();
+    assert!(made && truth.len() == 12);
+    assert_eq!(load(), (truth.clone(), false));
+    let entry = root.join(recipe.folder_name());
+    let damages: [&dyn Fn(); 4] = [
+        &|| fs::remove_file(entry.join(MANIFEST)).unwrap(),
+        &|| fs::write(entry.join(MANIFEST), recipe.to_json().replace("\"seed\": 7", "\"seed\": 8")).unwrap(),
+        &|| {
+            let picture = entry.join("spectrum/00003.png");
+            let bytes = fs::read(&picture).unwrap();
+            fs::write(&picture, &bytes[..bytes.len() / 2]).unwrap();
+        },
+        &|| fs::remove_file(entry.join(POINTS)).unwrap(),
+    ];
+    for damage in damages {
+        damage();
+        assert_eq!(load(), (truth.clone(), true));
+        assert_eq!(load(), (truth.clone(), false));
+    }
+    // What a killed program leaves behind is not an entry.
+    fs::rename(&entry, root.join(format!(".{}.x.tmp", recipe.folder_name()))).unwrap();
+    assert_eq!(load(), (truth.clone(), true));
+    // Where nothing can be kept, the data are made all the same.
+    let blocked = file(folder.path(), "blocked", "a file where the cache should be");
+    let read = |entry: &Path| Ok(fs::read(entry.join("spectrum/00001.png")).unwrap().len());
+    assert!(cache::open_or_make(&recipe, Some(&blocked), &mut |_| (), read).unwrap() > 0);
+}
+
+#[test]
+fn the_shipped_scenes_are_simulated() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap().join("scenes");
+    for name in ["office", "conference", "lab-s23"] {
+        let simulator = Simulator::new(&Scene::read(&root.join(format!("{name}.ron"))).unwrap()).unwrap();
+        let mut seen = 0;
+        simulate(&simulator, 4, 0, |_, tx, outcome| {
+            seen += 1;
+            assert!(outcome.paths.len() > 50, "{name}: {} paths", outcome.paths.len());
+            let (low, high) = (outcome.spectrum.pixels.iter().min(), outcome.spectrum.pixels.iter().max());
+            assert_eq!((low, high), (Some(&0), Some(&255)), "{name}");
+            assert!(simulator.world().check_free(tx).is_ok());
+            Ok(())
+        })
+        .unwrap();
+        assert_eq!(seen, 4);
+        let points = simulator.surface_points(1000, 0);
+        assert!(points.points.len() == 1000 && points.normals.len() == 1000);
+    }
+}
+
+#[test]
+fn ray_tracing_in_the_exact_scene_is_the_generator() {
+    let folder = tempfile::tempdir().unwrap();
+    file(folder.path(), "small.ron", &scene_text(""));
+    let source: Plugin<dyn DataSource> =
+        Plugin::parse("Simulated(scene: \"small.ron\", samples: 10, points: 100, cache: false)").unwrap();
+    let data = source.load(folder.path()).unwrap();
+    assert!(data.title.contains("simulated"));
+    let predict = |text: &str, i: usize| {
+        let baseline: Plugin<dyn Baseline> = Plugin::parse(text).unwrap();
+        let predictor = baseline.fit(&data, &[]).unwrap();
+        (predictor.predict(data.samples[i].tx), predictor.note())
+    };
+    for i in 0..10 {
+        let (exact, note) = predict("RayTracing()", i);
+        assert_eq!(exact, data.image(i));
+        assert!(note.unwrap().contains("upper bound"));
+        let (wrong, note) = predict("RayTracing(material_error: 0.3, position_error_m: 0.05)", i);
+        assert!(wrong != data.image(i) && note.is_none());
+    }
+    // Data that were not simulated need a scene by name.
+    let measured = pwrfgs_core::Dataset { simulation: None, ..data.clone() };
+    let baseline: Plugin<dyn Baseline> = Plugin::parse("RayTracing()").unwrap();
+    assert!(baseline.fit(&measured, &[]).err().unwrap().to_string().contains("name one in `scene`"));
+}
+
+#[test]
+fn mistakes_in_a_scene_are_told_with_their_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let told = |text: &str| {
+        let error = Scene::read(&file(folder.path(), "s.ron", text)).and_then(|s| Simulator::new(&s).map(|_| ()));
+        let error = error.unwrap_err();
+        assert!(error.is_input());
+        error.to_string().replace(&folder.path().display().to_string(), "DIR")
+    };
+    let plain = scene_text("");
+    let cases = [
+        ("\"metal\"", "\"metall\"", "DIR/s.ron:11:83: unknown material `metall`; did you mean `metal`?"),
+        ("rows: 4", "rows: 0", "DIR/s.ron:12:"),
+        ("carrier_hz: 2.4e9", "carrier_hz: 0", "DIR/s.ron:3:5: `carrier_hz` is 0"),
+        ("carrier_hz", "carrier_ghz", "did you mean `carrier_hz`?"),
+        ("(4, 3, 2.5)", "(4, 0, 2.5)", "DIR/s.ron:5:9: room: the box from"),
+        ("position: (0.2, 1.5, 1.5)", "position: (1.5, 1.5, 0.3)", "the receiver at [1.5, 1.5, 0.3] is inside `desk`"),
+        ("position: (0.2, 1.5, 1.5)", "position: (0.2, 1.5, 9)", "is outside the room"),
+        ("thickness_m: 0.1", "thickness_m: -0.1", "walls: `thickness_m` is -0.1"),
+        ("direction: (1, 0, 0)", "direction: (0, 0, 0)", "receiver: `direction` is [0.0, 0.0, 0.0]"),
+        ("(material: \"metal\")),", "(material: \"metal\")), Box(name: \"desk\", low: (0, 0, 0), high: (1, 1, 1), finish: (material: \"wood\")),", "two objects are called `desk`"),
+        ("Box(name: \"desk\", low: (1, 1, 0), high: (2, 2, 0.7),", "Panel(name: \"desk\", from: (1, 1), to: (2, 2), heights: (0, 1),", "give its finish a `thickness_m`"),
+        ("low: (1, 1, 0), high: (2, 2, 0.7), finish", "file: \"no.obj\", finish", "unexpected"),
+    ];
+    for (from, to, expected) in cases {
+        assert!(plain.contains(from), "{from}");
+        let message = told(&plain.replacen(from, to, 1));
+        assert!(message.to_lowercase().contains(&expected.to_lowercase()), "{to}: {message}");
+    }
+    let mesh = |file: &str| {
+        plain.replace(
+            "Box(name: \"desk\", low: (1, 1, 0), high: (2, 2, 0.7),",
+            &format!("Mesh(name: \"desk\", file: \"{file}\","),
+        )
+    };
+    file(folder.path(), "open.obj", "v 1 1 0\nv 2 1 0\nv 2 2 0\nv 1 1 1\nf 1 2 3\nf 1 2 4\n");
+    file(folder.path(), "flat.obj", "v 1 1 0\nv 2 1 0\nv 3 1 0\nf 1 2 3\n");
+    assert!(told(&mesh("open.obj")).contains("DIR/open.obj: the surface of `desk` is open"));
+    assert!(told(&mesh("flat.obj")).contains("has no area"));
+    assert!(told(&mesh("gone.obj")).contains("cannot read DIR/gone.obj"));
+    // A thin sheet may be open.
+    let sheet = mesh("open.obj").replace("(material: \"metal\")", "(material: \"metal\", thickness_m: 0.001)");
+    let scene = Scene::read(&file(folder.path(), "s.ron", &sheet)).unwrap();
+    assert_eq!(Simulator::new(&scene).unwrap().world().faces.len(), 6 + 2);
+}
+
+#[test]
+fn transmitters_do_not_stand_inside_things() {
+    let folder = tempfile::tempdir().unwrap();
+    let in_desk = scene_text("").replace(
+        "Uniform(low: (0.9, 0.9, 0.4), high: (3.5, 2.5, 1.5))",
+        "Grid(low: (0.9, 0.9, 0.1), high: (2.1, 2.1, 0.7), step_m: 0.3)",
+    );
+    let scene = Scene::read(&file(folder.path(), "s.ron", &in_desk)).unwrap();
+    let message = Simulator::new(&scene).unwrap().positions(5, 0).unwrap_err();
+    assert!(message.is_input() && message.to_string().contains("inside `desk`"), "{message}");
+    let free = Simulator::new(&Scene::read(&file(folder.path(), "s.ron", &scene_text(""))).unwrap()).unwrap();
+    let desk = |p: &DVec3| p.x > 1.0 && p.x < 2.0 && p.y > 1.0 && p.y < 2.0 && p.z < 0.7;
+    assert!(!free.positions(200, 3).unwrap().iter().any(desk));
+}
