@@ -1,5 +1,8 @@
 //! Triangle meshes: read from OBJ, STL or PLY, checked, and put in their place.
 
+#[cfg(test)]
+mod tests;
+
 use glam::{DMat3, DVec3};
 use pwrfgs_core::{Error, Result};
 use std::{collections::HashMap, path::Path};

@@ -1,0 +1,170 @@
+//! A cube in every file format, and what is said about surfaces that are none.
+
+use super::*;
+use proptest::prelude::*;
+use std::path::PathBuf;
+
+/// The unit cube of six squares, outside counterclockwise, as OBJ.
+const CUBE: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nv 1 0 1\nv 1 1 1\nv 0 1 1\n\
+    f 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
+
+fn read_text(name: &str, text: &[u8]) -> Result<Mesh, String> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(name);
+    std::fs::write(&path, text).unwrap();
+    read(&path).map_err(|e| e.to_string().replace(&folder.path().display().to_string(), "DIR"))
+}
+
+fn cube() -> Mesh {
+    read_text("cube.obj", CUBE.as_bytes()).unwrap()
+}
+
+/// By the divergence theorem.
+fn volume(mesh: &Mesh) -> f64 {
+    mesh.soup().iter().map(|[a, b, c]| a.dot(b.cross(*c)) / 6.0).sum()
+}
+
+fn area(mesh: &Mesh) -> f64 {
+    mesh.soup().iter().map(|[a, b, c]| (b - a).cross(c - a).length() / 2.0).sum()
+}
+
+/// Every triangle by itself.
+fn ascii_stl(mesh: &Mesh) -> String {
+    let vertices = |t: &[DVec3; 3]| t.map(|v| format!("vertex {} {} {}\n", v.x, v.y, v.z)).concat();
+    let facet = |t: &[DVec3; 3]| format!("facet normal 0 0 0\nouter loop\n{}endloop\nendfacet\n", vertices(t));
+    format!("solid cube\n{}endsolid cube\n", mesh.soup().iter().map(facet).collect::<String>())
+}
+
+#[test]
+fn a_cube_is_closed_in_every_format_and_has_its_volume() {
+    let cube = cube();
+    let stl = read_text("cube.stl", ascii_stl(&cube).as_bytes()).unwrap();
+    let mut ply = "ply\nformat ascii 1.0\nelement vertex 8\nproperty float x\nproperty float y\nproperty float z\n\
+        element face 6\nproperty list uchar int vertex_indices\nend_header\n"
+        .to_owned();
+    let row = |line: &str| {
+        let numbers: Vec<i32> = line.split(' ').skip(1).map(|word| word.parse().unwrap()).collect();
+        match line.as_bytes()[0] {
+            b'v' => format!("{} {} {}\n", numbers[0], numbers[1], numbers[2]),
+            _ => format!("4 {} {} {} {}\n", numbers[0] - 1, numbers[1] - 1, numbers[2] - 1, numbers[3] - 1),
+        }
+    };
+    ply.extend(CUBE.lines().map(row));
+    let ply = read_text("cube.ply", ply.as_bytes()).unwrap();
+    for mesh in [&cube, &stl, &ply] {
+        assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (8, 12));
+        assert_eq!((mesh.boundary_edges(), mesh.crowded_edges()), (0, 0));
+        assert!(mesh.is_closed());
+        assert_eq!(area(mesh), 6.0);
+        assert!((volume(mesh) - 1.0).abs() < 1e-15);
+        assert_eq!(mesh.soup(), cube.soup());
+    }
+    assert_eq!(stl, cube, "welding numbers the vertices by first use, whatever the file");
+}
+
+#[test]
+fn open_and_doubled_surfaces_are_not_closed() {
+    let mut open = cube();
+    open.triangles.truncate(10);
+    assert_eq!((open.boundary_edges(), open.crowded_edges(), open.is_closed()), (4, 0, false));
+    let mut fin = cube();
+    fin.triangles.push(fin.triangles[0]);
+    assert_eq!((fin.boundary_edges(), fin.crowded_edges(), fin.is_closed()), (0, 3, false));
+    assert!(!Mesh::default().is_closed());
+}
+
+#[test]
+fn two_bodies_that_share_an_edge_are_closed() {
+    let cube = cube();
+    let mut both = cube.clone();
+    let beside = cube.transformed(1.0, 0.0, DVec3::new(1.0, 1.0, 0.0));
+    both.triangles.extend(beside.triangles.iter().map(|t| t.map(|v| v + 8)));
+    both.vertices.extend(beside.vertices);
+    let both = both.welded();
+    assert_eq!(both.vertices.len(), 14);
+    assert_eq!((both.boundary_edges(), both.crowded_edges(), both.is_closed()), (0, 1, true));
+}
+
+#[test]
+fn welding_drops_what_no_triangle_names_and_keeps_what_is_wrong() {
+    let vertices = [9.0, 1.0, 0.0, 1.0, -0.0].map(DVec3::splat).to_vec();
+    let mesh = Mesh { vertices, triangles: vec![[1, 2, 7], [3, 4, 1]] }.welded();
+    assert_eq!(mesh, Mesh { vertices: vec![DVec3::ONE, DVec3::ZERO], triangles: vec![[0, 1, 7], [0, 1, 0]] });
+}
+
+#[test]
+fn a_mesh_is_scaled_turned_and_shifted_in_that_order() {
+    let shift = DVec3::new(10.0, 20.0, 30.0);
+    let moved = Mesh { vertices: vec![DVec3::new(1.0, 0.0, 1.0)], triangles: vec![] };
+    assert_eq!(moved.clone().transformed(2.0, 90.0, shift).vertices, [DVec3::new(10.0, 22.0, 32.0)]);
+    assert_eq!(moved.clone().transformed(2.0, -180.0, shift).vertices, [DVec3::new(8.0, 20.0, 32.0)]);
+    assert_eq!(moved.clone().transformed(2.0, 630.0, shift).vertices, [DVec3::new(10.0, 18.0, 32.0)]);
+    let turned = moved.transformed(1.0, 30.0, DVec3::ZERO).vertices[0];
+    assert!(turned.distance(DVec3::new(0.75f64.sqrt(), 0.5, 1.0)) < 1e-15);
+    assert!((volume(&cube().transformed(-2.0, 200.0, shift)) - 8.0).abs() < 1e-9, "outside stays outside");
+}
+
+#[test]
+fn surfaces_that_are_none_are_told() {
+    let sample = |text: &str| read_text("a.obj", text.as_bytes()).unwrap_err();
+    assert_eq!(sample("v 0 0 0\n"), "DIR/a.obj: holds no triangle; export a surface with faces");
+    let advice = "has no area; remove degenerate faces where the mesh was made";
+    let v = "v 0 0 0\nv 1 0 0\nv 2 0 0\nv 0 1 0\nv 2 1e-9 0\nv 0 0 0\n";
+    for face in ["1 2 3", "1 2 2", "1 2 5", "1 6 4"] {
+        assert_eq!(sample(&format!("{v}f 1 2 4\nf {face}\n")), format!("DIR/a.obj: triangle 2 at (0, 0, 0) {advice}"));
+    }
+    assert!(read_text("a.obj", format!("{v}v 2 1e-6 0\nf 1 2 7\n").as_bytes()).is_ok(), "a sliver is a triangle");
+    let by_hand = |vertices: Vec<DVec3>, triangle: [u32; 3]| {
+        Mesh { vertices, triangles: vec![triangle] }.check(Path::new("a")).unwrap_err().to_string()
+    };
+    let corners = vec![DVec3::ZERO, DVec3::X, DVec3::new(0.0, f64::NAN, 0.0)];
+    assert_eq!(
+        by_hand(corners.clone(), [0, 1, 3]),
+        "a: triangle 1 names vertex 3 of 3, counted from 0; correct the index"
+    );
+    assert_eq!(
+        by_hand(corners, [0, 1, 2]),
+        "a: triangle 1 has a vertex that is not finite; give every vertex a finite x, y and z"
+    );
+}
+
+#[test]
+fn the_room_of_the_reference_paths_is_closed() {
+    let shared = std::env::var_os("PWRFGS_SHARED")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared"), PathBuf::from);
+    let folder = shared.join("reference/paths/sceneA/mesh");
+    if !folder.is_dir() {
+        println!("skipped: no reference room here; set PWRFGS_SHARED");
+        return;
+    }
+    let mut room = Mesh::default();
+    for name in ["ceiling", "floor", "wall_xneg", "wall_xpos", "wall_yneg", "wall_ypos"] {
+        let face = read(&folder.join(format!("{name}.ply"))).unwrap();
+        assert_eq!((face.vertices.len(), face.triangles.len(), face.boundary_edges()), (4, 2, 4));
+        let first = room.vertices.len() as u32;
+        room.triangles.extend(face.triangles.iter().map(|t| t.map(|v| v + first)));
+        room.vertices.extend(face.vertices);
+    }
+    let room = room.welded();
+    assert!(room.is_closed());
+    assert_eq!((room.vertices.len(), area(&room)), (8, 2.0 * (6.0 * 5.0 + 6.0 * 3.0 + 5.0 * 3.0)));
+}
+
+proptest! {
+    /// Whatever is checked can be used.
+    #[test]
+    fn a_mesh_that_passes_the_check_has_triangles_with_area(
+        corners in prop::collection::vec(prop::array::uniform3(-2..3i32), 1..8),
+        triangles in prop::collection::vec(prop::array::uniform3(0..9u32), 0..5),
+    ) {
+        let vertices = corners.iter().map(|c| DVec3::from_array(c.map(f64::from))).collect();
+        let mesh = Mesh { vertices, triangles };
+        let welded = mesh.clone().welded();
+        prop_assert_eq!(mesh.check(Path::new("a")).is_ok(), welded.check(Path::new("a")).is_ok());
+        if welded.check(Path::new("a")).is_ok() {
+            prop_assert_eq!(mesh.soup(), welded.soup());
+            prop_assert!(welded.soup().iter().all(|[a, b, c]| (b - a).cross(c - a).length() > 0.0));
+            prop_assert!(welded.boundary_edges() <= 3 * welded.triangles.len());
+        }
+    }
+}
