@@ -25,7 +25,7 @@ fn busy() -> Pipeline {
 }
 
 fn data_of(pipeline: &Pipeline) -> (Dataset, Partition) {
-    let data = pipeline.data.load(Path::new(".")).unwrap();
+    let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
     let partition = pipeline.split.split(&data, &mut rng::stream(5, "split", 0)).unwrap();
     (data, partition)
 }

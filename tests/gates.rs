@@ -56,7 +56,7 @@ fn training(pruners: &str, training: &str) -> Pipeline {
 }
 
 fn data_of(pipeline: &Pipeline) -> (Dataset, Partition) {
-    let data = pipeline.data.load(Path::new(".")).unwrap();
+    let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
     let partition = pipeline.split.split(&data, &mut rng::stream(0, "split", 0)).unwrap();
     (data, partition)
 }

@@ -27,7 +27,9 @@ fn finite(values: &[Real]) -> bool {
 }
 
 fn data() -> Dataset {
-    plugin::<dyn DataSource>("Teacher(gaussians: 5, samples: 260, width: 60, height: 15)").load(Path::new(".")).unwrap()
+    plugin::<dyn DataSource>("Teacher(gaussians: 5, samples: 260, width: 60, height: 15)")
+        .load(Path::new("."), &|_, _| {})
+        .unwrap()
 }
 
 #[test]

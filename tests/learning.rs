@@ -52,7 +52,7 @@ fn learn(seed: u64, pruners: &str, steps: u64, prune_until: u64) -> End {
                          signals: LogLinear(first: 0.01, last: 0.001),
                          network: LogLinear(first: 0.005, last: 0.0001)))",
     ));
-    let data = pipeline.data.load(Path::new(".")).unwrap();
+    let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
     let partition = pipeline.split.split(&data, &mut rng::stream(seed, "split", 0)).unwrap();
     let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
     let (mut losses, mut counts) = (Vec::new(), Vec::new());

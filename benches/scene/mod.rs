@@ -77,7 +77,7 @@ pub(crate) fn trained() -> Model {
         "Grid(count: 157)",
         "training: (steps: 300, batch: 1, densify_until: 0, prune_until: 0, optimizer: (means: Constant(0.003)))",
     );
-    let data = pipeline.data.load(Path::new(".")).expect("the teacher needs no file");
+    let data = pipeline.data.load(Path::new("."), &|_, _| {}).expect("the teacher needs no file");
     let (train, test) = data.official.clone().expect("the teacher divides its samples");
     let mut trainer = Trainer::new(&pipeline, &data, &Partition { train, test, ..Partition::default() })
         .expect("the pipeline below can be trained");

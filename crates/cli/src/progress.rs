@@ -19,6 +19,9 @@ const LINE: Duration = Duration::from_secs(5);
 /// The speed is that of this last stretch.
 const WINDOW: Duration = Duration::from_secs(20);
 
+/// A stage that ends sooner is not shown.
+const PATIENCE: Duration = Duration::from_secs(1);
+
 /// Draws or prints what a run reports.
 #[derive(Debug)]
 pub(crate) struct Progress {
@@ -31,12 +34,25 @@ pub(crate) struct Progress {
     /// Running mean of the loss.
     loss: f64,
     validation: Option<Validation>,
+    /// When the stage at hand began.
+    stage: Instant,
 }
 
 impl Progress {
     pub(crate) fn new(verbosity: Verbosity) -> Self {
-        let (pace, shown) = (VecDeque::new(), Instant::now());
-        Self { verbosity, bar: None, steps: 0, pace, shown, loss: f64::NAN, validation: None }
+        let (pace, now) = (VecDeque::new(), Instant::now());
+        Self { verbosity, bar: None, steps: 0, pace, shown: now, loss: f64::NAN, validation: None, stage: now }
+    }
+
+    /// Draws a bar, where there is a terminal to draw on; `words` is what stands behind it.
+    fn draw_bar(&mut self, length: u64, words: &str) {
+        self.finish();
+        if self.verbosity != Verbosity::Quiet && std::io::stderr().is_terminal() {
+            let style = ProgressStyle::with_template(&format!("{{bar:24.cyan/dim}} {{pos}}/{{len}}  {words}"))
+                .unwrap_or_else(|_| ProgressStyle::default_bar())
+                .progress_chars("━╸─");
+            self.bar = Some(bars().add(ProgressBar::new(length).with_style(style)));
+        }
     }
 
     /// Takes the bar away.
@@ -74,6 +90,26 @@ impl Progress {
 }
 
 impl Observer for Progress {
+    fn on_stage(&mut self, name: &str, done: usize, total: usize) {
+        let now = Instant::now();
+        if done == 0 || done >= total {
+            self.finish();
+            (self.stage, self.shown) = (now, now);
+        } else if now - self.stage > PATIENCE {
+            let terminal = std::io::stderr().is_terminal();
+            if self.bar.is_none() {
+                self.draw_bar(total as u64, "{msg}  {eta} left");
+            }
+            if let Some(bar) = &self.bar {
+                bar.set_message(name.to_owned());
+                bar.set_position(done as u64);
+            } else if !terminal && self.verbosity != Verbosity::Quiet && now - self.shown >= LINE {
+                self.shown = now;
+                note(&format!("{name}: {} of {}", grouped(done as i64), grouped(total as i64)));
+            }
+        }
+    }
+
     fn on_start(&mut self, start: &Start<'_>) {
         if self.verbosity == Verbosity::Quiet {
             return;
@@ -87,13 +123,9 @@ impl Observer for Progress {
         };
         note(&format!("{on} {} steps in {}", grouped(start.steps as i64), start.folder.display()));
         self.steps = start.steps;
-        if std::io::stderr().is_terminal() {
-            let style = ProgressStyle::with_template("{bar:24.cyan/dim} {pos}/{len}  {msg}")
-                .unwrap_or_else(|_| ProgressStyle::default_bar())
-                .progress_chars("━╸─");
-            let bar = bars().add(ProgressBar::new(start.steps).with_style(style));
+        self.draw_bar(start.steps, "{msg}");
+        if let Some(bar) = &self.bar {
             bar.set_position(start.done);
-            self.bar = Some(bar);
         }
     }
 

@@ -3,11 +3,15 @@
 use crate::{Dataset, Image, Partition, Real, Result, plugin_kind, rng::Rng};
 use std::path::{Path, PathBuf};
 
+/// Told (done, of how many) while something long is under way, from any thread and in any order.
+pub type Progress<'a> = &'a (dyn Fn(usize, usize) + Sync);
+
 /// Loads or makes a data set.
 #[typetag::serde]
 pub trait DataSource: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
-    /// Everything, in memory. Relative paths are relative to `base`, the folder of the pipeline file.
-    fn load(&self, base: &Path) -> Result<Dataset>;
+    /// Everything, in memory. Relative paths are relative to `base`, the folder of the pipeline file. `progress` counts
+    /// spectra; `&|_, _| {}` where nobody wants to know.
+    fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset>;
 
     /// The same source with its paths made relative to another folder: `absolute` maps a path of `base` to one that
     /// holds everywhere. A source without paths returns `None`.

@@ -27,7 +27,7 @@ pub mod tape;
 pub mod testing;
 
 pub use cloud::{COLUMN_NAMES, ExtraColumn, GaussianCloud};
-pub use data_source::{Baseline, DataSource, Predict, Split};
+pub use data_source::{Baseline, DataSource, Predict, Progress, Split};
 pub use deformation::{Deformation, DeformationInputs, Deltas, WeightSpec};
 pub use error::{Error, Result};
 pub use image::{Axis, Image, ImagePlane};

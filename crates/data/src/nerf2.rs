@@ -11,7 +11,7 @@ use crate::{
     text::{XyzColumns, lines, read_text, split_commas},
 };
 pub(crate) use gateway::orientation_fault;
-use pwrfgs_core::{DataSource, Dataset, Error, Real, Result, Sample, Scene};
+use pwrfgs_core::{DataSource, Dataset, Error, Progress, Real, Result, Sample, Scene};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -56,7 +56,7 @@ impl Default for Nerf2Spectrum {
 
 #[typetag::serde]
 impl DataSource for Nerf2Spectrum {
-    fn load(&self, base: &Path) -> Result<Dataset> {
+    fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = base.join(&self.root);
         if !root.is_dir() {
             return Err(Error::input(&root, format!("no such folder; set `root` of Nerf2Spectrum ({LAYOUT})")));
@@ -81,7 +81,7 @@ impl DataSource for Nerf2Spectrum {
         }
         let points = self.points.as_ref().map_or(Ok(Vec::new()), |points| read_points(&base.join(points)))?;
         let paths: Vec<&Path> = ids.iter().map(|id| files[id].as_path()).collect();
-        let pictures::Pictures { width, height, bytes } = pictures::load(&paths)?;
+        let pictures::Pictures { width, height, bytes } = pictures::load(&paths, progress)?;
         let to_sample = |(&id, spectrum)| Sample { id, tx: positions[id as usize - 1], spectrum };
         let samples: Vec<Sample> = ids.iter().zip(bytes).map(to_sample).collect();
         let receiver = gateway.pose;

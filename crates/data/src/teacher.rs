@@ -6,8 +6,8 @@ mod truth;
 
 use crate::nerf2::orientation_fault;
 use pwrfgs_core::{
-    DataSource, Dataset, Error, GaussianCloud, ImagePlane, Plugin, Pose, Primitives, Projector, Rasterizer, Real,
-    Result, Sample, Scene, rng, sigmoid,
+    DataSource, Dataset, Error, GaussianCloud, ImagePlane, Plugin, Pose, Primitives, Progress, Projector, Rasterizer,
+    Real, Result, Sample, Scene, rng, sigmoid,
 };
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -107,7 +107,7 @@ impl Teacher {
     }
 
     /// Magnitudes of all spectra, one after the other, not normalised.
-    fn render(&self, truth: &Truth, txs: &[[Real; 3]]) -> Result<Vec<Real>> {
+    fn render(&self, truth: &Truth, txs: &[[Real; 3]], progress: Progress<'_>) -> Result<Vec<Real>> {
         let projector = self.projector.clone().map_or_else(|| linked("Mercator", "projector"), Ok)?;
         let rasterizer = self.rasterizer.clone().map_or_else(|| linked("AlphaBlending", "rasterizer"), Ok)?;
         let plane: ImagePlane = projector.plane(self.width, self.height);
@@ -122,6 +122,7 @@ impl Teacher {
                 let (c0, c1) = pair.split_at(pair.len() / 2);
                 spectra.extend(c0.iter().zip(c1).map(|(a, b)| a.hypot(*b)));
             }
+            progress(spectra.len() / (self.width * self.height), txs.len());
         }
         Ok(spectra)
     }
@@ -129,11 +130,11 @@ impl Teacher {
 
 #[typetag::serde]
 impl DataSource for Teacher {
-    fn load(&self, _: &Path) -> Result<Dataset> {
+    fn load(&self, _: &Path, progress: Progress<'_>) -> Result<Dataset> {
         DataSource::check(self).map_err(|why| Error::Config(format!("Teacher: {why}")))?;
         let truth = Truth::new(self);
         let txs = self.transmitters();
-        let spectra = self.render(&truth, &txs)?;
+        let spectra = self.render(&truth, &txs, progress)?;
         let largest = spectra.iter().copied().fold(0.0, Real::max);
         if !(largest.is_finite() && largest > 0.0) {
             let what = "the spectra of Teacher are black; use another seed, or a projector that shows elevations of 10 to 75 degrees";

@@ -1,8 +1,10 @@
 //! `Observer`: who wants to know how a run gets on. The library prints nothing; `cli` draws a progress bar.
 
 use crate::scores::ScoreTable;
+use pwrfgs_core::Progress;
 use pwrfgs_train::StepReport;
 use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 
 /// What a run is about to do.
 #[derive(Clone, Copy, Debug)]
@@ -33,7 +35,13 @@ pub struct Validation {
 }
 
 /// Hears of everything that happens in a run; every method does nothing by default.
-pub trait Observer {
+pub trait Observer: Send {
+    /// Something other than training is under way: loading or simulating spectra, scoring a predictor. It begins with
+    /// (0, 0); then `done` of `total` rises from call to call.
+    fn on_stage(&mut self, name: &str, done: usize, total: usize) {
+        let _ = (name, done, total);
+    }
+
     /// Training starts or goes on.
     fn on_start(&mut self, start: &Start<'_>) {
         let _ = start;
@@ -65,3 +73,39 @@ pub trait Observer {
 pub struct Silent;
 
 impl Observer for Silent {}
+
+/// Does `work`, whose progress the observer hears of as that of the stage `name`.
+pub(crate) fn staged<R>(observer: &mut dyn Observer, name: &str, work: impl FnOnce(Progress<'_>) -> R) -> R {
+    observer.on_stage(name, 0, 0);
+    let state = Mutex::new((observer, 0));
+    work(&|done, total| {
+        let (observer, most) = &mut *state.lock().unwrap_or_else(PoisonError::into_inner);
+        if done > *most {
+            *most = done;
+            observer.on_stage(name, done, total);
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stage_begins_at_nothing_and_never_goes_back() {
+        #[derive(Default)]
+        struct Ear(Vec<(String, usize, usize)>);
+        impl Observer for Ear {
+            fn on_stage(&mut self, name: &str, done: usize, total: usize) {
+                self.0.push((name.into(), done, total));
+            }
+        }
+        let mut ear = Ear::default();
+        let out = staged(&mut ear, "spectra", |progress| {
+            [1, 3, 2, 3, 4].iter().for_each(|done| progress(*done, 4));
+            "done"
+        });
+        assert_eq!(out, "done");
+        assert_eq!(ear.0, [(0, 0), (1, 4), (3, 4), (4, 4)].map(|(done, total)| ("spectra".to_owned(), done, total)));
+    }
+}

@@ -6,7 +6,7 @@
 use crate::evaluate::{Assessment, evaluate};
 use crate::facts::Facts;
 use crate::folder::{CHECKPOINT, CURVE, MODEL_FILE, REPORT, RunFolder, SAMPLES, SCORES, VALIDATION};
-use crate::observer::{Observer, Start};
+use crate::observer::{Observer, Start, staged};
 use crate::scores::ScoreTable;
 use crate::series::Series;
 use crate::{clock, report, samples, validation};
@@ -58,7 +58,7 @@ pub fn run(
     if let Some(scores) = finished(out) {
         return Ok(Outcome::Finished { scores, already: true });
     }
-    let (data, partition) = load(&pipeline, base)?;
+    let (data, partition) = load(&pipeline, base, observer)?;
     let mut run = Run { pipeline: &pipeline, data: &data, partition: &partition, observer, stop, begun };
     // Made before the folder is claimed: settings that cannot work must leave nothing behind.
     let trainer = if out.join(MODEL_FILE).is_file() { None } else { Some(run.trainer(out)?) };
@@ -81,8 +81,8 @@ pub fn run(
 ///
 /// # Errors
 /// Whatever is wrong with the data, or a split that leaves nothing to train on or to test.
-pub fn load(pipeline: &Pipeline, base: &Path) -> Result<(Dataset, Partition)> {
-    let data = pipeline.data.load(base)?;
+pub fn load(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Result<(Dataset, Partition)> {
+    let data = staged(observer, "spectra", |progress| pipeline.data.load(base, progress))?;
     let partition = pipeline.split.split(&data, &mut rng::stream(pipeline.seed, "split", 0))?;
     for (part, name) in [(&partition.train, "training"), (&partition.test, "test")] {
         if part.is_empty() {

@@ -3,6 +3,7 @@
 use crate::args::{Evaluate, Verbosity};
 use crate::output;
 use crate::pipeline::load;
+use crate::progress::Progress;
 use pwrfgs::experiment::folder::{PIPELINE, REPORT};
 use pwrfgs::experiment::{Facts, Machine, Subject, evaluate as score, load as load_data};
 use pwrfgs::model::file;
@@ -25,7 +26,8 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
     if let Some(out) = &arguments.out {
         check_empty(out)?;
     }
-    let (data, partition) = load_data(&pipeline, Path::new(""))?;
+    let mut progress = Progress::new(verbosity);
+    let (data, partition) = load_data(&pipeline, Path::new(""), &mut progress)?;
     if verbosity != Verbosity::Quiet {
         output::note(&format!("{}: scoring {} test spectra", data.title, partition.test.len()));
         if data.scene.receiver != model.stages.pose {

@@ -2,12 +2,13 @@
 
 use crate::text::{read_bytes, unreadable};
 use image::{ColorType, ExtendedColorType, ImageDecoder, ImageError, codecs::png::PngDecoder};
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Progress, Result};
 use rayon::prelude::*;
 use std::{
     collections::BTreeMap,
     io::Cursor,
     path::{Path, PathBuf},
+    sync::atomic::{AtomicUsize, Ordering},
 };
 
 /// Largest picture that is read, pixels: a header may promise more than memory holds.
@@ -48,12 +49,14 @@ fn id_of(path: &Path) -> Option<u32> {
 }
 
 /// Decodes all; the first gives the size. The message is about the first bad file in the given order.
-pub(crate) fn load(files: &[&Path]) -> Result<Pictures> {
+pub(crate) fn load(files: &[&Path], progress: Progress<'_>) -> Result<Pictures> {
     let Some(first) = files.first() else { return Ok(Pictures { width: 0, height: 0, bytes: Vec::new() }) };
     let (width, height, bytes) = decode(first)?;
     let name = first.file_name().unwrap_or_default().to_string_lossy();
+    let done = AtomicUsize::new(1);
     let decode_like_first = |path: &&Path| {
         let (w, h, bytes) = decode(path)?;
+        progress(done.fetch_add(1, Ordering::Relaxed) + 1, files.len());
         if (w, h) == (width, height) {
             return Ok(bytes);
         }

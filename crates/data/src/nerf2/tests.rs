@@ -45,12 +45,12 @@ impl Folder {
     }
 
     fn load(&self) -> Dataset {
-        Self::source().load(self.0.path()).unwrap()
+        Self::source().load(self.0.path(), &|_, _| {}).unwrap()
     }
 
     /// The message, with the folder's own path as `DIR`.
     fn fault(&self) -> String {
-        let error = Self::source().load(self.0.path()).unwrap_err();
+        let error = Self::source().load(self.0.path(), &|_, _| {}).unwrap_err();
         assert!(error.is_input());
         error.to_string().replace(&self.0.path().display().to_string(), "DIR")
     }
@@ -107,7 +107,7 @@ fn points_widen_the_bounds() {
     let folder = Folder::new();
     folder.write("room.xyz", "-1 0 0\n0 20 0\n");
     let source = Nerf2Spectrum { points: Some("room.xyz".into()), ..Folder::source() };
-    let data = source.load(folder.0.path()).unwrap();
+    let data = source.load(folder.0.path(), &|_, _| {}).unwrap();
     assert_eq!(data.scene.points.len(), 2);
     assert_eq!(data.scene.bounds, ([-1.0, 0.0, 0.0], [7.0, 20.0, 9.0]));
 }
@@ -294,7 +294,7 @@ fn the_measured_spectra_are_read() {
         return;
     }
     let start = std::time::Instant::now();
-    let data = Nerf2Spectrum { root, points: None }.load(Path::new(".")).unwrap();
+    let data = Nerf2Spectrum { root, points: None }.load(Path::new("."), &|_, _| {}).unwrap();
     println!("{} spectra in {:.2} s", data.samples.len(), start.elapsed().as_secs_f64());
     assert_eq!(data.title, "s23 (measured, NeRF2 layout)");
     assert_eq!((data.width, data.height, data.samples.len()), (360, 90, 4898));

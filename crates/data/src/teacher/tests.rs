@@ -10,7 +10,7 @@ fn small() -> Teacher {
 }
 
 fn load(teacher: &Teacher) -> Dataset {
-    teacher.load(Path::new(".")).unwrap()
+    teacher.load(Path::new("."), &|_, _| {}).unwrap()
 }
 
 #[test]
@@ -95,7 +95,8 @@ fn a_plugin_with_every_field_is_read_and_written() {
     let written = ron::ser::to_string_pretty(&plugin, ron::ser::PrettyConfig::default().struct_names(true)).unwrap();
     let again = Plugin::<dyn DataSource>::parse(&written).unwrap();
     assert_eq!(format!("{plugin:?}"), format!("{again:?}"));
-    let image = |plugin: &Plugin<dyn DataSource>| -> Image { plugin.load(Path::new(".")).unwrap().image(6) };
+    let image =
+        |plugin: &Plugin<dyn DataSource>| -> Image { plugin.load(Path::new("."), &|_, _| {}).unwrap().image(6) };
     assert_eq!(image(&plugin), image(&again));
 }
 
