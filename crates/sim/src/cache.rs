@@ -3,7 +3,7 @@
 use crate::output::{self, MANIFEST};
 use crate::recipe::Recipe;
 use etcetera::BaseStrategy as _;
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Progress, Result};
 use std::path::{Path, PathBuf};
 
 /// The folder of all kept data sets: `$PWRFGS_CACHE`, else `pwrfgs` in the user's cache folder; `None` where there is no
@@ -27,7 +27,7 @@ pub fn root() -> Option<PathBuf> {
 pub fn open_or_make<T>(
     recipe: &Recipe,
     root: Option<&Path>,
-    progress: &mut dyn FnMut(usize),
+    progress: Progress<'_>,
     read: impl Fn(&Path) -> Result<T>,
 ) -> Result<T> {
     let Some(root) = root else { return make_for_now(recipe, progress, read) };
@@ -66,7 +66,7 @@ fn move_away(folder: &Path) -> Result<()> {
     moved.map_err(|e| Error::write(folder, e))
 }
 
-fn make_for_now<T>(recipe: &Recipe, progress: &mut dyn FnMut(usize), read: impl Fn(&Path) -> Result<T>) -> Result<T> {
+fn make_for_now<T>(recipe: &Recipe, progress: Progress<'_>, read: impl Fn(&Path) -> Result<T>) -> Result<T> {
     let temporary = tempfile::tempdir().map_err(|e| Error::write(&std::env::temp_dir(), e))?;
     let folder = temporary.path().join(recipe.folder_name());
     output::write(recipe, false, &folder, progress)?;

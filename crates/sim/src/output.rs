@@ -6,7 +6,7 @@ use crate::simulator::{HEIGHT, Outcome, Simulator, WIDTH, simulate};
 use crate::surface_points;
 use glam::DVec3;
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
-use pwrfgs_core::{Error, Pose, Result};
+use pwrfgs_core::{Error, Pose, Progress, Result};
 use std::fmt::Write as _;
 use std::fs;
 use std::io::{BufWriter, Write as _};
@@ -37,12 +37,12 @@ const TEST_EVERY: usize = 5;
 /// out/manifest.json         the recipe
 /// ```
 ///
-/// It is made beside `out` under another name and renamed at the end, so that `out` is whole or not there. `progress` is
-/// told how many spectra are done.
+/// It is made beside `out` under another name and renamed at the end, so that `out` is whole or not there. `progress` counts
+/// spectra.
 ///
 /// # Errors
 /// `out` holds something, or the disk refuses.
-pub fn write(recipe: &Recipe, paths: bool, out: &Path, progress: &mut dyn FnMut(usize)) -> Result<()> {
+pub fn write(recipe: &Recipe, paths: bool, out: &Path, progress: Progress<'_>) -> Result<()> {
     refuse_occupied(out)?;
     let simulator = Simulator::new(&recipe.scene)?;
     let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -57,7 +57,7 @@ pub fn write(recipe: &Recipe, paths: bool, out: &Path, progress: &mut dyn FnMut(
     simulate(&simulator, recipe.samples, recipe.seed, |i, tx, outcome| {
         write_png(&spectra.join(format!("{:05}.png", i + 1)), &outcome.spectrum.pixels)?;
         tables.add(i + 1, tx, &outcome)?;
-        progress(i + 1);
+        progress(i + 1, recipe.samples);
         Ok(())
     })?;
     tables.finish(folder, recipe.samples)?;
@@ -73,7 +73,10 @@ pub fn write(recipe: &Recipe, paths: bool, out: &Path, progress: &mut dyn FnMut(
 fn refuse_occupied(out: &Path) -> Result<()> {
     let mut entries = match fs::read_dir(out) {
         Ok(entries) => entries,
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(()),
+        // What stands in the way is told when the folder is made.
+        Err(e) if [std::io::ErrorKind::NotFound, std::io::ErrorKind::NotADirectory].contains(&e.kind()) => {
+            return Ok(());
+        }
         Err(e) => return Err(Error::read(out, e)),
     };
     if entries.next().is_none() {

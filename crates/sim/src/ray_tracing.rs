@@ -123,6 +123,13 @@ impl Baseline for RayTracing {
     }
 }
 
+/// The number of four decimals that a coordinate was read from, if it was: simulated positions are such, and single
+/// precision would move a pixel now and then.
+fn decimal(v: Real) -> f64 {
+    let (v, rounded) = (f64::from(v), (f64::from(v) * 1e4).round() / 1e4);
+    if (v - rounded).abs() <= v.abs() * f64::from(f32::EPSILON) { rounded } else { v }
+}
+
 struct Traced {
     simulator: Simulator,
     noise: bool,
@@ -136,7 +143,7 @@ impl Predict for Traced {
         let draw = tx
             .iter()
             .fold(!self.seed, |hash, v| (hash ^ u64::from((*v as f32).to_bits())).wrapping_mul(0x0100_0000_01b3));
-        let outcome = self.simulator.spectrum(DVec3::from(tx.map(f64::from)), self.noise.then_some(draw | 1 << 63));
+        let outcome = self.simulator.spectrum(DVec3::from(tx.map(decimal)), self.noise.then_some(draw | 1 << 63));
         Image::from_bytes(WIDTH, HEIGHT, &outcome.spectrum.pixels)
     }
 

@@ -3,7 +3,7 @@
 use crate::cache;
 use crate::output::POINTS;
 use crate::recipe::{self, Recipe};
-use pwrfgs_core::{DataSource, Dataset, Error, Result};
+use pwrfgs_core::{DataSource, Dataset, Error, Progress, Result};
 use pwrfgs_data::Nerf2Spectrum;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -57,7 +57,7 @@ impl Simulated {
     fn read(&self, recipe: &Recipe, folder: &Path) -> Result<Dataset> {
         let points = (self.points > 0).then(|| POINTS.into());
         let points = points.map(|name: PathBuf| folder.join(name));
-        let mut data = Nerf2Spectrum { root: folder.into(), points }.load(Path::new(""))?;
+        let mut data = Nerf2Spectrum { root: folder.into(), points }.load(Path::new(""), &|_, _| {})?;
         if data.samples.len() != self.samples || data.scene.points.len() != self.points {
             return Err(Error::input(folder, "holds another number of spectra or points than were simulated"));
         }
@@ -69,10 +69,10 @@ impl Simulated {
 
 #[typetag::serde]
 impl DataSource for Simulated {
-    fn load(&self, base: &Path) -> Result<Dataset> {
+    fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let recipe = Recipe::read(&base.join(&self.scene), self.samples, self.seed, self.points)?;
         let root = if self.cache { cache::root() } else { None };
-        cache::open_or_make(&recipe, root.as_deref(), &mut |_| (), |folder| self.read(&recipe, folder))
+        cache::open_or_make(&recipe, root.as_deref(), progress, |folder| self.read(&recipe, folder))
     }
 
     fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {
