@@ -21,6 +21,7 @@ mod patches;
 mod path;
 mod path_table;
 mod perturb;
+mod random;
 mod ray_tracing;
 mod recipe;
 mod room;

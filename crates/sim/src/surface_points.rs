@@ -1,40 +1,92 @@
-//! stub
-#![allow(missing_docs)]
+//! Points sampled on surfaces, and the PLY file that holds them.
+
+#[cfg(test)]
+mod tests;
+
+use crate::random::uniform;
 use glam::DVec3;
 use pwrfgs_core::rng;
-#[derive(Clone, Debug)]
+
+/// Levels of subdivision: a side of 10 m is halved down to 0.6 µm.
+const LEVELS: u32 = 24;
+
+/// Points on surfaces.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct SurfacePoints {
+    /// Where, `[P,3]`, metres, world frame.
     pub points: Vec<DVec3>,
+    /// The normals of the surfaces there, `[P,3]`.
     pub normals: Vec<DVec3>,
 }
-pub fn sample(t: &[[DVec3; 3]], n: &[DVec3], count: usize, seed: u64) -> SurfacePoints {
-    let area: Vec<f64> = t.iter().map(|[a, b, c]| 0.5 * (*b - *a).cross(*c - *a).length()).collect();
-    let sum: f64 = area.iter().sum();
-    let mut r = rng::stream(seed, "surface", 0);
-    let mut o = SurfacePoints { points: vec![], normals: vec![] };
-    let mut i = 0;
-    let mut acc = area[0];
-    for k in 0..count {
-        let x = (k as f64 + 0.5) / count as f64 * sum;
-        while acc < x {
-            i += 1;
-            acc += area[i];
-        }
-        let (mut u, mut v) = (rng::uniform(&mut r) as f64, rng::uniform(&mut r) as f64);
-        if u + v > 1.0 {
-            u = 1.0 - u;
-            v = 1.0 - v;
-        }
-        let [a, b, c] = t[i];
-        o.points.push(a + u * (b - a) + v * (c - a));
-        o.normals.push(n[i]);
+
+/// `count` points on `triangles`, evenly by area, with the normal of each triangle (`normals` has one a triangle).
+///
+/// Each triangle has its share of points, rounded up or down so that the shares of any triangles in a row add up. Within
+/// a triangle lies the low-discrepancy sequence of Basu and Owen (SIAM J. Numer. Anal. 53, 2015, section 3): the digits
+/// of the point's number in base 4 choose one of the four triangles between the midpoints, level by level. 4^k points
+/// are a lattice; of more, the seed says where the first ones beyond it lie.
+///
+/// Without any area there are no points.
+pub fn sample(triangles: &[[DVec3; 3]], normals: &[DVec3], count: usize, seed: u64) -> SurfacePoints {
+    let mut cumulated = 0.0;
+    let areas: Vec<f64> = triangles
+        .iter()
+        .map(|[a, b, c]| {
+            cumulated += (b - a).cross(c - a).length();
+            cumulated
+        })
+        .collect();
+    let mut found = SurfacePoints::default();
+    if !(cumulated > 0.0 && cumulated.is_finite()) {
+        return found;
     }
-    o
+    let mut random = rng::stream(seed, "surface", 0);
+    let comb = uniform(&mut random);
+    for ((triangle, normal), area) in triangles.iter().zip(normals).zip(areas) {
+        // Tooth k of the comb stands at k + comb of `count` equal parts of the area; the last part ends at 1 exactly.
+        let end = (area / cumulated * count as f64 - comb).ceil().max(0.0) as usize;
+        let share = end.saturating_sub(found.points.len());
+        // Digits of the lattice only: beyond, an offset would move points from the centres of cells to their corners.
+        let lattice = 1 << (2 * (share.max(1).ilog2() / 2));
+        let offsets = rng::below(&mut random, lattice);
+        found.points.extend((0..share).map(|k| in_triangle(triangle, k, offsets)));
+        found.normals.resize(found.points.len(), *normal);
+    }
+    found
 }
-pub fn to_ply(p: &SurfacePoints, c: &str) -> Vec<u8> {
-    let mut o = format!("ply\nformat ascii 1.0\ncomment {c}\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nend_header\n", p.points.len()).into_bytes();
-    for q in &p.points {
-        o.extend(format!("{} {} {}\n", q.x as f32, q.y as f32, q.z as f32).bytes());
+
+/// Point `number` of the sequence in a triangle: the centre of the smallest triangle that its digits choose.
+fn in_triangle(corners: &[DVec3; 3], number: usize, offsets: usize) -> DVec3 {
+    let [mut a, mut b, mut c] = *corners;
+    for level in 0..LEVELS {
+        let (ab, bc, ca) = (a.midpoint(b), b.midpoint(c), c.midpoint(a));
+        [a, b, c] = match ((number >> (2 * level)) + (offsets >> (2 * level))) % 4 {
+            0 => [bc, ca, ab],
+            1 => [a, ab, ca],
+            2 => [ab, b, bc],
+            _ => [ca, bc, c],
+        };
     }
-    o
+    (a + b + c) / 3.0
+}
+
+/// A PLY file of the points: binary, little-endian, `x y z nx ny nz` as float32, metres.
+///
+/// The header says that the points are simulated; each line of `comment` becomes a line of it, in ASCII.
+pub fn to_ply(points: &SurfacePoints, comment: &str) -> Vec<u8> {
+    let to_ascii = |c: char| if c == ' ' || c.is_ascii_graphic() { c } else { '?' };
+    let mut lines = "comment simulated by pwrfgs: points on the surfaces of a scene, metres\n".to_owned();
+    for line in comment.lines().filter(|line| !line.trim().is_empty()) {
+        lines.extend("comment ".chars().chain(line.chars().map(to_ascii)).chain(['\n']));
+    }
+    let properties = ["x", "y", "z", "nx", "ny", "nz"].map(|name| format!("property float {name}\n")).concat();
+    let count = points.points.len();
+    let head = format!("ply\nformat binary_little_endian 1.0\n{lines}element vertex {count}\n{properties}end_header\n");
+    let mut bytes = head.into_bytes();
+    bytes.reserve(24 * count);
+    for (point, normal) in points.points.iter().zip(&points.normals) {
+        let row = [point, normal].map(DVec3::to_array);
+        row.iter().flatten().for_each(|value| bytes.extend((*value as f32).to_le_bytes()));
+    }
+    bytes
 }
