@@ -1,35 +1,240 @@
-//! stub
-#![allow(missing_docs)]
+//! Where transmitters stand.
+
+#[cfg(test)]
+mod tests;
+mod walk;
+
+use crate::random::uniform;
 use glam::DVec3;
-use pwrfgs_core::rng;
-#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+use pwrfgs_core::rng::{self, Rng};
+use pwrfgs_core::{Error, Result};
+use serde::{Deserialize, Serialize};
+
+/// Positions are multiples of this, metres, so that the four decimals of `tx_pos.csv` are the same numbers.
+const GRAIN: f64 = 1e-4;
+/// Grains in a metre.
+const GRAINS: f64 = 1e4;
+/// Farthest coordinate, metres.
+const FAR: f64 = 1e6;
+/// Most points of a grid.
+const MOST: f64 = 1e7;
+/// Positions in a row that may be in the way of something before a draw gives up.
+const TRIES: usize = 1000;
+/// Smallest `step_m` of a walk, metres: ten grains.
+const SMALLEST_STEP: f64 = 1e-3;
+
+/// Where the transmitters of a simulated scene stand: in a box of the world frame, metres.
+///
+/// Positions are multiples of 0.1 mm inside the box, as measured files have them. Equal seeds give equal positions.
+///
+/// * `Uniform(low, high)`: each position by itself, uniform in the box, where nothing is in the way. A longer draw begins
+///   with the shorter one.
+/// * `Grid(low, high, step_m)`: the centres of as many cubes of edge `step_m` as fit into the box, which stand in its
+///   middle; x runs fastest, then y. Fewer samples than points are a random subset in that order; more are an error. So
+///   is a point inside of something: a grid with holes should be chosen, not happen.
+/// * `Walk(low, high, step_m)`: someone carries the transmitter about, as in the measured `s23` set. Steps have a median
+///   length of `step_m` and a heavy tail (a recording with gaps), the heading wanders and wobbles, walls of the box
+///   reflect, and the walk turns away from what is in the way. A longer draw begins with the shorter one.
+///
+/// ```
+/// # use pwrfgs_sim::transmitters::Transmitters;
+/// let text = "Walk(low: (-0.9, -0.9, 0.8), high: (0.7, 0.5, 1.7), step_m: 0.0104)";
+/// let walk: Transmitters = ron::from_str(text)?;
+/// assert_eq!(walk.draw(200, 0, &|_| Ok(()))?.len(), 200);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub enum Transmitters {
-    Uniform { low: [f64; 3], high: [f64; 3] },
-    Grid { low: [f64; 3], high: [f64; 3], step_m: f64 },
-    Walk { low: [f64; 3], high: [f64; 3], step_m: f64 },
+    /// Uniform in a box.
+    Uniform {
+        /// Smallest corner, metres.
+        low: [f64; 3],
+        /// Largest corner, metres.
+        high: [f64; 3],
+    },
+    /// Centres of cubes, x fastest.
+    Grid {
+        /// Smallest corner, metres.
+        low: [f64; 3],
+        /// Largest corner, metres.
+        high: [f64; 3],
+        /// Edge of a cube, metres.
+        step_m: f64,
+    },
+    /// Along a walk.
+    Walk {
+        /// Smallest corner, metres.
+        low: [f64; 3],
+        /// Largest corner, metres.
+        high: [f64; 3],
+        /// Median length of a step, metres; 0.0104 in the measured `s23` set.
+        step_m: f64,
+    },
 }
+
 impl Transmitters {
+    /// Whether positions can be drawn; says what is wrong and what to do otherwise.
     pub fn check(&self) -> Result<(), String> {
-        Ok(())
+        let (low, high) = self.corners();
+        let region = Region::new(low, high)?;
+        match *self {
+            Self::Uniform { .. } => Ok(()),
+            Self::Grid { step_m, .. } => {
+                if !(GRAIN..=FAR).contains(&step_m) {
+                    return Err(format!("`step_m` of the grid is {step_m}; give a length of 0.0001 m or more"));
+                }
+                let points: f64 = grid_cells(low, high, step_m).iter().product();
+                if points > MOST {
+                    return Err(format!("the grid has {points} points, more than ten million; use a larger `step_m`"));
+                }
+                Ok(())
+            }
+            Self::Walk { step_m, .. } => {
+                let longest = region.size().max_element();
+                if !(step_m >= SMALLEST_STEP && step_m <= longest) {
+                    let what = format!("from {SMALLEST_STEP} to the longest side of the box, {longest}");
+                    return Err(format!("`step_m` of the walk is {step_m}; give a length in metres {what}"));
+                }
+                Ok(())
+            }
+        }
     }
-    pub fn draw(
-        &self,
-        count: usize,
-        seed: u64,
-        _f: &dyn Fn(DVec3) -> Result<(), String>,
-    ) -> pwrfgs_core::Result<Vec<DVec3>> {
-        let (Self::Uniform { low, high } | Self::Grid { low, high, .. } | Self::Walk { low, high, .. }) = self;
-        Ok((0..count)
-            .map(|i| {
-                let mut r = rng::stream(seed, "transmitters", i as u64);
-                DVec3::from(*low)
-                    + (DVec3::from(*high) - DVec3::from(*low))
-                        * DVec3::new(
-                            rng::uniform(&mut r) as f64,
-                            rng::uniform(&mut r) as f64,
-                            rng::uniform(&mut r) as f64,
-                        )
-            })
-            .collect())
+
+    /// `count` positions, metres, world frame. `free` says whether a position can hold a transmitter, and where it lies
+    /// otherwise, as in ``inside `desk 2` ``.
+    ///
+    /// # Errors
+    /// What [`Self::check`] finds; no free space; a grid with too few points or with one that is not free.
+    pub fn draw(&self, count: usize, seed: u64, free: &dyn Fn(DVec3) -> Result<(), String>) -> Result<Vec<DVec3>> {
+        self.check().map_err(config)?;
+        let (low, high) = self.corners();
+        let region = Region::new(low, high).map_err(config)?;
+        let mut random = rng::stream(seed, "transmitters", 0);
+        match *self {
+            Self::Uniform { .. } => (0..count).map(|i| region.draw_free(i, &mut random, free)).collect(),
+            Self::Grid { step_m, .. } => {
+                draw_grid(&region, grid_cells(low, high, step_m), step_m, count, &mut random, free)
+            }
+            Self::Walk { step_m, .. } => walk::draw(&region, step_m, count, &mut random, free),
+        }
     }
+
+    /// Smallest and largest corner of the box, metres.
+    pub fn corners(&self) -> ([f64; 3], [f64; 3]) {
+        match *self {
+            Self::Uniform { low, high } | Self::Grid { low, high, .. } | Self::Walk { low, high, .. } => (low, high),
+        }
+    }
+}
+
+fn config(why: impl std::fmt::Display) -> Error {
+    Error::Config(format!("transmitters: {why}"))
+}
+
+/// The multiples of a grain inside a box.
+struct Region {
+    /// Smallest and largest, in grains.
+    low: [i64; 3],
+    high: [i64; 3],
+}
+
+impl Region {
+    fn new(low: [f64; 3], high: [f64; 3]) -> Result<Self, String> {
+        for ((low, high), axis) in low.into_iter().zip(high).zip(["x", "y", "z"]) {
+            if !(low.abs() <= FAR && high.abs() <= FAR) {
+                return Err(format!("{axis} runs from {low} to {high}; give `low` and `high` in metres"));
+            }
+            if low > high {
+                return Err(format!("{axis} runs from {low} down to {high}; swap `low` and `high`"));
+            }
+        }
+        // A bound such as 0.7 is a grain, though 0.7 * 10000 is a little less than 7000.
+        let grains = |metres: f64, round: fn(f64) -> f64| {
+            let nearest = (metres * GRAINS).round();
+            if nearest / GRAINS == metres { nearest as i64 } else { round(metres * GRAINS) as i64 }
+        };
+        let region = Self { low: low.map(|v| grains(v, f64::ceil)), high: high.map(|v| grains(v, f64::floor)) };
+        match (0..3).find(|&k| region.low[k] > region.high[k]) {
+            Some(k) => Err(format!(
+                "{} runs from {} to {}, where no multiple of 0.0001 m lies; use one of them as both",
+                ["x", "y", "z"][k],
+                low[k],
+                high[k]
+            )),
+            None => Ok(region),
+        }
+    }
+
+    /// Largest corner less smallest, metres.
+    fn size(&self) -> DVec3 {
+        DVec3::from_array([0, 1, 2].map(|k| (self.high[k] - self.low[k]) as f64 / GRAINS))
+    }
+
+    /// The nearest position inside.
+    fn nearest(&self, position: DVec3) -> DVec3 {
+        let position = position.to_array();
+        let grain = |k: usize| ((position[k] * GRAINS).round() as i64).clamp(self.low[k], self.high[k]);
+        DVec3::from_array([0, 1, 2].map(|k| grain(k) as f64 / GRAINS))
+    }
+
+    fn draw(&self, random: &mut Rng) -> DVec3 {
+        let mut grain = |k: usize| self.low[k] + rng::below(random, (self.high[k] - self.low[k]) as usize + 1) as i64;
+        DVec3::from_array([0, 1, 2].map(|k| grain(k) as f64 / GRAINS))
+    }
+
+    /// Sample `number` (counted from 0): uniform where nothing is in the way.
+    fn draw_free(&self, number: usize, random: &mut Rng, free: &dyn Fn(DVec3) -> Result<(), String>) -> Result<DVec3> {
+        let mut last = String::new();
+        for _ in 0..TRIES {
+            let position = self.draw(random);
+            match free(position) {
+                Ok(()) => return Ok(position),
+                Err(place) => last = place,
+            }
+        }
+        let what =
+            format!("after {number} found, {TRIES} positions in a row lie inside of something, the last in `{last}`");
+        Err(config(format!("{what}; move the box to where there is free space")))
+    }
+}
+
+/// How many cubes fit along each axis; one where the box is thinner than a cube.
+fn grid_cells(low: [f64; 3], high: [f64; 3], step: f64) -> [f64; 3] {
+    // A box of 3 m holds 30 cubes of 0.1 m, though 3.0 / 0.1 may be a little less than 30.
+    [0, 1, 2].map(|k| ((high[k] - low[k]) / step * (1.0 + 1e-12) + 1e-9).floor().max(1.0))
+}
+
+fn draw_grid(
+    region: &Region,
+    cells: [f64; 3],
+    step: f64,
+    count: usize,
+    random: &mut Rng,
+    free: &dyn Fn(DVec3) -> Result<(), String>,
+) -> Result<Vec<DVec3>> {
+    let cells = cells.map(|n| n as usize);
+    let points: usize = cells.iter().product();
+    if count > points {
+        let what = "use a smaller `step_m`, a larger box or fewer samples";
+        return Err(config(format!("the grid has {points} points, but {count} samples are wanted; {what}")));
+    }
+    let mut chosen: Vec<usize> = (0..points).collect();
+    if count < points {
+        rng::shuffle(random, &mut chosen);
+        chosen.truncate(count);
+        chosen.sort_unstable();
+    }
+    let low = DVec3::from_array(region.low.map(|grain| grain as f64 / GRAINS));
+    let first = low + region.size() / 2.0 - step / 2.0 * DVec3::from_array(cells.map(|n| n as f64 - 1.0));
+    let place = |(number, index): (usize, usize)| {
+        let cell = [index % cells[0], index / cells[0] % cells[1], index / cells[0] / cells[1]];
+        let position = region.nearest(first + step * DVec3::from_array(cell.map(|i| i as f64)));
+        free(position).map(|()| position).map_err(|place| {
+            let DVec3 { x, y, z } = position;
+            let what = format!("transmitter {} at ({x}, {y}, {z}) lies {place}", number + 1);
+            Error::Config(format!("{what}; move the grid or the object"))
+        })
+    };
+    chosen.into_iter().enumerate().map(place).collect()
 }
