@@ -14,7 +14,8 @@ fn measured() -> Option<PathBuf> {
 
 fn scores(metric: &dyn Metric, predictions: &[Image], truths: &[Image], data: &Dataset) -> Vec<f64> {
     let plane = ImagePlane { width: data.width, height: data.height, wraps: true, angles: None };
-    let evaluation = Evaluation { predictions, truths, plane: &plane, scene: &data.scene, model: None };
+    let evaluation =
+        Evaluation { predictions, truths, plane: &plane, scene: &data.scene, model: None, timed_prediction: None };
     match metric.evaluate(&evaluation).expect("pictures of one size").remove(0).values {
         Values::PerSample(values) => values,
         other => panic!("not one value a sample: {other:?}"),

@@ -151,8 +151,14 @@ fn metrics_measure_every_sample_or_the_whole() {
     let pictures: Vec<Image> = (0..4).map(|i| data.image(i)).collect();
     for projector in ["Mercator()", "WrfgsCompat()"] {
         let plane = plugin::<dyn Projector>(projector).plane(60, 15);
-        let evaluation =
-            Evaluation { predictions: &pictures, truths: &pictures, plane: &plane, scene: &data.scene, model: None };
+        let evaluation = Evaluation {
+            predictions: &pictures,
+            truths: &pictures,
+            plane: &plane,
+            scene: &data.scene,
+            model: None,
+            timed_prediction: None,
+        };
         for (name, metric) in all::<dyn Metric>() {
             let measurements = metric.evaluate(&evaluation).unwrap();
             assert!(!measurements.is_empty(), "{name}");

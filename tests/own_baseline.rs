@@ -44,6 +44,18 @@ impl Predict for Grey {
     }
 }
 
+/// Hears stages that reach their end.
+#[derive(Default)]
+struct Ear(Vec<String>);
+
+impl Observer for Ear {
+    fn on_stage(&mut self, name: &str, done: usize, total: usize) {
+        if done == total && total > 0 {
+            self.0.push(format!("{name}: {total}"));
+        }
+    }
+}
+
 #[test]
 fn its_paths_hold_everywhere_and_its_note_stands_under_every_table() {
     let folder = tempfile::tempdir().unwrap();
@@ -59,14 +71,22 @@ fn its_paths_hold_everywhere_and_its_note_stands_under_every_table() {
     )"#;
     let pipeline = Pipeline::parse(text, Path::new("grey.ron")).unwrap();
     let out = here.join("run");
-    let start = || match run(&pipeline, here, &out, &mut Silent, &AtomicBool::new(false)).unwrap() {
-        Outcome::Finished { scores, already } => (scores.to_text(), already),
-        other => panic!("{other:?}"),
+    let mut ear = Ear::default();
+    let mut start = || match run(&pipeline, here, &out, &mut ear, &AtomicBool::new(false)).unwrap() {
+        Outcome::Finished { scores, already } => {
+            let latency = scores.metrics.iter().find(|m| m.key == "latency_total_ms").unwrap();
+            assert!(latency.cells.iter().all(|cell| cell.numbers().len() == 1), "everybody is timed: {latency:?}");
+            (scores.to_text(), already)
+        }
+        Outcome::Interrupted { step } => panic!("stopped at {step}"),
     };
     let (table, already) = start();
     assert!(!already && table.ends_with("\nnote: grey <is> no competitor\n"), "{table}");
     assert_eq!(table.matches("no competitor").count(), 1, "said once: {table}");
     assert_eq!(start(), (table, true), "a finished run prints the same");
+    for stage in ["spectra: 20", "predicting with the model: 4", "predicting with grey: 4", "scoring grey: 9"] {
+        assert!(ear.0.iter().any(|heard| heard == stage), "{stage} is not in {:?}", ear.0);
+    }
     let resolved = std::fs::read_to_string(out.join("pipeline.ron")).unwrap();
     let absolute = here.join("grey.txt").canonicalize().unwrap();
     assert_eq!(resolved.matches(absolute.to_str().unwrap()).count(), 2, "{resolved}");

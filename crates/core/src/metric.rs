@@ -21,7 +21,7 @@ pub trait Metric: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
 plugin_kind!(Metric);
 
 /// What a metric may look at.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy)]
 pub struct Evaluation<'a> {
     /// Predictions, not clamped, one a test sample.
     pub predictions: &'a [Image],
@@ -33,10 +33,20 @@ pub struct Evaluation<'a> {
     pub scene: &'a Scene,
     /// The model, or `None` for a baseline.
     pub model: Option<ModelFacts<'a>>,
+    /// Predicts once, for the next test transmitter in turn, and says how long it took; of a baseline `total` alone.
+    /// `None` where nobody asks.
+    pub timed_prediction: Option<&'a dyn Fn() -> StageTimes>,
+}
+
+impl std::fmt::Debug for Evaluation<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let mut f = f.debug_struct("Evaluation");
+        f.field("predictions", &self.predictions.len()).field("model", &self.model).finish_non_exhaustive()
+    }
 }
 
 /// What a metric may know of the model itself.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub struct ModelFacts<'a> {
     /// Centres `[N,3]`, metres.
     pub means: &'a [[Real; 3]],
@@ -44,14 +54,6 @@ pub struct ModelFacts<'a> {
     pub gaussian_bytes: usize,
     /// Bytes of the network in the model file.
     pub network_bytes: usize,
-    /// Predicts once and says how long each stage took.
-    pub timed_prediction: &'a dyn Fn() -> StageTimes,
-}
-
-impl std::fmt::Debug for ModelFacts<'_> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("ModelFacts").field("gaussians", &self.means.len()).finish_non_exhaustive()
-    }
 }
 
 /// Seconds of one prediction, stage by stage.

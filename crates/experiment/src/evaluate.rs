@@ -2,15 +2,18 @@
 //!
 //! Baselines make no choices, so they are fitted on training and validation together: the stronger floor.
 
+use crate::observer::{Observer, staged};
 use crate::scores::{MODEL, Scores};
 use pwrfgs_core::{
-    Dataset, Error, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Partition, Plugin, Predict, Real,
-    Result,
+    Dataset, Error, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Partition, Plugin, Predict,
+    Progress, Real, Result, StageTimes,
 };
 use pwrfgs_model::Model;
 use pwrfgs_train::Pipeline;
 use rayon::prelude::*;
+use std::cell::Cell;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
 
 /// Transmitters predicted in one call.
 const CHUNK: usize = 64;
@@ -30,7 +33,13 @@ pub struct Assessment {
 ///
 /// # Errors
 /// Where the model draws pictures of another size than the data hold, or a metric or baseline refuses.
-pub fn evaluate(model: &Model, pipeline: &Pipeline, data: &Dataset, partition: &Partition) -> Result<Assessment> {
+pub fn evaluate(
+    model: &Model,
+    pipeline: &Pipeline,
+    data: &Dataset,
+    partition: &Partition,
+    observer: &mut dyn Observer,
+) -> Result<Assessment> {
     let plane = &model.stages.plane;
     if (plane.width, plane.height) != (data.width, data.height) {
         return Err(Error::Config(format!(
@@ -40,23 +49,23 @@ pub fn evaluate(model: &Model, pipeline: &Pipeline, data: &Dataset, partition: &
         )));
     }
     let test = Bench::new(data, &partition.test, plane);
-    let predictions = predict(model, &test.txs);
-    let next = AtomicUsize::new(0);
-    let timed = || model.predict_timed(test.txs[next.fetch_add(1, Ordering::Relaxed) % test.txs.len()]).1;
+    let predictions = staged(observer, "predicting with the model", |progress| predict(model, &test.txs, progress));
     let facts = ModelFacts {
         means: &model.cloud.means,
         gaussian_bytes: model.gaussian_bytes(),
         network_bytes: model.network_bytes(),
-        timed_prediction: &timed,
     };
-    let own = test.measure(&pipeline.metrics, &predictions, Some(facts))?;
+    let own = staged(observer, "scoring the model", |progress| {
+        let timed = test.in_turn(|tx| model.predict_timed(tx).1);
+        test.measure(&pipeline.metrics, &predictions, Some(facts), Some(&timed), progress)
+    })?;
     let mut predictors = vec![(MODEL.to_owned(), own)];
+    let mut notes: Vec<String> = Vec::new();
     let mut known = [partition.train.as_slice(), &partition.validation].concat();
     known.sort_unstable();
-    let mut notes: Vec<String> = Vec::new();
     for baseline in &pipeline.baselines {
         let fitted = baseline.fit(data, &known)?;
-        predictors.push((baseline.name(), test.baseline(&*fitted, &pipeline.metrics)?));
+        predictors.push((baseline.name(), test.baseline(&baseline.name(), &*fitted, &pipeline.metrics, observer)?));
         notes.extend(fitted.note().filter(|note| !notes.contains(note)));
     }
     let ids = partition.test.iter().map(|&i| data.samples[i].id).collect();
@@ -64,8 +73,13 @@ pub fn evaluate(model: &Model, pipeline: &Pipeline, data: &Dataset, partition: &
 }
 
 /// Predictions for all of `txs`, a chunk at a time.
-pub(crate) fn predict(model: &Model, txs: &[[Real; 3]]) -> Vec<Image> {
-    txs.chunks(CHUNK).flat_map(|chunk| model.predict_many(chunk)).collect()
+pub(crate) fn predict(model: &Model, txs: &[[Real; 3]], progress: Progress<'_>) -> Vec<Image> {
+    let mut all = Vec::with_capacity(txs.len());
+    for chunk in txs.chunks(CHUNK) {
+        all.extend(model.predict_many(chunk));
+        progress(all.len(), txs.len());
+    }
+    all
 }
 
 /// A part of the data set to score on.
@@ -83,22 +97,55 @@ impl<'a> Bench<'a> {
         Self { data, plane, txs, truths: part.par_iter().map(|&i| data.image(i)).collect() }
     }
 
-    /// Every measurement of `predictions`.
+    /// Every measurement of `predictions`; `progress` counts metrics.
     pub(crate) fn measure(
         &self,
         metrics: &[Plugin<dyn Metric>],
         predictions: &[Image],
         model: Option<ModelFacts<'_>>,
+        timed_prediction: Option<&dyn Fn() -> StageTimes>,
+        progress: Progress<'_>,
     ) -> Result<Vec<Measurement>> {
         let (truths, plane, scene) = (self.truths.as_slice(), self.plane, &self.data.scene);
-        let evaluation = Evaluation { predictions, truths, plane, scene, model };
-        let all: Result<Vec<_>> = metrics.iter().map(|metric| metric.evaluate(&evaluation)).collect();
-        Ok(all?.into_iter().flatten().collect())
+        let evaluation = Evaluation { predictions, truths, plane, scene, model, timed_prediction };
+        let mut all = Vec::new();
+        for (done, metric) in metrics.iter().enumerate() {
+            all.extend(metric.evaluate(&evaluation)?);
+            progress(done + 1, metrics.len());
+        }
+        Ok(all)
     }
 
-    /// Every measurement of a baseline.
-    pub(crate) fn baseline(&self, fitted: &dyn Predict, metrics: &[Plugin<dyn Metric>]) -> Result<Vec<Measurement>> {
-        let predictions: Vec<Image> = self.txs.par_iter().map(|tx| fitted.predict(*tx)).collect();
-        self.measure(metrics, &predictions, None)
+    /// Every measurement of a baseline called `name`.
+    pub(crate) fn baseline(
+        &self,
+        name: &str,
+        fitted: &dyn Predict,
+        metrics: &[Plugin<dyn Metric>],
+        observer: &mut dyn Observer,
+    ) -> Result<Vec<Measurement>> {
+        let predictions: Vec<Image> = staged(observer, &format!("predicting with {name}"), |progress| {
+            let done = AtomicUsize::new(0);
+            let predict = |tx: &[Real; 3]| {
+                let image = fitted.predict(*tx);
+                progress(done.fetch_add(1, Ordering::Relaxed) + 1, self.txs.len());
+                image
+            };
+            self.txs.par_iter().map(predict).collect()
+        });
+        let timed = self.in_turn(|tx| {
+            let begun = Instant::now();
+            std::hint::black_box(fitted.predict(tx));
+            StageTimes { total: begun.elapsed().as_secs_f64(), ..StageTimes::default() }
+        });
+        staged(observer, &format!("scoring {name}"), |progress| {
+            self.measure(metrics, &predictions, None, Some(&timed), progress)
+        })
+    }
+
+    /// Times a prediction for the next transmitter at every call, one after the other.
+    fn in_turn(&self, time: impl Fn([Real; 3]) -> StageTimes) -> impl Fn() -> StageTimes {
+        let next = Cell::new(0);
+        move || time(self.txs[next.replace(next.get() + 1) % self.txs.len()])
     }
 }

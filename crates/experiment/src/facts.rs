@@ -92,9 +92,13 @@ impl Facts {
         serde_json::from_str(&std::fs::read_to_string(folder.join(FACTS)).ok()?).ok()
     }
 
-    /// Writes `run.json`.
-    pub(crate) fn write(&mut self, folder: &Path) -> Result<()> {
+    /// Looks at the largest resident memory so far.
+    pub(crate) fn note_memory(&mut self) {
         self.peak_memory_bytes = self.peak_memory_bytes.max(peak_memory());
+    }
+
+    /// Writes `run.json`.
+    pub(crate) fn write(&self, folder: &Path) -> Result<()> {
         let text = serde_json::to_string_pretty(self).map_err(|e| Error::Config(format!("run.json: {e}")))?;
         write_atomically(&folder.join(FACTS), (text + "\n").as_bytes())
     }

@@ -18,5 +18,5 @@ pub use evaluate::{Assessment, evaluate};
 pub use facts::{Facts, Machine};
 pub use folder::RunFolder;
 pub use observer::{Observer, Silent, Start, Validation};
-pub use runner::{Outcome, Subject, load, rebase, rebase_baselines, rebase_data, run};
+pub use runner::{History, Outcome, Subject, load, rebase, rebase_baselines, rebase_data, run};
 pub use scores::{ScoreTable, Scores, Summary};

@@ -4,37 +4,33 @@ mod charts;
 mod colour;
 mod curves;
 mod spectra;
+mod tables;
 
 use crate::clock::duration;
-use crate::runner::Subject;
-use crate::scores::{Cell, MetricRow, ScoreTable, grouped, number};
-use crate::{samples, validation};
+use crate::runner::{History, Subject};
+use crate::samples;
+use crate::scores::grouped;
 use minijinja::value::Serde;
 use minijinja::{Environment, context};
 use pwrfgs_core::{Error, Image, Result, plugin::ron_options, ssim};
 use rayon::prelude::*;
 use serde::Serialize;
 use spectra::{Mark, Scale};
-use std::path::Path;
 
 const TEMPLATE: &str = include_str!("report/template.html");
 
-/// The report of an evaluated model; `curves` is the folder with `curve.csv` and `validation.csv`, if there is one.
-pub(crate) fn of(subject: &Subject<'_>, curves: Option<&Path>) -> Result<String> {
+/// The report of an evaluated model.
+pub(crate) fn of(subject: &Subject<'_>, history: Option<&History<'_>>) -> Result<String> {
     let scores = subject.assessment.scores.table();
-    let floors = match curves {
-        Some(_) => validation::floors(subject.pipeline, &subject.model.stages.plane, subject.data, subject.partition)?,
-        None => Vec::new(),
-    };
-    let figures = curves::all(subject, curves, &floors)?;
+    let figures = curves::all(subject, history)?;
     let (examples, limit) = examples(subject);
     let page = context! {
         name => subject.pipeline.name.clone(),
         title => subject.data.title.clone(),
         facts => facts(subject),
-        per_sample => Serde(per_sample(&scores)),
+        scores => Serde(tables::scores(&scores)),
         notes => scores.notes.clone(),
-        whole => Serde(whole(&scores)),
+        whole => Serde(tables::whole(&scores)),
         figures => Serde(figures),
         examples => Serde(examples),
         power_bar => Scale::Power.bar(),
@@ -92,65 +88,6 @@ fn facts(subject: &Subject<'_>) -> Vec<(&'static str, String)> {
 /// How plugins are written in the report.
 fn ron_config() -> ron::ser::PrettyConfig {
     ron::ser::PrettyConfig::new().struct_names(true)
-}
-
-/// A column group of the score table.
-#[derive(Serialize)]
-struct Group {
-    key: String,
-    unit: String,
-    arrow: &'static str,
-}
-
-/// A predictor's line.
-#[derive(Serialize)]
-struct Row {
-    name: String,
-    cells: Vec<Shown>,
-}
-
-/// A number and whether it is `best` or `second`.
-#[derive(Serialize)]
-struct Shown {
-    text: String,
-    class: &'static str,
-}
-
-fn group(row: &MetricRow) -> Group {
-    Group { key: row.key.clone(), unit: row.unit.clone(), arrow: if row.higher_is_better { "↑" } else { "↓" } }
-}
-
-/// The table of metrics with a number a sample: a line each predictor, three columns each metric.
-fn per_sample(scores: &ScoreTable) -> (Vec<Group>, Vec<Row>) {
-    let metrics: Vec<&MetricRow> = scores.metrics.iter().filter(|m| m.is_per_sample()).collect();
-    let ranks: Vec<[Vec<Option<usize>>; 3]> = metrics.iter().map(|m| [0, 1, 2].map(|k| m.ranks(k))).collect();
-    let line = |p: usize| {
-        let cell = |(m, k): (usize, usize)| match metrics[m].cells[p].numbers().get(k) {
-            None => Shown { text: "n/a".into(), class: "none" },
-            Some(value) => Shown {
-                text: number(*value),
-                class: match ranks[m][k][p] {
-                    Some(0) => "best",
-                    Some(1) => "second",
-                    _ => "",
-                },
-            },
-        };
-        (0..metrics.len()).flat_map(|m| (0..3).map(move |k| (m, k))).map(cell).collect()
-    };
-    let rows =
-        scores.predictors.iter().enumerate().map(|(p, name)| Row { name: name.clone(), cells: line(p) }).collect();
-    (metrics.into_iter().map(group).collect(), rows)
-}
-
-/// The numbers about the whole model, one each metric.
-fn whole(scores: &ScoreTable) -> Vec<(Group, String)> {
-    let text = |cell: &Cell, unit: &str| match cell {
-        Cell::NotApplicable(why) => format!("n/a: {why}"),
-        cell => format!("{} {unit}", cell.numbers().first().map_or_else(String::new, |v| number(*v))),
-    };
-    let rows = scores.metrics.iter().filter(|m| !m.is_per_sample());
-    rows.filter_map(|m| m.cells.first().map(|cell| (group(m), text(cell, &m.unit)))).collect()
 }
 
 /// Ground truth, prediction and error of one test spectrum.

@@ -6,7 +6,7 @@
 use crate::evaluate::{Assessment, evaluate};
 use crate::facts::Facts;
 use crate::folder::{CHECKPOINT, CURVE, MODEL_FILE, REPORT, RunFolder, SAMPLES, SCORES, VALIDATION};
-use crate::observer::{Observer, Start, staged};
+use crate::observer::{Observer, Start, Validation, staged};
 use crate::scores::ScoreTable;
 use crate::series::Series;
 use crate::{clock, report, samples, validation};
@@ -197,6 +197,7 @@ impl<'a> Run<'a> {
                 file::write_atomically(&folder.file(CHECKPOINT), &trainer.checkpoint())?;
                 (facts.steps, facts.training_seconds) = (step, seconds);
                 facts.wall_seconds = earlier + self.begun.elapsed().as_secs_f64();
+                facts.note_memory();
                 facts.write(folder.path())?;
             }
             if stopped {
@@ -220,13 +221,17 @@ impl<'a> Run<'a> {
     fn assess(&mut self, model: &Model, folder: &RunFolder, facts: &mut Facts) -> Result<ScoreTable> {
         let (earlier, begun) = (facts.wall_seconds, Instant::now());
         self.observer.on_message(&format!("scoring {} test spectra", self.partition.test.len()));
-        let assessment = evaluate(model, self.pipeline, self.data, self.partition)?;
+        let assessment = evaluate(model, self.pipeline, self.data, self.partition, self.observer)?;
+        let plane = &model.stages.plane;
+        let floors = validation::floors(self.pipeline, plane, self.data, self.partition, self.observer)?;
+        let history = History { folder: folder.path(), floors };
         let scores = assessment.scores.table();
         facts.steps = self.pipeline.training.steps;
         facts.gaussians = model.cloud.len();
         facts.scores = Some(scores.clone());
         facts.wall_seconds = earlier + begun.elapsed().as_secs_f64();
         facts.finished = Some(clock::now());
+        facts.note_memory(); // here, so that the report tells what run.json tells
         let subject = Subject {
             pipeline: self.pipeline,
             model,
@@ -235,7 +240,7 @@ impl<'a> Run<'a> {
             assessment: &assessment,
             facts,
         };
-        subject.write(folder.path(), Some(folder.path()))?;
+        subject.write(folder.path(), Some(&history))?;
         facts.write(folder.path())?;
         self.observer.on_evaluation(&scores);
         Ok(scores)
@@ -246,6 +251,15 @@ impl<'a> Run<'a> {
 fn row(report: &StepReport, seconds: f64) -> String {
     let StepReport { step, phase, loss, penalty, gaussians } = report;
     format!("{step},{},{loss},{penalty},{gaussians},{seconds:.3}", phase.name())
+}
+
+/// What a training leaves beside its model.
+#[derive(Clone, Debug)]
+pub struct History<'a> {
+    /// Where the curves and snapshots lie.
+    pub folder: &'a Path,
+    /// What each baseline, having seen the training part alone, reaches on the samples that validation looks at.
+    pub floors: Vec<(String, Validation)>,
 }
 
 /// An evaluated model, to be written down.
@@ -266,15 +280,15 @@ pub struct Subject<'a> {
 }
 
 impl Subject<'_> {
-    /// Writes `scores.csv`, `samples.csv` and `report.html` into `folder`; `curves` is where the curves lie, if any.
+    /// Writes `scores.csv`, `samples.csv` and `report.html` into `folder`; `history` is what the training left, if known.
     ///
     /// # Errors
     /// Where the folder cannot be written.
-    pub fn write(&self, folder: &Path, curves: Option<&Path>) -> Result<()> {
+    pub fn write(&self, folder: &Path, history: Option<&History<'_>>) -> Result<()> {
         let put = |name: &str, text: String| file::write_atomically(&folder.join(name), text.as_bytes());
         put(SCORES, self.assessment.scores.to_csv())?;
         put(SAMPLES, samples::to_csv(self.data, self.partition))?;
-        put(REPORT, report::of(self, curves)?)
+        put(REPORT, report::of(self, history)?)
     }
 }
 

@@ -1,7 +1,7 @@
 //! The look at the validation part while training, and the floors on the very same samples.
 
 use crate::evaluate::{Bench, predict};
-use crate::observer::Validation;
+use crate::observer::{Observer, Validation};
 use crate::scores::Summary;
 use pwrfgs_core::{Dataset, ImagePlane, Measurement, Metric, Partition, Plugin, Result, Values};
 use pwrfgs_model::Model;
@@ -42,7 +42,8 @@ fn row(step: u64, measured: &[Measurement]) -> Validation {
 /// Looks at the samples `part`.
 pub(crate) fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize]) -> Result<Validation> {
     let bench = Bench::new(data, part, &model.stages.plane);
-    Ok(row(step, &bench.measure(&metrics(), &predict(model, &bench.txs), None)?))
+    let predictions = predict(model, &bench.txs, &|_, _| {});
+    Ok(row(step, &bench.measure(&metrics(), &predictions, None, None, &|_, _| {})?))
 }
 
 /// What each baseline, having seen the training part alone, reaches on the samples that validation looks at.
@@ -51,6 +52,7 @@ pub(crate) fn floors(
     plane: &ImagePlane,
     data: &Dataset,
     partition: &Partition,
+    observer: &mut dyn Observer,
 ) -> Result<Vec<(String, Validation)>> {
     let part = spread(&partition.validation, pipeline.training.validation_samples);
     if part.is_empty() || pipeline.training.validate_every == 0 {
@@ -59,7 +61,7 @@ pub(crate) fn floors(
     let bench = Bench::new(data, &part, plane);
     let floor = |b: &Plugin<dyn pwrfgs_core::Baseline>| {
         let fitted = b.fit(data, &partition.train)?;
-        Ok((b.name(), row(0, &bench.baseline(&*fitted, &metrics())?)))
+        Ok((b.name(), row(0, &bench.baseline(&b.name(), &*fitted, &metrics(), observer)?)))
     };
     pipeline.baselines.iter().map(floor).collect()
 }

@@ -48,10 +48,10 @@ fn mean_squared(from: &[[Real; 3]], to: &[[Real; 3]]) -> f64 {
 mod tests {
     use super::*;
     use crate::fixture::{of_model, scene, value};
-    use pwrfgs_core::{ModelFacts, StageTimes};
+    use pwrfgs_core::ModelFacts;
 
     fn model(means: &[[Real; 3]]) -> ModelFacts<'_> {
-        ModelFacts { means, gaussian_bytes: 0, network_bytes: 0, timed_prediction: &StageTimes::default }
+        ModelFacts { means, gaussian_bytes: 0, network_bytes: 0 }
     }
 
     #[test]

@@ -34,13 +34,12 @@ impl Metric for GaussianCount {
 mod tests {
     use super::*;
     use crate::fixture::{of_model, scene, value};
-    use pwrfgs_core::{ModelFacts, StageTimes};
+    use pwrfgs_core::ModelFacts;
 
     #[test]
     fn centres_are_counted() {
         let means = [[0.0; 3]; 5];
-        let model =
-            ModelFacts { means: &means, gaussian_bytes: 0, network_bytes: 0, timed_prediction: &StageTimes::default };
+        let model = ModelFacts { means: &means, gaussian_bytes: 0, network_bytes: 0 };
         assert_eq!(value(&of_model(&GaussianCount {}, Some(model), &scene(&[]))[0]), 5.0);
         let baseline = of_model(&GaussianCount {}, None, &scene(&[]));
         assert!(matches!(baseline[0].values, Values::NotApplicable(_)));

@@ -2,12 +2,14 @@
 
 use pwrfgs_core::{Evaluation, Goal, Measurement, Metric, Result, StageTimes, Values};
 use serde::{Deserialize, Serialize};
+use std::time::Instant;
 
 /// Median milliseconds of one prediction: network, projection, sorting, blending, and all of it.
 ///
 /// Keys `latency_network_ms`, `latency_projection_ms`, `latency_sort_ms`, `latency_blending_ms`, `latency_total_ms`
 /// (table I of the paper gives the total). Each median is taken by itself, so the stages need not add up to the total.
-/// Times are those of this machine under its present load and differ from run to run. `n/a` for baselines.
+/// Times are those of this machine under its present load and differ from run to run. A baseline has the total alone,
+/// without the time it takes to learn; it is timed for two seconds at most, but once at least.
 ///
 /// ```
 /// # use pwrfgs_metrics as _;
@@ -30,34 +32,38 @@ impl Default for Latency {
     }
 }
 
+/// Seconds after which a baseline is timed no more.
+const PATIENCE: f64 = 2.0;
+
 type Stage = (&'static str, fn(&StageTimes) -> f64);
+
+const TOTAL: &str = "latency_total_ms";
 
 const STAGES: [Stage; 5] = [
     ("latency_network_ms", |t| t.network),
     ("latency_projection_ms", |t| t.projection),
     ("latency_sort_ms", |t| t.sort),
     ("latency_blending_ms", |t| t.blending),
-    ("latency_total_ms", |t| t.total),
+    (TOTAL, |t| t.total),
 ];
 
 #[typetag::serde]
 impl Metric for Latency {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let times = evaluation.model.map(|model| {
-            for _ in 0..self.warm_up {
-                (model.timed_prediction)();
+        let patience = if evaluation.model.is_some() { f64::INFINITY } else { PATIENCE };
+        let times = evaluation.timed_prediction.map(|predict| self.times(predict, patience));
+        let values = |(key, seconds): Stage| match &times {
+            None => Values::NotApplicable("there is nothing to time".to_owned()),
+            Some(_) if evaluation.model.is_none() && key != TOTAL => {
+                Values::NotApplicable("a baseline has no such stage".to_owned())
             }
-            (0..self.repeats).map(|_| (model.timed_prediction)()).collect::<Vec<_>>()
-        });
-        let values = |seconds: fn(&StageTimes) -> f64| match &times {
             Some(times) => Values::Whole(1e3 * median(times.iter().map(seconds).collect())),
-            None => Values::NotApplicable("only models are timed".to_owned()),
         };
-        let measurement = |(key, seconds): Stage| Measurement {
-            key: key.to_owned(),
+        let measurement = |stage: Stage| Measurement {
+            key: stage.0.to_owned(),
             unit: "ms",
             goal: Goal::Lower,
-            values: values(seconds),
+            values: values(stage),
         };
         Ok(STAGES.map(measurement).into())
     }
@@ -77,6 +83,17 @@ impl Metric for Latency {
     }
 }
 
+impl Latency {
+    /// Times of `repeats` predictions, or of those begun within `patience` seconds of the first that warms up.
+    fn times(&self, predict: &dyn Fn() -> StageTimes, patience: f64) -> Vec<StageTimes> {
+        let begun = Instant::now();
+        let in_time = |_: &usize| begun.elapsed().as_secs_f64() < patience;
+        (0..self.warm_up).take_while(in_time).for_each(|_| _ = predict());
+        let first = predict();
+        std::iter::once(first).chain((1..self.repeats).take_while(in_time).map(|_| predict())).collect()
+    }
+}
+
 /// The middle one, or the mean of the middle two; NaN of none.
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
@@ -89,7 +106,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fixture::{of_model, scene, value};
+    use crate::fixture::{of_model, of_timed, scene, value};
     use pwrfgs_core::{ModelFacts, Plugin};
     use std::cell::Cell;
 
@@ -101,8 +118,8 @@ mod tests {
             let k = f64::from(calls.get());
             StageTimes { network: k, projection: 2.0 * k, sort: 3.0 * k, blending: 4.0 * k, total: 1e3 / k }
         };
-        let model = ModelFacts { means: &[], gaussian_bytes: 0, network_bytes: 0, timed_prediction: &predict };
-        let found = of_model(&Latency { repeats: 4, warm_up: 3 }, Some(model), &scene(&[]));
+        let model = ModelFacts { means: &[], gaussian_bytes: 0, network_bytes: 0 };
+        let found = of_timed(&Latency { repeats: 4, warm_up: 3 }, Some(model), &scene(&[]), Some(&predict));
         assert_eq!(calls.get(), 7);
         let keys: Vec<&str> = found.iter().map(|m| m.key.as_str()).collect();
         assert_eq!(keys, STAGES.map(|s| s.0));
@@ -114,7 +131,22 @@ mod tests {
     }
 
     #[test]
-    fn a_baseline_is_not_timed_and_no_repeats_are_refused() {
+    fn a_baseline_has_a_total_and_is_not_waited_for() {
+        let slow = || {
+            std::thread::sleep(std::time::Duration::from_millis(3));
+            StageTimes { total: 0.25, ..StageTimes::default() }
+        };
+        let found = of_timed(&Latency { repeats: 2, warm_up: 0 }, None, &scene(&[]), Some(&slow));
+        let (total, stages) = found.split_last().unwrap();
+        assert!(stages.iter().all(|m| matches!(m.values, Values::NotApplicable(_))));
+        assert!((value(total) - 250.0).abs() < 1e-9);
+        let latency = Latency { repeats: 10_000, warm_up: 10_000 };
+        assert_eq!(latency.times(&slow, 0.0).len(), 1, "one at least");
+        assert_eq!(latency.times(&slow, 0.01).len(), 1, "warming up counts");
+    }
+
+    #[test]
+    fn nothing_to_time_and_no_repeats_are_no_latency() {
         let found = of_model(&Latency::default(), None, &scene(&[]));
         assert!(found.iter().all(|m| matches!(m.values, Values::NotApplicable(_))));
         assert!(Plugin::<dyn Metric>::parse("Latency(repeats: 0)").is_err());

@@ -54,7 +54,7 @@ fn not_a_model() -> Values {
 #[cfg(test)]
 mod fixture {
     use pwrfgs_core::{
-        Axis, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Pose, Real, Scene, Values,
+        Axis, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Pose, Real, Scene, StageTimes, Values,
     };
 
     pub(crate) fn scene(points: &[[Real; 3]]) -> Scene {
@@ -82,13 +82,25 @@ mod fixture {
 
     pub(crate) fn of_plane(metric: &dyn Metric, prediction: &Image, truth: &Image, plane: &ImagePlane) -> Measurement {
         let (predictions, truths) = (std::slice::from_ref(prediction), std::slice::from_ref(truth));
-        let evaluation = Evaluation { predictions, truths, plane, scene: &scene(&[]), model: None };
+        let evaluation =
+            Evaluation { predictions, truths, plane, scene: &scene(&[]), model: None, timed_prediction: None };
         metric.evaluate(&evaluation).unwrap().remove(0)
     }
 
     pub(crate) fn of_model(metric: &dyn Metric, model: Option<ModelFacts<'_>>, scene: &Scene) -> Vec<Measurement> {
-        let evaluation = Evaluation { predictions: &[], truths: &[], plane: &plane(4, 3), scene, model };
-        metric.evaluate(&evaluation).unwrap()
+        of_timed(metric, model, scene, None)
+    }
+
+    pub(crate) fn of_timed(
+        metric: &dyn Metric,
+        model: Option<ModelFacts<'_>>,
+        scene: &Scene,
+        timed_prediction: Option<&dyn Fn() -> StageTimes>,
+    ) -> Vec<Measurement> {
+        let plane = plane(4, 3);
+        metric
+            .evaluate(&Evaluation { predictions: &[], truths: &[], plane: &plane, scene, model, timed_prediction })
+            .unwrap()
     }
 
     pub(crate) fn value(measurement: &Measurement) -> f64 {
@@ -135,6 +147,7 @@ mod tests {
             plane: &fixture::plane(4, 3),
             scene: &fixture::scene(&[]),
             model: None,
+            timed_prediction: None,
         };
         assert!(L1 {}.evaluate(&evaluation).is_err());
         assert!(L1 {}.evaluate(&Evaluation { truths: &[], ..evaluation }).is_err());

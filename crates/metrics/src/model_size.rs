@@ -42,12 +42,11 @@ impl Metric for ModelSize {
 mod tests {
     use super::*;
     use crate::fixture::{of_model, scene, value};
-    use pwrfgs_core::{ModelFacts, StageTimes};
+    use pwrfgs_core::ModelFacts;
 
     #[test]
     fn the_network_counts_in_the_second() {
-        let model =
-            ModelFacts { means: &[], gaussian_bytes: 560, network_bytes: 40, timed_prediction: &StageTimes::default };
+        let model = ModelFacts { means: &[], gaussian_bytes: 560, network_bytes: 40 };
         let found = of_model(&ModelSize {}, Some(model), &scene(&[]));
         assert_eq!((found[0].key.as_str(), value(&found[0])), ("gaussian_bytes", 560.0));
         assert_eq!((found[1].key.as_str(), value(&found[1])), ("model_bytes", 600.0));

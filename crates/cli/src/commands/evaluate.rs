@@ -34,7 +34,9 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
             output::note("warning: these data have another receiver pose than the model was trained with");
         }
     }
-    let assessment = score(&model, &pipeline, &data, &partition)?;
+    let assessment = score(&model, &pipeline, &data, &partition, &mut progress);
+    progress.finish();
+    let assessment = assessment?;
     let mut text = assessment.scores.table().to_text();
     if let Some(out) = &arguments.out {
         std::fs::create_dir_all(out).map_err(|e| Error::write(out, e))?;

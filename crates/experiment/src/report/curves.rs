@@ -3,13 +3,12 @@
 use super::charts::{Band, Chart, Line};
 use crate::folder::{CURVE, VALIDATION};
 use crate::observer::Validation;
-use crate::runner::Subject;
+use crate::runner::{History, Subject};
 use crate::scores::MODEL;
 use crate::series;
 use plotters::style::RGBColor;
 use pwrfgs_core::Result;
 use serde::Serialize;
-use std::path::Path;
 
 /// At most this many places along a curve are drawn.
 const PLACES: usize = 400;
@@ -35,13 +34,9 @@ pub(super) struct Figure {
 }
 
 /// Every figure there are numbers for.
-pub(super) fn all(
-    subject: &Subject<'_>,
-    curves: Option<&Path>,
-    floors: &[(String, Validation)],
-) -> Result<Vec<Figure>> {
+pub(super) fn all(subject: &Subject<'_>, history: Option<&History<'_>>) -> Result<Vec<Figure>> {
     let mut figures = Vec::new();
-    if let Some(folder) = curves {
+    if let Some(History { folder, floors }) = history {
         let rows = series::read(&folder.join(CURVE));
         let column = |k: usize| -> Vec<(f64, f64)> {
             rows.iter().filter_map(|row| Some(((*row.first()?)?, (*row.get(k)?)?))).collect()
