@@ -121,9 +121,7 @@ fn add_object(builder: &mut Builder, scene: &Scene, object: &Object) -> Result<(
 
 /// The mesh of a file, checked.
 fn read_mesh(file: &Path, solid: bool, name: &str) -> Result<Mesh> {
-    let mesh = mesh::read(file)?;
-    mesh.check(file)?;
-    let mut mesh = mesh.welded();
+    let mut mesh = mesh::read(file)?;
     if mesh.is_closed() && volume(&mesh) < 0.0 {
         mesh.triangles.iter_mut().for_each(|t| t.swap(1, 2)); // normals must point outwards
     }
