@@ -193,8 +193,7 @@ impl Region {
                 Err(place) => last = place,
             }
         }
-        let what =
-            format!("after {number} found, {TRIES} positions in a row lie inside of something, the last in `{last}`");
+        let what = format!("after {number} found, {TRIES} positions in a row are not free, the last lies {last}");
         Err(config(format!("{what}; move the box to where there is free space")))
     }
 }
