@@ -73,4 +73,51 @@ mod tests {
             assert!(matches!(found[0].values, Values::NotApplicable(_)));
         }
     }
+
+    /// The distance between two sets of points.
+    fn between(points: &[[Real; 3]], means: &[[Real; 3]]) -> f64 {
+        value(&of_model(&Chamfer {}, Some(model(means)), &scene(points))[0])
+    }
+
+    /// `n` × `n` points in a plane across z, `spacing` metres from each other.
+    fn plane(n: usize, spacing: f64, [x, y, z]: [f64; 3]) -> Vec<[Real; 3]> {
+        let at = |i: usize| [x + spacing * (i % n) as f64, y + spacing * (i / n) as f64, z].map(|v| v as Real);
+        (0..n * n).map(at).collect()
+    }
+
+    #[test]
+    fn parallel_planes_are_twice_their_squared_distance_apart() {
+        let floor = plane(30, 0.1, [0.0; 3]);
+        for distance in [0.0, 0.04, 0.5, 2.0] {
+            let found = between(&floor, &plane(30, 0.1, [0.0, 0.0, distance]));
+            assert!((found - 2.0 * distance * distance).abs() < 1e-6, "{distance} m: {found}");
+        }
+        // Finely sampled, the planes need not have the same points: a quarter of the cell's diagonal is added at most.
+        let found = between(&floor, &plane(25, 0.12, [0.0, 0.0, 0.5]));
+        assert!((0.5..0.5 + 2.0 * 0.12 * 0.12).contains(&found), "{found}");
+    }
+
+    #[test]
+    fn a_plane_moved_along_itself_differs_at_its_rim_only() {
+        // A move by two spacings leaves two rows on each side without a counterpart, one and two spacings away.
+        let (n, spacing) = (20, 0.1);
+        let found = between(&plane(n, spacing, [0.0; 3]), &plane(n, spacing, [2.0 * spacing, 0.0, 0.0]));
+        let expected = 2.0 * (1.0 + 4.0) * spacing * spacing / n as f64;
+        assert!((found - expected).abs() < 1e-7, "{found} against {expected}");
+    }
+
+    #[test]
+    fn concentric_spheres_are_twice_the_squared_difference_of_their_radii_apart() {
+        // Fibonacci's points; the nearest one of the other sphere has the same direction.
+        let sphere = |radius: f64| -> Vec<[Real; 3]> {
+            let point = |i: usize| {
+                let (up, turn) = (1.0 - (2.0 * i as f64 + 1.0) / 500.0, 2.399_963_229_728_653 * i as f64);
+                let around = (1.0 - up * up).sqrt();
+                [around * turn.cos(), around * turn.sin(), up].map(|v| (radius * v) as Real)
+            };
+            (0..500).map(point).collect()
+        };
+        let found = between(&sphere(2.0), &sphere(2.3));
+        assert!((found - 2.0 * 0.3 * 0.3).abs() < 1e-5, "{found}");
+    }
 }
