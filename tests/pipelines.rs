@@ -20,7 +20,7 @@ fn read(path: &Path) -> Pipeline {
 #[test]
 fn the_shipped_pipelines_are_there() {
     let names: Vec<String> = shipped().iter().map(|p| p.file_stem().unwrap().to_string_lossy().into_owned()).collect();
-    for name in ["pwrfgs", "quickstart", "s23-laptop", "wrfgs"] {
+    for name in ["office-init", "pwrfgs", "quickstart", "s23-laptop", "wrfgs"] {
         assert!(names.iter().any(|n| n == name), "{name} is not among {names:?}");
     }
 }
@@ -47,6 +47,7 @@ fn every_pipeline_runs_some_steps() {
         for change in [
             "data=Teacher(gaussians: 4, samples: 30, width: 72, height: 18)".to_owned(),
             format!("initializer=Random(count: {count}, std: 5.0)"),
+            "baselines=[MeanSpectrum()]".to_owned(), // ray tracing needs a scene
             "training.densify_until=6".to_owned(),
             "training.prune_until=9".to_owned(),
             "training.prune_every=2".to_owned(),
@@ -64,4 +65,28 @@ fn every_pipeline_runs_some_steps() {
         assert_eq!(curve.lines().count(), 13, "{}", path.display());
         assert!(std::fs::read_to_string(out.join("report.html")).unwrap().contains("simulated"));
     }
+}
+
+#[test]
+fn the_quickstart_runs_on_the_office_it_names() {
+    let mut pipeline = read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/quickstart.ron"));
+    for change in [
+        r#"data=Simulated(scene: "../scenes/office.ron", samples: 30, points: 500, cache: false)"#,
+        "initializer=PointCloud(max_points: 40)",
+        "training.densify_until=2",
+        "training.prune_until=5",
+        "training.prune_every=2",
+        "training.batch=2",
+        "training.steps=6",
+    ] {
+        pipeline.set(change).unwrap();
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let base = Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines");
+    let stop = AtomicBool::new(false);
+    pwrfgs::experiment::run(&pipeline, &base, &folder.path().join("run"), &mut Silent, &stop).unwrap();
+    let report = std::fs::read_to_string(folder.path().join("run/report.html")).unwrap();
+    assert!(report.contains("office (simulated)") && report.contains("upper bound"));
+    let scores = std::fs::read_to_string(folder.path().join("run/scores.csv")).unwrap();
+    assert!(scores.contains("ray tracing, exact scene"), "{scores}");
 }

@@ -57,7 +57,7 @@ impl Ray {
         Some(Self::made_of(self.direction, (t.te * self.along(s), s), (t.tm * self.along(p), p)))
     }
 
-    /// After diffraction at an edge along the unit vector `edge` into `out`: −D_s β̂β̂′ − D_h φ̂φ̂′ in the ray-fixed axes
+    /// After diffraction at an edge along the unit vector `edge` into `out`: `−D_s β̂β̂′ − D_h φ̂φ̂′` in the ray-fixed axes
     /// of Kouyoumjian and Pathak (1974).
     pub(crate) fn diffracted(&self, edge: DVec3, out: DVec3, d: &Polarized) -> Self {
         let phi_in = across(-edge, self.direction);

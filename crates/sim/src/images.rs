@@ -60,7 +60,7 @@ impl ImageTree {
                 let candidates = if any_face { world.faces.len() as u32 } else { of_room };
                 for face in 0..candidates {
                     let is_room = *room_only && face < of_room;
-                    if !any_face && !(is_room && order <= orders.room) {
+                    if !(any_face || is_room && order <= orders.room) {
                         continue;
                     }
                     let Some((image, clipped)) = reflect(world, face, *image, beam) else { continue };

@@ -61,10 +61,10 @@ pub fn write(recipe: &Recipe, paths: bool, out: &Path, progress: Progress<'_>) -
         Ok(())
     })?;
     tables.finish(folder, recipe.samples)?;
-    put(&folder.join("gateway_info.yml"), &gateway(&recipe.scene.name, &recipe.scene.pose()))?;
+    put(&folder.join("gateway_info.yml"), gateway(&recipe.scene.name, &recipe.scene.pose()))?;
     let cloud = simulator.surface_points(recipe.points, recipe.seed);
     let comment = format!("simulated by pwrfgs: surfaces of {}", recipe.scene.name);
-    put(&folder.join(POINTS), &surface_points::to_ply(&cloud, &comment))?;
+    put(&folder.join(POINTS), surface_points::to_ply(&cloud, &comment))?;
     put(&folder.join(MANIFEST), recipe.to_json())?;
     publish(temporary, out)
 }
@@ -165,8 +165,9 @@ impl Tables {
         }
         put(&folder.join("tx_pos.csv"), self.positions)?;
         put(&folder.join(POWER), self.power)?;
-        let list = |test: bool| -> String {
-            (1..=samples).filter(|id| id.is_multiple_of(TEST_EVERY) == test).map(|id| format!("{id:05}\n")).collect()
+        let list = |test: bool| {
+            let ids = (1..=samples).filter(|id| id.is_multiple_of(TEST_EVERY) == test);
+            ids.fold(String::new(), |text, id| format!("{text}{id:05}\n"))
         };
         put(&folder.join("train_index.txt"), list(false))?;
         put(&folder.join("test_index.txt"), list(true))

@@ -5,19 +5,19 @@ use pwrfgs_core::rng::{self, Rng};
 
 /// How wrong a scene is known.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Errors {
+pub(crate) struct Errors {
     /// Standard deviation of the logarithm of permittivities, conductivities and thicknesses: 0.2 is about 20 %.
-    pub materials: f64,
+    pub(crate) materials: f64,
     /// Standard deviation of the place of each wall and object along each horizontal axis, and of the ceiling's height,
     /// metres.
-    pub positions_m: f64,
+    pub(crate) positions_m: f64,
     /// Which errors.
-    pub seed: u64,
+    pub(crate) seed: u64,
 }
 
 /// The scene with errors. Every finish has errors of its own. Objects stay on the floor, and the receiver and the
 /// transmitters stay where they are: they are what was measured best.
-pub fn perturbed(scene: &Scene, errors: &Errors) -> Scene {
+pub(crate) fn perturbed(scene: &Scene, errors: &Errors) -> Scene {
     let mut wrong = scene.clone();
     finishes(&mut wrong, errors);
     if errors.positions_m > 0.0 {
@@ -36,7 +36,7 @@ fn finishes(scene: &mut Scene, errors: &Errors) {
     }
     let truth = scene.clone();
     let mut rng = rng::stream(errors.seed, "wrong materials", 0);
-    let mut factor = |rng: &mut Rng| (errors.materials * rng::normal(rng) as f64).exp();
+    let factor = |rng: &mut Rng| (errors.materials * rng::normal(rng) as f64).exp();
     let room = &mut scene.room;
     let all = [&mut room.walls, &mut room.floor, &mut room.ceiling].into_iter();
     for (i, finish) in all.chain(scene.objects.iter_mut().map(Object::finish_mut)).enumerate() {
@@ -44,7 +44,6 @@ fn finishes(scene: &mut Scene, errors: &Errors) {
         material.a = (material.a * factor(&mut rng)).max(1.0);
         material.c *= factor(&mut rng);
         finish.thickness_m = finish.thickness_m.map(|t| t * factor(&mut rng));
-        // A space cannot be in the name of a material in a file that somebody wrote by hand and means this one.
         finish.material = format!("{} {i}", finish.material);
         scene.materials.insert(finish.material.clone(), material);
     }

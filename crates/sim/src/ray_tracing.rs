@@ -68,23 +68,21 @@ impl RayTracing {
 #[typetag::serde]
 impl Baseline for RayTracing {
     fn name(&self) -> String {
-        let mut name = match &self.scene {
-            None => "ray tracing".to_owned(),
-            Some(path) => format!("ray tracing, {}", path.file_stem().unwrap_or_default().to_string_lossy()),
-        };
-        if self.is_exact() {
-            name += ", exact";
+        let mut words = vec!["ray tracing".to_owned()];
+        words.extend(self.scene.iter().map(|path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned()));
+        if self.is_exact() && self.scene.is_none() {
+            words.push("exact scene".into());
         }
         if self.material_error > 0.0 {
-            name += &format!(", materials ±{:.0} %", self.material_error * 100.0);
+            words.push(format!("materials ±{:.0} %", self.material_error * 100.0));
         }
         if self.position_error_m > 0.0 {
-            name += &format!(", places ±{:.0} cm", self.position_error_m * 100.0);
+            words.push(format!("places ±{:.0} cm", self.position_error_m * 100.0));
         }
         if self.noise {
-            name += ", noisy";
+            words.push("noisy".into());
         }
-        name
+        words.join(", ")
     }
 
     fn fit<'a>(&self, data: &'a Dataset, _: &[usize]) -> Result<Box<dyn Predict + 'a>> {

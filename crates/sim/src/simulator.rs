@@ -6,7 +6,7 @@ use crate::scene::Scene;
 use crate::spectrum::{Beamformer, Spectrum};
 use crate::surface_points::{self, SurfacePoints};
 use crate::tracer::{Antenna, Tracer};
-use crate::world::World;
+use crate::world::{Triangle, World};
 use crate::{Complex, Path, room};
 use glam::{DMat3, DQuat, DVec3};
 use pwrfgs_core::{Error, Pose, Result};
@@ -135,7 +135,7 @@ impl Simulator {
 
     /// `count` points on all surfaces, with normals.
     pub fn surface_points(&self, count: usize, seed: u64) -> SurfacePoints {
-        let triangles: Vec<[DVec3; 3]> = self.world.triangles.iter().map(|t| t.corners()).collect();
+        let triangles: Vec<[DVec3; 3]> = self.world.triangles.iter().map(Triangle::corners).collect();
         let normals: Vec<DVec3> =
             self.world.triangles.iter().map(|t| self.world.faces[t.face as usize].normal).collect();
         surface_points::sample(&triangles, &normals, count, seed)

@@ -149,6 +149,16 @@ fn the_shipped_scenes_are_simulated() {
 }
 
 #[test]
+fn the_scene_of_the_manual_is_read() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap();
+    let page = fs::read_to_string(root.join("docs/simulator.md")).unwrap();
+    let text = page.split("```ron\n").nth(1).unwrap().split("```").next().unwrap();
+    let simulator = Simulator::new(&Scene::parse(text, Path::new("docs/simulator.md")).unwrap()).unwrap();
+    assert_eq!(simulator.world().faces.len(), 6 + 5 + 1); // the underside of the crate lies on the floor
+    assert_eq!(simulator.positions(20, 0).unwrap().len(), 20);
+}
+
+#[test]
 fn ray_tracing_in_the_exact_scene_is_the_generator() {
     let folder = tempfile::tempdir().unwrap();
     file(folder.path(), "small.ron", &scene_text(""));

@@ -21,14 +21,14 @@ pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<Exi
     written?;
     if verbosity != Verbosity::Quiet {
         output::note(&format!(
-            "{} simulated spectra of {} in {} after {:.1} s; to train on them: data: Nerf2Spectrum(root: {:?}, points: \
-             {:?})",
+            "{} simulated spectra of {} in {} after {:.1} s; to train on them: data: Nerf2Spectrum(root: \"{}\", \
+             points: \"{}\")",
             arguments.samples,
             recipe.scene.name,
             arguments.out.display(),
             begun.elapsed().as_secs_f64(),
-            arguments.out,
-            arguments.out.join(folder::POINTS),
+            arguments.out.display(),
+            arguments.out.join(folder::POINTS).display(),
         ));
     }
     Ok(ExitCode::SUCCESS)

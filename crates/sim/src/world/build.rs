@@ -53,7 +53,7 @@ impl Builder {
         let mut face_of = vec![u32::MAX; plain.len()]; // hidden faces keep u32::MAX
         for (number, group) in groups.iter().enumerate() {
             let start = self.triangles.len();
-            let face = self.face(&plain, group, is_room, number, part);
+            let face = Self::face(&plain, group, is_room, number, part);
             if !is_room && self.is_hidden(&face) {
                 continue;
             }
@@ -85,7 +85,7 @@ impl Builder {
         World { surfaces, faces, edges, triangles, bodies, hierarchy }
     }
 
-    fn face(&self, plain: &[Triangle], group: &[usize], is_room: bool, number: usize, part: &Part<'_>) -> Face {
+    fn face(plain: &[Triangle], group: &[usize], is_room: bool, number: usize, part: &Part<'_>) -> Face {
         let largest = group.iter().map(|&t| &plain[t]).max_by(|a, b| a.area().total_cmp(&b.area()));
         let largest = largest.expect("a group has a triangle");
         let normal = largest.sides[0].cross(largest.sides[1]).normalize();
@@ -102,9 +102,9 @@ impl Builder {
     }
 
     /// Puts in the plane and the normal of the first face.
-    fn oriented(&self, edge: Edge) -> Edge {
-        let normal = self.faces[edge.faces[0] as usize].normal;
-        Edge { normal, ..edge }
+    fn oriented(&self, mut edge: Edge) -> Edge {
+        edge.normal = self.faces[edge.faces[0] as usize].normal;
+        edge
     }
 }
 

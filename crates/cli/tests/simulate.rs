@@ -1,0 +1,74 @@
+//! `pwrfgs simulate`: a folder that the rest of the program reads, and mistakes that leave nothing behind.
+#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
+
+mod common;
+
+use common::{call, stderr, stdout};
+use std::fs;
+
+const SCENE: &str = r#"(
+    name: "closet",
+    carrier_hz: 2.4e9,
+    room: (
+        outline: Box(low: (0, 0, 0), high: (3, 2, 2.5)),
+        walls: (material: "brick", thickness_m: 0.1), floor: (material: "concrete"), ceiling: (material: "wood"),
+    ),
+    receiver: (position: (0.2, 1, 1.5), orientation: Facing(direction: (1, 0, 0))),
+    transmitter: (positions: Uniform(low: (1, 0.5, 0.5), high: (2.5, 1.5, 2))),
+)"#;
+
+#[test]
+fn a_scene_becomes_a_data_set_that_can_be_trained_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    fs::write(folder.join("closet.ron"), SCENE).unwrap();
+    let arguments = ["simulate", "closet.ron", "--samples", "12", "--points", "300", "--out", "closet"];
+    let made = call(folder, &arguments);
+    assert!(made.status.success(), "{}", stderr(&made));
+    assert!(stderr(&made).contains("12 simulated spectra of closet"), "{}", stderr(&made));
+    for name in ["gateway_info.yml", "tx_pos.csv", "power.csv", "paths.csv", "points.ply", "manifest.json"] {
+        assert!(folder.join("closet").join(name).is_file(), "{name}");
+    }
+    let paths = fs::read_to_string(folder.join("closet/paths.csv")).unwrap();
+    assert!(paths.lines().next().unwrap().starts_with("id,path,interactions,gain_re"));
+    assert!(paths.contains(",LOS,") && paths.contains(",R,"));
+    let pipeline = common::SMALL
+        .replace(
+            "Teacher(gaussians: 4, samples: 40, width: 48, height: 12)",
+            "Nerf2Spectrum(root: \"closet\", points: \"closet/points.ply\")",
+        )
+        .replace("steps: 60,", "steps: 41,");
+    fs::write(folder.join("small.ron"), pipeline).unwrap();
+    let run = call(folder, &["run", "small.ron"]);
+    assert!(run.status.success(), "{}", stderr(&run));
+    assert!(stdout(&run).contains("chamfer"));
+    let again = call(folder, &arguments);
+    assert_eq!(again.status.code(), Some(2));
+    assert!(stderr(&again).contains("nothing is overwritten"), "{}", stderr(&again));
+}
+
+#[test]
+fn mistakes_leave_nothing_behind() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    fs::write(folder.join("brik.ron"), SCENE.replace("brick", "brik")).unwrap();
+    fs::write(
+        folder.join("far.ron"),
+        SCENE.replace("high: (2.5, 1.5, 2)", "high: (2.5, 9.5, 2)").replace("low: (1, 0.5, 0.5)", "low: (1, 8.5, 0.5)"),
+    )
+    .unwrap();
+    for (scene, more, expected) in [
+        ("gone.ron", vec![], "cannot read gone.ron"),
+        ("brik.ron", vec![], "brik.ron:6:27: unknown material `brik`; did you mean `brick`?"),
+        ("far.ron", vec![], "outside the room"),
+        ("brik.ron", vec!["--samples", "0"], "`samples` is 0"),
+        ("brik.ron", vec!["--samples", "many"], "invalid value"),
+    ] {
+        let called = call(folder, &[&["simulate", scene, "--out", "out"][..], &more].concat());
+        assert_eq!(called.status.code(), Some(2), "{scene}: {}", stderr(&called));
+        assert!(stderr(&called).contains(expected), "{scene}: {}", stderr(&called));
+    }
+    let mut left: Vec<_> = fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name()).collect();
+    left.sort();
+    assert_eq!(left, ["brik.ron", "far.ron"]);
+}
