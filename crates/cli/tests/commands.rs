@@ -24,7 +24,7 @@ fn a_run_becomes_a_folder_that_predicts_and_evaluates() {
     assert!(stderr(&output).contains("step 60/60"), "plain lines where there is no terminal: {}", stderr(&output));
 
     let run = here.join("runs/small");
-    for name in ["pipeline.ron", "model.safetensors", "checkpoint.safetensors", "validation.csv"] {
+    for name in ["pipeline.ron", "model.safetensors", "checkpoint.safetensors", "start.safetensors", "validation.csv"] {
         assert!(run.join(name).is_file(), "{name}");
     }
     let curve = read(&run.join("curve.csv"));

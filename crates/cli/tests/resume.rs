@@ -29,7 +29,7 @@ fn curve(run: &Path) -> Vec<String> {
 
 fn same_end(a: &Path, b: &Path) {
     assert!(curve(a) == curve(b), "curves differ");
-    for name in ["model.safetensors", "validation.csv", "samples.csv"] {
+    for name in ["model.safetensors", "validation.csv", "samples.csv", "start.safetensors", "unpruned.safetensors"] {
         assert!(std::fs::read(a.join(name)).unwrap() == std::fs::read(b.join(name)).unwrap(), "{name} differs");
     }
 }

@@ -12,6 +12,10 @@ pub const PIPELINE: &str = "pipeline.ron";
 pub const CHECKPOINT: &str = "checkpoint.safetensors";
 /// The trained model.
 pub const MODEL_FILE: &str = "model.safetensors";
+/// The Gaussians before the first step.
+pub const START_SNAPSHOT: &str = "start.safetensors";
+/// The Gaussians before pruning, when they were most.
+pub const UNPRUNED_SNAPSHOT: &str = "unpruned.safetensors";
 /// Step, phase, loss, penalty, Gaussians, seconds.
 pub const CURVE: &str = "curve.csv";
 /// Step, SSIM and η on the validation part.
@@ -112,7 +116,8 @@ fn same_pipeline(folder: &Path, file: &Path, theirs: &str, ours: &str) -> Result
 /// Removes the temporary files of starts that were killed while writing, `.checkpoint.safetensors.123.tmp` say; the lock
 /// tells that nobody is writing them any more. What cannot be removed does no harm.
 fn remove_leftovers(folder: &Path) {
-    let own = [PIPELINE, CHECKPOINT, MODEL_FILE, CURVE, VALIDATION, SCORES, SAMPLES, REPORT, FACTS];
+    let own = [PIPELINE, CHECKPOINT, MODEL_FILE, START_SNAPSHOT, UNPRUNED_SNAPSHOT, CURVE, VALIDATION, SCORES, SAMPLES];
+    let own = [&own[..], &[REPORT, FACTS]].concat();
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
         let name = entry.file_name().to_string_lossy().into_owned();
         let stem = name.strip_prefix('.').and_then(|n| n.strip_suffix(".tmp")).and_then(|n| n.rsplit_once('.'));

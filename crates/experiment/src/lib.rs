@@ -12,6 +12,7 @@ mod runner;
 mod samples;
 pub mod scores;
 mod series;
+mod snapshot;
 mod validation;
 
 pub use evaluate::{Assessment, evaluate};
@@ -20,3 +21,4 @@ pub use folder::RunFolder;
 pub use observer::{Observer, Silent, Start, Validation};
 pub use runner::{History, Outcome, Subject, load, rebase, rebase_baselines, rebase_data, run};
 pub use scores::{ScoreTable, Scores, Summary};
+pub use snapshot::Snapshot;

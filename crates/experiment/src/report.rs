@@ -3,6 +3,7 @@
 mod charts;
 mod colour;
 mod curves;
+mod room;
 mod spectra;
 mod tables;
 
@@ -23,6 +24,7 @@ const TEMPLATE: &str = include_str!("report/template.html");
 pub(crate) fn of(subject: &Subject<'_>, history: Option<&History<'_>>) -> Result<String> {
     let scores = subject.assessment.scores.table();
     let figures = curves::all(subject, history)?;
+    let room = room::figure(subject, history)?;
     let (examples, limit) = examples(subject);
     let page = context! {
         name => subject.pipeline.name.clone(),
@@ -32,6 +34,7 @@ pub(crate) fn of(subject: &Subject<'_>, history: Option<&History<'_>>) -> Result
         notes => scores.notes.clone(),
         whole => Serde(tables::whole(&scores)),
         figures => Serde(figures),
+        room => Serde(room),
         examples => Serde(examples),
         power_bar => Scale::Power.bar(),
         error_bar => Scale::Error(limit).bar(),

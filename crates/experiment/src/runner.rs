@@ -2,15 +2,19 @@
 //!
 //! Order at every step: train, curve, validation, checkpoint. Rows reach the disk before the checkpoint that counts
 //! them, and a resumed run cuts the series back to its checkpoint: so it ends in the same files as one never stopped.
+//! Snapshots are functions of the step, and written before the checkpoint of that step: a resumed run writes them again.
 
 use crate::evaluate::{Assessment, evaluate};
 use crate::facts::Facts;
-use crate::folder::{CHECKPOINT, CURVE, MODEL_FILE, REPORT, RunFolder, SAMPLES, SCORES, VALIDATION};
+use crate::folder::{
+    CHECKPOINT, CURVE, MODEL_FILE, REPORT, RunFolder, SAMPLES, SCORES, START_SNAPSHOT, UNPRUNED_SNAPSHOT, VALIDATION,
+};
 use crate::observer::{Observer, Start, Validation, staged};
 use crate::scores::ScoreTable;
 use crate::series::Series;
+use crate::snapshot::Snapshot;
 use crate::{clock, report, samples, validation};
-use pwrfgs_core::{Baseline, DataSource, Dataset, Error, Partition, Plugin, Result, rng};
+use pwrfgs_core::{Baseline, DataSource, Dataset, Error, GaussianCloud, Partition, Plugin, Result, rng};
 use pwrfgs_model::{Model, file};
 use pwrfgs_train::{Pipeline, StepReport, Trainer};
 use std::path::{Path, PathBuf};
@@ -172,12 +176,19 @@ impl<'a> Run<'a> {
             done: trainer.done(),
             steps,
         });
+        let snapshot = |name, step, cloud: &GaussianCloud| Snapshot::of(step, cloud).write(&folder.file(name));
+        if trainer.done() == 0 {
+            snapshot(START_SNAPSHOT, 0, trainer.cloud())?;
+        }
         while !trainer.finished() {
             let stopped = self.stop.load(Ordering::Relaxed);
             if !stopped {
                 let begun = Instant::now();
                 let report = trainer.step().inspect_err(|_| self.kept(folder))?;
                 seconds += begun.elapsed().as_secs_f64();
+                if let Some(cloud) = trainer.take_unpruned() {
+                    snapshot(UNPRUNED_SNAPSHOT, report.step, &cloud)?;
+                }
                 if has_row(report.step, steps) {
                     curve.push(&row(&report, seconds))?;
                 }

@@ -15,8 +15,16 @@ struct Note {
     version: u32,
     done: u64,
     gaussians: usize,
+    /// The largest N that pruners have found before they took some.
+    #[serde(default = "unknown")]
+    fullest: usize,
     /// Extra columns and their widths.
     extra: Vec<(String, usize)>,
+}
+
+/// What a checkpoint of an earlier version does not say: as if nothing larger could come.
+fn unknown() -> usize {
+    usize::MAX
 }
 
 const FORMAT: &str = "pwrfgs-checkpoint";
@@ -30,6 +38,7 @@ impl<'a> Trainer<'a> {
             version: VERSION,
             done: self.done,
             gaussians: self.cloud.len(),
+            fullest: self.fullest,
             extra: self.cloud.extra.iter().map(|c| (c.name.clone(), c.width)).collect(),
         };
         let mut file = Tensors::new(serde_json::to_string(&note).expect("plain data"));
@@ -89,6 +98,7 @@ impl<'a> Trainer<'a> {
             *values = read;
         }
         self.done = note.done;
+        self.fullest = note.fullest;
         Ok(())
     }
 }

@@ -41,6 +41,10 @@ pub struct Trainer<'a> {
     pub(crate) adam: Adam,
     pub(crate) stats: CloudStats,
     pub(crate) done: u64,
+    /// The largest N that pruners have found before they took some; 0 until then.
+    pub(crate) fullest: usize,
+    /// The Gaussians at that moment, where nobody has asked for them yet.
+    unpruned: Option<GaussianCloud>,
     /// The epoch at hand and its order of samples.
     order: (u64, Vec<usize>),
 }
@@ -87,6 +91,8 @@ impl<'a> Trainer<'a> {
             cloud,
             weights,
             done: 0,
+            fullest: 0,
+            unpruned: None,
             order: (u64::MAX, Vec::new()),
         })
     }
@@ -99,6 +105,17 @@ impl<'a> Trainer<'a> {
     /// Whether all steps are taken.
     pub fn finished(&self) -> bool {
         self.done >= self.pipeline.training.steps
+    }
+
+    /// The Gaussians as they stand.
+    pub fn cloud(&self) -> &GaussianCloud {
+        &self.cloud
+    }
+
+    /// The Gaussians just before pruners took some in the last step, if there were more than at any such moment before:
+    /// at the end of the training, those of the last such step are the most that were ever pruned. Given once.
+    pub fn take_unpruned(&mut self) -> Option<GaussianCloud> {
+        self.unpruned.take()
     }
 
     /// Phase of algorithm 1 at `step`.
@@ -120,6 +137,7 @@ impl<'a> Trainer<'a> {
     pub fn step(&mut self) -> Result<StepReport> {
         let step = self.done + 1;
         let moment = Moment { step, phase: self.phase(step), seed: self.pipeline.seed };
+        self.unpruned = None;
         let batch = self.batch(step);
         let pruners = if moment.phase == Phase::Finetune { Vec::new() } else { self.pipeline.pruners.clone() };
         let ssim_weight = self.pipeline.training.loss.ssim_weight;
@@ -224,7 +242,7 @@ impl<'a> Trainer<'a> {
             // Fine-tuning starts with M = 1 everywhere: closed gates go, and then the masks.
             if let Some(mut open) = self.open_gates(moment) {
                 densify::ensure_one(&mut open, &self.cloud.opacity_logits, "closing the gates");
-                edit::keep(&open, &mut self.cloud, &mut self.adam, &mut self.stats);
+                self.take_away(&open);
             }
             edit::drop_extra(&mut self.cloud, &mut self.adam);
         }
@@ -241,7 +259,16 @@ impl<'a> Trainer<'a> {
             keep.iter_mut().zip(own).for_each(|(all, own)| *all &= own);
         }
         densify::ensure_one(&mut keep, &first.score(&self.cloud, &self.stats), "pruning");
-        edit::keep(&keep, &mut self.cloud, &mut self.adam, &mut self.stats);
+        self.take_away(&keep);
+    }
+
+    /// Keeps the rows that are true, and the cloud of before where it was the largest so far.
+    fn take_away(&mut self, keep: &[bool]) {
+        if keep.contains(&false) && keep.len() > self.fullest {
+            self.fullest = keep.len();
+            self.unpruned = Some(self.cloud.clone());
+        }
+        edit::keep(keep, &mut self.cloud, &mut self.adam, &mut self.stats);
     }
 
     /// Which gates are open; `None` where no pruner has one any more.

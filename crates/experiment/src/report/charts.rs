@@ -174,7 +174,7 @@ fn ticks((low, high): (f64, f64), log: bool) -> Vec<(f64, String)> {
 }
 
 /// Multiples of 1, 2 or 5 times a power of ten, four to nine of them.
-fn linear_ticks(low: f64, high: f64) -> Vec<f64> {
+pub(super) fn linear_ticks(low: f64, high: f64) -> Vec<f64> {
     let rough = (high - low) / 6.0;
     let power = 10f64.powf(rough.log10().floor());
     let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|d| d * power).find(|s| *s >= rough).unwrap_or(power);
@@ -183,7 +183,7 @@ fn linear_ticks(low: f64, high: f64) -> Vec<f64> {
 }
 
 /// A short number.
-fn label(value: f64) -> String {
+pub(super) fn label(value: f64) -> String {
     match value.abs() {
         0.0 => "0".into(),
         s if s >= 1e6 => format!("{}M", (value / 1e4).round() / 100.0),

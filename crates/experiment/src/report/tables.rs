@@ -7,6 +7,8 @@ use serde::Serialize;
 #[derive(Serialize)]
 pub(super) struct Group {
     key: String,
+    /// The key, or words where it stands above one narrow column.
+    title: String,
     unit: String,
     arrow: &'static str,
     /// Names of its columns.
@@ -31,6 +33,11 @@ struct Shown {
 fn group(row: &MetricRow) -> Group {
     Group {
         key: row.key.clone(),
+        title: if row.is_per_sample() {
+            row.key.clone()
+        } else {
+            row.key.trim_end_matches(&format!("_{}", row.unit)).replace('_', " ")
+        },
         unit: row.unit.clone(),
         arrow: if row.higher_is_better { "↑" } else { "↓" },
         columns: if row.is_per_sample() { &["mean", "median", "p10"] } else { &[""] },

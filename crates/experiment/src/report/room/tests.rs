@@ -1,0 +1,64 @@
+//! What the figure of the room shows and what it leaves out.
+
+use super::*;
+use pwrfgs_core::{GaussianCloud, Pose, Sample, Scene};
+
+/// A room of 4 x 3 x 2 m with `points` points and one transmitter of each kind.
+fn room(points: usize) -> (Dataset, Partition) {
+    let low_high = ([0.0; 3], [4.0, 3.0, 2.0]);
+    let sample = |id| Sample { id, tx: [1.0, 1.0, id as Real / 2.0], spectrum: vec![0] };
+    let data = Dataset {
+        title: "room".into(),
+        scene: Scene { receiver: Pose::IDENTITY, bounds: low_high, points: vec![[1.0, 2.0, 0.0]; points] },
+        width: 1,
+        height: 1,
+        samples: vec![sample(1), sample(2)],
+        official: None,
+        simulation: None,
+    };
+    (data, Partition { train: vec![0], validation: vec![], test: vec![1] })
+}
+
+fn snapshot(means: impl IntoIterator<Item = [Real; 3]>) -> Snapshot {
+    let means: Vec<_> = means.into_iter().collect();
+    let rest = GaussianCloud::zeros(means.len());
+    Snapshot::of(0, &GaussianCloud { means, ..rest })
+}
+
+#[test]
+fn gaussians_outside_the_room_are_counted_and_not_drawn() {
+    let (data, partition) = room(5);
+    let cloud = snapshot([[1.0, 1.0, 1.0], [3.9, 0.1, 1.9], [9.0, 1.0, 1.0], [1.0, 1.0, -7.0]]);
+    let panel = Room::new(&data, &partition, &[&cloud]).panel("At the start", &cloud, &data);
+    assert_eq!(panel.svg.matches("<circle").count(), 2);
+    assert_eq!(panel.caption, "2 of 4 lie outside the frame");
+    assert!(panel.numbers.starts_with("N = 4"));
+}
+
+#[test]
+fn without_a_cloud_the_frame_holds_most_gaussians() {
+    let (data, partition) = room(0);
+    let cloud = snapshot((0..200).map(|i| [i as Real, 0.0, 0.0]));
+    let panel = Room::new(&data, &partition, &[&cloud]).panel("In the end", &cloud, &data);
+    assert!((180..200).contains(&panel.svg.matches("<circle").count()));
+}
+
+#[test]
+fn a_picture_stays_small() {
+    let (data, partition) = room(190_000);
+    let cloud = snapshot((0..65_000).map(|i| [i as Real / 16_250.0, 1.0, 1.0]));
+    let panel = Room::new(&data, &partition, &[&cloud]).panel("At the start", &cloud, &data);
+    assert!(panel.svg.len() < 300_000, "{} bytes", panel.svg.len());
+    assert_eq!(panel.caption, "the 3,000 most opaque are drawn");
+    // Of equals, those drawn come from everywhere.
+    let quarter = |k: usize| scattered(65_000)[..GAUSSIANS].iter().filter(|i| **i / 16_250 == k).count();
+    assert!((0..4).all(|k| (700..800).contains(&quarter(k))));
+}
+
+#[test]
+fn a_flat_scene_and_no_gaussian_are_drawn() {
+    let (mut data, partition) = room(1);
+    data.scene.bounds = ([1.0; 3], [1.0; 3]);
+    let panel = Room::new(&data, &partition, &[]).panel("At the start", &snapshot([]), &data);
+    assert!(!panel.svg.contains("NaN") && !panel.svg.contains("inf"), "{}", panel.svg);
+}

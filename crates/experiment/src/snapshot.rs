@@ -1,0 +1,100 @@
+//! `Snapshot`: where the Gaussians are at one moment of a training, for figures. `docs/model-format.md` describes the file.
+
+use pwrfgs_core::{Error, GaussianCloud, Real, Result, sigmoid};
+use pwrfgs_model::file::write_atomically;
+use pwrfgs_model::tensors::Tensors;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// Places and opacities of N Gaussians.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Snapshot {
+    /// Steps done, that of the edit at hand included.
+    pub step: u64,
+    /// Centres `[N,3]`, metres, world frame.
+    pub means: Vec<[Real; 3]>,
+    /// Opacities `[N]` in (0, 1), without the gates of pruners.
+    pub opacities: Vec<Real>,
+}
+
+/// What the file says besides numbers.
+#[derive(Serialize, Deserialize)]
+struct Note {
+    format: String,
+    version: u32,
+    step: u64,
+    gaussians: usize,
+}
+
+const FORMAT: &str = "pwrfgs-snapshot";
+const VERSION: u32 = 1;
+
+impl Snapshot {
+    /// Of `cloud` at `step`.
+    pub fn of(step: u64, cloud: &GaussianCloud) -> Self {
+        let opacities = cloud.opacity_logits.iter().copied().map(sigmoid).collect();
+        Self { step, means: cloud.means.clone(), opacities }
+    }
+
+    /// Writes it to `path`, whole or not at all; the same snapshot gives the same bytes.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let n = self.means.len();
+        let note = Note { format: FORMAT.into(), version: VERSION, step: self.step, gaussians: n };
+        let mut file = Tensors::new(serde_json::to_string(&note).expect("plain data"));
+        file.put("means", vec![n, 3], self.means.as_flattened().to_vec());
+        file.put("opacities", vec![n], self.opacities.clone());
+        write_atomically(path, &file.to_bytes())
+    }
+
+    /// Reads a snapshot; `None` where there is no such file.
+    ///
+    /// # Errors
+    /// [`Error::Read`], or [`Error::Input`] for a file that is not a whole snapshot.
+    pub fn read(path: &Path) -> Result<Option<Self>> {
+        match std::fs::read(path) {
+            Ok(bytes) => Self::from_bytes(&bytes).map(Some).map_err(|why| Error::input(path, why)),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
+            Err(e) => Err(Error::read(path, e)),
+        }
+    }
+
+    fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
+        let mut file = Tensors::from_bytes(bytes)?;
+        let note: Note = serde_json::from_str(&file.note).map_err(|e| format!("not a snapshot of pwrfgs ({e})"))?;
+        if note.format != FORMAT || note.version != VERSION {
+            return Err(format!(
+                "a `{}` of version {}, this program reads `{FORMAT}` {VERSION}",
+                note.format, note.version
+            ));
+        }
+        let means = file.take("means", &[note.gaussians, 3])?;
+        let opacities = file.take("opacities", &[note.gaussians])?;
+        let means = means.chunks_exact(3).map(|m| [m[0], m[1], m[2]]).collect();
+        Ok(Self { step: note.step, means, opacities })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_snapshot_survives_its_file_and_no_file_is_no_snapshot() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("start.safetensors");
+        assert_eq!(Snapshot::read(&path).unwrap(), None);
+        let mut cloud = GaussianCloud::zeros(3);
+        cloud.means[1] = [1.0, -2.0, 0.5];
+        cloud.opacity_logits = vec![0.0, 3.0, -3.0];
+        let snapshot = Snapshot::of(250, &cloud);
+        assert!((snapshot.opacities[1] + snapshot.opacities[2] - 1.0).abs() < 1e-6);
+        snapshot.write(&path).unwrap();
+        assert_eq!(Snapshot::read(&path).unwrap(), Some(snapshot));
+        let bytes = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &bytes[..bytes.len() - 5]).unwrap();
+        assert!(Snapshot::read(&path).unwrap_err().is_input());
+    }
+}
