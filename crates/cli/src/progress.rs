@@ -44,11 +44,11 @@ impl Progress {
         Self { verbosity, bar: None, steps: 0, pace, shown: now, loss: f64::NAN, validation: None, stage: now }
     }
 
-    /// Draws a bar, where there is a terminal to draw on; `words` is what stands behind it.
-    fn draw_bar(&mut self, length: u64, words: &str) {
+    /// Draws a bar, where there is a terminal to draw on.
+    fn draw_bar(&mut self, length: u64) {
         self.finish();
         if self.verbosity != Verbosity::Quiet && std::io::stderr().is_terminal() {
-            let style = ProgressStyle::with_template(&format!("{{bar:24.cyan/dim}} {{pos}}/{{len}}  {words}"))
+            let style = ProgressStyle::with_template("{bar:24.cyan/dim} {pos}/{len}  {msg}")
                 .unwrap_or_else(|_| ProgressStyle::default_bar())
                 .progress_chars("━╸─");
             self.bar = Some(bars().add(ProgressBar::new(length).with_style(style)));
@@ -98,10 +98,11 @@ impl Observer for Progress {
         } else if now - self.stage > PATIENCE {
             let terminal = std::io::stderr().is_terminal();
             if self.bar.is_none() {
-                self.draw_bar(total as u64, "{msg}  {eta} left");
+                self.draw_bar(total as u64);
             }
             if let Some(bar) = &self.bar {
-                bar.set_message(name.to_owned());
+                let left = (now - self.stage).as_secs_f64() / done as f64 * (total - done) as f64;
+                bar.set_message(format!("{name}  {} left", duration(left)));
                 bar.set_position(done as u64);
             } else if !terminal && self.verbosity != Verbosity::Quiet && now - self.shown >= LINE {
                 self.shown = now;
@@ -123,7 +124,7 @@ impl Observer for Progress {
         };
         note(&format!("{on} {} steps in {}", grouped(start.steps as i64), start.folder.display()));
         self.steps = start.steps;
-        self.draw_bar(start.steps, "{msg}");
+        self.draw_bar(start.steps);
         if let Some(bar) = &self.bar {
             bar.set_position(start.done);
         }
