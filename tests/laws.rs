@@ -139,7 +139,15 @@ fn baselines_predict_pictures_of_the_right_size() {
     let data = data();
     let train: Vec<usize> = (0..30).collect();
     for (name, baseline) in all::<dyn Baseline>() {
-        let picture = baseline.fit(&data, &train).unwrap().predict(data.samples[35].tx);
+        let fitted = match baseline.fit(&data, &train) {
+            Ok(fitted) => fitted,
+            Err(e) if name == "RayTracing" => {
+                assert!(e.is_input(), "it needs spectra of a known room: {e}");
+                continue;
+            }
+            Err(e) => panic!("{name}: {e}"),
+        };
+        let picture = fitted.predict(data.samples[35].tx);
         assert!((picture.width, picture.height) == (60, 15) && finite(&picture.pixels), "{name}");
         assert!(!baseline.name().is_empty());
     }

@@ -88,5 +88,5 @@ fn the_quickstart_runs_on_the_office_it_names() {
     let report = std::fs::read_to_string(folder.path().join("run/report.html")).unwrap();
     assert!(report.contains("office (simulated)") && report.contains("upper bound"));
     let scores = std::fs::read_to_string(folder.path().join("run/scores.csv")).unwrap();
-    assert!(scores.contains("ray tracing, exact scene"), "{scores}");
+    assert!(scores.contains("RT exact"), "{scores}");
 }

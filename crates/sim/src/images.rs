@@ -13,7 +13,9 @@ const THIN: f64 = 1e-9;
 /// What is left of a face after clipping must be at least this large, m²: smaller beams are rounding.
 const LEAST_AREA: f64 = 1e-12;
 /// Most images of one point: more would exhaust the memory.
-pub const MOST_IMAGES: usize = 20_000_000;
+const MOST_IMAGES: usize = 2_000_000;
+/// Most pairs of image and face that are tried: more would take minutes.
+const MOST_TRIALS: usize = 500_000_000;
 
 /// How often a path may be reflected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,17 +49,23 @@ pub struct ImageTree {
 }
 
 impl ImageTree {
-    /// Grows the tree of the point `origin`; `None` where it has more than [`MOST_IMAGES`].
+    /// Grows the tree of the point `origin`; `None` where it would have more than two million images, or take minutes to
+    /// grow.
     pub fn grow(world: &World, origin: DVec3, orders: Orders) -> Option<Self> {
         let mut tree = Self { origin, nodes: Vec::new(), planes: Vec::new() };
         // The faces of the room, should more reflections be allowed on them than on all, come first.
         let of_room = world.faces.iter().take_while(|f| f.is_room).count() as u32;
         let mut beams = vec![(u32::MAX, origin, Vec::new(), true)];
+        let mut trials = 0;
         for order in 1..=orders.all.max(orders.room) {
             let mut next = Vec::new();
             for (parent, image, beam, room_only) in &beams {
                 let any_face = order <= orders.all;
                 let candidates = if any_face { world.faces.len() as u32 } else { of_room };
+                trials += candidates as usize;
+                if trials > MOST_TRIALS {
+                    return None;
+                }
                 for face in 0..candidates {
                     let is_room = *room_only && face < of_room;
                     if !(any_face || is_room && order <= orders.room) {

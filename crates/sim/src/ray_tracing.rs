@@ -45,6 +45,33 @@ pub struct RayTracing {
 }
 
 impl RayTracing {
+    /// What the name leaves out.
+    fn note(&self) -> String {
+        let what = match (&self.scene, self.is_exact()) {
+            (None, true) if self.noise => {
+                "the generator of these simulated spectra itself, with receiver errors drawn anew: an upper bound for \
+                 whoever cannot foresee them, not a competitor"
+                    .to_owned()
+            }
+            (None, true) => {
+                "the generator of these simulated spectra itself, without receiver errors: an upper bound, not a \
+                 competitor"
+                    .to_owned()
+            }
+            (scene, _) => {
+                let scene =
+                    scene.as_ref().map_or("the scene of these simulated spectra".into(), |p| p.display().to_string());
+                format!(
+                    "ray tracing in {scene}, material constants off by {:.0} % and places by {:.0} cm (one standard \
+                     deviation, one draw)",
+                    self.material_error * 100.0,
+                    self.position_error_m * 100.0
+                )
+            }
+        };
+        format!("«{}» is {what}", self.name())
+    }
+
     fn is_exact(&self) -> bool {
         self.material_error == 0.0 && self.position_error_m == 0.0
     }
@@ -68,21 +95,21 @@ impl RayTracing {
 #[typetag::serde]
 impl Baseline for RayTracing {
     fn name(&self) -> String {
-        let mut words = vec!["ray tracing".to_owned()];
+        let mut words = vec!["RT".to_owned()];
         words.extend(self.scene.iter().map(|path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned()));
         if self.is_exact() && self.scene.is_none() {
-            words.push("exact scene".into());
+            words.push("exact".into());
         }
         if self.material_error > 0.0 {
-            words.push(format!("materials ±{:.0} %", self.material_error * 100.0));
+            words.push(format!("±{:.0}%", self.material_error * 100.0));
         }
         if self.position_error_m > 0.0 {
-            words.push(format!("places ±{:.0} cm", self.position_error_m * 100.0));
+            words.push(format!("±{:.0}cm", self.position_error_m * 100.0));
         }
         if self.noise {
             words.push("noisy".into());
         }
-        words.join(", ")
+        words.join(" ")
     }
 
     fn fit<'a>(&self, data: &'a Dataset, _: &[usize]) -> Result<Box<dyn Predict + 'a>> {
@@ -93,13 +120,7 @@ impl Baseline for RayTracing {
             )));
         }
         let simulator = Simulator::new(&self.scene(data)?)?;
-        let note = (self.scene.is_none() && self.is_exact()).then(|| {
-            format!(
-                "«{}» is the generator of these simulated spectra itself: an upper bound, not a competitor",
-                self.name()
-            )
-        });
-        Ok(Box::new(Traced { simulator, noise: self.noise, seed: self.seed, note }))
+        Ok(Box::new(Traced { simulator, noise: self.noise, seed: self.seed, note: self.note() }))
     }
 
     fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn Baseline>> {
@@ -132,7 +153,7 @@ struct Traced {
     simulator: Simulator,
     noise: bool,
     seed: u64,
-    note: Option<String>,
+    note: String,
 }
 
 impl Predict for Traced {
@@ -146,6 +167,6 @@ impl Predict for Traced {
     }
 
     fn note(&self) -> Option<String> {
-        self.note.clone()
+        Some(self.note.clone())
     }
 }

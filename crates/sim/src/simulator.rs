@@ -44,8 +44,8 @@ impl Simulator {
     /// Makes `scene` ready.
     ///
     /// # Errors
-    /// A mesh that cannot be read or is not closed where it must be, a receiver inside something, more images than fit
-    /// into memory.
+    /// A mesh that cannot be read or is not closed where it must be, a receiver inside something, more images or patches
+    /// than can be handled.
     pub fn new(scene: &Scene) -> Result<Self> {
         let world = Arc::new(room::world(scene)?);
         let pose = scene.pose();
@@ -53,6 +53,7 @@ impl Simulator {
         world.check_free(center).map_err(|what| {
             Error::Config(format!("scene `{}`: the receiver at {:?} is {what}; move it", scene.name, pose.position))
         })?;
+        check_patches(scene, &world)?;
         let wavelength = scene.wavelength();
         let antennas = antennas(scene, &pose);
         let turn = world_from_receiver(&pose);
@@ -63,8 +64,10 @@ impl Simulator {
         let tracer = |place: &DVec3| {
             Tracer::new(Arc::clone(&world), wavelength, antennas.clone(), *place, &scene.propagation).ok_or_else(|| {
                 Error::Config(format!(
-                    "scene `{}`: the receiver has more images than fit into memory; lower `order` of its propagation",
-                    scene.name
+                    "scene `{}`: its {} faces give the receiver too many images; lower `order` of its propagation, or \
+                     simplify its meshes",
+                    scene.name,
+                    world.faces.len()
                 ))
             })
         };
@@ -163,6 +166,23 @@ pub fn simulate(
         }
     }
     Ok(())
+}
+
+/// Refuses more patches than can be traced in reasonable time.
+fn check_patches(scene: &Scene, world: &World) -> Result<()> {
+    const MOST: f64 = 300_000.0;
+    let is_rough = |t: &&Triangle| world.surface_of(t.face).roughness > 0.0;
+    let area: f64 = world.triangles.iter().filter(is_rough).map(Triangle::area).sum();
+    let side = scene.propagation.patch_m;
+    if area / (side * side) <= MOST {
+        return Ok(());
+    }
+    Err(Error::Config(format!(
+        "scene `{}`: {area:.0} m² of rough surface in patches of {side} m are too many; give a larger `patch_m`, such as \
+         {:.2}",
+        scene.name,
+        (area / 10_000.0).sqrt()
+    )))
 }
 
 fn world_from_receiver(pose: &Pose) -> DMat3 {

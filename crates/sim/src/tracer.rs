@@ -49,7 +49,7 @@ pub struct Tracer {
 }
 
 impl Tracer {
-    /// A tracer for one receiver; `None` where the image tree would not fit into memory.
+    /// A tracer for one receiver; `None` where the image tree would grow too large.
     pub fn new(
         world: Arc<World>,
         wavelength: f64,

@@ -174,9 +174,9 @@ fn ray_tracing_in_the_exact_scene_is_the_generator() {
     for i in 0..10 {
         let (exact, note) = predict("RayTracing()", i);
         assert!(exact == data.image(i), "sample {i}");
-        assert!(note.unwrap().contains("upper bound"));
+        assert!(note.unwrap().contains("«RT exact» is the generator"));
         let (wrong, note) = predict("RayTracing(material_error: 0.3, position_error_m: 0.05)", i);
-        assert!(wrong != data.image(i) && note.is_none());
+        assert!(wrong != data.image(i) && note.unwrap().contains("off by 30 % and places by 5 cm"));
     }
     // Data that were not simulated need a scene by name.
     let measured = pwrfgs_core::Dataset { simulation: None, ..data.clone() };

@@ -1,11 +1,11 @@
 //! The reference room, and where the reference lies.
-#![allow(clippy::unwrap_used, dead_code)] // each test file uses its own part
+#![allow(clippy::unwrap_used, clippy::print_stdout, dead_code)] // each test file uses its own part
 
 use pwrfgs_sim::Scene;
 use std::path::{Path, PathBuf};
 
 /// The folder of reference paths, or a note where it is absent.
-pub fn reference() -> Option<PathBuf> {
+pub(crate) fn reference() -> Option<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap();
     let shared = std::env::var_os("PWRFGS_SHARED").map_or_else(|| root.join("../shared"), PathBuf::from);
     let folder = shared.join("reference/paths");
@@ -17,7 +17,7 @@ pub fn reference() -> Option<PathBuf> {
 }
 
 /// The room of the reference, empty, with specular reflections up to `order` alone.
-pub fn reference_room(carrier_hz: f64, slab: bool, order: usize) -> Scene {
+pub(crate) fn reference_room(carrier_hz: f64, slab: bool, order: usize) -> Scene {
     let finish = |material: &str, thickness: f64| {
         let thickness = if slab { format!(", thickness_m: {thickness}") } else { String::new() };
         format!("(material: \"{material}\"{thickness})")
