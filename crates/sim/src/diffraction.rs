@@ -42,6 +42,21 @@ pub fn wedge(
     r0: &Polarized,
     rn: &Polarized,
 ) -> Polarized {
+    let opaque = Polarized { te: Complex::ZERO, tm: Complex::ZERO };
+    penetrable_wedge(n, k, distances, angles, sin_beta, (r0, rn), &opaque)
+}
+
+/// The same at an edge of sheets that let `through` of a wave pass: the shadow is that much less deep, so the terms of
+/// its boundary count 1 - T (Burnside and Burgener, 1983). An edge of nothing, with T = 1, does nothing.
+pub fn penetrable_wedge(
+    n: f64,
+    k: f64,
+    distances: (f64, f64),
+    angles: (f64, f64),
+    sin_beta: f64,
+    (r0, rn): (&Polarized, &Polarized),
+    through: &Polarized,
+) -> Polarized {
     let (before, after) = distances;
     let (phi_in, phi) = angles;
     if !(before > 0.0 && after > 0.0 && sin_beta > 0.0) {
@@ -56,8 +71,10 @@ pub fn wedge(
     let once = if phi_in < GRAZING || phi_in > n * PI - GRAZING { 0.5 } else { 1.0 };
     // √L cancels the 1/√(2πk) of the coefficient but for 1/√π: see `boundary_term`.
     let front = Complex::cis(-FRAC_PI_4) * (-once * spread / (2.0 * n * PI.sqrt()));
-    let of = |r0: Complex, rn: Complex| front * (incident + r0 * reflected_0 + rn * reflected_n);
-    Polarized { te: of(r0.te, rn.te), tm: of(r0.tm, rn.tm) }
+    let of = |r0: Complex, rn: Complex, through: Complex| {
+        front * ((1.0 - through) * incident + r0 * reflected_0 + rn * reflected_n)
+    };
+    Polarized { te: of(r0.te, rn.te, through.te), tm: of(r0.tm, rn.tm, through.tm) }
 }
 
 /// cot(δ/2n) F(2kL sin²(δ/2)) / √(2kL), where `scale` is √(2kL) and δ is `angle` brought to [-nπ, nπ]: the boundary

@@ -78,6 +78,9 @@ impl ImageTree {
                     if tree.nodes.len() > MOST_IMAGES {
                         return None;
                     }
+                    if order == orders.all.max(orders.room) {
+                        continue;
+                    }
                     next.push((id, image, tree.planes[planes.start as usize..planes.end as usize].to_vec(), is_room));
                 }
             }

@@ -48,8 +48,7 @@ pub fn write(recipe: &Recipe, paths: bool, out: &Path, progress: Progress<'_>) -
     let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     fs::create_dir_all(parent).map_err(|e| Error::write(parent, e))?;
     let name = out.file_name().unwrap_or_default().to_string_lossy();
-    let temporary = tempfile::Builder::new().prefix(&format!(".{name}.")).suffix(".tmp").tempdir_in(parent);
-    let temporary = temporary.map_err(|e| Error::write(parent, e))?;
+    let temporary = temporary_folder(&name, parent).map_err(|e| Error::write(parent, e))?;
     let folder = temporary.path();
     let spectra = folder.join("spectrum");
     fs::create_dir(&spectra).map_err(|e| Error::write(&spectra, e))?;
@@ -69,17 +68,30 @@ pub fn write(recipe: &Recipe, paths: bool, out: &Path, progress: Progress<'_>) -
     publish(temporary, out)
 }
 
-/// Refuses a folder that is not empty.
+/// A folder with the permissions of any other new one; temporary folders are for their owner alone otherwise.
+fn temporary_folder(name: &str, parent: &Path) -> std::io::Result<TempDir> {
+    let (prefix, mut builder) = (format!(".{name}."), tempfile::Builder::new());
+    builder.prefix(&prefix).suffix(".tmp");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        builder.permissions(fs::Permissions::from_mode(0o777)); // less what the user's mask takes away
+    }
+    builder.tempdir_in(parent)
+}
+
+/// Refuses what is there and is not an empty folder.
 fn refuse_occupied(out: &Path) -> Result<()> {
-    let mut entries = match fs::read_dir(out) {
-        Ok(entries) => entries,
-        // What stands in the way is told when the folder is made.
-        Err(e) if [std::io::ErrorKind::NotFound, std::io::ErrorKind::NotADirectory].contains(&e.kind()) => {
-            return Ok(());
-        }
-        Err(e) => return Err(Error::read(out, e)),
-    };
-    if entries.next().is_none() {
+    if out.file_name().is_none() {
+        return Err(Error::input(out, "is no name for a new folder; name one"));
+    }
+    match fs::symlink_metadata(out) {
+        // What stands in the way further up is told when the folder is made.
+        Err(_) => return Ok(()),
+        Ok(found) if !found.is_dir() => return Err(Error::input(out, "is there and is no folder; name a new one")),
+        Ok(_) => {}
+    }
+    if fs::read_dir(out).map_err(|e| Error::read(out, e))?.next().is_none() {
         return Ok(());
     }
     Err(Error::input(out, "is not empty, and nothing is overwritten; name a new folder, or remove this one"))
@@ -89,20 +101,10 @@ fn refuse_occupied(out: &Path) -> Result<()> {
 fn publish(temporary: TempDir, out: &Path) -> Result<()> {
     // Where it does not exist, or is not empty, the rename says what matters.
     let _ = fs::remove_dir(out);
-    open_to_all(temporary.path());
     fs::rename(temporary.path(), out).map_err(|e| Error::write(out, e))?;
     let _ = temporary.keep(); // nothing lies there any more
     Ok(())
 }
-
-/// Temporary folders are for their owner alone; a data set has the permissions of any other new folder.
-#[cfg(unix)]
-fn open_to_all(folder: &Path) {
-    use std::os::unix::fs::PermissionsExt as _;
-    let _ = fs::set_permissions(folder, fs::Permissions::from_mode(0o755));
-}
-#[cfg(not(unix))]
-fn open_to_all(_: &Path) {}
 
 fn put(path: &Path, bytes: impl AsRef<[u8]>) -> Result<()> {
     fs::write(path, bytes).map_err(|e| Error::write(path, e))

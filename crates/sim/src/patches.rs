@@ -30,7 +30,7 @@ pub(crate) fn patches(world: &World, side: f64, seed: u64) -> Vec<Patch> {
         let start = all.len();
         for point in lattice(&face.hull, face.normal, side) {
             let phase = rng::uniform(&mut random) as f64 * TAU;
-            if world.is_on(index as u32, point) {
+            if world.is_on(index as u32, point) && !world.is_covered(index as u32, point) {
                 all.push(Patch { face: index as u32, point, area: 0.0, phase });
             }
         }

@@ -13,6 +13,8 @@ pub(crate) struct Errors {
     pub(crate) positions_m: f64,
     /// Which errors.
     pub(crate) seed: u64,
+    /// Which draw of them.
+    pub(crate) draw: u64,
 }
 
 /// The scene with errors. Every finish has errors of its own. Objects stay on the floor, and the receiver and the
@@ -21,7 +23,7 @@ pub(crate) fn perturbed(scene: &Scene, errors: &Errors) -> Scene {
     let mut wrong = scene.clone();
     finishes(&mut wrong, errors);
     if errors.positions_m > 0.0 {
-        let mut rng = rng::stream(errors.seed, "wrong places", 0);
+        let mut rng = rng::stream(errors.seed, "wrong places", errors.draw);
         let mut error = || errors.positions_m * rng::normal(&mut rng) as f64;
         move_walls(&mut wrong.room.outline, &mut error);
         wrong.objects.iter_mut().for_each(|object| move_object(object, [error(), error()]));
@@ -35,7 +37,7 @@ fn finishes(scene: &mut Scene, errors: &Errors) {
         return;
     }
     let truth = scene.clone();
-    let mut rng = rng::stream(errors.seed, "wrong materials", 0);
+    let mut rng = rng::stream(errors.seed, "wrong materials", errors.draw);
     let factor = |rng: &mut Rng| (errors.materials * rng::normal(rng) as f64).exp();
     let room = &mut scene.room;
     let all = [&mut room.walls, &mut room.floor, &mut room.ceiling].into_iter();

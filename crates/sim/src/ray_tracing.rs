@@ -8,6 +8,9 @@ use pwrfgs_core::{Baseline, Dataset, Error, Image, Predict, Real, Result};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
+/// Draws of errors that are tried.
+const DRAWS: u64 = 100;
+
 /// Ray tracing in a known room, as a predictor beside the model.
 ///
 /// It learns nothing from the training spectra. With the scene that the data were simulated from it *is* their generator,
@@ -46,14 +49,14 @@ pub struct RayTracing {
 
 impl RayTracing {
     /// What the name leaves out.
-    fn note(&self) -> String {
-        let what = match (&self.scene, self.is_exact()) {
-            (None, true) if self.noise => {
+    fn note(&self, is_generator: bool) -> String {
+        let what = match (&self.scene, self.is_exact() && is_generator) {
+            (_, true) if self.noise => {
                 "the generator of these simulated spectra itself, with receiver errors drawn anew: an upper bound for \
                  whoever cannot foresee them, not a competitor"
                     .to_owned()
             }
-            (None, true) => {
+            (_, true) => {
                 "the generator of these simulated spectra itself, without receiver errors: an upper bound, not a \
                  competitor"
                     .to_owned()
@@ -87,8 +90,24 @@ impl RayTracing {
                 return Err(Error::Config(what.into()));
             }
         };
-        let errors = Errors { materials: self.material_error, positions_m: self.position_error_m, seed: self.seed };
-        Ok(perturbed(&scene, &errors))
+        Ok(scene)
+    }
+
+    /// The scene with its errors, made ready. Where a wall moves past the receiver, another draw is taken.
+    fn simulator(&self, scene: &Scene) -> Result<Simulator> {
+        if self.is_exact() {
+            return Simulator::new(scene);
+        }
+        let attempt = |draw| {
+            let errors =
+                Errors { materials: self.material_error, positions_m: self.position_error_m, seed: self.seed, draw };
+            let wrong = perturbed(scene, &errors);
+            match wrong.fault() {
+                Some(fault) => Err(Error::Config(format!("RayTracing: {fault}; lower its errors"))),
+                None => Simulator::new(&wrong),
+            }
+        };
+        (0..DRAWS).find_map(|draw| attempt(draw).ok()).map_or_else(|| attempt(DRAWS), Ok)
     }
 }
 
@@ -119,8 +138,10 @@ impl Baseline for RayTracing {
                 data.width, data.height
             )));
         }
-        let simulator = Simulator::new(&self.scene(data)?)?;
-        Ok(Box::new(Traced { simulator, noise: self.noise, seed: self.seed, note: self.note() }))
+        let scene = self.scene(data)?;
+        let is_generator = data.simulation.as_deref() == Some(scene.to_ron().as_str());
+        let simulator = self.simulator(&scene)?;
+        Ok(Box::new(Traced { simulator, noise: self.noise, seed: self.seed, note: self.note(is_generator) }))
     }
 
     fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn Baseline>> {

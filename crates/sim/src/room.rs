@@ -111,6 +111,11 @@ fn add_object(builder: &mut Builder, scene: &Scene, object: &Object) -> Result<(
         }
         Object::Mesh { file, scale, yaw_deg, shift, .. } => {
             let mesh = read_mesh(file, solid, name)?.transformed(*scale, *yaw_deg, DVec3::from(*shift));
+            mesh.check(file)?;
+            if mesh.vertices.iter().any(|v| v.abs().max_element() > 1e6) {
+                let what = format!("puts `{name}` farther than 1000 km away; correct its `scale` and `shift`");
+                return Err(Error::input(file, what));
+            }
             let closed = mesh.is_closed();
             let describe = |normal, number| described(&|_, number| format!("/face {}", number + 1), normal, number);
             builder.add(&Part { name, mesh: &mesh, closed, describe: &describe });
@@ -122,6 +127,15 @@ fn add_object(builder: &mut Builder, scene: &Scene, object: &Object) -> Result<(
 /// The mesh of a file, checked.
 fn read_mesh(file: &Path, solid: bool, name: &str) -> Result<Mesh> {
     let mut mesh = mesh::read(file)?;
+    if solid && mesh.is_closed() && !is_consistent(&mesh) {
+        return Err(Error::input(
+            file,
+            format!(
+                "the triangles of `{name}` run in different directions, so that inside and outside are unclear; let the \
+                 modelling program recalculate its normals"
+            ),
+        ));
+    }
     if mesh.is_closed() && volume(&mesh) < 0.0 {
         mesh.triangles.iter_mut().for_each(|t| t.swap(1, 2)); // normals must point outwards
     }
@@ -138,9 +152,19 @@ fn read_mesh(file: &Path, solid: bool, name: &str) -> Result<Mesh> {
     Ok(mesh)
 }
 
+/// Whether neighbouring triangles run through their common edge in opposite directions.
+fn is_consistent(mesh: &Mesh) -> bool {
+    let mut edges: Vec<[u32; 2]> = mesh.triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).collect();
+    edges.sort_unstable();
+    let mut reversed: Vec<[u32; 2]> = edges.iter().map(|[a, b]| [*b, *a]).collect();
+    reversed.sort_unstable();
+    edges == reversed
+}
+
 /// Volume inside a closed surface, m³; negative where the normals point inwards.
 fn volume(mesh: &Mesh) -> f64 {
-    let corner = |i: u32| mesh.vertices[i as usize];
+    let origin = mesh.vertices.first().copied().unwrap_or_default();
+    let corner = |i: u32| mesh.vertices[i as usize] - origin;
     mesh.triangles.iter().map(|&[a, b, c]| corner(a).dot(corner(b).cross(corner(c))) / 6.0).sum()
 }
 

@@ -331,7 +331,15 @@ impl Scene {
         room.into_iter().chain(self.objects.iter().map(|o| (o.name(), o.finish())))
     }
 
+    /// Whether the scene can be built, in words.
+    pub(crate) fn fault(&self) -> Option<String> {
+        self.check().err().map(|fault| fault.what)
+    }
+
     fn check(&self) -> Result<(), Fault> {
+        if self.name.trim().is_empty() || self.name.chars().any(char::is_control) {
+            return Err(Fault::of("`name` is empty or holds control characters; give a plain name", "name"));
+        }
         if !(1e6..=1e12).contains(&self.carrier_hz) {
             let what = format!("`carrier_hz` is {}; give a frequency in Hz between 1e6 and 1e12", self.carrier_hz);
             return Err(Fault::of(what, "carrier_hz"));
@@ -353,7 +361,7 @@ impl Scene {
         }
         self.receiver.check().map_err(|what| Fault::of(what, "receiver"))?;
         let axis = self.transmitter.polarization;
-        if !axis.iter().all(|v| v.is_finite()) || axis == [0.0; 3] {
+        if glam::DVec3::from(axis).try_normalize().is_none() {
             let what = format!("`polarization` of the transmitter is {axis:?}; give an axis such as (0, 0, 1)");
             return Err(Fault::of(what, "transmitter"));
         }
@@ -407,14 +415,18 @@ fn place(text: &str, word: &str) -> Option<(usize, usize)> {
     })
 }
 
+/// Farthest coordinate, metres.
+const FAR: f64 = 1e6;
+
 /// Refuses what is not a box with an inside.
 fn check_box(low: [f64; 3], high: [f64; 3]) -> Result<(), String> {
-    let fine = (0..3).all(|k| low[k].is_finite() && high[k].is_finite() && high[k] - low[k] > 1e-3);
+    let fine = (0..3).all(|k| low[k].abs() <= FAR && high[k].abs() <= FAR && high[k] - low[k] > 1e-3);
     if fine {
         return Ok(());
     }
     Err(format!(
-        "the box from {low:?} to {high:?} has no inside; `high` must exceed `low` by more than 1 mm on each axis"
+        "the box from {low:?} to {high:?} has no inside; `high` must exceed `low` by more than 1 mm on each axis, all \
+         within 1000 km"
     ))
 }
 
@@ -423,10 +435,10 @@ impl Outline {
         match self {
             Self::Box { low, high } => check_box(*low, *high).map_err(|why| format!("room: {why}")),
             Self::Plan { corners, floor, ceiling } => {
-                if corners.len() < 3 || !corners.as_flattened().iter().all(|v| v.is_finite()) {
+                if corners.len() < 3 || !corners.as_flattened().iter().all(|v| v.abs() <= FAR) {
                     return Err("room: a floor plan needs three corners or more, finite numbers in metres".into());
                 }
-                if !(ceiling - floor > 1e-3 && ceiling.is_finite() && floor.is_finite()) {
+                if !(ceiling - floor > 1e-3 && ceiling.abs() <= FAR && floor.abs() <= FAR) {
                     return Err(format!("room: the ceiling at {ceiling} m must lie above the floor at {floor} m"));
                 }
                 match first_crossing(corners) {
@@ -455,7 +467,15 @@ fn first_crossing(corners: &[[f64; 2]]) -> Option<(usize, usize)> {
                 continue;
             }
             let (c, d) = (corner(j), corner(j + 1));
-            if side(a, b, c) * side(a, b, d) <= 0.0 && side(c, d, a) * side(c, d, b) <= 0.0 {
+            let sides = [side(a, b, c), side(a, b, d), side(c, d, a), side(c, d, b)];
+            if sides == [0.0; 4] {
+                // On one line: apart, as the walls beside a niche, or over each other.
+                let along = |p: glam::DVec2| (p - a).dot(b - a);
+                let (low, high) = (along(c).min(along(d)), along(c).max(along(d)));
+                if low <= (b - a).length_squared() && high >= 0.0 {
+                    return Some((i, j));
+                }
+            } else if sides[0] * sides[1] <= 0.0 && sides[2] * sides[3] <= 0.0 {
                 return Some((i, j));
             }
         }
@@ -474,8 +494,8 @@ impl Object {
             }
             Self::Panel { from, to, heights, finish, .. } => {
                 let length = glam::DVec2::from(*from).distance(glam::DVec2::from(*to));
-                if !(length > 1e-3 && heights[1] - heights[0] > 1e-3 && (length + heights[1] - heights[0]).is_finite())
-                {
+                let near = from.iter().chain(to).chain(heights).all(|v| v.abs() <= FAR);
+                if !(near && length > 1e-3 && heights[1] - heights[0] > 1e-3) {
                     return Err("a panel needs two different lower corners and a lower rim below its upper one".into());
                 }
                 if finish.thickness_m.is_none() {
@@ -488,10 +508,10 @@ impl Object {
                     return Err("`file` is empty; name an OBJ, STL or PLY file".into());
                 }
                 let finite = yaw_deg.is_finite() && shift.iter().all(|v| v.is_finite());
-                if finite && *scale > 0.0 && scale.is_finite() {
+                if finite && (1e-9..=1e9).contains(scale) {
                     return Ok(());
                 }
-                Err("`scale` must be positive, `yaw_deg` and `shift` finite".into())
+                Err("`scale` must lie between 1e-9 and 1e9, `yaw_deg` and `shift` be finite".into())
             }
         }
     }
@@ -499,7 +519,7 @@ impl Object {
 
 impl Receiver {
     fn check(&self) -> Result<(), String> {
-        if !self.position.iter().all(|v| v.is_finite()) {
+        if !self.position.iter().all(|v| v.abs() <= FAR) {
             return Err(format!("receiver: `position` is {:?}; give finite metres", self.position));
         }
         match &self.orientation {
@@ -511,7 +531,7 @@ impl Receiver {
                 Err(format!("receiver: the quaternion has length {norm}; give a unit quaternion x, y, z, w"))
             }
             Orientation::Facing { direction } => {
-                if direction.iter().all(|v| v.is_finite()) && *direction != [0.0; 3] {
+                if glam::DVec3::from(*direction).try_normalize().is_some() {
                     return Ok(());
                 }
                 Err(format!("receiver: `direction` is {direction:?}; give a direction such as (0, 0, -1)"))
@@ -524,7 +544,10 @@ impl Orientation {
     /// Unit quaternion x, y, z, w from the receiver's axes to the world's.
     pub fn quaternion(&self) -> [f64; 4] {
         match self {
-            Self::Quaternion(x, y, z, w) => [*x, *y, *z, *w],
+            Self::Quaternion(x, y, z, w) => {
+                let norm = (x * x + y * y + z * z + w * w).sqrt();
+                [*x, *y, *z, *w].map(|v| v / norm)
+            }
             Self::Facing { direction } => {
                 use glam::{DMat3, DQuat, DVec3};
                 let z = DVec3::from(*direction).normalize();

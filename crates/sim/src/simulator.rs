@@ -61,6 +61,14 @@ impl Simulator {
         if scene.receiver.array.wavefront == Wavefront::Traced {
             places.extend(scene.receiver.array.offsets(wavelength).into_iter().map(|o| center + turn * o));
         }
+        for place in &places {
+            world.check_free(*place).map_err(|what| {
+                Error::Config(format!(
+                    "scene `{}`: an antenna of the array, at {place}, is {what}; move it",
+                    scene.name
+                ))
+            })?;
+        }
         let tracer = |place: &DVec3| {
             Tracer::new(Arc::clone(&world), wavelength, antennas.clone(), *place, &scene.propagation).ok_or_else(|| {
                 Error::Config(format!(

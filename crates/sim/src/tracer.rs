@@ -15,6 +15,9 @@ use std::sync::Arc;
 /// A path is given up where less than this of its field is left, against free space.
 const NEGLIGIBLE: f64 = 1e-8;
 
+/// What passes a solid.
+const OPAQUE: fresnel::Polarized = fresnel::Polarized { te: Complex::ZERO, tm: Complex::ZERO };
+
 /// An antenna with its pattern, turned.
 #[derive(Clone, Debug)]
 pub struct Antenna {
@@ -143,6 +146,9 @@ impl Walk<'_> {
         let mut ray = self.leave(first)?;
         let (departure, mut from, mut source) = (ray.direction, self.tx, self.tx);
         for (&face, &point) in faces.iter().zip(points) {
+            if tracer.world.is_covered(face, point) {
+                return None;
+            }
             ray = self.go(ray, from, point)?;
             let plane = &tracer.world.faces[face as usize];
             self.interactions.push(Interaction::Reflection { face, point });
@@ -197,12 +203,19 @@ impl Walk<'_> {
         // receiver change places (El-Sallabi and Vainikainen, 2005).
         let at = |face: u32, grazing: f64| {
             let surface = world.surface_of(face);
-            fresnel::reflection(surface.eta, surface.thickness, (grazing.sin() * sine).abs(), *wavelength)
+            let cosine = (grazing.sin() * sine).abs();
+            let through = |d| fresnel::transmission(surface.eta, d, cosine, *wavelength);
+            let reflected = fresnel::reflection(surface.eta, surface.thickness, cosine, *wavelength);
+            (reflected, surface.thickness.map_or(OPAQUE, through))
         };
-        let r0 = at(edge.faces[0], phi_in.min(phi_out));
-        let rn = at(edge.faces[1], whole - phi_in.max(phi_out));
+        let (r0, t0) = at(edge.faces[0], phi_in.min(phi_out));
+        let (rn, tn) = at(edge.faces[1], whole - phi_in.max(phi_out));
+        // Behind the rim of a sheet lies one sheet, behind an edge of two faces both.
+        let is_rim = edge.faces[0] == edge.faces[1];
+        let through = if is_rim { t0 } else { fresnel::Polarized { te: t0.te * tn.te, tm: t0.tm * tn.tm } };
         let distances = (to_tx.length(), to_rx.length());
-        Some(diffraction::wedge(edge.outer_angle, TAU / wavelength, distances, (phi_in, phi_out), sine, &r0, &rn))
+        let (k, angles) = (TAU / wavelength, (phi_in, phi_out));
+        Some(diffraction::penetrable_wedge(edge.outer_angle, k, distances, angles, sine, (&r0, &rn), &through))
     }
 
     fn scattered(&mut self, patch: &Patch) -> Option<Path> {
@@ -222,8 +235,11 @@ impl Walk<'_> {
         let specular = departure - 2.0 * departure.dot(normal) * normal;
         let density = surface.lobe.density(cos_in.abs(), cos_out.abs(), specular.dot(out));
         let (before, after) = (to_tx.length(), to_rx.length());
+        // Nearer than its own size a patch is no point: its field does not grow further.
+        let size = (patch.area / PI).sqrt();
+        let distances = (before.max(size), after.max(size));
         let (area, wavelength, roughness) = (patch.area, tracer.wavelength, surface.roughness);
-        let gain = amplitude(roughness, reflected, density, area, cos_in.abs(), (before, after), wavelength);
+        let gain = amplitude(roughness, reflected, density, area, cos_in.abs(), distances, wavelength);
         self.interactions.push(Interaction::Scattering { face: patch.face, point: patch.point });
         let ray = self.go(ray.scattered(out, Complex::cis(patch.phase)), patch.point, self.rx)?;
         Some(self.arrive(ray, gain, departure, (patch.point, before)))

@@ -41,6 +41,8 @@ pub struct Face {
     pub surface: u32,
     /// Its triangles in [`World::triangles`].
     pub triangles: Range<usize>,
+    /// Faces of other things in the same plane that were added before.
+    pub twins: Vec<u32>,
     /// Convex hull, corners in order.
     pub hull: Vec<DVec3>,
     /// Whether it belongs to the room rather than to an object in it.
@@ -151,6 +153,11 @@ impl World {
     /// Whether a point of its plane lies on the face.
     pub fn is_on(&self, face: u32, point: DVec3) -> bool {
         self.triangles[self.faces[face as usize].triangles.clone()].iter().any(|t| t.contains(point))
+    }
+
+    /// Whether another face lies on this one there, and counts instead: the one that was added first.
+    pub fn is_covered(&self, face: u32, point: DVec3) -> bool {
+        self.faces[face as usize].twins.iter().any(|twin| self.is_on(*twin, point))
     }
 
     /// The faces between `from` and `to`, nearest first, put into `met` after clearing it. Returns whether the way is

@@ -149,6 +149,22 @@ fn the_shipped_scenes_are_simulated() {
 }
 
 #[test]
+fn rooms_may_have_niches_and_panels_in_line_with_walls() {
+    let niche = "Plan(corners: [(0, 0), (1, 0), (1, -1), (2, -1), (2, 0), (4, 0), (4, 3), (0, 3)], ceiling: 2.5)";
+    let text = scene_text("").replace("Box(low: (0, 0, 0), high: (4, 3, 2.5))", niche);
+    let simulator = Simulator::new(&Scene::parse(&text, Path::new("niche.ron")).unwrap()).unwrap();
+    assert_eq!(simulator.world().faces.len(), 8 + 2 + 5);
+    // Two corners of the niche stand out into the room.
+    let upright = |e: &&pwrfgs_sim::world::Edge| (e.ends[0].z - e.ends[1].z).abs() > 2.0;
+    assert_eq!(simulator.world().edges.iter().filter(upright).count(), 2);
+    let crossed = text.replace("(2, -1), (2, 0)", "(2, -1), (0.5, 0)");
+    assert!(Scene::parse(&crossed, Path::new("s.ron")).unwrap_err().to_string().contains("cross or touch"));
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap().join("scenes");
+    let conference = Simulator::new(&Scene::read(&root.join("conference.ron")).unwrap()).unwrap();
+    assert!(conference.world().faces.iter().any(|f| f.name == "glass front"));
+}
+
+#[test]
 fn the_scene_of_the_manual_is_read() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap();
     let page = fs::read_to_string(root.join("docs/simulator.md")).unwrap();

@@ -122,13 +122,14 @@ fn a_solid_closes_the_way_and_a_sheet_weakens_it() {
     assert!(line_of_sight(&closed, DVec3::new(0.0, 0.1, 1.0)).is_none());
 }
 
-/// Field at the receiver behind the rim of a metal board, in a room of air.
-fn behind_a_board(tx: DVec3) -> Complex {
+/// Field at the receiver behind the rim of a board, in a room of air.
+fn behind_a_board(material: &str, tx: DVec3) -> Complex {
     let air = "(material: \"vacuum\", thickness_m: 0.1)";
     let room =
         format!("(outline: Box(low: (-10, -50, -50), high: (10, 50, 50)), walls: {air}, floor: {air}, ceiling: {air})");
     let board = "Panel(name: \"board\", from: (0, -40), to: (0, 0), heights: (-45, 45), \
-                 finish: (material: \"metal\", thickness_m: 0.01))";
+                 finish: (material: \"MATERIAL\", thickness_m: 0.01))";
+    let board = &board.replace("MATERIAL", material);
     let simulator = Simulator::new(&scene(&room, board, [4.0, -1.5, 0.3], "order: 1, room_order: 0")).unwrap();
     let wavelength = simulator.scene().wavelength();
     simulator.trace(tx).iter().map(|p| p.baseband(wavelength)).sum()
@@ -137,13 +138,42 @@ fn behind_a_board(tx: DVec3) -> Complex {
 #[test]
 fn diffraction_makes_up_for_the_edge_of_the_shadow() {
     // From (-4, y) the line of sight touches the rim (0, 0) at y = 1.5.
-    let at = |y: f64| behind_a_board(DVec3::new(-4.0, y, 0.0));
+    let at = |y: f64| behind_a_board("metal", DVec3::new(-4.0, y, 0.0));
     let jump = (at(1.5 + 1e-6) - at(1.5 - 1e-6)).norm();
     assert!(jump < 1e-3 * at(1.5 + 1e-6).norm(), "{jump:e}");
     // Half of the free field is left there, and it fades into the shadow.
     let free = 299_792_458.0 / 2e9 / (4.0 * PI * DVec3::new(8.0, 3.0, 0.3).length());
     assert!((at(1.5 - 1e-6).norm() / free - 0.5).abs() < 0.02);
     assert!(at(0.5).norm() < 0.25 * free && at(-3.0).norm() < at(0.5).norm());
+}
+
+#[test]
+fn the_edge_of_a_sheet_diffracts_what_the_sheet_stops() {
+    // Continuous where the way through the glass begins, and nothing at all at the edge of a sheet of air.
+    let at = |y: f64| behind_a_board("glass", DVec3::new(-4.0, y, 0.0));
+    let jump = (at(1.5 + 1e-6) - at(1.5 - 1e-6)).norm();
+    assert!(jump < 1e-3 * at(1.5 + 1e-6).norm(), "{jump:e}");
+    for y in [-2.0, 1.4, 1.6, 3.0] {
+        let distance = DVec3::new(-4.0, y, 0.0).distance(DVec3::new(4.0, -1.5, 0.3));
+        let wavelength = 299_792_458.0 / 2e9;
+        let free = Complex::cis(-TAU * distance / wavelength) * wavelength / (4.0 * PI * distance);
+        let found = behind_a_board("vacuum", DVec3::new(-4.0, y, 0.0));
+        assert!((found - free).norm() < 1e-9 * free.norm(), "{y}: {found} and {free}");
+    }
+}
+
+#[test]
+fn a_face_that_lies_on_another_reflects_once() {
+    let bench = |name: &str, high: &str| {
+        format!("Box(name: \"{name}\", low: (-1, -1, 0.5), high: {high}, finish: (material: \"wood\")),")
+    };
+    let paths = |objects: &str| {
+        let simulator = Simulator::new(&scene(WALLS, objects, [0.4, 0.3, 2.0], "order: 1, room_order: 0")).unwrap();
+        let found = simulator.trace(DVec3::new(-0.6, -0.7, 1.8));
+        found.iter().filter(|p| matches!(p.interactions[..], [Interaction::Reflection { .. }])).count()
+    };
+    let one = paths(&bench("a", "(1, 1, 0.8)"));
+    assert_eq!(paths(&(bench("a", "(1, 1, 0.8)") + &bench("b", "(1, 1, 0.8)"))), one);
 }
 
 #[test]

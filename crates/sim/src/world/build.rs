@@ -22,6 +22,10 @@ pub struct Builder {
     edges: Vec<Edge>,
     triangles: Vec<Triangle>,
     bodies: Vec<Body>,
+    /// The first face of each part.
+    parts: Vec<u32>,
+    /// The part of each edge.
+    owners: Vec<usize>,
 }
 
 /// Something to add: the room first.
@@ -49,12 +53,12 @@ impl Builder {
         let plain: Vec<Triangle> = part.mesh.triangles.iter().map(|t| triangle(part.mesh, *t)).collect();
         let shared = edges_of(part.mesh);
         let groups = coplanar_groups(&plain, &shared);
-        let first = self.faces.len() as u32;
+        self.parts.push(self.faces.len() as u32);
         let mut face_of = vec![u32::MAX; plain.len()]; // hidden faces keep u32::MAX
         for (number, group) in groups.iter().enumerate() {
             let start = self.triangles.len();
             let face = Self::face(&plain, group, is_room, number, part);
-            if !is_room && self.is_hidden(&face) {
+            if !is_room && part.closed && self.is_hidden(&face) {
                 continue;
             }
             let id = self.faces.len() as u32;
@@ -64,13 +68,10 @@ impl Builder {
             }
             self.faces.push(Face { triangles: start..self.triangles.len(), ..face });
         }
-        let found = shared.iter().filter_map(|(ends, owners)| edge(part.mesh, *ends, owners, &plain, &face_of));
-        let touches = |e: &Edge| {
-            let middle = e.ends[0].midpoint(e.ends[1]);
-            self.faces[..first as usize].iter().any(|f| is_near(f, middle, &self.triangles))
-        };
-        let found: Vec<Edge> = found.map(|edge| self.oriented(edge)).filter(|e| !touches(e)).collect();
+        let found =
+            shared.iter().filter_map(|(ends, owners)| edge(part.mesh, (ends, owners), &plain, &face_of, !part.closed));
         self.edges.extend(found);
+        self.owners.resize(self.edges.len(), self.parts.len() - 1);
         if part.closed {
             let low = part.mesh.vertices.iter().copied().reduce(DVec3::min).unwrap_or_default();
             let high = part.mesh.vertices.iter().copied().reduce(DVec3::max).unwrap_or_default();
@@ -79,8 +80,11 @@ impl Builder {
     }
 
     /// The world.
-    pub fn build(self) -> World {
-        let Self { surfaces, faces, edges, triangles, bodies } = self;
+    pub fn build(mut self) -> World {
+        let is_free = |(edge, part): &(&Edge, &usize)| !self.touches(edge, **part);
+        let edges = self.edges.iter().zip(&self.owners).filter(is_free).map(|(edge, _)| edge.clone()).collect();
+        self.find_twins();
+        let Self { surfaces, faces, triangles, bodies, .. } = self;
         let hierarchy = Hierarchy::new(&triangles);
         World { surfaces, faces, edges, triangles, bodies, hierarchy }
     }
@@ -92,19 +96,58 @@ impl Builder {
         let (name, surface) = (part.describe)(normal, number);
         let corners = group.iter().flat_map(|&t| plain[t].corners()).collect();
         let hull = convex_hull(corners, normal);
-        Face { name, normal, offset: normal.dot(largest.corner), surface, triangles: 0..0, hull, is_room }
+        Face {
+            name,
+            normal,
+            offset: normal.dot(largest.corner),
+            surface,
+            triangles: 0..0,
+            twins: Vec::new(),
+            hull,
+            is_room,
+        }
     }
 
-    /// Whether a face lies in one of the room, as the underside of a cupboard does: no wave gets there.
+    /// Whether a face lies on one of the room, as the underside of a cupboard does: no wave gets there.
     fn is_hidden(&self, face: &Face) -> bool {
-        let room = self.faces.iter().filter(|f| f.is_room);
-        room.into_iter().any(|wall| face.hull.iter().all(|p| wall.height(*p).abs() < TOUCHING))
+        let middle = face.hull.iter().sum::<DVec3>() / face.hull.len() as f64;
+        let on = |wall: &Face| face.hull.iter().chain([&middle]).all(|p| is_near(wall, *p, &self.triangles));
+        self.faces.iter().filter(|f| f.is_room).any(on)
     }
 
-    /// Puts in the plane and the normal of the first face.
-    fn oriented(&self, mut edge: Edge) -> Edge {
-        edge.normal = self.faces[edge.faces[0] as usize].normal;
-        edge
+    /// Whether an edge lies on something else for most of its length, as that of a board on a wall does: it is no edge.
+    fn touches(&self, edge: &Edge, part: usize) -> bool {
+        let end = self.parts.get(part + 1).map_or(self.faces.len(), |f| *f as usize);
+        let others = || self.faces[..self.parts[part] as usize].iter().chain(&self.faces[end..]);
+        let near = |t: f64| others().any(|f| is_near(f, edge.ends[0].lerp(edge.ends[1], t), &self.triangles));
+        [0.1, 0.3, 0.5, 0.7, 0.9].into_iter().filter(|t| near(*t)).count() >= 3
+    }
+
+    /// Finds faces in the same plane as earlier ones.
+    fn find_twins(&mut self) {
+        // Faces in one plane have the same rounded key but for those at its borders, whose neighbours are looked at too.
+        let key = |face: &Face, nudge: f64| {
+            let n = face.normal;
+            let sign = if n.x + 1.1 * n.y + 1.3 * n.z < 0.0 { -1.0 } else { 1.0 };
+            let grid = |v: f64| (sign * v * 1e3 + nudge).floor() as i64;
+            [grid(n.x), grid(n.y), grid(n.z), grid(face.offset)]
+        };
+        for nudge in [0.25, 0.75] {
+            let mut planes: BTreeMap<[i64; 4], Vec<u32>> = BTreeMap::new();
+            for index in 0..self.faces.len() {
+                let earlier = planes.entry(key(&self.faces[index], nudge)).or_default();
+                let coincide = |&&other: &&u32| {
+                    let (one, other) = (&self.faces[index], &self.faces[other as usize]);
+                    one.hull.iter().all(|p| other.height(*p).abs() < TOUCHING)
+                };
+                let twins: Vec<u32> = earlier.iter().filter(coincide).copied().collect();
+                earlier.push(index as u32);
+                let face = &mut self.faces[index];
+                face.twins.extend(twins);
+                face.twins.sort_unstable();
+                face.twins.dedup();
+            }
+        }
     }
 }
 
@@ -163,23 +206,30 @@ fn coplanar_groups(triangles: &[Triangle], edges: &BTreeMap<[u32; 2], Vec<usize>
 
 /// The edge between the faces of `owners`, or the rim of a sheet; nothing inside a face, in a hollow, or between more
 /// than two.
-fn edge(mesh: &Mesh, ends: [u32; 2], owners: &[usize], plain: &[Triangle], face_of: &[u32]) -> Option<Edge> {
+fn edge(
+    mesh: &Mesh,
+    (ends, owners): (&[u32; 2], &[usize]),
+    plain: &[Triangle],
+    face_of: &[u32],
+    sheet: bool,
+) -> Option<Edge> {
     let [p, q] = ends.map(|i| mesh.vertices[i as usize]);
     let direction = (q - p).normalize();
     let third = |t: usize| {
         let index = mesh.triangles[t].into_iter().find(|i| !ends.contains(i)).expect("a triangle has three corners");
         mesh.vertices[index as usize]
     };
-    let (faces, outer_angle) = match *owners {
-        [only] => ([face_of[only]; 2], 2.0),
+    let (faces, outer_angle, side) = match *owners {
+        [only] => ([face_of[only]; 2], 2.0, 1.0),
         [one, other] if face_of[one] != face_of[other] => {
             let (n0, n1) = (unit_normal(&plain[one]), unit_normal(&plain[other]));
             let turn = n0.cross(n1).length().atan2(n0.dot(n1));
             let is_convex = n0.dot(third(other) - p) < 0.0;
-            if !is_convex || turn < FLATTEST_EDGE {
+            // A sheet has two sides: its folds are convex on one of them.
+            if turn < FLATTEST_EDGE || !(is_convex || sheet) {
                 return None;
             }
-            ([face_of[one], face_of[other]], 1.0 + turn / PI)
+            ([face_of[one], face_of[other]], 1.0 + turn / PI, if is_convex { 1.0 } else { -1.0 })
         }
         _ => return None,
     };
@@ -188,7 +238,7 @@ fn edge(mesh: &Mesh, ends: [u32; 2], owners: &[usize], plain: &[Triangle], face_
     }
     let inwards = third(owners[0]) - p;
     let along = (inwards - inwards.dot(direction) * direction).normalize();
-    Some(Edge { ends: [p, q], faces, along, normal: DVec3::ZERO, outer_angle })
+    Some(Edge { ends: [p, q], faces, along, normal: side * unit_normal(&plain[owners[0]]), outer_angle })
 }
 
 /// Whether a point touches a face.
