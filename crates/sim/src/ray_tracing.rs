@@ -52,8 +52,8 @@ impl RayTracing {
     fn note(&self, is_generator: bool) -> String {
         let what = match (&self.scene, self.is_exact() && is_generator) {
             (_, true) if self.noise => {
-                "the generator of these simulated spectra itself, with receiver errors drawn anew: an upper bound for \
-                 whoever cannot foresee them, not a competitor"
+                "the generator of these simulated spectra itself, with the phase errors of the antennas, and with noise \
+                 drawn anew: an upper bound, not a competitor"
                     .to_owned()
             }
             (_, true) => {
