@@ -16,12 +16,15 @@ const PLACES: usize = 400;
 const STRETCHES: usize = 150;
 const MODEL_COLOUR: RGBColor = RGBColor(24, 78, 163);
 /// For baselines, in their order: told apart by the colour-blind (Okabe and Ito).
-const FLOOR_COLOURS: [RGBColor; 5] = [
+const FLOOR_COLOURS: [RGBColor; 8] = [
     RGBColor(120, 124, 132),
     RGBColor(230, 159, 0),
     RGBColor(0, 158, 115),
     RGBColor(204, 121, 167),
     RGBColor(213, 94, 0),
+    RGBColor(16, 19, 24),
+    RGBColor(150, 130, 0),
+    RGBColor(86, 180, 233),
 ];
 
 /// A chart with its heading and the meaning of its colours.
