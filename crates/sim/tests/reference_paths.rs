@@ -117,3 +117,32 @@ fn an_empty_box_has_the_known_number_of_images() {
         }
     }
 }
+
+#[test]
+fn every_antenna_traced_on_its_own_sees_the_reference_channel() {
+    let Some(folder) = reference() else { return };
+    let mut reader = csv::Reader::from_path(folder.join("sceneA/array_4x4_920MHz_slab.csv")).unwrap();
+    let txs = [("tx1", [-2.1, 1.4, 1.1]), ("tx2", [0.45, -1.85, 2.35]), ("tx3", [-1.3, -0.65, 0.8])];
+    let mut rows = 0;
+    for record in reader.deserialize() {
+        let r: BTreeMap<String, String> = record.unwrap();
+        let number = |key: &str| r[key].parse::<f64>().unwrap();
+        let mut scene = reference_room(920e6, true, 3);
+        scene.receiver.position = ["pos_x", "pos_y", "pos_z"].map(number); // single precision, as they were traced
+        let simulator = Simulator::new(&scene).unwrap();
+        let tx = txs.iter().find(|(name, _)| *name == r["tx"]).unwrap().1;
+        let paths = simulator.trace(DVec3::from(tx));
+        assert_eq!(paths.len(), number("npaths_ref") as usize);
+        let found: Complex = paths.iter().map(|p| p.baseband(scene.wavelength())).sum();
+        let expected = Complex::new(number("ref_real_re"), number("ref_real_im"));
+        // In a fade the sum is small: the line of sight is the measure.
+        assert!(
+            (found - expected).norm() < 1e-8 * paths[0].gain.norm(),
+            "{} {}: {found} {expected}",
+            r["tx"],
+            r["elem"]
+        );
+        rows += 1;
+    }
+    assert_eq!(rows, 48);
+}
