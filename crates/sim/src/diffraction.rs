@@ -14,6 +14,26 @@ pub use transition::transition;
 /// An incoming ray closer to a face than this, radians, grazes it.
 const GRAZING: f64 = 1e-9;
 
+/// The two faces of an edge, as a wave meets them: coefficients (te soft, tm hard).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sides {
+    /// Reflection at face 0; [`Polarized::PERFECT_CONDUCTOR`] for metal.
+    pub r0: Polarized,
+    /// Reflection at face n.
+    pub rn: Polarized,
+    /// What passes the sheets on a straight way close behind the edge: the shadow is that much less deep, so the terms of
+    /// its boundary count 1 - T (Burnside and Burgener, 1983). An edge of nothing, with T = 1 and no reflection, does
+    /// nothing.
+    pub through: Polarized,
+}
+
+impl Sides {
+    /// Faces that nothing passes.
+    pub fn opaque(r0: &Polarized, rn: &Polarized) -> Self {
+        Self { r0: *r0, rn: *rn, through: Polarized::NOTHING }
+    }
+}
+
 /// Diffraction coefficients Dₛ (`te`) and Dₕ (`tm`) of a wedge, √m: Kouyoumjian and Pathak, Proc. IEEE 62 (1974),
 /// pp. 1448-1461, the reflection terms multiplied by coefficients of reflection as in Luebbers, IEEE TAP 32 (1984),
 /// pp. 70-76.
@@ -22,8 +42,7 @@ const GRAZING: f64 = 1e-9;
 /// * `distances`: s′ from the source to the edge and s from the edge to the receiver, metres.
 /// * `angles`: φ′ of the source and φ of the receiver about the edge, radians, from face 0 through air, in [0, nπ].
 /// * `sin_beta`: sine of the angle between ray and edge.
-/// * `r0`, `rn`: reflection coefficients of face 0 and of face n, at angles the caller chooses;
-///   [`Polarized::PERFECT_CONDUCTOR`] for metal. With cos θ = sin β sin α, where α is min(φ, φ′) at face 0 and
+/// * `sides`: what the two faces reflect and let through, at angles the caller chooses. With cos θ = sin β sin α, where α is min(φ, φ′) at face 0 and
 ///   nπ - max(φ, φ′) at face n, they join the reflected rays at the boundaries and swap with the ends of the path.
 ///
 /// The gain of the path is λ/(4π)·D/√(ss′(s + s′)), without the phase e^{-jk(s + s′)}. With ê along the edge so that φ
@@ -32,35 +51,20 @@ const GRAZING: f64 = 1e-9;
 ///
 /// On a shadow or reflection boundary it is the limit from the lit side. At grazing incidence (φ′ of 0 or nπ) the
 /// incident and the reflected ray are one, and it is halved, as Kouyoumjian and Pathak have it: the direct ray counts
-/// once, the reflected one not at all. A receiver on a face is not treated so. Zero where the ray runs along the edge, or an end lies on it.
+/// once, the reflected one not at all. A receiver on a face is not treated so. Zero
+/// where the ray runs along the edge, or an end lies on it.
 pub fn wedge(
     n: f64,
     k: f64,
     distances: (f64, f64),
     angles: (f64, f64),
     sin_beta: f64,
-    r0: &Polarized,
-    rn: &Polarized,
-) -> Polarized {
-    let opaque = Polarized { te: Complex::ZERO, tm: Complex::ZERO };
-    penetrable_wedge(n, k, distances, angles, sin_beta, (r0, rn), &opaque)
-}
-
-/// The same at an edge of sheets that let `through` of a wave pass: the shadow is that much less deep, so the terms of
-/// its boundary count 1 - T (Burnside and Burgener, 1983). An edge of nothing, with T = 1, does nothing.
-pub fn penetrable_wedge(
-    n: f64,
-    k: f64,
-    distances: (f64, f64),
-    angles: (f64, f64),
-    sin_beta: f64,
-    (r0, rn): (&Polarized, &Polarized),
-    through: &Polarized,
+    Sides { r0, rn, through }: &Sides,
 ) -> Polarized {
     let (before, after) = distances;
     let (phi_in, phi) = angles;
     if !(before > 0.0 && after > 0.0 && sin_beta > 0.0) {
-        return Polarized { te: Complex::ZERO, tm: Complex::ZERO };
+        return Polarized::NOTHING;
     }
     let spread = (before * after / (before + after)).sqrt(); // √L / sin β
     let scale = (2.0 * k).sqrt() * spread * sin_beta;

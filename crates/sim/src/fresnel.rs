@@ -18,6 +18,8 @@ pub struct Polarized {
 impl Polarized {
     /// What reflects everything: -1 and 1.
     pub const PERFECT_CONDUCTOR: Self = Self { te: Complex::new(-1.0, 0.0), tm: Complex::new(1.0, 0.0) };
+    /// No wave at all.
+    pub const NOTHING: Self = Self { te: Complex::ZERO, tm: Complex::ZERO };
 }
 
 /// Reflection by a slab of `thickness` metres, or by a half-space without one; ITU-R P.2040-3, section 2.2.

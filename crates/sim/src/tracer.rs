@@ -15,9 +15,6 @@ use std::sync::Arc;
 /// A path is given up where less than this of its field is left, against free space.
 const NEGLIGIBLE: f64 = 1e-8;
 
-/// What passes a solid.
-const OPAQUE: fresnel::Polarized = fresnel::Polarized { te: Complex::ZERO, tm: Complex::ZERO };
-
 /// An antenna with its pattern, turned.
 #[derive(Clone, Debug)]
 pub struct Antenna {
@@ -206,7 +203,7 @@ impl Walk<'_> {
             let cosine = (grazing.sin() * sine).abs();
             let through = |d| fresnel::transmission(surface.eta, d, cosine, *wavelength);
             let reflected = fresnel::reflection(surface.eta, surface.thickness, cosine, *wavelength);
-            (reflected, surface.thickness.map_or(OPAQUE, through))
+            (reflected, surface.thickness.map_or(fresnel::Polarized::NOTHING, through))
         };
         let (r0, t0) = at(edge.faces[0], phi_in.min(phi_out));
         let (rn, tn) = at(edge.faces[1], whole - phi_in.max(phi_out));
@@ -214,8 +211,8 @@ impl Walk<'_> {
         let is_rim = edge.faces[0] == edge.faces[1];
         let through = if is_rim { t0 } else { fresnel::Polarized { te: t0.te * tn.te, tm: t0.tm * tn.tm } };
         let distances = (to_tx.length(), to_rx.length());
-        let (k, angles) = (TAU / wavelength, (phi_in, phi_out));
-        Some(diffraction::penetrable_wedge(edge.outer_angle, k, distances, angles, sine, (&r0, &rn), &through))
+        let (k, angles, sides) = (TAU / wavelength, (phi_in, phi_out), diffraction::Sides { r0, rn, through });
+        Some(diffraction::wedge(edge.outer_angle, k, distances, angles, sine, &sides))
     }
 
     fn scattered(&mut self, patch: &Patch) -> Option<Path> {
