@@ -13,6 +13,8 @@ mod samples;
 pub mod scores;
 mod series;
 mod snapshot;
+pub mod study;
+pub mod sweep;
 mod validation;
 
 pub use evaluate::{Assessment, evaluate};
