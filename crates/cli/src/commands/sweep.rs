@@ -30,11 +30,10 @@ pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbos
     if arguments.dry_run {
         return dry_run(&plan, &runs, arguments.jobs, verbosity);
     }
-    let open: Vec<usize> = runs.iter().copied().filter(|&run| !matches!(plan.state(run), State::Finished(_))).collect();
     let mut progress = Progress::new(verbosity);
-    let checked = check(&plan, &open, &mut progress);
+    let open = check(&plan, &runs, &mut progress);
     progress.finish();
-    checked?;
+    let open = open?;
     match arguments.launcher {
         Some(Launcher::Slurm) => submit(&plan, &open, arguments, threads),
         None => here(&plan, &runs, arguments.jobs, verbosity),
