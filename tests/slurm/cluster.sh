@@ -25,8 +25,10 @@ missing() {
     done
 }
 
-install_packages() {
+# Where CI is set, what is missing is installed; a test does not change a developer's machine.
+need_packages() {
     [ -n "$(missing)" ] || return 0
+    [ -n "${CI:-}" ] || skip "$(missing | xargs) missing; install ${PACKAGES[*]}, or set CI=1 to have it done"
     command -v apt-get >/dev/null || skip "$(missing | xargs) missing, and no apt-get to install ${PACKAGES[*]}"
     say "installing ${PACKAGES[*]}"
     local log=$1/log/apt.log
@@ -83,10 +85,10 @@ InactiveLimit=0
 NodeName=node1 NodeHostname=$host NodeAddr=127.0.0.1 CPUs=2 RealMemory=2048 State=UNKNOWN
 PartitionName=test Nodes=node1 Default=YES MaxTime=INFINITE State=UP
 CONF
-    # Since 23.11 slurmd wants control groups unless told otherwise; before, it does not know the word.
-    if [ "$(slurmd -V | sed 's/[^0-9]*\([0-9]*\)\.\([0-9]*\).*/\1\2/')" -ge 2311 ]; then
-        echo "CgroupPlugin=disabled" >"$dir/cgroup.conf"
-    fi
+    # No control groups. Before 23.11 there is no word for none; the first version, once named, is left alone.
+    local groups=disabled
+    [ "$(slurmd -V | sed 's/[^0-9]*\([0-9]*\)\.\([0-9]*\).*/\1\2/')" -ge 2311 ] || groups=cgroup/v1
+    echo "CgroupPlugin=$groups" >"$dir/cgroup.conf"
 }
 
 # Starts a daemon in the foreground, in a session of its own, and notes its process.
@@ -134,21 +136,19 @@ start() {
     [ ${#dir} -le 64 ] || fail "the path $dir is too long for sockets; give one of at most 64 characters"
     chmod 755 "$dir" "$dir/run"
     chmod 700 "$dir/log" "$dir/state"
-    install_packages "$dir"
+    need_packages "$dir"
     configure "$dir"
     export SLURM_CONF=$dir/slurm.conf
     (umask 077 && head -c 128 /dev/urandom >"$dir/munge.key")
     trap 'explain "$dir"; stop "$dir"' EXIT
-    launch "$dir" munged munged --foreground --origin=127.0.0.1 --key-file="$dir/munge.key" --socket="$dir/run/munge.socket" \
-        --pid-file="$dir/run/munged.pid" --seed-file="$dir/run/munged.seed" --log-file="$dir/log/munged.log"
+    launch "$dir" munged munged --foreground --origin=127.0.0.1 --key-file="$dir/munge.key" \
+        --socket="$dir/run/munge.socket" --pid-file="$dir/run/munged.pid" --seed-file="$dir/run/munged.seed" \
+        --log-file="$dir/log/munged.log"
     wait_for "$dir" 20 munge --no-input --socket="$dir/run/munge.socket" || fail "munged does not start"
     launch "$dir" slurmctld slurmctld -D -f "$SLURM_CONF"
     wait_for "$dir" 20 scontrol ping || fail "slurmctld does not start"
     launch "$dir" slurmd slurmd -D -N node1 -f "$SLURM_CONF"
-    wait_for "$dir" 30 node_is_idle || {
-        ! grep -q 'cgroup plugin' "$dir/log/slurmd.log" || skip "$(slurmd -V) cannot start without control groups"
-        fail "the node does not become idle: $(sinfo --noheader --format='%T %E' 2>&1)"
-    }
+    wait_for "$dir" 30 node_is_idle || fail "the node does not become idle: $(sinfo --noheader --format='%T %E' 2>&1)"
     trap - EXIT
     say "$(sinfo --version) is ready, logs in $dir/log"
     echo "export SLURM_CONF=$SLURM_CONF"
@@ -183,6 +183,7 @@ stop() {
         alive "$dir" "$name" || continue
         pid=$(cat "$dir/run/$name")
         kill -TERM "$pid" 2>/dev/null || true
+        # In `/` no daemon is expected to live meanwhile.
         wait_for / 10 gone "$dir" "$name" || kill -KILL "$pid" 2>/dev/null || true
     done
     for pid in $(job_processes "$dir"); do
