@@ -5,9 +5,11 @@ mod plugins;
 mod predict;
 mod run;
 mod simulate;
+mod sweep;
 
 pub(crate) use evaluate::evaluate;
 pub(crate) use plugins::plugins;
 pub(crate) use predict::predict;
 pub(crate) use run::run;
 pub(crate) use simulate::simulate;
+pub(crate) use sweep::sweep;
