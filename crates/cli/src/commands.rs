@@ -3,11 +3,13 @@
 mod evaluate;
 mod plugins;
 mod predict;
+mod report;
 mod run;
 mod simulate;
 
 pub(crate) use evaluate::evaluate;
 pub(crate) use plugins::plugins;
 pub(crate) use predict::predict;
+pub(crate) use report::report;
 pub(crate) use run::run;
 pub(crate) use simulate::simulate;
