@@ -3,6 +3,7 @@
 mod evaluate;
 mod plugins;
 mod predict;
+mod report;
 mod run;
 mod simulate;
 mod sweep;
@@ -10,6 +11,7 @@ mod sweep;
 pub(crate) use evaluate::evaluate;
 pub(crate) use plugins::plugins;
 pub(crate) use predict::predict;
+pub(crate) use report::report;
 pub(crate) use run::run;
 pub(crate) use simulate::simulate;
 pub(crate) use sweep::sweep;
