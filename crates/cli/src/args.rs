@@ -78,9 +78,10 @@ pub(crate) enum Command {
 #[derive(Debug, Args)]
 #[command(
     after_long_help = "The run folder holds pipeline.ron (every setting), curve.csv, validation.csv, scores.csv, \
-    samples.csv, run.json, the checkpoint, model.safetensors and report.html. The same command resumes a run that was \
-    stopped or killed, and ends in the same files. A folder that holds anything else is never touched.\n\nPaths in a \
-    pipeline are relative to its file; on the command line, to where you stand.\n\nEXAMPLES\n  pwrfgs run \
+    samples.csv, run.json, the checkpoint, model.safetensors and report.html; with --set tensorboard=true also \
+    an event file, which `tensorboard --logdir runs` shows while the run goes on. The same command resumes a run that \
+    was stopped or killed, and ends in the same files. A folder that holds anything else is never touched.\n\nPaths in \
+    a pipeline are relative to its file; on the command line, to where you stand.\n\nEXAMPLES\n  pwrfgs run \
     pipelines/s23-laptop.ron --set 'data=Nerf2Spectrum(root: \"../shared/data/s23\")'\n  pwrfgs run \
     pipelines/pwrfgs.ron --set 'initializer=Random(count: 20_000, std: 10.0)' --out runs/fewer\n  pwrfgs run \
     runs/fewer/pipeline.ron --set seed=1 --out runs/fewer-1"

@@ -4,8 +4,10 @@
 
 pub mod clock;
 mod evaluate;
+mod events;
 mod facts;
 pub mod folder;
+mod journal;
 mod observer;
 pub mod report;
 mod runner;
