@@ -69,6 +69,8 @@ pub(crate) enum Command {
     Predict(Predict),
     /// Score a trained model, and the baselines beside it, on data of your choice
     Evaluate(Evaluate),
+    /// Write a trained model for other programs: splat viewers, Python
+    Export(Export),
     /// Simulate the spectra of a room that is known exactly, in the layout of measured data
     Simulate(Simulate),
     /// Show every plugin that a pipeline may name, with its fields and defaults
@@ -140,6 +142,35 @@ pub(crate) struct Evaluate {
     /// Where to write scores and report; nothing is written without it
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+#[command(
+    after_long_help = "The PLY file has the binary layout of 3D Gaussian splatting, which splat viewers open: x y \
+    z (metres, world frame), nx ny nz (0), f_dc_0..2 (colour), opacity (logit), scale_0..2 (ln of metres), rot_0..3 (w x \
+    y z). The colour tells how strong the signal of a Gaussian is: the pixel it would give alone, were it opaque, from \
+    dark violet at 0 to yellow at 1, the full scale of the spectra; f_dc = (rgb - 0.5) / 0.28209479177387814. The NPZ \
+    file has the tensors of the model, the pose of the receiver and the image plane, as docs/model-format.md lists \
+    them.\n\nThe deformation network changes scales, rotations and signals with the transmitter. Without --tx the PLY \
+    file shows the base parameters, to which the network's terms are added (mid-grey where the network gives the whole \
+    signal); with --tx it shows what is drawn for that transmitter, and the NPZ file has these numbers too.\n\nA file \
+    that exists is never overwritten.\n\nEXAMPLES\n  pwrfgs export runs/quickstart/model.safetensors --ply office.ply\
+    \n  pwrfgs export runs/quickstart/model.safetensors --tx 1.2,0.3,1.0 --ply office-at.ply --npz office-at.npz"
+)]
+#[command(group(clap::ArgGroup::new("what").required(true).multiple(true).args(["ply", "npz"])))]
+pub(crate) struct Export {
+    /// The trained model, model.safetensors of a run folder
+    #[arg(value_name = "MODEL")]
+    pub(crate) model: PathBuf,
+    /// The Gaussians for splat viewers
+    #[arg(long, value_name = "FILE")]
+    pub(crate) ply: Option<PathBuf>,
+    /// All numbers of the model for numpy.load
+    #[arg(long, value_name = "FILE")]
+    pub(crate) npz: Option<PathBuf>,
+    /// The Gaussians as they are for a transmitter at this position in metres, world frame
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    pub(crate) tx: Option<String>,
 }
 
 #[derive(Debug, Args)]

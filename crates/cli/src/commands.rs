@@ -1,12 +1,14 @@
 //! One file a verb.
 
 mod evaluate;
+mod export;
 mod plugins;
 mod predict;
 mod run;
 mod simulate;
 
 pub(crate) use evaluate::evaluate;
+pub(crate) use export::export;
 pub(crate) use plugins::plugins;
 pub(crate) use predict::predict;
 pub(crate) use run::run;

@@ -21,6 +21,7 @@ pub fn main() -> ExitCode {
         Command::Run(run) => commands::run(run, arguments.verbosity()),
         Command::Predict(predict) => commands::predict(predict, arguments.verbosity()),
         Command::Evaluate(evaluate) => commands::evaluate(evaluate, arguments.verbosity()),
+        Command::Export(export) => commands::export(export, arguments.verbosity()),
         Command::Simulate(simulate) => commands::simulate(simulate, arguments.verbosity()),
         Command::Plugins(plugins) => commands::plugins(plugins),
     });
