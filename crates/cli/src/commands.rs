@@ -6,6 +6,7 @@ mod plugins;
 mod predict;
 mod run;
 mod simulate;
+mod sweep;
 
 pub(crate) use evaluate::evaluate;
 pub(crate) use export::export;
@@ -13,3 +14,4 @@ pub(crate) use plugins::plugins;
 pub(crate) use predict::predict;
 pub(crate) use run::run;
 pub(crate) use simulate::simulate;
+pub(crate) use sweep::sweep;

@@ -12,7 +12,7 @@ use crate::observer::{Observer, Start, Validation, staged};
 use crate::scores::ScoreTable;
 use crate::snapshot::Snapshot;
 use crate::{clock, report, samples, validation};
-use pwrfgs_core::{Baseline, DataSource, Dataset, Error, GaussianCloud, Partition, Plugin, Result, rng};
+use pwrfgs_core::{Dataset, Error, GaussianCloud, Partition, Result, rng};
 use pwrfgs_model::{Model, file};
 use pwrfgs_train::{Pipeline, Trainer};
 use std::path::{Path, PathBuf};
@@ -93,20 +93,10 @@ pub fn load(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Re
 
 /// Takes every relative path of the pipeline from `base` and makes it absolute.
 pub fn rebase(pipeline: &mut Pipeline, base: &Path) {
-    rebase_data(&mut pipeline.data, base);
-    rebase_baselines(&mut pipeline.baselines, base);
-}
-
-/// As [`rebase`], the data source alone.
-pub fn rebase_data(data: &mut Plugin<dyn DataSource>, base: &Path) {
-    if let Some(rebased) = data.rebased(&|path| absolute(base, path)) {
-        *data = rebased.into();
+    if let Some(rebased) = pipeline.data.rebased(&|path| absolute(base, path)) {
+        pipeline.data = rebased.into();
     }
-}
-
-/// As [`rebase`], the baselines alone.
-pub fn rebase_baselines(baselines: &mut [Plugin<dyn Baseline>], base: &Path) {
-    for baseline in baselines {
+    for baseline in &mut pipeline.baselines {
         if let Some(rebased) = baseline.rebased(&|path| absolute(base, path)) {
             *baseline = rebased.into();
         }
@@ -120,7 +110,7 @@ fn absolute(base: &Path, path: &Path) -> PathBuf {
 }
 
 /// The scores of a run to which nothing is left to do.
-fn finished(out: &Path) -> Option<ScoreTable> {
+pub(crate) fn finished(out: &Path) -> Option<ScoreTable> {
     let complete = [MODEL_FILE, SCORES, SAMPLES, REPORT].iter().all(|name| out.join(name).is_file());
     let facts = Facts::read(out)?;
     if complete && facts.finished.is_some() { facts.scores } else { None }

@@ -62,6 +62,8 @@ pub struct Pipeline {
 #[serde(default, deny_unknown_fields)]
 #[allow(missing_docs)] // each field means what it means in `Pipeline`
 pub struct PipelinePatch {
+    /// What a sweep calls this patch; changes nothing.
+    pub label: Option<String>,
     pub name: Option<String>,
     pub seed: Option<u64>,
     pub data: Option<Plugin<dyn DataSource>>,
@@ -126,7 +128,7 @@ impl Pipeline {
         for field in path.trim().rsplit('.') {
             text = format!("({field}:{text})");
         }
-        let patch = read_ron(&text, Path::new("--set")).map_err(|e| match e {
+        let patch: PipelinePatch = read_ron(&text, Path::new("--set")).map_err(|e| match e {
             // The position would count inside the patch we wrapped around the argument: leave it out.
             Error::Input { message, .. } => {
                 let said = message.splitn(3, ':').nth(2).unwrap_or(&message).trim();
@@ -134,6 +136,9 @@ impl Pipeline {
             }
             other => other,
         })?;
+        if patch.label.is_some() {
+            return Err(Error::Config(format!("--set {argument}: only a variant of a sweep has a label")));
+        }
         self.apply(patch)
     }
 
