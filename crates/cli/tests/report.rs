@@ -65,7 +65,8 @@ fn runs_become_a_report() {
     runs(here);
     let arguments: Vec<&str> = ["report", "-q"].into_iter().chain(RUNS).chain(["runs/begun", RUNS[0]]).collect();
     let said = stdout(&succeed(here, &arguments));
-    for words in ["simulated", "masked", "no_mask", "3-NN (floor)", "±", "Δ SSIM", "left out: runs/begun: has not finished"]
+    for words in
+        ["simulated", "masked", "no_mask", "3-NN (floor)", "±", "Δ SSIM", "left out: runs/begun: has not finished"]
     {
         assert!(said.contains(words), "`{words}` is not in: {said}");
     }
