@@ -3,6 +3,7 @@
 mod board;
 mod table;
 
+use super::report;
 use crate::args::{Launcher, Shard, Sweep, Verbosity};
 use crate::interrupt::{INTERRUPTED, stop_flag};
 use crate::output;
@@ -55,6 +56,9 @@ fn here(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Resul
     let board = Table::new(plan, runs.len(), verbosity);
     let ends = execute(plan, runs, jobs, &board, &stop)?;
     board.finish();
+    if plan.states().iter().all(|state| matches!(state, State::Finished(_))) {
+        report::of_sweep(&plan.folder, verbosity)?;
+    }
     let failed = ends.iter().filter(|(_, fate)| matches!(fate, Fate::Failed(_))).count();
     output::result(&table::status(plan, runs, &slurm::queued(plan)));
     if failed > 0 {

@@ -69,7 +69,9 @@ pub fn queued(plan: &Plan) -> BTreeSet<String> {
 
 /// Numbers, from 1, of the tasks of `job` that wait or run.
 fn tasks(job: &str) -> Vec<usize> {
-    let squeue = Command::new("squeue").args(["--noheader", "--array", "--format=%K", "--jobs", job]).output();
+    // Without those that are completing: they have ended, and only their processes are cleared away.
+    let states = "--states=PENDING,CONFIGURING,RUNNING,SUSPENDED";
+    let squeue = Command::new("squeue").args(["--noheader", "--array", "--format=%K", states, "--jobs", job]).output();
     let Some(output) = squeue.ok().filter(|o| o.status.success()) else { return Vec::new() };
     String::from_utf8_lossy(&output.stdout).lines().filter_map(|l| l.trim().parse().ok()).filter(|n| *n > 0).collect()
 }
@@ -91,7 +93,8 @@ fn script(plan: &Plan, tasks: usize, command: &[String], own: &Path) -> Result<S
     let mut options = vec![
         format!("--job-name={}", plan.name),
         format!("--array=1-{tasks}{at_once}"),
-        format!("--output={}", own.join("%a.log").display()),
+        // Slurm expands `%` in the whole path.
+        format!("--output={}/%a.log", own.display().to_string().replace('%', "%%")),
         "--open-mode=append".into(),
         "--requeue".into(),
         // To the script alone, a minute before the time limit; another signal than that of scancel, which must not requeue.
