@@ -38,8 +38,6 @@ pub struct Study {
     /// Runs that are in none of the settings because they are there already: named twice, or the same seed of the same
     /// variant again.
     pub repeated: Vec<PathBuf>,
-    /// Folders read so far.
-    seen: Vec<PathBuf>,
 }
 
 /// Runs on the same data and the same split.
@@ -68,7 +66,7 @@ impl Study {
     /// # Errors
     /// A folder that is neither, a damaged file, or no finished run among them.
     pub fn read(folders: &[PathBuf]) -> Result<Self> {
-        let mut study = Self::default();
+        let (mut study, mut seen) = (Self::default(), Vec::new());
         let several = folders.len() > 1;
         let mut titles: Vec<String> = Vec::new();
         let (mut records, mut alone) = (Vec::new(), Vec::new());
@@ -79,11 +77,11 @@ impl Study {
                     if several {
                         labels.insert(0, (String::new(), listing.name.clone()));
                     }
-                    records.extend(study.take(&folder.join(&run.folder))?.map(|record| (labels, record)));
+                    records.extend(study.take(&folder.join(&run.folder), &mut seen)?.map(|record| (labels, record)));
                 }
                 titles.push(listing.name);
             } else if folder.join(PIPELINE).is_file() {
-                alone.extend(study.take(folder)?);
+                alone.extend(study.take(folder, &mut seen)?);
             } else {
                 return Err(Error::Config(format!(
                     "{} holds neither a run ({PIPELINE}) nor a sweep ({LISTING}); name a folder that `pwrfgs run` or \
@@ -108,13 +106,13 @@ impl Study {
     }
 
     /// Reads one run folder, or notes that it has not finished or was named before.
-    fn take(&mut self, folder: &Path) -> Result<Option<Record>> {
+    fn take(&mut self, folder: &Path, seen: &mut Vec<PathBuf>) -> Result<Option<Record>> {
         let place = folder.canonicalize().unwrap_or_else(|_| folder.into());
-        if self.seen.contains(&place) {
+        if seen.contains(&place) {
             self.repeated.push(folder.into());
             return Ok(None);
         }
-        self.seen.push(place);
+        seen.push(place);
         let record = Record::read(folder)?;
         if record.is_none() {
             self.unfinished.push(folder.into());
@@ -170,10 +168,16 @@ fn common_start(names: &[String]) -> String {
     while !names.iter().all(|name| name.starts_with(&start)) {
         start.pop();
     }
-    let is_end = |c: char| c.is_ascii_digit() || " -_.=".contains(c);
-    // Digits belong to what differs (`a10`, `a11`), unless nothing differs.
-    let start = if names.iter().all(|name| *name == start) { &start } else { start.trim_end_matches(is_end) };
-    start.trim_end_matches("seed").trim_end_matches(|c| " -_.=".contains(c)).to_owned()
+    let is_separator = |c: char| " -_.=".contains(c);
+    // The first digits of a number belong to what differs (`a10`, `a11`), unless nothing does.
+    let start = match start.chars().last() {
+        Some(c) if c.is_ascii_digit() && names.iter().any(|name| *name != start) => {
+            start.trim_end_matches(|c: char| c.is_ascii_digit())
+        }
+        _ => &start,
+    };
+    let start = start.trim_end_matches(is_separator);
+    start.strip_suffix("seed").unwrap_or(start).trim_end_matches(is_separator).to_owned()
 }
 
 /// Puts runs in settings and variants.
@@ -236,6 +240,7 @@ mod tests {
     fn seeds_share_the_start_of_their_names() {
         let of = |names: &[&str]| common_start(&names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>());
         assert_eq!(of(&["init-cloud-0", "init-cloud-1", "init-cloud-12"]), "init-cloud");
+        assert_eq!(of(&["random10-0", "random10-1"]), "random10");
         assert_eq!(of(&["a10", "a11"]), "a");
         assert_eq!(of(&["x_seed=1", "x_seed=2"]), "x");
         assert_eq!(of(&["run7", "run7"]), "run7");
