@@ -73,6 +73,8 @@ pub(crate) enum Command {
     Evaluate(Evaluate),
     /// Compare finished runs: tables and figures as Markdown, CSV, LaTeX and HTML
     Report(Report),
+    /// Write a trained model for other programs: splat viewers, Python
+    Export(Export),
     /// Simulate the spectra of a room that is known exactly, in the layout of measured data
     Simulate(Simulate),
     /// Show every plugin that a pipeline may name, with its fields and defaults
@@ -82,9 +84,10 @@ pub(crate) enum Command {
 #[derive(Debug, Args)]
 #[command(
     after_long_help = "The run folder holds pipeline.ron (every setting), curve.csv, validation.csv, scores.csv, \
-    samples.csv, run.json, the checkpoint, model.safetensors and report.html. The same command resumes a run that was \
-    stopped or killed, and ends in the same files. A folder that holds anything else is never touched.\n\nPaths in a \
-    pipeline are relative to its file; on the command line, to where you stand.\n\nEXAMPLES\n  pwrfgs run \
+    samples.csv, run.json, the checkpoint, model.safetensors and report.html; with --set tensorboard=true also \
+    an event file, which `tensorboard --logdir runs` shows while the run goes on. The same command resumes a run that \
+    was stopped or killed, and ends in the same files. A folder that holds anything else is never touched.\n\nPaths in \
+    a pipeline are relative to its file; on the command line, to where you stand.\n\nEXAMPLES\n  pwrfgs run \
     pipelines/s23-laptop.ron --set 'data=Nerf2Spectrum(root: \"../shared/data/s23\")'\n  pwrfgs run \
     pipelines/pwrfgs.ron --set 'initializer=Random(count: 20_000, std: 10.0)' --out runs/fewer\n  pwrfgs run \
     runs/fewer/pipeline.ron --set seed=1 --out runs/fewer-1"
@@ -233,6 +236,35 @@ pub(crate) struct Report {
     /// variant]
     #[arg(long, value_name = "LABEL")]
     pub(crate) reference: Option<String>,
+}
+
+#[derive(Debug, Args)]
+#[command(
+    after_long_help = "The PLY file has the binary layout of 3D Gaussian splatting, which splat viewers open: x y \
+    z (metres, world frame), nx ny nz (0), f_dc_0..2 (colour), opacity (logit), scale_0..2 (ln of metres), rot_0..3 (w x \
+    y z). The colour tells how strong the signal of a Gaussian is: the pixel it would give alone, were it opaque, from \
+    dark violet at 0 to yellow at 1, the full scale of the spectra; f_dc = (rgb - 0.5) / 0.28209479177387814. The NPZ \
+    file has the tensors of the model, the pose of the receiver and the image plane, as docs/model-format.md lists \
+    them.\n\nThe deformation network changes scales, rotations and signals with the transmitter. Without --tx the PLY \
+    file shows the base parameters, to which the network's terms are added (mid-grey where the network gives the whole \
+    signal); with --tx it shows what is drawn for that transmitter, and the NPZ file has these numbers too.\n\nA file \
+    that exists is never overwritten.\n\nEXAMPLES\n  pwrfgs export runs/quickstart/model.safetensors --ply office.ply\
+    \n  pwrfgs export runs/quickstart/model.safetensors --tx 1.2,0.3,1.0 --ply office-at.ply --npz office-at.npz"
+)]
+#[command(group(clap::ArgGroup::new("what").required(true).multiple(true).args(["ply", "npz"])))]
+pub(crate) struct Export {
+    /// The trained model, model.safetensors of a run folder
+    #[arg(value_name = "MODEL")]
+    pub(crate) model: PathBuf,
+    /// The Gaussians for splat viewers
+    #[arg(long, value_name = "FILE")]
+    pub(crate) ply: Option<PathBuf>,
+    /// All numbers of the model for numpy.load
+    #[arg(long, value_name = "FILE")]
+    pub(crate) npz: Option<PathBuf>,
+    /// The Gaussians as they are for a transmitter at this position in metres, world frame
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    pub(crate) tx: Option<String>,
 }
 
 #[derive(Debug, Args)]

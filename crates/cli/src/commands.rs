@@ -1,6 +1,7 @@
 //! One file a verb.
 
 mod evaluate;
+mod export;
 mod plugins;
 mod predict;
 mod report;
@@ -9,6 +10,7 @@ mod simulate;
 mod sweep;
 
 pub(crate) use evaluate::evaluate;
+pub(crate) use export::export;
 pub(crate) use plugins::plugins;
 pub(crate) use predict::predict;
 pub(crate) use report::report;

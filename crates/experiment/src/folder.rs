@@ -21,6 +21,8 @@ pub const UNPRUNED_SNAPSHOT: &str = "unpruned.safetensors";
 pub const CURVE: &str = "curve.csv";
 /// Step, SSIM and η on the validation part.
 pub const VALIDATION: &str = "validation.csv";
+/// Loss, N, validation and scores for TensorBoard, where the pipeline asks for it.
+pub const EVENTS: &str = "events.out.tfevents.pwrfgs";
 /// Every score.
 pub const SCORES: &str = "scores.csv";
 /// Every transmitter.

@@ -1,12 +1,15 @@
-//! A run from pipeline to report: the training loop, the run folder, evaluation and `report.html`.
+//! A run from pipeline to report: the training loop, the run folder, evaluation, `report.html` and exports.
 //!
 //! This crate knows traits, not plugins; a program links the plugins it wants (`pwrfgs` links the built-in ones).
 
 pub mod clock;
 mod evaluate;
+mod events;
+pub mod export;
 mod facts;
 pub mod folder;
 mod input;
+mod journal;
 mod observer;
 pub mod report;
 mod runner;

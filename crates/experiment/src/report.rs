@@ -1,7 +1,7 @@
 //! `report.html`: one file with nothing outside it; table, curves, spectra beside ground truth.
 
 mod charts;
-mod colour;
+pub(crate) mod colour;
 mod curves;
 mod room;
 mod spectra;

@@ -52,6 +52,9 @@ pub struct Pipeline {
     /// How all are scored.
     #[serde(default = "metrics")]
     pub metrics: Vec<Plugin<dyn Metric>>,
+    /// Whether the run folder gets an event file that TensorBoard opens.
+    #[serde(default)]
+    pub tensorboard: bool,
 }
 
 /// A patch over a [`Pipeline`]: fields left out keep their value, plugins are replaced whole.
@@ -75,6 +78,7 @@ pub struct PipelinePatch {
     pub training: Option<TrainingPatch>,
     pub baselines: Option<Vec<Plugin<dyn Baseline>>>,
     pub metrics: Option<Vec<Plugin<dyn Metric>>>,
+    pub tensorboard: Option<bool>,
 }
 
 impl Pipeline {
@@ -103,7 +107,7 @@ impl Pipeline {
             ($($field:ident),*) => { $(if let Some(value) = patch.$field { self.$field = value; })* };
         }
         take!(name, seed, data, split, initializer, projector, rasterizer, deformation, calibration, readout, pruners);
-        take!(baselines, metrics);
+        take!(baselines, metrics, tensorboard);
         if let Some(patch) = patch.training {
             let mut training = Training::clone(&self.training);
             training.apply(patch);

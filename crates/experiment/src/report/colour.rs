@@ -4,13 +4,13 @@ use base64::Engine as _;
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
 
 /// Red, green, blue.
-pub(super) type Rgb = [u8; 3];
+pub(crate) type Rgb = [u8; 3];
 
 /// Hue (degrees) and chroma of the sequential scale at 0, 1/4, 1/2, 3/4, 1: violet, blue, teal, green, yellow.
 const SEQUENTIAL: [(f64, f64); 5] = [(305.0, 0.10), (268.0, 0.115), (205.0, 0.085), (152.0, 0.14), (106.0, 0.175)];
 
 /// From dark violet at 0 to yellow at 1.
-pub(super) fn sequential(value: f64) -> Rgb {
+pub(crate) fn sequential(value: f64) -> Rgb {
     let t = value.clamp(0.0, 1.0);
     let place = 4.0 * t;
     let k = (place as usize).min(3);

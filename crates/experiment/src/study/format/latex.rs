@@ -73,7 +73,7 @@ fn list(items: impl Iterator<Item = String>) -> String {
 /// One table as a float, to be read by `\input`; it names the setting, because it may stand anywhere.
 pub(in super::super) fn table(table: &Table, section: &Section) -> String {
     let mut out = format!(
-        "{FIT}\\begin{{table}}[htbp]\n\\centering\n\\caption{{{}. {}}}\n\\label{{tab:{}-{}}}\n\\pwrfgsfit{{%\n\
+        "{FIT}\\begin{{table}}[htbp]\n\\centering\n\\caption{{{}: {}}}\n\\label{{tab:{}-{}}}\n\\pwrfgsfit{{%\n\
          \\begin{{tabular}}{{l{}}}\n\\toprule\n{}",
         escaped(&table.title),
         escaped(&section.title),
@@ -258,7 +258,7 @@ mod tests {
             &Section { name: "1".into(), title: "office (simulated)".into(), ..Section::default() },
         );
         for part in [
-            "\\caption{50 \\% of a\\_b. office (simulated)}\n\\label{tab:1-scores}",
+            "\\caption{50 \\% of a\\_b: office (simulated)}\n\\label{tab:1-scores}",
             "\\multicolumn{2}{c}{SSIM \\ensuremath{\\uparrow}} & \\multicolumn{1}{r}{\\ensuremath{\\eta}",
             "\\cmidrule(lr){2-3}\n & mean & median & mean \\\\\n\\midrule\n",
             "a\\_b & \\textbf{0.9} & 1 & -- \\\\\n\\midrule\n5-{}NN & \\underline{0.8} & 1 & -- \\\\\n\\bottomrule",
