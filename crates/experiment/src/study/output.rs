@@ -89,7 +89,7 @@ fn files(study: &Study, page: &Page) -> Result<Vec<(String, Vec<u8>)>> {
     ];
     for section in &page.sections {
         for table in &section.tables {
-            let text = format::latex_table(table, &section.name);
+            let text = format::latex_table(table, section);
             files.push((format!("tables/{}-{}.tex", section.name, table.name), text.into()));
         }
         for figure in &section.figures {

@@ -21,7 +21,7 @@ pub(super) struct Page {
 }
 
 /// What is said of a setting.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Section {
     /// Stem of its files: `1`, `2`, ..
     pub(super) name: String,
@@ -84,6 +84,16 @@ fn check_reference(comparisons: &[Comparison<'_>], label: &str) -> Result<()> {
 }
 
 impl Section {
+    /// The tables, each with what its legend says that no table above it has said.
+    pub(super) fn tables(&self) -> impl Iterator<Item = (&Table, Vec<&str>)> {
+        let mut said: Vec<&str> = Vec::new();
+        self.tables.iter().map(move |table| {
+            let fresh: Vec<&str> = table.legend.iter().map(String::as_str).filter(|s| !said.contains(s)).collect();
+            said.extend(&fresh);
+            (table, fresh)
+        })
+    }
+
     fn new(index: usize, comparison: &Comparison<'_>, reference: Option<&str>, figures: Vec<Figure>) -> Self {
         let setting = comparison.setting;
         let named = reference.and_then(|label| comparison.row(label));

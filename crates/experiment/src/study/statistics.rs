@@ -126,7 +126,7 @@ mod tests {
     use super::*;
 
     /// Standard deviations of what makes a difference.
-    #[derive(Clone, Copy, Default)]
+    #[derive(Clone, Copy, Debug, Default)]
     struct Model {
         seed: f64,
         block: f64,
@@ -212,6 +212,7 @@ mod tests {
         ];
         for (model, shape, expected) in all {
             let found = model.coverage(shape);
+            println!("seeds, blocks, samples {shape:?}, {model:?}: {found}");
             assert!(expected.contains(&found), "{shape:?}: {found}");
         }
     }

@@ -7,6 +7,7 @@ mod scores;
 pub(super) use differences::differences;
 pub(super) use scores::{further, latency, scores};
 
+use super::Setting;
 use super::comparison::Kind;
 use serde::Serialize;
 
@@ -15,8 +16,8 @@ use serde::Serialize;
 pub(super) struct Table {
     /// Stem of its file and its label.
     pub(super) name: &'static str,
-    /// What it is of.
-    pub(super) caption: String,
+    /// What it is of, and whether that was simulated.
+    pub(super) title: String,
     pub(super) columns: Vec<Column>,
     pub(super) lines: Vec<Line>,
     /// How to read it: sentences below it.
@@ -77,6 +78,11 @@ pub(super) enum Mark {
     Clear,
 }
 
+/// A title that says where the spectra are simulated.
+fn title(words: &str, setting: &Setting) -> String {
+    format!("{words}{}", if setting.simulated { " (simulated spectra)" } else { "" })
+}
+
 impl From<Kind> for Section {
     fn from(kind: Kind) -> Self {
         match kind {
@@ -109,6 +115,11 @@ impl Table {
     /// Lines, section by section.
     pub(super) fn sections(&self) -> impl Iterator<Item = &[Line]> {
         self.lines.chunk_by(|a, b| a.section == b.section)
+    }
+
+    /// Whether some number is the best of its column.
+    pub(super) fn is_marked(&self) -> bool {
+        self.lines.iter().flat_map(|line| &line.cells).any(|cell| cell.mark == Mark::Best)
     }
 
     fn has(&self, section: Section) -> bool {

@@ -1,7 +1,7 @@
 //! `report.html`: one file with nothing outside it and no script; best is bold, second best underlined.
 
 use super::super::page::{Page, RunLine, Section};
-use super::super::tables::{Column, Line, Mark, Table};
+use super::super::tables::{Column, Line, Table};
 use crate::report::environment;
 use minijinja::context;
 use minijinja::value::Serde;
@@ -26,12 +26,14 @@ struct Shown<'a> {
 #[derive(Serialize)]
 struct ShownTable<'a> {
     name: &'a str,
-    caption: &'a str,
+    title: &'a str,
     /// Head of a group and how many columns it spans.
     groups: Vec<(&'a Column, usize)>,
     columns: &'a [Column],
     sections: Vec<&'a [Line]>,
-    legend: &'a [String],
+    /// Whether there is anything in the second line of heads.
+    has_details: bool,
+    legend: Vec<&'a str>,
     marked: bool,
 }
 
@@ -65,7 +67,7 @@ fn section(section: &Section) -> Shown<'_> {
         title: &section.title,
         lead: &section.lead,
         warnings: &section.warnings,
-        tables: section.tables.iter().map(table).collect(),
+        tables: section.tables().map(|(t, legend)| table(t, legend)).collect(),
         figures: section
             .figures
             .iter()
@@ -76,15 +78,16 @@ fn section(section: &Section) -> Shown<'_> {
     }
 }
 
-fn table(table: &Table) -> ShownTable<'_> {
+fn table<'a>(table: &'a Table, legend: Vec<&'a str>) -> ShownTable<'a> {
     ShownTable {
         name: table.name,
-        caption: &table.caption,
+        title: &table.title,
         groups: table.groups(),
         columns: &table.columns,
         sections: table.sections().collect(),
-        legend: &table.legend,
-        marked: table.lines.iter().flat_map(|l| &l.cells).any(|c| c.mark == Mark::Best),
+        has_details: table.columns.iter().any(|c| !c.detail.is_empty()),
+        legend,
+        marked: table.is_marked(),
     }
 }
 

@@ -70,12 +70,14 @@ fn list(items: impl Iterator<Item = String>) -> String {
     format!("\\begin{{itemize}}\n\\item {}\n\\end{{itemize}}\n", items.join("\n\\item "))
 }
 
-/// One table as a float, to be read by `\input`.
-pub(in super::super) fn table(table: &Table, section: &str) -> String {
+/// One table as a float, to be read by `\input`; it names the setting, because it may stand anywhere.
+pub(in super::super) fn table(table: &Table, section: &Section) -> String {
     let mut out = format!(
-        "{FIT}\\begin{{table}}[htbp]\n\\centering\n\\caption{{{}}}\n\\label{{tab:{section}-{}}}\n\\pwrfgsfit{{%\n\
+        "{FIT}\\begin{{table}}[htbp]\n\\centering\n\\caption{{{}: {}}}\n\\label{{tab:{}-{}}}\n\\pwrfgsfit{{%\n\
          \\begin{{tabular}}{{l{}}}\n\\toprule\n{}",
-        escaped(&table.caption),
+        escaped(&table.title),
+        escaped(&section.title),
+        section.name,
         table.name,
         "r".repeat(table.columns.len()),
         heads(table)
@@ -85,8 +87,7 @@ pub(in super::super) fn table(table: &Table, section: &str) -> String {
         out.extend(lines.iter().map(line));
     }
     let legend: Vec<String> = table.legend.iter().map(|sentence| escaped(sentence)).collect();
-    let marks = table.lines.iter().flat_map(|l| &l.cells).any(|c| c.mark == Mark::Best);
-    let how = if marks { " \\textbf{Best}, \\underline{second best}." } else { "" };
+    let how = if table.is_marked() { " \\textbf{Best}, \\underline{second best}." } else { "" };
     _ = write!(
         out,
         "\\bottomrule\n\\end{{tabular}}}}\n\n\\smallskip\n\\parbox{{\\linewidth}}{{\\footnotesize {}{how}}}\n\
@@ -238,7 +239,7 @@ mod tests {
         let table = super::table(
             &Table {
                 name: "scores",
-                caption: "50 % of a_b (simulated)".into(),
+                title: "50 % of a_b".into(),
                 columns: vec![column("SSIM", "mean"), column("SSIM", "median"), column("η", "mean")],
                 lines: vec![
                     line(
@@ -254,10 +255,10 @@ mod tests {
                 ],
                 legend: vec![],
             },
-            "1",
+            &Section { name: "1".into(), title: "office (simulated)".into(), ..Section::default() },
         );
         for part in [
-            "\\caption{50 \\% of a\\_b (simulated)}\n\\label{tab:1-scores}",
+            "\\caption{50 \\% of a\\_b: office (simulated)}\n\\label{tab:1-scores}",
             "\\multicolumn{2}{c}{SSIM \\ensuremath{\\uparrow}} & \\multicolumn{1}{r}{\\ensuremath{\\eta}",
             "\\cmidrule(lr){2-3}\n & mean & median & mean \\\\\n\\midrule\n",
             "a\\_b & \\textbf{0.9} & 1 & -- \\\\\n\\midrule\n5-{}NN & \\underline{0.8} & 1 & -- \\\\\n\\bottomrule",

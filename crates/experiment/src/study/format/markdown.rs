@@ -22,11 +22,10 @@ fn of_section(section: &Section) -> String {
     for warning in &section.warnings {
         _ = write!(out, "\n**Warning:** {}\n", escaped(warning));
     }
-    for t in &section.tables {
-        _ = write!(out, "\n### {}\n\n{}", escaped(&t.caption), table(t));
-        let legend: Vec<String> = t.legend.iter().map(|sentence| escaped(sentence)).collect();
-        let marks = t.lines.iter().flat_map(|l| &l.cells).any(|c| c.mark == Mark::Best);
-        _ = write!(out, "\n{}{}\n", legend.join("\n"), if marks { "\n**Best**, *second best*." } else { "" });
+    for (t, legend) in section.tables() {
+        _ = write!(out, "\n### {}\n\n{}\n", escaped(&t.title), table(t));
+        let marks = t.is_marked().then(|| "**Best**, *second best*.".to_owned());
+        out.extend(legend.into_iter().map(escaped).chain(marks).map(|sentence| sentence + "\n"));
     }
     for figure in &section.figures {
         let (title, caption) = (escaped(&figure.title), escaped(&figure.caption));
@@ -113,7 +112,7 @@ mod tests {
         ];
         let columns = ["SSIM", "η", "Δ", "N"].map(|title| Column { title: title.into(), ..Column::default() }).into();
         let lines = vec![Line { label: "a|b".into(), section: Rows::Variants, cells }];
-        let text = table(&Table { name: "scores", caption: String::new(), columns, lines, legend: vec![] });
+        let text = table(&Table { name: "scores", title: String::new(), columns, lines, legend: vec![] });
         let row = "| a\\|b | **0.75** ± 0.01 | *0.50* | +0.1 \\[−0.1, +0.3\\] | n/a |\n";
         assert!(text.ends_with(row), "{text}");
         assert!(text.starts_with("| | SSIM | η | Δ | N |\n|---|---:|---:|---:|---:|\n"), "{text}");

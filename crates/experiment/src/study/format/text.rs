@@ -8,11 +8,13 @@ use std::fmt::Write as _;
 pub(in super::super) fn text(page: &Page) -> String {
     let mut out = String::new();
     for section in &page.sections {
+        _ = writeln!(out, "{}", section.title);
         for table in section.tables.iter().filter(|t| ["scores", "differences"].contains(&t.name)) {
-            _ = write!(out, "{}\n{}", table.caption, aligned(table));
-            let says_how = table.lines.iter().flat_map(|l| &l.cells).any(|c| c.mark == Mark::Best);
-            out.push_str(if says_how { "* best, + second\n\n" } else { "\n" });
+            _ = write!(out, "\n{}\n{}", table.title, aligned(table));
+            let how = if table.is_marked() { "* best, + second best" } else { "[95 % interval], * leaves 0 out" };
+            _ = writeln!(out, "{how}");
         }
+        out.push('\n');
         let warnings = section.warnings.iter().map(|w| format!("warning: {w}\n"));
         out.extend(warnings.chain(section.notes.iter().map(|note| format!("note: {note}\n"))));
         out.push('\n');

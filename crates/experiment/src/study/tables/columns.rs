@@ -18,8 +18,8 @@ pub(super) fn words(metric: &Metric) -> (String, String) {
     let words = match key {
         "ssim" | "psnr" | "l1" => key.to_uppercase(),
         "gaussians" => "N".into(),
-        "gaussian_bytes" => "Gaussians".into(),
-        "model_bytes" => "model".into(),
+        "gaussian_bytes" => "size of Gaussians".into(),
+        "model_bytes" => "model size".into(),
         "latency_total_ms" => "latency".into(),
         TRAINING => "training".into(),
         "chamfer" => "Chamfer".into(),
@@ -132,4 +132,56 @@ pub(super) fn filled(
     };
     let lines = rows.iter().enumerate().filter_map(line).collect();
     (columns.into_iter().map(|(column, _)| column).collect(), lines)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_keep_two_digits_and_no_sign_of_zero() {
+        let all = [
+            (0.8012, 3),
+            (0.0035, 3),
+            (12.3, 0),
+            (8.666, 0),
+            (8.0, 0),
+            (12_345.6, 0),
+            (-0.25, 2),
+            (-1e-9, 3),
+            (0.0, 3),
+        ];
+        let found = all.map(|(value, decimals)| fixed(value, decimals));
+        assert_eq!(found, ["0.801", "0.0035", "12", "8.7", "8", "12,346", "−0.25", "0.000", "0.000"]);
+        assert_eq!([f64::INFINITY, f64::NEG_INFINITY].map(|v| fixed(v, 3)), ["∞", "−∞"]);
+    }
+
+    /// Marks of a column of these printed numbers and means.
+    fn marks(column: &[(&str, f64)], competes: &[bool], higher_is_better: bool) -> Vec<Mark> {
+        let mut cells: Vec<Shown> =
+            column.iter().map(|(value, _)| Shown { value: (*value).into(), ..Shown::default() }).collect();
+        let spreads: Vec<Option<Spread>> =
+            column.iter().map(|(value, mean)| Spread::of(&[*mean]).filter(|_| !value.is_empty())).collect();
+        mark(&mut cells, &spreads, competes, higher_is_better);
+        cells.iter().map(|c| c.mark).collect()
+    }
+
+    #[test]
+    fn best_and_second_are_marked_among_those_that_compete() {
+        use Mark::{Best, None, Second};
+        let column = [("0.80", 0.8), ("0.70", 0.7), ("0.99", 0.99), ("0.75", 0.75), ("", 0.0)];
+        let all_but_third = [true, true, false, true, true];
+        assert_eq!(marks(&column, &all_but_third, true), [Best, None, None, Second, None]);
+        assert_eq!(marks(&column, &all_but_third, false), [None, Best, None, Second, None]);
+    }
+
+    #[test]
+    fn what_is_printed_alike_is_equal() {
+        use Mark::{Best, None, Second};
+        let all = [true; 3];
+        assert_eq!(marks(&[("0.80", 0.801), ("0.80", 0.799), ("0.70", 0.7)], &all, true), [Best, Best, None]);
+        assert_eq!(marks(&[("0.90", 0.9), ("0.80", 0.801), ("0.80", 0.799)], &all, true), [Best, Second, Second]);
+        assert_eq!(marks(&[("8", 8.0), ("8", 8.0), ("8", 8.0)], &all, false), [None; 3], "no best among equals");
+        assert_eq!(marks(&[("8", 8.0), ("", 0.0), ("", 0.0)], &all, false), [None; 3], "nor of one alone");
+    }
 }

@@ -3,7 +3,7 @@
 use super::super::comparison::{Comparison, Metric, Row};
 use super::super::statistics::{CONFIDENCE, Difference, REPLICATES};
 use super::columns::{fixed, words};
-use super::{Column, Line, Mark, Section, Shown, Table};
+use super::{Column, Line, Mark, Section, Shown, Table, title};
 use crate::scores::grouped;
 
 /// Decimals of a difference: one more than scores have.
@@ -34,7 +34,7 @@ pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &Row
     };
     let mut table = Table {
         name: "differences",
-        caption: format!("Paired differences from {}: {}", reference.label, comparison.setting.title),
+        title: title(&format!("Paired differences from {}", reference.label), comparison.setting),
         columns: metrics.iter().map(column).collect(),
         lines: lines.into_iter().map(|l| l.0).collect(),
         legend: Vec::new(),
@@ -92,8 +92,6 @@ fn legend(comparison: &Comparison<'_>, reference: &Row<'_>, (least, most): (usiz
         ),
         _ => {}
     }
-    legend.push(format!(
-        "Each interval stands for itself: of twenty that should hold 0, one leaves it out by chance ({percent} %)."
-    ));
+    legend.push("Each interval stands for itself: of twenty that should hold 0, one leaves it out by chance.".into());
     legend
 }

@@ -2,7 +2,7 @@
 
 use super::super::comparison::{Comparison, Metric, Statistic, TRAINING};
 use super::columns::{Wanted, filled};
-use super::{Column, Line, Mark, Section, Table};
+use super::{Column, Section, Table, title};
 
 const STAGES: [&str; 5] =
     ["latency_network_ms", "latency_projection_ms", "latency_sort_ms", "latency_blending_ms", "latency_total_ms"];
@@ -56,7 +56,7 @@ fn first_statistic(metric: &Metric) -> Wanted<'_> {
 
 fn table(
     name: &'static str,
-    title: &str,
+    words: &str,
     comparison: &Comparison<'_>,
     wanted: &[Wanted<'_>],
     same_machine: bool,
@@ -65,8 +65,7 @@ fn table(
     if columns.is_empty() {
         return None;
     }
-    let caption = format!("{title}: {}", comparison.setting.title);
-    let mut table = Table { name, caption, columns, lines, legend: Vec::new() };
+    let mut table = Table { name, title: title(words, comparison.setting), columns, lines, legend: Vec::new() };
     table.legend = legend(comparison, &table);
     if !same_machine && wanted.iter().any(|w| w.metric.is_time()) {
         table.legend.push("Times are from different machines, not comparable, and in no ranking.".into());
@@ -78,8 +77,8 @@ fn table(
 fn statistics_in_words(comparison: &Comparison<'_>) -> Option<String> {
     let per_sample = |m: &Metric| m.statistics()[0] == Statistic::Mean;
     comparison.metrics.iter().any(per_sample).then(|| {
-        "Mean, median and p10 (10th percentile) are over the test spectra of a run; N, model, latency and training \
-         are of the whole run."
+        "Mean, median and p10 (10th percentile) are over the test spectra of a run. N is the number of Gaussians; sizes \
+         and times are of the whole run, and times depend on what else the machine did."
             .into()
     })
 }
@@ -103,8 +102,7 @@ fn legend(comparison: &Comparison<'_>, table: &Table) -> Vec<String> {
         legend.push("Floors make no choices and learn from training and validation spectra together.".into());
     }
     let arrows = |column: &Column| !column.arrow.is_empty();
-    let marked = |line: &Line| line.cells.iter().any(|c| c.mark == Mark::Best);
-    if table.columns.iter().any(arrows) && table.lines.iter().any(marked) {
+    if table.columns.iter().any(arrows) && table.is_marked() {
         legend.push(
             "↑ larger is better, ↓ smaller is better; best and second best of a column are marked, floors included."
                 .into(),
