@@ -3,6 +3,7 @@
 //! Runs on the same data and split form a *setting*: only within one are scores comparable, and only there floors hold.
 //! In a setting, runs that differ in nothing but their seed form a *variant*.
 
+pub mod figures;
 mod record;
 
 pub use record::{Record, Score};

@@ -12,7 +12,7 @@ const SKY_PIXELS: usize = 380;
 
 /// What colours mean.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Scale {
+pub(crate) enum Scale {
     /// Power from 0 to 1.
     Power,
     /// A signed error up to this size.
@@ -35,7 +35,7 @@ impl Scale {
     }
 
     /// A horizontal colour bar with its two ends and middle.
-    pub(super) fn bar(self) -> String {
+    pub(crate) fn bar(self) -> String {
         let (low, high) = self.range();
         let pixels: Vec<u8> = (0..256)
             .flat_map(|i| {
@@ -62,7 +62,7 @@ impl Scale {
 
 /// A marked pixel.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Mark {
+pub(crate) enum Mark {
     /// Where the measured spectrum is strongest.
     Measured(usize),
     /// Where the predicted one is.
@@ -91,7 +91,7 @@ impl Mark {
 }
 
 /// The map: azimuth to the right, elevation upwards, in degrees; pixels where the plane has no angles.
-pub(super) fn map(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark]) -> String {
+pub(crate) fn map(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark]) -> String {
     let (w, h) = (image.width, image.height);
     let height = MAP * h as f64 / w as f64;
     let (left, top) = (44.0, 8.0);
@@ -154,7 +154,7 @@ pub(super) fn map(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark
 
 /// The sky: zenith (boresight) in the middle, horizon at the rim, azimuth counter-clockwise from the receiver's x axis
 /// on the right. `None` where the plane has no angles.
-pub(super) fn sky(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark]) -> Option<String> {
+pub(crate) fn sky(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark]) -> Option<String> {
     let (azimuth, elevation) = plane.angles?;
     let size = SKY_PIXELS;
     let mut rgba = vec![0u8; 4 * size * size];

@@ -1,6 +1,6 @@
 //! A box in space seen from above at an angle, in parallel projection: lengths along an axis stay comparable.
 
-use super::super::charts::{label, linear_ticks};
+use crate::draw::ticks::{label, linear_ticks};
 use std::fmt::Write as _;
 
 /// Where the eye is, degrees: azimuth from the x axis, elevation above the floor.
@@ -12,11 +12,11 @@ const MOST_HEIGHT: f64 = 300.0;
 const MARGINS: [f64; 4] = [36.0, 8.0, 20.0, 34.0];
 
 /// A point in space, metres.
-pub(super) type Point = [f64; 3];
+pub(crate) type Point = [f64; 3];
 
 /// The view of one box.
 #[derive(Clone, Debug)]
-pub(super) struct View {
+pub(crate) struct View {
     low: Point,
     high: Point,
     /// SVG units a metre.
@@ -24,12 +24,12 @@ pub(super) struct View {
     /// Where the origin of the picture lies, before scaling.
     corner: [f64; 2],
     /// Width and height of the whole picture.
-    pub(super) size: [f64; 2],
+    pub(crate) size: [f64; 2],
 }
 
 impl View {
     /// Of the box from `low` to `high`, metres.
-    pub(super) fn new(low: Point, high: Point) -> Self {
+    pub(crate) fn new(low: Point, high: Point) -> Self {
         let corners =
             (0..8).map(|k| flat([0, 1, 2].map(|axis| if k >> axis & 1 == 0 { low[axis] } else { high[axis] })));
         let (mut least, mut most) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
@@ -47,23 +47,23 @@ impl View {
     }
 
     /// Whether the box holds `p`.
-    pub(super) fn holds(&self, p: Point) -> bool {
+    pub(crate) fn holds(&self, p: Point) -> bool {
         (0..3).all(|k| (self.low[k]..=self.high[k]).contains(&p[k]))
     }
 
     /// Height of the floor, metres.
-    pub(super) fn floor(&self) -> f64 {
+    pub(crate) fn floor(&self) -> f64 {
         self.low[2]
     }
 
     /// Place on the picture.
-    pub(super) fn place(&self, p: Point) -> [f64; 2] {
+    pub(crate) fn place(&self, p: Point) -> [f64; 2] {
         let [x, y] = flat(p);
         [self.scale * (x - self.corner[0]), self.scale * (self.corner[1] - y)]
     }
 
     /// How near the eye `p` is: 0 at the farthest corner of the box, 1 at the nearest.
-    pub(super) fn nearness(&self, p: Point) -> f64 {
+    pub(crate) fn nearness(&self, p: Point) -> f64 {
         let [az, el] = [AZIMUTH, ELEVATION].map(f64::to_radians);
         let eye = [el.cos() * az.cos(), el.cos() * az.sin(), el.sin()];
         let along = |k: usize| if eye[k] > 0.0 { p[k] - self.low[k] } else { p[k] - self.high[k] };
@@ -72,7 +72,7 @@ impl View {
     }
 
     /// Floor, the two walls behind, a grid in metres on them and its numbers along three edges.
-    pub(super) fn axes(&self) -> String {
+    pub(crate) fn axes(&self) -> String {
         let (low, high) = (self.low, self.high);
         // The eye is where x is large and y small: the walls of small x and of large y are behind.
         let at = |x: f64, y: f64, z: f64| self.place([x, y, z]);
@@ -144,7 +144,7 @@ fn flat(p: Point) -> [f64; 2] {
 }
 
 /// A polyline as a piece of an SVG path.
-pub(super) fn line(points: &[[f64; 2]]) -> String {
+pub(crate) fn line(points: &[[f64; 2]]) -> String {
     let mut text = String::new();
     for (i, [x, y]) in points.iter().enumerate() {
         _ = write!(text, "{}{x:.1} {y:.1}", if i == 0 { 'M' } else { 'L' });

@@ -4,13 +4,13 @@ use base64::Engine as _;
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
 
 /// Red, green, blue.
-pub(super) type Rgb = [u8; 3];
+pub(crate) type Rgb = [u8; 3];
 
 /// Hue (degrees) and chroma of the sequential scale at 0, 1/4, 1/2, 3/4, 1: violet, blue, teal, green, yellow.
 const SEQUENTIAL: [(f64, f64); 5] = [(305.0, 0.10), (268.0, 0.115), (205.0, 0.085), (152.0, 0.14), (106.0, 0.175)];
 
 /// From dark violet at 0 to yellow at 1.
-pub(super) fn sequential(value: f64) -> Rgb {
+pub(crate) fn sequential(value: f64) -> Rgb {
     let t = value.clamp(0.0, 1.0);
     let place = 4.0 * t;
     let k = (place as usize).min(3);
@@ -21,7 +21,7 @@ pub(super) fn sequential(value: f64) -> Rgb {
 }
 
 /// From blue at −1 over white to vermilion at 1.
-pub(super) fn diverging(value: f64) -> Rgb {
+pub(crate) fn diverging(value: f64) -> Rgb {
     let size = value.abs().min(1.0);
     let hue = if value < 0.0 { 256.0 } else { 40.0 };
     oklch(0.98 - 0.50 * size, 0.17 * size.powf(0.85), hue)
@@ -47,7 +47,7 @@ fn oklch(lightness: f64, chroma: f64, hue_deg: f64) -> Rgb {
 }
 
 /// RGBA pixels as a PNG inside a `data:` address.
-pub(super) fn png_data(width: usize, height: usize, rgba: &[u8]) -> String {
+pub(crate) fn png_data(width: usize, height: usize, rgba: &[u8]) -> String {
     let mut png = Vec::new();
     PngEncoder::new(&mut png)
         .write_image(rgba, width as u32, height as u32, ExtendedColorType::Rgba8)
