@@ -5,8 +5,8 @@
 
 mod args;
 mod commands;
+mod interrupt;
 mod output;
-mod pipeline;
 mod progress;
 
 use args::{Arguments, Command};
@@ -19,8 +19,11 @@ pub fn main() -> ExitCode {
     output::start_logging(arguments.verbosity());
     let done = threads(arguments.threads).and_then(|()| match &arguments.command {
         Command::Run(run) => commands::run(run, arguments.verbosity()),
+        Command::Sweep(sweep) => commands::sweep(sweep, arguments.threads, arguments.verbosity()),
         Command::Predict(predict) => commands::predict(predict, arguments.verbosity()),
         Command::Evaluate(evaluate) => commands::evaluate(evaluate, arguments.verbosity()),
+        Command::Report(report) => commands::report(report, arguments.verbosity()),
+        Command::Export(export) => commands::export(export, arguments.verbosity()),
         Command::Simulate(simulate) => commands::simulate(simulate, arguments.verbosity()),
         Command::Plugins(plugins) => commands::plugins(plugins),
     });

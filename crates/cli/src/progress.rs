@@ -16,6 +16,8 @@ use std::time::{Duration, Instant};
 const REDRAW: Duration = Duration::from_millis(100);
 /// Between two plain lines.
 const LINE: Duration = Duration::from_secs(5);
+/// Between two plain lines of one run among several.
+const LINE_OF_SEVERAL: Duration = Duration::from_secs(30);
 /// The speed is that of this last stretch.
 const WINDOW: Duration = Duration::from_secs(20);
 
@@ -26,6 +28,8 @@ const PATIENCE: Duration = Duration::from_secs(1);
 #[derive(Debug)]
 pub(crate) struct Progress {
     verbosity: Verbosity,
+    /// The run, where there are several.
+    name: Option<String>,
     bar: Option<ProgressBar>,
     steps: u64,
     /// When a step was noted, and which.
@@ -41,17 +45,48 @@ pub(crate) struct Progress {
 impl Progress {
     pub(crate) fn new(verbosity: Verbosity) -> Self {
         let (pace, now) = (VecDeque::new(), Instant::now());
-        Self { verbosity, bar: None, steps: 0, pace, shown: now, loss: f64::NAN, validation: None, stage: now }
+        Self {
+            verbosity,
+            name: None,
+            bar: None,
+            steps: 0,
+            pace,
+            shown: now,
+            loss: f64::NAN,
+            validation: None,
+            stage: now,
+        }
+    }
+
+    /// Of one run among several, which is called `name`.
+    pub(crate) fn of_run(name: &str, verbosity: Verbosity) -> Self {
+        let mut progress = Self::new(verbosity);
+        progress.name = Some(name.to_owned());
+        progress
+    }
+
+    /// Between two plain lines.
+    fn pause(&self) -> Duration {
+        if self.name.is_some() { LINE_OF_SEVERAL } else { LINE }
+    }
+
+    /// A plain line.
+    fn say(&self, line: &str) {
+        match &self.name {
+            Some(name) => note(&format!("{name}: {line}")),
+            None => note(line),
+        }
     }
 
     /// Draws a bar, where there is a terminal to draw on.
     fn draw_bar(&mut self, length: u64) {
         self.finish();
         if self.verbosity != Verbosity::Quiet && std::io::stderr().is_terminal() {
-            let style = ProgressStyle::with_template("{bar:24.cyan/dim} {pos}/{len}  {msg}")
+            let style = ProgressStyle::with_template("{prefix}{bar:24.cyan/dim} {pos}/{len}  {msg}")
                 .unwrap_or_else(|_| ProgressStyle::default_bar())
                 .progress_chars("━╸─");
-            self.bar = Some(bars().add(ProgressBar::new(length).with_style(style)));
+            let prefix = self.name.as_ref().map_or_else(String::new, |name| format!("{name}  "));
+            self.bar = Some(bars().add(ProgressBar::new(length).with_style(style).with_prefix(prefix)));
         }
     }
 
@@ -89,6 +124,12 @@ impl Progress {
     }
 }
 
+impl Drop for Progress {
+    fn drop(&mut self) {
+        self.finish();
+    }
+}
+
 impl Observer for Progress {
     fn on_stage(&mut self, name: &str, done: usize, total: usize) {
         let now = Instant::now();
@@ -104,9 +145,9 @@ impl Observer for Progress {
                 let left = (now - self.stage).as_secs_f64() / done as f64 * (total - done) as f64;
                 bar.set_message(format!("{name}  {} left", duration(left)));
                 bar.set_position(done as u64);
-            } else if !terminal && self.verbosity != Verbosity::Quiet && now - self.shown >= LINE {
+            } else if !terminal && self.verbosity != Verbosity::Quiet && now - self.shown >= self.pause() {
                 self.shown = now;
-                note(&format!("{name}: {} of {}", grouped(done as i64), grouped(total as i64)));
+                self.say(&format!("{name}: {} of {}", grouped(done as i64), grouped(total as i64)));
             }
         }
     }
@@ -116,13 +157,19 @@ impl Observer for Progress {
             return;
         }
         let [train, validation, test] = start.samples.map(|n| grouped(n as i64));
-        note(&format!("{}: {train} training, {validation} validation, {test} test spectra", start.title));
+        if self.name.is_none() {
+            note(&format!("{}: {train} training, {validation} validation, {test} test spectra", start.title));
+        }
         let on = if start.done > 0 {
             format!("going on after step {} of", grouped(start.done as i64))
         } else {
             "training".into()
         };
-        note(&format!("{on} {} steps in {}", grouped(start.steps as i64), start.folder.display()));
+        let steps = grouped(start.steps as i64);
+        match &self.name {
+            None => note(&format!("{on} {steps} steps in {}", start.folder.display())),
+            Some(_) => self.say(&format!("{on} {steps} steps")),
+        }
         self.steps = start.steps;
         self.draw_bar(start.steps);
         if let Some(bar) = &self.bar {
@@ -133,9 +180,11 @@ impl Observer for Progress {
     fn on_step(&mut self, report: &StepReport) {
         self.loss = if self.loss.is_nan() { report.loss } else { 0.95 * self.loss + 0.05 * report.loss };
         let now = Instant::now();
-        let every = if self.bar.is_some() { REDRAW } else { LINE };
+        let every = if self.bar.is_some() { REDRAW } else { self.pause() };
         let first = self.pace.is_empty();
-        if !first && now - self.shown < every && report.step != self.steps {
+        // Of several runs the bar or a line now and then is enough.
+        let edge = (first || report.step == self.steps) && self.name.is_none();
+        if !edge && now - self.shown < every {
             return;
         }
         self.shown = now;
@@ -147,14 +196,14 @@ impl Observer for Progress {
             bar.set_position(report.step);
             bar.set_message(self.words(report));
         } else if self.verbosity != Verbosity::Quiet {
-            note(&format!("step {}/{}  {}", report.step, self.steps, self.words(report)));
+            self.say(&format!("step {}/{}  {}", report.step, self.steps, self.words(report)));
         }
     }
 
     fn on_validation(&mut self, validation: &Validation) {
         self.validation = Some(*validation);
         if self.verbosity == Verbosity::Verbose {
-            note(&format!(
+            self.say(&format!(
                 "step {}: validation SSIM {:.4} (median {:.4}), eta at 0 dB {:.4}",
                 validation.step, validation.ssim_mean, validation.ssim_median, validation.eta_0db
             ));
@@ -162,9 +211,9 @@ impl Observer for Progress {
     }
 
     fn on_message(&mut self, message: &str) {
-        if self.verbosity != Verbosity::Quiet {
+        if self.verbosity != Verbosity::Quiet && (self.name.is_none() || self.verbosity == Verbosity::Verbose) {
             self.finish();
-            note(message);
+            self.say(message);
         }
     }
 }

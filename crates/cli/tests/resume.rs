@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 /// A few seconds of training in small steps, with densification, pruning and checkpoints on the way.
 fn longer() -> String {
     SMALL
+        .replace("name: \"small\"", "name: \"small\", tensorboard: true")
         .replace("steps: 60", "steps: 2_400")
         .replace("densify_until: 20", "densify_until: 900")
         .replace(
@@ -27,8 +28,25 @@ fn curve(run: &Path) -> Vec<String> {
     text.lines().map(|l| l.rsplit_once(',').unwrap().0.to_owned()).collect()
 }
 
+/// The records of the TensorBoard file without their times; the last one holds the scores, latencies among them.
+fn events(run: &Path) -> Vec<Vec<u8>> {
+    let bytes = std::fs::read(run.join("events.out.tfevents.pwrfgs")).unwrap();
+    let mut rest = bytes.as_slice();
+    let mut records = Vec::new();
+    while let Some((length, tail)) = rest.split_first_chunk::<8>() {
+        let length = u64::from_le_bytes(*length) as usize;
+        assert_eq!(tail[4], 1 << 3 | 1, "a record begins with its wall time, eight bytes");
+        records.push(tail[4 + 9..4 + length].to_vec());
+        rest = &tail[4 + length + 4..];
+    }
+    assert!(records.pop().unwrap().windows(9).any(|text| text == b"test/ssim"));
+    records
+}
+
 fn same_end(a: &Path, b: &Path) {
     assert!(curve(a) == curve(b), "curves differ");
+    assert_eq!(events(a).len(), 1 + (curve(a).len() - 1) + 2_400 / 300, "the version, each row, each validation");
+    assert!(events(a) == events(b), "events differ");
     for name in ["model.safetensors", "validation.csv", "samples.csv", "start.safetensors", "unpruned.safetensors"] {
         assert!(std::fs::read(a.join(name)).unwrap() == std::fs::read(b.join(name)).unwrap(), "{name} differs");
     }

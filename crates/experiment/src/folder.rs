@@ -5,6 +5,7 @@ use pwrfgs_model::file::write_atomically;
 use pwrfgs_train::Pipeline;
 use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// The file that names the run and makes a folder a run folder.
 pub const PIPELINE: &str = "pipeline.ron";
@@ -20,6 +21,8 @@ pub const UNPRUNED_SNAPSHOT: &str = "unpruned.safetensors";
 pub const CURVE: &str = "curve.csv";
 /// Step, SSIM and η on the validation part.
 pub const VALIDATION: &str = "validation.csv";
+/// Loss, N, validation and scores for TensorBoard, where the pipeline asks for it.
+pub const EVENTS: &str = "events.out.tfevents.pwrfgs";
 /// Every score.
 pub const SCORES: &str = "scores.csv";
 /// Every transmitter.
@@ -67,7 +70,7 @@ impl RunFolder {
             write_atomically(&own, pipeline.as_bytes())?;
         }
         let lock = File::open(&own).map_err(|e| Error::read(&own, e))?;
-        match lock.try_lock() {
+        match patiently(&lock) {
             Err(TryLockError::WouldBlock) => Err(Error::Config(format!(
                 "another pwrfgs is at work in {}; wait until it ends, or choose another --out",
                 path.display()
@@ -80,6 +83,11 @@ impl RunFolder {
         }
     }
 
+    /// Whether a process is at work in `path`.
+    pub fn is_busy(path: &Path) -> bool {
+        File::open(path.join(PIPELINE)).is_ok_and(|own| matches!(own.try_lock_shared(), Err(TryLockError::WouldBlock)))
+    }
+
     /// The folder.
     pub fn path(&self) -> &Path {
         &self.path
@@ -89,6 +97,17 @@ impl RunFolder {
     pub fn file(&self, name: &str) -> PathBuf {
         self.path.join(name)
     }
+}
+
+/// Takes the lock; tries again for a moment, since [`RunFolder::is_busy`] of another process holds it for one.
+fn patiently(lock: &File) -> Result<(), TryLockError> {
+    for _ in 0..20 {
+        match lock.try_lock() {
+            Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(10)),
+            other => return other,
+        }
+    }
+    lock.try_lock()
 }
 
 /// Refuses a folder that holds a run of another pipeline, naming the first difference.

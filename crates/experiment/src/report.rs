@@ -41,10 +41,17 @@ pub(crate) fn of(subject: &Subject<'_>, history: Option<&History<'_>>) -> Result
         version => subject.facts.version.clone(),
         written => subject.facts.finished.clone(),
     };
-    let mut environment = Environment::new();
     let failed = |e: minijinja::Error| Error::Config(format!("the report's template: {e:#}"));
+    let mut environment = environment().map_err(failed)?;
     environment.add_template("report.html", TEMPLATE).map_err(failed)?;
     environment.get_template("report.html").and_then(|t| t.render(page)).map_err(failed)
+}
+
+/// Templates that find the style all pages share.
+pub(crate) fn environment() -> Result<Environment<'static>, minijinja::Error> {
+    let mut environment = Environment::new();
+    environment.add_template("style.css", include_str!("style.css"))?;
+    Ok(environment)
 }
 
 /// Name and value of what a reader wants to know first.

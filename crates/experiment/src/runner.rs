@@ -6,23 +6,18 @@
 
 use crate::evaluate::{Assessment, evaluate};
 use crate::facts::Facts;
-use crate::folder::{
-    CHECKPOINT, CURVE, MODEL_FILE, REPORT, RunFolder, SAMPLES, SCORES, START_SNAPSHOT, UNPRUNED_SNAPSHOT, VALIDATION,
-};
+use crate::folder::{CHECKPOINT, MODEL_FILE, REPORT, RunFolder, SAMPLES, SCORES, START_SNAPSHOT, UNPRUNED_SNAPSHOT};
+use crate::journal::{Journal, note_scores};
 use crate::observer::{Observer, Start, Validation, staged};
 use crate::scores::ScoreTable;
-use crate::series::Series;
 use crate::snapshot::Snapshot;
 use crate::{clock, report, samples, validation};
-use pwrfgs_core::{Baseline, DataSource, Dataset, Error, GaussianCloud, Partition, Plugin, Result, rng};
+use pwrfgs_core::{Dataset, Error, GaussianCloud, Partition, Result, rng};
 use pwrfgs_model::{Model, file};
-use pwrfgs_train::{Pipeline, StepReport, Trainer};
+use pwrfgs_train::{Pipeline, Trainer};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
-
-/// Up to this many steps every one has its row in `curve.csv`, beyond every tenth.
-const DENSE_STEPS: u64 = 2_000;
 
 /// How a run ended.
 #[derive(Clone, Debug, PartialEq)]
@@ -98,20 +93,10 @@ pub fn load(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Re
 
 /// Takes every relative path of the pipeline from `base` and makes it absolute.
 pub fn rebase(pipeline: &mut Pipeline, base: &Path) {
-    rebase_data(&mut pipeline.data, base);
-    rebase_baselines(&mut pipeline.baselines, base);
-}
-
-/// As [`rebase`], the data source alone.
-pub fn rebase_data(data: &mut Plugin<dyn DataSource>, base: &Path) {
-    if let Some(rebased) = data.rebased(&|path| absolute(base, path)) {
-        *data = rebased.into();
+    if let Some(rebased) = pipeline.data.rebased(&|path| absolute(base, path)) {
+        pipeline.data = rebased.into();
     }
-}
-
-/// As [`rebase`], the baselines alone.
-pub fn rebase_baselines(baselines: &mut [Plugin<dyn Baseline>], base: &Path) {
-    for baseline in baselines {
+    for baseline in &mut pipeline.baselines {
         if let Some(rebased) = baseline.rebased(&|path| absolute(base, path)) {
             *baseline = rebased.into();
         }
@@ -125,15 +110,10 @@ fn absolute(base: &Path, path: &Path) -> PathBuf {
 }
 
 /// The scores of a run to which nothing is left to do.
-fn finished(out: &Path) -> Option<ScoreTable> {
+pub(crate) fn finished(out: &Path) -> Option<ScoreTable> {
     let complete = [MODEL_FILE, SCORES, SAMPLES, REPORT].iter().all(|name| out.join(name).is_file());
     let facts = Facts::read(out)?;
     if complete && facts.finished.is_some() { facts.scores } else { None }
-}
-
-/// Whether `step` has a row in `curve.csv`: a function of the step alone, so that a resumed run writes the same rows.
-fn has_row(step: u64, steps: u64) -> bool {
-    steps <= DENSE_STEPS || step == 1 || step == steps || step.is_multiple_of(10)
 }
 
 struct Run<'a> {
@@ -163,11 +143,7 @@ impl<'a> Run<'a> {
     fn train(&mut self, trainer: &mut Trainer<'_>, folder: &RunFolder, facts: &mut Facts) -> Result<Option<Model>> {
         let settings = &self.pipeline.training;
         let (steps, earlier) = (settings.steps, facts.wall_seconds);
-        let header = "step,phase,loss,penalty,gaussians,seconds";
-        let (mut curve, last) = Series::open(&folder.file(CURVE), header, trainer.done())?;
-        let (mut looks, _) = Series::open(&folder.file(VALIDATION), validation::HEADER, trainer.done())?;
-        let mut seconds: f64 =
-            last.and_then(|row| row.rsplit(',').next().and_then(|s| s.parse().ok())).unwrap_or_default();
+        let mut journal = Journal::open(folder, self.pipeline, trainer.done())?;
         let looked_at = validation::spread(&self.partition.validation, settings.validation_samples);
         self.observer.on_start(&Start {
             folder: folder.path(),
@@ -185,17 +161,15 @@ impl<'a> Run<'a> {
             if !stopped {
                 let begun = Instant::now();
                 let report = trainer.step().inspect_err(|_| self.kept(folder))?;
-                seconds += begun.elapsed().as_secs_f64();
+                let seconds = begun.elapsed().as_secs_f64();
                 if let Some(cloud) = trainer.take_unpruned() {
                     snapshot(UNPRUNED_SNAPSHOT, report.step, &cloud)?;
                 }
-                if has_row(report.step, steps) {
-                    curve.push(&row(&report, seconds))?;
-                }
+                journal.step(&report, seconds)?;
                 let look = settings.validate_every > 0 && report.step.is_multiple_of(settings.validate_every);
                 if look && !looked_at.is_empty() {
                     let seen = validation::validate(report.step, &trainer.model(), self.data, &looked_at)?;
-                    looks.push(&seen.row())?;
+                    journal.validation(&seen)?;
                     self.observer.on_validation(&seen);
                 }
                 self.observer.on_step(&report);
@@ -203,10 +177,9 @@ impl<'a> Run<'a> {
             }
             let step = trainer.done();
             if stopped || step.is_multiple_of(settings.checkpoint_every) || trainer.finished() {
-                curve.sync()?;
-                looks.sync()?;
+                journal.sync()?;
                 file::write_atomically(&folder.file(CHECKPOINT), &trainer.checkpoint())?;
-                (facts.steps, facts.training_seconds) = (step, seconds);
+                (facts.steps, facts.training_seconds) = (step, journal.seconds());
                 facts.wall_seconds = earlier + self.begun.elapsed().as_secs_f64();
                 facts.note_memory();
                 facts.write(folder.path())?;
@@ -252,16 +225,11 @@ impl<'a> Run<'a> {
             facts,
         };
         subject.write(folder.path(), Some(&history))?;
+        note_scores(folder, self.pipeline, &scores)?;
         facts.write(folder.path())?;
         self.observer.on_evaluation(&scores);
         Ok(scores)
     }
-}
-
-/// A row of `curve.csv`.
-fn row(report: &StepReport, seconds: f64) -> String {
-    let StepReport { step, phase, loss, penalty, gaussians } = report;
-    format!("{step},{},{loss},{penalty},{gaussians},{seconds:.3}", phase.name())
 }
 
 /// What a training leaves beside its model.
@@ -300,17 +268,5 @@ impl Subject<'_> {
         put(SCORES, self.assessment.scores.to_csv())?;
         put(SAMPLES, samples::to_csv(self.data, self.partition))?;
         put(REPORT, report::of(self, history)?)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::has_row;
-
-    #[test]
-    fn rows_depend_on_the_step_alone() {
-        assert!((1..=2000).all(|step| has_row(step, 2000)));
-        let sparse: Vec<u64> = (1..=2001).filter(|&s| has_row(s, 2001)).collect();
-        assert_eq!((sparse[0], sparse[1], *sparse.last().unwrap(), sparse.len()), (1, 10, 2001, 202));
     }
 }

@@ -2,10 +2,20 @@
 //!
 //! Runs on the same data and split form a *setting*: only within one are scores comparable, and only there floors hold.
 //! In a setting, runs that differ in nothing but their seed form a *variant*.
+//! A run of a sweep belongs to the variant that its labels name; a run folder named by itself, to that of all such runs
+//! whose pipelines differ in seed and name alone.
 
+mod blocks;
+mod comparison;
 pub mod figures;
+mod format;
+mod output;
+mod page;
 mod record;
+mod statistics;
+mod tables;
 
+pub use output::{Options, check, write};
 pub use record::{Record, Score};
 
 use crate::folder::PIPELINE;
@@ -17,7 +27,7 @@ use std::path::{Path, PathBuf};
 type Labels = Vec<(String, String)>;
 
 /// Runs to compare.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Study {
     /// Names of the sweeps or runs, joined.
     pub title: String,
@@ -25,6 +35,11 @@ pub struct Study {
     pub settings: Vec<Setting>,
     /// Runs that were named but have not finished, and so are in none of the settings.
     pub unfinished: Vec<PathBuf>,
+    /// Runs that are in none of the settings because they are there already: named twice, or the same seed of the same
+    /// variant again.
+    pub repeated: Vec<PathBuf>,
+    /// Folders read so far.
+    seen: Vec<PathBuf>,
 }
 
 /// Runs on the same data and the same split.
@@ -53,10 +68,10 @@ impl Study {
     /// # Errors
     /// A folder that is neither, a damaged file, or no finished run among them.
     pub fn read(folders: &[PathBuf]) -> Result<Self> {
-        let mut study = Self { title: String::new(), settings: Vec::new(), unfinished: Vec::new() };
+        let mut study = Self::default();
         let several = folders.len() > 1;
         let mut titles: Vec<String> = Vec::new();
-        let mut records: Vec<(Labels, Record)> = Vec::new();
+        let (mut records, mut alone) = (Vec::new(), Vec::new());
         for folder in folders {
             if let Some(listing) = Listing::read(folder)? {
                 for run in &listing.runs {
@@ -64,13 +79,11 @@ impl Study {
                     if several {
                         labels.insert(0, (String::new(), listing.name.clone()));
                     }
-                    study.take(&folder.join(&run.folder), labels, &mut records)?;
+                    records.extend(study.take(&folder.join(&run.folder))?.map(|record| (labels, record)));
                 }
                 titles.push(listing.name);
             } else if folder.join(PIPELINE).is_file() {
-                let name = folder.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-                study.take(folder, vec![(String::new(), name.clone())], &mut records)?;
-                titles.push(name);
+                alone.extend(study.take(folder)?);
             } else {
                 return Err(Error::Config(format!(
                     "{} holds neither a run ({PIPELINE}) nor a sweep ({LISTING}); name a folder that `pwrfgs run` or \
@@ -79,6 +92,10 @@ impl Study {
                 )));
             }
         }
+        for (name, record) in named(alone) {
+            titles.push(name.clone());
+            records.push((vec![(String::new(), name)], record));
+        }
         titles.dedup();
         study.title = titles.join(", ");
         if records.is_empty() {
@@ -86,17 +103,77 @@ impl Study {
             return Err(Error::Config(format!("none of these {missing} runs has finished; run them first")));
         }
         study.settings = settings(records);
+        study.leave_twins_out();
         Ok(study)
     }
 
-    /// Reads one run folder into `records`, or notes that it has not finished.
-    fn take(&mut self, folder: &Path, labels: Labels, records: &mut Vec<(Labels, Record)>) -> Result<()> {
-        match Record::read(folder)? {
-            Some(record) => records.push((labels, record)),
-            None => self.unfinished.push(folder.into()),
+    /// Reads one run folder, or notes that it has not finished or was named before.
+    fn take(&mut self, folder: &Path) -> Result<Option<Record>> {
+        let place = folder.canonicalize().unwrap_or_else(|_| folder.into());
+        if self.seen.contains(&place) {
+            self.repeated.push(folder.into());
+            return Ok(None);
         }
-        Ok(())
+        self.seen.push(place);
+        let record = Record::read(folder)?;
+        if record.is_none() {
+            self.unfinished.push(folder.into());
+        }
+        Ok(record)
     }
+
+    /// Keeps one run a seed in each variant: the same run counted twice would look like certainty.
+    fn leave_twins_out(&mut self) {
+        for variant in self.settings.iter_mut().flat_map(|s| &mut s.variants) {
+            let mut seeds = Vec::new();
+            let (kept, twins) = std::mem::take(&mut variant.runs).into_iter().partition(|run| {
+                let is_new = !seeds.contains(&run.facts.seed);
+                seeds.push(run.facts.seed);
+                is_new
+            });
+            variant.runs = kept;
+            self.repeated.extend(Vec::<Record>::into_iter(twins).map(|run| run.folder));
+        }
+    }
+}
+
+/// Gives runs that were named one by one the names of their variants: what the folders of all seeds begin with.
+fn named(alone: Vec<Record>) -> Vec<(String, Record)> {
+    let keys: Vec<String> = alone.iter().map(Record::variant_key).collect();
+    let folder = |record: &Record| {
+        let whole = record.folder.canonicalize().unwrap_or_else(|_| record.folder.clone());
+        whole.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned())
+    };
+    let mut names: Vec<(&String, String)> = Vec::new();
+    for (key, first) in keys.iter().zip(&alone) {
+        if names.iter().any(|(known, _)| *known == key) {
+            continue;
+        }
+        let all: Vec<String> = keys.iter().zip(&alone).filter(|(k, _)| *k == key).map(|(_, r)| folder(r)).collect();
+        let mut name = if all.len() > 1 { common_start(&all) } else { all[0].clone() };
+        if name.is_empty() {
+            name.clone_from(&first.pipeline.name);
+        }
+        if names.iter().any(|(_, known)| *known == name) {
+            name = first.folder.display().to_string();
+        }
+        names.push((key, name));
+    }
+    let name = |key: &String| names.iter().find(|(k, _)| *k == key).map_or_else(String::new, |(_, name)| name.clone());
+    let all: Vec<String> = keys.iter().map(name).collect();
+    all.into_iter().zip(alone).collect()
+}
+
+/// What all begin with, without the separator, or `seed`, before what differs: `init` of `init-0` and `init-1`.
+fn common_start(names: &[String]) -> String {
+    let mut start = names[0].clone();
+    while !names.iter().all(|name| name.starts_with(&start)) {
+        start.pop();
+    }
+    let is_end = |c: char| c.is_ascii_digit() || " -_.=".contains(c);
+    // Digits belong to what differs (`a10`, `a11`), unless nothing differs.
+    let start = if names.iter().all(|name| *name == start) { &start } else { start.trim_end_matches(is_end) };
+    start.trim_end_matches("seed").trim_end_matches(|c| " -_.=".contains(c)).to_owned()
 }
 
 /// Puts runs in settings and variants.
@@ -149,4 +226,19 @@ fn variants(group: Vec<(Labels, Record)>) -> Vec<Variant> {
 pub(crate) fn one_line(value: &impl serde::Serialize) -> String {
     let config = ron::ser::PrettyConfig::new().struct_names(true).depth_limit(0);
     ron_options().to_string_pretty(value, config).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn seeds_share_the_start_of_their_names() {
+        let of = |names: &[&str]| common_start(&names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>());
+        assert_eq!(of(&["init-cloud-0", "init-cloud-1", "init-cloud-12"]), "init-cloud");
+        assert_eq!(of(&["a10", "a11"]), "a");
+        assert_eq!(of(&["x_seed=1", "x_seed=2"]), "x");
+        assert_eq!(of(&["run7", "run7"]), "run7");
+        assert_eq!(of(&["0", "1"]), "");
+    }
 }

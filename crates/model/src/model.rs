@@ -3,7 +3,8 @@
 use crate::{Activation, Calibration, Readout};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
-    Deformation, Deltas, GaussianCloud, Image, ImagePlane, Pose, Predict, Projector, Rasterizer, Real, StageTimes,
+    Deformation, Deltas, GaussianCloud, Image, ImagePlane, Pose, Predict, Primitives, Projector, Rasterizer, Real,
+    StageTimes,
 };
 use std::time::Instant;
 
@@ -77,6 +78,14 @@ impl Model {
             images.extend(self.draw(&self.deform(txs), 0..txs.len(), Instant::now()).0);
         }
         images
+    }
+
+    /// What is drawn for a transmitter at `tx`, or of the base parameters alone: the Gaussians in space, and their
+    /// signals `[N, channels]`.
+    pub fn gaussians(&self, tx: Option<[Real; 3]>) -> (Primitives, Vec<Real>) {
+        let deltas = tx.map_or_else(Deltas::default, |tx| self.deform(&[tx]));
+        let activation = self.stages.activation();
+        (activation.geometry(&self.cloud, &deltas, 0, None), activation.signals(&self.cloud, &deltas, 0..1))
     }
 
     fn deform(&self, txs: &[[Real; 3]]) -> Deltas {

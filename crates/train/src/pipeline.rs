@@ -52,6 +52,9 @@ pub struct Pipeline {
     /// How all are scored.
     #[serde(default = "metrics")]
     pub metrics: Vec<Plugin<dyn Metric>>,
+    /// Whether the run folder gets an event file that TensorBoard opens.
+    #[serde(default)]
+    pub tensorboard: bool,
 }
 
 /// A patch over a [`Pipeline`]: fields left out keep their value, plugins are replaced whole.
@@ -59,6 +62,8 @@ pub struct Pipeline {
 #[serde(default, deny_unknown_fields)]
 #[allow(missing_docs)] // each field means what it means in `Pipeline`
 pub struct PipelinePatch {
+    /// What a sweep calls this patch; changes nothing.
+    pub label: Option<String>,
     pub name: Option<String>,
     pub seed: Option<u64>,
     pub data: Option<Plugin<dyn DataSource>>,
@@ -73,6 +78,7 @@ pub struct PipelinePatch {
     pub training: Option<TrainingPatch>,
     pub baselines: Option<Vec<Plugin<dyn Baseline>>>,
     pub metrics: Option<Vec<Plugin<dyn Metric>>>,
+    pub tensorboard: Option<bool>,
 }
 
 impl Pipeline {
@@ -101,7 +107,7 @@ impl Pipeline {
             ($($field:ident),*) => { $(if let Some(value) = patch.$field { self.$field = value; })* };
         }
         take!(name, seed, data, split, initializer, projector, rasterizer, deformation, calibration, readout, pruners);
-        take!(baselines, metrics);
+        take!(baselines, metrics, tensorboard);
         if let Some(patch) = patch.training {
             let mut training = Training::clone(&self.training);
             training.apply(patch);
@@ -122,7 +128,7 @@ impl Pipeline {
         for field in path.trim().rsplit('.') {
             text = format!("({field}:{text})");
         }
-        let patch = read_ron(&text, Path::new("--set")).map_err(|e| match e {
+        let patch: PipelinePatch = read_ron(&text, Path::new("--set")).map_err(|e| match e {
             // The position would count inside the patch we wrapped around the argument: leave it out.
             Error::Input { message, .. } => {
                 let said = message.splitn(3, ':').nth(2).unwrap_or(&message).trim();
@@ -130,6 +136,9 @@ impl Pipeline {
             }
             other => other,
         })?;
+        if patch.label.is_some() {
+            return Err(Error::Config(format!("--set {argument}: only a variant of a sweep has a label")));
+        }
         self.apply(patch)
     }
 

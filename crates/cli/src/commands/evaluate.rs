@@ -2,10 +2,9 @@
 
 use crate::args::{Evaluate, Verbosity};
 use crate::output;
-use crate::pipeline::load;
 use crate::progress::Progress;
 use pwrfgs::experiment::folder::{PIPELINE, REPORT};
-use pwrfgs::experiment::{Facts, Machine, Subject, evaluate as score, load as load_data};
+use pwrfgs::experiment::{Facts, Machine, Subject, evaluate as score, load as load_data, read_pipeline};
 use pwrfgs::model::file;
 use pwrfgs_core::{Error, Result};
 use std::fmt::Write as _;
@@ -22,7 +21,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
             format!("there is no {PIPELINE} beside this model; name one with --pipeline FILE"),
         ));
     }
-    let pipeline = load(path, &arguments.set)?;
+    let pipeline = read_pipeline(path, &arguments.set)?;
     if let Some(out) = &arguments.out {
         check_empty(out)?;
     }

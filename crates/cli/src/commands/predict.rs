@@ -68,7 +68,7 @@ fn line(model: &Model, row: usize, [x, y, z]: [Real; 3], image: &Image, millisec
 }
 
 /// `x,y,z` of the command line.
-fn position(text: &str) -> Result<[Real; 3]> {
+pub(super) fn position(text: &str) -> Result<[Real; 3]> {
     let wrong = || Error::Config(format!("--tx {text}: give three finite numbers in metres, such as 1.2,0.3,1.0"));
     let numbers: Option<Vec<Real>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
     match <[Real; 3]>::try_from(numbers.unwrap_or_default()) {

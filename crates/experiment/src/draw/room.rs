@@ -28,8 +28,20 @@ pub(crate) struct Panel {
     pub(crate) title: String,
     pub(crate) numbers: String,
     pub(crate) svg: String,
+    /// Its height, SVG units; it is 380 wide.
+    pub(crate) height: f64,
     /// What is not shown.
     pub(crate) caption: String,
+}
+
+/// A symbol and its meaning.
+pub(crate) struct Symbol {
+    /// Width, SVG units; it is 14 high.
+    pub(crate) width: u32,
+    /// What is drawn.
+    pub(crate) inner: String,
+    /// What it stands for.
+    pub(crate) meaning: &'static str,
 }
 
 /// What all panels share: limits, cloud, transmitters and receiver.
@@ -48,9 +60,10 @@ pub(crate) struct Room {
 impl Room {
     /// Limits are those of the scene. Where it has no point cloud its walls are unknown, and the limits hold the middle
     /// nine tenths of each of `clouds` as well.
-    pub(crate) fn new(data: &Dataset, partition: &Partition, clouds: &[&Snapshot]) -> Self {
+    /// Text on the axes is `text` SVG units high.
+    pub(crate) fn new(data: &Dataset, partition: &Partition, clouds: &[&Snapshot], text: f64) -> Self {
         let (low, high) = limits(data, clouds);
-        let view = View::new(low, high);
+        let view = View::new(low, high, text);
         let most = clouds.iter().map(|s| s.means.len()).max().unwrap_or(0);
         let radius = (90.0 / (most.max(1) as f64).sqrt()).clamp(2.4, 6.0);
         let mut behind = view.axes();
@@ -98,7 +111,13 @@ impl Room {
         if inside > shown.len() {
             caption.push(format!("the {} most opaque are drawn", grouped(shown.len() as i64)));
         }
-        Panel { title: title.into(), numbers, svg: self.svg(&mut shown, title), caption: caption.join("; ") }
+        Panel {
+            title: title.into(),
+            numbers,
+            svg: self.svg(&mut shown, title),
+            height: self.view.size[1],
+            caption: caption.join("; "),
+        }
     }
 
     /// Axes and cloud, then transmitters, then Gaussians from far to near.
@@ -123,26 +142,24 @@ impl Room {
     }
 
     /// Symbols with their meaning.
-    pub(crate) fn legend(&self) -> Vec<(String, &'static str)> {
-        let symbol = |width: u32, inner: &str| {
-            format!("<svg viewBox=\"0 0 {width} 14\" style=\"width:{width}px\">{inner}</svg>")
-        };
-        let path = |d: &str, colour: &str| {
-            symbol(12, &format!("<path fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.4\" d=\"{d}\"/>"))
-        };
+    pub(crate) fn legend(&self) -> Vec<Symbol> {
+        let symbol = |width: u32, inner: String, meaning| Symbol { width, inner, meaning };
+        let path =
+            |d: &str, colour: &str| format!("<path fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.4\" d=\"{d}\"/>");
         let sizes = [(6.0, 0.1), (17.0, 0.5), (30.0, 1.0)].map(|(x, opacity)| ([x, 7.0], opacity));
-        let mut all =
-            vec![(symbol(38, &gaussians(sizes.into_iter(), self.radius)), "Gaussians of opacity 0.1, 0.5 and 1")];
+        let circles = gaussians(sizes.into_iter(), self.radius);
+        let mut all = vec![symbol(38, circles, "Gaussians of opacity 0.1, 0.5 and 1")];
         if self.has_points {
             let dots =
                 "<path stroke=\"#aab0ba\" stroke-width=\"1.8\" stroke-linecap=\"round\" d=\"M3 5h0M9 7h0M4 10h0\"/>";
-            all.push((symbol(12, dots), "point cloud"));
+            all.push(symbol(12, dots.into(), "point cloud"));
         }
-        all.push((path("M3 7h6m-3 -3v6", TRAINING), "training transmitters"));
+        all.push(symbol(12, path("M3 7h6m-3 -3v6", TRAINING), "training transmitters"));
         if self.has_test {
-            all.push((path("M3.5 4.5l5 5m0 -5l-5 5", TEST), "test transmitters"));
+            all.push(symbol(12, path("M3.5 4.5l5 5m0 -5l-5 5", TEST), "test transmitters"));
         }
-        all.push((symbol(12, "<path fill=\"#101318\" d=\"M6 2l5 9.5h-10z\"/>"), "receiver and its boresight"));
+        let triangle = "<path fill=\"#101318\" d=\"M6 2l5 9.5h-10z\"/>";
+        all.push(symbol(12, triangle.into(), "receiver and its boresight"));
         all
     }
 

@@ -1,12 +1,15 @@
 //! The room and the Gaussians in it: at the start, when they were most, and in the end.
 
-use crate::draw::room::{Panel, Room};
+use crate::draw::room::{Panel, Room, Symbol};
 use crate::folder::{START_SNAPSHOT, UNPRUNED_SNAPSHOT};
 use crate::runner::{History, Subject};
 use crate::scores::grouped;
 use crate::snapshot::Snapshot;
 use pwrfgs_core::Result;
 use serde::Serialize;
+
+/// Height of text on the axes, SVG units.
+const TEXT: f64 = 10.5;
 
 /// The figure: three panels and what their symbols mean.
 #[derive(Serialize)]
@@ -27,7 +30,12 @@ pub(super) fn figure(subject: &Subject<'_>, history: Option<&History<'_>>) -> Re
     moments.extend(read(UNPRUNED_SNAPSHOT)?.map(|s| (format!("Before pruning, step {}", step(&s)), s)));
     moments.push((if moments.is_empty() { "The Gaussians".into() } else { "In the end".into() }, last));
     let clouds: Vec<&Snapshot> = moments.iter().map(|m| &m.1).collect();
-    let room = Room::new(subject.data, subject.partition, &clouds);
+    let room = Room::new(subject.data, subject.partition, &clouds, TEXT);
     let panels = moments.iter().map(|(title, snapshot)| room.panel(title, snapshot, subject.data)).collect();
-    Ok(Figure { panels, legend: room.legend(), note: room.note(subject.data) })
+    let symbol = |s: Symbol| {
+        let size = format!("viewBox=\"0 0 {0} 14\" style=\"width:{0}px\"", s.width);
+        (format!("<svg {size}>{}</svg>", s.inner), s.meaning)
+    };
+    let legend = room.legend().into_iter().map(symbol).collect();
+    Ok(Figure { panels, legend, note: room.note(subject.data) })
 }

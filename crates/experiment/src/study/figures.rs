@@ -5,19 +5,28 @@
 
 mod distance;
 mod gaussians;
+mod latency;
+mod loaded;
 mod looks;
 mod published;
+mod rate;
+mod room;
+mod sheet;
+mod spectra;
 mod tradeoff;
 
 use super::{Record, Setting, Study, Variant};
 use crate::draw::charts::{Chart, Look};
 use crate::draw::print::print;
+use loaded::Loaded;
 use pwrfgs_core::{Error, Progress, Result};
 use pwrfgs_model::file::write_atomically;
+use sheet::Sheet;
 use std::path::Path;
 
-/// Width of a column of print, millimetres.
+/// Width of a column of print and of a page, millimetres.
 const COLUMN_MM: f64 = 88.9;
+const PAGE_MM: f64 = 181.9;
 
 /// One figure.
 #[derive(Clone, Debug)]
@@ -53,6 +62,11 @@ impl Figure {
         Self::printed(name, title, caption, &svg, COLUMN_MM).map(Some)
     }
 
+    /// A picture put together from pieces.
+    fn sheet(name: &str, title: &str, caption: String, sheet: &Sheet) -> Result<Self> {
+        Self::printed(name, title, caption, &sheet.svg(), sheet.width_mm)
+    }
+
     fn printed(name: &str, title: &str, caption: String, svg: &str, width_mm: f64) -> Result<Self> {
         let print = print(name, svg, width_mm)?;
         Ok(Self { name: name.into(), title: title.into(), caption, svg: print.svg, png: print.png })
@@ -67,23 +81,39 @@ fn margins(chart: &Chart) -> (u32, u32, u32, u32) {
 
 /// Every figure there are numbers for. `progress` counts figures.
 ///
+/// Those that show more than scores need the data and the models. Where these cannot be read any more they are left out,
+/// with a warning in the log.
+///
 /// # Errors
 /// Where a figure cannot be drawn.
-pub fn all(study: &Study, setting: &Setting, progress: Progress<'_>) -> Result<Vec<Figure>> {
-    _ = study;
-    let makers = [gaussians::figure, tradeoff::ssim, tradeoff::rate_ratio, distance::figure];
+pub fn all(_study: &Study, setting: &Setting, progress: Progress<'_>) -> Result<Vec<Figure>> {
+    let from_scores = [gaussians::figure, tradeoff::ssim, tradeoff::rate_ratio, latency::figure, distance::figure];
+    let from_data = [room::figure, spectra::figure, rate::figure];
+    let count = from_scores.len() + from_data.len();
     let mut figures = Vec::new();
-    for (done, make) in makers.iter().enumerate() {
+    for (done, make) in from_scores.iter().enumerate() {
         figures.extend(make(setting)?);
-        progress(done + 1, makers.len());
+        progress(done + 1, count);
+    }
+    let drawn = Loaded::of(setting).and_then(|loaded| {
+        let mut drawn = Vec::new();
+        for (done, make) in from_data.iter().enumerate() {
+            drawn.extend(make(setting, &loaded)?);
+            progress(from_scores.len() + done + 1, count);
+        }
+        Ok(drawn)
+    });
+    match drawn {
+        Ok(drawn) => figures.extend(drawn),
+        Err(e) => tracing::warn!("no figures of the room, the spectra and the rate ratio for {}: {e}", setting.title),
     }
     Ok(figures)
 }
 
 /// What every caption ends with: where the numbers come from.
 fn source(setting: &Setting) -> String {
-    let kind = if setting.simulated { " The spectra are simulated." } else { "" };
-    format!("Data: {}.{kind}", setting.title)
+    let said = !setting.simulated || setting.title.contains("simulated");
+    format!("Data: {}{}.", setting.title, if said { "" } else { " (simulated)" })
 }
 
 /// `3 seeds`, or how many a variant has.
@@ -111,28 +141,4 @@ fn floors(setting: &Setting) -> Vec<String> {
 /// All runs of a setting.
 fn runs(setting: &Setting) -> impl Iterator<Item = &Record> {
     setting.variants.iter().flat_map(|v: &Variant| &v.runs)
-}
-
-/// Arithmetic mean; NaN of none.
-fn mean(values: &[f64]) -> f64 {
-    values.iter().sum::<f64>() / values.len() as f64
-}
-
-/// Sample standard deviation; nothing of less than two.
-fn deviation(values: &[f64]) -> Option<f64> {
-    let mean = mean(values);
-    let squares: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
-    (values.len() > 1).then(|| (squares / (values.len() - 1) as f64).sqrt())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_deviation_needs_two() {
-        assert_eq!((mean(&[2.0, 4.0]), deviation(&[2.0, 4.0])), (3.0, Some(2f64.sqrt())));
-        assert_eq!(deviation(&[2.0]), None);
-        assert!(mean(&[]).is_nan());
-    }
 }

@@ -1,6 +1,6 @@
 //! N against the iteration: figure 2a of the paper.
 
-use super::{Figure, looks, mean, seeds, source};
+use super::{Figure, looks, seeds, source};
 use crate::draw::charts::{Band, Chart, Line, Name};
 use crate::draw::marks::{Stroke, Style};
 use crate::draw::steps::{phases, stairs};
@@ -71,7 +71,7 @@ fn curves(variant: &Variant) -> [Vec<(f64, f64)>; 3] {
     at.retain(|_, all| all.len() == variant.runs.len());
     let fold = |f: &dyn Fn(&[f64]) -> f64| at.iter().map(|(step, all)| (*step as f64, f(all))).collect();
     let extreme = |f: fn(f64, f64) -> f64| fold(&|all| all.iter().copied().reduce(f).unwrap_or(f64::NAN));
-    [extreme(f64::min), fold(&mean), extreme(f64::max)]
+    [extreme(f64::min), fold(&|all| all.iter().sum::<f64>() / all.len() as f64), extreme(f64::max)]
 }
 
 /// Some places on the curve; `shift` in 0..1 moves them, so that those of two lines do not coincide.

@@ -20,6 +20,9 @@ const DASHES: [Stroke; 3] = [Stroke::Dashed, Stroke::Dotted, Stroke::DashDotted]
 /// Published numbers.
 const GREY: RGBColor = RGBColor(110, 114, 122);
 
+/// Four stages from dark to light: told apart by lightness alone.
+pub(super) const SHADES: [&str; 4] = ["#123a6b", "#3f7fb8", "#93c0de", "#e6f0f7"];
+
 /// The `k`-th variant: eight colours with eight markers, then the same dashed.
 pub(super) fn variant(k: usize) -> Style {
     let strokes = [Stroke::Full, Stroke::Dashed, Stroke::DashDotted, Stroke::Dotted];

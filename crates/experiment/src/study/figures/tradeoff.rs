@@ -1,9 +1,10 @@
 //! SSIM and the rate ratio against N: figure 2b of the paper.
 
 use super::published::{P_WRFGS, Published};
-use super::{Figure, deviation, floors, looks, mean, runs, seeds, source};
+use super::{Figure, floors, looks, runs, seeds, source};
 use crate::draw::charts::{Chart, Line, Name};
 use crate::scores::MODEL;
+use crate::study::statistics::Spread;
 use crate::study::{Setting, Variant};
 use pwrfgs_core::Result;
 
@@ -61,32 +62,34 @@ fn uppercase(text: &str) -> String {
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
-/// N and score of each run of a variant that has the score.
-fn values(variant: &Variant, key: &str) -> (Vec<f64>, Vec<f64>) {
-    variant.runs.iter().filter_map(|r| Some((r.facts.gaussians as f64, r.value(MODEL, key)?))).unzip()
+/// N and score over the seeds of a variant; nothing where no run has the score.
+fn spreads(variant: &Variant, key: &str) -> Option<(Spread, Spread)> {
+    let scored = variant.runs.iter().filter_map(|r| Some((r.facts.gaussians as f64, r.value(MODEL, key)?)));
+    let (n, score): (Vec<f64>, Vec<f64>) = scored.unzip();
+    Some((Spread::of(&n)?, Spread::of(&score)?))
 }
 
 /// The mark of one variant with its bars.
 fn point(variant: &Variant, k: usize, key: &str) -> Option<Line> {
-    let (n, score) = values(variant, key);
-    let at = (mean(&n), mean(&score));
+    let (n, score) = spreads(variant, key)?;
+    let at = (n.mean, score.mean);
     let mut line = Line::new(Vec::new(), looks::variant(k));
     line.name = Name::Legend(variant.label.clone());
     line.marks = vec![at];
-    if let (Some(dn), Some(ds)) = (deviation(&n), deviation(&score)) {
+    if let (Some(dn), Some(ds)) = (n.deviation, score.deviation) {
         // Less than one Gaussian has no place on a logarithmic axis.
         line.bars = vec![[((at.0 - dn).max(1.0), at.1), (at.0 + dn, at.1)], [(at.0, at.1 - ds), (at.0, at.1 + ds)]];
         line.bars.retain(|[a, b]| a != b);
     }
-    (!n.is_empty()).then_some(line)
+    Some(line)
 }
 
 /// Lines through the variants of a family, in the order of the plan.
 fn threads(setting: &Setting, key: &str) -> Vec<Line> {
     let mut families: Vec<(String, Vec<(f64, f64)>)> = Vec::new();
     for variant in &setting.variants {
-        let (n, score) = values(variant, key);
-        let (family, at) = (family(&variant.label), (mean(&n), mean(&score)));
+        let Some((n, score)) = spreads(variant, key) else { continue };
+        let (family, at) = (family(&variant.label), (n.mean, score.mean));
         match families.iter_mut().find(|f| f.0 == family) {
             Some((_, points)) => points.push(at),
             None => families.push((family, vec![at])),
@@ -115,12 +118,12 @@ fn ends(score: &Score, points: &[Line]) -> (f64, f64) {
 fn baselines(setting: &Setting, score: &Score, x: (f64, f64)) -> Vec<Line> {
     let line = |(k, name): (usize, String)| {
         let values: Vec<f64> = runs(setting).filter_map(|r| r.value(&name, score.key)).collect();
-        let level = mean(&values);
+        let level = Spread::of(&values)?.mean;
         let mut line = Line::new(vec![(x.0, level), (x.1, level)], looks::floor(k));
         line.name = Name::AtEnd(name);
-        line
+        Some(line)
     };
-    floors(setting).into_iter().enumerate().map(line).collect()
+    floors(setting).into_iter().enumerate().filter_map(line).collect()
 }
 
 /// What the paper publishes.

@@ -1,0 +1,128 @@
+//! `pwrfgs sweep`: an experiment becomes a folder of runs.
+
+mod board;
+mod table;
+
+use super::report;
+use crate::args::{Launcher, Shard, Sweep, Verbosity};
+use crate::interrupt::{INTERRUPTED, stop_flag};
+use crate::output;
+use crate::progress::Progress;
+use board::Table;
+use pwrfgs::experiment::sweep::{Fate, Plan, State, check, estimate, execute, slurm};
+use pwrfgs_core::{Error, Result};
+use std::process::ExitCode;
+use std::sync::atomic::Ordering;
+
+pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbosity) -> Result<ExitCode> {
+    let plan = Plan::read(&arguments.experiment, &arguments.set, arguments.out.as_deref())?;
+    let runs = chosen(&plan, arguments)?;
+    if arguments.status {
+        output::result(&table::status(&plan, &runs, &slurm::queued(&plan)));
+        return Ok(ExitCode::SUCCESS);
+    }
+    let threads_there = rayon::current_num_threads();
+    if arguments.jobs > threads_there {
+        return Err(Error::Config(format!(
+            "--jobs {}: there are {threads_there} threads, and a run needs one; give at most {threads_there}",
+            arguments.jobs
+        )));
+    }
+    if arguments.dry_run {
+        return dry_run(&plan, &runs, arguments.jobs, verbosity);
+    }
+    let mut progress = Progress::new(verbosity);
+    let open = check(&plan, &runs, &mut progress);
+    progress.finish();
+    let open = open?;
+    match arguments.launcher {
+        Some(Launcher::Slurm) => submit(&plan, &open, arguments, threads),
+        None => here(&plan, &runs, arguments.jobs, verbosity),
+    }
+}
+
+/// The runs that `--shard` or `--only` name; all without them.
+fn chosen(plan: &Plan, arguments: &Sweep) -> Result<Vec<usize>> {
+    if let Some(name) = &arguments.only {
+        return Ok(vec![plan.find(name)?]);
+    }
+    let Shard { index, count } = arguments.shard.unwrap_or(Shard { index: 1, count: 1 });
+    Ok((0..plan.runs.len()).filter(|run| run % count == index - 1).collect())
+}
+
+/// All runs in this process.
+fn here(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<ExitCode> {
+    let stop = stop_flag()?;
+    let board = Table::new(plan, runs.len(), verbosity);
+    let ends = execute(plan, runs, jobs, &board, &stop)?;
+    board.finish();
+    if plan.states().iter().all(|state| matches!(state, State::Finished(_))) {
+        report::of_sweep(&plan.folder, verbosity)?;
+    }
+    let failed = ends.iter().filter(|(_, fate)| matches!(fate, Fate::Failed(_))).count();
+    output::result(&table::status(plan, runs, &slurm::queued(plan)));
+    if failed > 0 {
+        output::note(&format!(
+            "{failed} of {} runs failed; the reasons stand above and in {}; the same command tries them again",
+            runs.len(),
+            plan.folder.join("failures").display()
+        ));
+        return Ok(ExitCode::from(1));
+    }
+    if stop.load(Ordering::Relaxed) {
+        output::note("stopped; the same command goes on");
+        return Ok(ExitCode::from(INTERRUPTED));
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Lists all runs with the time they would take.
+fn dry_run(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<ExitCode> {
+    let mut progress = Progress::new(verbosity);
+    let threads = (rayon::current_num_threads() / jobs).max(1);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    let pool = pool.map_err(|e| Error::Config(format!("cannot start {threads} threads: {e}")))?;
+    let seconds = pool.install(|| estimate(plan, runs, &mut progress));
+    progress.finish();
+    output::result(&table::plan(plan, runs, &seconds?, jobs));
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Hands the runs to Slurm that are neither done, nor at work, nor in its queue already.
+fn submit(plan: &Plan, open: &[usize], arguments: &Sweep, threads: Option<usize>) -> Result<ExitCode> {
+    let queued = slurm::queued(plan);
+    let free =
+        |run: &usize| !queued.contains(&plan.runs[*run].folder) && !matches!(plan.state(*run), State::Running { .. });
+    let runs: Vec<usize> = open.iter().copied().filter(free).collect();
+    let waiting = open.len() - runs.len();
+    if runs.is_empty() {
+        output::result(&format!("nothing to submit: {waiting} runs are with Slurm, the others have finished\n"));
+        return Ok(ExitCode::SUCCESS);
+    }
+    let command = task_command(plan, arguments, threads.unwrap_or(plan.slurm.cpus))?;
+    let (job, script) = slurm::submit(plan, &runs, &command)?;
+    output::result(&format!(
+        "submitted {} runs as job {job} ({})\nhow far they are: the same command with --status in place of --launcher\n",
+        runs.len(),
+        script.display()
+    ));
+    Ok(ExitCode::SUCCESS)
+}
+
+/// What a task calls; the name of its run comes last.
+fn task_command(plan: &Plan, arguments: &Sweep, threads: usize) -> Result<Vec<String>> {
+    let text = |path: &std::path::Path| {
+        let path = std::path::absolute(path).map_err(|e| Error::read(path, e))?;
+        path.into_os_string()
+            .into_string()
+            .map_err(|path| Error::Config(format!("{}: Slurm needs a path in UTF-8", path.display())))
+    };
+    let program = std::env::current_exe().map_err(|e| Error::Config(format!("where is this program? {e}")))?;
+    let here = std::env::current_dir().map_err(|e| Error::Config(format!("where are we? {e}")))?;
+    // Paths in --set are relative to where one stands, also in a task.
+    let mut words = vec!["env".into(), format!("--chdir={}", text(&here)?), text(&program)?, "sweep".into()];
+    words.extend([text(&arguments.experiment)?, "--out".into(), text(&plan.folder)?]);
+    words.extend(arguments.set.iter().flat_map(|set| ["--set".into(), set.clone()]));
+    words.extend(["--threads".into(), threads.to_string(), "--quiet".into(), "--only".into()]);
+    Ok(words)
+}

@@ -1,0 +1,92 @@
+//! The runs of a sweep as aligned text.
+
+use pwrfgs::experiment::clock::duration;
+use pwrfgs::experiment::scores::{ScoreTable, grouped, number};
+use pwrfgs::experiment::sweep::{Plan, State};
+use std::collections::BTreeSet;
+use std::fmt::Write as _;
+
+/// How far each of `runs` is; `queued` names those that a scheduler has.
+pub(super) fn status(plan: &Plan, runs: &[usize], queued: &BTreeSet<String>) -> String {
+    let mut lines = vec![["run", "state", "step", "N", "SSIM", "eta_0db", "time"].map(str::to_owned)];
+    let mut finished = 0;
+    for &run in runs {
+        let (name, steps) = (&plan.runs[run].folder, plan.runs[run].pipeline.training.steps);
+        let of = |step: u64| format!("{}/{}", grouped(step as i64), grouped(steps as i64));
+        let mut line =
+            [name.clone(), String::new(), String::new(), String::new(), String::new(), String::new(), String::new()];
+        let waits = queued.contains(name);
+        match plan.state(run) {
+            State::Waiting => line[1] = if waits { "queued".into() } else { "waiting".into() },
+            State::Running { step } => (line[1], line[2]) = ("running".into(), of(step)),
+            State::Stopped { step } => {
+                (line[1], line[2]) = (if waits { "queued again" } else { "stopped" }.into(), of(step));
+            }
+            State::Failed(why) => line[1] = format!("failed: {why}"),
+            State::Finished(end) => {
+                finished += 1;
+                let (scores, facts) = *end;
+                let score = |key| first(&scores, key).map_or_else(|| "n/a".into(), number);
+                line[1] = "finished".into();
+                (line[2], line[3]) = (of(facts.steps), grouped(facts.gaussians as i64));
+                (line[4], line[5], line[6]) = (score("ssim"), score("eta_0db"), duration(facts.wall_seconds));
+            }
+        }
+        lines.push(line);
+    }
+    let head = format!("{}: {finished} of {} runs finished, in {}\n", plan.name, runs.len(), plan.folder.display());
+    head + &aligned(&lines)
+}
+
+/// All runs with the seconds each would take.
+pub(super) fn plan(plan: &Plan, runs: &[usize], seconds: &[f64], jobs: usize) -> String {
+    let mut lines = vec![["run", "state", "time"].map(str::to_owned)];
+    for (&run, seconds) in runs.iter().zip(seconds) {
+        let state = match plan.state(run) {
+            State::Waiting => "waiting",
+            State::Running { .. } => "running",
+            State::Stopped { .. } => "stopped",
+            State::Failed(_) => "failed",
+            State::Finished(_) => "finished",
+        };
+        let time = if *seconds > 0.0 { format!("about {}", duration(*seconds)) } else { String::new() };
+        lines.push([plan.runs[run].folder.clone(), state.into(), time]);
+    }
+    let combinations = runs.iter().map(|&run| plan.runs[run].combination).collect::<BTreeSet<_>>().len();
+    let mut text =
+        format!("{}: {} runs of {combinations} combinations, in {}\n", plan.name, runs.len(), plan.folder.display());
+    text += &aligned(&lines);
+    let all = seconds.iter().sum::<f64>() / jobs as f64;
+    _ = writeln!(
+        text,
+        "about {} in all on this machine with --jobs {jobs}, by the first steps of each combination; pruning makes later \
+         steps faster, densification slower",
+        duration(all)
+    );
+    text
+}
+
+/// The model's mean of a metric.
+fn first(scores: &ScoreTable, key: &str) -> Option<f64> {
+    scores.metrics.iter().find(|row| row.key == key)?.cells.first()?.numbers().first().copied()
+}
+
+/// Columns of equal width, two blanks between them; numbers stand at the right.
+fn aligned<const K: usize>(lines: &[[String; K]]) -> String {
+    let width = |text: &str| text.chars().count();
+    // A reason for a failure may be long and comes last in its line.
+    let widths: [usize; K] = std::array::from_fn(|k| {
+        let cells = lines.iter().map(|line| &line[k]).filter(|cell| !cell.starts_with("failed: "));
+        cells.map(|cell| width(cell)).max().unwrap_or(0)
+    });
+    let mut out = String::new();
+    for line in lines {
+        let mut text = String::new();
+        for (k, (cell, w)) in line.iter().zip(widths).enumerate() {
+            _ = if k < 2 { write!(text, "{cell:<w$}  ") } else { write!(text, "{cell:>w$}  ") };
+        }
+        out += text.trim_end();
+        out.push('\n');
+    }
+    out
+}

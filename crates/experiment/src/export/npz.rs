@@ -1,0 +1,68 @@
+//! The numbers of a model as an NPZ file, which `numpy.load` opens.
+
+use npyz::{AutoSerialize, WriterBuilder as _};
+use pwrfgs_core::{Error, Real, Result};
+use pwrfgs_model::Model;
+use std::io::{self, Cursor};
+use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
+
+/// The NPZ file of `model`: the tensors of the model file, pose and plane; and where `tx` (metres, world frame) is
+/// given, what a transmitter there makes of the Gaussians. The same model gives the same bytes.
+///
+/// # Errors
+/// An array of more than 4 GiB.
+pub fn npz(model: &Model, tx: Option<[Real; 3]>) -> Result<Vec<u8>> {
+    let mut file = Npz(ZipWriter::new(Cursor::new(Vec::new())));
+    let whole = (file.model(model).and_then(|()| tx.map_or(Ok(()), |tx| file.transmitter(model, tx))))
+        .and_then(|()| Ok(file.0.finish()?.into_inner()));
+    whole.map_err(|why| Error::Config(format!("this model cannot be an NPZ file: {why}")))
+}
+
+/// An archive under way.
+struct Npz(ZipWriter<Cursor<Vec<u8>>>);
+
+impl Npz {
+    /// What the model file holds.
+    fn model(&mut self, model: &Model) -> io::Result<()> {
+        let n = model.cloud.len();
+        for (name, width, values) in model.cloud.columns() {
+            let shape = if width == 1 { vec![n] } else { vec![n, width] };
+            self.put(name, &shape, values)?;
+        }
+        let mut rest = model.weights.as_slice();
+        for spec in model.stages.deformation.layout() {
+            let (own, tail) = rest.split_at(spec.len());
+            self.put(&format!("network.{}", spec.name), &spec.shape, own)?;
+            rest = tail;
+        }
+        let (pose, plane) = (&model.stages.pose, &model.stages.plane);
+        self.put("pose.position", &[3], &pose.position)?;
+        self.put("pose.orientation", &[4], &pose.orientation)?;
+        self.put("plane.size", &[2], &[plane.width as u64, plane.height as u64])?;
+        self.put("plane.wraps", &[], &[plane.wraps])?;
+        let Some((azimuth, elevation)) = plane.angles else { return Ok(()) };
+        self.put("plane.azimuth_deg", &[2], &[azimuth.first, azimuth.step])?;
+        self.put("plane.elevation_deg", &[2], &[elevation.first, elevation.step])
+    }
+
+    /// What is drawn for a transmitter.
+    fn transmitter(&mut self, model: &Model, tx: [Real; 3]) -> io::Result<()> {
+        let (p, signals) = model.gaussians(Some(tx));
+        let n = p.len();
+        self.put("tx.position", &[3], &tx)?;
+        self.put("tx.scales", &[n, 3], p.scales.as_flattened())?;
+        self.put("tx.quats", &[n, 4], p.quats.as_flattened())?;
+        self.put("tx.opacities", &[n], &p.opacities)?;
+        self.put("tx.signals", &[n, model.stages.readout.channels()], &signals)
+    }
+
+    fn put<T: AutoSerialize + Copy>(&mut self, name: &str, shape: &[usize], values: &[T]) -> io::Result<()> {
+        // Stored, as `numpy.savez` does; without a clock, so that the date is always that of the format's beginning.
+        let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
+        self.0.start_file(npyz::npz::file_name_from_array_name(name), options)?;
+        let shape: Vec<u64> = shape.iter().map(|n| *n as u64).collect();
+        let mut writer = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(&mut self.0).begin_nd()?;
+        writer.extend(values.iter().copied())?;
+        writer.finish()
+    }
+}

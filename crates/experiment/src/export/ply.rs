@@ -1,0 +1,69 @@
+//! The Gaussians as a PLY file in the layout of 3D Gaussian splatting, which viewers of splats open.
+
+use crate::draw::colour::sequential;
+use pwrfgs_core::{Error, Primitives, Real, Result};
+use pwrfgs_model::Model;
+
+/// Properties in the order in which viewers expect them, all of them `float`. Normals are there for the layout, and 0.
+const PROPERTIES: [&str; 17] = [
+    "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0",
+    "rot_1", "rot_2", "rot_3",
+];
+/// Y₀₀, the constant spherical harmonic: a viewer shows 0.5 + Y₀₀ · `f_dc`.
+const SH_C0: f64 = 0.282_094_791_773_878_14;
+
+/// The PLY file of `model` as it is for a transmitter at `tx` (metres, world frame), or of its base parameters.
+///
+/// Colour tells how strong the signal of a Gaussian is: the pixel that it would give alone, were it opaque, from dark
+/// violet at 0 to yellow at 1, the full scale of the spectra. Mid-grey where the signals exist for a transmitter only.
+///
+/// # Errors
+/// A number that is not finite.
+pub fn ply(model: &Model, tx: Option<[Real; 3]>) -> Result<Vec<u8>> {
+    let (primitives, signals) = model.gaussians(tx);
+    let known = tx.is_some() || !model.stages.deformation.replaces_signals();
+    let strengths = known.then(|| strengths(model, &signals));
+    let mut out = header(primitives.len()).into_bytes();
+    for i in 0..primitives.len() {
+        let colour = strengths.as_ref().map_or([0.0; 3], |strengths| colour(strengths[i]));
+        let row = row(&primitives, i, model.cloud.opacity_logits[i], colour);
+        if let Some(k) = row.iter().position(|v| !v.is_finite()) {
+            return Err(Error::Config(format!(
+                "`{}` of Gaussian {i} is not finite: training went wrong, or --tx is far from all it was trained on",
+                PROPERTIES[k]
+            )));
+        }
+        out.extend(row.iter().flat_map(|v| v.to_le_bytes()));
+    }
+    Ok(out)
+}
+
+fn header(n: usize) -> String {
+    let properties = PROPERTIES.map(|name| format!("property float {name}\n")).concat();
+    format!("ply\nformat binary_little_endian 1.0\nelement vertex {n}\n{properties}end_header\n")
+}
+
+/// The grey value that each Gaussian would give alone, were it opaque.
+fn strengths(model: &Model, signals: &[Real]) -> Vec<Real> {
+    let (n, readout) = (model.cloud.len(), model.stages.readout);
+    if n == 0 {
+        return Vec::new();
+    }
+    let channels = readout.channels();
+    let planar: Vec<Real> = (0..channels).flat_map(|c| (0..n).map(move |i| signals[i * channels + c])).collect();
+    readout.forward(&planar, n)
+}
+
+/// `f_dc` of a strength.
+fn colour(strength: Real) -> [f32; 3] {
+    sequential(strength as f64).map(|c| ((f64::from(c) / 255.0 - 0.5) / SH_C0) as f32)
+}
+
+fn row(p: &Primitives, i: usize, opacity_logit: Real, colour: [f32; 3]) -> [f32; PROPERTIES.len()] {
+    // The sign of a scale changes no ellipsoid; the released calibration may give a negative one.
+    let log_scales = p.scales[i].map(|s| s.abs().max(Real::MIN_POSITIVE).ln());
+    let values = [&p.means[i][..], &[0.0; 3], &colour.map(Real::from), &[opacity_logit], &log_scales, &p.quats[i]];
+    let mut row = [0.0; PROPERTIES.len()];
+    row.iter_mut().zip(values.concat()).for_each(|(to, from)| *to = from as f32);
+    row
+}

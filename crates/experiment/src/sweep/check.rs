@@ -1,0 +1,117 @@
+//! Trying the runs of a sweep before the first starts: load their data, initialise, and time a few steps if asked.
+
+use super::plan::{Plan, PlannedRun};
+use super::status::State;
+use crate::folder::RunFolder;
+use crate::observer::Observer;
+use crate::runner::load;
+use pwrfgs_core::{Dataset, Error, Partition, Result};
+use pwrfgs_train::{Pipeline, Trainer};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+/// A few steps: at most so many, for at most so long.
+const STEPS: u64 = 20;
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// Holds every one of `runs` (places in the plan) against its folder, and those that have not finished against their data
+/// and initialiser. Returns the latter.
+///
+/// # Errors
+/// The first that cannot work, by name; nothing has been written then.
+pub fn check(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<usize>> {
+    for &run in runs {
+        RunFolder::inspect(&plan.folder_of(run), &plan.runs[run].pipeline.to_ron())?;
+    }
+    let open: Vec<usize> = runs.iter().copied().filter(|&r| !matches!(plan.state(r), State::Finished(_))).collect();
+    try_each(plan, &representatives(plan, &open), observer, |_| Ok(()))?;
+    Ok(open)
+}
+
+/// Seconds that each of `runs` will take on this thread pool, as far as its first steps tell: pruning makes later ones
+/// faster, densification slower. Finished runs take none; where another seed has finished, it takes as long as that.
+///
+/// # Errors
+/// As [`check`].
+pub fn estimate(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<f64>> {
+    let states = plan.states();
+    let known = |combination: usize| {
+        let same = plan.runs.iter().zip(&states).filter(|(r, _)| r.combination == combination);
+        let seconds: Vec<f64> = same
+            .filter_map(|(_, state)| match state {
+                State::Finished(end) => Some(end.1.wall_seconds),
+                _ => None,
+            })
+            .collect();
+        (!seconds.is_empty()).then(|| seconds.iter().sum::<f64>() / seconds.len() as f64)
+    };
+    let open = check(plan, runs, observer)?;
+    let unknown: Vec<usize> = open.iter().copied().filter(|&r| known(plan.runs[r].combination).is_none()).collect();
+    let tried = representatives(plan, &unknown);
+    let measured = try_each(plan, &tried, observer, seconds_per_step)?;
+    let seconds = |&run: &usize| {
+        let PlannedRun { combination, pipeline, .. } = &plan.runs[run];
+        let steps = pipeline.training.steps as f64;
+        let left = match states[run] {
+            State::Finished(_) => 0.0,
+            State::Running { step } | State::Stopped { step } => 1.0 - step as f64 / steps,
+            State::Waiting | State::Failed(_) => 1.0,
+        };
+        let same = tried.iter().position(|&t| plan.runs[t].combination == *combination);
+        let whole = known(*combination).or_else(|| Some(measured[same?] * steps)).unwrap_or(f64::NAN);
+        if left == 0.0 { 0.0 } else { left * whole }
+    };
+    Ok(runs.iter().map(seconds).collect())
+}
+
+/// The first of `runs` of each combination: another seed changes nothing that can go wrong.
+fn representatives(plan: &Plan, runs: &[usize]) -> Vec<usize> {
+    let mut first = runs.to_vec();
+    first.sort_by_key(|&run| (plan.runs[run].combination, run));
+    first.dedup_by_key(|run| plan.runs[*run].combination);
+    first
+}
+
+/// Initialises each of `runs`, loading data once for runs that follow each other with the same, and does `then`.
+fn try_each<R>(
+    plan: &Plan,
+    runs: &[usize],
+    observer: &mut dyn Observer,
+    then: impl Fn(&mut Trainer<'_>) -> Result<R>,
+) -> Result<Vec<R>> {
+    let mut all = Vec::new();
+    let mut loaded: Option<(String, Dataset, Partition)> = None;
+    for &run in runs {
+        let pipeline = &plan.runs[run].pipeline;
+        let key = data_key(pipeline);
+        let named = |e: Error| if e.is_input() { plan.refuse(run, &e) } else { e };
+        if loaded.as_ref().is_none_or(|(k, ..)| *k != key) {
+            drop(loaded.take()); // before the next is loaded
+            let (data, partition) = load(pipeline, Path::new(""), observer).map_err(named)?;
+            loaded = Some((key, data, partition));
+        }
+        if let Some((_, data, partition)) = &loaded {
+            let mut trainer = Trainer::new(pipeline, data, partition).map_err(named)?;
+            all.push(then(&mut trainer).map_err(named)?);
+        }
+    }
+    Ok(all)
+}
+
+/// Equal where the same samples are trained on.
+fn data_key(pipeline: &Pipeline) -> String {
+    format!("{:?} {:?} {}", pipeline.data, pipeline.split, pipeline.seed)
+}
+
+/// The median of a few steps.
+fn seconds_per_step(trainer: &mut Trainer<'_>) -> Result<f64> {
+    let begun = Instant::now();
+    let mut seconds = Vec::new();
+    while !trainer.finished() && (seconds.len() < STEPS as usize) && (seconds.len() < 2 || begun.elapsed() < PATIENCE) {
+        let step = Instant::now();
+        trainer.step()?;
+        seconds.push(step.elapsed().as_secs_f64());
+    }
+    seconds.sort_by(f64::total_cmp);
+    Ok(seconds[seconds.len() / 2])
+}

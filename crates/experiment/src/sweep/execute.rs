@@ -1,0 +1,110 @@
+//! `execute`: several runs at once, each with its own threads.
+
+use super::plan::Plan;
+use crate::folder::RunFolder;
+use crate::observer::Observer;
+use crate::runner::{Outcome, run};
+use crate::scores::ScoreTable;
+use pwrfgs_core::{Error, Result};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+/// How a run of a sweep ended.
+#[derive(Debug)]
+pub enum Fate {
+    /// Everything is written.
+    Finished {
+        /// Its scores.
+        scores: ScoreTable,
+        /// Whether it had finished before.
+        already: bool,
+    },
+    /// The sweep was asked to stop.
+    Interrupted {
+        /// Steps done.
+        step: u64,
+    },
+    /// Another process is at work in its folder.
+    Busy,
+    /// It could not be done; the reason is kept in the sweep folder.
+    Failed(Error),
+}
+
+/// Hears of all runs at once.
+pub trait Board: Sync {
+    /// A run, a place in the plan, starts; what it gets hears of its steps.
+    fn starts(&self, run: usize) -> Box<dyn Observer>;
+
+    /// It ended.
+    fn ends(&self, run: usize, fate: &Fate);
+}
+
+/// Does the runs `runs` of the plan, `jobs` at a time, in their order. They share the threads of the calling pool. A run
+/// that fails does not stop the others; `stop` stops all at their next step.
+///
+/// # Errors
+/// Where the sweep folder cannot be written, or threads cannot be started.
+pub fn execute(
+    plan: &Plan,
+    runs: &[usize],
+    jobs: usize,
+    board: &dyn Board,
+    stop: &AtomicBool,
+) -> Result<Vec<(usize, Fate)>> {
+    std::fs::create_dir_all(&plan.folder).map_err(|e| Error::write(&plan.folder, e))?;
+    plan.listing().write(&plan.folder)?;
+    let jobs = jobs.clamp(1, runs.len().max(1));
+    let threads = (rayon::current_num_threads() / jobs).max(1);
+    let pool = || rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    let pools = (0..jobs)
+        .map(|_| pool().map_err(|e| Error::Config(format!("cannot start {threads} threads: {e}"))))
+        .collect::<Result<Vec<_>>>()?;
+    let next = AtomicUsize::new(0);
+    let ends = Mutex::new(Vec::new());
+    std::thread::scope(|scope| {
+        for pool in &pools {
+            scope.spawn(|| {
+                while let Some(&run) = runs.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    if stop.load(Ordering::Relaxed) {
+                        break;
+                    }
+                    let fate = pool.install(|| one(plan, run, board, stop));
+                    board.ends(run, &fate);
+                    ends.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push((run, fate));
+                }
+            });
+        }
+    });
+    let mut ends = ends.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    ends.sort_by_key(|(run, _)| *run);
+    Ok(ends)
+}
+
+/// Does one run.
+fn one(plan: &Plan, place: usize, board: &dyn Board, stop: &AtomicBool) -> Fate {
+    let (folder, pipeline) = (plan.folder_of(place), &plan.runs[place].pipeline);
+    if RunFolder::is_busy(&folder) {
+        return Fate::Busy;
+    }
+    let mut observer = board.starts(place);
+    // A panic is a broken invariant of one run, a plugin's say; the others have none of it.
+    let work = || run(pipeline, Path::new(""), &folder, &mut *observer, stop);
+    let outcome = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
+        let said = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
+        Err(Error::Config(format!("the program panicked: {}", said.unwrap_or("no message"))))
+    });
+    match outcome {
+        Ok(Outcome::Finished { scores, already }) => {
+            plan.forget_failure(place);
+            Fate::Finished { scores, already }
+        }
+        Ok(Outcome::Interrupted { step }) => Fate::Interrupted { step },
+        Err(error) => {
+            // The failure itself is reported in any case.
+            _ = plan.note_failure(place, &error);
+            Fate::Failed(error)
+        }
+    }
+}

@@ -1,0 +1,288 @@
+//! `Experiment`: an ablation as one RON file, axes of patches over a base pipeline times seeds.
+
+use pwrfgs_core::plugin::{Check, Checked, read_ron};
+use pwrfgs_core::{Error, Result};
+use pwrfgs_train::PipelinePatch;
+use serde::{Deserialize, Deserializer, de};
+use std::cell::RefCell;
+use std::path::{Path, PathBuf};
+
+/// What a sweep runs: every combination of one variant an axis, with every seed.
+///
+/// ```
+/// # use pwrfgs_experiment::sweep::Experiment;
+/// let text = r#"Experiment(
+///     name: "short-or-long",
+///     base: "../pipelines/quickstart.ron", // relative to this file
+///     seeds: [0, 1, 2],
+///     set: (training: (batch: 4)),         // for all runs; what is not named keeps the value of the base
+///     axes: [
+///         Axis(name: "steps", variants: [
+///             (label: "short", training: (steps: 500)),
+///             (label: "long", training: (steps: 2_000)),
+///         ]),
+///     ],
+///     slurm: (cpus: 4, memory: "8G", time: "02:00:00"), // only with --launcher slurm
+/// )"#;
+/// let experiment = Experiment::parse(text, "short-or-long.ron".as_ref()).unwrap();
+/// assert_eq!(experiment.axes[0].variants[1].label(), "long");
+/// ```
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Experiment {
+    /// Names the sweep folder: letters, digits, `.`, `-` and `_`.
+    pub name: String,
+    /// The pipeline that all runs start from, relative to the experiment file.
+    pub base: PathBuf,
+    /// Every combination is run with each of these.
+    #[serde(default = "zero")]
+    pub seeds: Vec<u64>,
+    /// A patch for all runs.
+    #[serde(default)]
+    pub set: PipelinePatch,
+    /// What varies. Later axes win where two patch the same field.
+    pub axes: Vec<Checked<Axis>>,
+    /// What a run may ask of a cluster.
+    #[serde(default)]
+    pub slurm: Checked<Slurm>,
+}
+
+/// One thing that varies.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Axis {
+    /// What it is called in folders, tables and figures.
+    pub name: String,
+    /// The choices.
+    pub variants: Vec<Variant>,
+}
+
+/// One choice: a patch with a label.
+#[derive(Clone, Debug)]
+pub struct Variant(pub(super) PipelinePatch);
+
+/// Resources of one run on a cluster, as `sbatch` names them.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Slurm {
+    /// Processors of a run, `--cpus-per-task`; the run uses as many threads.
+    pub cpus: usize,
+    /// Memory of a run, `--mem`, such as `4G`.
+    pub memory: String,
+    /// Longest time of a run, `--time`; a run that needs longer is put back in the queue and goes on.
+    pub time: String,
+    /// `--partition`; the cluster's default where it is left out.
+    pub partition: Option<String>,
+    /// `--account`.
+    pub account: Option<String>,
+    /// Most runs at the same time.
+    pub at_once: Option<usize>,
+    /// More options for `sbatch`, such as `--qos=long`.
+    pub options: Vec<String>,
+    /// Lines of shell before the run, such as `module load gcc`.
+    pub setup: Vec<String>,
+}
+
+impl Default for Slurm {
+    fn default() -> Self {
+        Self {
+            cpus: 2,
+            memory: "4G".into(),
+            time: "04:00:00".into(),
+            partition: None,
+            account: None,
+            at_once: None,
+            options: Vec::new(),
+            setup: Vec::new(),
+        }
+    }
+}
+
+fn zero() -> Vec<u64> {
+    vec![0]
+}
+
+impl Experiment {
+    /// Reads an experiment; `path` is for messages only.
+    ///
+    /// # Errors
+    /// [`Error::Input`] with line and column.
+    pub fn parse(text: &str, path: &Path) -> Result<Self> {
+        read_ron::<Checked<Self>>(text, path).map(|e| Self::clone(&e))
+    }
+
+    /// The error `why` at the place of one variant, both counted from 0.
+    pub(super) fn refuse(text: &str, path: &Path, axis: usize, variant: usize, why: &str) -> Error {
+        // Only a parser knows where things stand, and it tells when it fails: so it is asked to fail there.
+        let place = Self::parse(text, path)
+            .map_or(0, |e| e.axes.iter().take(axis).map(|a| a.variants.len()).sum::<usize>() + variant);
+        REFUSED.set(Some((place, why.to_owned())));
+        let refused = Self::parse(text, path);
+        REFUSED.set(None);
+        refused.err().unwrap_or_else(|| Error::input(path, why))
+    }
+}
+
+thread_local! {
+    /// How many variants to let pass, and what to say of the next one.
+    static REFUSED: RefCell<Option<(usize, String)>> = const { RefCell::new(None) };
+}
+
+impl<'de> Deserialize<'de> for Variant {
+    fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
+        let refused = REFUSED.with_borrow_mut(|refused| match refused {
+            Some((0, why)) => Some(std::mem::take(why)),
+            Some((left, _)) => {
+                *left -= 1;
+                None
+            }
+            None => None,
+        });
+        if let Some(why) = refused {
+            return Err(de::Error::custom(why));
+        }
+        let patch = PipelinePatch::deserialize(d)?;
+        if patch.name.is_some() || patch.seed.is_some() {
+            return Err(de::Error::custom("a variant gives neither `name` nor `seed`: seeds stand in `seeds`"));
+        }
+        match &patch.label {
+            Some(label) if !slug(label).is_empty() => Ok(Self(patch)),
+            Some(label) => {
+                Err(de::Error::custom(format!("the label `{label}` cannot name a folder; use some letters")))
+            }
+            None => {
+                Err(de::Error::custom("a variant without a name; give it a `label`, such as (label: \"small\", ..)"))
+            }
+        }
+    }
+}
+
+impl Variant {
+    /// What it is called in tables and figures.
+    pub fn label(&self) -> &str {
+        self.0.label.as_deref().unwrap_or_default()
+    }
+}
+
+/// `text` as part of a folder's name: other signs than letters, digits, `.`, `-`, `_` and `+` become `-`.
+pub(super) fn slug(text: &str) -> String {
+    let plain = |c: char| if c.is_ascii_alphanumeric() || "._-+".contains(c) { c } else { '-' };
+    let plain: String = text.chars().map(plain).collect();
+    let words: Vec<&str> = plain.split('-').filter(|w| !w.is_empty()).collect();
+    // A sign belongs to the number that follows it.
+    let number =
+        |sign: &str| text.strip_prefix(sign).is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit()));
+    format!("{}{}", if number("-") { "-" } else { "" }, words.join("-"))
+}
+
+/// The first of `names` that comes a second time.
+fn repeated(names: impl Iterator<Item = String>) -> Option<String> {
+    let mut seen = std::collections::BTreeSet::new();
+    names.into_iter().find(|name| !seen.insert(name.clone()))
+}
+
+impl Check for Axis {
+    fn check(&self) -> Result<(), String> {
+        let Self { name, variants } = self;
+        if slug(name) != *name || name.is_empty() || name == "seed" {
+            return Err(format!(
+                "the axis `{name}` cannot name a folder; use letters, digits, `.`, `-` and `_`, and not `seed`"
+            ));
+        }
+        if variants.is_empty() {
+            return Err(format!("the axis `{name}` has no variant; give it at least one"));
+        }
+        match repeated(variants.iter().map(|v| slug(v.label()).to_lowercase())) {
+            Some(twice) => Err(format!("two labels of the axis `{name}` name the folder `{twice}`; change one")),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Check for Experiment {
+    fn check(&self) -> Result<(), String> {
+        let Self { name, seeds, set, axes, .. } = self;
+        if slug(name) != *name || name.is_empty() || name.starts_with('.') || name.contains('+') {
+            return Err(format!("name: `{name}` cannot name a folder; use letters, digits, `.`, `-` and `_`"));
+        }
+        if seeds.is_empty() {
+            return Err("`seeds` is empty; give at least one, such as [0]".into());
+        }
+        if let Some(twice) = repeated(seeds.iter().map(u64::to_string)) {
+            return Err(format!("the seed {twice} comes twice in `seeds`"));
+        }
+        if set.label.is_some() || set.name.is_some() || set.seed.is_some() {
+            return Err("`set` is for all runs: it cannot give `label`, `name` or `seed`".into());
+        }
+        match repeated(axes.iter().map(|a| a.name.to_lowercase())) {
+            Some(twice) => Err(format!("two axes are called `{twice}`; change one")),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Check for Slurm {
+    fn check(&self) -> Result<(), String> {
+        if self.cpus == 0 || self.at_once == Some(0) {
+            return Err("`cpus` and `at_once` must be at least 1".into());
+        }
+        match minutes(&self.time) {
+            // The warning comes a minute before the limit, and up to a minute early: a run must get on in between.
+            Some(minutes) if minutes >= 5.0 => {}
+            Some(_) => return Err(format!("`time` is {}; give at least 5 minutes, such as \"00:05:00\"", self.time)),
+            None => return Err(format!("`time` is {}; write it as hours:minutes:seconds or days-hours", self.time)),
+        }
+        let words = [Some(&self.memory), Some(&self.time), self.partition.as_ref(), self.account.as_ref()];
+        let words = words.into_iter().flatten().chain(&self.options);
+        for word in words {
+            if word.is_empty() || word.contains(char::is_whitespace) {
+                return Err(format!("`{word}`: an option of sbatch is one word, such as \"4G\" or \"--qos=long\""));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A time as `sbatch` reads it: minutes, minutes:seconds, hours:minutes:seconds, days-hours, days-hours:minutes and
+/// days-hours:minutes:seconds.
+fn minutes(time: &str) -> Option<f64> {
+    let numbers =
+        |text: &str| text.split(':').map(|n| n.parse::<u32>().ok().map(f64::from)).collect::<Option<Vec<_>>>();
+    let day = 24.0 * 60.0;
+    match time.split_once('-') {
+        Some((days, rest)) => {
+            let days = f64::from(days.parse::<u32>().ok()?) * day;
+            match numbers(rest)?[..] {
+                [h] => Some(days + 60.0 * h),
+                [h, m] => Some(days + 60.0 * h + m),
+                [h, m, s] => Some(days + 60.0 * h + m + s / 60.0),
+                _ => None,
+            }
+        }
+        None => match numbers(time)?[..] {
+            [m] => Some(m),
+            [m, s] => Some(m + s / 60.0),
+            [h, m, s] => Some(60.0 * h + m + s / 60.0),
+            _ => None,
+        },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{minutes, slug};
+
+    #[test]
+    fn times_are_those_of_sbatch() {
+        let all = ["90", "90:30", "02:00:00", "1-12", "1-12:30", "0-0:5:0", "soon", "1:2:3:4", "-5", ""].map(minutes);
+        let expected =
+            [Some(90.0), Some(90.5), Some(120.0), Some(2160.0), Some(2190.0), Some(5.0), None, None, None, None];
+        assert_eq!(all, expected);
+    }
+
+    #[test]
+    fn labels_become_folders() {
+        let all = ["0.01", "point cloud", "λ = 0.02", "-3 dB", "+3", "a/../b", "λ", "Voxel(0.3 m)"].map(slug);
+        assert_eq!(all, ["0.01", "point-cloud", "0.02", "-3-dB", "+3", "a-..-b", "", "Voxel-0.3-m"]);
+    }
+}

@@ -1,0 +1,207 @@
+//! `Plan`: every run of an experiment as a resolved pipeline with a folder of its own.
+
+use super::experiment::{Experiment, Slurm, slug};
+use super::listing::{ListedRun, Listing};
+use crate::input::{read_pipeline, read_text, set_all};
+use crate::runner::rebase;
+use pwrfgs_core::{Error, Result};
+use pwrfgs_train::Pipeline;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// The longest name of a folder that common file systems take, in bytes.
+const LONGEST_NAME: usize = 255;
+
+/// An experiment with all its runs.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// The experiment.
+    pub name: String,
+    /// The sweep folder.
+    pub folder: PathBuf,
+    /// All combinations times seeds; those of one combination stand together.
+    pub runs: Vec<PlannedRun>,
+    /// Resources of a run on a cluster.
+    pub slurm: Slurm,
+    /// The experiment file and what it says, for messages.
+    source: (PathBuf, String),
+}
+
+/// One run.
+#[derive(Clone, Debug)]
+pub struct PlannedRun {
+    /// Its folder, below that of the sweep, such as `init=random,lambda=0.02,seed=1`.
+    pub folder: String,
+    /// Axis and label, for each axis.
+    pub labels: Vec<(String, String)>,
+    /// Which combination it belongs to, counted from 0: runs of one differ in their seed only.
+    pub combination: usize,
+    /// What is run; its paths are absolute.
+    pub pipeline: Pipeline,
+    /// Axis and variant that say with what it starts: data, split or initialiser.
+    start: Option<(usize, usize)>,
+}
+
+impl Plan {
+    /// Reads the experiment in `path` and works out all its runs; `set` holds `--set` arguments, which change the base
+    /// and so give way to what an axis says. The sweep folder is `out`, or `runs/NAME`.
+    ///
+    /// # Errors
+    /// Whatever is wrong with the experiment, its base or a combination, with line and column.
+    pub fn read(path: &Path, set: &[String], out: Option<&Path>) -> Result<Self> {
+        let text = read_text(path)?;
+        let experiment = Experiment::parse(&text, path)?;
+        let here = path.parent().unwrap_or(Path::new(""));
+        let mut base = read_pipeline(&here.join(&experiment.base), &[])?;
+        base.apply(experiment.set.clone()).map_err(|e| Error::input(path, format!("set: {e}")))?;
+        rebase(&mut base, here);
+        let (name, seed) = (base.name.clone(), base.seed);
+        set_all(&mut base, set)?;
+        if (&name, seed) != (&base.name, base.seed) {
+            return Err(Error::Config("--set: a sweep gives names and seeds itself; change them in its file".into()));
+        }
+        let source = Source { text: &text, path, here, experiment: &experiment };
+        let mut combinations = vec![Combination { labels: Vec::new(), last: None, start: None, pipeline: base }];
+        for axis in 0..experiment.axes.len() {
+            combinations = source.spread(axis, &combinations)?;
+        }
+        source.refuse_equal(&combinations)?;
+        let mut runs = Vec::new();
+        for (k, combination) in combinations.iter().enumerate() {
+            for &seed in &experiment.seeds {
+                runs.push(source.run(k, combination, seed)?);
+            }
+        }
+        Ok(Self {
+            folder: out.map_or_else(|| Path::new("runs").join(&experiment.name), Path::to_path_buf),
+            name: experiment.name.clone(),
+            runs,
+            slurm: Slurm::clone(&experiment.slurm),
+            source: (path.to_owned(), text),
+        })
+    }
+
+    /// The error of a run that cannot start, at the variant that made it so.
+    pub(super) fn refuse(&self, run: usize, error: &Error) -> Error {
+        let (path, text) = &self.source;
+        let PlannedRun { folder, start, .. } = &self.runs[run];
+        let why = format!("{folder}: {error}");
+        match start {
+            Some((axis, variant)) => Experiment::refuse(text, path, *axis, *variant, &why),
+            None => Error::input(path, why),
+        }
+    }
+
+    /// The folder of a run.
+    pub fn folder_of(&self, run: usize) -> PathBuf {
+        self.folder.join(&self.runs[run].folder)
+    }
+
+    /// What `sweep.json` says.
+    pub fn listing(&self) -> Listing {
+        let listed =
+            |r: &PlannedRun| ListedRun { folder: r.folder.clone(), labels: r.labels.clone(), seed: r.pipeline.seed };
+        Listing { name: self.name.clone(), runs: self.runs.iter().map(listed).collect() }
+    }
+
+    /// The place of the run whose folder is called `name`.
+    ///
+    /// # Errors
+    /// Where there is none; names the nearest.
+    pub fn find(&self, name: &str) -> Result<usize> {
+        self.runs.iter().position(|r| r.folder == name).ok_or_else(|| {
+            let names = self.runs.iter().map(|r| r.folder.as_str());
+            let near = names.min_by_key(|n| strsim::damerau_levenshtein(n, name)).unwrap_or_default();
+            Error::Config(format!("no run of {} is called `{name}`; did you mean `{near}`?", self.name))
+        })
+    }
+}
+
+/// Some axes applied.
+struct Combination {
+    labels: Vec<(String, String)>,
+    /// Axis and variant applied last.
+    last: Option<(usize, usize)>,
+    /// Axis and variant that said last with what a run starts.
+    start: Option<(usize, usize)>,
+    pipeline: Pipeline,
+}
+
+/// The experiment file.
+struct Source<'a> {
+    text: &'a str,
+    path: &'a Path,
+    here: &'a Path,
+    experiment: &'a Experiment,
+}
+
+impl Source<'_> {
+    /// Each of `combinations` with each variant of `axis`.
+    fn spread(&self, axis: usize, combinations: &[Combination]) -> Result<Vec<Combination>> {
+        let mut all = Vec::new();
+        for combination in combinations {
+            for (v, variant) in self.experiment.axes[axis].variants.iter().enumerate() {
+                let mut pipeline = combination.pipeline.clone();
+                pipeline.apply(variant.0.clone()).map_err(|e| self.at((axis, v), &e.to_string()))?;
+                rebase(&mut pipeline, self.here);
+                let mut labels = combination.labels.clone();
+                labels.push((self.experiment.axes[axis].name.clone(), variant.label().to_owned()));
+                let starts = variant.0.data.is_some() || variant.0.split.is_some() || variant.0.initializer.is_some();
+                let last = Some((axis, v));
+                all.push(Combination { labels, last, start: if starts { last } else { combination.start }, pipeline });
+            }
+        }
+        Ok(all)
+    }
+
+    /// Two combinations that are the same pipeline would be compared with each other as if they differed.
+    fn refuse_equal(&self, combinations: &[Combination]) -> Result<()> {
+        let mut seen: BTreeMap<String, &Combination> = BTreeMap::new();
+        for combination in combinations {
+            if let Some(earlier) = seen.insert(combination.pipeline.to_ron(), combination) {
+                let why = format!(
+                    "`{}` is the same pipeline as `{}`; does a later axis replace what an earlier one says?",
+                    named(&combination.labels),
+                    named(&earlier.labels)
+                );
+                return Err(combination.last.map_or_else(|| Error::input(self.path, &why), |last| self.at(last, &why)));
+            }
+        }
+        Ok(())
+    }
+
+    /// One run.
+    fn run(&self, k: usize, combination: &Combination, seed: u64) -> Result<PlannedRun> {
+        let words = combination.labels.iter().map(|(axis, label)| format!("{axis}={}", slug(label)));
+        let folder = words.chain([format!("seed={seed}")]).collect::<Vec<_>>().join(",");
+        if folder.len() > LONGEST_NAME {
+            return Err(Error::input(
+                self.path,
+                format!("the folder `{folder}` has a name of more than {LONGEST_NAME} bytes; shorten the labels"),
+            ));
+        }
+        let mut pipeline = combination.pipeline.clone();
+        pipeline.seed = seed;
+        let plain = |c: char| {
+            if c == '=' || c == '+' {
+                '-'
+            } else if c == ',' {
+                '_'
+            } else {
+                c
+            }
+        };
+        pipeline.name = format!("{}.{}", self.experiment.name, folder.chars().map(plain).collect::<String>());
+        let labels = combination.labels.clone();
+        Ok(PlannedRun { folder, labels, combination: k, pipeline, start: combination.start })
+    }
+
+    fn at(&self, (axis, variant): (usize, usize), why: &str) -> Error {
+        Experiment::refuse(self.text, self.path, axis, variant, why)
+    }
+}
+
+/// `lambda 0.02, init random`.
+fn named(labels: &[(String, String)]) -> String {
+    labels.iter().map(|(axis, label)| format!("{axis} {label}")).collect::<Vec<_>>().join(", ")
+}

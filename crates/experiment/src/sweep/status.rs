@@ -1,0 +1,78 @@
+//! `State`: how far each run of a sweep is, told by its folder.
+
+use super::plan::Plan;
+use crate::facts::Facts;
+use crate::folder::{CURVE, PIPELINE, RunFolder};
+use crate::runner::finished;
+use crate::scores::ScoreTable;
+use crate::series;
+use pwrfgs_core::{Error, Result};
+use pwrfgs_model::file::write_atomically;
+use std::path::PathBuf;
+
+/// How far a run is.
+#[derive(Clone, Debug, PartialEq)]
+pub enum State {
+    /// Its folder does not exist, or holds no step yet.
+    Waiting,
+    /// A process is at work in it.
+    Running {
+        /// Steps done.
+        step: u64,
+    },
+    /// Begun, and nobody is at work in it: it goes on from its last checkpoint.
+    Stopped {
+        /// Steps done, as far as its curve tells.
+        step: u64,
+    },
+    /// It failed when it was last tried; it is tried again.
+    Failed(String),
+    /// Nothing is left to do.
+    Finished(Box<(ScoreTable, Facts)>),
+}
+
+/// Below the sweep folder: a file for each run that failed, with the reason.
+const FAILURES: &str = "failures";
+
+impl Plan {
+    /// How far each run is.
+    pub fn states(&self) -> Vec<State> {
+        (0..self.runs.len()).map(|run| self.state(run)).collect()
+    }
+
+    /// How far one run is.
+    pub fn state(&self, run: usize) -> State {
+        let folder = self.folder_of(run);
+        if let (Some(scores), Some(facts)) = (finished(&folder), Facts::read(&folder)) {
+            return State::Finished(Box::new((scores, facts)));
+        }
+        let curve = series::read(&folder.join(CURVE));
+        let step = curve.last().and_then(|row| *row.first()?).map_or(0, |step| step as u64);
+        if RunFolder::is_busy(&folder) {
+            return State::Running { step };
+        }
+        match std::fs::read_to_string(self.failure_file(run)) {
+            Ok(why) => State::Failed(why.trim_end().to_owned()),
+            Err(_) if folder.join(PIPELINE).is_file() => State::Stopped { step },
+            Err(_) => State::Waiting,
+        }
+    }
+
+    /// Remembers why a run failed, for whoever asks later.
+    pub(super) fn note_failure(&self, run: usize, error: &Error) -> Result<()> {
+        let path = self.failure_file(run);
+        let folder = self.folder.join(FAILURES);
+        std::fs::create_dir_all(&folder).map_err(|e| Error::write(&folder, e))?;
+        write_atomically(&path, format!("{error}\n").as_bytes())
+    }
+
+    /// Forgets it.
+    pub(super) fn forget_failure(&self, run: usize) {
+        _ = std::fs::remove_file(self.failure_file(run));
+        _ = std::fs::remove_dir(self.folder.join(FAILURES)); // where it was the last
+    }
+
+    fn failure_file(&self, run: usize) -> PathBuf {
+        self.folder.join(FAILURES).join(format!("{}.txt", self.runs[run].folder))
+    }
+}
