@@ -1,13 +1,11 @@
 //! `report.html`: one file with nothing outside it; table, curves, spectra beside ground truth.
 
-mod charts;
-pub(crate) mod colour;
 mod curves;
 mod room;
-mod spectra;
 mod tables;
 
 use crate::clock::duration;
+use crate::draw::spectra::{self, Mark, Scale};
 use crate::runner::{History, Subject};
 use crate::samples;
 use crate::scores::grouped;
@@ -16,7 +14,6 @@ use minijinja::{Environment, context};
 use pwrfgs_core::{Error, Image, Result, plugin::ron_options, ssim};
 use rayon::prelude::*;
 use serde::Serialize;
-use spectra::{Mark, Scale};
 
 const TEMPLATE: &str = include_str!("report/template.html");
 
