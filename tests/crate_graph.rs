@@ -1,6 +1,4 @@
 //! The hourglass: plugin crates see `core` alone, and nothing but the facade joins the two sides.
-#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
-
 use serde_json::Value;
 use std::process::Command;
 

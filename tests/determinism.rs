@@ -1,10 +1,6 @@
 //! The same seed gives the same bits: at any thread count, and interrupted or not.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // helpers of tests may fail and print, as tests do
-
-mod common;
-
-use common::pipeline;
+use crate::common::pipeline;
 use pwrfgs::core::rng;
 use pwrfgs::prelude::*;
 use std::path::Path;

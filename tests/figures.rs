@@ -1,10 +1,6 @@
 //! The figures that compare runs, drawn from small runs.
 
-#![allow(clippy::unwrap_used)] // helpers of tests may fail, as tests do
-
-mod common;
-
-use common::pipeline;
+use crate::common::pipeline;
 use pwrfgs::experiment::study::{Study, figures};
 use pwrfgs::experiment::sweep::{ListedRun, Listing};
 use pwrfgs::prelude::*;

@@ -1,10 +1,6 @@
 //! Gates and prunes: closed is absent, open is nothing at all, and something always stays.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // helpers of tests may fail and print, as tests do
-
-mod common;
-
-use common::{MOMENT, batch, cloud, pipeline, plugin, stages, with_column};
+use crate::common::{MOMENT, batch, cloud, pipeline, plugin, stages, with_column};
 use pwrfgs::core::rng;
 use pwrfgs::model::Readout;
 use pwrfgs::prelude::*;

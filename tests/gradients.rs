@@ -3,11 +3,7 @@
 //! Only in double precision: elsewhere these tests pass without a look. Gates are open; the straight-through gate, whose
 //! forward value no small change moves, is held to its closed form.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // helpers of tests may fail and print, as tests do
-
-mod common;
-
-use common::{MOMENT, batch, cloud, plugin, stages, with_column};
+use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{ColumnSpec, DeformationInputs, GaussianCloud, rng, sigmoid};
 use pwrfgs::model::{Readout, Stages};

@@ -1,10 +1,6 @@
 //! Laws that every linked plugin of a kind obeys; that all parse and survive their own text is in `registry.rs`.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // helpers of tests may fail and print, as tests do
-
-mod common;
-
-use common::{MOMENT, cloud, plugin, stages, with_column};
+use crate::common::{MOMENT, cloud, plugin, stages, with_column};
 use pwrfgs::core::plugin::PluginKind;
 use pwrfgs::core::tape::values;
 use pwrfgs::core::{DeformationInputs, WeightSpec, registered, rng};

@@ -4,11 +4,7 @@
 //! *Simulated* data. In double precision the same steps take twice as long and say nothing new: one seed instead of
 //! three.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // helpers of tests may fail and print, as tests do
-
-mod common;
-
-use common::pipeline;
+use crate::common::pipeline;
 use pwrfgs::core::{rng, ssim};
 use pwrfgs::prelude::*;
 use rayon::prelude::*;

@@ -1,6 +1,4 @@
 //! Every shipped pipeline parses, survives its own text, and trains some steps on a small teacher.
-#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
-
 use pwrfgs::experiment::sweep::Plan;
 use pwrfgs::prelude::*;
 use pwrfgs::train::Trainer;

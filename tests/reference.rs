@@ -5,13 +5,10 @@
 //! Their world-to-camera matrix is a rotation to 2.5e-8 only, which moves splats by 4e-5 px: the comparison in full
 //! precision takes that matrix literally ([`Literal`]), and one with the pose and the plugin itself follows.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // helpers of tests may fail and print, as tests do
-
-mod common;
 #[path = "common/npy.rs"]
 mod npy;
 
-use common::{MOMENT, plugin};
+use crate::common::{MOMENT, plugin};
 use npy::Reference;
 use pwrfgs::core::{ExtraColumn, Mat3, Vec3};
 use pwrfgs::model::{Calibration, Readout};
@@ -152,7 +149,7 @@ fn pose(reference: &Reference) -> Pose {
     assert_eq!(last.to_vec(), position, "the released code takes the receiver's position for the translation");
     // Columns of R are the rows of Rᵀ.
     let rotation = Mat3::from_cols_array_2d(&[row(0), row(1), row(2)]);
-    let orientation = common::quaternion(&rotation);
+    let orientation = crate::common::quaternion(&rotation);
     let pose = Pose { position: [0, 1, 2].map(|k| f64::from(position[k])), orientation };
     let found = pose.world_from_receiver().to_cols_array();
     let off = found.iter().zip(rotation.to_cols_array()).fold(0.0, |m: Real, (a, b)| m.max((a - b).abs()));

@@ -1,6 +1,4 @@
 //! Every built-in plugin is linked by the facade, has defaults that pass its own check, and survives its own text.
-#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
-
 use pwrfgs::core::plugin::{PluginKind, ron_options};
 use pwrfgs::core::registered;
 use pwrfgs::prelude::*;

@@ -1,10 +1,6 @@
 //! Numbers that are none, and clouds of no and of one Gaussian: no panic, and nothing else is spoilt.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout)] // helpers of tests may fail and print, as tests do
-
-mod common;
-
-use common::{MOMENT, batch, cloud, plugin, stages, with_column};
+use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use proptest::prelude::*;
 use pwrfgs::core::rng;
 use pwrfgs::model::Readout;

@@ -1,5 +1,4 @@
 //! What several of these tests share: small scenes, and pipelines on a small teacher.
-#![allow(dead_code)] // each test file uses its own part
 
 use pwrfgs::core::plugin::PluginKind;
 use pwrfgs::core::{ExtraColumn, GaussianCloud, Mat3, Moment, Phase, Plugin, Pose, Real, rng};

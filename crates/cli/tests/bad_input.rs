@@ -1,9 +1,5 @@
 //! Every bad input: exit code 2, one message that names the file and what is wrong, and nothing written.
-#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
-
-mod common;
-
-use common::{SMALL, measured, picture, refuse, succeed, write};
+use crate::common::{SMALL, measured, picture, refuse, succeed, write};
 use std::path::{Path, PathBuf};
 
 /// A folder with good data, spoilt by `spoil`; the run must refuse it with `words` and make no run folder.

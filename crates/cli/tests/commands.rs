@@ -1,9 +1,5 @@
 //! What each verb does when all is well, and that nothing of the user's is overwritten.
-#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
-
-mod common;
-
-use common::{SMALL, call, refuse, stderr, stdout, succeed, write};
+use crate::common::{SMALL, call, refuse, stderr, stdout, succeed, write};
 use std::path::Path;
 
 fn read(path: &Path) -> String {
@@ -94,7 +90,7 @@ fn predicts(here: &Path) {
     succeed(&lonely, &["predict", "m.safetensors", "--tx", "0,0,1", "--out", "many"]);
     assert!(!lonely.join("many/00002.png").exists() && lonely.join("many/00001.png").exists());
     // A folder of somebody else's pictures is left alone.
-    common::picture(&lonely.join("spectra/00001.png"), 4, 4);
+    crate::common::picture(&lonely.join("spectra/00001.png"), 4, 4);
     let theirs = std::fs::read(lonely.join("spectra/00001.png")).unwrap();
     refuse(&lonely, &["predict", "m.safetensors", "--tx", "0,0,1", "--out", "spectra"], 2, &["spectra", "00001.png"]);
     assert_eq!(std::fs::read(lonely.join("spectra/00001.png")).unwrap(), theirs);
@@ -130,7 +126,7 @@ fn a_folder_with_something_else_in_it_is_refused() {
 fn paths_of_a_pipeline_are_relative_to_it_and_those_of_set_to_where_one_stands() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    common::measured(&here.join("deep"));
+    crate::common::measured(&here.join("deep"));
     succeed(here, &["run", "deep/p.ron", "--out", "a", "-q"]);
     std::fs::rename(here.join("deep/data"), here.join("moved")).unwrap();
     refuse(here, &["run", "deep/p.ron", "--out", "b"], 2, &["deep/data"]);

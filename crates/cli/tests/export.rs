@@ -1,9 +1,5 @@
 //! Exports hold what the model holds, and what it draws.
-#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
-
-mod common;
-
-use common::{SMALL, refuse, succeed, write};
+use crate::common::{SMALL, refuse, succeed, write};
 use pwrfgs::data::read_points;
 use pwrfgs::model::{Model, file};
 use pwrfgs_core::{Deltas, Real, sigmoid};

@@ -1,9 +1,5 @@
 //! Exit code 1: the machine fails, and everything written so far stays intact.
-#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
-
-mod common;
-
-use common::{SMALL, call, refuse, stderr, succeed, write};
+use crate::common::{SMALL, call, refuse, stderr, succeed, write};
 
 #[test]
 fn a_folder_that_cannot_be_written_is_a_failure() {

@@ -1,9 +1,5 @@
 //! `pwrfgs report` on small runs: what it writes, that its numbers are those of the runs, and what it refuses.
-#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
-
-mod common;
-
-use common::{SMALL, refuse, stdout, succeed, write};
+use crate::common::{SMALL, refuse, stdout, succeed, write};
 use std::collections::BTreeMap;
 use std::path::Path;
 

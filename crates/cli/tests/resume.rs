@@ -1,9 +1,5 @@
 //! Killed, interrupted, resumed: the end is the same, byte for byte.
-#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
-
-mod common;
-
-use common::{SMALL, pwrfgs, refuse, succeed, write};
+use crate::common::{SMALL, pwrfgs, refuse, succeed, write};
 use std::path::Path;
 use std::process::Stdio;
 use std::time::{Duration, Instant};
@@ -96,7 +92,7 @@ fn an_interrupted_run_says_how_to_go_on() {
     let interrupt = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     assert!(interrupt.success());
     let output = child.wait_with_output().unwrap();
-    let said = common::stderr(&output);
+    let said = crate::common::stderr(&output);
     assert_eq!(output.status.code(), Some(130), "{said}");
     assert!(said.contains("stopped after step") && said.contains("the same command goes on"), "{said}");
     succeed(here, &["run", "p.ron", "--out", "r", "-q", "--threads", "1"]);

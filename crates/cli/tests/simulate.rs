@@ -1,9 +1,5 @@
 //! `pwrfgs simulate`: a folder that the rest of the program reads, and mistakes that leave nothing behind.
-#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
-
-mod common;
-
-use common::{call, stderr, stdout};
+use crate::common::{call, stderr, stdout};
 use std::fs;
 
 const SCENE: &str = r#"(
@@ -32,7 +28,7 @@ fn a_scene_becomes_a_data_set_that_can_be_trained_on() {
     let paths = fs::read_to_string(folder.join("closet/paths.csv")).unwrap();
     assert!(paths.lines().next().unwrap().starts_with("id,path,interactions,gain_re"));
     assert!(paths.contains(",LOS,") && paths.contains(",R,"));
-    let pipeline = common::SMALL
+    let pipeline = crate::common::SMALL
         .replace(
             "Teacher(gaussians: 4, samples: 40, width: 48, height: 12)",
             "Nerf2Spectrum(root: \"closet\", points: \"closet/points.ply\")",

@@ -1,9 +1,5 @@
 //! Sweeps: what they run, what they skip, what stops them and what does not.
-#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
-
-mod common;
-
-use common::{SMALL, call, pwrfgs, refuse, stderr, stdout, succeed, write};
+use crate::common::{SMALL, call, pwrfgs, refuse, stderr, stdout, succeed, write};
 use std::path::Path;
 use std::process::Stdio;
 use std::time::Duration;

@@ -1,11 +1,10 @@
 //! The program under test, small pipelines and small data.
-#![allow(clippy::unwrap_used, dead_code, unreachable_pub)] // each test file is a program and uses its part
 
 use std::path::Path;
 use std::process::{Command, Output};
 
 /// A pipeline of seconds: spectra of 48x12 pixels, 8 Gaussians.
-pub const SMALL: &str = "Pipeline(
+pub(crate) const SMALL: &str = "Pipeline(
     name: \"small\",
     data: Teacher(gaussians: 4, samples: 40, width: 48, height: 12),
     split: Official(validation: 0.2),
@@ -20,34 +19,34 @@ pub const SMALL: &str = "Pipeline(
 ";
 
 /// The program, told to stand in `folder`.
-pub fn pwrfgs(folder: &Path) -> Command {
+pub(crate) fn pwrfgs(folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_pwrfgs"));
     command.current_dir(folder).env_remove("RUST_LOG");
     command
 }
 
 /// Runs it to its end.
-pub fn call(folder: &Path, arguments: &[&str]) -> Output {
+pub(crate) fn call(folder: &Path, arguments: &[&str]) -> Output {
     pwrfgs(folder).args(arguments).output().unwrap()
 }
 
-pub fn stderr(output: &Output) -> String {
+pub(crate) fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-pub fn stdout(output: &Output) -> String {
+pub(crate) fn stdout(output: &Output) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
 /// Runs it and insists on success.
-pub fn succeed(folder: &Path, arguments: &[&str]) -> Output {
+pub(crate) fn succeed(folder: &Path, arguments: &[&str]) -> Output {
     let output = call(folder, arguments);
     assert!(output.status.success(), "{arguments:?}: {}", stderr(&output));
     output
 }
 
 /// Runs it and insists on exit code `code` and one message that holds all of `words`.
-pub fn refuse(folder: &Path, arguments: &[&str], code: i32, words: &[&str]) {
+pub(crate) fn refuse(folder: &Path, arguments: &[&str], code: i32, words: &[&str]) {
     let output = call(folder, arguments);
     let said = stderr(&output);
     assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
@@ -59,19 +58,19 @@ pub fn refuse(folder: &Path, arguments: &[&str], code: i32, words: &[&str]) {
 }
 
 /// Writes a file, with the folders above it.
-pub fn write(path: &Path, content: impl AsRef<[u8]>) {
+pub(crate) fn write(path: &Path, content: impl AsRef<[u8]>) {
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
     std::fs::write(path, content).unwrap();
 }
 
 /// A grey picture.
-pub fn picture(path: &Path, width: u32, height: u32) {
+pub(crate) fn picture(path: &Path, width: u32, height: u32) {
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
     image::GrayImage::from_fn(width, height, |x, y| image::Luma([(7 * x + 11 * y) as u8])).save(path).unwrap();
 }
 
 /// Six measured spectra of 12x6 pixels in the NeRF2 layout, and a pipeline beside them.
-pub fn measured(folder: &Path) {
+pub(crate) fn measured(folder: &Path) {
     let root = folder.join("data");
     for id in 1..=6 {
         picture(&root.join(format!("spectrum/{id:05}.png")), 12, 6);

@@ -1,0 +1,14 @@
+//! Tests of the program as a user calls it. One binary, because linking it takes longer than most of them.
+
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // helpers of tests may fail and print, as tests do
+
+mod bad_input;
+mod commands;
+mod common;
+mod export;
+mod failure;
+mod report;
+mod resume;
+mod simulate;
+mod slurm;
+mod sweep;

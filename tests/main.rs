@@ -1,0 +1,17 @@
+//! Tests of the whole. One binary, because linking it takes longer than most of them.
+
+#![allow(clippy::unwrap_used, clippy::print_stdout)] // helpers of tests may fail and print, as tests do
+
+mod baselines;
+mod common;
+mod crate_graph;
+mod determinism;
+mod figures;
+mod gates;
+mod gradients;
+mod laws;
+mod learning;
+mod pipelines;
+mod reference;
+mod registry;
+mod robustness;
