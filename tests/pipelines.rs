@@ -1,12 +1,19 @@
 //! Every shipped pipeline parses, survives its own text, and trains some steps on a small teacher.
 #![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
 
+use pwrfgs::experiment::sweep::Plan;
 use pwrfgs::prelude::*;
+use pwrfgs::train::Trainer;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
 fn shipped() -> Vec<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines");
+    files("pipelines")
+}
+
+/// The RON files of a folder of the project.
+fn files(folder: &str) -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join(folder);
     let mut files: Vec<_> = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()).collect();
     files.retain(|path| path.extension().is_some_and(|e| e == "ron"));
     files.sort();
@@ -64,6 +71,37 @@ fn every_pipeline_runs_some_steps() {
         let curve = std::fs::read_to_string(out.join("curve.csv")).unwrap();
         assert_eq!(curve.lines().count(), 13, "{}", path.display());
         assert!(std::fs::read_to_string(out.join("report.html")).unwrap().contains("simulated"));
+    }
+}
+
+#[test]
+fn every_experiment_resolves_and_its_variants_train() {
+    let experiments = files("experiments");
+    assert!(experiments.len() >= 5);
+    for path in experiments {
+        let small = [
+            "data=Teacher(gaussians: 4, samples: 30, width: 72, height: 18)",
+            "baselines=[MeanSpectrum()]",
+            "training.steps=12",
+        ];
+        let whole = Plan::read(&path, &[], None).unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!(whole.name, path.file_stem().unwrap().to_string_lossy(), "a sweep folder is named as the file");
+        let plan = Plan::read(&path, &small.map(str::to_owned), None).unwrap_or_else(|e| panic!("{e}"));
+        assert_eq!(plan.runs.len(), whole.runs.len());
+        let combinations = plan.runs.last().unwrap().combination + 1;
+        assert!(plan.runs.len() >= 3 * combinations, "three seeds or more");
+        // One run a combination for some steps; two of the experiments ask for other schedules than twelve steps have.
+        for run in plan.runs.iter().filter(|r| r.pipeline.seed == 0) {
+            let mut pipeline = run.pipeline.clone();
+            pipeline.set("training=(densify_until: 6, prune_until: 9, prune_every: 2)").unwrap();
+            pipeline.set("split=Random()").unwrap(); // thirty samples are too few for some
+            let (data, partition) = pwrfgs::experiment::load(&pipeline, Path::new(""), &mut Silent).unwrap();
+            if let Ok(mut trainer) = Trainer::new(&pipeline, &data, &partition) {
+                (0..12).for_each(|_| assert!(trainer.step().unwrap().loss.is_finite(), "{}", run.folder));
+            } else {
+                assert!(run.folder.contains("point-cloud"), "{}: only this needs a scene", run.folder);
+            }
+        }
     }
 }
 

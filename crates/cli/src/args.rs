@@ -71,6 +71,8 @@ pub(crate) enum Command {
     Predict(Predict),
     /// Score a trained model, and the baselines beside it, on data of your choice
     Evaluate(Evaluate),
+    /// Compare finished runs: tables and figures as Markdown, CSV, LaTeX and HTML
+    Report(Report),
     /// Write a trained model for other programs: splat viewers, Python
     Export(Export),
     /// Simulate the spectra of a room that is known exactly, in the layout of measured data
@@ -211,6 +213,29 @@ pub(crate) struct Evaluate {
     /// Where to write scores and report; nothing is written without it
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+#[command(
+    after_long_help = "Runs on the same data and split form a setting, and are compared within it; those that differ in \
+    their seed alone form a variant, and give a mean and a standard deviation. Writes report.html (one file), report.md, \
+    report.csv (every number), report.tex with a file for each table (booktabs), and the figures as SVG and PNG. An \
+    older report in the folder is replaced; a folder that holds anything else is never touched. Runs that have not \
+    finished are named and left out.\n\nPaired differences from the reference carry a 95 % bootstrap interval over seeds \
+    and blocks of space.\n\nEXAMPLES\n  pwrfgs report runs/lambda\n  pwrfgs report runs/cloud-0 runs/cloud-1 \
+    runs/random-0 runs/random-1 --out compared\n  pwrfgs report runs/lambda --reference 5-NN"
+)]
+pub(crate) struct Report {
+    /// Run folders, or folders of whole sweeps
+    #[arg(value_name = "RUNS", required = true)]
+    pub(crate) runs: Vec<PathBuf>,
+    /// Where to write the report [default: report in the first of the folders]
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+    /// What paired differences are from: a variant as the table calls it, or a floor such as 5-NN [default: the first
+    /// variant]
+    #[arg(long, value_name = "LABEL")]
+    pub(crate) reference: Option<String>,
 }
 
 #[derive(Debug, Args)]

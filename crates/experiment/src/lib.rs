@@ -3,6 +3,7 @@
 //! This crate knows traits, not plugins; a program links the plugins it wants (`pwrfgs` links the built-in ones).
 
 pub mod clock;
+mod draw;
 mod evaluate;
 mod events;
 pub mod export;

@@ -1,13 +1,11 @@
 //! `report.html`: one file with nothing outside it; table, curves, spectra beside ground truth.
 
-mod charts;
-pub(crate) mod colour;
 mod curves;
 mod room;
-mod spectra;
 mod tables;
 
 use crate::clock::duration;
+use crate::draw::spectra::{self, Mark, Scale};
 use crate::runner::{History, Subject};
 use crate::samples;
 use crate::scores::grouped;
@@ -16,7 +14,6 @@ use minijinja::{Environment, context};
 use pwrfgs_core::{Error, Image, Result, plugin::ron_options, ssim};
 use rayon::prelude::*;
 use serde::Serialize;
-use spectra::{Mark, Scale};
 
 const TEMPLATE: &str = include_str!("report/template.html");
 
@@ -44,10 +41,17 @@ pub(crate) fn of(subject: &Subject<'_>, history: Option<&History<'_>>) -> Result
         version => subject.facts.version.clone(),
         written => subject.facts.finished.clone(),
     };
-    let mut environment = Environment::new();
     let failed = |e: minijinja::Error| Error::Config(format!("the report's template: {e:#}"));
+    let mut environment = environment().map_err(failed)?;
     environment.add_template("report.html", TEMPLATE).map_err(failed)?;
     environment.get_template("report.html").and_then(|t| t.render(page)).map_err(failed)
+}
+
+/// Templates that find the style all pages share.
+pub(crate) fn environment() -> Result<Environment<'static>, minijinja::Error> {
+    let mut environment = Environment::new();
+    environment.add_template("style.css", include_str!("style.css"))?;
+    Ok(environment)
 }
 
 /// Name and value of what a reader wants to know first.

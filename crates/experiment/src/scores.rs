@@ -45,7 +45,7 @@ impl Summary {
 }
 
 /// The `q` quantile of ascending values.
-fn quantile(sorted: &[f64], q: f64) -> f64 {
+pub(crate) fn quantile(sorted: &[f64], q: f64) -> f64 {
     let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
     let place = q * last as f64;
     let (low, part) = (place as usize, place.fract());

@@ -2,21 +2,31 @@
 //!
 //! Runs on the same data and split form a *setting*: only within one are scores comparable, and only there floors hold.
 //! In a setting, runs that differ in nothing but their seed form a *variant*.
+//! A run of a sweep belongs to the variant that its labels name; a run folder named by itself, to that of all such runs
+//! whose pipelines differ in seed and name alone.
 
+mod blocks;
+mod comparison;
+pub mod figures;
+mod format;
+mod grouping;
+mod output;
+mod page;
 mod record;
+mod statistics;
+mod tables;
 
+pub use output::{Options, check, write};
 pub use record::{Record, Score};
 
 use crate::folder::PIPELINE;
 use crate::sweep::{LISTING, Listing};
+use grouping::{listed, named, settings};
 use pwrfgs_core::{Error, Result, plugin::ron_options};
 use std::path::{Path, PathBuf};
 
-/// Axis and label, for each axis.
-type Labels = Vec<(String, String)>;
-
 /// Runs to compare.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Study {
     /// Names of the sweeps or runs, joined.
     pub title: String,
@@ -24,6 +34,9 @@ pub struct Study {
     pub settings: Vec<Setting>,
     /// Runs that were named but have not finished, and so are in none of the settings.
     pub unfinished: Vec<PathBuf>,
+    /// Runs that are in none of the settings because they are there already: named twice, or the same seed of the same
+    /// variant again.
+    pub repeated: Vec<PathBuf>,
 }
 
 /// Runs on the same data and the same split.
@@ -52,24 +65,24 @@ impl Study {
     /// # Errors
     /// A folder that is neither, a damaged file, or no finished run among them.
     pub fn read(folders: &[PathBuf]) -> Result<Self> {
-        let mut study = Self { title: String::new(), settings: Vec::new(), unfinished: Vec::new() };
-        let several = folders.len() > 1;
+        let (mut study, mut seen) = (Self::default(), Vec::new());
         let mut titles: Vec<String> = Vec::new();
-        let mut records: Vec<(Labels, Record)> = Vec::new();
+        let (mut records, mut alone) = (Vec::new(), Vec::new());
         for folder in folders {
             if let Some(listing) = Listing::read(folder)? {
+                // Two sweeps of one name, on two days say, are two things.
+                let taken = titles.contains(&listing.name);
+                let name = if taken { folder.display().to_string() } else { listing.name };
                 for run in &listing.runs {
                     let mut labels = run.labels.clone();
-                    if several {
-                        labels.insert(0, (String::new(), listing.name.clone()));
+                    if folders.len() > 1 {
+                        labels.insert(0, (String::new(), name.clone()));
                     }
-                    study.take(&folder.join(&run.folder), labels, &mut records)?;
+                    records.extend(study.take(&folder.join(&run.folder), &mut seen)?.map(|record| (labels, record)));
                 }
-                titles.push(listing.name);
-            } else if folder.join(PIPELINE).is_file() {
-                let name = folder.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-                study.take(folder, vec![(String::new(), name.clone())], &mut records)?;
                 titles.push(name);
+            } else if folder.join(PIPELINE).is_file() {
+                alone.extend(study.take(folder, &mut seen)?);
             } else {
                 return Err(Error::Config(format!(
                     "{} holds neither a run ({PIPELINE}) nor a sweep ({LISTING}); name a folder that `pwrfgs run` or \
@@ -78,8 +91,11 @@ impl Study {
                 )));
             }
         }
-        titles.dedup();
-        study.title = titles.join(", ");
+        for (name, record) in named(study.without_twins(alone)) {
+            titles.push(name.clone());
+            records.push((vec![(String::new(), name)], record));
+        }
+        study.title = listed(titles);
         if records.is_empty() {
             let missing = study.unfinished.len();
             return Err(Error::Config(format!("none of these {missing} runs has finished; run them first")));
@@ -88,60 +104,35 @@ impl Study {
         Ok(study)
     }
 
-    /// Reads one run folder into `records`, or notes that it has not finished.
-    fn take(&mut self, folder: &Path, labels: Labels, records: &mut Vec<(Labels, Record)>) -> Result<()> {
-        match Record::read(folder)? {
-            Some(record) => records.push((labels, record)),
-            None => self.unfinished.push(folder.into()),
+    /// Reads one run folder, or notes that it has not finished or was named before.
+    fn take(&mut self, folder: &Path, seen: &mut Vec<PathBuf>) -> Result<Option<Record>> {
+        let place = folder.canonicalize().unwrap_or_else(|_| folder.into());
+        if seen.contains(&place) {
+            self.repeated.push(folder.into());
+            return Ok(None);
         }
-        Ok(())
-    }
-}
-
-/// Puts runs in settings and variants.
-fn settings(records: Vec<(Labels, Record)>) -> Vec<Setting> {
-    let mut found: Vec<(String, Setting)> = Vec::new();
-    let mut groups: Vec<Vec<(Labels, Record)>> = Vec::new();
-    for (labels, record) in records {
-        let key = record.setting_key();
-        let place = found.iter().position(|(k, _)| *k == key).unwrap_or_else(|| {
-            let setting =
-                Setting { title: record.setting_title(), simulated: record.is_simulated(), variants: Vec::new() };
-            found.push((key, setting));
-            groups.push(Vec::new());
-            found.len() - 1
-        });
-        groups[place].push((labels, record));
-    }
-    for ((_, setting), group) in found.iter_mut().zip(groups) {
-        setting.variants = variants(group);
-    }
-    found.into_iter().map(|(_, setting)| setting).collect()
-}
-
-/// Groups the runs of one setting; axes whose label is the same for all are left out of the names.
-fn variants(group: Vec<(Labels, Record)>) -> Vec<Variant> {
-    let first = group[0].0.clone();
-    let varies: Vec<String> = first
-        .iter()
-        .enumerate()
-        .filter(|(k, label)| group.iter().any(|(labels, _)| labels.get(*k) != Some(label)))
-        .map(|(_, (axis, _))| axis.clone())
-        .collect();
-    let mut all: Vec<Variant> = Vec::new();
-    for (labels, record) in group {
-        let words = labels.iter().filter(|(axis, _)| varies.is_empty() || varies.contains(axis));
-        let words: Vec<String> = words.map(|(axis, label)| format!("{axis} {label}").trim().to_owned()).collect();
-        let label = words.join(", ");
-        match all.iter_mut().find(|v| v.label == label) {
-            Some(variant) => variant.runs.push(record),
-            None => all.push(Variant { label, runs: vec![record] }),
+        seen.push(place);
+        let record = Record::read(folder)?;
+        if record.is_none() {
+            self.unfinished.push(folder.into());
         }
+        Ok(record)
     }
-    for variant in &mut all {
-        variant.runs.sort_by_key(|r| r.facts.seed);
+
+    /// Leaves runs out that are equal to one before them: counted twice, they would look like certainty.
+    fn without_twins(&mut self, runs: Vec<Record>) -> Vec<Record> {
+        let (mut kept, mut keys) = (Vec::new(), Vec::new());
+        for run in runs {
+            let key = (run.setting_key(), run.variant_key(), run.facts.seed);
+            if keys.contains(&key) {
+                self.repeated.push(run.folder);
+            } else {
+                keys.push(key);
+                kept.push(run);
+            }
+        }
+        kept
     }
-    all
 }
 
 /// A value as RON on one line.

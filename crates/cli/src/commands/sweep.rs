@@ -3,6 +3,7 @@
 mod board;
 mod table;
 
+use super::report;
 use crate::args::{Launcher, Shard, Sweep, Verbosity};
 use crate::interrupt::{INTERRUPTED, stop_flag};
 use crate::output;
@@ -30,11 +31,10 @@ pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbos
     if arguments.dry_run {
         return dry_run(&plan, &runs, arguments.jobs, verbosity);
     }
-    let open: Vec<usize> = runs.iter().copied().filter(|&run| !matches!(plan.state(run), State::Finished(_))).collect();
     let mut progress = Progress::new(verbosity);
-    let checked = check(&plan, &open, &mut progress);
+    let open = check(&plan, &runs, &mut progress);
     progress.finish();
-    checked?;
+    let open = open?;
     match arguments.launcher {
         Some(Launcher::Slurm) => submit(&plan, &open, arguments, threads),
         None => here(&plan, &runs, arguments.jobs, verbosity),
@@ -56,6 +56,9 @@ fn here(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Resul
     let board = Table::new(plan, runs.len(), verbosity);
     let ends = execute(plan, runs, jobs, &board, &stop)?;
     board.finish();
+    if plan.states().iter().all(|state| matches!(state, State::Finished(_))) {
+        report::of_sweep(&plan.folder, verbosity)?;
+    }
     let failed = ends.iter().filter(|(_, fate)| matches!(fate, Fate::Failed(_))).count();
     output::result(&table::status(plan, runs, &slurm::queued(plan)));
     if failed > 0 {

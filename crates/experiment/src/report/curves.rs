@@ -1,6 +1,8 @@
 //! Which curves the report shows: loss and N over the steps, SSIM on validation, the spread of SSIM over the test part.
 
-use super::charts::{Band, Chart, Line};
+use crate::draw::charts::{Chart, Line};
+use crate::draw::marks::{Stroke, Style};
+use crate::draw::steps::{phases, stairs};
 use crate::folder::{CURVE, VALIDATION};
 use crate::observer::Validation;
 use crate::runner::{History, Subject};
@@ -54,23 +56,13 @@ pub(super) fn all(subject: &Subject<'_>, history: Option<&History<'_>>) -> Resul
 
 /// A chart over the steps, with the three phases of algorithm 1 shaded.
 fn over_steps(subject: &Subject<'_>) -> Chart {
-    let t = &subject.pipeline.training;
-    let (d, p, end) = (t.densify_until as f64, t.prune_until as f64, t.steps as f64);
-    let band = |name, x, colour| Band { name, x, colour };
-    Chart {
-        x_name: "step",
-        x: (0.0, end),
-        bands: vec![
-            band("densify", (0.0, d), RGBColor(233, 240, 250)),
-            band("prune", (d, p), RGBColor(252, 240, 226)),
-            band("fine-tune", (p, end), RGBColor(238, 246, 238)),
-        ],
-        ..Chart::default()
-    }
+    let training = &subject.pipeline.training;
+    let x = Some((0.0, training.steps as f64));
+    Chart { x_name: "step".into(), x, bands: phases(training), ..Chart::default() }
 }
 
 fn line(points: Vec<(f64, f64)>, colour: RGBColor, width: u32) -> Line {
-    Line { points, colour, width, dashed: false }
+    Line::new(points, Style::line(colour, width, Stroke::Full))
 }
 
 fn figure(title: &'static str, chart: &Chart, legend: &[(&str, RGBColor, bool)]) -> Result<Option<Figure>> {
@@ -91,7 +83,7 @@ fn loss(subject: &Subject<'_>, points: &[(f64, f64)]) -> Result<Option<Figure>> 
     let range: Vec<_> = upper.chain(stretches.iter().rev().map(|s| fold(s, f64::min))).collect();
     let mut chart = Chart { log: true, ..over_steps(subject) };
     if points.len() > stretches.len() {
-        chart.lines.push(line(range, MODEL_COLOUR, 0));
+        chart.lines.push(Line::new(range, Style::line(MODEL_COLOUR, 1, Stroke::Area)));
     }
     chart.lines.push(line(mean, MODEL_COLOUR, 2));
     figure("Training loss", &chart, &[])
@@ -99,18 +91,7 @@ fn loss(subject: &Subject<'_>, points: &[(f64, f64)]) -> Result<Option<Figure>> 
 
 /// N on a logarithmic axis.
 fn gaussians(subject: &Subject<'_>, points: &[(f64, f64)]) -> Result<Option<Figure>> {
-    // A step function: each change keeps the point before it.
-    let mut drawn: Vec<(f64, f64)> = Vec::new();
-    for (i, &(step, n)) in points.iter().enumerate() {
-        let changes = |k: usize| points.get(k).is_none_or(|p| p.1 != n);
-        if i == 0 || changes(i - 1) || changes(i + 1) {
-            if let Some(last) = drawn.last().filter(|last| last.1 != n) {
-                drawn.push((step, last.1));
-            }
-            drawn.push((step, n));
-        }
-    }
-    let chart = Chart { log: true, lines: vec![line(drawn, MODEL_COLOUR, 2)], ..over_steps(subject) };
+    let chart = Chart { log: true, lines: vec![line(stairs(points), MODEL_COLOUR, 2)], ..over_steps(subject) };
     figure("Number of Gaussians", &chart, &[])
 }
 
@@ -125,10 +106,11 @@ fn validation(
         return Ok(None);
     }
     let mut chart = over_steps(subject);
+    let end = subject.pipeline.training.steps as f64;
     let mut legend = vec![("model, mean", MODEL_COLOUR, false), ("model, median", RGBColor(110, 160, 220), false)];
     for ((name, floor), colour) in floors.iter().zip(FLOOR_COLOURS.iter().cycle()) {
-        let points = vec![(0.0, floor.ssim_mean), (chart.x.1, floor.ssim_mean)];
-        chart.lines.push(Line { dashed: true, ..line(points, *colour, 2) });
+        let points = vec![(0.0, floor.ssim_mean), (end, floor.ssim_mean)];
+        chart.lines.push(Line::new(points, Style::line(*colour, 2, Stroke::Dashed)));
         legend.push((name, *colour, true));
     }
     chart.lines.push(line(column(2), RGBColor(110, 160, 220), 2));
@@ -139,7 +121,8 @@ fn validation(
 /// Which share of the test spectra stays below an SSIM.
 fn distribution(subject: &Subject<'_>) -> Result<Option<Figure>> {
     let scores = &subject.assessment.scores;
-    let mut chart = Chart { x_name: "SSIM", x: (1.0, 1.0), y: Some((0.0, 1.0)), ..Chart::default() };
+    let mut low: f64 = 1.0;
+    let mut chart = Chart { x_name: "SSIM".into(), y: Some((0.0, 1.0)), ..Chart::default() };
     let mut legend = Vec::new();
     let mut floors = FLOOR_COLOURS.iter().cycle();
     for (name, _) in &scores.predictors {
@@ -150,12 +133,13 @@ fn distribution(subject: &Subject<'_>) -> Result<Option<Figure>> {
         let share = |i: usize| (i + 1) as f64 / sorted.len() as f64;
         let mut points: Vec<_> = (0..sorted.len()).step_by(stride).map(|i| (sorted[i], share(i))).collect();
         points.extend(sorted.last().map(|v| (*v, 1.0)));
-        chart.x.0 = chart.x.0.min(sorted.first().map_or(1.0, |v| (v * 10.0).floor() / 10.0)).max(-1.0);
+        low = low.min(sorted.first().map_or(1.0, |v| (v * 10.0).floor() / 10.0)).max(-1.0);
         let own = name == MODEL;
         let colour = if own { MODEL_COLOUR } else { *floors.next().unwrap_or(&MODEL_COLOUR) };
         chart.lines.push(line(points, colour, if own { 3 } else { 2 }));
         legend.push((name.as_str(), colour, false));
     }
     chart.lines.reverse(); // the model on top
+    chart.x = Some((low, 1.0));
     figure("Share of test spectra below an SSIM", &chart, &legend)
 }

@@ -23,6 +23,8 @@ pub struct Record {
     pub scores: Vec<Score>,
     /// Metres from each test sample to the nearest training transmitter, by id; infinity where there is none.
     pub nearest_train_m: BTreeMap<u32, f64>,
+    /// Where the transmitter of each test sample stood, metres, by id.
+    pub places: BTreeMap<u32, [f64; 3]>,
     /// Step and number of Gaussians along the training.
     pub gaussians: Vec<(f64, f64)>,
 }
@@ -54,10 +56,10 @@ impl Record {
         let (rows, path) = text(SCORES)?;
         let scores = scores(&rows, &path)?;
         let (rows, path) = text(SAMPLES)?;
-        let nearest_train_m = distances(&rows, &path)?;
+        let (nearest_train_m, places) = test_samples(&rows, &path)?;
         let curve = series::read(&folder.join(CURVE));
         let gaussians = curve.iter().filter_map(|row| Some(((*row.first()?)?, (*row.get(4)?)?))).collect();
-        Ok(Some(Self { folder: folder.into(), pipeline, facts, scores, nearest_train_m, gaussians }))
+        Ok(Some(Self { folder: folder.into(), pipeline, facts, scores, nearest_train_m, places, gaussians }))
     }
 
     /// Values a test sample of one metric of one predictor, by id.
@@ -104,6 +106,13 @@ impl Record {
         format!("{}\n{}", one_line(&self.pipeline.data), one_line(&self.pipeline.split))
     }
 
+    /// Equal for runs that differ in seed and name alone.
+    pub(super) fn variant_key(&self) -> String {
+        let mut pipeline = self.pipeline.clone();
+        (pipeline.seed, pipeline.name) = (0, String::new());
+        pipeline.to_ron()
+    }
+
     pub(super) fn setting_title(&self) -> String {
         format!("{}; {}", self.facts.data, one_line(&self.pipeline.split))
     }
@@ -128,17 +137,21 @@ fn scores(text: &str, path: &Path) -> Result<Vec<Score>> {
     Ok(all)
 }
 
-/// Distances of the test samples in `samples.csv`.
-fn distances(text: &str, path: &Path) -> Result<BTreeMap<u32, f64>> {
-    let mut all = BTreeMap::new();
+/// Distances and places, by id.
+type TestSamples = (BTreeMap<u32, f64>, BTreeMap<u32, [f64; 3]>);
+
+/// Distances and places of the test samples in `samples.csv`.
+fn test_samples(text: &str, path: &Path) -> Result<TestSamples> {
+    let (mut distances, mut places) = TestSamples::default();
     for_each_row(text, path, 6, |row| {
         if &row[4] == "test" {
-            let distance = if row[5].is_empty() { f64::INFINITY } else { parsed(&row[5])? };
-            all.insert(parsed(&row[0])?, distance);
+            let id = parsed(&row[0])?;
+            distances.insert(id, if row[5].is_empty() { f64::INFINITY } else { parsed(&row[5])? });
+            places.insert(id, [parsed(&row[1])?, parsed(&row[2])?, parsed(&row[3])?]);
         }
         Ok(())
     })?;
-    Ok(all)
+    Ok((distances, places))
 }
 
 fn parsed<T: std::str::FromStr>(field: &str) -> Result<T, String> {
@@ -185,9 +198,10 @@ mod tests {
     }
 
     #[test]
-    fn distances_are_those_of_the_test_part() {
-        let text = "id,x,y,z,split,nearest_train_m\n1,0,0,0,train,2\n5,2.5,0,0,test,0.5\n6,9,0,0,test,\n";
-        let found = distances(text, Path::new("samples.csv")).unwrap();
-        assert_eq!(found.into_iter().collect::<Vec<_>>(), [(5, 0.5), (6, f64::INFINITY)]);
+    fn test_samples_have_distances_and_places() {
+        let text = "id,x,y,z,split,nearest_train_m\n1,0,0,0,train,2\n5,2.5,0,1,test,0.5\n6,9,0,0,test,\n";
+        let (distances, places) = test_samples(text, Path::new("samples.csv")).unwrap();
+        assert_eq!(distances.into_iter().collect::<Vec<_>>(), [(5, 0.5), (6, f64::INFINITY)]);
+        assert_eq!(places[&5], [2.5, 0.0, 1.0]);
     }
 }

@@ -14,16 +14,18 @@ use std::time::{Duration, Instant};
 const STEPS: u64 = 20;
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// Holds every one of `runs` (places in the plan) against its folder, its data and its initialiser.
+/// Holds every one of `runs` (places in the plan) against its folder, and those that have not finished against their data
+/// and initialiser. Returns the latter.
 ///
 /// # Errors
 /// The first that cannot work, by name; nothing has been written then.
-pub fn check(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Result<()> {
+pub fn check(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<usize>> {
     for &run in runs {
         RunFolder::inspect(&plan.folder_of(run), &plan.runs[run].pipeline.to_ron())?;
     }
-    let tried = representatives(plan, runs);
-    try_each(plan, &tried, observer, |_| Ok(())).map(|_| ())
+    let open: Vec<usize> = runs.iter().copied().filter(|&r| !matches!(plan.state(r), State::Finished(_))).collect();
+    try_each(plan, &representatives(plan, &open), observer, |_| Ok(()))?;
+    Ok(open)
 }
 
 /// Seconds that each of `runs` will take on this thread pool, as far as its first steps tell: pruning makes later ones
@@ -43,8 +45,7 @@ pub fn estimate(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Res
             .collect();
         (!seconds.is_empty()).then(|| seconds.iter().sum::<f64>() / seconds.len() as f64)
     };
-    let open: Vec<usize> = runs.iter().copied().filter(|&r| !matches!(states[r], State::Finished(_))).collect();
-    check(plan, &open, observer)?;
+    let open = check(plan, runs, observer)?;
     let unknown: Vec<usize> = open.iter().copied().filter(|&r| known(plan.runs[r].combination).is_none()).collect();
     let tried = representatives(plan, &unknown);
     let measured = try_each(plan, &tried, observer, seconds_per_step)?;

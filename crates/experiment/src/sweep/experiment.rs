@@ -167,15 +167,12 @@ impl Variant {
 /// `text` as part of a folder's name: other signs than letters, digits, `.`, `-`, `_` and `+` become `-`.
 pub(super) fn slug(text: &str) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() || "._-+".contains(c) { c } else { '-' };
-    let text: String = text.chars().map(plain).collect();
-    let words: Vec<&str> = text.split('-').filter(|w| !w.is_empty()).collect();
+    let plain: String = text.chars().map(plain).collect();
+    let words: Vec<&str> = plain.split('-').filter(|w| !w.is_empty()).collect();
     // A sign belongs to the number that follows it.
-    let sign = if text.starts_with('-') && words.first().is_some_and(|w| w.starts_with(|c: char| c.is_ascii_digit())) {
-        "-"
-    } else {
-        ""
-    };
-    format!("{sign}{}", words.join("-"))
+    let number =
+        |sign: &str| text.strip_prefix(sign).is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit()));
+    format!("{}{}", if number("-") { "-" } else { "" }, words.join("-"))
 }
 
 /// The first of `names` that comes a second time.
@@ -229,6 +226,12 @@ impl Check for Slurm {
         if self.cpus == 0 || self.at_once == Some(0) {
             return Err("`cpus` and `at_once` must be at least 1".into());
         }
+        match minutes(&self.time) {
+            // The warning comes a minute before the limit, and up to a minute early: a run must get on in between.
+            Some(minutes) if minutes >= 5.0 => {}
+            Some(_) => return Err(format!("`time` is {}; give at least 5 minutes, such as \"00:05:00\"", self.time)),
+            None => return Err(format!("`time` is {}; write it as hours:minutes:seconds or days-hours", self.time)),
+        }
         let words = [Some(&self.memory), Some(&self.time), self.partition.as_ref(), self.account.as_ref()];
         let words = words.into_iter().flatten().chain(&self.options);
         for word in words {
@@ -240,9 +243,42 @@ impl Check for Slurm {
     }
 }
 
+/// A time as `sbatch` reads it: minutes, minutes:seconds, hours:minutes:seconds, days-hours, days-hours:minutes and
+/// days-hours:minutes:seconds.
+fn minutes(time: &str) -> Option<f64> {
+    let numbers =
+        |text: &str| text.split(':').map(|n| n.parse::<u32>().ok().map(f64::from)).collect::<Option<Vec<_>>>();
+    let day = 24.0 * 60.0;
+    match time.split_once('-') {
+        Some((days, rest)) => {
+            let days = f64::from(days.parse::<u32>().ok()?) * day;
+            match numbers(rest)?[..] {
+                [h] => Some(days + 60.0 * h),
+                [h, m] => Some(days + 60.0 * h + m),
+                [h, m, s] => Some(days + 60.0 * h + m + s / 60.0),
+                _ => None,
+            }
+        }
+        None => match numbers(time)?[..] {
+            [m] => Some(m),
+            [m, s] => Some(m + s / 60.0),
+            [h, m, s] => Some(60.0 * h + m + s / 60.0),
+            _ => None,
+        },
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::slug;
+    use super::{minutes, slug};
+
+    #[test]
+    fn times_are_those_of_sbatch() {
+        let all = ["90", "90:30", "02:00:00", "1-12", "1-12:30", "0-0:5:0", "soon", "1:2:3:4", "-5", ""].map(minutes);
+        let expected =
+            [Some(90.0), Some(90.5), Some(120.0), Some(2160.0), Some(2190.0), Some(5.0), None, None, None, None];
+        assert_eq!(all, expected);
+    }
 
     #[test]
     fn labels_become_folders() {

@@ -69,7 +69,9 @@ pub fn queued(plan: &Plan) -> BTreeSet<String> {
 
 /// Numbers, from 1, of the tasks of `job` that wait or run.
 fn tasks(job: &str) -> Vec<usize> {
-    let squeue = Command::new("squeue").args(["--noheader", "--array", "--format=%K", "--jobs", job]).output();
+    // Without those that are completing: they have ended, and only their processes are cleared away.
+    let states = "--states=PENDING,CONFIGURING,RUNNING,SUSPENDED";
+    let squeue = Command::new("squeue").args(["--noheader", "--array", "--format=%K", states, "--jobs", job]).output();
     let Some(output) = squeue.ok().filter(|o| o.status.success()) else { return Vec::new() };
     String::from_utf8_lossy(&output.stdout).lines().filter_map(|l| l.trim().parse().ok()).filter(|n| *n > 0).collect()
 }
@@ -91,7 +93,8 @@ fn script(plan: &Plan, tasks: usize, command: &[String], own: &Path) -> Result<S
     let mut options = vec![
         format!("--job-name={}", plan.name),
         format!("--array=1-{tasks}{at_once}"),
-        format!("--output={}", own.join("%a.log").display()),
+        // Slurm expands `%` in the whole path.
+        format!("--output={}/%a.log", own.display().to_string().replace('%', "%%")),
         "--open-mode=append".into(),
         "--requeue".into(),
         // To the script alone, a minute before the time limit; another signal than that of scancel, which must not requeue.
@@ -116,7 +119,8 @@ fn script(plan: &Plan, tasks: usize, command: &[String], own: &Path) -> Result<S
         "\n\
          # Shortly before the time limit: back into the queue. Slurm then asks every process of the task to end; the run\n\
          # writes its checkpoint, and its next start goes on from there.\n\
-         trap 'scontrol requeue \"$SLURM_JOB_ID\"; interrupted=yes' USR1\n\
+         # (Not by SLURM_JOB_ID: for the task that starts last that is the id of the whole array.)\n\
+         trap 'scontrol requeue \"${{SLURM_ARRAY_JOB_ID}}_${{SLURM_ARRAY_TASK_ID}}\"; interrupted=yes' USR1\n\
          # The run hears of it from Slurm itself; this script must outlive it.\n\
          trap 'interrupted=yes' TERM\n\
          {}\

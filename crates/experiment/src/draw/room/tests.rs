@@ -29,7 +29,7 @@ fn snapshot(means: impl IntoIterator<Item = [Real; 3]>) -> Snapshot {
 fn gaussians_outside_the_room_are_counted_and_not_drawn() {
     let (data, partition) = room(5);
     let cloud = snapshot([[1.0, 1.0, 1.0], [3.9, 0.1, 1.9], [9.0, 1.0, 1.0], [1.0, 1.0, -7.0]]);
-    let panel = Room::new(&data, &partition, &[&cloud]).panel("At the start", &cloud, &data);
+    let panel = Room::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
     assert_eq!(panel.svg.matches("<circle").count(), 2);
     assert_eq!(panel.caption, "2 of 4 lie outside the frame");
     assert!(panel.numbers.starts_with("N = 4"));
@@ -39,7 +39,7 @@ fn gaussians_outside_the_room_are_counted_and_not_drawn() {
 fn without_a_cloud_the_frame_holds_most_gaussians() {
     let (data, partition) = room(0);
     let cloud = snapshot((0..200).map(|i| [i as Real, 0.0, 0.0]));
-    let panel = Room::new(&data, &partition, &[&cloud]).panel("In the end", &cloud, &data);
+    let panel = Room::new(&data, &partition, &[&cloud], 10.5).panel("In the end", &cloud, &data);
     assert!((180..200).contains(&panel.svg.matches("<circle").count()));
 }
 
@@ -47,7 +47,7 @@ fn without_a_cloud_the_frame_holds_most_gaussians() {
 fn a_picture_stays_small() {
     let (data, partition) = room(190_000);
     let cloud = snapshot((0..65_000).map(|i| [i as Real / 16_250.0, 1.0, 1.0]));
-    let panel = Room::new(&data, &partition, &[&cloud]).panel("At the start", &cloud, &data);
+    let panel = Room::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
     assert!(panel.svg.len() < 300_000, "{} bytes", panel.svg.len());
     assert_eq!(panel.caption, "the 3,000 most opaque are drawn");
     // Of equals, those drawn come from everywhere.
@@ -59,6 +59,6 @@ fn a_picture_stays_small() {
 fn a_flat_scene_and_no_gaussian_are_drawn() {
     let (mut data, partition) = room(1);
     data.scene.bounds = ([1.0; 3], [1.0; 3]);
-    let panel = Room::new(&data, &partition, &[]).panel("At the start", &snapshot([]), &data);
+    let panel = Room::new(&data, &partition, &[], 10.5).panel("At the start", &snapshot([]), &data);
     assert!(!panel.svg.contains("NaN") && !panel.svg.contains("inf"), "{}", panel.svg);
 }

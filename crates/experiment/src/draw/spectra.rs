@@ -12,7 +12,7 @@ const SKY_PIXELS: usize = 380;
 
 /// What colours mean.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Scale {
+pub(crate) enum Scale {
     /// Power from 0 to 1.
     Power,
     /// A signed error up to this size.
@@ -34,21 +34,25 @@ impl Scale {
         }
     }
 
-    /// A horizontal colour bar with its two ends and middle.
-    pub(super) fn bar(self) -> String {
+    /// All its colours from left to right, as a `data:` address.
+    pub(crate) fn strip(self) -> String {
         let (low, high) = self.range();
-        let pixels: Vec<u8> = (0..256)
-            .flat_map(|i| {
-                let [r, g, b] = self.colour(low + (high - low) * f64::from(i) / 255.0);
-                [r, g, b, 255]
-            })
-            .collect();
+        let pixels = (0..256).flat_map(|i| {
+            let [r, g, b] = self.colour(low + (high - low) * f64::from(i) / 255.0);
+            [r, g, b, 255]
+        });
+        png_data(256, 1, &pixels.collect::<Vec<u8>>())
+    }
+
+    /// A horizontal colour bar with its two ends and middle.
+    pub(crate) fn bar(self) -> String {
+        let (low, high) = self.range();
         let mut svg = String::from("<svg class=\"bar\" viewBox=\"0 0 404 26\" role=\"img\" aria-label=\"colour bar\">");
         let _ = write!(
             svg,
             "<image x=\"102\" y=\"2\" width=\"200\" height=\"8\" preserveAspectRatio=\"none\" href=\"{}\"/>\
              <rect class=\"frame\" x=\"102\" y=\"2\" width=\"200\" height=\"8\"/>",
-            png_data(256, 1, &pixels)
+            self.strip()
         );
         for part in [0.0, 0.5, 1.0] {
             let value = low + (high - low) * part;
@@ -62,7 +66,7 @@ impl Scale {
 
 /// A marked pixel.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Mark {
+pub(crate) enum Mark {
     /// Where the measured spectrum is strongest.
     Measured(usize),
     /// Where the predicted one is.
@@ -90,27 +94,41 @@ impl Mark {
     }
 }
 
-/// The map: azimuth to the right, elevation upwards, in degrees; pixels where the plane has no angles.
-pub(super) fn map(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark]) -> String {
+/// The spectrum as a picture, elevation upwards, as a `data:` address.
+pub(crate) fn pixels(image: &Image, plane: &ImagePlane, scale: Scale) -> String {
     let (w, h) = (image.width, image.height);
-    let height = MAP * h as f64 / w as f64;
-    let (left, top) = (44.0, 8.0);
-    let (azimuth, elevation) = plane.angles.unwrap_or((Axis { first: 0.0, step: 1.0 }, Axis { first: 0.0, step: 1.0 }));
-    let (across, up) = (Ruler::new(azimuth, w), Ruler::new(elevation, h));
+    let upwards = plane.angles.is_none_or(|(_, elevation)| elevation.step > 0.0);
     let mut rgba = Vec::with_capacity(4 * w * h);
     for row in 0..h {
-        let row = if elevation.step > 0.0 { h - 1 - row } else { row };
+        let row = if upwards { h - 1 - row } else { row };
         for value in &image.pixels[row * w..][..w] {
             let [r, g, b] = scale.colour(*value as f64);
             rgba.extend([r, g, b, 255]);
         }
     }
+    png_data(w, h, &rgba)
+}
+
+/// The two axes of a picture of spectra: degrees, or pixels where the plane has no angles.
+pub(crate) fn rulers(plane: &ImagePlane) -> (Ruler, Ruler) {
+    let pixel = Axis { first: 0.0, step: 1.0 };
+    let (azimuth, elevation) = plane.angles.unwrap_or((pixel, pixel));
+    (Ruler::new(azimuth, plane.width), Ruler::new(elevation, plane.height))
+}
+
+/// The map: azimuth to the right, elevation upwards, in degrees; pixels where the plane has no angles.
+pub(crate) fn map(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark]) -> String {
+    let (w, h) = (image.width, image.height);
+    let height = MAP * h as f64 / w as f64;
+    let (left, top) = (44.0, 8.0);
+    let (azimuth, elevation) = plane.angles.unwrap_or((Axis { first: 0.0, step: 1.0 }, Axis { first: 0.0, step: 1.0 }));
+    let (across, up) = (Ruler::new(azimuth, w), Ruler::new(elevation, h));
     let mut svg = format!(
         "<svg class=\"map\" viewBox=\"0 0 418 {:.0}\" role=\"img\"><image class=\"pixels\" x=\"{left}\" y=\"{top}\" \
          width=\"{MAP}\" height=\"{height}\" preserveAspectRatio=\"none\" href=\"{}\"/>\
          <rect class=\"frame\" x=\"{left}\" y=\"{top}\" width=\"{MAP}\" height=\"{height}\"/>",
         top + height + 34.0,
-        png_data(w, h, &rgba)
+        pixels(image, plane, scale)
     );
     let degree = if plane.angles.is_some() { "°" } else { "" };
     for value in across.ticks(90.0, 4.0) {
@@ -154,7 +172,7 @@ pub(super) fn map(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark
 
 /// The sky: zenith (boresight) in the middle, horizon at the rim, azimuth counter-clockwise from the receiver's x axis
 /// on the right. `None` where the plane has no angles.
-pub(super) fn sky(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark]) -> Option<String> {
+pub(crate) fn sky(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark]) -> Option<String> {
     let (azimuth, elevation) = plane.angles?;
     let size = SKY_PIXELS;
     let mut rgba = vec![0u8; 4 * size * size];
@@ -213,7 +231,7 @@ pub(super) fn sky(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark
 }
 
 /// Where values lie along an axis of `n` pixels, from edge to edge.
-struct Ruler {
+pub(crate) struct Ruler {
     low: f64,
     high: f64,
 }
@@ -225,13 +243,13 @@ impl Ruler {
     }
 
     /// From 0 at the low end to 1 at the high one.
-    fn part(&self, value: f64) -> f64 {
+    pub(crate) fn part(&self, value: f64) -> f64 {
         (value - self.low) / (self.high - self.low)
     }
 
     /// Multiples of `step` within half a pixel or so of the axis; of a finer or coarser one where there would be less
     /// than two or many more than `wanted`.
-    fn ticks(&self, step: f64, wanted: f64) -> Vec<f64> {
+    pub(crate) fn ticks(&self, step: f64, wanted: f64) -> Vec<f64> {
         let span = self.high - self.low;
         let mut step = step;
         while span / step < 1.5 {

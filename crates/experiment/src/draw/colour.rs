@@ -21,7 +21,7 @@ pub(crate) fn sequential(value: f64) -> Rgb {
 }
 
 /// From blue at −1 over white to vermilion at 1.
-pub(super) fn diverging(value: f64) -> Rgb {
+pub(crate) fn diverging(value: f64) -> Rgb {
     let size = value.abs().min(1.0);
     let hue = if value < 0.0 { 256.0 } else { 40.0 };
     oklch(0.98 - 0.50 * size, 0.17 * size.powf(0.85), hue)
@@ -47,7 +47,7 @@ fn oklch(lightness: f64, chroma: f64, hue_deg: f64) -> Rgb {
 }
 
 /// RGBA pixels as a PNG inside a `data:` address.
-pub(super) fn png_data(width: usize, height: usize, rgba: &[u8]) -> String {
+pub(crate) fn png_data(width: usize, height: usize, rgba: &[u8]) -> String {
     let mut png = Vec::new();
     PngEncoder::new(&mut png)
         .write_image(rgba, width as u32, height as u32, ExtendedColorType::Rgba8)

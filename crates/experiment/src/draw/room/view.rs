@@ -1,35 +1,38 @@
 //! A box in space seen from above at an angle, in parallel projection: lengths along an axis stay comparable.
 
-use super::super::charts::{label, linear_ticks};
+use crate::draw::ticks::{label, linear_ticks};
 use std::fmt::Write as _;
 
 /// Where the eye is, degrees: azimuth from the x axis, elevation above the floor.
 const AZIMUTH: f64 = -58.0;
 const ELEVATION: f64 = 27.0;
-/// Width of a picture in SVG units, its largest height without axes, and room for them: left, top, right, bottom.
+/// Width of a picture in SVG units, its largest height without axes, and room for them in heights of text: left, top,
+/// right, bottom.
 const WIDTH: f64 = 380.0;
 const MOST_HEIGHT: f64 = 300.0;
-const MARGINS: [f64; 4] = [36.0, 8.0, 20.0, 34.0];
+const MARGINS: [f64; 4] = [3.4, 0.8, 1.9, 3.2];
 
 /// A point in space, metres.
-pub(super) type Point = [f64; 3];
+pub(crate) type Point = [f64; 3];
 
 /// The view of one box.
 #[derive(Clone, Debug)]
-pub(super) struct View {
+pub(crate) struct View {
     low: Point,
     high: Point,
     /// SVG units a metre.
     scale: f64,
     /// Where the origin of the picture lies, before scaling.
     corner: [f64; 2],
+    /// Height of text, SVG units.
+    text: f64,
     /// Width and height of the whole picture.
-    pub(super) size: [f64; 2],
+    pub(crate) size: [f64; 2],
 }
 
 impl View {
-    /// Of the box from `low` to `high`, metres.
-    pub(super) fn new(low: Point, high: Point) -> Self {
+    /// Of the box from `low` to `high`, metres, with text of this height in SVG units.
+    pub(crate) fn new(low: Point, high: Point, text: f64) -> Self {
         let corners =
             (0..8).map(|k| flat([0, 1, 2].map(|axis| if k >> axis & 1 == 0 { low[axis] } else { high[axis] })));
         let (mut least, mut most) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
@@ -38,32 +41,32 @@ impl View {
                 (least[k], most[k]) = (least[k].min(corner[k]), most[k].max(corner[k]));
             }
         }
-        let [left, top, right, bottom] = MARGINS;
+        let [left, top, right, bottom] = MARGINS.map(|m| m * text);
         let scale = ((WIDTH - left - right) / (most[0] - least[0])).min(MOST_HEIGHT / (most[1] - least[1]));
         // Narrow boxes stand in the middle.
         let spare = WIDTH - left - right - scale * (most[0] - least[0]);
         let corner = [least[0] - (left + spare / 2.0) / scale, most[1] + top / scale];
-        Self { low, high, scale, corner, size: [WIDTH, top + scale * (most[1] - least[1]) + bottom] }
+        Self { low, high, scale, corner, text, size: [WIDTH, top + scale * (most[1] - least[1]) + bottom] }
     }
 
     /// Whether the box holds `p`.
-    pub(super) fn holds(&self, p: Point) -> bool {
+    pub(crate) fn holds(&self, p: Point) -> bool {
         (0..3).all(|k| (self.low[k]..=self.high[k]).contains(&p[k]))
     }
 
     /// Height of the floor, metres.
-    pub(super) fn floor(&self) -> f64 {
+    pub(crate) fn floor(&self) -> f64 {
         self.low[2]
     }
 
     /// Place on the picture.
-    pub(super) fn place(&self, p: Point) -> [f64; 2] {
+    pub(crate) fn place(&self, p: Point) -> [f64; 2] {
         let [x, y] = flat(p);
         [self.scale * (x - self.corner[0]), self.scale * (self.corner[1] - y)]
     }
 
     /// How near the eye `p` is: 0 at the farthest corner of the box, 1 at the nearest.
-    pub(super) fn nearness(&self, p: Point) -> f64 {
+    pub(crate) fn nearness(&self, p: Point) -> f64 {
         let [az, el] = [AZIMUTH, ELEVATION].map(f64::to_radians);
         let eye = [el.cos() * az.cos(), el.cos() * az.sin(), el.sin()];
         let along = |k: usize| if eye[k] > 0.0 { p[k] - self.low[k] } else { p[k] - self.high[k] };
@@ -72,7 +75,7 @@ impl View {
     }
 
     /// Floor, the two walls behind, a grid in metres on them and its numbers along three edges.
-    pub(super) fn axes(&self) -> String {
+    pub(crate) fn axes(&self) -> String {
         let (low, high) = (self.low, self.high);
         // The eye is where x is large and y small: the walls of small x and of large y are behind.
         let at = |x: f64, y: f64, z: f64| self.place([x, y, z]);
@@ -103,30 +106,33 @@ impl View {
         svg += "</g>";
         let mut grid = String::new();
         let mut marks = String::new();
-        let ticks = [0, 1, 2].map(|k| linear_ticks_between(low[k], high[k]));
+        let em = self.text;
+        // Larger text, fewer numbers.
+        let most = ((60.0 / em) as usize).clamp(2, 6);
+        let ticks = [0, 1, 2].map(|k| linear_ticks_between(low[k], high[k], most));
         for &x in &ticks[0] {
             grid += &line(&[at(x, low[1], low[2]), at(x, high[1], low[2]), at(x, high[1], high[2])]);
-            mark(&mut marks, at(x, low[1], low[2]), [-3.0, 12.0], "middle", &label(x));
+            mark(&mut marks, at(x, low[1], low[2]), [-0.3 * em, 1.15 * em], "middle", &label(x));
         }
         for &y in &ticks[1] {
             grid += &line(&[at(high[0], y, low[2]), at(low[0], y, low[2]), at(low[0], y, high[2])]);
-            mark(&mut marks, at(high[0], y, low[2]), [6.0, 11.0], "start", &label(y));
+            mark(&mut marks, at(high[0], y, low[2]), [0.55 * em, 1.05 * em], "start", &label(y));
         }
         for &z in &ticks[2] {
             grid += &line(&[at(low[0], low[1], z), at(low[0], high[1], z), at(high[0], high[1], z)]);
-            mark(&mut marks, at(low[0], low[1], z), [-5.0, 3.5], "end", &label(z));
+            mark(&mut marks, at(low[0], low[1], z), [-0.5 * em, 0.33 * em], "end", &label(z));
         }
         let middle = |k: usize| f64::midpoint(low[k], high[k]);
-        mark(&mut marks, at(middle(0), low[1], low[2]), [-14.0, 28.0], "middle", "x [m]");
-        mark(&mut marks, at(high[0], middle(1), low[2]), [24.0, 24.0], "middle", "y [m]");
+        mark(&mut marks, at(middle(0), low[1], low[2]), [-1.3 * em, 2.6 * em], "middle", "x [m]");
+        mark(&mut marks, at(high[0], middle(1), low[2]), [2.3 * em, 2.3 * em], "middle", "y [m]");
         let [x, y] = at(low[0], low[1], middle(2));
         _ = write!(
             marks,
             "<text transform=\"translate({:.1} {y:.1}) rotate(-90)\" text-anchor=\"middle\">z [m]</text>",
-            x - 26.0
+            x - 2.5 * em
         );
         _ = write!(svg, "<path fill=\"none\" stroke=\"#dde0e6\" stroke-width=\".6\" d=\"{grid}\"/>");
-        _ = write!(svg, "<g font-size=\"10.5\" fill=\"#464a52\">{marks}</g>");
+        _ = write!(svg, "<g font-size=\"{em}\" fill=\"#464a52\">{marks}</g>");
         svg
     }
 }
@@ -144,7 +150,7 @@ fn flat(p: Point) -> [f64; 2] {
 }
 
 /// A polyline as a piece of an SVG path.
-pub(super) fn line(points: &[[f64; 2]]) -> String {
+pub(crate) fn line(points: &[[f64; 2]]) -> String {
     let mut text = String::new();
     for (i, [x, y]) in points.iter().enumerate() {
         _ = write!(text, "{}{x:.1} {y:.1}", if i == 0 { 'M' } else { 'L' });
@@ -152,10 +158,10 @@ pub(super) fn line(points: &[[f64; 2]]) -> String {
     text
 }
 
-/// Round numbers within an axis.
-fn linear_ticks_between(low: f64, high: f64) -> Vec<f64> {
+/// Round numbers within an axis, `most` or less.
+fn linear_ticks_between(low: f64, high: f64, most: usize) -> Vec<f64> {
     let all = linear_ticks(low, high);
-    let stride = all.len().div_ceil(6).max(1);
+    let stride = all.len().div_ceil(most).max(1);
     all.into_iter().filter(|v| (low..=high).contains(v)).step_by(stride).collect()
 }
 
@@ -166,11 +172,11 @@ mod tests {
     #[test]
     fn the_box_fills_the_picture_and_keeps_lengths() {
         for (low, high) in [([0.0; 3], [8.0, 6.0, 3.0]), ([-1.0, -1.0, 0.0], [1.0, 1.0, 20.0])] {
-            let view = View::new(low, high);
+            let view = View::new(low, high, 10.0);
             let ends = (0..8).map(|k| view.place([0, 1, 2].map(|a| if k >> a & 1 == 0 { low[a] } else { high[a] })));
             for [x, y] in ends {
-                assert!((MARGINS[0] - 1e-9..=WIDTH - MARGINS[2] + 1e-9).contains(&x), "{x}");
-                assert!((MARGINS[1] - 1e-9..=view.size[1] - MARGINS[3] + 1e-9).contains(&y), "{y}");
+                assert!((10.0 * MARGINS[0] - 1e-9..=WIDTH - 10.0 * MARGINS[2] + 1e-9).contains(&x), "{x}");
+                assert!((10.0 * MARGINS[1] - 1e-9..=view.size[1] - 10.0 * MARGINS[3] + 1e-9).contains(&y), "{y}");
             }
             let [a, b, c] = [[0.0; 3], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]].map(|p| view.place(p));
             assert!((b[0] - a[0] - (c[0] - b[0])).abs() < 1e-9, "no perspective");

@@ -1,0 +1,167 @@
+//! `pwrfgs report` on small runs: what it writes, that its numbers are those of the runs, and what it refuses.
+#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
+
+mod common;
+
+use common::{SMALL, refuse, stdout, succeed, write};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+const RUNS: [&str; 6] =
+    ["runs/whole-0", "runs/whole-1", "runs/half_grid-0", "runs/half_grid-1", "runs/other-0", "runs/other-1"];
+
+/// Two variants of two seeds, one of them on another split too, and a run that has not finished.
+fn runs(here: &Path) {
+    write(&here.join("small.ron"), SMALL.replace("steps: 60", "steps: 40"));
+    for run in RUNS {
+        let seed = format!("seed={}", run.chars().last().unwrap());
+        let mut arguments = vec!["run", "small.ron", "-q", "--out", run, "--set", &seed];
+        if run.contains("half_grid") {
+            arguments.extend(["--set", "initializer=Grid(count: 4)"]);
+        }
+        if run.contains("other") {
+            arguments.extend(["--set", "split=Random(test: 0.3)"]);
+        }
+        succeed(here, &arguments);
+    }
+    let begun = std::fs::read(here.join(RUNS[0]).join("pipeline.ron")).unwrap();
+    write(&here.join("runs/begun/pipeline.ron"), begun);
+}
+
+/// The rows of a CSV file, by the names of their columns.
+fn rows(text: &str) -> Vec<BTreeMap<String, String>> {
+    let mut reader = csv::Reader::from_reader(text.as_bytes());
+    reader.deserialize().map(|row| row.unwrap()).collect()
+}
+
+/// All files below a folder, with their bytes.
+fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    let mut all = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).unwrap().map(Result::unwrap) {
+        let name = entry.file_name().into_string().unwrap();
+        if entry.path().is_dir() {
+            all.extend(files(&entry.path()).into_iter().map(|(below, bytes)| (format!("{name}/{below}"), bytes)));
+        } else {
+            all.insert(name, std::fs::read(entry.path()).unwrap());
+        }
+    }
+    all
+}
+
+/// SSIM of a predictor in `scores.csv`, by test id.
+fn ssim(run: &Path, predictor: &str) -> BTreeMap<String, f64> {
+    rows(&std::fs::read_to_string(run.join("scores.csv")).unwrap())
+        .iter()
+        .filter(|row| row["predictor"] == predictor && row["metric"] == "ssim")
+        .map(|row| (row["sample"].clone(), row["value"].parse().unwrap()))
+        .collect()
+}
+
+/// Arithmetic mean.
+fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let n = values.len() as f64;
+    values.sum::<f64>() / n
+}
+
+#[test]
+fn runs_become_a_report() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    runs(here);
+    let arguments: Vec<&str> = ["report", "-q"].into_iter().chain(RUNS).chain(["runs/begun", RUNS[0]]).collect();
+    let said = stdout(&succeed(here, &arguments));
+    for words in
+        ["simulated", "whole", "half_grid", "3-NN (floor)", "±", "Δ SSIM", "left out: runs/begun: has not finished"]
+    {
+        assert!(said.contains(words), "`{words}` is not in: {said}");
+    }
+    assert!(said.ends_with("report: runs/whole-0/report/report.html\n"), "{said}");
+
+    let out = here.join(RUNS[0]).join("report");
+    let first = files(&out);
+    let text = |name: &str| String::from_utf8(first[name].clone()).unwrap();
+    numbers_are_those_of_the_runs(here, &text("report.csv"));
+    let html = text("report.html");
+    for outside in ["src=\"http", "href=\"http", "<link", "<script", "url("] {
+        assert!(!html.contains(outside), "the page needs {outside}");
+    }
+    assert!(html.contains("simulated") && html.contains("<b>") && html.contains("half_grid-1</td>"));
+    let markdown = text("report.md");
+    assert!(markdown.contains("half\\_grid") && markdown.contains("**0."), "{markdown}");
+    let latex = text("report.tex");
+    for table in ["scores", "differences", "latency"] {
+        assert!(latex.contains(&format!("\\input{{tables/1-{table}}}")), "{latex}");
+        assert!(text(&format!("tables/1-{table}.tex")).contains("\\bottomrule"));
+    }
+    assert!(text("tables/1-scores.tex").contains("half\\_grid & "));
+
+    replaced(here, &arguments, &out, &first);
+    wrong_input_is_refused(here);
+}
+
+/// Means, deviations and differences again, from the runs' own files.
+fn numbers_are_those_of_the_runs(here: &Path, report: &str) {
+    let rows = rows(report);
+    let find = |variant: &str, statistic: &str| {
+        let is = |row: &&BTreeMap<String, String>| {
+            row["variant"] == variant && row["metric"] == "ssim" && row["statistic"] == statistic
+        };
+        let found = rows.iter().find(is).unwrap_or_else(|| panic!("{variant} {statistic}"));
+        let number = |name: &str| found[name].parse::<f64>().unwrap_or(f64::NAN);
+        ["value", "std", "n", "low", "high"].map(number)
+    };
+    let near = |a: f64, b: f64| (a - b).abs() < 1e-12;
+    let of = |variant: &str, predictor: &str| {
+        [0, 1].map(|seed| ssim(&here.join(format!("runs/{variant}-{seed}")), predictor))
+    };
+    let (whole, half_grid, floor) = (of("whole", "model"), of("half_grid", "model"), of("whole", "3-NN"));
+    let means = |seeds: &[BTreeMap<String, f64>; 2]| [0, 1].map(|s| mean(seeds[s].values().copied()));
+    let [a, b] = means(&whole);
+    let [value, std, n, ..] = find("whole", "mean");
+    assert!(near(value, f64::midpoint(a, b)) && near(std, (a - b).abs() / 2f64.sqrt()) && n == 2.0, "{value} {std}");
+    // The split is the same for both seeds, so a floor has the same numbers twice, and no deviation.
+    let [value, std, n, ..] = find("3-NN", "mean");
+    assert!(near(value, means(&floor)[0]) && std.is_nan() && n == 2.0, "{value} {std}");
+    for (variant, scores) in [("half_grid", &half_grid), ("3-NN", &floor)] {
+        let [value, _, n, low, high] = find(variant, "difference");
+        let paired = [0, 1].map(|s| mean(scores[s].iter().map(|(id, v)| v - whole[s][id])));
+        assert!(near(value, f64::midpoint(paired[0], paired[1])) && n == 2.0, "{variant}: {value}");
+        assert!(low <= value && value <= high && low < high, "{variant}: {low} {value} {high}");
+    }
+    assert!(!rows.iter().any(|row| row["variant"] == "whole" && row["statistic"] == "difference"));
+    // In the other setting the split depends on the seed, and so do the floors.
+    let other = |row: &&BTreeMap<String, String>| row["setting"].contains("Random") && row["kind"] == "floor";
+    let floor = rows.iter().filter(other).find(|row| row["variant"] == "3-NN" && row["metric"] == "ssim").unwrap();
+    let [a, b] = [0, 1].map(|s| mean(ssim(&here.join(format!("runs/other-{s}")), "3-NN").into_values()));
+    let number = |name: &str| floor[name].parse::<f64>().unwrap();
+    assert!(a != b && near(number("value"), f64::midpoint(a, b)) && near(number("std"), (a - b).abs() / 2f64.sqrt()));
+}
+
+/// The same bytes again; what was there before and is no more goes, what the report has not made stays.
+fn replaced(here: &Path, arguments: &[&str], out: &Path, first: &BTreeMap<String, Vec<u8>>) {
+    succeed(here, arguments);
+    assert!(files(out) == *first, "the same runs give the same bytes");
+    write(&out.join("report.aux"), "of LaTeX");
+    let one = ["report", "runs/whole-0", "-q"];
+    let said = stdout(&succeed(here, &one));
+    let after = files(out);
+    assert!(after.contains_key("report.aux") && after["report.html"] != first["report.html"], "{said}");
+    // Another reference, somewhere else.
+    let other = ["report", "runs/whole-0", "runs/half_grid-0", "--reference", "3-NN", "--out", "elsewhere/deep"];
+    assert!(stdout(&succeed(here, &other)).contains("Paired differences from 3-NN"));
+    assert!(here.join("elsewhere/deep/report.html").is_file());
+}
+
+fn wrong_input_is_refused(here: &Path) {
+    refuse(here, &["report", "runs/whole-0", "--reference", "3-nm"], 2, &["`3-nm`", "did you mean `3-NN`?"]);
+    refuse(here, &["report", "runs"], 2, &["runs holds neither a run", "pwrfgs sweep"]);
+    refuse(here, &["report", "nowhere"], 2, &["nowhere"]);
+    refuse(here, &["report", "runs/begun"], 2, &["none of these 1 runs has finished"]);
+    refuse(here, &["report"], 2, &["RUNS"]);
+    write(&here.join("thesis/chapter.tex"), "mine");
+    refuse(here, &["report", "runs/whole-0", "--out", "thesis"], 2, &["`chapter.tex`", "--out"]);
+    refuse(here, &["report", "runs/whole-0", "--out", "small.ron"], 2, &["no folder"]);
+    assert_eq!(std::fs::read(here.join("thesis/chapter.tex")).unwrap(), b"mine");
+    write(&here.join("runs/half_grid-1/scores.csv"), "predictor,metric,sample,value\nmodel,ssim,x,1\n");
+    refuse(here, &["report", "runs/half_grid-1"], 2, &["scores.csv:2:", "`x` is no number"]);
+}

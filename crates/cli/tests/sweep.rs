@@ -1,0 +1,207 @@
+//! Sweeps: what they run, what they skip, what stops them and what does not.
+#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
+
+mod common;
+
+use common::{SMALL, call, pwrfgs, refuse, stderr, stdout, succeed, write};
+use std::path::Path;
+use std::process::Stdio;
+use std::time::Duration;
+
+/// Two axes of two variants, one seed.
+const EXPERIMENT: &str = "Experiment(
+    name: \"tiny\",
+    base: \"base/p.ron\",
+    seeds: [4],
+    set: (training: (batch: 1)),
+    axes: [
+        Axis(name: \"lambda\", variants: [
+            (label: \"0\", pruners: [OpacityThreshold()]),
+            (label: \"0.02\", pruners: [LearnableMask(lambda: 0.02, learning_rate: 0.2), OpacityThreshold()]),
+        ]),
+        Axis(name: \"start\", variants: [
+            (label: \"few\", initializer: Grid(count: 6)),
+            (label: \"more (8)\"),
+        ]),
+    ],
+)";
+
+const RUNS: [&str; 4] = [
+    "lambda=0,start=few,seed=4",
+    "lambda=0,start=more-8,seed=4",
+    "lambda=0.02,start=few,seed=4",
+    "lambda=0.02,start=more-8,seed=4",
+];
+
+/// A folder with the experiment in `e.ron`.
+fn folder(experiment: &str, base: &str) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    write(&folder.path().join("base/p.ron"), base);
+    write(&folder.path().join("e.ron"), experiment);
+    folder
+}
+
+fn model(sweep: &Path, run: &str) -> Vec<u8> {
+    std::fs::read(sweep.join(run).join("model.safetensors")).unwrap()
+}
+
+/// When a file was last written, to see that it was left alone.
+fn written(path: &Path) -> std::time::SystemTime {
+    path.metadata().unwrap().modified().unwrap()
+}
+
+#[test]
+fn every_combination_is_run_once_and_variants_change_what_they_name() {
+    let folder = folder(EXPERIMENT, SMALL);
+    let here = folder.path();
+    let plan = stdout(&succeed(here, &["sweep", "e.ron", "--dry-run"]));
+    assert!(RUNS.iter().all(|run| plan.contains(run)) && plan.contains("4 runs of 4 combinations"), "{plan}");
+    assert!(!here.join("runs").exists(), "a dry run writes nothing");
+    let table = stdout(&succeed(here, &["sweep", "e.ron", "--jobs", "2", "--threads", "2"]));
+    assert!(table.contains("4 of 4 runs finished"), "{table}");
+    let sweep = here.join("runs/tiny");
+    let pipeline = |run: &str| std::fs::read_to_string(sweep.join(run).join("pipeline.ron")).unwrap();
+    let (first, last) = (pipeline(RUNS[0]), pipeline(RUNS[3]));
+    assert!(first.contains("batch: 1") && first.contains("steps: 60") && first.contains("seed: 4"), "{first}");
+    assert!(first.contains("count: 6") && !first.contains("LearnableMask"), "{first}");
+    assert!(last.contains("count: 8") && last.contains("LearnableMask"), "{last}");
+    // Each run is what `pwrfgs run` makes of the same pipeline, at any number of jobs and threads.
+    let path = sweep.join(RUNS[3]).join("pipeline.ron");
+    succeed(here, &["run", path.to_str().unwrap(), "--out", "alone", "--threads", "1"]);
+    assert!(model(&sweep, RUNS[3]) == std::fs::read(here.join("alone/model.safetensors")).unwrap());
+    // The same command finds all of it done.
+    let before: Vec<_> = RUNS.map(|run| written(&sweep.join(run).join("run.json"))).into();
+    let again = succeed(here, &["sweep", "e.ron"]);
+    assert_eq!(stderr(&again).matches("finished before").count(), 4, "{}", stderr(&again));
+    assert_eq!(RUNS.map(|run| written(&sweep.join(run).join("run.json"))).to_vec(), before);
+    // An experiment that grows keeps what it has.
+    write(&here.join("e.ron"), EXPERIMENT.replace("seeds: [4]", "seeds: [4, 5]"));
+    let status = stdout(&succeed(here, &["sweep", "e.ron", "--status"]));
+    assert!(status.contains("4 of 8 runs finished") && status.matches("waiting").count() == 4, "{status}");
+}
+
+#[test]
+fn a_killed_sweep_goes_on_and_ends_as_one_never_stopped() {
+    let base = SMALL.replace("steps: 60", "steps: 700").replace("prune_until: 40", "prune_until: 400");
+    let folder = folder(EXPERIMENT, &base);
+    let here = folder.path();
+    succeed(here, &["sweep", "e.ron", "--out", "whole", "-q"]);
+    let mut kills = 0;
+    // Killed when the second run has a checkpoint: half way.
+    let half = here.join("killed").join(RUNS[1]).join("checkpoint.safetensors");
+    for wait in [0, 150, 300] {
+        let mut child =
+            pwrfgs(here).args(["sweep", "e.ron", "--out", "killed", "-q"]).stdout(Stdio::null()).spawn().unwrap();
+        while !half.exists() && child.try_wait().unwrap().is_none() {
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        std::thread::sleep(Duration::from_millis(wait));
+        child.kill().unwrap(); // SIGKILL
+        kills += usize::from(!child.wait().unwrap().success());
+    }
+    assert!(kills >= 1, "the sweep is long enough to be killed");
+    let status = stdout(&succeed(here, &["sweep", "e.ron", "--out", "killed", "--status"]));
+    assert!(status.contains("finished") && !status.contains("4 of 4"), "{status}");
+    succeed(here, &["sweep", "e.ron", "--out", "killed", "-q"]);
+    for run in RUNS {
+        assert!(model(&here.join("whole"), run) == model(&here.join("killed"), run), "{run} differs");
+    }
+}
+
+#[test]
+fn a_run_that_fails_does_not_stop_the_others() {
+    // Far too fast: its numbers leave the finite range.
+    let wild = "(label: \"few\", training: (optimizer: (network: Constant(1e30), log_scales: Constant(1e30))))";
+    let folder = folder(&EXPERIMENT.replace("(label: \"few\", initializer: Grid(count: 6))", wild), SMALL);
+    let here = folder.path();
+    for _ in 0..2 {
+        let output = call(here, &["sweep", "e.ron"]);
+        assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+        assert!(stderr(&output).contains("2 of 4 runs failed") && stderr(&output).contains("is not finite at step"));
+        let status = stdout(&succeed(here, &["sweep", "e.ron", "--status"]));
+        assert!(status.contains("2 of 4 runs finished") && status.matches("failed: ").count() == 2, "{status}");
+    }
+    // Mended, they run; the others are not run again.
+    let sweep = here.join("runs/tiny");
+    let before = written(&sweep.join(RUNS[1]).join("run.json"));
+    for run in [RUNS[0], RUNS[2]] {
+        std::fs::remove_dir_all(sweep.join(run)).unwrap();
+    }
+    write(&here.join("e.ron"), EXPERIMENT);
+    succeed(here, &["sweep", "e.ron"]);
+    assert_eq!(written(&sweep.join(RUNS[1]).join("run.json")), before);
+    assert!(!sweep.join("failures").exists(), "no failure is left");
+}
+
+#[test]
+fn shards_share_the_runs_out() {
+    let folder = folder(EXPERIMENT, SMALL);
+    let here = folder.path();
+    succeed(here, &["sweep", "e.ron", "--shard", "2/3"]);
+    let sweep = here.join("runs/tiny");
+    let there = |run: &str| sweep.join(run).join("model.safetensors").exists();
+    assert_eq!(RUNS.map(there), [false, true, false, false]);
+    succeed(here, &["sweep", "e.ron", "--only", RUNS[2]]);
+    succeed(here, &["sweep", "e.ron", "--shard", "1/3"]);
+    assert_eq!(RUNS.map(there), [true; 4]);
+    refuse(here, &["sweep", "e.ron", "--only", "lambda=0.02,start=fw,seed=4"], 2, &["did you mean", RUNS[2]]);
+    refuse(here, &["sweep", "e.ron", "--jobs", "9", "--threads", "2"], 2, &["give at most 2"]);
+}
+
+#[test]
+fn two_sweeps_in_one_folder_share_the_work() {
+    let base = SMALL.replace("steps: 60", "steps: 400");
+    let folder = folder(EXPERIMENT, &base);
+    let here = folder.path();
+    let start = || pwrfgs(here).args(["sweep", "e.ron"]).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let mut both = [start(), start()];
+    let ends = both.each_mut().map(|child| child.wait().unwrap().success());
+    // One of them may have met the other at the same run, and says so; nothing is harmed.
+    assert!(ends.contains(&true));
+    succeed(here, &["sweep", "e.ron", "-q"]);
+    succeed(here, &["sweep", "e.ron", "--out", "alone", "-q"]);
+    for run in RUNS {
+        assert!(model(&here.join("runs/tiny"), run) == model(&here.join("alone"), run), "{run} differs");
+    }
+}
+
+#[test]
+fn mistakes_are_refused_where_they_stand_before_anything_runs() {
+    let folder = folder(EXPERIMENT, SMALL);
+    let here = folder.path();
+    let cases: [(&str, &str, &[&str]); 15] = [
+        ("lambda: 0.02", "lamda: 0.02", &["e.ron:9:", "did you mean `lambda`"]),
+        ("LearnableMask", "LearnedMask", &["e.ron:9:", "did you mean `LearnableMask`"]),
+        ("(label: \"more (8)\")", "(label: \"more\", training: (prune_until: 5))", &["e.ron:13:13", "densify_until"]),
+        ("(label: \"more (8)\")", "(label: \"Few\")", &["e.ron:14:", "two labels", "`few`"]),
+        ("(label: \"more (8)\")", "(label: \"()\")", &["e.ron:13:", "cannot name a folder"]),
+        ("(label: \"more (8)\")", "()", &["e.ron:13:", "give it a `label`"]),
+        ("(label: \"more (8)\")", "(label: \"b\", seed: 3)", &["e.ron:13:", "`seeds`"]),
+        (
+            "(label: \"more (8)\")",
+            "(label: \"b\", initializer: Grid(count: 6))",
+            &["e.ron:13:13", "the same pipeline as"],
+        ),
+        (
+            "(label: \"more (8)\")",
+            "(label: \"b\", data: Nerf2Spectrum(root: \"nowhere\"))",
+            &["e.ron:13:13", "start=b", "nowhere", "no such folder"],
+        ),
+        ("seeds: [4]", "seeds: []", &["e.ron:", "`seeds` is empty"]),
+        ("seeds: [4]", "seeds: [4, 4]", &["the seed 4 comes twice"]),
+        ("name: \"lambda\"", "name: \"seed\"", &["e.ron:", "cannot name a folder"]),
+        ("name: \"lambda\"", "name: \"start\"", &["two axes are called `start`"]),
+        ("base/p.ron", "base/q.ron", &["cannot read base/q.ron"]),
+        ("set: (training", "set: (traning", &["e.ron:5:", "did you mean `training`"]),
+    ];
+    for (from, to, words) in cases {
+        write(&here.join("e.ron"), EXPERIMENT.replacen(from, to, 1));
+        refuse(here, &["sweep", "e.ron"], 2, words);
+        assert!(!here.join("runs").exists(), "{to}");
+    }
+    // A folder that holds the run of another pipeline is not taken, and none of the others begun.
+    write(&here.join("e.ron"), EXPERIMENT);
+    succeed(here, &["run", "base/p.ron", "--out", &format!("runs/tiny/{}", RUNS[2])]);
+    refuse(here, &["sweep", "e.ron"], 2, &["another pipeline", RUNS[2]]);
+    assert!(!here.join("runs/tiny").join(RUNS[0]).exists());
+}

@@ -1,0 +1,73 @@
+//! Blocks of space: cubes whose test transmitters are drawn together by the bootstrap.
+//!
+//! Spectra of neighbouring transmitters are alike, and so are the errors of a model there. How far that reaches is not
+//! known; a longer reach than the edge of a cube leaves intervals too narrow. Larger cubes are fewer, and from few
+//! nothing can be drawn: the edge is the largest that leaves [`WANTED`] of them. Reports print it.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Cubes with test transmitters that there should be.
+const WANTED: usize = 30;
+/// The edge is not made smaller than this part of the room.
+const FINEST: u32 = 256;
+
+/// Test samples in cubes of space.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Blocks {
+    /// Edge of a cube in metres.
+    pub(super) edge_m: f64,
+    /// How many hold test transmitters.
+    pub(super) count: usize,
+    /// The cube of each test sample, by id.
+    of: BTreeMap<u32, usize>,
+}
+
+impl Blocks {
+    /// Of test samples at these places, metres, by id.
+    pub(super) fn new(places: &BTreeMap<u32, [f64; 3]>) -> Self {
+        let end = |pick: fn(f64, f64) -> f64, start: f64| {
+            [0, 1, 2].map(|k| places.values().fold(start, |end, place| pick(end, place[k])))
+        };
+        let (low, high) = (end(f64::min, f64::INFINITY), end(f64::max, f64::NEG_INFINITY));
+        let extent = (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max);
+        let cube = |place: &[f64; 3], edge: f64| [0, 1, 2].map(|k| ((place[k] - low[k]) / edge) as i64);
+        let edge = |parts: u32| if extent > 0.0 { extent / f64::from(parts) } else { 1.0 };
+        let cubes = |edge: f64| places.values().map(|place| cube(place, edge)).collect::<BTreeSet<_>>();
+        let distinct = cubes(edge(FINEST)).len();
+        let parts = (1..FINEST).find(|parts| cubes(edge(*parts)).len() >= WANTED.min(distinct)).unwrap_or(FINEST);
+        let edge_m = edge(parts);
+        let number: BTreeMap<_, usize> = cubes(edge_m).into_iter().zip(0..).collect();
+        let of = places.iter().map(|(id, place)| (*id, number[&cube(place, edge_m)])).collect();
+        Self { edge_m, count: number.len(), of }
+    }
+
+    /// The cube of a test sample.
+    pub(super) fn of(&self, id: u32) -> Option<usize> {
+        self.of.get(&id).copied()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn neighbours_share_a_cube() {
+        // 10 x 10 places, 1 m apart, in clumps of two that are 1 cm apart.
+        let places = (0..200u32).map(|id| (id, [f64::from(id / 2 % 10), f64::from(id / 20), 0.01 * f64::from(id % 2)]));
+        let blocks = Blocks::new(&places.collect());
+        assert!((0..100).all(|k| blocks.of(2 * k) == blocks.of(2 * k + 1)));
+        assert!((30..=50).contains(&blocks.count), "{}", blocks.count);
+        assert!((1.0..2.0).contains(&blocks.edge_m), "{}", blocks.edge_m);
+        assert_eq!((blocks.of(0), blocks.of(199), blocks.of(200)), (Some(0), Some(blocks.count - 1), None));
+    }
+
+    #[test]
+    fn few_places_have_a_cube_each_and_one_place_has_one() {
+        let places = BTreeMap::from([(1, [0.0; 3]), (5, [0.1, 0.0, 0.0]), (9, [3.0, 0.0, 1.0])]);
+        let blocks = Blocks::new(&places);
+        assert_eq!(BTreeSet::from([1, 5, 9].map(|id| blocks.of(id).unwrap())).len(), 3);
+        assert_eq!(Blocks::new(&BTreeMap::from([(1, [2.0; 3]), (2, [2.0; 3])])).count, 1);
+        assert_eq!(Blocks::new(&BTreeMap::new()).count, 0);
+    }
+}

@@ -1,0 +1,101 @@
+//! N against the iteration: figure 2a of the paper.
+
+use super::{Figure, looks, seeds, source};
+use crate::draw::charts::{Band, Chart, Line, Name};
+use crate::draw::marks::{Stroke, Style};
+use crate::draw::steps::{phases, stairs};
+use crate::study::{Setting, Variant};
+use pwrfgs_core::Result;
+use std::collections::BTreeMap;
+
+/// Marks on a line that show which it is.
+const MARKS: usize = 6;
+
+pub(super) fn figure(setting: &Setting) -> Result<Option<Figure>> {
+    let end = setting.variants.iter().map(|v| v.runs[0].pipeline.training.steps).max().unwrap_or(0) as f64;
+    let bands = shared_phases(setting);
+    let phases = if bands.is_empty() {
+        " Phases are not shaded, because the variants differ in them."
+    } else {
+        " Shaded: the phases of the training."
+    };
+    let mut lines = Vec::new();
+    let count = setting.variants.len();
+    for (k, variant) in setting.variants.iter().enumerate() {
+        let style = looks::variant(k);
+        let [low, middle, high] = curves(variant);
+        if low != high {
+            let round = stairs(&high).into_iter().chain(stairs(&low).into_iter().rev()).collect();
+            lines.push(Line::new(round, Style { marker: None, stroke: Stroke::Area, ..style }));
+        }
+        let mut line = Line::new(stairs(&middle), style);
+        line.name = Name::Legend(variant.label.clone());
+        line.marks = marks(&middle, end, (k as f64 + 0.5) / count as f64);
+        lines.push(line);
+    }
+    let chart = Chart {
+        x_name: "training iteration".into(),
+        y_name: "number of Gaussians N".into(),
+        x: Some((0.0, end)),
+        log: true,
+        bands,
+        lines,
+        ..Chart::default()
+    };
+    let caption = format!(
+        "Number of Gaussians N against the training iteration: mean over {}, and the range between them where they \
+         differ. Marks only tell the lines apart.{phases} {}",
+        seeds(setting),
+        source(setting)
+    );
+    Figure::chart("gaussians", "Number of Gaussians while training", caption, chart)
+}
+
+/// The phases, where all runs have the same.
+fn shared_phases(setting: &Setting) -> Vec<Band> {
+    let schedule = |v: &Variant| {
+        let t = &v.runs[0].pipeline.training;
+        (t.densify_until, t.prune_until, t.steps)
+    };
+    let first = &setting.variants[0];
+    let same = setting.variants.iter().all(|v| schedule(v) == schedule(first));
+    if same { phases(&first.runs[0].pipeline.training) } else { Vec::new() }
+}
+
+/// Least, mean and largest N at each step that all runs of the variant have noted.
+fn curves(variant: &Variant) -> [Vec<(f64, f64)>; 3] {
+    let mut at: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
+    for (step, n) in variant.runs.iter().flat_map(|r| &r.gaussians) {
+        at.entry(*step as u64).or_default().push(*n);
+    }
+    at.retain(|_, all| all.len() == variant.runs.len());
+    let fold = |f: &dyn Fn(&[f64]) -> f64| at.iter().map(|(step, all)| (*step as f64, f(all))).collect();
+    let extreme = |f: fn(f64, f64) -> f64| fold(&|all| all.iter().copied().reduce(f).unwrap_or(f64::NAN));
+    [extreme(f64::min), fold(&|all| all.iter().sum::<f64>() / all.len() as f64), extreme(f64::max)]
+}
+
+/// Some places on the curve; `shift` in 0..1 moves them, so that those of two lines do not coincide.
+fn marks(points: &[(f64, f64)], end: f64, shift: f64) -> Vec<(f64, f64)> {
+    let place = |k: usize| end * (k as f64 + shift) / MARKS as f64;
+    (0..MARKS)
+        .filter_map(|k| {
+            let next = points.partition_point(|p| p.0 < place(k));
+            points.get(next).copied()
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::marks;
+
+    #[test]
+    fn marks_lie_on_the_curve() {
+        let points: Vec<(f64, f64)> = (1..=100).map(|k| (f64::from(k), 5.0)).collect();
+        let first = marks(&points, 100.0, 0.25);
+        assert_eq!(first.len(), 6);
+        assert!(first.iter().all(|p| points.contains(p)));
+        assert!(marks(&points, 100.0, 0.75).iter().all(|p| !first.contains(p)));
+        assert!(marks(&[], 100.0, 0.5).is_empty());
+    }
+}

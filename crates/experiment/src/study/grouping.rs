@@ -1,0 +1,172 @@
+//! Puts runs in settings and variants, and gives both their names.
+
+use super::{Record, Setting, Variant};
+
+/// Names that a title has room for.
+const TITLES: usize = 4;
+
+/// Axis and label, for each axis.
+pub(super) type Labels = Vec<(String, String)>;
+
+/// Names joined by commas, each once; no more than fit a title.
+pub(super) fn listed(names: Vec<String>) -> String {
+    let mut all: Vec<String> = Vec::new();
+    for name in names {
+        if !all.contains(&name) {
+            all.push(name);
+        }
+    }
+    let more = all.len().saturating_sub(TITLES);
+    if more > 1 { format!("{} and {more} more", all[..TITLES].join(", ")) } else { all.join(", ") }
+}
+
+/// Gives runs that were named one by one the names of their variants: what the folders of all seeds begin with.
+pub(super) fn named(alone: Vec<Record>) -> Vec<(String, Record)> {
+    let keys: Vec<String> = alone.iter().map(Record::variant_key).collect();
+    let folder = |record: &Record| {
+        let whole = record.folder.canonicalize().unwrap_or_else(|_| record.folder.clone());
+        whole.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned())
+    };
+    let mut names: Vec<(&String, String)> = Vec::new();
+    for (key, first) in keys.iter().zip(&alone) {
+        if names.iter().any(|(known, _)| *known == key) {
+            continue;
+        }
+        let all: Vec<String> = keys.iter().zip(&alone).filter(|(k, _)| *k == key).map(|(_, r)| folder(r)).collect();
+        let mut name = if all.len() > 1 { common_start(&all) } else { all[0].clone() };
+        if name.is_empty() {
+            name.clone_from(&first.pipeline.name);
+        }
+        if names.iter().any(|(_, known)| *known == name) {
+            name = first.folder.display().to_string();
+        }
+        names.push((key, name));
+    }
+    let name = |key: &String| names.iter().find(|(k, _)| *k == key).map_or_else(String::new, |(_, name)| name.clone());
+    let all: Vec<String> = keys.iter().map(name).collect();
+    all.into_iter().zip(alone).collect()
+}
+
+/// What all begin with, without the separator, or `seed`, before what differs: `init` of `init-0` and `init-1`.
+fn common_start(names: &[String]) -> String {
+    let mut start = names[0].clone();
+    while !names.iter().all(|name| name.starts_with(&start)) {
+        start.pop();
+    }
+    let is_separator = |c: char| " -_.=".contains(c);
+    // The first digits of a number belong to what differs (`a10`, `a11`), unless nothing does.
+    let start = match start.chars().last() {
+        Some(c) if c.is_ascii_digit() && names.iter().any(|name| *name != start) => {
+            start.trim_end_matches(|c: char| c.is_ascii_digit())
+        }
+        _ => &start,
+    };
+    let start = start.trim_end_matches(is_separator);
+    start.strip_suffix("seed").unwrap_or(start).trim_end_matches(is_separator).to_owned()
+}
+
+/// Puts runs in settings and variants.
+pub(super) fn settings(records: Vec<(Labels, Record)>) -> Vec<Setting> {
+    let mut found: Vec<(String, Setting)> = Vec::new();
+    let mut groups: Vec<Vec<(Labels, Record)>> = Vec::new();
+    for (labels, record) in records {
+        let key = record.setting_key();
+        let place = found.iter().position(|(k, _)| *k == key).unwrap_or_else(|| {
+            let setting =
+                Setting { title: record.setting_title(), simulated: record.is_simulated(), variants: Vec::new() };
+            found.push((key, setting));
+            groups.push(Vec::new());
+            found.len() - 1
+        });
+        groups[place].push((labels, record));
+    }
+    for ((_, setting), group) in found.iter_mut().zip(groups) {
+        setting.variants = variants(group);
+    }
+    tell_apart(&mut found);
+    found.into_iter().map(|(_, setting)| setting).collect()
+}
+
+/// Adds to titles that are the same what differs in data and split: `samples: 200`.
+fn tell_apart(found: &mut [(String, Setting)]) {
+    let titles: Vec<String> = found.iter().map(|(_, setting)| setting.title.clone()).collect();
+    let keys: Vec<String> = found.iter().map(|(key, _)| key.clone()).collect();
+    for (key, setting) in found {
+        let twins: Vec<&String> =
+            keys.iter().zip(&titles).filter(|(_, t)| **t == setting.title).map(|(k, _)| k).collect();
+        let is_own = |part: &&str| !twins.iter().all(|twin| parts(twin).any(|other| other == *part));
+        let own: Vec<&str> = parts(key).filter(is_own).collect();
+        if !own.is_empty() {
+            setting.title = format!("{}; {}", setting.title, own.join(", "));
+        }
+    }
+}
+
+/// The fields of plugins as text.
+fn parts(key: &str) -> impl Iterator<Item = &str> {
+    key.split(['(', ')', '\n']).flat_map(|part| part.split(", ")).filter(|part| !part.is_empty())
+}
+
+/// Groups the runs of one setting; axes whose label is the same for all are left out of the names.
+fn variants(group: Vec<(Labels, Record)>) -> Vec<Variant> {
+    let first = group[0].0.clone();
+    let varies: Vec<String> = first
+        .iter()
+        .enumerate()
+        .filter(|(k, label)| group.iter().any(|(labels, _)| labels.get(*k) != Some(label)))
+        .map(|(_, (axis, _))| axis.clone())
+        .collect();
+    let mut all: Vec<Variant> = Vec::new();
+    for (labels, record) in group {
+        let words = labels.iter().filter(|(axis, _)| varies.is_empty() || varies.contains(axis));
+        let words: Vec<String> = words.map(|(axis, label)| format!("{axis} {label}").trim().to_owned()).collect();
+        let label = words.join(", ");
+        match all.iter_mut().find(|v| v.label == label) {
+            Some(variant) => variant.runs.push(record),
+            None => all.push(Variant { label, runs: vec![record] }),
+        }
+    }
+    for variant in &mut all {
+        variant.runs.sort_by_key(|r| r.facts.seed);
+    }
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_of_one_title_are_told_apart_by_what_differs() {
+        let setting = |key: &str, title: &str| {
+            (key.to_owned(), Setting { title: title.into(), simulated: true, variants: Vec::new() })
+        };
+        let mut found = [
+            setting("Simulated(samples: 200, seed: 0)\nOfficial()", "office"),
+            setting("Simulated(samples: 1000, seed: 0)\nOfficial()", "office"),
+            setting("Simulated(samples: 200, seed: 0)\nRandom(test: 0.2)", "office; Random(test: 0.2)"),
+        ];
+        tell_apart(&mut found);
+        let titles = found.map(|(_, setting)| setting.title);
+        assert_eq!(titles, ["office; samples: 200", "office; samples: 1000", "office; Random(test: 0.2)"]);
+    }
+
+    #[test]
+    fn a_title_names_each_once_and_not_too_many() {
+        let of = |names: &[&str]| listed(names.iter().map(|n| (*n).to_owned()).collect());
+        assert_eq!(of(&["a", "b", "a"]), "a, b");
+        assert_eq!(of(&["a", "b", "c", "d", "e"]), "a, b, c, d, e");
+        assert_eq!(of(&["a", "b", "c", "d", "e", "f"]), "a, b, c, d and 2 more");
+    }
+
+    #[test]
+    fn seeds_share_the_start_of_their_names() {
+        let of = |names: &[&str]| common_start(&names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>());
+        assert_eq!(of(&["init-cloud-0", "init-cloud-1", "init-cloud-12"]), "init-cloud");
+        assert_eq!(of(&["random10-0", "random10-1"]), "random10");
+        assert_eq!(of(&["a10", "a11"]), "a");
+        assert_eq!(of(&["x_seed=1", "x_seed=2"]), "x");
+        assert_eq!(of(&["run7", "run7"]), "run7");
+        assert_eq!(of(&["0", "1"]), "");
+    }
+}

@@ -1,0 +1,128 @@
+//! `Table`: what every format of the report writes, with the marks already made.
+
+mod columns;
+mod differences;
+mod scores;
+
+pub(super) use differences::differences;
+pub(super) use scores::{further, latency, scores};
+
+use super::Setting;
+use super::comparison::Kind;
+use serde::Serialize;
+
+/// A table of numbers.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct Table {
+    /// Stem of its file and its label.
+    pub(super) name: &'static str,
+    /// What it is of, and whether that was simulated.
+    pub(super) title: String,
+    pub(super) columns: Vec<Column>,
+    pub(super) lines: Vec<Line>,
+    /// How to read it: sentences below it.
+    pub(super) legend: Vec<String>,
+}
+
+/// Head of a column.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub(super) struct Column {
+    /// What was measured; the same in neighbouring columns joins them.
+    pub(super) title: String,
+    /// Statistic and unit.
+    pub(super) detail: String,
+    /// Which way is better, or nothing.
+    pub(super) arrow: &'static str,
+}
+
+/// A row.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(super) struct Line {
+    pub(super) label: String,
+    pub(super) section: Section,
+    /// One a column.
+    pub(super) cells: Vec<Shown>,
+}
+
+/// Rows of one section stand together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Section {
+    Variants,
+    Floors,
+    Bounds,
+}
+
+/// A number as it is printed; empty where there is none.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub(super) struct Shown {
+    pub(super) value: String,
+    /// The deviation, or nothing.
+    pub(super) deviation: String,
+    /// Ends of the interval, or nothing.
+    pub(super) interval: Option<(String, String)>,
+    pub(super) mark: Mark,
+}
+
+/// What is said of a number by its looks, never by colour alone.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Mark {
+    #[default]
+    None,
+    /// Best of its column.
+    Best,
+    /// Second best of its column.
+    Second,
+    /// The interval leaves 0 out.
+    Clear,
+}
+
+/// A title that says where the spectra are simulated.
+fn title(words: &str, setting: &Setting) -> String {
+    format!("{words}{}", if setting.simulated { " (simulated spectra)" } else { "" })
+}
+
+impl From<Kind> for Section {
+    fn from(kind: Kind) -> Self {
+        match kind {
+            Kind::Variant => Self::Variants,
+            Kind::Floor => Self::Floors,
+            Kind::Bound => Self::Bounds,
+        }
+    }
+}
+
+impl Line {
+    /// Label with what it is: floors are named so, bounds carry a dagger.
+    fn new(label: &str, kind: Kind, cells: Vec<Shown>) -> Self {
+        let label = match kind {
+            Kind::Variant => label.to_owned(),
+            Kind::Floor => format!("{label} (floor)"),
+            Kind::Bound => format!("{label} †"),
+        };
+        Self { label, section: kind.into(), cells }
+    }
+}
+
+impl Table {
+    /// Titles of neighbouring columns with how many columns they span.
+    pub(super) fn groups(&self) -> Vec<(&Column, usize)> {
+        let same = |a: &Column, b: &Column| a.title == b.title && a.arrow == b.arrow;
+        self.columns.chunk_by(same).map(|columns| (&columns[0], columns.len())).collect()
+    }
+
+    /// Lines, section by section.
+    pub(super) fn sections(&self) -> impl Iterator<Item = &[Line]> {
+        self.lines.chunk_by(|a, b| a.section == b.section)
+    }
+
+    /// Whether some number is the best of its column.
+    pub(super) fn is_marked(&self) -> bool {
+        self.lines.iter().flat_map(|line| &line.cells).any(|cell| cell.mark == Mark::Best)
+    }
+
+    fn has(&self, section: Section) -> bool {
+        self.lines.iter().any(|line| line.section == section)
+    }
+}

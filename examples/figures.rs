@@ -1,0 +1,20 @@
+//! Draws the figures that compare runs: `cargo run --example figures -- OUT RUN..`, where each `RUN` is the folder of a
+//! run or of a sweep.
+#![allow(clippy::print_stdout)] // it is a program
+
+use pwrfgs::experiment::study::{Study, figures};
+use std::path::PathBuf;
+
+fn main() -> pwrfgs::core::Result<()> {
+    let mut folders = std::env::args_os().skip(1).map(PathBuf::from);
+    let out = folders.next().unwrap_or_else(|| "figures".into());
+    let study = Study::read(&folders.collect::<Vec<_>>())?;
+    for (k, setting) in study.settings.iter().enumerate() {
+        let folder = out.join(format!("setting-{}", k + 1));
+        for figure in figures::all(&study, setting, &|_, _| {})? {
+            figure.write(&folder)?;
+            println!("{}/{}: {}", folder.display(), figure.name, figure.caption);
+        }
+    }
+    Ok(())
+}
