@@ -1,0 +1,128 @@
+//! The plugin of `examples/my-pruner`, outside this workspace: built, tested, and used by name in a sweep.
+#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
+
+mod common;
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").canonicalize().unwrap()
+}
+
+/// Where cargo builds the workspace under test: `CARGO_TARGET_TMPDIR` is the folder `tmp` in it.
+fn target() -> &'static Path {
+    Path::new(env!("CARGO_TARGET_TMPDIR")).parent().unwrap()
+}
+
+/// Cargo at work in the example, as the one that runs this test: the same versions of all crates, hence without
+/// network; the same target folder and settings, so that no crate of others is compiled again. Those of pwrfgs are,
+/// since to another workspace they are other packages: unoptimised, for the runs here are small.
+fn cargo(example: &Path, command: &str) -> Output {
+    let mut cargo = Command::new(std::env::var("CARGO").unwrap_or_else(|_| env!("CARGO").into()));
+    cargo.args([command, "--offline"]).current_dir(example).env("CARGO_TARGET_DIR", target());
+    if !cfg!(debug_assertions) {
+        cargo.arg("--release");
+    }
+    for name in CRATES {
+        cargo.args(["--config", &format!("profile.dev.package.{name}.opt-level=0")]);
+    }
+    let output = cargo.output().unwrap();
+    assert!(output.status.success(), "cargo {command}: {}{}", common::stdout(&output), common::stderr(&output));
+    output
+}
+
+/// The crates of pwrfgs.
+const CRATES: [&str; 12] = [
+    "pwrfgs",
+    "pwrfgs-cli",
+    "pwrfgs-core",
+    "pwrfgs-data",
+    "pwrfgs-experiment",
+    "pwrfgs-init",
+    "pwrfgs-metrics",
+    "pwrfgs-model",
+    "pwrfgs-prune",
+    "pwrfgs-raster",
+    "pwrfgs-sim",
+    "pwrfgs-train",
+];
+
+#[test]
+fn the_page_on_plugins_shows_what_is_built_here() {
+    let read = |name: &str| std::fs::read_to_string(root().join(name)).unwrap();
+    let page = read("docs/plugins.md");
+    let (main, sweep) = (read("examples/my-pruner/src/main.rs"), read("examples/my-pruner/sweep.ron"));
+    assert!(page.contains(&format!("```rust,ignore\n{main}```")), "docs/plugins.md has another main.rs");
+    let (_, experiment) = sweep.split_once("Experiment(").unwrap();
+    assert!(page.contains(&format!("```ron\nExperiment({experiment}```")), "docs/plugins.md has another sweep.ron");
+}
+
+#[test]
+fn a_plugin_of_ones_own_is_swept_by_name() {
+    // In double precision everything would be compiled once more, and the plugin has no derivative of its own making.
+    if size_of::<pwrfgs_core::Real>() == 8 {
+        println!("skipped: the single precision pass builds and runs the example");
+        return;
+    }
+    let example = root().join("examples/my-pruner");
+    // Cargo takes the versions from here and writes back what the example needs of them; git ignores the file.
+    std::fs::copy(root().join("Cargo.lock"), example.join("Cargo.lock")).unwrap();
+    cargo(&example, "build");
+    let tested = common::stdout(&cargo(&example, "test"));
+    assert!(tested.contains("the_derivative_has_its_closed_form ... ok"), "{tested}");
+    assert!(tested.contains("gumbel_mask::GumbelMask (line"), "its manual page is tested: {tested}");
+
+    let profile = if cfg!(debug_assertions) { "debug" } else { "release" };
+    let program = target().join(profile).join("my-pruner");
+    let folder = tempfile::tempdir().unwrap();
+    let run = |arguments: &[&str]| {
+        let output = Command::new(&program).args(arguments).current_dir(folder.path()).output().unwrap();
+        assert!(output.status.success(), "{arguments:?}: {}", common::stderr(&output));
+        common::stdout(&output)
+    };
+    let listed = run(&["plugins", "GumbelMask"]);
+    assert!(listed.contains("Pruner (field `pruners`)") && listed.contains("temperature: 0.5"), "{listed}");
+
+    // The shipped sweep, as it stands and then as small as it can be.
+    let file = |name: &str| example.join(name).to_str().unwrap().to_owned();
+    assert!(run(&["sweep", &file("sweep.ron"), "--dry-run"]).contains("mask=gumbel"));
+    let set: Vec<&str> = SMALL.iter().flat_map(|s| ["--set", s]).collect();
+    run(&[&["sweep", &file("sweep.ron"), "--out", "s"][..], &set].concat());
+    for name in ["mask=gumbel,seed=0", "mask=gumbel,seed=1", "mask=learnable,seed=0", "mask=learnable,seed=1"] {
+        let done = folder.path().join("s").join(name);
+        let pipeline = std::fs::read_to_string(done.join("pipeline.ron")).unwrap();
+        assert_eq!(pipeline.contains("GumbelMask("), name.contains("gumbel"), "{name}");
+        let scores = std::fs::read_to_string(done.join("scores.csv")).unwrap();
+        assert!(scores.lines().any(|l| l.starts_with("model,ssim,")), "{name}");
+        assert!(curve(&done).iter().take(40).all(|(penalty, _)| *penalty > 0.0), "{name}");
+    }
+    // Under pressure gates fall shut for good; what is left then is the model, without a trace of the column.
+    let hard = ["--set", "pruners=[GumbelMask(lambda: 1, learning_rate: 0.2)]", "--out", "r"];
+    run(&[&["run", &file("gumbel.ron")][..], &set, &hard].concat());
+    let counts: Vec<usize> = curve(&folder.path().join("r")).iter().map(|(_, n)| *n).collect();
+    assert!(counts[0] == 30 && (1..30).contains(&counts[39]), "{counts:?}");
+    assert!(counts[39..].iter().all(|n| *n == counts[39]), "{counts:?}");
+    let model = pwrfgs::model::file::read(&folder.path().join("r/model.safetensors")).unwrap();
+    assert_eq!((model.cloud.len(), model.cloud.extra.len()), (counts[39], 0));
+}
+
+/// Sixty steps, pruned up to step 40.
+const SMALL: [&str; 6] = [
+    "data=Teacher(gaussians: 4, samples: 40, width: 48, height: 12)",
+    "split=Official(validation: 0.2)",
+    "initializer=Grid(count: 30)",
+    "deformation=Mlp(depth: 2, width: 16, skip: None)",
+    "training=(steps: 60, batch: 2, densify_until: 10, prune_until: 40, prune_every: 10, validate_every: 0)",
+    "metrics=[Ssim(), GaussianCount()]",
+];
+
+/// Penalty and number of Gaussians at each step of a run.
+fn curve(run: &Path) -> Vec<(f64, usize)> {
+    let text = std::fs::read_to_string(run.join("curve.csv")).unwrap();
+    let row = |line: &str| {
+        let fields: Vec<&str> = line.split(',').collect();
+        (fields[3].parse().unwrap(), fields[4].parse().unwrap())
+    };
+    text.lines().skip(1).map(row).collect()
+}

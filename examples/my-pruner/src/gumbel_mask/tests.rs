@@ -1,0 +1,126 @@
+//! The gate's formula and derivative, and that what is drawn is what is kept.
+
+use super::*;
+use dfdx::prelude::{AsArray, Backward, SumTo};
+use pwrfgs::core::{ExtraColumn, sigmoid};
+
+fn moment(step: u64, phase: Phase) -> Moment {
+    Moment { step, phase, seed: 7 }
+}
+
+/// Gaussians with these gate logits.
+fn gated(logits: &[Real]) -> GaussianCloud {
+    let column = &GumbelMask::default().columns()[0];
+    let mut cloud = GaussianCloud::zeros(logits.len());
+    cloud.extra.push(ExtraColumn { name: column.name.into(), width: column.width, values: logits.to_vec() });
+    cloud
+}
+
+fn gate(mask: &GumbelMask, logits: &[Real], step: u64) -> Vec<Real> {
+    mask.gate(&Traced::new(&gated(logits)), &moment(step, Phase::Densify)).unwrap().as_vec()
+}
+
+#[test]
+fn the_gate_is_a_relaxed_coin() {
+    let mask = GumbelMask { temperature: 0.7, ..GumbelMask::default() };
+    let logits: Vec<Real> = (0..4000).map(|i| if i % 4 == 3 { -0.1 } else { (i % 4) as Real * 0.8 }).collect();
+    let found = gate(&mask, &logits, 5);
+    // The same stream, the formula in double precision.
+    let mut random = rng::stream(7, "pruner GumbelMask", 5);
+    for (m, y) in logits.iter().zip(&found) {
+        let u = (rng::uniform(&mut random) as f64).clamp(1e-6, 1.0 - 1e-6);
+        let expected = 1.0 / (1.0 + (-(*m as f64 + (u / (1.0 - u)).ln()) / 0.7).exp());
+        let expected = if *m < 0.0 { 0.0 } else { expected };
+        assert!((*y as f64 - expected).abs() < 1e-4, "m = {m}: {y} is not {expected}");
+    }
+    // Open with probability σ(m): a thousand throws each, three standard deviations.
+    for (k, m) in [0.0, 0.8, 1.6].into_iter().enumerate() {
+        let open = found.iter().skip(k).step_by(4).filter(|y| **y > 0.5).count() as Real / 1000.0;
+        let p = sigmoid(m);
+        assert!((open - p).abs() < 3.0 * (p * (1.0 - p) / 1000.0).sqrt(), "m = {m}: open {open}, expected {p}");
+    }
+}
+
+#[test]
+fn coins_are_thrown_anew_at_every_step_and_the_same_when_a_run_goes_on() {
+    let mask = GumbelMask::default();
+    let logits = [0.5; 50];
+    assert_eq!(gate(&mask, &logits, 9), gate(&mask, &logits, 9));
+    let (a, b) = (gate(&mask, &logits, 9), gate(&mask, &logits, 10));
+    assert!(a.iter().zip(&b).all(|(a, b)| a != b));
+    let other = Moment { seed: 8, ..moment(9, Phase::Densify) };
+    assert_ne!(mask.gate(&Traced::new(&gated(&logits)), &other).unwrap().as_vec(), a);
+}
+
+#[test]
+fn the_derivative_has_its_closed_form() {
+    let mask = GumbelMask { temperature: 0.5, ..GumbelMask::default() };
+    let logits = [0.0, 0.3, 1.0, 2.0, -0.2, 5.0];
+    let traced = Traced::new(&gated(&logits));
+    let gate = mask.gate(&traced, &moment(3, Phase::Prune)).unwrap();
+    let y = gate.as_vec();
+    // Cotangents that differ, so that a mixed-up order would show.
+    let weights: Vec<Real> = (0..logits.len()).map(|i| i as Real - 2.5).collect();
+    let loss: TraceScalar = (gate * traced.constant(weights.clone())).sum();
+    let found = loss.backward().get(traced.leaf(COLUMN)).as_vec();
+    for i in 0..logits.len() {
+        let expected = weights[i] * y[i] * (1.0 - y[i]) / 0.5;
+        assert!((found[i] - expected).abs() < 1e-5, "m = {}: {} is not {expected}", logits[i], found[i]);
+    }
+    assert_eq!(found[4], 0.0, "a shut gate has no derivative from the picture");
+}
+
+#[test]
+fn the_penalty_presses_on_every_gate() {
+    let mask = GumbelMask { lambda: 0.03, ..GumbelMask::default() };
+    let logits = [3.0, 0.0, -0.5, 1.0];
+    let traced = Traced::new(&gated(&logits));
+    let penalty = mask.penalty(&traced, &moment(3, Phase::Prune)).unwrap();
+    assert!((penalty.array() - 0.03 * logits.map(sigmoid).iter().sum::<Real>() / 4.0).abs() < 1e-7);
+    for (found, m) in penalty.backward().get(traced.leaf(COLUMN)).as_vec().iter().zip(logits) {
+        let s = sigmoid(m);
+        assert!((found - 0.03 / 4.0 * s * (1.0 - s)).abs() < 1e-8, "m = {m}: {found}");
+    }
+}
+
+#[test]
+fn what_is_drawn_is_kept_and_what_is_kept_is_drawn() {
+    // At the lowest temperature, where gates fall shut hardest; at the edge, and far from it.
+    let mask = GumbelMask { temperature: 0.2, ..GumbelMask::default() };
+    let near = (-2000..2000).map(|i| i as Real * Real::EPSILON);
+    let logits: Vec<Real> = near.chain([-0.0, 9.0, -9.0, Real::MIN_POSITIVE, -Real::MIN_POSITIVE]).collect();
+    let cloud = gated(&logits);
+    let kept = mask.keep(&cloud, &CloudStats::zeros(cloud.len()), &moment(1, Phase::Prune));
+    assert!(kept.contains(&true) && kept.contains(&false));
+    for step in 1..50 {
+        let drawn: Vec<bool> = gate(&mask, &logits, step).iter().map(|y| *y != 0.0).collect();
+        assert_eq!(drawn, kept, "step {step}");
+    }
+    // The hardest throw that the noise allows.
+    assert!(sigmoid(logistic(0.0) / 0.2) > 0.0 && logistic(1.0).is_finite());
+    assert_eq!(mask.score(&cloud, &CloudStats::zeros(cloud.len())), logits);
+}
+
+#[test]
+fn fine_tuning_has_no_gate_and_keeps_all() {
+    let (mask, cloud) = (GumbelMask::default(), GaussianCloud::zeros(3));
+    let (traced, moment) = (Traced::new(&cloud), moment(9, Phase::Finetune));
+    assert!(mask.gate(&traced, &moment).is_none() && mask.penalty(&traced, &moment).is_none());
+    assert_eq!(mask.keep(&cloud, &CloudStats::zeros(3), &moment), [true; 3]);
+}
+
+#[test]
+fn settings_that_cannot_work_are_refused() {
+    assert!(Plugin::<dyn Pruner>::parse("GumbelMask()").is_ok());
+    for (field, wrong) in [
+        ("lambda", "-0.1"),
+        ("temperature", "0.1"),
+        ("temperature", "NaN"),
+        ("initial_logit", "0.0"),
+        ("initial_logit", "inf"),
+        ("learning_rate", "0"),
+    ] {
+        let why = Plugin::<dyn Pruner>::parse(&format!("GumbelMask({field}: {wrong})")).unwrap_err();
+        assert!(why.contains(&format!("`{field}`")) && why.contains("; give "), "{why}");
+    }
+}
