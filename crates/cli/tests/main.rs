@@ -7,6 +7,7 @@ mod commands;
 mod common;
 mod export;
 mod failure;
+mod my_pruner;
 mod report;
 mod resume;
 mod simulate;

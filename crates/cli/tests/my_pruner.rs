@@ -1,8 +1,4 @@
 //! The plugin of `examples/my-pruner`, outside this workspace: built, tested, and used by name in a sweep.
-#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
-
-mod common;
-
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -28,7 +24,12 @@ fn cargo(example: &Path, command: &str) -> Output {
         cargo.args(["--config", &format!("profile.dev.package.{name}.opt-level=0")]);
     }
     let output = cargo.output().unwrap();
-    assert!(output.status.success(), "cargo {command}: {}{}", common::stdout(&output), common::stderr(&output));
+    assert!(
+        output.status.success(),
+        "cargo {command}: {}{}",
+        crate::common::stdout(&output),
+        crate::common::stderr(&output)
+    );
     output
 }
 
@@ -69,7 +70,7 @@ fn a_plugin_of_ones_own_is_swept_by_name() {
     // Cargo takes the versions from here and writes back what the example needs of them; git ignores the file.
     std::fs::copy(root().join("Cargo.lock"), example.join("Cargo.lock")).unwrap();
     cargo(&example, "build");
-    let tested = common::stdout(&cargo(&example, "test"));
+    let tested = crate::common::stdout(&cargo(&example, "test"));
     assert!(tested.contains("the_derivative_has_its_closed_form ... ok"), "{tested}");
     assert!(tested.contains("gumbel_mask::GumbelMask (line"), "its manual page is tested: {tested}");
 
@@ -78,8 +79,8 @@ fn a_plugin_of_ones_own_is_swept_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let run = |arguments: &[&str]| {
         let output = Command::new(&program).args(arguments).current_dir(folder.path()).output().unwrap();
-        assert!(output.status.success(), "{arguments:?}: {}", common::stderr(&output));
-        common::stdout(&output)
+        assert!(output.status.success(), "{arguments:?}: {}", crate::common::stderr(&output));
+        crate::common::stdout(&output)
     };
     let listed = run(&["plugins", "GumbelMask"]);
     assert!(listed.contains("Pruner (field `pruners`)") && listed.contains("temperature: 0.5"), "{listed}");
