@@ -196,6 +196,11 @@ fn quoted(field: &str) -> String {
 }
 
 impl ScoreTable {
+    /// What the model reached by one metric: the mean over test samples, or the one number.
+    pub fn of_model(&self, key: &str) -> Option<f64> {
+        self.metrics.iter().find(|row| row.key == key)?.cells.first()?.numbers().first().copied()
+    }
+
     /// Aligned text for a terminal: a line for each metric and statistic, a column for each predictor; the best of a
     /// line carries a `*`. Notes follow.
     pub fn to_text(&self) -> String {
@@ -328,6 +333,8 @@ mod tests {
         let text = table.to_text();
         assert!(text.contains("0.6000*") && text.contains("2,613") && text.contains("n/a"), "{text}");
         assert!(text.ends_with("\nnote: k, far has seen the test spectra\n"), "{text}");
+        assert_eq!((table.of_model("ssim"), table.of_model("gaussians")), (Some(0.6), Some(2613.0)));
+        assert_eq!(table.of_model("eta_0db"), None);
         assert_eq!(table.metrics[0].ranks(0), vec![Some(0), Some(1)]);
         assert_eq!(table.metrics[1].ranks(0), vec![Some(0), None]);
         let json = serde_json::to_string(&table).unwrap();

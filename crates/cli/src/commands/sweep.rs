@@ -11,6 +11,7 @@ use crate::progress::Progress;
 use board::Table;
 use pwrfgs::experiment::sweep::{Fate, Plan, State, check, estimate, execute, slurm};
 use pwrfgs_core::{Error, Result};
+use std::collections::BTreeSet;
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;
 
@@ -18,7 +19,7 @@ pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbos
     let plan = Plan::read(&arguments.experiment, &arguments.set, arguments.out.as_deref())?;
     let runs = chosen(&plan, arguments)?;
     if arguments.status {
-        output::result(&table::status(&plan, &runs, &slurm::queued(&plan)));
+        output::result(&table::status(&plan, &runs, &queued_or_note(&plan)));
         return Ok(ExitCode::SUCCESS);
     }
     let threads_there = rayon::current_num_threads();
@@ -41,6 +42,14 @@ pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbos
     }
 }
 
+/// What Slurm has, where it tells; the folders tell all else without it.
+fn queued_or_note(plan: &Plan) -> BTreeSet<String> {
+    slurm::queued(plan).unwrap_or_else(|error| {
+        output::note(&format!("note: {error}"));
+        BTreeSet::new()
+    })
+}
+
 /// The runs that `--shard` or `--only` name; all without them.
 fn chosen(plan: &Plan, arguments: &Sweep) -> Result<Vec<usize>> {
     if let Some(name) = &arguments.only {
@@ -60,7 +69,7 @@ fn here(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Resul
         report::of_sweep(&plan.folder, verbosity)?;
     }
     let failed = ends.iter().filter(|(_, fate)| matches!(fate, Fate::Failed(_))).count();
-    output::result(&table::status(plan, runs, &slurm::queued(plan)));
+    output::result(&table::status(plan, runs, &queued_or_note(plan)));
     if failed > 0 {
         output::note(&format!(
             "{failed} of {} runs failed; the reasons stand above and in {}; the same command tries them again",
@@ -90,7 +99,7 @@ fn dry_run(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Re
 
 /// Hands the runs to Slurm that are neither done, nor at work, nor in its queue already.
 fn submit(plan: &Plan, open: &[usize], arguments: &Sweep, threads: Option<usize>) -> Result<ExitCode> {
-    let queued = slurm::queued(plan);
+    let queued = slurm::queued(plan)?;
     let free =
         |run: &usize| !queued.contains(&plan.runs[*run].folder) && !matches!(plan.state(*run), State::Running { .. });
     let runs: Vec<usize> = open.iter().copied().filter(free).collect();

@@ -50,8 +50,11 @@ pub fn submit(plan: &Plan, runs: &[usize], command: &[String]) -> Result<(String
     Ok((job, path))
 }
 
-/// The folders of the runs that wait or run in Slurm's queue; none where there is no Slurm.
-pub fn queued(plan: &Plan) -> BTreeSet<String> {
+/// The folders of the runs that wait or run in Slurm's queue; none where nothing was submitted.
+///
+/// # Errors
+/// Where Slurm does not answer: then a run that waits would pass for one that does not.
+pub fn queued(plan: &Plan) -> Result<BTreeSet<String>> {
     let jobs: Vec<(String, Vec<String>)> = submissions(plan)
         .into_iter()
         .filter_map(|(_, own)| {
@@ -59,21 +62,29 @@ pub fn queued(plan: &Plan) -> BTreeSet<String> {
             Some((read(JOB)?.trim().to_owned(), read(RUNS)?.lines().map(str::to_owned).collect()))
         })
         .collect();
-    if jobs.is_empty() {
-        return BTreeSet::new();
-    }
+    let mut names = BTreeSet::new();
     // One call a job: squeue refuses them all where it has forgotten one.
-    let tasks = jobs.iter().flat_map(|(job, runs)| tasks(job).into_iter().filter_map(|task| runs.get(task - 1)));
-    tasks.cloned().collect()
+    for (job, runs) in &jobs {
+        names.extend(tasks(job)?.into_iter().filter_map(|task: usize| runs.get(task.wrapping_sub(1)).cloned()));
+    }
+    Ok(names)
 }
 
 /// Numbers, from 1, of the tasks of `job` that wait or run.
-fn tasks(job: &str) -> Vec<usize> {
+fn tasks(job: &str) -> Result<Vec<usize>> {
     // Without those that are completing: they have ended, and only their processes are cleared away.
     let states = "--states=PENDING,CONFIGURING,RUNNING,SUSPENDED";
-    let squeue = Command::new("squeue").args(["--noheader", "--array", "--format=%K", states, "--jobs", job]).output();
-    let Some(output) = squeue.ok().filter(|o| o.status.success()) else { return Vec::new() };
-    String::from_utf8_lossy(&output.stdout).lines().filter_map(|l| l.trim().parse().ok()).filter(|n| *n > 0).collect()
+    let output = Command::new("squeue")
+        .args(["--noheader", "--array", "--format=%K", states, "--jobs", job])
+        .output()
+        .map_err(|e| Error::Config(format!("cannot call squeue ({e}); go to a machine where Slurm is")))?;
+    let said = String::from_utf8_lossy(&output.stderr);
+    // What it has forgotten has ended some minutes ago.
+    if !output.status.success() && !said.contains("Invalid job id") {
+        return Err(Error::Config(format!("Slurm does not tell what waits in its queue: {}; try again", said.trim())));
+    }
+    let numbers = String::from_utf8_lossy(&output.stdout).lines().filter_map(|l| l.trim().parse().ok()).collect();
+    Ok(numbers)
 }
 
 /// Earlier submissions by number.

@@ -41,10 +41,7 @@ impl<'a> Table<'a> {
         match fate {
             Fate::Finished { already: true, .. } => format!("{name}: finished before"),
             Fate::Finished { scores, .. } => {
-                let score = |key: &str| {
-                    let row = scores.metrics.iter().find(|row| row.key == key)?;
-                    row.cells.first()?.numbers().first().map(|value| format!("  {key} {}", number(*value)))
-                };
+                let score = |key| scores.of_model(key).map(|value| format!("  {key} {}", number(value)));
                 let time = match self.plan.state(run) {
                     State::Finished(end) => format!("  {}", duration(end.1.wall_seconds)),
                     _ => String::new(),

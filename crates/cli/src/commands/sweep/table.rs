@@ -1,7 +1,7 @@
 //! The runs of a sweep as aligned text.
 
 use pwrfgs::experiment::clock::duration;
-use pwrfgs::experiment::scores::{ScoreTable, grouped, number};
+use pwrfgs::experiment::scores::{grouped, number};
 use pwrfgs::experiment::sweep::{Plan, State};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -26,7 +26,7 @@ pub(super) fn status(plan: &Plan, runs: &[usize], queued: &BTreeSet<String>) -> 
             State::Finished(end) => {
                 finished += 1;
                 let (scores, facts) = *end;
-                let score = |key| first(&scores, key).map_or_else(|| "n/a".into(), number);
+                let score = |key| scores.of_model(key).map_or_else(|| "n/a".into(), number);
                 line[1] = "finished".into();
                 (line[2], line[3]) = (of(facts.steps), grouped(facts.gaussians as i64));
                 (line[4], line[5], line[6]) = (score("ssim"), score("eta_0db"), duration(facts.wall_seconds));
@@ -64,11 +64,6 @@ pub(super) fn plan(plan: &Plan, runs: &[usize], seconds: &[f64], jobs: usize) ->
         duration(all)
     );
     text
-}
-
-/// The model's mean of a metric.
-fn first(scores: &ScoreTable, key: &str) -> Option<f64> {
-    scores.metrics.iter().find(|row| row.key == key)?.cells.first()?.numbers().first().copied()
 }
 
 /// Columns of equal width, two blanks between them; numbers stand at the right.
