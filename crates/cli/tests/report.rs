@@ -151,7 +151,8 @@ fn replaced(here: &Path, arguments: &[&str], out: &Path, first: &BTreeMap<String
 fn wrong_input_is_refused(here: &Path) {
     refuse(here, &["report", "runs/whole-0", "--reference", "3-nm"], 2, &["`3-nm`", "did you mean `3-NN`?"]);
     refuse(here, &["report", "runs"], 2, &["runs holds neither a run", "pwrfgs sweep"]);
-    refuse(here, &["report", "nowhere"], 2, &["nowhere"]);
+    refuse(here, &["report", "nowhere"], 2, &["nowhere holds neither a run"]);
+    refuse(here, &["report", "small.ron"], 2, &["small.ron holds neither a run"]);
     refuse(here, &["report", "runs/begun"], 2, &["none of these 1 runs has finished"]);
     refuse(here, &["report"], 2, &["RUNS"]);
     write(&here.join("thesis/chapter.tex"), "mine");

@@ -16,7 +16,7 @@ mod record;
 mod statistics;
 mod tables;
 
-pub use output::{Options, check, write};
+pub use output::{Options, write};
 pub use record::{Record, Score};
 
 use crate::folder::PIPELINE;
@@ -69,7 +69,8 @@ impl Study {
         let mut titles: Vec<String> = Vec::new();
         let (mut records, mut alone) = (Vec::new(), Vec::new());
         for folder in folders {
-            if let Some(listing) = Listing::read(folder)? {
+            let listing = if folder.is_dir() { Listing::read(folder)? } else { None };
+            if let Some(listing) = listing {
                 // Two sweeps of one name, on two days say, are two things.
                 let taken = titles.contains(&listing.name);
                 let name = if taken { folder.display().to_string() } else { listing.name };

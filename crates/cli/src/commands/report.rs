@@ -13,7 +13,6 @@ const FOLDER: &str = "report";
 
 pub(crate) fn report(arguments: &Report, verbosity: Verbosity) -> Result<ExitCode> {
     let out = arguments.out.clone().unwrap_or_else(|| arguments.runs[0].join(FOLDER));
-    study::check(&out)?;
     compare(&arguments.runs, &Options { reference: arguments.reference.clone() }, &out, verbosity)?;
     Ok(ExitCode::SUCCESS)
 }

@@ -34,14 +34,6 @@ struct Owned {
     files: BTreeSet<String>,
 }
 
-/// Refuses a folder that a report must not be written to.
-///
-/// # Errors
-/// It is no folder, or holds files and none of them says that a report made them.
-pub fn check(out: &Path) -> Result<()> {
-    owned(out).map(|_| ())
-}
-
 /// Writes the report of a study into `out`: `report.md`, `report.csv`, `report.tex` with `tables/`, `report.html` and
 /// `figures/`. Gives the tables as text for a terminal.
 ///
@@ -101,7 +93,8 @@ fn files(study: &Study, page: &Page) -> Result<Vec<(String, Vec<u8>)>> {
     Ok(files)
 }
 
-/// The list in `out`; an empty one where there is nothing yet.
+/// The list in `out`; an empty one where there is nothing yet. Refuses what is no folder, or holds files of which none
+/// says that a report made them.
 fn owned(out: &Path) -> Result<Owned> {
     if out.exists() && !out.is_dir() {
         return Err(Error::Config(format!("{} is no folder; choose another --out", out.display())));
@@ -164,14 +157,14 @@ mod tests {
     #[test]
     fn a_folder_of_something_else_is_refused() {
         let folder = tempfile::tempdir().unwrap();
-        check(folder.path()).unwrap();
-        check(&folder.path().join("missing")).unwrap();
+        owned(folder.path()).unwrap();
+        owned(&folder.path().join("missing")).unwrap();
         std::fs::write(folder.path().join("thesis.tex"), "x").unwrap();
-        let said = check(folder.path()).unwrap_err();
+        let said = owned(folder.path()).unwrap_err();
         assert!(said.is_input() && said.to_string().contains("`thesis.tex`"), "{said}");
-        assert!(check(&folder.path().join("thesis.tex")).unwrap_err().is_input());
+        assert!(owned(&folder.path().join("thesis.tex")).unwrap_err().is_input());
         own(folder.path(), BTreeSet::from(["report.md".into()])).unwrap();
-        check(folder.path()).unwrap();
+        owned(folder.path()).unwrap();
     }
 
     #[test]
@@ -179,7 +172,7 @@ mod tests {
         for name in ["../../precious", "/etc/hosts", "tables/../../a.tex", "figures/x.pdf", "notes.md"] {
             let folder = tempfile::tempdir().unwrap();
             own(folder.path(), BTreeSet::from([name.to_owned()])).unwrap();
-            assert!(check(folder.path()).unwrap_err().is_input(), "{name}");
+            assert!(owned(folder.path()).unwrap_err().is_input(), "{name}");
         }
         assert!(is_ours("figures/1-ssim.svg") && is_ours("tables/2-scores.tex") && is_ours("report.csv"));
     }

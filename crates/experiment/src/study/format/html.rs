@@ -3,10 +3,15 @@
 use super::super::page::{Page, RunLine, Section};
 use super::super::tables::{Column, Line, Table};
 use crate::report::environment;
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use minijinja::context;
 use minijinja::value::Serde;
 use pwrfgs_core::{Error, Result};
 use serde::Serialize;
+
+/// A figure that was drawn wider takes the whole page.
+const COLUMN_MM: f64 = 120.0;
 
 const TEMPLATE: &str = include_str!("../page.html");
 
@@ -41,8 +46,9 @@ struct ShownTable<'a> {
 struct ShownFigure<'a> {
     title: &'a str,
     caption: &'a str,
-    svg: &'a str,
-    /// Too wide for half the page.
+    /// As an address that holds it all.
+    source: String,
+    /// Drawn for more than a column.
     wide: bool,
 }
 
@@ -71,7 +77,12 @@ fn section(section: &Section) -> Shown<'_> {
         figures: section
             .figures
             .iter()
-            .map(|f| ShownFigure { title: &f.title, caption: &f.caption, svg: inner(&f.svg), wide: is_wide(&f.svg) })
+            .map(|f| ShownFigure {
+                title: &f.title,
+                caption: &f.caption,
+                source: inside(&f.svg),
+                wide: super::width_mm(&f.svg).is_none_or(|width| width > COLUMN_MM),
+            })
             .collect(),
         runs: &section.runs,
         notes: &section.notes,
@@ -91,14 +102,7 @@ fn table<'a>(table: &'a Table, legend: Vec<&'a str>) -> ShownTable<'a> {
     }
 }
 
-/// Whether the picture is much wider than high, or has no `viewBox` to tell.
-fn is_wide(svg: &str) -> bool {
-    let sizes = svg.split_once("viewBox=\"").and_then(|(_, rest)| rest.split_once('"')).map(|(box_, _)| box_);
-    let sizes: Vec<f64> = sizes.unwrap_or("").split([' ', ',']).filter_map(|n| n.parse().ok()).collect();
-    !matches!(sizes[..], [_, _, width, height] if width < 2.0 * height)
-}
-
-/// An SVG file from its first element on: a page has no place for an XML declaration.
-fn inner(svg: &str) -> &str {
-    svg.find("<svg").map_or(svg, |start| &svg[start..])
+/// A picture inside the page. As an image of its own: ids in one SVG do not meet those in another.
+fn inside(svg: &str) -> String {
+    format!("data:image/svg+xml;base64,{}", STANDARD.encode(svg))
 }

@@ -45,10 +45,13 @@ fn of_section(section: &Section) -> String {
         _ = writeln!(out, "\\input{{tables/{}-{}}}", section.name, table.name);
     }
     for figure in &section.figures {
+        // As wide as it was drawn, where there is room.
+        let drawn = super::width_mm(&figure.svg).unwrap_or(1e3);
         _ = write!(
             out,
-            "\\begin{{figure}}[htbp]\n\\centering\n\\includegraphics[width=\\linewidth,height=.8\\textheight,\
-             keepaspectratio]{{figures/{0}-{1}.png}}\n\\caption{{{2}. {3}}}\n\\label{{fig:{0}-{1}}}\n\\end{{figure}}\n",
+            "\\begin{{figure}}[htbp]\n\\centering\n\\includegraphics[width=\\dimexpr\\ifdim{drawn}mm>\\linewidth\\linewidth\
+             \\else{drawn}mm\\fi\\relax,height=.8\\textheight,keepaspectratio]{{figures/{0}-{1}.png}}\n\
+             \\caption{{{2}. {3}}}\n\\label{{fig:{0}-{1}}}\n\\end{{figure}}\n",
             section.name,
             figure.name,
             escaped(&figure.title),

@@ -61,7 +61,7 @@ pub(super) fn fixed(value: f64, decimals: usize) -> String {
     let two_digits = (1.0 - value.abs().log10().floor()).clamp(0.0, 99.0) as usize;
     let is_short = (value.fract() == 0.0 && decimals == 0) || two_digits > 6;
     let text = format!("{:.*}", if is_short { decimals } else { decimals.max(two_digits) }, value.abs());
-    let text = if decimals == 0 && value.abs() >= 1e4 { grouped(value.abs().round() as i64) } else { text };
+    let text = if decimals == 0 && value.abs() >= 1e3 { grouped(value.abs().round() as i64) } else { text };
     // What is rounded to 0 has no sign.
     let negative = value < 0.0 && text.bytes().any(|b| (b'1'..=b'9').contains(&b));
     if negative { format!("−{text}") } else { text }
@@ -80,7 +80,10 @@ fn column(rows: &[Row<'_>], wanted: Wanted<'_>, ranked: bool) -> Option<(Column,
         let Some(Spread { mean, deviation, .. }) = *spread else { return Shown::default() };
         let value = fixed(mean * factor, decimals);
         let places = value.rsplit_once('.').map_or(0, |(_, places)| places.len());
-        let deviation = deviation.map_or_else(String::new, |d| format!("{:.places$}", d * factor));
+        let deviation = deviation.map(|d| d * factor).map_or_else(String::new, |d| match places {
+            0 => grouped(d.round() as i64),
+            _ => format!("{d:.places$}"),
+        });
         Shown { value, deviation, ..Shown::default() }
     };
     let mut cells: Vec<Shown> = spreads.iter().map(shown).collect();
@@ -152,7 +155,7 @@ mod tests {
             (0.0, 3),
         ];
         let found = all.map(|(value, decimals)| fixed(value, decimals));
-        assert_eq!(found, ["0.801", "0.0035", "12", "8.7", "8", "12,346", "−0.25", "0.000", "0.000"]);
+        assert_eq!(found, ["0.801", "0.0035", "12", "8.7", "8", "1,235", "−0.25", "0.000", "0.000"]);
         assert_eq!([f64::INFINITY, f64::NEG_INFINITY].map(|v| fixed(v, 3)), ["∞", "−∞"]);
     }
 
