@@ -11,7 +11,7 @@ use crate::study::{Record, Setting};
 use pwrfgs_core::Result;
 
 /// Test samples in a bin, and bins at most.
-const PER_BIN: usize = 20;
+const PER_BIN: usize = 10;
 const MOST_BINS: usize = 8;
 /// With more variants than this the bands of quartiles would cover each other.
 const MOST_BANDS: usize = 4;

@@ -1,5 +1,6 @@
 //! Time of a prediction by stage: stacked bars.
 
+use super::sheet::wrapped;
 use super::{Figure, Sheet, looks, runs, seeds, source};
 use crate::draw::charts::text_width;
 use crate::draw::ticks::ticks;
@@ -17,8 +18,9 @@ const STAGES: [(&str, &str); 4] = [
 ];
 const TOTAL: &str = "latency_total_ms";
 
-/// Height of a row and of its bar.
-const ROW: f64 = 22.0;
+/// Height of a row, of every further line of its name, and of its bar.
+const ROW: f64 = 21.0;
+const FURTHER: f64 = 12.0;
 const BAR: f64 = 13.0;
 /// Names of variants take so much at most.
 const NAMES: f64 = 130.0;
@@ -78,23 +80,24 @@ fn machines(setting: &Setting) -> String {
 
 fn draw(bars: &[Bar<'_>], longest: f64) -> Sheet {
     let mut sheet = Sheet::column();
-    let names = bars.iter().map(|b| f64::from(text_width(b.label))).fold(0.0, f64::max).min(NAMES);
+    let labels: Vec<Vec<String>> = bars.iter().map(|b| wrapped(b.label, NAMES)).collect();
+    let names = labels.iter().flatten().map(|line| f64::from(text_width(line))).fold(0.0, f64::max);
+    let row = ROW + FURTHER * (labels.iter().map(Vec::len).max().unwrap_or(1) as f64 - 1.0);
     let (left, top) = (names + 12.0, 6.0);
     let ends = bars.iter().map(|b| f64::from(text_width(&b.end()))).fold(0.0, f64::max);
     let width = sheet.width - left - ends - 10.0;
-    let bottom = top + ROW * bars.len() as f64;
+    let bottom = top + row * bars.len() as f64;
     let x = |ms: f64| left + width * ms / longest;
     let apart = |all: &[(f64, String)]| {
         all.windows(2).all(|w| x(w[1].0) - x(w[0].0) > f64::from(text_width(&w[0].1) + text_width(&w[1].1)) / 2.0 + 8.0)
     };
     for (ms, label) in ticks((0.0, longest), false, &apart) {
-        sheet.line([x(ms), top], [x(ms), bottom], "#dee0e5");
         sheet.line([x(ms), bottom], [x(ms), bottom + 4.0], "#464a52");
         sheet.text([x(ms), bottom + 16.0], "middle", &label);
     }
     for (k, bar) in bars.iter().enumerate() {
-        let y = top + ROW * (k as f64 + 0.5);
-        sheet.text_within([left - 6.0, y + 4.0], "end", bar.label, names);
+        let y = top + row * (k as f64 + 0.5);
+        sheet.lines([left - 6.0, y], "end", &labels[k]);
         let mut begun = 0.0;
         for (stage, ms) in bar.stages.iter().enumerate() {
             sheet.rect([x(begun), y - BAR / 2.0], [x(begun + ms) - x(begun), BAR], looks::SHADES[stage]);
@@ -120,8 +123,12 @@ impl Bar<'_> {
     /// What stands at its end.
     fn end(&self) -> String {
         match self.total.deviation {
-            Some(deviation) => format!("{} ± {}", number(self.total.mean), number(deviation)),
-            None => number(self.total.mean),
+            // Two digits of the deviation, and as many of the mean.
+            Some(deviation) if deviation > 0.0 => {
+                let decimals = (1.0 - deviation.log10().floor()).clamp(0.0, 6.0) as usize;
+                format!("{:.decimals$} ± {deviation:.decimals$}", self.total.mean)
+            }
+            _ => number(self.total.mean),
         }
     }
 }

@@ -42,7 +42,7 @@ pub(super) fn floor(k: usize) -> Style {
 
 /// Published points.
 pub(super) fn published() -> Style {
-    Style { marker: Some(Marker::Circle), hollow: true, ..Style::line(GREY, 1, Stroke::None) }
+    Style { marker: Some(Marker::Star), hollow: true, ..Style::line(GREY, 1, Stroke::None) }
 }
 
 /// The line that joins variants.

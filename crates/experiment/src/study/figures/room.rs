@@ -1,6 +1,7 @@
 //! Gaussians over the scene's point cloud with their Chamfer distances: figure 3 of the paper.
 
 use super::loaded::Loaded;
+use super::sheet::{LINE, TEXT, wrapped};
 use super::{Figure, Sheet, source};
 use crate::draw::charts::text_width;
 use crate::draw::room::{Panel, Room, Symbol};
@@ -10,9 +11,6 @@ use pwrfgs_core::Result;
 
 /// At most so many variants are shown.
 const MOST: usize = 6;
-/// Height of text on the page, and of a line of it.
-const TEXT: f64 = 11.3;
-const LINE: f64 = 14.0;
 /// Width of a panel before scaling.
 const WIDTH: f64 = 380.0;
 
@@ -57,14 +55,19 @@ pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure
 /// Draws panels beside each other, each with its name above and numbers below; returns where the row ends.
 fn draw_row(sheet: &mut Sheet, row: &[Panel], width: f64, top: f64) -> f64 {
     let mut bottom = top;
+    let names: Vec<Vec<String>> = row.iter().map(|panel| wrapped(&panel.title, width - 10.0)).collect();
+    let head = LINE * names.iter().map(Vec::len).max().unwrap_or(1) as f64 + 4.0;
     for (k, panel) in row.iter().enumerate() {
         let (left, middle) = (k as f64 * width, (k as f64 + 0.5) * width);
-        sheet.text_within([middle, top + LINE], "middle", &panel.title, width - 10.0);
-        sheet.piece([left, top + LINE + 4.0], width / WIDTH, inside(&panel.svg));
-        let mut y = top + LINE + 4.0 + panel.height * width / WIDTH;
+        sheet.lines([middle, top + head / 2.0], "middle", &names[k]);
+        sheet.piece([left, top + head], width / WIDTH, inside(&panel.svg));
+        // The numbers of the axes leave room below.
+        let mut y = top + head + panel.height * width / WIDTH - 8.0;
         for line in [&panel.numbers, &panel.caption].into_iter().filter(|line| !line.is_empty()) {
-            y += LINE;
-            sheet.text_within([middle, y], "middle", line, width - 6.0);
+            for line in wrapped(line, width - 6.0) {
+                y += LINE;
+                sheet.text([middle, y], "middle", &line);
+            }
         }
         bottom = f64::max(bottom, y + 8.0);
     }
@@ -73,7 +76,7 @@ fn draw_row(sheet: &mut Sheet, row: &[Panel], width: f64, top: f64) -> f64 {
 
 /// Draws symbols with their meaning, in as many lines as they need; returns where the last ends.
 fn draw_legend(sheet: &mut Sheet, symbols: &[Symbol], top: f64) -> f64 {
-    let width = |s: &Symbol| f64::from(s.width + text_width(s.meaning)) + 22.0;
+    let width = |s: &Symbol| f64::from(s.width + text_width(s.meaning)) + 15.0;
     let mut lines: Vec<Vec<&Symbol>> = vec![Vec::new()];
     for symbol in symbols {
         let line = lines.last_mut().expect("there is one at least");
@@ -85,7 +88,7 @@ fn draw_legend(sheet: &mut Sheet, symbols: &[Symbol], top: f64) -> f64 {
     }
     let mut y = top;
     for line in &lines {
-        let mut x = (sheet.width - line.iter().map(|s| width(s)).sum::<f64>()) / 2.0 + 8.0;
+        let mut x = (sheet.width - line.iter().map(|s| width(s)).sum::<f64>()) / 2.0 + 5.0;
         for symbol in line {
             sheet.piece([x, y], 1.0, &symbol.inner);
             sheet.text([x + f64::from(symbol.width) + 5.0, y + 11.0], "start", symbol.meaning);

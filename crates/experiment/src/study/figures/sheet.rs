@@ -4,7 +4,9 @@ use crate::draw::charts::text_width;
 use std::fmt::Write as _;
 
 /// Height of text: that of charts, whose library writes 14 as 14/1.24.
-const TEXT: f64 = 11.3;
+pub(super) const TEXT: f64 = 11.3;
+/// Height of a line of text.
+pub(super) const LINE: f64 = 14.0;
 
 /// A picture under construction; lengths in SVG units, 380 to a column.
 #[derive(Clone, Debug)]
@@ -66,9 +68,12 @@ impl Sheet {
         _ = write!(self.body, "<text x=\"{x:.2}\" y=\"{y:.2}\" text-anchor=\"{anchor}\">{text}</text>");
     }
 
-    /// The same, cut so that it is not wider than `width`.
-    pub(super) fn text_within(&mut self, at: [f64; 2], anchor: &str, text: &str, width: f64) {
-        self.text(at, anchor, &cut(text, width));
+    /// Lines of text, the middle of all of them at the height of `at`.
+    pub(super) fn lines(&mut self, [x, y]: [f64; 2], anchor: &str, lines: &[String]) {
+        let first = y + 0.35 * TEXT - LINE * (lines.len() as f64 - 1.0) / 2.0;
+        for (k, line) in lines.iter().enumerate() {
+            self.text([x, first + LINE * k as f64], anchor, line);
+        }
     }
 
     /// Text that reads upwards, its middle at a place.
@@ -92,14 +97,27 @@ fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
-/// The longest beginning of `text` that fits, with an ellipsis where it is cut.
+/// `text` in lines no wider than `width`, broken after its commas; what is too long even then is cut.
+pub(super) fn wrapped(text: &str, width: f64) -> Vec<String> {
+    let fits = |line: &str| f64::from(text_width(line)) <= width;
+    let mut lines: Vec<String> = Vec::new();
+    for part in text.split_inclusive(", ") {
+        match lines.last_mut() {
+            Some(line) if fits((line.clone() + part).trim_end()) => line.push_str(part),
+            _ => lines.push(part.to_owned()),
+        }
+    }
+    lines.iter().map(|line| cut(line.trim_end(), width)).collect()
+}
+
+/// The longest beginning of `text` that fits, with two dots where it is cut.
 fn cut(text: &str, width: f64) -> String {
     if f64::from(text_width(text)) <= width {
         return text.to_owned();
     }
     let letters: Vec<char> = text.chars().collect();
-    let short = |n: usize| letters[..n].iter().collect::<String>().trim_end().to_owned() + "…";
-    (1..letters.len()).rev().map(short).find(|s| f64::from(text_width(s)) <= width).unwrap_or_else(|| "…".into())
+    let short = |n: usize| letters[..n].iter().collect::<String>().trim_end().to_owned() + "..";
+    (1..letters.len()).rev().map(short).find(|s| f64::from(text_width(s)) <= width).unwrap_or_else(|| "..".into())
 }
 
 #[cfg(test)]
@@ -110,8 +128,10 @@ mod tests {
     fn long_names_are_cut_and_signs_escaped() {
         assert_eq!(cut("lambda 0.02", 500.0), "lambda 0.02");
         let short = cut("an initializer with a very long name", 90.0);
-        assert!(short.starts_with("an init") && short.ends_with('…') && text_width(&short) <= 90, "{short}");
-        assert_eq!(cut("anything", 1.0), "…");
+        assert!(short.starts_with("an init") && short.ends_with("..") && text_width(&short) <= 90, "{short}");
+        assert_eq!(cut("anything", 1.0), "..");
+        assert_eq!(wrapped("init cloud, lambda 0.02", 120.0), ["init cloud,", "lambda 0.02"]);
+        assert_eq!(wrapped("init cloud, lambda 0.02", 500.0), ["init cloud, lambda 0.02"]);
         let mut sheet = Sheet::column();
         sheet.text([0.0, 0.0], "start", "N < 5 & more");
         assert!(sheet.svg().contains("N &lt; 5 &amp; more"));

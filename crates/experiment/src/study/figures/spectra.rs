@@ -1,6 +1,7 @@
 //! Spectra side by side, as measured and as each variant predicts them: figure 4 of the paper.
 
 use super::loaded::Loaded;
+use super::sheet::{LINE, wrapped};
 use super::{Figure, Sheet, source};
 use crate::draw::spectra::{Ruler, Scale, pixels, rulers};
 use crate::scores::MODEL;
@@ -14,7 +15,6 @@ const MOST: usize = 5;
 const LEFT: f64 = 94.0;
 /// Between panels.
 const GAP: f64 = 11.0;
-const LINE: f64 = 14.0;
 /// No panel is wider.
 const WIDEST: f64 = 220.0;
 const INK: &str = "#464a52";
@@ -78,10 +78,13 @@ fn draw(variants: &[Variant], rows: &[Row], plane: &ImagePlane) -> Sheet {
     let height = (width * plane.height as f64 / plane.width as f64).min(width);
     let left = LEFT + columns as f64 * (room - width) / 2.0;
     let x = |column: usize| left + column as f64 * (width + GAP);
-    for (k, name) in std::iter::once("ground truth").chain(variants.iter().map(|v| v.label.as_str())).enumerate() {
-        sheet.text_within([x(k) + width / 2.0, LINE], "middle", name, width + GAP - 2.0);
+    let names = std::iter::once("ground truth").chain(variants.iter().map(|v| v.label.as_str()));
+    let names: Vec<Vec<String>> = names.map(|name| wrapped(name, width + GAP - 2.0)).collect();
+    let head = LINE * names.iter().map(Vec::len).max().unwrap_or(1) as f64 + 4.0;
+    for (k, name) in names.iter().enumerate() {
+        sheet.lines([x(k) + width / 2.0, head - 3.0 - LINE * name.len() as f64 / 2.0], "middle", name);
     }
-    let mut top = LINE + 6.0;
+    let mut top = head;
     for (k, row) in rows.iter().enumerate() {
         let bottom = top + height;
         let is_last = k + 1 == rows.len();
@@ -104,7 +107,7 @@ fn draw(variants: &[Variant], rows: &[Row], plane: &ImagePlane) -> Sheet {
     }
     let names = if plane.angles.is_some() { ("azimuth", "elevation") } else { ("column", "row") };
     sheet.text([x(0) + width / 2.0, top - 8.0], "middle", names.0);
-    let upright_at = [left - 34.0, (LINE + 6.0 + top - 2.0 * LINE - 10.0) / 2.0];
+    let upright_at = [left - 34.0, f64::midpoint(head, top - 2.0 * LINE - 10.0)];
     sheet.upright(upright_at, names.1);
     draw_bar(&mut sheet, top + 4.0);
     sheet.height = top + 30.0;

@@ -48,7 +48,7 @@ fn figure(setting: &Setting, score: &Score) -> Result<Option<Figure>> {
     let caption = format!(
         "{} on the test part against the number of Gaussians N. Marks are means over {}, bars plus and minus one \
          standard deviation over seeds; a grey line joins variants whose names differ in numbers alone. Dashed: the \
-         baselines, which have no Gaussians. Hollow grey circles: what the paper on P-WRFGS publishes for the measured \
+         baselines, which have no Gaussians. Hollow grey stars: what the paper on P-WRFGS publishes for the measured \
          set s23 with its random split and 200,000 steps, for reference alone. {}",
         uppercase(score.axis),
         seeds(setting),
