@@ -107,29 +107,37 @@ fn parts(key: &str) -> impl Iterator<Item = &str> {
     key.split(['(', ')', '\n']).flat_map(|part| part.split(", ")).filter(|part| !part.is_empty())
 }
 
-/// Groups the runs of one setting; axes whose label is the same for all are left out of the names.
+/// Groups the runs of one setting by what was run, whatever it is called; a seed that comes twice is the same run.
 fn variants(group: Vec<(Labels, Record)>) -> Vec<Variant> {
-    let first = group[0].0.clone();
-    let varies: Vec<String> = first
-        .iter()
-        .enumerate()
-        .filter(|(k, label)| group.iter().any(|(labels, _)| labels.get(*k) != Some(label)))
-        .map(|(_, (axis, _))| axis.clone())
-        .collect();
-    let mut all: Vec<Variant> = Vec::new();
+    let mut all: Vec<(String, Labels, Vec<Record>)> = Vec::new();
     for (labels, record) in group {
-        let words = labels.iter().filter(|(axis, _)| varies.is_empty() || varies.contains(axis));
-        let words: Vec<String> = words.map(|(axis, label)| format!("{axis} {label}").trim().to_owned()).collect();
-        let label = words.join(", ");
-        match all.iter_mut().find(|v| v.label == label) {
-            Some(variant) => variant.runs.push(record),
-            None => all.push(Variant { label, runs: vec![record] }),
+        let key = record.variant_key();
+        match all.iter_mut().find(|(known, ..)| *known == key) {
+            Some((.., runs)) if runs.iter().any(|r| r.facts.seed == record.facts.seed) => {}
+            Some((.., runs)) => runs.push(record),
+            None => all.push((key, labels, vec![record])),
         }
     }
-    for variant in &mut all {
-        variant.runs.sort_by_key(|r| r.facts.seed);
-    }
-    all
+    let names = names(&all.iter().map(|(_, labels, _)| labels).collect::<Vec<_>>());
+    let variant = |((_, _, mut runs), label): ((String, Labels, Vec<Record>), String)| {
+        runs.sort_by_key(|r| r.facts.seed);
+        Variant { label, runs }
+    };
+    all.into_iter().zip(names).map(variant).collect()
+}
+
+/// A name for each variant: the axes on which the variants differ, and the sweep where that is not enough.
+fn names(variants: &[&Labels]) -> Vec<String> {
+    let of = |labels: &Labels, axis: &str| labels.iter().find(|(a, _)| a == axis).map(|(_, label)| label.clone());
+    let differ = |axis: &str| variants.iter().any(|labels| of(labels, axis) != of(variants[0], axis));
+    let name = |labels: &Labels, wanted: &dyn Fn(&str) -> bool| {
+        let words = labels.iter().filter(|(axis, _)| wanted(axis));
+        words.map(|(axis, label)| format!("{axis} {label}").trim().to_owned()).collect::<Vec<_>>().join(", ")
+    };
+    // The sweep has no axis of its own.
+    let short: Vec<String> = variants.iter().map(|l| name(l, &|axis| !axis.is_empty() && differ(axis))).collect();
+    let clear = |k: usize| !short[k].is_empty() && short.iter().filter(|other| **other == short[k]).count() == 1;
+    (0..short.len()).map(|k| if clear(k) { short[k].clone() } else { name(variants[k], &|_| true) }).collect()
 }
 
 #[cfg(test)]
@@ -149,6 +157,23 @@ mod tests {
         tell_apart(&mut found);
         let titles = found.map(|(_, setting)| setting.title);
         assert_eq!(titles, ["office; samples: 200", "office; samples: 1000", "office; Random(test: 0.2)"]);
+    }
+
+    #[test]
+    fn variants_are_named_by_what_they_differ_in() {
+        let labels = |all: &[(&str, &str)]| all.iter().map(|(a, l)| ((*a).to_owned(), (*l).to_owned())).collect();
+        let of = |all: &[&[(&str, &str)]]| {
+            let all: Vec<Labels> = all.iter().map(|l| labels(l)).collect();
+            names(&all.iter().collect::<Vec<_>>())
+        };
+        let (lambda, epsilon) = (("", "lambda"), ("", "epsilon"));
+        let two = of(&[&[lambda, ("lambda", "0")], &[lambda, ("lambda", "1")], &[epsilon, ("epsilon", "0.1")]]);
+        assert_eq!(two, ["lambda 0", "lambda 1", "epsilon 0.1"]);
+        let axes = of(&[&[("a", "x"), ("b", "1"), ("c", "z")], &[("a", "y"), ("b", "1"), ("c", "z")]]);
+        assert_eq!(axes, ["a x", "a y"]);
+        let twins = of(&[&[("", "p"), ("a", "x")], &[("", "q"), ("a", "x")], &[("", "q"), ("a", "y")]]);
+        assert_eq!(twins, ["p, a x", "q, a x", "a y"]);
+        assert_eq!(of(&[&[("a", "x")]]), ["a x"]);
     }
 
     #[test]
