@@ -11,8 +11,9 @@ const ROW: u32 = 17;
 /// Length of a sample of a line, and from its begin to the name.
 const SAMPLE: u32 = 24;
 const INDENT: u32 = 29;
-/// Between two columns.
+/// Between two columns, and at both sides.
 const GAP: u32 = 12;
+const MARGIN: u32 = 4;
 
 /// The legend of a chart.
 pub(super) struct Legend<'a> {
@@ -36,9 +37,9 @@ impl<'a> Legend<'a> {
         };
         let whole = |columns: &[u32]| columns.iter().map(|w| w + GAP).sum::<u32>().saturating_sub(GAP);
         let most = entries.len().max(1);
-        let rows = (1..most).find(|rows| whole(&columns(*rows)) <= width).unwrap_or(most);
+        let rows = (1..most).find(|rows| whole(&columns(*rows)) + 2 * MARGIN <= width).unwrap_or(most);
         let widths = columns(rows);
-        let mut x = width.saturating_sub(whole(&widths)) / 2;
+        let mut x = (width.saturating_sub(whole(&widths)) / 2).max(MARGIN);
         let begin = |w: &u32| {
             x += w + GAP;
             x - w - GAP
@@ -91,7 +92,7 @@ mod tests {
         assert!((2..=3).contains(&legend.rows), "{} rows", legend.rows);
         assert!(legend.columns.windows(2).all(|w| w[0] < w[1]));
         let long = vec![line(&"a very long name ".repeat(9)); 3];
-        assert_eq!(Legend::new(&long, 380).columns, [0]);
+        assert_eq!(Legend::new(&long, 380).columns, [MARGIN]);
         assert_eq!(Legend::new(&[], 380).height(), 0);
     }
 }

@@ -163,7 +163,7 @@ fn draw_bar(sheet: &mut Sheet, top: f64) {
         sheet.line([x, top + 8.0], [x, top + 11.0], INK);
         sheet.text([x, top + 22.0], "middle", &part.to_string());
     }
-    sheet.text([left - 8.0, top + 8.0], "end", "spectrum");
+    sheet.text([left - 8.0, top + 8.0], "end", "spectrum, normalised");
 }
 
 #[cfg(test)]
