@@ -88,6 +88,7 @@ fn one(plan: &Plan, place: usize, board: &dyn Board, stop: &AtomicBool) -> Fate 
     if RunFolder::is_busy(&folder) {
         return Fate::Busy;
     }
+    plan.forget_failure(place);
     let mut observer = board.starts(place);
     // A panic is a broken invariant of one run, a plugin's say; the others have none of it.
     let work = || run(pipeline, Path::new(""), &folder, &mut *observer, stop);
@@ -96,10 +97,7 @@ fn one(plan: &Plan, place: usize, board: &dyn Board, stop: &AtomicBool) -> Fate 
         Err(Error::Config(format!("the program panicked: {}", said.unwrap_or("no message"))))
     });
     match outcome {
-        Ok(Outcome::Finished { scores, already }) => {
-            plan.forget_failure(place);
-            Fate::Finished { scores, already }
-        }
+        Ok(Outcome::Finished { scores, already }) => Fate::Finished { scores, already },
         Ok(Outcome::Interrupted { step }) => Fate::Interrupted { step },
         Err(error) => {
             // The failure itself is reported in any case.
