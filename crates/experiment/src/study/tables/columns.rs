@@ -155,7 +155,7 @@ mod tests {
             (0.0, 3),
         ];
         let found = all.map(|(value, decimals)| fixed(value, decimals));
-        assert_eq!(found, ["0.801", "0.0035", "12", "8.7", "8", "1,235", "−0.25", "0.000", "0.000"]);
+        assert_eq!(found, ["0.801", "0.0035", "12", "8.7", "8", "12,346", "−0.25", "0.000", "0.000"]);
         assert_eq!([f64::INFINITY, f64::NEG_INFINITY].map(|v| fixed(v, 3)), ["∞", "−∞"]);
     }
 
