@@ -13,7 +13,7 @@ pub trait Projector: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
     /// Splats `[N]`, row for row; a Gaussian out of sight has radius 0.
     fn project(&self, primitives: &Primitives, pose: &Pose, plane: &ImagePlane) -> Splats;
 
-    /// Cotangents of the primitives, given those of the splats' `means2d`, `conics` and `opacities`.
+    /// Cotangents of the primitives, given those of the splats' `means2d`, `conics`, `depths` and `opacities`.
     fn project_vjp(
         &self,
         primitives: &Primitives,

@@ -25,6 +25,12 @@ pub trait Rasterizer: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
         Ok(())
     }
 
+    /// Whether it adds up waves: the channels of a transmitter are then the real and the imaginary part of one signal,
+    /// and the readout must take both.
+    fn coherent(&self) -> bool {
+        false
+    }
+
     /// One line for `pwrfgs plugins`.
     fn about(&self) -> &'static str {
         ""
@@ -58,10 +64,11 @@ pub type RenderMemory = Option<std::sync::Arc<dyn std::any::Any + Send + Sync>>;
 /// What [`Rasterizer::backward`] finds.
 #[derive(Clone, Debug)]
 pub struct RenderVjp {
-    /// Cotangents of `means2d`, `conics` and `opacities`; depths and radii carry none and stay 0.
+    /// Cotangents of `means2d`, `conics`, `opacities` and `depths` (0 where depth decides the order only). Radii carry
+    /// none.
     pub splats: Splats,
     /// Cotangents of the signals, `[N, channels]`.
     pub signals: Vec<Real>,
-    /// Sum of blending weights γ·T of each splat over the picture, `[N]`.
+    /// How much of the picture is each splat's, `[N]`: the sum of its blending weights γ·T over the pixels.
     pub weights: Vec<Real>,
 }

@@ -120,7 +120,8 @@ pub fn project_vjp(model: &impl CameraModel, p: &Primitives, pose: &Pose, splats
         let [d_a, d_b, d_c] = inverse_vjp(splats.conics[i], d.conics[i]);
         let d_u = [g.u[0] * (2.0 * d_a) + g.u[1] * d_b, g.u[1] * (2.0 * d_c) + g.u[0] * d_b];
         let d_j = d_u.map(|d| view.rotation * (g.scaled * d));
-        let d_v = model.jacobian_vjp(g.v, d_j) + model.pixel_vjp(g.v, d.means2d[i]);
+        let d_v =
+            model.jacobian_vjp(g.v, d_j) + model.pixel_vjp(g.v, d.means2d[i]) + g.v * (d.depths[i] / g.v.length());
         *mean = (view.rotation.transpose() * d_v).to_array();
         // uᵣ = Mᵀ tᵣ with M = R S: column k of ∂L/∂M is Σᵣ tᵣ (∂L/∂uᵣ)ₖ.
         let d_m = Mat3::from_cols(
@@ -137,7 +138,7 @@ pub fn project_vjp(model: &impl CameraModel, p: &Primitives, pose: &Pose, splats
 }
 
 /// Cotangents of (a, b, c) of a symmetric matrix, given its inverse (A, B, C) and the cotangents of that.
-fn inverse_vjp([a, b, c]: [Real; 3], [d_a, d_b, d_c]: [Real; 3]) -> [Real; 3] {
+pub(crate) fn inverse_vjp([a, b, c]: [Real; 3], [d_a, d_b, d_c]: [Real; 3]) -> [Real; 3] {
     let h = 0.5 * d_b;
     // −Q G Q with Q the conic and G the symmetric cotangent.
     let (p, q, r, s) = (a * d_a + b * h, a * h + b * d_c, b * d_a + c * h, b * h + c * d_c);

@@ -2,8 +2,10 @@
 //!
 //! [`Mercator`] and [`WrfgsCompat`] are two [`CameraModel`]s in one EWA projection (`ewa.rs`); [`AlphaBlending`] draws
 //! their splats tile by tile (`tiles.rs`, `blend.rs`); [`mod@reference`] does the same by brute force, for tests.
+//! [`ArrayResponse`] takes the same splats for waves and adds them up on an antenna array.
 
 mod alpha_blending;
+mod array_response;
 mod blend;
 mod ewa;
 mod mercator;
@@ -13,6 +15,7 @@ mod tiles;
 mod wrfgs_compat;
 
 pub use alpha_blending::{AlphaBlending, Support};
+pub use array_response::{ArrayResponse, BeamTable, Wavefront};
 pub use ewa::{CameraModel, View, project, project_vjp};
 pub use mercator::Mercator;
 pub use wrfgs_compat::{FullSphere, WrfgsCompat};

@@ -1,0 +1,175 @@
+//! The wave that one splat leaves on the antennas, and its derivative.
+
+use super::{ArrayResponse, Wavefront};
+use crate::ewa::inverse_vjp;
+use pwrfgs_core::{
+    ImagePlane, Real, Splats, Vec3,
+    consts::{DEG, TAU},
+};
+use rayon::prelude::*;
+
+/// Variance of a splat too wide for its conic to be inverted, px²: it is heard by the middle of the array only.
+const BOUNDLESS: Real = 1e9;
+/// Closest that a Gaussian comes to an antenna, wavelengths.
+const CLOSEST: Real = 1e-3;
+
+/// A planar array in the x-y plane of the receiver, centred, and the grid whose pixels are directions.
+pub(super) struct Antennas {
+    /// `[K]`, wavelengths, x fastest. Element K-1-k stands opposite to element k.
+    positions: Vec<Vec3>,
+    widened: bool,
+    /// Metres, where wavefronts are spherical.
+    wavelength: Option<Real>,
+    /// Azimuth and elevation of pixel 0, and of a pixel more; radians.
+    first: [Real; 2],
+    step: [Real; 2],
+}
+
+/// A direction and how it turns with column and row.
+struct Aim {
+    u: Vec3,
+    around: Vec3,
+    up: Vec3,
+    /// Second derivatives: column twice, column and row, row twice.
+    bends: [Vec3; 3],
+    /// Covariance (a, b, c) on the picture, px².
+    cov: [Real; 3],
+}
+
+impl Antennas {
+    pub(super) fn new(array: &ArrayResponse, plane: &ImagePlane) -> Self {
+        let place =
+            |index: usize, count: usize| (index as Real - (count as Real - 1.0) / 2.0) * array.spacing_wavelengths;
+        let (rows, columns) = (array.rows, array.columns);
+        let positions =
+            (0..rows * columns).map(|k| Vec3::new(place(k % columns, columns), place(k / columns, rows), 0.0));
+        let (az, el) = plane.angles.expect("the plane was checked: its pixels are directions");
+        Self {
+            positions: positions.collect(),
+            widened: array.widened,
+            wavelength: match array.wavefront {
+                Wavefront::Plane => None,
+                Wavefront::Spherical { wavelength_m } => Some(wavelength_m),
+            },
+            first: [az.first, el.first].map(|a| a.to_radians() as Real),
+            step: [az.step, el.step].map(|a| a as Real / DEG),
+        }
+    }
+
+    /// K.
+    pub(super) fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    pub(super) fn positions(&self) -> &[Vec3] {
+        &self.positions
+    }
+
+    /// The waves of all splats, `[N, K]` complex numbers; zeros for those out of view.
+    pub(super) fn waves(&self, splats: &Splats) -> Vec<[Real; 2]> {
+        let mut waves = vec![[0.0; 2]; splats.len() * self.len()];
+        waves.par_chunks_exact_mut(self.len()).enumerate().with_min_len(64).for_each(|(i, wave)| {
+            if splats.radii[i] > 0.0 {
+                self.wave(splats, i, wave);
+            }
+        });
+        waves
+    }
+
+    /// The wave of splat `i` with signal and opacity 1.
+    pub(super) fn wave(&self, splats: &Splats, i: usize, out: &mut [[Real; 2]]) {
+        let aim = self.aim(splats, i);
+        let distance = splats.depths[i];
+        for (a, p) in out.iter_mut().zip(&self.positions) {
+            let (sin, cos) = self.phase(*p, &aim, distance).0.sin_cos();
+            let fading = (-self.fading(*p, &aim).0).exp();
+            *a = [fading * cos, fading * sin];
+        }
+    }
+
+    /// Cotangents of mean, conic and depth of splat `i`, given its wave and the cotangent of that.
+    pub(super) fn wave_vjp(
+        &self,
+        splats: &Splats,
+        i: usize,
+        wave: &[[Real; 2]],
+        d_wave: &[[Real; 2]],
+    ) -> ([Real; 2], [Real; 3], Real) {
+        let aim = self.aim(splats, i);
+        let [a, b, c] = aim.cov;
+        let (mut d_u, mut d_around, mut d_up) = (Vec3::ZERO, Vec3::ZERO, Vec3::ZERO);
+        let (mut d_cov, mut d_depth) = ([0.0; 3], 0.0);
+        for ((p, [re, im]), [d_re, d_im]) in self.positions.iter().zip(wave).zip(d_wave) {
+            let d_phase = re * d_im - im * d_re;
+            let (_, by_direction, by_depth) = self.phase(*p, &aim, splats.depths[i]);
+            d_u += by_direction * d_phase;
+            d_depth += by_depth * d_phase;
+            if self.widened {
+                let (_, [w, v]) = self.fading(*p, &aim);
+                let d = -TAU * TAU * (re * d_re + im * d_im);
+                d_around += *p * (d * (a * w + b * v));
+                d_up += *p * (d * (b * w + c * v));
+                d_cov = [d_cov[0] + 0.5 * d * w * w, d_cov[1] + d * w * v, d_cov[2] + 0.5 * d * v * v];
+            }
+        }
+        let [twice_around, both, twice_up] = aim.bends;
+        let d_mean = [
+            aim.around.dot(d_u) + twice_around.dot(d_around) + both.dot(d_up),
+            aim.up.dot(d_u) + both.dot(d_around) + twice_up.dot(d_up),
+        ];
+        let bounded = a < BOUNDLESS || c < BOUNDLESS;
+        // The conic is the inverse of the covariance, and so the other way round.
+        let d_conic = if self.widened && bounded { inverse_vjp(aim.cov, d_cov) } else { [0.0; 3] };
+        (d_mean, d_conic, d_depth)
+    }
+
+    fn aim(&self, splats: &Splats, i: usize) -> Aim {
+        let [column, row] = splats.means2d[i];
+        let [by_column, by_row] = self.step;
+        let (sin_az, cos_az) = (self.first[0] + by_column * column).sin_cos();
+        let (sin_el, cos_el) = (self.first[1] + by_row * row).sin_cos();
+        let ahead = Vec3::new(cos_az, sin_az, 0.0);
+        let aside = Vec3::new(-sin_az, cos_az, 0.0);
+        let u = ahead * cos_el + Vec3::Z * sin_el;
+        Aim {
+            u,
+            around: aside * (cos_el * by_column),
+            up: (Vec3::Z * cos_el - ahead * sin_el) * by_row,
+            bends: [
+                ahead * (-cos_el * by_column * by_column),
+                aside * (-sin_el * by_column * by_row),
+                u * (-by_row * by_row),
+            ],
+            cov: covariance(splats.conics[i]),
+        }
+    }
+
+    /// Phase at an antenna relative to the centre, and its derivatives along the direction and the distance.
+    fn phase(&self, p: Vec3, aim: &Aim, distance: Real) -> (Real, Vec3, Real) {
+        let along = p.dot(aim.u);
+        let Some(wavelength) = self.wavelength else { return (TAU * along, p * TAU, 0.0) };
+        let r = distance / wavelength;
+        let square = p.length_squared();
+        let way = (r * r - 2.0 * r * along + square).max(CLOSEST * CLOSEST).sqrt();
+        // way - r, without the loss of digits.
+        let extra = (square - 2.0 * r * along) / (way + r);
+        (-TAU * extra, p * (TAU * r / way), TAU * (extra + along) / (way * wavelength))
+    }
+
+    /// The exponent by which width weakens the wave at an antenna, and (p·∂u/∂column, p·∂u/∂row).
+    fn fading(&self, p: Vec3, aim: &Aim) -> (Real, [Real; 2]) {
+        if !self.widened {
+            return (0.0, [0.0; 2]);
+        }
+        let [a, b, c] = aim.cov;
+        let (w, v) = (p.dot(aim.around), p.dot(aim.up));
+        ((0.5 * TAU * TAU * (a * w * w + 2.0 * b * w * v + c * v * v)).max(0.0), [w, v])
+    }
+}
+
+/// The covariance whose inverse is the conic; boundless where that is lost to rounding.
+fn covariance([a, b, c]: [Real; 3]) -> [Real; 3] {
+    let det = a * c - b * b;
+    let cov = [c / det, -b / det, a / det];
+    if det > 0.0 && cov.iter().all(|v| v.is_finite()) { cov } else { [BOUNDLESS, 0.0, BOUNDLESS] }
+}
