@@ -117,7 +117,10 @@ fn projectors_and_rasterizers_answer_row_for_row() {
         let splats = projector.project(&geometry, &Pose::IDENTITY, &plane);
         assert!(splats.len() == 7 && splats.radii.iter().all(|r| *r >= 0.0), "{name}");
         for (kind, rasterizer) in all::<dyn Rasterizer>() {
-            rasterizer.check_plane(&plane).unwrap();
+            if rasterizer.check_plane(&plane).is_err() {
+                assert_eq!((kind, name), ("ArrayResponse", "WrfgsCompat"), "it must know what a pixel means");
+                continue;
+            }
             let render = rasterizer.forward(&splats, &[0.5; 14], 2, &plane);
             assert!(render.pixels.len() == 2 * 90 * 24 && finite(&render.pixels), "{kind} on {name}");
             let light = |t: &Real| (0.0..=1.0).contains(t);

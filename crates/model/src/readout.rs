@@ -15,7 +15,15 @@ pub enum Readout {
     Magnitude,
     /// c₀² + c₁², as eq. (2) of the paper has it.
     Power,
+    /// The magnitude m of each picture stretched from its smallest value to its largest, (m - min)/(max - min): what the
+    /// measured files hold, so that absolute power is neither needed nor learned. Every picture then has a 0 and a 1.
+    /// All zero, without derivative, where all directions are equally strong. Differentiable wherever the smallest and
+    /// the largest pixel are the only ones; of several, the first counts.
+    MinMax,
 }
+
+/// A picture whose values differ by less than this share of the largest shows nothing but rounding.
+const NO_CONTRAST: Real = 1e-6;
 
 impl Readout {
     /// Channels a transmitter needs.
@@ -31,10 +39,9 @@ impl Readout {
         let mut image = vec![0.0; signals.len() / 2];
         let pictures = image.par_chunks_exact_mut(pixels).zip(signals.par_chunks_exact(2 * pixels));
         pictures.for_each(|(image, pair)| {
-            let (c0, c1) = pair.split_at(pixels);
-            for ((value, a), b) in image.iter_mut().zip(c0).zip(c1) {
-                let power = a * a + b * b;
-                *value = if self == Self::Magnitude { power.sqrt() } else { power };
+            grey(image, pair.split_at(pixels), self == Self::Power);
+            if self == Self::MinMax {
+                stretch(image);
             }
         });
         image
@@ -49,20 +56,109 @@ impl Readout {
         let pictures = (d.par_chunks_exact_mut(2 * pixels))
             .zip(signals.par_chunks_exact(2 * pixels))
             .zip(d_image.par_chunks_exact(pixels));
-        pictures.for_each(|((d, pair), d_image)| {
-            let ((c0, c1), (d0, d1)) = (pair.split_at(pixels), d.split_at_mut(pixels));
-            for k in 0..pixels {
+        pictures.for_each_init(
+            || (Vec::new(), Vec::new()),
+            |(magnitude, d_magnitude), ((d, pair), d_image)| {
+                let ((c0, c1), (d0, d1)) = (pair.split_at(pixels), d.split_at_mut(pixels));
                 if self == Self::Power {
-                    (d0[k], d1[k]) = (2.0 * c0[k] * d_image[k], 2.0 * c1[k] * d_image[k]);
-                    continue;
+                    for (((d0, d1), (c0, c1)), d) in d0.iter_mut().zip(d1).zip(c0.iter().zip(c1)).zip(d_image) {
+                        (*d0, *d1) = (2.0 * c0 * d, 2.0 * c1 * d);
+                    }
+                    return;
                 }
-                let magnitude = (c0[k] * c0[k] + c1[k] * c1[k]).sqrt();
-                if magnitude > 0.0 {
-                    (d0[k], d1[k]) = (c0[k] / magnitude * d_image[k], c1[k] / magnitude * d_image[k]);
+                magnitude.resize(pixels, 0.0);
+                grey(magnitude, (c0, c1), false);
+                let d_image = if self == Self::MinMax {
+                    stretch_vjp(magnitude, d_image, d_magnitude);
+                    d_magnitude
+                } else {
+                    d_image
+                };
+                turn(d0, d1, (c0, c1), magnitude, d_image);
+            },
+        );
+        d
+    }
+}
+
+/// The magnitude of every pixel, or its square.
+fn grey(image: &mut [Real], (c0, c1): (&[Real], &[Real]), square: bool) {
+    let power = |a: &Real, b: &Real| a * a + b * b;
+    pulp::Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            if square {
+                image.iter_mut().zip(c0).zip(c1).for_each(|((v, a), b)| *v = power(a, b));
+            } else {
+                image.iter_mut().zip(c0).zip(c1).for_each(|((v, a), b)| *v = power(a, b).sqrt());
+            }
+        },
+    );
+}
+
+/// The derivative of the magnitude: d along the signal's own direction.
+fn turn(d0: &mut [Real], d1: &mut [Real], (c0, c1): (&[Real], &[Real]), magnitude: &[Real], d: &[Real]) {
+    pulp::Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            for ((((d0, d1), (c0, c1)), m), d) in d0.iter_mut().zip(d1).zip(c0.iter().zip(c1)).zip(magnitude).zip(d) {
+                let share = if *m > 0.0 { d / m } else { 0.0 };
+                (*d0, *d1) = (c0 * share, c1 * share);
+            }
+        },
+    );
+}
+
+/// Smallest and largest value; zeros for none. NaN stays out, and shows in the picture itself.
+fn range(values: &[Real]) -> (Real, Real) {
+    let first = values.first().copied().unwrap_or(0.0);
+    let (mut low, mut high) = ([first; 16], [first; 16]);
+    pulp::Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            let (whole, rest) = values.as_chunks::<16>();
+            for chunk in whole.iter().map(<[Real; 16]>::as_slice).chain([rest]) {
+                for ((low, high), v) in low.iter_mut().zip(&mut high).zip(chunk) {
+                    *low = if v < low { *v } else { *low };
+                    *high = if v > high { *v } else { *high };
                 }
             }
-        });
-        d
+        },
+    );
+    (low.into_iter().fold(first, Real::min), high.into_iter().fold(first, Real::max))
+}
+
+/// 1/(max - min), or 0 where the picture has no contrast.
+fn gain(low: Real, high: Real) -> Real {
+    if high - low > NO_CONTRAST * high { 1.0 / (high - low) } else { 0.0 }
+}
+
+/// From the smallest value to the largest.
+fn stretch(image: &mut [Real]) {
+    let (low, high) = range(image);
+    let gain = gain(low, high);
+    image.iter_mut().for_each(|v| *v = (*v - low) * gain);
+}
+
+/// Cotangents of the magnitude, given those of the stretched picture.
+fn stretch_vjp(magnitude: &[Real], d_image: &[Real], out: &mut Vec<Real>) {
+    let (low, high) = range(magnitude);
+    let gain = gain(low, high);
+    out.clear();
+    out.extend(d_image.iter().map(|d| d * gain));
+    // Σ d and Σ d·v, each in 16 fixed lanes.
+    let (mut all, mut weighted) = ([0.0; 16], [0.0; 16]);
+    for (d, m) in out.chunks(16).zip(magnitude.chunks(16)) {
+        for (((all, weighted), d), m) in all.iter_mut().zip(&mut weighted).zip(d).zip(m) {
+            *all += d;
+            *weighted += d * ((m - low) * gain);
+        }
+    }
+    let (all, weighted): (Real, Real) = (all.iter().sum(), weighted.iter().sum());
+    let first = |value: Real| magnitude.iter().position(|m| *m == value);
+    if let (Some(darkest), Some(brightest)) = (first(low), first(high)) {
+        out[darkest] -= all - weighted;
+        out[brightest] -= weighted;
     }
 }
 
@@ -77,13 +173,36 @@ mod tests {
             return;
         }
         let x: Vec<Real> = (0..24).map(|i| (i as Real * 0.7).sin() + 0.1).collect();
-        for readout in [Readout::Real, Readout::Magnitude, Readout::Power] {
+        for readout in [Readout::Real, Readout::Magnitude, Readout::Power, Readout::MinMax] {
             check_vjp("readout", &x, |x| readout.forward(x, 3), |x, d| readout.vjp(x, 3, d), 1e-6, 1e-6);
         }
+        let x: Vec<Real> = (0..2 * 2 * 37).map(|i| (i as Real * 1.7).sin() + 0.02 * i as Real).collect();
+        let readout = Readout::MinMax;
+        check_vjp("long", &x, |x| readout.forward(x, 37), |x, d| readout.vjp(x, 37, d), 1e-6, 1e-6);
     }
 
     #[test]
     fn an_empty_pixel_has_no_derivative() {
         assert_eq!(Readout::Magnitude.vjp(&[0.0, 0.0], 1, &[1.0]), vec![0.0, 0.0]);
+    }
+
+    #[test]
+    fn min_max_reaches_from_zero_to_one_whatever_the_scale() {
+        let signals: Vec<Real> = (0..80).map(|i| (i as Real * 0.9).cos() + 2.0).collect();
+        let picture = |scale: Real| {
+            let scaled: Vec<Real> = signals.iter().map(|s| scale * s).collect();
+            Readout::MinMax.forward(&scaled, 40)
+        };
+        let one = picture(1.0);
+        assert_eq!(range(&one), (0.0, 1.0));
+        assert!(one.iter().zip(picture(1e-6)).all(|(a, b)| (a - b).abs() < 1e-5));
+    }
+
+    #[test]
+    fn a_picture_without_contrast_is_black_and_still() {
+        let flat: Vec<Real> = [[3.0; 20], [4.0; 20]].concat();
+        assert!(Readout::MinMax.forward(&flat, 20).iter().all(|v| *v == 0.0));
+        assert!(Readout::MinMax.vjp(&flat, 20, &[1.0; 20]).iter().all(|v| *v == 0.0));
+        assert_eq!(Readout::MinMax.forward(&[0.0; 8], 4), vec![0.0; 4]);
     }
 }

@@ -149,7 +149,18 @@ impl Pipeline {
             return Err(format!("name: `{}` cannot name a folder; use letters, digits, `.`, `-` and `_`", self.name));
         }
         let plane = self.projector.plane(360, 90);
-        self.rasterizer.check_plane(&plane).map_err(|why| format!("rasterizer: {why}"))
+        self.rasterizer.check_plane(&plane).map_err(|why| format!("rasterizer: {why}"))?;
+        if self.rasterizer.coherent() && self.readout.channels() < 2 {
+            return Err("readout: this rasterizer adds up waves, and Real takes one channel of each; use MinMax, \
+                        Magnitude or Power"
+                .into());
+        }
+        if self.rasterizer.coherent() && self.calibration == Calibration::AsReleased {
+            return Err("calibration: AsReleased makes colours of signals, and this rasterizer adds up waves; use \
+                        Physical"
+                .into());
+        }
+        Ok(())
     }
 }
 

@@ -128,7 +128,7 @@ impl Deformation for Mlp {
     }
 }
 
-const WIDEST: usize = 8192;
+pub(super) const WIDEST: usize = 8192;
 const DEEPEST: usize = 256;
 
 /// Refuses a stack that cannot be built.

@@ -1,12 +1,14 @@
 //! Deformations `D_Θ` of eq. (5): what the transmitter's position changes.
 //!
-//! [`Mlp`] is the network of P-WRFGS, [`Wrfgs`] the one of its ancestor, [`Fixed`] none. The two networks share their
+//! [`Mlp`] is the network of P-WRFGS, [`Wrfgs`] the one of its ancestor, [`Factored`] runs once a transmitter and not once
+//! a Gaussian, [`Fixed`] is none. The networks share their
 //! layers: `dense` multiplies, `linear` is a layer in the weight vector, `layers`
 //! plans weights and work, `trunk` is the ReLU stack.
 //! Nothing is kept between calls: the derivative recomputes each chunk's activations while they fit the cache.
 
 mod dense;
 mod encoding;
+mod factored;
 mod fixed;
 mod layers;
 mod linear;
@@ -20,6 +22,7 @@ mod trunk;
 mod wrfgs;
 mod wrfgs_network;
 
+pub use factored::Factored;
 pub use fixed::Fixed;
 pub use mlp::{Mlp, Outputs};
 pub use wrfgs::Wrfgs;

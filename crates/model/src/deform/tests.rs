@@ -1,6 +1,6 @@
 //! What every deformation owes: derivatives, the same bits at any thread count and in any batch, honest sizes.
 
-use super::{Fixed, Mlp, Outputs, Wrfgs};
+use super::{Factored, Fixed, Mlp, Outputs, Wrfgs};
 use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Plugin, Pose, Real, rng, testing::check_vjp};
 
 const POSE: Pose = Pose { position: [0.5, -0.3, 0.2], orientation: [0.0, 0.0, 0.0, 1.0] };
@@ -96,6 +96,18 @@ fn wrfgs_derivatives_agree_with_central_differences() {
     check_derivative("wrfgs, weights alone", &Wrfgs { depth: 1, skip: None, ..small }, 5, 2, false);
 }
 
+fn small_factored() -> Factored {
+    Factored { depth: 3, width: 9, tx_frequencies: 2, position_frequencies: 1, branch: 5 }
+}
+
+#[test]
+fn factored_derivatives_agree_with_central_differences() {
+    check_derivative("factored", &small_factored(), 7, 3, true);
+    check_derivative("factored, two groups", &small_factored(), 2, 35, true);
+    let bare = Factored { depth: 1, tx_frequencies: 0, position_frequencies: 0, ..small_factored() };
+    check_derivative("factored, coordinates", &bare, 3, 1, true);
+}
+
 #[test]
 fn networks_have_the_published_sizes() {
     let count = |d: &dyn Deformation| d.layout().iter().map(pwrfgs_core::WeightSpec::len).sum::<usize>();
@@ -144,8 +156,9 @@ fn on_threads(threads: usize, deformation: &dyn Deformation, n: usize, batch: us
 #[test]
 fn one_thread_and_two_give_the_same_bits() {
     let mlp = Mlp { width: 64, ..Mlp::default() };
-    let deformations: [&dyn Deformation; 2] = [&mlp, &Wrfgs { width: 32, ..Wrfgs::default() }];
-    for (n, batch) in [(157, 3), (1500, 2)] {
+    let factored = Factored::default();
+    let deformations: [&dyn Deformation; 3] = [&mlp, &Wrfgs { width: 32, ..Wrfgs::default() }, &factored];
+    for (n, batch) in [(157, 3), (1500, 2), (16, 70)] {
         for deformation in deformations {
             assert_eq!(on_threads(1, deformation, n, batch), on_threads(2, deformation, n, batch));
         }
@@ -155,7 +168,8 @@ fn one_thread_and_two_give_the_same_bits() {
 #[test]
 fn a_batch_gives_the_bits_of_single_calls() {
     let mlp = Mlp { width: 64, depth: 6, ..Mlp::default() };
-    let deformations: [&dyn Deformation; 2] = [&mlp, &Wrfgs { width: 32, ..Wrfgs::default() }];
+    let factored = Factored::default();
+    let deformations: [&dyn Deformation; 3] = [&mlp, &Wrfgs { width: 32, ..Wrfgs::default() }, &factored];
     let (means, txs) = (points(300, "means"), points(5, "txs"));
     for deformation in deformations {
         let weights = deformation.init(&mut rng::stream(1, "init", 0));
@@ -185,7 +199,8 @@ fn a_batch_gives_the_bits_of_single_calls() {
 
 #[test]
 fn no_gaussian_and_no_transmitter_are_no_reason_to_fail() {
-    let deformations: [&dyn Deformation; 3] = [&small_mlp(), &Wrfgs { width: 8, ..Wrfgs::default() }, &Fixed {}];
+    let wrfgs = Wrfgs { width: 8, ..Wrfgs::default() };
+    let deformations: [&dyn Deformation; 4] = [&small_mlp(), &wrfgs, &small_factored(), &Fixed {}];
     for deformation in deformations {
         for (n, batch) in [(0, 2), (3, 0), (0, 0)] {
             let (deltas, d) = on_threads(1, deformation, n, batch);
@@ -196,7 +211,9 @@ fn no_gaussian_and_no_transmitter_are_no_reason_to_fail() {
 
 #[test]
 fn nonsense_is_refused_with_advice_and_defaults_round_trip() {
-    for text in ["Mlp()", "Wrfgs()", "Fixed()", "Mlp(skip: 2, depth: 4, outputs: Signals)", "Wrfgs(gain: 12.5)"] {
+    for text in
+        ["Mlp()", "Wrfgs()", "Factored()", "Fixed()", "Mlp(skip: 2, depth: 4, outputs: Signals)", "Wrfgs(gain: 12.5)"]
+    {
         let plugin = Plugin::<dyn Deformation>::parse(text).unwrap();
         let pretty = ron::ser::PrettyConfig::new().struct_names(true);
         let written = pwrfgs_core::plugin::ron_options().to_string_pretty(&plugin, pretty).unwrap();
@@ -216,6 +233,9 @@ fn nonsense_is_refused_with_advice_and_defaults_round_trip() {
         ("Wrfgs(width: 1, skip: None)", "at least 2"),
         ("Wrfgs(gain: 0)", "positive"),
         ("Mlp(widht: 3)", "widht"),
+        ("Factored(depth: 0)", "give a number of layers"),
+        ("Factored(branch: 0)", "branch is 0"),
+        ("Factored(tx_frequencies: 17)", "from 0 to 16"),
     ] {
         let refusal = Plugin::<dyn Deformation>::parse(text).unwrap_err();
         assert!(refusal.contains(words), "{text}: {refusal}");
