@@ -4,7 +4,7 @@ use crate::common::{MOMENT, batch, cloud, pipeline, plugin, stages, with_column}
 use pwrfgs::core::rng;
 use pwrfgs::model::Readout;
 use pwrfgs::prelude::*;
-use pwrfgs::train::loss_and_gradients;
+use pwrfgs::train::{RenderingLoss, loss_and_gradients};
 use std::path::Path;
 
 const N: usize = 8;
@@ -23,7 +23,7 @@ fn a_closed_gate_equals_an_absent_gaussian() {
         let batch = batch(2, &stages);
         let outcome = |cloud: &GaussianCloud| {
             let pruners = [plugin("LearnableMask(lambda: 0)")];
-            loss_and_gradients(&stages, cloud, &weights, &batch, 0.2, &pruners, &MOMENT).unwrap()
+            loss_and_gradients(&stages, cloud, &weights, &batch, &RenderingLoss::new(0.2), &pruners, &MOMENT).unwrap()
         };
         for closed in 0..N {
             let mut masks = vec![1.0; N];

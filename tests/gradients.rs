@@ -8,7 +8,7 @@ use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{ColumnSpec, DeformationInputs, GaussianCloud, rng, sigmoid};
 use pwrfgs::model::{Readout, Stages};
 use pwrfgs::prelude::*;
-use pwrfgs::train::{Batch, Outcome, loss_and_gradients};
+use pwrfgs::train::{Batch, Outcome, RenderingLoss, loss_and_gradients};
 use std::sync::Arc;
 
 const DOUBLE: bool = size_of::<Real>() == 8;
@@ -77,7 +77,16 @@ impl Step {
     }
 
     fn outcome(&self, cloud: &GaussianCloud, weights: &[Real]) -> Outcome {
-        loss_and_gradients(&self.stages, cloud, weights, &self.batch, self.ssim_weight, &self.pruners, &MOMENT).unwrap()
+        loss_and_gradients(
+            &self.stages,
+            cloud,
+            weights,
+            &self.batch,
+            &RenderingLoss::new(self.ssim_weight),
+            &self.pruners,
+            &MOMENT,
+        )
+        .unwrap()
     }
 
     /// Every column but `left_out`, then some of the weights, against differences.

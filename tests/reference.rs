@@ -14,7 +14,7 @@ use pwrfgs::core::{ExtraColumn, Mat3, Vec3};
 use pwrfgs::model::{Calibration, Readout};
 use pwrfgs::prelude::*;
 use pwrfgs::raster::{self, CameraModel, FullSphere, View};
-use pwrfgs::train::{Batch, Outcome, loss_and_gradients};
+use pwrfgs::train::{Batch, Outcome, RenderingLoss, loss_and_gradients};
 use std::sync::Arc;
 
 const DOUBLE: bool = size_of::<Real>() == 8;
@@ -125,7 +125,7 @@ impl Start {
 
     fn step(&self) -> Outcome {
         let Self { stages, cloud, weights, batch, pruners } = self;
-        loss_and_gradients(stages, cloud, weights, batch, 0.2, pruners, &MOMENT).unwrap()
+        loss_and_gradients(stages, cloud, weights, batch, &RenderingLoss::new(0.2), pruners, &MOMENT).unwrap()
     }
 
     /// The picture's stages by hand: what is projected, what it becomes, and what is blended (not clamped).

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use pwrfgs::core::rng;
 use pwrfgs::model::Readout;
 use pwrfgs::prelude::*;
-use pwrfgs::train::loss_and_gradients;
+use pwrfgs::train::{RenderingLoss, loss_and_gradients};
 use std::sync::Arc;
 
 const N: usize = 6;
@@ -75,7 +75,7 @@ proptest! {
         let (_, width, values) = cloud.columns_mut().nth(column).unwrap();
         values[row * width..(row + 1) * width].fill(value);
         let stages = stages("Fixed()", Readout::Magnitude);
-        let outcome = loss_and_gradients(&stages, &cloud, &[], &batch(1, &stages), 0.2, &[], &MOMENT);
+        let outcome = loss_and_gradients(&stages, &cloud, &[], &batch(1, &stages), &RenderingLoss::new(0.2), &[], &MOMENT);
         prop_assert!(outcome.is_ok_and(|outcome| outcome.loss.is_finite()));
     }
 }
@@ -86,7 +86,7 @@ fn a_zero_quaternion_is_no_rotation() {
     let with = |quat: [Real; 4]| {
         let mut cloud = cloud(N, 1);
         cloud.quats[2] = quat;
-        loss_and_gradients(&stages, &cloud, &[], &batch(1, &stages), 0.2, &[], &MOMENT).unwrap()
+        loss_and_gradients(&stages, &cloud, &[], &batch(1, &stages), &RenderingLoss::new(0.2), &[], &MOMENT).unwrap()
     };
     let (zero, identity) = (with([0.0; 4]), with([1.0, 0.0, 0.0, 0.0]));
     assert_eq!(zero.loss, identity.loss);
@@ -99,7 +99,8 @@ fn a_loss_that_is_no_number_is_an_error_and_names_the_step() {
     let stages = stages("Fixed()", Readout::Magnitude);
     let mut cloud = cloud(N, 1);
     cloud.signals.fill([Real::NAN; 2]);
-    let error = loss_and_gradients(&stages, &cloud, &[], &batch(1, &stages), 0.2, &[], &MOMENT).unwrap_err();
+    let error = loss_and_gradients(&stages, &cloud, &[], &batch(1, &stages), &RenderingLoss::new(0.2), &[], &MOMENT)
+        .unwrap_err();
     assert!(matches!(error, Error::NonFinite { step: 1, .. }), "{error}");
 }
 
@@ -116,8 +117,15 @@ fn no_and_one_gaussian_predict_and_differentiate() {
             assert!(n > 0 || pictures[0].pixels.iter().all(|p| *p == 0.0));
             let masked = with_column(cloud, "mask_logits", vec![1.0; n]);
             let pruners = [plugin("LearnableMask()")];
-            let outcome =
-                loss_and_gradients(&Arc::clone(&stages), &masked, &weights, &batch(2, &stages), 0.2, &pruners, &MOMENT);
+            let outcome = loss_and_gradients(
+                &Arc::clone(&stages),
+                &masked,
+                &weights,
+                &batch(2, &stages),
+                &RenderingLoss::new(0.2),
+                &pruners,
+                &MOMENT,
+            );
             let outcome = outcome.unwrap();
             assert!(outcome.loss.is_finite() && finite(&outcome.d_weights), "{deformation}, N = {n}");
             assert!(outcome.d_cloud.columns().all(|(_, _, d)| finite(d)), "{deformation}, N = {n}");

@@ -44,6 +44,14 @@ pub trait Deformation: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
         d_means: Option<&mut [[Real; 3]]>,
     );
 
+    /// Factors `[as many as weights]` that let the lowest frequencies of positional encodings through, when a `share` of
+    /// the annealing, 0 to 1, is done: what multiplies an input may as well multiply the weights that read it. `None`
+    /// where nothing is encoded.
+    fn frequency_window(&self, share: f64) -> Option<Vec<Real>> {
+        let _ = share;
+        None
+    }
+
     /// One line for `pwrfgs plugins`.
     fn about(&self) -> &'static str {
         ""

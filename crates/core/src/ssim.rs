@@ -14,7 +14,7 @@
 mod training;
 
 use crate::Image;
-pub use training::{training, training_vjp};
+pub use training::{Window, training, training_vjp};
 
 /// C₁ = (0.01 · data range)².
 const C1: f64 = 1e-4;

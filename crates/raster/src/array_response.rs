@@ -27,7 +27,7 @@ use wave::Antennas;
 /// | `wavefront` | `Plane`, or `Spherical(wavelength_m: ..)` from the Gaussian's position | `Plane` |
 ///
 /// *Widened*: waves from all over the Gaussian, in equal phase, average to aₖ·exp(-(2π)² pₖᵀ Σᵤ pₖ / 2), with Σᵤ the
-/// covariance of (uₓ, u_y) to first order; wide Gaussians are heard by the middle of the array only. It stays finite at
+/// covariance of u (along x and y) to first order; wide Gaussians are heard by the middle of the array only. It stays finite at
 /// the zenith, where the picture's azimuth does not. The projector's blur (a fraction of a degree) counts as width.
 ///
 /// *Spherical*: the phase follows from the way between the Gaussian and each antenna; amplitude and width are those of a

@@ -8,7 +8,7 @@
 //! Gaussians whose gate is 0 are left out of `deform` and `draw`: they have opacity 0, hence no derivative either. A
 //! deformation that couples Gaussians is the exception: all go through, and the rasterizer skips those of opacity 0.
 
-use crate::loss::rendering_loss;
+use crate::loss::RenderingLoss;
 use dfdx::prelude::{AsArray, Cpu, Tensor, TensorFromVec, Trace as _};
 use dfdx::tensor_ops::{Backward, SumTo};
 use pwrfgs_core::plugin::Plugin;
@@ -52,7 +52,7 @@ pub fn loss_and_gradients(
     cloud: &GaussianCloud,
     weights: &[Real],
     batch: &Batch,
-    ssim_weight: Real,
+    objective: &RenderingLoss,
     pruners: &[Plugin<dyn Pruner>],
     moment: &Moment,
 ) -> Result<Outcome> {
@@ -70,7 +70,7 @@ pub fn loss_and_gradients(
 
     let deltas = graph.deform(&traced, &weights);
     let image = graph.picture(&traced, gate, deltas);
-    let loss = graph.loss(image, &batch.truths, ssim_weight);
+    let loss = graph.loss(image, &batch.truths, objective);
 
     let value = loss.array();
     let penalty_value = penalty.as_ref().map_or(0.0, AsArray::array);
@@ -226,9 +226,9 @@ impl Graph {
     }
 
     /// The rendering loss as an op.
-    fn loss(&self, image: Trace, truths: &[Real], ssim_weight: Real) -> TraceScalar {
+    fn loss(&self, image: Trace, truths: &[Real], objective: &RenderingLoss) -> TraceScalar {
         let plane = &self.stages.plane;
-        let (value, d_image) = rendering_loss(&image.as_vec(), truths, (plane.width, plane.height), ssim_weight);
+        let (value, d_image) = objective.evaluate(&image.as_vec(), truths, (plane.width, plane.height));
         let loss = op(vec![image], vec![vec![value]], move |d| {
             let upstream = d[0][0];
             vec![d_image.iter().map(|d| upstream * d).collect()]

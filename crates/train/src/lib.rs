@@ -14,7 +14,7 @@ mod settings;
 mod trainer;
 
 pub use graph::{Batch, Outcome, loss_and_gradients};
-pub use loss::rendering_loss;
+pub use loss::RenderingLoss;
 pub use pipeline::{Pipeline, PipelinePatch};
 pub use settings::{
     Densify, DensifyPatch, Loss, LossPatch, Optimizer, OptimizerPatch, Schedule, Training, TrainingPatch,

@@ -4,10 +4,12 @@ use crate::adam::Adam;
 use crate::densify;
 use crate::edit;
 use crate::graph::{Batch, loss_and_gradients};
+use crate::loss::RenderingLoss;
 use crate::pipeline::Pipeline;
 use pwrfgs_core::tape::{Traced, values};
 use pwrfgs_core::{
-    CloudStats, ColumnSpec, Dataset, Error, ExtraColumn, GaussianCloud, Moment, Partition, Phase, Real, Result, rng,
+    CloudStats, ColumnSpec, Dataset, Error, ExtraColumn, GaussianCloud, ImagePlane, Moment, Partition, Phase, Real,
+    Result, rng,
 };
 use pwrfgs_model::{Model, Stages};
 use rayon::prelude::*;
@@ -34,7 +36,10 @@ pub struct Trainer<'a> {
     pub(crate) pipeline: Pipeline,
     pub(crate) data: &'a Dataset,
     pub(crate) train: Vec<usize>,
+    /// As trained: their plane has every `stride`-th row and column.
     pub(crate) stages: Arc<Stages>,
+    /// The whole picture.
+    plane: ImagePlane,
     pub(crate) specs: Vec<ColumnSpec>,
     pub(crate) cloud: GaussianCloud,
     pub(crate) weights: Vec<Real>,
@@ -70,6 +75,7 @@ impl<'a> Trainer<'a> {
             let values = vec![spec.init; cloud.len() * spec.width];
             cloud.extra.push(ExtraColumn { name: spec.name.into(), width: spec.width, values });
         }
+        let coarse = coarse(&plane, pipeline)?;
         let weights = pipeline.deformation.init(&mut rng::stream(pipeline.seed, "network", 0));
         let stages = Arc::new(Stages {
             deformation: pipeline.deformation.clone(),
@@ -78,7 +84,7 @@ impl<'a> Trainer<'a> {
             calibration: pipeline.calibration,
             readout: pipeline.readout,
             pose: data.scene.receiver,
-            plane,
+            plane: coarse,
         });
         Ok(Self {
             adam: Adam::new(&cloud, &weights),
@@ -87,6 +93,7 @@ impl<'a> Trainer<'a> {
             data,
             train: partition.train.clone(),
             stages,
+            plane,
             specs,
             cloud,
             weights,
@@ -140,9 +147,13 @@ impl<'a> Trainer<'a> {
         self.unpruned = None;
         let batch = self.batch(step);
         let pruners = if moment.phase == Phase::Finetune { Vec::new() } else { self.pipeline.pruners.clone() };
-        let ssim_weight = self.pipeline.training.loss.ssim_weight;
-        let outcome =
-            loss_and_gradients(&self.stages, &self.cloud, &self.weights, &batch, ssim_weight, &pruners, &moment)?;
+        let settings = &self.pipeline.training;
+        let objective = RenderingLoss::strided(settings.loss.ssim_weight, settings.stride);
+        let window = self.window(step);
+        let weights = through(window.as_deref(), &self.weights);
+        let mut outcome =
+            loss_and_gradients(&self.stages, &self.cloud, &weights, &batch, &objective, &pruners, &moment)?;
+        outcome.d_weights = through(window.as_deref(), &outcome.d_weights);
         self.add_to_stats(&outcome.seen);
         self.adam
             .step(
@@ -171,7 +182,15 @@ impl<'a> Trainer<'a> {
             cloud = cloud.select(&rows);
         }
         cloud.extra.clear();
-        Model { stages: Stages::clone(&self.stages), cloud, weights: self.weights.clone() }
+        let stages = Stages { plane: self.plane.clone(), ..Stages::clone(&self.stages) };
+        Model { stages, cloud, weights: through(self.window(self.done).as_deref(), &self.weights) }
+    }
+
+    /// Factors on the network's weights while frequencies are let in; `None` where all are in.
+    fn window(&self, step: u64) -> Option<Vec<Real>> {
+        let steps = self.pipeline.training.anneal_frequencies;
+        let share = step as f64 / steps.max(1) as f64;
+        if steps == 0 || share >= 1.0 { None } else { self.stages.deformation.frequency_window(share) }
     }
 
     /// Next transmitters: every sample once an epoch, in an order of its own each epoch.
@@ -193,11 +212,15 @@ impl<'a> Trainer<'a> {
             batch.txs.push(tx.map(|x| x + settings.tx_jitter_m * rng::normal(&mut jitter)));
             samples.push(sample);
         }
-        let pixels = self.data.width * self.data.height;
+        let ImagePlane { width, height, .. } = self.stages.plane;
+        let (pixels, stride) = (width * height, settings.stride);
         batch.truths.resize(samples.len() * pixels, 0.0);
         batch.truths.par_chunks_exact_mut(pixels).zip(&samples).for_each(|(truth, &sample)| {
-            let bytes = &self.data.samples[sample].spectrum;
-            truth.iter_mut().zip(bytes).for_each(|(t, &v)| *t = Real::from(v) / 255.0);
+            let rows = self.data.samples[sample].spectrum.chunks_exact(self.data.width).step_by(stride);
+            for (truth, row) in truth.chunks_exact_mut(width).zip(rows) {
+                let bytes = row.iter().step_by(stride);
+                truth.iter_mut().zip(bytes).for_each(|(t, &v)| *t = Real::from(v) / 255.0);
+            }
         });
         batch
     }
@@ -279,6 +302,43 @@ impl<'a> Trainer<'a> {
         let traced = Traced::new(&self.cloud);
         let gates = self.pipeline.pruners.iter().filter_map(|p| p.gate(&traced, moment));
         gates.reduce(|a, b| a * b).map(|gate| values(&gate).into_iter().map(|m| m != 0.0).collect())
+    }
+}
+
+/// The plane of every `stride`-th row and column of `plane`.
+fn coarse(plane: &ImagePlane, pipeline: &Pipeline) -> Result<ImagePlane> {
+    let (width, height, stride) = (plane.width, plane.height, pipeline.training.stride);
+    if stride == 1 {
+        return Ok(plane.clone());
+    }
+    if !(width.is_multiple_of(stride) && height.is_multiple_of(stride)) {
+        let fits: Vec<String> = (1..=width.min(height))
+            .filter(|s| width.is_multiple_of(*s) && height.is_multiple_of(*s))
+            .map(|s| s.to_string())
+            .collect();
+        return Err(Error::Config(format!(
+            "training.stride {stride} does not divide the pictures' {width} columns and {height} rows; use one of {}",
+            fits.join(", ")
+        )));
+    }
+    let coarse = pipeline.projector.plane(width / stride, height / stride);
+    let (last_x, last_y) = ((coarse.width - 1) as Real, (coarse.height - 1) as Real);
+    let corner = plane.direction(last_x * stride as Real, last_y * stride as Real);
+    match (coarse.direction(last_x, last_y), corner) {
+        (Some(a), Some(b)) if a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4) => Ok(coarse),
+        _ => Err(Error::Config(
+            "training.stride needs a projector that keeps directions on a coarser picture; use projector: Mercator(), or \
+             stride: 1"
+                .into(),
+        )),
+    }
+}
+
+/// Weights, or their derivatives, as far as the window lets them in.
+fn through(window: Option<&[Real]>, weights: &[Real]) -> Vec<Real> {
+    match window {
+        None => weights.to_vec(),
+        Some(window) => weights.iter().zip(window).map(|(w, factor)| w * factor).collect(),
     }
 }
 

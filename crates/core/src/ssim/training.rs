@@ -16,6 +16,26 @@ use std::cell::RefCell;
 const TAPS: usize = 11;
 /// Half of them: the reach of the blur, px.
 const REACH: usize = TAPS / 2;
+/// The Gaussian window of the trained SSIM: 11 taps along each axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Window([Real; TAPS]);
+
+impl Window {
+    /// exp(−x²/(2σ²)) at x = −5 … 5, divided by the sum; σ in pixels, above 0 and small enough for 11 taps.
+    pub fn new(sigma: f64) -> Self {
+        let raw: [f64; TAPS] = std::array::from_fn(|k| (-0.5 * ((k as f64 - REACH as f64) / sigma).powi(2)).exp());
+        let sum: f64 = raw.iter().sum();
+        Self(raw.map(|w| (w / sum) as Real))
+    }
+}
+
+impl Default for Window {
+    /// σ = 1.5 px, as everybody trains it. Written out, so that the bits do not depend on a library's exponential.
+    fn default() -> Self {
+        Self(WEIGHTS)
+    }
+}
+
 /// exp(−x²/(2·1.5²)) at x = −5 … 5, divided by the sum.
 const WEIGHTS: [Real; TAPS] = [
     0.001_028_380_084_479_109_2,
@@ -37,17 +57,28 @@ type Block = [Real; LANES];
 /// SSIM as it is trained: Gaussian window, zeros beyond the border, mean over all pixels. Both pictures are row-major
 /// `[height, width]`; 1 for pictures without a pixel.
 pub fn training(prediction: &[Real], truth: &[Real], width: usize, height: usize) -> Real {
-    run(prediction, truth, width, height, None)
+    run(prediction, truth, (width, height), &Window::default(), None)
 }
 
-/// [`training`] and its derivative with respect to every pixel of `prediction`, `[height, width]`.
-pub fn training_vjp(prediction: &[Real], truth: &[Real], width: usize, height: usize) -> (Real, Vec<Real>) {
+/// [`training`] with any window, and its derivative with respect to every pixel of `prediction`, `[height, width]`.
+pub fn training_vjp(
+    prediction: &[Real],
+    truth: &[Real],
+    (width, height): (usize, usize),
+    window: &Window,
+) -> (Real, Vec<Real>) {
     let mut d_prediction = vec![0.0; width * height];
-    let value = run(prediction, truth, width, height, Some(&mut d_prediction));
+    let value = run(prediction, truth, (width, height), window, Some(&mut d_prediction));
     (value, d_prediction)
 }
 
-fn run(prediction: &[Real], truth: &[Real], width: usize, height: usize, d: Option<&mut [Real]>) -> Real {
+fn run(
+    prediction: &[Real],
+    truth: &[Real],
+    (width, height): (usize, usize),
+    window: &Window,
+    d: Option<&mut [Real]>,
+) -> Real {
     assert_eq!((prediction.len(), truth.len()), (width * height, width * height), "pixels fill the picture");
     if prediction.is_empty() {
         return 1.0;
@@ -57,7 +88,7 @@ fn run(prediction: &[Real], truth: &[Real], width: usize, height: usize, d: Opti
     }
     SCRATCH.with_borrow_mut(|scratch| {
         scratch.fit(width, height);
-        pulp::Arch::new().dispatch(Job { prediction, truth, width, height, d, scratch })
+        pulp::Arch::new().dispatch(Job { prediction, truth, width, height, window, d, scratch })
     })
 }
 
@@ -95,6 +126,7 @@ struct Job<'a> {
     truth: &'a [Real],
     width: usize,
     height: usize,
+    window: &'a Window,
     d: Option<&'a mut [Real]>,
     scratch: &'a mut Scratch,
 }
@@ -104,25 +136,25 @@ impl pulp::WithSimd for Job<'_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) -> Real {
-        let Job { prediction, truth, width, height, d, scratch } = self;
+        let Job { prediction, truth, width, height, window: Window(weights), d, scratch } = self;
         let Scratch { stride, padded, planes, blurred, zeros, .. } = scratch;
         let (stride, (moments, slopes)) = (*stride, planes.split_at_mut(5));
         for y in 0..height {
             let row = y * width..(y + 1) * width;
             products(padded, &prediction[row.clone()], &truth[row]);
             for (padded, plane) in padded.iter().zip(&mut *moments) {
-                blur(&mut plane[y * stride..][..stride], along(padded, stride));
+                blur(&mut plane[y * stride..][..stride], along(padded, stride), weights);
             }
         }
         let mut total = [0.0; LANES];
         for y in 0..height {
             for (row, plane) in blurred.iter_mut().zip(&*moments) {
-                blur(row, across(plane, y, stride, zeros));
+                blur(row, across(plane, y, stride, zeros), weights);
             }
             similarity(blurred, width, &mut total, d.is_some().then_some(&mut *padded));
             if d.is_some() {
                 for (padded, plane) in padded.iter().zip(&mut *slopes) {
-                    blur(&mut plane[y * stride..][..stride], along(padded, stride));
+                    blur(&mut plane[y * stride..][..stride], along(padded, stride), weights);
                 }
             }
         }
@@ -130,7 +162,7 @@ impl pulp::WithSimd for Job<'_> {
         if let Some(d) = d {
             for (y, d) in d.chunks_exact_mut(width).enumerate() {
                 for (row, plane) in blurred.iter_mut().zip(&*slopes) {
-                    blur(row, across(plane, y, stride, zeros));
+                    blur(row, across(plane, y, stride, zeros), weights);
                 }
                 let row = y * width..(y + 1) * width;
                 gather(d, &prediction[row.clone()], &truth[row], blurred, (1.0 / pixels) as Real);
@@ -157,11 +189,11 @@ fn across<'a>(plane: &'a [Real], y: usize, stride: usize, zeros: &'a [Real]) -> 
 
 /// `out` = Σ weight · tap, all of one length, a multiple of [`LANES`].
 #[inline(always)]
-fn blur(out: &mut [Real], taps: [&[Real]; TAPS]) {
+fn blur(out: &mut [Real], taps: [&[Real]; TAPS], weights: &[Real; TAPS]) {
     let taps = taps.map(|t| t.as_chunks::<LANES>().0);
     for (i, out) in out.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
         let mut sum: Block = [0.0; LANES];
-        for (tap, weight) in taps.iter().zip(WEIGHTS) {
+        for (tap, weight) in taps.iter().zip(weights) {
             let tap = &tap[i];
             for (sum, tap) in sum.iter_mut().zip(tap) {
                 *sum += weight * tap;
@@ -249,6 +281,10 @@ mod tests {
         (0..n).map(|_| rng::uniform(&mut random)).collect()
     }
 
+    fn differentiated(p: &[Real], g: &[Real], width: usize, height: usize) -> (Real, Vec<Real>) {
+        training_vjp(p, g, (width, height), &Window::default())
+    }
+
     #[test]
     fn the_derivative_agrees_with_central_differences() {
         if size_of::<Real>() < 8 {
@@ -260,7 +296,7 @@ mod tests {
                 "training SSIM",
                 &p,
                 |p| vec![training(p, &g, width, height)],
-                |p, d| training_vjp(p, &g, width, height).1.iter().map(|v| v * d[0]).collect(),
+                |p, d| differentiated(p, &g, width, height).1.iter().map(|v| v * d[0]).collect(),
                 1e-5,
                 1e-6,
             );
@@ -270,11 +306,11 @@ mod tests {
     #[test]
     fn scratch_of_another_size_leaves_no_trace() {
         let (p, g) = (noise(90 * 40, "p"), noise(90 * 40, "g"));
-        let before = training_vjp(&p, &g, 90, 40);
+        let before = differentiated(&p, &g, 90, 40);
         for (width, height) in [(40, 90), (7, 7), (1, 3600), (45, 80)] {
-            let _ = training_vjp(&p[..width * height], &g[..width * height], width, height);
+            let _ = differentiated(&p[..width * height], &g[..width * height], width, height);
         }
-        assert_eq!(training_vjp(&p, &g, 90, 40), before);
+        assert_eq!(differentiated(&p, &g, 90, 40), before);
         assert_eq!(training(&p, &g, 90, 40), before.0);
     }
 
@@ -284,6 +320,8 @@ mod tests {
         let sum: f64 = (0..TAPS).map(raw).sum();
         for (k, weight) in WEIGHTS.iter().enumerate() {
             assert!((*weight as f64 - raw(k) / sum).abs() < 1e-8);
+            assert!((Window::new(1.5).0[k] - weight).abs() < 1e-7);
         }
+        assert!((Window::new(0.5).0[REACH] - 0.786_57).abs() < 1e-4);
     }
 }

@@ -5,22 +5,23 @@ use super::encoding::{self, encode, encode_vjp};
 use super::layers::Plan;
 use super::linear::Linear;
 use super::mlp::{WIDEST, check_frequencies, check_stack};
+use super::waves::{Encoder, TxEncoding};
 use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Pose, Real, WeightSpec, rng::Rng};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// A network that runs once a transmitter and not once a Gaussian: Δsᵢ(p) = Σ_f G_f(μᵢ)·T_f(p) + G₀(μᵢ).
+/// A network that runs once a transmitter and not once a Gaussian: `Δsᵢ(p) = G(μᵢ)·T(p) + G₀(μᵢ)`.
 ///
 /// A stack of ReLU layers makes `width` features T of the transmitter's encoded position γ(p); a small network, γ(μ) →
 /// `branch` ReLU → heads, makes each Gaussian's factors G, two rows (real and imaginary part) of `width` + 1 numbers.
 /// A signal is then a scalar product. The cost of a prediction is that of one pass through the stack, whatever N is, and
 /// sixteen Gaussians on a 4 x 4 array can follow all that the network knows of the transmitter: the shape for
-/// `ArrayResponse`. Geometry does not depend on the transmitter. Known elsewhere as branch and trunk (DeepONet).
+/// `ArrayResponse`. Geometry does not depend on the transmitter. Known elsewhere as branch and trunk (`DeepONet`).
 ///
 /// | field | meaning | default |
 /// |---|---|---|
 /// | `depth`, `width` | ReLU layers of the transmitter's stack, numbers a layer | 4, 256 |
-/// | `tx_frequencies` | frequencies 2⁰…2^(L-1) rad/m in γ(p); 5 ends at 16 rad/m, about 2π/λ at 920 MHz | 5 |
+/// | `tx_encoding` | γ(p): `Octaves(5)`, or `Waves(count: 64, reach: 24.0)`; see [`TxEncoding`] | `Octaves(5)` |
 /// | `position_frequencies` | the same in γ(μ) | 4 |
 /// | `branch` | hidden numbers on the Gaussian's side | 32 |
 ///
@@ -29,18 +30,18 @@ use serde::{Deserialize, Serialize};
 /// ```
 /// use pwrfgs_core::{Deformation, Plugin};
 /// # use pwrfgs_model as _;
-/// let small = Plugin::<dyn Deformation>::parse("Factored(depth: 3, width: 128, tx_frequencies: 5)").unwrap();
+/// let small = Plugin::<dyn Deformation>::parse("Factored(depth: 3, width: 128, tx_encoding: Waves(count: 64, reach: 24.0))").unwrap();
 /// assert!(!small.varies_geometry());
 /// ```
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Factored {
     /// ReLU layers of the transmitter's stack, 1 or more.
     pub depth: usize,
     /// Numbers a layer, and features.
     pub width: usize,
-    /// Frequencies in the encoding of the transmitter.
-    pub tx_frequencies: usize,
+    /// How the transmitter's position is encoded.
+    pub tx_encoding: TxEncoding,
     /// Frequencies in the encoding of the centre.
     pub position_frequencies: usize,
     /// Hidden numbers on the Gaussian's side.
@@ -49,7 +50,7 @@ pub struct Factored {
 
 impl Default for Factored {
     fn default() -> Self {
-        Self { depth: 4, width: 256, tx_frequencies: 5, position_frequencies: 4, branch: 32 }
+        Self { depth: 4, width: 256, tx_encoding: TxEncoding::default(), position_frequencies: 4, branch: 32 }
     }
 }
 
@@ -85,6 +86,15 @@ impl Deformation for Factored {
         Network::of(self, inputs.weights).vjp(inputs, d, d_weights, d_means);
     }
 
+    fn frequency_window(&self, share: f64) -> Option<Vec<Real>> {
+        let mut plan = Plan::default();
+        let network = Network::new(self, &mut plan);
+        let mut factors = vec![1.0; plan.len()];
+        network.stack[0].dim(&mut factors, 0, &self.tx_encoding.window(share));
+        network.branch[0].dim(&mut factors, 0, &encoding::window(self.position_frequencies, share));
+        Some(factors)
+    }
+
     fn about(&self) -> &'static str {
         "signals as products of features of the transmitter and of the Gaussian: one small network, whatever N is"
     }
@@ -94,7 +104,7 @@ impl Deformation for Factored {
         if !(1..=WIDEST).contains(&self.branch) {
             return Err(format!("branch is {}; give a number from 1 to {WIDEST}", self.branch));
         }
-        check_frequencies("tx_frequencies", self.tx_frequencies)?;
+        self.tx_encoding.check()?;
         check_frequencies("position_frequencies", self.position_frequencies)
     }
 }
@@ -104,7 +114,7 @@ const GROUP: usize = 32;
 
 /// The layers in the flat weight vector.
 struct Network {
-    tx_frequencies: usize,
+    tx_encoding: Encoder,
     position_frequencies: usize,
     stack: Vec<Linear>,
     branch: [Linear; 2],
@@ -117,15 +127,15 @@ struct Factors {
     gamma: Vec<Real>,
     hidden: Vec<Real>,
     /// Rows 0 to F: real part, then G₀; the same again for the imaginary part.
-    factors: Vec<Real>,
+    rows: Vec<Real>,
     n: usize,
 }
 
 impl Factors {
     /// G of channel `c`, `[F, N]`, and G₀ `[N]`.
     fn channel(&self, c: usize) -> (&[Real], &[Real]) {
-        let rows = self.factors.len() / self.n.max(1) / 2;
-        let own = &self.factors[c * rows * self.n..(c + 1) * rows * self.n];
+        let rows = self.rows.len() / self.n.max(1) / 2;
+        let own = &self.rows[c * rows * self.n..(c + 1) * rows * self.n];
         own.split_at(own.len() - self.n)
     }
 }
@@ -133,16 +143,16 @@ impl Factors {
 impl Network {
     fn new(settings: &Factored, plan: &mut Plan) -> Self {
         let (width, branch) = (settings.width, settings.branch);
-        let gamma = encoding::width(settings.tx_frequencies);
-        let stack =
-            (0..settings.depth).map(|l| plan.linear(&format!("tx.{l}"), if l == 0 { gamma } else { width }, width));
-        let stack = stack.collect();
+        let tx_encoding = settings.tx_encoding.encoder();
+        let inputs = |l| if l == 0 { settings.tx_encoding.width() } else { width };
+        let stack = (0..settings.depth).map(|l| plan.relu(&format!("tx.{l}"), inputs(l), width)).collect();
+        // Signals begin about as large as one feature.
+        let size = (3.0 / width as f64).sqrt();
         let branch = [
-            plan.linear("branch.0", encoding::width(settings.position_frequencies), branch),
-            plan.linear("branch.1", branch, 2 * (width + 1)),
+            plan.relu("branch.0", encoding::width(settings.position_frequencies), branch),
+            plan.heads(&[("branch.1", 2 * (width + 1))], branch, size),
         ];
-        let (tx_frequencies, position_frequencies) = (settings.tx_frequencies, settings.position_frequencies);
-        Self { tx_frequencies, position_frequencies, stack, branch, features: width }
+        Self { tx_encoding, position_frequencies: settings.position_frequencies, stack, branch, features: width }
     }
 
     fn of(settings: &Factored, weights: &[Real]) -> Self {
@@ -163,13 +173,13 @@ impl Network {
         let mut factors = vec![0.0; n * second.outputs];
         second.whole().apply(weights, &hidden, &mut factors, Store::Set);
         dense::add_bias(&mut factors, second.bias(weights));
-        Factors { gamma, hidden, factors, n }
+        Factors { gamma, hidden, rows: factors, n }
     }
 
     /// γ(p) and every layer's output, feature-major `[·, B]`; the last is T.
     fn stack(&self, weights: &[Real], txs: &[[Real; 3]]) -> Vec<Vec<Real>> {
         let mut layers = vec![vec![0.0; txs.len() * self.stack[0].inputs]];
-        encode(txs.iter().copied(), self.tx_frequencies, &mut layers[0]);
+        self.tx_encoding.encode(txs, &mut layers[0]);
         for (l, layer) in self.stack.iter().enumerate() {
             let mut h = vec![0.0; txs.len() * layer.outputs];
             layer.whole().apply(weights, &layers[l], &mut h, Store::Set);
@@ -217,7 +227,7 @@ impl Network {
         let sums: Vec<(Vec<Real>, Vec<Real>)> =
             groups.map(|(txs, d_signals)| self.group_vjp(weights, &g, txs, d_signals)).collect();
         dense::add_in_order(d_weights, &sums.iter().map(|s| s.0.as_slice()).collect::<Vec<_>>());
-        let mut d_factors = vec![0.0; g.factors.len()];
+        let mut d_factors = vec![0.0; g.rows.len()];
         dense::add_in_order(&mut d_factors, &sums.iter().map(|s| s.1.as_slice()).collect::<Vec<_>>());
         self.branch_vjp(weights, &g, &d_factors, d_weights, d_means);
     }
@@ -226,7 +236,7 @@ impl Network {
     fn group_vjp(&self, weights: &[Real], g: &Factors, txs: &[[Real; 3]], d: &[[Real; 2]]) -> (Vec<Real>, Vec<Real>) {
         let (n, batch, width) = (g.n, txs.len(), self.features);
         let layers = self.stack(weights, txs);
-        let (mut d_weights, mut d_factors) = (vec![0.0; weights.len()], vec![0.0; g.factors.len()]);
+        let (mut d_weights, mut d_factors) = (vec![0.0; weights.len()], vec![0.0; g.rows.len()]);
         let mut d_h = vec![0.0; width * batch];
         let rows = d_factors.len() / 2;
         for (c, d_factors) in d_factors.chunks_exact_mut(rows).enumerate() {

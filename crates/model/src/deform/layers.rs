@@ -25,6 +25,14 @@ impl Plan {
         self.heads(&[(name, outputs)], inputs, 1.0)
     }
 
+    /// A layer before a ReLU with He's initial values: weights uniform within ±√(6/inputs), biases 0. What goes in and
+    /// what comes out are then of one size, however deep the stack.
+    pub(super) fn relu(&mut self, name: &str, inputs: usize, outputs: usize) -> Linear {
+        let weight = self.push(format!("{name}.weight"), vec![outputs, inputs], (6.0 / inputs as f64).sqrt());
+        let bias = self.push(format!("{name}.bias"), vec![outputs], 0.0);
+        Linear { inputs, outputs, weight, bias }
+    }
+
     /// Layers that share their input, stored weights first and then biases, so that they act as one layer. Their
     /// initial values are multiplied by `scale`.
     pub(super) fn heads(&mut self, heads: &[(&str, usize)], inputs: usize, scale: f64) -> Linear {

@@ -108,6 +108,14 @@ impl Deformation for Mlp {
         network.vjp(inputs, d, d_weights);
     }
 
+    fn frequency_window(&self, share: f64) -> Option<Vec<Real>> {
+        let mut plan = Plan::default();
+        let network = Network::new(self, &mut plan);
+        let mut factors = vec![1.0; plan.len()];
+        network.dim(&mut factors, share);
+        Some(factors)
+    }
+
     fn about(&self) -> &'static str {
         "the network of P-WRFGS: changes signals, rotations and scales with the transmitter"
     }

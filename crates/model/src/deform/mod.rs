@@ -19,10 +19,12 @@ mod oracle;
 #[cfg(test)]
 mod tests;
 mod trunk;
+mod waves;
 mod wrfgs;
 mod wrfgs_network;
 
 pub use factored::Factored;
 pub use fixed::Fixed;
 pub use mlp::{Mlp, Outputs};
+pub use waves::TxEncoding;
 pub use wrfgs::Wrfgs;

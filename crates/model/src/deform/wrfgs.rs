@@ -128,6 +128,14 @@ impl Deformation for Wrfgs {
         }
     }
 
+    fn frequency_window(&self, share: f64) -> Option<Vec<Real>> {
+        let mut plan = Plan::default();
+        let network = Network::new(self, &mut plan);
+        let mut factors = vec![1.0; self.layout().iter().map(WeightSpec::len).sum()];
+        network.dim(&mut factors, share);
+        Some(factors)
+    }
+
     fn about(&self) -> &'static str {
         "the network of WRF-GS: gives the signals of each transmitter, geometry stays"
     }

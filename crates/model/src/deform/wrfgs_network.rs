@@ -106,6 +106,13 @@ impl Network {
         }
     }
 
+    /// Multiplies the factors of the weights that see encodings by how far each frequency is let in.
+    pub(super) fn dim(&self, factors: &mut [Real], share: f64) {
+        let window = encoding::window(self.frequencies, share);
+        self.trunk.dim(factors, &window);
+        self.signal[0].dim(factors, self.trunk.width, &[window.as_slice(), &window].concat());
+    }
+
     /// The columns of `sig.0` that see the feature, γ(p) and γ(X - p).
     fn signal_parts(&self) -> [Part; 3] {
         let (width, gamma) = (self.trunk.width, encoding::width(self.frequencies));

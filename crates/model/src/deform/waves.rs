@@ -1,0 +1,141 @@
+//! `TxEncoding`: what a network sees of the transmitter's position.
+
+use super::encoding::{self, encode, let_in};
+use super::mlp::{WIDEST, check_frequencies};
+use pwrfgs_core::{Real, rng};
+use serde::{Deserialize, Serialize};
+
+/// The encoding γ(p) of the transmitter's position: the coordinates, and waves over the room.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum TxEncoding {
+    /// Sine and cosine of 2⁰…2^(L-1) rad/m along each axis (`NeRF`). 5 ends at 16 rad/m, near 2π/λ at 920 MHz, beyond
+    /// which no wave from a transmitter varies.
+    Octaves(usize),
+    /// Sine and cosine of kᵢ·p for `count` wave vectors k of any direction, their lengths evenly from 0 to `reach`
+    /// (random Fourier features, shaped for a band-limited field). Drawn from `seed`: networks of one ensemble had
+    /// better each have their own. They are not learned.
+    Waves {
+        /// Number of wave vectors.
+        count: usize,
+        /// Longest of them, rad/m; a little above 2π/λ.
+        reach: f64,
+        /// Decides the directions; default 0.
+        #[serde(default)]
+        seed: u64,
+    },
+}
+
+impl Default for TxEncoding {
+    fn default() -> Self {
+        Self::Octaves(5)
+    }
+}
+
+impl TxEncoding {
+    /// How many numbers γ has.
+    pub(super) fn width(&self) -> usize {
+        match *self {
+            Self::Octaves(frequencies) => encoding::width(frequencies),
+            Self::Waves { count, .. } => 3 + 2 * count,
+        }
+    }
+
+    pub(super) fn check(&self) -> Result<(), String> {
+        match *self {
+            Self::Octaves(frequencies) => check_frequencies("tx_encoding: Octaves", frequencies),
+            Self::Waves { count, .. } if count > WIDEST => {
+                Err(format!("tx_encoding: count is {count}; give a number from 0 to {WIDEST}"))
+            }
+            Self::Waves { reach, .. } if !(reach > 0.0 && reach.is_finite()) => {
+                Err(format!("tx_encoding: reach is {reach}; give rad/m above 0, about 2π over the wavelength"))
+            }
+            Self::Waves { .. } => Ok(()),
+        }
+    }
+
+    /// Factors on γ's rows when a `share` of the annealing is done: the longest waves over the room first.
+    pub(super) fn window(&self, share: f64) -> Vec<Real> {
+        match *self {
+            Self::Octaves(frequencies) => encoding::window(frequencies, share),
+            Self::Waves { count, .. } => {
+                // A sixth of the waves is being let in at a time.
+                let (front, band) = (share * (1.0 + 1.0 / 6.0), 1.0 / 6.0);
+                let wave = |i: usize| let_in((front - length(i, count)) / band);
+                [1.0; 3].into_iter().chain((0..count).flat_map(|i| [wave(i); 2])).collect()
+            }
+        }
+    }
+
+    pub(super) fn encoder(&self) -> Encoder {
+        match *self {
+            Self::Octaves(frequencies) => Encoder::Octaves(frequencies),
+            Self::Waves { count, reach, seed } => {
+                let mut random = rng::stream(seed, "waves", 0);
+                let vector = |i: usize| {
+                    let direction = [(); 3].map(|()| f64::from(rng::normal(&mut random)));
+                    let norm = direction.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-9);
+                    direction.map(|v| v / norm * length(i, count) * reach)
+                };
+                Encoder::Waves((0..count).map(vector).collect())
+            }
+        }
+    }
+}
+
+/// Length of wave vector `i` of `count`, over the reach.
+fn length(i: usize, count: usize) -> f64 {
+    (i as f64 + 0.5) / count as f64
+}
+
+/// A [`TxEncoding`] ready for use.
+#[derive(Debug)]
+pub(super) enum Encoder {
+    Octaves(usize),
+    Waves(Vec<[f64; 3]>),
+}
+
+impl Encoder {
+    /// γ of B points into `out` `[·, B]`.
+    pub(super) fn encode(&self, points: &[[Real; 3]], out: &mut [Real]) {
+        let vectors = match self {
+            Self::Octaves(frequencies) => return encode(points.iter().copied(), *frequencies, out),
+            Self::Waves(vectors) => vectors,
+        };
+        let rows = points.len();
+        for (r, point) in points.iter().enumerate() {
+            let x = point.map(f64::from);
+            (0..3).for_each(|k| out[k * rows + r] = point[k]);
+            for (i, k) in vectors.iter().enumerate() {
+                let (sin, cos) = (k[0] * x[0] + k[1] * x[1] + k[2] * x[2]).sin_cos();
+                let row = 3 + 2 * i;
+                (out[row * rows + r], out[(row + 1) * rows + r]) = (sin as Real, cos as Real);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn waves_have_their_lengths_and_another_seed_other_directions() {
+        let vectors = |seed| match (TxEncoding::Waves { count: 40, reach: 20.0, seed }).encoder() {
+            Encoder::Waves(vectors) => vectors,
+            Encoder::Octaves(_) => unreachable!("they are waves"),
+        };
+        let lengths: Vec<f64> = vectors(0).iter().map(|k| k.iter().map(|v| v * v).sum::<f64>().sqrt()).collect();
+        assert!(lengths.iter().enumerate().all(|(i, l)| (l - 0.5 * (i as f64 + 0.5)).abs() < 1e-6));
+        assert_eq!(vectors(0), vectors(0));
+        assert_ne!(vectors(0), vectors(1));
+    }
+
+    #[test]
+    fn long_waves_are_let_in_first() {
+        let waves = TxEncoding::Waves { count: 12, reach: 20.0, seed: 0 };
+        assert_eq!(waves.window(0.0)[3..], [0.0; 24]);
+        assert_eq!(waves.window(1.0), vec![1.0; waves.width()]);
+        let half = waves.window(0.5);
+        assert!(half.windows(2).all(|w| w[0] >= w[1]) && half[3] == 1.0 && half[26] == 0.0);
+    }
+}
