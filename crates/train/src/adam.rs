@@ -60,8 +60,14 @@ impl Adam {
             }
         }
         let [first, second] = &mut self.weights;
-        let network =
-            Update { rate: rate(o.network), eps: o.network_eps, l2: o.network_l2, decay: o.network_decay, ..update };
+        let warm = (step as f64 / o.network_warmup.max(1) as f64).min(1.0) as Real;
+        let network = Update {
+            rate: warm * rate(o.network),
+            eps: o.network_eps,
+            l2: o.network_l2,
+            decay: o.network_decay,
+            ..update
+        };
         network.apply(weights, d_weights, first, second).map_err(|()| "the network".into())
     }
 }

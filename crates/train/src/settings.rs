@@ -123,6 +123,8 @@ settings! {
         signals: Schedule = Schedule::Constant(0.0025),
         /// Rate of the deformation network.
         network: Schedule = Schedule::LogLinear { first: 8e-4, last: 1.6e-6, steps: 0 },
+        /// Steps over which the network's rate rises from 0 to what its schedule says.
+        network_warmup: u64 = 0,
         /// Decay of the first moment.
         beta1: Real = 0.9,
         /// Decay of the second moment.

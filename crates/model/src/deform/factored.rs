@@ -1,29 +1,28 @@
 //! `Factored`: signals as products of what depends on the transmitter and what depends on the Gaussian.
 
 use super::dense::{self, Matrix, MatrixMut, Store, product};
-use super::encoding::{self, encode, encode_vjp};
 use super::layers::Plan;
 use super::linear::Linear;
-use super::mlp::{WIDEST, check_frequencies, check_stack};
-use super::waves::{Encoder, TxEncoding};
+use super::mlp::check_stack;
+use super::waves::{Encoder, Encoding};
 use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Pose, Real, WeightSpec, rng::Rng};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// A network that runs once a transmitter and not once a Gaussian: `Δsᵢ(p) = G(μᵢ)·T(p) + G₀(μᵢ)`.
 ///
-/// A stack of ReLU layers makes `width` features T of the transmitter's encoded position γ(p); a small network, γ(μ) →
-/// `branch` ReLU → heads, makes each Gaussian's factors G, two rows (real and imaginary part) of `width` + 1 numbers.
-/// A signal is then a scalar product. The cost of a prediction is that of one pass through the stack, whatever N is, and
+/// A stack of ReLU layers makes `width` features T of the transmitter's encoded position γ(p); one linear layer on the
+/// waves φ(μ) of the encoded centre makes each Gaussian's factors G, two rows (real and imaginary part) of `width` + 1
+/// numbers. A signal is then a scalar product. Waves short against the distances of Gaussians make their factors
+/// independent, long ones let neighbours agree. The cost of a prediction is that of one pass through the stack, whatever N is, and
 /// sixteen Gaussians on a 4 x 4 array can follow all that the network knows of the transmitter: the shape for
 /// `ArrayResponse`. Geometry does not depend on the transmitter. Known elsewhere as branch and trunk (`DeepONet`).
 ///
 /// | field | meaning | default |
 /// |---|---|---|
 /// | `depth`, `width` | ReLU layers of the transmitter's stack, numbers a layer | 4, 256 |
-/// | `tx_encoding` | γ(p): `Octaves(5)`, or `Waves(count: 64, reach: 24.0)`; see [`TxEncoding`] | `Octaves(5)` |
-/// | `position_frequencies` | the same in γ(μ) | 4 |
-/// | `branch` | hidden numbers on the Gaussian's side | 32 |
+/// | `tx_encoding` | γ(p): `Octaves(5)`, or `Waves(count: 64, reach: 24.0)`; see [`Encoding`] | `Octaves(5)` |
+/// | `position_encoding` | φ(μ), the same without the coordinates | `Waves(count: 32, reach: 4.0)` |
 ///
 /// Centres are differentiated through the network.
 ///
@@ -41,16 +40,16 @@ pub struct Factored {
     /// Numbers a layer, and features.
     pub width: usize,
     /// How the transmitter's position is encoded.
-    pub tx_encoding: TxEncoding,
-    /// Frequencies in the encoding of the centre.
-    pub position_frequencies: usize,
-    /// Hidden numbers on the Gaussian's side.
-    pub branch: usize,
+    pub tx_encoding: Encoding,
+    /// How the centre is encoded; without the coordinates, which would drown the waves.
+    pub position_encoding: Encoding,
 }
+
+const WAVES: Encoding = Encoding::Waves { count: 32, reach: 4.0, seed: 0 };
 
 impl Default for Factored {
     fn default() -> Self {
-        Self { depth: 4, width: 256, tx_encoding: TxEncoding::default(), position_frequencies: 4, branch: 32 }
+        Self { depth: 4, width: 256, tx_encoding: Encoding::default(), position_encoding: WAVES }
     }
 }
 
@@ -91,7 +90,7 @@ impl Deformation for Factored {
         let network = Network::new(self, &mut plan);
         let mut factors = vec![1.0; plan.len()];
         network.stack[0].dim(&mut factors, 0, &self.tx_encoding.window(share));
-        network.branch[0].dim(&mut factors, 0, &encoding::window(self.position_frequencies, share));
+        network.branch.dim(&mut factors, 0, &self.position_encoding.window(share)[3..]);
         Some(factors)
     }
 
@@ -101,13 +100,17 @@ impl Deformation for Factored {
 
     fn check(&self) -> Result<(), String> {
         check_stack(self.depth, self.width, None)?;
-        if !(1..=WIDEST).contains(&self.branch) {
-            return Err(format!("branch is {}; give a number from 1 to {WIDEST}", self.branch));
+        self.tx_encoding.check("tx_encoding")?;
+        self.position_encoding.check("position_encoding")?;
+        if self.position_encoding.width() == 3 {
+            return Err("position_encoding needs a wave: give Waves(count: 32, reach: 4.0) or Octaves(4)".into());
         }
-        self.tx_encoding.check()?;
-        check_frequencies("position_frequencies", self.position_frequencies)
+        Ok(())
     }
 }
+
+/// Mean magnitude of a sine.
+const WAVE_MEAN: f64 = std::f64::consts::FRAC_2_PI;
 
 /// Transmitters that share one pass of the derivative. Depends on nothing, so that threads do not show in the bits.
 const GROUP: usize = 32;
@@ -115,17 +118,17 @@ const GROUP: usize = 32;
 /// The layers in the flat weight vector.
 struct Network {
     tx_encoding: Encoder,
-    position_frequencies: usize,
+    position_encoding: Encoder,
     stack: Vec<Linear>,
-    branch: [Linear; 2],
+    branch: Linear,
     /// Numbers of T.
     features: usize,
 }
 
-/// The Gaussians' side: γ(μ), hidden numbers and factors, all feature-major `[·, N]`.
+/// The Gaussians' side: waves and factors, feature-major `[·, N]`.
 struct Factors {
-    gamma: Vec<Real>,
-    hidden: Vec<Real>,
+    /// φ(μ), scaled; see [`Network::wave_scale`].
+    waves: Vec<Real>,
     /// Rows 0 to F: real part, then G₀; the same again for the imaginary part.
     rows: Vec<Real>,
     n: usize,
@@ -142,17 +145,16 @@ impl Factors {
 
 impl Network {
     fn new(settings: &Factored, plan: &mut Plan) -> Self {
-        let (width, branch) = (settings.width, settings.branch);
+        let width = settings.width;
         let tx_encoding = settings.tx_encoding.encoder();
         let inputs = |l| if l == 0 { settings.tx_encoding.width() } else { width };
         let stack = (0..settings.depth).map(|l| plan.relu(&format!("tx.{l}"), inputs(l), width)).collect();
-        // Signals begin about as large as one feature.
-        let size = (3.0 / width as f64).sqrt();
-        let branch = [
-            plan.relu("branch.0", encoding::width(settings.position_frequencies), branch),
-            plan.heads(&[("branch.1", 2 * (width + 1))], branch, size),
-        ];
-        Self { tx_encoding, position_frequencies: settings.position_frequencies, stack, branch, features: width }
+        let waves = settings.position_encoding.width() - 3;
+        // Signals begin about as large as one feature: factors have the variance 1/width.
+        let bound = WAVE_MEAN * (6.0 * waves as f64 / width as f64).sqrt();
+        let branch = plan.unbiased("branch", waves, 2 * (width + 1), bound);
+        let position_encoding = settings.position_encoding.encoder();
+        Self { tx_encoding, position_encoding, stack, branch, features: width }
     }
 
     fn of(settings: &Factored, weights: &[Real]) -> Self {
@@ -164,16 +166,20 @@ impl Network {
 
     fn factors(&self, weights: &[Real], means: &[[Real; 3]]) -> Factors {
         let n = means.len();
-        let [first, second] = &self.branch;
-        let mut gamma = vec![0.0; n * first.inputs];
-        encode(means.iter().copied(), self.position_frequencies, &mut gamma);
-        let mut hidden = vec![0.0; n * first.outputs];
-        first.whole().apply(weights, &gamma, &mut hidden, Store::Set);
-        dense::bias_relu(&mut hidden, first.bias(weights));
-        let mut factors = vec![0.0; n * second.outputs];
-        second.whole().apply(weights, &hidden, &mut factors, Store::Set);
-        dense::add_bias(&mut factors, second.bias(weights));
-        Factors { gamma, hidden, rows: factors, n }
+        let mut gamma = vec![0.0; n * (3 + self.branch.inputs)];
+        self.position_encoding.encode(means, &mut gamma);
+        let mut waves = gamma.split_off(3 * n);
+        waves.iter_mut().for_each(|w| *w *= self.wave_scale());
+        let mut rows = vec![0.0; n * self.branch.outputs];
+        self.branch.whole().apply(weights, &waves, &mut rows, Store::Set);
+        dense::add_bias(&mut rows, self.branch.bias(weights));
+        Factors { waves, rows, n }
+    }
+
+    /// The magnitudes of a Gaussian's waves sum to 1: a step of Adam on `branch` then moves factors as far as a step on
+    /// the stack moves weights, and not many times as far.
+    fn wave_scale(&self) -> Real {
+        (1.0 / (WAVE_MEAN * self.branch.inputs as f64)) as Real
     }
 
     /// γ(p) and every layer's output, feature-major `[·, B]`; the last is T.
@@ -276,17 +282,16 @@ impl Network {
         d_weights: &mut [Real],
         d_means: Option<&mut [[Real; 3]]>,
     ) {
-        let [first, second] = &self.branch;
-        dense::add_bias_vjp(d_factors, second.bias_mut(d_weights));
-        second.whole().weight_vjp(d_weights, &g.hidden, d_factors);
-        let mut d_hidden = vec![0.0; g.hidden.len()];
-        second.whole().input_vjp(weights, d_factors, &mut d_hidden, Store::Set);
-        dense::bias_relu_vjp(&mut d_hidden, &g.hidden, first.bias_mut(d_weights));
-        first.whole().weight_vjp(d_weights, &g.gamma, &d_hidden);
+        dense::add_bias_vjp(d_factors, self.branch.bias_mut(d_weights));
+        self.branch.whole().weight_vjp(d_weights, &g.waves, d_factors);
         if let Some(d_means) = d_means {
-            let mut d_gamma = vec![0.0; g.gamma.len()];
-            first.whole().input_vjp(weights, &d_hidden, &mut d_gamma, Store::Set);
-            encode_vjp(&g.gamma, &d_gamma, self.position_frequencies, d_means);
+            let mut d_waves = vec![0.0; g.waves.len()];
+            self.branch.whole().input_vjp(weights, d_factors, &mut d_waves, Store::Set);
+            // Waves were scaled: so are their slopes, and the encoding's own derivative wants neither.
+            let scale = self.wave_scale();
+            let unscaled: Vec<Real> = g.waves.iter().map(|w| w / scale).collect();
+            d_waves.iter_mut().for_each(|d| *d *= scale);
+            self.position_encoding.waves_vjp(&unscaled, &d_waves, d_means);
         }
     }
 }

@@ -28,7 +28,12 @@ impl Plan {
     /// A layer before a ReLU with He's initial values: weights uniform within ±√(6/inputs), biases 0. What goes in and
     /// what comes out are then of one size, however deep the stack.
     pub(super) fn relu(&mut self, name: &str, inputs: usize, outputs: usize) -> Linear {
-        let weight = self.push(format!("{name}.weight"), vec![outputs, inputs], (6.0 / inputs as f64).sqrt());
+        self.unbiased(name, inputs, outputs, (6.0 / inputs as f64).sqrt())
+    }
+
+    /// A layer with weights uniform within ±`bound` and biases 0.
+    pub(super) fn unbiased(&mut self, name: &str, inputs: usize, outputs: usize, bound: f64) -> Linear {
+        let weight = self.push(format!("{name}.weight"), vec![outputs, inputs], bound);
         let bias = self.push(format!("{name}.bias"), vec![outputs], 0.0);
         Linear { inputs, outputs, weight, bias }
     }

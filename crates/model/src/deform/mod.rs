@@ -26,5 +26,5 @@ mod wrfgs_network;
 pub use factored::Factored;
 pub use fixed::Fixed;
 pub use mlp::{Mlp, Outputs};
-pub use waves::TxEncoding;
+pub use waves::Encoding;
 pub use wrfgs::Wrfgs;

@@ -1,6 +1,6 @@
 //! What every deformation owes: derivatives, the same bits at any thread count and in any batch, honest sizes.
 
-use super::{Factored, Fixed, Mlp, Outputs, TxEncoding, Wrfgs};
+use super::{Encoding, Factored, Fixed, Mlp, Outputs, Wrfgs};
 use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Plugin, Pose, Real, rng, testing::check_vjp};
 
 const POSE: Pose = Pose { position: [0.5, -0.3, 0.2], orientation: [0.0, 0.0, 0.0, 1.0] };
@@ -97,17 +97,23 @@ fn wrfgs_derivatives_agree_with_central_differences() {
 }
 
 fn small_factored() -> Factored {
-    Factored { depth: 3, width: 9, tx_encoding: TxEncoding::Octaves(2), position_frequencies: 1, branch: 5 }
+    Factored { depth: 3, width: 9, tx_encoding: Encoding::Octaves(2), position_encoding: Encoding::Octaves(1) }
 }
 
 #[test]
 fn factored_derivatives_agree_with_central_differences() {
     check_derivative("factored", &small_factored(), 7, 3, true);
     check_derivative("factored, two groups", &small_factored(), 2, 35, true);
-    let bare = Factored { depth: 1, tx_encoding: TxEncoding::Octaves(0), position_frequencies: 0, ..small_factored() };
+    let bare = Factored { depth: 1, tx_encoding: Encoding::Octaves(0), ..small_factored() };
     check_derivative("factored, coordinates", &bare, 3, 1, true);
-    let waves = TxEncoding::Waves { count: 4, reach: 3.0, seed: 1 };
-    check_derivative("factored, waves", &Factored { tx_encoding: waves, ..small_factored() }, 4, 2, true);
+    let waves = Encoding::Waves { count: 4, reach: 3.0, seed: 1 };
+    check_derivative(
+        "factored, waves",
+        &Factored { tx_encoding: waves, position_encoding: waves, ..small_factored() },
+        4,
+        2,
+        true,
+    );
 }
 
 #[test]
@@ -236,7 +242,7 @@ fn nonsense_is_refused_with_advice_and_defaults_round_trip() {
         ("Wrfgs(gain: 0)", "positive"),
         ("Mlp(widht: 3)", "widht"),
         ("Factored(depth: 0)", "give a number of layers"),
-        ("Factored(branch: 0)", "branch is 0"),
+        ("Factored(position_encoding: Octaves(0))", "needs a wave"),
         ("Factored(tx_encoding: Octaves(17))", "from 0 to 16"),
         ("Factored(tx_encoding: Waves(count: 8, reach: 0))", "rad/m above 0"),
     ] {
@@ -247,7 +253,7 @@ fn nonsense_is_refused_with_advice_and_defaults_round_trip() {
 
 #[test]
 fn a_frequency_window_lets_the_encodings_in() {
-    let waves = TxEncoding::Waves { count: 8, reach: 9.0, seed: 0 };
+    let waves = Encoding::Waves { count: 8, reach: 9.0, seed: 0 };
     let factored = Factored { tx_encoding: waves, ..small_factored() };
     let wrfgs = Wrfgs { depth: 4, width: 8, frequencies: 2, skip: Some(1), gain: None };
     let deformations: [&dyn Deformation; 3] = [&small_mlp(), &wrfgs, &factored];

@@ -1,13 +1,13 @@
-//! `TxEncoding`: what a network sees of the transmitter's position.
+//! `Encoding`: what a network sees of a position.
 
-use super::encoding::{self, encode, let_in};
+use super::encoding::{self, encode, encode_vjp, let_in};
 use super::mlp::{WIDEST, check_frequencies};
 use pwrfgs_core::{Real, rng};
 use serde::{Deserialize, Serialize};
 
-/// The encoding γ(p) of the transmitter's position: the coordinates, and waves over the room.
+/// The encoding γ(p) of a position: the coordinates, and waves over the room.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum TxEncoding {
+pub enum Encoding {
     /// Sine and cosine of 2⁰…2^(L-1) rad/m along each axis (`NeRF`). 5 ends at 16 rad/m, near 2π/λ at 920 MHz, beyond
     /// which no wave from a transmitter varies.
     Octaves(usize),
@@ -25,13 +25,13 @@ pub enum TxEncoding {
     },
 }
 
-impl Default for TxEncoding {
+impl Default for Encoding {
     fn default() -> Self {
         Self::Octaves(5)
     }
 }
 
-impl TxEncoding {
+impl Encoding {
     /// How many numbers γ has.
     pub(super) fn width(&self) -> usize {
         match *self {
@@ -40,14 +40,14 @@ impl TxEncoding {
         }
     }
 
-    pub(super) fn check(&self) -> Result<(), String> {
+    pub(super) fn check(&self, field: &str) -> Result<(), String> {
         match *self {
-            Self::Octaves(frequencies) => check_frequencies("tx_encoding: Octaves", frequencies),
+            Self::Octaves(frequencies) => check_frequencies(field, frequencies),
             Self::Waves { count, .. } if count > WIDEST => {
-                Err(format!("tx_encoding: count is {count}; give a number from 0 to {WIDEST}"))
+                Err(format!("{field}: count is {count}; give a number from 0 to {WIDEST}"))
             }
             Self::Waves { reach, .. } if !(reach > 0.0 && reach.is_finite()) => {
-                Err(format!("tx_encoding: reach is {reach}; give rad/m above 0, about 2π over the wavelength"))
+                Err(format!("{field}: reach is {reach}; give rad/m above 0, about 2π over the wavelength"))
             }
             Self::Waves { .. } => Ok(()),
         }
@@ -87,7 +87,7 @@ fn length(i: usize, count: usize) -> f64 {
     (i as f64 + 0.5) / count as f64
 }
 
-/// A [`TxEncoding`] ready for use.
+/// A [`Encoding`] ready for use.
 #[derive(Debug)]
 pub(super) enum Encoder {
     Octaves(usize),
@@ -114,13 +114,36 @@ impl Encoder {
     }
 }
 
+impl Encoder {
+    /// Adds to `d_points` the derivative through the waves, given their values `[·, N]` (γ without its first three rows)
+    /// and their cotangents.
+    pub(super) fn waves_vjp(&self, waves: &[Real], d_waves: &[Real], d_points: &mut [[Real; 3]]) {
+        let rows = d_points.len();
+        match self {
+            Self::Octaves(frequencies) => {
+                let padded = |waves: &[Real]| [vec![0.0; 3 * rows].as_slice(), waves].concat();
+                encode_vjp(&padded(waves), &padded(d_waves), *frequencies, d_points);
+            }
+            Self::Waves(vectors) => {
+                for (i, k) in vectors.iter().enumerate() {
+                    let (sines, cosines) = (2 * i * rows, (2 * i + 1) * rows);
+                    for (r, d_point) in d_points.iter_mut().enumerate() {
+                        let d = waves[cosines + r] * d_waves[sines + r] - waves[sines + r] * d_waves[cosines + r];
+                        d_point.iter_mut().zip(k).for_each(|(sum, k)| *sum += *k as Real * d);
+                    }
+                }
+            }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn waves_have_their_lengths_and_another_seed_other_directions() {
-        let vectors = |seed| match (TxEncoding::Waves { count: 40, reach: 20.0, seed }).encoder() {
+        let vectors = |seed| match (Encoding::Waves { count: 40, reach: 20.0, seed }).encoder() {
             Encoder::Waves(vectors) => vectors,
             Encoder::Octaves(_) => unreachable!("they are waves"),
         };
@@ -132,7 +155,7 @@ mod tests {
 
     #[test]
     fn long_waves_are_let_in_first() {
-        let waves = TxEncoding::Waves { count: 12, reach: 20.0, seed: 0 };
+        let waves = Encoding::Waves { count: 12, reach: 20.0, seed: 0 };
         assert_eq!(waves.window(0.0)[3..], [0.0; 24]);
         assert_eq!(waves.window(1.0), vec![1.0; waves.width()]);
         let half = waves.window(0.5);
