@@ -154,6 +154,18 @@ fn the_network_differentiates_where_it_moves_signals_of_a_batch() {
     }
 }
 
+/// Waves on an array, down to scales and centres, through a network that sees the centres.
+#[test]
+fn waves_on_an_array_differentiate_in_every_column() {
+    let factored = "Factored(depth: 2, width: 8, tx_encoding: Octaves(2), position_encoding: Octaves(1))";
+    let spherical = "ArrayResponse(rows: 3, columns: 4, wavefront: Spherical(wavelength_m: 0.8))";
+    for (rasterizer, readout) in [("ArrayResponse()", Readout::MinMax), (spherical, Readout::Magnitude)] {
+        let mut step = Step::new(factored, readout, 2, 0.2, 10);
+        step.stages = Arc::new(Stages { rasterizer: plugin(rasterizer), ..Stages::clone(&step.stages) });
+        step.check(rasterizer, None);
+    }
+}
+
 #[test]
 fn every_term_of_each_transmitter_differentiates() {
     let mut step = Step::new("Terms()", Readout::Magnitude, 2, 0.2, 6);

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)] // helpers of tests may fail and print, as tests do
 
+mod array;
 mod baselines;
 mod common;
 mod crate_graph;

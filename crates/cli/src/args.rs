@@ -174,14 +174,16 @@ fn shard(text: &str) -> Result<Shard, String> {
 #[derive(Debug, Args)]
 #[command(after_long_help = "Needs nothing but the model file. Writes, for the first position, 00001.npy (float32, \
     rows are elevation, columns azimuth) and 00001.png (8-bit grey), and so on, and predictions.csv with row, x, y, z, \
-    strongest direction (azimuth and elevation in degrees), its value, and the milliseconds it took.\n\nEXAMPLES\n  \
-    pwrfgs predict runs/quickstart/model.safetensors --tx 1.2,0.3,1.0 --out heard\n  pwrfgs predict \
-    runs/quickstart/model.safetensors --tx-csv positions.csv --out heard")]
+    strongest direction (azimuth and elevation in degrees), its value, and the milliseconds it took.\n\nSeveral models \
+    predict as an ensemble: the mean of their pictures, each clamped to [0, 1]. How far they differ, the standard \
+    deviation at every pixel, is then written beside, as 00001-spread.npy and .png (white is 0.5): do not trust a \
+    picture where it is bright.\n\nEXAMPLES\n  pwrfgs predict runs/quickstart/model.safetensors --tx 1.2,0.3,1.0 --out \
+    heard\n  pwrfgs predict runs/a-0/model.safetensors runs/a-1/model.safetensors --tx-csv positions.csv --out heard")]
 #[command(group(clap::ArgGroup::new("where").required(true).args(["tx", "tx_csv"])))]
 pub(crate) struct Predict {
-    /// The trained model, model.safetensors of a run folder
-    #[arg(value_name = "MODEL")]
-    pub(crate) model: PathBuf,
+    /// The trained model, model.safetensors of a run folder; several make an ensemble
+    #[arg(value_name = "MODEL", required = true)]
+    pub(crate) models: Vec<PathBuf>,
     /// One transmitter position in metres, world frame
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) tx: Option<String>,
@@ -196,15 +198,18 @@ pub(crate) struct Predict {
 #[derive(Debug, Args)]
 #[command(
     after_long_help = "Reads the pipeline.ron that lies beside the model for data, split, metrics and baselines; \
-    --set changes them. Prints the score table; with --out writes scores.csv, samples.csv and report.html.\n\nEXAMPLES\
+    --set changes them. Prints the score table; with --out writes scores.csv, samples.csv and report.html.\n\nSeveral \
+    models are scored as an ensemble: the mean of their pictures, each clamped to [0, 1]. Runs that differ in their seed \
+    alone have the same test spectra unless the split is random; give those that do.\n\nEXAMPLES\
     \n  pwrfgs evaluate runs/s23/model.safetensors --set 'data=Nerf2Spectrum(root: \"data/other-day\")'\n  pwrfgs \
-    evaluate runs/s23/model.safetensors --set 'metrics=[Ssim(), RateRatio(snr_db: 20.0)]' --out again"
+    evaluate runs/s23/model.safetensors --set 'metrics=[Ssim(), RateRatio(snr_db: 20.0)]' --out again\n  pwrfgs \
+    evaluate runs/blocks/seed-0/model.safetensors runs/blocks/seed-1/model.safetensors"
 )]
 pub(crate) struct Evaluate {
-    /// The trained model, model.safetensors of a run folder
-    #[arg(value_name = "MODEL")]
-    pub(crate) model: PathBuf,
-    /// The pipeline file [default: pipeline.ron beside the model]
+    /// The trained model, model.safetensors of a run folder; several are scored as an ensemble
+    #[arg(value_name = "MODEL", required = true)]
+    pub(crate) models: Vec<PathBuf>,
+    /// The pipeline file [default: pipeline.ron beside the first model]
     #[arg(long, value_name = "FILE")]
     pub(crate) pipeline: Option<PathBuf>,
     /// Change a setting, such as 'data=Nerf2Spectrum(root: "..")'

@@ -8,7 +8,7 @@ use pwrfgs_core::{
     Dataset, Error, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Partition, Plugin, Predict,
     Progress, Real, Result, StageTimes,
 };
-use pwrfgs_model::Model;
+use pwrfgs_model::{Model, Predictor};
 use pwrfgs_train::Pipeline;
 use rayon::prelude::*;
 use std::cell::Cell;
@@ -29,18 +29,18 @@ pub struct Assessment {
     pub truths: Vec<Image>,
 }
 
-/// Scores `model` and the pipeline's baselines on the test part of `data`.
+/// Scores `model`, or an ensemble of them, and the pipeline's baselines on the test part of `data`.
 ///
 /// # Errors
 /// Where the model draws pictures of another size than the data hold, or a metric or baseline refuses.
 pub fn evaluate(
-    model: &Model,
+    model: &dyn Predictor,
     pipeline: &Pipeline,
     data: &Dataset,
     partition: &Partition,
     observer: &mut dyn Observer,
 ) -> Result<Assessment> {
-    let plane = &model.stages.plane;
+    let plane = model.plane();
     if (plane.width, plane.height) != (data.width, data.height) {
         return Err(Error::Config(format!(
             "the model draws {}x{} pixels and the spectra of the data have {}x{}; evaluate it on data like those it was \
@@ -50,10 +50,11 @@ pub fn evaluate(
     }
     let test = Bench::new(data, &partition.test, plane);
     let predictions = staged(observer, "predicting with the model", |progress| predict(model, &test.txs, progress));
+    let means: Vec<[Real; 3]> = model.members().iter().flat_map(|m| m.cloud.means.iter().copied()).collect();
     let facts = ModelFacts {
-        means: &model.cloud.means,
-        gaussian_bytes: model.gaussian_bytes(),
-        network_bytes: model.network_bytes(),
+        means: &means,
+        gaussian_bytes: model.members().iter().map(Model::gaussian_bytes).sum(),
+        network_bytes: model.members().iter().map(Model::network_bytes).sum(),
     };
     let own = staged(observer, "scoring the model", |progress| {
         let timed = test.in_turn(|tx| model.predict_timed(tx).1);
@@ -73,7 +74,7 @@ pub fn evaluate(
 }
 
 /// Predictions for all of `txs`, a chunk at a time.
-pub(crate) fn predict(model: &Model, txs: &[[Real; 3]], progress: Progress<'_>) -> Vec<Image> {
+pub(crate) fn predict(model: &dyn Predictor, txs: &[[Real; 3]], progress: Progress<'_>) -> Vec<Image> {
     let mut all = Vec::with_capacity(txs.len());
     for chunk in txs.chunks(CHUNK) {
         all.extend(model.predict_many(chunk));

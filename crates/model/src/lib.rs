@@ -5,11 +5,13 @@
 
 mod activate;
 pub mod deform;
+mod ensemble;
 pub mod file;
 mod model;
 mod readout;
 pub mod tensors;
 
 pub use activate::{Activation, Calibration};
+pub use ensemble::{Ensemble, Predictor};
 pub use model::{Model, Stages};
 pub use readout::Readout;

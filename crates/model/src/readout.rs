@@ -47,6 +47,14 @@ impl Readout {
         image
     }
 
+    /// A part of the pixels of a measured picture as this readout would give it. A stretched picture that is looked at in
+    /// few places has to be stretched again: between them lie its darkest and its brightest.
+    pub fn restrict(self, image: &mut [Real]) {
+        if self == Self::MinMax {
+            stretch(image);
+        }
+    }
+
     /// Cotangents of the signals, given those of the image.
     pub fn vjp(self, signals: &[Real], pixels: usize, d_image: &[Real]) -> Vec<Real> {
         if self == Self::Real {

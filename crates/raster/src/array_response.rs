@@ -7,7 +7,7 @@ use beams::Beams;
 use pwrfgs_core::{ImagePlane, Rasterizer, Real, Render, RenderVjp, Splats};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Instant;
 use wave::Antennas;
 
@@ -78,10 +78,16 @@ pub enum Wavefront {
     },
 }
 
-/// The beams that the first picture needed, and for which array and plane: they follow from these alone, and making them
-/// takes longer than a picture.
+/// The beams of the last few arrays and pictures: they follow from these alone, and making them takes longer than a
+/// picture. Training on a coarse picture and scoring on the whole one needs two.
 #[derive(Clone, Debug, Default)]
-pub struct BeamTable(Arc<OnceLock<(Grid, Arc<Beams>)>>);
+pub struct BeamTable(Arc<RwLock<Vec<Known>>>);
+
+/// Tables that are kept.
+const KEPT: usize = 4;
+
+/// A table and what it is for.
+type Known = (Grid, Arc<Beams>);
 
 /// Rows, columns and spacing of an array, and the picture.
 type Grid = (usize, usize, Real, ImagePlane);
@@ -201,10 +207,17 @@ impl Rasterizer for ArrayResponse {
 
 impl ArrayResponse {
     fn beams(&self, plane: &ImagePlane) -> Arc<Beams> {
-        let make = || Arc::new(Beams::new(&Antennas::new(self, plane), plane));
         let grid = (self.rows, self.columns, self.spacing_wavelengths, plane.clone());
-        let (known, beams) = self.beams.0.get_or_init(|| (grid.clone(), make()));
-        if *known == grid { Arc::clone(beams) } else { make() }
+        let known = self.beams.0.read().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, beams)) = known.iter().find(|(known, _)| *known == grid) {
+            return Arc::clone(beams);
+        }
+        drop(known);
+        let beams = Arc::new(Beams::new(&Antennas::new(self, plane), plane));
+        let mut known = self.beams.0.write().unwrap_or_else(PoisonError::into_inner);
+        known.truncate(KEPT - 1);
+        known.insert(0, (grid, Arc::clone(&beams)));
+        beams
     }
 }
 

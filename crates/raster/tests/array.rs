@@ -10,6 +10,9 @@ use pwrfgs_core::{ImagePlane, Mat3, Plugin, Pose, Primitives, Projector, Rasteri
 use pwrfgs_raster::{ArrayResponse, Mercator, Wavefront, WrfgsCompat};
 use std::f64::consts::TAU;
 
+/// Of the scene that is differentiated.
+const N: usize = 9;
+const CHANNELS: usize = 4;
 const DOUBLE: bool = size_of::<Real>() == 8;
 
 fn plane() -> ImagePlane {
@@ -256,8 +259,6 @@ fn derivatives_agree_with_differences() {
     if !DOUBLE {
         return;
     }
-    const N: usize = 9;
-    const CHANNELS: usize = 4;
     let projector = Mercator::default();
     let plane = projector.plane(40, 13);
     let pack = |p: &Primitives, signals: &[Real]| {
@@ -318,7 +319,7 @@ fn nothing_strange_comes_of_strange_splats() {
 
 #[test]
 fn what_cannot_work_is_refused() {
-    let refused = |text: &str| Plugin::<dyn Rasterizer>::parse(text).unwrap_err().to_string();
+    let refused = |text: &str| Plugin::<dyn Rasterizer>::parse(text).unwrap_err();
     assert!(refused("ArrayResponse(rows: 0)").contains("`rows` is 0"));
     assert!(refused("ArrayResponse(spacing_wavelengths: -1)").contains("spacing"));
     assert!(refused("ArrayResponse(wavefront: Spherical(wavelength_m: 0))").contains("wavelength_m"));

@@ -213,13 +213,16 @@ impl<'a> Trainer<'a> {
             samples.push(sample);
         }
         let ImagePlane { width, height, .. } = self.stages.plane;
-        let (pixels, stride) = (width * height, settings.stride);
+        let (pixels, stride, readout) = (width * height, settings.stride, self.stages.readout);
         batch.truths.resize(samples.len() * pixels, 0.0);
         batch.truths.par_chunks_exact_mut(pixels).zip(&samples).for_each(|(truth, &sample)| {
             let rows = self.data.samples[sample].spectrum.chunks_exact(self.data.width).step_by(stride);
             for (truth, row) in truth.chunks_exact_mut(width).zip(rows) {
                 let bytes = row.iter().step_by(stride);
                 truth.iter_mut().zip(bytes).for_each(|(t, &v)| *t = Real::from(v) / 255.0);
+            }
+            if stride > 1 {
+                readout.restrict(truth);
             }
         });
         batch

@@ -5,26 +5,31 @@ use crate::output;
 use crate::progress::Progress;
 use pwrfgs::experiment::folder::{PIPELINE, REPORT};
 use pwrfgs::experiment::{Facts, Machine, Subject, evaluate as score, load as load_data, read_pipeline};
-use pwrfgs::model::file;
+use pwrfgs::model::{Ensemble, Model, Predictor, file};
 use pwrfgs_core::{Error, Result};
 use std::fmt::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<ExitCode> {
-    let model = file::read(&arguments.model)?;
-    let beside = arguments.model.parent().unwrap_or(Path::new("")).join(PIPELINE);
+    let ensemble = read_models(&arguments.models)?;
+    let first = &arguments.models[0];
+    let beside = first.parent().unwrap_or(Path::new("")).join(PIPELINE);
     let path = arguments.pipeline.as_ref().unwrap_or(&beside);
     if arguments.pipeline.is_none() && !path.is_file() {
         return Err(Error::input(
-            &arguments.model,
+            first,
             format!("there is no {PIPELINE} beside this model; name one with --pipeline FILE"),
         ));
     }
     let pipeline = read_pipeline(path, &arguments.set)?;
     if let Some(out) = &arguments.out {
+        if arguments.models.len() > 1 {
+            return Err(Error::Config("--out writes the report of one model; leave it out, or give one model".into()));
+        }
         check_empty(out)?;
     }
+    let model = &ensemble.members()[0];
     let mut progress = Progress::new(verbosity);
     let (data, partition) = load_data(&pipeline, Path::new(""), &mut progress)?;
     if verbosity != Verbosity::Quiet {
@@ -33,10 +38,14 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
             output::note("warning: these data have another receiver pose than the model was trained with");
         }
     }
-    let assessment = score(&model, &pipeline, &data, &partition, &mut progress);
+    let scored: &dyn Predictor = if arguments.models.len() > 1 { &ensemble } else { model };
+    let assessment = score(scored, &pipeline, &data, &partition, &mut progress);
     progress.finish();
     let assessment = assessment?;
     let mut text = assessment.scores.table().to_text();
+    if arguments.models.len() > 1 {
+        _ = writeln!(text, "\nmodel: {} models, the mean of their pictures", arguments.models.len());
+    }
     if let Some(out) = &arguments.out {
         std::fs::create_dir_all(out).map_err(|e| Error::write(out, e))?;
         let facts = Facts {
@@ -47,7 +56,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
         };
         let subject = Subject {
             pipeline: &pipeline,
-            model: &model,
+            model,
             data: &data,
             partition: &partition,
             assessment: &assessment,
@@ -58,6 +67,12 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
     }
     output::result(&text);
     Ok(ExitCode::SUCCESS)
+}
+
+/// All models as one.
+pub(super) fn read_models(paths: &[PathBuf]) -> Result<Ensemble> {
+    let members: Result<Vec<Model>> = paths.iter().map(|path| file::read(path)).collect();
+    Ensemble::new(members?).map_err(Error::Config)
 }
 
 /// Refuses a folder that holds something.

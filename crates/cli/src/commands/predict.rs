@@ -3,18 +3,21 @@
 //! `predictions.csv` marks the folder as ours: its header is written first, so that a killed command can be given
 //! again, and its rows last.
 
+use super::evaluate::read_models;
 use crate::args::{Predict, Verbosity};
 use crate::output;
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
 use npyz::WriterBuilder as _;
-use pwrfgs::model::{Model, file};
-use pwrfgs_core::{Error, Image, Real, Result};
+use pwrfgs::model::{Predictor, file};
+use pwrfgs_core::{Error, Image, ImagePlane, Real, Result};
 use rayon::prelude::*;
 use std::path::Path;
 use std::process::ExitCode;
 
 const LIST: &str = "predictions.csv";
 const HEADER: &str = "row,x,y,z,azimuth_deg,elevation_deg,peak,milliseconds\n";
+/// What the picture of an ensemble's disagreement is called besides its row.
+const SPREAD: &str = "-spread";
 /// Pictures held in memory at once.
 const CHUNK: usize = 64;
 
@@ -24,7 +27,8 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitC
         (_, Some(path)) => positions(path)?,
         _ => return Err(Error::Config("give --tx x,y,z or --tx-csv FILE".into())),
     };
-    let model = file::read(&arguments.model)?;
+    let ensemble = read_models(&arguments.models)?;
+    let model: &dyn Predictor = if arguments.models.len() > 1 { &ensemble } else { &ensemble.members()[0] };
     let out = arguments.out.as_path();
     let ours = check_ours(out)?;
     std::fs::create_dir_all(out).map_err(|e| Error::write(out, e))?;
@@ -44,11 +48,20 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitC
                 (image, 1e3 * times.total)
             })
             .collect();
-        let written: Result<Vec<()>> =
-            drawn.par_iter().enumerate().map(|(i, (image, _))| write_pictures(out, first + i, image)).collect();
+        let written: Result<Vec<()>> = drawn
+            .par_iter()
+            .enumerate()
+            .map(|(i, (image, _))| write_pictures(out, &name(first + i), image, 1.0))
+            .collect();
         written?;
+        if arguments.models.len() > 1 {
+            let write = |(i, tx): (usize, &[Real; 3])| {
+                write_pictures(out, &format!("{}{SPREAD}", name(first + i)), &ensemble.spread(*tx), 2.0)
+            };
+            txs.par_iter().enumerate().map(write).collect::<Result<Vec<()>>>()?;
+        }
         for (i, ((image, milliseconds), tx)) in drawn.iter().zip(txs).enumerate() {
-            text += &line(&model, first + i, *tx, image, *milliseconds);
+            text += &line(model.plane(), first + i, *tx, image, *milliseconds);
         }
     }
     file::write_atomically(&list, text.as_bytes())?;
@@ -59,10 +72,10 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitC
 }
 
 /// A row of `predictions.csv`; without angles where the model's plane has none.
-fn line(model: &Model, row: usize, [x, y, z]: [Real; 3], image: &Image, milliseconds: f64) -> String {
+fn line(plane: &ImagePlane, row: usize, [x, y, z]: [Real; 3], image: &Image, milliseconds: f64) -> String {
     let strongest = image.argmax();
     let (column, line) = ((strongest % image.width) as Real, (strongest / image.width) as Real);
-    let angles = model.stages.plane.azimuth_elevation_deg(column, line);
+    let angles = plane.azimuth_elevation_deg(column, line);
     let angles = angles.map_or_else(|| ",".into(), |(az, el)| format!("{az},{el}"));
     format!("{row},{x},{y},{z},{angles},{},{milliseconds:.3}\n", image.pixels[strongest])
 }
@@ -146,6 +159,7 @@ fn remove_old(out: &Path) -> Result<()> {
     for entry in std::fs::read_dir(out).map_err(|e| Error::read(out, e))?.flatten() {
         let path = entry.path();
         let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+        let stem = stem.strip_suffix(SPREAD).unwrap_or(&stem);
         let ours = path.extension().is_some_and(|e| e == "npy" || e == "png");
         if ours && stem.len() >= 5 && stem.bytes().all(|b| b.is_ascii_digit()) {
             std::fs::remove_file(&path).map_err(|e| Error::write(&path, e))?;
@@ -154,19 +168,24 @@ fn remove_old(out: &Path) -> Result<()> {
     Ok(())
 }
 
-/// `00001.npy` (as predicted) and `00001.png` (clamped to [0, 1]).
-fn write_pictures(out: &Path, row: usize, image: &Image) -> Result<()> {
+fn name(row: usize) -> String {
+    format!("{row:05}")
+}
+
+/// `NAME.npy` (as it is) and `NAME.png` (times `gain`, clamped to [0, 1]).
+fn write_pictures(out: &Path, name: &str, image: &Image, gain: Real) -> Result<()> {
     let (mut npy, mut png) = (Vec::new(), Vec::new());
-    let path = |extension: &str| out.join(format!("{row:05}.{extension}"));
+    let path = |extension: &str| out.join(format!("{name}.{extension}"));
     let encode = |npy: &mut Vec<u8>| -> std::io::Result<()> {
         let shape = [image.height as u64, image.width as u64];
         let mut writer = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(npy).begin_nd()?;
         writer.extend(image.pixels.iter().map(|p| *p as f32))?;
         writer.finish()
     };
+    let shown = Image { pixels: image.pixels.iter().map(|p| gain * p).collect(), ..*image };
     encode(&mut npy).map_err(|e| Error::write(&path("npy"), e))?;
     PngEncoder::new(&mut png)
-        .write_image(&image.to_bytes(), image.width as u32, image.height as u32, ExtendedColorType::L8)
+        .write_image(&shown.to_bytes(), image.width as u32, image.height as u32, ExtendedColorType::L8)
         .map_err(|e| Error::write(&path("png"), std::io::Error::other(e)))?;
     put(&path("npy"), &npy)?;
     put(&path("png"), &png)

@@ -21,9 +21,11 @@ const REACH: usize = TAPS / 2;
 pub struct Window([Real; TAPS]);
 
 impl Window {
-    /// exp(−x²/(2σ²)) at x = −5 … 5, divided by the sum; σ in pixels, above 0 and small enough for 11 taps.
+    /// exp(−x²/(2σ²)) at x = −5 … 5, divided by the sum; σ in pixels, above 0 and small enough for 11 taps. Weights that
+    /// single precision cannot see beside the largest are 0: their products would be denormal numbers, which are slow.
     pub fn new(sigma: f64) -> Self {
-        let raw: [f64; TAPS] = std::array::from_fn(|k| (-0.5 * ((k as f64 - REACH as f64) / sigma).powi(2)).exp());
+        let weight = |k: usize| (-0.5 * ((k as f64 - REACH as f64) / sigma).powi(2)).exp();
+        let raw: [f64; TAPS] = std::array::from_fn(weight).map(|w| if w < 1e-8 { 0.0 } else { w });
         let sum: f64 = raw.iter().sum();
         Self(raw.map(|w| (w / sum) as Real))
     }

@@ -1,0 +1,283 @@
+//! Gaussians as waves on an array, in the whole: measured spectra are such pictures, ensembles, what is refused.
+
+use crate::common::pipeline;
+use nalgebra::{DMatrix, DVector};
+use pwrfgs::core::{Splats, rng};
+use pwrfgs::model::{Activation, Ensemble, Model, Predictor, Readout, Stages};
+use pwrfgs::prelude::*;
+use pwrfgs::train::Trainer;
+use std::f64::consts::TAU;
+use std::path::{Path, PathBuf};
+
+const SPACING: f64 = 0.491;
+/// Lags (m, n) of a 4 x 4 array, one of each pair ±.
+const LAGS: usize = 25;
+
+fn measured() -> Option<PathBuf> {
+    let default = concat!(env!("CARGO_MANIFEST_DIR"), "/../shared");
+    let root = Path::new(&std::env::var("PWRFGS_SHARED").unwrap_or_else(|_| default.into())).join("data/s23");
+    root.is_dir().then_some(root)
+}
+
+/// (m, n) of lag `l`: (0, 0) first, then half of the plane.
+fn lag(l: usize) -> (i32, i32) {
+    let all = (0..=3).flat_map(|m| (-3..=3).map(move |n| (m, n))).filter(|&(m, n)| m > 0 || n >= 0);
+    all.into_iter().nth(l).unwrap()
+}
+
+/// The coefficients of |aᴴw|² at each lag of the array: real and imaginary part in turn.
+fn autocorrelation(w: &[f64]) -> Vec<f64> {
+    let at = |x: i32, y: i32| {
+        let inside = (0..4).contains(&x) && (0..4).contains(&y);
+        let k = (4 * y.max(0) + x.max(0)) as usize;
+        if inside { (w[2 * k], w[2 * k + 1]) } else { (0.0, 0.0) }
+    };
+    let mut out = Vec::with_capacity(2 * LAGS);
+    for (m, n) in (0..LAGS).map(lag) {
+        let (mut re, mut im) = (0.0, 0.0);
+        for (x, y) in (0..4).flat_map(|y| (0..4).map(move |x| (x, y))) {
+            let ((a, b), (c, d)) = (at(x + m, y + n), at(x, y));
+            re += a * c + b * d;
+            im += b * c - a * d;
+        }
+        out.extend([re, im]);
+    }
+    out
+}
+
+/// Lags r (of an array at unit scale) and offset a of a picture g with (g + a)² = |aᴴw|², by least squares on every
+/// fourth pixel: g² is linear in r and in -2a, a² being part of r₀.
+fn fit_lags(plane: &ImagePlane, picture: &[Real]) -> (Vec<f64>, f64) {
+    let pixels: Vec<usize> = (0..picture.len()).filter(|p| (p / 360) % 3 == 0 && p % 4 == 0).collect();
+    let mut a = DMatrix::zeros(pixels.len(), 2 * LAGS);
+    let mut b = DVector::zeros(pixels.len());
+    for (row, &p) in pixels.iter().enumerate() {
+        let u = plane.direction((p % 360) as Real, (p / 360) as Real).unwrap();
+        for l in 0..LAGS {
+            let (m, n) = lag(l);
+            let phase = TAU * SPACING * (f64::from(m) * f64::from(u[0]) + f64::from(n) * f64::from(u[1]));
+            (a[(row, 2 * l)], a[(row, 2 * l + 1)]) = (phase.cos(), phase.sin());
+        }
+        let g = f64::from(picture[p]);
+        a[(row, 1)] = -2.0 * g; // sin of lag 0 is nothing: its place is the offset's
+        b[row] = g * g;
+    }
+    let x = (a.transpose() * &a).lu().solve(&(a.transpose() * b)).unwrap();
+    let offset = x[1];
+    let mut lags: Vec<f64> = x.iter().map(|v| 0.5 * v).collect();
+    (lags[0], lags[1]) = (x[0] + offset * offset, 0.0);
+    (lags, offset)
+}
+
+/// Sixteen weights with the given autocorrelation, by Levenberg and Marquardt from random starts.
+fn weights_of(lags: &[f64], seed: u64) -> Vec<f64> {
+    let mut random = rng::stream(seed, "weights", 0);
+    let scale = (lags[0] / 16.0).sqrt();
+    let mut best: Option<(f64, Vec<f64>)> = None;
+    for _ in 0..60 {
+        let start = (0..32).map(|_| scale * f64::from(rng::normal(&mut random)) / 2f64.sqrt()).collect();
+        let found = descend(lags, start);
+        if best.as_ref().is_none_or(|b| found.0 < b.0) {
+            best = Some(found);
+        }
+        if best.as_ref().is_some_and(|b| b.0 < 4e-5 * lags[0] * lags[0]) {
+            break;
+        }
+    }
+    best.unwrap().1
+}
+
+fn residual(lags: &[f64], w: &[f64]) -> DVector<f64> {
+    DVector::from_iterator(2 * LAGS, autocorrelation(w).iter().zip(lags).map(|(r, l)| r - l))
+}
+
+fn descend(lags: &[f64], mut w: Vec<f64>) -> (f64, Vec<f64>) {
+    let (mut r, mut damping) = (residual(lags, &w), 1e-2);
+    for _ in 0..80 {
+        // The autocorrelation is quadratic: differences over a wide step are exact.
+        let column = |k: usize| {
+            let [up, down] = [0.5, -0.5].map(|h| {
+                let mut moved = w.clone();
+                moved[k] += h;
+                residual(lags, &moved)
+            });
+            up - down
+        };
+        let j = DMatrix::from_columns(&(0..32).map(column).collect::<Vec<_>>());
+        let (jtj, gradient) = (j.transpose() * &j, j.transpose() * &r);
+        let mut damped = jtj.clone();
+        (0..32).for_each(|k| damped[(k, k)] += damping * (jtj[(k, k)] + 1e-9));
+        let Some(step) = damped.cholesky().map(|c| c.solve(&gradient)) else { return (f64::MAX, w) };
+        let moved: Vec<f64> = w.iter().zip(step.iter()).map(|(w, s)| w - s).collect();
+        let next = residual(lags, &moved);
+        if next.norm_squared() < r.norm_squared() {
+            let small = step.norm_squared() < 1e-16 * lags[0];
+            (w, r, damping) = (moved, next, damping * 0.3);
+            if small {
+                break;
+            }
+        } else {
+            damping *= 4.0;
+        }
+    }
+    (r.norm_squared(), w)
+}
+
+/// Signals of sixteen waves from well spread directions that give the field `w`, and these directions as splats.
+fn sixteen_waves(plane: &ImagePlane, w: &[f64]) -> (Splats, Vec<Real>) {
+    let mut splats = Splats::zeros(16);
+    let mut a = DMatrix::zeros(32, 32);
+    for i in 0..16 {
+        // A sunflower over the disc of (u_x, u_y).
+        let (radius, turn) = (0.97 * ((i as f64 + 0.5) / 16.0).sqrt(), 2.399_963 * i as f64);
+        splats.means2d[i] = [(turn.to_degrees() % 360.0) as Real, radius.acos().to_degrees() as Real];
+        let u = plane.direction(splats.means2d[i][0], splats.means2d[i][1]).unwrap();
+        for k in 0..16 {
+            let place = |i: usize| SPACING * (i as f64 - 1.5);
+            let phase = TAU * (place(k % 4) * f64::from(u[0]) + place(k / 4) * f64::from(u[1]));
+            let (sin, cos) = phase.sin_cos();
+            (a[(2 * k, 2 * i)], a[(2 * k, 2 * i + 1)]) = (cos, -sin);
+            (a[(2 * k + 1, 2 * i)], a[(2 * k + 1, 2 * i + 1)]) = (sin, cos);
+        }
+    }
+    splats.radii.fill(1.0);
+    splats.opacities.fill(1.0);
+    splats.conics.fill([1.0, 0.0, 1.0]);
+    // The picture is aᴴh/K.
+    let field = DVector::from_iterator(32, w.iter().map(|w| 16.0 * w));
+    let signals = a.lu().solve(&field).unwrap();
+    (splats, signals.iter().map(|s| *s as Real).collect())
+}
+
+#[test]
+fn sixteen_gaussians_reproduce_measured_pictures_to_their_rounding() {
+    let Some(root) = measured() else {
+        println!("skipped: no measured spectra here; set PWRFGS_SHARED");
+        return;
+    };
+    let data = pwrfgs_data::Nerf2Spectrum { root, points: None }.load(Path::new("."), &|_, _| {}).unwrap();
+    let plane = pwrfgs_raster::Mercator::default().plane(360, 90);
+    let array = pwrfgs_raster::ArrayResponse { widened: false, ..Default::default() };
+    for sample in (0..10).map(|i| 37 + 480 * i) {
+        let picture = data.image(sample);
+        let (lags, offset) = fit_lags(&plane, &picture.pixels);
+        let w = weights_of(&lags, sample as u64);
+        let rms_of = |w: &[f64]| {
+            let (splats, signals) = sixteen_waves(&plane, w);
+            let heard = Readout::Magnitude.forward(&array.forward(&splats, &signals, 2, &plane).pixels, 360 * 90);
+            let errors =
+                heard.iter().zip(&picture.pixels).map(|(h, g)| (f64::from(*h) - offset - f64::from(*g)).powi(2));
+            (errors.sum::<f64>() / picture.pixels.len() as f64).sqrt()
+        };
+        // The other solution: conjugate and reverse.
+        let mirrored: Vec<f64> = w.chunks_exact(2).rev().flat_map(|z| [z[0], -z[1]]).collect();
+        let (rms, rms_mirrored) = (rms_of(&w), rms_of(&mirrored));
+        println!("spectrum {}: RMS {rms:.5}, mirrored {rms_mirrored:.5}", data.samples[sample].id);
+        assert!(rms < 0.002, "spectrum {}: RMS {rms}, rounding to 8 bits alone is 0.0011", data.samples[sample].id);
+        assert!((rms - rms_mirrored).abs() < 1e-4, "a field and its conjugate reverse give one picture");
+    }
+}
+
+const FIELDS: &str = "data: Teacher(gaussians: 3, samples: 40, width: 72, height: 18), split: Random(test: 0.2), \
+    initializer: Grid(count: 20, overlap: 0.3, opacity: 0.5), rasterizer: ArrayResponse(), readout: MinMax, \
+    deformation: Factored(depth: 2, width: 16), baselines: [], metrics: [Ssim()]";
+
+fn train(more: &str, steps: u64) -> Model {
+    let pipeline = pipeline(&format!("{FIELDS}, training: (steps: {steps}, batch: 4, {more})"));
+    let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
+    let partition = pipeline.split.split(&data, &mut rng::stream(0, "split", 0)).unwrap();
+    let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap_or_else(|e| panic!("{e}"));
+    (0..steps).for_each(|_| _ = trainer.step().unwrap());
+    trainer.model()
+}
+
+#[test]
+fn a_strided_training_gives_whole_pictures_and_learns() {
+    let loss = |steps| {
+        let pipeline = pipeline(&format!(
+            "{FIELDS}, training: (steps: 60, batch: 8, stride: 3, densify_until: 0, prune_until: 0)"
+        ));
+        let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
+        let partition = pipeline.split.split(&data, &mut rng::stream(0, "split", 0)).unwrap();
+        let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+        let losses: Vec<f64> = (0..steps).map(|_| trainer.step().unwrap().loss).collect();
+        assert_eq!(trainer.model().stages.plane, pipeline.projector.plane(72, 18));
+        losses
+    };
+    let losses = loss(60);
+    let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
+    assert!(mean(&losses[50..]) < 0.8 * mean(&losses[..5]), "{losses:?}");
+}
+
+#[test]
+fn a_stride_that_does_not_fit_is_refused_with_those_that_do() {
+    let refused = |more: &str| {
+        let pipeline = pipeline(&format!(
+            "data: Teacher(samples: 20, width: 72, height: 18), split: Random(test: 0.2), \
+            initializer: Grid(count: 20), {more}"
+        ));
+        let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
+        let partition = pipeline.split.split(&data, &mut rng::stream(0, "split", 0)).unwrap();
+        Trainer::new(&pipeline, &data, &partition).unwrap_err().to_string()
+    };
+    assert!(refused("training: (stride: 4)").contains("use one of 1, 2, 3, 6, 9, 18"));
+    assert!(refused("projector: WrfgsCompat(), training: (stride: 2)").contains("Mercator"));
+}
+
+#[test]
+fn annealed_frequencies_reach_the_model_when_all_are_in() {
+    let (early, late) = (train("anneal_frequencies: 100", 10), train("anneal_frequencies: 10", 10));
+    // tx.0 is [16, 3 + 6·5]: of the highest octave nothing is in after a tenth of the way.
+    let highest = |model: &Model| -> Real { model.weights[..16 * 33].chunks(33).map(|row| row[32].abs()).sum() };
+    assert!(highest(&early) == 0.0 && highest(&late) > 0.0);
+}
+
+#[test]
+fn waves_need_two_channels_and_a_plane_with_angles() {
+    let refused = |fields: &str| {
+        let text = format!("Pipeline(name: \"x\", data: Teacher(), initializer: Grid(), {fields})");
+        Pipeline::parse(&text, Path::new("x.ron")).unwrap_err().to_string()
+    };
+    assert!(refused("rasterizer: ArrayResponse(), readout: Real").contains("MinMax"));
+    assert!(refused("rasterizer: ArrayResponse(), projector: WrfgsCompat()").contains("Mercator"));
+    assert!(refused("rasterizer: ArrayResponse(), calibration: AsReleased").contains("Physical"));
+}
+
+#[test]
+fn an_ensemble_is_the_mean_of_its_members_and_knows_where_they_differ() {
+    let models = vec![train("", 1), train("", 3)];
+    let tx = [0.3, 0.1, 0.7];
+    let pictures: Vec<Image> = models.iter().map(|m| m.predict(tx).clamped()).collect();
+    let ensemble = Ensemble::new(models.clone()).unwrap();
+    let (mean, spread) = (Predict::predict(&ensemble, tx), ensemble.spread(tx));
+    for p in 0..mean.pixels.len() {
+        let (a, b) = (pictures[0].pixels[p], pictures[1].pixels[p]);
+        assert!((mean.pixels[p] - 0.5 * (a + b)).abs() < 1e-6 && (spread.pixels[p] - 0.5 * (a - b).abs()).abs() < 1e-6);
+    }
+    assert_eq!(ensemble.predict_many(&[tx, tx]), vec![mean.clone(), mean]);
+    assert!(Ensemble::new(Vec::new()).is_err());
+    let mut turned = models;
+    turned[1].stages.pose.position = [1.0, 0.0, 0.0];
+    assert!(Ensemble::new(turned).unwrap_err().contains("model 2"));
+}
+
+#[test]
+fn a_closed_gate_leaves_the_field_and_an_open_one_changes_nothing() {
+    let model = train("", 1);
+    let Stages { projector, rasterizer, pose, plane, .. } = &model.stages;
+    let activation: Activation = model.stages.activation();
+    let (cloud, deltas) = (&model.cloud, Deltas::default());
+    let gated = |gate: &[Real]| {
+        let geometry = activation.geometry(cloud, &deltas, 0, Some(gate));
+        let signals = activation.signals(cloud, &deltas, 0..1);
+        rasterizer.forward(&projector.project(&geometry, pose, plane), &signals, 2, plane).pixels
+    };
+    let (mut gate, all) = (vec![1.0; cloud.len()], gated(&vec![1.0; cloud.len()]));
+    gate[3] = 0.0;
+    let rows: Vec<usize> = (0..cloud.len()).filter(|i| *i != 3).collect();
+    let without = Model { cloud: cloud.select(&rows), ..model.clone() };
+    let geometry = activation.geometry(&without.cloud, &deltas, 0, None);
+    let signals = activation.signals(&without.cloud, &deltas, 0..1);
+    assert_eq!(gated(&gate), rasterizer.forward(&projector.project(&geometry, pose, plane), &signals, 2, plane).pixels);
+    assert_ne!(gated(&gate), all);
+}
