@@ -11,7 +11,7 @@ use criterion::{BatchSize, BenchmarkGroup, BenchmarkId, Criterion};
 use pwrfgs::core::{DeformationInputs, RenderVjp};
 use pwrfgs::model::deform::Outputs;
 use pwrfgs::prelude::*;
-use scene::{SIZES, TX, seeded_cloud, trained, untrained};
+use scene::{SIZES, TX, on_array, seeded_cloud, trained, untrained, waves};
 use std::time::Duration;
 
 /// Channels that one transmitter needs.
@@ -121,4 +121,8 @@ fn predict(criterion: &mut Criterion) {
         whole(&mut group, "seeded, signals", &untrained(seeded_cloud(n), Outputs::Signals));
     }
     whole(&mut group, "trained", &trained());
+    for n in [16, 32, 64] {
+        whole(&mut group, "waves, Factored 4x240", &waves(n));
+    }
+    whole(&mut group, "waves, 8x256", &on_array(untrained(seeded_cloud(64), Outputs::Signals)));
 }

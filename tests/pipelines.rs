@@ -25,7 +25,7 @@ fn read(path: &Path) -> Pipeline {
 #[test]
 fn the_shipped_pipelines_are_there() {
     let names: Vec<String> = shipped().iter().map(|p| p.file_stem().unwrap().to_string_lossy().into_owned()).collect();
-    for name in ["office-init", "pwrfgs", "quickstart", "s23-laptop", "wrfgs"] {
+    for name in ["office-init", "pwrfgs", "quickstart", "s23-array", "s23-laptop", "wrfgs"] {
         assert!(names.iter().any(|n| n == name), "{name} is not among {names:?}");
     }
 }
@@ -53,8 +53,7 @@ fn every_pipeline_runs_some_steps() {
             "data=Teacher(gaussians: 4, samples: 30, width: 72, height: 18)".to_owned(),
             format!("initializer=Random(count: {count}, std: 5.0)"),
             "baselines=[MeanSpectrum()]".to_owned(), // ray tracing needs a scene
-            "training.densify_until=6".to_owned(),
-            "training.prune_until=9".to_owned(),
+            "training=(densify_until: 6, prune_until: 9)".to_owned(),
             "training.prune_every=2".to_owned(),
             "training.densify=(from: 1, every: 2, reset_every: 0)".to_owned(),
             "training.steps=12".to_owned(),

@@ -1,8 +1,8 @@
 //! What the benchmarks measure: seeded clouds of any size, and a trained model.
 
-use pwrfgs::model::deform::{Mlp, Outputs};
+use pwrfgs::model::deform::{Encoding, Factored, Mlp, Outputs};
 use pwrfgs::prelude::*;
-use pwrfgs::raster::{AlphaBlending, Mercator};
+use pwrfgs::raster::{AlphaBlending, ArrayResponse, Mercator};
 use std::path::Path;
 
 /// The sizes of the paper: its smallest, its middle and its largest model.
@@ -63,7 +63,25 @@ pub(crate) fn untrained(cloud: GaussianCloud, outputs: Outputs) -> Model {
     Model { stages, cloud, weights }
 }
 
-fn boxed(network: Mlp) -> Plugin<dyn Deformation> {
+/// `n` waves on the array of the measured set, as in `s23-array.ron`, untrained.
+pub(crate) fn waves(n: usize) -> Model {
+    let network =
+        Factored { width: 240, tx_encoding: Encoding::Waves { count: 64, reach: 24.0, seed: 0 }, ..Default::default() };
+    let mut model = on_array(untrained(seeded_cloud(n), Outputs::Signals));
+    model.weights = network.init(&mut pwrfgs::core::rng::stream(0, "network", 0));
+    model.stages.deformation = boxed(network);
+    model
+}
+
+/// The model with its Gaussians heard by an array in place of blended.
+pub(crate) fn on_array(mut model: Model) -> Model {
+    let array = ArrayResponse { widened: false, ..ArrayResponse::default() };
+    model.stages.rasterizer = Plugin::from(Box::new(array) as Box<dyn Rasterizer>);
+    model.stages.readout = pwrfgs::model::Readout::MinMax;
+    model
+}
+
+fn boxed(network: impl Deformation + 'static) -> Plugin<dyn Deformation> {
     Plugin::from(Box::new(network) as Box<dyn Deformation>)
 }
 

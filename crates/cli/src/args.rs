@@ -256,7 +256,7 @@ pub(crate) struct Report {
     that exists is never overwritten.\n\nEXAMPLES\n  pwrfgs export runs/quickstart/model.safetensors --ply office.ply\
     \n  pwrfgs export runs/quickstart/model.safetensors --tx 1.2,0.3,1.0 --ply office-at.ply --npz office-at.npz"
 )]
-#[command(group(clap::ArgGroup::new("what").required(true).multiple(true).args(["ply", "npz"])))]
+#[command(group(clap::ArgGroup::new("what").required(true).multiple(true).args(["ply", "npz", "half"])))]
 pub(crate) struct Export {
     /// The trained model, model.safetensors of a run folder
     #[arg(value_name = "MODEL")]
@@ -267,6 +267,9 @@ pub(crate) struct Export {
     /// All numbers of the model for numpy.load
     #[arg(long, value_name = "FILE")]
     pub(crate) npz: Option<PathBuf>,
+    /// The model itself with its network in 16-bit numbers, about half as large
+    #[arg(long, value_name = "FILE")]
+    pub(crate) half: Option<PathBuf>,
     /// The Gaussians as they are for a transmitter at this position in metres, world frame
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub(crate) tx: Option<String>,

@@ -48,7 +48,7 @@ plugin_kind!(Rasterizer);
 pub struct Render {
     /// Blended signals, `[channels, height, width]`.
     pub pixels: Vec<Real>,
-    /// Transmittance left behind the last splat, `[height, width]`.
+    /// Transmittance left behind the last splat, `[height, width]`; empty where nothing hides anything.
     pub transmittance: Vec<Real>,
     /// Seconds spent on order and tile lists.
     pub sort_seconds: f64,

@@ -26,6 +26,8 @@ struct Note {
 
 const FORMAT: &str = "pwrfgs-model";
 const VERSION: u32 = 1;
+/// What the names of the network's tensors begin with.
+const NETWORK: &str = "network.";
 
 /// Writes `model` to `path`, whole or not at all.
 ///
@@ -37,6 +39,18 @@ pub fn write(path: &Path, model: &Model) -> Result<()> {
 
 /// The bytes of a model file; the same model gives the same bytes.
 pub fn to_bytes(model: &Model) -> Vec<u8> {
+    tensors(model).to_bytes()
+}
+
+/// The same with the network in 16-bit numbers: about half as long. What is read from it predicts a little differently.
+///
+/// # Errors
+/// Where a number of the network is too large for 16 bits.
+pub fn to_bytes_half(model: &Model) -> Result<Vec<u8>> {
+    tensors(model).to_bytes_half(NETWORK).map_err(Error::Config)
+}
+
+fn tensors(model: &Model) -> Tensors {
     let s = &model.stages;
     let note = Note {
         format: FORMAT.into(),
@@ -52,8 +66,8 @@ pub fn to_bytes(model: &Model) -> Vec<u8> {
     };
     let mut file = Tensors::new(serde_json::to_string(&note).expect("plain data"));
     put_cloud(&mut file, "gaussians.", &model.cloud);
-    put_weights(&mut file, "network.", &model.weights, s);
-    file.to_bytes()
+    put_weights(&mut file, NETWORK, &model.weights, s);
+    file
 }
 
 /// Reads a model file.
@@ -84,7 +98,7 @@ fn from_bytes(bytes: &[u8]) -> Result<Model, String> {
         plane: note.plane,
     };
     let cloud = take_cloud(&mut file, "gaussians.", note.gaussians)?;
-    let weights = take_weights(&mut file, "network.", &stages)?;
+    let weights = take_weights(&mut file, NETWORK, &stages)?;
     Ok(Model { stages, cloud, weights })
 }
 

@@ -103,11 +103,12 @@ impl Model {
         let projected = Instant::now();
         let render = rasterizer.forward(&splats, &signals, channels, plane);
         let pixels = plane.width * plane.height;
-        let images = readout
-            .forward(&render.pixels, pixels)
-            .chunks_exact(pixels)
-            .map(|p| Image { width: plane.width, height: plane.height, pixels: p.to_vec() })
-            .collect();
+        let image = |pixels| Image { width: plane.width, height: plane.height, pixels };
+        let grey = readout.forward(&render.pixels, pixels);
+        let images = match grey.len() / pixels.max(1) {
+            1 => vec![image(grey)], // moved, not copied
+            _ => grey.chunks_exact(pixels).map(|p| image(p.to_vec())).collect(),
+        };
         let times = StageTimes {
             network: 0.0,
             projection: (projected - start).as_secs_f64(),

@@ -52,13 +52,36 @@ impl Tensors {
 
     /// The file's bytes; the same tensors give the same bytes.
     pub fn to_bytes(&self) -> Vec<u8> {
-        let dtype = if size_of::<Real>() == 8 { Dtype::F64 } else { Dtype::F32 };
-        let bytes: Vec<(&String, &Vec<usize>, Vec<u8>)> = (self.tensors.iter())
-            .map(|(name, (shape, values))| (name, shape, values.iter().flat_map(|v| v.to_le_bytes()).collect()))
-            .collect();
-        let views = bytes.iter().map(|(name, shape, data)| {
-            let view = TensorView::new(dtype, (*shape).clone(), data).expect("a tensor fills its shape");
-            (name.as_str(), view)
+        self.encode(|_| false)
+    }
+
+    /// The same with the tensors whose name begins with `prefix` in 16-bit floating-point numbers (F16).
+    ///
+    /// # Errors
+    /// Names a tensor with a number beyond ±65504, the largest of F16.
+    pub fn to_bytes_half(&self, prefix: &str) -> Result<Vec<u8>, String> {
+        let too_large = |v: &Real| !half::f16::from_f64(f64::from(*v)).is_finite();
+        match self.tensors.iter().find(|(name, (_, values))| name.starts_with(prefix) && values.iter().any(too_large)) {
+            Some((name, _)) => Err(format!("tensor `{name}` holds a number too large for 16 bits")),
+            None => Ok(self.encode(|name| name.starts_with(prefix))),
+        }
+    }
+
+    fn encode(&self, half: impl Fn(&str) -> bool) -> Vec<u8> {
+        let whole = if size_of::<Real>() == 8 { Dtype::F64 } else { Dtype::F32 };
+        let encoded = |name: &str, values: &[Real]| -> (Dtype, Vec<u8>) {
+            if half(name) {
+                let short = |v: &Real| half::f16::from_f64(f64::from(*v)).to_le_bytes();
+                (Dtype::F16, values.iter().flat_map(short).collect())
+            } else {
+                (whole, values.iter().flat_map(|v| v.to_le_bytes()).collect())
+            }
+        };
+        let bytes: BTreeMap<&str, (Dtype, Vec<u8>)> =
+            self.tensors.iter().map(|(name, (_, values))| (name.as_str(), encoded(name, values))).collect();
+        let views = self.tensors.iter().map(|(name, (shape, _))| {
+            let (dtype, data) = &bytes[name.as_str()];
+            (name.as_str(), TensorView::new(*dtype, shape.clone(), data).expect("a tensor fills its shape"))
         });
         let note = HashMap::from([(NOTE.to_owned(), self.note.clone())]);
         safetensors::serialize(views, Some(note)).expect("shapes fit their data")
@@ -84,7 +107,13 @@ impl Tensors {
                 Dtype::F64 => {
                     data.chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().expect("eight")) as Real).collect()
                 }
-                other => return Err(format!("tensor `{name}` has type {other:?}; only F32 and F64 are used here")),
+                Dtype::F16 => {
+                    let long = |b: &[u8]| half::f16::from_le_bytes(b.try_into().expect("two")).to_f64() as Real;
+                    data.chunks_exact(2).map(long).collect()
+                }
+                other => {
+                    return Err(format!("tensor `{name}` has type {other:?}; only F16, F32 and F64 are used here"));
+                }
             };
             tensors.insert(name, (view.shape().to_vec(), values));
         }

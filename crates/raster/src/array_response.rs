@@ -120,7 +120,7 @@ impl Rasterizer for ArrayResponse {
         self.beams(plane).draw(&field, &mut pixels);
         Render {
             pixels,
-            transmittance: vec![1.0; plane.width * plane.height],
+            transmittance: Vec::new(),
             sort_seconds: 0.0,
             blend_seconds: start.elapsed().as_secs_f64(),
             memory: None,

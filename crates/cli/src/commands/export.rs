@@ -14,12 +14,17 @@ type Writer = fn(&Model, Option<[Real; 3]>) -> Result<Vec<u8>>;
 
 pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<ExitCode> {
     let tx = arguments.tx.as_deref().map(position).transpose()?;
-    let files: Vec<(&Path, Writer)> = [(&arguments.ply, ply as Writer), (&arguments.npz, npz as Writer)]
-        .into_iter()
-        .filter_map(|(path, writer)| path.as_deref().map(|path| (path, writer)))
-        .collect();
-    if files.len() == 2 && files[0].0 == files[1].0 {
-        return Err(Error::Config("--ply and --npz name the same file; give each a name of its own".into()));
+    let half: Writer = |model, _| file::to_bytes_half(model);
+    let files: Vec<(&Path, Writer)> =
+        [(&arguments.ply, ply as Writer), (&arguments.npz, npz as Writer), (&arguments.half, half)]
+            .into_iter()
+            .filter_map(|(path, writer)| path.as_deref().map(|path| (path, writer)))
+            .collect();
+    let mut names: Vec<&Path> = files.iter().map(|(path, _)| *path).collect();
+    names.sort_unstable();
+    names.dedup();
+    if names.len() < files.len() {
+        return Err(Error::Config("two exports name the same file; give each a name of its own".into()));
     }
     files.iter().try_for_each(|(path, _)| check_new(path))?;
     let model = file::read(&arguments.model)?;
