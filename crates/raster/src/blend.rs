@@ -224,20 +224,17 @@ impl Brush {
 
 impl Transmittance {
     /// Blending weights γ·T of a row; light that passes the splat is what is left for the next.
+    ///
+    /// One loop a quantity, on copies: conditional stores to the tile itself would be compiled lane by lane.
     #[inline(always)]
     fn pass(&mut self, row: usize, alpha: &Row) -> Row {
-        let (open, left) = (&mut self.open[row], &mut self.left[row]);
-        let mut weight = [0.0; TILE];
-        let mut most = 0.0;
-        for lane in 0..TILE {
-            let next = open[lane] * (1.0 - alpha[lane]);
-            let counts = next >= T_MIN;
-            weight[lane] = if counts { alpha[lane] * open[lane] } else { 0.0 };
-            left[lane] = if counts { next } else { left[lane] };
-            open[lane] = if counts { next } else { 0.0 };
-            most = if open[lane] > most { open[lane] } else { most };
-        }
-        self.alive[row] = most > 0.0;
+        let (open, left) = (self.open[row], self.left[row]);
+        let next: Row = std::array::from_fn(|lane| open[lane] * (1.0 - alpha[lane]));
+        let weight = std::array::from_fn(|lane| if next[lane] >= T_MIN { alpha[lane] * open[lane] } else { 0.0 });
+        self.left[row] = std::array::from_fn(|lane| if next[lane] >= T_MIN { next[lane] } else { left[lane] });
+        let still: Row = std::array::from_fn(|lane| if next[lane] >= T_MIN { next[lane] } else { 0.0 });
+        self.alive[row] = still.iter().fold(false, |any, &t| any | (t > 0.0));
+        self.open[row] = still;
         weight
     }
 }

@@ -4,6 +4,7 @@
 
 use crate::Support;
 use pwrfgs_core::{ImagePlane, Real, Splats};
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// Pixels along the side of a tile, and lanes of the blending kernel.
@@ -43,6 +44,8 @@ impl TileLists {
         let (columns, tile_rows) = (plane.width.div_ceil(TILE), plane.height.div_ceil(TILE));
         let order = depth_order(splats);
         let reach: Vec<Reach> = (0..splats.len())
+            .into_par_iter()
+            .with_min_len(2048)
             .map(|i| match support {
                 Support::Exact => Reach::exact(splats, i, plane),
                 Support::TileSquares => Reach::released(splats, i, plane),
@@ -69,12 +72,15 @@ impl TileLists {
 
 /// Indices of the splats that reach the picture, nearest first; equal depths in index order.
 fn depth_order(splats: &Splats) -> Vec<u32> {
-    let mut keys: Vec<(u64, u32)> = (0..splats.len())
-        .filter(|&i| splats.radii[i] > 0.0)
-        // The bits of positive floats are ordered like the floats.
-        .map(|i| (f64::from(splats.depths[i]).to_bits(), i as u32))
-        .collect();
-    keys.sort_unstable();
+    // The bits of positive floats are ordered like the floats.
+    let key = |i: usize| splats.depths[i].to_bits();
+    let visible = (0..splats.len()).filter(|&i| splats.radii[i] > 0.0);
+    let mut keys: Vec<_> = visible.map(|i| (key(i), i as u32)).collect();
+    if keys.len() < 4096 {
+        keys.sort_unstable();
+    } else {
+        keys.par_sort_unstable();
+    }
     keys.into_iter().map(|(_, i)| i).collect()
 }
 
