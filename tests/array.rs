@@ -3,7 +3,7 @@
 use crate::common::pipeline;
 use nalgebra::{DMatrix, DVector};
 use pwrfgs::core::{Splats, rng};
-use pwrfgs::model::{Activation, Ensemble, Model, Predictor, Readout, Stages};
+use pwrfgs::model::{Activation, Ensemble, Model, Readout, Stages};
 use pwrfgs::prelude::*;
 use pwrfgs::train::Trainer;
 use std::f64::consts::TAU;
@@ -249,7 +249,8 @@ fn an_ensemble_is_the_mean_of_its_members_and_knows_where_they_differ() {
     let tx = [0.3, 0.1, 0.7];
     let pictures: Vec<Image> = models.iter().map(|m| m.predict(tx).clamped()).collect();
     let ensemble = Ensemble::new(models.clone()).unwrap();
-    let (mean, spread) = (Predict::predict(&ensemble, tx), ensemble.spread(tx));
+    let ensemble = ensemble.prepare();
+    let (mean, spread) = (ensemble.predict(tx), ensemble.spread(tx));
     for p in 0..mean.pixels.len() {
         let (a, b) = (pictures[0].pixels[p], pictures[1].pixels[p]);
         assert!((mean.pixels[p] - 0.5 * (a + b)).abs() < 1e-6 && (spread.pixels[p] - 0.5 * (a - b).abs()).abs() < 1e-6);

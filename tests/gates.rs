@@ -6,6 +6,7 @@ use pwrfgs::model::Readout;
 use pwrfgs::prelude::*;
 use pwrfgs::train::{RenderingLoss, loss_and_gradients};
 use std::path::Path;
+use std::sync::Arc;
 
 const N: usize = 8;
 
@@ -23,7 +24,16 @@ fn a_closed_gate_equals_an_absent_gaussian() {
         let batch = batch(2, &stages);
         let outcome = |cloud: &GaussianCloud| {
             let pruners = [plugin("LearnableMask(lambda: 0)")];
-            loss_and_gradients(&stages, cloud, &weights, &batch, &RenderingLoss::new(0.2), &pruners, &MOMENT).unwrap()
+            loss_and_gradients(
+                &stages,
+                cloud,
+                &Arc::new(weights.clone()),
+                &batch,
+                &RenderingLoss::new(0.2),
+                &pruners,
+                &MOMENT,
+            )
+            .unwrap()
         };
         for closed in 0..N {
             let mut masks = vec![1.0; N];

@@ -80,7 +80,7 @@ impl Step {
         loss_and_gradients(
             &self.stages,
             cloud,
-            weights,
+            &Arc::new(weights.to_vec()),
             &self.batch,
             &RenderingLoss::new(self.ssim_weight),
             &self.pruners,

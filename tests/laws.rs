@@ -99,6 +99,11 @@ fn deformations_keep_their_own_shapes() {
             assert!(deformation.varies_geometry() || rows[..2] == [0, 0], "{name} varies geometry and does not say so");
             let flat = [deltas.scales.as_flattened(), deltas.quats.as_flattened(), deltas.signals.as_flattened()];
             assert!(flat.into_iter().all(finite), "{name}");
+            let prepared = deformation.prepare(&weights, &means, &Pose::IDENTITY);
+            for _ in 0..2 {
+                let again = deformation.forward_prepared(&weights, &means, &txs, &Pose::IDENTITY, &prepared);
+                assert_eq!(again, deltas, "{name}, prepared");
+            }
             let (mut d_weights, mut d_means) = (vec![0.0; weights.len()], vec![[0.0; 3]; n]);
             let inputs = DeformationInputs { weights: &weights, means: &means, txs: &txs, pose: &Pose::IDENTITY };
             deformation.vjp(&inputs, &deltas, &mut d_weights, Some(&mut d_means));
@@ -123,6 +128,11 @@ fn projectors_and_rasterizers_answer_row_for_row() {
             }
             let render = rasterizer.forward(&splats, &[0.5; 14], 2, &plane);
             assert!(render.pixels.len() == 2 * 90 * 24 && finite(&render.pixels), "{kind} on {name}");
+            let prepared = rasterizer.prepare(&splats, &plane);
+            for _ in 0..2 {
+                let again = rasterizer.forward_prepared(&splats, &[0.5; 14], 2, &plane, &prepared);
+                assert_eq!(again.pixels, render.pixels, "{kind} on {name}, prepared");
+            }
             let light = |t: &Real| (0.0..=1.0).contains(t);
             let seen = &render.transmittance;
             assert!([0, 90 * 24].contains(&seen.len()) && seen.iter().all(light), "{kind}");

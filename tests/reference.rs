@@ -125,7 +125,8 @@ impl Start {
 
     fn step(&self) -> Outcome {
         let Self { stages, cloud, weights, batch, pruners } = self;
-        loss_and_gradients(stages, cloud, weights, batch, &RenderingLoss::new(0.2), pruners, &MOMENT).unwrap()
+        loss_and_gradients(stages, cloud, &Arc::new(weights.clone()), batch, &RenderingLoss::new(0.2), pruners, &MOMENT)
+            .unwrap()
     }
 
     /// The picture's stages by hand: what is projected, what it becomes, and what is blended (not clamped).

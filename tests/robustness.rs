@@ -75,7 +75,7 @@ proptest! {
         let (_, width, values) = cloud.columns_mut().nth(column).unwrap();
         values[row * width..(row + 1) * width].fill(value);
         let stages = stages("Fixed()", Readout::Magnitude);
-        let outcome = loss_and_gradients(&stages, &cloud, &[], &batch(1, &stages), &RenderingLoss::new(0.2), &[], &MOMENT);
+        let outcome = loss_and_gradients(&stages, &cloud, &Arc::default(), &batch(1, &stages), &RenderingLoss::new(0.2), &[], &MOMENT);
         prop_assert!(outcome.is_ok_and(|outcome| outcome.loss.is_finite()));
     }
 }
@@ -86,7 +86,8 @@ fn a_zero_quaternion_is_no_rotation() {
     let with = |quat: [Real; 4]| {
         let mut cloud = cloud(N, 1);
         cloud.quats[2] = quat;
-        loss_and_gradients(&stages, &cloud, &[], &batch(1, &stages), &RenderingLoss::new(0.2), &[], &MOMENT).unwrap()
+        loss_and_gradients(&stages, &cloud, &Arc::default(), &batch(1, &stages), &RenderingLoss::new(0.2), &[], &MOMENT)
+            .unwrap()
     };
     let (zero, identity) = (with([0.0; 4]), with([1.0, 0.0, 0.0, 0.0]));
     assert_eq!(zero.loss, identity.loss);
@@ -99,8 +100,16 @@ fn a_loss_that_is_no_number_is_an_error_and_names_the_step() {
     let stages = stages("Fixed()", Readout::Magnitude);
     let mut cloud = cloud(N, 1);
     cloud.signals.fill([Real::NAN; 2]);
-    let error = loss_and_gradients(&stages, &cloud, &[], &batch(1, &stages), &RenderingLoss::new(0.2), &[], &MOMENT)
-        .unwrap_err();
+    let error = loss_and_gradients(
+        &stages,
+        &cloud,
+        &Arc::default(),
+        &batch(1, &stages),
+        &RenderingLoss::new(0.2),
+        &[],
+        &MOMENT,
+    )
+    .unwrap_err();
     assert!(matches!(error, Error::NonFinite { step: 1, .. }), "{error}");
 }
 
@@ -112,7 +121,7 @@ fn no_and_one_gaussian_predict_and_differentiate() {
         for n in [0, 1] {
             let cloud = cloud(n, 1);
             let model = Model { stages: Stages::clone(&stages), cloud: cloud.clone(), weights: weights.clone() };
-            let pictures = model.predict_many(&[[0.1, 0.2, 0.3], [0.5, 0.0, 0.9]]);
+            let pictures = model.prepare().predict_many(&[[0.1, 0.2, 0.3], [0.5, 0.0, 0.9]]);
             assert!(pictures.iter().all(|p| p.pixels.len() == 90 * 24 && finite(&p.pixels)), "{deformation}");
             assert!(n > 0 || pictures[0].pixels.iter().all(|p| *p == 0.0));
             let masked = with_column(cloud, "mask_logits", vec![1.0; n]);
@@ -120,7 +129,7 @@ fn no_and_one_gaussian_predict_and_differentiate() {
             let outcome = loss_and_gradients(
                 &Arc::clone(&stages),
                 &masked,
-                &weights,
+                &Arc::new(weights.clone()),
                 &batch(2, &stages),
                 &RenderingLoss::new(0.2),
                 &pruners,

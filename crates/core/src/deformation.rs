@@ -1,6 +1,6 @@
 //! `Deformation`: what the transmitter's position changes, `D_Θ` of eq. (5).
 
-use crate::{Pose, Real, plugin_kind, rng::Rng};
+use crate::{Memory, Pose, Real, plugin_kind, rng::Rng};
 
 /// The calibration terms ΔS, ΔR, Δs as functions of centre and transmitter. The weights Θ live outside the plugin.
 ///
@@ -34,6 +34,26 @@ pub trait Deformation: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
 
     /// Calibration terms for `means` `[N,3]` and `txs` `[B,3]`.
     fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: &[[Real; 3]], pose: &Pose) -> Deltas;
+
+    /// What [`Self::forward`] makes of weights and centres without knowing the transmitter, for a trained model to
+    /// work out once and not at every prediction. `None` where everything waits for the transmitter.
+    fn prepare(&self, weights: &[Real], means: &[[Real; 3]], pose: &Pose) -> Memory {
+        let _ = (weights, means, pose);
+        None
+    }
+
+    /// [`Self::forward`], bit for bit, given what [`Self::prepare`] made of the same weights, centres and pose.
+    fn forward_prepared(
+        &self,
+        weights: &[Real],
+        means: &[[Real; 3]],
+        txs: &[[Real; 3]],
+        pose: &Pose,
+        prepared: &Memory,
+    ) -> Deltas {
+        let _ = prepared;
+        self.forward(weights, means, txs, pose)
+    }
 
     /// Adds to `d_weights` (as long as `weights`), and to `d_means` where given, given the cotangents `d` of the output.
     fn vjp(

@@ -5,7 +5,7 @@
 //! reported where it stands.
 use serde::de::{self, DeserializeSeed, Deserializer, EnumAccess, MapAccess, VariantAccess, Visitor};
 use serde::{Deserialize, Serialize, Serializer, forward_to_deserialize_any};
-use std::{fmt, marker::PhantomData, ops::Deref, path::Path, sync::Arc};
+use std::{any::Any, fmt, marker::PhantomData, ops::Deref, path::Path, sync::Arc};
 
 /// A plugin of kind `T = dyn Trait`: immutable, shared, cheap to clone.
 #[derive(Debug)]
@@ -273,4 +273,14 @@ where
     let mut names = Box::<T>::deserialize(probe).err().map_or_else(Vec::new, |p| p.0);
     names.sort_unstable();
     names
+}
+/// What a plugin hands out to find again later: only it knows what is inside.
+pub type Memory = Option<Arc<dyn Any + Send + Sync>>;
+
+/// What is in a [`Memory`] that the caller made itself.
+///
+/// # Panics
+/// Where another plugin made it.
+pub fn recall<T: 'static>(memory: &Memory) -> &T {
+    memory.as_ref().and_then(|m| m.downcast_ref()).expect("what is handed back came from this plugin")
 }

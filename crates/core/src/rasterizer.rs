@@ -1,12 +1,32 @@
 //! `Rasterizer`: from splats to a picture of signals.
 
-use crate::{ImagePlane, Real, Splats, plugin_kind};
+use crate::{ImagePlane, Memory, Real, Splats, plugin_kind};
 
 /// Draws splats. One geometry may carry the signals of many transmitters: `channels` numbers a splat.
 #[typetag::serde]
 pub trait Rasterizer: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
     /// Draws `signals`, row-major `[N, channels]`.
     fn forward(&self, splats: &Splats, signals: &[Real], channels: usize, plane: &ImagePlane) -> Render;
+
+    /// What [`Self::forward`] finds before it looks at signals, such as order and tile lists: found once where geometry
+    /// stays and signals change. `None` where there is nothing to find.
+    fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Memory {
+        let _ = (splats, plane);
+        None
+    }
+
+    /// [`Self::forward`], bit for bit, given what [`Self::prepare`] found for the same splats and plane.
+    fn forward_prepared(
+        &self,
+        splats: &Splats,
+        signals: &[Real],
+        channels: usize,
+        plane: &ImagePlane,
+        prepared: &Memory,
+    ) -> Render {
+        let _ = prepared;
+        self.forward(splats, signals, channels, plane)
+    }
 
     /// Cotangents of splats and signals, given `d_pixels` in the layout of [`Render::pixels`].
     fn backward(
@@ -55,11 +75,8 @@ pub struct Render {
     /// Seconds spent on blending.
     pub blend_seconds: f64,
     /// Whatever the rasterizer wants to find again in `backward` (tile lists).
-    pub memory: RenderMemory,
+    pub memory: Memory,
 }
-
-/// Private notes of a rasterizer between forward and backward.
-pub type RenderMemory = Option<std::sync::Arc<dyn std::any::Any + Send + Sync>>;
 
 /// What [`Rasterizer::backward`] finds.
 #[derive(Clone, Debug)]

@@ -8,7 +8,7 @@ use pwrfgs_core::{
     Dataset, Error, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Partition, Plugin, Predict,
     Progress, Real, Result, StageTimes,
 };
-use pwrfgs_model::{Model, Predictor};
+use pwrfgs_model::{Model, Prepared};
 use pwrfgs_train::Pipeline;
 use rayon::prelude::*;
 use std::cell::Cell;
@@ -34,7 +34,7 @@ pub struct Assessment {
 /// # Errors
 /// Where the model draws pictures of another size than the data hold, or a metric or baseline refuses.
 pub fn evaluate(
-    model: &dyn Predictor,
+    model: &Prepared<'_>,
     pipeline: &Pipeline,
     data: &Dataset,
     partition: &Partition,
@@ -50,11 +50,11 @@ pub fn evaluate(
     }
     let test = Bench::new(data, &partition.test, plane);
     let predictions = staged(observer, "predicting with the model", |progress| predict(model, &test.txs, progress));
-    let means: Vec<[Real; 3]> = model.members().iter().flat_map(|m| m.cloud.means.iter().copied()).collect();
+    let means: Vec<[Real; 3]> = model.models().flat_map(|m| m.cloud.means.iter().copied()).collect();
     let facts = ModelFacts {
         means: &means,
-        gaussian_bytes: model.members().iter().map(Model::gaussian_bytes).sum(),
-        network_bytes: model.members().iter().map(Model::network_bytes).sum(),
+        gaussian_bytes: model.models().map(Model::gaussian_bytes).sum(),
+        network_bytes: model.models().map(Model::network_bytes).sum(),
     };
     let own = staged(observer, "scoring the model", |progress| {
         let timed = test.in_turn(|tx| model.predict_timed(tx).1);
@@ -74,7 +74,7 @@ pub fn evaluate(
 }
 
 /// Predictions for all of `txs`, a chunk at a time.
-pub(crate) fn predict(model: &dyn Predictor, txs: &[[Real; 3]], progress: Progress<'_>) -> Vec<Image> {
+pub(crate) fn predict(model: &Prepared<'_>, txs: &[[Real; 3]], progress: Progress<'_>) -> Vec<Image> {
     let mut all = Vec::with_capacity(txs.len());
     for chunk in txs.chunks(CHUNK) {
         all.extend(model.predict_many(chunk));

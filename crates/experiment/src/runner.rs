@@ -205,7 +205,7 @@ impl<'a> Run<'a> {
     fn assess(&mut self, model: &Model, folder: &RunFolder, facts: &mut Facts) -> Result<ScoreTable> {
         let (earlier, begun) = (facts.wall_seconds, Instant::now());
         self.observer.on_message(&format!("scoring {} test spectra", self.partition.test.len()));
-        let assessment = evaluate(model, self.pipeline, self.data, self.partition, self.observer)?;
+        let assessment = evaluate(&model.prepare(), self.pipeline, self.data, self.partition, self.observer)?;
         let plane = &model.stages.plane;
         let floors = validation::floors(self.pipeline, plane, self.data, self.partition, self.observer)?;
         let history = History { folder: folder.path(), floors };

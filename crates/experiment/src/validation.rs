@@ -42,7 +42,7 @@ fn row(step: u64, measured: &[Measurement]) -> Validation {
 /// Looks at the samples `part`.
 pub(crate) fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize]) -> Result<Validation> {
     let bench = Bench::new(data, part, &model.stages.plane);
-    let predictions = predict(model, &bench.txs, &|_, _| {});
+    let predictions = predict(&model.prepare(), &bench.txs, &|_, _| {});
     Ok(row(step, &bench.measure(&metrics(), &predictions, None, None, &|_, _| {})?))
 }
 

@@ -39,9 +39,11 @@ impl Readout {
         let mut image = vec![0.0; signals.len() / 2];
         let pictures = image.par_chunks_exact_mut(pixels).zip(signals.par_chunks_exact(2 * pixels));
         pictures.for_each(|(image, pair)| {
-            grey(image, pair.split_at(pixels), self == Self::Power);
-            if self == Self::MinMax {
-                stretch(image);
+            let (darkest, brightest) = powers(image, pair.split_at(pixels));
+            match self {
+                Self::MinMax => stretched_roots(image, darkest.sqrt(), brightest.sqrt()),
+                Self::Magnitude => stretched_roots(image, 0.0, 1.0),
+                _ => {}
             }
         });
         image
@@ -75,7 +77,8 @@ impl Readout {
                     return;
                 }
                 magnitude.resize(pixels, 0.0);
-                grey(magnitude, (c0, c1), false);
+                powers(magnitude, (c0, c1));
+                stretched_roots(magnitude, 0.0, 1.0);
                 let d_image = if self == Self::MinMax {
                     stretch_vjp(magnitude, d_image, d_magnitude);
                     d_magnitude
@@ -89,18 +92,21 @@ impl Readout {
     }
 }
 
-/// The magnitude of every pixel, or its square.
-fn grey(image: &mut [Real], (c0, c1): (&[Real], &[Real]), square: bool) {
-    let power = |a: &Real, b: &Real| a * a + b * b;
+/// The squared magnitude of every pixel, and the smallest and the largest.
+fn powers(image: &mut [Real], (c0, c1): (&[Real], &[Real])) -> (Real, Real) {
     pulp::Arch::new().dispatch(
         #[inline(always)]
-        || {
-            if square {
-                image.iter_mut().zip(c0).zip(c1).for_each(|((v, a), b)| *v = power(a, b));
-            } else {
-                image.iter_mut().zip(c0).zip(c1).for_each(|((v, a), b)| *v = power(a, b).sqrt());
-            }
-        },
+        || image.iter_mut().zip(c0).zip(c1).for_each(|((v, a), b)| *v = a * a + b * b),
+    );
+    range(image)
+}
+
+/// From powers to magnitudes, and these stretched to [0, 1] from `low` to `high`; 0 and 1 leave them as they are.
+fn stretched_roots(image: &mut [Real], low: Real, high: Real) {
+    let gain = gain(low, high);
+    pulp::Arch::new().dispatch(
+        #[inline(always)]
+        || image.iter_mut().for_each(|v| *v = (v.sqrt() - low) * gain),
     );
 }
 

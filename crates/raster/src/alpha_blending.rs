@@ -3,7 +3,7 @@
 use crate::blend::{Backward, Forward, GEOMETRY, PIXELS, Tile};
 use crate::simd::widest;
 use crate::tiles::{TILE, TileLists};
-use pwrfgs_core::{ImagePlane, Rasterizer, Real, Render, RenderMemory, RenderVjp, Splats};
+use pwrfgs_core::{ImagePlane, Memory, Rasterizer, Real, Render, RenderVjp, Splats, recall};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -47,17 +47,34 @@ pub enum Support {
 #[typetag::serde]
 impl Rasterizer for AlphaBlending {
     fn forward(&self, splats: &Splats, signals: &[Real], channels: usize, plane: &ImagePlane) -> Render {
-        assert_eq!(signals.len(), splats.len() * channels, "one signal a splat and channel");
         let start = Instant::now();
-        let lists = TileLists::build(splats, plane, self.support);
-        let sorted = Instant::now();
+        let lists = self.prepare(splats, plane);
+        let sort_seconds = start.elapsed().as_secs_f64();
+        Render { sort_seconds, ..self.forward_prepared(splats, signals, channels, plane, &lists) }
+    }
+
+    fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Memory {
+        Some(Arc::new(TileLists::build(splats, plane, self.support)))
+    }
+
+    fn forward_prepared(
+        &self,
+        splats: &Splats,
+        signals: &[Real],
+        channels: usize,
+        plane: &ImagePlane,
+        prepared: &Memory,
+    ) -> Render {
+        assert_eq!(signals.len(), splats.len() * channels, "one signal a splat and channel");
+        let lists: &TileLists = recall(prepared);
+        let start = Instant::now();
         let size = plane.width * plane.height;
         let (mut pixels, mut transmittance) = (vec![0.0; size * channels], vec![1.0; size]);
         let pictures = (Canvas::new(&mut pixels, plane), Canvas::new(&mut transmittance, plane));
         (0..lists.len()).into_par_iter().for_each_init(
             || vec![0.0; channels * PIXELS],
             |scratch, t| {
-                let tile = tile(&lists, t, splats, signals, channels, plane);
+                let tile = tile(lists, t, splats, signals, channels, plane);
                 if tile.list.is_empty() {
                     return; // zeros and ones already
                 }
@@ -69,9 +86,9 @@ impl Rasterizer for AlphaBlending {
         Render {
             pixels,
             transmittance,
-            sort_seconds: (sorted - start).as_secs_f64(),
-            blend_seconds: sorted.elapsed().as_secs_f64(),
-            memory: Some(Arc::new(lists)),
+            sort_seconds: 0.0,
+            blend_seconds: start.elapsed().as_secs_f64(),
+            memory: prepared.clone(),
         }
     }
 
@@ -85,7 +102,7 @@ impl Rasterizer for AlphaBlending {
         d_pixels: &[Real],
     ) -> RenderVjp {
         assert_eq!(d_pixels.len(), render.pixels.len(), "one cotangent a pixel and channel");
-        let lists = lists_of(&render.memory);
+        let lists: &TileLists = recall(&render.memory);
         let stride = GEOMETRY + channels;
         let mut parts = vec![0.0; lists.splats.len() * stride];
         let mut rest = parts.as_mut_slice();
@@ -120,10 +137,6 @@ impl Rasterizer for AlphaBlending {
     fn about(&self) -> &'static str {
         "front-to-back alpha blending in depth order, as in the paper; exact backward"
     }
-}
-
-fn lists_of(memory: &RenderMemory) -> &TileLists {
-    memory.as_ref().and_then(|m| m.downcast_ref()).expect("the render comes from this rasterizer's own forward pass")
 }
 
 fn tile<'a>(

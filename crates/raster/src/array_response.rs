@@ -4,7 +4,7 @@ mod beams;
 mod wave;
 
 use beams::Beams;
-use pwrfgs_core::{ImagePlane, Rasterizer, Real, Render, RenderVjp, Splats};
+use pwrfgs_core::{ImagePlane, Memory, Rasterizer, Real, Render, RenderVjp, Splats, recall};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, PoisonError, RwLock};
@@ -60,9 +60,6 @@ pub struct ArrayResponse {
     pub widened: bool,
     /// How phases at the antennas follow.
     pub wavefront: Wavefront,
-    /// No setting: what follows from the others, made at the first picture.
-    #[serde(skip)]
-    pub beams: BeamTable,
 }
 
 /// How the phase at an antenna follows from a Gaussian.
@@ -78,10 +75,10 @@ pub enum Wavefront {
     },
 }
 
-/// The beams of the last few arrays and pictures: they follow from these alone, and making them takes longer than a
-/// picture. Training on a coarse picture and scoring on the whole one needs two.
-#[derive(Clone, Debug, Default)]
-pub struct BeamTable(Arc<RwLock<Vec<Known>>>);
+/// The beams of the last few arrays and pictures, for all who draw: they follow from these alone, making them takes
+/// longer than a picture, and models of one ensemble had better read the same. Training on a coarse picture and scoring
+/// on the whole one needs two.
+static TABLES: RwLock<Vec<Known>> = RwLock::new(Vec::new());
 
 /// Tables that are kept.
 const KEPT: usize = 4;
@@ -94,14 +91,7 @@ type Grid = (usize, usize, Real, ImagePlane);
 
 impl Default for ArrayResponse {
     fn default() -> Self {
-        Self {
-            rows: 4,
-            columns: 4,
-            spacing_wavelengths: 0.491,
-            widened: true,
-            wavefront: Wavefront::Plane,
-            beams: BeamTable::default(),
-        }
+        Self { rows: 4, columns: 4, spacing_wavelengths: 0.491, widened: true, wavefront: Wavefront::Plane }
     }
 }
 
@@ -111,19 +101,34 @@ const LARGEST: usize = 32;
 #[typetag::serde]
 impl Rasterizer for ArrayResponse {
     fn forward(&self, splats: &Splats, signals: &[Real], channels: usize, plane: &ImagePlane) -> Render {
+        self.forward_prepared(splats, signals, channels, plane, &self.prepare(splats, plane))
+    }
+
+    fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Memory {
+        let waves = Antennas::new(self, plane).waves(splats);
+        Some(Arc::new(Steered { waves, beams: self.beams(plane) }))
+    }
+
+    fn forward_prepared(
+        &self,
+        splats: &Splats,
+        signals: &[Real],
+        channels: usize,
+        plane: &ImagePlane,
+        prepared: &Memory,
+    ) -> Render {
         assert_eq!(signals.len(), splats.len() * channels, "one signal a splat and channel");
         let start = Instant::now();
-        let antennas = Antennas::new(self, plane);
-        let waves = antennas.waves(splats);
-        let field = field(splats, signals, &waves, antennas.len(), channels);
+        let Steered { waves, beams } = recall(prepared);
+        let field = field(splats, signals, waves, self.rows * self.columns, channels);
         let mut pixels = vec![0.0; channels * plane.width * plane.height];
-        self.beams(plane).draw(&field, &mut pixels);
+        beams.draw(&field, &mut pixels);
         Render {
             pixels,
             transmittance: Vec::new(),
             sort_seconds: 0.0,
             blend_seconds: start.elapsed().as_secs_f64(),
-            memory: None,
+            memory: prepared.clone(),
         }
     }
 
@@ -133,12 +138,13 @@ impl Rasterizer for ArrayResponse {
         signals: &[Real],
         channels: usize,
         plane: &ImagePlane,
-        _: &Render,
+        render: &Render,
         d_pixels: &[Real],
     ) -> RenderVjp {
         let antennas = Antennas::new(self, plane);
         let elements = antennas.len();
-        let d_field = self.beams(plane).draw_vjp(d_pixels);
+        let Steered { waves, beams } = recall(&render.memory);
+        let d_field = beams.draw_vjp(d_pixels);
         let mut out = RenderVjp {
             splats: Splats::zeros(splats.len()),
             signals: vec![0.0; signals.len()],
@@ -156,11 +162,10 @@ impl Rasterizer for ArrayResponse {
                 return;
             }
             let own = &signals[i * channels..(i + 1) * channels];
-            let mut wave = vec![[0.0; 2]; elements];
-            antennas.wave(splats, i, &mut wave);
+            let wave = &waves[i * elements..(i + 1) * elements];
             let mut d_wave = vec![[0.0; 2]; elements];
-            *opacity = superpose_vjp(splats.opacities[i], own, &wave, &d_field, d_signals, &mut d_wave);
-            (*mean, *conic, *depth) = antennas.wave_vjp(splats, i, &wave, &d_wave);
+            *opacity = superpose_vjp(splats.opacities[i], own, wave, &d_field, d_signals, &mut d_wave);
+            (*mean, *conic, *depth) = antennas.wave_vjp(splats, i, wave, &d_wave);
             let strength: Real = wave.iter().map(|[re, im]| re.hypot(*im)).sum();
             *weight = splats.opacities[i] * strength / elements as Real * (plane.width * plane.height) as Real;
         });
@@ -208,17 +213,23 @@ impl Rasterizer for ArrayResponse {
 impl ArrayResponse {
     fn beams(&self, plane: &ImagePlane) -> Arc<Beams> {
         let grid = (self.rows, self.columns, self.spacing_wavelengths, plane.clone());
-        let known = self.beams.0.read().unwrap_or_else(PoisonError::into_inner);
+        let known = TABLES.read().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, beams)) = known.iter().find(|(known, _)| *known == grid) {
             return Arc::clone(beams);
         }
         drop(known);
         let beams = Arc::new(Beams::new(&Antennas::new(self, plane), plane));
-        let mut known = self.beams.0.write().unwrap_or_else(PoisonError::into_inner);
+        let mut known = TABLES.write().unwrap_or_else(PoisonError::into_inner);
         known.truncate(KEPT - 1);
         known.insert(0, (grid, Arc::clone(&beams)));
         beams
     }
+}
+
+/// What follows from geometry alone: the waves of all splats `[N, K]`, and the beams.
+struct Steered {
+    waves: Vec<[Real; 2]>,
+    beams: Arc<Beams>,
 }
 
 /// h: the sum of all waves, `[channels/2, K]` complex numbers, from `waves` `[N, K]`.

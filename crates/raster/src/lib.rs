@@ -15,7 +15,7 @@ mod tiles;
 mod wrfgs_compat;
 
 pub use alpha_blending::{AlphaBlending, Support};
-pub use array_response::{ArrayResponse, BeamTable, Wavefront};
+pub use array_response::{ArrayResponse, Wavefront};
 pub use ewa::{CameraModel, View, project, project_vjp};
 pub use mercator::Mercator;
 pub use wrfgs_compat::{FullSphere, WrfgsCompat};

@@ -35,6 +35,14 @@ pub(crate) trait Lanes: Sized {
     fn add_scaled<S: pulp::Simd, const N: usize>(simd: S, sum: &mut [Self; N], scale: Self, x: &[Self; N]);
     /// sum += x · y.
     fn add_product<S: pulp::Simd, const N: usize>(simd: S, sum: &mut [Self; N], x: &[Self; N], y: &[Self; N]);
+    /// Two weighted sums of the same rows, each row loaded once: sums[c] = Σ scales[c][k] · rows[k]. N is a multiple of
+    /// 64, so that every vector width makes whole groups of four, which stay in registers.
+    fn two_sums<S: pulp::Simd, const N: usize>(
+        simd: S,
+        sums: &mut [[Self; N]; 2],
+        scales: [&[Self]; 2],
+        rows: &[[Self; N]],
+    );
 }
 
 macro_rules! lanes {
@@ -59,6 +67,31 @@ macro_rules! lanes {
                 }
                 let rest = sum_rest.iter_mut().zip(x_rest.iter().zip(y_rest));
                 rest.for_each(|(sum, (x, y))| *sum = x.mul_add(*y, *sum));
+            }
+            #[inline(always)]
+            fn two_sums<S: pulp::Simd, const N: usize>(
+                simd: S,
+                sums: &mut [[Self; N]; 2],
+                scales: [&[Self]; 2],
+                rows: &[[Self; N]],
+            ) {
+                const { assert!(N.is_multiple_of(64), "whole groups of four vectors") };
+                let [first, second] = sums;
+                let groups =
+                    S::$vectors_mut(first).0.chunks_exact_mut(4).zip(S::$vectors_mut(second).0.chunks_exact_mut(4));
+                for (g, (first, second)) in groups.enumerate() {
+                    let (mut a, mut b) = ([simd.$splat(0.0); 4], [simd.$splat(0.0); 4]);
+                    for (row, (&x, &y)) in rows.iter().zip(scales[0].iter().zip(scales[1])) {
+                        let (x, y) = (simd.$splat(x), simd.$splat(y));
+                        let row = &S::$vectors(row).0[4 * g..4 * g + 4];
+                        for v in 0..4 {
+                            a[v] = simd.$mul_add(row[v], x, a[v]);
+                            b[v] = simd.$mul_add(row[v], y, b[v]);
+                        }
+                    }
+                    first.copy_from_slice(&a);
+                    second.copy_from_slice(&b);
+                }
             }
         }
     };

@@ -5,7 +5,7 @@ use crate::output;
 use crate::progress::Progress;
 use pwrfgs::experiment::folder::{PIPELINE, REPORT};
 use pwrfgs::experiment::{Facts, Machine, Subject, evaluate as score, load as load_data, read_pipeline};
-use pwrfgs::model::{Ensemble, Model, Predictor, file};
+use pwrfgs::model::{Ensemble, Model, file};
 use pwrfgs_core::{Error, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -38,8 +38,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
             output::note("warning: these data have another receiver pose than the model was trained with");
         }
     }
-    let scored: &dyn Predictor = if arguments.models.len() > 1 { &ensemble } else { model };
-    let assessment = score(scored, &pipeline, &data, &partition, &mut progress);
+    let assessment = score(&ensemble.prepare(), &pipeline, &data, &partition, &mut progress);
     progress.finish();
     let assessment = assessment?;
     let mut text = assessment.scores.table().to_text();

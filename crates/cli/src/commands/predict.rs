@@ -8,7 +8,7 @@ use crate::args::{Predict, Verbosity};
 use crate::output;
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
 use npyz::WriterBuilder as _;
-use pwrfgs::model::{Predictor, file};
+use pwrfgs::model::file;
 use pwrfgs_core::{Error, Image, ImagePlane, Real, Result};
 use rayon::prelude::*;
 use std::path::Path;
@@ -28,7 +28,7 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitC
         _ => return Err(Error::Config("give --tx x,y,z or --tx-csv FILE".into())),
     };
     let ensemble = read_models(&arguments.models)?;
-    let model: &dyn Predictor = if arguments.models.len() > 1 { &ensemble } else { &ensemble.members()[0] };
+    let model = ensemble.prepare();
     let out = arguments.out.as_path();
     let ours = check_ours(out)?;
     std::fs::create_dir_all(out).map_err(|e| Error::write(out, e))?;
@@ -56,7 +56,7 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitC
         written?;
         if arguments.models.len() > 1 {
             let write = |(i, tx): (usize, &[Real; 3])| {
-                write_pictures(out, &format!("{}{SPREAD}", name(first + i)), &ensemble.spread(*tx), 2.0)
+                write_pictures(out, &format!("{}{SPREAD}", name(first + i)), &model.spread(*tx), 2.0)
             };
             txs.par_iter().enumerate().map(write).collect::<Result<Vec<()>>>()?;
         }

@@ -5,9 +5,10 @@ use super::layers::Plan;
 use super::linear::Linear;
 use super::mlp::check_stack;
 use super::waves::{Encoder, Encoding};
-use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Pose, Real, WeightSpec, rng::Rng};
+use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Memory, Pose, Real, WeightSpec, recall, rng::Rng};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 /// A network that runs once a transmitter and not once a Gaussian: `Δsᵢ(p) = G(μᵢ)·T(p) + G₀(μᵢ)`.
 ///
@@ -71,8 +72,26 @@ impl Deformation for Factored {
         false
     }
 
-    fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: &[[Real; 3]], _: &Pose) -> Deltas {
-        Network::of(self, weights).forward(weights, means, txs)
+    fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: &[[Real; 3]], pose: &Pose) -> Deltas {
+        self.forward_prepared(weights, means, txs, pose, &self.prepare(weights, means, pose))
+    }
+
+    fn prepare(&self, weights: &[Real], means: &[[Real; 3]], _: &Pose) -> Memory {
+        let network = Network::of(self, weights);
+        let factors = network.factors(weights, means);
+        Some(Arc::new((network, factors)))
+    }
+
+    fn forward_prepared(
+        &self,
+        weights: &[Real],
+        _: &[[Real; 3]],
+        txs: &[[Real; 3]],
+        _: &Pose,
+        prepared: &Memory,
+    ) -> Deltas {
+        let (network, factors): &(Network, Factors) = recall(prepared);
+        network.forward(weights, factors, txs)
     }
 
     fn vjp(
@@ -196,13 +215,12 @@ impl Network {
     }
 
     /// One transmitter at a time: a batch then gives the bits of single calls.
-    fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: &[[Real; 3]]) -> Deltas {
-        let n = means.len();
+    fn forward(&self, weights: &[Real], g: &Factors, txs: &[[Real; 3]]) -> Deltas {
+        let n = g.n;
         let mut signals = vec![[0.0; 2]; txs.len() * n];
         if signals.is_empty() {
             return Deltas { signals, ..Deltas::default() };
         }
-        let g = self.factors(weights, means);
         signals.par_chunks_exact_mut(n).zip(txs).for_each(|(signals, tx)| {
             let layers = self.stack(weights, &[*tx]);
             let t = Matrix::new(&layers[self.stack.len()], self.features, 1);

@@ -2,9 +2,10 @@
 
 use super::layers::Plan;
 use super::mlp::{check_frequencies, check_stack};
-use super::wrfgs_network::Network;
-use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Pose, Real, WeightSpec, rng::Rng};
+use super::wrfgs_network::{Ahead, Network};
+use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Memory, Pose, Real, WeightSpec, recall, rng::Rng};
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 /// The network of WRF-GS, the released ancestor: it replaces the signals and leaves geometry alone.
 ///
@@ -58,6 +59,27 @@ impl Wrfgs {
     fn gain(&self, means: &[[Real; 3]], pose: &Pose) -> f64 {
         self.gain.unwrap_or_else(|| RELEASED_GAIN * Self::norm(means, pose))
     }
+
+    fn network(&self, weights: &[Real]) -> Network {
+        let mut plan = Plan::default();
+        let network = Network::new(self, &mut plan);
+        assert_eq!(weights.len(), plan.len(), "as many weights as the layout says");
+        network
+    }
+
+    fn deltas(
+        &self,
+        network: &Network,
+        weights: &[Real],
+        means: &[[Real; 3]],
+        txs: &[[Real; 3]],
+        pose: &Pose,
+        ahead: Option<&[Ahead]>,
+    ) -> Deltas {
+        let gain = self.gain(means, pose) as Real;
+        let products = network.forward(weights, means, txs, ahead);
+        Deltas { signals: products.into_iter().map(|sa| [gain * sa, 0.0]).collect(), ..Deltas::default() }
+    }
 }
 
 #[typetag::serde]
@@ -87,12 +109,25 @@ impl Deformation for Wrfgs {
     }
 
     fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: &[[Real; 3]], pose: &Pose) -> Deltas {
-        let mut plan = Plan::default();
-        let network = Network::new(self, &mut plan);
-        assert_eq!(weights.len(), plan.len(), "as many weights as the layout says");
-        let gain = self.gain(means, pose) as Real;
-        let signals = network.forward(weights, means, txs).into_iter().map(|sa| [gain * sa, 0.0]).collect();
-        Deltas { signals, ..Deltas::default() }
+        self.deltas(&self.network(weights), weights, means, txs, pose, None)
+    }
+
+    fn prepare(&self, weights: &[Real], means: &[[Real; 3]], _: &Pose) -> Memory {
+        let network = self.network(weights);
+        let ahead = network.ahead(weights, means);
+        Some(Arc::new((network, ahead)))
+    }
+
+    fn forward_prepared(
+        &self,
+        weights: &[Real],
+        means: &[[Real; 3]],
+        txs: &[[Real; 3]],
+        pose: &Pose,
+        prepared: &Memory,
+    ) -> Deltas {
+        let (network, ahead): &(Network, Vec<Ahead>) = recall(prepared);
+        self.deltas(network, weights, means, txs, pose, Some(ahead.as_slice()))
     }
 
     fn vjp(
@@ -105,10 +140,8 @@ impl Deformation for Wrfgs {
         if d.signals.is_empty() {
             return;
         }
-        let mut plan = Plan::default();
-        let network = Network::new(self, &mut plan);
-        assert_eq!(inputs.weights.len(), plan.len(), "as many weights as the layout says");
-        assert_eq!(d_weights.len(), plan.len(), "a derivative for each weight");
+        let network = self.network(inputs.weights);
+        assert_eq!(d_weights.len(), inputs.weights.len(), "a derivative for each weight");
         let gain = self.gain(inputs.means, inputs.pose);
         let d_products: Vec<Real> = d.signals.iter().map(|d| gain as Real * d[0]).collect();
         let Some(d_means) = d_means else {

@@ -33,6 +33,13 @@ struct TxSide {
     folded: Vec<Real>,
 }
 
+/// What a chunk of Gaussians gives to every transmitter.
+#[derive(Debug, Default)]
+pub(super) struct Ahead {
+    attenuation: Vec<Real>,  // [2, R], before |lrelu|
+    from_feature: Vec<Real>, // W·feature of `sig.0`
+}
+
 /// Room for one chunk, kept from item to item of a task.
 #[derive(Default)]
 struct Scratch {
@@ -40,9 +47,7 @@ struct Scratch {
     gamma: Vec<Real>,
     shared: Joints,
     slots: Vec<Vec<Real>>,
-    attenuation: Vec<Real>, // [2, R], before |lrelu|
     feature: Vec<Real>,
-    from_feature: Vec<Real>, // W·feature of `sig.0`
     // Once a transmitter.
     offset: Vec<Real>, // γ(X - p)
     hidden: [Vec<Real>; 2],
@@ -133,8 +138,8 @@ impl Network {
     }
 
     /// What the Gaussians of a chunk give without knowing the transmitter.
-    fn begin(&self, weights: &[Real], means: &[[Real; 3]], slots: usize, scratch: &mut Scratch) {
-        let Scratch { gamma, shared, attenuation, feature, from_feature, .. } = scratch;
+    fn begin(&self, weights: &[Real], means: &[[Real; 3]], slots: usize, scratch: &mut Scratch) -> Ahead {
+        let Scratch { gamma, shared, feature, .. } = scratch;
         let (rows, width) = (means.len(), self.trunk.width);
         gamma.resize(rows * encoding::width(self.frequencies), 0.0);
         encode(means.iter().copied(), self.frequencies, gamma);
@@ -142,23 +147,39 @@ impl Network {
         scratch.slots.resize_with(slots, Vec::new);
         self.trunk.forward(weights, shared, &self.trunk.fold(weights, &[]), &mut scratch.slots);
         let h = &scratch.slots[self.trunk.last(slots)];
-        attenuation.resize(2 * rows, 0.0);
-        self.attenuation.whole().apply(weights, h, attenuation, Store::Set);
-        dense::add_bias(attenuation, self.attenuation.bias(weights));
+        let mut attenuation = vec![0.0; 2 * rows];
+        self.attenuation.whole().apply(weights, h, &mut attenuation, Store::Set);
+        dense::add_bias(&mut attenuation, self.attenuation.bias(weights));
         feature.resize(width * rows, 0.0);
         self.feature.whole().apply(weights, h, feature, Store::Set);
         dense::add_bias(feature, self.feature.bias(weights));
-        from_feature.resize(width * rows, 0.0);
-        self.signal_parts()[0].apply(weights, feature, from_feature, Store::Set);
+        let mut from_feature = vec![0.0; width * rows];
+        self.signal_parts()[0].apply(weights, feature, &mut from_feature, Store::Set);
+        Ahead { attenuation, from_feature }
+    }
+
+    /// [`Ahead`] of every chunk.
+    pub(super) fn ahead(&self, weights: &[Real], means: &[[Real; 3]]) -> Vec<Ahead> {
+        let items = items(means.len(), 1, self.trunk.width);
+        let begin = |scratch: &mut Scratch, item: &Item| self.begin(weights, &means[item.rows.clone()], 2, scratch);
+        items.par_iter().map_init(Scratch::default, begin).collect()
     }
 
     /// The signal branch for one transmitter, into `scratch.out`.
-    fn branch(&self, weights: &[Real], means: &[[Real; 3]], tx: [Real; 3], side: &TxSide, scratch: &mut Scratch) {
-        let Scratch { from_feature, offset, hidden: [first, second], out, .. } = scratch;
+    fn branch(
+        &self,
+        weights: &[Real],
+        means: &[[Real; 3]],
+        ahead: &Ahead,
+        tx: [Real; 3],
+        side: &TxSide,
+        scratch: &mut Scratch,
+    ) {
+        let Scratch { offset, hidden: [first, second], out, .. } = scratch;
         let rows = means.len();
         offset.resize(rows * encoding::width(self.frequencies), 0.0);
         encode(means.iter().map(|x| std::array::from_fn(|k| x[k] - tx[k])), self.frequencies, offset);
-        first.clone_from(from_feature);
+        first.clone_from(&ahead.from_feature);
         self.signal_parts()[2].apply(weights, offset, first, Store::Add);
         dense::bias_relu(first, &side.folded);
         second.resize(self.signal[1].outputs * rows, 0.0);
@@ -173,24 +194,32 @@ impl Network {
     #[cfg(test)]
     pub(super) fn raw(&self, weights: &[Real], means: &[[Real; 3]], tx: [Real; 3]) -> Vec<[Real; 4]> {
         let (mut scratch, n) = (Scratch::default(), means.len());
-        self.begin(weights, means, 2, &mut scratch);
-        self.branch(weights, means, tx, &self.tx_sides(weights, &[tx])[0], &mut scratch);
-        let Scratch { attenuation: a, out: s, .. } = scratch;
+        let ahead = self.begin(weights, means, 2, &mut scratch);
+        self.branch(weights, means, &ahead, tx, &self.tx_sides(weights, &[tx])[0], &mut scratch);
+        let (a, s) = (ahead.attenuation, scratch.out);
         (0..n).map(|r| [a[r], a[n + r], s[r], s[n + r]]).collect()
     }
 
-    /// S·A, `[B, N]`.
-    pub(super) fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: &[[Real; 3]]) -> Vec<Real> {
+    /// S·A, `[B, N]`, given what [`Self::ahead`] made, or nothing.
+    pub(super) fn forward(
+        &self,
+        weights: &[Real],
+        means: &[[Real; 3]],
+        txs: &[[Real; 3]],
+        ahead: Option<&[Ahead]>,
+    ) -> Vec<Real> {
         let sides = self.tx_sides(weights, txs);
         let pieces: Vec<Vec<Real>> = items(means.len(), 1, self.trunk.width)
             .par_iter()
-            .map_init(Scratch::default, |scratch, item| {
+            .enumerate()
+            .map_init(Scratch::default, |scratch, (chunk, item)| {
                 let means = &means[item.rows.clone()];
-                self.begin(weights, means, 2, scratch);
+                let fresh = ahead.is_none().then(|| self.begin(weights, means, 2, scratch));
+                let ahead = ahead.map(|all| &all[chunk]).or(fresh.as_ref()).expect("one or the other");
                 let mut products = Vec::with_capacity(means.len() * txs.len());
                 for (tx, side) in txs.iter().zip(&sides) {
-                    self.branch(weights, means, *tx, side, scratch);
-                    let both = scratch.out.iter().zip(&scratch.attenuation).take(means.len());
+                    self.branch(weights, means, ahead, *tx, side, scratch);
+                    let both = scratch.out.iter().zip(&ahead.attenuation).take(means.len());
                     products.extend(both.map(|(&s, &a)| amplitude(s) * amplitude(a)));
                 }
                 products
@@ -266,26 +295,34 @@ impl Network {
     ) {
         let (n, weights) = (inputs.means.len(), inputs.weights);
         let means = &inputs.means[item.rows.clone()];
-        self.begin(weights, means, self.trunk.depth(), scratch);
+        let ahead = self.begin(weights, means, self.trunk.depth(), scratch);
         scratch.d_attenuation.clear();
         scratch.d_attenuation.resize(2 * means.len(), 0.0);
         scratch.d_from_feature.clear();
-        scratch.d_from_feature.resize(scratch.from_feature.len(), 0.0);
+        scratch.d_from_feature.resize(ahead.from_feature.len(), 0.0);
         if let Some(d_means) = &mut sum.means {
             sum.row = d_means.len();
             d_means.resize(sum.row + means.len(), [0.0; 3]);
         }
         for (b, (tx, side)) in inputs.txs.iter().zip(sides).enumerate() {
-            self.branch(weights, means, *tx, side, scratch);
+            self.branch(weights, means, &ahead, *tx, side, scratch);
             let d = &d[b * n + item.rows.start..b * n + item.rows.end];
-            self.branch_vjp(weights, b, d, scratch, sum);
+            self.branch_vjp(weights, &ahead.attenuation, b, d, scratch, sum);
         }
         self.begin_vjp(weights, scratch, sum);
     }
 
     /// The vjp of [`Self::branch`] and of S·A, for transmitter `b`.
-    fn branch_vjp(&self, weights: &[Real], b: usize, d: &[Real], scratch: &mut Scratch, sum: &mut Sum) {
-        let Scratch { offset, hidden: [first, second], out, attenuation, d_attenuation, spare, .. } = scratch;
+    fn branch_vjp(
+        &self,
+        weights: &[Real],
+        attenuation: &[Real],
+        b: usize,
+        d: &[Real],
+        scratch: &mut Scratch,
+        sum: &mut Sum,
+    ) {
+        let Scratch { offset, hidden: [first, second], out, d_attenuation, spare, .. } = scratch;
         let (rows, width) = (d.len(), self.trunk.width);
         for (r, &d) in d.iter().enumerate() {
             let (s, a) = (out[r], attenuation[r]);

@@ -2,39 +2,50 @@
 //!
 //! The array is centred: with every antenna k at p there is one, K-1-k, at -p. So aᴴh = Σ cos φₖ·(hₖ + h₋ₖ) +
 //! sin φₖ·(-j)(hₖ - h₋ₖ) over half of the antennas, φₖ = 2π pₖ·u: K real functions of the direction, the same for real
-//! and imaginary part. A pixel costs K multiply-adds a channel, and a channel is a row of `field · table`.
+//! and imaginary part. Half a turn of azimuth away the array, flat as it is, sees -u: there the sum of the cosines is
+//! the same and that of the sines is reversed. On a picture that goes all the way round two pixels together therefore
+//! cost K multiply-adds a channel, and the table covers half of the picture.
 
 use super::wave::Antennas;
 use crate::simd::{Lanes, widest};
 use pwrfgs_core::{ImagePlane, Real, Vec3};
 use rayon::prelude::*;
+use std::ops::Range;
 
-/// Pixels that the kernel carries at a time: enough to fill the pipelines, few enough to stay in registers.
+/// Pixels that the kernel carries at a time: with both channels enough to fill the pipelines, and few enough to stay in
+/// registers.
 const LANES: usize = 64;
 /// Channels that one thread draws: each block of the table is loaded once for all of them.
 const GROUP: usize = 8;
 
-/// A table of K real functions at every pixel.
+/// Values of some pixels of a row, zeros beyond its end.
+type Block = [Real; LANES];
+
+/// A table of K real functions, cosines first, at the pixels of one half of the picture; or of all of it.
 #[derive(Debug)]
 pub(super) struct Beams {
     elements: usize,
+    width: usize,
+    /// Columns that are in the table.
+    columns: usize,
     pixels: usize,
-    /// `[blocks of pixels, K]`.
-    table: Vec<[Real; LANES]>,
+    /// `[rows of the picture, blocks a row, K]`.
+    table: Vec<Block>,
 }
 
 impl Beams {
     pub(super) fn new(antennas: &Antennas, plane: &ImagePlane) -> Self {
-        let (elements, pixels) = (antennas.len(), plane.width * plane.height);
+        let (elements, width) = (antennas.len(), plane.width);
+        let columns = if antennas.repeat_after_half(width) { width / 2 } else { width };
+        let blocks = columns.div_ceil(LANES);
         let half = elements.div_ceil(2);
-        let mut table = vec![[0.0; LANES]; pixels.div_ceil(LANES) * elements];
+        let mut table = vec![[0.0; LANES]; plane.height * blocks * elements];
         table.par_chunks_exact_mut(elements).enumerate().for_each(|(block, table)| {
-            for lane in 0..LANES.min(pixels - block * LANES) {
-                let pixel = block * LANES + lane;
-                let (x, y) = ((pixel % plane.width) as Real, (pixel / plane.width) as Real);
-                let u = Vec3::from_array(plane.direction(x, y).expect("the plane was checked"));
+            let (y, first) = (block / blocks, block % blocks * LANES);
+            for lane in 0..LANES.min(columns - first) {
+                let u = plane.direction((first + lane) as Real, y as Real).expect("the plane was checked");
                 for (k, p) in antennas.positions()[..half].iter().enumerate() {
-                    let (sin, cos) = (std::f64::consts::TAU * f64::from(p.dot(u))).sin_cos();
+                    let (sin, cos) = (std::f64::consts::TAU * f64::from(p.dot(Vec3::from_array(u)))).sin_cos();
                     table[k][lane] = cos as Real;
                     if half + k < elements {
                         table[half + k][lane] = sin as Real;
@@ -42,7 +53,7 @@ impl Beams {
                 }
             }
         });
-        Self { elements, pixels, table }
+        Self { elements, width, columns, pixels: width * plane.height, table }
     }
 
     /// Pictures `[2B, H·W]`, real and imaginary part in turn, of the fields `[B, K]`.
@@ -58,6 +69,18 @@ impl Beams {
         let groups = d_out.par_chunks(GROUP * self.pixels).zip(d_coefficients.par_chunks_mut(GROUP * self.elements));
         groups.for_each(|(d_out, d_coefficients)| widest(Back { beams: self, d_out, d_coefficients }));
         d_coefficients.chunks_exact(2 * self.elements).flat_map(|d| self.fold_vjp(d)).collect()
+    }
+
+    /// Blocks of the table, each with the pixels it stands for and, where there are any, those half a turn away.
+    fn blocks(&self) -> impl Iterator<Item = (&[Block], Range<usize>, Option<Range<usize>>)> {
+        let blocks = self.columns.div_ceil(LANES);
+        self.table.chunks_exact(self.elements).enumerate().map(move |(block, table)| {
+            let first = block % blocks * LANES;
+            let start = block / blocks * self.width + first;
+            let here = start..start + LANES.min(self.columns - first);
+            let there = here.start + self.columns..here.end + self.columns;
+            (table, here, (self.columns < self.width).then_some(there))
+        })
     }
 
     /// What the K functions are multiplied with for the real part `[K]`, and then for the imaginary part.
@@ -95,7 +118,7 @@ impl Beams {
     }
 }
 
-/// Some channels of the picture.
+/// Some pairs of channels of the picture.
 struct Draw<'a> {
     beams: &'a Beams,
     /// `[channels, K]`.
@@ -109,16 +132,24 @@ impl pulp::WithSimd for Draw<'_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, simd: S) {
-        let Beams { elements, pixels, table } = self.beams;
-        for (block, table) in table.chunks_exact(*elements).enumerate() {
-            let here = block * LANES..((block + 1) * LANES).min(*pixels);
-            for (out, coefficients) in self.out.chunks_exact_mut(*pixels).zip(self.coefficients.chunks_exact(*elements))
-            {
-                let mut sum = [0.0; LANES];
-                for (beam, &c) in table.iter().zip(coefficients) {
-                    Real::add_scaled(simd, &mut sum, c, beam);
+        let Beams { elements, pixels, .. } = *self.beams;
+        let cosines = elements.div_ceil(2);
+        for (table, here, there) in self.beams.blocks() {
+            let pairs = self.out.chunks_exact_mut(2 * pixels).zip(self.coefficients.chunks_exact(2 * elements));
+            for (out, coefficients) in pairs {
+                let (re, im) = coefficients.split_at(elements);
+                let (mut even, mut odd) = ([[0.0; LANES]; 2], [[0.0; LANES]; 2]);
+                Real::two_sums(simd, &mut even, [&re[..cosines], &im[..cosines]], &table[..cosines]);
+                Real::two_sums(simd, &mut odd, [&re[cosines..], &im[cosines..]], &table[cosines..]);
+                for ((out, even), odd) in out.chunks_exact_mut(pixels).zip(&even).zip(&odd) {
+                    let both = |out: &mut [Real], sign: Real| {
+                        out.iter_mut().zip(even).zip(odd).for_each(|((out, even), odd)| *out = even + sign * odd);
+                    };
+                    both(&mut out[here.clone()], 1.0);
+                    if let Some(there) = &there {
+                        both(&mut out[there.clone()], -1.0);
+                    }
                 }
-                out[here.clone()].copy_from_slice(&sum[..here.len()]);
             }
         }
     }
@@ -138,15 +169,23 @@ impl pulp::WithSimd for Back<'_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, simd: S) {
-        let Beams { elements, pixels, table } = self.beams;
+        let Beams { elements, pixels, .. } = *self.beams;
+        let cosines = elements.div_ceil(2);
         let mut sums = vec![[0.0; LANES / 4]; self.d_coefficients.len()];
-        for (block, table) in table.chunks_exact(*elements).enumerate() {
-            let here = block * LANES..((block + 1) * LANES).min(*pixels);
-            for (d_out, sums) in self.d_out.chunks_exact(*pixels).zip(sums.chunks_exact_mut(*elements)) {
-                let mut d = [0.0; LANES];
-                d[..here.len()].copy_from_slice(&d_out[here.clone()]);
-                let (quarters, _) = d.as_chunks::<{ LANES / 4 }>();
-                for (beam, sum) in table.iter().zip(sums) {
+        for (table, here, there) in self.beams.blocks() {
+            for (d_out, sums) in self.d_out.chunks_exact(pixels).zip(sums.chunks_exact_mut(elements)) {
+                let mut even = [0.0; LANES];
+                even[..here.len()].copy_from_slice(&d_out[here.clone()]);
+                let mut odd = even;
+                if let Some(there) = &there {
+                    for ((even, odd), d) in even.iter_mut().zip(&mut odd).zip(&d_out[there.clone()]) {
+                        *even += d;
+                        *odd -= d;
+                    }
+                }
+                for (k, (beam, sum)) in table.iter().zip(sums).enumerate() {
+                    let d = if k < cosines { &even } else { &odd };
+                    let quarters = d.as_chunks::<{ LANES / 4 }>().0;
                     for (d, beam) in quarters.iter().zip(beam.as_chunks::<{ LANES / 4 }>().0) {
                         Real::add_product(simd, sum, d, beam);
                     }

@@ -65,6 +65,12 @@ impl Antennas {
         &self.positions
     }
 
+    /// Whether a picture of this width goes once round, so that half of it further on lies the opposite azimuth.
+    pub(super) fn repeat_after_half(&self, width: usize) -> bool {
+        let turn = self.step[0] * width as Real / TAU;
+        width.is_multiple_of(2) && (turn.abs() - 1.0).abs() < 1e-6
+    }
+
     /// The waves of all splats, `[N, K]` complex numbers; zeros for those out of view.
     pub(super) fn waves(&self, splats: &Splats) -> Vec<[Real; 2]> {
         let mut waves = vec![[0.0; 2]; splats.len() * self.len()];

@@ -1,0 +1,187 @@
+//! `Prepared`: models ready to predict, with everything worked out that no transmitter changes.
+
+use crate::{Model, Stages};
+use pwrfgs_core::{Deltas, Image, ImagePlane, Memory, Predict, Real, Splats, StageTimes};
+use std::ops::Range;
+use std::time::Instant;
+
+/// One model, or an ensemble, made ready for many predictions.
+///
+/// What follows from the Gaussians alone is computed once: the network's share of it ([`Deformation::prepare`]), and,
+/// where geometry does not depend on the transmitter, projection and whatever the rasterizer finds before it sees
+/// signals. Every prediction has the bits of [`Model::predict`].
+///
+/// [`Deformation::prepare`]: pwrfgs_core::Deformation::prepare
+#[derive(Debug)]
+pub struct Prepared<'a> {
+    members: Vec<Member<'a>>,
+}
+
+/// A model and what it has in hand.
+#[derive(Debug)]
+struct Member<'a> {
+    model: &'a Model,
+    /// The network's.
+    deformation: Memory,
+    /// Where geometry stays.
+    scene: Option<Still>,
+}
+
+/// Geometry that no transmitter changes.
+#[derive(Debug)]
+struct Still {
+    splats: Splats,
+    memory: Memory,
+}
+
+/// Transmitters that share one projection in [`Prepared::predict_many`]: enough to make blending cheap, few enough that
+/// the pictures of a group stay in cache.
+const GROUP: usize = 16;
+
+impl<'a> Prepared<'a> {
+    /// Of one model or more on one grid of pixels.
+    pub(crate) fn new(models: &'a [Model]) -> Self {
+        Self { members: models.iter().map(Member::new).collect() }
+    }
+
+    /// The models that take part.
+    pub fn models(&self) -> impl Iterator<Item = &'a Model> {
+        self.members.iter().map(|member| member.model)
+    }
+
+    /// The picture's grid.
+    pub fn plane(&self) -> &'a ImagePlane {
+        &self.members[0].model.stages.plane
+    }
+
+    /// The spectrum for a transmitter at `tx` (metres, world frame), and how long each stage took in all. Of one model
+    /// it is not clamped; of several it is the mean, each clamped to [0, 1].
+    pub fn predict_timed(&self, tx: [Real; 3]) -> (Image, StageTimes) {
+        let mut pictures = Vec::with_capacity(self.members.len());
+        let mut sum = StageTimes::default();
+        for member in &self.members {
+            let (image, times) = member.predict(tx);
+            pictures.push(image);
+            sum.network += times.network;
+            sum.projection += times.projection;
+            sum.sort += times.sort;
+            sum.blending += times.blending;
+            sum.total += times.total;
+        }
+        (mean(pictures), sum)
+    }
+
+    /// The standard deviation of the members' pictures at every pixel (n in the denominator): a picture of confidence.
+    pub fn spread(&self, tx: [Real; 3]) -> Image {
+        let pictures: Vec<Image> = self.members.iter().map(|m| m.predict(tx).0.clamped()).collect();
+        let mut spread = Image::zeros(self.plane().width, self.plane().height);
+        let mean = mean(pictures.clone());
+        for picture in &pictures {
+            let deviations = picture.pixels.iter().zip(&mean.pixels).map(|(p, m)| (p - m) * (p - m));
+            spread.pixels.iter_mut().zip(deviations).for_each(|(sum, d)| *sum += d);
+        }
+        let count = pictures.len() as Real;
+        spread.pixels.iter_mut().for_each(|sum| *sum = (*sum / count).sqrt());
+        spread
+    }
+
+    /// Spectra of many transmitters.
+    pub fn predict_many(&self, txs: &[[Real; 3]]) -> Vec<Image> {
+        let mut of_each: Vec<_> = self.members.iter().map(|m| m.predict_many(txs).into_iter()).collect();
+        txs.iter().map(|_| mean(of_each.iter_mut().filter_map(Iterator::next).collect())).collect()
+    }
+}
+
+impl Predict for Prepared<'_> {
+    fn predict(&self, tx: [Real; 3]) -> Image {
+        self.predict_timed(tx).0
+    }
+}
+
+impl<'a> Member<'a> {
+    fn new(model: &'a Model) -> Self {
+        let stages = &model.stages;
+        let deformation = stages.deformation.prepare(&model.weights, &model.cloud.means, &stages.pose);
+        let scene = (!stages.deformation.varies_geometry()).then(|| {
+            let splats = stages.splats(&model.cloud, &Deltas::default(), 0);
+            let memory = stages.rasterizer.prepare(&splats, &stages.plane);
+            Still { splats, memory }
+        });
+        Self { model, deformation, scene }
+    }
+
+    fn predict(&self, tx: [Real; 3]) -> (Image, StageTimes) {
+        let start = Instant::now();
+        let deltas = self.deform(&[tx]);
+        let deformed = Instant::now();
+        let (mut images, mut times) = self.draw(&deltas, 0..1, deformed);
+        times.network = (deformed - start).as_secs_f64();
+        times.total = start.elapsed().as_secs_f64();
+        (images.remove(0), times)
+    }
+
+    /// A group of transmitters at a time where they share a projection.
+    fn predict_many(&self, txs: &[[Real; 3]]) -> Vec<Image> {
+        let group = if self.scene.is_some() { GROUP } else { 1 };
+        let groups = txs.chunks(group);
+        groups.flat_map(|txs| self.draw(&self.deform(txs), 0..txs.len(), Instant::now()).0).collect()
+    }
+
+    fn deform(&self, txs: &[[Real; 3]]) -> Deltas {
+        let Model { stages, cloud, weights } = self.model;
+        stages.deformation.forward_prepared(weights, &cloud.means, txs, &stages.pose, &self.deformation)
+    }
+
+    /// Pictures of the transmitters `batch` of `deltas`, which share the geometry of the first.
+    fn draw(&self, deltas: &Deltas, batch: Range<usize>, start: Instant) -> (Vec<Image>, StageTimes) {
+        let Model { stages, cloud, .. } = self.model;
+        let Stages { rasterizer, readout, plane, .. } = stages;
+        let activation = stages.activation();
+        let channels = activation.channels * batch.len();
+        let signals = activation.signals(cloud, deltas, batch.clone());
+        let (render, projected) = if let Some(Still { splats, memory }) = &self.scene {
+            let projected = Instant::now();
+            (rasterizer.forward_prepared(splats, &signals, channels, plane, memory), projected)
+        } else {
+            let splats = stages.splats(cloud, deltas, batch.start);
+            let projected = Instant::now();
+            (rasterizer.forward(&splats, &signals, channels, plane), projected)
+        };
+        let pixels = plane.width * plane.height;
+        let image = |pixels| Image { width: plane.width, height: plane.height, pixels };
+        let grey = readout.forward(&render.pixels, pixels);
+        let images = match grey.len() / pixels.max(1) {
+            1 => vec![image(grey)], // moved, not copied
+            _ => grey.chunks_exact(pixels).map(|p| image(p.to_vec())).collect(),
+        };
+        let times = StageTimes {
+            network: 0.0,
+            projection: (projected - start).as_secs_f64(),
+            sort: render.sort_seconds,
+            blending: projected.elapsed().as_secs_f64() - render.sort_seconds,
+            total: start.elapsed().as_secs_f64(),
+        };
+        (images, times)
+    }
+}
+
+/// One picture as it is, or the mean of several, each clamped to [0, 1].
+fn mean(pictures: Vec<Image>) -> Image {
+    let share = 1.0 / pictures.len() as Real;
+    let mut pictures = pictures.into_iter();
+    let mut mean = pictures.next().expect("a model or more");
+    if share == 1.0 {
+        return mean;
+    }
+    let sum = mean.pixels.as_mut_slice();
+    pulp::Arch::new().dispatch(
+        #[inline(always)]
+        || {
+            sum.iter_mut().for_each(|p| *p = p.clamp(0.0, 1.0) * share);
+            for picture in pictures {
+                sum.iter_mut().zip(&picture.pixels).for_each(|(sum, p)| *sum += p.clamp(0.0, 1.0) * share);
+            }
+        },
+    );
+    mean
+}
