@@ -95,16 +95,21 @@ impl Update {
             .zip(v.par_chunks_mut(CHUNK));
         let finite = parts
             .map(|(((x, d), m), v)| {
-                let mut finite = true;
-                for (((x, d), m), v) in x.iter_mut().zip(d).zip(m).zip(v) {
-                    let g = d + self.l2 * *x;
-                    *m = self.beta1 * *m + (1.0 - self.beta1) * g;
-                    *v = self.beta2 * *v + (1.0 - self.beta2) * g * g;
-                    let step = (*m / self.unbias[0]) / ((*v / self.unbias[1]).sqrt() + self.eps);
-                    *x -= self.rate * (step + self.decay * *x);
-                    finite &= x.is_finite();
-                }
-                finite
+                pulp::Arch::new().dispatch(
+                    #[inline(always)]
+                    || {
+                        let mut finite = true;
+                        for (((x, d), m), v) in x.iter_mut().zip(d).zip(m).zip(v) {
+                            let g = d + self.l2 * *x;
+                            *m = self.beta1 * *m + (1.0 - self.beta1) * g;
+                            *v = self.beta2 * *v + (1.0 - self.beta2) * g * g;
+                            let step = (*m / self.unbias[0]) / ((*v / self.unbias[1]).sqrt() + self.eps);
+                            *x -= self.rate * (step + self.decay * *x);
+                            finite &= x.is_finite();
+                        }
+                        finite
+                    },
+                )
             })
             .reduce(|| true, |a, b| a && b);
         if finite { Ok(()) } else { Err(()) }

@@ -8,6 +8,7 @@ use pwrfgs_core::{Dataset, Error, ExtraColumn, GaussianCloud, Partition, Real, R
 use pwrfgs_model::file::{put_weights, take_weights};
 use pwrfgs_model::tensors::Tensors;
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 #[derive(Serialize, Deserialize)]
 struct Note {
@@ -48,7 +49,7 @@ impl<'a> Trainer<'a> {
                 file.put(format!("{prefix}.{name}"), vec![cloud.len(), width], values.to_vec());
             }
         }
-        let networks = [("value", &self.weights), ("first", &self.adam.weights[0]), ("second", &self.adam.weights[1])];
+        let networks = [("value", &*self.weights), ("first", &self.adam.weights[0]), ("second", &self.adam.weights[1])];
         for (prefix, weights) in networks {
             put_weights(&mut file, &format!("{prefix}.network."), weights, &self.stages);
         }
@@ -90,7 +91,7 @@ impl<'a> Trainer<'a> {
         self.cloud = cloud("value")?;
         let moments = [cloud("first")?, cloud("second")?];
         let mut network = |prefix: &str| take_weights(&mut file, &format!("{prefix}.network."), &self.stages);
-        self.weights = network("value")?;
+        self.weights = Arc::new(network("value")?);
         self.adam = Adam { cloud: moments, weights: [network("first")?, network("second")?] };
         self.stats = pwrfgs_core::CloudStats::zeros(n);
         for (name, values) in self.stats.columns_mut() {

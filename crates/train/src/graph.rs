@@ -9,7 +9,7 @@
 //! deformation that couples Gaussians is the exception: all go through, and the rasterizer skips those of opacity 0.
 
 use crate::loss::RenderingLoss;
-use dfdx::prelude::{AsArray, Cpu, Tensor, TensorFromVec, Trace as _};
+use dfdx::prelude::{AsArray, Cpu, Tensor};
 use dfdx::tensor_ops::{Backward, SumTo};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::tape::{Trace, TraceScalar, Traced, op, values};
@@ -50,25 +50,27 @@ pub struct Outcome {
 pub fn loss_and_gradients(
     stages: &Arc<Stages>,
     cloud: &GaussianCloud,
-    weights: &[Real],
+    weights: &Arc<Vec<Real>>,
     batch: &Batch,
     objective: &RenderingLoss,
     pruners: &[Plugin<dyn Pruner>],
     moment: &Moment,
 ) -> Result<Outcome> {
     let traced = Traced::new(cloud);
-    let weights: Tensor<(usize,), Real, Cpu> = traced.device().tensor_from_vec(weights.to_vec(), (weights.len(),));
     let gate = pruners.iter().filter_map(|p| p.gate(&traced, moment)).reduce(|a, b| a * b);
     let penalty = pruners.iter().filter_map(|p| p.penalty(&traced, moment)).reduce(|a, b| a + b);
     let seen = Rc::new(RefCell::new(CloudStats::zeros(cloud.len())));
+    let d_weights = Rc::new(RefCell::new(vec![0.0; weights.len()]));
     let graph = Graph {
         stages: Arc::clone(stages),
         txs: Arc::new(batch.txs.clone()),
         open: Rc::new(Open::of(cloud, gate.as_ref(), stages.deformation.couples_gaussians())),
+        weights: Arc::clone(weights),
+        d_weights: Rc::clone(&d_weights),
         seen: Rc::clone(&seen),
     };
 
-    let deltas = graph.deform(&traced, &weights);
+    let deltas = graph.deform(&traced);
     let image = graph.picture(&traced, gate, deltas);
     let loss = graph.loss(image, &batch.truths, objective);
 
@@ -89,8 +91,7 @@ pub fn loss_and_gradients(
     for (name, _, values) in d_cloud.columns_mut() {
         values.copy_from_slice(&read(traced.leaf(name)));
     }
-    let d_weights = read(&weights);
-    let seen = seen.borrow().clone();
+    let (seen, d_weights) = (seen.take(), d_weights.take());
     Ok(Outcome { loss: value, penalty: penalty_value, d_cloud, d_weights, seen })
 }
 
@@ -127,6 +128,10 @@ struct Graph {
     stages: Arc<Stages>,
     txs: Arc<Vec<[Real; 3]>>,
     open: Rc<Open>,
+    /// Θ, and its derivative. They are not on the tape, which would copy each of them several times: nothing but the
+    /// network reads the one and writes the other.
+    weights: Arc<Vec<Real>>,
+    d_weights: Rc<RefCell<Vec<Real>>>,
     seen: Rc<RefCell<CloudStats>>,
 }
 
@@ -137,11 +142,10 @@ struct TracedDeltas {
 }
 
 impl Graph {
-    /// The deformation network as an op: (Θ, means) → the terms that it gives.
-    fn deform(&self, traced: &Traced, weights: &Tensor<(usize,), Real, Cpu>) -> TracedDeltas {
+    /// The deformation network as an op: means (and Θ, beside the tape) → the terms that it gives.
+    fn deform(&self, traced: &Traced) -> TracedDeltas {
         let Stages { deformation, pose, .. } = &*self.stages;
-        let theta = values(weights);
-        let values = Rc::new(deformation.forward(&theta, &self.open.cloud.means, &self.txs, pose));
+        let values = Rc::new(deformation.forward(&self.weights, &self.open.cloud.means, &self.txs, pose));
         let outputs: Vec<Vec<Real>> =
             flat(&values).into_iter().filter(|v| !v.is_empty()).map(<[Real]>::to_vec).collect();
         if outputs.is_empty() {
@@ -149,14 +153,13 @@ impl Graph {
         }
         let (stages, txs, open, shape) =
             (Arc::clone(&self.stages), Arc::clone(&self.txs), Rc::clone(&self.open), Rc::clone(&values));
-        let inputs = vec![weights.leaky_trace(), traced.column("means")];
-        let traces = op(inputs, outputs, move |d| {
+        let (theta, d_weights) = (Arc::clone(&self.weights), Rc::clone(&self.d_weights));
+        let traces = op(vec![traced.column("means")], outputs, move |d| {
             let d = unflat(&shape, d);
-            let mut d_weights = vec![0.0; theta.len()];
             let mut d_means = vec![[0.0; 3]; open.rows.len()];
             let inputs = DeformationInputs { weights: &theta, means: &open.cloud.means, txs: &txs, pose: &stages.pose };
-            stages.deformation.vjp(&inputs, &d, &mut d_weights, Some(&mut d_means));
-            vec![d_weights, open.scatter(3, d_means.as_flattened())]
+            stages.deformation.vjp(&inputs, &d, &mut d_weights.borrow_mut(), Some(&mut d_means));
+            vec![open.scatter(3, d_means.as_flattened())]
         });
         TracedDeltas { values, traces }
     }

@@ -42,7 +42,7 @@ pub struct Trainer<'a> {
     plane: ImagePlane,
     pub(crate) specs: Vec<ColumnSpec>,
     pub(crate) cloud: GaussianCloud,
-    pub(crate) weights: Vec<Real>,
+    pub(crate) weights: Arc<Vec<Real>>,
     pub(crate) adam: Adam,
     pub(crate) stats: CloudStats,
     pub(crate) done: u64,
@@ -76,7 +76,7 @@ impl<'a> Trainer<'a> {
             cloud.extra.push(ExtraColumn { name: spec.name.into(), width: spec.width, values });
         }
         let coarse = coarse(&plane, pipeline)?;
-        let weights = pipeline.deformation.init(&mut rng::stream(pipeline.seed, "network", 0));
+        let weights = Arc::new(pipeline.deformation.init(&mut rng::stream(pipeline.seed, "network", 0)));
         let stages = Arc::new(Stages {
             deformation: pipeline.deformation.clone(),
             projector: pipeline.projector.clone(),
@@ -142,6 +142,11 @@ impl<'a> Trainer<'a> {
     /// # Errors
     /// [`Error::NonFinite`], naming step and tensor; the trainer is then of no further use.
     pub fn step(&mut self) -> Result<StepReport> {
+        // On a thread of the pool, which then need not be entered anew for every parallel loop.
+        rayon::scope(|_| self.next_step())
+    }
+
+    fn next_step(&mut self) -> Result<StepReport> {
         let step = self.done + 1;
         let moment = Moment { step, phase: self.phase(step), seed: self.pipeline.seed };
         self.unpruned = None;
@@ -150,10 +155,16 @@ impl<'a> Trainer<'a> {
         let settings = &self.pipeline.training;
         let objective = RenderingLoss::strided(settings.loss.ssim_weight, settings.stride);
         let window = self.window(step);
-        let weights = through(window.as_deref(), &self.weights);
+        let weights = match &window {
+            Some(window) => Arc::new(through(window, &self.weights)),
+            None => Arc::clone(&self.weights),
+        };
         let mut outcome =
             loss_and_gradients(&self.stages, &self.cloud, &weights, &batch, &objective, &pruners, &moment)?;
-        outcome.d_weights = through(window.as_deref(), &outcome.d_weights);
+        drop(weights); // the optimiser then changes them where they are
+        if let Some(window) = &window {
+            outcome.d_weights = through(window, &outcome.d_weights);
+        }
         self.add_to_stats(&outcome.seen);
         self.adam
             .step(
@@ -161,7 +172,7 @@ impl<'a> Trainer<'a> {
                 &self.specs,
                 step,
                 (&mut self.cloud, &outcome.d_cloud),
-                (&mut self.weights, &outcome.d_weights),
+                (Arc::make_mut(&mut self.weights).as_mut_slice(), &outcome.d_weights),
             )
             .map_err(|what| Error::NonFinite { what, step })?;
         for pruner in &pruners {
@@ -183,7 +194,11 @@ impl<'a> Trainer<'a> {
         }
         cloud.extra.clear();
         let stages = Stages { plane: self.plane.clone(), ..Stages::clone(&self.stages) };
-        Model { stages, cloud, weights: through(self.window(self.done).as_deref(), &self.weights) }
+        let weights = match self.window(self.done) {
+            Some(window) => through(&window, &self.weights),
+            None => self.weights.to_vec(),
+        };
+        Model { stages, cloud, weights }
     }
 
     /// Factors on the network's weights while frequencies are let in; `None` where all are in.
@@ -338,11 +353,8 @@ fn coarse(plane: &ImagePlane, pipeline: &Pipeline) -> Result<ImagePlane> {
 }
 
 /// Weights, or their derivatives, as far as the window lets them in.
-fn through(window: Option<&[Real]>, weights: &[Real]) -> Vec<Real> {
-    match window {
-        None => weights.to_vec(),
-        Some(window) => weights.iter().zip(window).map(|(w, factor)| w * factor).collect(),
-    }
+fn through(window: &[Real], weights: &[Real]) -> Vec<Real> {
+    weights.iter().zip(window).map(|(w, factor)| w * factor).collect()
 }
 
 /// The columns that the pruners ask for, each once; none where there is no phase in which they count.
