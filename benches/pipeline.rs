@@ -9,10 +9,10 @@ mod scene;
 use criterion::measurement::WallTime;
 use criterion::{BatchSize, BenchmarkGroup, BenchmarkId, Criterion};
 use pwrfgs::core::{DeformationInputs, RenderVjp};
-use pwrfgs::model::deform::Outputs;
+use pwrfgs::model::{Ensemble, deform::Outputs};
 use pwrfgs::prelude::*;
-use scene::{SIZES, TX, on_array, seeded_cloud, trained, untrained, waves};
-use std::time::Duration;
+use scene::{SIZES, TX, on_array, seeded_cloud, trained, untrained, waves, wrfgs};
+use std::time::{Duration, Instant};
 
 /// Channels that one transmitter needs.
 const CHANNELS: usize = 2;
@@ -110,19 +110,53 @@ fn step(criterion: &mut Criterion) {
     }
 }
 
-/// From a transmitter's position to the picture.
+/// From a transmitter's position to the picture, with everything prepared that no transmitter changes.
 fn predict(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("predict");
-    let whole = |group: &mut BenchmarkGroup<'_, WallTime>, name: &str, model: &Model| {
-        group.bench_function(BenchmarkId::new(name, model.cloud.len()), |b| b.iter(|| model.predict(TX)));
-    };
     for n in SIZES {
-        whole(&mut group, "seeded", &untrained(seeded_cloud(n), Outputs::All));
-        whole(&mut group, "seeded, signals", &untrained(seeded_cloud(n), Outputs::Signals));
+        one(&mut group, "seeded", n, || untrained(seeded_cloud(n), Outputs::All));
+        one(&mut group, "seeded, signals", n, || untrained(seeded_cloud(n), Outputs::Signals));
+        one(&mut group, "seeded, WRF-GS", n, || wrfgs(seeded_cloud(n)));
     }
-    whole(&mut group, "trained", &trained());
+    one(&mut group, "trained", 157, trained);
     for n in [16, 32, 64] {
-        whole(&mut group, "waves, Factored 4x240", &waves(n));
+        one(&mut group, "waves, Factored 4x240", n, || waves(n));
     }
-    whole(&mut group, "waves, 8x256", &on_array(untrained(seeded_cloud(64), Outputs::Signals)));
+    one(&mut group, "waves, 8x256", 64, || on_array(untrained(seeded_cloud(64), Outputs::Signals)));
+    group.bench_function("waves, two models averaged/32", |b| {
+        let pair = Ensemble::new(vec![waves(32), waves(32)]).expect("they share everything");
+        let pair = pair.prepare();
+        b.iter(|| pair.predict(TX));
+    });
+    for n in SIZES {
+        many(&mut group, "many at once", n, || untrained(seeded_cloud(n), Outputs::All));
+        many(&mut group, "many at once, signals", n, || untrained(seeded_cloud(n), Outputs::Signals));
+        many(&mut group, "many at once, WRF-GS", n, || wrfgs(seeded_cloud(n)));
+    }
+}
+
+/// Times one prediction after the other. The model is made only where the benchmark is asked for.
+fn one(group: &mut BenchmarkGroup<'_, WallTime>, name: &str, n: usize, model: impl Fn() -> Model) {
+    group.bench_function(BenchmarkId::new(name, n), |b| {
+        let model = model();
+        let ready = model.prepare();
+        b.iter(|| ready.predict(TX));
+    });
+}
+
+/// Times a batch and says how long one spectrum of it took.
+fn many(group: &mut BenchmarkGroup<'_, WallTime>, name: &str, n: usize, model: impl Fn() -> Model) {
+    const BATCH: u32 = 16;
+    group.bench_function(BenchmarkId::new(name, n), |b| {
+        let model = model();
+        let ready = model.prepare();
+        let txs: Vec<[Real; 3]> = (0..BATCH).map(|b| TX.map(|x| x + 0.01 * b as Real)).collect();
+        b.iter_custom(|rounds| {
+            let start = Instant::now();
+            for _ in 0..rounds {
+                std::hint::black_box(ready.predict_many(&txs));
+            }
+            start.elapsed() / BATCH
+        });
+    });
 }

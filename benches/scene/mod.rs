@@ -1,6 +1,6 @@
 //! What the benchmarks measure: seeded clouds of any size, and a trained model.
 
-use pwrfgs::model::deform::{Encoding, Factored, Mlp, Outputs};
+use pwrfgs::model::deform::{Encoding, Factored, Mlp, Outputs, Wrfgs};
 use pwrfgs::prelude::*;
 use pwrfgs::raster::{AlphaBlending, ArrayResponse, Mercator};
 use std::path::Path;
@@ -61,6 +61,16 @@ pub(crate) fn untrained(cloud: GaussianCloud, outputs: Outputs) -> Model {
         plane,
     };
     Model { stages, cloud, weights }
+}
+
+/// A model of `cloud` with the untrained network of WRF-GS.
+pub(crate) fn wrfgs(cloud: GaussianCloud) -> Model {
+    let network = Wrfgs { gain: Some(1.0), ..Wrfgs::default() };
+    let mut model = untrained(cloud, Outputs::Signals);
+    model.weights = network.init(&mut pwrfgs::core::rng::stream(0, "network", 0));
+    model.stages.deformation = boxed(network);
+    model.stages.readout = pwrfgs::model::Readout::Real;
+    model
 }
 
 /// `n` waves on the array of the measured set, as in `s23-array.ron`, untrained.
