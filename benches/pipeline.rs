@@ -1,7 +1,7 @@
 //! Every stage of a prediction and of a training step, at the three model sizes of the paper.
 //!
-//! `RAYON_NUM_THREADS=2 cargo bench -p pwrfgs --bench pipeline` takes about two minutes; a word after `--` selects, as
-//! in `-- predict`. `PWRFGS_MODEL=runs/x/model.safetensors` replaces the small trained model by one of yours. What the
+//! `RAYON_NUM_THREADS=2 cargo bench -p pwrfgs --bench pipeline` takes about five minutes and ends with the table of
+//! targets; a word after `--` selects, as in `-- predict`. `PWRFGS_MODEL=runs/x/model.safetensors` replaces the small trained model by one of yours. What the
 //! numbers were, and against what they are to be read, is in `docs/performance.md`.
 
 mod scene;
@@ -12,12 +12,13 @@ use pwrfgs::core::{DeformationInputs, RenderVjp};
 use pwrfgs::model::{Ensemble, deform::Outputs};
 use pwrfgs::prelude::*;
 use scene::{SIZES, TX, on_array, seeded_cloud, trained, untrained, waves, wrfgs};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 /// Channels that one transmitter needs.
 const CHANNELS: usize = 2;
 
 fn main() {
+    let start = SystemTime::now();
     let mut criterion = Criterion::default()
         .sample_size(10)
         .warm_up_time(Duration::from_millis(300))
@@ -29,6 +30,7 @@ fn main() {
     step(&mut criterion);
     predict(&mut criterion);
     criterion.final_summary();
+    scene::table::print(SIZES, start);
 }
 
 /// Forward and backward of the 8x256 network for one transmitter.

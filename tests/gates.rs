@@ -51,6 +51,43 @@ fn a_closed_gate_equals_an_absent_gaussian() {
     }
 }
 
+#[test]
+fn what_no_picture_can_show_changes_neither_picture_nor_derivative() {
+    for deformation in ["Mlp(depth: 2, width: 8, skip: None, tx_hidden: 8, tx_features: 4)", "Factored(width: 16)"] {
+        let stages = stages(deformation, Readout::Magnitude);
+        let weights = Arc::new(stages.deformation.init(&mut rng::stream(2, "network", 0)));
+        let few = cloud(N, 11);
+        let mut more = few.select(&[0, 0, 1, 2, 2, 3, 4, 5, 6, 7]);
+        more.means[1] = [0.4, -0.3, -2.0]; // behind the receiver
+        more.opacity_logits[4] = -6.0; // γ below 1/255 even in the middle
+        let kept = [0, 2, 3, 5, 6, 7, 8, 9];
+        assert_eq!(stages.drawable(&more, None), kept);
+        let picture = |cloud: &GaussianCloud| {
+            let model = Model { stages: Stages::clone(&stages), cloud: cloud.clone(), weights: weights.to_vec() };
+            model.predict([0.3, 0.2, 0.9])
+        };
+        assert_eq!(picture(&few), picture(&more), "{deformation}");
+        // The stages themselves, with every Gaussian, agree that those are not seen.
+        let deltas = stages.deformation.forward(&weights, &more.means, &[[0.3, 0.2, 0.9]], &stages.pose);
+        let activation = stages.activation();
+        let geometry = activation.geometry(&more, &deltas, 0, None);
+        let splats = stages.projector.project(&geometry, &stages.pose, &stages.plane);
+        let signals = activation.signals(&more, &deltas, 0..1);
+        let render = stages.rasterizer.forward(&splats, &signals, activation.channels, &stages.plane);
+        let whole = stages.readout.forward(&render.pixels, stages.plane.width * stages.plane.height);
+        assert!(whole.iter().zip(picture(&few).pixels).all(|(a, b)| (a - b).abs() < 1e-6), "{deformation}");
+        let objective = RenderingLoss::new(0.2);
+        let outcome = |cloud| {
+            loss_and_gradients(&stages, cloud, &weights, &batch(2, &stages), &objective, &[], &MOMENT).unwrap()
+        };
+        let (a, b) = (outcome(&few), outcome(&more));
+        assert_eq!((a.loss, a.d_weights), (b.loss, b.d_weights), "{deformation}");
+        assert_eq!(a.d_cloud, b.d_cloud.select(&kept), "{deformation}");
+        let rest = b.d_cloud.select(&[1, 4]);
+        assert_eq!(rest, rest.zeros_like(), "{deformation}");
+    }
+}
+
 /// A small training: 40 Gaussians where six are needed, pruned from step 6 on.
 fn training(pruners: &str, training: &str) -> Pipeline {
     pipeline(&format!(

@@ -1,5 +1,7 @@
 //! What the benchmarks measure: seeded clouds of any size, and a trained model.
 
+pub(crate) mod table;
+
 use pwrfgs::model::deform::{Encoding, Factored, Mlp, Outputs, Wrfgs};
 use pwrfgs::prelude::*;
 use pwrfgs::raster::{AlphaBlending, ArrayResponse, Mercator};

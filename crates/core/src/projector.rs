@@ -1,6 +1,6 @@
 //! `Projector`: from Gaussians in space to splats on the image plane.
 
-use crate::{ImagePlane, Pose, Primitives, Splats, plugin_kind};
+use crate::{ImagePlane, Pose, Primitives, Real, Splats, plugin_kind};
 
 /// Projects Gaussians onto the picture that a receiver sees.
 ///
@@ -12,6 +12,13 @@ pub trait Projector: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
 
     /// Splats `[N]`, row for row; a Gaussian out of sight has radius 0.
     fn project(&self, primitives: &Primitives, pose: &Pose, plane: &ImagePlane) -> Splats;
+
+    /// Which Gaussians centred at `means` `[N,3]` may be drawn, whatever their shape: the others need no network. All,
+    /// where the projector does not know better.
+    fn sees(&self, means: &[[Real; 3]], pose: &Pose, plane: &ImagePlane) -> Vec<bool> {
+        let _ = (pose, plane);
+        vec![true; means.len()]
+    }
 
     /// Cotangents of the primitives, given those of the splats' `means2d`, `conics`, `depths` and `opacities`.
     fn project_vjp(

@@ -45,6 +45,11 @@ pub trait Rasterizer: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
         Ok(())
     }
 
+    /// The opacity below which it draws nothing of a splat; 0 where every splat counts.
+    fn faintest(&self) -> Real {
+        0.0
+    }
+
     /// Whether it adds up waves: the channels of a transmitter are then the real and the imaginary part of one signal,
     /// and the readout must take both.
     fn coherent(&self) -> bool {

@@ -4,7 +4,7 @@ use crate::{Activation, Calibration, Prepared, Readout};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
     Deformation, Deltas, GaussianCloud, Image, ImagePlane, Pose, Predict, Primitives, Projector, Rasterizer, Real,
-    Splats,
+    Splats, sigmoid,
 };
 
 /// Everything between a cloud and a picture.
@@ -34,6 +34,21 @@ impl Stages {
             replaces_signals: self.deformation.replaces_signals(),
             channels: self.readout.channels(),
         }
+    }
+
+    /// The rows of `cloud` that can show in a picture, whatever the network says: gate open, not too faint for the
+    /// rasterizer, seen by the projector. Only they need to pass the network; all, where it couples them.
+    pub fn drawable(&self, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
+        if self.deformation.couples_gaussians() {
+            return (0..cloud.len()).collect();
+        }
+        let seen = self.projector.sees(&cloud.means, &self.pose, &self.plane);
+        let faintest = self.rasterizer.faintest();
+        let drawn = |i: &usize| {
+            let gate = gate.map_or(1.0, |g| g[*i]);
+            gate != 0.0 && seen[*i] && gate * sigmoid(cloud.opacity_logits[*i]) >= faintest
+        };
+        (0..cloud.len()).filter(drawn).collect()
     }
 
     /// The splats of transmitter `b` of the batch in `deltas`.

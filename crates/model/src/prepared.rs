@@ -1,13 +1,15 @@
 //! `Prepared`: models ready to predict, with everything worked out that no transmitter changes.
 
 use crate::{Model, Stages};
-use pwrfgs_core::{Deltas, Image, ImagePlane, Memory, Predict, Real, Splats, StageTimes};
+use pwrfgs_core::{Deltas, GaussianCloud, Image, ImagePlane, Memory, Predict, Real, Splats, StageTimes};
+use std::borrow::Cow;
 use std::ops::Range;
 use std::time::Instant;
 
 /// One model, or an ensemble, made ready for many predictions.
 ///
-/// What follows from the Gaussians alone is computed once: the network's share of it ([`Deformation::prepare`]), and,
+/// Gaussians that no picture can show are left out ([`Stages::drawable`]). What follows from the others alone is
+/// computed once: the network's share of it ([`Deformation::prepare`]), and,
 /// where geometry does not depend on the transmitter, projection and whatever the rasterizer finds before it sees
 /// signals. Every prediction has the bits of [`Model::predict`].
 ///
@@ -21,6 +23,8 @@ pub struct Prepared<'a> {
 #[derive(Debug)]
 struct Member<'a> {
     model: &'a Model,
+    /// The Gaussians that pictures can show.
+    cloud: Cow<'a, GaussianCloud>,
     /// The network's.
     deformation: Memory,
     /// Where geometry stays.
@@ -101,13 +105,16 @@ impl Predict for Prepared<'_> {
 impl<'a> Member<'a> {
     fn new(model: &'a Model) -> Self {
         let stages = &model.stages;
-        let deformation = stages.deformation.prepare(&model.weights, &model.cloud.means, &stages.pose);
+        let rows = stages.drawable(&model.cloud, None);
+        let all = rows.len() == model.cloud.len();
+        let cloud = if all { Cow::Borrowed(&model.cloud) } else { Cow::Owned(model.cloud.select(&rows)) };
+        let deformation = stages.deformation.prepare(&model.weights, &cloud.means, &stages.pose);
         let scene = (!stages.deformation.varies_geometry()).then(|| {
-            let splats = stages.splats(&model.cloud, &Deltas::default(), 0);
+            let splats = stages.splats(&cloud, &Deltas::default(), 0);
             let memory = stages.rasterizer.prepare(&splats, &stages.plane);
             Still { splats, memory }
         });
-        Self { model, deformation, scene }
+        Self { model, cloud, deformation, scene }
     }
 
     fn predict(&self, tx: [Real; 3]) -> (Image, StageTimes) {
@@ -128,13 +135,13 @@ impl<'a> Member<'a> {
     }
 
     fn deform(&self, txs: &[[Real; 3]]) -> Deltas {
-        let Model { stages, cloud, weights } = self.model;
-        stages.deformation.forward_prepared(weights, &cloud.means, txs, &stages.pose, &self.deformation)
+        let Model { stages, weights, .. } = self.model;
+        stages.deformation.forward_prepared(weights, &self.cloud.means, txs, &stages.pose, &self.deformation)
     }
 
     /// Pictures of the transmitters `batch` of `deltas`, which share the geometry of the first.
     fn draw(&self, deltas: &Deltas, batch: Range<usize>, start: Instant) -> (Vec<Image>, StageTimes) {
-        let Model { stages, cloud, .. } = self.model;
+        let (stages, cloud) = (&self.model.stages, &self.cloud);
         let Stages { rasterizer, readout, plane, .. } = stages;
         let activation = stages.activation();
         let channels = activation.channels * batch.len();

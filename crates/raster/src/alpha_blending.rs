@@ -1,6 +1,6 @@
 //! `AlphaBlending`: the rasterizer of the paper, eq. (7) and (8).
 
-use crate::blend::{Backward, Forward, GEOMETRY, PIXELS, Tile};
+use crate::blend::{ALPHA_MIN, Backward, Forward, GEOMETRY, PIXELS, Tile};
 use crate::simd::widest;
 use crate::tiles::{TILE, TileLists};
 use pwrfgs_core::{ImagePlane, Memory, Rasterizer, Real, Render, RenderVjp, Splats, recall};
@@ -125,6 +125,10 @@ impl Rasterizer for AlphaBlending {
             },
         );
         sum_over_tiles(lists, splats.len(), channels, &parts)
+    }
+
+    fn faintest(&self) -> Real {
+        ALPHA_MIN
     }
 
     fn check_plane(&self, plane: &ImagePlane) -> Result<(), String> {

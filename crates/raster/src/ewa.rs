@@ -103,6 +103,12 @@ pub fn project(model: &impl CameraModel, p: &Primitives, pose: &Pose, plane: &Im
     out
 }
 
+/// Which centres are drawn at all.
+pub fn sees(model: &impl CameraModel, means: &[[Real; 3]], pose: &Pose) -> Vec<bool> {
+    let view = model.view(pose);
+    means.iter().map(|x| model.visible(view.rotation * Vec3::from_array(*x) + view.offset)).collect()
+}
+
 /// Cotangents of the primitives, given those of the splats; Gaussians out of sight get none.
 pub fn project_vjp(model: &impl CameraModel, p: &Primitives, pose: &Pose, splats: &Splats, d: &Splats) -> Primitives {
     let view = model.view(pose);

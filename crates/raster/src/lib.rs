@@ -16,6 +16,6 @@ mod wrfgs_compat;
 
 pub use alpha_blending::{AlphaBlending, Support};
 pub use array_response::{ArrayResponse, Wavefront};
-pub use ewa::{CameraModel, View, project, project_vjp};
+pub use ewa::{CameraModel, View, project, project_vjp, sees};
 pub use mercator::Mercator;
 pub use wrfgs_compat::{FullSphere, WrfgsCompat};

@@ -74,6 +74,10 @@ impl Projector for Mercator {
         ewa::project(&Hemisphere::new(self, plane), primitives, pose, plane)
     }
 
+    fn sees(&self, means: &[[Real; 3]], pose: &Pose, plane: &ImagePlane) -> Vec<bool> {
+        ewa::sees(&Hemisphere::new(self, plane), means, pose)
+    }
+
     fn project_vjp(&self, p: &Primitives, pose: &Pose, plane: &ImagePlane, splats: &Splats, d: &Splats) -> Primitives {
         ewa::project_vjp(&Hemisphere::new(self, plane), p, pose, splats, d)
     }

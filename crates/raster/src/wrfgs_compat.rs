@@ -32,6 +32,10 @@ impl Projector for WrfgsCompat {
         ewa::project(&FullSphere::new(plane), primitives, pose, plane)
     }
 
+    fn sees(&self, means: &[[Real; 3]], pose: &Pose, plane: &ImagePlane) -> Vec<bool> {
+        ewa::sees(&FullSphere::new(plane), means, pose)
+    }
+
     fn project_vjp(&self, p: &Primitives, pose: &Pose, plane: &ImagePlane, splats: &Splats, d: &Splats) -> Primitives {
         ewa::project_vjp(&FullSphere::new(plane), p, pose, splats, d)
     }

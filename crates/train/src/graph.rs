@@ -5,8 +5,9 @@
 //!   │  means, p_tx ─► deform ─► ΔS, ΔR, Δs
 //!   └──── draw: activate(cloud, Δ, M) ─► project ─► rasterize ─► read out ─► P̂ ─► loss (+ penalty)
 //! ```
-//! Gaussians whose gate is 0 are left out of `deform` and `draw`: they have opacity 0, hence no derivative either. A
-//! deformation that couples Gaussians is the exception: all go through, and the rasterizer skips those of opacity 0.
+//! Gaussians that cannot show, because their gate is 0, or they are too faint or out of sight, are left out of `deform`
+//! and `draw`: they have no derivative either. A deformation that couples Gaussians is the exception: all go through,
+//! and the rasterizer skips those that do not show.
 
 use crate::loss::RenderingLoss;
 use dfdx::prelude::{AsArray, Cpu, Tensor};
@@ -64,7 +65,7 @@ pub fn loss_and_gradients(
     let graph = Graph {
         stages: Arc::clone(stages),
         txs: Arc::new(batch.txs.clone()),
-        open: Rc::new(Open::of(cloud, gate.as_ref(), stages.deformation.couples_gaussians())),
+        open: Rc::new(Open::of(stages, cloud, gate.as_ref())),
         weights: Arc::clone(weights),
         d_weights: Rc::clone(&d_weights),
         seen: Rc::clone(&seen),
@@ -95,7 +96,7 @@ pub fn loss_and_gradients(
     Ok(Outcome { loss: value, penalty: penalty_value, d_cloud, d_weights, seen })
 }
 
-/// The Gaussians that are drawn, as a cloud of their own: those whose gate is open, or all where they are coupled.
+/// The Gaussians that can be drawn ([`Stages::drawable`]), as a cloud of their own.
 struct Open {
     /// Their rows in the whole cloud.
     rows: Vec<usize>,
@@ -106,10 +107,9 @@ struct Open {
 }
 
 impl Open {
-    fn of(cloud: &GaussianCloud, gate: Option<&Trace>, coupled: bool) -> Self {
+    fn of(stages: &Stages, cloud: &GaussianCloud, gate: Option<&Trace>) -> Self {
         let gate = gate.map(values);
-        let drawn = |i: &usize| coupled || gate.as_ref().is_none_or(|g| g[*i] != 0.0);
-        let rows: Vec<usize> = (0..cloud.len()).filter(drawn).collect();
+        let rows = stages.drawable(cloud, gate.as_deref());
         let gate = gate.map(|g| rows.iter().map(|&i| g[i]).collect());
         Self { cloud: cloud.select(&rows), rows, gate, all: cloud.len() }
     }

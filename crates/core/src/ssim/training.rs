@@ -2,7 +2,8 @@
 //!
 //! With f the blur, μ₁ = f(P), μ₂ = f(G), σ₁² = f(P²) − μ₁² and so on, A = μ₁²+μ₂²+C₁, B = σ₁²+σ₂²+C₂, C = 2μ₁μ₂+C₁,
 //! D = 2σ₁₂+C₂, the map is m = CD/(AB), and since f is its own adjoint
-//! ∂/∂P Σm = f(∂m/∂μ₁) + 2P·f(∂m/∂σ₁²) + G·f(∂m/∂σ₁₂), where ∂m/∂μ₁ counts the μ₁ in the variances too.
+//! ∂/∂P Σm = f(∂m/∂μ₁) + 2P·f(∂m/∂σ₁²) + G·f(∂m/∂σ₁₂), where ∂m/∂μ₁ counts the μ₁ in the variances too. The two
+//! variances meet as a sum only: f(P² + G²) is blurred once for both.
 //!
 //! f is separable: rows first, then columns, both through [`blur`], which adds eleven slices. All loops run over blocks
 //! of [`LANES`] numbers and are compiled once for each instruction set (pulp). Every pixel is computed by the same
@@ -101,11 +102,11 @@ struct Scratch {
     width: usize,
     stride: usize,
     /// A row with [`REACH`] zeros before it and zeros behind it, for each quantity that is blurred at once.
-    padded: [Vec<Real>; 5],
-    /// Rows blurred along themselves: of P, G, P², G², PG, then of the three derivatives.
-    planes: [Vec<Real>; 8],
+    padded: [Vec<Real>; 4],
+    /// Rows blurred along themselves: of P, G, P² + G², PG, then of the three derivatives.
+    planes: [Vec<Real>; 7],
     /// One row blurred both ways, for each quantity.
-    blurred: [Vec<Real>; 5],
+    blurred: [Vec<Real>; 4],
     /// A row beyond the border.
     zeros: Vec<Real>,
 }
@@ -115,9 +116,9 @@ impl Scratch {
         let stride = width.next_multiple_of(LANES);
         if (self.width, self.stride * height) != (width, self.planes[0].len()) {
             (self.width, self.stride) = (width, stride);
-            self.padded = [(); 5].map(|()| vec![0.0; stride + 2 * REACH]);
-            self.planes = [(); 8].map(|()| vec![0.0; stride * height]);
-            self.blurred = [(); 5].map(|()| vec![0.0; stride]);
+            self.padded = [(); 4].map(|()| vec![0.0; stride + 2 * REACH]);
+            self.planes = [(); 7].map(|()| vec![0.0; stride * height]);
+            self.blurred = [(); 4].map(|()| vec![0.0; stride]);
             self.zeros = vec![0.0; stride];
         }
     }
@@ -140,7 +141,7 @@ impl pulp::WithSimd for Job<'_> {
     fn with_simd<S: pulp::Simd>(self, _: S) -> Real {
         let Job { prediction, truth, width, height, window: Window(weights), d, scratch } = self;
         let Scratch { stride, padded, planes, blurred, zeros, .. } = scratch;
-        let (stride, (moments, slopes)) = (*stride, planes.split_at_mut(5));
+        let (stride, (moments, slopes)) = (*stride, planes.split_at_mut(4));
         for y in 0..height {
             let row = y * width..(y + 1) * width;
             products(padded, &prediction[row.clone()], &truth[row]);
@@ -205,17 +206,14 @@ fn blur(out: &mut [Real], taps: [&[Real]; TAPS], weights: &[Real; TAPS]) {
     }
 }
 
-/// P, G, P², G², PG of one row, into the padded rows.
+/// P, G, P² + G², PG of one row, into the padded rows.
 #[inline(always)]
-fn products(padded: &mut [Vec<Real>; 5], p: &[Real], g: &[Real]) {
-    let [p1, g1, pp, gg, pg] = padded.each_mut().map(|row| &mut row[REACH..REACH + p.len()]);
+fn products(padded: &mut [Vec<Real>; 4], p: &[Real], g: &[Real]) {
+    let [p1, g1, squares, pg] = padded.each_mut().map(|row| &mut row[REACH..REACH + p.len()]);
     p1.copy_from_slice(p);
     g1.copy_from_slice(g);
-    for (out, p) in pp.iter_mut().zip(p) {
-        *out = p * p;
-    }
-    for (out, g) in gg.iter_mut().zip(g) {
-        *out = g * g;
+    for ((out, p), g) in squares.iter_mut().zip(p).zip(g) {
+        *out = p * p + g * g;
     }
     for ((out, p), g) in pg.iter_mut().zip(p).zip(g) {
         *out = p * g;
@@ -225,7 +223,7 @@ fn products(padded: &mut [Vec<Real>; 5], p: &[Real], g: &[Real]) {
 /// Adds the map of one row to `total` and, where asked for, writes ∂m/∂μ₁, ∂m/∂σ₁², ∂m/∂σ₁₂ into the first three padded
 /// rows.
 #[inline(always)]
-fn similarity(moments: &[Vec<Real>; 5], width: usize, total: &mut [f64; LANES], slopes: Option<&mut [Vec<Real>; 5]>) {
+fn similarity(moments: &[Vec<Real>; 4], width: usize, total: &mut [f64; LANES], slopes: Option<&mut [Vec<Real>; 4]>) {
     let blocks = moments.each_ref().map(|m| m.as_chunks::<LANES>().0);
     let mut slopes = slopes;
     for (i, start) in (0..width).step_by(LANES).enumerate() {
@@ -242,15 +240,15 @@ fn similarity(moments: &[Vec<Real>; 5], width: usize, total: &mut [f64; LANES], 
     }
 }
 
-/// The map m and ∂m/∂μ₁, ∂m/∂σ₁², ∂m/∂σ₁₂ of [`LANES`] pixels, given the five blurred quantities.
+/// The map m and ∂m/∂μ₁, ∂m/∂σ₁², ∂m/∂σ₁₂ of [`LANES`] pixels, given the four blurred quantities.
 #[inline(always)]
-fn map_block([mu1, mu2, e11, e22, e12]: [&Block; 5]) -> (Block, [Block; 3]) {
+fn map_block([mu1, mu2, squares, e12]: [&Block; 4]) -> (Block, [Block; 3]) {
     let (mut map, mut d) = ([0.0; LANES], [[0.0; LANES]; 3]);
     let [d_mu, d_variance, d_covariance] = &mut d;
     for i in 0..LANES {
         let (m1, m2) = (mu1[i], mu2[i]);
         let a = m1 * m1 + m2 * m2 + C1 as Real;
-        let b = (e11[i] - m1 * m1) + (e22[i] - m2 * m2) + C2 as Real;
+        let b = (squares[i] - (m1 * m1 + m2 * m2)) + C2 as Real;
         let c = 2.0 * m1 * m2 + C1 as Real;
         let s = 2.0 * (e12[i] - m1 * m2) + C2 as Real;
         let inverse = 1.0 / (a * b);
@@ -265,7 +263,7 @@ fn map_block([mu1, mu2, e11, e22, e12]: [&Block; 5]) -> (Block, [Block; 3]) {
 
 /// d = (f(∂m/∂μ₁) + 2P·f(∂m/∂σ₁²) + G·f(∂m/∂σ₁₂)) / pixels, one row.
 #[inline(always)]
-fn gather(d: &mut [Real], p: &[Real], g: &[Real], blurred: &[Vec<Real>; 5], scale: Real) {
+fn gather(d: &mut [Real], p: &[Real], g: &[Real], blurred: &[Vec<Real>; 4], scale: Real) {
     let [mu, variance, covariance, ..] = blurred.each_ref().map(|row| &row[..d.len()]);
     let (p, g) = (&p[..d.len()], &g[..d.len()]);
     for (i, d) in d.iter_mut().enumerate() {
