@@ -29,6 +29,7 @@ fn main() {
     stages(&mut criterion);
     step(&mut criterion);
     predict(&mut criterion);
+    scale(&mut criterion);
     criterion.final_summary();
     scene::table::print(SIZES, start);
 }
@@ -97,18 +98,30 @@ fn stages(criterion: &mut Criterion) {
 /// One training step with one transmitter: gates, forward, loss, backward, Adam.
 fn step(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("step");
+    SIZES.into_iter().for_each(|n| one_step(&mut group, "one transmitter", n));
+}
+
+fn one_step(group: &mut BenchmarkGroup<'_, WallTime>, name: &str, n: usize) {
     let data = scene::two_samples();
     let partition = Partition { train: vec![0, 1], ..Partition::default() };
-    for n in SIZES {
-        let pipeline = scene::pipeline(
-            &format!("Seeded(count: {n})"),
-            "deformation: Mlp(head_init: 0.001), training: (batch: 1, densify: (every: 0))",
-        );
-        let start = || Trainer::new(&pipeline, &data, &partition).expect("the pipeline can be trained");
-        // A fresh trainer for each: a trained one would drift away from the seeded cloud.
-        group.bench_function(BenchmarkId::new("one transmitter", n), |b| {
-            b.iter_batched(start, |mut trainer| trainer.step().map(|_| trainer), BatchSize::PerIteration);
-        });
+    let pipeline = scene::pipeline(
+        &format!("Seeded(count: {n})"),
+        "deformation: Mlp(head_init: 0.001), training: (batch: 1, densify: (every: 0))",
+    );
+    let start = || Trainer::new(&pipeline, &data, &partition).expect("the pipeline can be trained");
+    // A fresh trainer for each: a trained one would drift away from the seeded cloud.
+    group.bench_function(BenchmarkId::new(name, n), |b| {
+        b.iter_batched(start, |mut trainer| trainer.step().map(|_| trainer), BatchSize::PerIteration);
+    });
+}
+
+/// Prediction and training step from 10² to 10⁵ Gaussians.
+fn scale(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("scale");
+    for n in [100, 316, 1_000, 3_162, 10_000, 31_623, 100_000] {
+        one(&mut group, "prediction", n, || untrained(seeded_cloud(n), Outputs::All));
+        one(&mut group, "prediction, WRF-GS", n, || wrfgs(seeded_cloud(n)));
+        one_step(&mut group, "step", n);
     }
 }
 

@@ -77,9 +77,8 @@ fn what_no_picture_can_show_changes_neither_picture_nor_derivative() {
         let whole = stages.readout.forward(&render.pixels, stages.plane.width * stages.plane.height);
         assert!(whole.iter().zip(picture(&few).pixels).all(|(a, b)| (a - b).abs() < 1e-6), "{deformation}");
         let objective = RenderingLoss::new(0.2);
-        let outcome = |cloud| {
-            loss_and_gradients(&stages, cloud, &weights, &batch(2, &stages), &objective, &[], &MOMENT).unwrap()
-        };
+        let outcome =
+            |cloud| loss_and_gradients(&stages, cloud, &weights, &batch(2, &stages), &objective, &[], &MOMENT).unwrap();
         let (a, b) = (outcome(&few), outcome(&more));
         assert_eq!((a.loss, a.d_weights), (b.loss, b.d_weights), "{deformation}");
         assert_eq!(a.d_cloud, b.d_cloud.select(&kept), "{deformation}");

@@ -2,6 +2,7 @@
 
 use crate::{Model, Stages};
 use pwrfgs_core::{Deltas, GaussianCloud, Image, ImagePlane, Memory, Predict, Real, Splats, StageTimes};
+use rayon::prelude::*;
 use std::borrow::Cow;
 use std::ops::Range;
 use std::time::Instant;
@@ -38,8 +39,8 @@ struct Still {
     memory: Memory,
 }
 
-/// Transmitters that share one projection in [`Prepared::predict_many`]: enough to make blending cheap, few enough that
-/// the pictures of a group stay in cache.
+/// Transmitters of one call of the network in [`Prepared::predict_many`], and of one projection where geometry stays:
+/// enough to make blending cheap, few enough that the pictures of a group stay in cache.
 const GROUP: usize = 16;
 
 impl<'a> Prepared<'a> {
@@ -127,11 +128,17 @@ impl<'a> Member<'a> {
         (images.remove(0), times)
     }
 
-    /// A group of transmitters at a time where they share a projection.
+    /// A group of transmitters at a time: they share a projection, or at least the network's work, and each its thread.
     fn predict_many(&self, txs: &[[Real; 3]]) -> Vec<Image> {
-        let group = if self.scene.is_some() { GROUP } else { 1 };
-        let groups = txs.chunks(group);
-        groups.flat_map(|txs| self.draw(&self.deform(txs), 0..txs.len(), Instant::now()).0).collect()
+        let group = |txs: &[[Real; 3]]| {
+            let deltas = self.deform(txs);
+            let draw = |batch: Range<usize>| self.draw(&deltas, batch, Instant::now()).0;
+            match self.scene {
+                Some(_) => draw(0..txs.len()),
+                None => (0..txs.len()).into_par_iter().flat_map_iter(|b| draw(b..b + 1)).collect(),
+            }
+        };
+        txs.chunks(GROUP).flat_map(group).collect()
     }
 
     fn deform(&self, txs: &[[Real; 3]]) -> Deltas {
