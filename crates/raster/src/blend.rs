@@ -233,7 +233,7 @@ impl Transmittance {
         let weight = std::array::from_fn(|lane| if next[lane] >= T_MIN { alpha[lane] * open[lane] } else { 0.0 });
         self.left[row] = std::array::from_fn(|lane| if next[lane] >= T_MIN { next[lane] } else { left[lane] });
         let still: Row = std::array::from_fn(|lane| if next[lane] >= T_MIN { next[lane] } else { 0.0 });
-        self.alive[row] = still.iter().fold(false, |any, &t| any | (t > 0.0));
+        self.alive[row] = still.iter().fold(0, |any, &t| any | u8::from(t > 0.0)) != 0;
         self.open[row] = still;
         weight
     }

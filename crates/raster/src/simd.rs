@@ -35,7 +35,7 @@ pub(crate) trait Lanes: Sized {
     fn add_scaled<S: pulp::Simd, const N: usize>(simd: S, sum: &mut [Self; N], scale: Self, x: &[Self; N]);
     /// sum += x · y.
     fn add_product<S: pulp::Simd, const N: usize>(simd: S, sum: &mut [Self; N], x: &[Self; N], y: &[Self; N]);
-    /// Two weighted sums of the same rows, each row loaded once: sums[c] = Σ scales[c][k] · rows[k]. N is a multiple of
+    /// Two weighted sums of the same rows, each row loaded once: `sums[c] = Σ scales[c][k] · rows[k]`. N is a multiple of
     /// 64, so that every vector width makes whole groups of four, which stay in registers.
     fn two_sums<S: pulp::Simd, const N: usize>(
         simd: S,

@@ -83,8 +83,8 @@ fn by_definition(array: &ArrayResponse, p: &Primitives, signals: &[Real], plane:
 fn the_picture_is_the_definition() {
     let p = points(&[(20.0, 15.0), (200.0, 50.0), (301.0, 80.0), (359.5, 3.0)], 3.0);
     let s = signals(4, 2, 1);
-    // Even, odd, lopsided, a single row, and a picture whose pixels do not fill the last block.
-    for (rows, columns, width, height) in [(4, 4, 360, 90), (3, 3, 72, 18), (2, 5, 50, 11), (1, 8, 40, 9), (1, 1, 8, 4)]
+    // Even, odd, lopsided, a single row, and pictures that do not fill the last block or have no opposite pixels.
+    for (rows, columns, width, height) in [(4, 4, 360, 90), (3, 3, 72, 18), (2, 5, 50, 11), (1, 8, 40, 9), (1, 1, 9, 4)]
     {
         let array = ArrayResponse { rows, columns, widened: false, ..ArrayResponse::default() };
         let plane = Mercator::default().plane(width, height);
@@ -169,7 +169,6 @@ fn a_spherical_wave_has_the_exact_phase_at_every_antenna() {
         spacing_wavelengths: spacing,
         widened: false,
         wavefront: Wavefront::Spherical { wavelength_m: wavelength },
-        ..ArrayResponse::default()
     };
     let p = points(&[(40.0, 25.0)], 0.9);
     let found = magnitude(&draw(&array, &p, &Pose::IDENTITY, &[1.0, 0.0]));
