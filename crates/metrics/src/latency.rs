@@ -9,7 +9,8 @@ use std::time::Instant;
 /// Keys `latency_network_ms`, `latency_projection_ms`, `latency_sort_ms`, `latency_blending_ms`, `latency_total_ms`
 /// (table I of the paper gives the total). Each median is taken by itself, so the stages need not add up to the total.
 /// Times are those of this machine under its present load and differ from run to run. A baseline has the total alone,
-/// without the time it takes to learn; it is timed for two seconds at most, but once at least.
+/// without the time it takes to learn; it is timed for two seconds at most, but once at least. What no transmitter
+/// changes is prepared before and not timed: where geometry stays, projection and sorting take no time.
 ///
 /// ```
 /// # use pwrfgs_metrics as _;
