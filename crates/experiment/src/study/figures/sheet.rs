@@ -44,6 +44,9 @@ impl Sheet {
 
     /// A filled box with a thin dark border.
     pub(super) fn rect(&mut self, [x, y]: [f64; 2], [width, height]: [f64; 2], colour: &str) {
+        if width < 0.005 || height < 0.005 {
+            return; // nothing to see: a stage that took no time
+        }
         _ = write!(
             self.body,
             "<rect x=\"{x:.2}\" y=\"{y:.2}\" width=\"{width:.2}\" height=\"{height:.2}\" fill=\"{colour}\" \
