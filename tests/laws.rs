@@ -121,6 +121,10 @@ fn projectors_and_rasterizers_answer_row_for_row() {
         assert_eq!((plane.width, plane.height), (90, 24), "{name}");
         let splats = projector.project(&geometry, &Pose::IDENTITY, &plane);
         assert!(splats.len() == 7 && splats.radii.iter().all(|r| *r >= 0.0), "{name}");
+        let seen = projector.sees(&geometry.means, &Pose::IDENTITY, &plane);
+        assert!(splats.radii.iter().zip(seen).all(|(r, seen)| *r == 0.0 || seen), "{name} draws what it does not see");
+        let raised = splats.opacities.iter().zip(&geometry.opacities).any(|(splat, own)| splat > own);
+        assert!(!raised, "{name}: what is too faint to pass the network stays too faint");
         for (kind, rasterizer) in all::<dyn Rasterizer>() {
             if rasterizer.check_plane(&plane).is_err() {
                 assert_eq!((kind, name), ("ArrayResponse", "WrfgsCompat"), "it must know what a pixel means");

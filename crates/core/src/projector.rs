@@ -10,7 +10,8 @@ pub trait Projector: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
     /// The grid it draws on, for spectra of `width` by `height` pixels.
     fn plane(&self, width: usize, height: usize) -> ImagePlane;
 
-    /// Splats `[N]`, row for row; a Gaussian out of sight has radius 0.
+    /// Splats `[N]`, row for row; a Gaussian out of sight has radius 0. Opacities may be lowered but never raised: those
+    /// that are too faint for the rasterizer are left out before.
     fn project(&self, primitives: &Primitives, pose: &Pose, plane: &ImagePlane) -> Splats;
 
     /// Which Gaussians centred at `means` `[N,3]` may be drawn, whatever their shape: the others need no network. All,
