@@ -274,6 +274,7 @@ where
     names.sort_unstable();
     names
 }
+
 /// What a plugin hands out to find again later: only it knows what is inside.
 pub type Memory = Option<Arc<dyn Any + Send + Sync>>;
 

@@ -39,9 +39,12 @@ impl Readout {
         let mut image = vec![0.0; signals.len() / 2];
         let pictures = image.par_chunks_exact_mut(pixels).zip(signals.par_chunks_exact(2 * pixels));
         pictures.for_each(|(image, pair)| {
-            let (darkest, brightest) = powers(image, pair.split_at(pixels));
+            powers(image, pair.split_at(pixels));
             match self {
-                Self::MinMax => stretched_roots(image, darkest.sqrt(), brightest.sqrt()),
+                Self::MinMax => {
+                    let (darkest, brightest) = range(image);
+                    stretched_roots(image, darkest.sqrt(), brightest.sqrt());
+                }
                 Self::Magnitude => stretched_roots(image, 0.0, 1.0),
                 _ => {}
             }
@@ -92,13 +95,12 @@ impl Readout {
     }
 }
 
-/// The squared magnitude of every pixel, and the smallest and the largest.
-fn powers(image: &mut [Real], (c0, c1): (&[Real], &[Real])) -> (Real, Real) {
+/// The squared magnitude of every pixel.
+fn powers(image: &mut [Real], (c0, c1): (&[Real], &[Real])) {
     pulp::Arch::new().dispatch(
         #[inline(always)]
         || image.iter_mut().zip(c0).zip(c1).for_each(|((v, a), b)| *v = a * a + b * b),
     );
-    range(image)
 }
 
 /// From powers to magnitudes, and these stretched to [0, 1] from `low` to `high`; 0 and 1 leave them as they are.

@@ -1,7 +1,7 @@
 //! `Factored`: signals as products of what depends on the transmitter and what depends on the Gaussian.
 
 use super::dense::{self, Matrix, MatrixMut, Store, product};
-use super::layers::Plan;
+use super::layers::{Plan, laid_out};
 use super::linear::Linear;
 use super::mlp::check_stack;
 use super::waves::{Encoder, Encoding};
@@ -177,10 +177,7 @@ impl Network {
     }
 
     fn of(settings: &Factored, weights: &[Real]) -> Self {
-        let mut plan = Plan::default();
-        let network = Self::new(settings, &mut plan);
-        assert_eq!(weights.len(), plan.len(), "as many weights as the layout says");
-        network
+        laid_out(weights, |plan| Self::new(settings, plan))
     }
 
     fn factors(&self, weights: &[Real], means: &[[Real; 3]]) -> Factors {

@@ -73,6 +73,14 @@ impl Plan {
     }
 }
 
+/// The network that `build` lays out, for weights of the length it says.
+pub(super) fn laid_out<N>(weights: &[Real], build: impl FnOnce(&mut Plan) -> N) -> N {
+    let mut plan = Plan::default();
+    let network = build(&mut plan);
+    assert_eq!(weights.len(), plan.len(), "as many weights as the layout says");
+    network
+}
+
 /// A piece of work: these Gaussians for these transmitters.
 #[derive(Clone, Debug)]
 pub(super) struct Item {

@@ -1,7 +1,7 @@
 //! `Mlp`: the deformation network of P-WRFGS, `(Δs, ΔR, ΔS) = D_Θ(γ(μ), γ(p_tx))` of eq. (5).
 
 use super::encoding::MOST_FREQUENCIES;
-use super::layers::Plan;
+use super::layers::{Plan, laid_out};
 use super::mlp_network::Network;
 use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Pose, Real, WeightSpec, rng::Rng};
 use serde::{Deserialize, Serialize};
@@ -94,18 +94,12 @@ impl Deformation for Mlp {
     }
 
     fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: &[[Real; 3]], _: &Pose) -> Deltas {
-        let mut plan = Plan::default();
-        let network = Network::new(self, &mut plan);
-        assert_eq!(weights.len(), plan.len(), "as many weights as the layout says");
-        network.forward(weights, means, txs)
+        laid_out(weights, |plan| Network::new(self, plan)).forward(weights, means, txs)
     }
 
     fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, d_weights: &mut [Real], _: Option<&mut [[Real; 3]]>) {
-        let mut plan = Plan::default();
-        let network = Network::new(self, &mut plan);
-        assert_eq!(inputs.weights.len(), plan.len(), "as many weights as the layout says");
-        assert_eq!(d_weights.len(), plan.len(), "a derivative for each weight");
-        network.vjp(inputs, d, d_weights);
+        assert_eq!(d_weights.len(), inputs.weights.len(), "a derivative for each weight");
+        laid_out(inputs.weights, |plan| Network::new(self, plan)).vjp(inputs, d, d_weights);
     }
 
     fn frequency_window(&self, share: f64) -> Option<Vec<Real>> {

@@ -1,6 +1,6 @@
 //! `Wrfgs`: the network of WRF-GS as really implemented (spec of WRF-GS, section 3).
 
-use super::layers::Plan;
+use super::layers::{Plan, laid_out};
 use super::mlp::{check_frequencies, check_stack};
 use super::wrfgs_network::{Ahead, Network};
 use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Memory, Pose, Real, WeightSpec, recall, rng::Rng};
@@ -61,10 +61,7 @@ impl Wrfgs {
     }
 
     fn network(&self, weights: &[Real]) -> Network {
-        let mut plan = Plan::default();
-        let network = Network::new(self, &mut plan);
-        assert_eq!(weights.len(), plan.len(), "as many weights as the layout says");
-        network
+        laid_out(weights, |plan| Network::new(self, plan))
     }
 
     fn deltas(
