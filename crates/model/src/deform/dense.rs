@@ -70,9 +70,19 @@ impl<'a> MatrixMut<'a> {
 
     /// The columns of `range`.
     pub(super) fn columns(self, range: Range<usize>) -> Self {
-        assert!(range.end <= self.shape.1, "columns of the matrix");
-        let start = (range.start * self.strides.1).min(self.data.len());
+        let start = self.start_of(&range);
         Self { data: &mut self.data[start..], shape: (self.shape.0, range.len()), strides: self.strides }
+    }
+
+    /// [`Self::columns`], for a while.
+    fn part(&mut self, range: Range<usize>) -> MatrixMut<'_> {
+        let start = self.start_of(&range);
+        MatrixMut { data: &mut self.data[start..], shape: (self.shape.0, range.len()), strides: self.strides }
+    }
+
+    fn start_of(&self, columns: &Range<usize>) -> usize {
+        assert!(columns.end <= self.shape.1, "columns of the matrix");
+        (columns.start * self.strides.1).min(self.data.len())
     }
 }
 
@@ -86,17 +96,32 @@ pub(super) enum Store {
 }
 
 /// `c = a·b` or `c += a·b`, on the calling thread: the chunks are the parallelism.
+///
+/// `gemm` takes 64 columns at a time (four AVX-512 vectors, six rows of `a` each), and is half as fast on 16 that are
+/// left over, with too few sums on their way to fill the pipeline: the last 80 are taken as 48 and 32.
+pub(super) fn product(mut c: MatrixMut<'_>, store: Store, a: Matrix<'_>, b: Matrix<'_>) {
+    let n = c.shape.1;
+    assert!(a.shape.0 == c.shape.0 && b.shape == (a.shape.1, n), "inner and outer sizes of a product agree");
+    let left_over = n > 64 && (1..=16).contains(&(n % 64));
+    let cut = if left_over { n / 64 * 64 - 16 } else { n };
+    multiply(c.part(0..cut), store, a, b.columns(0..cut));
+    if cut < n {
+        multiply(c.part(cut..n), store, a, b.columns(cut..n));
+    }
+}
+
+/// One call of `gemm`.
 #[allow(clippy::needless_pass_by_value)] // a mutable borrow ends here; by reference every call would need `&mut`
-pub(super) fn product(c: MatrixMut<'_>, store: Store, a: Matrix<'_>, b: Matrix<'_>) {
+fn multiply(c: MatrixMut<'_>, store: Store, a: Matrix<'_>, b: Matrix<'_>) {
     let ((m, n), k) = (c.shape, a.shape.1);
-    assert!(a.shape.0 == m && b.shape == (k, n), "inner and outer sizes of a product agree");
     let add = store == Store::Add;
     if m == 0 || n == 0 || (k == 0 && add) {
         return;
     }
     // SAFETY: the constructors checked that element (m-1, n-1) of `c`, and likewise the last ones of `a` and `b`, lie
-    // inside their slices, and strides are not negative, so every element touched does. `c` is borrowed mutably and
-    // cannot overlap `a` or `b`. Slices are shorter than `isize::MAX`, so the strides that matter fit an `isize`.
+    // inside their slices, and strides are not negative, so every element touched does; `product` checked that the
+    // sizes agree. `c` is borrowed mutably and cannot overlap `a` or `b`. Slices are shorter than `isize::MAX`, so the
+    // strides that matter fit an `isize`.
     unsafe {
         gemm::gemm(
             m,
