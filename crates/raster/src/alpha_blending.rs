@@ -80,7 +80,7 @@ impl Rasterizer for AlphaBlending {
                 }
                 let light = widest(Forward { tile: &tile, out: scratch });
                 pictures.0.put(tile.corner, scratch);
-                pictures.1.put(tile.corner, light.left.as_flattened());
+                pictures.1.put(tile.corner, light.left().as_flattened());
             },
         );
         Render {
@@ -108,7 +108,7 @@ impl Rasterizer for AlphaBlending {
         let mut rest = parts.as_mut_slice();
         let mut slices = Vec::with_capacity(lists.len());
         for t in 0..lists.len() {
-            let (own, tail) = rest.split_at_mut(lists.of(t).len() * stride);
+            let (own, tail) = rest.split_at_mut(lists.of(t).0.len() * stride);
             slices.push(own);
             rest = tail;
         }
@@ -151,7 +151,8 @@ fn tile<'a>(
     channels: usize,
     plane: &'a ImagePlane,
 ) -> Tile<'a> {
-    Tile { splats, signals, channels, plane, list: lists.of(t), rows: &lists.rows, corner: lists.corner(t) }
+    let (list, rows) = lists.of(t);
+    Tile { splats, signals, channels, plane, list, rows, corner: lists.corner(t) }
 }
 
 /// Copies a tile out of pictures `[channels, H, W]`; pixels beyond the edge are 0.

@@ -8,7 +8,6 @@
 use crate::simd::{Lanes, exp_nonpositive};
 use crate::tiles::TILE;
 use pwrfgs_core::{ImagePlane, Real, Splats};
-use std::ops::Range;
 
 /// Pixels of a tile.
 pub(crate) const PIXELS: usize = TILE * TILE;
@@ -35,16 +34,17 @@ pub(crate) struct Tile<'a> {
     pub(crate) plane: &'a ImagePlane,
     /// Those of this tile, nearest first.
     pub(crate) list: &'a [u32],
-    /// Rows of the picture that each splat may touch, `[N]`.
-    pub(crate) rows: &'a [Range<i32>],
+    /// Rows of this tile that each of them may touch.
+    pub(crate) rows: &'a [[u8; 2]],
     /// First column and row.
     pub(crate) corner: (usize, usize),
 }
 
-/// Transmittance of a tile: `open` is 0 in a full pixel and outside the picture, `left` is what remains.
+/// What light is left in the pixels of a tile; with a minus sign where no splat changes it any more, because the pixel
+/// is full or outside the picture.
 pub(crate) struct Transmittance {
-    open: [Row; TILE],
-    pub(crate) left: [Row; TILE],
+    signed: [Row; TILE],
+    /// Rows with a pixel that is still open.
     alive: [bool; TILE],
 }
 
@@ -64,10 +64,10 @@ struct Brush {
 impl Tile<'_> {
     #[inline(always)]
     fn start(&self) -> Transmittance {
-        let mut t = Transmittance { open: [[0.0; TILE]; TILE], left: [[1.0; TILE]; TILE], alive: [false; TILE] };
+        let mut t = Transmittance { signed: [[-1.0; TILE]; TILE], alive: [false; TILE] };
         let columns = (self.plane.width - self.corner.0).min(TILE);
         for row in 0..(self.plane.height - self.corner.1).min(TILE) {
-            t.open[row][..columns].fill(1.0);
+            t.signed[row][..columns].fill(1.0);
             t.alive[row] = true;
         }
         t
@@ -87,25 +87,17 @@ impl Tile<'_> {
         Brush { dx, across, a, b, c, y, opacity: self.splats.opacities[i] }
     }
 
-    /// Rows of this tile that splat `i` may touch.
-    #[inline(always)]
-    fn rows_of(&self, i: usize) -> Range<usize> {
-        let top = self.corner.1 as i32;
-        let rows = &self.rows[i];
-        (rows.start - top).max(0) as usize..(rows.end - top).clamp(0, TILE as i32) as usize
-    }
-
     /// Blended signals `[channels][PIXELS]` into `out` (zeroed here), and what light is left.
     #[inline(always)]
     fn forward<S: pulp::Simd>(&self, simd: S, out: &mut [Real]) -> Transmittance {
         out.fill(0.0);
         let out = out.as_chunks_mut::<TILE>().0; // row `row` of channel c is out[c · TILE + row]
         let mut t = self.start();
-        for &i in self.list {
+        for (&i, &[first, end]) in self.list.iter().zip(self.rows) {
             let i = i as usize;
             let brush = self.brush(i);
             let signal = &self.signals[i * self.channels..(i + 1) * self.channels];
-            for row in self.rows_of(i) {
+            for row in first as usize..end as usize {
                 if !t.alive[row] {
                     continue;
                 }
@@ -133,18 +125,18 @@ impl Tile<'_> {
         let mut t = self.start();
         let stride = GEOMETRY + self.channels;
         let mut d_signal: Vec<Row> = vec![[0.0; TILE]; self.channels];
-        for (&i, out) in self.list.iter().zip(out.chunks_exact_mut(stride)) {
+        for ((&i, &[first, end]), out) in self.list.iter().zip(self.rows).zip(out.chunks_exact_mut(stride)) {
             let i = i as usize;
             let brush = self.brush(i);
             let signal = &self.signals[i * self.channels..(i + 1) * self.channels];
             let mut d = [[0.0; TILE]; GEOMETRY];
             d_signal.fill([0.0; TILE]);
-            for row in self.rows_of(i) {
+            for row in first as usize..end as usize {
                 if !t.alive[row] {
                     continue;
                 }
                 let (gauss, alpha) = brush.alpha((self.corner.1 + row) as Real);
-                let before = t.open[row];
+                let before = t.signed[row];
                 let weight = t.pass(row, &alpha);
                 let mut q = [0.0; TILE];
                 for ((s, d_signal), g) in signal.iter().zip(&mut d_signal).zip(d_pixels.chunks_exact(TILE)) {
@@ -212,7 +204,7 @@ impl Brush {
         let (along, cross) = (-0.5 * self.c * dy * dy, self.b * dy);
         let (mut gauss, mut alpha) = ([0.0; TILE], [0.0; TILE]);
         for lane in 0..TILE {
-            let power = self.across[lane] + along - cross * self.dx[lane];
+            let power = (-cross).mul_add(self.dx[lane], self.across[lane] + along);
             gauss[lane] = exp_nonpositive(power);
             let a = (self.opacity * gauss[lane]).min(ALPHA_MAX);
             // One comparison for both rules of the released kernel: power ≤ 0 and alpha ≥ 1/255.
@@ -225,17 +217,21 @@ impl Brush {
 impl Transmittance {
     /// Blending weights γ·T of a row; light that passes the splat is what is left for the next.
     ///
-    /// One loop a quantity, on copies: conditional stores to the tile itself would be compiled lane by lane.
+    /// One loop a quantity, on a copy: conditional stores to the tile itself would be compiled lane by lane.
     #[inline(always)]
     fn pass(&mut self, row: usize, alpha: &Row) -> Row {
-        let (open, left) = (self.open[row], self.left[row]);
-        let next: Row = std::array::from_fn(|lane| open[lane] * (1.0 - alpha[lane]));
-        let weight = std::array::from_fn(|lane| if next[lane] >= T_MIN { alpha[lane] * open[lane] } else { 0.0 });
-        self.left[row] = std::array::from_fn(|lane| if next[lane] >= T_MIN { next[lane] } else { left[lane] });
-        let still: Row = std::array::from_fn(|lane| if next[lane] >= T_MIN { next[lane] } else { 0.0 });
-        self.alive[row] = still.iter().fold(0, |any, &t| any | u8::from(t > 0.0)) != 0;
-        self.open[row] = still;
-        weight
+        let light = self.signed[row];
+        let taken: Row = std::array::from_fn(|lane| alpha[lane] * light[lane]);
+        let next: Row = std::array::from_fn(|lane| light[lane] - taken[lane]);
+        let signed: Row = std::array::from_fn(|lane| if next[lane] >= T_MIN { next[lane] } else { -light[lane].abs() });
+        self.alive[row] = signed.iter().fold(0, |any, &t| any | u8::from(t > 0.0)) != 0;
+        self.signed[row] = signed;
+        std::array::from_fn(|lane| if next[lane] >= T_MIN { taken[lane] } else { 0.0 })
+    }
+
+    /// What is left in the end.
+    pub(crate) fn left(self) -> [Row; TILE] {
+        self.signed.map(|row| row.map(Real::abs))
     }
 }
 

@@ -3,6 +3,8 @@
 //! Bookkeeping only: the lists are conservative, and whether a splat is drawn in a pixel is decided there, by its alpha.
 
 use crate::Support;
+use crate::blend::nearest_image;
+use crate::simd::widest;
 use pwrfgs_core::{ImagePlane, Real, Splats};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -14,14 +16,24 @@ pub(crate) const TILE: usize = 16;
 #[derive(Debug)]
 pub(crate) struct TileLists {
     /// Tiles a row.
-    pub(crate) columns: usize,
-    /// `splats[offsets[t]..offsets[t + 1]]` are those of tile t; tiles are row-major.
-    pub(crate) offsets: Vec<usize>,
+    columns: usize,
+    /// Entries `offsets[t]..offsets[t + 1]` are those of tile t; tiles are row-major.
+    offsets: Vec<usize>,
     /// Indices of splats.
     pub(crate) splats: Vec<u32>,
-    /// Rows that each splat may touch `[N]`; in `TileSquares` those of whole tiles.
-    pub(crate) rows: Vec<Range<i32>>,
+    /// First row of the tile that the splat may touch, and the row after the last.
+    rows: Vec<[u8; 2]>,
 }
+
+/// Pixels that a splat may touch in one column of tiles.
+struct Strip {
+    splat: u32,
+    column: u32,
+    rows: Range<u32>,
+}
+
+/// Splats whose strips one task lists.
+const CHUNK: usize = 2048;
 
 impl TileLists {
     /// Number of tiles.
@@ -34,39 +46,69 @@ impl TileLists {
         (t % self.columns * TILE, t / self.columns * TILE)
     }
 
-    /// Splats of tile `t`, nearest first.
-    pub(crate) fn of(&self, t: usize) -> &[u32] {
-        &self.splats[self.offsets[t]..self.offsets[t + 1]]
+    /// Splats of tile `t`, nearest first, and the rows that each may touch.
+    pub(crate) fn of(&self, t: usize) -> (&[u32], &[[u8; 2]]) {
+        let entries = self.offsets[t]..self.offsets[t + 1];
+        (&self.splats[entries.clone()], &self.rows[entries])
     }
 
     /// Sorts splats by depth (ties by index) and lists them by tile.
     pub(crate) fn build(splats: &Splats, plane: &ImagePlane, support: Support) -> Self {
         let (columns, tile_rows) = (plane.width.div_ceil(TILE), plane.height.div_ceil(TILE));
-        let order = depth_order(splats);
-        let reach: Vec<Reach> = (0..splats.len())
-            .into_par_iter()
-            .with_min_len(2048)
-            .map(|i| match support {
-                Support::Exact => Reach::exact(splats, i, plane),
-                Support::TileSquares => Reach::released(splats, i, plane),
-            })
-            .collect();
+        let list = |chunk: &[u32]| widest(Listing { splats, chunk, plane, support });
+        let strips: Vec<Vec<Strip>> = depth_order(splats).par_chunks(CHUNK).map(list).collect();
         let mut offsets = vec![0usize; columns * tile_rows + 1];
-        for &i in &order {
-            reach[i as usize].tiles(columns, |t| offsets[t + 1] += 1);
+        for strip in strips.iter().flatten() {
+            strip.tiles(|row, _| offsets[row * columns + strip.column as usize + 1] += 1);
         }
         for t in 1..offsets.len() {
             offsets[t] += offsets[t - 1];
         }
-        let mut next = offsets.clone();
-        let mut lists = vec![0u32; offsets[offsets.len() - 1]];
-        for &i in &order {
-            reach[i as usize].tiles(columns, |t| {
-                lists[next[t]] = i;
-                next[t] += 1;
+        let (mut next, all) = (offsets.clone(), offsets[offsets.len() - 1]);
+        let (mut entries, mut rows) = (vec![0u32; all], vec![[0u8; 2]; all]);
+        for strip in strips.iter().flatten() {
+            strip.tiles(|row, within| {
+                let entry = &mut next[row * columns + strip.column as usize];
+                (entries[*entry], rows[*entry]) = (strip.splat, within);
+                *entry += 1;
             });
         }
-        Self { columns, offsets, splats: lists, rows: reach.into_iter().map(|r| r.rows).collect() }
+        Self { columns, offsets, splats: entries, rows }
+    }
+}
+
+/// The strips of some splats, to be run with the rounding instructions that not every processor has.
+struct Listing<'a> {
+    splats: &'a Splats,
+    chunk: &'a [u32],
+    plane: &'a ImagePlane,
+    support: Support,
+}
+
+impl pulp::WithSimd for Listing<'_> {
+    type Output = Vec<Strip>;
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> Vec<Strip> {
+        let Self { splats, chunk, plane, support } = self;
+        let mut strips = Vec::with_capacity(4 * chunk.len());
+        for &i in chunk {
+            match support {
+                Support::Exact => exact(splats, i, plane, &mut strips),
+                Support::TileSquares => released(splats, i, plane, &mut strips),
+            }
+        }
+        strips
+    }
+}
+
+impl Strip {
+    /// Tile rows, and the rows within each.
+    fn tiles(&self, mut visit: impl FnMut(usize, [u8; 2])) {
+        const SIDE: u32 = TILE as u32;
+        for tile in self.rows.start / SIDE..self.rows.end.div_ceil(SIDE) {
+            let within = |row: u32| row.saturating_sub(tile * SIDE).min(SIDE) as u8;
+            visit(tile as usize, [within(self.rows.start), within(self.rows.end)]);
+        }
     }
 }
 
@@ -84,57 +126,102 @@ fn depth_order(splats: &Splats) -> Vec<u32> {
     keys.into_iter().map(|(_, i)| i).collect()
 }
 
-/// Tiles and rows that a splat may touch.
-struct Reach {
-    /// Up to two runs of tile columns: a splat at the seam has one on either side.
-    columns: [Range<usize>; 2],
-    tile_rows: Range<usize>,
-    rows: Range<i32>,
+/// All pixels where alpha may reach 1/255: those inside the ellipse dᵀ conic d ≤ 2 ln(255 o), one strip a column of tiles.
+#[inline(always)]
+fn exact(splats: &Splats, i: u32, plane: &ImagePlane, strips: &mut Vec<Strip>) {
+    let Some(ellipse) = Ellipse::of(splats, i as usize) else { return };
+    let rows = ellipse.rows(ellipse.half[1], -ellipse.half[1], plane);
+    if rows.is_empty() {
+        return;
+    }
+    let (x, width) = (ellipse.mean[0], plane.width as Real);
+    let columns = columns_of(x - ellipse.half[0], x + ellipse.half[0], plane);
+    // The box is good enough for one column, and where a column may see the splat from both sides.
+    let boxed = columns.iter().map(Range::len).sum::<usize>() == 1
+        || plane.wraps && 2.0 * (ellipse.half[0] + TILE as Real) >= width;
+    for column in columns.into_iter().flatten() {
+        let middle = x - (column * TILE) as Real - REACH;
+        let middle = if plane.wraps { nearest_image(middle, width) } else { middle };
+        let rows = if boxed {
+            rows.clone()
+        } else {
+            ellipse
+                .between(middle - REACH, middle + REACH)
+                .map_or(0..0, |[above, below]| ellipse.rows(above, below, plane))
+        };
+        if !rows.is_empty() {
+            strips.push(Strip { splat: i, column: column as u32, rows });
+        }
+    }
 }
 
-impl Reach {
-    const NONE: Self = Self { columns: [0..0, 0..0], tile_rows: 0..0, rows: 0..0 };
+/// From the middle of a tile to its outermost pixels.
+const REACH: Real = (TILE - 1) as Real / 2.0;
 
-    /// All pixels where alpha may reach 1/255: the box around the ellipse dᵀ conic d ≤ 2 ln(255 o).
-    fn exact(splats: &Splats, i: usize, plane: &ImagePlane) -> Self {
+/// The ellipse in which a splat counts.
+struct Ellipse {
+    mean: [Real; 2],
+    conic: [Real; 3],
+    sigmas: [Real; 2],
+    /// dᵀ conic d on the rim.
+    level: Real,
+    /// Half the sides of the box around it, pixels.
+    half: [Real; 2],
+}
+
+impl Ellipse {
+    /// `None` where no pixel can count.
+    #[inline(always)]
+    fn of(splats: &Splats, i: usize) -> Option<Self> {
         let level = 2.0 * (255.0 * splats.opacities[i]).ln();
         if level < 0.0 || level.is_nan() || splats.radii[i] == 0.0 {
-            return Self::NONE;
+            return None;
         }
-        // A hundredth of a pixel covers the rounding of the test in the kernel.
-        let half = splats.sigmas2d[i].map(|s| s * level.sqrt() * 1.001 + 0.01);
-        let [x, y] = splats.means2d[i];
-        let height = plane.height as i32;
-        let rows =
-            ((y - half[1]).ceil().max(0.0) as i32)..(((y + half[1]).floor() as i32).saturating_add(1).min(height));
-        if rows.is_empty() {
-            return Self::NONE;
-        }
-        let columns = columns_of(x - half[0], x + half[0], plane);
-        let tile_rows = rows.start as usize / TILE..(rows.end as usize - 1) / TILE + 1;
-        Self { columns, tile_rows, rows }
+        let (mean, conic, sigmas) = (splats.means2d[i], splats.conics[i], splats.sigmas2d[i]);
+        // The kernel's dᵀ conic d is a small difference of large numbers where the splat is thin and slanting; a·σ² says
+        // how much larger they are. The rest is a margin for what is rounded here.
+        let level = level * (1.002 + 4.0 * Real::from(f32::EPSILON) * conic[0] * sigmas[0] * sigmas[0]);
+        Some(Self { mean, conic, sigmas, level, half: sigmas.map(|s| s * level.sqrt()) })
     }
 
-    /// The released rule: every pixel of every tile that the square of the splat's radius meets.
-    fn released(splats: &Splats, i: usize, plane: &ImagePlane) -> Self {
-        if splats.opacities[i].is_nan() {
-            return Self::NONE; // min(NaN, 0.99) would be 0.99
+    /// The largest and the smallest dy = mean − pixel of its points with dx from `low` to `high`.
+    #[inline(always)]
+    fn between(&self, low: Real, high: Real) -> Option<[Real; 2]> {
+        let (low, high) = (low.max(-self.half[0]), high.min(self.half[0]));
+        if low > high {
+            return None;
         }
-        let (columns, tile_rows) = square(splats.means2d[i], splats.radii[i], plane);
-        let rows = (tile_rows.start * TILE) as i32..(tile_rows.end * TILE).min(plane.height) as i32;
-        Self { columns: [columns, 0..0], tile_rows, rows }
+        let [a, b, c] = self.conic;
+        let rim = |dx: Real| ((self.level - (dx / self.sigmas[0]).powi(2)).max(0.0) / c).sqrt();
+        let tip = b / a * self.half[1]; // dx of the lowest point; that of the highest is −tip
+        let (highest, lowest) = ((-tip).max(low).min(high), tip.max(low).min(high));
+        Some([-b / c * highest + rim(highest), -b / c * lowest - rim(lowest)])
     }
 
-    fn tiles(&self, columns: usize, mut visit: impl FnMut(usize)) {
-        for row in self.tile_rows.clone() {
-            for column in self.columns.iter().cloned().flatten() {
-                visit(row * columns + column);
-            }
-        }
+    /// Rows of the picture with dy from `below` to `above`, and a hundredth of a pixel more; all of them for NaN.
+    #[inline(always)]
+    fn rows(&self, above: Real, below: Real, plane: &ImagePlane) -> Range<u32> {
+        let y = self.mean[1];
+        let last = (y - below + 0.01).floor().min(plane.height as Real - 1.0);
+        if last < 0.0 { 0..0 } else { (y - above - 0.01).ceil().max(0.0) as u32..last as u32 + 1 }
+    }
+}
+
+/// The released rule: every pixel of every tile that the square of the splat's radius meets.
+fn released(splats: &Splats, i: u32, plane: &ImagePlane, strips: &mut Vec<Strip>) {
+    let index = i as usize;
+    if splats.opacities[index].is_nan() {
+        return; // min(NaN, 0.99) would be 0.99
+    }
+    let (columns, tile_rows) = square(splats.means2d[index], splats.radii[index], plane);
+    let rows = (tile_rows.start * TILE) as u32..(tile_rows.end * TILE).min(plane.height) as u32;
+    if !rows.is_empty() {
+        strips.extend(columns.map(|column| Strip { splat: i, column: column as u32, rows: rows.clone() }));
     }
 }
 
 /// Tile columns that meet the pixel columns from `low` to `high`, brought round the seam where the plane wraps.
+#[inline(always)]
 fn columns_of(low: Real, high: Real, plane: &ImagePlane) -> [Range<usize>; 2] {
     let width = plane.width as Real;
     let tiles = plane.width.div_ceil(TILE);
@@ -171,4 +258,78 @@ pub(crate) fn square(centre: [Real; 2], radius: Real, plane: &ImagePlane) -> (Ra
         if radius > 0.0 { first as usize..last as usize } else { 0..0 }
     };
     (along(centre[0], plane.width), along(centre[1], plane.height))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::blend::ALPHA_MIN;
+    use proptest::prelude::*;
+
+    /// One splat with standard deviations `sigmas` along axes turned by `angle`.
+    fn one(mean: [f64; 2], sigmas: [f64; 2], angle: f64, opacity: f64) -> Splats {
+        let (s, c) = angle.sin_cos();
+        let [p, q] = sigmas.map(|s| s * s);
+        let (xx, xy, yy) = (c * c * p + s * s * q, c * s * (p - q), s * s * p + c * c * q);
+        let det = p * q;
+        let mut splats = Splats::zeros(1);
+        splats.means2d[0] = mean.map(|v| v as Real);
+        splats.conics[0] = [yy / det, -xy / det, xx / det].map(|v| v as Real);
+        splats.sigmas2d[0] = [xx.sqrt() as Real, yy.sqrt() as Real];
+        (splats.radii[0], splats.opacities[0]) = (1.0, opacity as Real);
+        splats
+    }
+
+    /// Pixels that the lists offer to the kernel.
+    fn offered(splats: &Splats, plane: &ImagePlane) -> Vec<bool> {
+        let lists = TileLists::build(splats, plane, Support::Exact);
+        let mut offered = vec![false; plane.width * plane.height];
+        for t in 0..lists.len() {
+            let (x, y) = lists.corner(t);
+            for &[first, end] in lists.of(t).1 {
+                for row in first as usize..end as usize {
+                    offered[(y + row) * plane.width..][x..(x + TILE).min(plane.width)].fill(true);
+                }
+            }
+        }
+        offered
+    }
+
+    /// γ of the splat where the kernel draws it, by its own formula.
+    fn counts(splats: &Splats, plane: &ImagePlane, (x, y): (usize, usize)) -> bool {
+        let ([mx, my], [a, b, c]) = (splats.means2d[0], splats.conics[0]);
+        let (dx, dy) = (mx - x as Real, my - y as Real);
+        let dx = if plane.wraps { nearest_image(dx, plane.width as Real) } else { dx };
+        let power = (-b * dy).mul_add(dx, -0.5 * a * dx * dx + -0.5 * c * dy * dy);
+        power <= 0.0 && splats.opacities[0] * power.exp() >= ALPHA_MIN
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(400))]
+
+        #[test]
+        fn every_pixel_that_counts_is_offered(
+            mean in prop::array::uniform2(-30.0..160.0f64), sigmas in (0.55..80.0f64, 0.55..8.0f64),
+            angle in 0.0..3.2f64, opacity in 0.004..1.0f64, width in 20usize..150, height in 5usize..80, wraps: bool,
+        ) {
+            let plane = ImagePlane { width, height, wraps, angles: None };
+            let splats = one(mean, sigmas.into(), angle, opacity);
+            let offered = offered(&splats, &plane);
+            for p in 0..width * height {
+                let pixel = (p % width, p / width);
+                prop_assert!(offered[p] || !counts(&splats, &plane, pixel), "{pixel:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_thin_slanting_splat_does_not_take_the_tiles_of_its_box() {
+        let plane = ImagePlane { width: 360, height: 90, wraps: true, angles: None };
+        let splats = one([100.0, 45.0], [30.0, 1.0], 0.6, 0.9);
+        let count = |list: &[bool]| list.iter().filter(|&&p| p).count();
+        let needed = (0..360 * 90).filter(|p| counts(&splats, &plane, (p % 360, p / 360))).count();
+        assert!(count(&offered(&splats, &plane)) < 5 * needed);
+        let [across, down] = splats.sigmas2d[0].map(|s| 6.0 * s); // where γ is 1/100 of its peak
+        assert!(count(&offered(&splats, &plane)) as Real * 3.0 < across * down);
+    }
 }
