@@ -1,7 +1,7 @@
 //! The medians of this run as the table of `docs/performance.md`.
 
 use serde_json::Value;
-use std::path::Path;
+use std::path::PathBuf;
 use std::time::SystemTime;
 
 /// A row: its name, criterion's group and function, and the targets in ms at the three sizes.
@@ -38,9 +38,10 @@ pub(crate) fn print(sizes: [usize; 3], start: SystemTime) {
 
 /// What criterion wrote for a benchmark since `start`, ms.
 fn median(group: &str, function: &str, n: usize, start: SystemTime) -> Option<f64> {
-    let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| "target".into(), std::path::PathBuf::from);
-    let path = target.join("criterion").join(group).join(function).join(n.to_string()).join("new/estimates.json");
-    let path = Path::new(&path);
+    let folder = |name| std::env::var_os(name).map(PathBuf::from);
+    let home = folder("CRITERION_HOME")
+        .unwrap_or_else(|| folder("CARGO_TARGET_DIR").unwrap_or_else(|| "target".into()).join("criterion"));
+    let path = home.join(group).join(function).join(n.to_string()).join("new/estimates.json");
     (path.metadata().ok()?.modified().ok()? >= start).then_some(())?;
     let estimates: Value = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
     Some(estimates["median"]["point_estimate"].as_f64()? / 1e6)
