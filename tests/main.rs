@@ -14,3 +14,4 @@ mod learning;
 mod pipelines;
 mod reference;
 mod robustness;
+mod stopping;

@@ -1,4 +1,4 @@
-//! Ctrl-C: once to stop after this step, twice to stop at once.
+//! Ctrl-C: once to stop where the same command can go on, twice to stop at once.
 
 use crate::output;
 use pwrfgs_core::{Error, Result};
@@ -16,7 +16,7 @@ pub(crate) fn stop_flag() -> Result<Arc<AtomicBool>> {
         if raised.swap(true, Ordering::Relaxed) {
             std::process::exit(i32::from(INTERRUPTED));
         }
-        output::note("stopping after this step; once more to stop at once");
+        output::note("stopping as soon as nothing is lost; once more to stop at once");
     })
     .map_err(|e| Error::Config(format!("cannot listen for Ctrl-C: {e}")))?;
     Ok(stop)

@@ -41,6 +41,9 @@ pub enum Error {
         /// The training step, counted from 1.
         step: u64,
     },
+    /// Someone asked to stop before all was done.
+    #[error("stopped before all was done")]
+    Stopped,
     /// Anything a plugin wants to say.
     #[error("{0}")]
     Plugin(#[source] Box<dyn std::error::Error + Send + Sync>),

@@ -12,7 +12,7 @@ use pwrfgs_model::{Model, Prepared};
 use pwrfgs_train::Pipeline;
 use rayon::prelude::*;
 use std::cell::Cell;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
 
 /// Transmitters predicted in one call.
@@ -32,13 +32,15 @@ pub struct Assessment {
 /// Scores `model`, or an ensemble of them, and the pipeline's baselines on the test part of `data`.
 ///
 /// # Errors
-/// Where the model draws pictures of another size than the data hold, or a metric or baseline refuses.
+/// Where the model draws pictures of another size than the data hold, or a metric or baseline refuses;
+/// [`Error::Stopped`] once `stop` is set.
 pub fn evaluate(
     model: &Prepared<'_>,
     pipeline: &Pipeline,
     data: &Dataset,
     partition: &Partition,
     observer: &mut dyn Observer,
+    stop: &AtomicBool,
 ) -> Result<Assessment> {
     let plane = model.plane();
     if (plane.width, plane.height) != (data.width, data.height) {
@@ -49,7 +51,8 @@ pub fn evaluate(
         )));
     }
     let test = Bench::new(data, &partition.test, plane);
-    let predictions = staged(observer, "predicting with the model", |progress| predict(model, &test.txs, progress));
+    let predictions =
+        staged(observer, "predicting with the model", |progress| predict(model, &test.txs, stop, progress))?;
     let means: Vec<[Real; 3]> = model.models().flat_map(|m| m.cloud.means.iter().copied()).collect();
     let facts = ModelFacts {
         means: &means,
@@ -65,6 +68,7 @@ pub fn evaluate(
     let mut known = [partition.train.as_slice(), &partition.validation].concat();
     known.sort_unstable();
     for baseline in &pipeline.baselines {
+        go_on(stop)?;
         let fitted = baseline.fit(data, &known)?;
         predictors.push((baseline.name(), test.baseline(&baseline.name(), &*fitted, &pipeline.metrics, observer)?));
         notes.extend(fitted.note().filter(|note| !notes.contains(note)));
@@ -73,14 +77,31 @@ pub fn evaluate(
     Ok(Assessment { scores: Scores { ids, predictors, notes }, predictions, truths: test.truths })
 }
 
+/// For what nobody can stop.
+pub(crate) static NEVER: AtomicBool = AtomicBool::new(false);
+
+/// [`Error::Stopped`] once `stop` is set.
+pub(crate) fn go_on(stop: &AtomicBool) -> Result<()> {
+    if stop.load(Ordering::Relaxed) { Err(Error::Stopped) } else { Ok(()) }
+}
+
 /// Predictions for all of `txs`, a chunk at a time.
-pub(crate) fn predict(model: &Prepared<'_>, txs: &[[Real; 3]], progress: Progress<'_>) -> Vec<Image> {
+///
+/// # Errors
+/// [`Error::Stopped`] once `stop` is set.
+pub(crate) fn predict(
+    model: &Prepared<'_>,
+    txs: &[[Real; 3]],
+    stop: &AtomicBool,
+    progress: Progress<'_>,
+) -> Result<Vec<Image>> {
     let mut all = Vec::with_capacity(txs.len());
     for chunk in txs.chunks(CHUNK) {
+        go_on(stop)?;
         all.extend(model.predict_many(chunk));
         progress(all.len(), txs.len());
     }
-    all
+    Ok(all)
 }
 
 /// A part of the data set to score on.

@@ -29,15 +29,16 @@ pub enum Outcome {
         /// Whether nothing was left to do.
         already: bool,
     },
-    /// It was asked to stop; the checkpoint is of this step, and the same command goes on.
+    /// It was asked to stop, in training (the checkpoint is of this step) or while the trained model was scored; the same
+    /// command goes on.
     Interrupted {
         /// Steps done.
         step: u64,
     },
 }
 
-/// Runs `pipeline`, whose relative paths are relative to `base`, in the folder `out`; stops at the next step once
-/// `stop` is set.
+/// Runs `pipeline`, whose relative paths are relative to `base`, in the folder `out`; stops at the next step, or
+/// chunk of test spectra, once `stop` is set.
 ///
 /// # Errors
 /// Wrong input, before anything is written; a folder that cannot be written; numbers that leave the finite range. Files
@@ -72,8 +73,11 @@ pub fn run(
             None => return Ok(Outcome::Interrupted { step: trainer.done() }),
         },
     };
-    let scores = run.assess(&model, &folder, &mut facts)?;
-    Ok(Outcome::Finished { scores, already: false })
+    match run.assess(&model, &folder, &mut facts) {
+        Ok(scores) => Ok(Outcome::Finished { scores, already: false }),
+        Err(Error::Stopped) => Ok(Outcome::Interrupted { step: pipeline.training.steps }),
+        Err(error) => Err(error),
+    }
 }
 
 /// Loads the data of a pipeline and divides them.
@@ -201,13 +205,14 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Scores the model on the test part and writes scores, samples, report and facts.
+    /// Scores the model on the test part (unless it is asked to stop) and writes scores, samples, report and facts.
     fn assess(&mut self, model: &Model, folder: &RunFolder, facts: &mut Facts) -> Result<ScoreTable> {
         let (earlier, begun) = (facts.wall_seconds, Instant::now());
         self.observer.on_message(&format!("scoring {} test spectra", self.partition.test.len()));
-        let assessment = evaluate(&model.prepare(), self.pipeline, self.data, self.partition, self.observer)?;
+        let assessment =
+            evaluate(&model.prepare(), self.pipeline, self.data, self.partition, self.observer, self.stop)?;
         let plane = &model.stages.plane;
-        let floors = validation::floors(self.pipeline, plane, self.data, self.partition, self.observer)?;
+        let floors = validation::floors(self.pipeline, plane, self.data, self.partition, self.observer, self.stop)?;
         let history = History { folder: folder.path(), floors };
         let scores = assessment.scores.table();
         facts.steps = self.pipeline.training.steps;

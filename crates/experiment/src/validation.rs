@@ -1,11 +1,12 @@
 //! The look at the validation part while training, and the floors on the very same samples.
 
-use crate::evaluate::{Bench, predict};
+use crate::evaluate::{Bench, NEVER, go_on, predict};
 use crate::observer::{Observer, Validation};
 use crate::scores::Summary;
 use pwrfgs_core::{Dataset, ImagePlane, Measurement, Metric, Partition, Plugin, Result, Values};
 use pwrfgs_model::Model;
 use pwrfgs_train::Pipeline;
+use std::sync::atomic::AtomicBool;
 
 /// Header of `validation.csv`.
 pub(crate) const HEADER: &str = "step,ssim_mean,ssim_median,eta_0db";
@@ -42,17 +43,21 @@ fn row(step: u64, measured: &[Measurement]) -> Validation {
 /// Looks at the samples `part`.
 pub(crate) fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize]) -> Result<Validation> {
     let bench = Bench::new(data, part, &model.stages.plane);
-    let predictions = predict(&model.prepare(), &bench.txs, &|_, _| {});
+    let predictions = predict(&model.prepare(), &bench.txs, &NEVER, &|_, _| {})?;
     Ok(row(step, &bench.measure(&metrics(), &predictions, None, None, &|_, _| {})?))
 }
 
 /// What each baseline, having seen the training part alone, reaches on the samples that validation looks at.
+///
+/// # Errors
+/// Where a baseline or a metric refuses; [`pwrfgs_core::Error::Stopped`] once `stop` is set.
 pub(crate) fn floors(
     pipeline: &Pipeline,
     plane: &ImagePlane,
     data: &Dataset,
     partition: &Partition,
     observer: &mut dyn Observer,
+    stop: &AtomicBool,
 ) -> Result<Vec<(String, Validation)>> {
     let part = spread(&partition.validation, pipeline.training.validation_samples);
     if part.is_empty() || pipeline.training.validate_every == 0 {
@@ -60,6 +65,7 @@ pub(crate) fn floors(
     }
     let bench = Bench::new(data, &part, plane);
     let floor = |b: &Plugin<dyn pwrfgs_core::Baseline>| {
+        go_on(stop)?;
         let fitted = b.fit(data, &partition.train)?;
         Ok((b.name(), row(0, &bench.baseline(&b.name(), &*fitted, &metrics(), observer)?)))
     };

@@ -10,6 +10,7 @@ use pwrfgs_core::{Error, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::atomic::AtomicBool;
 
 pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<ExitCode> {
     let ensemble = read_models(&arguments.models)?;
@@ -38,7 +39,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
             output::note("warning: these data have another receiver pose than the model was trained with");
         }
     }
-    let assessment = score(&ensemble.prepare(), &pipeline, &data, &partition, &mut progress);
+    let assessment = score(&ensemble.prepare(), &pipeline, &data, &partition, &mut progress, &AtomicBool::new(false));
     progress.finish();
     let assessment = assessment?;
     let mut text = assessment.scores.table().to_text();

@@ -18,6 +18,13 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
     let outcome = run_pipeline(&pipeline, Path::new(""), &out, &mut progress, &stop);
     progress.finish();
     match outcome? {
+        Outcome::Interrupted { step } if step == pipeline.training.steps => {
+            output::note(&format!(
+                "stopped before the scores were complete; the trained model lies in {}, and the same command scores it",
+                out.display()
+            ));
+            Ok(ExitCode::from(INTERRUPTED))
+        }
         Outcome::Interrupted { step } => {
             output::note(&format!(
                 "stopped after step {step} of {}; the checkpoint lies in {}, and the same command goes on from there",

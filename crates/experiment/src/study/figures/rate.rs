@@ -3,7 +3,7 @@
 use super::loaded::Loaded;
 use super::{Figure, looks, source};
 use crate::draw::charts::{Chart, Line, Name};
-use crate::evaluate::{Bench, predict};
+use crate::evaluate::{Bench, NEVER, predict};
 use crate::observer::Silent;
 use crate::study::Setting;
 use crate::validation::spread;
@@ -31,7 +31,7 @@ pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure
             fewer |= part.len() < test.len();
             let model = loaded.model(run)?;
             let bench = Bench::new(&loaded.data, &part, &model.stages.plane);
-            let predictions = predict(&model.prepare(), &bench.txs, &|_, _| {});
+            let predictions = predict(&model.prepare(), &bench.txs, &NEVER, &|_, _| {})?;
             curves.push(curve(&bench.measure(&metrics, &predictions, None, None, &|_, _| {})?));
         }
         let mut line = Line::new(mean_of(&curves), looks::variant(k));
