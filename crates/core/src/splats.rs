@@ -25,7 +25,8 @@ pub struct Splats {
     pub conics: Vec<[Real; 3]>,
     /// Distances from the receiver `[N]`, metres: the blending order.
     pub depths: Vec<Real>,
-    /// Standard deviations along columns and rows `[N,2]`, px: how far a splat can reach. Not differentiated.
+    /// Standard deviations along columns and rows `[N,2]`, px: the roots of the diagonal of the conic's inverse. They say
+    /// how far a splat reaches. Not differentiated.
     pub sigmas2d: Vec<[Real; 2]>,
     /// Radii of three standard deviations `[N]`, px, rounded up; 0 for a Gaussian that does not reach the picture.
     pub radii: Vec<Real>,

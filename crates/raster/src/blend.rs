@@ -222,7 +222,7 @@ impl Transmittance {
     fn pass(&mut self, row: usize, alpha: &Row) -> Row {
         let light = self.signed[row];
         let taken: Row = std::array::from_fn(|lane| alpha[lane] * light[lane]);
-        let next: Row = std::array::from_fn(|lane| light[lane] - taken[lane]);
+        let next: Row = std::array::from_fn(|lane| light[lane] * (1.0 - alpha[lane]));
         let signed: Row = std::array::from_fn(|lane| if next[lane] >= T_MIN { next[lane] } else { -light[lane].abs() });
         self.alive[row] = signed.iter().fold(0, |any, &t| any | u8::from(t > 0.0)) != 0;
         self.signed[row] = signed;

@@ -3,7 +3,7 @@
 //! Bookkeeping only: the lists are conservative, and whether a splat is drawn in a pixel is decided there, by its alpha.
 
 use crate::Support;
-use crate::blend::nearest_image;
+use crate::blend::{ALPHA_MIN, nearest_image};
 use crate::simd::widest;
 use pwrfgs_core::{ImagePlane, Real, Splats};
 use rayon::prelude::*;
@@ -165,7 +165,7 @@ struct Ellipse {
     sigmas: [Real; 2],
     /// dᵀ conic d on the rim.
     level: Real,
-    /// Half the sides of the box around it, pixels.
+    /// Half the sides of the box around it and a hundredth of a pixel, pixels.
     half: [Real; 2],
 }
 
@@ -173,15 +173,16 @@ impl Ellipse {
     /// `None` where no pixel can count.
     #[inline(always)]
     fn of(splats: &Splats, i: usize) -> Option<Self> {
-        let level = 2.0 * (255.0 * splats.opacities[i]).ln();
-        if level < 0.0 || level.is_nan() || splats.radii[i] == 0.0 {
+        let opacity = splats.opacities[i];
+        if opacity.is_nan() || opacity < ALPHA_MIN || splats.radii[i] == 0.0 {
             return None;
         }
         let (mean, conic, sigmas) = (splats.means2d[i], splats.conics[i], splats.sigmas2d[i]);
         // The kernel's dᵀ conic d is a small difference of large numbers where the splat is thin and slanting; a·σ² says
-        // how much larger they are. The rest is a margin for what is rounded here.
-        let level = level * (1.002 + 4.0 * Real::from(f32::EPSILON) * conic[0] * sigmas[0] * sigmas[0]);
-        Some(Self { mean, conic, sigmas, level, half: sigmas.map(|s| s * level.sqrt()) })
+        // how much larger they are. The rest is a margin for what is rounded here, and in the exponential of the kernel.
+        let margin = 1.002 + 4.0 * Real::from(f32::EPSILON) * conic[0] * sigmas[0] * sigmas[0];
+        let level = 2.0 * (opacity / ALPHA_MIN).ln().max(0.0) * margin + 1e-5;
+        Some(Self { mean, conic, sigmas, level, half: sigmas.map(|s| s * level.sqrt() + 0.01) })
     }
 
     /// The largest and the smallest dy = mean − pixel of its points with dx from `low` to `high`.
@@ -198,7 +199,7 @@ impl Ellipse {
         Some([-b / c * highest + rim(highest), -b / c * lowest - rim(lowest)])
     }
 
-    /// Rows of the picture with dy from `below` to `above`, and a hundredth of a pixel more; all of them for NaN.
+    /// Rows of the picture with dy from `below` to `above`, and a hundredth of a pixel more; all of them where both are NaN.
     #[inline(always)]
     fn rows(&self, above: Real, below: Real, plane: &ImagePlane) -> Range<u32> {
         let y = self.mean[1];
@@ -263,7 +264,6 @@ pub(crate) fn square(centre: [Real; 2], radius: Real, plane: &ImagePlane) -> (Ra
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::blend::ALPHA_MIN;
     use proptest::prelude::*;
 
     /// One splat with standard deviations `sigmas` along axes turned by `angle`.
@@ -311,7 +311,16 @@ mod tests {
         fn every_pixel_that_counts_is_offered(
             mean in prop::array::uniform2(-30.0..160.0f64), sigmas in (0.55..80.0f64, 0.55..8.0f64),
             angle in 0.0..3.2f64, opacity in 0.004..1.0f64, width in 20usize..150, height in 5usize..80, wraps: bool,
+            faint in prop::option::of((-9.0..-5.0f64, prop::array::uniform2(-6.0..-3.0f64))),
         ) {
+            // Some are just bright enough, and almost centred on a pixel.
+            let (mean, opacity) = match faint {
+                Some((more, off)) => {
+                    let mean = [0, 1].map(|k| mean[k].round() + 10f64.powf(off[k]));
+                    (mean, f64::from(ALPHA_MIN as f32) * (1.0 + 10f64.powf(more)))
+                }
+                None => (mean, opacity),
+            };
             let plane = ImagePlane { width, height, wraps, angles: None };
             let splats = one(mean, sigmas.into(), angle, opacity);
             let offered = offered(&splats, &plane);
