@@ -16,7 +16,7 @@ pub(crate) fn stop_flag() -> Result<Arc<AtomicBool>> {
         if raised.swap(true, Ordering::Relaxed) {
             std::process::exit(i32::from(INTERRUPTED));
         }
-        output::note("stopping as soon as nothing is lost; once more to stop at once");
+        output::note("stopping where the same command can go on; once more to stop at once");
     })
     .map_err(|e| Error::Config(format!("cannot listen for Ctrl-C: {e}")))?;
     Ok(stop)

@@ -53,6 +53,7 @@ pub fn evaluate(
     let test = Bench::new(data, &partition.test, plane);
     let predictions =
         staged(observer, "predicting with the model", |progress| predict(model, &test.txs, stop, progress))?;
+    go_on(stop)?;
     let means: Vec<[Real; 3]> = model.models().flat_map(|m| m.cloud.means.iter().copied()).collect();
     let facts = ModelFacts {
         means: &means,

@@ -37,8 +37,8 @@ pub enum Outcome {
     },
 }
 
-/// Runs `pipeline`, whose relative paths are relative to `base`, in the folder `out`; stops at the next step, or
-/// chunk of test spectra, once `stop` is set.
+/// Runs `pipeline`, whose relative paths are relative to `base`, in the folder `out`; stops at the next step
+/// once `stop` is set, or, trained, before the next chunk of predictions, before scoring them, or at the next baseline.
 ///
 /// # Errors
 /// Wrong input, before anything is written; a folder that cannot be written; numbers that leave the finite range. Files

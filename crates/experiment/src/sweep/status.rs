@@ -20,7 +20,7 @@ pub enum State {
         /// Steps done.
         step: u64,
     },
-    /// Begun, and nobody is at work in it: it goes on from its last checkpoint.
+    /// Begun, and nobody is at work in it: it goes on from its last checkpoint, or is scored.
     Stopped {
         /// Steps done, as far as its curve tells.
         step: u64,

@@ -97,8 +97,9 @@ pub(super) enum Store {
 
 /// `c = a·b` or `c += a·b`, on the calling thread: the chunks are the parallelism.
 ///
-/// `gemm` takes 64 columns at a time (four AVX-512 vectors, six rows of `a` each), and is half as fast on 16 that are
-/// left over, with too few sums on their way to fill the pipeline: the last 80 are taken as 48 and 32.
+/// With AVX-512 `gemm` takes 64 columns at a time (four vectors, six rows of `a` each), and is half as fast on 16 that
+/// are left over, with too few sums on their way to fill the pipeline: the last 80 are taken as 48 and 32. Elsewhere that
+/// does no harm.
 pub(super) fn product(mut c: MatrixMut<'_>, store: Store, a: Matrix<'_>, b: Matrix<'_>) {
     let n = c.shape.1;
     assert!(a.shape.0 == c.shape.0 && b.shape == (a.shape.1, n), "inner and outer sizes of a product agree");
@@ -258,6 +259,28 @@ mod tests {
                 assert!((turned[j * m + i] - expected(i, j)).abs() < 1e-5);
             }
             assert!((part[i] - expected(i, 2)).abs() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn products_that_are_cut_agree_with_whole_ones() {
+        let mut random = rng::stream(8, "product", 0);
+        let (m, k) = (5, 7);
+        for n in [64, 65, 80, 81, 144, 192] {
+            let a: Vec<Real> = (0..m * k).map(|_| rng::normal(&mut random)).collect();
+            let b: Vec<Real> = (0..k * n).map(|_| rng::normal(&mut random)).collect();
+            let mut c = vec![1.0; m * n];
+            product(MatrixMut::new(&mut c, m, n), Store::Add, Matrix::new(&a, m, k), Matrix::new(&b, k, n));
+            // Column by column, from the transposed matrices: never cut.
+            let turned: Vec<Real> = (0..n * k).map(|i| b[i % k * n + i / k]).collect();
+            for j in 0..n {
+                let mut column = vec![1.0; m];
+                let of_b = Matrix::new(&turned[j * k..(j + 1) * k], 1, k).t();
+                product(MatrixMut::new(&mut column, m, 1), Store::Add, Matrix::new(&a, m, k), of_b);
+                (0..m).for_each(|i| assert!((column[i] - c[i * n + j]).abs() < 1e-5, "{n}: {i}, {j}"));
+            }
+            product(MatrixMut::new(&mut c, m, n), Store::Set, Matrix::new(&[], m, 0), Matrix::new(&[], 0, n));
+            assert!(c.iter().all(|&c| c == 0.0), "an empty sum");
         }
     }
 
