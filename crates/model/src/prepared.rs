@@ -43,6 +43,10 @@ struct Still {
 /// enough to make blending cheap, few enough that the pictures of a group stay in cache.
 const GROUP: usize = 16;
 
+/// Gaussians from which on a prediction enters the thread pool once, and not stage by stage. With fewer, most of the work
+/// is done on the calling thread, which would only wait for the pool to wake.
+const POOL: usize = 128;
+
 impl<'a> Prepared<'a> {
     /// Of one model or more on one grid of pixels.
     pub(crate) fn new(models: &'a [Model]) -> Self {
@@ -120,11 +124,17 @@ impl<'a> Member<'a> {
 
     fn predict(&self, tx: [Real; 3]) -> (Image, StageTimes) {
         let start = Instant::now();
+        let (image, times) = if self.cloud.len() < POOL { self.stages(tx) } else { rayon::scope(|_| self.stages(tx)) };
+        (image, StageTimes { total: start.elapsed().as_secs_f64(), ..times })
+    }
+
+    /// Network, projection, blending, readout.
+    fn stages(&self, tx: [Real; 3]) -> (Image, StageTimes) {
+        let start = Instant::now();
         let deltas = self.deform(&[tx]);
         let deformed = Instant::now();
         let (mut images, mut times) = self.draw(&deltas, 0..1, deformed);
         times.network = (deformed - start).as_secs_f64();
-        times.total = start.elapsed().as_secs_f64();
         (images.remove(0), times)
     }
 
@@ -169,11 +179,10 @@ impl<'a> Member<'a> {
             _ => grey.chunks_exact(pixels).map(|p| image(p.to_vec())).collect(),
         };
         let times = StageTimes {
-            network: 0.0,
             projection: (projected - start).as_secs_f64(),
             sort: render.sort_seconds,
             blending: projected.elapsed().as_secs_f64() - render.sort_seconds,
-            total: start.elapsed().as_secs_f64(),
+            ..StageTimes::default()
         };
         (images, times)
     }
