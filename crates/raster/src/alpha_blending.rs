@@ -113,15 +113,15 @@ impl Rasterizer for AlphaBlending {
             rest = tail;
         }
         slices.into_par_iter().enumerate().for_each_init(
-            || (vec![0.0; channels * PIXELS], vec![0.0; channels * PIXELS]),
-            |(pixels, d), (t, out)| {
+            || (vec![0.0; channels * PIXELS], vec![0.0; channels * PIXELS], vec![[0.0; TILE]; channels]),
+            |(pixels, d, d_signal), (t, out)| {
                 let tile = tile(lists, t, splats, signals, channels, plane);
                 if tile.list.is_empty() {
                     return;
                 }
                 gather(&render.pixels, plane, tile.corner, pixels);
                 gather(d_pixels, plane, tile.corner, d);
-                widest(Backward { tile: &tile, pixels, d_pixels: d, out });
+                widest(Backward { tile: &tile, pixels, d_pixels: d, d_signal, out });
             },
         );
         sum_over_tiles(lists, splats.len(), channels, &parts)

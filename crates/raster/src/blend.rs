@@ -20,7 +20,7 @@ pub(crate) const T_MIN: Real = 1e-4;
 /// Cotangents of a splat's geometry in one tile: mean (2), conic (3), opacity, and its summed weight.
 pub(crate) const GEOMETRY: usize = 7;
 
-type Row = [Real; TILE];
+pub(crate) type Row = [Real; TILE];
 
 /// What the kernel knows of the tile.
 pub(crate) struct Tile<'a> {
@@ -112,9 +112,16 @@ impl Tile<'_> {
     }
 
     /// For each splat of the list, its cotangents in this tile: `GEOMETRY` numbers, then one a channel. `pixels` and
-    /// `d_pixels` are `[channels][PIXELS]`.
+    /// `d_pixels` are `[channels][PIXELS]`; `d_signal` is room to work in, `[channels]`.
     #[inline(always)]
-    fn backward<S: pulp::Simd>(&self, simd: S, pixels: &[Real], d_pixels: &[Real], out: &mut [Real]) {
+    fn backward<S: pulp::Simd>(
+        &self,
+        simd: S,
+        pixels: &[Real],
+        d_pixels: &[Real],
+        d_signal: &mut [Row],
+        out: &mut [Real],
+    ) {
         let (pixels, d_pixels) = (pixels.as_chunks::<TILE>().0, d_pixels.as_chunks::<TILE>().0);
         let mut behind = [[0.0; TILE]; TILE]; // ⟨∂L/∂pixel, signal of everything not yet passed⟩
         for (p, d) in pixels.chunks_exact(TILE).zip(d_pixels.chunks_exact(TILE)) {
@@ -124,7 +131,6 @@ impl Tile<'_> {
         }
         let mut t = self.start();
         let stride = GEOMETRY + self.channels;
-        let mut d_signal: Vec<Row> = vec![[0.0; TILE]; self.channels];
         for ((&i, &[first, end]), out) in self.list.iter().zip(self.rows).zip(out.chunks_exact_mut(stride)) {
             let i = i as usize;
             let brush = self.brush(i);
@@ -139,7 +145,7 @@ impl Tile<'_> {
                 let before = t.signed[row];
                 let weight = t.pass(row, &alpha);
                 let mut q = [0.0; TILE];
-                for ((s, d_signal), g) in signal.iter().zip(&mut d_signal).zip(d_pixels.chunks_exact(TILE)) {
+                for ((s, d_signal), g) in signal.iter().zip(d_signal.iter_mut()).zip(d_pixels.chunks_exact(TILE)) {
                     Real::add_scaled(simd, &mut q, *s, &g[row]);
                     Real::add_product(simd, d_signal, &weight, &g[row]);
                 }
@@ -159,7 +165,7 @@ impl Tile<'_> {
                 Real::add_product(simd, &mut d[5], &d_alpha, &gauss);
                 Real::add_scaled(simd, &mut d[6], 1.0, &weight);
             }
-            for (out, lanes) in out.iter_mut().zip(d.iter().chain(&d_signal)) {
+            for (out, lanes) in out.iter_mut().zip(d.iter().chain(d_signal.iter())) {
                 *out = lanes.iter().sum();
             }
         }
@@ -185,6 +191,8 @@ pub(crate) struct Backward<'a, 'b> {
     pub(crate) tile: &'b Tile<'a>,
     pub(crate) pixels: &'b [Real],
     pub(crate) d_pixels: &'b [Real],
+    /// Room for one splat's cotangents of its signals, `[channels]` by lane.
+    pub(crate) d_signal: &'b mut [Row],
     pub(crate) out: &'b mut [Real],
 }
 
@@ -192,7 +200,7 @@ impl pulp::WithSimd for Backward<'_, '_> {
     type Output = ();
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, simd: S) {
-        self.tile.backward(simd, self.pixels, self.d_pixels, self.out);
+        self.tile.backward(simd, self.pixels, self.d_pixels, self.d_signal, self.out);
     }
 }
 

@@ -70,19 +70,14 @@ impl<'a> MatrixMut<'a> {
 
     /// The columns of `range`.
     pub(super) fn columns(self, range: Range<usize>) -> Self {
-        let start = self.start_of(&range);
+        assert!(range.end <= self.shape.1, "columns of the matrix");
+        let start = (range.start * self.strides.1).min(self.data.len());
         Self { data: &mut self.data[start..], shape: (self.shape.0, range.len()), strides: self.strides }
     }
 
-    /// [`Self::columns`], for a while.
-    fn part(&mut self, range: Range<usize>) -> MatrixMut<'_> {
-        let start = self.start_of(&range);
-        MatrixMut { data: &mut self.data[start..], shape: (self.shape.0, range.len()), strides: self.strides }
-    }
-
-    fn start_of(&self, columns: &Range<usize>) -> usize {
-        assert!(columns.end <= self.shape.1, "columns of the matrix");
-        (columns.start * self.strides.1).min(self.data.len())
+    /// The same, lent.
+    fn lent(&mut self) -> MatrixMut<'_> {
+        MatrixMut { data: self.data, shape: self.shape, strides: self.strides }
     }
 }
 
@@ -105,9 +100,9 @@ pub(super) fn product(mut c: MatrixMut<'_>, store: Store, a: Matrix<'_>, b: Matr
     assert!(a.shape.0 == c.shape.0 && b.shape == (a.shape.1, n), "inner and outer sizes of a product agree");
     let left_over = n > 64 && (1..=16).contains(&(n % 64));
     let cut = if left_over { n / 64 * 64 - 16 } else { n };
-    multiply(c.part(0..cut), store, a, b.columns(0..cut));
+    multiply(c.lent().columns(0..cut), store, a, b.columns(0..cut));
     if cut < n {
-        multiply(c.part(cut..n), store, a, b.columns(cut..n));
+        multiply(c.columns(cut..n), store, a, b.columns(cut..n));
     }
 }
 
