@@ -78,7 +78,7 @@ fn its_paths_hold_everywhere_and_its_note_stands_under_every_table() {
             assert!(latency.cells.iter().all(|cell| cell.numbers().len() == 1), "everybody is timed: {latency:?}");
             (scores.to_text(), already)
         }
-        Outcome::Interrupted { step } => panic!("stopped at {step}"),
+        stopped => panic!("{stopped:?}"),
     };
     let (table, already) = start();
     assert!(!already && table.ends_with("\nnote: grey <is> no competitor\n"), "{table}");

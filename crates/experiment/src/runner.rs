@@ -29,12 +29,13 @@ pub enum Outcome {
         /// Whether nothing was left to do.
         already: bool,
     },
-    /// It was asked to stop, in training (the checkpoint is of this step) or while the trained model was scored; the same
-    /// command goes on.
+    /// It was asked to stop in training; the checkpoint is of this step, and the same command goes on.
     Interrupted {
         /// Steps done.
         step: u64,
     },
+    /// It was asked to stop while the trained model was scored; the same command scores it.
+    Unscored,
 }
 
 /// Runs `pipeline`, whose relative paths are relative to `base`, in the folder `out`; stops at the next step
@@ -75,7 +76,7 @@ pub fn run(
     };
     match run.assess(&model, &folder, &mut facts) {
         Ok(scores) => Ok(Outcome::Finished { scores, already: false }),
-        Err(Error::Stopped) => Ok(Outcome::Interrupted { step: pipeline.training.steps }),
+        Err(Error::Stopped) => Ok(Outcome::Unscored),
         Err(error) => Err(error),
     }
 }

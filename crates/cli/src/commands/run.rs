@@ -18,7 +18,7 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
     let outcome = run_pipeline(&pipeline, Path::new(""), &out, &mut progress, &stop);
     progress.finish();
     match outcome? {
-        Outcome::Interrupted { step } if step == pipeline.training.steps => {
+        Outcome::Unscored => {
             output::note(&format!(
                 "stopped before the scores were complete; the trained model lies in {}, and the same command scores it",
                 out.display()

@@ -21,11 +21,13 @@ pub enum Fate {
         /// Whether it had finished before.
         already: bool,
     },
-    /// The sweep was asked to stop.
+    /// The sweep was asked to stop while this one trained.
     Interrupted {
         /// Steps done.
         step: u64,
     },
+    /// Or while its model was scored.
+    Unscored,
     /// Another process is at work in its folder.
     Busy,
     /// It could not be done; the reason is kept in the sweep folder.
@@ -42,7 +44,7 @@ pub trait Board: Sync {
 }
 
 /// Does the runs `runs` of the plan, `jobs` at a time, in their order. They share the threads of the calling pool. A run
-/// that fails does not stop the others; `stop` stops all at their next step.
+/// that fails does not stop the others; `stop` stops all at their next step, or where they are scored.
 ///
 /// # Errors
 /// Where the sweep folder cannot be written, or threads cannot be started.
@@ -99,6 +101,7 @@ fn one(plan: &Plan, place: usize, board: &dyn Board, stop: &AtomicBool) -> Fate 
     match outcome {
         Ok(Outcome::Finished { scores, already }) => Fate::Finished { scores, already },
         Ok(Outcome::Interrupted { step }) => Fate::Interrupted { step },
+        Ok(Outcome::Unscored) => Fate::Unscored,
         Err(error) => {
             // The failure itself is reported in any case.
             _ = plan.note_failure(place, &error);

@@ -49,10 +49,8 @@ impl<'a> Table<'a> {
                 let words = ["ssim", "eta_0db", "gaussians"].into_iter().filter_map(score).collect::<String>();
                 format!("{name}: done{words}{time}")
             }
-            Fate::Interrupted { step } if *step == self.plan.runs[run].pipeline.training.steps => {
-                format!("{name}: stopped before it was scored")
-            }
             Fate::Interrupted { step } => format!("{name}: stopped after step {step}"),
+            Fate::Unscored => format!("{name}: stopped before it was scored"),
             Fate::Busy => format!("{name}: another process is at work on it; left to that one"),
             Fate::Failed(error) => format!("{name}: failed: {error}"),
         }
