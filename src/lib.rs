@@ -32,8 +32,8 @@ pub mod prelude {
     pub use pwrfgs_core::{
         Baseline, CloudStats, ColumnSpec, DataSource, Dataset, Deformation, Deltas, Error, Evaluation, GaussianCloud,
         Goal, Image, ImagePlane, Initializer, Measurement, Metric, Moment, Partition, Phase, Plugin, Pose, Predict,
-        Primitives, Progress, Projector, Pruner, Rasterizer, Real, Render, Result, Sample, Scene, Splats, Split,
-        Values,
+        Primitives, Progress, Projector, Pruner, Rasterizer, Real, Render, Result, Sample, Scene, Simulation, Splats,
+        Split, Values,
     };
     pub use pwrfgs_experiment::{Observer, Silent};
     pub use pwrfgs_model::{Model, Stages};

@@ -84,8 +84,14 @@ pub trait Predict: Send + Sync {
     fn predict(&self, tx: [Real; 3]) -> Image;
 
     /// A sentence that tables of scores print under themselves, for a predictor whose numbers mean something else than
-    /// those beside it: ray tracing in the very scene that made the spectra is an upper bound, say.
+    /// those beside it.
     fn note(&self) -> Option<String> {
         None
+    }
+
+    /// Whether it was given the scene that made the data, exactly or with errors, instead of learning from spectra: ray
+    /// tracing in that scene, say. It is then a bound, and in no ranking.
+    fn knows_scene(&self) -> bool {
+        false
     }
 }

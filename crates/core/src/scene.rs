@@ -56,7 +56,7 @@ pub struct Sample {
 /// Everything a data source gives.
 #[derive(Clone, Debug)]
 pub struct Dataset {
-    /// What a person should call it; says «simulated» where it is.
+    /// What a person should call it.
     pub title: String,
     /// Receiver, bounds and points.
     pub scene: Scene,
@@ -68,12 +68,24 @@ pub struct Dataset {
     pub samples: Vec<Sample>,
     /// The split that comes with the data, if any: indices into `samples` for (train, test).
     pub official: Option<(Vec<usize>, Vec<usize>)>,
-    /// The scene that the spectra were computed from, every setting written out as RON text, where there is one: a
-    /// simulated room. `None` for measured data.
-    pub simulation: Option<String>,
+    /// What the spectra were computed from; `None` where they were measured.
+    pub simulation: Option<Simulation>,
+}
+
+/// Says of a data set that it is simulated.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Simulation {
+    /// The room that was simulated, as the RON text of a scene with every setting written out; `None` where the data do
+    /// not say, or come from no room.
+    pub scene: Option<String>,
 }
 
 impl Dataset {
+    /// Whether the spectra are simulated, not measured.
+    pub fn is_simulated(&self) -> bool {
+        self.simulation.is_some()
+    }
+
     /// Spectrum of sample `i` (an index, not an id) as floats.
     pub fn image(&self, i: usize) -> Image {
         Image::from_bytes(self.width, self.height, &self.samples[i].spectrum)

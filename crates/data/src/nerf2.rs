@@ -11,7 +11,7 @@ use crate::{
     text::{XyzColumns, lines, read_text, split_commas},
 };
 pub(crate) use gateway::orientation_fault;
-use pwrfgs_core::{DataSource, Dataset, Error, Progress, Real, Result, Sample, Scene};
+use pwrfgs_core::{DataSource, Dataset, Error, Progress, Real, Result, Sample, Scene, Simulation};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -29,6 +29,9 @@ const LAYOUT: &str = "a NeRF2 folder holds gateway_info.yml, tx_pos.csv and spec
 ///
 /// The samples are the ids that have a row and a picture; others must not be named by an index file. Lines may end in
 /// LF or CRLF, ids may be zero-padded. Pictures stay 8-bit in memory and decide the size of the image plane.
+///
+/// A folder that `pwrfgs simulate` wrote says so in its `manifest.json`, with the scene; so does a data set whose name
+/// holds the word «simulated». Any other counts as measured.
 ///
 /// * `root`: the folder, `data/s23` by default; relative to the pipeline file.
 /// * `points`: a point cloud of the room ([`read_points`]), none by default; relative to the pipeline file.
@@ -87,9 +90,12 @@ impl DataSource for Nerf2Spectrum {
         let receiver = gateway.pose;
         let known_places = samples.iter().map(|s| s.tx).chain(points.iter().copied());
         let bounds = Dataset::bounds_of(known_places.chain([receiver.position.map(|v| v as Real)]));
-        let title = title(gateway.name, &root);
+        let folder = || root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
+        let name = gateway.name.unwrap_or_else(folder);
+        let simulation = simulation(&root, &name);
+        let title = format!("{name} ({}NeRF2 layout)", if simulation.is_some() { "" } else { "measured, " });
         let scene = Scene { receiver, bounds, points };
-        Ok(Dataset { title, scene, width, height, samples, official, simulation: None })
+        Ok(Dataset { title, scene, width, height, samples, official, simulation })
     }
 
     fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {
@@ -108,15 +114,19 @@ impl DataSource for Nerf2Spectrum {
     }
 }
 
-/// What a person should call it. A data set that calls itself simulated is not called measured.
-fn title(name: Option<String>, root: &Path) -> String {
-    let folder = || root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
-    let name = name.unwrap_or_else(folder);
-    if name.to_lowercase().contains("simulated") {
-        format!("{name} (NeRF2 layout)")
-    } else {
-        format!("{name} (measured, NeRF2 layout)")
-    }
+/// `manifest.json`, as `pwrfgs simulate` writes it.
+#[derive(Deserialize)]
+struct Manifest {
+    simulated: bool,
+    scene: Option<String>,
+}
+
+/// What the data set says of itself: in a manifest, or in its name where there is none.
+fn simulation(root: &Path, name: &str) -> Option<Simulation> {
+    let manifest = std::fs::read(root.join("manifest.json")).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
+    let by_name = || Manifest { simulated: name.to_lowercase().contains("simulated"), scene: None };
+    let Manifest { simulated, scene } = manifest.unwrap_or_else(by_name);
+    simulated.then_some(Simulation { scene })
 }
 
 /// `tx_pos.csv`: transmitter positions `[rows,3]`, metres.

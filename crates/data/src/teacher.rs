@@ -7,7 +7,7 @@ mod truth;
 use crate::nerf2::orientation_fault;
 use pwrfgs_core::{
     DataSource, Dataset, Error, GaussianCloud, ImagePlane, Plugin, Pose, Primitives, Progress, Projector, Rasterizer,
-    Real, Result, Sample, Scene, rng, sigmoid,
+    Real, Result, Sample, Scene, Simulation, rng, sigmoid,
 };
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -161,7 +161,7 @@ impl DataSource for Teacher {
             height: self.height,
             samples,
             official: (!test.is_empty()).then_some((train, test)),
-            simulation: None,
+            simulation: Some(Simulation::default()),
         })
     }
 

@@ -18,7 +18,8 @@ const DRAWS: u64 = 100;
 /// `material_error` and `position_error_m` spoil the scene by a stated amount: what one would have in practice.
 ///
 /// * `scene`: a scene file, relative to the pipeline file; left out, the scene of the data, which must be
-///   [`Simulated`](crate::Simulated).
+///   [`Simulated`](crate::Simulated) or a folder that `pwrfgs simulate` wrote. A scene with meshes has to be named for
+///   such a folder, which does not hold them.
 /// * `noise`: whether the scene's receiver errors are drawn, anew; no by default.
 /// * `material_error`: standard deviation of the logarithm of every permittivity, conductivity and thickness; 0 by
 ///   default, 0.2 is about 20 %.
@@ -49,8 +50,8 @@ pub struct RayTracing {
 
 impl RayTracing {
     /// What the name leaves out.
-    fn note(&self, is_generator: bool) -> String {
-        let what = match (&self.scene, self.is_exact() && is_generator) {
+    fn note(&self, knows_scene: bool) -> String {
+        let what = match (&self.scene, self.is_exact() && knows_scene) {
             (_, true) if self.noise => {
                 "the generator of these simulated spectra itself, with the phase errors of the antennas, and with noise \
                  drawn anew: an upper bound, not a competitor"
@@ -79,18 +80,23 @@ impl RayTracing {
         self.material_error == 0.0 && self.position_error_m == 0.0
     }
 
-    /// The scene as this baseline knows it.
-    fn scene(&self, data: &Dataset) -> Result<Scene> {
-        let scene = match (&self.scene, &data.simulation) {
-            (Some(path), _) => Scene::read(path)?,
-            (None, Some(text)) => Scene::parse(text, Path::new("scene of the data"))?,
+    /// The scene as this baseline knows it, and whether it is that of the data.
+    fn scene(&self, data: &Dataset) -> Result<(Scene, bool)> {
+        let of_data = data.simulation.as_ref().and_then(|simulation| simulation.scene.as_deref());
+        let of_data = of_data.and_then(|text| Scene::parse(text, Path::new("scene of the data")).ok());
+        match (&self.scene, of_data) {
+            (Some(path), of_data) => {
+                let scene = Scene::read(path)?;
+                let knows_scene = of_data.is_some_and(|of_data| of_data.portable() == scene.portable());
+                Ok((scene, knows_scene))
+            }
+            (None, Some(scene)) => Ok((scene, true)),
             (None, None) => {
                 let what = "RayTracing: these data are not simulated from a scene; name one in `scene`, such as \
                             \"scenes/lab-s23.ron\"";
-                return Err(Error::Config(what.into()));
+                Err(Error::Config(what.into()))
             }
-        };
-        Ok(scene)
+        }
     }
 
     /// The scene with its errors, made ready. Where a wall moves past the receiver, another draw is taken.
@@ -138,10 +144,9 @@ impl Baseline for RayTracing {
                 data.width, data.height
             )));
         }
-        let scene = self.scene(data)?;
-        let is_generator = data.simulation.as_deref() == Some(scene.to_ron().as_str());
-        let simulator = self.simulator(&scene)?;
-        Ok(Box::new(Traced { simulator, noise: self.noise, seed: self.seed, note: self.note(is_generator) }))
+        let (scene, knows_scene) = self.scene(data)?;
+        let (simulator, note) = (self.simulator(&scene)?, self.note(knows_scene));
+        Ok(Box::new(Traced { simulator, noise: self.noise, seed: self.seed, note, knows_scene }))
     }
 
     fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn Baseline>> {
@@ -175,6 +180,7 @@ struct Traced {
     noise: bool,
     seed: u64,
     note: String,
+    knows_scene: bool,
 }
 
 impl Predict for Traced {
@@ -189,5 +195,9 @@ impl Predict for Traced {
 
     fn note(&self) -> Option<String> {
         Some(self.note.clone())
+    }
+
+    fn knows_scene(&self) -> bool {
+        self.knows_scene
     }
 }

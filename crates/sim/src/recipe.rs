@@ -48,13 +48,6 @@ impl Recipe {
 
     /// The manifest: two recipes with the same text give the same data set.
     pub fn to_json(&self) -> String {
-        // The hash says which mesh; from where it was read must not matter.
-        let mut scene = self.scene.clone();
-        for object in &mut scene.objects {
-            if let Object::Mesh { file, .. } = object {
-                *file = file.file_name().unwrap_or_default().into();
-            }
-        }
         let manifest = serde_json::json!({
             "program": concat!("pwrfgs ", env!("CARGO_PKG_VERSION")),
             "edition": EDITION,
@@ -65,7 +58,7 @@ impl Recipe {
             "seed": self.seed,
             "points": self.points,
             "mesh_hashes": self.meshes,
-            "scene": scene.to_ron(),
+            "scene": self.scene.portable().to_ron(), // the hashes say which meshes
         });
         serde_json::to_string_pretty(&manifest).expect("a manifest is plain data") + "\n"
     }

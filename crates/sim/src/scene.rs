@@ -92,6 +92,17 @@ impl Scene {
         pwrfgs_core::plugin::ron_options().to_string_pretty(self, config).expect("a scene is plain data")
     }
 
+    /// The scene with its meshes by their file names alone: from where they were read does not matter.
+    pub(crate) fn portable(&self) -> Self {
+        let mut scene = self.clone();
+        for object in &mut scene.objects {
+            if let Object::Mesh { file, .. } = object {
+                *file = file.file_name().unwrap_or_default().into();
+            }
+        }
+        scene
+    }
+
     /// The material called `name`: the scene's own, else that of ITU-R P.2040.
     pub fn material(&self, name: &str) -> Option<Material> {
         self.materials.get(name).cloned().or_else(|| material::named(name))

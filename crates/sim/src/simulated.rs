@@ -3,7 +3,7 @@
 use crate::cache;
 use crate::output::POINTS;
 use crate::recipe::{self, Recipe};
-use pwrfgs_core::{DataSource, Dataset, Error, Progress, Result};
+use pwrfgs_core::{DataSource, Dataset, Error, Progress, Result, Simulation};
 use pwrfgs_data::Nerf2Spectrum;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -62,7 +62,7 @@ impl Simulated {
             return Err(Error::input(folder, "holds another number of spectra or points than were simulated"));
         }
         data.title = format!("{} (simulated)", recipe.scene.name);
-        data.simulation = Some(recipe.scene.to_ron());
+        data.simulation = Some(Simulation { scene: Some(recipe.scene.to_ron()) });
         Ok(data)
     }
 }

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
 
 use glam::DVec3;
-use pwrfgs_core::{Baseline, DataSource, Plugin};
+use pwrfgs_core::{Baseline, DataSource, Dataset, Plugin, Simulation};
 use pwrfgs_sim::output::{MANIFEST, POINTS, write};
 use pwrfgs_sim::{Recipe, Scene, Simulator, cache, simulate};
 use std::fs;
@@ -181,10 +181,11 @@ fn ray_tracing_in_the_exact_scene_is_the_generator() {
     let source: Plugin<dyn DataSource> =
         Plugin::parse("Simulated(scene: \"small.ron\", samples: 10, points: 100, cache: false)").unwrap();
     let data = source.load(folder.path(), &|_, _| {}).unwrap();
-    assert!(data.title.contains("simulated"));
+    assert!(data.title.contains("simulated") && data.is_simulated());
     let predict = |text: &str, i: usize| {
         let baseline: Plugin<dyn Baseline> = Plugin::parse(text).unwrap();
         let predictor = baseline.fit(&data, &[]).unwrap();
+        assert!(predictor.knows_scene());
         (predictor.predict(data.samples[i].tx), predictor.note())
     };
     for i in 0..10 {
@@ -194,9 +195,32 @@ fn ray_tracing_in_the_exact_scene_is_the_generator() {
         let (wrong, note) = predict("RayTracing(material_error: 0.3, position_error_m: 0.05)", i);
         assert!(wrong != data.image(i) && note.unwrap().contains("off by 30 % and places by 5 cm"));
     }
-    // Data that were not simulated need a scene by name.
-    let measured = pwrfgs_core::Dataset { simulation: None, ..data.clone() };
+    // Another scene is not that of the data; the same one is, wherever it was read from.
+    let knows = |data: &Dataset, name: &str| {
+        let scene = folder.path().join(name);
+        let baseline: Plugin<dyn Baseline> = Plugin::parse(&format!("RayTracing(scene: {scene:?})")).unwrap();
+        baseline.fit(data, &[]).unwrap().knows_scene()
+    };
+    file(folder.path(), "other.ron", &scene_text("spectrum: Power,"));
+    assert!(knows(&data, "small.ron") && !knows(&data, "other.ron"));
+    let sheet = "Mesh(name: \"desk\", file: \"sheet.obj\", finish: (material: \"metal\", thickness_m: 0.001)";
+    let desk = "Box(name: \"desk\", low: (1, 1, 0), high: (2, 2, 0.7), finish: (material: \"metal\")";
+    file(folder.path(), "sheet.obj", "v 1 1 0\nv 2 1 0\nv 2 2 0\nf 1 2 3\n");
+    let meshes = Scene::read(&file(folder.path(), "meshes.ron", &scene_text("").replace(desk, sheet))).unwrap();
+    let elsewhere = Some(meshes.to_ron().replace(&folder.path().display().to_string(), "elsewhere"));
+    let moved = Dataset { simulation: Some(Simulation { scene: elsewhere }), ..data.clone() };
+    assert!(knows(&moved, "meshes.ron") && !knows(&moved, "small.ron"));
+    // A folder that was written says from which scene.
+    let out = folder.path().join("written");
+    write(&Recipe::read(&folder.path().join("small.ron"), 10, 0, 100).unwrap(), false, &out, &|_, _| {}).unwrap();
+    let read = pwrfgs_data::Nerf2Spectrum { root: out, points: None }.load(Path::new(""), &|_, _| {}).unwrap();
+    assert!(knows(&read, "small.ron") && !knows(&read, "other.ron"));
     let baseline: Plugin<dyn Baseline> = Plugin::parse("RayTracing()").unwrap();
+    let exact = baseline.fit(&read, &[]).unwrap();
+    assert!(exact.knows_scene() && exact.predict(read.samples[3].tx) == data.image(3));
+    // Data that were not simulated need a scene by name.
+    let measured = Dataset { simulation: None, ..data.clone() };
+    assert!(!knows(&measured, "small.ron"));
     assert!(baseline.fit(&measured, &[]).err().unwrap().to_string().contains("name one in `scene`"));
 }
 

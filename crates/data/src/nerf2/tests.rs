@@ -103,6 +103,32 @@ fn index_files_may_be_absent_and_pictures_without_a_row_are_left_out() {
 }
 
 #[test]
+fn data_are_simulated_where_they_say_so() {
+    let folder = Folder::new();
+    assert!(!folder.load().is_simulated());
+    let said = |manifest: &str| {
+        folder.write("s/manifest.json", manifest);
+        let data = folder.load();
+        (data.simulation.map(|simulation| simulation.scene), data.title)
+    };
+    let (simulated, measured) = ("s (NeRF2 layout)".to_owned(), "s (measured, NeRF2 layout)".to_owned());
+    assert_eq!(
+        said(r#"{"simulated": true, "scene": "(..)", "seed": 1}"#),
+        (Some(Some("(..)".into())), simulated.clone())
+    );
+    assert_eq!(said(r#"{"simulated": true}"#), (Some(None), simulated));
+    for other in [r#"{"simulated": false}"#, r#"{"name": "an app"}"#, "[]", "{"] {
+        assert_eq!(said(other), (None, measured.clone()), "{other}");
+    }
+    folder.write(
+        "s/gateway_info.yml",
+        "dataset_name: a (Simulated)\ngateway1: {position: [5, 0, 0], orientation: [0, 0, 0, 1]}\n",
+    );
+    assert_eq!(said("{"), (Some(None), "a (Simulated) (NeRF2 layout)".into()));
+    assert_eq!(said(r#"{"simulated": false}"#).0, None);
+}
+
+#[test]
 fn points_widen_the_bounds() {
     let folder = Folder::new();
     folder.write("room.xyz", "-1 0 0\n0 20 0\n");
@@ -297,6 +323,7 @@ fn the_measured_spectra_are_read() {
     let data = Nerf2Spectrum { root, points: None }.load(Path::new("."), &|_, _| {}).unwrap();
     println!("{} spectra in {:.2} s", data.samples.len(), start.elapsed().as_secs_f64());
     assert_eq!(data.title, "s23 (measured, NeRF2 layout)");
+    assert!(!data.is_simulated());
     assert_eq!((data.width, data.height, data.samples.len()), (360, 90, 4898));
     assert_eq!((data.samples[0].id, data.samples[0].tx), (1, [-0.327, -0.583, 1.019]));
     assert_eq!(data.samples[4897].id, 6123);

@@ -17,6 +17,7 @@ fn load(teacher: &Teacher) -> Dataset {
 fn what_it_makes_is_complete_and_says_that_it_is_simulated() {
     let data = load(&small());
     assert_eq!(data.title, "20 simulated spectra of 12 Gaussians (Teacher, seed 0)");
+    assert!(data.is_simulated());
     assert_eq!((data.width, data.height, data.samples.len(), data.scene.points.len()), (90, 24, 20, 12));
     assert_eq!(data.official.as_ref().unwrap().1, [4, 9, 14, 19]);
     assert_eq!(data.samples.iter().flat_map(|s| &s.spectrum).max(), Some(&255));
