@@ -2,7 +2,7 @@
 //! run or of a sweep.
 #![allow(clippy::print_stdout)] // it is a program
 
-use pwrfgs::experiment::study::{Study, figures};
+use pwrfgs::report::{Study, figures};
 use std::path::PathBuf;
 
 fn main() -> pwrfgs::core::Result<()> {

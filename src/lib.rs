@@ -9,7 +9,7 @@
 //! let text = std::fs::read_to_string("pipelines/quickstart.ron").expect("stand in the checkout");
 //! let pipeline = Pipeline::parse(&text, "pipelines/quickstart.ron".as_ref())?;
 //! let stop = std::sync::atomic::AtomicBool::new(false);
-//! let outcome = pwrfgs::experiment::run(&pipeline, "pipelines".as_ref(), "runs/first".as_ref(), &mut Silent, &stop)?;
+//! let outcome = pwrfgs::run(&pipeline, "pipelines".as_ref(), "runs/first".as_ref(), &mut Silent, &stop)?;
 //! println!("{outcome:?}");
 //! # Ok(())
 //! # }
@@ -23,8 +23,49 @@ pub use pwrfgs_metrics as metrics;
 pub use pwrfgs_model as model;
 pub use pwrfgs_prune as prune;
 pub use pwrfgs_raster as raster;
+#[cfg(feature = "report")]
+pub use pwrfgs_report as report;
+#[cfg(feature = "sim")]
 pub use pwrfgs_sim as sim;
 pub use pwrfgs_train as train;
+
+use prelude::{Observer, Pipeline, Result};
+use pwrfgs_core::plugin::{FieldDefault, inventory};
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+/// What makes the report of a run; `None` without the feature `report`.
+#[cfg(feature = "report")]
+pub const PAGE: Option<experiment::Page> = Some(report::page);
+/// What makes the report of a run; `None` without the feature `report`.
+#[cfg(not(feature = "report"))]
+pub const PAGE: Option<experiment::Page> = None;
+
+// What a pipeline's fields take where nothing is said.
+inventory::submit! { FieldDefault { field: "split", ron: "Official()" } }
+inventory::submit! { FieldDefault { field: "projector", ron: "Mercator()" } }
+inventory::submit! { FieldDefault { field: "rasterizer", ron: "AlphaBlending()" } }
+inventory::submit! { FieldDefault { field: "deformation", ron: "Mlp()" } }
+inventory::submit! { FieldDefault { field: "baselines", ron: "[MeanSpectrum(), NearestNeighbours(k: 1), \
+NearestNeighbours(k: 3), NearestNeighbours(k: 5)]" } }
+inventory::submit! { FieldDefault { field: "metrics", ron: "[Ssim(), L1(), Psnr(), RateRatio(), DirectionError(), \
+Chamfer(), GaussianCount(), ModelSize(), Latency()]" } }
+// SSIM and the rate ratio at 0 dB: the columns of validation.csv.
+inventory::submit! { FieldDefault { field: "validation", ron: "[Ssim(), RateRatio(snr_db: 0.0)]" } }
+
+/// [`experiment::run`] with the report that this build has.
+///
+/// # Errors
+/// As there.
+pub fn run(
+    pipeline: &Pipeline,
+    base: &Path,
+    out: &Path,
+    observer: &mut dyn Observer,
+    stop: &AtomicBool,
+) -> Result<experiment::Outcome> {
+    experiment::run(pipeline, base, out, observer, stop, PAGE)
+}
 
 /// What a plugin or a small program needs.
 pub mod prelude {

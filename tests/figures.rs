@@ -1,9 +1,9 @@
 //! The figures that compare runs, drawn from small runs.
 
 use crate::common::pipeline;
-use pwrfgs::experiment::study::{Study, figures};
 use pwrfgs::experiment::sweep::{ListedRun, Listing};
 use pwrfgs::prelude::*;
+use pwrfgs::report::{Study, figures};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
@@ -22,7 +22,7 @@ fn sweep(folder: &Path) {
             ));
             let name = format!("{lambda}-{seed}");
             let stop = AtomicBool::new(false);
-            pwrfgs::experiment::run(&pipeline, Path::new("."), &folder.join(&name), &mut Silent, &stop).unwrap();
+            pwrfgs::run(&pipeline, Path::new("."), &folder.join(&name), &mut Silent, &stop).unwrap();
             runs.push(ListedRun { folder: name, labels: vec![("lambda".into(), lambda.into())], seed });
         }
     }

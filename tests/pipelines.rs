@@ -63,7 +63,7 @@ fn every_pipeline_runs_some_steps() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("run");
         let stop = AtomicBool::new(false);
-        let outcome = pwrfgs::experiment::run(&pipeline, Path::new("pipelines"), &out, &mut Silent, &stop);
+        let outcome = pwrfgs::run(&pipeline, Path::new("pipelines"), &out, &mut Silent, &stop);
         outcome.unwrap_or_else(|e| panic!("{}: {e}", path.display()));
         let curve = std::fs::read_to_string(out.join("curve.csv")).unwrap();
         assert_eq!(curve.lines().count(), 13, "{}", path.display());
@@ -119,7 +119,7 @@ fn the_quickstart_runs_on_the_office_it_names() {
     let folder = tempfile::tempdir().unwrap();
     let base = Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines");
     let stop = AtomicBool::new(false);
-    pwrfgs::experiment::run(&pipeline, &base, &folder.path().join("run"), &mut Silent, &stop).unwrap();
+    pwrfgs::run(&pipeline, &base, &folder.path().join("run"), &mut Silent, &stop).unwrap();
     let report = std::fs::read_to_string(folder.path().join("run/report.html")).unwrap();
     assert!(report.contains("office (simulated)") && report.contains("upper bound"));
     let scores = std::fs::read_to_string(folder.path().join("run/scores.csv")).unwrap();

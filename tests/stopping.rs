@@ -1,7 +1,8 @@
 //! A run that is asked to stop while its model is scored.
 
-use pwrfgs::experiment::{Observer, Outcome, run};
+use pwrfgs::experiment::{Observer, Outcome};
 use pwrfgs::prelude::*;
+use pwrfgs::run;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

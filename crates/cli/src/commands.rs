@@ -1,19 +1,23 @@
-//! One file a verb.
+//! One file a verb: what can be said to it, and what it does.
 
 mod evaluate;
 mod export;
 mod plugins;
 mod predict;
+#[cfg(feature = "report")]
 mod report;
 mod run;
+#[cfg(feature = "sim")]
 mod simulate;
 mod sweep;
 
-pub(crate) use evaluate::evaluate;
-pub(crate) use export::export;
-pub(crate) use plugins::plugins;
-pub(crate) use predict::predict;
-pub(crate) use report::report;
-pub(crate) use run::run;
-pub(crate) use simulate::simulate;
-pub(crate) use sweep::sweep;
+pub(crate) use evaluate::{Evaluate, evaluate};
+pub(crate) use export::{Export, export};
+pub(crate) use plugins::{Plugins, plugins};
+pub(crate) use predict::{Predict, predict};
+#[cfg(feature = "report")]
+pub(crate) use report::{Report, report};
+pub(crate) use run::{Run, run};
+#[cfg(feature = "sim")]
+pub(crate) use simulate::{Simulate, simulate};
+pub(crate) use sweep::{Sweep, sweep};

@@ -22,8 +22,10 @@ pub fn main() -> ExitCode {
         Command::Sweep(sweep) => commands::sweep(sweep, arguments.threads, arguments.verbosity()),
         Command::Predict(predict) => commands::predict(predict, arguments.verbosity()),
         Command::Evaluate(evaluate) => commands::evaluate(evaluate, arguments.verbosity()),
+        #[cfg(feature = "report")]
         Command::Report(report) => commands::report(report, arguments.verbosity()),
         Command::Export(export) => commands::export(export, arguments.verbosity()),
+        #[cfg(feature = "sim")]
         Command::Simulate(simulate) => commands::simulate(simulate, arguments.verbosity()),
         Command::Plugins(plugins) => commands::plugins(plugins),
     });

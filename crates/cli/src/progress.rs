@@ -4,7 +4,7 @@ use crate::args::Verbosity;
 use crate::output::{bars, note};
 use indicatif::{ProgressBar, ProgressStyle};
 use pwrfgs::experiment::clock::duration;
-use pwrfgs::experiment::scores::grouped;
+use pwrfgs::experiment::text::grouped;
 use pwrfgs::experiment::{Observer, Start, Validation};
 use pwrfgs::train::StepReport;
 use std::collections::VecDeque;

@@ -168,7 +168,11 @@ fn mistakes_are_refused_where_they_stand_before_anything_runs() {
     let cases: [(&str, &str, &[&str]); 15] = [
         ("lambda: 0.02", "lamda: 0.02", &["e.ron:9:", "did you mean `lambda`"]),
         ("LearnableMask", "LearnedMask", &["e.ron:9:", "did you mean `LearnableMask`"]),
-        ("(label: \"more (8)\")", "(label: \"more\", training: (prune_until: 5))", &["e.ron:13:13", "densify_until"]),
+        (
+            "(label: \"more (8)\")",
+            "(label: \"more\", training: (prune_until: 5))",
+            &["e.ron: axis `start`, variant `more`: ", "densify_until"],
+        ),
         ("(label: \"more (8)\")", "(label: \"Few\")", &["e.ron:14:", "two labels", "`few`"]),
         ("(label: \"more (8)\")", "(label: \"()\")", &["e.ron:13:", "cannot name a folder"]),
         ("(label: \"more (8)\")", "()", &["e.ron:13:", "give it a `label`"]),
@@ -176,12 +180,12 @@ fn mistakes_are_refused_where_they_stand_before_anything_runs() {
         (
             "(label: \"more (8)\")",
             "(label: \"b\", initializer: Grid(count: 6))",
-            &["e.ron:13:13", "the same pipeline as"],
+            &["e.ron: axis `start`, variant `b`: ", "the same pipeline as"],
         ),
         (
             "(label: \"more (8)\")",
             "(label: \"b\", data: Nerf2Spectrum(root: \"nowhere\"))",
-            &["e.ron:13:13", "start=b", "nowhere", "no such folder"],
+            &["e.ron: axis `start`, variant `b`: ", "start=b", "nowhere", "no such folder"],
         ),
         ("seeds: [4]", "seeds: []", &["e.ron:", "`seeds` is empty"]),
         ("seeds: [4]", "seeds: [4, 4]", &["the seed 4 comes twice"]),

@@ -22,12 +22,14 @@ pub enum Error {
         /// Why.
         source: std::io::Error,
     },
-    /// A file says something that cannot be used. The message starts with line and column where there are any.
-    #[error("{}:{message}", path.display())]
+    /// A file says something that cannot be used.
+    #[error("{}:{} {message}", path.display(), at.map_or_else(String::new, |(line, column)| format!("{line}:{column}:")))]
     Input {
         /// The file.
         path: PathBuf,
-        /// `line:column: what is wrong; what to do`, or ` what is wrong; what to do`.
+        /// Line and column, both counted from 1, where the place is known.
+        at: Option<(usize, usize)>,
+        /// What is wrong, and what to do.
         message: String,
     },
     /// A setting, or a combination of settings, cannot work.
@@ -55,12 +57,12 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 impl Error {
     /// A file that cannot be used, with a position: `line` and `column` count from 1.
     pub fn at(path: &Path, line: usize, column: usize, message: impl std::fmt::Display) -> Self {
-        Self::Input { path: path.into(), message: format!("{line}:{column}: {message}") }
+        Self::Input { path: path.into(), at: Some((line, column)), message: message.to_string() }
     }
 
     /// A file that cannot be used.
     pub fn input(path: &Path, message: impl std::fmt::Display) -> Self {
-        Self::Input { path: path.into(), message: format!(" {message}") }
+        Self::Input { path: path.into(), at: None, message: message.to_string() }
     }
 
     /// A file that cannot be read.
@@ -76,5 +78,33 @@ impl Error {
     /// Whether what the user gave is at fault, as against the machine or the arithmetic.
     pub fn is_input(&self) -> bool {
         matches!(self, Self::Read { .. } | Self::Input { .. } | Self::Config(_) | Self::Plugin(_))
+    }
+}
+
+/// `; did you mean `x`?` for a misspelt name, or nothing where none of the `known` ones is near.
+pub fn did_you_mean<'a>(wrong: &str, known: impl IntoIterator<Item = &'a str>) -> String {
+    let wrong = wrong.to_lowercase();
+    let near = known.into_iter().map(|name| (strsim::damerau_levenshtein(&wrong, &name.to_lowercase()), name)).min();
+    near.filter(|(distance, name)| *distance <= 2 + name.len() / 3)
+        .map_or_else(String::new, |(_, name)| format!("; did you mean `{name}`?"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_stands_where_it_is_known() {
+        let path = Path::new("a.ron");
+        assert_eq!(Error::at(path, 3, 7, "no").to_string(), "a.ron:3:7: no");
+        assert_eq!(Error::input(path, "no").to_string(), "a.ron: no");
+    }
+
+    #[test]
+    fn near_names_are_suggested_and_far_ones_not() {
+        assert_eq!(did_you_mean("topk", ["LearnableMask", "TopK"]), "; did you mean `TopK`?");
+        assert_eq!(did_you_mean("lamda", ["lambda", "epsilon"]), "; did you mean `lambda`?");
+        assert_eq!(did_you_mean("wavefront", ["ssim", "l1"]), "");
+        assert_eq!(did_you_mean("x", []), "");
     }
 }

@@ -1,4 +1,5 @@
-//! Plain data, plugin traits and the shared mathematics of pwrfgs. No input or output happens here.
+//! Plain data, plugin traits and the shared mathematics of pwrfgs. Nothing here reads or writes by itself; [`files`] is how
+//! the other crates do.
 //!
 //! Data climbs a ladder: [`GaussianCloud`] (learned) → [`Primitives`] (in space, for one transmitter) → [`Splats`]
 //! (on the image plane) → [`Render`] → [`Image`]. A stage is a function between two rungs, and each trait is a stage:
@@ -9,6 +10,7 @@ mod cloud;
 mod data_source;
 mod deformation;
 mod error;
+pub mod files;
 mod image;
 mod initializer;
 mod metric;
@@ -29,7 +31,7 @@ pub mod testing;
 pub use cloud::{COLUMN_NAMES, ExtraColumn, GaussianCloud};
 pub use data_source::{Baseline, DataSource, Predict, Progress, Split};
 pub use deformation::{Deformation, DeformationInputs, Deltas, WeightSpec};
-pub use error::{Error, Result};
+pub use error::{Error, Result, did_you_mean};
 pub use image::{Axis, Image, ImagePlane};
 pub use initializer::Initializer;
 pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, StageTimes, Values};

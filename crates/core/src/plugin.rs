@@ -3,6 +3,8 @@
 //! typetag alone would want `{"Name": (field: value)}`. The adapter shows it the one-entry map it expects, so that
 //! positions in error messages stay right, and asks the plugin to check itself, so that a value out of range is
 //! reported where it stands.
+use crate::did_you_mean;
+pub use inventory;
 use serde::de::{self, DeserializeSeed, Deserializer, EnumAccess, MapAccess, VariantAccess, Visitor};
 use serde::{Deserialize, Serialize, Serializer, forward_to_deserialize_any};
 use std::{any::Any, fmt, marker::PhantomData, ops::Deref, path::Path, sync::Arc};
@@ -77,25 +79,16 @@ pub fn ron_options() -> ron::Options {
 /// # Errors
 /// [`Error::Input`](crate::Error::Input) with line and column.
 pub fn read_ron<T: de::DeserializeOwned>(text: &str, path: &Path) -> crate::Result<T> {
+    use ron::Error::{NoSuchEnumVariant, NoSuchStructField};
     ron_options().from_str(text).map_err(|e| {
-        let said = e.code.to_string();
-        crate::Error::at(path, e.span.end.line, e.span.end.col, format!("{said}{}", suggestion(&said)))
+        let hint = match &e.code {
+            NoSuchEnumVariant { expected, found, .. } | NoSuchStructField { expected, found, .. } => {
+                did_you_mean(found, expected.iter().copied())
+            }
+            _ => String::new(),
+        };
+        crate::Error::at(path, e.span.end.line, e.span.end.col, format!("{}{hint}", e.code))
     })
-}
-
-/// `; did you mean …?` where the message quotes an unknown name first and known ones after.
-fn suggestion(message: &str) -> String {
-    let names: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
-    let Some((&wrong, known)) = names.split_first() else { return String::new() };
-    if !message.to_lowercase().contains("unexpected") && !message.contains("unknown") {
-        return String::new();
-    }
-    known
-        .iter()
-        .map(|k| (strsim::damerau_levenshtein(wrong, k), k))
-        .min()
-        .filter(|(distance, k)| *distance <= 2 + k.len() / 3)
-        .map_or_else(String::new, |(_, k)| format!("; did you mean `{k}`?"))
 }
 
 /// Plain settings that check themselves while they are read, so that the message carries a position.
@@ -236,7 +229,7 @@ impl<'de, B: VariantAccess<'de>> Deserializer<'de> for Body<B> {
         fields: &'static [&'static str],
         w: W,
     ) -> Result<W::Value, B::Error> {
-        self.0.struct_variant(fields, w)
+        self.0.struct_variant(fields, Fields(w, fields))
     }
     fn deserialize_unit_struct<W: Visitor<'de>>(self, _: &'static str, w: W) -> Result<W::Value, B::Error> {
         self.0.unit_variant()?;
@@ -245,6 +238,40 @@ impl<'de, B: VariantAccess<'de>> Deserializer<'de> for Body<B> {
     forward_to_deserialize_any! {
         bool i8 i16 i32 i64 i128 u8 u16 u32 u64 u128 f32 f64 char str string bytes byte_buf option
         unit newtype_struct seq tuple tuple_struct map enum identifier ignored_any
+    }
+}
+
+/// Refuses a field that the plugin does not have, at its place and with the nearest name: what passes through typetag's
+/// type-erased deserializer is words, in which names can no longer be told from the rest.
+struct Fields<W>(W, &'static [&'static str]);
+impl<'de, W: Visitor<'de>> Visitor<'de> for Fields<W> {
+    type Value = W::Value;
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.expecting(f)
+    }
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<W::Value, A::Error> {
+        self.0.visit_map(Fields(map, self.1))
+    }
+}
+impl<'de, A: MapAccess<'de>> MapAccess<'de> for Fields<A> {
+    type Error = A::Error;
+    fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, k: K) -> Result<Option<K::Value>, A::Error> {
+        self.0.next_key_seed(Fields(k, self.1))
+    }
+    fn next_value_seed<S: DeserializeSeed<'de>>(&mut self, s: S) -> Result<S::Value, A::Error> {
+        self.0.next_value_seed(s)
+    }
+}
+impl<'de, K: DeserializeSeed<'de>> DeserializeSeed<'de> for Fields<K> {
+    type Value = K::Value;
+    fn deserialize<D: Deserializer<'de>>(self, d: D) -> Result<K::Value, D::Error> {
+        let Name(name) = Name::deserialize(d)?;
+        if !self.1.contains(&name.as_str()) {
+            let hint = did_you_mean(&name, self.1.iter().copied());
+            let known = self.1.join("`, `");
+            return Err(de::Error::custom(format!("there is no field `{name}`{hint} (there are `{known}`)")));
+        }
+        self.0.deserialize(de::value::StringDeserializer::new(name))
     }
 }
 
@@ -273,6 +300,28 @@ where
     let mut names = Box::<T>::deserialize(probe).err().map_or_else(Vec::new, |p| p.0);
     names.sort_unstable();
     names
+}
+
+/// What a field of a pipeline takes where nothing is said. Submitted by the crate that links the plugins it names:
+/// `inventory::submit! { FieldDefault { field: "split", ron: "Official()" } }`.
+#[derive(Debug)]
+pub struct FieldDefault {
+    /// The field.
+    pub field: &'static str,
+    /// Its value as RON.
+    pub ron: &'static str,
+}
+inventory::collect!(FieldDefault);
+
+/// The value that `field` takes where nothing is said.
+///
+/// # Errors
+/// Where nobody has submitted one, or what it names is not linked.
+pub fn default_of<T: de::DeserializeOwned>(field: &str) -> Result<T, String> {
+    let Some(default) = inventory::iter::<FieldDefault>().find(|d| d.field == field) else {
+        return Err(format!("`{field}` has no default in this program; give it, or link the crate `pwrfgs`"));
+    };
+    ron_options().from_str(default.ron).map_err(|e| format!("the default of `{field}`: {e}"))
 }
 
 /// What a plugin hands out to find again later: only it knows what is inside.

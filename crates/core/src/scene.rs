@@ -115,3 +115,12 @@ pub struct Partition {
     /// Read once, at the end.
     pub test: Vec<usize>,
 }
+
+impl Partition {
+    /// Training and validation together, sorted: what baselines learn from, for they make no choices.
+    pub fn known(&self) -> Vec<usize> {
+        let mut known = [self.train.as_slice(), &self.validation].concat();
+        known.sort_unstable();
+        known
+    }
+}

@@ -51,8 +51,7 @@ pub fn evaluate(
         )));
     }
     let test = Bench::new(data, &partition.test, plane);
-    let predictions =
-        staged(observer, "predicting with the model", |progress| predict(model, &test.txs, stop, progress))?;
+    let predictions = staged(observer, "predicting with the model", |progress| test.predict(model, stop, progress))?;
     go_on(stop)?;
     let means: Vec<[Real; 3]> = model.models().flat_map(|m| m.cloud.means.iter().copied()).collect();
     let facts = ModelFacts {
@@ -65,63 +64,61 @@ pub fn evaluate(
         test.measure(&pipeline.metrics, &predictions, Some(facts), Some(&timed), progress)
     })?;
     let mut predictors = vec![(MODEL.to_owned(), own)];
-    let mut notes: Vec<String> = Vec::new();
-    let mut known = [partition.train.as_slice(), &partition.validation].concat();
-    known.sort_unstable();
+    let (mut notes, mut bounds): (Vec<String>, Vec<String>) = Default::default();
+    let known = partition.known();
     for baseline in &pipeline.baselines {
         go_on(stop)?;
         let fitted = baseline.fit(data, &known)?;
-        predictors.push((baseline.name(), test.baseline(&baseline.name(), &*fitted, &pipeline.metrics, observer)?));
+        let name = baseline.name();
+        let measured = test.baseline(&name, &*fitted, &pipeline.metrics, observer)?;
+        bounds.extend(fitted.knows_scene().then(|| name.clone()));
+        predictors.push((name, measured));
         notes.extend(fitted.note().filter(|note| !notes.contains(note)));
     }
     let ids = partition.test.iter().map(|&i| data.samples[i].id).collect();
-    Ok(Assessment { scores: Scores { ids, predictors, notes }, predictions, truths: test.truths })
+    Ok(Assessment { scores: Scores { ids, predictors, bounds, notes }, predictions, truths: test.truths })
 }
-
-/// For what nobody can stop.
-pub(crate) static NEVER: AtomicBool = AtomicBool::new(false);
 
 /// [`Error::Stopped`] once `stop` is set.
 pub(crate) fn go_on(stop: &AtomicBool) -> Result<()> {
     if stop.load(Ordering::Relaxed) { Err(Error::Stopped) } else { Ok(()) }
 }
 
-/// Predictions for all of `txs`, a chunk at a time.
-///
-/// # Errors
-/// [`Error::Stopped`] once `stop` is set.
-pub(crate) fn predict(
-    model: &Prepared<'_>,
-    txs: &[[Real; 3]],
-    stop: &AtomicBool,
-    progress: Progress<'_>,
-) -> Result<Vec<Image>> {
-    let mut all = Vec::with_capacity(txs.len());
-    for chunk in txs.chunks(CHUNK) {
-        go_on(stop)?;
-        all.extend(model.predict_many(chunk));
-        progress(all.len(), txs.len());
-    }
-    Ok(all)
-}
-
 /// A part of the data set to score on.
-pub(crate) struct Bench<'a> {
+#[derive(Debug)]
+pub struct Bench<'a> {
     data: &'a Dataset,
     plane: &'a ImagePlane,
-    pub(crate) txs: Vec<[Real; 3]>,
+    txs: Vec<[Real; 3]>,
     truths: Vec<Image>,
 }
 
 impl<'a> Bench<'a> {
     /// The samples `part`, on the pixels of `plane`.
-    pub(crate) fn new(data: &'a Dataset, part: &[usize], plane: &'a ImagePlane) -> Self {
+    pub fn new(data: &'a Dataset, part: &[usize], plane: &'a ImagePlane) -> Self {
         let txs = part.iter().map(|&i| data.samples[i].tx).collect();
         Self { data, plane, txs, truths: part.par_iter().map(|&i| data.image(i)).collect() }
     }
 
+    /// Predictions of `model`, a chunk at a time.
+    ///
+    /// # Errors
+    /// [`Error::Stopped`] once `stop` is set.
+    pub fn predict(&self, model: &Prepared<'_>, stop: &AtomicBool, progress: Progress<'_>) -> Result<Vec<Image>> {
+        let mut all = Vec::with_capacity(self.txs.len());
+        for chunk in self.txs.chunks(CHUNK) {
+            go_on(stop)?;
+            all.extend(model.predict_many(chunk));
+            progress(all.len(), self.txs.len());
+        }
+        Ok(all)
+    }
+
     /// Every measurement of `predictions`; `progress` counts metrics.
-    pub(crate) fn measure(
+    ///
+    /// # Errors
+    /// Where a metric refuses.
+    pub fn measure(
         &self,
         metrics: &[Plugin<dyn Metric>],
         predictions: &[Image],
@@ -140,7 +137,10 @@ impl<'a> Bench<'a> {
     }
 
     /// Every measurement of a baseline called `name`.
-    pub(crate) fn baseline(
+    ///
+    /// # Errors
+    /// Where a metric refuses.
+    pub fn baseline(
         &self,
         name: &str,
         fitted: &dyn Predict,

@@ -1,10 +1,10 @@
 //! `run.json`: with what, on what and how long.
 
 use crate::clock;
-use crate::folder::FACTS;
+use crate::folder::{FACTS, MODEL_FILE, REPORT, SAMPLES, SCORES};
 use crate::scores::ScoreTable;
+use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::{Error, Result};
-use pwrfgs_model::file::write_atomically;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -23,6 +23,8 @@ pub struct Facts {
     pub seed: u64,
     /// What the data call themselves.
     pub data: String,
+    /// Whether they are simulated.
+    pub simulated: bool,
     /// Samples for training, validation, test.
     pub samples: [usize; 3],
     /// Steps done.
@@ -41,6 +43,8 @@ pub struct Facts {
     pub started: String,
     /// End, RFC 3339.
     pub finished: Option<String>,
+    /// Whether there is a report.
+    pub report: bool,
     /// Summaries of `scores.csv`.
     pub scores: Option<ScoreTable>,
 }
@@ -90,6 +94,15 @@ impl Facts {
     /// The facts in `folder`, if there are any.
     pub fn read(folder: &Path) -> Option<Self> {
         serde_json::from_str(&std::fs::read_to_string(folder.join(FACTS)).ok()?).ok()
+    }
+
+    /// Scores and facts of a run to which nothing is left to do.
+    pub fn finished(folder: &Path) -> Option<(ScoreTable, Self)> {
+        let facts = Self::read(folder)?;
+        let stands = |name: &str| folder.join(name).is_file();
+        let complete = [MODEL_FILE, SCORES, SAMPLES].into_iter().all(stands) && (!facts.report || stands(REPORT));
+        let scores = facts.scores.clone().filter(|_| complete && facts.finished.is_some())?;
+        Some((scores, facts))
     }
 
     /// Looks at the largest resident memory so far.

@@ -1,9 +1,10 @@
 //! `RunFolder`: one folder a run, claimed by its pipeline and never taken from another.
 
+use pwrfgs_core::files::{refuse_foreign, write_atomically};
 use pwrfgs_core::{Error, Result};
-use pwrfgs_model::file::write_atomically;
 use pwrfgs_train::Pipeline;
 use std::fs::{File, TryLockError};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -46,14 +47,12 @@ impl RunFolder {
     /// # Errors
     /// Where it is no folder, or holds something else, or a run of another pipeline.
     pub fn inspect(path: &Path, pipeline: &str) -> Result<()> {
-        if path.exists() && !path.is_dir() {
-            return Err(Error::Config(format!("{} is no folder; choose another --out", path.display())));
-        }
         let own = path.join(PIPELINE);
         match std::fs::read_to_string(&own) {
             Ok(text) => same_pipeline(path, &own, &text, pipeline),
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => nothing_else(path),
-            Err(e) if e.kind() == std::io::ErrorKind::NotADirectory => Ok(()), // creating it will say why it fails
+            Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => {
+                refuse_foreign(path, "a run folder")
+            }
             Err(e) => Err(Error::read(&own, e)),
         }
     }
@@ -143,20 +142,5 @@ fn remove_leftovers(folder: &Path) {
         if stem.is_some_and(|(file, process)| own.contains(&file) && process.bytes().all(|b| b.is_ascii_digit())) {
             _ = std::fs::remove_file(entry.path());
         }
-    }
-}
-
-/// Refuses a folder with files in it that no run has made.
-fn nothing_else(folder: &Path) -> Result<()> {
-    let Ok(entries) = std::fs::read_dir(folder) else { return Ok(()) };
-    // A first write that was killed leaves its temporary file behind.
-    let mut names = entries.flatten().map(|e| e.file_name()).filter(|n| !n.to_string_lossy().ends_with(".tmp"));
-    match names.next() {
-        None => Ok(()),
-        Some(name) => Err(Error::Config(format!(
-            "{} is not a run folder and not empty (it holds `{}`); choose another --out",
-            folder.display(),
-            name.to_string_lossy()
-        ))),
     }
 }

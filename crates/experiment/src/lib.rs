@@ -1,9 +1,10 @@
-//! A run from pipeline to report: the training loop, the run folder, evaluation, `report.html` and exports.
+//! A run from pipeline to scores: the training loop, the run folder, evaluation, sweeps and exports.
 //!
-//! This crate knows traits, not plugins; a program links the plugins it wants (`pwrfgs` links the built-in ones).
+//! This crate knows traits, not plugins; a program links the plugins it wants (`pwrfgs` links the built-in ones). It draws
+//! nothing: what a run has found goes as [`Results`] to the [`Page`] that it is given.
 
 pub mod clock;
-mod draw;
+pub mod colour;
 mod evaluate;
 mod events;
 pub mod export;
@@ -12,21 +13,22 @@ pub mod folder;
 mod input;
 mod journal;
 mod observer;
-pub mod report;
+mod results;
 mod runner;
-mod samples;
+pub mod samples;
 pub mod scores;
-mod series;
+pub mod series;
 mod snapshot;
-pub mod study;
 pub mod sweep;
+pub mod text;
 mod validation;
 
-pub use evaluate::{Assessment, evaluate};
+pub use evaluate::{Assessment, Bench, evaluate};
 pub use facts::{Facts, Machine};
 pub use folder::RunFolder;
 pub use input::read_pipeline;
-pub use observer::{Observer, Silent, Start, Validation};
-pub use runner::{History, Outcome, Subject, load, rebase, run};
+pub use observer::{Observer, Silent, Start, Validation, staged};
+pub use results::{Page, Results};
+pub use runner::{Outcome, load, rebase, run};
 pub use scores::{ScoreTable, Scores, Summary};
 pub use snapshot::Snapshot;

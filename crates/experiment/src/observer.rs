@@ -75,7 +75,7 @@ pub struct Silent;
 impl Observer for Silent {}
 
 /// Does `work`, whose progress the observer hears of as that of the stage `name`.
-pub(crate) fn staged<R>(observer: &mut dyn Observer, name: &str, work: impl FnOnce(Progress<'_>) -> R) -> R {
+pub fn staged<R>(observer: &mut dyn Observer, name: &str, work: impl FnOnce(Progress<'_>) -> R) -> R {
     observer.on_stage(name, 0, 0);
     let state = Mutex::new((observer, 0));
     work(&|done, total| {

@@ -4,14 +4,16 @@
 //! them, and a resumed run cuts the series back to its checkpoint: so it ends in the same files as one never stopped.
 //! Snapshots are functions of the step, and written before the checkpoint of that step: a resumed run writes them again.
 
-use crate::evaluate::{Assessment, evaluate};
+use crate::evaluate::evaluate;
 use crate::facts::Facts;
-use crate::folder::{CHECKPOINT, MODEL_FILE, REPORT, RunFolder, SAMPLES, SCORES, START_SNAPSHOT, UNPRUNED_SNAPSHOT};
+use crate::folder::{CHECKPOINT, MODEL_FILE, RunFolder, START_SNAPSHOT, UNPRUNED_SNAPSHOT};
 use crate::journal::{Journal, note_scores};
-use crate::observer::{Observer, Start, Validation, staged};
+use crate::observer::{Observer, Start, staged};
+use crate::results::{Page, Results};
 use crate::scores::ScoreTable;
 use crate::snapshot::Snapshot;
-use crate::{clock, report, samples, validation};
+use crate::{clock, samples, validation};
+use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::{Dataset, Error, GaussianCloud, Partition, Result, rng};
 use pwrfgs_model::{Model, file};
 use pwrfgs_train::{Pipeline, Trainer};
@@ -40,6 +42,7 @@ pub enum Outcome {
 
 /// Runs `pipeline`, whose relative paths are relative to `base`, in the folder `out`; stops at the next step
 /// once `stop` is set, or, trained, before the next chunk of predictions, before scoring them, or at the next baseline.
+/// `page` makes the report; without it there is none.
 ///
 /// # Errors
 /// Wrong input, before anything is written; a folder that cannot be written; numbers that leave the finite range. Files
@@ -50,22 +53,24 @@ pub fn run(
     out: &Path,
     observer: &mut dyn Observer,
     stop: &AtomicBool,
+    page: Option<Page>,
 ) -> Result<Outcome> {
     let begun = Instant::now();
     let mut pipeline = pipeline.clone();
     rebase(&mut pipeline, base);
     let text = pipeline.to_ron();
     RunFolder::inspect(out, &text)?;
-    if let Some(scores) = finished(out) {
+    if let Some((scores, _)) = Facts::finished(out).filter(|(_, facts)| facts.report || page.is_none()) {
         return Ok(Outcome::Finished { scores, already: true });
     }
     let (data, partition) = load(&pipeline, base, observer)?;
-    let mut run = Run { pipeline: &pipeline, data: &data, partition: &partition, observer, stop, begun };
+    let mut run = Run { pipeline: &pipeline, data: &data, partition: &partition, observer, stop, page, begun };
     // Made before the folder is claimed: settings that cannot work must leave nothing behind.
     let trainer = if out.join(MODEL_FILE).is_file() { None } else { Some(run.trainer(out)?) };
     let folder = RunFolder::claim(out, &text)?;
     let mut facts = Facts::open(out, pipeline.seed);
     facts.data.clone_from(&data.title);
+    facts.simulated = data.is_simulated();
     facts.samples = [partition.train.len(), partition.validation.len(), partition.test.len()];
     let model = match trainer {
         None => file::read(&folder.file(MODEL_FILE))?,
@@ -114,19 +119,13 @@ fn absolute(base: &Path, path: &Path) -> PathBuf {
     joined.canonicalize().or_else(|_| std::path::absolute(&joined)).unwrap_or(joined)
 }
 
-/// The scores of a run to which nothing is left to do.
-pub(crate) fn finished(out: &Path) -> Option<ScoreTable> {
-    let complete = [MODEL_FILE, SCORES, SAMPLES, REPORT].iter().all(|name| out.join(name).is_file());
-    let facts = Facts::read(out)?;
-    if complete && facts.finished.is_some() { facts.scores } else { None }
-}
-
 struct Run<'a> {
     pipeline: &'a Pipeline,
     data: &'a Dataset,
     partition: &'a Partition,
     observer: &'a mut dyn Observer,
     stop: &'a AtomicBool,
+    page: Option<Page>,
     begun: Instant,
 }
 
@@ -149,7 +148,7 @@ impl<'a> Run<'a> {
         let settings = &self.pipeline.training;
         let (steps, earlier) = (settings.steps, facts.wall_seconds);
         let mut journal = Journal::open(folder, self.pipeline, trainer.done())?;
-        let looked_at = validation::spread(&self.partition.validation, settings.validation_samples);
+        let looked_at = samples::evenly(&self.partition.validation, settings.validation_samples);
         self.observer.on_start(&Start {
             folder: folder.path(),
             title: &self.data.title,
@@ -183,7 +182,7 @@ impl<'a> Run<'a> {
             let step = trainer.done();
             if stopped || step.is_multiple_of(settings.checkpoint_every) || trainer.finished() {
                 journal.sync()?;
-                file::write_atomically(&folder.file(CHECKPOINT), &trainer.checkpoint())?;
+                write_atomically(&folder.file(CHECKPOINT), &trainer.checkpoint())?;
                 (facts.steps, facts.training_seconds) = (step, journal.seconds());
                 facts.wall_seconds = earlier + self.begun.elapsed().as_secs_f64();
                 facts.note_memory();
@@ -214,65 +213,28 @@ impl<'a> Run<'a> {
             evaluate(&model.prepare(), self.pipeline, self.data, self.partition, self.observer, self.stop)?;
         let plane = &model.stages.plane;
         let floors = validation::floors(self.pipeline, plane, self.data, self.partition, self.observer, self.stop)?;
-        let history = History { folder: folder.path(), floors };
         let scores = assessment.scores.table();
         facts.steps = self.pipeline.training.steps;
         facts.gaussians = model.cloud.len();
         facts.scores = Some(scores.clone());
         facts.wall_seconds = earlier + begun.elapsed().as_secs_f64();
         facts.finished = Some(clock::now());
+        facts.report = self.page.is_some();
         facts.note_memory(); // here, so that the report tells what run.json tells
-        let subject = Subject {
+        let results = Results {
             pipeline: self.pipeline,
             model,
             data: self.data,
             partition: self.partition,
             assessment: &assessment,
             facts,
+            training: Some(folder.path()),
+            floors,
         };
-        subject.write(folder.path(), Some(&history))?;
+        results.write(folder.path(), self.page)?;
         note_scores(folder, self.pipeline, &scores)?;
         facts.write(folder.path())?;
         self.observer.on_evaluation(&scores);
         Ok(scores)
-    }
-}
-
-/// What a training leaves beside its model.
-#[derive(Clone, Debug)]
-pub struct History<'a> {
-    /// Where the curves and snapshots lie.
-    pub folder: &'a Path,
-    /// What each baseline, having seen the training part alone, reaches on the samples that validation looks at.
-    pub floors: Vec<(String, Validation)>,
-}
-
-/// An evaluated model, to be written down.
-#[derive(Clone, Copy, Debug)]
-pub struct Subject<'a> {
-    /// How it was made.
-    pub pipeline: &'a Pipeline,
-    /// The model.
-    pub model: &'a Model,
-    /// The data it was scored on.
-    pub data: &'a Dataset,
-    /// And their split.
-    pub partition: &'a Partition,
-    /// The outcome.
-    pub assessment: &'a Assessment,
-    /// Circumstances.
-    pub facts: &'a Facts,
-}
-
-impl Subject<'_> {
-    /// Writes `scores.csv`, `samples.csv` and `report.html` into `folder`; `history` is what the training left, if known.
-    ///
-    /// # Errors
-    /// Where the folder cannot be written.
-    pub fn write(&self, folder: &Path, history: Option<&History<'_>>) -> Result<()> {
-        let put = |name: &str, text: String| file::write_atomically(&folder.join(name), text.as_bytes());
-        put(SCORES, self.assessment.scores.to_csv())?;
-        put(SAMPLES, samples::to_csv(self.data, self.partition))?;
-        put(REPORT, report::of(self, history)?)
     }
 }

@@ -1,4 +1,5 @@
-//! `samples.csv`: where each transmitter stood, what it served, and how far the nearest one trained on is.
+//! Samples of a data set: `samples.csv` (where each transmitter stood, what it served, how far the nearest one trained on
+//! is), and an even choice of a few.
 
 use pwrfgs_core::{Dataset, Partition, Real, neighbours};
 use std::fmt::Write as _;
@@ -24,7 +25,7 @@ pub(crate) fn to_csv(data: &Dataset, partition: &Partition) -> String {
 }
 
 /// Metres from each sample to the nearest other training sample; infinity where there is none.
-pub(crate) fn nearest_train(data: &Dataset, partition: &Partition) -> Vec<Real> {
+pub fn nearest_train(data: &Dataset, partition: &Partition) -> Vec<Real> {
     let all: Vec<[Real; 3]> = data.samples.iter().map(|s| s.tx).collect();
     let train: Vec<[Real; 3]> = partition.train.iter().map(|&i| all[i]).collect();
     let mut squared = neighbours::nearest_squared(&all, &train);
@@ -32,6 +33,12 @@ pub(crate) fn nearest_train(data: &Dataset, partition: &Partition) -> Vec<Real> 
         squared[i] = own;
     }
     squared.into_iter().map(Real::sqrt).collect()
+}
+
+/// At most `count` of `all`, evenly spread.
+pub fn evenly<T: Clone>(all: &[T], count: usize) -> Vec<T> {
+    let n = all.len().min(count);
+    (0..n).map(|i| all[i * all.len() / n].clone()).collect()
 }
 
 #[cfg(test)]
@@ -56,5 +63,13 @@ mod tests {
         let expected = "id,x,y,z,split,nearest_train_m\n1,0,0,0,train,2\n2,2,0,0,train,2\n5,2.5,0,0,test,0.5\n\
                         6,9,0,0,unused,7\n";
         assert_eq!(text, expected);
+    }
+
+    #[test]
+    fn samples_are_chosen_evenly() {
+        let part: Vec<usize> = (100..110).collect();
+        assert_eq!(evenly(&part, 3), [100, 103, 106]);
+        assert_eq!(evenly(&part, 50), part);
+        assert!(evenly(&part, 0).is_empty() && evenly::<usize>(&[], 5).is_empty());
     }
 }

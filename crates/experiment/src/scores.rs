@@ -2,9 +2,9 @@
 //!
 //! Columns of `scores.csv`: predictor, metric, sample (a test id, or empty for a number about the whole model), value.
 
+use crate::text::{Lines, aligned, number};
 use pwrfgs_core::{Goal, Measurement, Values};
 use serde::{Deserialize, Serialize};
-use std::fmt::Write as _;
 
 /// The name of the trained model in every table.
 pub const MODEL: &str = "model";
@@ -16,6 +16,8 @@ pub struct Scores {
     pub ids: Vec<u32>,
     /// Predictors with their measurements; the model comes first.
     pub predictors: Vec<(String, Vec<Measurement>)>,
+    /// Those of them that know the scene which made the data: bounds, and in no ranking.
+    pub bounds: Vec<String>,
     /// What a reader of the numbers must know, one sentence each.
     pub notes: Vec<String>,
 }
@@ -45,7 +47,7 @@ impl Summary {
 }
 
 /// The `q` quantile of ascending values.
-pub(crate) fn quantile(sorted: &[f64], q: f64) -> f64 {
+pub fn quantile(sorted: &[f64], q: f64) -> f64 {
     let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
     let place = q * last as f64;
     let (low, part) = (place as usize, place.fract());
@@ -59,8 +61,9 @@ pub struct ScoreTable {
     pub predictors: Vec<String>,
     /// One entry a metric.
     pub metrics: Vec<MetricRow>,
+    /// Predictors that know the scene which made the data.
+    pub bounds: Vec<String>,
     /// Sentences printed under the table.
-    #[serde(default)]
     pub notes: Vec<String>,
 }
 
@@ -166,33 +169,27 @@ impl Scores {
             }
         }
         let predictors = self.predictors.iter().map(|(name, _)| name.clone()).collect();
-        ScoreTable { predictors, metrics, notes: self.notes.clone() }
+        ScoreTable { predictors, metrics, bounds: self.bounds.clone(), notes: self.notes.clone() }
     }
 
     /// The text of `scores.csv`.
     pub fn to_csv(&self) -> String {
-        let mut out = String::from("predictor,metric,sample,value\n");
+        let mut lines = Lines::new(["predictor", "metric", "sample", "value"]);
         for (predictor, measurements) in &self.predictors {
             for m in measurements {
-                let name = (quoted(predictor), quoted(&m.key));
+                let mut line = |sample: &str, value: &str| lines.put([predictor, &m.key, sample, value]);
                 match &m.values {
                     Values::PerSample(values) => {
-                        for (id, value) in self.ids.iter().zip(values) {
-                            let _ = writeln!(out, "{},{},{id},{value}", name.0, name.1);
-                        }
+                        let rows = self.ids.iter().zip(values);
+                        rows.for_each(|(id, value)| line(&id.to_string(), &value.to_string()));
                     }
-                    Values::Whole(value) => _ = writeln!(out, "{},{},,{value}", name.0, name.1),
-                    Values::NotApplicable(_) => _ = writeln!(out, "{},{},,n/a", name.0, name.1),
+                    Values::Whole(value) => line("", &value.to_string()),
+                    Values::NotApplicable(_) => line("", "n/a"),
                 }
             }
         }
-        out
+        lines.text()
     }
-}
-
-/// A CSV field, in quotation marks where it needs them.
-fn quoted(field: &str) -> String {
-    if field.contains([',', '"', '\n', '\r']) { format!("\"{}\"", field.replace('"', "\"\"")) } else { field.into() }
 }
 
 impl ScoreTable {
@@ -204,7 +201,8 @@ impl ScoreTable {
     /// Aligned text for a terminal: a line for each metric and statistic, a column for each predictor; the best of a
     /// line carries a `*`. Notes follow.
     pub fn to_text(&self) -> String {
-        let mut lines = vec![(["metric".to_owned(), String::new()], self.predictors.clone())];
+        let head = ["metric".to_owned(), String::new()].into_iter().chain(self.predictors.clone());
+        let mut lines: Vec<Vec<String>> = vec![head.collect()];
         for row in &self.metrics {
             let arrow = if row.higher_is_better { "↑" } else { "↓" };
             let unit = if row.unit.is_empty() { String::new() } else { format!(" [{}]", row.unit) };
@@ -217,71 +215,12 @@ impl ScoreTable {
                     Some(value) => format!("{}{}", number(*value), if *rank == Some(0) && !alone { "*" } else { " " }),
                     None => "n/a ".to_owned(),
                 };
-                let cells = row.cells.iter().zip(&ranks).map(cell).collect();
-                lines.push(([name, (*statistic).to_owned()], cells));
+                let cells = row.cells.iter().zip(&ranks).map(cell);
+                lines.push([name, (*statistic).to_owned()].into_iter().chain(cells).collect());
             }
         }
-        self.notes.iter().fold(aligned(&lines), |text, note| text + "note: " + note + "\n")
+        self.notes.iter().fold(aligned(&lines, 2), |text, note| text + "note: " + note + "\n")
     }
-}
-
-/// Left-aligned heads, right-aligned cells.
-fn aligned(lines: &[([String; 2], Vec<String>)]) -> String {
-    let width = |text: &str| text.chars().count();
-    let heads = [0, 1].map(|k| lines.iter().map(|(head, _)| width(&head[k])).max().unwrap_or(0));
-    let columns = lines.iter().map(|(_, cells)| cells.len()).max().unwrap_or(0);
-    let widths: Vec<usize> = (0..columns)
-        .map(|k| lines.iter().filter_map(|(_, cells)| cells.get(k)).map(|c| width(c)).max().unwrap_or(0))
-        .collect();
-    let mut out = String::new();
-    for ([name, statistic], cells) in lines {
-        let mut line = format!("{name:<0$}  {statistic:<1$}", heads[0], heads[1]);
-        for (cell, w) in cells.iter().zip(&widths) {
-            let _ = write!(line, "  {cell:>w$}");
-        }
-        out.push_str(line.trim_end());
-        out.push('\n');
-    }
-    out
-}
-
-/// Four significant digits or so, no exponent in the usual range, whole numbers as such.
-pub fn number(value: f64) -> String {
-    let size = value.abs();
-    if !value.is_finite() {
-        return if value.is_nan() {
-            "n/a".into()
-        } else if value > 0.0 {
-            "∞".into()
-        } else {
-            "−∞".into()
-        };
-    }
-    if value.fract() == 0.0 && (10.0..1e15).contains(&size) {
-        return grouped(value as i64);
-    }
-    match size {
-        0.0 => "0".into(),
-        s if s >= 1000.0 => grouped(value.round() as i64),
-        s if s >= 100.0 => format!("{value:.1}"),
-        s if s >= 10.0 => format!("{value:.2}"),
-        s if s >= 1.0 => format!("{value:.3}"),
-        s if s >= 1e-4 => format!("{value:.4}"),
-        _ => format!("{value:.2e}"),
-    }
-}
-
-/// 65469 as `65,469`.
-pub fn grouped(value: i64) -> String {
-    let digits = value.unsigned_abs().to_string();
-    let mut out = String::from(if value < 0 { "-" } else { "" });
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            out.push(',');
-        }
-        out.push(digit);
-    }
-    out
 }
 
 #[cfg(test)]
@@ -308,6 +247,7 @@ mod tests {
                     ],
                 ),
             ],
+            bounds: vec![],
             notes: vec!["k, far has seen the test spectra".into()],
         }
     }
@@ -339,11 +279,5 @@ mod tests {
         assert_eq!(table.metrics[1].ranks(0), vec![Some(0), None]);
         let json = serde_json::to_string(&table).unwrap();
         assert_eq!(serde_json::from_str::<ScoreTable>(&json).unwrap(), table);
-    }
-
-    #[test]
-    fn numbers_are_short() {
-        let all = [0.0, 0.88125, 12.345, 65469.0, 1e-6, f64::INFINITY, 123.456].map(number);
-        assert_eq!(all, ["0", "0.8812", "12.35", "65,469", "1.00e-6", "∞", "123.5"]);
     }
 }

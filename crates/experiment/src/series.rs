@@ -1,7 +1,7 @@
 //! `Series`: a CSV file that grows with the training and is cut back to the checkpoint when a run goes on.
 
+use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::{Error, Result};
-use pwrfgs_model::file::write_atomically;
 use std::fs::{File, OpenOptions};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -50,7 +50,7 @@ impl Series {
 }
 
 /// Reads the rows of a series as numbers, `None` for fields that are none; nothing where there is no such file.
-pub(crate) fn read(path: &Path) -> Vec<Vec<Option<f64>>> {
+pub fn read(path: &Path) -> Vec<Vec<Option<f64>>> {
     let Ok(text) = std::fs::read_to_string(path) else { return Vec::new() };
     text.lines().skip(1).map(|line| line.split(',').map(|field| field.parse().ok()).collect()).collect()
 }

@@ -1,7 +1,7 @@
 //! `Snapshot`: where the Gaussians are at one moment of a training, for figures. `docs/model-format.md` describes the file.
 
+use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::{Error, GaussianCloud, Real, Result, sigmoid};
-use pwrfgs_model::file::write_atomically;
 use pwrfgs_model::tensors::Tensors;
 use serde::{Deserialize, Serialize};
 use std::path::Path;

@@ -1,9 +1,11 @@
 //! The look at the validation part while training, and the floors on the very same samples.
 
-use crate::evaluate::{Bench, NEVER, go_on, predict};
+use crate::evaluate::{Bench, go_on};
 use crate::observer::{Observer, Validation};
+use crate::samples;
 use crate::scores::Summary;
-use pwrfgs_core::{Dataset, ImagePlane, Measurement, Metric, Partition, Plugin, Result, Values};
+use pwrfgs_core::plugin::default_of;
+use pwrfgs_core::{Dataset, Error, ImagePlane, Measurement, Metric, Partition, Plugin, Result, Values};
 use pwrfgs_model::Model;
 use pwrfgs_train::Pipeline;
 use std::sync::atomic::AtomicBool;
@@ -18,17 +20,9 @@ impl Validation {
     }
 }
 
-/// At most `count` of `part`, evenly spread.
-pub(crate) fn spread(part: &[usize], count: usize) -> Vec<usize> {
-    let n = part.len().min(count);
-    (0..n).map(|i| part[i * part.len() / n]).collect()
-}
-
-/// SSIM and η(0 dB), as the built-in metrics define them.
-fn metrics() -> Vec<Plugin<dyn Metric>> {
-    ["Ssim()", "RateRatio(snr_db: 0.0)"]
-        .map(|text| Plugin::parse(text).expect("the built-in metrics are linked by the facade"))
-        .into()
+/// SSIM and η(0 dB), as the program that links the metrics defines them.
+fn metrics() -> Result<Vec<Plugin<dyn Metric>>> {
+    default_of("validation").map_err(Error::Config)
 }
 
 /// One row of `validation.csv` from the two measurements.
@@ -43,8 +37,8 @@ fn row(step: u64, measured: &[Measurement]) -> Validation {
 /// Looks at the samples `part`.
 pub(crate) fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize]) -> Result<Validation> {
     let bench = Bench::new(data, part, &model.stages.plane);
-    let predictions = predict(&model.prepare(), &bench.txs, &NEVER, &|_, _| {})?;
-    Ok(row(step, &bench.measure(&metrics(), &predictions, None, None, &|_, _| {})?))
+    let predictions = bench.predict(&model.prepare(), &AtomicBool::new(false), &|_, _| {})?;
+    Ok(row(step, &bench.measure(&metrics()?, &predictions, None, None, &|_, _| {})?))
 }
 
 /// What each baseline, having seen the training part alone, reaches on the samples that validation looks at.
@@ -59,28 +53,16 @@ pub(crate) fn floors(
     observer: &mut dyn Observer,
     stop: &AtomicBool,
 ) -> Result<Vec<(String, Validation)>> {
-    let part = spread(&partition.validation, pipeline.training.validation_samples);
+    let part = samples::evenly(&partition.validation, pipeline.training.validation_samples);
     if part.is_empty() || pipeline.training.validate_every == 0 {
         return Ok(Vec::new());
     }
     let bench = Bench::new(data, &part, plane);
+    let metrics = metrics()?;
     let floor = |b: &Plugin<dyn pwrfgs_core::Baseline>| {
         go_on(stop)?;
         let fitted = b.fit(data, &partition.train)?;
-        Ok((b.name(), row(0, &bench.baseline(&b.name(), &*fitted, &metrics(), observer)?)))
+        Ok((b.name(), row(0, &bench.baseline(&b.name(), &*fitted, &metrics, observer)?)))
     };
     pipeline.baselines.iter().map(floor).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::spread;
-
-    #[test]
-    fn samples_are_spread_evenly() {
-        let part: Vec<usize> = (100..110).collect();
-        assert_eq!(spread(&part, 3), [100, 103, 106]);
-        assert_eq!(spread(&part, 50), part);
-        assert!(spread(&part, 0).is_empty() && spread(&[], 5).is_empty());
-    }
 }

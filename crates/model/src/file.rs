@@ -2,12 +2,11 @@
 
 use crate::tensors::Tensors;
 use crate::{Calibration, Model, Readout, Stages};
+use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::plugin::{Plugin, PluginKind, ron_options};
 use pwrfgs_core::{Error, GaussianCloud, ImagePlane, Pose, Real, Result};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
-
-pub use crate::tensors::write_atomically;
 
 /// What the file says besides numbers.
 #[derive(Serialize, Deserialize)]

@@ -1,11 +1,8 @@
 //! Named tensors and a note in one safetensors file: the form of models and checkpoints.
 
-use pwrfgs_core::{Error, Real, Result};
+use pwrfgs_core::Real;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use std::collections::{BTreeMap, HashMap};
-use std::fs::File;
-use std::io::Write;
-use std::path::Path;
 
 /// The one metadata key: a second one would make the order of bytes depend on a hash.
 const NOTE: &str = "pwrfgs";
@@ -119,29 +116,4 @@ impl Tensors {
         }
         Ok(Self { note, tensors })
     }
-}
-
-/// Writes a file so that at every instant either the old or the whole new one is there: a temporary file in the same
-/// folder, synced, then renamed.
-///
-/// # Errors
-/// [`Error::Write`]; the old file is then untouched.
-pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let temporary = path.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
-    let written = (|| {
-        let mut file = File::create(&temporary)?;
-        file.write_all(bytes)?;
-        file.sync_all()?;
-        std::fs::rename(&temporary, path)?;
-        // The rename itself lasts only once the folder is on disk; a file system that cannot sync folders still has it.
-        if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
-            let _ = File::open(folder).and_then(|folder| folder.sync_all());
-        }
-        Ok(())
-    })();
-    written.map_err(|e| {
-        let _ = std::fs::remove_file(&temporary);
-        Error::write(path, e)
-    })
 }

@@ -15,7 +15,7 @@ mod trainer;
 
 pub use graph::{Batch, Outcome, loss_and_gradients};
 pub use loss::RenderingLoss;
-pub use pipeline::{Pipeline, PipelinePatch};
+pub use pipeline::{Pipeline, PipelineFields, PipelinePatch};
 pub use settings::{
     Densify, DensifyPatch, Loss, LossPatch, Optimizer, OptimizerPatch, Schedule, Training, TrainingPatch,
 };

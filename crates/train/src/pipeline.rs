@@ -1,67 +1,58 @@
 //! `Pipeline`: a whole experiment as one RON value, and the patches that change it.
 
 use crate::settings::{Training, TrainingPatch};
-use pwrfgs_core::plugin::{Checked, Plugin, read_ron, ron_options};
+use pwrfgs_core::plugin::{Checked, Plugin, default_of, read_ron, ron_options};
 use pwrfgs_core::{
     Baseline, DataSource, Deformation, Error, Initializer, Metric, Projector, Pruner, Rasterizer, Result, Split,
 };
 use pwrfgs_model::{Calibration, Readout};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// Everything a run needs to know. Plugins are named in the words of the registry; plain settings are nested structs.
+/// Everything a run needs to know. Plugins are named in the words of the registry; plain settings are nested structs. A
+/// field that is left out takes what the program that links the plugins has submitted for it
+/// ([`FieldDefault`](pwrfgs_core::plugin::FieldDefault)); name, data and initializer have no default.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(try_from = "PipelineFields<Checked<Training>>")]
 pub struct Pipeline {
     /// Names the run folder: letters, digits, `.`, `-` and `_`.
     pub name: String,
     /// The one seed that decides everything.
-    #[serde(default)]
     pub seed: u64,
     /// Where the spectra come from.
     pub data: Plugin<dyn DataSource>,
     /// Training, validation and test.
-    #[serde(default = "official")]
     pub split: Plugin<dyn Split>,
     /// Where the Gaussians start.
     pub initializer: Plugin<dyn Initializer>,
     /// From space to the picture.
-    #[serde(default = "mercator")]
     pub projector: Plugin<dyn Projector>,
     /// From splats to pixels.
-    #[serde(default = "alpha_blending")]
     pub rasterizer: Plugin<dyn Rasterizer>,
     /// What the transmitter changes.
-    #[serde(default = "mlp")]
     pub deformation: Plugin<dyn Deformation>,
     /// How calibration terms meet the base parameters.
-    #[serde(default)]
     pub calibration: Calibration,
     /// From blended signals to a spectrum.
-    #[serde(default)]
     pub readout: Readout,
     /// Who decides which Gaussians stay; all must agree.
-    #[serde(default)]
     pub pruners: Vec<Plugin<dyn Pruner>>,
     /// Algorithm 1.
-    #[serde(default)]
     pub training: Checked<Training>,
     /// Scored beside the model.
-    #[serde(default = "baselines")]
     pub baselines: Vec<Plugin<dyn Baseline>>,
     /// How all are scored.
-    #[serde(default = "metrics")]
     pub metrics: Vec<Plugin<dyn Metric>>,
     /// Whether the run folder gets an event file that TensorBoard opens.
-    #[serde(default)]
     pub tensorboard: bool,
 }
 
-/// A patch over a [`Pipeline`]: fields left out keep their value, plugins are replaced whole.
+/// The fields of a [`Pipeline`], each of which may be left out.
 #[derive(Clone, Debug, Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(rename = "Pipeline", deny_unknown_fields)]
 #[allow(missing_docs)] // each field means what it means in `Pipeline`
-pub struct PipelinePatch {
+pub struct PipelineFields<T> {
     /// What a sweep calls this patch; changes nothing.
     pub label: Option<String>,
     pub name: Option<String>,
@@ -75,10 +66,44 @@ pub struct PipelinePatch {
     pub calibration: Option<Calibration>,
     pub readout: Option<Readout>,
     pub pruners: Option<Vec<Plugin<dyn Pruner>>>,
-    pub training: Option<TrainingPatch>,
+    pub training: Option<T>,
     pub baselines: Option<Vec<Plugin<dyn Baseline>>>,
     pub metrics: Option<Vec<Plugin<dyn Metric>>>,
     pub tensorboard: Option<bool>,
+}
+
+/// A patch over a [`Pipeline`]: fields left out keep their value, plugins are replaced whole.
+pub type PipelinePatch = PipelineFields<TrainingPatch>;
+
+impl TryFrom<PipelineFields<Checked<Training>>> for Pipeline {
+    type Error = String;
+
+    fn try_from(given: PipelineFields<Checked<Training>>) -> Result<Self, String> {
+        fn or_default<T: DeserializeOwned>(field: &str, given: Option<T>) -> Result<T, String> {
+            given.map_or_else(|| default_of(field), Ok)
+        }
+        let missing = |field: &str| format!("the field `{field}` is missing");
+        if given.label.is_some() {
+            return Err("only a variant of a sweep has a `label`".into());
+        }
+        Ok(Self {
+            name: given.name.ok_or_else(|| missing("name"))?,
+            seed: given.seed.unwrap_or_default(),
+            data: given.data.ok_or_else(|| missing("data"))?,
+            split: or_default("split", given.split)?,
+            initializer: given.initializer.ok_or_else(|| missing("initializer"))?,
+            projector: or_default("projector", given.projector)?,
+            rasterizer: or_default("rasterizer", given.rasterizer)?,
+            deformation: or_default("deformation", given.deformation)?,
+            calibration: given.calibration.unwrap_or_default(),
+            readout: given.readout.unwrap_or_default(),
+            pruners: given.pruners.unwrap_or_default(),
+            training: given.training.unwrap_or_default(),
+            baselines: or_default("baselines", given.baselines)?,
+            metrics: or_default("metrics", given.metrics)?,
+            tensorboard: given.tensorboard.unwrap_or_default(),
+        })
+    }
 }
 
 impl Pipeline {
@@ -130,10 +155,7 @@ impl Pipeline {
         }
         let patch: PipelinePatch = read_ron(&text, Path::new("--set")).map_err(|e| match e {
             // The position would count inside the patch we wrapped around the argument: leave it out.
-            Error::Input { message, .. } => {
-                let said = message.splitn(3, ':').nth(2).unwrap_or(&message).trim();
-                Error::Config(format!("--set {argument}: {said}"))
-            }
+            Error::Input { message, .. } => Error::Config(format!("--set {argument}: {message}")),
             other => other,
         })?;
         if patch.label.is_some() {
@@ -164,32 +186,15 @@ impl Pipeline {
     }
 }
 
-/// A built-in plugin by name; the facade links them all.
-fn built_in<T: ?Sized + pwrfgs_core::plugin::PluginKind>(text: &str) -> Plugin<T>
-where
-    Box<T>: for<'de> Deserialize<'de>,
-{
-    Plugin::parse(text).expect("built-in plugins are linked by the facade")
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-fn official() -> Plugin<dyn Split> {
-    built_in("Official()")
-}
-fn mercator() -> Plugin<dyn Projector> {
-    built_in("Mercator()")
-}
-fn alpha_blending() -> Plugin<dyn Rasterizer> {
-    built_in("AlphaBlending()")
-}
-fn mlp() -> Plugin<dyn Deformation> {
-    built_in("Mlp()")
-}
-fn baselines() -> Vec<Plugin<dyn Baseline>> {
-    ["MeanSpectrum()", "NearestNeighbours(k: 1)", "NearestNeighbours(k: 3)", "NearestNeighbours(k: 5)"]
-        .map(built_in)
-        .into()
-}
-fn metrics() -> Vec<Plugin<dyn Metric>> {
-    let all = "Ssim() L1() Psnr() RateRatio() DirectionError() Chamfer() GaussianCount() ModelSize() Latency()";
-    all.split(' ').map(built_in).collect()
+    #[test]
+    fn without_the_facade_a_field_left_out_is_an_error() {
+        let said = Pipeline::parse("Pipeline(name: \"a\")", Path::new("a.ron")).unwrap_err().to_string();
+        assert_eq!(said, "a.ron:1:20: the field `data` is missing");
+        let said = default_of::<Plugin<dyn Split>>("split").unwrap_err();
+        assert!(said.contains("`split` has no default") && said.contains("`pwrfgs`"), "{said}");
+    }
 }

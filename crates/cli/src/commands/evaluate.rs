@@ -1,16 +1,42 @@
 //! `pwrfgs evaluate`: scores of a trained model on data of one's choice.
 
-use crate::args::{Evaluate, Verbosity};
+use crate::args::Verbosity;
 use crate::output;
 use crate::progress::Progress;
+use clap::Args;
 use pwrfgs::experiment::folder::{PIPELINE, REPORT};
-use pwrfgs::experiment::{Facts, Machine, Subject, evaluate as score, load as load_data, read_pipeline};
+use pwrfgs::experiment::{Facts, Machine, Results, evaluate as score, load as load_data, read_pipeline};
 use pwrfgs::model::{Ensemble, Model, file};
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, files::refuse_foreign};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::AtomicBool;
+
+#[derive(Debug, Args)]
+#[command(
+    after_long_help = "Reads the pipeline.ron that lies beside the model for data, split, metrics and baselines; \
+    --set changes them. Prints the score table; with --out writes scores.csv, samples.csv and report.html.\n\nSeveral \
+    models are scored as an ensemble: the mean of their pictures, each clamped to [0, 1]. Runs that differ in their seed \
+    alone have the same test spectra unless the split is random; give those that do.\n\nEXAMPLES\
+    \n  pwrfgs evaluate runs/s23/model.safetensors --set 'data=Nerf2Spectrum(root: \"data/other-day\")'\n  pwrfgs \
+    evaluate runs/s23/model.safetensors --set 'metrics=[Ssim(), RateRatio(snr_db: 20.0)]' --out again\n  pwrfgs \
+    evaluate runs/blocks/seed-0/model.safetensors runs/blocks/seed-1/model.safetensors"
+)]
+pub(crate) struct Evaluate {
+    /// The trained model, model.safetensors of a run folder; several are scored as an ensemble
+    #[arg(value_name = "MODEL", required = true)]
+    pub(crate) models: Vec<PathBuf>,
+    /// The pipeline file [default: pipeline.ron beside the first model]
+    #[arg(long, value_name = "FILE")]
+    pub(crate) pipeline: Option<PathBuf>,
+    /// Change a setting, such as 'data=Nerf2Spectrum(root: "..")'
+    #[arg(long = "set", value_name = "FIELD=VALUE")]
+    pub(crate) set: Vec<String>,
+    /// Where to write scores and report; nothing is written without it
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+}
 
 pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<ExitCode> {
     let ensemble = read_models(&arguments.models)?;
@@ -28,7 +54,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
         if arguments.models.len() > 1 {
             return Err(Error::Config("--out writes the report of one model; leave it out, or give one model".into()));
         }
-        check_empty(out)?;
+        refuse_foreign(out, "a new folder")?;
     }
     let model = &ensemble.members()[0];
     let mut progress = Progress::new(verbosity);
@@ -54,16 +80,20 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
             gaussians: model.cloud.len(),
             ..Facts::default()
         };
-        let subject = Subject {
+        let results = Results {
             pipeline: &pipeline,
             model,
             data: &data,
             partition: &partition,
             assessment: &assessment,
             facts: &facts,
+            training: None,
+            floors: Vec::new(),
         };
-        subject.write(out, None)?;
-        _ = writeln!(text, "\nreport: {}", out.join(REPORT).display());
+        results.write(out, pwrfgs::PAGE)?;
+        if pwrfgs::PAGE.is_some() {
+            _ = writeln!(text, "\nreport: {}", out.join(REPORT).display());
+        }
     }
     output::result(&text);
     Ok(ExitCode::SUCCESS)
@@ -73,15 +103,4 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
 pub(super) fn read_models(paths: &[PathBuf]) -> Result<Ensemble> {
     let members: Result<Vec<Model>> = paths.iter().map(|path| file::read(path)).collect();
     Ensemble::new(members?).map_err(Error::Config)
-}
-
-/// Refuses a folder that holds something.
-fn check_empty(out: &Path) -> Result<()> {
-    if out.exists() && !out.is_dir() {
-        return Err(Error::Config(format!("{} is no folder; choose another --out", out.display())));
-    }
-    match std::fs::read_dir(out).ok().and_then(|mut entries| entries.next()) {
-        None => Ok(()),
-        Some(_) => Err(Error::Config(format!("{} is not empty; choose another --out", out.display()))),
-    }
 }

@@ -1,16 +1,50 @@
 //! `pwrfgs export`: a trained model for splat viewers and for Python.
 
 use super::predict::position;
-use crate::args::{Export, Verbosity};
+use crate::args::Verbosity;
 use crate::output;
+use clap::Args;
 use pwrfgs::experiment::export::{npz, ply};
 use pwrfgs::model::{Model, file};
+use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::{Error, Real, Result};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// A way to turn a model into a file.
 type Writer = fn(&Model, Option<[Real; 3]>) -> Result<Vec<u8>>;
+
+#[derive(Debug, Args)]
+#[command(
+    after_long_help = "The PLY file has the binary layout of 3D Gaussian splatting, which splat viewers open: x y \
+    z (metres, world frame), nx ny nz (0), f_dc_0..2 (colour), opacity (logit), scale_0..2 (ln of metres), rot_0..3 (w x \
+    y z). The colour tells how strong the signal of a Gaussian is: the pixel it would give alone, were it opaque, from \
+    dark violet at 0 to yellow at 1, the full scale of the spectra; f_dc = (rgb - 0.5) / 0.28209479177387814. The NPZ \
+    file has the tensors of the model, the pose of the receiver and the image plane, as docs/model-format.md lists \
+    them.\n\nThe deformation network changes scales, rotations and signals with the transmitter. Without --tx the PLY \
+    file shows the base parameters, to which the network's terms are added (mid-grey where the network gives the whole \
+    signal); with --tx it shows what is drawn for that transmitter, and the NPZ file has these numbers too.\n\nA file \
+    that exists is never overwritten.\n\nEXAMPLES\n  pwrfgs export runs/quickstart/model.safetensors --ply office.ply\
+    \n  pwrfgs export runs/quickstart/model.safetensors --tx 1.2,0.3,1.0 --ply office-at.ply --npz office-at.npz"
+)]
+#[command(group(clap::ArgGroup::new("what").required(true).multiple(true).args(["ply", "npz", "half"])))]
+pub(crate) struct Export {
+    /// The trained model, model.safetensors of a run folder
+    #[arg(value_name = "MODEL")]
+    pub(crate) model: PathBuf,
+    /// The Gaussians for splat viewers
+    #[arg(long, value_name = "FILE")]
+    pub(crate) ply: Option<PathBuf>,
+    /// All numbers of the model for numpy.load
+    #[arg(long, value_name = "FILE")]
+    pub(crate) npz: Option<PathBuf>,
+    /// The model itself with its network in 16-bit numbers, about half as large
+    #[arg(long, value_name = "FILE")]
+    pub(crate) half: Option<PathBuf>,
+    /// The Gaussians as they are for a transmitter at this position in metres, world frame
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    pub(crate) tx: Option<String>,
+}
 
 pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<ExitCode> {
     let tx = arguments.tx.as_deref().map(position).transpose()?;
@@ -31,7 +65,7 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<ExitCod
     // All are made before the first is written: what cannot be exported leaves nothing behind.
     let made: Vec<Vec<u8>> = files.iter().map(|(_, writer)| writer(&model, tx)).collect::<Result<_>>()?;
     for ((path, _), bytes) in files.iter().zip(made) {
-        file::write_atomically(path, &bytes)?;
+        write_atomically(path, &bytes)?;
         if verbosity != Verbosity::Quiet {
             output::note(&format!("{} Gaussians in {}", model.cloud.len(), path.display()));
         }

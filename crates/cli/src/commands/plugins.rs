@@ -1,11 +1,11 @@
 //! `pwrfgs plugins`: every linked plugin with its fields and defaults, written as a pipeline would have it.
 
-use crate::args::Plugins;
 use crate::output;
+use clap::Args;
 use pwrfgs_core::plugin::{PluginKind, ron_options};
 use pwrfgs_core::{
     Baseline, DataSource, Deformation, Error, Initializer, Metric, Plugin, Projector, Pruner, Rasterizer, Result,
-    Split, registered,
+    Split, did_you_mean, registered,
 };
 use std::fmt::Write as _;
 use std::process::ExitCode;
@@ -23,6 +23,13 @@ struct Entry {
     about: &'static str,
     /// The plugin with its defaults, as RON, or why it has none.
     text: String,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct Plugins {
+    /// Only this plugin, or all of this kind (such as Pruner)
+    #[arg(value_name = "NAME")]
+    pub(crate) name: Option<String>,
 }
 
 pub(crate) fn plugins(arguments: &Plugins) -> Result<ExitCode> {
@@ -84,7 +91,6 @@ where
 /// No such plugin; the nearest name helps.
 fn unknown(name: &str, kinds: &[Kind]) -> Error {
     let names = kinds.iter().flat_map(|k| k.plugins.iter().map(|e| e.name).chain([k.name]));
-    let near = names.min_by_key(|n| strsim::damerau_levenshtein(&n.to_lowercase(), &name.to_lowercase()));
-    let hint = near.map_or_else(String::new, |n| format!("; did you mean `{n}`?"));
+    let hint = did_you_mean(name, names);
     Error::Config(format!("no plugin and no kind of plugins is called `{name}`{hint} (`pwrfgs plugins` lists all)"))
 }

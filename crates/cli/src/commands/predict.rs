@@ -4,14 +4,15 @@
 //! again, and its rows last.
 
 use super::evaluate::read_models;
-use crate::args::{Predict, Verbosity};
+use crate::args::Verbosity;
 use crate::output;
+use clap::Args;
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
 use npyz::WriterBuilder as _;
-use pwrfgs::model::file;
+use pwrfgs_core::files::{refuse_foreign, write_atomically};
 use pwrfgs_core::{Error, Image, ImagePlane, Real, Result};
 use rayon::prelude::*;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 const LIST: &str = "predictions.csv";
@@ -20,6 +21,30 @@ const HEADER: &str = "row,x,y,z,azimuth_deg,elevation_deg,peak,milliseconds\n";
 const SPREAD: &str = "-spread";
 /// Pictures held in memory at once.
 const CHUNK: usize = 64;
+
+#[derive(Debug, Args)]
+#[command(after_long_help = "Needs nothing but the model file. Writes, for the first position, 00001.npy (float32, \
+    rows are elevation, columns azimuth) and 00001.png (8-bit grey), and so on, and predictions.csv with row, x, y, z, \
+    strongest direction (azimuth and elevation in degrees), its value, and the milliseconds it took.\n\nSeveral models \
+    predict as an ensemble: the mean of their pictures, each clamped to [0, 1]. How far they differ, the standard \
+    deviation at every pixel, is then written beside, as 00001-spread.npy and .png (white is 0.5): do not trust a \
+    picture where it is bright.\n\nEXAMPLES\n  pwrfgs predict runs/quickstart/model.safetensors --tx 1.2,0.3,1.0 --out \
+    heard\n  pwrfgs predict runs/a-0/model.safetensors runs/a-1/model.safetensors --tx-csv positions.csv --out heard")]
+#[command(group(clap::ArgGroup::new("where").required(true).args(["tx", "tx_csv"])))]
+pub(crate) struct Predict {
+    /// The trained model, model.safetensors of a run folder; several make an ensemble
+    #[arg(value_name = "MODEL", required = true)]
+    pub(crate) models: Vec<PathBuf>,
+    /// One transmitter position in metres, world frame
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    pub(crate) tx: Option<String>,
+    /// A CSV file with columns x, y, z in metres; others are ignored
+    #[arg(long, value_name = "FILE")]
+    pub(crate) tx_csv: Option<PathBuf>,
+    /// The folder to write to; made where it is missing
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
+}
 
 pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitCode> {
     let txs = match (&arguments.tx, &arguments.tx_csv) {
@@ -33,7 +58,7 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitC
     let ours = check_ours(out)?;
     std::fs::create_dir_all(out).map_err(|e| Error::write(out, e))?;
     let list = out.join(LIST);
-    file::write_atomically(&list, HEADER.as_bytes())?;
+    write_atomically(&list, HEADER.as_bytes())?;
     if ours {
         remove_old(out)?;
     }
@@ -64,7 +89,7 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitC
             text += &line(model.plane(), first + i, *tx, image, *milliseconds);
         }
     }
-    file::write_atomically(&list, text.as_bytes())?;
+    write_atomically(&list, text.as_bytes())?;
     if verbosity != Verbosity::Quiet {
         output::note(&format!("{} spectra in {}", txs.len(), out.display()));
     }
@@ -132,26 +157,10 @@ fn positions(path: &Path) -> Result<Vec<[Real; 3]>> {
 
 /// Whether the folder holds an earlier prediction; refuses one that holds anything else.
 fn check_ours(out: &Path) -> Result<bool> {
-    if out.exists() && !out.is_dir() {
-        return Err(Error::Config(format!("{} is no folder; choose another --out", out.display())));
-    }
     if std::fs::read_to_string(out.join(LIST)).is_ok_and(|text| text.starts_with(HEADER)) {
         return Ok(true);
     }
-    let holds = |e: std::io::Result<std::fs::DirEntry>| e.ok().map(|e| e.file_name().to_string_lossy().into_owned());
-    let mut names = std::fs::read_dir(out).into_iter().flatten().filter_map(holds).filter(|n| !is_temporary(n));
-    match names.next() {
-        None => Ok(false),
-        Some(name) => Err(Error::Config(format!(
-            "{} holds something else than predictions (`{name}`); choose another --out",
-            out.display()
-        ))),
-    }
-}
-
-/// What a killed first write leaves behind.
-fn is_temporary(name: &str) -> bool {
-    Path::new(name).extension().is_some_and(|e| e == "tmp")
+    refuse_foreign(out, "a folder of predictions").map(|()| false)
 }
 
 /// Removes the pictures of an earlier prediction: files named by five digits or more.

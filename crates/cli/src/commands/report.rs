@@ -1,15 +1,39 @@
 //! `pwrfgs report`: finished runs become tables and figures.
 
-use crate::args::{Report, Verbosity};
+use crate::args::Verbosity;
 use crate::output;
 use crate::progress::Progress;
-use pwrfgs::experiment::study::{self, Options, Study};
+use clap::Args;
+use pwrfgs::report::{Options, Study, write};
 use pwrfgs_core::Result;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// Where the report of a sweep lies, below its folder.
 const FOLDER: &str = "report";
+
+#[derive(Debug, Args)]
+#[command(
+    after_long_help = "Runs on the same data and split form a setting, and are compared within it; those that differ in \
+    their seed alone form a variant, and give a mean and a standard deviation. Writes report.html (one file), report.md, \
+    report.csv (every number), report.tex with a file for each table (booktabs), and the figures as SVG and PNG. An \
+    older report in the folder is replaced; a folder that holds anything else is never touched. Runs that have not \
+    finished are named and left out.\n\nPaired differences from the reference carry a 95 % bootstrap interval over seeds \
+    and blocks of space.\n\nEXAMPLES\n  pwrfgs report runs/lambda\n  pwrfgs report runs/cloud-0 runs/cloud-1 \
+    runs/random-0 runs/random-1 --out compared\n  pwrfgs report runs/lambda --reference 5-NN"
+)]
+pub(crate) struct Report {
+    /// Run folders, or folders of whole sweeps
+    #[arg(value_name = "RUNS", required = true)]
+    pub(crate) runs: Vec<PathBuf>,
+    /// Where to write the report [default: report in the first of the folders]
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+    /// What paired differences are from: a variant as the table calls it, or a floor such as 5-NN [default: the first
+    /// variant]
+    #[arg(long, value_name = "LABEL")]
+    pub(crate) reference: Option<String>,
+}
 
 pub(crate) fn report(arguments: &Report, verbosity: Verbosity) -> Result<ExitCode> {
     let out = arguments.out.clone().unwrap_or_else(|| arguments.runs[0].join(FOLDER));
@@ -25,7 +49,7 @@ pub(super) fn of_sweep(folder: &Path, verbosity: Verbosity) -> Result<()> {
 fn compare(runs: &[PathBuf], options: &Options, out: &Path, verbosity: Verbosity) -> Result<()> {
     let study = Study::read(runs)?;
     let mut progress = Progress::new(verbosity);
-    let written = study::write(&study, options, out, &mut progress);
+    let written = write(&study, options, out, &mut progress);
     progress.finish();
     output::result(&format!("{}\nreport: {}\n", written?, out.join("report.html").display()));
     Ok(())

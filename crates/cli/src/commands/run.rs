@@ -1,21 +1,45 @@
 //! `pwrfgs run`: a pipeline becomes a run folder.
 
-use crate::args::{Run, Verbosity};
+use crate::args::Verbosity;
 use crate::interrupt::{INTERRUPTED, stop_flag};
 use crate::output;
 use crate::progress::Progress;
+use clap::Args;
 use pwrfgs::experiment::folder::REPORT;
-use pwrfgs::experiment::{Outcome, read_pipeline, run as run_pipeline};
+use pwrfgs::experiment::{Outcome, read_pipeline};
 use pwrfgs_core::Result;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+
+#[derive(Debug, Args)]
+#[command(
+    after_long_help = "The run folder holds pipeline.ron (every setting), curve.csv, validation.csv, scores.csv, \
+    samples.csv, run.json, the checkpoint, model.safetensors and report.html; with --set tensorboard=true also \
+    an event file, which `tensorboard --logdir runs` shows while the run goes on. The same command resumes a run that \
+    was stopped or killed, and ends in the same files. A folder that holds anything else is never touched.\n\nPaths in \
+    a pipeline are relative to its file; on the command line, to where you stand.\n\nEXAMPLES\n  pwrfgs run \
+    pipelines/s23-laptop.ron --set 'data=Nerf2Spectrum(root: \"../shared/data/s23\")'\n  pwrfgs run \
+    pipelines/pwrfgs.ron --set 'initializer=Random(count: 20_000, std: 10.0)' --out runs/fewer\n  pwrfgs run \
+    runs/fewer/pipeline.ron --set seed=1 --out runs/fewer-1"
+)]
+pub(crate) struct Run {
+    /// The pipeline file
+    #[arg(value_name = "PIPELINE")]
+    pub(crate) pipeline: PathBuf,
+    /// Change a setting, such as training.steps=1000; a plugin is given whole, such as 'split=Random(test: 0.3)'
+    #[arg(long = "set", value_name = "FIELD=VALUE")]
+    pub(crate) set: Vec<String>,
+    /// The run folder [default: runs/NAME, after the name of the pipeline]
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+}
 
 pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
     let pipeline = read_pipeline(&arguments.pipeline, &arguments.set)?;
     let out = arguments.out.clone().unwrap_or_else(|| Path::new("runs").join(&pipeline.name));
     let stop = stop_flag()?;
     let mut progress = Progress::new(verbosity);
-    let outcome = run_pipeline(&pipeline, Path::new(""), &out, &mut progress, &stop);
+    let outcome = pwrfgs::run(&pipeline, Path::new(""), &out, &mut progress, &stop);
     progress.finish();
     match outcome? {
         Outcome::Unscored => {
@@ -37,7 +61,8 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
             if already && verbosity != Verbosity::Quiet {
                 output::note(&format!("{} holds this very run, finished: nothing to do", out.display()));
             }
-            output::result(&format!("{}\nreport: {}\n", scores.to_text(), out.join(REPORT).display()));
+            let report = pwrfgs::PAGE.map(|_| format!("\nreport: {}\n", out.join(REPORT).display()));
+            output::result(&(scores.to_text() + &report.unwrap_or_default()));
             Ok(ExitCode::SUCCESS)
         }
     }

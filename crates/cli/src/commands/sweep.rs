@@ -3,17 +3,85 @@
 mod board;
 mod table;
 
-use super::report;
-use crate::args::{Launcher, Shard, Sweep, Verbosity};
+use crate::args::{Verbosity, count};
 use crate::interrupt::{INTERRUPTED, stop_flag};
 use crate::output;
 use crate::progress::Progress;
 use board::Table;
+use clap::Args;
 use pwrfgs::experiment::sweep::{Fate, Plan, State, check, estimate, execute, slurm};
 use pwrfgs_core::{Error, Result};
 use std::collections::BTreeSet;
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;
+
+#[derive(Debug, Args)]
+#[command(
+    after_long_help = "An experiment names a base pipeline, seeds, and axes whose variants change some of its fields:\n\n  \
+    Experiment(\n      name: \"lambda\", base: \"../pipelines/quickstart.ron\", seeds: [0, 1, 2],\n      axes: [Axis(name: \
+    \"lambda\", variants: [\n          (label: \"0.01\", pruners: [LearnableMask(lambda: 0.01)]),\n          (label: \
+    \"0.02\", pruners: [LearnableMask(lambda: 0.02)]),\n      ])],\n  )\n\nAll combinations are tried before the first \
+    starts. Every run has its own folder, as `pwrfgs run` makes it. The same command does what is left: finished runs \
+    are skipped, stopped and killed ones go on from their checkpoints, failed ones are tried again. In the end it \
+    writes tables and figures into DIR/report.\n\nON A CLUSTER\n  --launcher slurm submits a job array, one task a run, with \
+    the resources of `slurm: (cpus: 4, memory: \"8G\", time: \"02:00:00\")` in the file; --status says how far they are. \
+    With any other scheduler start the same command n times on a shared disk, with --shard 1/n to --shard n/n.\n\nEXAMPLES\n  \
+    pwrfgs sweep experiments/lambda.ron --dry-run\n  pwrfgs sweep experiments/lambda.ron --jobs 2\n  pwrfgs sweep \
+    experiments/lambda.ron --set 'data=Nerf2Spectrum(root: \"data/s23\")' --out runs/lambda-s23"
+)]
+pub(crate) struct Sweep {
+    /// The experiment file
+    #[arg(value_name = "EXPERIMENT")]
+    pub(crate) experiment: PathBuf,
+    /// Change a setting of the base pipeline; what an axis says wins
+    #[arg(long = "set", value_name = "FIELD=VALUE")]
+    pub(crate) set: Vec<String>,
+    /// The sweep folder [default: runs/NAME, after the name of the experiment]
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+    /// List all runs and how long they would take here; run nothing
+    #[arg(long)]
+    pub(crate) dry_run: bool,
+    /// Say how far each run is, wherever it runs; run nothing
+    #[arg(long, conflicts_with = "dry_run")]
+    pub(crate) status: bool,
+    /// Runs at a time; they share the threads
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = count)]
+    pub(crate) jobs: usize,
+    /// Do the i-th of n parts only, for any scheduler
+    #[arg(long, value_name = "I/N", value_parser = shard)]
+    pub(crate) shard: Option<Shard>,
+    /// Do this run only, named as its folder
+    #[arg(long, value_name = "RUN", conflicts_with = "shard")]
+    pub(crate) only: Option<String>,
+    /// Hand the runs to a scheduler and come back at once
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["dry_run", "status"])]
+    pub(crate) launcher: Option<Launcher>,
+}
+
+/// A scheduler that is spoken to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum Launcher {
+    /// A job array of `sbatch`
+    Slurm,
+}
+
+/// The `index`-th of `count` parts, counted from 1.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Shard {
+    pub(crate) index: usize,
+    pub(crate) count: usize,
+}
+
+/// `2/5`.
+fn shard(text: &str) -> Result<Shard, String> {
+    let parts = text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
+    match parts {
+        Some((index, count)) if (1..=count).contains(&index) => Ok(Shard { index, count }),
+        _ => Err("write it as i/n with 1 <= i <= n, such as 2/5".into()),
+    }
+}
 
 pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbosity) -> Result<ExitCode> {
     let plan = Plan::read(&arguments.experiment, &arguments.set, arguments.out.as_deref())?;
@@ -63,10 +131,11 @@ fn chosen(plan: &Plan, arguments: &Sweep) -> Result<Vec<usize>> {
 fn here(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<ExitCode> {
     let stop = stop_flag()?;
     let board = Table::new(plan, runs.len(), verbosity);
-    let ends = execute(plan, runs, jobs, &board, &stop)?;
+    let ends = execute(plan, runs, jobs, &board, &stop, pwrfgs::PAGE)?;
     board.finish();
+    #[cfg(feature = "report")]
     if plan.states().iter().all(|state| matches!(state, State::Finished(_))) {
-        report::of_sweep(&plan.folder, verbosity)?;
+        super::report::of_sweep(&plan.folder, verbosity)?;
     }
     let failed = ends.iter().filter(|(_, fate)| matches!(fate, Fate::Failed(_))).count();
     output::result(&table::status(plan, runs, &queued_or_note(plan)));
@@ -134,4 +203,17 @@ fn task_command(plan: &Plan, arguments: &Sweep, threads: usize) -> Result<Vec<St
     words.extend(arguments.set.iter().flat_map(|set| ["--set".into(), set.clone()]));
     words.extend(["--threads".into(), threads.to_string(), "--quiet".into(), "--only".into()]);
     Ok(words)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Shard, shard};
+
+    #[test]
+    fn a_shard_is_a_part_of_a_whole() {
+        assert_eq!(shard("2/5"), Ok(Shard { index: 2, count: 5 }));
+        for wrong in ["0/5", "6/5", "2", "a/b", "1/0", "-1/2"] {
+            assert!(shard(wrong).is_err(), "{wrong}");
+        }
+    }
 }

@@ -1,6 +1,6 @@
 //! The Gaussians as a PLY file in the layout of 3D Gaussian splatting, which viewers of splats open.
 
-use crate::draw::colour::sequential;
+use crate::colour::sequential;
 use pwrfgs_core::{Error, Primitives, Real, Result};
 use pwrfgs_model::Model;
 

@@ -3,6 +3,7 @@
 use super::plan::Plan;
 use crate::folder::RunFolder;
 use crate::observer::Observer;
+use crate::results::Page;
 use crate::runner::{Outcome, run};
 use crate::scores::ScoreTable;
 use pwrfgs_core::{Error, Result};
@@ -44,7 +45,8 @@ pub trait Board: Sync {
 }
 
 /// Does the runs `runs` of the plan, `jobs` at a time, in their order. They share the threads of the calling pool. A run
-/// that fails does not stop the others; `stop` stops all at their next step, or where they are scored.
+/// that fails does not stop the others; `stop` stops all at their next step, or where they are scored. `page` makes the
+/// report of each.
 ///
 /// # Errors
 /// Where the sweep folder cannot be written, or threads cannot be started.
@@ -54,6 +56,7 @@ pub fn execute(
     jobs: usize,
     board: &dyn Board,
     stop: &AtomicBool,
+    page: Option<Page>,
 ) -> Result<Vec<(usize, Fate)>> {
     std::fs::create_dir_all(&plan.folder).map_err(|e| Error::write(&plan.folder, e))?;
     plan.listing().write(&plan.folder)?;
@@ -72,7 +75,7 @@ pub fn execute(
                     if stop.load(Ordering::Relaxed) {
                         break;
                     }
-                    let fate = pool.install(|| one(plan, run, board, stop));
+                    let fate = pool.install(|| one(plan, run, board, stop, page));
                     board.ends(run, &fate);
                     ends.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push((run, fate));
                 }
@@ -85,7 +88,7 @@ pub fn execute(
 }
 
 /// Does one run.
-fn one(plan: &Plan, place: usize, board: &dyn Board, stop: &AtomicBool) -> Fate {
+fn one(plan: &Plan, place: usize, board: &dyn Board, stop: &AtomicBool, page: Option<Page>) -> Fate {
     let (folder, pipeline) = (plan.folder_of(place), &plan.runs[place].pipeline);
     if RunFolder::is_busy(&folder) {
         return Fate::Busy;
@@ -93,7 +96,7 @@ fn one(plan: &Plan, place: usize, board: &dyn Board, stop: &AtomicBool) -> Fate 
     plan.forget_failure(place);
     let mut observer = board.starts(place);
     // A panic is a broken invariant of one run, a plugin's say; the others have none of it.
-    let work = || run(pipeline, Path::new(""), &folder, &mut *observer, stop);
+    let work = || run(pipeline, Path::new(""), &folder, &mut *observer, stop, page);
     let outcome = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
         let said = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
         Err(Error::Config(format!("the program panicked: {}", said.unwrap_or("no message"))))

@@ -1,10 +1,9 @@
 //! `Experiment`: an ablation as one RON file, axes of patches over a base pipeline times seeds.
 
+use pwrfgs_core::Result;
 use pwrfgs_core::plugin::{Check, Checked, read_ron};
-use pwrfgs_core::{Error, Result};
 use pwrfgs_train::PipelinePatch;
 use serde::{Deserialize, Deserializer, de};
-use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 
 /// What a sweep runs: every combination of one variant an axis, with every seed.
@@ -106,41 +105,14 @@ impl Experiment {
     /// Reads an experiment; `path` is for messages only.
     ///
     /// # Errors
-    /// [`Error::Input`] with line and column.
+    /// [`Error::Input`](pwrfgs_core::Error::Input) with line and column.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
         read_ron::<Checked<Self>>(text, path).map(|e| Self::clone(&e))
     }
-
-    /// The error `why` at the place of one variant, both counted from 0.
-    pub(super) fn refuse(text: &str, path: &Path, axis: usize, variant: usize, why: &str) -> Error {
-        // Only a parser knows where things stand, and it tells when it fails: so it is asked to fail there.
-        let place = Self::parse(text, path)
-            .map_or(0, |e| e.axes.iter().take(axis).map(|a| a.variants.len()).sum::<usize>() + variant);
-        REFUSED.set(Some((place, why.to_owned())));
-        let refused = Self::parse(text, path);
-        REFUSED.set(None);
-        refused.err().unwrap_or_else(|| Error::input(path, why))
-    }
-}
-
-thread_local! {
-    /// How many variants to let pass, and what to say of the next one.
-    static REFUSED: RefCell<Option<(usize, String)>> = const { RefCell::new(None) };
 }
 
 impl<'de> Deserialize<'de> for Variant {
     fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
-        let refused = REFUSED.with_borrow_mut(|refused| match refused {
-            Some((0, why)) => Some(std::mem::take(why)),
-            Some((left, _)) => {
-                *left -= 1;
-                None
-            }
-            None => None,
-        });
-        if let Some(why) = refused {
-            return Err(de::Error::custom(why));
-        }
         let patch = PipelinePatch::deserialize(d)?;
         if patch.name.is_some() || patch.seed.is_some() {
             return Err(de::Error::custom("a variant gives neither `name` nor `seed`: seeds stand in `seeds`"));

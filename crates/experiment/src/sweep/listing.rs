@@ -1,7 +1,7 @@
 //! `sweep.json`: which runs a sweep folder holds, for whoever reads them back.
 
+use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::{Error, Result};
-use pwrfgs_model::file::write_atomically;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 

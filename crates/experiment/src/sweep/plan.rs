@@ -1,10 +1,10 @@
 //! `Plan`: every run of an experiment as a resolved pipeline with a folder of its own.
 
-use super::experiment::{Experiment, Slurm, slug};
+use super::experiment::{Axis, Experiment, Slurm, slug};
 use super::listing::{ListedRun, Listing};
-use crate::input::{read_pipeline, read_text, set_all};
+use crate::input::{read_pipeline, set_all};
 use crate::runner::rebase;
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, did_you_mean, files::read_text};
 use pwrfgs_train::Pipeline;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -23,8 +23,8 @@ pub struct Plan {
     pub runs: Vec<PlannedRun>,
     /// Resources of a run on a cluster.
     pub slurm: Slurm,
-    /// The experiment file and what it says, for messages.
-    source: (PathBuf, String),
+    /// The experiment file, for messages.
+    source: PathBuf,
 }
 
 /// One run.
@@ -38,8 +38,8 @@ pub struct PlannedRun {
     pub combination: usize,
     /// What is run; its paths are absolute.
     pub pipeline: Pipeline,
-    /// Axis and variant that say with what it starts: data, split or initialiser.
-    start: Option<(usize, usize)>,
+    /// Axis and label that say with what it starts: data, split or initialiser.
+    start: Option<(String, String)>,
 }
 
 impl Plan {
@@ -47,7 +47,7 @@ impl Plan {
     /// and so give way to what an axis says. The sweep folder is `out`, or `runs/NAME`.
     ///
     /// # Errors
-    /// Whatever is wrong with the experiment, its base or a combination, with line and column.
+    /// Whatever is wrong with the experiment (with line and column), its base, or a combination (with axis and label).
     pub fn read(path: &Path, set: &[String], out: Option<&Path>) -> Result<Self> {
         let text = read_text(path)?;
         let experiment = Experiment::parse(&text, path)?;
@@ -60,10 +60,10 @@ impl Plan {
         if (&name, seed) != (&base.name, base.seed) {
             return Err(Error::Config("--set: a sweep gives names and seeds itself; change them in its file".into()));
         }
-        let source = Source { text: &text, path, here, experiment: &experiment };
-        let mut combinations = vec![Combination { labels: Vec::new(), last: None, start: None, pipeline: base }];
+        let source = Source { path, here, experiment: &experiment };
+        let mut combinations = vec![Combination { labels: Vec::new(), start: None, pipeline: base }];
         for axis in 0..experiment.axes.len() {
-            combinations = source.spread(axis, &combinations)?;
+            combinations = source.cross(axis, &combinations)?;
         }
         source.refuse_equal(&combinations)?;
         let mut runs = Vec::new();
@@ -77,19 +77,14 @@ impl Plan {
             name: experiment.name.clone(),
             runs,
             slurm: Slurm::clone(&experiment.slurm),
-            source: (path.to_owned(), text),
+            source: path.to_owned(),
         })
     }
 
     /// The error of a run that cannot start, at the variant that made it so.
     pub(super) fn refuse(&self, run: usize, error: &Error) -> Error {
-        let (path, text) = &self.source;
         let PlannedRun { folder, start, .. } = &self.runs[run];
-        let why = format!("{folder}: {error}");
-        match start {
-            Some((axis, variant)) => Experiment::refuse(text, path, *axis, *variant, &why),
-            None => Error::input(path, why),
-        }
+        refuse(&self.source, start.as_ref(), format!("{folder}: {error}"))
     }
 
     /// The folder of a run.
@@ -110,26 +105,23 @@ impl Plan {
     /// Where there is none; names the nearest.
     pub fn find(&self, name: &str) -> Result<usize> {
         self.runs.iter().position(|r| r.folder == name).ok_or_else(|| {
-            let names = self.runs.iter().map(|r| r.folder.as_str());
-            let near = names.min_by_key(|n| strsim::damerau_levenshtein(n, name)).unwrap_or_default();
-            Error::Config(format!("no run of {} is called `{name}`; did you mean `{near}`?", self.name))
+            let hint = did_you_mean(name, self.runs.iter().map(|r| r.folder.as_str()));
+            Error::Config(format!("no run of {} is called `{name}`{hint}", self.name))
         })
     }
 }
 
 /// Some axes applied.
 struct Combination {
+    /// Axis and label, for each axis applied.
     labels: Vec<(String, String)>,
-    /// Axis and variant applied last.
-    last: Option<(usize, usize)>,
-    /// Axis and variant that said last with what a run starts.
-    start: Option<(usize, usize)>,
+    /// Those that said last with what a run starts.
+    start: Option<(String, String)>,
     pipeline: Pipeline,
 }
 
 /// The experiment file.
 struct Source<'a> {
-    text: &'a str,
     path: &'a Path,
     here: &'a Path,
     experiment: &'a Experiment,
@@ -137,18 +129,19 @@ struct Source<'a> {
 
 impl Source<'_> {
     /// Each of `combinations` with each variant of `axis`.
-    fn spread(&self, axis: usize, combinations: &[Combination]) -> Result<Vec<Combination>> {
+    fn cross(&self, axis: usize, combinations: &[Combination]) -> Result<Vec<Combination>> {
+        let Axis { name, variants } = &*self.experiment.axes[axis];
         let mut all = Vec::new();
         for combination in combinations {
-            for (v, variant) in self.experiment.axes[axis].variants.iter().enumerate() {
+            for variant in variants {
+                let own = (name.clone(), variant.label().to_owned());
                 let mut pipeline = combination.pipeline.clone();
-                pipeline.apply(variant.0.clone()).map_err(|e| self.at((axis, v), &e.to_string()))?;
+                pipeline.apply(variant.0.clone()).map_err(|e| refuse(self.path, Some(&own), e))?;
                 rebase(&mut pipeline, self.here);
-                let mut labels = combination.labels.clone();
-                labels.push((self.experiment.axes[axis].name.clone(), variant.label().to_owned()));
                 let starts = variant.0.data.is_some() || variant.0.split.is_some() || variant.0.initializer.is_some();
-                let last = Some((axis, v));
-                all.push(Combination { labels, last, start: if starts { last } else { combination.start }, pipeline });
+                let start = if starts { Some(own.clone()) } else { combination.start.clone() };
+                let labels = combination.labels.iter().cloned().chain([own]).collect();
+                all.push(Combination { labels, start, pipeline });
             }
         }
         Ok(all)
@@ -164,7 +157,7 @@ impl Source<'_> {
                     named(&combination.labels),
                     named(&earlier.labels)
                 );
-                return Err(combination.last.map_or_else(|| Error::input(self.path, &why), |last| self.at(last, &why)));
+                return Err(refuse(self.path, combination.labels.last(), why));
             }
         }
         Ok(())
@@ -193,11 +186,15 @@ impl Source<'_> {
         };
         pipeline.name = format!("{}.{}", self.experiment.name, folder.chars().map(plain).collect::<String>());
         let labels = combination.labels.clone();
-        Ok(PlannedRun { folder, labels, combination: k, pipeline, start: combination.start })
+        Ok(PlannedRun { folder, labels, combination: k, pipeline, start: combination.start.clone() })
     }
+}
 
-    fn at(&self, (axis, variant): (usize, usize), why: &str) -> Error {
-        Experiment::refuse(self.text, self.path, axis, variant, why)
+/// The error `why` in an experiment file, at an axis and one of its labels where they are known.
+fn refuse(path: &Path, place: Option<&(String, String)>, why: impl std::fmt::Display) -> Error {
+    match place {
+        Some((axis, label)) => Error::input(path, format!("axis `{axis}`, variant `{label}`: {why}")),
+        None => Error::input(path, why),
     }
 }
 

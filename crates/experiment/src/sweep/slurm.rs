@@ -5,8 +5,8 @@
 //! experiment does not change what waiting tasks do.
 
 use super::plan::Plan;
+use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::{Error, Result};
-use pwrfgs_model::file::write_atomically;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};

@@ -3,11 +3,10 @@
 use super::plan::Plan;
 use crate::facts::Facts;
 use crate::folder::{CURVE, PIPELINE, RunFolder};
-use crate::runner::finished;
 use crate::scores::ScoreTable;
 use crate::series;
+use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::{Error, Result};
-use pwrfgs_model::file::write_atomically;
 use std::path::PathBuf;
 
 /// How far a run is.
@@ -43,8 +42,8 @@ impl Plan {
     /// How far one run is.
     pub fn state(&self, run: usize) -> State {
         let folder = self.folder_of(run);
-        if let (Some(scores), Some(facts)) = (finished(&folder), Facts::read(&folder)) {
-            return State::Finished(Box::new((scores, facts)));
+        if let Some(end) = Facts::finished(&folder) {
+            return State::Finished(Box::new(end));
         }
         let curve = series::read(&folder.join(CURVE));
         let step = curve.last().and_then(|row| *row.first()?).map_or(0, |step| step as u64);

@@ -6,8 +6,8 @@ use crate::progress::Progress;
 use indicatif::{ProgressBar, ProgressStyle};
 use pwrfgs::experiment::Observer;
 use pwrfgs::experiment::clock::duration;
-use pwrfgs::experiment::scores::number;
 use pwrfgs::experiment::sweep::{Board, Fate, Plan, State};
+use pwrfgs::experiment::text::number;
 use std::time::Instant;
 
 /// Draws what the runs of a plan report.

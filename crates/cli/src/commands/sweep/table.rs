@@ -1,20 +1,20 @@
 //! The runs of a sweep as aligned text.
 
 use pwrfgs::experiment::clock::duration;
-use pwrfgs::experiment::scores::{grouped, number};
 use pwrfgs::experiment::sweep::{Plan, State};
+use pwrfgs::experiment::text::{aligned, grouped, number};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
 /// How far each of `runs` is; `queued` names those that a scheduler has.
 pub(super) fn status(plan: &Plan, runs: &[usize], queued: &BTreeSet<String>) -> String {
-    let mut lines = vec![["run", "state", "step", "N", "SSIM", "eta_0db", "time"].map(str::to_owned)];
+    let mut lines = vec![["run", "state", "step", "N", "SSIM", "eta_0db", "time"].map(str::to_owned).to_vec()];
     let mut finished = 0;
     for &run in runs {
         let (name, steps) = (&plan.runs[run].folder, plan.runs[run].pipeline.training.steps);
         let of = |step: u64| format!("{}/{}", grouped(step as i64), grouped(steps as i64));
-        let mut line =
-            [name.clone(), String::new(), String::new(), String::new(), String::new(), String::new(), String::new()];
+        let mut line = vec![String::new(); lines[0].len()];
+        line[0].clone_from(name);
         let waits = queued.contains(name);
         match plan.state(run) {
             State::Waiting => line[1] = if waits { "queued".into() } else { "waiting".into() },
@@ -35,12 +35,12 @@ pub(super) fn status(plan: &Plan, runs: &[usize], queued: &BTreeSet<String>) -> 
         lines.push(line);
     }
     let head = format!("{}: {finished} of {} runs finished, in {}\n", plan.name, runs.len(), plan.folder.display());
-    head + &aligned(&lines)
+    head + &aligned(&lines, 2)
 }
 
 /// All runs with the seconds each would take.
 pub(super) fn plan(plan: &Plan, runs: &[usize], seconds: &[f64], jobs: usize) -> String {
-    let mut lines = vec![["run", "state", "time"].map(str::to_owned)];
+    let mut lines = vec![["run", "state", "time"].map(str::to_owned).to_vec()];
     for (&run, seconds) in runs.iter().zip(seconds) {
         let state = match plan.state(run) {
             State::Waiting => "waiting",
@@ -50,12 +50,12 @@ pub(super) fn plan(plan: &Plan, runs: &[usize], seconds: &[f64], jobs: usize) ->
             State::Finished(_) => "finished",
         };
         let time = if *seconds > 0.0 { format!("about {}", duration(*seconds)) } else { String::new() };
-        lines.push([plan.runs[run].folder.clone(), state.into(), time]);
+        lines.push(vec![plan.runs[run].folder.clone(), state.into(), time]);
     }
     let combinations = runs.iter().map(|&run| plan.runs[run].combination).collect::<BTreeSet<_>>().len();
     let mut text =
         format!("{}: {} runs of {combinations} combinations, in {}\n", plan.name, runs.len(), plan.folder.display());
-    text += &aligned(&lines);
+    text += &aligned(&lines, 2);
     let all = seconds.iter().sum::<f64>() / jobs as f64;
     _ = writeln!(
         text,
@@ -64,24 +64,4 @@ pub(super) fn plan(plan: &Plan, runs: &[usize], seconds: &[f64], jobs: usize) ->
         duration(all)
     );
     text
-}
-
-/// Columns of equal width, two blanks between them; numbers stand at the right.
-fn aligned<const K: usize>(lines: &[[String; K]]) -> String {
-    let width = |text: &str| text.chars().count();
-    // A reason for a failure may be long and comes last in its line.
-    let widths: [usize; K] = std::array::from_fn(|k| {
-        let cells = lines.iter().map(|line| &line[k]).filter(|cell| !cell.starts_with("failed: "));
-        cells.map(|cell| width(cell)).max().unwrap_or(0)
-    });
-    let mut out = String::new();
-    for line in lines {
-        let mut text = String::new();
-        for (k, (cell, w)) in line.iter().zip(widths).enumerate() {
-            _ = if k < 2 { write!(text, "{cell:<w$}  ") } else { write!(text, "{cell:>w$}  ") };
-        }
-        out += text.trim_end();
-        out.push('\n');
-    }
-    out
 }

@@ -1,0 +1,64 @@
+//! Colour scales, even to the eye and safe for the colour-blind: lightness is linear in the value (`OKLab`).
+
+/// Red, green, blue.
+pub type Rgb = [u8; 3];
+
+/// Hue (degrees) and chroma of the sequential scale at 0, 1/4, 1/2, 3/4, 1: violet, blue, teal, green, yellow.
+const SEQUENTIAL: [(f64, f64); 5] = [(305.0, 0.10), (268.0, 0.115), (205.0, 0.085), (152.0, 0.14), (106.0, 0.175)];
+
+/// From dark violet at 0 to yellow at 1.
+pub fn sequential(value: f64) -> Rgb {
+    let t = value.clamp(0.0, 1.0);
+    let place = 4.0 * t;
+    let k = (place as usize).min(3);
+    let part = place - k as f64;
+    let mix = |a: f64, b: f64| a + (b - a) * part;
+    let ((h0, c0), (h1, c1)) = (SEQUENTIAL[k], SEQUENTIAL[k + 1]);
+    oklch(0.23 + 0.70 * t, mix(c0, c1), mix(h0, h1))
+}
+
+/// From blue at −1 over white to vermilion at 1.
+pub fn diverging(value: f64) -> Rgb {
+    let size = value.abs().min(1.0);
+    let hue = if value < 0.0 { 256.0 } else { 40.0 };
+    oklch(0.98 - 0.50 * size, 0.17 * size.powf(0.85), hue)
+}
+
+/// `OKLab` in polar form to sRGB (Björn Ottosson, 2020); colours outside the gamut are clipped.
+fn oklch(lightness: f64, chroma: f64, hue_deg: f64) -> Rgb {
+    let (sin, cos) = hue_deg.to_radians().sin_cos();
+    let (a, b) = (chroma * cos, chroma * sin);
+    let l = (lightness + 0.396_337_777_4 * a + 0.215_803_757_3 * b).powi(3);
+    let m = (lightness - 0.105_561_345_8 * a - 0.063_854_172_8 * b).powi(3);
+    let s = (lightness - 0.089_484_177_5 * a - 1.291_485_548_0 * b).powi(3);
+    let linear = [
+        4.076_741_662_1 * l - 3.307_711_591_3 * m + 0.230_969_929_2 * s,
+        -1.268_438_004_6 * l + 2.609_757_401_1 * m - 0.341_319_396_5 * s,
+        -0.004_196_086_3 * l - 0.703_418_614_7 * m + 1.707_614_701_0 * s,
+    ];
+    linear.map(|c| {
+        let c = c.clamp(0.0, 1.0);
+        let encoded = if c <= 0.003_130_8 { 12.92 * c } else { 1.055 * c.powf(1.0 / 2.4) - 0.055 };
+        (255.0 * encoded).round() as u8
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn luminance([r, g, b]: Rgb) -> f64 {
+        let linear = |c: u8| (f64::from(c) / 255.0).powf(2.2);
+        0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b)
+    }
+
+    #[test]
+    fn brighter_means_more() {
+        let steps: Vec<f64> = (0..=50).map(|i| luminance(sequential(f64::from(i) / 50.0))).collect();
+        assert!(steps.windows(2).all(|w| w[1] > w[0]), "{steps:?}");
+        for sign in [-1.0, 1.0] {
+            let steps: Vec<f64> = (0..=20).map(|i| luminance(diverging(sign * f64::from(i) / 20.0))).collect();
+            assert!(steps.windows(2).all(|w| w[1] < w[0]), "{steps:?}");
+        }
+    }
+}

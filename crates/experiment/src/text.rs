@@ -1,0 +1,98 @@
+//! Numbers, tables and CSV as text: one way for all of them.
+
+/// Four significant digits or so, no exponent in the usual range, whole numbers as such.
+pub fn number(value: f64) -> String {
+    let size = value.abs();
+    if !value.is_finite() {
+        return if value.is_nan() {
+            "n/a".into()
+        } else if value > 0.0 {
+            "∞".into()
+        } else {
+            "−∞".into()
+        };
+    }
+    if value.fract() == 0.0 && (10.0..1e15).contains(&size) {
+        return grouped(value as i64);
+    }
+    match size {
+        0.0 => "0".into(),
+        s if s >= 1000.0 => grouped(value.round() as i64),
+        s if s >= 100.0 => format!("{value:.1}"),
+        s if s >= 10.0 => format!("{value:.2}"),
+        s if s >= 1.0 => format!("{value:.3}"),
+        s if s >= 1e-4 => format!("{value:.4}"),
+        _ => format!("{value:.2e}"),
+    }
+}
+
+/// 65469 as `65,469`.
+pub fn grouped(value: i64) -> String {
+    let digits = value.unsigned_abs().to_string();
+    let mut out = String::from(if value < 0 { "-" } else { "" });
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            out.push(',');
+        }
+        out.push(digit);
+    }
+    out
+}
+
+/// Columns two blanks apart: the first `left` begin at the left, the others end at the right. What begins at the left and
+/// has nothing to its right may be as long as it likes. A line without words is left out.
+pub fn aligned(lines: &[Vec<String>], left: usize) -> String {
+    let columns = lines.iter().map(Vec::len).max().unwrap_or(0);
+    let is_last = |line: &[String], k: usize| line[k + 1..].iter().all(String::is_empty);
+    let width = |line: &Vec<String>, k: usize| {
+        let cell = line.get(k).filter(|_| k >= left || !is_last(line, k));
+        cell.map_or(0, |cell| cell.chars().count())
+    };
+    let widths: Vec<usize> = (0..columns).map(|k| lines.iter().map(|l| width(l, k)).max().unwrap_or(0)).collect();
+    let cell = |(k, (cell, w)): (usize, (&String, &usize))| {
+        if k < left { format!("{cell:<w$}") } else { format!("{cell:>w$}") }
+    };
+    let text = |line: &Vec<String>| line.iter().zip(&widths).enumerate().map(cell).collect::<Vec<_>>().join("  ");
+    let texts = lines.iter().map(|line| text(line).trim_end().to_owned() + "\n");
+    texts.filter(|text| text.len() > 1).collect()
+}
+
+/// A CSV file with K columns.
+#[derive(Debug)]
+pub struct Lines<const K: usize>(csv::Writer<Vec<u8>>);
+
+impl<const K: usize> Lines<K> {
+    /// The header alone.
+    pub fn new(header: [&str; K]) -> Self {
+        let mut lines = Self(csv::Writer::from_writer(Vec::new()));
+        lines.put(header);
+        lines
+    }
+
+    /// One more line.
+    pub fn put(&mut self, fields: [&str; K]) {
+        self.0.write_record(fields).expect("memory takes every line, and all have K fields");
+    }
+
+    /// The whole file.
+    pub fn text(self) -> String {
+        String::from_utf8(self.0.into_inner().unwrap_or_default()).unwrap_or_default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_short() {
+        let all = [0.0, 0.88125, 12.345, 65469.0, 1e-6, f64::INFINITY, 123.456].map(number);
+        assert_eq!(all, ["0", "0.8812", "12.35", "65,469", "1.00e-6", "∞", "123.5"]);
+    }
+
+    #[test]
+    fn columns_are_aligned_by_letters_not_bytes() {
+        let lines = [["λ", "1"], ["ab", "23"], ["", ""]].map(|line| line.map(str::to_owned).to_vec());
+        assert_eq!(aligned(&lines, 1), "λ    1\nab  23\n");
+    }
+}

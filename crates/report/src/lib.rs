@@ -1,0 +1,11 @@
+//! What people look at: the page of one run, and tables and figures that compare many.
+//!
+//! [`page()`] is the hook that a run calls with its [`Results`](pwrfgs_experiment::Results); [`Study`] reads finished runs
+//! back from their folders and [`write()`] puts them side by side. Both draw with `draw`.
+
+mod draw;
+mod run_page;
+mod study;
+
+pub use run_page::page;
+pub use study::{Options, Record, Score, Setting, Study, Variant, figures, write};

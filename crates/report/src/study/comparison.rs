@@ -1,0 +1,209 @@
+//! `Comparison`: the rows of a setting (variants, then floors) and every number of theirs.
+
+use super::blocks::Blocks;
+use super::statistics::{Cell, Difference, Spread};
+use super::{Record, Setting};
+use pwrfgs_experiment::scores::{MODEL, Summary};
+use std::collections::BTreeMap;
+
+/// Key of the seconds inside training steps, which no metric measures.
+pub(super) const TRAINING: &str = "training_s";
+
+/// What a row is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// Trained models.
+    Variant,
+    /// A baseline.
+    Floor,
+    /// A baseline that knows how the simulated spectra were made: a bound, in no ranking.
+    Bound,
+}
+
+impl Kind {
+    /// As the CSV has it.
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Variant => "variant",
+            Self::Floor => "floor",
+            Self::Bound => "bound",
+        }
+    }
+}
+
+/// One predictor over the seeds.
+#[derive(Clone, Debug)]
+pub(super) struct Row<'a> {
+    pub(super) label: &'a str,
+    pub(super) kind: Kind,
+    /// As `scores.csv` calls it.
+    predictor: &'a str,
+    /// One a seed.
+    pub(super) runs: Vec<&'a Record>,
+}
+
+/// What was measured.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Metric {
+    pub(super) key: String,
+    pub(super) unit: String,
+    pub(super) higher_is_better: bool,
+    /// One number a test spectrum, as against one a model.
+    pub(super) per_sample: bool,
+}
+
+/// What is told of the numbers of one run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Statistic {
+    /// Mean over test spectra.
+    Mean,
+    /// Their middle.
+    Median,
+    /// Their 10th percentile.
+    P10,
+    /// The number of the whole model.
+    Whole,
+}
+
+impl Statistic {
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Mean => "mean",
+            Self::Median => "median",
+            Self::P10 => "p10",
+            Self::Whole => "value",
+        }
+    }
+}
+
+impl Metric {
+    /// What there is to tell.
+    pub(super) fn statistics(&self) -> &'static [Statistic] {
+        if self.per_sample { &[Statistic::Mean, Statistic::Median, Statistic::P10] } else { &[Statistic::Whole] }
+    }
+
+    /// Whether it is a time, which depends on the machine.
+    pub(super) fn is_time(&self) -> bool {
+        self.key.starts_with("latency") || self.key == TRAINING
+    }
+}
+
+impl Row<'_> {
+    /// One number a run, where it has it.
+    pub(super) fn values(&self, metric: &Metric, statistic: Statistic) -> Vec<f64> {
+        let of_run = |run: &&Record| match statistic {
+            Statistic::Whole if metric.key == TRAINING => {
+                (self.kind == Kind::Variant).then_some(run.facts.training_seconds)
+            }
+            Statistic::Whole => run.value(self.predictor, &metric.key),
+            _ => {
+                let values: Vec<f64> = run.samples(self.predictor, &metric.key)?.into_values().collect();
+                let summary = Summary::of(&values);
+                Some(match statistic {
+                    Statistic::Median => summary.median,
+                    Statistic::P10 => summary.p10,
+                    _ => summary.mean,
+                })
+            }
+        };
+        self.runs.iter().filter_map(of_run).filter(|v| !v.is_nan()).collect()
+    }
+
+    /// Mean and deviation over seeds. A floor on a split that is the same for all seeds has no deviation to speak of.
+    pub(super) fn spread(&self, metric: &Metric, statistic: Statistic) -> Option<Spread> {
+        let spread = Spread::of(&self.values(metric, statistic))?;
+        let same = self.kind != Kind::Variant && spread.deviation == Some(0.0);
+        Some(if same { Spread { deviation: None, ..spread } } else { spread })
+    }
+
+    fn samples(&self, seed: u64, metric: &Metric) -> Option<BTreeMap<u32, f64>> {
+        self.runs.iter().find(|run| run.facts.seed == seed)?.samples(self.predictor, &metric.key)
+    }
+
+    /// This row less `reference`, paired by seed and test spectrum; pairs without a finite difference are left out.
+    pub(super) fn less(&self, reference: &Row<'_>, metric: &Metric, blocks: &Blocks) -> Option<Difference> {
+        let of_seed = |run: &&Record| {
+            let own = self.samples(run.facts.seed, metric)?;
+            let other = reference.samples(run.facts.seed, metric)?;
+            let mut cells = vec![Cell::default(); blocks.count];
+            for (id, value) in own {
+                let difference = other.get(&id).map(|o| value - o).filter(|d| d.is_finite());
+                if let (Some(difference), Some(block)) = (difference, blocks.of(id)) {
+                    cells[block].add(difference);
+                }
+            }
+            Some(cells)
+        };
+        Difference::of(&self.runs.iter().filter_map(of_seed).collect::<Vec<_>>())
+    }
+}
+
+/// The rows of a setting.
+#[derive(Clone, Debug)]
+pub(super) struct Comparison<'a> {
+    pub(super) setting: &'a Setting,
+    pub(super) rows: Vec<Row<'a>>,
+    /// In the order of the runs; the training time comes last.
+    pub(super) metrics: Vec<Metric>,
+    pub(super) blocks: Blocks,
+}
+
+impl<'a> Comparison<'a> {
+    pub(super) fn new(setting: &'a Setting) -> Self {
+        let runs = || setting.variants.iter().flat_map(|v| &v.runs);
+        let mut rows: Vec<Row<'a>> = setting
+            .variants
+            .iter()
+            .map(|v| Row { label: &v.label, kind: Kind::Variant, predictor: MODEL, runs: v.runs.iter().collect() })
+            .collect();
+        let variants = rows.len();
+        for run in runs() {
+            for name in run.floors() {
+                // The same floor in another variant of this seed has the same numbers.
+                match rows[variants..].iter_mut().find(|row| row.label == name) {
+                    Some(row) if row.runs.iter().any(|r| r.facts.seed == run.facts.seed) => {}
+                    Some(row) => row.runs.push(run),
+                    None => {
+                        let scores = run.facts.scores.as_ref();
+                        let bound = scores.is_some_and(|table| table.bounds.iter().any(|bound| bound == name));
+                        let kind = if bound { Kind::Bound } else { Kind::Floor };
+                        rows.push(Row { label: name, kind, predictor: name, runs: vec![run] });
+                    }
+                }
+            }
+        }
+        rows[variants..].sort_by_key(|row| row.kind == Kind::Bound);
+        let mut metrics: Vec<Metric> = Vec::new();
+        for row in runs().filter_map(|run| run.facts.scores.as_ref()).flat_map(|table| &table.metrics) {
+            let (key, unit) = (row.key.clone(), row.unit.clone());
+            let metric = Metric { key, unit, higher_is_better: row.higher_is_better, per_sample: row.is_per_sample() };
+            if !metrics.iter().any(|m| m.key == metric.key) {
+                metrics.push(metric);
+            }
+        }
+        let (key, unit) = (TRAINING.to_owned(), "s".to_owned());
+        metrics.push(Metric { key, unit, higher_is_better: false, per_sample: false });
+        let places = runs().flat_map(|run| run.places.iter().map(|(id, place)| (*id, *place))).collect();
+        Self { setting, rows, metrics, blocks: Blocks::new(&places) }
+    }
+
+    pub(super) fn row(&self, label: &str) -> Option<&Row<'a>> {
+        self.rows.iter().find(|row| row.label == label)
+    }
+
+    pub(super) fn metric(&self, key: &str) -> Option<&Metric> {
+        self.metrics.iter().find(|m| m.key == key)
+    }
+
+    /// What every predictor of the setting has to say beside its numbers.
+    pub(super) fn notes(&self) -> Vec<String> {
+        let tables = self.setting.variants.iter().flat_map(|v| &v.runs).filter_map(|run| run.facts.scores.as_ref());
+        let mut notes: Vec<String> = Vec::new();
+        for note in tables.flat_map(|table| &table.notes) {
+            if !notes.contains(note) {
+                notes.push(note.clone());
+            }
+        }
+        notes
+    }
+}

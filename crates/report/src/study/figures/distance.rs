@@ -1,0 +1,110 @@
+//! Error against the distance to the nearest training transmitter: what exposes a leaking split.
+//!
+//! Where test transmitters stand millimetres from those trained on, a copy of the nearest spectrum scores best, and a
+//! score averaged over the test part says little about places further off.
+
+use super::{Figure, floors, looks, seeds, source};
+use crate::draw::charts::{Chart, Line, Name};
+use crate::draw::marks::{Stroke, Style};
+use crate::study::{Record, Setting};
+use pwrfgs_core::Result;
+use pwrfgs_experiment::scores::{MODEL, quantile};
+
+/// Test samples in a bin, and bins at most.
+const PER_BIN: usize = 10;
+const MOST_BINS: usize = 8;
+/// With more variants than this the bands of quartiles would cover each other.
+const MOST_BANDS: usize = 4;
+
+pub(super) fn figure(setting: &Setting) -> Result<Option<Figure>> {
+    let mut lines = Vec::new();
+    for (k, name) in floors(setting).into_iter().enumerate() {
+        // The same in every variant, up to splits that depend on the seed.
+        let bins = bins(&setting.variants[0].runs, &name);
+        let mut line = Line::new(bins.iter().map(|b| (b.distance, b.quartiles[1])).collect(), looks::floor(k));
+        line.name = Name::AtEnd(name);
+        lines.push(line);
+    }
+    let banded = setting.variants.len() <= MOST_BANDS;
+    for (k, variant) in setting.variants.iter().enumerate() {
+        let (style, bins) = (looks::variant(k), bins(&variant.runs, MODEL));
+        let quartile = |q: usize| bins.iter().map(move |b| (b.distance, b.quartiles[q]));
+        if banded {
+            let round = quartile(2).chain(quartile(0).rev()).collect();
+            lines.push(Line::new(round, Style { marker: None, stroke: Stroke::Area, ..style }));
+        }
+        let mut line = Line::new(quartile(1).collect(), style);
+        line.marks.clone_from(&line.points);
+        line.name = Name::Legend(variant.label.clone());
+        lines.push(line);
+    }
+    let chart = Chart {
+        x_name: "distance to the nearest training transmitter [m]".into(),
+        y_name: "error 1 − SSIM".into(),
+        log_x: true,
+        lines,
+        ..Chart::default()
+    };
+    let bands = if banded { ", and the middle half of them as a band" } else { "" };
+    let caption = format!(
+        "Error 1 − SSIM against the distance from a test transmitter to the nearest one trained on: medians over bins of \
+         equally many test spectra of {}{bands}. Grey, dashed: medians of the baselines. {}",
+        seeds(setting),
+        source(setting)
+    );
+    Figure::chart("distance", "Error against distance to the training data", caption, chart)
+}
+
+/// Equally many test spectra of similar distance.
+#[derive(Debug, PartialEq)]
+struct Bin {
+    /// Median distance, m.
+    distance: f64,
+    /// Quartiles of the error.
+    quartiles: [f64; 3],
+}
+
+/// Bins over all `runs` of one predictor; none where it has no SSIM.
+fn bins(runs: &[Record], predictor: &str) -> Vec<Bin> {
+    let pairs = |run: &Record| -> Vec<(f64, f64)> {
+        let samples = run.samples(predictor, "ssim").unwrap_or_default();
+        samples.iter().filter_map(|(id, ssim)| Some((*run.nearest_train_m.get(id)?, 1.0 - ssim))).collect()
+    };
+    let samples = runs.first().map_or(0, |r| pairs(r).len());
+    binned(runs.iter().flat_map(pairs).collect(), samples / PER_BIN)
+}
+
+/// Pairs of distance and error in `count` bins, at least 2 and at most [`MOST_BINS`]; a distance of 0 or infinity has no
+/// place on a logarithmic axis.
+fn binned(mut pairs: Vec<(f64, f64)>, count: usize) -> Vec<Bin> {
+    pairs.retain(|p| p.0 > 0.0 && p.0.is_finite() && p.1.is_finite());
+    pairs.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    let count = count.clamp(2, MOST_BINS).min(pairs.len());
+    let bin = |k: usize| {
+        let part = &pairs[k * pairs.len() / count..(k + 1) * pairs.len() / count];
+        let distances: Vec<f64> = part.iter().map(|p| p.0).collect();
+        let mut errors: Vec<f64> = part.iter().map(|p| p.1).collect();
+        errors.sort_by(f64::total_cmp);
+        Bin { distance: quantile(&distances, 0.5), quartiles: [0.25, 0.5, 0.75].map(|q| quantile(&errors, q)) }
+    };
+    (0..count).map(bin).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bins_hold_equally_many_and_leave_out_what_has_no_place() {
+        let mut pairs: Vec<(f64, f64)> = (1..=10).map(|k| (f64::from(k), f64::from(k) / 10.0)).collect();
+        pairs.extend([(0.0, 9.0), (f64::INFINITY, 9.0)]);
+        pairs.reverse();
+        let found = binned(pairs, 1);
+        assert_eq!(found.len(), 2);
+        assert_eq!((found[0].distance, found[0].quartiles), (3.0, [0.2, 0.3, 0.4]));
+        assert_eq!((found[1].distance, found[1].quartiles), (8.0, [0.7, 0.8, 0.9]));
+        assert!(binned(Vec::new(), 5).is_empty());
+        assert_eq!(binned(vec![(1.0, 0.5)], 5).len(), 1);
+        assert_eq!(binned(vec![(1.0, 0.5); 1000], 50).len(), MOST_BINS);
+    }
+}

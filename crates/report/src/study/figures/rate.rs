@@ -1,0 +1,95 @@
+//! Rate ratio against signal-to-noise ratio: what steering by the prediction costs a weak and a strong transmitter.
+
+use super::loaded::Loaded;
+use super::{Figure, looks, source};
+use crate::draw::charts::{Chart, Line, Name};
+use crate::study::Setting;
+use pwrfgs_core::{Error, Measurement, Metric, Plugin, Result, Values};
+use pwrfgs_experiment::Bench;
+use pwrfgs_experiment::Silent;
+use pwrfgs_experiment::samples::evenly;
+use std::sync::atomic::AtomicBool;
+
+/// Ends of the axis and steps between, dB.
+const LOW_DB: f64 = -20.0;
+const HIGH_DB: f64 = 30.0;
+const STEPS: usize = 20;
+/// At most so many test spectra of a run are predicted.
+const SAMPLES: usize = 200;
+
+pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure>> {
+    let metric = |snr: f64| Plugin::parse(&format!("RateRatio(snr_db: {snr:.1})")).map_err(Error::Config);
+    let metrics: Vec<Plugin<dyn Metric>> = snrs().map(metric).collect::<Result<_>>()?;
+    let mut lines = baselines(setting, loaded, &metrics)?;
+    let mut fewer = false;
+    for (k, variant) in setting.variants.iter().enumerate() {
+        let mut curves = Vec::new();
+        for run in &variant.runs {
+            let test = loaded.partition(run)?.test;
+            let part = evenly(&test, SAMPLES);
+            fewer |= part.len() < test.len();
+            let model = loaded.model(run)?;
+            let bench = Bench::new(&loaded.data, &part, &model.stages.plane);
+            let predictions = bench.predict(&model.prepare(), &AtomicBool::new(false), &|_, _| {})?;
+            curves.push(curve(&bench.measure(&metrics, &predictions, None, None, &|_, _| {})?));
+        }
+        let mut line = Line::new(mean_of(&curves), looks::variant(k));
+        // Every fourth, each line from another on.
+        line.marks = line.points.iter().skip(k % 4).step_by(4).copied().collect();
+        line.name = Name::Legend(variant.label.clone());
+        lines.push(line);
+    }
+    let chart = Chart {
+        x_name: "transmit signal-to-noise ratio ρ [dB]".into(),
+        y_name: "rate ratio η".into(),
+        x: Some((LOW_DB, HIGH_DB)),
+        lines,
+        ..Chart::default()
+    };
+    let part = if fewer { format!("{SAMPLES} test spectra, evenly spread,") } else { "all test spectra".into() };
+    let caption = format!(
+        "Achievable-rate ratio η of steering to the strongest predicted direction against the transmit signal-to-noise \
+         ratio: mean over {part} and {}. Grey, dashed: the baselines. {}",
+        super::seeds(setting),
+        source(setting)
+    );
+    Figure::chart("eta-snr", "Rate ratio against signal-to-noise ratio", caption, chart)
+}
+
+/// The baselines, having seen training and validation, on the test part of the first run.
+fn baselines(setting: &Setting, loaded: &Loaded, metrics: &[Plugin<dyn Metric>]) -> Result<Vec<Line>> {
+    let run = &setting.variants[0].runs[0];
+    let (partition, model) = (loaded.partition(run)?, loaded.model(run)?);
+    let bench = Bench::new(&loaded.data, &evenly(&partition.test, SAMPLES), &model.stages.plane);
+    let known = partition.known();
+    let line = |(k, baseline): (usize, &Plugin<dyn pwrfgs_core::Baseline>)| {
+        let fitted = baseline.fit(&loaded.data, &known)?;
+        let measured = bench.baseline(&baseline.name(), &*fitted, metrics, &mut Silent)?;
+        let mut line = Line::new(curve(&measured), looks::floor(k));
+        line.name = Name::AtEnd(baseline.name());
+        Ok(line)
+    };
+    run.pipeline.baselines.iter().enumerate().map(line).collect()
+}
+
+/// The ratios at which η is taken, dB.
+fn snrs() -> impl Iterator<Item = f64> {
+    (0..=STEPS).map(|k| LOW_DB + (HIGH_DB - LOW_DB) * k as f64 / STEPS as f64)
+}
+
+/// Mean over the samples of each measurement, at its ratio.
+fn curve(measured: &[Measurement]) -> Vec<(f64, f64)> {
+    let mean = |m: &Measurement| match &m.values {
+        Values::PerSample(values) => values.iter().sum::<f64>() / values.len() as f64,
+        Values::Whole(value) => *value,
+        Values::NotApplicable(_) => f64::NAN,
+    };
+    snrs().zip(measured.iter().map(mean)).collect()
+}
+
+/// The mean of curves over the same places.
+fn mean_of(curves: &[Vec<(f64, f64)>]) -> Vec<(f64, f64)> {
+    let height = |k: usize| curves.iter().map(|c| c[k].1).sum::<f64>() / curves.len() as f64;
+    let first = curves.first().map_or(&[][..], Vec::as_slice);
+    first.iter().enumerate().map(|(k, place)| (place.0, height(k))).collect()
+}

@@ -1,0 +1,208 @@
+//! Puts runs in settings and variants, and gives both their names.
+
+use super::{Record, Setting, Variant};
+use pwrfgs_core::Result;
+use serde_json::Value;
+
+/// Names that a title has room for.
+const TITLES: usize = 4;
+
+/// Axis and label, for each axis.
+pub(super) type Labels = Vec<(String, String)>;
+
+/// Names joined by commas, each once; no more than fit a title.
+pub(super) fn listed(names: Vec<String>) -> String {
+    let mut all: Vec<String> = Vec::new();
+    for name in names {
+        if !all.contains(&name) {
+            all.push(name);
+        }
+    }
+    let more = all.len().saturating_sub(TITLES);
+    if more > 1 { format!("{} and {more} more", all[..TITLES].join(", ")) } else { all.join(", ") }
+}
+
+/// Gives runs that were named one by one the names of their variants: what the folders of all seeds begin with.
+pub(super) fn named(alone: Vec<Record>) -> Vec<(String, Record)> {
+    let keys: Vec<String> = alone.iter().map(Record::variant_key).collect();
+    let folder = |record: &Record| {
+        let whole = record.folder.canonicalize().unwrap_or_else(|_| record.folder.clone());
+        whole.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned())
+    };
+    let mut names: Vec<(&String, String)> = Vec::new();
+    for (key, first) in keys.iter().zip(&alone) {
+        if names.iter().any(|(known, _)| *known == key) {
+            continue;
+        }
+        let all: Vec<String> = keys.iter().zip(&alone).filter(|(k, _)| *k == key).map(|(_, r)| folder(r)).collect();
+        let mut name = if all.len() > 1 { common_start(&all) } else { all[0].clone() };
+        if name.is_empty() {
+            name.clone_from(&first.pipeline.name);
+        }
+        if names.iter().any(|(_, known)| *known == name) {
+            name = first.folder.display().to_string();
+        }
+        names.push((key, name));
+    }
+    let name = |key: &String| names.iter().find(|(k, _)| *k == key).map_or_else(String::new, |(_, name)| name.clone());
+    let all: Vec<String> = keys.iter().map(name).collect();
+    all.into_iter().zip(alone).collect()
+}
+
+/// What all begin with, without the separator, or `seed`, before what differs: `init` of `init-0` and `init-1`.
+fn common_start(names: &[String]) -> String {
+    let mut start = names[0].clone();
+    while !names.iter().all(|name| name.starts_with(&start)) {
+        start.pop();
+    }
+    let is_separator = |c: char| " -_.=".contains(c);
+    // The first digits of a number belong to what differs (`a10`, `a11`), unless nothing does.
+    let start = match start.chars().last() {
+        Some(c) if c.is_ascii_digit() && names.iter().any(|name| *name != start) => {
+            start.trim_end_matches(|c: char| c.is_ascii_digit())
+        }
+        _ => &start,
+    };
+    let start = start.trim_end_matches(is_separator);
+    start.strip_suffix("seed").unwrap_or(start).trim_end_matches(is_separator).to_owned()
+}
+
+/// Puts runs in settings and variants.
+pub(super) fn settings(records: Vec<(Labels, Record)>) -> Result<Vec<Setting>> {
+    let mut found: Vec<(Value, Setting)> = Vec::new();
+    let mut groups: Vec<Vec<(Labels, Record)>> = Vec::new();
+    for (labels, record) in records {
+        let key = record.setting_key()?;
+        let place = found.iter().position(|(k, _)| *k == key).unwrap_or_else(|| {
+            let setting =
+                Setting { title: record.setting_title(), simulated: record.facts.simulated, variants: Vec::new() };
+            found.push((key, setting));
+            groups.push(Vec::new());
+            found.len() - 1
+        });
+        groups[place].push((labels, record));
+    }
+    for ((_, setting), group) in found.iter_mut().zip(groups) {
+        setting.variants = variants(group);
+    }
+    tell_apart(&mut found);
+    Ok(found.into_iter().map(|(_, setting)| setting).collect())
+}
+
+/// Adds to titles that are the same the fields of data and split in which they differ: `samples: 200`.
+fn tell_apart(found: &mut [(Value, Setting)]) {
+    let all: Vec<(String, Vec<String>)> = found.iter().map(|(key, s)| (s.title.clone(), fields(key))).collect();
+    for ((_, setting), (title, own)) in found.iter_mut().zip(&all) {
+        let twins = || all.iter().filter(|(other, _)| other == title);
+        let differ = |field: &&String| !twins().all(|(_, fields)| fields.contains(field));
+        let differ: Vec<&str> = own.iter().filter(differ).map(String::as_str).collect();
+        if !differ.is_empty() {
+            setting.title = format!("{title}; {}", differ.join(", "));
+        }
+    }
+}
+
+/// The fields of plugins with their values, those of plugins within plugins too; a plugin's name is one by itself.
+fn fields(value: &Value) -> Vec<String> {
+    let one = |(name, value): (&String, &Value)| match value {
+        Value::Object(_) | Value::Array(_) => [vec![name.clone()], fields(value)].concat(),
+        plain => vec![format!("{name}: {plain}")],
+    };
+    match value {
+        Value::Object(map) => map.iter().flat_map(one).collect(),
+        Value::Array(items) => items.iter().flat_map(fields).collect(),
+        plain => vec![plain.to_string()],
+    }
+}
+
+/// Groups the runs of one setting by what was run, whatever it is called; a seed that comes twice is the same run.
+fn variants(group: Vec<(Labels, Record)>) -> Vec<Variant> {
+    let mut all: Vec<(String, Labels, Vec<Record>)> = Vec::new();
+    for (labels, record) in group {
+        let key = record.variant_key();
+        match all.iter_mut().find(|(known, ..)| *known == key) {
+            Some((.., runs)) if runs.iter().any(|r| r.facts.seed == record.facts.seed) => {}
+            Some((.., runs)) => runs.push(record),
+            None => all.push((key, labels, vec![record])),
+        }
+    }
+    let names = names(&all.iter().map(|(_, labels, _)| labels).collect::<Vec<_>>());
+    let variant = |((_, _, mut runs), label): ((String, Labels, Vec<Record>), String)| {
+        runs.sort_by_key(|r| r.facts.seed);
+        Variant { label, runs }
+    };
+    all.into_iter().zip(names).map(variant).collect()
+}
+
+/// A name for each variant: the axes on which the variants differ, and the sweep where that is not enough.
+fn names(variants: &[&Labels]) -> Vec<String> {
+    let of = |labels: &Labels, axis: &str| labels.iter().find(|(a, _)| a == axis).map(|(_, label)| label.clone());
+    let differ = |axis: &str| variants.iter().any(|labels| of(labels, axis) != of(variants[0], axis));
+    let name = |labels: &Labels, wanted: &dyn Fn(&str) -> bool| {
+        let words = labels.iter().filter(|(axis, _)| wanted(axis));
+        words.map(|(axis, label)| format!("{axis} {label}").trim().to_owned()).collect::<Vec<_>>().join(", ")
+    };
+    // The sweep has no axis of its own.
+    let short: Vec<String> = variants.iter().map(|l| name(l, &|axis| !axis.is_empty() && differ(axis))).collect();
+    let clear = |k: usize| !short[k].is_empty() && short.iter().filter(|other| **other == short[k]).count() == 1;
+    (0..short.len()).map(|k| if clear(k) { short[k].clone() } else { name(variants[k], &|_| true) }).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn settings_of_one_title_are_told_apart_by_what_differs() {
+        let setting = |samples: u32, split: Value, title: &str| {
+            let key = json!([{"Simulated": {"samples": samples, "seed": 0}}, split]);
+            (key, Setting { title: title.into(), simulated: true, variants: Vec::new() })
+        };
+        let random = json!({"Random": {"test": 0.2, "place": {"inner": [1, 2]}}});
+        let mut found = [
+            setting(200, json!({"Official": {}}), "office"),
+            setting(1000, json!({"Official": {}}), "office"),
+            setting(200, random, "office; Random(test: 0.2)"),
+        ];
+        tell_apart(&mut found);
+        let titles = found.map(|(_, setting)| setting.title);
+        assert_eq!(titles, ["office; samples: 200", "office; samples: 1000", "office; Random(test: 0.2)"]);
+    }
+
+    #[test]
+    fn variants_are_named_by_what_they_differ_in() {
+        let labels = |all: &[(&str, &str)]| all.iter().map(|(a, l)| ((*a).to_owned(), (*l).to_owned())).collect();
+        let of = |all: &[&[(&str, &str)]]| {
+            let all: Vec<Labels> = all.iter().map(|l| labels(l)).collect();
+            names(&all.iter().collect::<Vec<_>>())
+        };
+        let (lambda, epsilon) = (("", "lambda"), ("", "epsilon"));
+        let two = of(&[&[lambda, ("lambda", "0")], &[lambda, ("lambda", "1")], &[epsilon, ("epsilon", "0.1")]]);
+        assert_eq!(two, ["lambda 0", "lambda 1", "epsilon 0.1"]);
+        let axes = of(&[&[("a", "x"), ("b", "1"), ("c", "z")], &[("a", "y"), ("b", "1"), ("c", "z")]]);
+        assert_eq!(axes, ["a x", "a y"]);
+        let twins = of(&[&[("", "p"), ("a", "x")], &[("", "q"), ("a", "x")], &[("", "q"), ("a", "y")]]);
+        assert_eq!(twins, ["p, a x", "q, a x", "a y"]);
+        assert_eq!(of(&[&[("a", "x")]]), ["a x"]);
+    }
+
+    #[test]
+    fn a_title_names_each_once_and_not_too_many() {
+        let of = |names: &[&str]| listed(names.iter().map(|n| (*n).to_owned()).collect());
+        assert_eq!(of(&["a", "b", "a"]), "a, b");
+        assert_eq!(of(&["a", "b", "c", "d", "e"]), "a, b, c, d, e");
+        assert_eq!(of(&["a", "b", "c", "d", "e", "f"]), "a, b, c, d and 2 more");
+    }
+
+    #[test]
+    fn seeds_share_the_start_of_their_names() {
+        let of = |names: &[&str]| common_start(&names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>());
+        assert_eq!(of(&["init-cloud-0", "init-cloud-1", "init-cloud-12"]), "init-cloud");
+        assert_eq!(of(&["random10-0", "random10-1"]), "random10");
+        assert_eq!(of(&["a10", "a11"]), "a");
+        assert_eq!(of(&["x_seed=1", "x_seed=2"]), "x");
+        assert_eq!(of(&["run7", "run7"]), "run7");
+        assert_eq!(of(&["0", "1"]), "");
+    }
+}

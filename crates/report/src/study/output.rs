@@ -1,0 +1,156 @@
+//! The report's folder: what lies in it, and whose it is.
+//!
+//! `report.json` lists the files that the report wrote. Only these are replaced or removed, each whole or not at all; a
+//! folder that holds something and has no such list is refused.
+
+use super::Study;
+use super::comparison::Comparison;
+use super::format;
+use super::page::Page;
+use pwrfgs_core::files::{refuse_foreign, write_atomically};
+use pwrfgs_core::{Error, Result};
+use pwrfgs_experiment::Observer;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::io::ErrorKind;
+use std::path::Path;
+
+/// The file that makes a folder a report's folder.
+const OWN: &str = "report.json";
+
+/// What can be chosen about a report.
+#[derive(Clone, Debug, Default)]
+pub struct Options {
+    /// Label of the variant, or name of the floor, that paired differences are from; the first variant of each setting
+    /// where nothing is named.
+    pub reference: Option<String>,
+}
+
+/// The content of [`OWN`].
+#[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Owned {
+    /// Version of pwrfgs.
+    version: String,
+    /// Below the folder, in ascending order.
+    files: BTreeSet<String>,
+}
+
+/// Writes the report of a study into `out`: `report.md`, `report.csv`, `report.tex` with `tables/`, `report.html` and
+/// `figures/`. Gives the tables as text for a terminal.
+///
+/// The same runs give the same bytes.
+///
+/// # Errors
+/// A reference that does not exist, a folder that is not the report's, or a file that cannot be written.
+pub fn write(study: &Study, options: &Options, out: &Path, observer: &mut dyn Observer) -> Result<String> {
+    let before = owned(out)?;
+    let page = Page::new(study, options.reference.as_deref(), observer)?;
+    let files = files(study, &page)?;
+    let names: BTreeSet<String> = files.iter().map(|(name, _)| name.clone()).collect();
+    if let Some(foreign) = names.difference(&before.files).find(|name| out.join(name).exists()) {
+        let path = out.join(foreign);
+        return Err(Error::Config(format!("{} is not the report's; choose another --out", path.display())));
+    }
+    for folder in ["tables", "figures"] {
+        let folder = out.join(folder);
+        std::fs::create_dir_all(&folder).map_err(|e| Error::write(&folder, e))?;
+    }
+    // First a list of all that may lie here, so that a report that is killed half way can be replaced.
+    own(out, &before.files | &names)?;
+    for (name, bytes) in &files {
+        write_atomically(&out.join(name), bytes)?;
+    }
+    for old in before.files.difference(&names) {
+        // The user may have removed it already.
+        _ = std::fs::remove_file(out.join(old));
+    }
+    // Without figures an empty folder is of no use; one with files in it stays.
+    _ = std::fs::remove_dir(out.join("figures"));
+    own(out, names)?;
+    Ok(format::text(&page))
+}
+
+/// Names and bytes of everything but [`OWN`].
+fn files(study: &Study, page: &Page) -> Result<Vec<(String, Vec<u8>)>> {
+    let comparisons: Vec<_> = study.settings.iter().map(Comparison::new).collect();
+    let references = page.sections.iter().map(|section| section.reference.as_str());
+    let mut files: Vec<(String, Vec<u8>)> = vec![
+        ("report.md".into(), format::markdown(page).into()),
+        ("report.csv".into(), format::csv(&comparisons.into_iter().zip(references).collect::<Vec<_>>()).into()),
+        ("report.tex".into(), format::document(page).into()),
+        ("report.html".into(), format::html(page)?.into()),
+    ];
+    for section in &page.sections {
+        for table in &section.tables {
+            let text = format::latex_table(table, section);
+            files.push((format!("tables/{}-{}.tex", section.name, table.name), text.into()));
+        }
+        for figure in &section.figures {
+            let stem = format!("figures/{}-{}", section.name, figure.name);
+            files.push((format!("{stem}.svg"), figure.svg.clone().into()));
+            files.push((format!("{stem}.png"), figure.png.clone()));
+        }
+    }
+    Ok(files)
+}
+
+/// The list in `out`; an empty one where there is nothing yet. Refuses what is no folder, or holds files of which none
+/// says that a report made them.
+fn owned(out: &Path) -> Result<Owned> {
+    let path = out.join(OWN);
+    match std::fs::read_to_string(&path) {
+        // Only names of a report's files: whatever the list says, nothing else is removed.
+        Ok(text) => serde_json::from_str::<Owned>(&text)
+            .ok()
+            .filter(|list| list.files.iter().all(|name| is_ours(name)))
+            .ok_or_else(|| Error::input(&path, "not the list of a report's files; choose another --out")),
+        Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => {
+            refuse_foreign(out, "a report's folder").map(|()| Owned::default())
+        }
+        Err(e) => Err(Error::read(&path, e)),
+    }
+}
+
+/// Whether a report writes files of this name.
+fn is_ours(name: &str) -> bool {
+    let below = |folder: &str, ends: &[&str]| {
+        name.strip_prefix(folder).is_some_and(|n| !n.contains(['/', '\\']) && ends.iter().any(|end| n.ends_with(end)))
+    };
+    ["report.md", "report.csv", "report.tex", "report.html"].contains(&name)
+        || below("tables/", &[".tex"])
+        || below("figures/", &[".svg", ".png"])
+}
+
+fn own(out: &Path, files: BTreeSet<String>) -> Result<()> {
+    let list = Owned { version: env!("CARGO_PKG_VERSION").into(), files };
+    let text = serde_json::to_string_pretty(&list).expect("plain data") + "\n";
+    write_atomically(&out.join(OWN), text.as_bytes())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_of_something_else_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        owned(folder.path()).unwrap();
+        owned(&folder.path().join("missing")).unwrap();
+        std::fs::write(folder.path().join("thesis.tex"), "x").unwrap();
+        let said = owned(folder.path()).unwrap_err();
+        assert!(said.is_input() && said.to_string().contains("`thesis.tex`"), "{said}");
+        assert!(owned(&folder.path().join("thesis.tex")).unwrap_err().is_input());
+        own(folder.path(), BTreeSet::from(["report.md".into()])).unwrap();
+        owned(folder.path()).unwrap();
+    }
+
+    #[test]
+    fn a_list_of_foreign_files_is_no_list() {
+        for name in ["../../precious", "/etc/hosts", "tables/../../a.tex", "figures/x.pdf", "notes.md"] {
+            let folder = tempfile::tempdir().unwrap();
+            own(folder.path(), BTreeSet::from([name.to_owned()])).unwrap();
+            assert!(owned(folder.path()).unwrap_err().is_input(), "{name}");
+        }
+        assert!(is_ours("figures/1-ssim.svg") && is_ours("tables/2-scores.tex") && is_ours("report.csv"));
+    }
+}

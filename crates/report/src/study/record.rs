@@ -1,0 +1,206 @@
+//! `Record`: one finished run, read back from its folder.
+
+use super::one_line;
+use pwrfgs_core::{Error, Result};
+use pwrfgs_experiment::Facts;
+use pwrfgs_experiment::folder::{CURVE, MODEL_FILE, PIPELINE, SAMPLES, SCORES};
+use pwrfgs_experiment::scores::MODEL;
+use pwrfgs_experiment::series;
+use pwrfgs_train::Pipeline;
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// One finished run.
+#[derive(Clone, Debug)]
+pub struct Record {
+    /// Its folder.
+    pub folder: PathBuf,
+    /// What was run, every default written out; paths are absolute.
+    pub pipeline: Pipeline,
+    /// Circumstances and the summaries of all scores.
+    pub facts: Facts,
+    /// Every score.
+    pub scores: Vec<Score>,
+    /// Metres from each test sample to the nearest training transmitter, by id; infinity where there is none.
+    pub nearest_train_m: BTreeMap<u32, f64>,
+    /// Where the transmitter of each test sample stood, metres, by id.
+    pub places: BTreeMap<u32, [f64; 3]>,
+    /// Step and number of Gaussians along the training.
+    pub gaussians: Vec<(f64, f64)>,
+}
+
+/// One metric of one predictor: the rows of `scores.csv` with the same first two fields.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Score {
+    /// [`MODEL`], or the name of a baseline.
+    pub predictor: String,
+    /// Key of the metric, such as `ssim`.
+    pub metric: String,
+    /// Test ids and values in the order of the file; a number about the whole model has the id `None`.
+    pub values: Vec<(Option<u32>, f64)>,
+}
+
+impl Record {
+    /// Reads a run folder; `None` where its run has not finished, or not begun.
+    ///
+    /// # Errors
+    /// One of its files is damaged or missing.
+    pub fn read(folder: &Path) -> Result<Option<Self>> {
+        let Some(facts) = Facts::read(folder).filter(|f| f.finished.is_some()) else { return Ok(None) };
+        let text = |name: &str| {
+            let path = folder.join(name);
+            std::fs::read_to_string(&path).map(|text| (text, path.clone())).map_err(|e| Error::read(&path, e))
+        };
+        let (own, path) = text(PIPELINE)?;
+        let pipeline = Pipeline::parse(&own, &path)?;
+        let (rows, path) = text(SCORES)?;
+        let scores = scores(&rows, &path)?;
+        let (rows, path) = text(SAMPLES)?;
+        let (nearest_train_m, places) = test_samples(&rows, &path)?;
+        let curve = series::read(&folder.join(CURVE));
+        let gaussians = curve.iter().filter_map(|row| Some(((*row.first()?)?, (*row.get(4)?)?))).collect();
+        Ok(Some(Self { folder: folder.into(), pipeline, facts, scores, nearest_train_m, places, gaussians }))
+    }
+
+    /// Values a test sample of one metric of one predictor, by id.
+    pub fn samples(&self, predictor: &str, metric: &str) -> Option<BTreeMap<u32, f64>> {
+        let score = self.score(predictor, metric)?;
+        let samples: BTreeMap<u32, f64> =
+            score.values.iter().filter_map(|(id, value)| Some(((*id)?, *value))).collect();
+        (!samples.is_empty()).then_some(samples)
+    }
+
+    /// A metric of one predictor as one number: the number about the whole model, or the mean over test samples.
+    pub fn value(&self, predictor: &str, metric: &str) -> Option<f64> {
+        let values = &self.score(predictor, metric)?.values;
+        (!values.is_empty()).then(|| values.iter().map(|v| v.1).sum::<f64>() / values.len() as f64)
+    }
+
+    /// Baselines in the order of the pipeline.
+    pub fn floors(&self) -> Vec<&str> {
+        let mut names: Vec<&str> = Vec::new();
+        for score in self.scores.iter().filter(|s| s.predictor != MODEL) {
+            if !names.contains(&score.predictor.as_str()) {
+                names.push(&score.predictor);
+            }
+        }
+        names
+    }
+
+    /// The trained model's file.
+    pub fn model_file(&self) -> PathBuf {
+        self.folder.join(MODEL_FILE)
+    }
+
+    fn score(&self, predictor: &str, metric: &str) -> Option<&Score> {
+        self.scores.iter().find(|s| s.predictor == predictor && s.metric == metric)
+    }
+
+    /// Data and split: equal for runs whose scores are comparable.
+    pub(super) fn setting_key(&self) -> Result<Value> {
+        // Through text: there a number of single precision has the digits that a person gave it.
+        let text = serde_json::to_string(&(&self.pipeline.data, &self.pipeline.split));
+        let value = text.and_then(|text| serde_json::from_str(&text));
+        value.map_err(|e| Error::input(&self.folder, format!("data and split cannot be compared: {e}")))
+    }
+
+    /// Equal for runs that differ in seed and name alone.
+    pub(super) fn variant_key(&self) -> String {
+        let mut pipeline = self.pipeline.clone();
+        (pipeline.seed, pipeline.name) = (0, String::new());
+        pipeline.to_ron()
+    }
+
+    pub(super) fn setting_title(&self) -> String {
+        format!("{}; {}", self.facts.data, one_line(&self.pipeline.split))
+    }
+}
+
+/// Reads `scores.csv`; rows that do not apply (`n/a`) are left out.
+fn scores(text: &str, path: &Path) -> Result<Vec<Score>> {
+    let mut all: Vec<Score> = Vec::new();
+    for_each_row(text, path, 4, |row| {
+        let [predictor, metric] = [&row[0], &row[1]];
+        if &row[3] == "n/a" {
+            return Ok(());
+        }
+        let id = if row[2].is_empty() { None } else { Some(parsed(&row[2])?) };
+        let value = parsed(&row[3])?;
+        match all.last_mut().filter(|s| s.predictor == predictor && s.metric == metric) {
+            Some(score) => score.values.push((id, value)),
+            None => all.push(Score { predictor: predictor.into(), metric: metric.into(), values: vec![(id, value)] }),
+        }
+        Ok(())
+    })?;
+    Ok(all)
+}
+
+/// Distances and places, by id.
+type TestSamples = (BTreeMap<u32, f64>, BTreeMap<u32, [f64; 3]>);
+
+/// Distances and places of the test samples in `samples.csv`.
+fn test_samples(text: &str, path: &Path) -> Result<TestSamples> {
+    let (mut distances, mut places) = TestSamples::default();
+    for_each_row(text, path, 6, |row| {
+        if &row[4] == "test" {
+            let id = parsed(&row[0])?;
+            distances.insert(id, if row[5].is_empty() { f64::INFINITY } else { parsed(&row[5])? });
+            places.insert(id, [parsed(&row[1])?, parsed(&row[2])?, parsed(&row[3])?]);
+        }
+        Ok(())
+    })?;
+    Ok((distances, places))
+}
+
+fn parsed<T: std::str::FromStr>(field: &str) -> Result<T, String> {
+    field.parse().ok().ok_or_else(|| format!("`{field}` is no number"))
+}
+
+/// Goes through the rows below the header, each of `fields` fields.
+fn for_each_row(
+    text: &str,
+    path: &Path,
+    fields: usize,
+    mut take: impl FnMut(&csv::StringRecord) -> Result<(), String>,
+) -> Result<()> {
+    let mut reader = csv::ReaderBuilder::new().flexible(true).from_reader(text.as_bytes());
+    for row in reader.records() {
+        let row = row.map_err(|e| Error::input(path, format!("not the CSV that a run writes: {e}")))?;
+        let line = row.position().map_or(1, |p| p.line() as usize);
+        let checked =
+            if row.len() == fields { take(&row) } else { Err(format!("{} fields in place of {fields}", row.len())) };
+        checked.map_err(|why| {
+            Error::at(path, line, 1, format!("{why}; the run's own files must stay as it wrote them"))
+        })?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scores_are_read_as_they_are_written() {
+        let text = "predictor,metric,sample,value\nmodel,ssim,3,0.5\nmodel,ssim,7,0.7\nmodel,gaussians,,2613\n\
+                    \"k, far\",ssim,3,0.75\n\"k, far\",gaussians,,n/a\n";
+        let found = scores(text, Path::new("scores.csv")).unwrap();
+        assert_eq!(found.len(), 3);
+        assert_eq!(found[0].values, [(Some(3), 0.5), (Some(7), 0.7)]);
+        assert_eq!((found[1].metric.as_str(), &found[1].values), ("gaussians", &vec![(None, 2613.0)]));
+        assert_eq!(found[2].predictor, "k, far");
+        for (wrong, place) in [("model,ssim,3\n", ":2:"), ("model,ssim,x,1\n", ":2:"), ("model,ssim,3,\n", ":2:")] {
+            let said = scores(&format!("predictor,metric,sample,value\n{wrong}"), Path::new("scores.csv")).unwrap_err();
+            assert!(said.is_input() && said.to_string().contains(place), "{said}");
+        }
+    }
+
+    #[test]
+    fn test_samples_have_distances_and_places() {
+        let text = "id,x,y,z,split,nearest_train_m\n1,0,0,0,train,2\n5,2.5,0,1,test,0.5\n6,9,0,0,test,\n";
+        let (distances, places) = test_samples(text, Path::new("samples.csv")).unwrap();
+        assert_eq!(distances.into_iter().collect::<Vec<_>>(), [(5, 0.5), (6, f64::INFINITY)]);
+        assert_eq!(places[&5], [2.5, 0.0, 1.0]);
+    }
+}

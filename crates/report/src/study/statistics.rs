@@ -1,0 +1,249 @@
+//! Mean and deviation over seeds, and bootstrap intervals of paired differences.
+//!
+//! A difference has two sources of chance: the seed of the training, and which transmitters were tested. All seeds may
+//! be tested at the same places, so seeds and places are *crossed*: a replicate draws seeds, and once for all of them
+//! blocks of neighbouring places (Owen, "The pigeonhole bootstrap", 2007). Neighbours err alike; drawing single spectra
+//! would count them as if each told something new, and give intervals that are far too narrow.
+//!
+//! From n seeds (or blocks) a replicate draws n−1, with replacement: then the spread of its mean is s²/n, as it should
+//! be, where n draws would give s²(n−1)/n² (Rao and Wu, 1988). That matters with three seeds.
+//! What remains optimistic with few seeds is the shape: the percentiles of three values know nothing of the long tails
+//! of Student's distribution. `coverage_over_repetitions` measures it.
+
+use pwrfgs_core::rng::{self, Rng};
+use pwrfgs_experiment::scores::quantile;
+use std::iter::repeat_with;
+
+/// Bootstrap replicates behind an interval.
+pub(super) const REPLICATES: usize = 10_000;
+/// Share of the replicates inside an interval.
+pub(super) const CONFIDENCE: f64 = 0.95;
+
+/// Mean and sample standard deviation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Spread {
+    /// Arithmetic mean.
+    pub(super) mean: f64,
+    /// With n−1 in the denominator; `None` of one value, or where a value is infinite.
+    pub(super) deviation: Option<f64>,
+    /// How many values.
+    pub(super) n: usize,
+}
+
+impl Spread {
+    /// Of one value or more.
+    pub(super) fn of(values: &[f64]) -> Option<Self> {
+        let (n, first) = (values.len(), *values.first()?);
+        // Equal values have no deviation, whatever the sum is rounded to.
+        let mean = if values.iter().all(|v| *v == first) { first } else { values.iter().sum::<f64>() / n as f64 };
+        let squares: f64 = values.iter().map(|v| (v - mean) * (v - mean)).sum();
+        let deviation = (n > 1 && mean.is_finite()).then(|| (squares / (n - 1) as f64).sqrt());
+        Some(Self { mean, deviation, n })
+    }
+}
+
+/// The differences of one seed in one block of space.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Cell {
+    /// Their sum.
+    pub(super) sum: f64,
+    /// How many.
+    pub(super) count: usize,
+}
+
+impl Cell {
+    /// Takes one more difference in.
+    pub(super) fn add(&mut self, difference: f64) {
+        self.sum += difference;
+        self.count += 1;
+    }
+}
+
+/// What is known of a mean difference.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Difference {
+    /// Mean over seeds of the mean over test spectra.
+    pub(super) mean: f64,
+    /// The percentile interval of [`CONFIDENCE`]; `None` where there is one block alone.
+    pub(super) interval: Option<(f64, f64)>,
+    /// Seeds in both; of one alone the interval says nothing about others.
+    pub(super) seeds: usize,
+}
+
+impl Difference {
+    /// Of `cells[seed][block]`, all seeds with the same blocks; `None` without a single difference.
+    pub(super) fn of(cells: &[Vec<Cell>]) -> Option<Self> {
+        Self::with_replicates(cells, REPLICATES)
+    }
+
+    fn with_replicates(cells: &[Vec<Cell>], replicates: usize) -> Option<Self> {
+        let cells: Vec<&[Cell]> = cells.iter().map(Vec::as_slice).filter(|c| c.iter().any(|c| c.count > 0)).collect();
+        let seeds: Vec<usize> = (0..cells.len()).collect();
+        let blocks: Vec<usize> =
+            (0..cells.first()?.len()).filter(|b| cells.iter().any(|seed| seed[*b].count > 0)).collect();
+        let mean = mean(&cells, &seeds, &blocks)?;
+        let interval = (blocks.len() > 1).then(|| {
+            // The same stream for every difference: rows of a table share their luck and can be compared.
+            let mut random = rng::stream(0, "bootstrap", 0);
+            let replicate = || {
+                let (seeds, blocks) = (drawn(&mut random, &seeds), drawn(&mut random, &blocks));
+                self::mean(&cells, &seeds, &blocks).unwrap_or(mean)
+            };
+            let mut means: Vec<f64> = repeat_with(replicate).take(replicates).collect();
+            means.sort_by(f64::total_cmp);
+            let tail = (1.0 - CONFIDENCE) / 2.0;
+            (quantile(&means, tail), quantile(&means, 1.0 - tail))
+        });
+        Some(Self { mean, interval, seeds: cells.len() })
+    }
+
+    /// Whether the interval leaves 0 out.
+    pub(super) fn is_clear(&self) -> bool {
+        self.interval.is_some_and(|(low, high)| low > 0.0 || high < 0.0)
+    }
+}
+
+/// One fewer than there are, with replacement; a single one is itself.
+fn drawn(random: &mut Rng, all: &[usize]) -> Vec<usize> {
+    let count = all.len().saturating_sub(1).max(1);
+    repeat_with(|| all[rng::below(random, all.len())]).take(count).collect()
+}
+
+/// Mean over `seeds` of the mean over `blocks`; seeds with nothing in these blocks do not count.
+fn mean(cells: &[&[Cell]], seeds: &[usize], blocks: &[usize]) -> Option<f64> {
+    let of_seed = |seed: &usize| {
+        let (sum, count) = blocks
+            .iter()
+            .fold((0.0, 0), |(sum, count), b| (sum + cells[*seed][*b].sum, count + cells[*seed][*b].count));
+        (count > 0).then(|| sum / count as f64)
+    };
+    let (sum, count) = seeds.iter().filter_map(of_seed).fold((0.0, 0), |(sum, count), m| (sum + m, count + 1));
+    (count > 0).then(|| sum / f64::from(count))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Standard deviations of what makes a difference.
+    #[derive(Clone, Copy, Debug, Default)]
+    struct Model {
+        seed: f64,
+        block: f64,
+        sample: f64,
+    }
+
+    impl Model {
+        /// Normal differences about 0, `samples` in each cell.
+        fn draw(self, random: &mut Rng, [seeds, blocks, samples]: [usize; 3]) -> Vec<Vec<Cell>> {
+            let mut normal = |deviation: f64| deviation * f64::from(rng::normal(random));
+            let of_block: Vec<f64> = (0..blocks).map(|_| normal(self.block)).collect();
+            let of_seed: Vec<f64> = (0..seeds).map(|_| normal(self.seed)).collect();
+            let mut cell = |seed: &f64, block: &f64| {
+                let mut cell = Cell::default();
+                (0..samples).for_each(|_| cell.add(seed + block + normal(self.sample)));
+                cell
+            };
+            of_seed.iter().map(|seed| of_block.iter().map(|block| cell(seed, block)).collect()).collect()
+        }
+
+        /// How often the interval holds the true mean, 0.
+        fn coverage(self, shape: [usize; 3]) -> f64 {
+            let mut random = rng::stream(7, "coverage", 0);
+            let holds = |cells: &[Vec<Cell>]| {
+                let (low, high) = Difference::with_replicates(cells, 400).unwrap().interval.unwrap();
+                low <= 0.0 && 0.0 <= high
+            };
+            let hits = (0..500).filter(|_| holds(&self.draw(&mut random, shape))).count();
+            hits as f64 / 500.0
+        }
+    }
+
+    fn width(difference: &Difference) -> f64 {
+        difference.interval.map(|(low, high)| high - low).unwrap()
+    }
+
+    #[test]
+    fn spread_is_that_of_a_sample() {
+        let s = Spread::of(&[1.0, 2.0, 3.0, 6.0]).unwrap();
+        assert_eq!((s.mean, s.n), (3.0, 4));
+        assert!((s.deviation.unwrap() - (14.0f64 / 3.0).sqrt()).abs() < 1e-15);
+        assert_eq!(Spread::of(&[0.1; 3]), Some(Spread { mean: 0.1, deviation: Some(0.0), n: 3 }));
+        assert_eq!(Spread::of(&[0.1]), Some(Spread { mean: 0.1, deviation: None, n: 1 }));
+        assert_eq!(Spread::of(&[]), None);
+        let perfect = Spread::of(&[f64::INFINITY, f64::INFINITY]).unwrap();
+        assert_eq!((perfect.mean, perfect.deviation), (f64::INFINITY, None));
+    }
+
+    #[test]
+    fn one_seed_of_normal_differences_has_the_textbook_interval() {
+        let n = 400;
+        let cells = Model { sample: 0.3, ..Model::default() }.draw(&mut rng::stream(1, "test", 0), [1, n, 1]);
+        let values: Vec<f64> = cells[0].iter().map(|c| c.sum).collect();
+        let s = Spread::of(&values).unwrap();
+        let found = Difference::of(&cells).unwrap();
+        assert!((found.mean - s.mean).abs() < 1e-12);
+        let expected = 2.0 * 1.96 * s.deviation.unwrap() / (n as f64).sqrt();
+        assert!((width(&found) / expected - 1.0).abs() < 0.03, "{} against {expected}", width(&found));
+        let (low, high) = found.interval.unwrap();
+        assert!((f64::midpoint(low, high) - s.mean).abs() < 0.03 * expected);
+    }
+
+    #[test]
+    fn seeds_that_differ_widen_the_interval_as_their_own_mean_would() {
+        let model = Model { seed: 1.0, sample: 0.01, ..Model::default() };
+        let cells = model.draw(&mut rng::stream(2, "test", 0), [60, 40, 1]);
+        let means: Vec<f64> = cells.iter().map(|c| c.iter().map(|c| c.sum).sum::<f64>() / 40.0).collect();
+        let expected = 2.0 * 1.96 * Spread::of(&means).unwrap().deviation.unwrap() / 60f64.sqrt();
+        let found = width(&Difference::of(&cells).unwrap());
+        assert!((found / expected - 1.0).abs() < 0.03, "{found} against {expected}");
+    }
+
+    #[test]
+    fn coverage_over_repetitions() {
+        let all = [
+            // One seed; samples in a block have nothing, or much in common.
+            (Model { sample: 1.0, ..Model::default() }, [1, 40, 1], 0.92..0.97),
+            (Model { block: 1.0, sample: 0.5, ..Model::default() }, [1, 40, 8], 0.92..0.97),
+            // Crossed: the same blocks for all seeds.
+            (Model { seed: 0.2, block: 1.0, sample: 0.5 }, [10, 40, 4], 0.92..0.98),
+            // Three seeds that differ more than anything else: the interval promises too much, and the report says so.
+            (Model { seed: 1.0, block: 0.5, sample: 0.5 }, [3, 40, 4], 0.60..0.90),
+        ];
+        for (model, shape, expected) in all {
+            let found = model.coverage(shape);
+            println!("seeds, blocks, samples {shape:?}, {model:?}: {found}");
+            assert!(expected.contains(&found), "{shape:?}: {found}");
+        }
+    }
+
+    #[test]
+    fn spectra_drawn_one_by_one_would_promise_too_much() {
+        let model = Model { block: 1.0, sample: 0.5, ..Model::default() };
+        let cells = model.draw(&mut rng::stream(3, "test", 0), [1, 40, 8]);
+        // The same eight differences a block, as if each were a block of its own.
+        let each = |c: &Cell| vec![Cell { sum: c.sum / 8.0, count: 1 }; 8];
+        let single: Vec<Vec<Cell>> = cells.iter().map(|seed| seed.iter().flat_map(each).collect()).collect();
+        let [with, without] = [&cells, &single].map(|c| width(&Difference::of(c).unwrap()));
+        assert!(without < 0.5 * with, "{without} against {with}");
+    }
+
+    #[test]
+    fn the_same_numbers_give_the_same_bits() {
+        let cells = Model { seed: 1.0, block: 1.0, sample: 1.0 }.draw(&mut rng::stream(4, "test", 0), [3, 9, 2]);
+        assert_eq!(Difference::of(&cells), Difference::of(&cells));
+    }
+
+    #[test]
+    fn too_little_gives_no_interval() {
+        assert_eq!(Difference::of(&[]), None);
+        assert_eq!(Difference::of(&[vec![Cell::default(); 3]]), None);
+        let one = |sum| Cell { sum, count: 1 };
+        let found = Difference::of(&[vec![Cell::default(), one(0.5)], vec![Cell::default(), one(0.7)]]).unwrap();
+        assert_eq!((found.mean, found.interval, found.seeds), (0.6, None, 2));
+        assert!(!found.is_clear());
+        // Blocks that only one of the seeds has: the other does not count where it has nothing.
+        let found = Difference::of(&[vec![one(1.0), Cell::default()], vec![Cell::default(), one(3.0)]]).unwrap();
+        assert_eq!((found.mean, found.interval, found.is_clear()), (2.0, Some((1.0, 3.0)), true));
+    }
+}

@@ -1,0 +1,190 @@
+//! Columns of scores: names, units, digits and marks.
+
+use super::super::comparison::{Comparison, Kind, Metric, Row, Statistic, TRAINING};
+use super::super::statistics::Spread;
+use super::{Column, Line, Mark, Shown};
+use pwrfgs_experiment::text::grouped;
+
+/// A column to be.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Wanted<'a> {
+    pub(super) metric: &'a Metric,
+    pub(super) statistic: Statistic,
+}
+
+/// A metric in words, and its unit.
+pub(super) fn words(metric: &Metric) -> (String, String) {
+    let key = metric.key.as_str();
+    let words = match key {
+        "ssim" | "psnr" | "l1" => key.to_uppercase(),
+        "gaussians" => "N".into(),
+        "gaussian_bytes" => "size of Gaussians".into(),
+        "model_bytes" => "model size".into(),
+        "latency_total_ms" => "latency".into(),
+        TRAINING => "training".into(),
+        "chamfer" => "Chamfer".into(),
+        _ => match key.strip_prefix("eta_").and_then(|snr| snr.strip_suffix("db")) {
+            Some(snr) => format!("η at {snr} dB"),
+            None => key.trim_end_matches(&format!("_{}", metric.unit)).trim_start_matches("latency_").replace('_', " "),
+        },
+    };
+    (words, metric.unit.clone())
+}
+
+/// Unit to print in and the factor to it, by the largest number.
+fn scale(unit: &str, largest: f64) -> (&str, f64) {
+    match unit {
+        "B" => ("kB", 1e-3),
+        "s" if largest >= 600.0 => ("min", 1.0 / 60.0),
+        other => (other, 1.0),
+    }
+}
+
+/// Decimals of a column: three digits of the largest number, at most three decimals; whole numbers of Gaussians.
+fn decimals(metric: &Metric, largest: f64) -> usize {
+    if metric.key == "gaussians" || largest >= 100.0 {
+        0
+    } else if largest >= 10.0 {
+        1
+    } else if largest > 1.0 {
+        2
+    } else {
+        3
+    }
+}
+
+/// A number with that many decimals, or with two digits where that would leave fewer (and six decimals are enough).
+pub(super) fn fixed(value: f64, decimals: usize) -> String {
+    if !value.is_finite() {
+        return if value > 0.0 { "∞".into() } else { "−∞".into() };
+    }
+    let two_digits = (1.0 - value.abs().log10().floor()).clamp(0.0, 99.0) as usize;
+    let is_short = (value.fract() == 0.0 && decimals == 0) || two_digits > 6;
+    let text = format!("{:.*}", if is_short { decimals } else { decimals.max(two_digits) }, value.abs());
+    let text = if decimals == 0 && value.abs() >= 1e3 { grouped(value.abs().round() as i64) } else { text };
+    // What is rounded to 0 has no sign.
+    let negative = value < 0.0 && text.bytes().any(|b| (b'1'..=b'9').contains(&b));
+    if negative { format!("−{text}") } else { text }
+}
+
+/// One column of all rows: its head, and a cell each row.
+fn column(rows: &[Row<'_>], wanted: Wanted<'_>, ranked: bool) -> Option<(Column, Vec<Shown>)> {
+    let Wanted { metric, statistic } = wanted;
+    let spreads: Vec<Option<Spread>> = rows.iter().map(|row| row.spread(metric, statistic)).collect();
+    let finite = spreads.iter().flatten().map(|s| s.mean.abs()).filter(|m| m.is_finite());
+    let largest = finite.reduce(f64::max).or_else(|| spreads.iter().flatten().next().map(|_| 0.0))?;
+    let (words, unit) = words(metric);
+    let (unit, factor) = scale(&unit, largest);
+    let decimals = decimals(metric, largest * factor);
+    let shown = |spread: &Option<Spread>| {
+        let Some(Spread { mean, deviation, .. }) = *spread else { return Shown::default() };
+        let value = fixed(mean * factor, decimals);
+        let places = value.rsplit_once('.').map_or(0, |(_, places)| places.len());
+        let deviation = deviation.map(|d| d * factor).map_or_else(String::new, |d| match places {
+            0 => grouped(d.round() as i64),
+            _ => format!("{d:.places$}"),
+        });
+        Shown { value, deviation, ..Shown::default() }
+    };
+    let mut cells: Vec<Shown> = spreads.iter().map(shown).collect();
+    if ranked {
+        let rivals = |row: &Row<'_>| row.kind != Kind::Bound;
+        mark(&mut cells, &spreads, &rows.iter().map(rivals).collect::<Vec<_>>(), metric.higher_is_better);
+    }
+    let detail = match (statistic, unit) {
+        (Statistic::Whole, "") => String::new(),
+        (Statistic::Whole, unit) => format!("[{unit}]"),
+        (statistic, "") => statistic.name().into(),
+        (statistic, unit) => format!("{} [{unit}]", statistic.name()),
+    };
+    let arrow = if metric.higher_is_better { "↑" } else { "↓" };
+    Some((Column { title: words, detail, arrow }, cells))
+}
+
+/// Marks best and second best of those that compete. Numbers that are printed alike are equal: what cannot be seen does
+/// not decide. Several best leave no second; a single number is no best.
+pub(super) fn mark(cells: &mut [Shown], spreads: &[Option<Spread>], competes: &[bool], higher_is_better: bool) {
+    let means: Vec<(usize, f64)> =
+        (0..cells.len()).filter(|i| competes[*i]).filter_map(|i| Some((i, spreads[i]?.mean))).collect();
+    if means.len() < 2 {
+        return;
+    }
+    let printed: Vec<String> = cells.iter().map(|c| c.value.clone()).collect();
+    for (i, mean) in &means {
+        let better = |other: f64| if higher_is_better { other > *mean } else { other < *mean };
+        let rank = means.iter().filter(|(j, other)| printed[*j] != printed[*i] && better(*other)).count();
+        cells[*i].mark = [Mark::Best, Mark::Second].get(rank).copied().unwrap_or_default();
+    }
+    if means.iter().all(|(i, _)| cells[*i].mark == Mark::Best) {
+        means.iter().for_each(|(i, _)| cells[*i].mark = Mark::None);
+    }
+}
+
+/// The columns that have a number, and all rows that have one in any of them.
+pub(super) fn filled(
+    comparison: &Comparison<'_>,
+    wanted: &[Wanted<'_>],
+    is_ranked: impl Fn(&Metric) -> bool,
+) -> (Vec<Column>, Vec<Line>) {
+    let rows = &comparison.rows;
+    let columns: Vec<(Column, Vec<Shown>)> =
+        wanted.iter().filter_map(|w| column(rows, *w, is_ranked(w.metric))).collect();
+    let line = |(i, row): (usize, &Row<'_>)| {
+        let cells: Vec<Shown> = columns.iter().map(|(_, cells)| cells[i].clone()).collect();
+        cells.iter().any(|c| !c.value.is_empty()).then(|| Line::new(row.label, row.kind, cells))
+    };
+    let lines = rows.iter().enumerate().filter_map(line).collect();
+    (columns.into_iter().map(|(column, _)| column).collect(), lines)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_keep_two_digits_and_no_sign_of_zero() {
+        let all = [
+            (0.8012, 3),
+            (0.0035, 3),
+            (12.3, 0),
+            (8.666, 0),
+            (8.0, 0),
+            (12_345.6, 0),
+            (-0.25, 2),
+            (-1e-9, 3),
+            (0.0, 3),
+        ];
+        let found = all.map(|(value, decimals)| fixed(value, decimals));
+        assert_eq!(found, ["0.801", "0.0035", "12", "8.7", "8", "12,346", "−0.25", "0.000", "0.000"]);
+        assert_eq!([f64::INFINITY, f64::NEG_INFINITY].map(|v| fixed(v, 3)), ["∞", "−∞"]);
+    }
+
+    /// Marks of a column of these printed numbers and means.
+    fn marks(column: &[(&str, f64)], competes: &[bool], higher_is_better: bool) -> Vec<Mark> {
+        let mut cells: Vec<Shown> =
+            column.iter().map(|(value, _)| Shown { value: (*value).into(), ..Shown::default() }).collect();
+        let spreads: Vec<Option<Spread>> =
+            column.iter().map(|(value, mean)| Spread::of(&[*mean]).filter(|_| !value.is_empty())).collect();
+        mark(&mut cells, &spreads, competes, higher_is_better);
+        cells.iter().map(|c| c.mark).collect()
+    }
+
+    #[test]
+    fn best_and_second_are_marked_among_those_that_compete() {
+        use Mark::{Best, None, Second};
+        let column = [("0.80", 0.8), ("0.70", 0.7), ("0.99", 0.99), ("0.75", 0.75), ("", 0.0)];
+        let all_but_third = [true, true, false, true, true];
+        assert_eq!(marks(&column, &all_but_third, true), [Best, None, None, Second, None]);
+        assert_eq!(marks(&column, &all_but_third, false), [None, Best, None, Second, None]);
+    }
+
+    #[test]
+    fn what_is_printed_alike_is_equal() {
+        use Mark::{Best, None, Second};
+        let all = [true; 3];
+        assert_eq!(marks(&[("0.80", 0.801), ("0.80", 0.799), ("0.70", 0.7)], &all, true), [Best, Best, None]);
+        assert_eq!(marks(&[("0.90", 0.9), ("0.80", 0.801), ("0.80", 0.799)], &all, true), [Best, Second, Second]);
+        assert_eq!(marks(&[("8", 8.0), ("8", 8.0), ("8", 8.0)], &all, false), [None; 3], "no best among equals");
+        assert_eq!(marks(&[("8", 8.0), ("", 0.0), ("", 0.0)], &all, false), [None; 3], "nor of one alone");
+    }
+}
