@@ -5,7 +5,9 @@ use indicatif::MultiProgress;
 use pwrfgs_core::Error;
 use std::io::{IsTerminal as _, Write};
 use std::sync::OnceLock;
-use tracing_subscriber::EnvFilter;
+use tracing::Level;
+use tracing_subscriber::filter::Targets;
+use tracing_subscriber::prelude::*;
 
 /// All progress bars, so that lines can be printed above them.
 pub(crate) fn bars() -> &'static MultiProgress {
@@ -30,15 +32,17 @@ pub(crate) fn result(text: &str) {
 
 /// Sends the libraries' logs to stderr: warnings, or everything with `-v`; `RUST_LOG` overrides.
 pub(crate) fn start_logging(verbosity: Verbosity) {
-    let level = if verbosity == Verbosity::Verbose { "info,pwrfgs=debug" } else { "warn" };
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
-    let started = tracing_subscriber::fmt()
-        .with_env_filter(filter)
+    let level = match verbosity {
+        Verbosity::Verbose => Targets::new().with_default(Level::INFO).with_target("pwrfgs", Level::DEBUG),
+        _ => Targets::new().with_default(Level::WARN),
+    };
+    let filter: Targets = std::env::var("RUST_LOG").ok().and_then(|text| text.parse().ok()).unwrap_or(level);
+    let lines = tracing_subscriber::fmt::layer()
         .with_target(false)
         .without_time()
         .with_ansi(std::io::stderr().is_terminal())
-        .with_writer(|| Above)
-        .try_init();
+        .with_writer(|| Above);
+    let started = tracing_subscriber::registry().with(lines.with_filter(filter)).try_init();
     if let Err(e) = started {
         note(&format!("warning: no logs: {e}"));
     }

@@ -3,10 +3,13 @@
 //! typetag alone would want `{"Name": (field: value)}`. The adapter shows it the one-entry map it expects, so that
 //! positions in error messages stay right, and asks the plugin to check itself, so that a value out of range is
 //! reported where it stands.
+mod adapter;
+
 use crate::did_you_mean;
+use adapter::{Name, Tagged};
 pub use inventory;
-use serde::de::{self, DeserializeSeed, Deserializer, EnumAccess, MapAccess, VariantAccess, Visitor};
-use serde::{Deserialize, Serialize, Serializer, forward_to_deserialize_any};
+use serde::de::{self, Deserializer, EnumAccess, Visitor};
+use serde::{Deserialize, Serialize, Serializer};
 use std::{any::Any, fmt, marker::PhantomData, ops::Deref, path::Path, sync::Arc};
 
 /// A plugin of kind `T = dyn Trait`: immutable, shared, cheap to clone.
@@ -169,109 +172,6 @@ where
             }
         }
         d.deserialize_enum(T::KIND, &[], Named(PhantomData))
-    }
-}
-
-/// A bare identifier, such as the `LearnableMask` of `LearnableMask(lambda: 0.01)`.
-struct Name(String);
-impl<'de> Deserialize<'de> for Name {
-    fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
-        struct Identifier;
-        impl Visitor<'_> for Identifier {
-            type Value = Name;
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a plugin name")
-            }
-            fn visit_str<E: de::Error>(self, name: &str) -> Result<Name, E> {
-                Ok(Name(name.to_owned()))
-            }
-        }
-        d.deserialize_identifier(Identifier)
-    }
-}
-
-/// Shows typetag the one-entry map `{name: body}` it expects.
-struct Tagged<B>(String, B);
-impl<'de, B: VariantAccess<'de>> Deserializer<'de> for Tagged<B> {
-    type Error = B::Error;
-    fn deserialize_any<W: Visitor<'de>>(self, w: W) -> Result<W::Value, B::Error> {
-        w.visit_map(Entry { name: Some(self.0), body: Some(self.1) })
-    }
-    forward_to_deserialize_any! {
-        bool i8 i16 i32 i64 i128 u8 u16 u32 u64 u128 f32 f64 char str string bytes byte_buf option
-        unit unit_struct newtype_struct seq tuple tuple_struct map struct enum identifier ignored_any
-    }
-}
-struct Entry<B> {
-    name: Option<String>,
-    body: Option<B>,
-}
-impl<'de, B: VariantAccess<'de>> MapAccess<'de> for Entry<B> {
-    type Error = B::Error;
-    fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, k: K) -> Result<Option<K::Value>, B::Error> {
-        self.name.take().map(|n| k.deserialize(de::value::StringDeserializer::new(n))).transpose()
-    }
-    fn next_value_seed<S: DeserializeSeed<'de>>(&mut self, s: S) -> Result<S::Value, B::Error> {
-        s.deserialize(Body(self.body.take().expect("key was read first")))
-    }
-}
-
-/// The variant's body, seen as the plugin struct itself.
-struct Body<B>(B);
-impl<'de, B: VariantAccess<'de>> Deserializer<'de> for Body<B> {
-    type Error = B::Error;
-    fn deserialize_any<W: Visitor<'de>>(self, _: W) -> Result<W::Value, B::Error> {
-        Err(de::Error::custom("a plugin must be a struct"))
-    }
-    fn deserialize_struct<W: Visitor<'de>>(
-        self,
-        _: &'static str,
-        fields: &'static [&'static str],
-        w: W,
-    ) -> Result<W::Value, B::Error> {
-        self.0.struct_variant(fields, Fields(w, fields))
-    }
-    fn deserialize_unit_struct<W: Visitor<'de>>(self, _: &'static str, w: W) -> Result<W::Value, B::Error> {
-        self.0.unit_variant()?;
-        w.visit_unit()
-    }
-    forward_to_deserialize_any! {
-        bool i8 i16 i32 i64 i128 u8 u16 u32 u64 u128 f32 f64 char str string bytes byte_buf option
-        unit newtype_struct seq tuple tuple_struct map enum identifier ignored_any
-    }
-}
-
-/// Refuses a field that the plugin does not have, at its place and with the nearest name: what passes through typetag's
-/// type-erased deserializer is words, in which names can no longer be told from the rest.
-struct Fields<W>(W, &'static [&'static str]);
-impl<'de, W: Visitor<'de>> Visitor<'de> for Fields<W> {
-    type Value = W::Value;
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.expecting(f)
-    }
-    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<W::Value, A::Error> {
-        self.0.visit_map(Fields(map, self.1))
-    }
-}
-impl<'de, A: MapAccess<'de>> MapAccess<'de> for Fields<A> {
-    type Error = A::Error;
-    fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, k: K) -> Result<Option<K::Value>, A::Error> {
-        self.0.next_key_seed(Fields(k, self.1))
-    }
-    fn next_value_seed<S: DeserializeSeed<'de>>(&mut self, s: S) -> Result<S::Value, A::Error> {
-        self.0.next_value_seed(s)
-    }
-}
-impl<'de, K: DeserializeSeed<'de>> DeserializeSeed<'de> for Fields<K> {
-    type Value = K::Value;
-    fn deserialize<D: Deserializer<'de>>(self, d: D) -> Result<K::Value, D::Error> {
-        let Name(name) = Name::deserialize(d)?;
-        if !self.1.contains(&name.as_str()) {
-            let hint = did_you_mean(&name, self.1.iter().copied());
-            let known = self.1.join("`, `");
-            return Err(de::Error::custom(format!("there is no field `{name}`{hint} (there are `{known}`)")));
-        }
-        self.0.deserialize(de::value::StringDeserializer::new(name))
     }
 }
 
