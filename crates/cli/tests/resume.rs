@@ -1,8 +1,7 @@
 //! Killed, interrupted, resumed: the end is the same, byte for byte.
-use crate::common::{SMALL, pwrfgs, refuse, succeed, write};
+use crate::common::{SMALL, pwrfgs, refuse, succeed, wait_for_step, write};
 use std::path::Path;
 use std::process::Stdio;
-use std::time::{Duration, Instant};
 
 /// A few seconds of training in small steps, with densification, pruning and checkpoints on the way.
 fn longer() -> String {
@@ -53,23 +52,16 @@ fn a_killed_run_ends_as_one_never_stopped() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("p.ron"), longer());
-    let whole = Instant::now();
     succeed(here, &["run", "p.ron", "--out", "whole", "-q"]);
-    let whole = whole.elapsed();
-    let mut kills = 0;
-    for i in 0..40 {
+    // Between two checkpoints: densifying, pruning, fine-tuning; and right at a checkpoint, a prune and a validation.
+    for step in [40, 330, 900, 1050, 1520, 2100] {
         let mut child =
             pwrfgs(here).args(["run", "p.ron", "--out", "killed", "-q"]).stdout(Stdio::null()).spawn().unwrap();
-        std::thread::sleep(whole.mul_f64(0.1) + Duration::from_millis(37 * (i % 5)));
+        wait_for_step(&mut child, &here.join("killed"), step);
         child.kill().unwrap(); // SIGKILL
-        if child.wait().unwrap().success() {
-            break;
-        }
-        kills += 1;
+        assert!(!child.wait().unwrap().success(), "killed after step {step}");
     }
-    println!("killed {kills} times");
     succeed(here, &["run", "p.ron", "--out", "killed", "-q"]);
-    assert!(kills >= 2, "the run is long enough to be killed");
     same_end(&here.join("whole"), &here.join("killed"));
     let rows = curve(&here.join("whole"));
     assert_eq!(rows.len(), 1 + 1 + 240, "a header, step 1 and every tenth");
@@ -81,12 +73,9 @@ fn an_interrupted_run_says_how_to_go_on() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("p.ron"), longer());
-    let child =
+    let mut child =
         pwrfgs(here).args(["run", "p.ron", "--out", "r"]).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
-    let begun = Instant::now();
-    while !here.join("r/checkpoint.safetensors").exists() && begun.elapsed() < Duration::from_mins(1) {
-        std::thread::sleep(Duration::from_millis(5));
-    }
+    wait_for_step(&mut child, &here.join("r"), 70);
     // While it is at work nobody else may have the folder.
     refuse(here, &["run", "p.ron", "--out", "r"], 2, &["another pwrfgs is at work in r"]);
     let interrupt = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();

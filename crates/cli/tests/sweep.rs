@@ -1,8 +1,7 @@
 //! Sweeps: what they run, what they skip, what stops them and what does not.
-use crate::common::{SMALL, call, pwrfgs, refuse, stderr, stdout, succeed, write};
+use crate::common::{SMALL, call, pwrfgs, refuse, stderr, stdout, succeed, wait_for_step, write};
 use std::path::Path;
 use std::process::Stdio;
-use std::time::Duration;
 
 /// Two axes of two variants, one seed.
 const EXPERIMENT: &str = "Experiment(
@@ -82,20 +81,14 @@ fn a_killed_sweep_goes_on_and_ends_as_one_never_stopped() {
     let folder = folder(EXPERIMENT, &base);
     let here = folder.path();
     succeed(here, &["sweep", "e.ron", "--out", "whole", "-q"]);
-    let mut kills = 0;
-    // Killed when the second run has a checkpoint: half way.
-    let half = here.join("killed").join(RUNS[1]).join("checkpoint.safetensors");
-    for wait in [0, 150, 300] {
+    // In the first run, and twice in the second.
+    for (run, step) in [(RUNS[0], 300), (RUNS[1], 150), (RUNS[1], 420)] {
         let mut child =
             pwrfgs(here).args(["sweep", "e.ron", "--out", "killed", "-q"]).stdout(Stdio::null()).spawn().unwrap();
-        while !half.exists() && child.try_wait().unwrap().is_none() {
-            std::thread::sleep(Duration::from_millis(2));
-        }
-        std::thread::sleep(Duration::from_millis(wait));
+        wait_for_step(&mut child, &here.join("killed").join(run), step);
         child.kill().unwrap(); // SIGKILL
-        kills += usize::from(!child.wait().unwrap().success());
+        assert!(!child.wait().unwrap().success(), "killed in {run} after step {step}");
     }
-    assert!(kills >= 1, "the sweep is long enough to be killed");
     let status = stdout(&succeed(here, &["sweep", "e.ron", "--out", "killed", "--status"]));
     assert!(status.contains("finished") && !status.contains("4 of 4"), "{status}");
     succeed(here, &["sweep", "e.ron", "--out", "killed", "-q"]);

@@ -1,7 +1,8 @@
 //! The program under test, small pipelines and small data.
 
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::{Child, Command, Output};
+use std::time::Duration;
 
 /// A pipeline of seconds: spectra of 48x12 pixels, 8 Gaussians.
 pub(crate) const SMALL: &str = "Pipeline(
@@ -54,6 +55,19 @@ pub(crate) fn refuse(folder: &Path, arguments: &[&str], code: i32, words: &[&str
     assert!(!said.contains("panicked"), "{said}");
     for word in words {
         assert!(said.contains(word), "{arguments:?}: `{word}` is not in: {said}");
+    }
+}
+
+/// Waits until the curve of a run that `child` is at work on has the row of `step`.
+pub(crate) fn wait_for_step(child: &mut Child, run: &Path, step: u64) {
+    let reached = || {
+        let text = std::fs::read_to_string(run.join("curve.csv")).unwrap_or_default();
+        let last = text.lines().last().and_then(|line| line.split(',').next()?.parse::<u64>().ok());
+        last.is_some_and(|last| last >= step)
+    };
+    while !reached() {
+        assert!(child.try_wait().unwrap().is_none(), "the run has ended before step {step}");
+        std::thread::sleep(Duration::from_millis(1));
     }
 }
 
