@@ -14,12 +14,8 @@
 mod training;
 
 use crate::Image;
+use training::{C1, C2};
 pub use training::{Window, training, training_vjp};
-
-/// C₁ = (0.01 · data range)².
-const C1: f64 = 1e-4;
-/// C₂ = (0.03 · data range)².
-const C2: f64 = 9e-4;
 
 /// SSIM as scikit-image reports it, of two pictures of the same size; computed in double precision.
 ///

@@ -9,14 +9,18 @@
 //! of [`LANES`] numbers and are compiled once for each instruction set (pulp). Every pixel is computed by the same
 //! operations in the same order on all of them, so the bits depend on neither machine nor threads.
 
-use super::{C1, C2};
 use crate::Real;
 use std::cell::RefCell;
 
+/// C₁ = (0.01 · data range)².
+pub(super) const C1: f64 = 1e-4;
+/// C₂ = (0.03 · data range)².
+pub(super) const C2: f64 = 9e-4;
 /// Taps of the blur.
 const TAPS: usize = 11;
 /// Half of them: the reach of the blur, px.
 const REACH: usize = TAPS / 2;
+
 /// The Gaussian window of the trained SSIM: 11 taps along each axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window([Real; TAPS]);
