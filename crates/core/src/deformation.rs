@@ -1,6 +1,6 @@
 //! `Deformation`: what the transmitter's position changes, `D_Θ` of eq. (5).
 
-use crate::{Memory, Pose, Real, plugin_kind, rng::Rng};
+use crate::{Cache, Pose, Real, plugin_kind, rng::Rng};
 
 /// The calibration terms ΔS, ΔR, Δs as functions of centre and transmitter. The weights Θ live outside the plugin.
 ///
@@ -37,7 +37,7 @@ pub trait Deformation: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
 
     /// What [`Self::forward`] makes of weights and centres without knowing the transmitter, for a trained model to
     /// work out once and not at every prediction. `None` where everything waits for the transmitter.
-    fn prepare(&self, weights: &[Real], means: &[[Real; 3]], pose: &Pose) -> Memory {
+    fn prepare(&self, weights: &[Real], means: &[[Real; 3]], pose: &Pose) -> Cache {
         let _ = (weights, means, pose);
         None
     }
@@ -49,7 +49,7 @@ pub trait Deformation: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
         means: &[[Real; 3]],
         txs: &[[Real; 3]],
         pose: &Pose,
-        prepared: &Memory,
+        prepared: &Cache,
     ) -> Deltas {
         let _ = prepared;
         self.forward(weights, means, txs, pose)

@@ -33,7 +33,7 @@ pub use error::{Error, Result};
 pub use image::{Axis, Image, ImagePlane};
 pub use initializer::Initializer;
 pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, StageTimes, Values};
-pub use plugin::{Checked, Memory, Plugin, recall, registered};
+pub use plugin::{Cache, Checked, Plugin, cached, registered};
 pub use projector::Projector;
 pub use pruner::{ColumnSpec, Pruner};
 pub use rasterizer::{Rasterizer, Render, RenderVjp};

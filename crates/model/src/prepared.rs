@@ -1,7 +1,7 @@
 //! `Prepared`: models ready to predict, with everything worked out that no transmitter changes.
 
 use crate::{Model, Stages};
-use pwrfgs_core::{Deltas, GaussianCloud, Image, ImagePlane, Memory, Predict, Real, Splats, StageTimes};
+use pwrfgs_core::{Deltas, GaussianCloud, Image, ImagePlane, Cache, Predict, Real, Splats, StageTimes};
 use rayon::prelude::*;
 use std::borrow::Cow;
 use std::ops::Range;
@@ -27,7 +27,7 @@ struct Member<'a> {
     /// The Gaussians that pictures can show.
     cloud: Cow<'a, GaussianCloud>,
     /// The network's.
-    deformation: Memory,
+    deformation: Cache,
     /// Where geometry stays.
     scene: Option<Still>,
 }
@@ -36,7 +36,7 @@ struct Member<'a> {
 #[derive(Debug)]
 struct Still {
     splats: Splats,
-    memory: Memory,
+    cache: Cache,
 }
 
 /// Transmitters of one call of the network in [`Prepared::predict_many`], and of one projection where geometry stays:

@@ -3,7 +3,7 @@
 use crate::blend::{ALPHA_MIN, Backward, Forward, GEOMETRY, PIXELS, Tile};
 use crate::simd::widest;
 use crate::tiles::{TILE, TileLists};
-use pwrfgs_core::{ImagePlane, Memory, Rasterizer, Real, Render, RenderVjp, Splats, recall};
+use pwrfgs_core::{ImagePlane, Cache, Rasterizer, Real, Render, RenderVjp, Splats, cached};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -53,7 +53,7 @@ impl Rasterizer for AlphaBlending {
         Render { sort_seconds, ..self.forward_prepared(splats, signals, channels, plane, &lists) }
     }
 
-    fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Memory {
+    fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Cache {
         Some(Arc::new(TileLists::build(splats, plane, self.support)))
     }
 
@@ -63,10 +63,10 @@ impl Rasterizer for AlphaBlending {
         signals: &[Real],
         channels: usize,
         plane: &ImagePlane,
-        prepared: &Memory,
+        prepared: &Cache,
     ) -> Render {
         assert_eq!(signals.len(), splats.len() * channels, "one signal a splat and channel");
-        let lists: &TileLists = recall(prepared);
+        let lists: &TileLists = cached(prepared);
         let start = Instant::now();
         let size = plane.width * plane.height;
         let (mut pixels, mut transmittance) = (vec![0.0; size * channels], vec![1.0; size]);
@@ -88,7 +88,7 @@ impl Rasterizer for AlphaBlending {
             transmittance,
             sort_seconds: 0.0,
             blend_seconds: start.elapsed().as_secs_f64(),
-            memory: prepared.clone(),
+            cache: prepared.clone(),
         }
     }
 
@@ -102,7 +102,7 @@ impl Rasterizer for AlphaBlending {
         d_pixels: &[Real],
     ) -> RenderVjp {
         assert_eq!(d_pixels.len(), render.pixels.len(), "one cotangent a pixel and channel");
-        let lists: &TileLists = recall(&render.memory);
+        let lists: &TileLists = cached(&render.cache);
         let stride = GEOMETRY + channels;
         let mut parts = vec![0.0; lists.splats.len() * stride];
         let mut rest = parts.as_mut_slice();

@@ -4,7 +4,7 @@ mod beams;
 mod wave;
 
 use beams::Beams;
-use pwrfgs_core::{ImagePlane, Memory, Rasterizer, Real, Render, RenderVjp, Splats, recall};
+use pwrfgs_core::{ImagePlane, Cache, Rasterizer, Real, Render, RenderVjp, Splats, cached};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, PoisonError, RwLock};
@@ -104,7 +104,7 @@ impl Rasterizer for ArrayResponse {
         self.forward_prepared(splats, signals, channels, plane, &self.prepare(splats, plane))
     }
 
-    fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Memory {
+    fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Cache {
         let waves = Antennas::new(self, plane).waves(splats);
         Some(Arc::new(Steered { waves, beams: self.beams(plane) }))
     }
@@ -115,11 +115,11 @@ impl Rasterizer for ArrayResponse {
         signals: &[Real],
         channels: usize,
         plane: &ImagePlane,
-        prepared: &Memory,
+        prepared: &Cache,
     ) -> Render {
         assert_eq!(signals.len(), splats.len() * channels, "one signal a splat and channel");
         let start = Instant::now();
-        let Steered { waves, beams } = recall(prepared);
+        let Steered { waves, beams } = cached(prepared);
         let field = field(splats, signals, waves, self.rows * self.columns, channels);
         let mut pixels = vec![0.0; channels * plane.width * plane.height];
         beams.draw(&field, &mut pixels);
@@ -128,7 +128,7 @@ impl Rasterizer for ArrayResponse {
             transmittance: Vec::new(),
             sort_seconds: 0.0,
             blend_seconds: start.elapsed().as_secs_f64(),
-            memory: prepared.clone(),
+            cache: prepared.clone(),
         }
     }
 
@@ -143,7 +143,7 @@ impl Rasterizer for ArrayResponse {
     ) -> RenderVjp {
         let antennas = Antennas::new(self, plane);
         let elements = antennas.len();
-        let Steered { waves, beams } = recall(&render.memory);
+        let Steered { waves, beams } = cached(&render.cache);
         let d_field = beams.draw_vjp(d_pixels);
         let mut out = RenderVjp {
             splats: Splats::zeros(splats.len()),

@@ -3,7 +3,7 @@
 use super::layers::{Plan, laid_out};
 use super::mlp::{check_frequencies, check_stack};
 use super::wrfgs_network::{Ahead, Network};
-use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Memory, Pose, Real, WeightSpec, recall, rng::Rng};
+use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Cache, Pose, Real, WeightSpec, cached, rng::Rng};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -109,7 +109,7 @@ impl Deformation for Wrfgs {
         self.deltas(&self.network(weights), weights, means, txs, pose, None)
     }
 
-    fn prepare(&self, weights: &[Real], means: &[[Real; 3]], _: &Pose) -> Memory {
+    fn prepare(&self, weights: &[Real], means: &[[Real; 3]], _: &Pose) -> Cache {
         let network = self.network(weights);
         let ahead = network.ahead(weights, means);
         Some(Arc::new((network, ahead)))
@@ -121,9 +121,9 @@ impl Deformation for Wrfgs {
         means: &[[Real; 3]],
         txs: &[[Real; 3]],
         pose: &Pose,
-        prepared: &Memory,
+        prepared: &Cache,
     ) -> Deltas {
-        let (network, ahead): &(Network, Vec<Ahead>) = recall(prepared);
+        let (network, ahead): &(Network, Vec<Ahead>) = cached(prepared);
         self.deltas(network, weights, means, txs, pose, Some(ahead.as_slice()))
     }
 
