@@ -128,3 +128,34 @@ pub struct Deltas {
     /// Added to (or replacing) the signals.
     pub signals: Vec<[Real; 2]>,
 }
+
+impl Deltas {
+    /// Scales, quaternions and signals, row-major.
+    pub fn columns(&self) -> [&[Real]; 3] {
+        [self.scales.as_flattened(), self.quats.as_flattened(), self.signals.as_flattened()]
+    }
+
+    /// The same, to be changed.
+    pub fn columns_mut(&mut self) -> [&mut [Real]; 3] {
+        [self.scales.as_flattened_mut(), self.quats.as_flattened_mut(), self.signals.as_flattened_mut()]
+    }
+
+    /// The columns that are not empty, one after the other.
+    pub fn to_columns(&self) -> impl Iterator<Item = Vec<Real>> {
+        self.columns().into_iter().filter(|column| !column.is_empty()).map(<[Real]>::to_vec)
+    }
+
+    /// Terms of the same shape from what [`Self::to_columns`] gives.
+    pub fn from_columns(&self, columns: Vec<Vec<Real>>) -> Self {
+        let mut deltas = self.zeros_like();
+        let own = deltas.columns_mut().into_iter().filter(|column| !column.is_empty());
+        own.zip(columns).for_each(|(own, column)| own.copy_from_slice(&column));
+        deltas
+    }
+
+    /// Zeros of the same shape.
+    pub fn zeros_like(&self) -> Self {
+        let (scales, quats) = (vec![[0.0; 3]; self.scales.len()], vec![[0.0; 4]; self.quats.len()]);
+        Self { scales, quats, signals: vec![[0.0; 2]; self.signals.len()] }
+    }
+}

@@ -3,7 +3,8 @@
 //! Data climbs a ladder: [`GaussianCloud`] (learned) → [`Primitives`] (in space, for one transmitter) → [`Splats`]
 //! (on the image plane) → [`Render`] → [`Image`]. A stage is a function between two rungs, and each trait is a stage:
 //! [`Initializer`], [`Deformation`], [`Projector`], [`Rasterizer`], [`Pruner`], [`Metric`], with [`DataSource`],
-//! [`Split`] and [`Baseline`] around them. Plugins hold no mutable state.
+//! [`Split`] and [`Baseline`] around them. Plugins hold no mutable state that results
+//! could depend on.
 
 mod cloud;
 mod data_source;

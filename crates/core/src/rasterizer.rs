@@ -75,10 +75,6 @@ pub struct Render {
     pub pixels: Vec<Real>,
     /// Transmittance left behind the last splat, `[height, width]`; empty where nothing hides anything.
     pub transmittance: Vec<Real>,
-    /// Seconds spent on order and tile lists.
-    pub sort_seconds: f64,
-    /// Seconds spent on blending.
-    pub blend_seconds: f64,
     /// Whatever the rasterizer wants to find again in `backward` (tile lists).
     pub cache: Cache,
 }

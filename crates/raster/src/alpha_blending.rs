@@ -7,7 +7,6 @@ use pwrfgs_core::{ImagePlane, Cache, Rasterizer, Real, Render, RenderVjp, Splats
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-use std::time::Instant;
 
 /// Front-to-back alpha blending in order of depth, tile by tile, with an exact backward pass.
 ///
@@ -47,10 +46,7 @@ pub enum Support {
 #[typetag::serde]
 impl Rasterizer for AlphaBlending {
     fn forward(&self, splats: &Splats, signals: &[Real], channels: usize, plane: &ImagePlane) -> Render {
-        let start = Instant::now();
-        let lists = self.prepare(splats, plane);
-        let sort_seconds = start.elapsed().as_secs_f64();
-        Render { sort_seconds, ..self.forward_prepared(splats, signals, channels, plane, &lists) }
+        self.forward_prepared(splats, signals, channels, plane, &self.prepare(splats, plane))
     }
 
     fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Cache {
@@ -67,7 +63,6 @@ impl Rasterizer for AlphaBlending {
     ) -> Render {
         assert_eq!(signals.len(), splats.len() * channels, "one signal a splat and channel");
         let lists: &TileLists = cached(prepared);
-        let start = Instant::now();
         let size = plane.width * plane.height;
         let (mut pixels, mut transmittance) = (vec![0.0; size * channels], vec![1.0; size]);
         let pictures = (Canvas::new(&mut pixels, plane), Canvas::new(&mut transmittance, plane));
@@ -83,13 +78,7 @@ impl Rasterizer for AlphaBlending {
                 pictures.1.put(tile.corner, light.left().as_flattened());
             },
         );
-        Render {
-            pixels,
-            transmittance,
-            sort_seconds: 0.0,
-            blend_seconds: start.elapsed().as_secs_f64(),
-            cache: prepared.clone(),
-        }
+        Render { pixels, transmittance, cache: prepared.clone() }
     }
 
     fn backward(

@@ -8,7 +8,6 @@ use pwrfgs_core::{ImagePlane, Cache, Rasterizer, Real, Render, RenderVjp, Splats
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, PoisonError, RwLock};
-use std::time::Instant;
 use wave::Antennas;
 
 /// The field of all Gaussians on a planar array, and what the array hears from every direction.
@@ -118,18 +117,11 @@ impl Rasterizer for ArrayResponse {
         prepared: &Cache,
     ) -> Render {
         assert_eq!(signals.len(), splats.len() * channels, "one signal a splat and channel");
-        let start = Instant::now();
         let Steered { waves, beams } = cached(prepared);
         let field = field(splats, signals, waves, self.rows * self.columns, channels);
         let mut pixels = vec![0.0; channels * plane.width * plane.height];
         beams.draw(&field, &mut pixels);
-        Render {
-            pixels,
-            transmittance: Vec::new(),
-            sort_seconds: 0.0,
-            blend_seconds: start.elapsed().as_secs_f64(),
-            cache: prepared.clone(),
-        }
+        Render { pixels, transmittance: Vec::new(), cache: prepared.clone() }
     }
 
     fn backward(

@@ -13,7 +13,7 @@ mod pipeline;
 mod settings;
 mod trainer;
 
-pub use graph::{Batch, Outcome, loss_and_gradients};
+pub use graph::{Batch, LossAndGradients, loss_and_gradients};
 pub use loss::RenderingLoss;
 pub use pipeline::{Pipeline, PipelinePatch};
 pub use settings::{
