@@ -4,6 +4,7 @@
 //! N changes in one place only, `edit.rs`.
 
 mod adam;
+mod batches;
 mod checkpoint;
 mod densify;
 mod edit;
