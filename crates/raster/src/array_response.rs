@@ -4,11 +4,12 @@ mod beams;
 mod wave;
 
 use beams::Beams;
-use pwrfgs_core::{ImagePlane, Cache, Rasterizer, Real, Render, RenderVjp, Splats, cached};
+use pwrfgs_core::{Cache, ImagePlane, Rasterizer, Real, Render, RenderVjp, Splats, cached};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, PoisonError, RwLock};
 use wave::Antennas;
+pub use wave::Wavefront;
 
 /// The field of all Gaussians on a planar array, and what the array hears from every direction.
 ///
@@ -61,22 +62,9 @@ pub struct ArrayResponse {
     pub wavefront: Wavefront,
 }
 
-/// How the phase at an antenna follows from a Gaussian.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub enum Wavefront {
-    /// From its direction, as if it were infinitely far away.
-    #[default]
-    Plane,
-    /// From its position.
-    Spherical {
-        /// Metres.
-        wavelength_m: Real,
-    },
-}
-
 /// The beams of the last few arrays and pictures, for all who draw: they follow from these alone, making them takes
-/// longer than a picture, and models of one ensemble had better read the same. Training on a coarse picture and scoring
-/// on the whole one needs two.
+/// longer than a picture, and models of one ensemble had better read the same. No result depends on what is kept.
+/// Training on a coarse picture and scoring on the whole one needs two.
 static TABLES: RwLock<Vec<Known>> = RwLock::new(Vec::new());
 
 /// Tables that are kept.
@@ -104,7 +92,7 @@ impl Rasterizer for ArrayResponse {
     }
 
     fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Cache {
-        let waves = Antennas::new(self, plane).waves(splats);
+        let waves = self.antennas(plane).waves(splats);
         Some(Arc::new(Steered { waves, beams: self.beams(plane) }))
     }
 
@@ -133,7 +121,7 @@ impl Rasterizer for ArrayResponse {
         render: &Render,
         d_pixels: &[Real],
     ) -> RenderVjp {
-        let antennas = Antennas::new(self, plane);
+        let antennas = self.antennas(plane);
         let elements = antennas.len();
         let Steered { waves, beams } = cached(&render.cache);
         let d_field = beams.draw_vjp(d_pixels);
@@ -203,6 +191,11 @@ impl Rasterizer for ArrayResponse {
 }
 
 impl ArrayResponse {
+    fn antennas(&self, plane: &ImagePlane) -> Antennas {
+        let Self { rows, columns, spacing_wavelengths, widened, wavefront } = *self;
+        Antennas::new((rows, columns), spacing_wavelengths, widened, wavefront, plane)
+    }
+
     fn beams(&self, plane: &ImagePlane) -> Arc<Beams> {
         let grid = (self.rows, self.columns, self.spacing_wavelengths, plane.clone());
         let known = TABLES.read().unwrap_or_else(PoisonError::into_inner);
@@ -210,7 +203,7 @@ impl ArrayResponse {
             return Arc::clone(beams);
         }
         drop(known);
-        let beams = Arc::new(Beams::new(&Antennas::new(self, plane), plane));
+        let beams = Arc::new(Beams::new(&self.antennas(plane), plane));
         let mut known = TABLES.write().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, same)) = known.iter().find(|(known, _)| *known == grid) {
             return Arc::clone(same); // another thread was faster: one table for all

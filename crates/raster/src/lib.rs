@@ -7,6 +7,7 @@
 mod alpha_blending;
 mod array_response;
 mod blend;
+mod canvas;
 mod ewa;
 mod mercator;
 pub mod reference;
@@ -14,8 +15,9 @@ mod simd;
 mod tiles;
 mod wrfgs_compat;
 
-pub use alpha_blending::{AlphaBlending, Support};
+pub use alpha_blending::AlphaBlending;
 pub use array_response::{ArrayResponse, Wavefront};
 pub use ewa::{CameraModel, View, project, project_vjp, sees};
 pub use mercator::Mercator;
+pub use tiles::Support;
 pub use wrfgs_compat::{FullSphere, WrfgsCompat};
