@@ -1,7 +1,7 @@
 //! Projectors and the one differentiable rasterizer that every pipeline shares.
 //!
 //! [`Mercator`] and [`WrfgsCompat`] are two [`CameraModel`]s in one EWA projection (`ewa.rs`); [`AlphaBlending`] draws
-//! their splats tile by tile (`tiles.rs`, `blend.rs`); [`mod@reference`] does the same by brute force, for tests.
+//! their splats tile by tile (`tiles.rs`, `blend.rs`, `canvas.rs`).
 //! [`ArrayResponse`] takes the same splats for waves and adds them up on an antenna array.
 
 mod alpha_blending;
@@ -10,7 +10,6 @@ mod blend;
 mod canvas;
 mod ewa;
 mod mercator;
-pub mod reference;
 mod simd;
 mod tiles;
 mod wrfgs_compat;

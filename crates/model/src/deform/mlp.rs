@@ -1,7 +1,7 @@
 //! `Mlp`: the deformation network of P-WRFGS, `(Δs, ΔR, ΔS) = D_Θ(γ(μ), γ(p_tx))` of eq. (5).
 
 use super::encoding::{self, MOST_FREQUENCIES};
-use super::layers::{Plan, laid_out};
+use super::layers::{Plan, laid_out, planned};
 use super::mlp_network::{Network, Outputs};
 use super::trunk::{Trunk, TrunkShape};
 use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Pose, Real, WeightSpec, rng::Rng};
@@ -87,15 +87,11 @@ impl Mlp {
 #[typetag::serde]
 impl Deformation for Mlp {
     fn layout(&self) -> Vec<WeightSpec> {
-        let mut plan = Plan::default();
-        self.network(&mut plan);
-        plan.layout()
+        planned(|plan| self.network(plan)).1.layout()
     }
 
     fn init(&self, rng: &mut Rng) -> Vec<Real> {
-        let mut plan = Plan::default();
-        self.network(&mut plan);
-        plan.init(rng)
+        planned(|plan| self.network(plan)).1.init(rng)
     }
 
     fn varies_geometry(&self) -> bool {
@@ -112,8 +108,7 @@ impl Deformation for Mlp {
     }
 
     fn frequency_window(&self, share: f64) -> Option<Vec<Real>> {
-        let mut plan = Plan::default();
-        let network = self.network(&mut plan);
+        let (network, plan) = planned(|plan| self.network(plan));
         let mut factors = vec![1.0; plan.len()];
         network.dim(&mut factors, share);
         Some(factors)

@@ -1,7 +1,7 @@
 //! `Wrfgs`: the network of WRF-GS (Wen et al., IEEE INFOCOM 2025) as the released code has it.
 
 use super::encoding;
-use super::layers::{Plan, laid_out};
+use super::layers::{Plan, laid_out, planned};
 use super::mlp::{check_frequencies, check_stack};
 use super::trunk::{Trunk, TrunkShape};
 use super::wrfgs_branch::Branch;
@@ -98,15 +98,11 @@ impl Wrfgs {
 #[typetag::serde]
 impl Deformation for Wrfgs {
     fn layout(&self) -> Vec<WeightSpec> {
-        let mut plan = Plan::default();
-        self.network(&mut plan);
-        plan.layout()
+        planned(|plan| self.network(plan)).1.layout()
     }
 
     fn init(&self, rng: &mut Rng) -> Vec<Real> {
-        let mut plan = Plan::default();
-        self.network(&mut plan);
-        plan.init(rng)
+        planned(|plan| self.network(plan)).1.init(rng)
     }
 
     fn varies_geometry(&self) -> bool {
@@ -175,8 +171,7 @@ impl Deformation for Wrfgs {
     }
 
     fn frequency_window(&self, share: f64) -> Option<Vec<Real>> {
-        let mut plan = Plan::default();
-        let network = self.network(&mut plan);
+        let (network, plan) = planned(|plan| self.network(plan));
         let mut factors = vec![1.0; plan.len()];
         network.dim(&mut factors, share);
         Some(factors)

@@ -1,6 +1,8 @@
 //! Random scenes shared by the tests of this crate.
 #![allow(dead_code, clippy::unwrap_used)] // each test file uses its own part
 
+pub(crate) mod reference;
+
 use pwrfgs_core::{ImagePlane, Pose, Primitives, Projector, Real, Splats, Vec3, rng};
 use pwrfgs_raster::Mercator;
 
