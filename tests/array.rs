@@ -250,10 +250,12 @@ fn an_ensemble_is_the_mean_of_its_members_and_knows_where_they_differ() {
     let pictures: Vec<Image> = models.iter().map(|m| m.predict(tx).clamped()).collect();
     let ensemble = Ensemble::new(models.clone()).unwrap();
     let ensemble = ensemble.prepare();
-    let (mean, spread) = (ensemble.predict(tx), ensemble.spread(tx));
+    let (mean, deviation) = (ensemble.predict(tx), ensemble.deviation(tx));
     for p in 0..mean.pixels.len() {
         let (a, b) = (pictures[0].pixels[p], pictures[1].pixels[p]);
-        assert!((mean.pixels[p] - 0.5 * (a + b)).abs() < 1e-6 && (spread.pixels[p] - 0.5 * (a - b).abs()).abs() < 1e-6);
+        assert!(
+            (mean.pixels[p] - 0.5 * (a + b)).abs() < 1e-6 && (deviation.pixels[p] - 0.5 * (a - b).abs()).abs() < 1e-6
+        );
     }
     assert_eq!(ensemble.predict_many(&[tx, tx]), vec![mean.clone(), mean]);
     assert!(Ensemble::new(Vec::new()).is_err());

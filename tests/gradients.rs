@@ -8,7 +8,7 @@ use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{ColumnSpec, DeformationInputs, GaussianCloud, rng, sigmoid};
 use pwrfgs::model::{Readout, Stages};
 use pwrfgs::prelude::*;
-use pwrfgs::train::{Batch, Outcome, RenderingLoss, loss_and_gradients};
+use pwrfgs::train::{Batch, LossAndGradients, RenderingLoss, loss_and_gradients};
 use std::sync::Arc;
 
 const DOUBLE: bool = size_of::<Real>() == 8;
@@ -76,7 +76,7 @@ impl Step {
         Self { stages, cloud, weights, batch, ssim_weight, pruners: vec![plugin("Factor()")] }
     }
 
-    fn outcome(&self, cloud: &GaussianCloud, weights: &[Real]) -> Outcome {
+    fn outcome(&self, cloud: &GaussianCloud, weights: &[Real]) -> LossAndGradients {
         loss_and_gradients(
             &self.stages,
             cloud,

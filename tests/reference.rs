@@ -14,7 +14,7 @@ use pwrfgs::core::{ExtraColumn, Mat3, Vec3};
 use pwrfgs::model::{Calibration, Readout};
 use pwrfgs::prelude::*;
 use pwrfgs::raster::{self, CameraModel, FullSphere, View};
-use pwrfgs::train::{Batch, Outcome, RenderingLoss, loss_and_gradients};
+use pwrfgs::train::{Batch, LossAndGradients, RenderingLoss, loss_and_gradients};
 use std::sync::Arc;
 
 const DOUBLE: bool = size_of::<Real>() == 8;
@@ -123,7 +123,7 @@ impl Start {
         Self { stages: Arc::new(stages), cloud, weights, batch, pruners }
     }
 
-    fn step(&self) -> Outcome {
+    fn step(&self) -> LossAndGradients {
         let Self { stages, cloud, weights, batch, pruners } = self;
         loss_and_gradients(stages, cloud, &Arc::new(weights.clone()), batch, &RenderingLoss::new(0.2), pruners, &MOMENT)
             .unwrap()

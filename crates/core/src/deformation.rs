@@ -1,6 +1,6 @@
 //! `Deformation`: what the transmitter's position changes, `D_Θ` of eq. (5).
 
-use crate::{Memory, Pose, Real, plugin_kind, rng::Rng};
+use crate::{Cache, Pose, Real, plugin_kind, rng::Rng};
 
 /// The calibration terms ΔS, ΔR, Δs as functions of centre and transmitter. The weights Θ live outside the plugin.
 ///
@@ -37,7 +37,7 @@ pub trait Deformation: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
 
     /// What [`Self::forward`] makes of weights and centres without knowing the transmitter, for a trained model to
     /// work out once and not at every prediction. `None` where everything waits for the transmitter.
-    fn prepare(&self, weights: &[Real], means: &[[Real; 3]], pose: &Pose) -> Memory {
+    fn prepare(&self, weights: &[Real], means: &[[Real; 3]], pose: &Pose) -> Cache {
         let _ = (weights, means, pose);
         None
     }
@@ -49,7 +49,7 @@ pub trait Deformation: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
         means: &[[Real; 3]],
         txs: &[[Real; 3]],
         pose: &Pose,
-        prepared: &Memory,
+        prepared: &Cache,
     ) -> Deltas {
         let _ = prepared;
         self.forward(weights, means, txs, pose)
@@ -127,4 +127,35 @@ pub struct Deltas {
     pub quats: Vec<[Real; 4]>,
     /// Added to (or replacing) the signals.
     pub signals: Vec<[Real; 2]>,
+}
+
+impl Deltas {
+    /// Scales, quaternions and signals, row-major.
+    pub fn columns(&self) -> [&[Real]; 3] {
+        [self.scales.as_flattened(), self.quats.as_flattened(), self.signals.as_flattened()]
+    }
+
+    /// The same, to be changed.
+    pub fn columns_mut(&mut self) -> [&mut [Real]; 3] {
+        [self.scales.as_flattened_mut(), self.quats.as_flattened_mut(), self.signals.as_flattened_mut()]
+    }
+
+    /// The columns that are not empty, one after the other.
+    pub fn to_columns(&self) -> impl Iterator<Item = Vec<Real>> {
+        self.columns().into_iter().filter(|column| !column.is_empty()).map(<[Real]>::to_vec)
+    }
+
+    /// Terms of the same shape from what [`Self::to_columns`] gives.
+    pub fn from_columns(&self, columns: Vec<Vec<Real>>) -> Self {
+        let mut deltas = self.zeros_like();
+        let own = deltas.columns_mut().into_iter().filter(|column| !column.is_empty());
+        own.zip(columns).for_each(|(own, column)| own.copy_from_slice(&column));
+        deltas
+    }
+
+    /// Zeros of the same shape.
+    pub fn zeros_like(&self) -> Self {
+        let (scales, quats) = (vec![[0.0; 3]; self.scales.len()], vec![[0.0; 4]; self.quats.len()]);
+        Self { scales, quats, signals: vec![[0.0; 2]; self.signals.len()] }
+    }
 }

@@ -4,7 +4,8 @@
 //! Data climbs a ladder: [`GaussianCloud`] (learned) → [`Primitives`] (in space, for one transmitter) → [`Splats`]
 //! (on the image plane) → [`Render`] → [`Image`]. A stage is a function between two rungs, and each trait is a stage:
 //! [`Initializer`], [`Deformation`], [`Projector`], [`Rasterizer`], [`Pruner`], [`Metric`], with [`DataSource`],
-//! [`Split`] and [`Baseline`] around them. Plugins hold no mutable state.
+//! [`Split`] and [`Baseline`] around them. Plugins hold no mutable state that results
+//! could depend on.
 
 mod cloud;
 mod data_source;
@@ -35,7 +36,7 @@ pub use error::{Error, Result, did_you_mean};
 pub use image::{Axis, Image, ImagePlane};
 pub use initializer::Initializer;
 pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, StageTimes, Values};
-pub use plugin::{Checked, Memory, Plugin, recall, registered};
+pub use plugin::{Cache, Checked, Plugin, cached, registered};
 pub use projector::Projector;
 pub use pruner::{ColumnSpec, Pruner};
 pub use rasterizer::{Rasterizer, Render, RenderVjp};

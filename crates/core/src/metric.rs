@@ -63,9 +63,9 @@ pub struct StageTimes {
     pub network: f64,
     /// Activation and projection.
     pub projection: f64,
-    /// Depth order and tile lists.
+    /// What the rasterizer finds before it looks at signals: depth order and tile lists.
     pub sort: f64,
-    /// Blending and readout.
+    /// Signals, blending and readout.
     pub blending: f64,
     /// All of it, from position to picture.
     pub total: f64,

@@ -224,13 +224,13 @@ pub fn default_of<T: de::DeserializeOwned>(field: &str) -> Result<T, String> {
     ron_options().from_str(default.ron).map_err(|e| format!("the default of `{field}`: {e}"))
 }
 
-/// What a plugin hands out to find again later: only it knows what is inside.
-pub type Memory = Option<Arc<dyn Any + Send + Sync>>;
+/// What a plugin has worked out and hands out to find again later: only it knows what is inside.
+pub type Cache = Option<Arc<dyn Any + Send + Sync>>;
 
-/// What is in a [`Memory`] that the caller made itself.
+/// What is in a [`Cache`] that the caller made itself.
 ///
 /// # Panics
 /// Where another plugin made it.
-pub fn recall<T: 'static>(memory: &Memory) -> &T {
-    memory.as_ref().and_then(|m| m.downcast_ref()).expect("what is handed back came from this plugin")
+pub fn cached<T: 'static>(cache: &Cache) -> &T {
+    cache.as_ref().and_then(|found| found.downcast_ref()).expect("what is handed back came from this plugin")
 }

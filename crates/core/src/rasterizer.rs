@@ -1,6 +1,6 @@
 //! `Rasterizer`: from splats to a picture of signals.
 
-use crate::{ImagePlane, Memory, Real, Splats, plugin_kind};
+use crate::{Cache, ImagePlane, Real, Splats, plugin_kind};
 
 /// Draws splats. One geometry may carry the signals of many transmitters: `channels` numbers a splat.
 #[typetag::serde]
@@ -10,7 +10,7 @@ pub trait Rasterizer: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
 
     /// What [`Self::forward`] finds before it looks at signals, such as order and tile lists: found once where geometry
     /// stays and signals change. `None` where there is nothing to find.
-    fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Memory {
+    fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Cache {
         let _ = (splats, plane);
         None
     }
@@ -22,7 +22,7 @@ pub trait Rasterizer: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
         signals: &[Real],
         channels: usize,
         plane: &ImagePlane,
-        prepared: &Memory,
+        prepared: &Cache,
     ) -> Render {
         let _ = prepared;
         self.forward(splats, signals, channels, plane)
@@ -75,12 +75,8 @@ pub struct Render {
     pub pixels: Vec<Real>,
     /// Transmittance left behind the last splat, `[height, width]`; empty where nothing hides anything.
     pub transmittance: Vec<Real>,
-    /// Seconds spent on order and tile lists.
-    pub sort_seconds: f64,
-    /// Seconds spent on blending.
-    pub blend_seconds: f64,
     /// Whatever the rasterizer wants to find again in `backward` (tile lists).
-    pub memory: Memory,
+    pub cache: Cache,
 }
 
 /// What [`Rasterizer::backward`] finds.

@@ -6,20 +6,16 @@
 //!
 //! * [`evaluation`]: uniform 7x7 windows inside the picture, sample covariance (49/48); equal to scikit-image's
 //!   `structural_similarity(a, b, data_range=1)`.
-//! * [`training()`], the `SSIM` of eq. (9): 11 Gaussian taps of σ = 1.5 px about every pixel, zeros beyond the border,
-//!   covariance `E[xy] − E[x]·E[y]`; as in the released training. [`training_vjp`] is its derivative.
+//! * [`training()`], the `SSIM` of eq. (9), with its derivative: 11 Gaussian taps of σ = 1.5 px about every pixel, zeros
+//!   beyond the border, covariance `E[xy] − E[x]·E[y]`; as in the released training.
 //!
 //! Neither wraps in azimuth. Pictures are row-major `[height, width]`.
 
 mod training;
 
 use crate::Image;
-pub use training::{Window, training, training_vjp};
-
-/// C₁ = (0.01 · data range)².
-const C1: f64 = 1e-4;
-/// C₂ = (0.03 · data range)².
-const C2: f64 = 9e-4;
+use training::{C1, C2};
+pub use training::{Window, training};
 
 /// SSIM as scikit-image reports it, of two pictures of the same size; computed in double precision.
 ///
@@ -87,6 +83,10 @@ mod tests {
     use super::*;
     use crate::Real;
 
+    fn trained(a: &Image, b: &Image) -> f64 {
+        training(&a.pixels, &b.pixels, (a.width, a.height), &Window::default()).0 as f64
+    }
+
     /// A picture that Python can make too: bytes of a hash of the position, halfway to a ramp where `ramp`.
     fn picture(width: usize, height: usize, seed: u64, ramp: bool) -> Image {
         let pixel = |i: usize| {
@@ -115,7 +115,7 @@ mod tests {
             let (a, b) = (picture(width, height, 1, ramp), picture(width, height, 2, ramp));
             let found = evaluation(&a, &b);
             assert!((found - expected_evaluation).abs() < 1e-6, "{width}x{height}: {found}");
-            let found = training(&a.pixels, &b.pixels, width, height) as f64;
+            let found = trained(&a, &b);
             assert!((found - expected_training).abs() < 2e-6, "{width}x{height}: {found}");
         }
     }
@@ -133,7 +133,7 @@ mod tests {
             return;
         };
         assert!((evaluation(&a, &b) - 0.447_368).abs() < 1e-6);
-        assert!((training(&a.pixels, &b.pixels, a.width, a.height) - 0.564_120).abs() < 1e-6);
+        assert!((trained(&a, &b) - 0.564_120).abs() < 1e-6);
     }
 
     #[test]
@@ -141,7 +141,7 @@ mod tests {
         for (width, height) in [(0, 0), (1, 1), (2, 9), (6, 6), (7, 7), (30, 11)] {
             let a = picture(width, height, 3, true);
             assert_eq!(evaluation(&a, &a), 1.0, "{width}x{height}");
-            assert!((training(&a.pixels, &a.pixels, width, height) - 1.0).abs() < 1e-5, "{width}x{height}");
+            assert!((trained(&a, &a) - 1.0).abs() < 1e-5, "{width}x{height}");
         }
     }
 

@@ -1,6 +1,6 @@
 //! What pruners and densification may look at: `Moment` and `CloudStats`.
 
-use crate::Real;
+use crate::{ImagePlane, Real, RenderVjp, Splats};
 use serde::{Deserialize, Serialize};
 
 /// The three phases of algorithm 1.
@@ -56,7 +56,44 @@ impl CloudStats {
         Self { visible: vec![0.0; n], gradient: vec![0.0; n], radius: vec![0.0; n], weight: vec![0.0; n] }
     }
 
+    /// Adds what one of `drawings` that share the mean of a loss shows of the Gaussians `rows`: their splats, and the
+    /// derivative `d` of that loss. Each drawing counts with the gradient of its own loss.
+    pub fn observe(&mut self, rows: &[usize], splats: &Splats, d: &RenderVjp, plane: &ImagePlane, drawings: usize) {
+        let (half, drawings) = ([0.5 * plane.width as Real, 0.5 * plane.height as Real], drawings as Real);
+        for (k, &i) in rows.iter().enumerate() {
+            if splats.radii[k] > 0.0 {
+                let [dx, dy] = d.splats.means2d[k];
+                self.visible[i] += 1.0;
+                self.gradient[i] += drawings * (dx * half[0]).hypot(dy * half[1]);
+                self.radius[i] = self.radius[i].max(splats.radii[k]);
+                self.weight[i] += d.weights[k];
+            }
+        }
+    }
+
+    /// Adds what was seen of the same Gaussians at another step.
+    pub fn add(&mut self, seen: &Self) {
+        for i in 0..self.visible.len() {
+            self.visible[i] += seen.visible[i];
+            self.gradient[i] += seen.gradient[i];
+            self.radius[i] = self.radius[i].max(seen.radius[i]);
+            self.weight[i] += seen.weight[i];
+        }
+    }
+
+    /// The rows listed, in that order.
+    pub fn select(&self, rows: &[usize]) -> Self {
+        let pick = |column: &[Real]| rows.iter().map(|&i| column[i]).collect();
+        let Self { visible, gradient, radius, weight } = self;
+        Self { visible: pick(visible), gradient: pick(gradient), radius: pick(radius), weight: pick(weight) }
+    }
+
     /// The four columns by name.
+    pub fn columns(&self) -> [(&'static str, &[Real]); 4] {
+        [("visible", &self.visible), ("gradient", &self.gradient), ("radius", &self.radius), ("weight", &self.weight)]
+    }
+
+    /// The same, to be changed.
     pub fn columns_mut(&mut self) -> [(&'static str, &mut Vec<Real>); 4] {
         [
             ("visible", &mut self.visible),

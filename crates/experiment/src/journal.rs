@@ -42,12 +42,12 @@ impl Journal {
     /// Notes a step that took `seconds`.
     pub(crate) fn step(&mut self, report: &StepReport, seconds: f64) -> Result<()> {
         self.seconds += seconds;
-        let (StepReport { step, phase, loss, penalty, gaussians }, seconds) = (*report, self.seconds);
-        if !has_row(step, self.steps) {
+        let (StepReport { step, phase, loss, penalty, gaussians, .. }, seconds) = (report, self.seconds);
+        if !has_row(*step, self.steps) {
             return Ok(());
         }
         self.curve.push(&format!("{step},{},{loss},{penalty},{gaussians},{seconds:.3}", phase.name()))?;
-        self.scalars(step, &[("loss", loss), ("penalty", penalty), ("gaussians", gaussians as f64)])
+        self.scalars(*step, &[("loss", *loss), ("penalty", *penalty), ("gaussians", *gaussians as f64)])
     }
 
     /// Notes a look at the validation part.

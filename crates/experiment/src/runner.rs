@@ -160,14 +160,17 @@ impl<'a> Run<'a> {
         if trainer.done() == 0 {
             snapshot(START_SNAPSHOT, 0, trainer.cloud())?;
         }
+        // A file that an earlier start left is of the same events: nothing smaller is worth another.
+        let mut fullest = Snapshot::read(&folder.file(UNPRUNED_SNAPSHOT))?.map_or(0, |before| before.means.len());
         while !trainer.finished() {
             let stopped = self.stop.load(Ordering::Relaxed);
             if !stopped {
                 let begun = Instant::now();
                 let report = trainer.step().inspect_err(|_| self.kept(folder))?;
                 let seconds = begun.elapsed().as_secs_f64();
-                if let Some(cloud) = trainer.take_unpruned() {
-                    snapshot(UNPRUNED_SNAPSHOT, report.step, &cloud)?;
+                if let Some(cloud) = report.unpruned.as_ref().filter(|cloud| cloud.len() > fullest) {
+                    fullest = cloud.len();
+                    snapshot(UNPRUNED_SNAPSHOT, report.step, cloud)?;
                 }
                 journal.step(&report, seconds)?;
                 let look = settings.validate_every > 0 && report.step.is_multiple_of(settings.validate_every);

@@ -33,6 +33,24 @@ pub struct Activation {
     pub channels: usize,
 }
 
+/// Derivatives in what an [`Activation`] is given, where its `_vjp`s add them up.
+#[derive(Clone, Debug)]
+pub struct ActivationVjp {
+    /// In the cloud; extra columns stay 0.
+    pub cloud: GaussianCloud,
+    /// In the calibration terms.
+    pub deltas: Deltas,
+    /// In the gate, `[N]`.
+    pub gate: Vec<Real>,
+}
+
+impl ActivationVjp {
+    /// Zeros for `cloud` and `deltas`.
+    pub fn zeros(cloud: &GaussianCloud, deltas: &Deltas) -> Self {
+        Self { cloud: cloud.zeros_like(), deltas: deltas.zeros_like(), gate: vec![0.0; cloud.len()] }
+    }
+}
+
 impl Activation {
     /// The geometry of row `b` of the batch in `deltas`, gated by `gate` `[N]` (`None`: all open).
     pub fn geometry(&self, cloud: &GaussianCloud, deltas: &Deltas, b: usize, gate: Option<&[Real]>) -> Primitives {
@@ -57,8 +75,7 @@ impl Activation {
         out
     }
 
-    /// Adds to `d_cloud`, `d_deltas` (rows of `b`) and `d_gate`, given the cotangents `d` of [`Self::geometry`].
-    #[allow(clippy::too_many_arguments)] // forward's arguments, the cotangent, and the three sums
+    /// Adds to `sums` (of its deltas the rows of `b`), given the cotangents `d` of [`Self::geometry`].
     pub fn geometry_vjp(
         &self,
         cloud: &GaussianCloud,
@@ -66,10 +83,9 @@ impl Activation {
         b: usize,
         gate: Option<&[Real]>,
         d: &Primitives,
-        d_cloud: &mut GaussianCloud,
-        d_deltas: &mut Deltas,
-        d_gate: &mut [Real],
+        sums: &mut ActivationVjp,
     ) {
+        let ActivationVjp { cloud: d_cloud, deltas: d_deltas, gate: d_gate } = sums;
         let n = cloud.len();
         for i in 0..n {
             let m = gate.map_or(1.0, |g| g[i]);
@@ -120,16 +136,16 @@ impl Activation {
         out
     }
 
-    /// Adds to `d_cloud` and `d_deltas`, given the cotangents of [`Self::signals`].
+    /// Adds to `sums`, given the cotangents of [`Self::signals`].
     pub fn signals_vjp(
         &self,
         cloud: &GaussianCloud,
         deltas: &Deltas,
         batch: std::ops::Range<usize>,
         d: &[Real],
-        d_cloud: &mut GaussianCloud,
-        d_deltas: &mut Deltas,
+        sums: &mut ActivationVjp,
     ) {
+        let ActivationVjp { cloud: d_cloud, deltas: d_deltas, .. } = sums;
         let n = cloud.len();
         let mut d = d.iter();
         for i in 0..n {
@@ -238,11 +254,10 @@ mod tests {
             fill(g.quats.as_flattened_mut());
             fill(&mut g.opacities);
             let d_signals: Vec<Real> = d.collect();
-            let (mut d_cloud, mut d_deltas) = (cloud.zeros_like(), unpack(&vec![0.0; size]).1);
-            let mut d_gate = vec![0.0; N];
-            activation.geometry_vjp(&cloud, &deltas, b, Some(&gate), &g, &mut d_cloud, &mut d_deltas, &mut d_gate);
-            activation.signals_vjp(&cloud, &deltas, 0..BATCH, &d_signals, &mut d_cloud, &mut d_deltas);
-            pack(&d_cloud, &d_deltas, &d_gate)
+            let mut sums = ActivationVjp::zeros(&cloud, &deltas);
+            activation.geometry_vjp(&cloud, &deltas, b, Some(&gate), &g, &mut sums);
+            activation.signals_vjp(&cloud, &deltas, 0..BATCH, &d_signals, &mut sums);
+            pack(&sums.cloud, &sums.deltas, &sums.gate)
         };
         check_vjp("activate", &x, f, vjp, 1e-6, 1e-6);
     }

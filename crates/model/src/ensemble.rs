@@ -3,7 +3,7 @@
 use crate::{Model, Prepared};
 
 /// Models of one scene, such as runs that differ in their seed. Its picture is the mean of theirs, each clamped to
-/// [0, 1] (one alone predicts as it is); where they disagree, nobody should trust it: see [`Prepared::spread`].
+/// [0, 1] (one alone predicts as it is); where they disagree, nobody should trust it: see [`Prepared::deviation`].
 #[derive(Clone, Debug)]
 pub struct Ensemble {
     members: Vec<Model>,

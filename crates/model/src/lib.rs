@@ -1,7 +1,7 @@
 //! The model: a cloud, a deformation network, and the stages that turn a transmitter position into a spectrum.
 //!
-//! [`Prepared`] is the whole path without tape, gates or pruners: deform → activate → project → rasterize → read
-//! out. The training step in `pwrfgs-train` runs the same functions and their derivatives.
+//! [`Stages`] is the path deform → activate → project → rasterize → read out: [`Prepared`] walks it for many
+//! transmitters, the training step in `pwrfgs-train` there and back.
 
 mod activate;
 pub mod deform;
@@ -10,10 +10,12 @@ pub mod file;
 mod model;
 mod prepared;
 mod readout;
+mod stages;
 pub mod tensors;
 
-pub use activate::{Activation, Calibration};
+pub use activate::{Activation, ActivationVjp, Calibration};
 pub use ensemble::Ensemble;
-pub use model::{Model, Stages};
+pub use model::Model;
 pub use prepared::Prepared;
 pub use readout::Readout;
+pub use stages::{Drawing, Geometry, Stages};

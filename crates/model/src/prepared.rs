@@ -1,10 +1,12 @@
 //! `Prepared`: models ready to predict, with everything worked out that no transmitter changes.
 
+use crate::stages::Geometry;
 use crate::{Model, Stages};
-use pwrfgs_core::{Deltas, GaussianCloud, Image, ImagePlane, Memory, Predict, Real, Splats, StageTimes};
+use pwrfgs_core::{Cache, Deltas, GaussianCloud, Image, ImagePlane, Predict, Real, StageTimes};
 use rayon::prelude::*;
 use std::borrow::Cow;
 use std::ops::Range;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// One model, or an ensemble, made ready for many predictions.
@@ -27,16 +29,9 @@ struct Member<'a> {
     /// The Gaussians that pictures can show.
     cloud: Cow<'a, GaussianCloud>,
     /// The network's.
-    deformation: Memory,
-    /// Where geometry stays.
-    scene: Option<Still>,
-}
-
-/// Geometry that no transmitter changes.
-#[derive(Debug)]
-struct Still {
-    splats: Splats,
-    memory: Memory,
+    deformation: Cache,
+    /// The geometry, where no transmitter changes it.
+    still: Option<Arc<Geometry>>,
 }
 
 /// Transmitters of one call of the network in [`Prepared::predict_many`], and of one projection where geometry stays:
@@ -81,23 +76,41 @@ impl<'a> Prepared<'a> {
     }
 
     /// The standard deviation of the members' pictures at every pixel (n in the denominator): a picture of confidence.
-    pub fn spread(&self, tx: [Real; 3]) -> Image {
+    pub fn deviation(&self, tx: [Real; 3]) -> Image {
         let pictures: Vec<Image> = self.members.iter().map(|m| m.predict(tx).0.clamped()).collect();
-        let mut spread = Image::zeros(self.plane().width, self.plane().height);
+        let mut deviation = Image::zeros(self.plane().width, self.plane().height);
         let mean = mean(pictures.clone());
         for picture in &pictures {
-            let deviations = picture.pixels.iter().zip(&mean.pixels).map(|(p, m)| (p - m) * (p - m));
-            spread.pixels.iter_mut().zip(deviations).for_each(|(sum, d)| *sum += d);
+            let squares = picture.pixels.iter().zip(&mean.pixels).map(|(p, m)| (p - m) * (p - m));
+            deviation.pixels.iter_mut().zip(squares).for_each(|(sum, square)| *sum += square);
         }
         let count = pictures.len() as Real;
-        spread.pixels.iter_mut().for_each(|sum| *sum = (*sum / count).sqrt());
-        spread
+        deviation.pixels.iter_mut().for_each(|sum| *sum = (*sum / count).sqrt());
+        deviation
     }
 
     /// Spectra of many transmitters.
     pub fn predict_many(&self, txs: &[[Real; 3]]) -> Vec<Image> {
         let mut of_each: Vec<_> = self.members.iter().map(|m| m.predict_many(txs).into_iter()).collect();
         txs.iter().map(|_| mean(of_each.iter_mut().filter_map(Iterator::next).collect())).collect()
+    }
+}
+
+impl Model {
+    /// The spectrum for a transmitter at `tx` (metres, world frame), not clamped. For more than one, [`Self::prepare`].
+    pub fn predict(&self, tx: [Real; 3]) -> Image {
+        self.prepare().predict(tx)
+    }
+
+    /// The model with everything worked out that no transmitter changes.
+    pub fn prepare(&self) -> Prepared<'_> {
+        Prepared::new(std::slice::from_ref(self))
+    }
+}
+
+impl Predict for Model {
+    fn predict(&self, tx: [Real; 3]) -> Image {
+        Self::predict(self, tx)
     }
 }
 
@@ -114,12 +127,9 @@ impl<'a> Member<'a> {
         let all = rows.len() == model.cloud.len();
         let cloud = if all { Cow::Borrowed(&model.cloud) } else { Cow::Owned(model.cloud.select(&rows)) };
         let deformation = stages.deformation.prepare(&model.weights, &cloud.means, &stages.pose);
-        let scene = (!stages.deformation.varies_geometry()).then(|| {
-            let splats = stages.splats(&cloud, &Deltas::default(), 0);
-            let memory = stages.rasterizer.prepare(&splats, &stages.plane);
-            Still { splats, memory }
-        });
-        Self { model, cloud, deformation, scene }
+        let still = (!stages.deformation.varies_geometry())
+            .then(|| Arc::new(stages.geometry(&cloud, &Deltas::default(), 0, None)));
+        Self { model, cloud, deformation, still }
     }
 
     fn predict(&self, tx: [Real; 3]) -> (Image, StageTimes) {
@@ -132,18 +142,17 @@ impl<'a> Member<'a> {
     fn stages(&self, tx: [Real; 3]) -> (Image, StageTimes) {
         let start = Instant::now();
         let deltas = self.deform(&[tx]);
-        let deformed = Instant::now();
-        let (mut images, mut times) = self.draw(&deltas, 0..1, deformed);
-        times.network = (deformed - start).as_secs_f64();
-        (images.remove(0), times)
+        let network = start.elapsed().as_secs_f64();
+        let (mut images, times) = self.draw(&deltas, 0..1);
+        (images.remove(0), StageTimes { network, ..times })
     }
 
     /// A group of transmitters at a time: they share a projection, or at least the network's work, and each its thread.
     fn predict_many(&self, txs: &[[Real; 3]]) -> Vec<Image> {
         let group = |txs: &[[Real; 3]]| {
             let deltas = self.deform(txs);
-            let draw = |batch: Range<usize>| self.draw(&deltas, batch, Instant::now()).0;
-            match self.scene {
+            let draw = |batch: Range<usize>| self.draw(&deltas, batch).0;
+            match self.still {
                 Some(_) => draw(0..txs.len()),
                 None => (0..txs.len()).into_par_iter().flat_map_iter(|b| draw(b..b + 1)).collect(),
             }
@@ -157,34 +166,20 @@ impl<'a> Member<'a> {
     }
 
     /// Pictures of the transmitters `batch` of `deltas`, which share the geometry of the first.
-    fn draw(&self, deltas: &Deltas, batch: Range<usize>, start: Instant) -> (Vec<Image>, StageTimes) {
-        let (stages, cloud) = (&self.model.stages, &self.cloud);
-        let Stages { rasterizer, readout, plane, .. } = stages;
-        let activation = stages.activation();
-        let channels = activation.channels * batch.len();
-        let signals = activation.signals(cloud, deltas, batch.clone());
-        let (render, projected) = if let Some(Still { splats, memory }) = &self.scene {
-            let projected = Instant::now();
-            (rasterizer.forward_prepared(splats, &signals, channels, plane, memory), projected)
-        } else {
-            let splats = stages.splats(cloud, deltas, batch.start);
-            let projected = Instant::now();
-            (rasterizer.forward(&splats, &signals, channels, plane), projected)
-        };
+    fn draw(&self, deltas: &Deltas, batch: Range<usize>) -> (Vec<Image>, StageTimes) {
+        let start = Instant::now();
+        let Stages { readout, plane, .. } = &self.model.stages;
+        let drawing = self.model.stages.draw(&self.cloud, deltas, batch, None, self.still.as_ref());
         let pixels = plane.width * plane.height;
         let image = |pixels| Image { width: plane.width, height: plane.height, pixels };
-        let grey = readout.forward(&render.pixels, pixels);
+        let grey = readout.forward(&drawing.render.pixels, pixels);
         let images = match grey.len() / pixels.max(1) {
             1 => vec![image(grey)], // moved, not copied
             _ => grey.chunks_exact(pixels).map(|p| image(p.to_vec())).collect(),
         };
-        let times = StageTimes {
-            projection: (projected - start).as_secs_f64(),
-            sort: render.sort_seconds,
-            blending: projected.elapsed().as_secs_f64() - render.sort_seconds,
-            ..StageTimes::default()
-        };
-        (images, times)
+        let [projection, sort] = if self.still.is_some() { [0.0; 2] } else { drawing.geometry.seconds };
+        let blending = start.elapsed().as_secs_f64() - projection - sort;
+        (images, StageTimes { projection, sort, blending, ..StageTimes::default() })
     }
 }
 

@@ -1,13 +1,13 @@
 //! `AlphaBlending`: the rasterizer of the paper, eq. (7) and (8).
 
-use crate::blend::{ALPHA_MIN, Backward, Forward, GEOMETRY, PIXELS, Tile};
+use crate::blend::{ALPHA_MIN, Backward, Forward, GEOMETRY, PIXELS, TILE, Tile};
+use crate::canvas::{gather, patches};
 use crate::simd::widest;
-use crate::tiles::{TILE, TileLists};
-use pwrfgs_core::{ImagePlane, Memory, Rasterizer, Real, Render, RenderVjp, Splats, recall};
+use crate::tiles::{Support, TileLists};
+use pwrfgs_core::{Cache, ImagePlane, Rasterizer, Real, Render, RenderVjp, Splats, cached};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-use std::time::Instant;
 
 /// Front-to-back alpha blending in order of depth, tile by tile, with an exact backward pass.
 ///
@@ -34,26 +34,13 @@ pub struct AlphaBlending {
     pub support: Support,
 }
 
-/// Which pixels a Gaussian can reach.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Support {
-    /// Those where γ ≥ 1/255.
-    #[default]
-    Exact,
-    /// Those of whole tiles around the square of radius 3σ, as released.
-    TileSquares,
-}
-
 #[typetag::serde]
 impl Rasterizer for AlphaBlending {
     fn forward(&self, splats: &Splats, signals: &[Real], channels: usize, plane: &ImagePlane) -> Render {
-        let start = Instant::now();
-        let lists = self.prepare(splats, plane);
-        let sort_seconds = start.elapsed().as_secs_f64();
-        Render { sort_seconds, ..self.forward_prepared(splats, signals, channels, plane, &lists) }
+        self.forward_prepared(splats, signals, channels, plane, &self.prepare(splats, plane))
     }
 
-    fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Memory {
+    fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Cache {
         Some(Arc::new(TileLists::build(splats, plane, self.support)))
     }
 
@@ -63,33 +50,26 @@ impl Rasterizer for AlphaBlending {
         signals: &[Real],
         channels: usize,
         plane: &ImagePlane,
-        prepared: &Memory,
+        prepared: &Cache,
     ) -> Render {
         assert_eq!(signals.len(), splats.len() * channels, "one signal a splat and channel");
-        let lists: &TileLists = recall(prepared);
-        let start = Instant::now();
+        let lists: &TileLists = cached(prepared);
         let size = plane.width * plane.height;
         let (mut pixels, mut transmittance) = (vec![0.0; size * channels], vec![1.0; size]);
-        let pictures = (Canvas::new(&mut pixels, plane), Canvas::new(&mut transmittance, plane));
-        (0..lists.len()).into_par_iter().for_each_init(
+        let tiles = patches(&mut pixels, plane).into_par_iter().zip(patches(&mut transmittance, plane));
+        tiles.enumerate().for_each_init(
             || vec![0.0; channels * PIXELS],
-            |scratch, t| {
+            |scratch, (t, (mut signal, mut left))| {
                 let tile = tile(lists, t, splats, signals, channels, plane);
                 if tile.list.is_empty() {
                     return; // zeros and ones already
                 }
                 let light = widest(Forward { tile: &tile, out: scratch });
-                pictures.0.put(tile.corner, scratch);
-                pictures.1.put(tile.corner, light.left().as_flattened());
+                signal.put(scratch);
+                left.put(light.left().as_flattened());
             },
         );
-        Render {
-            pixels,
-            transmittance,
-            sort_seconds: 0.0,
-            blend_seconds: start.elapsed().as_secs_f64(),
-            memory: prepared.clone(),
-        }
+        Render { pixels, transmittance, cache: prepared.clone() }
     }
 
     fn backward(
@@ -102,7 +82,7 @@ impl Rasterizer for AlphaBlending {
         d_pixels: &[Real],
     ) -> RenderVjp {
         assert_eq!(d_pixels.len(), render.pixels.len(), "one cotangent a pixel and channel");
-        let lists: &TileLists = recall(&render.memory);
+        let lists: &TileLists = cached(&render.cache);
         let stride = GEOMETRY + channels;
         let mut parts = vec![0.0; lists.splats.len() * stride];
         let mut rest = parts.as_mut_slice();
@@ -155,28 +135,6 @@ fn tile<'a>(
     Tile { splats, signals, channels, plane, list, rows, corner: lists.corner(t) }
 }
 
-/// Copies a tile out of pictures `[channels, H, W]`; pixels beyond the edge are 0.
-fn gather(pictures: &[Real], plane: &ImagePlane, (x, y): (usize, usize), out: &mut [Real]) {
-    let columns = (plane.width - x).min(TILE);
-    let rows = (plane.height - y).min(TILE);
-    out.fill(0.0);
-    for (picture, out) in pictures.chunks_exact(plane.width * plane.height).zip(out.chunks_exact_mut(PIXELS)) {
-        for row in 0..rows {
-            let from = (y + row) * plane.width + x;
-            copy_row(&mut out[row * TILE..], &picture[from..], columns);
-        }
-    }
-}
-
-/// Copies the pixels of a tile in one row; where it is whole, in registers: calls of `memcpy` for 64 bytes were a tenth of
-/// a training step.
-fn copy_row(to: &mut [Real], from: &[Real], columns: usize) {
-    match (to.first_chunk_mut::<TILE>(), from.first_chunk::<TILE>()) {
-        (Some(to), Some(from)) if columns == TILE => *to = *from,
-        _ => to[..columns].copy_from_slice(&from[..columns]),
-    }
-}
-
 /// Adds up each splat's cotangents over the tiles it meets, in tile order, whatever thread made them.
 fn sum_over_tiles(lists: &TileLists, n: usize, channels: usize, parts: &[Real]) -> RenderVjp {
     let stride = GEOMETRY + channels;
@@ -212,39 +170,4 @@ fn sum_over_tiles(lists: &TileLists, n: usize, channels: usize, parts: &[Real]) 
         }
     });
     RenderVjp { splats: d, signals, weights }
-}
-
-/// Pictures `[channels, H, W]` that tiles write side by side.
-struct Canvas {
-    start: *mut Real,
-    len: usize,
-    width: usize,
-    height: usize,
-}
-
-// SAFETY: a canvas is only written through `put`, and each tile is put once, by one thread; tiles do not overlap.
-#[allow(unsafe_code)]
-unsafe impl Sync for Canvas {}
-
-impl Canvas {
-    fn new(pixels: &mut [Real], plane: &ImagePlane) -> Self {
-        Self { start: pixels.as_mut_ptr(), len: pixels.len(), width: plane.width, height: plane.height }
-    }
-
-    /// Copies `[channels][PIXELS]` of the tile at `corner` into the pictures.
-    #[allow(unsafe_code)]
-    fn put(&self, (x, y): (usize, usize), tile: &[Real]) {
-        let columns = (self.width - x).min(TILE);
-        let rows = (self.height - y).min(TILE);
-        for (c, tile) in tile.chunks_exact(PIXELS).enumerate() {
-            for row in 0..rows {
-                let at = (c * self.height + y + row) * self.width + x;
-                assert!(at + columns <= self.len, "a tile lies inside the picture");
-                // SAFETY: the range is inside the allocation (asserted) and belongs to this tile alone; the vector
-                // behind it outlives the canvas, which does not leave `forward`.
-                let to = unsafe { std::slice::from_raw_parts_mut(self.start.add(at), columns) };
-                copy_row(to, &tile[row * TILE..], columns);
-            }
-        }
-    }
 }

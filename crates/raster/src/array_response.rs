@@ -4,12 +4,12 @@ mod beams;
 mod wave;
 
 use beams::Beams;
-use pwrfgs_core::{ImagePlane, Memory, Rasterizer, Real, Render, RenderVjp, Splats, recall};
+use pwrfgs_core::{Cache, ImagePlane, Rasterizer, Real, Render, RenderVjp, Splats, cached};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, PoisonError, RwLock};
-use std::time::Instant;
 use wave::Antennas;
+pub use wave::Wavefront;
 
 /// The field of all Gaussians on a planar array, and what the array hears from every direction.
 ///
@@ -62,22 +62,9 @@ pub struct ArrayResponse {
     pub wavefront: Wavefront,
 }
 
-/// How the phase at an antenna follows from a Gaussian.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub enum Wavefront {
-    /// From its direction, as if it were infinitely far away.
-    #[default]
-    Plane,
-    /// From its position.
-    Spherical {
-        /// Metres.
-        wavelength_m: Real,
-    },
-}
-
 /// The beams of the last few arrays and pictures, for all who draw: they follow from these alone, making them takes
-/// longer than a picture, and models of one ensemble had better read the same. Training on a coarse picture and scoring
-/// on the whole one needs two.
+/// longer than a picture, and models of one ensemble had better read the same. No result depends on what is kept.
+/// Training on a coarse picture and scoring on the whole one needs two.
 static TABLES: RwLock<Vec<Known>> = RwLock::new(Vec::new());
 
 /// Tables that are kept.
@@ -104,8 +91,8 @@ impl Rasterizer for ArrayResponse {
         self.forward_prepared(splats, signals, channels, plane, &self.prepare(splats, plane))
     }
 
-    fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Memory {
-        let waves = Antennas::new(self, plane).waves(splats);
+    fn prepare(&self, splats: &Splats, plane: &ImagePlane) -> Cache {
+        let waves = self.antennas(plane).waves(splats);
         Some(Arc::new(Steered { waves, beams: self.beams(plane) }))
     }
 
@@ -115,21 +102,14 @@ impl Rasterizer for ArrayResponse {
         signals: &[Real],
         channels: usize,
         plane: &ImagePlane,
-        prepared: &Memory,
+        prepared: &Cache,
     ) -> Render {
         assert_eq!(signals.len(), splats.len() * channels, "one signal a splat and channel");
-        let start = Instant::now();
-        let Steered { waves, beams } = recall(prepared);
+        let Steered { waves, beams } = cached(prepared);
         let field = field(splats, signals, waves, self.rows * self.columns, channels);
         let mut pixels = vec![0.0; channels * plane.width * plane.height];
         beams.draw(&field, &mut pixels);
-        Render {
-            pixels,
-            transmittance: Vec::new(),
-            sort_seconds: 0.0,
-            blend_seconds: start.elapsed().as_secs_f64(),
-            memory: prepared.clone(),
-        }
+        Render { pixels, transmittance: Vec::new(), cache: prepared.clone() }
     }
 
     fn backward(
@@ -141,9 +121,9 @@ impl Rasterizer for ArrayResponse {
         render: &Render,
         d_pixels: &[Real],
     ) -> RenderVjp {
-        let antennas = Antennas::new(self, plane);
+        let antennas = self.antennas(plane);
         let elements = antennas.len();
-        let Steered { waves, beams } = recall(&render.memory);
+        let Steered { waves, beams } = cached(&render.cache);
         let d_field = beams.draw_vjp(d_pixels);
         let mut out = RenderVjp {
             splats: Splats::zeros(splats.len()),
@@ -211,6 +191,11 @@ impl Rasterizer for ArrayResponse {
 }
 
 impl ArrayResponse {
+    fn antennas(&self, plane: &ImagePlane) -> Antennas {
+        let Self { rows, columns, spacing_wavelengths, widened, wavefront } = *self;
+        Antennas::new((rows, columns), spacing_wavelengths, widened, wavefront, plane)
+    }
+
     fn beams(&self, plane: &ImagePlane) -> Arc<Beams> {
         let grid = (self.rows, self.columns, self.spacing_wavelengths, plane.clone());
         let known = TABLES.read().unwrap_or_else(PoisonError::into_inner);
@@ -218,7 +203,7 @@ impl ArrayResponse {
             return Arc::clone(beams);
         }
         drop(known);
-        let beams = Arc::new(Beams::new(&Antennas::new(self, plane), plane));
+        let beams = Arc::new(Beams::new(&self.antennas(plane), plane));
         let mut known = TABLES.write().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, same)) = known.iter().find(|(known, _)| *known == grid) {
             return Arc::clone(same); // another thread was faster: one table for all

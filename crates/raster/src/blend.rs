@@ -6,9 +6,10 @@
 //! ∂L/∂γᵢ = Tᵢ q − (total − prefix)/(1−γᵢ) needs neither division back to front nor stored weights.
 
 use crate::simd::{Lanes, exp_nonpositive};
-use crate::tiles::TILE;
 use pwrfgs_core::{ImagePlane, Real, Splats};
 
+/// Pixels along the side of a tile, and lanes of the kernel.
+pub(crate) const TILE: usize = 16;
 /// Pixels of a tile.
 pub(crate) const PIXELS: usize = TILE * TILE;
 /// Largest γ of one splat.

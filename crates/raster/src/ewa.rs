@@ -1,8 +1,8 @@
 //! EWA projection: a Gaussian in space becomes, to first order, a Gaussian on the image plane.
 //!
 //! With v = A x + t the centre in the receiver frame, π the camera model and J its Jacobian at v,
-//! Σ′ = J A Σ Aᵀ Jᵀ + blur·I, Σ = R(q) S Sᵀ R(q)ᵀ (eq. 4), and the conic is Σ′⁻¹. A new projection needs only the three
-//! functions of [`CameraModel`]; it is monomorphised into [`project`] and [`project_vjp`].
+//! Σ′ = J A Σ Aᵀ Jᵀ + blur·I, Σ = R(q) S Sᵀ R(q)ᵀ (eq. 4), and the conic is Σ′⁻¹. A new projection needs three functions
+//! of [`CameraModel`], `pixel`, `jacobian` and `jacobian_vjp`; it is monomorphised into [`project`] and [`project_vjp`].
 
 use pwrfgs_core::{ImagePlane, Mat3, Pose, Primitives, Real, Splats, Vec3};
 use rayon::prelude::*;
@@ -16,24 +16,53 @@ pub struct View {
     pub offset: Vec3,
 }
 
-/// A projection of receiver coordinates (metres) onto pixels.
+/// √(2 ln 255): in standard deviations, where the most opaque Gaussian falls below 1/255.
+const REACH: Real = 3.329_042_1;
+
+/// A projection of receiver coordinates (metres) onto pixels: where a point lands, the Jacobian J of that, and the
+/// derivative of J. All else follows from these where it is not said otherwise.
 pub trait CameraModel: Sync {
-    /// How world coordinates become the model's own.
-    fn view(&self, pose: &Pose) -> View;
-    /// Whether a Gaussian centred at `v` is drawn at all.
-    fn visible(&self, v: Vec3) -> bool;
     /// Column and row of `v`.
     fn pixel(&self, v: Vec3) -> [Real; 2];
-    /// Cotangent of `v`, given that of [`Self::pixel`].
-    fn pixel_vjp(&self, v: Vec3, d: [Real; 2]) -> Vec3;
+
     /// The rows of J used for the covariance: px a metre.
     fn jacobian(&self, v: Vec3) -> [Vec3; 2];
+
     /// Cotangent of `v`, given that of [`Self::jacobian`].
     fn jacobian_vjp(&self, v: Vec3, d: [Vec3; 2]) -> Vec3;
-    /// Added to both diagonal entries of Σ′, px²: no splat is thinner than a pixel.
-    fn blur(&self) -> Real;
-    /// Whether the splat with this centre, covariance (a, b, c) and radius reaches the picture.
-    fn reaches(&self, centre: [Real; 2], cov: [Real; 3], radius: Real, plane: &ImagePlane) -> bool;
+
+    /// Cotangent of `v`, given that of [`Self::pixel`]: Jᵀd, where J is nowhere else than the derivative of the pixel.
+    fn pixel_vjp(&self, v: Vec3, d: [Real; 2]) -> Vec3 {
+        let [column, row] = self.jacobian(v);
+        column * d[0] + row * d[1]
+    }
+
+    /// How world coordinates become the model's own: those of the receiver, from its pose.
+    fn view(&self, pose: &Pose) -> View {
+        let rotation = pose.world_from_receiver().transpose();
+        View { rotation, offset: -(rotation * pose.origin()) }
+    }
+
+    /// Whether a Gaussian centred at `v` is drawn at all: where its pixel is a number.
+    fn visible(&self, v: Vec3) -> bool {
+        self.pixel(v).iter().all(|x| x.is_finite())
+    }
+
+    /// Added to both diagonal entries of Σ′, px²: no splat is thinner than a pixel. 0.3, as in 3DGS.
+    fn blur(&self) -> Real {
+        0.3
+    }
+
+    /// Whether the splat with this centre, covariance (a, b, c) and radius reaches the picture: some pixel may have a γ
+    /// of 1/255. On a picture that wraps, every column is inside.
+    fn reaches(&self, centre: [Real; 2], cov: [Real; 3], radius: Real, plane: &ImagePlane) -> bool {
+        let _ = radius;
+        let inside = |at: Real, variance: Real, pixels: usize| {
+            let half = REACH * variance.sqrt();
+            at + half >= 0.0 && at - half <= pixels as Real - 1.0
+        };
+        (plane.wraps || inside(centre[0], cov[0], plane.width)) && inside(centre[1], cov[2], plane.height)
+    }
 }
 
 /// What forward and backward both need of one Gaussian.

@@ -1,21 +1,22 @@
 //! Projectors and the one differentiable rasterizer that every pipeline shares.
 //!
 //! [`Mercator`] and [`WrfgsCompat`] are two [`CameraModel`]s in one EWA projection (`ewa.rs`); [`AlphaBlending`] draws
-//! their splats tile by tile (`tiles.rs`, `blend.rs`); [`mod@reference`] does the same by brute force, for tests.
+//! their splats tile by tile (`tiles.rs`, `blend.rs`, `canvas.rs`).
 //! [`ArrayResponse`] takes the same splats for waves and adds them up on an antenna array.
 
 mod alpha_blending;
 mod array_response;
 mod blend;
+mod canvas;
 mod ewa;
 mod mercator;
-pub mod reference;
 mod simd;
 mod tiles;
 mod wrfgs_compat;
 
-pub use alpha_blending::{AlphaBlending, Support};
+pub use alpha_blending::AlphaBlending;
 pub use array_response::{ArrayResponse, Wavefront};
 pub use ewa::{CameraModel, View, project, project_vjp, sees};
 pub use mercator::Mercator;
+pub use tiles::Support;
 pub use wrfgs_compat::{FullSphere, WrfgsCompat};

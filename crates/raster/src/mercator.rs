@@ -1,6 +1,6 @@
 //! `Mercator`: the projector of the paper, azimuth and elevation linear in the pixel.
 
-use crate::ewa::{self, CameraModel, View};
+use crate::ewa::{self, CameraModel};
 use pwrfgs_core::{Axis, ImagePlane, Pose, Primitives, Projector, Real, Splats, Vec3, consts::DEG};
 use serde::{Deserialize, Serialize};
 
@@ -8,8 +8,6 @@ use serde::{Deserialize, Serialize};
 const COS_FLOOR: Real = 0.008_726_535_498_373_935;
 /// Below this share of the distance from the axis, azimuth has no meaning and counts as 0.
 const ON_AXIS: Real = 1e-6;
-/// √(2 ln 255): in standard deviations, where the most opaque Gaussian falls below 1/255.
-const REACH: Real = 3.329_042_1;
 
 /// Equirectangular picture of the hemisphere in front of the receiver, the paper's «Mercator» projection.
 ///
@@ -124,11 +122,6 @@ fn radii(v: Vec3) -> (Real, Real, bool) {
 }
 
 impl CameraModel for Hemisphere {
-    fn view(&self, pose: &Pose) -> View {
-        let rotation = pose.world_from_receiver().transpose();
-        View { rotation, offset: -(rotation * pose.origin()) }
-    }
-
     fn visible(&self, v: Vec3) -> bool {
         let r = v.length();
         r > self.near && r > 0.0 && v.z >= self.lowest * r
@@ -192,11 +185,6 @@ impl CameraModel for Hemisphere {
 
     fn blur(&self) -> Real {
         self.blur
-    }
-
-    fn reaches(&self, centre: [Real; 2], cov: [Real; 3], _radius: Real, plane: &ImagePlane) -> bool {
-        let half = REACH * cov[2].sqrt();
-        centre[1] + half >= 0.0 && centre[1] - half <= plane.height as Real - 1.0
     }
 }
 

@@ -2,15 +2,22 @@
 //!
 //! Bookkeeping only: the lists are conservative, and whether a splat is drawn in a pixel is decided there, by its alpha.
 
-use crate::Support;
-use crate::blend::{ALPHA_MIN, nearest_image};
+use crate::blend::{ALPHA_MIN, TILE, nearest_image};
 use crate::simd::widest;
 use pwrfgs_core::{ImagePlane, Real, Splats};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
-/// Pixels along the side of a tile, and lanes of the blending kernel.
-pub(crate) const TILE: usize = 16;
+/// Which pixels a Gaussian can reach.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Support {
+    /// Those where γ ≥ 1/255.
+    #[default]
+    Exact,
+    /// Those of whole tiles around the square of radius 3σ, as released.
+    TileSquares,
+}
 
 /// Depth-ordered splats of every tile.
 #[derive(Debug)]
@@ -250,7 +257,8 @@ fn columns_of(low: Real, high: Real, plane: &ImagePlane) -> [Range<usize>; 2] {
     }
 }
 
-/// Tile columns and rows of the released bounding square (`spec` of WRF-GS, section 4.5); empty for radius 0.
+/// Tile columns and rows that meet the square of `radius` about `centre`, as the released kernels of WRF-GS and 3DGS count
+/// them; empty for radius 0.
 pub(crate) fn square(centre: [Real; 2], radius: Real, plane: &ImagePlane) -> (Range<usize>, Range<usize>) {
     let along = |centre: Real, pixels: usize| {
         let tiles = pixels.div_ceil(TILE) as Real;

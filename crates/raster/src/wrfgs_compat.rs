@@ -112,10 +112,6 @@ impl CameraModel for FullSphere {
         around * (self.width / (2.0 * PI)) + up * (self.height / PI)
     }
 
-    fn blur(&self) -> Real {
-        0.3
-    }
-
     fn reaches(&self, centre: [Real; 2], _cov: [Real; 3], radius: Real, plane: &ImagePlane) -> bool {
         let (columns, rows) = square(centre, radius, plane);
         !columns.is_empty() && !rows.is_empty()

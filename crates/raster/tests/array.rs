@@ -185,7 +185,7 @@ fn a_spherical_wave_has_the_exact_phase_at_every_antenna() {
 #[test]
 fn turning_everything_changes_nothing_and_a_quarter_turn_turns_the_picture() {
     let n = 30;
-    let p = primitives(n, 5, &plane());
+    let p = primitives(n, 5);
     let s = signals(n, 2, 5);
     let array = ArrayResponse { wavefront: Wavefront::Spherical { wavelength_m: 0.3 }, ..ArrayResponse::default() };
     let still = magnitude(&draw(&array, &p, &POSE, &s));
@@ -220,7 +220,7 @@ fn turning_everything_changes_nothing_and_a_quarter_turn_turns_the_picture() {
 #[test]
 fn order_and_closed_gates_do_not_matter() {
     let n = 50;
-    let p = primitives(n, 2, &plane());
+    let p = primitives(n, 2);
     let s = signals(n, 4, 2);
     let rows: Vec<usize> = (0..n).map(|i| i * 17 % n).collect();
     let select = |p: &Primitives, rows: &[usize]| Primitives {
@@ -242,7 +242,7 @@ fn order_and_closed_gates_do_not_matter() {
 
 #[test]
 fn transmitters_do_not_meet() {
-    let p = primitives(20, 6, &plane());
+    let p = primitives(20, 6);
     let s = signals(20, 6, 6);
     let array = ArrayResponse::default();
     let together = draw(&array, &p, &POSE, &s);
@@ -277,7 +277,7 @@ fn derivatives_agree_with_differences() {
     let settings = [(4, 4, true, Wavefront::Plane), (3, 5, false, Wavefront::Plane), (2, 3, true, spherical)];
     for (seed, (rows, columns, widened, wavefront)) in settings.into_iter().enumerate() {
         let array = ArrayResponse { rows, columns, widened, wavefront, ..ArrayResponse::default() };
-        let scene = primitives(N, seed as u64, &plane);
+        let scene = primitives(N, seed as u64);
         check_vjp(
             "array response",
             &pack(&scene, &signals(N, CHANNELS, 7)),

@@ -6,8 +6,8 @@ mod common;
 
 use common::{POSE, primitives, signals};
 use pwrfgs_core::testing::check_vjp;
-use pwrfgs_core::{Primitives, Projector, Rasterizer, Real};
-use pwrfgs_raster::{AlphaBlending, Mercator, Support, WrfgsCompat};
+use pwrfgs_core::{ImagePlane, Primitives, Projector, Rasterizer, Real, Splats, Vec3};
+use pwrfgs_raster::{AlphaBlending, CameraModel, Mercator, Support, WrfgsCompat, project, project_vjp, sees};
 
 const N: usize = 12;
 const CHANNELS: usize = 2;
@@ -27,43 +27,105 @@ fn unpack(x: &[Real]) -> (Primitives, Vec<Real>) {
     (p, x.collect())
 }
 
-fn check(projector: &dyn Projector, raster: &AlphaBlending, seed: u64) {
-    let plane = projector.plane(120, 40);
-    let scene = primitives(N, seed, &plane);
-    let x = pack(&scene, &signals(N, CHANNELS, seed));
+/// Holds projection and blending together against central differences.
+fn check(
+    plane: &ImagePlane,
+    project: impl Fn(&Primitives) -> Splats,
+    project_vjp: impl Fn(&Primitives, &Splats, &Splats) -> Primitives,
+    raster: &AlphaBlending,
+    seed: u64,
+) {
+    let x = pack(&primitives(N, seed), &signals(N, CHANNELS, seed));
     check_vjp(
         "render",
         &x,
         |x| {
             let (p, s) = unpack(x);
-            raster.forward(&projector.project(&p, &POSE, &plane), &s, CHANNELS, &plane).pixels
+            raster.forward(&project(&p), &s, CHANNELS, plane).pixels
         },
         |x, d| {
             let (p, s) = unpack(x);
-            let splats = projector.project(&p, &POSE, &plane);
-            let render = raster.forward(&splats, &s, CHANNELS, &plane);
-            let g = raster.backward(&splats, &s, CHANNELS, &plane, &render, d);
-            pack(&projector.project_vjp(&p, &POSE, &plane, &splats, &g.splats), &g.signals)
+            let splats = project(&p);
+            let render = raster.forward(&splats, &s, CHANNELS, plane);
+            let g = raster.backward(&splats, &s, CHANNELS, plane, &render, d);
+            pack(&project_vjp(&p, &splats, &g.splats), &g.signals)
         },
         1e-7,
         2e-4,
     );
 }
 
+fn check_plugin(projector: &dyn Projector, raster: &AlphaBlending) {
+    let plane = &projector.plane(120, 40);
+    for seed in 0..4 {
+        let project = |p: &Primitives| projector.project(p, &POSE, plane);
+        check(plane, project, |p, splats, d| projector.project_vjp(p, &POSE, plane, splats, d), raster, seed);
+    }
+}
+
 #[test]
 fn mercator_and_blending_differentiate() {
     if size_of::<Real>() == 8 {
-        for seed in 0..4 {
-            check(&Mercator::default(), &AlphaBlending::default(), seed);
-        }
+        check_plugin(&Mercator::default(), &AlphaBlending::default());
     }
 }
 
 #[test]
 fn compat_projection_and_blending_differentiate() {
     if size_of::<Real>() == 8 {
+        check_plugin(&WrfgsCompat::default(), &AlphaBlending { support: Support::TileSquares });
+    }
+}
+
+/// The three functions that a projection needs, and no more: a pixel is linear in the direction cosines x/r and y/r.
+struct Disc {
+    half: [Real; 2],
+}
+
+impl CameraModel for Disc {
+    fn pixel(&self, v: Vec3) -> [Real; 2] {
+        let r = v.length();
+        [self.half[0] * (1.0 + v.x / r), self.half[1] * (1.0 + v.y / r)]
+    }
+
+    fn jacobian(&self, v: Vec3) -> [Vec3; 2] {
+        let r = v.length();
+        let row = |axis: Vec3| axis / r - v * (axis.dot(v) / (r * r * r));
+        [row(Vec3::X) * self.half[0], row(Vec3::Y) * self.half[1]]
+    }
+
+    fn jacobian_vjp(&self, v: Vec3, d: [Vec3; 2]) -> Vec3 {
+        let (r2, r3) = (v.length_squared(), v.length().powi(3));
+        let row = |axis: Vec3, d: Vec3| {
+            let (a, along) = (axis.dot(v), d.dot(v));
+            v * (3.0 * a * along / (r2 * r3)) - (v * axis.dot(d) + axis * along + d * a) / r3
+        };
+        row(Vec3::X, d[0]) * self.half[0] + row(Vec3::Y, d[1]) * self.half[1]
+    }
+}
+
+#[test]
+fn a_camera_model_of_three_functions_projects_and_differentiates() {
+    let plane = &ImagePlane { width: 60, height: 40, wraps: false, angles: None };
+    let disc = &Disc { half: [30.0, 20.0] };
+    let mut scene = primitives(N, 0);
+    let shown = project(disc, &scene, &POSE, plane);
+    assert!(shown.radii.iter().all(|r| *r > 0.0), "all are in front of the receiver");
+    assert!(shown.depths.iter().all(|d| (1.5..5.6).contains(d)), "distances from the receiver, by its pose");
+    scene.means[3] = POSE.origin().to_array();
+    let without = project(disc, &scene, &POSE, plane);
+    assert_eq!(sees(disc, &scene.means, &POSE).iter().filter(|s| **s).count(), N - 1, "no pixel, not seen");
+    assert_eq!((without.radii[3], without.means2d[4]), (0.0, shown.means2d[4]));
+    // What is centred beside the picture is drawn where it is wide enough to reach it.
+    let tall = project(&Disc { half: [30.0, 200.0] }, &primitives(N, 0), &POSE, plane);
+    for i in 0..N {
+        let first = tall.means2d[i][1] - 3.329_042_1 * tall.sigmas2d[i][1];
+        assert_eq!(tall.radii[i] > 0.0, first <= 39.0, "{i}");
+    }
+    if size_of::<Real>() == 8 {
         for seed in 0..4 {
-            check(&WrfgsCompat::default(), &AlphaBlending { support: Support::TileSquares }, seed);
+            let vjp = |p: &Primitives, splats: &Splats, d: &Splats| project_vjp(disc, p, &POSE, splats, d);
+            check(plane, |p| project(disc, p, &POSE, plane), vjp, &AlphaBlending::default(), seed);
         }
     }
 }

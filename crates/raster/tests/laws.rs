@@ -15,10 +15,8 @@ fn draw(p: &Primitives, pose: &Pose, signals: &[Real], channels: usize) -> Vec<R
 
 #[test]
 fn turning_the_scene_turns_the_picture_across_the_seam() {
-    let projector = Mercator::default();
-    let plane = projector.plane(360, 90);
     let n = 40;
-    let p = primitives(n, 11, &plane);
+    let p = primitives(n, 11);
     let s = signals(n, 1, 11);
     let still = draw(&p, &POSE, &s, 1);
     for k in [1usize, 90, 173, 355] {
@@ -67,9 +65,8 @@ fn multiply(a: [Real; 4], b: [Real; 4]) -> [Real; 4] {
 
 #[test]
 fn the_order_of_rows_does_not_matter() {
-    let plane = Mercator::default().plane(360, 90);
     let n = 50;
-    let p = primitives(n, 2, &plane);
+    let p = primitives(n, 2);
     let s = signals(n, 2, 2);
     let rows: Vec<usize> = (0..n).map(|i| i * 17 % n).collect();
     let q = Primitives {
@@ -84,8 +81,7 @@ fn the_order_of_rows_does_not_matter() {
 
 #[test]
 fn a_gaussian_without_opacity_is_absent() {
-    let plane = Mercator::default().plane(360, 90);
-    let p = primitives(20, 4, &plane);
+    let p = primitives(20, 4);
     let s = signals(20, 1, 4);
     let mut closed = p.clone();
     closed.opacities[7] = 0.0;

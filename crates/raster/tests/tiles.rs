@@ -2,10 +2,10 @@
 
 mod common;
 
-use common::{relative, signals, splats};
+use common::{reference, relative, signals, splats};
 use proptest::prelude::*;
 use pwrfgs_core::{Rasterizer, Real};
-use pwrfgs_raster::{AlphaBlending, reference};
+use pwrfgs_raster::AlphaBlending;
 
 /// Bound on relative differences: rounding, and in single precision now and then a pixel where γ is within rounding
 /// of 1/255 and only one of the two draws it.

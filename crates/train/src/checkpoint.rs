@@ -4,7 +4,7 @@
 
 use crate::trainer::Trainer;
 use crate::{Pipeline, adam::Adam};
-use pwrfgs_core::{Dataset, Error, ExtraColumn, GaussianCloud, Partition, Real, Result};
+use pwrfgs_core::{CloudStats, Dataset, Error, ExtraColumn, GaussianCloud, Partition, Result};
 use pwrfgs_model::file::{put_weights, take_weights};
 use pwrfgs_model::tensors::Tensors;
 use serde::{Deserialize, Serialize};
@@ -16,16 +16,8 @@ struct Note {
     version: u32,
     done: u64,
     gaussians: usize,
-    /// The largest N that pruners have found before they took some.
-    #[serde(default = "unknown")]
-    fullest: usize,
     /// Extra columns and their widths.
     extra: Vec<(String, usize)>,
-}
-
-/// What a checkpoint of an earlier version does not say: as if nothing larger could come.
-fn unknown() -> usize {
-    usize::MAX
 }
 
 const FORMAT: &str = "pwrfgs-checkpoint";
@@ -39,7 +31,6 @@ impl<'a> Trainer<'a> {
             version: VERSION,
             done: self.done,
             gaussians: self.cloud.len(),
-            fullest: self.fullest,
             extra: self.cloud.extra.iter().map(|c| (c.name.clone(), c.width)).collect(),
         };
         let mut file = Tensors::new(serde_json::to_string(&note).expect("plain data"));
@@ -53,8 +44,8 @@ impl<'a> Trainer<'a> {
         for (prefix, weights) in networks {
             put_weights(&mut file, &format!("{prefix}.network."), weights, &self.stages);
         }
-        for (name, values) in self.stats.clone().columns_mut() {
-            file.put(format!("stats.{name}"), vec![values.len()], values.clone());
+        for (name, values) in self.stats.columns() {
+            file.put(format!("stats.{name}"), vec![values.len()], values.to_vec());
         }
         file.to_bytes()
     }
@@ -93,13 +84,11 @@ impl<'a> Trainer<'a> {
         let mut network = |prefix: &str| take_weights(&mut file, &format!("{prefix}.network."), &self.stages);
         self.weights = Arc::new(network("value")?);
         self.adam = Adam { cloud: moments, weights: [network("first")?, network("second")?] };
-        self.stats = pwrfgs_core::CloudStats::zeros(n);
+        self.stats = CloudStats::zeros(n);
         for (name, values) in self.stats.columns_mut() {
-            let read: Vec<Real> = file.take(&format!("stats.{name}"), &[n])?;
-            *values = read;
+            *values = file.take(&format!("stats.{name}"), &[n])?;
         }
         self.done = note.done;
-        self.fullest = note.fullest;
         Ok(())
     }
 }

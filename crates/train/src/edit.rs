@@ -36,14 +36,12 @@ pub(crate) fn rewrite(rows: &[Row], cloud: &mut GaussianCloud, adam: &mut Adam, 
 
 /// Keeps the rows that are true.
 pub(crate) fn keep(keep: &[bool], cloud: &mut GaussianCloud, adam: &mut Adam, stats: &mut CloudStats) {
-    let rows: Vec<Row> = keep.iter().enumerate().filter(|(_, keep)| **keep).map(|(i, _)| Row::Kept(i)).collect();
+    let rows: Vec<usize> = (0..keep.len()).filter(|&i| keep[i]).collect();
     if rows.len() < keep.len() {
-        let mut before = stats.clone();
-        rewrite(&rows, cloud, adam, stats);
         // A prune, unlike a densification, does not end the period over which statistics are summed.
-        for ((_, new), (_, old)) in stats.columns_mut().into_iter().zip(before.columns_mut()) {
-            *new = keep.iter().zip(old.iter()).filter(|(keep, _)| **keep).map(|(_, v)| *v).collect();
-        }
+        let kept = stats.select(&rows);
+        rewrite(&rows.into_iter().map(Row::Kept).collect::<Vec<_>>(), cloud, adam, stats);
+        *stats = kept;
     }
 }
 

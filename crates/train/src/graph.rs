@@ -14,8 +14,8 @@ use dfdx::prelude::{AsArray, Cpu, Tensor};
 use dfdx::tensor_ops::{Backward, SumTo};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::tape::{Trace, TraceScalar, Traced, op, values};
-use pwrfgs_core::{CloudStats, DeformationInputs, Deltas, Error, GaussianCloud, Moment, Pruner, Real, Result, Splats};
-use pwrfgs_model::{Calibration, Stages};
+use pwrfgs_core::{CloudStats, DeformationInputs, Deltas, Error, GaussianCloud, Moment, Pruner, Real, Result};
+use pwrfgs_model::{ActivationVjp, Calibration, Drawing, Stages};
 use std::cell::RefCell;
 use std::rc::Rc;
 use std::sync::Arc;
@@ -31,7 +31,7 @@ pub struct Batch {
 
 /// Loss of a step and its derivatives.
 #[derive(Clone, Debug)]
-pub struct Outcome {
+pub struct LossAndGradients {
     /// Rendering loss, eq. (9).
     pub loss: Real,
     /// Sum of the pruners' penalties, the `λ·L_m` of eq. (13).
@@ -56,7 +56,7 @@ pub fn loss_and_gradients(
     objective: &RenderingLoss,
     pruners: &[Plugin<dyn Pruner>],
     moment: &Moment,
-) -> Result<Outcome> {
+) -> Result<LossAndGradients> {
     let traced = Traced::new(cloud);
     let gate = pruners.iter().filter_map(|p| p.gate(&traced, moment)).reduce(|a, b| a * b);
     let penalty = pruners.iter().filter_map(|p| p.penalty(&traced, moment)).reduce(|a, b| a + b);
@@ -93,7 +93,7 @@ pub fn loss_and_gradients(
         values.copy_from_slice(&read(traced.leaf(name)));
     }
     let (seen, d_weights) = (seen.take(), d_weights.take());
-    Ok(Outcome { loss: value, penalty: penalty_value, d_cloud, d_weights, seen })
+    Ok(LossAndGradients { loss: value, penalty: penalty_value, d_cloud, d_weights, seen })
 }
 
 /// The Gaussians that can be drawn ([`Stages::drawable`]), as a cloud of their own.
@@ -146,8 +146,7 @@ impl Graph {
     fn deform(&self, traced: &Traced) -> TracedDeltas {
         let Stages { deformation, pose, .. } = &*self.stages;
         let values = Rc::new(deformation.forward(&self.weights, &self.open.cloud.means, &self.txs, pose));
-        let outputs: Vec<Vec<Real>> =
-            flat(&values).into_iter().filter(|v| !v.is_empty()).map(<[Real]>::to_vec).collect();
+        let outputs: Vec<Vec<Real>> = values.to_columns().collect();
         if outputs.is_empty() {
             return TracedDeltas { values, traces: Vec::new() };
         }
@@ -155,7 +154,7 @@ impl Graph {
             (Arc::clone(&self.stages), Arc::clone(&self.txs), Rc::clone(&self.open), Rc::clone(&values));
         let (theta, d_weights) = (Arc::clone(&self.weights), Rc::clone(&self.d_weights));
         let traces = op(vec![traced.column("means")], outputs, move |d| {
-            let d = unflat(&shape, d);
+            let d = shape.from_columns(d);
             let mut d_means = vec![[0.0; 3]; open.rows.len()];
             let inputs = DeformationInputs { weights: &theta, means: &open.cloud.means, txs: &txs, pose: &stages.pose };
             stages.deformation.vjp(&inputs, &d, &mut d_weights.borrow_mut(), Some(&mut d_means));
@@ -173,57 +172,38 @@ impl Graph {
             .chain(gate)
             .chain(deltas.traces)
             .collect();
-        let activation = self.stages.activation();
+        let Stages { readout, plane, .. } = &*self.stages;
         let (cloud, gate) = (&self.open.cloud, self.open.gate.as_deref());
-        let Stages { projector, rasterizer, pose, plane, .. } = &*self.stages;
-        let mut drawings = Vec::with_capacity(batch / shared);
-        let mut blended = Vec::with_capacity(batch * activation.channels * plane.width * plane.height);
-        for group in groups {
-            let geometry = activation.geometry(cloud, &deltas.values, group.start, gate);
-            let splats = projector.project(&geometry, pose, plane);
-            let signals = activation.signals(cloud, &deltas.values, group.clone());
-            let render = rasterizer.forward(&splats, &signals, activation.channels * group.len(), plane);
-            blended.extend_from_slice(&render.pixels);
-            drawings.push((group, geometry, splats, signals, render));
-        }
+        let drawings: Vec<Drawing> =
+            groups.map(|group| self.stages.draw(cloud, &deltas.values, group, gate, None)).collect();
         let pixels = plane.width * plane.height;
+        let mut blended = drawings.iter().map(|d| d.render.pixels.as_slice()).collect::<Vec<_>>().concat();
         if self.stages.calibration == Calibration::AsReleased {
             blended.iter_mut().for_each(|p| *p = p.clamp(0.0, 1.0));
         }
-        let image = self.stages.readout.forward(&blended, pixels);
+        let image = readout.forward(&blended, pixels);
 
         let (stages, open, seen, values) =
             (Arc::clone(&self.stages), Rc::clone(&self.open), Rc::clone(&self.seen), deltas.values);
-        let count = drawings.len() as Real;
         let vjp = move |mut d: Vec<Vec<Real>>| {
             let mut d_blended = stages.readout.vjp(&blended, pixels, &d.remove(0));
-            let activation = stages.activation();
-            let gate = open.gate.as_deref();
-            let mut d_cloud = open.cloud.zeros_like();
-            let mut d_deltas = zeros_like(&values);
-            let mut d_gate = vec![0.0; open.rows.len()];
+            let mut sums = ActivationVjp::zeros(&open.cloud, &values);
+            let (gate, count) = (open.gate.as_deref(), drawings.len());
             let mut rest = d_blended.as_mut_slice();
-            for (group, geometry, splats, signals, render) in drawings {
-                let channels = activation.channels * group.len();
-                let (own, tail) = rest.split_at_mut(channels * pixels);
+            for drawing in drawings {
+                let (own, tail) = rest.split_at_mut(drawing.render.pixels.len());
                 rest = tail;
                 if stages.calibration == Calibration::AsReleased {
                     // The clamp to [0, 1] passes the derivative on the closed interval only.
                     let inside = |p: &Real| (0.0..=1.0).contains(p);
-                    own.iter_mut().zip(&render.pixels).filter(|(_, p)| !inside(p)).for_each(|(d, _)| *d = 0.0);
+                    own.iter_mut().zip(&drawing.render.pixels).filter(|(_, p)| !inside(p)).for_each(|(d, _)| *d = 0.0);
                 }
-                let g = stages.rasterizer.backward(&splats, &signals, channels, &stages.plane, &render, own);
-                let d_geometry =
-                    stages.projector.project_vjp(&geometry, &stages.pose, &stages.plane, &splats, &g.splats);
-                let (cloud, b) = (&open.cloud, group.start);
-                activation.geometry_vjp(cloud, &values, b, gate, &d_geometry, &mut d_cloud, &mut d_deltas, &mut d_gate);
-                activation.signals_vjp(cloud, &values, group, &g.signals, &mut d_cloud, &mut d_deltas);
-                observe(&mut seen.borrow_mut(), &open.rows, &splats, &g.splats, &g.weights, &stages, count);
+                let d = stages.draw_vjp(&drawing, &open.cloud, &values, gate, own, &mut sums);
+                seen.borrow_mut().observe(&open.rows, &drawing.geometry.splats, &d, &stages.plane, count);
             }
-            let columns = d_cloud.columns().take(5).map(|(_, width, values)| open.scatter(width, values));
-            let gate = gate.is_some().then(|| open.scatter(1, &d_gate));
-            let deltas = flat(&d_deltas).into_iter().filter(|v| !v.is_empty()).map(<[Real]>::to_vec);
-            columns.chain(gate).chain(deltas).collect()
+            let columns = sums.cloud.columns().take(5).map(|(_, width, values)| open.scatter(width, values));
+            let gate = gate.is_some().then(|| open.scatter(1, &sums.gate));
+            columns.chain(gate).chain(sums.deltas.to_columns()).collect()
         };
         op(inputs, vec![image], vjp).remove(0)
     }
@@ -238,48 +218,4 @@ impl Graph {
         });
         loss.into_iter().next().expect("one output").sum()
     }
-}
-
-/// Adds one drawing to the statistics. `count` drawings share the mean of the loss: each counts with its own gradient.
-fn observe(
-    seen: &mut CloudStats,
-    rows: &[usize],
-    splats: &Splats,
-    d: &Splats,
-    weights: &[Real],
-    stages: &Stages,
-    count: Real,
-) {
-    let half = [0.5 * stages.plane.width as Real, 0.5 * stages.plane.height as Real];
-    for (k, &i) in rows.iter().enumerate() {
-        if splats.radii[k] > 0.0 {
-            let [dx, dy] = d.means2d[k];
-            seen.visible[i] += 1.0;
-            seen.gradient[i] += count * (dx * half[0]).hypot(dy * half[1]);
-            seen.radius[i] = seen.radius[i].max(splats.radii[k]);
-            seen.weight[i] += weights[k];
-        }
-    }
-}
-
-fn flat(deltas: &Deltas) -> [&[Real]; 3] {
-    [deltas.scales.as_flattened(), deltas.quats.as_flattened(), deltas.signals.as_flattened()]
-}
-
-fn zeros_like(deltas: &Deltas) -> Deltas {
-    Deltas {
-        scales: vec![[0.0; 3]; deltas.scales.len()],
-        quats: vec![[0.0; 4]; deltas.quats.len()],
-        signals: vec![[0.0; 2]; deltas.signals.len()],
-    }
-}
-
-/// The terms of `shape` that are not empty, from `values` in the same order.
-fn unflat(shape: &Deltas, values: Vec<Vec<Real>>) -> Deltas {
-    let mut out = zeros_like(shape);
-    let columns = [out.scales.as_flattened_mut(), out.quats.as_flattened_mut(), out.signals.as_flattened_mut()];
-    for (column, values) in columns.into_iter().filter(|c| !c.is_empty()).zip(values) {
-        column.copy_from_slice(&values);
-    }
-    out
 }

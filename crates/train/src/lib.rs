@@ -4,6 +4,7 @@
 //! N changes in one place only, `edit.rs`.
 
 mod adam;
+mod batches;
 mod checkpoint;
 mod densify;
 mod edit;
@@ -13,7 +14,7 @@ mod pipeline;
 mod settings;
 mod trainer;
 
-pub use graph::{Batch, Outcome, loss_and_gradients};
+pub use graph::{Batch, LossAndGradients, loss_and_gradients};
 pub use loss::RenderingLoss;
 pub use pipeline::{Pipeline, PipelineFields, PipelinePatch};
 pub use settings::{

@@ -51,7 +51,7 @@ impl RenderingLoss {
                 }
                 let mut loss = l1 * l1_scale;
                 if ssim_weight > 0.0 {
-                    let (ssim, d_ssim) = ssim::training_vjp(p, t, (width, height), &self.window);
+                    let (ssim, d_ssim) = ssim::training(p, t, (width, height), &self.window);
                     loss += ssim_weight / batch * (1.0 - ssim);
                     d.iter_mut().zip(&d_ssim).for_each(|(d, s)| *d -= ssim_weight / batch * s);
                 }

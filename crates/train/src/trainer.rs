@@ -1,9 +1,10 @@
 //! `Trainer`: the loop of algorithm 1, step by step.
 
 use crate::adam::Adam;
+use crate::batches::{Batches, coarse};
 use crate::densify;
 use crate::edit;
-use crate::graph::{Batch, loss_and_gradients};
+use crate::graph::loss_and_gradients;
 use crate::loss::RenderingLoss;
 use crate::pipeline::Pipeline;
 use pwrfgs_core::tape::{Traced, values};
@@ -12,11 +13,10 @@ use pwrfgs_core::{
     Result, rng,
 };
 use pwrfgs_model::{Model, Stages};
-use rayon::prelude::*;
 use std::sync::Arc;
 
 /// What a step did.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct StepReport {
     /// Counted from 1.
     pub step: u64,
@@ -28,6 +28,8 @@ pub struct StepReport {
     pub penalty: f64,
     /// N after the step.
     pub gaussians: usize,
+    /// The Gaussians just before pruners took some, where they did.
+    pub unpruned: Option<GaussianCloud>,
 }
 
 /// A training under way. The same pipeline and data give the same bits at any thread count, interrupted or not.
@@ -35,7 +37,7 @@ pub struct StepReport {
 pub struct Trainer<'a> {
     pub(crate) pipeline: Pipeline,
     pub(crate) data: &'a Dataset,
-    pub(crate) train: Vec<usize>,
+    batches: Batches,
     /// As trained: their plane has every `stride`-th row and column.
     pub(crate) stages: Arc<Stages>,
     /// The whole picture.
@@ -46,12 +48,6 @@ pub struct Trainer<'a> {
     pub(crate) adam: Adam,
     pub(crate) stats: CloudStats,
     pub(crate) done: u64,
-    /// The largest N that pruners have found before they took some; 0 until then.
-    pub(crate) fullest: usize,
-    /// The Gaussians at that moment, where nobody has asked for them yet.
-    unpruned: Option<GaussianCloud>,
-    /// The epoch at hand and its order of samples.
-    order: (u64, Vec<usize>),
 }
 
 impl<'a> Trainer<'a> {
@@ -91,16 +87,13 @@ impl<'a> Trainer<'a> {
             stats: CloudStats::zeros(cloud.len()),
             pipeline: pipeline.clone(),
             data,
-            train: partition.train.clone(),
+            batches: Batches::new(partition.train.clone()),
             stages,
             plane,
             specs,
             cloud,
             weights,
             done: 0,
-            fullest: 0,
-            unpruned: None,
-            order: (u64::MAX, Vec::new()),
         })
     }
 
@@ -117,12 +110,6 @@ impl<'a> Trainer<'a> {
     /// The Gaussians as they stand.
     pub fn cloud(&self) -> &GaussianCloud {
         &self.cloud
-    }
-
-    /// The Gaussians just before pruners took some in the last step, if there were more than at any such moment before:
-    /// at the end of the training, those of the last such step are the most that were ever pruned. Given once.
-    pub fn take_unpruned(&mut self) -> Option<GaussianCloud> {
-        self.unpruned.take()
     }
 
     /// Phase of algorithm 1 at `step`.
@@ -149,8 +136,7 @@ impl<'a> Trainer<'a> {
     fn next_step(&mut self) -> Result<StepReport> {
         let step = self.done + 1;
         let moment = Moment { step, phase: self.phase(step), seed: self.pipeline.seed };
-        self.unpruned = None;
-        let batch = self.batch(step);
+        let batch = self.batches.of_step(step, &self.pipeline, self.data, &self.stages);
         let pruners = if moment.phase == Phase::Finetune { Vec::new() } else { self.pipeline.pruners.clone() };
         let settings = &self.pipeline.training;
         let objective = RenderingLoss::strided(settings.loss.ssim_weight, settings.stride);
@@ -159,29 +145,28 @@ impl<'a> Trainer<'a> {
             Some(window) => Arc::new(through(window, &self.weights)),
             None => Arc::clone(&self.weights),
         };
-        let mut outcome =
-            loss_and_gradients(&self.stages, &self.cloud, &weights, &batch, &objective, &pruners, &moment)?;
+        let mut found = loss_and_gradients(&self.stages, &self.cloud, &weights, &batch, &objective, &pruners, &moment)?;
         drop(weights); // the optimiser then changes them where they are
         if let Some(window) = &window {
-            outcome.d_weights = through(window, &outcome.d_weights);
+            found.d_weights = through(window, &found.d_weights);
         }
-        self.add_to_stats(&outcome.seen);
+        self.stats.add(&found.seen);
         self.adam
             .step(
                 &self.pipeline.training,
                 &self.specs,
                 step,
-                (&mut self.cloud, &outcome.d_cloud),
-                (Arc::make_mut(&mut self.weights).as_mut_slice(), &outcome.d_weights),
+                (&mut self.cloud, &found.d_cloud),
+                (Arc::make_mut(&mut self.weights).as_mut_slice(), &found.d_weights),
             )
             .map_err(|what| Error::NonFinite { what, step })?;
         for pruner in &pruners {
             pruner.update(&mut self.cloud, &self.stats, &moment);
         }
-        self.edit(&moment);
+        let unpruned = self.edit(&moment);
         self.done = step;
-        let (loss, penalty) = (outcome.loss as f64, outcome.penalty as f64);
-        Ok(StepReport { step, phase: moment.phase, loss, penalty, gaussians: self.cloud.len() })
+        let (loss, penalty, gaussians) = (found.loss as f64, found.penalty as f64, self.cloud.len());
+        Ok(StepReport { step, phase: moment.phase, loss, penalty, gaussians, unpruned })
     }
 
     /// The model as it stands: Gaussians whose gate is closed are gone, and so are the masks.
@@ -208,54 +193,10 @@ impl<'a> Trainer<'a> {
         if steps == 0 || share >= 1.0 { None } else { self.stages.deformation.frequency_window(share) }
     }
 
-    /// Next transmitters: every sample once an epoch, in an order of its own each epoch.
-    fn batch(&mut self, step: u64) -> Batch {
-        let settings = &self.pipeline.training;
-        let (seed, n) = (self.pipeline.seed, self.train.len() as u64);
-        let mut jitter = rng::stream(seed, "jitter", step);
-        let mut batch = Batch { txs: Vec::new(), truths: Vec::new() };
-        let mut samples = Vec::with_capacity(settings.batch);
-        for k in 0..settings.batch as u64 {
-            let drawn = (step - 1) * settings.batch as u64 + k;
-            if self.order.0 != drawn / n {
-                let mut order = self.train.clone();
-                rng::shuffle(&mut rng::stream(seed, "batches", drawn / n), &mut order);
-                self.order = (drawn / n, order);
-            }
-            let sample = self.order.1[(drawn % n) as usize];
-            let tx = self.data.samples[sample].tx;
-            batch.txs.push(tx.map(|x| x + settings.tx_jitter_m * rng::normal(&mut jitter)));
-            samples.push(sample);
-        }
-        let ImagePlane { width, height, .. } = self.stages.plane;
-        let (pixels, stride, readout) = (width * height, settings.stride, self.stages.readout);
-        batch.truths.resize(samples.len() * pixels, 0.0);
-        batch.truths.par_chunks_exact_mut(pixels).zip(&samples).for_each(|(truth, &sample)| {
-            let rows = self.data.samples[sample].spectrum.chunks_exact(self.data.width).step_by(stride);
-            for (truth, row) in truth.chunks_exact_mut(width).zip(rows) {
-                let bytes = row.iter().step_by(stride);
-                truth.iter_mut().zip(bytes).for_each(|(t, &v)| *t = Real::from(v) / 255.0);
-            }
-            if stride > 1 {
-                readout.restrict(truth);
-            }
-        });
-        batch
-    }
-
-    fn add_to_stats(&mut self, seen: &CloudStats) {
-        let mut seen = seen.clone();
-        for ((name, sum), (_, new)) in self.stats.columns_mut().into_iter().zip(seen.columns_mut()) {
-            for (sum, new) in sum.iter_mut().zip(new.iter()) {
-                *sum = if name == "radius" { sum.max(*new) } else { *sum + new };
-            }
-        }
-    }
-
-    /// Changes N where algorithm 1 says so.
-    fn edit(&mut self, moment: &Moment) {
+    /// Changes N where algorithm 1 says so; gives the Gaussians as they were where pruners take some.
+    fn edit(&mut self, moment: &Moment) -> Option<GaussianCloud> {
         let training = self.pipeline.training.clone();
-        let step = moment.step;
+        let (step, mut unpruned) = (moment.step, None);
         match moment.phase {
             Phase::Densify => {
                 let settings = &training.densify;
@@ -267,7 +208,7 @@ impl<'a> Trainer<'a> {
                     let (seed, cloud) = (self.pipeline.seed, &mut self.cloud);
                     densify::densify(settings, extent, (seed, step), cloud, &mut self.adam, &mut self.stats);
                     if settings.prune_masked {
-                        self.prune(moment);
+                        unpruned = self.prune(moment);
                     }
                 }
                 if densify::reset_due(settings, step) && step < training.densify_until {
@@ -275,7 +216,7 @@ impl<'a> Trainer<'a> {
                 }
             }
             Phase::Prune if step.is_multiple_of(training.prune_every) || step == training.prune_until => {
-                self.prune(moment);
+                unpruned = self.prune(moment);
             }
             _ => {}
         }
@@ -283,16 +224,18 @@ impl<'a> Trainer<'a> {
             // Fine-tuning starts with M = 1 everywhere: closed gates go, and then the masks.
             if let Some(mut open) = self.open_gates(moment) {
                 densify::ensure_one(&mut open, &self.cloud.opacity_logits, "closing the gates");
-                self.take_away(&open);
+                let closed = self.take_away(&open);
+                unpruned = unpruned.or(closed);
             }
             edit::drop_extra(&mut self.cloud, &mut self.adam);
         }
+        unpruned
     }
 
     /// Asks every pruner; a Gaussian stays where all agree.
-    fn prune(&mut self, moment: &Moment) {
+    fn prune(&mut self, moment: &Moment) -> Option<GaussianCloud> {
         let pruners = &self.pipeline.pruners;
-        let Some(first) = pruners.first() else { return };
+        let first = pruners.first()?;
         let mut keep = vec![true; self.cloud.len()];
         for pruner in pruners {
             let own = pruner.keep(&self.cloud, &self.stats, moment);
@@ -300,16 +243,14 @@ impl<'a> Trainer<'a> {
             keep.iter_mut().zip(own).for_each(|(all, own)| *all &= own);
         }
         densify::ensure_one(&mut keep, &first.score(&self.cloud, &self.stats), "pruning");
-        self.take_away(&keep);
+        self.take_away(&keep)
     }
 
-    /// Keeps the rows that are true, and the cloud of before where it was the largest so far.
-    fn take_away(&mut self, keep: &[bool]) {
-        if keep.contains(&false) && keep.len() > self.fullest {
-            self.fullest = keep.len();
-            self.unpruned = Some(self.cloud.clone());
-        }
+    /// Keeps the rows that are true; gives the cloud as it was where some are not.
+    fn take_away(&mut self, keep: &[bool]) -> Option<GaussianCloud> {
+        let before = keep.contains(&false).then(|| self.cloud.clone());
         edit::keep(keep, &mut self.cloud, &mut self.adam, &mut self.stats);
+        before
     }
 
     /// Which gates are open; `None` where no pruner has one any more.
@@ -320,35 +261,6 @@ impl<'a> Trainer<'a> {
         let traced = Traced::new(&self.cloud);
         let gates = self.pipeline.pruners.iter().filter_map(|p| p.gate(&traced, moment));
         gates.reduce(|a, b| a * b).map(|gate| values(&gate).into_iter().map(|m| m != 0.0).collect())
-    }
-}
-
-/// The plane of every `stride`-th row and column of `plane`.
-fn coarse(plane: &ImagePlane, pipeline: &Pipeline) -> Result<ImagePlane> {
-    let (width, height, stride) = (plane.width, plane.height, pipeline.training.stride);
-    if stride == 1 {
-        return Ok(plane.clone());
-    }
-    if !(width.is_multiple_of(stride) && height.is_multiple_of(stride)) {
-        let fits: Vec<String> = (1..=width.min(height))
-            .filter(|s| width.is_multiple_of(*s) && height.is_multiple_of(*s))
-            .map(|s| s.to_string())
-            .collect();
-        return Err(Error::Config(format!(
-            "training.stride {stride} does not divide the pictures' {width} columns and {height} rows; use one of {}",
-            fits.join(", ")
-        )));
-    }
-    let coarse = pipeline.projector.plane(width / stride, height / stride);
-    let (last_x, last_y) = ((coarse.width - 1) as Real, (coarse.height - 1) as Real);
-    let corner = plane.direction(last_x * stride as Real, last_y * stride as Real);
-    match (coarse.direction(last_x, last_y), corner) {
-        (Some(a), Some(b)) if a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4) => Ok(coarse),
-        _ => Err(Error::Config(
-            "training.stride needs a projector that keeps directions on a coarser picture; use projector: Mercator(), or \
-             stride: 1"
-                .into(),
-        )),
     }
 }
 

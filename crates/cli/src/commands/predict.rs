@@ -81,7 +81,7 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitC
         written?;
         if arguments.models.len() > 1 {
             let write = |(i, tx): (usize, &[Real; 3])| {
-                write_pictures(out, &format!("{}{SPREAD}", name(first + i)), &model.spread(*tx), 2.0)
+                write_pictures(out, &format!("{}{SPREAD}", name(first + i)), &model.deviation(*tx), 2.0)
             };
             txs.par_iter().enumerate().map(write).collect::<Result<Vec<()>>>()?;
         }

@@ -9,14 +9,18 @@
 //! of [`LANES`] numbers and are compiled once for each instruction set (pulp). Every pixel is computed by the same
 //! operations in the same order on all of them, so the bits depend on neither machine nor threads.
 
-use super::{C1, C2};
 use crate::Real;
 use std::cell::RefCell;
 
+/// C₁ = (0.01 · data range)².
+pub(super) const C1: f64 = 1e-4;
+/// C₂ = (0.03 · data range)².
+pub(super) const C2: f64 = 9e-4;
 /// Taps of the blur.
 const TAPS: usize = 11;
 /// Half of them: the reach of the blur, px.
 const REACH: usize = TAPS / 2;
+
 /// The Gaussian window of the trained SSIM: 11 taps along each axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window([Real; TAPS]);
@@ -57,42 +61,27 @@ const WEIGHTS: [Real; TAPS] = [
 const LANES: usize = 16;
 type Block = [Real; LANES];
 
-/// SSIM as it is trained: Gaussian window, zeros beyond the border, mean over all pixels. Both pictures are row-major
-/// `[height, width]`; 1 for pictures without a pixel.
-pub fn training(prediction: &[Real], truth: &[Real], width: usize, height: usize) -> Real {
-    run(prediction, truth, (width, height), &Window::default(), None)
-}
-
-/// [`training`] with any window, and its derivative with respect to every pixel of `prediction`, `[height, width]`.
-pub fn training_vjp(
+/// SSIM as it is trained: Gaussian window, zeros beyond the border, mean over all pixels; and its derivative with respect
+/// to every pixel of `prediction`. All are row-major `[height, width]`; 1 for pictures without a pixel.
+pub fn training(
     prediction: &[Real],
     truth: &[Real],
     (width, height): (usize, usize),
     window: &Window,
 ) -> (Real, Vec<Real>) {
-    let mut d_prediction = vec![0.0; width * height];
-    let value = run(prediction, truth, (width, height), window, Some(&mut d_prediction));
-    (value, d_prediction)
-}
-
-fn run(
-    prediction: &[Real],
-    truth: &[Real],
-    (width, height): (usize, usize),
-    window: &Window,
-    d: Option<&mut [Real]>,
-) -> Real {
     assert_eq!((prediction.len(), truth.len()), (width * height, width * height), "pixels fill the picture");
     if prediction.is_empty() {
-        return 1.0;
+        return (1.0, Vec::new());
     }
     thread_local! {
         static SCRATCH: RefCell<Scratch> = RefCell::default();
     }
-    SCRATCH.with_borrow_mut(|scratch| {
+    let mut d = vec![0.0; width * height];
+    let value = SCRATCH.with_borrow_mut(|scratch| {
         scratch.fit(width, height);
-        pulp::Arch::new().dispatch(Job { prediction, truth, width, height, window, d, scratch })
-    })
+        pulp::Arch::new().dispatch(Job { prediction, truth, width, height, window, d: &mut d, scratch })
+    });
+    (value, d)
 }
 
 /// Buffers, kept by each thread for the next picture. Rows are `stride` long, a multiple of [`LANES`] not below the
@@ -130,7 +119,7 @@ struct Job<'a> {
     width: usize,
     height: usize,
     window: &'a Window,
-    d: Option<&'a mut [Real]>,
+    d: &'a mut [Real],
     scratch: &'a mut Scratch,
 }
 
@@ -154,22 +143,18 @@ impl pulp::WithSimd for Job<'_> {
             for (row, plane) in blurred.iter_mut().zip(&*moments) {
                 blur(row, across(plane, y, stride, zeros), weights);
             }
-            similarity(blurred, width, &mut total, d.is_some().then_some(&mut *padded));
-            if d.is_some() {
-                for (padded, plane) in padded.iter().zip(&mut *slopes) {
-                    blur(&mut plane[y * stride..][..stride], along(padded, stride), weights);
-                }
+            similarity(blurred, width, &mut total, padded);
+            for (padded, plane) in padded.iter().zip(&mut *slopes) {
+                blur(&mut plane[y * stride..][..stride], along(padded, stride), weights);
             }
         }
         let pixels = (width * height) as f64;
-        if let Some(d) = d {
-            for (y, d) in d.chunks_exact_mut(width).enumerate() {
-                for (row, plane) in blurred.iter_mut().zip(&*slopes) {
-                    blur(row, across(plane, y, stride, zeros), weights);
-                }
-                let row = y * width..(y + 1) * width;
-                gather(d, &prediction[row.clone()], &truth[row], blurred, (1.0 / pixels) as Real);
+        for (y, d) in d.chunks_exact_mut(width).enumerate() {
+            for (row, plane) in blurred.iter_mut().zip(&*slopes) {
+                blur(row, across(plane, y, stride, zeros), weights);
             }
+            let row = y * width..(y + 1) * width;
+            gather(d, &prediction[row.clone()], &truth[row], blurred, (1.0 / pixels) as Real);
         }
         (total.iter().sum::<f64>() / pixels) as Real
     }
@@ -220,22 +205,18 @@ fn products(padded: &mut [Vec<Real>; 4], p: &[Real], g: &[Real]) {
     }
 }
 
-/// Adds the map of one row to `total` and, where asked for, writes ∂m/∂μ₁, ∂m/∂σ₁², ∂m/∂σ₁₂ into the first three padded
-/// rows.
+/// Adds the map of one row to `total` and writes ∂m/∂μ₁, ∂m/∂σ₁², ∂m/∂σ₁₂ into the first three padded rows.
 #[inline(always)]
-fn similarity(moments: &[Vec<Real>; 4], width: usize, total: &mut [f64; LANES], slopes: Option<&mut [Vec<Real>; 4]>) {
+fn similarity(moments: &[Vec<Real>; 4], width: usize, total: &mut [f64; LANES], slopes: &mut [Vec<Real>; 4]) {
     let blocks = moments.each_ref().map(|m| m.as_chunks::<LANES>().0);
-    let mut slopes = slopes;
     for (i, start) in (0..width).step_by(LANES).enumerate() {
         let valid = LANES.min(width - start);
         let (map, d) = map_block(blocks.map(|b| &b[i]));
         for (total, m) in total.iter_mut().zip(&map[..valid]) {
             *total += *m as f64;
         }
-        if let Some(slopes) = &mut slopes {
-            for (row, d) in slopes.iter_mut().zip(&d) {
-                row[REACH + start..][..valid].copy_from_slice(&d[..valid]);
-            }
+        for (row, d) in slopes.iter_mut().zip(&d) {
+            row[REACH + start..][..valid].copy_from_slice(&d[..valid]);
         }
     }
 }
@@ -282,7 +263,7 @@ mod tests {
     }
 
     fn differentiated(p: &[Real], g: &[Real], width: usize, height: usize) -> (Real, Vec<Real>) {
-        training_vjp(p, g, (width, height), &Window::default())
+        training(p, g, (width, height), &Window::default())
     }
 
     #[test]
@@ -295,7 +276,7 @@ mod tests {
             check_vjp(
                 "training SSIM",
                 &p,
-                |p| vec![training(p, &g, width, height)],
+                |p| vec![differentiated(p, &g, width, height).0],
                 |p, d| differentiated(p, &g, width, height).1.iter().map(|v| v * d[0]).collect(),
                 1e-5,
                 1e-6,
@@ -311,7 +292,6 @@ mod tests {
             let _ = differentiated(&p[..width * height], &g[..width * height], width, height);
         }
         assert_eq!(differentiated(&p, &g, 90, 40), before);
-        assert_eq!(training(&p, &g, 90, 40), before.0);
     }
 
     #[test]

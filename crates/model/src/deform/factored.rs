@@ -5,7 +5,7 @@ use super::layers::{Plan, laid_out};
 use super::linear::Linear;
 use super::mlp::check_stack;
 use super::waves::{Encoder, Encoding};
-use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Memory, Pose, Real, WeightSpec, recall, rng::Rng};
+use pwrfgs_core::{Cache, Deformation, DeformationInputs, Deltas, Pose, Real, WeightSpec, cached, rng::Rng};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -28,7 +28,7 @@ use std::sync::Arc;
 /// Centres are differentiated through the network.
 ///
 /// ```
-/// use pwrfgs_core::{Deformation, Plugin};
+/// use pwrfgs_core::{Cache, Deformation, Plugin};
 /// # use pwrfgs_model as _;
 /// let small = Plugin::<dyn Deformation>::parse("Factored(depth: 3, width: 128, tx_encoding: Waves(count: 64, reach: 24.0))").unwrap();
 /// assert!(!small.varies_geometry());
@@ -76,7 +76,7 @@ impl Deformation for Factored {
         self.forward_prepared(weights, means, txs, pose, &self.prepare(weights, means, pose))
     }
 
-    fn prepare(&self, weights: &[Real], means: &[[Real; 3]], _: &Pose) -> Memory {
+    fn prepare(&self, weights: &[Real], means: &[[Real; 3]], _: &Pose) -> Cache {
         let network = Network::of(self, weights);
         let factors = network.factors(weights, means);
         Some(Arc::new((network, factors)))
@@ -88,9 +88,9 @@ impl Deformation for Factored {
         _: &[[Real; 3]],
         txs: &[[Real; 3]],
         _: &Pose,
-        prepared: &Memory,
+        prepared: &Cache,
     ) -> Deltas {
-        let (network, factors): &(Network, Factors) = recall(prepared);
+        let (network, factors): &(Network, Factors) = cached(prepared);
         network.forward(weights, factors, txs)
     }
 

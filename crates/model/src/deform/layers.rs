@@ -73,10 +73,15 @@ impl Plan {
     }
 }
 
+/// The network that `build` lays out, and the plan of it.
+pub(super) fn planned<N>(build: impl FnOnce(&mut Plan) -> N) -> (N, Plan) {
+    let mut plan = Plan::default();
+    (build(&mut plan), plan)
+}
+
 /// The network that `build` lays out, for weights of the length it says.
 pub(super) fn laid_out<N>(weights: &[Real], build: impl FnOnce(&mut Plan) -> N) -> N {
-    let mut plan = Plan::default();
-    let network = build(&mut plan);
+    let (network, plan) = planned(build);
     assert_eq!(weights.len(), plan.len(), "as many weights as the layout says");
     network
 }

@@ -1,8 +1,9 @@
 //! `Mlp`: the deformation network of P-WRFGS, `(Δs, ΔR, ΔS) = D_Θ(γ(μ), γ(p_tx))` of eq. (5).
 
-use super::encoding::MOST_FREQUENCIES;
-use super::layers::{Plan, laid_out};
-use super::mlp_network::Network;
+use super::encoding::{self, MOST_FREQUENCIES};
+use super::layers::{Plan, laid_out, planned};
+use super::mlp_network::{Network, Outputs};
+use super::trunk::{Trunk, TrunkShape};
 use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Pose, Real, WeightSpec, rng::Rng};
 use serde::{Deserialize, Serialize};
 
@@ -49,16 +50,6 @@ pub struct Mlp {
     pub head_init: f64,
 }
 
-/// What an [`Mlp`] changes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Outputs {
-    /// Rotations (4), scales (3) and signals (2).
-    #[default]
-    All,
-    /// Signals (2) alone.
-    Signals,
-}
-
 impl Default for Mlp {
     fn default() -> Self {
         Self {
@@ -75,18 +66,32 @@ impl Default for Mlp {
     }
 }
 
+impl Mlp {
+    /// The layers, in the order in which they lie in the weight vector.
+    fn network(&self, plan: &mut Plan) -> Network {
+        let tx_inputs = encoding::width(self.tx_frequencies);
+        let tx =
+            [plan.linear("tx.0", tx_inputs, self.tx_hidden), plan.linear("tx.1", self.tx_hidden, self.tx_features)];
+        let gamma = encoding::width(self.position_frequencies);
+        let &Self { position_frequencies, tx_frequencies, depth, width, skip, outputs, .. } = self;
+        let trunk = Trunk::new(plan, TrunkShape { depth, width, skip, gamma, side: self.tx_features });
+        let heads: &[(&str, usize)] = match outputs {
+            Outputs::All => &[("rotation", 4), ("scaling", 3), ("signal", 2)],
+            Outputs::Signals => &[("signal", 2)],
+        };
+        let heads = plan.heads(heads, width, self.head_init);
+        Network { position_frequencies, tx_frequencies, outputs, tx, trunk, heads }
+    }
+}
+
 #[typetag::serde]
 impl Deformation for Mlp {
     fn layout(&self) -> Vec<WeightSpec> {
-        let mut plan = Plan::default();
-        Network::new(self, &mut plan);
-        plan.layout()
+        planned(|plan| self.network(plan)).1.layout()
     }
 
     fn init(&self, rng: &mut Rng) -> Vec<Real> {
-        let mut plan = Plan::default();
-        Network::new(self, &mut plan);
-        plan.init(rng)
+        planned(|plan| self.network(plan)).1.init(rng)
     }
 
     fn varies_geometry(&self) -> bool {
@@ -94,17 +99,16 @@ impl Deformation for Mlp {
     }
 
     fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: &[[Real; 3]], _: &Pose) -> Deltas {
-        laid_out(weights, |plan| Network::new(self, plan)).forward(weights, means, txs)
+        laid_out(weights, |plan| self.network(plan)).forward(weights, means, txs)
     }
 
     fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, d_weights: &mut [Real], _: Option<&mut [[Real; 3]]>) {
         assert_eq!(d_weights.len(), inputs.weights.len(), "a derivative for each weight");
-        laid_out(inputs.weights, |plan| Network::new(self, plan)).vjp(inputs, d, d_weights);
+        laid_out(inputs.weights, |plan| self.network(plan)).vjp(inputs, d, d_weights);
     }
 
     fn frequency_window(&self, share: f64) -> Option<Vec<Real>> {
-        let mut plan = Plan::default();
-        let network = Network::new(self, &mut plan);
+        let (network, plan) = planned(|plan| self.network(plan));
         let mut factors = vec![1.0; plan.len()];
         network.dim(&mut factors, share);
         Some(factors)

@@ -7,22 +7,32 @@
 
 use super::dense::{self, Matrix, MatrixMut, Store, product};
 use super::encoding::{self, encode};
-use super::layers::{Item, Plan, items, items_per_sum};
+use super::layers::{Item, items, items_per_sum};
 use super::linear::Linear;
-use super::mlp::{Mlp, Outputs};
-use super::trunk::{Joints, Trunk, TrunkGradient, TrunkShape};
+use super::trunk::{Joints, Trunk, TrunkGradient};
 use pwrfgs_core::{DeformationInputs, Deltas, Real};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
-/// The layers of an [`Mlp`] and where their weights lie.
+/// What an [`Mlp`](super::Mlp) changes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Outputs {
+    /// Rotations (4), scales (3) and signals (2).
+    #[default]
+    All,
+    /// Signals (2) alone.
+    Signals,
+}
+
+/// The layers and where their weights lie.
 #[derive(Debug)]
 pub(super) struct Network {
-    position_frequencies: usize,
-    tx_frequencies: usize,
-    outputs: Outputs,
-    tx: [Linear; 2],
-    trunk: Trunk,
-    heads: Linear,
+    pub(super) position_frequencies: usize,
+    pub(super) tx_frequencies: usize,
+    pub(super) outputs: Outputs,
+    pub(super) tx: [Linear; 2],
+    pub(super) trunk: Trunk,
+    pub(super) heads: Linear,
 }
 
 /// What depends on a transmitter alone.
@@ -56,26 +66,6 @@ struct Sum {
 }
 
 impl Network {
-    pub(super) fn new(mlp: &Mlp, plan: &mut Plan) -> Self {
-        let tx_inputs = encoding::width(mlp.tx_frequencies);
-        let tx = [plan.linear("tx.0", tx_inputs, mlp.tx_hidden), plan.linear("tx.1", mlp.tx_hidden, mlp.tx_features)];
-        let shape = TrunkShape {
-            depth: mlp.depth,
-            width: mlp.width,
-            skip: mlp.skip,
-            gamma: encoding::width(mlp.position_frequencies),
-            side: mlp.tx_features,
-        };
-        let trunk = Trunk::new(plan, shape);
-        let heads: &[(&str, usize)] = match mlp.outputs {
-            Outputs::All => &[("rotation", 4), ("scaling", 3), ("signal", 2)],
-            Outputs::Signals => &[("signal", 2)],
-        };
-        let heads = plan.heads(heads, mlp.width, mlp.head_init);
-        let (position_frequencies, tx_frequencies) = (mlp.position_frequencies, mlp.tx_frequencies);
-        Self { position_frequencies, tx_frequencies, outputs: mlp.outputs, tx, trunk, heads }
-    }
-
     /// Multiplies the factors of the weights that see encodings by how far each frequency is let in.
     pub(super) fn dim(&self, factors: &mut [Real], share: f64) {
         self.tx[0].dim(factors, 0, &encoding::window(self.tx_frequencies, share));

@@ -21,10 +21,12 @@ mod tests;
 mod trunk;
 mod waves;
 mod wrfgs;
+mod wrfgs_branch;
 mod wrfgs_network;
 
 pub use factored::Factored;
 pub use fixed::Fixed;
-pub use mlp::{Mlp, Outputs};
+pub use mlp::Mlp;
+pub use mlp_network::Outputs;
 pub use waves::Encoding;
 pub use wrfgs::Wrfgs;

@@ -1,9 +1,12 @@
-//! `Wrfgs`: the network of WRF-GS as really implemented (spec of WRF-GS, section 3).
+//! `Wrfgs`: the network of WRF-GS (Wen et al., IEEE INFOCOM 2025) as the released code has it.
 
-use super::layers::{Plan, laid_out};
+use super::encoding;
+use super::layers::{Plan, laid_out, planned};
 use super::mlp::{check_frequencies, check_stack};
+use super::trunk::{Trunk, TrunkShape};
+use super::wrfgs_branch::Branch;
 use super::wrfgs_network::{Ahead, Network};
-use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Memory, Pose, Real, WeightSpec, recall, rng::Rng};
+use pwrfgs_core::{Cache, Deformation, DeformationInputs, Deltas, Pose, Real, WeightSpec, cached, rng::Rng};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -60,8 +63,21 @@ impl Wrfgs {
         self.gain.unwrap_or_else(|| RELEASED_GAIN * Self::norm(means, pose))
     }
 
-    fn network(&self, weights: &[Real]) -> Network {
-        laid_out(weights, |plan| Network::new(self, plan))
+    /// The layers, in the order in which they lie in the weight vector.
+    pub(super) fn network(&self, plan: &mut Plan) -> Network {
+        let &Self { depth, width, frequencies, skip, .. } = self;
+        let gamma = encoding::width(frequencies);
+        let trunk = Trunk::new(plan, TrunkShape { depth, width, skip, gamma, side: 0 });
+        let attenuation = plan.linear("attn", width, 2);
+        let feature = plan.linear("feat", width, width);
+        let signal = [plan.linear("sig.0", width + 2 * gamma, width), plan.linear("sig.1", width, width / 2)];
+        let branch = Branch { frequencies, signal, out: plan.linear("out", width / 2, 2) };
+        Network { trunk, attenuation, feature, branch }
+    }
+
+    /// The same for weights of that length.
+    fn network_of(&self, weights: &[Real]) -> Network {
+        laid_out(weights, |plan| self.network(plan))
     }
 
     fn deltas(
@@ -82,15 +98,11 @@ impl Wrfgs {
 #[typetag::serde]
 impl Deformation for Wrfgs {
     fn layout(&self) -> Vec<WeightSpec> {
-        let mut plan = Plan::default();
-        Network::new(self, &mut plan);
-        plan.layout()
+        planned(|plan| self.network(plan)).1.layout()
     }
 
     fn init(&self, rng: &mut Rng) -> Vec<Real> {
-        let mut plan = Plan::default();
-        Network::new(self, &mut plan);
-        plan.init(rng)
+        planned(|plan| self.network(plan)).1.init(rng)
     }
 
     fn varies_geometry(&self) -> bool {
@@ -106,11 +118,11 @@ impl Deformation for Wrfgs {
     }
 
     fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: &[[Real; 3]], pose: &Pose) -> Deltas {
-        self.deltas(&self.network(weights), weights, means, txs, pose, None)
+        self.deltas(&self.network_of(weights), weights, means, txs, pose, None)
     }
 
-    fn prepare(&self, weights: &[Real], means: &[[Real; 3]], _: &Pose) -> Memory {
-        let network = self.network(weights);
+    fn prepare(&self, weights: &[Real], means: &[[Real; 3]], _: &Pose) -> Cache {
+        let network = self.network_of(weights);
         let ahead = network.ahead(weights, means);
         Some(Arc::new((network, ahead)))
     }
@@ -121,9 +133,9 @@ impl Deformation for Wrfgs {
         means: &[[Real; 3]],
         txs: &[[Real; 3]],
         pose: &Pose,
-        prepared: &Memory,
+        prepared: &Cache,
     ) -> Deltas {
-        let (network, ahead): &(Network, Vec<Ahead>) = recall(prepared);
+        let (network, ahead): &(Network, Vec<Ahead>) = cached(prepared);
         self.deltas(network, weights, means, txs, pose, Some(ahead.as_slice()))
     }
 
@@ -137,7 +149,7 @@ impl Deformation for Wrfgs {
         if d.signals.is_empty() {
             return;
         }
-        let network = self.network(inputs.weights);
+        let network = self.network_of(inputs.weights);
         assert_eq!(d_weights.len(), inputs.weights.len(), "a derivative for each weight");
         let gain = self.gain(inputs.means, inputs.pose);
         let d_products: Vec<Real> = d.signals.iter().map(|d| gain as Real * d[0]).collect();
@@ -159,9 +171,8 @@ impl Deformation for Wrfgs {
     }
 
     fn frequency_window(&self, share: f64) -> Option<Vec<Real>> {
-        let mut plan = Plan::default();
-        let network = Network::new(self, &mut plan);
-        let mut factors = vec![1.0; self.layout().iter().map(WeightSpec::len).sum()];
+        let (network, plan) = planned(|plan| self.network(plan));
+        let mut factors = vec![1.0; plan.len()];
         network.dim(&mut factors, share);
         Some(factors)
     }

@@ -1,36 +1,26 @@
 //! Forward and backward of [`super::Wrfgs`], chunk by chunk; here the output is S·A, without the gain.
 //!
 //! ```text
-//! γ(X) → trunk.0 … trunk.7 ┬→ attn (2 → A = |lrelu|)                        (once a Gaussian)
-//!                          └→ feat ┐
-//! γ(p) (folded into the bias) ─────┼→ sig.0, ReLU → sig.1, ReLU → out (2 → S = |lrelu|)
-//! γ(X - p) ────────────────────────┘
+//! γ(X) → trunk.0 … trunk.7 ┬→ attn (2 → A = |lrelu|)      (once a Gaussian)
+//!                          └→ feat → signal branch → S    (once a Gaussian and transmitter, see `wrfgs_branch`)
 //! ```
 
 use super::dense::{self, Store};
 use super::encoding::{self, encode, encode_vjp};
-use super::layers::{Item, Plan, items, items_per_sum};
-use super::linear::{Linear, Part};
-use super::trunk::{Joints, Trunk, TrunkGradient, TrunkShape};
-use super::wrfgs::Wrfgs;
+use super::layers::{Item, items, items_per_sum};
+use super::linear::Linear;
+use super::trunk::{Joints, Trunk, TrunkGradient};
+use super::wrfgs_branch::{Branch, Room, TxSide, amplitude, amplitude_slope};
 use pwrfgs_core::{DeformationInputs, Real};
 use rayon::prelude::*;
 
-/// The layers of a [`Wrfgs`] and where their weights lie.
+/// The layers and where their weights lie.
 #[derive(Debug)]
 pub(super) struct Network {
-    frequencies: usize,
-    trunk: Trunk,
-    attenuation: Linear,
-    feature: Linear,
-    signal: [Linear; 2],
-    out: Linear,
-}
-
-/// A transmitter: γ(p), and the bias of `sig.0` with W·γ(p) in it.
-struct TxSide {
-    gamma: Vec<Real>,
-    folded: Vec<Real>,
+    pub(super) trunk: Trunk,
+    pub(super) attenuation: Linear,
+    pub(super) feature: Linear,
+    pub(super) branch: Branch,
 }
 
 /// What a chunk of Gaussians gives to every transmitter.
@@ -43,15 +33,11 @@ pub(super) struct Ahead {
 /// Room for one chunk, kept from item to item of a task.
 #[derive(Default)]
 struct Scratch {
-    // Once a chunk.
     gamma: Vec<Real>,
     shared: Joints,
     slots: Vec<Vec<Real>>,
     feature: Vec<Real>,
-    // Once a transmitter.
-    offset: Vec<Real>, // γ(X - p)
-    hidden: [Vec<Real>; 2],
-    out: Vec<Real>, // [2, R], before |lrelu|
+    branch: Room,
     // Cotangents.
     d_attenuation: Vec<Real>,
     d_from_feature: Vec<Real>,
@@ -74,75 +60,20 @@ struct Sum {
     row: usize,
 }
 
-impl Sum {
-    /// The cotangents of the present item's centres.
-    fn d_means(&mut self) -> Option<&mut [[Real; 3]]> {
-        self.means.as_mut().map(|means| &mut means[self.row..])
-    }
-}
-
-/// |lrelu(z)| with slope 0.01.
-fn amplitude(z: Real) -> Real {
-    if z < 0.0 { -0.01 * z } else { z }
-}
-
-/// The derivative of [`amplitude`]; 0 at 0.
-fn amplitude_slope(z: Real) -> Real {
-    if z > 0.0 {
-        1.0
-    } else if z < 0.0 {
-        -0.01
-    } else {
-        0.0
-    }
-}
-
 impl Network {
-    pub(super) fn new(wrfgs: &Wrfgs, plan: &mut Plan) -> Self {
-        let (width, gamma) = (wrfgs.width, encoding::width(wrfgs.frequencies));
-        let shape = TrunkShape { depth: wrfgs.depth, width, skip: wrfgs.skip, gamma, side: 0 };
-        Self {
-            frequencies: wrfgs.frequencies,
-            trunk: Trunk::new(plan, shape),
-            attenuation: plan.linear("attn", width, 2),
-            feature: plan.linear("feat", width, width),
-            signal: [plan.linear("sig.0", width + 2 * gamma, width), plan.linear("sig.1", width, width / 2)],
-            out: plan.linear("out", width / 2, 2),
-        }
-    }
-
     /// Multiplies the factors of the weights that see encodings by how far each frequency is let in.
     pub(super) fn dim(&self, factors: &mut [Real], share: f64) {
-        let window = encoding::window(self.frequencies, share);
+        let window = encoding::window(self.branch.frequencies, share);
         self.trunk.dim(factors, &window);
-        self.signal[0].dim(factors, self.trunk.width, &[window.as_slice(), &window].concat());
-    }
-
-    /// The columns of `sig.0` that see the feature, γ(p) and γ(X - p).
-    fn signal_parts(&self) -> [Part; 3] {
-        let (width, gamma) = (self.trunk.width, encoding::width(self.frequencies));
-        let first = &self.signal[0];
-        [first.part(0..width), first.part(width..width + gamma), first.part(width + gamma..width + 2 * gamma)]
-    }
-
-    fn tx_sides(&self, weights: &[Real], txs: &[[Real; 3]]) -> Vec<TxSide> {
-        let [_, of_tx, _] = self.signal_parts();
-        let side = |&tx: &[Real; 3]| {
-            let mut gamma = vec![0.0; encoding::width(self.frequencies)];
-            encode([tx].into_iter(), self.frequencies, &mut gamma);
-            let mut folded = self.signal[0].bias(weights).to_vec();
-            of_tx.apply(weights, &gamma, &mut folded, Store::Add);
-            TxSide { gamma, folded }
-        };
-        txs.par_iter().map(side).collect()
+        self.branch.dim(factors, &window);
     }
 
     /// What the Gaussians of a chunk give without knowing the transmitter.
     fn begin(&self, weights: &[Real], means: &[[Real; 3]], slots: usize, scratch: &mut Scratch) -> Ahead {
         let Scratch { gamma, shared, feature, .. } = scratch;
-        let (rows, width) = (means.len(), self.trunk.width);
-        gamma.resize(rows * encoding::width(self.frequencies), 0.0);
-        encode(means.iter().copied(), self.frequencies, gamma);
+        let (rows, width, frequencies) = (means.len(), self.trunk.width, self.branch.frequencies);
+        gamma.resize(rows * encoding::width(frequencies), 0.0);
+        encode(means.iter().copied(), frequencies, gamma);
         self.trunk.share(weights, gamma, shared);
         scratch.slots.resize_with(slots, Vec::new);
         self.trunk.forward(weights, shared, &self.trunk.fold(weights, &[]), &mut scratch.slots);
@@ -154,8 +85,37 @@ impl Network {
         self.feature.whole().apply(weights, h, feature, Store::Set);
         dense::add_bias(feature, self.feature.bias(weights));
         let mut from_feature = vec![0.0; width * rows];
-        self.signal_parts()[0].apply(weights, feature, &mut from_feature, Store::Set);
+        self.branch.parts()[0].apply(weights, feature, &mut from_feature, Store::Set);
         Ahead { attenuation, from_feature }
+    }
+
+    /// The vjp of [`Self::begin`].
+    fn begin_vjp(&self, weights: &[Real], scratch: &mut Scratch, sum: &mut Sum) {
+        let Scratch { gamma, slots, feature, d_attenuation, d_from_feature, d, spare, .. } = scratch;
+        let (h, width) = (&slots[self.trunk.depth() - 1], self.trunk.width);
+        let [of_feature, ..] = self.branch.parts();
+        of_feature.weight_vjp(&mut sum.weights, feature, d_from_feature);
+        spare.resize(feature.len(), 0.0);
+        of_feature.input_vjp(weights, d_from_feature, spare, Store::Set);
+        self.feature.whole().weight_vjp(&mut sum.weights, h, spare);
+        dense::add_bias_vjp(spare, self.feature.bias_mut(&mut sum.weights));
+        d.resize(h.len(), 0.0);
+        self.feature.whole().input_vjp(weights, spare, d, Store::Set);
+        self.attenuation.whole().weight_vjp(&mut sum.weights, h, d_attenuation);
+        dense::add_bias_vjp(d_attenuation, self.attenuation.bias_mut(&mut sum.weights));
+        self.attenuation.whole().input_vjp(weights, d_attenuation, d, Store::Add);
+        let mut d_shared = self.trunk.zero_joints(h.len());
+        let into = TrunkGradient {
+            weights: &mut sum.weights,
+            shared: &mut d_shared,
+            folded: sum.trunk_biases.of_tx(0, width),
+        };
+        self.trunk.backward(weights, slots, d, spare, into);
+        let mut d_gamma = sum.means.as_ref().map(|_| vec![0.0; gamma.len()]);
+        self.trunk.share_vjp(weights, gamma, &d_shared, &mut sum.weights, d_gamma.as_deref_mut());
+        if let (Some(d_gamma), Some(d_means)) = (d_gamma, &mut sum.means) {
+            encode_vjp(gamma, &d_gamma, self.branch.frequencies, &mut d_means[sum.row..]);
+        }
     }
 
     /// [`Ahead`] of every chunk.
@@ -165,38 +125,14 @@ impl Network {
         items.par_iter().map_init(Scratch::default, begin).collect()
     }
 
-    /// The signal branch for one transmitter, into `scratch.out`.
-    fn branch(
-        &self,
-        weights: &[Real],
-        means: &[[Real; 3]],
-        ahead: &Ahead,
-        tx: [Real; 3],
-        side: &TxSide,
-        scratch: &mut Scratch,
-    ) {
-        let Scratch { offset, hidden: [first, second], out, .. } = scratch;
-        let rows = means.len();
-        offset.resize(rows * encoding::width(self.frequencies), 0.0);
-        encode(means.iter().map(|x| std::array::from_fn(|k| x[k] - tx[k])), self.frequencies, offset);
-        first.clone_from(&ahead.from_feature);
-        self.signal_parts()[2].apply(weights, offset, first, Store::Add);
-        dense::bias_relu(first, &side.folded);
-        second.resize(self.signal[1].outputs * rows, 0.0);
-        self.signal[1].whole().apply(weights, first, second, Store::Set);
-        dense::bias_relu(second, self.signal[1].bias(weights));
-        out.resize(2 * rows, 0.0);
-        self.out.whole().apply(weights, second, out, Store::Set);
-        dense::add_bias(out, self.out.bias(weights));
-    }
-
     /// The four outputs before |lrelu|, as the reference renders list them: two of `attn`, two of `out`.
     #[cfg(test)]
     pub(super) fn raw(&self, weights: &[Real], means: &[[Real; 3]], tx: [Real; 3]) -> Vec<[Real; 4]> {
         let (mut scratch, n) = (Scratch::default(), means.len());
         let ahead = self.begin(weights, means, 2, &mut scratch);
-        self.branch(weights, means, &ahead, tx, &self.tx_sides(weights, &[tx])[0], &mut scratch);
-        let (a, s) = (ahead.attenuation, scratch.out);
+        let side = &self.branch.tx_sides(weights, &[tx])[0];
+        self.branch.forward(weights, means, &ahead.from_feature, tx, side, &mut scratch.branch);
+        let (a, s) = (ahead.attenuation, scratch.branch.out);
         (0..n).map(|r| [a[r], a[n + r], s[r], s[n + r]]).collect()
     }
 
@@ -208,7 +144,7 @@ impl Network {
         txs: &[[Real; 3]],
         ahead: Option<&[Ahead]>,
     ) -> Vec<Real> {
-        let sides = self.tx_sides(weights, txs);
+        let sides = self.branch.tx_sides(weights, txs);
         let pieces: Vec<Vec<Real>> = items(means.len(), 1, self.trunk.width)
             .par_iter()
             .enumerate()
@@ -218,8 +154,8 @@ impl Network {
                 let ahead = ahead.map(|all| &all[chunk]).or(fresh.as_ref()).expect("one or the other");
                 let mut products = Vec::with_capacity(means.len() * txs.len());
                 for (tx, side) in txs.iter().zip(&sides) {
-                    self.branch(weights, means, ahead, *tx, side, scratch);
-                    let both = scratch.out.iter().zip(&ahead.attenuation).take(means.len());
+                    self.branch.forward(weights, means, &ahead.from_feature, *tx, side, &mut scratch.branch);
+                    let both = scratch.branch.out.iter().zip(&ahead.attenuation).take(means.len());
                     products.extend(both.map(|(&s, &a)| amplitude(s) * amplitude(a)));
                 }
                 products
@@ -245,7 +181,7 @@ impl Network {
         d_means: Option<&mut [[Real; 3]]>,
     ) -> f64 {
         let DeformationInputs { weights, means, txs, .. } = *inputs;
-        let sides = self.tx_sides(weights, txs);
+        let sides = self.branch.tx_sides(weights, txs);
         let items = items(means.len(), 1, self.trunk.width);
         let sums: Vec<Sum> = items
             .par_chunks(items_per_sum(items.len()))
@@ -266,19 +202,13 @@ impl Network {
             })
             .collect();
         dense::add_in_order(d_weights, &sums.iter().map(|s| s.weights.as_slice()).collect::<Vec<_>>());
-        let [_, of_tx, _] = self.signal_parts();
         for sum in &sums {
             self.trunk.add_joint_biases(d_weights, &sum.trunk_biases);
-            for (side, d) in sides.iter().zip(sum.folded.chunks_exact(self.trunk.width)) {
-                of_tx.weight_vjp(d_weights, &side.gamma, d);
-                dense::add(self.signal[0].bias_mut(d_weights), d);
-            }
+            self.branch.tx_vjp(&sides, &sum.folded, d_weights);
         }
         if let Some(d_means) = d_means {
-            dense::add(
-                d_means.as_flattened_mut(),
-                &sums.iter().flat_map(|s| s.means.iter().flatten().flatten()).copied().collect::<Vec<_>>(),
-            );
+            let of_items = sums.iter().flat_map(|s| s.means.iter().flatten().flatten()).copied();
+            dense::add(d_means.as_flattened_mut(), &of_items.collect::<Vec<_>>());
         }
         sums.iter().map(|s| s.along_gain).sum()
     }
@@ -293,89 +223,32 @@ impl Network {
         scratch: &mut Scratch,
         sum: &mut Sum,
     ) {
-        let (n, weights) = (inputs.means.len(), inputs.weights);
+        let (n, weights, width) = (inputs.means.len(), inputs.weights, self.trunk.width);
         let means = &inputs.means[item.rows.clone()];
         let ahead = self.begin(weights, means, self.trunk.depth(), scratch);
-        scratch.d_attenuation.clear();
-        scratch.d_attenuation.resize(2 * means.len(), 0.0);
-        scratch.d_from_feature.clear();
-        scratch.d_from_feature.resize(ahead.from_feature.len(), 0.0);
+        let Scratch { branch, d_attenuation, d_from_feature, .. } = &mut *scratch;
+        d_attenuation.clear();
+        d_attenuation.resize(2 * means.len(), 0.0);
+        d_from_feature.clear();
+        d_from_feature.resize(ahead.from_feature.len(), 0.0);
         if let Some(d_means) = &mut sum.means {
             sum.row = d_means.len();
             d_means.resize(sum.row + means.len(), [0.0; 3]);
         }
         for (b, (tx, side)) in inputs.txs.iter().zip(sides).enumerate() {
-            self.branch(weights, means, &ahead, *tx, side, scratch);
-            let d = &d[b * n + item.rows.start..b * n + item.rows.end];
-            self.branch_vjp(weights, &ahead.attenuation, b, d, scratch, sum);
+            self.branch.forward(weights, means, &ahead.from_feature, *tx, side, branch);
+            let (s, phase) = branch.out.split_at_mut(means.len());
+            for (r, &d) in d[b * n..][item.rows.clone()].iter().enumerate() {
+                let (signal, a) = (s[r], ahead.attenuation[r]);
+                sum.along_gain += f64::from(d * amplitude(signal) * amplitude(a));
+                d_attenuation[r] += d * amplitude(signal) * amplitude_slope(a);
+                s[r] = d * amplitude(a) * amplitude_slope(signal);
+            }
+            phase.fill(0.0); // it is not used
+            let d_means = sum.means.as_mut().map(|d_means| &mut d_means[sum.row..]);
+            let d_folded = &mut sum.folded[b * width..(b + 1) * width];
+            self.branch.vjp(weights, branch, &mut sum.weights, d_folded, d_from_feature, d_means);
         }
         self.begin_vjp(weights, scratch, sum);
-    }
-
-    /// The vjp of [`Self::branch`] and of S·A, for transmitter `b`.
-    fn branch_vjp(
-        &self,
-        weights: &[Real],
-        attenuation: &[Real],
-        b: usize,
-        d: &[Real],
-        scratch: &mut Scratch,
-        sum: &mut Sum,
-    ) {
-        let Scratch { offset, hidden: [first, second], out, d_attenuation, spare, .. } = scratch;
-        let (rows, width) = (d.len(), self.trunk.width);
-        for (r, &d) in d.iter().enumerate() {
-            let (s, a) = (out[r], attenuation[r]);
-            sum.along_gain += f64::from(d * amplitude(s) * amplitude(a));
-            d_attenuation[r] += d * amplitude(s) * amplitude_slope(a);
-            out[r] = d * amplitude(a) * amplitude_slope(s);
-            out[rows + r] = 0.0; // the phase is not used
-        }
-        self.out.whole().weight_vjp(&mut sum.weights, second, out);
-        dense::add_bias_vjp(out, self.out.bias_mut(&mut sum.weights));
-        spare.resize(second.len(), 0.0);
-        self.out.whole().input_vjp(weights, out, spare, Store::Set);
-        dense::bias_relu_vjp(spare, second, self.signal[1].bias_mut(&mut sum.weights));
-        self.signal[1].whole().weight_vjp(&mut sum.weights, first, spare);
-        scratch.d.resize(first.len(), 0.0);
-        self.signal[1].whole().input_vjp(weights, spare, &mut scratch.d, Store::Set);
-        dense::bias_relu_vjp(&mut scratch.d, first, &mut sum.folded[b * width..(b + 1) * width]);
-        dense::add(&mut scratch.d_from_feature, &scratch.d);
-        let of_offset = &self.signal_parts()[2];
-        of_offset.weight_vjp(&mut sum.weights, offset, &scratch.d);
-        if let Some(d_means) = sum.d_means() {
-            spare.resize(offset.len(), 0.0);
-            of_offset.input_vjp(weights, &scratch.d, spare, Store::Set);
-            encode_vjp(offset, spare, self.frequencies, d_means);
-        }
-    }
-
-    /// The vjp of [`Self::begin`].
-    fn begin_vjp(&self, weights: &[Real], scratch: &mut Scratch, sum: &mut Sum) {
-        let Scratch { gamma, slots, feature, d_attenuation, d_from_feature, d, spare, .. } = scratch;
-        let (h, width) = (&slots[self.trunk.depth() - 1], self.trunk.width);
-        let of_feature = &self.signal_parts()[0];
-        of_feature.weight_vjp(&mut sum.weights, feature, d_from_feature);
-        spare.resize(feature.len(), 0.0);
-        of_feature.input_vjp(weights, d_from_feature, spare, Store::Set);
-        self.feature.whole().weight_vjp(&mut sum.weights, h, spare);
-        dense::add_bias_vjp(spare, self.feature.bias_mut(&mut sum.weights));
-        d.resize(h.len(), 0.0);
-        self.feature.whole().input_vjp(weights, spare, d, Store::Set);
-        self.attenuation.whole().weight_vjp(&mut sum.weights, h, d_attenuation);
-        dense::add_bias_vjp(d_attenuation, self.attenuation.bias_mut(&mut sum.weights));
-        self.attenuation.whole().input_vjp(weights, d_attenuation, d, Store::Add);
-        let mut d_shared = self.trunk.zero_joints(h.len());
-        let into = TrunkGradient {
-            weights: &mut sum.weights,
-            shared: &mut d_shared,
-            folded: sum.trunk_biases.of_tx(0, width),
-        };
-        self.trunk.backward(weights, slots, d, spare, into);
-        let mut d_gamma = sum.means.as_ref().map(|_| vec![0.0; gamma.len()]);
-        self.trunk.share_vjp(weights, gamma, &d_shared, &mut sum.weights, d_gamma.as_deref_mut());
-        if let (Some(d_gamma), Some(d_means)) = (d_gamma, sum.d_means()) {
-            encode_vjp(gamma, &d_gamma, self.frequencies, d_means);
-        }
     }
 }

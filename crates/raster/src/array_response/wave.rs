@@ -1,17 +1,30 @@
 //! The wave that one splat leaves on the antennas, and its derivative.
 
-use super::{ArrayResponse, Wavefront};
 use crate::ewa::inverse_vjp;
 use pwrfgs_core::{
     ImagePlane, Real, Splats, Vec3,
     consts::{DEG, TAU},
 };
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// Variance of a splat too wide for its conic to be inverted, px²: it is heard by the middle of the array only.
 const BOUNDLESS: Real = 1e9;
 /// Closest that a Gaussian comes to an antenna, wavelengths.
 const CLOSEST: Real = 1e-3;
+
+/// How the phase at an antenna follows from a Gaussian.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub enum Wavefront {
+    /// From its direction, as if it were infinitely far away.
+    #[default]
+    Plane,
+    /// From its position.
+    Spherical {
+        /// Metres.
+        wavelength_m: Real,
+    },
+}
 
 /// A planar array in the x-y plane of the receiver, centred, and the grid whose pixels are directions.
 pub(super) struct Antennas {
@@ -37,17 +50,22 @@ struct Aim {
 }
 
 impl Antennas {
-    pub(super) fn new(array: &ArrayResponse, plane: &ImagePlane) -> Self {
-        let place =
-            |index: usize, count: usize| (index as Real - (count as Real - 1.0) / 2.0) * array.spacing_wavelengths;
-        let (rows, columns) = (array.rows, array.columns);
+    /// Antennas along y and x, and how far they stand apart, wavelengths.
+    pub(super) fn new(
+        (rows, columns): (usize, usize),
+        spacing: Real,
+        widened: bool,
+        wavefront: Wavefront,
+        plane: &ImagePlane,
+    ) -> Self {
+        let place = |index: usize, count: usize| (index as Real - (count as Real - 1.0) / 2.0) * spacing;
         let positions =
             (0..rows * columns).map(|k| Vec3::new(place(k % columns, columns), place(k / columns, rows), 0.0));
         let (az, el) = plane.angles.expect("the plane was checked: its pixels are directions");
         Self {
             positions: positions.collect(),
-            widened: array.widened,
-            wavelength: match array.wavefront {
+            widened,
+            wavelength: match wavefront {
                 Wavefront::Plane => None,
                 Wavefront::Spherical { wavelength_m } => Some(wavelength_m),
             },

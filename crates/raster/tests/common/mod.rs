@@ -1,6 +1,8 @@
 //! Random scenes shared by the tests of this crate.
 #![allow(dead_code, clippy::unwrap_used)] // each test file uses its own part
 
+pub(crate) mod reference;
+
 use pwrfgs_core::{ImagePlane, Pose, Primitives, Projector, Real, Splats, Vec3, rng};
 use pwrfgs_raster::Mercator;
 
@@ -9,7 +11,7 @@ pub(crate) const POSE: Pose =
     Pose { position: [1.0, -2.0, 0.5], orientation: [0.1, -0.2, 0.3, 0.927_361_849_549_570_4] };
 
 /// `n` Gaussians in front of [`POSE`], of all shapes, some across the seam, some near the zenith.
-pub(crate) fn primitives(n: usize, seed: u64, plane: &ImagePlane) -> Primitives {
+pub(crate) fn primitives(n: usize, seed: u64) -> Primitives {
     let mut random = rng::stream(seed, "scene", n as u64);
     let r = POSE.world_from_receiver();
     let mut p = Primitives::zeros(n);
@@ -25,7 +27,6 @@ pub(crate) fn primitives(n: usize, seed: u64, plane: &ImagePlane) -> Primitives 
         p.quats[i] = q.map(|v| v / norm);
         p.opacities[i] = 0.05 + 0.9 * rng::uniform(&mut random);
     }
-    let _ = plane;
     p
 }
 
@@ -39,7 +40,7 @@ pub(crate) fn signals(n: usize, channels: usize, seed: u64) -> Vec<Real> {
 pub(crate) fn splats(n: usize, seed: u64, width: usize, height: usize) -> (Splats, ImagePlane) {
     let projector = Mercator::default();
     let plane = projector.plane(width, height);
-    (projector.project(&primitives(n, seed, &plane), &POSE, &plane), plane)
+    (projector.project(&primitives(n, seed), &POSE, &plane), plane)
 }
 
 /// Largest difference, relative to the largest of the first.

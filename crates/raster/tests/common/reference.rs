@@ -1,8 +1,12 @@
-//! The same picture by brute force, for tests: every splat against every pixel, one pixel after the other, the
+//! The picture of `AlphaBlending` by brute force: every splat against every pixel, one pixel after the other, the
 //! derivative by the classical walk from back to front.
 
-use crate::blend::{ALPHA_MAX, ALPHA_MIN, T_MIN, nearest_image};
 use pwrfgs_core::{ImagePlane, Real, RenderVjp, Splats};
+
+/// Largest γ of one splat, smallest γ that counts, and what light a full pixel keeps.
+const ALPHA_MAX: Real = 0.99;
+const ALPHA_MIN: Real = 1.0 / 255.0;
+const T_MIN: Real = 1e-4;
 
 /// One splat in one pixel.
 struct Touch {
@@ -21,7 +25,8 @@ fn touches(splats: &Splats, order: &[usize], plane: &ImagePlane, x: usize, y: us
         let [mx, my] = splats.means2d[i];
         let mut d = [mx - x as Real, my - y as Real];
         if plane.wraps {
-            d[0] = nearest_image(d[0], plane.width as Real);
+            let width = plane.width as Real;
+            d[0] -= width * (d[0] / width + 0.5).floor();
         }
         let [a, b, c] = splats.conics[i];
         let power = -0.5 * (a * d[0] * d[0] + c * d[1] * d[1]) - b * d[0] * d[1];
@@ -47,7 +52,12 @@ fn order_of(splats: &Splats) -> Vec<usize> {
 }
 
 /// Blended signals `[channels, H, W]` and transmittance `[H, W]`.
-pub fn forward(splats: &Splats, signals: &[Real], channels: usize, plane: &ImagePlane) -> (Vec<Real>, Vec<Real>) {
+pub(crate) fn forward(
+    splats: &Splats,
+    signals: &[Real],
+    channels: usize,
+    plane: &ImagePlane,
+) -> (Vec<Real>, Vec<Real>) {
     let size = plane.width * plane.height;
     let (mut pixels, mut transmittance) = (vec![0.0; channels * size], vec![1.0; size]);
     let order = order_of(splats);
@@ -64,7 +74,7 @@ pub fn forward(splats: &Splats, signals: &[Real], channels: usize, plane: &Image
 }
 
 /// Cotangents, given those of the pixels.
-pub fn backward(
+pub(crate) fn backward(
     splats: &Splats,
     signals: &[Real],
     channels: usize,

@@ -1,0 +1,146 @@
+//! The signal branch of [`super::Wrfgs`]: from a Gaussian's feature and the transmitter to the amplitude S.
+//!
+//! ```text
+//! feature ─────────────────────────┐
+//! γ(p) (folded into the bias) ─────┼→ sig.0, ReLU → sig.1, ReLU → out (2 → S = |lrelu|)
+//! γ(X - p) ────────────────────────┘
+//! ```
+
+use super::dense::{self, Store};
+use super::encoding::{self, encode, encode_vjp};
+use super::linear::{Linear, Part};
+use pwrfgs_core::Real;
+use rayon::prelude::*;
+
+/// The layers and where their weights lie.
+#[derive(Debug)]
+pub(super) struct Branch {
+    pub(super) frequencies: usize,
+    pub(super) signal: [Linear; 2],
+    pub(super) out: Linear,
+}
+
+/// A transmitter: γ(p), and the bias of `sig.0` with W·γ(p) in it.
+pub(super) struct TxSide {
+    gamma: Vec<Real>,
+    folded: Vec<Real>,
+}
+
+/// Room for one chunk and transmitter, kept from one to the next.
+#[derive(Default)]
+pub(super) struct Room {
+    offset: Vec<Real>, // γ(X - p)
+    hidden: [Vec<Real>; 2],
+    /// `[2, R]`, before |lrelu|: what [`Branch::forward`] gives, and the cotangent that [`Branch::vjp`] is given.
+    pub(super) out: Vec<Real>,
+    d: Vec<Real>,
+    spare: Vec<Real>,
+}
+
+/// |lrelu(z)| with slope 0.01.
+pub(super) fn amplitude(z: Real) -> Real {
+    if z < 0.0 { -0.01 * z } else { z }
+}
+
+/// The derivative of [`amplitude`]; 0 at 0.
+pub(super) fn amplitude_slope(z: Real) -> Real {
+    if z > 0.0 {
+        1.0
+    } else if z < 0.0 {
+        -0.01
+    } else {
+        0.0
+    }
+}
+
+impl Branch {
+    /// Multiplies the factors of the weights that see encodings by how far each frequency is let in.
+    pub(super) fn dim(&self, factors: &mut [Real], window: &[Real]) {
+        self.signal[0].dim(factors, self.signal[0].outputs, &[window, window].concat());
+    }
+
+    /// The columns of `sig.0` that see the feature, γ(p) and γ(X - p).
+    pub(super) fn parts(&self) -> [Part; 3] {
+        let (first, gamma) = (&self.signal[0], encoding::width(self.frequencies));
+        let width = first.outputs;
+        [first.part(0..width), first.part(width..width + gamma), first.part(width + gamma..width + 2 * gamma)]
+    }
+
+    pub(super) fn tx_sides(&self, weights: &[Real], txs: &[[Real; 3]]) -> Vec<TxSide> {
+        let [_, of_tx, _] = self.parts();
+        let side = |&tx: &[Real; 3]| {
+            let mut gamma = vec![0.0; encoding::width(self.frequencies)];
+            encode([tx].into_iter(), self.frequencies, &mut gamma);
+            let mut folded = self.signal[0].bias(weights).to_vec();
+            of_tx.apply(weights, &gamma, &mut folded, Store::Add);
+            TxSide { gamma, folded }
+        };
+        txs.par_iter().map(side).collect()
+    }
+
+    /// The vjp of [`Self::tx_sides`], given the cotangents of the folded biases, `[B, width]`.
+    pub(super) fn tx_vjp(&self, sides: &[TxSide], d_folded: &[Real], d_weights: &mut [Real]) {
+        let [_, of_tx, _] = self.parts();
+        for (side, d) in sides.iter().zip(d_folded.chunks_exact(self.signal[0].outputs)) {
+            of_tx.weight_vjp(d_weights, &side.gamma, d);
+            dense::add(self.signal[0].bias_mut(d_weights), d);
+        }
+    }
+
+    /// The branch for one transmitter, into `room.out`; `from_feature` is W·feature of `sig.0`.
+    pub(super) fn forward(
+        &self,
+        weights: &[Real],
+        means: &[[Real; 3]],
+        from_feature: &[Real],
+        tx: [Real; 3],
+        side: &TxSide,
+        room: &mut Room,
+    ) {
+        let Room { offset, hidden: [first, second], out, .. } = room;
+        let rows = means.len();
+        offset.resize(rows * encoding::width(self.frequencies), 0.0);
+        encode(means.iter().map(|x| std::array::from_fn(|k| x[k] - tx[k])), self.frequencies, offset);
+        first.clear();
+        first.extend_from_slice(from_feature);
+        self.parts()[2].apply(weights, offset, first, Store::Add);
+        dense::bias_relu(first, &side.folded);
+        second.resize(self.signal[1].outputs * rows, 0.0);
+        self.signal[1].whole().apply(weights, first, second, Store::Set);
+        dense::bias_relu(second, self.signal[1].bias(weights));
+        out.resize(2 * rows, 0.0);
+        self.out.whole().apply(weights, second, out, Store::Set);
+        dense::add_bias(out, self.out.bias(weights));
+    }
+
+    /// The vjp of [`Self::forward`], whose activations are in `room`: adds to the cotangents of the weights, of the
+    /// folded bias `[width]`, of `from_feature`, and of the centres where they are asked for.
+    pub(super) fn vjp(
+        &self,
+        weights: &[Real],
+        room: &mut Room,
+        d_weights: &mut [Real],
+        d_folded: &mut [Real],
+        d_from_feature: &mut [Real],
+        d_means: Option<&mut [[Real; 3]]>,
+    ) {
+        let Room { offset, hidden: [first, second], out, d, spare } = room;
+        self.out.whole().weight_vjp(d_weights, second, out);
+        dense::add_bias_vjp(out, self.out.bias_mut(d_weights));
+        spare.resize(second.len(), 0.0);
+        self.out.whole().input_vjp(weights, out, spare, Store::Set);
+        dense::bias_relu_vjp(spare, second, self.signal[1].bias_mut(d_weights));
+        self.signal[1].whole().weight_vjp(d_weights, first, spare);
+        d.resize(first.len(), 0.0);
+        self.signal[1].whole().input_vjp(weights, spare, d, Store::Set);
+        dense::bias_relu_vjp(d, first, d_folded);
+        dense::add(d_from_feature, d);
+        let [_, _, of_offset] = self.parts();
+        of_offset.weight_vjp(d_weights, offset, d);
+        if let Some(d_means) = d_means {
+            spare.resize(offset.len(), 0.0);
+            of_offset.input_vjp(weights, d, spare, Store::Set);
+            encode_vjp(offset, spare, self.frequencies, d_means);
+        }
+    }
+}
