@@ -42,7 +42,7 @@ fn network(criterion: &mut Criterion, name: &str, outputs: Outputs) {
     for n in SIZES {
         let model = untrained(seeded_cloud(n), outputs);
         let Stages { deformation, pose, .. } = &model.stages;
-        let (weights, means, txs) = (&model.weights, &model.cloud.means, &[TX]);
+        let (weights, means, txs) = (&model.weights, &model.cloud.means, &[TX.map(|x| x as Real)]);
         let deltas = deformation.forward(weights, means, txs, pose);
         group.bench_function(BenchmarkId::new("forward", n), |b| {
             b.iter(|| deformation.forward(weights, means, txs, pose));
@@ -62,7 +62,7 @@ fn stages(criterion: &mut Criterion) {
     for n in SIZES {
         let model = untrained(seeded_cloud(n), Outputs::All);
         let Stages { deformation, projector, rasterizer, pose, plane, .. } = &model.stages;
-        let deltas = deformation.forward(&model.weights, &model.cloud.means, &[TX], pose);
+        let deltas = deformation.forward(&model.weights, &model.cloud.means, &[TX.map(|x| x as Real)], pose);
         let activation = model.stages.activation();
         let geometry = activation.geometry(&model.cloud, &deltas, 0, None);
         let signals = activation.signals(&model.cloud, &deltas, 0..1);
@@ -169,7 +169,7 @@ fn many(group: &mut BenchmarkGroup<'_, WallTime>, name: &str, n: usize, model: i
     let ready = OnceCell::new();
     group.bench_function(BenchmarkId::new(name, n), |b| {
         let ready = ready.get_or_init(|| made.get_or_init(&model).prepare());
-        let txs: Vec<[Real; 3]> = (0..BATCH).map(|b| TX.map(|x| x + 0.01 * b as Real)).collect();
+        let txs: Vec<[f64; 3]> = (0..BATCH).map(|b| TX.map(|x| x + 0.01 * f64::from(b))).collect();
         b.iter_custom(|rounds| {
             let start = Instant::now();
             for _ in 0..rounds {

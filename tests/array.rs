@@ -1,7 +1,6 @@
 //! Gaussians as waves on an array, in the whole: measured spectra are such pictures, ensembles, what is refused.
 
 use crate::common::pipeline;
-use nalgebra::{DMatrix, DVector};
 use pwrfgs::core::{Splats, rng};
 use pwrfgs::model::{Activation, Ensemble, Model, Readout, Stages};
 use pwrfgs::prelude::*;
@@ -49,20 +48,21 @@ fn autocorrelation(w: &[f64]) -> Vec<f64> {
 /// fourth pixel: g² is linear in r and in -2a, a² being part of r₀.
 fn fit_lags(plane: &ImagePlane, picture: &[Real]) -> (Vec<f64>, f64) {
     let pixels: Vec<usize> = (0..picture.len()).filter(|p| (p / 360) % 3 == 0 && p % 4 == 0).collect();
-    let mut a = DMatrix::zeros(pixels.len(), 2 * LAGS);
-    let mut b = DVector::zeros(pixels.len());
+    let mut a = vec![vec![0.0; pixels.len()]; 2 * LAGS]; // by columns
+    let mut b = vec![0.0; pixels.len()];
     for (row, &p) in pixels.iter().enumerate() {
         let u = plane.direction((p % 360) as Real, (p / 360) as Real).unwrap();
         for l in 0..LAGS {
             let (m, n) = lag(l);
             let phase = TAU * SPACING * (f64::from(m) * f64::from(u[0]) + f64::from(n) * f64::from(u[1]));
-            (a[(row, 2 * l)], a[(row, 2 * l + 1)]) = (phase.cos(), phase.sin());
+            (a[2 * l][row], a[2 * l + 1][row]) = (phase.cos(), phase.sin());
         }
         let g = f64::from(picture[p]);
-        a[(row, 1)] = -2.0 * g; // sin of lag 0 is nothing: its place is the offset's
+        a[1][row] = -2.0 * g; // sin of lag 0 is nothing: its place is the offset's
         b[row] = g * g;
     }
-    let x = (a.transpose() * &a).lu().solve(&(a.transpose() * b)).unwrap();
+    let (ata, atb) = normal_equations(&a, &b);
+    let x = solve(ata, atb).unwrap();
     let offset = x[1];
     let mut lags: Vec<f64> = x.iter().map(|v| 0.5 * v).collect();
     (lags[0], lags[1]) = (x[0] + offset * offset, 0.0);
@@ -87,8 +87,42 @@ fn weights_of(lags: &[f64], seed: u64) -> Vec<f64> {
     best.unwrap().1
 }
 
-fn residual(lags: &[f64], w: &[f64]) -> DVector<f64> {
-    DVector::from_iterator(2 * LAGS, autocorrelation(w).iter().zip(lags).map(|(r, l)| r - l))
+fn residual(lags: &[f64], w: &[f64]) -> Vec<f64> {
+    difference(&autocorrelation(w), lags)
+}
+
+fn difference(a: &[f64], b: &[f64]) -> Vec<f64> {
+    a.iter().zip(b).map(|(a, b)| a - b).collect()
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// aᵀa and aᵀb, from the columns of a.
+fn normal_equations(a: &[Vec<f64>], b: &[f64]) -> (Vec<Vec<f64>>, Vec<f64>) {
+    let with = |other: &[f64]| a.iter().map(|column| dot(column, other)).collect::<Vec<f64>>();
+    (a.iter().map(|column| with(column)).collect(), with(b))
+}
+
+/// x with ax = b, from the rows of a, by elimination; `None` where a is singular.
+fn solve(mut a: Vec<Vec<f64>>, mut b: Vec<f64>) -> Option<Vec<f64>> {
+    let n = b.len();
+    for k in 0..n {
+        let pivot = (k..n).max_by(|&i, &j| a[i][k].abs().total_cmp(&a[j][k].abs()))?;
+        a.swap(k, pivot);
+        b.swap(k, pivot);
+        for i in k + 1..n {
+            let (above, below) = a.split_at_mut(i);
+            let factor = below[0][k] / above[k][k];
+            below[0].iter_mut().zip(&above[k]).for_each(|(x, y)| *x -= factor * y);
+            b[i] -= factor * b[k];
+        }
+    }
+    for k in (0..n).rev() {
+        b[k] = (b[k] - dot(&a[k][k + 1..], &b[k + 1..])) / a[k][k];
+    }
+    b.iter().all(|x| x.is_finite()).then_some(b)
 }
 
 fn descend(lags: &[f64], mut w: Vec<f64>) -> (f64, Vec<f64>) {
@@ -101,17 +135,15 @@ fn descend(lags: &[f64], mut w: Vec<f64>) -> (f64, Vec<f64>) {
                 moved[k] += h;
                 residual(lags, &moved)
             });
-            up - down
+            difference(&up, &down)
         };
-        let j = DMatrix::from_columns(&(0..32).map(column).collect::<Vec<_>>());
-        let (jtj, gradient) = (j.transpose() * &j, j.transpose() * &r);
-        let mut damped = jtj.clone();
-        (0..32).for_each(|k| damped[(k, k)] += damping * (jtj[(k, k)] + 1e-9));
-        let Some(step) = damped.cholesky().map(|c| c.solve(&gradient)) else { return (f64::MAX, w) };
-        let moved: Vec<f64> = w.iter().zip(step.iter()).map(|(w, s)| w - s).collect();
+        let (mut damped, gradient) = normal_equations(&(0..32).map(column).collect::<Vec<_>>(), &r);
+        (0..32).for_each(|k| damped[k][k] += damping * (damped[k][k] + 1e-9));
+        let Some(step) = solve(damped, gradient) else { return (f64::MAX, w) };
+        let moved = difference(&w, &step);
         let next = residual(lags, &moved);
-        if next.norm_squared() < r.norm_squared() {
-            let small = step.norm_squared() < 1e-16 * lags[0];
+        if dot(&next, &next) < dot(&r, &r) {
+            let small = dot(&step, &step) < 1e-16 * lags[0];
             (w, r, damping) = (moved, next, damping * 0.3);
             if small {
                 break;
@@ -120,13 +152,13 @@ fn descend(lags: &[f64], mut w: Vec<f64>) -> (f64, Vec<f64>) {
             damping *= 4.0;
         }
     }
-    (r.norm_squared(), w)
+    (dot(&r, &r), w)
 }
 
 /// Signals of sixteen waves from well spread directions that give the field `w`, and these directions as splats.
 fn sixteen_waves(plane: &ImagePlane, w: &[f64]) -> (Splats, Vec<Real>) {
     let mut splats = Splats::zeros(16);
-    let mut a = DMatrix::zeros(32, 32);
+    let mut a = vec![vec![0.0; 32]; 32];
     for i in 0..16 {
         // A sunflower over the disc of (u_x, u_y).
         let (radius, turn) = (0.97 * ((i as f64 + 0.5) / 16.0).sqrt(), 2.399_963 * i as f64);
@@ -136,16 +168,15 @@ fn sixteen_waves(plane: &ImagePlane, w: &[f64]) -> (Splats, Vec<Real>) {
             let place = |i: usize| SPACING * (i as f64 - 1.5);
             let phase = TAU * (place(k % 4) * f64::from(u[0]) + place(k / 4) * f64::from(u[1]));
             let (sin, cos) = phase.sin_cos();
-            (a[(2 * k, 2 * i)], a[(2 * k, 2 * i + 1)]) = (cos, -sin);
-            (a[(2 * k + 1, 2 * i)], a[(2 * k + 1, 2 * i + 1)]) = (sin, cos);
+            (a[2 * k][2 * i], a[2 * k][2 * i + 1]) = (cos, -sin);
+            (a[2 * k + 1][2 * i], a[2 * k + 1][2 * i + 1]) = (sin, cos);
         }
     }
     splats.radii.fill(1.0);
     splats.opacities.fill(1.0);
     splats.conics.fill([1.0, 0.0, 1.0]);
     // The picture is aᴴh/K.
-    let field = DVector::from_iterator(32, w.iter().map(|w| 16.0 * w));
-    let signals = a.lu().solve(&field).unwrap();
+    let signals = solve(a, w.iter().map(|w| 16.0 * w).collect()).unwrap();
     (splats, signals.iter().map(|s| *s as Real).collect())
 }
 

@@ -36,7 +36,7 @@ impl Baseline for GreyOfAFile {
 struct Grey(Image);
 
 impl Predict for Grey {
-    fn predict(&self, _: [Real; 3]) -> Image {
+    fn predict(&self, _: [f64; 3]) -> Image {
         self.0.clone()
     }
 

@@ -10,7 +10,7 @@ use std::path::Path;
 /// The sizes of the paper: its smallest, its middle and its largest model.
 pub(crate) const SIZES: [usize; 3] = [157, 2_613, 65_469];
 /// A transmitter of the measured set, metres.
-pub(crate) const TX: [Real; 3] = [-0.084, -0.079, 0.996];
+pub(crate) const TX: [f64; 3] = [-0.084, -0.079, 0.996];
 /// Columns and rows of a measured spectrum.
 pub(crate) const PICTURE: (usize, usize) = (360, 90);
 
@@ -145,11 +145,11 @@ pub(crate) fn two_samples() -> Dataset {
     let mut random = pwrfgs::core::rng::stream(0, "two samples", 0);
     let mut sample = |id| Sample {
         id,
-        tx: TX.map(|x| x + 0.1 * id as Real),
+        tx: TX.map(|x| x + 0.1 * f64::from(id)),
         spectrum: (0..PICTURE.0 * PICTURE.1).map(|_| pwrfgs::core::rng::below(&mut random, 256) as u8).collect(),
     };
     let samples = vec![sample(1), sample(2)];
-    let bounds = Dataset::bounds_of(samples.iter().map(|s| s.tx));
+    let bounds = Dataset::bounds_of(samples.iter().map(Sample::tx_real));
     let scene = Scene { receiver: RECEIVER, bounds, points: Vec::new() };
     let (width, height) = PICTURE;
     Dataset { title: "noise".into(), scene, width, height, samples, official: None, simulation: None }

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 const MODEL: &str = "r/model.safetensors";
-const TX: [Real; 3] = [0.3, -0.25, 1.5];
+const TX: [f64; 3] = [0.3, -0.25, 1.5];
 
 /// A trained model in the folder `r`.
 fn trained(here: &Path, settings: &[&str]) -> Model {
@@ -86,7 +86,8 @@ fn a_ply_file_shows_the_base_or_what_a_transmitter_makes_of_it() {
     same_geometry(&base, &model, &scales, &quats);
 
     let stages = &model.stages;
-    let deltas: Deltas = stages.deformation.forward(&model.weights, &model.cloud.means, &[TX], &stages.pose);
+    let deltas: Deltas =
+        stages.deformation.forward(&model.weights, &model.cloud.means, &[TX.map(|x| x as Real)], &stages.pose);
     assert!(deltas.scales.iter().flatten().any(|d| d.abs() > 1e-4), "the network must move something");
     let sum = |a: &[Real; 3], b: &[Real; 3]| [0, 1, 2].map(|k| (a[k] + b[k]).max(1e-4));
     let scales: Vec<_> = scales.iter().zip(&deltas.scales).map(|(a, b)| sum(a, b)).collect();
@@ -181,7 +182,7 @@ fn an_npz_file_holds_every_number_of_the_model() {
     let same = |name: &str, values: &[Real]| {
         assert_eq!(at[name].1, values.iter().map(|v| *v as f64).collect::<Vec<_>>(), "{name}");
     };
-    same("tx.position", &TX);
+    same("tx.position", &TX.map(|x| x as Real));
     same("tx.scales", primitives.scales.as_flattened());
     same("tx.quats", primitives.quats.as_flattened());
     same("tx.opacities", &model.cloud.opacity_logits.iter().map(|o| sigmoid(*o)).collect::<Vec<_>>());

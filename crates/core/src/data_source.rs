@@ -1,6 +1,6 @@
 //! `DataSource`, `Split`, `Baseline`: what is known, how it is divided, and what must be beaten.
 
-use crate::{Dataset, Image, Partition, Real, Result, plugin_kind, rng::Rng};
+use crate::{Dataset, Image, Partition, Result, plugin_kind, rng::Rng};
 use std::path::{Path, PathBuf};
 
 /// Told (done, of how many) while something long is under way, from any thread and in any order.
@@ -81,7 +81,7 @@ plugin_kind!(Baseline);
 /// Predicts the spectrum for a transmitter position.
 pub trait Predict: Send + Sync {
     /// The spectrum for a transmitter at `tx` (metres, world frame); not clamped.
-    fn predict(&self, tx: [Real; 3]) -> Image;
+    fn predict(&self, tx: [f64; 3]) -> Image;
 
     /// A sentence that tables of scores print under themselves, for a predictor whose numbers mean something else than
     /// those beside it.

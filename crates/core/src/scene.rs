@@ -47,10 +47,17 @@ pub struct Scene {
 pub struct Sample {
     /// The number the data set gives it.
     pub id: u32,
-    /// Transmitter position `p_tx`, metres, world frame.
-    pub tx: [Real; 3],
+    /// Transmitter position `p_tx` as the file has it, metres, world frame.
+    pub tx: [f64; 3],
     /// Spectrum, row-major 8-bit grey as stored (255 is 1.0).
     pub spectrum: Vec<u8>,
+}
+
+impl Sample {
+    /// Transmitter position at the kernels' precision.
+    pub fn tx_real(&self) -> [Real; 3] {
+        self.tx.map(|v| v as Real)
+    }
 }
 
 /// Everything a data source gives.

@@ -33,7 +33,7 @@ impl Baseline for MeanSpectrum {
 
 /// The mean of the spectra of the k nearest training transmitters, weighted by inverse distance.
 ///
-/// Where the transmitter stands on training transmitters (to a micrometre), it is the mean of the spectra measured there.
+/// Where the transmitter stands on training transmitters, it is the mean of the spectra measured there.
 ///
 /// * `k`: neighbours; 3 by default. More than there are training samples means all of them.
 ///
@@ -90,7 +90,7 @@ fn refuse_empty(train: &[usize]) -> Result<()> {
 struct Constant(Image);
 
 impl Predict for Constant {
-    fn predict(&self, _: [Real; 3]) -> Image {
+    fn predict(&self, _: [f64; 3]) -> Image {
         self.0.clone()
     }
 }
@@ -104,7 +104,7 @@ struct Lookup<'a> {
 
 impl Lookup<'_> {
     /// Samples with their weights: those at `tx` exactly, or else the k nearest. Ties go to the lower index.
-    fn neighbours(&self, tx: [Real; 3]) -> Vec<(usize, f64)> {
+    fn neighbours(&self, tx: [f64; 3]) -> Vec<(usize, f64)> {
         let mut all: Vec<(f64, usize)> =
             self.train.iter().map(|&i| (distance(self.data.samples[i].tx, tx), i)).collect();
         let exact: Vec<(usize, f64)> = all.iter().filter(|(d, _)| *d == 0.0).map(|&(_, i)| (i, 1.0)).collect();
@@ -119,15 +119,13 @@ impl Lookup<'_> {
     }
 }
 
-/// |a - b|, metres, of positions rounded to a micrometre. Measured positions have four decimals, so many neighbours are
-/// equally far; without the rounding, single precision would choose others among them than double precision does.
-fn distance(a: [Real; 3], b: [Real; 3]) -> f64 {
-    let decimal = |v: Real| (v as f64 * 1e6).round() / 1e6;
-    a.iter().zip(b).map(|(&a, b)| (decimal(a) - decimal(b)).powi(2)).sum::<f64>().sqrt()
+/// |a - b|, metres.
+fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
 impl Predict for Lookup<'_> {
-    fn predict(&self, tx: [Real; 3]) -> Image {
+    fn predict(&self, tx: [f64; 3]) -> Image {
         weighted_mean(self.data, &self.neighbours(tx))
     }
 }
@@ -148,7 +146,7 @@ mod tests {
     use super::*;
     use crate::splits::testing::{line_of_samples, samples_at};
 
-    fn predict(baseline: &dyn Baseline, data: &Dataset, train: &[usize], x: Real) -> f64 {
+    fn predict(baseline: &dyn Baseline, data: &Dataset, train: &[usize], x: f64) -> f64 {
         let image = baseline.fit(data, train).unwrap().predict([x, 0.0, 0.0]);
         assert_eq!((image.width, image.height, image.pixels.len()), (1, 1, 1));
         image.pixels[0] as f64 * 255.0

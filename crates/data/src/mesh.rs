@@ -7,21 +7,15 @@
 //! some programs write it. None of them says line and column of every mistake.
 
 mod obj;
-mod polygons;
 mod stl;
 
-pub(crate) use polygons::Polygons;
-
-use crate::points::ply;
+use crate::ply;
+use crate::polygons::Triangles;
 use crate::text::read_bytes;
 use pwrfgs_core::{Error, Result};
 use std::path::Path;
 
 const ADVICE: &str = "check the path of the mesh";
-const VERTEX_ADVICE: &str = "give every vertex a finite x, y and z";
-
-/// Vertices `[V,3]` as the file has them, in double precision, and the triangles `[F,3]` over them, counted from 0.
-pub type Triangles = (Vec<[f64; 3]>, Vec<[u32; 3]>);
 
 /// Reads the surface of a mesh file; polygons are cut into triangles.
 ///

@@ -6,10 +6,8 @@ mod pictures;
 #[cfg(test)]
 mod tests;
 
-use crate::{
-    read_points,
-    text::{XyzColumns, lines, read_text, split_commas},
-};
+use crate::points::read_points;
+use crate::text::{XyzColumns, lines, read_text, split_commas};
 pub(crate) use gateway::orientation_fault;
 use pwrfgs_core::{DataSource, Dataset, Error, Progress, Real, Result, Sample, Scene, Simulation};
 use serde::{Deserialize, Serialize};
@@ -88,7 +86,7 @@ impl DataSource for Nerf2Spectrum {
         let to_sample = |(&id, spectrum)| Sample { id, tx: positions[id as usize - 1], spectrum };
         let samples: Vec<Sample> = ids.iter().zip(bytes).map(to_sample).collect();
         let receiver = gateway.pose;
-        let known_places = samples.iter().map(|s| s.tx).chain(points.iter().copied());
+        let known_places = samples.iter().map(Sample::tx_real).chain(points.iter().copied());
         let bounds = Dataset::bounds_of(known_places.chain([receiver.position.map(|v| v as Real)]));
         let folder = || root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
         let name = gateway.name.unwrap_or_else(folder);
@@ -130,7 +128,7 @@ fn simulation(root: &Path, name: &str) -> Option<Simulation> {
 }
 
 /// `tx_pos.csv`: transmitter positions `[rows,3]`, metres.
-fn read_transmitters(path: &Path) -> Result<Vec<[Real; 3]>> {
+fn read_transmitters(path: &Path) -> Result<Vec<[f64; 3]>> {
     let text = read_text(path, LAYOUT)?;
     let mut rows = lines(&text);
     let Some((line, header)) = rows.next() else {

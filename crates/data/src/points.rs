@@ -1,13 +1,11 @@
 //! Point clouds: PLY, plain XYZ (blanks between numbers) and CSV; coordinates in metres, world frame.
 
-pub(crate) mod ply;
-
-use crate::text::{XyzColumns, lines, read_bytes, read_text, split_blanks, split_commas};
+use crate::ply;
+use crate::text::{POINT_ADVICE, XyzColumns, lines, read_bytes, read_text, split_blanks, split_commas};
 use pwrfgs_core::{Error, Real, Result};
 use std::path::Path;
 
 const ADVICE: &str = "check the path of the point cloud";
-const ROW_ADVICE: &str = "give every point a finite x, y and z in metres, or remove it";
 
 /// Reads the points `[P,3]` of a file, which holds at least one.
 ///
@@ -28,18 +26,18 @@ pub fn read_points(path: &Path) -> Result<Vec<[Real; 3]>> {
     if points.is_empty() {
         return Err(Error::input(path, "holds no point; give at least one, or leave `points` out"));
     }
-    Ok(points)
+    Ok(points.into_iter().map(|point| point.map(|v| v as Real)).collect())
 }
 
-fn parse_xyz(path: &Path, text: &str) -> Result<Vec<[Real; 3]>> {
+fn parse_xyz(path: &Path, text: &str) -> Result<Vec<[f64; 3]>> {
     let is_comment = |row: &str| row.starts_with('#') || row.starts_with("//");
     lines(text)
         .filter(|(_, row)| !is_comment(row.trim_start()))
-        .map(|(line, row)| XyzColumns([0, 1, 2]).read(path, line, &split_blanks(row), ROW_ADVICE))
+        .map(|(line, row)| XyzColumns([0, 1, 2]).read(path, line, &split_blanks(row), POINT_ADVICE))
         .collect()
 }
 
-fn parse_csv(path: &Path, text: &str) -> Result<Vec<[Real; 3]>> {
+fn parse_csv(path: &Path, text: &str) -> Result<Vec<[f64; 3]>> {
     let mut rows = lines(text).peekable();
     let mut columns = XyzColumns([0, 1, 2]);
     if let Some(&(line, first)) = rows.peek() {
@@ -49,7 +47,7 @@ fn parse_csv(path: &Path, text: &str) -> Result<Vec<[Real; 3]>> {
             rows.next();
         }
     }
-    rows.map(|(line, row)| columns.read(path, line, &split_commas(row), ROW_ADVICE)).collect()
+    rows.map(|(line, row)| columns.read(path, line, &split_commas(row), POINT_ADVICE)).collect()
 }
 
 #[cfg(test)]
@@ -73,7 +71,7 @@ mod tests {
 
     #[test]
     fn mistakes_in_text_are_told_with_their_place() {
-        let advice = ROW_ADVICE;
+        let advice = POINT_ADVICE;
         let cases: [(&str, &[u8], String); 8] = [
             (
                 "a.xyz",

@@ -91,23 +91,27 @@ impl Default for Teacher {
 impl Teacher {
     /// The Gaussians of the answer; their signals are the means over all places, before the common normalisation.
     pub fn cloud(&self) -> GaussianCloud {
-        Truth::new(self).cloud
+        self.truth().cloud
     }
 
     /// The signals `[N,2]` for a transmitter at `tx` (metres), before the common normalisation.
     pub fn signals(&self, tx: [Real; 3]) -> Vec<[Real; 2]> {
-        Truth::new(self).signals(tx)
+        self.truth().signals(tx)
     }
 
-    fn transmitters(&self) -> Vec<[Real; 3]> {
+    fn truth(&self) -> Truth {
+        Truth::new(self.seed, self.gaussians, self.wavelength_m, &self.receiver)
+    }
+
+    fn transmitters(&self) -> Vec<[f64; 3]> {
         let mut random = rng::stream(self.seed, "teacher transmitters", 0);
         let (low, high) = self.tx_box;
-        let mut place = || [0, 1, 2].map(|k| (low[k] + (high[k] - low[k]) * rng::uniform(&mut random) as f64) as Real);
+        let mut place = || [0, 1, 2].map(|k| low[k] + (high[k] - low[k]) * rng::uniform(&mut random) as f64);
         (0..self.samples).map(|_| place()).collect()
     }
 
     /// Magnitudes of all spectra, one after the other, not normalised.
-    fn render(&self, truth: &Truth, txs: &[[Real; 3]], progress: Progress<'_>) -> Result<Vec<Real>> {
+    fn render(&self, truth: &Truth, txs: &[[f64; 3]], progress: Progress<'_>) -> Result<Vec<Real>> {
         let projector = self.projector.clone().map_or_else(|| linked("Mercator", "projector"), Ok)?;
         let rasterizer = self.rasterizer.clone().map_or_else(|| linked("AlphaBlending", "rasterizer"), Ok)?;
         let plane: ImagePlane = projector.plane(self.width, self.height);
@@ -115,7 +119,7 @@ impl Teacher {
         let splats = projector.project(&activate(&truth.cloud), &self.receiver, &plane);
         let mut spectra = Vec::with_capacity(txs.len() * self.width * self.height);
         for batch in txs.chunks(BATCH) {
-            let of_each: Vec<Vec<[Real; 2]>> = batch.iter().map(|&tx| truth.signals(tx)).collect();
+            let of_each: Vec<Vec<[Real; 2]>> = batch.iter().map(|tx| truth.signals(tx.map(|v| v as Real))).collect();
             let rows = (0..self.gaussians).flat_map(|i| of_each.iter().flat_map(move |signals| signals[i]));
             let render = rasterizer.forward(&splats, &rows.collect::<Vec<Real>>(), 2 * batch.len(), &plane);
             for pair in render.pixels.chunks_exact(2 * self.width * self.height) {
@@ -132,7 +136,7 @@ impl Teacher {
 impl DataSource for Teacher {
     fn load(&self, _: &Path, progress: Progress<'_>) -> Result<Dataset> {
         DataSource::check(self).map_err(|why| Error::Config(format!("Teacher: {why}")))?;
-        let truth = Truth::new(self);
+        let truth = self.truth();
         let txs = self.transmitters();
         let spectra = self.render(&truth, &txs, progress)?;
         let largest = spectra.iter().copied().fold(0.0, Real::max);
@@ -149,7 +153,8 @@ impl DataSource for Teacher {
             .collect();
         let points = truth.cloud.means;
         let receiver = self.receiver.position.map(|v| v as Real);
-        let bounds = Dataset::bounds_of(points.iter().chain(&txs).copied().chain([receiver]));
+        let bounds =
+            Dataset::bounds_of(points.iter().copied().chain(samples.iter().map(Sample::tx_real)).chain([receiver]));
         let (test, train): (Vec<usize>, Vec<usize>) = (0..self.samples).partition(|i| i % 5 == 4);
         Ok(Dataset {
             title: format!(

@@ -5,6 +5,9 @@
 use pwrfgs_core::{Error, Real, Result};
 use std::{io::ErrorKind, path::Path};
 
+pub(crate) const POINT_ADVICE: &str = "give every point a finite x, y and z in metres, or remove it";
+pub(crate) const VERTEX_ADVICE: &str = "give every vertex a finite x, y and z";
+
 /// A part of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Field<'a> {
@@ -91,13 +94,8 @@ impl XyzColumns {
         Ok(Self([find("x")?, find("y")?, find("z")?]))
     }
 
-    /// The three coordinates of a row.
-    pub(crate) fn read(self, path: &Path, line: usize, row: &[Field<'_>], advice: &str) -> Result<[Real; 3]> {
-        Ok(self.read_double(path, line, row, advice)?.map(|v| v as Real))
-    }
-
-    /// The three coordinates of a row in double precision.
-    pub(crate) fn read_double(self, path: &Path, line: usize, row: &[Field<'_>], advice: &str) -> Result<[f64; 3]> {
+    /// The three coordinates of a row, as the file has them.
+    pub(crate) fn read(self, path: &Path, line: usize, row: &[Field<'_>], advice: &str) -> Result<[f64; 3]> {
         let mut point = [0.0; 3];
         for ((value, column), name) in point.iter_mut().zip(self.0).zip(["x", "y", "z"]) {
             let field = row.get(column).copied().ok_or_else(|| {

@@ -89,7 +89,7 @@ pub(crate) fn go_on(stop: &AtomicBool) -> Result<()> {
 pub struct Bench<'a> {
     data: &'a Dataset,
     plane: &'a ImagePlane,
-    txs: Vec<[Real; 3]>,
+    txs: Vec<[f64; 3]>,
     truths: Vec<Image>,
 }
 
@@ -149,7 +149,7 @@ impl<'a> Bench<'a> {
     ) -> Result<Vec<Measurement>> {
         let predictions: Vec<Image> = staged(observer, &format!("predicting with {name}"), |progress| {
             let done = AtomicUsize::new(0);
-            let predict = |tx: &[Real; 3]| {
+            let predict = |tx: &[f64; 3]| {
                 let image = fitted.predict(*tx);
                 progress(done.fetch_add(1, Ordering::Relaxed) + 1, self.txs.len());
                 image
@@ -167,7 +167,7 @@ impl<'a> Bench<'a> {
     }
 
     /// Times a prediction for the next transmitter at every call, one after the other.
-    fn in_turn(&self, time: impl Fn([Real; 3]) -> StageTimes) -> impl Fn() -> StageTimes {
+    fn in_turn(&self, time: impl Fn([f64; 3]) -> StageTimes) -> impl Fn() -> StageTimes {
         let next = Cell::new(0);
         move || time(self.txs[next.replace(next.get() + 1) % self.txs.len()])
     }

@@ -1,7 +1,7 @@
 //! Samples of a data set: `samples.csv` (where each transmitter stood, what it served, how far the nearest one trained on
 //! is), and an even choice of a few.
 
-use pwrfgs_core::{Dataset, Partition, Real, neighbours};
+use pwrfgs_core::{Dataset, Partition, Real, Sample, neighbours};
 use std::fmt::Write as _;
 
 /// The text of `samples.csv`: id, x, y, z in metres, split, and the distance to the nearest other training transmitter
@@ -26,7 +26,7 @@ pub(crate) fn to_csv(data: &Dataset, partition: &Partition) -> String {
 
 /// Metres from each sample to the nearest other training sample; infinity where there is none.
 pub fn nearest_train(data: &Dataset, partition: &Partition) -> Vec<Real> {
-    let all: Vec<[Real; 3]> = data.samples.iter().map(|s| s.tx).collect();
+    let all: Vec<[Real; 3]> = data.samples.iter().map(Sample::tx_real).collect();
     let train: Vec<[Real; 3]> = partition.train.iter().map(|&i| all[i]).collect();
     let mut squared = neighbours::nearest_squared(&all, &train);
     for (&i, own) in partition.train.iter().zip(neighbours::nearest_other_squared(&train)) {
@@ -44,11 +44,11 @@ pub fn evenly<T: Clone>(all: &[T], count: usize) -> Vec<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pwrfgs_core::{Pose, Sample, Scene};
+    use pwrfgs_core::{Pose, Scene};
 
     #[test]
     fn distances_leave_the_sample_itself_out() {
-        let sample = |id, x: Real| Sample { id, tx: [x, 0.0, 0.0], spectrum: vec![0] };
+        let sample = |id, x: f64| Sample { id, tx: [x, 0.0, 0.0], spectrum: vec![0] };
         let data = Dataset {
             title: "line".into(),
             scene: Scene { receiver: Pose::IDENTITY, bounds: ([0.0; 3], [1.0; 3]), points: vec![] },

@@ -17,9 +17,9 @@ pub struct Model {
 impl Model {
     /// What is drawn for a transmitter at `tx`, or of the base parameters alone: the Gaussians in space, and their
     /// signals `[N, channels]`.
-    pub fn gaussians(&self, tx: Option<[Real; 3]>) -> (Primitives, Vec<Real>) {
+    pub fn gaussians(&self, tx: Option<[f64; 3]>) -> (Primitives, Vec<Real>) {
         let deform = |tx| self.stages.deformation.forward(&self.weights, &self.cloud.means, &[tx], &self.stages.pose);
-        let deltas = tx.map_or_else(Deltas::default, deform);
+        let deltas = tx.map(|tx| tx.map(|v| v as Real)).map_or_else(Deltas::default, deform);
         let activation = self.stages.activation();
         (activation.geometry(&self.cloud, &deltas, 0, None), activation.signals(&self.cloud, &deltas, 0..1))
     }

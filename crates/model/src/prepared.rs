@@ -60,7 +60,7 @@ impl<'a> Prepared<'a> {
 
     /// The spectrum for a transmitter at `tx` (metres, world frame), and how long each stage took in all. Of one model
     /// it is not clamped; of several it is the mean, each clamped to [0, 1].
-    pub fn predict_timed(&self, tx: [Real; 3]) -> (Image, StageTimes) {
+    pub fn predict_timed(&self, tx: [f64; 3]) -> (Image, StageTimes) {
         let mut pictures = Vec::with_capacity(self.members.len());
         let mut sum = StageTimes::default();
         for member in &self.members {
@@ -76,7 +76,7 @@ impl<'a> Prepared<'a> {
     }
 
     /// The standard deviation of the members' pictures at every pixel (n in the denominator): a picture of confidence.
-    pub fn deviation(&self, tx: [Real; 3]) -> Image {
+    pub fn deviation(&self, tx: [f64; 3]) -> Image {
         let pictures: Vec<Image> = self.members.iter().map(|m| m.predict(tx).0.clamped()).collect();
         let mut deviation = Image::zeros(self.plane().width, self.plane().height);
         let mean = mean(pictures.clone());
@@ -90,7 +90,7 @@ impl<'a> Prepared<'a> {
     }
 
     /// Spectra of many transmitters.
-    pub fn predict_many(&self, txs: &[[Real; 3]]) -> Vec<Image> {
+    pub fn predict_many(&self, txs: &[[f64; 3]]) -> Vec<Image> {
         let mut of_each: Vec<_> = self.members.iter().map(|m| m.predict_many(txs).into_iter()).collect();
         txs.iter().map(|_| mean(of_each.iter_mut().filter_map(Iterator::next).collect())).collect()
     }
@@ -98,7 +98,7 @@ impl<'a> Prepared<'a> {
 
 impl Model {
     /// The spectrum for a transmitter at `tx` (metres, world frame), not clamped. For more than one, [`Self::prepare`].
-    pub fn predict(&self, tx: [Real; 3]) -> Image {
+    pub fn predict(&self, tx: [f64; 3]) -> Image {
         self.prepare().predict(tx)
     }
 
@@ -109,13 +109,13 @@ impl Model {
 }
 
 impl Predict for Model {
-    fn predict(&self, tx: [Real; 3]) -> Image {
+    fn predict(&self, tx: [f64; 3]) -> Image {
         Self::predict(self, tx)
     }
 }
 
 impl Predict for Prepared<'_> {
-    fn predict(&self, tx: [Real; 3]) -> Image {
+    fn predict(&self, tx: [f64; 3]) -> Image {
         self.predict_timed(tx).0
     }
 }
@@ -132,14 +132,14 @@ impl<'a> Member<'a> {
         Self { model, cloud, deformation, still }
     }
 
-    fn predict(&self, tx: [Real; 3]) -> (Image, StageTimes) {
+    fn predict(&self, tx: [f64; 3]) -> (Image, StageTimes) {
         let start = Instant::now();
         let (image, times) = if self.cloud.len() < POOL { self.stages(tx) } else { rayon::scope(|_| self.stages(tx)) };
         (image, StageTimes { total: start.elapsed().as_secs_f64(), ..times })
     }
 
     /// Network, projection, blending, readout.
-    fn stages(&self, tx: [Real; 3]) -> (Image, StageTimes) {
+    fn stages(&self, tx: [f64; 3]) -> (Image, StageTimes) {
         let start = Instant::now();
         let deltas = self.deform(&[tx]);
         let network = start.elapsed().as_secs_f64();
@@ -148,8 +148,8 @@ impl<'a> Member<'a> {
     }
 
     /// A group of transmitters at a time: they share a projection, or at least the network's work, and each its thread.
-    fn predict_many(&self, txs: &[[Real; 3]]) -> Vec<Image> {
-        let group = |txs: &[[Real; 3]]| {
+    fn predict_many(&self, txs: &[[f64; 3]]) -> Vec<Image> {
+        let group = |txs: &[[f64; 3]]| {
             let deltas = self.deform(txs);
             let draw = |batch: Range<usize>| self.draw(&deltas, batch).0;
             match self.still {
@@ -160,9 +160,10 @@ impl<'a> Member<'a> {
         txs.chunks(GROUP).flat_map(group).collect()
     }
 
-    fn deform(&self, txs: &[[Real; 3]]) -> Deltas {
+    fn deform(&self, txs: &[[f64; 3]]) -> Deltas {
         let Model { stages, weights, .. } = self.model;
-        stages.deformation.forward_prepared(weights, &self.cloud.means, txs, &stages.pose, &self.deformation)
+        let txs: Vec<[Real; 3]> = txs.iter().map(|tx| tx.map(|v| v as Real)).collect();
+        stages.deformation.forward_prepared(weights, &self.cloud.means, &txs, &stages.pose, &self.deformation)
     }
 
     /// Pictures of the transmitters `batch` of `deltas`, which share the geometry of the first.

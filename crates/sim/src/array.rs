@@ -4,7 +4,8 @@ mod element;
 #[cfg(test)]
 mod tests;
 
-use crate::{Complex, Path};
+use crate::path::Path;
+use crate::wave::Complex;
 pub use element::{Element, response};
 use glam::{DMat3, DVec3};
 use pwrfgs_core::plugin::Check;

@@ -4,12 +4,10 @@
 mod tests;
 mod transition;
 
-use crate::Complex;
 use crate::fresnel::Polarized;
+use crate::wave::Complex;
 use glam::DVec3;
 use std::f64::consts::{FRAC_PI_4, PI};
-
-pub use transition::transition;
 
 /// An incoming ray closer to a face than this, radians, grazes it.
 const GRAZING: f64 = 1e-9;
@@ -25,13 +23,6 @@ pub struct Sides {
     /// its boundary count 1 - T (Burnside and Burgener, 1983). An edge of nothing, with T = 1 and no reflection, does
     /// nothing.
     pub through: Polarized,
-}
-
-impl Sides {
-    /// Faces that nothing passes.
-    pub fn opaque(r0: &Polarized, rn: &Polarized) -> Self {
-        Self { r0: *r0, rn: *rn, through: Polarized::NOTHING }
-    }
 }
 
 /// Diffraction coefficients Dₛ (`te`) and Dₕ (`tm`) of a wedge, √m: Kouyoumjian and Pathak, Proc. IEEE 62 (1974),

@@ -1,7 +1,7 @@
 //! The electric field of a ray: a complex vector across its direction, and what interfaces do to it.
 
-use crate::Complex;
 use crate::fresnel::{self, Polarized};
+use crate::wave::Complex;
 use crate::world::Surface;
 use glam::DVec3;
 

@@ -90,13 +90,8 @@ impl ImageTree {
     }
 
     /// Number of images, the point itself not counted.
-    pub fn len(&self) -> usize {
+    pub fn count(&self) -> usize {
         self.nodes.len()
-    }
-
-    /// Whether nothing is mirrored.
-    pub fn is_empty(&self) -> bool {
-        self.nodes.is_empty()
     }
 
     /// Shows each sequence of faces with its reflection points, in the order of travel from `tx`, that geometry allows;

@@ -33,6 +33,7 @@ pub mod spectrum;
 pub mod surface_points;
 pub mod tracer;
 pub mod transmitters;
+mod wave;
 pub mod world;
 
 pub use path::{Interaction, Path};
@@ -41,9 +42,4 @@ pub use recipe::Recipe;
 pub use scene::Scene;
 pub use simulated::Simulated;
 pub use simulator::{HEIGHT, Outcome, Simulator, WIDTH, simulate};
-
-/// A complex number in double precision.
-pub type Complex = num_complex::Complex<f64>;
-
-/// Speed of light in vacuum, m/s.
-pub const SPEED_OF_LIGHT: f64 = 299_792_458.0;
+pub use wave::{Complex, SPEED_OF_LIGHT};

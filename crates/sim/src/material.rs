@@ -3,7 +3,7 @@
 #[cfg(test)]
 mod tests;
 
-use crate::Complex;
+use crate::wave::Complex;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 

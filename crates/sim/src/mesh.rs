@@ -82,12 +82,6 @@ impl Mesh {
         self.edges().filter(|triangles| *triangles == 1).count()
     }
 
-    /// How many edges belong to more than two triangles, as where two bodies share an edge or a triangle is there
-    /// twice. Weld the mesh before.
-    pub fn crowded_edges(&self) -> usize {
-        self.edges().filter(|triangles| *triangles > 2).count()
-    }
-
     /// Whether the surface has an inside: every edge belongs to an even number of triangles. Weld the mesh before.
     pub fn is_closed(&self) -> bool {
         !self.triangles.is_empty() && self.edges().all(|triangles| triangles % 2 == 0)
@@ -104,11 +98,6 @@ impl Mesh {
             self.triangles.iter_mut().for_each(|triangle| triangle.swap(1, 2));
         }
         self
-    }
-
-    /// The corners of all triangles, metres. The indices must be in range, which [`Mesh::check`] says.
-    pub fn soup(&self) -> Vec<[DVec3; 3]> {
-        self.triangles.iter().map(|triangle| self.corners(*triangle)).collect()
     }
 
     fn corners(&self, triangle: [u32; 3]) -> [DVec3; 3] {

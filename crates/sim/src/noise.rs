@@ -3,7 +3,7 @@
 #[cfg(test)]
 mod tests;
 
-use crate::Complex;
+use crate::wave::Complex;
 use pwrfgs_core::plugin::Check;
 use pwrfgs_core::rng;
 use serde::{Deserialize, Serialize};

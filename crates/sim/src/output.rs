@@ -138,15 +138,13 @@ struct Tables {
 
 impl Tables {
     fn new(folder: &Path, simulator: &Simulator, paths: bool) -> Result<Self> {
-        let paths = if paths {
+        let create = || -> Result<_> {
             let path = folder.join(PATHS);
-            let file = fs::File::create(&path).map_err(|e| Error::write(&path, e))?;
-            let mut file = BufWriter::new(file);
+            let mut file = BufWriter::new(fs::File::create(&path).map_err(|e| Error::write(&path, e))?);
             writeln!(file, "{}", PathTable::HEADER).map_err(|e| Error::write(&path, e))?;
-            Some((PathTable::new(simulator), file, path))
-        } else {
-            None
+            Ok((PathTable::new(simulator), file, path))
         };
+        let paths = paths.then(create).transpose()?;
         Ok(Self { positions: "x,y,z\n".into(), power: "id,path_gain_db,low,high\n".into(), paths })
     }
 

@@ -1,6 +1,6 @@
 //! One way by which a wave reaches the receiver.
 
-use crate::{Complex, SPEED_OF_LIGHT};
+use crate::wave::{Complex, SPEED_OF_LIGHT};
 use glam::DVec3;
 
 /// What a wave meets on its way.

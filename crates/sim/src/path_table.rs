@@ -1,7 +1,7 @@
 //! `paths.csv`: every path of a transmitter as a row.
 
+use crate::path::{Interaction, Path};
 use crate::simulator::Simulator;
-use crate::{Interaction, Path};
 use glam::{DMat3, DVec3};
 use std::fmt::Write as _;
 

@@ -4,7 +4,7 @@ use crate::perturb::{Errors, perturbed};
 use crate::scene::Scene;
 use crate::simulator::{HEIGHT, Simulator, WIDTH};
 use glam::DVec3;
-use pwrfgs_core::{Baseline, Dataset, Error, Image, Predict, Real, Result};
+use pwrfgs_core::{Baseline, Dataset, Error, Image, Predict, Result};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -52,17 +52,15 @@ impl RayTracing {
     /// What the name leaves out.
     fn note(&self, knows_scene: bool) -> String {
         let what = match (&self.scene, self.is_exact() && knows_scene) {
-            (_, true) if self.noise => {
-                "the generator of these simulated spectra itself, with the phase errors of the antennas, and with noise \
-                 drawn anew: an upper bound, not a competitor"
-                    .to_owned()
-            }
             (_, true) => {
-                "the generator of these simulated spectra itself, without receiver errors: an upper bound, not a \
-                 competitor"
-                    .to_owned()
+                let errors = if self.noise {
+                    "with the phase errors of the antennas, and with noise drawn anew"
+                } else {
+                    "without receiver errors"
+                };
+                format!("the generator of these simulated spectra itself, {errors}: an upper bound, not a competitor")
             }
-            (scene, _) => {
+            (scene, false) => {
                 let scene =
                     scene.as_ref().map_or("the scene of these simulated spectra".into(), |p| p.display().to_string());
                 format!(
@@ -168,13 +166,6 @@ impl Baseline for RayTracing {
     }
 }
 
-/// The number of four decimals that a coordinate was read from, if it was: simulated positions are such, and single
-/// precision would move a pixel now and then.
-fn decimal(v: Real) -> f64 {
-    let (v, rounded) = (f64::from(v), (f64::from(v) * 1e4).round() / 1e4);
-    if (v - rounded).abs() <= v.abs() * f64::from(f32::EPSILON) { rounded } else { v }
-}
-
 struct Traced {
     simulator: Simulator,
     noise: bool,
@@ -184,12 +175,12 @@ struct Traced {
 }
 
 impl Predict for Traced {
-    fn predict(&self, tx: [Real; 3]) -> Image {
+    fn predict(&self, tx: [f64; 3]) -> Image {
         // Another draw for every position, and none of those that the data have: these count from 0.
         let draw = tx
             .iter()
             .fold(!self.seed, |hash, v| (hash ^ u64::from((*v as f32).to_bits())).wrapping_mul(0x0100_0000_01b3));
-        let outcome = self.simulator.spectrum(DVec3::from(tx.map(decimal)), self.noise.then_some(draw | 1 << 63));
+        let outcome = self.simulator.spectrum(DVec3::from(tx), self.noise.then_some(draw | 1 << 63));
         Image::from_bytes(WIDTH, HEIGHT, &outcome.spectrum.pixels)
     }
 

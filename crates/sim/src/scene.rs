@@ -110,7 +110,7 @@ impl Scene {
 
     /// Wavelength of the carrier, metres.
     pub fn wavelength(&self) -> f64 {
-        crate::SPEED_OF_LIGHT / self.carrier_hz
+        crate::wave::SPEED_OF_LIGHT / self.carrier_hz
     }
 
     /// Pose of the receiver.

@@ -2,12 +2,14 @@
 
 use crate::array::Wavefront;
 use crate::noise;
+use crate::path::Path;
+use crate::room;
 use crate::scene::Scene;
 use crate::spectrum::{Beamformer, Spectrum};
 use crate::surface_points::{self, SurfacePoints};
 use crate::tracer::{Antenna, Tracer};
+use crate::wave::Complex;
 use crate::world::{Triangle, World};
-use crate::{Complex, Path, room};
 use glam::{DMat3, DQuat, DVec3};
 use pwrfgs_core::{Error, Pose, Result};
 use rayon::prelude::*;

@@ -4,7 +4,8 @@ mod kernel;
 #[cfg(test)]
 mod tests;
 
-use crate::{Complex, array::Array};
+use crate::array::Array;
+use crate::wave::Complex;
 use kernel::Steering;
 use pwrfgs_core::Axis;
 use serde::{Deserialize, Serialize};

@@ -4,10 +4,12 @@ use crate::array::{self, Element};
 use crate::field::Ray;
 use crate::images::{ImageTree, Orders};
 use crate::patches::{Patch, patches};
+use crate::path::{Interaction, Path};
 use crate::scattering::amplitude;
 use crate::scene::Propagation;
+use crate::wave::Complex;
 use crate::world::{Edge, World};
-use crate::{Complex, Interaction, Path, diffraction, fresnel};
+use crate::{diffraction, fresnel};
 use glam::{DMat3, DVec3};
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
@@ -69,7 +71,7 @@ impl Tracer {
 
     /// Images of the receiver that are tried for each transmitter.
     pub fn images(&self) -> usize {
-        self.tree.len()
+        self.tree.count()
     }
 
     /// Every path from `tx`: specular ones by image order, then diffracted, then scattered ones.

@@ -3,11 +3,11 @@
 mod build;
 mod hierarchy;
 
-use crate::Complex;
 use crate::scattering::Lobe;
+use crate::wave::Complex;
 pub use build::{Builder, Part};
 use glam::DVec3;
-use hierarchy::{Hierarchy, Hit, crossing};
+use hierarchy::{Hierarchy, crossing};
 use std::ops::Range;
 
 /// How close to its ends a segment meets nothing, metres: reflection points lie on faces.
@@ -166,18 +166,20 @@ impl World {
         met.clear();
         let span = to - from;
         let margin = MARGIN / span.length().max(MARGIN);
-        let open = self.hierarchy.all(&self.triangles, from, span, |Hit { at, triangle }| {
+        for triangle in self.hierarchy.candidates(from, span).map(|i| &self.triangles[i]) {
+            let Some(at) = crossing(triangle, from, span) else { continue };
             if at <= margin || at >= 1.0 - margin {
-                return true;
+                continue;
             }
-            let face = self.triangles[triangle].face;
-            met.push((at, face));
-            self.surface_of(face).thickness.is_some()
-        });
+            if self.surface_of(triangle.face).thickness.is_none() {
+                return false;
+            }
+            met.push((at, triangle.face));
+        }
         met.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         // On the seam of two triangles of a face both are met.
         met.dedup_by(|b, a| a.1 == b.1 && b.0 - a.0 < margin);
-        open
+        true
     }
 
     /// Refuses a point where no antenna can be: outside the room, or inside an object, which is named.

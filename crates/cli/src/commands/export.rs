@@ -7,12 +7,12 @@ use clap::Args;
 use pwrfgs::experiment::export::{npz, ply};
 use pwrfgs::model::{Model, file};
 use pwrfgs_core::files::write_atomically;
-use pwrfgs_core::{Error, Real, Result};
+use pwrfgs_core::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// A way to turn a model into a file.
-type Writer = fn(&Model, Option<[Real; 3]>) -> Result<Vec<u8>>;
+type Writer = fn(&Model, Option<[f64; 3]>) -> Result<Vec<u8>>;
 
 #[derive(Debug, Args)]
 #[command(

@@ -80,7 +80,7 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitC
             .collect();
         written?;
         if arguments.models.len() > 1 {
-            let write = |(i, tx): (usize, &[Real; 3])| {
+            let write = |(i, tx): (usize, &[f64; 3])| {
                 write_pictures(out, &format!("{}{SPREAD}", name(first + i)), &model.deviation(*tx), 2.0)
             };
             txs.par_iter().enumerate().map(write).collect::<Result<Vec<()>>>()?;
@@ -97,7 +97,7 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitC
 }
 
 /// A row of `predictions.csv`; without angles where the model's plane has none.
-fn line(plane: &ImagePlane, row: usize, [x, y, z]: [Real; 3], image: &Image, milliseconds: f64) -> String {
+fn line(plane: &ImagePlane, row: usize, [x, y, z]: [f64; 3], image: &Image, milliseconds: f64) -> String {
     let strongest = image.argmax();
     let (column, line) = ((strongest % image.width) as Real, (strongest / image.width) as Real);
     let angles = plane.azimuth_elevation_deg(column, line);
@@ -106,17 +106,17 @@ fn line(plane: &ImagePlane, row: usize, [x, y, z]: [Real; 3], image: &Image, mil
 }
 
 /// `x,y,z` of the command line.
-pub(super) fn position(text: &str) -> Result<[Real; 3]> {
+pub(super) fn position(text: &str) -> Result<[f64; 3]> {
     let wrong = || Error::Config(format!("--tx {text}: give three finite numbers in metres, such as 1.2,0.3,1.0"));
-    let numbers: Option<Vec<Real>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
-    match <[Real; 3]>::try_from(numbers.unwrap_or_default()) {
-        Ok([x, y, z]) if [x, y, z].iter().all(|v| v.is_finite()) => Ok([x, y, z]),
+    let numbers: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
+    match <[f64; 3]>::try_from(numbers.unwrap_or_default()) {
+        Ok([x, y, z]) if [x, y, z].iter().all(|v| (*v as Real).is_finite()) => Ok([x, y, z]),
         _ => Err(wrong()),
     }
 }
 
 /// Columns x, y, z of a CSV file.
-fn positions(path: &Path) -> Result<Vec<[Real; 3]>> {
+fn positions(path: &Path) -> Result<Vec<[f64; 3]>> {
     let text = std::fs::read(path).map_err(|e| Error::read(path, e))?;
     let text = text.strip_prefix("\u{feff}".as_bytes()).unwrap_or(&text);
     let mut reader = csv::ReaderBuilder::new().flexible(true).trim(csv::Trim::All).from_reader(text);
@@ -142,7 +142,7 @@ fn positions(path: &Path) -> Result<Vec<[Real; 3]>> {
                 let (has, needs) = (record.len(), headers.len());
                 Error::at(path, line, 1, format!("this row has {has} fields and the first line names {needs}"))
             })?;
-            *value = field.parse().ok().filter(|v: &Real| v.is_finite()).ok_or_else(|| {
+            *value = field.parse().ok().filter(|v: &f64| (*v as Real).is_finite()).ok_or_else(|| {
                 let name = &headers[column];
                 Error::at(path, line, column + 1, format!("`{field}` in column `{name}` is no finite number of metres"))
             })?;

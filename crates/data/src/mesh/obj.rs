@@ -1,32 +1,13 @@
 //! Wavefront OBJ: the vertices and faces.
 
-use super::{Polygons, Triangles, VERTEX_ADVICE};
-use crate::text::{Field, XyzColumns, lines, split_blanks};
+use crate::polygons::{Polygons, Triangles};
+use crate::text::{Field, VERTEX_ADVICE, XyzColumns, lines, split_blanks};
 use pwrfgs_core::{Error, Result};
 use std::path::Path;
 
 /// Statements that say nothing about the surface.
-const LEFT_OUT: [&str; 19] = [
-    "vn",
-    "vt",
-    "vp",
-    "o",
-    "g",
-    "s",
-    "mg",
-    "l",
-    "p",
-    "usemtl",
-    "mtllib",
-    "usemap",
-    "maplib",
-    "bevel",
-    "c_interp",
-    "d_interp",
-    "lod",
-    "shadow_obj",
-    "trace_obj",
-];
+const LEFT_OUT: &str =
+    "vn vt vp o g s mg l p usemtl mtllib usemap maplib bevel c_interp d_interp lod shadow_obj trace_obj";
 
 pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<Triangles> {
     let text = String::from_utf8_lossy(bytes);
@@ -37,13 +18,13 @@ pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<Triangles> {
     for (line, fields) in rows() {
         let Some(keyword) = fields.first() else { continue };
         match keyword.text {
-            "v" => vertices.push(XyzColumns([1, 2, 3]).read_double(path, line, &fields, VERTEX_ADVICE)?),
+            "v" => vertices.push(XyzColumns([1, 2, 3]).read(path, line, &fields, VERTEX_ADVICE)?),
             "f" => {
                 let corner = |field: &Field<'_>| corner(path, line, *field, vertices.len());
                 let corners = fields[1..].iter().map(corner).collect::<Result<Vec<i64>>>()?;
                 polygons.push(&corners, count).map_err(|what| Error::at(path, line, keyword.column, what))?;
             }
-            word if LEFT_OUT.contains(&word) => {}
+            word if LEFT_OUT.split(' ').any(|left_out| left_out == word) => {}
             word => {
                 let what = "is no statement for vertices and faces; export triangles from the modelling program";
                 return Err(Error::at(path, line, keyword.column, format!("`{word}` {what}")));

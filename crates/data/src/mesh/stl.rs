@@ -1,8 +1,8 @@
 //! STL: triangles one by one, as text or as binary. The normals in the file are left out: the order of the corners says
 //! the same.
 
-use super::{Triangles, VERTEX_ADVICE};
-use crate::text::{Field, lines, number, split_blanks};
+use crate::polygons::Triangles;
+use crate::text::{Field, VERTEX_ADVICE, lines, number, split_blanks};
 use pwrfgs_core::{Error, Result};
 use std::{iter::Peekable, path::Path};
 

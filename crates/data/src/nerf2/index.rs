@@ -61,24 +61,12 @@ fn read_list(path: &Path, known: &Known<'_>, seen: &mut BTreeMap<u32, String>) -
 }
 
 fn id(path: &Path, line: usize, field: Field<'_>) -> Result<u32> {
-    let fault = || {
-        Error::at(
-            path,
-            line,
-            field.column,
-            format!("`{}` is not a sample id; write one a line, such as 00001", field.text),
-        )
+    let what = match field.text.parse() {
+        Ok(0) => "there is no id 0; ids count from 1, the first row of tx_pos.csv".into(),
+        Ok(id) => return Ok(id),
+        Err(_) => format!("`{}` is not a sample id; write one a line, such as 00001", field.text),
     };
-    let id: u32 = field.text.parse().ok().ok_or_else(fault)?;
-    if id == 0 {
-        return Err(Error::at(
-            path,
-            line,
-            field.column,
-            "there is no id 0; ids count from 1, the first row of tx_pos.csv",
-        ));
-    }
-    Ok(id)
+    Err(Error::at(path, line, field.column, what))
 }
 
 /// Index of an id among the samples.

@@ -1,9 +1,10 @@
 //! A small folder in the NeRF2 layout, and what is said when something in it is wrong.
 
 use super::*;
+use crate::splits::Voxel;
 use image::{ColorType, ExtendedColorType, ImageBuffer, Luma};
-use pwrfgs_core::Plugin;
-use std::fs;
+use pwrfgs_core::{Plugin, Split, rng};
+use std::{collections::BTreeSet, fs};
 
 const WIDTH: u32 = 8;
 const HEIGHT: u32 = 3;
@@ -309,19 +310,24 @@ fn a_folder_without_pictures_is_an_error() {
     assert_eq!(folder.fault(), format!("DIR/s/spectrum: no picture belongs to a row of tx_pos.csv; {LAYOUT}"));
 }
 
-/// The measured spectra, where they are at hand.
-#[test]
-fn the_measured_spectra_are_read() {
+/// The measured spectra and their folder, where they are at hand.
+fn measured() -> Option<(PathBuf, Dataset)> {
     let shared = std::env::var("PWRFGS_SHARED")
         .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared").into());
     let root = Path::new(&shared).join("data/s23");
     if !root.is_dir() {
         println!("skipped: no measured spectra here; set PWRFGS_SHARED");
-        return;
+        return None;
     }
     let start = std::time::Instant::now();
-    let data = Nerf2Spectrum { root, points: None }.load(Path::new("."), &|_, _| {}).unwrap();
+    let data = Nerf2Spectrum { root: root.clone(), points: None }.load(Path::new("."), &|_, _| {}).unwrap();
     println!("{} spectra in {:.2} s", data.samples.len(), start.elapsed().as_secs_f64());
+    Some((root, data))
+}
+
+#[test]
+fn the_measured_spectra_are_read() {
+    let Some((_, data)) = measured() else { return };
     assert_eq!(data.title, "s23 (measured, NeRF2 layout)");
     assert!(!data.is_simulated());
     assert_eq!((data.width, data.height, data.samples.len()), (360, 90, 4898));
@@ -330,4 +336,25 @@ fn the_measured_spectra_are_read() {
     let (train, test) = data.official.unwrap();
     assert_eq!((train.len(), test.len()), (3918, 980));
     assert!(data.samples.iter().all(|s| s.spectrum.contains(&0) && s.spectrum.contains(&255)));
+}
+
+/// Checked from outside: the file has four decimals, so whole tenths of a millimetre decide.
+#[test]
+fn voxels_of_the_measured_spectra_share_no_cell() {
+    let Some((root, data)) = measured() else { return };
+    let text = fs::read_to_string(root.join("tx_pos.csv")).unwrap();
+    let tenths = |field: &str| field.trim().replace('.', "").parse::<i64>().unwrap();
+    let places: Vec<Vec<i64>> = text.lines().skip(1).map(|row| row.split(',').map(tenths).collect()).collect();
+    let place = |i: &usize| &places[data.samples[*i].id as usize - 1];
+    let all: Vec<usize> = (0..data.samples.len()).collect();
+    assert_eq!(all.iter().filter(|i| place(i).iter().any(|v| v % 2000 == 0)).count(), 81, "samples on a wall");
+    let cells = |part: &[usize]| -> BTreeSet<Vec<i64>> {
+        part.iter().map(|i| place(i).iter().map(|v| v.div_euclid(2000)).collect()).collect()
+    };
+    for seed in 0..3 {
+        let partition = Voxel::default().split(&data, &mut rng::stream(seed, "split", 0)).unwrap();
+        let [train, validation, test] =
+            [partition.train, partition.validation, partition.test].map(|part| cells(&part));
+        assert_eq!(train.len() + validation.len() + test.len(), cells(&all).len());
+    }
 }

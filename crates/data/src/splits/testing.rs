@@ -2,12 +2,12 @@
 
 use super::*;
 use proptest::prelude::*;
-use pwrfgs_core::{Dataset, Plugin, Pose, Real, Sample, Scene, Split};
+use pwrfgs_core::{Dataset, Plugin, Pose, Sample, Scene, Split};
 use std::collections::BTreeMap;
 
 /// Samples with one-pixel spectra at these places; every fifth belongs to the official test list.
-pub(crate) fn samples_at(places: &[[Real; 3]]) -> Dataset {
-    let to_sample = |(i, &tx): (usize, &[Real; 3])| Sample { id: i as u32 + 1, tx, spectrum: vec![i as u8] };
+pub(crate) fn samples_at(places: &[[f64; 3]]) -> Dataset {
+    let to_sample = |(i, &tx): (usize, &[f64; 3])| Sample { id: i as u32 + 1, tx, spectrum: vec![i as u8] };
     let (test, train) = (0..places.len()).partition(|i| i % 5 == 4);
     Dataset {
         title: "test".into(),
@@ -22,7 +22,7 @@ pub(crate) fn samples_at(places: &[[Real; 3]]) -> Dataset {
 
 /// `count` samples on the x axis, one metre apart.
 pub(crate) fn line_of_samples(count: usize) -> Dataset {
-    samples_at(&(0..count).map(|i| [i as Real, 0.0, 0.0]).collect::<Vec<_>>())
+    samples_at(&(0..count).map(|i| [i as f64, 0.0, 0.0]).collect::<Vec<_>>())
 }
 
 fn split(split: &dyn Split, data: &Dataset) -> Result<Partition, String> {
@@ -72,7 +72,7 @@ proptest! {
     fn a_time_block_is_contiguous_and_validation_lies_next_to_it(
         n in 2usize..60, start in 0.0..0.99, length in 0.01..0.99, validation in 0.0..0.99,
     ) {
-        let plugin = TimeBlock { start, length: length * (1.0 - start), validation };
+        let plugin = TimeBlock { start, length: length * (1.0 - start), gap: 0, validation };
         prop_assert!(plugin.check().is_ok());
         let partition = keeps_the_laws(&plugin, &line_of_samples(n))?;
         let is_contiguous = |list: &[usize]| list.windows(2).all(|w| w[1] == w[0] + 1);
@@ -84,7 +84,7 @@ proptest! {
 
     #[test]
     fn voxel_cells_are_never_divided(
-        places in prop::collection::vec(prop::array::uniform3(-1.0..1.0 as Real), 10..80),
+        places in prop::collection::vec(prop::array::uniform3(-1.0..1.0_f64), 10..80),
         size_m in 0.1..0.9, test in 0.01..0.99, validation in 0.0..0.99,
     ) {
         let plugin = Voxel { size_m, test, validation };
@@ -115,16 +115,33 @@ fn a_time_block_is_where_it_was_asked_for() {
     let partition = split(&TimeBlock::default(), &line_of_samples(100)).unwrap();
     assert_eq!(partition.test, (40..60).collect::<Vec<_>>());
     assert_eq!(partition.validation, (60..68).collect::<Vec<_>>());
-    let at_the_end = TimeBlock { start: 0.75, length: 0.2, validation: 0.1 };
+    let at_the_end = TimeBlock { start: 0.75, length: 0.2, gap: 0, validation: 0.1 };
     let partition = split(&at_the_end, &line_of_samples(100)).unwrap();
     assert_eq!(partition.test, (75..95).collect::<Vec<_>>());
     assert_eq!(partition.validation, [72, 73, 74, 95, 96, 97, 98, 99]);
 }
 
 #[test]
+fn samples_in_the_gap_serve_nothing() {
+    let parts = |gap, start, data: &Dataset| split(&TimeBlock { start, gap, ..TimeBlock::default() }, data);
+    let range = |range: std::ops::Range<usize>| range.collect::<Vec<_>>();
+    let partition = parts(5, 0.4, &line_of_samples(100)).unwrap();
+    assert_eq!((partition.test, partition.validation), (range(40..60), range(65..72)));
+    assert_eq!(partition.train, [range(0..35), range(72..100)].concat());
+    // At either end there is less to leave out, and validation may have to lie before the block.
+    let partition = parts(5, 0.02, &line_of_samples(100)).unwrap();
+    assert_eq!((partition.train, partition.validation), (range(34..100), range(27..34)));
+    let partition = parts(5, 0.78, &line_of_samples(100)).unwrap();
+    assert_eq!((partition.test, partition.validation), (range(78..98), range(66..73)));
+    for gap in [40, usize::MAX] {
+        let message = parts(gap, 0.4, &line_of_samples(100)).unwrap_err();
+        assert!(message.starts_with("the split leaves no training sample"), "{message}");
+    }
+}
+
+#[test]
 fn voxel_reaches_its_share_with_small_cells() {
-    let places: Vec<[Real; 3]> =
-        (0..1000).map(|i| [(i % 10) as Real, (i / 10 % 10) as Real, (i / 100) as Real]).collect();
+    let places: Vec<[f64; 3]> = (0..1000).map(|i| [i % 10, i / 10 % 10, i / 100].map(f64::from)).collect();
     let partition = split(&Voxel { size_m: 1.0, test: 0.2, validation: 0.1 }, &samples_at(&places)).unwrap();
     assert_eq!((partition.train.len(), partition.validation.len(), partition.test.len()), (720, 80, 200));
 }
@@ -175,6 +192,7 @@ fn settings_out_of_range_are_refused_when_read() {
         "TimeBlock(start: -0.1)",
         "TimeBlock(start: NaN)",
         "TimeBlock(length: 0)",
+        "TimeBlock(gap: -1)",
         "TimeBlock(start: 0.9, length: 0.2)",
         "Voxel(size_m: 0)",
         "Voxel(size_m: inf)",

@@ -10,19 +10,18 @@ use serde::{Deserialize, Serialize};
 /// samples, not millimetres. Validation is a block too: the ids right behind the test block, and where these do not
 /// suffice, the ids right before it.
 ///
-/// At the ends of a block consecutive ids are neighbours again. Behind the test block lies validation, so there only
-/// choices see near neighbours; before it lies training, and no gap is cut, since little depends on it: of the 980 test
-/// samples that the defaults give on the NeRF2 spectra, half lie further than 4.8 cm from training, 30 lie within 1 cm
-/// (the trajectory comes near itself), and one of those is the first of the block. `samples.csv` lists every distance.
+/// At the ends of the block consecutive ids are neighbours again. `gap` leaves out the samples on both sides of it: they
+/// serve neither part. `docs/data.md` says what a gap changes on measured spectra; `samples.csv` lists every distance.
 ///
 /// * `start`: where the block begins, a fraction of the sorted ids; 0.4 by default.
 /// * `length`: how long it is, a fraction of the sorted ids; 0.2 by default.
-/// * `validation`: share of the rest that is held out, next to the block; 0.1 by default, 0 for none.
+/// * `gap`: samples that are left out on either side of the block; 0 by default.
+/// * `validation`: share of the rest that is held out, next to the block or its gap; 0.1 by default, 0 for none.
 ///
 /// ```
 /// # use pwrfgs_core::{Plugin, Split};
 /// # use pwrfgs_data as _;
-/// assert!(Plugin::<dyn Split>::parse("TimeBlock(start: 0.4, length: 0.2)").is_ok());
+/// assert!(Plugin::<dyn Split>::parse("TimeBlock(start: 0.4, length: 0.2, gap: 30)").is_ok());
 /// assert!(Plugin::<dyn Split>::parse("TimeBlock(start: 0.9, length: 0.2)").is_err());
 /// ```
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -32,13 +31,15 @@ pub struct TimeBlock {
     pub start: f64,
     /// Length of the test block, a fraction of the sorted ids in (0, 1); default 0.2.
     pub length: f64,
+    /// Samples left out on either side of the test block; default 0.
+    pub gap: usize,
     /// Share of the others held out next to the test block, in [0, 1); default 0.1.
     pub validation: f64,
 }
 
 impl Default for TimeBlock {
     fn default() -> Self {
-        Self { start: 0.4, length: 0.2, validation: DEFAULT_VALIDATION }
+        Self { start: 0.4, length: 0.2, gap: 0, validation: DEFAULT_VALIDATION }
     }
 }
 
@@ -48,13 +49,15 @@ impl Split for TimeBlock {
         let count = data.samples.len();
         let length = part(self.length, count);
         let first = ((self.start * count as f64).round() as usize).min(count - length);
-        let end = first + length;
-        let held = part(self.validation, count - length);
-        let behind = held.min(count - end);
+        let test = first..first + length;
+        // What lies before the block and behind it, without the gaps.
+        let (low, high) = (first.saturating_sub(self.gap), test.end.saturating_add(self.gap).min(count));
+        let held = part(self.validation, low + count - high);
+        let behind = held.min(count - high);
         let before = held - behind;
-        let train = (0..first - before).chain(end + behind..count).collect();
-        let validation = (first - before..first).chain(end..end + behind).collect();
-        finish(train, validation, (first..end).collect())
+        let train = (0..low - before).chain(high + behind..count).collect();
+        let validation = (low - before..low).chain(high..high + behind).collect();
+        finish(train, validation, test.collect())
     }
 
     fn about(&self) -> &'static str {

@@ -2,7 +2,7 @@
 
 use super::{DEFAULT_VALIDATION, check_test, check_validation, finish, part};
 use pwrfgs_core::{
-    Dataset, Error, Partition, Real, Result, Split,
+    Dataset, Error, Partition, Result, Split,
     rng::{self, Rng},
 };
 use serde::{Deserialize, Serialize};
@@ -11,7 +11,9 @@ use std::collections::BTreeMap;
 /// Whole cubic cells of space are held out, drawn at random until the test share is reached.
 ///
 /// No test sample has a training sample in its own cell, so the model must say what the field is where it was not
-/// measured. Cells lie on a grid through the world's origin. The last cell drawn may overshoot the share; one cell is
+/// measured. Cells lie on a grid through the world's origin; a sample on a wall belongs to the cell above. That is decided
+/// by the decimals that coordinates and `size_m` are written in, since 1.4/0.2 is less than 7 in floating point: who
+/// checks a split has to do the same. The last cell drawn may overshoot the share; one cell is
 /// always left to train on. Validation is drawn in the same way from the cells that remain.
 ///
 /// * `size_m`: edge of a cell, metres; 0.2 by default.
@@ -42,15 +44,36 @@ impl Default for Voxel {
 
 impl Voxel {
     /// The grid cell of a position.
-    pub(super) fn cell(&self, position: [Real; 3]) -> [i64; 3] {
-        position.map(|v| (v as f64 / self.size_m).floor() as i64)
+    pub(super) fn cell(&self, position: [f64; 3]) -> [i128; 3] {
+        position.map(|v| floor_of_ratio(v, self.size_m))
     }
+}
+
+/// ⌊v/size⌋, exact for the shortest decimals that stand for the two; `size` is above 0. What is out of range is all the
+/// same.
+fn floor_of_ratio(v: f64, size: f64) -> i128 {
+    let ((v, v_exponent), (size, exponent)) = (decimal(v), decimal(size));
+    let shifted = |digits: i128, by: i32| 10_i128.checked_pow(by.max(0) as u32)?.checked_mul(digits);
+    match (shifted(v, v_exponent - exponent), shifted(size, exponent - v_exponent)) {
+        (Some(v), Some(size)) => v.div_euclid(size),
+        (None, _) => v.signum() * i128::MAX,
+        (_, None) => -i128::from(v < 0),
+    }
+}
+
+/// A finite number as digits · 10^exponent, from the shortest decimal that stands for it.
+fn decimal(v: f64) -> (i128, i32) {
+    let text = format!("{v:e}");
+    let (digits, exponent) = text.split_once('e').expect("the form is 1.5e-3");
+    let decimals = digits.split_once('.').map_or(0, |(_, decimals)| decimals.len() as i32);
+    let number = |text: &str| text.parse::<i128>().expect("17 digits at most");
+    (number(&digits.replace('.', "")), number(exponent) as i32 - decimals)
 }
 
 #[typetag::serde]
 impl Split for Voxel {
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
-        let mut cells: BTreeMap<[i64; 3], Vec<usize>> = BTreeMap::new();
+        let mut cells: BTreeMap<[i128; 3], Vec<usize>> = BTreeMap::new();
         for (i, sample) in data.samples.iter().enumerate() {
             cells.entry(self.cell(sample.tx)).or_default().push(i);
         }
@@ -90,4 +113,42 @@ fn draw(cells: &mut Vec<Vec<usize>>, wanted: usize) -> Vec<usize> {
         drawn.extend(cells.pop().expect("more than one cell is left"));
     }
     drawn
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Positions on walls and a little off them, written as decimals; the cell by whole numbers.
+        #[test]
+        fn a_wall_belongs_to_the_cell_above(
+            size in 1..=5_000_i64, cell in -2_000..2_000_i64, off in -1..=1_i64, decimals in 0..6_usize,
+        ) {
+            let written = |number: i64| -> f64 {
+                let (sign, digits) = (if number < 0 { "-" } else { "" }, format!("{:07}", number.abs()));
+                let (whole, fraction) = digits.split_at(7 - decimals);
+                format!("{sign}{whole}.{fraction}").parse().unwrap()
+            };
+            let position = cell * size + off;
+            let voxel = Voxel { size_m: written(size), ..Voxel::default() };
+            let expected = i128::from(position.div_euclid(size));
+            prop_assert_eq!(voxel.cell([written(position), 0.0, -0.0]), [expected, 0, 0]);
+        }
+
+        #[test]
+        fn no_number_is_too_large_or_too_small(v in any::<f64>(), size_m in any::<f64>()) {
+            prop_assume!(v.is_finite() && size_m.is_finite() && size_m > 0.0);
+            let [cell, ..] = Voxel { size_m, ..Voxel::default() }.cell([v, 0.0, 0.0]);
+            prop_assert_eq!(cell < 0, v < 0.0);
+        }
+    }
+
+    #[test]
+    fn map_coordinates_keep_their_decimals() {
+        let voxel = Voxel { size_m: 0.1, ..Voxel::default() };
+        assert_eq!(voxel.cell([5_432_100.3, 500_000.25, 1e-320]), [54_321_003, 5_000_002, 0]);
+        assert_eq!(voxel.cell([-1e300, 1e300, -1e-300]), [-i128::MAX, i128::MAX, -1]);
+    }
 }

@@ -1,7 +1,8 @@
 //! The teacher keeps its promises.
 
 use super::*;
-use crate::{MeanSpectrum, NearestNeighbours, Official};
+use crate::baselines::{MeanSpectrum, NearestNeighbours};
+use crate::splits::Official;
 use pwrfgs_core::{Baseline, Image, Split, ssim};
 use pwrfgs_raster as _;
 
@@ -24,7 +25,8 @@ fn what_it_makes_is_complete_and_says_that_it_is_simulated() {
     let (low, high) = data.scene.bounds;
     for sample in &data.samples {
         assert_eq!(sample.spectrum.len(), 90 * 24);
-        assert!((0..3).all(|k| low[k] <= sample.tx[k] && sample.tx[k] <= high[k]));
+        let tx = sample.tx_real();
+        assert!((0..3).all(|k| low[k] <= tx[k] && tx[k] <= high[k]));
     }
     let ids: Vec<u32> = data.samples.iter().map(|s| s.id).collect();
     assert_eq!(ids, (1..=20).collect::<Vec<_>>());

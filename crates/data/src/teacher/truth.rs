@@ -1,8 +1,7 @@
 //! The answer of a `Teacher`: Gaussians, and the plane waves that are their signals.
 
-use super::Teacher;
 use pwrfgs_core::{
-    GaussianCloud, Real, Vec3,
+    GaussianCloud, Pose, Real, Vec3,
     consts::{DEG, TAU},
     logit,
     rng::{self, Rng},
@@ -27,13 +26,13 @@ const MEAN: Real = 0.55;
 const SWING: Real = 0.45;
 
 impl Truth {
-    /// The answer is a function of the teacher's seed, number of Gaussians, wavelengths and receiver.
-    pub(super) fn new(teacher: &Teacher) -> Self {
-        let random = &mut rng::stream(teacher.seed, "teacher", 0);
+    /// `count` Gaussians, seen by `receiver`, with signals of wavelengths from the shortest to the longest in metres.
+    pub(super) fn new(seed: u64, count: usize, wavelength_m: (f64, f64), receiver: &Pose) -> Self {
+        let random = &mut rng::stream(seed, "teacher", 0);
         let mut cloud = GaussianCloud::default();
-        let mut waves = Vec::with_capacity(teacher.gaussians);
-        let (world_from_receiver, origin) = (teacher.receiver.world_from_receiver(), teacher.receiver.origin());
-        for _ in 0..teacher.gaussians {
+        let mut waves = Vec::with_capacity(count);
+        let (world_from_receiver, origin) = (receiver.world_from_receiver(), receiver.origin());
+        for _ in 0..count {
             let (azimuth, elevation) = (TAU * rng::uniform(random), between(random, 10.0, 75.0) / DEG);
             let distance = between(random, 2.0, 6.0);
             let direction =
@@ -43,7 +42,7 @@ impl Truth {
             cloud.log_scales.push([0; 3].map(|_| scale.ln() + 0.2 * rng::normal(random)));
             cloud.quats.push(unit([0; 4].map(|_| rng::normal(random))));
             cloud.opacity_logits.push(logit(between(random, 0.5, 0.9)));
-            let wave = Wave::random(random, teacher.wavelength_m);
+            let wave = Wave::random(random, wavelength_m);
             cloud.signals.push(wave.amplitude.map(|a| MEAN * a));
             waves.push(wave);
         }

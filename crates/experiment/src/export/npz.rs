@@ -11,7 +11,7 @@ use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 ///
 /// # Errors
 /// An array of more than 4 GiB.
-pub fn npz(model: &Model, tx: Option<[Real; 3]>) -> Result<Vec<u8>> {
+pub fn npz(model: &Model, tx: Option<[f64; 3]>) -> Result<Vec<u8>> {
     let mut file = Npz(ZipWriter::new(Cursor::new(Vec::new())));
     let whole = (file.model(model).and_then(|()| tx.map_or(Ok(()), |tx| file.transmitter(model, tx))))
         .and_then(|()| Ok(file.0.finish()?.into_inner()));
@@ -46,10 +46,10 @@ impl Npz {
     }
 
     /// What is drawn for a transmitter.
-    fn transmitter(&mut self, model: &Model, tx: [Real; 3]) -> io::Result<()> {
+    fn transmitter(&mut self, model: &Model, tx: [f64; 3]) -> io::Result<()> {
         let (p, signals) = model.gaussians(Some(tx));
         let n = p.len();
-        self.put("tx.position", &[3], &tx)?;
+        self.put("tx.position", &[3], &tx.map(|v| v as Real))?;
         self.put("tx.scales", &[n, 3], p.scales.as_flattened())?;
         self.put("tx.quats", &[n, 4], p.quats.as_flattened())?;
         self.put("tx.opacities", &[n], &p.opacities)?;

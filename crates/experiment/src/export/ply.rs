@@ -19,7 +19,7 @@ const SH_C0: f64 = 0.282_094_791_773_878_14;
 ///
 /// # Errors
 /// A number that is not finite.
-pub fn ply(model: &Model, tx: Option<[Real; 3]>) -> Result<Vec<u8>> {
+pub fn ply(model: &Model, tx: Option<[f64; 3]>) -> Result<Vec<u8>> {
     let (primitives, signals) = model.gaussians(tx);
     let known = tx.is_some() || !model.stages.deformation.replaces_signals();
     let strengths = known.then(|| strengths(model, &signals));

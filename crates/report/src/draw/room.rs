@@ -74,8 +74,7 @@ impl Room {
             (&partition.train, TRAINING, "m-1.6 0h3.2m-1.6 -1.6v3.2"),
             (&partition.test, TEST, "m-1.3 -1.3l2.6 2.6m0 -2.6l-2.6 2.6"),
         ] {
-            let txs: Vec<Point> =
-                evenly(part, TRANSMITTERS).into_iter().map(|i| data.samples[i].tx.map(f64::from)).collect();
+            let txs: Vec<Point> = evenly(part, TRANSMITTERS).into_iter().map(|i| data.samples[i].tx).collect();
             let path: String = txs.iter().map(|&tx| line(&[view.place(tx)]) + shape).collect();
             _ = write!(before, "<path fill=\"none\" stroke=\"{colour}\" stroke-width=\".8\" d=\"{path}\"/>");
         }

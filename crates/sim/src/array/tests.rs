@@ -1,5 +1,5 @@
 use super::*;
-use crate::SPEED_OF_LIGHT;
+use crate::wave::SPEED_OF_LIGHT;
 use std::collections::HashMap;
 use std::path::PathBuf;
 

@@ -1,23 +1,13 @@
 //! The transition function of the uniform theory of diffraction.
 
-use crate::Complex;
+use crate::wave::Complex;
 use std::f64::consts::{FRAC_PI_4, PI};
 
 /// Nodes of the trapezium rule.
 const NODES: u32 = 12;
 
-/// F(x) = 2j√x e^{jx} ∫ e^{-jt²} dt from √x to ∞, Kouyoumjian and Pathak (1974); x ≥ 0.
-///
-/// Relative error below 10⁻¹⁴.
-pub fn transition(x: f64) -> Complex {
-    if x.is_infinite() {
-        return Complex::ONE;
-    }
-    let root = x.sqrt();
-    root * over_root(root)
-}
-
-/// F(v²)/v, smooth down to √π e^{jπ/4} at v = 0; v ≥ 0 and finite.
+/// F(v²)/v, smooth down to √π e^{jπ/4} at v = 0; v ≥ 0 and finite. F(x) = 2j√x e^{jx} ∫ e^{-jt²} dt from √x to ∞,
+/// Kouyoumjian and Pathak (1974). Relative error below 10⁻¹⁴.
 ///
 /// The Fresnel integral by the trapezium rule with a correction for its pole, Alazah, Chandler-Wilde and La Porte,
 /// Numerische Mathematik 128 (2014): errors fall like e^{-πN}, whatever v.

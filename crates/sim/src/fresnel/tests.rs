@@ -1,6 +1,6 @@
 use super::*;
-use crate::SPEED_OF_LIGHT;
 use crate::material::named;
+use crate::wave::SPEED_OF_LIGHT;
 use glam::DVec3;
 use std::path::PathBuf;
 

@@ -19,6 +19,18 @@ fn cube() -> Mesh {
     read_text("cube.obj", CUBE.as_bytes()).unwrap()
 }
 
+impl Mesh {
+    /// The corners of all triangles.
+    fn soup(&self) -> Vec<[DVec3; 3]> {
+        self.triangles.iter().map(|triangle| self.corners(*triangle)).collect()
+    }
+
+    /// How many edges belong to more than two triangles, as where two bodies share an edge or a triangle is there twice.
+    fn crowded_edges(&self) -> usize {
+        self.edges().filter(|triangles| *triangles > 2).count()
+    }
+}
+
 /// By the divergence theorem.
 fn volume(mesh: &Mesh) -> f64 {
     mesh.soup().iter().map(|[a, b, c]| a.dot(b.cross(*c)) / 6.0).sum()

@@ -96,9 +96,7 @@ impl Object {
             Self::Box { finish, .. } | Self::Panel { finish, .. } | Self::Mesh { finish, .. } => finish,
         }
     }
-}
 
-impl Object {
     pub(super) fn check(&self) -> Result<(), String> {
         match self {
             Self::Box { low, high, yaw_deg, .. } => {

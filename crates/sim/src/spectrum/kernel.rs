@@ -1,6 +1,6 @@
 //! aᴴh of a uniform planar array for many directions at once, by Horner's rule in two variables.
 
-use crate::Complex;
+use crate::wave::Complex;
 use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 use std::f64::consts::TAU;

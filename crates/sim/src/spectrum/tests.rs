@@ -5,7 +5,7 @@ use pwrfgs_core::{Projector as _, rng};
 use std::f64::consts::TAU;
 
 /// Spacing of the measured array, 0.16 m at 920 MHz.
-const MEASURED: f64 = 0.16 * 920e6 / crate::SPEED_OF_LIGHT;
+const MEASURED: f64 = 0.16 * 920e6 / crate::wave::SPEED_OF_LIGHT;
 
 /// Sample phases of the published script.
 const PHASES: [f64; 16] = [
@@ -217,7 +217,7 @@ fn a_receiver_that_is_turned_sees_the_wave_turned_back() {
     let beamformer = Beamformer::new(&array, 360, 90);
     let turn = DMat3::from_euler(glam::EulerRot::ZYX, 0.4, -1.1, 2.0);
     let arrival = turn * direction(211.0, 37.0);
-    let path = crate::Path {
+    let path = crate::path::Path {
         gain: Complex::ONE,
         length: 10.0,
         departure: -arrival,

@@ -1,118 +1,133 @@
-//! Which triangles a segment crosses, through a bounding-volume hierarchy.
+//! Which triangles a segment may cross: a hierarchy of boxes.
 
 use super::Triangle;
-use bvh::aabb::{Aabb, Bounded};
-use bvh::bounding_hierarchy::BHShape;
-use bvh::bvh::Bvh;
 use glam::DVec3;
 
 /// Boxes are made wider by this, metres: axis-aligned faces would have none.
 const PADDING: f64 = 1e-6;
+/// From this depth on groups are halved: no arrangement of triangles makes a tree that is much deeper.
+const DEEP: u32 = 64;
 
-/// A crossing: at `from + at·span`.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Hit {
-    /// Share of the segment, in [0, 1].
-    pub(super) at: f64,
-    /// Index of the triangle.
-    pub(super) triangle: usize,
-}
-
-/// The flattened tree: nodes in depth-first order, each with the index behind its subtree.
+/// The tree in depth-first order.
 #[derive(Debug)]
 pub(super) struct Hierarchy {
     nodes: Vec<Node>,
 }
 
-/// A box with what lies in it: the node after it, or a triangle.
-#[derive(Debug)]
+/// A box with what lies in it: one triangle, or the nodes from the next one on.
+#[derive(Clone, Copy, Debug)]
 struct Node {
     low: DVec3,
     high: DVec3,
-    /// The first node inside; `u32::MAX` where it holds a triangle.
-    entry: u32,
+    /// `u32::MAX` where there are nodes inside.
+    triangle: u32,
     /// The node after all that is inside.
     exit: u32,
-    triangle: u32,
 }
 
 impl Node {
-    fn new(bounds: &Aabb<f64, 3>, entry: u32, exit: u32, triangle: u32) -> Self {
-        let corner = |p: [f64; 3]| DVec3::from(p);
-        Self { low: corner(bounds.min.into()), high: corner(bounds.max.into()), entry, exit, triangle }
+    fn of(index: usize, triangle: &Triangle) -> Self {
+        let [a, b, c] = triangle.corners();
+        let (low, high) = (a.min(b).min(c) - PADDING, a.max(b).max(c) + PADDING);
+        Self { low, high, triangle: index as u32, exit: 0 }
     }
-}
 
-struct Shape {
-    bounds: Aabb<f64, 3>,
-    node: usize,
-}
-
-impl Bounded<f64, 3> for Shape {
-    fn aabb(&self) -> Aabb<f64, 3> {
-        self.bounds
+    /// The box around both.
+    fn join(self, other: Self) -> Self {
+        Self { low: self.low.min(other.low), high: self.high.max(other.high), triangle: u32::MAX, exit: 0 }
     }
-}
 
-impl BHShape<f64, 3> for Shape {
-    fn set_bh_node_index(&mut self, index: usize) {
-        self.node = index;
+    /// Half of its surface, m².
+    fn area(&self) -> f64 {
+        let size = self.high - self.low;
+        size.x * size.y + size.y * size.z + size.z * size.x
     }
-    fn bh_node_index(&self) -> usize {
-        self.node
+
+    /// The slab test. Along an axis that the segment does not move on, `inverse` is infinite: a start on the padded border
+    /// gives NaN there, and whatever the comparisons make of that is right, since no triangle reaches so far. Comparisons
+    /// are an instruction each, `f64::min` and `f64::max` three.
+    fn is_met(&self, from: DVec3, inverse: DVec3) -> bool {
+        let (mut enter, mut leave) = (0.0, 1.0);
+        for k in 0..3 {
+            let one = (self.low[k] - from[k]) * inverse[k];
+            let other = (self.high[k] - from[k]) * inverse[k];
+            let (near, far) = if one < other { (one, other) } else { (other, one) };
+            enter = if near > enter { near } else { enter };
+            leave = if far < leave { far } else { leave };
+        }
+        enter <= leave
     }
 }
 
 impl Hierarchy {
     pub(super) fn new(triangles: &[Triangle]) -> Self {
-        let shape = |t: &Triangle| {
-            let corners = t.corners();
-            let low = corners.into_iter().reduce(DVec3::min).expect("three corners") - PADDING;
-            let high = corners.into_iter().reduce(DVec3::max).expect("three corners") + PADDING;
-            Shape { bounds: Aabb::with_bounds(low.to_array().into(), high.to_array().into()), node: 0 }
-        };
-        let mut shapes: Vec<Shape> = triangles.iter().map(shape).collect();
-        Self { nodes: Bvh::build(&mut shapes).flatten_custom(&Node::new) }
+        let mut leaves: Vec<Node> = triangles.iter().enumerate().map(|(i, t)| Node::of(i, t)).collect();
+        let mut nodes = Vec::with_capacity(2 * leaves.len());
+        grow(&mut nodes, &mut leaves, 0);
+        Self { nodes }
     }
 
-    /// Shows every crossing of the segment to `see`, in no order, until it returns false. Returns whether it never did.
-    pub(super) fn all(
-        &self,
-        triangles: &[Triangle],
-        from: DVec3,
-        span: DVec3,
-        mut see: impl FnMut(Hit) -> bool,
-    ) -> bool {
+    /// The indices of all triangles that the segment from `from` to `from + span` crosses, among others; in no order.
+    pub(super) fn candidates(&self, from: DVec3, span: DVec3) -> impl Iterator<Item = usize> {
         let inverse = 1.0 / span;
-        let mut i = 0;
-        while let Some(node) = self.nodes.get(i) {
-            if node.entry == u32::MAX {
-                let triangle = node.triangle as usize;
-                if let Some(at) = crossing(&triangles[triangle], from, span)
-                    && !see(Hit { at, triangle })
-                {
-                    return false;
+        let mut next = usize::from(self.nodes.len() > 1); // the first box holds all
+        std::iter::from_fn(move || {
+            while let Some(node) = self.nodes.get(next) {
+                if node.is_met(from, inverse) {
+                    next += 1;
+                    if node.triangle != u32::MAX {
+                        return Some(node.triangle as usize);
+                    }
+                } else {
+                    next = node.exit as usize;
                 }
-                i = node.exit as usize;
-            } else {
-                i = if meets_box(node, from, inverse) { node.entry } else { node.exit } as usize;
             }
-        }
-        true
+            None
+        })
     }
 }
 
-/// The slab test. Along an axis that the segment does not move on, `inverse` is infinite: a start on the padded border
-/// gives NaN there, which `f64::min` and `f64::max` pass over.
-fn meets_box(node: &Node, from: DVec3, inverse: DVec3) -> bool {
-    let (mut enter, mut leave) = (0.0_f64, 1.0_f64);
-    for k in 0..3 {
-        let one = (node.low[k] - from[k]) * inverse[k];
-        let other = (node.high[k] - from[k]) * inverse[k];
-        enter = enter.max(one.min(other));
-        leave = leave.min(one.max(other));
+/// Appends the tree over `leaves`.
+fn grow(nodes: &mut Vec<Node>, leaves: &mut [Node], depth: u32) {
+    let Some(all) = leaves.iter().copied().reduce(Node::join) else { return };
+    let index = nodes.len();
+    nodes.push(all);
+    if leaves.len() > 1 {
+        let middle = if depth < DEEP { cheapest_cut(leaves) } else { leaves.len() / 2 };
+        let (one, other) = leaves.split_at_mut(middle);
+        grow(nodes, one, depth + 1);
+        grow(nodes, other, depth + 1);
     }
-    enter <= leave
+    nodes[index].exit = nodes.len() as u32;
+}
+
+/// Sorts `leaves` along an axis and says where to cut them, so that the sum over both parts of surface times number is
+/// least: what a random ray has to look at (Goldsmith and Salmon, 1987).
+fn cheapest_cut(leaves: &mut [Node]) -> usize {
+    let count = leaves.len();
+    let sort = |leaves: &mut [Node], axis: usize| {
+        leaves.sort_unstable_by(|a, b| (a.low[axis] + a.high[axis]).total_cmp(&(b.low[axis] + b.high[axis])));
+    };
+    let mut behind = vec![0.0; count];
+    let mut best = (f64::INFINITY, 0, count / 2);
+    for axis in 0..3 {
+        sort(leaves, axis);
+        let mut part = leaves[count - 1];
+        for i in (1..count).rev() {
+            part = part.join(leaves[i]);
+            behind[i] = part.area() * (count - i) as f64;
+        }
+        part = leaves[0];
+        for i in 1..count {
+            part = part.join(leaves[i - 1]);
+            let cost = part.area() * i as f64 + behind[i];
+            if cost < best.0 {
+                best = (cost, axis, i);
+            }
+        }
+    }
+    sort(leaves, best.1);
+    best.2
 }
 
 /// Where a segment crosses a triangle (Möller and Trumbore, 1997), borders included; a segment in its plane does not.
@@ -121,9 +136,6 @@ pub(super) fn crossing(triangle: &Triangle, from: DVec3, span: DVec3) -> Option<
     let [a, b] = triangle.sides;
     let p = span.cross(b);
     let volume = a.dot(p);
-    if volume.abs() < 1e-14 * span.length() * a.length() * b.length() {
-        return None;
-    }
     let t = from - triangle.corner;
     let u = t.dot(p) / volume;
     if !(-BORDER..=1.0 + BORDER).contains(&u) {
@@ -135,5 +147,48 @@ pub(super) fn crossing(triangle: &Triangle, from: DVec3, span: DVec3) -> Option<
         return None;
     }
     let at = b.dot(q) / volume;
-    (0.0..=1.0).contains(&at).then_some(at)
+    let least = 1e-28 * span.length_squared() * a.length_squared() * b.length_squared();
+    ((0.0..=1.0).contains(&at) && volume * volume >= least).then_some(at)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Points of a coarse grid: faces along the axes, triangles twice, segments in their planes and along the axes.
+    fn point() -> impl Strategy<Value = DVec3> {
+        prop_oneof![
+            prop::array::uniform3(-2..=2_i8).prop_map(|p| DVec3::from(p.map(f64::from))),
+            prop::array::uniform3(-2.0..2.0).prop_map(DVec3::from),
+        ]
+    }
+
+    proptest! {
+        #[test]
+        fn no_crossing_is_missed(
+            corners in prop::collection::vec([point(), point(), point()], 0..150),
+            segments in prop::collection::vec([point(), point()], 30),
+        ) {
+            let triangle = |[a, b, c]: &[DVec3; 3]| Triangle { corner: *a, sides: [*b - *a, *c - *a], face: 0 };
+            let triangles: Vec<Triangle> = corners.iter().map(triangle).collect();
+            let hierarchy = Hierarchy::new(&triangles);
+            for [from, to] in segments {
+                let is_crossed = |i: &usize| crossing(&triangles[*i], from, to - from).is_some();
+                let mut found: Vec<usize> = hierarchy.candidates(from, to - from).filter(is_crossed).collect();
+                found.sort_unstable();
+                let all: Vec<usize> = (0..triangles.len()).filter(is_crossed).collect();
+                prop_assert_eq!(found, all);
+            }
+        }
+    }
+
+    #[test]
+    fn the_same_triangle_many_times_makes_no_deep_tree() {
+        let triangle = Triangle { corner: DVec3::ZERO, sides: [DVec3::X, DVec3::Y], face: 0 };
+        let hierarchy = Hierarchy::new(&vec![triangle; 20_000]);
+        let from = DVec3::new(0.2, 0.2, 1.0);
+        assert_eq!(hierarchy.candidates(from, -2.0 * DVec3::Z).count(), 20_000);
+        assert_eq!(hierarchy.candidates(from, DVec3::X).count(), 0);
+    }
 }

@@ -6,7 +6,7 @@ use pwrfgs_core::{GaussianCloud, Pose, Sample, Scene};
 /// A room of 4 x 3 x 2 m with `points` points and one transmitter of each kind.
 fn room(points: usize) -> (Dataset, Partition) {
     let low_high = ([0.0; 3], [4.0, 3.0, 2.0]);
-    let sample = |id| Sample { id, tx: [1.0, 1.0, id as Real / 2.0], spectrum: vec![0] };
+    let sample = |id| Sample { id, tx: [1.0, 1.0, f64::from(id) / 2.0], spectrum: vec![0] };
     let data = Dataset {
         title: "room".into(),
         scene: Scene { receiver: Pose::IDENTITY, bounds: low_high, points: vec![[1.0, 2.0, 0.0]; points] },

@@ -1,8 +1,10 @@
 //! Polygons over vertices, and how they are cut into triangles.
 
-use super::Triangles;
 use pwrfgs_core::{Error, Result};
 use std::path::Path;
+
+/// Vertices `[V,3]` as the file has them, in double precision, and the triangles `[F,3]` over them, counted from 0.
+pub type Triangles = (Vec<[f64; 3]>, Vec<[u32; 3]>);
 
 /// Faces of three and more corners, all within the vertices.
 #[derive(Debug, Default)]

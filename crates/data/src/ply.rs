@@ -8,21 +8,19 @@ mod header;
 #[cfg(test)]
 mod tests;
 
-use crate::mesh::{Polygons, Triangles};
-use crate::text::{Field, XyzColumns, lines, number, split_blanks};
+use crate::polygons::{Polygons, Triangles};
+use crate::text::{Field, POINT_ADVICE, XyzColumns, lines, number, split_blanks};
 use header::{Element, Encoding, Header, Kind, Scalar};
 use pwrfgs_core::{Error, Real, Result};
 use std::path::Path;
 
 const ANEW: &str = "the file is cut short: copy it anew";
-const ROW_ADVICE: &str = super::ROW_ADVICE;
 const INDEX_ADVICE: &str = "correct the index of the vertex";
 
 /// The centres of all vertices.
-pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<Vec<[Real; 3]>> {
+pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Vec<[f64; 3]>> {
     let header = Header::parse(path, bytes)?;
-    let contents = Contents::parse(path, &header, &bytes[header.bytes..], None)?;
-    Ok(contents.vertices.into_iter().map(|vertex| vertex.map(|v| v as Real)).collect())
+    Ok(Contents::parse(path, &header, &bytes[header.bytes..], None)?.vertices)
 }
 
 /// The surface: vertices, and faces cut into triangles.
@@ -62,7 +60,7 @@ impl Contents {
                 let starts = field_of_each_property(path, line, &fields, element)?;
                 if e == header.vertex {
                     let columns = XyzColumns(header.xyz.map(|property| starts[property]));
-                    contents.vertices.push(columns.read_double(path, line, &fields, ROW_ADVICE)?);
+                    contents.vertices.push(columns.read(path, line, &fields, POINT_ADVICE)?);
                 }
                 if let Some((_, property)) = corners.filter(|(face, _)| e == *face) {
                     let length = fields[starts[property]].text.parse().unwrap_or(0);
@@ -79,7 +77,7 @@ impl Contents {
     fn parse_binary(path: &Path, header: &Header, body: &[u8], corners: Option<(usize, usize)>) -> Result<Self> {
         let mut body = Body { rest: body, is_big: header.encoding == Encoding::Big };
         let mut contents = Self::default();
-        let mut list = Vec::new();
+        let mut row = Vec::new();
         for (e, element) in header.elements.iter().enumerate().filter(|(_, element)| !element.properties.is_empty()) {
             for i in 0..element.count {
                 let mut point = [0.0; 3];
@@ -92,19 +90,21 @@ impl Contents {
                                 point[k] = value;
                             }
                         }
-                        Kind::List { length, item } if corners == Some((e, p)) => {
-                            body.list(length, item, &mut list).ok_or_else(ended)?;
-                            let fault = |what| Error::input(path, format!("row {} of `face`: {what}", i + 1));
-                            contents.polygons.push(&list, header.elements[header.vertex].count).map_err(fault)?;
-                        }
                         Kind::List { length, item } => {
-                            body.skip_list(length, item).ok_or_else(ended)?;
+                            let raw = body.list(length, item).ok_or_else(ended)?;
+                            if corners == Some((e, p)) {
+                                let value = |raw| whole(item.value(raw, body.is_big)).unwrap_or(-1); // out of range
+                                row.clear();
+                                row.extend(raw.chunks_exact(item.size()).map(value));
+                                let fault = |what| Error::input(path, format!("row {} of `face`: {what}", i + 1));
+                                contents.polygons.push(&row, header.elements[header.vertex].count).map_err(fault)?;
+                            }
                         }
                     }
                 }
                 if e == header.vertex {
                     if !point.iter().all(|v| (*v as Real).is_finite()) {
-                        let what = format!("vertex {} of {} is not finite; {ROW_ADVICE}", i + 1, element.count);
+                        let what = format!("vertex {} of {} is not finite; {POINT_ADVICE}", i + 1, element.count);
                         return Err(Error::input(path, what));
                     }
                     contents.vertices.push(point);
@@ -173,19 +173,9 @@ impl<'a> Body<'a> {
         Some(scalar.value(raw, self.is_big))
     }
 
-    /// A negative length counts as too long for the body.
-    fn skip_list(&mut self, length: Scalar, item: Scalar) -> Option<()> {
+    /// The items of a list. A negative length counts as too long for the body.
+    fn list(&mut self, length: Scalar, item: Scalar) -> Option<&'a [u8]> {
         let length = self.value(length).filter(|l| *l >= 0.0)?;
-        self.take((length as usize).checked_mul(item.size())?).map(|_| ())
-    }
-
-    /// Fills `list`. An item that is not whole counts as out of range.
-    fn list(&mut self, length: Scalar, item: Scalar, list: &mut Vec<i64>) -> Option<()> {
-        list.clear();
-        let length = self.value(length).filter(|l| *l >= 0.0)?;
-        let (size, is_big) = (item.size(), self.is_big);
-        let raw = self.take((length as usize).checked_mul(size)?)?;
-        list.extend(raw.chunks_exact(size).map(|raw| whole(item.value(raw, is_big)).unwrap_or(-1)));
-        Some(())
+        self.take((length as usize).checked_mul(item.size())?)
     }
 }

@@ -40,7 +40,7 @@ fn ascii() -> Vec<u8> {
     out
 }
 
-fn read(bytes: &[u8]) -> Result<Vec<[Real; 3]>, String> {
+fn read(bytes: &[u8]) -> Result<Vec<[f64; 3]>, String> {
     parse(Path::new("a.ply"), bytes).map_err(|e| e.to_string())
 }
 
@@ -73,8 +73,8 @@ fn every_truncation_is_an_error() {
 fn mistakes_are_told() {
     let edit = |from: &str, to: &str| String::from_utf8(ascii()).unwrap().replace(from, to);
     let cases = [
-        (edit(".5 1", "nan 1"), format!("a.ply:16:5: `nan` is not finite; {ROW_ADVICE}")),
-        (edit("4e0", "four"), format!("a.ply:18:11: `four` is not a number; {ROW_ADVICE}")),
+        (edit(".5 1", "nan 1"), format!("a.ply:16:5: `nan` is not finite; {POINT_ADVICE}")),
+        (edit("4e0", "four"), format!("a.ply:18:11: `four` is not a number; {POINT_ADVICE}")),
         (
             edit("200 .5 1 2 7 -7 -2", "200 .5 1 2 7"),
             "a.ply:16:13: the row of element `vertex` ends early; give every property of the header".into(),
@@ -125,7 +125,7 @@ fn a_binary_vertex_that_is_not_finite_is_an_error() {
     bytes.extend([0, 0]);
     bytes.extend(f64::NAN.to_le_bytes());
     bytes.extend([0; 40]);
-    assert_eq!(read(&bytes).unwrap_err(), format!("a.ply: vertex 1 of 2 is not finite; {ROW_ADVICE}"));
+    assert_eq!(read(&bytes).unwrap_err(), format!("a.ply: vertex 1 of 2 is not finite; {POINT_ADVICE}"));
 }
 
 #[test]
