@@ -74,11 +74,11 @@ pub mod prelude {
         Baseline, CloudStats, ColumnSpec, DataSource, Dataset, Deformation, Deltas, Error, Evaluation, GaussianCloud,
         Goal, Image, ImagePlane, Initializer, Measurement, Metric, Moment, Partition, Phase, Plugin, Pose, Predict,
         Primitives, Progress, Projector, Pruner, Rasterizer, Real, Render, Result, Sample, Scene, Simulation, Splats,
-        Split, Values,
+        Split, Values, rng,
     };
     pub use pwrfgs_experiment::{Observer, Silent};
-    pub use pwrfgs_model::{Model, Stages};
-    pub use pwrfgs_train::{Pipeline, Trainer};
+    pub use pwrfgs_model::{Ensemble, Model, Prepared, Readout, Stages};
+    pub use pwrfgs_train::{Pipeline, StepReport, Trainer};
     pub use serde::{Deserialize, Serialize};
     pub use typetag;
 }

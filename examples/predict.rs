@@ -1,0 +1,41 @@
+//! Loads a model, predicts at many positions, and writes one array `[positions, rows, columns]` for NumPy:
+//! `cargo run --release --example predict -- MODEL.safetensors [SPECTRA.npy]`. Several models make an ensemble.
+#![allow(clippy::print_stdout)] // it is a program
+
+use npyz::WriterBuilder as _;
+use pwrfgs::prelude::*;
+use std::fs::File;
+use std::path::Path;
+
+/// A grid of 10 × 10 positions, one metre above the floor, in metres.
+fn positions() -> Vec<[f64; 3]> {
+    (0..100).map(|i| [-1.0 + 0.2 * f64::from(i % 10), -1.0 + 0.2 * f64::from(i / 10), 1.0]).collect()
+}
+
+fn main() -> Result<()> {
+    let (arrays, models): (Vec<String>, Vec<String>) = std::env::args().skip(1).partition(|a| a.ends_with(".npy"));
+    let out = arrays.first().map_or("spectra.npy", String::as_str);
+
+    let members = models.iter().map(|path| pwrfgs::model::file::read(Path::new(path))).collect::<Result<Vec<_>>>()?;
+    let ensemble = Ensemble::new(members).map_err(Error::Config)?;
+    let prepared: Prepared<'_> = ensemble.prepare(); // what no transmitter changes is worked out once
+    let spectra = prepared.predict_many(&positions());
+
+    let ImagePlane { width, height, .. } = prepared.plane();
+    let mut array = npyz::WriteOptions::new()
+        .default_dtype()
+        .shape(&[spectra.len() as u64, *height as u64, *width as u64])
+        .writer(File::create(out).expect("a folder to write to"))
+        .begin_nd()
+        .expect("three axes");
+    array.extend(spectra.iter().flat_map(|s| &s.pixels)).expect("room on the disk");
+    array.finish().expect("room on the disk");
+
+    for (position, spectrum) in positions().iter().zip(&spectra).step_by(33) {
+        let (x, y) = (spectrum.argmax() % width, spectrum.argmax() / width);
+        let strongest = prepared.plane().azimuth_elevation_deg(x as Real, y as Real);
+        println!("{position:.1?}: strongest at azimuth and elevation {strongest:.0?}");
+    }
+    println!("{out}: {} spectra of {height} rows and {width} columns", spectra.len());
+    Ok(())
+}

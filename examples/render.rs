@@ -1,0 +1,54 @@
+//! A cloud of one's own, projected and blended, and the derivative of a pixel in every centre:
+//! `cargo run --release --example render -- [PICTURE.png]`.
+#![allow(clippy::print_stdout)] // it is a program
+
+use pwrfgs::prelude::*;
+use pwrfgs::raster::{AlphaBlending, Mercator};
+
+/// Two Gaussians 3 m from a receiver that looks straight up: a red one would be in front, here one is weaker.
+fn cloud() -> Primitives {
+    Primitives {
+        means: vec![[1.5, 1.0, 2.4], [-1.2, 0.8, 2.6]],
+        scales: vec![[0.5, 0.3, 0.3], [0.3, 0.3, 0.6]],
+        quats: vec![[1.0, 0.0, 0.0, 0.0], [0.9, 0.3, 0.3, 0.1]],
+        opacities: vec![0.9, 0.6],
+    }
+}
+
+/// Two real channels a Gaussian: real and imaginary part.
+const SIGNALS: [Real; 4] = [1.0, 0.3, -0.2, 0.7];
+const CHANNELS: usize = 2;
+
+fn draw(cloud: &Primitives, plane: &ImagePlane) -> (Splats, Render, Image) {
+    let splats = Mercator::default().project(cloud, &Pose::IDENTITY, plane);
+    let render = AlphaBlending::default().forward(&splats, &SIGNALS, CHANNELS, plane);
+    let pixels = Readout::Magnitude.forward(&render.pixels, plane.width * plane.height);
+    let image = Image { width: plane.width, height: plane.height, pixels };
+    (splats, render, image)
+}
+
+fn main() {
+    let (projector, rasterizer) = (Mercator::default(), AlphaBlending::default());
+    let plane = projector.plane(360, 90);
+    let (splats, render, image) = draw(&cloud(), &plane);
+    let out = std::env::args().nth(1).unwrap_or_else(|| "render.png".into());
+    image::save_buffer(&out, &image.to_bytes(), 360, 90, image::ExtendedColorType::L8).expect("a folder to write to");
+
+    // A pixel beside the strongest, where the picture is steep; its cotangent is 1 and all others' are 0.
+    let pixel = image.argmax() + 6;
+    let mut d_image = vec![0.0; image.pixels.len()];
+    d_image[pixel] = 1.0;
+    let d_pixels = Readout::Magnitude.vjp(&render.pixels, d_image.len(), &d_image);
+    let d = rasterizer.backward(&splats, &SIGNALS, CHANNELS, &plane, &render, &d_pixels);
+    let d_cloud = projector.project_vjp(&cloud(), &Pose::IDENTITY, &plane, &splats, &d.splats);
+
+    println!("{out}: pixel {pixel} is {:.4}", image.pixels[pixel]);
+    for (i, d) in d_cloud.means.iter().enumerate() {
+        let mut moved = cloud();
+        moved.means[i][0] += 0.005;
+        let up = draw(&moved, &plane).2.pixels[pixel];
+        moved.means[i][0] -= 0.010;
+        let difference = (up - draw(&moved, &plane).2.pixels[pixel]) / 0.010;
+        println!("Gaussian {i}: d pixel / d x = {:.4} a metre, by moving it {difference:.4}", d[0]);
+    }
+}
