@@ -149,8 +149,5 @@ pub(crate) fn two_samples() -> Dataset {
         spectrum: (0..PICTURE.0 * PICTURE.1).map(|_| pwrfgs::core::rng::below(&mut random, 256) as u8).collect(),
     };
     let samples = vec![sample(1), sample(2)];
-    let bounds = Dataset::bounds_of(samples.iter().map(Sample::tx_real));
-    let scene = Scene { receiver: RECEIVER, bounds, points: Vec::new() };
-    let (width, height) = PICTURE;
-    Dataset { title: "noise".into(), scene, width, height, samples, official: None, simulation: None }
+    Dataset::new("noise", RECEIVER, Vec::new(), PICTURE, samples).expect("two spectra of noise")
 }

@@ -1,6 +1,6 @@
 //! What is measured, and where: `Pose`, `Scene`, `Sample`, `Dataset`, `Partition`.
 
-use crate::{Image, Mat3, Real, Vec3};
+use crate::{Error, Image, Mat3, Real, Result, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// Position and orientation of the receiver.
@@ -28,6 +28,26 @@ impl Pose {
     pub fn origin(&self) -> Vec3 {
         let p = self.position.map(|v| v as Real);
         Vec3::from_array(p)
+    }
+
+    /// Which field is no place or no rotation, what is wrong with it, and what to do.
+    pub fn fault(&self) -> Option<(&'static str, String)> {
+        /// How far from 1 the length of a quaternion may be: files carry about eight digits.
+        const TOLERANCE: f64 = 1e-3;
+        if !self.position.iter().all(|v| (*v as Real).is_finite()) {
+            return Some(("position", "the position is not finite; write three numbers in metres".into()));
+        }
+        let length = self.orientation.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let example = "of length 1, such as [0, 0, 0, 1] for no rotation";
+        let fault = match length {
+            _ if !length.is_finite() => format!("is not finite; write x, y, z, w {example}"),
+            0.0 => format!("is zero; write x, y, z, w {example}"),
+            _ if (length - 1.0).abs() > TOLERANCE => {
+                format!("has length {length:.6}, further than {TOLERANCE} from 1; divide x, y, z, w by it")
+            }
+            _ => return None,
+        };
+        Some(("orientation", format!("the quaternion {fault}")))
     }
 }
 
@@ -88,6 +108,61 @@ pub struct Simulation {
 }
 
 impl Dataset {
+    /// Measured spectra from arrays in memory, `width` columns by `height` rows each, with the surface `points` `[P,3]`
+    /// that are known (metres, world frame; none will do). The bounds hold the points, the samples and the receiver.
+    ///
+    /// There is no official split, and nothing is simulated: who knows better sets these fields.
+    ///
+    /// ```
+    /// # use pwrfgs_core::{Dataset, Pose, Sample};
+    /// let sample = |id: u32| Sample { id, tx: [f64::from(id), 0.0, 1.5], spectrum: vec![id as u8; 90 * 24] };
+    /// let data = Dataset::new("my room", Pose::IDENTITY, vec![], (90, 24), (1..=20).map(sample).collect())?;
+    /// assert_eq!(data.scene.bounds, ([0.0; 3], [20.0, 0.0, 1.5]));
+    /// # Ok::<(), pwrfgs_core::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Config`] where there is no sample, ids do not increase, a spectrum has another size, or a place is not
+    /// finite.
+    pub fn new(
+        title: impl Into<String>,
+        receiver: Pose,
+        points: Vec<[Real; 3]>,
+        (width, height): (usize, usize),
+        samples: Vec<Sample>,
+    ) -> Result<Self> {
+        let title = title.into();
+        let refuse = |what: String| Err(Error::Config(format!("data set `{title}`: {what}")));
+        if let Some((_, fault)) = receiver.fault() {
+            return refuse(format!("receiver: {fault}"));
+        }
+        if samples.is_empty() || width * height == 0 {
+            return refuse(format!(
+                "{} spectra of {width} x {height} pixels; give at least one of each",
+                samples.len()
+            ));
+        }
+        if let Some(pair) = samples.windows(2).find(|pair| pair[0].id >= pair[1].id) {
+            return refuse(format!("id {} follows {}; sort the samples by ids that differ", pair[1].id, pair[0].id));
+        }
+        for Sample { id, tx, spectrum } in &samples {
+            if spectrum.len() != width * height {
+                let have = spectrum.len();
+                return refuse(format!("the spectrum of id {id} has {have} pixels and not {width} x {height}"));
+            }
+            if !tx.iter().all(|v| (*v as Real).is_finite()) {
+                return refuse(format!("the transmitter of id {id} is at {tx:?}; give finite metres"));
+            }
+        }
+        if let Some(point) = points.iter().find(|point| !point.iter().all(|v| v.is_finite())) {
+            return refuse(format!("a point lies at {point:?}; give finite metres"));
+        }
+        let known = samples.iter().map(Sample::tx_real).chain(points.iter().copied());
+        let bounds = bounds_of(known.chain([receiver.origin().to_array()]));
+        let scene = Scene { receiver, bounds, points };
+        Ok(Self { title, scene, width, height, samples, official: None, simulation: None })
+    }
+
     /// Whether the spectra are simulated, not measured.
     pub fn is_simulated(&self) -> bool {
         self.simulation.is_some()
@@ -97,19 +172,13 @@ impl Dataset {
     pub fn image(&self, i: usize) -> Image {
         Image::from_bytes(self.width, self.height, &self.samples[i].spectrum)
     }
+}
 
-    /// Smallest and largest corner of the given points; zeros for none.
-    pub fn bounds_of(points: impl IntoIterator<Item = [Real; 3]>) -> ([Real; 3], [Real; 3]) {
-        let mut points = points.into_iter();
-        let Some(first) = points.next() else { return ([0.0; 3], [0.0; 3]) };
-        points.fold((first, first), |(mut low, mut high), p| {
-            for k in 0..3 {
-                low[k] = low[k].min(p[k]);
-                high[k] = high[k].max(p[k]);
-            }
-            (low, high)
-        })
-    }
+/// Smallest and largest corner of the given points.
+fn bounds_of(points: impl Iterator<Item = [Real; 3]>) -> ([Real; 3], [Real; 3]) {
+    let nothing = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    let (low, high) = points.map(Vec3::from_array).fold(nothing, |(low, high), p| (low.min(p), high.max(p)));
+    (low.to_array(), high.to_array())
 }
 
 /// Which samples serve what; indices into [`Dataset::samples`], each list sorted, the lists disjoint.
@@ -129,5 +198,38 @@ impl Partition {
         let mut known = [self.train.as_slice(), &self.validation].concat();
         known.sort_unstable();
         known
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_data_set_that_cannot_be_is_refused_with_what_is_wrong() {
+        let sample = |id, x| Sample { id, tx: [x, 0.0, 0.0], spectrum: vec![0; 6] };
+        let new = |receiver, points, size, samples| {
+            Dataset::new("room", receiver, points, size, samples).unwrap_err().to_string()
+        };
+        let turned = |orientation| Pose { orientation, ..Pose::IDENTITY };
+        let far = Pose { position: [1e300, 0.0, 0.0], ..Pose::IDENTITY };
+        let good = || vec![sample(1, 0.0)];
+        let said = [
+            new(turned([0.0; 4]), vec![], (3, 2), good()),
+            new(turned([0.0, 0.0, 0.0, 1.01]), vec![], (3, 2), good()),
+            new(Pose::IDENTITY, vec![], (3, 2), vec![]),
+            new(Pose::IDENTITY, vec![], (0, 2), good()),
+            new(Pose::IDENTITY, vec![], (2, 2), good()),
+            new(Pose::IDENTITY, vec![], (3, 2), vec![sample(2, 0.0), sample(2, 1.0)]),
+            new(Pose::IDENTITY, vec![], (3, 2), vec![sample(1, f64::NAN)]),
+            new(Pose::IDENTITY, vec![[0.0, Real::INFINITY, 0.0]], (3, 2), good()),
+        ];
+        let why = ["is zero", "has length 1.01", "0 spectra", "of 0 x 2", "6 pixels", "id 2 follows 2", "NaN", "inf"];
+        for (said, why) in said.iter().zip(why) {
+            assert!(said.starts_with("data set `room`: ") && said.contains(why), "{said}");
+        }
+        if size_of::<Real>() == 4 {
+            assert!(new(far, vec![], (3, 2), good()).contains("position is not finite"));
+        }
     }
 }

@@ -8,8 +8,7 @@ mod tests;
 
 use crate::points::read_points;
 use crate::text::{XyzColumns, lines, read_text, split_commas};
-pub(crate) use gateway::orientation_fault;
-use pwrfgs_core::{DataSource, Dataset, Error, Progress, Real, Result, Sample, Scene, Simulation};
+use pwrfgs_core::{DataSource, Dataset, Error, Progress, Result, Sample, Simulation};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -84,16 +83,12 @@ impl DataSource for Nerf2Spectrum {
         let paths: Vec<&Path> = ids.iter().map(|id| files[id].as_path()).collect();
         let pictures::Pictures { width, height, bytes } = pictures::load(&paths, progress)?;
         let to_sample = |(&id, spectrum)| Sample { id, tx: positions[id as usize - 1], spectrum };
-        let samples: Vec<Sample> = ids.iter().zip(bytes).map(to_sample).collect();
-        let receiver = gateway.pose;
-        let known_places = samples.iter().map(Sample::tx_real).chain(points.iter().copied());
-        let bounds = Dataset::bounds_of(known_places.chain([receiver.position.map(|v| v as Real)]));
+        let samples = ids.iter().zip(bytes).map(to_sample).collect();
         let folder = || root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
         let name = gateway.name.unwrap_or_else(folder);
         let simulation = simulation(&root, &name);
         let title = format!("{name} ({}NeRF2 layout)", if simulation.is_some() { "" } else { "measured, " });
-        let scene = Scene { receiver, bounds, points };
-        Ok(Dataset { title, scene, width, height, samples, official, simulation })
+        Ok(Dataset { official, simulation, ..Dataset::new(title, gateway.pose, points, (width, height), samples)? })
     }
 
     fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {

@@ -4,10 +4,9 @@
 mod tests;
 mod truth;
 
-use crate::nerf2::orientation_fault;
 use pwrfgs_core::{
     DataSource, Dataset, Error, GaussianCloud, ImagePlane, Plugin, Pose, Primitives, Progress, Projector, Rasterizer,
-    Real, Result, Sample, Scene, Simulation, rng, sigmoid,
+    Real, Result, Sample, Simulation, rng, sigmoid,
 };
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -145,29 +144,18 @@ impl DataSource for Teacher {
             return Err(Error::Config(what.into()));
         }
         let to_byte = |value: &Real| (value / largest * 255.0).round() as u8;
-        let samples: Vec<Sample> = txs
+        let samples = txs
             .iter()
             .zip(spectra.chunks_exact(self.width * self.height))
             .zip(1..)
             .map(|((&tx, spectrum), id)| Sample { id, tx, spectrum: spectrum.iter().map(to_byte).collect() })
             .collect();
-        let points = truth.cloud.means;
-        let receiver = self.receiver.position.map(|v| v as Real);
-        let bounds =
-            Dataset::bounds_of(points.iter().copied().chain(samples.iter().map(Sample::tx_real)).chain([receiver]));
         let (test, train): (Vec<usize>, Vec<usize>) = (0..self.samples).partition(|i| i % 5 == 4);
-        Ok(Dataset {
-            title: format!(
-                "{} simulated spectra of {} Gaussians (Teacher, seed {})",
-                self.samples, self.gaussians, self.seed
-            ),
-            scene: Scene { receiver: self.receiver, bounds, points },
-            width: self.width,
-            height: self.height,
-            samples,
-            official: (!test.is_empty()).then_some((train, test)),
-            simulation: Some(Simulation::default()),
-        })
+        let official = (!test.is_empty()).then_some((train, test));
+        let Self { samples: count, gaussians, seed, .. } = self;
+        let title = format!("{count} simulated spectra of {gaussians} Gaussians (Teacher, seed {seed})");
+        let data = Dataset::new(title, self.receiver, truth.cloud.means, (self.width, self.height), samples)?;
+        Ok(Dataset { official, simulation: Some(Simulation::default()), ..data })
     }
 
     fn about(&self) -> &'static str {
@@ -195,10 +183,7 @@ impl DataSource for Teacher {
         if !(short > 0.0 && short <= long && long.is_finite()) {
             return Err(format!("`wavelength_m` is {short} to {long}; give two lengths above 0, the shorter first"));
         }
-        if !self.receiver.position.iter().all(|v| v.is_finite()) {
-            return Err("the position of `receiver` is not finite; write three numbers in metres".into());
-        }
-        orientation_fault(self.receiver.orientation).map_or(Ok(()), |fault| Err(format!("`receiver`: {fault}")))
+        self.receiver.fault().map_or(Ok(()), |(_, fault)| Err(format!("`receiver`: {fault}")))
     }
 }
 

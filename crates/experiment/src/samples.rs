@@ -44,20 +44,13 @@ pub fn evenly<T: Clone>(all: &[T], count: usize) -> Vec<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pwrfgs_core::{Pose, Scene};
+    use pwrfgs_core::Pose;
 
     #[test]
     fn distances_leave_the_sample_itself_out() {
         let sample = |id, x: f64| Sample { id, tx: [x, 0.0, 0.0], spectrum: vec![0] };
-        let data = Dataset {
-            title: "line".into(),
-            scene: Scene { receiver: Pose::IDENTITY, bounds: ([0.0; 3], [1.0; 3]), points: vec![] },
-            width: 1,
-            height: 1,
-            samples: vec![sample(1, 0.0), sample(2, 2.0), sample(5, 2.5), sample(6, 9.0)],
-            official: None,
-            simulation: None,
-        };
+        let samples = vec![sample(1, 0.0), sample(2, 2.0), sample(5, 2.5), sample(6, 9.0)];
+        let data = Dataset::new("line", Pose::IDENTITY, vec![], (1, 1), samples).unwrap();
         let partition = Partition { train: vec![0, 1], validation: vec![], test: vec![2] };
         let text = to_csv(&data, &partition);
         let expected = "id,x,y,z,split,nearest_train_m\n1,0,0,0,train,2\n2,2,0,0,train,2\n5,2.5,0,0,test,0.5\n\

@@ -6,8 +6,6 @@ use serde::Deserialize;
 use serde_yaml_ng::Value;
 use std::path::Path;
 
-/// How far from 1 the length of a quaternion may be: files carry about eight digits.
-const UNIT_TOLERANCE: f64 = 1e-3;
 const EXPECTED: &str =
     "expected `gateway1: {position: [x, y, z], orientation: [x, y, z, w]}` (metres; unit quaternion)";
 
@@ -35,15 +33,9 @@ pub(crate) fn read(path: &Path, advice: &str) -> Result<Gateway> {
             None => Error::input(path, format!("{words}; {EXPECTED}")),
         }
     })?;
-    let at = |key: &str, what: String| {
-        let (line, column) = place_of(&text, key);
-        Error::at(path, line, column, what)
-    };
-    if !file.gateway1.position.iter().all(|v| v.is_finite()) {
-        return Err(at("position", "the position is not finite; write three numbers in metres".into()));
-    }
-    if let Some(fault) = orientation_fault(file.gateway1.orientation) {
-        return Err(at("orientation", fault));
+    if let Some((field, fault)) = file.gateway1.fault() {
+        let (line, column) = place_of(&text, field);
+        return Err(Error::at(path, line, column, fault));
     }
     let name = file.dataset_name.and_then(|name| match name {
         Value::String(name) => Some(name),
@@ -51,22 +43,6 @@ pub(crate) fn read(path: &Path, advice: &str) -> Result<Gateway> {
         _ => None,
     });
     Ok(Gateway { name: name.filter(|n| !n.trim().is_empty()), pose: file.gateway1 })
-}
-
-/// What is wrong with a quaternion x, y, z, w, and what to do.
-pub(crate) fn orientation_fault(quaternion: [f64; 4]) -> Option<String> {
-    let length = quaternion.iter().map(|v| v * v).sum::<f64>().sqrt();
-    if !length.is_finite() {
-        Some("the quaternion is not finite; write x, y, z, w, such as [0, 0, 0, 1] for no rotation".into())
-    } else if length == 0.0 {
-        Some("the quaternion is zero; write x, y, z, w of length 1, such as [0, 0, 0, 1] for no rotation".into())
-    } else if (length - 1.0).abs() > UNIT_TOLERANCE {
-        Some(format!(
-            "the quaternion has length {length:.6}, further than {UNIT_TOLERANCE} from 1; divide x, y, z, w by it"
-        ))
-    } else {
-        None
-    }
 }
 
 /// Line and column of `key` behind `gateway1`; the file is known to hold both.

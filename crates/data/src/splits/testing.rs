@@ -2,22 +2,16 @@
 
 use super::*;
 use proptest::prelude::*;
-use pwrfgs_core::{Dataset, Plugin, Pose, Sample, Scene, Split};
+use pwrfgs_core::{Dataset, Plugin, Pose, Sample, Split};
 use std::collections::BTreeMap;
 
 /// Samples with one-pixel spectra at these places; every fifth belongs to the official test list.
 pub(crate) fn samples_at(places: &[[f64; 3]]) -> Dataset {
     let to_sample = |(i, &tx): (usize, &[f64; 3])| Sample { id: i as u32 + 1, tx, spectrum: vec![i as u8] };
     let (test, train) = (0..places.len()).partition(|i| i % 5 == 4);
-    Dataset {
-        title: "test".into(),
-        scene: Scene { receiver: Pose::IDENTITY, bounds: ([0.0; 3], [1.0; 3]), points: vec![] },
-        width: 1,
-        height: 1,
-        samples: places.iter().enumerate().map(to_sample).collect(),
-        official: Some((train, test)),
-        simulation: None,
-    }
+    let samples = places.iter().enumerate().map(to_sample).collect();
+    let data = Dataset::new("test", Pose::IDENTITY, vec![], (1, 1), samples).unwrap();
+    Dataset { official: Some((train, test)), ..data }
 }
 
 /// `count` samples on the x axis, one metre apart.
