@@ -1,4 +1,4 @@
-//! Draws the figures that compare runs: `cargo run --example figures -- OUT RUN..`, where each `RUN` is the folder of a
+//! Draws the figures that compare runs: `cargo run -p pwrfgs --example figures -- OUT RUN..`, where each `RUN` is the folder of a
 //! run or of a sweep.
 #![allow(clippy::print_stdout)] // it is a program
 

@@ -1,5 +1,5 @@
 //! Loads a model, predicts at many positions, and writes one array `[positions, rows, columns]` for NumPy:
-//! `cargo run --release --example predict -- MODEL.safetensors [SPECTRA.npy]`. Several models make an ensemble.
+//! `cargo run --release -p pwrfgs --example predict -- MODEL.safetensors [SPECTRA.npy]`. Several models make an ensemble.
 #![allow(clippy::print_stdout)] // it is a program
 
 use npyz::WriterBuilder as _;
@@ -7,9 +7,9 @@ use pwrfgs::prelude::*;
 use std::fs::File;
 use std::path::Path;
 
-/// A grid of 10 × 10 positions, one metre above the floor, in metres.
+/// 10 × 10 positions in one plane, metres.
 fn positions() -> Vec<[f64; 3]> {
-    (0..100).map(|i| [-1.0 + 0.2 * f64::from(i % 10), -1.0 + 0.2 * f64::from(i / 10), 1.0]).collect()
+    (0..100).map(|i| [0.3 + 0.15 * f64::from(i % 10), 0.5 + 0.1 * f64::from(i / 10), 1.0]).collect()
 }
 
 fn main() -> Result<()> {

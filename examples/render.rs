@@ -1,14 +1,14 @@
 //! A cloud of one's own, projected and blended, and the derivative of a pixel in every centre:
-//! `cargo run --release --example render -- [PICTURE.png]`.
+//! `cargo run --release -p pwrfgs --example render -- [PICTURE.png]`.
 #![allow(clippy::print_stdout)] // it is a program
 
 use pwrfgs::prelude::*;
 use pwrfgs::raster::{AlphaBlending, Mercator};
 
-/// Two Gaussians 3 m from a receiver that looks straight up: a red one would be in front, here one is weaker.
+/// Two Gaussians, 3 m from a receiver that looks straight up; the one behind shines past the one in front.
 fn cloud() -> Primitives {
     Primitives {
-        means: vec![[1.5, 1.0, 2.4], [-1.2, 0.8, 2.6]],
+        means: vec![[1.5, 1.0, 2.4], [1.2, 1.8, 2.5]],
         scales: vec![[0.5, 0.3, 0.3], [0.3, 0.3, 0.6]],
         quats: vec![[1.0, 0.0, 0.0, 0.0], [0.9, 0.3, 0.3, 0.1]],
         opacities: vec![0.9, 0.6],

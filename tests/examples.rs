@@ -1,0 +1,52 @@
+//! The programs in `examples/`, as somebody who begins with the library would run them. Cargo builds them with the tests
+//! of this package.
+
+use npyz::NpyFile;
+use std::path::Path;
+use std::process::Command;
+
+/// What the example prints, run in `folder`.
+fn run(folder: &Path, name: &str, arguments: &[&str]) -> String {
+    let own = std::env::current_exe().unwrap();
+    let program = own.ancestors().nth(2).unwrap().join("examples").join(name);
+    assert!(program.exists(), "{} is missing; `cargo test -p pwrfgs` builds it", program.display());
+    let output = Command::new(program).args(arguments).current_dir(folder).output().unwrap();
+    assert!(output.status.success(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// The numbers of a line.
+fn numbers(line: &str) -> Vec<f64> {
+    line.split([' ', ',']).filter_map(|word| word.parse().ok()).collect()
+}
+
+#[test]
+fn arrays_in_memory_train_a_model_that_predicts_at_many_positions() {
+    let folder = tempfile::tempdir().unwrap();
+    let curve = run(folder.path(), "train", &["room.safetensors"]);
+    let losses: Vec<f64> = curve.lines().filter(|l| l.contains("loss")).map(|l| numbers(l)[2]).collect();
+    assert!(losses.len() == 30 && losses[29] < losses[0] / 4.0, "{curve}");
+    let [model, floor] = numbers(curve.lines().last().unwrap())[..] else { panic!("{curve}") };
+    assert!(model > 0.93 && model > floor + 0.1, "{curve}");
+
+    let said = run(folder.path(), "predict", &["room.safetensors", "spectra.npy"]);
+    assert!(said.ends_with("spectra.npy: 100 spectra of 24 rows and 90 columns\n"), "{said}");
+    let array = NpyFile::new(std::fs::File::open(folder.path().join("spectra.npy")).unwrap()).unwrap();
+    assert_eq!(array.shape(), [100, 24, 90]);
+    let spectra: Vec<pwrfgs::core::Real> = array.into_vec().unwrap();
+    let model = pwrfgs::model::file::read(&folder.path().join("room.safetensors")).unwrap();
+    assert_eq!(spectra[..24 * 90], model.predict([0.3, 0.5, 1.0]).pixels);
+}
+
+#[test]
+fn a_cloud_of_ones_own_is_drawn_and_differentiated() {
+    let folder = tempfile::tempdir().unwrap();
+    let said = run(folder.path(), "render", &["room.png"]);
+    assert_eq!(image::image_dimensions(folder.path().join("room.png")).unwrap(), (360, 90));
+    let derivatives: Vec<Vec<f64>> = said.lines().skip(1).map(numbers).collect();
+    assert_eq!(derivatives.len(), 2, "{said}");
+    for pair in derivatives {
+        let (exact, by_difference) = (pair[0], pair[1]);
+        assert!(exact != 0.0 && (exact - by_difference).abs() < 0.01 * exact.abs() + 2e-4, "{said}");
+    }
+}
