@@ -18,6 +18,12 @@ pub trait Deformation: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
         Vec::new()
     }
 
+    /// Numbers that the network reads besides settings and weights: drawn from a seed and never learned. A model file
+    /// holds them, because its other readers cannot draw them again.
+    fn constants(&self) -> Vec<(WeightSpec, Vec<Real>)> {
+        Vec::new()
+    }
+
     /// Whether scales or rotations depend on the transmitter. If not, a batch shares one projection and one sorting.
     fn varies_geometry(&self) -> bool;
 
@@ -97,7 +103,7 @@ pub struct DeformationInputs<'a> {
     pub pose: &'a Pose,
 }
 
-/// A tensor inside the flat weight vector.
+/// Name and shape of a tensor, such as those inside the flat weight vector.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WeightSpec {
     /// Such as `trunk.0.weight`.

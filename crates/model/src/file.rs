@@ -27,6 +27,8 @@ const FORMAT: &str = "pwrfgs-model";
 const VERSION: u32 = 1;
 /// What the names of the network's tensors begin with.
 const NETWORK: &str = "network.";
+/// What the names of the numbers begin with that the network has from a seed.
+const CONSTANTS: &str = "constants.";
 
 /// Writes `model` to `path`, whole or not at all.
 ///
@@ -66,6 +68,9 @@ fn tensors(model: &Model) -> Tensors {
     let mut file = Tensors::new(serde_json::to_string(&note).expect("plain data"));
     put_cloud(&mut file, "gaussians.", &model.cloud);
     put_weights(&mut file, NETWORK, &model.weights, s);
+    for (spec, values) in s.deformation.constants() {
+        file.put(format!("{CONSTANTS}{}", spec.name), spec.shape, values);
+    }
     file
 }
 
@@ -98,7 +103,24 @@ fn from_bytes(bytes: &[u8]) -> Result<Model, String> {
     };
     let cloud = take_cloud(&mut file, "gaussians.", note.gaussians)?;
     let weights = take_weights(&mut file, NETWORK, &stages)?;
+    check_constants(&mut file, &stages)?;
     Ok(Model { stages, cloud, weights })
+}
+
+/// Refuses a file whose constants are not those that its deformation draws here: it would predict something else.
+fn check_constants(file: &mut Tensors, stages: &Stages) -> Result<(), String> {
+    for (spec, drawn) in stages.deformation.constants() {
+        let name = format!("{CONSTANTS}{}", spec.name);
+        if file.shape(&name).is_none() {
+            continue; // written when files did not hold them
+        }
+        let held = file.take(&name, &spec.shape)?;
+        // Another C library or precision may round differently.
+        if held.iter().zip(drawn).any(|(held, drawn)| (held - drawn).abs() > 1e-5 * drawn.abs().max(1.0)) {
+            return Err(format!("tensor `{name}` holds other numbers than the seed in its deformation gives"));
+        }
+    }
+    Ok(())
 }
 
 fn plugin_text<T: ?Sized + erased_serde::Serialize>(plugin: &Plugin<T>) -> String {

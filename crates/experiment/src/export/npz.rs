@@ -35,6 +35,9 @@ impl Npz {
             self.put(&format!("network.{}", spec.name), &spec.shape, own)?;
             rest = tail;
         }
+        for (spec, values) in model.stages.deformation.constants() {
+            self.put(&format!("constants.{}", spec.name), &spec.shape, &values)?;
+        }
         let (pose, plane) = (&model.stages.pose, &model.stages.plane);
         self.put("pose.position", &[3], &pose.position)?;
         self.put("pose.orientation", &[4], &pose.orientation)?;

@@ -9,6 +9,7 @@
 mod dense;
 mod encoding;
 mod factored;
+mod factored_network;
 mod fixed;
 mod layers;
 mod linear;

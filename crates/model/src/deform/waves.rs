@@ -2,7 +2,7 @@
 
 use super::encoding::{self, encode, encode_vjp, let_in};
 use super::mlp::{WIDEST, check_frequencies};
-use pwrfgs_core::{Real, rng};
+use pwrfgs_core::{Real, WeightSpec, rng};
 use serde::{Deserialize, Serialize};
 
 /// The encoding γ(p) of a position: the coordinates, and waves over the room.
@@ -64,6 +64,13 @@ impl Encoding {
                 [1.0; 3].into_iter().chain((0..count).flat_map(|i| [wave(i); 2])).collect()
             }
         }
+    }
+
+    /// The wave vectors `[count, 3]`, rad/m, as the model file holds them: nobody else can draw them from the seed.
+    pub(super) fn constants(&self, field: &str) -> Option<(WeightSpec, Vec<Real>)> {
+        let Encoder::Waves(vectors) = self.encoder() else { return None };
+        let spec = WeightSpec { name: field.into(), shape: vec![vectors.len(), 3] };
+        Some((spec, vectors.into_flattened().into_iter().map(|k| k as Real).collect()))
     }
 
     pub(super) fn encoder(&self) -> Encoder {
