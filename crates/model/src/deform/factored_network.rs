@@ -145,12 +145,8 @@ impl Network {
             // Signals of one channel: element (b, i) lies at 2(bN + i) + c.
             let d_s = Matrix::strided(&d.as_flattened()[c..], (batch, n), (2 * n, 2));
             let (d_f, d_base) = d_factors.split_at_mut(rows - n);
-            product(
-                MatrixMut::new(d_f, width, n),
-                Store::Set,
-                Matrix::new(&layers[self.stack.len()], width, batch),
-                d_s,
-            );
+            let t = Matrix::new(&layers[self.stack.len()], width, batch);
+            product(MatrixMut::new(d_f, width, n), Store::Set, t, d_s);
             for d in d.chunks_exact(n) {
                 d_base.iter_mut().zip(d).for_each(|(sum, d)| *sum += d[c]);
             }

@@ -119,9 +119,7 @@ impl Encoder {
             }
         }
     }
-}
 
-impl Encoder {
     /// Adds to `d_points` the derivative through the waves, given their values `[·, N]` (γ without its first three rows)
     /// and their cotangents.
     pub(super) fn waves_vjp(&self, waves: &[Real], d_waves: &[Real], d_points: &mut [[Real; 3]]) {

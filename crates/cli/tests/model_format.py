@@ -1,0 +1,365 @@
+"""Predicts from a model file as docs/model-format.md says, and compares with `pwrfgs predict`.
+
+    python3 model_format.py MODEL.safetensors FOLDER [MODEL FOLDER ..]
+
+FOLDER is what `pwrfgs predict MODEL --tx-csv .. --out FOLDER` wrote. Needs NumPy and nothing else. Numbers are in double
+precision here and in single in the program; hence the two tolerances, both shares of the picture's largest value:
+
+* CLOSE: what rounding does to a pixel;
+* EDGE: what one Gaussian may do whose alpha is so near to 1/255 that rounding decides whether it counts, which may
+  happen in FEW of the pixels.
+"""
+
+import csv
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+
+CLOSE, EDGE, FEW = 1e-5, 2e-2, 2e-3
+
+
+# The file.
+
+
+def read_safetensors(path):
+    """The tensors by name, in double precision, and the note."""
+    data = Path(path).read_bytes()
+    start = 8 + int.from_bytes(data[:8], "little")
+    header = json.loads(data[8:start])
+    note = json.loads(header.pop("__metadata__")["pwrfgs"])
+    types = {"F16": "<f2", "F32": "<f4", "F64": "<f8"}
+    tensors = {}
+    for name, entry in header.items():
+        first, end = entry["data_offsets"]
+        values = np.frombuffer(data[start + first : start + end], types[entry["dtype"]])
+        tensors[name] = values.reshape(entry["shape"]).astype(float)
+    return tensors, note
+
+
+def read_ron(text):
+    """`Name(field: 1, other: Waves(count: 2), third: None)` as a dictionary; the name is under ""."""
+    tokens = re.findall(r"[A-Za-z_]\w*|[-+]?[\d.]+(?:e[-+]?\d+)?|[():,]", text)
+
+    def value():
+        token = tokens.pop(0)
+        if not re.match("[A-Za-z_]", token):
+            return float(token)
+        if token in ("None", "true", "false"):
+            return {"None": None, "true": True, "false": False}[token]
+        fields = {"": token}
+        if tokens and tokens[0] == "(":
+            tokens.pop(0)
+            while tokens[0] != ")":
+                # A field has a name; the one value of `Octaves(5)` has none and is kept under 0.
+                named = tokens[1] == ":"
+                key = tokens[0] if named else 0
+                del tokens[: 2 if named else 0]
+                fields[key] = value()
+                if tokens[0] == ",":
+                    tokens.pop(0)
+            tokens.pop(0)
+        return fields[0] if token == "Some" else fields
+
+    return value()
+
+
+# What the network adds.
+
+
+def octaves(x, frequencies):
+    """x, sin x, cos x, sin 2x, cos 2x, sin 4x, ..: blocks of three numbers."""
+    blocks = [x]
+    for f in range(frequencies):
+        blocks += [np.sin(2.0**f * x), np.cos(2.0**f * x)]
+    return np.concatenate(blocks, axis=-1)
+
+
+def encode(x, settings, vectors):
+    """The encoding of `Factored`."""
+    if settings[""] == "Octaves":
+        return octaves(x, int(settings[0]))
+    phase = x @ vectors.T
+    in_turn = np.stack([np.sin(phase), np.cos(phase)], axis=-1).reshape(*x.shape[:-1], -1)
+    return np.concatenate([x, in_turn], axis=-1)
+
+
+def relu(x):
+    return np.maximum(x, 0)
+
+
+def layer(tensors, name):
+    weight, bias = tensors[f"network.{name}.weight"], tensors[f"network.{name}.bias"]
+    return lambda x: x @ weight.T + bias
+
+
+def trunk(tensors, settings, inputs):
+    """The ReLU stack; the inputs come in again before the outputs of layer `skip`."""
+    h = inputs
+    for k in range(int(settings["depth"])):
+        if settings["skip"] is not None and k == settings["skip"] + 1:
+            h = np.concatenate([inputs, h], axis=-1)
+        h = relu(layer(tensors, f"trunk.{k}")(h))
+    return h
+
+
+def mlp(tensors, settings, means, tx):
+    gamma = octaves(tx, int(settings["tx_frequencies"]))
+    e = layer(tensors, "tx.1")(relu(layer(tensors, "tx.0")(gamma)))
+    position = octaves(means, int(settings["position_frequencies"]))
+    h = trunk(tensors, settings, np.concatenate([position, np.tile(e, (len(means), 1))], axis=1))
+    heads = ["rotation", "scaling", "signal"] if settings["outputs"][""] == "All" else ["signal"]
+    return {head: layer(tensors, head)(h) for head in heads}
+
+
+def factored(tensors, settings, means, tx):
+    t = encode(tx, settings["tx_encoding"], tensors.get("constants.tx_encoding"))
+    for k in range(int(settings["depth"])):
+        t = relu(layer(tensors, f"tx.{k}")(t))
+    waves = encode(means, settings["position_encoding"], tensors.get("constants.position_encoding"))[:, 3:]
+    rows = layer(tensors, "branch")(waves * np.pi / (2 * waves.shape[1]))
+    real, imaginary = np.split(rows, 2, axis=1)
+    return {"signal": np.stack([g[:, :-1] @ t + g[:, -1] for g in (real, imaginary)], axis=1)}
+
+
+def wrfgs(tensors, settings, means, tx, position):
+    frequencies = int(settings["frequencies"])
+    gamma = octaves(means, frequencies)
+    h = trunk(tensors, settings, gamma)
+    from_tx = np.tile(octaves(tx, frequencies), (len(means), 1))
+    offset = octaves((means.astype("f4") - tx.astype("f4")).astype(float), frequencies)
+    h1 = relu(layer(tensors, "sig.0")(np.concatenate([layer(tensors, "feat")(h), from_tx, offset], axis=1)))
+    s = layer(tensors, "out")(relu(layer(tensors, "sig.1")(h1)))[:, 0]
+    a = layer(tensors, "attn")(h)[:, 0]
+    amplitude = lambda z: np.where(z < 0, -0.01 * z, z)
+    gain = settings["gain"]
+    if gain is None:
+        gain = 40 * np.sqrt(np.sum((means - position) ** 2))
+    return {"signal": np.stack([gain * amplitude(s) * amplitude(a), np.zeros(len(means))], axis=1)}
+
+
+def deform(tensors, note, tx):
+    """What is added to rotations, scales and signals, each absent where the transmitter leaves it alone."""
+    settings, means = read_ron(note["deformation"]), tensors["gaussians.means"]
+    if settings[""] == "Mlp":
+        return mlp(tensors, settings, means, tx)
+    if settings[""] == "Factored":
+        return factored(tensors, settings, means, tx)
+    if settings[""] == "Wrfgs":
+        return wrfgs(tensors, settings, means, tx, np.array(note["pose"]["position"]))
+    assert settings[""] == "Fixed"
+    return {}
+
+
+# From parameters to Gaussians.
+
+
+def activate(tensors, note, added):
+    """Scales, quaternions, opacities, and signals with one or two channels."""
+    physical = note["calibration"] == "Physical"
+    unit = lambda q: q / np.linalg.norm(q, axis=1, keepdims=True)
+    scales = np.exp(tensors["gaussians.log_scales"]) + added.get("scaling", 0)
+    quats = unit(tensors["gaussians.quats"]) + added.get("rotation", 0)
+    if physical:
+        scales, quats = np.maximum(scales, 1e-4), unit(quats)
+    opacities = 1 / (1 + np.exp(-tensors["gaussians.opacity_logits"][:, 0]))
+    replaces = note["deformation"].startswith("Wrfgs")
+    signals = added["signal"] if replaces else tensors["gaussians.signals"] + added.get("signal", 0)
+    if not physical:
+        signals = np.maximum(0.28209479177387814 * signals + 0.5, 0)
+    return scales, quats, opacities, signals[:, : 1 if note["readout"] == "Real" else 2]
+
+
+def matrix(q):
+    """Rotation matrices [.., 3, 3] of quaternions w, x, y, z by the formula for unit ones, whatever their length."""
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), [0, 1], [-2, -1])
+
+
+# From space to the picture.
+
+
+def mercator(settings, v, width, height):
+    """Pixels [N, 2], Jacobians [N, 2, 3], and which Gaussians are near enough to the picture and far enough away."""
+    x, y, z = v.T
+    r = np.linalg.norm(v, axis=1)
+    on_axis = np.hypot(x, y) <= 1e-6 * r
+    x, y = np.where(on_axis, 1e-9 * r, x), np.where(on_axis, 0, y)  # azimuth 0
+    rho = np.hypot(x, y)
+    per_column, per_row = width / (2 * np.pi), height / (np.pi / 2)  # pixels a radian
+    pixels = np.stack([np.arctan2(y, x) % (2 * np.pi) * per_column, np.arctan2(z, rho) * per_row], axis=1)
+    floored = rho * np.maximum(rho, np.cos(np.radians(89.5)) * r)
+    around = np.stack([-y, x, 0 * x], axis=1) / floored[:, None]
+    up = np.stack([-z * x / rho, -z * y / rho, rho], axis=1) / (r * r)[:, None]
+    visible = (r > settings["near_m"]) & (z >= -np.sin(np.radians(settings["margin_deg"])) * r)
+    return pixels, np.stack([around * per_column, up * per_row], axis=1), visible
+
+
+def released(v, width, height):
+    """The same for `WrfgsCompat`."""
+    x, y, z = v.T
+    r, rho = np.linalg.norm(v, axis=1), np.hypot(x, z)
+    longitude, latitude = np.arctan2(x, z), np.arcsin(np.clip(y / (r + 1e-7), -1, 1))
+    pixels = np.stack(
+        [((longitude / np.pi + 1) * width - 1) / 2, ((2 * latitude / np.pi + 1) * height - 1) / 2], axis=1
+    )
+    a, p, q = 1 / (rho**2 + 1e-7), 1 / (rho + 1e-7), 1 / (r**2 + 1e-7)
+    around = np.stack([z * a, 0 * a, -x * a], axis=1) * width / (2 * np.pi)
+    up = np.stack([-x * y * p * q, rho * q, -z * y * p * q], axis=1) * height / np.pi
+    return pixels, np.stack([around, up], axis=1), r**2 > 0.04
+
+
+def square(pixels, radii, count):
+    """First tile and the one after the last that meet the square of this radius, along one axis."""
+    tiles = -(-count // 16)
+    first = np.trunc((pixels - radii) / 16).clip(0, tiles)
+    return first, np.trunc((pixels + radii + 15) / 16).clip(0, tiles)
+
+
+def project(note, means, scales, quats):
+    """Centres on the picture, covariances [N, 2, 2], distances, radii (0: not drawn), directions."""
+    pose, plane = note["pose"], note["plane"]
+    width, height = plane["width"], plane["height"]
+    x, y, z, w = np.array(pose["orientation"]) / np.linalg.norm(pose["orientation"])
+    to_receiver = matrix(np.array([w, x, y, z])).T
+    projector = read_ron(note["projector"])
+    if projector[""] == "Mercator":
+        v = (means - pose["position"]) @ to_receiver.T
+        pixels, jacobians, visible = mercator(projector, v, width, height)
+        blur = projector["blur"]
+    else:
+        assert projector[""] == "WrfgsCompat"
+        v = means @ to_receiver.T + pose["position"]
+        pixels, jacobians, visible = released(v, width, height)
+        blur = 0.3
+    spread = jacobians @ to_receiver @ (matrix(quats) * scales[:, None, :])
+    cov = spread @ np.moveaxis(spread, 1, 2) + blur * np.eye(2)
+    a, c, det = cov[:, 0, 0], cov[:, 1, 1], np.linalg.det(cov)
+    middle = (a + c) / 2
+    radii = np.ceil(3 * np.sqrt(middle + np.sqrt(np.maximum(middle**2 - det, 0.1))))
+    if projector[""] == "Mercator":
+        half = np.sqrt(2 * np.log(255) * c)
+        reaches = (pixels[:, 1] + half >= 0) & (pixels[:, 1] - half <= height - 1)
+    else:
+        spans = [square(pixels[:, k], radii, n) for k, n in ((0, width), (1, height))]
+        reaches = (spans[0][0] < spans[0][1]) & (spans[1][0] < spans[1][1])
+    distances = np.linalg.norm(v, axis=1)
+    return pixels, cov, distances, np.where(visible & reaches, radii, 0), v / distances[:, None]
+
+
+# From splats to pixels.
+
+
+def blend(settings, note, splats, opacities, signals):
+    """`AlphaBlending`: [channels, H, W]."""
+    plane = note["plane"]
+    pixels, cov, distances, radii, _ = splats
+    rows, columns = np.mgrid[: plane["height"], : plane["width"]]
+    picture = np.zeros((signals.shape[1], *rows.shape))
+    light, open_ = np.ones(rows.shape), np.full(rows.shape, True)
+    for i in np.argsort(distances, kind="stable"):
+        if radii[i] == 0:
+            continue
+        dx, dy = pixels[i, 0] - columns, pixels[i, 1] - rows
+        if plane["wraps"]:
+            dx = dx - plane["width"] * np.floor(dx / plane["width"] + 0.5)
+        (a, b), (_, c) = np.linalg.inv(cov[i])
+        alpha = np.minimum(0.99, opacities[i] * np.exp(-(a * dx * dx + c * dy * dy) / 2 - b * dx * dy))
+        counts = open_ & (alpha >= 1 / 255)
+        if settings["support"][""] == "TileSquares":
+            for at, along, n in ((pixels[i, 0], columns, plane["width"]), (pixels[i, 1], rows, plane["height"])):
+                first, end = square(at, radii[i], n)
+                counts &= (along >= 16 * first) & (along < 16 * end)
+        full = counts & (light * (1 - alpha) < 1e-4)
+        open_ &= ~full
+        counts &= ~full
+        picture += signals[i][:, None, None] * np.where(counts, alpha * light, 0)
+        light = np.where(counts, light * (1 - alpha), light)
+    return picture
+
+
+def array(settings, note, splats, opacities, signals):
+    """`ArrayResponse`: [2, H, W], real and imaginary part."""
+    plane = note["plane"]
+    pixels, cov, distances, radii, u = splats
+    azimuth, elevation = plane["angles"]
+    # The antennas [K, 3], wavelengths.
+    place = lambda count: (np.arange(count) - (count - 1) / 2) * settings["spacing_wavelengths"]
+    ys, xs = np.meshgrid(place(int(settings["rows"])), place(int(settings["columns"])), indexing="ij")
+    p = np.stack([xs.ravel(), ys.ravel(), 0 * xs.ravel()], axis=1)
+    # What each Gaussian leaves on them, [N, K].
+    phase = 2 * np.pi * u @ p.T
+    if settings["wavefront"][""] == "Spherical":
+        r = (distances / settings["wavefront"]["wavelength_m"])[:, None]
+        way = np.sqrt(np.maximum(r**2 - 2 * r * (u @ p.T) + np.sum(p * p, axis=1), 1e-6))
+        phase = -2 * np.pi * (way - r)
+    waves = np.exp(1j * phase)
+    if settings["widened"]:
+        az = np.radians(azimuth["first"] + azimuth["step"] * pixels[:, 0])
+        el = np.radians(elevation["first"] + elevation["step"] * pixels[:, 1])
+        by_column = np.stack([-np.sin(az) * np.cos(el), np.cos(az) * np.cos(el), 0 * az], axis=1)
+        by_row = np.stack([-np.cos(az) * np.sin(el), -np.sin(az) * np.sin(el), np.cos(el)], axis=1)
+        turns = [by_column * np.radians(azimuth["step"]), by_row * np.radians(elevation["step"])]
+        wv = np.stack([t @ p.T for t in turns], axis=1)  # [N, 2, K]
+        waves = waves * np.exp(-((2 * np.pi) ** 2) / 2 * np.einsum("nik,nij,njk->nk", wv, cov, wv))
+    amplitudes = np.where(radii > 0, opacities, 0) * (signals[:, 0] + 1j * signals[:, 1])
+    field = amplitudes @ waves
+    # The array steered to every pixel.
+    rows, columns = np.mgrid[: plane["height"], : plane["width"]]
+    az = np.radians(azimuth["first"] + azimuth["step"] * columns)
+    el = np.radians(elevation["first"] + elevation["step"] * rows)
+    directions = np.stack([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)], axis=-1)
+    heard = np.exp(-2j * np.pi * directions @ p.T) @ field / len(p)
+    return np.stack([heard.real, heard.imag])
+
+
+def read_out(readout, picture):
+    if readout == "Real":
+        return picture[0]
+    power = picture[0] ** 2 + picture[1] ** 2
+    if readout == "Power":
+        return power
+    magnitude = np.sqrt(power)
+    if readout == "Magnitude":
+        return magnitude
+    low, high = magnitude.min(), magnitude.max()
+    return (magnitude - low) / (high - low) if high - low > 1e-6 * high else 0 * magnitude
+
+
+def predict(tensors, note, tx):
+    """The spectrum [H, W] of a transmitter at `tx`, metres."""
+    tx = np.array(tx, dtype="f4").astype(float)
+    scales, quats, opacities, signals = activate(tensors, note, deform(tensors, note, tx))
+    splats = project(note, tensors["gaussians.means"], scales, quats)
+    rasterizer = read_ron(note["rasterizer"])
+    draw = {"AlphaBlending": blend, "ArrayResponse": array}[rasterizer[""]]
+    return read_out(note["readout"], draw(rasterizer, note, splats, opacities, signals))
+
+
+def compare(model, folder):
+    """Whether every prediction in the folder is what the file says."""
+    tensors, note = read_safetensors(model)
+    good = True
+    for row in csv.DictReader((Path(folder) / "predictions.csv").open()):
+        expected = predict(tensors, note, [float(row[axis]) for axis in "xyz"])
+        found = np.load(Path(folder) / f"{int(row['row']):05}.npy")
+        assert found.shape == expected.shape and expected.max() > expected.min(), "a picture with something on it"
+        error = np.abs(found - expected) / np.abs(expected).max()
+        many = np.mean(error > CLOSE)
+        fine = error.max() <= EDGE and many <= FEW
+        good &= fine
+        print(f"{'same' if fine else 'DIFFERENT'} {model} {row['row']}: largest {error.max():.1e}, beyond {many:.4f}")
+    return good
+
+
+if __name__ == "__main__":
+    pairs = sys.argv[1:]
+    results = [compare(*pair) for pair in zip(pairs[::2], pairs[1::2])]
+    sys.exit(0 if results and all(results) else 1)

@@ -1,0 +1,154 @@
+//! Whoever follows `docs/model-format.md` gets the program's spectra: `model_format.py` does, with NumPy alone.
+
+use crate::common::{SMALL, refuse, succeed, write};
+use pwrfgs::model::Calibration::{AsReleased, Physical};
+use pwrfgs::model::tensors::Tensors;
+use pwrfgs::model::{Calibration, Model, Readout, Stages, file};
+use pwrfgs_core::{GaussianCloud, Plugin, Pose, Projector, Real, Vec3, rng};
+use std::path::Path;
+use std::process::Command;
+
+/// Deformation, projector, rasterizer, calibration and readout: each of them somewhere.
+const CASES: [(&str, &str, &str, Calibration, Readout); 9] = [
+    ("Mlp(depth: 4, width: 24, skip: Some(1))", "Mercator()", "AlphaBlending()", Physical, Readout::Magnitude),
+    (
+        "Mlp(depth: 2, width: 16, skip: None, tx_frequencies: 3, outputs: Signals)",
+        "Mercator(near_m: 1, margin_deg: 5, blur: 0.5)",
+        "AlphaBlending()",
+        Physical,
+        Readout::Power,
+    ),
+    (
+        "Factored(depth: 2, width: 16, tx_encoding: Waves(count: 9, reach: 24.0, seed: 7))",
+        "Mercator()",
+        "ArrayResponse()",
+        Physical,
+        Readout::MinMax,
+    ),
+    (
+        "Factored(depth: 1, width: 8, tx_encoding: Octaves(4), position_encoding: Octaves(3))",
+        "Mercator()",
+        "AlphaBlending()",
+        Physical,
+        Readout::MinMax,
+    ),
+    (
+        "Factored(width: 12, position_encoding: Waves(count: 5, reach: 3))",
+        "Mercator()",
+        "ArrayResponse(rows: 3, columns: 2, spacing_wavelengths: 0.7, wavefront: Spherical(wavelength_m: 0.9))",
+        Physical,
+        Readout::Magnitude,
+    ),
+    (
+        "Wrfgs(depth: 3, width: 16, skip: 0)",
+        "WrfgsCompat()",
+        "AlphaBlending(support: TileSquares)",
+        AsReleased,
+        Readout::Real,
+    ),
+    ("Wrfgs(depth: 2, width: 12, skip: None, gain: 30)", "Mercator()", "AlphaBlending()", Physical, Readout::Magnitude),
+    ("Fixed()", "Mercator()", "ArrayResponse(widened: false)", Physical, Readout::Power),
+    ("Mlp(depth: 2, width: 16, skip: None)", "WrfgsCompat()", "AlphaBlending()", AsReleased, Readout::Magnitude),
+];
+
+/// Receiver that stands and looks anywhere.
+const POSE: Pose = Pose { position: [0.3, -0.2, 0.5], orientation: [0.2, -0.3, 0.1, 0.927_361_849_549_570_4] };
+
+/// Gaussians on all sides of the receiver: some too near, some below its horizon, one on its axis, many opaque.
+fn cloud() -> GaussianCloud {
+    let mut random = rng::stream(5, "model format", 0);
+    let mut cloud = GaussianCloud::zeros(60);
+    for (name, width, values) in cloud.columns_mut() {
+        let (centre, size) = match name {
+            "means" => (0.0, 2.0),
+            "log_scales" => (-1.5, 0.5),
+            "opacity_logits" => (1.0, 3.0),
+            _ => (0.2, 1.0),
+        };
+        assert_eq!(values.len(), 60 * width);
+        values.iter_mut().for_each(|v| *v = centre + size * rng::normal(&mut random));
+    }
+    let (origin, rotation, near) = (POSE.origin(), POSE.world_from_receiver(), Vec3::new(0.05, 0.02, 0.1));
+    // The second is too near for `WrfgsCompat`, whose centre is at -R·position.
+    let special = [origin + near, near - rotation * origin, origin + rotation * Vec3::new(0.0, 0.0, 4.0)];
+    cloud.means[..3].copy_from_slice(&special.map(|x| x.to_array()));
+    cloud
+}
+
+/// A model with the weights that training would start from.
+fn model(
+    (deformation, projector, rasterizer, calibration, readout): (&str, &str, &str, Calibration, Readout),
+) -> Model {
+    let projector: Plugin<dyn Projector> = Plugin::parse(projector).unwrap();
+    let stages = Stages {
+        plane: projector.plane(60, 24),
+        deformation: Plugin::parse(deformation).unwrap(),
+        rasterizer: Plugin::parse(rasterizer).unwrap(),
+        pose: POSE,
+        projector,
+        calibration,
+        readout,
+    };
+    let weights: Vec<Real> = stages.deformation.init(&mut rng::stream(1, "weights", 0));
+    Model { stages, cloud: cloud(), weights }
+}
+
+/// Predictions of a model file in the folder `out`.
+fn predict(here: &Path, model: &str, out: &str) {
+    write(&here.join("tx.csv"), "x,y,z\n0.4,-0.3,1.1\n-1.25,2.0,0.2\n");
+    succeed(here, &["predict", model, "--tx-csv", "tx.csv", "--out", out]);
+}
+
+/// A Python with NumPy. Where there is none, the test is skipped and says so; where `CI` is set, it fails.
+fn python() -> Option<&'static str> {
+    let works =
+        |python: &&str| Command::new(python).args(["-c", "import numpy"]).output().is_ok_and(|o| o.status.success());
+    let found = ["python3", "/usr/bin/python3"].into_iter().find(works);
+    if found.is_none() {
+        assert!(std::env::var_os("CI").is_none(), "no python3 with NumPy; install python3-numpy");
+        eprintln!("skipped: no python3 with NumPy, so nobody has followed docs/model-format.md");
+    }
+    found
+}
+
+#[test]
+fn numpy_alone_predicts_what_the_document_says() {
+    let Some(python) = python() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let mut pairs = Vec::new();
+    for (k, case) in CASES.into_iter().enumerate() {
+        pairs.extend([format!("{k}.safetensors"), format!("{k}")]);
+        file::write(&here.join(&pairs[2 * k]), &model(case)).unwrap();
+    }
+    // And one that was trained, as it is and with its network in 16 bits.
+    let waves = "Factored(depth: 2, width: 16, tx_encoding: Waves(count: 6, reach: 20))";
+    write(&here.join("p.ron"), SMALL.replace("Mlp(depth: 2, width: 16, skip: None)", waves));
+    succeed(here, &["run", "p.ron", "--out", "run", "-q", "--set", "rasterizer=ArrayResponse()"]);
+    succeed(here, &["export", "run/model.safetensors", "--half", "half.safetensors"]);
+    pairs.extend(["run/model.safetensors", "trained", "half.safetensors", "half"].map(String::from));
+    pairs.chunks_exact(2).for_each(|pair| predict(here, &pair[0], &pair[1]));
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/model_format.py");
+    let output = Command::new(python).arg(script).args(&pairs).current_dir(here).output().unwrap();
+    let said = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    assert_eq!(said.matches("same ").count(), pairs.len(), "two positions a model: {said}");
+    println!("{said}");
+}
+
+#[test]
+fn waves_may_be_absent_from_an_old_file_and_must_not_be_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let model = model(CASES[2]);
+    let mut tensors = Tensors::from_bytes(&file::to_bytes(&model)).unwrap();
+    let waves = tensors.take("constants.tx_encoding", &[9, 3]).unwrap();
+    tensors.take("constants.position_encoding", &[32, 3]).unwrap();
+    write(&here.join("old.safetensors"), tensors.to_bytes());
+    let old = file::read(&here.join("old.safetensors")).unwrap();
+    assert_eq!(file::to_bytes(&old), file::to_bytes(&model), "drawn again from the seed");
+    tensors.put("constants.tx_encoding", vec![9, 3], waves.iter().map(|k| k + 0.01).collect());
+    write(&here.join("other.safetensors"), tensors.to_bytes());
+    let words = ["other.safetensors", "`constants.tx_encoding` holds other numbers"];
+    refuse(here, &["predict", "other.safetensors", "--tx=0,0,1", "--out", "o"], 2, &words);
+}
