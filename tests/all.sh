@@ -1,11 +1,40 @@
 #!/usr/bin/env bash
-# All tests, in single and in double precision (where hand-written derivatives are held against central differences).
+# All tests: everything in single precision, as the program is used; where formulas are, also in double precision, where
+# hand-written derivatives are held against central differences. Ends with what was skipped and why.
 # Arguments go to cargo, such as --locked or --offline.
 set -eu
 cd "$(dirname "$0")/.."
 
+# What waits more than it computes runs beside the rest, and is told at the end.
+beside=(a_plugin_of_ones_own_is_swept_by_name a_sweep_on_slurm_ends_as_one_without)
+# The program is here for its dependencies alone: with it all crates of others are those of the first pass.
+formulas=(-p pwrfgs -p pwrfgs-core -p pwrfgs-model -p pwrfgs-prune -p pwrfgs-raster -p pwrfgs-train -p pwrfgs-cli)
+
+notes=$(mktemp -d)
+export PWRFGS_SKIPPED=$notes/skipped # pwrfgs_core::testing::skipped writes there
+failed=()
+
+cargo test "$@" --workspace --no-run
+cargo test "$@" --workspace --test cli -- "${beside[@]}" >"$notes/beside" 2>&1 &
+beside_pid=$!
+trap 'kill $beside_pid 2>/dev/null || true; rm -r "$notes"' EXIT
+
 echo "== all tests, f32: every formula as it is used"
-cargo test "$@" --workspace
-echo "== all tests, f64: derivatives against central differences"
-cargo test "$@" --workspace --features pwrfgs-core/f64
+cargo test "$@" --workspace -- "${beside[@]/#/--skip=}" || failed+=("f32")
+echo "== where formulas are, f64: derivatives against central differences"
+double=("$@" "${formulas[@]}" --features pwrfgs/f64)
+{ cargo build "${double[@]}" --examples && cargo test "${double[@]}" --lib --test all; } || failed+=("f64")
+cargo test "${double[@]}" --doc || failed+=("f64, examples in the documentation")
+echo "== beside them: the example plugin, Slurm"
+wait $beside_pid || failed+=("the example plugin, Slurm")
+cat "$notes/beside"
+
+if [ -s "$PWRFGS_SKIPPED" ]; then
+    echo "== $(wc -l <"$PWRFGS_SKIPPED") checks skipped"
+    sort "$PWRFGS_SKIPPED" | uniq -c
+fi
+if [ ${#failed[@]} -gt 0 ]; then
+    printf '== failed: %s\n' "${failed[@]}"
+    exit 1
+fi
 echo "== all tests passed, f32 and f64"

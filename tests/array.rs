@@ -1,22 +1,17 @@
 //! Gaussians as waves on an array, in the whole: measured spectra are such pictures, ensembles, what is refused.
 
 use crate::common::pipeline;
+use pwrfgs::core::testing::shared;
 use pwrfgs::core::{Splats, rng};
 use pwrfgs::model::{Activation, Ensemble, Model, Readout, Stages};
 use pwrfgs::prelude::*;
 use pwrfgs::train::Trainer;
 use std::f64::consts::TAU;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 const SPACING: f64 = 0.491;
 /// Lags (m, n) of a 4 x 4 array, one of each pair ±.
 const LAGS: usize = 25;
-
-fn measured() -> Option<PathBuf> {
-    let default = concat!(env!("CARGO_MANIFEST_DIR"), "/../shared");
-    let root = Path::new(&std::env::var("PWRFGS_SHARED").unwrap_or_else(|_| default.into())).join("data/s23");
-    root.is_dir().then_some(root)
-}
 
 /// (m, n) of lag `l`: (0, 0) first, then half of the plane.
 fn lag(l: usize) -> (i32, i32) {
@@ -182,10 +177,7 @@ fn sixteen_waves(plane: &ImagePlane, w: &[f64]) -> (Splats, Vec<Real>) {
 
 #[test]
 fn sixteen_gaussians_reproduce_measured_pictures_to_their_rounding() {
-    let Some(root) = measured() else {
-        println!("skipped: no measured spectra here; set PWRFGS_SHARED");
-        return;
-    };
+    let Some(root) = shared("data/s23") else { return };
     let data = pwrfgs_data::Nerf2Spectrum { root, points: None }.load(Path::new("."), &|_, _| {}).unwrap();
     let plane = pwrfgs_raster::Mercator::default().plane(360, 90);
     let array = pwrfgs_raster::ArrayResponse { widened: false, ..Default::default() };

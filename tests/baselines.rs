@@ -1,16 +1,10 @@
 //! The baselines on the measured spectra come out as they did elsewhere (numpy and scikit-image, same rule).
 
+use pwrfgs_core::testing::shared;
 use pwrfgs_core::{Baseline, DataSource, Dataset, Evaluation, Image, ImagePlane, Metric, Split, Values, rng};
 use pwrfgs_data::{MeanSpectrum, NearestNeighbours, Nerf2Spectrum, Official};
 use pwrfgs_metrics::{RateRatio, Ssim};
-use std::path::{Path, PathBuf};
-
-/// Folder of the measured spectra, where they are at hand.
-fn measured() -> Option<PathBuf> {
-    let default = concat!(env!("CARGO_MANIFEST_DIR"), "/../shared");
-    let root = Path::new(&std::env::var("PWRFGS_SHARED").unwrap_or_else(|_| default.into())).join("data/s23");
-    root.is_dir().then_some(root)
-}
+use std::path::Path;
 
 fn scores(metric: &dyn Metric, predictions: &[Image], truths: &[Image], data: &Dataset) -> Vec<f64> {
     let plane = ImagePlane { width: data.width, height: data.height, wraps: true, angles: None };
@@ -34,10 +28,7 @@ fn median(values: &[f64]) -> f64 {
 
 #[test]
 fn baselines_reach_their_known_scores_on_the_measured_spectra() {
-    let Some(root) = measured() else {
-        println!("skipped: no measured spectra here; set PWRFGS_SHARED");
-        return;
-    };
+    let Some(root) = shared("data/s23") else { return };
     let data = Nerf2Spectrum { root, points: None }.load(Path::new("."), &|_, _| {}).unwrap();
     let partition = Official { validation: 0.0 }.split(&data, &mut rng::stream(0, "split", 0)).unwrap();
     let truths: Vec<Image> = partition.test.iter().map(|&i| data.image(i)).collect();

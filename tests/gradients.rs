@@ -1,6 +1,6 @@
 //! Central differences through the whole step, from every column of the cloud and from the network to the loss.
 //!
-//! Only in double precision: elsewhere these tests pass without a look. Gates are open; the straight-through gate, whose
+//! Gates are open; the straight-through gate, whose
 //! forward value no small change moves, is held to its closed form.
 
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
@@ -91,9 +91,6 @@ impl Step {
 
     /// Every column but `left_out`, then some of the weights, against differences.
     fn check(&self, name: &str, left_out: Option<&str>) {
-        if !DOUBLE {
-            return;
-        }
         let stride = self.weights.len().div_ceil(WEIGHTS).max(1);
         let pack = |cloud: &GaussianCloud, weights: &[Real]| -> Vec<Real> {
             let columns = cloud.columns().filter(|(name, ..)| Some(*name) != left_out);
@@ -126,6 +123,7 @@ impl Step {
 }
 
 #[test]
+#[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn without_deformation_every_column_differentiates_in_every_readout() {
     for readout in [Readout::Magnitude, Readout::Power, Readout::Real] {
         for (seed, ssim_weight) in [(1, 0.0), (2, 0.2), (3, 1.0)] {
@@ -137,6 +135,7 @@ fn without_deformation_every_column_differentiates_in_every_readout() {
 
 /// The network detaches the centres, as released: their own derivative is checked with the other deformations.
 #[test]
+#[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn the_network_differentiates_where_it_moves_geometry() {
     let mlp = "Mlp(depth: 3, width: 16, skip: 0, tx_hidden: 16, tx_features: 8, position_frequencies: 3, \
                tx_frequencies: 2, head_init: 0.3)";
@@ -146,6 +145,7 @@ fn the_network_differentiates_where_it_moves_geometry() {
 }
 
 #[test]
+#[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn the_network_differentiates_where_it_moves_signals_of_a_batch() {
     let mlp = "Mlp(depth: 2, width: 16, skip: None, tx_hidden: 16, tx_features: 8, position_frequencies: 3, \
                tx_frequencies: 2, outputs: Signals)";
@@ -156,6 +156,7 @@ fn the_network_differentiates_where_it_moves_signals_of_a_batch() {
 
 /// Waves on an array, down to scales and centres, through a network that sees the centres.
 #[test]
+#[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn waves_on_an_array_differentiate_in_every_column() {
     let factored = "Factored(depth: 2, width: 8, tx_encoding: Octaves(2), position_encoding: Octaves(1))";
     let spherical = "ArrayResponse(rows: 3, columns: 4, wavefront: Spherical(wavelength_m: 0.8))";
@@ -167,6 +168,7 @@ fn waves_on_an_array_differentiate_in_every_column() {
 }
 
 #[test]
+#[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn every_term_of_each_transmitter_differentiates() {
     let mut step = Step::new("Terms()", Readout::Magnitude, 2, 0.2, 6);
     let random = &mut rng::stream(6, "terms", 0);
@@ -175,6 +177,7 @@ fn every_term_of_each_transmitter_differentiates() {
 }
 
 #[test]
+#[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn the_released_network_differentiates_down_to_the_centres() {
     for gain in ["1.5", "None"] {
         let wrfgs = format!("Wrfgs(depth: 3, width: 16, frequencies: 2, skip: Some(0), gain: {gain})");

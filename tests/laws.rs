@@ -1,19 +1,19 @@
-//! Laws that every linked plugin of a kind obeys; that all parse and survive their own text is in `registry.rs`.
+//! Laws that every built-in plugin of a kind obeys; that all parse and survive their own text is in `registry.rs`.
 
-use crate::common::{MOMENT, cloud, plugin, stages, with_column};
+use crate::common::{MOMENT, built_in, cloud, plugin, stages, with_column};
 use pwrfgs::core::plugin::PluginKind;
 use pwrfgs::core::tape::values;
-use pwrfgs::core::{DeformationInputs, WeightSpec, registered, rng};
+use pwrfgs::core::{DeformationInputs, WeightSpec, rng};
 use pwrfgs::model::Readout;
 use pwrfgs::prelude::*;
 use std::path::Path;
 
-/// Every linked plugin of a kind with its defaults.
+/// Every built-in plugin of a kind with its defaults.
 fn all<T: ?Sized + PluginKind>() -> Vec<(&'static str, Plugin<T>)>
 where
     Box<T>: for<'de> Deserialize<'de>,
 {
-    let names = registered::<T>();
+    let names = built_in::<T>();
     assert!(!names.is_empty(), "no {} is linked", T::KIND);
     names.into_iter().map(|name| (name, plugin(&format!("{name}()")))).collect()
 }

@@ -1,5 +1,4 @@
 //! A baseline of one's own: its paths hold everywhere, and its note stands under every table.
-#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
 
 use pwrfgs::experiment::Outcome;
 use pwrfgs::prelude::*;

@@ -1,6 +1,6 @@
 //! Every built-in plugin is linked by the facade, has defaults that pass its own check, and survives its own text.
+use crate::common::built_in;
 use pwrfgs::core::plugin::{PluginKind, ron_options};
-use pwrfgs::core::registered;
 use pwrfgs::prelude::*;
 
 /// Exactly `expected` are linked, and each survives its own text.
@@ -9,7 +9,7 @@ where
     Box<T>: for<'de> Deserialize<'de>,
     Plugin<T>: Serialize,
 {
-    let names = registered::<T>();
+    let names = built_in::<T>();
     assert_eq!(names, expected, "{}", T::KIND);
     for name in names {
         let plugin = Plugin::<T>::parse(&format!("{name}()")).unwrap_or_else(|e| panic!("{name}: {e}"));

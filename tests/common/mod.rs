@@ -1,7 +1,7 @@
 //! What several of these tests share: small scenes, and pipelines on a small teacher.
 
 use pwrfgs::core::plugin::PluginKind;
-use pwrfgs::core::{ExtraColumn, GaussianCloud, Mat3, Moment, Phase, Plugin, Pose, Real, rng};
+use pwrfgs::core::{ExtraColumn, GaussianCloud, Mat3, Moment, Phase, Plugin, Pose, Real, registered, rng};
 use pwrfgs::model::{Calibration, Readout, Stages};
 use pwrfgs::train::{Batch, Pipeline};
 use std::path::Path;
@@ -16,6 +16,17 @@ where
     Box<T>: for<'de> serde::Deserialize<'de>,
 {
     Plugin::parse(text).unwrap_or_else(|e| panic!("{text}: {e}"))
+}
+
+/// Plugins of these tests themselves.
+const OF_TESTS: [&str; 4] = ["Factor", "GreyOfAFile", "Literal", "Terms"];
+
+/// The linked plugins of a kind without those of these tests.
+pub(crate) fn built_in<T: ?Sized + PluginKind>() -> Vec<&'static str>
+where
+    Box<T>: for<'de> serde::Deserialize<'de>,
+{
+    registered::<T>().into_iter().filter(|name| !OF_TESTS.contains(name)).collect()
 }
 
 /// Unit quaternion x, y, z, w of a rotation matrix.

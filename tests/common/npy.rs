@@ -1,9 +1,10 @@
 //! One folder of reference renders: `.npy` arrays and a manifest.
 
 use pwrfgs::core::Real;
+use pwrfgs::core::testing::shared;
 use std::fs::File;
 use std::io::BufReader;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// A reference render.
 pub(crate) struct Reference {
@@ -12,16 +13,9 @@ pub(crate) struct Reference {
 }
 
 impl Reference {
-    /// The one called `name`, or `None` and a note where the shared data are not at hand.
+    /// The one called `name`, or `None` where the shared data are not at hand.
     pub(crate) fn open(name: &str) -> Option<Self> {
-        let default = concat!(env!("CARGO_MANIFEST_DIR"), "/../shared");
-        let shared = std::env::var("PWRFGS_SHARED").unwrap_or_else(|_| default.into());
-        let folder = Path::new(&shared).join("oracle").join(name);
-        if !folder.is_dir() {
-            println!("skipped: no reference render {name} here; set PWRFGS_SHARED");
-            return None;
-        }
-        Some(Self { name: name.into(), folder })
+        Some(Self { name: name.into(), folder: shared(&format!("oracle/{name}"))? })
     }
 
     fn file(&self, what: &str) -> npyz::NpyFile<BufReader<File>> {

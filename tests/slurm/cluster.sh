@@ -25,18 +25,6 @@ missing() {
     done
 }
 
-# Where CI is set, what is missing is installed; a test does not change a developer's machine.
-need_packages() {
-    [ -n "$(missing)" ] || return 0
-    [ -n "${CI:-}" ] || skip "$(missing | xargs) missing; install ${PACKAGES[*]}, or set CI=1 to have it done"
-    command -v apt-get >/dev/null || skip "$(missing | xargs) missing, and no apt-get to install ${PACKAGES[*]}"
-    say "installing ${PACKAGES[*]}"
-    local log=$1/log/apt.log
-    { apt-get update && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends "${PACKAGES[@]}"; } \
-        >"$log" 2>&1 </dev/null || skip "apt-get cannot install ${PACKAGES[*]}: $(tail -n 1 "$log")"
-    [ -z "$(missing)" ] || skip "$(missing | xargs) missing after installing ${PACKAGES[*]}"
-}
-
 # A port of this machine on which nobody listens; by chance, so that clusters started together do not meet.
 free_port() {
     local port
@@ -129,6 +117,7 @@ node_is_idle() { [ "$(sinfo --noheader --format=%T 2>/dev/null)" = idle ]; }
 start() {
     local dir=$1
     [ "$(id -u)" = 0 ] || skip "slurmd must be started by root"
+    [ -z "$(missing)" ] || skip "$(missing | xargs) missing; .ci/run installs ${PACKAGES[*]}"
     [ ! -e "$dir/slurm.conf" ] || fail "$dir holds a cluster already; stop it and remove the folder"
     mkdir -p "$dir/log" "$dir/run" "$dir/state" "$dir/spool"
     dir=$(cd "$dir" && pwd -P)
@@ -136,7 +125,6 @@ start() {
     [ ${#dir} -le 64 ] || fail "the path $dir is too long for sockets; give one of at most 64 characters"
     chmod 755 "$dir" "$dir/run"
     chmod 700 "$dir/log" "$dir/state"
-    need_packages "$dir"
     configure "$dir"
     export SLURM_CONF=$dir/slurm.conf
     (umask 077 && head -c 128 /dev/urandom >"$dir/munge.key")

@@ -4,6 +4,7 @@ use crate::common::{SMALL, refuse, succeed, write};
 use pwrfgs::model::Calibration::{AsReleased, Physical};
 use pwrfgs::model::tensors::Tensors;
 use pwrfgs::model::{Calibration, Model, Readout, Stages, file};
+use pwrfgs_core::testing::skipped;
 use pwrfgs_core::{GaussianCloud, Plugin, Pose, Projector, Real, Vec3, rng};
 use std::path::Path;
 use std::process::Command;
@@ -106,7 +107,7 @@ fn python() -> Option<&'static str> {
     let found = ["python3", "/usr/bin/python3"].into_iter().find(works);
     if found.is_none() {
         assert!(std::env::var_os("CI").is_none(), "no python3 with NumPy; install python3-numpy");
-        eprintln!("skipped: no python3 with NumPy, so nobody has followed docs/model-format.md");
+        skipped("no python3 with NumPy, so nobody has followed docs/model-format.md");
     }
     found
 }

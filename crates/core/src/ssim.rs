@@ -122,16 +122,12 @@ mod tests {
 
     #[test]
     fn measured_spectra_give_the_known_values() {
-        let shared = std::env::var("PWRFGS_SHARED")
-            .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared").to_owned());
+        let Some(folder) = crate::testing::shared("data/s23/spectrum") else { return };
         let read = |id: &str| {
-            let picture = image::open(format!("{shared}/data/s23/spectrum/{id}.png")).ok()?.into_luma8();
-            Some(Image::from_bytes(picture.width() as usize, picture.height() as usize, picture.as_raw()))
+            let picture = image::open(folder.join(format!("{id}.png"))).unwrap().into_luma8();
+            Image::from_bytes(picture.width() as usize, picture.height() as usize, picture.as_raw())
         };
-        let (Some(a), Some(b)) = (read("00001"), read("00002")) else {
-            println!("note: no measured spectra under {shared}; set PWRFGS_SHARED to check against them");
-            return;
-        };
+        let (a, b) = (read("00001"), read("00002"));
         assert!((evaluation(&a, &b) - 0.447_368).abs() < 1e-6);
         assert!((trained(&a, &b) - 0.564_120).abs() < 1e-6);
     }

@@ -1,6 +1,35 @@
-//! Checks that every differentiable piece owes: central differences against the hand-written derivative.
+//! What tests of all crates share: central differences against the hand-written derivative, where data too large for
+//! the repository lie, and one way to say that a test did nothing.
 
 use crate::{Real, rng};
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// `what`, such as `data/s23`, in the folder of shared data: measured spectra, reference renders and paths. `None`, told
+/// by [`skipped`], where it is absent. The variable `PWRFGS_SHARED` names that folder, by default `shared` beside the
+/// checkout.
+pub fn shared(what: &str) -> Option<PathBuf> {
+    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared");
+    let path = std::env::var_os("PWRFGS_SHARED").map_or_else(beside, PathBuf::from).join(what);
+    if path.exists() {
+        return Some(path);
+    }
+    skipped(&format!("no {what} here, set PWRFGS_SHARED"));
+    None
+}
+
+/// Says that the test which calls it goes no further, and why: on the terminal, where cargo hides nothing, and as a line
+/// at the end of the file that the variable `PWRFGS_SKIPPED` names, if it does. `tests/all.sh` counts those lines.
+pub fn skipped(why: &str) {
+    let test = std::thread::current().name().unwrap_or("a test").to_owned();
+    let line = format!("skipped: {test}: {why}\n");
+    std::io::stderr().write_all(line.as_bytes()).expect("stderr can be written");
+    if let Some(list) = std::env::var_os("PWRFGS_SKIPPED") {
+        let list = OpenOptions::new().append(true).create(true).open(list);
+        list.and_then(|mut list| list.write_all(line.as_bytes())).expect("PWRFGS_SKIPPED names a file");
+    }
+}
 
 /// Asserts that `vjp` is the derivative of `f` at `x`: for a random cotangent d, ∂⟨d, f(x)⟩/∂xₖ by central differences
 /// with step `h` agrees with `vjp(x, d)ₖ` to `tolerance`, relative to the larger of the two and of 1 % of the largest

@@ -1,10 +1,6 @@
 //! Central differences through projection and blending together, in double precision.
 
-#![allow(clippy::unwrap_used)] // a scene that cannot be unpacked is a broken test
-
-mod common;
-
-use common::{POSE, primitives, signals};
+use crate::common::{POSE, primitives, signals};
 use pwrfgs_core::testing::check_vjp;
 use pwrfgs_core::{ImagePlane, Primitives, Projector, Rasterizer, Real, Splats, Vec3};
 use pwrfgs_raster::{AlphaBlending, CameraModel, Mercator, Support, WrfgsCompat, project, project_vjp, sees};
@@ -64,23 +60,24 @@ fn check_plugin(projector: &dyn Projector, raster: &AlphaBlending) {
 }
 
 #[test]
+#[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn mercator_and_blending_differentiate() {
-    if size_of::<Real>() == 8 {
-        check_plugin(&Mercator::default(), &AlphaBlending::default());
-    }
+    check_plugin(&Mercator::default(), &AlphaBlending::default());
 }
 
 #[test]
+#[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn compat_projection_and_blending_differentiate() {
-    if size_of::<Real>() == 8 {
-        check_plugin(&WrfgsCompat::default(), &AlphaBlending { support: Support::TileSquares });
-    }
+    check_plugin(&WrfgsCompat::default(), &AlphaBlending { support: Support::TileSquares });
 }
 
 /// The three functions that a projection needs, and no more: a pixel is linear in the direction cosines x/r and y/r.
 struct Disc {
     half: [Real; 2],
 }
+
+const DISC: Disc = Disc { half: [30.0, 20.0] };
+const PLANE: ImagePlane = ImagePlane { width: 60, height: 40, wraps: false, angles: None };
 
 impl CameraModel for Disc {
     fn pixel(&self, v: Vec3) -> [Real; 2] {
@@ -105,9 +102,8 @@ impl CameraModel for Disc {
 }
 
 #[test]
-fn a_camera_model_of_three_functions_projects_and_differentiates() {
-    let plane = &ImagePlane { width: 60, height: 40, wraps: false, angles: None };
-    let disc = &Disc { half: [30.0, 20.0] };
+fn a_camera_model_of_three_functions_projects() {
+    let (disc, plane) = (&DISC, &PLANE);
     let mut scene = primitives(N, 0);
     let shown = project(disc, &scene, &POSE, plane);
     assert!(shown.radii.iter().all(|r| *r > 0.0), "all are in front of the receiver");
@@ -122,10 +118,13 @@ fn a_camera_model_of_three_functions_projects_and_differentiates() {
         let first = tall.means2d[i][1] - 3.329_042_1 * tall.sigmas2d[i][1];
         assert_eq!(tall.radii[i] > 0.0, first <= 39.0, "{i}");
     }
-    if size_of::<Real>() == 8 {
-        for seed in 0..4 {
-            let vjp = |p: &Primitives, splats: &Splats, d: &Splats| project_vjp(disc, p, &POSE, splats, d);
-            check(plane, |p| project(disc, p, &POSE, plane), vjp, &AlphaBlending::default(), seed);
-        }
+}
+
+#[test]
+#[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
+fn a_camera_model_of_three_functions_differentiates() {
+    for seed in 0..4 {
+        let vjp = |p: &Primitives, splats: &Splats, d: &Splats| project_vjp(&DISC, p, &POSE, splats, d);
+        check(&PLANE, |p| project(&DISC, p, &POSE, &PLANE), vjp, &AlphaBlending::default(), seed);
     }
 }

@@ -1,8 +1,6 @@
 //! Symmetries of the picture, and what the plane map loses near the zenith.
 
-mod common;
-
-use common::{POSE, primitives, relative, signals};
+use crate::common::{POSE, primitives, relative, signals};
 use pwrfgs_core::{Mat3, Pose, Primitives, Projector, Rasterizer, Real, Vec3, consts::DEG};
 use pwrfgs_raster::{AlphaBlending, Mercator};
 

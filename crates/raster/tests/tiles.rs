@@ -1,8 +1,6 @@
 //! The tiled kernel against brute force, on random scenes.
 
-mod common;
-
-use common::{reference, relative, signals, splats};
+use crate::common::{reference, relative, signals, splats};
 use proptest::prelude::*;
 use pwrfgs_core::{Rasterizer, Real};
 use pwrfgs_raster::AlphaBlending;

@@ -1,5 +1,4 @@
 //! Simulated data sets: the same bits always, kept whole or not at all, and mistakes told clearly.
-#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
 
 use glam::DVec3;
 use pwrfgs_core::{Baseline, DataSource, Dataset, Plugin, Simulation};

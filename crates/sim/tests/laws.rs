@@ -1,7 +1,4 @@
 //! Laws that every room obeys: closed forms, reciprocity, occlusion, energy.
-#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
-
-mod common;
 
 use glam::DVec3;
 use proptest::prelude::*;

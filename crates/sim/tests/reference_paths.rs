@@ -1,11 +1,9 @@
 //! Every path of the reference room against an independent tracer in double precision: three transmitters, two
 //! frequencies, two models of a wall.
-#![allow(clippy::unwrap_used)] // helpers of tests may unwrap as tests may
 
-mod common;
-
-use common::{reference, reference_room};
+use crate::common::reference_room;
 use glam::DVec3;
+use pwrfgs_core::testing::shared;
 use pwrfgs_sim::{Complex, Interaction, Path, Simulator};
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
@@ -23,7 +21,7 @@ struct Row {
 }
 
 fn rows(file: &str) -> Option<BTreeMap<String, Vec<Row>>> {
-    let mut reader = csv::Reader::from_path(reference()?.join("sceneA").join(file)).unwrap();
+    let mut reader = csv::Reader::from_path(shared("reference/paths/sceneA")?.join(file)).unwrap();
     let mut rows: BTreeMap<String, Vec<Row>> = BTreeMap::new();
     for record in reader.deserialize() {
         let r: BTreeMap<String, String> = record.unwrap();
@@ -120,7 +118,7 @@ fn an_empty_box_has_the_known_number_of_images() {
 
 #[test]
 fn every_antenna_traced_on_its_own_sees_the_reference_channel() {
-    let Some(folder) = reference() else { return };
+    let Some(folder) = shared("reference/paths") else { return };
     let mut reader = csv::Reader::from_path(folder.join("sceneA/array_4x4_920MHz_slab.csv")).unwrap();
     let txs = [("tx1", [-2.1, 1.4, 1.1]), ("tx2", [0.45, -1.85, 2.35]), ("tx3", [-1.3, -0.65, 0.8])];
     let mut rows = 0;

@@ -3,6 +3,7 @@
 use super::*;
 use crate::splits::Voxel;
 use image::{ColorType, ExtendedColorType, ImageBuffer, Luma};
+use pwrfgs_core::testing::shared;
 use pwrfgs_core::{Plugin, Split, rng};
 use std::{collections::BTreeSet, fs};
 
@@ -312,13 +313,7 @@ fn a_folder_without_pictures_is_an_error() {
 
 /// The measured spectra and their folder, where they are at hand.
 fn measured() -> Option<(PathBuf, Dataset)> {
-    let shared = std::env::var("PWRFGS_SHARED")
-        .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared").into());
-    let root = Path::new(&shared).join("data/s23");
-    if !root.is_dir() {
-        println!("skipped: no measured spectra here; set PWRFGS_SHARED");
-        return None;
-    }
+    let root = shared("data/s23")?;
     let start = std::time::Instant::now();
     let data = Nerf2Spectrum { root: root.clone(), points: None }.load(Path::new("."), &|_, _| {}).unwrap();
     println!("{} spectra in {:.2} s", data.samples.len(), start.elapsed().as_secs_f64());

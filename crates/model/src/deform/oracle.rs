@@ -2,13 +2,9 @@
 
 use super::Wrfgs;
 use super::layers::Plan;
+use pwrfgs_core::testing::shared;
 use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Pose, Real, rng};
-use std::path::{Path, PathBuf};
-
-fn shared() -> PathBuf {
-    std::env::var_os("PWRFGS_SHARED")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared"), PathBuf::from)
-}
+use std::path::Path;
 
 fn array(folder: &Path, name: &str) -> Vec<Real> {
     let file = std::fs::File::open(folder.join(format!("{name}.npy"))).unwrap();
@@ -32,11 +28,7 @@ fn wrfgs_reproduces_the_reference_signals_and_derivatives() {
     // In single precision a coordinate of 40 m is known to 2e-6 m, so an angle of 2⁹·x to 1e-3 rad.
     let (signal_tolerance, derivative_tolerance) = if size_of::<Real>() == 8 { (1e-12, 1e-10) } else { (2e-3, 2e-2) };
     for name in ["n8", "n64", "n64_mask"] {
-        let folder = shared().join("oracle").join(name);
-        if !folder.is_dir() {
-            eprintln!("skipped: no reference render {}", folder.display());
-            continue;
-        }
+        let Some(folder) = shared(&format!("oracle/{name}")) else { continue };
         let wrfgs = Wrfgs::default();
         let layout = wrfgs.layout();
         let weights: Vec<Real> = layout.iter().flat_map(|spec| array(&folder, &format!("net_{}", spec.name))).collect();

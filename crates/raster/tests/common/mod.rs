@@ -1,5 +1,4 @@
 //! Random scenes shared by the tests of this crate.
-#![allow(dead_code, clippy::unwrap_used)] // each test file uses its own part
 
 pub(crate) mod reference;
 

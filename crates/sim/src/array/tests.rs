@@ -1,7 +1,7 @@
 use super::*;
 use crate::wave::SPEED_OF_LIGHT;
+use pwrfgs_core::testing::shared;
 use std::collections::HashMap;
-use std::path::PathBuf;
 
 const WAVELENGTH: f64 = 0.3258;
 
@@ -131,13 +131,7 @@ fn number(row: &Row, name: &str) -> f64 {
 
 /// Rows of a table of the reference by column; `None` with a note where there is none.
 fn reference(name: &str) -> Option<Vec<Row>> {
-    let shared = std::env::var("PWRFGS_SHARED")
-        .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared").to_owned());
-    let path = PathBuf::from(shared).join("reference/paths/sceneA").join(name);
-    let Ok(mut reader) = csv::Reader::from_path(&path) else {
-        println!("note: no {}; set PWRFGS_SHARED to check against it", path.display());
-        return None;
-    };
+    let mut reader = csv::Reader::from_path(shared(&format!("reference/paths/sceneA/{name}"))?).unwrap();
     Some(reader.deserialize().map(|row| row.unwrap()).collect())
 }
 

@@ -1,6 +1,6 @@
 use super::*;
 use crate::wave::SPEED_OF_LIGHT;
-use std::path::PathBuf;
+use pwrfgs_core::testing::shared;
 
 const METAL: Polarized = Polarized::PERFECT_CONDUCTOR;
 const K: f64 = 2.0 * PI / 0.3258;
@@ -235,13 +235,7 @@ fn between_antennas(d: &Polarized, (phi_in, phi): (f64, f64), horizontal: bool) 
 /// tracer in float32.
 #[test]
 fn metal_edges_are_those_of_the_reference() {
-    let shared = std::env::var("PWRFGS_SHARED")
-        .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared").into());
-    let file = PathBuf::from(shared).join("reference/paths/diffraction.csv");
-    if !file.is_file() {
-        println!("skipped: no reference edges here; set PWRFGS_SHARED");
-        return;
-    }
+    let Some(file) = shared("reference/paths/diffraction.csv") else { return };
     let wavelength = SPEED_OF_LIGHT / 920e6;
     let mut rows = csv::Reader::from_path(file).unwrap();
     let header = rows.headers().unwrap().clone();

@@ -2,7 +2,7 @@ use super::*;
 use crate::material::named;
 use crate::wave::SPEED_OF_LIGHT;
 use glam::DVec3;
-use std::path::PathBuf;
+use pwrfgs_core::testing::shared;
 
 const WAVELENGTH: f64 = 0.3258;
 const COSINES: [f64; 7] = [0.0, 1e-9, 0.01, 0.3, 0.7, 0.99, 1.0];
@@ -199,13 +199,7 @@ fn one_bounce(tx: DVec3, rx: DVec3, face: &str, thick: bool, hz: f64) -> (Comple
 
 #[test]
 fn single_bounces_are_those_of_the_reference_room() {
-    let shared = std::env::var("PWRFGS_SHARED")
-        .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared").into());
-    let folder = PathBuf::from(shared).join("reference/paths/sceneA");
-    if !folder.is_dir() {
-        println!("skipped: no reference paths here; set PWRFGS_SHARED");
-        return;
-    }
+    let Some(folder) = shared("reference/paths/sceneA") else { return };
     let (mut worst, mut count) = (0.0_f64, 0);
     for (file, hz, thick) in [
         ("paths_920MHz_slab.csv", 920e6, true),

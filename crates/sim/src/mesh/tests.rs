@@ -2,7 +2,7 @@
 
 use super::*;
 use proptest::prelude::*;
-use std::path::PathBuf;
+use pwrfgs_core::testing::shared;
 
 /// The unit cube of six squares, outside counterclockwise, as OBJ.
 const CUBE: &str = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nv 1 0 1\nv 1 1 1\nv 0 1 1\n\
@@ -142,13 +142,7 @@ fn surfaces_that_are_none_are_told() {
 
 #[test]
 fn the_room_of_the_reference_paths_is_closed() {
-    let shared = std::env::var_os("PWRFGS_SHARED")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared"), PathBuf::from);
-    let folder = shared.join("reference/paths/sceneA/mesh");
-    if !folder.is_dir() {
-        println!("skipped: no reference room here; set PWRFGS_SHARED");
-        return;
-    }
+    let Some(folder) = shared("reference/paths/sceneA/mesh") else { return };
     let mut room = Mesh::default();
     for name in ["ceiling", "floor", "wall_xneg", "wall_xpos", "wall_yneg", "wall_ypos"] {
         let face = read(&folder.join(format!("{name}.ply"))).unwrap();

@@ -1,20 +1,7 @@
-//! The reference room, and where the reference lies.
-#![allow(clippy::unwrap_used, clippy::print_stdout, dead_code)] // each test file uses its own part
+//! The reference room.
 
 use pwrfgs_sim::Scene;
-use std::path::{Path, PathBuf};
-
-/// The folder of reference paths, or a note where it is absent.
-pub(crate) fn reference() -> Option<PathBuf> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap();
-    let shared = std::env::var_os("PWRFGS_SHARED").map_or_else(|| root.join("../shared"), PathBuf::from);
-    let folder = shared.join("reference/paths");
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    println!("skipped: {} is not there", folder.display());
-    None
-}
+use std::path::Path;
 
 /// The room of the reference, empty, with specular reflections up to `order` alone.
 pub(crate) fn reference_room(carrier_hz: f64, slab: bool, order: usize) -> Scene {

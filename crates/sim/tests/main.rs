@@ -1,0 +1,8 @@
+//! Tests of the simulator as its users call it. One binary, because linking it takes longer than most of them.
+
+#![allow(clippy::unwrap_used)] // helpers of tests may fail, as tests do
+
+mod common;
+mod data_source;
+mod laws;
+mod reference_paths;
