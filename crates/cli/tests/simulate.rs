@@ -40,7 +40,7 @@ fn a_scene_becomes_a_data_set_that_can_be_trained_on() {
     assert!(stdout(&run).contains("chamfer"));
     let again = call(folder, &arguments);
     assert_eq!(again.status.code(), Some(2));
-    assert!(stderr(&again).contains("nothing is overwritten"), "{}", stderr(&again));
+    assert!(stderr(&again).contains("closet is not empty (it holds `"), "{}", stderr(&again));
 }
 
 #[test]

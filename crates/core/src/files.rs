@@ -49,26 +49,41 @@ pub fn read_text(path: &Path) -> Result<String> {
 /// # Errors
 /// [`Error::Config`] that names what stands there.
 pub fn refuse_foreign(folder: &Path, what: &str) -> Result<()> {
-    let entries = match fs::read_dir(folder) {
-        Ok(entries) => entries,
-        // Where it lies below a file, making it will say why it fails.
-        Err(_) if !folder.exists() => return Ok(()),
-        Err(e) if e.kind() == ErrorKind::NotADirectory => {
-            return Err(Error::Config(format!("{} is no folder; choose another --out", folder.display())));
-        }
-        Err(e) => return Err(Error::read(folder, e)),
-    };
     let is_left = |entry: &DirEntry| {
         let path = entry.path();
         path.extension().is_some_and(|e| e == "tmp") || path.read_dir().is_ok_and(|mut e| e.next().is_none())
     };
-    match entries.flatten().find(|entry| !is_left(entry)) {
+    match entries(folder)?.into_iter().find(|entry| !is_left(entry)) {
         None => Ok(()),
-        Some(entry) => Err(Error::Config(format!(
-            "{} is not {what} and not empty (it holds `{}`); choose another --out",
-            folder.display(),
-            entry.file_name().to_string_lossy()
-        ))),
+        Some(entry) => Err(Error::Config(format!("{} is not {what} and {}", folder.display(), holds(&entry)))),
+    }
+}
+
+/// Refuses a folder that holds anything at all; one that does not exist is fine.
+///
+/// # Errors
+/// [`Error::Config`] that names what stands there.
+pub fn refuse_occupied(folder: &Path) -> Result<()> {
+    match entries(folder)?.first() {
+        None => Ok(()),
+        Some(entry) => Err(Error::Config(format!("{} is {}", folder.display(), holds(entry)))),
+    }
+}
+
+fn holds(entry: &DirEntry) -> String {
+    format!("not empty (it holds `{}`); choose another --out", entry.file_name().to_string_lossy())
+}
+
+/// What a folder holds; nothing where it does not exist.
+fn entries(folder: &Path) -> Result<Vec<DirEntry>> {
+    match fs::read_dir(folder) {
+        Ok(entries) => Ok(entries.flatten().collect()),
+        // Where it lies below a file, making it will say why it fails.
+        Err(_) if !folder.exists() => Ok(Vec::new()),
+        Err(e) if e.kind() == ErrorKind::NotADirectory => {
+            Err(Error::Config(format!("{} is no folder; choose another --out", folder.display())))
+        }
+        Err(e) => Err(Error::read(folder, e)),
     }
 }
 
@@ -110,5 +125,11 @@ mod tests {
         let said = refuse_foreign(&out, "a run folder").unwrap_err();
         assert!(said.is_input() && said.to_string().contains("(it holds `thesis.tex`)"), "{said}");
         assert!(refuse_foreign(&out.join("thesis.tex"), "a run folder").unwrap_err().to_string().contains("no folder"));
+        fs::remove_file(out.join("thesis.tex")).unwrap();
+        refuse_foreign(&out, "a run folder").unwrap();
+        let said = refuse_occupied(&out).unwrap_err();
+        assert!(said.is_input() && said.to_string().contains("is not empty (it holds `"), "{said}");
+        refuse_occupied(&out.join("figures")).unwrap();
+        refuse_occupied(&out.join("missing")).unwrap();
     }
 }

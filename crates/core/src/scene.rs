@@ -38,10 +38,10 @@ impl Pose {
             return Some(("position", "the position is not finite; write three numbers in metres".into()));
         }
         let length = self.orientation.iter().map(|v| v * v).sum::<f64>().sqrt();
-        let example = "of length 1, such as [0, 0, 0, 1] for no rotation";
+        let example = "such as [0, 0, 0, 1] for no rotation";
         let fault = match length {
-            _ if !length.is_finite() => format!("is not finite; write x, y, z, w {example}"),
-            0.0 => format!("is zero; write x, y, z, w {example}"),
+            _ if !length.is_finite() => format!("is not finite; write x, y, z, w, {example}"),
+            0.0 => format!("is zero; write x, y, z, w of length 1, {example}"),
             _ if (length - 1.0).abs() > TOLERANCE => {
                 format!("has length {length:.6}, further than {TOLERANCE} from 1; divide x, y, z, w by it")
             }

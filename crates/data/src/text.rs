@@ -2,7 +2,7 @@
 //!
 //! The `csv` crate gives no column of a field, so rows are split here; a quoted field may hold commas but no line end.
 
-use pwrfgs_core::{Error, Real, Result};
+use pwrfgs_core::{Error, Real, Result, files};
 use std::{io::ErrorKind, path::Path};
 
 pub(crate) const POINT_ADVICE: &str = "give every point a finite x, y and z in metres, or remove it";
@@ -32,12 +32,10 @@ pub(crate) fn unreadable(path: &Path, source: std::io::Error, what: &str, advice
 
 /// A file as text, without a byte order mark.
 pub(crate) fn read_text(path: &Path, advice: &str) -> Result<String> {
-    let text = String::from_utf8(read_bytes(path, advice)?).map_err(|e| {
-        let good = &e.as_bytes()[..e.utf8_error().valid_up_to()];
-        let line = good.split(|&b| b == b'\n').count();
-        Error::at(path, line, 1, "this is not text; save the file as UTF-8")
-    })?;
-    Ok(text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text))
+    files::read_text(path).map_err(|e| match e {
+        Error::Read { source, .. } => unreadable(path, source, "file", advice),
+        other => other,
+    })
 }
 
 /// Lines that hold something, with their numbers.
@@ -121,16 +119,5 @@ mod tests {
         assert_eq!(got, [("a", 2), ("b,c", 6), ("", 12), ("é", 13), ("d", 15)]);
         let got: Vec<_> = split_blanks("1  2\t3").iter().map(|f| (f.text, f.column)).collect();
         assert_eq!(got, [("1", 1), ("2", 4), ("3", 6)]);
-    }
-
-    #[test]
-    fn a_byte_order_mark_is_dropped_and_binary_is_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.csv");
-        std::fs::write(&path, b"\xef\xbb\xbfx").unwrap();
-        assert_eq!(read_text(&path, "").unwrap(), "x");
-        std::fs::write(&path, b"x\n\xff").unwrap();
-        let message = read_text(&path, "").unwrap_err().to_string();
-        assert_eq!(message, format!("{}:2:1: this is not text; save the file as UTF-8", path.display()));
     }
 }

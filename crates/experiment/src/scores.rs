@@ -219,7 +219,10 @@ impl ScoreTable {
                 lines.push([name, (*statistic).to_owned()].into_iter().chain(cells).collect());
             }
         }
-        self.notes.iter().fold(aligned(&lines, 2), |text, note| text + "note: " + note + "\n")
+        let learnt = "baselines learn from training and validation spectra together, the model from training alone";
+        let notes =
+            (self.predictors.len() > 1).then_some(learnt).into_iter().chain(self.notes.iter().map(String::as_str));
+        notes.fold(aligned(&lines, 2), |text, note| text + "note: " + note + "\n")
     }
 }
 
@@ -272,7 +275,9 @@ mod tests {
         let table = scores().table();
         let text = table.to_text();
         assert!(text.contains("0.6000*") && text.contains("2,613") && text.contains("n/a"), "{text}");
-        assert!(text.ends_with("\nnote: k, far has seen the test spectra\n"), "{text}");
+        let notes: Vec<&str> = text.lines().filter(|line| line.starts_with("note: ")).collect();
+        assert!(notes[0].starts_with("note: baselines learn from training and validation"), "{text}");
+        assert_eq!(notes[1..], ["note: k, far has seen the test spectra"], "{text}");
         assert_eq!((table.of_model("ssim"), table.of_model("gaussians")), (Some(0.6), Some(2613.0)));
         assert_eq!(table.of_model("eta_0db"), None);
         assert_eq!(table.metrics[0].ranks(0), vec![Some(0), Some(1)]);

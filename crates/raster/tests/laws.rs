@@ -111,7 +111,7 @@ fn a_splat_wider_than_the_circle_covers_every_column_once() {
 
 #[test]
 fn what_is_lost_near_the_zenith() {
-    let spread: Real = 5.0;
+    let sigma_deg: Real = 5.0;
     // The figures in the manual page of `Mercator`.
     for (elevation, relative_error, largest) in [(45.0, 0.041, 0.022), (75.0, 0.134, 0.090), (88.0, 0.292, 0.384)] {
         let plane = Mercator::default().plane(360, 90);
@@ -119,7 +119,7 @@ fn what_is_lost_near_the_zenith() {
         let distance = 4.0;
         let p = Primitives {
             means: vec![(centre * distance).to_array()],
-            scales: vec![[distance * (spread / DEG).tan(); 3]],
+            scales: vec![[distance * (sigma_deg / DEG).tan(); 3]],
             quats: vec![[1.0, 0.0, 0.0, 0.0]],
             opacities: vec![0.99],
         };
@@ -129,7 +129,7 @@ fn what_is_lost_near_the_zenith() {
             let (x, y) = ((at % 360) as Real, (at / 360) as Real);
             let u = Vec3::from_array(plane.direction(x, y).unwrap());
             let angle = u.dot(centre).clamp(-1.0, 1.0).acos() * DEG;
-            let exact = 0.99 * (-0.5 * (angle / spread).powi(2)).exp();
+            let exact = 0.99 * (-0.5 * (angle / sigma_deg).powi(2)).exp();
             let weight = (y / DEG).cos();
             error += weight * (picture[at] - exact).abs();
             total += weight * exact;

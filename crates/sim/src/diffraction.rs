@@ -57,15 +57,15 @@ pub fn wedge(
     if !(before > 0.0 && after > 0.0 && sin_beta > 0.0) {
         return Polarized::NOTHING;
     }
-    let spread = (before * after / (before + after)).sqrt(); // √L / sin β
-    let scale = (2.0 * k).sqrt() * spread * sin_beta;
+    let spreading = (before * after / (before + after)).sqrt(); // √L / sin β
+    let scale = (2.0 * k).sqrt() * spreading * sin_beta;
     let side = |angle| boundary_term(n, angle, scale);
     let incident = side(PI + (phi - phi_in)) + side(PI - (phi - phi_in));
     let reflected_0 = side(PI - (phi + phi_in));
     let reflected_n = side(PI + (phi + phi_in));
     let once = if phi_in < GRAZING || phi_in > n * PI - GRAZING { 0.5 } else { 1.0 };
     // √L cancels the 1/√(2πk) of the coefficient but for 1/√π: see `boundary_term`.
-    let front = Complex::cis(-FRAC_PI_4) * (-once * spread / (2.0 * n * PI.sqrt()));
+    let front = Complex::cis(-FRAC_PI_4) * (-once * spreading / (2.0 * n * PI.sqrt()));
     let of = |r0: Complex, rn: Complex, through: Complex| {
         front * ((1.0 - through) * incident + r0 * reflected_0 + rn * reflected_n)
     };

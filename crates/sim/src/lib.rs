@@ -41,5 +41,5 @@ pub use ray_tracing::RayTracing;
 pub use recipe::Recipe;
 pub use scene::Scene;
 pub use simulated::Simulated;
-pub use simulator::{HEIGHT, Outcome, Simulator, WIDTH, simulate};
+pub use simulator::{HEIGHT, Reception, Simulator, WIDTH, simulate};
 pub use wave::{Complex, SPEED_OF_LIGHT};

@@ -44,15 +44,15 @@ impl Check for Noise {
 /// seed alone, not on what was drawn before.
 pub fn add(noise: &Noise, channel: &mut [Complex], draw: u64) {
     if noise.phase_error_deg > 0.0 {
-        let spread = noise.phase_error_deg.to_radians();
+        let deviation = noise.phase_error_deg.to_radians();
         let mut random = rng::stream(noise.seed, "receiver phase errors", 0);
-        channel.iter_mut().for_each(|h| *h *= Complex::cis(spread * rng::normal(&mut random) as f64));
+        channel.iter_mut().for_each(|h| *h *= Complex::cis(deviation * rng::normal(&mut random) as f64));
     }
     if let Some(snr) = noise.snr_db {
         let power = channel.iter().map(Complex::norm_sqr).sum::<f64>() / channel.len().max(1) as f64;
-        let spread = (power * 10f64.powf(-snr / 10.0)).sqrt() * FRAC_1_SQRT_2;
+        let deviation = (power * 10f64.powf(-snr / 10.0)).sqrt() * FRAC_1_SQRT_2;
         let mut random = rng::stream(noise.seed, "receiver noise", draw);
-        let mut normal = || spread * rng::normal(&mut random) as f64;
+        let mut normal = || deviation * rng::normal(&mut random) as f64;
         channel.iter_mut().for_each(|h| *h += Complex::new(normal(), normal()));
     }
 }

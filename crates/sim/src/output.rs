@@ -2,11 +2,11 @@
 
 use crate::path_table::PathTable;
 use crate::recipe::Recipe;
-use crate::simulator::{HEIGHT, Outcome, Simulator, WIDTH, simulate};
+use crate::simulator::{HEIGHT, Reception, Simulator, WIDTH, simulate};
 use crate::surface_points;
 use glam::DVec3;
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
-use pwrfgs_core::{Error, Pose, Progress, Result};
+use pwrfgs_core::{Error, Pose, Progress, Result, files::refuse_occupied};
 use std::fmt::Write as _;
 use std::fs;
 use std::io::{BufWriter, Write as _};
@@ -43,6 +43,9 @@ const TEST_EVERY: usize = 5;
 /// # Errors
 /// `out` holds something, or the disk refuses.
 pub fn write(recipe: &Recipe, paths: bool, out: &Path, progress: Progress<'_>) -> Result<()> {
+    if out.file_name().is_none() || out.is_symlink() {
+        return Err(Error::input(out, "is no name for a new folder; choose another"));
+    }
     refuse_occupied(out)?;
     let simulator = Simulator::new(&recipe.scene)?;
     let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -53,9 +56,9 @@ pub fn write(recipe: &Recipe, paths: bool, out: &Path, progress: Progress<'_>) -
     let spectra = folder.join("spectrum");
     fs::create_dir(&spectra).map_err(|e| Error::write(&spectra, e))?;
     let mut tables = Tables::new(folder, &simulator, paths)?;
-    simulate(&simulator, recipe.samples, recipe.seed, |i, tx, outcome| {
-        write_png(&spectra.join(format!("{:05}.png", i + 1)), &outcome.spectrum.pixels)?;
-        tables.add(i + 1, tx, &outcome)?;
+    simulate(&simulator, recipe.samples, recipe.seed, |i, tx, reception| {
+        write_png(&spectra.join(format!("{:05}.png", i + 1)), &reception.spectrum.pixels)?;
+        tables.add(i + 1, tx, &reception)?;
         progress(i + 1, recipe.samples);
         Ok(())
     })?;
@@ -78,23 +81,6 @@ fn temporary_folder(name: &str, parent: &Path) -> std::io::Result<TempDir> {
         builder.permissions(fs::Permissions::from_mode(0o777)); // less what the user's mask takes away
     }
     builder.tempdir_in(parent)
-}
-
-/// Refuses what is there and is not an empty folder.
-fn refuse_occupied(out: &Path) -> Result<()> {
-    if out.file_name().is_none() {
-        return Err(Error::input(out, "is no name for a new folder; name one"));
-    }
-    match fs::symlink_metadata(out) {
-        // What stands in the way further up is told when the folder is made.
-        Err(_) => return Ok(()),
-        Ok(found) if !found.is_dir() => return Err(Error::input(out, "is there and is no folder; name a new one")),
-        Ok(_) => {}
-    }
-    if fs::read_dir(out).map_err(|e| Error::read(out, e))?.next().is_none() {
-        return Ok(());
-    }
-    Err(Error::input(out, "is not empty, and nothing is overwritten; name a new folder, or remove this one"))
 }
 
 /// Gives the finished folder its name. An empty folder there gives way.
@@ -148,13 +134,13 @@ impl Tables {
         Ok(Self { positions: "x,y,z\n".into(), power: "id,path_gain_db,low,high\n".into(), paths })
     }
 
-    fn add(&mut self, id: usize, tx: DVec3, outcome: &Outcome) -> Result<()> {
-        let spectrum = &outcome.spectrum;
+    fn add(&mut self, id: usize, tx: DVec3, reception: &Reception) -> Result<()> {
+        let spectrum = &reception.spectrum;
         let decibel = 10.0 * spectrum.power.log10();
         writeln!(self.positions, "{},{},{}", tx.x, tx.y, tx.z).expect("text grows");
         writeln!(self.power, "{id},{decibel:.4},{:.6e},{:.6e}", spectrum.low, spectrum.high).expect("text grows");
         if let Some((table, file, path)) = &mut self.paths {
-            file.write_all(table.rows(id, &outcome.paths).as_bytes()).map_err(|e| Error::write(path, e))?;
+            file.write_all(table.rows(id, &reception.paths).as_bytes()).map_err(|e| Error::write(path, e))?;
         }
         Ok(())
     }

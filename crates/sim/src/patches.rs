@@ -1,6 +1,6 @@
 //! Patches of rough faces, each of which scatters as one.
 
-use crate::world::World;
+use crate::world::{Triangle, World};
 use glam::DVec3;
 use pwrfgs_core::rng;
 use std::f64::consts::TAU;
@@ -35,7 +35,7 @@ pub(crate) fn patches(world: &World, side: f64, seed: u64) -> Vec<Patch> {
             }
         }
         // Whatever the lattice makes of a slanted border, the patches have the area of the face together.
-        let area: f64 = world.triangles[face.triangles.clone()].iter().map(crate::world::Triangle::area).sum();
+        let area: f64 = world.triangles[face.triangles.clone()].iter().map(Triangle::area).sum();
         let share = area / (all.len() - start).max(1) as f64;
         all[start..].iter_mut().for_each(|patch| patch.area = share);
     }

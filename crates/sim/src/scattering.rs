@@ -96,6 +96,6 @@ pub fn amplitude(
     distances: (f64, f64),
     wavelength: f64,
 ) -> f64 {
-    let spread = wavelength / (2.0 * TAU * distances.0 * distances.1);
-    scattering * reflection * spread * (density * area * cos_incidence).max(0.0).sqrt()
+    let spreading = wavelength / (2.0 * TAU * distances.0 * distances.1);
+    scattering * reflection * spreading * (density * area * cos_incidence).max(0.0).sqrt()
 }

@@ -13,8 +13,9 @@ pub use room::{Outline, Room};
 use crate::material::{self, Material};
 use crate::noise::Noise;
 use crate::spectrum::SpectrumKind;
+use crate::wave::SPEED_OF_LIGHT;
 use pwrfgs_core::plugin::{Checked, read_ron};
-use pwrfgs_core::{Error, Pose, Result};
+use pwrfgs_core::{Error, Pose, Result, did_you_mean, files};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -62,8 +63,7 @@ impl Scene {
     /// # Errors
     /// Names the file, line and column of the mistake.
     pub fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(|e| Error::read(path, e))?;
-        let mut scene = Self::parse(&text, path)?;
+        let mut scene = Self::parse(&files::read_text(path)?, path)?;
         let folder = path.parent().unwrap_or(Path::new(""));
         for object in &mut scene.objects {
             if let Object::Mesh { file, .. } = object {
@@ -110,7 +110,7 @@ impl Scene {
 
     /// Wavelength of the carrier, metres.
     pub fn wavelength(&self) -> f64 {
-        crate::wave::SPEED_OF_LIGHT / self.carrier_hz
+        SPEED_OF_LIGHT / self.carrier_hz
     }
 
     /// Pose of the receiver.
@@ -167,9 +167,7 @@ impl Scene {
         if self.material(name).is_none() {
             let mut known: Vec<&str> = material::names();
             known.extend(self.materials.keys().map(String::as_str));
-            let nearest = known.iter().map(|k| (strsim::damerau_levenshtein(name, k), k)).min();
-            let hint =
-                nearest.filter(|(d, _)| *d <= 3).map_or_else(String::new, |(_, k)| format!("; did you mean `{k}`?"));
+            let hint = did_you_mean(name, known.iter().copied());
             let what = format!("unknown material `{name}`{hint}; known are {}", known.join(", "));
             return Err(Fault::of(what, &quoted));
         }

@@ -33,9 +33,9 @@ pub struct Simulator {
     beamformer: Beamformer,
 }
 
-/// What one transmitter makes.
+/// What the array receives from one transmitter.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Outcome {
+pub struct Reception {
     /// Its picture.
     pub spectrum: Spectrum,
     /// Paths to the centre of the array.
@@ -127,13 +127,13 @@ impl Simulator {
     }
 
     /// The spectrum of `tx`. `noise` is the number of the draw of the scene's receiver errors; `None`: without any.
-    pub fn spectrum(&self, tx: DVec3, noise: Option<u64>) -> Outcome {
+    pub fn spectrum(&self, tx: DVec3, noise: Option<u64>) -> Reception {
         let paths = self.trace(tx);
         let mut channel = self.channel(tx, &paths);
         if let Some(draw) = noise {
             noise::add(&self.scene.noise, &mut channel, draw);
         }
-        Outcome { spectrum: self.beamformer.spectrum(&channel, self.scene.spectrum), paths }
+        Reception { spectrum: self.beamformer.spectrum(&channel, self.scene.spectrum), paths }
     }
 
     /// Positions of `count` transmitters.
@@ -164,15 +164,15 @@ pub fn simulate(
     simulator: &Simulator,
     samples: usize,
     seed: u64,
-    mut each: impl FnMut(usize, DVec3, Outcome) -> Result<()>,
+    mut each: impl FnMut(usize, DVec3, Reception) -> Result<()>,
 ) -> Result<()> {
     let positions = simulator.positions(samples, seed)?;
     for (c, chunk) in positions.chunks(CHUNK).enumerate() {
         let draw = |i: usize| seed.wrapping_mul(1 << 32).wrapping_add((c * CHUNK + i) as u64);
-        let outcomes: Vec<Outcome> =
+        let receptions: Vec<Reception> =
             chunk.par_iter().enumerate().map(|(i, tx)| simulator.spectrum(*tx, Some(draw(i)))).collect();
-        for ((i, tx), outcome) in chunk.iter().enumerate().zip(outcomes) {
-            each(c * CHUNK + i, *tx, outcome)?;
+        for ((i, tx), reception) in chunk.iter().enumerate().zip(receptions) {
+            each(c * CHUNK + i, *tx, reception)?;
         }
     }
     Ok(())

@@ -78,7 +78,7 @@ fn a_folder_that_holds_something_is_not_touched() {
     let folder = tempfile::tempdir().unwrap();
     let recipe = recipe(folder.path());
     let message = write(&recipe, true, folder.path(), &|_, _| {}).unwrap_err();
-    assert!(message.is_input() && message.to_string().contains("nothing is overwritten"), "{message}");
+    assert!(message.is_input() && message.to_string().contains("is not empty (it holds `small.ron`)"), "{message}");
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
 }
 
@@ -132,10 +132,10 @@ fn the_shipped_scenes_are_simulated() {
     for name in ["office", "conference", "lab-s23"] {
         let simulator = Simulator::new(&Scene::read(&root.join(format!("{name}.ron"))).unwrap()).unwrap();
         let mut seen = 0;
-        simulate(&simulator, 4, 0, |_, tx, outcome| {
+        simulate(&simulator, 4, 0, |_, tx, reception| {
             seen += 1;
-            assert!(outcome.paths.len() > 50, "{name}: {} paths", outcome.paths.len());
-            let (low, high) = (outcome.spectrum.pixels.iter().min(), outcome.spectrum.pixels.iter().max());
+            assert!(reception.paths.len() > 50, "{name}: {} paths", reception.paths.len());
+            let (low, high) = (reception.spectrum.pixels.iter().min(), reception.spectrum.pixels.iter().max());
             assert_eq!((low, high), (Some(&0), Some(&255)), "{name}");
             assert!(simulator.world().check_free(tx).is_ok());
             Ok(())

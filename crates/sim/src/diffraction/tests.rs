@@ -110,11 +110,11 @@ fn total(n: f64, phi_in: f64, phi: f64, rise: f64, r0: &Polarized, rn: &Polarize
     let point = DVec3::Z * t;
     let (before, after) = (tx.distance(point), rx.distance(point));
     let d = wedge(n, K, (before, after), (phi_in, phi), 2.0 / before, &opaque(r0, rn));
-    let spread = Complex::cis(-K * (before + after)) / (before * after * (before + after)).sqrt();
+    let spreading = Complex::cis(-K * (before + after)) / (before * after * (before + after)).sqrt();
     let direct = if (phi - phi_in).abs() <= PI { Complex::ONE } else { Complex::ZERO };
     let in_0 = phi + phi_in <= PI;
     let in_n = phi + phi_in >= (2.0 * n - 1.0) * PI;
-    let mut field = both(d).map(|d| d * spread + spherical(tx.distance(rx), direct));
+    let mut field = both(d).map(|d| d * spreading + spherical(tx.distance(rx), direct));
     for (lit, image, r) in [(in_0, -phi_in, r0), (in_n, 2.0 * n * PI - phi_in, rn)] {
         let length = about_edge(2.0, image, rise).distance(rx);
         if lit {

@@ -193,8 +193,8 @@ fn one_bounce(tx: DVec3, rx: DVec3, face: &str, thick: bool, hz: f64) -> (Comple
     let r = reflection(eta, thick.then_some(depth), before.dot(normal), wavelength);
     let (sent, heard) = (polar(before), polar(-after));
     let field = r.te * sent.dot(s) * s.dot(heard) + r.tm * sent.dot(s.cross(before)) * s.cross(after).dot(heard);
-    let spread = wavelength / (2.0 * TAU * length);
-    (field * spread, spread)
+    let spreading = wavelength / (2.0 * TAU * length);
+    (field * spreading, spreading)
 }
 
 #[test]
@@ -219,8 +219,8 @@ fn single_bounces_are_those_of_the_reference_room() {
             let number = |name: &str| row[column(name)].parse::<f64>().unwrap();
             let expected = Complex::new(number("ref_a_re"), number("ref_a_im"));
             let rx = DVec3::new(1.7, -0.9, 1.3);
-            let (gain, spread) = one_bounce(tx, rx, &row[column("surfaces")], thick, hz);
-            worst = worst.max((gain - expected).norm() / spread);
+            let (gain, spreading) = one_bounce(tx, rx, &row[column("surfaces")], thick, hz);
+            worst = worst.max((gain - expected).norm() / spreading);
             count += 1;
         }
     }

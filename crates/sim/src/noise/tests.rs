@@ -48,8 +48,8 @@ fn phase_errors_belong_to_the_receiver_and_not_to_the_sample() {
     add(&noise, &mut many, 0);
     let turned: Vec<f64> = many.iter().zip(channel(1024)).map(|(a, b)| (a / b).arg().to_degrees()).collect();
     let mean = turned.iter().sum::<f64>() / 1024.0;
-    let spread = (turned.iter().map(|d| d * d).sum::<f64>() / 1024.0).sqrt();
-    assert!(mean.abs() < 1.5 && (spread - 10.0).abs() < 1.0, "{mean} {spread}");
+    let deviation = (turned.iter().map(|d| d * d).sum::<f64>() / 1024.0).sqrt();
+    assert!(mean.abs() < 1.5 && (deviation - 10.0).abs() < 1.0, "{mean} {deviation}");
     assert!(many.iter().zip(channel(1024)).all(|(a, b)| (a.norm() / b.norm() - 1.0).abs() < 1e-12));
 }
 
