@@ -2,8 +2,8 @@
 
     python3 model_format.py MODEL.safetensors FOLDER [MODEL FOLDER ..]
 
-FOLDER is what `pwrfgs predict MODEL --tx-csv .. --out FOLDER` wrote. Needs NumPy and nothing else. Numbers are in double
-precision here and in single in the program; hence the two tolerances, both shares of the picture's largest value:
+FOLDER is what `pwrfgs predict MODEL --tx-csv .. --out FOLDER` wrote. Needs NumPy and nothing else. Numbers are in
+double precision here and in single in the program; hence the two tolerances, both shares of the picture's largest value:
 
 * CLOSE: what rounding does to a pixel;
 * EDGE: what one Gaussian may do whose alpha is so near to 1/255 that rounding decides whether it counts, which may
@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-CLOSE, EDGE, FEW = 1e-5, 2e-2, 2e-3
+CLOSE, EDGE, FEW = 1e-5, 2e-2, 1e-3
 
 
 # The file.

@@ -1,4 +1,4 @@
-//! Whoever follows `docs/model-format.md` gets the program's spectra: `model_format.py` does, with NumPy alone.
+//! Whoever follows `docs/model-format.md` gets the program's spectra: `model_format.py` does, with `NumPy` alone.
 
 use crate::common::{SMALL, refuse, succeed, write};
 use pwrfgs::model::Calibration::{AsReleased, Physical};
@@ -55,15 +55,16 @@ const CASES: [(&str, &str, &str, Calibration, Readout); 9] = [
 /// Receiver that stands and looks anywhere.
 const POSE: Pose = Pose { position: [0.3, -0.2, 0.5], orientation: [0.2, -0.3, 0.1, 0.927_361_849_549_570_4] };
 
-/// Gaussians on all sides of the receiver: some too near, some below its horizon, one on its axis, many opaque.
+/// Gaussians of all sizes on all sides of the receiver: some too near, some below its horizon, one on its axis, many
+/// opaque.
 fn cloud() -> GaussianCloud {
     let mut random = rng::stream(5, "model format", 0);
     let mut cloud = GaussianCloud::zeros(60);
     for (name, width, values) in cloud.columns_mut() {
         let (centre, size) = match name {
             "means" => (0.0, 2.0),
-            "log_scales" => (-1.5, 0.5),
-            "opacity_logits" => (1.0, 3.0),
+            "log_scales" => (-1.2, 1.0),
+            "opacity_logits" => (2.0, 4.0),
             _ => (0.2, 1.0),
         };
         assert_eq!(values.len(), 60 * width);
@@ -100,7 +101,7 @@ fn predict(here: &Path, model: &str, out: &str) {
     succeed(here, &["predict", model, "--tx-csv", "tx.csv", "--out", out]);
 }
 
-/// A Python with NumPy. Where there is none, the test is skipped and says so; where `CI` is set, it fails.
+/// A Python with `NumPy`. Where there is none, the test is skipped and says so; where `CI` is set, it fails.
 fn python() -> Option<&'static str> {
     let works =
         |python: &&str| Command::new(python).args(["-c", "import numpy"]).output().is_ok_and(|o| o.status.success());
