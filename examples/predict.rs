@@ -13,7 +13,8 @@ fn positions() -> Vec<[f64; 3]> {
 }
 
 fn main() -> Result<()> {
-    let (arrays, models): (Vec<String>, Vec<String>) = std::env::args().skip(1).partition(|a| a.ends_with(".npy"));
+    let is_array = |path: &String| Path::new(path).extension().is_some_and(|e| e == "npy");
+    let (arrays, models): (Vec<String>, Vec<String>) = std::env::args().skip(1).partition(is_array);
     let out = arrays.first().map_or("spectra.npy", String::as_str);
 
     let members = models.iter().map(|path| pwrfgs::model::file::read(Path::new(path))).collect::<Result<Vec<_>>>()?;
