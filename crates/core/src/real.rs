@@ -37,6 +37,7 @@ pub mod consts {
 }
 
 /// The logistic function σ(x) = 1/(1 + e⁻ˣ).
+#[inline]
 pub fn sigmoid(x: Real) -> Real {
     if x >= 0.0 {
         1.0 / (1.0 + (-x).exp())
@@ -47,6 +48,7 @@ pub fn sigmoid(x: Real) -> Real {
 }
 
 /// The inverse of [`sigmoid`]: ln(p/(1-p)) for p in (0, 1).
+#[inline]
 pub fn logit(p: Real) -> Real {
     (p / (1.0 - p)).ln()
 }

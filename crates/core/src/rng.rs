@@ -18,11 +18,13 @@ pub fn stream(seed: u64, name: &str, step: u64) -> Rng {
 }
 
 /// Uniform in [0, 1), with 53 bits; the same draw in both precisions.
+#[inline]
 pub fn uniform(rng: &mut Rng) -> Real {
     ((rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64) as Real
 }
 
 /// Standard normal (Box and Muller), two uniforms a draw.
+#[inline]
 pub fn normal(rng: &mut Rng) -> Real {
     let u = 1.0 - (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
     let v = (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
@@ -30,6 +32,7 @@ pub fn normal(rng: &mut Rng) -> Real {
 }
 
 /// Uniform among 0..n; `n` must not be 0.
+#[inline]
 pub fn below(rng: &mut Rng, n: usize) -> usize {
     ((u128::from(rng.next_u64()) * n as u128) >> 64) as usize
 }

@@ -62,14 +62,14 @@ fn sum_of_row(columns: &[Vec<f64>; 5], window: usize) -> f64 {
     let mut sums = [0.0; 5];
     let mut total = 0.0;
     for right in 0..columns[0].len() {
-        for (sum, column) in sums.iter_mut().zip(columns) {
-            *sum += column[right];
+        for k in 0..5 {
+            sums[k] += columns[k][right];
             if right >= window {
-                *sum -= column[right - window];
+                sums[k] -= columns[k][right - window];
             }
         }
         if right + 1 >= window {
-            let [m1, m2, e11, e22, e12] = sums.map(|s| s / n);
+            let [m1, m2, e11, e22, e12] = [sums[0] / n, sums[1] / n, sums[2] / n, sums[3] / n, sums[4] / n];
             let variances = sample * ((e11 - m1 * m1) + (e22 - m2 * m2));
             let covariance = sample * (e12 - m1 * m2);
             total += (2.0 * m1 * m2 + C1) * (2.0 * covariance + C2) / ((m1 * m1 + m2 * m2 + C1) * (variances + C2));

@@ -174,23 +174,32 @@ impl Activation {
 }
 
 fn add(a: [Real; 4], b: [Real; 4]) -> [Real; 4] {
-    std::array::from_fn(|k| a[k] + b[k])
+    [a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]]
+}
+
+fn dot(a: [Real; 4], b: [Real; 4]) -> Real {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
+}
+
+fn divided(q: [Real; 4], norm: Real) -> [Real; 4] {
+    [q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm]
 }
 
 /// q/|q|; a quaternion too short to have a direction is the identity.
 fn normalise(q: [Real; 4]) -> [Real; 4] {
-    let norm = q.iter().map(|v| v * v).sum::<Real>().sqrt();
-    if norm > 1e-12 { q.map(|v| v / norm) } else { [1.0, 0.0, 0.0, 0.0] }
+    let norm = dot(q, q).sqrt();
+    if norm > 1e-12 { divided(q, norm) } else { [1.0, 0.0, 0.0, 0.0] }
 }
 
 fn normalise_vjp(q: [Real; 4], d: [Real; 4]) -> [Real; 4] {
-    let norm = q.iter().map(|v| v * v).sum::<Real>().sqrt();
+    let norm = dot(q, q).sqrt();
     if norm <= 1e-12 {
         return [0.0; 4];
     }
-    let unit = q.map(|v| v / norm);
-    let along: Real = unit.iter().zip(d).map(|(u, d)| u * d).sum();
-    std::array::from_fn(|k| (d[k] - unit[k] * along) / norm)
+    let unit = divided(q, norm);
+    let along = dot(unit, d);
+    let across = |k: usize| (d[k] - unit[k] * along) / norm;
+    [across(0), across(1), across(2), across(3)]
 }
 
 #[cfg(test)]

@@ -133,11 +133,17 @@ fn range(values: &[Real]) -> (Real, Real) {
         #[inline(always)]
         || {
             let (whole, rest) = values.as_chunks::<16>();
-            for chunk in whole.iter().map(<[Real; 16]>::as_slice).chain([rest]) {
-                for ((low, high), v) in low.iter_mut().zip(&mut high).zip(chunk) {
-                    *low = if v < low { *v } else { *low };
-                    *high = if v > high { *v } else { *high };
+            let mut widen = |lane: usize, v: Real| {
+                low[lane] = if v < low[lane] { v } else { low[lane] };
+                high[lane] = if v > high[lane] { v } else { high[lane] };
+            };
+            for chunk in whole {
+                for lane in 0..16 {
+                    widen(lane, chunk[lane]);
                 }
+            }
+            for (lane, v) in rest.iter().enumerate() {
+                widen(lane, *v);
             }
         },
     );
@@ -165,9 +171,10 @@ fn stretch_vjp(magnitude: &[Real], d_image: &[Real], out: &mut Vec<Real>) {
     // Σ d and Σ d·v, each in 16 fixed lanes.
     let (mut all, mut weighted) = ([0.0; 16], [0.0; 16]);
     for (d, m) in out.chunks(16).zip(magnitude.chunks(16)) {
-        for (((all, weighted), d), m) in all.iter_mut().zip(&mut weighted).zip(d).zip(m) {
-            *all += d;
-            *weighted += d * ((m - low) * gain);
+        let (d, m) = (&d[..d.len().min(16)], &m[..d.len().min(16)]);
+        for lane in 0..d.len() {
+            all[lane] += d[lane];
+            weighted[lane] += d[lane] * ((m[lane] - low) * gain);
         }
     }
     let (all, weighted): (Real, Real) = (all.iter().sum(), weighted.iter().sum());

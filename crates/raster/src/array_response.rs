@@ -227,10 +227,12 @@ fn field(splats: &Splats, signals: &[Real], waves: &[[Real; 2]], elements: usize
     field.par_chunks_exact_mut(elements).enumerate().with_min_len(4).for_each(|(b, h)| {
         for (i, wave) in waves.chunks_exact(elements).enumerate() {
             let o = splats.opacities[i];
-            let [x, y] = [0, 1].map(|c| o * signals[i * channels + 2 * b + c]);
+            let pair = &signals[i * channels + 2 * b..][..2];
+            let (x, y) = (o * pair[0], o * pair[1]);
             if splats.radii[i] > 0.0 {
-                for (h, [re, im]) in h.iter_mut().zip(wave) {
-                    *h = [h[0] + x * re - y * im, h[1] + x * im + y * re];
+                for k in 0..h.len() {
+                    let [re, im] = wave[k];
+                    h[k] = [h[k][0] + x * re - y * im, h[k][1] + x * im + y * re];
                 }
             }
         }
@@ -252,11 +254,13 @@ fn superpose_vjp(
     let transmitters = signals.chunks_exact(2).zip(d_signals.chunks_exact_mut(2));
     for ((s, d_s), d_h) in transmitters.zip(d_field.chunks_exact(wave.len())) {
         let (mut d_x, mut d_y) = (0.0, 0.0);
-        for (([re, im], [d_re, d_im]), d) in wave.iter().zip(d_h).zip(d_wave.iter_mut()) {
+        let (d_h, d_wave) = (&d_h[..wave.len()], &mut d_wave[..wave.len()]);
+        for k in 0..wave.len() {
+            let ([re, im], [d_re, d_im]) = (wave[k], d_h[k]);
             d_x += re * d_re + im * d_im;
             d_y += re * d_im - im * d_re;
-            d[0] += opacity * (s[0] * d_re + s[1] * d_im);
-            d[1] += opacity * (s[0] * d_im - s[1] * d_re);
+            d_wave[k][0] += opacity * (s[0] * d_re + s[1] * d_im);
+            d_wave[k][1] += opacity * (s[0] * d_im - s[1] * d_re);
         }
         d_opacity += s[0] * d_x + s[1] * d_y;
         (d_s[0], d_s[1]) = (opacity * d_x, opacity * d_y);

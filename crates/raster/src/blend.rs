@@ -79,12 +79,11 @@ impl Tile<'_> {
         let [x, y] = self.splats.means2d[i];
         let [a, b, c] = self.splats.conics[i];
         let width = self.plane.width as Real;
-        let mut dx = [0.0; TILE];
-        for (lane, dx) in dx.iter_mut().enumerate() {
+        let dx = lanes(|lane| {
             let d = x - (self.corner.0 + lane) as Real;
-            *dx = if self.plane.wraps { nearest_image(d, width) } else { d };
-        }
-        let across = dx.map(|dx| -0.5 * a * dx * dx);
+            if self.plane.wraps { nearest_image(d, width) } else { d }
+        });
+        let across = lanes(|lane| -0.5 * a * dx[lane] * dx[lane]);
         Brush { dx, across, a, b, c, y, opacity: self.splats.opacities[i] }
     }
 
@@ -104,8 +103,8 @@ impl Tile<'_> {
                 }
                 let (_, alpha) = brush.alpha((self.corner.1 + row) as Real);
                 let weight = t.pass(row, &alpha);
-                for (s, out) in signal.iter().zip(out.chunks_exact_mut(TILE)) {
-                    Real::add_scaled(simd, &mut out[row], *s, &weight);
+                for (c, s) in signal.iter().enumerate() {
+                    Real::add_scaled(simd, &mut out[c * TILE + row], *s, &weight);
                 }
             }
         }
@@ -125,10 +124,8 @@ impl Tile<'_> {
     ) {
         let (pixels, d_pixels) = (pixels.as_chunks::<TILE>().0, d_pixels.as_chunks::<TILE>().0);
         let mut behind = [[0.0; TILE]; TILE]; // ⟨∂L/∂pixel, signal of everything not yet passed⟩
-        for (p, d) in pixels.chunks_exact(TILE).zip(d_pixels.chunks_exact(TILE)) {
-            for row in 0..TILE {
-                Real::add_product(simd, &mut behind[row], &p[row], &d[row]);
-            }
+        for k in 0..pixels.len() {
+            Real::add_product(simd, &mut behind[k % TILE], &pixels[k], &d_pixels[k]);
         }
         let mut t = self.start();
         let stride = GEOMETRY + self.channels;
@@ -146,9 +143,10 @@ impl Tile<'_> {
                 let before = t.signed[row];
                 let weight = t.pass(row, &alpha);
                 let mut q = [0.0; TILE];
-                for ((s, d_signal), g) in signal.iter().zip(d_signal.iter_mut()).zip(d_pixels.chunks_exact(TILE)) {
-                    Real::add_scaled(simd, &mut q, *s, &g[row]);
-                    Real::add_product(simd, d_signal, &weight, &g[row]);
+                for (c, s) in signal.iter().enumerate() {
+                    let g = &d_pixels[c * TILE + row];
+                    Real::add_scaled(simd, &mut q, *s, g);
+                    Real::add_product(simd, &mut d_signal[c], &weight, g);
                 }
                 let dy = brush.y - (self.corner.1 + row) as Real;
                 let (mut d_alpha, mut d_power) = ([0.0; TILE], [0.0; TILE]);
@@ -158,16 +156,18 @@ impl Tile<'_> {
                     d_alpha[lane] = if weight[lane] > 0.0 { through } else { 0.0 };
                     d_power[lane] = d_alpha[lane] * brush.opacity * gauss[lane];
                 }
-                Real::add_product(simd, &mut d[0], &d_power, &brush.dx.map(|dx| -(brush.a * dx + brush.b * dy)));
-                Real::add_product(simd, &mut d[1], &d_power, &brush.dx.map(|dx| -(brush.c * dy + brush.b * dx)));
-                Real::add_product(simd, &mut d[2], &d_power, &brush.dx.map(|dx| -0.5 * dx * dx));
-                Real::add_product(simd, &mut d[3], &d_power, &brush.dx.map(|dx| -dx * dy));
+                let Brush { dx, a, b, c, .. } = &brush;
+                Real::add_product(simd, &mut d[0], &d_power, &lanes(|lane| -(a * dx[lane] + b * dy)));
+                Real::add_product(simd, &mut d[1], &d_power, &lanes(|lane| -(c * dy + b * dx[lane])));
+                Real::add_product(simd, &mut d[2], &d_power, &lanes(|lane| -0.5 * dx[lane] * dx[lane]));
+                Real::add_product(simd, &mut d[3], &d_power, &lanes(|lane| -dx[lane] * dy));
                 Real::add_scaled(simd, &mut d[4], -0.5 * dy * dy, &d_power);
                 Real::add_product(simd, &mut d[5], &d_alpha, &gauss);
                 Real::add_scaled(simd, &mut d[6], 1.0, &weight);
             }
-            for (out, lanes) in out.iter_mut().zip(d.iter().chain(d_signal.iter())) {
-                *out = lanes.iter().sum();
+            for (k, out) in out.iter_mut().enumerate() {
+                let row = if k < GEOMETRY { &d[k] } else { &d_signal[k - GEOMETRY] };
+                *out = row.iter().sum();
             }
         }
     }
@@ -230,18 +230,29 @@ impl Transmittance {
     #[inline(always)]
     fn pass(&mut self, row: usize, alpha: &Row) -> Row {
         let light = self.signed[row];
-        let taken: Row = std::array::from_fn(|lane| alpha[lane] * light[lane]);
-        let next: Row = std::array::from_fn(|lane| light[lane] * (1.0 - alpha[lane]));
-        let signed: Row = std::array::from_fn(|lane| if next[lane] >= T_MIN { next[lane] } else { -light[lane].abs() });
+        let taken = lanes(|lane| alpha[lane] * light[lane]);
+        let next = lanes(|lane| light[lane] * (1.0 - alpha[lane]));
+        let signed = lanes(|lane| if next[lane] >= T_MIN { next[lane] } else { -light[lane].abs() });
         self.alive[row] = signed.iter().fold(0, |any, &t| any | u8::from(t > 0.0)) != 0;
         self.signed[row] = signed;
-        std::array::from_fn(|lane| if next[lane] >= T_MIN { taken[lane] } else { 0.0 })
+        lanes(|lane| if next[lane] >= T_MIN { taken[lane] } else { 0.0 })
     }
 
     /// What is left in the end.
-    pub(crate) fn left(self) -> [Row; TILE] {
-        self.signed.map(|row| row.map(Real::abs))
+    pub(crate) fn left(mut self) -> [Row; TILE] {
+        self.signed.as_flattened_mut().iter_mut().for_each(|t| *t = t.abs());
+        self.signed
     }
+}
+
+/// One number a lane.
+#[inline(always)]
+fn lanes(of: impl Fn(usize) -> Real) -> Row {
+    let mut row = [0.0; TILE];
+    for lane in 0..TILE {
+        row[lane] = of(lane);
+    }
+    row
 }
 
 /// `d` brought into [-width/2, width/2): the nearest image of a splat on a picture that comes round.

@@ -122,11 +122,13 @@ fn radii(v: Vec3) -> (Real, Real, bool) {
 }
 
 impl CameraModel for Hemisphere {
+    #[inline]
     fn visible(&self, v: Vec3) -> bool {
         let r = v.length();
         r > self.near && r > 0.0 && v.z >= self.lowest * r
     }
 
+    #[inline]
     fn pixel(&self, v: Vec3) -> [Real; 2] {
         let (rho, _, off_axis) = radii(v);
         let elevation = v.z.atan2(if off_axis { rho } else { 0.0 }) * self.per_radian[1];
@@ -135,6 +137,7 @@ impl CameraModel for Hemisphere {
         [if column >= self.width { 0.0 } else { column }, elevation]
     }
 
+    #[inline]
     fn pixel_vjp(&self, v: Vec3, d: [Real; 2]) -> Vec3 {
         let (rho, r, off_axis) = radii(v);
         if !off_axis {
@@ -146,6 +149,7 @@ impl CameraModel for Hemisphere {
         around * (d[0] * self.per_radian[0]) + up * (d[1] * self.per_radian[1])
     }
 
+    #[inline]
     fn jacobian(&self, v: Vec3) -> [Vec3; 2] {
         let (rho, r, off_axis) = radii(v);
         if !off_axis {
@@ -157,6 +161,7 @@ impl CameraModel for Hemisphere {
         [around * self.per_radian[0], up * self.per_radian[1]]
     }
 
+    #[inline]
     fn jacobian_vjp(&self, v: Vec3, d: [Vec3; 2]) -> Vec3 {
         let (rho, r, off_axis) = radii(v);
         let [kx, ky] = self.per_radian;

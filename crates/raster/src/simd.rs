@@ -53,20 +53,23 @@ macro_rules! lanes {
                 let (sum, sum_rest) = S::$vectors_mut(sum);
                 let (x, x_rest) = S::$vectors(x);
                 let many = simd.$splat(scale);
-                for (sum, x) in sum.iter_mut().zip(x) {
-                    *sum = simd.$mul_add(many, *x, *sum);
+                for i in 0..sum.len() {
+                    sum[i] = simd.$mul_add(many, x[i], sum[i]);
                 }
-                sum_rest.iter_mut().zip(x_rest).for_each(|(sum, x)| *sum = scale.mul_add(*x, *sum));
+                for i in 0..sum_rest.len() {
+                    sum_rest[i] = scale.mul_add(x_rest[i], sum_rest[i]);
+                }
             }
             #[inline(always)]
             fn add_product<S: pulp::Simd, const N: usize>(simd: S, sum: &mut [Self; N], x: &[Self; N], y: &[Self; N]) {
                 let (sum, sum_rest) = S::$vectors_mut(sum);
                 let ((x, x_rest), (y, y_rest)) = (S::$vectors(x), S::$vectors(y));
-                for (sum, (x, y)) in sum.iter_mut().zip(x.iter().zip(y)) {
-                    *sum = simd.$mul_add(*x, *y, *sum);
+                for i in 0..sum.len() {
+                    sum[i] = simd.$mul_add(x[i], y[i], sum[i]);
                 }
-                let rest = sum_rest.iter_mut().zip(x_rest.iter().zip(y_rest));
-                rest.for_each(|(sum, (x, y))| *sum = x.mul_add(*y, *sum));
+                for i in 0..sum_rest.len() {
+                    sum_rest[i] = x_rest[i].mul_add(y_rest[i], sum_rest[i]);
+                }
             }
             #[inline(always)]
             fn two_sums<S: pulp::Simd, const N: usize>(
@@ -77,20 +80,20 @@ macro_rules! lanes {
             ) {
                 const { assert!(N.is_multiple_of(64), "whole groups of four vectors") };
                 let [first, second] = sums;
-                let groups =
-                    S::$vectors_mut(first).0.chunks_exact_mut(4).zip(S::$vectors_mut(second).0.chunks_exact_mut(4));
-                for (g, (first, second)) in groups.enumerate() {
+                let first = S::$vectors_mut(first).0.as_chunks_mut::<4>().0;
+                let second = S::$vectors_mut(second).0.as_chunks_mut::<4>().0;
+                let (xs, ys) = (&scales[0][..rows.len()], &scales[1][..rows.len()]);
+                for g in 0..first.len() {
                     let (mut a, mut b) = ([simd.$splat(0.0); 4], [simd.$splat(0.0); 4]);
-                    for (row, (&x, &y)) in rows.iter().zip(scales[0].iter().zip(scales[1])) {
-                        let (x, y) = (simd.$splat(x), simd.$splat(y));
-                        let row = &S::$vectors(row).0[4 * g..4 * g + 4];
+                    for k in 0..rows.len() {
+                        let (x, y) = (simd.$splat(xs[k]), simd.$splat(ys[k]));
+                        let row = &S::$vectors(&rows[k]).0.as_chunks::<4>().0[g];
                         for v in 0..4 {
                             a[v] = simd.$mul_add(row[v], x, a[v]);
                             b[v] = simd.$mul_add(row[v], y, b[v]);
                         }
                     }
-                    first.copy_from_slice(&a);
-                    second.copy_from_slice(&b);
+                    (first[g], second[g]) = (a, b);
                 }
             }
         }
@@ -101,6 +104,8 @@ lanes!(f64, as_simd_f64s, as_mut_simd_f64s, splat_f64s, mul_add_f64s);
 
 /// Runs `work` at the widest vectors of this processor. `with_simd` must be `#[inline(always)]`, and so must all it
 /// calls: what is not inlined into the dispatch is compiled for the narrowest. (A closure is not, hence the structs.)
+/// The standard library does not promise it of `zip`, `array::map` and `array::from_fn`, which become calls where a
+/// crate's parts are not optimised together: kernels count their lanes.
 #[inline(always)]
 pub(crate) fn widest<W: pulp::WithSimd>(work: W) -> W::Output {
     pulp::Arch::new().dispatch(work)

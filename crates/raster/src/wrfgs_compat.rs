@@ -69,16 +69,19 @@ impl CameraModel for FullSphere {
         View { rotation: pose.world_from_receiver().transpose(), offset: pose.origin() }
     }
 
+    #[inline]
     fn visible(&self, v: Vec3) -> bool {
         v.length_squared() > 0.04
     }
 
+    #[inline]
     fn pixel(&self, v: Vec3) -> [Real; 2] {
         let longitude = v.x.atan2(v.z);
         let latitude = (v.y / (v.length() + EPS)).clamp(-1.0, 1.0).asin();
         [((longitude / PI + 1.0) * self.width - 1.0) / 2.0, ((2.0 * latitude / PI + 1.0) * self.height - 1.0) / 2.0]
     }
 
+    #[inline]
     fn pixel_vjp(&self, v: Vec3, d: [Real; 2]) -> Vec3 {
         let (rho2, r) = (v.x * v.x + v.z * v.z, v.length());
         let longitude = Vec3::new(v.z, 0.0, -v.x) / rho2.max(LEAST);
@@ -88,6 +91,7 @@ impl CameraModel for FullSphere {
         longitude * (d[0] * self.width / (2.0 * PI)) + latitude * (d[1] * self.height / PI)
     }
 
+    #[inline]
     fn jacobian(&self, v: Vec3) -> [Vec3; 2] {
         let [rho, a, p, q] = reciprocals(v);
         [
@@ -96,6 +100,7 @@ impl CameraModel for FullSphere {
         ]
     }
 
+    #[inline]
     fn jacobian_vjp(&self, v: Vec3, d: [Vec3; 2]) -> Vec3 {
         let [rho, a, p, q] = reciprocals(v);
         let level = Vec3::new(v.x, 0.0, v.z);
@@ -112,6 +117,7 @@ impl CameraModel for FullSphere {
         around * (self.width / (2.0 * PI)) + up * (self.height / PI)
     }
 
+    #[inline]
     fn reaches(&self, centre: [Real; 2], _cov: [Real; 3], radius: Real, plane: &ImagePlane) -> bool {
         let (columns, rows) = square(centre, radius, plane);
         !columns.is_empty() && !rows.is_empty()

@@ -7,7 +7,8 @@
 //!
 //! f is separable: rows first, then columns, both through [`blur`], which adds eleven slices. All loops run over blocks
 //! of [`LANES`] numbers and are compiled once for each instruction set (pulp). Every pixel is computed by the same
-//! operations in the same order on all of them, so the bits depend on neither machine nor threads.
+//! operations in the same order on all of them, so the bits depend on neither machine nor threads. Innermost loops count:
+//! `zip`, `array::map` and `array::from_fn` are calls where a crate's parts are not optimised together.
 
 use crate::Real;
 use std::cell::RefCell;
@@ -163,28 +164,35 @@ impl pulp::WithSimd for Job<'_> {
 /// Eleven shifted views of one padded row.
 #[inline(always)]
 fn along(padded: &[Real], stride: usize) -> [&[Real]; TAPS] {
-    std::array::from_fn(|k| &padded[k..k + stride])
+    let mut taps = [padded; TAPS];
+    for k in 0..TAPS {
+        taps[k] = &padded[k..k + stride];
+    }
+    taps
 }
 
 /// Eleven rows of a plane about row `y`, zeros beyond the border.
 #[inline(always)]
 fn across<'a>(plane: &'a [Real], y: usize, stride: usize, zeros: &'a [Real]) -> [&'a [Real]; TAPS] {
-    std::array::from_fn(|k| match (y + k).checked_sub(REACH) {
-        Some(row) if (row + 1) * stride <= plane.len() => &plane[row * stride..][..stride],
-        _ => zeros,
-    })
+    let mut taps = [zeros; TAPS];
+    for k in 0..TAPS {
+        match (y + k).checked_sub(REACH) {
+            Some(row) if (row + 1) * stride <= plane.len() => taps[k] = &plane[row * stride..][..stride],
+            _ => {}
+        }
+    }
+    taps
 }
 
 /// `out` = Σ weight · tap, all of one length, a multiple of [`LANES`].
 #[inline(always)]
 fn blur(out: &mut [Real], taps: [&[Real]; TAPS], weights: &[Real; TAPS]) {
-    let taps = taps.map(|t| t.as_chunks::<LANES>().0);
     for (i, out) in out.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
         let mut sum: Block = [0.0; LANES];
-        for (tap, weight) in taps.iter().zip(weights) {
-            let tap = &tap[i];
-            for (sum, tap) in sum.iter_mut().zip(tap) {
-                *sum += weight * tap;
+        for k in 0..TAPS {
+            let tap = &taps[k].as_chunks::<LANES>().0[i];
+            for lane in 0..LANES {
+                sum[lane] += weights[k] * tap[lane];
             }
         }
         *out = sum;
@@ -194,29 +202,30 @@ fn blur(out: &mut [Real], taps: [&[Real]; TAPS], weights: &[Real; TAPS]) {
 /// P, G, P² + G², PG of one row, into the padded rows.
 #[inline(always)]
 fn products(padded: &mut [Vec<Real>; 4], p: &[Real], g: &[Real]) {
-    let [p1, g1, squares, pg] = padded.each_mut().map(|row| &mut row[REACH..REACH + p.len()]);
-    p1.copy_from_slice(p);
-    g1.copy_from_slice(g);
-    for ((out, p), g) in squares.iter_mut().zip(p).zip(g) {
-        *out = p * p + g * g;
+    let (n, [p1, g1, squares, pg]) = (p.len(), padded);
+    p1[REACH..][..n].copy_from_slice(p);
+    g1[REACH..][..n].copy_from_slice(g);
+    let (squares, pg, g) = (&mut squares[REACH..][..n], &mut pg[REACH..][..n], &g[..n]);
+    for i in 0..n {
+        squares[i] = p[i] * p[i] + g[i] * g[i];
     }
-    for ((out, p), g) in pg.iter_mut().zip(p).zip(g) {
-        *out = p * g;
+    for i in 0..n {
+        pg[i] = p[i] * g[i];
     }
 }
 
 /// Adds the map of one row to `total` and writes ∂m/∂μ₁, ∂m/∂σ₁², ∂m/∂σ₁₂ into the first three padded rows.
 #[inline(always)]
 fn similarity(moments: &[Vec<Real>; 4], width: usize, total: &mut [f64; LANES], slopes: &mut [Vec<Real>; 4]) {
-    let blocks = moments.each_ref().map(|m| m.as_chunks::<LANES>().0);
-    for (i, start) in (0..width).step_by(LANES).enumerate() {
-        let valid = LANES.min(width - start);
-        let (map, d) = map_block(blocks.map(|b| &b[i]));
-        for (total, m) in total.iter_mut().zip(&map[..valid]) {
-            *total += *m as f64;
+    for i in 0..width.div_ceil(LANES) {
+        let (start, valid) = (i * LANES, LANES.min(width - i * LANES));
+        let block = |k: usize| &moments[k].as_chunks::<LANES>().0[i];
+        let (map, d) = map_block([block(0), block(1), block(2), block(3)]);
+        for lane in 0..valid {
+            total[lane] += map[lane] as f64;
         }
-        for (row, d) in slopes.iter_mut().zip(&d) {
-            row[REACH + start..][..valid].copy_from_slice(&d[..valid]);
+        for k in 0..d.len() {
+            slopes[k][REACH + start..][..valid].copy_from_slice(&d[k][..valid]);
         }
     }
 }
@@ -245,10 +254,10 @@ fn map_block([mu1, mu2, squares, e12]: [&Block; 4]) -> (Block, [Block; 3]) {
 /// d = (f(∂m/∂μ₁) + 2P·f(∂m/∂σ₁²) + G·f(∂m/∂σ₁₂)) / pixels, one row.
 #[inline(always)]
 fn gather(d: &mut [Real], p: &[Real], g: &[Real], blurred: &[Vec<Real>; 4], scale: Real) {
-    let [mu, variance, covariance, ..] = blurred.each_ref().map(|row| &row[..d.len()]);
-    let (p, g) = (&p[..d.len()], &g[..d.len()]);
-    for (i, d) in d.iter_mut().enumerate() {
-        *d = scale * (mu[i] + 2.0 * p[i] * variance[i] + g[i] * covariance[i]);
+    let (n, [mu, variance, covariance, ..]) = (d.len(), blurred);
+    let (mu, variance, covariance, p, g) = (&mu[..n], &variance[..n], &covariance[..n], &p[..n], &g[..n]);
+    for i in 0..n {
+        d[i] = scale * (mu[i] + 2.0 * p[i] * variance[i] + g[i] * covariance[i]);
     }
 }
 

@@ -200,12 +200,12 @@ fn lane_sum(values: &[Real]) -> Real {
     let mut lanes: [Real; 16] = [0.0; 16];
     let (whole, rest) = values.as_chunks::<16>();
     for chunk in whole {
-        for (lane, v) in lanes.iter_mut().zip(chunk) {
-            *lane += v;
+        for lane in 0..16 {
+            lanes[lane] += chunk[lane];
         }
     }
-    for (lane, v) in lanes.iter_mut().zip(rest) {
-        *lane += v;
+    for (lane, v) in rest.iter().enumerate() {
+        lanes[lane] += v;
     }
     lanes.iter().sum()
 }

@@ -38,11 +38,13 @@ pub(super) struct Room {
 }
 
 /// |lrelu(z)| with slope 0.01.
+#[inline]
 pub(super) fn amplitude(z: Real) -> Real {
     if z < 0.0 { -0.01 * z } else { z }
 }
 
 /// The derivative of [`amplitude`]; 0 at 0.
+#[inline]
 pub(super) fn amplitude_slope(z: Real) -> Real {
     if z > 0.0 {
         1.0

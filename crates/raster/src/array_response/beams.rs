@@ -135,15 +135,18 @@ impl pulp::WithSimd for Draw<'_> {
         let Beams { elements, pixels, .. } = *self.beams;
         let cosines = elements.div_ceil(2);
         for (table, here, there) in self.beams.blocks() {
-            let pairs = self.out.chunks_exact_mut(2 * pixels).zip(self.coefficients.chunks_exact(2 * elements));
-            for (out, coefficients) in pairs {
+            for (pair, coefficients) in self.coefficients.chunks_exact(2 * elements).enumerate() {
                 let (re, im) = coefficients.split_at(elements);
                 let (mut even, mut odd) = ([[0.0; LANES]; 2], [[0.0; LANES]; 2]);
                 Real::two_sums(simd, &mut even, [&re[..cosines], &im[..cosines]], &table[..cosines]);
                 Real::two_sums(simd, &mut odd, [&re[cosines..], &im[cosines..]], &table[cosines..]);
-                for ((out, even), odd) in out.chunks_exact_mut(pixels).zip(&even).zip(&odd) {
+                for c in 0..2 {
+                    let out = &mut self.out[(2 * pair + c) * pixels..][..pixels];
                     let both = |out: &mut [Real], sign: Real| {
-                        out.iter_mut().zip(even).zip(odd).for_each(|((out, even), odd)| *out = even + sign * odd);
+                        let (even, odd) = (&even[c][..out.len()], &odd[c][..out.len()]);
+                        for i in 0..out.len() {
+                            out[i] = even[i] + sign * odd[i];
+                        }
                     };
                     both(&mut out[here.clone()], 1.0);
                     if let Some(there) = &there {
@@ -173,21 +176,23 @@ impl pulp::WithSimd for Back<'_> {
         let cosines = elements.div_ceil(2);
         let mut sums = vec![[0.0; LANES / 4]; self.d_coefficients.len()];
         for (table, here, there) in self.beams.blocks() {
-            for (d_out, sums) in self.d_out.chunks_exact(pixels).zip(sums.chunks_exact_mut(elements)) {
+            for (channel, d_out) in self.d_out.chunks_exact(pixels).enumerate() {
                 let mut even = [0.0; LANES];
                 even[..here.len()].copy_from_slice(&d_out[here.clone()]);
                 let mut odd = even;
                 if let Some(there) = &there {
-                    for ((even, odd), d) in even.iter_mut().zip(&mut odd).zip(&d_out[there.clone()]) {
-                        *even += d;
-                        *odd -= d;
+                    let d = &d_out[there.clone()];
+                    let (even, odd) = (&mut even[..d.len()], &mut odd[..d.len()]);
+                    for i in 0..d.len() {
+                        even[i] += d[i];
+                        odd[i] -= d[i];
                     }
                 }
-                for (k, (beam, sum)) in table.iter().zip(sums).enumerate() {
+                for (k, sum) in sums[channel * elements..][..elements].iter_mut().enumerate() {
                     let d = if k < cosines { &even } else { &odd };
-                    let quarters = d.as_chunks::<{ LANES / 4 }>().0;
-                    for (d, beam) in quarters.iter().zip(beam.as_chunks::<{ LANES / 4 }>().0) {
-                        Real::add_product(simd, sum, d, beam);
+                    let (d, beam) = (d.as_chunks::<{ LANES / 4 }>().0, table[k].as_chunks::<{ LANES / 4 }>().0);
+                    for quarter in 0..4 {
+                        Real::add_product(simd, sum, &d[quarter], &beam[quarter]);
                     }
                 }
             }
