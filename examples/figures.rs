@@ -11,7 +11,7 @@ fn main() -> pwrfgs::core::Result<()> {
     let study = Study::read(&folders.collect::<Vec<_>>())?;
     for (k, setting) in study.settings.iter().enumerate() {
         let folder = out.join(format!("setting-{}", k + 1));
-        for figure in figures::all(&study, setting, &|_, _| {})? {
+        for figure in figures::all(setting, &|_, _| {})? {
             figure.write(&folder)?;
             println!("{}/{}: {}", folder.display(), figure.name, figure.caption);
         }

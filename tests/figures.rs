@@ -35,7 +35,7 @@ fn every_figure_stands_by_itself() {
     sweep(folder.path());
     let study = Study::read(&[folder.path().into()]).unwrap();
     assert_eq!((study.settings.len(), study.settings[0].variants.len()), (1, 2));
-    let figures = figures::all(&study, &study.settings[0], &|_, _| {}).unwrap();
+    let figures = figures::all(&study.settings[0], &|_, _| {}).unwrap();
     let names: Vec<&str> = figures.iter().map(|f| f.name.as_str()).collect();
     assert_eq!(names, ["gaussians", "ssim-n", "eta-n", "latency", "distance", "room", "spectra", "eta-snr"]);
     for figure in &figures {

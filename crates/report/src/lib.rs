@@ -6,6 +6,7 @@
 mod draw;
 mod run_page;
 mod study;
+mod templates;
 
 pub use run_page::page;
 pub use study::{Options, Record, Score, Setting, Study, Variant, figures, write};

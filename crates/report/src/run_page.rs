@@ -5,17 +5,14 @@ mod room;
 mod tables;
 
 use crate::draw::spectra::{self, Mark, Scale};
+use crate::study::one_line;
+use crate::templates::render;
 use minijinja::value::Serde;
-use minijinja::{Environment, context};
-use pwrfgs_core::{Error, Image, Result, plugin::ron_options, ssim};
+use minijinja::{Value, context};
+use pwrfgs_core::{Image, Result, ssim};
 use pwrfgs_experiment::Results;
-use pwrfgs_experiment::clock::duration;
 use pwrfgs_experiment::samples;
-use pwrfgs_experiment::text::grouped;
 use rayon::prelude::*;
-use serde::Serialize;
-
-const TEMPLATE: &str = include_str!("run_page/page.html");
 
 /// The page of an evaluated model.
 ///
@@ -23,105 +20,37 @@ const TEMPLATE: &str = include_str!("run_page/page.html");
 /// Where a snapshot of the training is damaged.
 pub fn page(results: &Results<'_>) -> Result<String> {
     let scores = results.assessment.scores.table();
-    let figures = curves::all(results)?;
-    let room = room::figure(results)?;
     let (examples, limit) = examples(results);
-    let page = context! {
-        name => results.pipeline.name.clone(),
-        title => results.data.title.clone(),
-        simulated => results.data.is_simulated(),
-        facts => facts(results),
-        scores => Serde(tables::scores(&scores)),
-        notes => scores.notes.clone(),
-        whole => Serde(tables::whole(&scores)),
-        figures => Serde(figures),
-        room => Serde(room),
-        examples => Serde(examples),
-        power_bar => Scale::Power.bar(),
-        error_bar => Scale::Error(limit).bar(),
-        angles => results.model.stages.plane.angles.is_some(),
-        has_validation => !results.partition.validation.is_empty(),
-        pipeline => results.pipeline.to_ron(),
-        version => results.facts.version.clone(),
-        written => results.facts.finished.clone(),
-    };
-    let failed = |e: minijinja::Error| Error::Config(format!("the report's template: {e:#}"));
-    let mut environment = environment().map_err(failed)?;
-    environment.add_template("report.html", TEMPLATE).map_err(failed)?;
-    environment.get_template("report.html").and_then(|t| t.render(page)).map_err(failed)
-}
-
-/// Templates that find the style all pages share.
-pub(crate) fn environment() -> Result<Environment<'static>, minijinja::Error> {
-    let mut environment = Environment::new();
-    environment.add_template("style.css", include_str!("style.css"))?;
-    Ok(environment)
-}
-
-/// Name and value of what a reader wants to know first.
-fn facts(results: &Results<'_>) -> Vec<(&'static str, String)> {
     let Results { pipeline, model, data, partition, facts, .. } = results;
-    let [low, high] = [data.scene.bounds.0, data.scene.bounds.1].map(|p| p.map(|v| (v * 10.0).round() / 10.0));
-    let size = |bytes: usize| format!("{} kB", grouped((bytes as f64 / 1000.0).round() as i64));
-    let split = ron_options().to_string_pretty(
-        &pipeline.split,
-        ron_config().depth_limit(0), // on one line
-    );
-    let mut all = vec![
-        ("Gaussians", grouped(model.cloud.len() as i64)),
-        ("Model", format!("{} Gaussians, {} network", size(model.gaussian_bytes()), size(model.network_bytes()))),
-        ("Training", format!("{} steps in {}", grouped(facts.steps as i64), duration(facts.training_seconds))),
-        ("In all", format!("{}, peak memory {} MB", duration(facts.wall_seconds), facts.peak_memory_bytes / 1_000_000)),
-        (
-            "Spectra",
-            format!(
-                "{} train, {} validation, {} test; {} × {} pixels",
-                grouped(partition.train.len() as i64),
-                grouped(partition.validation.len() as i64),
-                grouped(partition.test.len() as i64),
-                data.width,
-                data.height
-            ),
-        ),
-        ("Split", split.unwrap_or_default()),
-        ("Scene", format!("from {low:?} to {high:?} m")),
-        ("Seed", pipeline.seed.to_string()),
-        ("Machine", format!("{}, {} threads", facts.machine.cpu, facts.machine.threads)),
-    ];
-    let commit = facts.commit.as_ref().map_or_else(String::new, |id| format!(", commit {}", &id[..id.len().min(10)]));
-    all.push(("Program", format!("pwrfgs {}{commit}", facts.version)));
-    if facts.steps == 0 {
-        all.retain(|(name, _)| !["Training", "In all"].contains(name));
-    }
-    all
-}
-
-/// How plugins are written in the report.
-fn ron_config() -> ron::ser::PrettyConfig {
-    ron::ser::PrettyConfig::new().struct_names(true)
-}
-
-/// Ground truth, prediction and error of one test spectrum.
-#[derive(Serialize)]
-struct Example {
-    which: &'static str,
-    id: u32,
-    ssim: String,
-    tx: String,
-    nearest: String,
-    peaks: String,
-    panels: Vec<Panel>,
-}
-
-#[derive(Serialize)]
-struct Panel {
-    name: &'static str,
-    map: String,
-    sky: Option<String>,
+    let bounds = [data.scene.bounds.0, data.scene.bounds.1].map(|p| p.map(|v| (v * 10.0).round() / 10.0));
+    let page = context! {
+        name => pipeline.name.clone(),
+        title => data.title.clone(),
+        simulated => data.is_simulated(),
+        facts => Serde(facts),
+        gaussians => model.cloud.len(),
+        bytes => [model.gaussian_bytes(), model.network_bytes()],
+        samples => [&partition.train, &partition.validation, &partition.test].map(Vec::len),
+        size => [data.width, data.height],
+        split => one_line(&pipeline.split),
+        bounds => bounds.map(Vec::from),
+        seed => pipeline.seed,
+        predictors => scores.predictors.clone(),
+        groups => tables::groups(&scores),
+        notes => scores.notes.clone(),
+        figures => curves::all(results),
+        room => room::figure(results)?,
+        examples,
+        power_bar => Scale::Power.bar().svg("bar", "colours of power"),
+        error_bar => Scale::Error(limit).bar().svg("bar", "colours of the error"),
+        angles => model.stages.plane.angles.is_some(),
+        pipeline => pipeline.to_ron(),
+    };
+    render("run.html", page)
 }
 
 /// Best, median and worst test spectrum by SSIM, and the limit of the error scale that they share.
-fn examples(results: &Results<'_>) -> (Vec<Example>, f64) {
+fn examples(results: &Results<'_>) -> (Vec<Value>, f64) {
     let (predictions, truths) = (&results.assessment.predictions, &results.assessment.truths);
     let scores: Vec<f64> = predictions.par_iter().zip(truths).map(|(p, t)| ssim::evaluation(&p.clamped(), t)).collect();
     let mut order: Vec<usize> = (0..scores.len()).collect();
@@ -139,19 +68,19 @@ fn examples(results: &Results<'_>) -> (Vec<Example>, f64) {
         let (truth, prediction) = (&truths[i], &predictions[i]);
         let marks = [Mark::Measured(truth.argmax()), Mark::Predicted(prediction.argmax())];
         let plane = &results.model.stages.plane;
-        let panel = |name, image: &Image, scale, marks: &[Mark]| Panel {
-            name,
-            map: spectra::map(image, plane, scale, marks),
-            sky: spectra::sky(image, plane, scale, marks),
+        let panel = |name: &str, image: &Image, scale, marks: &[Mark]| {
+            let map = spectra::map(image, plane, scale, marks).svg("map", name);
+            let sky = spectra::sky(image, plane, scale, marks).map(|canvas| canvas.svg("sky", name));
+            context! { name, map, sky }
         };
-        Example {
+        context! {
             which,
-            id: sample.id,
-            ssim: format!("{:.3}", scores[i]),
-            tx: sample.tx.map(|v| format!("{v:.2}")).join(", "),
-            nearest: if distances[index].is_finite() { format!("{:.2} m", distances[index]) } else { "n/a".into() },
-            peaks: peaks(results, truth, prediction),
-            panels: vec![
+            id => sample.id,
+            ssim => format!("{:.3}", scores[i]),
+            tx => sample.tx.map(|v| format!("{v:.2}")).join(", "),
+            nearest => if distances[index].is_finite() { format!("{:.2} m", distances[index]) } else { "n/a".into() },
+            peaks => peaks(results, truth, prediction),
+            panels => vec![
                 panel("Ground truth", truth, Scale::Power, &marks[..1]),
                 panel("Predicted", &prediction.clamped(), Scale::Power, &marks),
                 panel("Predicted − truth", error, Scale::Error(limit), &[]),

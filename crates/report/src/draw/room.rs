@@ -1,16 +1,17 @@
-//! The room and the Gaussians in it as SVG.
+//! The room and the Gaussians in it.
 
 #[cfg(test)]
 mod tests;
 mod view;
 
+use super::canvas::{BLACK, Canvas, Colour, Paint, Path, Point, WHITE};
+use super::legend::{SYMBOL, Symbol};
 use pwrfgs_core::{Dataset, Evaluation, ImagePlane, Metric, ModelFacts, Partition, Plugin, Real, Values};
 use pwrfgs_experiment::Snapshot;
 use pwrfgs_experiment::samples::evenly;
 use pwrfgs_experiment::text::{grouped, number};
-use serde::Serialize;
 use std::fmt::Write as _;
-use view::{Point, View, line};
+use view::{Place, View};
 
 /// At most so many of each are drawn.
 const POINTS: usize = 3_000;
@@ -19,40 +20,25 @@ const GAUSSIANS: usize = 3_000;
 /// Up to so many Gaussians stand on stems, which show where they are above the floor.
 const STEMS: usize = 80;
 
-const INK: &str = "#174a99";
-const TRAINING: &str = "#c27c00";
-const TEST: &str = "#00805c";
+const BLUE: Colour = Colour::hex(0x17_4a99);
+const TRAINING: Colour = Colour::hex(0xc2_7c00);
+const TEST: Colour = Colour::hex(0x00_805c);
 
 /// One moment.
-#[derive(Serialize)]
 pub(crate) struct Panel {
     pub(crate) title: String,
     pub(crate) numbers: String,
-    pub(crate) svg: String,
-    /// Its height, SVG units; it is 380 wide.
-    pub(crate) height: f64,
+    pub(crate) picture: Canvas,
     /// What is not shown.
     pub(crate) caption: String,
-}
-
-/// A symbol and its meaning.
-pub(crate) struct Symbol {
-    /// Width, SVG units; it is 14 high.
-    pub(crate) width: u32,
-    /// What is drawn.
-    pub(crate) inner: String,
-    /// What it stands for.
-    pub(crate) meaning: &'static str,
 }
 
 /// What all panels share: limits, cloud, transmitters and receiver.
 pub(crate) struct Room {
     view: View,
-    /// Axes and cloud.
-    behind: String,
-    /// Transmitters and receiver.
-    before: String,
-    /// The largest radius of a Gaussian, SVG units.
+    /// Axes, cloud, transmitters and receiver.
+    behind: Canvas,
+    /// The largest radius of a Gaussian.
     radius: f64,
     has_test: bool,
     has_points: bool,
@@ -61,38 +47,30 @@ pub(crate) struct Room {
 impl Room {
     /// Limits are those of the scene. Where it has no point cloud its walls are unknown, and the limits hold the middle
     /// nine tenths of each of `clouds` as well.
-    /// Text on the axes is `text` SVG units high.
+    /// Text on the axes is `text` high.
     pub(crate) fn new(data: &Dataset, partition: &Partition, clouds: &[&Snapshot], text: f64) -> Self {
         let (low, high) = limits(data, clouds);
         let view = View::new(low, high, text);
         let most = clouds.iter().map(|s| s.means.len()).max().unwrap_or(0);
         let radius = (90.0 / (most.max(1) as f64).sqrt()).clamp(2.4, 6.0);
-        let mut behind = view.axes();
-        behind += &points(&view, data);
-        let mut before = String::new();
-        for (part, colour, shape) in [
-            (&partition.train, TRAINING, "m-1.6 0h3.2m-1.6 -1.6v3.2"),
-            (&partition.test, TEST, "m-1.3 -1.3l2.6 2.6m0 -2.6l-2.6 2.6"),
-        ] {
-            let txs: Vec<Point> = evenly(part, TRANSMITTERS).into_iter().map(|i| data.samples[i].tx).collect();
-            let path: String = txs.iter().map(|&tx| line(&[view.place(tx)]) + shape).collect();
-            _ = write!(before, "<path fill=\"none\" stroke=\"{colour}\" stroke-width=\".8\" d=\"{path}\"/>");
-        }
-        before += &receiver(&view, data, low, high);
-        Self {
-            view,
-            behind,
-            before,
-            radius,
-            has_test: !partition.test.is_empty(),
-            has_points: !data.scene.points.is_empty(),
-        }
+        let mut behind = view.canvas();
+        draw_points(&mut behind, &view, data);
+        let mut draw = |part: &[usize], colour, add: fn(&mut Path, Point, f64), radius| {
+            let mut path = Path::default();
+            evenly(part, TRANSMITTERS).into_iter().for_each(|i| add(&mut path, view.place(data.samples[i].tx), radius));
+            behind.path(path, Paint::stroke(colour, 0.8));
+        };
+        draw(&partition.train, TRAINING, Path::add_plus, 1.6);
+        draw(&partition.test, TEST, Path::add_cross, 1.3);
+        draw_receiver(&mut behind, &view, data, 0.14 * (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max));
+        let (has_test, has_points) = (!partition.test.is_empty(), !data.scene.points.is_empty());
+        Self { view, behind, radius, has_test, has_points }
     }
 
     /// The Gaussians of one moment in the room.
     pub(crate) fn panel(&self, title: &str, snapshot: &Snapshot, data: &Dataset) -> Panel {
         let n = snapshot.means.len();
-        let mut shown: Vec<(Point, f64)> = scattered(n)
+        let mut shown: Vec<(Place, f64)> = scattered(n)
             .into_iter()
             .map(|i| (snapshot.means[i].map(f64::from), f64::from(snapshot.opacities[i])))
             .filter(|(mean, _)| self.view.holds(*mean))
@@ -112,55 +90,55 @@ impl Room {
         if inside > shown.len() {
             caption.push(format!("the {} most opaque are drawn", grouped(shown.len() as i64)));
         }
-        Panel {
-            title: title.into(),
-            numbers,
-            svg: self.svg(&mut shown, title),
-            height: self.view.size[1],
-            caption: caption.join("; "),
-        }
+        Panel { title: title.into(), numbers, picture: self.draw(&mut shown), caption: caption.join("; ") }
     }
 
-    /// Axes and cloud, then transmitters, then Gaussians from far to near.
-    fn svg(&self, shown: &mut [(Point, f64)], title: &str) -> String {
+    /// What is behind, then Gaussians from far to near.
+    fn draw(&self, shown: &mut [(Place, f64)]) -> Canvas {
         shown.sort_by(|a, b| self.view.nearness(a.0).total_cmp(&self.view.nearness(b.0)));
-        let [width, height] = self.view.size;
-        let mut svg = format!(
-            "<svg class=\"room\" viewBox=\"0 0 {width:.0} {height:.0}\" role=\"img\" aria-label=\"{title}\">{}{}",
-            self.behind, self.before
-        );
+        let mut canvas = self.behind.clone();
         if shown.len() <= STEMS {
-            let stem =
-                |(p, _): &(Point, f64)| line(&[self.view.place(*p), self.view.place([p[0], p[1], self.view.floor()])]);
-            let stems: String = shown.iter().map(stem).collect();
-            _ = write!(
-                svg,
-                "<path fill=\"none\" stroke=\"{INK}\" stroke-opacity=\".35\" stroke-width=\".6\" d=\"{stems}\"/>"
-            );
+            let mut stems = Path::default();
+            for (p, _) in &*shown {
+                stems.add(&[self.view.place(*p), self.view.place([p[0], p[1], self.view.floor()])]);
+            }
+            canvas.path(stems, Paint::stroke(BLUE.faint(0.35), 0.6));
         }
-        svg += &gaussians(shown.iter().map(|(p, opacity)| (self.view.place(*p), *opacity)), self.radius);
-        svg + "</svg>"
+        shown.iter().for_each(|(p, opacity)| self.draw_gaussian(&mut canvas, self.view.place(*p), *opacity));
+        canvas
     }
 
-    /// Symbols with their meaning.
+    /// A circle whose area is proportional to opacity.
+    fn draw_gaussian(&self, canvas: &mut Canvas, at: Point, opacity: f64) {
+        let paint = Paint::fill(BLUE.faint(0.85)).outlined(WHITE, 0.5);
+        canvas.circle(at, (self.radius * opacity.sqrt()).max(0.9), paint);
+    }
+
+    /// What all symbols mean.
     pub(crate) fn legend(&self) -> Vec<Symbol> {
-        let symbol = |width: u32, inner: String, meaning| Symbol { width, inner, meaning };
-        let path =
-            |d: &str, colour: &str| format!("<path fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.4\" d=\"{d}\"/>");
-        let sizes = [(6.0, 0.1), (17.0, 0.5), (30.0, 1.0)].map(|(x, opacity)| ([x, 7.0], opacity));
-        let circles = gaussians(sizes.into_iter(), self.radius);
-        let mut all = vec![symbol(38, circles, "Gaussians of opacity 0.1, 0.5 and 1")];
+        let symbol = |meaning: &str, path: Path, paint| {
+            let mut picture = Canvas::new(12.0, SYMBOL);
+            picture.path(path, paint);
+            Symbol { picture, meaning: meaning.to_owned() }
+        };
+        let mut circles = Canvas::new(38.0, SYMBOL);
+        for (x, opacity) in [(6.0, 0.1), (17.0, 0.5), (30.0, 1.0)] {
+            self.draw_gaussian(&mut circles, [x, 7.0], opacity);
+        }
+        let mut all = vec![Symbol { picture: circles, meaning: "Gaussians of opacity 0.1, 0.5 and 1".into() }];
+        let (mut dots, mut plus, mut cross) = (Path::default(), Path::default(), Path::default());
+        [[3.0, 5.0], [9.0, 7.0], [4.0, 10.0]].iter().for_each(|dot| dots.add(&[*dot; 2]));
+        plus.add_plus([6.0, 7.0], 3.0);
+        cross.add_cross([6.0, 7.0], 2.5);
         if self.has_points {
-            let dots =
-                "<path stroke=\"#aab0ba\" stroke-width=\"1.8\" stroke-linecap=\"round\" d=\"M3 5h0M9 7h0M4 10h0\"/>";
-            all.push(symbol(12, dots.into(), "point cloud"));
+            all.push(symbol("point cloud", dots, Paint { round: true, ..Paint::stroke(Colour::hex(0xaa_b0ba), 1.8) }));
         }
-        all.push(symbol(12, path("M3 7h6m-3 -3v6", TRAINING), "training transmitters"));
+        all.push(symbol("training transmitters", plus, Paint::stroke(TRAINING, 1.4)));
         if self.has_test {
-            all.push(symbol(12, path("M3.5 4.5l5 5m0 -5l-5 5", TEST), "test transmitters"));
+            all.push(symbol("test transmitters", cross, Paint::stroke(TEST, 1.4)));
         }
-        let triangle = "<path fill=\"#101318\" d=\"M6 2l5 9.5h-10z\"/>";
-        all.push(symbol(12, triangle.into(), "receiver and its boresight"));
+        let triangle = Path::of(&[[6.0, 2.0], [11.0, 11.5], [1.0, 11.5]]).closed();
+        all.push(symbol("receiver and its boresight", triangle, Paint::fill(BLACK)));
         all
     }
 
@@ -176,47 +154,32 @@ impl Room {
     }
 }
 
-/// Circles whose area is proportional to opacity, in the order given.
-fn gaussians(placed: impl Iterator<Item = ([f64; 2], f64)>, radius: f64) -> String {
-    let mut svg = format!("<g fill=\"{INK}\" fill-opacity=\".85\" stroke=\"#fff\" stroke-width=\".5\">");
-    for ([x, y], opacity) in placed {
-        let r = (radius * opacity.sqrt()).max(0.9);
-        _ = write!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{r:.1}\"/>");
-    }
-    svg + "</g>"
-}
-
 /// The point cloud, fainter towards the eye: what lies behind shall be seen.
-fn points(view: &View, data: &Dataset) -> String {
-    let mut layers = [String::new(), String::new(), String::new()];
+fn draw_points(canvas: &mut Canvas, view: &View, data: &Dataset) {
+    let mut layers = [(); 3].map(|()| Path::default());
     for point in evenly(&data.scene.points, POINTS) {
         let p = point.map(f64::from);
         if view.holds(p) {
             let layer = ((3.0 * view.nearness(p)) as usize).min(2);
-            layers[layer] += &line(&[view.place(p)]);
-            layers[layer] += "h0";
+            layers[layer].add(&[view.place(p); 2]);
         }
     }
-    let mut svg = String::from("<g fill=\"none\" stroke=\"#8d94a1\" stroke-width=\"1.3\" stroke-linecap=\"round\">");
-    for (path, opacity) in layers.iter().zip([0.7, 0.5, 0.3]) {
-        _ = write!(svg, "<path stroke-opacity=\"{opacity}\" d=\"{path}\"/>");
+    for (layer, opacity) in layers.into_iter().zip([0.7, 0.5, 0.3]) {
+        let grey = Colour::hex(0x8d_94a1).faint(opacity);
+        canvas.path(layer, Paint { round: true, ..Paint::stroke(grey, 1.3) });
     }
-    svg + "</g>"
 }
 
-/// A triangle where the receiver stands and a line along its boresight.
-fn receiver(view: &View, data: &Dataset, low: Point, high: Point) -> String {
+/// A triangle where the receiver stands and a line along its boresight, metres long.
+fn draw_receiver(canvas: &mut Canvas, view: &View, data: &Dataset, length: f64) {
     let pose = &data.scene.receiver;
     let boresight = pose.world_from_receiver().z_axis.to_array().map(f64::from);
-    let length = 0.14 * (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max);
     let end = [0, 1, 2].map(|k| pose.position[k] + length * boresight[k]);
     let ([x, y], tip) = (view.place(pose.position), view.place(end));
-    let ray = line(&[[x, y], tip]);
-    let triangle = format!("M{x:.1} {:.1}l5 9h-10z", y - 5.5);
-    format!(
-        "<path stroke=\"#fff\" stroke-width=\"3.5\" d=\"{ray}\"/><path stroke=\"#101318\" stroke-width=\"1.4\" \
-         d=\"{ray}\"/><path fill=\"#101318\" stroke=\"#fff\" d=\"{triangle}\"/>"
-    )
+    canvas.line(&[[x, y], tip], Paint::stroke(WHITE, 3.5));
+    canvas.line(&[[x, y], tip], Paint::stroke(BLACK, 1.4));
+    let triangle = [[x, y - 5.5], [x + 5.0, y + 3.5], [x - 5.0, y + 3.5]];
+    canvas.polygon(&triangle, Paint::fill(BLACK).outlined(WHITE, 1.0));
 }
 
 /// The Chamfer distance to the point cloud as the metric of that name defines it, m²; `None` where it does not apply.
@@ -237,7 +200,7 @@ fn chamfer(data: &Dataset, means: &[[Real; 3]]) -> Option<f64> {
 }
 
 /// Corners of the frame, a little wider than what it must hold and never flat.
-fn limits(data: &Dataset, clouds: &[&Snapshot]) -> (Point, Point) {
+fn limits(data: &Dataset, clouds: &[&Snapshot]) -> (Place, Place) {
     let (low, high) = data.scene.bounds;
     let (mut low, mut high) = (low.map(f64::from), high.map(f64::from));
     if data.scene.points.is_empty() {

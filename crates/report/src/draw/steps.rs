@@ -1,7 +1,7 @@
 //! What charts over training steps share: the phases of algorithm 1 and step functions.
 
+use super::canvas::Colour;
 use super::charts::Band;
-use plotters::style::RGBColor;
 use pwrfgs_train::Training;
 
 /// The three phases of algorithm 1, shaded.
@@ -9,9 +9,9 @@ pub(crate) fn phases(training: &Training) -> Vec<Band> {
     let (d, p, end) = (training.densify_until as f64, training.prune_until as f64, training.steps as f64);
     let band = |name, x, colour| Band { name, x, colour };
     vec![
-        band("densify", (0.0, d), RGBColor(233, 240, 250)),
-        band("prune", (d, p), RGBColor(252, 240, 226)),
-        band("fine-tune", (p, end), RGBColor(238, 246, 238)),
+        band("densify", (0.0, d), Colour::hex(0xe9_f0fa)),
+        band("prune", (d, p), Colour::hex(0xfc_f0e2)),
+        band("fine-tune", (p, end), Colour::hex(0xee_f6ee)),
     ]
 }
 

@@ -1,27 +1,20 @@
 //! The room and the Gaussians in it: at the start, when they were most, and in the end.
 
-use crate::draw::room::{Panel, Room, Symbol};
+use crate::draw::legend::Symbol;
+use crate::draw::room::{Panel, Room};
+use minijinja::{Value, context};
 use pwrfgs_core::Result;
 use pwrfgs_experiment::Results;
 use pwrfgs_experiment::Snapshot;
 use pwrfgs_experiment::folder::{START_SNAPSHOT, UNPRUNED_SNAPSHOT};
 use pwrfgs_experiment::text::grouped;
-use serde::Serialize;
 
-/// Height of text on the axes, SVG units.
+/// Height of text on the axes.
 const TEXT: f64 = 10.5;
 
-/// The figure: three panels and what their symbols mean.
-#[derive(Serialize)]
-pub(super) struct Figure {
-    panels: Vec<Panel>,
-    legend: Vec<(String, &'static str)>,
-    /// What a reader of the picture must know besides.
-    note: String,
-}
-
-/// The figure of a run; where nothing is known of the training the last panel alone.
-pub(super) fn figure(results: &Results<'_>) -> Result<Figure> {
+/// Three panels, what their symbols mean and what a reader must know besides; the last panel alone where nothing is
+/// known of the training.
+pub(super) fn figure(results: &Results<'_>) -> Result<Value> {
     let last = Snapshot::of(results.facts.steps, &results.model.cloud);
     let read = |name: &str| results.training.map_or(Ok(None), |folder| Snapshot::read(&folder.join(name)));
     let step = |s: &Snapshot| grouped(s.step as i64);
@@ -31,11 +24,13 @@ pub(super) fn figure(results: &Results<'_>) -> Result<Figure> {
     moments.push((if moments.is_empty() { "The Gaussians".into() } else { "In the end".into() }, last));
     let clouds: Vec<&Snapshot> = moments.iter().map(|m| &m.1).collect();
     let room = Room::new(results.data, results.partition, &clouds, TEXT);
-    let panels = moments.iter().map(|(title, snapshot)| room.panel(title, snapshot, results.data)).collect();
-    let symbol = |s: Symbol| {
-        let size = format!("viewBox=\"0 0 {0} 14\" style=\"width:{0}px\"", s.width);
-        (format!("<svg {size}>{}</svg>", s.inner), s.meaning)
+    let panel = |(title, snapshot): &(String, Snapshot)| {
+        let Panel { title, numbers, picture, caption } = room.panel(title, snapshot, results.data);
+        let svg = picture.svg("room", &title);
+        context! { title, numbers, svg, caption }
     };
-    let legend = room.legend().into_iter().map(symbol).collect();
-    Ok(Figure { panels, legend, note: room.note(results.data) })
+    let panels: Vec<Value> = moments.iter().map(panel).collect();
+    let symbol = |s: Symbol| (s.picture.svg("symbol", &s.meaning), s.meaning);
+    let legend: Vec<(String, String)> = room.legend().into_iter().map(symbol).collect();
+    Ok(context! { panels, legend, note => room.note(results.data) })
 }

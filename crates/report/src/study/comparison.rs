@@ -4,13 +4,14 @@ use super::blocks::Blocks;
 use super::statistics::{Cell, Difference, Spread};
 use super::{Record, Setting};
 use pwrfgs_experiment::scores::{MODEL, Summary};
+use serde::Serialize;
 use std::collections::BTreeMap;
 
 /// Key of the seconds inside training steps, which no metric measures.
 pub(super) const TRAINING: &str = "training_s";
 
 /// What a row is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub(super) enum Kind {
     /// Trained models.
     Variant,

@@ -8,28 +8,30 @@ mod gaussians;
 mod latency;
 mod loaded;
 mod looks;
-mod published;
 mod rate;
 mod room;
-mod sheet;
 mod spectra;
 mod tradeoff;
 
-use super::{Record, Setting, Study, Variant};
+use super::{Record, Setting};
+use crate::draw::canvas::Canvas;
 use crate::draw::charts::{Chart, Look};
-use crate::draw::print::print;
+use crate::templates::sentences;
 use loaded::Loaded;
+use minijinja::{Value, context};
 use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::{Error, Progress, Result};
-use sheet::Sheet;
+use serde::Serialize;
 use std::path::Path;
 
-/// Width of a column of print and of a page, millimetres.
-const COLUMN_MM: f64 = 88.9;
-const PAGE_MM: f64 = 181.9;
+/// Width of a column of print, and of two with the gap between them.
+const COLUMN: f64 = Look::COLUMN.size[0];
+const PAGE: f64 = COLUMN * 181.9 / 88.9;
+/// What a unit of them is on paper.
+const MM: f64 = 88.9 / COLUMN;
 
 /// One figure.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct Figure {
     /// Stem of its files.
     pub name: String,
@@ -37,9 +39,12 @@ pub struct Figure {
     pub title: String,
     /// What is drawn, for the text below it.
     pub caption: String,
-    /// The figure for print, as wide as a column or a page.
+    /// Width on paper: that of a column or a page.
+    pub width_mm: f64,
+    /// The figure for print.
     pub svg: String,
     /// The same at 300 dpi.
+    #[serde(skip)]
     pub png: Vec<u8>,
 }
 
@@ -54,29 +59,25 @@ impl Figure {
         write_atomically(&folder.join(format!("{}.png", self.name)), &self.png)
     }
 
-    /// A chart in one column; nothing where there is nothing to draw.
-    fn chart(name: &str, title: &str, caption: String, chart: Chart) -> Result<Option<Self>> {
-        let Some(svg) = Chart { look: Look { margins: margins(&chart), ..Look::COLUMN }, ..chart }.svg()? else {
-            return Ok(None);
-        };
-        Self::printed(name, title, caption, &svg, COLUMN_MM).map(Some)
+    /// A chart in one column; nothing where there is nothing to draw. What `words` say is for its caption.
+    fn chart(name: &str, setting: &Setting, words: Value, chart: Chart) -> Option<Self> {
+        let mut look = Look::COLUMN;
+        if !chart.bands.is_empty() {
+            look.margins[1] = 40.0; // for their names
+        }
+        Chart { look, ..chart }.draw().map(|canvas| Self::new(name, setting, words, &canvas))
     }
 
-    /// A picture put together from pieces.
-    fn sheet(name: &str, title: &str, caption: String, sheet: &Sheet) -> Result<Self> {
-        Self::printed(name, title, caption, &sheet.svg(), sheet.width_mm)
+    fn new(name: &str, setting: &Setting, words: Value, canvas: &Canvas) -> Self {
+        let seeds = setting.variants.iter().map(|v| v.runs.len());
+        let (least, most) = (seeds.clone().min(), seeds.max());
+        let words = sentences("figures.txt", context! { name, least, most, ..words });
+        let kind = if setting.simulated { "Simulated" } else { "Measured" };
+        let caption = format!("{} {kind} data: {}.", words[1], setting.title);
+        let width_mm = (10.0 * canvas.width * MM).round() / 10.0;
+        let (svg, png) = (canvas.svg_for_print(width_mm), canvas.png(width_mm));
+        Self { name: name.into(), title: words[0].clone(), caption, width_mm, svg, png }
     }
-
-    fn printed(name: &str, title: &str, caption: String, svg: &str, width_mm: f64) -> Result<Self> {
-        let print = print(name, svg, width_mm)?;
-        Ok(Self { name: name.into(), title: title.into(), caption, svg: print.svg, png: print.png })
-    }
-}
-
-/// Names of shaded stretches need room above.
-fn margins(chart: &Chart) -> (u32, u32, u32, u32) {
-    let (left, top, right, bottom) = Look::COLUMN.margins;
-    (left, if chart.bands.is_empty() { top } else { 40 }, right, bottom)
 }
 
 /// Every figure there are numbers for. `progress` counts figures.
@@ -86,13 +87,13 @@ fn margins(chart: &Chart) -> (u32, u32, u32, u32) {
 ///
 /// # Errors
 /// Where a figure cannot be drawn.
-pub fn all(_study: &Study, setting: &Setting, progress: Progress<'_>) -> Result<Vec<Figure>> {
+pub fn all(setting: &Setting, progress: Progress<'_>) -> Result<Vec<Figure>> {
     let from_scores = [gaussians::figure, tradeoff::ssim, tradeoff::rate_ratio, latency::figure, distance::figure];
     let from_data = [room::figure, spectra::figure, rate::figure];
     let count = from_scores.len() + from_data.len();
     let mut figures = Vec::new();
     for (done, make) in from_scores.iter().enumerate() {
-        figures.extend(make(setting)?);
+        figures.extend(make(setting));
         progress(done + 1, count);
     }
     let drawn = Loaded::of(setting).and_then(|loaded| {
@@ -110,22 +111,6 @@ pub fn all(_study: &Study, setting: &Setting, progress: Progress<'_>) -> Result<
     Ok(figures)
 }
 
-/// What every caption ends with: where the numbers come from.
-fn source(setting: &Setting) -> String {
-    format!("{} data: {}.", if setting.simulated { "Simulated" } else { "Measured" }, setting.title)
-}
-
-/// `3 seeds`, or how many a variant has.
-fn seeds(setting: &Setting) -> String {
-    let counts: Vec<usize> = setting.variants.iter().map(|v| v.runs.len()).collect();
-    let (least, most) = (counts.iter().min().copied().unwrap_or(0), counts.iter().max().copied().unwrap_or(0));
-    match (least, most) {
-        (1, 1) => "one seed".into(),
-        (a, b) if a == b => format!("{a} seeds"),
-        (a, b) => format!("{a} to {b} seeds"),
-    }
-}
-
 /// Names of the baselines of a setting, each once.
 fn floors(setting: &Setting) -> Vec<String> {
     let mut names: Vec<String> = Vec::new();
@@ -139,5 +124,5 @@ fn floors(setting: &Setting) -> Vec<String> {
 
 /// All runs of a setting.
 fn runs(setting: &Setting) -> impl Iterator<Item = &Record> {
-    setting.variants.iter().flat_map(|v: &Variant| &v.runs)
+    setting.variants.iter().flat_map(|v| &v.runs)
 }

@@ -1,19 +1,127 @@
-//! One file a format.
+//! The report in each of its formats.
 
 mod csv;
-mod html;
-mod latex;
-mod markdown;
 mod text;
 
 pub(super) use csv::csv;
-pub(super) use html::html;
-pub(super) use latex::{document, table as latex_table};
-pub(super) use markdown::markdown;
 pub(super) use text::text;
 
-/// Width that a figure is drawn for in millimetres, as its SVG says.
-fn width_mm(svg: &str) -> Option<f64> {
-    let (_, rest) = svg.split_once(" width=\"")?;
-    rest.split_once("mm\"")?.0.parse().ok()
+use super::page::Page;
+use super::tables::{Column, Line, Table};
+use crate::templates::render;
+use minijinja::value::Serde;
+use minijinja::{Value, context};
+use pwrfgs_core::Result;
+
+/// Names and texts of all documents: `report.md`, `report.html`, `report.tex` with a file for each table.
+pub(super) fn documents(page: &Page) -> Result<Vec<(String, String)>> {
+    let (mut all, mut sections) = (Vec::new(), Vec::new());
+    for section in &page.sections {
+        let (mut said, mut tables) = (Vec::new(), Vec::new());
+        for table in &section.tables {
+            let t = shown(table, &mut said);
+            let context = context! { t => t.clone(), setting => section.title.clone(), name => section.name.clone() };
+            all.push((format!("tables/{}-{}.tex", section.name, table.name), render("table.tex", context)?));
+            tables.push(t);
+        }
+        sections.push(context! { tables, ..Serde(section) });
+    }
+    let context = context! {
+        title => page.title.clone(),
+        sections,
+        left_out => page.left_out.clone(),
+        version => env!("CARGO_PKG_VERSION"),
+    };
+    for name in ["report.md", "report.tex", "report.html"] {
+        all.push((name.to_owned(), render(name, context.clone())?));
+    }
+    Ok(all)
+}
+
+/// A table as templates want it: neighbouring columns of one title and lines of one kind together, and apart what the
+/// legend says that no table above it has said.
+fn shown<'a>(table: &'a Table, said: &mut Vec<&'a str>) -> Value {
+    let fresh: Vec<&str> = table.legend.iter().map(String::as_str).filter(|s| !said.contains(s)).collect();
+    said.extend(&fresh);
+    let groups: Vec<&[Column]> = table.columns.chunk_by(|a, b| (&a.title, a.arrow) == (&b.title, b.arrow)).collect();
+    let sections: Vec<&[Line]> = table.lines.chunk_by(|a, b| a.kind == b.kind).collect();
+    context! {
+        groups => Serde(groups),
+        sections => Serde(sections),
+        detailed => table.columns.iter().any(|c| !c.detail.is_empty()),
+        marked => table.is_marked(),
+        fresh => Serde(fresh),
+        ..Serde(table)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::comparison::Kind;
+    use super::super::page::Section;
+    use super::super::tables::{Mark, Shown};
+    use super::*;
+
+    fn shown(value: &str, deviation: &str, mark: Mark) -> Shown {
+        Shown { value: value.into(), deviation: deviation.into(), mark, ..Shown::default() }
+    }
+
+    /// One section with one table.
+    fn page(columns: Vec<Column>, lines: Vec<Line>) -> Page {
+        let table = Table { name: "scores", title: "50 % of a_b".into(), columns, lines, legend: vec!["a<b".into()] };
+        let title = "office (simulated)".to_owned();
+        let section = Section { name: "1".into(), title, tables: vec![table], ..Section::default() };
+        Page { title: "a & b".into(), sections: vec![section], left_out: vec![] }
+    }
+
+    fn document(page: &Page, name: &str) -> String {
+        documents(page).unwrap().into_iter().find(|(found, _)| found == name).unwrap().1
+    }
+
+    #[test]
+    fn a_latex_table_has_rules_groups_and_marks() {
+        let column = |title: &str, detail: &str| Column { title: title.into(), detail: detail.into(), arrow: "↑" };
+        let line = |label: &str, kind, value, mark| {
+            let cells = vec![shown(value, "", mark), shown("1", "", Mark::None), Shown::default()];
+            Line { label: label.into(), kind, cells }
+        };
+        let columns = vec![column("SSIM", "mean"), column("SSIM", "median"), column("η", "mean")];
+        let lines = vec![line("a_b", Kind::Variant, "0.9", Mark::Best), line("5-NN", Kind::Floor, "0.8", Mark::Second)];
+        let table = document(&page(columns, lines), "tables/1-scores.tex");
+        for part in [
+            "{\\usebox0}\\else\\usebox0\\fi}\n\\begin{table}[htbp]\n",
+            "\\caption{50 \\% of a\\_b: office (simulated)}\n\\label{tab:1-scores}\n\\pwrfgsfit{%\n\\begin{tabular}{lrrr}\n",
+            "\\multicolumn{2}{c}{SSIM \\ensuremath{\\uparrow}} & \\multicolumn{1}{r}{\\ensuremath{\\eta}",
+            "\\cmidrule(lr){2-3}\n & mean & median & mean \\\\\n\\midrule\n",
+            "a\\_b & \\textbf{0.9} & 1 & -- \\\\\n\\midrule\n5-{}NN & \\underline{0.8} & 1 & -- \\\\\n\\bottomrule",
+            "\\footnotesize a\\textless{}b \\textbf{Best}",
+        ] {
+            assert!(table.contains(part), "`{part}` is not in\n{table}");
+        }
+    }
+
+    #[test]
+    fn marks_are_bold_and_italic_in_markdown() {
+        let interval = Some(("−0.1".to_owned(), "+0.3".to_owned()));
+        let cells = vec![
+            shown("0.75", "0.01", Mark::Best),
+            shown("0.50", "", Mark::Second),
+            Shown { interval, ..shown("+0.1", "", Mark::None) },
+            Shown::default(),
+        ];
+        let columns = ["SSIM", "η", "Δ", "N"].map(|title| Column { title: title.into(), ..Column::default() }).into();
+        let text =
+            document(&page(columns, vec![Line { label: "a|b".into(), kind: Kind::Variant, cells }]), "report.md");
+        let table = "\n### 50 % of a\\_b\n\n| | SSIM | η | Δ | N |\n|---|---:|---:|---:|---:|\n\
+                     | a\\|b | **0.75** ± 0.01 | *0.50* | +0.1 \\[−0.1, +0.3\\] | n/a |\n\na\\<b\n";
+        assert!(text.contains(table), "{text}");
+        assert!(text.starts_with("# a \\& b\n\n## office (simulated)\n"), "{text}");
+    }
+
+    #[test]
+    fn nothing_in_a_label_is_html() {
+        let line = Line { label: "<i>".into(), kind: Kind::Variant, cells: vec![shown("1", "", Mark::None)] };
+        let text = document(&page(vec![Column::default()], vec![line]), "report.html");
+        assert!(text.contains("<h1>a &amp; b</h1>") && text.contains("<td>&lt;i&gt;</td>"), "{text}");
+    }
 }

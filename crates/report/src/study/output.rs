@@ -74,17 +74,10 @@ pub fn write(study: &Study, options: &Options, out: &Path, observer: &mut dyn Ob
 fn files(study: &Study, page: &Page) -> Result<Vec<(String, Vec<u8>)>> {
     let comparisons: Vec<_> = study.settings.iter().map(Comparison::new).collect();
     let references = page.sections.iter().map(|section| section.reference.as_str());
-    let mut files: Vec<(String, Vec<u8>)> = vec![
-        ("report.md".into(), format::markdown(page).into()),
-        ("report.csv".into(), format::csv(&comparisons.into_iter().zip(references).collect::<Vec<_>>()).into()),
-        ("report.tex".into(), format::document(page).into()),
-        ("report.html".into(), format::html(page)?.into()),
-    ];
+    let csv = format::csv(&comparisons.into_iter().zip(references).collect::<Vec<_>>());
+    let mut files = vec![("report.csv".into(), csv.into())];
+    files.extend(format::documents(page)?.into_iter().map(|(name, text)| (name, text.into())));
     for section in &page.sections {
-        for table in &section.tables {
-            let text = format::latex_table(table, section);
-            files.push((format!("tables/{}-{}.tex", section.name, table.name), text.into()));
-        }
         for figure in &section.figures {
             let stem = format!("figures/{}-{}", section.name, figure.name);
             files.push((format!("{stem}.svg"), figure.svg.clone().into()));

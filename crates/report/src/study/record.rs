@@ -7,6 +7,8 @@ use pwrfgs_experiment::folder::{CURVE, MODEL_FILE, PIPELINE, SAMPLES, SCORES};
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::series;
 use pwrfgs_train::Pipeline;
+use serde::de::{DeserializeOwned, Error as _};
+use serde::{Deserialize, Deserializer};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -117,22 +119,45 @@ impl Record {
     }
 }
 
-/// Reads `scores.csv`; rows that do not apply (`n/a`) are left out.
+/// A row of `scores.csv`.
+#[derive(Deserialize)]
+struct ScoreRow {
+    predictor: String,
+    metric: String,
+    sample: Option<u32>,
+    /// Nothing where the metric does not apply.
+    #[serde(deserialize_with = "number")]
+    value: Option<f64>,
+}
+
+fn number<'de, D: Deserializer<'de>>(field: D) -> Result<Option<f64>, D::Error> {
+    match String::deserialize(field)?.as_str() {
+        "n/a" => Ok(None),
+        text => text.parse().map(Some).map_err(|e| D::Error::custom(format!("`{text}`: {e}"))),
+    }
+}
+
+/// A row of `samples.csv`.
+#[derive(Deserialize)]
+struct SampleRow {
+    id: u32,
+    x: f64,
+    y: f64,
+    z: f64,
+    split: String,
+    nearest_train_m: Option<f64>,
+}
+
+/// Reads `scores.csv`; rows that do not apply are left out.
 fn scores(text: &str, path: &Path) -> Result<Vec<Score>> {
     let mut all: Vec<Score> = Vec::new();
-    for_each_row(text, path, 4, |row| {
-        let [predictor, metric] = [&row[0], &row[1]];
-        if &row[3] == "n/a" {
-            return Ok(());
-        }
-        let id = if row[2].is_empty() { None } else { Some(parsed(&row[2])?) };
-        let value = parsed(&row[3])?;
+    for ScoreRow { predictor, metric, sample, value } in rows(text, path)? {
+        let Some(value) = value else { continue };
         match all.last_mut().filter(|s| s.predictor == predictor && s.metric == metric) {
-            Some(score) => score.values.push((id, value)),
-            None => all.push(Score { predictor: predictor.into(), metric: metric.into(), values: vec![(id, value)] }),
+            Some(score) => score.values.push((sample, value)),
+            None => all.push(Score { predictor, metric, values: vec![(sample, value)] }),
         }
-        Ok(())
-    })?;
+    }
     Ok(all)
 }
 
@@ -141,40 +166,18 @@ type TestSamples = (BTreeMap<u32, f64>, BTreeMap<u32, [f64; 3]>);
 
 /// Distances and places of the test samples in `samples.csv`.
 fn test_samples(text: &str, path: &Path) -> Result<TestSamples> {
-    let (mut distances, mut places) = TestSamples::default();
-    for_each_row(text, path, 6, |row| {
-        if &row[4] == "test" {
-            let id = parsed(&row[0])?;
-            distances.insert(id, if row[5].is_empty() { f64::INFINITY } else { parsed(&row[5])? });
-            places.insert(id, [parsed(&row[1])?, parsed(&row[2])?, parsed(&row[3])?]);
-        }
-        Ok(())
-    })?;
-    Ok((distances, places))
+    let all: Vec<SampleRow> = rows(text, path)?;
+    let tested = all.iter().filter(|s| s.split == "test");
+    Ok(tested.map(|s| ((s.id, s.nearest_train_m.unwrap_or(f64::INFINITY)), (s.id, [s.x, s.y, s.z]))).unzip())
 }
 
-fn parsed<T: std::str::FromStr>(field: &str) -> Result<T, String> {
-    field.parse().ok().ok_or_else(|| format!("`{field}` is no number"))
-}
-
-/// Goes through the rows below the header, each of `fields` fields.
-fn for_each_row(
-    text: &str,
-    path: &Path,
-    fields: usize,
-    mut take: impl FnMut(&csv::StringRecord) -> Result<(), String>,
-) -> Result<()> {
-    let mut reader = csv::ReaderBuilder::new().flexible(true).from_reader(text.as_bytes());
-    for row in reader.records() {
-        let row = row.map_err(|e| Error::input(path, format!("not the CSV that a run writes: {e}")))?;
-        let line = row.position().map_or(1, |p| p.line() as usize);
-        let checked =
-            if row.len() == fields { take(&row) } else { Err(format!("{} fields in place of {fields}", row.len())) };
-        checked.map_err(|why| {
-            Error::at(path, line, 1, format!("{why}; the run's own files must stay as it wrote them"))
-        })?;
-    }
-    Ok(())
+/// The rows below the header.
+fn rows<T: DeserializeOwned>(text: &str, path: &Path) -> Result<Vec<T>> {
+    let placed = |e: csv::Error| {
+        let line = e.position().map_or(1, |p| p.line() as usize);
+        Error::at(path, line, 1, format!("{e}; the run's own files must stay as it wrote them"))
+    };
+    csv::Reader::from_reader(text.as_bytes()).into_deserialize().map(|row| row.map_err(placed)).collect()
 }
 
 #[cfg(test)]

@@ -39,18 +39,10 @@ pub(super) struct Column {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Line {
     pub(super) label: String,
-    pub(super) section: Section,
+    /// Rows of one kind stand together.
+    pub(super) kind: Kind,
     /// One a column.
     pub(super) cells: Vec<Shown>,
-}
-
-/// Rows of one section stand together.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub(super) enum Section {
-    Variants,
-    Floors,
-    Bounds,
 }
 
 /// A number as it is printed; empty where there is none.
@@ -83,16 +75,6 @@ fn title(words: &str, setting: &Setting) -> String {
     format!("{words}{}", if setting.simulated { " (simulated spectra)" } else { "" })
 }
 
-impl From<Kind> for Section {
-    fn from(kind: Kind) -> Self {
-        match kind {
-            Kind::Variant => Self::Variants,
-            Kind::Floor => Self::Floors,
-            Kind::Bound => Self::Bounds,
-        }
-    }
-}
-
 impl Line {
     /// Label with what it is: floors are named so, bounds carry a dagger.
     fn new(label: &str, kind: Kind, cells: Vec<Shown>) -> Self {
@@ -101,28 +83,17 @@ impl Line {
             Kind::Floor => format!("{label} (floor)"),
             Kind::Bound => format!("{label} †"),
         };
-        Self { label, section: kind.into(), cells }
+        Self { label, kind, cells }
     }
 }
 
 impl Table {
-    /// Titles of neighbouring columns with how many columns they span.
-    pub(super) fn groups(&self) -> Vec<(&Column, usize)> {
-        let same = |a: &Column, b: &Column| a.title == b.title && a.arrow == b.arrow;
-        self.columns.chunk_by(same).map(|columns| (&columns[0], columns.len())).collect()
-    }
-
-    /// Lines, section by section.
-    pub(super) fn sections(&self) -> impl Iterator<Item = &[Line]> {
-        self.lines.chunk_by(|a, b| a.section == b.section)
-    }
-
     /// Whether some number is the best of its column.
     pub(super) fn is_marked(&self) -> bool {
         self.lines.iter().flat_map(|line| &line.cells).any(|cell| cell.mark == Mark::Best)
     }
 
-    fn has(&self, section: Section) -> bool {
-        self.lines.iter().any(|line| line.section == section)
+    fn has(&self, kind: Kind) -> bool {
+        self.lines.iter().any(|line| line.kind == kind)
     }
 }

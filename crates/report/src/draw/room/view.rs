@@ -1,38 +1,38 @@
 //! A box in space seen from above at an angle, in parallel projection: lengths along an axis stay comparable.
 
+use crate::draw::canvas::{Anchor, Canvas, Colour, Paint, Path, Point};
 use crate::draw::ticks::{label, linear_ticks};
-use std::fmt::Write as _;
 
 /// Where the eye is, degrees: azimuth from the x axis, elevation above the floor.
 const AZIMUTH: f64 = -58.0;
 const ELEVATION: f64 = 27.0;
-/// Width of a picture in SVG units, its largest height without axes, and room for them in heights of text: left, top,
+/// Width of a picture, its largest height without axes, and room for them in heights of text: left, top,
 /// right, bottom.
 const WIDTH: f64 = 380.0;
 const MOST_HEIGHT: f64 = 300.0;
 const MARGINS: [f64; 4] = [3.4, 0.8, 1.9, 3.2];
 
-/// A point in space, metres.
-pub(crate) type Point = [f64; 3];
+/// In space, metres.
+pub(crate) type Place = [f64; 3];
 
 /// The view of one box.
 #[derive(Clone, Debug)]
 pub(crate) struct View {
-    low: Point,
-    high: Point,
-    /// SVG units a metre.
+    low: Place,
+    high: Place,
+    /// Units of the picture a metre.
     scale: f64,
     /// Where the origin of the picture lies, before scaling.
     corner: [f64; 2],
-    /// Height of text, SVG units.
+    /// Height of text.
     text: f64,
     /// Width and height of the whole picture.
-    pub(crate) size: [f64; 2],
+    pub(crate) size: Point,
 }
 
 impl View {
-    /// Of the box from `low` to `high`, metres, with text of this height in SVG units.
-    pub(crate) fn new(low: Point, high: Point, text: f64) -> Self {
+    /// Of the box from `low` to `high`, metres, with text of this height.
+    pub(crate) fn new(low: Place, high: Place, text: f64) -> Self {
         let corners =
             (0..8).map(|k| flat([0, 1, 2].map(|axis| if k >> axis & 1 == 0 { low[axis] } else { high[axis] })));
         let (mut least, mut most) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
@@ -50,7 +50,7 @@ impl View {
     }
 
     /// Whether the box holds `p`.
-    pub(crate) fn holds(&self, p: Point) -> bool {
+    pub(crate) fn holds(&self, p: Place) -> bool {
         (0..3).all(|k| (self.low[k]..=self.high[k]).contains(&p[k]))
     }
 
@@ -60,13 +60,13 @@ impl View {
     }
 
     /// Place on the picture.
-    pub(crate) fn place(&self, p: Point) -> [f64; 2] {
+    pub(crate) fn place(&self, p: Place) -> Point {
         let [x, y] = flat(p);
         [self.scale * (x - self.corner[0]), self.scale * (self.corner[1] - y)]
     }
 
     /// How near the eye `p` is: 0 at the farthest corner of the box, 1 at the nearest.
-    pub(crate) fn nearness(&self, p: Point) -> f64 {
+    pub(crate) fn nearness(&self, p: Place) -> f64 {
         let [az, el] = [AZIMUTH, ELEVATION].map(f64::to_radians);
         let eye = [el.cos() * az.cos(), el.cos() * az.sin(), el.sin()];
         let along = |k: usize| if eye[k] > 0.0 { p[k] - self.low[k] } else { p[k] - self.high[k] };
@@ -74,88 +74,55 @@ impl View {
         (0..3).map(|k| eye[k] * along(k)).sum::<f64>() / reach
     }
 
-    /// Floor, the two walls behind, a grid in metres on them and its numbers along three edges.
-    pub(crate) fn axes(&self) -> String {
+    /// An empty picture of this size with floor, the two walls behind, a grid in metres on them and its numbers along
+    /// three edges.
+    pub(crate) fn canvas(&self) -> Canvas {
+        let mut canvas = Canvas::new(self.size[0], self.size[1]);
+        canvas.letters.size = self.text;
         let (low, high) = (self.low, self.high);
         // The eye is where x is large and y small: the walls of small x and of large y are behind.
         let at = |x: f64, y: f64, z: f64| self.place([x, y, z]);
-        let faces = [
-            [
-                at(low[0], low[1], low[2]),
-                at(high[0], low[1], low[2]),
-                at(high[0], high[1], low[2]),
-                at(low[0], high[1], low[2]),
-            ],
-            [
-                at(low[0], low[1], low[2]),
-                at(low[0], high[1], low[2]),
-                at(low[0], high[1], high[2]),
-                at(low[0], low[1], high[2]),
-            ],
-            [
-                at(low[0], high[1], low[2]),
-                at(high[0], high[1], low[2]),
-                at(high[0], high[1], high[2]),
-                at(low[0], high[1], high[2]),
-            ],
-        ];
-        let mut svg = String::from("<g stroke=\"#c9cdd5\" stroke-width=\".7\" stroke-linejoin=\"round\">");
-        for (face, fill) in faces.iter().zip(["#f1f2f5", "#f8f9fa", "#f8f9fa"]) {
-            _ = write!(svg, "<path fill=\"{fill}\" d=\"{}Z\"/>", line(face));
+        let [floor, top] = [low[2], high[2]]
+            .map(|z| [at(low[0], low[1], z), at(high[0], low[1], z), at(high[0], high[1], z), at(low[0], high[1], z)]);
+        let faces = [floor, [floor[0], floor[3], top[3], top[0]], [floor[3], floor[2], top[2], top[3]]];
+        for (face, fill) in faces.iter().zip([0xf1_f2f5, 0xf8_f9fa, 0xf8_f9fa]) {
+            canvas.polygon(face, Paint::fill(Colour::hex(fill)).outlined(Colour::hex(0xc9_cdd5), 0.7));
         }
-        svg += "</g>";
-        let mut grid = String::new();
-        let mut marks = String::new();
         let em = self.text;
         // Larger text, fewer numbers.
         let most = ((60.0 / em) as usize).clamp(2, 6);
         let ticks = [0, 1, 2].map(|k| linear_ticks_between(low[k], high[k], most));
+        let mut grid = Path::default();
+        let mut mark = |[x, y]: Point, [dx, dy]: Point, anchor, words: &str| {
+            canvas.text([x + dx * em, y + dy * em], anchor, words);
+        };
         for &x in &ticks[0] {
-            grid += &line(&[at(x, low[1], low[2]), at(x, high[1], low[2]), at(x, high[1], high[2])]);
-            mark(&mut marks, at(x, low[1], low[2]), [-0.3 * em, 1.15 * em], "middle", &label(x));
+            grid.add(&[at(x, low[1], low[2]), at(x, high[1], low[2]), at(x, high[1], high[2])]);
+            mark(at(x, low[1], low[2]), [-0.3, 1.15], Anchor::Middle, &label(x));
         }
         for &y in &ticks[1] {
-            grid += &line(&[at(high[0], y, low[2]), at(low[0], y, low[2]), at(low[0], y, high[2])]);
-            mark(&mut marks, at(high[0], y, low[2]), [0.55 * em, 1.05 * em], "start", &label(y));
+            grid.add(&[at(high[0], y, low[2]), at(low[0], y, low[2]), at(low[0], y, high[2])]);
+            mark(at(high[0], y, low[2]), [0.55, 1.05], Anchor::Start, &label(y));
         }
         for &z in &ticks[2] {
-            grid += &line(&[at(low[0], low[1], z), at(low[0], high[1], z), at(high[0], high[1], z)]);
-            mark(&mut marks, at(low[0], low[1], z), [-0.5 * em, 0.33 * em], "end", &label(z));
+            grid.add(&[at(low[0], low[1], z), at(low[0], high[1], z), at(high[0], high[1], z)]);
+            mark(at(low[0], low[1], z), [-0.5, 0.33], Anchor::End, &label(z));
         }
         let middle = |k: usize| f64::midpoint(low[k], high[k]);
-        mark(&mut marks, at(middle(0), low[1], low[2]), [-1.3 * em, 2.6 * em], "middle", "x [m]");
-        mark(&mut marks, at(high[0], middle(1), low[2]), [2.3 * em, 2.3 * em], "middle", "y [m]");
+        mark(at(middle(0), low[1], low[2]), [-1.3, 2.6], Anchor::Middle, "x [m]");
+        mark(at(high[0], middle(1), low[2]), [2.3, 2.3], Anchor::Middle, "y [m]");
         let [x, y] = at(low[0], low[1], middle(2));
-        _ = write!(
-            marks,
-            "<text transform=\"translate({:.1} {y:.1}) rotate(-90)\" text-anchor=\"middle\">z [m]</text>",
-            x - 2.5 * em
-        );
-        _ = write!(svg, "<path fill=\"none\" stroke=\"#dde0e6\" stroke-width=\".6\" d=\"{grid}\"/>");
-        _ = write!(svg, "<g font-size=\"{em}\" fill=\"#464a52\">{marks}</g>");
-        svg
+        canvas.upright([x - 2.5 * em, y], "z [m]");
+        canvas.path(grid, Paint::stroke(Colour::hex(0xdd_e0e6), 0.6));
+        canvas
     }
-}
-
-/// Text beside a place.
-fn mark(svg: &mut String, [x, y]: [f64; 2], [dx, dy]: [f64; 2], anchor: &str, text: &str) {
-    _ = write!(svg, "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"{anchor}\">{text}</text>", x + dx, y + dy);
 }
 
 /// To the right and upwards in the picture, metres.
-fn flat(p: Point) -> [f64; 2] {
+fn flat(p: Place) -> Point {
     let [az, el] = [AZIMUTH, ELEVATION].map(f64::to_radians);
     let towards = az.cos() * p[0] + az.sin() * p[1];
     [az.cos() * p[1] - az.sin() * p[0], el.cos() * p[2] - el.sin() * towards]
-}
-
-/// A polyline as a piece of an SVG path.
-pub(crate) fn line(points: &[[f64; 2]]) -> String {
-    let mut text = String::new();
-    for (i, [x, y]) in points.iter().enumerate() {
-        _ = write!(text, "{}{x:.1} {y:.1}", if i == 0 { 'M' } else { 'L' });
-    }
-    text
 }
 
 /// Round numbers within an axis, `most` or less.

@@ -3,11 +3,11 @@
 //! Where test transmitters stand millimetres from those trained on, a copy of the nearest spectrum scores best, and a
 //! score averaged over the test part says little about places further off.
 
-use super::{Figure, floors, looks, seeds, source};
-use crate::draw::charts::{Chart, Line, Name};
+use super::{Figure, floors, looks};
+use crate::draw::charts::{Axis, Chart, Line};
 use crate::draw::marks::{Stroke, Style};
 use crate::study::{Record, Setting};
-use pwrfgs_core::Result;
+use minijinja::context;
 use pwrfgs_experiment::scores::{MODEL, quantile};
 
 /// Test samples in a bin, and bins at most.
@@ -16,43 +16,29 @@ const MOST_BINS: usize = 8;
 /// With more variants than this the bands of quartiles would cover each other.
 const MOST_BANDS: usize = 4;
 
-pub(super) fn figure(setting: &Setting) -> Result<Option<Figure>> {
+pub(super) fn figure(setting: &Setting) -> Option<Figure> {
     let mut lines = Vec::new();
-    for (k, name) in floors(setting).into_iter().enumerate() {
-        // The same in every variant, up to splits that depend on the seed.
-        let bins = bins(&setting.variants[0].runs, &name);
-        let mut line = Line::new(bins.iter().map(|b| (b.distance, b.quartiles[1])).collect(), looks::floor(k));
-        line.name = Name::AtEnd(name);
-        lines.push(line);
-    }
     let banded = setting.variants.len() <= MOST_BANDS;
     for (k, variant) in setting.variants.iter().enumerate() {
         let (style, bins) = (looks::variant(k), bins(&variant.runs, MODEL));
         let quartile = |q: usize| bins.iter().map(move |b| (b.distance, b.quartiles[q]));
+        let mut line = Line::new(quartile(1).collect(), style).named(&variant.label);
+        line.marks.clone_from(&line.points);
+        lines.push(line);
         if banded {
             let round = quartile(2).chain(quartile(0).rev()).collect();
-            lines.push(Line::new(round, Style { marker: None, stroke: Stroke::Area, ..style }));
+            lines.push(Line::new(round, Style { stroke: Stroke::Area, ..style }));
         }
-        let mut line = Line::new(quartile(1).collect(), style);
-        line.marks.clone_from(&line.points);
-        line.name = Name::Legend(variant.label.clone());
-        lines.push(line);
     }
-    let chart = Chart {
-        x_name: "distance to the nearest training transmitter [m]".into(),
-        y_name: "error 1 − SSIM".into(),
-        log_x: true,
-        lines,
-        ..Chart::default()
-    };
-    let bands = if banded { ", and the middle half of them as a band" } else { "" };
-    let caption = format!(
-        "Error 1 − SSIM against the distance from a test transmitter to the nearest one trained on: medians over bins of \
-         equally many test spectra of {}{bands}. Grey, dashed: medians of the baselines. {}",
-        seeds(setting),
-        source(setting)
-    );
-    Figure::chart("distance", "Error against distance to the training data", caption, chart)
+    for (k, name) in floors(setting).into_iter().enumerate() {
+        // The same in every variant, up to splits that depend on the seed.
+        let bins = bins(&setting.variants[0].runs, &name);
+        let points = bins.iter().map(|b| (b.distance, b.quartiles[1])).collect();
+        lines.push(Line::new(points, looks::floor(k)).named_at_end(&name));
+    }
+    let x = Axis { name: "distance to the nearest training transmitter [m]".into(), log: true, ends: None };
+    let chart = Chart { x, y: Axis { name: "error 1 − SSIM".into(), ..Axis::default() }, lines, ..Chart::default() };
+    Figure::chart("distance", setting, context! { banded }, chart)
 }
 
 /// Equally many test spectra of similar distance.

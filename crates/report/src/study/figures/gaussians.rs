@@ -1,54 +1,41 @@
 //! N against the iteration: figure 2a of the paper.
 
-use super::{Figure, looks, seeds, source};
-use crate::draw::charts::{Band, Chart, Line, Name};
+use super::{Figure, looks};
+use crate::draw::charts::{Axis, Band, Chart, Line};
 use crate::draw::marks::{Stroke, Style};
 use crate::draw::steps::{phases, stairs};
 use crate::study::{Setting, Variant};
-use pwrfgs_core::Result;
+use minijinja::context;
 use std::collections::BTreeMap;
 
 /// Marks on a line that show which it is.
 const MARKS: usize = 6;
 
-pub(super) fn figure(setting: &Setting) -> Result<Option<Figure>> {
+pub(super) fn figure(setting: &Setting) -> Option<Figure> {
     let end = setting.variants.iter().map(|v| v.runs[0].pipeline.training.steps).max().unwrap_or(0) as f64;
     let bands = shared_phases(setting);
-    let phases = if bands.is_empty() {
-        " Phases are not shaded, because the variants differ in them."
-    } else {
-        " Shaded: the phases of the training."
-    };
+    let words = context! { shaded => !bands.is_empty() };
     let mut lines = Vec::new();
     let count = setting.variants.len();
     for (k, variant) in setting.variants.iter().enumerate() {
         let style = looks::variant(k);
         let [low, middle, high] = curves(variant);
-        if low != high {
-            let round = stairs(&high).into_iter().chain(stairs(&low).into_iter().rev()).collect();
-            lines.push(Line::new(round, Style { marker: None, stroke: Stroke::Area, ..style }));
-        }
-        let mut line = Line::new(stairs(&middle), style);
-        line.name = Name::Legend(variant.label.clone());
+        let mut line = Line::new(stairs(&middle), style).named(&variant.label);
         line.marks = marks(&middle, end, (k as f64 + 0.5) / count as f64);
         lines.push(line);
+        if low != high {
+            let round = stairs(&high).into_iter().chain(stairs(&low).into_iter().rev()).collect();
+            lines.push(Line::new(round, Style { stroke: Stroke::Area, ..style }));
+        }
     }
     let chart = Chart {
-        x_name: "training iteration".into(),
-        y_name: "number of Gaussians N".into(),
-        x: Some((0.0, end)),
-        log: true,
+        x: Axis { name: "training iteration".into(), ends: Some((0.0, end)), log: false },
+        y: Axis { name: "number of Gaussians N".into(), ends: None, log: true },
         bands,
         lines,
         ..Chart::default()
     };
-    let caption = format!(
-        "Number of Gaussians N against the training iteration: mean over {}, and the range between them where they \
-         differ. Marks only tell the lines apart.{phases} {}",
-        seeds(setting),
-        source(setting)
-    );
-    Figure::chart("gaussians", "Number of Gaussians while training", caption, chart)
+    Figure::chart("gaussians", setting, words, chart)
 }
 
 /// The phases, where all runs have the same.

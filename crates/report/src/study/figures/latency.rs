@@ -1,12 +1,13 @@
 //! Time of a prediction by stage: stacked bars.
 
-use super::sheet::wrapped;
-use super::{Figure, Sheet, looks, runs, seeds, source};
-use crate::draw::charts::text_width;
+use super::{COLUMN, Figure, looks, runs};
+use crate::draw::canvas::{Anchor, Canvas, Colour, INK, Paint, Point};
+use crate::draw::font::{text_width, wrapped};
+use crate::draw::legend::{Legend, SYMBOL, Symbol};
 use crate::draw::ticks::ticks;
 use crate::study::statistics::Spread;
 use crate::study::{Setting, Variant};
-use pwrfgs_core::Result;
+use minijinja::context;
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::text::number;
 
@@ -51,73 +52,70 @@ impl<'a> Bar<'a> {
     }
 }
 
-pub(super) fn figure(setting: &Setting) -> Result<Option<Figure>> {
+pub(super) fn figure(setting: &Setting) -> Option<Figure> {
     let bars: Vec<Bar<'_>> = setting.variants.iter().filter_map(Bar::of).collect();
     let longest = bars.iter().map(Bar::length).fold(0.0, f64::max);
     if !(longest > 0.0 && longest.is_finite()) {
-        return Ok(None);
+        return None;
     }
-    let caption = format!(
-        "Time of one prediction by stage: means over {} of each run's medians. At the end of a bar: the time of all \
-         stages together, measured by itself, with its standard deviation over seeds. {} {}",
-        seeds(setting),
-        machines(setting),
-        source(setting)
-    );
-    Figure::sheet("latency", "Time of a prediction by stage", caption, &draw(&bars, longest)).map(Some)
+    let words = context! { machines => machines(setting) };
+    Some(Figure::new("latency", setting, words, &draw(&bars, longest)))
 }
 
 /// What it was measured on.
-fn machines(setting: &Setting) -> String {
+fn machines(setting: &Setting) -> Vec<String> {
     let mut all: Vec<String> =
         runs(setting).map(|r| format!("{}, {} threads", r.facts.machine.cpu, r.facts.machine.threads)).collect();
     all.sort();
     all.dedup();
-    match all.as_slice() {
-        [one] => format!("Machine: {one}."),
-        _ => format!("Machines differ, so times cannot be compared: {}.", all.join("; ")),
-    }
+    all
 }
 
-fn draw(bars: &[Bar<'_>], longest: f64) -> Sheet {
-    let mut sheet = Sheet::column();
+fn draw(bars: &[Bar<'_>], longest: f64) -> Canvas {
     let labels: Vec<Vec<String>> = bars.iter().map(|b| wrapped(b.label, NAMES)).collect();
-    let names = labels.iter().flatten().map(|line| f64::from(text_width(line))).fold(0.0, f64::max);
+    let names = labels.iter().flatten().map(|line| text_width(line)).fold(0.0, f64::max);
     let row = ROW + FURTHER * (labels.iter().map(Vec::len).max().unwrap_or(1) as f64 - 1.0);
     let (left, top) = (names + 12.0, 6.0);
-    let ends = bars.iter().map(|b| f64::from(text_width(&b.end()))).fold(0.0, f64::max);
-    let width = sheet.width - left - ends - 10.0;
+    let ends = bars.iter().map(|b| text_width(&b.end())).fold(0.0, f64::max);
+    let width = COLUMN - left - ends - 10.0;
     let bottom = top + row * bars.len() as f64;
+    let key = |(k, (name, _)): (usize, &(&str, &str))| {
+        let mut picture = Canvas::new(13.0, SYMBOL);
+        boxed(&mut picture, [0.0, 2.0], [13.0, 10.0], looks::SHADES[k]);
+        Symbol { picture, meaning: (*name).to_owned() }
+    };
+    let legend = Legend::new(STAGES.iter().enumerate().map(key).collect(), COLUMN);
+    let mut canvas = Canvas::new(COLUMN, bottom + 36.0 + legend.height());
+    let thin = Paint::stroke(INK, 0.9);
     let x = |ms: f64| left + width * ms / longest;
     let apart = |all: &[(f64, String)]| {
-        all.windows(2).all(|w| x(w[1].0) - x(w[0].0) > f64::from(text_width(&w[0].1) + text_width(&w[1].1)) / 2.0 + 8.0)
+        all.windows(2).all(|w| x(w[1].0) - x(w[0].0) > f64::midpoint(text_width(&w[0].1), text_width(&w[1].1)) + 8.0)
     };
     for (ms, label) in ticks((0.0, longest), false, &apart) {
-        sheet.line([x(ms), bottom], [x(ms), bottom + 4.0], "#464a52");
-        sheet.text([x(ms), bottom + 16.0], "middle", &label);
+        canvas.line(&[[x(ms), bottom], [x(ms), bottom + 4.0]], thin);
+        canvas.text([x(ms), bottom + 16.0], Anchor::Middle, label);
     }
     for (k, bar) in bars.iter().enumerate() {
         let y = top + row * (k as f64 + 0.5);
-        sheet.lines([left - 6.0, y], "end", &labels[k]);
+        canvas.lines([left - 6.0, y], Anchor::End, &labels[k]);
         let mut begun = 0.0;
         for (stage, ms) in bar.stages.iter().enumerate() {
-            sheet.rect([x(begun), y - BAR / 2.0], [x(begun + ms) - x(begun), BAR], looks::SHADES[stage]);
+            boxed(&mut canvas, [x(begun), y - BAR / 2.0], [x(begun + ms) - x(begun), BAR], looks::SHADES[stage]);
             begun += ms;
         }
-        sheet.text([x(begun) + 5.0, y + 4.0], "start", &bar.end());
+        canvas.text([x(begun) + 5.0, y + 4.0], Anchor::Start, bar.end());
     }
-    sheet.line([left, top], [left, bottom], "#464a52");
-    sheet.line([left, bottom], [left + width, bottom], "#464a52");
-    sheet.text([left + width / 2.0, bottom + 32.0], "middle", "time of a prediction [ms]");
-    let keys: f64 = STAGES.iter().map(|s| f64::from(text_width(s.0)) + 34.0).sum();
-    let mut key = (sheet.width - keys) / 2.0 + 8.0;
-    for (stage, (name, _)) in STAGES.iter().enumerate() {
-        sheet.rect([key, bottom + 43.0], [13.0, 10.0], looks::SHADES[stage]);
-        sheet.text([key + 18.0, bottom + 52.0], "start", name);
-        key += f64::from(text_width(name)) + 34.0;
+    canvas.line(&[[left, top], [left, bottom], [left + width, bottom]], thin);
+    canvas.text([left + width / 2.0, bottom + 32.0], Anchor::Middle, "time of a prediction [ms]");
+    legend.draw(&mut canvas, bottom + 36.0);
+    canvas
+}
+
+/// A box with a thin dark border; nothing for a stage that took no time.
+fn boxed(canvas: &mut Canvas, at: Point, size: Point, shade: u32) {
+    if size[0] >= 0.005 {
+        canvas.rect(at, size, Paint::fill(Colour::hex(shade)).outlined(INK, 0.6));
     }
-    sheet.height = bottom + 60.0;
-    sheet
 }
 
 impl Bar<'_> {

@@ -1,9 +1,10 @@
 //! Rate ratio against signal-to-noise ratio: what steering by the prediction costs a weak and a strong transmitter.
 
 use super::loaded::Loaded;
-use super::{Figure, looks, source};
-use crate::draw::charts::{Chart, Line, Name};
+use super::{Figure, looks};
+use crate::draw::charts::{Axis, Chart, Line};
 use crate::study::Setting;
+use minijinja::context;
 use pwrfgs_core::{Error, Measurement, Metric, Plugin, Result, Values};
 use pwrfgs_experiment::Bench;
 use pwrfgs_experiment::Silent;
@@ -20,7 +21,7 @@ const SAMPLES: usize = 200;
 pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure>> {
     let metric = |snr: f64| Plugin::parse(&format!("RateRatio(snr_db: {snr:.1})")).map_err(Error::Config);
     let metrics: Vec<Plugin<dyn Metric>> = snrs().map(metric).collect::<Result<_>>()?;
-    let mut lines = baselines(setting, loaded, &metrics)?;
+    let mut lines = Vec::new();
     let mut fewer = false;
     for (k, variant) in setting.variants.iter().enumerate() {
         let mut curves = Vec::new();
@@ -33,27 +34,16 @@ pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure
             let predictions = bench.predict(&model.prepare(), &AtomicBool::new(false), &|_, _| {})?;
             curves.push(curve(&bench.measure(&metrics, &predictions, None, None, &|_, _| {})?));
         }
-        let mut line = Line::new(mean_of(&curves), looks::variant(k));
+        let mut line = Line::new(mean_of(&curves), looks::variant(k)).named(&variant.label);
         // Every fourth, each line from another on.
         line.marks = line.points.iter().skip(k % 4).step_by(4).copied().collect();
-        line.name = Name::Legend(variant.label.clone());
         lines.push(line);
     }
-    let chart = Chart {
-        x_name: "transmit signal-to-noise ratio ρ [dB]".into(),
-        y_name: "rate ratio η".into(),
-        x: Some((LOW_DB, HIGH_DB)),
-        lines,
-        ..Chart::default()
-    };
-    let part = if fewer { format!("{SAMPLES} test spectra, evenly spread,") } else { "all test spectra".into() };
-    let caption = format!(
-        "Achievable-rate ratio η of steering to the strongest predicted direction against the transmit signal-to-noise \
-         ratio: mean over {part} and {}. Grey, dashed: the baselines. {}",
-        super::seeds(setting),
-        source(setting)
-    );
-    Figure::chart("eta-snr", "Rate ratio against signal-to-noise ratio", caption, chart)
+    lines.extend(baselines(setting, loaded, &metrics)?);
+    let x = Axis { name: "transmit signal-to-noise ratio ρ [dB]".into(), ends: Some((LOW_DB, HIGH_DB)), log: false };
+    let chart = Chart { x, y: Axis { name: "rate ratio η".into(), ..Axis::default() }, lines, ..Chart::default() };
+    let words = context! { part => fewer.then_some(SAMPLES) };
+    Ok(Figure::chart("eta-snr", setting, words, chart))
 }
 
 /// The baselines, having seen training and validation, on the test part of the first run.
@@ -65,9 +55,7 @@ fn baselines(setting: &Setting, loaded: &Loaded, metrics: &[Plugin<dyn Metric>])
     let line = |(k, baseline): (usize, &Plugin<dyn pwrfgs_core::Baseline>)| {
         let fitted = baseline.fit(&loaded.data, &known)?;
         let measured = bench.baseline(&baseline.name(), &*fitted, metrics, &mut Silent)?;
-        let mut line = Line::new(curve(&measured), looks::floor(k));
-        line.name = Name::AtEnd(baseline.name());
-        Ok(line)
+        Ok(Line::new(curve(&measured), looks::floor(k)).named_at_end(&baseline.name()))
     };
     run.pipeline.baselines.iter().enumerate().map(line).collect()
 }

@@ -1,10 +1,13 @@
 //! Spectra side by side, as measured and as each variant predicts them: figure 4 of the paper.
 
 use super::loaded::Loaded;
-use super::sheet::{LINE, wrapped};
-use super::{Figure, Sheet, source};
-use crate::draw::spectra::{Ruler, Scale, pixels, rulers};
+use super::{COLUMN, Figure, PAGE};
+use crate::draw::canvas::{Anchor, Canvas};
+use crate::draw::font::{LINE, wrapped};
+use crate::draw::ruler::{draw_azimuth, draw_elevation, names};
+use crate::draw::spectra::{Scale, pixels};
 use crate::study::{Setting, Variant};
+use minijinja::context;
 use pwrfgs_core::{Image, ImagePlane, Result};
 use pwrfgs_experiment::scores::MODEL;
 use std::collections::BTreeMap;
@@ -15,9 +18,10 @@ const MOST: usize = 5;
 const LEFT: f64 = 94.0;
 /// Between panels.
 const GAP: f64 = 11.0;
+/// Width of the colour bar.
+const BAR: f64 = 160.0;
 /// No panel is wider.
 const WIDEST: f64 = 220.0;
-const INK: &str = "#464a52";
 
 /// A test spectrum and what is predicted for it.
 struct Row {
@@ -44,18 +48,9 @@ pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure
     if rows.is_empty() {
         return Ok(None);
     }
-    let more = match setting.variants.len() - shown.len() {
-        0 => String::new(),
-        rest => format!(" {rest} more variants are not shown."),
-    };
-    let caption = format!(
-        "Test spectra as they are and as the first seed of each variant predicts them, with the SSIM of each prediction: \
-         those on which {} is best, median and worst of the test spectra that all have in common.{more} {}",
-        setting.variants[0].label,
-        source(setting)
-    );
-    let sheet = draw(shown, &rows, &models[0].stages.plane);
-    Figure::sheet("spectra", "Spectra side by side", caption, &sheet).map(Some)
+    let canvas = draw(shown, &rows, &models[0].stages.plane);
+    let words = context! { first => setting.variants[0].label.clone(), more => setting.variants.len() - shown.len() };
+    Ok(Some(Figure::new("spectra", setting, words, &canvas)))
 }
 
 /// Best, median and worst by the scores of the first variant, among the ids that all have.
@@ -70,19 +65,19 @@ fn chosen(scores: &[BTreeMap<u32, f64>]) -> Vec<(&'static str, u32)> {
     chosen
 }
 
-fn draw(variants: &[Variant], rows: &[Row], plane: &ImagePlane) -> Sheet {
+fn draw(variants: &[Variant], rows: &[Row], plane: &ImagePlane) -> Canvas {
     let columns = 1 + variants.len();
-    let mut sheet = if columns == 2 { Sheet::column() } else { Sheet::page() };
-    let room = (sheet.width - LEFT - 14.0 + GAP) / columns as f64 - GAP;
+    let mut canvas = Canvas::new(if columns == 2 { COLUMN } else { PAGE }, 0.0);
+    let room = (canvas.width - LEFT - 14.0 + GAP) / columns as f64 - GAP;
     let width = room.min(WIDEST);
     let height = (width * plane.height as f64 / plane.width as f64).min(width);
     let left = LEFT + columns as f64 * (room - width) / 2.0;
     let x = |column: usize| left + column as f64 * (width + GAP);
-    let names = std::iter::once("ground truth").chain(variants.iter().map(|v| v.label.as_str()));
-    let names: Vec<Vec<String>> = names.map(|name| wrapped(name, width + GAP - 2.0)).collect();
-    let head = LINE * names.iter().map(Vec::len).max().unwrap_or(1) as f64 + 4.0;
-    for (k, name) in names.iter().enumerate() {
-        sheet.lines([x(k) + width / 2.0, head - 3.0 - LINE * name.len() as f64 / 2.0], "middle", name);
+    let labels = std::iter::once("ground truth").chain(variants.iter().map(|v| v.label.as_str()));
+    let labels: Vec<Vec<String>> = labels.map(|name| wrapped(name, width + GAP - 2.0)).collect();
+    let head = LINE * labels.iter().map(Vec::len).max().unwrap_or(1) as f64 + 4.0;
+    for (k, name) in labels.iter().enumerate() {
+        canvas.lines([x(k) + width / 2.0, head - 3.0 - LINE * name.len() as f64 / 2.0], Anchor::Middle, name);
     }
     let mut top = head;
     for (k, row) in rows.iter().enumerate() {
@@ -91,85 +86,34 @@ fn draw(variants: &[Variant], rows: &[Row], plane: &ImagePlane) -> Sheet {
         // Below the numbers of the axis in the last row.
         let below = bottom + if is_last { 2.0 * LINE + 2.0 } else { LINE };
         for (column, image) in std::iter::once(&row.truth).chain(row.predicted.iter().map(|p| &p.0)).enumerate() {
-            sheet.pixels([x(column), top], [width, height], &pixels(image, plane, Scale::Power));
+            canvas.framed([x(column), top], [width, height], pixels(image, plane, Scale::Power));
             if is_last {
-                draw_azimuth(&mut sheet, plane, [x(column), bottom], width);
+                draw_azimuth(&mut canvas, plane, [x(column), bottom], width);
             }
         }
         for (column, (_, ssim)) in row.predicted.iter().enumerate() {
-            sheet.text([x(column + 1) + width / 2.0, below], "middle", &format!("SSIM {ssim:.3}"));
+            canvas.text([x(column + 1) + width / 2.0, below], Anchor::Middle, format!("SSIM {ssim:.3}"));
         }
-        draw_elevation(&mut sheet, plane, [left, top], height);
+        draw_elevation(&mut canvas, plane, [left, top], height);
         let middle = top + height / 2.0;
-        sheet.text([2.0, middle - 2.0], "start", row.name);
-        sheet.text([2.0, middle + LINE - 2.0], "start", &format!("id {}", row.id));
+        canvas.text([2.0, middle - 2.0], Anchor::Start, row.name);
+        canvas.text([2.0, middle + LINE - 2.0], Anchor::Start, format!("id {}", row.id));
         top = below + 8.0;
     }
-    let names = if plane.angles.is_some() { ("azimuth", "elevation") } else { ("column", "row") };
-    sheet.text([x(0) + width / 2.0, top - 8.0], "middle", names.0);
+    let [across, up] = names(plane);
+    canvas.text([x(0) + width / 2.0, top - 8.0], Anchor::Middle, across);
     let upright_at = [left - 34.0, f64::midpoint(head, top - 2.0 * LINE - 10.0)];
-    sheet.upright(upright_at, names.1);
-    draw_bar(&mut sheet, top + 4.0);
-    sheet.height = top + 30.0;
-    sheet
-}
-
-/// Ticks and numbers below a panel; those at its ends stay within it.
-fn draw_azimuth(sheet: &mut Sheet, plane: &ImagePlane, [left, bottom]: [f64; 2], width: f64) {
-    let (across, _) = rulers(plane);
-    let most = (width / 42.0).floor().max(2.0);
-    for (value, part) in ticks(&across, 90.0, most) {
-        let x = left + width * part;
-        sheet.line([x, bottom], [x, bottom + 3.0], INK);
-        let (anchor, shift) = match part {
-            p if p < 0.05 => ("start", -1.0),
-            p if p > 0.95 => ("end", 1.0),
-            _ => ("middle", 0.0),
-        };
-        sheet.text([x + shift, bottom + LINE], anchor, &degrees(value, plane));
-    }
-}
-
-/// Ticks and numbers left of a panel.
-fn draw_elevation(sheet: &mut Sheet, plane: &ImagePlane, [left, top]: [f64; 2], height: f64) {
-    let (_, up) = rulers(plane);
-    let most = (height / 16.0).floor().max(1.0);
-    for (value, part) in ticks(&up, 30.0, most) {
-        let y = top + height * (1.0 - part);
-        sheet.line([left - 3.0, y], [left, y], INK);
-        sheet.text([left - 5.0, y + 4.0], "end", &degrees(value, plane));
-    }
-}
-
-/// Round values with their places from 0 to 1; so many intervals at most, the ends of the axis first of all.
-fn ticks(ruler: &Ruler, step: f64, intervals: f64) -> Vec<(f64, f64)> {
-    let all = ruler.ticks(step, 4.0);
-    let whole = all.len().saturating_sub(1).max(1);
-    let stride = (1..=whole).find(|s| whole.is_multiple_of(*s) && (whole / s) as f64 <= intervals).unwrap_or(whole);
-    all.into_iter().step_by(stride).map(|v| (v, ruler.part(v).clamp(0.0, 1.0))).collect()
-}
-
-fn degrees(value: f64, plane: &ImagePlane) -> String {
-    format!("{value}{}", if plane.angles.is_some() { "°" } else { "" }).replace('-', "−")
-}
-
-/// The scale that all panels share.
-fn draw_bar(sheet: &mut Sheet, top: f64) {
-    let (width, middle) = (160.0, sheet.width / 2.0);
-    let left = middle - width / 2.0;
-    sheet.pixels([left, top], [width, 8.0], &Scale::Power.strip());
-    for part in [0.0, 0.5, 1.0] {
-        let x = left + width * part;
-        sheet.line([x, top + 8.0], [x, top + 11.0], INK);
-        sheet.text([x, top + 22.0], "middle", &part.to_string());
-    }
-    sheet.text([left - 8.0, top + 8.0], "end", "spectrum, normalised");
+    canvas.upright(upright_at, up);
+    let bar = (canvas.width - BAR) / 2.0;
+    Scale::Power.draw(&mut canvas, [bar, top + 4.0], BAR);
+    canvas.text([bar - 8.0, top + 12.0], Anchor::End, "spectrum, normalised");
+    canvas.height = top + 30.0;
+    canvas
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pwrfgs_core::Axis;
 
     #[test]
     fn best_median_and_worst_are_common_to_all() {
@@ -179,15 +123,5 @@ mod tests {
         assert_eq!(chosen(&[[(7, 0.5)].into()]), [("best", 7)]);
         assert!(chosen(&[first, BTreeMap::new()]).is_empty());
         assert!(chosen(&[]).is_empty());
-    }
-
-    #[test]
-    fn ticks_keep_the_ends() {
-        let degree = Axis { first: 0.0, step: 1.0 };
-        let plane = ImagePlane { width: 360, height: 90, wraps: true, angles: Some((degree, degree)) };
-        let values = |n| ticks(&rulers(&plane).0, 90.0, n).into_iter().map(|t| t.0).collect::<Vec<_>>();
-        assert_eq!(values(4.0), [0.0, 90.0, 180.0, 270.0, 360.0]);
-        assert_eq!(values(2.0), [0.0, 180.0, 360.0]);
-        assert_eq!(values(1.0), [0.0, 360.0]);
     }
 }

@@ -6,11 +6,7 @@ use super::{Column, Line, Mark, Shown};
 use pwrfgs_experiment::text::grouped;
 
 /// A column to be.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Wanted<'a> {
-    pub(super) metric: &'a Metric,
-    pub(super) statistic: Statistic,
-}
+pub(super) type Wanted<'a> = (&'a Metric, Statistic);
 
 /// A metric in words, and its unit.
 pub(super) fn words(metric: &Metric) -> (String, String) {
@@ -68,8 +64,7 @@ pub(super) fn fixed(value: f64, decimals: usize) -> String {
 }
 
 /// One column of all rows: its head, and a cell each row.
-fn column(rows: &[Row<'_>], wanted: Wanted<'_>, ranked: bool) -> Option<(Column, Vec<Shown>)> {
-    let Wanted { metric, statistic } = wanted;
+fn column(rows: &[Row<'_>], (metric, statistic): Wanted<'_>, ranked: bool) -> Option<(Column, Vec<Shown>)> {
     let spreads: Vec<Option<Spread>> = rows.iter().map(|row| row.spread(metric, statistic)).collect();
     let finite = spreads.iter().flatten().map(|s| s.mean.abs()).filter(|m| m.is_finite());
     let largest = finite.reduce(f64::max).or_else(|| spreads.iter().flatten().next().map(|_| 0.0))?;
@@ -127,8 +122,7 @@ pub(super) fn filled(
     is_ranked: impl Fn(&Metric) -> bool,
 ) -> (Vec<Column>, Vec<Line>) {
     let rows = &comparison.rows;
-    let columns: Vec<(Column, Vec<Shown>)> =
-        wanted.iter().filter_map(|w| column(rows, *w, is_ranked(w.metric))).collect();
+    let columns: Vec<(Column, Vec<Shown>)> = wanted.iter().filter_map(|w| column(rows, *w, is_ranked(w.0))).collect();
     let line = |(i, row): (usize, &Row<'_>)| {
         let cells: Vec<Shown> = columns.iter().map(|(_, cells)| cells[i].clone()).collect();
         cells.iter().any(|c| !c.value.is_empty()).then(|| Line::new(row.label, row.kind, cells))

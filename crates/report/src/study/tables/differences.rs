@@ -1,10 +1,11 @@
 //! The table of paired differences against a reference.
 
-use super::super::comparison::{Comparison, Metric, Row};
+use super::super::comparison::{Comparison, Kind, Metric, Row};
 use super::super::statistics::{CONFIDENCE, Difference, REPLICATES};
 use super::columns::{fixed, words};
-use super::{Column, Line, Mark, Section, Shown, Table, title};
-use pwrfgs_experiment::text::grouped;
+use super::{Column, Line, Mark, Shown, Table, title};
+use crate::templates::sentences;
+use minijinja::context;
 
 /// Decimals of a difference: one more than scores have.
 const DECIMALS: usize = 4;
@@ -39,10 +40,18 @@ pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &Row
         lines: lines.into_iter().map(|l| l.0).collect(),
         legend: Vec::new(),
     };
-    table.legend = legend(comparison, reference, seeds);
-    if table.has(Section::Bounds) {
-        table.legend.push("† knows the scene that made the simulated spectra.".into());
-    }
+    let words = context! {
+        name => table.name,
+        reference => reference.label,
+        least => seeds.0,
+        most => seeds.1,
+        percent => (CONFIDENCE * 100.0).round() as u32,
+        replicates => REPLICATES,
+        edge => format!("{:.2}", comparison.blocks.edge_m),
+        cubes => comparison.blocks.count,
+        bounds => table.has(Kind::Bound),
+    };
+    table.legend = sentences("legend.txt", words);
     Some(table)
 }
 
@@ -57,41 +66,4 @@ fn cell(difference: &Difference) -> Shown {
         mark: if difference.is_clear() { Mark::Clear } else { Mark::None },
         ..Shown::default()
     }
-}
-
-/// What the interval is one of, and what it leaves out.
-fn legend(comparison: &Comparison<'_>, reference: &Row<'_>, (least, most): (usize, usize)) -> Vec<String> {
-    let percent = (CONFIDENCE * 100.0).round();
-    let blocks = &comparison.blocks;
-    let seeds = if least == most { most.to_string() } else { format!("{least} to {most}") };
-    let plural = if most == 1 { "" } else { "s" };
-    let mut legend = vec![
-        format!(
-            "Row less {}: mean over test spectra, paired by seed and spectrum ({seeds} seed{plural}), with the {percent} \
-             % bootstrap interval in brackets; * marks intervals that leave 0 out.",
-            reference.label
-        ),
-        format!(
-            "The {} replicates draw seeds, and cubes of {:.2} m ({} of them hold test transmitters) rather than single \
-             spectra, because neighbouring transmitters err alike; errors that reach farther than a cube would make the \
-             intervals wider.",
-            grouped(REPLICATES as i64),
-            blocks.edge_m,
-            blocks.count
-        ),
-    ];
-    if blocks.count < 10 {
-        legend.push("Fewer than ten cubes: the intervals are a rough guide.".into());
-    }
-    match least {
-        1 => legend.push(
-            "Of one seed the interval holds for that seed alone: how much another would differ is not in it.".into(),
-        ),
-        2..5 => legend.push(
-            "With fewer than five seeds the intervals are too narrow where seeds differ more than places do.".into(),
-        ),
-        _ => {}
-    }
-    legend.push("Each interval stands for itself: of twenty that should hold 0, one leaves it out by chance.".into());
-    legend
 }

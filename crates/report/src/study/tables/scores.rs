@@ -1,8 +1,10 @@
 //! The table of scores, that of all other metrics, and table I: latency by stage.
 
-use super::super::comparison::{Comparison, Metric, Statistic, TRAINING};
+use super::super::comparison::{Comparison, Kind, Metric, TRAINING};
 use super::columns::{Wanted, filled};
-use super::{Column, Section, Table, title};
+use super::{Table, title};
+use crate::templates::sentences;
+use minijinja::context;
 
 const STAGES: [&str; 5] =
     ["latency_network_ms", "latency_projection_ms", "latency_sort_ms", "latency_blending_ms", "latency_total_ms"];
@@ -15,9 +17,7 @@ pub(in super::super) fn scores(comparison: &Comparison<'_>, same_machine: bool) 
     let whole = ["gaussians", "model_bytes", "latency_total_ms", TRAINING];
     let wanted: Vec<Wanted<'_>> =
         ssim.chain(eta).chain(whole.iter().flat_map(|key| metric(key)).map(first_statistic)).collect();
-    let mut table = table("scores", "Scores", comparison, &wanted, same_machine)?;
-    table.legend.splice(0..0, statistics_in_words(comparison));
-    Some(table)
+    table("scores", "Scores", comparison, &wanted, same_machine)
 }
 
 /// Metrics that the table of scores leaves out.
@@ -37,21 +37,16 @@ pub(in super::super) fn latency(comparison: &Comparison<'_>, same_machine: bool)
             "total".clone_into(&mut column.title);
         }
     }
-    table.legend.push(
-        "Each stage is the median over repeated predictions, taken by itself, so the stages need not add up to the \
-         total; floors have no stages."
-            .into(),
-    );
     Some(table)
 }
 
 fn all_statistics(metric: &Metric) -> impl Iterator<Item = Wanted<'_>> {
-    metric.statistics().iter().map(move |statistic| Wanted { metric, statistic: *statistic })
+    metric.statistics().iter().map(move |statistic| (metric, *statistic))
 }
 
 /// The mean over test spectra, or the number of the whole model.
 fn first_statistic(metric: &Metric) -> Wanted<'_> {
-    Wanted { metric, statistic: metric.statistics()[0] }
+    (metric, metric.statistics()[0])
 }
 
 fn table(
@@ -66,50 +61,17 @@ fn table(
         return None;
     }
     let mut table = Table { name, title: title(words, comparison.setting), columns, lines, legend: Vec::new() };
-    table.legend = legend(comparison, &table);
-    if !same_machine && wanted.iter().any(|w| w.metric.is_time()) {
-        table.legend.push("Times are from different machines, not comparable, and in no ranking.".into());
-    }
+    let seeds = comparison.setting.variants.iter().map(|v| v.runs.len());
+    let words = context! {
+        name,
+        sampled => comparison.metrics.iter().any(|m| m.per_sample),
+        least => seeds.clone().min(),
+        most => seeds.max(),
+        floors => table.has(Kind::Floor),
+        marked => table.is_marked(),
+        bounds => table.has(Kind::Bound),
+        machines_differ => !same_machine && wanted.iter().any(|w| w.0.is_time()),
+    };
+    table.legend = sentences("legend.txt", words);
     Some(table)
-}
-
-/// What statistics there are, in words.
-fn statistics_in_words(comparison: &Comparison<'_>) -> Option<String> {
-    let per_sample = |m: &Metric| m.statistics()[0] == Statistic::Mean;
-    comparison.metrics.iter().any(per_sample).then(|| {
-        "Mean, median and p10 (10th percentile) are over the test spectra of a run. N is the number of Gaussians; sizes \
-         and times are of the whole run, and times depend on what else the machine did."
-            .into()
-    })
-}
-
-/// How to read numbers and marks.
-fn legend(comparison: &Comparison<'_>, table: &Table) -> Vec<String> {
-    let mut legend = Vec::new();
-    let seeds: Vec<usize> = comparison.setting.variants.iter().map(|v| v.runs.len()).collect();
-    legend.push(match (seeds.iter().min(), seeds.iter().max()) {
-        (_, Some(1)) => "One run each: there is no deviation over seeds.".into(),
-        (Some(least), Some(most)) if least == most => {
-            format!("Mean ± sample standard deviation over {most} seeds.")
-        }
-        (least, most) => format!(
-            "Mean ± sample standard deviation over {} to {} seeds; a single run has no deviation.",
-            least.unwrap_or(&0),
-            most.unwrap_or(&0)
-        ),
-    });
-    if table.has(Section::Floors) {
-        legend.push("Floors make no choices and learn from training and validation spectra together.".into());
-    }
-    let arrows = |column: &Column| !column.arrow.is_empty();
-    if table.columns.iter().any(arrows) && table.is_marked() {
-        legend.push(
-            "↑ larger is better, ↓ smaller is better; best and second best of a column are marked, floors included."
-                .into(),
-        );
-    }
-    if table.has(Section::Bounds) {
-        legend.push("† knows the scene that made the simulated spectra: in no ranking.".into());
-    }
-    legend
 }

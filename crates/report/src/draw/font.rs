@@ -1,0 +1,126 @@
+//! The built-in font: how wide text is, its outlines, and where long text is broken.
+
+use super::canvas::{Anchor, Path, Point, Step, Text};
+use std::sync::LazyLock;
+use ttf_parser::{Face, GlyphId, OutlineBuilder};
+
+/// Height of text: 7.5 pt where a column of 380 is 3.5 in wide.
+pub(crate) const TEXT: f64 = 11.3;
+/// Height of a line of text.
+pub(crate) const LINE: f64 = 14.0;
+
+static FACE: LazyLock<Face<'static>> =
+    LazyLock::new(|| Face::parse(include_bytes!("../../assets/labels.ttf"), 0).expect("the built-in font is one"));
+
+/// A letter and its width for text of height 1; a box where the font has no such letter.
+fn glyph(letter: char) -> (GlyphId, f64) {
+    let glyph = FACE.glyph_index(letter).unwrap_or_default();
+    (glyph, f64::from(FACE.glyph_hor_advance(glyph).unwrap_or(0)) / f64::from(FACE.units_per_em()))
+}
+
+/// Width of text in the height that charts have.
+pub(crate) fn text_width(words: &str) -> f64 {
+    TEXT * words.chars().map(|c| glyph(c).1).sum::<f64>()
+}
+
+/// The outlines of a text where it stands.
+pub(crate) fn outlines(text: &Text) -> Path {
+    let size = text.letters.size;
+    let whole = size / TEXT * text_width(&text.words);
+    let part = match text.anchor {
+        Anchor::Start => 0.0,
+        Anchor::Middle => 0.5,
+        Anchor::End => 1.0,
+    };
+    let scale = size / f64::from(FACE.units_per_em());
+    let mut pen = Pen { at: text.at, along: -part * whole, scale, upright: text.upright, path: Path::default() };
+    for letter in text.words.chars() {
+        let (glyph, width) = glyph(letter);
+        FACE.outline_glyph(glyph, &mut pen);
+        pen.along += size * width;
+    }
+    pen.path
+}
+
+/// Puts the outlines of letters in their places on the picture.
+struct Pen {
+    at: Point,
+    /// Where the letter begins on its line.
+    along: f64,
+    scale: f64,
+    upright: bool,
+    path: Path,
+}
+
+impl Pen {
+    fn point(&self, x: f32, y: f32) -> Point {
+        let (along, up) = (self.along + self.scale * f64::from(x), self.scale * f64::from(y));
+        let [x, y] = self.at;
+        if self.upright { [x - up, y - along] } else { [x + along, y - up] }
+    }
+}
+
+impl OutlineBuilder for Pen {
+    fn move_to(&mut self, x: f32, y: f32) {
+        self.path.0.push(Step::Move(self.point(x, y)));
+    }
+
+    fn line_to(&mut self, x: f32, y: f32) {
+        self.path.0.push(Step::Line(self.point(x, y)));
+    }
+
+    fn quad_to(&mut self, x1: f32, y1: f32, x: f32, y: f32) {
+        self.path.0.push(Step::Quad(self.point(x1, y1), self.point(x, y)));
+    }
+
+    fn curve_to(&mut self, _: f32, _: f32, _: f32, _: f32, _: f32, _: f32) {
+        unreachable!("a TrueType font has parabolas alone");
+    }
+
+    fn close(&mut self) {
+        self.path.0.push(Step::Close);
+    }
+}
+
+/// `text` in lines no wider than `width`, broken after its commas; what is too long even then is cut.
+pub(crate) fn wrapped(text: &str, width: f64) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for part in text.split_inclusive(", ") {
+        match lines.last_mut() {
+            Some(line) if text_width((line.clone() + part).trim_end()) <= width => line.push_str(part),
+            _ => lines.push(part.to_owned()),
+        }
+    }
+    lines.iter().map(|line| cut(line.trim_end(), width)).collect()
+}
+
+/// The longest beginning of `text` that fits, with two dots where it is cut.
+fn cut(text: &str, width: f64) -> String {
+    if text_width(text) <= width {
+        return text.to_owned();
+    }
+    let letters: Vec<char> = text.chars().collect();
+    let short = |n: usize| letters[..n].iter().collect::<String>().trim_end().to_owned() + "..";
+    (1..letters.len()).rev().map(short).find(|s| text_width(s) <= width).unwrap_or_else(|| "..".into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn long_names_are_broken_and_cut() {
+        assert_eq!(cut("lambda 0.02", 500.0), "lambda 0.02");
+        let short = cut("an initializer with a very long name", 90.0);
+        assert!(short.starts_with("an init") && short.ends_with("..") && text_width(&short) <= 90.0, "{short}");
+        assert_eq!(cut("anything", 1.0), "..");
+        assert_eq!(wrapped("init cloud, lambda 0.02", 110.0), ["init cloud,", "lambda 0.02"]);
+        assert_eq!(wrapped("init cloud, lambda 0.02", 500.0), ["init cloud, lambda 0.02"]);
+    }
+
+    #[test]
+    fn letters_that_the_font_lacks_are_boxes() {
+        assert!(text_width("模") > 0.0);
+        assert!(["η", "ρ", "−", "±", "Δ", "λ", "²"].iter().all(|c| glyph(c.chars().next().unwrap()).0.0 != 0));
+    }
+}

@@ -1,0 +1,166 @@
+//! A canvas as SVG text.
+
+use super::canvas::{Anchor, Canvas, Colour, Paint, Path, Pixels, Point, Shape, Step, Text};
+use super::font::outlines;
+use super::png::encoded;
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use std::fmt::Write as _;
+
+impl Canvas {
+    /// For a page: text stays text in the page's font, and style sheets find the picture by `class`.
+    pub(crate) fn svg(&self, class: &str, title: &str) -> String {
+        self.written(&format!("class=\"{class}\" role=\"img\" aria-label=\"{}\"", escaped(title)), false)
+    }
+
+    /// For print, so wide on paper: text is outlines, so that it needs no font.
+    pub(crate) fn svg_for_print(&self, width_mm: f64) -> String {
+        let height_mm = width_mm * self.height / self.width;
+        self.written(&format!("width=\"{width_mm}mm\" height=\"{height_mm:.2}mm\""), true)
+    }
+
+    fn written(&self, attributes: &str, outlined: bool) -> String {
+        let (width, height) = (Short(self.width), Short(self.height));
+        let out = format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" stroke-linejoin=\"round\" \
+             {attributes}>"
+        );
+        let mut writer = Writer { out, open: None, outlined };
+        writer.shapes(&self.shapes);
+        writer.out + "</svg>"
+    }
+}
+
+struct Writer {
+    out: String,
+    /// The paint of the group that is open: what is painted alike stands together, and says it once.
+    open: Option<Paint>,
+    outlined: bool,
+}
+
+impl Writer {
+    fn shapes(&mut self, shapes: &[Shape]) {
+        for shape in shapes {
+            self.shape(shape);
+        }
+        self.painted(None);
+    }
+
+    fn shape(&mut self, shape: &Shape) {
+        match shape {
+            Shape::Path(path, paint) => self.path(path, *paint),
+            Shape::Circle([x, y], radius, paint) => {
+                self.painted(Some(*paint));
+                self.put(format_args!("<circle cx=\"{}\" cy=\"{}\" r=\"{}\"/>", Short(*x), Short(*y), Short(*radius)));
+            }
+            Shape::Text(text) if self.outlined => self.path(&outlines(text), Paint::fill(text.letters.colour)),
+            Shape::Text(text) => self.text(text),
+            Shape::Pixels(at, size, pixels) => self.pixels(*at, *size, pixels),
+            Shape::Group([x, y], scale, shapes) => {
+                self.painted(None);
+                let (x, y) = (Short(*x), Short(*y));
+                self.put(format_args!("<g transform=\"translate({x} {y}) scale({scale:.4})\">"));
+                self.shapes(shapes);
+                self.out.push_str("</g>");
+            }
+        }
+    }
+
+    fn put(&mut self, text: std::fmt::Arguments<'_>) {
+        self.out.write_fmt(text).expect("text takes all text");
+    }
+
+    /// Opens a group of this paint, unless it is open.
+    fn painted(&mut self, paint: Option<Paint>) {
+        if self.open == paint {
+            return;
+        }
+        if self.open.is_some() {
+            self.out.push_str("</g>");
+        }
+        if let Some(paint) = &paint {
+            self.out.push_str("<g");
+            self.put(format_args!(" fill=\"{}\"", paint.fill.map_or_else(|| "none".into(), Colour::css)));
+            for (name, colour) in [("fill", paint.fill), ("stroke", paint.stroke)] {
+                if let Some(colour) = colour.filter(|c| c.opacity < 1.0) {
+                    self.put(format_args!(" {name}-opacity=\"{}\"", colour.opacity));
+                }
+            }
+            if let Some(stroke) = paint.stroke {
+                self.put(format_args!(" stroke=\"{}\" stroke-width=\"{}\"", stroke.css(), Short(paint.width)));
+            }
+            if !paint.dash.is_empty() {
+                let lengths: Vec<String> = paint.dash.iter().map(f64::to_string).collect();
+                self.put(format_args!(" stroke-dasharray=\"{}\"", lengths.join(" ")));
+            }
+            self.out.push_str(if paint.round { " stroke-linecap=\"round\">" } else { ">" });
+        }
+        self.open = paint;
+    }
+
+    fn path(&mut self, path: &Path, paint: Paint) {
+        self.painted(Some(paint));
+        self.out.push_str("<path d=\"");
+        let mut last = None;
+        for step in &path.0 {
+            match step {
+                Step::Move([x, y]) => self.put(format_args!("M{} {}", Short(*x), Short(*y))),
+                // A dot.
+                Step::Line(_) if last == Some(*step) => self.out.push_str("h0"),
+                Step::Line([x, y]) => self.put(format_args!("L{} {}", Short(*x), Short(*y))),
+                Step::Quad([x1, y1], [x, y]) => {
+                    self.put(format_args!("Q{} {} {} {}", Short(*x1), Short(*y1), Short(*x), Short(*y)));
+                }
+                Step::Close => self.out.push('Z'),
+            }
+            let (Step::Move(end) | Step::Line(end) | Step::Quad(_, end)) = step else { continue };
+            last = Some(Step::Line(*end));
+        }
+        self.out.push_str("\"/>");
+    }
+
+    fn text(&mut self, text: &Text) {
+        self.painted(Some(Paint::fill(text.letters.colour)));
+        let anchor = match text.anchor {
+            Anchor::Start => "start",
+            Anchor::Middle => "middle",
+            Anchor::End => "end",
+        };
+        let (x, y) = (Short(text.at[0]), Short(text.at[1]));
+        self.out.push_str("<text ");
+        if text.upright {
+            self.put(format_args!("transform=\"translate({x} {y}) rotate(-90)\""));
+        } else {
+            self.put(format_args!("x=\"{x}\" y=\"{y}\""));
+        }
+        let (size, words) = (Short(text.letters.size), escaped(&text.words));
+        self.put(format_args!(" font-size=\"{size}\" text-anchor=\"{anchor}\">{words}</text>"));
+    }
+
+    fn pixels(&mut self, [x, y]: Point, [width, height]: Point, pixels: &Pixels) {
+        self.painted(None);
+        let png = encoded(pixels.width as u32, pixels.height as u32, &pixels.rgba);
+        let [x, y, width, height] = [x, y, width, height].map(Short);
+        let sharp = if pixels.smooth { "" } else { " style=\"image-rendering:pixelated\"" };
+        self.put(format_args!(
+            "<image x=\"{x}\" y=\"{y}\" width=\"{width}\" height=\"{height}\" preserveAspectRatio=\"none\"{sharp} \
+             href=\"data:image/png;base64,{}\"/>",
+            STANDARD.encode(png)
+        ));
+    }
+}
+
+/// A length with two decimals at most.
+#[derive(Clone, Copy)]
+struct Short(f64);
+
+impl std::fmt::Display for Short {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}", (self.0 * 100.0).round() / 100.0 + 0.0) // without the sign of a zero
+    }
+}
+
+/// Text in XML.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
