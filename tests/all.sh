@@ -20,10 +20,10 @@ beside_pid=$!
 trap 'kill $beside_pid 2>/dev/null || true; rm -r "$notes"' EXIT
 
 echo "== all tests, f32: every formula as it is used"
-cargo test "$@" --workspace -- "${beside[@]/#/--skip=}" || failed+=("f32")
+cargo test "$@" --workspace --no-fail-fast -- "${beside[@]/#/--skip=}" || failed+=("f32")
 echo "== where formulas are, f64: derivatives against central differences"
 double=("$@" "${formulas[@]}" --features pwrfgs/f64)
-{ cargo build "${double[@]}" --examples && cargo test "${double[@]}" --lib --test all; } || failed+=("f64")
+{ cargo build "${double[@]}" --examples && cargo test "${double[@]}" --no-fail-fast --lib --test all; } || failed+=("f64")
 cargo test "${double[@]}" --doc || failed+=("f64, examples in the documentation")
 echo "== beside them: the example plugin, Slurm"
 wait $beside_pid || failed+=("the example plugin, Slurm")
