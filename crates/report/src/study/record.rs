@@ -7,7 +7,7 @@ use pwrfgs_experiment::folder::{CURVE, MODEL_FILE, PIPELINE, SAMPLES, SCORES};
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::series;
 use pwrfgs_train::Pipeline;
-use serde::de::{DeserializeOwned, Error as _};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -124,17 +124,23 @@ impl Record {
 struct ScoreRow {
     predictor: String,
     metric: String,
+    #[serde(deserialize_with = "id")]
     sample: Option<u32>,
     /// Nothing where the metric does not apply.
     #[serde(deserialize_with = "number")]
     value: Option<f64>,
 }
 
+fn id<'de, D: Deserializer<'de>>(field: D) -> Result<Option<u32>, D::Error> {
+    unless("", &String::deserialize(field)?)
+}
+
 fn number<'de, D: Deserializer<'de>>(field: D) -> Result<Option<f64>, D::Error> {
-    match String::deserialize(field)?.as_str() {
-        "n/a" => Ok(None),
-        text => text.parse().map(Some).map_err(|e| D::Error::custom(format!("`{text}`: {e}"))),
-    }
+    unless("n/a", &String::deserialize(field)?)
+}
+
+fn unless<T: std::str::FromStr, E: serde::de::Error>(nothing: &str, text: &str) -> Result<Option<T>, E> {
+    (text != nothing).then(|| text.parse().ok().ok_or_else(|| E::custom(format!("`{text}` is no number")))).transpose()
 }
 
 /// A row of `samples.csv`.
@@ -161,11 +167,8 @@ fn scores(text: &str, path: &Path) -> Result<Vec<Score>> {
     Ok(all)
 }
 
-/// Distances and places, by id.
-type TestSamples = (BTreeMap<u32, f64>, BTreeMap<u32, [f64; 3]>);
-
-/// Distances and places of the test samples in `samples.csv`.
-fn test_samples(text: &str, path: &Path) -> Result<TestSamples> {
+/// Distances and places of the test samples in `samples.csv`, by id.
+fn test_samples(text: &str, path: &Path) -> Result<(BTreeMap<u32, f64>, BTreeMap<u32, [f64; 3]>)> {
     let all: Vec<SampleRow> = rows(text, path)?;
     let tested = all.iter().filter(|s| s.split == "test");
     Ok(tested.map(|s| ((s.id, s.nearest_train_m.unwrap_or(f64::INFINITY)), (s.id, [s.x, s.y, s.z]))).unzip())
