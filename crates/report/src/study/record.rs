@@ -13,6 +13,8 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+type ById<T> = BTreeMap<u32, T>;
+
 /// One finished run.
 #[derive(Clone, Debug)]
 pub struct Record {
@@ -68,8 +70,7 @@ impl Record {
     /// Values a test sample of one metric of one predictor, by id.
     pub fn samples(&self, predictor: &str, metric: &str) -> Option<BTreeMap<u32, f64>> {
         let score = self.score(predictor, metric)?;
-        let samples: BTreeMap<u32, f64> =
-            score.values.iter().filter_map(|(id, value)| Some(((*id)?, *value))).collect();
+        let samples: ById<f64> = score.values.iter().filter_map(|(id, value)| Some(((*id)?, *value))).collect();
         (!samples.is_empty()).then_some(samples)
     }
 
@@ -168,13 +169,12 @@ fn scores(text: &str, path: &Path) -> Result<Vec<Score>> {
 }
 
 /// Distances and places of the test samples in `samples.csv`, by id.
-fn test_samples(text: &str, path: &Path) -> Result<(BTreeMap<u32, f64>, BTreeMap<u32, [f64; 3]>)> {
+fn test_samples(text: &str, path: &Path) -> Result<(ById<f64>, ById<[f64; 3]>)> {
     let all: Vec<SampleRow> = rows(text, path)?;
     let tested = all.iter().filter(|s| s.split == "test");
     Ok(tested.map(|s| ((s.id, s.nearest_train_m.unwrap_or(f64::INFINITY)), (s.id, [s.x, s.y, s.z]))).unzip())
 }
 
-/// The rows below the header.
 fn rows<T: DeserializeOwned>(text: &str, path: &Path) -> Result<Vec<T>> {
     let placed = |e: csv::Error| {
         let line = e.position().map_or(1, |p| p.line() as usize);
