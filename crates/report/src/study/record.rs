@@ -177,8 +177,8 @@ fn test_samples(text: &str, path: &Path) -> Result<(ById<f64>, ById<[f64; 3]>)> 
 
 fn rows<T: DeserializeOwned>(text: &str, path: &Path) -> Result<Vec<T>> {
     let placed = |e: csv::Error| {
-        let line = e.position().map_or(1, |p| p.line() as usize);
-        Error::at(path, line, 1, format!("{e}; the run's own files must stay as it wrote them"))
+        let (said, line) = (e.to_string().replace(" error", ""), e.position().map_or(1, |p| p.line() as usize));
+        Error::at(path, line, 1, format!("{said}; the run's own files must stay as it wrote them"))
     };
     csv::Reader::from_reader(text.as_bytes()).into_deserialize().map(|row| row.map_err(placed)).collect()
 }
