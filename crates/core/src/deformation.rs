@@ -70,6 +70,12 @@ pub trait Deformation: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
         d_means: Option<&mut [[Real; 3]]>,
     );
 
+    /// Numbers that [`Self::forward`] and its derivative keep for each Gaussian, whatever the number of transmitters,
+    /// beside the terms themselves: for an estimate of memory before training starts. 0 where they work in small pieces.
+    fn kept_per_gaussian(&self) -> usize {
+        0
+    }
+
     /// Factors `[as many as weights]` that let the lowest frequencies of positional encodings through, when a `share` of
     /// the annealing, 0 to 1, is done: what multiplies an input may as well multiply the weights that read it. `None`
     /// where nothing is encoded.

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 #[non_exhaustive]
 pub enum Error {
     /// A file could not be read.
-    #[error("cannot read {}: {source}", path.display())]
+    #[error("cannot read {}: {source}", shown(path))]
     Read {
         /// The file.
         path: PathBuf,
@@ -15,7 +15,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// A file or folder could not be written.
-    #[error("cannot write {}: {source}", path.display())]
+    #[error("cannot write {}: {source}", shown(path))]
     Write {
         /// The file.
         path: PathBuf,
@@ -23,7 +23,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// A file says something that cannot be used.
-    #[error("{}:{} {message}", path.display(), at.map_or_else(String::new, |(line, column)| format!("{line}:{column}:")))]
+    #[error("{}:{} {}", shown(path), place(*at), told(message))]
     Input {
         /// The file.
         path: PathBuf,
@@ -33,7 +33,7 @@ pub enum Error {
         message: String,
     },
     /// A setting, or a combination of settings, cannot work.
-    #[error("{0}")]
+    #[error("{}", told(.0))]
     Config(String),
     /// A number left the finite range.
     #[error("{what} is not finite at step {step}; lower the learning rates in `training.optimizer`, then start again")]
@@ -47,7 +47,7 @@ pub enum Error {
     #[error("stopped before all was done")]
     Stopped,
     /// Anything a plugin wants to say.
-    #[error("{0}")]
+    #[error("{}", told(&.0.to_string()))]
     Plugin(#[source] Box<dyn std::error::Error + Send + Sync>),
 }
 
@@ -81,6 +81,34 @@ impl Error {
     }
 }
 
+/// The text without what a terminal would take for an order: names and words come from files.
+pub fn plain(text: &str) -> String {
+    text.chars().map(|c| if c.is_control() && c != '\n' && c != '\t' { '\u{fffd}' } else { c }).collect()
+}
+
+/// The longest message, and how much of a longer one's end is kept: there stands what to do.
+const LONGEST: usize = 1_200;
+const END: usize = 400;
+
+/// A message as a person can read it: without control characters, and without its middle where it repeats much of a file.
+fn told(message: &str) -> String {
+    let count = message.chars().count();
+    if count <= LONGEST {
+        return plain(message);
+    }
+    let start: String = message.chars().take(LONGEST - END).collect();
+    let end: String = message.chars().skip(count - END).collect();
+    plain(&format!("{start} … {end}"))
+}
+
+fn shown(path: &Path) -> String {
+    told(&path.display().to_string())
+}
+
+fn place(at: Option<(usize, usize)>) -> String {
+    at.map_or_else(String::new, |(line, column)| format!("{line}:{column}:"))
+}
+
 /// `; did you mean `x`?` for a misspelt name, or nothing where none of the `known` ones is near.
 pub fn did_you_mean<'a>(wrong: &str, known: impl IntoIterator<Item = &'a str>) -> String {
     let wrong = wrong.to_lowercase();
@@ -98,6 +126,14 @@ mod tests {
         let path = Path::new("a.ron");
         assert_eq!(Error::at(path, 3, 7, "no").to_string(), "a.ron:3:7: no");
         assert_eq!(Error::input(path, "no").to_string(), "a.ron: no");
+    }
+
+    #[test]
+    fn a_message_is_short_and_gives_no_orders_to_the_terminal() {
+        assert_eq!(plain("s\u{1b}[31m23\r\n\tµ"), "s\u{fffd}[31m23\u{fffd}\n\tµ");
+        let long =
+            Error::at(Path::new("a\u{7}.ron"), 1, 2, format!("`{}`; write less", "x".repeat(5_000_000))).to_string();
+        assert!(long.starts_with("a\u{fffd}.ron:1:2: `xx") && long.ends_with("xx`; write less") && long.len() < 1_300);
     }
 
     #[test]

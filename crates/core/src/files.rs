@@ -2,6 +2,7 @@
 //! are never taken from somebody else.
 
 use crate::{Error, Result};
+use sha2::{Digest as _, Sha256};
 use std::fs::{self, DirEntry, File};
 use std::io::{ErrorKind, Write as _};
 use std::path::Path;
@@ -29,6 +30,16 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
         let _ = fs::remove_file(&temporary);
         Error::write(path, e)
     })
+}
+
+/// SHA-256 as `sha256sum` prints it.
+pub fn digest(bytes: &[u8]) -> String {
+    hex(&Sha256::digest(bytes))
+}
+
+/// Two digits a byte.
+pub(crate) fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// A text file as a person writes it: UTF-8, with or without a byte order mark.
@@ -100,6 +111,11 @@ mod tests {
         assert_eq!(fs::read(&path).unwrap(), b"new");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
         assert!(!write_atomically(&folder.path().join("missing/a.txt"), b"").unwrap_err().is_input());
+    }
+
+    #[test]
+    fn a_digest_is_that_of_sha256sum() {
+        assert_eq!(digest(b"abc"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
     }
 
     #[test]

@@ -4,7 +4,7 @@ use crate::tensors::Tensors;
 use crate::{Calibration, Model, Readout, Stages};
 use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::plugin::{Plugin, PluginKind, ron_options};
-use pwrfgs_core::{Error, GaussianCloud, ImagePlane, Pose, Real, Result};
+use pwrfgs_core::{COLUMN_NAMES, Error, ExtraColumn, GaussianCloud, ImagePlane, Pose, Real, Result};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -101,6 +101,7 @@ fn from_bytes(bytes: &[u8]) -> Result<Model, String> {
         pose: note.pose,
         plane: note.plane,
     };
+    stages.check()?;
     let cloud = take_cloud(&mut file, "gaussians.", note.gaussians)?;
     let weights = take_weights(&mut file, NETWORK, &stages)?;
     check_constants(&mut file, &stages)?;
@@ -147,7 +148,27 @@ pub fn put_cloud(file: &mut Tensors, prefix: &str, cloud: &GaussianCloud) {
 /// # Errors
 /// What is missing.
 pub fn take_cloud(file: &mut Tensors, prefix: &str, n: usize) -> Result<GaussianCloud, String> {
-    let mut cloud = GaussianCloud::zeros(n);
+    take_columns(file, prefix, n, &[])
+}
+
+/// Takes a cloud of `n` Gaussians with the extra columns `extra` (name and width) from under `prefix`. The file must hold
+/// columns of that length before memory is taken for them: `n` may be any number.
+///
+/// # Errors
+/// What is missing.
+pub fn take_columns(
+    file: &mut Tensors,
+    prefix: &str,
+    n: usize,
+    extra: &[(String, usize)],
+) -> Result<GaussianCloud, String> {
+    file.expect(&format!("{prefix}{}", COLUMN_NAMES[0]), &[n, 3])?;
+    let extra_column = |(name, width): &(String, usize)| -> Result<ExtraColumn, String> {
+        file.expect(&format!("{prefix}{name}"), &[n, *width])?;
+        Ok(ExtraColumn { name: name.clone(), width: *width, values: vec![0.0; n * width] })
+    };
+    let extra = extra.iter().map(extra_column).collect::<Result<_, _>>()?;
+    let mut cloud = GaussianCloud { extra, ..GaussianCloud::zeros(n) };
     for (name, width, values) in cloud.columns_mut() {
         values.copy_from_slice(&file.take(&format!("{prefix}{name}"), &[n, width])?);
     }

@@ -18,4 +18,4 @@ pub use ensemble::Ensemble;
 pub use model::Model;
 pub use prepared::Prepared;
 pub use readout::Readout;
-pub use stages::{Drawing, Geometry, Stages};
+pub use stages::{Drawing, Geometry, Stages, check_together};

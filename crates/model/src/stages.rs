@@ -9,7 +9,7 @@
 use crate::{Activation, ActivationVjp, Calibration, Readout};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
-    Cache, Deformation, Deltas, GaussianCloud, ImagePlane, Pose, Primitives, Projector, Rasterizer, Real, Render,
+    Axis, Cache, Deformation, Deltas, GaussianCloud, ImagePlane, Pose, Primitives, Projector, Rasterizer, Real, Render,
     RenderVjp, Splats, sigmoid,
 };
 use std::ops::Range;
@@ -61,7 +61,59 @@ pub struct Drawing {
     pub render: Render,
 }
 
+/// The most pixels of a picture: a file may promise more than memory holds.
+const MAX_PIXELS: usize = 1 << 24;
+
+/// What rasterizer, readout, calibration and plane cannot see of each other: one check for pipelines and model files.
+///
+/// # Errors
+/// Which of them does not suit, and what to do.
+pub fn check_together(
+    rasterizer: &dyn Rasterizer,
+    readout: Readout,
+    calibration: Calibration,
+    plane: &ImagePlane,
+) -> Result<(), String> {
+    rasterizer.check_plane(plane).map_err(|why| format!("rasterizer: {why}"))?;
+    if rasterizer.coherent() && readout.channels() < 2 {
+        return Err(
+            "readout: this rasterizer adds up waves, and Real takes one channel of each; use MinMax, Magnitude \
+                    or Power"
+                .into(),
+        );
+    }
+    if rasterizer.coherent() && calibration == Calibration::AsReleased {
+        return Err(
+            "calibration: AsReleased makes colours of signals, and this rasterizer adds up waves; use Physical".into(),
+        );
+    }
+    Ok(())
+}
+
 impl Stages {
+    /// Holds together what a file says that need not come from this program.
+    ///
+    /// # Errors
+    /// What does not fit.
+    pub fn check(&self) -> Result<(), String> {
+        let ImagePlane { width, height, .. } = self.plane;
+        let pixels = width.checked_mul(height).filter(|pixels| (1..=MAX_PIXELS).contains(pixels));
+        if pixels.is_none() {
+            return Err(format!("plane: {width} x {height} pixels; there are 1 to {MAX_PIXELS}"));
+        }
+        let drawn = self.projector.plane(width, height);
+        let near = |a: Axis, b: Axis| (a.first - b.first).abs() < 1e-6 && (a.step - b.step).abs() < 1e-6;
+        let alike = match (self.plane.angles, drawn.angles) {
+            (Some(a), Some(b)) => near(a.0, b.0) && near(a.1, b.1),
+            (a, b) => a.is_none() && b.is_none(),
+        };
+        if !alike || self.plane.wraps != drawn.wraps {
+            return Err("plane: its angles are not those that the projector draws".into());
+        }
+        self.pose.fault().map_or(Ok(()), |(field, why)| Err(format!("pose, {field}: {why}")))?;
+        check_together(&*self.rasterizer, self.readout, self.calibration, &self.plane)
+    }
+
     /// How a cloud is activated here.
     pub fn activation(&self) -> Activation {
         Activation {

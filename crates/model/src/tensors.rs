@@ -1,6 +1,6 @@
 //! Named tensors and a note in one safetensors file: the form of models and checkpoints.
 
-use pwrfgs_core::Real;
+use pwrfgs_core::{Real, files::digest};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use std::collections::{BTreeMap, HashMap};
 
@@ -32,19 +32,39 @@ impl Tensors {
     /// # Errors
     /// Names the tensor, and the shape that was expected.
     pub fn take(&mut self, name: &str, shape: &[usize]) -> Result<Vec<Real>, String> {
-        let (found, values) = self.tensors.remove(name).ok_or_else(|| format!("tensor `{name}` is missing"))?;
-        if found != shape {
-            return Err(format!("tensor `{name}` has shape {found:?}, expected {shape:?}"));
-        }
+        self.expect(name, shape)?;
+        let (_, values) = self.tensors.remove(name).expect("it is there");
         if let Some(at) = values.iter().position(|v| !v.is_finite()) {
             return Err(format!("tensor `{name}` holds {} at {at}", values[at]));
         }
         Ok(values)
     }
 
+    /// Whether there is a tensor of this shape.
+    ///
+    /// # Errors
+    /// Names the tensor, and the shape that was expected.
+    pub fn expect(&self, name: &str, shape: &[usize]) -> Result<(), String> {
+        match self.shape(name) {
+            None => Err(format!("tensor `{name}` is missing")),
+            Some(found) if found == shape => Ok(()),
+            Some(found) => Err(format!("tensor `{name}` has shape {found:?}, expected {shape:?}")),
+        }
+    }
+
     /// Shape of a tensor.
     pub fn shape(&self, name: &str) -> Option<&[usize]> {
         self.tensors.get(name).map(|(shape, _)| shape.as_slice())
+    }
+
+    /// SHA-256 of the note and of every tensor with its name and shape.
+    pub fn digest(&self) -> String {
+        let mut all = self.note.clone().into_bytes();
+        for (name, (shape, values)) in &self.tensors {
+            all.extend(format!("\n{name} {shape:?}\n").bytes());
+            all.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+        }
+        digest(&all)
     }
 
     /// The file's bytes; the same tensors give the same bytes.

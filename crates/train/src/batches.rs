@@ -20,6 +20,11 @@ impl Batches {
         Self { train, order: (u64::MAX, Vec::new()) }
     }
 
+    /// The training part.
+    pub(crate) fn train(&self) -> &[usize] {
+        &self.train
+    }
+
     /// The transmitters of `step`, each moved a little, and of their spectra the pixels that `stages` draw.
     pub(crate) fn of_step(&mut self, step: u64, pipeline: &Pipeline, data: &Dataset, stages: &Stages) -> Batch {
         let settings = &pipeline.training;

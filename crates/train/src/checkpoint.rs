@@ -4,16 +4,25 @@
 
 use crate::trainer::Trainer;
 use crate::{Pipeline, adam::Adam};
-use pwrfgs_core::{CloudStats, Dataset, Error, ExtraColumn, GaussianCloud, Partition, Result};
-use pwrfgs_model::file::{put_weights, take_weights};
+use pwrfgs_core::{CloudStats, Dataset, Error, Partition, Result};
+use pwrfgs_model::file::{put_weights, take_columns, take_weights};
 use pwrfgs_model::tensors::Tensors;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
+
+/// What the file says besides numbers, and the digest of all of it.
+#[derive(Serialize, Deserialize)]
+struct Sealed {
+    digest: String,
+    note: Note,
+}
 
 #[derive(Serialize, Deserialize)]
 struct Note {
     format: String,
     version: u32,
+    /// Of pipeline and data.
+    fingerprint: String,
     done: u64,
     gaussians: usize,
     /// Extra columns and their widths.
@@ -21,7 +30,7 @@ struct Note {
 }
 
 const FORMAT: &str = "pwrfgs-checkpoint";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 impl<'a> Trainer<'a> {
     /// Everything needed to go on, as bytes.
@@ -29,11 +38,12 @@ impl<'a> Trainer<'a> {
         let note = Note {
             format: FORMAT.into(),
             version: VERSION,
+            fingerprint: self.fingerprint().to_owned(),
             done: self.done,
             gaussians: self.cloud.len(),
             extra: self.cloud.extra.iter().map(|c| (c.name.clone(), c.width)).collect(),
         };
-        let mut file = Tensors::new(serde_json::to_string(&note).expect("plain data"));
+        let mut file = Tensors::new(json(&note));
         let clouds = [("value", &self.cloud), ("first", &self.adam.cloud[0]), ("second", &self.adam.cloud[1])];
         for (prefix, cloud) in clouds {
             for (name, width, values) in cloud.columns() {
@@ -47,13 +57,14 @@ impl<'a> Trainer<'a> {
         for (name, values) in self.stats.columns() {
             file.put(format!("stats.{name}"), vec![values.len()], values.to_vec());
         }
+        file.note = json(&Sealed { digest: file.digest(), note });
         file.to_bytes()
     }
 
     /// The trainer that wrote `bytes`, for the same pipeline and data.
     ///
     /// # Errors
-    /// [`Error::Config`] where the bytes are not such a checkpoint.
+    /// [`Error::Config`] where the bytes are not such a checkpoint: damaged, or of another training.
     pub fn restore(pipeline: &Pipeline, data: &'a Dataset, partition: &Partition, bytes: &[u8]) -> Result<Self> {
         let mut trainer = Self::new(pipeline, data, partition)?;
         trainer.read(bytes).map_err(|why| {
@@ -64,21 +75,20 @@ impl<'a> Trainer<'a> {
 
     fn read(&mut self, bytes: &[u8]) -> Result<(), String> {
         let mut file = Tensors::from_bytes(bytes)?;
-        let note: Note = serde_json::from_str(&file.note).map_err(|e| e.to_string())?;
+        let Sealed { digest, note } = serde_json::from_str(&file.note)
+            .map_err(|e| format!("it is damaged, or of another version of pwrfgs ({e})"))?;
+        file.note = json(&note);
+        if file.digest() != digest {
+            return Err("it is damaged: what it holds is not what was written".into());
+        }
         if note.format != FORMAT || note.version != VERSION {
             return Err(format!("it is a `{}` of version {}", note.format, note.version));
         }
+        if note.fingerprint != self.fingerprint() {
+            return Err("it was written with other settings, other data or another split".into());
+        }
         let n = note.gaussians;
-        let mut cloud = |prefix: &str| -> Result<GaussianCloud, String> {
-            let extra = (note.extra.iter())
-                .map(|(name, width)| ExtraColumn { name: name.clone(), width: *width, values: vec![0.0; n * width] })
-                .collect();
-            let mut cloud = GaussianCloud { extra, ..GaussianCloud::zeros(n) };
-            for (name, width, values) in cloud.columns_mut() {
-                values.copy_from_slice(&file.take(&format!("{prefix}.{name}"), &[n, width])?);
-            }
-            Ok(cloud)
-        };
+        let mut cloud = |prefix: &str| take_columns(&mut file, &format!("{prefix}."), n, &note.extra);
         self.cloud = cloud("value")?;
         let moments = [cloud("first")?, cloud("second")?];
         let mut network = |prefix: &str| take_weights(&mut file, &format!("{prefix}.network."), &self.stages);
@@ -91,4 +101,8 @@ impl<'a> Trainer<'a> {
         self.done = note.done;
         Ok(())
     }
+}
+
+fn json(note: &impl Serialize) -> String {
+    serde_json::to_string(note).expect("plain data")
 }

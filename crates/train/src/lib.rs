@@ -8,12 +8,15 @@ mod batches;
 mod checkpoint;
 mod densify;
 mod edit;
+mod estimate;
+mod fingerprint;
 mod graph;
 mod loss;
 mod pipeline;
 mod settings;
 mod trainer;
 
+pub use estimate::{Estimate, network_bytes};
 pub use graph::{Batch, LossAndGradients, loss_and_gradients};
 pub use loss::RenderingLoss;
 pub use pipeline::{Pipeline, PipelineFields, PipelinePatch};

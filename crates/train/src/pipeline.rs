@@ -5,7 +5,7 @@ use pwrfgs_core::plugin::{Checked, Plugin, default_of, read_ron, ron_options};
 use pwrfgs_core::{
     Baseline, DataSource, Deformation, Error, Initializer, Metric, Projector, Pruner, Rasterizer, Result, Split,
 };
-use pwrfgs_model::{Calibration, Readout};
+use pwrfgs_model::{Calibration, Readout, check_together};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -113,7 +113,7 @@ impl Pipeline {
     /// [`Error::Input`] with line and column.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
         let pipeline: Self = read_ron(text, path)?;
-        pipeline.check().map_err(Error::Config)?;
+        pipeline.check().map_err(|why| Error::input(path, why))?;
         Ok(pipeline)
     }
 
@@ -164,6 +164,32 @@ impl Pipeline {
         self.apply(patch)
     }
 
+    /// The pipeline as it is trained: `training.scale` multiplied into every count of steps.
+    ///
+    /// # Errors
+    /// [`Error::Config`] where training ends before the pruners are done: such a run would be scored unpruned.
+    pub fn resolved(&self) -> Result<Self> {
+        let training = self.training.resolved();
+        let (steps, until) = (training.steps, training.prune_until);
+        if !self.pruners.is_empty() && until > steps {
+            return Err(Error::Config(format!(
+                "training: it ends after step {steps}, but the pruners are at work until step {until} (`prune_until`), so \
+                 the model would be scored unpruned; for a shorter training in the same proportions leave `steps` alone \
+                 and give `scale`, such as --scale 0.25"
+            )));
+        }
+        let training = Checked::new(training).map_err(|why| Error::Config(format!("training: {why}")))?;
+        Ok(Self { training, ..self.clone() })
+    }
+
+    /// The same without what changes nothing of the result: TensorBoard, and how often a checkpoint is written.
+    pub fn essential(&self) -> Self {
+        let checkpoint_every = Training::default().checkpoint_every;
+        let training = Training { checkpoint_every, ..Training::clone(&self.training) };
+        let training = Checked::new(training).unwrap_or_else(|_| self.training.clone());
+        Self { tensorboard: false, training, ..self.clone() }
+    }
+
     /// What plugins cannot see of each other.
     fn check(&self) -> Result<(), String> {
         let good = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
@@ -171,18 +197,7 @@ impl Pipeline {
             return Err(format!("name: `{}` cannot name a folder; use letters, digits, `.`, `-` and `_`", self.name));
         }
         let plane = self.projector.plane(360, 90);
-        self.rasterizer.check_plane(&plane).map_err(|why| format!("rasterizer: {why}"))?;
-        if self.rasterizer.coherent() && self.readout.channels() < 2 {
-            return Err("readout: this rasterizer adds up waves, and Real takes one channel of each; use MinMax, \
-                        Magnitude or Power"
-                .into());
-        }
-        if self.rasterizer.coherent() && self.calibration == Calibration::AsReleased {
-            return Err("calibration: AsReleased makes colours of signals, and this rasterizer adds up waves; use \
-                        Physical"
-                .into());
-        }
-        Ok(())
+        check_together(&*self.rasterizer, self.readout, self.calibration, &plane)
     }
 }
 

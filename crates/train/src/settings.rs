@@ -86,6 +86,15 @@ impl Schedule {
         }
     }
 
+    /// With its steps multiplied.
+    fn scaled(self, scale: f64) -> Self {
+        match self {
+            Self::Constant(rate) => Self::Constant(rate),
+            Self::LogLinear { first, last, steps } => Self::LogLinear { first, last, steps: scaled(steps, scale) },
+            Self::Cosine { first, last, steps } => Self::Cosine { first, last, steps: scaled(steps, scale) },
+        }
+    }
+
     fn check(&self, name: &str) -> Result<(), String> {
         let ok = match *self {
             Self::Constant(rate) => rate >= 0.0 && rate.is_finite(),
@@ -177,6 +186,10 @@ settings! {
     Training / TrainingPatch {
         /// M, the number of steps.
         steps: u64 = 200_000,
+        /// Multiplies every count of steps here, in `densify` and in the schedules of `optimizer`, as the last thing that
+        /// is done to them: 0.25 for a quarter of the training in the same proportions. Counts are rounded, and those
+        /// above 0 stay at least 1.
+        scale: f64 = 1.0,
         /// Transmitters a step.
         batch: usize = 1,
         /// `M_d`: densification ends after this step.
@@ -210,6 +223,42 @@ settings! {
     }
 }
 
+/// A count of steps, multiplied: what happens at all still happens.
+fn scaled(steps: u64, scale: f64) -> u64 {
+    if steps == 0 { 0 } else { ((steps as f64 * scale).round() as u64).max(1) }
+}
+
+impl Training {
+    /// The same with `scale` multiplied in, and 1 from then on.
+    pub(crate) fn resolved(&self) -> Self {
+        let mut own = self.clone();
+        if self.scale == 1.0 {
+            return own; // counts beyond 2^53 would be rounded
+        }
+        let (densify, o) = (&mut own.densify, &mut own.optimizer);
+        let counts = [
+            &mut own.steps,
+            &mut own.densify_until,
+            &mut own.prune_until,
+            &mut own.prune_every,
+            &mut own.anneal_frequencies,
+            &mut own.validate_every,
+            &mut own.checkpoint_every,
+            &mut densify.from,
+            &mut densify.every,
+            &mut densify.large_after,
+            &mut densify.reset_every,
+            &mut o.network_warmup,
+        ];
+        counts.into_iter().for_each(|count| *count = scaled(*count, self.scale));
+        let schedules =
+            [&mut o.means, &mut o.log_scales, &mut o.quats, &mut o.opacity_logits, &mut o.signals, &mut o.network];
+        schedules.into_iter().for_each(|schedule| *schedule = schedule.scaled(self.scale));
+        own.scale = 1.0;
+        own
+    }
+}
+
 /// Ok, or the sentence.
 fn need(ok: bool, sentence: &str) -> Result<(), String> {
     if ok { Ok(()) } else { Err(sentence.into()) }
@@ -218,6 +267,7 @@ fn need(ok: bool, sentence: &str) -> Result<(), String> {
 impl Check for Training {
     fn check(&self) -> Result<(), String> {
         need(self.steps >= 1, "`steps` is 0; give at least 1")?;
+        need(self.scale > 0.0 && self.scale <= 1e6, "`scale` must be positive, such as 0.25, and at most 1e6")?;
         need(self.batch >= 1, "`batch` is 0; give at least 1")?;
         need(
             self.prune_until >= self.densify_until,

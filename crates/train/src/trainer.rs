@@ -4,6 +4,7 @@ use crate::adam::Adam;
 use crate::batches::{Batches, coarse};
 use crate::densify;
 use crate::edit;
+use crate::fingerprint::fingerprint;
 use crate::graph::loss_and_gradients;
 use crate::loss::RenderingLoss;
 use crate::pipeline::Pipeline;
@@ -13,7 +14,7 @@ use pwrfgs_core::{
     Result, rng,
 };
 use pwrfgs_model::{Model, Stages};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// What a step did.
 #[derive(Clone, Debug, PartialEq)]
@@ -48,6 +49,8 @@ pub struct Trainer<'a> {
     pub(crate) adam: Adam,
     pub(crate) stats: CloudStats,
     pub(crate) done: u64,
+    /// See [`fingerprint`]; worked out when the first checkpoint is written or read.
+    fingerprint: OnceLock<String>,
 }
 
 impl<'a> Trainer<'a> {
@@ -56,10 +59,18 @@ impl<'a> Trainer<'a> {
     /// # Errors
     /// What the initializer lacks, or an empty training part.
     pub fn new(pipeline: &Pipeline, data: &'a Dataset, partition: &Partition) -> Result<Self> {
+        let pipeline = &pipeline.resolved()?;
         let plane = pipeline.projector.plane(data.width, data.height);
         pipeline.rasterizer.check_plane(&plane).map_err(|why| Error::Config(format!("rasterizer: {why}")))?;
         if partition.train.is_empty() {
             return Err(Error::Config("the training part is empty; use another split".into()));
+        }
+        if pipeline.training.batch > partition.train.len() {
+            return Err(Error::Config(format!(
+                "training.batch is {}, but the training part has {} samples only; give at most so many",
+                pipeline.training.batch,
+                partition.train.len()
+            )));
         }
         let mut cloud =
             pipeline.initializer.initialize(&data.scene, &plane, &mut rng::stream(pipeline.seed, "init", 0))?;
@@ -94,7 +105,17 @@ impl<'a> Trainer<'a> {
             cloud,
             weights,
             done: 0,
+            fingerprint: OnceLock::new(),
         })
+    }
+
+    pub(crate) fn batches(&self) -> &Batches {
+        &self.batches
+    }
+
+    /// What this training follows from.
+    pub(crate) fn fingerprint(&self) -> &str {
+        self.fingerprint.get_or_init(|| fingerprint(&self.pipeline, self.data, self.batches.train()))
     }
 
     /// Steps taken.
@@ -270,7 +291,7 @@ fn through(window: &[Real], weights: &[Real]) -> Vec<Real> {
 }
 
 /// The columns that the pruners ask for, each once; none where there is no phase in which they count.
-fn specs_of(pipeline: &Pipeline) -> Vec<ColumnSpec> {
+pub(crate) fn specs_of(pipeline: &Pipeline) -> Vec<ColumnSpec> {
     let mut specs: Vec<ColumnSpec> = Vec::new();
     if pipeline.training.prune_until > 0 {
         for spec in pipeline.pruners.iter().flat_map(|p| p.columns()) {

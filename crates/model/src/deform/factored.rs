@@ -58,6 +58,10 @@ impl Deformation for Factored {
         planned(|plan| Network::new(self, plan)).1.layout()
     }
 
+    fn kept_per_gaussian(&self) -> usize {
+        3 * 2 * (self.width + 1) // both rows of factors, their derivative, and what that is made of
+    }
+
     fn init(&self, rng: &mut Rng) -> Vec<Real> {
         planned(|plan| Network::new(self, plan)).1.init(rng)
     }

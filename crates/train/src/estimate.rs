@@ -1,0 +1,80 @@
+//! `Estimate`: what training will take, said before its first step.
+
+use crate::Pipeline;
+use crate::batches::Batches;
+use crate::graph::loss_and_gradients;
+use crate::loss::RenderingLoss;
+use crate::trainer::Trainer;
+use pwrfgs_core::{GaussianCloud, Moment, Real, Result};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Memory and time of training from here on, as far as they can be told before it begins: densification and pruning
+/// change both.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
+    /// N at hand.
+    pub gaussians: usize,
+    /// Memory of a step beyond what is loaded, bytes, to about a third.
+    pub step_bytes: u64,
+    /// Seconds of a step with that N.
+    pub step_seconds: f64,
+}
+
+/// Numbers a weight of the network: itself, two moments, its derivative in each of sixteen accumulators.
+const PER_WEIGHT: usize = 20;
+/// Numbers a Gaussian: derivatives, what is activated and projected of it, tiles, what is sorted.
+const PER_GAUSSIAN: usize = 220;
+/// Numbers a Gaussian and transmitter: terms and their derivatives, and the pieces in which they are made.
+const PER_TERM: usize = 75;
+/// Numbers a pixel and transmitter: spectra, signals, what SSIM keeps, and derivatives.
+const PER_PIXEL: usize = 20;
+
+/// Gaussians times transmitters of a trial.
+const TRIAL: usize = 4_000;
+
+/// Bytes that the network of `pipeline` takes in training; known before anything is made.
+pub fn network_bytes(pipeline: &Pipeline) -> u64 {
+    let weights = pipeline.deformation.layout().iter().map(|spec| spec.len() as u64).sum::<u64>();
+    weights * (PER_WEIGHT * size_of::<Real>()) as u64
+}
+
+impl Trainer<'_> {
+    /// What the next step takes. A step is tried on a part of the Gaussians, and on half of that part; nothing of the
+    /// training changes.
+    ///
+    /// # Errors
+    /// Numbers that are not finite.
+    pub fn estimate(&self) -> Result<Estimate> {
+        let (n, batch) = (self.cloud.len(), self.pipeline.training.batch);
+        let most = (TRIAL / batch).clamp(16, n.max(16)).min(n);
+        let (whole, half) = (self.trial(most)?, if most < n { self.trial(most / 2)? } else { 0.0 });
+        let each = if most < n { ((whole - half) / (most - most / 2) as f64).max(0.0) } else { 0.0 };
+        let step_seconds = whole + each * (n - most) as f64;
+        let plane = &self.stages.plane;
+        let kept = PER_GAUSSIAN + self.pipeline.deformation.kept_per_gaussian();
+        let numbers = n * (kept + batch * PER_TERM) + batch * plane.width * plane.height * PER_PIXEL;
+        let step_bytes = (numbers * size_of::<Real>()) as u64 + network_bytes(&self.pipeline);
+        Ok(Estimate { gaussians: n, step_bytes, step_seconds })
+    }
+
+    /// Seconds of the next step with `n` Gaussians, spread evenly over all; the shorter of two.
+    fn trial(&self, n: usize) -> Result<f64> {
+        let rows: Vec<usize> = (0..n).map(|i| i * self.cloud.len() / n.max(1)).collect();
+        let cloud: GaussianCloud = self.cloud.select(&rows);
+        let step = self.done + 1;
+        let moment = Moment { step, phase: self.phase(step), seed: self.pipeline.seed };
+        let batch =
+            Batches::new(self.batches().train().to_vec()).of_step(step, &self.pipeline, self.data, &self.stages);
+        let settings = &self.pipeline.training;
+        let objective = RenderingLoss::strided(settings.loss.ssim_weight, settings.stride);
+        let mut shortest = f64::INFINITY;
+        for _ in 0..2 {
+            let start = Instant::now();
+            let (stages, weights) = (&self.stages, Arc::clone(&self.weights));
+            rayon::scope(|_| loss_and_gradients(stages, &cloud, &weights, &batch, &objective, &[], &moment))?;
+            shortest = shortest.min(start.elapsed().as_secs_f64());
+        }
+        Ok(shortest)
+    }
+}

@@ -1,0 +1,45 @@
+//! What a training follows from, as one digest: a checkpoint goes on in the very training that it comes from.
+
+use crate::Pipeline;
+use crate::settings::Training;
+use crate::trainer::specs_of;
+use pwrfgs_core::files::digest;
+use pwrfgs_core::plugin::ron_options;
+use pwrfgs_core::{Dataset, Real};
+use rayon::prelude::*;
+
+/// Samples whose digests are taken together.
+const CHUNK: usize = 64;
+
+/// The digest of everything in `pipeline` that changes a training, of the `data` and of which of them are trained on.
+/// Where the data lie, how they are scored and how often one looks or saves is left out.
+pub(crate) fn fingerprint(pipeline: &Pipeline, data: &Dataset, train: &[usize]) -> String {
+    let looks = Training::default();
+    let training = Training {
+        checkpoint_every: looks.checkpoint_every,
+        validate_every: looks.validate_every,
+        validation_samples: looks.validation_samples,
+        ..Training::clone(&pipeline.training)
+    };
+    let p = pipeline;
+    let (stages, pruners) = ((&p.projector, &p.rasterizer, &p.deformation, p.calibration, p.readout), &p.pruners);
+    let said = ron_options().to_string(&(p.seed, &p.initializer, stages, pruners, training)).expect("plain data");
+    let columns: Vec<_> = specs_of(pipeline).into_iter().map(|spec| (spec.name, spec.width)).collect();
+    let parts = [said, format!("{columns:?} {train:?} {}", size_of::<Real>()), of_data(data)];
+    digest(parts.join("\n").as_bytes())
+}
+
+/// Receiver, size, points, and every sample.
+fn of_data(data: &Dataset) -> String {
+    let part = |samples: &[pwrfgs_core::Sample]| {
+        let mut bytes = Vec::new();
+        for sample in samples {
+            bytes.extend(sample.tx.iter().flat_map(|v| v.to_le_bytes()));
+            bytes.extend_from_slice(&sample.spectrum);
+        }
+        digest(&bytes)
+    };
+    let parts: Vec<String> = data.samples.par_chunks(CHUNK).map(part).collect();
+    let points: Vec<u8> = data.scene.points.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
+    format!("{:?} {} {} {} {}", data.scene.receiver, data.width, data.height, digest(&points), parts.join(" "))
+}
