@@ -1,11 +1,14 @@
 //! `run.json`: with what, on what and how long.
 
 use crate::clock;
-use crate::folder::{FACTS, MODEL_FILE, REPORT, SAMPLES, SCORES};
+use crate::folder::{CURVE, FACTS, MODEL_FILE, REPORT, SAMPLES, SCORES, START_SNAPSHOT, UNPRUNED_SNAPSHOT, VALIDATION};
+use crate::memory;
 use crate::scores::ScoreTable;
-use pwrfgs_core::files::write_atomically;
+use pwrfgs_core::files::{digest, write_atomically};
 use pwrfgs_core::{Error, Result};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::io::ErrorKind;
 use std::path::Path;
 
 /// The facts of a run. `finished` is empty until model, scores and report are written.
@@ -47,7 +50,31 @@ pub struct Facts {
     pub report: bool,
     /// Summaries of `scores.csv`.
     pub scores: Option<ScoreTable>,
+    /// The finished files of the folder by name: whoever reads them can tell whether they are whole.
+    #[serde(default)]
+    pub files: BTreeMap<String, Mark>,
 }
+
+/// What a file is known by.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Mark {
+    /// Its length.
+    pub bytes: u64,
+    /// What `sha256sum` says of it.
+    pub sha256: String,
+}
+
+impl Mark {
+    fn of(bytes: &[u8]) -> Self {
+        Self { bytes: bytes.len() as u64, sha256: digest(bytes) }
+    }
+}
+
+/// The files that are known by a mark. Of the others, `pipeline.ron` is compared with the pipeline at hand, the checkpoint
+/// has a digest of its own, and TensorBoard alone reads the events.
+const MARKED: [&str; 8] = [MODEL_FILE, SCORES, SAMPLES, REPORT, CURVE, VALIDATION, START_SNAPSHOT, UNPRUNED_SNAPSHOT];
+/// Those of them that the run makes again where they are missing.
+const MADE_AGAIN: [&str; 4] = [MODEL_FILE, SCORES, SAMPLES, REPORT];
 
 /// A computer.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -77,37 +104,98 @@ impl Machine {
 }
 
 impl Facts {
-    /// The facts that earlier starts left in `folder`, or fresh ones.
-    pub(crate) fn open(folder: &Path, seed: u64) -> Self {
-        let old = Self::read(folder).unwrap_or_else(|| Self { started: clock::now(), ..Self::default() });
-        Self {
+    /// The facts of a run that goes on in `folder`, and those that earlier starts left there (or fresh ones).
+    pub(crate) fn open(folder: &Path, seed: u64) -> Result<(Self, Self)> {
+        let old = Self::read(folder)?.unwrap_or_else(|| Self { started: clock::now(), ..Self::default() });
+        let facts = Self {
             version: env!("CARGO_PKG_VERSION").into(),
             commit: commit(),
             real_bytes: size_of::<pwrfgs_core::Real>(),
             machine: Machine::here(),
             seed,
             starts: old.starts + 1,
-            ..old
-        }
+            finished: None,
+            scores: None,
+            files: BTreeMap::new(),
+            ..old.clone()
+        };
+        Ok((facts, old))
     }
 
     /// The facts in `folder`, if there are any.
-    pub fn read(folder: &Path) -> Option<Self> {
-        serde_json::from_str(&std::fs::read_to_string(folder.join(FACTS)).ok()?).ok()
+    ///
+    /// # Errors
+    /// A file that is damaged, or cannot be read.
+    pub fn read(folder: &Path) -> Result<Option<Self>> {
+        let path = folder.join(FACTS);
+        let text = match std::fs::read_to_string(&path) {
+            Ok(text) => text,
+            Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => return Ok(None),
+            Err(e) => return Err(Error::read(&path, e)),
+        };
+        serde_json::from_str(&text).map(Some).map_err(|e| {
+            let why =
+                format!("is damaged, or of another version ({e}); remove it, and `pwrfgs run` scores the run again");
+            Error::input(&path, why)
+        })
     }
 
     /// Scores and facts of a run to which nothing is left to do.
-    pub fn finished(folder: &Path) -> Option<(ScoreTable, Self)> {
-        let facts = Self::read(folder)?;
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn finished(folder: &Path) -> Result<Option<(ScoreTable, Self)>> {
+        let Some(facts) = Self::read(folder)? else { return Ok(None) };
         let stands = |name: &str| folder.join(name).is_file();
         let complete = [MODEL_FILE, SCORES, SAMPLES].into_iter().all(stands) && (!facts.report || stands(REPORT));
-        let scores = facts.scores.clone().filter(|_| complete && facts.finished.is_some())?;
-        Some((scores, facts))
+        let scores = facts.scores.clone().filter(|_| complete && facts.finished.is_some());
+        Ok(scores.map(|scores| (scores, facts)))
+    }
+
+    /// Marks the files of a run that has just finished.
+    pub(crate) fn seal(&mut self, folder: &Path) -> Result<()> {
+        self.files.clear();
+        for name in MARKED.into_iter().filter(|name| folder.join(name).is_file()) {
+            let path = folder.join(name);
+            let bytes = std::fs::read(&path).map_err(|e| Error::read(&path, e))?;
+            self.files.insert(name.into(), Mark::of(&bytes));
+        }
+        Ok(())
+    }
+
+    /// Holds the files of a finished run against their marks.
+    ///
+    /// # Errors
+    /// The first that is damaged or missing.
+    pub fn verify(&self, folder: &Path) -> Result<()> {
+        self.files.keys().try_for_each(|name| self.verify_file(folder, name))
+    }
+
+    /// Holds one file against its mark, where it has one.
+    ///
+    /// # Errors
+    /// Where it is damaged or missing.
+    pub fn verify_file(&self, folder: &Path, name: &str) -> Result<()> {
+        let Some(mark) = self.files.get(name) else { return Ok(()) };
+        let path = folder.join(name);
+        let found = match std::fs::read(&path) {
+            Ok(bytes) if Mark::of(&bytes) == *mark => return Ok(()),
+            Ok(bytes) if bytes.len() as u64 == mark.bytes => "its bytes are others".to_owned(),
+            Ok(bytes) => format!("it has {} bytes and not {}", bytes.len(), mark.bytes),
+            Err(e) if e.kind() == ErrorKind::NotFound => "it is missing".into(),
+            Err(e) => return Err(Error::read(&path, e)),
+        };
+        let advice = if MADE_AGAIN.contains(&name) {
+            "copy it anew, or remove it, and `pwrfgs run` makes it again"
+        } else {
+            "copy it anew, or remove the folder and run again"
+        };
+        Err(Error::input(&path, format!("is not what {FACTS} says was written: {found}; {advice}")))
     }
 
     /// Looks at the largest resident memory so far.
     pub(crate) fn note_memory(&mut self) {
-        self.peak_memory_bytes = self.peak_memory_bytes.max(peak_memory());
+        self.peak_memory_bytes = self.peak_memory_bytes.max(memory::peak());
     }
 
     /// Writes `run.json`.
@@ -115,13 +203,6 @@ impl Facts {
         let text = serde_json::to_string_pretty(self).map_err(|e| Error::Config(format!("run.json: {e}")))?;
         write_atomically(&folder.join(FACTS), (text + "\n").as_bytes())
     }
-}
-
-/// Largest resident memory of this process, bytes; 0 where the system does not tell.
-fn peak_memory() -> u64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"));
-    line.and_then(|l| l.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()).map_or(0, |kib| kib * 1024)
 }
 
 /// The commit of the checkout of this project that the program lies in, read from git's files.
@@ -145,10 +226,10 @@ mod tests {
     #[test]
     fn facts_accumulate_over_starts() {
         let folder = tempfile::tempdir().unwrap();
-        let mut first = Facts::open(folder.path(), 7);
+        let (mut first, _) = Facts::open(folder.path(), 7).unwrap();
         first.wall_seconds = 12.5;
         first.write(folder.path()).unwrap();
-        let second = Facts::open(folder.path(), 7);
+        let (second, _) = Facts::open(folder.path(), 7).unwrap();
         assert_eq!((second.starts, second.wall_seconds, &second.started), (2, 12.5, &first.started));
         assert!(second.machine.threads >= 1);
     }

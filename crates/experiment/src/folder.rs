@@ -46,10 +46,10 @@ impl RunFolder {
     ///
     /// # Errors
     /// Where it is no folder, or holds something else, or a run of another pipeline.
-    pub fn inspect(path: &Path, pipeline: &str) -> Result<()> {
+    pub fn inspect(path: &Path, pipeline: &Pipeline) -> Result<()> {
         let own = path.join(PIPELINE);
         match std::fs::read_to_string(&own) {
-            Ok(text) => same_pipeline(path, &own, &text, pipeline),
+            Ok(text) => same_pipeline(path, &own, &text, &pipeline.essential().to_ron()),
             Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => {
                 refuse_foreign(path, "a run folder")
             }
@@ -61,12 +61,12 @@ impl RunFolder {
     ///
     /// # Errors
     /// As [`Self::inspect`], or where it cannot be written, or another process is at work in it.
-    pub fn claim(path: &Path, pipeline: &str) -> Result<Self> {
+    pub fn claim(path: &Path, pipeline: &Pipeline) -> Result<Self> {
         Self::inspect(path, pipeline)?;
         std::fs::create_dir_all(path).map_err(|e| Error::write(path, e))?;
         let own = path.join(PIPELINE);
         if !own.exists() {
-            write_atomically(&own, pipeline.as_bytes())?;
+            write_atomically(&own, pipeline.to_ron().as_bytes())?;
         }
         let lock = File::open(&own).map_err(|e| Error::read(&own, e))?;
         match patiently(&lock) {
@@ -112,7 +112,7 @@ fn patiently(lock: &File) -> Result<(), TryLockError> {
 /// Refuses a folder that holds a run of another pipeline, naming the first difference.
 fn same_pipeline(folder: &Path, file: &Path, theirs: &str, ours: &str) -> Result<()> {
     // Read and written again, so that fields added since with their defaults, or a comment, are no difference.
-    let theirs = Pipeline::parse(theirs, file).map_or_else(|_| theirs.to_owned(), |p| p.to_ron());
+    let theirs = Pipeline::parse(theirs, file).map_or_else(|_| theirs.to_owned(), |p| p.essential().to_ron());
     let differ = theirs.lines().zip(ours.lines()).enumerate().find(|(_, (a, b))| a != b);
     match differ {
         Some((line, (there, here))) => Err(Error::Config(format!(

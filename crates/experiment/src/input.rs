@@ -5,14 +5,21 @@ use pwrfgs_core::{Result, files::read_text};
 use pwrfgs_train::Pipeline;
 use std::path::Path;
 
-/// Reads the pipeline in `path` and applies `--set` arguments. Paths in the file are relative to the file.
+/// Reads the pipeline in `path`, applies `--set` arguments and then its `training.scale`. Paths in the file are relative
+/// to the file.
 ///
 /// # Errors
 /// [`Error::Input`](pwrfgs_core::Error::Input) with line and column, or what is wrong with an argument.
 pub fn read_pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
+    let mut pipeline = read_base(path)?;
+    set_all(&mut pipeline, set)?;
+    pipeline.resolved()
+}
+
+/// The pipeline in `path` as it stands there, with `training.scale` still to be multiplied in.
+pub(crate) fn read_base(path: &Path) -> Result<Pipeline> {
     let mut pipeline = Pipeline::parse(&read_text(path)?, path)?;
     rebase(&mut pipeline, path.parent().unwrap_or(Path::new("")));
-    set_all(&mut pipeline, set)?;
     Ok(pipeline)
 }
 

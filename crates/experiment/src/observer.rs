@@ -2,7 +2,7 @@
 
 use crate::scores::ScoreTable;
 use pwrfgs_core::Progress;
-use pwrfgs_train::StepReport;
+use pwrfgs_train::{Estimate, StepReport};
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
@@ -19,6 +19,8 @@ pub struct Start<'a> {
     pub done: u64,
     /// Steps in all.
     pub steps: u64,
+    /// What a step takes, with the Gaussians at hand.
+    pub estimate: Estimate,
 }
 
 /// A look at the validation part: one row of `validation.csv`.

@@ -9,6 +9,7 @@ use crate::facts::Facts;
 use crate::folder::{CHECKPOINT, MODEL_FILE, RunFolder, START_SNAPSHOT, UNPRUNED_SNAPSHOT};
 use crate::journal::{Journal, note_scores};
 use crate::observer::{Observer, Start, staged};
+use crate::preview::{fitting, fitting_network};
 use crate::results::{Page, Results};
 use crate::scores::ScoreTable;
 use crate::snapshot::Snapshot;
@@ -16,7 +17,7 @@ use crate::{clock, samples, validation};
 use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::{Dataset, Error, GaussianCloud, Partition, Result, rng};
 use pwrfgs_model::{Model, file};
-use pwrfgs_train::{Pipeline, Trainer};
+use pwrfgs_train::{Estimate, Pipeline, Trainer};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -58,23 +59,28 @@ pub fn run(
     let begun = Instant::now();
     let mut pipeline = pipeline.clone();
     rebase(&mut pipeline, base);
-    let text = pipeline.to_ron();
-    RunFolder::inspect(out, &text)?;
-    if let Some((scores, _)) = Facts::finished(out).filter(|(_, facts)| facts.report || page.is_none()) {
+    let pipeline = pipeline.resolved()?;
+    RunFolder::inspect(out, &pipeline)?;
+    if let Some((scores, facts)) = Facts::finished(out)?.filter(|(_, facts)| facts.report || page.is_none()) {
+        facts.verify(out)?;
         return Ok(Outcome::Finished { scores, already: true });
     }
     let (data, partition) = load(&pipeline, base, observer)?;
     let mut run = Run { pipeline: &pipeline, data: &data, partition: &partition, observer, stop, page, begun };
     // Made before the folder is claimed: settings that cannot work must leave nothing behind.
     let trainer = if out.join(MODEL_FILE).is_file() { None } else { Some(run.trainer(out)?) };
-    let folder = RunFolder::claim(out, &text)?;
-    let mut facts = Facts::open(out, pipeline.seed);
+    let folder = RunFolder::claim(out, &pipeline)?;
+    let (mut facts, earlier) = Facts::open(out, pipeline.seed)?;
     facts.data.clone_from(&data.title);
     facts.simulated = data.is_simulated();
     facts.samples = [partition.train.len(), partition.validation.len(), partition.test.len()];
     let model = match trainer {
-        None => file::read(&folder.file(MODEL_FILE))?,
-        Some(mut trainer) => match run.train(&mut trainer, &folder, &mut facts)? {
+        None => {
+            earlier.verify_file(out, MODEL_FILE)?;
+            facts.write(out)?; // it is not finished any more: what it says of files is about to be wrong
+            file::read(&folder.file(MODEL_FILE))?
+        }
+        Some((mut trainer, estimate)) => match run.train(&mut trainer, estimate, &folder, &mut facts)? {
             Some(model) => model,
             None => return Ok(Outcome::Interrupted { step: trainer.done() }),
         },
@@ -130,21 +136,30 @@ struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    /// A trainer at the start, or where the checkpoint left it.
-    fn trainer(&self, out: &Path) -> Result<Trainer<'a>> {
+    /// A trainer at the start, or where the checkpoint left it, and what a step will take.
+    fn trainer(&self, out: &Path) -> Result<(Trainer<'a>, Estimate)> {
+        fitting_network(self.pipeline)?;
         let path = out.join(CHECKPOINT);
-        match std::fs::read(&path) {
+        let trainer = match std::fs::read(&path) {
             Ok(bytes) => Trainer::restore(self.pipeline, self.data, self.partition, &bytes)
                 .map_err(|e| Error::input(&path, format!("{e}; remove it to start again"))),
             Err(e) if [std::io::ErrorKind::NotFound, std::io::ErrorKind::NotADirectory].contains(&e.kind()) => {
                 Trainer::new(self.pipeline, self.data, self.partition)
             }
             Err(e) => Err(Error::read(&path, e)),
-        }
+        }?;
+        let estimate = fitting(&trainer)?;
+        Ok((trainer, estimate))
     }
 
     /// Trains to the end and writes the model, or returns nothing where it was asked to stop.
-    fn train(&mut self, trainer: &mut Trainer<'_>, folder: &RunFolder, facts: &mut Facts) -> Result<Option<Model>> {
+    fn train(
+        &mut self,
+        trainer: &mut Trainer<'_>,
+        estimate: Estimate,
+        folder: &RunFolder,
+        facts: &mut Facts,
+    ) -> Result<Option<Model>> {
         let settings = &self.pipeline.training;
         let (steps, earlier) = (settings.steps, facts.wall_seconds);
         let mut journal = Journal::open(folder, self.pipeline, trainer.done())?;
@@ -155,6 +170,7 @@ impl<'a> Run<'a> {
             samples: facts.samples,
             done: trainer.done(),
             steps,
+            estimate,
         });
         let snapshot = |name, step, cloud: &GaussianCloud| Snapshot::of(step, cloud).write(&folder.file(name));
         if trainer.done() == 0 {
@@ -236,6 +252,7 @@ impl<'a> Run<'a> {
         };
         results.write(folder.path(), self.page)?;
         note_scores(folder, self.pipeline, &scores)?;
+        facts.seal(folder.path())?;
         facts.write(folder.path())?;
         self.observer.on_evaluation(&scores);
         Ok(scores)

@@ -21,7 +21,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// The first that cannot work, by name; nothing has been written then.
 pub fn check(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<usize>> {
     for &run in runs {
-        RunFolder::inspect(&plan.folder_of(run), &plan.runs[run].pipeline.to_ron())?;
+        RunFolder::inspect(&plan.folder_of(run), &plan.runs[run].pipeline)?;
     }
     let open: Vec<usize> = runs.iter().copied().filter(|&r| !matches!(plan.state(r), State::Finished(_))).collect();
     try_each(plan, &representatives(plan, &open), observer, |_| Ok(()))?;

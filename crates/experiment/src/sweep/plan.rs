@@ -2,7 +2,7 @@
 
 use super::experiment::{Axis, Experiment, Slurm, slug};
 use super::listing::{ListedRun, Listing};
-use crate::input::{read_pipeline, set_all};
+use crate::input::{read_base, set_all};
 use crate::runner::rebase;
 use pwrfgs_core::{Error, Result, did_you_mean, files::read_text};
 use pwrfgs_train::Pipeline;
@@ -11,6 +11,9 @@ use std::path::{Path, PathBuf};
 
 /// The longest name of a folder that common file systems take, in bytes.
 const LONGEST_NAME: usize = 255;
+
+/// The most runs of one sweep.
+const MOST_RUNS: usize = 10_000;
 
 /// An experiment with all its runs.
 #[derive(Clone, Debug)]
@@ -52,7 +55,7 @@ impl Plan {
         let text = read_text(path)?;
         let experiment = Experiment::parse(&text, path)?;
         let here = path.parent().unwrap_or(Path::new(""));
-        let mut base = read_pipeline(&here.join(&experiment.base), &[])?;
+        let mut base = read_base(&here.join(&experiment.base))?;
         base.apply(experiment.set.clone()).map_err(|e| Error::input(path, format!("set: {e}")))?;
         rebase(&mut base, here);
         let (name, seed) = (base.name.clone(), base.seed);
@@ -61,9 +64,14 @@ impl Plan {
             return Err(Error::Config("--set: a sweep gives names and seeds itself; change them in its file".into()));
         }
         let source = Source { path, here, experiment: &experiment };
+        source.refuse_too_many()?;
         let mut combinations = vec![Combination { labels: Vec::new(), start: None, pipeline: base }];
         for axis in 0..experiment.axes.len() {
             combinations = source.cross(axis, &combinations)?;
+        }
+        for combination in &mut combinations {
+            let resolved = combination.pipeline.resolved();
+            combination.pipeline = resolved.map_err(|e| refuse(path, combination.labels.last(), e))?;
         }
         source.refuse_equal(&combinations)?;
         let mut runs = Vec::new();
@@ -145,6 +153,20 @@ impl Source<'_> {
             }
         }
         Ok(all)
+    }
+
+    /// Axes multiply: a few too many would never end.
+    fn refuse_too_many(&self) -> Result<()> {
+        let axes = self.experiment.axes.iter().map(|axis| axis.variants.len());
+        let runs = axes.chain([self.experiment.seeds.len()]).try_fold(1, usize::checked_mul);
+        if runs.is_some_and(|runs| runs <= MOST_RUNS) {
+            return Ok(());
+        }
+        let why = format!(
+            "the axes and seeds make {} runs, more than {MOST_RUNS}; take fewer variants, or several experiments",
+            runs.map_or_else(|| "beyond count".into(), |runs| runs.to_string())
+        );
+        Err(Error::input(self.path, why))
     }
 
     /// Two combinations that are the same pipeline would be compared with each other as if they differed.

@@ -42,8 +42,10 @@ impl Plan {
     /// How far one run is.
     pub fn state(&self, run: usize) -> State {
         let folder = self.folder_of(run);
-        if let Some(end) = Facts::finished(&folder) {
-            return State::Finished(Box::new(end));
+        match Facts::finished(&folder) {
+            Ok(Some(end)) => return State::Finished(Box::new(end)),
+            Ok(None) => {}
+            Err(damage) => return State::Failed(damage.to_string()),
         }
         let curve = series::read(&folder.join(CURVE));
         let step = curve.last().and_then(|row| *row.first()?).map_or(0, |step| step as u64);

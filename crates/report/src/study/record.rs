@@ -51,7 +51,8 @@ impl Record {
     /// # Errors
     /// One of its files is damaged or missing.
     pub fn read(folder: &Path) -> Result<Option<Self>> {
-        let Some(facts) = Facts::read(folder).filter(|f| f.finished.is_some()) else { return Ok(None) };
+        let Some(facts) = Facts::read(folder)?.filter(|f| f.finished.is_some()) else { return Ok(None) };
+        facts.verify(folder)?;
         let text = |name: &str| {
             let path = folder.join(name);
             std::fs::read_to_string(&path).map(|text| (text, path.clone())).map_err(|e| Error::read(&path, e))

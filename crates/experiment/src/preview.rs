@@ -1,0 +1,82 @@
+//! `preview`: what a run will do and take, without doing it; and the refusal of what cannot fit the machine.
+
+use crate::memory;
+use crate::observer::Observer;
+use crate::runner::{load, rebase};
+use pwrfgs_core::{Error, Result};
+use pwrfgs_train::{Estimate, Pipeline, Trainer, network_bytes};
+use std::path::Path;
+
+/// What a run will do and take.
+#[derive(Clone, Debug)]
+pub struct Preview {
+    /// The pipeline, with every default and its scale.
+    pub pipeline: Pipeline,
+    /// What the data call themselves.
+    pub title: String,
+    /// Columns and rows of a spectrum.
+    pub size: [usize; 2],
+    /// Samples for training, validation, test.
+    pub samples: [usize; 3],
+    /// Points of the cloud.
+    pub points: usize,
+    /// Numbers of the network.
+    pub weights: usize,
+    /// What a step takes, with the Gaussians it starts from.
+    pub estimate: Estimate,
+    /// Memory that the process has taken with all data loaded, bytes; 0 where the system does not tell.
+    pub loaded_bytes: u64,
+    /// Memory that is left beyond that, bytes; `None` where the system does not tell.
+    pub free_bytes: Option<u64>,
+}
+
+/// Reads, loads and initialises everything that a run of `pipeline` would, and tries a step.
+///
+/// # Errors
+/// Whatever [`crate::run`] would refuse before its first step.
+pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Result<Preview> {
+    let mut pipeline = pipeline.resolved()?;
+    rebase(&mut pipeline, base);
+    let (data, partition) = load(&pipeline, base, observer)?;
+    fitting_network(&pipeline)?;
+    let trainer = Trainer::new(&pipeline, &data, &partition)?;
+    let estimate = fitting(&trainer)?;
+    let weights = pipeline.deformation.layout().iter().map(pwrfgs_core::WeightSpec::len).sum();
+    Ok(Preview {
+        title: data.title.clone(),
+        size: [data.width, data.height],
+        samples: [&partition.train, &partition.validation, &partition.test].map(Vec::len),
+        points: data.scene.points.len(),
+        weights,
+        estimate,
+        loaded_bytes: memory::peak(),
+        free_bytes: memory::free(),
+        pipeline,
+    })
+}
+
+/// Refuses a network that does not fit the machine, before it is made.
+pub(crate) fn fitting_network(pipeline: &Pipeline) -> Result<()> {
+    let needed = network_bytes(pipeline);
+    refuse_beyond_memory(needed, "the network", "a smaller `width` or `depth` of the deformation")
+}
+
+/// What the next step takes, refused where that does not fit the machine.
+pub(crate) fn fitting(trainer: &Trainer<'_>) -> Result<Estimate> {
+    let estimate = trainer.estimate()?;
+    let what = format!("a training step with N = {}", estimate.gaussians);
+    let advice = "fewer Gaussians (`max_points` of PointCloud, `count` of the others) or a smaller `training.batch`";
+    refuse_beyond_memory(estimate.step_bytes, &what, advice)?;
+    Ok(estimate)
+}
+
+fn refuse_beyond_memory(needed: u64, what: &str, advice: &str) -> Result<()> {
+    match memory::free() {
+        Some(free) if needed > free => Err(Error::Config(format!(
+            "{what} needs about {:.1} GB of memory, and {:.1} GB are left here; take {advice}",
+            needed as f64 / 1e9,
+            free as f64 / 1e9
+        ))),
+        _ => Ok(()),
+    }
+}
