@@ -5,7 +5,7 @@
 use crate::commands::Report;
 #[cfg(feature = "sim")]
 use crate::commands::Simulate;
-use crate::commands::{Evaluate, Export, Plugins, Predict, Run, Sweep};
+use crate::commands::{Check, Evaluate, Export, Plugins, Predict, Run, Sweep};
 use clap::{ArgAction, Parser, Subcommand};
 
 /// How much is said.
@@ -29,7 +29,7 @@ pub(crate) enum Verbosity {
         other position. An experiment is one RON file, a pipeline; a run of it is one folder.",
     after_long_help = "EXAMPLES\n  A first run, without any download, in about a minute:\n      pwrfgs run \
         pipelines/quickstart.ron\n  The same with other settings, elsewhere:\n      pwrfgs run pipelines/quickstart.ron \
-        --set training.steps=500 --set seed=1 --out runs/short\n  What a transmitter at 1.2, 0.3, 1.0 m would be heard \
+        --scale 0.25 --set seed=1 --out runs/short\n  What a transmitter at 1.2, 0.3, 1.0 m would be heard \
         from:\n      pwrfgs predict runs/quickstart/model.safetensors --tx 1.2,0.3,1.0 --out heard\n  Everything that a \
         pipeline may name:\n      pwrfgs plugins\n\nEXIT CODES\n  0 done, 1 failed, 2 wrong input, 130 interrupted \
         (the same command goes on)."
@@ -70,6 +70,8 @@ impl Arguments {
 pub(crate) enum Command {
     /// Train, prune, evaluate and report: everything a pipeline says
     Run(Run),
+    /// Say what a pipeline would do, and the memory and time it would take; train nothing
+    Check(Check),
     /// Run every combination of an experiment with every seed: an ablation
     Sweep(Sweep),
     /// Predict spectra for transmitter positions with a trained model

@@ -1,5 +1,6 @@
 //! One file a verb: what can be said to it, and what it does.
 
+mod check;
 mod evaluate;
 mod export;
 mod plugins;
@@ -11,6 +12,7 @@ mod run;
 mod simulate;
 mod sweep;
 
+pub(crate) use check::{Check, check, memory, pace};
 pub(crate) use evaluate::{Evaluate, evaluate};
 pub(crate) use export::{Export, export};
 pub(crate) use plugins::{Plugins, plugins};

@@ -19,6 +19,7 @@ pub fn main() -> ExitCode {
     output::start_logging(arguments.verbosity());
     let done = threads(arguments.threads).and_then(|()| match &arguments.command {
         Command::Run(run) => commands::run(run, arguments.verbosity()),
+        Command::Check(check) => commands::check(check, arguments.verbosity()),
         Command::Sweep(sweep) => commands::sweep(sweep, arguments.threads, arguments.verbosity()),
         Command::Predict(predict) => commands::predict(predict, arguments.verbosity()),
         Command::Evaluate(evaluate) => commands::evaluate(evaluate, arguments.verbosity()),

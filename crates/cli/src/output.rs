@@ -2,8 +2,9 @@
 
 use crate::args::Verbosity;
 use indicatif::MultiProgress;
-use pwrfgs_core::Error;
-use std::io::{IsTerminal as _, Write};
+use pwrfgs_core::{Error, Result, plain};
+use std::io::{ErrorKind, IsTerminal as _, Write};
+use std::path::Path;
 use std::sync::OnceLock;
 use tracing::Level;
 use tracing_subscriber::filter::Targets;
@@ -17,7 +18,7 @@ pub(crate) fn bars() -> &'static MultiProgress {
 
 /// A line on stderr, above the progress bar.
 pub(crate) fn note(line: &str) {
-    bars().suspend(|| _ = writeln!(std::io::stderr(), "{line}"));
+    bars().suspend(|| _ = writeln!(std::io::stderr(), "{}", plain(line)));
 }
 
 /// The one message of a failed command.
@@ -26,8 +27,15 @@ pub(crate) fn error(error: &Error) {
 }
 
 /// A result. A reader that has gone away (`pwrfgs plugins | head`) is no failure.
-pub(crate) fn result(text: &str) {
-    _ = std::io::stdout().write_all(text.as_bytes());
+///
+/// # Errors
+/// Where it cannot be written, on a full disk say.
+pub(crate) fn result(text: &str) -> Result<()> {
+    let mut out = std::io::stdout().lock();
+    match out.write_all(plain(text).as_bytes()).and_then(|()| out.flush()) {
+        Err(e) if e.kind() != ErrorKind::BrokenPipe => Err(Error::write(Path::new("the result to stdout"), e)),
+        _ => Ok(()),
+    }
 }
 
 /// Sends the libraries' logs to stderr: warnings, or everything with `-v`; `RUST_LOG` overrides.

@@ -1,12 +1,13 @@
 //! Progress of a run: a bar on a terminal, a plain line every few seconds elsewhere.
 
 use crate::args::Verbosity;
+use crate::commands::{memory, pace};
 use crate::output::{bars, note};
 use indicatif::{ProgressBar, ProgressStyle};
 use pwrfgs::experiment::clock::duration;
 use pwrfgs::experiment::text::grouped;
 use pwrfgs::experiment::{Observer, Start, Validation};
-use pwrfgs::train::StepReport;
+use pwrfgs::train::{Estimate, StepReport};
 use std::collections::VecDeque;
 use std::fmt::Write as _;
 use std::io::IsTerminal as _;
@@ -170,6 +171,11 @@ impl Observer for Progress {
             None => note(&format!("{on} {steps} steps in {}", start.folder.display())),
             Some(_) => self.say(&format!("{on} {steps} steps")),
         }
+        let Estimate { gaussians, step_bytes, step_seconds } = start.estimate;
+        let left = duration(step_seconds * (start.steps - start.done.min(start.steps)) as f64);
+        let n = grouped(gaussians as i64);
+        let (memory, pace) = (memory(step_bytes), pace(step_seconds));
+        self.say(&format!("N = {n}: a step takes about {pace} and {memory}, the training {left} if N stays"));
         self.steps = start.steps;
         self.draw_bar(start.steps);
         if let Some(bar) = &self.bar {

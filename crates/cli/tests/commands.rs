@@ -86,14 +86,35 @@ fn predicts(here: &Path) {
     for (pixel, value) in grey.as_raw().iter().zip(&values) {
         assert!((f32::from(*pixel) - 255.0 * value.clamp(0.0, 1.0)).abs() <= 0.51);
     }
-    // The same command again is fine, and leaves no picture of the longer list behind.
+    // What a killed command left is made anew; beside anything else, a finished prediction too, nothing is touched.
+    refuse(&lonely, &["predict", "m.safetensors", "--tx", "0,0,1", "--out", "many"], 2, &["many holds a prediction"]);
+    std::fs::rename(lonely.join("many/predictions.csv"), lonely.join("kept.csv")).unwrap();
+    write(&lonely.join("many/.predictions.partial"), "2\n");
+    write(&lonely.join("many/20240101.png"), "a holiday");
+    refuse(&lonely, &["predict", "m.safetensors", "--tx", "0,0,1", "--out", "many"], 2, &["`20240101.png`"]);
+    std::fs::remove_file(lonely.join("many/20240101.png")).unwrap();
     succeed(&lonely, &["predict", "m.safetensors", "--tx", "0,0,1", "--out", "many"]);
     assert!(!lonely.join("many/00002.png").exists() && lonely.join("many/00001.png").exists());
+    stacked(&lonely, &values);
     // A folder of somebody else's pictures is left alone.
     crate::common::picture(&lonely.join("spectra/00001.png"), 4, 4);
     let theirs = std::fs::read(lonely.join("spectra/00001.png")).unwrap();
     refuse(&lonely, &["predict", "m.safetensors", "--tx", "0,0,1", "--out", "spectra"], 2, &["spectra", "00001.png"]);
     assert_eq!(std::fs::read(lonely.join("spectra/00001.png")).unwrap(), theirs);
+}
+
+/// One array in place of many, the same numbers, and no picture.
+fn stacked(here: &Path, second: &[f32]) {
+    let all = ["predict", "m.safetensors", "--tx-csv", "tx.csv", "--stacked", "--no-png", "--out", "stack"];
+    succeed(here, &all);
+    let names: std::collections::BTreeSet<String> =
+        here.join("stack").read_dir().unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    assert_eq!(names, ["predictions.csv", "spectra.npy"].map(str::to_owned).into());
+    let bytes = std::fs::read(here.join("stack/spectra.npy")).unwrap();
+    let npy = npyz::NpyFile::new(&bytes[..]).unwrap();
+    assert_eq!(npy.shape(), [2, 12, 48]);
+    let values: Vec<f32> = npy.into_vec().unwrap();
+    assert_eq!(&values[12 * 48..], second);
 }
 
 /// `evaluate` finds the pipeline beside the model and gives the scores of the run.

@@ -199,7 +199,7 @@ fn an_npz_file_holds_every_number_of_the_model() {
 fn mistakes_are_named_and_nothing_is_written_or_overwritten() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    trained(here, &["training.steps=1"]);
+    trained(here, &["training.scale=0.02"]);
     let wrong = |arguments: &[&str], words: &[&str]| refuse(here, &[&["export"], arguments].concat(), 2, words);
     wrong(&[MODEL], &["--ply"]);
     wrong(&[MODEL, "--tx", "0,0,1"], &["--ply"]);

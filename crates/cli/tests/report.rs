@@ -159,6 +159,11 @@ fn wrong_input_is_refused(here: &Path) {
     refuse(here, &["report", "runs/whole-0", "--out", "thesis"], 2, &["`chapter.tex`", "--out"]);
     refuse(here, &["report", "runs/whole-0", "--out", "small.ron"], 2, &["no folder"]);
     assert_eq!(std::fs::read(here.join("thesis/chapter.tex")).unwrap(), b"mine");
+    // A folder that does not know its files, as those of earlier versions: what can be told without is told.
+    let facts = std::fs::read_to_string(here.join("runs/half_grid-1/run.json")).unwrap();
+    let mut facts: serde_json::Value = serde_json::from_str(&facts).unwrap();
+    facts["files"] = serde_json::json!({});
+    write(&here.join("runs/half_grid-1/run.json"), facts.to_string());
     write(&here.join("runs/half_grid-1/scores.csv"), "predictor,metric,sample,value\nmodel,ssim,x,1\n");
     refuse(here, &["report", "runs/half_grid-1"], 2, &["scores.csv:2:", "`x` is no number"]);
 }

@@ -95,7 +95,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
             _ = writeln!(text, "\nreport: {}", out.join(REPORT).display());
         }
     }
-    output::result(&text);
+    output::result(&text)?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -54,7 +54,7 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<ExitCod
             .into_iter()
             .filter_map(|(path, writer)| path.as_deref().map(|path| (path, writer)))
             .collect();
-    let mut names: Vec<&Path> = files.iter().map(|(path, _)| *path).collect();
+    let mut names: Vec<PathBuf> = files.iter().map(|(path, _)| spelt(path)).collect();
     names.sort_unstable();
     names.dedup();
     if names.len() < files.len() {
@@ -71,6 +71,12 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<ExitCod
         }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// The same for every way to name a file that does not exist yet, `a.npz` and `./a.npz` say.
+fn spelt(path: &Path) -> PathBuf {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    folder.canonicalize().unwrap_or_else(|_| folder.into()).join(path.file_name().unwrap_or_default())
 }
 
 /// Refuses what exists, a broken link included: it may be anything.

@@ -52,7 +52,7 @@ pub(crate) fn plugins(arguments: &Plugins) -> Result<ExitCode> {
     if out.is_empty() {
         return Err(unknown(arguments.name.as_deref().unwrap_or_default(), &kinds));
     }
-    output::result(&out);
+    output::result(&out)?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -51,6 +51,6 @@ fn compare(runs: &[PathBuf], options: &Options, out: &Path, verbosity: Verbosity
     let mut progress = Progress::new(verbosity);
     let written = write(&study, options, out, &mut progress);
     progress.finish();
-    output::result(&format!("{}\nreport: {}\n", written?, out.join("report.html").display()));
+    output::result(&format!("{}\nreport: {}\n", written?, out.join("report.html").display()))?;
     Ok(())
 }

@@ -3,6 +3,7 @@
 mod board;
 mod table;
 
+use super::run::with_scale;
 use crate::args::{Verbosity, count};
 use crate::interrupt::{INTERRUPTED, stop_flag};
 use crate::output;
@@ -37,6 +38,9 @@ pub(crate) struct Sweep {
     /// Change a setting of the base pipeline; what an axis says wins
     #[arg(long = "set", value_name = "FIELD=VALUE")]
     pub(crate) set: Vec<String>,
+    /// Multiply every count of steps of every run, the schedules' too: 0.1 for a tenth of the training
+    #[arg(long, value_name = "FACTOR")]
+    pub(crate) scale: Option<f64>,
     /// The sweep folder [default: runs/NAME, after the name of the experiment]
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
@@ -84,10 +88,11 @@ fn shard(text: &str) -> Result<Shard, String> {
 }
 
 pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbosity) -> Result<ExitCode> {
-    let plan = Plan::read(&arguments.experiment, &arguments.set, arguments.out.as_deref())?;
+    let set = with_scale(&arguments.set, arguments.scale);
+    let plan = Plan::read(&arguments.experiment, &set, arguments.out.as_deref())?;
     let runs = chosen(&plan, arguments)?;
     if arguments.status {
-        output::result(&table::status(&plan, &runs, &queued_or_note(&plan)));
+        output::result(&table::status(&plan, &runs, &queued_or_note(&plan)))?;
         return Ok(ExitCode::SUCCESS);
     }
     let threads_there = rayon::current_num_threads();
@@ -138,7 +143,7 @@ fn here(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Resul
         super::report::of_sweep(&plan.folder, verbosity)?;
     }
     let failed = ends.iter().filter(|(_, fate)| matches!(fate, Fate::Failed(_))).count();
-    output::result(&table::status(plan, runs, &queued_or_note(plan)));
+    output::result(&table::status(plan, runs, &queued_or_note(plan)))?;
     if failed > 0 {
         output::note(&format!(
             "{failed} of {} runs failed; the reasons stand above and in {}; the same command tries them again",
@@ -162,7 +167,7 @@ fn dry_run(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Re
     let pool = pool.map_err(|e| Error::Config(format!("cannot start {threads} threads: {e}")))?;
     let seconds = pool.install(|| estimate(plan, runs, &mut progress));
     progress.finish();
-    output::result(&table::plan(plan, runs, &seconds?, jobs));
+    output::result(&table::plan(plan, runs, &seconds?, jobs))?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -174,7 +179,7 @@ fn submit(plan: &Plan, open: &[usize], arguments: &Sweep, threads: Option<usize>
     let runs: Vec<usize> = open.iter().copied().filter(free).collect();
     let waiting = open.len() - runs.len();
     if runs.is_empty() {
-        output::result(&format!("nothing to submit: {waiting} runs are with Slurm, the others have finished\n"));
+        output::result(&format!("nothing to submit: {waiting} runs are with Slurm, the others have finished\n"))?;
         return Ok(ExitCode::SUCCESS);
     }
     let command = task_command(plan, arguments, threads.unwrap_or(plan.slurm.cpus))?;
@@ -183,7 +188,7 @@ fn submit(plan: &Plan, open: &[usize], arguments: &Sweep, threads: Option<usize>
         "submitted {} runs as job {job} ({})\nhow far they are: the same command with --status in place of --launcher\n",
         runs.len(),
         script.display()
-    ));
+    ))?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -200,7 +205,7 @@ fn task_command(plan: &Plan, arguments: &Sweep, threads: usize) -> Result<Vec<St
     // Paths in --set are relative to where one stands, also in a task.
     let mut words = vec!["env".into(), format!("--chdir={}", text(&here)?), text(&program)?, "sweep".into()];
     words.extend([text(&arguments.experiment)?, "--out".into(), text(&plan.folder)?]);
-    words.extend(arguments.set.iter().flat_map(|set| ["--set".into(), set.clone()]));
+    words.extend(with_scale(&arguments.set, arguments.scale).into_iter().flat_map(|set| ["--set".into(), set]));
     words.extend(["--threads".into(), threads.to_string(), "--quiet".into(), "--only".into()]);
     Ok(words)
 }

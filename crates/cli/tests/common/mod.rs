@@ -100,6 +100,6 @@ pub(crate) fn measured(folder: &Path) {
     let text = SMALL
         .replace("Teacher(gaussians: 4, samples: 40, width: 48, height: 12)", "Nerf2Spectrum(root: \"data\")")
         .replace("validation: 0.2", "validation: 0")
-        .replace("steps: 60", "steps: 3");
+        .replace("steps: 60", "steps: 60, scale: 0.05");
     write(&folder.join("p.ron"), text);
 }

@@ -1,0 +1,67 @@
+//! Where the transmitters stand: one position on the command line, or a CSV file of them.
+
+use pwrfgs_core::{Error, Real, Result};
+use std::path::Path;
+
+/// `x,y,z` of the command line.
+pub(in crate::commands) fn position(text: &str) -> Result<[f64; 3]> {
+    let wrong = || Error::Config(format!("--tx {text}: give three finite numbers in metres, such as 1.2,0.3,1.0"));
+    let numbers: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
+    match <[f64; 3]>::try_from(numbers.unwrap_or_default()) {
+        Ok([x, y, z]) if [x, y, z].iter().all(|v| (*v as Real).is_finite()) => Ok([x, y, z]),
+        _ => Err(wrong()),
+    }
+}
+
+/// Columns x, y, z of a CSV file.
+pub(super) fn positions(path: &Path) -> Result<Vec<[f64; 3]>> {
+    let text = std::fs::read(path).map_err(|e| Error::read(path, e))?;
+    let text = text.strip_prefix("\u{feff}".as_bytes()).unwrap_or(&text);
+    let mut reader = csv::ReaderBuilder::new().flexible(true).trim(csv::Trim::All).from_reader(text);
+    let broken = |e: csv::Error| {
+        let line = e.position().map_or(1, csv::Position::line) as usize;
+        Error::at(path, line, 1, format!("this is not CSV text: {e}"))
+    };
+    let headers = reader.headers().map_err(broken)?.clone();
+    let mut columns = [0; 3];
+    for (column, name) in columns.iter_mut().zip(["x", "y", "z"]) {
+        *column = headers.iter().position(|h| h.eq_ignore_ascii_case(name)).ok_or_else(|| {
+            let found = headers.iter().collect::<Vec<_>>().join(",");
+            Error::at(path, 1, 1, format!("no column `{name}` in `{found}`; the first line must name x, y and z"))
+        })?;
+    }
+    let mut txs = Vec::new();
+    for record in reader.records() {
+        let record = record.map_err(broken)?;
+        let line = record.position().map_or(1, csv::Position::line) as usize;
+        let mut tx = [0.0; 3];
+        for (value, &column) in tx.iter_mut().zip(&columns) {
+            let field = record.get(column).ok_or_else(|| {
+                let (has, needs) = (record.len(), headers.len());
+                Error::at(path, line, 1, format!("this row has {has} fields and the first line names {needs}"))
+            })?;
+            *value = field.parse().ok().filter(|v: &f64| (*v as Real).is_finite()).ok_or_else(|| {
+                let name = &headers[column];
+                Error::at(path, line, column + 1, format!("`{field}` in column `{name}` is no finite number of metres"))
+            })?;
+        }
+        txs.push(tx);
+    }
+    if txs.is_empty() {
+        return Err(Error::input(path, "there is no row; give one position a line"));
+    }
+    Ok(txs)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn positions_are_three_finite_numbers() {
+        assert_eq!(position("1, -2.5,3e0").unwrap(), [1.0, -2.5, 3.0]);
+        for wrong in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,NaN", "1,inf,2"] {
+            assert!(position(wrong).unwrap_err().is_input(), "{wrong}");
+        }
+    }
+}
