@@ -156,7 +156,8 @@ impl<'a> Run<'a> {
             done: trainer.done(),
             steps,
         });
-        let snapshot = |name, step, cloud: &GaussianCloud| Snapshot::of(step, cloud).write(&folder.file(name));
+        let origin = self.data.scene.origin;
+        let snapshot = |name, step, cloud: &GaussianCloud| Snapshot::of(step, cloud, origin).write(&folder.file(name));
         if trainer.done() == 0 {
             snapshot(START_SNAPSHOT, 0, trainer.cloud())?;
         }

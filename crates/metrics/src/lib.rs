@@ -56,11 +56,12 @@ fn not_a_model() -> Values {
 #[cfg(test)]
 mod fixture {
     use pwrfgs_core::{
-        Axis, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Pose, Real, Scene, StageTimes, Values,
+        Axis, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Origin, Pose, Real, Scene, StageTimes,
+        Values,
     };
 
     pub(crate) fn scene(points: &[[Real; 3]]) -> Scene {
-        Scene { receiver: Pose::IDENTITY, bounds: ([0.0; 3], [1.0; 3]), points: points.to_vec() }
+        Scene { origin: Origin::ZERO, receiver: Pose::IDENTITY, bounds: ([0.0; 3], [1.0; 3]), points: points.to_vec() }
     }
 
     /// One degree a pixel, as measured.
