@@ -178,7 +178,7 @@ fn sixteen_waves(plane: &ImagePlane, w: &[f64]) -> (Splats, Vec<Real>) {
 #[test]
 fn sixteen_gaussians_reproduce_measured_pictures_to_their_rounding() {
     let Some(root) = shared("data/s23") else { return };
-    let data = pwrfgs_data::Nerf2Spectrum { root, points: None }.load(Path::new("."), &|_, _| {}).unwrap();
+    let data = pwrfgs_data::Nerf2Spectrum { root, ..Default::default() }.load(Path::new("."), &|_, _| {}).unwrap();
     let plane = pwrfgs_raster::Mercator::default().plane(360, 90);
     let array = pwrfgs_raster::ArrayResponse { widened: false, ..Default::default() };
     for sample in (0..10).map(|i| 37 + 480 * i) {

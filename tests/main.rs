@@ -13,6 +13,7 @@ mod gates;
 mod gradients;
 mod laws;
 mod learning;
+mod maps;
 mod own_baseline;
 mod pipelines;
 mod reference;

@@ -10,7 +10,7 @@ mod npy;
 
 use crate::common::{MOMENT, plugin};
 use npy::Reference;
-use pwrfgs::core::{ExtraColumn, Mat3, Vec3};
+use pwrfgs::core::{ExtraColumn, Mat3, Origin, Vec3};
 use pwrfgs::model::{Calibration, Readout};
 use pwrfgs::prelude::*;
 use pwrfgs::raster::{self, CameraModel, FullSphere, View};
@@ -104,6 +104,7 @@ impl Start {
             rasterizer: plugin("AlphaBlending(support: TileSquares)"),
             calibration: Calibration::AsReleased,
             readout: Readout::Real,
+            origin: Origin::ZERO,
             pose: pose(reference),
             plane,
         };

@@ -2,6 +2,7 @@
 
 pub(crate) mod table;
 
+use pwrfgs::core::Origin;
 use pwrfgs::model::deform::{Encoding, Factored, Mlp, Outputs, Wrfgs};
 use pwrfgs::prelude::*;
 use pwrfgs::raster::{AlphaBlending, ArrayResponse, Mercator};
@@ -59,6 +60,7 @@ pub(crate) fn untrained(cloud: GaussianCloud, outputs: Outputs) -> Model {
         rasterizer: Plugin::from(Box::new(AlphaBlending::default()) as Box<dyn Rasterizer>),
         calibration: pwrfgs::model::Calibration::Physical,
         readout: pwrfgs::model::Readout::Magnitude,
+        origin: Origin::ZERO,
         pose: RECEIVER,
         plane,
     };

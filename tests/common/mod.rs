@@ -1,7 +1,7 @@
 //! What several of these tests share: small scenes, and pipelines on a small teacher.
 
 use pwrfgs::core::plugin::PluginKind;
-use pwrfgs::core::{ExtraColumn, GaussianCloud, Mat3, Moment, Phase, Plugin, Pose, Real, registered, rng};
+use pwrfgs::core::{ExtraColumn, GaussianCloud, Mat3, Moment, Origin, Phase, Plugin, Pose, Real, registered, rng};
 use pwrfgs::model::{Calibration, Readout, Stages};
 use pwrfgs::train::{Batch, Pipeline};
 use std::path::Path;
@@ -45,6 +45,7 @@ pub(crate) fn stages(deformation: &str, readout: Readout) -> Arc<Stages> {
         rasterizer: plugin("AlphaBlending()"),
         calibration: Calibration::Physical,
         readout,
+        origin: Origin::ZERO,
         pose: Pose::IDENTITY,
         plane,
     })

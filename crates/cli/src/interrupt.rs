@@ -34,7 +34,7 @@ pub(crate) fn stop_flag() -> Result<Arc<AtomicBool>> {
 /// Whether whoever started this program wants it to outlive the terminal, as `nohup` does; told by Linux only.
 #[cfg(unix)]
 fn hang_up_is_ignored() -> bool {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let status = pwrfgs_core::files::read_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     // The first bit is that of signal 1, SIGHUP.
     mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 1 == 1)

@@ -30,6 +30,8 @@ def read_safetensors(path):
     start = 8 + int.from_bytes(data[:8], "little")
     header = json.loads(data[8:start])
     note = json.loads(header.pop("__metadata__")["pwrfgs"])
+    note["origin"] = np.array(note.get("origin", [0, 0, 0]), dtype=float)
+    note["pose"]["position"] = note["pose"]["position"] - note["origin"]
     types = {"F16": "<f2", "F32": "<f4", "F64": "<f8"}
     tensors = {}
     for name, entry in header.items():
@@ -335,7 +337,7 @@ def read_out(readout, picture):
 
 def predict(tensors, note, tx):
     """The spectrum [H, W] of a transmitter at `tx`, metres."""
-    tx = np.array(tx, dtype="f4").astype(float)
+    tx = (np.array(tx) - note["origin"]).astype("f4").astype(float)
     scales, quats, opacities, signals = activate(tensors, note, deform(tensors, note, tx))
     splats = project(note, tensors["gaussians.means"], scales, quats)
     rasterizer = read_ron(note["rasterizer"])

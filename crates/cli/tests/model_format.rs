@@ -5,7 +5,7 @@ use pwrfgs::model::Calibration::{AsReleased, Physical};
 use pwrfgs::model::tensors::Tensors;
 use pwrfgs::model::{Calibration, Model, Readout, Stages, file};
 use pwrfgs_core::testing::skipped;
-use pwrfgs_core::{GaussianCloud, Plugin, Pose, Projector, Real, Vec3, rng};
+use pwrfgs_core::{GaussianCloud, Origin, Plugin, Pose, Projector, Real, Vec3, rng};
 use std::path::Path;
 use std::process::Command;
 
@@ -86,6 +86,7 @@ fn model(
         plane: projector.plane(60, 24),
         deformation: Plugin::parse(deformation).unwrap(),
         rasterizer: Plugin::parse(rasterizer).unwrap(),
+        origin: Origin::ZERO,
         pose: POSE,
         projector,
         calibration,
@@ -97,7 +98,9 @@ fn model(
 
 /// Predictions of a model file in the folder `out`.
 fn predict(here: &Path, model: &str, out: &str) {
-    write(&here.join("tx.csv"), "x,y,z\n0.4,-0.3,1.1\n-1.25,2.0,0.2\n");
+    let [x, y, z] = file::read(&here.join(model)).unwrap().stages.origin.0;
+    let row = |dx, dy, dz| format!("{},{},{}\n", x + dx, y + dy, z + dz);
+    write(&here.join("tx.csv"), format!("x,y,z\n{}{}", row(0.4, -0.3, 1.1), row(-1.25, 2.0, 0.2)));
     succeed(here, &["predict", model, "--tx-csv", "tx.csv", "--out", out]);
 }
 
@@ -121,7 +124,9 @@ fn numpy_alone_predicts_what_the_document_says() {
     let mut pairs = Vec::new();
     for (k, case) in CASES.into_iter().enumerate() {
         pairs.extend([format!("{k}.safetensors"), format!("{k}")]);
-        file::write(&here.join(&pairs[2 * k]), &model(case)).unwrap();
+        let mut model = model(case);
+        model.stages.origin = Origin(if k % 2 == 0 { [0.0; 3] } else { [5e5, 54e5, -1e2] });
+        file::write(&here.join(&pairs[2 * k]), &model).unwrap();
     }
     // And one that was trained, as it is and with its network in 16 bits.
     let waves = "Factored(depth: 2, width: 16, tx_encoding: Waves(count: 6, reach: 20))";

@@ -7,6 +7,8 @@
 //! [`Split`] and [`Baseline`] around them. Plugins hold no mutable state that results
 //! could depend on.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
+
 mod cloud;
 mod data_source;
 mod deformation;
@@ -16,6 +18,7 @@ mod image;
 mod initializer;
 mod metric;
 pub mod neighbours;
+pub mod origin;
 pub mod plugin;
 mod projector;
 mod pruner;
@@ -36,6 +39,7 @@ pub use error::{Error, Result, did_you_mean, plain};
 pub use image::{Axis, Image, ImagePlane};
 pub use initializer::Initializer;
 pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, StageTimes, Values};
+pub use origin::Origin;
 pub use plugin::{Cache, Checked, Plugin, cached, registered};
 pub use projector::Projector;
 pub use pruner::{ColumnSpec, Pruner};

@@ -1,5 +1,6 @@
 //! What is measured, and where: `Pose`, `Scene`, `Sample`, `Dataset`, `Partition`.
 
+use crate::origin::{Origin, place_fault};
 use crate::{Error, Image, Mat3, Real, Result, Vec3};
 use serde::{Deserialize, Serialize};
 
@@ -34,8 +35,8 @@ impl Pose {
     pub fn fault(&self) -> Option<(&'static str, String)> {
         /// How far from 1 the length of a quaternion may be: files carry about eight digits.
         const TOLERANCE: f64 = 1e-3;
-        if !self.position.iter().all(|v| (*v as Real).is_finite()) {
-            return Some(("position", "the position is not finite; write three numbers in metres".into()));
+        if let Some(fault) = place_fault(self.position) {
+            return Some(("position", format!("the position {fault}")));
         }
         let length = self.orientation.iter().map(|v| v * v).sum::<f64>().sqrt();
         let example = "such as [0, 0, 0, 1] for no rotation";
@@ -54,11 +55,13 @@ impl Pose {
 /// The fixed part of a measurement campaign.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    /// The one receiver.
+    /// The place in the user's frame that all others here count from; zero but for map coordinates.
+    pub origin: Origin,
+    /// The one receiver, from the origin.
     pub receiver: Pose,
-    /// Smallest and largest corner of everything known: cloud, receiver and transmitters; metres.
+    /// Smallest and largest corner of everything known: cloud, receiver and transmitters; metres from the origin.
     pub bounds: ([Real; 3], [Real; 3]),
-    /// Surface points `[P,3]` in metres, empty where no point cloud was given.
+    /// Surface points `[P,3]` in metres from the origin, empty where no point cloud was given.
     pub points: Vec<[Real; 3]>,
 }
 
@@ -67,17 +70,10 @@ pub struct Scene {
 pub struct Sample {
     /// The number the data set gives it.
     pub id: u32,
-    /// Transmitter position `p_tx` as the file has it, metres, world frame.
+    /// Transmitter position `p_tx` as the file has it, metres, user's frame.
     pub tx: [f64; 3],
     /// Spectrum, row-major 8-bit grey as stored (255 is 1.0).
     pub spectrum: Vec<u8>,
-}
-
-impl Sample {
-    /// Transmitter position at the kernels' precision.
-    pub fn tx_real(&self) -> [Real; 3] {
-        self.tx.map(|v| v as Real)
-    }
 }
 
 /// Everything a data source gives.
@@ -109,7 +105,7 @@ pub struct Simulation {
 
 impl Dataset {
     /// Measured spectra from arrays in memory, `width` columns by `height` rows each, with the surface `points` `[P,3]`
-    /// that are known (metres, world frame; none will do). The bounds hold the points, the samples and the receiver.
+    /// that are known (metres; none will do). All places are in the user's frame. The bounds hold the points, the samples and the receiver.
     ///
     /// There is no official split, and nothing is simulated: who knows better sets these fields.
     ///
@@ -123,11 +119,11 @@ impl Dataset {
     ///
     /// # Errors
     /// [`Error::Config`] where there is no sample, ids do not increase, a spectrum has another size, or a place is not
-    /// finite.
+    /// finite or beyond 1e8 m.
     pub fn new(
         title: impl Into<String>,
         receiver: Pose,
-        points: Vec<[Real; 3]>,
+        points: Vec<[f64; 3]>,
         (width, height): (usize, usize),
         samples: Vec<Sample>,
     ) -> Result<Self> {
@@ -150,16 +146,20 @@ impl Dataset {
                 let have = spectrum.len();
                 return refuse(format!("the spectrum of id {id} has {have} pixels and not {width} x {height}"));
             }
-            if !tx.iter().all(|v| (*v as Real).is_finite()) {
-                return refuse(format!("the transmitter of id {id} is at {tx:?}; give finite metres"));
+            if let Some(fault) = place_fault(*tx) {
+                return refuse(format!("the transmitter of id {id} at {tx:?} {fault}"));
             }
         }
-        if let Some(point) = points.iter().find(|point| !point.iter().all(|v| v.is_finite())) {
-            return refuse(format!("a point lies at {point:?}; give finite metres"));
+        if let Some((point, fault)) = points.iter().find_map(|point| Some((point, place_fault(*point)?))) {
+            return refuse(format!("a point at {point:?} {fault}"));
         }
-        let known = samples.iter().map(Sample::tx_real).chain(points.iter().copied());
+        let txs = || samples.iter().map(|sample| sample.tx);
+        let origin = Origin::of(receiver.position, points.iter().copied().chain(txs()));
+        let receiver = origin.local_pose(receiver);
+        let points: Vec<[Real; 3]> = points.into_iter().map(|point| origin.local(point)).collect();
+        let known = txs().map(|tx| origin.local(tx)).chain(points.iter().copied());
         let bounds = bounds_of(known.chain([receiver.origin().to_array()]));
-        let scene = Scene { receiver, bounds, points };
+        let scene = Scene { origin, receiver, bounds, points };
         Ok(Self { title, scene, width, height, samples, official: None, simulation: None })
     }
 
@@ -222,14 +222,23 @@ mod tests {
             new(Pose::IDENTITY, vec![], (2, 2), good()),
             new(Pose::IDENTITY, vec![], (3, 2), vec![sample(2, 0.0), sample(2, 1.0)]),
             new(Pose::IDENTITY, vec![], (3, 2), vec![sample(1, f64::NAN)]),
-            new(Pose::IDENTITY, vec![[0.0, Real::INFINITY, 0.0]], (3, 2), good()),
+            new(Pose::IDENTITY, vec![[0.0, f64::INFINITY, 0.0]], (3, 2), good()),
         ];
         let why = ["is zero", "has length 1.01", "0 spectra", "of 0 x 2", "6 pixels", "id 2 follows 2", "NaN", "inf"];
         for (said, why) in said.iter().zip(why) {
             assert!(said.starts_with("data set `room`: ") && said.contains(why), "{said}");
         }
-        if size_of::<Real>() == 4 {
-            assert!(new(far, vec![], (3, 2), good()).contains("position is not finite"));
-        }
+        assert!(new(far, vec![], (3, 2), good()).contains("receiver: the position is 1e300 m, beyond 1e8 m"));
+    }
+
+    #[test]
+    fn map_coordinates_count_from_the_receiver() {
+        let at = |x: f64| Sample { id: 1, tx: [x, 0.25, 0.0], spectrum: vec![0; 6] };
+        let receiver = Pose { position: [5.5, 0.0, 0.0], ..Pose::IDENTITY };
+        let room = Dataset::new("room", receiver, vec![[1000.0; 3]], (3, 2), vec![at(2.5)]).unwrap().scene;
+        assert_eq!((room.origin, room.receiver, room.points), (Origin::ZERO, receiver, vec![[1000.0; 3]]));
+        let map = Dataset::new("map", receiver, vec![[1.0, 2.0, 3.0]], (3, 2), vec![at(5_399_999.54)]).unwrap().scene;
+        assert_eq!((map.origin.0, map.receiver.position), ([6.0, 0.0, 0.0], [-0.5, 0.0, 0.0]));
+        assert_eq!((map.points, map.bounds.1), (vec![[-5.0, 2.0, 3.0]], [5_399_993.54, 2.0, 3.0]));
     }
 }

@@ -8,7 +8,7 @@ mod tests;
 
 use crate::points::read_points;
 use crate::text::{XyzColumns, lines, read_text, split_commas};
-use pwrfgs_core::{DataSource, Dataset, Error, Progress, Result, Sample, Simulation};
+use pwrfgs_core::{DataSource, Dataset, Error, Progress, Result, Sample, Simulation, files};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -32,6 +32,8 @@ const LAYOUT: &str = "a NeRF2 folder holds gateway_info.yml, tx_pos.csv and spec
 ///
 /// * `root`: the folder, `data/s23` by default; relative to the pipeline file.
 /// * `points`: a point cloud of the room ([`read_points`]), none by default; relative to the pipeline file.
+/// * `gateway`: which receiver, where `gateway_info.yml` has more than `gateway1`; a file with several is refused unless
+///   one is named. Keys that hold no `position` and are not called gateway are left alone.
 ///
 /// ```
 /// # use pwrfgs_core::{DataSource, Plugin};
@@ -46,11 +48,13 @@ pub struct Nerf2Spectrum {
     pub root: PathBuf,
     /// Point cloud of the room (PLY, XYZ or CSV, metres, world frame); default none.
     pub points: Option<PathBuf>,
+    /// Which receiver of `gateway_info.yml`; default the only one, `gateway1`.
+    pub gateway: Option<String>,
 }
 
 impl Default for Nerf2Spectrum {
     fn default() -> Self {
-        Self { root: "data/s23".into(), points: None }
+        Self { root: "data/s23".into(), points: None, gateway: None }
     }
 }
 
@@ -61,7 +65,7 @@ impl DataSource for Nerf2Spectrum {
         if !root.is_dir() {
             return Err(Error::input(&root, format!("no such folder; set `root` of Nerf2Spectrum ({LAYOUT})")));
         }
-        let gateway = gateway::read(&root.join("gateway_info.yml"), LAYOUT)?;
+        let gateway = gateway::read(&root.join("gateway_info.yml"), self.gateway.as_deref(), LAYOUT)?;
         let positions = read_transmitters(&root.join("tx_pos.csv"))?;
         let files = pictures::list(&root.join("spectrum"), LAYOUT)?;
         let known_pictures = files.keys().copied().collect();
@@ -92,7 +96,8 @@ impl DataSource for Nerf2Spectrum {
     }
 
     fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {
-        Some(Box::new(Self { root: absolute(&self.root), points: self.points.as_deref().map(absolute) }))
+        let (root, points) = (absolute(&self.root), self.points.as_deref().map(absolute));
+        Some(Box::new(Self { root, points, ..self.clone() }))
     }
 
     fn about(&self) -> &'static str {
@@ -116,7 +121,8 @@ struct Manifest {
 
 /// What the data set says of itself: in a manifest, or in its name where there is none.
 fn simulation(root: &Path, name: &str) -> Option<Simulation> {
-    let manifest = std::fs::read(root.join("manifest.json")).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
+    let manifest =
+        files::read_string(root.join("manifest.json")).ok().and_then(|text| serde_json::from_str(&text).ok());
     let by_name = || Manifest { simulated: name.to_lowercase().contains("simulated"), scene: None };
     let Manifest { simulated, scene } = manifest.unwrap_or_else(by_name);
     simulated.then_some(Simulation { scene })
@@ -124,7 +130,7 @@ fn simulation(root: &Path, name: &str) -> Option<Simulation> {
 
 /// `tx_pos.csv`: transmitter positions `[rows,3]`, metres.
 fn read_transmitters(path: &Path) -> Result<Vec<[f64; 3]>> {
-    let text = read_text(path, LAYOUT)?;
+    let text = read_text(path, files::MAX_TEXT, LAYOUT)?;
     let mut rows = lines(&text);
     let Some((line, header)) = rows.next() else {
         return Err(Error::input(path, "is empty; write a header x,y,z and one row a sample, in metres"));

@@ -9,9 +9,9 @@ mod header;
 mod tests;
 
 use crate::polygons::{Polygons, Triangles};
-use crate::text::{Field, POINT_ADVICE, XyzColumns, lines, number, split_blanks};
+use crate::text::{Field, POINT_ADVICE, XyzColumns, fault_of, lines, number, split_blanks};
 use header::{Element, Encoding, Header, Kind, Scalar};
-use pwrfgs_core::{Error, Real, Result};
+use pwrfgs_core::{Error, Result};
 use std::path::Path;
 
 const ANEW: &str = "the file is cut short: copy it anew";
@@ -103,8 +103,8 @@ impl Contents {
                     }
                 }
                 if e == header.vertex {
-                    if !point.iter().all(|v| (*v as Real).is_finite()) {
-                        let what = format!("vertex {} of {} is not finite; {POINT_ADVICE}", i + 1, element.count);
+                    if let Some(fault) = fault_of(point) {
+                        let what = format!("vertex {} of {} is {fault}; {POINT_ADVICE}", i + 1, element.count);
                         return Err(Error::input(path, what));
                     }
                     contents.vertices.push(point);

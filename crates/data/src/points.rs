@@ -2,7 +2,7 @@
 
 use crate::ply;
 use crate::text::{POINT_ADVICE, XyzColumns, lines, read_bytes, read_text, split_blanks, split_commas};
-use pwrfgs_core::{Error, Real, Result};
+use pwrfgs_core::{Error, Result, files::MAX_NUMBERS};
 use std::path::Path;
 
 const ADVICE: &str = "check the path of the point cloud";
@@ -14,19 +14,19 @@ const ADVICE: &str = "check the path of the point cloud";
 /// * `.csv`: the same between commas, or with a header that names x, y and z in any order.
 ///
 /// # Errors
-/// Names the file, and line and column in text: truncated, empty, not a number, not finite, unknown extension.
-pub fn read_points(path: &Path) -> Result<Vec<[Real; 3]>> {
+/// Names the file, and line and column in text: truncated, empty, not a number, not finite, beyond 1e8 m, unknown extension.
+pub fn read_points(path: &Path) -> Result<Vec<[f64; 3]>> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     let points = match extension.as_str() {
-        "ply" => ply::parse(path, &read_bytes(path, ADVICE)?)?,
-        "xyz" | "txt" => parse_xyz(path, &read_text(path, ADVICE)?)?,
-        "csv" => parse_csv(path, &read_text(path, ADVICE)?)?,
+        "ply" => ply::parse(path, &read_bytes(path, MAX_NUMBERS, ADVICE)?)?,
+        "xyz" | "txt" => parse_xyz(path, &read_text(path, MAX_NUMBERS, ADVICE)?)?,
+        "csv" => parse_csv(path, &read_text(path, MAX_NUMBERS, ADVICE)?)?,
         _ => return Err(Error::input(path, "is no point cloud by its extension; use .ply, .xyz or .csv")),
     };
     if points.is_empty() {
         return Err(Error::input(path, "holds no point; give at least one, or leave `points` out"));
     }
-    Ok(points.into_iter().map(|point| point.map(|v| v as Real)).collect())
+    Ok(points)
 }
 
 fn parse_xyz(path: &Path, text: &str) -> Result<Vec<[f64; 3]>> {
@@ -54,7 +54,7 @@ fn parse_csv(path: &Path, text: &str) -> Result<Vec<[f64; 3]>> {
 mod tests {
     use super::*;
 
-    fn read(name: &str, bytes: &[u8]) -> Result<Vec<[Real; 3]>, String> {
+    fn read(name: &str, bytes: &[u8]) -> Result<Vec<[f64; 3]>, String> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join(name);
         std::fs::write(&path, bytes).unwrap();

@@ -5,8 +5,8 @@ mod tests;
 mod truth;
 
 use pwrfgs_core::{
-    DataSource, Dataset, Error, GaussianCloud, ImagePlane, Plugin, Pose, Primitives, Progress, Projector, Rasterizer,
-    Real, Result, Sample, Simulation, rng, sigmoid,
+    DataSource, Dataset, Error, GaussianCloud, ImagePlane, Origin, Plugin, Pose, Primitives, Progress, Projector,
+    Rasterizer, Real, Result, Sample, Simulation, origin::place_fault, rng, sigmoid,
 };
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -88,18 +88,24 @@ impl Default for Teacher {
 }
 
 impl Teacher {
-    /// The Gaussians of the answer; their signals are the means over all places, before the common normalisation.
+    /// The Gaussians of the answer, from the origin of the data set; their signals are the means over all places, before
+    /// the common normalisation.
     pub fn cloud(&self) -> GaussianCloud {
         self.truth().cloud
     }
 
     /// The signals `[N,2]` for a transmitter at `tx` (metres), before the common normalisation.
-    pub fn signals(&self, tx: [Real; 3]) -> Vec<[Real; 2]> {
-        self.truth().signals(tx)
+    pub fn signals(&self, tx: [f64; 3]) -> Vec<[Real; 2]> {
+        self.truth().signals(self.origin().local(tx))
+    }
+
+    /// What the answer counts from.
+    fn origin(&self) -> Origin {
+        Origin::of(self.receiver.position, [self.tx_box.0, self.tx_box.1])
     }
 
     fn truth(&self) -> Truth {
-        Truth::new(self.seed, self.gaussians, self.wavelength_m, &self.receiver)
+        Truth::new(self.seed, self.gaussians, self.wavelength_m, &self.origin().local_pose(self.receiver))
     }
 
     fn transmitters(&self) -> Vec<[f64; 3]> {
@@ -115,10 +121,10 @@ impl Teacher {
         let rasterizer = self.rasterizer.clone().map_or_else(|| linked("AlphaBlending", "rasterizer"), Ok)?;
         let plane: ImagePlane = projector.plane(self.width, self.height);
         rasterizer.check_plane(&plane).map_err(|why| Error::Config(format!("the rasterizer of Teacher: {why}")))?;
-        let splats = projector.project(&activate(&truth.cloud), &self.receiver, &plane);
+        let splats = projector.project(&activate(&truth.cloud), &self.origin().local_pose(self.receiver), &plane);
         let mut spectra = Vec::with_capacity(txs.len() * self.width * self.height);
         for batch in txs.chunks(BATCH) {
-            let of_each: Vec<Vec<[Real; 2]>> = batch.iter().map(|tx| truth.signals(tx.map(|v| v as Real))).collect();
+            let of_each: Vec<Vec<[Real; 2]>> = batch.iter().map(|tx| truth.signals(self.origin().local(*tx))).collect();
             let rows = (0..self.gaussians).flat_map(|i| of_each.iter().flat_map(move |signals| signals[i]));
             let render = rasterizer.forward(&splats, &rows.collect::<Vec<Real>>(), 2 * batch.len(), &plane);
             for pair in render.pixels.chunks_exact(2 * self.width * self.height) {
@@ -154,7 +160,8 @@ impl DataSource for Teacher {
         let official = (!test.is_empty()).then_some((train, test));
         let Self { samples: count, gaussians, seed, .. } = self;
         let title = format!("{count} simulated spectra of {gaussians} Gaussians (Teacher, seed {seed})");
-        let data = Dataset::new(title, self.receiver, truth.cloud.means, (self.width, self.height), samples)?;
+        let points = truth.cloud.means.iter().map(|mean| self.origin().world(*mean)).collect();
+        let data = Dataset::new(title, self.receiver, points, (self.width, self.height), samples)?;
         Ok(Dataset { official, simulation: Some(Simulation::default()), ..data })
     }
 
@@ -176,8 +183,12 @@ impl DataSource for Teacher {
             ));
         }
         let (low, high) = self.tx_box;
-        if !low.iter().zip(&high).all(|(l, h)| l.is_finite() && h.is_finite() && l <= h) {
-            return Err(format!("`tx_box` is {low:?} to {high:?}; give its smallest corner first, then its largest"));
+        if [low, high].into_iter().any(|corner| place_fault(corner).is_some())
+            || low.iter().zip(&high).any(|(l, h)| l > h)
+        {
+            return Err(format!(
+                "`tx_box` is {low:?} to {high:?}; give its smallest corner first, then its largest, in metres of at most 1e8"
+            ));
         }
         let (short, long) = self.wavelength_m;
         if !(short > 0.0 && short <= long && long.is_finite()) {

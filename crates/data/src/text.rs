@@ -2,7 +2,10 @@
 //!
 //! The `csv` crate gives no column of a field, so rows are split here; a quoted field may hold commas but no line end.
 
-use pwrfgs_core::{Error, Real, Result, files};
+use pwrfgs_core::{
+    Error, Real, Result, files,
+    origin::{MAX_COORDINATE_M, coordinate_fault},
+};
 use std::{io::ErrorKind, path::Path};
 
 pub(crate) const POINT_ADVICE: &str = "give every point a finite x, y and z in metres, or remove it";
@@ -15,9 +18,9 @@ pub(crate) struct Field<'a> {
     pub(crate) column: usize,
 }
 
-/// The bytes of a file; `advice` says what to do where it does not exist.
-pub(crate) fn read_bytes(path: &Path, advice: &str) -> Result<Vec<u8>> {
-    std::fs::read(path).map_err(|source| unreadable(path, source, "file", advice))
+/// The bytes of a file of at most `limit`; `advice` says what to do where it does not exist.
+pub(crate) fn read_bytes(path: &Path, limit: u64, advice: &str) -> Result<Vec<u8>> {
+    files::read_at_most(path, limit).map_err(|source| unreadable(path, source, "file", advice))
 }
 
 /// A file or folder that cannot be read, with `advice` where it does not exist.
@@ -30,9 +33,9 @@ pub(crate) fn unreadable(path: &Path, source: std::io::Error, what: &str, advice
     }
 }
 
-/// A file as text, without a byte order mark.
-pub(crate) fn read_text(path: &Path, advice: &str) -> Result<String> {
-    files::read_text(path).map_err(|e| match e {
+/// A file of at most `limit` bytes as text, without a byte order mark.
+pub(crate) fn read_text(path: &Path, limit: u64, advice: &str) -> Result<String> {
+    files::read_text_at_most(path, limit).map_err(|e| match e {
         Error::Read { source, .. } => unreadable(path, source, "file", advice),
         other => other,
     })
@@ -77,6 +80,22 @@ pub(crate) fn number(path: &Path, line: usize, field: Field<'_>, advice: &str) -
     if (value as Real).is_finite() { Ok(value) } else { Err(fault("not finite")) }
 }
 
+/// A coordinate, metres: finite and not beyond all maps.
+pub(crate) fn coordinate(path: &Path, line: usize, field: Field<'_>, advice: &str) -> Result<f64> {
+    let value = number(path, line, field, advice)?;
+    if value.abs() <= MAX_COORDINATE_M {
+        return Ok(value);
+    }
+    let what = format!("`{}` is beyond {MAX_COORDINATE_M:e} m; {advice}", field.text);
+    Err(Error::at(path, line, field.column, what))
+}
+
+/// What is wrong with a point of a binary file.
+pub(crate) fn fault_of(point: [f64; 3]) -> Option<String> {
+    let wrong = point.into_iter().find(|v| coordinate_fault(*v).is_some())?;
+    Some(if wrong.is_finite() { format!("beyond {MAX_COORDINATE_M:e} m") } else { "not finite".into() })
+}
+
 /// Where a row holds x, y and z.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct XyzColumns(pub(crate) [usize; 3]);
@@ -102,7 +121,7 @@ impl XyzColumns {
                 let what = format!("the row ends after {have} of the {need} columns that `{name}` needs; {advice}");
                 Error::at(path, line, end, what)
             })?;
-            *value = number(path, line, field, advice)?;
+            *value = coordinate(path, line, field, advice)?;
         }
         Ok(point)
     }

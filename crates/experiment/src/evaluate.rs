@@ -53,7 +53,7 @@ pub fn evaluate(
     let test = Bench::new(data, &partition.test, plane);
     let predictions = staged(observer, "predicting with the model", |progress| test.predict(model, stop, progress))?;
     go_on(stop)?;
-    let means: Vec<[Real; 3]> = model.models().flat_map(|m| m.cloud.means.iter().copied()).collect();
+    let means: Vec<[Real; 3]> = model.models().flat_map(|m| m.means_from(data.scene.origin)).collect();
     let facts = ModelFacts {
         means: &means,
         gaussian_bytes: model.models().map(Model::gaussian_bytes).sum(),

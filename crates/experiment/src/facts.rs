@@ -4,7 +4,7 @@ use crate::clock;
 use crate::folder::{CURVE, FACTS, MODEL_FILE, REPORT, SAMPLES, SCORES, START_SNAPSHOT, UNPRUNED_SNAPSHOT, VALIDATION};
 use crate::memory;
 use crate::scores::ScoreTable;
-use pwrfgs_core::files::{digest, write_atomically};
+use pwrfgs_core::files::{self, digest, write_atomically};
 use pwrfgs_core::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -92,7 +92,7 @@ pub struct Machine {
 impl Machine {
     /// This one.
     pub fn here() -> Self {
-        let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+        let info = files::read_string("/proc/cpuinfo").unwrap_or_default();
         let model = info.lines().find(|l| l.starts_with("model name")).and_then(|l| l.split(':').nth(1));
         Self {
             cpu: model.map_or_else(|| "unknown".into(), |m| m.trim().to_owned()),
@@ -128,7 +128,7 @@ impl Facts {
     /// A file that is damaged, or cannot be read.
     pub fn read(folder: &Path) -> Result<Option<Self>> {
         let path = folder.join(FACTS);
-        let text = match std::fs::read_to_string(&path) {
+        let text = match files::read_string(&path) {
             Ok(text) => text,
             Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => return Ok(None),
             Err(e) => return Err(Error::read(&path, e)),
@@ -157,7 +157,7 @@ impl Facts {
         self.files.clear();
         for name in MARKED.into_iter().filter(|name| folder.join(name).is_file()) {
             let path = folder.join(name);
-            let bytes = std::fs::read(&path).map_err(|e| Error::read(&path, e))?;
+            let bytes = files::read(&path).map_err(|e| Error::read(&path, e))?;
             self.files.insert(name.into(), Mark::of(&bytes));
         }
         Ok(())
@@ -178,7 +178,7 @@ impl Facts {
     pub fn verify_file(&self, folder: &Path, name: &str) -> Result<()> {
         let Some(mark) = self.files.get(name) else { return Ok(()) };
         let path = folder.join(name);
-        let found = match std::fs::read(&path) {
+        let found = match files::read(&path) {
             Ok(bytes) if Mark::of(&bytes) == *mark => return Ok(()),
             Ok(bytes) if bytes.len() as u64 == mark.bytes => "its bytes are others".to_owned(),
             Ok(bytes) => format!("it has {} bytes and not {}", bytes.len(), mark.bytes),
@@ -210,12 +210,12 @@ fn commit() -> Option<String> {
     let program = std::env::current_exe().ok()?;
     let root = program.ancestors().find(|folder| folder.join("crates/experiment").is_dir())?;
     let git = root.join(".git");
-    let head = std::fs::read_to_string(git.join("HEAD")).ok()?;
+    let head = files::read_string(git.join("HEAD")).ok()?;
     let Some(name) = head.trim().strip_prefix("ref: ") else { return Some(head.trim().to_owned()) };
-    if let Ok(id) = std::fs::read_to_string(git.join(name)) {
+    if let Ok(id) = files::read_string(git.join(name)) {
         return Some(id.trim().to_owned());
     }
-    let packed = std::fs::read_to_string(git.join("packed-refs")).ok()?;
+    let packed = files::read_string(git.join("packed-refs")).ok()?;
     packed.lines().find_map(|l| l.strip_suffix(name).map(|id| id.trim().to_owned()))
 }
 

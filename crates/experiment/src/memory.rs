@@ -1,6 +1,6 @@
 //! Memory: what this process has used, and what is left for it.
 
-use std::fs::read_to_string;
+use pwrfgs_core::files::read_string as read_to_string;
 
 /// Largest resident memory of this process, bytes; 0 where the system does not tell.
 pub(crate) fn peak() -> u64 {

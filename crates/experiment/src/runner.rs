@@ -14,7 +14,7 @@ use crate::results::{Page, Results};
 use crate::scores::ScoreTable;
 use crate::snapshot::Snapshot;
 use crate::{clock, samples, validation};
-use pwrfgs_core::files::write_atomically;
+use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Dataset, Error, GaussianCloud, Partition, Result, rng};
 use pwrfgs_model::{Model, file};
 use pwrfgs_train::{Estimate, Pipeline, Trainer};
@@ -140,7 +140,7 @@ impl<'a> Run<'a> {
     fn trainer(&self, out: &Path) -> Result<(Trainer<'a>, Estimate)> {
         fitting_network(self.pipeline)?;
         let path = out.join(CHECKPOINT);
-        let trainer = match std::fs::read(&path) {
+        let trainer = match files::read(&path) {
             Ok(bytes) => Trainer::restore(self.pipeline, self.data, self.partition, &bytes)
                 .map_err(|e| Error::input(&path, format!("{e}; remove it to start again"))),
             Err(e) if [std::io::ErrorKind::NotFound, std::io::ErrorKind::NotADirectory].contains(&e.kind()) => {
@@ -172,7 +172,8 @@ impl<'a> Run<'a> {
             steps,
             estimate,
         });
-        let snapshot = |name, step, cloud: &GaussianCloud| Snapshot::of(step, cloud).write(&folder.file(name));
+        let origin = self.data.scene.origin;
+        let snapshot = |name, step, cloud: &GaussianCloud| Snapshot::of(step, cloud, origin).write(&folder.file(name));
         if trainer.done() == 0 {
             snapshot(START_SNAPSHOT, 0, trainer.cloud())?;
         }

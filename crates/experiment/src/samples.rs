@@ -1,7 +1,7 @@
 //! Samples of a data set: `samples.csv` (where each transmitter stood, what it served, how far the nearest one trained on
 //! is), and an even choice of a few.
 
-use pwrfgs_core::{Dataset, Partition, Real, Sample, neighbours};
+use pwrfgs_core::{Dataset, Partition, Real, neighbours};
 use std::fmt::Write as _;
 
 /// The text of `samples.csv`: id, x, y, z in metres, split, and the distance to the nearest other training transmitter
@@ -26,7 +26,7 @@ pub(crate) fn to_csv(data: &Dataset, partition: &Partition) -> String {
 
 /// Metres from each sample to the nearest other training sample; infinity where there is none.
 pub fn nearest_train(data: &Dataset, partition: &Partition) -> Vec<Real> {
-    let all: Vec<[Real; 3]> = data.samples.iter().map(Sample::tx_real).collect();
+    let all: Vec<[Real; 3]> = data.samples.iter().map(|s| data.scene.origin.local(s.tx)).collect();
     let train: Vec<[Real; 3]> = partition.train.iter().map(|&i| all[i]).collect();
     let mut squared = neighbours::nearest_squared(&all, &train);
     for (&i, own) in partition.train.iter().zip(neighbours::nearest_other_squared(&train)) {
@@ -44,7 +44,7 @@ pub fn evenly<T: Clone>(all: &[T], count: usize) -> Vec<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pwrfgs_core::Pose;
+    use pwrfgs_core::{Pose, Sample};
 
     #[test]
     fn distances_leave_the_sample_itself_out() {

@@ -1,7 +1,7 @@
 //! `Snapshot`: where the Gaussians are at one moment of a training, for figures. `docs/model-format.md` describes the file.
 
-use pwrfgs_core::files::write_atomically;
-use pwrfgs_core::{Error, GaussianCloud, Real, Result, sigmoid};
+use pwrfgs_core::files::{self, write_atomically};
+use pwrfgs_core::{Error, GaussianCloud, Origin, Real, Result, sigmoid};
 use pwrfgs_model::tensors::Tensors;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -11,7 +11,9 @@ use std::path::Path;
 pub struct Snapshot {
     /// Steps done, that of the edit at hand included.
     pub step: u64,
-    /// Centres `[N,3]`, metres, world frame.
+    /// The place in the user's frame that the centres count from.
+    pub origin: Origin,
+    /// Centres `[N,3]`, metres from the origin.
     pub means: Vec<[Real; 3]>,
     /// Opacities `[N]` in (0, 1), without the gates of pruners.
     pub opacities: Vec<Real>,
@@ -24,16 +26,23 @@ struct Note {
     version: u32,
     step: u64,
     gaussians: usize,
+    #[serde(default, skip_serializing_if = "Origin::is_zero")]
+    origin: Origin,
 }
 
 const FORMAT: &str = "pwrfgs-snapshot";
 const VERSION: u32 = 1;
 
 impl Snapshot {
-    /// Of `cloud` at `step`.
-    pub fn of(step: u64, cloud: &GaussianCloud) -> Self {
+    /// Of `cloud`, which counts from `origin`, at `step`.
+    pub fn of(step: u64, cloud: &GaussianCloud, origin: Origin) -> Self {
         let opacities = cloud.opacity_logits.iter().copied().map(sigmoid).collect();
-        Self { step, means: cloud.means.clone(), opacities }
+        Self { step, origin, means: cloud.means.clone(), opacities }
+    }
+
+    /// Centre `i` in the user's frame, metres.
+    pub fn place(&self, i: usize) -> [f64; 3] {
+        self.origin.world(self.means[i])
     }
 
     /// Writes it to `path`, whole or not at all; the same snapshot gives the same bytes.
@@ -42,7 +51,7 @@ impl Snapshot {
     /// [`Error::Write`].
     pub fn write(&self, path: &Path) -> Result<()> {
         let n = self.means.len();
-        let note = Note { format: FORMAT.into(), version: VERSION, step: self.step, gaussians: n };
+        let note = Note { format: FORMAT.into(), version: VERSION, step: self.step, gaussians: n, origin: self.origin };
         let mut file = Tensors::new(serde_json::to_string(&note).expect("plain data"));
         file.put("means", vec![n, 3], self.means.as_flattened().to_vec());
         file.put("opacities", vec![n], self.opacities.clone());
@@ -54,7 +63,7 @@ impl Snapshot {
     /// # Errors
     /// [`Error::Read`], or [`Error::Input`] for a file that is not a whole snapshot.
     pub fn read(path: &Path) -> Result<Option<Self>> {
-        match std::fs::read(path) {
+        match files::read(path) {
             Ok(bytes) => Self::from_bytes(&bytes).map(Some).map_err(|why| Error::input(path, why)),
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
             Err(e) => Err(Error::read(path, e)),
@@ -73,7 +82,7 @@ impl Snapshot {
         let means = file.take("means", &[note.gaussians, 3])?;
         let opacities = file.take("opacities", &[note.gaussians])?;
         let means = means.chunks_exact(3).map(|m| [m[0], m[1], m[2]]).collect();
-        Ok(Self { step: note.step, means, opacities })
+        Ok(Self { step: note.step, origin: note.origin, means, opacities })
     }
 }
 
@@ -89,7 +98,8 @@ mod tests {
         let mut cloud = GaussianCloud::zeros(3);
         cloud.means[1] = [1.0, -2.0, 0.5];
         cloud.opacity_logits = vec![0.0, 3.0, -3.0];
-        let snapshot = Snapshot::of(250, &cloud);
+        let snapshot = Snapshot::of(250, &cloud, Origin([5e5, 54e5, 1e2]));
+        assert_eq!(snapshot.place(1), [500_001.0, 5_399_998.0, 100.5]);
         assert!((snapshot.opacities[1] + snapshot.opacities[2] - 1.0).abs() < 1e-6);
         snapshot.write(&path).unwrap();
         assert_eq!(Snapshot::read(&path).unwrap(), Some(snapshot));

@@ -3,6 +3,8 @@
 //! One metric a file. Metrics of a prediction give one number a test sample and run over samples in parallel; those of
 //! the model give one number, or say why they do not apply to a baseline.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
+
 mod chamfer;
 mod direction_error;
 mod gaussian_count;
@@ -54,11 +56,12 @@ fn not_a_model() -> Values {
 #[cfg(test)]
 mod fixture {
     use pwrfgs_core::{
-        Axis, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Pose, Real, Scene, StageTimes, Values,
+        Axis, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Origin, Pose, Real, Scene, StageTimes,
+        Values,
     };
 
     pub(crate) fn scene(points: &[[Real; 3]]) -> Scene {
-        Scene { receiver: Pose::IDENTITY, bounds: ([0.0; 3], [1.0; 3]), points: points.to_vec() }
+        Scene { origin: Origin::ZERO, receiver: Pose::IDENTITY, bounds: ([0.0; 3], [1.0; 3]), points: points.to_vec() }
     }
 
     /// One degree a pixel, as measured.

@@ -17,7 +17,7 @@ impl Ensemble {
     pub fn new(members: Vec<Model>) -> Result<Self, String> {
         let Some(first) = members.first() else { return Err("an ensemble needs a model".into()) };
         let stages = &first.stages;
-        match members.iter().position(|m| m.stages.plane != stages.plane || m.stages.pose != stages.pose) {
+        match members.iter().position(|m| m.stages.plane != stages.plane || m.stages.receiver() != stages.receiver()) {
             Some(other) => Err(format!(
                 "model {} of the ensemble sees other pixels than the first, or from another receiver; take runs on the \
                  same data with the same projector",

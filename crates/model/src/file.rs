@@ -2,9 +2,9 @@
 
 use crate::tensors::Tensors;
 use crate::{Calibration, Model, Readout, Stages};
-use pwrfgs_core::files::write_atomically;
+use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::plugin::{Plugin, PluginKind, ron_options};
-use pwrfgs_core::{COLUMN_NAMES, Error, ExtraColumn, GaussianCloud, ImagePlane, Pose, Real, Result};
+use pwrfgs_core::{COLUMN_NAMES, Error, ExtraColumn, GaussianCloud, ImagePlane, Origin, Pose, Real, Result};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -19,16 +19,26 @@ struct Note {
     rasterizer: String,
     calibration: Calibration,
     readout: Readout,
+    /// In the user's frame.
     pose: Pose,
+    /// What the tensors count from; absent where zero.
+    #[serde(default, skip_serializing_if = "Origin::is_zero")]
+    origin: Origin,
     plane: ImagePlane,
 }
 
 const FORMAT: &str = "pwrfgs-model";
+/// Of a file without an origin, and of one with: who knows of none would predict something else from it.
 const VERSION: u32 = 1;
+const VERSION_WITH_ORIGIN: u32 = 2;
 /// What the names of the network's tensors begin with.
 const NETWORK: &str = "network.";
 /// What the names of the numbers begin with that the network has from a seed.
 const CONSTANTS: &str = "constants.";
+
+fn version(origin: Origin) -> u32 {
+    if origin.is_zero() { VERSION } else { VERSION_WITH_ORIGIN }
+}
 
 /// Writes `model` to `path`, whole or not at all.
 ///
@@ -55,14 +65,15 @@ fn tensors(model: &Model) -> Tensors {
     let s = &model.stages;
     let note = Note {
         format: FORMAT.into(),
-        version: VERSION,
+        version: version(s.origin),
         gaussians: model.cloud.len(),
         deformation: plugin_text(&s.deformation),
         projector: plugin_text(&s.projector),
         rasterizer: plugin_text(&s.rasterizer),
         calibration: s.calibration,
         readout: s.readout,
-        pose: s.pose,
+        pose: s.receiver(),
+        origin: s.origin,
         plane: s.plane.clone(),
     };
     let mut file = Tensors::new(serde_json::to_string(&note).expect("plain data"));
@@ -79,18 +90,21 @@ fn tensors(model: &Model) -> Tensors {
 /// # Errors
 /// [`Error::Read`], or [`Error::Input`] for a file that is not a whole model or names plugins not linked here.
 pub fn read(path: &Path) -> Result<Model> {
-    let bytes = std::fs::read(path).map_err(|e| Error::read(path, e))?;
+    let bytes = files::read(path).map_err(|e| Error::read(path, e))?;
     from_bytes(&bytes).map_err(|why| Error::input(path, format!("{why}; give the model.safetensors of a finished run")))
 }
 
 fn from_bytes(bytes: &[u8]) -> Result<Model, String> {
     let mut file = Tensors::from_bytes(bytes)?;
     let note: Note = serde_json::from_str(&file.note).map_err(|e| format!("not a pwrfgs model ({e})"))?;
-    if note.format != FORMAT || note.version != VERSION {
+    if note.format != FORMAT || note.version != version(note.origin) {
         return Err(format!(
-            "a `{}` of version {}, this program reads `{FORMAT}` {VERSION}",
+            "a `{}` of version {}, this program reads `{FORMAT}` up to {VERSION_WITH_ORIGIN}",
             note.format, note.version
         ));
+    }
+    if let Some(fault) = note.origin.fault() {
+        return Err(fault);
     }
     let stages = Stages {
         deformation: parse(&note.deformation)?,
@@ -98,7 +112,8 @@ fn from_bytes(bytes: &[u8]) -> Result<Model, String> {
         rasterizer: parse(&note.rasterizer)?,
         calibration: note.calibration,
         readout: note.readout,
-        pose: note.pose,
+        origin: note.origin,
+        pose: note.origin.local_pose(note.pose),
         plane: note.plane,
     };
     stages.check()?;

@@ -1,7 +1,7 @@
 //! `Model`: what is saved and predicts.
 
 use crate::Stages;
-use pwrfgs_core::{Deltas, GaussianCloud, Primitives, Real};
+use pwrfgs_core::{Deltas, GaussianCloud, Origin, Primitives, Real};
 
 /// A trained model: predicts, and needs nothing else to do so.
 #[derive(Clone, Debug)]
@@ -19,9 +19,16 @@ impl Model {
     /// signals `[N, channels]`.
     pub fn gaussians(&self, tx: Option<[f64; 3]>) -> (Primitives, Vec<Real>) {
         let deform = |tx| self.stages.deformation.forward(&self.weights, &self.cloud.means, &[tx], &self.stages.pose);
-        let deltas = tx.map(|tx| tx.map(|v| v as Real)).map_or_else(Deltas::default, deform);
+        let deltas = tx.map(|tx| self.stages.origin.local(tx)).map_or_else(Deltas::default, deform);
         let activation = self.stages.activation();
         (activation.geometry(&self.cloud, &deltas, 0, None), activation.signals(&self.cloud, &deltas, 0..1))
+    }
+
+    /// The centres `[N,3]`, metres from `origin`.
+    pub fn means_from(&self, origin: Origin) -> Vec<[Real; 3]> {
+        let own = self.stages.origin;
+        let moved = |mean: &[Real; 3]| if own == origin { *mean } else { origin.local(own.world(*mean)) };
+        self.cloud.means.iter().map(moved).collect()
     }
 
     /// Bytes of the Gaussians in the model file: 13 numbers each.

@@ -162,7 +162,7 @@ impl<'a> Member<'a> {
 
     fn deform(&self, txs: &[[f64; 3]]) -> Deltas {
         let Model { stages, weights, .. } = self.model;
-        let txs: Vec<[Real; 3]> = txs.iter().map(|tx| tx.map(|v| v as Real)).collect();
+        let txs: Vec<[Real; 3]> = txs.iter().map(|tx| stages.origin.local(*tx)).collect();
         stages.deformation.forward_prepared(weights, &self.cloud.means, &txs, &stages.pose, &self.deformation)
     }
 

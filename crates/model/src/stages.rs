@@ -9,8 +9,8 @@
 use crate::{Activation, ActivationVjp, Calibration, Readout};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
-    Axis, Cache, Deformation, Deltas, GaussianCloud, ImagePlane, Pose, Primitives, Projector, Rasterizer, Real, Render,
-    RenderVjp, Splats, sigmoid,
+    Axis, Cache, Deformation, Deltas, GaussianCloud, ImagePlane, Origin, Pose, Primitives, Projector, Rasterizer, Real,
+    Render, RenderVjp, Splats, sigmoid,
 };
 use std::ops::Range;
 use std::sync::Arc;
@@ -29,7 +29,9 @@ pub struct Stages {
     pub calibration: Calibration,
     /// From blended signals to grey values.
     pub readout: Readout,
-    /// The receiver.
+    /// The place in the user's frame that everything here counts from.
+    pub origin: Origin,
+    /// The receiver, from the origin.
     pub pose: Pose,
     /// The picture.
     pub plane: ImagePlane,
@@ -112,6 +114,11 @@ impl Stages {
         }
         self.pose.fault().map_or(Ok(()), |(field, why)| Err(format!("pose, {field}: {why}")))?;
         check_together(&*self.rasterizer, self.readout, self.calibration, &self.plane)
+    }
+
+    /// The receiver in the user's frame.
+    pub fn receiver(&self) -> Pose {
+        self.origin.world_pose(self.pose)
     }
 
     /// How a cloud is activated here.

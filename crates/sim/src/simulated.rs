@@ -57,7 +57,8 @@ impl Simulated {
     fn read(&self, recipe: &Recipe, folder: &Path) -> Result<Dataset> {
         let points = (self.points > 0).then(|| POINTS.into());
         let points = points.map(|name: PathBuf| folder.join(name));
-        let mut data = Nerf2Spectrum { root: folder.into(), points }.load(Path::new(""), &|_, _| {})?;
+        let mut data = Nerf2Spectrum { root: folder.into(), points, ..Nerf2Spectrum::default() }
+            .load(Path::new(""), &|_, _| {})?;
         if data.samples.len() != self.samples || data.scene.points.len() != self.points {
             return Err(Error::input(folder, "holds another number of spectra or points than were simulated"));
         }

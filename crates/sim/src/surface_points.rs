@@ -70,7 +70,8 @@ fn in_triangle(corners: &[DVec3; 3], number: usize, offsets: usize) -> DVec3 {
     (a + b + c) / 3.0
 }
 
-/// A PLY file of the points: binary, little-endian, `x y z nx ny nz` as float32, metres.
+/// A PLY file of the points: binary, little-endian, `x y z nx ny nz`, metres. All are float32; x, y and z are float64
+/// where a coordinate exceeds 1,000 m, which float32 would round.
 ///
 /// The header says that the points are simulated; each line of `comment` becomes a line of it, in ASCII.
 pub fn to_ply(points: &SurfacePoints, comment: &str) -> Vec<u8> {
@@ -79,14 +80,21 @@ pub fn to_ply(points: &SurfacePoints, comment: &str) -> Vec<u8> {
     for line in comment.lines().filter(|line| !line.trim().is_empty()) {
         lines.extend("comment ".chars().chain(line.chars().map(to_ascii)).chain(['\n']));
     }
-    let properties = ["x", "y", "z", "nx", "ny", "nz"].map(|name| format!("property float {name}\n")).concat();
+    let is_far = points.points.iter().any(|p| p.abs().max_element() > 1e3);
+    let places = if is_far { "double" } else { "float" };
+    let properties = ["x", "y", "z"].map(|name| format!("property {places} {name}\n")).concat()
+        + &["nx", "ny", "nz"].map(|name| format!("property float {name}\n")).concat();
     let count = points.points.len();
     let head = format!("ply\nformat binary_little_endian 1.0\n{lines}element vertex {count}\n{properties}end_header\n");
     let mut bytes = head.into_bytes();
     bytes.reserve(24 * count);
     for (point, normal) in points.points.iter().zip(&points.normals) {
-        let row = [point, normal].map(DVec3::to_array);
-        row.iter().flatten().for_each(|value| bytes.extend((*value as f32).to_le_bytes()));
+        if is_far {
+            point.to_array().iter().for_each(|value| bytes.extend(value.to_le_bytes()));
+        } else {
+            point.to_array().iter().for_each(|value| bytes.extend((*value as f32).to_le_bytes()));
+        }
+        normal.to_array().iter().for_each(|value| bytes.extend((*value as f32).to_le_bytes()));
     }
     bytes
 }

@@ -212,7 +212,7 @@ fn ray_tracing_in_the_exact_scene_is_the_generator() {
     // A folder that was written says from which scene.
     let out = folder.path().join("written");
     write(&Recipe::read(&folder.path().join("small.ron"), 10, 0, 100).unwrap(), false, &out, &|_, _| {}).unwrap();
-    let read = pwrfgs_data::Nerf2Spectrum { root: out, points: None }.load(Path::new(""), &|_, _| {}).unwrap();
+    let read = pwrfgs_data::Nerf2Spectrum { root: out, ..Default::default() }.load(Path::new(""), &|_, _| {}).unwrap();
     assert!(knows(&read, "small.ron") && !knows(&read, "other.ron"));
     let baseline: Plugin<dyn Baseline> = Plugin::parse("RayTracing()").unwrap();
     let exact = baseline.fit(&read, &[]).unwrap();

@@ -40,7 +40,9 @@ impl Batches {
                 self.order = (drawn / n, order);
             }
             let sample = &data.samples[self.order.1[(drawn % n) as usize]];
-            batch.txs.push(sample.tx_real().map(|x| x + settings.tx_jitter_m * rng::normal(&mut jitter)));
+            batch
+                .txs
+                .push(data.scene.origin.local(sample.tx).map(|x| x + settings.tx_jitter_m * rng::normal(&mut jitter)));
             samples.push(sample);
         }
         let ImagePlane { width, height, .. } = stages.plane;

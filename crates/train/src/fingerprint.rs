@@ -41,5 +41,5 @@ fn of_data(data: &Dataset) -> String {
     };
     let parts: Vec<String> = data.samples.par_chunks(CHUNK).map(part).collect();
     let points: Vec<u8> = data.scene.points.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
-    format!("{:?} {} {} {} {}", data.scene.receiver, data.width, data.height, digest(&points), parts.join(" "))
+    format!("{:?} {:?} {} {} {} {}", data.scene.receiver, data.scene.origin, data.width, data.height, digest(&points), parts.join(" "))
 }

@@ -90,6 +90,7 @@ impl<'a> Trainer<'a> {
             rasterizer: pipeline.rasterizer.clone(),
             calibration: pipeline.calibration,
             readout: pipeline.readout,
+            origin: data.scene.origin,
             pose: data.scene.receiver,
             plane: coarse,
         });

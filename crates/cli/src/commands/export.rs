@@ -64,6 +64,11 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<ExitCod
     let model = file::read(&arguments.model)?;
     // All are made before the first is written: what cannot be exported leaves nothing behind.
     let made: Vec<Vec<u8>> = files.iter().map(|(_, writer)| writer(&model, tx)).collect::<Result<_>>()?;
+    let origin = model.stages.origin;
+    if arguments.ply.is_some() && !origin.is_zero() && verbosity != Verbosity::Quiet {
+        let [x, y, z] = origin.0;
+        output::note(&format!("places in the PLY file count from {x}, {y}, {z}: viewers compute in single precision"));
+    }
     for ((path, _), bytes) in files.iter().zip(made) {
         write_atomically(path, &bytes)?;
         if verbosity != Verbosity::Quiet {

@@ -2,7 +2,7 @@
 //! the same.
 
 use crate::polygons::Triangles;
-use crate::text::{Field, VERTEX_ADVICE, lines, number, split_blanks};
+use crate::text::{Field, VERTEX_ADVICE, coordinate, fault_of, lines, split_blanks};
 use pwrfgs_core::{Error, Result};
 use std::{iter::Peekable, path::Path};
 
@@ -37,11 +37,12 @@ fn parse_binary(path: &Path, bytes: &[u8]) -> Result<Vec<[f64; 3]>> {
         for corner in raw[12..48].chunks_exact(12) {
             let value = |k: usize| f32::from_le_bytes([corner[k], corner[k + 1], corner[k + 2], corner[k + 3]]);
             let vertex = [value(0), value(4), value(8)];
-            if !vertex.iter().all(|v| v.is_finite()) {
-                let what = format!("a vertex of triangle {} is not finite; {VERTEX_ADVICE}", triangle + 1);
+            let vertex = vertex.map(f64::from);
+            if let Some(fault) = fault_of(vertex) {
+                let what = format!("a vertex of triangle {} is {fault}; {VERTEX_ADVICE}", triangle + 1);
                 return Err(Error::input(path, what));
             }
-            corners.push(vertex.map(f64::from));
+            corners.push(vertex);
         }
     }
     Ok(corners)
@@ -106,7 +107,7 @@ impl<'a, I: Iterator<Item = (usize, Field<'a>)>> Words<'a, I> {
 
     fn number(&mut self) -> Result<f64> {
         let (line, field) = self.next("a number")?;
-        number(self.path, line, field, VERTEX_ADVICE)
+        coordinate(self.path, line, field, VERTEX_ADVICE)
     }
 
     fn unexpected(&self, line: usize, field: Field<'_>, word: &str) -> Error {

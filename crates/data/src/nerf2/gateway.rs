@@ -1,13 +1,20 @@
 //! `gateway_info.yml`: name of the data set, position and orientation of the receiver.
 
+mod file;
+
 use crate::text::read_text;
+use file::File;
 use pwrfgs_core::{Error, Pose, Result};
-use serde::Deserialize;
-use serde_yaml_ng::Value;
+use serde::de::DeserializeSeed as _;
 use std::path::Path;
 
 const EXPECTED: &str =
     "expected `gateway1: {position: [x, y, z], orientation: [x, y, z, w]}` (metres; unit quaternion)";
+
+/// Largest file that is read, bytes. It says a few numbers.
+const MAX_SIZE: u64 = 1 << 20;
+/// Deepest nesting that is read; the parser takes minutes over some ten thousands.
+const MAX_DEPTH: usize = 64;
 
 /// What the file says.
 #[derive(Debug, PartialEq)]
@@ -16,16 +23,14 @@ pub(crate) struct Gateway {
     pub(crate) pose: Pose,
 }
 
-#[derive(Deserialize)]
-struct File {
-    dataset_name: Option<Value>,
-    gateway1: Pose,
-}
-
-/// Reads the file.
-pub(crate) fn read(path: &Path, advice: &str) -> Result<Gateway> {
-    let text = read_text(path, advice)?;
-    let file: File = serde_yaml_ng::from_str(&text).map_err(|e| {
+/// Reads the file; `wanted` is the gateway that the user names, `gateway1` where none is named.
+pub(crate) fn read(path: &Path, wanted: Option<&str>, advice: &str) -> Result<Gateway> {
+    let text = read_text(path, MAX_SIZE, advice)?;
+    if let Some(line) = too_deep(&text) {
+        return Err(Error::at(path, line, 1, format!("nested deeper than {MAX_DEPTH}; {EXPECTED}")));
+    }
+    let name = wanted.unwrap_or("gateway1");
+    let file = File { wanted: name }.deserialize(serde_yaml_ng::Deserializer::from_str(&text)).map_err(|e| {
         let words = e.to_string();
         let words = words.split(" at line ").next().unwrap_or_default();
         match e.location() {
@@ -33,21 +38,54 @@ pub(crate) fn read(path: &Path, advice: &str) -> Result<Gateway> {
             None => Error::input(path, format!("{words}; {EXPECTED}")),
         }
     })?;
-    if let Some((field, fault)) = file.gateway1.fault() {
-        let (line, column) = place_of(&text, field);
+    let others = file.others.iter().map(|other| format!("`{other}`")).collect::<Vec<_>>().join(", ");
+    let one = file.others.first().map_or("gateway2", String::as_str);
+    let Some(pose) = file.pose else {
+        let what = if others.is_empty() {
+            format!("missing field `{name}`; {EXPECTED}")
+        } else {
+            format!("missing field `{name}`; name {others}: Nerf2Spectrum(gateway: \"{one}\", ..), or else {EXPECTED}")
+        };
+        return Err(Error::at(path, 1, 1, what));
+    };
+    if wanted.is_none() && !others.is_empty() {
+        let (line, column) = place_of(&text, one, "");
+        let what = format!(
+            "there are more receivers than one, `{name}` and {others}, and a model hears at one; name it: \
+             Nerf2Spectrum(gateway: \"{name}\", ..)"
+        );
+        return Err(Error::at(path, line, column, what));
+    }
+    if let Some((field, fault)) = pose.fault() {
+        let (line, column) = place_of(&text, name, field);
         return Err(Error::at(path, line, column, fault));
     }
-    let name = file.dataset_name.and_then(|name| match name {
-        Value::String(name) => Some(name),
-        Value::Number(number) => Some(number.to_string()),
-        _ => None,
-    });
-    Ok(Gateway { name: name.filter(|n| !n.trim().is_empty()), pose: file.gateway1 })
+    Ok(Gateway { name: file.title.filter(|n| !n.trim().is_empty()), pose })
 }
 
-/// Line and column of `key` behind `gateway1`; the file is known to hold both.
-fn place_of(text: &str, key: &str) -> (usize, usize) {
-    let gateway = text.find("gateway1").unwrap_or(0);
+/// The line that opens more than [`MAX_DEPTH`] brackets, or holds more list marks. Those in comments and texts count as
+/// well, which harms no file that a person writes.
+fn too_deep(text: &str) -> Option<usize> {
+    let mut depth = 0_usize;
+    let is_deeper = |line: &str| {
+        for c in line.chars() {
+            match c {
+                '[' | '{' => depth += 1,
+                ']' | '}' => depth = depth.saturating_sub(1),
+                _ => {}
+            }
+            if depth > MAX_DEPTH {
+                return true;
+            }
+        }
+        line.split_whitespace().filter(|word| matches!(*word, "-" | "?" | ":")).count() > MAX_DEPTH
+    };
+    text.lines().position(is_deeper).map(|line| line + 1)
+}
+
+/// Line and column of `key` behind `gateway`; the file is known to hold both.
+fn place_of(text: &str, gateway: &str, key: &str) -> (usize, usize) {
+    let gateway = text.find(gateway).unwrap_or(0);
     let at = text[gateway..].find(key).map_or(gateway, |i| gateway + i);
     let before = &text[..at];
     let start_of_line = before.rfind('\n').map_or(0, |i| i + 1);
@@ -62,7 +100,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("g.yml");
         std::fs::write(&path, text).unwrap();
-        read(&path, "").map_err(|e| e.to_string().replace(&folder.path().display().to_string(), "DIR"))
+        read(&path, None, "").map_err(|e| e.to_string().replace(&folder.path().display().to_string(), "DIR"))
     }
 
     #[test]
@@ -105,6 +143,27 @@ mod tests {
     }
 
     #[test]
+    fn deep_nesting_and_large_files_are_refused_at_once() {
+        let start = std::time::Instant::now();
+        let spaces = (0..1_400).map(|i| format!("{:i$}a:\n", ""));
+        let cases = [
+            ("[".repeat(100_000), "DIR/g.yml:1:1: nested deeper than 64; "),
+            (format!("a: b\nc: {}", "{a: ".repeat(100_000)), "DIR/g.yml:2:1: nested deeper than 64; "),
+            ("[\n".repeat(100_000), "DIR/g.yml:65:1: nested deeper than 64; "),
+            ("- ".repeat(100_000), "DIR/g.yml:1:1: nested deeper than 64; "),
+            ("? ".repeat(100_000), "DIR/g.yml:1:1: nested deeper than 64; "),
+            (spaces.collect(), "DIR/g.yml"),
+            ("&a [*a]\n".repeat(10_000), "DIR/g.yml"),
+            ("#".repeat(1 << 20) + "\n", "cannot read DIR/g.yml: it is larger than the 1048576 bytes"),
+        ];
+        for (text, message) in cases {
+            let said = read_str(&text).unwrap_err();
+            assert!(said.starts_with(message), "{said}");
+        }
+        assert!(start.elapsed().as_secs() < 5, "{:?}", start.elapsed());
+    }
+
+    #[test]
     fn the_parsers_words_are_kept() {
         let cases = [
             ("gateway2: 1\n", "DIR/g.yml:1:1: missing field `gateway1`"),
@@ -116,5 +175,39 @@ mod tests {
             assert!(message.starts_with(start) && message.ends_with(EXPECTED), "{message}");
             assert!(!message.contains("at line"), "{message}");
         }
+    }
+
+    #[test]
+    fn a_second_gateway_is_refused_unless_one_is_named() {
+        let pose = |x: u8| format!("{{position: [{x}, 0, 0], orientation: [0, 0, 0, 1]}}");
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("g.yml");
+        let read = |text: &str, wanted| {
+            std::fs::write(&path, text).unwrap();
+            let read = read(&path, wanted, "").map(|gateway| gateway.pose.position[0]);
+            read.map_err(|e| e.to_string().replace(&folder.path().display().to_string(), "DIR"))
+        };
+        let two = format!("gateway1: {}\ndataset_name: two\nroof: {}\ncarrier: 9e8\n", pose(1), pose(2));
+        assert_eq!(
+            read(&two, None).unwrap_err(),
+            "DIR/g.yml:3:1: there are more receivers than one, `gateway1` and `roof`, and a model hears at one; name it: \
+             Nerf2Spectrum(gateway: \"gateway1\", ..)"
+        );
+        assert_eq!((read(&two, Some("gateway1")), read(&two, Some("roof"))), (Ok(1.0), Ok(2.0)));
+        let said = read(&two, Some("gateway3")).unwrap_err();
+        assert_eq!(
+            said,
+            format!(
+                "DIR/g.yml:1:1: missing field `gateway3`; name `gateway1`, `roof`: Nerf2Spectrum(gateway: \"gateway1\", ..), or else {EXPECTED}"
+            )
+        );
+        // Whatever is called a gateway counts as one, and other keys are left alone, aliases that would grow included.
+        let odd = format!("gateway1: {}\nGateway_2: 5\n", pose(1));
+        assert!(read(&odd, None).unwrap_err().contains("`Gateway_2`"));
+        let nine = |i: u8| format!("b{}: &b{} [{}]\n", i + 1, i + 1, vec![format!("*b{i}"); 9].join(", "));
+        let grows = (0..20).map(nine).collect::<Vec<_>>().concat();
+        let other = format!("gateway1: {}\nb0: &b0 [1, 2]\n{grows}note: {{a: [1, {{b: 2}}]}}\n", pose(1));
+        assert_eq!(read(&other, None), Ok(1.0));
+        assert!(read(&format!("gateway1: {0}\ngateway1: {0}\n", pose(1)), None).unwrap_err().contains("duplicate"));
     }
 }

@@ -43,7 +43,7 @@ impl Folder {
     }
 
     fn source() -> Nerf2Spectrum {
-        Nerf2Spectrum { root: "s".into(), points: None }
+        Nerf2Spectrum { root: "s".into(), ..Nerf2Spectrum::default() }
     }
 
     fn load(&self) -> Dataset {
@@ -144,7 +144,7 @@ fn points_widen_the_bounds() {
 fn paths_move_with_the_pipeline() {
     let source = Plugin::<dyn DataSource>::parse(r#"Nerf2Spectrum(root: "a", points: "b.ply")"#).unwrap();
     let moved = source.rebased(&|path| Path::new("base").join(path)).unwrap();
-    assert_eq!(format!("{moved:?}"), r#"Nerf2Spectrum { root: "base/a", points: Some("base/b.ply") }"#);
+    assert_eq!(format!("{moved:?}"), r#"Nerf2Spectrum { root: "base/a", points: Some("base/b.ply"), gateway: None }"#);
 }
 
 #[test]
@@ -315,7 +315,7 @@ fn a_folder_without_pictures_is_an_error() {
 fn measured() -> Option<(PathBuf, Dataset)> {
     let root = shared("data/s23")?;
     let start = std::time::Instant::now();
-    let data = Nerf2Spectrum { root: root.clone(), points: None }.load(Path::new("."), &|_, _| {}).unwrap();
+    let data = Nerf2Spectrum { root: root.clone(), ..Default::default() }.load(Path::new("."), &|_, _| {}).unwrap();
     println!("{} spectra in {:.2} s", data.samples.len(), start.elapsed().as_secs_f64());
     Some((root, data))
 }

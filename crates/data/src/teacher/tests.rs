@@ -25,7 +25,7 @@ fn what_it_makes_is_complete_and_says_that_it_is_simulated() {
     let (low, high) = data.scene.bounds;
     for sample in &data.samples {
         assert_eq!(sample.spectrum.len(), 90 * 24);
-        let tx = sample.tx_real();
+        let tx = sample.tx.map(|v| v as Real);
         assert!((0..3).all(|k| low[k] <= tx[k] && tx[k] <= high[k]));
     }
     let ids: Vec<u32> = data.samples.iter().map(|s| s.id).collect();

@@ -7,7 +7,8 @@ use std::io::{self, Cursor};
 use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 
 /// The NPZ file of `model`: the tensors of the model file, pose and plane; and where `tx` (metres, world frame) is
-/// given, what a transmitter there makes of the Gaussians. The same model gives the same bytes.
+/// given, what a transmitter there makes of the Gaussians. All places are in the user's frame, in double precision where
+/// the model has an origin. The same model gives the same bytes.
 ///
 /// # Errors
 /// An array of more than 4 GiB.
@@ -25,9 +26,16 @@ impl Npz {
     /// What the model file holds.
     fn model(&mut self, model: &Model) -> io::Result<()> {
         let n = model.cloud.len();
+        let origin = model.stages.origin;
         for (name, width, values) in model.cloud.columns() {
             let shape = if width == 1 { vec![n] } else { vec![n, width] };
-            self.put(name, &shape, values)?;
+            if name == "means" && !origin.is_zero() {
+                let places: Vec<[f64; 3]> = model.cloud.means.iter().map(|mean| origin.world(*mean)).collect();
+                self.put(name, &shape, places.as_flattened())?;
+                self.put("origin", &[3], &origin.0)?;
+            } else {
+                self.put(name, &shape, values)?;
+            }
         }
         let mut rest = model.weights.as_slice();
         for spec in model.stages.deformation.layout() {
@@ -38,7 +46,7 @@ impl Npz {
         for (spec, values) in model.stages.deformation.constants() {
             self.put(&format!("constants.{}", spec.name), &spec.shape, &values)?;
         }
-        let (pose, plane) = (&model.stages.pose, &model.stages.plane);
+        let (pose, plane) = (&model.stages.receiver(), &model.stages.plane);
         self.put("pose.position", &[3], &pose.position)?;
         self.put("pose.orientation", &[4], &pose.orientation)?;
         self.put("plane.size", &[2], &[plane.width as u64, plane.height as u64])?;
@@ -52,7 +60,11 @@ impl Npz {
     fn transmitter(&mut self, model: &Model, tx: [f64; 3]) -> io::Result<()> {
         let (p, signals) = model.gaussians(Some(tx));
         let n = p.len();
-        self.put("tx.position", &[3], &tx.map(|v| v as Real))?;
+        if model.stages.origin.is_zero() {
+            self.put("tx.position", &[3], &tx.map(|v| v as Real))?;
+        } else {
+            self.put("tx.position", &[3], &tx)?;
+        }
         self.put("tx.scales", &[n, 3], p.scales.as_flattened())?;
         self.put("tx.quats", &[n, 4], p.quats.as_flattened())?;
         self.put("tx.opacities", &[n], &p.opacities)?;

@@ -1,7 +1,7 @@
 //! The Gaussians as a PLY file in the layout of 3D Gaussian splatting, which viewers of splats open.
 
 use crate::colour::sequential;
-use pwrfgs_core::{Error, Primitives, Real, Result};
+use pwrfgs_core::{Error, Origin, Primitives, Real, Result};
 use pwrfgs_model::Model;
 
 /// Properties in the order in which viewers expect them, all of them `float`. Normals are there for the layout, and 0.
@@ -14,6 +14,8 @@ const SH_C0: f64 = 0.282_094_791_773_878_14;
 
 /// The PLY file of `model` as it is for a transmitter at `tx` (metres, world frame), or of its base parameters.
 ///
+/// Centres count from the model's origin, which a comment of the header names where it is not zero.
+///
 /// Colour tells how strong the signal of a Gaussian is: the pixel that it would give alone, were it opaque, from dark
 /// violet at 0 to yellow at 1, the full scale of the spectra. Mid-grey where the signals exist for a transmitter only.
 ///
@@ -23,7 +25,7 @@ pub fn ply(model: &Model, tx: Option<[f64; 3]>) -> Result<Vec<u8>> {
     let (primitives, signals) = model.gaussians(tx);
     let known = tx.is_some() || !model.stages.deformation.replaces_signals();
     let strengths = known.then(|| strengths(model, &signals));
-    let mut out = header(primitives.len()).into_bytes();
+    let mut out = header(primitives.len(), model.stages.origin).into_bytes();
     for i in 0..primitives.len() {
         let colour = strengths.as_ref().map_or([0.0; 3], |strengths| colour(strengths[i]));
         let row = row(&primitives, i, model.cloud.opacity_logits[i], colour);
@@ -38,9 +40,12 @@ pub fn ply(model: &Model, tx: Option<[f64; 3]>) -> Result<Vec<u8>> {
     Ok(out)
 }
 
-fn header(n: usize) -> String {
+/// Viewers of splats compute in single precision, so centres stay near zero: a comment says what they count from.
+fn header(n: usize, origin: Origin) -> String {
+    let [x, y, z] = origin.0;
+    let comment = if origin.is_zero() { String::new() } else { format!("comment origin {x} {y} {z}\n") };
     let properties = PROPERTIES.map(|name| format!("property float {name}\n")).concat();
-    format!("ply\nformat binary_little_endian 1.0\nelement vertex {n}\n{properties}end_header\n")
+    format!("ply\nformat binary_little_endian 1.0\n{comment}element vertex {n}\n{properties}end_header\n")
 }
 
 /// The grey value that each Gaussian would give alone, were it opaque.

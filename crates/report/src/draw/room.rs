@@ -72,7 +72,7 @@ impl Room {
         let n = snapshot.means.len();
         let mut shown: Vec<(Place, f64)> = scattered(n)
             .into_iter()
-            .map(|i| (snapshot.means[i].map(f64::from), f64::from(snapshot.opacities[i])))
+            .map(|i| (snapshot.place(i), f64::from(snapshot.opacities[i])))
             .filter(|(mean, _)| self.view.holds(*mean))
             .collect();
         let outside = n - shown.len();
@@ -158,7 +158,7 @@ impl Room {
 fn draw_points(canvas: &mut Canvas, view: &View, data: &Dataset) {
     let mut layers = [(); 3].map(|()| Path::default());
     for point in evenly(&data.scene.points, POINTS) {
-        let p = point.map(f64::from);
+        let p = data.scene.origin.world(point);
         if view.holds(p) {
             let layer = ((3.0 * view.nearness(p)) as usize).min(2);
             layers[layer].add(&[view.place(p); 2]);
@@ -172,7 +172,7 @@ fn draw_points(canvas: &mut Canvas, view: &View, data: &Dataset) {
 
 /// A triangle where the receiver stands and a line along its boresight, metres long.
 fn draw_receiver(canvas: &mut Canvas, view: &View, data: &Dataset, length: f64) {
-    let pose = &data.scene.receiver;
+    let pose = data.scene.origin.world_pose(data.scene.receiver);
     let boresight = pose.world_from_receiver().z_axis.to_array().map(f64::from);
     let end = [0, 1, 2].map(|k| pose.position[k] + length * boresight[k]);
     let ([x, y], tip) = (view.place(pose.position), view.place(end));
@@ -202,15 +202,15 @@ fn chamfer(data: &Dataset, means: &[[Real; 3]]) -> Option<f64> {
 /// Corners of the frame, a little wider than what it must hold and never flat.
 fn limits(data: &Dataset, clouds: &[&Snapshot]) -> (Place, Place) {
     let (low, high) = data.scene.bounds;
-    let (mut low, mut high) = (low.map(f64::from), high.map(f64::from));
+    let [mut low, mut high] = [low, high].map(|corner| data.scene.origin.world(corner));
     if data.scene.points.is_empty() {
         for k in 0..3 {
             for cloud in clouds.iter().filter(|c| !c.means.is_empty()) {
-                let mut places: Vec<Real> = cloud.means.iter().map(|m| m[k]).collect();
-                places.sort_by(Real::total_cmp);
+                let mut places: Vec<f64> = (0..cloud.means.len()).map(|i| cloud.place(i)[k]).collect();
+                places.sort_by(f64::total_cmp);
                 let cut = places.len() / 20;
-                low[k] = low[k].min(f64::from(places[cut]));
-                high[k] = high[k].max(f64::from(places[places.len() - 1 - cut]));
+                low[k] = low[k].min(places[cut]);
+                high[k] = high[k].max(places[places.len() - 1 - cut]);
             }
         }
     }

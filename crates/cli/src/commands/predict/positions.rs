@@ -1,21 +1,24 @@
 //! Where the transmitters stand: one position on the command line, or a CSV file of them.
 
-use pwrfgs_core::{Error, Real, Result};
+use pwrfgs_core::origin::{coordinate_fault, place_fault};
+use pwrfgs_core::{Error, Result, files};
 use std::path::Path;
 
 /// `x,y,z` of the command line.
 pub(in crate::commands) fn position(text: &str) -> Result<[f64; 3]> {
-    let wrong = || Error::Config(format!("--tx {text}: give three finite numbers in metres, such as 1.2,0.3,1.0"));
+    let wrong = || {
+        Error::Config(format!("--tx {text}: give three finite numbers of at most 1e8 in metres, such as 1.2,0.3,1.0"))
+    };
     let numbers: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
     match <[f64; 3]>::try_from(numbers.unwrap_or_default()) {
-        Ok([x, y, z]) if [x, y, z].iter().all(|v| (*v as Real).is_finite()) => Ok([x, y, z]),
+        Ok([x, y, z]) if place_fault([x, y, z]).is_none() => Ok([x, y, z]),
         _ => Err(wrong()),
     }
 }
 
 /// Columns x, y, z of a CSV file.
 pub(super) fn positions(path: &Path) -> Result<Vec<[f64; 3]>> {
-    let text = std::fs::read(path).map_err(|e| Error::read(path, e))?;
+    let text = files::read_at_most(path, files::MAX_TEXT).map_err(|e| Error::read(path, e))?;
     let text = text.strip_prefix("\u{feff}".as_bytes()).unwrap_or(&text);
     let mut reader = csv::ReaderBuilder::new().flexible(true).trim(csv::Trim::All).from_reader(text);
     let broken = |e: csv::Error| {
@@ -40,9 +43,10 @@ pub(super) fn positions(path: &Path) -> Result<Vec<[f64; 3]>> {
                 let (has, needs) = (record.len(), headers.len());
                 Error::at(path, line, 1, format!("this row has {has} fields and the first line names {needs}"))
             })?;
-            *value = field.parse().ok().filter(|v: &f64| (*v as Real).is_finite()).ok_or_else(|| {
-                let name = &headers[column];
-                Error::at(path, line, column + 1, format!("`{field}` in column `{name}` is no finite number of metres"))
+            *value = field.parse().ok().filter(|v| coordinate_fault(*v).is_none()).ok_or_else(|| {
+                let what =
+                    format!("`{field}` in column `{}` is no finite number of metres, 1e8 at most", &headers[column]);
+                Error::at(path, line, column + 1, what)
             })?;
         }
         txs.push(tx);
@@ -60,7 +64,7 @@ mod tests {
     #[test]
     fn positions_are_three_finite_numbers() {
         assert_eq!(position("1, -2.5,3e0").unwrap(), [1.0, -2.5, 3.0]);
-        for wrong in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,NaN", "1,inf,2"] {
+        for wrong in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,NaN", "1,inf,2", "1,2,1e9"] {
             assert!(position(wrong).unwrap_err().is_input(), "{wrong}");
         }
     }

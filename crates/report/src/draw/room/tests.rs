@@ -1,7 +1,7 @@
 //! What the figure of the room shows and what it leaves out.
 
 use super::*;
-use pwrfgs_core::{GaussianCloud, Pose, Sample, Scene};
+use pwrfgs_core::{GaussianCloud, Origin, Pose, Sample, Scene};
 
 /// A room of 4 x 3 x 2 m with `points` points and one transmitter of each kind.
 fn room(points: usize) -> (Dataset, Partition) {
@@ -9,7 +9,12 @@ fn room(points: usize) -> (Dataset, Partition) {
     let sample = |id| Sample { id, tx: [1.0, 1.0, f64::from(id) / 2.0], spectrum: vec![0] };
     let data = Dataset {
         title: "room".into(),
-        scene: Scene { receiver: Pose::IDENTITY, bounds: low_high, points: vec![[1.0, 2.0, 0.0]; points] },
+        scene: Scene {
+            origin: Origin::ZERO,
+            receiver: Pose::IDENTITY,
+            bounds: low_high,
+            points: vec![[1.0, 2.0, 0.0]; points],
+        },
         width: 1,
         height: 1,
         samples: vec![sample(1), sample(2)],
@@ -22,7 +27,7 @@ fn room(points: usize) -> (Dataset, Partition) {
 fn snapshot(means: impl IntoIterator<Item = [Real; 3]>) -> Snapshot {
     let means: Vec<_> = means.into_iter().collect();
     let rest = GaussianCloud::zeros(means.len());
-    Snapshot::of(0, &GaussianCloud { means, ..rest })
+    Snapshot::of(0, &GaussianCloud { means, ..rest }, Origin::ZERO)
 }
 
 fn svg(panel: &Panel) -> String {

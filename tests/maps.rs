@@ -1,0 +1,106 @@
+//! Map coordinates: a scene far from zero is the same scene.
+
+use crate::common::pipeline;
+use pwrfgs::core::origin::MAX_COORDINATE_M;
+use pwrfgs::core::rng;
+use pwrfgs::model::file;
+use pwrfgs::prelude::*;
+use std::path::Path;
+
+/// Easting, northing and height of a place in Central Europe, whole metres.
+const SHIFT: [f64; 3] = [500_000.0, 5_400_000.0, 100.0];
+
+/// Every place in 1/1024 m, which doubles hold exactly at either end.
+fn exact(place: [f64; 3]) -> [f64; 3] {
+    place.map(|v| (v * 1024.0).round() / 1024.0)
+}
+
+fn moved(place: [f64; 3]) -> [f64; 3] {
+    [0, 1, 2].map(|k| place[k] + SHIFT[k])
+}
+
+/// The pipeline's data, whose receiver stands within half a metre of zero; shifted where asked.
+fn data_of(pipeline: &Pipeline, shifted: bool) -> Dataset {
+    let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
+    let place = |p| if shifted { moved(exact(p)) } else { exact(p) };
+    let points = data.scene.points.iter().map(|p| place(p.map(f64::from))).collect();
+    let samples = data.samples.iter().map(|s| Sample { tx: place(s.tx), ..s.clone() }).collect();
+    let receiver = Pose { position: place(data.scene.receiver.position), ..data.scene.receiver };
+    Dataset::new("shifted", receiver, points, (data.width, data.height), samples).unwrap()
+}
+
+fn trained(pipeline: &Pipeline, data: &Dataset) -> Model {
+    let partition = pipeline.split.split(data, &mut rng::stream(5, "split", 0)).unwrap();
+    let mut trainer = Trainer::new(pipeline, data, &partition).unwrap();
+    while !trainer.finished() {
+        trainer.step().unwrap();
+    }
+    trainer.model()
+}
+
+#[test]
+fn shifted_data_train_to_the_same_bits_and_predict_the_same_at_shifted_places() {
+    let deformations = ["Mlp(depth: 2, width: 16, skip: None)", "Wrfgs(depth: 2, width: 8, skip: None)"];
+    for (initializer, deformation) in ["PointCloud()", "Random(count: 60, std: 3)"].into_iter().zip(deformations) {
+        let pipeline = pipeline(&format!(
+            "seed: 5, data: Teacher(gaussians: 6, samples: 20, width: 90, height: 24,
+                 receiver: (position: (0.25, -0.375, 0.125), orientation: (0, 0, 0, 1))),
+             split: Random(test: 0.2), initializer: {initializer}, deformation: {deformation},
+             training: (steps: 12, batch: 3, tx_jitter_m: 0.02, densify_until: 8, prune_until: 10, prune_every: 2,
+                 densify: (from: 2, every: 3, gradient_threshold: 0))",
+        ));
+        let (near, far) = (data_of(&pipeline, false), data_of(&pipeline, true));
+        assert_eq!((near.scene.origin.0, far.scene.origin.0), ([0.0; 3], SHIFT));
+        let [here, there] = [&near, &far].map(|data| trained(&pipeline, data));
+        assert!(here.cloud == there.cloud && here.weights == there.weights, "{initializer}: bits differ");
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("m.safetensors");
+        file::write(&path, &there).unwrap();
+        let read = file::read(&path).unwrap();
+        assert_eq!(read.stages.receiver(), Pose { position: moved([0.25, -0.375, 0.125]), ..near.scene.receiver });
+        for sample in &near.samples {
+            assert_eq!(read.predict(moved(sample.tx)).pixels, here.predict(sample.tx).pixels);
+        }
+        assert_eq!(read.means_from(near.scene.origin).len(), here.cloud.len());
+    }
+}
+
+#[test]
+fn a_teacher_on_a_map_is_the_teacher_at_home() {
+    let teacher = |[x, y, z]: [f64; 3]| {
+        let text = format!(
+            "data: Teacher(gaussians: 6, samples: 8, width: 90, height: 24,
+                 receiver: (position: ({x}, {y}, {z}), orientation: (0, 0, 0, 1)),
+                 tx_box: (({}, {}, {z}), ({}, {}, {}))), initializer: Grid(count: 4), training: (steps: 3)",
+            x - 1.0,
+            y - 1.0,
+            x + 1.0,
+            y + 1.0,
+            z + 2.0
+        );
+        pipeline(&text).data.load(Path::new("."), &|_, _| {}).unwrap()
+    };
+    let (here, there) = (teacher([0.0; 3]), teacher(SHIFT));
+    assert_eq!(there.scene.origin.0, SHIFT);
+    assert_eq!(there.scene.points, here.scene.points);
+    assert_eq!(there.samples[3].spectrum, here.samples[3].spectrum);
+}
+
+#[test]
+fn a_model_that_knows_no_origin_keeps_its_bytes_and_a_wild_origin_is_refused() {
+    let pipeline = pipeline(
+        "data: Teacher(gaussians: 4, samples: 8, width: 48, height: 12), initializer: Grid(count: 4), training: (steps: 3)",
+    );
+    let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
+    let mut model = trained(&pipeline, &data);
+    let text = |model: &Model| String::from_utf8_lossy(&file::to_bytes(model)).into_owned();
+    assert!(!text(&model).contains("origin") && text(&model).contains(r#"\"version\":1"#));
+    model.stages.origin = pwrfgs::core::Origin([7e6, 0.0, 0.0]);
+    assert!(text(&model).contains(r#"\"origin\":[7000000.0,0.0,0.0]"#) && text(&model).contains(r#"\"version\":2"#));
+    model.stages.origin.0[0] = 10.0 * MAX_COORDINATE_M;
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("m.safetensors");
+    file::write(&path, &model).unwrap();
+    let said = file::read(&path).unwrap_err();
+    assert!(said.is_input() && said.to_string().contains("the origin is 1e9 m, beyond 1e8 m"), "{said}");
+}
