@@ -1,9 +1,11 @@
 //! Simulated data sets, kept on disk under a key of everything that decides them.
 
+use crate::making::{self, FOR_NOW, Making};
 use crate::output::{self, MANIFEST};
 use crate::recipe::Recipe;
 use etcetera::BaseStrategy as _;
 use pwrfgs_core::{Error, Progress, Result, files};
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 /// The folder of all kept data sets: `$PWRFGS_CACHE`, else `pwrfgs` in the user's cache folder; `None` where there is no
@@ -19,8 +21,8 @@ pub fn root() -> Option<PathBuf> {
 ///
 /// An entry is a folder as [`output::write`] makes it. It is used only if its manifest is that of the recipe, word for
 /// word, and `read` finds nothing wrong with it; else it is made anew. Entries appear by renaming, so none is half
-/// written, and of two programs that make the same one the second finds it there. Where the disk refuses, the data set is
-/// made in the system's folder for temporary files instead, and lost.
+/// written, what killed programs left is removed, and of two programs that make the same one the second finds it there.
+/// Where the disk refuses, the data set is made in the system's folder for temporary files instead, and lost.
 ///
 /// # Errors
 /// Those of the simulation and of `read`.
@@ -31,6 +33,7 @@ pub fn open_or_make<T>(
     read: impl Fn(&Path) -> Result<T>,
 ) -> Result<T> {
     let Some(root) = root else { return make_for_now(recipe, progress, read) };
+    making::clear(root, None);
     let folder = root.join(recipe.folder_name());
     if is_of(&folder, recipe) {
         match read(&folder) {
@@ -56,19 +59,18 @@ fn is_of(folder: &Path, recipe: &Recipe) -> bool {
     files::read(folder.join(MANIFEST)).is_ok_and(|bytes| bytes == recipe.to_json().as_bytes())
 }
 
-/// Removes a damaged entry; it is renamed first, so that nobody finds half of it.
+/// Removes a damaged entry.
 fn move_away(folder: &Path) -> Result<()> {
     if !folder.exists() {
         return Ok(());
     }
-    let grave = folder.with_extension(format!("damaged-{}", std::process::id()));
-    let moved = std::fs::rename(folder, &grave).and_then(|()| std::fs::remove_dir_all(&grave));
-    moved.map_err(|e| Error::write(folder, e))
+    making::remove(folder).map_err(|e| Error::write(folder, e))
 }
 
 fn make_for_now<T>(recipe: &Recipe, progress: Progress<'_>, read: impl Fn(&Path) -> Result<T>) -> Result<T> {
-    let temporary = tempfile::tempdir().map_err(|e| Error::write(&std::env::temp_dir(), e))?;
-    let folder = temporary.path().join(recipe.folder_name());
+    let root = std::env::temp_dir();
+    let making = Making::begin(&root, OsStr::new("pwrfgs")).map_err(|e| Error::write(&root, e))?;
+    let folder = making.path().join(FOR_NOW);
     output::write(recipe, false, &folder, progress)?;
     read(&folder)
 }

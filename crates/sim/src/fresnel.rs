@@ -20,6 +20,11 @@ impl Polarized {
     pub const PERFECT_CONDUCTOR: Self = Self { te: Complex::new(-1.0, 0.0), tm: Complex::new(1.0, 0.0) };
     /// No wave at all.
     pub const NOTHING: Self = Self { te: Complex::ZERO, tm: Complex::ZERO };
+
+    /// One after the other.
+    pub fn times(self, next: Self) -> Self {
+        Self { te: self.te * next.te, tm: self.tm * next.tm }
+    }
 }
 
 /// Reflection by a slab of `thickness` metres, or by a half-space without one; ITU-R P.2040-3, section 2.2.

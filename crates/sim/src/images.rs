@@ -11,7 +11,7 @@ use std::ops::Range;
 /// Corners closer than this to a plane lie on it, metres.
 const THIN: f64 = 1e-9;
 /// What is left of a face after clipping must be at least this large, m²: smaller beams are rounding.
-const LEAST_AREA: f64 = 1e-12;
+pub(crate) const LEAST_AREA: f64 = 1e-12;
 /// Most images of one point: more would exhaust the memory.
 const MOST_IMAGES: usize = 2_000_000;
 /// Most pairs of image and face that are tried: more would take minutes.
@@ -54,18 +54,18 @@ impl ImageTree {
     pub fn grow(world: &World, origin: DVec3, orders: Orders) -> Option<Self> {
         let mut tree = Self { origin, nodes: Vec::new(), planes: Vec::new() };
         // The faces of the room, should more reflections be allowed on them than on all, come first.
-        let of_room = world.faces.iter().take_while(|f| f.is_room).count() as u32;
+        let of_room = world.faces.iter().take_while(|f| f.is_room()).count() as u32;
         let mut beams = vec![(u32::MAX, origin, Vec::new(), true)];
         let mut trials = 0;
         for order in 1..=orders.all.max(orders.room) {
             let mut next = Vec::new();
+            let any_face = order <= orders.all;
+            let candidates = if any_face { world.faces.len() as u32 } else { of_room };
+            trials += beams.len() * candidates as usize;
+            if trials > MOST_TRIALS {
+                return None; // known before any of them
+            }
             for (parent, image, beam, room_only) in &beams {
-                let any_face = order <= orders.all;
-                let candidates = if any_face { world.faces.len() as u32 } else { of_room };
-                trials += candidates as usize;
-                if trials > MOST_TRIALS {
-                    return None;
-                }
                 for face in 0..candidates {
                     let is_room = *room_only && face < of_room;
                     if !(any_face || is_room && order <= orders.room) {
@@ -92,6 +92,11 @@ impl ImageTree {
     /// Number of images, the point itself not counted.
     pub fn count(&self) -> usize {
         self.nodes.len()
+    }
+
+    /// About how much memory it takes, bytes.
+    pub fn bytes(&self) -> usize {
+        self.nodes.len() * size_of::<Node>() + self.planes.len() * size_of::<(DVec3, f64)>()
     }
 
     /// Shows each sequence of faces with its reflection points, in the order of travel from `tx`, that geometry allows;
@@ -177,7 +182,7 @@ fn reflect(world: &World, face: u32, image: DVec3, beam: &[(DVec3, f64)]) -> Opt
 }
 
 /// The part of a convex polygon where `normal`·x > `offset` (Sutherland and Hodgman, 1974).
-fn clip(polygon: &[DVec3], (normal, offset): (DVec3, f64)) -> Vec<DVec3> {
+pub(crate) fn clip(polygon: &[DVec3], (normal, offset): (DVec3, f64)) -> Vec<DVec3> {
     let height = |p: DVec3| {
         let h = normal.dot(p) - offset;
         if h.abs() < THIN { 0.0 } else { h }
@@ -199,7 +204,8 @@ fn clip(polygon: &[DVec3], (normal, offset): (DVec3, f64)) -> Vec<DVec3> {
     kept
 }
 
-fn area(polygon: &[DVec3]) -> f64 {
+/// Area of a convex polygon, m².
+pub(crate) fn area(polygon: &[DVec3]) -> f64 {
     let Some((first, rest)) = polygon.split_first() else { return 0.0 };
     0.5 * rest.windows(2).map(|w| (w[0] - first).cross(w[1] - first)).sum::<DVec3>().length()
 }

@@ -15,6 +15,7 @@ pub mod diffraction;
 mod field;
 pub mod fresnel;
 pub mod images;
+mod making;
 pub mod material;
 pub mod mesh;
 pub mod noise;

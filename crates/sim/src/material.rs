@@ -68,7 +68,7 @@ impl Material {
     /// What is wrong with numbers given by hand, and what to do.
     pub fn check(&self) -> Result<(), String> {
         let Self { a, b, c, d, range_ghz: (low, high) } = *self;
-        if !(a > 0.0 && a.is_finite()) {
+        if !(a > 0.0 && a <= PERFECT) {
             return Err(format!("`a` is {a}; a relative permittivity is above 0, 1 for metal"));
         }
         if !(0.0..=PERFECT).contains(&c) {

@@ -10,6 +10,13 @@ use std::{collections::HashMap, path::Path};
 /// A triangle whose height is less than this part of its longest side has no area.
 const FLAT: f64 = 1e-9;
 
+/// Most triangles of a scene: more take minutes and gigabytes before the first path.
+pub(crate) const MOST_TRIANGLES: usize = 300_000;
+/// Most bytes of a mesh file.
+const MOST_BYTES: u64 = 256 << 20;
+/// Most triangles that share an edge.
+const MOST_SHARED: usize = 64;
+
 /// A surface of triangles.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
@@ -24,18 +31,28 @@ pub struct Mesh {
 /// # Errors
 /// Those of [`pwrfgs_data::read_mesh`] and of [`Mesh::check`].
 pub fn read(path: &Path) -> Result<Mesh> {
+    check_file(path)?;
     let (vertices, triangles) = pwrfgs_data::read_mesh(path)?;
+    if triangles.len() > MOST_TRIANGLES {
+        let what = format!("has {} triangles; simplify it to {MOST_TRIANGLES} at most", triangles.len());
+        return Err(Error::input(path, what));
+    }
     let mesh = Mesh { vertices: vertices.into_iter().map(DVec3::from_array).collect(), triangles }.welded();
     mesh.check(path)?;
     Ok(mesh)
+}
+
+/// Refuses what is no mesh file by its kind or size.
+pub(crate) fn check_file(path: &Path) -> Result<()> {
+    crate::scene::check_file(path, MOST_BYTES)
 }
 
 impl Mesh {
     /// Whether every triangle is one; `path` is the file to name.
     ///
     /// # Errors
-    /// No triangle, a vertex that is not finite, an index out of range, a triangle without area. Triangles are counted
-    /// from 1, in the order of the file.
+    /// No triangle, a vertex that is not finite, an index out of range, a triangle without area, an edge of too many
+    /// triangles. Triangles are counted from 1, in the order of the file.
     pub fn check(&self, path: &Path) -> Result<()> {
         if self.triangles.is_empty() {
             return Err(Error::input(path, "holds no triangle; export a surface with faces"));
@@ -57,7 +74,13 @@ impl Mesh {
                 return fault(format!("at ({}, {}, {}) has no area; {what}", a.x, a.y, a.z));
             }
         }
-        Ok(())
+        match self.edges().max() {
+            Some(shared) if shared > MOST_SHARED => {
+                let what = format!("has an edge that {shared} triangles share; remove double faces");
+                Err(Error::input(path, what))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Merges vertices that are equal, as the three of each triangle of an STL file are, and drops those that no

@@ -1,5 +1,6 @@
 //! A simulated data set as a folder: the layout of NeRF2, and what only a simulation knows.
 
+use crate::making::Making;
 use crate::path_table::PathTable;
 use crate::recipe::Recipe;
 use crate::simulator::{HEIGHT, Reception, Simulator, WIDTH, simulate};
@@ -11,7 +12,7 @@ use std::fmt::Write as _;
 use std::fs;
 use std::io::{BufWriter, Write as _};
 use std::path::{Path, PathBuf};
-use tempfile::TempDir;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Everything about how the folder was made; written last, so that a folder without it is not whole.
 pub const MANIFEST: &str = "manifest.json";
@@ -21,6 +22,14 @@ pub const POINTS: &str = "points.ply";
 pub const PATHS: &str = "paths.csv";
 /// Absolute power of every spectrum.
 pub const POWER: &str = "power.csv";
+/// The folder of the pictures.
+pub(crate) const SPECTRA: &str = "spectrum";
+const GATEWAY: &str = "gateway_info.yml";
+const POSITIONS: &str = "tx_pos.csv";
+const TRAIN: &str = "train_index.txt";
+const TEST: &str = "test_index.txt";
+/// Every file of the folder but the pictures.
+pub(crate) const FILES: [&str; 8] = [GATEWAY, POSITIONS, TRAIN, TEST, POWER, PATHS, POINTS, MANIFEST];
 /// Every how-manieth sample belongs to the test list.
 const TEST_EVERY: usize = 5;
 
@@ -37,59 +46,55 @@ const TEST_EVERY: usize = 5;
 /// out/manifest.json         the recipe
 /// ```
 ///
-/// It is made beside `out` under another name and renamed at the end, so that `out` is whole or not there. `progress` counts
-/// spectra.
+/// It is made beside `out` under another name and renamed at the end, so that `out` is whole or not there; what a killed
+/// process left of an earlier attempt is removed. `progress` counts spectra.
 ///
 /// # Errors
 /// `out` holds something, or the disk refuses.
 pub fn write(recipe: &Recipe, paths: bool, out: &Path, progress: Progress<'_>) -> Result<()> {
-    if out.file_name().is_none() || out.is_symlink() {
+    write_until(recipe, paths, out, progress, &AtomicBool::new(false))
+}
+
+/// As [`write`], and leaves nothing behind once `stop` is set.
+///
+/// # Errors
+/// Those of [`write`], and [`Error::Stopped`].
+pub fn write_until(recipe: &Recipe, paths: bool, out: &Path, progress: Progress<'_>, stop: &AtomicBool) -> Result<()> {
+    let Some(name) = out.file_name().filter(|_| !out.is_symlink()) else {
         return Err(Error::input(out, "is no name for a new folder; choose another"));
-    }
+    };
     refuse_occupied(out)?;
     let simulator = Simulator::new(&recipe.scene)?;
     let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     fs::create_dir_all(parent).map_err(|e| Error::write(parent, e))?;
-    let name = out.file_name().unwrap_or_default().to_string_lossy();
-    let temporary = temporary_folder(&name, parent).map_err(|e| Error::write(parent, e))?;
-    let folder = temporary.path();
-    let spectra = folder.join("spectrum");
+    let making = Making::begin(parent, name).map_err(|e| Error::write(parent, e))?;
+    let folder = making.path();
+    let spectra = folder.join(SPECTRA);
     fs::create_dir(&spectra).map_err(|e| Error::write(&spectra, e))?;
     let mut tables = Tables::new(folder, &simulator, paths)?;
+    let go_on = || if stop.load(Ordering::Relaxed) { Err(Error::Stopped) } else { Ok(()) };
     simulate(&simulator, recipe.samples, recipe.seed, |i, tx, reception| {
+        go_on()?;
         write_png(&spectra.join(format!("{:05}.png", i + 1)), &reception.spectrum.pixels)?;
         tables.add(i + 1, tx, &reception)?;
         progress(i + 1, recipe.samples);
         Ok(())
     })?;
     tables.finish(folder, recipe.samples)?;
-    put(&folder.join("gateway_info.yml"), gateway(&recipe.scene.name, &recipe.scene.pose()))?;
+    put(&folder.join(GATEWAY), gateway(&recipe.scene.name, &recipe.scene.pose()))?;
     let cloud = simulator.surface_points(recipe.points, recipe.seed);
+    go_on()?;
     let comment = format!("simulated by pwrfgs: surfaces of {}", recipe.scene.name);
-    put(&folder.join(POINTS), surface_points::to_ply(&cloud, &comment))?;
+    let path = folder.join(POINTS);
+    let written = fs::File::create(&path).and_then(|file| {
+        let mut file = BufWriter::new(file);
+        surface_points::write_ply(&cloud, &comment, &mut file)?;
+        file.flush()
+    });
+    written.map_err(|e| Error::write(&path, e))?;
     put(&folder.join(MANIFEST), recipe.to_json())?;
-    publish(temporary, out)
-}
-
-/// A folder with the permissions of any other new one; temporary folders are for their owner alone otherwise.
-fn temporary_folder(name: &str, parent: &Path) -> std::io::Result<TempDir> {
-    let (prefix, mut builder) = (format!(".{name}."), tempfile::Builder::new());
-    builder.prefix(&prefix).suffix(".tmp");
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt as _;
-        builder.permissions(fs::Permissions::from_mode(0o777)); // less what the user's mask takes away
-    }
-    builder.tempdir_in(parent)
-}
-
-/// Gives the finished folder its name. An empty folder there gives way.
-fn publish(temporary: TempDir, out: &Path) -> Result<()> {
-    // Where it does not exist, or is not empty, the rename says what matters.
-    let _ = fs::remove_dir(out);
-    fs::rename(temporary.path(), out).map_err(|e| Error::write(out, e))?;
-    let _ = temporary.keep(); // nothing lies there any more
-    Ok(())
+    go_on()?;
+    making.publish(out)
 }
 
 fn put(path: &Path, bytes: impl AsRef<[u8]>) -> Result<()> {
@@ -149,13 +154,13 @@ impl Tables {
         if let Some((_, mut file, path)) = self.paths {
             file.flush().map_err(|e| Error::write(&path, e))?;
         }
-        put(&folder.join("tx_pos.csv"), self.positions)?;
+        put(&folder.join(POSITIONS), self.positions)?;
         put(&folder.join(POWER), self.power)?;
         let list = |test: bool| {
             let ids = (1..=samples).filter(|id| id.is_multiple_of(TEST_EVERY) == test);
-            ids.fold(String::new(), |text, id| format!("{text}{id:05}\n"))
+            ids.map(|id| format!("{id:05}\n")).collect::<String>()
         };
-        put(&folder.join("train_index.txt"), list(false))?;
-        put(&folder.join("test_index.txt"), list(true))
+        put(&folder.join(TRAIN), list(false))?;
+        put(&folder.join(TEST), list(true))
     }
 }

@@ -1,6 +1,6 @@
 //! Patches of rough faces, each of which scatters as one.
 
-use crate::world::{Triangle, World};
+use crate::world::{Face, Triangle, World};
 use glam::DVec3;
 use pwrfgs_core::rng;
 use std::f64::consts::TAU;
@@ -28,36 +28,67 @@ pub(crate) fn patches(world: &World, side: f64, seed: u64) -> Vec<Patch> {
         }
         let mut random = rng::stream(seed, "scattering", index as u64);
         let start = all.len();
-        for point in lattice(&face.hull, face.normal, side) {
+        let lattice = Lattice::new(&face.hull, face.normal, side);
+        for point in lattice.iter().flat_map(Lattice::middles) {
             let phase = rng::uniform(&mut random) as f64 * TAU;
-            if world.is_on(index as u32, point) && !world.is_covered(index as u32, point) {
+            if world.is_on(index as u32, point) {
                 all.push(Patch { face: index as u32, point, area: 0.0, phase });
             }
         }
-        // Whatever the lattice makes of a slanted border, the patches have the area of the face together.
+        // Whatever the lattice makes of a slanted border, the patches have the area of the face together; where another
+        // face lies on this one from both sides, that scatters instead.
         let area: f64 = world.triangles[face.triangles.clone()].iter().map(Triangle::area).sum();
         let share = area / (all.len() - start).max(1) as f64;
-        all[start..].iter_mut().for_each(|patch| patch.area = share);
+        let mut fresh = all.split_off(start);
+        fresh.retain(|patch| {
+            [1.0, -1.0]
+                .into_iter()
+                .any(|side| world.counting(patch.face, patch.point, patch.point + side * face.normal) == patch.face)
+        });
+        fresh.iter_mut().for_each(|patch| patch.area = share);
+        all.append(&mut fresh);
     }
     all
 }
 
-/// Middles of cells of about `side` metres that fill the rectangle about a convex polygon along its longest side.
-fn lattice(hull: &[DVec3], normal: DVec3, side: f64) -> Vec<DVec3> {
-    let longest = (0..hull.len()).map(|i| hull[(i + 1) % hull.len()] - hull[i]);
-    let Some(u) = longest.max_by(|a, b| a.length().total_cmp(&b.length())).and_then(DVec3::try_normalize) else {
-        return Vec::new();
-    };
-    let v = normal.cross(u);
-    let extent = |axis: DVec3| {
-        let along = || hull.iter().map(|p| p.dot(axis));
-        (along().fold(f64::INFINITY, f64::min), along().fold(f64::NEG_INFINITY, f64::max))
-    };
-    let ((u0, u1), (v0, v1)) = (extent(u), extent(v));
-    let cells = |low: f64, high: f64| (((high - low) / side).round() as usize).max(1);
-    let (columns, rows) = (cells(u0, u1), cells(v0, v1));
-    let level = normal * normal.dot(hull[0]);
-    let middle = |low: f64, high: f64, i: usize, n: usize| low + (high - low) * (i as f64 + 0.5) / n as f64;
-    let cell = |i: usize| level + u * middle(u0, u1, i % columns, columns) + v * middle(v0, v1, i / columns, rows);
-    (0..rows * columns).map(cell).collect()
+/// How many places of the rectangle about a face [`patches`] looks at.
+pub(crate) fn cells(face: &Face, side: f64) -> f64 {
+    Lattice::new(&face.hull, face.normal, side).map_or(0.0, |l| l.columns * l.rows)
+}
+
+/// Cells of about a size that fill the rectangle about a convex polygon along its longest side.
+struct Lattice {
+    /// Axes in the plane, and the height of the plane.
+    u: DVec3,
+    v: DVec3,
+    level: DVec3,
+    /// From where to where along the axes, metres.
+    extent: [(f64, f64); 2],
+    /// Whole numbers.
+    columns: f64,
+    rows: f64,
+}
+
+impl Lattice {
+    fn new(hull: &[DVec3], normal: DVec3, side: f64) -> Option<Self> {
+        let longest = (0..hull.len()).map(|i| hull[(i + 1) % hull.len()] - hull[i]);
+        let u = longest.max_by(|a, b| a.length().total_cmp(&b.length())).and_then(DVec3::try_normalize)?;
+        let v = normal.cross(u);
+        let extent = [u, v].map(|axis: DVec3| {
+            let along = || hull.iter().map(|p| p.dot(axis));
+            (along().fold(f64::INFINITY, f64::min), along().fold(f64::NEG_INFINITY, f64::max))
+        });
+        let [columns, rows] = extent.map(|(low, high)| ((high - low) / side).round().max(1.0));
+        Some(Self { u, v, level: normal * normal.dot(hull[0]), extent, columns, rows })
+    }
+
+    /// Middles of the cells, metres, row by row.
+    fn middles(&self) -> impl Iterator<Item = DVec3> {
+        let (columns, rows) = (self.columns as usize, self.rows as usize);
+        let middle = |(low, high): (f64, f64), i: usize, n: usize| low + (high - low) * (i as f64 + 0.5) / n as f64;
+        let [across, up] = self.extent;
+        (0..rows * columns).map(move |i| {
+            self.level + self.u * middle(across, i % columns, columns) + self.v * middle(up, i / columns, rows)
+        })
+    }
 }

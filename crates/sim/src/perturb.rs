@@ -1,6 +1,8 @@
 //! A scene as somebody would know it who measured it with errors.
 
 use crate::scene::{Object, Outline, Scene};
+use crate::world::TOUCHING;
+use glam::DVec2;
 use pwrfgs_core::rng::{self, Rng};
 
 /// How wrong a scene is known.
@@ -27,6 +29,7 @@ pub(crate) fn perturbed(scene: &Scene, errors: &Errors) -> Scene {
         let mut error = || errors.positions_m * rng::normal(&mut rng) as f64;
         move_walls(&mut wrong.room.outline, &mut error);
         wrong.objects.iter_mut().for_each(|object| move_object(object, [error(), error()]));
+        move_openings(scene, &mut wrong);
     }
     wrong
 }
@@ -41,7 +44,7 @@ fn finishes(scene: &mut Scene, errors: &Errors) {
     let factor = |rng: &mut Rng| (errors.materials * rng::normal(rng) as f64).exp();
     let room = &mut scene.room;
     let all = [&mut room.walls, &mut room.floor, &mut room.ceiling].into_iter();
-    for (i, finish) in all.chain(scene.objects.iter_mut().map(Object::finish_mut)).enumerate() {
+    for (i, finish) in all.chain(scene.objects.iter_mut().filter_map(Object::finish_mut)).enumerate() {
         let mut material = truth.material(&finish.material).expect("materials were looked up when the scene was read");
         material.a = (material.a * factor(&mut rng)).max(1.0);
         material.c *= factor(&mut rng);
@@ -70,10 +73,64 @@ fn move_walls(outline: &mut Outline, error: &mut dyn FnMut() -> f64) {
 fn move_object(object: &mut Object, by: [f64; 2]) {
     let (first, second): (&mut [f64], Option<&mut [f64]>) = match object {
         Object::Box { low, high, .. } => (low, Some(high)),
-        Object::Panel { from, to, .. } => (from, Some(to)),
+        Object::Panel { from, to, .. } | Object::Opening { from, to, .. } => (from, Some(to)),
         Object::Mesh { shift, .. } => (shift, None),
     };
     for place in [Some(first), second].into_iter().flatten() {
         place.iter_mut().zip(by).for_each(|(v, error)| *v += error);
     }
+}
+
+/// Puts each opening where what it is cut out of has gone.
+fn move_openings(truth: &Scene, wrong: &mut Scene) {
+    let top = |scene: &Scene| match &scene.room.outline {
+        Outline::Box { high, .. } => high[2],
+        Outline::Plan { ceiling, .. } => *ceiling,
+    };
+    for k in 0..truth.objects.len() {
+        let Object::Opening { from, to, heights, .. } = &truth.objects[k] else { continue };
+        let (old, new) = (uprights(truth, k), uprights(wrong, k));
+        let shares = |side: &[DVec2; 2]| Some([share(side, *from)?, share(side, *to)?]);
+        let host = old.iter().enumerate().rev().find_map(|(i, side)| Some((new[i], shares(side)?)));
+        let Some(([a, b], shares)) = host else { continue };
+        let places = shares.map(|t| a.lerp(b, t).to_array());
+        let upper = if heights[1] <= top(truth) { heights[1].min(top(wrong)) } else { heights[1] };
+        if let Object::Opening { from, to, heights, .. } = &mut wrong.objects[k] {
+            [*from, *to] = places;
+            heights[1] = upper;
+        }
+    }
+}
+
+/// The upright sides of the room and of the first `count` objects as seen from above, always in the same order.
+fn uprights(scene: &Scene, count: usize) -> Vec<[DVec2; 2]> {
+    let ring = |corners: &[DVec2]| -> Vec<[DVec2; 2]> {
+        (0..corners.len()).map(|i| [corners[i], corners[(i + 1) % corners.len()]]).collect()
+    };
+    let rectangle = |low: &[f64; 3], high: &[f64; 3], yaw_deg: f64| {
+        let corners = [[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]].map(DVec2::from);
+        let middle = 0.5 * (corners[0] + corners[2]);
+        ring(&corners.map(|p| middle + DVec2::from_angle(yaw_deg.to_radians()).rotate(p - middle)))
+    };
+    let mut sides = match &scene.room.outline {
+        Outline::Box { low, high } => rectangle(low, high, 0.0),
+        Outline::Plan { corners, .. } => ring(&corners.iter().copied().map(DVec2::from).collect::<Vec<_>>()),
+    };
+    for object in &scene.objects[..count] {
+        match object {
+            Object::Box { low, high, yaw_deg, .. } => sides.extend(rectangle(low, high, *yaw_deg)),
+            Object::Panel { from, to, .. } => sides.push([DVec2::from(*from), DVec2::from(*to)]),
+            Object::Opening { .. } | Object::Mesh { .. } => {}
+        }
+    }
+    sides
+}
+
+/// Where on a side a point lies, from 0 to 1; `None` beside it.
+fn share([a, b]: &[DVec2; 2], point: [f64; 2]) -> Option<f64> {
+    let (along, to) = (*b - *a, DVec2::from(point) - *a);
+    let t = to.dot(along) / along.length_squared();
+    let reach = TOUCHING / along.length();
+    let is_on = (along.perp_dot(to) / along.length()).abs() < TOUCHING && t > -reach && t < 1.0 + reach;
+    is_on.then_some(t.clamp(0.0, 1.0))
 }

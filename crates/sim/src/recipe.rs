@@ -1,11 +1,12 @@
 //! Everything that decides a simulated data set, and the name under which it is kept.
 
+use crate::mesh;
 use crate::scene::{Object, Scene};
 use pwrfgs_core::{Error, Result, files};
 use std::path::Path;
 
 /// Changes whenever the same recipe would give other bytes than before.
-const EDITION: u32 = 1;
+const EDITION: u32 = 2;
 /// Most spectra of a data set: file names have five digits.
 const MOST_SAMPLES: usize = 99_999;
 /// Most points of a cloud.
@@ -39,6 +40,7 @@ impl Recipe {
             _ => None,
         };
         let hash = |file: std::path::PathBuf| {
+            mesh::check_file(&file)?;
             let bytes = files::read(&file).map_err(|e| Error::read(&file, e))?;
             Ok(format!("{:016x}", fnv(&bytes)))
         };

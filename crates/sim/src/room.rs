@@ -1,6 +1,6 @@
 //! From a scene file to a world: the room and what stands in it, as meshes.
 
-use crate::mesh::{self, Mesh};
+use crate::mesh::{self, MOST_TRIANGLES, Mesh};
 use crate::scene::{Finish, Object, Outline, Room, Scene};
 use crate::world::{Builder, Part, Surface, World};
 use earcut::Earcut;
@@ -11,14 +11,22 @@ use std::path::Path;
 /// The geometry of `scene`.
 ///
 /// # Errors
-/// A mesh that cannot be read, or that is solid and not closed.
+/// A mesh that cannot be read, or that is solid and not closed; an opening that opens nothing; too many triangles.
 pub(crate) fn world(scene: &Scene) -> Result<World> {
     let mut builder = Builder::default();
     add_room(&mut builder, scene);
     for object in &scene.objects {
         add_object(&mut builder, scene, object)?;
+        if builder.triangles() > MOST_TRIANGLES {
+            return Err(Error::Config(format!(
+                "scene `{}`: with `{}` it has {} triangles, more than {MOST_TRIANGLES}; simplify its meshes",
+                scene.name,
+                object.name(),
+                builder.triangles()
+            )));
+        }
     }
-    Ok(builder.build())
+    builder.build().map_err(|why| Error::Config(format!("scene `{}`: {why}", scene.name)))
 }
 
 fn surface(scene: &Scene, owner: &str, finish: &Finish) -> Surface {
@@ -87,10 +95,19 @@ fn shell(outline: &Outline) -> Mesh {
 
 fn add_object(builder: &mut Builder, scene: &Scene, object: &Object) -> Result<()> {
     let name = object.name();
-    let finish = builder.surface(surface(scene, name, object.finish()));
+    let upright = |from: &[f64; 2], to: &[f64; 2], [low, high]: &[f64; 2]| {
+        let corner = |p: &[f64; 2], z: f64| DVec3::new(p[0], p[1], z);
+        [corner(from, *low), corner(to, *low), corner(to, *high), corner(from, *high)]
+    };
+    if let Object::Opening { from, to, heights, .. } = object {
+        let cut = builder.cut(&upright(from, to, heights));
+        return cut.map_err(|why| Error::Config(format!("scene `{}`: opening `{name}` {why}", scene.name)));
+    }
+    let Some(finish) = object.finish() else { return Ok(()) };
+    let solid = finish.thickness_m.is_none();
+    let finish = builder.surface(surface(scene, name, finish));
     let described =
         |label: &dyn Fn(DVec3, usize) -> String, normal, number| (format!("{name}{}", label(normal, number)), finish);
-    let solid = object.finish().thickness_m.is_none();
     match object {
         Object::Box { low, high, yaw_deg, .. } => {
             let mesh = cuboid(DVec3::from(*low), DVec3::from(*high), *yaw_deg);
@@ -102,13 +119,12 @@ fn add_object(builder: &mut Builder, scene: &Scene, object: &Object) -> Result<(
             let describe = |normal, number| described(&label, normal, number);
             builder.add(&Part { name, mesh: &mesh, closed: true, describe: &describe });
         }
-        Object::Panel { from, to, heights: [low, high], .. } => {
-            let corner = |p: &[f64; 2], z: f64| DVec3::new(p[0], p[1], z);
-            let vertices = vec![corner(from, *low), corner(to, *low), corner(to, *high), corner(from, *high)];
-            let mesh = Mesh { vertices, triangles: vec![[0, 1, 2], [0, 2, 3]] };
+        Object::Panel { from, to, heights, .. } => {
+            let mesh = Mesh { vertices: upright(from, to, heights).into(), triangles: vec![[0, 1, 2], [0, 2, 3]] };
             let describe = |normal, number| described(&|_, _| String::new(), normal, number);
             builder.add(&Part { name, mesh: &mesh, closed: false, describe: &describe });
         }
+        Object::Opening { .. } => {}
         Object::Mesh { file, scale, yaw_deg, shift, .. } => {
             let mesh = read_mesh(file, solid, name)?.transformed(*scale, *yaw_deg, DVec3::from(*shift));
             mesh.check(file)?;

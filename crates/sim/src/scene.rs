@@ -17,11 +17,20 @@ use crate::wave::SPEED_OF_LIGHT;
 use pwrfgs_core::plugin::{Checked, read_ron};
 use pwrfgs_core::{Error, Pose, Result, did_you_mean, files};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Farthest coordinate, metres.
 const FAR: f64 = 1e6;
+/// Most letters of a name.
+const LONGEST_NAME: usize = 200;
+/// Most bytes of a scene file.
+const MOST_BYTES: u64 = 64 << 20;
+/// Smallest relative permittivity, real part, and largest: outside, coefficients are rounding or overflow.
+const LEAST_PERMITTIVITY: f64 = 1e-6;
+const MOST_PERMITTIVITY: f64 = 1e70;
+/// Most materials of the scene's own that a message lists.
+const LISTED: usize = 20;
 
 /// A scene, as `scenes/*.ron` say it. Metres, hertz, degrees; z is up.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -63,6 +72,7 @@ impl Scene {
     /// # Errors
     /// Names the file, line and column of the mistake.
     pub fn read(path: &Path) -> Result<Self> {
+        check_file(path, MOST_BYTES)?;
         let mut scene = Self::parse(&files::read_text(path)?, path)?;
         let folder = path.parent().unwrap_or(Path::new(""));
         for object in &mut scene.objects {
@@ -79,7 +89,7 @@ impl Scene {
     /// With line and column of the mistake.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
         let scene: Self = read_ron(text, path)?;
-        scene.check().map_err(|fault| match place(text, &fault.near) {
+        scene.check_names().and_then(|()| scene.check()).map_err(|fault| match place(text, &fault.near) {
             Some((line, column)) => Error::at(path, line, column, fault.what),
             None => Error::input(path, fault.what),
         })?;
@@ -121,7 +131,7 @@ impl Scene {
     /// All finishes, with what has them.
     pub(crate) fn finishes(&self) -> impl Iterator<Item = (&str, &Finish)> {
         let room = [("walls", &self.room.walls), ("floor", &self.room.floor), ("ceiling", &self.room.ceiling)];
-        room.into_iter().chain(self.objects.iter().map(|o| (o.name(), o.finish())))
+        room.into_iter().chain(self.objects.iter().filter_map(|o| Some((o.name(), o.finish()?))))
     }
 
     /// Whether the scene can be built, in words.
@@ -129,10 +139,31 @@ impl Scene {
         self.check().err().map(|fault| fault.what)
     }
 
-    fn check(&self) -> Result<(), Fault> {
-        if self.name.trim().is_empty() || self.name.chars().any(char::is_control) {
-            return Err(Fault::of("`name` is empty or holds control characters; give a plain name", "name"));
+    /// Whether every name can be shown.
+    fn check_names(&self) -> Result<(), Fault> {
+        let is_plain = |name: &str| !name.chars().any(char::is_control) && name.chars().count() <= LONGEST_NAME;
+        let fault = |what: String| {
+            let what =
+                format!("{what} holds control characters or more than {LONGEST_NAME} letters; give a plain name");
+            Err(Fault::of(what, "name"))
+        };
+        if self.name.trim().is_empty() {
+            return Err(Fault::of("`name` is empty; give a plain name", "name"));
         }
+        if !is_plain(&self.name) {
+            return fault("`name`".into());
+        }
+        if let Some(i) = self.objects.iter().position(|object| !is_plain(object.name())) {
+            return fault(format!("the name of object {}", i + 1));
+        }
+        let mut materials = self.materials.keys().map(String::as_str).chain(self.finishes().map(|(_, f)| &*f.material));
+        if materials.any(|name| !is_plain(name)) {
+            return fault("the name of a material".into());
+        }
+        Ok(())
+    }
+
+    fn check(&self) -> Result<(), Fault> {
         if !(1e6..=1e12).contains(&self.carrier_hz) {
             let what = format!("`carrier_hz` is {}; give a frequency in Hz between 1e6 and 1e12", self.carrier_hz);
             return Err(Fault::of(what, "carrier_hz"));
@@ -144,10 +175,11 @@ impl Scene {
             self.check_finish(owner, finish)?;
         }
         self.room.outline.check().map_err(|what| Fault::of(what, "outline"))?;
-        for (i, object) in self.objects.iter().enumerate() {
+        let mut names = BTreeSet::new();
+        for object in &self.objects {
             let quoted = format!("\"{}\"", object.name());
             object.check().map_err(|why| Fault::of(format!("object `{}`: {why}", object.name()), &quoted))?;
-            if self.objects[..i].iter().any(|o| o.name() == object.name()) {
+            if !names.insert(object.name()) {
                 let what = format!("two objects are called `{}`; give each its own name", object.name());
                 return Err(Fault::of(what, &quoted));
             }
@@ -158,17 +190,30 @@ impl Scene {
             let what = format!("`polarization` of the transmitter is {axis:?}; give an axis such as (0, 0, 1)");
             return Err(Fault::of(what, "transmitter"));
         }
+        let element = self.transmitter.element.check();
+        element.map_err(|why| Fault::of(format!("transmitter: {why}"), "transmitter"))?;
         self.transmitter.positions.check().map_err(|what| Fault::of(what, "positions"))
     }
 
     fn check_finish(&self, owner: &str, finish: &Finish) -> Result<(), Fault> {
         let name = &finish.material;
         let quoted = format!("\"{name}\"");
-        if self.material(name).is_none() {
+        let Some(material) = self.material(name) else {
             let mut known: Vec<&str> = material::names();
             known.extend(self.materials.keys().map(String::as_str));
             let hint = did_you_mean(name, known.iter().copied());
+            known.truncate(material::names().len() + LISTED);
             let what = format!("unknown material `{name}`{hint}; known are {}", known.join(", "));
+            return Err(Fault::of(what, &quoted));
+        };
+        let eta = material.permittivity(self.carrier_hz);
+        if !(eta.re >= LEAST_PERMITTIVITY && eta.norm() <= MOST_PERMITTIVITY) {
+            let what = format!(
+                "material `{name}` has a relative permittivity of {:e} and {:e} at {} GHz; correct its `a`, `b`, `c` and `d`",
+                eta.re,
+                eta.im,
+                self.carrier_hz / 1e9
+            );
             return Err(Fault::of(what, &quoted));
         }
         if let Some(thickness) = finish.thickness_m
@@ -204,4 +249,17 @@ fn place(text: &str, word: &str) -> Option<(usize, usize)> {
         let code = line.split("//").next().unwrap_or_default();
         code.find(word).map(|at| (i + 1, code[..at].chars().count() + 1))
     })
+}
+
+/// Refuses what is no file, such as a pipe that nobody writes to, and more than `most` bytes.
+pub(crate) fn check_file(path: &Path, most: u64) -> Result<()> {
+    let about = std::fs::metadata(path).map_err(|e| Error::read(path, e))?;
+    if !about.is_file() {
+        return Err(Error::input(path, "is no file; name one"));
+    }
+    if about.len() > most {
+        let what = format!("has {} MB, and at most {} can be read; simplify it", about.len() >> 20, most >> 20);
+        return Err(Error::input(path, what));
+    }
+    Ok(())
 }

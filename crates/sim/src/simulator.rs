@@ -2,6 +2,7 @@
 
 use crate::array::Wavefront;
 use crate::noise;
+use crate::patches;
 use crate::path::Path;
 use crate::room;
 use crate::scene::Scene;
@@ -22,6 +23,8 @@ pub const HEIGHT: usize = 90;
 
 /// Transmitters simulated at a time.
 const CHUNK: usize = 32;
+/// Most memory of the tracers of all antennas, bytes.
+const MOST_BYTES: usize = 2 << 30;
 
 /// A scene made ready: geometry, image trees and beamformer, everything that no transmitter changes.
 #[derive(Debug)]
@@ -81,7 +84,20 @@ impl Simulator {
                 ))
             })
         };
-        let tracers = places.iter().map(tracer).collect::<Result<Vec<_>>>()?;
+        let mut tracers = vec![tracer(&places[0])?];
+        let bytes = tracers[0].bytes().saturating_mul(places.len());
+        if bytes > MOST_BYTES {
+            return Err(Error::Config(format!(
+                "scene `{}`: tracing to each of {} antennas would take {} GB; use the wavefront `Spherical`, fewer rows and \
+                 columns, or a lower `order`",
+                scene.name,
+                places.len() - 1,
+                bytes >> 30
+            )));
+        }
+        for place in &places[1..] {
+            tracers.push(tracer(place)?);
+        }
         let beamformer = Beamformer::new(&scene.receiver.array, WIDTH, HEIGHT);
         Ok(Self { scene: scene.clone(), world, tracers, beamformer })
     }
@@ -159,7 +175,7 @@ impl Simulator {
 /// order. Memory holds a few at a time; bits do not depend on threads.
 ///
 /// # Errors
-/// Those of [`Simulator::positions`] and of `each`.
+/// Those of [`Simulator::positions`] and of `each`; a channel that is not finite.
 pub fn simulate(
     simulator: &Simulator,
     samples: usize,
@@ -172,6 +188,11 @@ pub fn simulate(
         let receptions: Vec<Reception> =
             chunk.par_iter().enumerate().map(|(i, tx)| simulator.spectrum(*tx, Some(draw(i)))).collect();
         for ((i, tx), reception) in chunk.iter().enumerate().zip(receptions) {
+            if !(reception.spectrum.power.is_finite() && reception.spectrum.high.is_finite()) {
+                let (scene, number) = (&simulator.scene.name, c * CHUNK + i + 1);
+                let what = "gives a field that is not finite; correct materials and places";
+                return Err(Error::Config(format!("scene `{scene}`: transmitter {number} at {tx} {what}")));
+            }
             each(c * CHUNK + i, *tx, reception)?;
         }
     }
@@ -181,17 +202,22 @@ pub fn simulate(
 /// Refuses more patches than can be traced in reasonable time.
 fn check_patches(scene: &Scene, world: &World) -> Result<()> {
     const MOST: f64 = 300_000.0;
+    // Of the rectangle about a slanted or thin face most places lie beside it.
+    const MOST_CELLS: f64 = 10.0 * MOST;
     let is_rough = |t: &&Triangle| world.surface_of(t.face).roughness > 0.0;
     let area: f64 = world.triangles.iter().filter(is_rough).map(Triangle::area).sum();
     let side = scene.propagation.patch_m;
-    if area / (side * side) <= MOST {
+    let rough = || world.faces.iter().filter(|face| world.surfaces[face.surface as usize].roughness > 0.0);
+    let cells: f64 = rough().map(|face| patches::cells(face, side)).sum();
+    if area / (side * side) <= MOST && cells <= MOST_CELLS && rough().count() as f64 <= MOST {
         return Ok(());
     }
     Err(Error::Config(format!(
-        "scene `{}`: {area:.0} m² of rough surface in patches of {side} m are too many; give a larger `patch_m`, such as \
-         {:.2}",
+        "scene `{}`: {area:.0} m² of rough surface on {} faces in patches of {side} m are too many; give a larger \
+         `patch_m`, such as {:.2}, or smooth meshes",
         scene.name,
-        (area / 10_000.0).sqrt()
+        rough().count(),
+        (area / 10_000.0).sqrt().max(2.0 * side)
     )))
 }
 

@@ -6,6 +6,7 @@ mod tests;
 use crate::random::uniform;
 use glam::DVec3;
 use pwrfgs_core::rng;
+use std::io::{self, Write};
 
 /// Levels of subdivision: a side of 10 m is halved down to 0.6 µm.
 const LEVELS: u32 = 24;
@@ -40,6 +41,8 @@ pub fn sample(triangles: &[[DVec3; 3]], normals: &[DVec3], count: usize, seed: u
     if !(cumulated > 0.0 && cumulated.is_finite()) {
         return found;
     }
+    found.points.reserve_exact(count);
+    found.normals.reserve_exact(count);
     let mut random = rng::stream(seed, "surface", 0);
     let comb = uniform(&mut random);
     for ((triangle, normal), area) in triangles.iter().zip(normals).zip(areas) {
@@ -74,7 +77,10 @@ fn in_triangle(corners: &[DVec3; 3], number: usize, offsets: usize) -> DVec3 {
 /// where a coordinate exceeds 1,000 m, which float32 would round.
 ///
 /// The header says that the points are simulated; each line of `comment` becomes a line of it, in ASCII.
-pub fn to_ply(points: &SurfacePoints, comment: &str) -> Vec<u8> {
+///
+/// # Errors
+/// Those of `file`.
+pub fn write_ply(points: &SurfacePoints, comment: &str, file: &mut impl Write) -> io::Result<()> {
     let to_ascii = |c: char| if c == ' ' || c.is_ascii_graphic() { c } else { '?' };
     let mut lines = "comment simulated by pwrfgs: points on the surfaces of a scene, metres\n".to_owned();
     for line in comment.lines().filter(|line| !line.trim().is_empty()) {
@@ -85,16 +91,14 @@ pub fn to_ply(points: &SurfacePoints, comment: &str) -> Vec<u8> {
     let properties = ["x", "y", "z"].map(|name| format!("property {places} {name}\n")).concat()
         + &["nx", "ny", "nz"].map(|name| format!("property float {name}\n")).concat();
     let count = points.points.len();
-    let head = format!("ply\nformat binary_little_endian 1.0\n{lines}element vertex {count}\n{properties}end_header\n");
-    let mut bytes = head.into_bytes();
-    bytes.reserve(24 * count);
+    write!(file, "ply\nformat binary_little_endian 1.0\n{lines}element vertex {count}\n{properties}end_header\n")?;
     for (point, normal) in points.points.iter().zip(&points.normals) {
         if is_far {
-            point.to_array().iter().for_each(|value| bytes.extend(value.to_le_bytes()));
+            point.to_array().iter().try_for_each(|value| file.write_all(&value.to_le_bytes()))?;
         } else {
-            point.to_array().iter().for_each(|value| bytes.extend((*value as f32).to_le_bytes()));
+            point.to_array().iter().try_for_each(|value| file.write_all(&(*value as f32).to_le_bytes()))?;
         }
-        normal.to_array().iter().for_each(|value| bytes.extend((*value as f32).to_le_bytes()));
+        normal.to_array().iter().try_for_each(|value| file.write_all(&(*value as f32).to_le_bytes()))?;
     }
-    bytes
+    Ok(())
 }

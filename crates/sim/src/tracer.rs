@@ -16,6 +16,8 @@ use std::sync::Arc;
 
 /// A path is given up where less than this of its field is left, against free space.
 const NEGLIGIBLE: f64 = 1e-8;
+/// How far from an edge its faces are looked at, metres.
+const BESIDE: f64 = 1e-3;
 
 /// An antenna with its pattern, turned.
 #[derive(Clone, Debug)]
@@ -64,7 +66,8 @@ impl Tracer {
         let mut met = Vec::new();
         let mut patches = patches(&world, propagation.patch_m, propagation.seed);
         patches.retain(|patch| {
-            world.pass(patch.point, position, &mut met) && (propagation.transmission || met.is_empty())
+            world.pass(patch.point, position, [&[patch.face], &[]], &mut met)
+                && (propagation.transmission || met.is_empty())
         });
         Some(Self { world, wavelength, transmitter, receiver, tree, propagation: propagation.clone(), patches })
     }
@@ -72,6 +75,11 @@ impl Tracer {
     /// Images of the receiver that are tried for each transmitter.
     pub fn images(&self) -> usize {
         self.tree.count()
+    }
+
+    /// About how much memory it takes, bytes.
+    pub fn bytes(&self) -> usize {
+        self.tree.bytes() + self.patches.len() * size_of::<Patch>()
     }
 
     /// Every path from `tx`: specular ones by image order, then diffracted, then scattered ones.
@@ -102,10 +110,11 @@ struct Walk<'a> {
 }
 
 impl Walk<'_> {
-    /// The ray after the straight way from `from` to `to`, through sheets; `None` where it is closed.
-    fn go(&mut self, ray: Ray, from: DVec3, to: DVec3) -> Option<Ray> {
+    /// The ray after the straight way from `from` to `to`, each with the faces that it lies on, through sheets; `None`
+    /// where it is closed.
+    fn go(&mut self, ray: Ray, (from, left): (DVec3, &[u32]), (to, reached): (DVec3, &[u32])) -> Option<Ray> {
         let Self { tracer, met, interactions, .. } = self;
-        if !tracer.world.pass(from, to, met) || !(tracer.propagation.transmission || met.is_empty()) {
+        if !tracer.world.pass(from, to, [left, reached], met) || !(tracer.propagation.transmission || met.is_empty()) {
             return None;
         }
         let through = |ray: Ray, &(at, face): &(f64, u32)| {
@@ -144,17 +153,19 @@ impl Walk<'_> {
         let first = points.first().copied().unwrap_or(self.rx);
         let mut ray = self.leave(first)?;
         let (departure, mut from, mut source) = (ray.direction, self.tx, self.tx);
-        for (&face, &point) in faces.iter().zip(points) {
-            if tracer.world.is_covered(face, point) {
+        let mut left: &[u32] = &[];
+        for (on, &point) in faces.chunks(1).zip(points) {
+            let face = on[0];
+            if tracer.world.counting(face, point, from) != face {
                 return None;
             }
-            ray = self.go(ray, from, point)?;
+            ray = self.go(ray, (from, left), (point, on))?;
             let plane = &tracer.world.faces[face as usize];
             self.interactions.push(Interaction::Reflection { face, point });
             ray = ray.reflected(tracer.world.surface_of(face), plane.normal, tracer.wavelength);
-            (from, source) = (point, plane.mirror(source));
+            (from, left, source) = (point, on, plane.mirror(source));
         }
-        ray = self.go(ray, from, self.rx)?;
+        ray = self.go(ray, (from, left), (self.rx, &[]))?;
         if ray.power() <= NEGLIGIBLE * NEGLIGIBLE {
             return None;
         }
@@ -173,10 +184,11 @@ impl Walk<'_> {
         let wedge = self.wedge(edge, point)?;
         let ray = self.leave(point)?;
         let departure = ray.direction;
-        let ray = self.go(ray, self.tx, point)?;
+        let ray = self.go(ray, (self.tx, &[]), (point, &edge.faces))?;
         self.interactions.push(Interaction::Diffraction { edge: index, point });
         let out = (self.rx - point).try_normalize()?;
-        let ray = self.go(ray.diffracted((b - a).normalize(), out, &wedge), point, self.rx)?;
+        let ray = ray.diffracted((b - a).normalize(), out, &wedge);
+        let ray = self.go(ray, (point, &edge.faces), (self.rx, &[]))?;
         let (before, after) = (self.tx.distance(point), self.rx.distance(point));
         let gain = tracer.unit_gain() / (before * after * (before + after)).sqrt();
         Some(self.arrive(ray, gain, departure, (point, before)))
@@ -200,18 +212,27 @@ impl Walk<'_> {
         }
         // The smaller of the two angles on either face: exact where reflection begins, and the same when transmitter and
         // receiver change places (El-Sallabi and Vainikainen, 2005).
-        let at = |face: u32, grazing: f64| {
-            let surface = world.surface_of(face);
+        let inwards = edge.inwards();
+        let at = |k: usize, grazing: f64| {
+            let face = edge.faces[k];
+            // What lies on the face next to the edge, if anything does.
+            let counting = world.counting(face, point + BESIDE * inwards[k], self.tx);
             let cosine = (grazing.sin() * sine).abs();
-            let through = |d| fresnel::transmission(surface.eta, d, cosine, *wavelength);
+            let through = |face: u32| {
+                let surface = world.surface_of(face);
+                let slab = |d| fresnel::transmission(surface.eta, d, cosine, *wavelength);
+                surface.thickness.map_or(fresnel::Polarized::NOTHING, slab)
+            };
+            let surface = world.surface_of(counting);
             let reflected = fresnel::reflection(surface.eta, surface.thickness, cosine, *wavelength);
-            (reflected, surface.thickness.map_or(fresnel::Polarized::NOTHING, through))
+            let alone = through(face);
+            (reflected, if counting == face { alone } else { alone.times(through(counting)) })
         };
-        let (r0, t0) = at(edge.faces[0], phi_in.min(phi_out));
-        let (rn, tn) = at(edge.faces[1], whole - phi_in.max(phi_out));
+        let (r0, t0) = at(0, phi_in.min(phi_out));
+        let (rn, tn) = at(1, whole - phi_in.max(phi_out));
         // Behind the rim of a sheet lies one sheet, behind an edge of two faces both.
         let is_rim = edge.faces[0] == edge.faces[1];
-        let through = if is_rim { t0 } else { fresnel::Polarized { te: t0.te * tn.te, tm: t0.tm * tn.tm } };
+        let through = if is_rim { t0 } else { t0.times(tn) };
         let distances = (to_tx.length(), to_rx.length());
         let (k, angles, sides) = (TAU / wavelength, (phi_in, phi_out), diffraction::Sides { r0, rn, through });
         Some(diffraction::wedge(edge.outer_angle, k, distances, angles, sine, &sides))
@@ -228,7 +249,10 @@ impl Walk<'_> {
         if cos_in * cos_out <= 0.0 {
             return None; // it scatters back to the side that the wave came from
         }
-        let ray = self.go(ray, self.tx, patch.point)?;
+        if tracer.world.counting(patch.face, patch.point, self.tx) != patch.face {
+            return None;
+        }
+        let ray = self.go(ray, (self.tx, &[]), (patch.point, &[patch.face]))?;
         let r = fresnel::reflection(surface.eta, surface.thickness, cos_in.abs(), tracer.wavelength);
         let reflected = (0.5 * (r.te.norm_sqr() + r.tm.norm_sqr())).sqrt();
         let specular = departure - 2.0 * departure.dot(normal) * normal;
@@ -240,7 +264,8 @@ impl Walk<'_> {
         let (area, wavelength, roughness) = (patch.area, tracer.wavelength, surface.roughness);
         let gain = amplitude(roughness, reflected, density, area, cos_in.abs(), distances, wavelength);
         self.interactions.push(Interaction::Scattering { face: patch.face, point: patch.point });
-        let ray = self.go(ray.scattered(out, Complex::cis(patch.phase)), patch.point, self.rx)?;
+        let ray = ray.scattered(out, Complex::cis(patch.phase));
+        let ray = self.go(ray, (patch.point, &[patch.face]), (self.rx, &[]))?;
         Some(self.arrive(ray, gain, departure, (patch.point, before)))
     }
 }

@@ -1,13 +1,18 @@
 //! The room as geometry: faces, edges, and the test what a straight segment runs into.
 
 mod build;
+mod contact;
 mod hierarchy;
+mod opening;
 
 use crate::scattering::Lobe;
 use crate::wave::Complex;
 pub use build::{Builder, Part};
+pub(crate) use contact::TOUCHING;
 use glam::DVec3;
 use hierarchy::{Hierarchy, crossing};
+use std::cmp::Ordering;
+use std::f64::consts::PI;
 use std::ops::Range;
 
 /// How close to its ends a segment meets nothing, metres: reflection points lie on faces.
@@ -41,15 +46,31 @@ pub struct Face {
     pub surface: u32,
     /// Its triangles in [`World::triangles`].
     pub triangles: Range<usize>,
-    /// Faces of other things in the same plane that were added before.
+    /// Faces in the same plane that may lie on it, or it on them; in order.
     pub twins: Vec<u32>,
     /// Convex hull, corners in order.
     pub hull: Vec<DVec3>,
-    /// Whether it belongs to the room rather than to an object in it.
-    pub is_room: bool,
+    /// To what kind of thing it belongs.
+    pub layer: Layer,
+}
+
+/// What lies on what, where faces share a plane: the later kind lies on the front of the earlier.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Layer {
+    /// Walls, floor and ceiling.
+    Room,
+    /// Boxes and closed meshes.
+    Body,
+    /// Panels and open meshes.
+    Sheet,
 }
 
 impl Face {
+    /// Whether it belongs to the room rather than to an object in it.
+    pub fn is_room(&self) -> bool {
+        self.layer == Layer::Room
+    }
+
     /// Distance of a point from the plane, metres, positive on the side of the normal.
     pub fn height(&self, point: DVec3) -> f64 {
         self.normal.dot(point) - self.offset
@@ -74,6 +95,15 @@ pub struct Edge {
     pub normal: DVec3,
     /// Outer angle between the faces, in units of π; 2 for a rim.
     pub outer_angle: f64,
+}
+
+impl Edge {
+    /// Unit vectors in its faces, perpendicular to it, away from it.
+    pub fn inwards(&self) -> [DVec3; 2] {
+        let (sin, cos) = (self.outer_angle * PI).sin_cos();
+        let is_rim = self.faces[0] == self.faces[1];
+        [self.along, if is_rim { self.along } else { cos * self.along + sin * self.normal }]
+    }
 }
 
 /// A triangle with its face.
@@ -155,20 +185,34 @@ impl World {
         self.triangles[self.faces[face as usize].triangles.clone()].iter().any(|t| t.contains(point))
     }
 
-    /// Whether another face lies on this one there, and counts instead: the one that was added first.
-    pub fn is_covered(&self, face: u32, point: DVec3) -> bool {
-        self.faces[face as usize].twins.iter().any(|twin| self.is_on(*twin, point))
+    /// The face that counts at a point of the plane of `face` for a wave that comes from `from`: another one where that
+    /// lies on it.
+    pub fn counting(&self, face: u32, point: DVec3, from: DVec3) -> u32 {
+        let lies_on = |best: u32, twin: u32| self.goes_before(twin, best, from) && self.is_on(twin, point);
+        self.faces[face as usize].twins.iter().fold(face, |best, &twin| if lies_on(best, twin) { twin } else { best })
+    }
+
+    /// Of two faces in one plane: from its front what lies on the other, from behind the other; of a kind the first.
+    fn goes_before(&self, one: u32, other: u32, from: DVec3) -> bool {
+        let [a, b] = [one, other].map(|face| &self.faces[face as usize]);
+        match a.layer.cmp(&b.layer) {
+            Ordering::Equal => one < other,
+            Ordering::Greater => b.height(from) >= 0.0,
+            Ordering::Less => a.height(from) < 0.0,
+        }
     }
 
     /// The faces between `from` and `to`, nearest first, put into `met` after clearing it. Returns whether the way is
-    /// open: a solid face closes it, and then `met` says nothing.
-    pub fn pass(&self, from: DVec3, to: DVec3, met: &mut Vec<(f64, u32)>) -> bool {
+    /// open: a solid face closes it, and then `met` says nothing. `ends` are the faces on which the two points lie:
+    /// what shares their planes is at an end, not between.
+    pub fn pass(&self, from: DVec3, to: DVec3, ends: [&[u32]; 2], met: &mut Vec<(f64, u32)>) -> bool {
         met.clear();
         let span = to - from;
         let margin = MARGIN / span.length().max(MARGIN);
+        let is_at_end = |face: u32| ends.into_iter().flatten().any(|f| self.faces[*f as usize].twins.contains(&face));
         for triangle in self.hierarchy.candidates(from, span).map(|i| &self.triangles[i]) {
             let Some(at) = crossing(triangle, from, span) else { continue };
-            if at <= margin || at >= 1.0 - margin {
+            if at <= margin || at >= 1.0 - margin || is_at_end(triangle.face) {
                 continue;
             }
             if self.surface_of(triangle.face).thickness.is_none() {

@@ -1,22 +1,11 @@
 //! Laws that every room obeys: closed forms, reciprocity, occlusion, energy.
 
+use crate::common::law_scene as scene;
 use glam::DVec3;
 use proptest::prelude::*;
 use pwrfgs_sim::fresnel::reflection;
-use pwrfgs_sim::{Complex, Interaction, Path, Scene, Simulator};
+use pwrfgs_sim::{Complex, Interaction, Path, Simulator};
 use std::f64::consts::{PI, TAU};
-
-/// A scene from its objects, receiver and further fields; the room is a large box.
-fn scene(room: &str, objects: &str, receiver: [f64; 3], propagation: &str) -> Scene {
-    let text = format!(
-        "(name: \"law\", carrier_hz: 2e9, room: {room}, objects: [{objects}],
-          receiver: (position: {receiver:?}, orientation: Quaternion(0, 0, 0, 1), array: (polarization: (0, 0, 1))),
-          transmitter: (positions: Uniform(low: (-1, -1, 1), high: (1, 1, 2))),
-          propagation: ({propagation}))"
-    );
-    let text = text.replace("position: [", "position: (").replace("], orientation", "), orientation");
-    Scene::parse(&text, std::path::Path::new("law.ron")).unwrap()
-}
 
 const WALLS: &str = "(outline: Box(low: (-10, -8, 0), high: (10, 8, 6)), walls: (material: \"concrete\"), \
                      floor: (material: \"concrete\"), ceiling: (material: \"wood\", thickness_m: 0.02))";
@@ -238,10 +227,10 @@ fn a_room_with_more_faces_only_adds_image_sequences_it_can_see() {
                     return;
                 }
                 let point = from.lerp(images[k], h / (h - g));
-                open &= world.is_on(f, point) && world.pass(from, point, &mut met) && met.is_empty();
+                open &= world.is_on(f, point) && world.pass(from, point, [&[], &[]], &mut met) && met.is_empty();
                 from = point;
             }
-            open &= world.pass(from, tx, &mut met) && met.is_empty();
+            open &= world.pass(from, tx, [&[], &[]], &mut met) && met.is_empty();
             count += usize::from(open);
         };
         check(&[]);

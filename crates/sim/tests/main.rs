@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)] // helpers of tests may fail, as tests do
 
 mod common;
+mod contacts;
 mod data_source;
 mod laws;
 mod reference_paths;

@@ -1,12 +1,13 @@
 //! `pwrfgs simulate`: a scene becomes a data set on disk.
 
 use crate::args::Verbosity;
+use crate::interrupt::{INTERRUPTED, stop_flag};
 use crate::output;
 use crate::progress::Progress;
 use clap::Args;
 use pwrfgs::experiment::Observer as _;
 use pwrfgs::sim::{Recipe, output as folder};
-use pwrfgs_core::Result;
+use pwrfgs_core::{Error, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::{Mutex, PoisonError};
@@ -42,12 +43,17 @@ pub(crate) struct Simulate {
 
 pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<ExitCode> {
     let begun = Instant::now();
+    let stop = stop_flag()?;
     let recipe = Recipe::read(&arguments.scene, arguments.samples, arguments.seed, arguments.points)?;
     let bar = Mutex::new(Progress::new(verbosity));
     let tell = |done, total| bar.lock().unwrap_or_else(PoisonError::into_inner).on_stage("simulating", done, total);
     tell(0, 0);
-    let written = folder::write(&recipe, !arguments.no_paths, &arguments.out, &tell);
+    let written = folder::write_until(&recipe, !arguments.no_paths, &arguments.out, &tell, &stop);
     bar.lock().unwrap_or_else(PoisonError::into_inner).finish();
+    if matches!(written, Err(Error::Stopped)) {
+        output::note("stopped; nothing is left behind, and the same command begins anew");
+        return Ok(ExitCode::from(INTERRUPTED));
+    }
     written?;
     if verbosity != Verbosity::Quiet {
         output::note(&format!(

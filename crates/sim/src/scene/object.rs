@@ -52,6 +52,18 @@ pub enum Object {
         /// What it is made of; a panel needs a thickness.
         finish: Finish,
     },
+    /// An upright rectangular hole in a wall, a panel or the side of a box that stands before it in the file: a doorway, an
+    /// open window. What comes after it may close it again, such as a panel for the door.
+    Opening {
+        /// What it is called.
+        name: String,
+        /// One lower corner (x, y), metres.
+        from: [f64; 2],
+        /// The other lower corner (x, y), metres.
+        to: [f64; 2],
+        /// Heights of its lower and upper rim, metres.
+        heights: [f64; 2],
+    },
     /// A triangle mesh.
     Mesh {
         /// What it is called.
@@ -80,20 +92,25 @@ impl Object {
     /// What it is called.
     pub fn name(&self) -> &str {
         match self {
-            Self::Box { name, .. } | Self::Panel { name, .. } | Self::Mesh { name, .. } => name,
+            Self::Box { name, .. }
+            | Self::Panel { name, .. }
+            | Self::Opening { name, .. }
+            | Self::Mesh { name, .. } => name,
         }
     }
 
-    /// What it is made of.
-    pub fn finish(&self) -> &Finish {
+    /// What it is made of; an opening of nothing.
+    pub fn finish(&self) -> Option<&Finish> {
         match self {
-            Self::Box { finish, .. } | Self::Panel { finish, .. } | Self::Mesh { finish, .. } => finish,
+            Self::Box { finish, .. } | Self::Panel { finish, .. } | Self::Mesh { finish, .. } => Some(finish),
+            Self::Opening { .. } => None,
         }
     }
 
-    pub(crate) fn finish_mut(&mut self) -> &mut Finish {
+    pub(crate) fn finish_mut(&mut self) -> Option<&mut Finish> {
         match self {
-            Self::Box { finish, .. } | Self::Panel { finish, .. } | Self::Mesh { finish, .. } => finish,
+            Self::Box { finish, .. } | Self::Panel { finish, .. } | Self::Mesh { finish, .. } => Some(finish),
+            Self::Opening { .. } => None,
         }
     }
 
@@ -106,16 +123,13 @@ impl Object {
                 check_box(*low, *high)
             }
             Self::Panel { from, to, heights, finish, .. } => {
-                let length = DVec2::from(*from).distance(DVec2::from(*to));
-                let near = from.iter().chain(to).chain(heights).all(|v| v.abs() <= FAR);
-                if !(near && length > 1e-3 && heights[1] - heights[0] > 1e-3) {
-                    return Err("a panel needs two different lower corners and a lower rim below its upper one".into());
-                }
+                check_upright("panel", from, to, heights)?;
                 if finish.thickness_m.is_none() {
                     return Err("a panel has no inside that could be solid; give its finish a `thickness_m`".into());
                 }
                 Ok(())
             }
+            Self::Opening { from, to, heights, .. } => check_upright("opening", from, to, heights),
             Self::Mesh { file, scale, yaw_deg, shift, .. } => {
                 if file.as_os_str().is_empty() {
                     return Err("`file` is empty; name an OBJ, STL or PLY file".into());
@@ -128,4 +142,16 @@ impl Object {
             }
         }
     }
+}
+
+/// Refuses what is not an upright rectangle.
+fn check_upright(kind: &str, from: &[f64; 2], to: &[f64; 2], heights: &[f64; 2]) -> Result<(), String> {
+    if !from.iter().chain(to).chain(heights).all(|v| v.abs() <= FAR) {
+        return Err(format!("`from`, `to` and `heights` must be finite numbers in metres within {:.0} km", FAR / 1e3));
+    }
+    if DVec2::from(*from).distance(DVec2::from(*to)) > 1e-3 && heights[1] - heights[0] > 1e-3 {
+        return Ok(());
+    }
+    let article = if kind == "opening" { "an" } else { "a" };
+    Err(format!("{article} {kind} needs two different lower corners and a lower rim below its upper one"))
 }

@@ -18,6 +18,9 @@ pub struct Room {
     pub ceiling: Finish,
 }
 
+/// Most corners of a floor plan.
+const MOST_CORNERS: usize = 1000;
+
 /// The outline of the room.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -49,6 +52,10 @@ impl Outline {
                 if corners.len() < 3 || !corners.as_flattened().iter().all(|v| v.abs() <= FAR) {
                     return Err("room: a floor plan needs three corners or more, finite numbers in metres".into());
                 }
+                if corners.len() > MOST_CORNERS {
+                    let found = corners.len();
+                    return Err(format!("room: the floor plan has {found} corners; give at most {MOST_CORNERS}"));
+                }
                 if !(ceiling - floor > 1e-3 && ceiling.abs() <= FAR && floor.abs() <= FAR) {
                     return Err(format!("room: the ceiling at {ceiling} m must lie above the floor at {floor} m"));
                 }
@@ -63,7 +70,7 @@ impl Outline {
     }
 }
 
-/// Two walls of a plan that are not neighbours and meet, or a wall without length.
+/// Two walls of a plan that are not neighbours and meet, or neighbours on each other, or a wall without length.
 fn first_crossing(corners: &[[f64; 2]]) -> Option<(usize, usize)> {
     let n = corners.len();
     let corner = |i: usize| DVec2::from(corners[i % n]);
@@ -72,6 +79,10 @@ fn first_crossing(corners: &[[f64; 2]]) -> Option<(usize, usize)> {
         let (a, b) = (corner(i), corner(i + 1));
         if a.distance(b) < 1e-3 {
             return Some((i, (i + 1) % n));
+        }
+        let c = corner(i + 2);
+        if side(a, b, c) == 0.0 && (b - a).dot(c - b) < 0.0 {
+            return Some((i, (i + 1) % n)); // it runs back
         }
         for j in i + 2..n {
             if (j + 1) % n == i {

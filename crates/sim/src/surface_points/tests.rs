@@ -92,7 +92,7 @@ fn points_are_neither_clumped_nor_leave_holes() {
 #[test]
 fn the_seed_decides() {
     let triangles = wall(0.0, 6.0, 3.0);
-    let bytes = |seed| to_ply(&on(&triangles, 1000, seed), "room");
+    let bytes = |seed| ply(&on(&triangles, 1000, seed), "room");
     assert_eq!(bytes(1), bytes(1));
     assert_ne!(bytes(1), bytes(2));
 }
@@ -100,7 +100,7 @@ fn the_seed_decides() {
 #[test]
 fn the_file_is_read_back_and_says_what_it_is() {
     let found = on(&wall(2.5, 6.0, 3.0), 1000, 0);
-    let bytes = to_ply(&found, "scene: büro\r\n\nend_header\n");
+    let bytes = ply(&found, "scene: büro\r\n\nend_header\n");
     let head = "ply\nformat binary_little_endian 1.0\n\
         comment simulated by pwrfgs: points on the surfaces of a scene, metres\ncomment scene: b?ro\n\
         comment end_header\nelement vertex 1000\nproperty float x\nproperty float y\nproperty float z\n\
@@ -115,4 +115,10 @@ fn the_file_is_read_back_and_says_what_it_is() {
     for (read, point) in read.iter().zip(&found.points) {
         assert_eq!(read.map(|v| v as f32), point.to_array().map(|v| v as f32));
     }
+}
+
+fn ply(points: &SurfacePoints, comment: &str) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    write_ply(points, comment, &mut bytes).unwrap();
+    bytes
 }

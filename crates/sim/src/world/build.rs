@@ -1,7 +1,8 @@
 //! From triangle meshes to faces and edges.
 
+use super::contact::{self, is_near};
 use super::hierarchy::Hierarchy;
-use super::{Body, Edge, Face, Surface, Triangle, World};
+use super::{Body, Edge, Face, Layer, Surface, Triangle, World};
 use crate::mesh::Mesh;
 use glam::DVec3;
 use std::collections::BTreeMap;
@@ -11,21 +12,21 @@ use std::f64::consts::PI;
 const COPLANAR: f64 = 1e-7;
 /// Faces that meet at a smaller angle than this do not make an edge: facets of something round.
 const FLATTEST_EDGE: f64 = 5.0 * PI / 180.0;
-/// What lies closer than this to a face of something else touches it, metres.
-const TOUCHING: f64 = 1e-4;
 
 /// Collects bodies, and makes a world of them.
 #[derive(Debug, Default)]
 pub struct Builder {
-    surfaces: Vec<Surface>,
-    faces: Vec<Face>,
-    edges: Vec<Edge>,
-    triangles: Vec<Triangle>,
+    pub(super) surfaces: Vec<Surface>,
+    pub(super) faces: Vec<Face>,
+    pub(super) edges: Vec<Edge>,
+    pub(super) triangles: Vec<Triangle>,
     bodies: Vec<Body>,
-    /// The first face of each part.
-    parts: Vec<u32>,
+    /// The part of each face.
+    pub(super) parts: Vec<usize>,
     /// The part of each edge.
-    owners: Vec<usize>,
+    pub(super) owners: Vec<usize>,
+    /// Parts so far.
+    count: usize,
 }
 
 /// Something to add: the room first.
@@ -47,18 +48,26 @@ impl Builder {
         self.surfaces.len() as u32 - 1
     }
 
+    /// Triangles so far.
+    pub fn triangles(&self) -> usize {
+        self.triangles.len()
+    }
+
     /// Adds the room, or after it an object.
     pub fn add(&mut self, part: &Part<'_>) {
-        let is_room = self.faces.iter().all(|face| !face.is_room);
+        let layer = match (self.count, part.closed) {
+            (0, _) => Layer::Room,
+            (_, true) => Layer::Body,
+            (_, false) => Layer::Sheet,
+        };
         let plain: Vec<Triangle> = part.mesh.triangles.iter().map(|t| triangle(part.mesh, *t)).collect();
         let shared = edges_of(part.mesh);
         let groups = coplanar_groups(&plain, &shared);
-        self.parts.push(self.faces.len() as u32);
         let mut face_of = vec![u32::MAX; plain.len()]; // hidden faces keep u32::MAX
         for (number, group) in groups.iter().enumerate() {
             let start = self.triangles.len();
-            let face = Self::face(&plain, group, is_room, number, part);
-            if !is_room && part.closed && self.is_hidden(&face) {
+            let face = Self::face(&plain, group, layer, number, part);
+            if layer == Layer::Body && self.is_hidden(&face) {
                 continue;
             }
             let id = self.faces.len() as u32;
@@ -71,7 +80,9 @@ impl Builder {
         let found =
             shared.iter().filter_map(|(ends, owners)| edge(part.mesh, (ends, owners), &plain, &face_of, !part.closed));
         self.edges.extend(found);
-        self.owners.resize(self.edges.len(), self.parts.len() - 1);
+        self.parts.resize(self.faces.len(), self.count);
+        self.owners.resize(self.edges.len(), self.count);
+        self.count += 1;
         if part.closed {
             let low = part.mesh.vertices.iter().copied().reduce(DVec3::min).unwrap_or_default();
             let high = part.mesh.vertices.iter().copied().reduce(DVec3::max).unwrap_or_default();
@@ -80,16 +91,21 @@ impl Builder {
     }
 
     /// The world.
-    pub fn build(mut self) -> World {
-        let is_free = |(edge, part): &(&Edge, &usize)| !self.touches(edge, **part);
+    ///
+    /// # Errors
+    /// Too many faces lie on each other.
+    pub fn build(mut self) -> Result<World, String> {
+        let hierarchy = Hierarchy::new(&self.triangles);
+        let contacts = contact::Contacts { faces: &self.faces, triangles: &self.triangles, hierarchy: &hierarchy };
+        let is_free =
+            |(edge, part): &(&Edge, &usize)| !contacts.ends(edge, &|face| self.parts[face as usize] != **part);
         let edges = self.edges.iter().zip(&self.owners).filter(is_free).map(|(edge, _)| edge.clone()).collect();
-        self.find_twins();
+        contact::find_twins(&mut self.faces)?;
         let Self { surfaces, faces, triangles, bodies, .. } = self;
-        let hierarchy = Hierarchy::new(&triangles);
-        World { surfaces, faces, edges, triangles, bodies, hierarchy }
+        Ok(World { surfaces, faces, edges, triangles, bodies, hierarchy })
     }
 
-    fn face(plain: &[Triangle], group: &[usize], is_room: bool, number: usize, part: &Part<'_>) -> Face {
+    fn face(plain: &[Triangle], group: &[usize], layer: Layer, number: usize, part: &Part<'_>) -> Face {
         let largest = group.iter().map(|&t| &plain[t]).max_by(|a, b| a.area().total_cmp(&b.area()));
         let largest = largest.expect("a group has a triangle");
         let normal = largest.sides[0].cross(largest.sides[1]).normalize();
@@ -104,50 +120,18 @@ impl Builder {
             triangles: 0..0,
             twins: Vec::new(),
             hull,
-            is_room,
+            layer,
         }
     }
 
-    /// Whether a face lies on one of the room, as the underside of a cupboard does: no wave gets there.
+    /// Whether a face lies on one of the room back to back, as the underside of a cupboard does: no wave gets there.
     fn is_hidden(&self, face: &Face) -> bool {
         let middle = face.hull.iter().sum::<DVec3>() / face.hull.len() as f64;
-        let on = |wall: &Face| face.hull.iter().chain([&middle]).all(|p| is_near(wall, *p, &self.triangles));
-        self.faces.iter().filter(|f| f.is_room).any(on)
-    }
-
-    /// Whether an edge lies on something else for most of its length, as that of a board on a wall does: it is no edge.
-    fn touches(&self, edge: &Edge, part: usize) -> bool {
-        let end = self.parts.get(part + 1).map_or(self.faces.len(), |f| *f as usize);
-        let others = || self.faces[..self.parts[part] as usize].iter().chain(&self.faces[end..]);
-        let near = |t: f64| others().any(|f| is_near(f, edge.ends[0].lerp(edge.ends[1], t), &self.triangles));
-        [0.1, 0.3, 0.5, 0.7, 0.9].into_iter().filter(|t| near(*t)).count() >= 3
-    }
-
-    /// Finds faces in the same plane as earlier ones.
-    fn find_twins(&mut self) {
-        // Faces in one plane have the same rounded key but for those at its borders, whose neighbours are looked at too.
-        let key = |face: &Face, nudge: f64| {
-            let n = face.normal;
-            let sign = if n.x + 1.1 * n.y + 1.3 * n.z < 0.0 { -1.0 } else { 1.0 };
-            let grid = |v: f64| (sign * v * 1e3 + nudge).floor() as i64;
-            [grid(n.x), grid(n.y), grid(n.z), grid(face.offset)]
+        let on = |wall: &Face| {
+            let near = |p: &DVec3| is_near(wall, *p, &self.triangles[wall.triangles.clone()]);
+            face.normal.dot(wall.normal) < 0.0 && face.hull.iter().chain([&middle]).all(near)
         };
-        for nudge in [0.25, 0.75] {
-            let mut planes: BTreeMap<[i64; 4], Vec<u32>> = BTreeMap::new();
-            for index in 0..self.faces.len() {
-                let earlier = planes.entry(key(&self.faces[index], nudge)).or_default();
-                let coincide = |&&other: &&u32| {
-                    let (one, other) = (&self.faces[index], &self.faces[other as usize]);
-                    one.hull.iter().all(|p| other.height(*p).abs() < TOUCHING)
-                };
-                let twins: Vec<u32> = earlier.iter().filter(coincide).copied().collect();
-                earlier.push(index as u32);
-                let face = &mut self.faces[index];
-                face.twins.extend(twins);
-                face.twins.sort_unstable();
-                face.twins.dedup();
-            }
-        }
+        self.faces.iter().take_while(|f| f.is_room()).any(on)
     }
 }
 
@@ -239,13 +223,6 @@ fn edge(
     let inwards = third(owners[0]) - p;
     let along = (inwards - inwards.dot(direction) * direction).normalize();
     Some(Edge { ends: [p, q], faces, along, normal: side * unit_normal(&plain[owners[0]]), outer_angle })
-}
-
-/// Whether a point touches a face.
-fn is_near(face: &Face, point: DVec3, triangles: &[Triangle]) -> bool {
-    let height = face.height(point);
-    height.abs() < TOUCHING
-        && triangles[face.triangles.clone()].iter().any(|t| t.contains(point - height * face.normal))
 }
 
 /// Corners of the convex hull of points in a plane, counter-clockwise about its normal (Andrew's monotone chain).

@@ -70,10 +70,21 @@ impl Hierarchy {
     /// The indices of all triangles that the segment from `from` to `from + span` crosses, among others; in no order.
     pub(super) fn candidates(&self, from: DVec3, span: DVec3) -> impl Iterator<Item = usize> {
         let inverse = 1.0 / span;
+        self.leaves(move |node| node.is_met(from, inverse))
+    }
+
+    /// The indices of all triangles that come closer than `reach` to the point, among others; in no order.
+    pub(super) fn around(&self, point: DVec3, reach: f64) -> impl Iterator<Item = usize> {
+        self.leaves(move |node| point.cmpge(node.low - reach).all() && point.cmple(node.high + reach).all())
+    }
+
+    /// The triangles in boxes that are met.
+    #[inline(always)]
+    fn leaves(&self, is_met: impl Fn(&Node) -> bool) -> impl Iterator<Item = usize> {
         let mut next = usize::from(self.nodes.len() > 1); // the first box holds all
         std::iter::from_fn(move || {
             while let Some(node) = self.nodes.get(next) {
-                if node.is_met(from, inverse) {
+                if is_met(node) {
                     next += 1;
                     if node.triangle != u32::MAX {
                         return Some(node.triangle as usize);

@@ -1,4 +1,4 @@
-//! The reference room.
+//! Rooms of the tests.
 
 use pwrfgs_sim::Scene;
 use std::path::Path;
@@ -20,4 +20,16 @@ pub(crate) fn reference_room(carrier_hz: f64, slab: bool, order: usize) -> Scene
         finish("plasterboard", 0.025),
     );
     Scene::parse(&text, Path::new("reference.ron")).unwrap()
+}
+
+/// A scene from its objects, receiver and further fields; the room is a large box.
+pub(crate) fn law_scene(room: &str, objects: &str, receiver: [f64; 3], propagation: &str) -> Scene {
+    let text = format!(
+        "(name: \"law\", carrier_hz: 2e9, room: {room}, objects: [{objects}],
+          receiver: (position: {receiver:?}, orientation: Quaternion(0, 0, 0, 1), array: (polarization: (0, 0, 1))),
+          transmitter: (positions: Uniform(low: (-1, -1, 1), high: (1, 1, 2))),
+          propagation: ({propagation}))"
+    );
+    let text = text.replace("position: [", "position: (").replace("], orientation", "), orientation");
+    Scene::parse(&text, Path::new("law.ron")).unwrap()
 }

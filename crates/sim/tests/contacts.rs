@@ -1,0 +1,268 @@
+//! Things that lie on walls and on each other, and openings in them: against closed forms.
+
+use crate::common::law_scene as scene;
+use glam::DVec3;
+use pwrfgs_sim::fresnel::{reflection, transmission};
+use pwrfgs_sim::{Complex, Interaction, Path, Scene, Simulator};
+use std::f64::consts::PI;
+
+const WALLS: &str = "(outline: Box(low: (-10, -8, 0), high: (10, 8, 6)), walls: (material: \"concrete\"), \
+                     floor: (material: \"concrete\"), ceiling: (material: \"wood\", thickness_m: 0.02))";
+const ONCE: &str = "order: 1, room_order: 1, diffraction: false";
+const WAVELENGTH: f64 = 299_792_458.0 / 2e9;
+
+fn panel(name: &str, from: &str, to: &str, heights: &str, material: &str) -> String {
+    format!(
+        "Panel(name: \"{name}\", from: {from}, to: {to}, heights: {heights}, \
+         finish: (material: \"{material}\", thickness_m: 0.01)),"
+    )
+}
+
+fn opening(from: &str, to: &str, heights: &str) -> String {
+    format!("Opening(name: \"door\", from: {from}, to: {to}, heights: {heights}),")
+}
+
+fn simulator(objects: &str, rx: [f64; 3], propagation: &str) -> Simulator {
+    Simulator::new(&scene(WALLS, objects, rx, propagation)).unwrap()
+}
+
+fn refused(objects: &str) -> String {
+    let error = Simulator::new(&scene(WALLS, objects, [5.0, 0.0, 1.0], ONCE)).unwrap_err();
+    assert!(error.is_input());
+    error.to_string()
+}
+
+/// The paths that are reflected once, at x = `x`.
+fn bounced(paths: &[Path], x: f64) -> Vec<&Path> {
+    let is_there = |p: &&Path| match p.interactions[..] {
+        [Interaction::Reflection { point, .. }] => (point.x - x).abs() < 1e-3,
+        _ => false,
+    };
+    paths.iter().filter(is_there).collect()
+}
+
+/// The path from (4, -y) by the plane x = 10 to (4, y), at one height: TE, with this gain.
+fn expected(material: &str, thickness: Option<f64>, y: f64) -> Complex {
+    let eta = pwrfgs_sim::material::named(material).unwrap().permittivity(2e9);
+    let length = 2.0 * 6.0_f64.hypot(y);
+    reflection(eta, thickness, 6.0 / 6.0_f64.hypot(y), WAVELENGTH).te * WAVELENGTH / (4.0 * PI * length)
+}
+
+/// The gain of the only such path.
+fn gain(objects: &str, y: f64, z: f64) -> Complex {
+    let paths = simulator(objects, [4.0, y, z], ONCE).trace(DVec3::new(4.0, -y, z));
+    let [path] = bounced(&paths, 10.0)[..] else { panic!("one path, not {:?}", bounced(&paths, 10.0)) };
+    path.gain
+}
+
+fn assert_near(found: Complex, expected: Complex) {
+    assert!((found - expected).norm() < 1e-9 * expected.norm(), "{found} and {expected}");
+}
+
+#[test]
+fn a_panel_on_a_wall_reflects_instead_of_it() {
+    for material in ["metal", "wood"] {
+        // Exactly there, and within the tenth of a millimetre that counts as there, on either side.
+        for x in ["10", "9.99995", "10.00005"] {
+            let board = panel("board", &format!("({x}, -2)"), &format!("({x}, 2)"), "(1, 3)", material);
+            let found = gain(&board, 3.0, 2.0);
+            let truth = expected(material, Some(0.01), 3.0);
+            assert!((found - truth).norm() < 1e-4 * truth.norm(), "{material} at {x}: {found} and {truth}");
+            if x == "10" {
+                assert_near(found, truth);
+            }
+            assert_near(gain(&board, 3.0, 4.0), expected("concrete", None, 3.0)); // above it
+        }
+    }
+}
+
+#[test]
+fn a_panel_on_a_box_and_a_box_let_into_a_wall_count() {
+    // In either order of the file, and once where both are the same.
+    let cupboard = "Box(name: \"cupboard\", low: (10, -3, 0), high: (10.5, 3, 3), finish: (material: \"marble\")),";
+    assert_near(gain(cupboard, 3.0, 2.0), expected("marble", None, 3.0));
+    let board = panel("board", "(10, -1)", "(10, 1)", "(1, 3)", "wood");
+    for objects in [cupboard.to_owned() + &board, board.clone() + cupboard] {
+        assert_near(gain(&objects, 3.0, 2.0), expected("wood", Some(0.01), 3.0));
+    }
+    let twice = board + &panel("board 2", "(10, -1)", "(10, 1)", "(1, 3)", "metal");
+    assert_near(gain(&twice, 3.0, 2.0), expected("wood", Some(0.01), 3.0));
+}
+
+#[test]
+fn waves_pass_both_of_two_sheets_that_lie_on_each_other() {
+    let partition = panel("partition", "(0, -5)", "(0, 5)", "(0.1, 5)", "glass");
+    let board = panel("board", "(0, -1)", "(0, 1)", "(1, 3)", "wood");
+    let through = |objects: &str| {
+        let paths = simulator(objects, [4.0, 0.0, 2.0], ONCE).trace(DVec3::new(-4.0, 0.0, 2.0));
+        let is_straight = |p: &Path| p.interactions.iter().all(|i| matches!(i, Interaction::Transmission { .. }));
+        let found: Vec<Path> = paths.into_iter().filter(is_straight).collect();
+        assert_eq!(found.len(), 1);
+        found[0].gain
+    };
+    let t = |material: &str| {
+        let eta = pwrfgs_sim::material::named(material).unwrap().permittivity(2e9);
+        transmission(eta, 0.01, 1.0, WAVELENGTH).te
+    };
+    let free = WAVELENGTH / (4.0 * PI * 8.0);
+    assert_near(through(&partition), t("glass") * free);
+    assert_near(through(&(partition + &board)), t("glass") * t("wood") * free);
+}
+
+#[test]
+fn behind_the_wall_the_wall_counts() {
+    // An L whose wall x = 0 is passed twice: from behind it the board on its front does nothing.
+    let room = "(outline: Plan(corners: [(-6, -6), (0, -6), (0, 0), (6, 0), (6, 6), (-6, 6)], ceiling: 4), \
+                walls: (material: \"plasterboard\", thickness_m: 0.02), floor: (material: \"concrete\"), \
+                ceiling: (material: \"concrete\"))";
+    // Wall y = 0 (x from 0 to 6) looks up; below it is outside. Mirror at x = 0 from the outside.
+    let paths = |objects: &str| {
+        let simulator = Simulator::new(&scene(room, objects, [1.0, 0.5, 2.0], ONCE)).unwrap();
+        simulator.trace(DVec3::new(3.0, 0.5, 2.0))
+    };
+    let board = panel("board", "(0, -5)", "(0, -0.1)", "(0.5, 3.5)", "metal");
+    let (bare, covered) = (paths(""), paths(&board));
+    assert_eq!(bare.len(), covered.len());
+    for (a, b) in bare.iter().zip(&covered) {
+        assert_near(b.gain, a.gain);
+    }
+}
+
+#[test]
+fn an_opening_lets_everything_through_and_reflects_nothing() {
+    let wall = panel("partition", "(0, -5)", "(0, 5)", "(0.1, 5)", "metal");
+    let door = opening("(0, -1)", "(0, 1)", "(1, 3)");
+    let paths = |objects: &str, to: [f64; 3]| simulator(objects, to, ONCE).trace(DVec3::new(-4.0, 0.0, 2.0));
+    let straight = |paths: &[Path]| paths.iter().find(|p| p.interactions.is_empty()).map(|p| p.gain);
+    let both = wall.clone() + &door;
+    assert_near(straight(&paths(&both, [4.0, 0.0, 2.0])).unwrap(), (WAVELENGTH / (4.0 * PI * 8.0)).into());
+    assert!(straight(&paths(&wall, [4.0, 0.0, 2.0])).is_none());
+    assert!(straight(&paths(&both, [4.0, 4.0, 2.0])).is_none());
+    // Its middle reflects nothing, the partition beside it does.
+    assert_eq!(bounced(&paths(&both, [-3.0, 0.0, 2.0]), 0.0).len(), 0);
+    assert_eq!(bounced(&paths(&wall, [-3.0, 0.0, 2.0]), 0.0).len(), 1);
+    assert_eq!(bounced(&paths(&both, [-4.0, 4.0, 2.0]), 0.0).len(), 1);
+    // The door is closed again by what comes after it.
+    let closed = both + &panel("leaf", "(0, -1)", "(0, 1)", "(1, 3)", "wood");
+    let met = paths(&closed, [-4.0, 0.5, 2.0]);
+    let [path] = bounced(&met, 0.0)[..] else { panic!("one path") };
+    assert!(path.gain.norm() < 0.5 * expected("metal", None, 0.25).norm());
+    // In a wall of the room, with its floor to the ground.
+    let out = simulator(&opening("(10, -1)", "(10, 1)", "(0, 3)"), [4.0, 3.0, 2.0], ONCE);
+    assert_eq!(bounced(&out.trace(DVec3::new(4.0, -3.0, 2.0)), 10.0).len(), 0);
+    assert_eq!(bounced(&out.trace(DVec3::new(4.0, 1.0, 2.0)), 10.0).len(), 1);
+}
+
+#[test]
+fn what_an_opening_takes_is_gone_from_patches_points_and_area() {
+    let rough = "order: 0, room_order: 0, diffraction: false, roughness: 0.4, patch_m: 0.5";
+    let open = simulator(&opening("(10, -2)", "(10, 2)", "(0, 3)"), [0.0, 0.0, 2.0], rough);
+    let is_inside = |p: DVec3| p.x > 9.999 && p.y.abs() < 2.0 && p.z < 3.0;
+    let scattered = |s: &Simulator| {
+        let points = s.trace(DVec3::new(1.0, 1.0, 1.0)).into_iter().filter_map(|p| match p.interactions[..] {
+            [Interaction::Scattering { point, .. }] => Some(point),
+            _ => None,
+        });
+        points.collect::<Vec<DVec3>>()
+    };
+    let closed = simulator("", [0.0, 0.0, 2.0], rough);
+    assert_eq!(scattered(&closed).iter().filter(|p| is_inside(**p)).count(), 8 * 6);
+    assert_eq!(scattered(&open).len(), scattered(&closed).len() - 8 * 6);
+    assert!(!scattered(&open).into_iter().any(is_inside));
+    assert!(!open.surface_points(5000, 0).points.into_iter().any(is_inside));
+    let area = |s: &Simulator| s.world().triangles.iter().map(|t| t.area()).sum::<f64>();
+    assert!((area(&closed) - area(&open) - 12.0).abs() < 1e-9);
+    // A patch under a board scatters from the board alone.
+    let covered = simulator(&panel("board", "(10, -2)", "(10, 2)", "(0, 3)", "wood"), [0.0, 0.0, 2.0], rough);
+    assert_eq!(scattered(&covered).len(), scattered(&closed).len());
+}
+
+const AIR: &str = "(outline: Box(low: (-10, -50, -50), high: (10, 50, 50)), walls: (material: \"vacuum\", thickness_m: 0.1), \
+                   floor: (material: \"vacuum\", thickness_m: 0.1), ceiling: (material: \"vacuum\", thickness_m: 0.1))";
+
+/// Field at a receiver behind the plane x = 0, in a room of air.
+fn field_behind(objects: &str, tx: DVec3) -> Complex {
+    let simulator = Simulator::new(&scene(AIR, objects, [4.0, -1.5, 0.3], "order: 1, room_order: 0")).unwrap();
+    simulator.trace(tx).iter().map(|p| p.baseband(WAVELENGTH)).sum()
+}
+
+#[test]
+fn an_opening_up_to_the_end_of_a_panel_is_a_shorter_panel() {
+    for material in ["metal", "glass"] {
+        let short = panel("a", "(0, -40)", "(0, 0)", "(-45, 45)", material);
+        let long = panel("a", "(0, -40)", "(0, 20)", "(-45, 45)", material);
+        let cut = long.clone() + &opening("(0, 0)", "(0, 20)", "(-45, 45)");
+        for y in [-3.0, 0.5, 1.4, 1.6, 3.0] {
+            let tx = DVec3::new(-4.0, y, 0.0);
+            let (found, truth) = (field_behind(&cut, tx), field_behind(&short, tx));
+            assert!((found - truth).norm() < 1e-9 * truth.norm(), "{material} {y}: {found} and {truth}");
+        }
+    }
+    // The side of a box: where one face goes, the other has a rim.
+    let closet =
+        "Box(name: \"closet\", low: (0, -4, -3), high: (2, 0, 3), finish: (material: \"metal\", thickness_m: 0.01)),";
+    let edges =
+        |objects: &str| Simulator::new(&scene(AIR, objects, [4.0, -1.5, 0.3], ONCE)).unwrap().world().edges.clone();
+    assert_eq!(edges(closet).len(), 12);
+    let open = edges(&(closet.to_owned() + &opening("(0, -4)", "(0, 0)", "(-3, 3)")));
+    assert_eq!((open.len(), open.iter().filter(|e| e.faces[0] == e.faces[1]).count()), (12, 4));
+}
+
+#[test]
+fn the_rims_of_an_opening_diffract() {
+    let wall = panel("a", "(0, -40)", "(0, 40)", "(-45, 45)", "metal") + &opening("(0, 0)", "(0, 3)", "(-20, 20)");
+    // From (-4, y) the line of sight touches the rim at y = 0 for y = 1.5, and that at y = 3 for y = 7.5.
+    for y in [1.5, 7.5] {
+        let at = |y: f64| field_behind(&wall, DVec3::new(-4.0, y, 0.0));
+        let jump = (at(y + 1e-6) - at(y - 1e-6)).norm();
+        assert!(jump < 2e-3 * at(y).norm(), "{y}: {jump:e}");
+    }
+    let rims = Simulator::new(&scene(AIR, &wall, [4.0, -1.5, 0.3], ONCE)).unwrap().world().edges.len();
+    assert_eq!(rims, 4 + 4);
+    // A board on a wall has no rim, and takes no edge from the wall.
+    let closet =
+        "Box(name: \"closet\", low: (0, -4, -3), high: (2, 0, 3), finish: (material: \"metal\", thickness_m: 0.01)),";
+    let board = closet.to_owned() + &panel("b", "(0, -4)", "(0, 0)", "(-3, 3)", "wood");
+    assert_eq!(Simulator::new(&scene(AIR, &board, [4.0, -1.5, 0.3], ONCE)).unwrap().world().edges.len(), 12);
+}
+
+#[test]
+fn an_opening_that_opens_nothing_is_refused() {
+    let nothing = refused(&opening("(1, 0)", "(2, 0)", "(0, 2)"));
+    assert!(
+        nothing.contains("opening `door` does not lie wholly on a wall, a panel or the side of a box"),
+        "{nothing}"
+    );
+    refused(&opening("(10, 0)", "(10, 1)", "(-0.5, 2)")); // half of it below the floor
+    refused(&(opening("(1, 0)", "(2, 0)", "(0, 2)") + &panel("late", "(0, 0)", "(3, 0)", "(0, 3)", "wood")));
+    let solid = "Box(name: \"safe\", low: (0, 0, 0), high: (2, 2, 2), finish: (material: \"metal\")),";
+    let said = refused(&(solid.to_owned() + &opening("(0, 0.5)", "(0, 1)", "(0.5, 1)")));
+    assert!(said.contains("opens `safe`, which is solid"), "{said}");
+}
+
+#[test]
+fn an_opening_moves_with_its_wall_where_a_scene_is_known_with_errors() {
+    use pwrfgs_core::{Baseline, DataSource, Plugin};
+    let folder = tempfile::tempdir().unwrap();
+    let objects = opening("(10, -1)", "(10, 1)", "(0, 6)")
+        + "Box(name: \"closet\", low: (2, 2, 0), high: (4, 4, 2), yaw_deg: 20, finish: (material: \"wood\", thickness_m: 0.02)),"
+        + &panel("partition", "(-5, -5)", "(-5, 5)", "(0.1, 5)", "glass")
+        + "Opening(name: \"door 2\", from: (-5, 1), to: (-5, 2), heights: (0.1, 2)),";
+    let file = folder.path().join("open.ron");
+    std::fs::write(&file, scene(WALLS, &objects, [0.0, 0.0, 1.0], ONCE).to_ron()).unwrap();
+    let source: Plugin<dyn DataSource> =
+        Plugin::parse("Simulated(scene: \"open.ron\", samples: 5, points: 100, cache: false)").unwrap();
+    let data = source.load(folder.path(), &|_, _| {}).unwrap();
+    for seed in 0..5 {
+        let text = format!("RayTracing(material_error: 0.2, position_error_m: 0.05, seed: {seed})");
+        let baseline: Plugin<dyn Baseline> = Plugin::parse(&text).unwrap();
+        baseline.fit(&data, &[]).map(|_| ()).unwrap();
+    }
+}
+
+/// The scene survives being written.
+#[test]
+fn an_opening_is_written_as_it_is_read() {
+    let made = scene(WALLS, &opening("(10, -1)", "(10, 1)", "(0, 3)"), [0.0, 0.0, 1.0], ONCE);
+    assert_eq!(Scene::parse(&made.to_ron(), std::path::Path::new("a.ron")).unwrap(), made);
+}
