@@ -2,7 +2,7 @@
 
 use super::blocks::Blocks;
 use super::statistics::{Cell, Difference, Spread};
-use super::{Record, Setting};
+use super::{Record, Setting, distinct};
 use pwrfgs_experiment::scores::{MODEL, Summary};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -151,14 +151,13 @@ pub(super) struct Comparison<'a> {
 
 impl<'a> Comparison<'a> {
     pub(super) fn new(setting: &'a Setting) -> Self {
-        let runs = || setting.variants.iter().flat_map(|v| &v.runs);
         let mut rows: Vec<Row<'a>> = setting
             .variants
             .iter()
             .map(|v| Row { label: &v.label, kind: Kind::Variant, predictor: MODEL, runs: v.runs.iter().collect() })
             .collect();
         let variants = rows.len();
-        for run in runs() {
+        for run in setting.runs() {
             for name in run.floors() {
                 // The same floor in another variant of this seed has the same numbers.
                 match rows[variants..].iter_mut().find(|row| row.label == name) {
@@ -175,7 +174,7 @@ impl<'a> Comparison<'a> {
         }
         rows[variants..].sort_by_key(|row| row.kind == Kind::Bound);
         let mut metrics: Vec<Metric> = Vec::new();
-        for row in runs().filter_map(|run| run.facts.scores.as_ref()).flat_map(|table| &table.metrics) {
+        for row in setting.runs().filter_map(|run| run.facts.scores.as_ref()).flat_map(|table| &table.metrics) {
             let (key, unit) = (row.key.clone(), row.unit.clone());
             let metric = Metric { key, unit, higher_is_better: row.higher_is_better, per_sample: row.is_per_sample() };
             if !metrics.iter().any(|m| m.key == metric.key) {
@@ -184,7 +183,7 @@ impl<'a> Comparison<'a> {
         }
         let (key, unit) = (TRAINING.to_owned(), "s".to_owned());
         metrics.push(Metric { key, unit, higher_is_better: false, per_sample: false });
-        let places = runs().flat_map(|run| run.places.iter().map(|(id, place)| (*id, *place))).collect();
+        let places = setting.runs().flat_map(|run| run.places.iter().map(|(id, place)| (*id, *place))).collect();
         Self { setting, rows, metrics, blocks: Blocks::new(&places) }
     }
 
@@ -198,13 +197,7 @@ impl<'a> Comparison<'a> {
 
     /// What every predictor of the setting has to say beside its numbers.
     pub(super) fn notes(&self) -> Vec<String> {
-        let tables = self.setting.variants.iter().flat_map(|v| &v.runs).filter_map(|run| run.facts.scores.as_ref());
-        let mut notes: Vec<String> = Vec::new();
-        for note in tables.flat_map(|table| &table.notes) {
-            if !notes.contains(note) {
-                notes.push(note.clone());
-            }
-        }
-        notes
+        let tables = self.setting.runs().filter_map(|run| run.facts.scores.as_ref());
+        distinct(tables.flat_map(|table| &table.notes).cloned())
     }
 }

@@ -13,7 +13,7 @@ mod room;
 mod spectra;
 mod tradeoff;
 
-use super::{Record, Setting};
+use super::Setting;
 use crate::draw::canvas::Canvas;
 use crate::draw::charts::{Chart, Look};
 use crate::templates::sentences;
@@ -69,8 +69,7 @@ impl Figure {
     }
 
     fn new(name: &str, setting: &Setting, words: Value, canvas: &Canvas) -> Self {
-        let seeds = setting.variants.iter().map(|v| v.runs.len());
-        let (least, most) = (seeds.clone().min(), seeds.max());
+        let (least, most) = setting.seeds();
         let words = sentences("figures.txt", context! { name, least, most, ..words });
         let kind = if setting.simulated { "Simulated" } else { "Measured" };
         let caption = format!("{} {kind} data: {}.", words[1], setting.title);
@@ -109,20 +108,4 @@ pub fn all(setting: &Setting, progress: Progress<'_>) -> Result<Vec<Figure>> {
         Err(e) => tracing::warn!("no figures of the room, the spectra and the rate ratio for {}: {e}", setting.title),
     }
     Ok(figures)
-}
-
-/// Names of the baselines of a setting, each once.
-fn floors(setting: &Setting) -> Vec<String> {
-    let mut names: Vec<String> = Vec::new();
-    for name in runs(setting).flat_map(Record::floors) {
-        if !names.iter().any(|n| n == name) {
-            names.push(name.to_owned());
-        }
-    }
-    names
-}
-
-/// All runs of a setting.
-fn runs(setting: &Setting) -> impl Iterator<Item = &Record> {
-    setting.variants.iter().flat_map(|v| &v.runs)
 }

@@ -1,6 +1,6 @@
 //! `Record`: one finished run, read back from its folder.
 
-use super::one_line;
+use super::{distinct, one_line};
 use pwrfgs_core::{Error, Result};
 use pwrfgs_experiment::Facts;
 use pwrfgs_experiment::folder::{CURVE, MODEL_FILE, PIPELINE, SAMPLES, SCORES};
@@ -82,13 +82,7 @@ impl Record {
 
     /// Baselines in the order of the pipeline.
     pub fn floors(&self) -> Vec<&str> {
-        let mut names: Vec<&str> = Vec::new();
-        for score in self.scores.iter().filter(|s| s.predictor != MODEL) {
-            if !names.contains(&score.predictor.as_str()) {
-                names.push(&score.predictor);
-            }
-        }
-        names
+        distinct(self.scores.iter().map(|s| s.predictor.as_str()).filter(|name| *name != MODEL))
     }
 
     /// The trained model's file.

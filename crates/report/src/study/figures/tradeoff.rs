@@ -1,6 +1,6 @@
 //! SSIM and the rate ratio against N: figure 2b of the paper.
 
-use super::{Figure, floors, looks, runs};
+use super::{Figure, looks};
 use crate::draw::charts::{Axis, Chart, Line};
 use crate::study::statistics::Spread;
 use crate::study::{Setting, Variant};
@@ -91,11 +91,11 @@ fn family(label: &str) -> String {
 
 /// Level lines over the whole width, with their names at the right.
 fn baselines(setting: &Setting, score: &Score) -> Vec<Line> {
-    let line = |(k, name): (usize, String)| {
-        let values: Vec<f64> = runs(setting).filter_map(|r| r.value(&name, score.key)).collect();
-        Some(Line::level(Spread::of(&values)?.mean, looks::floor(k)).named_at_end(&name))
+    let line = |(k, name): (usize, &str)| {
+        let values: Vec<f64> = setting.runs().filter_map(|r| r.value(name, score.key)).collect();
+        Some(Line::level(Spread::of(&values)?.mean, looks::floor(k)).named_at_end(name))
     };
-    floors(setting).into_iter().enumerate().filter_map(line).collect()
+    setting.floors().into_iter().enumerate().filter_map(line).collect()
 }
 
 /// What the paper publishes.
