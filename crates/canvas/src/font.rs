@@ -95,13 +95,16 @@ pub fn wrapped(text: &str, width: f64) -> Vec<String> {
 }
 
 /// The longest beginning of `text` that fits, with two dots where it is cut.
-fn cut(text: &str, width: f64) -> String {
+pub fn cut(text: &str, width: f64) -> String {
     if text_width(text) <= width {
         return text.to_owned();
     }
-    let letters: Vec<char> = text.chars().collect();
-    let short = |n: usize| letters[..n].iter().collect::<String>().trim_end().to_owned() + "..";
-    (1..letters.len()).rev().map(short).find(|s| text_width(s) <= width).unwrap_or_else(|| "..".into())
+    let mut room = width - text_width("..");
+    let fits = |letter: &char| {
+        room -= TEXT * glyph(*letter).1;
+        room >= 0.0
+    };
+    text.chars().take_while(fits).collect::<String>().trim_end().to_owned() + ".."
 }
 
 #[cfg(test)]

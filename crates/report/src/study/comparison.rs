@@ -60,13 +60,14 @@ pub(super) enum Statistic {
     Mean,
     /// Their middle.
     Median,
-    /// Their 10th percentile.
+    /// Their bad tail: a tenth of them are this bad or worse.
     P10,
     /// The number of the whole model.
     Whole,
 }
 
 impl Statistic {
+    /// As the CSV has it.
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Mean => "mean",
@@ -74,6 +75,11 @@ impl Statistic {
             Self::P10 => "p10",
             Self::Whole => "value",
         }
+    }
+
+    /// Above a column.
+    pub(super) fn words(self) -> &'static str {
+        if self == Self::P10 { "bad tail" } else { self.name() }
     }
 }
 
@@ -99,7 +105,7 @@ impl Row<'_> {
             Statistic::Whole => run.value(self.predictor, &metric.key),
             _ => {
                 let values: Vec<f64> = run.samples(self.predictor, &metric.key)?.into_values().collect();
-                let summary = Summary::of(&values);
+                let summary = Summary::of(&values, metric.higher_is_better);
                 Some(match statistic {
                     Statistic::Median => summary.median,
                     Statistic::P10 => summary.p10,
@@ -193,6 +199,22 @@ impl<'a> Comparison<'a> {
 
     pub(super) fn metric(&self, key: &str) -> Option<&Metric> {
         self.metrics.iter().find(|m| m.key == key)
+    }
+
+    /// Scores that are no numbers, a sentence each: means leave them out, which nobody must have to guess.
+    pub(super) fn holes(&self) -> Vec<String> {
+        let mut all = Vec::new();
+        for (row, metric) in self.rows.iter().flat_map(|row| self.metrics.iter().map(move |metric| (row, metric))) {
+            let without = |run: &&&Record| run.value(row.predictor, &metric.key).is_some_and(f64::is_nan);
+            let count = row.runs.iter().filter(without).count();
+            if count > 0 {
+                let (key, label, runs) = (&metric.key, row.label, row.runs.len());
+                all.push(format!(
+                    "{key} of {label} is no number in {count} of {runs} runs; its means leave these out."
+                ));
+            }
+        }
+        all
     }
 
     /// What every predictor of the setting has to say beside its numbers.

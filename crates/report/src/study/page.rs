@@ -101,7 +101,8 @@ impl Section {
                 reference => compared.label,
             },
         );
-        let warnings = said.split_off(1);
+        let mut warnings = said.split_off(1);
+        warnings.extend(comparison.holes());
         let tables = [
             tables::scores(comparison, same_machine),
             tables::differences(comparison, compared),

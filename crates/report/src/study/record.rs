@@ -1,11 +1,13 @@
 //! `Record`: one finished run, read back from its folder.
 
 use super::{distinct, one_line};
+use pwrfgs_core::files::read_text;
 use pwrfgs_core::{Error, Result};
 use pwrfgs_experiment::Facts;
-use pwrfgs_experiment::folder::{CURVE, MODEL_FILE, PIPELINE, SAMPLES, SCORES};
-use pwrfgs_experiment::scores::MODEL;
+use pwrfgs_experiment::folder::{CURVE, FACTS, MODEL_FILE, PIPELINE, SAMPLES, SCORES};
+use pwrfgs_experiment::scores::{Cell, MODEL};
 use pwrfgs_experiment::series;
+use pwrfgs_model::file;
 use pwrfgs_train::Pipeline;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer};
@@ -14,6 +16,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 type ById<T> = BTreeMap<u32, T>;
+
+/// What to do about a damaged file.
+const ADVICE: &str = "the run's own files must stay as it wrote them; restore it, or repeat the run in another folder";
 
 /// One finished run.
 #[derive(Clone, Debug)]
@@ -51,20 +56,61 @@ impl Record {
     /// # Errors
     /// One of its files is damaged or missing.
     pub fn read(folder: &Path) -> Result<Option<Self>> {
-        let Some(facts) = Facts::read(folder).filter(|f| f.finished.is_some()) else { return Ok(None) };
-        let text = |name: &str| {
-            let path = folder.join(name);
-            std::fs::read_to_string(&path).map(|text| (text, path.clone())).map_err(|e| Error::read(&path, e))
+        let path = |name: &str| folder.join(name);
+        let Some(facts) = Facts::read(folder) else {
+            let damaged = || Error::input(&path(FACTS), format!("these are not the facts of a run; {ADVICE}"));
+            return if path(FACTS).exists() { Err(damaged()) } else { Ok(None) };
         };
-        let (own, path) = text(PIPELINE)?;
-        let pipeline = Pipeline::parse(&own, &path)?;
-        let (rows, path) = text(SCORES)?;
-        let scores = scores(&rows, &path)?;
-        let (rows, path) = text(SAMPLES)?;
-        let (nearest_train_m, places) = test_samples(&rows, &path)?;
-        let curve = series::read(&folder.join(CURVE));
+        if facts.finished.is_none() {
+            return Ok(None);
+        }
+        let text = |name: &str| read_text(&path(name));
+        let pipeline = Pipeline::parse(&text(PIPELINE)?, &path(PIPELINE))?;
+        let scores = scores(&text(SCORES)?, &path(SCORES))?;
+        let (nearest_train_m, places) = test_samples(&text(SAMPLES)?, &path(SAMPLES))?;
+        let curve = series::whole(&path(CURVE), facts.steps)?;
         let gaussians = curve.iter().filter_map(|row| Some(((*row.first()?)?, (*row.get(4)?)?))).collect();
-        Ok(Some(Self { folder: folder.into(), pipeline, facts, scores, nearest_train_m, places, gaussians }))
+        // Figures read it again: a damaged model must not pass for data that have moved.
+        file::read(&path(MODEL_FILE))?;
+        let record = Self { folder: folder.into(), pipeline, facts, scores, nearest_train_m, places, gaussians };
+        record.check()?;
+        Ok(Some(record))
+    }
+
+    /// Holds scores and samples against what `run.json` says of them: nothing may be missing, added or changed.
+    fn check(&self) -> Result<()> {
+        let damaged =
+            |name: &str, what: String| Err(Error::input(&self.folder.join(name), format!("{what}; {ADVICE}")));
+        let Some(table) = &self.facts.scores else { return damaged(FACTS, "there are no scores in it".into()) };
+        let tested = self.facts.samples[2];
+        if self.places.len() != tested {
+            return damaged(SAMPLES, format!("{} test samples instead of {tested}", self.places.len()));
+        }
+        let mut known = 0;
+        for metric in &table.metrics {
+            for (predictor, cell) in table.predictors.iter().zip(&metric.cells) {
+                let values = self.score(predictor, &metric.key).map_or(&[][..], |score| &score.values);
+                let mut ids: Vec<Option<u32>> = values.iter().map(|v| v.0).collect();
+                ids.sort_unstable();
+                let (expected, noted): (Vec<Option<u32>>, f64) = match cell {
+                    Cell::Samples { mean, .. } => (self.places.keys().map(|id| Some(*id)).collect(), *mean),
+                    Cell::Whole(value) => (vec![None], *value),
+                    Cell::NotApplicable(_) => (Vec::new(), f64::NAN),
+                };
+                let mean = values.iter().map(|v| v.1).sum::<f64>() / values.len() as f64;
+                // Infinity and what is no number are the same to JSON.
+                let same = mean == noted || !mean.is_finite() && !noted.is_finite();
+                if ids != expected || !same {
+                    let key = &metric.key;
+                    return damaged(SCORES, format!("`{key}` of `{predictor}` is not what {FACTS} says of it"));
+                }
+                known += usize::from(!expected.is_empty());
+            }
+        }
+        if known != self.scores.len() {
+            return damaged(SCORES, format!("it holds more than the scores that {FACTS} knows"));
+        }
+        Ok(())
     }
 
     /// Values a test sample of one metric of one predictor, by id.
@@ -169,10 +215,18 @@ fn test_samples(text: &str, path: &Path) -> Result<(ById<f64>, ById<[f64; 3]>)> 
     Ok(tested.map(|s| ((s.id, s.nearest_train_m.unwrap_or(f64::INFINITY)), (s.id, [s.x, s.y, s.z]))).unzip())
 }
 
+/// The rows of a file that was written whole.
 fn rows<T: DeserializeOwned>(text: &str, path: &Path) -> Result<Vec<T>> {
+    let at = |line: usize, what: String| Error::at(path, line, 1, format!("{what}; {ADVICE}"));
+    if !text.ends_with('\n') {
+        return Err(at(text.lines().count().max(1), "the file ends before the end of a row".into()));
+    }
     let placed = |e: csv::Error| {
-        let (said, line) = (e.to_string().replace(" error", ""), e.position().map_or(1, |p| p.line() as usize));
-        Error::at(path, line, 1, format!("{said}; the run's own files must stay as it wrote them"))
+        let said = match e.kind() {
+            csv::ErrorKind::Deserialize { err, .. } => err.kind().to_string(),
+            _ => "the row has another number of fields than the first line".into(),
+        };
+        at(e.position().map_or(1, |p| p.line() as usize), said)
     };
     csv::Reader::from_reader(text.as_bytes()).into_deserialize().map(|row| row.map_err(placed)).collect()
 }
@@ -190,10 +244,19 @@ mod tests {
         assert_eq!(found[0].values, [(Some(3), 0.5), (Some(7), 0.7)]);
         assert_eq!((found[1].metric.as_str(), &found[1].values), ("gaussians", &vec![(None, 2613.0)]));
         assert_eq!(found[2].predictor, "k, far");
-        for (wrong, place) in [("model,ssim,3\n", ":2:"), ("model,ssim,x,1\n", ":2:"), ("model,ssim,3,\n", ":2:")] {
-            let said = scores(&format!("predictor,metric,sample,value\n{wrong}"), Path::new("scores.csv")).unwrap_err();
-            assert!(said.is_input() && said.to_string().contains(place), "{said}");
+        let wrong = [
+            ("model,ssim,3\n", ":2:1: the row has another number of fields than the first line;"),
+            ("model,ssim,x,1\n", ":2:1: `x` is no number;"),
+            ("model,ssim,3,\n", ":2:1: `` is no number;"),
+            ("model,ssim,3,1", ":2:1: the file ends before the end of a row;"),
+        ];
+        for (row, why) in wrong {
+            let said = scores(&format!("predictor,metric,sample,value\n{row}"), Path::new("scores.csv")).unwrap_err();
+            assert!(said.is_input() && said.to_string().contains(why), "{said}");
         }
+        assert!(
+            scores("", Path::new("scores.csv")).unwrap_err().to_string().starts_with("scores.csv:1:1: the file ends")
+        );
     }
 
     #[test]

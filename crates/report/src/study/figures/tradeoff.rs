@@ -40,13 +40,14 @@ fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
     if points.is_empty() {
         return None;
     }
+    let published = is_s23(setting);
     let mut lines = points;
-    lines.push(reference(score));
+    lines.extend(published.then(|| reference(score)));
     lines.extend(threads(setting, score.key));
     lines.extend(baselines(setting, score));
     let x = Axis { name: "number of Gaussians N".into(), log: true, ends: None };
     let chart = Chart { x, y: Axis { name: score.axis.into(), ..Axis::default() }, lines, ..Chart::default() };
-    Figure::chart(score.name, setting, context! { axis => score.axis }, chart)
+    Figure::chart(score.name, setting, context! { axis => score.axis, published }, chart)
 }
 
 /// N and score over the seeds of a variant; nothing where no run has the score.
@@ -96,6 +97,13 @@ fn baselines(setting: &Setting, score: &Score) -> Vec<Line> {
         Some(Line::level(Spread::of(&values)?.mean, looks::floor(k)).named_at_end(name))
     };
     setting.floors().into_iter().enumerate().filter_map(line).collect()
+}
+
+/// Whether these are the measured spectra that the published numbers belong to, going by what the data call themselves:
+/// NeRF2's own name of the set.
+fn is_s23(setting: &Setting) -> bool {
+    let names = |title: &str| title.split(|c: char| !c.is_alphanumeric()).any(|word| word.eq_ignore_ascii_case("s23"));
+    !setting.simulated && setting.runs().all(|run| names(&run.facts.data))
 }
 
 /// What the paper publishes.
