@@ -34,8 +34,9 @@ fn cargo(example: &Path, command: &str) -> Output {
 }
 
 /// The crates of pwrfgs.
-const CRATES: [&str; 13] = [
+const CRATES: [&str; 14] = [
     "pwrfgs",
+    "pwrfgs-canvas",
     "pwrfgs-cli",
     "pwrfgs-core",
     "pwrfgs-data",

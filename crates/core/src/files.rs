@@ -101,7 +101,9 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let temporary = path.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
     let written = (|| {
-        let mut file = File::create(&temporary)?;
+        // What stands there is left of a killed process, or a link that somebody else laid: neither is written to.
+        let _ = fs::remove_file(&temporary);
+        let mut file = File::create_new(&temporary)?;
         file.write_all(bytes)?;
         file.sync_all()?;
         fs::rename(&temporary, path)?;
@@ -200,6 +202,15 @@ mod tests {
         assert_eq!(fs::read(&path).unwrap(), b"new");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
         assert!(!write_atomically(&folder.path().join("missing/a.txt"), b"").unwrap_err().is_input());
+        #[cfg(unix)]
+        {
+            let precious = folder.path().join("precious");
+            fs::write(&precious, "mine").unwrap();
+            let temporary = folder.path().join(format!(".a.txt.{}.tmp", std::process::id()));
+            std::os::unix::fs::symlink(&precious, &temporary).unwrap();
+            write_atomically(&path, b"newest").unwrap();
+            assert_eq!((fs::read(&precious).unwrap(), fs::read(&path).unwrap()), (b"mine".into(), b"newest".into()));
+        }
     }
 
     #[test]

@@ -96,7 +96,7 @@ pub struct Measurement {
 /// The numbers of a [`Measurement`].
 #[derive(Clone, Debug, PartialEq)]
 pub enum Values {
-    /// One a test sample; reported as mean, median and 10th percentile.
+    /// One a test sample; reported as mean, median and bad tail.
     PerSample(Vec<f64>),
     /// One for the whole model.
     Whole(f64),

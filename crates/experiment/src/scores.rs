@@ -22,26 +22,26 @@ pub struct Scores {
     pub notes: Vec<String>,
 }
 
-/// Mean, median and 10th percentile of numbers a sample.
+/// Mean, median and bad tail of numbers a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// Arithmetic mean.
     pub mean: f64,
     /// Middle value.
     pub median: f64,
-    /// A tenth of the samples lie below.
+    /// A tenth of the samples are this bad or worse: the 10th percentile where larger is better, else the 90th.
     pub p10: f64,
 }
 
 impl Summary {
     /// Of any number of values; NaN for none. Quantiles are interpolated linearly between order statistics.
-    pub fn of(values: &[f64]) -> Self {
+    pub fn of(values: &[f64], higher_is_better: bool) -> Self {
         let mut sorted = values.to_vec();
         sorted.sort_by(f64::total_cmp);
         Self {
             mean: values.iter().sum::<f64>() / values.len() as f64,
             median: quantile(&sorted, 0.5),
-            p10: quantile(&sorted, 0.1),
+            p10: quantile(&sorted, if higher_is_better { 0.1 } else { 0.9 }),
         }
     }
 }
@@ -92,7 +92,7 @@ pub enum Cell {
         /// Middle value.
         #[serde(deserialize_with = "null_is_infinite")]
         median: f64,
-        /// A tenth of the samples lie below.
+        /// A tenth of the samples are this bad or worse.
         #[serde(deserialize_with = "null_is_infinite")]
         p10: f64,
     },
@@ -107,7 +107,7 @@ fn null_is_infinite<'de, D: serde::Deserializer<'de>>(d: D) -> Result<f64, D::Er
 }
 
 impl Cell {
-    /// Mean, median, 10th percentile of numbers a sample; the one number of a whole model; nothing.
+    /// Mean, median, bad tail of numbers a sample; the one number of a whole model; nothing.
     pub fn numbers(&self) -> Vec<f64> {
         match self {
             Self::Samples { mean, median, p10 } => vec![*mean, *median, *p10],
@@ -121,16 +121,6 @@ impl MetricRow {
     /// Whether some predictor has a number a sample.
     pub fn is_per_sample(&self) -> bool {
         self.cells.iter().any(|c| matches!(c, Cell::Samples { .. }))
-    }
-
-    /// The rank (0 is best) of each predictor in statistic `k` (0 mean, 1 median, 2 tenth percentile), `None` where it
-    /// has no number. Equal values share a rank.
-    pub fn ranks(&self, k: usize) -> Vec<Option<usize>> {
-        let value = |c: &Cell| c.numbers().get(k).copied().filter(|v| !v.is_nan());
-        let better = |a: f64, b: f64| if self.higher_is_better { a > b } else { a < b };
-        let values: Vec<f64> = self.cells.iter().filter_map(value).collect();
-        let rank = |v: f64| values.iter().filter(|other| better(**other, v)).count();
-        self.cells.iter().map(|c| value(c).map(rank)).collect()
     }
 }
 
@@ -160,7 +150,7 @@ impl Scores {
                 });
                 metrics[place].cells[p] = match &m.values {
                     Values::PerSample(values) => {
-                        let Summary { mean, median, p10 } = Summary::of(values);
+                        let Summary { mean, median, p10 } = Summary::of(values, m.goal == Goal::Higher);
                         Cell::Samples { mean, median, p10 }
                     }
                     Values::Whole(value) => Cell::Whole(*value),
@@ -198,18 +188,31 @@ impl ScoreTable {
         self.metrics.iter().find(|row| row.key == key)?.cells.first()?.numbers().first().copied()
     }
 
+    /// The rank (0 is best) of each predictor by statistic `k` of a metric (0 mean, 1 median, 2 bad tail); `None` for
+    /// bounds, and where there is no number. Equal values share a rank.
+    pub fn ranks(&self, metric: &MetricRow, k: usize) -> Vec<Option<usize>> {
+        let value = |(name, cell): (&String, &Cell)| {
+            cell.numbers().get(k).copied().filter(|v| !v.is_nan() && !self.bounds.contains(name))
+        };
+        let values: Vec<Option<f64>> = self.predictors.iter().zip(&metric.cells).map(value).collect();
+        let better = |a: f64, b: f64| if metric.higher_is_better { a > b } else { a < b };
+        let rank = |v: f64| values.iter().flatten().filter(|other| better(**other, v)).count();
+        values.iter().map(|v| v.map(rank)).collect()
+    }
+
     /// Aligned text for a terminal: a line for each metric and statistic, a column for each predictor; the best of a
-    /// line carries a `*`. Notes follow.
+    /// line carries a `*`, a bound a `†`. Notes follow.
     pub fn to_text(&self) -> String {
-        let head = ["metric".to_owned(), String::new()].into_iter().chain(self.predictors.clone());
+        let name = |name: &String| format!("{name}{}", if self.bounds.contains(name) { " †" } else { "" });
+        let head = ["metric".to_owned(), String::new()].into_iter().chain(self.predictors.iter().map(name));
         let mut lines: Vec<Vec<String>> = vec![head.collect()];
         for row in &self.metrics {
             let arrow = if row.higher_is_better { "↑" } else { "↓" };
             let unit = if row.unit.is_empty() { String::new() } else { format!(" [{}]", row.unit) };
-            let statistics: &[&str] = if row.is_per_sample() { &["mean", "median", "p10"] } else { &[""] };
+            let statistics: &[&str] = if row.is_per_sample() { &["mean", "median", "bad tail"] } else { &[""] };
             for (k, statistic) in statistics.iter().enumerate() {
                 let name = if k == 0 { format!("{}{unit} {arrow}", row.key) } else { String::new() };
-                let ranks = row.ranks(k);
+                let ranks = self.ranks(row, k);
                 let alone = ranks.iter().flatten().count() < 2;
                 let cell = |(cell, rank): (&Cell, &Option<usize>)| match cell.numbers().get(k) {
                     Some(value) => format!("{}{}", number(*value), if *rank == Some(0) && !alone { "*" } else { " " }),
@@ -220,8 +223,14 @@ impl ScoreTable {
             }
         }
         let learnt = "baselines learn from training and validation spectra together, the model from training alone";
-        let notes =
-            (self.predictors.len() > 1).then_some(learnt).into_iter().chain(self.notes.iter().map(String::as_str));
+        let tail = "bad tail: a tenth of the spectra are this bad or worse";
+        let bound = "† knows the scene that made the simulated spectra: in no ranking";
+        let own = [
+            self.metrics.iter().any(MetricRow::is_per_sample).then_some(tail),
+            (self.predictors.len() > 1).then_some(learnt),
+            (!self.bounds.is_empty()).then_some(bound),
+        ];
+        let notes = own.into_iter().flatten().chain(self.notes.iter().map(String::as_str));
         notes.fold(aligned(&lines, 2), |text, note| text + "note: " + note + "\n")
     }
 }
@@ -257,10 +266,22 @@ mod tests {
 
     #[test]
     fn quantiles_interpolate_as_numpy_does() {
-        let s = Summary::of(&[4.0, 1.0, 2.0, 3.0]);
+        let s = Summary::of(&[4.0, 1.0, 2.0, 3.0], true);
         assert_eq!((s.mean, s.median), (2.5, 2.5));
         assert!((s.p10 - 1.3).abs() < 1e-12);
-        assert!(Summary::of(&[]).mean.is_nan());
+        assert!(
+            (Summary::of(&[4.0, 1.0, 2.0, 3.0], false).p10 - 3.7).abs() < 1e-12,
+            "the bad tail is at the other end"
+        );
+        assert!(Summary::of(&[], true).mean.is_nan());
+    }
+
+    #[test]
+    fn a_bound_is_in_no_ranking() {
+        let table = Scores { bounds: vec![MODEL.into()], ..scores() }.table();
+        assert_eq!(table.ranks(&table.metrics[0], 0), vec![None, Some(0)]);
+        let text = table.to_text();
+        assert!(text.contains("model †") && !text.contains('*') && text.contains("note: † knows the scene"), "{text}");
     }
 
     #[test]
@@ -276,12 +297,13 @@ mod tests {
         let text = table.to_text();
         assert!(text.contains("0.6000*") && text.contains("2,613") && text.contains("n/a"), "{text}");
         let notes: Vec<&str> = text.lines().filter(|line| line.starts_with("note: ")).collect();
-        assert!(notes[0].starts_with("note: baselines learn from training and validation"), "{text}");
-        assert_eq!(notes[1..], ["note: k, far has seen the test spectra"], "{text}");
+        assert_eq!(notes[0], "note: bad tail: a tenth of the spectra are this bad or worse", "{text}");
+        assert!(notes[1].starts_with("note: baselines learn from training and validation"), "{text}");
+        assert_eq!(notes[2..], ["note: k, far has seen the test spectra"], "{text}");
         assert_eq!((table.of_model("ssim"), table.of_model("gaussians")), (Some(0.6), Some(2613.0)));
         assert_eq!(table.of_model("eta_0db"), None);
-        assert_eq!(table.metrics[0].ranks(0), vec![Some(0), Some(1)]);
-        assert_eq!(table.metrics[1].ranks(0), vec![Some(0), None]);
+        assert_eq!(table.ranks(&table.metrics[0], 0), vec![Some(0), Some(1)]);
+        assert_eq!(table.ranks(&table.metrics[1], 0), vec![Some(0), None]);
         let json = serde_json::to_string(&table).unwrap();
         assert_eq!(serde_json::from_str::<ScoreTable>(&json).unwrap(), table);
     }

@@ -28,7 +28,7 @@ fn metrics() -> Result<Vec<Plugin<dyn Metric>>> {
 /// One row of `validation.csv` from the two measurements.
 fn row(step: u64, measured: &[Measurement]) -> Validation {
     let of = |k: usize| match measured.get(k).map(|m| &m.values) {
-        Some(Values::PerSample(values)) => Summary::of(values),
+        Some(Values::PerSample(values)) => Summary::of(values, true),
         _ => Summary { mean: f64::NAN, median: f64::NAN, p10: f64::NAN },
     };
     Validation { step, ssim_mean: of(0).mean, ssim_median: of(0).median, eta_0db: of(1).mean }

@@ -38,6 +38,7 @@ pub fn page(results: &Results<'_>) -> Result<String> {
         seed => pipeline.seed,
         predictors => scores.predictors.clone(),
         groups => tables::groups(&scores),
+        bounds_known => scores.bounds.clone(),
         notes => scores.notes.clone(),
         figures => curves::all(results),
         room => room::figure(results)?,

@@ -59,6 +59,24 @@ pub struct Variant {
     pub runs: Vec<Record>,
 }
 
+impl Setting {
+    /// All runs.
+    pub fn runs(&self) -> impl Iterator<Item = &Record> {
+        self.variants.iter().flat_map(|v| &v.runs)
+    }
+
+    /// Names of the baselines, each once.
+    fn floors(&self) -> Vec<&str> {
+        distinct(self.runs().flat_map(Record::floors))
+    }
+
+    /// The fewest and the most seeds of a variant.
+    fn seeds(&self) -> (Option<usize>, Option<usize>) {
+        let counts = self.variants.iter().map(|v| v.runs.len());
+        (counts.clone().min(), counts.max())
+    }
+}
+
 impl Study {
     /// Reads sweep folders and run folders.
     ///
@@ -134,6 +152,17 @@ impl Study {
         }
         Ok(kept)
     }
+}
+
+/// Each once, in the order in which it came first.
+fn distinct<T: PartialEq>(all: impl IntoIterator<Item = T>) -> Vec<T> {
+    let mut found = Vec::new();
+    for one in all {
+        if !found.contains(&one) {
+            found.push(one);
+        }
+    }
+    found
 }
 
 /// A value as RON on one line.

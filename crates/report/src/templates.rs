@@ -6,14 +6,16 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use minijinja::syntax::SyntaxConfig;
 use minijinja::value::Value;
-use minijinja::{AutoEscape, Environment, escape_formatter};
+use minijinja::{AutoEscape, Environment};
+use pwrfgs_canvas::text::{plain, xml};
 use pwrfgs_core::{Error, Result};
 use pwrfgs_experiment::clock::duration;
 use pwrfgs_experiment::text::grouped;
 use std::sync::LazyLock;
 
-const TEMPLATES: [(&str, &str); 9] = [
+const TEMPLATES: [(&str, &str); 10] = [
     ("style.css", include_str!("templates/style.css")),
+    ("head.html", include_str!("templates/head.html")),
     ("run.html", include_str!("templates/run.html")),
     ("report.html", include_str!("templates/report.html")),
     ("report.md", include_str!("templates/report.md")),
@@ -35,11 +37,13 @@ static ENVIRONMENT: LazyLock<Environment<'static>> = LazyLock::new(|| {
         Some(other) => AutoEscape::Custom(other.to_owned().into()),
     });
     environment.set_formatter(|out, state, value| {
+        let text = value.to_string();
         let text = match state.auto_escape() {
-            AutoEscape::Custom(_) if value.is_safe() => value.to_string(),
-            AutoEscape::Custom(kind) if kind == "md" => markdown(&value.to_string()),
-            AutoEscape::Custom(kind) if kind == "tex" => latex::escaped(&value.to_string()),
-            _ => return escape_formatter(out, state, value),
+            _ if value.is_safe() => text,
+            AutoEscape::Html => xml(&text),
+            AutoEscape::Custom(kind) if kind == "md" => markdown(&text),
+            AutoEscape::Custom(kind) if kind == "tex" => latex::escaped(&text),
+            _ => plain(&text),
         };
         Ok(out.write_str(&text)?)
     });
@@ -68,9 +72,8 @@ pub(crate) fn sentences(name: &str, context: Value) -> Vec<String> {
 /// Text that Markdown takes as it is, in a table too.
 fn markdown(text: &str) -> String {
     let mut out = String::new();
-    for c in text.chars() {
+    for c in plain(text).chars() {
         match c {
-            '\n' | '\r' => out.push(' '),
             '\\' | '`' | '*' | '_' | '[' | ']' | '<' | '>' | '|' | '#' | '&' | '~' | '$' => out.extend(['\\', c]),
             _ => out.push(c),
         }
@@ -81,9 +84,19 @@ fn markdown(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use minijinja::context;
 
     #[test]
     fn nothing_in_a_label_is_markup() {
         assert_eq!(markdown("a_b|c*d <i> [x](y)\n#1"), "a\\_b\\|c\\*d \\<i\\> \\[x\\](y) \\#1");
+        assert_eq!(markdown("`x` & \u{1b}[2J"), "\\`x\\` \\& \u{fffd}\\[2J");
+    }
+
+    #[test]
+    fn a_label_adds_no_sentence() {
+        let (name, reference, least, most) = ("differences", "a\nb\u{1b}", 3, 3);
+        let words = context! { name, reference, least, most, replicates => 9, percent => 95, edge => "1", cubes => 20 };
+        let said = sentences("legend.txt", words);
+        assert!(said[0].starts_with("Row less a b\u{fffd}: mean") && said.len() == 4, "{said:#?}");
     }
 }

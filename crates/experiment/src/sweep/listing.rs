@@ -3,7 +3,7 @@
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Error, Result};
 use serde::{Deserialize, Serialize};
-use std::path::Path;
+use std::path::{Component, Path};
 
 /// The file that makes a folder a sweep folder.
 pub const LISTING: &str = "sweep.json";
@@ -28,6 +28,21 @@ pub struct ListedRun {
     pub seed: u64,
 }
 
+impl ListedRun {
+    /// Whether it lies below the folder of its sweep: a listing from elsewhere must not lead out of it.
+    fn lies_in(&self, sweep: &Path) -> bool {
+        let below = Path::new(&self.folder);
+        let leads_on = below.components().all(|part| matches!(part, Component::Normal(_)));
+        let real = |path: &Path| path.canonicalize().ok();
+        // A run that has not begun has no folder yet.
+        let stays = match (real(sweep), real(&sweep.join(below))) {
+            (Some(sweep), Some(run)) => run.starts_with(sweep),
+            _ => true,
+        };
+        leads_on && stays
+    }
+}
+
 impl Listing {
     /// The listing of a sweep folder; `None` where it is none.
     ///
@@ -36,9 +51,20 @@ impl Listing {
     pub fn read(folder: &Path) -> Result<Option<Self>> {
         let path = folder.join(LISTING);
         match files::read_string(&path) {
-            Ok(text) => serde_json::from_str(&text)
-                .map(Some)
-                .map_err(|e| Error::at(&path, e.line(), e.column(), format!("not the listing of a sweep: {e}"))),
+            Ok(text) => {
+                let listing: Self = serde_json::from_str(&text)
+                    .map_err(|e| Error::at(&path, e.line(), e.column(), format!("not the listing of a sweep: {e}")))?;
+                match listing.runs.iter().find(|run| !run.lies_in(folder)) {
+                    None => Ok(Some(listing)),
+                    Some(run) => Err(Error::input(
+                        &path,
+                        format!(
+                            "`{}` is not below the sweep's folder; name runs that lie elsewhere by themselves",
+                            run.folder
+                        ),
+                    )),
+                }
+            }
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
             Err(e) => Err(Error::read(&path, e)),
         }
@@ -51,5 +77,38 @@ impl Listing {
     pub fn write(&self, folder: &Path) -> Result<()> {
         let text = serde_json::to_string_pretty(self).expect("plain data") + "\n";
         write_atomically(&folder.join(LISTING), text.as_bytes())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_listing_does_not_lead_out_of_its_folder() {
+        let (sweep, elsewhere) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let read = |folder: &str| {
+            let run = ListedRun { folder: folder.into(), labels: vec![], seed: 0 };
+            Listing { name: "lambda".into(), runs: vec![run] }.write(sweep.path()).unwrap();
+            Listing::read(sweep.path())
+        };
+        std::fs::create_dir_all(sweep.path().join("a-0")).unwrap();
+        assert!(read("a-0").is_ok() && read("not/begun").is_ok());
+        let outside = elsewhere.path().to_str().unwrap();
+        #[cfg(unix)]
+        std::os::unix::fs::symlink(outside, sweep.path().join("link")).unwrap();
+        for folder in [
+            "../x",
+            "a-0/../../x",
+            outside,
+            #[cfg(unix)]
+            "link",
+        ] {
+            let said = read(folder).unwrap_err();
+            assert!(
+                said.is_input() && said.to_string().contains("is not below the sweep's folder"),
+                "{folder}: {said}"
+            );
+        }
     }
 }

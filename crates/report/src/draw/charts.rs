@@ -6,7 +6,7 @@
 pub(crate) use super::axes::Axis;
 use super::axes::{Frame, Scale};
 use super::canvas::{Anchor, Canvas, Colour, INK, Paint, Point};
-use super::font::{TEXT, text_width};
+use super::font::{TEXT, cut, text_width};
 use super::legend::{Legend, SYMBOL, Symbol};
 use super::marks::Style;
 
@@ -183,7 +183,8 @@ impl Chart {
         let wanted: Vec<f64> = names.iter().map(|n| n.1).collect();
         for ((name, end), y) in names.into_iter().zip(moved_apart(&wanted, 12.0, (frame.top, frame.bottom))) {
             canvas.line(&[[frame.right + 1.0, end], [frame.right + 6.0, y]], Paint::stroke(INK, 0.5));
-            canvas.text([frame.right + 8.0, y + 0.27 * TEXT], Anchor::Start, name);
+            let left = frame.right + 8.0;
+            canvas.text([left, y + 0.27 * TEXT], Anchor::Start, cut(name, canvas.width - left));
         }
     }
 }

@@ -1,7 +1,7 @@
 //! What symbols mean, in columns below a picture.
 
 use super::canvas::{Anchor, Canvas, Letters};
-use super::font::{TEXT, text_width};
+use super::font::{TEXT, cut, text_width};
 
 /// Height of text, a little less than on axes, and of a row.
 const SIZE: f64 = 10.5;
@@ -56,7 +56,9 @@ impl Legend {
         for (k, Symbol { picture, meaning }) in self.symbols.iter().enumerate() {
             let (x, middle) = (self.columns[k / self.rows], top + 4.0 + ROW * ((k % self.rows) as f64 + 0.5));
             canvas.put([x, middle - SYMBOL / 2.0], 1.0, picture);
-            canvas.text([x + picture.width + INDENT, middle + 0.27 * SIZE], Anchor::Start, meaning);
+            let left = x + picture.width + INDENT;
+            let room = (canvas.width - left) * TEXT / SIZE;
+            canvas.text([left, middle + 0.27 * SIZE], Anchor::Start, cut(meaning, room));
         }
     }
 }
@@ -72,7 +74,12 @@ mod tests {
         assert!((2..=3).contains(&legend.rows), "{} rows", legend.rows);
         assert!(legend.columns.windows(2).all(|w| w[0] < w[1]));
         let long = (0..3).map(|_| symbol("a very long name ".repeat(9))).collect();
-        assert_eq!(Legend::new(long, 380.0).columns, [MARGIN]);
+        let legend = Legend::new(long, 380.0);
+        assert_eq!(legend.columns, [MARGIN]);
+        let mut canvas = Canvas::new(380.0, 100.0);
+        legend.draw(&mut canvas, 0.0);
+        let svg = canvas.svg("legend", "");
+        assert!(svg.matches("..</text>").count() == 3 && !svg.contains(&"a very long name ".repeat(4)), "{svg}");
         assert_eq!(Legend::new(vec![], 380.0).height(), 0.0);
     }
 }

@@ -1,15 +1,17 @@
 //! The room and the Gaussians in it.
 
+mod receiver;
 #[cfg(test)]
 mod tests;
 mod view;
 
-use super::canvas::{BLACK, Canvas, Colour, Paint, Path, Point, WHITE};
+use super::canvas::{Canvas, Colour, Paint, Path, Point, WHITE};
 use super::legend::{SYMBOL, Symbol};
 use pwrfgs_core::{Dataset, Evaluation, ImagePlane, Metric, ModelFacts, Partition, Plugin, Real, Values};
 use pwrfgs_experiment::Snapshot;
 use pwrfgs_experiment::samples::evenly;
 use pwrfgs_experiment::text::{grouped, number};
+use receiver::Receiver;
 use std::fmt::Write as _;
 use view::{Place, View};
 
@@ -38,6 +40,7 @@ pub(crate) struct Room {
     view: View,
     /// Axes, cloud, transmitters and receiver.
     behind: Canvas,
+    receiver: Receiver,
     /// The largest radius of a Gaussian.
     radius: f64,
     has_test: bool,
@@ -45,9 +48,7 @@ pub(crate) struct Room {
 }
 
 impl Room {
-    /// Limits are those of the scene. Where it has no point cloud its walls are unknown, and the limits hold the middle
-    /// nine tenths of each of `clouds` as well.
-    /// Text on the axes is `text` high.
+    /// The frame holds the scene and the Gaussians of all `clouds` but those absurdly far off. Text on the axes is `text` high.
     pub(crate) fn new(data: &Dataset, partition: &Partition, clouds: &[&Snapshot], text: f64) -> Self {
         let (low, high) = limits(data, clouds);
         let view = View::new(low, high, text);
@@ -62,9 +63,11 @@ impl Room {
         };
         draw(&partition.train, TRAINING, Path::add_plus, 1.6);
         draw(&partition.test, TEST, Path::add_cross, 1.3);
-        draw_receiver(&mut behind, &view, data, 0.14 * (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max));
+        let pose = data.scene.origin.world_pose(data.scene.receiver);
+        let receiver = Receiver::new(&pose, &view, 0.14 * longest(low, high));
+        receiver.draw(&mut behind, view.place(pose.position));
         let (has_test, has_points) = (!partition.test.is_empty(), !data.scene.points.is_empty());
-        Self { view, behind, radius, has_test, has_points }
+        Self { view, behind, receiver, radius, has_test, has_points }
     }
 
     /// The Gaussians of one moment in the room.
@@ -137,8 +140,7 @@ impl Room {
         if self.has_test {
             all.push(symbol("test transmitters", cross, Paint::stroke(TEST, 1.4)));
         }
-        let triangle = Path::of(&[[6.0, 2.0], [11.0, 11.5], [1.0, 11.5]]).closed();
-        all.push(symbol("receiver and its boresight", triangle, Paint::fill(BLACK)));
+        all.push(self.receiver.symbol());
         all
     }
 
@@ -170,18 +172,6 @@ fn draw_points(canvas: &mut Canvas, view: &View, data: &Dataset) {
     }
 }
 
-/// A triangle where the receiver stands and a line along its boresight, metres long.
-fn draw_receiver(canvas: &mut Canvas, view: &View, data: &Dataset, length: f64) {
-    let pose = data.scene.origin.world_pose(data.scene.receiver);
-    let boresight = pose.world_from_receiver().z_axis.to_array().map(f64::from);
-    let end = [0, 1, 2].map(|k| pose.position[k] + length * boresight[k]);
-    let ([x, y], tip) = (view.place(pose.position), view.place(end));
-    canvas.line(&[[x, y], tip], Paint::stroke(WHITE, 3.5));
-    canvas.line(&[[x, y], tip], Paint::stroke(BLACK, 1.4));
-    let triangle = [[x, y - 5.5], [x + 5.0, y + 3.5], [x - 5.0, y + 3.5]];
-    canvas.polygon(&triangle, Paint::fill(BLACK).outlined(WHITE, 1.0));
-}
-
 /// The Chamfer distance to the point cloud as the metric of that name defines it, m²; `None` where it does not apply.
 fn chamfer(data: &Dataset, means: &[[Real; 3]]) -> Option<f64> {
     let metric = Plugin::<dyn Metric>::parse("Chamfer()").ok()?;
@@ -199,28 +189,44 @@ fn chamfer(data: &Dataset, means: &[[Real; 3]]) -> Option<f64> {
     }
 }
 
-/// Corners of the frame, a little wider than what it must hold and never flat.
+/// Corners of the frame, a little wider than what it must hold and never flat: the scene; where it has no point cloud
+/// its walls are unknown, and the middle nine tenths of each of `clouds` count as part of it; and every Gaussian that is
+/// no farther off than the scene is long, since one farther away would shrink the scene to a speck.
 fn limits(data: &Dataset, clouds: &[&Snapshot]) -> (Place, Place) {
     let (low, high) = data.scene.bounds;
     let [mut low, mut high] = [low, high].map(|corner| data.scene.origin.world(corner));
     if data.scene.points.is_empty() {
         for k in 0..3 {
-            for cloud in clouds.iter().filter(|c| !c.means.is_empty()) {
+            for cloud in clouds {
                 let mut places: Vec<f64> = (0..cloud.means.len()).map(|i| cloud.place(i)[k]).collect();
+                places.retain(|v| v.is_finite());
                 places.sort_by(f64::total_cmp);
-                let cut = places.len() / 20;
-                low[k] = low[k].min(places[cut]);
-                high[k] = high[k].max(places[places.len() - 1 - cut]);
+                let cut = (places.len() / 20).max(usize::from(places.len() > 2)); // one of a few, too
+                low[k] = places.get(cut).map_or(low[k], |v| low[k].min(*v));
+                high[k] = places.iter().rev().nth(cut).map_or(high[k], |v| high[k].max(*v));
             }
         }
     }
-    let longest = (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max);
-    let longest = if longest > 0.0 { longest } else { 1.0 };
+    let (scene, reach) = ((low, high), longest(low, high));
+    for mean in clouds.iter().flat_map(|c| &c.means).map(|mean| mean.map(f64::from)) {
+        if (0..3).all(|k| (scene.0[k] - reach..=scene.1[k] + reach).contains(&mean[k])) {
+            for k in 0..3 {
+                (low[k], high[k]) = (low[k].min(mean[k]), high[k].max(mean[k]));
+            }
+        }
+    }
+    let longest = longest(low, high);
     for k in 0..3 {
         let air = if high[k] - low[k] < 0.1 * longest { 0.1 } else { 0.02 } * longest;
         (low[k], high[k]) = (low[k] - air, high[k] + air);
     }
     (low, high)
+}
+
+/// The longest edge of a box; 1 where it has none.
+fn longest(low: Place, high: Place) -> f64 {
+    let longest = (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max);
+    if longest > 0.0 { longest } else { 1.0 }
 }
 
 /// The numbers below `n` in an order whose first part is spread over all of them (Knuth's multiplicative hash).

@@ -8,17 +8,19 @@ use pwrfgs_experiment::text::number;
 pub(super) fn groups(scores: &ScoreTable) -> Vec<Value> {
     let mut metrics: Vec<&MetricRow> = scores.metrics.iter().collect();
     metrics.sort_by_key(|m| !m.is_per_sample());
-    metrics.into_iter().map(group).collect()
+    metrics.into_iter().map(|metric| group(scores, metric)).collect()
 }
 
-fn group(metric: &MetricRow) -> Value {
+fn group(scores: &ScoreTable, metric: &MetricRow) -> Value {
     let (key, unit, samples) = (metric.key.clone(), metric.unit.clone(), metric.is_per_sample());
-    let columns: &'static [&'static str] = if samples { &["mean", "median", "p10"] } else { &[""] };
-    let ranks: Vec<Vec<Option<usize>>> = (0..columns.len()).map(|k| metric.ranks(k)).collect();
+    let columns: &'static [&'static str] = if samples { &["mean", "median", "bad tail"] } else { &[""] };
+    let ranks: Vec<Vec<Option<usize>>> = (0..columns.len()).map(|k| scores.ranks(metric, k)).collect();
+    // A single number is no best.
+    let rivals = |k: usize| ranks[k].iter().flatten().count() > 1;
     // Number, and `best` or `second`, of a predictor in a column.
     let shown = |p: usize, k: usize| match (metric.cells[p].numbers().get(k), ranks[k][p]) {
         (None, _) => ("n/a".into(), "none"),
-        (Some(value), Some(0)) => (number(*value), "best"),
+        (Some(value), Some(0)) if rivals(k) => (number(*value), "best"),
         (Some(value), Some(1)) => (number(*value), "second"),
         (Some(value), _) => (number(*value), ""),
     };
@@ -34,7 +36,7 @@ fn group(metric: &MetricRow) -> Value {
         title => if samples { key.clone() } else { key.trim_end_matches(&format!("_{unit}")).replace('_', " ") },
         arrow => if metric.higher_is_better { "↑" } else { "↓" },
         // Whether it is a number of more predictors than one.
-        shared => samples || ranks[0].iter().flatten().count() > 1,
+        shared => samples || metric.cells.iter().filter(|cell| !cell.numbers().is_empty()).count() > 1,
         columns => columns.to_vec(),
         key,
         unit,

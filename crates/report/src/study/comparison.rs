@@ -2,7 +2,7 @@
 
 use super::blocks::Blocks;
 use super::statistics::{Cell, Difference, Spread};
-use super::{Record, Setting};
+use super::{Record, Setting, distinct};
 use pwrfgs_experiment::scores::{MODEL, Summary};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -60,13 +60,14 @@ pub(super) enum Statistic {
     Mean,
     /// Their middle.
     Median,
-    /// Their 10th percentile.
+    /// Their bad tail: a tenth of them are this bad or worse.
     P10,
     /// The number of the whole model.
     Whole,
 }
 
 impl Statistic {
+    /// As the CSV has it.
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Mean => "mean",
@@ -74,6 +75,11 @@ impl Statistic {
             Self::P10 => "p10",
             Self::Whole => "value",
         }
+    }
+
+    /// Above a column.
+    pub(super) fn words(self) -> &'static str {
+        if self == Self::P10 { "bad tail" } else { self.name() }
     }
 }
 
@@ -99,7 +105,7 @@ impl Row<'_> {
             Statistic::Whole => run.value(self.predictor, &metric.key),
             _ => {
                 let values: Vec<f64> = run.samples(self.predictor, &metric.key)?.into_values().collect();
-                let summary = Summary::of(&values);
+                let summary = Summary::of(&values, metric.higher_is_better);
                 Some(match statistic {
                     Statistic::Median => summary.median,
                     Statistic::P10 => summary.p10,
@@ -151,14 +157,13 @@ pub(super) struct Comparison<'a> {
 
 impl<'a> Comparison<'a> {
     pub(super) fn new(setting: &'a Setting) -> Self {
-        let runs = || setting.variants.iter().flat_map(|v| &v.runs);
         let mut rows: Vec<Row<'a>> = setting
             .variants
             .iter()
             .map(|v| Row { label: &v.label, kind: Kind::Variant, predictor: MODEL, runs: v.runs.iter().collect() })
             .collect();
         let variants = rows.len();
-        for run in runs() {
+        for run in setting.runs() {
             for name in run.floors() {
                 // The same floor in another variant of this seed has the same numbers.
                 match rows[variants..].iter_mut().find(|row| row.label == name) {
@@ -175,7 +180,7 @@ impl<'a> Comparison<'a> {
         }
         rows[variants..].sort_by_key(|row| row.kind == Kind::Bound);
         let mut metrics: Vec<Metric> = Vec::new();
-        for row in runs().filter_map(|run| run.facts.scores.as_ref()).flat_map(|table| &table.metrics) {
+        for row in setting.runs().filter_map(|run| run.facts.scores.as_ref()).flat_map(|table| &table.metrics) {
             let (key, unit) = (row.key.clone(), row.unit.clone());
             let metric = Metric { key, unit, higher_is_better: row.higher_is_better, per_sample: row.is_per_sample() };
             if !metrics.iter().any(|m| m.key == metric.key) {
@@ -184,7 +189,7 @@ impl<'a> Comparison<'a> {
         }
         let (key, unit) = (TRAINING.to_owned(), "s".to_owned());
         metrics.push(Metric { key, unit, higher_is_better: false, per_sample: false });
-        let places = runs().flat_map(|run| run.places.iter().map(|(id, place)| (*id, *place))).collect();
+        let places = setting.runs().flat_map(|run| run.places.iter().map(|(id, place)| (*id, *place))).collect();
         Self { setting, rows, metrics, blocks: Blocks::new(&places) }
     }
 
@@ -196,15 +201,25 @@ impl<'a> Comparison<'a> {
         self.metrics.iter().find(|m| m.key == key)
     }
 
-    /// What every predictor of the setting has to say beside its numbers.
-    pub(super) fn notes(&self) -> Vec<String> {
-        let tables = self.setting.variants.iter().flat_map(|v| &v.runs).filter_map(|run| run.facts.scores.as_ref());
-        let mut notes: Vec<String> = Vec::new();
-        for note in tables.flat_map(|table| &table.notes) {
-            if !notes.contains(note) {
-                notes.push(note.clone());
+    /// Scores that are no numbers, a sentence each: means leave them out, which nobody must have to guess.
+    pub(super) fn holes(&self) -> Vec<String> {
+        let mut all = Vec::new();
+        for (row, metric) in self.rows.iter().flat_map(|row| self.metrics.iter().map(move |metric| (row, metric))) {
+            let without = |run: &&&Record| run.value(row.predictor, &metric.key).is_some_and(f64::is_nan);
+            let count = row.runs.iter().filter(without).count();
+            if count > 0 {
+                let (key, label, runs) = (&metric.key, row.label, row.runs.len());
+                all.push(format!(
+                    "{key} of {label} is no number in {count} of {runs} runs; its means leave these out."
+                ));
             }
         }
-        notes
+        all
+    }
+
+    /// What every predictor of the setting has to say beside its numbers.
+    pub(super) fn notes(&self) -> Vec<String> {
+        let tables = self.setting.runs().filter_map(|run| run.facts.scores.as_ref());
+        distinct(tables.flat_map(|table| &table.notes).cloned())
     }
 }

@@ -1,4 +1,4 @@
-//! Figures that compare the variants of one setting, each by itself as SVG (text as outlines) and PNG.
+//! Figures that compare the variants of one setting, each by itself as SVG, PDF (text as outlines in both) and PNG.
 //!
 //! A variant keeps its colour, marker and dashes in all of them; each of the three tells variants apart without the
 //! others, so that greyscale does. Headings are left to the page: a figure has a title and a caption beside it.
@@ -13,7 +13,7 @@ mod room;
 mod spectra;
 mod tradeoff;
 
-use super::{Record, Setting};
+use super::Setting;
 use crate::draw::canvas::Canvas;
 use crate::draw::charts::{Chart, Look};
 use crate::templates::sentences;
@@ -43,20 +43,25 @@ pub struct Figure {
     pub width_mm: f64,
     /// The figure for print.
     pub svg: String,
+    /// The same for LaTeX and the like.
+    #[serde(skip)]
+    pub pdf: Vec<u8>,
     /// The same at 300 dpi.
     #[serde(skip)]
     pub png: Vec<u8>,
 }
 
 impl Figure {
-    /// Writes `NAME.svg` and `NAME.png` into `folder`.
+    /// Writes `NAME.svg`, `NAME.pdf` and `NAME.png` into `folder`.
     ///
     /// # Errors
     /// [`Error::Write`].
     pub fn write(&self, folder: &Path) -> Result<()> {
         std::fs::create_dir_all(folder).map_err(|e| Error::write(folder, e))?;
-        write_atomically(&folder.join(format!("{}.svg", self.name)), self.svg.as_bytes())?;
-        write_atomically(&folder.join(format!("{}.png", self.name)), &self.png)
+        for (kind, bytes) in [("svg", self.svg.as_bytes()), ("pdf", &self.pdf), ("png", &self.png)] {
+            write_atomically(&folder.join(format!("{}.{kind}", self.name)), bytes)?;
+        }
+        Ok(())
     }
 
     /// A chart in one column; nothing where there is nothing to draw. What `words` say is for its caption.
@@ -69,14 +74,13 @@ impl Figure {
     }
 
     fn new(name: &str, setting: &Setting, words: Value, canvas: &Canvas) -> Self {
-        let seeds = setting.variants.iter().map(|v| v.runs.len());
-        let (least, most) = (seeds.clone().min(), seeds.max());
+        let (least, most) = setting.seeds();
         let words = sentences("figures.txt", context! { name, least, most, ..words });
         let kind = if setting.simulated { "Simulated" } else { "Measured" };
         let caption = format!("{} {kind} data: {}.", words[1], setting.title);
         let width_mm = (10.0 * canvas.width * MM).round() / 10.0;
-        let (svg, png) = (canvas.svg_for_print(width_mm), canvas.png(width_mm));
-        Self { name: name.into(), title: words[0].clone(), caption, width_mm, svg, png }
+        let (svg, pdf, png) = (canvas.svg_for_print(width_mm), canvas.pdf(width_mm), canvas.png(width_mm));
+        Self { name: name.into(), title: words[0].clone(), caption, width_mm, svg, pdf, png }
     }
 }
 
@@ -109,20 +113,4 @@ pub fn all(setting: &Setting, progress: Progress<'_>) -> Result<Vec<Figure>> {
         Err(e) => tracing::warn!("no figures of the room, the spectra and the rate ratio for {}: {e}", setting.title),
     }
     Ok(figures)
-}
-
-/// Names of the baselines of a setting, each once.
-fn floors(setting: &Setting) -> Vec<String> {
-    let mut names: Vec<String> = Vec::new();
-    for name in runs(setting).flat_map(Record::floors) {
-        if !names.iter().any(|n| n == name) {
-            names.push(name.to_owned());
-        }
-    }
-    names
-}
-
-/// All runs of a setting.
-fn runs(setting: &Setting) -> impl Iterator<Item = &Record> {
-    setting.variants.iter().flat_map(|v| &v.runs)
 }

@@ -1,6 +1,6 @@
 //! Puts runs in settings and variants, and gives both their names.
 
-use super::{Record, Setting, Variant};
+use super::{Record, Setting, Variant, distinct};
 use pwrfgs_core::Result;
 use serde_json::Value;
 
@@ -12,12 +12,7 @@ pub(super) type Labels = Vec<(String, String)>;
 
 /// Names joined by commas, each once; no more than fit a title.
 pub(super) fn listed(names: Vec<String>) -> String {
-    let mut all: Vec<String> = Vec::new();
-    for name in names {
-        if !all.contains(&name) {
-            all.push(name);
-        }
-    }
+    let all = distinct(names);
     let more = all.len().saturating_sub(TITLES);
     if more > 1 { format!("{} and {more} more", all[..TITLES].join(", ")) } else { all.join(", ") }
 }

@@ -43,11 +43,12 @@ struct Owned {
 /// # Errors
 /// A reference that does not exist, a folder that is not the report's, or a file that cannot be written.
 pub fn write(study: &Study, options: &Options, out: &Path, observer: &mut dyn Observer) -> Result<String> {
+    refuse_links(out)?;
     let before = owned(out)?;
     let page = Page::new(study, options.reference.as_deref(), observer)?;
     let files = files(study, &page)?;
     let names: BTreeSet<String> = files.iter().map(|(name, _)| name.clone()).collect();
-    if let Some(foreign) = names.difference(&before.files).find(|name| out.join(name).exists()) {
+    if let Some(foreign) = names.difference(&before.files).find(|name| out.join(name).symlink_metadata().is_ok()) {
         let path = out.join(foreign);
         return Err(Error::Config(format!("{} is not the report's; choose another --out", path.display())));
     }
@@ -81,10 +82,21 @@ fn files(study: &Study, page: &Page) -> Result<Vec<(String, Vec<u8>)>> {
         for figure in &section.figures {
             let stem = format!("figures/{}-{}", section.name, figure.name);
             files.push((format!("{stem}.svg"), figure.svg.clone().into()));
+            files.push((format!("{stem}.pdf"), figure.pdf.clone()));
             files.push((format!("{stem}.png"), figure.png.clone()));
         }
     }
     Ok(files)
+}
+
+/// Refuses folders that lead elsewhere: a report replaces and removes files, and only its own.
+fn refuse_links(out: &Path) -> Result<()> {
+    let places = [out.to_owned(), out.join(OWN), out.join("tables"), out.join("figures")];
+    let leads_away = |place: &&std::path::PathBuf| place.symlink_metadata().is_ok_and(|found| found.is_symlink());
+    places.iter().find(leads_away).map_or(Ok(()), |place| {
+        let advice = "a report is never written through one; choose another --out";
+        Err(Error::Config(format!("{} is a symbolic link, and {advice}", place.display())))
+    })
 }
 
 /// The list in `out`; an empty one where there is nothing yet. Refuses what is no folder, or holds files of which none
@@ -111,7 +123,7 @@ fn is_ours(name: &str) -> bool {
     };
     ["report.md", "report.csv", "report.tex", "report.html"].contains(&name)
         || below("tables/", &[".tex"])
-        || below("figures/", &[".svg", ".png"])
+        || below("figures/", &[".svg", ".pdf", ".png"])
 }
 
 fn own(out: &Path, files: BTreeSet<String>) -> Result<()> {
@@ -137,9 +149,40 @@ mod tests {
         owned(folder.path()).unwrap();
     }
 
+    #[cfg(unix)]
+    #[test]
+    fn nothing_is_written_or_removed_through_a_link() {
+        let (folder, elsewhere) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let precious = elsewhere.path().join("1-old.svg");
+        std::fs::write(&precious, "mine").unwrap();
+        own(folder.path(), BTreeSet::from(["figures/1-old.svg".to_owned()])).unwrap();
+        own(elsewhere.path(), BTreeSet::new()).unwrap();
+        let study = Study { title: "none".into(), ..Study::default() };
+        let write = |out: &Path| write(&study, &Options::default(), out, &mut pwrfgs_experiment::Silent);
+        let whole = |name: &str| {
+            let link = folder.path().join(name);
+            std::os::unix::fs::symlink(elsewhere.path(), &link).unwrap();
+            link
+        };
+        for link in [whole("figures"), whole("tables")] {
+            let said = write(folder.path()).unwrap_err();
+            assert!(said.is_input() && said.to_string().contains("is a symbolic link, and a report"), "{said}");
+            std::fs::remove_file(link).unwrap();
+        }
+        assert!(write(&whole("report")).unwrap_err().is_input());
+        assert_eq!(std::fs::read_to_string(&precious).unwrap(), "mine");
+        // A link in place of a file is refused where it is not ours, and is replaced, not followed, where it is.
+        std::os::unix::fs::symlink(&precious, folder.path().join("report.md")).unwrap();
+        assert!(write(folder.path()).unwrap_err().to_string().contains("report.md is not the report's"));
+        own(folder.path(), BTreeSet::from(["report.md".to_owned()])).unwrap();
+        write(folder.path()).unwrap();
+        assert!(!folder.path().join("report.md").is_symlink());
+        assert_eq!(std::fs::read_to_string(&precious).unwrap(), "mine");
+    }
+
     #[test]
     fn a_list_of_foreign_files_is_no_list() {
-        for name in ["../../precious", "/etc/hosts", "tables/../../a.tex", "figures/x.pdf", "notes.md"] {
+        for name in ["../../precious", "/etc/hosts", "tables/../../a.tex", "figures/x.gif", "notes.md"] {
             let folder = tempfile::tempdir().unwrap();
             own(folder.path(), BTreeSet::from([name.to_owned()])).unwrap();
             assert!(owned(folder.path()).unwrap_err().is_input(), "{name}");

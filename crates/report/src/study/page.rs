@@ -3,7 +3,7 @@
 use super::comparison::{Comparison, Kind, Row};
 use super::figures::{self, Figure};
 use super::tables::{self, Table};
-use super::{Record, Setting, Study};
+use super::{Record, Setting, Study, distinct};
 use crate::templates::sentences;
 use minijinja::{Value, context};
 use pwrfgs_core::{Error, Result, did_you_mean};
@@ -11,7 +11,6 @@ use pwrfgs_experiment::clock::duration;
 use pwrfgs_experiment::text::grouped;
 use pwrfgs_experiment::{Observer, staged};
 use serde::Serialize;
-use std::collections::BTreeSet;
 
 /// The report of a study.
 #[derive(Clone, Debug)]
@@ -80,11 +79,8 @@ impl Section {
         let setting = comparison.setting;
         let named = reference.and_then(|label| comparison.row(label));
         let compared: &Row<'_> = named.unwrap_or(&comparison.rows[0]);
-        let runs: Vec<&Record> = setting.variants.iter().flat_map(|v| &v.runs).collect();
+        let runs: Vec<&Record> = setting.runs().collect();
         let same_machine = runs.iter().all(|r| r.facts.machine == runs[0].facts.machine);
-        let distinct = |of: &dyn Fn(&Record) -> String| -> Vec<String> {
-            runs.iter().map(|r| of(r)).collect::<BTreeSet<_>>().into_iter().collect()
-        };
         let samples = [0, 1, 2].map(|k| {
             let of = runs.iter().map(|r| r.facts.samples[k]);
             vec![of.clone().min(), of.max()]
@@ -98,14 +94,15 @@ impl Section {
                 samples => Vec::from(samples),
                 simulated => setting.simulated,
                 machines_differ => !same_machine,
-                machines => distinct(&machine),
-                programs => distinct(&program),
-                precisions => distinct(&|r| r.facts.real_bytes.to_string()),
+                machines => distinct(setting.runs().map(machine)),
+                programs => distinct(setting.runs().map(program)),
+                precisions => distinct(setting.runs().map(|r| r.facts.real_bytes)),
                 absent => reference.filter(|_| named.is_none()),
                 reference => compared.label,
             },
         );
-        let warnings = said.split_off(1);
+        let mut warnings = said.split_off(1);
+        warnings.extend(comparison.holes());
         let tables = [
             tables::scores(comparison, same_machine),
             tables::differences(comparison, compared),

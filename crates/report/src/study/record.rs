@@ -1,7 +1,8 @@
 //! `Record`: one finished run, read back from its folder.
 
-use super::one_line;
-use pwrfgs_core::{Error, Result, files};
+use super::{distinct, one_line};
+use pwrfgs_core::files::read_text;
+use pwrfgs_core::{Error, Result};
 use pwrfgs_experiment::Facts;
 use pwrfgs_experiment::folder::{CURVE, MODEL_FILE, PIPELINE, SAMPLES, SCORES};
 use pwrfgs_experiment::scores::MODEL;
@@ -14,6 +15,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 type ById<T> = BTreeMap<u32, T>;
+
+/// What to do about a damaged file.
+const ADVICE: &str = "the run's own files must stay as it wrote them; restore it, or repeat the run in another folder";
 
 /// One finished run.
 #[derive(Clone, Debug)]
@@ -51,19 +55,14 @@ impl Record {
     /// # Errors
     /// One of its files is damaged or missing.
     pub fn read(folder: &Path) -> Result<Option<Self>> {
+        let path = |name: &str| folder.join(name);
         let Some(facts) = Facts::read(folder)?.filter(|f| f.finished.is_some()) else { return Ok(None) };
         facts.verify(folder)?;
-        let text = |name: &str| {
-            let path = folder.join(name);
-            files::read_string(&path).map(|text| (text, path.clone())).map_err(|e| Error::read(&path, e))
-        };
-        let (own, path) = text(PIPELINE)?;
-        let pipeline = Pipeline::parse(&own, &path)?;
-        let (rows, path) = text(SCORES)?;
-        let scores = scores(&rows, &path)?;
-        let (rows, path) = text(SAMPLES)?;
-        let (nearest_train_m, places) = test_samples(&rows, &path)?;
-        let curve = series::read(&folder.join(CURVE));
+        let text = |name: &str| read_text(&path(name));
+        let pipeline = Pipeline::parse(&text(PIPELINE)?, &path(PIPELINE))?;
+        let scores = scores(&text(SCORES)?, &path(SCORES))?;
+        let (nearest_train_m, places) = test_samples(&text(SAMPLES)?, &path(SAMPLES))?;
+        let curve = series::whole(&path(CURVE), facts.steps)?;
         let gaussians = curve.iter().filter_map(|row| Some(((*row.first()?)?, (*row.get(4)?)?))).collect();
         Ok(Some(Self { folder: folder.into(), pipeline, facts, scores, nearest_train_m, places, gaussians }))
     }
@@ -83,13 +82,7 @@ impl Record {
 
     /// Baselines in the order of the pipeline.
     pub fn floors(&self) -> Vec<&str> {
-        let mut names: Vec<&str> = Vec::new();
-        for score in self.scores.iter().filter(|s| s.predictor != MODEL) {
-            if !names.contains(&score.predictor.as_str()) {
-                names.push(&score.predictor);
-            }
-        }
-        names
+        distinct(self.scores.iter().map(|s| s.predictor.as_str()).filter(|name| *name != MODEL))
     }
 
     /// The trained model's file.
@@ -176,10 +169,18 @@ fn test_samples(text: &str, path: &Path) -> Result<(ById<f64>, ById<[f64; 3]>)> 
     Ok(tested.map(|s| ((s.id, s.nearest_train_m.unwrap_or(f64::INFINITY)), (s.id, [s.x, s.y, s.z]))).unzip())
 }
 
+/// The rows of a file that was written whole.
 fn rows<T: DeserializeOwned>(text: &str, path: &Path) -> Result<Vec<T>> {
+    let at = |line: usize, what: String| Error::at(path, line, 1, format!("{what}; {ADVICE}"));
+    if !text.ends_with('\n') {
+        return Err(at(text.lines().count().max(1), "the file ends before the end of a row".into()));
+    }
     let placed = |e: csv::Error| {
-        let (said, line) = (e.to_string().replace(" error", ""), e.position().map_or(1, |p| p.line() as usize));
-        Error::at(path, line, 1, format!("{said}; the run's own files must stay as it wrote them"))
+        let said = match e.kind() {
+            csv::ErrorKind::Deserialize { err, .. } => err.kind().to_string(),
+            _ => "the row has another number of fields than the first line".into(),
+        };
+        at(e.position().map_or(1, |p| p.line() as usize), said)
     };
     csv::Reader::from_reader(text.as_bytes()).into_deserialize().map(|row| row.map_err(placed)).collect()
 }
@@ -197,10 +198,19 @@ mod tests {
         assert_eq!(found[0].values, [(Some(3), 0.5), (Some(7), 0.7)]);
         assert_eq!((found[1].metric.as_str(), &found[1].values), ("gaussians", &vec![(None, 2613.0)]));
         assert_eq!(found[2].predictor, "k, far");
-        for (wrong, place) in [("model,ssim,3\n", ":2:"), ("model,ssim,x,1\n", ":2:"), ("model,ssim,3,\n", ":2:")] {
-            let said = scores(&format!("predictor,metric,sample,value\n{wrong}"), Path::new("scores.csv")).unwrap_err();
-            assert!(said.is_input() && said.to_string().contains(place), "{said}");
+        let wrong = [
+            ("model,ssim,3\n", ":2:1: the row has another number of fields than the first line;"),
+            ("model,ssim,x,1\n", ":2:1: `x` is no number;"),
+            ("model,ssim,3,\n", ":2:1: `` is no number;"),
+            ("model,ssim,3,1", ":2:1: the file ends before the end of a row;"),
+        ];
+        for (row, why) in wrong {
+            let said = scores(&format!("predictor,metric,sample,value\n{row}"), Path::new("scores.csv")).unwrap_err();
+            assert!(said.is_input() && said.to_string().contains(why), "{said}");
         }
+        assert!(
+            scores("", Path::new("scores.csv")).unwrap_err().to_string().starts_with("scores.csv:1:1: the file ends")
+        );
     }
 
     #[test]

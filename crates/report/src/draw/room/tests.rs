@@ -49,11 +49,27 @@ fn gaussians_outside_the_room_are_counted_and_not_drawn() {
 }
 
 #[test]
-fn without_a_cloud_the_frame_holds_most_gaussians() {
+fn the_frame_grows_with_gaussians_that_are_not_absurdly_far() {
+    let (data, partition) = room(5);
+    let cloud = snapshot([[1.0, 1.0, 1.0], [7.9, 1.0, 1.0], [1.0, -3.9, 5.9]]);
+    let panel = Room::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
+    assert_eq!((circles(&panel), panel.caption.as_str()), (3, ""));
+    // What is nowhere is told, and bends no frame.
+    let cloud = snapshot([[1.0, 1.0, 1.0], [Real::NAN, 1.0, 1.0], [1.0, Real::INFINITY, 1.0], [1e30, 1.0, 1.0]]);
+    for points in [0, 5] {
+        let (data, partition) = room(points);
+        let panel = Room::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
+        assert_eq!((circles(&panel), panel.caption.as_str()), (1, "3 of 4 lie outside the frame"));
+        assert!(!svg(&panel).contains("NaN") && !svg(&panel).contains("inf"));
+    }
+}
+
+#[test]
+fn without_a_cloud_the_frame_holds_all_gaussians_that_lie_together() {
     let (data, partition) = room(0);
-    let cloud = snapshot((0..200).map(|i| [i as Real, 0.0, 0.0]));
+    let cloud = snapshot((0..200).map(|i| [i as Real, 0.0, 0.0]).chain([[1e4, 0.0, 0.0]]));
     let panel = Room::new(&data, &partition, &[&cloud], 10.5).panel("In the end", &cloud, &data);
-    assert!((180..200).contains(&circles(&panel)));
+    assert_eq!((circles(&panel), panel.caption.as_str()), (200, "1 of 201 lie outside the frame"));
 }
 
 #[test]

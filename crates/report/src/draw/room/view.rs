@@ -67,8 +67,7 @@ impl View {
 
     /// How near the eye `p` is: 0 at the farthest corner of the box, 1 at the nearest.
     pub(crate) fn nearness(&self, p: Place) -> f64 {
-        let [az, el] = [AZIMUTH, ELEVATION].map(f64::to_radians);
-        let eye = [el.cos() * az.cos(), el.cos() * az.sin(), el.sin()];
+        let eye = eye();
         let along = |k: usize| if eye[k] > 0.0 { p[k] - self.low[k] } else { p[k] - self.high[k] };
         let reach: f64 = (0..3).map(|k| (eye[k] * (self.high[k] - self.low[k])).abs()).sum();
         (0..3).map(|k| eye[k] * along(k)).sum::<f64>() / reach
@@ -116,6 +115,18 @@ impl View {
         canvas.path(grid, Paint::stroke(Colour::hex(0xdd_e0e6), 0.6));
         canvas
     }
+}
+
+/// The direction of the eye.
+fn eye() -> Place {
+    let [az, el] = [AZIMUTH, ELEVATION].map(f64::to_radians);
+    [el.cos() * az.cos(), el.cos() * az.sin(), el.sin()]
+}
+
+/// How much a direction looks at the eye: 1 straight at it, -1 straight away from it.
+pub(crate) fn facing(direction: Place) -> f64 {
+    let (eye, length) = (eye(), direction.iter().map(|v| v * v).sum::<f64>().sqrt());
+    (0..3).map(|k| eye[k] * direction[k]).sum::<f64>() / length
 }
 
 /// To the right and upwards in the picture, metres.

@@ -3,7 +3,7 @@
 //! Where test transmitters stand millimetres from those trained on, a copy of the nearest spectrum scores best, and a
 //! score averaged over the test part says little about places further off.
 
-use super::{Figure, floors, looks};
+use super::{Figure, looks};
 use crate::draw::charts::{Axis, Chart, Line};
 use crate::draw::marks::{Stroke, Style};
 use crate::study::{Record, Setting};
@@ -30,11 +30,11 @@ pub(super) fn figure(setting: &Setting) -> Option<Figure> {
             lines.push(Line::new(round, Style { stroke: Stroke::Area, ..style }));
         }
     }
-    for (k, name) in floors(setting).into_iter().enumerate() {
+    for (k, name) in setting.floors().into_iter().enumerate() {
         // The same in every variant, up to splits that depend on the seed.
-        let bins = bins(&setting.variants[0].runs, &name);
+        let bins = bins(&setting.variants[0].runs, name);
         let points = bins.iter().map(|b| (b.distance, b.quartiles[1])).collect();
-        lines.push(Line::new(points, looks::floor(k)).named_at_end(&name));
+        lines.push(Line::new(points, looks::floor(k)).named_at_end(name));
     }
     let x = Axis { name: "distance to the nearest training transmitter [m]".into(), log: true, ends: None };
     let chart = Chart { x, y: Axis { name: "error 1 − SSIM".into(), ..Axis::default() }, lines, ..Chart::default() };

@@ -1,12 +1,12 @@
 //! Time of a prediction by stage: stacked bars.
 
-use super::{COLUMN, Figure, looks, runs};
+use super::{COLUMN, Figure, looks};
 use crate::draw::canvas::{Anchor, Canvas, Colour, INK, Paint, Point};
 use crate::draw::font::{text_width, wrapped};
 use crate::draw::legend::{Legend, SYMBOL, Symbol};
 use crate::draw::ticks::ticks;
 use crate::study::statistics::Spread;
-use crate::study::{Setting, Variant};
+use crate::study::{Setting, Variant, distinct};
 use minijinja::context;
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::text::number;
@@ -64,11 +64,7 @@ pub(super) fn figure(setting: &Setting) -> Option<Figure> {
 
 /// What it was measured on.
 fn machines(setting: &Setting) -> Vec<String> {
-    let mut all: Vec<String> =
-        runs(setting).map(|r| format!("{}, {} threads", r.facts.machine.cpu, r.facts.machine.threads)).collect();
-    all.sort();
-    all.dedup();
-    all
+    distinct(setting.runs().map(|r| format!("{}, {} threads", r.facts.machine.cpu, r.facts.machine.threads)))
 }
 
 fn draw(bars: &[Bar<'_>], longest: f64) -> Canvas {

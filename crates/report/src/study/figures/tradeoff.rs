@@ -1,6 +1,6 @@
 //! SSIM and the rate ratio against N: figure 2b of the paper.
 
-use super::{Figure, floors, looks, runs};
+use super::{Figure, looks};
 use crate::draw::charts::{Axis, Chart, Line};
 use crate::study::statistics::Spread;
 use crate::study::{Setting, Variant};
@@ -40,13 +40,14 @@ fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
     if points.is_empty() {
         return None;
     }
+    let published = is_s23(setting);
     let mut lines = points;
-    lines.push(reference(score));
+    lines.extend(published.then(|| reference(score)));
     lines.extend(threads(setting, score.key));
     lines.extend(baselines(setting, score));
     let x = Axis { name: "number of Gaussians N".into(), log: true, ends: None };
     let chart = Chart { x, y: Axis { name: score.axis.into(), ..Axis::default() }, lines, ..Chart::default() };
-    Figure::chart(score.name, setting, context! { axis => score.axis }, chart)
+    Figure::chart(score.name, setting, context! { axis => score.axis, published }, chart)
 }
 
 /// N and score over the seeds of a variant; nothing where no run has the score.
@@ -91,11 +92,18 @@ fn family(label: &str) -> String {
 
 /// Level lines over the whole width, with their names at the right.
 fn baselines(setting: &Setting, score: &Score) -> Vec<Line> {
-    let line = |(k, name): (usize, String)| {
-        let values: Vec<f64> = runs(setting).filter_map(|r| r.value(&name, score.key)).collect();
-        Some(Line::level(Spread::of(&values)?.mean, looks::floor(k)).named_at_end(&name))
+    let line = |(k, name): (usize, &str)| {
+        let values: Vec<f64> = setting.runs().filter_map(|r| r.value(name, score.key)).collect();
+        Some(Line::level(Spread::of(&values)?.mean, looks::floor(k)).named_at_end(name))
     };
-    floors(setting).into_iter().enumerate().filter_map(line).collect()
+    setting.floors().into_iter().enumerate().filter_map(line).collect()
+}
+
+/// Whether these are the measured spectra that the published numbers belong to, going by what the data call themselves:
+/// NeRF2's own name of the set.
+fn is_s23(setting: &Setting) -> bool {
+    let names = |title: &str| title.split(|c: char| !c.is_alphanumeric()).any(|word| word.eq_ignore_ascii_case("s23"));
+    !setting.simulated && setting.runs().all(|run| names(&run.facts.data))
 }
 
 /// What the paper publishes.

@@ -1,7 +1,7 @@
 //! `report.csv`: a line each number, every metric of every row, as it was computed.
 //!
 //! Columns: setting, simulated, variant, kind (`variant`, `floor`, or `bound` for what knows the scene), metric, unit,
-//! statistic (`mean`, `median`, `p10` over test spectra; `value` of a whole model; `difference` for the paired mean
+//! statistic (`mean`, `median`, `p10` over test spectra, the last counted from the bad end; `value` of a whole model; `difference` for the paired mean
 //! difference from `reference`), value (mean over seeds), std (over seeds, empty for one), n (seeds), reference, low and
 //! high (ends of the interval of a difference).
 

@@ -2,6 +2,7 @@
 
 use super::super::page::Page;
 use super::super::tables::{Column, Line, Mark, Shown, Table};
+use pwrfgs_canvas::text::plain;
 use pwrfgs_experiment::text::aligned;
 use std::fmt::Write as _;
 
@@ -23,7 +24,7 @@ pub(in super::super) fn text(page: &Page) -> String {
     out.truncate(out.trim_end().len());
     out.push('\n');
     out.extend(page.left_out.iter().map(|why| format!("left out: {why}\n")));
-    out
+    out.split_inclusive('\n').map(|line| plain(line.trim_end_matches('\n')) + "\n").collect()
 }
 
 fn cell(shown: &Shown) -> String {
@@ -44,6 +45,6 @@ fn cell(shown: &Shown) -> String {
 fn lines(table: &Table) -> Vec<Vec<String>> {
     let head = |of: fn(&Column) -> String| [String::new()].into_iter().chain(table.columns.iter().map(of)).collect();
     let heads = [head(|c| format!("{} {} ", c.title, c.arrow)), head(|c| format!("{} ", c.detail))];
-    let line = |line: &Line| [line.label.clone()].into_iter().chain(line.cells.iter().map(cell)).collect();
+    let line = |line: &Line| [plain(&line.label)].into_iter().chain(line.cells.iter().map(cell)).collect();
     heads.into_iter().chain(table.lines.iter().map(line)).collect()
 }

@@ -89,8 +89,8 @@ fn column(rows: &[Row<'_>], (metric, statistic): Wanted<'_>, ranked: bool) -> Op
     let detail = match (statistic, unit) {
         (Statistic::Whole, "") => String::new(),
         (Statistic::Whole, unit) => format!("[{unit}]"),
-        (statistic, "") => statistic.name().into(),
-        (statistic, unit) => format!("{} [{unit}]", statistic.name()),
+        (statistic, "") => statistic.words().into(),
+        (statistic, unit) => format!("{} [{unit}]", statistic.words()),
     };
     let arrow = if metric.higher_is_better { "↑" } else { "↓" };
     Some((Column { title: words, detail, arrow }, cells))

@@ -61,12 +61,12 @@ fn table(
         return None;
     }
     let mut table = Table { name, title: title(words, comparison.setting), columns, lines, legend: Vec::new() };
-    let seeds = comparison.setting.variants.iter().map(|v| v.runs.len());
+    let (least, most) = comparison.setting.seeds();
     let words = context! {
         name,
         sampled => comparison.metrics.iter().any(|m| m.per_sample),
-        least => seeds.clone().min(),
-        most => seeds.max(),
+        least,
+        most,
         floors => table.has(Kind::Floor),
         marked => table.is_marked(),
         bounds => table.has(Kind::Bound),

@@ -1,7 +1,7 @@
 //! A canvas as PNG.
 
-use super::canvas::{Canvas, Colour, Paint, Path, Pixels, Point, Shape, Step};
 use super::font::outlines;
+use super::{Canvas, Colour, Paint, Path, Pixels, Point, Shape, Step};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _};
 use tiny_skia as skia;
@@ -11,7 +11,7 @@ const PIXELS_PER_MM: f64 = 300.0 / 25.4;
 
 impl Canvas {
     /// On white, `width_mm` wide.
-    pub(crate) fn png(&self, width_mm: f64) -> Vec<u8> {
+    pub fn png(&self, width_mm: f64) -> Vec<u8> {
         let scale = width_mm * PIXELS_PER_MM / self.width;
         let [width, height] = [self.width, self.height].map(|length| (length * scale).round() as u32);
         let mut paper = skia::Pixmap::new(width, height).expect("a canvas has a size");
@@ -104,7 +104,7 @@ fn draw_pixels(paper: &mut skia::Pixmap, [x, y]: Point, size: Point, pixels: &Pi
 
 #[cfg(test)]
 mod tests {
-    use super::super::canvas::{Anchor, BLACK, INK, Letters};
+    use super::super::{Anchor, BLACK, INK, Letters};
     use super::*;
 
     /// Grey values, and the width of the picture.

@@ -1,20 +1,21 @@
 //! A canvas as SVG text.
 
-use super::canvas::{Anchor, Canvas, Colour, Paint, Path, Pixels, Point, Shape, Step, Text};
 use super::font::outlines;
 use super::png::encoded;
+use super::text::xml;
+use super::{Anchor, Canvas, Colour, Paint, Path, Pixels, Point, Shape, Step, Text};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use std::fmt::Write as _;
 
 impl Canvas {
     /// For a page: text stays text in the page's font, and style sheets find the picture by `class`.
-    pub(crate) fn svg(&self, class: &str, title: &str) -> String {
-        self.written(&format!("class=\"{class}\" role=\"img\" aria-label=\"{}\"", escaped(title)), false)
+    pub fn svg(&self, class: &str, title: &str) -> String {
+        self.written(&format!("class=\"{class}\" role=\"img\" aria-label=\"{}\"", xml(title)), false)
     }
 
     /// For print, so wide on paper: text is outlines, so that it needs no font.
-    pub(crate) fn svg_for_print(&self, width_mm: f64) -> String {
+    pub fn svg_for_print(&self, width_mm: f64) -> String {
         let height_mm = width_mm * self.height / self.width;
         self.written(&format!("width=\"{width_mm}mm\" height=\"{height_mm:.2}mm\""), true)
     }
@@ -133,7 +134,7 @@ impl Writer {
         } else {
             self.put(format_args!("x=\"{x}\" y=\"{y}\""));
         }
-        let (size, words) = (Short(text.letters.size), escaped(&text.words));
+        let (size, words) = (Short(text.letters.size), xml(&text.words));
         self.put(format_args!(" font-size=\"{size}\" text-anchor=\"{anchor}\">{words}</text>"));
     }
 
@@ -152,15 +153,10 @@ impl Writer {
 
 /// A length with two decimals at most.
 #[derive(Clone, Copy)]
-struct Short(f64);
+pub(super) struct Short(pub(super) f64);
 
 impl std::fmt::Display for Short {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{}", (self.0 * 100.0).round() / 100.0 + 0.0) // without the sign of a zero
     }
-}
-
-/// Text in XML.
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

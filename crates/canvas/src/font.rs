@@ -1,16 +1,16 @@
 //! The built-in font: how wide text is, its outlines, and where long text is broken.
 
-use super::canvas::{Anchor, Path, Point, Step, Text};
+use super::{Anchor, Path, Point, Step, Text};
 use std::sync::LazyLock;
 use ttf_parser::{Face, GlyphId, OutlineBuilder};
 
 /// Height of text: 7.5 pt where a column of 380 is 3.5 in wide.
-pub(crate) const TEXT: f64 = 11.3;
+pub const TEXT: f64 = 11.3;
 /// Height of a line of text.
-pub(crate) const LINE: f64 = 14.0;
+pub const LINE: f64 = 14.0;
 
 static FACE: LazyLock<Face<'static>> =
-    LazyLock::new(|| Face::parse(include_bytes!("../../assets/labels.ttf"), 0).expect("the built-in font is one"));
+    LazyLock::new(|| Face::parse(include_bytes!("../assets/labels.ttf"), 0).expect("the built-in font is one"));
 
 /// A letter and its width for text of height 1; a box where the font has no such letter.
 fn glyph(letter: char) -> (GlyphId, f64) {
@@ -19,12 +19,12 @@ fn glyph(letter: char) -> (GlyphId, f64) {
 }
 
 /// Width of text in the height that charts have.
-pub(crate) fn text_width(words: &str) -> f64 {
+pub fn text_width(words: &str) -> f64 {
     TEXT * words.chars().map(|c| glyph(c).1).sum::<f64>()
 }
 
 /// The outlines of a text where it stands.
-pub(crate) fn outlines(text: &Text) -> Path {
+pub fn outlines(text: &Text) -> Path {
     let size = text.letters.size;
     let whole = size / TEXT * text_width(&text.words);
     let part = match text.anchor {
@@ -83,7 +83,7 @@ impl OutlineBuilder for Pen {
 }
 
 /// `text` in lines no wider than `width`, broken after its commas; what is too long even then is cut.
-pub(crate) fn wrapped(text: &str, width: f64) -> Vec<String> {
+pub fn wrapped(text: &str, width: f64) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for part in text.split_inclusive(", ") {
         match lines.last_mut() {
@@ -95,13 +95,16 @@ pub(crate) fn wrapped(text: &str, width: f64) -> Vec<String> {
 }
 
 /// The longest beginning of `text` that fits, with two dots where it is cut.
-fn cut(text: &str, width: f64) -> String {
+pub fn cut(text: &str, width: f64) -> String {
     if text_width(text) <= width {
         return text.to_owned();
     }
-    let letters: Vec<char> = text.chars().collect();
-    let short = |n: usize| letters[..n].iter().collect::<String>().trim_end().to_owned() + "..";
-    (1..letters.len()).rev().map(short).find(|s| text_width(s) <= width).unwrap_or_else(|| "..".into())
+    let mut room = width - text_width("..");
+    let fits = |letter: &char| {
+        room -= TEXT * glyph(*letter).1;
+        room >= 0.0
+    };
+    text.chars().take_while(fits).collect::<String>().trim_end().to_owned() + ".."
 }
 
 #[cfg(test)]
