@@ -208,7 +208,7 @@ fn limits(data: &Dataset, clouds: &[&Snapshot]) -> (Place, Place) {
         }
     }
     let (scene, reach) = ((low, high), longest(low, high));
-    for mean in clouds.iter().flat_map(|c| &c.means).map(|mean| mean.map(f64::from)) {
+    for mean in clouds.iter().flat_map(|cloud| (0..cloud.means.len()).map(|i| cloud.place(i))) {
         if (0..3).all(|k| (scene.0[k] - reach..=scene.1[k] + reach).contains(&mean[k])) {
             for k in 0..3 {
                 (low[k], high[k]) = (low[k].min(mean[k]), high[k].max(mean[k]));
