@@ -2,6 +2,7 @@
 
 mod evaluate;
 mod export;
+mod import;
 mod plugins;
 mod predict;
 #[cfg(feature = "report")]
@@ -13,6 +14,7 @@ mod sweep;
 
 pub(crate) use evaluate::{Evaluate, evaluate};
 pub(crate) use export::{Export, export};
+pub(crate) use import::{Import, import};
 pub(crate) use plugins::{Plugins, plugins};
 pub(crate) use predict::{Predict, predict};
 #[cfg(feature = "report")]

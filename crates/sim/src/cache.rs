@@ -1,6 +1,6 @@
 //! Simulated data sets, kept on disk under a key of everything that decides them.
 
-use crate::output::{self, MANIFEST};
+use crate::output::{self, MANIFEST, Pictures};
 use crate::recipe::Recipe;
 use etcetera::BaseStrategy as _;
 use pwrfgs_core::{Error, Progress, Result, files};
@@ -17,7 +17,7 @@ pub fn root() -> Option<PathBuf> {
 
 /// What `read` makes of the data set of `recipe`, simulated now or taken from the folder `root`.
 ///
-/// An entry is a folder as [`output::write`] makes it. It is used only if its manifest is that of the recipe, word for
+/// An entry is a folder as [`output::write_as`] makes it, with one array of all spectra. It is used only if its manifest is that of the recipe, word for
 /// word, and `read` finds nothing wrong with it; else it is made anew. Entries appear by renaming, so none is half
 /// written, and of two programs that make the same one the second finds it there. Where the disk refuses, the data set is
 /// made in the system's folder for temporary files instead, and lost.
@@ -38,7 +38,7 @@ pub fn open_or_make<T>(
             Err(e) => tracing::warn!("the kept data set {} is damaged ({e}) and made anew", folder.display()),
         }
     }
-    let made = move_away(&folder).and_then(|()| output::write(recipe, false, &folder, progress));
+    let made = move_away(&folder).and_then(|()| output::write_as(recipe, Pictures::Npy, false, &folder, progress));
     match made {
         Ok(()) => read(&folder),
         // Somebody else was faster.
@@ -69,6 +69,6 @@ fn move_away(folder: &Path) -> Result<()> {
 fn make_for_now<T>(recipe: &Recipe, progress: Progress<'_>, read: impl Fn(&Path) -> Result<T>) -> Result<T> {
     let temporary = tempfile::tempdir().map_err(|e| Error::write(&std::env::temp_dir(), e))?;
     let folder = temporary.path().join(recipe.folder_name());
-    output::write(recipe, false, &folder, progress)?;
+    output::write_as(recipe, Pictures::Npy, false, &folder, progress)?;
     read(&folder)
 }

@@ -48,7 +48,7 @@ pub(crate) struct Predict {
 
 pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitCode> {
     let txs = match (&arguments.tx, &arguments.tx_csv) {
-        (Some(text), _) => vec![position(text)?],
+        (Some(text), _) => vec![position("--tx", text)?],
         (_, Some(path)) => positions(path)?,
         _ => return Err(Error::Config("give --tx x,y,z or --tx-csv FILE".into())),
     };
@@ -106,8 +106,8 @@ fn line(plane: &ImagePlane, row: usize, [x, y, z]: [f64; 3], image: &Image, mill
 }
 
 /// `x,y,z` of the command line.
-pub(super) fn position(text: &str) -> Result<[f64; 3]> {
-    let wrong = || Error::Config(format!("--tx {text}: give three finite numbers in metres, such as 1.2,0.3,1.0"));
+pub(super) fn position(option: &str, text: &str) -> Result<[f64; 3]> {
+    let wrong = || Error::Config(format!("{option} {text}: give three finite numbers in metres, such as 1.2,0.3,1.0"));
     let numbers: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
     match <[f64; 3]>::try_from(numbers.unwrap_or_default()) {
         Ok([x, y, z]) if [x, y, z].iter().all(|v| (*v as Real).is_finite()) => Ok([x, y, z]),
@@ -215,9 +215,9 @@ mod tests {
 
     #[test]
     fn positions_are_three_finite_numbers() {
-        assert_eq!(position("1, -2.5,3e0").unwrap(), [1.0, -2.5, 3.0]);
+        assert_eq!(position("--tx", "1, -2.5,3e0").unwrap(), [1.0, -2.5, 3.0]);
         for wrong in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,NaN", "1,inf,2"] {
-            assert!(position(wrong).unwrap_err().is_input(), "{wrong}");
+            assert!(position("--tx", wrong).unwrap_err().is_input(), "{wrong}");
         }
     }
 }
