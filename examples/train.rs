@@ -24,6 +24,7 @@ impl DataSource for Arrays {
     fn load(&self, _: &std::path::Path, _: Progress<'_>) -> Result<Dataset> {
         let plane = pwrfgs::raster::Mercator::default().plane(90, 24);
         let mut rng = rng::stream(1, "positions", 0);
+        let mut pixels = Vec::new();
         let samples = (0..200).map(|id| {
             let tx = [1.6, 1.2, 0.8].map(|size| size * (f64::from(rng::uniform(&mut rng)) - 0.5) + 1.0);
             let value = |pixel: usize| {
@@ -31,9 +32,12 @@ impl DataSource for Arrays {
                 let cosine = DVec3::from(d.map(f64::from)).dot(DVec3::from(tx).normalize());
                 (255.0 * (30.0 * (cosine - 1.0)).exp()) as u8
             };
-            Sample { id, tx, spectrum: (0..90 * 24).map(value).collect() }
+            pixels.extend((0..90 * 24).map(value));
+            Sample { id, tx }
         });
-        let data = Dataset::new("arrays", Pose::IDENTITY, Vec::new(), (90, 24), samples.collect())?;
+        let samples = samples.collect();
+        let spectra = Spectra::grey((90, 24), pixels)?;
+        let data = Dataset::new("arrays", Pose::IDENTITY, Vec::new(), samples, spectra)?;
         Ok(Dataset { simulation: Some(Simulation::default()), ..data }) // leave this out where you have measured
     }
 }

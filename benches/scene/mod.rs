@@ -145,11 +145,8 @@ impl Initializer for Seeded {
 /// Two samples in the measured geometry to train a seeded cloud on.
 pub(crate) fn two_samples() -> Dataset {
     let mut random = pwrfgs::core::rng::stream(0, "two samples", 0);
-    let mut sample = |id| Sample {
-        id,
-        tx: TX.map(|x| x + 0.1 * f64::from(id)),
-        spectrum: (0..PICTURE.0 * PICTURE.1).map(|_| pwrfgs::core::rng::below(&mut random, 256) as u8).collect(),
-    };
-    let samples = vec![sample(1), sample(2)];
-    Dataset::new("noise", RECEIVER, Vec::new(), PICTURE, samples).expect("two spectra of noise")
+    let sample = |id| Sample { id, tx: TX.map(|x| x + 0.1 * f64::from(id)) };
+    let noise = (0..2 * PICTURE.0 * PICTURE.1).map(|_| pwrfgs::core::rng::below(&mut random, 256) as u8);
+    let spectra = Spectra::grey(PICTURE, noise.collect()).expect("two pictures");
+    Dataset::new("noise", RECEIVER, Vec::new(), vec![sample(1), sample(2)], spectra).expect("two spectra of noise")
 }

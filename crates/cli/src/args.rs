@@ -5,7 +5,7 @@
 use crate::commands::Report;
 #[cfg(feature = "sim")]
 use crate::commands::Simulate;
-use crate::commands::{Check, Evaluate, Export, Plugins, Predict, Run, Sweep};
+use crate::commands::{Check, Evaluate, Export, Import, Plugins, Predict, Run, Sweep};
 use clap::{ArgAction, Parser, Subcommand};
 
 /// How much is said.
@@ -83,6 +83,8 @@ pub(crate) enum Command {
     Report(Report),
     /// Write a trained model for other programs: splat viewers, Python
     Export(Export),
+    /// Make a data set of your own spectra: NumPy arrays or PNG pictures, and positions
+    Import(Import),
     #[cfg(feature = "sim")]
     /// Simulate the spectra of a room that is known exactly, in the layout of measured data
     Simulate(Simulate),

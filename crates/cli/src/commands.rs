@@ -3,6 +3,7 @@
 mod check;
 mod evaluate;
 mod export;
+mod import;
 mod plugins;
 mod predict;
 #[cfg(feature = "report")]
@@ -15,6 +16,7 @@ mod sweep;
 pub(crate) use check::{Check, check, memory, pace};
 pub(crate) use evaluate::{Evaluate, evaluate};
 pub(crate) use export::{Export, export};
+pub(crate) use import::{Import, import};
 pub(crate) use plugins::{Plugins, plugins};
 pub(crate) use predict::{Predict, predict};
 #[cfg(feature = "report")]

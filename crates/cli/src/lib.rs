@@ -28,6 +28,7 @@ pub fn main() -> ExitCode {
         #[cfg(feature = "report")]
         Command::Report(report) => commands::report(report, arguments.verbosity()),
         Command::Export(export) => commands::export(export, arguments.verbosity()),
+        Command::Import(import) => commands::import(import, arguments.verbosity()),
         #[cfg(feature = "sim")]
         Command::Simulate(simulate) => commands::simulate(simulate, arguments.verbosity()),
         Command::Plugins(plugins) => commands::plugins(plugins),

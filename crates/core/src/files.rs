@@ -1,6 +1,10 @@
 //! Files as everything here treats them: written whole or not at all, text with a place for its faults, and folders that
 //! are never taken from somebody else.
 
+mod new_folder;
+
+pub use new_folder::NewFolder;
+
 use crate::{Error, Result};
 use sha2::{Digest as _, Sha256};
 use std::fs::{self, DirEntry, File, FileType};

@@ -8,6 +8,11 @@ pub trait Metric: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
     /// One or more measurements.
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>>;
 
+    /// What of the test part it has to see at once. What is said here decides how much memory an evaluation takes.
+    fn scope(&self) -> Scope {
+        Scope::All
+    }
+
     /// One line for `pwrfgs plugins`.
     fn about(&self) -> &'static str {
         ""
@@ -20,10 +25,22 @@ pub trait Metric: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
 }
 plugin_kind!(Metric);
 
+/// What of the test part a metric has to see at once.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scope {
+    /// One sample: it is shown some at a time and gives [`Values::PerSample`] of them, each of its sample alone.
+    Sample,
+    /// No sample: the model, or how long it takes. It is shown none.
+    Model,
+    /// Every sample: right whatever the metric does, but all predictions are then held in memory, eight bytes a pixel
+    /// with their truths.
+    All,
+}
+
 /// What a metric may look at.
 #[derive(Clone, Copy)]
 pub struct Evaluation<'a> {
-    /// Predictions, not clamped, one a test sample.
+    /// Predictions, not clamped: as many of the test samples, in order, as the metric's [`Scope`] says.
     pub predictions: &'a [Image],
     /// Measured spectra, in the same order.
     pub truths: &'a [Image],

@@ -1,7 +1,7 @@
 //! What is measured, and where: `Pose`, `Scene`, `Sample`, `Dataset`, `Partition`.
 
 use crate::origin::{Origin, place_fault};
-use crate::{Error, Image, Mat3, Real, Result, Vec3};
+use crate::{Error, Image, Mat3, Real, Result, Spectra, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// Position and orientation of the receiver.
@@ -65,15 +65,13 @@ pub struct Scene {
     pub points: Vec<[Real; 3]>,
 }
 
-/// One transmitter position and the spectrum measured for it.
+/// One transmitter position; the spectrum measured for it stands at the same place of [`Dataset::spectra`].
 #[derive(Clone, Debug)]
 pub struct Sample {
     /// The number the data set gives it.
     pub id: u32,
     /// Transmitter position `p_tx` as the file has it, metres, user's frame.
     pub tx: [f64; 3],
-    /// Spectrum, row-major 8-bit grey as stored (255 is 1.0).
-    pub spectrum: Vec<u8>,
 }
 
 /// Everything a data source gives.
@@ -89,6 +87,8 @@ pub struct Dataset {
     pub height: usize,
     /// Samples, sorted by id.
     pub samples: Vec<Sample>,
+    /// The spectrum of every sample, in the same order.
+    pub spectra: Spectra,
     /// The split that comes with the data, if any: indices into `samples` for (train, test).
     pub official: Option<(Vec<usize>, Vec<usize>)>,
     /// What the spectra were computed from; `None` where they were measured.
@@ -104,48 +104,43 @@ pub struct Simulation {
 }
 
 impl Dataset {
-    /// Measured spectra from arrays in memory, `width` columns by `height` rows each, with the surface `points` `[P,3]`
-    /// that are known (metres; none will do). All places are in the user's frame. The bounds hold the points, the samples and the receiver.
+    /// Measured spectra, one a sample, with the surface `points` `[P,3]` that are known (metres; none will do). All places
+    /// are in the user's frame. The bounds hold the points, the samples and the receiver.
     ///
     /// There is no official split, and nothing is simulated: who knows better sets these fields.
     ///
     /// ```
-    /// # use pwrfgs_core::{Dataset, Pose, Sample};
-    /// let sample = |id: u32| Sample { id, tx: [f64::from(id), 0.0, 1.5], spectrum: vec![id as u8; 90 * 24] };
-    /// let data = Dataset::new("my room", Pose::IDENTITY, vec![], (90, 24), (1..=20).map(sample).collect())?;
+    /// # use pwrfgs_core::{Dataset, Pose, Sample, Spectra};
+    /// let samples = (1..=20).map(|id| Sample { id, tx: [f64::from(id), 0.0, 1.5] }).collect();
+    /// let spectra = Spectra::grey((90, 24), vec![7; 20 * 90 * 24])?;
+    /// let data = Dataset::new("my room", Pose::IDENTITY, vec![], samples, spectra)?;
     /// assert_eq!(data.scene.bounds, ([0.0; 3], [20.0, 0.0, 1.5]));
     /// # Ok::<(), pwrfgs_core::Error>(())
     /// ```
     ///
     /// # Errors
-    /// [`Error::Config`] where there is no sample, ids do not increase, a spectrum has another size, or a place is not
-    /// finite or beyond 1e8 m.
+    /// [`Error::Config`] where ids do not increase, there are more or fewer spectra than samples, or a place is not finite
+    /// or beyond 1e8 m.
     pub fn new(
         title: impl Into<String>,
         receiver: Pose,
         points: Vec<[f64; 3]>,
-        (width, height): (usize, usize),
         samples: Vec<Sample>,
+        spectra: Spectra,
     ) -> Result<Self> {
         let title = title.into();
         let refuse = |what: String| Err(Error::Config(format!("data set `{title}`: {what}")));
         if let Some((_, fault)) = receiver.fault() {
             return refuse(format!("receiver: {fault}"));
         }
-        if samples.is_empty() || width * height == 0 {
-            return refuse(format!(
-                "{} spectra of {width} x {height} pixels; give at least one of each",
-                samples.len()
-            ));
+        if samples.len() != spectra.len() {
+            let (have, need) = (spectra.len(), samples.len());
+            return refuse(format!("{have} spectra for {need} transmitters; give as many of each"));
         }
         if let Some(pair) = samples.windows(2).find(|pair| pair[0].id >= pair[1].id) {
             return refuse(format!("id {} follows {}; sort the samples by ids that differ", pair[1].id, pair[0].id));
         }
-        for Sample { id, tx, spectrum } in &samples {
-            if spectrum.len() != width * height {
-                let have = spectrum.len();
-                return refuse(format!("the spectrum of id {id} has {have} pixels and not {width} x {height}"));
-            }
+        for Sample { id, tx } in &samples {
             if let Some(fault) = place_fault(*tx) {
                 return refuse(format!("the transmitter of id {id} at {tx:?} {fault}"));
             }
@@ -160,7 +155,8 @@ impl Dataset {
         let known = txs().map(|tx| origin.local(tx)).chain(points.iter().copied());
         let bounds = bounds_of(known.chain([receiver.origin().to_array()]));
         let scene = Scene { origin, receiver, bounds, points };
-        Ok(Self { title, scene, width, height, samples, official: None, simulation: None })
+        let (width, height) = (spectra.width(), spectra.height());
+        Ok(Self { title, scene, width, height, samples, spectra, official: None, simulation: None })
     }
 
     /// Whether the spectra are simulated, not measured.
@@ -168,9 +164,9 @@ impl Dataset {
         self.simulation.is_some()
     }
 
-    /// Spectrum of sample `i` (an index, not an id) as floats.
+    /// Spectrum of sample `i` (an index, not an id).
     pub fn image(&self, i: usize) -> Image {
-        Image::from_bytes(self.width, self.height, &self.samples[i].spectrum)
+        self.spectra.image(i)
     }
 }
 
@@ -207,37 +203,38 @@ mod tests {
 
     #[test]
     fn a_data_set_that_cannot_be_is_refused_with_what_is_wrong() {
-        let sample = |id, x| Sample { id, tx: [x, 0.0, 0.0], spectrum: vec![0; 6] };
-        let new = |receiver, points, size, samples| {
-            Dataset::new("room", receiver, points, size, samples).unwrap_err().to_string()
+        let sample = |id, x| Sample { id, tx: [x, 0.0, 0.0] };
+        let new = |receiver, points, count: usize, samples| {
+            let spectra = Spectra::grey((3, 2), vec![0; 6 * count]).unwrap();
+            Dataset::new("room", receiver, points, samples, spectra).unwrap_err().to_string()
         };
         let turned = |orientation| Pose { orientation, ..Pose::IDENTITY };
         let far = Pose { position: [1e300, 0.0, 0.0], ..Pose::IDENTITY };
         let good = || vec![sample(1, 0.0)];
         let said = [
-            new(turned([0.0; 4]), vec![], (3, 2), good()),
-            new(turned([0.0, 0.0, 0.0, 1.01]), vec![], (3, 2), good()),
-            new(Pose::IDENTITY, vec![], (3, 2), vec![]),
-            new(Pose::IDENTITY, vec![], (0, 2), good()),
-            new(Pose::IDENTITY, vec![], (2, 2), good()),
-            new(Pose::IDENTITY, vec![], (3, 2), vec![sample(2, 0.0), sample(2, 1.0)]),
-            new(Pose::IDENTITY, vec![], (3, 2), vec![sample(1, f64::NAN)]),
-            new(Pose::IDENTITY, vec![[0.0, f64::INFINITY, 0.0]], (3, 2), good()),
+            new(turned([0.0; 4]), vec![], 1, good()),
+            new(turned([0.0, 0.0, 0.0, 1.01]), vec![], 1, good()),
+            new(Pose::IDENTITY, vec![], 1, vec![]),
+            new(Pose::IDENTITY, vec![], 2, good()),
+            new(Pose::IDENTITY, vec![], 2, vec![sample(2, 0.0), sample(2, 1.0)]),
+            new(Pose::IDENTITY, vec![], 1, vec![sample(1, f64::NAN)]),
+            new(Pose::IDENTITY, vec![[0.0, f64::INFINITY, 0.0]], 1, good()),
         ];
-        let why = ["is zero", "has length 1.01", "0 spectra", "of 0 x 2", "6 pixels", "id 2 follows 2", "NaN", "inf"];
+        let why = ["is zero", "has length 1.01", "1 spectra for 0", "2 spectra for 1", "id 2 follows 2", "NaN", "inf"];
         for (said, why) in said.iter().zip(why) {
             assert!(said.starts_with("data set `room`: ") && said.contains(why), "{said}");
         }
-        assert!(new(far, vec![], (3, 2), good()).contains("receiver: the position is 1e300 m, beyond 1e8 m"));
+        assert!(new(far, vec![], 1, good()).contains("receiver: the position is 1e300 m, beyond 1e8 m"));
     }
 
     #[test]
     fn map_coordinates_count_from_the_receiver() {
-        let at = |x: f64| Sample { id: 1, tx: [x, 0.25, 0.0], spectrum: vec![0; 6] };
+        let one = || Spectra::from_bytes((3, 2), vec![0; 6]).unwrap();
+        let at = |x: f64| vec![Sample { id: 1, tx: [x, 0.25, 0.0] }];
         let receiver = Pose { position: [5.5, 0.0, 0.0], ..Pose::IDENTITY };
-        let room = Dataset::new("room", receiver, vec![[1000.0; 3]], (3, 2), vec![at(2.5)]).unwrap().scene;
+        let room = Dataset::new("room", receiver, vec![[1000.0; 3]], at(2.5), one()).unwrap().scene;
         assert_eq!((room.origin, room.receiver, room.points), (Origin::ZERO, receiver, vec![[1000.0; 3]]));
-        let map = Dataset::new("map", receiver, vec![[1.0, 2.0, 3.0]], (3, 2), vec![at(5_399_999.54)]).unwrap().scene;
+        let map = Dataset::new("map", receiver, vec![[1.0, 2.0, 3.0]], at(5_399_999.54), one()).unwrap().scene;
         assert_eq!((map.origin.0, map.receiver.position), ([6.0, 0.0, 0.0], [-0.5, 0.0, 0.0]));
         assert_eq!((map.points, map.bounds.1), (vec![[-5.0, 2.0, 3.0]], [5_399_993.54, 2.0, 3.0]));
     }

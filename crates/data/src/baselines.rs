@@ -134,9 +134,9 @@ impl Predict for Lookup<'_> {
 fn weighted_mean(data: &Dataset, weighted: &[(usize, f64)]) -> Image {
     let mut sum = vec![0.0; data.width * data.height];
     for &(i, weight) in weighted {
-        sum.iter_mut().zip(&data.samples[i].spectrum).for_each(|(s, &v)| *s += weight * f64::from(v));
+        data.spectra.add(i, weight, &mut sum);
     }
-    let total: f64 = 255.0 * weighted.iter().map(|(_, w)| w).sum::<f64>();
+    let total: f64 = data.spectra.number().full_scale() * weighted.iter().map(|(_, w)| w).sum::<f64>();
     let pixels = sum.iter().map(|s| (s / total) as Real).collect();
     Image { width: data.width, height: data.height, pixels }
 }

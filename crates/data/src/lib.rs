@@ -1,15 +1,20 @@
 //! What is known and how it is divided: data sources, point clouds, splits and the predictors to be beaten.
 //!
-//! * [`Nerf2Spectrum`] reads measured spectra in the NeRF2 layout, [`Teacher`] simulates some with a known answer.
+//! * [`Nerf2Spectrum`] reads measured spectra in the NeRF2 layout, [`Arrays`] arrays of NumPy; [`Teacher`] simulates some
+//!   with a known answer.
 //! * [`read_points`] reads a point cloud from PLY, XYZ or CSV, [`read_mesh`] triangles from OBJ, STL or PLY.
 //! * [`Official`], [`Random`], [`TimeBlock`], [`Voxel`] and [`Sparse`] divide samples.
 //! * [`MeanSpectrum`] and [`NearestNeighbours`] are scored beside every model.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
+mod arrays;
 mod baselines;
+pub mod import;
+mod layout;
 mod mesh;
 mod nerf2;
+mod npy;
 mod ply;
 mod points;
 mod polygons;
@@ -17,9 +22,12 @@ mod splits;
 mod teacher;
 mod text;
 
+pub use arrays::Arrays;
 pub use baselines::{MeanSpectrum, NearestNeighbours};
+pub use layout::gateway_yaml;
 pub use mesh::read_mesh;
 pub use nerf2::Nerf2Spectrum;
+pub use npy::npy_header;
 pub use points::read_points;
 pub use polygons::Triangles;
 pub use splits::{Official, Random, Sparse, TimeBlock, Voxel};

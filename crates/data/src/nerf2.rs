@@ -1,8 +1,8 @@
 //! `Nerf2Spectrum`: measured spectra in the folder layout of NeRF2, as found in the wild.
 
-mod gateway;
-mod index;
-mod pictures;
+pub(crate) mod gateway;
+pub(crate) mod index;
+pub(crate) mod pictures;
 #[cfg(test)]
 mod tests;
 
@@ -70,7 +70,8 @@ impl DataSource for Nerf2Spectrum {
         let files = pictures::list(&root.join("spectrum"), LAYOUT)?;
         let known_pictures = files.keys().copied().collect();
         let ids: Vec<u32> = files.keys().copied().filter(|&id| id as usize <= positions.len()).collect();
-        let known = index::Known { rows: positions.len(), pictures: &known_pictures, samples: &ids };
+        let known =
+            index::Known { table: "tx_pos.csv", rows: positions.len(), pictures: &known_pictures, samples: &ids };
         let official = index::read(&root, &known)?;
         if ids.is_empty() {
             let what = format!("no picture belongs to a row of tx_pos.csv; {LAYOUT}");
@@ -85,14 +86,13 @@ impl DataSource for Nerf2Spectrum {
         }
         let points = self.points.as_ref().map_or(Ok(Vec::new()), |points| read_points(&base.join(points)))?;
         let paths: Vec<&Path> = ids.iter().map(|id| files[id].as_path()).collect();
-        let pictures::Pictures { width, height, bytes } = pictures::load(&paths, progress)?;
-        let to_sample = |(&id, spectrum)| Sample { id, tx: positions[id as usize - 1], spectrum };
-        let samples = ids.iter().zip(bytes).map(to_sample).collect();
+        let spectra = pictures::load(&paths, progress)?;
+        let samples = ids.iter().map(|&id| Sample { id, tx: positions[id as usize - 1] }).collect();
         let folder = || root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
         let name = gateway.name.unwrap_or_else(folder);
         let simulation = simulation(&root, &name);
         let title = format!("{name} ({}NeRF2 layout)", if simulation.is_some() { "" } else { "measured, " });
-        Ok(Dataset { official, simulation, ..Dataset::new(title, gateway.pose, points, (width, height), samples)? })
+        Ok(Dataset { official, simulation, ..Dataset::new(title, gateway.pose, points, samples, spectra)? })
     }
 
     fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {
@@ -120,7 +120,7 @@ struct Manifest {
 }
 
 /// What the data set says of itself: in a manifest, or in its name where there is none.
-fn simulation(root: &Path, name: &str) -> Option<Simulation> {
+pub(crate) fn simulation(root: &Path, name: &str) -> Option<Simulation> {
     let manifest =
         files::read_string(root.join("manifest.json")).ok().and_then(|text| serde_json::from_str(&text).ok());
     let by_name = || Manifest { simulated: name.to_lowercase().contains("simulated"), scene: None };
@@ -129,7 +129,7 @@ fn simulation(root: &Path, name: &str) -> Option<Simulation> {
 }
 
 /// `tx_pos.csv`: transmitter positions `[rows,3]`, metres.
-fn read_transmitters(path: &Path) -> Result<Vec<[f64; 3]>> {
+pub(crate) fn read_transmitters(path: &Path) -> Result<Vec<[f64; 3]>> {
     let text = read_text(path, files::MAX_TEXT, LAYOUT)?;
     let mut rows = lines(&text);
     let Some((line, header)) = rows.next() else {

@@ -6,7 +6,7 @@ mod truth;
 
 use pwrfgs_core::{
     DataSource, Dataset, Error, GaussianCloud, ImagePlane, Origin, Plugin, Pose, Primitives, Progress, Projector,
-    Rasterizer, Real, Result, Sample, Simulation, origin::place_fault, rng, sigmoid,
+    Rasterizer, Real, Result, Sample, Simulation, Spectra, origin::place_fault, rng, sigmoid,
 };
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -150,18 +150,14 @@ impl DataSource for Teacher {
             return Err(Error::Config(what.into()));
         }
         let to_byte = |value: &Real| (value / largest * 255.0).round() as u8;
-        let samples = txs
-            .iter()
-            .zip(spectra.chunks_exact(self.width * self.height))
-            .zip(1..)
-            .map(|((&tx, spectrum), id)| Sample { id, tx, spectrum: spectrum.iter().map(to_byte).collect() })
-            .collect();
+        let samples = txs.iter().zip(1..).map(|(&tx, id)| Sample { id, tx }).collect();
+        let spectra = Spectra::grey((self.width, self.height), spectra.iter().map(to_byte).collect())?;
         let (test, train): (Vec<usize>, Vec<usize>) = (0..self.samples).partition(|i| i % 5 == 4);
         let official = (!test.is_empty()).then_some((train, test));
         let Self { samples: count, gaussians, seed, .. } = self;
         let title = format!("{count} simulated spectra of {gaussians} Gaussians (Teacher, seed {seed})");
         let points = truth.cloud.means.iter().map(|mean| self.origin().world(*mean)).collect();
-        let data = Dataset::new(title, self.receiver, points, (self.width, self.height), samples)?;
+        let data = Dataset::new(title, self.receiver, points, samples, spectra)?;
         Ok(Dataset { official, simulation: Some(Simulation::default()), ..data })
     }
 

@@ -5,10 +5,12 @@
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
+mod bench;
 pub mod clock;
 pub mod colour;
 mod evaluate;
 mod events;
+mod examples;
 pub mod export;
 mod facts;
 pub mod folder;
@@ -27,7 +29,9 @@ pub mod sweep;
 pub mod text;
 mod validation;
 
-pub use evaluate::{Assessment, Bench, evaluate};
+pub use bench::Bench;
+pub use evaluate::{Assessment, evaluate};
+pub use examples::Example;
 pub use facts::{Facts, Machine, Mark};
 pub use folder::RunFolder;
 pub use input::read_pipeline;

@@ -44,13 +44,14 @@ pub fn evenly<T: Clone>(all: &[T], count: usize) -> Vec<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pwrfgs_core::{Pose, Sample};
+    use pwrfgs_core::{Pose, Sample, Spectra};
 
     #[test]
     fn distances_leave_the_sample_itself_out() {
-        let sample = |id, x: f64| Sample { id, tx: [x, 0.0, 0.0], spectrum: vec![0] };
+        let sample = |id, x: f64| Sample { id, tx: [x, 0.0, 0.0] };
         let samples = vec![sample(1, 0.0), sample(2, 2.0), sample(5, 2.5), sample(6, 9.0)];
-        let data = Dataset::new("line", Pose::IDENTITY, vec![], (1, 1), samples).unwrap();
+        let data =
+            Dataset::new("line", Pose::IDENTITY, vec![], samples, Spectra::grey((1, 1), vec![0; 4]).unwrap()).unwrap();
         let partition = Partition { train: vec![0, 1], validation: vec![], test: vec![2] };
         let text = to_csv(&data, &partition);
         let expected = "id,x,y,z,split,nearest_train_m\n1,0,0,0,train,2\n2,2,0,0,train,2\n5,2.5,0,0,test,0.5\n\

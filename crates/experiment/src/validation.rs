@@ -1,7 +1,8 @@
 //! The look at the validation part while training, and the floors on the very same samples.
 
-use crate::evaluate::{Bench, go_on};
-use crate::observer::{Observer, Validation};
+use crate::bench::Bench;
+use crate::evaluate::go_on;
+use crate::observer::{Observer, Silent, Validation};
 use crate::samples;
 use crate::scores::Summary;
 use pwrfgs_core::plugin::default_of;
@@ -21,7 +22,7 @@ impl Validation {
 }
 
 /// SSIM and η(0 dB), as the program that links the metrics defines them.
-fn metrics() -> Result<Vec<Plugin<dyn Metric>>> {
+pub(crate) fn metrics() -> Result<Vec<Plugin<dyn Metric>>> {
     default_of("validation").map_err(Error::Config)
 }
 
@@ -37,8 +38,8 @@ fn row(step: u64, measured: &[Measurement]) -> Validation {
 /// Looks at the samples `part`.
 pub(crate) fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize]) -> Result<Validation> {
     let bench = Bench::new(data, part, &model.stages.plane);
-    let predictions = bench.predict(&model.prepare(), &AtomicBool::new(false), &|_, _| {})?;
-    Ok(row(step, &bench.measure(&metrics()?, &predictions, None, None, &|_, _| {})?))
+    let never = AtomicBool::new(false);
+    Ok(row(step, &bench.model(&model.prepare(), None, &metrics()?, &mut Silent, &never)?))
 }
 
 /// What each baseline, having seen the training part alone, reaches on the samples that validation looks at.
@@ -62,7 +63,7 @@ pub(crate) fn floors(
     let floor = |b: &Plugin<dyn pwrfgs_core::Baseline>| {
         go_on(stop)?;
         let fitted = b.fit(data, &partition.train)?;
-        Ok((b.name(), row(0, &bench.baseline(&b.name(), &*fitted, &metrics, observer)?)))
+        Ok((b.name(), row(0, &bench.baseline(&b.name(), &*fitted, &metrics, observer, stop)?)))
     };
     pipeline.baselines.iter().map(floor).collect()
 }

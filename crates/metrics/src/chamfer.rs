@@ -1,7 +1,7 @@
 //! Chamfer distance between the Gaussians and the point cloud, eq. (16).
 
 use crate::{not_a_model, one};
-use pwrfgs_core::{Evaluation, Goal, Measurement, Metric, Real, Result, Values, neighbours};
+use pwrfgs_core::{Evaluation, Goal, Measurement, Metric, Real, Result, Scope, Values, neighbours};
 use serde::{Deserialize, Serialize};
 
 /// Whether the Gaussians lie on the surfaces of the scene: the sum of the two mean squared distances, in m².
@@ -31,6 +31,10 @@ impl Metric for Chamfer {
             Some(model) => Values::Whole(mean_squared(points, model.means) + mean_squared(model.means, points)),
         };
         Ok(one("chamfer", "m²", Goal::Lower, values))
+    }
+
+    fn scope(&self) -> Scope {
+        Scope::Model
     }
 
     fn about(&self) -> &'static str {

@@ -1,7 +1,7 @@
 //! Angle between the strongest predicted and the strongest measured direction.
 
 use crate::{one, per_sample};
-use pwrfgs_core::{Evaluation, Goal, Image, ImagePlane, Measurement, Metric, Real, Result, Values};
+use pwrfgs_core::{Evaluation, Goal, Image, ImagePlane, Measurement, Metric, Real, Result, Scope, Values};
 use serde::{Deserialize, Serialize};
 
 /// Great-circle angle in degrees between the strongest directions of prediction and measurement.
@@ -34,6 +34,10 @@ impl Metric for DirectionError {
             Values::NotApplicable("a pixel of this projection means no angle".to_owned())
         };
         Ok(one("direction_error", "deg", Goal::Lower, values))
+    }
+
+    fn scope(&self) -> Scope {
+        Scope::Sample
     }
 
     fn about(&self) -> &'static str {

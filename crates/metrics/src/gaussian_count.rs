@@ -1,7 +1,7 @@
 //! N, the number of Gaussians.
 
 use crate::{not_a_model, one};
-use pwrfgs_core::{Evaluation, Goal, Measurement, Metric, Result, Values};
+use pwrfgs_core::{Evaluation, Goal, Measurement, Metric, Result, Scope, Values};
 use serde::{Deserialize, Serialize};
 
 /// Number of Gaussians of the model: the horizontal axis of the paper's trade-off (fig. 2b).
@@ -23,6 +23,10 @@ impl Metric for GaussianCount {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
         let values = evaluation.model.map_or_else(not_a_model, |m| Values::Whole(m.means.len() as f64));
         Ok(one("gaussians", "", Goal::Lower, values))
+    }
+
+    fn scope(&self) -> Scope {
+        Scope::Model
     }
 
     fn about(&self) -> &'static str {

@@ -1,7 +1,7 @@
 //! Mean absolute error of a pixel.
 
 use crate::{one, per_sample};
-use pwrfgs_core::{Evaluation, Goal, Measurement, Metric, Result};
+use pwrfgs_core::{Evaluation, Goal, Measurement, Metric, Result, Scope};
 use serde::{Deserialize, Serialize};
 
 /// Mean absolute difference of predicted and measured pixels; the L₁ of eq. (9) with the prediction clamped to [0, 1].
@@ -26,6 +26,10 @@ impl Metric for L1 {
             differences.sum::<f64>() / p.pixels.len().max(1) as f64
         })?;
         Ok(one("l1", "", Goal::Lower, values))
+    }
+
+    fn scope(&self) -> Scope {
+        Scope::Sample
     }
 
     fn about(&self) -> &'static str {

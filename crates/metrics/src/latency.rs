@@ -1,6 +1,6 @@
 //! How long one prediction takes, stage by stage.
 
-use pwrfgs_core::{Evaluation, Goal, Measurement, Metric, Result, StageTimes, Values};
+use pwrfgs_core::{Evaluation, Goal, Measurement, Metric, Result, Scope, StageTimes, Values};
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
@@ -67,6 +67,10 @@ impl Metric for Latency {
             values: values(stage),
         };
         Ok(STAGES.map(measurement).into())
+    }
+
+    fn scope(&self) -> Scope {
+        Scope::Model
     }
 
     fn about(&self) -> &'static str {

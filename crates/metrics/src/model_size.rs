@@ -1,7 +1,7 @@
 //! Bytes of the model file.
 
 use crate::not_a_model;
-use pwrfgs_core::{Evaluation, Goal, Measurement, Metric, Result, Values};
+use pwrfgs_core::{Evaluation, Goal, Measurement, Metric, Result, Scope, Values};
 use serde::{Deserialize, Serialize};
 
 /// Bytes of the Gaussians alone, and of Gaussians and network together.
@@ -31,6 +31,10 @@ impl Metric for ModelSize {
             values: bytes.map_or_else(not_a_model, |b| Values::Whole(b as f64)),
         };
         Ok(vec![measurement("gaussian_bytes", bytes.map(|b| b.0)), measurement("model_bytes", bytes.map(|b| b.1))])
+    }
+
+    fn scope(&self) -> Scope {
+        Scope::Model
     }
 
     fn about(&self) -> &'static str {

@@ -1,7 +1,7 @@
 //! Peak signal-to-noise ratio.
 
 use crate::{one, per_sample};
-use pwrfgs_core::{Evaluation, Goal, Measurement, Metric, Result};
+use pwrfgs_core::{Evaluation, Goal, Measurement, Metric, Result, Scope};
 use serde::{Deserialize, Serialize};
 
 /// Smallest mean squared error that counts; below the 8-bit rounding of measured spectra (about 1.3e-6).
@@ -31,6 +31,10 @@ impl Metric for Psnr {
             if error < LEAST_ERROR { -10.0 * LEAST_ERROR.log10() } else { -10.0 * error.log10() }
         })?;
         Ok(one("psnr", "dB", Goal::Higher, values))
+    }
+
+    fn scope(&self) -> Scope {
+        Scope::Sample
     }
 
     fn about(&self) -> &'static str {

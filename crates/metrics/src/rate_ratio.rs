@@ -1,7 +1,7 @@
 //! Achievable-rate ratio, eq. (15): what steering by the prediction costs.
 
 use crate::{one, per_sample};
-use pwrfgs_core::{Evaluation, Goal, Image, Measurement, Metric, Result};
+use pwrfgs_core::{Evaluation, Goal, Image, Measurement, Metric, Result, Scope};
 use serde::{Deserialize, Serialize};
 
 /// Rate reached by steering to the strongest predicted direction, over the rate of the truly strongest one.
@@ -40,6 +40,10 @@ impl Metric for RateRatio {
         let values = per_sample(evaluation, |p, t| self.ratio(p, t))?;
         let snr = self.snr_db + 0.0; // no `-0` in the name
         Ok(one(&format!("eta_{snr}db"), "", Goal::Higher, values))
+    }
+
+    fn scope(&self) -> Scope {
+        Scope::Sample
     }
 
     fn about(&self) -> &'static str {

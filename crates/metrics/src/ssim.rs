@@ -1,7 +1,7 @@
 //! SSIM as scikit-image computes it: the number that papers of this field print.
 
 use crate::{one, per_sample};
-use pwrfgs_core::{Evaluation, Goal, Measurement, Metric, Result, ssim};
+use pwrfgs_core::{Evaluation, Goal, Measurement, Metric, Result, Scope, ssim};
 use serde::{Deserialize, Serialize};
 
 /// Structural similarity of predicted and measured spectrum, 1 where they are equal.
@@ -27,6 +27,10 @@ impl Metric for Ssim {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
         let values = per_sample(evaluation, |p, t| ssim::evaluation(&p.clamped(), t))?;
         Ok(one("ssim", "", Goal::Higher, values))
+    }
+
+    fn scope(&self) -> Scope {
+        Scope::Sample
     }
 
     fn about(&self) -> &'static str {

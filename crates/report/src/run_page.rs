@@ -9,10 +9,8 @@ use crate::study::one_line;
 use crate::templates::render;
 use minijinja::value::Serde;
 use minijinja::{Value, context};
-use pwrfgs_core::{Image, Result, ssim};
-use pwrfgs_experiment::Results;
-use pwrfgs_experiment::samples;
-use rayon::prelude::*;
+use pwrfgs_core::{Image, Result};
+use pwrfgs_experiment::{Example, Results, samples};
 
 /// The page of an evaluated model.
 ///
@@ -53,21 +51,14 @@ pub fn page(results: &Results<'_>) -> Result<String> {
 
 /// Best, median and worst test spectrum by SSIM, and the limit of the error scale that they share.
 fn examples(results: &Results<'_>) -> (Vec<Value>, f64) {
-    let (predictions, truths) = (&results.assessment.predictions, &results.assessment.truths);
-    let scores: Vec<f64> = predictions.par_iter().zip(truths).map(|(p, t)| ssim::evaluation(&p.clamped(), t)).collect();
-    let mut order: Vec<usize> = (0..scores.len()).collect();
-    order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
-    let Some(last) = order.len().checked_sub(1) else { return (Vec::new(), 1.0) };
-    let mut chosen = vec![("Best", order[0]), ("Median", order[last / 2]), ("Worst", order[last])];
-    chosen.dedup_by_key(|c| c.1);
-    let errors: Vec<Image> = chosen.iter().map(|&(_, i)| difference(&predictions[i].clamped(), &truths[i])).collect();
+    let chosen = &results.assessment.examples;
+    let errors: Vec<Image> = chosen.iter().map(|e| difference(&e.prediction.clamped(), &e.truth)).collect();
     let largest = errors.iter().flat_map(|e| &e.pixels).fold(0.0, |m: f64, e| m.max(e.abs() as f64));
     let limit = ((largest * 10.0).ceil() / 10.0).max(0.1);
     let distances = samples::nearest_train(results.data, results.partition);
-    let example = |(&(which, i), error): (&(&'static str, usize), &Image)| {
-        let index = results.partition.test[i];
-        let sample = &results.data.samples[index];
-        let (truth, prediction) = (&truths[i], &predictions[i]);
+    let example = |(example, error): (&Example, &Image)| {
+        let Example { which, sample: index, ssim, truth, prediction } = example;
+        let sample = &results.data.samples[*index];
         let marks = [Mark::Measured(truth.argmax()), Mark::Predicted(prediction.argmax())];
         let plane = &results.model.stages.plane;
         let panel = |name: &str, image: &Image, scale, marks: &[Mark]| {
@@ -76,11 +67,11 @@ fn examples(results: &Results<'_>) -> (Vec<Value>, f64) {
             context! { name, map, sky }
         };
         context! {
-            which,
+            which => *which,
             id => sample.id,
-            ssim => format!("{:.3}", scores[i]),
+            ssim => format!("{ssim:.3}"),
             tx => sample.tx.map(|v| format!("{v:.2}")).join(", "),
-            nearest => if distances[index].is_finite() { format!("{:.2} m", distances[index]) } else { "n/a".into() },
+            nearest => if distances[*index].is_finite() { format!("{:.2} m", distances[*index]) } else { "n/a".into() },
             peaks => peaks(results, truth, prediction),
             panels => vec![
                 panel("Ground truth", truth, Scale::Power, &marks[..1]),

@@ -1,12 +1,13 @@
 //! Simulated data sets, kept on disk under a key of everything that decides them.
 
 use crate::making::{self, FOR_NOW, Making};
-use crate::output::{self, MANIFEST};
+use crate::output::{self, MANIFEST, Pictures};
 use crate::recipe::Recipe;
 use etcetera::BaseStrategy as _;
 use pwrfgs_core::{Error, Progress, Result, files};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
 
 /// The folder of all kept data sets: `$PWRFGS_CACHE`, else `pwrfgs` in the user's cache folder; `None` where there is no
 /// such thing.
@@ -19,7 +20,7 @@ pub fn root() -> Option<PathBuf> {
 
 /// What `read` makes of the data set of `recipe`, simulated now or taken from the folder `root`.
 ///
-/// An entry is a folder as [`output::write`] makes it. It is used only if its manifest is that of the recipe, word for
+/// An entry is a folder as [`output::write_as`] makes it, with one array of all spectra. It is used only if its manifest is that of the recipe, word for
 /// word, and `read` finds nothing wrong with it; else it is made anew. Entries appear by renaming, so none is half
 /// written, what killed programs left is removed, and of two programs that make the same one the second finds it there.
 /// Where the disk refuses, the data set is made in the system's folder for temporary files instead, and lost.
@@ -41,7 +42,8 @@ pub fn open_or_make<T>(
             Err(e) => tracing::warn!("the kept data set {} is damaged ({e}) and made anew", folder.display()),
         }
     }
-    let made = move_away(&folder).and_then(|()| output::write(recipe, false, &folder, progress));
+    let made = move_away(&folder)
+        .and_then(|()| output::write_as(recipe, Pictures::Npy, false, &folder, progress, &AtomicBool::new(false)));
     match made {
         Ok(()) => read(&folder),
         // Somebody else was faster.
@@ -71,6 +73,6 @@ fn make_for_now<T>(recipe: &Recipe, progress: Progress<'_>, read: impl Fn(&Path)
     let root = std::env::temp_dir();
     let making = Making::begin(&root, OsStr::new("pwrfgs")).map_err(|e| Error::write(&root, e))?;
     let folder = making.path().join(FOR_NOW);
-    output::write(recipe, false, &folder, progress)?;
+    output::write_as(recipe, Pictures::Npy, false, &folder, progress, &AtomicBool::new(false))?;
     read(&folder)
 }

@@ -3,7 +3,7 @@
 //! Who makes a folder holds a lock on it, which ends with the process however that ends. So what is not locked, has such a
 //! name and holds nothing but what is written here was left behind.
 
-use crate::output::{FILES, SPECTRA};
+use crate::output::{FILES, PICTURES};
 use pwrfgs_core::{Error, Result};
 use std::ffi::OsStr;
 use std::fs::{self, File, FileType, Permissions};
@@ -115,7 +115,7 @@ fn is_ours(folder: &Path) -> bool {
         kind.is_file() && number.is_some_and(|n| n.len() == 5 && n.bytes().all(|b| b.is_ascii_digit()))
     };
     holds(folder, &|name, kind| match name {
-        SPECTRA => kind.is_dir() && holds(&folder.join(name), &is_picture),
+        PICTURES => kind.is_dir() && holds(&folder.join(name), &is_picture),
         DAMAGED | FOR_NOW => kind.is_dir(),
         _ if kind.is_dir() => is_temporary(OsStr::new(name), Some(FOR_NOW)),
         _ => kind.is_file() && FILES.contains(&name),
@@ -143,7 +143,7 @@ mod tests {
         let root = tempfile::tempdir().unwrap();
         let at = |name: &str| root.path().join(name);
         let left = |name: &str| {
-            fs::create_dir_all(at(name).join(SPECTRA)).unwrap();
+            fs::create_dir_all(at(name).join(PICTURES)).unwrap();
             fs::write(at(name).join("spectrum/00001.png"), "x").unwrap();
             fs::write(at(name).join("tx_pos.csv"), "x").unwrap();
         };

@@ -7,7 +7,8 @@ use crate::simulator::{HEIGHT, Reception, Simulator, WIDTH, simulate};
 use crate::surface_points;
 use glam::DVec3;
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
-use pwrfgs_core::{Error, Pose, Progress, Result, files::refuse_occupied};
+use pwrfgs_core::{Error, Number, Progress, Result, files::refuse_occupied};
+use pwrfgs_data::{gateway_yaml, npy_header};
 use std::fmt::Write as _;
 use std::fs;
 use std::io::{BufWriter, Write as _};
@@ -23,22 +24,44 @@ pub const PATHS: &str = "paths.csv";
 /// Absolute power of every spectrum.
 pub const POWER: &str = "power.csv";
 /// The folder of the pictures.
-pub(crate) const SPECTRA: &str = "spectrum";
+pub(crate) const PICTURES: &str = "spectrum";
+/// The array of all spectra.
+const SPECTRA: &str = "spectra.npy";
 const GATEWAY: &str = "gateway_info.yml";
 const POSITIONS: &str = "tx_pos.csv";
 const TRAIN: &str = "train_index.txt";
 const TEST: &str = "test_index.txt";
 /// Every file of the folder but the pictures.
-pub(crate) const FILES: [&str; 8] = [GATEWAY, POSITIONS, TRAIN, TEST, POWER, PATHS, POINTS, MANIFEST];
+pub(crate) const FILES: [&str; 9] = [SPECTRA, GATEWAY, POSITIONS, TRAIN, TEST, POWER, PATHS, POINTS, MANIFEST];
+/// Most pictures: their names have five digits.
+const MOST_PICTURES: usize = 99_999;
 /// Every how-manieth sample belongs to the test list.
 const TEST_EVERY: usize = 5;
+
+/// How spectra are kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pictures {
+    /// A picture each, as NeRF2 has them.
+    Png,
+    /// One array, `spectra.npy`: however many there are, memory need not hold them.
+    Npy,
+}
+
+/// Simulates `recipe` into the new folder `out`, a picture each spectrum.
+///
+/// # Errors
+/// As [`write_as`].
+pub fn write(recipe: &Recipe, paths: bool, out: &Path, progress: Progress<'_>) -> Result<()> {
+    write_as(recipe, Pictures::Png, paths, out, progress, &AtomicBool::new(false))
+}
 
 /// Simulates `recipe` into the new folder `out`.
 ///
 /// ```text
 /// out/gateway_info.yml      pose of the receiver; the name of the data set says «simulated»
 /// out/tx_pos.csv            x,y,z; row k is the transmitter of id k
-/// out/spectrum/00001.png    8-bit grey, 360x90
+/// out/spectrum/00001.png    8-bit grey, 360x90; or
+/// out/spectra.npy           all of them, 8-bit grey [M, 90, 360]
 /// out/train_index.txt, test_index.txt    every fifth id is a test id
 /// out/power.csv             id, path gain in dB (mean over the antennas), lowest and highest value of the spectrum
 /// out/paths.csv             a row each path, with `paths`
@@ -50,16 +73,22 @@ const TEST_EVERY: usize = 5;
 /// process left of an earlier attempt is removed. `progress` counts spectra.
 ///
 /// # Errors
-/// `out` holds something, or the disk refuses.
-pub fn write(recipe: &Recipe, paths: bool, out: &Path, progress: Progress<'_>) -> Result<()> {
-    write_until(recipe, paths, out, progress, &AtomicBool::new(false))
-}
-
-/// As [`write`], and leaves nothing behind once `stop` is set.
-///
-/// # Errors
-/// Those of [`write`], and [`Error::Stopped`].
-pub fn write_until(recipe: &Recipe, paths: bool, out: &Path, progress: Progress<'_>, stop: &AtomicBool) -> Result<()> {
+/// `out` holds something, the disk refuses, there are more pictures than names of five digits, or `stop` is set
+/// ([`Error::Stopped`]; nothing is left behind).
+pub fn write_as(
+    recipe: &Recipe,
+    pictures: Pictures,
+    paths: bool,
+    out: &Path,
+    progress: Progress<'_>,
+    stop: &AtomicBool,
+) -> Result<()> {
+    if pictures == Pictures::Png && recipe.samples > MOST_PICTURES {
+        return Err(Error::Config(format!(
+            "{} spectra are more than the {MOST_PICTURES} pictures that have a name; write one array, with --npy",
+            recipe.samples
+        )));
+    }
     let Some(name) = out.file_name().filter(|_| !out.is_symlink()) else {
         return Err(Error::input(out, "is no name for a new folder; choose another"));
     };
@@ -69,19 +98,19 @@ pub fn write_until(recipe: &Recipe, paths: bool, out: &Path, progress: Progress<
     fs::create_dir_all(parent).map_err(|e| Error::write(parent, e))?;
     let making = Making::begin(parent, name).map_err(|e| Error::write(parent, e))?;
     let folder = making.path();
-    let spectra = folder.join(SPECTRA);
-    fs::create_dir(&spectra).map_err(|e| Error::write(&spectra, e))?;
+    let mut spectra = Sink::new(folder, pictures, recipe.samples)?;
     let mut tables = Tables::new(folder, &simulator, paths)?;
     let go_on = || if stop.load(Ordering::Relaxed) { Err(Error::Stopped) } else { Ok(()) };
     simulate(&simulator, recipe.samples, recipe.seed, |i, tx, reception| {
         go_on()?;
-        write_png(&spectra.join(format!("{:05}.png", i + 1)), &reception.spectrum.pixels)?;
+        spectra.add(i + 1, &reception.spectrum.pixels)?;
         tables.add(i + 1, tx, &reception)?;
         progress(i + 1, recipe.samples);
         Ok(())
     })?;
+    spectra.finish()?;
     tables.finish(folder, recipe.samples)?;
-    put(&folder.join(GATEWAY), gateway(&recipe.scene.name, &recipe.scene.pose()))?;
+    put(&folder.join(GATEWAY), gateway_yaml(&format!("{} (simulated)", recipe.scene.name), &recipe.scene.pose()))?;
     let cloud = simulator.surface_points(recipe.points, recipe.seed);
     go_on()?;
     let comment = format!("simulated by pwrfgs: surfaces of {}", recipe.scene.name);
@@ -101,23 +130,53 @@ fn put(path: &Path, bytes: impl AsRef<[u8]>) -> Result<()> {
     fs::write(path, bytes).map_err(|e| Error::write(path, e))
 }
 
+/// Where spectra go.
+enum Sink {
+    Png(PathBuf),
+    Npy(BufWriter<fs::File>, PathBuf),
+}
+
+impl Sink {
+    fn new(folder: &Path, pictures: Pictures, count: usize) -> Result<Self> {
+        match pictures {
+            Pictures::Png => {
+                let path = folder.join(PICTURES);
+                fs::create_dir(&path).map_err(|e| Error::write(&path, e))?;
+                Ok(Self::Png(path))
+            }
+            Pictures::Npy => {
+                let path = folder.join(SPECTRA);
+                let header = npy_header(Number::U8, &[count, HEIGHT, WIDTH]);
+                let begun = fs::File::create(&path).and_then(|file| {
+                    let mut file = BufWriter::with_capacity(1 << 20, file);
+                    file.write_all(&header).map(|()| file)
+                });
+                Ok(Self::Npy(begun.map_err(|e| Error::write(&path, e))?, path))
+            }
+        }
+    }
+
+    fn add(&mut self, id: usize, pixels: &[u8]) -> Result<()> {
+        match self {
+            Self::Png(folder) => write_png(&folder.join(format!("{id:05}.png")), pixels),
+            Self::Npy(file, path) => file.write_all(pixels).map_err(|e| Error::write(path, e)),
+        }
+    }
+
+    fn finish(self) -> Result<()> {
+        match self {
+            Self::Png(_) => Ok(()),
+            Self::Npy(mut file, path) => file.flush().map_err(|e| Error::write(&path, e)),
+        }
+    }
+}
+
 fn write_png(path: &Path, pixels: &[u8]) -> Result<()> {
     let mut bytes = Vec::new();
     PngEncoder::new(&mut bytes)
         .write_image(pixels, WIDTH as u32, HEIGHT as u32, ExtendedColorType::L8)
         .map_err(|e| Error::write(path, std::io::Error::other(e)))?;
     put(path, bytes)
-}
-
-/// `gateway_info.yml`.
-fn gateway(name: &str, pose: &Pose) -> String {
-    let list = |v: &[f64]| v.iter().map(|v| format!("{v:?}")).collect::<Vec<_>>().join(", ");
-    format!(
-        "dataset_name: {}\ngateway1:\n  position: [{}]\n  orientation: [{}] # quaternion x, y, z, w\n",
-        serde_json::Value::from(format!("{name} (simulated)")), // a JSON string is a YAML string
-        list(&pose.position),
-        list(&pose.orientation)
-    )
 }
 
 /// The tables, which grow by a transmitter at a time.

@@ -7,8 +7,8 @@ use std::path::Path;
 
 /// Changes whenever the same recipe would give other bytes than before.
 const EDITION: u32 = 2;
-/// Most spectra of a data set: file names have five digits.
-const MOST_SAMPLES: usize = 99_999;
+/// Most spectra of a data set: 32 GB as an array. Pictures are fewer ([`crate::output::write_as`]).
+const MOST_SAMPLES: usize = 1_000_000;
 /// Most points of a cloud.
 const MOST_POINTS: usize = 50_000_000;
 

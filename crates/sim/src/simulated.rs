@@ -1,10 +1,10 @@
 //! `Simulated`: spectra of a known room as a data source.
 
 use crate::cache;
-use crate::output::POINTS;
+use crate::output::{PICTURES, POINTS};
 use crate::recipe::{self, Recipe};
 use pwrfgs_core::{DataSource, Dataset, Error, Progress, Result, Simulation};
-use pwrfgs_data::Nerf2Spectrum;
+use pwrfgs_data::{Arrays, Nerf2Spectrum};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -16,7 +16,8 @@ use std::path::{Path, PathBuf};
 /// [`Official`](pwrfgs_data::Official).
 ///
 /// The data set is simulated once and kept in the user's cache folder (`$PWRFGS_CACHE` names another) under a key of the
-/// scene, its meshes and all fields; it can be removed at any time. `pwrfgs simulate` writes the same data set where you
+/// scene, its meshes and all fields; it can be removed at any time. More than 512 MB of spectra stay there, and a picture is
+/// read when it is wanted. `pwrfgs simulate` writes the same data set where you
 /// want it, with every path.
 ///
 /// * `scene`: the scene file, relative to the pipeline file; `scenes/office.ron` by default.
@@ -53,12 +54,17 @@ impl Default for Simulated {
 }
 
 impl Simulated {
-    /// Reads what [`crate::output::write`] wrote.
+    /// Reads what [`crate::output::write_as`] wrote.
     fn read(&self, recipe: &Recipe, folder: &Path) -> Result<Dataset> {
         let points = (self.points > 0).then(|| POINTS.into());
         let points = points.map(|name: PathBuf| folder.join(name));
-        let mut data = Nerf2Spectrum { root: folder.into(), points, ..Nerf2Spectrum::default() }
-            .load(Path::new(""), &|_, _| {})?;
+        // An entry of an earlier version has a picture each.
+        let (root, nobody) = (folder.to_owned(), |_, _| {});
+        let mut data = if folder.join(PICTURES).exists() {
+            Nerf2Spectrum { root, points, ..Nerf2Spectrum::default() }.load(Path::new(""), &nobody)?
+        } else {
+            Arrays { root, points }.load(Path::new(""), &nobody)?
+        };
         if data.samples.len() != self.samples || data.scene.points.len() != self.points {
             return Err(Error::input(folder, "holds another number of spectra or points than were simulated"));
         }

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use pwrfgs_core::{Baseline, DataSource, Dataset, Plugin, Simulation};
-use pwrfgs_sim::output::{MANIFEST, POINTS, write};
+use pwrfgs_sim::output::{MANIFEST, POINTS, Pictures, write, write_as};
 use pwrfgs_sim::{Recipe, Scene, Simulator, cache, simulate};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -91,11 +91,11 @@ fn a_kept_data_set_is_used_only_while_it_is_whole() {
     let load = || {
         let count = |done, _| simulated.store(done, Ordering::Relaxed);
         let read = |entry: &Path| {
-            let text = format!("Nerf2Spectrum(root: {:?}, points: {:?})", entry, entry.join(POINTS));
+            let text = format!("Arrays(root: {:?}, points: {:?})", entry, entry.join(POINTS));
             Plugin::<dyn DataSource>::parse(&text).unwrap().load(Path::new(""), &|_, _| {})
         };
         let data = cache::open_or_make(&recipe, Some(&root), &count, read).unwrap();
-        let spectra: Vec<Vec<u8>> = data.samples.into_iter().map(|s| s.spectrum).collect();
+        let spectra: Vec<Vec<u8>> = (0..data.samples.len()).map(|i| data.spectra.raw(i).into_owned()).collect();
         (spectra, simulated.swap(0, Ordering::Relaxed) > 0)
     };
     let (truth, made) = load();
@@ -106,9 +106,9 @@ fn a_kept_data_set_is_used_only_while_it_is_whole() {
         &|| fs::remove_file(entry.join(MANIFEST)).unwrap(),
         &|| fs::write(entry.join(MANIFEST), recipe.to_json().replace("\"seed\": 7", "\"seed\": 8")).unwrap(),
         &|| {
-            let picture = entry.join("spectrum/00003.png");
-            let bytes = fs::read(&picture).unwrap();
-            fs::write(&picture, &bytes[..bytes.len() / 2]).unwrap();
+            let spectra = entry.join("spectra.npy");
+            let bytes = fs::read(&spectra).unwrap();
+            fs::write(&spectra, &bytes[..bytes.len() / 2]).unwrap();
         },
         &|| fs::remove_file(entry.join(POINTS)).unwrap(),
     ];
@@ -122,8 +122,29 @@ fn a_kept_data_set_is_used_only_while_it_is_whole() {
     assert!(load() == (truth.clone(), true));
     // Where nothing can be kept, the data are made all the same.
     let blocked = file(folder.path(), "blocked", "a file where the cache should be");
-    let read = |entry: &Path| Ok(fs::read(entry.join("spectrum/00001.png")).unwrap().len());
+    let read = |entry: &Path| Ok(fs::read(entry.join("spectra.npy")).unwrap().len());
     assert!(cache::open_or_make(&recipe, Some(&blocked), &|_, _| {}, read).unwrap() > 0);
+}
+
+#[test]
+fn an_array_holds_what_the_pictures_hold() {
+    let folder = tempfile::tempdir().unwrap();
+    let recipe = recipe(folder.path());
+    let load = |source: &str, pictures| {
+        let out = folder.path().join(source);
+        write_as(&recipe, pictures, false, &out, &|_, _| {}, &std::sync::atomic::AtomicBool::new(false)).unwrap();
+        let source = Plugin::<dyn DataSource>::parse(&format!("{source}(root: {out:?})")).unwrap();
+        source.load(Path::new(""), &|_, _| {}).unwrap()
+    };
+    let [a, b] = [load("Nerf2Spectrum", Pictures::Png), load("Arrays", Pictures::Npy)];
+    assert!(b.is_simulated() && a.simulation == b.simulation && a.official == b.official);
+    for i in 0..12 {
+        assert!(a.spectra.raw(i) == b.spectra.raw(i) && a.samples[i].tx == b.samples[i].tx);
+    }
+    // Names have five digits; an array has no names.
+    let many = Recipe::read(&folder.path().join("small.ron"), 100_000, 0, 0).unwrap();
+    let said = write(&many, false, &folder.path().join("many"), &|_, _| {}).unwrap_err();
+    assert!(said.is_input() && said.to_string().contains("write one array, with --npy"), "{said}");
 }
 
 #[test]

@@ -26,7 +26,10 @@ impl Batches {
     }
 
     /// The transmitters of `step`, each moved a little, and of their spectra the pixels that `stages` draw.
-    pub(crate) fn of_step(&mut self, step: u64, pipeline: &Pipeline, data: &Dataset, stages: &Stages) -> Batch {
+    ///
+    /// # Errors
+    /// Where a spectrum cannot be read.
+    pub(crate) fn of_step(&mut self, step: u64, pipeline: &Pipeline, data: &Dataset, stages: &Stages) -> Result<Batch> {
         let settings = &pipeline.training;
         let (seed, n) = (pipeline.seed, self.train.len() as u64);
         let mut jitter = rng::stream(seed, "jitter", step);
@@ -39,26 +42,22 @@ impl Batches {
                 rng::shuffle(&mut rng::stream(seed, "batches", drawn / n), &mut order);
                 self.order = (drawn / n, order);
             }
-            let sample = &data.samples[self.order.1[(drawn % n) as usize]];
-            batch
-                .txs
-                .push(data.scene.origin.local(sample.tx).map(|x| x + settings.tx_jitter_m * rng::normal(&mut jitter)));
-            samples.push(sample);
+            let i = self.order.1[(drawn % n) as usize];
+            let tx = data.scene.origin.local(data.samples[i].tx);
+            batch.txs.push(tx.map(|x| x + settings.tx_jitter_m * rng::normal(&mut jitter)));
+            samples.push(i);
         }
         let ImagePlane { width, height, .. } = stages.plane;
         let (pixels, stride) = (width * height, settings.stride);
         batch.truths.resize(samples.len() * pixels, 0.0);
-        batch.truths.par_chunks_exact_mut(pixels).zip(&samples).for_each(|(truth, sample)| {
-            let rows = sample.spectrum.chunks_exact(data.width).step_by(stride);
-            for (truth, row) in truth.chunks_exact_mut(width).zip(rows) {
-                let bytes = row.iter().step_by(stride);
-                truth.iter_mut().zip(bytes).for_each(|(t, &v)| *t = Real::from(v) / 255.0);
-            }
+        batch.truths.par_chunks_exact_mut(pixels).zip(&samples).for_each(|(truth, &i)| {
+            data.spectra.coarse(i, stride, truth);
             if stride > 1 {
                 stages.readout.restrict(truth);
             }
         });
-        batch
+        data.spectra.check()?;
+        Ok(batch)
     }
 }
 

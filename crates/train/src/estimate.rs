@@ -65,7 +65,7 @@ impl Trainer<'_> {
         let step = self.done + 1;
         let moment = Moment { step, phase: self.phase(step), seed: self.pipeline.seed };
         let batch =
-            Batches::new(self.batches().train().to_vec()).of_step(step, &self.pipeline, self.data, &self.stages);
+            Batches::new(self.batches().train().to_vec()).of_step(step, &self.pipeline, self.data, &self.stages)?;
         let settings = &self.pipeline.training;
         let objective = RenderingLoss::strided(settings.loss.ssim_weight, settings.stride);
         let mut shortest = f64::INFINITY;

@@ -5,7 +5,7 @@ use crate::settings::Training;
 use crate::trainer::specs_of;
 use pwrfgs_core::files::digest;
 use pwrfgs_core::plugin::ron_options;
-use pwrfgs_core::{Dataset, Real};
+use pwrfgs_core::{Dataset, Real, Sample};
 use rayon::prelude::*;
 
 /// Samples whose digests are taken together.
@@ -31,15 +31,24 @@ pub(crate) fn fingerprint(pipeline: &Pipeline, data: &Dataset, train: &[usize]) 
 
 /// Receiver, size, points, and every sample.
 fn of_data(data: &Dataset) -> String {
-    let part = |samples: &[pwrfgs_core::Sample]| {
+    let part = |samples: &[(usize, &Sample)]| {
         let mut bytes = Vec::new();
-        for sample in samples {
+        for (i, sample) in samples {
             bytes.extend(sample.tx.iter().flat_map(|v| v.to_le_bytes()));
-            bytes.extend_from_slice(&sample.spectrum);
+            bytes.extend_from_slice(&data.spectra.raw(*i));
         }
         digest(&bytes)
     };
-    let parts: Vec<String> = data.samples.par_chunks(CHUNK).map(part).collect();
+    let samples: Vec<(usize, &Sample)> = data.samples.iter().enumerate().collect();
+    let parts: Vec<String> = samples.par_chunks(CHUNK).map(part).collect();
     let points: Vec<u8> = data.scene.points.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
-    format!("{:?} {:?} {} {} {} {}", data.scene.receiver, data.scene.origin, data.width, data.height, digest(&points), parts.join(" "))
+    format!(
+        "{:?} {:?} {} {} {} {}",
+        data.scene.receiver,
+        data.scene.origin,
+        data.width,
+        data.height,
+        digest(&points),
+        parts.join(" ")
+    )
 }

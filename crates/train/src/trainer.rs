@@ -149,7 +149,7 @@ impl<'a> Trainer<'a> {
     /// One step: batch, gradients, Adam, then densification or pruning where due.
     ///
     /// # Errors
-    /// [`Error::NonFinite`], naming step and tensor; the trainer is then of no further use.
+    /// [`Error::NonFinite`], naming step and tensor; the trainer is then of no further use. [`Error::Read`] of a spectrum.
     pub fn step(&mut self) -> Result<StepReport> {
         // On a thread of the pool, which then need not be entered anew for every parallel loop.
         rayon::scope(|_| self.next_step())
@@ -158,7 +158,7 @@ impl<'a> Trainer<'a> {
     fn next_step(&mut self) -> Result<StepReport> {
         let step = self.done + 1;
         let moment = Moment { step, phase: self.phase(step), seed: self.pipeline.seed };
-        let batch = self.batches.of_step(step, &self.pipeline, self.data, &self.stages);
+        let batch = self.batches.of_step(step, &self.pipeline, self.data, &self.stages)?;
         let pruners = if moment.phase == Phase::Finetune { Vec::new() } else { self.pipeline.pruners.clone() };
         let settings = &self.pipeline.training;
         let objective = RenderingLoss::strided(settings.loss.ssim_weight, settings.stride);

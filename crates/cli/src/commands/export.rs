@@ -47,7 +47,7 @@ pub(crate) struct Export {
 }
 
 pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<ExitCode> {
-    let tx = arguments.tx.as_deref().map(position).transpose()?;
+    let tx = arguments.tx.as_deref().map(|text| position("--tx", text)).transpose()?;
     let half: Writer = |model, _| file::to_bytes_half(model);
     let files: Vec<(&Path, Writer)> =
         [(&arguments.ply, ply as Writer), (&arguments.npz, npz as Writer), (&arguments.half, half)]

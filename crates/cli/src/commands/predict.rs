@@ -57,7 +57,7 @@ pub(crate) struct Predict {
 
 pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitCode> {
     let txs = match (&arguments.tx, &arguments.tx_csv) {
-        (Some(text), _) => vec![position(text)?],
+        (Some(text), _) => vec![position("--tx", text)?],
         (_, Some(path)) => positions(path)?,
         _ => return Err(Error::Config("give --tx x,y,z or --tx-csv FILE".into())),
     };

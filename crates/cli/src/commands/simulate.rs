@@ -6,7 +6,8 @@ use crate::output;
 use crate::progress::Progress;
 use clap::Args;
 use pwrfgs::experiment::Observer as _;
-use pwrfgs::sim::{Recipe, output as folder};
+use pwrfgs::sim::Recipe;
+use pwrfgs::sim::output::{self as folder, Pictures};
 use pwrfgs_core::{Error, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -19,7 +20,8 @@ use std::time::Instant;
     (every path with gain, delay, angles and what it met), points.ply (points on all surfaces, with normals) and \
     manifest.json (every parameter). A folder that holds anything is never touched. In a pipeline, data: \
     Simulated(scene: ..) makes the same data set without this command.\n\nEXAMPLES\n  pwrfgs simulate \
-    scenes/office.ron --out data/office\n  pwrfgs simulate scenes/lab-s23.ron --samples 4898 --no-paths --out data/lab")]
+    scenes/office.ron --out data/office\n  pwrfgs simulate scenes/lab-s23.ron --samples 4898 --no-paths --out data/lab\n  pwrfgs \
+    simulate scenes/office.ron --samples 100000 --no-paths --npy --out data/many")]
 pub(crate) struct Simulate {
     /// The scene file
     #[arg(value_name = "SCENE")]
@@ -36,6 +38,9 @@ pub(crate) struct Simulate {
     /// Points of the cloud
     #[arg(long, value_name = "N", default_value_t = 190_000)]
     pub(crate) points: usize,
+    /// Write one array, spectra.npy, in place of a picture each; needed for 100,000 spectra and more
+    #[arg(long)]
+    pub(crate) npy: bool,
     /// Leave paths.csv out: it has some hundred rows a spectrum
     #[arg(long)]
     pub(crate) no_paths: bool,
@@ -48,7 +53,8 @@ pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<Exi
     let bar = Mutex::new(Progress::new(verbosity));
     let tell = |done, total| bar.lock().unwrap_or_else(PoisonError::into_inner).on_stage("simulating", done, total);
     tell(0, 0);
-    let written = folder::write_until(&recipe, !arguments.no_paths, &arguments.out, &tell, &stop);
+    let (pictures, source) = if arguments.npy { (Pictures::Npy, "Arrays") } else { (Pictures::Png, "Nerf2Spectrum") };
+    let written = folder::write_as(&recipe, pictures, !arguments.no_paths, &arguments.out, &tell, &stop);
     bar.lock().unwrap_or_else(PoisonError::into_inner).finish();
     if matches!(written, Err(Error::Stopped)) {
         output::note("stopped; nothing is left behind, and the same command begins anew");
@@ -57,8 +63,8 @@ pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<Exi
     written?;
     if verbosity != Verbosity::Quiet {
         output::note(&format!(
-            "{} simulated spectra of {} in {} after {:.1} s; to train on them: data: Nerf2Spectrum(root: \"{}\", \
-             points: \"{}\")",
+            "{} simulated spectra of {} in {} after {:.1} s; to train on them: data: {source}(root: \"{}\", points: \
+             \"{}\")",
             arguments.samples,
             recipe.scene.name,
             arguments.out.display(),

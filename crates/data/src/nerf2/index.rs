@@ -9,7 +9,9 @@ use std::{
 
 /// What is known of the ids of a data set.
 pub(crate) struct Known<'a> {
-    /// Rows of `tx_pos.csv`: ids are 1 to this.
+    /// The file of the transmitters.
+    pub(crate) table: &'a str,
+    /// Its rows: ids are 1 to this.
     pub(crate) rows: usize,
     /// Ids that have a picture.
     pub(crate) pictures: &'a BTreeSet<u32>,
@@ -43,7 +45,7 @@ fn read_list(path: &Path, known: &Known<'_>, seen: &mut BTreeMap<u32, String>) -
     let mut list = Vec::new();
     for (line, content) in lines(&text) {
         for field in split_blanks(content) {
-            let id = id(path, line, field)?;
+            let id = id(path, line, field, known.table)?;
             list.push(sample(known, id).map_err(|what| Error::at(path, line, field.column, what))?);
             if let Some(before) = seen.insert(id, format!("{name}, line {line}")) {
                 let what = format!(
@@ -60,9 +62,9 @@ fn read_list(path: &Path, known: &Known<'_>, seen: &mut BTreeMap<u32, String>) -
     Ok(list)
 }
 
-fn id(path: &Path, line: usize, field: Field<'_>) -> Result<u32> {
+fn id(path: &Path, line: usize, field: Field<'_>, table: &str) -> Result<u32> {
     let what = match field.text.parse() {
-        Ok(0) => "there is no id 0; ids count from 1, the first row of tx_pos.csv".into(),
+        Ok(0) => format!("there is no id 0; ids count from 1, the first row of {table}"),
         Ok(id) => return Ok(id),
         Err(_) => format!("`{}` is not a sample id; write one a line, such as 00001", field.text),
     };
@@ -73,8 +75,8 @@ fn id(path: &Path, line: usize, field: Field<'_>) -> Result<u32> {
 fn sample(known: &Known<'_>, id: u32) -> Result<usize, String> {
     if id as usize > known.rows {
         return Err(format!(
-            "id {id} has no row in tx_pos.csv, which has {}; add the row or remove the id",
-            known.rows
+            "id {id} has no row in {}, which has {}; add the row or remove the id",
+            known.table, known.rows
         ));
     }
     if !known.pictures.contains(&id) {

@@ -2,7 +2,7 @@
 
 use crate::text::{read_bytes, unreadable};
 use image::{ColorType, ExtendedColorType, ImageDecoder, ImageError, codecs::png::PngDecoder};
-use pwrfgs_core::{Error, Progress, Result};
+use pwrfgs_core::{Error, Number, Progress, Result, Spectra};
 use rayon::prelude::*;
 use std::{
     collections::BTreeMap,
@@ -16,14 +16,6 @@ const MAX_PIXELS: u64 = 1 << 24;
 /// Largest file of a picture, bytes: one that is not compressed at all, and what else it says.
 const MAX_BYTES: u64 = 2 * MAX_PIXELS;
 const SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
-
-/// Pictures of one size, row-major 8-bit grey.
-#[derive(Debug)]
-pub(crate) struct Pictures {
-    pub(crate) width: usize,
-    pub(crate) height: usize,
-    pub(crate) bytes: Vec<Vec<u8>>,
-}
 
 /// The pictures in a folder by id: files whose name is a number and ends in `.png`; others are left alone.
 pub(crate) fn list(folder: &Path, advice: &str) -> Result<BTreeMap<u32, PathBuf>> {
@@ -51,28 +43,65 @@ fn id_of(path: &Path) -> Option<u32> {
 }
 
 /// Decodes all; the first gives the size. The message is about the first bad file in the given order.
-pub(crate) fn load(files: &[&Path], progress: Progress<'_>) -> Result<Pictures> {
-    let Some(first) = files.first() else { return Ok(Pictures { width: 0, height: 0, bytes: Vec::new() }) };
-    let (width, height, bytes) = decode(first)?;
+pub(crate) fn load(files: &[&Path], progress: Progress<'_>) -> Result<Spectra> {
+    let [first, others @ ..] = files else { return Spectra::grey((0, 0), Vec::new()) };
+    let Picture { width, height, bytes, .. } = decode(first, Depth::Eight)?;
     let name = first.file_name().unwrap_or_default().to_string_lossy();
+    let mut all = Vec::new();
+    let total = bytes.len().saturating_mul(files.len());
+    all.try_reserve_exact(total).map_err(|_| {
+        let what = format!("{} pictures of {width} x {height} pixels do not fit into memory", files.len());
+        Error::input(first, format!("{what}; `pwrfgs import` makes one array of them, of which memory holds a part"))
+    })?;
+    all.extend(bytes);
+    all.resize(total, 0);
     let done = AtomicUsize::new(1);
-    let decode_like_first = |path: &&Path| {
-        let (w, h, bytes) = decode(path)?;
+    let decode_like_first = |(out, path): (&mut [u8], &&Path)| {
+        let picture = decode(path, Depth::Eight)?;
         progress(done.fetch_add(1, Ordering::Relaxed) + 1, files.len());
-        if (w, h) == (width, height) {
-            return Ok(bytes);
+        picture.is_like(path, (width, height), &name)?;
+        out.copy_from_slice(&picture.bytes);
+        Ok(())
+    };
+    // Results first, so that which error is told does not depend on the threads.
+    let rest = all.par_chunks_exact_mut(width * height).skip(1).zip(others);
+    let rest: Vec<Result<()>> = rest.map(decode_like_first).collect();
+    rest.into_iter().collect::<Result<()>>()?;
+    Spectra::grey((width, height), all)
+}
+
+/// Which pictures are taken.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Depth {
+    /// 8-bit grey alone.
+    Eight,
+    /// 16-bit grey too.
+    Sixteen,
+}
+
+/// One picture, row-major grey.
+pub(crate) struct Picture {
+    pub(crate) width: usize,
+    pub(crate) height: usize,
+    pub(crate) number: Number,
+    /// Little endian.
+    pub(crate) bytes: Vec<u8>,
+}
+
+impl Picture {
+    /// Refuses another size than that of the picture `name`.
+    pub(crate) fn is_like(&self, path: &Path, (width, height): (usize, usize), name: &str) -> Result<()> {
+        let Self { width: w, height: h, .. } = self;
+        if (*w, *h) == (width, height) {
+            return Ok(());
         }
         let what = format!("is {w} x {h} pixels, but {name} is {width} x {height}; all pictures must have one size");
         Err(Error::input(path, what))
-    };
-    // Results first, so that which error is told does not depend on the threads.
-    let rest: Vec<Result<Vec<u8>>> = files[1..].par_iter().map(decode_like_first).collect();
-    let bytes = std::iter::once(Ok(bytes)).chain(rest).collect::<Result<_>>()?;
-    Ok(Pictures { width, height, bytes })
+    }
 }
 
-/// Width, height and grey values of one picture.
-fn decode(path: &Path) -> Result<(usize, usize, Vec<u8>)> {
+/// Reads one picture.
+pub(crate) fn decode(path: &Path, depth: Depth) -> Result<Picture> {
     let file = read_bytes(path, MAX_BYTES, "add the picture")?;
     if !file.starts_with(&SIGNATURE[..SIGNATURE.len().min(file.len()).max(1)]) {
         return Err(Error::input(path, "is not a PNG picture; save the spectrum as 8-bit grey PNG"));
@@ -85,18 +114,28 @@ fn decode(path: &Path) -> Result<(usize, usize, Vec<u8>)> {
         )
     };
     let decoder = PngDecoder::new(Cursor::new(file)).map_err(damaged)?;
-    if decoder.original_color_type() != ExtendedColorType::L8 || decoder.color_type() != ColorType::L8 {
-        let kind = kind(decoder.original_color_type());
-        return Err(Error::input(path, format!("is {kind}; a spectrum is 8-bit grey with one channel: convert it")));
-    }
+    let number = match (decoder.original_color_type(), decoder.color_type()) {
+        (ExtendedColorType::L8, ColorType::L8) => Number::U8,
+        (ExtendedColorType::L16, ColorType::L16) if depth == Depth::Sixteen => Number::U16,
+        (original, _) => {
+            let (kind, needed) = (kind(original), if depth == Depth::Sixteen { "8-bit or 16-bit" } else { "8-bit" });
+            let what = format!("is {kind}; a spectrum is {needed} grey with one channel: convert it");
+            return Err(Error::input(path, what));
+        }
+    };
     let (width, height) = decoder.dimensions();
     if u64::from(width) * u64::from(height) > MAX_PIXELS {
         let what = format!("is {width} x {height} pixels, more than {MAX_PIXELS} in all; make it smaller");
         return Err(Error::input(path, what));
     }
-    let mut bytes = vec![0; width as usize * height as usize];
+    let (width, height) = (width as usize, height as usize);
+    let mut bytes = vec![0; width * height * number.bytes()];
     decoder.read_image(&mut bytes).map_err(damaged)?;
-    Ok((width as usize, height as usize, bytes))
+    if number == Number::U16 {
+        // The decoder gives the order of this machine.
+        bytes.as_chunks_mut().0.iter_mut().for_each(|v| *v = u16::from_ne_bytes(*v).to_le_bytes());
+    }
+    Ok(Picture { width, height, number, bytes })
 }
 
 /// A colour type in words.

@@ -68,8 +68,8 @@ fn a_good_folder_is_read() {
         data.samples.iter().map(|s| (s.id, s.tx)).collect::<Vec<_>>(),
         [(1, [1.0, 2.0, 3.0]), (2, [4.0, 5.0, 6.0]), (3, [7.0, 8.0, 9.0])]
     );
-    assert_eq!(data.samples[1].spectrum[..3], [2, 3, 4]);
-    assert_eq!(data.samples[1].spectrum[8], 12);
+    assert_eq!(data.spectra.raw(1)[..3], [2, 3, 4]);
+    assert_eq!(data.spectra.raw(1)[8], 12);
     assert_eq!(data.official, Some((vec![0, 2], vec![1])));
     assert_eq!(data.scene.receiver.position, [5.0, 0.26, 0.0]);
     assert_eq!(data.scene.bounds, ([1.0, 0.26, 0.0], [7.0, 8.0, 9.0]));
@@ -88,7 +88,7 @@ fn variations_found_in_the_wild_read_the_same() {
         "dataset_name: s\ngateway1: {position: [5, 0.26, 0.0], orientation: [0, 0, 0, 1.0]}\n",
     );
     let varied = folder.load();
-    assert_eq!(format!("{:?}", plain.samples), format!("{:?}", varied.samples));
+    assert_eq!(format!("{:?}", (plain.samples, plain.spectra)), format!("{:?}", (varied.samples, varied.spectra)));
     assert_eq!(plain.official, varied.official);
     assert_eq!(plain.title, varied.title);
 }
@@ -330,7 +330,7 @@ fn the_measured_spectra_are_read() {
     assert_eq!(data.samples[4897].id, 6123);
     let (train, test) = data.official.unwrap();
     assert_eq!((train.len(), test.len()), (3918, 980));
-    assert!(data.samples.iter().all(|s| s.spectrum.contains(&0) && s.spectrum.contains(&255)));
+    assert!((0..4898).map(|i| data.spectra.raw(i)).all(|s| s.contains(&0) && s.contains(&255)));
 }
 
 /// Checked from outside: the file has four decimals, so whole tenths of a millimetre decide.

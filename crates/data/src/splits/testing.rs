@@ -2,15 +2,16 @@
 
 use super::*;
 use proptest::prelude::*;
-use pwrfgs_core::{Dataset, Plugin, Pose, Sample, Split};
+use pwrfgs_core::{Dataset, Plugin, Pose, Sample, Spectra, Split};
 use std::collections::BTreeMap;
 
 /// Samples with one-pixel spectra at these places; every fifth belongs to the official test list.
 pub(crate) fn samples_at(places: &[[f64; 3]]) -> Dataset {
-    let to_sample = |(i, &tx): (usize, &[f64; 3])| Sample { id: i as u32 + 1, tx, spectrum: vec![i as u8] };
+    let to_sample = |(i, &tx): (usize, &[f64; 3])| Sample { id: i as u32 + 1, tx };
     let (test, train) = (0..places.len()).partition(|i| i % 5 == 4);
     let samples = places.iter().enumerate().map(to_sample).collect();
-    let data = Dataset::new("test", Pose::IDENTITY, vec![], (1, 1), samples).unwrap();
+    let spectra = Spectra::grey((1, 1), (0..places.len()).map(|i| i as u8).collect()).unwrap();
+    let data = Dataset::new("test", Pose::IDENTITY, vec![], samples, spectra).unwrap();
     Dataset { official: Some((train, test)), ..data }
 }
 

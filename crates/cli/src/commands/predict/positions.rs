@@ -4,10 +4,12 @@ use pwrfgs_core::origin::{coordinate_fault, place_fault};
 use pwrfgs_core::{Error, Result, files};
 use std::path::Path;
 
-/// `x,y,z` of the command line.
-pub(in crate::commands) fn position(text: &str) -> Result<[f64; 3]> {
+/// `x,y,z` of the command line, the value of `option`.
+pub(in crate::commands) fn position(option: &str, text: &str) -> Result<[f64; 3]> {
     let wrong = || {
-        Error::Config(format!("--tx {text}: give three finite numbers of at most 1e8 in metres, such as 1.2,0.3,1.0"))
+        Error::Config(format!(
+            "{option} {text}: give three finite numbers of at most 1e8 in metres, such as 1.2,0.3,1.0"
+        ))
     };
     let numbers: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
     match <[f64; 3]>::try_from(numbers.unwrap_or_default()) {
@@ -63,9 +65,9 @@ mod tests {
 
     #[test]
     fn positions_are_three_finite_numbers() {
-        assert_eq!(position("1, -2.5,3e0").unwrap(), [1.0, -2.5, 3.0]);
+        assert_eq!(position("--tx", "1, -2.5,3e0").unwrap(), [1.0, -2.5, 3.0]);
         for wrong in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,NaN", "1,inf,2", "1,2,1e9"] {
-            assert!(position(wrong).unwrap_err().is_input(), "{wrong}");
+            assert!(position("--tx", wrong).unwrap_err().is_input(), "{wrong}");
         }
     }
 }

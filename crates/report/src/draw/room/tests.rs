@@ -1,12 +1,12 @@
 //! What the figure of the room shows and what it leaves out.
 
 use super::*;
-use pwrfgs_core::{GaussianCloud, Origin, Pose, Sample, Scene};
+use pwrfgs_core::{GaussianCloud, Origin, Pose, Sample, Scene, Spectra};
 
 /// A room of 4 x 3 x 2 m with `points` points and one transmitter of each kind.
 fn room(points: usize) -> (Dataset, Partition) {
     let low_high = ([0.0; 3], [4.0, 3.0, 2.0]);
-    let sample = |id| Sample { id, tx: [1.0, 1.0, f64::from(id) / 2.0], spectrum: vec![0] };
+    let sample = |id| Sample { id, tx: [1.0, 1.0, f64::from(id) / 2.0] };
     let data = Dataset {
         title: "room".into(),
         scene: Scene {
@@ -18,6 +18,7 @@ fn room(points: usize) -> (Dataset, Partition) {
         width: 1,
         height: 1,
         samples: vec![sample(1), sample(2)],
+        spectra: Spectra::grey((1, 1), vec![0; 2]).unwrap(),
         official: None,
         simulation: None,
     };

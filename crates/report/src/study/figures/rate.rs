@@ -31,8 +31,8 @@ pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure
             fewer |= part.len() < test.len();
             let model = loaded.model(run)?;
             let bench = Bench::new(&loaded.data, &part, &model.stages.plane);
-            let predictions = bench.predict(&model.prepare(), &AtomicBool::new(false), &|_, _| {})?;
-            curves.push(curve(&bench.measure(&metrics, &predictions, None, None, &|_, _| {})?));
+            let never = AtomicBool::new(false);
+            curves.push(curve(&bench.model(&model.prepare(), None, &metrics, &mut Silent, &never)?));
         }
         let mut line = Line::new(mean_of(&curves), looks::variant(k)).named(&variant.label);
         // Every fourth, each line from another on.
@@ -54,7 +54,8 @@ fn baselines(setting: &Setting, loaded: &Loaded, metrics: &[Plugin<dyn Metric>])
     let known = partition.known();
     let line = |(k, baseline): (usize, &Plugin<dyn pwrfgs_core::Baseline>)| {
         let fitted = baseline.fit(&loaded.data, &known)?;
-        let measured = bench.baseline(&baseline.name(), &*fitted, metrics, &mut Silent)?;
+        let never = AtomicBool::new(false);
+        let measured = bench.baseline(&baseline.name(), &*fitted, metrics, &mut Silent, &never)?;
         Ok(Line::new(curve(&measured), looks::floor(k)).named_at_end(&baseline.name()))
     };
     run.pipeline.baselines.iter().enumerate().map(line).collect()

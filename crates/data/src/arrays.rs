@@ -1,0 +1,141 @@
+//! `Arrays`: spectra and transmitters as arrays of NumPy, of any number.
+
+#[cfg(test)]
+mod tests;
+
+use crate::nerf2::{gateway, index, read_transmitters, simulation};
+use crate::npy;
+use crate::points::read_points;
+use pwrfgs_core::{DataSource, Dataset, Error, Progress, Result, Sample, Spectra};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+const LAYOUT: &str = "a folder of arrays holds gateway_info.yml, tx.npy and spectra.npy; `pwrfgs import` writes one";
+/// Spectra that memory holds whole, bytes: then nothing that happens to the file matters to a run.
+const IN_MEMORY: u64 = 1 << 29;
+/// How far a value may be outside 0 to 1, by rounding.
+const ROUNDING: f64 = 1e-6;
+
+/// Spectra and transmitters as arrays of NumPy. `pwrfgs import` writes such a folder from what you have.
+///
+/// ```text
+/// root/gateway_info.yml    gateway1: {position: [x, y, z], orientation: [x, y, z, w]}; metres, unit quaternion
+/// root/tx.npy              [M, 3], float64 or float32, metres; or tx_pos.csv with columns x, y, z
+/// root/spectra.npy         [M, H, W]: a row is an elevation, a column an azimuth; uint8 (255 is 1), uint16 (65535 is 1),
+///                          or float32 and float64 from 0 to 1
+/// root/train_index.txt     ids, one a line, counted from 1; this file and
+/// root/test_index.txt      this one come together or not at all
+/// ```
+///
+/// Spectra of up to 512 MB are read into memory. Larger ones stay in their file, which must stay as it is while it is
+/// used, and a picture is read when it is wanted: a hundred thousand need no more memory than a hundred. Floats are looked
+/// at once, when they are loaded.
+///
+/// * `root`: the folder, `data/mine` by default; relative to the pipeline file.
+/// * `points`: a point cloud of the room ([`read_points`]), none by default; relative to the pipeline file.
+///
+/// ```
+/// # use pwrfgs_core::{DataSource, Plugin};
+/// # use pwrfgs_data as _;
+/// assert!(Plugin::<dyn DataSource>::parse(r#"Arrays(root: "data/mine")"#).is_ok());
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Arrays {
+    /// The folder; default `data/mine`.
+    pub root: PathBuf,
+    /// Point cloud of the room (PLY, XYZ or CSV, metres, world frame); default none.
+    pub points: Option<PathBuf>,
+}
+
+impl Default for Arrays {
+    fn default() -> Self {
+        Self { root: "data/mine".into(), points: None }
+    }
+}
+
+#[typetag::serde]
+impl DataSource for Arrays {
+    fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
+        let root = base.join(&self.root);
+        if !root.is_dir() {
+            return Err(Error::input(&root, format!("no such folder; set `root` of Arrays ({LAYOUT})")));
+        }
+        let gateway = gateway::read(&root.join("gateway_info.yml"), None, LAYOUT)?;
+        let (csv, npy) = (root.join("tx_pos.csv"), root.join("tx.npy"));
+        let table = if npy.exists() || !csv.exists() { "tx.npy" } else { "tx_pos.csv" };
+        let positions = if table == "tx.npy" { npy::read_positions(&npy)? } else { read_transmitters(&csv)? };
+        let path = root.join("spectra.npy");
+        let spectra = npy::open_spectra(&path)?;
+        let ids: Vec<u32> = (1..=positions.len() as u32).collect();
+        if spectra.len() != ids.len() {
+            let what = format!("holds {} spectra, but {table} {} transmitters", spectra.len(), ids.len());
+            return Err(Error::input(&path, format!("{what}; give as many of each")));
+        }
+        let pictures = ids.iter().copied().collect();
+        let known = index::Known { table, rows: ids.len(), pictures: &pictures, samples: &ids };
+        let official = index::read(&root, &known)?;
+        let points = self.points.as_ref().map_or(Ok(Vec::new()), |points| read_points(&base.join(points)))?;
+        let spectra = checked(spectra, &path, progress)?;
+        let samples = ids.iter().zip(positions).map(|(&id, tx)| Sample { id, tx }).collect();
+        let folder = || root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
+        let name = gateway.name.unwrap_or_else(folder);
+        let simulation = simulation(&root, &name);
+        let title = format!("{name} ({}arrays)", if simulation.is_some() { "" } else { "measured, " });
+        Ok(Dataset { official, simulation, ..Dataset::new(title, gateway.pose, points, samples, spectra)? })
+    }
+
+    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {
+        Some(Box::new(Self { root: absolute(&self.root), points: self.points.as_deref().map(absolute) }))
+    }
+
+    fn about(&self) -> &'static str {
+        "spectra and transmitters as arrays of NumPy, of any number"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if self.root.as_os_str().is_empty() {
+            return Err("`root` is empty; name the folder of the data set, or `.` for this one".into());
+        }
+        Ok(())
+    }
+}
+
+/// The spectra, in memory where they are few, with every float looked at.
+fn checked(spectra: Spectra, path: &Path, progress: Progress<'_>) -> Result<Spectra> {
+    let bytes = spectra.len() * spectra.width() * spectra.height() * spectra.number().bytes();
+    let spectra = if bytes as u64 <= IN_MEMORY { spectra.into_memory()? } else { spectra };
+    let count = spectra.len();
+    if spectra.number().is_float() {
+        let done = AtomicUsize::new(0);
+        let look = |i: usize| {
+            let fault = fault(&spectra, i);
+            progress(done.fetch_add(1, Ordering::Relaxed) + 1, count);
+            fault
+        };
+        // The first, whatever the number of threads.
+        if let Some(fault) = (0..count).into_par_iter().find_map_first(look) {
+            return Err(Error::input(path, fault));
+        }
+        spectra.check()?;
+    }
+    progress(count, count);
+    Ok(spectra)
+}
+
+/// The first value of picture `i` that is no amplitude from 0 to 1, in words.
+fn fault(spectra: &Spectra, i: usize) -> Option<String> {
+    let (mut at, mut wrong) = (0, None);
+    spectra.number().each(&spectra.raw(i), |v| {
+        if !(-ROUNDING..=1.0 + ROUNDING).contains(&v) && wrong.is_none() {
+            wrong = Some((at, v));
+        }
+        at += 1;
+    });
+    let (at, value) = wrong?;
+    let (row, column) = (at / spectra.width(), at % spectra.width());
+    let what = "spectra are linear, from 0 to 1: `pwrfgs import` brings others into shape";
+    Some(format!("spectra[{i}, {row}, {column}] is {value}; {what}"))
+}

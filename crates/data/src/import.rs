@@ -1,0 +1,151 @@
+//! `import`: positions and spectra as they come out of other programs become a folder that [`Arrays`](crate::Arrays) reads.
+//!
+//! Spectra pass through one at a time, so any number of them needs no memory. Numbers keep their precision: 8 and 16 bits
+//! stay what they are, floats become (or stay) 32 bits. What cannot be meant is refused with what to do instead.
+
+mod check;
+mod source;
+#[cfg(test)]
+mod tests;
+
+use crate::layout::gateway_yaml;
+use crate::npy::npy_header;
+use check::Range;
+use pwrfgs_core::{Error, Number, Pose, Progress, Result, files::NewFolder};
+use std::fs::{self, File};
+use std::io::{BufWriter, Write as _};
+use std::path::{Path, PathBuf};
+
+/// What is to become a data set.
+#[derive(Clone, Debug)]
+pub struct Import {
+    /// `.npy`, `.npz` (`FILE.npz:NAME` names an array in it), or a folder of PNG pictures 00001.png ..
+    pub spectra: PathBuf,
+    /// `.npy`, `.npz` or `.csv` with columns x, y, z; `None`: the array `tx` beside the spectra in their `.npz`.
+    pub tx: Option<PathBuf>,
+    /// Where the receiver is.
+    pub receiver: Pose,
+    /// What the data set is called.
+    pub name: String,
+    /// What every value is multiplied by, so that they lie between 0 and 1.
+    pub scale: Option<f64>,
+    /// Whether the spectra are simulated, not measured.
+    pub simulated: bool,
+}
+
+/// What became of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Imported {
+    /// M, H, W.
+    pub shape: [usize; 3],
+    /// How a pixel is stored.
+    pub number: Number,
+    /// Smallest and largest value.
+    pub range: (f64, f64),
+}
+
+impl Import {
+    /// Writes the new folder `out`, whole or not at all. `progress` counts spectra.
+    ///
+    /// # Errors
+    /// What is wrong with the files, or `out` holds something, or the disk refuses.
+    pub fn write(&self, out: &Path, progress: Progress<'_>) -> Result<Imported> {
+        if let Some((field, fault)) = self.receiver.fault() {
+            return Err(Error::Config(format!("{field} of the receiver: {fault}")));
+        }
+        if let Some(scale) = self.scale.filter(|s| !(s.is_finite() && *s > 0.0)) {
+            return Err(Error::Config(format!("--scale {scale}: give a finite number above 0")));
+        }
+        let txs = source::positions(self.tx.as_deref().unwrap_or(&self.spectra), self.tx.is_none())?;
+        let folder = NewFolder::begin(out)?;
+        let mut sink = Sink::new(self.scale, folder.path().join("spectra.npy"), progress);
+        source::pictures(&self.spectra, txs.len(), &mut sink)?;
+        let imported = sink.finish(&self.spectra)?;
+        let put = |name: &str, bytes: &[u8]| {
+            let path = folder.path().join(name);
+            fs::write(&path, bytes).map_err(|e| Error::write(&path, e))
+        };
+        let numbers = txs.as_flattened().iter().flat_map(|v| v.to_le_bytes());
+        put("tx.npy", &npy_header(Number::F64, &[txs.len(), 3]).into_iter().chain(numbers).collect::<Vec<u8>>())?;
+        put("gateway_info.yml", gateway_yaml(&self.name, &self.receiver).as_bytes())?;
+        let manifest = serde_json::json!({
+            "program": concat!("pwrfgs ", env!("CARGO_PKG_VERSION")),
+            "simulated": self.simulated,
+            "name": self.name,
+            "scale": self.scale,
+        });
+        put("manifest.json", format!("{manifest:#}\n").as_bytes())?;
+        folder.publish()?;
+        Ok(imported)
+    }
+}
+
+/// Takes spectra one at a time and writes them.
+struct Sink<'a> {
+    scale: Option<f64>,
+    path: PathBuf,
+    progress: Progress<'a>,
+    file: Option<BufWriter<File>>,
+    shape: [usize; 3],
+    /// As it comes, and as it is written.
+    numbers: (Number, Number),
+    done: usize,
+    range: Range,
+    bytes: Vec<u8>,
+}
+
+impl<'a> Sink<'a> {
+    fn new(scale: Option<f64>, path: PathBuf, progress: Progress<'a>) -> Self {
+        let numbers = (Number::U8, Number::U8);
+        let (range, bytes) = (Range::default(), Vec::new());
+        Self { scale, path, progress, file: None, shape: [0; 3], numbers, done: 0, range, bytes }
+    }
+
+    /// Before the first.
+    fn begin(&mut self, shape: [usize; 3], number: Number) -> Result<()> {
+        let kept = if number.is_float() || self.scale.is_some() { Number::F32 } else { number };
+        (self.shape, self.numbers) = (shape, (number, kept));
+        let begun = File::create(&self.path).and_then(|file| {
+            let mut file = BufWriter::with_capacity(1 << 20, file);
+            file.write_all(&npy_header(kept, &shape)).map(|()| file)
+        });
+        self.file = Some(begun.map_err(|e| Error::write(&self.path, e))?);
+        Ok(())
+    }
+
+    /// The next, as it comes from `from`.
+    fn add(&mut self, from: &Path, bytes: &[u8]) -> Result<()> {
+        let (number, kept) = self.numbers;
+        let factor = self.scale.unwrap_or(1.0) / number.full_scale();
+        let (range, width, i) = (&mut self.range, self.shape[2], self.done);
+        let mut at = 0;
+        self.bytes.clear();
+        number.each(bytes, |v| {
+            let value = v * factor;
+            range.see([i, at / width, at % width], value);
+            at += 1;
+            if kept == Number::F32 {
+                self.bytes.extend((value as f32).to_le_bytes());
+            }
+        });
+        range.refuse_what_is_no_number(from)?;
+        // What will be refused at the end, when its largest value is known, need not be written.
+        let written = if self.range.is_linear() {
+            let bytes = if kept == number && kept != Number::F32 { bytes } else { &self.bytes };
+            self.file.as_mut().map_or(Ok(()), |file| file.write_all(bytes))
+        } else {
+            Ok(())
+        };
+        written.map_err(|e| Error::write(&self.path, e))?;
+        self.done += 1;
+        (self.progress)(self.done, self.shape[0]);
+        Ok(())
+    }
+
+    fn finish(self, from: &Path) -> Result<Imported> {
+        self.range.check(from, self.scale)?;
+        let file = self.file.map(|mut file| file.flush().and_then(|()| file.get_ref().sync_all()));
+        file.transpose().map_err(|e| Error::write(&self.path, e))?;
+        Ok(Imported { shape: self.shape, number: self.numbers.1, range: self.range.ends() })
+    }
+}

@@ -1,0 +1,216 @@
+//! `Bench`: a part of the data set to score on, some samples at a time.
+//!
+//! Predictions and spectra of a chunk are held together, those of the whole part never (unless a metric asks for that),
+//! so that memory does not grow with the number of samples.
+
+use crate::evaluate::go_on;
+use crate::observer::{Observer, staged};
+use pwrfgs_core::{
+    Dataset, Error, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Plugin, Predict, Progress, Result,
+    Scope, StageTimes, Values,
+};
+use pwrfgs_model::Prepared;
+use rayon::prelude::*;
+use std::cell::Cell;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::Instant;
+
+/// Most transmitters predicted in one call.
+const CHUNK: usize = 64;
+/// Most pixels predicted in one call, of larger pictures: 8 bytes each with the measured ones.
+const PIXELS: usize = 1 << 21;
+
+/// Who is scored.
+#[derive(Clone, Copy)]
+struct Subject<'a> {
+    /// Predicts some transmitters; tells how many of them are done.
+    predict: &'a dyn Fn(&[[f64; 3]], &(dyn Fn(usize) + Sync)) -> Vec<Image>,
+    /// Of a model.
+    facts: Option<ModelFacts<'a>>,
+    /// Predicts one transmitter and says how long it took; `None` where nobody asks.
+    timed: Option<&'a dyn Fn([f64; 3]) -> StageTimes>,
+}
+
+/// A part of the data set to score on.
+#[derive(Debug)]
+pub struct Bench<'a> {
+    data: &'a Dataset,
+    plane: &'a ImagePlane,
+    part: Vec<usize>,
+    txs: Vec<[f64; 3]>,
+}
+
+impl<'a> Bench<'a> {
+    /// The samples `part`, on the pixels of `plane`.
+    pub fn new(data: &'a Dataset, part: &[usize], plane: &'a ImagePlane) -> Self {
+        Self { data, plane, part: part.to_vec(), txs: part.iter().map(|&i| data.samples[i].tx).collect() }
+    }
+
+    /// Every measurement of `model`. Without `facts` nothing is said of the model itself, and it is not timed.
+    ///
+    /// # Errors
+    /// Where a metric refuses, or a spectrum cannot be read; [`Error::Stopped`] once `stop` is set.
+    pub fn model(
+        &self,
+        model: &Prepared<'_>,
+        facts: Option<ModelFacts<'_>>,
+        metrics: &[Plugin<dyn Metric>],
+        observer: &mut dyn Observer,
+        stop: &AtomicBool,
+    ) -> Result<Vec<Measurement>> {
+        let timed = |tx| model.predict_timed(tx).1;
+        let subject = Subject {
+            predict: &|txs, done| {
+                let images = model.predict_many(txs);
+                done(txs.len());
+                images
+            },
+            facts,
+            timed: facts.is_some().then_some(&timed),
+        };
+        self.measure("the model", subject, metrics, observer, stop)
+    }
+
+    /// Every measurement of a baseline called `name`.
+    ///
+    /// # Errors
+    /// As [`Self::model`].
+    pub fn baseline(
+        &self,
+        name: &str,
+        fitted: &dyn Predict,
+        metrics: &[Plugin<dyn Metric>],
+        observer: &mut dyn Observer,
+        stop: &AtomicBool,
+    ) -> Result<Vec<Measurement>> {
+        let timed = |tx| {
+            let begun = Instant::now();
+            std::hint::black_box(fitted.predict(tx));
+            StageTimes { total: begun.elapsed().as_secs_f64(), ..StageTimes::default() }
+        };
+        let predict = |txs: &[[f64; 3]], done: &(dyn Fn(usize) + Sync)| {
+            let one = |tx: &[f64; 3]| {
+                let image = fitted.predict(*tx);
+                done(1);
+                image
+            };
+            txs.par_iter().map(one).collect()
+        };
+        self.measure(name, Subject { predict: &predict, facts: None, timed: Some(&timed) }, metrics, observer, stop)
+    }
+
+    /// Every measurement of one called `name`, in the order of `metrics`.
+    fn measure(
+        &self,
+        name: &str,
+        subject: Subject<'_>,
+        metrics: &[Plugin<dyn Metric>],
+        observer: &mut dyn Observer,
+        stop: &AtomicBool,
+    ) -> Result<Vec<Measurement>> {
+        let mut found: Vec<Vec<Measurement>> = vec![Vec::new(); metrics.len()];
+        let together = metrics.iter().any(|m| m.scope() == Scope::All);
+        let (mut predictions, mut truths) = (Vec::new(), Vec::new());
+        staged(observer, &format!("predicting with {name}"), |progress| {
+            self.chunks(subject, stop, progress, &mut |some, of_them| {
+                let seen = self.seen(&some, &of_them, subject.facts, None);
+                for (found, metric) in found.iter_mut().zip(metrics).filter(|(_, m)| m.scope() == Scope::Sample) {
+                    append(found, metric.evaluate(&seen)?, some.len())?;
+                }
+                if together {
+                    predictions.extend(some);
+                    truths.extend(of_them);
+                }
+                Ok(())
+            })
+        })?;
+        go_on(stop)?;
+        // One transmitter after the other is timed.
+        let next = Cell::new(0);
+        let timed = |tx: &dyn Fn([f64; 3]) -> StageTimes| {
+            next.set(next.get() + 1);
+            tx(self.txs[(next.get() - 1) % self.txs.len()])
+        };
+        let timed = subject.timed.map(|one| move || timed(one));
+        let timed = timed.as_ref().map(|timed| timed as &dyn Fn() -> StageTimes);
+        staged(observer, &format!("scoring {name}"), |progress| {
+            for (k, (found, metric)) in found.iter_mut().zip(metrics).enumerate() {
+                match metric.scope() {
+                    Scope::All => *found = metric.evaluate(&self.seen(&predictions, &truths, subject.facts, timed))?,
+                    Scope::Model => *found = metric.evaluate(&self.seen(&[], &[], subject.facts, timed))?,
+                    Scope::Sample if self.part.is_empty() => {
+                        *found = metric.evaluate(&self.seen(&[], &[], None, None))?
+                    }
+                    Scope::Sample => {}
+                }
+                progress(k + 1, metrics.len());
+            }
+            Ok(())
+        })?;
+        Ok(found.into_iter().flatten().collect())
+    }
+
+    /// Shows predictions and measured spectra to `show`, a chunk at a time; `progress` counts samples.
+    fn chunks(
+        &self,
+        subject: Subject<'_>,
+        stop: &AtomicBool,
+        progress: Progress<'_>,
+        show: &mut dyn FnMut(Vec<Image>, Vec<Image>) -> Result<()>,
+    ) -> Result<()> {
+        let size = (PIXELS / (self.plane.width * self.plane.height).max(1)).clamp(1, CHUNK);
+        let done = AtomicUsize::new(0);
+        let tell = |more: usize| progress(done.fetch_add(more, Ordering::Relaxed) + more, self.part.len());
+        for (part, txs) in self.part.chunks(size).zip(self.txs.chunks(size)) {
+            go_on(stop)?;
+            let predictions = (subject.predict)(txs, &tell);
+            let truths = part.par_iter().map(|&i| self.data.image(i)).collect();
+            self.data.spectra.check()?;
+            show(predictions, truths)?;
+        }
+        Ok(())
+    }
+
+    fn seen<'b>(
+        &'b self,
+        predictions: &'b [Image],
+        truths: &'b [Image],
+        model: Option<ModelFacts<'b>>,
+        timed_prediction: Option<&'b dyn Fn() -> StageTimes>,
+    ) -> Evaluation<'b> {
+        Evaluation { predictions, truths, plane: self.plane, scene: &self.data.scene, model, timed_prediction }
+    }
+}
+
+/// Adds the measurements of the next `count` samples to those before.
+fn append(all: &mut Vec<Measurement>, more: Vec<Measurement>, count: usize) -> Result<()> {
+    let broken = |m: &Measurement| {
+        Err(Error::Config(format!(
+            "the metric `{}` says that it looks at one sample at a time, but does not give one number each; its \
+             `scope` should be `Scope::All`",
+            m.key
+        )))
+    };
+    for m in &more {
+        if matches!(&m.values, Values::PerSample(values) if values.len() != count)
+            || matches!(m.values, Values::Whole(_))
+        {
+            return broken(m);
+        }
+    }
+    if all.is_empty() {
+        *all = more;
+        return Ok(());
+    }
+    if all.len() != more.len() {
+        return more.first().or(all.first()).map_or(Ok(()), broken);
+    }
+    for (all, more) in all.iter_mut().zip(more) {
+        match (&mut all.values, more.values) {
+            (Values::PerSample(all), Values::PerSample(more)) => all.extend(more),
+            (Values::NotApplicable(_), Values::NotApplicable(_)) => {}
+            _ => return broken(all),
+        }
+    }
+    Ok(())
+}
