@@ -8,6 +8,7 @@ mod commands;
 mod interrupt;
 mod output;
 mod progress;
+mod reference;
 
 use args::{Arguments, Command};
 use clap::Parser as _;

@@ -7,9 +7,13 @@
 //! [`Split`] and [`Baseline`] around them. Plugins hold no mutable state that results
 //! could depend on.
 
+#[allow(unused_extern_crates)] // the derive `Documented` names this crate so, here too
+extern crate self as pwrfgs_core;
+
 mod cloud;
 mod data_source;
 mod deformation;
+pub mod docs;
 mod error;
 pub mod files;
 mod image;
@@ -22,6 +26,7 @@ mod pruner;
 mod rasterizer;
 mod real;
 pub mod rng;
+pub mod ron_tree;
 mod scene;
 mod splats;
 pub mod ssim;
@@ -32,6 +37,7 @@ pub mod testing;
 pub use cloud::{COLUMN_NAMES, ExtraColumn, GaussianCloud};
 pub use data_source::{Baseline, DataSource, Predict, Progress, Split};
 pub use deformation::{Deformation, DeformationInputs, Deltas, WeightSpec};
+pub use docs::Documented;
 pub use error::{Error, Result, did_you_mean};
 pub use image::{Axis, Image, ImagePlane};
 pub use initializer::Initializer;

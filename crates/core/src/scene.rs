@@ -1,10 +1,10 @@
 //! What is measured, and where: `Pose`, `Scene`, `Sample`, `Dataset`, `Partition`.
 
-use crate::{Error, Image, Mat3, Real, Result, Vec3};
+use crate::{Documented, Error, Image, Mat3, Real, Result, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// Position and orientation of the receiver.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Documented)]
 pub struct Pose {
     /// Metres, world frame.
     pub position: [f64; 3],

@@ -21,7 +21,10 @@ pub fn read_pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
 /// # Errors
 /// What is wrong with an argument.
 pub(crate) fn set_all(pipeline: &mut Pipeline, set: &[String]) -> Result<()> {
-    set.iter().try_for_each(|argument| pipeline.set(argument))?;
+    if set.is_empty() {
+        return Ok(());
+    }
+    pipeline.set_all(set)?;
     rebase(pipeline, Path::new(""));
     Ok(())
 }

@@ -7,6 +7,7 @@ mod adam;
 mod batches;
 mod checkpoint;
 mod densify;
+mod draft;
 mod edit;
 mod graph;
 mod loss;
@@ -14,6 +15,7 @@ mod pipeline;
 mod settings;
 mod trainer;
 
+pub use draft::Draft;
 pub use graph::{Batch, LossAndGradients, loss_and_gradients};
 pub use loss::RenderingLoss;
 pub use pipeline::{Pipeline, PipelineFields, PipelinePatch};
