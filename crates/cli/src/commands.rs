@@ -1,7 +1,9 @@
 //! One file a verb: what can be said to it, and what it does.
 
+mod completions;
 mod evaluate;
 mod export;
+mod init;
 mod plugins;
 mod predict;
 #[cfg(feature = "report")]
@@ -11,8 +13,10 @@ mod run;
 mod simulate;
 mod sweep;
 
+pub(crate) use completions::{Completions, Man, completions, man};
 pub(crate) use evaluate::{Evaluate, evaluate};
 pub(crate) use export::{Export, export};
+pub(crate) use init::{Init, init};
 pub(crate) use plugins::{Plugins, plugins};
 pub(crate) use predict::{Predict, predict};
 #[cfg(feature = "report")]

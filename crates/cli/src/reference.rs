@@ -11,6 +11,9 @@ use pwrfgs_core::plugin::{Family, to_ron};
 use pwrfgs_core::ron_tree::Tree;
 use std::path::Path;
 
+/// Not a field: the file itself.
+const EXPERIMENT: &str = "experiment";
+
 /// Some topics under a heading.
 pub(crate) struct Chapter {
     /// Such as `Pruner`.
@@ -47,9 +50,20 @@ impl Value {
         Ok(Self { tree: Tree::parse(&text)?, text })
     }
 
+    /// Its text.
+    pub(crate) fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// The text of a value inside.
+    pub(crate) fn at(&self, path: &[&str]) -> Option<&str> {
+        let inside = path.iter().try_fold(&self.tree, |tree, field| tree.field(field));
+        inside.map(|tree| tree.of(&self.text))
+    }
+
     /// One of its fields, in one line.
-    fn field(&self, name: &str) -> Option<String> {
-        self.tree.field(name).map(|tree| commented::compact(tree, &self.text))
+    fn field(&self, field: &Field) -> Option<String> {
+        self.tree.field(field.name).map(|tree| commented::short(Some(&(field.kind)()), tree, &self.text))
     }
 
     /// One of its fields as a value of its own.
@@ -128,7 +142,7 @@ fn experiment() -> Chapter {
     use pwrfgs::experiment::sweep::{Experiment, Slurm};
     let mut topics = Vec::new();
     if let Some(docs) = Experiment::kind().docs() {
-        collect(docs, "experiment", None, &mut topics);
+        collect(docs, EXPERIMENT, None, &mut topics);
     }
     if let Some(slurm) = topics.iter_mut().find(|topic| topic.name == "Slurm") {
         slurm.value = Value::new(to_ron(&Slurm::default()));
@@ -147,7 +161,7 @@ fn collect(docs: &'static Docs, field: &'static str, value: Option<Value>, topic
     }
     topics.push(Topic {
         name: docs.name.into(),
-        fields: vec![field],
+        fields: if field == EXPERIMENT { Vec::new() } else { vec![field] },
         about: String::new(),
         docs: Some(docs),
         value: value.clone().ok_or_else(|| "it has no defaults".into()),

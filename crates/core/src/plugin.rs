@@ -63,6 +63,8 @@ pub struct Family {
     pub kind: &'static str,
     /// All of it that are linked into this program, sorted by name.
     pub members: fn() -> Vec<Member>,
+    /// A plugin of this kind with every default written out; nothing where the text is none.
+    pub complete: fn(&str) -> Option<String>,
 }
 inventory::collect!(Family);
 
@@ -85,7 +87,11 @@ impl Family {
     where
         Box<T>: for<'de> Deserialize<'de>,
     {
-        Self { kind: T::KIND, members: members::<T> }
+        Self {
+            kind: T::KIND,
+            members: members::<T>,
+            complete: |text| Plugin::<T>::parse(text).ok().map(|p| to_ron(&p)),
+        }
     }
 
     /// That of this kind, where there is one.

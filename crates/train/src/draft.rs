@@ -36,8 +36,9 @@ impl Draft {
         Self { text: pipeline.to_ron() }
     }
 
-    /// Changes what `path`, such as `training.steps` or `pruners.LearnableMask.lambda`, names. Settings in parentheses,
-    /// `(steps: 500, batch: 2)`, change what they name; every other value takes the place of the old one.
+    /// Changes what `path`, such as `training.steps` or `pruners.LearnableMask.lambda`, names. Settings, and what stands in
+    /// parentheses without a name, `(steps: 500, batch: 2)`, change what they name; every other value takes the place of the
+    /// old one.
     ///
     /// # Errors
     /// [`Error::Config`] where there is no such place, or the value is none. Whether it fits is told at the end.
@@ -201,9 +202,9 @@ impl<'a> Place<'a> {
     /// what it does not name reads `None`.
     fn put(self, new: &Tree, text: &str, patch: bool, edits: &mut Vec<Edit>) -> Result<(), String> {
         let settings = matches!(self.kind, Some(Kind::Of(Docs { body: Parts::Fields(_), .. })));
-        let merges = if patch { settings } else { new.name.is_none() };
+        let merges = settings || (!patch && new.name.is_none());
         if !merges || new.fields().is_empty() || self.tree.fields().is_empty() {
-            edits.push((self.tree.span.clone(), new.of(text).to_owned()));
+            edits.push((self.tree.span.clone(), written_out(self.kind.as_ref(), new, text)));
             return Ok(());
         }
         for (field, value) in new.fields() {
@@ -213,6 +214,21 @@ impl<'a> Place<'a> {
             }
         }
         Ok(())
+    }
+}
+
+/// A value with the defaults of its plugins, so that the next change finds their fields.
+fn written_out(kind: Option<&Kind>, new: &Tree, text: &str) -> String {
+    let own = new.of(text);
+    match kind.map(inside) {
+        Some(Kind::Plugin(kind)) => {
+            Family::find(kind).and_then(|family| (family.complete)(own)).unwrap_or_else(|| own.to_owned())
+        }
+        Some(Kind::List(kind)) if !new.items().is_empty() => {
+            let items: Vec<String> = new.items().iter().map(|item| written_out(Some(kind), item, text)).collect();
+            format!("[{}]", items.join(", "))
+        }
+        _ => own.to_owned(),
     }
 }
 

@@ -166,7 +166,7 @@ settings! {
 }
 
 settings! {
-    /// Training: algorithm 1 with every constant a field.
+    /// Algorithm 1 with every constant a field.
     Training / TrainingPatch = "Training" {
         /// M, the number of steps.
         steps: u64 = 200_000,

@@ -57,8 +57,12 @@ pub(crate) fn plugins(arguments: &Plugins) -> Result<ExitCode> {
 /// A topic; `full` with all of its comment.
 fn write_topic(out: &mut String, topic: &Topic, full: bool) {
     let paragraphs = topic.docs.map_or_else(Vec::new, |docs| prose::paragraphs(docs.text));
-    let about = if topic.about.is_empty() { paragraphs.first().map_or("", String::as_str) } else { &topic.about };
-    _ = writeln!(out, "  {}{}{about}", topic.name, if about.is_empty() { "" } else { ": " });
+    let about = match &topic.about[..] {
+        "" if full => "",
+        "" => paragraphs.first().map_or("", String::as_str),
+        about => about,
+    };
+    _ = writeln!(out, "  {}{}{about}", markdown::title(topic), if about.is_empty() { "" } else { ": " });
     if full {
         for paragraph in &paragraphs {
             out.push_str(&prose::wrapped(paragraph, "      ", WIDTH));

@@ -9,10 +9,11 @@ use std::fmt::Write as _;
 /// Signs a line.
 const WIDTH: usize = 110;
 
-/// `value` with the comments of `docs`, every line after `indent`. Settings and plugins inside are opened where `opens` says
-/// so (by the name of the field); all else stands in one line. `leaves_out` names fields that are not shown.
+/// How a value is written.
 pub(crate) struct Style<'a> {
+    /// Whether the field of this name is opened, each field inside in a line of its own.
     pub(crate) opens: &'a dyn Fn(&str) -> bool,
+    /// Whether the field of a value, both by name, is shown.
     pub(crate) shows: &'a dyn Fn(&str, &str) -> bool,
 }
 
@@ -20,7 +21,7 @@ impl Style<'_> {
     /// Everything, nested values in one line.
     pub(crate) const FLAT: Self = Style { opens: &|_| false, shows: &|_, _| true };
 
-    /// Writes the value; no indent before its first line, none after its last.
+    /// The value with the comments of `docs`, every line after `indent`; no indent before its first line, none after its last.
     pub(crate) fn write(&self, value: &Value, docs: Option<&'static Docs>, indent: &str) -> String {
         let mut out = String::new();
         self.tree(&value.tree, &value.text, docs, indent, &mut out);
@@ -54,7 +55,7 @@ impl Style<'_> {
                     }
                     _ = write!(out, "{inside}]");
                 }
-                _ => out.push_str(&compact(value, text)),
+                _ => out.push_str(&short(kind.as_ref(), value, text)),
             }
             out.push_str(",\n");
         }
@@ -78,6 +79,16 @@ fn docs_at(kind: Option<&Kind>, value: &Tree) -> Option<&'static Docs> {
         }
         Kind::Optional(inner) | Kind::List(inner) => docs_at(Some(inner), value),
         _ => None,
+    }
+}
+
+/// A value in one line; settings that need not say anything say nothing.
+pub(crate) fn short(kind: Option<&Kind>, tree: &Tree, text: &str) -> String {
+    match kind {
+        Some(Kind::Of(docs)) if !docs.fields().is_empty() && docs.fields().iter().all(|f| f.optional) => {
+            format!("{}()", docs.name)
+        }
+        _ => compact(tree, text),
     }
 }
 

@@ -28,7 +28,7 @@ pub(crate) fn page() -> String {
 
 fn write_topic(out: &mut String, chapter: &Chapter, topic: &Topic) {
     if chapter.name != topic.name {
-        _ = writeln!(out, "\n### {}", topic.name);
+        _ = writeln!(out, "\n### {}", title(topic));
     }
     if !topic.about.is_empty() {
         _ = writeln!(out, "\n*{}*", topic.about);
@@ -52,6 +52,15 @@ fn write_topic(out: &mut String, chapter: &Chapter, topic: &Topic) {
         table = row;
     }
     write_body(out, docs, topic.value.as_ref().ok());
+}
+
+/// Its name, with the fields that take it.
+pub(crate) fn title(topic: &Topic) -> String {
+    match &topic.fields[..] {
+        [] => topic.name.clone(),
+        [field] => format!("{} (field `{field}`)", topic.name),
+        fields => format!("{} (fields `{}`)", topic.name, fields.join("`, `")),
+    }
 }
 
 fn write_body(out: &mut String, docs: &Docs, value: Option<&Value>) {
@@ -80,7 +89,7 @@ fn write_body(out: &mut String, docs: &Docs, value: Option<&Value>) {
 
 /// What a field is where nothing is said.
 fn default(field: &Field, value: Option<&Value>) -> String {
-    match value.and_then(|v| v.field(field.name)) {
+    match value.and_then(|v| v.field(field)) {
         Some(text) => format!("`{text}`"),
         None if field.optional => "may be left out".into(),
         None => "must be given".into(),
