@@ -26,7 +26,7 @@ fn data_of(pipeline: &Pipeline, shifted: bool) -> Dataset {
     let points = data.scene.points.iter().map(|p| place(p.map(f64::from))).collect();
     let samples = data.samples.iter().map(|s| Sample { tx: place(s.tx), ..s.clone() }).collect();
     let receiver = Pose { position: place(data.scene.receiver.position), ..data.scene.receiver };
-    Dataset::new("shifted", receiver, points, (data.width, data.height), samples).unwrap()
+    Dataset::new("shifted", receiver, points, samples, data.spectra.clone()).unwrap()
 }
 
 fn trained(pipeline: &Pipeline, data: &Dataset) -> Model {
@@ -83,7 +83,7 @@ fn a_teacher_on_a_map_is_the_teacher_at_home() {
     let (here, there) = (teacher([0.0; 3]), teacher(SHIFT));
     assert_eq!(there.scene.origin.0, SHIFT);
     assert_eq!(there.scene.points, here.scene.points);
-    assert_eq!(there.samples[3].spectrum, here.samples[3].spectrum);
+    assert_eq!(there.spectra.raw(3), here.spectra.raw(3));
 }
 
 #[test]

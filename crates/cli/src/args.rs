@@ -5,7 +5,7 @@
 use crate::commands::Report;
 #[cfg(feature = "sim")]
 use crate::commands::Simulate;
-use crate::commands::{Check, Evaluate, Export, Import, Plugins, Predict, Run, Sweep};
+use crate::commands::{Check, Completions, Evaluate, Export, Import, Init, Man, Plugins, Predict, Run, Sweep};
 use clap::{ArgAction, Parser, Subcommand};
 
 /// How much is said.
@@ -88,8 +88,14 @@ pub(crate) enum Command {
     #[cfg(feature = "sim")]
     /// Simulate the spectra of a room that is known exactly, in the layout of measured data
     Simulate(Simulate),
-    /// Show every plugin that a pipeline may name, with its fields and defaults
+    /// Show everything that a pipeline may name: plugins, settings, defaults, what each field does
     Plugins(Plugins),
+    /// Write a commented pipeline for the data in a folder
+    Init(Init),
+    /// Print a script that completes commands and options in bash, zsh, fish, elvish or PowerShell
+    Completions(Completions),
+    /// Print the manual page, or write all of them into a folder
+    Man(Man),
 }
 
 #[cfg(test)]

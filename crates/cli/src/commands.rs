@@ -1,9 +1,11 @@
 //! One file a verb: what can be said to it, and what it does.
 
 mod check;
+mod completions;
 mod evaluate;
 mod export;
 mod import;
+mod init;
 mod plugins;
 mod predict;
 #[cfg(feature = "report")]
@@ -14,9 +16,11 @@ mod simulate;
 mod sweep;
 
 pub(crate) use check::{Check, check, memory, pace};
+pub(crate) use completions::{Completions, Man, completions, man};
 pub(crate) use evaluate::{Evaluate, evaluate};
 pub(crate) use export::{Export, export};
 pub(crate) use import::{Import, import};
+pub(crate) use init::{Init, init};
 pub(crate) use plugins::{Plugins, plugins};
 pub(crate) use predict::{Predict, predict};
 #[cfg(feature = "report")]

@@ -10,6 +10,7 @@ mod commands;
 mod interrupt;
 mod output;
 mod progress;
+mod reference;
 
 use args::{Arguments, Command};
 use clap::Parser as _;
@@ -32,6 +33,9 @@ pub fn main() -> ExitCode {
         #[cfg(feature = "sim")]
         Command::Simulate(simulate) => commands::simulate(simulate, arguments.verbosity()),
         Command::Plugins(plugins) => commands::plugins(plugins),
+        Command::Init(init) => commands::init(init, arguments.verbosity()),
+        Command::Completions(completions) => commands::completions(completions),
+        Command::Man(man) => commands::man(man),
     });
     done.unwrap_or_else(|error| {
         output::error(&error);

@@ -6,7 +6,7 @@ use crate::{Cache, Pose, Real, plugin_kind, rng::Rng};
 ///
 /// A batch of B transmitters is one call. All outputs are `[B, N, ·]`: transmitter by transmitter.
 #[typetag::serde]
-pub trait Deformation: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
+pub trait Deformation: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
     /// Names and shapes of the weight tensors, in the order in which they lie in the flat vector Θ.
     fn layout(&self) -> Vec<WeightSpec> {
         Vec::new()

@@ -6,7 +6,7 @@ use crate::{GaussianCloud, ImagePlane, Result, Scene, plugin_kind, rng::Rng};
 ///
 /// Worked example: `pwrfgs_init::Random` in `crates/init/src/random.rs`; the page on writing one is `docs/plugins.md`.
 #[typetag::serde]
-pub trait Initializer: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
+pub trait Initializer: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
     /// The cloud to start from, with at least one Gaussian. `plane` tells whether pixels are angles of the true
     /// receiver pose (`plane.angles`), for initialisers that place Gaussians where they can be seen.
     ///

@@ -9,9 +9,13 @@
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
+#[allow(unused_extern_crates)] // the derive `Documented` names this crate so, here too
+extern crate self as pwrfgs_core;
+
 mod cloud;
 mod data_source;
 mod deformation;
+pub mod docs;
 mod error;
 pub mod files;
 mod image;
@@ -25,6 +29,7 @@ mod pruner;
 mod rasterizer;
 mod real;
 pub mod rng;
+pub mod ron_tree;
 mod scene;
 mod spectra;
 mod splats;
@@ -36,6 +41,7 @@ pub mod testing;
 pub use cloud::{COLUMN_NAMES, ExtraColumn, GaussianCloud};
 pub use data_source::{Baseline, DataSource, Predict, Progress, Split};
 pub use deformation::{Deformation, DeformationInputs, Deltas, WeightSpec};
+pub use docs::Documented;
 pub use error::{Error, Result, did_you_mean, plain};
 pub use image::{Axis, Image, ImagePlane};
 pub use initializer::Initializer;

@@ -4,7 +4,7 @@ use crate::{Image, ImagePlane, Real, Result, Scene, plugin_kind};
 
 /// Scores predictions or a whole model.
 #[typetag::serde]
-pub trait Metric: erased_serde::Serialize + std::fmt::Debug + Send + Sync {
+pub trait Metric: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
     /// One or more measurements.
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>>;
 

@@ -6,6 +6,7 @@
 mod adapter;
 
 use crate::did_you_mean;
+use crate::docs::Docs;
 use adapter::{Name, Tagged};
 pub use inventory;
 use serde::de::{self, Deserializer, EnumAccess, Visitor};
@@ -30,6 +31,8 @@ pub trait PluginKind: fmt::Debug + Send + Sync {
     fn check_plugin(&self) -> Result<(), String>;
     /// The plugin's own `about`.
     fn about_plugin(&self) -> &'static str;
+    /// What the plugin's source says, where it derives `Documented`.
+    fn plugin_docs(&self) -> Option<&'static Docs>;
 }
 
 /// Makes a trait with `check` and `about` a family of plugins.
@@ -44,8 +47,70 @@ macro_rules! plugin_kind {
             fn about_plugin(&self) -> &'static str {
                 $name::about(self)
             }
+            fn plugin_docs(&self) -> Option<&'static $crate::docs::Docs> {
+                let plugin: &dyn std::any::Any = self;
+                $crate::docs::docs_of(plugin.type_id())
+            }
         }
+        $crate::plugin::inventory::submit! { $crate::plugin::Family::of::<dyn $name>() }
     };
+}
+
+/// A family of plugins, whatever its trait.
+#[derive(Debug)]
+pub struct Family {
+    /// The trait's name, such as `Pruner`.
+    pub kind: &'static str,
+    /// All of it that are linked into this program, sorted by name.
+    pub members: fn() -> Vec<Member>,
+    /// A plugin of this kind with every default written out; nothing where the text is none.
+    pub complete: fn(&str) -> Option<String>,
+}
+inventory::collect!(Family);
+
+/// One plugin.
+#[derive(Clone, Debug)]
+pub struct Member {
+    /// Its name.
+    pub name: &'static str,
+    /// What it says about itself.
+    pub about: &'static str,
+    /// What its source says.
+    pub docs: Option<&'static Docs>,
+    /// The plugin with its defaults as RON, or why it has none.
+    pub text: Result<String, String>,
+}
+
+impl Family {
+    /// That of `T`.
+    pub const fn of<T: ?Sized + PluginKind + erased_serde::Serialize>() -> Self
+    where
+        Box<T>: for<'de> Deserialize<'de>,
+    {
+        Self {
+            kind: T::KIND,
+            members: members::<T>,
+            complete: |text| Plugin::<T>::parse(text).ok().map(|p| to_ron(&p)),
+        }
+    }
+
+    /// That of this kind, where there is one.
+    pub fn find(kind: &str) -> Option<&'static Self> {
+        inventory::iter::<Self>().find(|family| family.kind == kind)
+    }
+}
+
+fn members<T: ?Sized + PluginKind + erased_serde::Serialize>() -> Vec<Member>
+where
+    Box<T>: for<'de> Deserialize<'de>,
+{
+    let describe = |name| match Plugin::<T>::parse(&format!("{name}()")) {
+        Ok(plugin) => {
+            Member { name, about: plugin.about_plugin(), docs: plugin.plugin_docs(), text: Ok(to_ron(&plugin)) }
+        }
+        Err(why) => Member { name, about: "", docs: None, text: Err(why) },
+    };
+    registered::<T>().into_iter().map(describe).collect()
 }
 
 impl<T: ?Sized> Plugin<T> {
@@ -75,6 +140,12 @@ pub fn ron_options() -> ron::Options {
         .with_default_extension(Extensions::UNWRAP_VARIANT_NEWTYPES)
         .with_default_extension(Extensions::UNWRAP_NEWTYPES)
         .with_default_extension(Extensions::IMPLICIT_SOME)
+}
+
+/// Plain data as RON text with all names, which [`read_ron`] gives back as it was.
+pub fn to_ron(value: &impl Serialize) -> String {
+    let config = ron::ser::PrettyConfig::new().struct_names(true).depth_limit(6);
+    ron_options().to_string_pretty(value, config).expect("settings are plain data")
 }
 
 /// Reads RON with the project's extensions; suggests the nearest known name for a misspelt one. `path` is for messages.

@@ -1,11 +1,11 @@
 //! What is measured, and where: `Pose`, `Scene`, `Sample`, `Dataset`, `Partition`.
 
 use crate::origin::{Origin, place_fault};
-use crate::{Error, Image, Mat3, Real, Result, Spectra, Vec3};
+use crate::{Documented, Error, Image, Mat3, Real, Result, Spectra, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// Position and orientation of the receiver.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Documented)]
 pub struct Pose {
     /// Metres, world frame.
     pub position: [f64; 3],
@@ -229,7 +229,7 @@ mod tests {
 
     #[test]
     fn map_coordinates_count_from_the_receiver() {
-        let one = || Spectra::from_bytes((3, 2), vec![0; 6]).unwrap();
+        let one = || Spectra::grey((3, 2), vec![0; 6]).unwrap();
         let at = |x: f64| vec![Sample { id: 1, tx: [x, 0.25, 0.0] }];
         let receiver = Pose { position: [5.5, 0.0, 0.0], ..Pose::IDENTITY };
         let room = Dataset::new("room", receiver, vec![[1000.0; 3]], at(2.5), one()).unwrap().scene;

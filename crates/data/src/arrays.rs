@@ -6,7 +6,7 @@ mod tests;
 use crate::nerf2::{gateway, index, read_transmitters, simulation};
 use crate::npy;
 use crate::points::read_points;
-use pwrfgs_core::{DataSource, Dataset, Error, Progress, Result, Sample, Spectra};
+use pwrfgs_core::{DataSource, Dataset, Documented, Error, Progress, Result, Sample, Spectra};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -33,20 +33,17 @@ const ROUNDING: f64 = 1e-6;
 /// used, and a picture is read when it is wanted: a hundred thousand need no more memory than a hundred. Floats are looked
 /// at once, when they are loaded.
 ///
-/// * `root`: the folder, `data/mine` by default; relative to the pipeline file.
-/// * `points`: a point cloud of the room ([`read_points`]), none by default; relative to the pipeline file.
-///
 /// ```
 /// # use pwrfgs_core::{DataSource, Plugin};
 /// # use pwrfgs_data as _;
 /// assert!(Plugin::<dyn DataSource>::parse(r#"Arrays(root: "data/mine")"#).is_ok());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct Arrays {
-    /// The folder; default `data/mine`.
+    /// The folder, relative to the pipeline file.
     pub root: PathBuf,
-    /// Point cloud of the room (PLY, XYZ or CSV, metres, world frame); default none.
+    /// Point cloud of the room (PLY, XYZ or CSV, metres, world frame), relative to the pipeline file.
     pub points: Option<PathBuf>,
 }
 

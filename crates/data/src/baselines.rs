@@ -1,6 +1,6 @@
 //! Predictors without Gaussians. What a model says is worth what it adds to these.
 
-use pwrfgs_core::{Baseline, Dataset, Error, Image, Predict, Real, Result};
+use pwrfgs_core::{Baseline, Dataset, Documented, Error, Image, Predict, Real, Result};
 use serde::{Deserialize, Serialize};
 
 /// The mean of all training spectra, whatever the transmitter: the floor of every score.
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 /// # use pwrfgs_data as _;
 /// assert_eq!(Plugin::<dyn Baseline>::parse("MeanSpectrum()").unwrap().name(), "mean spectrum");
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct MeanSpectrum {}
 
@@ -35,18 +35,16 @@ impl Baseline for MeanSpectrum {
 ///
 /// Where the transmitter stands on training transmitters, it is the mean of the spectra measured there.
 ///
-/// * `k`: neighbours; 3 by default. More than there are training samples means all of them.
-///
 /// ```
 /// # use pwrfgs_core::{Baseline, Plugin};
 /// # use pwrfgs_data as _;
 /// assert_eq!(Plugin::<dyn Baseline>::parse("NearestNeighbours(k: 5)").unwrap().name(), "5-NN");
 /// assert!(Plugin::<dyn Baseline>::parse("NearestNeighbours(k: 0)").is_err());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct NearestNeighbours {
-    /// Neighbours that are averaged, at least 1; default 3.
+    /// Neighbours that are averaged, at least 1; more than there are training samples means all of them.
     pub k: usize,
 }
 

@@ -8,7 +8,7 @@ mod tests;
 
 use crate::points::read_points;
 use crate::text::{XyzColumns, lines, read_text, split_commas};
-use pwrfgs_core::{DataSource, Dataset, Error, Progress, Result, Sample, Simulation, files};
+use pwrfgs_core::{DataSource, Dataset, Documented, Error, Progress, Result, Sample, Simulation, files};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -30,25 +30,21 @@ const LAYOUT: &str = "a NeRF2 folder holds gateway_info.yml, tx_pos.csv and spec
 /// A folder that `pwrfgs simulate` wrote says so in its `manifest.json`, with the scene; so does a data set whose name
 /// holds the word «simulated». Any other counts as measured.
 ///
-/// * `root`: the folder, `data/s23` by default; relative to the pipeline file.
-/// * `points`: a point cloud of the room ([`read_points`]), none by default; relative to the pipeline file.
-/// * `gateway`: which receiver, where `gateway_info.yml` has more than `gateway1`; a file with several is refused unless
-///   one is named. Keys that hold no `position` and are not called gateway are left alone.
-///
 /// ```
 /// # use pwrfgs_core::{DataSource, Plugin};
 /// # use pwrfgs_data as _;
 /// let data = Plugin::<dyn DataSource>::parse(r#"Nerf2Spectrum(root: "data/s23", points: "room.ply")"#);
 /// assert!(data.is_ok());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct Nerf2Spectrum {
-    /// The folder; default `data/s23`.
+    /// The folder, relative to the pipeline file.
     pub root: PathBuf,
-    /// Point cloud of the room (PLY, XYZ or CSV, metres, world frame); default none.
+    /// Point cloud of the room (PLY, XYZ or CSV, metres, world frame), relative to the pipeline file.
     pub points: Option<PathBuf>,
-    /// Which receiver of `gateway_info.yml`; default the only one, `gateway1`.
+    /// Which receiver, where `gateway_info.yml` has more than `gateway1`; a file with several is refused unless one is
+    /// named. Keys that hold no `position` and are not called gateway are left alone.
     pub gateway: Option<String>,
 }
 

@@ -5,8 +5,8 @@ mod tests;
 mod truth;
 
 use pwrfgs_core::{
-    DataSource, Dataset, Error, GaussianCloud, ImagePlane, Origin, Plugin, Pose, Primitives, Progress, Projector,
-    Rasterizer, Real, Result, Sample, Simulation, Spectra, origin::place_fault, rng, sigmoid,
+    DataSource, Dataset, Documented, Error, GaussianCloud, ImagePlane, Origin, Plugin, Pose, Primitives, Progress,
+    Projector, Rasterizer, Real, Result, Sample, Simulation, Spectra, origin::place_fault, rng, sigmoid,
 };
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -31,42 +31,34 @@ const MAX_PIXELS: usize = 1 << 32;
 /// To read scores by: with the defaults the mean spectrum has a mean SSIM of 0.847 on the official test list, 3-NN of
 /// 0.980.
 ///
-/// * `gaussians`, `samples`: how many; 12 and 200 by default.
-/// * `seed`: which scene; 0 by default. The pipeline's seed does not change the scene.
-/// * `width`, `height`: of a spectrum in pixels; 360 and 90 by default.
-/// * `tx_box`: smallest and largest corner of the transmitters' box, metres; 1.6 x 1.3 x 0.9 m by default.
-/// * `wavelength_m`: shortest and longest λ, metres; 1 and 2 by default. Shorter is harder to learn.
-/// * `receiver`: where it stands and looks; at the origin, straight up, by default.
-/// * `projector`, `rasterizer`: what draws; `Mercator()` and `AlphaBlending()` by default.
-///
 /// ```
 /// # use pwrfgs_core::{DataSource, Plugin};
 /// # use pwrfgs_data as _;
 /// let teacher = Plugin::<dyn DataSource>::parse("Teacher(gaussians: 12, samples: 200, width: 90, height: 24)");
 /// assert!(teacher.is_ok());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct Teacher {
-    /// Gaussians of the answer; default 12.
+    /// Gaussians of the answer.
     pub gaussians: usize,
-    /// Spectra; default 200.
+    /// Spectra.
     pub samples: usize,
-    /// Which scene; default 0.
+    /// Which scene; the pipeline's seed does not change it.
     pub seed: u64,
-    /// Columns of a spectrum; default 360.
+    /// Columns of a spectrum.
     pub width: usize,
-    /// Rows of a spectrum; default 90.
+    /// Rows of a spectrum.
     pub height: usize,
     /// Smallest and largest corner of the transmitters' box, metres, world frame.
     pub tx_box: ([f64; 3], [f64; 3]),
-    /// Shortest and longest wavelength of the signals, metres; default 1 and 2.
+    /// Shortest and longest wavelength of the signals, metres; shorter is harder to learn.
     pub wavelength_m: (f64, f64),
-    /// The receiver's pose; default identity.
+    /// Where the receiver stands and how it looks.
     pub receiver: Pose,
-    /// What projects; default `Mercator()`.
+    /// What projects; `None` for `Mercator()`.
     pub projector: Option<Plugin<dyn Projector>>,
-    /// What draws; default `AlphaBlending()`.
+    /// What draws; `None` for `AlphaBlending()`.
     pub rasterizer: Option<Plugin<dyn Rasterizer>>,
 }
 

@@ -28,7 +28,10 @@ pub(crate) fn read_base(path: &Path) -> Result<Pipeline> {
 /// # Errors
 /// What is wrong with an argument.
 pub(crate) fn set_all(pipeline: &mut Pipeline, set: &[String]) -> Result<()> {
-    set.iter().try_for_each(|argument| pipeline.set(argument))?;
+    if set.is_empty() {
+        return Ok(());
+    }
+    pipeline.set_all(set)?;
     rebase(pipeline, Path::new(""));
     Ok(())
 }

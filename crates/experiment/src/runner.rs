@@ -120,7 +120,7 @@ pub fn rebase(pipeline: &mut Pipeline, base: &Path) {
 }
 
 /// `path`, relative to `base`, as one that holds everywhere.
-fn absolute(base: &Path, path: &Path) -> PathBuf {
+pub(crate) fn absolute(base: &Path, path: &Path) -> PathBuf {
     let joined = base.join(path);
     joined.canonicalize().or_else(|_| std::path::absolute(&joined)).unwrap_or(joined)
 }

@@ -2,7 +2,7 @@
 
 use crate::start;
 use pwrfgs_core::{
-    Error, GaussianCloud, ImagePlane, Initializer, Real, Result, Scene,
+    Documented, Error, GaussianCloud, ImagePlane, Initializer, Real, Result, Scene,
     rng::{self, Rng},
 };
 use serde::{Deserialize, Serialize};
@@ -21,10 +21,10 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Initializer>::parse("PointCloud(max_points: 5000, nearest: 3)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct PointCloud {
-    /// Most Gaussians to start with; `None`, the default, takes every point.
+    /// Most Gaussians to start with; `None` takes every point.
     pub max_points: Option<usize>,
     /// Neighbours whose root mean squared distance is the scale: 1 as in the paper, 3 as in the released WRF-GS.
     pub nearest: usize,

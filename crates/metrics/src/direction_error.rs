@@ -1,7 +1,7 @@
 //! Angle between the strongest predicted and the strongest measured direction.
 
 use crate::{one, per_sample};
-use pwrfgs_core::{Evaluation, Goal, Image, ImagePlane, Measurement, Metric, Real, Result, Scope, Values};
+use pwrfgs_core::{Documented, Evaluation, Goal, Image, ImagePlane, Measurement, Metric, Real, Result, Scope, Values};
 use serde::{Deserialize, Serialize};
 
 /// Great-circle angle in degrees between the strongest directions of prediction and measurement.
@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Metric>::parse("DirectionError()")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct DirectionError {}
 

@@ -1,7 +1,7 @@
 //! Mean absolute error of a pixel.
 
 use crate::{one, per_sample};
-use pwrfgs_core::{Evaluation, Goal, Measurement, Metric, Result, Scope};
+use pwrfgs_core::{Documented, Evaluation, Goal, Measurement, Metric, Result, Scope};
 use serde::{Deserialize, Serialize};
 
 /// Mean absolute difference of predicted and measured pixels; the L₁ of eq. (9) with the prediction clamped to [0, 1].
@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Metric>::parse("L1()")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct L1 {}
 

@@ -1,11 +1,11 @@
 //! Readout: from blended signals to a spectrum, and back.
 
-use pwrfgs_core::Real;
+use pwrfgs_core::{Documented, Real};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// How the two real channels of a blended signal become one grey value.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Documented)]
 pub enum Readout {
     /// The first channel alone: WRF-GS.
     Real,

@@ -5,7 +5,7 @@
 
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
-    CloudStats, ColumnSpec, GaussianCloud, Moment, Phase, Pruner, Real, sigmoid,
+    CloudStats, ColumnSpec, Documented, GaussianCloud, Moment, Phase, Pruner, Real, sigmoid,
     tape::{Trace, TraceScalar, Traced},
 };
 use serde::{Deserialize, Serialize};
@@ -32,7 +32,7 @@ const COLUMN: &str = "mask_logits";
 /// Plugin::<dyn Pruner>::parse("LearnableMask(lambda: 0.02)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct LearnableMask {
     /// Weight λ of the penalty, 0 or more.

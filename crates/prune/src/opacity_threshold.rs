@@ -1,6 +1,6 @@
 //! Discards what is nearly transparent.
 
-use pwrfgs_core::{CloudStats, GaussianCloud, Moment, Pruner, Real, sigmoid};
+use pwrfgs_core::{CloudStats, Documented, GaussianCloud, Moment, Pruner, Real, sigmoid};
 use serde::{Deserialize, Serialize};
 
 /// A Gaussian stays where its opacity o = σ(logit) is at least epsilon.
@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Pruner>::parse("OpacityThreshold(epsilon: 0.1)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct OpacityThreshold {
     /// Smallest opacity ε that stays, from 0 (keeps all) to below 1.

@@ -1,6 +1,6 @@
 //! An exact budget: the best `keep` Gaussians stay.
 
-use pwrfgs_core::{CloudStats, GaussianCloud, Moment, Pruner, Real, sigmoid};
+use pwrfgs_core::{CloudStats, Documented, GaussianCloud, Moment, Pruner, Real, sigmoid};
 use serde::{Deserialize, Serialize};
 
 /// Keeps the best-scored Gaussians, exactly as many as asked for.
@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Pruner>::parse("TopK(keep: 500, score: Weight)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct TopK {
     /// Number of Gaussians that stay, 1 or more.
@@ -26,7 +26,7 @@ pub struct TopK {
 }
 
 /// How much a Gaussian matters.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Documented)]
 pub enum Score {
     /// Its part in the pictures: the sum of its blending weights γ·T over pixels and renders since the last
     /// densification. Opacity where no picture has been drawn since.

@@ -4,16 +4,12 @@ use crate::blend::{ALPHA_MIN, Backward, Forward, GEOMETRY, PIXELS, TILE, Tile};
 use crate::canvas::{gather, patches};
 use crate::simd::widest;
 use crate::tiles::{Support, TileLists};
-use pwrfgs_core::{Cache, ImagePlane, Rasterizer, Real, Render, RenderVjp, Splats, cached};
+use pwrfgs_core::{Cache, Documented, ImagePlane, Rasterizer, Real, Render, RenderVjp, Splats, cached};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// Front-to-back alpha blending in order of depth, tile by tile, with an exact backward pass.
-///
-/// | field | meaning | default |
-/// |---|---|---|
-/// | `support` | which pixels a Gaussian can reach | `Exact` |
 ///
 /// `Exact`: those where its γ is at least 1/255; tiles are bookkeeping that no picture shows. `TileSquares`: those of
 /// the 16 × 16 tiles that meet the square of three standard deviations, as released; the picture then shows tile edges,
@@ -27,7 +23,7 @@ use std::sync::Arc;
 /// # use pwrfgs_raster as _;
 /// Plugin::<dyn Rasterizer>::parse("AlphaBlending(support: Exact)").unwrap();
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct AlphaBlending {
     /// Which pixels a Gaussian can reach.

@@ -4,7 +4,7 @@ mod beams;
 mod wave;
 
 use beams::Beams;
-use pwrfgs_core::{Cache, ImagePlane, Rasterizer, Real, Render, RenderVjp, Splats, cached};
+use pwrfgs_core::{Cache, Documented, ImagePlane, Rasterizer, Real, Render, RenderVjp, Splats, cached};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, PoisonError, RwLock};
@@ -18,13 +18,6 @@ pub use wave::Wavefront;
 /// (eq. 1), and pixel by pixel the array is steered back: aᴴh/K (eq. 2 before the square). No tiles, no order, nothing
 /// hides anything: the cost is O(N·K + H·W·K). The measured spectra are such pictures, with K = 16 antennas and to the
 /// rounding of their 8 bits; sixteen Gaussians in different directions therefore suffice for any of them.
-///
-/// | field | meaning | default |
-/// |---|---|---|
-/// | `rows`, `columns` | antennas along y and x of the receiver | 4, 4 |
-/// | `spacing_wavelengths` | distance of neighbours | 0.491, as measured (0.16 m at 920 MHz) |
-/// | `widened` | whether a Gaussian is as wide as its covariance, or a point | `true` |
-/// | `wavefront` | `Plane`, or `Spherical(wavelength_m: ..)` from the Gaussian's position | `Plane` |
 ///
 /// *Widened*: waves from all over the Gaussian, in equal phase, average to aₖ·exp(-(2π)² pₖᵀ Σᵤ pₖ / 2), with Σᵤ the
 /// covariance of u (along x and y) to first order; wide Gaussians are heard by the middle of the array only. It stays finite at
@@ -47,16 +40,16 @@ pub use wave::Wavefront;
 /// Plugin::<dyn Rasterizer>::parse("ArrayResponse(rows: 4, columns: 4, spacing_wavelengths: 0.491)").unwrap();
 /// Plugin::<dyn Rasterizer>::parse("ArrayResponse(widened: false, wavefront: Spherical(wavelength_m: 0.326))").unwrap();
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct ArrayResponse {
-    /// Antennas along y.
+    /// Antennas along y of the receiver.
     pub rows: usize,
-    /// Antennas along x.
+    /// Antennas along x of the receiver.
     pub columns: usize,
-    /// Distance of neighbours, wavelengths.
+    /// Distance of neighbours, wavelengths; 0.491 as measured (0.16 m at 920 MHz).
     pub spacing_wavelengths: Real,
-    /// Whether a Gaussian is as wide as its covariance.
+    /// Whether a Gaussian is as wide as its covariance, or a point.
     pub widened: bool,
     /// How phases at the antennas follow.
     pub wavefront: Wavefront,

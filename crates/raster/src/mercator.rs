@@ -1,7 +1,7 @@
 //! `Mercator`: the projector of the paper, azimuth and elevation linear in the pixel.
 
 use crate::ewa::{self, CameraModel};
-use pwrfgs_core::{Axis, ImagePlane, Pose, Primitives, Projector, Real, Splats, Vec3, consts::DEG};
+use pwrfgs_core::{Axis, Documented, ImagePlane, Pose, Primitives, Projector, Real, Splats, Vec3, consts::DEG};
 use serde::{Deserialize, Serialize};
 
 /// cos 89.5°: the floor of cos(elevation) in the Jacobian.
@@ -14,12 +14,6 @@ const ON_AXIS: Real = 1e-6;
 /// Column c is azimuth c·360/W degrees, row r is elevation r·90/H degrees above the array plane: with the measured
 /// 360 × 90 spectra one degree a pixel, row 0 the horizon of the array, row 89 almost its boresight. The receiver's true
 /// pose is used and azimuth comes round: a splat at the seam is drawn on both sides of it, once.
-///
-/// | field | meaning | default |
-/// |---|---|---|
-/// | `blur` | added to both diagonal entries of the 2-D covariance, px² | 0.3 |
-/// | `near_m` | Gaussians nearer to the receiver are not drawn, metres | 0.2 |
-/// | `margin_deg` | Gaussians centred further below the horizon are not drawn, degrees | 15 |
 ///
 /// *Differentiable* in means, scales, rotations and opacities. *Discontinuous* where a Gaussian crosses `near_m`, the
 /// margin, or the axis of the array.
@@ -44,7 +38,7 @@ const ON_AXIS: Real = 1e-6;
 /// # use pwrfgs_raster as _;
 /// Plugin::<dyn Projector>::parse("Mercator(blur: 0.3, near_m: 0.2, margin_deg: 15)").unwrap();
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct Mercator {
     /// Added to both diagonal entries of the 2-D covariance, px².

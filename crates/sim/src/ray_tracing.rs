@@ -4,7 +4,7 @@ use crate::perturb::{Errors, perturbed};
 use crate::scene::Scene;
 use crate::simulator::{HEIGHT, Simulator, WIDTH};
 use glam::DVec3;
-use pwrfgs_core::{Baseline, Dataset, Error, Image, Predict, Result};
+use pwrfgs_core::{Baseline, Dataset, Documented, Error, Image, Predict, Result};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -17,34 +17,26 @@ const DRAWS: u64 = 100;
 /// an upper bound for every model, and tables say so; what the errors of the receiver take from it nobody can win back.
 /// `material_error` and `position_error_m` spoil the scene by a stated amount: what one would have in practice.
 ///
-/// * `scene`: a scene file, relative to the pipeline file; left out, the scene of the data, which must be
-///   [`Simulated`](crate::Simulated) or a folder that `pwrfgs simulate` wrote. A scene with meshes has to be named for
-///   such a folder, which does not hold them.
-/// * `noise`: whether the scene's receiver errors are drawn, anew; no by default.
-/// * `material_error`: standard deviation of the logarithm of every permittivity, conductivity and thickness; 0 by
-///   default, 0.2 is about 20 %.
-/// * `position_error_m`: standard deviation of the place of every wall and object along each horizontal axis; 0 by
-///   default.
-/// * `seed`: which errors; 0 by default.
-///
 /// ```
 /// # use pwrfgs_core::{Baseline, Plugin};
 /// # use pwrfgs_sim as _;
 /// Plugin::<dyn Baseline>::parse("RayTracing(material_error: 0.2, position_error_m: 0.05)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct RayTracing {
-    /// A scene file; default the scene of the data.
+    /// A scene file, relative to the pipeline file; `None` for the scene of the data, which must be `Simulated` or a folder
+    /// that `pwrfgs simulate` wrote. A scene with meshes has to be named for such a folder, which does not hold them.
     pub scene: Option<PathBuf>,
-    /// Whether receiver errors are drawn; default no.
+    /// Whether the scene's receiver errors are drawn, anew.
     pub noise: bool,
-    /// Standard deviation of the logarithm of material constants and thicknesses; default 0.
+    /// Standard deviation of the logarithm of every permittivity, conductivity and thickness; 0.2 is about
+    /// 20 %.
     pub material_error: f64,
-    /// Standard deviation of places, metres; default 0.
+    /// Standard deviation of the place of every wall and object along each horizontal axis, metres.
     pub position_error_m: f64,
-    /// Which errors; default 0.
+    /// Which errors.
     pub seed: u64,
 }
 

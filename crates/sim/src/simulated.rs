@@ -3,7 +3,7 @@
 use crate::cache;
 use crate::output::{PICTURES, POINTS};
 use crate::recipe::{self, Recipe};
-use pwrfgs_core::{DataSource, Dataset, Error, Progress, Result, Simulation};
+use pwrfgs_core::{DataSource, Dataset, Documented, Error, Progress, Result, Simulation};
 use pwrfgs_data::{Arrays, Nerf2Spectrum};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -20,30 +20,24 @@ use std::path::{Path, PathBuf};
 /// read when it is wanted. `pwrfgs simulate` writes the same data set where you
 /// want it, with every path.
 ///
-/// * `scene`: the scene file, relative to the pipeline file; `scenes/office.ron` by default.
-/// * `samples`: spectra; 1,000 by default.
-/// * `seed`: which transmitter positions and receiver errors; 0 by default. The pipeline's seed does not change them.
-/// * `points`: points of the cloud, spread over all surfaces; 190,000 by default, as many as in the paper.
-/// * `cache`: whether the data set is kept; yes by default.
-///
 /// ```
 /// # use pwrfgs_core::{DataSource, Plugin};
 /// # use pwrfgs_sim as _;
 /// Plugin::<dyn DataSource>::parse(r#"Simulated(scene: "../scenes/office.ron", samples: 200)"#)?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct Simulated {
-    /// The scene file; default `scenes/office.ron`.
+    /// The scene file, relative to the pipeline file.
     pub scene: PathBuf,
-    /// Spectra; default 1,000.
+    /// Spectra.
     pub samples: usize,
-    /// Which transmitter positions and receiver errors; default 0.
+    /// Which transmitter positions and receiver errors; the pipeline's seed does not change them.
     pub seed: u64,
-    /// Points of the cloud; default 190,000.
+    /// Points of the cloud, spread over all surfaces; the paper has 190,000.
     pub points: usize,
-    /// Whether the data set is kept on disk; default yes.
+    /// Whether the data set is kept on disk.
     pub cache: bool,
 }
 

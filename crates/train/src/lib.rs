@@ -9,6 +9,7 @@ mod adam;
 mod batches;
 mod checkpoint;
 mod densify;
+mod draft;
 mod edit;
 mod estimate;
 mod fingerprint;
@@ -18,6 +19,7 @@ mod pipeline;
 mod settings;
 mod trainer;
 
+pub use draft::Draft;
 pub use estimate::{Estimate, network_bytes};
 pub use graph::{Batch, LossAndGradients, loss_and_gradients};
 pub use loss::RenderingLoss;

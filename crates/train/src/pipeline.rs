@@ -1,19 +1,25 @@
 //! `Pipeline`: a whole experiment as one RON value, and the patches that change it.
 
+use crate::draft::{Draft, shortened};
 use crate::settings::{Training, TrainingPatch};
-use pwrfgs_core::plugin::{Checked, Plugin, default_of, read_ron, ron_options};
+use pwrfgs_core::docs::Kind;
+use pwrfgs_core::plugin::{Checked, Plugin, default_of, read_ron, to_ron};
+use pwrfgs_core::ron_tree::Tree;
 use pwrfgs_core::{
-    Baseline, DataSource, Deformation, Error, Initializer, Metric, Projector, Pruner, Rasterizer, Result, Split,
+    Baseline, DataSource, Deformation, Documented, Error, Initializer, Metric, Projector, Pruner, Rasterizer, Result,
+    Split,
 };
 use pwrfgs_model::{Calibration, Readout, check_together};
+use ron::value::RawValue;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Everything a run needs to know. Plugins are named in the words of the registry; plain settings are nested structs. A
 /// field that is left out takes what the program that links the plugins has submitted for it
 /// ([`FieldDefault`](pwrfgs_core::plugin::FieldDefault)); name, data and initializer have no default.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(try_from = "PipelineFields<Checked<Training>>")]
 pub struct Pipeline {
     /// Names the run folder: letters, digits, `.`, `-` and `_`.
@@ -49,12 +55,16 @@ pub struct Pipeline {
 }
 
 /// The fields of a [`Pipeline`], each of which may be left out.
-#[derive(Clone, Debug, Default, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(rename = "Pipeline", deny_unknown_fields)]
 #[allow(missing_docs)] // each field means what it means in `Pipeline`
 pub struct PipelineFields<T> {
     /// What a sweep calls this patch; changes nothing.
+    #[serde(skip_serializing)]
     pub label: Option<String>,
+    /// Single values by their path, such as `{"pruners.LearnableMask.lambda": 0.05}`; in a patch only.
+    #[serde(skip_serializing)]
+    pub set: Option<BTreeMap<String, Box<RawValue>>>,
     pub name: Option<String>,
     pub seed: Option<u64>,
     pub data: Option<Plugin<dyn DataSource>>,
@@ -75,6 +85,25 @@ pub struct PipelineFields<T> {
 /// A patch over a [`Pipeline`]: fields left out keep their value, plugins are replaced whole.
 pub type PipelinePatch = PipelineFields<TrainingPatch>;
 
+impl PipelinePatch {
+    /// Whether the patch says something about this field of a pipeline, or about a part of it.
+    pub fn gives(&self, field: &str) -> bool {
+        let by_path = |path: &String| path.split('.').next().is_some_and(|first| first.trim() == field);
+        let text = to_ron(self);
+        let said = |tree: Tree| tree.field(field).is_some_and(|value| value.of(&text) != "None");
+        self.set.iter().flatten().any(|(path, _)| by_path(path))
+            || (field == "label" && self.label.is_some())
+            || Tree::parse(&text).is_ok_and(said)
+    }
+}
+
+/// What a patch is, in a list of what may stand in an experiment.
+impl Documented for PipelinePatch {
+    fn kind() -> Kind {
+        Kind::Plain("fields of a Pipeline")
+    }
+}
+
 impl TryFrom<PipelineFields<Checked<Training>>> for Pipeline {
     type Error = String;
 
@@ -85,6 +114,9 @@ impl TryFrom<PipelineFields<Checked<Training>>> for Pipeline {
         let missing = |field: &str| format!("the field `{field}` is missing");
         if given.label.is_some() {
             return Err("only a variant of a sweep has a `label`".into());
+        }
+        if given.set.is_some() {
+            return Err("only a sweep has `set`; give the values in their places".into());
         }
         Ok(Self {
             name: given.name.ok_or_else(|| missing("name"))?,
@@ -107,6 +139,10 @@ impl TryFrom<PipelineFields<Checked<Training>>> for Pipeline {
 }
 
 impl Pipeline {
+    /// The fields that have no default, with an example each.
+    pub const REQUIRED: [(&'static str, &'static str); 3] =
+        [("name", "\"first\""), ("data", "Teacher()"), ("initializer", "Random()")];
+
     /// Reads a pipeline; `path` is for messages only.
     ///
     /// # Errors
@@ -119,49 +155,38 @@ impl Pipeline {
 
     /// The pipeline as RON text, every default written out; [`Self::parse`] gives the same pipeline back.
     pub fn to_ron(&self) -> String {
-        let config = ron::ser::PrettyConfig::new().struct_names(true).depth_limit(6);
-        ron_options().to_string_pretty(self, config).expect("a pipeline is plain data") + "\n"
+        to_ron(self) + "\n"
     }
 
-    /// Takes over what the patch names.
-    ///
-    /// # Errors
-    /// [`Error::Config`] where the outcome cannot work.
-    pub fn apply(&mut self, patch: PipelinePatch) -> Result<()> {
-        macro_rules! take {
-            ($($field:ident),*) => { $(if let Some(value) = patch.$field { self.$field = value; })* };
-        }
-        take!(name, seed, data, split, initializer, projector, rasterizer, deformation, calibration, readout, pruners);
-        take!(baselines, metrics, tensorboard);
-        if let Some(patch) = patch.training {
-            let mut training = Training::clone(&self.training);
-            training.apply(patch);
-            self.training = Checked::new(training).map_err(|why| Error::Config(format!("training: {why}")))?;
-        }
-        self.check().map_err(Error::Config)
-    }
-
-    /// Applies one `--set` argument, such as `training.steps=1000` or `data=Teacher()`.
+    /// Applies `--set` arguments, such as `training.steps=1000` or `pruners.LearnableMask.lambda=0.05`, and checks the
+    /// outcome once.
     ///
     /// # Errors
     /// [`Error::Config`] naming the argument.
-    pub fn set(&mut self, argument: &str) -> Result<()> {
-        let (path, value) = argument
-            .split_once('=')
-            .ok_or_else(|| Error::Config(format!("--set {argument}: write it as path.to.field=value")))?;
-        let mut text = value.trim().to_owned();
-        for field in path.trim().rsplit('.') {
-            text = format!("({field}:{text})");
-        }
-        let patch: PipelinePatch = read_ron(&text, Path::new("--set")).map_err(|e| match e {
-            // The position would count inside the patch we wrapped around the argument: leave it out.
-            Error::Input { message, .. } => Error::Config(format!("--set {argument}: {message}")),
-            other => other,
+    pub fn set_all<S: AsRef<str>>(&mut self, arguments: &[S]) -> Result<()> {
+        let mut draft = Draft::of(self);
+        arguments.iter().try_for_each(|argument| draft.set_argument(argument.as_ref()))?;
+        let alone = |argument: &&S| {
+            let mut draft = Draft::of(self);
+            draft.set_argument(argument.as_ref()).and_then(|()| draft.finish()).map_err(|e| e.to_string()).err()
+        };
+        *self = draft.finish().map_err(|error| {
+            // Whoever makes the same mistake alone is to blame, else all together.
+            let said = error.to_string();
+            let one = arguments.iter().find(|argument| alone(argument).as_ref() == Some(&said));
+            let blamed = one.map_or(arguments, std::slice::from_ref);
+            let named: Vec<String> = blamed.iter().map(|a| format!("--set {}", shortened(a.as_ref()))).collect();
+            Error::Config(format!("{}: {said}", named.join(" ")))
         })?;
-        if patch.label.is_some() {
-            return Err(Error::Config(format!("--set {argument}: only a variant of a sweep has a label")));
-        }
-        self.apply(patch)
+        Ok(())
+    }
+
+    /// [`Self::set_all`] with one argument.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn set(&mut self, argument: &str) -> Result<()> {
+        self.set_all(&[argument])
     }
 
     /// The pipeline as it is trained: `training.scale` multiplied into every count of steps.

@@ -1,19 +1,19 @@
 //! The plain settings of a pipeline: every constant of the method with the paper's value, and patches over them.
 //!
-//! A patch is the same struct with every field optional at every depth; what it does not name keeps its value. `--set`
-//! and the variants of a sweep are patches.
+//! A patch is the same struct with every field optional at every depth; what it does not name keeps its value. The
+//! variants of a sweep are patches.
 
-use pwrfgs_core::{Real, plugin::Check};
+use pwrfgs_core::{Documented, Real, plugin::Check};
 use serde::{Deserialize, Serialize};
 
 /// Declares settings with their defaults, and the patch over them: plain fields first, nested settings after.
 macro_rules! settings {
-    ($(#[$meta:meta])* $name:ident / $patch:ident {
+    ($(#[$meta:meta])* $name:ident / $patch:ident = $called:literal {
         $($(#[$doc:meta])* $field:ident : $ty:ty = $default:expr,)*
         $(; $($(#[$ndoc:meta])* $nested:ident : $nty:ident / $npatch:ident,)*)?
     }) => {
         $(#[$meta])*
-        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Documented)]
         #[serde(default, deny_unknown_fields)]
         pub struct $name {
             $($(#[$doc])* pub $field: $ty,)*
@@ -25,24 +25,17 @@ macro_rules! settings {
             }
         }
         #[doc = concat!("A patch over [`", stringify!($name), "`]: fields left out keep their value.")]
-        #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
-        #[serde(default, deny_unknown_fields)]
+        #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+        #[serde(default, deny_unknown_fields, rename = $called)]
         pub struct $patch {
             $(#[doc = concat!("See [`", stringify!($name), "::", stringify!($field), "`].")] pub $field: Option<$ty>,)*
             $($(#[doc = concat!("See [`", stringify!($name), "::", stringify!($nested), "`].")] pub $nested: Option<$npatch>,)*)?
-        }
-        impl $name {
-            /// Takes over what the patch names.
-            pub fn apply(&mut self, patch: $patch) {
-                $(if let Some(value) = patch.$field { self.$field = value; })*
-                $($(if let Some(value) = patch.$nested { self.$nested.apply(value); })*)?
-            }
         }
     };
 }
 
 /// A learning rate as a function of the step.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Documented)]
 pub enum Schedule {
     /// The same at every step.
     Constant(Real),
@@ -111,7 +104,7 @@ impl Schedule {
 
 settings! {
     /// The rendering loss (1-w)·L1 + w·(1-SSIM).
-    Loss / LossPatch {
+    Loss / LossPatch = "Loss" {
         /// w of eq. (9), between 0 and 1.
         ssim_weight: Real = 0.2,
     }
@@ -119,8 +112,8 @@ settings! {
 
 settings! {
     /// Adam with a rate for each column.
-    Optimizer / OptimizerPatch {
-        /// Rate of the centres, metres a step; the defaults are WRF-GS+'s.
+    Optimizer / OptimizerPatch = "Optimizer" {
+        /// Rate of the centres, metres a step, as WRF-GS+ has it.
         means: Schedule = Schedule::LogLinear { first: 8e-4, last: 8e-6, steps: 30_000 },
         /// Rate of the logarithmic scales.
         log_scales: Schedule = Schedule::Constant(0.005),
@@ -151,7 +144,7 @@ settings! {
 
 settings! {
     /// Densification of 3DGS, algorithm 1 line 9.
-    Densify / DensifyPatch {
+    Densify / DensifyPatch = "Densify" {
         /// First step after which Gaussians may be cloned or split.
         from: u64 = 500,
         /// Steps between two densifications; 0 for none at all.
@@ -182,8 +175,8 @@ settings! {
 }
 
 settings! {
-    /// Training: algorithm 1 with every constant a field.
-    Training / TrainingPatch {
+    /// Algorithm 1 with every constant a field.
+    Training / TrainingPatch = "Training" {
         /// M, the number of steps.
         steps: u64 = 200_000,
         /// Multiplies every count of steps here, in `densify` and in the schedules of `optimizer`, as the last thing that

@@ -1,96 +1,102 @@
-//! `pwrfgs plugins`: every linked plugin with its fields and defaults, written as a pipeline would have it.
+//! `pwrfgs plugins`: everything that a pipeline may name, written as a pipeline would have it.
 
 use crate::output;
+use crate::reference::commented::Style;
+use crate::reference::{Chapter, Topic, chapters, markdown, prose};
 use clap::Args;
-use pwrfgs_core::plugin::{PluginKind, ron_options};
-use pwrfgs_core::{
-    Baseline, DataSource, Deformation, Error, Initializer, Metric, Plugin, Projector, Pruner, Rasterizer, Result,
-    Split, did_you_mean, registered,
-};
+use pwrfgs_core::docs::{Body, Docs};
+use pwrfgs_core::{Error, Result, did_you_mean};
 use std::fmt::Write as _;
 use std::process::ExitCode;
 
-/// A family of plugins.
-struct Kind {
-    name: &'static str,
-    /// The pipeline's field that takes it.
-    field: &'static str,
-    plugins: Vec<Entry>,
-}
-
-struct Entry {
-    name: &'static str,
-    about: &'static str,
-    /// The plugin with its defaults, as RON, or why it has none.
-    text: String,
-}
-
 #[derive(Debug, Args)]
+#[command(
+    after_long_help = "NAME is a plugin (LearnableMask), all of a kind (Pruner, or its field pruners), settings \
+    (training, optimizer, densify, loss), a type (Readout, Schedule), or Pipeline and Experiment for their own fields. Every \
+    field is shown with its default, what it takes and what it does; these are the comments of the source. The same as a \
+    page: docs/reference.md.\n\nEXAMPLES\n  pwrfgs plugins LearnableMask\n  pwrfgs plugins training\n  pwrfgs plugins \
+    readout"
+)]
 pub(crate) struct Plugins {
-    /// Only this plugin, or all of this kind (such as Pruner)
+    /// Only this: a plugin, a kind of plugins, settings or a type
     #[arg(value_name = "NAME")]
     pub(crate) name: Option<String>,
+    /// Everything as one page of Markdown
+    #[arg(long, conflicts_with = "name")]
+    pub(crate) markdown: bool,
 }
 
+/// Signs a line.
+const WIDTH: usize = 110;
+
 pub(crate) fn plugins(arguments: &Plugins) -> Result<ExitCode> {
-    let kinds = all();
-    let mut out = String::new();
+    if arguments.markdown {
+        output::result(&markdown::page())?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let chapters = chapters();
     let wanted = arguments.name.as_deref().map(str::to_lowercase);
-    for kind in &kinds {
-        let whole = wanted.as_ref().is_none_or(|w| *w == kind.name.to_lowercase() || w == kind.field);
-        let chosen = |e: &&Entry| whole || wanted.as_ref().is_some_and(|w| *w == e.name.to_lowercase());
-        let mut entries = kind.plugins.iter().filter(chosen).peekable();
-        if entries.peek().is_some() {
-            _ = writeln!(out, "{} (field `{}`)", kind.name, kind.field);
+    let mut out = String::new();
+    for chapter in &chapters {
+        let whole = wanted.as_deref().is_none_or(|w| chapter.is_called(w));
+        let chosen = |t: &&Topic| whole || wanted.as_deref().is_some_and(|w| t.is_called(w));
+        let mut topics = chapter.topics.iter().filter(chosen).peekable();
+        if topics.peek().is_some() {
+            let field = chapter.field.map_or_else(String::new, |field| format!(" (field `{field}`)"));
+            _ = writeln!(out, "{}{field}: {}", chapter.name, chapter.about);
         }
-        for entry in entries {
-            _ = write!(out, "  {}", entry.name);
-            _ = writeln!(out, "{}{}", if entry.about.is_empty() { "" } else { ": " }, entry.about);
-            entry.text.lines().for_each(|line| _ = writeln!(out, "      {line}"));
-        }
+        topics.for_each(|topic| write_topic(&mut out, topic, !whole));
     }
     if out.is_empty() {
-        return Err(unknown(arguments.name.as_deref().unwrap_or_default(), &kinds));
+        return Err(unknown(arguments.name.as_deref().unwrap_or_default(), &chapters));
     }
     output::result(&out)?;
     Ok(ExitCode::SUCCESS)
 }
 
-/// Every family, in the order of a pipeline's fields.
-fn all() -> Vec<Kind> {
-    vec![
-        kind::<dyn DataSource>("data"),
-        kind::<dyn Split>("split"),
-        kind::<dyn Initializer>("initializer"),
-        kind::<dyn Projector>("projector"),
-        kind::<dyn Rasterizer>("rasterizer"),
-        kind::<dyn Deformation>("deformation"),
-        kind::<dyn Pruner>("pruners"),
-        kind::<dyn Baseline>("baselines"),
-        kind::<dyn Metric>("metrics"),
-    ]
-}
-
-fn kind<T: ?Sized + PluginKind>(field: &'static str) -> Kind
-where
-    Box<T>: for<'de> serde::Deserialize<'de>,
-    Plugin<T>: serde::Serialize,
-{
-    let config = || ron::ser::PrettyConfig::new().struct_names(true).depth_limit(3).indentor("    ");
-    let describe = |name: &'static str| match Plugin::<T>::parse(&format!("{name}()")) {
-        Ok(plugin) => Entry {
-            name,
-            about: plugin.about_plugin(),
-            text: ron_options().to_string_pretty(&plugin, config()).unwrap_or_else(|e| e.to_string()),
-        },
-        Err(why) => Entry { name, about: "", text: format!("(not without fields: {why})") },
+/// A topic; `full` with all of its comment.
+fn write_topic(out: &mut String, topic: &Topic, full: bool) {
+    let paragraphs = topic.docs.map_or_else(Vec::new, |docs| prose::paragraphs(docs.text));
+    let about = match &topic.about[..] {
+        "" if full => "",
+        "" => paragraphs.first().map_or("", String::as_str),
+        about => about,
     };
-    Kind { name: T::KIND, field, plugins: registered::<T>().into_iter().map(describe).collect() }
+    _ = writeln!(out, "  {}{}{about}", markdown::title(topic), if about.is_empty() { "" } else { ": " });
+    if full {
+        for paragraph in &paragraphs {
+            out.push_str(&prose::wrapped(paragraph, "      ", WIDTH));
+        }
+    }
+    match (topic.docs, &topic.value) {
+        (Some(Docs { body: Body::Variants(variants), .. }), _) => {
+            for variant in *variants {
+                let words = format!("{}: {}", markdown::form(variant), markdown::meaning(variant));
+                out.push_str(&prose::wrapped(&words, "      ", WIDTH));
+            }
+        }
+        (docs, Ok(value)) => {
+            let text = Style::FLAT.write(value, docs, "      ");
+            _ = writeln!(out, "      {text}");
+        }
+        (Some(docs), Err(_)) => {
+            for field in docs.fields() {
+                let takes = crate::reference::takes(&(field.kind)());
+                let words = format!("{}: {} [{takes}]", field.name, prose::line(field.text));
+                out.push_str(&prose::wrapped(&words, "      ", WIDTH));
+            }
+        }
+        (None, Err(why)) => _ = writeln!(out, "      (not without fields: {why})"),
+    }
 }
 
-/// No such plugin; the nearest name helps.
-fn unknown(name: &str, kinds: &[Kind]) -> Error {
-    let names = kinds.iter().flat_map(|k| k.plugins.iter().map(|e| e.name).chain([k.name]));
+/// No such name; the nearest helps.
+fn unknown(name: &str, chapters: &[Chapter]) -> Error {
+    let names = chapters.iter().flat_map(|c| {
+        let topics = c.topics.iter().flat_map(|t| t.fields.iter().copied().chain([t.name.as_str()]));
+        topics.chain(c.field).chain([c.name.as_str()])
+    });
     let hint = did_you_mean(name, names);
-    Error::Config(format!("no plugin and no kind of plugins is called `{name}`{hint} (`pwrfgs plugins` lists all)"))
+    let name: String = name.chars().filter(|c| !c.is_control()).take(100).collect();
+    Error::Config(format!("nothing that a pipeline may name is called `{name}`{hint} (`pwrfgs plugins` lists all)"))
 }

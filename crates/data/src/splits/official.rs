@@ -1,7 +1,7 @@
 //! `Official`: the split that comes with the data.
 
 use super::{DEFAULT_VALIDATION, check_validation, finish, hold_out};
-use pwrfgs_core::{Dataset, Error, Partition, Result, Split, rng::Rng};
+use pwrfgs_core::{Dataset, Documented, Error, Partition, Result, Split, rng::Rng};
 use serde::{Deserialize, Serialize};
 
 /// The split that comes with the data: `train_index.txt` and `test_index.txt` of the NeRF2 layout.
@@ -10,17 +10,15 @@ use serde::{Deserialize, Serialize};
 /// NeRF2 spectra are random, so their test samples lie 8 mm from a training sample: read every score beside
 /// [`NearestNeighbours`](crate::NearestNeighbours).
 ///
-/// * `validation`: share of the training list that is held out, at random; 0.1 by default, 0 for none.
-///
 /// ```
 /// # use pwrfgs_core::{Plugin, Split};
 /// # use pwrfgs_data as _;
 /// assert!(Plugin::<dyn Split>::parse("Official(validation: 0.1)").is_ok());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct Official {
-    /// Share of the training list held out at random, in [0, 1); default 0.1.
+    /// Share of the training list held out at random, in [0, 1); 0 for none.
     pub validation: f64,
 }
 

@@ -2,7 +2,7 @@
 
 use super::{DEFAULT_VALIDATION, check_test, check_validation, finish, hold_out, part};
 use pwrfgs_core::{
-    Dataset, Partition, Result, Split,
+    Dataset, Documented, Partition, Result, Split,
     rng::{self, Rng},
 };
 use serde::{Deserialize, Serialize};
@@ -12,20 +12,17 @@ use serde::{Deserialize, Serialize};
 /// The usual split of this field, and the easiest: with a dense trajectory each test sample has a training sample
 /// beside it. Use [`TimeBlock`](crate::TimeBlock) or [`Voxel`](crate::Voxel) to ask for more than interpolation.
 ///
-/// * `test`: share of all samples; 0.2 by default.
-/// * `validation`: share of the rest that is held out, at random; 0.1 by default, 0 for none.
-///
 /// ```
 /// # use pwrfgs_core::{Plugin, Split};
 /// # use pwrfgs_data as _;
 /// assert!(Plugin::<dyn Split>::parse("Random(test: 0.2, validation: 0.1)").is_ok());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct Random {
-    /// Share of all samples in the test set, in (0, 1); default 0.2.
+    /// Share of all samples in the test set, in (0, 1).
     pub test: f64,
-    /// Share of the others held out at random, in [0, 1); default 0.1.
+    /// Share of the others held out at random, in [0, 1); 0 for none.
     pub validation: f64,
 }
 

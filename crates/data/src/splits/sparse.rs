@@ -2,7 +2,7 @@
 
 use super::{DEFAULT_VALIDATION, check_validation, finish, hold_out};
 use pwrfgs_core::{
-    Dataset, Error, Partition, Result, Split,
+    Dataset, Documented, Error, Partition, Result, Split,
     rng::{self, Rng},
 };
 use serde::{Deserialize, Serialize};
@@ -11,20 +11,17 @@ use serde::{Deserialize, Serialize};
 ///
 /// Asks how far few measurements go: with 220 of the NeRF2 spectra the nearest training sample is 6 cm away.
 ///
-/// * `train`: training samples, 220 by default, those held out for validation included.
-/// * `validation`: share of `train` that is held out, at random; 0.1 by default, 0 for none.
-///
 /// ```
 /// # use pwrfgs_core::{Plugin, Split};
 /// # use pwrfgs_data as _;
 /// assert!(Plugin::<dyn Split>::parse("Sparse(train: 220)").is_ok());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct Sparse {
-    /// Training samples, those held out included; default 220.
+    /// Training samples, those held out included.
     pub train: usize,
-    /// Share of `train` held out at random, in [0, 1); default 0.1.
+    /// Share of `train` held out at random, in [0, 1); 0 for none.
     pub validation: f64,
 }
 

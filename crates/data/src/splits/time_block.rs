@@ -1,7 +1,7 @@
 //! `TimeBlock`: a stretch of the trajectory is the test set.
 
 use super::{DEFAULT_VALIDATION, check_test, check_validation, finish, part};
-use pwrfgs_core::{Dataset, Partition, Result, Split, rng::Rng};
+use pwrfgs_core::{Dataset, Documented, Partition, Result, Split, rng::Rng};
 use serde::{Deserialize, Serialize};
 
 /// A contiguous block of the sorted ids is the test set.
@@ -13,27 +13,22 @@ use serde::{Deserialize, Serialize};
 /// At the ends of the block consecutive ids are neighbours again. `gap` leaves out the samples on both sides of it: they
 /// serve neither part. `docs/data.md` says what a gap changes on measured spectra; `samples.csv` lists every distance.
 ///
-/// * `start`: where the block begins, a fraction of the sorted ids; 0.4 by default.
-/// * `length`: how long it is, a fraction of the sorted ids; 0.2 by default.
-/// * `gap`: samples that are left out on either side of the block; 0 by default.
-/// * `validation`: share of the rest that is held out, next to the block or its gap; 0.1 by default, 0 for none.
-///
 /// ```
 /// # use pwrfgs_core::{Plugin, Split};
 /// # use pwrfgs_data as _;
 /// assert!(Plugin::<dyn Split>::parse("TimeBlock(start: 0.4, length: 0.2, gap: 30)").is_ok());
 /// assert!(Plugin::<dyn Split>::parse("TimeBlock(start: 0.9, length: 0.2)").is_err());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct TimeBlock {
-    /// Where the test block begins, a fraction of the sorted ids in [0, 1); default 0.4.
+    /// Where the test block begins, a fraction of the sorted ids in [0, 1).
     pub start: f64,
-    /// Length of the test block, a fraction of the sorted ids in (0, 1); default 0.2.
+    /// Length of the test block, a fraction of the sorted ids in (0, 1).
     pub length: f64,
-    /// Samples left out on either side of the test block; default 0.
+    /// Samples left out on either side of the test block.
     pub gap: usize,
-    /// Share of the others held out next to the test block, in [0, 1); default 0.1.
+    /// Share of the others held out next to the test block, in [0, 1); 0 for none.
     pub validation: f64,
 }
 

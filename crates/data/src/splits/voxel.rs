@@ -2,7 +2,7 @@
 
 use super::{DEFAULT_VALIDATION, check_test, check_validation, finish, part};
 use pwrfgs_core::{
-    Dataset, Error, Partition, Result, Split,
+    Dataset, Documented, Error, Partition, Result, Split,
     rng::{self, Rng},
 };
 use serde::{Deserialize, Serialize};
@@ -16,23 +16,19 @@ use std::collections::BTreeMap;
 /// checks a split has to do the same. The last cell drawn may overshoot the share; one cell is
 /// always left to train on. Validation is drawn in the same way from the cells that remain.
 ///
-/// * `size_m`: edge of a cell, metres; 0.2 by default.
-/// * `test`: share of all samples; 0.2 by default.
-/// * `validation`: share of the rest that is held out, whole cells; 0.1 by default, 0 for none.
-///
 /// ```
 /// # use pwrfgs_core::{Plugin, Split};
 /// # use pwrfgs_data as _;
 /// assert!(Plugin::<dyn Split>::parse("Voxel(size_m: 0.2, test: 0.2)").is_ok());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct Voxel {
-    /// Edge of a cell, metres, above 0; default 0.2.
+    /// Edge of a cell, metres, above 0.
     pub size_m: f64,
-    /// Share of all samples in the test set, in (0, 1); default 0.2.
+    /// Share of all samples in the test set, in (0, 1).
     pub test: f64,
-    /// Share of the others held out as whole cells, in [0, 1); default 0.1.
+    /// Share of the others held out as whole cells, in [0, 1); 0 for none.
     pub validation: f64,
 }
 

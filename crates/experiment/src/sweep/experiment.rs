@@ -1,9 +1,10 @@
 //! `Experiment`: an ablation as one RON file, axes of patches over a base pipeline times seeds.
 
-use pwrfgs_core::Result;
+use pwrfgs_core::docs::Kind;
 use pwrfgs_core::plugin::{Check, Checked, read_ron};
+use pwrfgs_core::{Documented, Result};
 use pwrfgs_train::PipelinePatch;
-use serde::{Deserialize, Deserializer, de};
+use serde::{Deserialize, Deserializer, Serialize, de};
 use std::path::{Path, PathBuf};
 
 /// What a sweep runs: every combination of one variant an axis, with every seed.
@@ -20,13 +21,17 @@ use std::path::{Path, PathBuf};
 ///             (label: "short", training: (steps: 500)),
 ///             (label: "long", training: (steps: 2_000)),
 ///         ]),
+///         Axis(name: "width", variants: [
+///             (label: "64", set: {"deformation.Mlp.width": 64}), // one field of a plugin, by its path
+///             (label: "128", set: {"deformation.Mlp.width": 128}),
+///         ]),
 ///     ],
 ///     slurm: (cpus: 4, memory: "8G", time: "02:00:00"), // only with --launcher slurm
 /// )"#;
 /// let experiment = Experiment::parse(text, "short-or-long.ron".as_ref()).unwrap();
 /// assert_eq!(experiment.axes[0].variants[1].label(), "long");
 /// ```
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Deserialize, Documented)]
 #[serde(deny_unknown_fields)]
 pub struct Experiment {
     /// Names the sweep folder: letters, digits, `.`, `-` and `_`.
@@ -36,7 +41,7 @@ pub struct Experiment {
     /// Every combination is run with each of these.
     #[serde(default = "zero")]
     pub seeds: Vec<u64>,
-    /// A patch for all runs.
+    /// Fields of a pipeline for all runs; `set: {"pruners.LearnableMask.lambda": 0.05}` among them gives values by their path.
     #[serde(default)]
     pub set: PipelinePatch,
     /// What varies. Later axes win where two patch the same field.
@@ -47,12 +52,13 @@ pub struct Experiment {
 }
 
 /// One thing that varies.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Deserialize, Documented)]
 #[serde(deny_unknown_fields)]
 pub struct Axis {
     /// What it is called in folders, tables and figures.
     pub name: String,
-    /// The choices.
+    /// The choices, each a label with what it changes: `(label: "0.05", set: {"pruners.LearnableMask.lambda": 0.05})` or
+    /// `(label: "long", training: (steps: 2_000))`.
     pub variants: Vec<Variant>,
 }
 
@@ -61,7 +67,7 @@ pub struct Axis {
 pub struct Variant(pub(super) PipelinePatch);
 
 /// Resources of one run on a cluster, as `sbatch` names them.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct Slurm {
     /// Processors of a run, `--cpus-per-task`; the run uses as many threads.
@@ -114,7 +120,7 @@ impl Experiment {
 impl<'de> Deserialize<'de> for Variant {
     fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
         let patch = PipelinePatch::deserialize(d)?;
-        if patch.name.is_some() || patch.seed.is_some() {
+        if patch.gives("name") || patch.gives("seed") {
             return Err(de::Error::custom("a variant gives neither `name` nor `seed`: seeds stand in `seeds`"));
         }
         match &patch.label {
@@ -126,6 +132,12 @@ impl<'de> Deserialize<'de> for Variant {
                 Err(de::Error::custom("a variant without a name; give it a `label`, such as (label: \"small\", ..)"))
             }
         }
+    }
+}
+
+impl Documented for Variant {
+    fn kind() -> Kind {
+        Kind::Plain("a label with fields of a Pipeline")
     }
 }
 
@@ -183,7 +195,7 @@ impl Check for Experiment {
         if let Some(twice) = repeated(seeds.iter().map(u64::to_string)) {
             return Err(format!("the seed {twice} comes twice in `seeds`"));
         }
-        if set.label.is_some() || set.name.is_some() || set.seed.is_some() {
+        if ["label", "name", "seed"].iter().any(|field| set.gives(field)) {
             return Err("`set` is for all runs: it cannot give `label`, `name` or `seed`".into());
         }
         match repeated(axes.iter().map(|a| a.name.to_lowercase())) {

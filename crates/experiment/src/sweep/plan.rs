@@ -3,9 +3,9 @@
 use super::experiment::{Axis, Experiment, Slurm, slug};
 use super::listing::{ListedRun, Listing};
 use crate::input::{read_base, set_all};
-use crate::runner::rebase;
+use crate::runner::absolute;
 use pwrfgs_core::{Error, Result, did_you_mean, files::read_text};
-use pwrfgs_train::Pipeline;
+use pwrfgs_train::{Draft, Pipeline, PipelinePatch};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -56,28 +56,25 @@ impl Plan {
         let experiment = Experiment::parse(&text, path)?;
         let here = path.parent().unwrap_or(Path::new(""));
         let mut base = read_base(&here.join(&experiment.base))?;
-        base.apply(experiment.set.clone()).map_err(|e| Error::input(path, format!("set: {e}")))?;
-        rebase(&mut base, here);
         let (name, seed) = (base.name.clone(), base.seed);
+        let common = patched(&Draft::of(&base), &experiment.set, here).and_then(|draft| draft.finish());
+        base = common.map_err(|e| Error::input(path, format!("set: {e}")))?;
         set_all(&mut base, set)?;
         if (&name, seed) != (&base.name, base.seed) {
             return Err(Error::Config("--set: a sweep gives names and seeds itself; change them in its file".into()));
         }
         let source = Source { path, here, experiment: &experiment };
         source.refuse_too_many()?;
-        let mut combinations = vec![Combination { labels: Vec::new(), start: None, pipeline: base }];
+        let mut combinations = vec![Combination { labels: Vec::new(), start: None, draft: Draft::of(&base) }];
         for axis in 0..experiment.axes.len() {
             combinations = source.cross(axis, &combinations)?;
         }
-        for combination in &mut combinations {
-            let resolved = combination.pipeline.resolved();
-            combination.pipeline = resolved.map_err(|e| refuse(path, combination.labels.last(), e))?;
-        }
-        source.refuse_equal(&combinations)?;
+        let pipelines: Vec<Pipeline> = combinations.iter().map(|c| source.finish(&base, c)).collect::<Result<_>>()?;
+        source.refuse_equal(&combinations, &pipelines)?;
         let mut runs = Vec::new();
-        for (k, combination) in combinations.iter().enumerate() {
+        for (k, (combination, pipeline)) in combinations.iter().zip(&pipelines).enumerate() {
             for &seed in &experiment.seeds {
-                runs.push(source.run(k, combination, seed)?);
+                runs.push(source.run(k, combination, pipeline, seed)?);
             }
         }
         Ok(Self {
@@ -125,7 +122,7 @@ struct Combination {
     labels: Vec<(String, String)>,
     /// Those that said last with what a run starts.
     start: Option<(String, String)>,
-    pipeline: Pipeline,
+    draft: Draft,
 }
 
 /// The experiment file.
@@ -143,13 +140,12 @@ impl Source<'_> {
         for combination in combinations {
             for variant in variants {
                 let own = (name.clone(), variant.label().to_owned());
-                let mut pipeline = combination.pipeline.clone();
-                pipeline.apply(variant.0.clone()).map_err(|e| refuse(self.path, Some(&own), e))?;
-                rebase(&mut pipeline, self.here);
-                let starts = variant.0.data.is_some() || variant.0.split.is_some() || variant.0.initializer.is_some();
+                let draft =
+                    patched(&combination.draft, &variant.0, self.here).map_err(|e| refuse(self.path, Some(&own), e))?;
+                let starts = ["data", "split", "initializer"].iter().any(|field| variant.0.gives(field));
                 let start = if starts { Some(own.clone()) } else { combination.start.clone() };
                 let labels = combination.labels.iter().cloned().chain([own]).collect();
-                all.push(Combination { labels, start, pipeline });
+                all.push(Combination { labels, start, draft });
             }
         }
         Ok(all)
@@ -169,11 +165,29 @@ impl Source<'_> {
         Err(Error::input(self.path, why))
     }
 
+    /// The pipeline of a combination, scaled and checked now that all axes have spoken. What does not fit is told of the
+    /// first variant after which it did not.
+    fn finish(&self, base: &Pipeline, combination: &Combination) -> Result<Pipeline> {
+        let finish = |draft: &Draft| draft.finish().and_then(|pipeline| pipeline.resolved());
+        finish(&combination.draft).map_err(|error| {
+            let mut draft = Draft::of(base);
+            let spoilt = combination.labels.iter().zip(&self.experiment.axes).find(|((_, label), axis)| {
+                let variant = axis.variants.iter().find(|v| v.label() == label);
+                let next = variant.and_then(|v| patched(&draft, &v.0, self.here).ok());
+                next.is_none_or(|next| {
+                    draft = next;
+                    finish(&draft).is_err_and(|e| e.to_string() == error.to_string())
+                })
+            });
+            refuse(self.path, spoilt.map(|(place, _)| place).or(combination.labels.last()), error)
+        })
+    }
+
     /// Two combinations that are the same pipeline would be compared with each other as if they differed.
-    fn refuse_equal(&self, combinations: &[Combination]) -> Result<()> {
+    fn refuse_equal(&self, combinations: &[Combination], pipelines: &[Pipeline]) -> Result<()> {
         let mut seen: BTreeMap<String, &Combination> = BTreeMap::new();
-        for combination in combinations {
-            if let Some(earlier) = seen.insert(combination.pipeline.to_ron(), combination) {
+        for (combination, pipeline) in combinations.iter().zip(pipelines) {
+            if let Some(earlier) = seen.insert(pipeline.to_ron(), combination) {
                 let why = format!(
                     "`{}` is the same pipeline as `{}`; does a later axis replace what an earlier one says?",
                     named(&combination.labels),
@@ -186,7 +200,7 @@ impl Source<'_> {
     }
 
     /// One run.
-    fn run(&self, k: usize, combination: &Combination, seed: u64) -> Result<PlannedRun> {
+    fn run(&self, k: usize, combination: &Combination, pipeline: &Pipeline, seed: u64) -> Result<PlannedRun> {
         let words = combination.labels.iter().map(|(axis, label)| format!("{axis}={}", slug(label)));
         let folder = words.chain([format!("seed={seed}")]).collect::<Vec<_>>().join(",");
         if folder.len() > LONGEST_NAME {
@@ -195,7 +209,7 @@ impl Source<'_> {
                 format!("the folder `{folder}` has a name of more than {LONGEST_NAME} bytes; shorten the labels"),
             ));
         }
-        let mut pipeline = combination.pipeline.clone();
+        let mut pipeline = pipeline.clone();
         pipeline.seed = seed;
         let plain = |c: char| {
             if c == '=' || c == '+' {
@@ -210,6 +224,16 @@ impl Source<'_> {
         let labels = combination.labels.clone();
         Ok(PlannedRun { folder, labels, combination: k, pipeline, start: combination.start.clone() })
     }
+}
+
+/// `draft` with what a patch of the experiment file in `here` says.
+fn patched(draft: &Draft, patch: &PipelinePatch, here: &Path) -> Result<Draft> {
+    let mut draft = draft.clone();
+    draft.merge(patch)?;
+    if patch.gives("data") || patch.gives("baselines") {
+        draft.rebase(&|path| absolute(here, path))?;
+    }
+    Ok(draft)
 }
 
 /// The error `why` in an experiment file, at an axis and one of its labels where they are known.

@@ -4,7 +4,9 @@ use super::factored_network::{Factors, Network};
 use super::layers::{laid_out, planned};
 use super::mlp::check_stack;
 use super::waves::Encoding;
-use pwrfgs_core::{Cache, Deformation, DeformationInputs, Deltas, Pose, Real, WeightSpec, cached, rng::Rng};
+use pwrfgs_core::{
+    Cache, Deformation, DeformationInputs, Deltas, Documented, Pose, Real, WeightSpec, cached, rng::Rng,
+};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -17,12 +19,6 @@ use std::sync::Arc;
 /// sixteen Gaussians on a 4 x 4 array can follow all that the network knows of the transmitter: the shape for
 /// `ArrayResponse`. Geometry does not depend on the transmitter. Known elsewhere as branch and trunk (`DeepONet`).
 ///
-/// | field | meaning | default |
-/// |---|---|---|
-/// | `depth`, `width` | ReLU layers of the transmitter's stack, numbers a layer | 4, 256 |
-/// | `tx_encoding` | γ(p): `Octaves(5)`, or `Waves(count: 64, reach: 24.0)`; see [`Encoding`] | `Octaves(5)` |
-/// | `position_encoding` | φ(μ), the same without the coordinates | `Waves(count: 32, reach: 4.0)` |
-///
 /// Centres are differentiated through the network.
 ///
 /// ```
@@ -31,7 +27,7 @@ use std::sync::Arc;
 /// let small = Plugin::<dyn Deformation>::parse("Factored(depth: 3, width: 128, tx_encoding: Waves(count: 64, reach: 24.0))").unwrap();
 /// assert!(!small.varies_geometry());
 /// ```
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct Factored {
     /// ReLU layers of the transmitter's stack, 1 or more.

@@ -1,6 +1,6 @@
 //! `Fixed`: no deformation at all.
 
-use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Pose, Real};
+use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Documented, Pose, Real};
 use serde::{Deserialize, Serialize};
 
 /// No deformation: every transmitter sees the same Gaussians and the same signals. No weights, no settings.
@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 /// let none = Plugin::<dyn Deformation>::parse("Fixed()").unwrap();
 /// assert!(none.layout().is_empty());
 /// ```
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct Fixed {}
 

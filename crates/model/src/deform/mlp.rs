@@ -4,7 +4,7 @@ use super::encoding::{self, MOST_FREQUENCIES};
 use super::layers::{Plan, laid_out, planned};
 use super::mlp_network::{Network, Outputs};
 use super::trunk::{Trunk, TrunkShape};
-use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Pose, Real, WeightSpec, rng::Rng};
+use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Documented, Pose, Real, WeightSpec, rng::Rng};
 use serde::{Deserialize, Serialize};
 
 /// The network of P-WRFGS: for each Gaussian and transmitter a change of signal, rotation and scale, to be added.
@@ -26,27 +26,27 @@ use serde::{Deserialize, Serialize};
 /// let small = Plugin::<dyn Deformation>::parse(small).unwrap();
 /// assert!(!small.varies_geometry());
 /// ```
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct Mlp {
-    /// Number of ReLU layers, 1 or more. Default 8.
+    /// Number of ReLU layers, 1 or more.
     pub depth: usize,
-    /// Numbers a layer. Default 256.
+    /// Numbers a layer.
     pub width: usize,
-    /// Frequencies 2⁰…2^(L-1) rad/m in the encoding of the centre; 0 gives the bare coordinates. Default 10.
+    /// Frequencies 2⁰…2^(L-1) rad/m in the encoding of the centre; 0 gives the bare coordinates.
     pub position_frequencies: usize,
-    /// The same for the transmitter. Default 6.
+    /// Frequencies in the encoding of the transmitter, likewise.
     pub tx_frequencies: usize,
-    /// Numbers in the hidden layer of the transmitter's branch. Default 256.
+    /// Numbers in the hidden layer of the transmitter's branch.
     pub tx_hidden: usize,
-    /// Numbers that the transmitter's branch hands to the stack. Default 90.
+    /// Numbers that the transmitter's branch hands to the stack.
     pub tx_features: usize,
-    /// Both inputs enter again after this layer (counted from 0); `None` for a plain stack. Default 4.
+    /// Both inputs enter again after this layer (counted from 0); `None` for a plain stack.
     pub skip: Option<usize>,
-    /// What depends on the transmitter. Default `All`.
+    /// What depends on the transmitter.
     pub outputs: Outputs,
     /// Factor on the initial weights and biases of the heads. 1 is PyTorch's start; with small values training starts
-    /// near the undeformed Gaussians. Default 1.
+    /// near the undeformed Gaussians.
     pub head_init: f64,
 }
 

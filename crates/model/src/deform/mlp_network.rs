@@ -10,12 +10,12 @@ use super::encoding::{self, encode};
 use super::layers::{Item, items, items_per_sum};
 use super::linear::Linear;
 use super::trunk::{Joints, Trunk, TrunkGradient};
-use pwrfgs_core::{DeformationInputs, Deltas, Real};
+use pwrfgs_core::{DeformationInputs, Deltas, Documented, Real};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// What an [`Mlp`](super::Mlp) changes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Documented)]
 pub enum Outputs {
     /// Rotations (4), scales (3) and signals (2).
     #[default]

@@ -2,11 +2,11 @@
 
 use super::encoding::{self, encode, encode_vjp, let_in};
 use super::mlp::{WIDEST, check_frequencies};
-use pwrfgs_core::{Real, WeightSpec, rng};
+use pwrfgs_core::{Documented, Real, WeightSpec, rng};
 use serde::{Deserialize, Serialize};
 
 /// The encoding γ(p) of a position: the coordinates, and waves over the room.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Documented)]
 pub enum Encoding {
     /// Sine and cosine of 2⁰…2^(L-1) rad/m along each axis (`NeRF`). 5 ends at 16 rad/m, near 2π/λ at 920 MHz, beyond
     /// which no wave from a transmitter varies.
@@ -19,7 +19,7 @@ pub enum Encoding {
         count: usize,
         /// Longest of them, rad/m; a little above 2π/λ.
         reach: f64,
-        /// Decides the directions; default 0.
+        /// Decides the directions.
         #[serde(default)]
         seed: u64,
     },

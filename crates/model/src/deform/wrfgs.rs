@@ -6,7 +6,9 @@ use super::mlp::{check_frequencies, check_stack};
 use super::trunk::{Trunk, TrunkShape};
 use super::wrfgs_branch::Branch;
 use super::wrfgs_network::{Ahead, Network};
-use pwrfgs_core::{Cache, Deformation, DeformationInputs, Deltas, Pose, Real, WeightSpec, cached, rng::Rng};
+use pwrfgs_core::{
+    Cache, Deformation, DeformationInputs, Deltas, Documented, Pose, Real, WeightSpec, cached, rng::Rng,
+};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -28,18 +30,18 @@ use std::sync::Arc;
 /// assert!(released.replaces_signals());
 /// let usable = Plugin::<dyn Deformation>::parse("Wrfgs(width: 64, gain: 100)").unwrap();
 /// ```
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct Wrfgs {
-    /// Number of ReLU layers before attenuation and feature, 1 or more. Default 8.
+    /// Number of ReLU layers before attenuation and feature, 1 or more.
     pub depth: usize,
-    /// Numbers a layer, 2 or more; the last hidden layer has half of them. Default 128.
+    /// Numbers a layer, 2 or more; the last hidden layer has half of them.
     pub width: usize,
-    /// Frequencies 2⁰…2^(L-1) rad/m of all three encodings; 0 gives the bare coordinates. Default 10.
+    /// Frequencies 2⁰…2^(L-1) rad/m of all three encodings; 0 gives the bare coordinates.
     pub frequencies: usize,
-    /// γ(X) enters again after this layer (counted from 0); `None` for a plain stack. Default 4.
+    /// γ(X) enters again after this layer (counted from 0); `None` for a plain stack.
     pub skip: Option<usize>,
-    /// The factor g on every signal; `None` for 40·F as released. Default `None`.
+    /// The factor g on every signal; `None` for 40·F as released.
     pub gain: Option<f64>,
 }
 

@@ -2,7 +2,7 @@
 
 use crate::ewa::inverse_vjp;
 use pwrfgs_core::{
-    ImagePlane, Real, Splats, Vec3,
+    Documented, ImagePlane, Real, Splats, Vec3,
     consts::{DEG, TAU},
 };
 use rayon::prelude::*;
@@ -14,14 +14,14 @@ const BOUNDLESS: Real = 1e9;
 const CLOSEST: Real = 1e-3;
 
 /// How the phase at an antenna follows from a Gaussian.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Documented)]
 pub enum Wavefront {
     /// From its direction, as if it were infinitely far away.
     #[default]
     Plane,
     /// From its position.
     Spherical {
-        /// Metres.
+        /// Wavelength of the carrier, metres.
         wavelength_m: Real,
     },
 }

@@ -1,0 +1,62 @@
+//! `pwrfgs completions` and `pwrfgs man`: what a shell and a manual want to know, from the command line's own definition.
+
+use crate::args::Arguments;
+use crate::output;
+use clap::{Args, CommandFactory as _};
+use clap_complete::Shell;
+use pwrfgs_core::{Error, Result};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+#[derive(Debug, Args)]
+#[command(
+    after_long_help = "EXAMPLES\n  pwrfgs completions bash > ~/.local/share/bash-completion/completions/pwrfgs\n  pwrfgs \
+    completions zsh > ~/.zfunc/_pwrfgs    # with `fpath+=~/.zfunc` before compinit in ~/.zshrc\n  pwrfgs completions fish > \
+    ~/.config/fish/completions/pwrfgs.fish"
+)]
+pub(crate) struct Completions {
+    /// Which shell
+    #[arg(value_name = "SHELL")]
+    pub(crate) shell: Shell,
+}
+
+#[derive(Debug, Args)]
+#[command(
+    after_long_help = "EXAMPLES\n  pwrfgs man | man -l -\n  pwrfgs man --out ~/.local/share/man/man1    # then: man pwrfgs-run"
+)]
+pub(crate) struct Man {
+    /// Write pwrfgs.1 and a page for each command into this folder; without it the first page is printed
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+}
+
+pub(crate) fn completions(arguments: &Completions) -> Result<ExitCode> {
+    let mut script = Vec::new();
+    clap_complete::generate(arguments.shell, &mut Arguments::command(), "pwrfgs", &mut script);
+    output::result(&String::from_utf8_lossy(&script))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+pub(crate) fn man(arguments: &Man) -> Result<ExitCode> {
+    let mut command = Arguments::command();
+    command.build();
+    let failed = |path: &Path| {
+        let path = path.to_owned();
+        move |e| Error::write(&path, e)
+    };
+    let Some(folder) = &arguments.out else {
+        let mut page = Vec::new();
+        clap_mangen::Man::new(command).render(&mut page).map_err(failed(Path::new("the page")))?;
+        output::result(&String::from_utf8_lossy(&page))?;
+        return Ok(ExitCode::SUCCESS);
+    };
+    std::fs::create_dir_all(folder).map_err(failed(folder))?;
+    for page in std::iter::once(&command).chain(command.get_subcommands()) {
+        let man = clap_mangen::Man::new(page.clone());
+        let path = folder.join(man.get_filename());
+        let mut text = Vec::new();
+        man.render(&mut text).map_err(failed(&path))?;
+        pwrfgs_core::files::write_atomically(&path, &text)?;
+    }
+    Ok(ExitCode::SUCCESS)
+}

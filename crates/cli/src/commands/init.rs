@@ -1,0 +1,139 @@
+//! `pwrfgs init`: a commented pipeline for the data in a folder.
+
+mod survey;
+
+use crate::args::Verbosity;
+use crate::output;
+use crate::progress::Progress;
+use crate::reference::commented::Style;
+use crate::reference::{Value, example, prose};
+use clap::Args;
+use pwrfgs::prelude::Pipeline;
+use pwrfgs_core::docs::Documented as _;
+use pwrfgs_core::plugin::to_ron;
+use pwrfgs_core::{Error, Result};
+use std::fs::OpenOptions;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use survey::Survey;
+
+#[derive(Debug, Args)]
+#[command(
+    after_long_help = "Looks at the data (the NeRF2 layout, docs/data.md): pictures, positions, index files, a point cloud. \
+    The pipeline it writes runs as it is; every line says what it does. Where the data bring no index files it suggests a \
+    split that holds out space, so that no test transmitter stands beside a training one. Nothing is ever \
+    overwritten.\n\nEXAMPLES\n  pwrfgs init data/s23\n  pwrfgs init data/s23 --out pipelines/mine.ron"
+)]
+pub(crate) struct Init {
+    /// The folder with the data
+    #[arg(value_name = "FOLDER", default_value = ".")]
+    pub(crate) folder: PathBuf,
+    /// The pipeline file [default: NAME.ron where you stand, after the folder]
+    #[arg(long, value_name = "FILE")]
+    pub(crate) out: Option<PathBuf>,
+}
+
+/// Settings that do on two cores in under an hour: those of `pipelines/s23-laptop.ron`, which says why.
+const LAPTOP: [&str; 11] = [
+    "deformation=Mlp(depth: 5, width: 128, position_frequencies: 6, tx_frequencies: 5, tx_features: 128, skip: None, outputs: Signals)",
+    "readout=Magnitude",
+    "pruners=[LearnableMask(), OpacityThreshold()]",
+    "training.steps=18000",
+    "training.densify_until=1500",
+    "training.prune_until=4000",
+    "training=(prune_every: 250, validate_every: 500, validation_samples: 200, checkpoint_every: 500)",
+    "training.tx_jitter_m=0.004",
+    "training.optimizer.network=LogLinear(first: 0.002, last: 0.00001)",
+    "training.optimizer.network_decay=0.03",
+    "training.densify=(from: 250, every: 250, gradient_threshold: 0.00002, max_gaussians: 400, reset_every: 0)",
+];
+
+/// Fields of a pipeline that the file shows; the others have their defaults.
+const SHOWN: [&str; 9] =
+    ["name", "seed", "data", "split", "initializer", "deformation", "readout", "pruners", "training"];
+
+pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<ExitCode> {
+    let mut progress = Progress::new(verbosity);
+    let survey = Survey::of(&arguments.folder, &mut progress);
+    progress.finish();
+    let survey = survey?;
+    let out = arguments.out.clone().unwrap_or_else(|| PathBuf::from(format!("{}.ron", survey.name)));
+    if out.symlink_metadata().is_ok() {
+        return Err(Error::input(&out, "exists, and nothing is overwritten; name another file with --out"));
+    }
+    let pipeline = pipeline(&survey, &arguments.folder, &out)?;
+    let text = written(&survey, &pipeline)?;
+    write_new(&out, &text)?;
+    output::result(&format!("{}: {}\nnext: pwrfgs run {}\n", out.display(), survey.sentence(), out.display()))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// What is suggested for these data.
+fn pipeline(survey: &Survey, folder: &Path, out: &Path) -> Result<Pipeline> {
+    // Paths in a pipeline are relative to its file.
+    let beside = out.parent().is_none_or(|parent| parent.as_os_str().is_empty());
+    let root =
+        if beside { folder.to_owned() } else { std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned()) };
+    let path = |path: &Path| {
+        let text = path.to_str().map(|text| format!("{text:?}"));
+        text.ok_or_else(|| Error::input(path, "has a name that is not UTF-8 and cannot stand in a pipeline; rename it"))
+    };
+    let mut set: Vec<String> = LAPTOP.map(str::to_owned).to_vec();
+    set.push(format!("name={}", survey.name));
+    set.push(format!("data=Nerf2Spectrum(root: {})", path(&root)?));
+    set.push(format!("split={}", survey.split));
+    set.push(format!("training.batch={}", survey.train.clamp(1, 32)));
+    match survey.clouds.first() {
+        Some((name, _)) => {
+            set.push(format!("data.points={}", path(&root.join(name))?));
+            set.push("initializer=PointCloud(max_points: 400)".into());
+        }
+        None => set.push("initializer=Grid(count: 200)".into()),
+    }
+    let mut pipeline = Pipeline::parse(example().map_err(Error::Config)?.text(), out)?;
+    pipeline.set_all(&set)?;
+    Ok(pipeline)
+}
+
+/// The text of the file.
+fn written(survey: &Survey, pipeline: &Pipeline) -> Result<String> {
+    let default = example().map_err(Error::Config)?;
+    let value = Value::new(to_ron(pipeline)).map_err(Error::Config)?;
+    let differs = |path: &[&str]| value.at(path) != default.at(path);
+    let shows = |owner: &str, field: &str| match owner {
+        "Pipeline" => SHOWN.contains(&field) || differs(&[field]),
+        "Training" => !["loss", "optimizer", "densify"].contains(&field) || differs(&["training", field]),
+        "Loss" | "Optimizer" | "Densify" => differs(&["training", &owner.to_lowercase(), field]),
+        _ => true,
+    };
+    let style = Style { opens: &|field| field != "receiver", shows: &shows };
+    let body = style.write(&value, Pipeline::kind().docs(), "");
+    let mut text = String::new();
+    for line in survey.notes() {
+        text += &prose::wrapped(&line, "// ", 100);
+    }
+    text += "//\n// What is left out has its default: `pwrfgs plugins` shows everything that could stand here, and \
+             `pwrfgs plugins NAME`\n// a part of it. What a line takes stands in brackets.\n";
+    text += &body;
+    text.push('\n');
+    // What was written must say what was meant.
+    let again = Pipeline::parse(&text, Path::new("the new pipeline"))?;
+    if again.to_ron() != pipeline.to_ron() {
+        return Err(Error::Config("the new pipeline does not read as it was meant; please report this".into()));
+    }
+    Ok(text)
+}
+
+/// Writes a file that must not be there yet.
+fn write_new(path: &Path, text: &str) -> Result<()> {
+    let failed = |e| Error::write(path, e);
+    if let Some(parent) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
+        std::fs::create_dir_all(parent).map_err(|e| Error::write(parent, e))?;
+    }
+    let mut file = OpenOptions::new().write(true).create_new(true).open(path).map_err(failed)?;
+    file.write_all(text.as_bytes()).and_then(|()| file.sync_all()).map_err(|e| {
+        _ = std::fs::remove_file(path); // half a file is worse than none
+        failed(e)
+    })
+}

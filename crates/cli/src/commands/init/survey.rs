@@ -1,0 +1,147 @@
+//! What lies in a folder of data, and which split suits it.
+
+use pwrfgs::data::{Nerf2Spectrum, read_points};
+use pwrfgs::experiment::samples::nearest_train;
+use pwrfgs::experiment::{Observer, staged};
+use pwrfgs_core::{DataSource as _, Dataset, Partition, Plugin, Result, Split, rng};
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+/// Edges of cells that are tried for a split that holds out space, metres; the first with enough cells is taken.
+const EDGES: [f64; 9] = [2.0, 1.0, 0.5, 0.3, 0.2, 0.1, 0.05, 0.02, 0.01];
+/// Enough cells to hold some out.
+const CELLS: usize = 50;
+/// Test transmitters nearer than this to a training one are told of, metres.
+const NEAR: f64 = 0.05;
+
+/// The data and what is suggested for them.
+pub(super) struct Survey {
+    /// A name for the pipeline.
+    pub(super) name: String,
+    title: String,
+    spectra: usize,
+    size: (usize, usize),
+    official: bool,
+    /// The suggested split, as RON.
+    pub(super) split: String,
+    /// Training samples in it.
+    pub(super) train: usize,
+    test: usize,
+    /// Median distance of a test transmitter to the nearest training one, metres.
+    nearest: f64,
+    /// Files that hold a point cloud, and how many points.
+    pub(super) clouds: Vec<(PathBuf, usize)>,
+}
+
+impl Survey {
+    /// Loads the data in `folder`.
+    pub(super) fn of(folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
+        let source = Nerf2Spectrum { root: folder.to_owned(), ..Nerf2Spectrum::default() };
+        let data = staged(observer, "spectra", |progress| source.load(Path::new(""), progress))?;
+        let (split, partition) = suggested(&data)?;
+        let mut distances: Vec<f64> = {
+            let all = nearest_train(&data, &partition);
+            partition.test.iter().map(|&i| f64::from(all[i])).collect()
+        };
+        distances.sort_by(f64::total_cmp);
+        Ok(Self {
+            name: name_of(folder),
+            spectra: data.samples.len(),
+            size: (data.width, data.height),
+            official: data.official.is_some(),
+            split,
+            train: partition.train.len(),
+            test: partition.test.len(),
+            nearest: distances.get(distances.len() / 2).copied().unwrap_or(f64::NAN),
+            clouds: clouds(folder),
+            title: data.title,
+        })
+    }
+
+    /// In one line.
+    pub(super) fn sentence(&self) -> String {
+        let (width, height) = self.size;
+        format!(
+            "{} spectra of {width} x {height} pixels, {} to train on, {} to test",
+            self.spectra, self.train, self.test
+        )
+    }
+
+    /// What a reader of the pipeline should know.
+    pub(super) fn notes(&self) -> Vec<String> {
+        let mut notes = vec![format!("{}: {}. Written by `pwrfgs init`.", self.title, self.sentence())];
+        let near = format!("half of the test transmitters stand within {:.3} m of a training one", self.nearest);
+        notes.push(match (self.official, self.nearest < NEAR) {
+            (true, true) => format!(
+                "The split is that of the data's own index files. With it {near}: copying the spectrum of the nearest \
+                 scores high. `split: Voxel()` holds out space and `split: TimeBlock()` time."
+            ),
+            (true, false) => format!("The split is that of the data's own index files; with it {near}."),
+            (false, _) => format!(
+                "The data bring no index files. The split holds out whole parts, so that no test transmitter stands beside a \
+                 training one by chance; with it {near}."
+            ),
+        });
+        notes.push(match &self.clouds[..] {
+            [] => "There is no point cloud of the room in the folder: Gaussians start on a grid over the sky.".into(),
+            [(name, points), others @ ..] => {
+                let others: Vec<String> = others.iter().map(|(name, _)| name.display().to_string()).collect();
+                let more =
+                    if others.is_empty() { String::new() } else { format!(" Also there: {}.", others.join(", ")) };
+                format!("Gaussians start on {} ({points} points).{more}", name.display())
+            }
+        });
+        notes
+    }
+}
+
+/// A split that does not leak, as RON, and what it gives: the data's own, else cells of space, else a block of time.
+fn suggested(data: &Dataset) -> Result<(String, Partition)> {
+    let try_out = |text: &str| -> Result<Partition> {
+        let split = Plugin::<dyn Split>::parse(text).map_err(pwrfgs_core::Error::Config)?;
+        split.split(data, &mut rng::stream(0, "split", 0))
+    };
+    if data.official.is_some() {
+        return Ok(("Official()".into(), try_out("Official()")?));
+    }
+    let cells = |edge: f64| {
+        let cell = |tx: [f64; 3]| tx.map(|v| (v / edge).floor() as i64);
+        data.samples.iter().map(|s| cell(s.tx)).collect::<BTreeSet<_>>().len()
+    };
+    let edge = EDGES.into_iter().find(|&edge| cells(edge) >= CELLS).map(|edge| format!("Voxel(size_m: {edge})"));
+    let choices = edge.into_iter().chain(["TimeBlock()".into(), "Random()".into()]);
+    let fits = |partition: &Partition| !partition.train.is_empty() && !partition.test.is_empty();
+    for choice in choices {
+        if let Some(partition) = try_out(&choice).ok().filter(fits) {
+            return Ok((choice, partition));
+        }
+    }
+    Ok(("Random()".into(), try_out("Random()")?))
+}
+
+/// Files in the folder that are point clouds and can be read, by name.
+fn clouds(folder: &Path) -> Vec<(PathBuf, usize)> {
+    let is_cloud = |path: &PathBuf| {
+        let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_lowercase();
+        let points = path.file_stem().is_some_and(|name| name.to_string_lossy().to_lowercase().contains("point"));
+        path.is_file() && (extension == "ply" || extension == "xyz" || (extension == "csv" && points))
+    };
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let mut paths: Vec<PathBuf> = entries.filter(is_cloud).collect();
+    paths.sort();
+    let read = |path: PathBuf| {
+        let points = read_points(&path).ok()?.len();
+        Some((PathBuf::from(path.file_name()?), points))
+    };
+    paths.into_iter().filter_map(read).collect()
+}
+
+/// The folder's own name, as a pipeline may be called.
+fn name_of(folder: &Path) -> String {
+    let absolute = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+    let name = absolute.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+    let plain: String =
+        name.chars().map(|c| if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '-' }).collect();
+    let plain = plain.trim_start_matches(['.', '-']).to_owned();
+    if plain.is_empty() { "pipeline".into() } else { plain }
+}

@@ -1,0 +1,215 @@
+//! Everything that can stand in a pipeline or an experiment, from the comments and defaults in the source: what
+//! `pwrfgs plugins` tells, `docs/reference.md` says and `pwrfgs init` writes as comments.
+
+pub(crate) mod commented;
+pub(crate) mod markdown;
+pub(crate) mod prose;
+
+use pwrfgs::prelude::Pipeline;
+use pwrfgs_core::docs::{Body, Docs, Documented, Field, Kind};
+use pwrfgs_core::plugin::{Family, to_ron};
+use pwrfgs_core::ron_tree::Tree;
+use std::path::Path;
+
+/// Not a field: the file itself.
+const EXPERIMENT: &str = "experiment";
+
+/// Some topics under a heading.
+pub(crate) struct Chapter {
+    /// Such as `Pruner`.
+    pub(crate) name: String,
+    /// The pipeline's field that takes it.
+    pub(crate) field: Option<&'static str>,
+    /// What it is for, a sentence.
+    pub(crate) about: String,
+    pub(crate) topics: Vec<Topic>,
+}
+
+/// A struct, an enum or a plugin.
+pub(crate) struct Topic {
+    pub(crate) name: String,
+    /// The fields that lead to it: `loss` for `Loss`.
+    pub(crate) fields: Vec<&'static str>,
+    /// In one line, where there is one.
+    pub(crate) about: String,
+    pub(crate) docs: Option<&'static Docs>,
+    /// How it reads with its defaults, or why there are none.
+    pub(crate) value: Result<Value, String>,
+}
+
+/// A value in its own text.
+#[derive(Clone)]
+pub(crate) struct Value {
+    text: String,
+    tree: Tree,
+}
+
+impl Value {
+    /// The value that `text` is, which a serialiser or parser has seen.
+    pub(crate) fn new(text: String) -> Result<Self, String> {
+        Ok(Self { tree: Tree::parse(&text)?, text })
+    }
+
+    /// Its text.
+    pub(crate) fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// The text of a value inside.
+    pub(crate) fn at(&self, path: &[&str]) -> Option<&str> {
+        let inside = path.iter().try_fold(&self.tree, |tree, field| tree.field(field));
+        inside.map(|tree| tree.of(&self.text))
+    }
+
+    /// One of its fields, in one line.
+    fn field(&self, field: &Field) -> Option<String> {
+        self.tree.field(field.name).map(|tree| commented::short(Some(&(field.kind)()), tree, &self.text))
+    }
+
+    /// One of its fields as a value of its own.
+    fn part(&self, name: &str) -> Option<Self> {
+        Self::new(self.tree.field(name)?.of(&self.text).to_owned()).ok()
+    }
+}
+
+/// The whole, in the order of a pipeline's fields.
+pub(crate) fn chapters() -> Vec<Chapter> {
+    let pipeline = example();
+    let mut settings = Vec::new();
+    let mut plugins = Vec::new();
+    let fields = Pipeline::kind().docs().map_or(&[][..], Docs::fields);
+    for field in fields {
+        match inner(&(field.kind)()) {
+            Kind::Plugin(kind) => plugins.extend(Family::find(kind).map(|family| plugin_chapter(family, field))),
+            Kind::Of(docs) => {
+                let value = pipeline.as_ref().ok().and_then(|p| p.part(field.name));
+                collect(docs, field.name, value, &mut settings);
+            }
+            _ => {}
+        }
+    }
+    let topic = |name: &str, kind: &Kind, value| Topic {
+        name: name.into(),
+        fields: Vec::new(),
+        about: String::new(),
+        docs: kind.docs(),
+        value,
+    };
+    let whole = Chapter {
+        name: "Pipeline".into(),
+        field: None,
+        about: "A run, as `pwrfgs run` reads it.".into(),
+        topics: vec![topic("Pipeline", &Pipeline::kind(), pipeline)],
+    };
+    let settings = Chapter {
+        name: "Settings".into(),
+        field: None,
+        about: "What a pipeline gives without naming a plugin.".into(),
+        topics: settings,
+    };
+    let mut all = vec![whole, settings];
+    all.extend(plugins);
+    all.push(experiment());
+    all
+}
+
+/// A pipeline with nothing but what it must have.
+pub(crate) fn example() -> Result<Value, String> {
+    let required = Pipeline::REQUIRED.map(|(field, value)| format!("{field}: {value}")).join(", ");
+    let pipeline =
+        Pipeline::parse(&format!("Pipeline({required})"), Path::new("example")).map_err(|e| e.to_string())?;
+    Value::new(to_ron(&pipeline))
+}
+
+/// All plugins of one kind, and the types of their fields.
+fn plugin_chapter(family: &'static Family, field: &'static Field) -> Chapter {
+    let mut topics = Vec::new();
+    let mut types = Vec::new();
+    for member in (family.members)() {
+        let value = member.text.and_then(Value::new);
+        if let Some(docs) = member.docs {
+            parts(docs.fields(), value.as_ref().ok(), &mut types);
+        }
+        let about = member.about.into();
+        topics.push(Topic { name: member.name.into(), fields: Vec::new(), about, docs: member.docs, value });
+    }
+    topics.extend(types);
+    Chapter { name: family.kind.into(), field: Some(field.name), about: prose::line(field.text), topics }
+}
+
+/// The experiment file.
+fn experiment() -> Chapter {
+    use pwrfgs::experiment::sweep::{Experiment, Slurm};
+    let mut topics = Vec::new();
+    if let Some(docs) = Experiment::kind().docs() {
+        collect(docs, EXPERIMENT, None, &mut topics);
+    }
+    if let Some(slurm) = topics.iter_mut().find(|topic| topic.name == "Slurm") {
+        slurm.value = Value::new(to_ron(&Slurm::default()));
+    }
+    let about = "A sweep, as `pwrfgs sweep` reads it.".into();
+    Chapter { name: "Experiment".into(), field: None, about, topics }
+}
+
+/// A type that `field` leads to, and all types that it leads to, each once.
+fn collect(docs: &'static Docs, field: &'static str, value: Option<Value>, topics: &mut Vec<Topic>) {
+    if let Some(known) = topics.iter_mut().find(|t| t.docs.is_some_and(|d| std::ptr::eq(d, docs))) {
+        if !known.fields.contains(&field) {
+            known.fields.push(field);
+        }
+        return;
+    }
+    topics.push(Topic {
+        name: docs.name.into(),
+        fields: if field == EXPERIMENT { Vec::new() } else { vec![field] },
+        about: String::new(),
+        docs: Some(docs),
+        value: value.clone().ok_or_else(|| "it has no defaults".into()),
+    });
+    match docs.body {
+        Body::Fields(fields) => parts(fields, value.as_ref(), topics),
+        Body::Variants(variants) => variants.iter().for_each(|v| parts(v.fields, None, topics)),
+    }
+}
+
+fn parts(fields: &'static [Field], value: Option<&Value>, topics: &mut Vec<Topic>) {
+    for field in fields {
+        if let Kind::Of(docs) = inner(&(field.kind)()) {
+            collect(docs, field.name, value.and_then(|v| v.part(field.name)), topics);
+        }
+    }
+}
+
+/// Through options, lists and maps.
+fn inner(kind: &Kind) -> Kind {
+    match kind {
+        Kind::Optional(kind) | Kind::List(kind) | Kind::Map(kind) => inner(kind),
+        other => other.clone(),
+    }
+}
+
+impl Chapter {
+    /// Whether it is meant by `name`, in lower case.
+    pub(crate) fn is_called(&self, name: &str) -> bool {
+        self.name.to_lowercase() == name || self.field.is_some_and(|field| field == name)
+    }
+}
+
+impl Topic {
+    /// Whether it is meant by `name`, in lower case.
+    pub(crate) fn is_called(&self, name: &str) -> bool {
+        self.name.to_lowercase() == name || self.fields.contains(&name)
+    }
+}
+
+/// What a field takes, in words; an enum by its variants.
+pub(crate) fn takes(kind: &Kind) -> String {
+    match kind {
+        Kind::Of(Docs { name, body: Body::Variants(variants), .. }) => {
+            let names: Vec<&str> = variants.iter().map(|v| v.name).collect();
+            format!("{name}: {}", names.join(", "))
+        }
+        Kind::Optional(inner) => format!("{} or None", takes(inner)),
+        other => other.words(),
+    }
+}

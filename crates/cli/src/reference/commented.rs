@@ -1,0 +1,109 @@
+//! RON with a comment above every field: what it takes and what it does.
+
+use super::{Value, prose, takes};
+use pwrfgs_core::docs::{Docs, Field, Kind};
+use pwrfgs_core::plugin::Family;
+use pwrfgs_core::ron_tree::{Body, Tree};
+use std::fmt::Write as _;
+
+/// Signs a line.
+const WIDTH: usize = 110;
+
+/// How a value is written.
+pub(crate) struct Style<'a> {
+    /// Whether the field of this name is opened, each field inside in a line of its own.
+    pub(crate) opens: &'a dyn Fn(&str) -> bool,
+    /// Whether the field of a value, both by name, is shown.
+    pub(crate) shows: &'a dyn Fn(&str, &str) -> bool,
+}
+
+impl Style<'_> {
+    /// Everything, nested values in one line.
+    pub(crate) const FLAT: Self = Style { opens: &|_| false, shows: &|_, _| true };
+
+    /// The value with the comments of `docs`, every line after `indent`; no indent before its first line, none after its last.
+    pub(crate) fn write(&self, value: &Value, docs: Option<&'static Docs>, indent: &str) -> String {
+        let mut out = String::new();
+        self.tree(&value.tree, &value.text, docs, indent, &mut out);
+        out
+    }
+
+    fn tree(&self, tree: &Tree, text: &str, docs: Option<&'static Docs>, indent: &str, out: &mut String) {
+        let Body::Fields(fields) = &tree.body else {
+            out.push_str(&compact(tree, text));
+            return;
+        };
+        _ = writeln!(out, "{}(", tree.name.as_deref().unwrap_or_default());
+        let inside = format!("{indent}    ");
+        let own = tree.name.as_deref().unwrap_or_default();
+        for (name, value) in fields.iter().filter(|(name, _)| (self.shows)(own, name)) {
+            let field = docs.and_then(|d| d.field(tree.name.as_deref(), name));
+            if let Some(field) = field {
+                out.push_str(&comment(field, &inside));
+            }
+            _ = write!(out, "{inside}{name}: ");
+            let kind = field.map(|f| (f.kind)());
+            match (&value.body, (self.opens)(name)) {
+                (Body::Fields(_), true) => self.tree(value, text, docs_at(kind.as_ref(), value), &inside, out),
+                (Body::Items(items), true) if !items.is_empty() => {
+                    out.push_str("[\n");
+                    for item in items {
+                        let deeper = format!("{inside}    ");
+                        out.push_str(&deeper);
+                        self.tree(item, text, docs_at(kind.as_ref(), item), &deeper, out);
+                        out.push_str(",\n");
+                    }
+                    _ = write!(out, "{inside}]");
+                }
+                _ => out.push_str(&short(kind.as_ref(), value, text)),
+            }
+            out.push_str(",\n");
+        }
+        _ = write!(out, "{indent})");
+    }
+}
+
+/// A field's comment, with what it takes.
+fn comment(field: &Field, indent: &str) -> String {
+    let words = format!("{} [{}]", prose::line(field.text), takes(&(field.kind)()));
+    prose::wrapped(&words, &format!("{indent}// "), WIDTH)
+}
+
+/// The comments on what stands in a place of this kind.
+fn docs_at(kind: Option<&Kind>, value: &Tree) -> Option<&'static Docs> {
+    match kind? {
+        Kind::Of(docs) => Some(docs),
+        Kind::Plugin(kind) => {
+            let members = (Family::find(kind)?.members)();
+            members.iter().find(|m| Some(m.name) == value.name.as_deref())?.docs
+        }
+        Kind::Optional(inner) | Kind::List(inner) => docs_at(Some(inner), value),
+        _ => None,
+    }
+}
+
+/// A value in one line; settings that need not say anything say nothing.
+pub(crate) fn short(kind: Option<&Kind>, tree: &Tree, text: &str) -> String {
+    match kind {
+        Some(Kind::Of(docs)) if !docs.fields().is_empty() && docs.fields().iter().all(|f| f.optional) => {
+            format!("{}()", docs.name)
+        }
+        _ => compact(tree, text),
+    }
+}
+
+/// A value in one line.
+pub(crate) fn compact(tree: &Tree, text: &str) -> String {
+    let name = tree.name.as_deref().unwrap_or_default();
+    let list = |items: &[Tree]| items.iter().map(|item| compact(item, text)).collect::<Vec<_>>().join(", ");
+    match &tree.body {
+        Body::Plain => tree.of(text).to_owned(),
+        Body::Fields(fields) => {
+            let fields: Vec<String> =
+                fields.iter().map(|(n, value)| format!("{n}: {}", compact(value, text))).collect();
+            format!("{name}({})", fields.join(", "))
+        }
+        Body::Items(items) if tree.of(text).starts_with('[') => format!("[{}]", list(items)),
+        Body::Items(items) => format!("{name}({})", list(items)),
+    }
+}

@@ -1,0 +1,141 @@
+//! The reference as a page of Markdown, `docs/reference.md`.
+
+use super::{Chapter, Topic, Value, chapters, prose, takes};
+use pwrfgs::prelude::Pipeline;
+use pwrfgs_core::docs::{Body, Docs, Field, Variant};
+use std::fmt::Write as _;
+
+/// The page.
+pub(crate) fn page() -> String {
+    let mut out = String::from(
+        "# Reference\n\nEverything that a pipeline or an experiment can name, with defaults.\nThis page is \
+         written by `pwrfgs plugins --markdown` from the comments in the source, and a test holds it to them; \
+         `pwrfgs plugins NAME` shows a part of it in the terminal.\n\n",
+    );
+    let chapters = chapters();
+    for chapter in &chapters {
+        let topics: Vec<String> = chapter.topics.iter().map(|t| format!("`{}`", t.name)).collect();
+        let field = chapter.field.map_or_else(String::new, |field| format!(" (`{field}`)"));
+        _ = writeln!(out, "- **{}**{field}: {}", chapter.name, topics.join(", "));
+    }
+    for chapter in &chapters {
+        let field = chapter.field.map_or_else(String::new, |field| format!(": field `{field}`"));
+        _ = writeln!(out, "\n## {}{field}\n\n{}", chapter.name, sentences(&chapter.about));
+        chapter.topics.iter().for_each(|topic| write_topic(&mut out, chapter, topic));
+    }
+    out
+}
+
+fn write_topic(out: &mut String, chapter: &Chapter, topic: &Topic) {
+    if chapter.name != topic.name {
+        _ = writeln!(out, "\n### {}", title(topic));
+    }
+    if !topic.about.is_empty() {
+        _ = writeln!(out, "\n*{}*", topic.about);
+    }
+    let Some(docs) = topic.docs else {
+        match &topic.value {
+            Ok(value) => _ = writeln!(out, "\n```ron\n{}\n```", value.text),
+            Err(why) => _ = writeln!(out, "\nIt has no defaults: {why}"),
+        }
+        return;
+    };
+    let mut table = false;
+    for paragraph in prose::paragraphs(docs.text) {
+        let row = paragraph.starts_with('|');
+        _ = writeln!(
+            out,
+            "{}{}",
+            if row && table { "" } else { "\n" },
+            if row { paragraph.clone() } else { sentences(&paragraph) }
+        );
+        table = row;
+    }
+    write_body(out, docs, topic.value.as_ref().ok());
+}
+
+/// Its name, with the fields that take it.
+pub(crate) fn title(topic: &Topic) -> String {
+    match &topic.fields[..] {
+        [] => topic.name.clone(),
+        [field] => format!("{} (field `{field}`)", topic.name),
+        fields => format!("{} (fields `{}`)", topic.name, fields.join("`, `")),
+    }
+}
+
+fn write_body(out: &mut String, docs: &Docs, value: Option<&Value>) {
+    match docs.body {
+        Body::Fields([]) => _ = writeln!(out, "\nIt has no fields."),
+        Body::Fields(fields) => {
+            _ = writeln!(out, "\n| field | takes | default | what it is |\n|---|---|---|---|");
+            for field in fields {
+                let default =
+                    if docs.name == "Pipeline" && Pipeline::REQUIRED.iter().any(|(name, _)| *name == field.name) {
+                        "must be given".into()
+                    } else {
+                        default(field, value)
+                    };
+                row(out, &[&format!("`{}`", field.name), &takes(&(field.kind)()), &default, &prose::line(field.text)]);
+            }
+        }
+        Body::Variants(variants) => {
+            _ = writeln!(out, "\n| variant | what it is |\n|---|---|");
+            for variant in variants {
+                row(out, &[&format!("`{}`", form(variant)), &meaning(variant)]);
+            }
+        }
+    }
+}
+
+/// What a field is where nothing is said.
+fn default(field: &Field, value: Option<&Value>) -> String {
+    match value.and_then(|v| v.field(field)) {
+        Some(text) => format!("`{text}`"),
+        None if field.optional => "may be left out".into(),
+        None => "must be given".into(),
+    }
+}
+
+/// `LogLinear(first: number, last: number, steps: whole number)`.
+pub(crate) fn form(variant: &Variant) -> String {
+    let field = |f: &Field| {
+        let words = (f.kind)().words();
+        if variant.named { format!("{}: {words}", f.name) } else { words }
+    };
+    let fields: Vec<String> = variant.fields.iter().map(field).collect();
+    if fields.is_empty() { variant.name.into() } else { format!("{}({})", variant.name, fields.join(", ")) }
+}
+
+/// A variant's comment, and those of its fields.
+pub(crate) fn meaning(variant: &Variant) -> String {
+    let field = |f: &Field| {
+        let optional = if f.optional { " (may be left out)" } else { "" };
+        format!(" `{}`{optional}: {}", f.name, prose::line(f.text))
+    };
+    let fields: String = variant.fields.iter().filter(|_| variant.named).map(field).collect();
+    prose::line(variant.text) + &fields
+}
+
+fn row(out: &mut String, cells: &[&str]) {
+    let cells: Vec<String> = cells.iter().map(|cell| cell.replace('|', "\\|")).collect();
+    _ = writeln!(out, "| {} |", cells.join(" | "));
+}
+
+/// One sentence a line, as all pages of this project have it.
+fn sentences(text: &str) -> String {
+    let mut out = String::new();
+    let mut words = text.split(' ').peekable();
+    while let Some(word) = words.next() {
+        out.push_str(word);
+        let begins = words.peek().is_some_and(|next| next.starts_with(|c: char| c.is_uppercase() || c == '`'));
+        let ends = word.ends_with('.') && !["e.g.", "i.e.", "eq.", "eqs.", "al."].contains(&word);
+        out.push_str(if words.peek().is_none() {
+            ""
+        } else if ends && begins {
+            "\n"
+        } else {
+            " "
+        });
+    }
+    out
+}

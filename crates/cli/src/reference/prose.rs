@@ -1,0 +1,76 @@
+//! Doc comments as plain text: without code, with links as names, in lines.
+
+/// The paragraphs of a doc comment without its examples and tables' rulers, each in one line; a table keeps its lines.
+pub(crate) fn paragraphs(text: &str) -> Vec<String> {
+    let mut all: Vec<String> = Vec::new();
+    let (mut code, mut open) = (false, false);
+    for line in text.lines() {
+        if line.starts_with("```") {
+            code = !code;
+            open = false;
+        } else if !code && line.is_empty() {
+            open = false;
+        } else if !code {
+            let own = line.starts_with('|') || line.starts_with("* ") || line.starts_with('#');
+            match all.last_mut() {
+                Some(last) if open && !own => {
+                    last.push(' ');
+                    last.push_str(line.trim());
+                }
+                _ => all.push(line.trim().trim_start_matches("# ").to_owned()),
+            }
+            open = !line.starts_with('|');
+        }
+    }
+    all.iter().map(|paragraph| without_links(paragraph)).collect()
+}
+
+/// A doc comment in one line.
+pub(crate) fn line(text: &str) -> String {
+    paragraphs(text).join(" ")
+}
+
+/// `` [`crate::TopK`](..) `` as `` `TopK` ``.
+fn without_links(text: &str) -> String {
+    let mut plain = String::new();
+    let mut rest = text;
+    while let Some((before, link)) = rest.split_once("[`") {
+        let Some((name, after)) = link.split_once("`]") else { break };
+        let name = name.rsplit("::").next().unwrap_or(name);
+        plain.push_str(&format!("{before}`{name}`"));
+        rest = match after.strip_prefix('(').and_then(|a| a.split_once(')')) {
+            Some((_, after)) => after,
+            None => after,
+        };
+    }
+    plain + rest
+}
+
+/// Lines of at most `width` signs, each after `start`.
+pub(crate) fn wrapped(text: &str, start: &str, width: usize) -> String {
+    let mut out = String::new();
+    let mut used = 0;
+    for word in text.split_whitespace() {
+        let length = word.chars().count();
+        if used > 0 && used + 1 + length > width {
+            out.push('\n');
+            used = 0;
+        }
+        out.push_str(if used == 0 { start } else { " " });
+        out.push_str(word);
+        used += if used == 0 { start.chars().count() + length } else { 1 + length };
+    }
+    out + "\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn comments_become_prose() {
+        let text = "One [`crate::TopK`] of\ntwo [`Random`](x::Random).\n\n```\nlet a;\n```\n\n| a |\n| b |";
+        assert_eq!(paragraphs(text), ["One `TopK` of two `Random`.", "| a |", "| b |"]);
+        assert_eq!(wrapped("aa bb cc", "// ", 8), "// aa bb\n// cc\n");
+    }
+}

@@ -1,0 +1,281 @@
+//! RON text as a tree of places: where each value stands and what its fields are called. Types, numbers and names of
+//! variants are left to the parser; this is for changing a value in its text, which loses nothing, and for comments on it.
+
+use std::ops::Range;
+
+/// Values nested deeper than this are no settings.
+const DEEPEST: usize = 100;
+
+/// A value in a text.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tree {
+    /// Where it stands, in bytes.
+    pub span: Range<usize>,
+    /// Its name: `Mercator` of `Mercator(blur: 0.3)`, `true` of `true`.
+    pub name: Option<String>,
+    /// What it holds.
+    pub body: Body,
+    /// Whether it is a text.
+    pub quoted: bool,
+}
+
+/// What a value holds.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Body {
+    /// Nothing that is named or counted: a number, a text, a name alone, a map.
+    Plain,
+    /// Fields, in parentheses.
+    Fields(Vec<(String, Tree)>),
+    /// Values without names, in brackets or parentheses.
+    Items(Vec<Tree>),
+}
+
+impl Tree {
+    /// The value that is the whole of `text`.
+    ///
+    /// # Errors
+    /// What is wrong, with the byte where it is.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let mut reader = Reader { text, at: 0 };
+        let tree = reader.value(0)?;
+        reader.space()?;
+        if reader.at < text.len() { Err(reader.unexpected("the end")) } else { Ok(tree) }
+    }
+
+    /// The field called `name`.
+    pub fn field(&self, name: &str) -> Option<&Self> {
+        self.fields().iter().find(|(field, _)| field == name).map(|(_, tree)| tree)
+    }
+
+    /// All fields; none where the value has no named ones.
+    pub fn fields(&self) -> &[(String, Self)] {
+        if let Body::Fields(fields) = &self.body { fields } else { &[] }
+    }
+
+    /// All values without names; none where there are fields.
+    pub fn items(&self) -> &[Self] {
+        if let Body::Items(items) = &self.body { items } else { &[] }
+    }
+
+    /// Its own text in that of the whole.
+    pub fn of<'a>(&self, text: &'a str) -> &'a str {
+        &text[self.span.clone()]
+    }
+}
+
+struct Reader<'a> {
+    text: &'a str,
+    at: usize,
+}
+
+impl Reader<'_> {
+    fn rest(&self) -> &str {
+        &self.text[self.at..]
+    }
+
+    fn peek(&self) -> Option<char> {
+        self.rest().chars().next()
+    }
+
+    fn unexpected(&self, wanted: &str) -> String {
+        match self.peek() {
+            Some(found) => format!("expected {wanted} and found `{}`", found.escape_debug()),
+            None => format!("expected {wanted}, but it ends"),
+        }
+    }
+
+    /// Spaces and comments.
+    fn space(&mut self) -> Result<(), String> {
+        loop {
+            self.at += self.rest().len() - self.rest().trim_start().len();
+            if self.rest().starts_with("//") {
+                self.at += self.rest().find('\n').unwrap_or(self.rest().len());
+            } else if self.rest().starts_with("/*") {
+                self.at += self.rest().find("*/").ok_or("a comment `/*` does not end")? + 2;
+            } else {
+                return Ok(());
+            }
+        }
+    }
+
+    fn take(&mut self, sign: char) -> bool {
+        let found = self.rest().starts_with(sign);
+        self.at += if found { sign.len_utf8() } else { 0 };
+        found
+    }
+
+    /// Letters, digits and `_` from here on; for a number also what signs and points it has.
+    fn word(&mut self, more: &str) -> &str {
+        let end = self.rest().find(|c: char| !(c.is_alphanumeric() || c == '_' || more.contains(c)));
+        let (from, length) = (self.at, end.unwrap_or(self.rest().len()));
+        self.at += length;
+        &self.text[from..from + length]
+    }
+
+    fn value(&mut self, depth: usize) -> Result<Tree, String> {
+        if depth > DEEPEST {
+            return Err("values are nested too deep".into());
+        }
+        self.space()?;
+        let from = self.at;
+        let (mut name, mut body) = (None, Body::Plain);
+        match self.peek() {
+            Some('"') => self.quoted()?,
+            Some('\'') => self.character()?,
+            Some('b') if self.rest().starts_with("b\"") => {
+                self.at += 1;
+                self.quoted()?;
+            }
+            Some('r') if self.rest()[1..].trim_start_matches('#').starts_with('"') => self.raw()?,
+            Some('[') => body = Body::Items(self.items('[', ']', depth)?),
+            Some('{') => self.map(depth)?,
+            Some('(') => body = self.structure(depth)?,
+            Some(c) if c.is_alphabetic() || c == '_' => {
+                name = Some(self.word("").to_owned());
+                let end = self.at;
+                self.space()?;
+                if self.peek() == Some('(') { body = self.structure(depth)? } else { self.at = end }
+            }
+            Some(c) if c.is_ascii_digit() || "+-.".contains(c) => _ = self.word("+-."),
+            _ => return Err(self.unexpected("a value")),
+        }
+        let text = &self.text[from..self.at];
+        let quoted = text.ends_with('"') || (text.starts_with('r') && text.ends_with('#'));
+        Ok(Tree { span: from..self.at, name, body, quoted })
+    }
+
+    /// `"text"`.
+    fn quoted(&mut self) -> Result<(), String> {
+        self.take('"');
+        let mut escaped = false;
+        for (i, c) in self.rest().char_indices() {
+            match c {
+                '"' if !escaped => {
+                    self.at += i + 1;
+                    return Ok(());
+                }
+                _ => escaped = c == '\\' && !escaped,
+            }
+        }
+        Err("a text does not end; it lacks a `\"`".into())
+    }
+
+    /// `r#"text"#`.
+    fn raw(&mut self) -> Result<(), String> {
+        let marks = self.rest()[1..].find('"').unwrap_or(0);
+        let (start, end) = (marks + 2, format!("\"{}", "#".repeat(marks)));
+        let length = self.rest()[start..].find(&end).ok_or("a raw text does not end")?;
+        self.at += start + length + end.len();
+        Ok(())
+    }
+
+    /// `'c'`.
+    fn character(&mut self) -> Result<(), String> {
+        let inside = self.rest().char_indices().skip(if self.rest().starts_with("'\\") { 3 } else { 2 });
+        let end = inside.filter(|(_, c)| *c == '\'').map(|(i, _)| i).next().ok_or("a character lacks its `'`")?;
+        self.at += end + 1;
+        Ok(())
+    }
+
+    /// `(field: value, ..)` or `(value, ..)`.
+    fn structure(&mut self, depth: usize) -> Result<Body, String> {
+        let from = self.at;
+        self.take('(');
+        self.space()?;
+        let named = !self.word("").is_empty() && {
+            self.space()?;
+            self.take(':')
+        };
+        self.at = from;
+        if !named {
+            return Ok(Body::Items(self.items('(', ')', depth)?));
+        }
+        let mut fields = Vec::new();
+        self.take('(');
+        loop {
+            self.space()?;
+            if self.take(')') {
+                return Ok(Body::Fields(fields));
+            }
+            let name = self.word("").to_owned();
+            self.space()?;
+            if name.is_empty() || !self.take(':') {
+                return Err(self.unexpected("`field: value`"));
+            }
+            fields.push((name, self.value(depth + 1)?));
+            self.comma(')')?;
+        }
+    }
+
+    fn items(&mut self, open: char, close: char, depth: usize) -> Result<Vec<Tree>, String> {
+        let mut items = Vec::new();
+        self.take(open);
+        loop {
+            self.space()?;
+            if self.take(close) {
+                return Ok(items);
+            }
+            items.push(self.value(depth + 1)?);
+            self.comma(close)?;
+        }
+    }
+
+    fn map(&mut self, depth: usize) -> Result<(), String> {
+        self.take('{');
+        loop {
+            self.space()?;
+            if self.take('}') {
+                return Ok(());
+            }
+            self.value(depth + 1)?;
+            self.space()?;
+            if !self.take(':') {
+                return Err(self.unexpected("`:`"));
+            }
+            self.value(depth + 1)?;
+            self.comma('}')?;
+        }
+    }
+
+    /// A comma, unless the end follows.
+    fn comma(&mut self, close: char) -> Result<(), String> {
+        self.space()?;
+        if self.take(',') || self.peek() == Some(close) {
+            return Ok(());
+        }
+        Err(self.unexpected(&format!("`,` or `{close}`")))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(text: &str) -> Tree {
+        Tree::parse(text).unwrap_or_else(|e| panic!("{text}: {e}"))
+    }
+
+    #[test]
+    fn every_value_has_its_place() {
+        let text = r##"P(a: -1.5e-3, /* b */ b: [X(), Y(1, "),\"("), true], // c
+            c: (d: r#"a"#, e: {"x": (1, 2)}, f: 'x', g: '\'', h: None),)"##;
+        let tree = of(text);
+        assert_eq!(tree.name.as_deref(), Some("P"));
+        let read = |name: &str| tree.field(name).unwrap().of(text);
+        assert_eq!((read("a"), read("b")), ("-1.5e-3", r#"[X(), Y(1, "),\"("), true]"#));
+        let c: Vec<&str> = tree.field("c").unwrap().fields().iter().map(|(_, t)| t.of(text)).collect();
+        assert_eq!(c, [r##"r#"a"#"##, r#"{"x": (1, 2)}"#, "'x'", r"'\''", "None"]);
+        let Body::Items(items) = &tree.field("b").unwrap().body else { panic!() };
+        assert_eq!(items[0].name.as_deref(), Some("X"));
+        assert_eq!(of(" 5 ").span, 1..2);
+    }
+
+    #[test]
+    fn what_is_no_value_is_refused() {
+        for text in ["", "(", "(a: )", "(a: 1", "[1 2]", "\"a", "r#\"a\"", "'", "own/a", "{1}", "1 2", "é(", "/*", ")"]
+        {
+            assert!(Tree::parse(text).is_err(), "{text}");
+        }
+        assert!(Tree::parse(&"[".repeat(100_000)).is_err());
+    }
+}
