@@ -20,3 +20,4 @@ mod reference;
 mod registry;
 mod robustness;
 mod stopping;
+mod supply_chain;
