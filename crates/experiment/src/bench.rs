@@ -31,6 +31,14 @@ struct Subject<'a> {
     timed: Option<&'a dyn Fn([f64; 3]) -> StageTimes>,
 }
 
+/// A score of numbers that are none would be one more.
+fn refuse_infinite(name: &str, predictions: &[Image]) -> Result<()> {
+    if predictions.iter().all(|image| image.pixels.iter().all(|p| p.is_finite())) {
+        return Ok(());
+    }
+    Err(Error::Config(format!("{name} predicts numbers that are not finite; a model: train it anew with lower rates")))
+}
+
 /// A part of the data set to score on.
 #[derive(Debug)]
 pub struct Bench<'a> {
@@ -113,6 +121,7 @@ impl<'a> Bench<'a> {
         let (mut predictions, mut truths) = (Vec::new(), Vec::new());
         staged(observer, &format!("predicting with {name}"), |progress| {
             self.chunks(subject, stop, progress, &mut |some, of_them| {
+                refuse_infinite(name, &some)?;
                 let seen = self.seen(&some, &of_them, subject.facts, None);
                 for (found, metric) in found.iter_mut().zip(metrics).filter(|(_, m)| m.scope() == Scope::Sample) {
                     append(found, metric.evaluate(&seen)?, some.len())?;
