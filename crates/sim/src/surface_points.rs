@@ -89,8 +89,8 @@ pub fn write_ply(points: &SurfacePoints, comment: &str, file: &mut impl Write) -
     let count = points.points.len();
     write!(file, "ply\nformat binary_little_endian 1.0\n{lines}element vertex {count}\n{properties}end_header\n")?;
     for (point, normal) in points.points.iter().zip(&points.normals) {
-        let row = [point, normal].map(DVec3::to_array);
-        row.iter().flatten().try_for_each(|value| file.write_all(&(*value as f32).to_le_bytes()))?;
+        let row = [point.x, point.y, point.z, normal.x, normal.y, normal.z].map(|value| (value as f32).to_le_bytes());
+        file.write_all(row.as_flattened())?;
     }
     Ok(())
 }
