@@ -55,10 +55,10 @@ pub fn write(recipe: &Recipe, paths: bool, out: &Path, progress: Progress<'_>) -
     write_until(recipe, paths, out, progress, &AtomicBool::new(false))
 }
 
-/// As [`write`], and leaves nothing behind once `stop` is set.
+/// As [`write()`], and leaves nothing behind once `stop` is set.
 ///
 /// # Errors
-/// Those of [`write`], and [`Error::Stopped`].
+/// Those of [`write()`], and [`Error::Stopped`].
 pub fn write_until(recipe: &Recipe, paths: bool, out: &Path, progress: Progress<'_>, stop: &AtomicBool) -> Result<()> {
     let Some(name) = out.file_name().filter(|_| !out.is_symlink()) else {
         return Err(Error::input(out, "is no name for a new folder; choose another"));
