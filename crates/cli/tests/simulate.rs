@@ -1,6 +1,9 @@
 //! `pwrfgs simulate`: a folder that the rest of the program reads, and mistakes that leave nothing behind.
-use crate::common::{call, stderr, stdout};
+use crate::common::{call, pwrfgs, stderr, stdout};
 use std::fs;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
 
 const SCENE: &str = r#"(
     name: "closet",
@@ -67,4 +70,80 @@ fn mistakes_leave_nothing_behind() {
     let mut left: Vec<_> = fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name()).collect();
     left.sort();
     assert_eq!(left, ["brik.ron", "far.ron"]);
+}
+
+/// What stands in a folder, sorted.
+fn entries(folder: &Path) -> Vec<String> {
+    let mut names: Vec<String> =
+        fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+/// A simulation that would take long, once its first picture is there.
+fn begun(folder: &Path) -> Child {
+    let arguments = ["simulate", "closet.ron", "--samples", "99999", "--out", "out", "-q"];
+    let mut child = pwrfgs(folder).args(arguments).stderr(Stdio::null()).spawn().unwrap();
+    let end = Instant::now() + Duration::from_secs(60);
+    let is_begun = || {
+        let folders = entries(folder).into_iter().filter(|name| name.starts_with(".out."));
+        folders.into_iter().any(|name| folder.join(name).join("spectrum/00001.png").exists())
+    };
+    while !is_begun() {
+        assert!(child.try_wait().unwrap().is_none() && Instant::now() < end, "no picture in a minute");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    child
+}
+
+#[test]
+#[cfg(unix)]
+fn a_stopped_simulation_leaves_nothing_and_a_killed_one_until_the_next() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    fs::write(folder.join("closet.ron"), SCENE).unwrap();
+    let mut child = begun(folder);
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    assert_eq!(entries(folder), ["closet.ron"]);
+
+    let mut child = begun(folder);
+    child.kill().unwrap(); // SIGKILL
+    child.wait().unwrap();
+    assert_eq!(entries(folder).len(), 2, "{:?}", entries(folder));
+    // One that still works is left alone, by name and by lock.
+    let mut child = begun(folder);
+    assert_eq!(entries(folder).len(), 2, "{:?}", entries(folder));
+    let made = call(folder, &["simulate", "closet.ron", "--samples", "5", "--points", "10", "--out", "out"]);
+    assert!(made.status.success(), "{}", stderr(&made));
+    assert!(child.try_wait().unwrap().is_none());
+    assert_eq!(entries(folder).len(), 3, "{:?}", entries(folder));
+    child.kill().unwrap();
+    child.wait().unwrap();
+    fs::remove_dir_all(folder.join("out")).unwrap();
+    let made = call(folder, &["simulate", "closet.ron", "--samples", "5", "--points", "10", "--out", "out"]);
+    assert!(made.status.success(), "{}", stderr(&made));
+    assert_eq!(entries(folder), ["closet.ron", "out"]);
+}
+
+#[test]
+#[cfg(unix)]
+fn the_cache_is_cleared_of_what_was_killed() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    fs::write(folder.join("closet.ron"), SCENE).unwrap();
+    let mut child = begun(folder);
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let left = entries(folder).into_iter().find(|name| name.starts_with(".out.")).unwrap();
+    fs::create_dir(folder.join("cache")).unwrap();
+    fs::rename(folder.join(&left), folder.join("cache").join(&left)).unwrap();
+    let data = "Teacher(gaussians: 4, samples: 40, width: 48, height: 12)";
+    let source = "Simulated(scene: \"closet.ron\", samples: 10, points: 50)";
+    fs::write(folder.join("small.ron"), crate::common::SMALL.replace(data, source).replace("steps: 60,", "steps: 41,"))
+        .unwrap();
+    let run = pwrfgs(folder).args(["run", "small.ron"]).env("PWRFGS_CACHE", folder.join("cache")).output().unwrap();
+    assert!(run.status.success(), "{}", stderr(&run));
+    let kept = entries(&folder.join("cache"));
+    assert!(kept.len() == 1 && kept[0].starts_with("closet-"), "{kept:?}");
 }

@@ -17,6 +17,9 @@ const MOST_IMAGES: usize = 2_000_000;
 /// Most pairs of image and face that are tried: more would take minutes.
 const MOST_TRIALS: usize = 500_000_000;
 
+/// Pairs that take longer than somebody waits without a word: some ten seconds.
+const SLOW_TRIALS: usize = 50_000_000;
+
 /// How often a path may be reflected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Orders {
@@ -64,6 +67,12 @@ impl ImageTree {
             trials += beams.len() * candidates as usize;
             if trials > MOST_TRIALS {
                 return None; // known before any of them
+            }
+            if beams.len() * candidates as usize > SLOW_TRIALS {
+                tracing::warn!(
+                    "{} images are tried with {candidates} faces, which takes a while; lower `order`, or simplify meshes",
+                    beams.len()
+                );
             }
             for (parent, image, beam, room_only) in &beams {
                 for face in 0..candidates {

@@ -11,12 +11,9 @@
 
 pub mod array;
 pub mod cache;
-pub mod diffraction;
 mod field;
-pub mod fresnel;
 pub mod images;
 mod making;
-pub mod material;
 pub mod mesh;
 pub mod noise;
 pub mod output;
@@ -28,7 +25,6 @@ mod random;
 mod ray_tracing;
 mod recipe;
 mod room;
-pub mod scattering;
 pub mod scene;
 mod simulated;
 mod simulator;
@@ -36,10 +32,11 @@ pub mod spectrum;
 pub mod surface_points;
 pub mod tracer;
 pub mod transmitters;
-mod wave;
 pub mod world;
 
 pub use path::{Interaction, Path};
+use pwrfgs_waves::wave;
+pub use pwrfgs_waves::{diffraction, fresnel, material, scattering};
 pub use ray_tracing::RayTracing;
 pub use recipe::Recipe;
 pub use scene::Scene;

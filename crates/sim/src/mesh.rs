@@ -13,7 +13,7 @@ const FLAT: f64 = 1e-9;
 /// Most triangles of a scene: more take minutes and gigabytes before the first path.
 pub(crate) const MOST_TRIANGLES: usize = 300_000;
 /// Most bytes of a mesh file.
-const MOST_BYTES: u64 = 256 << 20;
+const MOST_BYTES: u64 = 128 << 20;
 /// Most triangles that share an edge.
 const MOST_SHARED: usize = 64;
 

@@ -3,7 +3,7 @@
 use crate::making::Making;
 use crate::path_table::PathTable;
 use crate::recipe::Recipe;
-use crate::simulator::{HEIGHT, Reception, Simulator, WIDTH, simulate};
+use crate::simulator::{HEIGHT, Reception, Simulator, WIDTH, simulate_until};
 use crate::surface_points;
 use glam::DVec3;
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
@@ -101,7 +101,7 @@ pub fn write_as(
     let mut spectra = Sink::new(folder, pictures, recipe.samples)?;
     let mut tables = Tables::new(folder, &simulator, paths)?;
     let go_on = || if stop.load(Ordering::Relaxed) { Err(Error::Stopped) } else { Ok(()) };
-    simulate(&simulator, recipe.samples, recipe.seed, |i, tx, reception| {
+    simulate_until(&simulator, recipe.samples, recipe.seed, stop, |i, tx, reception| {
         go_on()?;
         spectra.add(i + 1, &reception.spectrum.pixels)?;
         tables.add(i + 1, tx, &reception)?;
@@ -217,7 +217,10 @@ impl Tables {
         put(&folder.join(POWER), self.power)?;
         let list = |test: bool| {
             let ids = (1..=samples).filter(|id| id.is_multiple_of(TEST_EVERY) == test);
-            ids.map(|id| format!("{id:05}\n")).collect::<String>()
+            ids.fold(String::new(), |mut text, id| {
+                writeln!(text, "{id:05}").expect("text grows");
+                text
+            })
         };
         put(&folder.join(TRAIN), list(false))?;
         put(&folder.join(TEST), list(true))

@@ -15,6 +15,7 @@ use glam::{DMat3, DQuat, DVec3};
 use pwrfgs_core::{Error, Pose, Result};
 use rayon::prelude::*;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Columns of a spectrum: azimuths 0 to 359 degrees.
 pub const WIDTH: usize = 360;
@@ -180,13 +181,32 @@ pub fn simulate(
     simulator: &Simulator,
     samples: usize,
     seed: u64,
+    each: impl FnMut(usize, DVec3, Reception) -> Result<()>,
+) -> Result<()> {
+    simulate_until(simulator, samples, seed, &AtomicBool::new(false), each)
+}
+
+/// As [`simulate`], between two transmitters until `stop` is set.
+///
+/// # Errors
+/// Those of [`simulate`], and [`Error::Stopped`].
+pub(crate) fn simulate_until(
+    simulator: &Simulator,
+    samples: usize,
+    seed: u64,
+    stop: &AtomicBool,
     mut each: impl FnMut(usize, DVec3, Reception) -> Result<()>,
 ) -> Result<()> {
     let positions = simulator.positions(samples, seed)?;
     for (c, chunk) in positions.chunks(CHUNK).enumerate() {
         let draw = |i: usize| seed.wrapping_mul(1 << 32).wrapping_add((c * CHUNK + i) as u64);
-        let receptions: Vec<Reception> =
-            chunk.par_iter().enumerate().map(|(i, tx)| simulator.spectrum(*tx, Some(draw(i)))).collect();
+        let receive = |(i, tx): (usize, &DVec3)| {
+            if stop.load(Ordering::Relaxed) {
+                return Err(Error::Stopped);
+            }
+            Ok(simulator.spectrum(*tx, Some(draw(i))))
+        };
+        let receptions: Vec<Reception> = chunk.par_iter().enumerate().map(receive).collect::<Result<_>>()?;
         for ((i, tx), reception) in chunk.iter().enumerate().zip(receptions) {
             if !(reception.spectrum.power.is_finite() && reception.spectrum.high.is_finite()) {
                 let (scene, number) = (&simulator.scene.name, c * CHUNK + i + 1);

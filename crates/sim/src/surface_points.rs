@@ -93,12 +93,13 @@ pub fn write_ply(points: &SurfacePoints, comment: &str, file: &mut impl Write) -
     let count = points.points.len();
     write!(file, "ply\nformat binary_little_endian 1.0\n{lines}element vertex {count}\n{properties}end_header\n")?;
     for (point, normal) in points.points.iter().zip(&points.normals) {
+        let near = |vector: &DVec3| vector.to_array().map(|value| (value as f32).to_le_bytes());
         if is_far {
-            point.to_array().iter().try_for_each(|value| file.write_all(&value.to_le_bytes()))?;
+            file.write_all(point.to_array().map(f64::to_le_bytes).as_flattened())?;
         } else {
-            point.to_array().iter().try_for_each(|value| file.write_all(&(*value as f32).to_le_bytes()))?;
+            file.write_all(near(point).as_flattened())?;
         }
-        normal.to_array().iter().try_for_each(|value| file.write_all(&(*value as f32).to_le_bytes()))?;
+        file.write_all(near(normal).as_flattened())?;
     }
     Ok(())
 }

@@ -6,4 +6,5 @@ mod common;
 mod contacts;
 mod data_source;
 mod laws;
+mod limits;
 mod reference_paths;
