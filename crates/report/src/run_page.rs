@@ -22,7 +22,7 @@ pub fn page(results: &Results<'_>) -> Result<String> {
     let scores = results.assessment.scores.table();
     let (examples, limit) = examples(results);
     let Results { pipeline, model, data, partition, facts, .. } = results;
-    let bounds = [data.scene.bounds.0, data.scene.bounds.1].map(|p| p.map(|v| (v * 10.0).round() / 10.0));
+    let bounds = [data.scene.bounds.0, data.scene.bounds.1].map(|p| p.map(|v| (f64::from(v) * 10.0).round() / 10.0));
     let page = context! {
         name => pipeline.name.clone(),
         title => data.title.clone(),
