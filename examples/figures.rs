@@ -11,10 +11,12 @@ fn main() -> pwrfgs::core::Result<()> {
     let study = Study::read(&folders.collect::<Vec<_>>())?;
     for (k, setting) in study.settings.iter().enumerate() {
         let folder = out.join(format!("setting-{}", k + 1));
-        for figure in figures::all(setting, &|_, _| {})? {
+        let drawn = figures::all(setting, &|_, _| {});
+        for figure in drawn.figures {
             figure.write(&folder)?;
             println!("{}/{}: {}", folder.display(), figure.name, figure.caption);
         }
+        drawn.left_out.iter().for_each(|why| println!("{}: {why}", folder.display()));
     }
     Ok(())
 }

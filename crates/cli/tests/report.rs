@@ -159,6 +159,7 @@ fn wrong_input_is_refused(here: &Path) {
     refuse(here, &["report", "runs/whole-0", "--out", "thesis"], 2, &["`chapter.tex`", "--out"]);
     refuse(here, &["report", "runs/whole-0", "--out", "small.ron"], 2, &["no folder"]);
     assert_eq!(std::fs::read(here.join("thesis/chapter.tex")).unwrap(), b"mine");
+    damaged_runs_are_told(here);
     // A folder that does not know its files, as those of earlier versions: what can be told without is told.
     let facts = std::fs::read_to_string(here.join("runs/half_grid-1/run.json")).unwrap();
     let mut facts: serde_json::Value = serde_json::from_str(&facts).unwrap();
@@ -166,4 +167,43 @@ fn wrong_input_is_refused(here: &Path) {
     write(&here.join("runs/half_grid-1/run.json"), facts.to_string());
     write(&here.join("runs/half_grid-1/scores.csv"), "predictor,metric,sample,value\nmodel,ssim,x,1\n");
     refuse(here, &["report", "runs/half_grid-1"], 2, &["scores.csv:2:", "`x` is no number"]);
+}
+
+/// Whatever has happened to a file of a finished run, `report` says to which, and makes none without its numbers.
+fn damaged_runs_are_told(here: &Path) {
+    let run = here.join("runs/whole-1");
+    let last = |text: &str| text.trim_end().rsplit_once('\n').unwrap().0.to_owned() + "\n";
+    let header = |text: &str| text.lines().next().unwrap().to_owned() + "\n";
+    let changed = |text: &str| text.replacen("model,ssim,", "model,ssim,9", 1);
+    let floors =
+        |text: &str| text.lines().filter(|line| !line.starts_with("3-NN")).map(|l| l.to_owned() + "\n").collect();
+    let empty = |_: &str| String::new();
+    let half = |text: &str| text[..text.len() / 2].to_owned();
+    let digit = |text: &str| text.trim_end().to_owned();
+    type Damage<'a> = &'a dyn Fn(&str) -> String;
+    let damages: [(&str, &[Damage<'_>]); 5] = [
+        ("scores.csv", &[&empty, &header, &half, &last, &digit, &changed, &floors]),
+        ("samples.csv", &[&empty, &header, &half, &last, &digit]),
+        ("curve.csv", &[&empty, &header, &half, &last, &digit]),
+        ("run.json", &[&empty, &half]),
+        ("model.safetensors", &[&empty]),
+    ];
+    for (name, damages) in damages {
+        let whole = std::fs::read(run.join(name)).unwrap();
+        for damage in damages {
+            write(&run.join(name), damage(&String::from_utf8_lossy(&whole)));
+            refuse(here, &["report", "runs/whole-1", "-q"], 2, &[name]);
+        }
+        write(&run.join(name), &whole);
+    }
+    succeed(here, &["report", "runs/whole-1", "-q", "--out", "again"]);
+    // A link in the report's folder would lead out of it.
+    #[cfg(unix)]
+    {
+        std::fs::remove_dir_all(here.join("again/figures")).unwrap();
+        write(&here.join("mine/1-room.svg"), "mine");
+        std::os::unix::fs::symlink(here.join("mine"), here.join("again/figures")).unwrap();
+        refuse(here, &["report", "runs/whole-1", "-q", "--out", "again"], 2, &["again/figures is a symbolic link"]);
+        assert_eq!(std::fs::read(here.join("mine/1-room.svg")).unwrap(), b"mine");
+    }
 }

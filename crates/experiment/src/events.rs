@@ -27,6 +27,9 @@ impl Events {
     /// off, and so are the final scores: they come last and are written whenever they are computed. The file is cut in
     /// place: the steps that follow have the same length again, and a TensorBoard that was watching reads on.
     pub(crate) fn open(path: &Path, done: u64) -> Result<Self> {
+        if path.is_symlink() {
+            return Err(Error::input(path, "a symbolic link, which would be cut where it leads; remove it"));
+        }
         files::refuse_irregular(path).map_err(|e| Error::read(path, e))?;
         let mut file =
             (OpenOptions::new().read(true).append(true).create(true).open(path)).map_err(|e| Error::write(path, e))?;

@@ -1,4 +1,4 @@
-//! Pictures, shared by the page of one run and the figures of a study: all of them on one [`canvas`](pwrfgs_canvas).
+//! Pictures, shared by the page of one run and the figures of a study: all of them on one [`canvas`].
 
 mod axes;
 mod backend;

@@ -16,7 +16,7 @@ const FOLDER: &str = "report";
 #[command(
     after_long_help = "Runs on the same data and split form a setting, and are compared within it; those that differ in \
     their seed alone form a variant, and give a mean and a standard deviation. Writes report.html (one file), report.md, \
-    report.csv (every number), report.tex with a file for each table (booktabs), and the figures as SVG and PNG. An \
+    report.csv (every number), report.tex with a file for each table (booktabs), and the figures as SVG, PDF and PNG. An \
     older report in the folder is replaced; a folder that holds anything else is never touched. Runs that have not \
     finished are named and left out.\n\nPaired differences from the reference carry a 95 % bootstrap interval over seeds \
     and blocks of space.\n\nEXAMPLES\n  pwrfgs report runs/lambda\n  pwrfgs report runs/cloud-0 runs/cloud-1 \

@@ -171,3 +171,15 @@ fn final_scores_are_never_there_twice() {
     }
     assert_eq!(read(&path)[1..], [(10, vec![("loss".into(), 0.5)]), (10, vec![("test/ssim".into(), 0.8)])]);
 }
+
+#[cfg(unix)]
+#[test]
+fn a_link_is_not_followed() {
+    let folder = tempfile::tempdir().unwrap();
+    let (precious, link) = (folder.path().join("precious"), folder.path().join("events"));
+    std::fs::write(&precious, "mine").unwrap();
+    std::os::unix::fs::symlink(&precious, &link).unwrap();
+    let said = Events::open(&link, 0).unwrap_err();
+    assert!(said.is_input() && said.to_string().contains("a symbolic link"), "{said}");
+    assert_eq!(std::fs::read(&precious).unwrap(), b"mine");
+}

@@ -84,14 +84,17 @@ impl Figure {
     }
 }
 
+/// Figures, and why some are missing.
+#[derive(Clone, Debug, Default)]
+pub struct Drawn {
+    /// All that could be drawn.
+    pub figures: Vec<Figure>,
+    /// Why those of the room, the spectra and the rate ratio could not, in a sentence; they need the data and the models.
+    pub left_out: Option<String>,
+}
+
 /// Every figure there are numbers for. `progress` counts figures.
-///
-/// Those that show more than scores need the data and the models. Where these cannot be read any more they are left out,
-/// with a warning in the log.
-///
-/// # Errors
-/// Where a figure cannot be drawn.
-pub fn all(setting: &Setting, progress: Progress<'_>) -> Result<Vec<Figure>> {
+pub fn all(setting: &Setting, progress: Progress<'_>) -> Drawn {
     let from_scores = [gaussians::figure, tradeoff::ssim, tradeoff::rate_ratio, latency::figure, distance::figure];
     let from_data = [room::figure, spectra::figure, rate::figure];
     let count = from_scores.len() + from_data.len();
@@ -108,9 +111,7 @@ pub fn all(setting: &Setting, progress: Progress<'_>) -> Result<Vec<Figure>> {
         }
         Ok(drawn)
     });
-    match drawn {
-        Ok(drawn) => figures.extend(drawn),
-        Err(e) => tracing::warn!("no figures of the room, the spectra and the rate ratio for {}: {e}", setting.title),
-    }
-    Ok(figures)
+    let left_out = drawn.map(|drawn| figures.extend(drawn)).err();
+    let left_out = left_out.map(|e| format!("There are no figures of the room, the spectra and the rate ratio: {e}."));
+    Drawn { figures, left_out }
 }

@@ -1,7 +1,7 @@
 //! `Page`: everything that the report says, before it takes the form of a format.
 
 use super::comparison::{Comparison, Kind, Row};
-use super::figures::{self, Figure};
+use super::figures::{self, Drawn, Figure};
 use super::tables::{self, Table};
 use super::{Record, Setting, Study, distinct};
 use crate::templates::sentences;
@@ -52,8 +52,8 @@ impl Page {
         }
         let mut sections = Vec::new();
         for (i, comparison) in comparisons.iter().enumerate() {
-            let figures = staged(observer, "drawing the figures", |p| figures::all(comparison.setting, p))?;
-            sections.push(Section::new(i, comparison, reference, figures));
+            let drawn = staged(observer, "drawing the figures", |p| figures::all(comparison.setting, p));
+            sections.push(Section::new(i, comparison, reference, drawn));
         }
         let unfinished = study.unfinished.iter().map(|path| format!("{}: has not finished", path.display()));
         let repeated = study.repeated.iter().map(|path| format!("{}: a run named before, or its twin", path.display()));
@@ -75,7 +75,7 @@ fn check_reference(comparisons: &[Comparison<'_>], label: &str) -> Result<()> {
 }
 
 impl Section {
-    fn new(index: usize, comparison: &Comparison<'_>, reference: Option<&str>, figures: Vec<Figure>) -> Self {
+    fn new(index: usize, comparison: &Comparison<'_>, reference: Option<&str>, drawn: Drawn) -> Self {
         let setting = comparison.setting;
         let named = reference.and_then(|label| comparison.row(label));
         let compared: &Row<'_> = named.unwrap_or(&comparison.rows[0]);
@@ -103,6 +103,7 @@ impl Section {
         );
         let mut warnings = said.split_off(1);
         warnings.extend(comparison.holes());
+        warnings.extend(drawn.left_out);
         let tables = [
             tables::scores(comparison, same_machine),
             tables::differences(comparison, compared),
@@ -116,7 +117,7 @@ impl Section {
             reference: compared.label.to_owned(),
             warnings,
             tables: tables.into_iter().flatten().collect(),
-            figures,
+            figures: drawn.figures,
             runs: run_lines(setting),
             notes: comparison.notes(),
         }
