@@ -36,7 +36,7 @@ pub use cloud::{COLUMN_NAMES, ExtraColumn, GaussianCloud};
 pub use data_source::{Baseline, DataSource, Predict, Progress, Split};
 pub use deformation::{Deformation, DeformationInputs, Deltas, WeightSpec};
 pub use error::{Error, Result, did_you_mean};
-pub use image::{Axis, Image, ImagePlane};
+pub use image::{Axis, Elevation, Image, ImagePlane};
 pub use initializer::Initializer;
 pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, StageTimes, Values};
 pub use origin::Origin;

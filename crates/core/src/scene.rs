@@ -1,7 +1,7 @@
 //! What is measured, and where: `Pose`, `Scene`, `Sample`, `Dataset`, `Partition`.
 
 use crate::origin::{Origin, place_fault};
-use crate::{Error, Image, Mat3, Real, Result, Vec3};
+use crate::{Elevation, Error, Image, Mat3, Real, Result, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// Position and orientation of the receiver.
@@ -87,6 +87,8 @@ pub struct Dataset {
     pub width: usize,
     /// Rows of every spectrum.
     pub height: usize,
+    /// What the rows of the spectra are; columns go once around.
+    pub elevation: Elevation,
     /// Samples, sorted by id.
     pub samples: Vec<Sample>,
     /// The split that comes with the data, if any: indices into `samples` for (train, test).
@@ -107,7 +109,8 @@ impl Dataset {
     /// Measured spectra from arrays in memory, `width` columns by `height` rows each, with the surface `points` `[P,3]`
     /// that are known (metres; none will do). All places are in the user's frame. The bounds hold the points, the samples and the receiver.
     ///
-    /// There is no official split, and nothing is simulated: who knows better sets these fields.
+    /// Rows are elevations from 0 to 90 degrees, there is no official split, and nothing is simulated: who knows better sets
+    /// these fields.
     ///
     /// ```
     /// # use pwrfgs_core::{Dataset, Pose, Sample};
@@ -160,7 +163,7 @@ impl Dataset {
         let known = txs().map(|tx| origin.local(tx)).chain(points.iter().copied());
         let bounds = bounds_of(known.chain([receiver.origin().to_array()]));
         let scene = Scene { origin, receiver, bounds, points };
-        Ok(Self { title, scene, width, height, samples, official: None, simulation: None })
+        Ok(Self { title, scene, width, height, elevation: Elevation::UPPER, samples, official: None, simulation: None })
     }
 
     /// Whether the spectra are simulated, not measured.

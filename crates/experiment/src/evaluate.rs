@@ -50,6 +50,13 @@ pub fn evaluate(
             plane.width, plane.height, data.width, data.height
         )));
     }
+    if let Some(drawn) = plane.elevation().filter(|drawn| *drawn != data.elevation) {
+        return Err(Error::Config(format!(
+            "the model draws elevations of {} to {} degrees and the spectra of the data are of {} to {}; evaluate it on \
+             data like those it was trained on",
+            drawn.first, drawn.last, data.elevation.first, data.elevation.last
+        )));
+    }
     let test = Bench::new(data, &partition.test, plane);
     let predictions = staged(observer, "predicting with the model", |progress| test.predict(model, stop, progress))?;
     go_on(stop)?;

@@ -4,7 +4,7 @@ use crate::tensors::Tensors;
 use crate::{Calibration, Model, Readout, Stages};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::plugin::{Plugin, PluginKind, ron_options};
-use pwrfgs_core::{Error, GaussianCloud, ImagePlane, Origin, Pose, Real, Result};
+use pwrfgs_core::{Axis, Elevation, Error, GaussianCloud, ImagePlane, Origin, Pose, Real, Result};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -116,10 +116,31 @@ fn from_bytes(bytes: &[u8]) -> Result<Model, String> {
         pose: note.origin.local_pose(note.pose),
         plane: note.plane,
     };
+    check_plane(&stages)?;
     let cloud = take_cloud(&mut file, "gaussians.", note.gaussians)?;
     let weights = take_weights(&mut file, NETWORK, &stages)?;
     check_constants(&mut file, &stages)?;
     Ok(Model { stages, cloud, weights })
+}
+
+/// Refuses a plane that the projector of the file does not draw on: what follows believes it.
+fn check_plane(stages: &Stages) -> Result<(), String> {
+    let Stages { projector, plane, .. } = stages;
+    let (width, height) = (plane.width, plane.height);
+    let elevation = plane.elevation().unwrap_or(Elevation::UPPER);
+    let same = |own: &ImagePlane| {
+        let near = |a: Axis, b: Axis| (a.first - b.first).abs() < 1e-9 && (a.step - b.step).abs() < 1e-9;
+        let angles = match (own.angles, plane.angles) {
+            (Some(a), Some(b)) => near(a.0, b.0) && near(a.1, b.1),
+            (a, b) => a == b,
+        };
+        angles && own.wraps == plane.wraps
+    };
+    let is_its = width > 0
+        && height > 0
+        && (same(&projector.plane(width, height))
+            || elevation.fault().is_none() && projector.plane_of(width, height, elevation).is_ok_and(|own| same(&own)));
+    if is_its { Ok(()) } else { Err("its `plane` is none that its `projector` draws on".into()) }
 }
 
 /// Refuses a file whose constants are not those that its deformation draws here: it would predict something else.
