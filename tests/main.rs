@@ -7,6 +7,7 @@ mod baselines;
 mod common;
 mod crate_graph;
 mod determinism;
+mod elevations;
 mod examples;
 mod figures;
 mod gates;

@@ -13,7 +13,7 @@ fn on_a_map(here: &Path) {
 }
 
 fn gateway(here: &Path, position: &str) {
-    let text = format!("gateway1: {{position: {position}, orientation: [0.0, 0.0, 0.0, 1.0]}}\n");
+    let text = format!("gateway1: {{position: {position}, orientation: [0.0, 0.0, 0.0, 1.0]}}\nelevation: [-90, 90]\n");
     write(&here.join("data/gateway_info.yml"), text);
 }
 
@@ -31,8 +31,8 @@ fn places_are_given_back_as_they_were_given() {
     assert_eq!(model.stages.origin.0, [500_000.0, 5_399_999.0, 100.0]);
     assert_eq!(model.stages.receiver().position, [500_000.25, 5_399_998.54, 100.0]);
     let report = text("r/report.html");
-    for number in ["500000", "5399998.5"] {
-        assert!(report.contains(number), "{number} on the axes and in the bounds");
+    for words in ["x − 500000 [m]", "y − 5399999 [m]", "z − 100 [m]", "5399998.5"] {
+        assert!(report.contains(words), "{words} on the axes or in the bounds");
     }
 
     let tx = "500000.2,5399999.54,100.5";

@@ -188,19 +188,21 @@ def matrix(q):
 # From space to the picture.
 
 
-def mercator(settings, v, width, height):
+def mercator(settings, v, width, height, elevation):
     """Pixels [N, 2], Jacobians [N, 2, 3], and which Gaussians are near enough to the picture and far enough away."""
     x, y, z = v.T
     r = np.linalg.norm(v, axis=1)
     on_axis = np.hypot(x, y) <= 1e-6 * r
     x, y = np.where(on_axis, 1e-9 * r, x), np.where(on_axis, 0, y)  # azimuth 0
     rho = np.hypot(x, y)
-    per_column, per_row = width / (2 * np.pi), height / (np.pi / 2)  # pixels a radian
-    pixels = np.stack([np.arctan2(y, x) % (2 * np.pi) * per_column, np.arctan2(z, rho) * per_row], axis=1)
+    per_column, per_row = width / (2 * np.pi), 1 / np.radians(elevation["step"])  # pixels a radian
+    first, end = elevation["first"], elevation["first"] + height * elevation["step"]
+    pixels = np.stack([np.arctan2(y, x) % (2 * np.pi) * per_column, (np.arctan2(z, rho) - np.radians(first)) * per_row], axis=1)
     floored = rho * np.maximum(rho, np.cos(np.radians(89.5)) * r)
     around = np.stack([-y, x, 0 * x], axis=1) / floored[:, None]
     up = np.stack([-z * x / rho, -z * y / rho, rho], axis=1) / (r * r)[:, None]
-    visible = (r > settings["near_m"]) & (z >= -np.sin(np.radians(settings["margin_deg"])) * r)
+    lowest = min(first, end) - settings["margin_deg"]
+    visible = (r > settings["near_m"]) & ((lowest <= -90) | (z >= np.sin(np.radians(lowest)) * r))
     return pixels, np.stack([around * per_column, up * per_row], axis=1), visible
 
 
@@ -234,7 +236,7 @@ def project(note, means, scales, quats):
     projector = read_ron(note["projector"])
     if projector[""] == "Mercator":
         v = (means - pose["position"]) @ to_receiver.T
-        pixels, jacobians, visible = mercator(projector, v, width, height)
+        pixels, jacobians, visible = mercator(projector, v, width, height, plane["angles"][1])
         blur = projector["blur"]
     else:
         assert projector[""] == "WrfgsCompat"

@@ -57,6 +57,64 @@ pub struct Axis {
     pub step: f64,
 }
 
+/// Which elevations the rows of a picture are, degrees in the receiver frame. Row r of H lies at
+/// first + r · (last − first)/H: the bottom row is one step short of `last`, as the last column is of 360° of azimuth.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(from = "(f64, f64)", into = "(f64, f64)")]
+pub struct Elevation {
+    /// Of the top row.
+    pub first: f64,
+    /// One step beyond the bottom row.
+    pub last: f64,
+}
+
+impl From<(f64, f64)> for Elevation {
+    fn from((first, last): (f64, f64)) -> Self {
+        Self { first, last }
+    }
+}
+
+impl From<Elevation> for (f64, f64) {
+    fn from(elevation: Elevation) -> Self {
+        (elevation.first, elevation.last)
+    }
+}
+
+impl Elevation {
+    /// The hemisphere in front of the receiver, top row in the plane of the array, as the measured spectra have it.
+    pub const UPPER: Self = Self { first: 0.0, last: 90.0 };
+
+    /// As an axis over `height` rows.
+    pub fn axis(self, height: usize) -> Axis {
+        Axis { first: self.first, step: (self.last - self.first) / height as f64 }
+    }
+
+    /// What is wrong with it, and what to do.
+    pub fn fault(self) -> Option<String> {
+        let fits = [self.first, self.last].iter().all(|v| (-90.0..=90.0).contains(v));
+        if fits && (self.last - self.first).abs() >= 1.0 {
+            return None;
+        }
+        let what =
+            "give the elevations where the top row begins and the bottom row ends, in degrees from -90 to 90, such as";
+        Some(format!("`elevation` is ({}, {}); {what} (0, 90) or (-90, 90)", self.first, self.last))
+    }
+
+    /// What is wrong with a picture of `width` columns around the whole azimuth and `height` rows: the sides of a pixel
+    /// differ by more than `factor`.
+    pub fn misfit(self, (width, height): (usize, usize), factor: f64) -> Option<String> {
+        let [across, up] = [360.0 / width as f64, ((self.last - self.first) / height as f64).abs()];
+        if across <= factor * up && up <= factor * across {
+            return None;
+        }
+        let Self { first, last } = self;
+        Some(format!(
+            "is {width} x {height} pixels: over azimuths 0 to 360 and elevations {first} to {last} degrees each would be \
+             {across:.3} x {up:.3} degrees"
+        ))
+    }
+}
+
 /// The grid that a projector draws on, and what its pixels mean.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ImagePlane {
@@ -72,6 +130,18 @@ pub struct ImagePlane {
 }
 
 impl ImagePlane {
+    /// The elevations of its rows, to a billionth of a degree; `None` where the plane has no angles.
+    pub fn elevation(&self) -> Option<Elevation> {
+        // 90/H · H may differ from 90 in the last bit.
+        let end = |axis: Axis| ((axis.first + axis.step * self.height as f64) * 1e9).round() / 1e9;
+        self.angles.map(|(_, axis)| Elevation { first: axis.first, last: end(axis) })
+    }
+
+    /// Whether it shows anything behind the receiver, below the plane of its array.
+    pub fn looks_behind(&self) -> bool {
+        self.elevation().is_some_and(|shown| shown.first.min(shown.last) < -1e-9)
+    }
+
     /// Azimuth and elevation of a pixel in degrees, or `None` where the plane has no angles.
     pub fn azimuth_elevation_deg(&self, px: Real, py: Real) -> Option<(Real, Real)> {
         self.angles.map(|(az, el)| ((az.first + az.step * px as f64) as Real, (el.first + el.step * py as f64) as Real))

@@ -43,7 +43,7 @@ pub use data_source::{Baseline, DataSource, Predict, Progress, Split};
 pub use deformation::{Deformation, DeformationInputs, Deltas, WeightSpec};
 pub use docs::Documented;
 pub use error::{Error, Result, did_you_mean, plain};
-pub use image::{Axis, Image, ImagePlane};
+pub use image::{Axis, Elevation, Image, ImagePlane};
 pub use initializer::Initializer;
 pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, Scope, StageTimes, Values};
 pub use origin::Origin;

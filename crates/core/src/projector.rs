@@ -1,6 +1,6 @@
 //! `Projector`: from Gaussians in space to splats on the image plane.
 
-use crate::{ImagePlane, Pose, Primitives, Real, Splats, plugin_kind};
+use crate::{Elevation, ImagePlane, Pose, Primitives, Real, Splats, plugin_kind};
 
 /// Projects Gaussians onto the picture that a receiver sees.
 ///
@@ -9,6 +9,20 @@ use crate::{ImagePlane, Pose, Primitives, Real, Splats, plugin_kind};
 pub trait Projector: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
     /// The grid it draws on, for spectra of `width` by `height` pixels.
     fn plane(&self, width: usize, height: usize) -> ImagePlane;
+
+    /// The grid for spectra whose rows are these elevations; [`Self::plane`] for those of the hemisphere in front.
+    ///
+    /// # Errors
+    /// Why it cannot draw them, and what can.
+    fn plane_of(&self, width: usize, height: usize, elevation: Elevation) -> Result<ImagePlane, String> {
+        let Elevation { first, last } = elevation;
+        if elevation == Elevation::UPPER {
+            return Ok(self.plane(width, height));
+        }
+        Err(format!(
+            "draws no elevations of {first} to {last} degrees, as these spectra have; use projector: Mercator()"
+        ))
+    }
 
     /// Splats `[N]`, row for row; a Gaussian out of sight has radius 0. Opacities may be lowered but never raised: those
     /// that are too faint for the rasterizer are left out before.

@@ -1,7 +1,7 @@
 //! What is measured, and where: `Pose`, `Scene`, `Sample`, `Dataset`, `Partition`.
 
 use crate::origin::{Origin, place_fault};
-use crate::{Documented, Error, Image, Mat3, Real, Result, Spectra, Vec3};
+use crate::{Documented, Elevation, Error, Image, Mat3, Real, Result, Spectra, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// Position and orientation of the receiver.
@@ -85,6 +85,8 @@ pub struct Dataset {
     pub width: usize,
     /// Rows of every spectrum.
     pub height: usize,
+    /// What the rows of the spectra are; columns go once around.
+    pub elevation: Elevation,
     /// Samples, sorted by id.
     pub samples: Vec<Sample>,
     /// The spectrum of every sample, in the same order.
@@ -107,7 +109,8 @@ impl Dataset {
     /// Measured spectra, one a sample, with the surface `points` `[P,3]` that are known (metres; none will do). All places
     /// are in the user's frame. The bounds hold the points, the samples and the receiver.
     ///
-    /// There is no official split, and nothing is simulated: who knows better sets these fields.
+    /// Rows are elevations from 0 to 90 degrees, there is no official split, and nothing is simulated: who knows better sets
+    /// these fields.
     ///
     /// ```
     /// # use pwrfgs_core::{Dataset, Pose, Sample, Spectra};
@@ -156,7 +159,8 @@ impl Dataset {
         let bounds = bounds_of(known.chain([receiver.origin().to_array()]));
         let scene = Scene { origin, receiver, bounds, points };
         let (width, height) = (spectra.width(), spectra.height());
-        Ok(Self { title, scene, width, height, samples, spectra, official: None, simulation: None })
+        let elevation = Elevation::UPPER;
+        Ok(Self { title, scene, width, height, elevation, samples, spectra, official: None, simulation: None })
     }
 
     /// Whether the spectra are simulated, not measured.

@@ -3,10 +3,10 @@
 #[cfg(test)]
 mod tests;
 
-use crate::nerf2::{gateway, index, read_transmitters, simulation};
+use crate::nerf2::{check_shape, gateway, index, read_transmitters, simulation};
 use crate::npy;
 use crate::points::read_points;
-use pwrfgs_core::{DataSource, Dataset, Documented, Error, Progress, Result, Sample, Spectra};
+use pwrfgs_core::{DataSource, Dataset, Documented, Elevation, Error, Progress, Result, Sample, Spectra};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -45,11 +45,14 @@ pub struct Arrays {
     pub root: PathBuf,
     /// Point cloud of the room (PLY, XYZ or CSV, metres, world frame), relative to the pipeline file.
     pub points: Option<PathBuf>,
+    /// Elevations where the top row of the spectra begins and the bottom row ends, degrees; what `gateway_info.yml` says
+    /// where it is left out, else 0 and 90.
+    pub elevation: Option<Elevation>,
 }
 
 impl Default for Arrays {
     fn default() -> Self {
-        Self { root: "data/mine".into(), points: None }
+        Self { root: "data/mine".into(), points: None, elevation: None }
     }
 }
 
@@ -76,16 +79,24 @@ impl DataSource for Arrays {
         let official = index::read(&root, &known)?;
         let points = self.points.as_ref().map_or(Ok(Vec::new()), |points| read_points(&base.join(points)))?;
         let spectra = checked(spectra, &path, progress)?;
+        let stated = self.elevation.or(gateway.elevation);
+        let elevation = stated.unwrap_or(Elevation::UPPER);
+        check_shape(&path, elevation, stated.is_some(), (spectra.width(), spectra.height()))?;
         let samples = ids.iter().zip(positions).map(|(&id, tx)| Sample { id, tx }).collect();
         let folder = || root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
         let name = gateway.name.unwrap_or_else(folder);
         let simulation = simulation(&root, &name);
         let title = format!("{name} ({}arrays)", if simulation.is_some() { "" } else { "measured, " });
-        Ok(Dataset { official, simulation, ..Dataset::new(title, gateway.pose, points, samples, spectra)? })
+        let data = Dataset::new(title, gateway.pose, points, samples, spectra)?;
+        Ok(Dataset { elevation, official, simulation, ..data })
     }
 
     fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {
-        Some(Box::new(Self { root: absolute(&self.root), points: self.points.as_deref().map(absolute) }))
+        Some(Box::new(Self {
+            root: absolute(&self.root),
+            points: self.points.as_deref().map(absolute),
+            ..self.clone()
+        }))
     }
 
     fn about(&self) -> &'static str {

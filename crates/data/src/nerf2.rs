@@ -8,7 +8,7 @@ mod tests;
 
 use crate::points::read_points;
 use crate::text::{XyzColumns, lines, read_text, split_commas};
-use pwrfgs_core::{DataSource, Dataset, Documented, Error, Progress, Result, Sample, Simulation, files};
+use pwrfgs_core::{DataSource, Dataset, Documented, Elevation, Error, Progress, Result, Sample, Simulation, files};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -26,6 +26,11 @@ const LAYOUT: &str = "a NeRF2 folder holds gateway_info.yml, tx_pos.csv and spec
 ///
 /// The samples are the ids that have a row and a picture; others must not be named by an index file. Lines may end in
 /// LF or CRLF, ids may be zero-padded. Pictures stay 8-bit in memory and decide the size of the image plane.
+///
+/// The pictures go once around in azimuth. Their rows are elevations 0 to 90 degrees, row 0 in the plane of the array,
+/// unless `elevation` here, or a key `elevation: [first, last]` of `gateway_info.yml`, says otherwise: a full sphere has
+/// `elevation: (-90, 90)`. Without a word a picture is refused whose pixels are further from square than 1 to 1.75, such
+/// as 360 x 180; with one, further than 1 to 4.
 ///
 /// A folder that `pwrfgs simulate` wrote says so in its `manifest.json`, with the scene; so does a data set whose name
 /// holds the word «simulated». Any other counts as measured.
@@ -46,11 +51,14 @@ pub struct Nerf2Spectrum {
     /// Which receiver, where `gateway_info.yml` has more than `gateway1`; a file with several is refused unless one is
     /// named. Keys that hold no `position` and are not called gateway are left alone.
     pub gateway: Option<String>,
+    /// Elevations where the top row of the pictures begins and the bottom row ends, degrees; default what
+    /// `gateway_info.yml` says, else 0 and 90.
+    pub elevation: Option<Elevation>,
 }
 
 impl Default for Nerf2Spectrum {
     fn default() -> Self {
-        Self { root: "data/s23".into(), points: None, gateway: None }
+        Self { root: "data/s23".into(), points: None, gateway: None, elevation: None }
     }
 }
 
@@ -83,12 +91,16 @@ impl DataSource for Nerf2Spectrum {
         let points = self.points.as_ref().map_or(Ok(Vec::new()), |points| read_points(&base.join(points)))?;
         let paths: Vec<&Path> = ids.iter().map(|id| files[id].as_path()).collect();
         let spectra = pictures::load(&paths, progress)?;
+        let stated = self.elevation.or(gateway.elevation);
+        let elevation = stated.unwrap_or(Elevation::UPPER);
+        check_shape(paths[0], elevation, stated.is_some(), (spectra.width(), spectra.height()))?;
         let samples = ids.iter().map(|&id| Sample { id, tx: positions[id as usize - 1] }).collect();
         let folder = || root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
         let name = gateway.name.unwrap_or_else(folder);
         let simulation = simulation(&root, &name);
         let title = format!("{name} ({}NeRF2 layout)", if simulation.is_some() { "" } else { "measured, " });
-        Ok(Dataset { official, simulation, ..Dataset::new(title, gateway.pose, points, samples, spectra)? })
+        let data = Dataset::new(title, gateway.pose, points, samples, spectra)?;
+        Ok(Dataset { elevation, official, simulation, ..data })
     }
 
     fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {
@@ -104,8 +116,21 @@ impl DataSource for Nerf2Spectrum {
         if self.root.as_os_str().is_empty() {
             return Err("`root` is empty; name the folder of the data set, or `.` for this one".into());
         }
-        Ok(())
+        self.elevation.and_then(Elevation::fault).map_or(Ok(()), Err)
     }
+}
+
+/// Refuses a picture that does not suit its angles.
+pub(crate) fn check_shape(path: &Path, elevation: Elevation, stated: bool, size: (usize, usize)) -> Result<()> {
+    let advice = if stated {
+        "correct `elevation`, or resample the pictures"
+    } else {
+        "say where the top row begins and the bottom row ends, such as `elevation: (-90, 90)` of the data source for a full \
+         sphere, or `elevation: [-90, 90]` in gateway_info.yml"
+    };
+    let factor = if stated { 4.0 } else { 1.75 };
+    let misfit = elevation.misfit(size, factor);
+    misfit.map_or(Ok(()), |what| Err(Error::input(path, format!("{what}; {advice}"))))
 }
 
 /// `manifest.json`, as `pwrfgs simulate` writes it.

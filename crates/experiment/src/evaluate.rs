@@ -42,6 +42,13 @@ pub fn evaluate(
             plane.width, plane.height, data.width, data.height
         )));
     }
+    if let Some(drawn) = plane.elevation().filter(|drawn| *drawn != data.elevation) {
+        return Err(Error::Config(format!(
+            "the model draws elevations of {} to {} degrees and the spectra of the data are of {} to {}; evaluate it on \
+             data like those it was trained on",
+            drawn.first, drawn.last, data.elevation.first, data.elevation.last
+        )));
+    }
     let test = Bench::new(data, &partition.test, plane);
     let means: Vec<[Real; 3]> = model.models().flat_map(|m| m.means_from(data.scene.origin)).collect();
     let facts = ModelFacts {

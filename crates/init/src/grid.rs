@@ -10,7 +10,7 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 /// Rings of equal elevation, each with as many azimuths as its share of the solid angle, so that directions are nearly
 /// uniform. Every Gaussian covers about the same part of the picture, and none is hidden or wasted: the best start for
 /// few Gaussians without a point cloud. Not of the paper. Where pixels are angles of the true pose, the grid is the
-/// hemisphere in front of the receiver; with the released projection it is the whole sphere about that projection's
+/// hemisphere in front of the receiver, or the sphere where the picture shows what is behind; with the released projection it is the whole sphere about that projection's
 /// real centre, −R·r with R and r the receiver's orientation and position.
 ///
 /// ```
@@ -46,7 +46,7 @@ impl Initializer for Grid {
     fn initialize(&self, scene: &Scene, plane: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud> {
         let world_from_receiver = scene.receiver.world_from_receiver();
         let (lowest, centre) = match plane.angles {
-            Some(_) => (0.0, scene.receiver.origin()),
+            Some(_) => (if plane.looks_behind() { -FRAC_PI_2 } else { 0.0 }, scene.receiver.origin()),
             None => (-FRAC_PI_2, -(world_from_receiver * scene.receiver.origin())),
         };
         let place = |direction: [f64; 3]| {

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 /// Gaussians drawn from a normal distribution about the receiver.
 ///
-/// Where pixels are angles of the true pose (`Mercator`), centres are normal about the receiver, and those behind it are
+/// Where pixels are angles of the true pose (`Mercator`), centres are normal about the receiver, and (unless the picture shows what is behind) those behind it are
 /// mirrored to its front (local z > 0), so that none starts out of sight. With the released projection (`WrfgsCompat`)
 /// they are normal about the origin of the world, as released: count 20,000 and 10 m for WRF-GS, 200,000 and 20 m for
 /// WRF-GS+. The scale is the root mean squared distance to the three nearest neighbours, as released. Use it where
@@ -48,7 +48,8 @@ impl Initializer for Random {
     fn initialize(&self, scene: &Scene, plane: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud> {
         let (world_from_receiver, origin) = (scene.receiver.world_from_receiver(), scene.receiver.origin());
         let draw = |rng: &mut Rng| [(); 3].map(|()| self.std * rng::normal(rng));
-        let in_front = |[x, y, z]: [Real; 3]| (origin + world_from_receiver * Vec3::new(x, y, z.abs())).to_array();
+        let ahead = |z: Real| if plane.looks_behind() { z } else { z.abs() };
+        let in_front = |[x, y, z]: [Real; 3]| (origin + world_from_receiver * Vec3::new(x, y, ahead(z))).to_array();
         let means: Vec<[Real; 3]> =
             (0..self.count).map(|_| draw(rng)).map(|p| if plane.angles.is_some() { in_front(p) } else { p }).collect();
         let scales = start::scales_from_neighbours(&means, self.nearest);

@@ -103,14 +103,18 @@ impl Stages {
         if pixels.is_none() {
             return Err(format!("plane: {width} x {height} pixels; there are 1 to {MAX_PIXELS}"));
         }
-        let drawn = self.projector.plane(width, height);
-        let near = |a: Axis, b: Axis| (a.first - b.first).abs() < 1e-6 && (a.step - b.step).abs() < 1e-6;
-        let alike = match (self.plane.angles, drawn.angles) {
-            (Some(a), Some(b)) => near(a.0, b.0) && near(a.1, b.1),
-            (a, b) => a.is_none() && b.is_none(),
+        let near = |a: Axis, b: Axis| (a.first - b.first).abs() < 1e-9 && (a.step - b.step).abs() < 1e-9;
+        let is_own = |drawn: &ImagePlane| {
+            let alike = match (self.plane.angles, drawn.angles) {
+                (Some(a), Some(b)) => near(a.0, b.0) && near(a.1, b.1),
+                (a, b) => a == b,
+            };
+            alike && self.plane.wraps == drawn.wraps
         };
-        if !alike || self.plane.wraps != drawn.wraps {
-            return Err("plane: its angles are not those that the projector draws".into());
+        let elevation = self.plane.elevation().filter(|elevation| elevation.fault().is_none());
+        let stated = elevation.and_then(|elevation| self.projector.plane_of(width, height, elevation).ok());
+        if !is_own(&self.projector.plane(width, height)) && !stated.is_some_and(|drawn| is_own(&drawn)) {
+            return Err("plane: its angles are none that the projector draws".into());
         }
         self.pose.fault().map_or(Ok(()), |(field, why)| Err(format!("pose, {field}: {why}")))?;
         check_together(&*self.rasterizer, self.readout, self.calibration, &self.plane)

@@ -1,7 +1,9 @@
 //! `Mercator`: the projector of the paper, azimuth and elevation linear in the pixel.
 
 use crate::ewa::{self, CameraModel};
-use pwrfgs_core::{Axis, Documented, ImagePlane, Pose, Primitives, Projector, Real, Splats, Vec3, consts::DEG};
+use pwrfgs_core::{
+    Axis, Documented, Elevation, ImagePlane, Pose, Primitives, Projector, Real, Splats, Vec3, consts::DEG,
+};
 use serde::{Deserialize, Serialize};
 
 /// cos 89.5°: the floor of cos(elevation) in the Jacobian.
@@ -9,7 +11,8 @@ const COS_FLOOR: Real = 0.008_726_535_498_373_935;
 /// Below this share of the distance from the axis, azimuth has no meaning and counts as 0.
 const ON_AXIS: Real = 1e-6;
 
-/// Equirectangular picture of the hemisphere in front of the receiver, the paper's «Mercator» projection.
+/// Equirectangular picture of the hemisphere in front of the receiver, the paper's «Mercator» projection; or of other
+/// elevations, behind it too, where the data say so.
 ///
 /// Column c is azimuth c·360/W degrees, row r is elevation r·90/H degrees above the array plane: with the measured
 /// 360 × 90 spectra one degree a pixel, row 0 the horizon of the array, row 89 almost its boresight. The receiver's true
@@ -58,8 +61,11 @@ impl Default for Mercator {
 #[typetag::serde]
 impl Projector for Mercator {
     fn plane(&self, width: usize, height: usize) -> ImagePlane {
-        let axis = |degrees: f64, pixels: usize| Axis { first: 0.0, step: degrees / pixels as f64 };
-        ImagePlane { width, height, wraps: true, angles: Some((axis(360.0, width), axis(90.0, height))) }
+        plane(width, height, Elevation::UPPER)
+    }
+
+    fn plane_of(&self, width: usize, height: usize, elevation: Elevation) -> Result<ImagePlane, String> {
+        Ok(plane(width, height, elevation))
     }
 
     fn project(&self, primitives: &Primitives, pose: &Pose, plane: &ImagePlane) -> Splats {
@@ -90,11 +96,18 @@ impl Projector for Mercator {
     }
 }
 
+fn plane(width: usize, height: usize, elevation: Elevation) -> ImagePlane {
+    let azimuth = Axis { first: 0.0, step: 360.0 / width as f64 };
+    ImagePlane { width, height, wraps: true, angles: Some((azimuth, elevation.axis(height))) }
+}
+
 /// The camera model with its constants at hand.
 struct Hemisphere {
     /// Columns and rows a radian.
     per_radian: [Real; 2],
     width: Real,
+    /// How many rows lie between elevation 0 and row 0.
+    above: Real,
     blur: Real,
     near: Real,
     /// Sine of the lowest elevation drawn.
@@ -103,9 +116,12 @@ struct Hemisphere {
 
 impl Hemisphere {
     fn new(plugin: &Mercator, plane: &ImagePlane) -> Self {
-        let per_radian = [plane.width as Real / 360.0 * DEG, plane.height as Real / 90.0 * DEG];
-        let lowest = -(plugin.margin_deg / DEG).sin();
-        Self { per_radian, width: plane.width as Real, blur: plugin.blur, near: plugin.near_m, lowest }
+        let Elevation { first, last } = plane.elevation().unwrap_or(Elevation::UPPER);
+        let per_radian = [plane.width as Real / 360.0 * DEG, plane.height as Real / (last - first) as Real * DEG];
+        let below = plugin.margin_deg - first.min(last) as Real;
+        let lowest = if below < 90.0 { -(below / DEG).sin() } else { -2.0 };
+        let above = first as Real / DEG * per_radian[1];
+        Self { per_radian, width: plane.width as Real, above, blur: plugin.blur, near: plugin.near_m, lowest }
     }
 }
 
@@ -125,7 +141,7 @@ impl CameraModel for Hemisphere {
     #[inline]
     fn pixel(&self, v: Vec3) -> [Real; 2] {
         let (rho, _, off_axis) = radii(v);
-        let elevation = v.z.atan2(if off_axis { rho } else { 0.0 }) * self.per_radian[1];
+        let elevation = v.z.atan2(if off_axis { rho } else { 0.0 }) * self.per_radian[1] - self.above;
         let column = if off_axis { v.y.atan2(v.x) * self.per_radian[0] } else { 0.0 };
         let column = if column < 0.0 { column + self.width } else { column };
         [if column >= self.width { 0.0 } else { column }, elevation]
@@ -193,9 +209,33 @@ mod tests {
     use pwrfgs_core::testing::check_vjp;
 
     fn model() -> Hemisphere {
+        of((0.0, 90.0)).1
+    }
+
+    /// One degree a pixel.
+    fn of(elevation: (f64, f64)) -> (ImagePlane, Hemisphere) {
         let plugin = Mercator::default();
-        let plane = plugin.plane(360, 90);
-        Hemisphere::new(&plugin, &plane)
+        let plane = plugin.plane_of(360, (elevation.1 - elevation.0).abs() as usize, elevation.into()).unwrap();
+        let model = Hemisphere::new(&plugin, &plane);
+        (plane, model)
+    }
+
+    #[test]
+    fn planes_of_other_elevations_show_what_is_behind() {
+        for elevation in [(-90.0, 90.0), (90.0, -90.0), (-30.0, 60.0)] {
+            let (plane, model) = of(elevation);
+            for (px, py) in [(33.0, 15.0), (359.0, 70.0), (180.0, 89.0)] {
+                let v = Vec3::from_array(plane.direction(px, py).unwrap()) * 3.0;
+                let [x, y] = model.pixel(v);
+                assert!(
+                    (x - px).abs() < 2e-3 && (y - py).abs() < 1e-3,
+                    "{elevation:?}: ({px}, {py}) became ({x}, {y})"
+                );
+                assert!(model.visible(v));
+            }
+            let straight_back = Vec3::new(0.1, 0.0, -3.0);
+            assert_eq!(model.visible(straight_back), elevation.0.min(elevation.1) < -60.0);
+        }
     }
 
     #[test]
@@ -212,11 +252,13 @@ mod tests {
     #[test]
     #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
     fn derivatives_agree_with_differences_up_to_the_zenith() {
-        // 10°, 45°, 88°, and inside the floor at 89.7°.
-        for el in [10.0, 45.0, 88.0, 89.7] {
+        // 10°, 45°, 88°, and inside the floor at 89.7°; also behind, and with the zenith on top.
+        let up = |el| (el, (0.0, 90.0));
+        for (el, elevation) in [up(10.0), up(45.0), up(88.0), up(89.7), (-45.0, (-90.0, 90.0)), (-88.0, (90.0, -90.0))]
+        {
             let v = Vec3::from_array(Mercator::default().plane(360, 90).direction(37.0, el).unwrap()) * 4.0;
             let flat = |j: [Vec3; 2]| [j[0].to_array(), j[1].to_array()].concat();
-            let m = model();
+            let m = of(elevation).1;
             check_vjp(
                 "pixel",
                 &v.to_array(),

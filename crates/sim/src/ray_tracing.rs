@@ -4,7 +4,7 @@ use crate::perturb::{Errors, perturbed};
 use crate::scene::Scene;
 use crate::simulator::{HEIGHT, Simulator, WIDTH};
 use glam::DVec3;
-use pwrfgs_core::{Baseline, Dataset, Documented, Error, Image, Predict, Result};
+use pwrfgs_core::{Baseline, Dataset, Documented, Elevation, Error, Image, Predict, Result};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -133,6 +133,11 @@ impl Baseline for RayTracing {
                 "RayTracing: spectra of this data set have {}x{} pixels, and it makes {WIDTH}x{HEIGHT}; leave it out",
                 data.width, data.height
             )));
+        }
+        if data.elevation != Elevation::UPPER {
+            let Elevation { first, last } = data.elevation;
+            let what = format!("spectra of this data set are of elevations {first} to {last}, and it makes 0 to 90");
+            return Err(Error::Config(format!("RayTracing: {what}; leave it out")));
         }
         let (scene, knows_scene) = self.scene(data)?;
         let (simulator, note) = (self.simulator(&scene)?, self.note(knows_scene));

@@ -57,7 +57,7 @@ impl Simulated {
         let mut data = if folder.join(PICTURES).exists() {
             Nerf2Spectrum { root, points, ..Nerf2Spectrum::default() }.load(Path::new(""), &nobody)?
         } else {
-            Arrays { root, points }.load(Path::new(""), &nobody)?
+            Arrays { root, points, elevation: None }.load(Path::new(""), &nobody)?
         };
         if data.samples.len() != self.samples || data.scene.points.len() != self.points {
             return Err(Error::input(folder, "holds another number of spectra or points than were simulated"));

@@ -2,7 +2,7 @@
 
 use crate::Pipeline;
 use crate::graph::Batch;
-use pwrfgs_core::{Dataset, Error, ImagePlane, Real, Result, rng};
+use pwrfgs_core::{Dataset, Elevation, Error, ImagePlane, Real, Result, rng};
 use pwrfgs_model::Stages;
 use rayon::prelude::*;
 
@@ -62,7 +62,7 @@ impl Batches {
 }
 
 /// The plane of every `stride`-th row and column of `plane`.
-pub(crate) fn coarse(plane: &ImagePlane, pipeline: &Pipeline) -> Result<ImagePlane> {
+pub(crate) fn coarse(plane: &ImagePlane, pipeline: &Pipeline, elevation: Elevation) -> Result<ImagePlane> {
     let (width, height, stride) = (plane.width, plane.height, pipeline.training.stride);
     if stride == 1 {
         return Ok(plane.clone());
@@ -77,7 +77,8 @@ pub(crate) fn coarse(plane: &ImagePlane, pipeline: &Pipeline) -> Result<ImagePla
             fits.join(", ")
         )));
     }
-    let coarse = pipeline.projector.plane(width / stride, height / stride);
+    let coarse = pipeline.projector.plane_of(width / stride, height / stride, elevation);
+    let coarse = coarse.map_err(|why| Error::Config(format!("the projector {why}")))?;
     let (last_x, last_y) = ((coarse.width - 1) as Real, (coarse.height - 1) as Real);
     let corner = plane.direction(last_x * stride as Real, last_y * stride as Real);
     match (coarse.direction(last_x, last_y), corner) {

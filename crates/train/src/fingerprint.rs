@@ -42,13 +42,7 @@ fn of_data(data: &Dataset) -> String {
     let samples: Vec<(usize, &Sample)> = data.samples.iter().enumerate().collect();
     let parts: Vec<String> = samples.par_chunks(CHUNK).map(part).collect();
     let points: Vec<u8> = data.scene.points.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
-    format!(
-        "{:?} {:?} {} {} {} {}",
-        data.scene.receiver,
-        data.scene.origin,
-        data.width,
-        data.height,
-        digest(&points),
-        parts.join(" ")
-    )
+    let scene = &data.scene;
+    let frame = format!("{:?} {:?} {:?} {} {}", scene.receiver, scene.origin, data.elevation, data.width, data.height);
+    [frame, digest(&points), parts.join(" ")].join(" ")
 }

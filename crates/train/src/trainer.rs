@@ -60,7 +60,8 @@ impl<'a> Trainer<'a> {
     /// What the initializer lacks, or an empty training part.
     pub fn new(pipeline: &Pipeline, data: &'a Dataset, partition: &Partition) -> Result<Self> {
         let pipeline = &pipeline.resolved()?;
-        let plane = pipeline.projector.plane(data.width, data.height);
+        let plane = pipeline.projector.plane_of(data.width, data.height, data.elevation);
+        let plane = plane.map_err(|why| Error::Config(format!("the projector {why}")))?;
         pipeline.rasterizer.check_plane(&plane).map_err(|why| Error::Config(format!("rasterizer: {why}")))?;
         if partition.train.is_empty() {
             return Err(Error::Config("the training part is empty; use another split".into()));
@@ -82,7 +83,7 @@ impl<'a> Trainer<'a> {
             let values = vec![spec.init; cloud.len() * spec.width];
             cloud.extra.push(ExtraColumn { name: spec.name.into(), width: spec.width, values });
         }
-        let coarse = coarse(&plane, pipeline)?;
+        let coarse = coarse(&plane, pipeline, data.elevation)?;
         let weights = Arc::new(pipeline.deformation.init(&mut rng::stream(pipeline.seed, "network", 0)));
         let stages = Arc::new(Stages {
             deformation: pipeline.deformation.clone(),

@@ -83,7 +83,7 @@ pub(crate) fn picture(path: &Path, width: u32, height: u32) {
     image::GrayImage::from_fn(width, height, |x, y| image::Luma([(7 * x + 11 * y) as u8])).save(path).unwrap();
 }
 
-/// Six measured spectra of 12x6 pixels in the NeRF2 layout, and a pipeline beside them.
+/// Six measured spectra of 12x6 pixels, a full sphere, in the NeRF2 layout, and a pipeline beside them.
 pub(crate) fn measured(folder: &Path) {
     let root = folder.join("data");
     for id in 1..=6 {
@@ -93,7 +93,7 @@ pub(crate) fn measured(folder: &Path) {
     write(&root.join("tx_pos.csv"), format!("x,y,z\n{rows}"));
     write(
         &root.join("gateway_info.yml"),
-        "gateway1:\n  position: [0.0, 0.0, 0.0]\n  orientation: [0.0, 0.0, 0.0, 1.0]\n",
+        "gateway1:\n  position: [0.0, 0.0, 0.0]\n  orientation: [0.0, 0.0, 0.0, 1.0]\nelevation: [-90, 90]\n",
     );
     write(&root.join("train_index.txt"), "00001\n00002\n00003\n00004\n");
     write(&root.join("test_index.txt"), "00005\n00006\n");

@@ -4,7 +4,7 @@ mod file;
 
 use crate::text::read_text;
 use file::File;
-use pwrfgs_core::{Error, Pose, Result};
+use pwrfgs_core::{Elevation, Error, Pose, Result};
 use serde::de::DeserializeSeed as _;
 use std::path::Path;
 
@@ -21,6 +21,8 @@ const MAX_DEPTH: usize = 64;
 pub(crate) struct Gateway {
     pub(crate) name: Option<String>,
     pub(crate) pose: Pose,
+    /// Of the pictures' rows, where it says so.
+    pub(crate) elevation: Option<Elevation>,
 }
 
 /// Reads the file; `wanted` is the gateway that the user names, `gateway1` where none is named.
@@ -60,7 +62,12 @@ pub(crate) fn read(path: &Path, wanted: Option<&str>, advice: &str) -> Result<Ga
         let (line, column) = place_of(&text, name, field);
         return Err(Error::at(path, line, column, fault));
     }
-    Ok(Gateway { name: file.title.filter(|n| !n.trim().is_empty()), pose })
+    let elevation = file.elevation.map(|[first, last]| Elevation { first, last });
+    if let Some(fault) = elevation.and_then(Elevation::fault) {
+        let (line, column) = place_of(&text, "elevation", "");
+        return Err(Error::at(path, line, column, fault));
+    }
+    Ok(Gateway { name: file.title.filter(|n| !n.trim().is_empty()), pose, elevation })
 }
 
 /// The line that opens more than [`MAX_DEPTH`] brackets, or holds more list marks. Those in comments and texts count as

@@ -131,6 +131,51 @@ fn data_are_simulated_where_they_say_so() {
 }
 
 #[test]
+fn pictures_must_suit_their_angles() {
+    let folder = Folder::new();
+    let shape = |width, height| (1..=3).for_each(|id| folder.grey(&format!("{id:05}"), width, height, 0));
+    let load = |elevation: Option<(f64, f64)>| {
+        let source = Nerf2Spectrum { elevation: elevation.map(Into::into), ..Folder::source() };
+        let data = source.load(folder.0.path(), &|_, _| {}).map(|data| (data.elevation.first, data.elevation.last));
+        data.map_err(|e| e.to_string().replace(&folder.0.path().display().to_string(), "DIR"))
+    };
+    shape(36, 18);
+    let said = load(None).unwrap_err();
+    assert_eq!(
+        said,
+        "DIR/s/spectrum/00001.png: is 36 x 18 pixels: over azimuths 0 to 360 and elevations 0 to 90 degrees each would be \
+         10.000 x 5.000 degrees; say where the top row begins and the bottom row ends, such as \
+         Nerf2Spectrum(elevation: (-90, 90)) for a full sphere, or `elevation: [-90, 90]` in gateway_info.yml"
+    );
+    assert_eq!(load(Some((-90.0, 90.0))), Ok((-90.0, 90.0)));
+    assert_eq!(load(Some((0.0, 90.0))), Ok((0.0, 90.0)), "who says so may have pixels that are not square");
+    assert!(load(Some((0.0, 9.0))).unwrap_err().contains("elevations 0 to 9 degrees each would be 10.000 x 0.500"));
+    let gateway = fs::read_to_string(folder.path("s/gateway_info.yml")).unwrap();
+    folder.write("s/gateway_info.yml", format!("{gateway}elevation: [90, -90]\n"));
+    assert_eq!(load(None), Ok((90.0, -90.0)));
+    assert_eq!(load(Some((-90.0, 90.0))), Ok((-90.0, 90.0)), "the pipeline overrules the file");
+    folder.write("s/gateway_info.yml", format!("{gateway}elevation: [0, 91]\n"));
+    let said = load(None).unwrap_err();
+    assert!(said.starts_with("DIR/s/gateway_info.yml:4:1: `elevation` is (0, 91); give the elevations"), "{said}");
+    folder.write("s/gateway_info.yml", format!("{gateway}elevation: 90\n"));
+    assert!(load(None).unwrap_err().starts_with("DIR/s/gateway_info.yml:4:"));
+    folder.write("s/gateway_info.yml", gateway);
+    // As tests and others have them: 90 x 24, 48 x 12, 8 x 3; a hemisphere at half the rows.
+    for (width, height) in [(90, 24), (48, 12), (8, 3), (60, 24), (6, 1)] {
+        shape(width, height);
+        assert_eq!(load(None), Ok((0.0, 90.0)), "{width} x {height}");
+    }
+    for (width, height) in [(90, 12), (48, 48), (8, 4)] {
+        shape(width, height);
+        assert!(load(None).is_err(), "{width} x {height}");
+    }
+    let parse = |elevation: &str| {
+        Plugin::<dyn DataSource>::parse(&format!("Nerf2Spectrum(elevation: {elevation})")).map_err(|e| e.clone())
+    };
+    assert!(parse("(-90, 90)").is_ok() && parse("(0, 0)").is_err() && parse("(0, 100)").is_err());
+}
+
+#[test]
 fn points_widen_the_bounds() {
     let folder = Folder::new();
     folder.write("room.xyz", "-1 0 0\n0 20 0\n");
@@ -144,7 +189,10 @@ fn points_widen_the_bounds() {
 fn paths_move_with_the_pipeline() {
     let source = Plugin::<dyn DataSource>::parse(r#"Nerf2Spectrum(root: "a", points: "b.ply")"#).unwrap();
     let moved = source.rebased(&|path| Path::new("base").join(path)).unwrap();
-    assert_eq!(format!("{moved:?}"), r#"Nerf2Spectrum { root: "base/a", points: Some("base/b.ply"), gateway: None }"#);
+    assert_eq!(
+        format!("{moved:?}"),
+        r#"Nerf2Spectrum { root: "base/a", points: Some("base/b.ply"), gateway: None, elevation: None }"#
+    );
 }
 
 #[test]

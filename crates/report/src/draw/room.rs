@@ -51,7 +51,8 @@ impl Room {
     /// The frame holds the scene and the Gaussians of all `clouds` but those absurdly far off. Text on the axes is `text` high.
     pub(crate) fn new(data: &Dataset, partition: &Partition, clouds: &[&Snapshot], text: f64) -> Self {
         let (low, high) = limits(data, clouds);
-        let view = View::new(low, high, text);
+        let mut view = View::new(low, high, text);
+        view.origin = data.scene.origin.0;
         let most = clouds.iter().map(|s| s.means.len()).max().unwrap_or(0);
         let radius = (90.0 / (most.max(1) as f64).sqrt()).clamp(2.4, 6.0);
         let mut behind = view.canvas();

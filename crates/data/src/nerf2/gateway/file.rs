@@ -16,6 +16,8 @@ pub(super) struct File<'a> {
 pub(super) struct Contents {
     /// `dataset_name`, a text or a number.
     pub(super) title: Option<String>,
+    /// `elevation`, degrees.
+    pub(super) elevation: Option<[f64; 2]>,
     /// The gateway that is wanted.
     pub(super) pose: Option<Pose>,
     /// Keys of other gateways: they begin with `gateway`, or hold a `position`.
@@ -48,6 +50,8 @@ impl<'de> Visitor<'de> for File<'_> {
                 }
             } else if key == "dataset_name" {
                 contents.title = map.next_value::<Glance>()?.scalar;
+            } else if key == "elevation" {
+                contents.elevation = Some(map.next_value()?);
             } else {
                 let seen = map.next_value::<Glance>()?;
                 if seen.has_position || key.to_lowercase().starts_with("gateway") {

@@ -1,13 +1,14 @@
 //! What the figure of the room shows and what it leaves out.
 
 use super::*;
-use pwrfgs_core::{GaussianCloud, Origin, Pose, Sample, Scene, Spectra};
+use pwrfgs_core::{Elevation, GaussianCloud, Origin, Pose, Sample, Scene, Spectra};
 
 /// A room of 4 x 3 x 2 m with `points` points and one transmitter of each kind.
 fn room(points: usize) -> (Dataset, Partition) {
     let low_high = ([0.0; 3], [4.0, 3.0, 2.0]);
     let sample = |id| Sample { id, tx: [1.0, 1.0, f64::from(id) / 2.0] };
     let data = Dataset {
+        elevation: Elevation::UPPER,
         title: "room".into(),
         scene: Scene {
             origin: Origin::ZERO,

@@ -20,6 +20,8 @@ pub(crate) type Place = [f64; 3];
 pub(crate) struct View {
     low: Place,
     high: Place,
+    /// What the numbers on the axes count from.
+    pub(crate) origin: Place,
     /// Units of the picture a metre.
     scale: f64,
     /// Where the origin of the picture lies, before scaling.
@@ -46,7 +48,15 @@ impl View {
         // Narrow boxes stand in the middle.
         let spare = WIDTH - left - right - scale * (most[0] - least[0]);
         let corner = [least[0] - (left + spare / 2.0) / scale, most[1] + top / scale];
-        Self { low, high, scale, corner, text, size: [WIDTH, top + scale * (most[1] - least[1]) + bottom] }
+        Self {
+            low,
+            high,
+            origin: [0.0; 3],
+            scale,
+            corner,
+            text,
+            size: [WIDTH, top + scale * (most[1] - least[1]) + bottom],
+        }
     }
 
     /// Whether the box holds `p`.
@@ -90,28 +100,33 @@ impl View {
         let em = self.text;
         // Larger text, fewer numbers.
         let most = ((60.0 / em) as usize).clamp(2, 6);
-        let ticks = [0, 1, 2].map(|k| linear_ticks_between(low[k], high[k], most));
+        let o = self.origin;
+        let ticks = [0, 1, 2].map(|k| linear_ticks_between(low[k] - o[k], high[k] - o[k], most));
         let mut grid = Path::default();
         let mut mark = |[x, y]: Point, [dx, dy]: Point, anchor, words: &str| {
             canvas.text([x + dx * em, y + dy * em], anchor, words);
         };
-        for &x in &ticks[0] {
+        for (x, words) in ticks[0].iter().map(|v| (v + o[0], label(*v))) {
             grid.add(&[at(x, low[1], low[2]), at(x, high[1], low[2]), at(x, high[1], high[2])]);
-            mark(at(x, low[1], low[2]), [-0.3, 1.15], Anchor::Middle, &label(x));
+            mark(at(x, low[1], low[2]), [-0.3, 1.15], Anchor::Middle, &words);
         }
-        for &y in &ticks[1] {
+        for (y, words) in ticks[1].iter().map(|v| (v + o[1], label(*v))) {
             grid.add(&[at(high[0], y, low[2]), at(low[0], y, low[2]), at(low[0], y, high[2])]);
-            mark(at(high[0], y, low[2]), [0.55, 1.05], Anchor::Start, &label(y));
+            mark(at(high[0], y, low[2]), [0.55, 1.05], Anchor::Start, &words);
         }
-        for &z in &ticks[2] {
+        for (z, words) in ticks[2].iter().map(|v| (v + o[2], label(*v))) {
             grid.add(&[at(low[0], low[1], z), at(low[0], high[1], z), at(high[0], high[1], z)]);
-            mark(at(low[0], low[1], z), [-0.5, 0.33], Anchor::End, &label(z));
+            mark(at(low[0], low[1], z), [-0.5, 0.33], Anchor::End, &words);
         }
         let middle = |k: usize| f64::midpoint(low[k], high[k]);
-        mark(at(middle(0), low[1], low[2]), [-1.3, 2.6], Anchor::Middle, "x [m]");
-        mark(at(high[0], middle(1), low[2]), [2.3, 2.3], Anchor::Middle, "y [m]");
+        let title = |k: usize| match o[k] {
+            0.0 => format!("{} [m]", ["x", "y", "z"][k]),
+            from => format!("{} − {from} [m]", ["x", "y", "z"][k]),
+        };
+        mark(at(middle(0), low[1], low[2]), [-1.3, 2.6], Anchor::Middle, &title(0));
+        mark(at(high[0], middle(1), low[2]), [2.3, 2.3], Anchor::Middle, &title(1));
         let [x, y] = at(low[0], low[1], middle(2));
-        canvas.upright([x - 2.5 * em, y], "z [m]");
+        canvas.upright([x - 2.5 * em, y], title(2));
         canvas.path(grid, Paint::stroke(Colour::hex(0xdd_e0e6), 0.6));
         canvas
     }

@@ -1,0 +1,90 @@
+//! Pictures of other elevations than 0 to 90 degrees: a full sphere trains, and nobody reads it as half of one.
+
+use crate::common::pipeline;
+use pwrfgs::model::file;
+use pwrfgs::prelude::*;
+
+const SIZE: (usize, usize) = (60, 30);
+
+/// Spectra of one direction each way, all alike: one in front of the receiver, and a stronger one behind.
+fn sphere(elevation: Elevation) -> Dataset {
+    let axis = elevation.axis(SIZE.1);
+    let row = |el: f64| ((el - axis.first) / axis.step).round() as i64;
+    let spectrum: Vec<u8> = (0..(SIZE.0 * SIZE.1) as i64)
+        .map(|i| {
+            let (x, y) = (i % SIZE.0 as i64, i / SIZE.0 as i64);
+            let bump =
+                |at: (i64, i64), most: f64| most * (-0.15 * ((x - at.0).pow(2) + (y - at.1).pow(2)) as f64).exp();
+            (bump((15, row(48.0)), 120.0) + bump((40, row(-36.0)), 255.0)) as u8
+        })
+        .collect();
+    let samples = (1..=6).map(|id| Sample { id, tx: [0.1 * f64::from(id), 0.5, 1.0] }).collect();
+    let spectra = Spectra::grey(SIZE, spectrum.repeat(6)).unwrap();
+    let data = Dataset::new("sphere", Pose::IDENTITY, vec![], samples, spectra).unwrap();
+    Dataset { elevation, ..data }
+}
+
+const SETTINGS: &str = "data: Teacher(), deformation: Fixed(),
+    training: (steps: 120, batch: 2, densify_until: 0, prune_until: 120, tx_jitter_m: 0, densify: (every: 0),
+        optimizer: (means: Constant(0.02), log_scales: Constant(0.02), opacity_logits: Constant(0.05), signals: Constant(0.03)))";
+
+#[test]
+fn a_full_sphere_trains_in_front_and_behind_either_way_up() {
+    for initializer in ["Grid(count: 80, distance_m: 3)", "Random(count: 300, std: 3)"] {
+        for elevation in [(-90.0, 90.0), (90.0, -90.0)].map(Elevation::from) {
+            let pipeline = pipeline(&format!("initializer: {initializer}, {SETTINGS}"));
+            let data = sphere(elevation);
+            let all: Vec<usize> = (0..6).collect();
+            let partition = Partition { train: all, ..Partition::default() };
+            let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+            let first = trainer.step().unwrap().loss;
+            while !trainer.finished() {
+                trainer.step().unwrap();
+            }
+            let model = trainer.model();
+            assert_eq!(model.stages.plane.elevation(), Some(elevation));
+            let folder = tempfile::tempdir().unwrap();
+            file::write(&folder.path().join("m"), &model).unwrap();
+            let image = file::read(&folder.path().join("m")).unwrap().predict([0.3, 0.5, 1.0]);
+            let loss: f64 = image.pixels.iter().zip(&data.image(0).pixels).map(|(a, b)| f64::from((a - b).abs())).sum();
+            println!("{initializer} {elevation:?}: loss {first} at first, mean error {}", loss / 1800.0);
+            // Strongest behind, where it is; and something in front as well.
+            let (x, y) = ((image.argmax() % SIZE.0) as Real, (image.argmax() / SIZE.0) as Real);
+            let (az, el) = model.stages.plane.azimuth_elevation_deg(x, y).unwrap();
+            assert!((az - 240.0).abs() <= 12.0 && (el + 36.0).abs() <= 12.0, "{initializer} {elevation:?}: {az} {el}");
+            let axis = elevation.axis(SIZE.1);
+            let ahead = ((48.0 - axis.first) / axis.step).round() as usize;
+            assert!(image.pixels[ahead * SIZE.0 + 15] > 0.2, "in front: {}", image.pixels[ahead * SIZE.0 + 15]);
+        }
+    }
+}
+
+#[test]
+fn who_cannot_draw_or_has_not_learnt_the_elevations_says_so() {
+    let data = sphere((-90.0, 90.0).into());
+    let partition = Partition { train: vec![0, 1, 2], test: vec![3, 4], ..Partition::default() };
+    let refused = |settings: &str| {
+        let pipeline = pipeline(&format!("initializer: Grid(count: 8), {SETTINGS}, {settings}"));
+        Trainer::new(&pipeline, &data, &partition).err().unwrap().to_string()
+    };
+    let said = refused("projector: WrfgsCompat()");
+    assert!(said.contains("the projector draws no elevations of -90 to 90 degrees"), "{said}");
+    let pipeline = pipeline(&format!("initializer: Grid(count: 8), {SETTINGS}"));
+    let half = sphere(Elevation::UPPER);
+    let model = Trainer::new(&pipeline, &half, &partition).unwrap().model();
+    let stop = std::sync::atomic::AtomicBool::new(false);
+    let said = pwrfgs::experiment::evaluate(&model.prepare(), &pipeline, &data, &partition, &mut Silent, &stop);
+    let said = said.unwrap_err().to_string();
+    assert!(
+        said.contains("draws elevations of 0 to 90 degrees and the spectra of the data are of -90 to 90"),
+        "{said}"
+    );
+    // A file whose plane is none of its projector's.
+    let mut model = model;
+    let angles = model.stages.plane.angles.as_mut().unwrap();
+    angles.0.step = 1e300;
+    let folder = tempfile::tempdir().unwrap();
+    file::write(&folder.path().join("m"), &model).unwrap();
+    let said = file::read(&folder.path().join("m")).unwrap_err();
+    assert!(said.is_input() && said.to_string().contains("`plane` is none that its `projector` draws on"), "{said}");
+}
