@@ -19,3 +19,4 @@ mod reference;
 mod registry;
 mod robustness;
 mod stopping;
+mod streaming;
