@@ -184,6 +184,19 @@ fn metrics_measure_every_sample_or_the_whole() {
         for (name, metric) in all::<dyn Metric>() {
             let measurements = metric.evaluate(&evaluation).unwrap();
             assert!(!measurements.is_empty(), "{name}");
+            // What it says it need not see changes nothing.
+            let alone = match metric.scope() {
+                Scope::Model => Some(Evaluation { predictions: &[], truths: &[], ..evaluation }),
+                Scope::Sample => Some(Evaluation { predictions: &pictures[3..], truths: &pictures[3..], ..evaluation }),
+                Scope::All => None,
+            };
+            let alone = alone.map_or_else(Vec::new, |alone| metric.evaluate(&alone).unwrap());
+            for (m, alone) in measurements.iter().zip(alone) {
+                match (&m.values, alone.values) {
+                    (Values::PerSample(all), Values::PerSample(one)) => assert_eq!(all[3..], one, "{name}"),
+                    (all, one) => assert_eq!(*all, one, "{name}"),
+                }
+            }
             for m in measurements {
                 assert!(!m.key.is_empty(), "{name}");
                 match m.values {

@@ -21,4 +21,5 @@ mod reference;
 mod registry;
 mod robustness;
 mod stopping;
+mod streaming;
 mod supply_chain;

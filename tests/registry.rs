@@ -30,7 +30,7 @@ fn pretty() -> ron::ser::PrettyConfig {
 
 #[test]
 fn every_built_in_name_is_registered() {
-    linked::<dyn DataSource>(&["Nerf2Spectrum", "Simulated", "Teacher"]);
+    linked::<dyn DataSource>(&["Arrays", "Nerf2Spectrum", "Simulated", "Teacher"]);
     linked::<dyn Split>(&["Official", "Random", "Sparse", "TimeBlock", "Voxel"]);
     linked::<dyn Baseline>(&["MeanSpectrum", "NearestNeighbours", "RayTracing"]);
     linked::<dyn Initializer>(&["Grid", "PointCloud", "Random"]);

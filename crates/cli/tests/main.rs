@@ -9,6 +9,7 @@ mod damage;
 mod ensemble;
 mod export;
 mod failure;
+mod import;
 mod maps;
 mod model_format;
 mod my_pruner;

@@ -1,13 +1,15 @@
 //! Whoever follows `docs/model-format.md` gets the program's spectra: `model_format.py` does, with `NumPy` alone.
 
-use crate::common::{SMALL, refuse, succeed, write};
+use crate::common::{SMALL, python, refuse, succeed, write};
 use pwrfgs::model::Calibration::{AsReleased, Physical};
 use pwrfgs::model::tensors::Tensors;
 use pwrfgs::model::{Calibration, Model, Readout, Stages, file};
-use pwrfgs_core::testing::skipped;
 use pwrfgs_core::{GaussianCloud, Origin, Plugin, Pose, Projector, Real, Vec3, rng};
 use std::path::Path;
 use std::process::Command;
+
+/// Said where there is no NumPy.
+const NOBODY: &str = "nobody has followed docs/model-format.md";
 
 /// Deformation, projector, rasterizer, calibration and readout: each of them somewhere.
 const CASES: [(&str, &str, &str, Calibration, Readout); 9] = [
@@ -104,21 +106,9 @@ fn predict(here: &Path, model: &str, out: &str) {
     succeed(here, &["predict", model, "--tx-csv", "tx.csv", "--out", out]);
 }
 
-/// A Python with `NumPy`. Where there is none, the test is skipped and says so; where `CI` is set, it fails.
-fn python() -> Option<&'static str> {
-    let works =
-        |python: &&str| Command::new(python).args(["-c", "import numpy"]).output().is_ok_and(|o| o.status.success());
-    let found = ["python3", "/usr/bin/python3"].into_iter().find(works);
-    if found.is_none() {
-        assert!(std::env::var_os("CI").is_none(), "no python3 with NumPy; install python3-numpy");
-        skipped("no python3 with NumPy, so nobody has followed docs/model-format.md");
-    }
-    found
-}
-
 #[test]
 fn numpy_alone_predicts_what_the_document_says() {
-    let Some(python) = python() else { return };
+    let Some(python) = python(NOBODY) else { return };
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let mut pairs = Vec::new();

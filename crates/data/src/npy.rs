@@ -162,7 +162,7 @@ pub fn npy_header(number: Number, shape: &[usize]) -> Vec<u8> {
         Number::F32 => "<f4",
         Number::F64 => "<f8",
     };
-    let shape: String = shape.iter().map(|n| format!("{n}, ")).collect();
+    let shape = shape.iter().fold(String::new(), |text, n| text + &format!("{n}, "));
     let text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({}), }}", shape.trim_end());
     // Numbers begin at a multiple of 64 bytes, as the format asks; the header ends in a line end.
     let length = (10 + text.len() + 1).next_multiple_of(64) - 10;

@@ -20,11 +20,13 @@ const CHUNK: usize = 64;
 /// Most pixels predicted in one call, of larger pictures: 8 bytes each with the measured ones.
 const PIXELS: usize = 1 << 21;
 
+/// Predicts some transmitters; says now and then how many more are done.
+type Predictor<'a> = dyn Fn(&[[f64; 3]], &(dyn Fn(usize) + Sync)) -> Vec<Image> + 'a;
+
 /// Who is scored.
 #[derive(Clone, Copy)]
 struct Subject<'a> {
-    /// Predicts some transmitters; tells how many of them are done.
-    predict: &'a dyn Fn(&[[f64; 3]], &(dyn Fn(usize) + Sync)) -> Vec<Image>,
+    predict: &'a Predictor<'a>,
     /// Of a model.
     facts: Option<ModelFacts<'a>>,
     /// Predicts one transmitter and says how long it took; `None` where nobody asks.
@@ -148,7 +150,7 @@ impl<'a> Bench<'a> {
                     Scope::All => *found = metric.evaluate(&self.seen(&predictions, &truths, subject.facts, timed))?,
                     Scope::Model => *found = metric.evaluate(&self.seen(&[], &[], subject.facts, timed))?,
                     Scope::Sample if self.part.is_empty() => {
-                        *found = metric.evaluate(&self.seen(&[], &[], None, None))?
+                        *found = metric.evaluate(&self.seen(&[], &[], None, None))?;
                     }
                     Scope::Sample => {}
                 }

@@ -57,13 +57,12 @@ pub fn evaluate(
         network_bytes: model.models().map(Model::network_bytes).sum(),
     };
     let own = test.model(model, Some(facts), &pipeline.metrics, observer, stop)?;
-    let ssims = match ssim(&own) {
-        Some(values) => values.to_vec(),
+    let ssims = if let Some(values) = ssim(&own) {
+        values.to_vec()
+    } else {
         // The pipeline does not ask for it, but a report shows pictures by it.
-        None => {
-            let metrics = validation::metrics().unwrap_or_default();
-            ssim(&test.model(model, None, &metrics, &mut Silent, stop)?).map_or_else(Vec::new, <[f64]>::to_vec)
-        }
+        let metrics = validation::metrics().unwrap_or_default();
+        ssim(&test.model(model, None, &metrics, &mut Silent, stop)?).map_or_else(Vec::new, <[f64]>::to_vec)
     };
     let examples = examples::choose(model, data, &partition.test, &ssims)?;
     let mut predictors = vec![(MODEL.to_owned(), own)];

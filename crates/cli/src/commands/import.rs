@@ -81,7 +81,7 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<ExitCod
         };
         let out = arguments.out.display();
         output::note(&format!("{m} spectra of {w} x {h} pixels ({kind}, {low} to {high}) in {out}; in a pipeline:"));
-        output::note(&format!("    data: Arrays(root: {:?}),", arguments.out));
+        output::note(&format!("    data: Arrays(root: {:?}),", arguments.out.to_string_lossy()));
         output::note("    split: Random(test: 0.2),");
     }
     Ok(ExitCode::SUCCESS)
@@ -90,7 +90,7 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<ExitCod
 /// `x,y,z,w` of the command line.
 fn quaternion(text: &str) -> Result<[f64; 4]> {
     let numbers: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
-    <[f64; 4]>::try_from(numbers.unwrap_or_default()).map_err(|_| {
+    numbers.and_then(|numbers| numbers.try_into().ok()).ok_or_else(|| {
         Error::Config(format!("--orientation {text}: give a unit quaternion x,y,z,w, such as 0,0,0,1 for no rotation"))
     })
 }

@@ -1,5 +1,6 @@
 //! The program under test, small pipelines and small data.
 
+use pwrfgs_core::testing::skipped;
 use std::path::Path;
 use std::process::{Child, Command, Output};
 use std::time::Duration;
@@ -102,4 +103,16 @@ pub(crate) fn measured(folder: &Path) {
         .replace("validation: 0.2", "validation: 0")
         .replace("steps: 60", "steps: 60, scale: 0.05");
     write(&folder.join("p.ron"), text);
+}
+
+/// A Python with `NumPy`. Where there is none, the test is skipped and says so; where `CI` is set, it fails.
+pub(crate) fn python(otherwise: &str) -> Option<&'static str> {
+    let works =
+        |python: &&str| Command::new(python).args(["-c", "import numpy"]).output().is_ok_and(|o| o.status.success());
+    let found = ["python3", "/usr/bin/python3"].into_iter().find(works);
+    if found.is_none() {
+        assert!(std::env::var_os("CI").is_none(), "no python3 with NumPy; install python3-numpy");
+        skipped(&format!("no python3 with NumPy, so {otherwise}"));
+    }
+    found
 }

@@ -37,7 +37,7 @@ impl Folder {
     }
 
     fn try_load(&self) -> Result<Dataset> {
-        Arrays { root: "s".into(), points: None }.load(self.0.path(), &|_, _| {})
+        Arrays { root: "s".into(), ..Arrays::default() }.load(self.0.path(), &|_, _| {})
     }
 
     fn fault(&self) -> String {

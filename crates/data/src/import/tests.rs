@@ -39,7 +39,7 @@ impl Folder {
         let out = self.path("out");
         let _ = fs::remove_dir_all(&out);
         let imported = work.write(&out, &|_, _| {}).unwrap();
-        (imported, Arrays { root: out, points: None }.load(Path::new(""), &|_, _| {}).unwrap())
+        (imported, Arrays { root: out, ..Arrays::default() }.load(Path::new(""), &|_, _| {}).unwrap())
     }
 
     /// The message, with this folder as `DIR`; nothing is left behind.

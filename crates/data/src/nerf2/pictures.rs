@@ -49,8 +49,8 @@ pub(crate) fn load(files: &[&Path], progress: Progress<'_>) -> Result<Spectra> {
     let name = first.file_name().unwrap_or_default().to_string_lossy();
     let mut all = Vec::new();
     let total = bytes.len().saturating_mul(files.len());
-    all.try_reserve_exact(total).map_err(|_| {
-        let what = format!("{} pictures of {width} x {height} pixels do not fit into memory", files.len());
+    all.try_reserve_exact(total).map_err(|e| {
+        let what = format!("{} pictures of {width} x {height} pixels do not fit into memory ({e})", files.len());
         Error::input(first, format!("{what}; `pwrfgs import` makes one array of them, of which memory holds a part"))
     })?;
     all.extend(bytes);

@@ -1,0 +1,117 @@
+//! `pwrfgs import`: what NumPy saves becomes data that train, and mistakes leave nothing behind.
+
+use crate::common::{SMALL, call, python, refuse, stderr, stdout, succeed};
+use std::fs;
+use std::process::Command;
+
+/// Pictures of a lobe that follows the transmitter, in every form that is understood and some that are not.
+const MAKE: &str = r#"
+import numpy as np
+rng = np.random.default_rng(0)
+tx = rng.uniform([-2, -2, 0.5], [2, 2, 1.5], (40, 3))
+azimuth = np.degrees(np.arctan2(tx[:, 1], tx[:, 0])) % 360
+columns = (np.arange(48) * 7.5 - azimuth[:, None] + 180) % 360 - 180
+rows = np.arange(12) * 7.5 - 30
+s = np.exp(-(columns[:, None, :] / 40) ** 2 - (rows[None, :, None] / 30) ** 2)
+np.save("tx.npy", tx)
+np.save("tx_f.npy", np.asfortranarray(tx).astype(np.float32))
+np.savetxt("tx.csv", tx, delimiter=",", header="x,y,z", comments="")
+np.save("f64.npy", s)
+np.save("f32.npy", s.astype("<f4"))
+np.save("u16.npy", np.round(s * 65535).astype(np.uint16))
+np.save("u8.npy", np.round(s * 255).astype(np.uint8))
+np.savez("all.npz", spectra=s, tx=tx)
+np.savez_compressed("small.npz", pictures=s.astype("f4"), positions=tx)
+np.save("db.npy", 20 * np.log10(s + 1e-5))
+np.save("large.npy", 255 * s)
+np.save("turned.npy", s.transpose(0, 2, 1).copy())
+np.save("fortran.npy", np.asfortranarray(s))
+np.save("big.npy", s.astype(">f4"))
+np.save("complex.npy", s.astype(np.complex64))
+np.save("half.npy", s.astype(np.float16))
+"#;
+
+const POSE: [&str; 4] = ["--receiver", "0,0,-0.5", "--orientation", "0,0,0,1"];
+
+fn arguments<'a>(spectra: &'a str, tx: &'a str, more: &[&'a str]) -> Vec<&'a str> {
+    let named: &[&str] = if tx.is_empty() { &[] } else { &["--tx", tx] };
+    [&["import", "--spectra", spectra], named, &POSE, more].concat()
+}
+
+#[test]
+fn what_numpy_saves_is_trained_on() {
+    let Some(python) = python("what NumPy saves has not been imported") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let made = Command::new(python).args(["-c", MAKE]).current_dir(here).output().unwrap();
+    assert!(made.status.success(), "{}", stderr(&made));
+    let mut kept = Vec::new();
+    for (k, (spectra, tx)) in [
+        ("f32.npy", "tx.npy"),
+        ("f64.npy", "tx_f.npy"),
+        ("u16.npy", "tx.csv"),
+        ("u8.npy", "tx.npy"),
+        ("all.npz", ""),
+        ("small.npz:pictures", "small.npz:positions"),
+        ("large.npy --scale 0.00392156862745098", "tx.npy"),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let (out, mut words) = (format!("data/{k}"), spectra.split(' '));
+        let (spectra, more) = (words.next().unwrap(), words.chain(["--out", &out]).collect::<Vec<_>>());
+        let said = stderr(&succeed(here, &arguments(spectra, tx, &more)));
+        assert!(said.contains("40 spectra of 48 x 12 pixels"), "{said}");
+        assert!(
+            said.contains(&format!("    data: Arrays(root: \"{out}\"),\n    split: Random(test: 0.2),\n")),
+            "{said}"
+        );
+        kept.push(fs::read(here.join(&out).join("spectra.npy")).unwrap());
+    }
+    // Double precision becomes single, whatever it came in.
+    assert!(kept[0] == kept[1] && kept[0] == kept[4] && kept[0] == kept[5]);
+    assert_eq!(kept[0], fs::read(here.join("f32.npy")).unwrap());
+    assert_eq!(kept[2], fs::read(here.join("u16.npy")).unwrap());
+    assert_eq!(kept[3], fs::read(here.join("u8.npy")).unwrap());
+    let pipeline = SMALL
+        .replace("Teacher(gaussians: 4, samples: 40, width: 48, height: 12)", "Arrays(root: \"data/2\")")
+        .replace("Official(validation: 0.2)", "Random(test: 0.2)");
+    fs::write(here.join("small.ron"), pipeline).unwrap();
+    let run = succeed(here, &["run", "small.ron"]);
+    assert!(stdout(&run).contains("ssim"), "{}", stdout(&run));
+
+    for (spectra, words) in [
+        ("db.npy", "as decibels are; spectra are linear"),
+        ("large.npy", "and spectra are from 0 to 1; give --scale 0.0039"),
+        ("turned.npy", "save s.transpose(0, 2, 1)"),
+        ("fortran.npy", "is in Fortran order; save numpy.ascontiguousarray(fortran)"),
+        ("big.npy", "numbers of type `>f4`"),
+        ("complex.npy", "numpy.abs"),
+        ("half.npy", "numbers of type `<f2`"),
+        ("all.npz:other", "no array `other`"),
+        ("none.npy", "cannot read none.npy"),
+    ] {
+        refuse(here, &arguments(spectra, "tx.npy", &["--out", "data/bad"]), 2, &[words]);
+    }
+    refuse(here, &arguments("f32.npy", "tx.npy", &["--out", "data/0"]), 2, &["data/0 is not empty"]);
+    refuse(here, &arguments("f32.npy", "", &["--out", "data/bad"]), 2, &["name the transmitters with --tx"]);
+    let mut names: Vec<_> = fs::read_dir(here.join("data")).unwrap().map(|e| e.unwrap().file_name()).collect();
+    names.sort();
+    assert_eq!(names, ["0", "1", "2", "3", "4", "5", "6"]);
+}
+
+#[test]
+fn a_pose_that_is_none_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    for (receiver, orientation, words) in [
+        ("0,0", "0,0,0,1", "--receiver 0,0: give three finite numbers in metres"),
+        ("0,0,0", "0,0,1", "--orientation 0,0,1: give a unit quaternion x,y,z,w"),
+        ("0,0,0", "0,0,0,2", "orientation of the receiver: the quaternion has length 2"),
+    ] {
+        let pose = ["--receiver", receiver, "--orientation", orientation, "--out", "data"];
+        let arguments = [&["import", "--spectra", "s.npy", "--tx", "tx.npy"][..], &pose].concat();
+        refuse(here, &arguments, 2, &[words]);
+    }
+    assert_eq!(call(here, &["import", "--spectra", "s.npy"]).status.code(), Some(2));
+}

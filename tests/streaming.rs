@@ -1,0 +1,132 @@
+//! An evaluation shows each metric what it says it has to see, holds few predictions at a time, and gives the scores that
+//! all of them at once would give.
+
+use crate::common::plugin;
+use pwrfgs::core::Scope;
+use pwrfgs::experiment::Bench;
+use pwrfgs::metrics::{L1, Ssim};
+use pwrfgs::prelude::*;
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+/// How many predictions it is shown: one number a sample, or one in all.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct Counted {
+    scope: String,
+    whole: bool,
+}
+
+#[typetag::serde]
+impl Metric for Counted {
+    fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
+        let count = evaluation.predictions.len();
+        assert_eq!(count, evaluation.truths.len());
+        let values =
+            if self.whole { Values::Whole(count as f64) } else { Values::PerSample(vec![count as f64; count]) };
+        Ok(vec![Measurement { key: format!("counted_{}", self.scope), unit: "", goal: Goal::Lower, values }])
+    }
+
+    fn scope(&self) -> Scope {
+        match self.scope.as_str() {
+            "sample" => Scope::Sample,
+            "model" => Scope::Model,
+            _ => Scope::All,
+        }
+    }
+}
+
+fn data() -> Dataset {
+    let source = "Teacher(gaussians: 3, samples: 300, width: 40, height: 10)";
+    plugin::<dyn DataSource>(source).load(Path::new("."), &|_, _| {}).unwrap()
+}
+
+fn scores(data: &Dataset, part: &[usize], metrics: &[&str]) -> Result<Vec<Measurement>> {
+    let plane = plugin::<dyn Projector>("Mercator()").plane(data.width, data.height);
+    let metrics: Vec<Plugin<dyn Metric>> = metrics.iter().map(|text| plugin(text)).collect();
+    let known: Vec<usize> = (0..50).collect();
+    let fitted = plugin::<dyn Baseline>("NearestNeighbours()").fit(data, &known)?;
+    Bench::new(data, part, &plane).baseline("3-NN", &*fitted, &metrics, &mut Silent, &AtomicBool::new(false))
+}
+
+#[test]
+fn a_metric_sees_at_once_what_it_says() {
+    let data = data();
+    let part: Vec<usize> = (50..300).collect();
+    let metrics = ["Counted(scope: \"sample\")", "Counted(whole: true)", "Counted(scope: \"model\", whole: true)"];
+    let found = scores(&data, &part, &metrics).unwrap();
+    let Values::PerSample(counts) = &found[0].values else { panic!("{found:?}") };
+    assert!(counts.len() == 250 && counts.iter().all(|n| *n <= 64.0) && counts[0] > 1.0, "{counts:?}");
+    assert_eq!((&found[1].values, &found[2].values), (&Values::Whole(250.0), &Values::Whole(0.0)));
+    // One that looks at all of them and says otherwise would be wrong without a word.
+    let said = scores(&data, &part, &["Counted(scope: \"sample\", whole: true)"]).unwrap_err();
+    assert!(said.is_input() && said.to_string().contains("its `scope` should be `Scope::All`"), "{said}");
+}
+
+#[test]
+fn scores_are_those_of_all_predictions_at_once() {
+    let data = data();
+    let part: Vec<usize> = (50..300).rev().collect();
+    let fitted = plugin::<dyn Baseline>("NearestNeighbours()").fit(&data, &(0..50).collect::<Vec<_>>()).unwrap();
+    let predictions: Vec<Image> = part.iter().map(|&i| fitted.predict(data.samples[i].tx)).collect();
+    let truths: Vec<Image> = part.iter().map(|&i| data.image(i)).collect();
+    let plane = plugin::<dyn Projector>("Mercator()").plane(data.width, data.height);
+    let scene = &data.scene;
+    let all = Evaluation {
+        predictions: &predictions,
+        truths: &truths,
+        plane: &plane,
+        scene,
+        model: None,
+        timed_prediction: None,
+    };
+    let streamed = scores(&data, &part, &["L1()", "Ssim()"]).unwrap();
+    assert_eq!(streamed[0].values, L1 {}.evaluate(&all).unwrap()[0].values);
+    assert_eq!(streamed[1].values, Ssim {}.evaluate(&all).unwrap()[0].values);
+}
+
+/// A data folder of arrays with 300 pictures, in a file that stays open.
+fn stored(here: &Path) -> Dataset {
+    let memory = data();
+    let bytes: Vec<u8> = (0..300).flat_map(|i| memory.spectra.raw(i).into_owned()).collect();
+    let path = here.join("spectra");
+    std::fs::write(&path, bytes).unwrap();
+    let spectra = Spectra::open(&path, 0, pwrfgs::core::Number::U8, [300, 10, 40]).unwrap();
+    Dataset { spectra, ..memory }
+}
+
+#[test]
+fn training_and_scores_have_the_same_bits_from_a_file() {
+    let here = tempfile::tempdir().unwrap();
+    let text = "Pipeline(name: \"file\", data: Teacher(), initializer: Grid(count: 8), deformation: Fixed(),
+        training: (steps: 4, stride: 2, batch: 3, densify_until: 0, prune_until: 0))";
+    let pipeline = Pipeline::parse(text, Path::new("file.ron")).unwrap();
+    let partition = Partition { train: (0..200).collect(), validation: vec![], test: (200..300).collect() };
+    let reached = |data: &Dataset| {
+        let mut trainer = Trainer::new(&pipeline, data, &partition).unwrap();
+        let losses: Vec<f64> = (0..4).map(|_| trainer.step().unwrap().loss).collect();
+        (losses, format!("{:?}", scores(data, &partition.test, &["Ssim()"]).unwrap()))
+    };
+    assert_eq!(reached(&data()), reached(&stored(here.path())));
+}
+
+#[test]
+fn a_file_that_is_cut_short_ends_training_and_scoring_with_words() {
+    let here = tempfile::tempdir().unwrap();
+    let data = stored(here.path());
+    let file = std::fs::File::options().write(true).open(here.path().join("spectra")).unwrap();
+    file.set_len(60 * 400).unwrap();
+    let part: Vec<usize> = (0..300).collect();
+    let said = scores(&data, &part, &["Ssim()"]).unwrap_err().to_string();
+    assert!(said.contains("spectra have changed or gone since they were opened"), "{said}");
+    let data = stored(here.path());
+    let text = "Pipeline(name: \"file\", data: Teacher(), initializer: Grid(count: 8), deformation: Fixed(),
+        training: (steps: 9, densify_until: 0, prune_until: 0))";
+    let pipeline = Pipeline::parse(text, Path::new("file.ron")).unwrap();
+    let partition = Partition { train: (100..200).collect(), validation: vec![], test: (200..300).collect() };
+    let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+    trainer.step().unwrap();
+    std::fs::File::options().write(true).open(here.path().join("spectra")).unwrap().set_len(0).unwrap();
+    let said = trainer.step().unwrap_err().to_string();
+    assert!(said.starts_with("cannot read ") && said.contains("put them back"), "{said}");
+}
