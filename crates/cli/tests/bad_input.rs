@@ -159,7 +159,7 @@ fn mistakes_on_the_command_line_are_named() {
     set("training.steps", &["--set training.steps", "path.to.field=value"]);
     set("training.step=5", &["--set training.step=5", "did you mean `steps`?"]);
     set("training.steps=0", &["`steps` is 0"]);
-    set("split=Official", &["--set split=Official"]);
+    set("split=Offical", &["--set split=Offical", "did you mean `Official`?"]);
     set("data=Teachr()", &["did you mean `Teacher`?"]);
     set("pruners=[LearnableMask(lambda: -1.0)]", &["lambda"]);
     refuse(here, &["run", "p.ron", "--threads", "0"], 2, &["--threads"]);

@@ -34,13 +34,14 @@ fn cargo(example: &Path, command: &str) -> Output {
 }
 
 /// The crates of pwrfgs.
-const CRATES: [&str; 13] = [
+const CRATES: [&str; 14] = [
     "pwrfgs",
     "pwrfgs-cli",
     "pwrfgs-core",
     "pwrfgs-data",
     "pwrfgs-experiment",
     "pwrfgs-init",
+    "pwrfgs-macros",
     "pwrfgs-metrics",
     "pwrfgs-model",
     "pwrfgs-prune",
@@ -80,6 +81,7 @@ fn a_plugin_of_ones_own_is_swept_by_name() {
     };
     let listed = run(&["plugins", "GumbelMask"]);
     assert!(listed.contains("Pruner (field `pruners`)") && listed.contains("temperature: 0.5"), "{listed}");
+    assert!(listed.contains("// How far gates are from 0 and 1"), "its comments are told: {listed}");
 
     // The shipped sweep, as it stands and then as small as it can be.
     let file = |name: &str| example.join(name).to_str().unwrap().to_owned();
