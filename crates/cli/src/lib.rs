@@ -30,7 +30,7 @@ pub fn main() -> ExitCode {
         Command::Simulate(simulate) => commands::simulate(simulate, arguments.verbosity()),
         Command::Plugins(plugins) => commands::plugins(plugins),
         Command::Init(init) => commands::init(init, arguments.verbosity()),
-        Command::Completions(completions) => commands::completions(completions),
+        Command::Completions(completions) => Ok(commands::completions(completions)),
         Command::Man(man) => commands::man(man),
     });
     done.unwrap_or_else(|error| {

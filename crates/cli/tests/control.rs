@@ -33,8 +33,8 @@ fn everything_that_a_pipeline_may_name_can_be_asked_for() {
         assert!(words.iter().all(|word| text.contains(word)), "{name}: {text}");
     }
     assert!(said("LearnableMask").contains("A mask that crosses the threshold cannot come back"), "the whole comment");
-    refuse(here, &["plugins", "optimiser"], 2, &["did you mean `optimizer`"]);
-    refuse(here, &["plugins", "trainin"], 2, &["did you mean `training`"]);
+    refuse(here, &["plugins", "optimiser"], 2, &["did you mean `Optimizer`"]);
+    refuse(here, &["plugins", "trainin"], 2, &["did you mean `Training`"]);
 }
 
 #[test]
@@ -44,9 +44,9 @@ fn init_writes_a_pipeline_that_runs_and_never_overwrites() {
     measured(here);
     std::fs::rename(here.join("data"), here.join("my \"data\"")).unwrap();
     let said = stdout(&succeed(here, &["init", "my \"data\""]));
-    assert!(said.contains("6 spectra of 12 x 6 pixels, 4 to train on, 2 to test"), "{said}");
+    assert!(said.contains("6 spectra of 12 x 6 pixels: 3 to train on, 1 to validate, 2 to test"), "{said}");
     let text = std::fs::read_to_string(here.join("my--data-.ron")).unwrap();
-    for words in ["split: Official(", "// Transmitters a step. [whole number]", "batch: 4,", "points: None", "Grid("] {
+    for words in ["split: Official(", "// Transmitters a step. [whole number]", "batch: 3,", "points: None", "Grid("] {
         assert!(text.contains(words), "{words} is not in {text}");
     }
     let few = ["training.steps=6", "training.densify_until=2", "training.prune_until=5", "deformation.width=8"];
@@ -64,9 +64,9 @@ fn init_holds_out_space_where_no_split_comes_with_the_data_and_finds_the_point_c
     let here = folder.path();
     measured(here);
     let data = here.join("data");
-    let rows: String =
+    let rows: Vec<String> =
         (0..120).map(|i| format!("{},{},0.5\n", f64::from(i % 12) * 0.25, f64::from(i / 12) * 0.25)).collect();
-    write(&data.join("tx_pos.csv"), format!("x,y,z\n{rows}"));
+    write(&data.join("tx_pos.csv"), format!("x,y,z\n{}", rows.concat()));
     (1..=120).for_each(|id| picture(&data.join(format!("spectrum/{id:05}.png")), 12, 6));
     for list in ["train_index.txt", "test_index.txt"] {
         std::fs::remove_file(data.join(list)).unwrap();

@@ -30,11 +30,11 @@ pub(crate) struct Man {
     pub(crate) out: Option<PathBuf>,
 }
 
-pub(crate) fn completions(arguments: &Completions) -> Result<ExitCode> {
+pub(crate) fn completions(arguments: &Completions) -> ExitCode {
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut Arguments::command(), "pwrfgs", &mut script);
     output::result(&String::from_utf8_lossy(&script));
-    Ok(ExitCode::SUCCESS)
+    ExitCode::SUCCESS
 }
 
 pub(crate) fn man(arguments: &Man) -> Result<ExitCode> {
