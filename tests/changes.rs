@@ -101,3 +101,57 @@ fn what_cannot_be_is_told_with_what_can() {
     assert!(long.len() < 1000, "an argument is not repeated at any length");
     refused(&[&format!("pruners={}", "[".repeat(100_000))]);
 }
+
+#[test]
+fn no_argument_panics() {
+    let paths =
+        ["training", "pruners", "pruners.0.lambda", "data.root", "split", "data", "name", "baselines.1", "readout"];
+    let pieces = [
+        "(",
+        ")",
+        "[",
+        "]",
+        "{",
+        "}",
+        ",",
+        ":",
+        "\"",
+        "'",
+        "\\",
+        "r#\"",
+        "\"#",
+        "b\"",
+        "//",
+        "/*",
+        "*/",
+        "Some(",
+        "None",
+        "5",
+        "-inf",
+        "1e999",
+        "steps",
+        "lambda: 1",
+        "TopK",
+        "Random",
+        "é",
+        " ",
+        "\n",
+        ".",
+        "=",
+        "\u{0}",
+        "#![enable(x)]",
+        "r#type",
+    ];
+    let random = &mut rng::stream(0, "arguments", 0);
+    let mut pick = |n: usize| rng::below(random, n);
+    for _ in 0..2000 {
+        let mut argument = format!("{}=", paths[pick(paths.len())]);
+        (0..pick(8)).for_each(|_| argument += pieces[pick(pieces.len())]);
+        let mut pipeline = base();
+        if pipeline.set(&argument).is_ok() {
+            let text = pipeline.to_ron();
+            let again = Pipeline::parse(&text, Path::new("again.ron")).unwrap_or_else(|e| panic!("{argument:?}: {e}"));
+            assert_eq!(again.to_ron(), text, "{argument:?}");
+        }
+    }
+}
