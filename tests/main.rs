@@ -4,9 +4,11 @@
 
 mod array;
 mod baselines;
+mod changes;
 mod common;
 mod crate_graph;
 mod determinism;
+mod documentation;
 mod elevations;
 mod examples;
 mod figures;

@@ -83,7 +83,7 @@ pub(crate) fn chapters() -> Vec<Chapter> {
             Kind::Plugin(kind) => plugins.extend(Family::find(kind).map(|family| plugin_chapter(family, field))),
             Kind::Of(docs) => {
                 let value = pipeline.as_ref().ok().and_then(|p| p.part(field.name));
-                collect(docs, field.name, value, &mut settings);
+                collect(docs, field.name, value.as_ref(), &mut settings);
             }
             _ => {}
         }
@@ -152,7 +152,7 @@ fn experiment() -> Chapter {
 }
 
 /// A type that `field` leads to, and all types that it leads to, each once.
-fn collect(docs: &'static Docs, field: &'static str, value: Option<Value>, topics: &mut Vec<Topic>) {
+fn collect(docs: &'static Docs, field: &'static str, value: Option<&Value>, topics: &mut Vec<Topic>) {
     if let Some(known) = topics.iter_mut().find(|t| t.docs.is_some_and(|d| std::ptr::eq(d, docs))) {
         if !known.fields.contains(&field) {
             known.fields.push(field);
@@ -164,10 +164,10 @@ fn collect(docs: &'static Docs, field: &'static str, value: Option<Value>, topic
         fields: if field == EXPERIMENT { Vec::new() } else { vec![field] },
         about: String::new(),
         docs: Some(docs),
-        value: value.clone().ok_or_else(|| "it has no defaults".into()),
+        value: value.cloned().ok_or_else(|| "it has no defaults".into()),
     });
     match docs.body {
-        Body::Fields(fields) => parts(fields, value.as_ref(), topics),
+        Body::Fields(fields) => parts(fields, value, topics),
         Body::Variants(variants) => variants.iter().for_each(|v| parts(v.fields, None, topics)),
     }
 }
@@ -175,7 +175,8 @@ fn collect(docs: &'static Docs, field: &'static str, value: Option<Value>, topic
 fn parts(fields: &'static [Field], value: Option<&Value>, topics: &mut Vec<Topic>) {
     for field in fields {
         if let Kind::Of(docs) = inner(&(field.kind)()) {
-            collect(docs, field.name, value.and_then(|v| v.part(field.name)), topics);
+            let inside = value.and_then(|v| v.part(field.name));
+            collect(docs, field.name, inside.as_ref(), topics);
         }
     }
 }

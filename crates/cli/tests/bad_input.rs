@@ -165,7 +165,7 @@ fn mistakes_on_the_command_line_are_named() {
     set("deformation=Mlp(depth: 256, width: 8192)", &["the network needs about", "GB are left here"]);
     // A training that ends before its pruners are done would be scored unpruned.
     set("training.steps=30", &["ends after step 30", "until step 40", "--scale"]);
-    set("split=Official", &["--set split=Official"]);
+    set("split=Offical", &["--set split=Offical", "did you mean `Official`?"]);
     set("data=Teachr()", &["did you mean `Teacher`?"]);
     set("pruners=[LearnableMask(lambda: -1.0)]", &["lambda"]);
     refuse(here, &["run", "p.ron", "--threads", "0"], 2, &["--threads"]);

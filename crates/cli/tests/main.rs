@@ -5,6 +5,7 @@
 mod bad_input;
 mod commands;
 mod common;
+mod control;
 mod damage;
 mod ensemble;
 mod export;

@@ -42,6 +42,7 @@ const CRATES: [&str; 14] = [
     "pwrfgs-data",
     "pwrfgs-experiment",
     "pwrfgs-init",
+    "pwrfgs-macros",
     "pwrfgs-metrics",
     "pwrfgs-model",
     "pwrfgs-prune",
@@ -81,6 +82,7 @@ fn a_plugin_of_ones_own_is_swept_by_name() {
     };
     let listed = run(&["plugins", "GumbelMask"]);
     assert!(listed.contains("Pruner (field `pruners`)") && listed.contains("temperature: 0.5"), "{listed}");
+    assert!(listed.contains("// How far gates are from 0 and 1"), "its comments are told: {listed}");
 
     // The shipped sweep, as it stands and then as small as it can be.
     let file = |name: &str| example.join(name).to_str().unwrap().to_owned();

@@ -27,13 +27,13 @@ pub enum Kind {
     /// A plugin of this kind.
     Plugin(&'static str),
     /// This or `None`.
-    Optional(Box<Kind>),
+    Optional(Box<Self>),
     /// Any number of these, in brackets.
-    List(Box<Kind>),
+    List(Box<Self>),
     /// These, in parentheses.
-    Tuple(Vec<Kind>),
+    Tuple(Vec<Self>),
     /// These by a name, in braces.
-    Map(Box<Kind>),
+    Map(Box<Self>),
 }
 
 /// A struct or enum, in the words of its source.

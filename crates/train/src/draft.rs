@@ -134,7 +134,7 @@ impl Draft {
     }
 }
 
-impl<'a> Place<'a> {
+impl Place<'_> {
     /// The place called `step` inside this one.
     fn step(self, step: &str) -> Result<Self, String> {
         let Self { name, tree, kind } = self;

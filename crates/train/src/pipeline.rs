@@ -219,7 +219,10 @@ impl Pipeline {
     fn check(&self) -> Result<(), String> {
         let good = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
         if self.name.is_empty() || self.name.starts_with('.') || !self.name.chars().all(good) {
-            return Err(format!("name: `{}` cannot name a folder; use letters, digits, `.`, `-` and `_`", self.name));
+            return Err(format!(
+                "name: `{}` cannot name a folder; use letters, digits, `.`, `-` and `_`",
+                shortened(&self.name)
+            ));
         }
         let plane = self.projector.plane(360, 90);
         check_together(&*self.rasterizer, self.readout, self.calibration, &plane)

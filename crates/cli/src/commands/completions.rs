@@ -51,7 +51,7 @@ pub(crate) fn man(arguments: &Man) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     };
     std::fs::create_dir_all(folder).map_err(failed(folder))?;
-    for page in std::iter::once(&command).chain(command.get_subcommands()) {
+    for page in std::iter::once(&command).chain(command.get_subcommands().filter(|c| c.get_name() != "help")) {
         let man = clap_mangen::Man::new(page.clone());
         let path = folder.join(man.get_filename());
         let mut text = Vec::new();

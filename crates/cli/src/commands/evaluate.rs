@@ -19,7 +19,7 @@ use std::sync::atomic::AtomicBool;
     --set changes them. Prints the score table; with --out writes scores.csv, samples.csv and report.html.\n\nSeveral \
     models are scored as an ensemble: the mean of their pictures, each clamped to [0, 1]. Runs that differ in their seed \
     alone have the same test spectra unless the split is random; give those that do.\n\nEXAMPLES\
-    \n  pwrfgs evaluate runs/s23/model.safetensors --set 'data=Nerf2Spectrum(root: \"data/other-day\")'\n  pwrfgs \
+    \n  pwrfgs evaluate runs/s23/model.safetensors --set data.root=data/other-day\n  pwrfgs \
     evaluate runs/s23/model.safetensors --set 'metrics=[Ssim(), RateRatio(snr_db: 20.0)]' --out again\n  pwrfgs \
     evaluate runs/blocks/seed-0/model.safetensors runs/blocks/seed-1/model.safetensors"
 )]
@@ -30,7 +30,7 @@ pub(crate) struct Evaluate {
     /// The pipeline file [default: pipeline.ron beside the first model]
     #[arg(long, value_name = "FILE")]
     pub(crate) pipeline: Option<PathBuf>,
-    /// Change a setting, such as 'data=Nerf2Spectrum(root: "..")'
+    /// Change a setting, such as data.root=data/other-day
     #[arg(long = "set", value_name = "FIELD=VALUE")]
     pub(crate) set: Vec<String>,
     /// Where to write scores and report; nothing is written without it

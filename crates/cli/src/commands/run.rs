@@ -18,7 +18,7 @@ use std::process::ExitCode;
     an event file, which `tensorboard --logdir runs` shows while the run goes on. The same command resumes a run that \
     was stopped or killed, and ends in the same files. A folder that holds anything else is never touched.\n\nPaths in \
     a pipeline are relative to its file; on the command line, to where you stand.\n\nEXAMPLES\n  pwrfgs run \
-    pipelines/s23-laptop.ron --set 'data=Nerf2Spectrum(root: \"../shared/data/s23\")'\n  pwrfgs run \
+    pipelines/s23-laptop.ron --set data.root=../shared/data/s23\n  pwrfgs run \
     pipelines/pwrfgs.ron --set 'initializer=Random(count: 20_000, std: 10.0)' --out runs/fewer\n  pwrfgs run \
     runs/fewer --set seed=1 --out runs/fewer-1\n  pwrfgs run pipelines/quickstart.ron --scale 0.25 --out runs/short"
 )]
@@ -26,7 +26,8 @@ pub(crate) struct Run {
     /// The pipeline file; or a run folder, whose run is resumed, or repeated where --out says
     #[arg(value_name = "PIPELINE")]
     pub(crate) pipeline: PathBuf,
-    /// Change a setting, such as training.batch=16; a plugin is given whole, such as 'split=Random(test: 0.3)'
+    /// Change a setting, such as training.batch=16 or pruners.LearnableMask.lambda=0.05; a plugin with other fields is
+    /// given whole, such as 'split=Random(test: 0.3)'
     #[arg(long = "set", value_name = "FIELD=VALUE")]
     pub(crate) set: Vec<String>,
     /// Multiply every count of steps, the schedules' too: 0.25 for a quarter of the training

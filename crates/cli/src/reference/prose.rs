@@ -1,5 +1,7 @@
 //! Doc comments as plain text: without code, with links as names, in lines.
 
+use std::fmt::Write as _;
+
 /// The paragraphs of a doc comment without its examples and tables' rulers, each in one line; a table keeps its lines.
 pub(crate) fn paragraphs(text: &str) -> Vec<String> {
     let mut all: Vec<String> = Vec::new();
@@ -37,7 +39,7 @@ fn without_links(text: &str) -> String {
     while let Some((before, link)) = rest.split_once("[`") {
         let Some((name, after)) = link.split_once("`]") else { break };
         let name = name.rsplit("::").next().unwrap_or(name);
-        plain.push_str(&format!("{before}`{name}`"));
+        _ = write!(plain, "{before}`{name}`");
         rest = match after.strip_prefix('(').and_then(|a| a.split_once(')')) {
             Some((_, after)) => after,
             None => after,

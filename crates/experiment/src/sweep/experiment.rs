@@ -76,7 +76,7 @@ pub struct Slurm {
     pub memory: String,
     /// Longest time of a run, `--time`; a run that needs longer is put back in the queue and goes on.
     pub time: String,
-    /// `--partition`; the cluster's default where it is left out.
+    /// `--partition`; the cluster's own where it is left out.
     pub partition: Option<String>,
     /// `--account`.
     pub account: Option<String>,

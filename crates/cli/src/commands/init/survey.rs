@@ -26,6 +26,7 @@ pub(super) struct Survey {
     pub(super) split: String,
     /// Training samples in it.
     pub(super) train: usize,
+    validation: usize,
     test: usize,
     /// Median distance of a test transmitter to the nearest training one, metres.
     nearest: f64,
@@ -51,6 +52,7 @@ impl Survey {
             official: data.official.is_some(),
             split,
             train: partition.train.len(),
+            validation: partition.validation.len(),
             test: partition.test.len(),
             nearest: distances.get(distances.len() / 2).copied().unwrap_or(f64::NAN),
             clouds: clouds(folder),
@@ -60,10 +62,9 @@ impl Survey {
 
     /// In one line.
     pub(super) fn sentence(&self) -> String {
-        let (width, height) = self.size;
+        let Self { spectra, size: (width, height), train, validation, test, .. } = self;
         format!(
-            "{} spectra of {width} x {height} pixels, {} to train on, {} to test",
-            self.spectra, self.train, self.test
+            "{spectra} spectra of {width} x {height} pixels: {train} to train on, {validation} to validate, {test} to test"
         )
     }
 

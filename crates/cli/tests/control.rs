@@ -1,0 +1,138 @@
+//! What tells and steers: the reference, `init`, completions, the manual, `--set` and `set` of sweeps.
+use crate::common::{SMALL, call, measured, picture, refuse, stderr, stdout, succeed, write};
+use std::path::Path;
+
+#[test]
+fn the_page_of_the_reference_is_what_the_program_says() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/reference.md");
+    let page = stdout(&succeed(Path::new("."), &["plugins", "--markdown"]));
+    let kept = std::fs::read_to_string(path).unwrap();
+    assert!(kept == page, "docs/reference.md is old; write it with: pwrfgs plugins --markdown > docs/reference.md");
+    for line in ["| `lambda` | number | `0.01` | Weight λ", "### Densify (field `densify`)", "| `Magnitude` | "] {
+        assert!(page.contains(line), "{line} is not in the reference");
+    }
+}
+
+#[test]
+fn everything_that_a_pipeline_may_name_can_be_asked_for() {
+    let here = Path::new(".");
+    let said = |name: &str| stdout(&succeed(here, &["plugins", name]));
+    let asked: [(&str, &[&str]); 9] = [
+        ("training", &["Training(", "// M, the number of steps. [whole number]", "steps: 200000"]),
+        ("optimizer", &["log_scales: Constant(0.005)", "Schedule: Constant, LogLinear, Cosine"]),
+        ("densify", &["gradient_threshold"]),
+        ("loss", &["ssim_weight: 0.2"]),
+        ("readout", &["MinMax: "]),
+        ("Schedule", &["LogLinear(first: number"]),
+        ("pruner", &["LearnableMask(", "TopK(", "// Weight λ of the penalty"]),
+        ("Pipeline", &["// The one seed that decides everything."]),
+        ("slurm", &["cpus: 2"]),
+    ];
+    for (name, words) in asked {
+        let text = said(name);
+        assert!(words.iter().all(|word| text.contains(word)), "{name}: {text}");
+    }
+    assert!(said("LearnableMask").contains("A mask that crosses the threshold cannot come back"), "the whole comment");
+    refuse(here, &["plugins", "optimiser"], 2, &["did you mean `Optimizer`"]);
+    refuse(here, &["plugins", "trainin"], 2, &["did you mean `Training`"]);
+}
+
+#[test]
+fn init_writes_a_pipeline_that_runs_and_never_overwrites() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    measured(here);
+    std::fs::rename(here.join("data"), here.join("my \"data\"")).unwrap();
+    let said = stdout(&succeed(here, &["init", "my \"data\""]));
+    assert!(said.contains("6 spectra of 12 x 6 pixels: 3 to train on, 1 to validate, 2 to test"), "{said}");
+    let text = std::fs::read_to_string(here.join("my--data-.ron")).unwrap();
+    for words in ["split: Official(", "// Transmitters a step. [whole number]", "batch: 3,", "points: None", "Grid("] {
+        assert!(text.contains(words), "{words} is not in {text}");
+    }
+    let few = ["training.steps=6", "training.densify_until=2", "training.prune_until=5", "deformation.width=8"];
+    let few: Vec<&str> = few.iter().flat_map(|set| ["--set", set]).collect();
+    succeed(here, &[&["run", "my--data-.ron", "-q"][..], &few].concat());
+    refuse(here, &["init", "my \"data\""], 2, &["my--data-.ron", "nothing is overwritten", "--out"]);
+    assert_eq!(std::fs::read_to_string(here.join("my--data-.ron")).unwrap(), text);
+    refuse(here, &["init", "nowhere"], 2, &["nowhere"]);
+    assert!(!here.join("nowhere.ron").exists());
+}
+
+#[test]
+fn init_holds_out_space_where_no_split_comes_with_the_data_and_finds_the_point_cloud() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    measured(here);
+    let data = here.join("data");
+    let rows: Vec<String> =
+        (0..120).map(|i| format!("{},{},0.5\n", f64::from(i % 12) * 0.25, f64::from(i / 12) * 0.25)).collect();
+    write(&data.join("tx_pos.csv"), format!("x,y,z\n{}", rows.concat()));
+    (1..=120).for_each(|id| picture(&data.join(format!("spectrum/{id:05}.png")), 12, 6));
+    for list in ["train_index.txt", "test_index.txt"] {
+        std::fs::remove_file(data.join(list)).unwrap();
+    }
+    write(&data.join("room.xyz"), "0 0 1\n0 1 1\n1 1 1\n1 0 1\n");
+    succeed(here, &["init", "data", "--out", "deep/p.ron"]);
+    let text = std::fs::read_to_string(here.join("deep/p.ron")).unwrap();
+    assert!(
+        text.contains("split: Voxel(") && text.contains("room.xyz (4 points)") && text.contains("PointCloud("),
+        "{text}"
+    );
+    let few = ["training.steps=6", "training.densify_until=2", "training.prune_until=5", "deformation.width=8"];
+    let few: Vec<&str> = few.iter().flat_map(|set| ["--set", set]).collect();
+    succeed(here, &[&["run", "deep/p.ron", "-q"][..], &few].concat());
+}
+
+#[test]
+fn shells_and_manuals_know_every_command() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    for shell in ["bash", "zsh", "fish"] {
+        let script = stdout(&succeed(here, &["completions", shell]));
+        assert!(["sweep", "init", "markdown"].iter().all(|word| script.contains(word)), "{shell}: {script}");
+    }
+    assert_eq!(call(here, &["completions", "dos"]).status.code(), Some(2));
+    assert!(stdout(&succeed(here, &["man"])).contains(".TH pwrfgs 1"));
+    succeed(here, &["man", "--out", "man1"]);
+    let page = std::fs::read_to_string(here.join("man1/pwrfgs-run.1")).unwrap();
+    assert!(page.contains("tensorboard") && here.join("man1/pwrfgs.1").is_file(), "{page}");
+}
+
+#[test]
+fn a_variant_may_give_a_field_by_its_path() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("p.ron"), SMALL);
+    let sweep = |set: &str, variant: &str| {
+        let text = format!(
+            "Experiment(name: \"e\", base: \"p.ron\", set: {set}, axes: [
+                Axis(name: \"start\", variants: [(label: \"a\", training: (densify_until: 45)), {variant}]),
+                Axis(name: \"later\", variants: [(label: \"b\", set: {{\"training.prune_until\": 50}})]),
+            ])"
+        );
+        write(&here.join("e.ron"), text);
+    };
+    sweep(
+        "(set: {\"pruners.OpacityThreshold.epsilon\": 0.01})",
+        "(label: \"0.05\", set: {\"pruners.LearnableMask.lambda\": 0.05, \"split\": Official(validation: 0.25)})",
+    );
+    let set = ["--set", "training.steps=2", "--set", "training.batch=1", "--set", "pruners.0.threshold=0.02"];
+    // Axes are checked together, like `--set`: the first alone would densify for longer than the base prunes.
+    succeed(here, &[&["sweep", "e.ron", "-q"][..], &set].concat());
+    let pipeline = std::fs::read_to_string(here.join("runs/e/start=0.05,later=b,seed=0/pipeline.ron")).unwrap();
+    for words in ["lambda: 0.05", "epsilon: 0.01", "threshold: 0.02", "validation: 0.25", "prune_until: 50"] {
+        assert!(pipeline.contains(words), "{words} is not in {pipeline}");
+    }
+    let refused = |variant: &str, words: &[&str]| {
+        sweep("()", variant);
+        refuse(here, &["sweep", "e.ron", "--out", "x"], 2, words);
+    };
+    refused("(label: \"c\", set: {\"pruners.TopK.keep\": 3})", &["axis `start`, variant `c`", "no entry `TopK`"]);
+    refused("(label: \"c\", set: {\"pruners.0.lambda\": -3})", &["axis `start`, variant `c`", "`lambda` is -3"]);
+    refused("(label: \"c\", set: {\"seed\": 3})", &["e.ron:", "`seeds`"]);
+    refused("(label: \"c\", training: (stepz: 3))", &["e.ron:2:", "did you mean `steps`"]);
+    assert!(!stderr(&call(here, &["sweep", "e.ron"])).contains("Patch"));
+    // In a pipeline itself there is nothing to change.
+    write(&here.join("q.ron"), SMALL.replacen("name:", "set: {}, name:", 1));
+    refuse(here, &["run", "q.ron"], 2, &["q.ron:", "only a sweep has `set`"]);
+}
