@@ -8,6 +8,7 @@ mod common;
 mod ensemble;
 mod export;
 mod failure;
+mod faults;
 mod model_format;
 mod my_pruner;
 mod report;

@@ -1,0 +1,10 @@
+//! Mutation tests of every file that pwrfgs reads, through its own readers.
+//!
+//! A case is a number: it decides which file is broken and how, so that a case which fails is tried again by its number.
+//! A case passes where the reader takes the file or says what is wrong with it: no panic, no abort, no hang, no failure
+//! that blames the machine, no message without end.
+
+pub mod bench;
+pub mod cases;
+pub mod mutate;
+pub mod targets;
