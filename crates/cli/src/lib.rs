@@ -3,6 +3,8 @@
 //!
 //! Exit codes: 0 done; 1 failed (disk full, numbers not finite); 2 wrong input; 130 interrupted.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
+
 mod args;
 mod commands;
 mod interrupt;

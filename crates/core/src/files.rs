@@ -2,9 +2,94 @@
 //! are never taken from somebody else.
 
 use crate::{Error, Result};
-use std::fs::{self, DirEntry, File};
-use std::io::{ErrorKind, Write as _};
+use std::fs::{self, DirEntry, File, FileType};
+use std::io::{self, ErrorKind, Read as _, Write as _};
 use std::path::Path;
+
+/// Largest text file that is read, bytes: 256 MiB. What a person writes is far smaller, and parsers take several times
+/// as much memory.
+pub const MAX_TEXT: u64 = 1 << 28;
+/// Largest file of numbers that is read whole, bytes: 16 GiB.
+pub const MAX_NUMBERS: u64 = 1 << 34;
+
+/// Opens a file for reading. All readers of the toolkit go through here, so that none waits for ever: whoever opens a
+/// named pipe waits until somebody writes.
+///
+/// # Errors
+/// Where there is none, or what stands there is no regular file.
+#[expect(clippy::disallowed_methods, reason = "this is the one place that looks at what stands there first")]
+pub fn open(path: impl AsRef<Path>) -> io::Result<File> {
+    let path = path.as_ref();
+    if !path.is_dir() {
+        refuse_irregular(path)?; // a folder says so itself
+    }
+    File::open(path)
+}
+
+/// Refuses what stands at `path` and is no regular file, such as a named pipe or a device. Nothing there is fine.
+///
+/// # Errors
+/// [`ErrorKind::InvalidInput`] that says what it is.
+pub fn refuse_irregular(path: &Path) -> io::Result<()> {
+    match fs::metadata(path) {
+        Ok(found) if !found.is_file() => {
+            let what = format!("this is {}; give a regular file", kind(found.file_type()));
+            Err(io::Error::new(ErrorKind::InvalidInput, what))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// What is no regular file, in words.
+fn kind(found: FileType) -> &'static str {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::FileTypeExt as _;
+        if found.is_fifo() {
+            return "a named pipe";
+        } else if found.is_socket() {
+            return "a socket";
+        }
+    }
+    if found.is_dir() { "a folder" } else { "a device" }
+}
+
+/// The bytes of a regular file of at most [`MAX_NUMBERS`].
+///
+/// # Errors
+/// As [`read_at_most`].
+pub fn read(path: impl AsRef<Path>) -> io::Result<Vec<u8>> {
+    read_at_most(path.as_ref(), MAX_NUMBERS)
+}
+
+/// The text of a regular file of at most [`MAX_TEXT`], as it is. Of a file that a person writes, see [`read_text`].
+///
+/// # Errors
+/// As [`read_at_most`], and for what is not UTF-8.
+pub fn read_string(path: impl AsRef<Path>) -> io::Result<String> {
+    String::from_utf8(read_at_most(path.as_ref(), MAX_TEXT)?)
+        .map_err(|e| io::Error::new(ErrorKind::InvalidData, e.utf8_error()))
+}
+
+/// The bytes of a regular file.
+///
+/// # Errors
+/// Where it cannot be opened or read, is no regular file ([`open`]), or has more than `limit` bytes.
+pub fn read_at_most(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
+    let file = open(path)?;
+    let size = file.metadata()?.len(); // 0 for some files of the system
+    let refuse = || {
+        let what = format!("it is larger than the {limit} bytes that such a file may have; is it the right one?");
+        Err(io::Error::new(ErrorKind::FileTooLarge, what))
+    };
+    if size > limit {
+        return refuse();
+    }
+    let mut bytes = Vec::new();
+    bytes.try_reserve_exact(size as usize)?;
+    file.take(limit + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > limit { refuse() } else { Ok(bytes) }
+}
 
 /// Writes a file so that at every instant either the old or the whole new one is there: a temporary file in the same
 /// folder, synced, then renamed.
@@ -21,6 +106,7 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
         fs::rename(&temporary, path)?;
         // The rename itself lasts only once the folder is on disk; a file system that cannot sync folders still has it.
         if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
+            #[expect(clippy::disallowed_methods, reason = "a folder of our own")]
             let _ = File::open(folder).and_then(|folder| folder.sync_all());
         }
         Ok(())
@@ -31,12 +117,20 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
     })
 }
 
-/// A text file as a person writes it: UTF-8, with or without a byte order mark.
+/// A text file as a person writes it: UTF-8, with or without a byte order mark, of at most [`MAX_TEXT`] bytes.
 ///
 /// # Errors
 /// Where it cannot be read, or is no such text.
 pub fn read_text(path: &Path) -> Result<String> {
-    let text = String::from_utf8(fs::read(path).map_err(|e| Error::read(path, e))?).map_err(|e| {
+    read_text_at_most(path, MAX_TEXT)
+}
+
+/// The same with another `limit`, bytes.
+///
+/// # Errors
+/// Where it cannot be read, has more bytes, or is no such text.
+pub fn read_text_at_most(path: &Path, limit: u64) -> Result<String> {
+    let text = String::from_utf8(read_at_most(path, limit).map_err(|e| Error::read(path, e))?).map_err(|e| {
         let line = e.as_bytes()[..e.utf8_error().valid_up_to()].split(|b| *b == b'\n').count();
         Error::at(path, line, 1, "this is not text; save the file as UTF-8")
     })?;
@@ -111,6 +205,30 @@ mod tests {
         fs::write(&path, b"x\n\xff").unwrap();
         let said = read_text(&path).unwrap_err().to_string();
         assert_eq!(said, format!("{}:2:1: this is not text; save the file as UTF-8", path.display()));
+    }
+
+    #[test]
+    fn only_regular_files_of_a_bounded_size_are_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        fs::write(&path, "12345").unwrap();
+        assert_eq!(read_at_most(&path, 5).unwrap(), b"12345");
+        assert_eq!(read_string(&path).unwrap(), "12345");
+        assert_eq!(read_at_most(&path, 4).unwrap_err().kind(), ErrorKind::FileTooLarge);
+        assert_eq!(read(folder.path()).unwrap_err().kind(), ErrorKind::IsADirectory);
+        assert_eq!(read(folder.path().join("b")).unwrap_err().kind(), ErrorKind::NotFound);
+        assert!(!read_at_most(Path::new("/proc/self/status"), 1 << 20).unwrap_or(vec![1]).is_empty());
+        assert!(read_at_most(Path::new("/proc/self/status"), 9).is_err());
+        #[cfg(unix)]
+        {
+            let pipe = folder.path().join("pipe");
+            assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+            assert!(read(&pipe).unwrap_err().to_string().contains("this is a named pipe; give a regular file"));
+            assert!(refuse_irregular(&pipe).is_err() && refuse_irregular(&path).is_ok());
+            let _socket = std::os::unix::net::UnixListener::bind(folder.path().join("s")).unwrap();
+            assert!(read(folder.path().join("s")).unwrap_err().to_string().contains("a socket"));
+            assert!(read(Path::new("/dev/zero")).unwrap_err().to_string().contains("a device"));
+        }
     }
 
     #[test]

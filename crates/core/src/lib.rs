@@ -7,6 +7,8 @@
 //! [`Split`] and [`Baseline`] around them. Plugins hold no mutable state that results
 //! could depend on.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
+
 mod cloud;
 mod data_source;
 mod deformation;

@@ -5,6 +5,8 @@
 //! * [`Official`], [`Random`], [`TimeBlock`], [`Voxel`] and [`Sparse`] divide samples.
 //! * [`MeanSpectrum`] and [`NearestNeighbours`] are scored beside every model.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
+
 mod baselines;
 mod mesh;
 mod nerf2;

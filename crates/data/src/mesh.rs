@@ -12,7 +12,7 @@ mod stl;
 use crate::ply;
 use crate::polygons::Triangles;
 use crate::text::read_bytes;
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, files::MAX_NUMBERS};
 use std::path::Path;
 
 const ADVICE: &str = "check the path of the mesh";
@@ -35,7 +35,7 @@ pub fn read_mesh(path: &Path) -> Result<Triangles> {
         "ply" => ply::parse_mesh,
         _ => return Err(Error::input(path, "is no mesh by its extension; use .obj, .stl or .ply")),
     };
-    parse(path, &read_bytes(path, ADVICE)?)
+    parse(path, &read_bytes(path, MAX_NUMBERS, ADVICE)?)
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ mod tests;
 
 use crate::points::read_points;
 use crate::text::{XyzColumns, lines, read_text, split_commas};
-use pwrfgs_core::{DataSource, Dataset, Error, Progress, Result, Sample, Simulation};
+use pwrfgs_core::{DataSource, Dataset, Error, Progress, Result, Sample, Simulation, files};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -116,7 +116,8 @@ struct Manifest {
 
 /// What the data set says of itself: in a manifest, or in its name where there is none.
 fn simulation(root: &Path, name: &str) -> Option<Simulation> {
-    let manifest = std::fs::read(root.join("manifest.json")).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
+    let manifest =
+        files::read_string(root.join("manifest.json")).ok().and_then(|text| serde_json::from_str(&text).ok());
     let by_name = || Manifest { simulated: name.to_lowercase().contains("simulated"), scene: None };
     let Manifest { simulated, scene } = manifest.unwrap_or_else(by_name);
     simulated.then_some(Simulation { scene })
@@ -124,7 +125,7 @@ fn simulation(root: &Path, name: &str) -> Option<Simulation> {
 
 /// `tx_pos.csv`: transmitter positions `[rows,3]`, metres.
 fn read_transmitters(path: &Path) -> Result<Vec<[f64; 3]>> {
-    let text = read_text(path, LAYOUT)?;
+    let text = read_text(path, files::MAX_TEXT, LAYOUT)?;
     let mut rows = lines(&text);
     let Some((line, header)) = rows.next() else {
         return Err(Error::input(path, "is empty; write a header x,y,z and one row a sample, in metres"));

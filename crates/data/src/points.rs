@@ -2,7 +2,7 @@
 
 use crate::ply;
 use crate::text::{POINT_ADVICE, XyzColumns, lines, read_bytes, read_text, split_blanks, split_commas};
-use pwrfgs_core::{Error, Real, Result};
+use pwrfgs_core::{Error, Real, Result, files::MAX_NUMBERS};
 use std::path::Path;
 
 const ADVICE: &str = "check the path of the point cloud";
@@ -18,9 +18,9 @@ const ADVICE: &str = "check the path of the point cloud";
 pub fn read_points(path: &Path) -> Result<Vec<[Real; 3]>> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     let points = match extension.as_str() {
-        "ply" => ply::parse(path, &read_bytes(path, ADVICE)?)?,
-        "xyz" | "txt" => parse_xyz(path, &read_text(path, ADVICE)?)?,
-        "csv" => parse_csv(path, &read_text(path, ADVICE)?)?,
+        "ply" => ply::parse(path, &read_bytes(path, MAX_NUMBERS, ADVICE)?)?,
+        "xyz" | "txt" => parse_xyz(path, &read_text(path, MAX_NUMBERS, ADVICE)?)?,
+        "csv" => parse_csv(path, &read_text(path, MAX_NUMBERS, ADVICE)?)?,
         _ => return Err(Error::input(path, "is no point cloud by its extension; use .ply, .xyz or .csv")),
     };
     if points.is_empty() {

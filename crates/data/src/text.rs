@@ -15,9 +15,9 @@ pub(crate) struct Field<'a> {
     pub(crate) column: usize,
 }
 
-/// The bytes of a file; `advice` says what to do where it does not exist.
-pub(crate) fn read_bytes(path: &Path, advice: &str) -> Result<Vec<u8>> {
-    std::fs::read(path).map_err(|source| unreadable(path, source, "file", advice))
+/// The bytes of a file of at most `limit`; `advice` says what to do where it does not exist.
+pub(crate) fn read_bytes(path: &Path, limit: u64, advice: &str) -> Result<Vec<u8>> {
+    files::read_at_most(path, limit).map_err(|source| unreadable(path, source, "file", advice))
 }
 
 /// A file or folder that cannot be read, with `advice` where it does not exist.
@@ -30,9 +30,9 @@ pub(crate) fn unreadable(path: &Path, source: std::io::Error, what: &str, advice
     }
 }
 
-/// A file as text, without a byte order mark.
-pub(crate) fn read_text(path: &Path, advice: &str) -> Result<String> {
-    files::read_text(path).map_err(|e| match e {
+/// A file of at most `limit` bytes as text, without a byte order mark.
+pub(crate) fn read_text(path: &Path, limit: u64, advice: &str) -> Result<String> {
+    files::read_text_at_most(path, limit).map_err(|e| match e {
         Error::Read { source, .. } => unreadable(path, source, "file", advice),
         other => other,
     })

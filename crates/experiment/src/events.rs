@@ -4,7 +4,7 @@
 //! protobuf `Event`: wall time (1), step (2), and the file version (3) or a `Summary` (5) of `Value`s (1) with a tag
 //! (1) and a number (2).
 
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, files};
 use std::fs::{File, OpenOptions};
 use std::io::{Read as _, Write as _};
 use std::path::{Path, PathBuf};
@@ -27,6 +27,7 @@ impl Events {
     /// off, and so are the final scores: they come last and are written whenever they are computed. The file is cut in
     /// place: the steps that follow have the same length again, and a TensorBoard that was watching reads on.
     pub(crate) fn open(path: &Path, done: u64) -> Result<Self> {
+        files::refuse_irregular(path).map_err(|e| Error::read(path, e))?;
         let mut file =
             (OpenOptions::new().read(true).append(true).create(true).open(path)).map_err(|e| Error::write(path, e))?;
         let mut old = Vec::new();

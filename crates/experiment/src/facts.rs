@@ -3,7 +3,7 @@
 use crate::clock;
 use crate::folder::{FACTS, MODEL_FILE, REPORT, SAMPLES, SCORES};
 use crate::scores::ScoreTable;
-use pwrfgs_core::files::write_atomically;
+use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -65,7 +65,7 @@ pub struct Machine {
 impl Machine {
     /// This one.
     pub fn here() -> Self {
-        let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+        let info = files::read_string("/proc/cpuinfo").unwrap_or_default();
         let model = info.lines().find(|l| l.starts_with("model name")).and_then(|l| l.split(':').nth(1));
         Self {
             cpu: model.map_or_else(|| "unknown".into(), |m| m.trim().to_owned()),
@@ -93,7 +93,7 @@ impl Facts {
 
     /// The facts in `folder`, if there are any.
     pub fn read(folder: &Path) -> Option<Self> {
-        serde_json::from_str(&std::fs::read_to_string(folder.join(FACTS)).ok()?).ok()
+        serde_json::from_str(&files::read_string(folder.join(FACTS)).ok()?).ok()
     }
 
     /// Scores and facts of a run to which nothing is left to do.
@@ -119,7 +119,7 @@ impl Facts {
 
 /// Largest resident memory of this process, bytes; 0 where the system does not tell.
 fn peak_memory() -> u64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let status = files::read_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"));
     line.and_then(|l| l.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()).map_or(0, |kib| kib * 1024)
 }
@@ -129,12 +129,12 @@ fn commit() -> Option<String> {
     let program = std::env::current_exe().ok()?;
     let root = program.ancestors().find(|folder| folder.join("crates/experiment").is_dir())?;
     let git = root.join(".git");
-    let head = std::fs::read_to_string(git.join("HEAD")).ok()?;
+    let head = files::read_string(git.join("HEAD")).ok()?;
     let Some(name) = head.trim().strip_prefix("ref: ") else { return Some(head.trim().to_owned()) };
-    if let Ok(id) = std::fs::read_to_string(git.join(name)) {
+    if let Ok(id) = files::read_string(git.join(name)) {
         return Some(id.trim().to_owned());
     }
-    let packed = std::fs::read_to_string(git.join("packed-refs")).ok()?;
+    let packed = files::read_string(git.join("packed-refs")).ok()?;
     packed.lines().find_map(|l| l.strip_suffix(name).map(|id| id.trim().to_owned()))
 }
 

@@ -1,6 +1,6 @@
 //! `RunFolder`: one folder a run, claimed by its pipeline and never taken from another.
 
-use pwrfgs_core::files::{refuse_foreign, write_atomically};
+use pwrfgs_core::files::{self, refuse_foreign, write_atomically};
 use pwrfgs_core::{Error, Result};
 use pwrfgs_train::Pipeline;
 use std::fs::{File, TryLockError};
@@ -48,7 +48,7 @@ impl RunFolder {
     /// Where it is no folder, or holds something else, or a run of another pipeline.
     pub fn inspect(path: &Path, pipeline: &str) -> Result<()> {
         let own = path.join(PIPELINE);
-        match std::fs::read_to_string(&own) {
+        match files::read_string(&own) {
             Ok(text) => same_pipeline(path, &own, &text, pipeline),
             Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => {
                 refuse_foreign(path, "a run folder")
@@ -68,7 +68,7 @@ impl RunFolder {
         if !own.exists() {
             write_atomically(&own, pipeline.as_bytes())?;
         }
-        let lock = File::open(&own).map_err(|e| Error::read(&own, e))?;
+        let lock = files::open(&own).map_err(|e| Error::read(&own, e))?;
         match patiently(&lock) {
             Err(TryLockError::WouldBlock) => Err(Error::Config(format!(
                 "another pwrfgs is at work in {}; wait until it ends, or choose another --out",
@@ -84,7 +84,7 @@ impl RunFolder {
 
     /// Whether a process is at work in `path`.
     pub fn is_busy(path: &Path) -> bool {
-        File::open(path.join(PIPELINE)).is_ok_and(|own| matches!(own.try_lock_shared(), Err(TryLockError::WouldBlock)))
+        files::open(path.join(PIPELINE)).is_ok_and(|own| matches!(own.try_lock_shared(), Err(TryLockError::WouldBlock)))
     }
 
     /// The folder.

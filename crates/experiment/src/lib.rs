@@ -3,6 +3,8 @@
 //! This crate knows traits, not plugins; a program links the plugins it wants (`pwrfgs` links the built-in ones). It draws
 //! nothing: what a run has found goes as [`Results`] to the [`Page`] that it is given.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
+
 pub mod clock;
 pub mod colour;
 mod evaluate;

@@ -13,7 +13,7 @@ use crate::results::{Page, Results};
 use crate::scores::ScoreTable;
 use crate::snapshot::Snapshot;
 use crate::{clock, samples, validation};
-use pwrfgs_core::files::write_atomically;
+use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Dataset, Error, GaussianCloud, Partition, Result, rng};
 use pwrfgs_model::{Model, file};
 use pwrfgs_train::{Pipeline, Trainer};
@@ -133,7 +133,7 @@ impl<'a> Run<'a> {
     /// A trainer at the start, or where the checkpoint left it.
     fn trainer(&self, out: &Path) -> Result<Trainer<'a>> {
         let path = out.join(CHECKPOINT);
-        match std::fs::read(&path) {
+        match files::read(&path) {
             Ok(bytes) => Trainer::restore(self.pipeline, self.data, self.partition, &bytes)
                 .map_err(|e| Error::input(&path, format!("{e}; remove it to start again"))),
             Err(e) if [std::io::ErrorKind::NotFound, std::io::ErrorKind::NotADirectory].contains(&e.kind()) => {

@@ -1,6 +1,6 @@
 //! `Series`: a CSV file that grows with the training and is cut back to the checkpoint when a run goes on.
 
-use pwrfgs_core::files::write_atomically;
+use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Error, Result};
 use std::fs::{File, OpenOptions};
 use std::io::Write as _;
@@ -17,7 +17,7 @@ impl Series {
     /// Opens `path`, keeping the complete rows up to step `done`; returns the last of them. A row that a killed run
     /// left half-written is dropped, and so is a file with another header.
     pub(crate) fn open(path: &Path, header: &str, done: u64) -> Result<(Self, Option<String>)> {
-        let old = match std::fs::read_to_string(path) {
+        let old = match files::read_string(path) {
             Ok(text) => text,
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => String::new(),
             Err(e) => return Err(Error::read(path, e)),
@@ -51,7 +51,7 @@ impl Series {
 
 /// Reads the rows of a series as numbers, `None` for fields that are none; nothing where there is no such file.
 pub fn read(path: &Path) -> Vec<Vec<Option<f64>>> {
-    let Ok(text) = std::fs::read_to_string(path) else { return Vec::new() };
+    let Ok(text) = files::read_string(path) else { return Vec::new() };
     text.lines().skip(1).map(|line| line.split(',').map(|field| field.parse().ok()).collect()).collect()
 }
 

@@ -1,6 +1,6 @@
 //! `Snapshot`: where the Gaussians are at one moment of a training, for figures. `docs/model-format.md` describes the file.
 
-use pwrfgs_core::files::write_atomically;
+use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Error, GaussianCloud, Real, Result, sigmoid};
 use pwrfgs_model::tensors::Tensors;
 use serde::{Deserialize, Serialize};
@@ -54,7 +54,7 @@ impl Snapshot {
     /// # Errors
     /// [`Error::Read`], or [`Error::Input`] for a file that is not a whole snapshot.
     pub fn read(path: &Path) -> Result<Option<Self>> {
-        match std::fs::read(path) {
+        match files::read(path) {
             Ok(bytes) => Self::from_bytes(&bytes).map(Some).map_err(|why| Error::input(path, why)),
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
             Err(e) => Err(Error::read(path, e)),

@@ -3,6 +3,8 @@
 //! An initialiser chooses centres and isotropic scales; opacity, rotation and signals start alike in all of them
 //! (module `start`). Columns that pruners ask for are added by the trainer.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
+
 mod grid;
 mod point_cloud;
 mod random;

@@ -3,6 +3,8 @@
 //! One metric a file. Metrics of a prediction give one number a test sample and run over samples in parallel; those of
 //! the model give one number, or say why they do not apply to a baseline.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
+
 mod chamfer;
 mod direction_error;
 mod gaussian_count;

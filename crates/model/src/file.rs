@@ -2,7 +2,7 @@
 
 use crate::tensors::Tensors;
 use crate::{Calibration, Model, Readout, Stages};
-use pwrfgs_core::files::write_atomically;
+use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::plugin::{Plugin, PluginKind, ron_options};
 use pwrfgs_core::{Error, GaussianCloud, ImagePlane, Pose, Real, Result};
 use serde::{Deserialize, Serialize};
@@ -79,7 +79,7 @@ fn tensors(model: &Model) -> Tensors {
 /// # Errors
 /// [`Error::Read`], or [`Error::Input`] for a file that is not a whole model or names plugins not linked here.
 pub fn read(path: &Path) -> Result<Model> {
-    let bytes = std::fs::read(path).map_err(|e| Error::read(path, e))?;
+    let bytes = files::read(path).map_err(|e| Error::read(path, e))?;
     from_bytes(&bytes).map_err(|why| Error::input(path, format!("{why}; give the model.safetensors of a finished run")))
 }
 

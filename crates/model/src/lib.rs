@@ -3,6 +3,8 @@
 //! [`Stages`] is the path deform → activate → project → rasterize → read out: [`Prepared`] walks it for many
 //! transmitters, the training step in `pwrfgs-train` there and back.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
+
 mod activate;
 pub mod deform;
 mod ensemble;

@@ -3,6 +3,8 @@
 //! A pruner decides; the trainer asks it at the prune steps of algorithm 1, removes what any pruner of the list gives
 //! up, and keeps the best-scored Gaussian where all together would leave none.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
+
 mod learnable_mask;
 mod opacity_threshold;
 mod top_k;

@@ -4,6 +4,8 @@
 //! their splats tile by tile (`tiles.rs`, `blend.rs`, `canvas.rs`).
 //! [`ArrayResponse`] takes the same splats for waves and adds them up on an antenna array.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
+
 mod alpha_blending;
 mod array_response;
 mod blend;

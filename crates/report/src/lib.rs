@@ -2,6 +2,7 @@
 //!
 //! [`page()`] is the hook that a run calls with its [`Results`](pwrfgs_experiment::Results); [`Study`] reads finished runs
 //! back from their folders and [`write()`] puts them side by side. Both draw with `draw`.
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
 mod draw;
 mod run_page;

@@ -3,7 +3,7 @@
 use crate::output::{self, MANIFEST};
 use crate::recipe::Recipe;
 use etcetera::BaseStrategy as _;
-use pwrfgs_core::{Error, Progress, Result};
+use pwrfgs_core::{Error, Progress, Result, files};
 use std::path::{Path, PathBuf};
 
 /// The folder of all kept data sets: `$PWRFGS_CACHE`, else `pwrfgs` in the user's cache folder; `None` where there is no
@@ -53,7 +53,7 @@ pub fn open_or_make<T>(
 
 /// Whether the folder holds the data set of the recipe, as far as its manifest says.
 fn is_of(folder: &Path, recipe: &Recipe) -> bool {
-    std::fs::read(folder.join(MANIFEST)).is_ok_and(|bytes| bytes == recipe.to_json().as_bytes())
+    files::read(folder.join(MANIFEST)).is_ok_and(|bytes| bytes == recipe.to_json().as_bytes())
 }
 
 /// Removes a damaged entry; it is renamed first, so that nobody finds half of it.

@@ -7,6 +7,8 @@
 //!   the [`Path`]s.
 //! * [`material`], [`fresnel`], [`diffraction`] and [`scattering`] are the physics, each a few functions.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
+
 pub mod array;
 pub mod cache;
 pub mod diffraction;

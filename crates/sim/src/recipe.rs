@@ -1,7 +1,7 @@
 //! Everything that decides a simulated data set, and the name under which it is kept.
 
 use crate::scene::{Object, Scene};
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, files};
 use std::path::Path;
 
 /// Changes whenever the same recipe would give other bytes than before.
@@ -39,7 +39,7 @@ impl Recipe {
             _ => None,
         };
         let hash = |file: std::path::PathBuf| {
-            let bytes = std::fs::read(&file).map_err(|e| Error::read(&file, e))?;
+            let bytes = files::read(&file).map_err(|e| Error::read(&file, e))?;
             Ok(format!("{:016x}", fnv(&bytes)))
         };
         let meshes = scene.objects.iter().filter_map(file).map(hash).collect::<Result<Vec<_>>>()?;

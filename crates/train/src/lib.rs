@@ -3,6 +3,8 @@
 //! [`Trainer::step`] is one screen: batch → gates → forward → loss → backward → statistics → Adam → (densify | prune).
 //! N changes in one place only, `edit.rs`.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
+
 mod adam;
 mod batches;
 mod checkpoint;

@@ -9,7 +9,7 @@ use crate::output;
 use clap::Args;
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
 use npyz::WriterBuilder as _;
-use pwrfgs_core::files::{refuse_foreign, write_atomically};
+use pwrfgs_core::files::{self, refuse_foreign, write_atomically};
 use pwrfgs_core::{Error, Image, ImagePlane, Real, Result};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
@@ -117,7 +117,7 @@ pub(super) fn position(text: &str) -> Result<[f64; 3]> {
 
 /// Columns x, y, z of a CSV file.
 fn positions(path: &Path) -> Result<Vec<[f64; 3]>> {
-    let text = std::fs::read(path).map_err(|e| Error::read(path, e))?;
+    let text = files::read(path).map_err(|e| Error::read(path, e))?;
     let text = text.strip_prefix("\u{feff}".as_bytes()).unwrap_or(&text);
     let mut reader = csv::ReaderBuilder::new().flexible(true).trim(csv::Trim::All).from_reader(text);
     let broken = |e: csv::Error| {
@@ -157,7 +157,7 @@ fn positions(path: &Path) -> Result<Vec<[f64; 3]>> {
 
 /// Whether the folder holds an earlier prediction; refuses one that holds anything else.
 fn check_ours(out: &Path) -> Result<bool> {
-    if std::fs::read_to_string(out.join(LIST)).is_ok_and(|text| text.starts_with(HEADER)) {
+    if files::read_string(out.join(LIST)).is_ok_and(|text| text.starts_with(HEADER)) {
         return Ok(true);
     }
     refuse_foreign(out, "a folder of predictions").map(|()| false)

@@ -9,6 +9,11 @@ use std::path::Path;
 const EXPECTED: &str =
     "expected `gateway1: {position: [x, y, z], orientation: [x, y, z, w]}` (metres; unit quaternion)";
 
+/// Largest file that is read, bytes. It says a few numbers.
+const MAX_SIZE: u64 = 1 << 20;
+/// Deepest nesting that is read; the parser takes minutes over some ten thousands.
+const MAX_DEPTH: usize = 64;
+
 /// What the file says.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Gateway {
@@ -24,7 +29,10 @@ struct File {
 
 /// Reads the file.
 pub(crate) fn read(path: &Path, advice: &str) -> Result<Gateway> {
-    let text = read_text(path, advice)?;
+    let text = read_text(path, MAX_SIZE, advice)?;
+    if let Some(line) = too_deep(&text) {
+        return Err(Error::at(path, line, 1, format!("nested deeper than {MAX_DEPTH}; {EXPECTED}")));
+    }
     let file: File = serde_yaml_ng::from_str(&text).map_err(|e| {
         let words = e.to_string();
         let words = words.split(" at line ").next().unwrap_or_default();
@@ -43,6 +51,26 @@ pub(crate) fn read(path: &Path, advice: &str) -> Result<Gateway> {
         _ => None,
     });
     Ok(Gateway { name: name.filter(|n| !n.trim().is_empty()), pose: file.gateway1 })
+}
+
+/// The line that opens more than [`MAX_DEPTH`] brackets, or holds more list marks. Those in comments and texts count as
+/// well, which harms no file that a person writes.
+fn too_deep(text: &str) -> Option<usize> {
+    let mut depth = 0_usize;
+    let is_deeper = |line: &str| {
+        for c in line.chars() {
+            match c {
+                '[' | '{' => depth += 1,
+                ']' | '}' => depth = depth.saturating_sub(1),
+                _ => {}
+            }
+            if depth > MAX_DEPTH {
+                return true;
+            }
+        }
+        line.split_whitespace().filter(|word| matches!(*word, "-" | "?" | ":")).count() > MAX_DEPTH
+    };
+    text.lines().position(is_deeper).map(|line| line + 1)
 }
 
 /// Line and column of `key` behind `gateway1`; the file is known to hold both.
@@ -102,6 +130,27 @@ mod tests {
             assert_eq!(read_str(&text).unwrap_err(), message);
         }
         assert!(read_str(&file("[0, 0, 0, 1.0009]")).is_ok());
+    }
+
+    #[test]
+    fn deep_nesting_and_large_files_are_refused_at_once() {
+        let start = std::time::Instant::now();
+        let spaces = (0..1_400).map(|i| format!("{:i$}a:\n", ""));
+        let cases = [
+            ("[".repeat(100_000), "DIR/g.yml:1:1: nested deeper than 64; "),
+            (format!("a: b\nc: {}", "{a: ".repeat(100_000)), "DIR/g.yml:2:1: nested deeper than 64; "),
+            ("[\n".repeat(100_000), "DIR/g.yml:65:1: nested deeper than 64; "),
+            ("- ".repeat(100_000), "DIR/g.yml:1:1: nested deeper than 64; "),
+            ("? ".repeat(100_000), "DIR/g.yml:1:1: nested deeper than 64; "),
+            (spaces.collect(), "DIR/g.yml"),
+            ("&a [*a]\n".repeat(10_000), "DIR/g.yml"),
+            ("#".repeat(1 << 20) + "\n", "cannot read DIR/g.yml: it is larger than the 1048576 bytes"),
+        ];
+        for (text, message) in cases {
+            let said = read_str(&text).unwrap_err();
+            assert!(said.starts_with(message), "{said}");
+        }
+        assert!(start.elapsed().as_secs() < 5, "{:?}", start.elapsed());
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! `train_index.txt` and `test_index.txt`: which ids serve what, one a line, zero-padded or not.
 
 use crate::text::{Field, lines, read_text, split_blanks};
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, files::MAX_TEXT};
 use std::{
     collections::{BTreeMap, BTreeSet},
     path::Path,
@@ -38,7 +38,7 @@ pub(crate) fn read(root: &Path, known: &Known<'_>) -> Result<Option<(Vec<usize>,
 
 /// One file; `seen` says where an id was named before.
 fn read_list(path: &Path, known: &Known<'_>, seen: &mut BTreeMap<u32, String>) -> Result<Vec<usize>> {
-    let text = read_text(path, "give both index files or neither")?;
+    let text = read_text(path, MAX_TEXT, "give both index files or neither")?;
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let mut list = Vec::new();
     for (line, content) in lines(&text) {

@@ -13,6 +13,8 @@ use std::{
 
 /// Largest picture that is read, pixels: a header may promise more than memory holds.
 const MAX_PIXELS: u64 = 1 << 24;
+/// Largest file of a picture, bytes: one that is not compressed at all, and what else it says.
+const MAX_BYTES: u64 = 2 * MAX_PIXELS;
 const SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
 
 /// Pictures of one size, row-major 8-bit grey.
@@ -71,7 +73,7 @@ pub(crate) fn load(files: &[&Path], progress: Progress<'_>) -> Result<Pictures> 
 
 /// Width, height and grey values of one picture.
 fn decode(path: &Path) -> Result<(usize, usize, Vec<u8>)> {
-    let file = read_bytes(path, "add the picture")?;
+    let file = read_bytes(path, MAX_BYTES, "add the picture")?;
     if !file.starts_with(&SIGNATURE[..SIGNATURE.len().min(file.len()).max(1)]) {
         return Err(Error::input(path, "is not a PNG picture; save the spectrum as 8-bit grey PNG"));
     }

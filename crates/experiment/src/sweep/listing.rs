@@ -1,6 +1,6 @@
 //! `sweep.json`: which runs a sweep folder holds, for whoever reads them back.
 
-use pwrfgs_core::files::write_atomically;
+use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -35,7 +35,7 @@ impl Listing {
     /// A file that cannot be read, or is not such a listing.
     pub fn read(folder: &Path) -> Result<Option<Self>> {
         let path = folder.join(LISTING);
-        match std::fs::read_to_string(&path) {
+        match files::read_string(&path) {
             Ok(text) => serde_json::from_str(&text)
                 .map(Some)
                 .map_err(|e| Error::at(&path, e.line(), e.column(), format!("not the listing of a sweep: {e}"))),

@@ -5,7 +5,7 @@
 //! experiment does not change what waiting tasks do.
 
 use super::plan::Plan;
-use pwrfgs_core::files::write_atomically;
+use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Error, Result};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -58,7 +58,7 @@ pub fn queued(plan: &Plan) -> Result<BTreeSet<String>> {
     let jobs: Vec<(String, Vec<String>)> = submissions(plan)
         .into_iter()
         .filter_map(|(_, own)| {
-            let read = |name: &str| std::fs::read_to_string(own.join(name)).ok();
+            let read = |name: &str| files::read_string(own.join(name)).ok();
             Some((read(JOB)?.trim().to_owned(), read(RUNS)?.lines().map(str::to_owned).collect()))
         })
         .collect();

@@ -5,7 +5,7 @@ use crate::facts::Facts;
 use crate::folder::{CURVE, PIPELINE, RunFolder};
 use crate::scores::ScoreTable;
 use crate::series;
-use pwrfgs_core::files::write_atomically;
+use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Error, Result};
 use std::path::PathBuf;
 
@@ -50,7 +50,7 @@ impl Plan {
         if RunFolder::is_busy(&folder) {
             return State::Running { step };
         }
-        match std::fs::read_to_string(self.failure_file(run)) {
+        match files::read_string(self.failure_file(run)) {
             Ok(why) => State::Failed(why.trim_end().to_owned()),
             Err(_) if folder.join(PIPELINE).is_file() => State::Stopped { step },
             Err(_) => State::Waiting,

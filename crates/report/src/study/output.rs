@@ -7,7 +7,7 @@ use super::Study;
 use super::comparison::Comparison;
 use super::format;
 use super::page::Page;
-use pwrfgs_core::files::{refuse_foreign, write_atomically};
+use pwrfgs_core::files::{self, refuse_foreign, write_atomically};
 use pwrfgs_core::{Error, Result};
 use pwrfgs_experiment::Observer;
 use serde::{Deserialize, Serialize};
@@ -91,7 +91,7 @@ fn files(study: &Study, page: &Page) -> Result<Vec<(String, Vec<u8>)>> {
 /// says that a report made them.
 fn owned(out: &Path) -> Result<Owned> {
     let path = out.join(OWN);
-    match std::fs::read_to_string(&path) {
+    match files::read_string(&path) {
         // Only names of a report's files: whatever the list says, nothing else is removed.
         Ok(text) => serde_json::from_str::<Owned>(&text)
             .ok()

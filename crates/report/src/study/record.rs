@@ -1,7 +1,7 @@
 //! `Record`: one finished run, read back from its folder.
 
 use super::one_line;
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, files};
 use pwrfgs_experiment::Facts;
 use pwrfgs_experiment::folder::{CURVE, MODEL_FILE, PIPELINE, SAMPLES, SCORES};
 use pwrfgs_experiment::scores::MODEL;
@@ -54,7 +54,7 @@ impl Record {
         let Some(facts) = Facts::read(folder).filter(|f| f.finished.is_some()) else { return Ok(None) };
         let text = |name: &str| {
             let path = folder.join(name);
-            std::fs::read_to_string(&path).map(|text| (text, path.clone())).map_err(|e| Error::read(&path, e))
+            files::read_string(&path).map(|text| (text, path.clone())).map_err(|e| Error::read(&path, e))
         };
         let (own, path) = text(PIPELINE)?;
         let pipeline = Pipeline::parse(&own, &path)?;
