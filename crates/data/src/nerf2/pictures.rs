@@ -1,7 +1,7 @@
 //! `spectrum/NNNNN.png`: 8-bit grey pictures, all of one size, decoded in parallel.
 
 use crate::text::{read_bytes, unreadable};
-use image::{ColorType, ExtendedColorType, ImageDecoder, ImageError, codecs::png::PngDecoder};
+use image::{ColorType, ExtendedColorType, ImageDecoder, ImageError, ImageResult, Limits, codecs::png::PngDecoder};
 use pwrfgs_core::{Error, Progress, Result};
 use rayon::prelude::*;
 use std::{
@@ -15,6 +15,9 @@ use std::{
 const MAX_PIXELS: u64 = 1 << 24;
 /// Largest file of a picture, bytes: one that is not compressed at all, and what else it says.
 const MAX_BYTES: u64 = 2 * MAX_PIXELS;
+/// Most memory that the decoder takes for what is beside the pixels: a colour profile of a megabyte may unpack to
+/// gigabytes.
+const MAX_BESIDE: u64 = 2 * MAX_PIXELS;
 const SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
 
 /// Pictures of one size, row-major 8-bit grey.
@@ -84,7 +87,7 @@ fn decode(path: &Path) -> Result<(usize, usize, Vec<u8>)> {
             format!("is cut short or damaged ({}); copy it anew", words.lines().next().unwrap_or_default()),
         )
     };
-    let decoder = PngDecoder::new(Cursor::new(file)).map_err(damaged)?;
+    let decoder = decoder(file).map_err(damaged)?;
     if decoder.original_color_type() != ExtendedColorType::L8 || decoder.color_type() != ColorType::L8 {
         let kind = kind(decoder.original_color_type());
         return Err(Error::input(path, format!("is {kind}; a spectrum is 8-bit grey with one channel: convert it")));
@@ -97,6 +100,13 @@ fn decode(path: &Path) -> Result<(usize, usize, Vec<u8>)> {
     let mut bytes = vec![0; width as usize * height as usize];
     decoder.read_image(&mut bytes).map_err(damaged)?;
     Ok((width as usize, height as usize, bytes))
+}
+
+/// A decoder that leaves out what is beside the pixels and takes more than [`MAX_BESIDE`].
+pub(super) fn decoder(file: Vec<u8>) -> ImageResult<PngDecoder<Cursor<Vec<u8>>>> {
+    let mut limits = Limits::no_limits();
+    limits.max_alloc = Some(MAX_BESIDE);
+    PngDecoder::with_limits(Cursor::new(file), limits)
 }
 
 /// A colour type in words.
