@@ -10,8 +10,10 @@ use std::process::{Command, Stdio};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Longest time of a case.
-pub const PATIENCE: Duration = Duration::from_secs(10);
+/// Longest processor time of a case, seconds: a machine that has other things to do makes no case fail.
+const PATIENCE: f64 = 10.0;
+/// Longest time of a case that waits for something.
+const LONGEST: Duration = Duration::from_mins(1);
 /// The variable that makes the fuzzer be `pwrfgs`.
 pub const AS_PROGRAM: &str = "PWRFGS_FUZZ_AS_PROGRAM";
 /// Longest message, bytes.
@@ -19,6 +21,30 @@ const LONGEST_MESSAGE: usize = 2_000;
 
 /// What the last panic said, and where.
 static PANIC: Mutex<String> = Mutex::new(String::new());
+
+/// When a case began, and the processor time that its process had taken by then.
+#[derive(Clone, Copy, Debug)]
+pub struct Begun(Instant, f64);
+
+impl Begun {
+    /// Now, in the process `id`.
+    pub fn now(id: u32) -> Self {
+        Self(Instant::now(), processor_seconds(id))
+    }
+
+    /// Whether it takes too long by now.
+    pub fn is_hanging(self, id: u32) -> bool {
+        self.0.elapsed() > LONGEST || processor_seconds(id) - self.1 > PATIENCE
+    }
+}
+
+/// Processor time of a process, seconds; 0 where the system does not tell.
+fn processor_seconds(id: u32) -> f64 {
+    let stat = fs::read_to_string(format!("/proc/{id}/stat")).unwrap_or_default();
+    let fields = stat.rsplit_once(')').map_or("", |(_, fields)| fields);
+    // User and system time in hundredths.
+    fields.split_whitespace().skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok()).sum::<f64>() / 100.0
+}
 
 /// A bench, and what every file on it was.
 #[derive(Debug)]
@@ -35,7 +61,8 @@ impl Bench {
     /// A seed that cannot be read.
     pub fn open(folder: &Path) -> Result<Self> {
         std::panic::set_hook(Box::new(|panic| {
-            let text = panic.to_string().replace('\n', " ");
+            let frames = std::backtrace::Backtrace::force_capture().to_string();
+            let text = panic.to_string().replace('\n', " ") + &own_frame(&frames);
             *PANIC.lock().unwrap_or_else(PoisonError::into_inner) = text;
         }));
         let seeds = TARGETS.iter().map(|target| seeds(folder, target)).collect::<Result<_>>()?;
@@ -48,14 +75,27 @@ impl Bench {
     /// Where the bench cannot be written.
     pub fn try_case(&self, n: u64, keep: bool) -> Result<Option<String>> {
         let target = target_of(n);
-        let (seeds, Target { file, form, reader, .. }) = (&self.seeds[target], TARGETS[target]);
+        let seeds = &self.seeds[target];
         let mut random = rng::stream(0, "fuzz", n);
         let (seed, other) = (rng::below(&mut random, seeds.len()), rng::below(&mut random, seeds.len()));
-        let broken = mutate(&seeds[seed], &seeds[other], form, &mut random);
+        self.try_bytes(target, &mutate(&seeds[seed], &seeds[other], TARGETS[target].form, &mut random), keep)
+    }
+
+    /// What target number `target` is made from.
+    pub fn seeds(&self, target: usize) -> &[Vec<u8>] {
+        &self.seeds[target]
+    }
+
+    /// Tries `bytes` as the file of target number `target`, as [`Self::try_case`] does.
+    ///
+    /// # Errors
+    /// Where the bench cannot be written.
+    pub fn try_bytes(&self, target: usize, bytes: &[u8], keep: bool) -> Result<Option<String>> {
+        let Target { file, reader, .. } = TARGETS[target];
         let path = self.folder.join(file);
         let put = |bytes: &[u8]| fs::write(&path, bytes).map_err(|e| Error::write(&path, e));
-        put(&broken)?;
-        let begun = Instant::now();
+        put(bytes)?;
+        let begun = Begun::now(std::process::id());
         let fault = match reader {
             Reader::Library(read) => match catch_unwind(AssertUnwindSafe(|| read(&self.folder))) {
                 Ok(Ok(())) => None,
@@ -66,9 +106,9 @@ impl Bench {
             Reader::Program(arguments) => self.call(arguments)?,
         };
         if !keep {
-            put(&seeds[0])?;
+            put(&self.seeds[target][0])?;
         }
-        Ok(fault.or_else(|| (begun.elapsed() > PATIENCE).then(|| "takes too long".into())))
+        Ok(fault.or_else(|| begun.is_hanging(std::process::id()).then(|| "takes too long".into())))
     }
 
     /// Calls the program; what is wrong with how it ends.
@@ -80,11 +120,12 @@ impl Bench {
         command.args(arguments).current_dir(&self.folder).env(AS_PROGRAM, "1").env_remove("RUST_LOG");
         let child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(open()?).spawn();
         let failed = |e| Error::Config(format!("the program cannot be called: {e}"));
-        let (mut child, begun) = (child.map_err(failed)?, Instant::now());
+        let mut child = child.map_err(failed)?;
+        let begun = Begun::now(child.id());
         let status = loop {
             match child.try_wait().map_err(failed)? {
                 Some(status) => break status,
-                None if begun.elapsed() > PATIENCE => {
+                None if begun.is_hanging(child.id()) => {
                     _ = child.kill().and_then(|()| child.wait());
                     return Ok(Some("takes too long".into()));
                 }
@@ -126,6 +167,12 @@ pub fn name_of(n: u64) -> String {
         Reader::Library(_) => target.file.into(),
         Reader::Program(arguments) => format!("{} for pwrfgs {}", target.file, arguments[0]),
     }
+}
+
+/// Where a backtrace is in the library's own code for the first time, as ` in crates/..`.
+pub fn own_frame(backtrace: &str) -> String {
+    let place = backtrace.lines().find_map(|line| line.trim().strip_prefix("at ")?.split_once("/crates/"));
+    place.map_or_else(String::new, |(_, place)| format!(" in crates/{place}"))
 }
 
 fn fault_of_message(message: &str) -> Option<String> {

@@ -4,6 +4,8 @@
 //! A case passes where the reader takes the file or says what is wrong with it: no panic, no abort, no hang, no failure
 //! that blames the machine, no message without end.
 
+#![allow(clippy::disallowed_methods)] // it reads its own files
+
 pub mod bench;
 pub mod cases;
 pub mod mutate;

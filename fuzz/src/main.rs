@@ -6,16 +6,17 @@
 //! pwrfgs-fuzz --case N                  tries one in this process and keeps the broken file
 //! ```
 
-#![allow(clippy::print_stdout, clippy::print_stderr)] // a program
+#![allow(clippy::print_stdout, clippy::print_stderr, clippy::disallowed_methods)] // a program that reads its own files
 
 use pwrfgs_core::Result;
 use pwrfgs_fuzz::bench;
-use pwrfgs_fuzz::cases::{AS_PROGRAM, Bench, PATIENCE, name_of};
+use pwrfgs_fuzz::cases::{AS_PROGRAM, Begun, Bench, name_of, own_frame};
 use std::collections::BTreeMap;
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::Path;
 use std::process::{Child, Command, ExitCode, Stdio};
 use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Address space of a process that tries cases, KiB.
@@ -67,60 +68,76 @@ fn work(arguments: &[String]) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// What was found wrong: how often, by target and kind.
+#[derive(Default)]
+struct Faults(Mutex<BTreeMap<(String, String), u64>>);
+
+impl Faults {
+    /// Counts one, and tells the first of its kind.
+    fn note(&self, case: u64, fault: &str) {
+        // The same but for numbers, paths and quotations is the same; of what is said too long or badly, the first words.
+        let words = fault.split(['`', '"']).step_by(2).flat_map(|part| part.split(' '));
+        let words = words.filter(|word| !word.contains('/') || word.contains(".rs:"));
+        let kind: String = words.take(if fault.starts_with("says") { 2 } else { 30 }).collect();
+        let kind = kind.chars().filter(char::is_ascii_alphabetic).collect();
+        let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let count = all.entry((name_of(case), kind)).or_insert(0);
+        *count += 1;
+        if *count == 1 {
+            println!("case {case}, {}: {}", name_of(case), fault.chars().take(400).collect::<String>());
+        }
+    }
+}
+
 /// All cases, in as many processes at a time as there are processors.
 fn drive(first: u64, cases: u64) -> Result<ExitCode> {
-    let (begun, end) = (Instant::now(), first + cases);
+    let (begun, end, faults) = (Instant::now(), first + cases, Faults::default());
     let workers = std::thread::available_parallelism().map_or(1, usize::from) as u64;
-    let found: Vec<Result<Vec<(u64, String)>>> = std::thread::scope(|scope| {
-        let all: Vec<_> = (0..workers).map(|w| scope.spawn(move || all_of(first + w, workers, end))).collect();
+    let ended: Vec<Result<()>> = std::thread::scope(|scope| {
+        let faults = &faults;
+        let all: Vec<_> =
+            (0..workers).map(|w| scope.spawn(move || all_of([first + w, workers, end], faults))).collect();
         all.into_iter().map(|worker| worker.join().expect("a worker that fails says so")).collect()
     });
-    let mut faults: BTreeMap<(String, String), (u64, u64, String)> = BTreeMap::new();
-    for (case, fault) in found.into_iter().collect::<Result<Vec<_>>>()?.concat() {
-        // The same but for numbers, paths and quotations is the same.
-        let kind: String = fault.split('`').step_by(2).collect::<String>().chars().take(120).collect();
-        let kind = kind.chars().filter(|c| !c.is_ascii_digit()).collect();
-        let entry = faults.entry((name_of(case), kind)).or_insert((0, case, fault));
-        entry.0 += 1;
-    }
-    for ((name, _), (count, case, fault)) in &faults {
-        let fault: String = fault.chars().take(400).collect();
-        println!("{count} x {name}, such as case {case}: {fault}");
-    }
-    let wrong: u64 = faults.values().map(|fault| fault.0).sum();
-    println!("{wrong} of {cases} cases are wrong, {:.0} s", begun.elapsed().as_secs_f64());
+    ended.into_iter().collect::<Result<()>>()?;
+    let faults = faults.0.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let wrong: u64 = faults.values().sum();
+    let seconds = begun.elapsed().as_secs_f64();
+    println!("{wrong} of {cases} cases are wrong in {} ways, {seconds:.0} s", faults.len());
     Ok(ExitCode::from(u8::from(wrong > 0)))
 }
 
 /// Every `step`-th case, in as many processes as it takes.
-fn all_of(first: u64, step: u64, end: u64) -> Result<Vec<(u64, String)>> {
+fn all_of([mut next, step, end]: [u64; 3], faults: &Faults) -> Result<()> {
     let folder = tempfile::tempdir().map_err(|e| pwrfgs_core::Error::write(&std::env::temp_dir(), e))?;
-    let (mut next, mut faults) = (first, Vec::new());
     while next < end {
-        // What a process that was stopped leaves behind must not fail the next.
+        // A new one: what a process that was stopped leaves behind must not fail the next.
         let bench = folder.path().join(next.to_string());
         bench::make(&bench)?;
-        let Some((case, why)) = one_process(&bench, [next, step, end], &mut faults) else { break };
-        faults.push((case, why));
+        let Some((case, why)) = one_process(&bench, [next, step, end], faults) else { break };
+        faults.note(case, &why);
         next = case + step;
     }
-    Ok(faults)
+    Ok(())
 }
 
 /// Runs one process to its end; the case that it died of, if it did.
-fn one_process(bench: &Path, range: [u64; 3], faults: &mut Vec<(u64, String)>) -> Option<(u64, String)> {
+fn one_process(bench: &Path, range: [u64; 3], faults: &Faults) -> Option<(u64, String)> {
     let mut child = spawn(bench, range).expect("a shell can be started");
     let (send, receive) = channel();
     let lines = BufReader::new(child.stdout.take().expect("piped")).lines();
     std::thread::spawn(move || lines.map_while(std::result::Result::ok).try_for_each(|line| send.send(line)));
-    let mut case = range[0];
+    let (mut case, mut begun) = (range[0], Begun::now(child.id()));
     loop {
-        match receive.recv_timeout(PATIENCE + Duration::from_secs(2)) {
+        match receive.recv_timeout(Duration::from_secs(1)) {
             Ok(line) => match line.split_once(' ') {
-                Some(("case", number)) => case = number.parse().unwrap_or(case),
-                Some(("fault", why)) => faults.push((case, why.into())),
+                Some(("case", number)) => {
+                    (case, begun) = (number.parse().unwrap_or(case), Begun::now(child.id()));
+                }
+                Some(("fault", why)) => faults.note(case, why),
                 _ => {}
             },
+            Err(RecvTimeoutError::Timeout) if !begun.is_hanging(child.id()) => {}
             Err(RecvTimeoutError::Timeout) => {
                 _ = child.kill().and_then(|()| child.wait());
                 return Some((case, "hangs".into()));
@@ -129,8 +146,8 @@ fn one_process(bench: &Path, range: [u64; 3], faults: &mut Vec<(u64, String)>) -
                 let status = child.wait().expect("a child can be waited for");
                 let said = std::fs::read(bench.join("stderr.txt")).unwrap_or_default();
                 let said = String::from_utf8_lossy(&said);
-                let said: Vec<&str> = said.lines().filter(|line| !line.trim().is_empty()).collect();
-                let why = format!("ends the process ({status}): {}", said.join(" "));
+                let first = said.lines().next().unwrap_or_default();
+                let why = format!("ends the process ({status}): {first}{}", own_frame(&said));
                 assert_ne!(status.code(), Some(i32::from(BROKEN)), "{why}");
                 return (!status.success()).then_some((case, why));
             }
@@ -144,7 +161,7 @@ fn spawn(bench: &Path, range: [u64; 3]) -> std::io::Result<Child> {
     let limited = format!("ulimit -v {MEMORY_KIB}; exec \"$@\"");
     let mut command = Command::new("sh");
     command.args(["-c", &limited, "sh"]).arg(std::env::current_exe()?).arg("work").arg(bench);
-    command.args(range.map(|number| number.to_string())).env("RAYON_NUM_THREADS", "1");
+    command.args(range.map(|number| number.to_string())).env("RAYON_NUM_THREADS", "1").env("RUST_BACKTRACE", "1");
     command.env("PWRFGS_CACHE", bench.join("cache")).stdout(Stdio::piped()).stderr(stderr).stdin(Stdio::null());
     std::io::stdout().flush()?;
     command.spawn()

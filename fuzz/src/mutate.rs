@@ -233,11 +233,22 @@ fn inside_tensors(bytes: &[u8], rng: &mut Rng) -> Vec<u8> {
         return bytes.to_vec();
     };
     let (mut header, mut data) = (header.to_vec(), data.to_vec());
-    match below(rng, 8) {
+    match below(rng, 10) {
         0 | 1 => overwrite(&mut data, rng),
         2 => words(&mut header, rng),
         3 => header = blind(&header, &header, rng),
-        _ => number(&mut header, rng),
+        // What tensors say of themselves is soon caught: shapes and places.
+        4 => number(&mut header, rng),
+        _ => {
+            let end = header.windows(3).position(|signs| signs == b"}\"}").unwrap_or(header.len());
+            let mut note = header[..end].to_vec();
+            if below(rng, 4) == 0 {
+                words(&mut note, rng);
+            } else {
+                number(&mut note, rng);
+            }
+            header.splice(..end, note).for_each(drop);
+        }
     }
     [&(header.len() as u64).to_le_bytes()[..], &header, &data].concat()
 }

@@ -78,14 +78,15 @@ pub const TARGETS: &[Target] = &[
     of(4, "half/events.out.tfevents.pwrfgs", &[], Plain, resumed),
     of(4, "half/unpruned.safetensors", &["half/start.safetensors"], Tensors, resumed),
     of(4, "half/pipeline.ron", &[], Plain, resumed),
-    of(2, "sweep/sweep.json", &[], Plain, compared),
-    of(2, "sweep/a/run.json", &[], Plain, compared),
-    of(2, "sweep/a/scores.csv", &[], Plain, compared),
-    of(2, "sweep/a/samples.csv", &[], Plain, compared),
-    of(2, "sweep/a/pipeline.ron", &[], Plain, compared),
-    of(1, "sweep/a/curve.csv", &[], Plain, compared),
-    of(2, "sweep/a/model.safetensors", &[], Tensors, compared),
-    of(1, "sweep/a/start.safetensors", &["sweep/a/unpruned.safetensors"], Tensors, compared),
+    of(4, "sweep/sweep.json", &[], Plain, read_back),
+    of(8, "sweep/a/run.json", &[], Plain, read_back),
+    of(8, "sweep/a/scores.csv", &[], Plain, read_back),
+    of(8, "sweep/a/samples.csv", &[], Plain, read_back),
+    of(4, "sweep/a/pipeline.ron", &[], Plain, read_back),
+    of(1, "sweep/a/run.json", &[], Plain, compared),
+    of(1, "sweep/a/scores.csv", &[], Plain, compared),
+    of(1, "sweep/a/samples.csv", &[], Plain, compared),
+    of(1, "sweep/a/model.safetensors", &[], Tensors, compared),
     program("positions.csv", Plain, PREDICT),
     program("positions.csv", Plain, PREDICT),
     program(MODEL, Tensors, PREDICT),
@@ -180,7 +181,7 @@ fn checkpoint(bench: &Path) -> Result<()> {
     Ok(())
 }
 
-/// A copy of the stopped run goes on.
+/// A copy of the stopped run goes on, to its scores; the report has cases of its own.
 fn resumed(bench: &Path) -> Result<()> {
     let again = bench.join("again");
     let _ = fs::remove_dir_all(&again);
@@ -189,10 +190,14 @@ fn resumed(bench: &Path) -> Result<()> {
         fs::copy(entry.path(), again.join(entry.file_name())).map_err(|e| Error::write(&again, e))?;
     }
     let pipeline = read_pipeline(&bench.join("p.ron"), &[])?;
-    pwrfgs::run(&pipeline, bench, &again, &mut Silent, &AtomicBool::new(false)).map(drop)
+    pwrfgs::experiment::run(&pipeline, bench, &again, &mut Silent, &AtomicBool::new(false), None).map(drop)
 }
 
-/// The finished run is compared.
+fn read_back(bench: &Path) -> Result<()> {
+    Study::read(&[bench.join("sweep")]).map(drop)
+}
+
+/// The finished run is compared, with every figure.
 fn compared(bench: &Path) -> Result<()> {
     let study = Study::read(&[bench.join("sweep")])?;
     pwrfgs::report::write(&study, &Options::default(), &bench.join("compared"), &mut Silent).map(drop)
