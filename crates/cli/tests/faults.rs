@@ -7,7 +7,7 @@ use crate::resume::{curve, events};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Less than a second: densified, pruned twice, four checkpoints, three looks at the validation part, a report.
 const TINY: &str = "Pipeline(
@@ -82,49 +82,60 @@ fn end_of(run: &Path) -> BTreeMap<String, Vec<u8>> {
     names.map(|name| (name.clone(), content(&name))).collect()
 }
 
-/// Lets each of `faults` happen to a run of its own and resumes it; `judge` looks at how it ended.
-fn each(faults: &[(&str, u64)], here: &Path, shim: &Path, judge: impl Fn(&str, &Output) + Sync) {
-    succeed(here, &["run", "p.ron", "--out", "whole", "-q", "--threads", "1"]);
-    let whole = end_of(&here.join("whole"));
-    let next = AtomicU64::new(0);
-    let work = || {
-        while let Some((mode, at)) = faults.get(next.fetch_add(1, Ordering::Relaxed) as usize) {
-            let out = format!("{mode}-{at}");
-            judge(&out, &faulty(here, shim, &out, (mode, *at)));
-            succeed(here, &["run", "p.ron", "--out", &out, "-q", "--threads", "1"]);
-            let end = end_of(&here.join(&out));
-            assert!(end.keys().eq(whole.keys()), "{out}: {:?}", end.keys());
-            end.iter().for_each(|(name, bytes)| assert!(*bytes == whole[name], "{out}: {name} differs"));
-            std::fs::remove_dir_all(here.join(&out)).unwrap();
-        }
-    };
-    let workers = std::thread::available_parallelism().map_or(1, usize::from);
-    std::thread::scope(|scope| (0..workers).for_each(|_| _ = scope.spawn(work)));
+/// A folder with the pipeline and the shim, and calls of a whole run that are to go wrong.
+struct Faults {
+    folder: tempfile::TempDir,
+    shim: PathBuf,
+    mode: &'static str,
+    calls: Vec<u64>,
 }
 
-/// A folder with the pipeline, the shim, and the faults `mode` of a whole run: every `spread`-th, or all.
-fn prepare(mode: &'static str, spread: usize) -> Option<(tempfile::TempDir, PathBuf, Vec<(&'static str, u64)>)> {
-    let folder = tempfile::tempdir().unwrap();
-    write(&folder.path().join("p.ron"), TINY);
-    let shim = shim(folder.path())?;
-    assert!(faulty(folder.path(), &shim, "counted", ("kill", 0)).status.success());
-    let Ok(count) = std::fs::read_to_string(folder.path().join("count")) else {
-        pwrfgs_core::testing::skipped("LD_PRELOAD is not heeded here");
-        return None;
-    };
-    let count: u64 = count.trim().parse().unwrap();
-    assert!(count > 100, "{count} calls are too few to be all");
-    let all = std::env::var_os("PWRFGS_FAULTS").is_some_and(|which| which == "all");
-    let faults: Vec<_> = (1..=count).map(|at| (mode, at)).step_by(if all { 1 } else { spread }).collect();
-    println!("{mode}: {} of {count} calls", faults.len());
-    Some((folder, shim, faults))
+impl Faults {
+    /// Every `spread`-th call, or all.
+    fn prepare(mode: &'static str, spread: usize) -> Option<Self> {
+        let folder = tempfile::tempdir().unwrap();
+        let here = folder.path();
+        write(&here.join("p.ron"), TINY);
+        let shim = shim(here)?;
+        assert!(faulty(here, &shim, "counted", (mode, 0)).status.success());
+        let Ok(count) = std::fs::read_to_string(here.join("count")) else {
+            pwrfgs_core::testing::skipped("LD_PRELOAD is not heeded here");
+            return None;
+        };
+        let count: u64 = count.trim().parse().unwrap();
+        assert!(count > 100, "{count} calls are too few to be all");
+        let all = std::env::var_os("PWRFGS_FAULTS").is_some_and(|which| which == "all");
+        let calls: Vec<u64> = (1..=count).step_by(if all { 1 } else { spread }).collect();
+        println!("{mode}: {} of {count} calls", calls.len());
+        Some(Self { folder, shim, mode, calls })
+    }
+
+    /// Lets each happen to a run of its own and resumes it; `judge` looks at how it ended.
+    fn each(&self, judge: impl Fn(&str, &Output) + Sync) {
+        let (here, next) = (self.folder.path(), AtomicUsize::new(0));
+        succeed(here, &["run", "p.ron", "--out", "whole", "-q", "--threads", "1"]);
+        let whole = end_of(&here.join("whole"));
+        let work = || {
+            while let Some(at) = self.calls.get(next.fetch_add(1, Ordering::Relaxed)) {
+                let out = format!("{}-{at}", self.mode);
+                judge(&out, &faulty(here, &self.shim, &out, (self.mode, *at)));
+                succeed(here, &["run", "p.ron", "--out", &out, "-q", "--threads", "1"]);
+                let end = end_of(&here.join(&out));
+                assert!(end.keys().eq(whole.keys()), "{out}: {:?}", end.keys());
+                end.iter().for_each(|(name, bytes)| assert!(*bytes == whole[name], "{out}: {name} differs"));
+                std::fs::remove_dir_all(here.join(&out)).unwrap();
+            }
+        };
+        let workers = std::thread::available_parallelism().map_or(1, usize::from);
+        std::thread::scope(|scope| (0..workers).for_each(|_| _ = scope.spawn(work)));
+    }
 }
 
 #[test]
 fn a_run_killed_at_any_call_that_writes_ends_as_one_never_stopped() {
     for (mode, spread) in [("kill", 6), ("half", 12)] {
-        let Some((folder, shim, faults)) = prepare(mode, spread) else { return };
-        each(&faults, folder.path(), &shim, |out, ended| {
+        let Some(faults) = Faults::prepare(mode, spread) else { return };
+        faults.each(|out, ended| {
             assert!(!ended.status.success() && ended.status.code().is_none(), "{out}: {}", ended.status);
         });
     }
@@ -132,8 +143,8 @@ fn a_run_killed_at_any_call_that_writes_ends_as_one_never_stopped() {
 
 #[test]
 fn a_disk_that_is_full_from_any_call_on_is_told_and_the_run_goes_on_later() {
-    let Some((folder, shim, faults)) = prepare("full", 6) else { return };
-    each(&faults, folder.path(), &shim, |out, ended| {
+    let Some(faults) = Faults::prepare("full", 6) else { return };
+    faults.each(|out, ended| {
         let said = stderr(ended);
         // The last call brings the folder to the disk, and a file system that cannot do that is no failure.
         if !ended.status.success() {
