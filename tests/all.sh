@@ -5,8 +5,11 @@
 set -eu
 cd "$(dirname "$0")/.."
 
-# What waits more than it computes runs beside the rest, and is told at the end.
-beside=(a_plugin_of_ones_own_is_swept_by_name a_sweep_on_slurm_ends_as_one_without)
+# What waits more than it computes, or takes long, runs beside the rest, and is told at the end.
+beside=(a_plugin_of_ones_own_is_swept_by_name a_sweep_on_slurm_ends_as_one_without
+    a_run_killed_at_any_call_that_writes_ends_as_one_never_stopped
+    a_disk_that_is_full_from_any_call_on_is_told_and_the_run_goes_on_later
+    ten_thousand_broken_files_are_told_from_whole_ones)
 # The program is here for its dependencies alone: with it all crates of others are those of the first pass.
 formulas=(-p pwrfgs -p pwrfgs-core -p pwrfgs-model -p pwrfgs-prune -p pwrfgs-raster -p pwrfgs-train -p pwrfgs-cli)
 
@@ -15,7 +18,7 @@ export PWRFGS_SKIPPED=$notes/skipped # pwrfgs_core::testing::skipped writes ther
 failed=()
 
 cargo test "$@" --workspace --no-run
-cargo test "$@" --workspace --test cli -- "${beside[@]}" >"$notes/beside" 2>&1 &
+cargo test "$@" --workspace --no-fail-fast --test cli --test fuzz -- "${beside[@]}" >"$notes/beside" 2>&1 &
 beside_pid=$!
 trap 'kill $beside_pid 2>/dev/null || true; rm -r "$notes"' EXIT
 
@@ -25,8 +28,8 @@ echo "== where formulas are, f64: derivatives against central differences"
 double=("$@" "${formulas[@]}" --features pwrfgs/f64)
 { cargo build "${double[@]}" --examples && cargo test "${double[@]}" --no-fail-fast --lib --test all; } || failed+=("f64")
 cargo test "${double[@]}" --doc || failed+=("f64, examples in the documentation")
-echo "== beside them: the example plugin, Slurm"
-wait $beside_pid || failed+=("the example plugin, Slurm")
+echo "== beside them: the example plugin, Slurm, kills and full disks, broken files"
+wait $beside_pid || failed+=("what ran beside the rest")
 cat "$notes/beside"
 
 if [ -s "$PWRFGS_SKIPPED" ]; then

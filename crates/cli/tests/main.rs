@@ -10,6 +10,7 @@ mod damage;
 mod ensemble;
 mod export;
 mod failure;
+mod faults;
 mod import;
 mod maps;
 mod model_format;

@@ -34,7 +34,7 @@ fn cargo(example: &Path, command: &str) -> Output {
 }
 
 /// The crates of pwrfgs.
-const CRATES: [&str; 14] = [
+const CRATES: [&str; 16] = [
     "pwrfgs",
     "pwrfgs-canvas",
     "pwrfgs-cli",
@@ -50,6 +50,7 @@ const CRATES: [&str; 14] = [
     "pwrfgs-report",
     "pwrfgs-sim",
     "pwrfgs-train",
+    "pwrfgs-waves",
 ];
 
 #[test]

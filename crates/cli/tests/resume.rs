@@ -18,13 +18,13 @@ fn longer() -> String {
 }
 
 /// `curve.csv` without its seconds.
-fn curve(run: &Path) -> Vec<String> {
+pub(crate) fn curve(run: &Path) -> Vec<String> {
     let text = std::fs::read_to_string(run.join("curve.csv")).unwrap();
     text.lines().map(|l| l.rsplit_once(',').unwrap().0.to_owned()).collect()
 }
 
 /// The records of the TensorBoard file without their times; the last one holds the scores, latencies among them.
-fn events(run: &Path) -> Vec<Vec<u8>> {
+pub(crate) fn events(run: &Path) -> Vec<Vec<u8>> {
     let bytes = std::fs::read(run.join("events.out.tfevents.pwrfgs")).unwrap();
     let mut rest = bytes.as_slice();
     let mut records = Vec::new();

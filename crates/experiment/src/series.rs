@@ -14,23 +14,37 @@ pub(crate) struct Series {
 }
 
 impl Series {
-    /// Opens `path`, keeping the complete rows up to step `done`; returns the last of them. A row that a killed run
-    /// left half-written is dropped, and so is a file with another header.
+    /// Opens `path`, keeping the rows up to step `done`; returns the last of them. What follows them is dropped: rows of
+    /// later steps, and what a killed run or a lost machine left half-written.
+    ///
+    /// # Errors
+    /// Where a row before the last kept one, or the header, is damaged: it would be lost without a word.
     pub(crate) fn open(path: &Path, header: &str, done: u64) -> Result<(Self, Option<String>)> {
-        let old = match files::read_string(path) {
-            Ok(text) => text,
+        let old = match files::read(path) {
+            Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => String::new(),
             Err(e) => return Err(Error::read(path, e)),
         };
         let mut text = format!("{header}\n");
-        let mut last = None;
-        let mut lines = old.split_inclusive('\n');
-        if lines.next() == Some(text.as_str()) {
-            for line in lines.filter(|l| l.ends_with('\n')) {
-                if line.split(',').next().and_then(|s| s.parse::<u64>().ok()).is_some_and(|step| step <= done) {
+        let (mut last, mut broken) = (None, None);
+        let damaged = |line: usize, what: &str| {
+            Error::at(path, line, 1, format!("{what}; put the file right, or remove it to go on without its rows"))
+        };
+        let mut lines = old.split_inclusive('\n').zip(1..);
+        if done > 0 && lines.next().is_some_and(|(first, _)| first != text) {
+            return Err(damaged(1, &format!("the first line is not `{header}`")));
+        }
+        for (line, place) in lines {
+            match line.split(',').next().and_then(|step| step.parse::<u64>().ok()) {
+                Some(step) if step <= done && line.ends_with('\n') => {
+                    if let Some(place) = broken {
+                        return Err(damaged(place, "this row begins with no step, and rows follow"));
+                    }
                     text.push_str(line);
                     last = Some(line.trim_end().to_owned());
                 }
+                Some(_) => {}
+                None => broken = broken.or(Some(place)),
             }
         }
         write_atomically(path, text.as_bytes())?;
@@ -129,5 +143,21 @@ mod tests {
         std::fs::write(&path, "step,phase,loss\n10,densify,NaN\n20,prune,inf\n").unwrap();
         assert_eq!(whole(&path, 20).unwrap().len(), 2);
         assert!(whole(&folder.path().join("missing.csv"), 20).unwrap_err().is_input());
+    }
+
+    #[test]
+    fn a_damaged_row_is_told_unless_it_comes_after_all_that_are_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("curve.csv");
+        let mut open = |text: &[u8], done| {
+            std::fs::write(&path, text).unwrap();
+            Series::open(&path, "step,loss", done).map(|(_, last)| last).map_err(|e| e.to_string())
+        };
+        assert_eq!(open(b"step,loss\n10,0.5\n\0\xff\0\n", 20), Ok(Some("10,0.5".into())));
+        assert_eq!(open(b"stop,loss\n10,0.5\n", 0), Ok(None), "nothing is kept");
+        let said = open(b"step,loss\n1\xff0,0.5\n20,0.4\n", 20).unwrap_err();
+        assert!(said.contains("curve.csv:2:1: this row begins with no step"), "{said}");
+        let said = open(b"stop,loss\n10,0.5\n", 20).unwrap_err();
+        assert!(said.contains("curve.csv:1:1: the first line is not `step,loss`; put the file right"), "{said}");
     }
 }

@@ -81,6 +81,9 @@ impl Snapshot {
         }
         let means = file.take("means", &[note.gaussians, 3])?;
         let opacities = file.take("opacities", &[note.gaussians])?;
+        if let Some(wrong) = opacities.iter().find(|o| !(0.0..=1.0).contains(*o)) {
+            return Err(format!("a damaged snapshot: an opacity is {wrong}"));
+        }
         let means = means.chunks_exact(3).map(|m| [m[0], m[1], m[2]]).collect();
         Ok(Self { step: note.step, origin: note.origin, means, opacities })
     }
@@ -106,5 +109,7 @@ mod tests {
         let bytes = std::fs::read(&path).unwrap();
         std::fs::write(&path, &bytes[..bytes.len() - 5]).unwrap();
         assert!(Snapshot::read(&path).unwrap_err().is_input());
+        Snapshot { step: 0, means: vec![[0.0; 3]], opacities: vec![1.5] }.write(&path).unwrap();
+        assert!(Snapshot::read(&path).unwrap_err().to_string().ends_with("an opacity is 1.5"));
     }
 }

@@ -1,7 +1,7 @@
 //! `spectrum/NNNNN.png`: 8-bit grey pictures, all of one size, decoded in parallel.
 
 use crate::text::{read_bytes, unreadable};
-use image::{ColorType, ExtendedColorType, ImageDecoder, ImageError, codecs::png::PngDecoder};
+use image::{ColorType, ExtendedColorType, ImageDecoder, ImageError, ImageResult, Limits, codecs::png::PngDecoder};
 use pwrfgs_core::{Error, Number, Progress, Result, Spectra};
 use rayon::prelude::*;
 use std::{
@@ -15,6 +15,9 @@ use std::{
 const MAX_PIXELS: u64 = 1 << 24;
 /// Largest file of a picture, bytes: one that is not compressed at all, and what else it says.
 const MAX_BYTES: u64 = 2 * MAX_PIXELS;
+/// Most memory that the decoder takes for what is beside the pixels: a colour profile of a megabyte may unpack to
+/// gigabytes.
+const MAX_BESIDE: u64 = 2 * MAX_PIXELS;
 const SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
 
 /// The pictures in a folder by id: files whose name is a number and ends in `.png`; others are left alone.
@@ -113,7 +116,7 @@ pub(crate) fn decode(path: &Path, depth: Depth) -> Result<Picture> {
             format!("is cut short or damaged ({}); copy it anew", words.lines().next().unwrap_or_default()),
         )
     };
-    let decoder = PngDecoder::new(Cursor::new(file)).map_err(damaged)?;
+    let decoder = decoder(file).map_err(damaged)?;
     let number = match (decoder.original_color_type(), decoder.color_type()) {
         (ExtendedColorType::L8, ColorType::L8) => Number::U8,
         (ExtendedColorType::L16, ColorType::L16) if depth == Depth::Sixteen => Number::U16,
@@ -136,6 +139,13 @@ pub(crate) fn decode(path: &Path, depth: Depth) -> Result<Picture> {
         bytes.as_chunks_mut().0.iter_mut().for_each(|v| *v = u16::from_ne_bytes(*v).to_le_bytes());
     }
     Ok(Picture { width, height, number, bytes })
+}
+
+/// A decoder that leaves out what is beside the pixels and takes more than [`MAX_BESIDE`].
+pub(super) fn decoder(file: Vec<u8>) -> ImageResult<PngDecoder<Cursor<Vec<u8>>>> {
+    let mut limits = Limits::no_limits();
+    limits.max_alloc = Some(MAX_BESIDE);
+    PngDecoder::with_limits(Cursor::new(file), limits)
 }
 
 /// A colour type in words.

@@ -338,6 +338,24 @@ fn a_truncated_or_damaged_picture_is_an_error() {
 }
 
 #[test]
+fn a_colour_profile_that_unpacks_to_much_is_not_unpacked() {
+    use image::{ImageDecoder as _, ImageEncoder as _, codecs::png::PngEncoder};
+    let profile_of = |bytes: usize| {
+        let mut png = Vec::new();
+        let mut encoder = PngEncoder::new(&mut png);
+        encoder.set_icc_profile(vec![0; bytes]).unwrap();
+        encoder.write_image(&[7; 24], WIDTH, HEIGHT, ExtendedColorType::L8).unwrap();
+        assert!(png.len() < 1 << 20, "{} bytes hold {bytes}", png.len());
+        let folder = Folder::new();
+        folder.write("s/spectrum/00002.png", &png);
+        assert_eq!(folder.load().spectra.raw(1).as_ref(), [7; 24]);
+        pictures::decoder(png).unwrap().icc_profile().unwrap()
+    };
+    assert_eq!(profile_of(100).map(|p| p.len()), Some(100));
+    assert_eq!(profile_of(40 << 20), None, "forty megabytes from less than one");
+}
+
+#[test]
 fn ids_of_pictures_are_unique_and_count_from_one() {
     let folder = Folder::new();
     folder.grey("2", WIDTH, HEIGHT, 0);

@@ -1,0 +1,156 @@
+//! A run that is killed at any call that changes a file, or whose disk is full from any such call on, is resumed to the
+//! same bytes. `faults/shim.c` is put before the C library and does it; it needs `cc`, which Rust links with anyway.
+//!
+//! Here a spread of the calls is tried; with `PWRFGS_FAULTS=all` every one.
+use crate::common::{pwrfgs, stderr, succeed, write};
+use crate::resume::{curve, events};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Less than a second: densified, pruned twice, four checkpoints, three looks at the validation part, a report.
+const TINY: &str = "Pipeline(
+    name: \"tiny\", tensorboard: true,
+    data: Teacher(gaussians: 4, samples: 12, width: 90, height: 24),
+    split: Official(validation: 0.2),
+    initializer: Grid(count: 8),
+    deformation: Mlp(depth: 2, width: 8, skip: None),
+    pruners: [LearnableMask(lambda: 0.02, learning_rate: 0.1), TopK(keep: 6)],
+    baselines: [MeanSpectrum()],
+    metrics: [Ssim(), GaussianCount()],
+    training: (
+        steps: 12, batch: 2, densify_until: 4, prune_until: 9, prune_every: 2, validate_every: 4, checkpoint_every: 3,
+        densify: (every: 2, from: 2),
+    ),
+)
+";
+
+/// The shim, made in `folder`; nothing where there is no compiler, or where the program does not take it.
+fn shim(folder: &Path) -> Option<PathBuf> {
+    let (source, shim) = (Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/faults/shim.c"), folder.join("shim.so"));
+    let made = Command::new("cc").args(["-shared", "-fPIC", "-O1", "-o"]).arg(&shim).arg(source).arg("-ldl").output();
+    let why = match made {
+        Ok(made) if made.status.success() => return Some(shim),
+        Ok(made) => stderr(&made),
+        Err(e) => e.to_string(),
+    };
+    pwrfgs_core::testing::skipped(&format!("cc cannot make a shared library: {}", why.lines().next().unwrap_or("")));
+    None
+}
+
+/// The tiny run in the folder `out`, whose call number `at` goes wrong.
+fn faulty(here: &Path, shim: &Path, out: &str, (mode, at): (&str, u64)) -> Output {
+    let mut command = pwrfgs(here);
+    command.args(["run", "p.ron", "--out", out, "-q", "--threads", "1"]).env("LD_PRELOAD", shim);
+    command.env("FAULT_MODE", mode).env("FAULT_AT", at.to_string()).env("FAULT_COUNT", here.join("count"));
+    command.output().unwrap()
+}
+
+/// Every file of a run, without what tells the time: seconds in `curve.csv`, times in the events, times, memory and the
+/// number of starts in `run.json`, two lines of the report.
+fn end_of(run: &Path) -> BTreeMap<String, Vec<u8>> {
+    let names = std::fs::read_dir(run).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let content = |name: &str| {
+        let bytes = std::fs::read(run.join(name)).unwrap();
+        match name {
+            "curve.csv" => curve(run).join("\n").into(),
+            "events.out.tfevents.pwrfgs" => events(run).concat(),
+            "run.json" => {
+                let mut facts: serde_json::Value = serde_json::from_slice(&bytes).unwrap();
+                let facts = facts.as_object_mut().unwrap();
+                assert!(facts["finished"].is_string());
+                for timed in ["wall_seconds", "training_seconds", "peak_memory_bytes", "starts", "started", "finished"]
+                {
+                    facts.remove(timed).unwrap();
+                }
+                // Their digests and lengths follow the times.
+                for timed in ["curve.csv", "events.out.tfevents.pwrfgs", "report.html"] {
+                    facts.get_mut("files").and_then(|files| files.as_object_mut()?.remove(timed));
+                }
+                serde_json::to_vec(facts).unwrap()
+            }
+            "report.html" => {
+                let text = String::from_utf8(bytes).unwrap();
+                let timed = |line: &&str| line.contains("<td>In all</td>") || line.contains("<footer>");
+                assert_eq!(text.lines().filter(timed).count(), 2);
+                text.lines().filter(|line| !timed(line)).collect::<Vec<_>>().join("\n").into()
+            }
+            _ => bytes,
+        }
+    };
+    names.map(|name| (name.clone(), content(&name))).collect()
+}
+
+/// A folder with the pipeline and the shim, and calls of a whole run that are to go wrong.
+struct Faults {
+    folder: tempfile::TempDir,
+    shim: PathBuf,
+    mode: &'static str,
+    calls: Vec<u64>,
+}
+
+impl Faults {
+    /// Every `spread`-th call, or all.
+    fn prepare(mode: &'static str, spread: usize) -> Option<Self> {
+        let folder = tempfile::tempdir().unwrap();
+        let here = folder.path();
+        write(&here.join("p.ron"), TINY);
+        let shim = shim(here)?;
+        assert!(faulty(here, &shim, "counted", (mode, 0)).status.success());
+        let Ok(count) = std::fs::read_to_string(here.join("count")) else {
+            pwrfgs_core::testing::skipped("LD_PRELOAD is not heeded here");
+            return None;
+        };
+        let count: u64 = count.trim().parse().unwrap();
+        assert!(count > 100, "{count} calls are too few to be all");
+        let all = std::env::var_os("PWRFGS_FAULTS").is_some_and(|which| which == "all");
+        let calls: Vec<u64> = (1..=count).step_by(if all { 1 } else { spread }).collect();
+        println!("{mode}: {} of {count} calls", calls.len());
+        Some(Self { folder, shim, mode, calls })
+    }
+
+    /// Lets each happen to a run of its own and resumes it; `judge` looks at how it ended.
+    fn each(&self, judge: impl Fn(&str, &Output) + Sync) {
+        let (here, next) = (self.folder.path(), AtomicUsize::new(0));
+        succeed(here, &["run", "p.ron", "--out", "whole", "-q", "--threads", "1"]);
+        let whole = end_of(&here.join("whole"));
+        let work = || {
+            while let Some(at) = self.calls.get(next.fetch_add(1, Ordering::Relaxed)) {
+                let out = format!("{}-{at}", self.mode);
+                judge(&out, &faulty(here, &self.shim, &out, (self.mode, *at)));
+                succeed(here, &["run", "p.ron", "--out", &out, "-q", "--threads", "1"]);
+                let end = end_of(&here.join(&out));
+                assert!(end.keys().eq(whole.keys()), "{out}: {:?}", end.keys());
+                end.iter().for_each(|(name, bytes)| assert!(*bytes == whole[name], "{out}: {name} differs"));
+                std::fs::remove_dir_all(here.join(&out)).unwrap();
+            }
+        };
+        let workers = std::thread::available_parallelism().map_or(1, usize::from);
+        std::thread::scope(|scope| (0..workers).for_each(|_| _ = scope.spawn(work)));
+    }
+}
+
+#[test]
+fn a_run_killed_at_any_call_that_writes_ends_as_one_never_stopped() {
+    for (mode, spread) in [("kill", 6), ("half", 12)] {
+        let Some(faults) = Faults::prepare(mode, spread) else { return };
+        faults.each(|out, ended| {
+            assert!(!ended.status.success() && ended.status.code().is_none(), "{out}: {}", ended.status);
+        });
+    }
+}
+
+#[test]
+fn a_disk_that_is_full_from_any_call_on_is_told_and_the_run_goes_on_later() {
+    let Some(faults) = Faults::prepare("full", 6) else { return };
+    faults.each(|out, ended| {
+        let said = stderr(ended);
+        // The last call brings the folder to the disk, and a file system that cannot do that is no failure.
+        if !ended.status.success() {
+            assert_eq!(ended.status.code(), Some(1), "{out}: {said}");
+            let told = said.matches("error: cannot write ").count() == 1 && said.contains("No space left on device");
+            assert!(told && !said.contains("panicked"), "{out}: {said}");
+        }
+    });
+}

@@ -1,0 +1,204 @@
+//! The readers that cases are given to, each with the file it reads; where a reader is content, what the program would do
+//! next is done too, as far as it stays small.
+
+use crate::mutate::Form;
+use pwrfgs::experiment::export::{npz, ply};
+use pwrfgs::experiment::sweep::Plan;
+use pwrfgs::experiment::{load, read_pipeline};
+use pwrfgs::model::file;
+use pwrfgs::prelude::*;
+use pwrfgs::report::{Options, Study};
+use std::fs;
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+/// A file and who reads it.
+#[derive(Clone, Copy, Debug)]
+pub struct Target {
+    /// The file that is broken, below the bench.
+    pub file: &'static str,
+    /// Files, or folders of them, that it is made from; its own first.
+    pub seeds: &'static [&'static str],
+    /// What is known of the format.
+    pub form: Form,
+    /// How many of a round's cases it gets.
+    pub share: usize,
+    /// Who reads it.
+    pub reader: Reader,
+}
+
+/// Who reads a file.
+#[derive(Clone, Copy, Debug)]
+pub enum Reader {
+    /// A function of the library, which is given the bench.
+    Library(fn(&Path) -> Result<()>),
+    /// The program with these arguments, standing in the bench.
+    Program(&'static [&'static str]),
+}
+
+const fn of(
+    share: usize,
+    file: &'static str,
+    seeds: &'static [&'static str],
+    form: Form,
+    reader: fn(&Path) -> Result<()>,
+) -> Target {
+    Target { file, seeds, form, share, reader: Reader::Library(reader) }
+}
+
+const fn program(file: &'static str, form: Form, arguments: &'static [&'static str]) -> Target {
+    Target { file, seeds: &[], form, share: 1, reader: Reader::Program(arguments) }
+}
+
+use Form::{Plain, Png, Tensors};
+const MODEL: &str = "models/model.safetensors";
+const PREDICT: &[&str] = &["predict", MODEL, "--tx-csv", "positions.csv", "--out", "heard", "-q"];
+
+/// Every format.
+pub const TARGETS: &[Target] = &[
+    of(48, "p.ron", &["pipelines"], Plain, pipeline),
+    of(32, "e.ron", &["experiments"], Plain, experiment),
+    of(16, "scene.ron", &[], Plain, scene),
+    of(32, "data/gateway_info.yml", &[], Plain, measured),
+    of(32, "data/tx_pos.csv", &[], Plain, measured),
+    of(16, "data/train_index.txt", &["data/test_index.txt"], Plain, measured),
+    of(8, "data/manifest.json", &[], Plain, measured),
+    of(40, "data/spectrum/00002.png", &["data/spectrum"], Png, measured),
+    of(32, "cloud/mesh.ply", &["cloud/binary/mesh.ply"], Plain, surface::<true>),
+    of(24, "cloud/points.xyz", &[], Plain, cloud),
+    of(24, "cloud/points.csv", &[], Plain, cloud),
+    of(24, "cloud/mesh.obj", &[], Plain, surface::<false>),
+    of(24, "cloud/mesh.stl", &["cloud/binary/mesh.stl"], Plain, surface::<false>),
+    of(64, MODEL, &["models"], Tensors, model),
+    of(32, "half/checkpoint.safetensors", &[], Tensors, checkpoint),
+    of(4, "half/checkpoint.safetensors", &[], Tensors, resumed),
+    of(4, "half/run.json", &[], Plain, resumed),
+    of(4, "half/curve.csv", &["half/validation.csv"], Plain, resumed),
+    of(4, "half/validation.csv", &["half/curve.csv"], Plain, resumed),
+    of(4, "half/events.out.tfevents.pwrfgs", &[], Plain, resumed),
+    of(4, "half/unpruned.safetensors", &["half/start.safetensors"], Tensors, resumed),
+    of(4, "half/pipeline.ron", &[], Plain, resumed),
+    of(4, "sweep/sweep.json", &[], Plain, read_back),
+    of(8, "sweep/a/run.json", &[], Plain, read_back),
+    of(8, "sweep/a/scores.csv", &[], Plain, read_back),
+    of(8, "sweep/a/samples.csv", &[], Plain, read_back),
+    of(4, "sweep/a/pipeline.ron", &[], Plain, read_back),
+    of(1, "sweep/a/run.json", &[], Plain, compared),
+    of(1, "sweep/a/scores.csv", &[], Plain, compared),
+    of(1, "sweep/a/samples.csv", &[], Plain, compared),
+    of(1, "sweep/a/model.safetensors", &[], Tensors, compared),
+    program("positions.csv", Plain, PREDICT),
+    program("positions.csv", Plain, PREDICT),
+    program(MODEL, Tensors, PREDICT),
+    program(MODEL, Tensors, &["export", MODEL, "--npz", "out.npz", "--ply", "out.ply", "-q"]),
+    program("p.ron", Plain, &["run", "p.ron", "--out", "ran", "-q"]),
+    program("e.ron", Plain, &["sweep", "e.ron", "--dry-run", "-q"]),
+    program("sweep/a/run.json", Plain, &["run", "p.ron", "--out", "sweep/a", "-q"]),
+    program("sweep/a/scores.csv", Plain, &["report", "sweep", "--out", "compared", "-q"]),
+    program("scene.ron", Plain, &["simulate", "scene.ron", "--out", "simulated", "--samples", "1", "-q"]),
+];
+
+fn pipeline(bench: &Path) -> Result<()> {
+    let pipeline = read_pipeline(&bench.join("p.ron"), &[])?;
+    if is_small(&pipeline) { first_step(&pipeline, bench) } else { Ok(()) }
+}
+
+/// Whether no number of the plugins is large: what is large takes long, and rightly so.
+fn is_small(pipeline: &Pipeline) -> bool {
+    let Pipeline { data, split, initializer, projector, rasterizer, deformation, pruners, .. } = pipeline;
+    let text = format!("{data:?} {split:?} {initializer:?} {projector:?} {rasterizer:?} {deformation:?} {pruners:?}");
+    let numbers = text.split(|c: char| !c.is_ascii_digit() && !".e-".contains(c));
+    let small = numbers.filter_map(|number| number.parse::<f64>().ok()).all(|number| number.abs() <= 64.0);
+    small && pipeline.training.batch <= 16 && !text.contains("Simulated") && !text.contains("seed: 1e")
+}
+
+/// Loads, starts, trains a step and predicts.
+fn first_step(pipeline: &Pipeline, bench: &Path) -> Result<()> {
+    let (data, partition) = load(pipeline, bench, &mut Silent)?;
+    let mut trainer = Trainer::new(pipeline, &data, &partition)?;
+    trainer.step()?;
+    trainer.model().prepare().predict_many(&[[0.5, 0.5, 0.5]]);
+    Ok(())
+}
+
+fn experiment(bench: &Path) -> Result<()> {
+    let plan = Plan::read(&bench.join("e.ron"), &[], None)?;
+    plan.listing();
+    Ok(())
+}
+
+fn scene(bench: &Path) -> Result<()> {
+    let one = pwrfgs::sim::Simulated { scene: "scene.ron".into(), samples: 1, points: 16, cache: false, seed: 0 };
+    one.load(bench, &|_, _| {}).map(drop)
+}
+
+/// The small pipeline on the measured data, with the cloud named by `start`.
+fn on_measured(bench: &Path, data: &str, start: &str) -> Result<()> {
+    let settings = [format!("data=Nerf2Spectrum(root: \"data\"{data})"), format!("initializer={start}")];
+    let mut pipeline = read_pipeline(&bench.join("sweep/a/pipeline.ron"), &[])?;
+    settings.iter().try_for_each(|setting| pipeline.set(setting))?;
+    first_step(&pipeline, bench)
+}
+
+fn measured(bench: &Path) -> Result<()> {
+    on_measured(bench, "", "Grid(count: 3)")
+}
+
+/// Both files of points: the one at hand is broken.
+fn cloud(bench: &Path) -> Result<()> {
+    on_measured(bench, ", points: \"cloud/points.xyz\"", "PointCloud(max_points: 8)")?;
+    on_measured(bench, ", points: \"cloud/points.csv\"", "PointCloud(max_points: 8)")
+}
+
+/// All meshes: the one at hand is broken; one of them is a cloud as well.
+fn surface<const CLOUD: bool>(bench: &Path) -> Result<()> {
+    for name in ["mesh.ply", "mesh.obj", "mesh.stl"] {
+        pwrfgs::data::read_mesh(&bench.join("cloud").join(name))?;
+    }
+    if CLOUD {
+        return on_measured(bench, ", points: \"cloud/mesh.ply\"", "PointCloud(max_points: 8)");
+    }
+    Ok(())
+}
+
+fn model(bench: &Path) -> Result<()> {
+    let model = file::read(&bench.join(MODEL))?;
+    model.prepare().predict_many(&[[0.5, 0.5, 0.5]]);
+    npz(&model, None)?;
+    ply(&model, Some([0.5, 0.5, 0.5])).map(drop)
+}
+
+fn checkpoint(bench: &Path) -> Result<()> {
+    let pipeline = read_pipeline(&bench.join("p.ron"), &[])?;
+    let (data, partition) = load(&pipeline, bench, &mut Silent)?;
+    let path = bench.join("half/checkpoint.safetensors");
+    let bytes = fs::read(&path).map_err(|e| Error::read(&path, e))?;
+    let mut trainer = Trainer::restore(&pipeline, &data, &partition, &bytes)?;
+    if !trainer.finished() {
+        trainer.step()?;
+    }
+    trainer.checkpoint();
+    Ok(())
+}
+
+/// A copy of the stopped run goes on, to its scores; the report has cases of its own.
+fn resumed(bench: &Path) -> Result<()> {
+    let again = bench.join("again");
+    let _ = fs::remove_dir_all(&again);
+    fs::create_dir(&again).map_err(|e| Error::write(&again, e))?;
+    for entry in fs::read_dir(bench.join("half")).map_err(|e| Error::read(bench, e))?.flatten() {
+        fs::copy(entry.path(), again.join(entry.file_name())).map_err(|e| Error::write(&again, e))?;
+    }
+    let pipeline = read_pipeline(&bench.join("p.ron"), &[])?;
+    pwrfgs::experiment::run(&pipeline, bench, &again, &mut Silent, &AtomicBool::new(false), None).map(drop)
+}
+
+fn read_back(bench: &Path) -> Result<()> {
+    Study::read(&[bench.join("sweep")]).map(drop)
+}
+
+/// The finished run is compared, with every figure.
+fn compared(bench: &Path) -> Result<()> {
+    let study = Study::read(&[bench.join("sweep")])?;
+    pwrfgs::report::write(&study, &Options::default(), &bench.join("compared"), &mut Silent).map(drop)
+}
