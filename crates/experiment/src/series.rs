@@ -149,7 +149,7 @@ mod tests {
     fn a_damaged_row_is_told_unless_it_comes_after_all_that_are_kept() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("curve.csv");
-        let mut open = |text: &[u8], done| {
+        let open = |text: &[u8], done| {
             std::fs::write(&path, text).unwrap();
             Series::open(&path, "step,loss", done).map(|(_, last)| last).map_err(|e| e.to_string())
         };

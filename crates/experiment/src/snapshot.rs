@@ -109,7 +109,7 @@ mod tests {
         let bytes = std::fs::read(&path).unwrap();
         std::fs::write(&path, &bytes[..bytes.len() - 5]).unwrap();
         assert!(Snapshot::read(&path).unwrap_err().is_input());
-        Snapshot { step: 0, means: vec![[0.0; 3]], opacities: vec![1.5] }.write(&path).unwrap();
+        Snapshot { step: 0, origin: Origin::ZERO, means: vec![[0.0; 3]], opacities: vec![1.5] }.write(&path).unwrap();
         assert!(Snapshot::read(&path).unwrap_err().to_string().ends_with("an opacity is 1.5"));
     }
 }
