@@ -171,6 +171,7 @@ fn wrong_input_is_refused(here: &Path) {
 
 /// Whatever has happened to a file of a finished run, `report` says to which, and makes none without its numbers.
 fn damaged_runs_are_told(here: &Path) {
+    type Damage<'a> = &'a dyn Fn(&str) -> String;
     let run = here.join("runs/whole-1");
     let last = |text: &str| text.trim_end().rsplit_once('\n').unwrap().0.to_owned() + "\n";
     let header = |text: &str| text.lines().next().unwrap().to_owned() + "\n";
@@ -180,7 +181,6 @@ fn damaged_runs_are_told(here: &Path) {
     let empty = |_: &str| String::new();
     let half = |text: &str| text[..text.len() / 2].to_owned();
     let digit = |text: &str| text.trim_end().to_owned();
-    type Damage<'a> = &'a dyn Fn(&str) -> String;
     let damages: [(&str, &[Damage<'_>]); 5] = [
         ("scores.csv", &[&empty, &header, &half, &last, &digit, &changed, &floors]),
         ("samples.csv", &[&empty, &header, &half, &last, &digit]),

@@ -44,3 +44,28 @@ fn group(scores: &ScoreTable, metric: &MetricRow) -> Value {
         whole,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bound_is_neither_best_nor_second_and_a_single_rival_no_best() {
+        let cell = |v: f64| Cell::Samples { mean: v, median: v, p10: v };
+        let cells = vec![cell(0.7), cell(0.99), cell(0.8)];
+        let row = MetricRow { key: "ssim".into(), unit: String::new(), higher_is_better: true, cells };
+        let marks = |bounds: &[&str]| -> Vec<String> {
+            let predictors = ["model", "RT exact", "1-NN"].map(str::to_owned).into();
+            let bounds = bounds.iter().map(|name| (*name).to_owned()).collect();
+            let table = ScoreTable { predictors, metrics: vec![row.clone()], bounds, notes: vec![] };
+            let rows = groups(&table)[0].get_attr("rows").unwrap();
+            let mark = |p: usize| {
+                rows.get_item_by_index(p).and_then(|r| r.get_item_by_index(2)).and_then(|c| c.get_item_by_index(1))
+            };
+            (0..3).map(|p| mark(p).unwrap().to_string()).collect()
+        };
+        assert_eq!(marks(&["RT exact"]), ["second", "", "best"]);
+        assert_eq!(marks(&["RT exact", "1-NN"]), ["", "", ""]);
+        assert_eq!(marks(&[]), ["", "best", "second"]);
+    }
+}
