@@ -17,7 +17,13 @@ pub(crate) fn bars() -> &'static MultiProgress {
 
 /// A line on stderr, above the progress bar.
 pub(crate) fn note(line: &str) {
+    let line = harmless(line);
     bars().suspend(|| _ = writeln!(std::io::stderr(), "{line}"));
+}
+
+/// What files say may be in it: nothing of that may steer the terminal.
+fn harmless(text: &str) -> String {
+    text.chars().map(|c| if c.is_control() && !matches!(c, '\n' | '\t') { '\u{fffd}' } else { c }).collect()
 }
 
 /// The one message of a failed command.
@@ -27,7 +33,7 @@ pub(crate) fn error(error: &Error) {
 
 /// A result. A reader that has gone away (`pwrfgs plugins | head`) is no failure.
 pub(crate) fn result(text: &str) {
-    _ = std::io::stdout().write_all(text.as_bytes());
+    _ = std::io::stdout().write_all(harmless(text).as_bytes());
 }
 
 /// Sends the libraries' logs to stderr: warnings, or everything with `-v`; `RUST_LOG` overrides.

@@ -11,6 +11,7 @@ mod failure;
 mod maps;
 mod model_format;
 mod my_pruner;
+mod odd_files;
 mod report;
 mod resume;
 mod simulate;

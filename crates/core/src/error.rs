@@ -1,5 +1,6 @@
 //! What can go wrong, told to a person: each message names the thing and says what to do.
 
+use crate::words::bounded;
 use std::path::{Path, PathBuf};
 
 /// Any failure of the toolkit. `is_input` separates wrong input (exit code 2) from failure (exit code 1).
@@ -57,12 +58,12 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 impl Error {
     /// A file that cannot be used, with a position: `line` and `column` count from 1.
     pub fn at(path: &Path, line: usize, column: usize, message: impl std::fmt::Display) -> Self {
-        Self::Input { path: path.into(), at: Some((line, column)), message: message.to_string() }
+        Self::Input { path: path.into(), at: Some((line, column)), message: bounded(message.to_string()) }
     }
 
     /// A file that cannot be used.
     pub fn input(path: &Path, message: impl std::fmt::Display) -> Self {
-        Self::Input { path: path.into(), at: None, message: message.to_string() }
+        Self::Input { path: path.into(), at: None, message: bounded(message.to_string()) }
     }
 
     /// A file that cannot be read.
@@ -83,6 +84,9 @@ impl Error {
 
 /// `; did you mean `x`?` for a misspelt name, or nothing where none of the `known` ones is near.
 pub fn did_you_mean<'a>(wrong: &str, known: impl IntoIterator<Item = &'a str>) -> String {
+    if wrong.len() > 100 {
+        return String::new(); // no name, and the distance takes time with the square of the length
+    }
     let wrong = wrong.to_lowercase();
     let near = known.into_iter().map(|name| (strsim::damerau_levenshtein(&wrong, &name.to_lowercase()), name)).min();
     near.filter(|(distance, name)| *distance <= 2 + name.len() / 3)
@@ -106,5 +110,6 @@ mod tests {
         assert_eq!(did_you_mean("lamda", ["lambda", "epsilon"]), "; did you mean `lambda`?");
         assert_eq!(did_you_mean("wavefront", ["ssim", "l1"]), "");
         assert_eq!(did_you_mean("x", []), "");
+        assert_eq!(did_you_mean(&"lambda".repeat(1_000_000), ["lambda"]), "");
     }
 }

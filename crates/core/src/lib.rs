@@ -19,6 +19,7 @@ mod initializer;
 mod metric;
 pub mod neighbours;
 pub mod origin;
+pub mod paths;
 pub mod plugin;
 mod projector;
 mod pruner;
@@ -31,6 +32,7 @@ pub mod ssim;
 mod stats;
 pub mod tape;
 pub mod testing;
+pub mod words;
 
 pub use cloud::{COLUMN_NAMES, ExtraColumn, GaussianCloud};
 pub use data_source::{Baseline, DataSource, Predict, Progress, Split};

@@ -7,8 +7,8 @@ mod pictures;
 mod tests;
 
 use crate::points::read_points;
-use crate::text::{XyzColumns, lines, read_text, split_commas};
-use pwrfgs_core::{DataSource, Dataset, Elevation, Error, Progress, Result, Sample, Simulation, files};
+use crate::text::{XyzColumns, lines, no_longer, read_text, split_commas};
+use pwrfgs_core::{DataSource, Dataset, Elevation, Error, Progress, Result, Sample, Simulation, files, words::clean};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -51,8 +51,10 @@ const LAYOUT: &str = "a NeRF2 folder holds gateway_info.yml, tx_pos.csv and spec
 #[serde(default, deny_unknown_fields)]
 pub struct Nerf2Spectrum {
     /// The folder; default `data/s23`.
+    #[serde(with = "pwrfgs_core::paths")]
     pub root: PathBuf,
     /// Point cloud of the room (PLY, XYZ or CSV, metres, world frame); default none.
+    #[serde(with = "pwrfgs_core::paths::optional")]
     pub points: Option<PathBuf>,
     /// Which receiver of `gateway_info.yml`; default the only one, `gateway1`.
     pub gateway: Option<String>,
@@ -101,7 +103,7 @@ impl DataSource for Nerf2Spectrum {
         let to_sample = |(&id, spectrum)| Sample { id, tx: positions[id as usize - 1], spectrum };
         let samples = ids.iter().zip(bytes).map(to_sample).collect();
         let folder = || root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
-        let name = gateway.name.unwrap_or_else(folder);
+        let name = clean(&gateway.name.unwrap_or_else(folder));
         let simulation = simulation(&root, &name);
         let title = format!("{name} ({}NeRF2 layout)", if simulation.is_some() { "" } else { "measured, " });
         Ok(Dataset {
@@ -165,10 +167,14 @@ fn read_transmitters(path: &Path) -> Result<Vec<[f64; 3]>> {
     let Some((line, header)) = rows.next() else {
         return Err(Error::input(path, "is empty; write a header x,y,z and one row a sample, in metres"));
     };
-    let columns = XyzColumns::from_header(path, line, &split_commas(header))?;
-    let positions = rows
-        .map(|(line, row)| columns.read(path, line, &split_commas(row), "give every row x, y and z in metres"))
-        .collect::<Result<Vec<_>>>()?;
+    let header = split_commas(header);
+    let columns = XyzColumns::from_header(path, line, &header)?;
+    let read = |(line, row)| {
+        let row = split_commas(row);
+        no_longer(path, line, &row, header.len())?;
+        columns.read(path, line, &row, "give every row x, y and z in metres")
+    };
+    let positions = rows.map(read).collect::<Result<Vec<_>>>()?;
     if positions.is_empty() {
         return Err(Error::input(path, "has a header but no row; write one row a sample, in metres"));
     }

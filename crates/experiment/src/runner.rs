@@ -58,6 +58,7 @@ pub fn run(
     let begun = Instant::now();
     let mut pipeline = pipeline.clone();
     rebase(&mut pipeline, base);
+    pipeline.check_text()?;
     let text = pipeline.to_ron();
     RunFolder::inspect(out, &text)?;
     if let Some((scores, _)) = Facts::finished(out).filter(|(_, facts)| facts.report || page.is_none()) {

@@ -37,6 +37,7 @@ const DRAWS: u64 = 100;
 #[serde(default, deny_unknown_fields)]
 pub struct RayTracing {
     /// A scene file; default the scene of the data.
+    #[serde(with = "pwrfgs_core::paths::optional")]
     pub scene: Option<PathBuf>,
     /// Whether receiver errors are drawn; default no.
     pub noise: bool,

@@ -118,9 +118,24 @@ impl Pipeline {
     }
 
     /// The pipeline as RON text, every default written out; [`Self::parse`] gives the same pipeline back.
+    ///
+    /// Where a plugin of somebody else cannot be written, a comment says so; [`Self::check_text`] finds that out before.
     pub fn to_ron(&self) -> String {
+        self.text().unwrap_or_else(|why| format!("// {why}")) + "\n"
+    }
+
+    /// Refuses a pipeline that [`Self::to_ron`] cannot write.
+    ///
+    /// # Errors
+    /// [`Error::Config`] that says why.
+    pub fn check_text(&self) -> Result<()> {
+        self.text().map(|_| ()).map_err(Error::Config)
+    }
+
+    fn text(&self) -> Result<String, String> {
         let config = ron::ser::PrettyConfig::new().struct_names(true).depth_limit(6);
-        ron_options().to_string_pretty(self, config).expect("a pipeline is plain data") + "\n"
+        let why = "this pipeline cannot be written (paths of plugins need `serde(with = \"pwrfgs_core::paths\")`)";
+        ron_options().to_string_pretty(self, config).map_err(|e| format!("{why}: {e}"))
     }
 
     /// Takes over what the patch names.
