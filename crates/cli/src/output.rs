@@ -2,7 +2,7 @@
 
 use crate::args::Verbosity;
 use indicatif::MultiProgress;
-use pwrfgs_core::{Error, Result, plain};
+use pwrfgs_core::{Error, Result, words::plain};
 use std::io::{ErrorKind, IsTerminal as _, Write};
 use std::path::Path;
 use std::sync::OnceLock;

@@ -15,6 +15,7 @@ mod import;
 mod maps;
 mod model_format;
 mod my_pruner;
+mod odd_files;
 mod report;
 mod resume;
 mod simulate;

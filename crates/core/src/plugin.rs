@@ -144,8 +144,16 @@ pub fn ron_options() -> ron::Options {
 
 /// Plain data as RON text with all names, which [`read_ron`] gives back as it was.
 pub fn to_ron(value: &impl Serialize) -> String {
+    try_to_ron(value).expect("settings are plain data")
+}
+
+/// The same of what plugins of somebody else hold.
+///
+/// # Errors
+/// Where it is no plain data.
+pub fn try_to_ron(value: &impl Serialize) -> Result<String, String> {
     let config = ron::ser::PrettyConfig::new().struct_names(true).depth_limit(6);
-    ron_options().to_string_pretty(value, config).expect("settings are plain data")
+    ron_options().to_string_pretty(value, config).map_err(|e| e.to_string())
 }
 
 /// Reads RON with the project's extensions; suggests the nearest known name for a misspelt one. `path` is for messages.

@@ -1,6 +1,7 @@
 //! What is measured, and where: `Pose`, `Scene`, `Sample`, `Dataset`, `Partition`.
 
 use crate::origin::{Origin, place_fault};
+use crate::words::clean;
 use crate::{Documented, Elevation, Error, Image, Mat3, Real, Result, Spectra, Vec3};
 use serde::{Deserialize, Serialize};
 
@@ -131,7 +132,7 @@ impl Dataset {
         samples: Vec<Sample>,
         spectra: Spectra,
     ) -> Result<Self> {
-        let title = title.into();
+        let title = clean(&title.into());
         let refuse = |what: String| Err(Error::Config(format!("data set `{title}`: {what}")));
         if let Some((_, fault)) = receiver.fault() {
             return refuse(format!("receiver: {fault}"));

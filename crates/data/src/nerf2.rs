@@ -7,8 +7,10 @@ pub(crate) mod pictures;
 mod tests;
 
 use crate::points::read_points;
-use crate::text::{XyzColumns, lines, read_text, split_commas};
-use pwrfgs_core::{DataSource, Dataset, Documented, Elevation, Error, Progress, Result, Sample, Simulation, files};
+use crate::text::{XyzColumns, lines, no_longer, read_text, split_commas};
+use pwrfgs_core::{
+    DataSource, Dataset, Documented, Elevation, Error, Progress, Result, Sample, Simulation, files, words::clean,
+};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -45,8 +47,10 @@ const LAYOUT: &str = "a NeRF2 folder holds gateway_info.yml, tx_pos.csv and spec
 #[serde(default, deny_unknown_fields)]
 pub struct Nerf2Spectrum {
     /// The folder, relative to the pipeline file.
+    #[serde(with = "pwrfgs_core::paths")]
     pub root: PathBuf,
     /// Point cloud of the room (PLY, XYZ or CSV, metres, world frame), relative to the pipeline file.
+    #[serde(with = "pwrfgs_core::paths::optional")]
     pub points: Option<PathBuf>,
     /// Which receiver, where `gateway_info.yml` has more than `gateway1`; a file with several is refused unless one is
     /// named. Keys that hold no `position` and are not called gateway are left alone.
@@ -96,7 +100,7 @@ impl DataSource for Nerf2Spectrum {
         check_shape(paths[0], elevation, stated.is_some(), (spectra.width(), spectra.height()))?;
         let samples = ids.iter().map(|&id| Sample { id, tx: positions[id as usize - 1] }).collect();
         let folder = || root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
-        let name = gateway.name.unwrap_or_else(folder);
+        let name = clean(&gateway.name.unwrap_or_else(folder));
         let simulation = simulation(&root, &name);
         let title = format!("{name} ({}NeRF2 layout)", if simulation.is_some() { "" } else { "measured, " });
         let data = Dataset::new(title, gateway.pose, points, samples, spectra)?;
@@ -156,10 +160,14 @@ pub(crate) fn read_transmitters(path: &Path) -> Result<Vec<[f64; 3]>> {
     let Some((line, header)) = rows.next() else {
         return Err(Error::input(path, "is empty; write a header x,y,z and one row a sample, in metres"));
     };
-    let columns = XyzColumns::from_header(path, line, &split_commas(header))?;
-    let positions = rows
-        .map(|(line, row)| columns.read(path, line, &split_commas(row), "give every row x, y and z in metres"))
-        .collect::<Result<Vec<_>>>()?;
+    let header = split_commas(header);
+    let columns = XyzColumns::from_header(path, line, &header)?;
+    let read = |(line, row)| {
+        let row = split_commas(row);
+        no_longer(path, line, &row, header.len())?;
+        columns.read(path, line, &row, "give every row x, y and z in metres")
+    };
+    let positions = rows.map(read).collect::<Result<Vec<_>>>()?;
     if positions.is_empty() {
         return Err(Error::input(path, "has a header but no row; write one row a sample, in metres"));
     }

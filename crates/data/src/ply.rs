@@ -11,7 +11,7 @@ mod tests;
 use crate::polygons::{Polygons, Triangles};
 use crate::text::{Field, POINT_ADVICE, XyzColumns, fault_of, lines, number, split_blanks};
 use header::{Element, Encoding, Header, Kind, Scalar};
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, words::quoted};
 use std::path::Path;
 
 const ANEW: &str = "the file is cut short: copy it anew";
@@ -71,7 +71,10 @@ impl Contents {
                 }
             }
         }
-        Ok(contents)
+        match rows.next() {
+            Some((line, _)) => Err(Error::at(path, line, 1, "a row more than the header counts; correct its counts")),
+            None => Ok(contents),
+        }
     }
 
     fn parse_binary(path: &Path, header: &Header, body: &[u8], corners: Option<(usize, usize)>) -> Result<Self> {
@@ -111,7 +114,10 @@ impl Contents {
                 }
             }
         }
-        Ok(contents)
+        match body.rest.len() {
+            0 => Ok(contents),
+            more => Err(Error::input(path, format!("{more} bytes follow the last row; correct the header's counts"))),
+        }
     }
 }
 
@@ -121,15 +127,32 @@ fn field_of_each_property(path: &Path, line: usize, fields: &[Field<'_>], elemen
     let mut next = 0;
     for property in &element.properties {
         starts.push(next);
-        let taken = match (property.kind, fields.get(next)) {
-            (Kind::List { .. }, Some(field)) => {
-                let length: Option<usize> = field.text.parse().ok();
-                let fault = || format!("`{}` is not the length of a list; correct the row", field.text);
-                length.ok_or_else(|| Error::at(path, line, field.column, fault()))?.saturating_add(1)
+        let fits = |field: &Field<'_>, scalar: Scalar| match scalar.misfit(field.text) {
+            Some(what) => {
+                let what = format!("{} is not {what}, as property `{}` is", quoted(field.text), property.name);
+                Err(Error::at(path, line, field.column, what + "; correct the row or the header"))
             }
-            _ => 1,
+            None => Ok(()),
+        };
+        let taken = match (property.kind, fields.get(next)) {
+            (Kind::List { length: kind, item }, Some(field)) => {
+                let length: Option<usize> = field.text.parse().ok();
+                let fault = || format!("{} is not the length of a list; correct the row", quoted(field.text));
+                let length = length.ok_or_else(|| Error::at(path, line, field.column, fault()))?;
+                fits(field, kind)?;
+                fields[next + 1..].iter().take(length).try_for_each(|field| fits(field, item))?;
+                length.saturating_add(1)
+            }
+            // Of a point, the reader of points says more.
+            (Kind::Scalar(Scalar::F32 | Scalar::F64), _) if ["x", "y", "z"].contains(&property.name.as_str()) => 1,
+            (Kind::Scalar(scalar), Some(field)) => fits(field, scalar).map(|()| 1)?,
+            (_, None) => 1,
         };
         next = next.saturating_add(taken);
+    }
+    if let Some(field) = fields.get(next) {
+        let what = format!("{} is more than the properties of element `{}`", quoted(field.text), element.name);
+        return Err(Error::at(path, line, field.column, what + "; correct the row or the header"));
     }
     if next > fields.len() {
         let end = fields.last().map_or(1, |f| f.column + f.text.chars().count());
@@ -142,7 +165,7 @@ fn field_of_each_property(path: &Path, line: usize, fields: &[Field<'_>], elemen
 /// A whole number in a list of corners.
 fn index(path: &Path, line: usize, field: Field<'_>) -> Result<i64> {
     let value = number(path, line, field, INDEX_ADVICE)?;
-    let fault = || Error::at(path, line, field.column, format!("`{}` is not whole; {INDEX_ADVICE}", field.text));
+    let fault = || Error::at(path, line, field.column, format!("{} is not whole; {INDEX_ADVICE}", quoted(field.text)));
     whole(value).ok_or_else(fault)
 }
 
@@ -173,9 +196,9 @@ impl<'a> Body<'a> {
         Some(scalar.value(raw, self.is_big))
     }
 
-    /// The items of a list. A negative length counts as too long for the body.
+    /// The items of a list. A negative or broken length counts as too long for the body.
     fn list(&mut self, length: Scalar, item: Scalar) -> Option<&'a [u8]> {
-        let length = self.value(length).filter(|l| *l >= 0.0)?;
+        let length = self.value(length).filter(|l| *l >= 0.0 && l.fract() == 0.0)?;
         self.take((length as usize).checked_mul(item.size())?)
     }
 }

@@ -1,7 +1,7 @@
 //! Point clouds: PLY, plain XYZ (blanks between numbers) and CSV; coordinates in metres, world frame.
 
 use crate::ply;
-use crate::text::{POINT_ADVICE, XyzColumns, lines, read_bytes, read_text, split_blanks, split_commas};
+use crate::text::{POINT_ADVICE, XyzColumns, lines, no_longer, read_bytes, read_text, split_blanks, split_commas};
 use pwrfgs_core::{Error, Result, files::MAX_NUMBERS};
 use std::path::Path;
 
@@ -39,15 +39,21 @@ fn parse_xyz(path: &Path, text: &str) -> Result<Vec<[f64; 3]>> {
 
 fn parse_csv(path: &Path, text: &str) -> Result<Vec<[f64; 3]>> {
     let mut rows = lines(text).peekable();
-    let mut columns = XyzColumns([0, 1, 2]);
+    let (mut columns, mut header) = (XyzColumns([0, 1, 2]), usize::MAX);
     if let Some(&(line, first)) = rows.peek() {
         let fields = split_commas(first);
         if fields.iter().all(|f| f.text.parse::<f64>().is_err()) {
             columns = XyzColumns::from_header(path, line, &fields)?;
+            header = fields.len();
             rows.next();
         }
     }
-    rows.map(|(line, row)| columns.read(path, line, &split_commas(row), POINT_ADVICE)).collect()
+    let read = |(line, row)| {
+        let row = split_commas(row);
+        no_longer(path, line, &row, header)?;
+        columns.read(path, line, &row, POINT_ADVICE)
+    };
+    rows.map(read).collect()
 }
 
 #[cfg(test)]
@@ -72,7 +78,14 @@ mod tests {
     #[test]
     fn mistakes_in_text_are_told_with_their_place() {
         let advice = POINT_ADVICE;
-        let cases: [(&str, &[u8], String); 8] = [
+        let cases: [(&str, &[u8], String); 11] = [
+            ("a.csv", b"x,y,z,X\n1,2,3,4\n", "DIR/a.csv:1:7: a second column `x`; name each of x, y and z once".into()),
+            (
+                "a.csv",
+                b"x,y,z\n1,2,3,,\n1,5,2,3\n",
+                "DIR/a.csv:3:7: the row has 4 fields, its header 3; write decimals with a point, and one value a column".into(),
+            ),
+            ("a.xyz", b"1 2 3\n-1e30 2 3\n", format!("DIR/a.xyz:2:1: `-1e30` is beyond 1e8 m; {advice}")),
             (
                 "a.xyz",
                 b"1 2 3\n1 2\n",

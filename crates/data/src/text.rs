@@ -5,6 +5,7 @@
 use pwrfgs_core::{
     Error, Real, Result, files,
     origin::{MAX_COORDINATE_M, coordinate_fault},
+    words::quoted,
 };
 use std::{io::ErrorKind, path::Path};
 
@@ -75,7 +76,7 @@ fn column(line: &str, part: &str) -> usize {
 
 /// A finite number; `advice` says what to do where it is none.
 pub(crate) fn number(path: &Path, line: usize, field: Field<'_>, advice: &str) -> Result<f64> {
-    let fault = |what: &str| Error::at(path, line, field.column, format!("`{}` is {what}; {advice}", field.text));
+    let fault = |what: &str| Error::at(path, line, field.column, format!("{} is {what}; {advice}", quoted(field.text)));
     let value: f64 = field.text.parse().ok().ok_or_else(|| fault("not a number"))?;
     if (value as Real).is_finite() { Ok(value) } else { Err(fault("not finite")) }
 }
@@ -86,7 +87,7 @@ pub(crate) fn coordinate(path: &Path, line: usize, field: Field<'_>, advice: &st
     if value.abs() <= MAX_COORDINATE_M {
         return Ok(value);
     }
-    let what = format!("`{}` is beyond {MAX_COORDINATE_M:e} m; {advice}", field.text);
+    let what = format!("{} is beyond {MAX_COORDINATE_M:e} m; {advice}", quoted(field.text));
     Err(Error::at(path, line, field.column, what))
 }
 
@@ -94,6 +95,17 @@ pub(crate) fn coordinate(path: &Path, line: usize, field: Field<'_>, advice: &st
 pub(crate) fn fault_of(point: [f64; 3]) -> Option<String> {
     let wrong = point.into_iter().find(|v| coordinate_fault(*v).is_some())?;
     Some(if wrong.is_finite() { format!("beyond {MAX_COORDINATE_M:e} m") } else { "not finite".into() })
+}
+
+/// Refuses a row with more fields than the header names: one of its numbers may have a comma in it.
+pub(crate) fn no_longer(path: &Path, line: usize, row: &[Field<'_>], header: usize) -> Result<()> {
+    match row.get(header..).and_then(|more| more.iter().find(|field| !field.text.is_empty())) {
+        Some(field) => {
+            let (have, what) = (row.len(), "write decimals with a point, and one value a column");
+            Err(Error::at(path, line, field.column, format!("the row has {have} fields, its header {header}; {what}")))
+        }
+        None => Ok(()),
+    }
 }
 
 /// Where a row holds x, y and z.
@@ -104,9 +116,17 @@ impl XyzColumns {
     /// From a header that names them, in any order and either case, among other columns.
     pub(crate) fn from_header(path: &Path, line: usize, header: &[Field<'_>]) -> Result<Self> {
         let find = |name: &str| {
-            header.iter().position(|field| field.text.eq_ignore_ascii_case(name)).ok_or_else(|| {
+            let mut found = header.iter().enumerate().filter(|(_, field)| field.text.eq_ignore_ascii_case(name));
+            let (column, _) = found.next().ok_or_else(|| {
                 Error::at(path, line, 1, format!("no column `{name}`; the first line must name the columns x, y and z"))
-            })
+            })?;
+            match found.next() {
+                Some((_, twice)) => {
+                    let what = format!("a second column `{name}`; name each of x, y and z once");
+                    Err(Error::at(path, line, twice.column, what))
+                }
+                None => Ok(column),
+            }
         };
         Ok(Self([find("x")?, find("y")?, find("z")?]))
     }

@@ -60,6 +60,7 @@ pub fn run(
     let mut pipeline = pipeline.clone();
     rebase(&mut pipeline, base);
     let pipeline = pipeline.resolved()?;
+    pipeline.check_text()?;
     RunFolder::inspect(out, &pipeline)?;
     if let Some((scores, facts)) = Facts::finished(out)?.filter(|(_, facts)| facts.report || page.is_none()) {
         facts.verify(out)?;

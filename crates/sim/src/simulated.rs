@@ -3,7 +3,7 @@
 use crate::cache;
 use crate::output::{PICTURES, POINTS};
 use crate::recipe::{self, Recipe};
-use pwrfgs_core::{DataSource, Dataset, Documented, Error, Progress, Result, Simulation};
+use pwrfgs_core::{DataSource, Dataset, Documented, Error, Progress, Result, Simulation, words::clean};
 use pwrfgs_data::{Arrays, Nerf2Spectrum};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -30,6 +30,7 @@ use std::path::{Path, PathBuf};
 #[serde(default, deny_unknown_fields)]
 pub struct Simulated {
     /// The scene file, relative to the pipeline file.
+    #[serde(with = "pwrfgs_core::paths")]
     pub scene: PathBuf,
     /// Spectra.
     pub samples: usize,
@@ -62,7 +63,7 @@ impl Simulated {
         if data.samples.len() != self.samples || data.scene.points.len() != self.points {
             return Err(Error::input(folder, "holds another number of spectra or points than were simulated"));
         }
-        data.title = format!("{} (simulated)", recipe.scene.name);
+        data.title = clean(&format!("{} (simulated)", recipe.scene.name));
         data.simulation = Some(Simulation { scene: Some(recipe.scene.to_ron()) });
         Ok(data)
     }

@@ -3,7 +3,7 @@
 use crate::draft::{Draft, shortened};
 use crate::settings::{Training, TrainingPatch};
 use pwrfgs_core::docs::Kind;
-use pwrfgs_core::plugin::{Checked, Plugin, default_of, read_ron, to_ron};
+use pwrfgs_core::plugin::{Checked, Plugin, default_of, read_ron, try_to_ron};
 use pwrfgs_core::ron_tree::Tree;
 use pwrfgs_core::{
     Baseline, DataSource, Deformation, Documented, Error, Initializer, Metric, Projector, Pruner, Rasterizer, Result,
@@ -89,7 +89,7 @@ impl PipelinePatch {
     /// Whether the patch says something about this field of a pipeline, or about a part of it.
     pub fn gives(&self, field: &str) -> bool {
         let by_path = |path: &String| path.split('.').next().is_some_and(|first| first.trim() == field);
-        let text = to_ron(self);
+        let Ok(text) = try_to_ron(self) else { return true };
         let said = |tree: Tree| tree.field(field).is_some_and(|value| value.of(&text) != "None");
         self.set.iter().flatten().any(|(path, _)| by_path(path))
             || (field == "label" && self.label.is_some())
@@ -154,8 +154,23 @@ impl Pipeline {
     }
 
     /// The pipeline as RON text, every default written out; [`Self::parse`] gives the same pipeline back.
+    ///
+    /// Where a plugin of somebody else cannot be written, a comment says so; [`Self::check_text`] finds that out before.
     pub fn to_ron(&self) -> String {
-        to_ron(self) + "\n"
+        self.text().unwrap_or_else(|why| format!("// {why}")) + "\n"
+    }
+
+    /// Refuses a pipeline that [`Self::to_ron`] cannot write.
+    ///
+    /// # Errors
+    /// [`Error::Config`] that says why.
+    pub fn check_text(&self) -> Result<()> {
+        self.text().map(|_| ()).map_err(Error::Config)
+    }
+
+    fn text(&self) -> Result<String, String> {
+        let why = "this pipeline cannot be written (paths of plugins need `serde(with = \"pwrfgs_core::paths\")`)";
+        try_to_ron(self).map_err(|e| format!("{why}: {e}"))
     }
 
     /// Applies `--set` arguments, such as `training.steps=1000` or `pruners.LearnableMask.lambda=0.05`, and checks the

@@ -2,7 +2,7 @@
 
 use crate::polygons::{Polygons, Triangles};
 use crate::text::{Field, VERTEX_ADVICE, XyzColumns, lines, split_blanks};
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, words::quoted};
 use std::path::Path;
 
 /// Statements that say nothing about the surface.
@@ -27,7 +27,7 @@ pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<Triangles> {
             word if LEFT_OUT.split(' ').any(|left_out| left_out == word) => {}
             word => {
                 let what = "is no statement for vertices and faces; export triangles from the modelling program";
-                return Err(Error::at(path, line, keyword.column, format!("`{word}` {what}")));
+                return Err(Error::at(path, line, keyword.column, format!("{} {what}", quoted(word))));
             }
         }
     }
@@ -37,10 +37,14 @@ pub(super) fn parse(path: &Path, bytes: &[u8]) -> Result<Triangles> {
 /// The vertex of a corner such as `3`, `-1`, `3/1` or `3//2`, counted from 0. A negative one counts back from the last
 /// vertex so far.
 fn corner(path: &Path, line: usize, field: Field<'_>, so_far: usize) -> Result<i64> {
-    let index = field.text.split('/').next().and_then(|text| text.parse::<i64>().ok()).filter(|&index| index != 0);
+    let mut parts = field.text.split('/');
+    let index = parts.next().and_then(|text| text.parse::<i64>().ok()).filter(|&index| index != 0);
+    // Texture and normal, each of which may be left out, and nothing more.
+    let is_whole = parts.clone().count() <= 2 && parts.all(|part| part.is_empty() || part.parse::<i64>().is_ok());
+    let index = index.filter(|_| is_whole);
     let index = index.ok_or_else(|| {
         let what = "is no vertex, which are counted from 1 or, backwards, from -1; correct the index";
-        Error::at(path, line, field.column, format!("`{}` {what}", field.text))
+        Error::at(path, line, field.column, format!("{} {what}", quoted(field.text)))
     })?;
     Ok(if index > 0 { index - 1 } else { index.saturating_add_unsigned(so_far as u64) })
 }
@@ -72,6 +76,8 @@ mod tests {
             (format!("{v}f 1 2 0\n"), format!("a.obj:4:7: `0` {index}")),
             (format!("{v}f 1 2 x/1\n"), format!("a.obj:4:7: `x/1` {index}")),
             (format!("{v}f 1 2 /1\n"), format!("a.obj:4:7: `/1` {index}")),
+            (format!("{v}f 1 2 3/a\n"), format!("a.obj:4:7: `3/a` {index}")),
+            (format!("{v}f 1 2 3/1/1/1\n"), format!("a.obj:4:7: `3/1/1/1` {index}")),
             (format!("{v}f 1 2 4\n"), range("3")),
             (format!("{v}f 1 2 -4\n"), range("-1")),
             (format!("{v}f 1 2 {}\n", i64::MIN), range(&(i64::MIN + 3).to_string())),

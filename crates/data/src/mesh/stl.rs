@@ -3,7 +3,7 @@
 
 use crate::polygons::Triangles;
 use crate::text::{Field, VERTEX_ADVICE, coordinate, fault_of, lines, split_blanks};
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, words::quoted};
 use std::{iter::Peekable, path::Path};
 
 /// Bytes before the first triangle of a binary file: 80 that mean nothing, then the count.
@@ -111,7 +111,7 @@ impl<'a, I: Iterator<Item = (usize, Field<'a>)>> Words<'a, I> {
     }
 
     fn unexpected(&self, line: usize, field: Field<'_>, word: &str) -> Error {
-        let what = format!("`{}` stands where `{word}` should; export the file anew", field.text);
+        let what = format!("{} stands where `{word}` should; export the file anew", quoted(field.text));
         Error::at(self.path, line, field.column, what)
     }
 }

@@ -1,7 +1,7 @@
 //! `train_index.txt` and `test_index.txt`: which ids serve what, one a line, zero-padded or not.
 
 use crate::text::{Field, lines, read_text, split_blanks};
-use pwrfgs_core::{Error, Result, files::MAX_TEXT};
+use pwrfgs_core::{Error, Result, files::MAX_TEXT, words::quoted};
 use std::{
     collections::{BTreeMap, BTreeSet},
     path::Path,
@@ -66,7 +66,7 @@ fn id(path: &Path, line: usize, field: Field<'_>, table: &str) -> Result<u32> {
     let what = match field.text.parse() {
         Ok(0) => format!("there is no id 0; ids count from 1, the first row of {table}"),
         Ok(id) => return Ok(id),
-        Err(_) => format!("`{}` is not a sample id; write one a line, such as 00001", field.text),
+        Err(_) => format!("{} is not a sample id; write one a line, such as 00001", quoted(field.text)),
     };
     Err(Error::at(path, line, field.column, what))
 }

@@ -1,7 +1,7 @@
 //! The header of a PLY file: encoding, elements and their properties.
 
 use crate::text::{Field, split_blanks};
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, words::quoted};
 use std::path::Path;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,7 +31,7 @@ pub(super) enum Kind {
 
 #[derive(Debug)]
 pub(super) struct Property {
-    name: String,
+    pub(super) name: String,
     pub(super) kind: Kind,
 }
 
@@ -79,6 +79,21 @@ impl Scalar {
         }
     }
 
+    /// What a number of an ascii file must be, where it is no such number.
+    pub(super) fn misfit(self, text: &str) -> Option<&'static str> {
+        let whole = |low: i64, high: i64| text.parse().is_ok_and(|v: i64| (low..=high).contains(&v));
+        let (fits, what) = match self {
+            Self::I8 => (whole(-0x80, 0x7f), "a char, a whole number from -128 to 127"),
+            Self::U8 => (whole(0, 0xff), "a uchar, a whole number from 0 to 255"),
+            Self::I16 => (whole(-0x8000, 0x7fff), "a short, a whole number from -32768 to 32767"),
+            Self::U16 => (whole(0, 0xffff), "a ushort, a whole number from 0 to 65535"),
+            Self::I32 => (whole(i64::from(i32::MIN), i64::from(i32::MAX)), "an int, a whole number of 32 bits"),
+            Self::U32 => (whole(0, i64::from(u32::MAX)), "a uint, a whole number of 32 bits"),
+            Self::F32 | Self::F64 => (text.parse::<f64>().is_ok(), "a number"),
+        };
+        (!fits).then_some(what)
+    }
+
     /// The number in `raw`, which is [`Self::size`] bytes long.
     pub(super) fn value(self, raw: &[u8], is_big: bool) -> f64 {
         let mut bytes = [0; 8];
@@ -119,16 +134,27 @@ impl Header {
             match (line, words.as_slice()) {
                 (1, ["ply"]) | (2.., [] | ["comment" | "obj_info", ..]) => {}
                 (1, _) => return Err(Error::at(path, 1, 1, NOT_PLY)),
+                (_, ["format", ..]) if encoding.is_some() => {
+                    return Err(fault(0, "stands here a second time; keep one"));
+                }
                 (_, ["format", name, ..]) => {
                     encoding = Some(Encoding::named(name).ok_or_else(|| fault(1, FORMATS))?);
                 }
                 (_, ["element", name, count]) => {
                     let count = count.parse().ok().ok_or_else(|| fault(2, "is not a count; write a whole number"))?;
+                    if elements.iter().any(|e: &Element| e.name == *name) {
+                        return Err(fault(1, "is an element for the second time; give each a name of its own"));
+                    }
                     elements.push(Element { name: (*name).to_owned(), count, properties: Vec::new(), line });
                 }
                 (_, ["property", ..]) => {
                     let element: &mut Element = elements.last_mut().ok_or_else(|| fault(0, UNOWNED))?;
-                    element.properties.push(property(path, line, &fields)?);
+                    let property = property(path, line, &fields)?;
+                    if element.properties.iter().any(|p| p.name == property.name) {
+                        let twice = "is a property for the second time; give each a name of its own";
+                        return Err(fault(fields.len() - 1, twice));
+                    }
+                    element.properties.push(property);
                 }
                 (_, ["end_header"]) => break,
                 _ => return Err(fault(0, "is not understood in a PLY header; remove or correct the line")),
@@ -175,7 +201,7 @@ impl Encoding {
 
 /// A complaint about one word of the header.
 fn fault(path: &Path, line: usize, field: Field<'_>, what: &str) -> Error {
-    Error::at(path, line, field.column, format!("`{}` {what}", field.text))
+    Error::at(path, line, field.column, format!("{} {what}", quoted(field.text)))
 }
 
 /// `property TYPE NAME` or `property list TYPE TYPE NAME`.

@@ -189,14 +189,14 @@ fn every_truncation_of_a_mesh_is_an_error() {
 fn mistakes_in_faces_are_told() {
     let read = |bytes: &[u8]| parse_mesh(Path::new("a.ply"), bytes).unwrap_err().to_string();
     let edit = |from: &str, to: &str| String::from_utf8(square("ascii")).unwrap().replace(from, to).into_bytes();
-    let index = "correct the index of the vertex";
+    let index = "a uint, a whole number of 32 bits, as property `vertex_index` is; correct the row or the header";
     let cases = [
         (
             edit("1 2 3 -5", "1 2 4 -5"),
             "a.ply:12:1: a face names vertex 4, counted from 0, of 4; correct the index".to_owned(),
         ),
-        (edit("1 2 3 -5", "1 2.5 3 -5"), format!("a.ply:12:13: `2.5` is not whole; {index}")),
-        (edit("1 2 3 -5", "1 two 3 -5"), format!("a.ply:12:13: `two` is not a number; {index}")),
+        (edit("1 2 3 -5", "1 2.5 3 -5"), format!("a.ply:12:13: `2.5` is not {index}")),
+        (edit("1 2 3 -5", "1 two 3 -5"), format!("a.ply:12:13: `two` is not {index}")),
         (
             edit("4 0 1 2 3 -5", "2 0 1 -5"),
             "a.ply:12:1: a face has 2 corners; give at least three, or remove it".to_owned(),
@@ -218,4 +218,50 @@ fn mistakes_in_faces_are_told() {
         read(&binary(true)),
         "a.ply: row 1 of `face`: a face names vertex 2, counted from 0, of 2; correct the index"
     );
+}
+
+#[test]
+fn what_the_header_does_not_count_is_refused() {
+    let edit = |from: &str, to: &str| String::from_utf8(ascii()).unwrap().replacen(from, to, 1);
+    let advice = "correct the row or the header";
+    let twice = |what: &str| format!("is {what} for the second time; give each a name of its own");
+    let cases = [
+        (
+            edit("3 0 1 2\n", "3 0 1 2\n\n1 2 3\n"),
+            "a.ply:21:1: a row more than the header counts; correct its counts".to_owned(),
+        ),
+        (
+            edit("element vertex 2", "element vertex 1"),
+            format!(
+                "a.ply:18:11: `4e0` is not an int, a whole number of 32 bits, as property `vertex_indices` is; {advice}"
+            ),
+        ),
+        (edit("element face", "element vertex"), format!("a.ply:12:9: `vertex` {}", twice("an element"))),
+        (edit("property float y", "property float x"), format!("a.ply:11:16: `x` {}", twice("a property"))),
+        (edit("comment a room", "format ascii 1.0"), "a.ply:3:1: `format` stands here a second time; keep one".into()),
+        (
+            edit("200 3 0", "300 3 0"),
+            format!("a.ply:18:1: `300` is not a uchar, a whole number from 0 to 255, as property `red` is; {advice}"),
+        ),
+        (
+            edit("7 -7", "7 -7.5"),
+            format!(
+                "a.ply:16:14: `-7.5` is not a short, a whole number from -32768 to 32767, as property `tags` is; {advice}"
+            ),
+        ),
+        (edit("1 9\n", "1 nine\n"), format!("a.ply:15:3: `nine` is not a number, as property `pose` is; {advice}")),
+        (
+            edit("3 0 1 2", "3 0 1 2 3"),
+            format!("a.ply:19:9: `3` is more than the properties of element `face`; {advice}"),
+        ),
+    ];
+    for (text, message) in cases {
+        assert_eq!(read(text.as_bytes()).unwrap_err(), message);
+    }
+    for big in [false, true] {
+        let more = [&binary(big)[..], &[0; 3]].concat();
+        assert_eq!(read(&more).unwrap_err(), "a.ply: 3 bytes follow the last row; correct the header's counts");
+    }
+    let far = edit("4e0", "4e30");
+    assert!(read(far.as_bytes()).unwrap_err().starts_with("a.ply:18:11: `4e30` is beyond 1e8 m"));
 }

@@ -21,6 +21,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// The first that cannot work, by name; nothing has been written then.
 pub fn check(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<usize>> {
     for &run in runs {
+        plan.runs[run].pipeline.check_text()?;
         RunFolder::inspect(&plan.folder_of(run), &plan.runs[run].pipeline)?;
     }
     let open: Vec<usize> = runs.iter().copied().filter(|&r| !matches!(plan.state(r), State::Finished(_))).collect();

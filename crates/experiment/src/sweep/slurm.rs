@@ -98,6 +98,10 @@ fn submissions(plan: &Plan) -> Vec<(u32, PathBuf)> {
 
 /// The script of a job array of `tasks` tasks.
 fn script(plan: &Plan, tasks: usize, command: &[String], own: &Path) -> Result<String> {
+    if own.to_str().is_none() {
+        let what = format!("{} is no text, so it cannot stand in a script for sbatch", own.display());
+        return Err(Error::Config(what + "; rename the folder"));
+    }
     let slurm = &plan.slurm;
     let mut text = format!("#!/bin/bash\n# {} runs of the sweep `{}`, a task each.\n", tasks, plan.name);
     let at_once = slurm.at_once.map_or_else(String::new, |n| format!("%{n}"));

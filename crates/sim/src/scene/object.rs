@@ -69,6 +69,7 @@ pub enum Object {
         /// What it is called.
         name: String,
         /// OBJ, STL or PLY; relative to the scene file.
+        #[serde(with = "pwrfgs_core::paths")]
         file: PathBuf,
         /// Metres a unit of the file; default 1.
         #[serde(default = "one")]

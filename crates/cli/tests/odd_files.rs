@@ -1,0 +1,105 @@
+//! Files and folders as systems allow them: paths that are no UTF-8, pipes in place of files, names that steer terminals.
+#![cfg(unix)]
+
+use crate::common::{SMALL, call, measured, pwrfgs, refuse, stderr, stdout, succeed, write};
+use std::ffi::OsStr;
+use std::os::unix::ffi::OsStrExt as _;
+use std::path::Path;
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+#[test]
+fn a_folder_whose_name_is_no_utf8_works_like_any_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = &folder.path().join(OsStr::from_bytes(b"caf\xe9"));
+    measured(here);
+    succeed(here, &["run", "p.ron", "--out", "r", "-q"]);
+    let text = |name: &str| std::fs::read_to_string(here.join(name)).unwrap();
+    let own = text("r/pipeline.ron");
+    assert!(own.contains(r"caf\0e9/data") || own.contains(r"caf\u{0}e9/data"), "{own}");
+    // The folder's own pipeline leads back to the data, and the same command finds the run finished.
+    succeed(here, &["evaluate", "r/model.safetensors", "-q"]);
+    succeed(here, &["run", "r/pipeline.ron", "--out", "again", "-q"]);
+    assert_eq!(text("again/samples.csv"), text("r/samples.csv"));
+    assert!(stdout(&succeed(here, &["run", "p.ron", "--out", "r"])).contains("ssim"));
+    let axes = "axes: [(name: \"steps\", variants: [(label: \"a\"), (label: \"b\", training: (stride: 2))])]";
+    write(&here.join("e.ron"), format!("Experiment(name: \"e\", base: \"p.ron\", {axes})"));
+    succeed(here, &["sweep", "e.ron", "--out", "s", "-q"]);
+    succeed(here, &["report", "s", "--out", "rep", "-q"]);
+    succeed(here, &["predict", "r/model.safetensors", "--tx", "0,0,1", "--out", "heard"]);
+    succeed(here, &["export", "r/model.safetensors", "--npz", "m.npz", "--ply", "m.ply"]);
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes/lab-s23.ron");
+    std::fs::copy(scene, here.join("lab.ron")).unwrap();
+    succeed(here, &["simulate", "lab.ron", "--samples", "5", "--points", "50", "--out", "sim", "-q"]);
+    // And where the name itself is the argument.
+    let odd = OsStr::from_bytes(b"\xff.ron");
+    write(&here.join(odd), SMALL.replace("steps: 60", "steps: 3"));
+    let output = pwrfgs(here).arg("run").arg(odd).args(["--out", "o", "-q"]).output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    write(&here.join("nul.ron"), text("p.ron").replace("\"data\"", "\"da\\u{0}ta\""));
+    refuse(here, &["run", "nul.ron", "--out", "n"], 2, &["two hexadecimal digits"]);
+}
+
+#[test]
+fn a_pipe_in_place_of_a_file_is_refused_and_not_waited_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    measured(here);
+    succeed(here, &["run", "p.ron", "--out", "r", "-q"]);
+    let files = [
+        "p.ron",
+        "data/gateway_info.yml",
+        "data/tx_pos.csv",
+        "data/train_index.txt",
+        "data/spectrum/00003.png",
+        "r/model.safetensors",
+        "r/pipeline.ron",
+    ];
+    for name in files {
+        let (path, kept) = (here.join(name), here.join("kept"));
+        std::fs::rename(&path, &kept).unwrap();
+        assert!(std::process::Command::new("mkfifo").arg(&path).status().unwrap().success());
+        let arguments: &[&str] = match name {
+            "r/model.safetensors" => &["predict", name, "--tx", "0,0,1", "--out", "h"],
+            "r/pipeline.ron" => &["run", "p.ron", "--out", "r"],
+            _ => &["run", "p.ron", "--out", "other"],
+        };
+        let mut child = pwrfgs(here).args(arguments).stderr(Stdio::piped()).spawn().unwrap();
+        let begun = Instant::now();
+        while child.try_wait().unwrap().is_none() {
+            if begun.elapsed() > Duration::from_secs(20) {
+                child.kill().unwrap();
+                panic!("{name}: waits for the pipe");
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        let output = child.wait_with_output().unwrap();
+        assert_eq!(output.status.code(), Some(2), "{name}: {}", stderr(&output));
+        assert!(stderr(&output).contains("this is a named pipe; give a regular file"), "{name}: {}", stderr(&output));
+        std::fs::remove_file(&path).unwrap();
+        std::fs::rename(&kept, &path).unwrap();
+    }
+    refuse(here, &["predict", "r/model.safetensors", "--tx-csv", "/dev/zero", "--out", "h"], 2, &["this is a device"]);
+}
+
+#[test]
+fn what_files_say_steers_no_terminal_and_is_not_repeated_at_length() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    measured(here);
+    let gateway = std::fs::read_to_string(here.join("data/gateway_info.yml")).unwrap();
+    let name = "dataset_name: \"a\\e]0;owned\\x07\\e[31mb\"\n";
+    write(&here.join("data/gateway_info.yml"), format!("{gateway}{name}"));
+    let output = succeed(here, &["run", "p.ron", "--out", "r"]);
+    let all = stdout(&output) + &stderr(&output);
+    assert!(!all.contains(['\x1b', '\x07']), "{all:?}");
+    assert!(!std::fs::read_to_string(here.join("r/report.html")).unwrap().contains(['\x1b', '\x07']));
+    let table = std::fs::read_to_string(here.join("data/tx_pos.csv")).unwrap();
+    write(&here.join("data/tx_pos.csv"), table.replace("0.3,", &format!("\x1b[2J{},", "9x".repeat(100_000))));
+    let output = call(here, &["run", "p.ron", "--out", "other"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).len() < 600 && !stderr(&output).contains('\x1b'), "{:?}", stderr(&output));
+    write(&here.join("q.ron"), format!("Pipeline(name: \"x\", {}: 1)", "long".repeat(1_000_000)));
+    let output = call(here, &["run", "q.ron", "--out", "other"]);
+    assert!(output.status.code() == Some(2) && output.stderr.len() < 5_000, "{} bytes", output.stderr.len());
+}

@@ -1,0 +1,63 @@
+//! Words of others, as they are shown: what a file says may hold anything, and reaches a terminal or a page.
+
+/// Longest token that a message quotes, characters.
+const TOKEN: usize = 60;
+/// Longest message, characters: what is longer repeats a file. So much of its end is kept, where it says what to do.
+const MESSAGE: usize = 1_200;
+const END: usize = 400;
+
+/// A name without control characters, which could steer a terminal, on one line; and without marks that turn the
+/// direction of writing.
+pub fn clean(name: &str) -> String {
+    name.chars().map(|c| if is_harmless(c) { c } else { ' ' }).collect::<String>().trim().to_owned()
+}
+
+/// Neither a control character nor one that turns the direction of writing.
+fn is_harmless(c: char) -> bool {
+    !c.is_control() && !matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+}
+
+/// A token of a file between backticks, cut to 60 characters.
+pub fn quoted(token: &str) -> String {
+    let (cut, is_cut) = first(token, TOKEN);
+    format!("`{}{}`", clean(cut), if is_cut { " .." } else { "" })
+}
+
+/// Text for a terminal: lines and tabs stay, what would steer it is shown as a sign for that.
+pub fn plain(text: &str) -> String {
+    text.chars().map(|c| if is_harmless(c) || c == '\n' || c == '\t' { c } else { '\u{fffd}' }).collect()
+}
+
+/// A message as a person can read it: plain, and without its middle where it repeats much of a file.
+pub fn told(message: &str) -> String {
+    let (start, is_long) = first(message, MESSAGE - END);
+    let count = if is_long { message.chars().count() } else { 0 };
+    if count <= MESSAGE {
+        return plain(message);
+    }
+    let end: String = message.chars().skip(count - END).collect();
+    plain(&format!("{start} .. {end}"))
+}
+
+/// The first `most` characters, and whether there are more.
+fn first(text: &str, most: usize) -> (&str, bool) {
+    text.char_indices().nth(most).map_or((text, false), |(end, _)| (&text[..end], true))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_steers_a_terminal_and_nothing_is_endless() {
+        assert_eq!(clean("s23"), "s23");
+        assert_eq!(clean("a\x1b[31mb\n\u{9b}c\u{202e}"), "a [31mb  c");
+        assert_eq!(quoted("x"), "`x`");
+        assert_eq!(quoted("a\x07b"), "`a b`");
+        assert_eq!(quoted(&"é".repeat(5_000_000)), format!("`{} ..`", "é".repeat(60)));
+        assert_eq!(plain("s\u{1b}[31m23\r\n\tµ"), "s\u{fffd}[31m23\u{fffd}\n\tµ");
+        assert_eq!(told(&"é".repeat(1_200)).chars().count(), 1_200);
+        let long = told(&format!("`{}`; write less", "é".repeat(5_000_000)));
+        assert!(long.starts_with("`éé") && long.ends_with("éé`; write less") && long.chars().count() == 1_204);
+    }
+}
