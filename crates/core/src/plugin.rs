@@ -4,10 +4,12 @@
 //! positions in error messages stay right, and asks the plugin to check itself, so that a value out of range is
 //! reported where it stands.
 mod adapter;
+mod family;
 
 use crate::did_you_mean;
 use crate::docs::Docs;
 use adapter::{Name, Tagged};
+pub use family::{Family, Member};
 pub use inventory;
 use serde::de::{self, Deserializer, EnumAccess, Visitor};
 use serde::{Deserialize, Serialize, Serializer};
@@ -54,63 +56,6 @@ macro_rules! plugin_kind {
         }
         $crate::plugin::inventory::submit! { $crate::plugin::Family::of::<dyn $name>() }
     };
-}
-
-/// A family of plugins, whatever its trait.
-#[derive(Debug)]
-pub struct Family {
-    /// The trait's name, such as `Pruner`.
-    pub kind: &'static str,
-    /// All of it that are linked into this program, sorted by name.
-    pub members: fn() -> Vec<Member>,
-    /// A plugin of this kind with every default written out; nothing where the text is none.
-    pub complete: fn(&str) -> Option<String>,
-}
-inventory::collect!(Family);
-
-/// One plugin.
-#[derive(Clone, Debug)]
-pub struct Member {
-    /// Its name.
-    pub name: &'static str,
-    /// What it says about itself.
-    pub about: &'static str,
-    /// What its source says.
-    pub docs: Option<&'static Docs>,
-    /// The plugin with its defaults as RON, or why it has none.
-    pub text: Result<String, String>,
-}
-
-impl Family {
-    /// That of `T`.
-    pub const fn of<T: ?Sized + PluginKind + erased_serde::Serialize>() -> Self
-    where
-        Box<T>: for<'de> Deserialize<'de>,
-    {
-        Self {
-            kind: T::KIND,
-            members: members::<T>,
-            complete: |text| Plugin::<T>::parse(text).ok().map(|p| to_ron(&p)),
-        }
-    }
-
-    /// That of this kind, where there is one.
-    pub fn find(kind: &str) -> Option<&'static Self> {
-        inventory::iter::<Self>().find(|family| family.kind == kind)
-    }
-}
-
-fn members<T: ?Sized + PluginKind + erased_serde::Serialize>() -> Vec<Member>
-where
-    Box<T>: for<'de> Deserialize<'de>,
-{
-    let describe = |name| match Plugin::<T>::parse(&format!("{name}()")) {
-        Ok(plugin) => {
-            Member { name, about: plugin.about_plugin(), docs: plugin.plugin_docs(), text: Ok(to_ron(&plugin)) }
-        }
-        Err(why) => Member { name, about: "", docs: None, text: Err(why) },
-    };
-    registered::<T>().into_iter().map(describe).collect()
 }
 
 impl<T: ?Sized> Plugin<T> {

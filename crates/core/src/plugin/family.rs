@@ -1,0 +1,62 @@
+//! What is linked into this program, kind by kind.
+
+use super::{Plugin, PluginKind, registered, to_ron};
+use crate::docs::Docs;
+use serde::Deserialize;
+
+/// A family of plugins, whatever its trait.
+#[derive(Debug)]
+pub struct Family {
+    /// The trait's name, such as `Pruner`.
+    pub kind: &'static str,
+    /// All of it that are linked into this program, sorted by name.
+    pub members: fn() -> Vec<Member>,
+    /// A plugin of this kind with every default written out; nothing where the text is none.
+    pub complete: fn(&str) -> Option<String>,
+}
+inventory::collect!(Family);
+
+/// One plugin.
+#[derive(Clone, Debug)]
+pub struct Member {
+    /// Its name.
+    pub name: &'static str,
+    /// What it says about itself.
+    pub about: &'static str,
+    /// What its source says.
+    pub docs: Option<&'static Docs>,
+    /// The plugin with its defaults as RON, or why it has none.
+    pub text: Result<String, String>,
+}
+
+impl Family {
+    /// That of `T`.
+    pub const fn of<T: ?Sized + PluginKind + erased_serde::Serialize>() -> Self
+    where
+        Box<T>: for<'de> Deserialize<'de>,
+    {
+        Self {
+            kind: T::KIND,
+            members: members::<T>,
+            complete: |text| Plugin::<T>::parse(text).ok().map(|p| to_ron(&p)),
+        }
+    }
+
+    /// That of this kind, where there is one.
+    pub fn find(kind: &str) -> Option<&'static Self> {
+        inventory::iter::<Self>().find(|family| family.kind == kind)
+    }
+}
+
+fn members<T: ?Sized + PluginKind + erased_serde::Serialize>() -> Vec<Member>
+where
+    Box<T>: for<'de> Deserialize<'de>,
+{
+    let describe = |name| match Plugin::<T>::parse(&format!("{name}()")) {
+        Ok(plugin) => {
+            Member { name, about: plugin.about_plugin(), docs: plugin.plugin_docs(), text: Ok(to_ron(&plugin)) }
+        }
+        Err(why) => Member { name, about: "", docs: None, text: Err(why) },
+    };
+    registered::<T>().into_iter().map(describe).collect()
+}
