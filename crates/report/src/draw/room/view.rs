@@ -124,7 +124,9 @@ impl View {
             from => format!("{} − {from} [m]", ["x", "y", "z"][k]),
         };
         mark(at(middle(0), low[1], low[2]), [-1.3, 2.6], Anchor::Middle, &title(0));
-        mark(at(high[0], middle(1), low[2]), [2.3, 2.3], Anchor::Middle, &title(1));
+        // A long title stands below the numbers.
+        let (shift, anchor) = if o[1] == 0.0 { ([2.3, 2.3], Anchor::Middle) } else { ([-0.5, 3.9], Anchor::Start) };
+        mark(at(high[0], middle(1), low[2]), shift, anchor, &title(1));
         let [x, y] = at(low[0], low[1], middle(2));
         canvas.upright([x - 2.5 * em, y], title(2));
         canvas.path(grid, Paint::stroke(Colour::hex(0xdd_e0e6), 0.6));
