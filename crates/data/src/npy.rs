@@ -162,8 +162,9 @@ pub fn npy_header(number: Number, shape: &[usize]) -> Vec<u8> {
         Number::F32 => "<f4",
         Number::F64 => "<f8",
     };
-    let shape = shape.iter().fold(String::new(), |text, n| text + &format!("{n}, "));
-    let text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({}), }}", shape.trim_end());
+    let sizes: Vec<String> = shape.iter().map(ToString::to_string).collect();
+    let comma = if sizes.len() == 1 { "," } else { "" }; // Python's tuple of one
+    let text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({}{comma}), }}", sizes.join(", "));
     // Numbers begin at a multiple of 64 bytes, as the format asks; the header ends in a line end.
     let length = (10 + text.len() + 1).next_multiple_of(64) - 10;
     let mut bytes = MAGIC.to_vec();

@@ -80,7 +80,9 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<ExitCod
             Number::F32 | Number::F64 => "32-bit floats",
         };
         let out = arguments.out.display();
-        output::note(&format!("{m} spectra of {w} x {h} pixels ({kind}, {low} to {high}) in {out}; in a pipeline:"));
+        output::note(&format!(
+            "{m} spectra of {w} x {h} pixels ({kind}, {low:.4} to {high:.4}) in {out}; in a pipeline:"
+        ));
         output::note(&format!("    data: Arrays(root: {:?}),", arguments.out.to_string_lossy()));
         output::note("    split: Random(test: 0.2),");
     }
