@@ -8,7 +8,7 @@ use pwrfgs::prelude::*;
 use std::path::PathBuf;
 
 const PIPELINE: &str = "Pipeline(
-    name: \"arrays\", data: Arrays(), split: Random(test: 0.2), initializer: Grid(count: 200),
+    name: \"arrays\", data: Lobes(), split: Random(test: 0.2), initializer: Grid(count: 200),
     deformation: Mlp(depth: 2, width: 64, skip: None, tx_frequencies: 1, outputs: Signals),
     pruners: [LearnableMask(lambda: 0.02, learning_rate: 0.02), OpacityThreshold(epsilon: 0.02)],
     training: (steps: 600, batch: 8, densify_until: 100, prune_until: 450, prune_every: 50, densify: (every: 0),
@@ -17,10 +17,10 @@ const PIPELINE: &str = "Pipeline(
 
 /// A data source that makes its arrays itself. *Simulated*: one blob, where the transmitter is.
 #[derive(Debug, Serialize, Deserialize)]
-struct Arrays {}
+struct Lobes {}
 
 #[typetag::serde]
-impl DataSource for Arrays {
+impl DataSource for Lobes {
     fn load(&self, _: &std::path::Path, _: Progress<'_>) -> Result<Dataset> {
         let plane = pwrfgs::raster::Mercator::default().plane(90, 24);
         let mut rng = rng::stream(1, "positions", 0);
