@@ -86,5 +86,8 @@ fn who_cannot_draw_or_has_not_learnt_the_elevations_says_so() {
     let folder = tempfile::tempdir().unwrap();
     file::write(&folder.path().join("m"), &model).unwrap();
     let said = file::read(&folder.path().join("m")).unwrap_err();
-    assert!(said.is_input() && said.to_string().contains("`plane` is none that its `projector` draws on"), "{said}");
+    assert!(
+        said.is_input() && said.to_string().contains("plane: its angles are none that the projector draws"),
+        "{said}"
+    );
 }

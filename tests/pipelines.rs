@@ -57,6 +57,7 @@ fn every_pipeline_runs_some_steps() {
             "training.prune_every=2".to_owned(),
             "training.densify=(from: 1, every: 2, reset_every: 0)".to_owned(),
             "training.steps=12".to_owned(),
+            "training.batch=8".to_owned(),
         ] {
             pipeline.set(&change).unwrap_or_else(|e| panic!("{}: {change}: {e}", path.display()));
         }
@@ -79,7 +80,7 @@ fn every_experiment_resolves_and_its_variants_train() {
         let small = [
             "data=Teacher(gaussians: 4, samples: 30, width: 72, height: 18)",
             "baselines=[MeanSpectrum()]",
-            "training.steps=12",
+            "training.batch=8",
         ];
         let whole = Plan::read(&path, &[], None).unwrap_or_else(|e| panic!("{e}"));
         assert_eq!(whole.name, path.file_stem().unwrap().to_string_lossy(), "a sweep folder is named as the file");
@@ -90,7 +91,7 @@ fn every_experiment_resolves_and_its_variants_train() {
         // One run a combination for some steps; two of the experiments ask for other schedules than twelve steps have.
         for run in plan.runs.iter().filter(|r| r.pipeline.seed == 0) {
             let mut pipeline = run.pipeline.clone();
-            pipeline.set("training=(densify_until: 6, prune_until: 9, prune_every: 2)").unwrap();
+            pipeline.set("training=(steps: 12, densify_until: 6, prune_until: 9, prune_every: 2)").unwrap();
             pipeline.set("split=Random()").unwrap(); // thirty samples are too few for some
             let (data, partition) = pwrfgs::experiment::load(&pipeline, Path::new(""), &mut Silent).unwrap();
             if let Ok(mut trainer) = Trainer::new(&pipeline, &data, &partition) {

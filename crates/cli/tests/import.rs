@@ -113,7 +113,7 @@ fn a_pose_that_is_none_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     for (receiver, orientation, words) in [
-        ("0,0", "0,0,0,1", "--receiver 0,0: give three finite numbers in metres"),
+        ("0,0", "0,0,0,1", "--receiver 0,0: give three finite numbers of at most 1e8 in metres"),
         ("0,0,0", "0,0,1", "--orientation 0,0,1: give a unit quaternion x,y,z,w"),
         ("0,0,0", "0,0,0,2", "orientation of the receiver: the quaternion has length 2"),
     ] {

@@ -33,7 +33,7 @@ fn a_folder_whose_name_is_no_utf8_works_like_any_other() {
     succeed(here, &["simulate", "lab.ron", "--samples", "5", "--points", "50", "--out", "sim", "-q"]);
     // And where the name itself is the argument.
     let odd = OsStr::from_bytes(b"\xff.ron");
-    write(&here.join(odd), SMALL.replace("steps: 60", "steps: 3"));
+    write(&here.join(odd), SMALL.replace("steps: 60", "steps: 60, scale: 0.05"));
     let output = pwrfgs(here).arg("run").arg(odd).args(["--out", "o", "-q"]).output().unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
     write(&here.join("nul.ron"), text("p.ron").replace("\"data\"", "\"da\\u{0}ta\""));

@@ -154,6 +154,7 @@ plain! {
     "whole number": i8, i16, i32, i64, isize, u8, u16, u32, u64, usize;
     "text": String;
     "path": PathBuf;
+    "two numbers": crate::Elevation;
 }
 
 impl<T: ?Sized + PluginKind> Documented for Plugin<T> {

@@ -55,7 +55,7 @@ pub struct Nerf2Spectrum {
     /// Which receiver, where `gateway_info.yml` has more than `gateway1`; a file with several is refused unless one is
     /// named. Keys that hold no `position` and are not called gateway are left alone.
     pub gateway: Option<String>,
-    /// Elevations where the top row of the pictures begins and the bottom row ends, degrees; default what
+    /// Elevations where the top row of the pictures begins and the bottom row ends, degrees; where it is left out, what
     /// `gateway_info.yml` says, else 0 and 90.
     pub elevation: Option<Elevation>,
 }

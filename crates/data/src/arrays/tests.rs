@@ -37,7 +37,8 @@ impl Folder {
     }
 
     fn try_load(&self) -> Result<Dataset> {
-        Arrays { root: "s".into(), ..Arrays::default() }.load(self.0.path(), &|_, _| {})
+        Arrays { root: "s".into(), elevation: Some((-90.0, 90.0).into()), ..Arrays::default() }
+            .load(self.0.path(), &|_, _| {})
     }
 
     fn fault(&self) -> String {
@@ -140,6 +141,6 @@ fn mistakes_are_told() {
 fn it_is_a_plugin_whose_paths_move_with_the_pipeline() {
     let source = Plugin::<dyn DataSource>::parse(r#"Arrays(root: "a", points: "b.ply")"#).unwrap();
     let moved = source.rebased(&|path| Path::new("base").join(path)).unwrap();
-    assert_eq!(format!("{moved:?}"), r#"Arrays { root: "base/a", points: Some("base/b.ply") }"#);
+    assert_eq!(format!("{moved:?}"), r#"Arrays { root: "base/a", points: Some("base/b.ply"), elevation: None }"#);
     assert!(Plugin::<dyn DataSource>::parse(r#"Arrays(root: "")"#).is_err());
 }

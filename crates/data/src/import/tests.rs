@@ -39,7 +39,12 @@ impl Folder {
         let out = self.path("out");
         let _ = fs::remove_dir_all(&out);
         let imported = work.write(&out, &|_, _| {}).unwrap();
-        (imported, Arrays { root: out, ..Arrays::default() }.load(Path::new(""), &|_, _| {}).unwrap())
+        (
+            imported,
+            Arrays { root: out, elevation: Some((-90.0, 90.0).into()), ..Arrays::default() }
+                .load(Path::new(""), &|_, _| {})
+                .unwrap(),
+        )
     }
 
     /// The message, with this folder as `DIR`; nothing is left behind.

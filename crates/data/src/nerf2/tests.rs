@@ -145,7 +145,7 @@ fn pictures_must_suit_their_angles() {
         said,
         "DIR/s/spectrum/00001.png: is 36 x 18 pixels: over azimuths 0 to 360 and elevations 0 to 90 degrees each would be \
          10.000 x 5.000 degrees; say where the top row begins and the bottom row ends, such as \
-         Nerf2Spectrum(elevation: (-90, 90)) for a full sphere, or `elevation: [-90, 90]` in gateway_info.yml"
+         `elevation: (-90, 90)` of the data source for a full sphere, or `elevation: [-90, 90]` in gateway_info.yml"
     );
     assert_eq!(load(Some((-90.0, 90.0))), Ok((-90.0, 90.0)));
     assert_eq!(load(Some((0.0, 90.0))), Ok((0.0, 90.0)), "who says so may have pixels that are not square");
