@@ -84,7 +84,7 @@ fn entries(folder: &Path) -> Vec<String> {
 fn begun(folder: &Path) -> Child {
     let arguments = ["simulate", "closet.ron", "--samples", "99999", "--out", "out", "-q"];
     let mut child = pwrfgs(folder).args(arguments).stderr(Stdio::null()).spawn().unwrap();
-    let end = Instant::now() + Duration::from_secs(60);
+    let end = Instant::now() + Duration::from_mins(1);
     let is_begun = || {
         let folders = entries(folder).into_iter().filter(|name| name.starts_with(".out."));
         folders.into_iter().any(|name| folder.join(name).join("spectrum/00001.png").exists())

@@ -4,7 +4,7 @@
 //! name and holds nothing but what is written here was left behind.
 
 use crate::output::{FILES, PICTURES};
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, files};
 use std::ffi::OsStr;
 use std::fs::{self, File, FileType, Permissions};
 use std::io;
@@ -34,7 +34,7 @@ impl Making {
         clear(parent, Some(&name));
         loop {
             let folder = temporary(parent, &name)?;
-            let lock = File::open(folder.path()).ok();
+            let lock = files::open(folder.path()).ok();
             match lock.as_ref().map(File::try_lock) {
                 Some(Err(fs::TryLockError::WouldBlock)) => {} // somebody took it for left behind
                 locked if folder.path().exists() => {
@@ -80,7 +80,7 @@ pub(crate) fn clear(parent: &Path, name: Option<&str>) {
             continue;
         }
         // The lock is held while the folder goes: who has just made it sees that it is gone.
-        if let Ok(lock) = File::open(&path)
+        if let Ok(lock) = files::open(&path)
             && lock.try_lock().is_ok()
         {
             tracing::debug!("{} was left behind by a process that was killed; it is removed", path.display());
