@@ -82,7 +82,10 @@ fn a_teacher_on_a_map_is_the_teacher_at_home() {
     };
     let (here, there) = (teacher([0.0; 3]), teacher(SHIFT));
     assert_eq!(there.scene.origin.0, SHIFT);
-    assert_eq!(there.scene.points, here.scene.points);
+    // Through the user's frame, whose doubles end at a nanometre there: single precision does not see it.
+    let rounding = if size_of::<Real>() == 4 { 0.0 } else { 1e-8 };
+    let (there_points, here_points) = (there.scene.points.as_flattened(), here.scene.points.as_flattened());
+    assert!(there_points.iter().zip(here_points).all(|(a, b)| (a - b).abs() <= rounding));
     assert_eq!(there.spectra.raw(3), here.spectra.raw(3));
 }
 

@@ -113,7 +113,7 @@ impl Facts {
             real_bytes: size_of::<pwrfgs_core::Real>(),
             machine: Machine::here(),
             seed,
-            starts: old.starts + 1,
+            starts: old.starts.saturating_add(1),
             finished: None,
             scores: None,
             files: BTreeMap::new(),

@@ -86,5 +86,5 @@ pub(crate) fn memory(bytes: u64) -> String {
 
 /// `12 ms` or `26.1 s`.
 pub(crate) fn pace(seconds: f64) -> String {
-    if seconds < 1.0 { format!("{:.3} ms", 1e3 * seconds) } else { format!("{seconds:.1} s") }
+    if seconds < 1.0 { format!("{:.1} ms", 1e3 * seconds) } else { format!("{seconds:.1} s") }
 }
