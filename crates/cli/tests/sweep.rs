@@ -192,6 +192,12 @@ fn mistakes_are_refused_where_they_stand_before_anything_runs() {
         refuse(here, &["sweep", "e.ron"], 2, words);
         assert!(!here.join("runs").exists(), "{to}");
     }
+    // Forty axes of two variants are a million million runs.
+    let axis = |k| format!("Axis(name: \"a{k}\", variants: [(label: \"x\"), (label: \"y\")])");
+    let axes: Vec<String> = (0..40).map(axis).collect();
+    let text = format!("Experiment(name: \"e\", base: \"base/p.ron\", axes: [{}])", axes.join(", "));
+    write(&here.join("e.ron"), text);
+    refuse(here, &["sweep", "e.ron"], 2, &["e.ron: the axes and seeds make 1099511627776 runs", "10000"]);
     // A folder that holds the run of another pipeline is not taken, and none of the others begun.
     write(&here.join("e.ron"), EXPERIMENT);
     succeed(here, &["run", "base/p.ron", "--out", &format!("runs/tiny/{}", RUNS[2])]);

@@ -70,6 +70,9 @@ impl Mark {
     }
 }
 
+/// The longest `run.json` that is read: its own has some kilobytes.
+const MAX_BYTES: u64 = 1 << 18;
+
 /// The files that are known by a mark. Of the others, `pipeline.ron` is compared with the pipeline at hand, the checkpoint
 /// has a digest of its own, and TensorBoard alone reads the events.
 const MARKED: [&str; 8] = [MODEL_FILE, SCORES, SAMPLES, REPORT, CURVE, VALIDATION, START_SNAPSHOT, UNPRUNED_SNAPSHOT];
@@ -128,12 +131,12 @@ impl Facts {
     /// A file that is damaged, or cannot be read.
     pub fn read(folder: &Path) -> Result<Option<Self>> {
         let path = folder.join(FACTS);
-        let text = match files::read_string(&path) {
-            Ok(text) => text,
+        let bytes = match files::read_at_most(&path, MAX_BYTES) {
+            Ok(bytes) => bytes,
             Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => return Ok(None),
             Err(e) => return Err(Error::read(&path, e)),
         };
-        serde_json::from_str(&text).map(Some).map_err(|e| {
+        serde_json::from_slice(&bytes).map(Some).map_err(|e| {
             let why =
                 format!("is damaged, or of another version ({e}); remove it, and `pwrfgs run` scores the run again");
             Error::input(&path, why)

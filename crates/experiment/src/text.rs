@@ -39,9 +39,20 @@ pub fn grouped(value: i64) -> String {
     out
 }
 
+/// The longest cell of a table, characters: a name of a file is not cut, the contents of one are.
+const CELL: usize = 1_000;
+
+fn cut(cell: &str) -> String {
+    match cell.char_indices().nth(CELL) {
+        Some((end, _)) => format!("{}..", &cell[..end]),
+        None => cell.to_owned(),
+    }
+}
+
 /// Columns two blanks apart: the first `left` begin at the left, the others end at the right. What begins at the left and
-/// has nothing to its right may be as long as it likes. A line without words is left out.
+/// has nothing to its right may be as long as it likes, within 1,000 characters. A line without words is left out.
 pub fn aligned(lines: &[Vec<String>], left: usize) -> String {
+    let lines: Vec<Vec<String>> = lines.iter().map(|line| line.iter().map(|cell| cut(cell)).collect()).collect();
     let columns = lines.iter().map(Vec::len).max().unwrap_or(0);
     let is_last = |line: &[String], k: usize| line[k + 1..].iter().all(String::is_empty);
     let width = |line: &Vec<String>, k: usize| {
@@ -94,5 +105,7 @@ mod tests {
     fn columns_are_aligned_by_letters_not_bytes() {
         let lines = [["λ", "1"], ["ab", "23"], ["", ""]].map(|line| line.map(str::to_owned).to_vec());
         assert_eq!(aligned(&lines, 1), "λ    1\nab  23\n");
+        let long = vec![vec!["x".repeat(100_000), "1".into()]];
+        assert_eq!(aligned(&long, 1).len(), 1_000 + 2 + 2 + 1 + 1, "cut, two points, two blanks, 1, end of line");
     }
 }
