@@ -1,11 +1,10 @@
 //! Simulated data sets, kept on disk under a key of everything that decides them.
 
-use crate::making::{self, FOR_NOW, Making};
 use crate::output::{self, MANIFEST, Pictures};
 use crate::recipe::Recipe;
 use etcetera::BaseStrategy as _;
-use pwrfgs_core::{Error, Progress, Result, files};
-use std::ffi::OsStr;
+use pwrfgs_core::files::{self, NewFolder};
+use pwrfgs_core::{Error, Progress, Result};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
@@ -34,7 +33,7 @@ pub fn open_or_make<T>(
     read: impl Fn(&Path) -> Result<T>,
 ) -> Result<T> {
     let Some(root) = root else { return make_for_now(recipe, progress, read) };
-    making::clear(root, None);
+    NewFolder::clear(root);
     let folder = root.join(recipe.folder_name());
     if is_of(&folder, recipe) {
         match read(&folder) {
@@ -66,13 +65,12 @@ fn move_away(folder: &Path) -> Result<()> {
     if !folder.exists() {
         return Ok(());
     }
-    making::remove(folder).map_err(|e| Error::write(folder, e))
+    NewFolder::remove(folder)
 }
 
 fn make_for_now<T>(recipe: &Recipe, progress: Progress<'_>, read: impl Fn(&Path) -> Result<T>) -> Result<T> {
-    let root = std::env::temp_dir();
-    let making = Making::begin(&root, OsStr::new("pwrfgs")).map_err(|e| Error::write(&root, e))?;
-    let folder = making.path().join(FOR_NOW);
+    let making = NewFolder::beside(&std::env::temp_dir().join("pwrfgs"))?;
+    let folder = making.path().join("data");
     output::write_as(recipe, Pictures::Npy, false, &folder, progress, &AtomicBool::new(false))?;
     read(&folder)
 }

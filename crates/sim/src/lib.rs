@@ -13,7 +13,6 @@ pub mod array;
 pub mod cache;
 mod field;
 pub mod images;
-mod making;
 pub mod mesh;
 pub mod noise;
 pub mod output;

@@ -1,13 +1,12 @@
 //! A simulated data set as a folder: the layout of NeRF2, and what only a simulation knows.
 
-use crate::making::Making;
 use crate::path_table::PathTable;
 use crate::recipe::Recipe;
 use crate::simulator::{HEIGHT, Reception, Simulator, WIDTH, simulate_until};
 use crate::surface_points;
 use glam::DVec3;
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
-use pwrfgs_core::{Error, Number, Progress, Result, files::refuse_occupied};
+use pwrfgs_core::{Error, Number, Progress, Result, files::NewFolder, files::refuse_occupied};
 use pwrfgs_data::{gateway_yaml, npy_header};
 use std::fmt::Write as _;
 use std::fs;
@@ -31,8 +30,6 @@ const GATEWAY: &str = "gateway_info.yml";
 const POSITIONS: &str = "tx_pos.csv";
 const TRAIN: &str = "train_index.txt";
 const TEST: &str = "test_index.txt";
-/// Every file of the folder but the pictures.
-pub(crate) const FILES: [&str; 9] = [SPECTRA, GATEWAY, POSITIONS, TRAIN, TEST, POWER, PATHS, POINTS, MANIFEST];
 /// Most pictures: their names have five digits.
 const MOST_PICTURES: usize = 99_999;
 /// Every how-manieth sample belongs to the test list.
@@ -89,14 +86,9 @@ pub fn write_as(
             recipe.samples
         )));
     }
-    let Some(name) = out.file_name().filter(|_| !out.is_symlink()) else {
-        return Err(Error::input(out, "is no name for a new folder; choose another"));
-    };
-    refuse_occupied(out)?;
+    refuse_occupied(out)?; // before the scene is looked at
     let simulator = Simulator::new(&recipe.scene)?;
-    let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    fs::create_dir_all(parent).map_err(|e| Error::write(parent, e))?;
-    let making = Making::begin(parent, name).map_err(|e| Error::write(parent, e))?;
+    let making = NewFolder::begin(out)?;
     let folder = making.path();
     let mut spectra = Sink::new(folder, pictures, recipe.samples)?;
     let mut tables = Tables::new(folder, &simulator, paths)?;
@@ -123,7 +115,7 @@ pub fn write_as(
     written.map_err(|e| Error::write(&path, e))?;
     put(&folder.join(MANIFEST), recipe.to_json())?;
     go_on()?;
-    making.publish(out)
+    making.publish()
 }
 
 fn put(path: &Path, bytes: impl AsRef<[u8]>) -> Result<()> {

@@ -2,20 +2,25 @@
 
 use super::refuse_occupied;
 use crate::{Error, Result};
-use std::ffi::OsString;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Locked by whoever fills the folder: a killed program no longer holds it.
-const LOCK: &str = ".lock";
+/// Marks a folder under way as ours. It is locked by whoever fills the folder: a killed program no longer holds it.
+const LOCK: &str = ".pwrfgs-lock";
+/// Most letters of the name that is being made: the rest of a long one is left out.
+const LONGEST: usize = 60;
+/// Where a folder goes that is removed.
+const GRAVE: &str = "removed";
 
-/// A folder under way: made beside its place as `.NAME.PID.tmp`, renamed when it is whole, removed when it is dropped
+/// A folder under way: made beside its place as `.NAME.PID-K.tmp`, renamed when it is whole, removed when it is dropped
 /// before. What a killed program left of the same name is removed when the next one begins.
 #[derive(Debug)]
 pub struct NewFolder {
     path: PathBuf,
     out: PathBuf,
-    lock: Option<File>,
+    /// Held as long as the folder is under way; on a file system without locks it tells nobody.
+    _lock: File,
 }
 
 impl NewFolder {
@@ -24,18 +29,42 @@ impl NewFolder {
     /// # Errors
     /// Where `out` holds something or is no name for a folder, or the disk refuses.
     pub fn begin(out: &Path) -> Result<Self> {
-        let Some(name) = out.file_name().filter(|_| !out.is_symlink()) else {
+        if out.file_name().is_none() || out.is_symlink() {
             return Err(Error::input(out, "is no name for a new folder; choose another"));
-        };
+        }
         refuse_occupied(out)?;
+        Self::beside(out)
+    }
+
+    /// The same, whatever `out` holds: for something that goes away again.
+    ///
+    /// # Errors
+    /// Where the disk refuses.
+    pub fn beside(out: &Path) -> Result<Self> {
+        static COUNT: AtomicUsize = AtomicUsize::new(0); // one process may make the same folder twice at once
         let parent = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let name = short_name(out);
         fs::create_dir_all(parent).map_err(|e| Error::write(parent, e))?;
-        let hidden = |middle: &str| [".".as_ref(), name, middle.as_ref()].into_iter().collect::<OsString>();
-        remove_left(parent, &hidden("."));
-        let path = parent.join(hidden(&format!(".{}.tmp", std::process::id())));
-        let made = fs::create_dir(&path).and_then(|()| File::create(path.join(LOCK)));
-        let lock = made.and_then(|lock| lock.lock().map(|()| lock)).map_err(|e| Error::write(&path, e))?;
-        Ok(Self { path, out: out.into(), lock: Some(lock) })
+        clear(parent, Some(&name));
+        let k = COUNT.fetch_add(1, Ordering::Relaxed);
+        let path = parent.join(format!(".{name}.{}-{k}.tmp", std::process::id()));
+        let made = fs::create_dir(&path).and_then(|()| locked(&path));
+        let lock = made.map_err(|e| Error::write(&path, e))?;
+        Ok(Self { path, out: out.into(), _lock: lock })
+    }
+
+    /// Removes a folder that was published; it is renamed first, so that nobody finds half of it.
+    ///
+    /// # Errors
+    /// Where the disk refuses.
+    pub fn remove(folder: &Path) -> Result<()> {
+        let grave = Self::beside(folder)?;
+        fs::rename(folder, grave.path.join(GRAVE)).map_err(|e| Error::write(folder, e))
+    }
+
+    /// Removes what killed programs left in `parent`, of any name.
+    pub fn clear(parent: &Path) {
+        clear(parent, None);
     }
 
     /// Where its files are written.
@@ -47,38 +76,55 @@ impl NewFolder {
     ///
     /// # Errors
     /// Where the disk refuses.
-    pub fn publish(mut self) -> Result<()> {
+    pub fn publish(self) -> Result<()> {
         let refuse = |e| Error::write(&self.out, e);
-        fs::remove_file(self.path.join(LOCK)).map_err(refuse)?;
         // Where it does not exist, or is not empty, the rename says what matters.
         let _ = fs::remove_dir(&self.out);
         fs::rename(&self.path, &self.out).map_err(refuse)?;
-        self.lock = None;
-        Ok(())
+        fs::remove_file(self.out.join(LOCK)).map_err(refuse)
     }
 }
 
 impl Drop for NewFolder {
     fn drop(&mut self) {
-        if self.lock.take().is_some() {
-            let _ = fs::remove_dir_all(&self.path); // nothing can be said here, and the next start tries again
+        let _ = fs::remove_dir_all(&self.path); // published: not there; else the next start tries again
+    }
+}
+
+/// The lock of a new folder. It gets its name when it is locked: nobody sees it free.
+fn locked(folder: &Path) -> std::io::Result<File> {
+    let (new, own) = (folder.join(format!("{LOCK}.new")), folder.join(LOCK));
+    let lock = File::create_new(&new)?;
+    let _ = lock.try_lock(); // a file system without locks is no reason to refuse
+    fs::rename(&new, &own)?;
+    Ok(lock)
+}
+
+fn short_name(out: &Path) -> String {
+    out.file_name().unwrap_or_default().to_string_lossy().chars().take(LONGEST).collect()
+}
+
+/// Removes folders `.NAME.PID-K.tmp` of one name, or of any, whose lock nobody holds.
+fn clear(parent: &Path, name: Option<&str>) {
+    for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
+        let path = entry.path();
+        if !is_under_way(&entry.file_name().to_string_lossy(), name) || path.is_symlink() {
+            continue;
+        }
+        if super::open(path.join(LOCK)).is_ok_and(|lock| lock.try_lock().is_ok()) {
+            let _ = fs::remove_dir_all(&path); // in the way of nobody
         }
     }
 }
 
-/// Removes folders `PREFIX*.tmp` whose lock nobody holds.
-fn remove_left(parent: &Path, prefix: &OsString) {
-    for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
-        let name = entry.file_name();
-        let (name, prefix) = (name.as_encoded_bytes(), prefix.as_encoded_bytes());
-        let middle = name.strip_prefix(prefix).and_then(|rest| rest.strip_suffix(b".tmp"));
-        let ours = middle.is_some_and(|pid| !pid.is_empty() && pid.iter().all(u8::is_ascii_digit));
-        let lock = entry.path().join(LOCK);
-        let left = ours && super::open(&lock).is_ok_and(|lock| lock.try_lock().is_ok());
-        if left {
-            let _ = fs::remove_dir_all(entry.path()); // in the way of nobody
-        }
-    }
+/// Whether a file is called as folders under way are: of one name, or of any.
+fn is_under_way(file: &str, name: Option<&str>) -> bool {
+    let parts = || file.strip_prefix('.')?.strip_suffix(".tmp")?.rsplit_once('.');
+    parts().is_some_and(|(found, middle)| {
+        let is_number = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
+        let is_ours = middle.split_once('-').is_some_and(|(pid, k)| is_number(pid) && is_number(k));
+        is_ours && name.is_none_or(|name| name == found)
+    })
 }
 
 #[cfg(test)]
@@ -103,25 +149,35 @@ mod tests {
         assert!(names(&here.path().join("a")).is_empty());
         fs::create_dir(&out).unwrap(); // empty: it gives way
         let folder = NewFolder::begin(&out).unwrap();
+        let again = NewFolder::begin(&out).unwrap(); // the same folder twice at once
         fs::write(folder.path().join("x"), "2").unwrap();
         folder.publish().unwrap();
+        assert!(again.publish().is_err(), "the first is there");
         assert_eq!((names(&here.path().join("a")), names(&out)), (vec!["data".into()], vec!["x".into()]));
         assert!(NewFolder::begin(&out).unwrap_err().to_string().contains("is not empty (it holds `x`)"));
         assert!(NewFolder::begin(Path::new("/")).is_err());
+        NewFolder::remove(&out).unwrap();
+        assert!(names(&here.path().join("a")).is_empty());
+        NewFolder::begin(&here.path().join("x".repeat(250))).unwrap().publish().unwrap();
     }
 
     #[test]
     fn what_a_killed_program_left_is_removed_and_nothing_else() {
         let here = tempfile::tempdir().unwrap();
-        for name in [".data.1.tmp", ".data.2.tmp", ".data.x.tmp", ".data.2.tmp.txt", ".other.1.tmp"] {
+        let left = |name: &str| {
             fs::create_dir(here.path().join(name)).unwrap();
             fs::write(here.path().join(name).join(LOCK), "").unwrap();
-        }
-        fs::create_dir(here.path().join(".data.3.tmp")).unwrap(); // without a lock it is not known to be ours
-        let busy = File::open(here.path().join(".data.2.tmp").join(LOCK)).unwrap();
+        };
+        [".data.1-0.tmp", ".data.2-0.tmp", ".data.x-0.tmp", ".data.2-0.tmp.txt", ".data.7.tmp", ".other.1-3.tmp"]
+            .into_iter()
+            .for_each(left);
+        fs::create_dir(here.path().join(".data.3-0.tmp")).unwrap(); // without a lock it is not known to be ours
+        let busy = File::open(here.path().join(".data.2-0.tmp").join(LOCK)).unwrap();
         busy.lock().unwrap();
         NewFolder::begin(&here.path().join("data")).unwrap().publish().unwrap();
-        let left = [".data.2.tmp", ".data.2.tmp.txt", ".data.3.tmp", ".data.x.tmp", ".other.1.tmp", "data"];
-        assert_eq!(names(here.path()), left);
+        let kept = [".data.2-0.tmp", ".data.2-0.tmp.txt", ".data.3-0.tmp", ".data.7.tmp", ".data.x-0.tmp"];
+        assert_eq!(names(here.path()), [&kept[..], &[".other.1-3.tmp", "data"]].concat());
+        NewFolder::clear(here.path());
+        assert_eq!(names(here.path()), [&kept[..], &["data"]].concat());
     }
 }

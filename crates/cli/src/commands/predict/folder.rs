@@ -4,9 +4,9 @@
 //! comes last, and says that all is there. So a killed command can be given again, and what it left is known by name.
 
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
-use npyz::WriterBuilder as _;
+use pwrfgs::data::npy_header;
 use pwrfgs_core::files::{read_text, refuse_foreign, write_atomically};
-use pwrfgs_core::{Error, Image, Real, Result};
+use pwrfgs_core::{Error, Image, Number, Real, Result};
 use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{BufWriter, Write as _};
@@ -54,14 +54,9 @@ impl<'a> Folder<'a> {
 
     /// `NAME.npy` (as it is), where it is not stacked.
     pub(super) fn array(&self, name: &str, image: &Image) -> Result<()> {
-        let (path, mut npy) = (self.path.join(format!("{name}.npy")), Vec::new());
-        let encoded = (|| {
-            let shape = [image.height as u64, image.width as u64];
-            let mut writer = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(&mut npy).begin_nd()?;
-            writer.extend(image.pixels.iter().map(|p| *p as f32))?;
-            writer.finish()
-        })();
-        encoded.map_err(|e: std::io::Error| Error::write(&path, e))?;
+        let path = self.path.join(format!("{name}.npy"));
+        let mut npy = npy_header(Number::F32, &[image.height, image.width]);
+        npy.extend(floats(image));
         put(&path, &npy)
     }
 
@@ -97,20 +92,13 @@ impl Stack {
         let beside = path.with_added_extension("tmp");
         let file = File::create(&beside).map_err(|e| Error::write(&path, e))?;
         let mut stack = Self { path, beside, file: BufWriter::new(file) };
-        // Version 1.0 of the format: magic, length of the header, header; a multiple of 64 bytes in all.
-        let said = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({count}, {height}, {width}), }}");
-        let length = (10 + said.len() + 1).next_multiple_of(64) - 10;
-        let mut header = [b"\x93NUMPY\x01\x00".as_slice(), &(length as u16).to_le_bytes(), said.as_bytes()].concat();
-        header.resize(10 + length - 1, b' ');
-        header.push(b'\n');
-        stack.write(&header)?;
+        stack.write(&npy_header(Number::F32, &[count, height, width]))?;
         Ok(stack)
     }
 
     /// The next picture.
     pub(super) fn push(&mut self, image: &Image) -> Result<()> {
-        let bytes: Vec<u8> = image.pixels.iter().flat_map(|p| (*p as f32).to_le_bytes()).collect();
-        self.write(&bytes)
+        self.write(&floats(image).collect::<Vec<u8>>())
     }
 
     /// All pictures are there.
@@ -155,6 +143,11 @@ fn is_own(path: &Path, count: usize) -> bool {
     let stem = file.strip_suffix(".npy").or_else(|| file.strip_suffix(".png")).unwrap_or_default();
     let stem = stem.strip_suffix(SPREAD).unwrap_or(stem);
     stem.parse().is_ok_and(|row: usize| (1..=count).contains(&row) && name(row) == stem)
+}
+
+/// The pixels as 32-bit numbers.
+fn floats(image: &Image) -> impl Iterator<Item = u8> {
+    image.pixels.iter().flat_map(|p| (*p as f32).to_le_bytes())
 }
 
 /// Writes beside and renames: a file is whole or absent. Not synced, since the command can be given again.
