@@ -1,5 +1,6 @@
 //! One file a verb: what can be said to it, and what it does.
 
+mod changes;
 mod check;
 mod completions;
 mod evaluate;

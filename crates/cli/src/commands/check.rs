@@ -1,6 +1,6 @@
 //! `pwrfgs check`: what a pipeline would do and take, without training.
 
-use super::run::{own_pipeline, with_scale};
+use super::changes::{Changes, named};
 use crate::args::Verbosity;
 use crate::output;
 use crate::progress::Progress;
@@ -23,18 +23,13 @@ pub(crate) struct Check {
     /// The pipeline file, or a run folder
     #[arg(value_name = "PIPELINE")]
     pub(crate) pipeline: PathBuf,
-    /// Change a setting, as for `pwrfgs run`
-    #[arg(long = "set", value_name = "FIELD=VALUE")]
-    pub(crate) set: Vec<String>,
-    /// Multiply every count of steps, as for `pwrfgs run`
-    #[arg(long, value_name = "FACTOR")]
-    pub(crate) scale: Option<f64>,
+    #[command(flatten)]
+    pub(crate) changes: Changes,
 }
 
 pub(crate) fn check(arguments: &Check, verbosity: Verbosity) -> Result<ExitCode> {
-    let file = &arguments.pipeline;
-    let file = if file.is_dir() { own_pipeline(file)? } else { file.clone() };
-    let pipeline = read_pipeline(&file, &with_scale(&arguments.set, arguments.scale))?;
+    let (file, _) = named(&arguments.pipeline)?;
+    let pipeline = read_pipeline(&file, &arguments.changes.all())?;
     let mut progress = Progress::new(verbosity);
     let found = preview(&pipeline, Path::new(""), &mut progress);
     progress.finish();

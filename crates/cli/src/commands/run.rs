@@ -1,13 +1,14 @@
 //! `pwrfgs run`: a pipeline becomes a run folder.
 
+use super::changes::{Changes, named};
 use crate::args::Verbosity;
 use crate::interrupt::{INTERRUPTED, stop_flag};
 use crate::output;
 use crate::progress::Progress;
 use clap::Args;
-use pwrfgs::experiment::folder::{PIPELINE, REPORT};
+use pwrfgs::experiment::folder::REPORT;
 use pwrfgs::experiment::{Outcome, read_pipeline};
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::Result;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -26,43 +27,17 @@ pub(crate) struct Run {
     /// The pipeline file; or a run folder, whose run is resumed, or repeated where --out says
     #[arg(value_name = "PIPELINE")]
     pub(crate) pipeline: PathBuf,
-    /// Change a setting, such as training.batch=16 or pruners.LearnableMask.lambda=0.05; a plugin with other fields is
-    /// given whole, such as 'split=Random(test: 0.3)'
-    #[arg(long = "set", value_name = "FIELD=VALUE")]
-    pub(crate) set: Vec<String>,
-    /// Multiply every count of steps, the schedules' too: 0.25 for a quarter of the training
-    #[arg(long, value_name = "FACTOR")]
-    pub(crate) scale: Option<f64>,
+    #[command(flatten)]
+    pub(crate) changes: Changes,
     /// The run folder [default: runs/NAME, after the name of the pipeline]
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
 }
 
-/// `--set` arguments with `--scale` as one of them.
-pub(super) fn with_scale(set: &[String], scale: Option<f64>) -> Vec<String> {
-    set.iter().cloned().chain(scale.map(|scale| format!("training.scale={scale:?}"))).collect()
-}
-
-/// The pipeline of a run folder.
-pub(super) fn own_pipeline(folder: &Path) -> Result<PathBuf> {
-    let path = folder.join(PIPELINE);
-    if path.is_file() {
-        return Ok(path);
-    }
-    let why = format!("is a folder without {PIPELINE}, so no run folder; give a pipeline file, or the folder of a run");
-    Err(Error::input(folder, why))
-}
-
 pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
-    let set = with_scale(&arguments.set, arguments.scale);
-    let (pipeline, out) = if arguments.pipeline.is_dir() {
-        (read_pipeline(&own_pipeline(&arguments.pipeline)?, &set)?, arguments.pipeline.clone())
-    } else {
-        let pipeline = read_pipeline(&arguments.pipeline, &set)?;
-        let out = Path::new("runs").join(&pipeline.name);
-        (pipeline, out)
-    };
-    let out = arguments.out.clone().unwrap_or(out);
+    let (file, folder) = named(&arguments.pipeline)?;
+    let pipeline = read_pipeline(&file, &arguments.changes.all())?;
+    let out = arguments.out.clone().or(folder).unwrap_or_else(|| Path::new("runs").join(&pipeline.name));
     let stop = stop_flag()?;
     let mut progress = Progress::new(verbosity);
     let outcome = pwrfgs::run(&pipeline, Path::new(""), &out, &mut progress, &stop);

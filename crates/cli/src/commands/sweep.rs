@@ -3,7 +3,7 @@
 mod board;
 mod table;
 
-use super::run::with_scale;
+use super::changes::Changes;
 use crate::args::{Verbosity, count};
 use crate::interrupt::{INTERRUPTED, stop_flag};
 use crate::output;
@@ -35,12 +35,8 @@ pub(crate) struct Sweep {
     /// The experiment file
     #[arg(value_name = "EXPERIMENT")]
     pub(crate) experiment: PathBuf,
-    /// Change a setting of the base pipeline; what an axis says wins
-    #[arg(long = "set", value_name = "FIELD=VALUE")]
-    pub(crate) set: Vec<String>,
-    /// Multiply every count of steps of every run, the schedules' too: 0.1 for a tenth of the training
-    #[arg(long, value_name = "FACTOR")]
-    pub(crate) scale: Option<f64>,
+    #[command(flatten)]
+    pub(crate) changes: Changes,
     /// The sweep folder [default: runs/NAME, after the name of the experiment]
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
@@ -88,8 +84,7 @@ fn shard(text: &str) -> Result<Shard, String> {
 }
 
 pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbosity) -> Result<ExitCode> {
-    let set = with_scale(&arguments.set, arguments.scale);
-    let plan = Plan::read(&arguments.experiment, &set, arguments.out.as_deref())?;
+    let plan = Plan::read(&arguments.experiment, &arguments.changes.all(), arguments.out.as_deref())?;
     let runs = chosen(&plan, arguments)?;
     if arguments.status {
         output::result(&table::status(&plan, &runs, &queued_or_note(&plan)))?;
@@ -205,7 +200,7 @@ fn task_command(plan: &Plan, arguments: &Sweep, threads: usize) -> Result<Vec<St
     // Paths in --set are relative to where one stands, also in a task.
     let mut words = vec!["env".into(), format!("--chdir={}", text(&here)?), text(&program)?, "sweep".into()];
     words.extend([text(&arguments.experiment)?, "--out".into(), text(&plan.folder)?]);
-    words.extend(with_scale(&arguments.set, arguments.scale).into_iter().flat_map(|set| ["--set".into(), set]));
+    words.extend(arguments.changes.all().into_iter().flat_map(|set| ["--set".into(), set]));
     words.extend(["--threads".into(), threads.to_string(), "--quiet".into(), "--only".into()]);
     Ok(words)
 }

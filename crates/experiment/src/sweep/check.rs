@@ -4,6 +4,7 @@ use super::plan::{Plan, PlannedRun};
 use super::status::State;
 use crate::folder::RunFolder;
 use crate::observer::Observer;
+use crate::preview::{fitting, fitting_network};
 use crate::runner::load;
 use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_train::{Pipeline, Trainer};
@@ -92,7 +93,9 @@ fn try_each<R>(
             loaded = Some((key, data, partition));
         }
         if let Some((_, data, partition)) = &loaded {
+            fitting_network(pipeline).map_err(named)?;
             let mut trainer = Trainer::new(pipeline, data, partition).map_err(named)?;
+            fitting(&trainer).map_err(named)?;
             all.push(then(&mut trainer).map_err(named)?);
         }
     }
