@@ -56,12 +56,13 @@ impl<'a> Bench<'a> {
         Self { data, plane, part: part.to_vec(), txs: part.iter().map(|&i| data.samples[i].tx).collect() }
     }
 
-    /// Every measurement of `model`. Without `facts` nothing is said of the model itself, and it is not timed.
+    /// Every measurement of `model`, called `name` in messages. Without `facts` nothing is said of the model itself, and it is not timed.
     ///
     /// # Errors
     /// Where a metric refuses, or a spectrum cannot be read; [`Error::Stopped`] once `stop` is set.
     pub fn model(
         &self,
+        name: &str,
         model: &Prepared<'_>,
         facts: Option<ModelFacts<'_>>,
         metrics: &[Plugin<dyn Metric>],
@@ -78,7 +79,7 @@ impl<'a> Bench<'a> {
             facts,
             timed: facts.is_some().then_some(&timed),
         };
-        self.measure("the model", subject, metrics, observer, stop)
+        self.measure(name, subject, metrics, observer, stop)
     }
 
     /// Every measurement of a baseline called `name`.

@@ -3,12 +3,13 @@
 //! Baselines make no choices, so they are fitted on training and validation together: the stronger floor.
 
 use crate::bench::Bench;
+use crate::confidence::Confidence;
 use crate::examples::{self, Example};
 use crate::observer::{Observer, Silent};
 use crate::scores::{MODEL, Scores};
 use crate::validation;
-use pwrfgs_core::{Dataset, Error, Measurement, ModelFacts, Partition, Real, Result, Values};
-use pwrfgs_model::{Model, Prepared};
+use pwrfgs_core::{Dataset, Error, Measurement, ModelFacts, Partition, Result, Values};
+use pwrfgs_model::Ensemble;
 use pwrfgs_train::Pipeline;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -19,22 +20,24 @@ pub struct Assessment {
     pub scores: Scores,
     /// The best, the median and the worst by SSIM, as far as these are different.
     pub examples: Vec<Example>,
+    /// Of an ensemble: whether its members differ where it is wrong.
+    pub confidence: Option<Confidence>,
 }
 
-/// Scores `model`, or an ensemble of them, and the pipeline's baselines on the test part of `data`.
+/// Scores `model`, or an ensemble and each of its members, and the pipeline's baselines on the test part of `data`.
 ///
 /// # Errors
 /// Where the model draws pictures of another size than the data hold, or a metric or baseline refuses;
 /// [`Error::Stopped`] once `stop` is set.
 pub fn evaluate(
-    model: &Prepared<'_>,
+    model: &Ensemble,
     pipeline: &Pipeline,
     data: &Dataset,
     partition: &Partition,
     observer: &mut dyn Observer,
     stop: &AtomicBool,
 ) -> Result<Assessment> {
-    let plane = model.plane();
+    let (ensemble, model, plane) = (model, &model.prepare(), model.plane());
     if (plane.width, plane.height) != (data.width, data.height) {
         return Err(Error::Config(format!(
             "the model draws {}x{} pixels and the spectra of the data have {}x{}; evaluate it on data like those it was \
@@ -50,22 +53,34 @@ pub fn evaluate(
         )));
     }
     let test = Bench::new(data, &partition.test, plane);
-    let means: Vec<[Real; 3]> = model.models().flat_map(|m| m.means_from(data.scene.origin)).collect();
-    let facts = ModelFacts {
-        means: &means,
-        gaussian_bytes: model.models().map(Model::gaussian_bytes).sum(),
-        network_bytes: model.models().map(Model::network_bytes).sum(),
+    let score = |ensemble: &Ensemble, name: &str, observer: &mut dyn Observer| {
+        let facts = ModelFacts {
+            means: &ensemble.means_from(data.scene.origin),
+            gaussian_bytes: ensemble.gaussian_bytes(),
+            network_bytes: ensemble.network_bytes(),
+        };
+        test.model(name, &ensemble.prepare(), Some(facts), &pipeline.metrics, observer, stop)
     };
-    let own = test.model(model, Some(facts), &pipeline.metrics, observer, stop)?;
+    let own = score(ensemble, "the model", observer)?;
     let ssims = if let Some(values) = ssim(&own) {
         values.to_vec()
     } else {
         // The pipeline does not ask for it, but a report shows pictures by it.
         let metrics = validation::metrics().unwrap_or_default();
-        ssim(&test.model(model, None, &metrics, &mut Silent, stop)?).map_or_else(Vec::new, <[f64]>::to_vec)
+        ssim(&test.model("the model", model, None, &metrics, &mut Silent, stop)?).map_or_else(Vec::new, <[f64]>::to_vec)
     };
     let examples = examples::choose(model, data, &partition.test, &ssims)?;
     let mut predictors = vec![(MODEL.to_owned(), own)];
+    let (mut members, mut confidence) = (Vec::new(), None);
+    if ensemble.members().len() > 1 {
+        for (name, member) in ensemble.names().iter().zip(ensemble.members()) {
+            let name = format!("member {name}");
+            let scores = score(&Ensemble::of(member.clone()), &name, observer)?;
+            predictors.push((name.clone(), scores));
+            members.push(name);
+        }
+        confidence = Some(Confidence::measure(model, data, &partition.test, observer, stop)?);
+    }
     let (mut notes, mut bounds): (Vec<String>, Vec<String>) = Default::default();
     let known = partition.known();
     for baseline in &pipeline.baselines {
@@ -78,7 +93,7 @@ pub fn evaluate(
         notes.extend(fitted.note().filter(|note| !notes.contains(note)));
     }
     let ids = partition.test.iter().map(|&i| data.samples[i].id).collect();
-    Ok(Assessment { scores: Scores { ids, predictors, bounds, notes }, examples })
+    Ok(Assessment { scores: Scores { ids, predictors, bounds, members, notes }, examples, confidence })
 }
 
 /// The structural similarity of every sample, where it was measured.

@@ -1,7 +1,7 @@
 //! `run.json`: with what, on what and how long.
 
 use crate::clock;
-use crate::folder::{CURVE, FACTS, MODEL_FILE, REPORT, SAMPLES, SCORES, START_SNAPSHOT, UNPRUNED_SNAPSHOT, VALIDATION};
+use crate::folder::{CONFIDENCE, CURVE, FACTS, MODEL_FILE, REPORT, SAMPLES, SCORES, START_SNAPSHOT, UNPRUNED_SNAPSHOT, VALIDATION};
 use crate::memory;
 use crate::scores::ScoreTable;
 use pwrfgs_core::files::{self, digest, write_atomically};
@@ -34,6 +34,9 @@ pub struct Facts {
     pub steps: u64,
     /// Gaussians.
     pub gaussians: usize,
+    /// Of an ensemble, what its members are called: steps, seconds of training and Gaussians are then those of all.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub members: Vec<String>,
     /// Seconds of training and evaluation, all starts together.
     pub wall_seconds: f64,
     /// Of these, seconds inside training steps.
@@ -75,9 +78,10 @@ const MAX_BYTES: u64 = 1 << 18;
 
 /// The files that are known by a mark. Of the others, `pipeline.ron` is compared with the pipeline at hand, the checkpoint
 /// has a digest of its own, and TensorBoard alone reads the events.
-const MARKED: [&str; 8] = [MODEL_FILE, SCORES, SAMPLES, REPORT, CURVE, VALIDATION, START_SNAPSHOT, UNPRUNED_SNAPSHOT];
+const MARKED: [&str; 9] =
+    [MODEL_FILE, SCORES, SAMPLES, CONFIDENCE, REPORT, CURVE, VALIDATION, START_SNAPSHOT, UNPRUNED_SNAPSHOT];
 /// Those of them that the run makes again where they are missing.
-const MADE_AGAIN: [&str; 4] = [MODEL_FILE, SCORES, SAMPLES, REPORT];
+const MADE_AGAIN: [&str; 5] = [MODEL_FILE, SCORES, SAMPLES, CONFIDENCE, REPORT];
 
 /// A computer.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -2,7 +2,7 @@
 
 use pwrfgs_core::files::{self, refuse_foreign, write_atomically};
 use pwrfgs_core::{Error, Result};
-use pwrfgs_train::Pipeline;
+use crate::recipe::Recipe;
 use std::fs::{File, TryLockError};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -28,6 +28,8 @@ pub const EVENTS: &str = "events.out.tfevents.pwrfgs";
 pub const SCORES: &str = "scores.csv";
 /// Every transmitter.
 pub const SAMPLES: &str = "samples.csv";
+/// Spread and error of every test sample, of an ensemble.
+pub const CONFIDENCE: &str = "confidence.csv";
 /// Circumstances: machine, seed, times.
 pub const FACTS: &str = "run.json";
 /// The report.
@@ -42,14 +44,14 @@ pub struct RunFolder {
 }
 
 impl RunFolder {
-    /// Whether `path` may hold the run of this pipeline; reads only.
+    /// Whether `path` may hold the run of this recipe; reads only.
     ///
     /// # Errors
-    /// Where it is no folder, or holds something else, or a run of another pipeline.
-    pub fn inspect(path: &Path, pipeline: &Pipeline) -> Result<()> {
+    /// Where it is no folder, or holds something else, or a run of another recipe.
+    pub fn inspect(path: &Path, recipe: &Recipe) -> Result<()> {
         let own = path.join(PIPELINE);
         match files::read_string(&own) {
-            Ok(text) => same_pipeline(path, &own, &text, &pipeline.essential().to_ron()),
+            Ok(text) => same_recipe(path, &own, &text, &recipe.essential().to_ron()),
             Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => {
                 refuse_foreign(path, "a run folder")
             }
@@ -61,12 +63,12 @@ impl RunFolder {
     ///
     /// # Errors
     /// As [`Self::inspect`], or where it cannot be written, or another process is at work in it.
-    pub fn claim(path: &Path, pipeline: &Pipeline) -> Result<Self> {
-        Self::inspect(path, pipeline)?;
+    pub fn claim(path: &Path, recipe: &Recipe) -> Result<Self> {
+        Self::inspect(path, recipe)?;
         std::fs::create_dir_all(path).map_err(|e| Error::write(path, e))?;
         let own = path.join(PIPELINE);
         if !own.exists() {
-            write_atomically(&own, pipeline.to_ron().as_bytes())?;
+            write_atomically(&own, recipe.to_ron().as_bytes())?;
         }
         let lock = files::open(&own).map_err(|e| Error::read(&own, e))?;
         match patiently(&lock) {
@@ -110,9 +112,9 @@ fn patiently(lock: &File) -> Result<(), TryLockError> {
 }
 
 /// Refuses a folder that holds a run of another pipeline, naming the first difference.
-fn same_pipeline(folder: &Path, file: &Path, theirs: &str, ours: &str) -> Result<()> {
+fn same_recipe(folder: &Path, file: &Path, theirs: &str, ours: &str) -> Result<()> {
     // Read and written again, so that fields added since with their defaults, or a comment, are no difference.
-    let theirs = Pipeline::parse(theirs, file).map_or_else(|_| theirs.to_owned(), |p| p.essential().to_ron());
+    let theirs = Recipe::parse(theirs, file, &[]).map_or_else(|_| theirs.to_owned(), |recipe| recipe.essential().to_ron());
     let differ = theirs.lines().zip(ours.lines()).enumerate().find(|(_, (a, b))| a != b);
     match differ {
         Some((line, (there, here))) => Err(Error::Config(format!(
@@ -135,7 +137,7 @@ fn same_pipeline(folder: &Path, file: &Path, theirs: &str, ours: &str) -> Result
 /// tells that nobody is writing them any more. What cannot be removed does no harm.
 fn remove_leftovers(folder: &Path) {
     let own = [PIPELINE, CHECKPOINT, MODEL_FILE, START_SNAPSHOT, UNPRUNED_SNAPSHOT, CURVE, VALIDATION, SCORES, SAMPLES];
-    let own = [&own[..], &[REPORT, FACTS]].concat();
+    let own = [&own[..], &[CONFIDENCE, REPORT, FACTS]].concat();
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
         let name = entry.file_name().to_string_lossy().into_owned();
         let stem = name.strip_prefix('.').and_then(|n| n.strip_suffix(".tmp")).and_then(|n| n.rsplit_once('.'));

@@ -1,24 +1,27 @@
 //! From files and `--set` arguments to pipelines whose paths hold everywhere.
 
+use crate::recipe::Recipe;
 use crate::runner::rebase;
 use pwrfgs_core::{Result, files::read_text};
 use pwrfgs_train::Pipeline;
 use std::path::Path;
 
-/// Reads the pipeline in `path`, applies `--set` arguments and then its `training.scale`. Paths in the file are relative
-/// to the file.
+/// The pipeline in `path`, or what the ensemble there is scored by, as [`Recipe::read`] gives it.
 ///
 /// # Errors
-/// [`Error::Input`](pwrfgs_core::Error::Input) with line and column, or what is wrong with an argument.
+/// As there.
 pub fn read_pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
-    let mut pipeline = read_base(path)?;
-    set_all(&mut pipeline, set)?;
-    pipeline.resolved()
+    Recipe::read(path, set).map(|recipe| recipe.pipeline())
 }
 
 /// The pipeline in `path` as it stands there, with `training.scale` still to be multiplied in.
 pub(crate) fn read_base(path: &Path) -> Result<Pipeline> {
-    let mut pipeline = Pipeline::parse(&read_text(path)?, path)?;
+    parse_base(&read_text(path)?, path)
+}
+
+/// [`read_base`] of text that was read from `path`.
+pub(crate) fn parse_base(text: &str, path: &Path) -> Result<Pipeline> {
+    let mut pipeline = Pipeline::parse(text, path)?;
     rebase(&mut pipeline, path.parent().unwrap_or(Path::new("")));
     Ok(pipeline)
 }

@@ -2,12 +2,12 @@
 
 use crate::evaluate::Assessment;
 use crate::facts::Facts;
-use crate::folder::{REPORT, SAMPLES, SCORES};
+use crate::folder::{CONFIDENCE, REPORT, SAMPLES, SCORES};
 use crate::observer::Validation;
 use crate::samples;
 use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::{Dataset, Partition, Result};
-use pwrfgs_model::Model;
+use pwrfgs_model::Ensemble;
 use pwrfgs_train::Pipeline;
 use std::path::Path;
 
@@ -17,10 +17,12 @@ pub type Page = fn(&Results<'_>) -> Result<String>;
 /// An evaluated model and all that is known of it.
 #[derive(Clone, Debug)]
 pub struct Results<'a> {
-    /// How it was made.
+    /// Data, split, baselines and metrics; of one model also how it was made.
     pub pipeline: &'a Pipeline,
-    /// The model.
-    pub model: &'a Model,
+    /// How it was made, every setting as RON text.
+    pub settings: String,
+    /// The model, or several that predict together.
+    pub model: &'a Ensemble,
     /// The data it was scored on.
     pub data: &'a Dataset,
     /// And their split.
@@ -36,7 +38,8 @@ pub struct Results<'a> {
 }
 
 impl Results<'_> {
-    /// Writes `scores.csv`, `samples.csv` and, where there is a `page`, `report.html` into `folder`.
+    /// Writes `scores.csv`, `samples.csv`, of an ensemble `confidence.csv`, and where there is a `page` `report.html` into
+    /// `folder`.
     ///
     /// # Errors
     /// Where the folder cannot be written.
@@ -44,6 +47,9 @@ impl Results<'_> {
         let put = |name: &str, text: String| write_atomically(&folder.join(name), text.as_bytes());
         put(SCORES, self.assessment.scores.to_csv())?;
         put(SAMPLES, samples::to_csv(self.data, self.partition))?;
+        if let Some(confidence) = &self.assessment.confidence {
+            put(CONFIDENCE, confidence.to_csv())?;
+        }
         page.map_or(Ok(()), |page| put(REPORT, page(self)?))
     }
 }

@@ -10,13 +10,14 @@ use crate::folder::{CHECKPOINT, MODEL_FILE, RunFolder, START_SNAPSHOT, UNPRUNED_
 use crate::journal::{Journal, note_scores};
 use crate::observer::{Observer, Start, staged};
 use crate::preview::{fitting, fitting_network};
+use crate::recipe::Recipe;
 use crate::results::{Page, Results};
 use crate::scores::ScoreTable;
 use crate::snapshot::Snapshot;
 use crate::{clock, samples, validation};
 use pwrfgs_core::files::{self, write_atomically};
-use pwrfgs_core::{Dataset, Error, GaussianCloud, Partition, Result, rng};
-use pwrfgs_model::{Model, file};
+use pwrfgs_core::{Dataset, Error, GaussianCloud, Partition, Result};
+use pwrfgs_model::{Ensemble, Model, file};
 use pwrfgs_train::{Estimate, Pipeline, Trainer};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -61,7 +62,8 @@ pub fn run(
     rebase(&mut pipeline, base);
     let pipeline = pipeline.resolved()?;
     pipeline.check_text()?;
-    RunFolder::inspect(out, &pipeline)?;
+    let recipe = Recipe::Pipeline(Box::new(pipeline.clone()));
+    RunFolder::inspect(out, &recipe)?;
     if let Some((scores, facts)) = Facts::finished(out)?.filter(|(_, facts)| facts.report || page.is_none()) {
         facts.verify(out)?;
         return Ok(Outcome::Finished { scores, already: true });
@@ -70,7 +72,7 @@ pub fn run(
     let mut run = Run { pipeline: &pipeline, data: &data, partition: &partition, observer, stop, page, begun };
     // Made before the folder is claimed: settings that cannot work must leave nothing behind.
     let trainer = if out.join(MODEL_FILE).is_file() { None } else { Some(run.trainer(out)?) };
-    let folder = RunFolder::claim(out, &pipeline)?;
+    let folder = RunFolder::claim(out, &recipe)?;
     let (mut facts, earlier) = Facts::open(out, pipeline.seed)?;
     facts.data.clone_from(&data.title);
     facts.simulated = data.is_simulated();
@@ -99,7 +101,7 @@ pub fn run(
 /// Whatever is wrong with the data, or a split that leaves nothing to train on or to test.
 pub fn load(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Result<(Dataset, Partition)> {
     let data = staged(observer, "spectra", |progress| pipeline.data.load(base, progress))?;
-    let partition = pipeline.split.split(&data, &mut rng::stream(pipeline.seed, "split", 0))?;
+    let partition = pipeline.partition(&data)?;
     for (part, name) in [(&partition.train, "training"), (&partition.test, "test")] {
         if part.is_empty() {
             return Err(Error::Config(format!("split: no sample is left for the {name} part; change `split`")));
@@ -230,8 +232,9 @@ impl<'a> Run<'a> {
     fn assess(&mut self, model: &Model, folder: &RunFolder, facts: &mut Facts) -> Result<ScoreTable> {
         let (earlier, begun) = (facts.wall_seconds, Instant::now());
         self.observer.on_message(&format!("scoring {} test spectra", self.partition.test.len()));
+        let ensemble = Ensemble::of(model.clone());
         let assessment =
-            evaluate(&model.prepare(), self.pipeline, self.data, self.partition, self.observer, self.stop)?;
+            evaluate(&ensemble, self.pipeline, self.data, self.partition, self.observer, self.stop)?;
         let plane = &model.stages.plane;
         let floors = validation::floors(self.pipeline, plane, self.data, self.partition, self.observer, self.stop)?;
         let scores = assessment.scores.table();
@@ -244,7 +247,8 @@ impl<'a> Run<'a> {
         facts.note_memory(); // here, so that the report tells what run.json tells
         let results = Results {
             pipeline: self.pipeline,
-            model,
+            settings: self.pipeline.to_ron(),
+            model: &ensemble,
             data: self.data,
             partition: self.partition,
             assessment: &assessment,

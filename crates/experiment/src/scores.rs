@@ -18,6 +18,8 @@ pub struct Scores {
     pub predictors: Vec<(String, Vec<Measurement>)>,
     /// Those of them that know the scene which made the data: bounds, and in no ranking.
     pub bounds: Vec<String>,
+    /// Those of them that are members of the model, where it is an ensemble.
+    pub members: Vec<String>,
     /// What a reader of the numbers must know, one sentence each.
     pub notes: Vec<String>,
 }
@@ -63,6 +65,9 @@ pub struct ScoreTable {
     pub metrics: Vec<MetricRow>,
     /// Predictors that know the scene which made the data.
     pub bounds: Vec<String>,
+    /// Predictors that are members of the model.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub members: Vec<String>,
     /// Sentences printed under the table.
     pub notes: Vec<String>,
 }
@@ -159,7 +164,8 @@ impl Scores {
             }
         }
         let predictors = self.predictors.iter().map(|(name, _)| name.clone()).collect();
-        ScoreTable { predictors, metrics, bounds: self.bounds.clone(), notes: self.notes.clone() }
+        let (bounds, members) = (self.bounds.clone(), self.members.clone());
+        ScoreTable { predictors, metrics, bounds, members, notes: self.notes.clone() }
     }
 
     /// The text of `scores.csv`.
@@ -260,6 +266,7 @@ mod tests {
                 ),
             ],
             bounds: vec![],
+            members: vec![],
             notes: vec!["k, far has seen the test spectra".into()],
         }
     }

@@ -2,7 +2,7 @@
 
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Error, GaussianCloud, Origin, Real, Result, sigmoid};
-use pwrfgs_model::tensors::Tensors;
+use pwrfgs_model::{Ensemble, tensors::Tensors};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -38,6 +38,13 @@ impl Snapshot {
     pub fn of(step: u64, cloud: &GaussianCloud, origin: Origin) -> Self {
         let opacities = cloud.opacity_logits.iter().copied().map(sigmoid).collect();
         Self { step, origin, means: cloud.means.clone(), opacities }
+    }
+
+    /// Of all members of an ensemble together.
+    pub fn of_ensemble(step: u64, ensemble: &Ensemble) -> Self {
+        let origin = ensemble.members()[0].stages.origin;
+        let logits = ensemble.members().iter().flat_map(|model| model.cloud.opacity_logits.iter().copied());
+        Self { step, origin, means: ensemble.means_from(origin), opacities: logits.map(sigmoid).collect() }
     }
 
     /// Centre `i` in the user's frame, metres.

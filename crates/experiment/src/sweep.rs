@@ -14,6 +14,7 @@ mod status;
 
 pub use check::{check, estimate};
 pub use execute::{Board, Fate, execute};
+pub(crate) use experiment::slug;
 pub use experiment::{Axis, Experiment, Slurm, Variant};
 pub use listing::{LISTING, ListedRun, Listing};
 pub use plan::{Plan, PlannedRun};

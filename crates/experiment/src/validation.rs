@@ -39,7 +39,7 @@ fn row(step: u64, measured: &[Measurement]) -> Validation {
 pub(crate) fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize]) -> Result<Validation> {
     let bench = Bench::new(data, part, &model.stages.plane);
     let never = AtomicBool::new(false);
-    Ok(row(step, &bench.model(&model.prepare(), None, &metrics()?, &mut Silent, &never)?))
+    Ok(row(step, &bench.model("the model", &model.prepare(), None, &metrics()?, &mut Silent, &never)?))
 }
 
 /// What each baseline, having seen the training part alone, reaches on the samples that validation looks at.

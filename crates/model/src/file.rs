@@ -1,14 +1,28 @@
 //! The model file: `docs/model-format.md` is its description.
 
 use crate::tensors::Tensors;
-use crate::{Calibration, Model, Readout, Stages};
+use crate::{Calibration, Ensemble, Model, Readout, Stages};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::plugin::{Plugin, PluginKind, ron_options};
 use pwrfgs_core::{COLUMN_NAMES, Error, ExtraColumn, GaussianCloud, ImagePlane, Origin, Pose, Real, Result};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// What the file says besides numbers.
+/// What the file of several models says besides numbers; the tensors of each have a prefix.
+#[derive(Serialize, Deserialize)]
+struct EnsembleNote {
+    format: String,
+    version: u32,
+    members: Vec<MemberNote>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct MemberNote {
+    name: String,
+    model: Note,
+}
+
+/// What the file of a model says besides numbers.
 #[derive(Serialize, Deserialize)]
 struct Note {
     format: String,
@@ -28,6 +42,10 @@ struct Note {
 }
 
 const FORMAT: &str = "pwrfgs-model";
+const ENSEMBLE_FORMAT: &str = "pwrfgs-ensemble";
+const ENSEMBLE_VERSION: u32 = 1;
+/// The most members that a file is believed to have.
+const MOST_MEMBERS: usize = 1_000;
 /// Of a file without an origin, and of one with: who knows of none would predict something else from it.
 const VERSION: u32 = 1;
 const VERSION_WITH_ORIGIN: u32 = 2;
@@ -53,17 +71,55 @@ pub fn to_bytes(model: &Model) -> Vec<u8> {
     tensors(model).to_bytes()
 }
 
-/// The same with the network in 16-bit numbers: about half as long. What is read from it predicts a little differently.
+/// Writes several models that predict together to one file, whole or not at all; one alone as [`write`] does.
 ///
 /// # Errors
-/// Where a number of the network is too large for 16 bits.
-pub fn to_bytes_half(model: &Model) -> Result<Vec<u8>> {
-    tensors(model).to_bytes_half(NETWORK).map_err(Error::Config)
+/// [`Error::Write`].
+pub fn write_ensemble(path: &Path, ensemble: &Ensemble) -> Result<()> {
+    write_atomically(path, &ensemble_tensors(ensemble).to_bytes())
+}
+
+/// The bytes of the file with the networks in 16-bit numbers: about half as long. What is read from it predicts a little
+/// differently.
+///
+/// # Errors
+/// Where a number of a network is too large for 16 bits.
+pub fn to_bytes_half(ensemble: &Ensemble) -> Result<Vec<u8>> {
+    ensemble_tensors(ensemble).to_bytes_half(NETWORK).map_err(Error::Config)
 }
 
 fn tensors(model: &Model) -> Tensors {
+    let mut file = Tensors::new(json(&note(model)));
+    put_model(&mut file, "", model);
+    file
+}
+
+fn ensemble_tensors(ensemble: &Ensemble) -> Tensors {
+    if let [model] = ensemble.members() {
+        return tensors(model);
+    }
+    let named = || ensemble.names().iter().zip(ensemble.members());
+    let members = named().map(|(name, model)| MemberNote { name: name.clone(), model: note(model) }).collect();
+    let mut file =
+        Tensors::new(json(&EnsembleNote { format: ENSEMBLE_FORMAT.into(), version: ENSEMBLE_VERSION, members }));
+    for (place, model) in ensemble.members().iter().enumerate() {
+        put_model(&mut file, &prefix(place), model);
+    }
+    file
+}
+
+/// What the names of a member's tensors begin with.
+fn prefix(place: usize) -> String {
+    format!("members.{place}.")
+}
+
+fn json(note: &impl Serialize) -> String {
+    serde_json::to_string(note).expect("plain data")
+}
+
+fn note(model: &Model) -> Note {
     let s = &model.stages;
-    let note = Note {
+    Note {
         format: FORMAT.into(),
         version: version(s.origin),
         gaussians: model.cloud.len(),
@@ -75,28 +131,60 @@ fn tensors(model: &Model) -> Tensors {
         pose: s.receiver(),
         origin: s.origin,
         plane: s.plane.clone(),
-    };
-    let mut file = Tensors::new(serde_json::to_string(&note).expect("plain data"));
-    put_cloud(&mut file, "gaussians.", &model.cloud);
-    put_weights(&mut file, NETWORK, &model.weights, s);
-    for (spec, values) in s.deformation.constants() {
-        file.put(format!("{CONSTANTS}{}", spec.name), spec.shape, values);
     }
-    file
 }
 
-/// Reads a model file.
+fn put_model(file: &mut Tensors, prefix: &str, model: &Model) {
+    put_cloud(file, &format!("{prefix}gaussians."), &model.cloud);
+    put_weights(file, &format!("{prefix}{NETWORK}"), &model.weights, &model.stages);
+    for (spec, values) in model.stages.deformation.constants() {
+        file.put(format!("{prefix}{CONSTANTS}{}", spec.name), spec.shape, values);
+    }
+}
+
+/// Reads a file that holds one model.
 ///
 /// # Errors
-/// [`Error::Read`], or [`Error::Input`] for a file that is not a whole model or names plugins not linked here.
+/// [`Error::Read`], or [`Error::Input`] for a file that is not a whole model, holds several, or names plugins not linked
+/// here.
 pub fn read(path: &Path) -> Result<Model> {
+    let ensemble = read_ensemble(path)?;
+    let count = ensemble.members().len();
+    let several = || Error::input(path, format!("holds {count} models that predict together; take one of its members"));
+    ensemble.into_only().ok_or_else(several)
+}
+
+/// Reads a file that holds one model, or several that predict together.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_ensemble(path: &Path) -> Result<Ensemble> {
     let bytes = files::read(path).map_err(|e| Error::read(path, e))?;
     from_bytes(&bytes).map_err(|why| Error::input(path, format!("{why}; give the model.safetensors of a finished run")))
 }
 
-fn from_bytes(bytes: &[u8]) -> Result<Model, String> {
+fn from_bytes(bytes: &[u8]) -> Result<Ensemble, String> {
     let mut file = Tensors::from_bytes(bytes)?;
-    let note: Note = serde_json::from_str(&file.note).map_err(|e| format!("not a pwrfgs model ({e})"))?;
+    let Ok(EnsembleNote { format, version, members }) = serde_json::from_str(&file.note) else {
+        let note = serde_json::from_str(&file.note).map_err(|e| format!("not a pwrfgs model ({e})"))?;
+        return Ok(Ensemble::of(take_model(&mut file, "", &note)?));
+    };
+    if format != ENSEMBLE_FORMAT || version != ENSEMBLE_VERSION || members.len() > MOST_MEMBERS {
+        return Err(format!(
+            "a `{format}` of version {version} with {} members, this program reads `{ENSEMBLE_FORMAT}` of version \
+             {ENSEMBLE_VERSION} with at most {MOST_MEMBERS}",
+            members.len()
+        ));
+    }
+    let mut models = Vec::new();
+    for (place, MemberNote { name, model }) in members.into_iter().enumerate() {
+        let model = take_model(&mut file, &prefix(place), &model).map_err(|why| format!("member {place}: {why}"))?;
+        models.push((name, model));
+    }
+    Ensemble::named(models)
+}
+
+fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, String> {
     if note.format != FORMAT || note.version != version(note.origin) {
         return Err(format!(
             "a `{}` of version {}, this program reads `{FORMAT}` up to {VERSION_WITH_ORIGIN}",
@@ -114,19 +202,19 @@ fn from_bytes(bytes: &[u8]) -> Result<Model, String> {
         readout: note.readout,
         origin: note.origin,
         pose: note.origin.local_pose(note.pose),
-        plane: note.plane,
+        plane: note.plane.clone(),
     };
     stages.check()?;
-    let cloud = take_cloud(&mut file, "gaussians.", note.gaussians)?;
-    let weights = take_weights(&mut file, NETWORK, &stages)?;
-    check_constants(&mut file, &stages)?;
+    let cloud = take_cloud(file, &format!("{prefix}gaussians."), note.gaussians)?;
+    let weights = take_weights(file, &format!("{prefix}{NETWORK}"), &stages)?;
+    check_constants(file, prefix, &stages)?;
     Ok(Model { stages, cloud, weights })
 }
 
 /// Refuses a file whose constants are not those that its deformation draws here: it would predict something else.
-fn check_constants(file: &mut Tensors, stages: &Stages) -> Result<(), String> {
+fn check_constants(file: &mut Tensors, prefix: &str, stages: &Stages) -> Result<(), String> {
     for (spec, drawn) in stages.deformation.constants() {
-        let name = format!("{CONSTANTS}{}", spec.name);
+        let name = format!("{prefix}{CONSTANTS}{}", spec.name);
         if file.shape(&name).is_none() {
             continue; // written when files did not hold them
         }

@@ -72,15 +72,18 @@ impl Tensors {
         self.encode(|_| false)
     }
 
-    /// The same with the tensors whose name begins with `prefix` in 16-bit floating-point numbers (F16).
+    /// The same with the tensors whose name begins with `prefix`, or has it after a dot, in 16-bit floating-point numbers
+    /// (F16).
     ///
     /// # Errors
     /// Names a tensor with a number beyond ±65504, the largest of F16.
     pub fn to_bytes_half(&self, prefix: &str) -> Result<Vec<u8>, String> {
+        let inner = format!(".{prefix}");
+        let short = |name: &str| name.starts_with(prefix) || name.contains(&inner);
         let too_large = |v: &Real| !half::f16::from_f64(f64::from(*v)).is_finite();
-        match self.tensors.iter().find(|(name, (_, values))| name.starts_with(prefix) && values.iter().any(too_large)) {
+        match self.tensors.iter().find(|(name, (_, values))| short(name) && values.iter().any(too_large)) {
             Some((name, _)) => Err(format!("tensor `{name}` holds a number too large for 16 bits")),
-            None => Ok(self.encode(|name| name.starts_with(prefix))),
+            None => Ok(self.encode(short)),
         }
     }
 

@@ -6,8 +6,8 @@ use pwrfgs_core::docs::Kind;
 use pwrfgs_core::plugin::{Checked, Plugin, default_of, read_ron, try_to_ron};
 use pwrfgs_core::ron_tree::Tree;
 use pwrfgs_core::{
-    Baseline, DataSource, Deformation, Documented, Error, Initializer, Metric, Projector, Pruner, Rasterizer, Result,
-    Split,
+    Baseline, DataSource, Dataset, Deformation, Documented, Error, Initializer, Metric, Partition, Projector, Pruner,
+    Rasterizer, Result, Split, rng,
 };
 use pwrfgs_model::{Calibration, Readout, check_together};
 use ron::value::RawValue;
@@ -26,6 +26,8 @@ pub struct Pipeline {
     pub name: String,
     /// The one seed that decides everything.
     pub seed: u64,
+    /// Seed of the split alone; left out, the one seed. Members of an ensemble are divided alike by it.
+    pub split_seed: Option<u64>,
     /// Where the spectra come from.
     pub data: Plugin<dyn DataSource>,
     /// Training, validation and test.
@@ -67,6 +69,7 @@ pub struct PipelineFields<T> {
     pub set: Option<BTreeMap<String, Box<RawValue>>>,
     pub name: Option<String>,
     pub seed: Option<u64>,
+    pub split_seed: Option<u64>,
     pub data: Option<Plugin<dyn DataSource>>,
     pub split: Option<Plugin<dyn Split>>,
     pub initializer: Option<Plugin<dyn Initializer>>,
@@ -121,6 +124,7 @@ impl TryFrom<PipelineFields<Checked<Training>>> for Pipeline {
         Ok(Self {
             name: given.name.ok_or_else(|| missing("name"))?,
             seed: given.seed.unwrap_or_default(),
+            split_seed: given.split_seed,
             data: given.data.ok_or_else(|| missing("data"))?,
             split: or_default("split", given.split)?,
             initializer: given.initializer.ok_or_else(|| missing("initializer"))?,
@@ -202,6 +206,14 @@ impl Pipeline {
     /// As there.
     pub fn set(&mut self, argument: &str) -> Result<()> {
         self.set_all(&[argument])
+    }
+
+    /// How its split divides `data`.
+    ///
+    /// # Errors
+    /// What the split refuses.
+    pub fn partition(&self, data: &Dataset) -> Result<Partition> {
+        self.split.split(data, &mut rng::stream(self.split_seed.unwrap_or(self.seed), "split", 0))
     }
 
     /// The pipeline as it is trained: `training.scale` multiplied into every count of steps.

@@ -5,6 +5,7 @@ use super::status::State;
 use crate::folder::RunFolder;
 use crate::observer::Observer;
 use crate::preview::{fitting, fitting_network};
+use crate::recipe::Recipe;
 use crate::runner::load;
 use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_train::{Pipeline, Trainer};
@@ -23,7 +24,8 @@ const PATIENCE: Duration = Duration::from_secs(2);
 pub fn check(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<usize>> {
     for &run in runs {
         plan.runs[run].pipeline.check_text()?;
-        RunFolder::inspect(&plan.folder_of(run), &plan.runs[run].pipeline)?;
+        let recipe = Recipe::Pipeline(Box::new(plan.runs[run].pipeline.clone()));
+        RunFolder::inspect(&plan.folder_of(run), &recipe)?;
     }
     let open: Vec<usize> = runs.iter().copied().filter(|&r| !matches!(plan.state(r), State::Finished(_))).collect();
     try_each(plan, &representatives(plan, &open), observer, |_| Ok(()))?;
@@ -104,7 +106,7 @@ fn try_each<R>(
 
 /// Equal where the same samples are trained on.
 fn data_key(pipeline: &Pipeline) -> String {
-    format!("{:?} {:?} {}", pipeline.data, pipeline.split, pipeline.seed)
+    format!("{:?} {:?} {}", pipeline.data, pipeline.split, pipeline.split_seed.unwrap_or(pipeline.seed))
 }
 
 /// The median of a few steps.

@@ -150,7 +150,7 @@ impl Variant {
 }
 
 /// `text` as part of a folder's name: other signs than letters, digits, `.`, `-`, `_` and `+` become `-`.
-pub(super) fn slug(text: &str) -> String {
+pub(crate) fn slug(text: &str) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() || "._-+".contains(c) { c } else { '-' };
     let plain: String = text.chars().map(plain).collect();
     let words: Vec<&str> = plain.split('-').filter(|w| !w.is_empty()).collect();

@@ -86,6 +86,11 @@ impl Plan {
         })
     }
 
+    /// These runs in `folder`.
+    pub(crate) fn of(name: String, folder: &Path, runs: Vec<PlannedRun>) -> Self {
+        Self { source: PathBuf::from(&name), name, folder: folder.to_owned(), runs, slurm: Slurm::default() }
+    }
+
     /// The error of a run that cannot start, at the variant that made it so.
     pub(super) fn refuse(&self, run: usize, error: &Error) -> Error {
         let PlannedRun { folder, start, .. } = &self.runs[run];
@@ -113,6 +118,17 @@ impl Plan {
             let hint = did_you_mean(name, self.runs.iter().map(|r| r.folder.as_str()));
             Error::Config(format!("no run of {} is called `{name}`{hint}", self.name))
         })
+    }
+}
+
+impl PlannedRun {
+    pub(crate) fn new(
+        folder: String,
+        labels: Vec<(String, String)>,
+        combination: usize,
+        pipeline: Pipeline,
+    ) -> Self {
+        Self { folder, labels, combination, pipeline, start: None }
     }
 }
 

@@ -1,7 +1,7 @@
 //! `Loaded`: the data behind a setting, for figures that need more than scores.
 
 use crate::study::{Record, Setting};
-use pwrfgs_core::{Dataset, Error, Partition, Result, rng};
+use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_experiment::Silent;
 use pwrfgs_model::{Model, file};
 use std::path::Path;
@@ -23,8 +23,7 @@ impl Loaded {
 
     /// How a run divided them.
     pub(super) fn partition(&self, run: &Record) -> Result<Partition> {
-        let seed = run.facts.seed;
-        let partition = run.pipeline.split.split(&self.data, &mut rng::stream(seed, "split", 0))?;
+        let partition = run.pipeline.partition(&self.data)?;
         let sizes = [&partition.train, &partition.validation, &partition.test].map(Vec::len);
         if sizes != run.facts.samples || self.data.title != run.facts.data {
             return Err(Error::input(&run.folder, "the data have changed since this run; run it again"));

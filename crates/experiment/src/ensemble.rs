@@ -1,0 +1,106 @@
+//! An ensemble: several runs whose models predict together, trained by one command and saved as one model.
+//!
+//! `file.rs` reads what a user writes, `run.rs` trains the members and makes one model of theirs. Each member is a run in a
+//! folder of its own below `members`, which is a sweep folder: it can be reported on, and goes on after any end.
+
+mod file;
+mod run;
+
+pub use file::{EnsembleFile, Member, MemberFile};
+pub use run::{MEMBERS, run_team};
+
+use crate::sweep::{Plan, PlannedRun, slug};
+use file::{Written, WrittenMember};
+use pwrfgs_core::plugin::{to_ron, try_to_ron};
+use pwrfgs_core::{Error, Result};
+use pwrfgs_train::Pipeline;
+use serde::Serialize;
+use std::path::Path;
+
+/// The members of an ensemble as they are trained; paths are absolute.
+#[derive(Clone, Debug)]
+pub struct Team {
+    name: String,
+    members: Vec<Pipeline>,
+}
+
+/// The most members of one ensemble.
+const MOST: usize = 100;
+
+impl Team {
+    /// Of two members or more on the same data, divided in the same way.
+    ///
+    /// # Errors
+    /// What does not fit together.
+    fn new(name: String, mut members: Vec<Pipeline>) -> Result<Self, String> {
+        if !(2..=MOST).contains(&members.len()) {
+            return Err(format!("it has {} members; give 2 to {MOST}, counting every seed", members.len()));
+        }
+        let split_seed = members[0].split_seed.unwrap_or(members[0].seed);
+        members.iter_mut().for_each(|member| member.split_seed = Some(split_seed));
+        let first = &members[0];
+        for (place, member) in members.iter().enumerate() {
+            let own = &member.name;
+            if slug(own) != *own || own.is_empty() || own.starts_with('.') {
+                return Err(format!("the label `{own}` cannot name a folder; use letters, digits, `.`, `-` and `_`"));
+            }
+            if members[..place].iter().any(|other| other.name.eq_ignore_ascii_case(own)) {
+                return Err(format!("two members are called `{own}`; give one another `label`"));
+            }
+            let differs = |what: &str, advice: &str| {
+                Err(format!("the members `{}` and `{own}` have another `{what}`; {advice}", first.name))
+            };
+            if text(&first.data) != text(&member.data) {
+                return differs("data", "say `set: (data: ..)` for all of them");
+            }
+            if text(&first.split) != text(&member.split) {
+                return differs("split", "one would have learnt what the other is tested on: say `set: (split: ..)` for all");
+            }
+            if first.projector.plane(360, 90) != member.projector.plane(360, 90) {
+                return differs("projector", "their pictures have other pixels, and no mean");
+            }
+        }
+        Ok(Self { name, members })
+    }
+
+    /// Data, split, baselines and metrics: the first member's, under the name of the ensemble.
+    pub fn pipeline(&self) -> Pipeline {
+        Pipeline { name: self.name.clone(), ..self.members[0].clone() }
+    }
+
+    /// All members.
+    pub fn members(&self) -> &[Pipeline] {
+        &self.members
+    }
+
+    /// The ensemble as RON text, every member whole.
+    pub(crate) fn text(&self) -> Result<String, String> {
+        let members = self.members.iter().map(WrittenMember::Pipeline).collect();
+        try_to_ron(&Written { name: &self.name, members })
+    }
+
+    /// The same without what changes nothing of the result.
+    pub(crate) fn essential(&self) -> Self {
+        Self { name: self.name.clone(), members: self.members.iter().map(Pipeline::essential).collect() }
+    }
+
+    /// The members as runs of a sweep in `folder`. Baselines are scored once, beside the ensemble.
+    pub fn plan(&self, folder: &Path) -> Plan {
+        let run = |(combination, member): (usize, &Pipeline)| {
+            let pipeline = Pipeline { baselines: Vec::new(), ..member.clone() };
+            let labels = vec![("member".to_owned(), member.name.clone())];
+            PlannedRun::new(member.name.clone(), labels, combination, pipeline)
+        };
+        Plan::of(self.name.clone(), folder, self.members.iter().enumerate().map(run).collect())
+    }
+
+    /// Refuses an ensemble that cannot be written.
+    pub(crate) fn check_text(&self) -> Result<()> {
+        self.members.iter().try_for_each(Pipeline::check_text)?;
+        self.text().map(|_| ()).map_err(Error::Config)
+    }
+}
+
+fn text(value: &impl Serialize) -> String {
+    to_ron(value)
+}

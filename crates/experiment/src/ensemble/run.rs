@@ -1,0 +1,160 @@
+//! Trains the members of an ensemble, each in a folder of its own, and makes one model of theirs.
+
+use super::Team;
+use crate::evaluate::evaluate;
+use crate::facts::Facts;
+use crate::folder::{MODEL_FILE, RunFolder};
+use crate::observer::Observer;
+use crate::recipe::Recipe;
+use crate::results::{Page, Results};
+use crate::runner::{Outcome, load};
+use crate::scores::ScoreTable;
+use crate::sweep::{Board, Fate, Plan, check, execute};
+use crate::clock;
+use pwrfgs_core::{Error, Result};
+use pwrfgs_model::{Ensemble, file};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+use std::time::Instant;
+
+/// Below the run folder of an ensemble: the run folders of its members.
+pub const MEMBERS: &str = "members";
+
+/// Trains what is left of `team` in the folder `out`, `jobs` members at a time, and scores their mean; a killed run goes on
+/// and ends in the same files. `board` hears of the members, `observer` of the rest.
+///
+/// # Errors
+/// As [`crate::run`]; the first member that fails, by its name.
+#[allow(clippy::too_many_arguments)] // what a run takes, and what a sweep takes
+pub fn run_team(
+    team: &Team,
+    out: &Path,
+    jobs: usize,
+    board: &dyn Board,
+    observer: &mut dyn Observer,
+    stop: &AtomicBool,
+    page: Option<Page>,
+) -> Result<Outcome> {
+    let begun = Instant::now();
+    team.check_text()?;
+    let recipe = Recipe::Ensemble(team.clone());
+    RunFolder::inspect(out, &recipe)?;
+    if let Some((scores, facts)) = Facts::finished(out)?.filter(|(_, facts)| facts.report || page.is_none()) {
+        facts.verify(out)?;
+        return Ok(Outcome::Finished { scores, already: true });
+    }
+    let plan = team.plan(&out.join(MEMBERS));
+    let all: Vec<usize> = (0..plan.runs.len()).collect();
+    let open = check(&plan, &all, observer)?;
+    let folder = RunFolder::claim(out, &recipe)?;
+    let (mut facts, _) = Facts::open(out, team.members()[0].seed)?;
+    facts.write(out)?;
+    if let Some(end) = train(&plan, &open, jobs, board, stop, page)? {
+        return Ok(end);
+    }
+    let ensemble = assemble(&plan)?;
+    file::write_ensemble(&folder.file(MODEL_FILE), &ensemble)?;
+    match assess(team, &plan, &ensemble, &folder, (&mut facts, begun), observer, stop, page) {
+        Ok(scores) => Ok(Outcome::Finished { scores, already: false }),
+        Err(Error::Stopped) => Ok(Outcome::Unscored),
+        Err(error) => Err(error),
+    }
+}
+
+/// Does the runs `open` of the plan; an outcome where they did not all end well.
+fn train(
+    plan: &Plan,
+    open: &[usize],
+    jobs: usize,
+    board: &dyn Board,
+    stop: &AtomicBool,
+    page: Option<Page>,
+) -> Result<Option<Outcome>> {
+    if open.is_empty() {
+        return Ok(None);
+    }
+    let ends = execute(plan, open, jobs, board, stop, page)?;
+    let mut interrupted = (ends.len() < open.len()).then_some(Outcome::Interrupted { step: 0 });
+    for (run, fate) in ends {
+        match fate {
+            Fate::Finished { .. } => {}
+            Fate::Failed(error) => {
+                let told = format!("member `{}`: {error}", plan.runs[run].folder);
+                return Err(if error.is_input() { Error::Config(told) } else { error });
+            }
+            Fate::Busy => {
+                let folder = plan.folder_of(run);
+                return Err(Error::Config(format!("another pwrfgs is at work in {}; wait until it ends", folder.display())));
+            }
+            Fate::Unscored => interrupted = interrupted.or(Some(Outcome::Unscored)),
+            Fate::Interrupted { step } => interrupted = Some(Outcome::Interrupted { step }),
+        }
+    }
+    Ok(interrupted)
+}
+
+/// The trained members as one model.
+fn assemble(plan: &Plan) -> Result<Ensemble> {
+    let member = |run: usize| -> Result<(String, pwrfgs_model::Model)> {
+        let folder = plan.folder_of(run);
+        if let Some(facts) = Facts::read(&folder)? {
+            facts.verify_file(&folder, MODEL_FILE)?;
+        }
+        Ok((plan.runs[run].folder.clone(), file::read(&folder.join(MODEL_FILE))?))
+    };
+    let members = (0..plan.runs.len()).map(member).collect::<Result<_>>()?;
+    Ensemble::named(members).map_err(Error::Config)
+}
+
+/// Scores the ensemble on the test part and writes scores, samples, report and facts.
+#[allow(clippy::too_many_arguments)] // all of a run
+fn assess(
+    team: &Team,
+    plan: &Plan,
+    ensemble: &Ensemble,
+    folder: &RunFolder,
+    (facts, begun): (&mut Facts, Instant),
+    observer: &mut dyn Observer,
+    stop: &AtomicBool,
+    page: Option<Page>,
+) -> Result<ScoreTable> {
+    let pipeline = team.pipeline();
+    let (data, partition) = load(&pipeline, Path::new(""), observer)?;
+    observer.on_message(&format!("scoring {} test spectra", partition.test.len()));
+    let assessment = evaluate(ensemble, &pipeline, &data, &partition, observer, stop)?;
+    let scores = assessment.scores.table();
+    let members: Vec<PathBuf> = (0..plan.runs.len()).map(|run| plan.folder_of(run)).collect();
+    facts.data.clone_from(&data.title);
+    facts.simulated = data.is_simulated();
+    facts.samples = [partition.train.len(), partition.validation.len(), partition.test.len()];
+    (facts.steps, facts.training_seconds) = (0, 0.0);
+    for member in &members {
+        let own = Facts::read(member)?.unwrap_or_default();
+        facts.steps += own.steps;
+        facts.training_seconds += own.training_seconds;
+        facts.peak_memory_bytes = facts.peak_memory_bytes.max(own.peak_memory_bytes);
+    }
+    facts.members = ensemble.names().to_vec();
+    facts.gaussians = ensemble.gaussians();
+    facts.scores = Some(scores.clone());
+    facts.wall_seconds += begun.elapsed().as_secs_f64();
+    facts.finished = Some(clock::now());
+    facts.report = page.is_some();
+    facts.note_memory();
+    let results = Results {
+        pipeline: &pipeline,
+        settings: Recipe::Ensemble(team.clone()).to_ron(),
+        model: ensemble,
+        data: &data,
+        partition: &partition,
+        assessment: &assessment,
+        facts,
+        training: None,
+        floors: Vec::new(),
+    };
+    results.write(folder.path(), page)?;
+    facts.seal(folder.path())?;
+    facts.write(folder.path())?;
+    observer.on_evaluation(&scores);
+    Ok(scores)
+}
