@@ -67,6 +67,21 @@ pub fn run(
     experiment::run(pipeline, base, out, observer, stop, PAGE)
 }
 
+/// [`experiment::ensemble::run_team`] with the report that this build has.
+///
+/// # Errors
+/// As there.
+pub fn run_team(
+    team: &experiment::ensemble::Team,
+    out: &Path,
+    jobs: usize,
+    board: &dyn experiment::sweep::Board,
+    observer: &mut dyn Observer,
+    stop: &AtomicBool,
+) -> Result<experiment::Outcome> {
+    experiment::ensemble::run_team(team, out, jobs, board, observer, stop, PAGE)
+}
+
 /// What a plugin or a small program needs.
 pub mod prelude {
     pub use pwrfgs_core::tape::{Trace, TraceScalar, Traced};

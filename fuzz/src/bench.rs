@@ -80,8 +80,10 @@ fn models(folder: &Path) -> Result<()> {
         let (data, partition) = load(&pipeline, folder, &mut Silent)?;
         put(&format!("{i}.safetensors"), &Trainer::new(&pipeline, &data, &partition)?.model())?;
     }
-    let trained = file::read(&folder.join("sweep/a/model.safetensors"))?;
+    let trained = file::read_ensemble(&folder.join("sweep/a/model.safetensors"))?;
     let half = folder.join("models/half.safetensors");
     fs::write(&half, file::to_bytes_half(&trained)?).map_err(|e| Error::write(&half, e))?;
-    put("model.safetensors", &trained)
+    let pair = Ensemble::new([trained.members(), trained.members()].concat()).map_err(Error::Config)?;
+    file::write_ensemble(&folder.join("models/pair.safetensors"), &pair)?;
+    file::write_ensemble(&folder.join("models/model.safetensors"), &trained)
 }

@@ -162,7 +162,7 @@ fn surface<const CLOUD: bool>(bench: &Path) -> Result<()> {
 }
 
 fn model(bench: &Path) -> Result<()> {
-    let model = file::read(&bench.join(MODEL))?;
+    let model = file::read_ensemble(&bench.join(MODEL))?;
     model.prepare().predict_many(&[[0.5, 0.5, 0.5]]);
     npz(&model, None)?;
     ply(&model, Some([0.5, 0.5, 0.5])).map(drop)

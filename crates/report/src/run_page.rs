@@ -10,7 +10,8 @@ use crate::templates::render;
 use minijinja::value::Serde;
 use minijinja::{Value, context};
 use pwrfgs_core::{Image, Result};
-use pwrfgs_experiment::{Example, Results, samples};
+use pwrfgs_experiment::{Example, Results, ensemble::MEMBERS, folder::REPORT, samples};
+use pwrfgs_model::Model;
 
 /// The page of an evaluated model.
 ///
@@ -27,7 +28,7 @@ pub fn page(results: &Results<'_>) -> Result<String> {
         title => data.title.clone(),
         simulated => data.is_simulated(),
         facts => Serde(facts),
-        gaussians => model.cloud.len(),
+        gaussians => model.gaussians(),
         bytes => [model.gaussian_bytes(), model.network_bytes()],
         samples => [&partition.train, &partition.validation, &partition.test].map(Vec::len),
         size => [data.width, data.height],
@@ -43,10 +44,22 @@ pub fn page(results: &Results<'_>) -> Result<String> {
         examples,
         power_bar => Scale::Power.bar().svg("bar", "colours of power"),
         error_bar => Scale::Error(limit).bar().svg("bar", "colours of the error"),
-        angles => model.stages.plane.angles.is_some(),
-        pipeline => pipeline.to_ron(),
+        angles => model.plane().angles.is_some(),
+        pipeline => results.settings.clone(),
+        members => members(results),
+        confidence => curves::confidence(results),
     };
     render("run.html", page)
+}
+
+/// Name, seed, Gaussians and page of each member of an ensemble.
+fn members(results: &Results<'_>) -> Vec<Value> {
+    let names = results.facts.members.iter().zip(results.model.members());
+    let member = |(name, model): (&String, &Model)| {
+        let page = format!("{MEMBERS}/{name}/{REPORT}");
+        context! { name, page, gaussians => model.cloud.len() }
+    };
+    names.map(member).collect()
 }
 
 /// Best, median and worst test spectrum by SSIM, and the limit of the error scale that they share.
@@ -60,7 +73,7 @@ fn examples(results: &Results<'_>) -> (Vec<Value>, f64) {
         let Example { which, sample: index, ssim, truth, prediction } = example;
         let sample = &results.data.samples[*index];
         let marks = [Mark::Measured(truth.argmax()), Mark::Predicted(prediction.argmax())];
-        let plane = &results.model.stages.plane;
+        let plane = results.model.plane();
         let panel = |name: &str, image: &Image, scale, marks: &[Mark]| {
             let map = spectra::map(image, plane, scale, marks).svg("map", name);
             let sky = spectra::sky(image, plane, scale, marks).map(|canvas| canvas.svg("sky", name));
@@ -90,7 +103,7 @@ fn difference(a: &Image, b: &Image) -> Image {
 
 /// The strongest directions in words; nothing where the plane has no angles.
 fn peaks(results: &Results<'_>, truth: &Image, prediction: &Image) -> String {
-    let plane = &results.model.stages.plane;
+    let plane = results.model.plane();
     let direction = |image: &Image| {
         let i = image.argmax();
         plane.azimuth_elevation_deg((i % image.width) as _, (i / image.width) as _)

@@ -7,7 +7,7 @@ use crate::progress::Progress;
 use clap::Args;
 use pwrfgs::experiment::clock::duration;
 use pwrfgs::experiment::text::{aligned, grouped};
-use pwrfgs::experiment::{Preview, preview, read_pipeline};
+use pwrfgs::experiment::{Preview, Recipe, preview};
 use pwrfgs_core::Result;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -20,7 +20,7 @@ use std::process::ExitCode;
     pipelines/pwrfgs.ron --scale 0.1"
 )]
 pub(crate) struct Check {
-    /// The pipeline file, or a run folder
+    /// The file of a pipeline or an ensemble, or a run folder
     #[arg(value_name = "PIPELINE")]
     pub(crate) pipeline: PathBuf,
     #[command(flatten)]
@@ -29,12 +29,28 @@ pub(crate) struct Check {
 
 pub(crate) fn check(arguments: &Check, verbosity: Verbosity) -> Result<ExitCode> {
     let (file, _) = named(&arguments.pipeline)?;
-    let pipeline = read_pipeline(&file, &arguments.changes.all())?;
+    let recipe = Recipe::read(&file, &arguments.changes.all())?;
+    let members = match &recipe {
+        Recipe::Pipeline(pipeline) => std::slice::from_ref(&**pipeline),
+        Recipe::Ensemble(team) => team.members(),
+    };
     let mut progress = Progress::new(verbosity);
-    let found = preview(&pipeline, Path::new(""), &mut progress);
+    let found: Result<Vec<Preview>> = members.iter().map(|m| preview(m, Path::new(""), &mut progress)).collect();
     progress.finish();
-    output::result(&text(&found?))?;
+    let found = found?;
+    output::result(&match &recipe {
+        Recipe::Pipeline(_) => text(&found[0]),
+        Recipe::Ensemble(_) => text_of_all(&found),
+    })?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// The members of an ensemble one after the other.
+fn text_of_all(found: &[Preview]) -> String {
+    let one = |p: &Preview| format!("member {}\n{}\n", p.pipeline.name, text(p));
+    let seconds: f64 = found.iter().map(|p| p.estimate.step_seconds * p.pipeline.training.steps as f64).sum();
+    let all: String = found.iter().map(one).collect();
+    format!("{all}{} members, about {} in all, one after the other\n", found.len(), duration(seconds))
 }
 
 /// The plan as a table.

@@ -6,7 +6,7 @@ use crate::progress::Progress;
 use clap::Args;
 use pwrfgs::experiment::folder::{PIPELINE, REPORT};
 use pwrfgs::experiment::{Facts, Machine, Results, evaluate as score, load as load_data, read_pipeline};
-use pwrfgs::model::{Ensemble, Model, file};
+use pwrfgs::model::{Ensemble, file};
 use pwrfgs_core::{Error, Result, files::refuse_foreign};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -51,38 +51,40 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
     }
     let pipeline = read_pipeline(path, &arguments.set)?;
     if let Some(out) = &arguments.out {
-        if arguments.models.len() > 1 {
-            return Err(Error::Config("--out writes the report of one model; leave it out, or give one model".into()));
-        }
         refuse_foreign(out, "a new folder")?;
     }
-    let model = &ensemble.members()[0];
     let mut progress = Progress::new(verbosity);
     let (data, partition) = load_data(&pipeline, Path::new(""), &mut progress)?;
     if verbosity != Verbosity::Quiet {
         output::note(&format!("{}: scoring {} test spectra", data.title, partition.test.len()));
-        if data.scene.origin.world_pose(data.scene.receiver) != model.stages.receiver() {
+        if data.scene.origin.world_pose(data.scene.receiver) != ensemble.members()[0].stages.receiver() {
             output::note("warning: these data have another receiver pose than the model was trained with");
         }
     }
-    let assessment = score(&ensemble.prepare(), &pipeline, &data, &partition, &mut progress, &AtomicBool::new(false));
+    let assessment = score(&ensemble, &pipeline, &data, &partition, &mut progress, &AtomicBool::new(false));
     progress.finish();
     let assessment = assessment?;
     let mut text = assessment.scores.table().to_text();
-    if arguments.models.len() > 1 {
-        _ = writeln!(text, "\nmodel: {} models, the mean of their pictures", arguments.models.len());
+    if let Some(confidence) = &assessment.confidence {
+        let members = ensemble.members().len();
+        _ = writeln!(
+            text,
+            "\nmodel: {members} models, the mean of their pictures; rank correlation of their spread and its error {:.2}",
+            confidence.rank_correlation()
+        );
     }
     if let Some(out) = &arguments.out {
         std::fs::create_dir_all(out).map_err(|e| Error::write(out, e))?;
         let facts = Facts {
             version: env!("CARGO_PKG_VERSION").into(),
             machine: Machine::here(),
-            gaussians: model.cloud.len(),
+            gaussians: ensemble.gaussians(),
             ..Facts::default()
         };
         let results = Results {
             pipeline: &pipeline,
-            model,
+            settings: pipeline.to_ron(),
+            model: &ensemble,
             data: &data,
             partition: &partition,
             assessment: &assessment,
@@ -99,8 +101,11 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
     Ok(ExitCode::SUCCESS)
 }
 
-/// All models as one.
+/// All models as one; a file may hold several. Those of several files are called by their numbers.
 pub(super) fn read_models(paths: &[PathBuf]) -> Result<Ensemble> {
-    let members: Result<Vec<Model>> = paths.iter().map(|path| file::read(path)).collect();
-    Ensemble::new(members?).map_err(Error::Config)
+    if let [path] = paths {
+        return file::read_ensemble(path);
+    }
+    let files: Vec<Ensemble> = paths.iter().map(|path| file::read_ensemble(path)).collect::<Result<_>>()?;
+    Ensemble::new(files.iter().flat_map(|file| file.members().iter().cloned()).collect()).map_err(Error::Config)
 }

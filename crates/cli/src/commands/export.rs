@@ -5,14 +5,14 @@ use crate::args::Verbosity;
 use crate::output;
 use clap::Args;
 use pwrfgs::experiment::export::{npz, ply};
-use pwrfgs::model::{Model, file};
+use pwrfgs::model::{Ensemble, file};
 use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// A way to turn a model into a file.
-type Writer = fn(&Model, Option<[f64; 3]>) -> Result<Vec<u8>>;
+type Writer = fn(&Ensemble, Option<[f64; 3]>) -> Result<Vec<u8>>;
 
 #[derive(Debug, Args)]
 #[command(
@@ -23,8 +23,10 @@ type Writer = fn(&Model, Option<[f64; 3]>) -> Result<Vec<u8>>;
     file has the tensors of the model, the pose of the receiver and the image plane, as docs/model-format.md lists \
     them.\n\nThe deformation network changes scales, rotations and signals with the transmitter. Without --tx the PLY \
     file shows the base parameters, to which the network's terms are added (mid-grey where the network gives the whole \
-    signal); with --tx it shows what is drawn for that transmitter, and the NPZ file has these numbers too.\n\nA file \
-    that exists is never overwritten.\n\nEXAMPLES\n  pwrfgs export runs/quickstart/model.safetensors --ply office.ply\
+    signal); with --tx it shows what is drawn for that transmitter, and the NPZ file has these numbers too.\n\nOf \
+    an ensemble the PLY file has the Gaussians of all members, one member after the other, with a property `member` \
+    counted from 0 (a viewer blends them all: pick one to look at), and the NPZ file has the arrays of member 0 as \
+    members.0.means and so on.\n\nA file that exists is never overwritten.\n\nEXAMPLES\n  pwrfgs export runs/quickstart/model.safetensors --ply office.ply\
     \n  pwrfgs export runs/quickstart/model.safetensors --tx 1.2,0.3,1.0 --ply office-at.ply --npz office-at.npz"
 )]
 #[command(group(clap::ArgGroup::new("what").required(true).multiple(true).args(["ply", "npz", "half"])))]
@@ -61,10 +63,10 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<ExitCod
         return Err(Error::Config("two exports name the same file; give each a name of its own".into()));
     }
     files.iter().try_for_each(|(path, _)| check_new(path))?;
-    let model = file::read(&arguments.model)?;
+    let model = file::read_ensemble(&arguments.model)?;
     // All are made before the first is written: what cannot be exported leaves nothing behind.
     let made: Vec<Vec<u8>> = files.iter().map(|(_, writer)| writer(&model, tx)).collect::<Result<_>>()?;
-    let origin = model.stages.origin;
+    let origin = model.members()[0].stages.origin;
     if arguments.ply.is_some() && !origin.is_zero() && verbosity != Verbosity::Quiet {
         let [x, y, z] = origin.0;
         output::note(&format!("places in the PLY file count from {x}, {y}, {z}: viewers compute in single precision"));
@@ -72,7 +74,7 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<ExitCod
     for ((path, _), bytes) in files.iter().zip(made) {
         write_atomically(path, &bytes)?;
         if verbosity != Verbosity::Quiet {
-            output::note(&format!("{} Gaussians in {}", model.cloud.len(), path.display()));
+            output::note(&format!("{} Gaussians in {}", model.gaussians(), path.display()));
         }
     }
     Ok(ExitCode::SUCCESS)

@@ -35,7 +35,7 @@ const CHUNK: usize = 64;
     heard\n  pwrfgs predict runs/quickstart/model.safetensors --tx-csv walk.csv --stacked --no-png --out walk")]
 #[command(group(clap::ArgGroup::new("where").required(true).args(["tx", "tx_csv"])))]
 pub(crate) struct Predict {
-    /// The trained model, model.safetensors of a run folder; several make an ensemble
+    /// The trained model, model.safetensors of a run folder; several, or the file of an ensemble, predict as one
     #[arg(value_name = "MODEL", required = true)]
     pub(crate) models: Vec<PathBuf>,
     /// One transmitter position in metres, world frame
@@ -67,7 +67,7 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitC
     let mut stacks = Vec::new();
     if arguments.stacked {
         let size = [txs.len(), model.plane().height, model.plane().width];
-        let names = STACKS.into_iter().take(if arguments.models.len() > 1 { 2 } else { 1 });
+        let names = STACKS.into_iter().take(if ensemble.members().len() > 1 { 2 } else { 1 });
         stacks = names.map(|name| Stack::create(&folder, name, size)).collect::<Result<_>>()?;
     }
     let mut progress = Progress::new(verbosity);

@@ -8,7 +8,7 @@ use crate::args::{Verbosity, count};
 use crate::interrupt::{INTERRUPTED, stop_flag};
 use crate::output;
 use crate::progress::Progress;
-use board::Table;
+pub(super) use board::Table;
 use clap::Args;
 use pwrfgs::experiment::sweep::{Fate, Plan, State, check, estimate, execute, slurm};
 use pwrfgs_core::{Error, Result};

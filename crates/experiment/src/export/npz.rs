@@ -2,27 +2,42 @@
 
 use npyz::{AutoSerialize, WriterBuilder as _};
 use pwrfgs_core::{Error, Real, Result};
-use pwrfgs_model::Model;
+use pwrfgs_model::{Ensemble, Model};
 use std::io::{self, Cursor};
 use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 
-/// The NPZ file of `model`: the tensors of the model file, pose and plane; and where `tx` (metres, world frame) is
+/// The NPZ file of `model`, one or several (the arrays of member 0 are then called `members.0.means` and so on): the tensors of the model file, pose and plane; and where `tx` (metres, world frame) is
 /// given, what a transmitter there makes of the Gaussians. All places are in the user's frame, in double precision where
 /// the model has an origin. The same model gives the same bytes.
 ///
 /// # Errors
 /// An array of more than 4 GiB.
-pub fn npz(model: &Model, tx: Option<[f64; 3]>) -> Result<Vec<u8>> {
-    let mut file = Npz(ZipWriter::new(Cursor::new(Vec::new())));
-    let whole = (file.model(model).and_then(|()| tx.map_or(Ok(()), |tx| file.transmitter(model, tx))))
-        .and_then(|()| Ok(file.0.finish()?.into_inner()));
+pub fn npz(model: &Ensemble, tx: Option<[f64; 3]>) -> Result<Vec<u8>> {
+    let mut file = Npz { archive: ZipWriter::new(Cursor::new(Vec::new())), prefix: String::new() };
+    let whole = file.members(model, tx).and_then(|()| Ok(file.archive.finish()?.into_inner()));
     whole.map_err(|why| Error::Config(format!("this model cannot be an NPZ file: {why}")))
 }
 
 /// An archive under way.
-struct Npz(ZipWriter<Cursor<Vec<u8>>>);
+struct Npz {
+    archive: ZipWriter<Cursor<Vec<u8>>>,
+    /// What the names of the arrays begin with.
+    prefix: String,
+}
 
 impl Npz {
+    /// One model, or several, each under a prefix.
+    fn members(&mut self, ensemble: &Ensemble, tx: Option<[f64; 3]>) -> io::Result<()> {
+        for (place, model) in ensemble.members().iter().enumerate() {
+            if ensemble.members().len() > 1 {
+                self.prefix = format!("members.{place}.");
+            }
+            self.model(model)?;
+            tx.map_or(Ok(()), |tx| self.transmitter(model, tx))?;
+        }
+        Ok(())
+    }
+
     /// What the model file holds.
     fn model(&mut self, model: &Model) -> io::Result<()> {
         let n = model.cloud.len();
@@ -74,9 +89,10 @@ impl Npz {
     fn put<T: AutoSerialize + Copy>(&mut self, name: &str, shape: &[usize], values: &[T]) -> io::Result<()> {
         // Stored, as `numpy.savez` does; without a clock, so that the date is always that of the format's beginning.
         let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
-        self.0.start_file(npyz::npz::file_name_from_array_name(name), options)?;
+        let name = format!("{}{name}", self.prefix);
+        self.archive.start_file(npyz::npz::file_name_from_array_name(&name), options)?;
         let shape: Vec<u64> = shape.iter().map(|n| *n as u64).collect();
-        let mut writer = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(&mut self.0).begin_nd()?;
+        let mut writer = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(&mut self.archive).begin_nd()?;
         writer.extend(values.iter().copied())?;
         writer.finish()
     }

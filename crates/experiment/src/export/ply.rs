@@ -2,7 +2,7 @@
 
 use crate::colour::sequential;
 use pwrfgs_core::{Error, Origin, Primitives, Real, Result};
-use pwrfgs_model::Model;
+use pwrfgs_model::{Ensemble, Model};
 
 /// Properties in the order in which viewers expect them, all of them `float`. Normals are there for the layout, and 0.
 const PROPERTIES: [&str; 17] = [
@@ -12,7 +12,9 @@ const PROPERTIES: [&str; 17] = [
 /// Y₀₀, the constant spherical harmonic: a viewer shows 0.5 + Y₀₀ · `f_dc`.
 const SH_C0: f64 = 0.282_094_791_773_878_14;
 
-/// The PLY file of `model` as it is for a transmitter at `tx` (metres, world frame), or of its base parameters.
+/// The PLY file of `model`, one or several, as it is for a transmitter at `tx` (metres, world frame), or of its base parameters.
+///
+/// The Gaussians of an ensemble stand one member after the other; `member` says whose each is, counted from 0.
 ///
 /// Centres count from the model's origin, which a comment of the header names where it is not zero.
 ///
@@ -21,11 +23,21 @@ const SH_C0: f64 = 0.282_094_791_773_878_14;
 ///
 /// # Errors
 /// A number that is not finite.
-pub fn ply(model: &Model, tx: Option<[f64; 3]>) -> Result<Vec<u8>> {
+pub fn ply(model: &Ensemble, tx: Option<[f64; 3]>) -> Result<Vec<u8>> {
+    let several = model.members().len() > 1;
+    let mut out = header(model.gaussians(), model.members()[0].stages.origin, several).into_bytes();
+    for (place, member) in model.members().iter().enumerate() {
+        let marked = several.then_some(place as f32);
+        put_rows(&mut out, member, tx, marked)?;
+    }
+    Ok(out)
+}
+
+/// The rows of one model, each with the number of the member at its end where there are several.
+fn put_rows(out: &mut Vec<u8>, model: &Model, tx: Option<[f64; 3]>, member: Option<f32>) -> Result<()> {
     let (primitives, signals) = model.gaussians(tx);
     let known = tx.is_some() || !model.stages.deformation.replaces_signals();
     let strengths = known.then(|| strengths(model, &signals));
-    let mut out = header(primitives.len(), model.stages.origin).into_bytes();
     for i in 0..primitives.len() {
         let colour = strengths.as_ref().map_or([0.0; 3], |strengths| colour(strengths[i]));
         let row = row(&primitives, i, model.cloud.opacity_logits[i], colour);
@@ -35,16 +47,17 @@ pub fn ply(model: &Model, tx: Option<[f64; 3]>) -> Result<Vec<u8>> {
                 PROPERTIES[k]
             )));
         }
-        out.extend(row.iter().flat_map(|v| v.to_le_bytes()));
+        out.extend(row.into_iter().chain(member).flat_map(f32::to_le_bytes));
     }
-    Ok(out)
+    Ok(())
 }
 
 /// Viewers of splats compute in single precision, so centres stay near zero: a comment says what they count from.
-fn header(n: usize, origin: Origin) -> String {
+fn header(n: usize, origin: Origin, several: bool) -> String {
     let [x, y, z] = origin.0;
     let comment = if origin.is_zero() { String::new() } else { format!("comment origin {x} {y} {z}\n") };
-    let properties = PROPERTIES.map(|name| format!("property float {name}\n")).concat();
+    let properties = PROPERTIES.into_iter().chain(several.then_some("member"));
+    let properties: String = properties.map(|name| format!("property float {name}\n")).collect();
     format!("ply\nformat binary_little_endian 1.0\n{comment}element vertex {n}\n{properties}end_header\n")
 }
 

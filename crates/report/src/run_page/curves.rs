@@ -4,9 +4,10 @@ use crate::draw::canvas::Colour;
 use crate::draw::charts::{Axis, Chart, Line};
 use crate::draw::marks::{Stroke, Style};
 use crate::draw::steps::{phases, stairs};
+use minijinja::{Value, context};
 use pwrfgs_experiment::Results;
 use pwrfgs_experiment::folder::{CURVE, VALIDATION};
-use pwrfgs_experiment::scores::MODEL;
+use pwrfgs_experiment::scores::{MODEL, quantile};
 use pwrfgs_experiment::series;
 
 /// At most this many places along a curve are drawn.
@@ -92,6 +93,34 @@ fn validation(results: &Results<'_>, rows: &[Vec<Option<f64>>]) -> Option<Figure
         lines.push(Line::level(floor.ssim_mean, Style::line(Colour::hex(colour), 2.0, Stroke::DASHED)).named(name));
     }
     figure("SSIM on validation samples", &over_steps(results, false, lines))
+}
+
+/// Groups of test spectra by the spread of the members.
+const GROUPS: usize = 10;
+
+/// Error against the spread of an ensemble's members: median and the range from the 10th to the 90th percentile of groups
+/// of equally many test spectra. With the rank correlation of the two; `None` where there is one model alone.
+pub(super) fn confidence(results: &Results<'_>) -> Option<Value> {
+    let measured = results.assessment.confidence.as_ref()?;
+    let groups = measured.groups(GROUPS);
+    let at = |q: f64| move |(spread, errors): &(f64, Vec<f64>)| (*spread, quantile(errors, q));
+    let range: Vec<_> = groups.iter().map(at(0.9)).chain(groups.iter().rev().map(at(0.1))).collect();
+    let median: Vec<_> = groups.iter().map(at(0.5)).collect();
+    let last = groups.last()?.0;
+    let mut middle = line(median.clone(), MODEL_COLOUR, 2.5).named("error, median of a tenth");
+    middle.marks = median;
+    let lines = vec![
+        middle,
+        Line::new(range, Style::line(MODEL_COLOUR, 1.0, Stroke::Area)).named("10th to 90th percentile"),
+        Line::new(vec![(0.0, 0.0), (last, last)], Style::line(Colour::hex(FLOOR_COLOURS[0]), 1.5, Stroke::DASHED))
+            .named("error = spread"),
+    ];
+    let x = Axis { name: "spread of the members, RMS".into(), ends: Some((0.0, last)), log: false };
+    let y = Axis { name: "error of their mean, RMS".into(), ends: None, log: false };
+    let chart = Chart { x, y, lines, ..Chart::default() };
+    let rank = measured.rank_correlation();
+    let svg = chart.draw()?.svg("chart", "Error against the spread of the members");
+    Some(context! { svg, rank => rank.is_finite().then(|| format!("{rank:.2}")), samples => measured.ids.len() })
 }
 
 /// Which share of the test spectra stays below an SSIM.

@@ -15,7 +15,7 @@ const TEXT: f64 = 10.5;
 /// Three panels, what their symbols mean and what a reader must know besides; the last panel alone where nothing is
 /// known of the training.
 pub(super) fn figure(results: &Results<'_>) -> Result<Value> {
-    let last = Snapshot::of(results.facts.steps, &results.model.cloud, results.model.stages.origin);
+    let last = Snapshot::of_ensemble(results.facts.steps, results.model);
     let read = |name: &str| results.training.map_or(Ok(None), |folder| Snapshot::read(&folder.join(name)));
     let step = |s: &Snapshot| grouped(s.step as i64);
     let mut moments: Vec<(String, Snapshot)> = Vec::new();

@@ -3,7 +3,7 @@
 use super::{distinct, one_line};
 use pwrfgs_core::files::read_text;
 use pwrfgs_core::{Error, Result};
-use pwrfgs_experiment::Facts;
+use pwrfgs_experiment::{Facts, Recipe};
 use pwrfgs_experiment::folder::{CURVE, MODEL_FILE, PIPELINE, SAMPLES, SCORES};
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::series;
@@ -24,8 +24,10 @@ const ADVICE: &str = "the run's own files must stay as it wrote them; restore it
 pub struct Record {
     /// Its folder.
     pub folder: PathBuf,
-    /// What was run, every default written out; paths are absolute.
+    /// What was run, every default written out; paths are absolute. Of an ensemble, what it is scored by.
     pub pipeline: Pipeline,
+    /// Equal for runs that differ in names and seeds alone.
+    variant_key: String,
     /// Circumstances and the summaries of all scores.
     pub facts: Facts,
     /// Every score.
@@ -59,12 +61,15 @@ impl Record {
         let Some(facts) = Facts::read(folder)?.filter(|f| f.finished.is_some()) else { return Ok(None) };
         facts.verify(folder)?;
         let text = |name: &str| read_text(&path(name));
-        let pipeline = Pipeline::parse(&text(PIPELINE)?, &path(PIPELINE))?;
+        let recipe = Recipe::read(&path(PIPELINE), &[])?;
         let scores = scores(&text(SCORES)?, &path(SCORES))?;
         let (nearest_train_m, places) = test_samples(&text(SAMPLES)?, &path(SAMPLES))?;
-        let curve = series::whole(&path(CURVE), facts.steps)?;
+        // The members of an ensemble have curves of their own.
+        let curve = if facts.members.is_empty() { series::whole(&path(CURVE), facts.steps)? } else { Vec::new() };
         let gaussians = curve.iter().filter_map(|row| Some(((*row.first()?)?, (*row.get(4)?)?))).collect();
-        Ok(Some(Self { folder: folder.into(), pipeline, facts, scores, nearest_train_m, places, gaussians }))
+        let (pipeline, variant_key) = (recipe.pipeline(), recipe.variant_key());
+        let folder = folder.into();
+        Ok(Some(Self { folder, pipeline, variant_key, facts, scores, nearest_train_m, places, gaussians }))
     }
 
     /// Values a test sample of one metric of one predictor, by id.
@@ -80,9 +85,11 @@ impl Record {
         (!values.is_empty()).then(|| values.iter().map(|v| v.1).sum::<f64>() / values.len() as f64)
     }
 
-    /// Baselines in the order of the pipeline.
+    /// Baselines in the order of the pipeline; members of an ensemble are none.
     pub fn floors(&self) -> Vec<&str> {
-        distinct(self.scores.iter().map(|s| s.predictor.as_str()).filter(|name| *name != MODEL))
+        let members = self.facts.scores.as_ref().map_or(&[][..], |table| &table.members);
+        let is_floor = |name: &&str| *name != MODEL && !members.iter().any(|member| member == name);
+        distinct(self.scores.iter().map(|s| s.predictor.as_str()).filter(is_floor))
     }
 
     /// The trained model's file.
@@ -104,9 +111,7 @@ impl Record {
 
     /// Equal for runs that differ in seed and name alone.
     pub(super) fn variant_key(&self) -> String {
-        let mut pipeline = self.pipeline.clone();
-        (pipeline.seed, pipeline.name) = (0, String::new());
-        pipeline.to_ron()
+        self.variant_key.clone()
     }
 
     pub(super) fn setting_title(&self) -> String {

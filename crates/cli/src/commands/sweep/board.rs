@@ -11,7 +11,7 @@ use pwrfgs::experiment::text::number;
 use std::time::Instant;
 
 /// Draws what the runs of a plan report.
-pub(super) struct Table<'a> {
+pub(in crate::commands) struct Table<'a> {
     plan: &'a Plan,
     verbosity: Verbosity,
     /// All runs.
@@ -20,7 +20,7 @@ pub(super) struct Table<'a> {
 }
 
 impl<'a> Table<'a> {
-    pub(super) fn new(plan: &'a Plan, runs: usize, verbosity: Verbosity) -> Self {
+    pub(in crate::commands) fn new(plan: &'a Plan, runs: usize, verbosity: Verbosity) -> Self {
         let style = ProgressStyle::with_template("{bar:24.green/dim} {pos}/{len} runs  {msg}")
             .unwrap_or_else(|_| ProgressStyle::default_bar())
             .progress_chars("━╸─");
@@ -31,7 +31,7 @@ impl<'a> Table<'a> {
         Self { plan, verbosity, bar, begun: Instant::now() }
     }
 
-    pub(super) fn finish(&self) {
+    pub(in crate::commands) fn finish(&self) {
         self.bar.finish_and_clear();
     }
 

@@ -3,7 +3,7 @@
 use crate::study::{Record, Setting};
 use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_experiment::Silent;
-use pwrfgs_model::{Model, file};
+use pwrfgs_model::{Ensemble, file};
 use std::path::Path;
 
 /// What all runs of a setting were trained and tested on.
@@ -32,10 +32,10 @@ impl Loaded {
     }
 
     /// What a run has trained.
-    pub(super) fn model(&self, run: &Record) -> Result<Model> {
+    pub(super) fn model(&self, run: &Record) -> Result<Ensemble> {
         let path = run.model_file();
-        let model = file::read(&path)?;
-        let plane = &model.stages.plane;
+        let model = file::read_ensemble(&path)?;
+        let plane = model.plane();
         if (plane.width, plane.height) != (self.data.width, self.data.height) {
             return Err(Error::input(&path, "the model draws spectra of another size than the data hold"));
         }

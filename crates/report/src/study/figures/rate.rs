@@ -30,9 +30,9 @@ pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure
             let part = evenly(&test, SAMPLES);
             fewer |= part.len() < test.len();
             let model = loaded.model(run)?;
-            let bench = Bench::new(&loaded.data, &part, &model.stages.plane);
+            let bench = Bench::new(&loaded.data, &part, model.plane());
             let never = AtomicBool::new(false);
-            curves.push(curve(&bench.model(&model.prepare(), None, &metrics, &mut Silent, &never)?));
+            curves.push(curve(&bench.model("the model", &model.prepare(), None, &metrics, &mut Silent, &never)?));
         }
         let mut line = Line::new(mean_of(&curves), looks::variant(k)).named(&variant.label);
         // Every fourth, each line from another on.
@@ -50,7 +50,7 @@ pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure
 fn baselines(setting: &Setting, loaded: &Loaded, metrics: &[Plugin<dyn Metric>]) -> Result<Vec<Line>> {
     let run = &setting.variants[0].runs[0];
     let (partition, model) = (loaded.partition(run)?, loaded.model(run)?);
-    let bench = Bench::new(&loaded.data, &evenly(&partition.test, SAMPLES), &model.stages.plane);
+    let bench = Bench::new(&loaded.data, &evenly(&partition.test, SAMPLES), model.plane());
     let known = partition.known();
     let line = |(k, baseline): (usize, &Plugin<dyn pwrfgs_core::Baseline>)| {
         let fitted = baseline.fit(&loaded.data, &known)?;

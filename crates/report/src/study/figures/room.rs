@@ -18,8 +18,7 @@ pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure
     let shown = &setting.variants[..setting.variants.len().min(MOST)];
     let snapshot = |v: &crate::study::Variant| {
         let run = &v.runs[0];
-        let model = loaded.model(run)?;
-        Ok(Snapshot::of(run.facts.steps, &model.cloud, model.stages.origin))
+        Ok(Snapshot::of_ensemble(run.facts.steps, &loaded.model(run)?))
     };
     let clouds: Vec<Snapshot> = shown.iter().map(snapshot).collect::<Result<_>>()?;
     let mut canvas = Canvas::new(if shown.len() == 1 { COLUMN } else { PAGE }, 0.0);

@@ -41,14 +41,14 @@ pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure
     let row = |(name, id): (&'static str, u32)| {
         let index = samples.iter().position(|s| s.id == id)?;
         let predicted =
-            models.iter().zip(&scores).map(|(m, s)| (m.predict(samples[index].tx).clamped(), s[&id])).collect();
+            models.iter().zip(&scores).map(|(m, s)| (m.prepare().predict_timed(samples[index].tx).0.clamped(), s[&id])).collect();
         Some(Row { name, id, truth: loaded.data.image(index), predicted })
     };
     let rows: Vec<Row> = chosen(&scores).into_iter().filter_map(row).collect();
     if rows.is_empty() {
         return Ok(None);
     }
-    let canvas = draw(shown, &rows, &models[0].stages.plane);
+    let canvas = draw(shown, &rows, models[0].plane());
     let words = context! { first => setting.variants[0].label.clone(), more => setting.variants.len() - shown.len() };
     Ok(Some(Figure::new("spectra", setting, words, &canvas)))
 }
