@@ -37,7 +37,11 @@ fn several_models_predict_as_one_and_show_where_they_differ() {
 
     let table = stdout(&succeed(here, &["evaluate", models[0], models[1]]));
     assert!(table.contains("ssim") && table.contains("2 models, the mean of their pictures"), "{table}");
-    refuse(here, &["evaluate", models[0], models[1], "--out", "x"], 2, &["--out", "one model"]);
+    assert!(table.contains("member 1") && table.contains("member 2") && table.contains("rank correlation"), "{table}");
+    succeed(here, &["evaluate", models[0], models[1], "--out", "x"]);
+    let page = std::fs::read_to_string(here.join("x/report.html")).unwrap();
+    assert!(page.contains("Does a large spread mean a large error?"));
+    assert!(here.join("x/confidence.csv").is_file());
     succeed(
         here,
         &[
@@ -77,4 +81,118 @@ fn a_model_in_sixteen_bits_is_half_as_large_and_predicts_nearly_the_same() {
     let (a, b) = (whole.predict(tx), half.predict(tx));
     assert!(a.pixels.iter().zip(&b.pixels).all(|(a, b)| (a - b).abs() < 0.01));
     refuse(here, &["export", "r/model.safetensors", "--half", "half.safetensors"], 2, &["half.safetensors exists"]);
+}
+
+/// Two kinds of member with two seeds, on a split that follows the seed.
+fn write_ensemble(here: &Path) {
+    write(&here.join("p.ron"), SMALL.replace("Official(validation: 0.2)", "Random(test: 0.3, validation: 0.2)"));
+    let ensemble = "// Four models.
+        Ensemble(
+            name: \"both\",
+            seeds: [0, 1],
+            set: (training: (scale: 0.5)),
+            members: [
+                Member(base: \"p.ron\"),
+                Member(base: \"p.ron\", label: \"wide\", set: (deformation: Mlp(depth: 2, width: 24, skip: None))),
+            ],
+        )";
+    write(&here.join("e.ron"), ensemble);
+}
+
+/// `scores.csv` without what a clock measured.
+fn scores(folder: &Path) -> String {
+    let text = std::fs::read_to_string(folder.join("scores.csv")).unwrap();
+    text.lines().filter(|line| !line.contains("latency")).collect::<Vec<_>>().join("\n")
+}
+
+#[test]
+fn an_ensemble_is_trained_scored_and_saved_as_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write_ensemble(here);
+    let table = stdout(&succeed(here, &["run", "e.ron", "-q"]));
+    let names = ["small-0", "small-1", "wide-0", "wide-1"];
+    assert!(names.iter().all(|name| table.contains(&format!("member {name}"))), "{table}");
+    assert!(table.contains("5-NN"), "baselines stand beside the ensemble: {table}");
+
+    let own = here.join("runs/both");
+    let members = names.map(|name| format!("runs/both/members/{name}/model.safetensors"));
+    let predict = |which: &[&str], out: &str| {
+        succeed(here, &[&["predict", "--tx", "0.3,0.1,0.9", "--out", out][..], which].concat());
+        (npy(&here.join(out).join("00001.npy")), npy(&here.join(out).join("00001-spread.npy")))
+    };
+    let together = predict(&["runs/both/model.safetensors"], "one");
+    assert_eq!(together, predict(&members.each_ref().map(String::as_str), "four"), "one file, the same bits");
+
+    // Members that differ in their seed are tested on the same transmitters.
+    let tested = |path: &str| {
+        let text = std::fs::read_to_string(here.join(path)).unwrap();
+        text.lines().filter(|line| line.contains(",test,")).map(str::to_owned).collect::<Vec<_>>()
+    };
+    assert_eq!(tested("runs/both/samples.csv"), tested("runs/both/members/wide-1/samples.csv"));
+
+    let confidence = std::fs::read_to_string(own.join("confidence.csv")).unwrap();
+    assert_eq!(confidence.lines().count(), 1 + tested("runs/both/samples.csv").len());
+    let page = std::fs::read_to_string(own.join("report.html")).unwrap();
+    assert!(page.contains("members/wide-1/report.html") && page.contains("Does a large spread mean a large error?"));
+
+    // What is lost is made again, to the same bytes.
+    let (model, before) = (std::fs::read(own.join("model.safetensors")).unwrap(), scores(&own));
+    std::fs::remove_file(own.join("model.safetensors")).unwrap();
+    std::fs::remove_dir_all(own.join("members/wide-0")).unwrap();
+    succeed(here, &["run", "runs/both", "-q"]);
+    assert_eq!((std::fs::read(own.join("model.safetensors")).unwrap(), scores(&own)), (model, before));
+    assert!(stdout(&succeed(here, &["run", "e.ron"])).contains("ssim"), "nothing is left to do");
+
+    assert!(stdout(&succeed(here, &["evaluate", "runs/both/model.safetensors"])).contains("member wide-0"));
+    let study = stdout(&succeed(here, &["report", "runs/both", "runs/both/members", "--out", "compared"]));
+    assert!(study.contains("5-NN (floor)") && !study.contains("small-0 (floor)"), "members are no floors: {study}");
+    assert!(stdout(&succeed(here, &["check", "e.ron"])).contains("4 members"));
+}
+
+#[test]
+fn an_ensemble_is_exported_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write_ensemble(here);
+    succeed(here, &["run", "e.ron", "-q", "--set", "seeds=[3]", "--out", "r"]);
+    let model = "r/model.safetensors";
+    succeed(here, &["export", model, "--ply", "a.ply", "--npz", "a.npz", "--half", "half.safetensors"]);
+    let ensemble = file::read_ensemble(&here.join(model)).unwrap();
+    assert_eq!(ensemble.names(), ["small", "wide"]);
+    let ply = std::fs::read(here.join("a.ply")).unwrap();
+    let header = String::from_utf8_lossy(&ply[..600]).into_owned();
+    assert!(header.contains(&format!("element vertex {}\n", ensemble.gaussians())), "{header}");
+    let last = f32::from_le_bytes(ply[ply.len() - 4..].try_into().unwrap());
+    assert!(header.contains("property float member\nend_header") && last == 1.0);
+    let mut archive = zip::ZipArchive::new(std::fs::File::open(here.join("a.npz")).unwrap()).unwrap();
+    assert!(archive.by_name("members.1.means.npy").is_ok());
+    let half = file::read_ensemble(&here.join("half.safetensors")).unwrap();
+    let (whole, half) = (ensemble.prepare().predict_many(&[[0.2; 3]]), half.prepare().predict_many(&[[0.2; 3]]));
+    assert!(whole[0].pixels.iter().zip(&half[0].pixels).all(|(a, b)| (a - b).abs() < 0.01));
+    assert!(file::read(&here.join(model)).unwrap_err().to_string().contains("holds 2 models"));
+}
+
+#[test]
+fn an_ensemble_that_cannot_be_one_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write_ensemble(here);
+    let say = |members: &str| write(&here.join("x.ron"), format!("Ensemble(name: \"x\", members: [{members}])"));
+    let refused = |members: &str, why: &[&str]| {
+        say(members);
+        refuse(here, &["run", "x.ron"], 2, why);
+    };
+    refused("Member(base: \"p.ron\")", &["x.ron", "1 members", "2 to 100"]);
+    refused("Member(base: \"p.ron\"), Member(base: \"p.ron\")", &["two members are called `small`", "label"]);
+    let other = |set: &str| format!("Member(base: \"p.ron\"), Member(base: \"p.ron\", label: \"b\", set: ({set}))");
+    refused(&other("split: Sparse(train: 10)"), &["another `split`", "tested on"]);
+    refused(&other("data: Teacher(samples: 50)"), &["another `data`"]);
+    refused(&other("seed: 3"), &["`set` cannot give", "seeds"]);
+    refused(&other("training: (steps: 10)"), &["member `b`", "pruners"]);
+    refused("Membre(base: \"p.ron\")", &["x.ron:1:", "Member"]);
+    refused("Member(base: \"none.ron\"), Member(base: \"p.ron\")", &["none.ron"]);
+    refuse(here, &["run", "e.ron", "--set", "seed=3"], 2, &["--set", "seeds="]);
+    refuse(here, &["run", "e.ron", "--set", "seeds=3"], 2, &["--set seeds=3", "[0, 1]"]);
+    assert!(!here.join("runs").exists(), "nothing was written");
 }

@@ -54,7 +54,10 @@ impl Team {
                 return differs("data", "say `set: (data: ..)` for all of them");
             }
             if text(&first.split) != text(&member.split) {
-                return differs("split", "one would have learnt what the other is tested on: say `set: (split: ..)` for all");
+                return differs(
+                    "split",
+                    "one would have learnt what the other is tested on: say `set: (split: ..)` for all",
+                );
             }
             if first.projector.plane(360, 90) != member.projector.plane(360, 90) {
                 return differs("projector", "their pictures have other pixels, and no mean");

@@ -1,7 +1,9 @@
 //! `run.json`: with what, on what and how long.
 
 use crate::clock;
-use crate::folder::{CONFIDENCE, CURVE, FACTS, MODEL_FILE, REPORT, SAMPLES, SCORES, START_SNAPSHOT, UNPRUNED_SNAPSHOT, VALIDATION};
+use crate::folder::{
+    CONFIDENCE, CURVE, FACTS, MODEL_FILE, REPORT, SAMPLES, SCORES, START_SNAPSHOT, UNPRUNED_SNAPSHOT, VALIDATION,
+};
 use crate::memory;
 use crate::scores::ScoreTable;
 use pwrfgs_core::files::{self, digest, write_atomically};

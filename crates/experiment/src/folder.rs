@@ -1,8 +1,8 @@
 //! `RunFolder`: one folder a run, claimed by its pipeline and never taken from another.
 
+use crate::recipe::Recipe;
 use pwrfgs_core::files::{self, refuse_foreign, write_atomically};
 use pwrfgs_core::{Error, Result};
-use crate::recipe::Recipe;
 use std::fs::{File, TryLockError};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -114,7 +114,8 @@ fn patiently(lock: &File) -> Result<(), TryLockError> {
 /// Refuses a folder that holds a run of another pipeline, naming the first difference.
 fn same_recipe(folder: &Path, file: &Path, theirs: &str, ours: &str) -> Result<()> {
     // Read and written again, so that fields added since with their defaults, or a comment, are no difference.
-    let theirs = Recipe::parse(theirs, file, &[]).map_or_else(|_| theirs.to_owned(), |recipe| recipe.essential().to_ron());
+    let theirs =
+        Recipe::parse(theirs, file, &[]).map_or_else(|_| theirs.to_owned(), |recipe| recipe.essential().to_ron());
     let differ = theirs.lines().zip(ours.lines()).enumerate().find(|(_, (a, b))| a != b);
     match differ {
         Some((line, (there, here))) => Err(Error::Config(format!(

@@ -53,7 +53,8 @@ impl Recipe {
 
     /// Equal for recipes that differ in names and seeds alone.
     pub fn variant_key(&self) -> String {
-        let nameless = |pipeline: &Pipeline| Pipeline { name: String::new(), seed: 0, split_seed: None, ..pipeline.clone() };
+        let nameless =
+            |pipeline: &Pipeline| Pipeline { name: String::new(), seed: 0, split_seed: None, ..pipeline.clone() };
         match self {
             Self::Pipeline(pipeline) => nameless(pipeline).to_ron(),
             Self::Ensemble(team) => team.members().iter().map(|member| nameless(member).to_ron()).collect(),

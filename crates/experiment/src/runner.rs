@@ -233,8 +233,7 @@ impl<'a> Run<'a> {
         let (earlier, begun) = (facts.wall_seconds, Instant::now());
         self.observer.on_message(&format!("scoring {} test spectra", self.partition.test.len()));
         let ensemble = Ensemble::of(model.clone());
-        let assessment =
-            evaluate(&ensemble, self.pipeline, self.data, self.partition, self.observer, self.stop)?;
+        let assessment = evaluate(&ensemble, self.pipeline, self.data, self.partition, self.observer, self.stop)?;
         let plane = &model.stages.plane;
         let floors = validation::floors(self.pipeline, plane, self.data, self.partition, self.observer, self.stop)?;
         let scores = assessment.scores.table();

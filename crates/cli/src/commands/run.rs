@@ -7,8 +7,8 @@ use crate::interrupt::{INTERRUPTED, stop_flag};
 use crate::output;
 use crate::progress::Progress;
 use clap::Args;
-use pwrfgs::experiment::folder::REPORT;
 use pwrfgs::experiment::ensemble::{MEMBERS, Team};
+use pwrfgs::experiment::folder::REPORT;
 use pwrfgs::experiment::{Outcome, Recipe};
 use pwrfgs_core::Result;
 use std::path::{Path, PathBuf};
@@ -86,7 +86,13 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
 }
 
 /// The members of an ensemble, as many at a time as there are threads, and then their mean.
-fn together(team: &Team, out: &Path, verbosity: Verbosity, progress: &mut Progress, stop: &AtomicBool) -> Result<Outcome> {
+fn together(
+    team: &Team,
+    out: &Path,
+    verbosity: Verbosity,
+    progress: &mut Progress,
+    stop: &AtomicBool,
+) -> Result<Outcome> {
     let plan = team.plan(&out.join(MEMBERS));
     let jobs = plan.runs.len().min(rayon::current_num_threads());
     let board = Table::new(&plan, plan.runs.len(), verbosity);

@@ -101,7 +101,11 @@ impl Check for EnsembleFile {
             MemberFile::Pipeline(_) => None,
             MemberFile::Member(member) => Some(&member.set),
         });
-        if [set].into_iter().chain(patches).any(|set| ["label", "name", "seed", "split_seed"].iter().any(|f| set.gives(f))) {
+        if [set]
+            .into_iter()
+            .chain(patches)
+            .any(|set| ["label", "name", "seed", "split_seed"].iter().any(|f| set.gives(f)))
+        {
             return Err("`set` cannot give `label`, `name`, `seed` or `split_seed`: seeds stand in `seeds`".into());
         }
         Ok(())
@@ -142,7 +146,8 @@ impl EnsembleFile {
                 None => members.push(pipeline.resolved().map_err(named)?),
                 Some(seeds) => {
                     for &seed in seeds {
-                        let name = if seeds.len() == 1 { pipeline.name.clone() } else { format!("{}-{seed}", pipeline.name) };
+                        let name =
+                            if seeds.len() == 1 { pipeline.name.clone() } else { format!("{}-{seed}", pipeline.name) };
                         members.push(Pipeline { name, seed, ..pipeline.clone() }.resolved().map_err(named)?);
                     }
                 }
@@ -160,7 +165,9 @@ impl EnsembleFile {
                 rebase(&mut pipeline, here);
                 (pipeline, None, None)
             }
-            MemberFile::Member(Member { base, label, set }) => (read_base(&here.join(base))?, label.as_deref(), Some(set)),
+            MemberFile::Member(Member { base, label, set }) => {
+                (read_base(&here.join(base))?, label.as_deref(), Some(set))
+            }
         };
         let mut draft = Draft::of(&base);
         for patch in [Some(&self.set), own].into_iter().flatten() {
@@ -170,7 +177,8 @@ impl EnsembleFile {
                 draft.rebase(&|path| absolute(here, path)).map_err(of)?;
             }
         }
-        let mut pipeline = draft.finish().map_err(|e| Error::input(path, format!("member `{}`: set: {e}", base.name)))?;
+        let mut pipeline =
+            draft.finish().map_err(|e| Error::input(path, format!("member `{}`: set: {e}", base.name)))?;
         if let Some(label) = label {
             pipeline.name = label.to_owned();
         }

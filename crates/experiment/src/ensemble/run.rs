@@ -1,6 +1,7 @@
 //! Trains the members of an ensemble, each in a folder of its own, and makes one model of theirs.
 
 use super::Team;
+use crate::clock;
 use crate::evaluate::evaluate;
 use crate::facts::Facts;
 use crate::folder::{MODEL_FILE, RunFolder};
@@ -10,7 +11,6 @@ use crate::results::{Page, Results};
 use crate::runner::{Outcome, load};
 use crate::scores::ScoreTable;
 use crate::sweep::{Board, Fate, Plan, check, execute};
-use crate::clock;
 use pwrfgs_core::{Error, Result};
 use pwrfgs_model::{Ensemble, file};
 use std::path::{Path, PathBuf};
@@ -84,7 +84,10 @@ fn train(
             }
             Fate::Busy => {
                 let folder = plan.folder_of(run);
-                return Err(Error::Config(format!("another pwrfgs is at work in {}; wait until it ends", folder.display())));
+                return Err(Error::Config(format!(
+                    "another pwrfgs is at work in {}; wait until it ends",
+                    folder.display()
+                )));
             }
             Fate::Unscored => interrupted = interrupted.or(Some(Outcome::Unscored)),
             Fate::Interrupted { step } => interrupted = Some(Outcome::Interrupted { step }),

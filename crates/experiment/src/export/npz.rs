@@ -92,7 +92,8 @@ impl Npz {
         let name = format!("{}{name}", self.prefix);
         self.archive.start_file(npyz::npz::file_name_from_array_name(&name), options)?;
         let shape: Vec<u64> = shape.iter().map(|n| *n as u64).collect();
-        let mut writer = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(&mut self.archive).begin_nd()?;
+        let mut writer =
+            npyz::WriteOptions::new().default_dtype().shape(&shape).writer(&mut self.archive).begin_nd()?;
         writer.extend(values.iter().copied())?;
         writer.finish()
     }

@@ -122,12 +122,7 @@ impl Plan {
 }
 
 impl PlannedRun {
-    pub(crate) fn new(
-        folder: String,
-        labels: Vec<(String, String)>,
-        combination: usize,
-        pipeline: Pipeline,
-    ) -> Self {
+    pub(crate) fn new(folder: String, labels: Vec<(String, String)>, combination: usize, pipeline: Pipeline) -> Self {
         Self { folder, labels, combination, pipeline, start: None }
     }
 }

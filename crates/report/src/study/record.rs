@@ -3,10 +3,10 @@
 use super::{distinct, one_line};
 use pwrfgs_core::files::read_text;
 use pwrfgs_core::{Error, Result};
-use pwrfgs_experiment::{Facts, Recipe};
 use pwrfgs_experiment::folder::{CURVE, MODEL_FILE, PIPELINE, SAMPLES, SCORES};
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::series;
+use pwrfgs_experiment::{Facts, Recipe};
 use pwrfgs_train::Pipeline;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer};

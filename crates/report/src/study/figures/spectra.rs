@@ -40,8 +40,11 @@ pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure
     let samples = &loaded.data.samples;
     let row = |(name, id): (&'static str, u32)| {
         let index = samples.iter().position(|s| s.id == id)?;
-        let predicted =
-            models.iter().zip(&scores).map(|(m, s)| (m.prepare().predict_timed(samples[index].tx).0.clamped(), s[&id])).collect();
+        let predicted = models
+            .iter()
+            .zip(&scores)
+            .map(|(m, s)| (m.prepare().predict_timed(samples[index].tx).0.clamped(), s[&id]))
+            .collect();
         Some(Row { name, id, truth: loaded.data.image(index), predicted })
     };
     let rows: Vec<Row> = chosen(&scores).into_iter().filter_map(row).collect();
