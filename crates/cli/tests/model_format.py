@@ -25,20 +25,32 @@ CLOSE, EDGE, FEW = 1e-5, 2e-2, 1e-3
 
 
 def read_safetensors(path):
-    """The tensors by name, in double precision, and the note."""
+    """The models in a file, one or several: the tensors of each by name, in double precision, and its note."""
     data = Path(path).read_bytes()
     start = 8 + int.from_bytes(data[:8], "little")
     header = json.loads(data[8:start])
     note = json.loads(header.pop("__metadata__")["pwrfgs"])
-    note["origin"] = np.array(note.get("origin", [0, 0, 0]), dtype=float)
-    note["pose"]["position"] = note["pose"]["position"] - note["origin"]
     types = {"F16": "<f2", "F32": "<f4", "F64": "<f8"}
     tensors = {}
     for name, entry in header.items():
         first, end = entry["data_offsets"]
         values = np.frombuffer(data[start + first : start + end], types[entry["dtype"]])
         tensors[name] = values.reshape(entry["shape"]).astype(float)
-    return tensors, note
+    if "members" not in note:
+        return [(tensors, local(note))]
+    members = []
+    for place, member in enumerate(note["members"]):
+        prefix = f"members.{place}."
+        own = {name[len(prefix) :]: values for name, values in tensors.items() if name.startswith(prefix)}
+        members.append((own, local(member["model"])))
+    return members
+
+
+def local(note):
+    """The note with everything counted from the origin."""
+    note["origin"] = np.array(note.get("origin", [0, 0, 0]), dtype=float)
+    note["pose"]["position"] = note["pose"]["position"] - note["origin"]
+    return note
 
 
 def read_ron(text):
@@ -349,10 +361,11 @@ def predict(tensors, note, tx):
 
 def compare(model, folder):
     """Whether every prediction in the folder is what the file says."""
-    tensors, note = read_safetensors(model)
+    members = read_safetensors(model)
     good = True
     for row in csv.DictReader((Path(folder) / "predictions.csv").open()):
-        expected = predict(tensors, note, [float(row[axis]) for axis in "xyz"])
+        pictures = [predict(*member, [float(row[axis]) for axis in "xyz"]) for member in members]
+        expected = pictures[0] if len(pictures) == 1 else np.mean(np.clip(pictures, 0, 1), axis=0)
         found = np.load(Path(folder) / f"{int(row['row']):05}.npy")
         assert found.shape == expected.shape and expected.max() > expected.min(), "a picture with something on it"
         error = np.abs(found - expected) / np.abs(expected).max()

@@ -3,7 +3,7 @@
 use crate::common::{SMALL, python, refuse, succeed, write};
 use pwrfgs::model::Calibration::{AsReleased, Physical};
 use pwrfgs::model::tensors::Tensors;
-use pwrfgs::model::{Calibration, Model, Readout, Stages, file};
+use pwrfgs::model::{Calibration, Ensemble, Model, Readout, Stages, file};
 use pwrfgs_core::{GaussianCloud, Origin, Plugin, Pose, Projector, Real, Vec3, rng};
 use std::path::Path;
 use std::process::Command;
@@ -100,7 +100,7 @@ fn model(
 
 /// Predictions of a model file in the folder `out`.
 fn predict(here: &Path, model: &str, out: &str) {
-    let [x, y, z] = file::read(&here.join(model)).unwrap().stages.origin.0;
+    let [x, y, z] = file::read_ensemble(&here.join(model)).unwrap().members()[0].stages.origin.0;
     let row = |dx, dy, dz| format!("{},{},{}\n", x + dx, y + dy, z + dz);
     write(&here.join("tx.csv"), format!("x,y,z\n{}{}", row(0.4, -0.3, 1.1), row(-1.25, 2.0, 0.2)));
     succeed(here, &["predict", model, "--tx-csv", "tx.csv", "--out", out]);
@@ -124,6 +124,12 @@ fn numpy_alone_predicts_what_the_document_says() {
     succeed(here, &["run", "p.ron", "--out", "run", "-q", "--set", "rasterizer=ArrayResponse()"]);
     succeed(here, &["export", "run/model.safetensors", "--half", "half.safetensors"]);
     pairs.extend(["run/model.safetensors", "trained", "half.safetensors", "half"].map(String::from));
+    // And all in one file.
+    let trained = file::read(&here.join("run/model.safetensors")).unwrap();
+    let half = file::read(&here.join("half.safetensors")).unwrap();
+    let together = Ensemble::named(vec![("trained".into(), trained), ("half".into(), half)]).unwrap();
+    file::write_ensemble(&here.join("both.safetensors"), &together).unwrap();
+    pairs.extend(["both.safetensors", "both"].map(String::from));
     pairs.chunks_exact(2).for_each(|pair| predict(here, &pair[0], &pair[1]));
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/model_format.py");
     let output = Command::new(python).arg(script).args(&pairs).current_dir(here).output().unwrap();
