@@ -1,12 +1,15 @@
 //! Every shipped pipeline parses, survives its own text, and trains some steps on a small teacher.
-use pwrfgs::experiment::sweep::Plan;
+use pwrfgs::experiment::Recipe;
+use pwrfgs::experiment::sweep::{Board, Fate, Plan};
 use pwrfgs::prelude::*;
 use pwrfgs::train::Trainer;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
-fn shipped() -> Vec<PathBuf> {
-    files("pipelines")
+/// The pipelines, or the ensembles.
+fn shipped(ensembles: bool) -> Vec<PathBuf> {
+    let is_ensemble = |path: &PathBuf| matches!(Recipe::read(path, &[]), Ok(Recipe::Ensemble(_)));
+    files("pipelines").into_iter().filter(|path| is_ensemble(path) == ensembles).collect()
 }
 
 /// The RON files of a folder of the project.
@@ -24,7 +27,8 @@ fn read(path: &Path) -> Pipeline {
 
 #[test]
 fn the_shipped_pipelines_are_there() {
-    let names: Vec<String> = shipped().iter().map(|p| p.file_stem().unwrap().to_string_lossy().into_owned()).collect();
+    let names: Vec<String> =
+        shipped(false).iter().map(|p| p.file_stem().unwrap().to_string_lossy().into_owned()).collect();
     for name in ["office-init", "pwrfgs", "quickstart", "s23-array", "s23-laptop", "wrfgs"] {
         assert!(names.iter().any(|n| n == name), "{name} is not among {names:?}");
     }
@@ -32,7 +36,7 @@ fn the_shipped_pipelines_are_there() {
 
 #[test]
 fn every_pipeline_survives_its_own_text() {
-    for path in shipped() {
+    for path in shipped(false) {
         let text = read(&path).to_ron();
         let again = Pipeline::parse(&text, &path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
         assert_eq!(again.to_ron(), text, "{}", path.display());
@@ -46,7 +50,7 @@ fn every_pipeline_survives_its_own_text() {
 
 #[test]
 fn every_pipeline_runs_some_steps() {
-    for path in shipped() {
+    for path in shipped(false) {
         let mut pipeline = read(&path);
         let count = if pipeline.deformation.varies_geometry() { 30 } else { 60 };
         for change in [
@@ -69,6 +73,44 @@ fn every_pipeline_runs_some_steps() {
         let curve = std::fs::read_to_string(out.join("curve.csv")).unwrap();
         assert_eq!(curve.lines().count(), 13, "{}", path.display());
         assert!(std::fs::read_to_string(out.join("report.html")).unwrap().contains("simulated"));
+    }
+}
+
+/// Nobody listens to the members.
+struct Quiet;
+
+impl Board for Quiet {
+    fn starts(&self, _: usize) -> Box<dyn Observer> {
+        Box::new(Silent)
+    }
+
+    fn ends(&self, _: usize, fate: &Fate) {
+        assert!(matches!(fate, Fate::Finished { .. }), "{fate:?}");
+    }
+}
+
+#[test]
+fn every_ensemble_trains_its_members_and_scores_their_mean() {
+    let ensembles = shipped(true);
+    assert!(!ensembles.is_empty());
+    for path in ensembles {
+        let small = [
+            "data=Teacher(gaussians: 4, samples: 30, width: 72, height: 18)",
+            "split=Random()",
+            "baselines=[MeanSpectrum()]",
+            "training=(steps: 6, densify_until: 0, prune_until: 4, prune_every: 2, batch: 4)",
+        ];
+        let Recipe::Ensemble(team) = Recipe::read(&path, &small.map(str::to_owned)).unwrap_or_else(|e| panic!("{e}"))
+        else {
+            panic!("{} is an ensemble", path.display())
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let (out, stop) = (folder.path().join("run"), AtomicBool::new(false));
+        let outcome = pwrfgs::run_team(&team, &out, 2, &Quiet, &mut Silent, &stop);
+        outcome.unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        let ensemble = pwrfgs::model::file::read_ensemble(&out.join("model.safetensors")).unwrap();
+        assert_eq!(ensemble.members().len(), team.members().len());
+        assert!(std::fs::read_to_string(out.join("scores.csv")).unwrap().contains("mean spectrum"));
     }
 }
 
