@@ -73,7 +73,8 @@ fn who_cannot_draw_or_has_not_learnt_the_elevations_says_so() {
     let half = sphere(Elevation::UPPER);
     let model = Trainer::new(&pipeline, &half, &partition).unwrap().model();
     let stop = std::sync::atomic::AtomicBool::new(false);
-    let said = pwrfgs::experiment::evaluate(&Ensemble::of(model.clone()), &pipeline, &data, &partition, &mut Silent, &stop);
+    let said =
+        pwrfgs::experiment::evaluate(&Ensemble::of(model.clone()), &pipeline, &data, &partition, &mut Silent, &stop);
     let said = said.unwrap_err().to_string();
     assert!(
         said.contains("draws elevations of 0 to 90 degrees and the spectra of the data are of -90 to 90"),

@@ -34,19 +34,21 @@ pub(crate) struct Init {
     pub(crate) out: Option<PathBuf>,
 }
 
-/// Settings that do on two cores in under an hour: those of `pipelines/s23-laptop.ron`, which says why.
-const LAPTOP: [&str; 11] = [
-    "deformation=Mlp(depth: 5, width: 128, position_frequencies: 6, tx_frequencies: 5, tx_features: 128, skip: None, outputs: Signals)",
+/// Settings that do on two cores in a few minutes: those of `pipelines/quickstart.ron` with twice the steps, for a split
+/// that holds out space.
+const LAPTOP: [&str; 12] = [
+    "deformation=Factored(depth: 4, width: 240, tx_encoding: Octaves(2))",
     "readout=Magnitude",
-    "pruners=[LearnableMask(), OpacityThreshold()]",
-    "training.steps=18000",
-    "training.densify_until=1500",
-    "training.prune_until=4000",
-    "training=(prune_every: 250, validate_every: 500, validation_samples: 200, checkpoint_every: 500)",
-    "training.tx_jitter_m=0.004",
-    "training.optimizer.network=LogLinear(first: 0.002, last: 0.00001)",
-    "training.optimizer.network_decay=0.03",
-    "training.densify=(from: 250, every: 250, gradient_threshold: 0.00002, max_gaussians: 400, reset_every: 0)",
+    "pruners=[LearnableMask(lambda: 0.1, learning_rate: 0.02), OpacityThreshold(epsilon: 0.005)]",
+    "training.steps=6000",
+    "training=(densify_until: 400, prune_until: 2000, prune_every: 200, densify: (every: 0))",
+    "training=(validate_every: 500, validation_samples: 200, checkpoint_every: 500)",
+    "training.tx_jitter_m=0.02",
+    "training.loss.ssim_weight=0.9",
+    "training.optimizer=(means: Cosine(first: 0.002, last: 0.000001), log_scales: Cosine(first: 0.01, last: 0.00001))",
+    "training.optimizer=(quats: Cosine(first: 0.002, last: 0.00001), opacity_logits: Cosine(first: 0.01, last: 0.00001))",
+    "training.optimizer=(signals: Cosine(first: 0.004, last: 0.00001), network: Cosine(first: 0.004, last: 0.000001))",
+    "training.optimizer=(network_warmup: 400, network_decay: 0.4)",
 ];
 
 /// Fields of a pipeline that the file shows; the others have their defaults.
@@ -83,13 +85,14 @@ fn pipeline(survey: &Survey, folder: &Path, out: &Path) -> Result<Pipeline> {
     set.push(format!("name={}", survey.name));
     set.push(format!("data=Nerf2Spectrum(root: {})", path(&root)?));
     set.push(format!("split={}", survey.split));
+    set.push(format!("training.stride={}", survey.stride()));
     set.push(format!("training.batch={}", survey.train.clamp(1, 32)));
     match survey.clouds.first() {
         Some((name, _)) => {
             set.push(format!("data.points={}", path(&root.join(name))?));
-            set.push("initializer=PointCloud(max_points: 400)".into());
+            set.push("initializer=PointCloud(max_points: 300)".into());
         }
-        None => set.push("initializer=Grid(count: 200)".into()),
+        None => set.push("initializer=Grid(count: 220, overlap: 1.0, opacity: 0.12)".into()),
     }
     let mut pipeline = Pipeline::parse(example().map_err(Error::Config)?.text(), out)?;
     pipeline.set_all(&set)?;
