@@ -18,7 +18,7 @@ const NOISE: [f64; 2] = [1e-4, 1e2];
 /// Ends of the length scales, in units of the distance between the samples of a case.
 const SCALE: [f64; 2] = [1e-2, 1e4];
 /// Steps of the search, in powers of two.
-const STEPS: [f64; 4] = [2.0, 1.0, 0.5, 0.25];
+const STEPS: [f64; 5] = [2.0, 1.0, 0.5, 0.25, 0.125];
 
 /// Samples to be predicted, each from those nearest to it.
 pub(super) struct Cases {
@@ -94,7 +94,8 @@ impl Case {
     }
 }
 
-/// The most likely correlation of those tried: a search along one parameter at a time, in steps of 4, 2, 1.4 and 1.2.
+/// The most likely correlation of those tried: a search along one parameter at a time, in steps of factors from 4 down to
+/// 1.09.
 pub(super) fn most_likely(cases: &Cases) -> Correlation {
     let of_kind = |kind| {
         let start = Correlation { kind, scales_m: [8.0 * cases.typical_m; 3], noise: 0.1 };
@@ -110,7 +111,7 @@ fn search(cases: &Cases, start: Correlation) -> (f64, Correlation) {
         // Each round but the last improves, and there is a best one; the bound is for noise in the last digits.
         for _ in 0..20 {
             let before = best.0;
-            for parameter in 0..5 {
+            for parameter in 0..6 {
                 for factor in [step.exp2(), (-step).exp2()] {
                     while let Some(next) = moved(&best.1, parameter, factor, cases.typical_m) {
                         let likelihood = cases.log_likelihood(&next);
@@ -129,13 +130,15 @@ fn search(cases: &Cases, start: Correlation) -> (f64, Correlation) {
     best
 }
 
-/// One of three length scales, all of them, or the noise, times `factor`; nothing beyond the ends.
+/// One of three length scales, all of them, the noise, or both against each other (longer scales go with a stronger process,
+/// in which the same noise is a smaller part), times `factor`; nothing beyond the ends.
 fn moved(from: &Correlation, parameter: usize, factor: f64, typical_m: f64) -> Option<Correlation> {
     let mut next = *from;
     match parameter {
         0 => next.scales_m = next.scales_m.map(|scale| scale * factor),
         1..=3 => next.scales_m[parameter - 1] *= factor,
-        _ => next.noise *= factor,
+        4 => next.noise *= factor,
+        _ => (next.scales_m, next.noise) = (next.scales_m.map(|scale| scale * factor), next.noise / factor),
     }
     let within = |[low, high]: [f64; 2], value: f64| (low..=high).contains(&value);
     let fits = next.scales_m.iter().all(|scale| within(SCALE, scale / typical_m)) && within(NOISE, next.noise);
