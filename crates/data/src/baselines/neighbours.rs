@@ -2,6 +2,7 @@
 
 use super::nearest::Nearest;
 use super::{all_of, choosing, evenly, weighted_mean};
+use pwrfgs_core::docs::Kind;
 use pwrfgs_core::{Baseline, Dataset, Documented, Image, Known, Predict, Real, Result, ssim};
 use rayon::prelude::*;
 use ron::value::RawValue;
@@ -42,6 +43,12 @@ pub enum Neighbours {
     Auto,
     /// So many.
     Number(usize),
+}
+
+impl Documented for Neighbours {
+    fn kind() -> Kind {
+        Kind::Plain("whole number or Auto")
+    }
 }
 
 impl From<usize> for Neighbours {
