@@ -53,10 +53,9 @@ fn choosing(known: Known<'_>) -> (Vec<usize>, Vec<usize>) {
     if !known.validation.is_empty() && !known.train.is_empty() {
         return (known.train.to_vec(), known.validation.to_vec());
     }
-    let parted = known.all().into_iter().enumerate().partition(|(k, _)| k % EVERY != 1);
-    let (train, out): (Vec<(usize, usize)>, Vec<(usize, usize)>) = parted;
-    let samples = |listed: Vec<(usize, usize)>| listed.into_iter().map(|(_, i)| i).collect();
-    (samples(train), samples(out))
+    let all = known.all();
+    let samples = |out: bool| all.iter().enumerate().filter(move |(k, _)| (k % EVERY == 1) == out).map(|(_, i)| *i);
+    (samples(false).collect(), samples(true).collect())
 }
 
 /// At most `count` of `all`, evenly spread.
