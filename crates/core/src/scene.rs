@@ -2,7 +2,7 @@
 
 use crate::origin::{Origin, place_fault};
 use crate::words::clean;
-use crate::{Documented, Elevation, Error, Image, Mat3, Real, Result, Spectra, Vec3};
+use crate::{Axis, Documented, Elevation, Error, Image, ImagePlane, Mat3, Real, Result, Spectra, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// Position and orientation of the receiver.
@@ -169,6 +169,13 @@ impl Dataset {
         self.simulation.is_some()
     }
 
+    /// What a pixel of the spectra is: columns go once around, rows are [`Self::elevation`].
+    pub fn plane(&self) -> ImagePlane {
+        let azimuth = Axis { first: 0.0, step: 360.0 / self.width as f64 };
+        let angles = Some((azimuth, self.elevation.axis(self.height)));
+        ImagePlane { width: self.width, height: self.height, wraps: true, angles }
+    }
+
     /// Spectrum of sample `i` (an index, not an id).
     pub fn image(&self, i: usize) -> Image {
         self.spectra.image(i)
@@ -194,11 +201,32 @@ pub struct Partition {
 }
 
 impl Partition {
-    /// Training and validation together, sorted: what baselines learn from, for they make no choices.
-    pub fn known(&self) -> Vec<usize> {
-        let mut known = [self.train.as_slice(), &self.validation].concat();
-        known.sort_unstable();
-        known
+    /// All but the test part.
+    pub fn known(&self) -> Known<'_> {
+        Known { train: &self.train, validation: &self.validation }
+    }
+}
+
+/// The samples that a baseline may learn from; indices into [`Dataset::samples`], two disjoint lists.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Known<'a> {
+    /// What a model learns from, too.
+    pub train: &'a [usize],
+    /// What choices are made on, where there are any to make. Then it is learned from like the rest.
+    pub validation: &'a [usize],
+}
+
+impl<'a> Known<'a> {
+    /// A training part without validation.
+    pub fn train(train: &'a [usize]) -> Self {
+        Self { train, validation: &[] }
+    }
+
+    /// Training and validation together, sorted.
+    pub fn all(&self) -> Vec<usize> {
+        let mut all = [self.train, self.validation].concat();
+        all.sort_unstable();
+        all
     }
 }
 

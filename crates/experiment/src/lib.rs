@@ -6,6 +6,7 @@
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
 mod bench;
+mod ceiling;
 pub mod clock;
 pub mod colour;
 pub mod confidence;
@@ -22,6 +23,7 @@ mod memory;
 mod observer;
 mod preview;
 mod recipe;
+pub mod repeatability;
 mod results;
 mod runner;
 pub mod samples;
@@ -33,6 +35,7 @@ pub mod text;
 mod validation;
 
 pub use bench::Bench;
+pub use ceiling::{CEILING, Ceiling, ceiling};
 pub use evaluate::{Assessment, evaluate};
 pub use examples::Example;
 pub use facts::{Facts, Machine, Mark};
@@ -41,6 +44,7 @@ pub use input::read_pipeline;
 pub use observer::{Observer, Silent, Start, Validation, staged};
 pub use preview::{Preview, preview};
 pub use recipe::Recipe;
+pub use repeatability::{Repeatability, repeatability};
 pub use results::{Page, Results};
 pub use runner::{Outcome, load, rebase, run};
 pub use scores::{ScoreTable, Scores, Summary};

@@ -10,7 +10,7 @@ use crate::templates::render;
 use minijinja::value::Serde;
 use minijinja::{Value, context};
 use pwrfgs_core::{Image, Result};
-use pwrfgs_experiment::{Example, Results, ensemble::MEMBERS, folder::REPORT, samples};
+use pwrfgs_experiment::{CEILING, Example, Results, ensemble::MEMBERS, folder::REPORT, samples};
 use pwrfgs_model::Model;
 
 /// The page of an evaluated model.
@@ -36,6 +36,7 @@ pub fn page(results: &Results<'_>) -> Result<String> {
         bounds => bounds.map(Vec::from),
         seed => pipeline.seed,
         predictors => scores.predictors.clone(),
+        ceiling => CEILING,
         groups => tables::groups(&scores),
         bounds_known => scores.bounds.clone(),
         notes => scores.notes.clone(),
