@@ -1,0 +1,128 @@
+//! The splits of the toolkit on these data: how far test transmitters stand from training ones, and what predictors
+//! without a model reach there.
+
+use pwrfgs_core::plugin::to_ron;
+use pwrfgs_core::{Dataset, Goal, Metric, Partition, Plugin, Result, Scope, Split, Values, registered, rng};
+use pwrfgs_experiment::samples::{evenly, nearest_train};
+use pwrfgs_experiment::scores::{Summary, quantile};
+use pwrfgs_experiment::{Bench, Observer};
+use pwrfgs_train::Pipeline;
+use std::sync::atomic::AtomicBool;
+
+/// Most test samples that floors are scored on.
+const TESTED: usize = 250;
+
+/// One split.
+#[derive(Clone, Debug)]
+pub struct Divided {
+    /// As a pipeline has it, such as `Random()`.
+    pub name: String,
+    /// Whether it is the pipeline's own.
+    pub own: bool,
+    /// What it gives, or why it cannot.
+    pub outcome: Result<Outcome, String>,
+}
+
+/// What a split gives.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// Training, validation and test samples.
+    pub samples: [usize; 3],
+    /// Metres from each test sample to the nearest training sample, ascending.
+    pub distances: Vec<f64>,
+    /// Predictors without a model.
+    pub floors: Vec<Floor>,
+    /// Test samples they were scored on.
+    pub tested: usize,
+}
+
+/// What one predictor reaches.
+#[derive(Clone, Debug)]
+pub struct Floor {
+    /// As tables name it.
+    pub name: String,
+    /// Whether it knows the scene that made the data: then it is a bound.
+    pub knows_scene: bool,
+    /// By metric: its key, whether larger is better, and the numbers.
+    pub scores: Vec<(String, bool, Summary)>,
+}
+
+/// All splits that are registered with their defaults, and before them the pipeline's own where it is another.
+///
+/// # Errors
+/// Where a baseline or a metric refuses, or a picture cannot be read.
+pub(crate) fn splits(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer) -> Result<Vec<Divided>> {
+    let standard = registered::<dyn Split>().into_iter().filter_map(|name| {
+        let name = format!("{name}()");
+        Some((Plugin::<dyn Split>::parse(&name).ok()?, name))
+    });
+    let standard: Vec<(Plugin<dyn Split>, String)> = standard.collect();
+    let own = to_ron(&pipeline.split);
+    let mut all: Vec<(Plugin<dyn Split>, String, bool)> = Vec::new();
+    if !standard.iter().any(|(split, _)| to_ron(split) == own) {
+        all.push((pipeline.split.clone(), own.split_whitespace().collect::<Vec<_>>().join(" "), true));
+    }
+    all.extend(standard.into_iter().map(|(split, name)| {
+        let same = to_ron(&split) == own;
+        (split, name, same)
+    }));
+    let mut divided = Vec::new();
+    for (split, name, own) in all {
+        let outcome = match split.split(data, &mut rng::stream(pipeline.seed, "split", 0)) {
+            Ok(partition) => Ok(outcome(pipeline, data, &partition, observer)?),
+            Err(refused) => Err(refused.to_string()),
+        };
+        divided.push(Divided { name, own, outcome });
+    }
+    Ok(divided)
+}
+
+fn outcome(pipeline: &Pipeline, data: &Dataset, partition: &Partition, observer: &mut dyn Observer) -> Result<Outcome> {
+    let nearest = nearest_train(data, partition);
+    let mut distances: Vec<f64> = partition.test.iter().map(|&i| nearest[i] as f64).collect();
+    distances.sort_by(f64::total_cmp);
+    let tested = evenly(&partition.test, TESTED);
+    Ok(Outcome {
+        samples: [&partition.train, &partition.validation, &partition.test].map(Vec::len),
+        distances,
+        floors: floors(pipeline, data, partition, &tested, observer)?,
+        tested: tested.len(),
+    })
+}
+
+/// The pipeline's baselines by those of its metrics that give a number a sample.
+fn floors(
+    pipeline: &Pipeline,
+    data: &Dataset,
+    partition: &Partition,
+    tested: &[usize],
+    observer: &mut dyn Observer,
+) -> Result<Vec<Floor>> {
+    let plane = crate::look::plane(data);
+    let bench = Bench::new(data, tested, &plane);
+    let metrics: Vec<Plugin<dyn Metric>> =
+        pipeline.metrics.iter().filter(|metric| metric.scope() == Scope::Sample).cloned().collect();
+    let never = AtomicBool::new(false);
+    let known = partition.known();
+    let mut floors = Vec::new();
+    for baseline in &pipeline.baselines {
+        let fitted = baseline.fit(data, &known)?;
+        let name = baseline.name();
+        let mut scores = Vec::new();
+        for m in bench.baseline(&name, &*fitted, &metrics, observer, &never)? {
+            if let Values::PerSample(values) = m.values {
+                let higher = m.goal == Goal::Higher;
+                scores.push((m.key, higher, Summary::of(&values, higher)));
+            }
+        }
+        floors.push(Floor { name, knows_scene: fitted.knows_scene(), scores });
+    }
+    Ok(floors)
+}
+
+impl Outcome {
+    /// The `q` quantile of the distance to the nearest training transmitter, metres.
+    pub fn distance(&self, q: f64) -> f64 {
+        quantile(&self.distances, q)
+    }
+}
