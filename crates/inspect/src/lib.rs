@@ -6,6 +6,7 @@
 //! Everything is bounded: of many pictures so many are looked at, evenly chosen, and the page says how many.
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
+mod ceiling;
 mod eigen;
 mod freedom;
 mod look;
@@ -16,18 +17,21 @@ mod pose;
 mod splits;
 mod text;
 mod trajectory;
+mod words;
 
 pub use freedom::{Array, Components, Freedom, Kind};
-pub use output::write;
+pub use output::{claim, write};
 pub use pictures::Pictures;
 pub use pose::{Pose, Verdict};
 pub use splits::{Divided, Floor, Outcome};
 pub use trajectory::Trajectory;
 
 use look::Looks;
-use pwrfgs_core::{Dataset, Result};
+use pwrfgs_core::{Dataset, Metric, Plugin, Result, Scope};
+use pwrfgs_experiment::repeatability::{Repeatability, repeatability};
 use pwrfgs_experiment::{Observer, staged};
 use pwrfgs_train::Pipeline;
+use std::sync::atomic::AtomicBool;
 
 /// All that was found.
 #[derive(Debug)]
@@ -44,6 +48,8 @@ pub struct Inspection<'a> {
     pub pose: Option<Pose>,
     /// What each split asks.
     pub splits: Vec<Divided>,
+    /// How alike spectra of one place are.
+    pub ceiling: Repeatability,
 }
 
 /// Looks at `data`, with the split, baselines, metrics and seed of a pipeline.
@@ -56,6 +62,10 @@ pub fn inspect<'a>(pipeline: &Pipeline, data: &'a Dataset, observer: &mut dyn Ob
     let freedom = freedom::freedom(data, &looks.each);
     observer.on_stage("the pose", 0, 0);
     let pose = pose::pose(data, &looks.each);
+    observer.on_stage("repeatability", 0, 0);
+    let metrics: Vec<Plugin<dyn Metric>> =
+        pipeline.metrics.iter().filter(|metric| metric.scope() == Scope::Sample).cloned().collect();
+    let ceiling = repeatability(data, &metrics, &AtomicBool::new(false))?;
     data.spectra.check()?;
     Ok(Inspection {
         data,
@@ -63,6 +73,7 @@ pub fn inspect<'a>(pipeline: &Pipeline, data: &'a Dataset, observer: &mut dyn Ob
         pictures: pictures::pictures(data, &looks),
         freedom,
         pose,
-        splits: splits::splits(pipeline, data, observer)?,
+        splits: splits::splits(pipeline, &metrics, data, observer)?,
+        ceiling,
     })
 }

@@ -1,7 +1,7 @@
 //! One pass over the pictures: what each says by itself, and their mean.
 
 use glam::DVec3;
-use pwrfgs_core::{Axis, Dataset, Image, ImagePlane, Progress, Real, Result};
+use pwrfgs_core::{Dataset, Image, ImagePlane, Progress, Real, Result};
 use pwrfgs_experiment::samples::evenly;
 use rayon::prelude::*;
 use std::hash::{DefaultHasher, Hasher as _};
@@ -36,13 +36,6 @@ pub(crate) struct Looks {
     pub(crate) mean: Image,
 }
 
-/// What pixels mean, whatever a pipeline draws with.
-pub(crate) fn plane(data: &Dataset) -> ImagePlane {
-    let azimuth = Axis { first: 0.0, step: 360.0 / data.width as f64 };
-    let angles = Some((azimuth, data.elevation.axis(data.height)));
-    ImagePlane { width: data.width, height: data.height, wraps: true, angles }
-}
-
 impl Looks {
     /// Looks at every picture, or at 20,000 of more.
     ///
@@ -51,7 +44,7 @@ impl Looks {
     pub(crate) fn of(data: &Dataset, progress: Progress<'_>) -> Result<Self> {
         let all: Vec<usize> = (0..data.samples.len()).collect();
         let chosen = evenly(&all, PICTURES);
-        let sky = Sky::of(&plane(data));
+        let sky = Sky::of(&data.plane());
         let done = AtomicUsize::new(0);
         let part = |samples: &[usize]| {
             let mut sum = vec![0.0; data.width * data.height];

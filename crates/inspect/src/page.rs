@@ -2,6 +2,8 @@
 
 mod figures;
 
+pub(crate) use figures::similarity;
+
 use crate::output::MARK;
 use crate::words::{count, facts, freedom, length};
 use crate::{Divided, Inspection, Outcome};
@@ -70,8 +72,8 @@ impl Inspection<'_> {
             };
             let names: Vec<String> =
                 first.floors.iter().map(|f| format!("{}{}", f.name, if f.knows_scene { " †" } else { "" })).collect();
-            let ceiling = self.ceiling_words(&key);
-            context! { key, higher, names, rows => outcomes.iter().map(row).collect::<Vec<_>>(), ceiling }
+            let (rows, ceiling) = (outcomes.iter().map(row).collect::<Vec<_>>(), self.ceiling_words(&key));
+            context! { key, higher, names, rows, ceiling }
         };
         keys.into_iter().map(table).collect()
     }

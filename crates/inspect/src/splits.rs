@@ -2,7 +2,7 @@
 //! without a model reach there.
 
 use pwrfgs_core::plugin::to_ron;
-use pwrfgs_core::{Dataset, Goal, Metric, Partition, Plugin, Result, Scope, Split, Values, registered, rng};
+use pwrfgs_core::{Dataset, Goal, Metric, Partition, Plugin, Result, Split, Values, registered, rng};
 use pwrfgs_experiment::samples::{evenly, nearest_train};
 use pwrfgs_experiment::scores::{Summary, quantile};
 use pwrfgs_experiment::{Bench, Observer};
@@ -51,7 +51,7 @@ pub struct Floor {
 ///
 /// # Errors
 /// Where a baseline or a metric refuses, or a picture cannot be read.
-pub(crate) fn splits(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer) -> Result<Vec<Divided>> {
+pub(crate) fn splits(pipeline: &Pipeline, metrics: &[Plugin<dyn Metric>], data: &Dataset, observer: &mut dyn Observer) -> Result<Vec<Divided>> {
     let standard = registered::<dyn Split>().into_iter().filter_map(|name| {
         let name = format!("{name}()");
         Some((Plugin::<dyn Split>::parse(&name).ok()?, name))
@@ -69,7 +69,7 @@ pub(crate) fn splits(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Obs
     let mut divided = Vec::new();
     for (split, name, own) in all {
         let outcome = match split.split(data, &mut rng::stream(pipeline.seed, "split", 0)) {
-            Ok(partition) => Ok(outcome(pipeline, data, &partition, observer)?),
+            Ok(partition) => Ok(outcome(pipeline, metrics, data, &partition, observer)?),
             Err(refused) => Err(refused.to_string()),
         };
         divided.push(Divided { name, own, outcome });
@@ -77,7 +77,7 @@ pub(crate) fn splits(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Obs
     Ok(divided)
 }
 
-fn outcome(pipeline: &Pipeline, data: &Dataset, partition: &Partition, observer: &mut dyn Observer) -> Result<Outcome> {
+fn outcome(pipeline: &Pipeline, metrics: &[Plugin<dyn Metric>], data: &Dataset, partition: &Partition, observer: &mut dyn Observer) -> Result<Outcome> {
     let nearest = nearest_train(data, partition);
     let mut distances: Vec<f64> = partition.test.iter().map(|&i| nearest[i] as f64).collect();
     distances.sort_by(f64::total_cmp);
@@ -85,23 +85,22 @@ fn outcome(pipeline: &Pipeline, data: &Dataset, partition: &Partition, observer:
     Ok(Outcome {
         samples: [&partition.train, &partition.validation, &partition.test].map(Vec::len),
         distances,
-        floors: floors(pipeline, data, partition, &tested, observer)?,
+        floors: floors(pipeline, metrics, data, partition, &tested, observer)?,
         tested: tested.len(),
     })
 }
 
-/// The pipeline's baselines by those of its metrics that give a number a sample.
+/// The pipeline's baselines by `metrics`, which look at one sample each.
 fn floors(
     pipeline: &Pipeline,
+    metrics: &[Plugin<dyn Metric>],
     data: &Dataset,
     partition: &Partition,
     tested: &[usize],
     observer: &mut dyn Observer,
 ) -> Result<Vec<Floor>> {
-    let plane = crate::look::plane(data);
+    let plane = data.plane();
     let bench = Bench::new(data, tested, &plane);
-    let metrics: Vec<Plugin<dyn Metric>> =
-        pipeline.metrics.iter().filter(|metric| metric.scope() == Scope::Sample).cloned().collect();
     let never = AtomicBool::new(false);
     let known = partition.known();
     let mut floors = Vec::new();
@@ -109,7 +108,7 @@ fn floors(
         let fitted = baseline.fit(data, &known)?;
         let name = baseline.name();
         let mut scores = Vec::new();
-        for m in bench.baseline(&name, &*fitted, &metrics, observer, &never)? {
+        for m in bench.baseline(&name, &*fitted, metrics, observer, &never)? {
             if let Values::PerSample(values) = m.values {
                 let higher = m.goal == Goal::Higher;
                 scores.push((m.key, higher, Summary::of(&values, higher)));

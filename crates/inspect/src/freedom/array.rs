@@ -8,7 +8,6 @@
 
 use super::components::dot;
 use super::scattered;
-use crate::look::plane;
 use pwrfgs_core::{Dataset, Real};
 use pwrfgs_experiment::samples::evenly;
 use pwrfgs_experiment::scores::quantile;
@@ -114,7 +113,7 @@ struct Problem {
 
 impl Problem {
     fn of(data: &Dataset, lively: &[usize], rounding: f64) -> Self {
-        let (pixels, plane) = (scattered(PIXELS, (data.width, data.height)), plane(data));
+        let (pixels, plane) = (scattered(PIXELS, (data.width, data.height)), data.plane());
         let cosine = |&p: &usize| {
             let direction = plane.direction((p % data.width) as Real, (p / data.width) as Real).unwrap_or_default();
             [direction[0] as f64, direction[1] as f64]

@@ -4,10 +4,9 @@ mod places;
 
 pub(super) use places::{DOTS, positions, time_bar};
 
-use crate::look::plane;
 use crate::{Divided, Freedom, Inspection, Pose};
 use pwrfgs_core::Dataset;
-use pwrfgs_experiment::Repeatability;
+use pwrfgs_experiment::repeatability::Repeatability;
 use pwrfgs_experiment::samples::evenly;
 use pwrfgs_report::draw::canvas::{Anchor, BLACK, Canvas, Colour, INK};
 use pwrfgs_report::draw::charts::{Axis, Chart, Line, Look};
@@ -29,7 +28,7 @@ const COLOURS: [u32; 6] = [0x00_5aa0, 0xd5_5e00, 0x00_9e73, 0x78_286e, 0xe6_9f00
 const STROKES: [Stroke; 4] = [Stroke::FULL, Stroke::DASHED, Stroke::DASH_DOTTED, Stroke::DOTTED];
 
 /// A heading and a picture.
-pub(super) type Figure = (String, String);
+pub(crate) type Figure = (String, String);
 
 fn axis(name: &str) -> Axis {
     Axis { name: name.into(), ..Axis::default() }
@@ -54,7 +53,7 @@ pub(super) fn sheet(data: &Dataset) -> String {
     canvas.letters.size = 10.0;
     for (k, &i) in chosen.iter().enumerate() {
         let (x, y) = ((k % ACROSS) as f64 * (width + gap), (k / ACROSS) as f64 * (height + text + gap));
-        canvas.framed([x, y + text], [width, height], pixels(&data.image(i), &plane(data), Scale::Power));
+        canvas.framed([x, y + text], [width, height], pixels(&data.image(i), &data.plane(), Scale::Power));
         canvas.text([x, y + text - 4.0], Anchor::Start, format!("id {}", data.samples[i].id));
     }
     canvas.svg("sheet", "spectra side by side")
@@ -63,7 +62,7 @@ pub(super) fn sheet(data: &Dataset) -> String {
 /// The mean picture with its colours.
 pub(super) fn mean(found: &Inspection<'_>) -> String {
     let mean = &found.pictures.mean;
-    let mut canvas = map(mean, &plane(found.data), Scale::Power, &[Mark::Measured(mean.argmax())]);
+    let mut canvas = map(mean, &found.data.plane(), Scale::Power, &[Mark::Measured(mean.argmax())]);
     let below = canvas.height;
     canvas.height += 30.0;
     canvas.letters.colour = INK;
@@ -159,7 +158,7 @@ fn look_of(k: usize) -> Style {
 }
 
 /// Similarity against distance, for pairs near in time and far: one figure a metric.
-pub(super) fn similarity(found: &Repeatability) -> Vec<Figure> {
+pub(crate) fn similarity(found: &Repeatability) -> Vec<Figure> {
     let kinds = [(&found.near, "near in time", BLUE, Stroke::FULL, Marker::Circle), (&found.far, "far apart in time", ORANGE, Stroke::DASHED, Marker::Diamond)];
     let of_metric = |k: usize| {
         let mut lines = Vec::new();
