@@ -21,6 +21,7 @@ mod own_baseline;
 mod pipelines;
 mod reference;
 mod registry;
+mod repeatability;
 mod robustness;
 mod stopping;
 mod streaming;

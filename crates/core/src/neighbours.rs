@@ -1,9 +1,9 @@
 //! Distances between points in space: the nearest other point (d² of the paper's initial covariance d²·I), the mean over
-//! the k nearest (the released initial scale), and the nearest point of another set (Chamfer distance). Points `[N,3]` in
-//! metres, results in m².
+//! the k nearest (the released initial scale), the nearest point of another set (Chamfer distance), and which points are
+//! the k nearest. Points `[N,3]` in metres, results in m².
 //!
-//! A kd-tree (kiddo) answers all points in parallel. Only distances are returned, never indices, so equal distances
-//! cannot make two runs differ.
+//! A kd-tree (kiddo) answers all points in parallel. Which of several points at the same distance come last of the k
+//! nearest follows from the points alone; distances say nothing of it.
 
 use crate::Real;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
@@ -40,6 +40,21 @@ pub fn mean_of_k_nearest_squared(points: &[[Real; 3]], k: usize) -> Vec<Real> {
 pub fn nearest_squared(from: &[[Real; 3]], to: &[[Real; 3]]) -> Vec<Real> {
     let Some(tree) = tree(to) else { return vec![Real::INFINITY; from.len()] };
     from.par_iter().map(|p| tree.query(p).nearest_one::<SquaredEuclidean<Real>>().execute().distance).collect()
+}
+
+/// The `k` nearest of `points` to each of `from`, nearest first, `[from, k]`: indices, and squared distances. Fewer where
+/// there are fewer points. A point of `from` that is in `points` finds itself.
+pub fn k_nearest(from: &[[Real; 3]], points: &[[Real; 3]], k: usize) -> Vec<Vec<(usize, Real)>> {
+    let (Some(tree), Some(k)) = (tree(points), NonZero::new(k.min(points.len()))) else {
+        return vec![Vec::new(); from.len()];
+    };
+    let find = |p: &[Real; 3]| {
+        let found = tree.query(p).nearest_n::<SquaredEuclidean<Real>>(k).execute();
+        let mut found: Vec<(usize, Real)> = found.iter().map(|n| (n.item as usize, n.distance)).collect();
+        found.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
+        found
+    };
+    from.par_iter().map(find).collect()
 }
 
 /// The tree, or `None` for no points.
@@ -85,6 +100,20 @@ mod tests {
         assert_close(&nearest_other_squared(&a), &one);
         assert_close(&mean_of_k_nearest_squared(&a, 3), &three);
         assert_close(&nearest_squared(&a, &b), &across);
+    }
+
+    #[test]
+    fn the_nearest_points_are_those_of_brute_force() {
+        let (from, points) = (cloud(40, "from"), cloud(300, "points"));
+        for (p, found) in from.iter().zip(k_nearest(&from, &points, 7)) {
+            let mut all: Vec<(usize, Real)> = points.iter().map(|q| squared(p, q)).enumerate().collect();
+            all.sort_by(|a, b| a.1.total_cmp(&b.1));
+            let (expected, found): (Vec<usize>, Vec<usize>) =
+                (all[..7].iter().map(|n| n.0).collect(), found.iter().map(|n| n.0).collect());
+            assert_eq!(found, expected);
+        }
+        assert_eq!(k_nearest(&from[..1], &from[..3], 9)[0].len(), 3);
+        assert!(k_nearest(&from[..1], &[], 9)[0].is_empty() && k_nearest(&from[..1], &points, 0)[0].is_empty());
     }
 
     #[test]

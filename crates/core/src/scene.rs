@@ -2,7 +2,7 @@
 
 use crate::origin::{Origin, place_fault};
 use crate::words::clean;
-use crate::{Documented, Elevation, Error, Image, Mat3, Real, Result, Spectra, Vec3};
+use crate::{Axis, Documented, Elevation, Error, Image, ImagePlane, Mat3, Real, Result, Spectra, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// Position and orientation of the receiver.
@@ -189,6 +189,13 @@ impl Dataset {
     /// Whether the spectra are simulated, not measured.
     pub fn is_simulated(&self) -> bool {
         self.simulation.is_some()
+    }
+
+    /// What a pixel of the spectra is: columns go once around, rows are [`Self::elevation`].
+    pub fn plane(&self) -> ImagePlane {
+        let azimuth = Axis { first: 0.0, step: 360.0 / self.width as f64 };
+        let angles = Some((azimuth, self.elevation.axis(self.height)));
+        ImagePlane { width: self.width, height: self.height, wraps: true, angles }
     }
 
     /// Spectrum of sample `i` (an index, not an id).

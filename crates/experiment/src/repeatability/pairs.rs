@@ -1,0 +1,182 @@
+//! Which pairs of samples are compared.
+
+use super::Lapse;
+use crate::samples::evenly;
+use pwrfgs_core::{Dataset, Real, neighbours, rng};
+use std::ops::Range;
+
+/// Ids at most this far apart are near in time.
+pub const NEAR_IDS: u32 = 3;
+/// Ids further than this apart are far apart in time.
+pub const FAR_IDS: u32 = 30;
+/// Samples that are asked for their neighbours in space.
+const ASKED: usize = 8_192;
+/// Neighbours in space far apart in time that each of them is asked for: with all that can be nearer in time, so many more
+/// are looked up.
+const NEIGHBOURS: usize = 16;
+/// Pairs drawn at random, for the distances beyond.
+const DRAWN: usize = 20_000;
+/// Pairs drawn at random that say what spectra have in common that have nothing to do with each other.
+const UNRELATED: usize = 200;
+
+/// Two samples, the earlier one first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Pair {
+    pub(super) earlier: usize,
+    pub(super) later: usize,
+    /// Between the transmitters, metres.
+    pub(super) distance: f64,
+}
+
+impl Pair {
+    fn of(data: &Dataset, a: usize, b: usize) -> Self {
+        let (earlier, later) = (a.min(b), a.max(b));
+        let [p, q] = [earlier, later].map(|i| data.samples[i].tx);
+        let distance = p.iter().zip(q).map(|(p, q)| (p - q).powi(2)).sum::<f64>().sqrt();
+        // To a nanometre, so that places given in whole millimetres are whole millimetres apart.
+        Self { earlier, later, distance: (distance * 1e9).round() / 1e9 }
+    }
+
+    fn ids_apart(&self, data: &Dataset) -> u32 {
+        data.samples[self.later].id - data.samples[self.earlier].id
+    }
+}
+
+/// Pairs of one kind, the closest first. Those near in time are all there are. Of those far apart in time all that are
+/// close are there (of 8,192 samples with any other), and of the distant ones a random part.
+pub(super) fn find(data: &Dataset, lapse: Lapse) -> Vec<Pair> {
+    let mut pairs = match lapse {
+        Lapse::Near => near(data),
+        Lapse::Far => far(data),
+    };
+    pairs.sort_by_key(|pair| (pair.earlier, pair.later));
+    pairs.dedup();
+    // Among equal distances, of which places in whole millimetres have many, none comes first for its id.
+    rng::shuffle(&mut rng::stream(0, "repeatability order", 0), &mut pairs);
+    pairs.sort_by(|a, b| a.distance.total_cmp(&b.distance));
+    pairs
+}
+
+fn near(data: &Dataset) -> Vec<Pair> {
+    let of = |i: usize| {
+        let last = data.samples[i].id.saturating_add(NEAR_IDS);
+        (i + 1..data.samples.len()).take_while(move |&j| data.samples[j].id <= last).map(move |j| Pair::of(data, i, j))
+    };
+    (0..data.samples.len()).flat_map(of).collect()
+}
+
+fn far(data: &Dataset) -> Vec<Pair> {
+    let places: Vec<[Real; 3]> = data.samples.iter().map(|s| data.scene.origin.local(s.tx)).collect();
+    let asked = evenly(&(0..places.len()).collect::<Vec<_>>(), ASKED);
+    let from: Vec<[Real; 3]> = asked.iter().map(|&i| places[i]).collect();
+    let found = neighbours::k_nearest(&from, &places, 2 * FAR_IDS as usize + 1 + NEIGHBOURS);
+    // Beyond the horizon the lists of some samples are at their end, and what is in others is no fair sample.
+    let mut ends: Vec<f64> = found.iter().filter_map(|list| list.last()).map(|(_, d)| (*d as f64).sqrt()).collect();
+    ends.sort_by(f64::total_cmp);
+    let complete = found.iter().any(|list| list.len() == places.len());
+    let horizon = if complete { f64::INFINITY } else { ends.get(ends.len() / 10).copied().unwrap_or(0.0) };
+    let is_far = |pair: &Pair| pair.ids_apart(data) > FAR_IDS;
+    let listed = asked.iter().zip(&found).flat_map(|(&i, list)| list.iter().map(move |(j, _)| Pair::of(data, i, *j)));
+    let listed = listed.filter(|pair| pair.distance <= horizon && is_far(pair));
+    let drawn = drawn(data, DRAWN).filter(|pair| pair.distance > horizon && is_far(pair));
+    listed.chain(drawn).collect()
+}
+
+/// Pairs of two samples drawn at random.
+fn drawn(data: &Dataset, count: usize) -> impl Iterator<Item = Pair> {
+    let samples = data.samples.len();
+    let mut random = rng::stream(0, "repeatability pairs", 0);
+    let mut draw = move || Pair::of(data, rng::below(&mut random, samples), rng::below(&mut random, samples));
+    let count = if samples < 2 { 0 } else { count };
+    (0..count).map(move |_| draw()).filter(|pair| pair.earlier != pair.later)
+}
+
+/// Some pairs of any two samples.
+pub(super) fn unrelated(data: &Dataset) -> Vec<Pair> {
+    drawn(data, UNRELATED).collect()
+}
+
+/// Ranges of distances of one, two, three, five and seven times a power of ten, metres, and the place of their pairs in a
+/// list of ascending distances. The first begins at 0, and holds what is closer than a tenth of a millimetre.
+pub(super) fn bins(pairs: &[Pair]) -> Vec<([f64; 2], Range<usize>)> {
+    let edges = (-4..9).flat_map(|power| [1.0, 2.0, 3.0, 5.0, 7.0].map(|step| edge(step, power)));
+    let edges: Vec<f64> = [0.0].into_iter().chain(edges).collect();
+    let place = |edge: f64| pairs.partition_point(|pair| pair.distance < edge);
+    let bin = |edge: &[f64]| ([edge[0], edge[1]], place(edge[0])..place(edge[1]));
+    edges.windows(2).map(bin).filter(|(_, range)| !range.is_empty()).collect()
+}
+
+/// `step` times ten to the `power`, rounded once.
+fn edge(step: f64, power: i32) -> f64 {
+    if power < 0 { step / 10f64.powi(-power) } else { step * 10f64.powi(power) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pwrfgs_core::{Pose, Sample, Spectra};
+    use std::collections::BTreeSet;
+
+    fn data(places: impl Iterator<Item = (u32, f64)>) -> Dataset {
+        let samples: Vec<Sample> = places.map(|(id, x)| Sample { id, tx: [x, 0.0, 0.0] }).collect();
+        let spectra = Spectra::grey((1, 1), vec![0; samples.len()]).unwrap();
+        Dataset::new("line", Pose::IDENTITY, vec![], samples, spectra).unwrap()
+    }
+
+    #[test]
+    fn pairs_are_near_or_far_by_their_ids() {
+        // There and back again: ids 0 to 39 go out, 40 to 79 come back over the same places.
+        let data = data((0..80).map(|id| (id, f64::from(id.min(79 - id)) * 0.01)));
+        let near = find(&data, Lapse::Near);
+        assert_eq!(near.len(), 79 + 78 + 77);
+        assert!(near.iter().all(|pair| pair.later - pair.earlier <= 3));
+        let turn = near.iter().filter(|pair| pair.distance == 0.0).map(|pair| pair.earlier);
+        assert_eq!(turn.collect::<BTreeSet<_>>(), BTreeSet::from([38, 39]), "39 with 40, and 38 with 41");
+        let far = find(&data, Lapse::Far);
+        let zero: BTreeSet<_> = far.iter().filter(|pair| pair.distance == 0.0).map(|pair| pair.earlier).collect();
+        assert_eq!(zero, (0..25).collect(), "79 - 2 i ids apart, more than 30");
+        assert!(far.iter().all(|pair| pair.later - pair.earlier > 30) && far.is_sorted_by_key(|pair| pair.distance));
+    }
+
+    #[test]
+    fn ids_left_out_count_as_time() {
+        let data = data([(1, 0.0), (2, 0.0), (50, 0.0), (53, 0.0)].into_iter());
+        let ends = |lapse| find(&data, lapse).iter().map(|pair| (pair.earlier, pair.later)).collect::<BTreeSet<_>>();
+        assert_eq!(ends(Lapse::Near), BTreeSet::from([(0, 1), (2, 3)]));
+        assert_eq!(ends(Lapse::Far), BTreeSet::from([(0, 2), (0, 3), (1, 2), (1, 3)]));
+    }
+
+    /// The closest pairs are those of brute force, in a crowd that is larger than the lists of neighbours.
+    #[test]
+    fn the_closest_pairs_far_apart_in_time_are_found() {
+        let mut random = rng::stream(3, "places", 0);
+        let data = data((0..900).map(|id| (id, f64::from(rng::uniform(&mut random) as f32))));
+        let mut all: Vec<Pair> = Vec::new();
+        for a in 0..900 {
+            all.extend((a + 31..900).map(|b| Pair::of(&data, a, b)));
+        }
+        all.sort_by(|a, b| a.distance.total_cmp(&b.distance));
+        let distances = |pairs: &[Pair]| pairs[..400].iter().map(|pair| pair.distance).collect::<Vec<_>>();
+        assert_eq!(distances(&find(&data, Lapse::Far)), distances(&all));
+    }
+
+    #[test]
+    fn ranges_of_distances_hold_whole_millimetres() {
+        let data = data([(0, 0.0), (40, 0.002), (80, 0.005), (120, 0.1), (160, 0.1)].into_iter());
+        let pairs = find(&data, Lapse::Far);
+        let found: Vec<_> = bins(&pairs).into_iter().map(|([low, high], range)| (low, high, range.len())).collect();
+        let expected =
+            [(0.0, 0.0001, 1), (0.002, 0.003, 1), (0.003, 0.005, 1), (0.005, 0.007, 1), (0.07, 0.1, 4), (0.1, 0.2, 2)];
+        assert_eq!(found, expected);
+    }
+
+    #[test]
+    fn nothing_and_one_are_no_pairs() {
+        for count in 0..2 {
+            let one = data((0..count).map(|id| (id, 0.0)).chain((count == 0).then_some((9, 1.0))));
+            assert!(
+                find(&one, Lapse::Near).is_empty() && find(&one, Lapse::Far).is_empty() && unrelated(&one).is_empty()
+            );
+        }
+    }
+}
