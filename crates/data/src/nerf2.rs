@@ -9,7 +9,8 @@ mod tests;
 use crate::points::read_points;
 use crate::text::{XyzColumns, lines, no_longer, read_text, split_commas};
 use pwrfgs_core::{
-    DataSource, Dataset, Documented, Elevation, Error, Progress, Result, Sample, Simulation, Unmatched, files, words::clean,
+    DataSource, Dataset, Documented, Elevation, Error, Progress, Result, Sample, Simulation, Unmatched, files,
+    words::clean,
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};

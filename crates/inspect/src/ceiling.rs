@@ -1,8 +1,8 @@
 //! The ceiling in words: what spectra measured at one place have in common.
 
-use crate::Inspection;
 use crate::page::similarity;
 use crate::words::count;
+use crate::{Inspection, Outcome};
 use minijinja::{Value, context};
 use pwrfgs_experiment::repeatability::{Likeness, Similarity};
 use pwrfgs_experiment::text::number;
@@ -18,9 +18,11 @@ impl Inspection<'_> {
         kinds.into_iter().filter_map(one).collect()
     }
 
-    /// The same for a terminal.
-    pub(crate) fn ceiling_text(&self, key: &str) -> String {
-        self.ceiling_words(key).iter().map(|words| format!("note: {words}\n")).collect()
+    /// Mean and median of it for the samples that a split holds out.
+    pub(crate) fn ceiling_of(&self, key: &str, outcome: &Outcome) -> Option<[f64; 2]> {
+        let likeness = if outcome.mixes_times { &self.ceiling.near } else { &self.ceiling.far };
+        let similarity = likeness.metrics.iter().find(|m| m.key == key)?;
+        similarity.at_zero.as_ref().ok().map(|zero| [zero.mean, zero.median])
     }
 
     /// Figures and how to read them.

@@ -55,7 +55,8 @@ mod tests {
     #[test]
     fn the_matrix_comes_back_from_its_eigenvectors() {
         let n = 12;
-        let a: Vec<f64> = (0..n * n).map(|i| ((i / n + i % n) as f64).sin() + f64::from(u8::from(i / n == i % n))).collect();
+        let a: Vec<f64> =
+            (0..n * n).map(|i| ((i / n + i % n) as f64).sin() + f64::from(u8::from(i / n == i % n))).collect();
         let (values, vectors) = symmetric(a.clone(), n);
         assert!(values.windows(2).all(|w| w[0] >= w[1]));
         for i in 0..n {

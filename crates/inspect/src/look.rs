@@ -93,7 +93,8 @@ impl Sky {
     }
 
     fn look(&self, sample: usize, image: &Image, raw: &[u8]) -> Look {
-        let (low, high) = image.pixels.iter().fold((Real::INFINITY, Real::NEG_INFINITY), |(l, h), p| (l.min(*p), h.max(*p)));
+        let (low, high) =
+            image.pixels.iter().fold((Real::INFINITY, Real::NEG_INFINITY), |(l, h), p| (l.min(*p), h.max(*p)));
         let mut hasher = DefaultHasher::new();
         hasher.write(raw);
         // Rounding gives the strongest direction a plateau of equal pixels: its middle is meant, not its first corner.

@@ -22,15 +22,18 @@ impl Inspection<'_> {
         let pose = self.pose.as_ref().map(|pose| {
             let turned = ("as recorded, and the best rotation", pose.turned);
             let constant = ("one constant direction", pose.constant);
-            let rows = [("as recorded: x, y, z, w", pose.recorded), turned, constant].into_iter().chain(pose.readings.clone());
+            let rows =
+                [("as recorded: x, y, z, w", pose.recorded), turned, constant].into_iter().chain(pose.readings.clone());
             context! {
                 title => pose.verdict.title(),
                 sentences => pose.sentences(),
                 rows => rows.map(|(name, angle)| (name, format!("{angle:.1}°"))).collect::<Vec<_>>(),
                 figures => figures::pose(pose),
+                rings => figures::rings(pose),
             }
         });
-        let refused = self.splits.iter().filter_map(|d| d.outcome.as_ref().err().map(|why| (d.name.clone(), why.clone())));
+        let refused =
+            self.splits.iter().filter_map(|d| d.outcome.as_ref().err().map(|why| (d.name.clone(), why.clone())));
         let page = context! {
             mark => Value::from_safe_string(MARK.into()),
             version => env!("CARGO_PKG_VERSION"),
@@ -48,6 +51,7 @@ impl Inspection<'_> {
             pose,
             distances => figures::distances(&self.splits),
             splits => self.splits.iter().filter_map(row).collect::<Vec<_>>(),
+            bounds => self.splits.iter().filter_map(|d| d.outcome.as_ref().ok()).any(|o| o.floors.iter().any(|f| f.knows_scene)),
             refused => refused.collect::<Vec<_>>(),
             tables => self.tables(),
             ceiling => self.ceiling_page(),
@@ -60,18 +64,26 @@ impl Inspection<'_> {
         let outcomes: Vec<(&Divided, &Outcome)> =
             self.splits.iter().filter_map(|d| Some((d, d.outcome.as_ref().ok()?))).collect();
         let Some((_, first)) = outcomes.first() else { return Vec::new() };
-        let keys = first.floors.first().map_or_else(Vec::new, |f| f.scores.iter().map(|s| (s.0.clone(), s.1)).collect());
+        let keys =
+            first.floors.first().map_or_else(Vec::new, |f| f.scores.iter().map(|s| (s.0.clone(), s.1)).collect());
         let table = |(key, higher): (String, bool)| {
             let cell = |o: &Outcome, f: usize| {
                 let scores = o.floors.get(f).into_iter().flat_map(|floor| &floor.scores);
                 let score = scores.filter(|s| s.0 == key).map(|s| s.2).next();
                 score.map_or_else(|| "n/a".into(), |s| format!("{} / {}", number(s.mean), number(s.median)))
             };
-            let row = |(d, o): &(&Divided, &Outcome)| {
-                (d.name.clone(), (0..first.floors.len()).map(|f| cell(o, f)).collect::<Vec<_>>())
+            let both = |mean, median| format!("{} / {}", number(mean), number(median));
+            let ceiling = |o: &Outcome| {
+                let known = self.ceiling_of(&key, o);
+                let kind = if o.mixes_times { "near in time" } else { "far apart in time" };
+                known.map_or_else(|| "not known".into(), |[mean, median]| format!("{}, {kind}", both(mean, median)))
             };
-            let names: Vec<String> =
-                first.floors.iter().map(|f| format!("{}{}", f.name, if f.knows_scene { " †" } else { "" })).collect();
+            let row = |(d, o): &(&Divided, &Outcome)| {
+                let cells = (0..first.floors.len()).map(|f| cell(o, f)).chain([ceiling(o)]);
+                (d.name.clone(), cells.collect::<Vec<_>>())
+            };
+            let names = first.floors.iter().map(|f| format!("{}{}", f.name, if f.knows_scene { " †" } else { "" }));
+            let names: Vec<String> = names.chain(["ceiling".to_owned()]).collect();
             let (rows, ceiling) = (outcomes.iter().map(row).collect::<Vec<_>>(), self.ceiling_words(&key));
             context! { key, higher, names, rows, ceiling }
         };

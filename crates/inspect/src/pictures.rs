@@ -45,10 +45,14 @@ impl Pictures {
         let Self { looked_at, from_zero, to_one, stretched, range, largest, .. } = self;
         let all = |count: &usize| *count + self.constant.len() >= *looked_at;
         match () {
-            () if all(stretched) => "each picture runs from 0 to 1: it was shifted and stretched, and absolute power is lost".into(),
+            () if all(stretched) => {
+                "each picture runs from 0 to 1: it was shifted and stretched, and absolute power is lost".into()
+            }
             () if all(to_one) => "each picture's largest value is 1: it was scaled, and absolute power is lost".into(),
             () if *to_one * 10 > *looked_at * 9 => {
-                format!("{to_one} of {looked_at} pictures reach 1 and {from_zero} reach 0: normalised one by one, but not all")
+                format!(
+                    "{to_one} of {looked_at} pictures reach 1 and {from_zero} reach 0: normalised one by one, but not all"
+                )
             }
             () => format!(
                 "pictures share one scale: their largest values are {:.3} to {:.3} (5 % to 95 %), that of all is {:.3}",
@@ -67,7 +71,9 @@ pub(crate) fn pictures(data: &Dataset, looks: &Looks) -> Pictures {
     largest.sort_by(f64::total_cmp);
     let mut alike: BTreeMap<u64, Vec<usize>> = BTreeMap::new();
     each.iter().filter(|l| l.strongest.is_some()).for_each(|l| alike.entry(l.hash).or_default().push(l.sample));
-    let equal = |group: &Vec<usize>| group.len() > 1 && group.windows(2).all(|w| data.spectra.raw(w[0]) == data.spectra.raw(w[1]));
+    let equal = |group: &Vec<usize>| {
+        group.len() > 1 && group.windows(2).all(|w| data.spectra.raw(w[0]) == data.spectra.raw(w[1]))
+    };
     let mut twins: Vec<Vec<u32>> =
         alike.into_values().filter(equal).map(|group| group.into_iter().map(id).collect()).collect();
     twins.sort();
@@ -82,7 +88,11 @@ pub(crate) fn pictures(data: &Dataset, looks: &Looks) -> Pictures {
         to_one: count(&|(_, high)| one(high)),
         stretched: count(&|(low, high)| zero(low) && one(high)),
         constant: each.iter().filter(|l| l.strongest.is_none()).map(|l| id(l.sample)).collect(),
-        saturated: each.iter().filter(|l| l.strongest.is_some() && l.plateau > SATURATED).map(|l| id(l.sample)).collect(),
+        saturated: each
+            .iter()
+            .filter(|l| l.strongest.is_some() && l.plateau > SATURATED)
+            .map(|l| id(l.sample))
+            .collect(),
         twins,
         mean: looks.mean.clone(),
     }
@@ -96,7 +106,8 @@ mod tests {
     fn of(pixels: Vec<u8>) -> Pictures {
         let count = pixels.len() / 32;
         let samples = (1..=count as u32).map(|id| Sample { id, tx: [f64::from(id); 3] }).collect();
-        let data = Dataset::new("few", Pose::IDENTITY, vec![], samples, Spectra::grey((8, 4), pixels).unwrap()).unwrap();
+        let data =
+            Dataset::new("few", Pose::IDENTITY, vec![], samples, Spectra::grey((8, 4), pixels).unwrap()).unwrap();
         pictures(&data, &Looks::of(&data, &|_, _| {}).unwrap())
     }
 
@@ -112,7 +123,9 @@ mod tests {
 
     #[test]
     fn the_normalisation_is_named() {
-        let said = |tops: [u8; 3], low: u8| of(tops.iter().flat_map(|t| (0..32).map(|k| if k == 7 { *t } else { low + k })).collect()).normalisation();
+        let said = |tops: [u8; 3], low: u8| {
+            of(tops.iter().flat_map(|t| (0..32).map(|k| if k == 7 { *t } else { low + k })).collect()).normalisation()
+        };
         assert!(said([255; 3], 0).starts_with("each picture runs from 0 to 1"));
         assert!(said([255; 3], 3).starts_with("each picture's largest value is 1"));
         assert!(said([200, 90, 250], 0).starts_with("pictures share one scale"));

@@ -3,6 +3,7 @@
 
 use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{Dataset, Goal, Metric, Partition, Plugin, Result, Split, Values, registered, rng};
+use pwrfgs_experiment::repeatability::NEAR_IDS;
 use pwrfgs_experiment::samples::{evenly, nearest_train};
 use pwrfgs_experiment::scores::{Summary, quantile};
 use pwrfgs_experiment::{Bench, Observer};
@@ -10,7 +11,7 @@ use pwrfgs_train::Pipeline;
 use std::sync::atomic::AtomicBool;
 
 /// Most test samples that floors are scored on.
-const TESTED: usize = 250;
+const TESTED: usize = 300;
 
 /// One split.
 #[derive(Clone, Debug)]
@@ -34,6 +35,8 @@ pub struct Outcome {
     pub floors: Vec<Floor>,
     /// Test samples they were scored on.
     pub tested: usize,
+    /// Whether most test samples have a training sample near in time: then the ceiling of pairs near in time is theirs.
+    pub mixes_times: bool,
 }
 
 /// What one predictor reaches.
@@ -51,7 +54,12 @@ pub struct Floor {
 ///
 /// # Errors
 /// Where a baseline or a metric refuses, or a picture cannot be read.
-pub(crate) fn splits(pipeline: &Pipeline, metrics: &[Plugin<dyn Metric>], data: &Dataset, observer: &mut dyn Observer) -> Result<Vec<Divided>> {
+pub(crate) fn splits(
+    pipeline: &Pipeline,
+    metrics: &[Plugin<dyn Metric>],
+    data: &Dataset,
+    observer: &mut dyn Observer,
+) -> Result<Vec<Divided>> {
     let standard = registered::<dyn Split>().into_iter().filter_map(|name| {
         let name = format!("{name}()");
         Some((Plugin::<dyn Split>::parse(&name).ok()?, name))
@@ -60,7 +68,8 @@ pub(crate) fn splits(pipeline: &Pipeline, metrics: &[Plugin<dyn Metric>], data: 
     let own = to_ron(&pipeline.split);
     let mut all: Vec<(Plugin<dyn Split>, String, bool)> = Vec::new();
     if !standard.iter().any(|(split, _)| to_ron(split) == own) {
-        all.push((pipeline.split.clone(), own.split_whitespace().collect::<Vec<_>>().join(" "), true));
+        let name = own.split_whitespace().collect::<Vec<_>>().join(" ").replace("( ", "(").replace(", )", ")");
+        all.push((pipeline.split.clone(), name, true));
     }
     all.extend(standard.into_iter().map(|(split, name)| {
         let same = to_ron(&split) == own;
@@ -77,7 +86,13 @@ pub(crate) fn splits(pipeline: &Pipeline, metrics: &[Plugin<dyn Metric>], data: 
     Ok(divided)
 }
 
-fn outcome(pipeline: &Pipeline, metrics: &[Plugin<dyn Metric>], data: &Dataset, partition: &Partition, observer: &mut dyn Observer) -> Result<Outcome> {
+fn outcome(
+    pipeline: &Pipeline,
+    metrics: &[Plugin<dyn Metric>],
+    data: &Dataset,
+    partition: &Partition,
+    observer: &mut dyn Observer,
+) -> Result<Outcome> {
     let nearest = nearest_train(data, partition);
     let mut distances: Vec<f64> = partition.test.iter().map(|&i| nearest[i] as f64).collect();
     distances.sort_by(f64::total_cmp);
@@ -87,7 +102,19 @@ fn outcome(pipeline: &Pipeline, metrics: &[Plugin<dyn Metric>], data: &Dataset, 
         distances,
         floors: floors(pipeline, metrics, data, partition, &tested, observer)?,
         tested: tested.len(),
+        mixes_times: mixes_times(data, partition),
     })
+}
+
+/// Whether most test samples have a training sample at most [`NEAR_IDS`] ids away.
+fn mixes_times(data: &Dataset, partition: &Partition) -> bool {
+    let trained: Vec<u32> = partition.train.iter().map(|&i| data.samples[i].id).collect(); // ascending
+    let near = |&&i: &&usize| {
+        let id = data.samples[i].id;
+        let from = trained.partition_point(|other| other.saturating_add(NEAR_IDS) < id);
+        trained.get(from).is_some_and(|other| *other <= id.saturating_add(NEAR_IDS))
+    };
+    2 * partition.test.iter().filter(near).count() > partition.test.len()
 }
 
 /// The pipeline's baselines by `metrics`, which look at one sample each.

@@ -20,7 +20,9 @@ impl Inspection<'_> {
                 text += &wrapped(&format!("{:<15}", "pose"), pose.verdict.title());
                 pose.sentences().iter().for_each(|s| text += &wrapped(&" ".repeat(15), s));
             }
-            None => text += &wrapped(&format!("{:<15}", "pose"), "too few pictures with a strongest direction to tell."),
+            None => {
+                text += &wrapped(&format!("{:<15}", "pose"), "too few pictures with a strongest direction to tell.")
+            }
         }
         text.push('\n');
         text + &self.table()
@@ -40,7 +42,8 @@ impl Inspection<'_> {
             return String::new();
         };
         let head = ["split", "train", "test", "nearest training"].map(str::to_owned);
-        let mut lines: Vec<Vec<String>> = vec![head.into_iter().chain(floors.iter().map(|f| f.name.clone())).collect()];
+        let names = floors.iter().map(|f| f.name.clone()).chain(["ceiling".to_owned()]);
+        let mut lines: Vec<Vec<String>> = vec![head.into_iter().chain(names).collect()];
         let mut refused = String::new();
         for divided in &self.splits {
             match &divided.outcome {
@@ -48,6 +51,7 @@ impl Inspection<'_> {
                     let mut line = vec![divided.name.clone(), o.samples[0].to_string(), o.samples[2].to_string()];
                     line.push(length(o.distance(0.5)));
                     line.extend(o.floors.iter().map(|f| f.scores.first().map_or("n/a".into(), |s| number(s.2.mean))));
+                    line.push(self.ceiling_of(&first, o).map_or_else(|| "n/a".into(), |c| number(c[0])));
                     lines.push(line);
                 }
                 Err(why) => _ = writeln!(refused, "{}: {why}", divided.name),
@@ -58,7 +62,8 @@ impl Inspection<'_> {
             "note: mean {first} of predictors without a model, on up to {tested} test spectra each; nearest training: \
              median distance from a test transmitter\n"
         );
-        aligned(&lines, 1) + &refused + &note + &self.ceiling_text(&first)
+        let ceiling = self.ceiling_words(&first).iter().map(|words| format!("note: {words}\n")).collect::<String>();
+        aligned(&lines, 1) + &refused + &note + &ceiling
     }
 }
 
@@ -90,6 +95,9 @@ mod tests {
     fn prose_is_broken_and_indented() {
         let text = wrapped("pose   ", &"twelve chars ".repeat(20));
         assert!(text.lines().all(|line| line.chars().count() <= super::WIDTH));
-        assert!(text.starts_with("pose   twelve") && text.lines().skip(1).all(|line| line.starts_with("       t") || line.starts_with("       c")));
+        assert!(
+            text.starts_with("pose   twelve")
+                && text.lines().skip(1).all(|line| line.starts_with("       t") || line.starts_with("       c"))
+        );
     }
 }

@@ -30,12 +30,16 @@ pub(crate) fn facts(found: &Inspection<'_>) -> Vec<(&'static str, String)> {
         ("steps", steps(found)),
         (
             "receiver",
-            format!("at ({}) m, boresight ({})", list(receiver.position), list(boresight.map(|v| (v * 1e3).round() / 1e3))),
+            format!(
+                "at ({}) m, boresight ({})",
+                list(receiver.position),
+                list(boresight.map(|v| (v * 1e3).round() / 1e3))
+            ),
         ),
         ("elevations", format!("{}° to {}°, top row to bottom", data.elevation.first, data.elevation.last)),
-        ("grey values", format!("{stored}{}, {} to {}", grain(&found.freedom, p), number(p.range[0]), number(p.range[1]))),
+        ("grey values", format!("{stored}{}, {:.3} to {:.3}", grain(&found.freedom, p), p.range[0], p.range[1])),
         ("normalisation", p.normalisation()),
-        ("odd ones", odd(p, found)),
+        ("odd pictures", odd(p, found)),
         ("halves", halves(found)),
     ];
     if p.looked_at < t.samples {
@@ -90,26 +94,21 @@ fn grain(freedom: &Freedom, pictures: &Pictures) -> &'static str {
 /// `3 constant (ids 4, 7, 9)`.
 fn named(what: &str, ids: &[u32]) -> String {
     if ids.is_empty() {
-        return format!("no {what}");
+        return format!("none {what}");
     }
     let shown = ids.iter().take(NAMED).map(u32::to_string).collect::<Vec<_>>().join(", ");
     let more = if ids.len() > NAMED { ", .." } else { "" };
-    format!("{} {what} (id {shown}{more})", count(ids.len()))
+    format!("{} {what} (ids {shown}{more})", count(ids.len()))
 }
 
 fn odd(p: &Pictures, found: &Inspection<'_>) -> String {
     let twins: Vec<u32> = p.twins.iter().flatten().copied().collect();
     let shared = match found.trajectory.shared {
-        0 => "no position twice".into(),
-        n => format!("{} samples share their position with another", count(n)),
+        0 => "none at the position of another".into(),
+        n => format!("{} at the position of another", count(n)),
     };
-    [
-        named("constant pictures", &p.constant),
-        named("saturated ones", &p.saturated),
-        named("equal to another", &twins),
-        shared,
-    ]
-    .join(", ")
+    [named("constant", &p.constant), named("saturated", &p.saturated), named("equal to another", &twins), shared]
+        .join(", ")
 }
 
 fn halves(found: &Inspection<'_>) -> String {
@@ -117,7 +116,11 @@ fn halves(found: &Inspection<'_>) -> String {
     match (unmatched.positions, unmatched.pictures) {
         (0, 0) => "every position has its picture, and every picture its position".into(),
         (positions, pictures) => {
-            format!("{} positions without a picture, {} pictures without a position; both are left out", count(positions), count(pictures))
+            format!(
+                "{} positions without a picture, {} pictures without a position; both are left out",
+                count(positions),
+                count(pictures)
+            )
         }
     }
 }

@@ -10,5 +10,5 @@ mod study;
 mod templates;
 
 pub use run_page::page;
-pub use templates::fill;
 pub use study::{Options, Record, Score, Setting, Study, Variant, figures, write};
+pub use templates::fill;

@@ -24,7 +24,7 @@ use std::process::ExitCode;
     predictors without a model reach;\n  how alike spectra of one place are: what no function of the position can exceed \
     by much.\n\nA pipeline gives its data, split, baselines, metrics and seed; a folder of data is looked at with all \
     defaults. Nothing is trained. Of more than 20,000 pictures so many are looked at, evenly chosen, and floors are \
-    scored on up to 250 test spectra a split. An older page in the folder is replaced; a folder that holds anything else \
+    scored on up to 300 test spectra a split. An older page in the folder is replaced; a folder that holds anything else \
     is never touched.\n\nEXAMPLES\n  pwrfgs inspect data/s23\n  pwrfgs inspect pipelines/quickstart.ron --out looked\n  \
     pwrfgs inspect pipelines/s23-array.ron --set data.root=/where/it/is/s23"
 )]
@@ -65,7 +65,8 @@ fn pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
         }
         () => {
             let pipeline = named(path).map_err(|_| {
-                let what = "holds neither spectra (folder spectrum, or spectra.npy) nor a run; give a folder of spectra";
+                let what =
+                    "holds neither spectra (folder spectrum, or spectra.npy) nor a run; give a folder of spectra";
                 Error::input(path, format!("{what}, a pipeline file, or the folder of a run"))
             });
             return read_pipeline(&pipeline?.0, set);

@@ -8,7 +8,7 @@
 
 use super::components::dot;
 use super::scattered;
-use pwrfgs_core::{Dataset, Real};
+use pwrfgs_core::{Dataset, Image, Real};
 use pwrfgs_experiment::samples::evenly;
 use pwrfgs_experiment::scores::quantile;
 use rayon::prelude::*;
@@ -39,7 +39,10 @@ pub enum Kind {
 }
 
 impl Kind {
-    const ALL: [Self; 3] = [Self::Power, Self::Amplitude, Self::Stretched];
+    /// What is tried of pictures that each run from 0 to 1, or do not.
+    fn tried(each_stretched: bool) -> &'static [Self] {
+        if each_stretched { &[Self::Power, Self::Stretched] } else { &[Self::Power, Self::Amplitude, Self::Stretched] }
+    }
 
     /// In words.
     pub fn words(self) -> &'static str {
@@ -109,6 +112,7 @@ struct Problem {
     cosines: Vec<[f64; 2]>,
     pictures: Vec<Vec<f64>>,
     rounding: f64,
+    kinds: &'static [Kind],
 }
 
 impl Problem {
@@ -118,12 +122,12 @@ impl Problem {
             let direction = plane.direction((p % data.width) as Real, (p / data.width) as Real).unwrap_or_default();
             [direction[0] as f64, direction[1] as f64]
         };
-        let read = |i: usize| {
-            let image = data.image(i);
-            pixels.iter().map(|&p| image.pixels[p] as f64).collect()
-        };
-        let pictures = evenly(lively, PICTURES).into_iter().map(read).collect();
-        Self { cosines: pixels.iter().map(cosine).collect(), pictures, rounding }
+        let images: Vec<Image> = evenly(lively, PICTURES).into_iter().map(|i| data.image(i)).collect();
+        let read = |image: &Image| pixels.iter().map(|&p| image.pixels[p] as f64).collect();
+        let stretched = |image: &Image| [0.0, 1.0].iter().all(|end| image.pixels.contains(end));
+        let kinds = Kind::tried(images.iter().all(stretched));
+        let pictures = images.iter().map(read).collect();
+        Self { cosines: pixels.iter().map(cosine).collect(), pictures, rounding, kinds }
     }
 
     /// The spacing at which an array of `n` x `n` leaves least.
@@ -163,7 +167,7 @@ impl Problem {
             Array { rows, columns, spacing, kind, residual: quantile(&left, 0.5) }
         };
         let better = |a: Array, b: Array| if b.residual < 0.8 * a.residual { b } else { a };
-        Kind::ALL.map(of).into_iter().reduce(better).expect("there are kinds")
+        self.kinds.iter().copied().map(of).reduce(better).expect("there are kinds")
     }
 
     /// Orthonormal columns that span the lags.

@@ -34,7 +34,10 @@ fn axis(name: &str) -> Axis {
     Axis { name: name.into(), ..Axis::default() }
 }
 
+/// A chart of the usual size without room for names above it, unless it has a size of its own.
 fn figure(title: &str, chart: &Chart) -> Option<Figure> {
+    let mut chart = chart.clone();
+    chart.look.margins[1] = 12.0;
     chart.draw().map(|canvas| (title.to_owned(), canvas.svg("chart", title)))
 }
 
@@ -78,10 +81,20 @@ pub(super) fn freedom(freedom: &Freedom) -> Option<String> {
     let chart = Chart {
         x: axis("principal components"),
         y: Axis { log: true, ..axis("RMS of what is left") },
-        lines: vec![Line::new(left, Style::line(BLUE, 2.0, Stroke::FULL)).named("pictures that had no part in them"), rounding],
+        lines: vec![
+            Line::new(left, Style::line(BLUE, 2.0, Stroke::FULL)).named("pictures that had no part in them"),
+            rounding,
+        ],
         ..Chart::default()
     };
     figure("how many numbers", &chart).map(|f| f.1)
+}
+
+/// Degrees from the boresight of the rings on the sky: the outer holds all there is, up to the plane of the array.
+pub(super) fn rings(pose: &Pose) -> [f64; 2] {
+    let far = pose.shown.iter().flatten().map(|(_, el)| 90.0 - el).fold(10.0, f64::max);
+    let rim = ((far / 10.0).ceil() * 10.0).min(90.0);
+    [rim, rim / 2.0]
 }
 
 /// Lines of sight and strongest directions: on the sky, azimuth against azimuth, elevation against elevation.
@@ -91,13 +104,13 @@ pub(super) fn pose(pose: &Pose) -> Vec<Figure> {
         let ((sin, cos), radius) = (az.to_radians().sin_cos(), 90.0 - el);
         (radius * cos, radius * sin)
     };
-    let far = shown.iter().flatten().map(|(_, el)| 90.0 - el).fold(0.0, f64::max);
-    let rim = if far <= 88.0 { (far / 10.0).ceil() * 10.0 } else { 90.0 };
+    let [rim, inner] = rings(pose);
     let ring = |radius: f64| (0..=72).map(|k| on_sky((5.0 * f64::from(k), 90.0 - radius))).collect::<Vec<_>>();
-    let rings = [rim, rim / 2.0].map(|radius| Line::new(ring(radius), Style::line(INK, 0.7, Stroke::FULL)));
+    let rings = [rim, inner].map(|radius| Line::new(ring(radius), Style::line(INK, 0.7, Stroke::FULL)));
     let both = Some((-1.05 * rim, 1.05 * rim));
     let named = |k: usize, colour, marker, name: &str| {
-        let points: Vec<(f64, f64)> = shown.iter().map(|pair| on_sky(pair[k])).filter(|p| p.0.hypot(p.1) <= 1.01 * rim).collect();
+        let points: Vec<(f64, f64)> =
+            shown.iter().map(|pair| on_sky(pair[k])).filter(|p| p.0.hypot(p.1) <= 1.01 * rim).collect();
         let width = if k == 0 { 3.4 } else { 2.4 };
         let sample = Style { marker: Some(marker), ..Style::line(colour, 0.0, Stroke::None) };
         [dots(points, colour.faint(0.7), width), Line::new(vec![], sample).named(name)]
@@ -105,7 +118,7 @@ pub(super) fn pose(pose: &Pose) -> Vec<Figure> {
     let mut lines: Vec<Line> = named(0, BLUE, Marker::Circle, "line of sight").into();
     lines.extend(named(1, ORANGE, Marker::Circle, "strongest direction"));
     lines.extend(rings);
-    let look = Look { size: [376.0, 378.0], margins: [58.0, 20.0, 18.0, 58.0] };
+    let look = Look { size: [376.0, 350.0], margins: [58.0, 12.0, 18.0, 38.0] };
     let sky = Chart {
         look,
         x: Axis { ends: both, ..axis("degrees from the boresight, along x") },
@@ -159,13 +172,17 @@ fn look_of(k: usize) -> Style {
 
 /// Similarity against distance, for pairs near in time and far: one figure a metric.
 pub(crate) fn similarity(found: &Repeatability) -> Vec<Figure> {
-    let kinds = [(&found.near, "near in time", BLUE, Stroke::FULL, Marker::Circle), (&found.far, "far apart in time", ORANGE, Stroke::DASHED, Marker::Diamond)];
+    let kinds = [
+        (&found.near, "near in time", BLUE, Stroke::FULL, Marker::Circle),
+        (&found.far, "far apart in time", ORANGE, Stroke::DASHED, Marker::Diamond),
+    ];
     let of_metric = |k: usize| {
         let mut lines = Vec::new();
         for (likeness, name, colour, stroke, marker) in kinds {
             let similarity = likeness.metrics.get(k)?;
             let points = similarity.bins.iter().map(|b| ((b.from_m.max(1e-4) * b.to_m).sqrt(), b.mean)).collect();
-            let mut line = Line::new(points, Style { marker: Some(marker), ..Style::line(colour, 1.8, stroke) }).named(name);
+            let mut line =
+                Line::new(points, Style { marker: Some(marker), ..Style::line(colour, 1.8, stroke) }).named(name);
             line.marks.clone_from(&line.points);
             lines.push(line);
             if let Ok(zero) = &similarity.at_zero {

@@ -25,11 +25,10 @@ const WIDE_DEG: f64 = 20.0;
 
 impl Verdict {
     pub(super) fn of(found: &Pose) -> Self {
-        let follows = |angle: f64| angle <= FOLLOWS * found.constant;
         // One cannot ask more of a rotation than how well it is known.
         let still = found.turn <= SMALL_DEG.max(found.turn_within);
         let no_gain = found.recorded <= 1.15 * found.turned + 0.5;
-        match (follows(found.turned), still || no_gain) {
+        match (found.follows(), still || no_gain) {
             (true, true) => Self::Right,
             (true, false) => Self::Off,
             (false, true) if found.recorded <= SMALL_DEG => Self::Right,
@@ -50,6 +49,11 @@ impl Verdict {
 }
 
 impl Pose {
+    /// Whether the strongest direction follows the line of sight, turned as fits best.
+    fn follows(&self) -> bool {
+        self.turned <= FOLLOWS * self.constant
+    }
+
     /// What was found and what follows, a sentence each.
     pub fn sentences(&self) -> Vec<String> {
         let Self { recorded, turned, constant, turn, turn_within, spread, .. } = *self;
@@ -61,7 +65,7 @@ impl Pose {
             self.pairs
         )];
         match self.verdict {
-            Verdict::Right if constant * 0.6 >= turned => said.push(format!(
+            Verdict::Right if self.follows() => said.push(format!(
                 "The strongest direction follows the transmitters, and turning the receiver gains nothing beyond what is \
                  uncertain: position and orientation agree with the pictures."
             )),
@@ -101,7 +105,8 @@ impl Pose {
 
     /// Another meaning of the recorded numbers that fits much better than the documented one.
     fn better_reading(&self) -> Option<(&'static str, f64)> {
-        let better = self.readings.iter().filter(|(_, angle)| *angle < 0.5 * self.recorded && *angle < 1.5 * self.turned);
+        let better =
+            self.readings.iter().filter(|(_, angle)| *angle < 0.5 * self.recorded && *angle < 1.5 * self.turned);
         better.filter(|(name, _)| !name.starts_with("azimuth")).min_by(|a, b| a.1.total_cmp(&b.1)).copied()
     }
 }

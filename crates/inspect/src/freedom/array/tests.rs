@@ -9,7 +9,8 @@ fn heard(rows: usize, columns: usize, spacing: f64, kind: Kind, count: usize) ->
     let mut random = rng::stream(3, "array", 0);
     let mut pixels = Vec::new();
     for _ in 0..count {
-        let signals: Vec<[f64; 2]> = (0..rows * columns).map(|_| [(); 2].map(|()| rng::normal(&mut random) as f64)).collect();
+        let signals: Vec<[f64; 2]> =
+            (0..rows * columns).map(|_| [(); 2].map(|()| rng::normal(&mut random) as f64)).collect();
         let amplitude = |p: usize| {
             let (az, el) = (5.0 * (p % width) as f64, 5.0 * (p / width) as f64);
             let (az, el) = (az.to_radians(), el.to_radians());
@@ -59,7 +60,8 @@ fn pictures_of_no_array_are_not_explained() {
     let mut random = rng::stream(4, "noise", 0);
     let pixels = (0..12 * 72 * 18).map(|_| rng::below(&mut random, 256) as u8).collect();
     let samples = (1..=12).map(|id| Sample { id, tx: [f64::from(id); 3] }).collect();
-    let data = Dataset::new("noise", Pose::IDENTITY, vec![], samples, Spectra::grey((72, 18), pixels).unwrap()).unwrap();
+    let data =
+        Dataset::new("noise", Pose::IDENTITY, vec![], samples, Spectra::grey((72, 18), pixels).unwrap()).unwrap();
     assert!(!found(&data).explains());
 }
 

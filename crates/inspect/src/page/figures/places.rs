@@ -24,22 +24,30 @@ pub(crate) fn positions(found: &Inspection<'_>) -> Vec<Figure> {
     let [low, high] = found.trajectory.extent;
     let along = if high[0] - low[0] >= high[1] - low[1] { 0 } else { 1 };
     let names = ["x [m]", "y [m]", "z [m]"];
-    let view = |title: &str, axes: [usize; 2]| figure(title, &places(found, axes, axes.map(|k| names[k])));
+    let view =
+        |title: &str, axes: [usize; 2], all: bool| figure(title, &places(found, axes, axes.map(|k| names[k]), all));
     let elevation = format!("Elevation: {} and z", ["x", "y"][along]);
-    [view("Plan: x and y", [0, 1]), view(&elevation, [along, 2]), steps(&found.trajectory)].into_iter().flatten().collect()
+    let mut figures = vec![view("Plan: x and y", [0, 1], true), view(&elevation, [along, 2], true)];
+    let receiver = found.data.scene.origin.world_pose(found.data.scene.receiver).position;
+    let away = (0..2).map(|k| (low[k] - receiver[k]).max(receiver[k] - high[k])).fold(0.0, f64::max);
+    if away > found.trajectory.size() {
+        figures.push(view("Plan of the transmitters alone", [0, 1], false));
+    }
+    figures.push(steps(&found.trajectory));
+    figures.into_iter().flatten().collect()
 }
 
 /// What colours mean.
 pub(crate) fn time_bar(ids: [u32; 2]) -> String {
-    let mut canvas = Canvas::new(404.0, 16.0);
+    let mut canvas = Canvas::new(372.0, 16.0);
     let colours = (0..COLOURS).flat_map(|k| {
         let [r, g, b] = time(k);
         [r, g, b, 255]
     });
     let rgba = colours.collect();
-    canvas.framed([102.0, 3.0], [200.0, 8.0], Pixels { width: COLOURS, height: 1, rgba, smooth: false });
-    canvas.text([96.0, 11.0], Anchor::End, format!("id {}", ids[0]));
-    canvas.text([308.0, 11.0], Anchor::Start, format!("id {}", ids[1]));
+    canvas.framed([50.0, 3.0], [200.0, 8.0], Pixels { width: COLOURS, height: 1, rgba, smooth: false });
+    canvas.text([0.0, 11.0], Anchor::Start, format!("id {}", ids[0]));
+    canvas.text([256.0, 11.0], Anchor::Start, format!("id {}", ids[1]));
     canvas.svg("bar", "colours of time")
 }
 
@@ -47,16 +55,16 @@ fn time(k: usize) -> [u8; 3] {
     sequential(LIGHTEST * (k as f64 + 0.5) / COLOURS as f64)
 }
 
-/// Transmitters and the receiver as two coordinates show them, to scale.
-fn places(found: &Inspection<'_>, [a, b]: [usize; 2], names: [&str; 2]) -> Chart {
+/// Transmitters, and the receiver too in a view of `all`, as two coordinates show them, to scale.
+fn places(found: &Inspection<'_>, [a, b]: [usize; 2], names: [&str; 2], all: bool) -> Chart {
     let data = found.data;
     let receiver = data.scene.origin.world_pose(data.scene.receiver);
     let boresight = receiver.world_from_receiver().z_axis.to_array().map(f64::from);
     let arrow = 0.12 * found.trajectory.size().max(0.1);
     let tip = [0, 1, 2].map(|k| receiver.position[k] + arrow * boresight[k]);
-    let all: Vec<usize> = (0..data.samples.len()).collect();
-    let shown: Vec<[f64; 3]> = evenly(&all, DOTS).into_iter().map(|i| data.samples[i].tx).collect();
-    let known = || shown.iter().chain([&receiver.position, &tip]);
+    let samples: Vec<usize> = (0..data.samples.len()).collect();
+    let shown: Vec<[f64; 3]> = evenly(&samples, DOTS).into_iter().map(|i| data.samples[i].tx).collect();
+    let known = || shown.iter().chain([&receiver.position, &tip].into_iter().filter(|_| all));
     let [x, y] = [a, b].map(|k| {
         let values = || known().map(|p| p[k]);
         (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max))
@@ -64,15 +72,18 @@ fn places(found: &Inspection<'_>, [a, b]: [usize; 2], names: [&str; 2]) -> Chart
     let (x, y, height) = to_scale(x, y);
     let place = |p: &[f64; 3]| (p[a], p[b]);
     let star = Style { marker: Some(Marker::Star), ..Style::line(BLACK, 1.6, Stroke::FULL) };
-    let mut own = Line::new(vec![place(&receiver.position), place(&tip)], star).named("receiver and boresight");
-    own.marks.push(place(&receiver.position));
-    let mut lines = vec![own];
+    let mut lines = Vec::new();
+    if all {
+        let mut own = Line::new(vec![place(&receiver.position), place(&tip)], star).named("receiver and boresight");
+        own.marks.push(place(&receiver.position));
+        lines.push(own);
+    }
     for k in 0..COLOURS {
         let part = &shown[k * shown.len() / COLOURS..(k + 1) * shown.len() / COLOURS];
         let [r, g, b] = time(k);
         lines.push(dots(part.iter().map(place).collect(), Colour { rgb: [r, g, b], opacity: 1.0 }, 2.6));
     }
-    let margins = Look::SCREEN.margins;
+    let margins = [Look::SCREEN.margins[0], 12.0, Look::SCREEN.margins[2], Look::SCREEN.margins[3]];
     let look = Look { size: [WIDTH + margins[0] + margins[2], height + margins[1] + margins[3]], margins };
     let axis = |name: &str, ends| Axis { ends: Some(ends), ..axis(name) };
     Chart { look, x: axis(names[0], x), y: axis(names[1], y), lines, ..Chart::default() }
