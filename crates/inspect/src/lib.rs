@@ -77,3 +77,6 @@ pub fn inspect<'a>(pipeline: &Pipeline, data: &'a Dataset, observer: &mut dyn Ob
         ceiling,
     })
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,7 +1,7 @@
 //! What was found in words: the same on the page and in the terminal.
 
 use crate::{Freedom, Inspection, Pictures};
-use pwrfgs_core::Number;
+use pwrfgs_core::{Number, Unmatched};
 use pwrfgs_experiment::text::{grouped, number};
 
 /// Ids that are named one by one.
@@ -98,7 +98,8 @@ fn named(what: &str, ids: &[u32]) -> String {
     }
     let shown = ids.iter().take(NAMED).map(u32::to_string).collect::<Vec<_>>().join(", ");
     let more = if ids.len() > NAMED { ", .." } else { "" };
-    format!("{} {what} (ids {shown}{more})", count(ids.len()))
+    let word = if ids.len() == 1 { "id" } else { "ids" };
+    format!("{} {what} ({word} {shown}{more})", count(ids.len()))
 }
 
 fn odd(p: &Pictures, found: &Inspection<'_>) -> String {
@@ -113,16 +114,12 @@ fn odd(p: &Pictures, found: &Inspection<'_>) -> String {
 
 fn halves(found: &Inspection<'_>) -> String {
     let unmatched = found.trajectory.unmatched;
-    match (unmatched.positions, unmatched.pictures) {
-        (0, 0) => "every position has its picture, and every picture its position".into(),
-        (positions, pictures) => {
-            format!(
-                "{} positions without a picture, {} pictures without a position; both are left out",
-                count(positions),
-                count(pictures)
-            )
-        }
+    if unmatched == Unmatched::default() {
+        return "every position has its picture, and every picture its position".into();
     }
+    let some = |n: usize, what: &str| format!("{} {what}{}", count(n), if n == 1 { "" } else { "s" });
+    let (positions, pictures) = (some(unmatched.positions, "position"), some(unmatched.pictures, "picture"));
+    format!("{positions} without a picture, {pictures} without a position: left out")
 }
 
 /// How many numbers the pictures are made of.
@@ -144,8 +141,8 @@ pub(crate) fn freedom(freedom: &Freedom) -> Vec<String> {
             )
         } else {
             format!(
-                "No planar array of up to 8 x 8 equally spaced antennas explains them; the nearest, {size}, leaves an \
-                 {left}."
+                "None of the planar arrays that were tried explains them (2 x 2 to 8 x 8 equally spaced antennas, as far as \
+                 there are pixels for it); the nearest, {size}, leaves an {left}."
             )
         }
     });

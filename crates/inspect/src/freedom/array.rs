@@ -87,7 +87,7 @@ impl Array {
 }
 
 /// The smallest array that explains the pictures `lively`, whose rounding has the RMS `rounding`; the one that comes
-/// nearest where none does, and nothing of fewer than four pictures.
+/// nearest where none does, and nothing of fewer than four pictures or a few pixels.
 pub(super) fn array(data: &Dataset, lively: &[usize], rounding: f64) -> Option<Array> {
     let problem = Problem::of(data, lively, rounding);
     if problem.pictures.len() < 4 {
@@ -99,7 +99,7 @@ pub(super) fn array(data: &Dataset, lively: &[usize], rounding: f64) -> Option<A
         if found.explains() {
             return Some(problem.smallest_within(found));
         }
-        if nearest.is_none_or(|before| found.residual < 0.7 * before.residual) {
+        if found.residual.is_finite() && nearest.is_none_or(|before| found.residual < 0.7 * before.residual) {
             nearest = Some(found);
         }
     }
@@ -193,8 +193,13 @@ impl Problem {
         basis
     }
 
-    /// RMS of what the lags leave of a picture, over that of its rounding.
+    /// RMS of what the lags leave of a picture, over that of its rounding. A fit takes from rounding what it has numbers
+    /// for; one with more than a third of the pixels would explain anything.
     fn left(&self, basis: &[Vec<f64>], p: &[f64], kind: Kind) -> f64 {
+        if 3 * basis.len() > p.len() {
+            return f64::INFINITY;
+        }
+        let free = (p.len() as f64 / (p.len() - basis.len() - 1) as f64).sqrt();
         let outside = |mut y: Vec<f64>| {
             basis.iter().for_each(|q| {
                 let part = dot(&y, q);
@@ -204,7 +209,7 @@ impl Problem {
         };
         let linear = outside(p.to_vec());
         if kind == Kind::Power {
-            return rms(&linear) / self.rounding;
+            return free * rms(&linear) / self.rounding;
         }
         let mut square = outside(p.iter().map(|p| p * p).collect());
         let kappa = match kind {
@@ -213,7 +218,7 @@ impl Problem {
         };
         subtract(&mut square, &linear, -kappa);
         let gain: Vec<f64> = p.iter().map(|p| 2.0 * p + kappa).collect();
-        rms(&square) / (self.rounding * rms(&gain))
+        free * rms(&square) / (self.rounding * rms(&gain))
     }
 }
 
