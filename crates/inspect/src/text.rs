@@ -21,7 +21,7 @@ impl Inspection<'_> {
                 pose.sentences().iter().for_each(|s| text += &wrapped(&" ".repeat(15), s));
             }
             None => {
-                text += &wrapped(&format!("{:<15}", "pose"), "too few pictures with a strongest direction to tell.")
+                text += &wrapped(&format!("{:<15}", "pose"), "too few pictures with a strongest direction to tell.");
             }
         }
         text.push('\n');
@@ -62,8 +62,8 @@ impl Inspection<'_> {
             "note: mean {first} of predictors without a model, on up to {tested} test spectra each; nearest training: \
              median distance from a test transmitter\n"
         );
-        let ceiling = self.ceiling_words(&first).iter().map(|words| format!("note: {words}\n")).collect::<String>();
-        aligned(&lines, 1) + &refused + &note + &ceiling
+        let text = aligned(&lines, 1) + &refused + &note;
+        self.ceiling_words(&first).iter().fold(text, |text, words| text + "note: " + words + "\n")
     }
 }
 

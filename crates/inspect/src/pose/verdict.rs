@@ -65,10 +65,11 @@ impl Pose {
             self.pairs
         )];
         match self.verdict {
-            Verdict::Right if self.follows() => said.push(format!(
+            Verdict::Right if self.follows() => said.push(
                 "The strongest direction follows the transmitters, and turning the receiver gains nothing beyond what is \
                  uncertain: position and orientation agree with the pictures."
-            )),
+                    .into(),
+            ),
             Verdict::Right => said.push(format!(
                 "That is as near as a picture can tell. But transmitters are seen within {spread:.1}° of one direction \
                  (median), so a turn about it would hardly show."

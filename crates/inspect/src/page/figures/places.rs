@@ -22,7 +22,7 @@ const WIDTH: f64 = 484.0;
 /// Plan, elevation and steps.
 pub(crate) fn positions(found: &Inspection<'_>) -> Vec<Figure> {
     let [low, high] = found.trajectory.extent;
-    let along = if high[0] - low[0] >= high[1] - low[1] { 0 } else { 1 };
+    let along = usize::from(high[0] - low[0] < high[1] - low[1]);
     let names = ["x [m]", "y [m]", "z [m]"];
     let view =
         |title: &str, axes: [usize; 2], all: bool| figure(title, &places(found, axes, axes.map(|k| names[k]), all));
