@@ -56,7 +56,7 @@ fn main() -> Result<()> {
     let model = trainer.model();
     let score = |p: &dyn Predict, i: usize| ssim::evaluation(&p.predict(data.samples[i].tx).clamped(), &data.image(i));
     let mean = |p| partition.test.iter().map(|&i| score(p, i)).sum::<f64>() / partition.test.len() as f64;
-    let floor = pwrfgs::data::MeanSpectrum {}.fit(&data, &partition.train)?;
+    let floor = pwrfgs::data::MeanSpectrum {}.fit(&data, partition.known())?;
     println!("SSIM on test positions: model {:.3}, mean spectrum {:.3}", mean(&model), mean(floor.as_ref()));
     let out = std::env::args_os().nth(1).map_or_else(|| "arrays.safetensors".into(), PathBuf::from);
     pwrfgs::model::file::write(&out, &model)

@@ -74,7 +74,7 @@ pub mod prelude {
     pub use pwrfgs_core::tape::{Trace, TraceScalar, Traced};
     pub use pwrfgs_core::{
         Baseline, CloudStats, ColumnSpec, DataSource, Dataset, Deformation, Deltas, Documented, Elevation, Error,
-        Evaluation, GaussianCloud, Goal, Image, ImagePlane, Initializer, Measurement, Metric, Moment, Origin,
+        Evaluation, GaussianCloud, Goal, Image, ImagePlane, Initializer, Known, Measurement, Metric, Moment, Origin,
         Partition, Phase, Plugin, Pose, Predict, Primitives, Progress, Projector, Pruner, Rasterizer, Real, Render,
         Result, Sample, Scene, Scope, Simulation, Spectra, Splats, Split, Values, rng,
     };

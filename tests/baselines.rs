@@ -34,12 +34,12 @@ fn baselines_reach_their_known_scores_on_the_measured_spectra() {
     let truths: Vec<Image> = partition.test.iter().map(|&i| data.image(i)).collect();
     let known: [(&dyn Baseline, [f64; 3]); 4] = [
         (&MeanSpectrum {}, [0.6334, 0.6627, 0.9160]),
-        (&NearestNeighbours { k: 1 }, [0.8753, 0.9547, 0.9813]),
-        (&NearestNeighbours { k: 3 }, [0.8858, 0.9459, 0.9836]),
-        (&NearestNeighbours { k: 5 }, [0.8824, 0.9353, 0.9839]),
+        (&NearestNeighbours { k: 1.into() }, [0.8753, 0.9547, 0.9813]),
+        (&NearestNeighbours { k: 3.into() }, [0.8858, 0.9459, 0.9836]),
+        (&NearestNeighbours { k: 5.into() }, [0.8824, 0.9353, 0.9839]),
     ];
     for (baseline, expected) in known {
-        let fitted = baseline.fit(&data, &partition.train).unwrap();
+        let fitted = baseline.fit(&data, partition.known()).unwrap();
         let predictions: Vec<Image> = partition.test.iter().map(|&i| fitted.predict(data.samples[i].tx)).collect();
         let ssim = scores(&Ssim {}, &predictions, &truths, &data);
         let eta = scores(&RateRatio { snr_db: 0.0 }, &predictions, &truths, &data);

@@ -153,7 +153,7 @@ fn baselines_predict_pictures_of_the_right_size() {
     let data = data();
     let train: Vec<usize> = (0..30).collect();
     for (name, baseline) in all::<dyn Baseline>() {
-        let fitted = match baseline.fit(&data, &train) {
+        let fitted = match baseline.fit(&data, Known::train(&train)) {
             Ok(fitted) => fitted,
             Err(e) if name == "RayTracing" => {
                 assert!(e.is_input(), "it needs spectra of a known room: {e}");

@@ -59,7 +59,7 @@ fn learn(seed: u64, pruners: &str, steps: u64, prune_until: u64) -> End {
     }
     let model = trainer.model();
     let mean_spectrum = Plugin::<dyn Baseline>::parse("MeanSpectrum()").unwrap();
-    let mean_spectrum = mean_spectrum.fit(&data, &partition.train).unwrap();
+    let mean_spectrum = mean_spectrum.fit(&data, partition.known()).unwrap();
     let score = |predict: &dyn Predict| {
         mean(
             partition

@@ -19,7 +19,7 @@ impl Baseline for GreyOfAFile {
         "grey".into()
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, _: &[usize]) -> Result<Box<dyn Predict + 'a>> {
+    fn fit<'a>(&self, data: &'a Dataset, _: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
         let text = std::fs::read_to_string(&self.path).map_err(|e| Error::read(&self.path, e))?;
         Ok(Box::new(Grey(Image {
             pixels: vec![text.trim().parse().unwrap(); data.width * data.height],

@@ -45,7 +45,7 @@ fn scores(data: &Dataset, part: &[usize], metrics: &[&str]) -> Result<Vec<Measur
     let plane = plugin::<dyn Projector>("Mercator()").plane(data.width, data.height);
     let metrics: Vec<Plugin<dyn Metric>> = metrics.iter().map(|text| plugin(text)).collect();
     let known: Vec<usize> = (0..50).collect();
-    let fitted = plugin::<dyn Baseline>("NearestNeighbours()").fit(data, &known)?;
+    let fitted = plugin::<dyn Baseline>("NearestNeighbours()").fit(data, Known::train(&known))?;
     Bench::new(data, part, &plane).baseline("3-NN", &*fitted, &metrics, &mut Silent, &AtomicBool::new(false))
 }
 
@@ -67,7 +67,8 @@ fn a_metric_sees_at_once_what_it_says() {
 fn scores_are_those_of_all_predictions_at_once() {
     let data = data();
     let part: Vec<usize> = (50..300).rev().collect();
-    let fitted = plugin::<dyn Baseline>("NearestNeighbours()").fit(&data, &(0..50).collect::<Vec<_>>()).unwrap();
+    let fitted =
+        plugin::<dyn Baseline>("NearestNeighbours()").fit(&data, Known::train(&(0..50).collect::<Vec<_>>())).unwrap();
     let predictions: Vec<Image> = part.iter().map(|&i| fitted.predict(data.samples[i].tx)).collect();
     let truths: Vec<Image> = part.iter().map(|&i| data.image(i)).collect();
     let plane = plugin::<dyn Projector>("Mercator()").plane(data.width, data.height);

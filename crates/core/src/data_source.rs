@@ -1,6 +1,6 @@
 //! `DataSource`, `Split`, `Baseline`: what is known, how it is divided, and what must be beaten.
 
-use crate::{Dataset, Image, Partition, Result, plugin_kind, rng::Rng};
+use crate::{Dataset, Image, Known, Partition, Result, plugin_kind, rng::Rng};
 use std::path::{Path, PathBuf};
 
 /// Told (done, of how many) while something long is under way, from any thread and in any order.
@@ -53,11 +53,12 @@ plugin_kind!(Split);
 /// A predictor without Gaussians, scored beside the model in every table.
 #[typetag::serde]
 pub trait Baseline: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
-    /// Its name in tables, such as `3-NN`.
+    /// Its name in tables, such as `3-NN`, before it has learned anything: [`Predict::name`] may say more.
     fn name(&self) -> String;
 
-    /// Learns from the samples `train` (indices).
-    fn fit<'a>(&self, data: &'a Dataset, train: &[usize]) -> Result<Box<dyn Predict + 'a>>;
+    /// Learns from all `known` samples, and makes its choices, if it has any, on their validation part; where that is
+    /// empty, on samples of the training part that it leaves out meanwhile.
+    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>>;
 
     /// The same baseline with its paths made relative to another folder, as [`DataSource::rebased`] does. A baseline
     /// without paths returns `None`.
@@ -82,6 +83,11 @@ plugin_kind!(Baseline);
 pub trait Predict: Send + Sync {
     /// The spectrum for a transmitter at `tx` (metres, world frame); not clamped.
     fn predict(&self, tx: [f64; 3]) -> Image;
+
+    /// Its name in tables, with what was chosen in fitting, such as `k-NN (k = 8)`; `None` where the baseline's own will do.
+    fn name(&self) -> Option<String> {
+        None
+    }
 
     /// A sentence that tables of scores print under themselves, for a predictor whose numbers mean something else than
     /// those beside it.

@@ -223,11 +223,32 @@ pub struct Partition {
 }
 
 impl Partition {
-    /// Training and validation together, sorted: what baselines learn from, for they make no choices.
-    pub fn known(&self) -> Vec<usize> {
-        let mut known = [self.train.as_slice(), &self.validation].concat();
-        known.sort_unstable();
-        known
+    /// All but the test part.
+    pub fn known(&self) -> Known<'_> {
+        Known { train: &self.train, validation: &self.validation }
+    }
+}
+
+/// The samples that a baseline may learn from; indices into [`Dataset::samples`], two disjoint lists.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Known<'a> {
+    /// What a model learns from, too.
+    pub train: &'a [usize],
+    /// What choices are made on, where there are any to make. Then it is learned from like the rest.
+    pub validation: &'a [usize],
+}
+
+impl<'a> Known<'a> {
+    /// A training part without validation.
+    pub fn train(train: &'a [usize]) -> Self {
+        Self { train, validation: &[] }
+    }
+
+    /// Training and validation together, sorted.
+    pub fn all(&self) -> Vec<usize> {
+        let mut all = [self.train, self.validation].concat();
+        all.sort_unstable();
+        all
     }
 }
 

@@ -4,7 +4,7 @@
 //!   with a known answer.
 //! * [`read_points`] reads a point cloud from PLY, XYZ or CSV, [`read_mesh`] triangles from OBJ, STL or PLY.
 //! * [`Official`], [`Random`], [`TimeBlock`], [`Voxel`] and [`Sparse`] divide samples.
-//! * [`MeanSpectrum`] and [`NearestNeighbours`] are scored beside every model.
+//! * [`MeanSpectrum`], [`NearestNeighbours`] and [`Kriging`] are scored beside every model.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
@@ -23,7 +23,7 @@ mod teacher;
 mod text;
 
 pub use arrays::Arrays;
-pub use baselines::{MeanSpectrum, NearestNeighbours};
+pub use baselines::{Kriging, MeanSpectrum, NearestNeighbours, Neighbours};
 pub use layout::gateway_yaml;
 pub use mesh::read_mesh;
 pub use nerf2::Nerf2Spectrum;

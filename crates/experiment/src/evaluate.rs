@@ -1,8 +1,9 @@
 //! Evaluation: the model and every baseline on the test part, by every metric of the pipeline.
 //!
-//! Baselines make no choices, so they are fitted on training and validation together: the stronger floor.
+//! Baselines are fitted on training and validation together, after what few choices they make: the stronger floor.
 
 use crate::bench::Bench;
+use crate::ceiling::{Ceiling, ceiling};
 use crate::examples::{self, Example};
 use crate::observer::{Observer, Silent};
 use crate::scores::{MODEL, Scores};
@@ -67,18 +68,19 @@ pub fn evaluate(
     let examples = examples::choose(model, data, &partition.test, &ssims)?;
     let mut predictors = vec![(MODEL.to_owned(), own)];
     let (mut notes, mut bounds): (Vec<String>, Vec<String>) = Default::default();
-    let known = partition.known();
     for baseline in &pipeline.baselines {
         go_on(stop)?;
-        let fitted = baseline.fit(data, &known)?;
-        let name = baseline.name();
+        let fitted = baseline.fit(data, partition.known())?;
+        let name = fitted.name().unwrap_or_else(|| baseline.name());
         let measured = test.baseline(&name, &*fitted, &pipeline.metrics, observer, stop)?;
         bounds.extend(fitted.knows_scene().then(|| name.clone()));
         predictors.push((name, measured));
         notes.extend(fitted.note().filter(|note| !notes.contains(note)));
     }
+    let Ceiling { of: ceiling, notes: said } = ceiling(data, partition, &pipeline.metrics, stop)?;
+    notes.extend(said);
     let ids = partition.test.iter().map(|&i| data.samples[i].id).collect();
-    Ok(Assessment { scores: Scores { ids, predictors, bounds, notes }, examples })
+    Ok(Assessment { scores: Scores { ids, predictors, bounds, ceiling, notes }, examples })
 }
 
 /// The structural similarity of every sample, where it was measured.

@@ -6,6 +6,7 @@
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
 mod bench;
+mod ceiling;
 pub mod clock;
 pub mod colour;
 mod evaluate;
@@ -31,6 +32,7 @@ pub mod text;
 mod validation;
 
 pub use bench::Bench;
+pub use ceiling::{CEILING, Ceiling, ceiling};
 pub use evaluate::{Assessment, evaluate};
 pub use examples::Example;
 pub use facts::{Facts, Machine, Mark};

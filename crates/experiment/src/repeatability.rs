@@ -13,6 +13,7 @@ mod measure;
 mod pairs;
 
 pub use extrapolate::AtZero;
+pub(crate) use pairs::in_order;
 pub use pairs::{FAR_IDS, NEAR_IDS};
 
 use crate::samples::evenly;

@@ -2,6 +2,8 @@
 //!
 //! Columns of `scores.csv`: predictor, metric, sample (a test id, or empty for a number about the whole model), value.
 
+use crate::ceiling::CEILING;
+use crate::repeatability::AtZero;
 use crate::text::{Lines, aligned, number};
 use pwrfgs_core::{Goal, Measurement, Values};
 use serde::{Deserialize, Serialize};
@@ -18,6 +20,9 @@ pub struct Scores {
     pub predictors: Vec<(String, Vec<Measurement>)>,
     /// Those of them that know the scene which made the data: bounds, and in no ranking.
     pub bounds: Vec<String>,
+    /// What two measured spectra at one place have in common, by key of a metric: it has no number a test sample. Nothing
+    /// where nobody can tell.
+    pub ceiling: Vec<(String, AtZero)>,
     /// What a reader of the numbers must know, one sentence each.
     pub notes: Vec<String>,
 }
@@ -57,7 +62,7 @@ pub fn quantile(sorted: &[f64], q: f64) -> f64 {
 /// Scores without the single samples, as `run.json` keeps them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScoreTable {
-    /// Predictors, the model first.
+    /// Predictors, the model first; after them [`CEILING`], where there is one.
     pub predictors: Vec<String>,
     /// One entry a metric.
     pub metrics: Vec<MetricRow>,
@@ -158,7 +163,18 @@ impl Scores {
                 };
             }
         }
-        let predictors = self.predictors.iter().map(|(name, _)| name.clone()).collect();
+        let mut predictors: Vec<String> = self.predictors.iter().map(|(name, _)| name.clone()).collect();
+        if !self.ceiling.is_empty() {
+            predictors.push(CEILING.into());
+            for row in &mut metrics {
+                let found = self.ceiling.iter().find(|(key, _)| *key == row.key);
+                let cell = |(_, at_zero): &(String, AtZero)| {
+                    let AtZero { mean, median, p10, .. } = *at_zero;
+                    Cell::Samples { mean, median, p10 }
+                };
+                row.cells.push(found.map_or_else(|| Cell::NotApplicable("no estimate".into()), cell));
+            }
+        }
         ScoreTable { predictors, metrics, bounds: self.bounds.clone(), notes: self.notes.clone() }
     }
 
@@ -189,15 +205,20 @@ impl ScoreTable {
     }
 
     /// The rank (0 is best) of each predictor by statistic `k` of a metric (0 mean, 1 median, 2 bad tail); `None` for
-    /// bounds, and where there is no number. Equal values share a rank.
+    /// bounds, the ceiling, and where there is no number. Equal values share a rank.
     pub fn ranks(&self, metric: &MetricRow, k: usize) -> Vec<Option<usize>> {
         let value = |(name, cell): (&String, &Cell)| {
-            cell.numbers().get(k).copied().filter(|v| !v.is_nan() && !self.bounds.contains(name))
+            cell.numbers().get(k).copied().filter(|v| !v.is_nan() && self.is_ranked(name))
         };
         let values: Vec<Option<f64>> = self.predictors.iter().zip(&metric.cells).map(value).collect();
         let better = |a: f64, b: f64| if metric.higher_is_better { a > b } else { a < b };
         let rank = |v: f64| values.iter().flatten().filter(|other| better(**other, v)).count();
         values.iter().map(|v| v.map(rank)).collect()
+    }
+
+    /// Whether a predictor competes: bounds and the ceiling do not.
+    fn is_ranked(&self, name: &str) -> bool {
+        name != CEILING && !self.bounds.iter().any(|bound| bound == name)
     }
 
     /// Aligned text for a terminal: a line for each metric and statistic, a column for each predictor; the best of a
@@ -227,7 +248,7 @@ impl ScoreTable {
         let bound = "† knows the scene that made the simulated spectra: in no ranking";
         let own = [
             self.metrics.iter().any(MetricRow::is_per_sample).then_some(tail),
-            (self.predictors.len() > 1).then_some(learnt),
+            (self.predictors.iter().filter(|name| *name != CEILING).count() > 1).then_some(learnt),
             (!self.bounds.is_empty()).then_some(bound),
         ];
         let notes = own.into_iter().flatten().chain(self.notes.iter().map(String::as_str));
@@ -260,6 +281,7 @@ mod tests {
                 ),
             ],
             bounds: vec![],
+            ceiling: vec![],
             notes: vec!["k, far has seen the test spectra".into()],
         }
     }
@@ -282,6 +304,19 @@ mod tests {
         assert_eq!(table.ranks(&table.metrics[0], 0), vec![None, Some(0)]);
         let text = table.to_text();
         assert!(text.contains("model †") && !text.contains('*') && text.contains("note: † knows the scene"), "{text}");
+    }
+
+    #[test]
+    fn the_ceiling_stands_last_and_in_no_ranking() {
+        let at_zero = AtZero { mean: 0.9, median: 0.95, p10: 0.8, interval: [0.85, 0.95] };
+        let scores = Scores { ceiling: vec![("ssim".into(), at_zero)], ..scores() };
+        let table = scores.table();
+        assert_eq!(table.predictors, [MODEL, "k, far", CEILING]);
+        assert_eq!(table.metrics[0].cells[2].numbers(), [0.9, 0.95, 0.8]);
+        assert_eq!(table.metrics[1].cells[2], Cell::NotApplicable("no estimate".into()));
+        assert_eq!(table.ranks(&table.metrics[0], 0), vec![Some(0), Some(1), None]);
+        assert!(table.to_text().lines().next().unwrap().ends_with(CEILING), "{}", table.to_text());
+        assert!(!scores.to_csv().contains("ceiling"), "no number a test sample");
     }
 
     #[test]

@@ -6,7 +6,7 @@ use crate::observer::{Observer, Silent, Validation};
 use crate::samples;
 use crate::scores::Summary;
 use pwrfgs_core::plugin::default_of;
-use pwrfgs_core::{Dataset, Error, ImagePlane, Measurement, Metric, Partition, Plugin, Result, Values};
+use pwrfgs_core::{Dataset, Error, ImagePlane, Known, Measurement, Metric, Partition, Plugin, Result, Values};
 use pwrfgs_model::Model;
 use pwrfgs_train::Pipeline;
 use std::sync::atomic::AtomicBool;
@@ -62,8 +62,10 @@ pub(crate) fn floors(
     let metrics = metrics()?;
     let floor = |b: &Plugin<dyn pwrfgs_core::Baseline>| {
         go_on(stop)?;
-        let fitted = b.fit(data, &partition.train)?;
-        Ok((b.name(), row(0, &bench.baseline(&b.name(), &*fitted, &metrics, observer, stop)?)))
+        let fitted = b.fit(data, Known::train(&partition.train))?;
+        let name = fitted.name().unwrap_or_else(|| b.name());
+        let measured = bench.baseline(&name, &*fitted, &metrics, observer, stop)?;
+        Ok((name, row(0, &measured)))
     };
     pipeline.baselines.iter().map(floor).collect()
 }

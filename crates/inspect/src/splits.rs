@@ -129,11 +129,10 @@ fn floors(
     let plane = data.plane();
     let bench = Bench::new(data, tested, &plane);
     let never = AtomicBool::new(false);
-    let known = partition.known();
     let mut floors = Vec::new();
     for baseline in &pipeline.baselines {
-        let fitted = baseline.fit(data, &known)?;
-        let name = baseline.name();
+        let fitted = baseline.fit(data, partition.known())?;
+        let name = fitted.name().unwrap_or_else(|| baseline.name());
         let mut scores = Vec::new();
         for m in bench.baseline(&name, &*fitted, metrics, observer, &never)? {
             if let Values::PerSample(values) = m.values {

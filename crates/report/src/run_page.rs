@@ -10,7 +10,7 @@ use crate::templates::render;
 use minijinja::value::Serde;
 use minijinja::{Value, context};
 use pwrfgs_core::{Image, Result};
-use pwrfgs_experiment::{Example, Results, samples};
+use pwrfgs_experiment::{CEILING, Example, Results, samples};
 
 /// The page of an evaluated model.
 ///
@@ -35,6 +35,7 @@ pub fn page(results: &Results<'_>) -> Result<String> {
         bounds => bounds.map(Vec::from),
         seed => pipeline.seed,
         predictors => scores.predictors.clone(),
+        ceiling => CEILING,
         groups => tables::groups(&scores),
         bounds_known => scores.bounds.clone(),
         notes => scores.notes.clone(),

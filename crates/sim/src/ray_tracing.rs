@@ -4,7 +4,7 @@ use crate::perturb::{Errors, perturbed};
 use crate::scene::Scene;
 use crate::simulator::{HEIGHT, Simulator, WIDTH};
 use glam::DVec3;
-use pwrfgs_core::{Baseline, Dataset, Documented, Elevation, Error, Image, Predict, Result};
+use pwrfgs_core::{Baseline, Dataset, Documented, Elevation, Error, Image, Known, Predict, Result};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -128,7 +128,7 @@ impl Baseline for RayTracing {
         words.join(" ")
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, _: &[usize]) -> Result<Box<dyn Predict + 'a>> {
+    fn fit<'a>(&self, data: &'a Dataset, _: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
         if (data.width, data.height) != (WIDTH, HEIGHT) {
             return Err(Error::Config(format!(
                 "RayTracing: spectra of this data set have {}x{} pixels, and it makes {WIDTH}x{HEIGHT}; leave it out",

@@ -261,7 +261,7 @@ fn an_opening_moves_with_its_wall_where_a_scene_is_known_with_errors() {
     for seed in 0..5 {
         let text = format!("RayTracing(material_error: 0.2, position_error_m: 0.05, seed: {seed})");
         let baseline: Plugin<dyn Baseline> = Plugin::parse(&text).unwrap();
-        baseline.fit(&data, &[]).map(|_| ()).unwrap();
+        baseline.fit(&data, Known::default()).map(|_| ()).unwrap();
     }
 }
 

@@ -1,7 +1,7 @@
 //! Simulated data sets: the same bits always, kept whole or not at all, and mistakes told clearly.
 
 use glam::DVec3;
-use pwrfgs_core::{Baseline, DataSource, Dataset, Plugin, Simulation};
+use pwrfgs_core::{Baseline, DataSource, Dataset, Known, Plugin, Simulation};
 use pwrfgs_sim::output::{MANIFEST, POINTS, Pictures, write, write_as};
 use pwrfgs_sim::{Recipe, Scene, Simulator, cache, simulate};
 use std::fs;
@@ -204,7 +204,7 @@ fn ray_tracing_in_the_exact_scene_is_the_generator() {
     assert!(data.title.contains("simulated") && data.is_simulated());
     let predict = |text: &str, i: usize| {
         let baseline: Plugin<dyn Baseline> = Plugin::parse(text).unwrap();
-        let predictor = baseline.fit(&data, &[]).unwrap();
+        let predictor = baseline.fit(&data, Known::default()).unwrap();
         assert!(predictor.knows_scene());
         (predictor.predict(data.samples[i].tx), predictor.note())
     };
@@ -219,7 +219,7 @@ fn ray_tracing_in_the_exact_scene_is_the_generator() {
     let knows = |data: &Dataset, name: &str| {
         let scene = folder.path().join(name);
         let baseline: Plugin<dyn Baseline> = Plugin::parse(&format!("RayTracing(scene: {scene:?})")).unwrap();
-        baseline.fit(data, &[]).unwrap().knows_scene()
+        baseline.fit(data, Known::default()).unwrap().knows_scene()
     };
     file(folder.path(), "other.ron", &scene_text("spectrum: Power,"));
     assert!(knows(&data, "small.ron") && !knows(&data, "other.ron"));
@@ -236,12 +236,12 @@ fn ray_tracing_in_the_exact_scene_is_the_generator() {
     let read = pwrfgs_data::Nerf2Spectrum { root: out, ..Default::default() }.load(Path::new(""), &|_, _| {}).unwrap();
     assert!(knows(&read, "small.ron") && !knows(&read, "other.ron"));
     let baseline: Plugin<dyn Baseline> = Plugin::parse("RayTracing()").unwrap();
-    let exact = baseline.fit(&read, &[]).unwrap();
+    let exact = baseline.fit(&read, Known::default()).unwrap();
     assert!(exact.knows_scene() && exact.predict(read.samples[3].tx) == data.image(3));
     // Data that were not simulated need a scene by name.
     let measured = Dataset { simulation: None, ..data.clone() };
     assert!(!knows(&measured, "small.ron"));
-    assert!(baseline.fit(&measured, &[]).err().unwrap().to_string().contains("name one in `scene`"));
+    assert!(baseline.fit(&measured, Known::default()).err().unwrap().to_string().contains("name one in `scene`"));
 }
 
 #[test]

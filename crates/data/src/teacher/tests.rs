@@ -3,7 +3,7 @@
 use super::*;
 use crate::baselines::{MeanSpectrum, NearestNeighbours};
 use crate::splits::Official;
-use pwrfgs_core::{Baseline, Image, Split, ssim};
+use pwrfgs_core::{Baseline, Image, Known, Split, ssim};
 use pwrfgs_raster as _;
 
 fn small() -> Teacher {
@@ -79,11 +79,11 @@ fn it_is_neither_trivial_nor_out_of_reach() {
     let data = load(&Teacher::default());
     let partition = Official { validation: 0.0 }.split(&data, &mut rng::stream(0, "split", 0)).unwrap();
     let score = |baseline: &dyn Baseline| {
-        let fitted = baseline.fit(&data, &partition.train).unwrap();
+        let fitted = baseline.fit(&data, Known::train(&partition.train)).unwrap();
         let of = |&i: &usize| ssim::evaluation(&fitted.predict(data.samples[i].tx), &data.image(i));
         partition.test.iter().map(of).sum::<f64>() / partition.test.len() as f64
     };
-    let (mean, nearest) = (score(&MeanSpectrum {}), score(&NearestNeighbours { k: 3 }));
+    let (mean, nearest) = (score(&MeanSpectrum {}), score(&NearestNeighbours { k: 3.into() }));
     println!("mean SSIM: mean spectrum {mean:.4}, 3-NN {nearest:.4}");
     assert!((0.7..0.9).contains(&mean) && (0.95..0.99).contains(&nearest), "{mean} {nearest}");
 }

@@ -2,6 +2,7 @@
 
 use super::Lapse;
 use crate::samples::evenly;
+use crate::scores::quantile;
 use pwrfgs_core::{Dataset, Real, neighbours, rng};
 use std::ops::Range;
 
@@ -89,6 +90,16 @@ fn drawn(data: &Dataset, count: usize) -> impl Iterator<Item = Pair> {
     let mut draw = move || Pair::of(data, rng::below(&mut random, samples), rng::below(&mut random, samples));
     let count = if samples < 2 { 0 } else { count };
     (0..count).map(move |_| draw()).filter(|pair| pair.earlier != pair.later)
+}
+
+/// Whether neighbours in id are nearer in space than others: samples of a walk, or of a scan, are numbered in order of time.
+pub(crate) fn in_order(data: &Dataset) -> bool {
+    let median = |pairs: Vec<Pair>| {
+        let mut distances: Vec<f64> = pairs.iter().map(|pair| pair.distance).collect();
+        distances.sort_by(f64::total_cmp);
+        quantile(&distances, 0.5)
+    };
+    median(near(data)) < 0.5 * median(unrelated(data))
 }
 
 /// Some pairs of any two samples.

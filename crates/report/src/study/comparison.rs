@@ -3,6 +3,7 @@
 use super::blocks::Blocks;
 use super::statistics::{Cell, Difference, Spread};
 use super::{Record, Setting, distinct};
+use pwrfgs_experiment::CEILING;
 use pwrfgs_experiment::scores::{MODEL, Summary};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -19,6 +20,8 @@ pub(super) enum Kind {
     Floor,
     /// A baseline that knows how the simulated spectra were made: a bound, in no ranking.
     Bound,
+    /// What two measured spectra at one place have in common: in no ranking, and no number a test spectrum.
+    Ceiling,
 }
 
 impl Kind {
@@ -28,6 +31,7 @@ impl Kind {
             Self::Variant => "variant",
             Self::Floor => "floor",
             Self::Bound => "bound",
+            Self::Ceiling => "ceiling",
         }
     }
 }
@@ -103,6 +107,11 @@ impl Row<'_> {
                 (self.kind == Kind::Variant).then_some(run.facts.training_seconds)
             }
             Statistic::Whole => run.value(self.predictor, &metric.key),
+            _ if self.kind == Kind::Ceiling => {
+                let place =
+                    [Statistic::Mean, Statistic::Median, Statistic::P10].iter().position(|s| *s == statistic)?;
+                run.ceiling(&metric.key)?.get(place).copied()
+            }
             _ => {
                 let values: Vec<f64> = run.samples(self.predictor, &metric.key)?.into_values().collect();
                 let summary = Summary::of(&values, metric.higher_is_better);
@@ -179,6 +188,15 @@ impl<'a> Comparison<'a> {
             }
         }
         rows[variants..].sort_by_key(|row| row.kind == Kind::Bound);
+        let mut ceiling: Vec<&Record> = Vec::new();
+        for run in setting.runs().filter(|run| run.has_ceiling()) {
+            if !ceiling.iter().any(|other| other.facts.seed == run.facts.seed) {
+                ceiling.push(run);
+            }
+        }
+        if !ceiling.is_empty() {
+            rows.push(Row { label: CEILING, kind: Kind::Ceiling, predictor: CEILING, runs: ceiling });
+        }
         let mut metrics: Vec<Metric> = Vec::new();
         for row in setting.runs().filter_map(|run| run.facts.scores.as_ref()).flat_map(|table| &table.metrics) {
             let (key, unit) = (row.key.clone(), row.unit.clone());

@@ -90,7 +90,7 @@ impl Section {
             context! {
                 variants => setting.variants.len(),
                 runs => runs.len(),
-                floors => comparison.rows.iter().filter(|row| row.kind != Kind::Variant).count(),
+                floors => comparison.rows.iter().filter(|row| [Kind::Floor, Kind::Bound].contains(&row.kind)).count(),
                 samples => Vec::from(samples),
                 simulated => setting.simulated,
                 machines_differ => !same_machine,

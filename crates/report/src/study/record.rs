@@ -3,10 +3,10 @@
 use super::{distinct, one_line};
 use pwrfgs_core::files::read_text;
 use pwrfgs_core::{Error, Result};
-use pwrfgs_experiment::Facts;
 use pwrfgs_experiment::folder::{CURVE, MODEL_FILE, PIPELINE, SAMPLES, SCORES};
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::series;
+use pwrfgs_experiment::{CEILING, Facts};
 use pwrfgs_train::Pipeline;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer};
@@ -83,6 +83,19 @@ impl Record {
     /// Baselines in the order of the pipeline.
     pub fn floors(&self) -> Vec<&str> {
         distinct(self.scores.iter().map(|s| s.predictor.as_str()).filter(|name| *name != MODEL))
+    }
+
+    /// Mean, median and bad tail of the ceiling by one metric.
+    pub(super) fn ceiling(&self, metric: &str) -> Option<Vec<f64>> {
+        let table = self.facts.scores.as_ref()?;
+        let place = table.predictors.iter().position(|name| name == CEILING)?;
+        let row = table.metrics.iter().find(|row| row.key == metric)?;
+        Some(row.cells.get(place)?.numbers())
+    }
+
+    /// Whether there is one.
+    pub(super) fn has_ceiling(&self) -> bool {
+        self.facts.scores.as_ref().is_some_and(|table| table.predictors.iter().any(|name| name == CEILING))
     }
 
     /// The trained model's file.

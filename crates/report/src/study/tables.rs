@@ -76,12 +76,13 @@ fn title(words: &str, setting: &Setting) -> String {
 }
 
 impl Line {
-    /// Label with what it is: floors are named so, bounds carry a dagger.
+    /// Label with what it is: floors are named so, bounds carry a dagger, the ceiling is named so already.
     fn new(label: &str, kind: Kind, cells: Vec<Shown>) -> Self {
         let label = match kind {
             Kind::Variant => label.to_owned(),
             Kind::Floor => format!("{label} (floor)"),
             Kind::Bound => format!("{label} †"),
+            Kind::Ceiling => label.to_owned(),
         };
         Self { label, kind, cells }
     }

@@ -51,12 +51,12 @@ fn baselines(setting: &Setting, loaded: &Loaded, metrics: &[Plugin<dyn Metric>])
     let run = &setting.variants[0].runs[0];
     let (partition, model) = (loaded.partition(run)?, loaded.model(run)?);
     let bench = Bench::new(&loaded.data, &evenly(&partition.test, SAMPLES), &model.stages.plane);
-    let known = partition.known();
     let line = |(k, baseline): (usize, &Plugin<dyn pwrfgs_core::Baseline>)| {
-        let fitted = baseline.fit(&loaded.data, &known)?;
+        let fitted = baseline.fit(&loaded.data, partition.known())?;
+        let name = fitted.name().unwrap_or_else(|| baseline.name());
         let never = AtomicBool::new(false);
-        let measured = bench.baseline(&baseline.name(), &*fitted, metrics, &mut Silent, &never)?;
-        Ok(Line::new(curve(&measured), looks::floor(k)).named_at_end(&baseline.name()))
+        let measured = bench.baseline(&name, &*fitted, metrics, &mut Silent, &never)?;
+        Ok(Line::new(curve(&measured), looks::floor(k)).named_at_end(&name))
     };
     run.pipeline.baselines.iter().enumerate().map(line).collect()
 }

@@ -83,7 +83,7 @@ fn column(rows: &[Row<'_>], (metric, statistic): Wanted<'_>, ranked: bool) -> Op
     };
     let mut cells: Vec<Shown> = spreads.iter().map(shown).collect();
     if ranked {
-        let rivals = |row: &Row<'_>| row.kind != Kind::Bound;
+        let rivals = |row: &Row<'_>| [Kind::Variant, Kind::Floor].contains(&row.kind);
         mark(&mut cells, &spreads, &rows.iter().map(rivals).collect::<Vec<_>>(), metric.higher_is_better);
     }
     let detail = match (statistic, unit) {

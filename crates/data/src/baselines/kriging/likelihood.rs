@@ -1,0 +1,146 @@
+//! Correlation, length scales and noise by likelihood.
+
+use super::super::evenly;
+use super::super::nearest::Nearest;
+use super::correlation::{Correlation, Kind};
+use super::system;
+use pwrfgs_core::{Dataset, Real};
+use rayon::prelude::*;
+
+/// Samples that are predicted, at most.
+const CASES: usize = 160;
+/// Samples that each is predicted from, at most.
+const FROM: usize = 24;
+/// Pixels of a picture that are looked at, about: every n-th row and column.
+const PIXELS: usize = 2_000;
+/// Ends of the noise: below, places that coincide cannot be told from a fault of rounding.
+const NOISE: [f64; 2] = [1e-4, 1e2];
+/// Ends of the length scales, in units of the distance between the samples of a case.
+const SCALE: [f64; 2] = [1e-2, 1e4];
+/// Steps of the search, in powers of two.
+const STEPS: [f64; 5] = [2.0, 1.0, 0.5, 0.25, 0.125];
+
+/// Samples to be predicted, each from those nearest to it.
+pub(super) struct Cases {
+    cases: Vec<Case>,
+    /// Distance from a sample to be predicted to those around it, metres: the middle.
+    typical_m: f64,
+}
+
+struct Case {
+    at: [f64; 3],
+    places: Vec<[f64; 3]>,
+    /// Sums over pixels of products of two spectra: of the one to be predicted (first) and the others, square.
+    products: Vec<f64>,
+}
+
+impl Cases {
+    /// `validation` samples predicted from `train`ing samples.
+    pub(super) fn new(data: &Dataset, train: Vec<usize>, validation: &[usize]) -> Self {
+        let nearest = Nearest::new(train, |i| data.samples[i].tx);
+        let case = |&i: &usize| Case::new(data, i, &nearest.find(data.samples[i].tx, FROM).1);
+        let cases: Vec<Case> = evenly(validation, CASES).par_iter().map(case).collect();
+        let mut distances: Vec<f64> = cases.iter().map(Case::reach_m).filter(|reach| *reach > 0.0).collect();
+        distances.sort_by(f64::total_cmp);
+        Self { typical_m: distances.get(distances.len() / 2).copied().unwrap_or(1.0), cases }
+    }
+
+    /// Logarithm of the density of what was measured, but for a constant, at the most likely strength: n times the logarithm
+    /// of that strength and all logarithms of variances, halved, and less is more likely.
+    pub(super) fn log_likelihood(&self, correlation: &Correlation) -> f64 {
+        let found: Vec<(f64, f64)> = self.cases.par_iter().map(|case| case.error(correlation)).collect();
+        let strength = found.iter().map(|(error, variance)| error / variance).sum::<f64>() / found.len() as f64;
+        let logs: f64 = found.iter().map(|(_, variance)| variance.ln()).sum();
+        // Spectra that are all the same have no strength.
+        -0.5 * (found.len() as f64 * strength.max(1e-30).ln() + logs)
+    }
+}
+
+impl Case {
+    fn new(data: &Dataset, sample: usize, from: &[(f64, usize)]) -> Self {
+        let stride = ((data.width * data.height) as f64 / PIXELS as f64).sqrt().ceil().max(1.0) as usize;
+        let picture = |i: usize| {
+            let mut pixels = vec![0.0; data.width.div_ceil(stride) * data.height.div_ceil(stride)];
+            data.spectra.coarse(i, stride, &mut pixels);
+            pixels
+        };
+        let pictures: Vec<Vec<Real>> =
+            std::iter::once(sample).chain(from.iter().map(|(_, i)| *i)).map(picture).collect();
+        let product = |a: &[Real], b: &[Real]| a.iter().zip(b).map(|(a, b)| *a as f64 * *b as f64).sum::<f64>();
+        // From the first one, lest products of bright pictures cancel.
+        let less: Vec<Vec<Real>> =
+            pictures.iter().map(|p| p.iter().zip(&pictures[0]).map(|(p, first)| p - first).collect()).collect();
+        let products = less.iter().flat_map(|a| less.iter().map(|b| product(a, b))).collect();
+        let place = |i: usize| data.samples[i].tx;
+        Self { at: place(sample), places: from.iter().map(|(_, i)| place(*i)).collect(), products }
+    }
+
+    /// To the middle one of those around it, metres.
+    fn reach_m(&self) -> f64 {
+        self.places.get(self.places.len() / 2).map_or(0.0, |place| super::super::nearest::distance(*place, self.at))
+    }
+
+    /// Square of the error of its prediction, summed over pixels, and the variance that the process gives it.
+    fn error(&self, correlation: &Correlation) -> (f64, f64) {
+        let places: Vec<[f64; 3]> = self.places.iter().map(|place| correlation.scaled(*place)).collect();
+        let solution = system::solve(correlation, &places, correlation.scaled(self.at));
+        // Weights add up to 1, so that the error is the weighted sum of differences from the one to be predicted.
+        let n = places.len() + 1;
+        let row = |(i, weight): (usize, &f64)| {
+            let products = &self.products[(i + 1) * n + 1..(i + 2) * n];
+            weight * products.iter().zip(&solution.weights).map(|(p, w)| p * w).sum::<f64>()
+        };
+        (solution.weights.iter().enumerate().map(row).sum::<f64>().max(0.0), solution.variance)
+    }
+}
+
+/// The most likely correlation of those tried: a search along one parameter at a time, in steps of factors from 4 down to
+/// 1.09.
+pub(super) fn most_likely(cases: &Cases) -> Correlation {
+    let of_kind = |kind| {
+        let start = Correlation { kind, scales_m: [8.0 * cases.typical_m; 3], noise: 0.1 };
+        if cases.cases.is_empty() { (0.0, start) } else { search(cases, start) }
+    };
+    let found = Kind::ALL.map(of_kind);
+    found.into_iter().reduce(|best, next| if next.0 > best.0 { next } else { best }).expect("three were tried").1
+}
+
+fn search(cases: &Cases, start: Correlation) -> (f64, Correlation) {
+    let mut best = (cases.log_likelihood(&start), start);
+    for step in STEPS {
+        // Each round but the last improves, and there is a best one; the bound is for noise in the last digits.
+        for _ in 0..20 {
+            let before = best.0;
+            for parameter in 0..6 {
+                for factor in [step.exp2(), (-step).exp2()] {
+                    while let Some(next) = moved(&best.1, parameter, factor, cases.typical_m) {
+                        let likelihood = cases.log_likelihood(&next);
+                        if likelihood <= best.0 + 1e-6 * best.0.abs() {
+                            break;
+                        }
+                        best = (likelihood, next);
+                    }
+                }
+            }
+            if best.0 <= before {
+                break;
+            }
+        }
+    }
+    best
+}
+
+/// One of three length scales, all of them, the noise, or both against each other (longer scales go with a stronger process,
+/// in which the same noise is a smaller part), times `factor`; nothing beyond the ends.
+fn moved(from: &Correlation, parameter: usize, factor: f64, typical_m: f64) -> Option<Correlation> {
+    let mut next = *from;
+    match parameter {
+        0 => next.scales_m = next.scales_m.map(|scale| scale * factor),
+        1..=3 => next.scales_m[parameter - 1] *= factor,
+        4 => next.noise *= factor,
+        _ => (next.scales_m, next.noise) = (next.scales_m.map(|scale| scale * factor), next.noise / factor),
+    }
+    let within = |[low, high]: [f64; 2], value: f64| (low..=high).contains(&value);
+    let fits = next.scales_m.iter().all(|scale| within(SCALE, scale / typical_m)) && within(NOISE, next.noise);
+    fits.then_some(next)
+}

@@ -1,0 +1,145 @@
+//! Against closed forms, and against scikit-learn 1.9.1.
+
+use super::correlation::{Correlation, Kind};
+use super::likelihood::{Cases, most_likely};
+use super::system::solve;
+use super::*;
+use crate::splits::testing::line_of_samples;
+use pwrfgs_core::{Pose, Sample, Spectra, rng};
+
+const PLACES: [[f64; 3]; 6] =
+    [[0.0; 3], [0.5, 0.1, 0.2], [0.9, 0.7, 0.1], [0.2, 1.1, 0.6], [1.3, 0.4, 0.9], [0.7, 0.6, 0.5]];
+
+fn close(a: f64, b: f64, by: f64) {
+    assert!((a - b).abs() <= by, "{a} instead of {b}");
+}
+
+/// `GaussianProcessRegressor(ConstantKernel(1e7) + kernel, alpha=0.05, optimizer=None)`: a constant of next to no prior is
+/// a mean that is not known. Its variance is without the noise, 0.05, of the measurement.
+#[test]
+fn predictions_are_those_of_scikit_learn() {
+    let values = [1.0, 2.0, 4.0, 3.0, 7.0, 5.0];
+    let known = [
+        (Kind::Exponential, 3.794441619, 0.427204996),
+        (Kind::Matern32, 3.806622089, 0.179903980),
+        (Kind::SquaredExponential, 3.551534306, 0.093223336),
+    ];
+    for (kind, mean, variance) in known {
+        let correlation = Correlation { kind, scales_m: [0.5, 0.8, 1.2], noise: 0.05 };
+        let places = PLACES.map(|place| correlation.scaled(place));
+        let found = solve(&correlation, &places, correlation.scaled([0.6, 0.5, 0.3]));
+        close(found.weights.iter().sum(), 1.0, 1e-12);
+        close(found.weights.iter().zip(values).map(|(w, v)| w * v).sum(), mean, 1e-6);
+        close(found.variance, variance, 1e-6);
+    }
+}
+
+/// Of one place the weight is 1 and the variance that of a difference; of two at equal distance each counts half.
+#[test]
+fn one_and_two_places_have_a_closed_form() {
+    let correlation = Correlation { kind: Kind::Exponential, scales_m: [1.0; 3], noise: 0.25 };
+    let one = solve(&correlation, &[[0.0; 3]], [0.7, 0.0, 0.0]);
+    assert_eq!(one.weights, [1.0]);
+    close(one.variance, 2.0 * (1.0 + 0.25 - (-0.7f64).exp()), 1e-12);
+    let two = solve(&correlation, &[[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]], [0.0; 3]);
+    close(two.weights[0], 0.5, 1e-12);
+    close(two.variance, 1.25 + 0.5 * (1.25 + (-2.0f64).exp()) - 2.0 * (-1.0f64).exp(), 1e-12);
+}
+
+#[test]
+fn without_noise_what_was_measured_is_returned_and_coinciding_places_do_no_harm() {
+    for kind in Kind::ALL {
+        let correlation = Correlation { kind, scales_m: [1.0; 3], noise: 1e-9 };
+        let found = solve(&correlation, &PLACES, PLACES[3]);
+        close(found.weights[3], 1.0, 1e-4);
+        let same = solve(&Correlation { noise: 1e-4, ..correlation }, &[[1.0; 3]; 40], [2.0; 3]);
+        assert!(same.weights.iter().all(|w| (w - 1.0 / 40.0).abs() < 1e-6) && same.variance > 0.0);
+    }
+}
+
+/// Samples at random places, each a picture of 12 x 12 numbers drawn from a process with the given correlation.
+fn drawn(correlation: &Correlation, count: usize) -> Dataset {
+    let mut random = rng::stream(5, "process", 0);
+    let samples: Vec<Sample> = (0..count as u32)
+        .map(|id| Sample { id, tx: [(); 3].map(|()| f64::from(rng::uniform(&mut random) as f32)) })
+        .collect();
+    // Each from those before it: exact, if not fast.
+    let mut pixels: Vec<Vec<f64>> = Vec::new();
+    for i in 0..count {
+        let places: Vec<[f64; 3]> = samples[..i].iter().map(|s| correlation.scaled(s.tx)).collect();
+        let solution = (i > 0).then(|| solve(correlation, &places, correlation.scaled(samples[i].tx)));
+        let (weights, variance) = solution.map_or((vec![], 1.0 + correlation.noise), |s| (s.weights, s.variance));
+        let pixel = |k: usize| {
+            let mean: f64 = weights.iter().enumerate().map(|(j, w): (usize, &f64)| w * pixels[j][k]).sum();
+            (mean, variance)
+        };
+        let picture = (0..144).map(pixel).collect::<Vec<_>>();
+        let next = picture.into_iter().map(|(mean, v)| mean + v.sqrt() * rng::normal(&mut random) as f64).collect();
+        pixels.push(next);
+    }
+    let flat: Vec<f32> = pixels.concat().into_iter().map(|v| v as f32).collect();
+    Dataset::new("process", Pose::IDENTITY, vec![], samples, Spectra::float((12, 12), &flat).unwrap()).unwrap()
+}
+
+#[test]
+fn likelihood_finds_what_the_samples_were_drawn_from() {
+    for kind in [Kind::Exponential, Kind::SquaredExponential] {
+        let truth = Correlation { kind, scales_m: [0.3, 0.3, 1.2], noise: 0.1 };
+        let data = drawn(&truth, 260);
+        let (train, validation): (Vec<usize>, Vec<usize>) = (0..260).partition(|i| i % 4 != 0);
+        let cases = Cases::new(&data, train, &validation);
+        let found = most_likely(&cases);
+        println!("{found:?} for {truth:?}: {} {}", cases.log_likelihood(&found), cases.log_likelihood(&truth));
+        assert_eq!(found.kind, kind);
+        assert!(cases.log_likelihood(&found) > cases.log_likelihood(&truth) - 0.05);
+        assert!((0.03..0.3).contains(&found.noise), "{found:?}");
+        // Length scale and strength of an exponential are hard to tell apart; what is stretched is not.
+        let stretch = found.scales_m[2] / found.scales_m[0];
+        assert!((2.0..8.0).contains(&stretch), "{found:?}");
+    }
+}
+
+/// The density of one sample, predicted from its neighbours, written out.
+#[test]
+fn the_likelihood_is_that_of_its_predictions() {
+    let truth = Correlation { kind: Kind::Matern32, scales_m: [0.5; 3], noise: 0.2 };
+    let data = drawn(&truth, 12);
+    let cases = Cases::new(&data, (0..10).collect(), &[10, 11]);
+    let mut terms = Vec::new();
+    for i in [10, 11] {
+        let places: Vec<[f64; 3]> = (0..10).map(|j| truth.scaled(data.samples[j].tx)).collect();
+        let solution = solve(&truth, &places, truth.scaled(data.samples[i].tx));
+        let mut error = 0.0;
+        for k in 0..144 {
+            let mean: f64 = (0..10).map(|j| solution.weights[j] * data.image(j).pixels[k] as f64).sum();
+            error += (data.image(i).pixels[k] as f64 - mean).powi(2);
+        }
+        terms.push((error, solution.variance));
+    }
+    let strength = (terms[0].0 / terms[0].1 + terms[1].0 / terms[1].1) / 2.0;
+    let expected = -0.5 * (2.0 * strength.ln() + terms[0].1.ln() + terms[1].1.ln());
+    close(cases.log_likelihood(&truth), expected, 1e-4);
+}
+
+#[test]
+fn few_samples_and_equal_ones_are_no_accident() {
+    let data = line_of_samples(12);
+    for count in [1, 2, 3, 12] {
+        let all: Vec<usize> = (0..count).collect();
+        let fitted = Kriging::default().fit(&data, Known::train(&all)).unwrap();
+        let picture = fitted.predict([3.5, 0.0, 0.0]);
+        assert!(picture.pixels.iter().all(|p| p.is_finite()), "{count}");
+        assert!(fitted.note().unwrap().contains("length scales of"));
+    }
+    let same = Dataset::new(
+        "same",
+        Pose::IDENTITY,
+        vec![],
+        (0..30).map(|id| Sample { id, tx: [1.0; 3] }).collect(),
+        Spectra::grey((2, 2), vec![51; 120]).unwrap(),
+    );
+    let same = same.unwrap();
+    let fitted = Kriging::default().fit(&same, Known::train(&(0..30).collect::<Vec<_>>())).unwrap();
+    assert!(fitted.predict([1.0; 3]).pixels.iter().all(|p| (p - 0.2).abs() < 1e-5));
+    assert!(Kriging::default().fit(&same, Known::default()).is_err());
+}

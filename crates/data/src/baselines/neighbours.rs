@@ -1,0 +1,184 @@
+//! `NearestNeighbours`: the spectra measured closest by.
+
+use super::nearest::Nearest;
+use super::{all_of, choosing, evenly, weighted_mean};
+use pwrfgs_core::{Baseline, Dataset, Documented, Image, Known, Predict, Real, Result, ssim};
+use rayon::prelude::*;
+use ron::value::RawValue;
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
+
+/// What `Auto` chooses from.
+const CHOICES: [usize; 13] = [1, 2, 3, 5, 8, 12, 20, 30, 40, 60, 80, 120, 160];
+/// Samples that it is chosen on, at most.
+const CHOSEN_ON: usize = 240;
+
+/// The mean of the spectra of the k nearest training transmitters, weighted by inverse distance.
+///
+/// Where the transmitter stands on training transmitters, it is the mean of the spectra measured there.
+///
+/// `k: Auto` takes the k out of 1, 2, 3, 5, 8, 12, 20, 30, 40, 60, 80, 120 and 160 that predicts the validation part best
+/// from the training part, by the mean SSIM of at most 240 samples, and then learns from both. Where there is no
+/// validation part, every tenth training sample is left out for the choice; on a split that holds out whole stretches give
+/// it a validation part, or k comes out too small. Tables show the choice: `k-NN (k = 8)`.
+///
+/// ```
+/// # use pwrfgs_core::{Baseline, Plugin};
+/// # use pwrfgs_data as _;
+/// assert_eq!(Plugin::<dyn Baseline>::parse("NearestNeighbours(k: 5)").unwrap().name(), "5-NN");
+/// assert_eq!(Plugin::<dyn Baseline>::parse("NearestNeighbours(k: Auto)").unwrap().name(), "k-NN");
+/// assert!(Plugin::<dyn Baseline>::parse("NearestNeighbours(k: 0)").is_err());
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct NearestNeighbours {
+    /// Neighbours that are averaged, at least 1, or `Auto`; more than there are training samples means all of them.
+    pub k: Neighbours,
+}
+
+/// How many neighbours: a number, or `Auto`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Neighbours {
+    /// As many as predict the validation part best.
+    Auto,
+    /// So many.
+    Number(usize),
+}
+
+impl From<usize> for Neighbours {
+    fn from(k: usize) -> Self {
+        Self::Number(k)
+    }
+}
+
+impl Serialize for Neighbours {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Auto => serializer.serialize_unit_variant("Neighbours", 0, "Auto"),
+            Self::Number(k) => k.serialize(serializer),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Neighbours {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        // As text, since a bare word and a number have no type in common.
+        let value = Box::<RawValue>::deserialize(deserializer)?;
+        let text = value.get_ron().trim();
+        match (text, text.replace('_', "").parse()) {
+            ("Auto", _) => Ok(Self::Auto),
+            (_, Ok(k)) => Ok(Self::Number(k)),
+            _ => Err(de::Error::custom(format!("`k` is {text}; give a number of neighbours, such as 3, or Auto"))),
+        }
+    }
+}
+
+impl Default for NearestNeighbours {
+    fn default() -> Self {
+        Self { k: Neighbours::Number(3) }
+    }
+}
+
+#[typetag::serde]
+impl Baseline for NearestNeighbours {
+    fn name(&self) -> String {
+        match self.k {
+            Neighbours::Auto => "k-NN".into(),
+            Neighbours::Number(k) => format!("{k}-NN"),
+        }
+    }
+
+    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
+        let all = all_of(known)?;
+        let (k, name) = match self.k {
+            Neighbours::Number(k) => (k, None),
+            Neighbours::Auto => {
+                let (train, validation) = choosing(known);
+                let k = best(data, train, &evenly(&validation, CHOSEN_ON));
+                data.spectra.check()?;
+                (k, Some(format!("k-NN (k = {k})")))
+            }
+        };
+        Ok(Box::new(Lookup { name, ..Lookup::new(data, all, k) }))
+    }
+
+    fn about(&self) -> &'static str {
+        "the spectra of the k nearest training transmitters, weighted by inverse distance"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if self.k == Neighbours::Number(0) {
+            return Err("`k` is 0; use at least 1 neighbour".into());
+        }
+        Ok(())
+    }
+}
+
+/// The k that predicts `validation` best from `train`; of equals the smallest. 3 where there is nothing to compare.
+fn best(data: &Dataset, train: Vec<usize>, validation: &[usize]) -> usize {
+    let choices: Vec<usize> = CHOICES.iter().copied().filter(|k| *k <= train.len()).collect();
+    let Some(most) = choices.last() else { return 3 };
+    let lookup = Lookup::new(data, train, *most);
+    let of_one = |&i: &usize| lookup.scores(i, &choices);
+    let scores: Vec<Vec<f64>> = validation.par_iter().map(of_one).collect();
+    if scores.is_empty() {
+        return 3;
+    }
+    let totals: Vec<f64> = (0..choices.len()).map(|c| scores.iter().map(|of_one| of_one[c]).sum()).collect();
+    let first_best = |best: usize, c: usize| if totals[c] > totals[best] { c } else { best };
+    choices[(1..choices.len()).fold(0, first_best)]
+}
+
+/// The nearest of the samples learned from.
+struct Lookup<'a> {
+    data: &'a Dataset,
+    nearest: Nearest,
+    k: usize,
+    name: Option<String>,
+}
+
+impl<'a> Lookup<'a> {
+    fn new(data: &'a Dataset, samples: Vec<usize>, k: usize) -> Self {
+        Self { data, nearest: Nearest::new(samples, |i| data.samples[i].tx), k, name: None }
+    }
+
+    /// Samples with their weights: those at `tx` exactly, or else the k nearest.
+    fn neighbours(&self, tx: [f64; 3]) -> Vec<(usize, f64)> {
+        let (exact, near) = self.nearest.find(tx, self.k);
+        if exact.is_empty() {
+            near.into_iter().map(|(distance, i)| (i, 1.0 / distance)).collect()
+        } else {
+            exact.into_iter().map(|i| (i, 1.0)).collect()
+        }
+    }
+
+    /// SSIM of sample `i` as the nearest predict it, for each number of `choices`, ascending.
+    fn scores(&self, i: usize, choices: &[usize]) -> Vec<f64> {
+        let (tx, truth) = (self.data.samples[i].tx, self.data.image(i));
+        let neighbours = self.neighbours(tx);
+        // Those that stand at the very place all count, whatever k.
+        let exact = neighbours.first().is_some_and(|(j, _)| self.data.samples[*j].tx == tx);
+        let (mut sum, mut total, mut taken) = (vec![0.0; truth.pixels.len()], 0.0, 0);
+        let score = |k: &usize| {
+            let until = if exact { neighbours.len() } else { *k };
+            for (j, weight) in &neighbours[taken..until] {
+                self.data.spectra.add(*j, *weight, &mut sum);
+                total += weight;
+            }
+            taken = until;
+            let scale = self.data.spectra.number().full_scale() * total;
+            let pixels = sum.iter().map(|s| (s / scale) as Real).collect();
+            ssim::evaluation(&Image { pixels, ..truth }.clamped(), &truth)
+        };
+        choices.iter().map(score).collect()
+    }
+}
+
+impl Predict for Lookup<'_> {
+    fn predict(&self, tx: [f64; 3]) -> Image {
+        weighted_mean(self.data, &self.neighbours(tx))
+    }
+
+    fn name(&self) -> Option<String> {
+        self.name.clone()
+    }
+}

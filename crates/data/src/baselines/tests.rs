@@ -1,0 +1,140 @@
+//! Of the mean and of the nearest.
+
+use super::nearest::{Nearest, distance};
+use super::*;
+use crate::splits::testing::{line_of_samples, samples_at};
+use pwrfgs_core::{Pose, Sample, Spectra, rng, ssim};
+
+fn predict(baseline: &dyn Baseline, data: &Dataset, train: &[usize], x: f64) -> f64 {
+    let image = baseline.fit(data, Known::train(train)).unwrap().predict([x, 0.0, 0.0]);
+    assert_eq!((image.width, image.height, image.pixels.len()), (1, 1, 1));
+    image.pixels[0] as f64 * 255.0
+}
+
+fn k_nearest(k: usize) -> NearestNeighbours {
+    NearestNeighbours { k: k.into() }
+}
+
+fn close(a: f64, b: f64) -> bool {
+    (a - b).abs() < 1e-4
+}
+
+#[test]
+fn the_mean_spectrum_ignores_the_transmitter() {
+    let data = line_of_samples(4); // values 0, 1, 2, 3
+    assert!(close(predict(&MeanSpectrum {}, &data, &[1, 3], 100.0), 2.0));
+}
+
+#[test]
+fn neighbours_are_weighted_by_inverse_distance() {
+    let data = line_of_samples(10);
+    assert!(close(predict(&k_nearest(1), &data, &[0, 4, 9], 5.0), 4.0));
+    assert!(close(predict(&k_nearest(2), &data, &[0, 4, 9], 6.0), (4.0 / 2.0 + 9.0 / 3.0) / (1.0 / 2.0 + 1.0 / 3.0)));
+    // More neighbours than samples: all of them.
+    let all = predict(&k_nearest(99), &data, &[4, 9], 6.0);
+    assert!(close(all, (4.0 / 2.0 + 9.0 / 3.0) / (1.0 / 2.0 + 1.0 / 3.0)));
+}
+
+#[test]
+fn an_exact_hit_returns_what_was_measured_there() {
+    let data = samples_at(&[[0.0; 3], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]);
+    assert!(close(predict(&k_nearest(1), &data, &[0, 1, 2, 3], 1.0), 1.5));
+    assert!(close(predict(&k_nearest(3), &data, &[0, 1, 3], 1.0), 1.0));
+}
+
+#[test]
+fn a_tie_goes_to_the_lower_index() {
+    let data = line_of_samples(3);
+    assert!(close(predict(&k_nearest(1), &data, &[2, 0], 1.0), 0.0));
+}
+
+#[test]
+fn the_nearest_of_thousands_are_found() {
+    let places: Vec<[f64; 3]> = (0..5000).map(|i| [f64::from(i * 7919 % 5000), f64::from(i % 3), 0.0]).collect();
+    let data = samples_at(&places);
+    for k in [1, 3, 700, 5000] {
+        let nearest = Nearest::new((0..5000).collect(), |i| data.samples[i].tx);
+        let tx = [2500.25, 1.0, 0.0];
+        let mut all: Vec<(f64, usize)> =
+            places.iter().enumerate().map(|(i, place)| (distance(*place, tx), i)).collect();
+        all.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        assert_eq!(nearest.find(tx, k), (vec![], all[..k].to_vec()), "{k}");
+    }
+    let same = samples_at(&vec![[1.0; 3]; 3000]);
+    let nearest = Nearest::new((0..3000).collect(), |i| same.samples[i].tx);
+    let (exact, near) = nearest.find([1.0; 3], 2);
+    assert_eq!((exact.len(), near), (3000, vec![(0.0, 0), (0.0, 1)]), "all that stand there");
+}
+
+/// Spectra of two patterns that change over from one to the other along a line, with noise of their own.
+fn noisy_line(noise: f64) -> Dataset {
+    let mut random = rng::stream(2, "noise", 0);
+    let samples: Vec<Sample> = (0..200).map(|id| Sample { id, tx: [f64::from(id), 0.0, 0.0] }).collect();
+    let mut pixels = Vec::new();
+    for sample in &samples {
+        let part = sample.tx[0] / 200.0;
+        pixels.extend((0..144).map(|k| {
+            let [one, other] = [0.7, 1.9].map(|speed| 0.5 + 0.4 * (speed * f64::from(k)).sin());
+            (one * (1.0 - part) + other * part + noise * rng::normal(&mut random) as f64) as f32
+        }));
+    }
+    Dataset::new("line", Pose::IDENTITY, vec![], samples, Spectra::float((12, 12), &pixels).unwrap()).unwrap()
+}
+
+#[test]
+fn auto_takes_few_neighbours_of_clean_spectra_and_many_of_noisy_ones() {
+    let (validation, train): (Vec<usize>, Vec<usize>) = (0..200).partition(|i| i % 8 == 3);
+    let chosen = |noise, known: Known<'_>| {
+        let data = noisy_line(noise);
+        let name = NearestNeighbours { k: Neighbours::Auto }.fit(&data, known).unwrap().name().unwrap();
+        let k = name.strip_prefix("k-NN (k = ").and_then(|rest| rest.strip_suffix(')')).unwrap();
+        k.parse::<usize>().unwrap()
+    };
+    for known in [Known { train: &train, validation: &validation }, Known::train(&train)] {
+        let [clean, noisy] = [0.0, 0.2].map(|noise| chosen(noise, known));
+        assert!(clean <= 5 && noisy >= 20, "{clean} and {noisy}");
+    }
+}
+
+/// The choice agrees with scoring every k by itself.
+#[test]
+fn auto_takes_the_best() {
+    let data = noisy_line(0.1);
+    let (validation, train): (Vec<usize>, Vec<usize>) = (0..200).partition(|i| i % 8 == 3);
+    let score = |k: usize| -> f64 {
+        let fitted = k_nearest(k).fit(&data, Known::train(&train)).unwrap();
+        let of = |&i: &usize| ssim::evaluation(&fitted.predict(data.samples[i].tx).clamped(), &data.image(i));
+        validation.iter().map(of).sum()
+    };
+    let best =
+        [1, 2, 3, 5, 8, 12, 20, 30, 40, 60, 80, 120, 160].into_iter().max_by(|a, b| score(*a).total_cmp(&score(*b)));
+    let known = Known { train: &train, validation: &validation };
+    let fitted = NearestNeighbours { k: Neighbours::Auto }.fit(&data, known).unwrap();
+    assert_eq!(fitted.name(), Some(format!("k-NN (k = {})", best.unwrap())));
+    // What it predicts it has learned from both parts.
+    let known = Known { train: &[0], validation: &[1] };
+    let fitted = NearestNeighbours { k: Neighbours::Auto }.fit(&data, known).unwrap();
+    assert_eq!(fitted.predict([1.0, 0.0, 0.0]), data.image(1));
+}
+
+#[test]
+fn k_is_a_number_or_auto() {
+    let parse = pwrfgs_core::Plugin::<dyn Baseline>::parse;
+    for text in ["NearestNeighbours(k:Auto)", "NearestNeighbours(k:12)", "NearestNeighbours(k:1_000)"] {
+        let name = parse(text).unwrap().name();
+        assert!(["k-NN", "12-NN", "1000-NN"].contains(&name.as_str()), "{name}");
+    }
+    for text in ["NearestNeighbours(k: Many)", "NearestNeighbours(k: 2.5)", "NearestNeighbours(k: -1)"] {
+        let said = parse(text).unwrap_err();
+        assert!(said.contains("give a number of neighbours, such as 3, or Auto"), "{said}");
+    }
+}
+
+#[test]
+fn nothing_to_learn_from_is_an_error() {
+    let data = line_of_samples(3);
+    for baseline in [&MeanSpectrum {} as &dyn Baseline, &NearestNeighbours::default()] {
+        let message = baseline.fit(&data, Known::default()).err().unwrap().to_string();
+        assert_eq!(message, "a baseline needs at least one training sample; change the split");
+    }
+}

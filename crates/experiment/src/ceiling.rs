@@ -1,0 +1,133 @@
+//! The ceiling of a test part: what two measured spectra at one place have in common, as a row beside the floors.
+//!
+//! Which pairs belong to it follows from the partition. Where most test samples were measured within a moment of one that
+//! was trained on, what is shared within a moment can be predicted, so pairs near in time are the ceiling; else pairs far
+//! apart in time are.
+
+use crate::repeatability::{AtZero, FAR_IDS, Lapse, Likeness, in_order, likeness};
+use crate::text::{grouped, number};
+use pwrfgs_core::{Dataset, Metric, Partition, Plugin, Result};
+use std::sync::atomic::AtomicBool;
+
+/// Its name in every table, and in no ranking.
+pub const CEILING: &str = "ceiling (repeatability)";
+
+/// What the best predictor of a test part may be expected to reach.
+#[derive(Clone, Debug, Default)]
+pub struct Ceiling {
+    /// Key of a metric, and what it comes to; nothing where nobody can tell.
+    pub of: Vec<(String, AtZero)>,
+    /// What it is made of, or why there is none: sentences for the foot of a table.
+    pub notes: Vec<String>,
+}
+
+/// Estimates the ceiling of the test part of `partition` by every metric of single samples.
+///
+/// # Errors
+/// As [`crate::repeatability()`].
+pub fn ceiling(
+    data: &Dataset,
+    partition: &Partition,
+    metrics: &[Plugin<dyn Metric>],
+    stop: &AtomicBool,
+) -> Result<Ceiling> {
+    let lags = lags(data, partition);
+    let (lapse, why) = lapse(data, &lags);
+    let found = likeness(data, lapse, false, metrics, stop)?;
+    let known = |m: &crate::repeatability::Similarity| Some((m.key.clone(), m.at_zero.as_ref().ok().copied()?));
+    let of: Vec<(String, AtZero)> = found.metrics.iter().filter_map(known).collect();
+    let notes = match (of.is_empty(), found.metrics.first().map(|m| &m.at_zero)) {
+        (false, _) => notes(&found, lapse, &why, &of),
+        (true, Some(Err(reason))) => vec![format!("no {CEILING}: {reason}")],
+        (true, _) => Vec::new(),
+    };
+    Ok(Ceiling { of, notes })
+}
+
+/// Ids between each test sample and the nearest one that is trained on or chosen by.
+fn lags(data: &Dataset, partition: &Partition) -> Vec<u32> {
+    let ids: Vec<u32> = partition.known().all().iter().map(|&i| data.samples[i].id).collect();
+    let lag = |&i: &usize| {
+        let id = data.samples[i].id;
+        let next = ids.partition_point(|known| *known < id);
+        let around = [next.checked_sub(1), Some(next)].into_iter().flatten().filter_map(|k| ids.get(k));
+        around.map(|known| known.abs_diff(id)).min().unwrap_or(u32::MAX)
+    };
+    partition.test.iter().map(lag).collect()
+}
+
+/// Which pairs, and why these.
+fn lapse(data: &Dataset, lags: &[u32]) -> (Lapse, String) {
+    if !in_order(data) {
+        return (Lapse::Far, "since here samples next to each other in id are not so in space".into());
+    }
+    let near = lags.iter().filter(|lag| **lag <= FAR_IDS).count();
+    let percent = |count: usize| (100 * count + lags.len() / 2) / lags.len().max(1);
+    if 2 * near >= lags.len() {
+        let share = percent(near);
+        (Lapse::Near, format!("since {share} % of the test samples have a known one at most {FAR_IDS} ids away"))
+    } else {
+        let share = percent(lags.len() - near);
+        (Lapse::Far, format!("since {share} % of the test samples have no known one within {FAR_IDS} ids"))
+    }
+}
+
+fn notes(found: &Likeness, lapse: Lapse, why: &str, of: &[(String, AtZero)]) -> Vec<String> {
+    let (pairs, words) = (grouped(found.closest as i64), lapse.words());
+    let interval = |(key, at_zero): &(String, AtZero)| {
+        let [low, high] = at_zero.interval.map(number);
+        format!("{key} {low} to {high}")
+    };
+    let intervals: Vec<String> = of.iter().map(interval).collect();
+    vec![
+        format!(
+            "{CEILING} is what two measured spectra at one place have in common: {pairs} pairs {words}, at most {:.0} mm \
+             between their transmitters, followed to distance zero; {why}",
+            (found.reach_m * 1e3).ceil()
+        ),
+        format!(
+            "{CEILING} is an estimate and in no ranking; a perfect predictor of the mean could reach a little more; 95 % \
+             intervals of its means: {}",
+            intervals.join(", ")
+        ),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pwrfgs_core::{Pose, Sample, Spectra};
+
+    fn data(place: impl Fn(u32) -> f64) -> Dataset {
+        let samples: Vec<Sample> = (0..400).map(|id| Sample { id, tx: [place(id), 0.0, 0.0] }).collect();
+        let spectra = Spectra::grey((1, 1), vec![0; samples.len()]).unwrap();
+        Dataset::new("line", Pose::IDENTITY, vec![], samples, spectra).unwrap()
+    }
+
+    fn partition(is_test: impl Fn(usize) -> bool) -> Partition {
+        let (test, train) = (0..400).partition(|&i| is_test(i));
+        Partition { train, validation: vec![], test }
+    }
+
+    #[test]
+    fn the_partition_says_which_pairs_are_the_ceiling() {
+        let walk = data(|id| f64::from(id) * 0.01);
+        let of = |data: &Dataset, partition: &Partition| lapse(data, &lags(data, partition));
+        let (near, why) = of(&walk, &partition(|i| i % 5 == 0));
+        assert_eq!(near, Lapse::Near);
+        assert_eq!(why, "since 100 % of the test samples have a known one at most 30 ids away");
+        let (far, why) = of(&walk, &partition(|i| (100..300).contains(&i)));
+        assert_eq!(far, Lapse::Far);
+        assert_eq!(why, "since 70 % of the test samples have no known one within 30 ids");
+        let anywhere = data(|id| f64::from(id * 149 % 400));
+        assert_eq!(of(&anywhere, &partition(|i| i % 5 == 0)).0, Lapse::Far, "ids say nothing of time");
+    }
+
+    #[test]
+    fn lags_are_to_the_nearest_known_sample() {
+        let walk = data(f64::from);
+        let known = Partition { train: vec![3, 390], validation: vec![200], test: vec![0, 100, 399] };
+        assert_eq!(lags(&walk, &known), [3, 97, 9]);
+        assert_eq!(lags(&walk, &Partition { test: vec![1], ..Partition::default() }), [u32::MAX]);
+    }
+}
