@@ -29,7 +29,7 @@ impl Inspection<'_> {
                 sentences => pose.sentences(),
                 rows => rows.map(|(name, angle)| (name, format!("{angle:.1}°"))).collect::<Vec<_>>(),
                 figures => figures::pose(pose),
-                rings => figures::rings(pose),
+                rings => figures::rings(pose).map(|degrees| degrees.to_string()),
             }
         });
         let refused =
