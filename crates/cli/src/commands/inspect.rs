@@ -35,7 +35,7 @@ pub(crate) struct Inspect {
     /// Where to write the page [default: inspect-NAME where you stand, after the folder or the pipeline]
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
-    /// Change a setting, such as data.root=data/other or 'split=Voxel(size_m: 0.5)'
+    /// Change a setting, such as data.root=data/other or 'split=Random(test: 0.3)'
     #[arg(long = "set", value_name = "FIELD=VALUE")]
     pub(crate) set: Vec<String>,
 }
@@ -64,7 +64,7 @@ fn pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
             Box::new(Nerf2Spectrum { root: path.into(), ..Nerf2Spectrum::default() })
         }
         () => {
-            let pipeline = named(path).map_err(|_| {
+            let pipeline = named(path).map_err(|_neither| {
                 let what =
                     "holds neither spectra (folder spectrum, or spectra.npy) nor a run; give a folder of spectra";
                 Error::input(path, format!("{what}, a pipeline file, or the folder of a run"))
