@@ -19,6 +19,8 @@ pub use pwrfgs_core as core;
 pub use pwrfgs_data as data;
 pub use pwrfgs_experiment as experiment;
 pub use pwrfgs_init as init;
+#[cfg(feature = "inspect")]
+pub use pwrfgs_inspect as inspect;
 pub use pwrfgs_metrics as metrics;
 pub use pwrfgs_model as model;
 pub use pwrfgs_prune as prune;

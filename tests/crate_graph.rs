@@ -19,6 +19,7 @@ fn crates_depend_on_each_other_as_drawn() {
         ("experiment", &["core", "model", "train"]),
         ("canvas", &[]),
         ("report", &["canvas", "core", "experiment", "model", "train"]),
+        ("inspect", &["core", "experiment", "report", "train"]),
     ];
     let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
     let output = Command::new(cargo)

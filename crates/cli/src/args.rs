@@ -1,6 +1,8 @@
 //! What can be said on the command line; each verb's own words stand beside what it does, in `commands`. The help texts are
 //! the first documentation that a user meets.
 
+#[cfg(feature = "inspect")]
+use crate::commands::Inspect;
 #[cfg(feature = "report")]
 use crate::commands::Report;
 #[cfg(feature = "sim")]
@@ -90,6 +92,9 @@ pub(crate) enum Command {
     Simulate(Simulate),
     /// Show everything that a pipeline may name: plugins, settings, defaults, what each field does
     Plugins(Plugins),
+    #[cfg(feature = "inspect")]
+    /// Look at data before training: pictures, positions, splits with floors and ceiling, whether the pose can be right
+    Inspect(Inspect),
     /// Write a commented pipeline for the data in a folder
     Init(Init),
     /// Print a script that completes commands and options in bash, zsh, fish, elvish or PowerShell

@@ -7,6 +7,8 @@ mod evaluate;
 mod export;
 mod import;
 mod init;
+#[cfg(feature = "inspect")]
+mod inspect;
 mod plugins;
 mod predict;
 #[cfg(feature = "report")]
@@ -22,6 +24,8 @@ pub(crate) use evaluate::{Evaluate, evaluate};
 pub(crate) use export::{Export, export};
 pub(crate) use import::{Import, import};
 pub(crate) use init::{Init, init};
+#[cfg(feature = "inspect")]
+pub(crate) use inspect::{Inspect, inspect};
 pub(crate) use plugins::{Plugins, plugins};
 pub(crate) use predict::{Predict, predict};
 #[cfg(feature = "report")]

@@ -12,6 +12,7 @@ mod export;
 mod failure;
 mod faults;
 mod import;
+mod inspect;
 mod maps;
 mod model_format;
 mod my_pruner;

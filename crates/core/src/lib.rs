@@ -54,7 +54,7 @@ pub use projector::Projector;
 pub use pruner::{ColumnSpec, Pruner};
 pub use rasterizer::{Rasterizer, Render, RenderVjp};
 pub use real::{Mat3, Real, Vec3, consts, logit, sigmoid};
-pub use scene::{Dataset, Known, Partition, Pose, Sample, Scene, Simulation};
+pub use scene::{Dataset, Known, Partition, Pose, Sample, Scene, Simulation, Unmatched};
 pub use spectra::{Number, Spectra};
 pub use splats::{Primitives, Splats};
 pub use stats::{CloudStats, Moment, Phase};

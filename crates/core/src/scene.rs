@@ -96,6 +96,17 @@ pub struct Dataset {
     pub official: Option<(Vec<usize>, Vec<usize>)>,
     /// What the spectra were computed from; `None` where they were measured.
     pub simulation: Option<Simulation>,
+    /// What the source holds beside the samples.
+    pub unmatched: Unmatched,
+}
+
+/// Halves of samples, which a source leaves out.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Unmatched {
+    /// Positions without a picture.
+    pub positions: usize,
+    /// Pictures without a position.
+    pub pictures: usize,
 }
 
 /// Says of a data set that it is simulated.
@@ -110,8 +121,8 @@ impl Dataset {
     /// Measured spectra, one a sample, with the surface `points` `[P,3]` that are known (metres; none will do). All places
     /// are in the user's frame. The bounds hold the points, the samples and the receiver.
     ///
-    /// Rows are elevations from 0 to 90 degrees, there is no official split, and nothing is simulated: who knows better sets
-    /// these fields.
+    /// Rows are elevations from 0 to 90 degrees, there is no official split, nothing is simulated, and nothing was left
+    /// out: who knows better sets these fields.
     ///
     /// ```
     /// # use pwrfgs_core::{Dataset, Pose, Sample, Spectra};
@@ -161,7 +172,18 @@ impl Dataset {
         let scene = Scene { origin, receiver, bounds, points };
         let (width, height) = (spectra.width(), spectra.height());
         let elevation = Elevation::UPPER;
-        Ok(Self { title, scene, width, height, elevation, samples, spectra, official: None, simulation: None })
+        Ok(Self {
+            title,
+            scene,
+            width,
+            height,
+            elevation,
+            samples,
+            spectra,
+            official: None,
+            simulation: None,
+            unmatched: Unmatched::default(),
+        })
     }
 
     /// Whether the spectra are simulated, not measured.

@@ -9,7 +9,8 @@ mod tests;
 use crate::points::read_points;
 use crate::text::{XyzColumns, lines, no_longer, read_text, split_commas};
 use pwrfgs_core::{
-    DataSource, Dataset, Documented, Elevation, Error, Progress, Result, Sample, Simulation, files, words::clean,
+    DataSource, Dataset, Documented, Elevation, Error, Progress, Result, Sample, Simulation, Unmatched, files,
+    words::clean,
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -98,13 +99,14 @@ impl DataSource for Nerf2Spectrum {
         let stated = self.elevation.or(gateway.elevation);
         let elevation = stated.unwrap_or(Elevation::UPPER);
         check_shape(paths[0], elevation, stated.is_some(), (spectra.width(), spectra.height()))?;
+        let unmatched = Unmatched { positions: positions.len() - ids.len(), pictures: files.len() - ids.len() };
         let samples = ids.iter().map(|&id| Sample { id, tx: positions[id as usize - 1] }).collect();
         let folder = || root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
         let name = clean(&gateway.name.unwrap_or_else(folder));
         let simulation = simulation(&root, &name);
         let title = format!("{name} ({}NeRF2 layout)", if simulation.is_some() { "" } else { "measured, " });
         let data = Dataset::new(title, gateway.pose, points, samples, spectra)?;
-        Ok(Dataset { elevation, official, simulation, ..data })
+        Ok(Dataset { elevation, official, simulation, unmatched, ..data })
     }
 
     fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {

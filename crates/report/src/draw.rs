@@ -1,14 +1,15 @@
-//! Pictures, shared by the page of one run and the figures of a study: all of them on one [`canvas`].
+//! Pictures, shared by all pages and figures of the toolkit: all of them on one [`canvas`].
 
 mod axes;
 mod backend;
-pub(crate) mod charts;
+pub mod charts;
 pub(crate) mod legend;
-pub(crate) mod marks;
+pub mod marks;
 pub(crate) mod room;
 pub(crate) mod ruler;
-pub(crate) mod spectra;
+pub mod spectra;
 pub(crate) mod steps;
 pub(crate) mod ticks;
 
-pub(crate) use pwrfgs_canvas::{self as canvas, font};
+pub use pwrfgs_canvas as canvas;
+pub(crate) use pwrfgs_canvas::font;

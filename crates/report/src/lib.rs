@@ -4,10 +4,11 @@
 //! back from their folders and [`write()`] puts them side by side. Both draw with `draw`.
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
-mod draw;
+pub mod draw;
 mod run_page;
 mod study;
 mod templates;
 
 pub use run_page::page;
 pub use study::{Options, Record, Score, Setting, Study, Variant, figures, write};
+pub use templates::fill;

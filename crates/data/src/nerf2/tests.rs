@@ -102,6 +102,7 @@ fn index_files_may_be_absent_and_pictures_without_a_row_are_left_out() {
     let data = folder.load();
     assert_eq!(data.official, None);
     assert_eq!(data.samples.len(), 3);
+    assert_eq!(data.unmatched, Unmatched { positions: 1, pictures: 1 });
 }
 
 #[test]

@@ -8,12 +8,13 @@ use plotters::prelude::*;
 
 /// One axis.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Axis {
+pub struct Axis {
     /// Empty where the heading says it.
-    pub(crate) name: String,
+    pub name: String,
     /// Those of what is drawn, with some air, where nothing is said.
-    pub(crate) ends: Option<(f64, f64)>,
-    pub(crate) log: bool,
+    pub ends: Option<(f64, f64)>,
+    /// Whether equal steps are equal factors.
+    pub log: bool,
 }
 
 /// An axis whose ends are known; their logarithms where it has one.

@@ -3,7 +3,7 @@
 //! plotters lays out the axes ([`axes`](super::axes)); lines, marks and names are ours, because it knows neither dashes
 //! and dots in turn nor names that keep apart.
 
-pub(crate) use super::axes::Axis;
+pub use super::axes::Axis;
 use super::axes::{Frame, Scale};
 use super::canvas::{Anchor, Canvas, Colour, INK, Paint, Point};
 use super::font::{TEXT, cut, text_width};
@@ -12,18 +12,18 @@ use super::marks::Style;
 
 /// How large a chart and its parts are.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Look {
+pub struct Look {
     /// Width, and height without the legend.
-    pub(crate) size: Point,
+    pub size: Point,
     /// Room for axes and names: left, top, right, bottom.
-    pub(crate) margins: [f64; 4],
+    pub margins: [f64; 4],
 }
 
 impl Look {
     /// For a page on a screen, which scales it.
-    pub(crate) const SCREEN: Self = Self { size: [560.0, 330.0], margins: [58.0, 40.0, 18.0, 38.0] };
+    pub const SCREEN: Self = Self { size: [560.0, 330.0], margins: [58.0, 40.0, 18.0, 38.0] };
     /// For a column of print.
-    pub(crate) const COLUMN: Self = Self { size: [380.0, 262.0], margins: [54.0, 10.0, 20.0, 38.0] };
+    pub const COLUMN: Self = Self { size: [380.0, 262.0], margins: [54.0, 10.0, 20.0, 38.0] };
 }
 
 impl Default for Look {
@@ -34,40 +34,48 @@ impl Default for Look {
 
 /// A chart.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Chart {
-    pub(crate) look: Look,
-    pub(crate) x: Axis,
-    pub(crate) y: Axis,
+pub struct Chart {
+    /// How large it is.
+    pub look: Look,
+    /// Across.
+    pub x: Axis,
+    /// Upwards.
+    pub y: Axis,
     /// Shaded stretches of the horizontal axis.
-    pub(crate) bands: Vec<Band>,
+    pub bands: Vec<Band>,
     /// The first on top.
-    pub(crate) lines: Vec<Line>,
+    pub lines: Vec<Line>,
 }
 
 /// A shaded stretch, its name above it.
 #[derive(Clone, Debug)]
-pub(crate) struct Band {
-    pub(crate) name: &'static str,
-    pub(crate) x: (f64, f64),
-    pub(crate) colour: Colour,
+pub struct Band {
+    /// Above it.
+    pub name: &'static str,
+    /// Its ends.
+    pub x: (f64, f64),
+    /// Its shade.
+    pub colour: Colour,
 }
 
 /// A line with marks on it.
 #[derive(Clone, Debug)]
-pub(crate) struct Line {
-    pub(crate) name: Name,
-    pub(crate) style: Style,
+pub struct Line {
+    /// Its name.
+    pub name: Name,
+    /// How it looks.
+    pub style: Style,
     /// From left to right, or round an area. Infinitely far is as far as the axis goes; what has no place is left out.
-    pub(crate) points: Vec<(f64, f64)>,
+    pub points: Vec<(f64, f64)>,
     /// Where marks stand.
-    pub(crate) marks: Vec<(f64, f64)>,
+    pub marks: Vec<(f64, f64)>,
     /// Bars from one place to another, across or upright.
-    pub(crate) bars: Vec<[(f64, f64); 2]>,
+    pub bars: Vec<[(f64, f64); 2]>,
 }
 
 /// The name of a line, and where it stands.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Name {
+pub enum Name {
     /// Nowhere in the chart.
     Hidden,
     /// Below the chart.
@@ -78,22 +86,22 @@ pub(crate) enum Name {
 
 impl Line {
     /// Without name, marks and bars.
-    pub(crate) fn new(points: Vec<(f64, f64)>, style: Style) -> Self {
+    pub fn new(points: Vec<(f64, f64)>, style: Style) -> Self {
         Self { name: Name::Hidden, style, points, marks: Vec::new(), bars: Vec::new() }
     }
 
     /// At one height from end to end.
-    pub(crate) fn level(y: f64, style: Style) -> Self {
+    pub fn level(y: f64, style: Style) -> Self {
         Self::new(vec![(f64::NEG_INFINITY, y), (f64::INFINITY, y)], style)
     }
 
     /// With a name in the legend.
-    pub(crate) fn named(self, name: &str) -> Self {
+    pub fn named(self, name: &str) -> Self {
         Self { name: Name::Legend(name.into()), ..self }
     }
 
     /// With a name at its end.
-    pub(crate) fn named_at_end(self, name: &str) -> Self {
+    pub fn named_at_end(self, name: &str) -> Self {
         Self { name: Name::AtEnd(name.into()), ..self }
     }
 
@@ -114,7 +122,7 @@ impl Line {
 
 impl Chart {
     /// The picture, or nothing where there is nothing to draw.
-    pub(crate) fn draw(&self) -> Option<Canvas> {
+    pub fn draw(&self) -> Option<Canvas> {
         let places = || self.lines.iter().flat_map(Line::places);
         let x = Scale::new(&self.x, places().map(|p| p.0))?;
         let y = Scale::new(&self.y, places().map(|p| p.1))?;

@@ -7,38 +7,52 @@ const RADIUS: f64 = 3.6;
 
 /// How a line is stroked.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Stroke {
+pub enum Stroke {
     /// With strokes and gaps of these lengths in turn.
     Dashes(&'static [f64]),
     /// Not at all: its points enclose a shaded area.
     Area,
+    /// Not at all: a dot at each of its points, as wide as the line.
+    Dots,
     /// Not at all: only marks are drawn.
     None,
 }
 
 impl Stroke {
-    pub(crate) const FULL: Self = Self::Dashes(&[]);
-    pub(crate) const DASHED: Self = Self::Dashes(&[6.0, 4.0]);
-    pub(crate) const DOTTED: Self = Self::Dashes(&[1.6, 2.6]);
-    pub(crate) const DASH_DOTTED: Self = Self::Dashes(&[8.0, 3.0, 1.6, 3.0]);
+    /// Without gaps.
+    pub const FULL: Self = Self::Dashes(&[]);
+    /// Dashes.
+    pub const DASHED: Self = Self::Dashes(&[6.0, 4.0]);
+    /// Dots.
+    pub const DOTTED: Self = Self::Dashes(&[1.6, 2.6]);
+    /// Dashes and dots in turn.
+    pub const DASH_DOTTED: Self = Self::Dashes(&[8.0, 3.0, 1.6, 3.0]);
 }
 
 /// The shape of a mark.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Marker {
+pub enum Marker {
+    /// A disc.
     Circle,
+    /// A square.
     Square,
+    /// A triangle that points up.
     Triangle,
+    /// A square on its corner.
     Diamond,
+    /// A triangle that points down.
     Wedge,
+    /// A leaning cross.
     Cross,
+    /// An upright cross.
     Plus,
+    /// A star of five points.
     Star,
 }
 
 impl Marker {
     /// All of them.
-    pub(crate) const ALL: [Self; 8] =
+    pub const ALL: [Self; 8] =
         [Self::Circle, Self::Square, Self::Triangle, Self::Diamond, Self::Wedge, Self::Plus, Self::Star, Self::Cross];
 
     /// Corners about the middle, radius about 1, y downwards.
@@ -73,33 +87,41 @@ impl Marker {
 
 /// How a line and its marks look.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Style {
-    pub(crate) colour: Colour,
+pub struct Style {
+    /// Of stroke and marks.
+    pub colour: Colour,
     /// Of the stroke.
-    pub(crate) width: f64,
-    pub(crate) stroke: Stroke,
-    pub(crate) marker: Option<Marker>,
+    pub width: f64,
+    /// How its line is drawn.
+    pub stroke: Stroke,
+    /// What stands at its marks.
+    pub marker: Option<Marker>,
     /// Whether marks are empty.
-    pub(crate) hollow: bool,
+    pub hollow: bool,
 }
 
 impl Style {
     /// A line without marks.
-    pub(crate) fn line(colour: Colour, width: f64, stroke: Stroke) -> Self {
+    pub fn line(colour: Colour, width: f64, stroke: Stroke) -> Self {
         Self { colour, width, stroke, marker: None, hollow: false }
     }
 
     /// Draws the line through `points`, or the area within them.
-    pub(crate) fn draw_line(&self, canvas: &mut Canvas, points: &[Point]) {
+    pub fn draw_line(&self, canvas: &mut Canvas, points: &[Point]) {
         match self.stroke {
             Stroke::None => {}
+            Stroke::Dots => {
+                let mut dots = Path::default();
+                points.iter().for_each(|at| dots.add(&[*at; 2]));
+                canvas.path(dots, Paint { round: true, ..Paint::stroke(self.colour, self.width) });
+            }
             Stroke::Area => canvas.polygon(points, Paint::fill(self.colour.faint(0.2))),
             Stroke::Dashes(dash) => canvas.line(points, Paint { dash, ..Paint::stroke(self.colour, self.width) }),
         }
     }
 
     /// Draws a mark at `at`.
-    pub(crate) fn draw_mark(&self, canvas: &mut Canvas, at: Point) {
+    pub fn draw_mark(&self, canvas: &mut Canvas, at: Point) {
         let Some(marker) = self.marker else { return };
         let corners: Vec<Point> =
             marker.corners().into_iter().map(|(x, y)| [at[0] + RADIUS * x, at[1] + RADIUS * y]).collect();
@@ -112,7 +134,7 @@ impl Style {
     }
 
     /// Draws a bar from `a` to `b` with a cap at each end.
-    pub(crate) fn draw_bar(&self, canvas: &mut Canvas, [a, b]: [Point; 2]) {
+    pub fn draw_bar(&self, canvas: &mut Canvas, [a, b]: [Point; 2]) {
         let [dx, dy] = if a[1] == b[1] { [0.0, 3.0] } else { [3.0, 0.0] };
         let mut bar = Path::of(&[a, b]);
         for [x, y] in [a, b] {

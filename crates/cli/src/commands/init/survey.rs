@@ -144,7 +144,7 @@ fn clouds(folder: &Path) -> Vec<(PathBuf, usize)> {
 }
 
 /// The folder's own name, as a pipeline may be called.
-fn name_of(folder: &Path) -> String {
+pub(crate) fn name_of(folder: &Path) -> String {
     let absolute = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
     let name = absolute.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     let plain: String =

@@ -1,7 +1,7 @@
 //! What the figure of the room shows and what it leaves out.
 
 use super::*;
-use pwrfgs_core::{Elevation, GaussianCloud, Origin, Pose, Sample, Scene, Spectra};
+use pwrfgs_core::{Elevation, GaussianCloud, Origin, Pose, Sample, Scene, Spectra, Unmatched};
 
 /// A room of 4 x 3 x 2 m with `points` points and one transmitter of each kind.
 fn room(points: usize) -> (Dataset, Partition) {
@@ -22,6 +22,7 @@ fn room(points: usize) -> (Dataset, Partition) {
         spectra: Spectra::grey((1, 1), vec![0; 2]).unwrap(),
         official: None,
         simulation: None,
+        unmatched: Unmatched::default(),
     };
     (data, Partition { train: vec![0], validation: vec![], test: vec![1] })
 }

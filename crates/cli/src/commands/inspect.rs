@@ -1,0 +1,80 @@
+//! `pwrfgs inspect`: what to know of data before training.
+
+use super::changes::named;
+use super::init::name_of;
+use crate::args::Verbosity;
+use crate::output;
+use crate::progress::Progress;
+use clap::Args;
+use pwrfgs::data::{Arrays, Nerf2Spectrum};
+use pwrfgs::experiment::{read_pipeline, staged};
+use pwrfgs::inspect as work;
+use pwrfgs::prelude::{DataSource, Pipeline};
+use pwrfgs_core::{Error, Result};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+#[derive(Debug, Args)]
+#[command(
+    after_long_help = "Writes inspect.html (one file, nothing outside it) and says the same in short here:\n\n  samples, \
+    extent, steps from an id to the next, receiver and boresight;\n  how pictures are normalised; constant, saturated and \
+    equal ones; positions without a picture;\n  how many numbers the pictures are made of, and whether a planar array of \
+    which spacing heard them;\n  whether the recorded pose can be right: the strongest direction against the line of \
+    sight, and the rotation that fits best;\n  for each split the distance from test to training transmitters, and what \
+    predictors without a model reach;\n  how alike spectra of one place are: what no function of the position can exceed \
+    by much.\n\nA pipeline gives its data, split, baselines, metrics and seed; a folder of data is looked at with all \
+    defaults. Nothing is trained. Of more than 20,000 pictures so many are looked at, evenly chosen, and floors are \
+    scored on up to 300 test spectra a split. An older page in the folder is replaced; a folder that holds anything else \
+    is never touched.\n\nEXAMPLES\n  pwrfgs inspect data/s23\n  pwrfgs inspect pipelines/quickstart.ron --out looked\n  \
+    pwrfgs inspect pipelines/s23-array.ron --set data.root=/where/it/is/s23"
+)]
+pub(crate) struct Inspect {
+    /// A folder of spectra (NeRF2 layout, or arrays as `pwrfgs import` writes them), a pipeline file, or a run folder
+    #[arg(value_name = "DATA")]
+    pub(crate) data: PathBuf,
+    /// Where to write the page [default: inspect-NAME where you stand, after the folder or the pipeline]
+    #[arg(long, value_name = "DIR")]
+    pub(crate) out: Option<PathBuf>,
+    /// Change a setting, such as data.root=data/other or 'split=Random(test: 0.3)'
+    #[arg(long = "set", value_name = "FIELD=VALUE")]
+    pub(crate) set: Vec<String>,
+}
+
+pub(crate) fn inspect(arguments: &Inspect, verbosity: Verbosity) -> Result<ExitCode> {
+    let pipeline = pipeline(&arguments.data, &arguments.set)?;
+    let out = arguments.out.clone().unwrap_or_else(|| PathBuf::from(format!("inspect-{}", pipeline.name)));
+    work::claim(&out)?;
+    let mut progress = Progress::new(verbosity);
+    let written = (|| {
+        let data = staged(&mut progress, "spectra", |progress| pipeline.data.load(Path::new(""), progress))?;
+        let found = work::inspect(&pipeline, &data, &mut progress)?;
+        Ok((work::write(&found, &out)?, found.text()))
+    })();
+    progress.finish();
+    let (page, text) = written?;
+    output::result(&format!("{text}\npage: {}\n", page.display()))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The pipeline that `path` names, or one of all defaults for the data in that folder.
+fn pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
+    let source: Box<dyn DataSource> = match () {
+        () if path.join("spectra.npy").exists() => Box::new(Arrays { root: path.into(), ..Arrays::default() }),
+        () if path.join("spectrum").exists() || path.join("gateway_info.yml").exists() => {
+            Box::new(Nerf2Spectrum { root: path.into(), ..Nerf2Spectrum::default() })
+        }
+        () => {
+            let pipeline = named(path).map_err(|_neither| {
+                let what =
+                    "holds neither spectra (folder spectrum, or spectra.npy) nor a run; give a folder of spectra";
+                Error::input(path, format!("{what}, a pipeline file, or the folder of a run"))
+            });
+            return read_pipeline(&pipeline?.0, set);
+        }
+    };
+    let text = format!("Pipeline(name: {:?}, data: Teacher(), initializer: Random())", name_of(path));
+    let mut pipeline = Pipeline::parse(&text, path)?;
+    pipeline.data = source.into();
+    pipeline.set_all(set)?;
+    Ok(pipeline)
+}

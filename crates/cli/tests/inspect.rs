@@ -1,0 +1,103 @@
+//! `pwrfgs inspect` on a folder, on arrays and on a pipeline: what it says, writes and refuses.
+use crate::common::{SMALL, refuse, stdout, succeed, write};
+use std::path::Path;
+
+fn page(here: &Path, folder: &str) -> String {
+    std::fs::read_to_string(here.join(folder).join("inspect.html")).unwrap()
+}
+
+/// A picture of 8-bit numbers `[m, h, w]` as a file of NumPy.
+fn npy(path: &Path, kind: &str, shape: &str, bytes: &[u8]) {
+    let mut header = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}");
+    header += &" ".repeat(64 - (header.len() + 11) % 64);
+    header.push('\n');
+    let mut file = b"\x93NUMPY\x01\x00".to_vec();
+    file.extend((header.len() as u16).to_le_bytes());
+    file.extend(header.as_bytes());
+    file.extend(bytes);
+    write(path, file);
+}
+
+#[test]
+fn a_simulated_office_is_looked_at_as_folder_and_as_pipeline() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes/office.ron").canonicalize().unwrap();
+    succeed(here, &["simulate", scene.to_str().unwrap(), "--samples", "80", "--out", "office", "-q"]);
+    std::fs::remove_file(here.join("office/spectrum/00007.png")).unwrap();
+    for index in ["train_index.txt", "test_index.txt"] {
+        _ = std::fs::remove_file(here.join("office").join(index));
+    }
+    let said = stdout(&succeed(here, &["inspect", "office", "-q"]));
+    for words in [
+        "79 spectra of 360 x 90 pixels",
+        "1 position without a picture, 0 pictures without a position",
+        "each picture runs from 0 to 1",
+        "what an array of 4 x 4 antennas, 0.490 wavelengths apart",
+        "The recorded orientation fits the pictures.",
+        "Official(): ",
+        "page: inspect-office/inspect.html",
+    ] {
+        assert!(said.replace("\n               ", " ").contains(words), "`{words}` is not in {said}");
+    }
+    let html = page(here, "inspect-office");
+    for words in
+        ["These spectra are simulated", "Plan: x and y", "Seen from the receiver", "The ceiling", "TimeBlock()"]
+    {
+        assert!(html.contains(words), "`{words}` is not on the page");
+    }
+    for outside in ["<script", "http://", "https://", "{{", ">NaN", " NaN"] {
+        let found = html.replace("http://www.w3.org/", "");
+        assert!(!found.contains(outside), "`{outside}` is on the page");
+    }
+    // The same again replaces the page with the same bytes.
+    succeed(here, &["inspect", "office", "-q", "--threads", "1"]);
+    assert_eq!(page(here, "inspect-office"), html);
+
+    write(&here.join("small.ron"), SMALL);
+    let split = "split=Random(test: 0.3)";
+    let said = stdout(&succeed(here, &["inspect", "small.ron", "-q", "--out", "looked", "--set", split]));
+    assert!(said.contains("simulated") && said.contains("Random(test: 0.3, validation: 0.1)"), "{said}");
+    assert!(page(here, "looked").contains("Random(test: 0.3, validation: 0.1) ◂"));
+}
+
+#[test]
+fn odd_pictures_of_an_array_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let (count, width, height) = (24usize, 16usize, 4usize);
+    let pixel = |i: usize| ((i * 7919 + (i / 64) * 31) % 251) as u8;
+    let mut pixels: Vec<u8> = (0..count * width * height).map(pixel).collect();
+    pixels[5 * 64..6 * 64].fill(9); // id 6 is constant
+    pixels.copy_within(0..64, 9 * 64); // id 10 equals id 1
+    npy(&here.join("s.npy"), "|u1", "(24, 4, 16)", &pixels);
+    let places = (0..count).flat_map(|i| [(i / 2) as f64 * 0.01, 0.0, 1.0]);
+    let bytes: Vec<u8> = places.flat_map(f64::to_le_bytes).collect();
+    npy(&here.join("tx.npy"), "<f8", "(24, 3)", &bytes);
+    let pose = ["--receiver", "0,0,0", "--orientation", "0,0,0,1"];
+    succeed(here, &[&["import", "--spectra", "s.npy", "--tx", "tx.npy", "--out", "mine", "-q"], &pose[..]].concat());
+    let said = stdout(&succeed(here, &["inspect", "mine", "-q"])).replace("\n               ", " ");
+    assert!(said.contains("1 constant (id 6), none saturated, 2 equal to another (ids 1, 10)"), "{said}");
+    assert!(said.contains("24 at the position of another") && said.contains("None of the planar arrays"), "{said}");
+    assert!(!page(here, "inspect-mine").contains("simulated"));
+}
+
+#[test]
+fn what_is_not_ours_is_never_touched_and_what_is_no_data_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("small.ron"), SMALL);
+    write(&here.join("thesis/inspect.html"), "mine");
+    refuse(here, &["inspect", "small.ron", "--out", "thesis"], 2, &["is no page of `pwrfgs inspect`"]);
+    assert_eq!(page(here, "thesis"), "mine");
+    write(&here.join("notes/a.txt"), "mine");
+    refuse(here, &["inspect", "small.ron", "--out", "notes"], 2, &["it holds `a.txt`", "choose another --out"]);
+    refuse(here, &["inspect", "notes"], 2, &["notes", "spectra.npy", "give a folder of spectra"]);
+    refuse(here, &["inspect", "nowhere.ron"], 2, &["nowhere.ron"]);
+    refuse(
+        here,
+        &["inspect", "small.ron", "--set", "split=Sparse(train: 100)", "--set", "nonsense=1"],
+        2,
+        &["nonsense"],
+    );
+}

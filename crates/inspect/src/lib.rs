@@ -1,0 +1,82 @@
+//! What one wants to know of a data set before training: [`inspect`] looks, [`Inspection::text`] says it in a terminal,
+//! [`Inspection::page`] on a page, and [`write()`] puts that into a folder.
+//!
+//! One question a file: where transmitters stand (`trajectory`), what pictures hold (`pictures`), how many numbers they
+//! are made of (`freedom`), whether the recorded pose can be right (`pose`), and what each split asks (`splits`).
+//! Everything is bounded: of many pictures so many are looked at, evenly chosen, and the page says how many.
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
+
+mod ceiling;
+mod eigen;
+mod freedom;
+mod look;
+mod output;
+mod page;
+mod pictures;
+mod pose;
+mod splits;
+mod text;
+mod trajectory;
+mod words;
+
+pub use freedom::{Array, Components, Freedom, Kind};
+pub use output::{claim, write};
+pub use pictures::Pictures;
+pub use pose::{Pose, Verdict};
+pub use splits::{Divided, Floor, Outcome};
+pub use trajectory::Trajectory;
+
+use look::Looks;
+use pwrfgs_core::{Dataset, Metric, Plugin, Result, Scope};
+use pwrfgs_experiment::repeatability::{Repeatability, repeatability};
+use pwrfgs_experiment::{Observer, staged};
+use pwrfgs_train::Pipeline;
+use std::sync::atomic::AtomicBool;
+
+/// All that was found.
+#[derive(Debug)]
+pub struct Inspection<'a> {
+    /// The data looked at.
+    pub data: &'a Dataset,
+    /// Where transmitters stand.
+    pub trajectory: Trajectory,
+    /// What pictures hold.
+    pub pictures: Pictures,
+    /// How many numbers they are made of.
+    pub freedom: Freedom,
+    /// What they say of the recorded pose; `None` where too few have a strongest direction.
+    pub pose: Option<Pose>,
+    /// What each split asks.
+    pub splits: Vec<Divided>,
+    /// How alike spectra of one place are.
+    pub ceiling: Repeatability,
+}
+
+/// Looks at `data`, with the split, baselines, metrics and seed of a pipeline.
+///
+/// # Errors
+/// Where a picture cannot be read, or a baseline or a metric refuses.
+pub fn inspect<'a>(pipeline: &Pipeline, data: &'a Dataset, observer: &mut dyn Observer) -> Result<Inspection<'a>> {
+    let looks = staged(observer, "looking at the pictures", |progress| Looks::of(data, progress))?;
+    observer.on_stage("degrees of freedom", 0, 0);
+    let freedom = freedom::freedom(data, &looks.each);
+    observer.on_stage("the pose", 0, 0);
+    let pose = pose::pose(data, &looks.each);
+    observer.on_stage("repeatability", 0, 0);
+    let metrics: Vec<Plugin<dyn Metric>> =
+        pipeline.metrics.iter().filter(|metric| metric.scope() == Scope::Sample).cloned().collect();
+    let ceiling = repeatability(data, &metrics, &AtomicBool::new(false))?;
+    data.spectra.check()?;
+    Ok(Inspection {
+        data,
+        trajectory: trajectory::trajectory(data),
+        pictures: pictures::pictures(data, &looks),
+        freedom,
+        pose,
+        splits: splits::splits(pipeline, &metrics, data, observer)?,
+        ceiling,
+    })
+}
+
+#[cfg(test)]
+mod tests;
