@@ -57,7 +57,7 @@ mod tests {
         let marks = |bounds: &[&str]| -> Vec<String> {
             let predictors = ["model", "RT exact", "1-NN"].map(str::to_owned).into();
             let bounds = bounds.iter().map(|name| (*name).to_owned()).collect();
-            let table = ScoreTable { predictors, metrics: vec![row.clone()], bounds, notes: vec![] };
+            let table = ScoreTable { predictors, metrics: vec![row.clone()], bounds, ..ScoreTable::default() };
             let rows = groups(&table)[0].get_attr("rows").unwrap();
             let mark = |p: usize| {
                 rows.get_item_by_index(p).and_then(|r| r.get_item_by_index(2)).and_then(|c| c.get_item_by_index(1))
