@@ -247,7 +247,7 @@ fn an_opening_that_opens_nothing_is_refused() {
 
 #[test]
 fn an_opening_moves_with_its_wall_where_a_scene_is_known_with_errors() {
-    use pwrfgs_core::{Baseline, DataSource, Plugin};
+    use pwrfgs_core::{Baseline, DataSource, Known, Plugin};
     let folder = tempfile::tempdir().unwrap();
     let objects = opening("(10, -1)", "(10, 1)", "(0, 6)")
         + "Box(name: \"closet\", low: (2, 2, 0), high: (4, 4, 2), yaw_deg: 20, finish: (material: \"wood\", thickness_m: 0.02)),"
