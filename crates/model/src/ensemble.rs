@@ -32,17 +32,16 @@ impl Ensemble {
     pub fn named(members: Vec<(String, Model)>) -> Result<Self, String> {
         let Some((_, first)) = members.first() else { return Err("an ensemble needs a model".into()) };
         let (plane, receiver) = (&first.stages.plane, first.stages.receiver());
-        match members.iter().position(|(_, m)| m.stages.plane != *plane || m.stages.receiver() != receiver) {
-            Some(other) => Err(format!(
+        let other = members.iter().position(|(_, m)| m.stages.plane != *plane || m.stages.receiver() != receiver);
+        if let Some(other) = other {
+            return Err(format!(
                 "model {} of the ensemble sees other pixels than the first, or from another receiver; take runs on the \
                  same data with the same projector",
                 other + 1
-            )),
-            None => {
-                let (names, members) = members.into_iter().unzip();
-                Ok(Self { names, members })
-            }
+            ));
         }
+        let (names, members) = members.into_iter().unzip();
+        Ok(Self { names, members })
     }
 
     /// The models that take part, one or more.

@@ -50,7 +50,7 @@ pub enum MemberFile {
     /// A pipeline as it stands.
     Pipeline(Box<Pipeline>),
     /// Another file's pipeline, changed.
-    Member(Member),
+    Member(Box<Member>),
 }
 
 /// A member of an ensemble that starts from a pipeline file.
@@ -165,7 +165,8 @@ impl EnsembleFile {
                 rebase(&mut pipeline, here);
                 (pipeline, None, None)
             }
-            MemberFile::Member(Member { base, label, set }) => {
+            MemberFile::Member(member) => {
+                let Member { base, label, set } = &**member;
                 (read_base(&here.join(base))?, label.as_deref(), Some(set))
             }
         };
@@ -180,7 +181,7 @@ impl EnsembleFile {
         let mut pipeline =
             draft.finish().map_err(|e| Error::input(path, format!("member `{}`: set: {e}", base.name)))?;
         if let Some(label) = label {
-            pipeline.name = label.to_owned();
+            label.clone_into(&mut pipeline.name);
         }
         Ok(pipeline)
     }

@@ -57,7 +57,7 @@ fn header(n: usize, origin: Origin, several: bool) -> String {
     let [x, y, z] = origin.0;
     let comment = if origin.is_zero() { String::new() } else { format!("comment origin {x} {y} {z}\n") };
     let properties = PROPERTIES.into_iter().chain(several.then_some("member"));
-    let properties: String = properties.map(|name| format!("property float {name}\n")).collect();
+    let properties = properties.map(|name| format!("property float {name}\n")).collect::<Vec<_>>().concat();
     format!("ply\nformat binary_little_endian 1.0\n{comment}element vertex {n}\n{properties}end_header\n")
 }
 

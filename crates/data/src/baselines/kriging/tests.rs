@@ -20,9 +20,9 @@ fn close(a: f64, b: f64, by: f64) {
 fn predictions_are_those_of_scikit_learn() {
     let values = [1.0, 2.0, 4.0, 3.0, 7.0, 5.0];
     let known = [
-        (Kind::Exponential, 3.794441619, 0.427204996),
-        (Kind::Matern32, 3.806622089, 0.179903980),
-        (Kind::SquaredExponential, 3.551534306, 0.093223336),
+        (Kind::Exponential, 3.794_441_619, 0.427_204_996),
+        (Kind::Matern32, 3.806_622_089, 0.179_903_980),
+        (Kind::SquaredExponential, 3.551_534_306, 0.093_223_336),
     ];
     for (kind, mean, variance) in known {
         let correlation = Correlation { kind, scales_m: [0.5, 0.8, 1.2], noise: 0.05 };
@@ -116,7 +116,7 @@ fn the_likelihood_is_that_of_its_predictions() {
         }
         terms.push((error, solution.variance));
     }
-    let strength = (terms[0].0 / terms[0].1 + terms[1].0 / terms[1].1) / 2.0;
+    let strength = f64::midpoint(terms[0].0 / terms[0].1, terms[1].0 / terms[1].1);
     let expected = -0.5 * (2.0 * strength.ln() + terms[0].1.ln() + terms[1].1.ln());
     close(cases.log_likelihood(&truth), expected, 1e-4);
 }
