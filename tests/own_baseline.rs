@@ -81,7 +81,7 @@ fn its_paths_hold_everywhere_and_its_note_stands_under_every_table() {
         stopped => panic!("{stopped:?}"),
     };
     let (table, already) = start();
-    assert!(!already && table.ends_with("\nnote: grey <is> no competitor\n"), "{table}");
+    assert!(!already && table.contains("\nnote: grey <is> no competitor\n"), "{table}");
     assert_eq!(table.matches("no competitor").count(), 1, "said once: {table}");
     assert_eq!(start(), (table, true), "a finished run prints the same");
     for stage in ["spectra: 20", "predicting with the model: 4", "predicting with grey: 4", "scoring grey: 9"] {

@@ -32,7 +32,7 @@ fn pretty() -> ron::ser::PrettyConfig {
 fn every_built_in_name_is_registered() {
     linked::<dyn DataSource>(&["Arrays", "Nerf2Spectrum", "Simulated", "Teacher"]);
     linked::<dyn Split>(&["Official", "Random", "Sparse", "TimeBlock", "Voxel"]);
-    linked::<dyn Baseline>(&["MeanSpectrum", "NearestNeighbours", "RayTracing"]);
+    linked::<dyn Baseline>(&["Kriging", "MeanSpectrum", "NearestNeighbours", "RayTracing"]);
     linked::<dyn Initializer>(&["Grid", "PointCloud", "Random"]);
     linked::<dyn Projector>(&["Mercator", "WrfgsCompat"]);
     linked::<dyn Rasterizer>(&["AlphaBlending", "ArrayResponse"]);

@@ -44,6 +44,11 @@ pub fn ceiling(
     Ok(Ceiling { of, notes })
 }
 
+/// The pairs of samples that are the ceiling of the test part of `partition`.
+pub fn lapse_of(data: &Dataset, partition: &Partition) -> Lapse {
+    lapse(data, &lags(data, partition)).0
+}
+
 /// Ids between each test sample and the nearest one that is trained on or chosen by.
 fn lags(data: &Dataset, partition: &Partition) -> Vec<u32> {
     let ids: Vec<u32> = partition.known().all().iter().map(|&i| data.samples[i].id).collect();

@@ -4,7 +4,7 @@ use crate::page::similarity;
 use crate::words::count;
 use crate::{Inspection, Outcome};
 use minijinja::{Value, context};
-use pwrfgs_experiment::repeatability::{Likeness, Similarity};
+use pwrfgs_experiment::repeatability::{Lapse, Likeness, Similarity};
 use pwrfgs_experiment::text::number;
 
 impl Inspection<'_> {
@@ -20,7 +20,7 @@ impl Inspection<'_> {
 
     /// Mean and median of it for the samples that a split holds out.
     pub(crate) fn ceiling_of(&self, key: &str, outcome: &Outcome) -> Option<[f64; 2]> {
-        let likeness = if outcome.mixes_times { &self.ceiling.near } else { &self.ceiling.far };
+        let likeness = if outcome.lapse == Lapse::Near { &self.ceiling.near } else { &self.ceiling.far };
         let similarity = likeness.metrics.iter().find(|m| m.key == key)?;
         similarity.at_zero.as_ref().ok().map(|zero| [zero.mean, zero.median])
     }

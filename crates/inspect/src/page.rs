@@ -9,6 +9,7 @@ use crate::words::{count, facts, freedom, length};
 use crate::{Divided, Inspection, Outcome};
 use minijinja::{Value, context};
 use pwrfgs_core::Result;
+use pwrfgs_experiment::repeatability::Lapse;
 use pwrfgs_experiment::text::number;
 use pwrfgs_report::fill;
 
@@ -75,7 +76,7 @@ impl Inspection<'_> {
             let both = |mean, median| format!("{} / {}", number(mean), number(median));
             let ceiling = |o: &Outcome| {
                 let known = self.ceiling_of(&key, o);
-                let kind = if o.mixes_times { "near in time" } else { "far apart in time" };
+                let kind = if o.lapse == Lapse::Near { "near in time" } else { "far apart in time" };
                 known.map_or_else(|| "not known".into(), |[mean, median]| format!("{}, {kind}", both(mean, median)))
             };
             let row = |(d, o): &(&Divided, &Outcome)| {

@@ -3,10 +3,10 @@
 
 use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{Dataset, Goal, Metric, Partition, Plugin, Result, Split, Values, registered, rng};
-use pwrfgs_experiment::repeatability::NEAR_IDS;
+use pwrfgs_experiment::repeatability::Lapse;
 use pwrfgs_experiment::samples::{evenly, nearest_train};
 use pwrfgs_experiment::scores::{Summary, quantile};
-use pwrfgs_experiment::{Bench, Observer};
+use pwrfgs_experiment::{Bench, Observer, lapse_of};
 use pwrfgs_train::Pipeline;
 use std::sync::atomic::AtomicBool;
 
@@ -35,8 +35,8 @@ pub struct Outcome {
     pub floors: Vec<Floor>,
     /// Test samples they were scored on.
     pub tested: usize,
-    /// Whether most test samples have a training sample near in time: then the ceiling of pairs near in time is theirs.
-    pub mixes_times: bool,
+    /// The pairs whose ceiling is theirs.
+    pub lapse: Lapse,
 }
 
 /// What one predictor reaches.
@@ -102,19 +102,8 @@ fn outcome(
         distances,
         floors: floors(pipeline, metrics, data, partition, &tested, observer)?,
         tested: tested.len(),
-        mixes_times: mixes_times(data, partition),
+        lapse: lapse_of(data, partition),
     })
-}
-
-/// Whether most test samples have a training sample at most [`NEAR_IDS`] ids away.
-fn mixes_times(data: &Dataset, partition: &Partition) -> bool {
-    let trained: Vec<u32> = partition.train.iter().map(|&i| data.samples[i].id).collect(); // ascending
-    let near = |&&i: &&usize| {
-        let id = data.samples[i].id;
-        let from = trained.partition_point(|other| other.saturating_add(NEAR_IDS) < id);
-        trained.get(from).is_some_and(|other| *other <= id.saturating_add(NEAR_IDS))
-    };
-    2 * partition.test.iter().filter(near).count() > partition.test.len()
 }
 
 /// The pipeline's baselines by `metrics`, which look at one sample each.
@@ -132,7 +121,7 @@ fn floors(
     let mut floors = Vec::new();
     for baseline in &pipeline.baselines {
         let fitted = baseline.fit(data, partition.known())?;
-        let name = fitted.name().unwrap_or_else(|| baseline.name());
+        let name = baseline.name(); // the same for all splits, whatever it chooses in each
         let mut scores = Vec::new();
         for m in bench.baseline(&name, &*fitted, metrics, observer, &never)? {
             if let Values::PerSample(values) = m.values {

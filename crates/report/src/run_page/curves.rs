@@ -107,11 +107,11 @@ pub(super) fn confidence(results: &Results<'_>) -> Option<Value> {
     let range: Vec<_> = groups.iter().map(at(0.9)).chain(groups.iter().rev().map(at(0.1))).collect();
     let median: Vec<_> = groups.iter().map(at(0.5)).collect();
     let last = groups.last()?.0;
-    let mut middle = line(median.clone(), MODEL_COLOUR, 2.5).named("error, median of a tenth");
+    let mut middle = line(median.clone(), MODEL_COLOUR, 2.5).named("median error of a group");
     middle.marks = median;
     let lines = vec![
         middle,
-        Line::new(range, Style::line(MODEL_COLOUR, 1.0, Stroke::Area)).named("10th to 90th percentile"),
+        Line::new(range, Style::line(MODEL_COLOUR, 1.0, Stroke::Area)),
         Line::new(vec![(0.0, 0.0), (last, last)], Style::line(Colour::hex(FLOOR_COLOURS[0]), 1.5, Stroke::DASHED))
             .named("error = spread"),
     ];
