@@ -45,7 +45,7 @@ impl Style<'_> {
             let kind = field.map(|f| (f.kind)());
             match (&value.body, (self.opens)(name)) {
                 (Body::Fields(_), true) => self.tree(value, text, docs_at(kind.as_ref(), value), &inside, out),
-                (Body::Items(items), true) if !items.is_empty() => {
+                (Body::Items(items), true) if !items.is_empty() && value.of(text).starts_with('[') => {
                     out.push_str("[\n");
                     for item in items {
                         let deeper = format!("{inside}    ");
