@@ -35,7 +35,7 @@ pub mod text;
 mod validation;
 
 pub use bench::Bench;
-pub use ceiling::{lapse_of, CEILING, Ceiling, ceiling};
+pub use ceiling::{CEILING, Ceiling, ceiling, lapse_of};
 pub use evaluate::{Assessment, evaluate};
 pub use examples::Example;
 pub use facts::{Facts, Machine, Mark};

@@ -35,21 +35,35 @@ pub(crate) struct Init {
     pub(crate) out: Option<PathBuf>,
 }
 
-/// Settings that do on two cores in a few minutes: those of `pipelines/quickstart.ron` with twice the steps, for a split
-/// that holds out space.
-const LAPTOP: [&str; 12] = [
-    "deformation=Factored(depth: 4, width: 240, tx_encoding: Octaves(2))",
+/// Settings that do on two cores in a few minutes: those of `pipelines/quickstart.ron`.
+const LAPTOP: [&str; 8] = [
     "readout=Magnitude",
-    "pruners=[LearnableMask(lambda: 0.1, learning_rate: 0.02), OpacityThreshold(epsilon: 0.005)]",
-    "training.steps=6000",
     "training=(densify_until: 400, prune_until: 2000, prune_every: 200, densify: (every: 0))",
     "training=(validate_every: 500, validation_samples: 200, checkpoint_every: 500)",
-    "training.tx_jitter_m=0.02",
     "training.loss.ssim_weight=0.9",
     "training.optimizer=(means: Cosine(first: 0.002, last: 0.000001), log_scales: Cosine(first: 0.01, last: 0.00001))",
     "training.optimizer=(quats: Cosine(first: 0.002, last: 0.00001), opacity_logits: Cosine(first: 0.01, last: 0.00001))",
-    "training.optimizer=(signals: Cosine(first: 0.004, last: 0.00001), network: Cosine(first: 0.004, last: 0.000001))",
-    "training.optimizer=(network_warmup: 400, network_decay: 0.4)",
+    "training.optimizer.signals=Cosine(first: 0.004, last: 0.00001)",
+    "pruners=[LearnableMask(lambda: 0.1, learning_rate: 0.02), OpacityThreshold(epsilon: 0.005)]",
+];
+
+/// Where test transmitters stand this close to training ones, metres, fine detail between them can be learnt.
+const CLOSE_M: f64 = 0.03;
+
+/// Detail, as in `pipelines/s23-laptop.ron`.
+const FINE: [&str; 4] = [
+    "deformation=Factored(depth: 5, width: 360, tx_encoding: Waves(count: 64, reach: 24.0))",
+    "training.steps=12000",
+    "training.tx_jitter_m=0.004",
+    "training.optimizer=(network: Cosine(first: 0.002, last: 0.000001), network_warmup: 2000, network_decay: 0.1)",
+];
+
+/// None, as in `pipelines/quickstart.ron`: it would only be memorised.
+const COARSE: [&str; 4] = [
+    "deformation=Factored(depth: 4, width: 240, tx_encoding: Octaves(2))",
+    "training.steps=6000",
+    "training.tx_jitter_m=0.02",
+    "training.optimizer=(network: Cosine(first: 0.004, last: 0.000001), network_warmup: 400, network_decay: 0.4)",
 ];
 
 /// Fields of a pipeline that the file shows; the others have their defaults.
@@ -82,7 +96,8 @@ fn pipeline(survey: &Survey, folder: &Path, out: &Path) -> Result<Pipeline> {
         let text = path.to_str().map(|text| format!("{text:?}"));
         text.ok_or_else(|| Error::input(path, "has a name that is not UTF-8 and cannot stand in a pipeline; rename it"))
     };
-    let mut set: Vec<String> = LAPTOP.map(str::to_owned).to_vec();
+    let detail = if survey.nearest < CLOSE_M { FINE } else { COARSE };
+    let mut set: Vec<String> = LAPTOP.iter().chain(&detail).copied().map(str::to_owned).collect();
     set.push(format!("name={}", survey.name));
     set.push(format!("data=Nerf2Spectrum(root: {})", path(&root)?));
     set.push(format!("split={}", survey.split));

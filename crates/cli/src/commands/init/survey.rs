@@ -29,7 +29,7 @@ pub(super) struct Survey {
     validation: usize,
     test: usize,
     /// Median distance of a test transmitter to the nearest training one, metres.
-    nearest: f64,
+    pub(super) nearest: f64,
     /// Files that hold a point cloud, and how many points.
     pub(super) clouds: Vec<(PathBuf, usize)>,
 }
