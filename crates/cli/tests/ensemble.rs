@@ -141,6 +141,8 @@ fn an_ensemble_is_trained_scored_and_saved_as_one() {
     std::fs::remove_file(own.join("model.safetensors")).unwrap();
     std::fs::remove_dir_all(own.join("members/wide-0")).unwrap();
     succeed(here, &["run", "runs/both", "-q"]);
+    std::fs::remove_file(own.join("confidence.csv")).unwrap();
+    succeed(here, &["run", "runs/both", "-q"]);
     assert_eq!((std::fs::read(own.join("model.safetensors")).unwrap(), scores(&own)), (model, before));
     assert!(stdout(&succeed(here, &["run", "e.ron"])).contains("ssim"), "nothing is left to do");
 

@@ -84,11 +84,6 @@ pub trait Predict: Send + Sync {
     /// The spectrum for a transmitter at `tx` (metres, world frame); not clamped.
     fn predict(&self, tx: [f64; 3]) -> Image;
 
-    /// Its name in tables, with what was chosen in fitting, such as `k-NN (k = 8)`; `None` where the baseline's own will do.
-    fn name(&self) -> Option<String> {
-        None
-    }
-
     /// A sentence that tables of scores print under themselves, for a predictor whose numbers mean something else than
     /// those beside it.
     fn note(&self) -> Option<String> {

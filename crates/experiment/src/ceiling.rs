@@ -36,8 +36,12 @@ pub fn ceiling(
     let found = likeness(data, lapse, false, metrics, stop)?;
     let known = |m: &crate::repeatability::Similarity| Some((m.key.clone(), m.at_zero.as_ref().ok().copied()?));
     let of: Vec<(String, AtZero)> = found.metrics.iter().filter_map(known).collect();
+    let unknown = found.metrics.iter().filter_map(|m| Some((&m.key, m.at_zero.as_ref().err()?)));
     let notes = match (of.is_empty(), found.metrics.first().map(|m| &m.at_zero)) {
-        (false, _) => notes(&found, lapse, &why, &of),
+        (false, _) => {
+            let by = |(key, why): (&String, &String)| format!("no {CEILING} by {key}: {why}");
+            notes(&found, lapse, &why, &of).into_iter().chain(unknown.map(by)).collect()
+        }
         (true, Some(Err(reason))) => vec![format!("no {CEILING}: {reason}")],
         (true, _) => Vec::new(),
     };

@@ -36,12 +36,15 @@ impl Team {
         if !(2..=MOST).contains(&members.len()) {
             return Err(format!("it has {} members; give 2 to {MOST}, counting every seed", members.len()));
         }
-        let split_seed = members[0].split_seed.unwrap_or(members[0].seed);
+        let split_seed = members.iter().find_map(|member| member.split_seed).unwrap_or(members[0].seed);
+        if members.iter().any(|member| member.split_seed.is_some_and(|own| own != split_seed)) {
+            return Err("its members have different values of `split_seed`; give all the same, or none".into());
+        }
         members.iter_mut().for_each(|member| member.split_seed = Some(split_seed));
         let first = &members[0];
         for (place, member) in members.iter().enumerate() {
             let own = &member.name;
-            if slug(own) != *own || own.is_empty() || own.starts_with('.') {
+            if slug(own) != *own || own.is_empty() || own.starts_with('.') || own.contains('+') {
                 return Err(format!("the label `{own}` cannot name a folder; use letters, digits, `.`, `-` and `_`"));
             }
             if members[..place].iter().any(|other| other.name.eq_ignore_ascii_case(own)) {

@@ -76,7 +76,7 @@ impl Mark {
 }
 
 /// The longest `run.json` that is read: its own has some kilobytes.
-const MAX_BYTES: u64 = 1 << 18;
+const MAX_BYTES: u64 = 1 << 19;
 
 /// The files that are known by a mark. Of the others, `pipeline.ron` is compared with the pipeline at hand, the checkpoint
 /// has a digest of its own, and TensorBoard alone reads the events.
@@ -156,7 +156,10 @@ impl Facts {
     pub fn finished(folder: &Path) -> Result<Option<(ScoreTable, Self)>> {
         let Some(facts) = Self::read(folder)? else { return Ok(None) };
         let stands = |name: &str| folder.join(name).is_file();
-        let complete = [MODEL_FILE, SCORES, SAMPLES].into_iter().all(stands) && (!facts.report || stands(REPORT));
+        let marked = |name: &&str| facts.files.contains_key(*name);
+        let complete = [MODEL_FILE, SCORES, SAMPLES].into_iter().all(stands)
+            && (!facts.report || stands(REPORT))
+            && MADE_AGAIN.into_iter().filter(marked).all(stands);
         let scores = facts.scores.clone().filter(|_| complete && facts.finished.is_some());
         Ok(scores.map(|scores| (scores, facts)))
     }

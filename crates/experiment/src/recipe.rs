@@ -51,13 +51,23 @@ impl Recipe {
         }
     }
 
-    /// Equal for recipes that differ in names and seeds alone.
+    /// The seed of a pipeline, or those of all members.
+    pub fn seeds(&self) -> Vec<u64> {
+        match self {
+            Self::Pipeline(pipeline) => vec![pipeline.seed],
+            Self::Ensemble(team) => team.members().iter().map(|member| member.seed).collect(),
+        }
+    }
+
+    /// Equal for recipes that differ in names and in the seeds of training alone.
     pub fn variant_key(&self) -> String {
-        let nameless =
-            |pipeline: &Pipeline| Pipeline { name: String::new(), seed: 0, split_seed: None, ..pipeline.clone() };
+        let nameless = |pipeline: &Pipeline| Pipeline { name: String::new(), seed: 0, ..pipeline.clone() };
         match self {
             Self::Pipeline(pipeline) => nameless(pipeline).to_ron(),
-            Self::Ensemble(team) => team.members().iter().map(|member| nameless(member).to_ron()).collect(),
+            Self::Ensemble(team) => {
+                let member = |member: &Pipeline| Pipeline { split_seed: None, ..nameless(member) }.to_ron();
+                team.members().iter().map(member).collect()
+            }
         }
     }
 
@@ -72,6 +82,10 @@ impl Recipe {
 
 /// By the first word: a parser then says what is wrong with the rest.
 fn is_ensemble(text: &str) -> bool {
-    let said = text.lines().map(str::trim_start).find(|line| !line.is_empty() && !line.starts_with("//"));
-    said.is_some_and(|line| line.starts_with("Ensemble"))
+    let mut rest = text.trim_start();
+    while let Some(comment) = rest.strip_prefix("//").or_else(|| rest.strip_prefix("/*")) {
+        let end = if rest.starts_with("//") { "\n" } else { "*/" };
+        rest = comment.split_once(end).map_or("", |(_, rest)| rest).trim_start();
+    }
+    rest.starts_with("Ensemble")
 }

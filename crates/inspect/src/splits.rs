@@ -76,8 +76,9 @@ pub(crate) fn splits(
         (split, name, same)
     }));
     let mut divided = Vec::new();
+    let seed = pipeline.split_seed.unwrap_or(pipeline.seed);
     for (split, name, own) in all {
-        let outcome = match split.split(data, &mut rng::stream(pipeline.seed, "split", 0)) {
+        let outcome = match split.split(data, &mut rng::stream(seed, "split", 0)) {
             Ok(partition) => Ok(outcome(pipeline, metrics, data, &partition, observer)?),
             Err(refused) => Err(refused.to_string()),
         };

@@ -22,6 +22,13 @@ struct MemberNote {
     model: Note,
 }
 
+/// What every note begins with.
+#[derive(Deserialize)]
+struct Kind {
+    format: String,
+    version: u32,
+}
+
 /// What the file of a model says besides numbers.
 #[derive(Serialize, Deserialize)]
 struct Note {
@@ -44,8 +51,9 @@ struct Note {
 const FORMAT: &str = "pwrfgs-model";
 const ENSEMBLE_FORMAT: &str = "pwrfgs-ensemble";
 const ENSEMBLE_VERSION: u32 = 1;
-/// The most members that a file is believed to have.
-const MOST_MEMBERS: usize = 1_000;
+/// The most members that a file is believed to have, and the longest of their names.
+const MOST_MEMBERS: usize = 100;
+const LONGEST_NAME: usize = 255;
 /// Of a file without an origin, and of one with: who knows of none would predict something else from it.
 const VERSION: u32 = 1;
 const VERSION_WITH_ORIGIN: u32 = 2;
@@ -165,19 +173,28 @@ pub fn read_ensemble(path: &Path) -> Result<Ensemble> {
 
 fn from_bytes(bytes: &[u8]) -> Result<Ensemble, String> {
     let mut file = Tensors::from_bytes(bytes)?;
-    let Ok(EnsembleNote { format, version, members }) = serde_json::from_str(&file.note) else {
-        let note = serde_json::from_str(&file.note).map_err(|e| format!("not a pwrfgs model ({e})"))?;
+    let unreadable = |e: serde_json::Error| format!("not a pwrfgs model ({e})");
+    let Kind { format, version } = serde_json::from_str(&file.note).map_err(unreadable)?;
+    if format != ENSEMBLE_FORMAT {
+        let note = serde_json::from_str(&file.note).map_err(unreadable)?;
         return Ok(Ensemble::of(take_model(&mut file, "", &note)?));
-    };
-    if format != ENSEMBLE_FORMAT || version != ENSEMBLE_VERSION || members.len() > MOST_MEMBERS {
-        return Err(format!(
-            "a `{format}` of version {version} with {} members, this program reads `{ENSEMBLE_FORMAT}` of version \
-             {ENSEMBLE_VERSION} with at most {MOST_MEMBERS}",
-            members.len()
-        ));
     }
-    let mut models = Vec::new();
+    if version != ENSEMBLE_VERSION {
+        return Err(format!("a `{format}` of version {version}, this program reads version {ENSEMBLE_VERSION}"));
+    }
+    let EnsembleNote { members, .. } = serde_json::from_str(&file.note).map_err(unreadable)?;
+    if members.len() > MOST_MEMBERS {
+        return Err(format!("it has {} members, and this program reads at most {MOST_MEMBERS}", members.len()));
+    }
+    let mut models: Vec<(String, Model)> = Vec::new();
     for (place, MemberNote { name, model }) in members.into_iter().enumerate() {
+        let plain = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
+        if name.is_empty() || name.len() > LONGEST_NAME || !name.chars().all(plain) {
+            return Err(format!("member {place} has a name that is none: use letters, digits, `.`, `-` and `_`"));
+        }
+        if models.iter().any(|(other, _)| *other == name) {
+            return Err(format!("two members are called `{name}`"));
+        }
         let model = take_model(&mut file, &prefix(place), &model).map_err(|why| format!("member {place}: {why}"))?;
         models.push((name, model));
     }

@@ -142,7 +142,7 @@ impl Study {
     fn without_twins(&mut self, runs: Vec<Record>) -> Result<Vec<Record>> {
         let (mut kept, mut keys) = (Vec::new(), Vec::new());
         for run in runs {
-            let key = (run.setting_key()?, run.variant_key(), run.facts.seed);
+            let key = (run.setting_key()?, run.variant_key(), run.seeds.clone());
             if keys.contains(&key) {
                 self.repeated.push(run.folder);
             } else {

@@ -5,7 +5,8 @@ use crate::output;
 use crate::progress::Progress;
 use clap::Args;
 use pwrfgs::experiment::folder::{PIPELINE, REPORT};
-use pwrfgs::experiment::{Facts, Machine, Results, evaluate as score, load as load_data, read_pipeline};
+use pwrfgs::experiment::text::number;
+use pwrfgs::experiment::{Facts, Machine, Recipe, Results, evaluate as score, load as load_data};
 use pwrfgs::model::{Ensemble, file};
 use pwrfgs_core::{Error, Result, files::refuse_foreign};
 use std::fmt::Write as _;
@@ -49,7 +50,8 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
             format!("there is no {PIPELINE} beside this model; name one with --pipeline FILE"),
         ));
     }
-    let pipeline = read_pipeline(path, &arguments.set)?;
+    let recipe = Recipe::read(path, &arguments.set)?;
+    let pipeline = recipe.pipeline();
     if let Some(out) = &arguments.out {
         refuse_foreign(out, "a new folder")?;
     }
@@ -67,10 +69,10 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
     let mut text = assessment.scores.table().to_text();
     if let Some(confidence) = &assessment.confidence {
         let members = ensemble.members().len();
+        let rank = number(confidence.rank_correlation());
         _ = writeln!(
             text,
-            "\nmodel: {members} models, the mean of their pictures; rank correlation of their spread and its error {:.2}",
-            confidence.rank_correlation()
+            "\nmodel: {members} models, the mean of their pictures; rank correlation of their spread and its error {rank}"
         );
     }
     if let Some(out) = &arguments.out {
@@ -83,7 +85,12 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
         };
         let results = Results {
             pipeline: &pipeline,
-            settings: pipeline.to_ron(),
+            settings: match &arguments.models[..] {
+                [_] => recipe.to_ron(),
+                several => {
+                    format!("// the mean of {} models, scored by this pipeline:\n{}", several.len(), pipeline.to_ron())
+                }
+            },
             model: &ensemble,
             data: &data,
             partition: &partition,

@@ -20,7 +20,7 @@ const CHOSEN_ON: usize = 240;
 /// `k: Auto` takes the k out of 1, 2, 3, 5, 8, 12, 20, 30, 40, 60, 80, 120 and 160 that predicts the validation part best
 /// from the training part, by the mean SSIM of at most 240 samples, and then learns from both. Where there is no
 /// validation part, every tenth training sample is left out for the choice; on a split that holds out whole stretches give
-/// it a validation part, or k comes out too small. Tables show the choice: `k-NN (k = 8)`.
+/// it a validation part, or k comes out too small. A note under the table says which.
 ///
 /// ```
 /// # use pwrfgs_core::{Baseline, Plugin};
@@ -96,16 +96,16 @@ impl Baseline for NearestNeighbours {
 
     fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
         let all = all_of(known)?;
-        let (k, name) = match self.k {
-            Neighbours::Number(k) => (k, None),
+        let (k, chosen) = match self.k {
+            Neighbours::Number(k) => (k, false),
             Neighbours::Auto => {
                 let (train, validation) = choosing(known);
                 let k = best(data, train, &evenly(&validation, CHOSEN_ON));
                 data.spectra.check()?;
-                (k, Some(format!("k-NN (k = {k})")))
+                (k, true)
             }
         };
-        Ok(Box::new(Lookup { name, ..Lookup::new(data, all, k) }))
+        Ok(Box::new(Lookup { chosen, ..Lookup::new(data, all, k) }))
     }
 
     fn about(&self) -> &'static str {
@@ -140,12 +140,13 @@ struct Lookup<'a> {
     data: &'a Dataset,
     nearest: Nearest,
     k: usize,
-    name: Option<String>,
+    /// Whether k was chosen on validation.
+    chosen: bool,
 }
 
 impl<'a> Lookup<'a> {
     fn new(data: &'a Dataset, samples: Vec<usize>, k: usize) -> Self {
-        Self { data, nearest: Nearest::new(samples, |i| data.samples[i].tx), k, name: None }
+        Self { data, nearest: Nearest::new(samples, |i| data.samples[i].tx), k, chosen: false }
     }
 
     /// Samples with their weights: those at `tx` exactly, or else the k nearest.
@@ -166,7 +167,7 @@ impl<'a> Lookup<'a> {
         let exact = neighbours.first().is_some_and(|(j, _)| self.data.samples[*j].tx == tx);
         let (mut sum, mut total, mut taken) = (vec![0.0; truth.pixels.len()], 0.0, 0);
         let score = |k: &usize| {
-            let until = if exact { neighbours.len() } else { *k };
+            let until = if exact { neighbours.len() } else { *k.min(&neighbours.len()) };
             for (j, weight) in &neighbours[taken..until] {
                 self.data.spectra.add(*j, *weight, &mut sum);
                 total += weight;
@@ -185,7 +186,7 @@ impl Predict for Lookup<'_> {
         weighted_mean(self.data, &self.neighbours(tx))
     }
 
-    fn name(&self) -> Option<String> {
-        self.name.clone()
+    fn note(&self) -> Option<String> {
+        self.chosen.then(|| format!("k-NN takes k = {}, which does best on validation spectra", self.k))
     }
 }

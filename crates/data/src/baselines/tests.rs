@@ -86,8 +86,8 @@ fn auto_takes_few_neighbours_of_clean_spectra_and_many_of_noisy_ones() {
     let (validation, train): (Vec<usize>, Vec<usize>) = (0..200).partition(|i| i % 8 == 3);
     let chosen = |noise, known: Known<'_>| {
         let data = noisy_line(noise);
-        let name = NearestNeighbours { k: Neighbours::Auto }.fit(&data, known).unwrap().name().unwrap();
-        let k = name.strip_prefix("k-NN (k = ").and_then(|rest| rest.strip_suffix(')')).unwrap();
+        let note = NearestNeighbours { k: Neighbours::Auto }.fit(&data, known).unwrap().note().unwrap();
+        let k = note.strip_prefix("k-NN takes k = ").and_then(|rest| rest.split(',').next()).unwrap();
         k.parse::<usize>().unwrap()
     };
     for known in [Known { train: &train, validation: &validation }, Known::train(&train)] {
@@ -110,7 +110,7 @@ fn auto_takes_the_best() {
         [1, 2, 3, 5, 8, 12, 20, 30, 40, 60, 80, 120, 160].into_iter().max_by(|a, b| score(*a).total_cmp(&score(*b)));
     let known = Known { train: &train, validation: &validation };
     let fitted = NearestNeighbours { k: Neighbours::Auto }.fit(&data, known).unwrap();
-    assert_eq!(fitted.name(), Some(format!("k-NN (k = {})", best.unwrap())));
+    assert!(fitted.note().unwrap().starts_with(&format!("k-NN takes k = {},", best.unwrap())));
     // What it predicts it has learned from both parts.
     let known = Known { train: &[0], validation: &[1] };
     let fitted = NearestNeighbours { k: Neighbours::Auto }.fit(&data, known).unwrap();

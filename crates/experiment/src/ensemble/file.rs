@@ -97,6 +97,10 @@ impl Check for EnsembleFile {
         if seeds.as_ref().is_some_and(Vec::is_empty) {
             return Err("`seeds` is empty; give at least one, such as [0], or leave it out".into());
         }
+        let twice = |seeds: &Vec<u64>| (1..seeds.len()).find(|&i| seeds[..i].contains(&seeds[i])).map(|i| seeds[i]);
+        if let Some(seed) = seeds.as_ref().and_then(twice) {
+            return Err(format!("the seed {seed} comes twice in `seeds`"));
+        }
         let patches = members.iter().filter_map(|member| match member {
             MemberFile::Pipeline(_) => None,
             MemberFile::Member(member) => Some(&member.set),

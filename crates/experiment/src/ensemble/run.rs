@@ -80,7 +80,7 @@ fn train(
             Fate::Finished { .. } => {}
             Fate::Failed(error) => {
                 let told = format!("member `{}`: {error}", plan.runs[run].folder);
-                return Err(if error.is_input() { Error::Config(told) } else { error });
+                return Err(if error.is_input() { Error::Config(told) } else { Error::Plugin(told.into()) });
             }
             Fate::Busy => {
                 let folder = plan.folder_of(run);

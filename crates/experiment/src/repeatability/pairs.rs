@@ -99,7 +99,8 @@ pub(crate) fn in_order(data: &Dataset) -> bool {
         distances.sort_by(f64::total_cmp);
         quantile(&distances, 0.5)
     };
-    median(near(data)) < 0.5 * median(unrelated(data))
+    let next = (1..data.samples.len()).map(|i| Pair::of(data, i - 1, i)).collect();
+    median(next) < 0.5 * median(unrelated(data))
 }
 
 /// Some pairs of any two samples.

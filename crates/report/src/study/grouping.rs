@@ -116,7 +116,7 @@ fn variants(group: Vec<(Labels, Record)>) -> Vec<Variant> {
     for (labels, record) in group {
         let key = record.variant_key();
         match all.iter_mut().find(|(known, ..)| *known == key) {
-            Some((.., runs)) if runs.iter().any(|r| r.facts.seed == record.facts.seed) => {}
+            Some((.., runs)) if runs.iter().any(|r| r.seeds == record.seeds) => {}
             Some((.., runs)) => runs.push(record),
             None => all.push((key, labels, vec![record])),
         }

@@ -26,8 +26,10 @@ pub struct Record {
     pub folder: PathBuf,
     /// What was run, every default written out; paths are absolute. Of an ensemble, what it is scored by.
     pub pipeline: Pipeline,
-    /// Equal for runs that differ in names and seeds alone.
+    /// Equal for runs that differ in names and in the seeds of training alone.
     variant_key: String,
+    /// The seed, or those of all members of an ensemble.
+    pub(super) seeds: Vec<u64>,
     /// Circumstances and the summaries of all scores.
     pub facts: Facts,
     /// Every score.
@@ -67,9 +69,9 @@ impl Record {
         // The members of an ensemble have curves of their own.
         let curve = if facts.members.is_empty() { series::whole(&path(CURVE), facts.steps)? } else { Vec::new() };
         let gaussians = curve.iter().filter_map(|row| Some(((*row.first()?)?, (*row.get(4)?)?))).collect();
-        let (pipeline, variant_key) = (recipe.pipeline(), recipe.variant_key());
+        let (pipeline, variant_key, seeds) = (recipe.pipeline(), recipe.variant_key(), recipe.seeds());
         let folder = folder.into();
-        Ok(Some(Self { folder, pipeline, variant_key, facts, scores, nearest_train_m, places, gaussians }))
+        Ok(Some(Self { folder, pipeline, variant_key, seeds, facts, scores, nearest_train_m, places, gaussians }))
     }
 
     /// Values a test sample of one metric of one predictor, by id.

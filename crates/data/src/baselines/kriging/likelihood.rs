@@ -115,7 +115,7 @@ fn search(cases: &Cases, start: Correlation) -> (f64, Correlation) {
                 for factor in [step.exp2(), (-step).exp2()] {
                     while let Some(next) = moved(&best.1, parameter, factor, cases.typical_m) {
                         let likelihood = cases.log_likelihood(&next);
-                        if likelihood <= best.0 + 1e-6 * best.0.abs() {
+                        if likelihood.is_nan() || likelihood <= best.0 + 1e-6 * best.0.abs() {
                             break;
                         }
                         best = (likelihood, next);

@@ -53,7 +53,7 @@ fn baselines(setting: &Setting, loaded: &Loaded, metrics: &[Plugin<dyn Metric>])
     let bench = Bench::new(&loaded.data, &evenly(&partition.test, SAMPLES), model.plane());
     let line = |(k, baseline): (usize, &Plugin<dyn pwrfgs_core::Baseline>)| {
         let fitted = baseline.fit(&loaded.data, partition.known())?;
-        let name = fitted.name().unwrap_or_else(|| baseline.name());
+        let name = baseline.name();
         let never = AtomicBool::new(false);
         let measured = bench.baseline(&name, &*fitted, metrics, &mut Silent, &never)?;
         Ok(Line::new(curve(&measured), looks::floor(k)).named_at_end(&name))
