@@ -53,7 +53,7 @@ plugin_kind!(Split);
 /// A predictor without Gaussians, scored beside the model in every table.
 #[typetag::serde]
 pub trait Baseline: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
-    /// Its name in tables, such as `3-NN`, before it has learned anything: [`Predict::name`] may say more.
+    /// Its name in tables, such as `3-NN`.
     fn name(&self) -> String;
 
     /// Learns from all `known` samples, and makes its choices, if it has any, on their validation part; where that is

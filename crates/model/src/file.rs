@@ -79,7 +79,7 @@ pub fn to_bytes(model: &Model) -> Vec<u8> {
     tensors(model).to_bytes()
 }
 
-/// Writes several models that predict together to one file, whole or not at all; one alone as [`write`] does.
+/// Writes several models that predict together to one file, whole or not at all; one alone as [`write()`] does.
 ///
 /// # Errors
 /// [`Error::Write`].

@@ -1,6 +1,6 @@
 //! Charts: lines, marks, bars and shaded areas on two axes.
 //!
-//! plotters lays out the axes ([`axes`](super::axes)); lines, marks and names are ours, because it knows neither dashes
+//! plotters lays out the axes (`axes.rs`); lines, marks and names are ours, because it knows neither dashes
 //! and dots in turn nor names that keep apart.
 
 pub use super::axes::Axis;

@@ -36,7 +36,7 @@ pub(super) fn solve(correlation: &Correlation, places: &[[f64; 3]], at: [f64; 3]
     Solution { weights, variance: variance.max(correlation.noise) }
 }
 
-/// The lower triangle of a positive definite matrix [n,n] becomes that of its Cholesky factor; the upper is not looked at.
+/// The lower triangle of a positive definite matrix `[n,n]` becomes that of its Cholesky factor; the upper is not looked at.
 fn cholesky(a: &mut [f64], n: usize) {
     for i in 0..n {
         for j in 0..=i {
