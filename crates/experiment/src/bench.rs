@@ -56,7 +56,8 @@ impl<'a> Bench<'a> {
         Self { data, plane, part: part.to_vec(), txs: part.iter().map(|&i| data.samples[i].tx).collect() }
     }
 
-    /// Every measurement of `model`, called `name` in messages. Without `facts` nothing is said of the model itself, and it is not timed.
+    /// Every measurement of `model`, called `name` in messages. Without `facts` nothing is said of the model itself, and it
+    /// is not timed.
     ///
     /// # Errors
     /// Where a metric refuses, or a spectrum cannot be read; [`Error::Stopped`] once `stop` is set.

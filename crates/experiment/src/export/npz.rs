@@ -6,8 +6,9 @@ use pwrfgs_model::{Ensemble, Model};
 use std::io::{self, Cursor};
 use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 
-/// The NPZ file of `model`, one or several (the arrays of member 0 are then called `members.0.means` and so on): the tensors of the model file, pose and plane; and where `tx` (metres, world frame) is
-/// given, what a transmitter there makes of the Gaussians. All places are in the user's frame, in double precision where
+/// The NPZ file of `model`, one or several (the arrays of member 0 are then called `members.0.means` and so on): the
+/// tensors of the model file, pose and plane; and where `tx` (metres, world frame) is given, what a transmitter there
+/// makes of the Gaussians. All places are in the user's frame, in double precision where
 /// the model has an origin. The same model gives the same bytes.
 ///
 /// # Errors

@@ -12,7 +12,8 @@ const PROPERTIES: [&str; 17] = [
 /// Y₀₀, the constant spherical harmonic: a viewer shows 0.5 + Y₀₀ · `f_dc`.
 const SH_C0: f64 = 0.282_094_791_773_878_14;
 
-/// The PLY file of `model`, one or several, as it is for a transmitter at `tx` (metres, world frame), or of its base parameters.
+/// The PLY file of `model`, one or several, as it is for a transmitter at `tx` (metres, world frame), or of its base
+/// parameters.
 ///
 /// The Gaussians of an ensemble stand one member after the other; `member` says whose each is, counted from 0.
 ///

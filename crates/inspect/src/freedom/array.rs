@@ -1,7 +1,7 @@
 //! Whether pictures are those of a planar antenna array, and of which.
 //!
-//! What an array of R x C antennas hears from the direction with cosines u and v is |aᴴh|, and its square is a sum of the (2R−1)(2C−1)
-//! lags cos and sin of 2πd(m u + n v), |m| < C and |n| < R, with d the spacing in wavelengths. A picture p is this
+//! What an array of R x C antennas hears from the direction with cosines u and v is |aᴴh|, and its square is a sum of the
+//! (2R−1)(2C−1) lags cos and sin of 2πd(m u + n v), |m| < C and |n| < R, with d the spacing in wavelengths. A picture p is this
 //! power, its root, or the root stretched: (p + a)² b = |aᴴh|². The last says that p² + κp lies in the span of the lags,
 //! of which 1 is one, with one κ = 2a a picture; κ = 0 without an offset. So every candidate is linear least squares, and
 //! what is left is held against what rounding e of p does to it: (2p + κ)e.
