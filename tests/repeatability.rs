@@ -38,8 +38,9 @@ fn measured_spectra_at_one_place_are_alike_only_near_in_time() {
             let same = |mm: &[f64; 2]| mm[0] == bin.from_m * 1e3 && mm[1] == bin.to_m * 1e3;
             if let Some((_, near, far)) = known.iter().find(|known| same(&known.0)) {
                 let [mean, median] = if of == 0 { *near } else { far.unwrap() };
-                // At most a hundred pairs of each range are looked at here, there were all of them.
-                assert!((bin.mean - mean).abs() < 0.035 && (bin.median - median).abs() < 0.025, "{bin:?}");
+                // At most a hundred pairs of each range are looked at here, there were all of them: a standard error of some
+                // 0.02, and other pairs in double precision.
+                assert!((bin.mean - mean).abs() < 0.05 && (bin.median - median).abs() < 0.05, "{bin:?}");
                 seen += 1;
             }
         }
