@@ -273,7 +273,8 @@ fn an_ensemble_is_the_mean_of_its_members_and_knows_where_they_differ() {
     let pictures: Vec<Image> = models.iter().map(|m| m.predict(tx).clamped()).collect();
     let ensemble = Ensemble::new(models.clone()).unwrap();
     let ensemble = ensemble.prepare();
-    let (mean, deviation) = (ensemble.predict(tx), ensemble.deviation(tx));
+    let (mean, deviation, _) = ensemble.predict_with_deviation(tx);
+    assert_eq!(mean, ensemble.predict(tx));
     for p in 0..mean.pixels.len() {
         let (a, b) = (pictures[0].pixels[p], pictures[1].pixels[p]);
         assert!(

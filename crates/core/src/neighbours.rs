@@ -12,6 +12,11 @@ use std::num::NonZero;
 
 type Tree = ImmutableKdTree<Real, 3>;
 
+/// |a − b|, in the unit of both.
+pub fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+}
+
 /// Squared distance of each point to the nearest other point, `[N]`. A duplicate gives 0; a single point, having no
 /// neighbour, gives infinity.
 pub fn nearest_other_squared(points: &[[Real; 3]]) -> Vec<Real> {

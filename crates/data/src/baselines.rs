@@ -58,12 +58,6 @@ fn choosing(known: Known<'_>) -> (Vec<usize>, Vec<usize>) {
     (samples(false).collect(), samples(true).collect())
 }
 
-/// At most `count` of `all`, evenly spread.
-fn evenly(all: &[usize], count: usize) -> Vec<usize> {
-    let n = all.len().min(count);
-    (0..n).map(|i| all[i * all.len() / n]).collect()
-}
-
 /// Always the same spectrum.
 struct Constant(Image);
 

@@ -39,8 +39,8 @@ impl Confidence {
             let done = AtomicUsize::new(0);
             let of = |&i: &usize| {
                 let tx = data.samples[i].tx;
-                let mean = model.predict_timed(tx).0.clamped();
-                let pair = (size(&model.deviation(tx)), distance(&mean, &data.image(i)));
+                let (mean, deviation, _) = model.predict_with_deviation(tx);
+                let pair = (size(&deviation), distance(&mean.clamped(), &data.image(i)));
                 progress(done.fetch_add(1, Ordering::Relaxed) + 1, part.len());
                 pair
             };

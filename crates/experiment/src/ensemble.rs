@@ -9,12 +9,11 @@ mod run;
 pub use file::{EnsembleFile, Member, MemberFile};
 pub use run::{MEMBERS, run_team};
 
-use crate::sweep::{Plan, PlannedRun, slug};
+use crate::sweep::{Plan, PlannedRun};
 use file::{Written, WrittenMember};
 use pwrfgs_core::plugin::{to_ron, try_to_ron};
 use pwrfgs_core::{Error, Result};
 use pwrfgs_train::Pipeline;
-use serde::Serialize;
 use std::path::Path;
 
 /// The members of an ensemble as they are trained; paths are absolute.
@@ -44,19 +43,16 @@ impl Team {
         let first = &members[0];
         for (place, member) in members.iter().enumerate() {
             let own = &member.name;
-            if slug(own) != *own || own.is_empty() || own.starts_with('.') || own.contains('+') {
-                return Err(format!("the label `{own}` cannot name a folder; use letters, digits, `.`, `-` and `_`"));
-            }
             if members[..place].iter().any(|other| other.name.eq_ignore_ascii_case(own)) {
                 return Err(format!("two members are called `{own}`; give one another `label`"));
             }
             let differs = |what: &str, advice: &str| {
                 Err(format!("the members `{}` and `{own}` have another `{what}`; {advice}", first.name))
             };
-            if text(&first.data) != text(&member.data) {
+            if to_ron(&first.data) != to_ron(&member.data) {
                 return differs("data", "say `set: (data: ..)` for all of them");
             }
-            if text(&first.split) != text(&member.split) {
+            if to_ron(&first.split) != to_ron(&member.split) {
                 return differs(
                     "split",
                     "one would have learnt what the other is tested on: say `set: (split: ..)` for all",
@@ -105,8 +101,4 @@ impl Team {
         self.members.iter().try_for_each(Pipeline::check_text)?;
         self.text().map(|_| ()).map_err(Error::Config)
     }
-}
-
-fn text(value: &impl Serialize) -> String {
-    to_ron(value)
 }

@@ -13,15 +13,13 @@ mod measure;
 mod pairs;
 
 pub use extrapolate::AtZero;
-pub(crate) use pairs::in_order;
-pub use pairs::{FAR_IDS, NEAR_IDS};
+pub use pairs::{FAR_IDS, NEAR_IDS, in_order};
 
-use crate::samples::evenly;
 use crate::scores::Summary;
 use extrapolate::{Scale, at_zero};
 use measure::Measured;
 use pairs::Pair;
-use pwrfgs_core::{Dataset, Goal, Metric, Plugin, Result};
+use pwrfgs_core::{Dataset, Goal, Metric, Plugin, Result, evenly};
 use std::ops::Range;
 use std::sync::atomic::AtomicBool;
 

@@ -14,9 +14,9 @@ use crate::recipe::Recipe;
 use crate::results::{Page, Results};
 use crate::scores::ScoreTable;
 use crate::snapshot::Snapshot;
-use crate::{clock, samples, validation};
+use crate::{clock, validation};
 use pwrfgs_core::files::{self, write_atomically};
-use pwrfgs_core::{Dataset, Error, GaussianCloud, Partition, Result};
+use pwrfgs_core::{Dataset, Error, GaussianCloud, Partition, Result, evenly};
 use pwrfgs_model::{Ensemble, Model, file};
 use pwrfgs_train::{Estimate, Pipeline, Trainer};
 use std::path::{Path, PathBuf};
@@ -166,7 +166,7 @@ impl<'a> Run<'a> {
         let settings = &self.pipeline.training;
         let (steps, earlier) = (settings.steps, facts.wall_seconds);
         let mut journal = Journal::open(folder, self.pipeline, trainer.done())?;
-        let looked_at = samples::evenly(&self.partition.validation, settings.validation_samples);
+        let looked_at = evenly(&self.partition.validation, settings.validation_samples);
         self.observer.on_start(&Start {
             folder: folder.path(),
             title: &self.data.title,

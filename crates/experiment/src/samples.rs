@@ -1,5 +1,5 @@
 //! Samples of a data set: `samples.csv` (where each transmitter stood, what it served, how far the nearest one trained on
-//! is), and an even choice of a few.
+//! is).
 
 use pwrfgs_core::{Dataset, Partition, Real, neighbours};
 use std::fmt::Write as _;
@@ -35,12 +35,6 @@ pub fn nearest_train(data: &Dataset, partition: &Partition) -> Vec<Real> {
     squared.into_iter().map(Real::sqrt).collect()
 }
 
-/// At most `count` of `all`, evenly spread.
-pub fn evenly<T: Clone>(all: &[T], count: usize) -> Vec<T> {
-    let n = all.len().min(count);
-    (0..n).map(|i| all[i * all.len() / n].clone()).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -57,13 +51,5 @@ mod tests {
         let expected = "id,x,y,z,split,nearest_train_m\n1,0,0,0,train,2\n2,2,0,0,train,2\n5,2.5,0,0,test,0.5\n\
                         6,9,0,0,unused,7\n";
         assert_eq!(text, expected);
-    }
-
-    #[test]
-    fn samples_are_chosen_evenly() {
-        let part: Vec<usize> = (100..110).collect();
-        assert_eq!(evenly(&part, 3), [100, 103, 106]);
-        assert_eq!(evenly(&part, 50), part);
-        assert!(evenly(&part, 0).is_empty() && evenly::<usize>(&[], 5).is_empty());
     }
 }

@@ -14,8 +14,8 @@ mod status;
 
 pub use check::{check, estimate};
 pub use execute::{Board, Fate, execute};
-pub(crate) use experiment::slug;
 pub use experiment::{Axis, Experiment, Slurm, Variant};
+pub(crate) use experiment::{check_name, check_seeds};
 pub use listing::{LISTING, ListedRun, Listing};
 pub use plan::{Plan, PlannedRun};
 pub use status::State;

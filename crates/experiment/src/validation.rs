@@ -3,10 +3,9 @@
 use crate::bench::Bench;
 use crate::evaluate::go_on;
 use crate::observer::{Observer, Silent, Validation};
-use crate::samples;
 use crate::scores::Summary;
 use pwrfgs_core::plugin::default_of;
-use pwrfgs_core::{Dataset, Error, ImagePlane, Known, Measurement, Metric, Partition, Plugin, Result, Values};
+use pwrfgs_core::{Dataset, Error, ImagePlane, Known, Measurement, Metric, Partition, Plugin, Result, Values, evenly};
 use pwrfgs_model::Model;
 use pwrfgs_train::Pipeline;
 use std::sync::atomic::AtomicBool;
@@ -54,7 +53,7 @@ pub(crate) fn floors(
     observer: &mut dyn Observer,
     stop: &AtomicBool,
 ) -> Result<Vec<(String, Validation)>> {
-    let part = samples::evenly(&partition.validation, pipeline.training.validation_samples);
+    let part = evenly(&partition.validation, pipeline.training.validation_samples);
     if part.is_empty() || pipeline.training.validate_every == 0 {
         return Ok(Vec::new());
     }

@@ -7,8 +7,7 @@ pub use array::{Array, Kind};
 pub use components::Components;
 
 use crate::look::Look;
-use pwrfgs_core::{Dataset, Number};
-use pwrfgs_experiment::samples::evenly;
+use pwrfgs_core::{Dataset, Number, evenly};
 
 /// What was found.
 #[derive(Clone, Debug)]

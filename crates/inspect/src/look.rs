@@ -1,8 +1,7 @@
 //! One pass over the pictures: what each says by itself, and their mean.
 
 use glam::DVec3;
-use pwrfgs_core::{Dataset, Image, ImagePlane, Progress, Real, Result};
-use pwrfgs_experiment::samples::evenly;
+use pwrfgs_core::{Dataset, Image, ImagePlane, Progress, Real, Result, evenly};
 use rayon::prelude::*;
 use std::hash::{DefaultHasher, Hasher as _};
 use std::sync::atomic::{AtomicUsize, Ordering};

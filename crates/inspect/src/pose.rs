@@ -9,8 +9,7 @@ mod verdict;
 
 use crate::look::Look;
 use glam::{DQuat, DVec3};
-use pwrfgs_core::{Dataset, rng};
-use pwrfgs_experiment::samples::evenly;
+use pwrfgs_core::{Dataset, evenly, rng};
 use pwrfgs_experiment::scores::quantile;
 use rayon::prelude::*;
 use rotation::{Pair, angle, best, middle};

@@ -2,9 +2,9 @@
 //! without a model reach there.
 
 use pwrfgs_core::plugin::to_ron;
-use pwrfgs_core::{Dataset, Goal, Metric, Partition, Plugin, Result, Split, Values, registered, rng};
+use pwrfgs_core::{Dataset, Goal, Metric, Partition, Plugin, Result, Split, Values, evenly, registered, rng};
 use pwrfgs_experiment::repeatability::Lapse;
-use pwrfgs_experiment::samples::{evenly, nearest_train};
+use pwrfgs_experiment::samples::nearest_train;
 use pwrfgs_experiment::scores::{Summary, quantile};
 use pwrfgs_experiment::{Bench, Observer, lapse_of};
 use pwrfgs_train::Pipeline;

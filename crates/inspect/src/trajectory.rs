@@ -1,6 +1,6 @@
 //! Where transmitters stand, and how far it is from one to the next.
 
-use pwrfgs_core::{Dataset, Unmatched};
+use pwrfgs_core::{Dataset, Unmatched, neighbours::distance};
 use pwrfgs_experiment::scores::quantile;
 
 /// Positions of a data set.
@@ -52,11 +52,6 @@ pub(crate) fn trajectory(data: &Dataset) -> Trajectory {
         shared,
         unmatched: data.unmatched,
     }
-}
-
-/// |a − b|, metres.
-fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 use crate::{Freedom, Inspection, Pictures};
 use pwrfgs_core::{Number, Unmatched};
+use pwrfgs_experiment::repeatability::in_order;
 use pwrfgs_experiment::text::{grouped, number};
 
 /// Ids that are named one by one.
@@ -74,7 +75,7 @@ fn steps(found: &Inspection<'_>) -> String {
         return "no two ids follow each other".into();
     }
     let [low, middle, high] = [0.05, 0.5, 0.95].map(|q| length(t.step(q)));
-    let kind = if t.step(0.5) < 0.05 * t.size() {
+    let kind = if in_order(found.data) {
         "ids follow a trajectory: a random split leaves near neighbours in training"
     } else {
         "ids follow no trajectory: they jump about, so a block of ids is no block of space"

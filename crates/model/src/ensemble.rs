@@ -4,7 +4,7 @@ use crate::{Model, Prepared};
 use pwrfgs_core::{ImagePlane, Origin, Real};
 
 /// Models of one scene, such as runs that differ in their seed. Its picture is the mean of theirs, each clamped to
-/// [0, 1] (one alone predicts as it is); where they disagree, nobody should trust it: see [`Prepared::deviation`].
+/// [0, 1] (one alone predicts as it is); where they disagree, nobody should trust it: see [`Prepared::predict_with_deviation`].
 #[derive(Clone, Debug)]
 pub struct Ensemble {
     names: Vec<String>,

@@ -61,6 +61,30 @@ impl<'a> Prepared<'a> {
     /// The spectrum for a transmitter at `tx` (metres, world frame), and how long each stage took in all. Of one model
     /// it is not clamped; of several it is the mean, each clamped to [0, 1].
     pub fn predict_timed(&self, tx: [f64; 3]) -> (Image, StageTimes) {
+        let (pictures, times) = self.pictures(tx);
+        (mean(pictures), times)
+    }
+
+    /// The same, and the standard deviation of the members' pictures at every pixel (n in the denominator): a picture of
+    /// confidence, 0 where there is one model alone.
+    pub fn predict_with_deviation(&self, tx: [f64; 3]) -> (Image, Image, StageTimes) {
+        let (pictures, times) = self.pictures(tx);
+        let count = pictures.len() as Real;
+        let clamped: Vec<Image> = pictures.iter().map(Image::clamped).collect();
+        let mean = mean(pictures);
+        let mut deviation = Image::zeros(mean.width, mean.height);
+        if clamped.len() > 1 {
+            for picture in &clamped {
+                let squares = picture.pixels.iter().zip(&mean.pixels).map(|(p, m)| (p - m) * (p - m));
+                deviation.pixels.iter_mut().zip(squares).for_each(|(sum, square)| *sum += square);
+            }
+            deviation.pixels.iter_mut().for_each(|sum| *sum = (*sum / count).sqrt());
+        }
+        (mean, deviation, times)
+    }
+
+    /// What each member draws, not clamped, and how long each stage took in all.
+    fn pictures(&self, tx: [f64; 3]) -> (Vec<Image>, StageTimes) {
         let mut pictures = Vec::with_capacity(self.members.len());
         let mut sum = StageTimes::default();
         for member in &self.members {
@@ -72,21 +96,7 @@ impl<'a> Prepared<'a> {
             sum.blending += times.blending;
             sum.total += times.total;
         }
-        (mean(pictures), sum)
-    }
-
-    /// The standard deviation of the members' pictures at every pixel (n in the denominator): a picture of confidence.
-    pub fn deviation(&self, tx: [f64; 3]) -> Image {
-        let pictures: Vec<Image> = self.members.iter().map(|m| m.predict(tx).0.clamped()).collect();
-        let mut deviation = Image::zeros(self.plane().width, self.plane().height);
-        let mean = mean(pictures.clone());
-        for picture in &pictures {
-            let squares = picture.pixels.iter().zip(&mean.pixels).map(|(p, m)| (p - m) * (p - m));
-            deviation.pixels.iter_mut().zip(squares).for_each(|(sum, square)| *sum += square);
-        }
-        let count = pictures.len() as Real;
-        deviation.pixels.iter_mut().for_each(|sum| *sum = (*sum / count).sqrt());
-        deviation
+        (pictures, sum)
     }
 
     /// Spectra of many transmitters.

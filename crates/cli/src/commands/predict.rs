@@ -76,9 +76,9 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitC
         let first = 1 + chunk * CHUNK;
         progress.on_stage("predicting", first - 1, txs.len());
         let drawn = draw(&model, first, part)?;
-        write(&folder, &model, first, part, &drawn, &mut stacks)?;
-        for (i, ((image, milliseconds), tx)) in drawn.iter().zip(part).enumerate() {
-            list += &line(model.plane(), first + i, *tx, image, *milliseconds);
+        write(&folder, first, &drawn, &mut stacks)?;
+        for (i, (drawn, tx)) in drawn.iter().zip(part).enumerate() {
+            list += &line(model.plane(), first + i, *tx, &drawn.image, drawn.milliseconds);
         }
     }
     progress.finish();
@@ -90,11 +90,29 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitC
     Ok(ExitCode::SUCCESS)
 }
 
-/// Spectra and milliseconds, one after another: the time of a prediction is that of a program that has nothing else to do.
-fn draw(model: &Prepared<'_>, first: usize, txs: &[[f64; 3]]) -> Result<Vec<(Image, f64)>> {
-    let drawn = txs.iter().map(|&tx| model.predict_timed(tx)).map(|(image, times)| (image, 1e3 * times.total));
-    let drawn: Vec<(Image, f64)> = drawn.collect();
-    match drawn.iter().position(|(image, _)| !image.pixels.iter().all(|p| p.is_finite())) {
+/// A prediction.
+struct Drawn {
+    image: Image,
+    /// How far members differ, where there are several.
+    spread: Option<Image>,
+    milliseconds: f64,
+}
+
+/// Spectra, one after another: the time of a prediction is that of a program that has nothing else to do.
+fn draw(model: &Prepared<'_>, first: usize, txs: &[[f64; 3]]) -> Result<Vec<Drawn>> {
+    let alone = model.models().count() == 1;
+    let one = |&tx: &[f64; 3]| {
+        let (image, spread, times) = if alone {
+            let (image, times) = model.predict_timed(tx);
+            (image, None, times)
+        } else {
+            let (image, spread, times) = model.predict_with_deviation(tx);
+            (image, Some(spread), times)
+        };
+        Drawn { image, spread, milliseconds: 1e3 * times.total }
+    };
+    let drawn: Vec<Drawn> = txs.iter().map(one).collect();
+    match drawn.iter().position(|drawn| !drawn.image.pixels.iter().all(|p| p.is_finite())) {
         None => Ok(drawn),
         Some(i) => Err(Error::Config(format!(
             "row {}: the spectrum of a transmitter at {:?} is not finite: numbers of the model overflow there; train it \
@@ -106,20 +124,10 @@ fn draw(model: &Prepared<'_>, first: usize, txs: &[[f64; 3]]) -> Result<Vec<(Ima
 }
 
 /// Arrays and pictures of the positions from row `first` on.
-fn write(
-    folder: &Folder<'_>,
-    model: &Prepared<'_>,
-    first: usize,
-    txs: &[[f64; 3]],
-    drawn: &[(Image, f64)],
-    stacks: &mut [Stack],
-) -> Result<()> {
-    let spread: Vec<Image> = match model.models().count() {
-        1 => Vec::new(),
-        _ => txs.par_iter().map(|tx| model.deviation(*tx)).collect(),
-    };
-    let images: Vec<&Image> = drawn.iter().map(|(image, _)| image).collect();
-    let kinds = [("", 1.0, images), (SPREAD, 2.0, spread.iter().collect())];
+fn write(folder: &Folder<'_>, first: usize, drawn: &[Drawn], stacks: &mut [Stack]) -> Result<()> {
+    let images: Vec<&Image> = drawn.iter().map(|drawn| &drawn.image).collect();
+    let spreads: Vec<&Image> = drawn.iter().filter_map(|drawn| drawn.spread.as_ref()).collect();
+    let kinds = [("", 1.0, images), (SPREAD, 2.0, spreads)];
     for (k, (suffix, gain, images)) in kinds.iter().enumerate() {
         let one = |(i, image): (usize, &&Image)| {
             let name = name(first + i) + suffix;

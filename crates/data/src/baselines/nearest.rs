@@ -1,5 +1,7 @@
 //! `Nearest`: the k nearest of some places, found by looking at all of them: 80,000 take less than a millisecond.
 
+use pwrfgs_core::neighbours::distance;
+
 /// Places, and the samples that they are of.
 pub(super) struct Nearest {
     places: Vec<[f64; 3]>,
@@ -43,9 +45,4 @@ impl Nearest {
         near.sort_unstable_by(by_distance);
         (exact, near)
     }
-}
-
-/// |a - b|.
-pub(super) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
 }

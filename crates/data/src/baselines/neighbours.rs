@@ -1,9 +1,9 @@
 //! `NearestNeighbours`: the spectra measured closest by.
 
 use super::nearest::Nearest;
-use super::{all_of, choosing, evenly, weighted_mean};
+use super::{all_of, choosing, weighted_mean};
 use pwrfgs_core::docs::Kind;
-use pwrfgs_core::{Baseline, Dataset, Documented, Image, Known, Predict, Real, Result, ssim};
+use pwrfgs_core::{Baseline, Dataset, Documented, Image, Known, Predict, Real, Result, evenly, ssim};
 use rayon::prelude::*;
 use ron::value::RawValue;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};

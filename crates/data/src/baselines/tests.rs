@@ -1,8 +1,9 @@
 //! Of the mean and of the nearest.
 
-use super::nearest::{Nearest, distance};
+use super::nearest::Nearest;
 use super::*;
 use crate::splits::testing::{line_of_samples, samples_at};
+use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::{Pose, Sample, Spectra, rng, ssim};
 
 fn predict(baseline: &dyn Baseline, data: &Dataset, train: &[usize], x: f64) -> f64 {

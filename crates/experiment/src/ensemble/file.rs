@@ -3,7 +3,7 @@
 use super::Team;
 use crate::input::{read_base, set_all};
 use crate::runner::{absolute, rebase};
-use crate::sweep::slug;
+use crate::sweep::{check_name, check_seeds};
 use pwrfgs_core::docs::Kind;
 use pwrfgs_core::plugin::{Check, Checked, ron_options};
 use pwrfgs_core::{Documented, Error, Result, plugin::read_ron};
@@ -91,16 +91,8 @@ pub(super) enum WrittenMember<'a> {
 impl Check for EnsembleFile {
     fn check(&self) -> Result<(), String> {
         let Self { name, seeds, set, members } = self;
-        if slug(name) != *name || name.is_empty() || name.starts_with('.') || name.contains('+') {
-            return Err(format!("name: `{name}` cannot name a folder; use letters, digits, `.`, `-` and `_`"));
-        }
-        if seeds.as_ref().is_some_and(Vec::is_empty) {
-            return Err("`seeds` is empty; give at least one, such as [0], or leave it out".into());
-        }
-        let twice = |seeds: &Vec<u64>| (1..seeds.len()).find(|&i| seeds[..i].contains(&seeds[i])).map(|i| seeds[i]);
-        if let Some(seed) = seeds.as_ref().and_then(twice) {
-            return Err(format!("the seed {seed} comes twice in `seeds`"));
-        }
+        check_name(name)?;
+        seeds.as_deref().map_or(Ok(()), check_seeds)?;
         let patches = members.iter().filter_map(|member| match member {
             MemberFile::Pipeline(_) => None,
             MemberFile::Member(member) => Some(&member.set),
@@ -182,12 +174,11 @@ impl EnsembleFile {
                 draft.rebase(&|path| absolute(here, path)).map_err(of)?;
             }
         }
-        let mut pipeline =
-            draft.finish().map_err(|e| Error::input(path, format!("member `{}`: set: {e}", base.name)))?;
+        let of = |e: Error| Error::input(path, format!("member `{}`: set: {e}", label.unwrap_or(&base.name)));
         if let Some(label) = label {
-            label.clone_into(&mut pipeline.name);
+            draft.set("name", &format!("{label:?}")).map_err(of)?;
         }
-        Ok(pipeline)
+        draft.finish().map_err(of)
     }
 }
 

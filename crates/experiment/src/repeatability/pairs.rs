@@ -1,9 +1,8 @@
 //! Which pairs of samples are compared.
 
 use super::Lapse;
-use crate::samples::evenly;
 use crate::scores::quantile;
-use pwrfgs_core::{Dataset, Real, neighbours, rng};
+use pwrfgs_core::{Dataset, Real, evenly, neighbours, rng};
 use std::ops::Range;
 
 /// Ids at most this far apart are near in time.
@@ -33,7 +32,7 @@ impl Pair {
     fn of(data: &Dataset, a: usize, b: usize) -> Self {
         let (earlier, later) = (a.min(b), a.max(b));
         let [p, q] = [earlier, later].map(|i| data.samples[i].tx);
-        let distance = p.iter().zip(q).map(|(p, q)| (p - q).powi(2)).sum::<f64>().sqrt();
+        let distance = neighbours::distance(p, q);
         // To a nanometre, so that places given in whole millimetres are whole millimetres apart.
         Self { earlier, later, distance: (distance * 1e9).round() / 1e9 }
     }
@@ -93,7 +92,7 @@ fn drawn(data: &Dataset, count: usize) -> impl Iterator<Item = Pair> {
 }
 
 /// Whether neighbours in id are nearer in space than others: samples of a walk, or of a scan, are numbered in order of time.
-pub(crate) fn in_order(data: &Dataset) -> bool {
+pub fn in_order(data: &Dataset) -> bool {
     let median = |pairs: Vec<Pair>| {
         let mut distances: Vec<f64> = pairs.iter().map(|pair| pair.distance).collect();
         distances.sort_by(f64::total_cmp);

@@ -150,7 +150,7 @@ impl Variant {
 }
 
 /// `text` as part of a folder's name: other signs than letters, digits, `.`, `-`, `_` and `+` become `-`.
-pub(crate) fn slug(text: &str) -> String {
+pub(super) fn slug(text: &str) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() || "._-+".contains(c) { c } else { '-' };
     let plain: String = text.chars().map(plain).collect();
     let words: Vec<&str> = plain.split('-').filter(|w| !w.is_empty()).collect();
@@ -158,6 +158,25 @@ pub(crate) fn slug(text: &str) -> String {
     let number =
         |sign: &str| text.strip_prefix(sign).is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit()));
     format!("{}{}", if number("-") { "-" } else { "" }, words.join("-"))
+}
+
+/// Refuses a name that cannot be that of a folder.
+pub(crate) fn check_name(name: &str) -> Result<(), String> {
+    if slug(name) != *name || name.is_empty() || name.starts_with('.') || name.contains('+') {
+        return Err(format!("name: `{name}` cannot name a folder; use letters, digits, `.`, `-` and `_`"));
+    }
+    Ok(())
+}
+
+/// Refuses a list without seeds, or with one twice.
+pub(crate) fn check_seeds(seeds: &[u64]) -> Result<(), String> {
+    if seeds.is_empty() {
+        return Err("`seeds` is empty; give at least one, such as [0]".into());
+    }
+    match repeated(seeds.iter().map(u64::to_string)) {
+        Some(twice) => Err(format!("the seed {twice} comes twice in `seeds`")),
+        None => Ok(()),
+    }
 }
 
 /// The first of `names` that comes a second time.
@@ -187,15 +206,8 @@ impl Check for Axis {
 impl Check for Experiment {
     fn check(&self) -> Result<(), String> {
         let Self { name, seeds, set, axes, .. } = self;
-        if slug(name) != *name || name.is_empty() || name.starts_with('.') || name.contains('+') {
-            return Err(format!("name: `{name}` cannot name a folder; use letters, digits, `.`, `-` and `_`"));
-        }
-        if seeds.is_empty() {
-            return Err("`seeds` is empty; give at least one, such as [0]".into());
-        }
-        if let Some(twice) = repeated(seeds.iter().map(u64::to_string)) {
-            return Err(format!("the seed {twice} comes twice in `seeds`"));
-        }
+        check_name(name)?;
+        check_seeds(seeds)?;
         if ["label", "name", "seed"].iter().any(|field| set.gives(field)) {
             return Err("`set` is for all runs: it cannot give `label`, `name` or `seed`".into());
         }

@@ -8,8 +8,7 @@
 
 use super::components::dot;
 use super::scattered;
-use pwrfgs_core::{Dataset, Image, Real};
-use pwrfgs_experiment::samples::evenly;
+use pwrfgs_core::{Dataset, Image, Real, evenly};
 use pwrfgs_experiment::scores::quantile;
 use rayon::prelude::*;
 use std::f64::consts::TAU;

@@ -2,8 +2,7 @@
 
 use super::scattered;
 use crate::eigen::symmetric;
-use pwrfgs_core::Dataset;
-use pwrfgs_experiment::samples::evenly;
+use pwrfgs_core::{Dataset, evenly};
 use pwrfgs_experiment::scores::quantile;
 
 /// Pictures that components are made of, pictures that they are tried on, and pixels looked at.

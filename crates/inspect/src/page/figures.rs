@@ -5,9 +5,8 @@ mod places;
 pub(super) use places::{DOTS, positions, time_bar};
 
 use crate::{Divided, Freedom, Inspection, Pose};
-use pwrfgs_core::Dataset;
+use pwrfgs_core::{Dataset, evenly};
 use pwrfgs_experiment::repeatability::Repeatability;
-use pwrfgs_experiment::samples::evenly;
 use pwrfgs_report::draw::canvas::{Anchor, BLACK, Canvas, Colour, INK};
 use pwrfgs_report::draw::charts::{Axis, Chart, Line, Look};
 use pwrfgs_report::draw::marks::{Marker, Stroke, Style};

@@ -1,10 +1,9 @@
 //! Correlation, length scales and noise by likelihood.
 
-use super::super::evenly;
 use super::super::nearest::Nearest;
 use super::correlation::{Correlation, Kind};
 use super::system;
-use pwrfgs_core::{Dataset, Real};
+use pwrfgs_core::{Dataset, Real, evenly, neighbours};
 use rayon::prelude::*;
 
 /// Samples that are predicted, at most.
@@ -77,7 +76,7 @@ impl Case {
 
     /// To the middle one of those around it, metres.
     fn reach_m(&self) -> f64 {
-        self.places.get(self.places.len() / 2).map_or(0.0, |place| super::super::nearest::distance(*place, self.at))
+        self.places.get(self.places.len() / 2).map_or(0.0, |place| neighbours::distance(*place, self.at))
     }
 
     /// Square of the error of its prediction, summed over pixels, and the variance that the process gives it.

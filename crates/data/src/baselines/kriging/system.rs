@@ -1,8 +1,8 @@
 //! The equations of ordinary kriging, by Cholesky's method (Rasmussen and Williams, Gaussian Processes for Machine
 //! Learning, 2006, sections 2.2 and 2.7 with a mean that is not known; Cressie, Statistics for Spatial Data, 1993).
 
-use super::super::nearest::distance;
 use super::correlation::Correlation;
+use pwrfgs_core::neighbours::distance;
 
 /// The prediction of one place from others.
 #[derive(Clone, Debug, PartialEq)]

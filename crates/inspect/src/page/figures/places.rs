@@ -2,8 +2,8 @@
 
 use super::{BLUE, Figure, axis, dots, figure};
 use crate::{Inspection, Trajectory};
+use pwrfgs_core::evenly;
 use pwrfgs_experiment::colour::sequential;
-use pwrfgs_experiment::samples::evenly;
 use pwrfgs_report::draw::canvas::{Anchor, BLACK, Canvas, Colour, Pixels};
 use pwrfgs_report::draw::charts::{Axis, Chart, Line, Look};
 use pwrfgs_report::draw::marks::{Marker, Stroke, Style};

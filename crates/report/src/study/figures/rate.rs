@@ -5,10 +5,9 @@ use super::{Figure, looks};
 use crate::draw::charts::{Axis, Chart, Line};
 use crate::study::Setting;
 use minijinja::context;
-use pwrfgs_core::{Error, Measurement, Metric, Plugin, Result, Values};
+use pwrfgs_core::{Error, Measurement, Metric, Plugin, Result, Values, evenly};
 use pwrfgs_experiment::Bench;
 use pwrfgs_experiment::Silent;
-use pwrfgs_experiment::samples::evenly;
 use std::sync::atomic::AtomicBool;
 
 /// Ends of the axis and steps between, dB.
