@@ -54,6 +54,10 @@ impl Deformation for Factored {
         planned(|plan| Network::new(self, plan)).1.layout()
     }
 
+    fn inputs(&self) -> usize {
+        self.tx_encoding.inputs()
+    }
+
     fn kept_per_gaussian(&self) -> usize {
         3 * 2 * (self.width + 1) // both rows of factors, their derivative, and what that is made of
     }
@@ -90,7 +94,7 @@ impl Deformation for Factored {
         prepared: &Cache,
     ) -> Deltas {
         let (network, factors): &(Network, Factors) = cached(prepared);
-        network.forward(weights, factors, txs.positions())
+        network.forward(weights, factors, txs)
     }
 
     fn vjp(
@@ -130,6 +134,9 @@ impl Deformation for Factored {
         check_stack(self.depth, self.width, None)?;
         self.tx_encoding.check("tx_encoding")?;
         self.position_encoding.check("position_encoding")?;
+        if matches!(self.position_encoding, Encoding::Features { .. }) {
+            return Err("position_encoding: a Gaussian has a position and no features; give Waves(..) or Octaves(4)".into());
+        }
         if self.position_encoding.width() == 3 {
             return Err("position_encoding needs a wave: give Waves(count: 32, reach: 4.0) or Octaves(4)".into());
         }
