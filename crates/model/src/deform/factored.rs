@@ -4,6 +4,7 @@ use super::factored_network::{Factors, Network};
 use super::layers::{laid_out, planned};
 use super::mlp::check_stack;
 use super::waves::Encoding;
+use super::whiten::whitening;
 use pwrfgs_core::{
     Cache, Conditions, Deformation, DeformationInputs, Deltas, Documented, Pose, Real, WeightSpec, cached, rng, rng::Rng,
 };
@@ -113,6 +114,15 @@ impl Deformation for Factored {
         network.stack[0].dim(&mut factors, 0, &self.tx_encoding.window(share));
         network.branch.dim(&mut factors, 0, &self.position_encoding.window(share)[3..]);
         Some(factors)
+    }
+
+    fn start(&self, training: Conditions<'_>, weights: &mut [Real]) {
+        let (network, _) = planned(|plan| Network::new(self, plan));
+        let (Some(white), Encoding::Features { gain, .. }) = (network.white, &self.tx_encoding) else { return };
+        if let Some((matrix, bias)) = whitening(training, *gain) {
+            weights[white.weight..][..matrix.len()].copy_from_slice(&matrix);
+            white.bias_mut(weights).copy_from_slice(&bias);
+        }
     }
 
     fn dropout(&self, rate: Real, rng: &mut Rng) -> Option<Vec<Real>> {

@@ -1,6 +1,7 @@
 //! Forward and backward of [`super::Factored`].
 //!
 //! ```text
+//! (features of the data → tx.white →)
 //! γ(p) → tx.0 … tx.{depth-1}, each with ReLU → T ─┐ (once a transmitter)
 //! φ(μ) → branch → factors G, constants G₀ ────────┴→ s = G·T + G₀
 //! ```
@@ -23,6 +24,8 @@ const GROUP: usize = 32;
 pub(super) struct Network {
     tx_encoding: Encoder,
     position_encoding: Encoder,
+    /// Makes features of the data uncorrelated; nothing of a position.
+    pub(super) white: Option<Linear>,
     pub(super) stack: Vec<Linear>,
     pub(super) branch: Linear,
     /// Numbers of T.
@@ -53,16 +56,18 @@ impl Network {
     pub(super) fn new(settings: &Factored, plan: &mut Plan) -> Self {
         let width = settings.width;
         let tx_encoding = settings.tx_encoding.encoder();
-        let inputs = |l| if l == 0 { settings.tx_encoding.width() } else { width };
+        let own = settings.tx_encoding.width();
+        let inputs = |l| if l == 0 { own } else { width };
+        let white = matches!(tx_encoding, Encoder::Features(..)).then(|| plan.unbiased("tx.white", own, own, (3.0 / own as f64).sqrt()));
         let stack = (0..settings.depth).map(|l| plan.relu(&format!("tx.{l}"), inputs(l), width)).collect();
         let waves = settings.position_encoding.width() - 3;
         // Signals begin about as large as one feature: factors have the variance 1/width.
         let bound = WAVE_MEAN * (6.0 * waves as f64 / width as f64).sqrt();
-        let direct = if matches!(tx_encoding, Encoder::Features(..)) { settings.tx_encoding.width() } else { 0 };
+        let direct = if white.is_some() { own } else { 0 };
         let features = width + direct;
         let branch = plan.unbiased("branch", waves, 2 * (features + 1), bound);
         let position_encoding = settings.position_encoding.encoder();
-        Self { tx_encoding, position_encoding, stack, branch, features, direct }
+        Self { tx_encoding, position_encoding, white, stack, branch, features, direct }
     }
 
     pub(super) fn factors(&self, weights: &[Real], means: &[[Real; 3]]) -> Factors {
@@ -87,6 +92,12 @@ impl Network {
     fn stack(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<Vec<Real>> {
         let mut layers = vec![vec![0.0; txs.len() * self.stack[0].inputs]];
         self.tx_encoding.encode_all(txs, &mut layers[0]);
+        if let Some(white) = &self.white {
+            let mut x = vec![0.0; layers[0].len()];
+            white.whole().apply(weights, &layers[0], &mut x, Store::Set);
+            dense::add_bias(&mut x, white.bias(weights));
+            layers[0] = x;
+        }
         for (l, layer) in self.stack.iter().enumerate() {
             let mut h = vec![0.0; txs.len() * layer.outputs];
             layer.whole().apply(weights, &layers[l], &mut h, Store::Set);
@@ -170,15 +181,24 @@ impl Network {
             let factors = Matrix::new(g.channel(c).0, width, n);
             product(MatrixMut::new(&mut d_h, width, batch), Store::Add, factors, d_s.t());
         }
-        d_h.truncate((width - self.direct) * batch); // nobody asks for that of the transmitter's own numbers
+        let mut d_own = d_h.split_off((width - self.direct) * batch);
         for (l, layer) in self.stack.iter().enumerate().rev() {
             dense::bias_relu_vjp(&mut d_h, &layers[l + 1][..layer.outputs * batch], layer.bias_mut(&mut d_weights));
             layer.whole().weight_vjp(&mut d_weights, &layers[l], &d_h);
+            if l == 0 && self.direct > 0 {
+                layer.whole().input_vjp(weights, &d_h, &mut d_own, Store::Add);
+            }
             if l > 0 {
                 let mut d_x = vec![0.0; layer.inputs * batch];
                 layer.whole().input_vjp(weights, &d_h, &mut d_x, Store::Set);
                 d_h = d_x;
             }
+        }
+        if let Some(white) = &self.white {
+            let mut raw = vec![0.0; batch * white.inputs];
+            self.tx_encoding.encode_all(txs, &mut raw);
+            dense::add_bias_vjp(&d_own, white.bias_mut(&mut d_weights));
+            white.whole().weight_vjp(&mut d_weights, &raw, &d_own);
         }
         (d_weights, d_factors)
     }
