@@ -117,7 +117,7 @@ fn first_step(pipeline: &Pipeline, bench: &Path) -> Result<()> {
     let (data, partition) = load(pipeline, bench, &mut Silent)?;
     let mut trainer = Trainer::new(pipeline, &data, &partition)?;
     trainer.step()?;
-    trainer.model().prepare().predict_many(&[[0.5, 0.5, 0.5]]);
+    trainer.model().prepare().predict_many(&[[0.5, 0.5, 0.5].into()]);
     Ok(())
 }
 
@@ -163,7 +163,7 @@ fn surface<const CLOUD: bool>(bench: &Path) -> Result<()> {
 
 fn model(bench: &Path) -> Result<()> {
     let model = file::read_ensemble(&bench.join(MODEL))?;
-    model.prepare().predict_many(&[[0.5, 0.5, 0.5]]);
+    model.prepare().predict_many(&[[0.5, 0.5, 0.5].into()]);
     npz(&model, None)?;
     ply(&model, Some([0.5, 0.5, 0.5])).map(drop)
 }
