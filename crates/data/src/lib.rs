@@ -27,7 +27,7 @@ pub use baselines::{Kriging, MeanSpectrum, NearestNeighbours, Neighbours};
 pub use layout::gateway_yaml;
 pub use mesh::read_mesh;
 pub use nerf2::Nerf2Spectrum;
-pub use npy::npy_header;
+pub use npy::{npy_header, npy_header_as};
 pub use points::read_points;
 pub use polygons::Triangles;
 pub use splits::{Official, Random, Sparse, TimeBlock, Voxel};

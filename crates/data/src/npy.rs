@@ -162,6 +162,11 @@ pub fn npy_header(number: Number, shape: &[usize]) -> Vec<u8> {
         Number::F32 => "<f4",
         Number::F64 => "<f8",
     };
+    npy_header_as(descr, shape)
+}
+
+/// The same for numbers of any type, as NumPy calls it: `<c8` is complex, in single precision.
+pub fn npy_header_as(descr: &str, shape: &[usize]) -> Vec<u8> {
     let sizes: Vec<String> = shape.iter().map(ToString::to_string).collect();
     let comma = if sizes.len() == 1 { "," } else { "" }; // Python's tuple of one
     let text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({}{comma}), }}", sizes.join(", "));

@@ -1,6 +1,7 @@
 //! `Simulated`: spectra of a known room as a data source.
 
 use crate::cache;
+use crate::observe::Observe;
 use crate::output::{PICTURES, POINTS};
 use crate::recipe::{self, Recipe};
 use pwrfgs_core::{DataSource, Dataset, Documented, Error, Progress, Result, Simulation, words::clean};
@@ -38,19 +39,32 @@ pub struct Simulated {
     pub seed: u64,
     /// Points of the cloud, spread over all surfaces; the paper has 190,000.
     pub points: usize,
+    /// What is observed: `Spectrum`, `Power(noise_db: 3)` or `Channel(snr_db: 30)`.
+    pub observe: Observe,
     /// Whether the data set is kept on disk.
     pub cache: bool,
 }
 
 impl Default for Simulated {
     fn default() -> Self {
-        Self { scene: "scenes/office.ron".into(), samples: 1000, seed: 0, points: 190_000, cache: true }
+        Self {
+            scene: "scenes/office.ron".into(),
+            samples: 1000,
+            seed: 0,
+            points: 190_000,
+            observe: Observe::Spectrum,
+            cache: true,
+        }
     }
 }
 
 impl Simulated {
     /// Reads what [`crate::output::write_as`] wrote.
     fn read(&self, recipe: &Recipe, folder: &Path) -> Result<Dataset> {
+        if self.observe != Observe::Spectrum || recipe.scene.receivers().count() > 1 {
+            let what = "a data set holds spectra of one receiver; leave `observe` and `more_receivers` out";
+            return Err(Error::Config(what.into()));
+        }
         let points = (self.points > 0).then(|| POINTS.into());
         let points = points.map(|name: PathBuf| folder.join(name));
         // An entry of an earlier version has a picture each.
@@ -73,6 +87,7 @@ impl Simulated {
 impl DataSource for Simulated {
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let recipe = Recipe::read(&base.join(&self.scene), self.samples, self.seed, self.points)?;
+        let recipe = recipe.observing(self.observe)?;
         let root = if self.cache { cache::root() } else { None };
         cache::open_or_make(&recipe, root.as_deref(), progress, |folder| self.read(&recipe, folder))
     }
@@ -86,6 +101,7 @@ impl DataSource for Simulated {
     }
 
     fn check(&self) -> Result<(), String> {
-        recipe::check(self.samples, self.points)
+        recipe::check(self.samples, self.points)?;
+        self.observe.check().map_err(|why| format!("observe: {why}"))
     }
 }
