@@ -13,6 +13,7 @@ pub mod array;
 pub mod cache;
 mod field;
 pub mod images;
+pub mod kept;
 mod listener;
 pub mod mesh;
 pub mod noise;

@@ -22,6 +22,7 @@ use std::io::{BufWriter, Write as _};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 pub use tables::PATHS;
+pub(crate) use tables::POSITIONS;
 use tables::{Numbers, Tables};
 
 /// Everything about how the folder was made; written last, so that a folder without it is not whole.

@@ -7,4 +7,6 @@ mod contacts;
 mod data_source;
 mod laws;
 mod limits;
+mod link_files;
+mod links;
 mod reference_paths;

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 
 /// Every path of every transmitter.
 pub const PATHS: &str = "paths.csv";
-const POSITIONS: &str = "tx_pos.csv";
+pub(crate) const POSITIONS: &str = "tx_pos.csv";
 const TRAIN: &str = "train_index.txt";
 const TEST: &str = "test_index.txt";
 /// Every how-manieth sample belongs to the test list.
