@@ -33,7 +33,7 @@ impl DataSource for Lobes {
                 (255.0 * (30.0 * (cosine - 1.0)).exp()) as u8
             };
             pixels.extend((0..90 * 24).map(value));
-            Sample { id, tx }
+            Sample::new(id, tx)
         });
         let samples = samples.collect();
         let spectra = Spectra::grey((90, 24), pixels)?;
@@ -54,7 +54,7 @@ fn main() -> Result<()> {
         }
     }
     let model = trainer.model();
-    let score = |p: &dyn Predict, i: usize| ssim::evaluation(&p.predict(data.samples[i].tx).clamped(), &data.image(i));
+    let score = |p: &dyn Predict, i: usize| ssim::evaluation(&p.predict(data.sample(i).tx).clamped(), &data.image(i));
     let mean = |p| partition.test.iter().map(|&i| score(p, i)).sum::<f64>() / partition.test.len() as f64;
     let floor = pwrfgs::data::MeanSpectrum {}.fit(&data, partition.known())?;
     println!("SSIM on test positions: model {:.3}, mean spectrum {:.3}", mean(&model), mean(floor.as_ref()));

@@ -195,8 +195,8 @@ fn sixteen_gaussians_reproduce_measured_pictures_to_their_rounding() {
         // The other solution: conjugate and reverse.
         let mirrored: Vec<f64> = w.chunks_exact(2).rev().flat_map(|z| [z[0], -z[1]]).collect();
         let (rms, rms_mirrored) = (rms_of(&w), rms_of(&mirrored));
-        println!("spectrum {}: RMS {rms:.5}, mirrored {rms_mirrored:.5}", data.samples[sample].id);
-        assert!(rms < 0.002, "spectrum {}: RMS {rms}, rounding to 8 bits alone is 0.0011", data.samples[sample].id);
+        println!("spectrum {}: RMS {rms:.5}, mirrored {rms_mirrored:.5}", data.sample(sample).id);
+        assert!(rms < 0.002, "spectrum {}: RMS {rms}, rounding to 8 bits alone is 0.0011", data.sample(sample).id);
         assert!((rms - rms_mirrored).abs() < 1e-4, "a field and its conjugate reverse give one picture");
     }
 }

@@ -40,7 +40,7 @@ fn baselines_reach_their_known_scores_on_the_measured_spectra() {
     ];
     for (baseline, expected) in known {
         let fitted = baseline.fit(&data, partition.known()).unwrap();
-        let predictions: Vec<Image> = partition.test.iter().map(|&i| fitted.predict(data.samples[i].tx)).collect();
+        let predictions: Vec<Image> = partition.test.iter().map(|&i| fitted.predict(data.sample(i).tx)).collect();
         let ssim = scores(&Ssim {}, &predictions, &truths, &data);
         let eta = scores(&RateRatio { snr_db: 0.0 }, &predictions, &truths, &data);
         let found = [mean(&ssim), median(&ssim), mean(&eta)];

@@ -18,7 +18,7 @@ fn sphere(elevation: Elevation) -> Dataset {
             (bump((15, row(48.0)), 120.0) + bump((40, row(-36.0)), 255.0)) as u8
         })
         .collect();
-    let samples = (1..=6).map(|id| Sample { id, tx: [0.1 * f64::from(id), 0.5, 1.0] }).collect();
+    let samples = (1..=6).map(|id| Sample::new(id, [0.1 * f64::from(id), 0.5, 1.0])).collect();
     let spectra = Spectra::grey(SIZE, spectrum.repeat(6)).unwrap();
     let data = Dataset::new("sphere", Pose::IDENTITY, vec![], samples, spectra).unwrap();
     Dataset { elevation, ..data }

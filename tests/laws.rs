@@ -57,7 +57,7 @@ fn splits_are_deterministic_disjoint_and_sorted() {
         let count = all.len();
         all.sort_unstable();
         all.dedup();
-        assert!(all.len() == count && all.iter().all(|&i| i < data.samples.len()), "{name}");
+        assert!(all.len() == count && all.iter().all(|&i| i < data.len()), "{name}");
         assert_eq!(part(1), Partition { train, validation, test }, "{name}");
     }
 }
@@ -161,7 +161,7 @@ fn baselines_predict_pictures_of_the_right_size() {
             }
             Err(e) => panic!("{name}: {e}"),
         };
-        let picture = fitted.predict(data.samples[35].tx);
+        let picture = fitted.predict(data.sample(35).tx);
         assert!((picture.width, picture.height) == (60, 15) && finite(&picture.pixels), "{name}");
         assert!(!baseline.name().is_empty());
     }

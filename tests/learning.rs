@@ -65,7 +65,7 @@ fn learn(seed: u64, pruners: &str, steps: u64, prune_until: u64) -> End {
             partition
                 .test
                 .iter()
-                .map(|&i| ssim::evaluation(&predict.predict(data.samples[i].tx).clamped(), &data.image(i))),
+                .map(|&i| ssim::evaluation(&predict.predict(data.sample(i).tx).clamped(), &data.image(i))),
         )
     };
     End {

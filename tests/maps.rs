@@ -24,9 +24,9 @@ fn data_of(pipeline: &Pipeline, shifted: bool) -> Dataset {
     let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
     let place = |p| if shifted { moved(exact(p)) } else { exact(p) };
     let points = data.scene.points.iter().map(|p| place(p.map(f64::from))).collect();
-    let samples = data.samples.iter().map(|s| Sample { tx: place(s.tx), ..s.clone() }).collect();
-    let receiver = Pose { position: place(data.scene.receiver.position), ..data.scene.receiver };
-    Dataset::new("shifted", receiver, points, samples, data.spectra.clone()).unwrap()
+    let samples = data.samples().map(|s| Sample { tx: place(s.tx), ..s.clone() }).collect();
+    let receiver = Pose { position: place(data.scene.pose().position), ..data.scene.pose() };
+    Dataset::new("shifted", receiver, points, samples, data.observations.clone()).unwrap()
 }
 
 fn trained(pipeline: &Pipeline, data: &Dataset) -> Model {
@@ -57,7 +57,7 @@ fn shifted_data_train_to_the_same_bits_and_predict_the_same_at_shifted_places() 
         let path = folder.path().join("m.safetensors");
         file::write(&path, &there).unwrap();
         let read = file::read(&path).unwrap();
-        assert_eq!(read.stages.receiver(), Pose { position: moved([0.25, -0.375, 0.125]), ..near.scene.receiver });
+        assert_eq!(read.stages.receiver(), Pose { position: moved([0.25, -0.375, 0.125]), ..near.scene.pose() });
         for sample in &near.samples {
             assert_eq!(read.predict(moved(sample.tx)).pixels, here.predict(sample.tx).pixels);
         }
@@ -86,7 +86,7 @@ fn a_teacher_on_a_map_is_the_teacher_at_home() {
     let rounding = if size_of::<Real>() == 4 { 0.0 } else { 1e-8 };
     let (there_points, here_points) = (there.scene.points.as_flattened(), here.scene.points.as_flattened());
     assert!(there_points.iter().zip(here_points).all(|(a, b)| (a - b).abs() <= rounding));
-    assert_eq!(there.spectra.raw(3), here.spectra.raw(3));
+    assert_eq!(there.observations.raw(3), here.observations.raw(3));
 }
 
 #[test]

@@ -56,7 +56,7 @@ fn measured_spectra_at_one_place_are_alike_only_near_in_time() {
 /// what `drift` makes of the time.
 fn line(turns: u32, drift: impl Fn(u32) -> f32) -> Dataset {
     let place = |id: u32| f64::from(id % 200) * 0.004;
-    let samples: Vec<Sample> = (0..200 * turns).map(|id| Sample { id, tx: [place(id), 1.0, 1.0] }).collect();
+    let samples: Vec<Sample> = (0..200 * turns).map(|id| Sample::new(id, [place(id), 1.0, 1.0])).collect();
     let pixel = |sample: &Sample, k: usize| {
         let smooth = 0.5 + 0.2 * (3.0 * sample.tx[0] + 0.7 * k as f64).sin() as f32;
         smooth + drift(sample.id)
@@ -98,7 +98,7 @@ fn what_changes_slowly_parts_pairs_near_in_time_from_those_far_apart() {
 
 #[test]
 fn where_nobody_can_tell_there_is_a_reason() {
-    let samples: Vec<Sample> = (0..60).map(|id| Sample { id, tx: [f64::from(id * 37 % 60), 0.0, 0.0] }).collect();
+    let samples: Vec<Sample> = (0..60).map(|id| Sample::new(id, [f64::from(id * 37 % 60), 0.0, 0.0])).collect();
     let data = Dataset::new("far", Pose::IDENTITY, vec![], samples, Spectra::grey((8, 8), vec![9; 60 * 64]).unwrap());
     let found = measure(&data.unwrap(), &["Ssim()"]);
     let why = at_zero(&found.far, "ssim").clone().unwrap_err();
@@ -108,6 +108,6 @@ fn where_nobody_can_tell_there_is_a_reason() {
     );
     assert!(at_zero(&found.near, "ssim").is_err());
     let one = Spectra::grey((8, 8), vec![9; 64]).unwrap();
-    let alone = Dataset::new("one", Pose::IDENTITY, vec![], vec![Sample { id: 1, tx: [0.0; 3] }], one).unwrap();
+    let alone = Dataset::new("one", Pose::IDENTITY, vec![], vec![Sample::new(1, [0.0; 3])], one).unwrap();
     assert!(at_zero(&measure(&alone, &["Ssim()"]).near, "ssim").is_err());
 }

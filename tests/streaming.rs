@@ -69,7 +69,7 @@ fn scores_are_those_of_all_predictions_at_once() {
     let part: Vec<usize> = (50..300).rev().collect();
     let fitted =
         plugin::<dyn Baseline>("NearestNeighbours()").fit(&data, Known::train(&(0..50).collect::<Vec<_>>())).unwrap();
-    let predictions: Vec<Image> = part.iter().map(|&i| fitted.predict(data.samples[i].tx)).collect();
+    let predictions: Vec<Image> = part.iter().map(|&i| fitted.predict(data.sample(i).tx)).collect();
     let truths: Vec<Image> = part.iter().map(|&i| data.image(i)).collect();
     let plane = plugin::<dyn Projector>("Mercator()").plane(data.width, data.height);
     let scene = &data.scene;
@@ -89,7 +89,7 @@ fn scores_are_those_of_all_predictions_at_once() {
 /// A data folder of arrays with 300 pictures, in a file that stays open.
 fn stored(here: &Path) -> Dataset {
     let memory = data();
-    let bytes: Vec<u8> = (0..300).flat_map(|i| memory.spectra.raw(i).into_owned()).collect();
+    let bytes: Vec<u8> = (0..300).flat_map(|i| memory.observations.raw(i).into_owned()).collect();
     let path = here.join("spectra");
     std::fs::write(&path, bytes).unwrap();
     let spectra = Spectra::open(&path, 0, pwrfgs::core::Number::U8, [300, 10, 40]).unwrap();

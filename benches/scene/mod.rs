@@ -145,7 +145,7 @@ impl Initializer for Seeded {
 /// Two samples in the measured geometry to train a seeded cloud on.
 pub(crate) fn two_samples() -> Dataset {
     let mut random = pwrfgs::core::rng::stream(0, "two samples", 0);
-    let sample = |id| Sample { id, tx: TX.map(|x| x + 0.1 * f64::from(id)) };
+    let sample = |id| Sample::new(id, TX.map(|x| x + 0.1 * f64::from(id)));
     let noise = (0..2 * PICTURE.0 * PICTURE.1).map(|_| pwrfgs::core::rng::below(&mut random, 256) as u8);
     let spectra = Spectra::grey(PICTURE, noise.collect()).expect("two pictures");
     Dataset::new("noise", RECEIVER, Vec::new(), vec![sample(1), sample(2)], spectra).expect("two spectra of noise")

@@ -1,8 +1,8 @@
 //! What several of these tests share: small scenes, and pipelines on a small teacher.
 
 use pwrfgs::core::plugin::PluginKind;
-use pwrfgs::core::{ExtraColumn, GaussianCloud, Mat3, Moment, Origin, Phase, Plugin, Pose, Real, registered, rng};
-use pwrfgs::model::{Calibration, Readout, Stages};
+use pwrfgs::core::{ExtraColumn, Frame, GaussianCloud, Mat3, Moment, Origin, Phase, Plugin, Pose, Real, registered, rng};
+use pwrfgs::model::{Calibration, Readout, Splatting, Stages};
 use pwrfgs::train::{Batch, Pipeline};
 use std::path::Path;
 use std::sync::Arc;
@@ -39,16 +39,14 @@ pub(crate) fn quaternion(rotation: &Mat3) -> [f64; 4] {
 pub(crate) fn stages(deformation: &str, readout: Readout) -> Arc<Stages> {
     let projector: Plugin<dyn pwrfgs::core::Projector> = plugin("Mercator()");
     let plane = projector.plane(90, 24);
-    Arc::new(Stages {
+    let splatting = Splatting {
         deformation: plugin(deformation),
         projector,
         rasterizer: plugin("AlphaBlending()"),
         calibration: Calibration::Physical,
         readout,
-        origin: Origin::ZERO,
-        pose: Pose::IDENTITY,
-        plane,
-    })
+    };
+    Arc::new(Stages::splats(splatting, Frame::spectra(Origin::ZERO, Pose::IDENTITY, plane)))
 }
 
 /// `n` Gaussians in front of that receiver, of all shapes.
@@ -76,8 +74,8 @@ pub(crate) fn with_column(mut cloud: GaussianCloud, name: &str, values: Vec<Real
 pub(crate) fn batch(count: usize, stages: &Stages) -> Batch {
     let random = &mut rng::stream(7, "test batch", 0);
     let pixels = stages.plane.width * stages.plane.height;
-    let txs = (0..count).map(|_| [(); 3].map(|()| rng::normal(random))).collect();
-    Batch { txs, truths: (0..count * pixels).map(|_| rng::uniform(random)).collect() }
+    let txs: Vec<[Real; 3]> = (0..count).map(|_| [(); 3].map(|()| rng::normal(random))).collect();
+    Batch::of_positions(&txs, (0..count * pixels).map(|_| rng::uniform(random)).collect())
 }
 
 /// A pipeline from its fields.

@@ -1,6 +1,6 @@
 //! `DataSource`, `Split`, `Baseline`: what is known, how it is divided, and what must be beaten.
 
-use crate::{Dataset, Image, Known, Partition, Result, plugin_kind, rng::Rng};
+use crate::{Dataset, Image, Known, Partition, Query, Result, plugin_kind, rng::Rng};
 use std::path::{Path, PathBuf};
 
 /// Told (done, of how many) while something long is under way, from any thread and in any order.
@@ -10,7 +10,7 @@ pub type Progress<'a> = &'a (dyn Fn(usize, usize) + Sync);
 #[typetag::serde]
 pub trait DataSource: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
     /// Everything, in memory. Relative paths are relative to `base`, the folder of the pipeline file. `progress` counts
-    /// spectra; `&|_, _| {}` where nobody wants to know.
+    /// links; `&|_, _| {}` where nobody wants to know.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset>;
 
     /// The same source with its paths made relative to another folder: `absolute` maps a path of `base` to one that
@@ -32,7 +32,7 @@ pub trait DataSource: erased_serde::Serialize + std::any::Any + std::fmt::Debug 
 }
 plugin_kind!(DataSource);
 
-/// Divides samples into training, validation and test.
+/// Divides links into training, validation and test.
 #[typetag::serde]
 pub trait Split: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
     /// Three disjoint sorted lists; train and test are not empty.
@@ -56,7 +56,7 @@ pub trait Baseline: erased_serde::Serialize + std::any::Any + std::fmt::Debug + 
     /// Its name in tables, such as `3-NN`.
     fn name(&self) -> String;
 
-    /// Learns from all `known` samples, and makes its choices, if it has any, on their validation part; where that is
+    /// Learns from all `known` links, and makes its choices, if it has any, on their validation part; where that is
     /// empty, on samples of the training part that it leaves out meanwhile.
     fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>>;
 
@@ -79,10 +79,11 @@ pub trait Baseline: erased_serde::Serialize + std::any::Any + std::fmt::Debug + 
 }
 plugin_kind!(Baseline);
 
-/// Predicts the spectrum for a transmitter position.
+/// Predicts what would be observed of a link.
 pub trait Predict: Send + Sync {
-    /// The spectrum for a transmitter at `tx` (metres, world frame); not clamped.
-    fn predict(&self, tx: [f64; 3]) -> Image;
+    /// The observation, as large as the data's ([`Observations`](crate::Observations) says how powers and channels are
+    /// arrays); spectra are not clamped. A predictor that learned from one receiver looks at `query.tx` alone.
+    fn predict(&self, query: Query<'_>) -> Image;
 
     /// A sentence that tables of scores print under themselves, for a predictor whose numbers mean something else than
     /// those beside it.

@@ -1,6 +1,6 @@
 //! `Deformation`: what the transmitter's position changes, `D_Θ` of eq. (5).
 
-use crate::{Cache, Pose, Real, plugin_kind, rng::Rng};
+use crate::{Cache, Conditions, Pose, Real, plugin_kind, rng::Rng};
 
 /// The calibration terms ΔS, ΔR, Δs as functions of centre and transmitter. The weights Θ live outside the plugin.
 ///
@@ -32,14 +32,25 @@ pub trait Deformation: erased_serde::Serialize + std::any::Any + std::fmt::Debug
         false
     }
 
+    /// Numbers that it wants to know of a transmitter: 3, its position, or the width of the features of the data
+    /// ([`Features`](crate::Features)).
+    fn inputs(&self) -> usize {
+        3
+    }
+
+    /// Whether its terms depend on where the receiver is, so that it can serve only one.
+    fn reads_receiver(&self) -> bool {
+        false
+    }
+
     /// Whether a Gaussian's terms depend on the centres of all (the released gain of WRF-GS does). Gaussians whose gate
     /// is closed then stay among the inputs; otherwise they are left out.
     fn couples_gaussians(&self) -> bool {
         false
     }
 
-    /// Calibration terms for `means` `[N,3]` and `txs` `[B,3]`.
-    fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: &[[Real; 3]], pose: &Pose) -> Deltas;
+    /// Calibration terms for `means` `[N,3]` and the B transmitters `txs`: `txs.positions()` gives `[B,3]`.
+    fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: Conditions<'_>, pose: &Pose) -> Deltas;
 
     /// What [`Self::forward`] makes of weights and centres without knowing the transmitter, for a trained model to
     /// work out once and not at every prediction. `None` where everything waits for the transmitter.
@@ -53,7 +64,7 @@ pub trait Deformation: erased_serde::Serialize + std::any::Any + std::fmt::Debug
         &self,
         weights: &[Real],
         means: &[[Real; 3]],
-        txs: &[[Real; 3]],
+        txs: Conditions<'_>,
         pose: &Pose,
         prepared: &Cache,
     ) -> Deltas {
@@ -103,8 +114,8 @@ pub struct DeformationInputs<'a> {
     pub weights: &'a [Real],
     /// Centres `[N,3]`, metres.
     pub means: &'a [[Real; 3]],
-    /// Transmitters `[B,3]`, metres.
-    pub txs: &'a [[Real; 3]],
+    /// Transmitters: positions `[B,3]` in metres, or as many numbers each as [`Deformation::inputs`] says.
+    pub txs: Conditions<'a>,
     /// Receiver.
     pub pose: &'a Pose,
 }

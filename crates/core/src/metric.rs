@@ -1,6 +1,6 @@
 //! `Metric`: how good a prediction is.
 
-use crate::{Image, ImagePlane, Real, Result, Scene, plugin_kind};
+use crate::{Dataset, Image, ImagePlane, Kind, Link, Real, Result, Scene, plugin_kind};
 
 /// Scores predictions or a whole model.
 #[typetag::serde]
@@ -42,17 +42,37 @@ pub enum Scope {
 pub struct Evaluation<'a> {
     /// Predictions, not clamped: as many of the test samples, in order, as the metric's [`Scope`] says.
     pub predictions: &'a [Image],
-    /// Measured spectra, in the same order.
+    /// What was observed, in the same order.
     pub truths: &'a [Image],
+    /// Which of the three tasks it is.
+    pub kind: Kind,
+    /// Which links they are of, in the same order; empty where nobody can say.
+    pub links: &'a [Link],
     /// What a pixel means.
     pub plane: &'a ImagePlane,
-    /// Receiver, bounds and points.
+    /// Receivers, bounds and points.
     pub scene: &'a Scene,
     /// The model, or `None` for a baseline.
     pub model: Option<ModelFacts<'a>>,
     /// Predicts once, for the next test transmitter in turn, and says how long it took; of a baseline `total` alone.
     /// `None` where nobody asks.
     pub timed_prediction: Option<&'a dyn Fn() -> StageTimes>,
+}
+
+impl<'a> Evaluation<'a> {
+    /// Of data as they are seen on `plane`, without anything to score yet.
+    pub fn of(data: &'a Dataset, plane: &'a ImagePlane) -> Self {
+        Self {
+            predictions: &[],
+            truths: &[],
+            kind: data.kind(),
+            links: &[],
+            plane,
+            scene: &data.scene,
+            model: None,
+            timed_prediction: None,
+        }
+    }
 }
 
 impl std::fmt::Debug for Evaluation<'_> {

@@ -34,6 +34,8 @@ pub mod consts {
     pub const TAU: Real = std::f64::consts::TAU as Real;
     /// Degrees in a radian.
     pub const DEG: Real = 180.0 / PI;
+    /// ln 10.
+    pub const LN_10: Real = std::f64::consts::LN_10 as Real;
 }
 
 /// The logistic function σ(x) = 1/(1 + e⁻ˣ).

@@ -84,7 +84,7 @@ impl DataSource for Arrays {
         let stated = self.elevation.or(gateway.elevation);
         let elevation = stated.unwrap_or(Elevation::UPPER);
         check_shape(&path, elevation, stated.is_some(), (spectra.width(), spectra.height()))?;
-        let samples = ids.iter().zip(positions).map(|(&id, tx)| Sample { id, tx }).collect();
+        let samples = ids.iter().zip(positions).map(|(&id, tx)| Sample::new(id, tx)).collect();
         let folder = || root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
         let name = gateway.name.unwrap_or_else(folder);
         let simulation = simulation(&root, &name);

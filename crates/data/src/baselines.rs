@@ -7,7 +7,7 @@ mod neighbours;
 pub use kriging::Kriging;
 pub use neighbours::{NearestNeighbours, Neighbours};
 
-use pwrfgs_core::{Baseline, Dataset, Documented, Error, Image, Known, Predict, Real, Result};
+use pwrfgs_core::{Baseline, Dataset, Documented, Error, Image, Known, Predict, Query, Real, Result};
 use serde::{Deserialize, Serialize};
 
 /// The mean of all training spectra, whatever the transmitter: the floor of every score.
@@ -62,7 +62,7 @@ fn choosing(known: Known<'_>) -> (Vec<usize>, Vec<usize>) {
 struct Constant(Image);
 
 impl Predict for Constant {
-    fn predict(&self, _: [f64; 3]) -> Image {
+    fn predict(&self, _: Query<'_>) -> Image {
         self.0.clone()
     }
 }
@@ -71,9 +71,9 @@ impl Predict for Constant {
 fn weighted_mean(data: &Dataset, weighted: &[(usize, f64)]) -> Image {
     let mut sum = vec![0.0; data.width * data.height];
     for &(i, weight) in weighted {
-        data.spectra.add(i, weight, &mut sum);
+        data.observations.add(i, weight, &mut sum);
     }
-    let total: f64 = data.spectra.number().full_scale() * weighted.iter().map(|(_, w)| w).sum::<f64>();
+    let total: f64 = data.observations.full_scale() * weighted.iter().map(|(_, w)| w).sum::<f64>();
     let pixels = sum.iter().map(|s| (s / total) as Real).collect();
     Image { width: data.width, height: data.height, pixels }
 }

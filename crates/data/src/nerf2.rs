@@ -100,7 +100,7 @@ impl DataSource for Nerf2Spectrum {
         let elevation = stated.unwrap_or(Elevation::UPPER);
         check_shape(paths[0], elevation, stated.is_some(), (spectra.width(), spectra.height()))?;
         let unmatched = Unmatched { positions: positions.len() - ids.len(), pictures: files.len() - ids.len() };
-        let samples = ids.iter().map(|&id| Sample { id, tx: positions[id as usize - 1] }).collect();
+        let samples = ids.iter().map(|&id| Sample::new(id, positions[id as usize - 1])).collect();
         let folder = || root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
         let name = clean(&gateway.name.unwrap_or_else(folder));
         let simulation = simulation(&root, &name);

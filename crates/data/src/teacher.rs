@@ -142,7 +142,7 @@ impl DataSource for Teacher {
             return Err(Error::Config(what.into()));
         }
         let to_byte = |value: &Real| (value / largest * 255.0).round() as u8;
-        let samples = txs.iter().zip(1..).map(|(&tx, id)| Sample { id, tx }).collect();
+        let samples = txs.iter().zip(1..).map(|(&tx, id)| Sample::new(id, tx)).collect();
         let spectra = Spectra::grey((self.width, self.height), spectra.iter().map(to_byte).collect())?;
         let (test, train): (Vec<usize>, Vec<usize>) = (0..self.samples).partition(|i| i % 5 == 4);
         let official = (!test.is_empty()).then_some((train, test));

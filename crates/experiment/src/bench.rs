@@ -6,8 +6,8 @@
 use crate::evaluate::go_on;
 use crate::observer::{Observer, staged};
 use pwrfgs_core::{
-    Dataset, Error, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Plugin, Predict, Progress, Result,
-    Scope, StageTimes, Values,
+    Dataset, Error, Evaluation, Image, ImagePlane, Link, Measurement, Metric, ModelFacts, Plugin, Predict, Progress, Query,
+    Result, Scope, StageTimes, Values,
 };
 use pwrfgs_model::Prepared;
 use rayon::prelude::*;
@@ -15,13 +15,14 @@ use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Instant;
 
-/// Most transmitters predicted in one call.
+/// Most links predicted in one call, and most of single numbers.
 const CHUNK: usize = 64;
+const MANY: usize = 4096;
 /// Most pixels predicted in one call, of larger pictures: 8 bytes each with the measured ones.
 const PIXELS: usize = 1 << 21;
 
-/// Predicts some transmitters; says now and then how many more are done.
-type Predictor<'a> = dyn Fn(&[[f64; 3]], &(dyn Fn(usize) + Sync)) -> Vec<Image> + 'a;
+/// Predicts some links; says now and then how many more are done.
+type Predictor<'a> = dyn Fn(&[Query<'_>], &(dyn Fn(usize) + Sync)) -> Vec<Image> + 'a;
 
 /// Who is scored.
 #[derive(Clone, Copy)]
@@ -29,8 +30,8 @@ struct Subject<'a> {
     predict: &'a Predictor<'a>,
     /// Of a model.
     facts: Option<ModelFacts<'a>>,
-    /// Predicts one transmitter and says how long it took; `None` where nobody asks.
-    timed: Option<&'a dyn Fn([f64; 3]) -> StageTimes>,
+    /// Predicts one link and says how long it took; `None` where nobody asks.
+    timed: Option<&'a dyn Fn(Query<'_>) -> StageTimes>,
 }
 
 /// A score of numbers that are none would be one more.
@@ -47,13 +48,13 @@ pub struct Bench<'a> {
     data: &'a Dataset,
     plane: &'a ImagePlane,
     part: Vec<usize>,
-    txs: Vec<[f64; 3]>,
+    links: Vec<Link>,
 }
 
 impl<'a> Bench<'a> {
     /// The samples `part`, on the pixels of `plane`.
     pub fn new(data: &'a Dataset, part: &[usize], plane: &'a ImagePlane) -> Self {
-        Self { data, plane, part: part.to_vec(), txs: part.iter().map(|&i| data.samples[i].tx).collect() }
+        Self { data, plane, part: part.to_vec(), links: part.iter().map(|&i| data.links[i]).collect() }
     }
 
     /// Every measurement of `model`, called `name` in messages. Without `facts` nothing is said of the model itself, and it
@@ -70,11 +71,11 @@ impl<'a> Bench<'a> {
         observer: &mut dyn Observer,
         stop: &AtomicBool,
     ) -> Result<Vec<Measurement>> {
-        let timed = |tx| model.predict_timed(tx).1;
+        let timed = |query: Query<'_>| model.predict_timed(query).1;
         let subject = Subject {
-            predict: &|txs, done| {
-                let images = model.predict_many(txs);
-                done(txs.len());
+            predict: &|queries, done| {
+                let images = model.predict_many(queries);
+                done(queries.len());
                 images
             },
             facts,
@@ -95,18 +96,18 @@ impl<'a> Bench<'a> {
         observer: &mut dyn Observer,
         stop: &AtomicBool,
     ) -> Result<Vec<Measurement>> {
-        let timed = |tx| {
+        let timed = |query: Query<'_>| {
             let begun = Instant::now();
-            std::hint::black_box(fitted.predict(tx));
+            std::hint::black_box(fitted.predict(query));
             StageTimes { total: begun.elapsed().as_secs_f64(), ..StageTimes::default() }
         };
-        let predict = |txs: &[[f64; 3]], done: &(dyn Fn(usize) + Sync)| {
-            let one = |tx: &[f64; 3]| {
-                let image = fitted.predict(*tx);
+        let predict = |queries: &[Query<'_>], done: &(dyn Fn(usize) + Sync)| {
+            let one = |query: &Query<'_>| {
+                let image = fitted.predict(*query);
                 done(1);
                 image
             };
-            txs.par_iter().map(one).collect()
+            queries.par_iter().map(one).collect()
         };
         self.measure(name, Subject { predict: &predict, facts: None, timed: Some(&timed) }, metrics, observer, stop)
     }
@@ -124,9 +125,9 @@ impl<'a> Bench<'a> {
         let together = metrics.iter().any(|m| m.scope() == Scope::All);
         let (mut predictions, mut truths) = (Vec::new(), Vec::new());
         staged(observer, &format!("predicting with {name}"), |progress| {
-            self.chunks(subject, stop, progress, &mut |some, of_them| {
+            self.chunks(subject, stop, progress, &mut |some, of_them, links| {
                 refuse_infinite(name, &some)?;
-                let seen = self.seen(&some, &of_them, subject.facts, None);
+                let seen = self.seen(&some, &of_them, links, subject.facts, None);
                 for (found, metric) in found.iter_mut().zip(metrics).filter(|(_, m)| m.scope() == Scope::Sample) {
                     append(found, metric.evaluate(&seen)?, some.len())?;
                 }
@@ -138,21 +139,21 @@ impl<'a> Bench<'a> {
             })
         })?;
         go_on(stop)?;
-        // One transmitter after the other is timed.
+        // One link after the other is timed.
         let next = Cell::new(0);
-        let timed = |tx: &dyn Fn([f64; 3]) -> StageTimes| {
+        let timed = |one: &dyn Fn(Query<'_>) -> StageTimes| {
             next.set(next.get() + 1);
-            tx(self.txs[(next.get() - 1) % self.txs.len()])
+            one(self.data.query(self.part[(next.get() - 1) % self.part.len()]))
         };
         let timed = subject.timed.map(|one| move || timed(one));
         let timed = timed.as_ref().map(|timed| timed as &dyn Fn() -> StageTimes);
         staged(observer, &format!("scoring {name}"), |progress| {
             for (k, (found, metric)) in found.iter_mut().zip(metrics).enumerate() {
                 match metric.scope() {
-                    Scope::All => *found = metric.evaluate(&self.seen(&predictions, &truths, subject.facts, timed))?,
-                    Scope::Model => *found = metric.evaluate(&self.seen(&[], &[], subject.facts, timed))?,
+                    Scope::All => *found = metric.evaluate(&self.seen(&predictions, &truths, &self.links, subject.facts, timed))?,
+                    Scope::Model => *found = metric.evaluate(&self.seen(&[], &[], &[], subject.facts, timed))?,
                     Scope::Sample if self.part.is_empty() => {
-                        *found = metric.evaluate(&self.seen(&[], &[], None, None))?;
+                        *found = metric.evaluate(&self.seen(&[], &[], &[], None, None))?;
                     }
                     Scope::Sample => {}
                 }
@@ -169,17 +170,19 @@ impl<'a> Bench<'a> {
         subject: Subject<'_>,
         stop: &AtomicBool,
         progress: Progress<'_>,
-        show: &mut dyn FnMut(Vec<Image>, Vec<Image>) -> Result<()>,
+        show: &mut dyn FnMut(Vec<Image>, Vec<Image>, &[Link]) -> Result<()>,
     ) -> Result<()> {
-        let size = (PIXELS / (self.plane.width * self.plane.height).max(1)).clamp(1, CHUNK);
+        let numbers = self.plane.width * self.plane.height;
+        let size = (PIXELS / numbers.max(1)).clamp(1, if numbers == 1 { MANY } else { CHUNK });
         let done = AtomicUsize::new(0);
         let tell = |more: usize| progress(done.fetch_add(more, Ordering::Relaxed) + more, self.part.len());
-        for (part, txs) in self.part.chunks(size).zip(self.txs.chunks(size)) {
+        for (part, links) in self.part.chunks(size).zip(self.links.chunks(size)) {
             go_on(stop)?;
-            let predictions = (subject.predict)(txs, &tell);
+            let queries: Vec<Query<'_>> = part.iter().map(|&i| self.data.query(i)).collect();
+            let predictions = (subject.predict)(&queries, &tell);
             let truths = part.par_iter().map(|&i| self.data.image(i)).collect();
-            self.data.spectra.check()?;
-            show(predictions, truths)?;
+            self.data.observations.check()?;
+            show(predictions, truths, links)?;
         }
         Ok(())
     }
@@ -188,10 +191,11 @@ impl<'a> Bench<'a> {
         &'b self,
         predictions: &'b [Image],
         truths: &'b [Image],
+        links: &'b [Link],
         model: Option<ModelFacts<'b>>,
         timed_prediction: Option<&'b dyn Fn() -> StageTimes>,
     ) -> Evaluation<'b> {
-        Evaluation { predictions, truths, plane: self.plane, scene: &self.data.scene, model, timed_prediction }
+        Evaluation { predictions, truths, links, model, timed_prediction, ..Evaluation::of(self.data, self.plane) }
     }
 }
 

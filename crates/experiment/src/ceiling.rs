@@ -55,9 +55,9 @@ pub fn lapse_of(data: &Dataset, partition: &Partition) -> Lapse {
 
 /// Ids between each test sample and the nearest one that is trained on or chosen by.
 fn lags(data: &Dataset, partition: &Partition) -> Vec<u32> {
-    let ids: Vec<u32> = partition.known().all().iter().map(|&i| data.samples[i].id).collect();
+    let ids: Vec<u32> = partition.known().all().iter().map(|&i| data.sample(i).id).collect();
     let lag = |&i: &usize| {
-        let id = data.samples[i].id;
+        let id = data.sample(i).id;
         let next = ids.partition_point(|known| *known < id);
         let around = [next.checked_sub(1), Some(next)].into_iter().flatten().filter_map(|k| ids.get(k));
         around.map(|known| known.abs_diff(id)).min().unwrap_or(u32::MAX)
@@ -108,7 +108,7 @@ mod tests {
     use pwrfgs_core::{Pose, Sample, Spectra};
 
     fn data(place: impl Fn(u32) -> f64) -> Dataset {
-        let samples: Vec<Sample> = (0..400).map(|id| Sample { id, tx: [place(id), 0.0, 0.0] }).collect();
+        let samples: Vec<Sample> = (0..400).map(|id| Sample::new(id, [place(id), 0.0, 0.0])).collect();
         let spectra = Spectra::grey((1, 1), vec![0; samples.len()]).unwrap();
         Dataset::new("line", Pose::IDENTITY, vec![], samples, spectra).unwrap()
     }

@@ -3,7 +3,7 @@
 use crate::evaluate::go_on;
 use crate::observer::{Observer, staged};
 use crate::text::Lines;
-use pwrfgs_core::{Dataset, Image, Result};
+use pwrfgs_core::{Dataset, Image, Kind, Result};
 use pwrfgs_model::Prepared;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -35,12 +35,12 @@ impl Confidence {
         stop: &AtomicBool,
     ) -> Result<Self> {
         staged(observer, "measuring the spread of members", |progress| {
-            let mut all = Self { ids: part.iter().map(|&i| data.samples[i].id).collect(), ..Self::default() };
+            let mut all = Self { ids: part.iter().map(|&i| data.label(i)).collect(), ..Self::default() };
             let done = AtomicUsize::new(0);
             let of = |&i: &usize| {
-                let tx = data.samples[i].tx;
-                let (mean, deviation, _) = model.predict_with_deviation(tx);
-                let pair = (size(&deviation), distance(&mean.clamped(), &data.image(i)));
+                let (mean, deviation, _) = model.predict_with_deviation(data.query(i));
+                let shown = if data.kind() == Kind::Spectrum { mean.clamped() } else { mean };
+                let pair = (size(&deviation), distance(&shown, &data.image(i)));
                 progress(done.fetch_add(1, Ordering::Relaxed) + 1, part.len());
                 pair
             };
@@ -50,7 +50,7 @@ impl Confidence {
                 all.spreads.extend(pairs.iter().map(|pair| pair.0));
                 all.errors.extend(pairs.iter().map(|pair| pair.1));
             }
-            data.spectra.check()?;
+            data.observations.check()?;
             Ok(all)
         })
     }

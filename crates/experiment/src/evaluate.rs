@@ -94,7 +94,7 @@ pub fn evaluate(
     }
     let Ceiling { of: ceiling, notes: said } = ceiling(data, partition, &pipeline.metrics, stop)?;
     notes.extend(said);
-    let ids = partition.test.iter().map(|&i| data.samples[i].id).collect();
+    let ids = partition.test.iter().map(|&i| data.label(i)).collect();
     Ok(Assessment { scores: Scores { ids, predictors, bounds, members, ceiling, notes }, examples, confidence })
 }
 

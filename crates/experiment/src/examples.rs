@@ -27,10 +27,10 @@ pub(crate) fn choose(model: &Prepared<'_>, data: &Dataset, part: &[usize], ssims
     chosen.dedup_by_key(|c| c.1);
     let example = |(which, i): (&'static str, usize)| {
         let (sample, ssim) = (part[i], ssims[i]);
-        let prediction = model.predict_timed(data.samples[sample].tx).0;
+        let prediction = model.predict_timed(data.query(sample)).0;
         Example { which, sample, ssim, truth: data.image(sample), prediction }
     };
     let examples = chosen.into_iter().map(example).collect();
-    data.spectra.check()?;
+    data.observations.check()?;
     Ok(examples)
 }

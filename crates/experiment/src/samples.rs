@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 /// The text of `samples.csv`: id, x, y, z in metres, split, and the distance to the nearest other training transmitter
 /// in metres (empty where there is none).
 pub(crate) fn to_csv(data: &Dataset, partition: &Partition) -> String {
-    let mut split = vec!["unused"; data.samples.len()];
+    let mut split = vec!["unused"; data.len()];
     for (part, name) in [(&partition.train, "train"), (&partition.validation, "validation"), (&partition.test, "test")]
     {
         for &i in part {
@@ -16,7 +16,7 @@ pub(crate) fn to_csv(data: &Dataset, partition: &Partition) -> String {
     }
     let nearest = nearest_train(data, partition);
     let mut out = String::from("id,x,y,z,split,nearest_train_m\n");
-    for ((sample, split), nearest) in data.samples.iter().zip(split).zip(nearest) {
+    for ((sample, split), nearest) in data.samples().zip(split).zip(nearest) {
         let [x, y, z] = sample.tx;
         let distance = if nearest.is_finite() { nearest.to_string() } else { String::new() };
         let _ = writeln!(out, "{},{x},{y},{z},{split},{distance}", sample.id);
@@ -26,7 +26,7 @@ pub(crate) fn to_csv(data: &Dataset, partition: &Partition) -> String {
 
 /// Metres from each sample to the nearest other training sample; infinity where there is none.
 pub fn nearest_train(data: &Dataset, partition: &Partition) -> Vec<Real> {
-    let all: Vec<[Real; 3]> = data.samples.iter().map(|s| data.scene.origin.local(s.tx)).collect();
+    let all: Vec<[Real; 3]> = data.samples().map(|s| data.scene.origin.local(s.tx)).collect();
     let train: Vec<[Real; 3]> = partition.train.iter().map(|&i| all[i]).collect();
     let mut squared = neighbours::nearest_squared(&all, &train);
     for (&i, own) in partition.train.iter().zip(neighbours::nearest_other_squared(&train)) {
@@ -42,7 +42,7 @@ mod tests {
 
     #[test]
     fn distances_leave_the_sample_itself_out() {
-        let sample = |id, x: f64| Sample { id, tx: [x, 0.0, 0.0] };
+        let sample = |id, x: f64| Sample::new(id, [x, 0.0, 0.0]);
         let samples = vec![sample(1, 0.0), sample(2, 2.0), sample(5, 2.5), sample(6, 9.0)];
         let data =
             Dataset::new("line", Pose::IDENTITY, vec![], samples, Spectra::grey((1, 1), vec![0; 4]).unwrap()).unwrap();

@@ -44,10 +44,10 @@ impl Default for Grid {
 #[typetag::serde]
 impl Initializer for Grid {
     fn initialize(&self, scene: &Scene, plane: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud> {
-        let world_from_receiver = scene.receiver.world_from_receiver();
+        let world_from_receiver = scene.pose().world_from_receiver();
         let (lowest, centre) = match plane.angles {
-            Some(_) => (if plane.looks_behind() { -FRAC_PI_2 } else { 0.0 }, scene.receiver.origin()),
-            None => (-FRAC_PI_2, -(world_from_receiver * scene.receiver.origin())),
+            Some(_) => (if plane.looks_behind() { -FRAC_PI_2 } else { 0.0 }, scene.pose().origin()),
+            None => (-FRAC_PI_2, -(world_from_receiver * scene.pose().origin())),
         };
         let place = |direction: [f64; 3]| {
             let direction = Vec3::from_array(direction.map(|v| v as Real));
@@ -121,7 +121,7 @@ mod tests {
 
     #[test]
     fn with_angles_every_gaussian_is_in_front() {
-        let receiver = scene().receiver;
+        let receiver = scene().pose();
         let boresight = receiver.world_from_receiver().z_axis;
         let lowest = make(500, true)
             .means

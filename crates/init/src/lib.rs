@@ -16,7 +16,7 @@ pub use random::Random;
 
 #[cfg(test)]
 mod tests {
-    use pwrfgs_core::{Axis, ImagePlane, Initializer, Origin, Plugin, Pose, Scene, registered, rng};
+    use pwrfgs_core::{Axis, ImagePlane, Initializer, Origin, Plugin, Pose, Receiver, Scene, registered, rng};
 
     /// As a pipeline file has it: `Name(field: value)`.
     fn written(plugin: &Plugin<dyn Initializer>) -> String {
@@ -29,7 +29,7 @@ mod tests {
         let orientation = [0.512_916_02, -0.486_741_36, -0.486_741_36, 0.512_916_02];
         Scene {
             origin: Origin::ZERO,
-            receiver: Pose { position: [5.0, 0.26, 0.0], orientation },
+            receivers: vec![Receiver::new("gateway1", Pose { position: [5.0, 0.26, 0.0], orientation })],
             bounds: ([-1.0, -1.0, 0.0], [5.0, 1.0, 2.0]),
             points: vec![[0.0; 3], [3.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 4.5, 0.0]],
         }

@@ -46,7 +46,7 @@ impl Default for Random {
 #[typetag::serde]
 impl Initializer for Random {
     fn initialize(&self, scene: &Scene, plane: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud> {
-        let (world_from_receiver, origin) = (scene.receiver.world_from_receiver(), scene.receiver.origin());
+        let (world_from_receiver, origin) = (scene.pose().world_from_receiver(), scene.pose().origin());
         let draw = |rng: &mut Rng| [(); 3].map(|()| self.std * rng::normal(rng));
         let ahead = |z: Real| if plane.looks_behind() { z } else { z.abs() };
         let in_front = |[x, y, z]: [Real; 3]| (origin + world_from_receiver * Vec3::new(x, y, ahead(z))).to_array();
@@ -86,7 +86,7 @@ mod tests {
 
     #[test]
     fn with_angles_all_are_in_front_of_the_receiver() {
-        let (means, receiver) = (means(true), scene().receiver);
+        let (means, receiver) = (means(true), scene().pose());
         let boresight = receiver.world_from_receiver().z_axis;
         assert!(means.iter().all(|m| (*m - receiver.origin()).dot(boresight) > -1e-4));
         assert_spread(&means, receiver.origin());

@@ -43,7 +43,7 @@ pub(crate) fn freedom(data: &Dataset, looks: &[Look]) -> Freedom {
 
 /// The step between grey values: that of the 8 or 16 bits which the numbers are, or were made from.
 fn step(data: &Dataset, lively: &[usize]) -> Option<f64> {
-    if data.spectra.number() == Number::U8 {
+    if data.observations.number() == Number::U8 {
         return Some(1.0 / 255.0);
     }
     let pixels: Vec<f64> = evenly(lively, 8).into_iter().flat_map(|i| data.image(i).pixels).map(|p| p as f64).collect();

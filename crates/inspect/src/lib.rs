@@ -66,7 +66,7 @@ pub fn inspect<'a>(pipeline: &Pipeline, data: &'a Dataset, observer: &mut dyn Ob
     let metrics: Vec<Plugin<dyn Metric>> =
         pipeline.metrics.iter().filter(|metric| metric.scope() == Scope::Sample).cloned().collect();
     let ceiling = repeatability(data, &metrics, &AtomicBool::new(false))?;
-    data.spectra.check()?;
+    data.observations.check()?;
     Ok(Inspection {
         data,
         trajectory: trajectory::trajectory(data),

@@ -41,14 +41,14 @@ impl Looks {
     /// # Errors
     /// Where a picture cannot be read.
     pub(crate) fn of(data: &Dataset, progress: Progress<'_>) -> Result<Self> {
-        let all: Vec<usize> = (0..data.samples.len()).collect();
+        let all: Vec<usize> = (0..data.len()).collect();
         let chosen = evenly(&all, PICTURES);
         let sky = Sky::of(&data.plane());
         let done = AtomicUsize::new(0);
         let part = |samples: &[usize]| {
             let mut sum = vec![0.0; data.width * data.height];
             let look = |&sample: &usize| {
-                let raw = data.spectra.raw(sample);
+                let raw = data.observations.raw(sample);
                 let image = data.image(sample);
                 sum.iter_mut().zip(&image.pixels).for_each(|(sum, p)| *sum += *p as f64);
                 progress(done.fetch_add(1, Ordering::Relaxed) + 1, chosen.len());
@@ -65,7 +65,7 @@ impl Looks {
                 sum.iter_mut().zip(part).for_each(|(sum, part)| *sum += part);
             }
         }
-        data.spectra.check()?;
+        data.observations.check()?;
         let pixels = sum.iter().map(|s| (s / chosen.len().max(1) as f64) as Real).collect();
         Ok(Self { each, mean: Image { width: data.width, height: data.height, pixels } })
     }
@@ -125,7 +125,7 @@ mod tests {
         for (row, column) in [(3, 35), (3, 0), (3, 1), (8, 18)] {
             pixels[row * width + column] = 200; // the last is another peak, equally strong
         }
-        let samples = (1..=2).map(|id| Sample { id, tx: [f64::from(id); 3] }).collect();
+        let samples = (1..=2).map(|id| Sample::new(id, [f64::from(id); 3])).collect();
         let spectra = Spectra::grey((width, height), pixels).unwrap();
         let data = Dataset::new("two", Pose::IDENTITY, vec![], samples, spectra).unwrap();
         let looks = Looks::of(&data, &|_, _| {}).unwrap();

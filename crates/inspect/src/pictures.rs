@@ -64,7 +64,7 @@ impl Pictures {
 
 /// Of the pictures that were looked at.
 pub(crate) fn pictures(data: &Dataset, looks: &Looks) -> Pictures {
-    let id = |sample: usize| data.samples[sample].id;
+    let id = |sample: usize| data.sample(sample).id;
     let each = &looks.each;
     let count = |test: &dyn Fn((f64, f64)) -> bool| each.iter().filter(|l| test(l.range)).count();
     let mut largest: Vec<f64> = each.iter().map(|l| l.range.1).collect();
@@ -72,7 +72,7 @@ pub(crate) fn pictures(data: &Dataset, looks: &Looks) -> Pictures {
     let mut alike: BTreeMap<u64, Vec<usize>> = BTreeMap::new();
     each.iter().filter(|l| l.strongest.is_some()).for_each(|l| alike.entry(l.hash).or_default().push(l.sample));
     let equal = |group: &Vec<usize>| {
-        group.len() > 1 && group.windows(2).all(|w| data.spectra.raw(w[0]) == data.spectra.raw(w[1]))
+        group.len() > 1 && group.windows(2).all(|w| data.observations.raw(w[0]) == data.observations.raw(w[1]))
     };
     let mut twins: Vec<Vec<u32>> =
         alike.into_values().filter(equal).map(|group| group.into_iter().map(id).collect()).collect();
@@ -81,7 +81,7 @@ pub(crate) fn pictures(data: &Dataset, looks: &Looks) -> Pictures {
     Pictures {
         looked_at: each.len(),
         size: [data.width, data.height],
-        number: data.spectra.number(),
+        number: data.observations.number(),
         range: [each.iter().map(|l| l.range.0).fold(f64::INFINITY, f64::min), quantile(&largest, 1.0)],
         largest: [0.05, 0.5, 0.95].map(|q| quantile(&largest, q)),
         from_zero: count(&|(low, _)| zero(low)),
@@ -105,7 +105,7 @@ mod tests {
 
     fn of(pixels: Vec<u8>) -> Pictures {
         let count = pixels.len() / 32;
-        let samples = (1..=count as u32).map(|id| Sample { id, tx: [f64::from(id); 3] }).collect();
+        let samples = (1..=count as u32).map(|id| Sample::new(id, [f64::from(id); 3])).collect();
         let data =
             Dataset::new("few", Pose::IDENTITY, vec![], samples, Spectra::grey((8, 4), pixels).unwrap()).unwrap();
         pictures(&data, &Looks::of(&data, &|_, _| {}).unwrap())

@@ -35,10 +35,10 @@ impl Trajectory {
 
 /// Of all samples.
 pub(crate) fn trajectory(data: &Dataset) -> Trajectory {
-    let places: Vec<[f64; 3]> = data.samples.iter().map(|s| s.tx).collect();
+    let places: Vec<[f64; 3]> = data.samples().map(|s| s.tx).collect();
     let ends = |pick: fn(f64, f64) -> f64, from: f64| [0, 1, 2].map(|k| places.iter().map(|p| p[k]).fold(from, pick));
-    let successive = data.samples.windows(2).filter(|pair| pair[1].id == pair[0].id + 1);
-    let mut steps: Vec<f64> = successive.map(|pair| distance(pair[0].tx, pair[1].tx)).collect();
+    let successive = data.transmitters.windows(2).filter(|pair| pair[1].id == pair[0].id + 1);
+    let mut steps: Vec<f64> = successive.map(|pair| distance(pair[0].position, pair[1].position)).collect();
     steps.sort_by(f64::total_cmp);
     let mut sorted = places.clone();
     sorted.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])).then(a[2].total_cmp(&b[2])));
@@ -46,7 +46,7 @@ pub(crate) fn trajectory(data: &Dataset) -> Trajectory {
     let shared = (0..sorted.len()).filter(|&i| same(i, i.checked_sub(1)) || same(i, Some(i + 1))).count();
     Trajectory {
         samples: places.len(),
-        ids: [data.samples.first(), data.samples.last()].map(|s| s.map_or(0, |s| s.id)),
+        ids: [data.transmitters.first(), data.transmitters.last()].map(|s| s.map_or(0, |s| s.id)),
         extent: [ends(f64::min, f64::INFINITY), ends(f64::max, f64::NEG_INFINITY)],
         steps,
         shared,
@@ -61,7 +61,7 @@ mod tests {
 
     #[test]
     fn steps_are_between_successive_ids_and_shared_places_are_counted() {
-        let sample = |id, x| Sample { id, tx: [x, 0.0, 1.0] };
+        let sample = |id, x| Sample::new(id, [x, 0.0, 1.0]);
         let samples = vec![sample(1, 0.0), sample(2, 3.0), sample(4, 0.0), sample(5, 1.0), sample(6, 0.0)];
         let spectra = Spectra::grey((4, 1), vec![0; 20]).unwrap();
         let found = trajectory(&Dataset::new("line", Pose::IDENTITY, vec![], samples, spectra).unwrap());

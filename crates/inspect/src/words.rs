@@ -11,7 +11,7 @@ const NAMED: usize = 5;
 /// A name and what is known of it, one a line.
 pub(crate) fn facts(found: &Inspection<'_>) -> Vec<(&'static str, String)> {
     let Inspection { data, trajectory: t, pictures: p, .. } = found;
-    let receiver = data.scene.origin.world_pose(data.scene.receiver);
+    let receiver = data.scene.origin.world_pose(data.scene.pose());
     let boresight = receiver.world_from_receiver().z_axis.to_array().map(f64::from);
     let [low, high] = t.extent;
     let axis = |k: usize| format!("{} {:.2} to {:.2}", ["x", "y", "z"][k], low[k], high[k]);

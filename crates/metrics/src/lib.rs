@@ -56,12 +56,12 @@ fn not_a_model() -> Values {
 #[cfg(test)]
 mod fixture {
     use pwrfgs_core::{
-        Axis, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Origin, Pose, Real, Scene, StageTimes,
-        Values,
+        Axis, Evaluation, Image, ImagePlane, Kind, Measurement, Metric, ModelFacts, Origin, Pose, Real, Receiver, Scene,
+        StageTimes, Values,
     };
 
     pub(crate) fn scene(points: &[[Real; 3]]) -> Scene {
-        Scene { origin: Origin::ZERO, receiver: Pose::IDENTITY, bounds: ([0.0; 3], [1.0; 3]), points: points.to_vec() }
+        Scene { origin: Origin::ZERO, receivers: vec![Receiver::new("receiver", Pose::IDENTITY)], bounds: ([0.0; 3], [1.0; 3]), points: points.to_vec() }
     }
 
     /// One degree a pixel, as measured.
@@ -85,9 +85,24 @@ mod fixture {
 
     pub(crate) fn of_plane(metric: &dyn Metric, prediction: &Image, truth: &Image, plane: &ImagePlane) -> Measurement {
         let (predictions, truths) = (std::slice::from_ref(prediction), std::slice::from_ref(truth));
+        let scene = scene(&[]);
         let evaluation =
-            Evaluation { predictions, truths, plane, scene: &scene(&[]), model: None, timed_prediction: None };
+            Evaluation { predictions, truths, ..spectra(plane, &scene) };
         metric.evaluate(&evaluation).unwrap().remove(0)
+    }
+
+    /// Nothing to score yet, of spectra.
+    pub(crate) fn spectra<'a>(plane: &'a ImagePlane, scene: &'a Scene) -> Evaluation<'a> {
+        Evaluation {
+            predictions: &[],
+            truths: &[],
+            kind: Kind::Spectrum,
+            links: &[],
+            plane,
+            scene,
+            model: None,
+            timed_prediction: None,
+        }
     }
 
     pub(crate) fn of_model(metric: &dyn Metric, model: Option<ModelFacts<'_>>, scene: &Scene) -> Vec<Measurement> {
@@ -102,7 +117,7 @@ mod fixture {
     ) -> Vec<Measurement> {
         let plane = plane(4, 3);
         metric
-            .evaluate(&Evaluation { predictions: &[], truths: &[], plane: &plane, scene, model, timed_prediction })
+            .evaluate(&Evaluation { model, timed_prediction, ..spectra(&plane, scene) })
             .unwrap()
     }
 
@@ -144,14 +159,9 @@ mod tests {
     #[test]
     fn pictures_of_another_size_are_refused() {
         let (small, large) = (Image::zeros(3, 3), Image::zeros(4, 3));
-        let evaluation = Evaluation {
-            predictions: &[small],
-            truths: &[large],
-            plane: &fixture::plane(4, 3),
-            scene: &fixture::scene(&[]),
-            model: None,
-            timed_prediction: None,
-        };
+        let (plane, scene) = (fixture::plane(4, 3), fixture::scene(&[]));
+        let (predictions, truths) = (&[small][..], &[large][..]);
+        let evaluation = Evaluation { predictions, truths, ..fixture::spectra(&plane, &scene) };
         assert!(L1 {}.evaluate(&evaluation).is_err());
         assert!(L1 {}.evaluate(&Evaluation { truths: &[], ..evaluation }).is_err());
     }

@@ -31,8 +31,7 @@ impl Ensemble {
     /// What does not fit together.
     pub fn named(members: Vec<(String, Model)>) -> Result<Self, String> {
         let Some((_, first)) = members.first() else { return Err("an ensemble needs a model".into()) };
-        let seen = |model: &Model| (model.stages.plane.clone(), model.stages.receiver(), model.stages.origin);
-        let other = members.iter().position(|(_, model)| seen(model) != seen(first));
+        let other = members.iter().position(|(_, model)| model.stages.frame != first.stages.frame);
         if let Some(other) = other {
             return Err(format!(
                 "model {} of the ensemble sees other pixels than the first, or from another receiver; take runs on the \

@@ -1,10 +1,12 @@
 //! The model file: `docs/model-format.md` is its description.
 
 use crate::tensors::Tensors;
-use crate::{Calibration, Ensemble, Model, Readout, Stages};
+use crate::{Calibration, Ensemble, Model, Readout, Splatting, Stages};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::plugin::{Plugin, PluginKind, ron_options};
-use pwrfgs_core::{COLUMN_NAMES, Error, ExtraColumn, GaussianCloud, ImagePlane, Origin, Pose, Real, Result};
+use pwrfgs_core::{
+    COLUMN_NAMES, Error, ExtraColumn, Frame, GaussianCloud, ImagePlane, Kind, Method, Origin, Pose, Real, Receiver, Result,
+};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -24,7 +26,7 @@ struct MemberNote {
 
 /// What every note begins with.
 #[derive(Deserialize)]
-struct Kind {
+struct Head {
     format: String,
     version: u32,
 }
@@ -35,17 +37,54 @@ struct Note {
     format: String,
     version: u32,
     gaussians: usize,
-    deformation: String,
-    projector: String,
-    rasterizer: String,
-    calibration: Calibration,
-    readout: Readout,
-    /// In the user's frame.
-    pose: Pose,
+    /// These five of splats.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    deformation: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    projector: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    rasterizer: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    calibration: Option<Calibration>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    readout: Option<Readout>,
+    /// Any other method.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    method: Option<String>,
+    /// The only receiver of spectra, in the user's frame.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pose: Option<Pose>,
+    /// Anything else than spectra at one receiver.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    links: Option<LinksNote>,
     /// What the tensors count from; absent where zero.
     #[serde(default, skip_serializing_if = "Origin::is_zero")]
     origin: Origin,
     plane: ImagePlane,
+}
+
+/// What links are: which observations, and who listens.
+#[derive(Serialize, Deserialize)]
+struct LinksNote {
+    kind: Kind,
+    receivers: Vec<ReceiverNote>,
+    /// Of the subcarriers, Hz.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    frequencies_hz: Vec<f64>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct ReceiverNote {
+    name: String,
+    /// In the user's frame.
+    pose: Pose,
+    /// Metres, in the receiver's frame.
+    antennas: Vec<[f64; 3]>,
+}
+
+/// One antenna in the middle of the only receiver of spectra: what files say without `links`.
+fn is_plain(frame: &Frame) -> bool {
+    frame.kind == Kind::Spectrum && frame.receivers.len() == 1 && frame.receivers[0].antennas == [[0.0; 3]]
 }
 
 const FORMAT: &str = "pwrfgs-model";
@@ -57,13 +96,20 @@ const LONGEST_NAME: usize = 255;
 /// Of a file without an origin, and of one with: who knows of none would predict something else from it.
 const VERSION: u32 = 1;
 const VERSION_WITH_ORIGIN: u32 = 2;
+/// Of a file that is anything else than splats seen as spectra by one receiver.
+const VERSION_WITH_LINKS: u32 = 3;
 /// What the names of the network's tensors begin with.
 const NETWORK: &str = "network.";
 /// What the names of the numbers begin with that the network has from a seed.
 const CONSTANTS: &str = "constants.";
 
-fn version(origin: Origin) -> u32 {
-    if origin.is_zero() { VERSION } else { VERSION_WITH_ORIGIN }
+/// A file is of the lowest version that says all of it.
+fn version(note: &Note) -> u32 {
+    match note {
+        Note { links: Some(_), .. } | Note { method: Some(_), .. } => VERSION_WITH_LINKS,
+        note if note.origin.is_zero() => VERSION,
+        _ => VERSION_WITH_ORIGIN,
+    }
 }
 
 /// Writes `model` to `path`, whole or not at all.
@@ -127,25 +173,40 @@ fn json(note: &impl Serialize) -> String {
 
 fn note(model: &Model) -> Note {
     let s = &model.stages;
-    Note {
+    let splats = s.splatting();
+    let plain = is_plain(&s.frame);
+    let receiver = |r: &Receiver| {
+        let Receiver { name, pose, antennas } = r.clone();
+        ReceiverNote { name, pose: s.origin.world_pose(pose), antennas }
+    };
+    let links = || LinksNote {
+        kind: s.kind,
+        receivers: s.receivers.iter().map(receiver).collect(),
+        frequencies_hz: s.frequencies_hz.clone(),
+    };
+    let mut note = Note {
         format: FORMAT.into(),
-        version: version(s.origin),
+        version: VERSION,
         gaussians: model.cloud.len(),
-        deformation: plugin_text(&s.deformation),
-        projector: plugin_text(&s.projector),
-        rasterizer: plugin_text(&s.rasterizer),
-        calibration: s.calibration,
-        readout: s.readout,
-        pose: s.receiver(),
+        deformation: splats.map(|splats| plugin_text(&splats.deformation)),
+        projector: splats.map(|splats| plugin_text(&splats.projector)),
+        rasterizer: splats.map(|splats| plugin_text(&splats.rasterizer)),
+        calibration: splats.map(|splats| splats.calibration),
+        readout: splats.map(|splats| splats.readout),
+        method: splats.is_none().then(|| plugin_text(&s.method)),
+        pose: plain.then(|| s.receiver()),
+        links: (!plain).then(links),
         origin: s.origin,
         plane: s.plane.clone(),
-    }
+    };
+    note.version = version(&note);
+    note
 }
 
 fn put_model(file: &mut Tensors, prefix: &str, model: &Model) {
     put_cloud(file, &format!("{prefix}gaussians."), &model.cloud);
     put_weights(file, &format!("{prefix}{NETWORK}"), &model.weights, &model.stages);
-    for (spec, values) in model.stages.deformation.constants() {
+    for (spec, values) in model.stages.method.constants() {
         file.put(format!("{prefix}{CONSTANTS}{}", spec.name), spec.shape, values);
     }
 }
@@ -174,7 +235,7 @@ pub fn read_ensemble(path: &Path) -> Result<Ensemble> {
 fn from_bytes(bytes: &[u8]) -> Result<Ensemble, String> {
     let mut file = Tensors::from_bytes(bytes)?;
     let unreadable = |e: serde_json::Error| format!("not a pwrfgs model ({e})");
-    let Kind { format, version } = serde_json::from_str(&file.note).map_err(unreadable)?;
+    let Head { format, version } = serde_json::from_str(&file.note).map_err(unreadable)?;
     if format != ENSEMBLE_FORMAT {
         let note = serde_json::from_str(&file.note).map_err(unreadable)?;
         return Ok(Ensemble::of(take_model(&mut file, "", &note)?));
@@ -202,25 +263,16 @@ fn from_bytes(bytes: &[u8]) -> Result<Ensemble, String> {
 }
 
 fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, String> {
-    if note.format != FORMAT || note.version != version(note.origin) {
+    if note.format != FORMAT || note.version != version(note) {
         return Err(format!(
-            "a `{}` of version {}, this program reads `{FORMAT}` up to {VERSION_WITH_ORIGIN}",
+            "a `{}` of version {}, this program reads `{FORMAT}` up to {VERSION_WITH_LINKS}",
             note.format, note.version
         ));
     }
     if let Some(fault) = note.origin.fault() {
         return Err(fault);
     }
-    let stages = Stages {
-        deformation: parse(&note.deformation)?,
-        projector: parse(&note.projector)?,
-        rasterizer: parse(&note.rasterizer)?,
-        calibration: note.calibration,
-        readout: note.readout,
-        origin: note.origin,
-        pose: note.origin.local_pose(note.pose),
-        plane: note.plane.clone(),
-    };
+    let stages = Stages { method: method(note)?, frame: frame(note)? };
     stages.check()?;
     let cloud = take_cloud(file, &format!("{prefix}gaussians."), note.gaussians)?;
     let weights = take_weights(file, &format!("{prefix}{NETWORK}"), &stages)?;
@@ -228,9 +280,39 @@ fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, St
     Ok(Model { stages, cloud, weights })
 }
 
+fn method(note: &Note) -> Result<Plugin<dyn Method>, String> {
+    if let Some(method) = &note.method {
+        return parse(method);
+    }
+    let said = |what: &str, text: &Option<String>| text.clone().ok_or(format!("its note does not say `{what}`"));
+    let splatting = Splatting {
+        deformation: parse(&said("deformation", &note.deformation)?)?,
+        projector: parse(&said("projector", &note.projector)?)?,
+        rasterizer: parse(&said("rasterizer", &note.rasterizer)?)?,
+        calibration: note.calibration.ok_or("its note does not say `calibration`")?,
+        readout: note.readout.ok_or("its note does not say `readout`")?,
+    };
+    Ok(Plugin::from(Box::new(splatting) as Box<dyn Method>))
+}
+
+fn frame(note: &Note) -> Result<Frame, String> {
+    let (origin, plane) = (note.origin, note.plane.clone());
+    let Some(LinksNote { kind, receivers, frequencies_hz }) = &note.links else {
+        let pose = note.pose.ok_or("its note does not say `pose`")?;
+        return Ok(Frame::spectra(origin, origin.local_pose(pose), plane));
+    };
+    let receiver = |r: &ReceiverNote| Receiver {
+        name: r.name.clone(),
+        pose: origin.local_pose(r.pose),
+        antennas: r.antennas.clone(),
+    };
+    let receivers = receivers.iter().map(receiver).collect();
+    Ok(Frame { origin, receivers, kind: *kind, plane, frequencies_hz: frequencies_hz.clone() })
+}
+
 /// Refuses a file whose constants are not those that its deformation draws here: it would predict something else.
 fn check_constants(file: &mut Tensors, prefix: &str, stages: &Stages) -> Result<(), String> {
-    for (spec, drawn) in stages.deformation.constants() {
+    for (spec, drawn) in stages.method.constants() {
         let name = format!("{prefix}{CONSTANTS}{}", spec.name);
         if file.shape(&name).is_none() {
             continue; // written when files did not hold them
@@ -298,7 +380,7 @@ pub fn take_columns(
 /// Puts the network's tensors under `prefix`, one a layer.
 pub fn put_weights(file: &mut Tensors, prefix: &str, weights: &[Real], stages: &Stages) {
     let mut rest = weights;
-    for spec in stages.deformation.layout() {
+    for spec in stages.layout() {
         let (own, tail) = rest.split_at(spec.len());
         file.put(format!("{prefix}{}", spec.name), spec.shape.clone(), own.to_vec());
         rest = tail;
@@ -312,7 +394,7 @@ pub fn put_weights(file: &mut Tensors, prefix: &str, weights: &[Real], stages: &
 /// What is missing.
 pub fn take_weights(file: &mut Tensors, prefix: &str, stages: &Stages) -> Result<Vec<Real>, String> {
     let mut weights = Vec::new();
-    for spec in stages.deformation.layout() {
+    for spec in stages.layout() {
         weights.extend(file.take(&format!("{prefix}{}", spec.name), &spec.shape)?);
     }
     Ok(weights)

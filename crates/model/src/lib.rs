@@ -1,7 +1,7 @@
-//! The model: a cloud, a deformation network, and the stages that turn a transmitter position into a spectrum.
+//! The model: a cloud, weights, and the stages that turn a transmitter position into what a receiver observes.
 //!
-//! [`Stages`] is the path deform → activate → project → rasterize → read out: [`Prepared`] walks it for many
-//! transmitters, the training step in `pwrfgs-train` there and back.
+//! [`Stages`] is a method and its frame. [`Splatting`] is the method deform → activate → project → rasterize → read out.
+//! [`Prepared`] walks it for many links, the training step in `pwrfgs-train` there and back.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
@@ -12,6 +12,7 @@ pub mod file;
 mod model;
 mod prepared;
 mod readout;
+mod splatting;
 mod stages;
 pub mod tensors;
 
@@ -20,4 +21,5 @@ pub use ensemble::Ensemble;
 pub use model::Model;
 pub use prepared::Prepared;
 pub use readout::Readout;
-pub use stages::{Drawing, Geometry, Stages, check_together};
+pub use splatting::{Drawing, Geometry, Splatting, View, check_kind, check_together};
+pub use stages::Stages;

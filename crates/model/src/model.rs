@@ -1,7 +1,7 @@
 //! `Model`: what is saved and predicts.
 
-use crate::Stages;
-use pwrfgs_core::{Deltas, GaussianCloud, Origin, Primitives, Real};
+use crate::{Activation, Calibration, Stages};
+use pwrfgs_core::{Deltas, GaussianCloud, Origin, Primitives, Real, WeightSpec};
 
 /// A trained model: predicts, and needs nothing else to do so.
 #[derive(Clone, Debug)]
@@ -18,9 +18,19 @@ impl Model {
     /// What is drawn for a transmitter at `tx`, or of the base parameters alone: the Gaussians in space, and their
     /// signals `[N, channels]`.
     pub fn gaussians(&self, tx: Option<[f64; 3]>) -> (Primitives, Vec<Real>) {
-        let deform = |tx| self.stages.deformation.forward(&self.weights, &self.cloud.means, &[tx], &self.stages.pose);
+        let Some(splatting) = self.stages.splatting() else {
+            let activation =
+                Activation { calibration: Calibration::Physical, replaces_signals: false, channels: 2 };
+            let none = Deltas::default();
+            return (activation.geometry(&self.cloud, &none, 0, None), activation.signals(&self.cloud, &none, 0..1));
+        };
+        let network = &self.weights[..splatting.deformation.layout().iter().map(WeightSpec::len).sum()];
+        let deform = |tx: [Real; 3]| {
+            let (means, pose) = (&self.cloud.means, self.stages.pose());
+            splatting.deformation.forward(network, means, (&[tx]).into(), &pose)
+        };
         let deltas = tx.map(|tx| self.stages.origin.local(tx)).map_or_else(Deltas::default, deform);
-        let activation = self.stages.activation();
+        let activation = splatting.activation();
         (activation.geometry(&self.cloud, &deltas, 0, None), activation.signals(&self.cloud, &deltas, 0..1))
     }
 

@@ -1,22 +1,20 @@
 //! `Prepared`: models ready to predict, with everything worked out that no transmitter changes.
 
-use crate::stages::Geometry;
 use crate::{Model, Stages};
-use pwrfgs_core::{Cache, Deltas, GaussianCloud, Image, ImagePlane, Predict, Real, StageTimes};
-use rayon::prelude::*;
+use pwrfgs_core::{
+    Asked, Cache, Conditions, GaussianCloud, Image, ImagePlane, Kind, Link, Predict, Query, Real, Receiver, StageTimes,
+};
 use std::borrow::Cow;
-use std::ops::Range;
-use std::sync::Arc;
 use std::time::Instant;
 
 /// One model, or an ensemble, made ready for many predictions.
 ///
-/// Gaussians that no picture can show are left out ([`Stages::drawable`]). What follows from the others alone is
-/// computed once: the network's share of it ([`Deformation::prepare`]), and,
-/// where geometry does not depend on the transmitter, projection and whatever the rasterizer finds before it sees
-/// signals. Every prediction has the bits of [`Model::predict`].
+/// Gaussians that no observation can show are left out ([`Stages::drawable`]). What follows from the others alone is
+/// computed once ([`Method::prepare`]): the network's share of it, and, where geometry does not depend on the transmitter,
+/// projection and whatever the rasterizer finds before it sees signals. Every prediction has the bits of
+/// [`Model::predict`].
 ///
-/// [`Deformation::prepare`]: pwrfgs_core::Deformation::prepare
+/// [`Method::prepare`]: pwrfgs_core::Method::prepare
 #[derive(Debug)]
 pub struct Prepared<'a> {
     members: Vec<Member<'a>>,
@@ -26,12 +24,10 @@ pub struct Prepared<'a> {
 #[derive(Debug)]
 struct Member<'a> {
     model: &'a Model,
-    /// The Gaussians that pictures can show.
+    /// The Gaussians that observations can show.
     cloud: Cow<'a, GaussianCloud>,
-    /// The network's.
-    deformation: Cache,
-    /// The geometry, where no transmitter changes it.
-    still: Option<Arc<Geometry>>,
+    /// What the method worked out once.
+    ready: Cache,
 }
 
 /// Transmitters of one call of the network in [`Prepared::predict_many`], and of one projection where geometry stays:
@@ -58,20 +54,33 @@ impl<'a> Prepared<'a> {
         &self.members[0].model.stages.plane
     }
 
-    /// The spectrum for a transmitter at `tx` (metres, world frame), and how long each stage took in all. Of one model
-    /// it is not clamped; of several it is the mean, each clamped to [0, 1].
-    pub fn predict_timed(&self, tx: [f64; 3]) -> (Image, StageTimes) {
-        let (pictures, times) = self.pictures(tx);
-        (mean(pictures), times)
+    /// Which of the three tasks it is.
+    pub fn kind(&self) -> Kind {
+        self.members[0].model.stages.kind
+    }
+
+    /// The receivers that it knows, in the order of [`Query::receiver`].
+    pub fn receivers(&self) -> &'a [Receiver] {
+        &self.members[0].model.stages.frame.receivers
+    }
+
+    /// What is observed of a link, such as the spectrum for a transmitter at a place (metres, world frame) at the only
+    /// receiver, and how long each stage took in all. Of one model it is not clamped; of several it is the mean, spectra each
+    /// clamped to [0, 1].
+    pub fn predict_timed<'q>(&self, query: impl Into<Query<'q>>) -> (Image, StageTimes) {
+        let (pictures, times) = self.pictures(query.into());
+        (mean(pictures, self.kind()), times)
     }
 
     /// The same, and the standard deviation of the members' pictures at every pixel (n in the denominator): a picture of
     /// confidence, 0 where there is one model alone.
-    pub fn predict_with_deviation(&self, tx: [f64; 3]) -> (Image, Image, StageTimes) {
-        let (pictures, times) = self.pictures(tx);
+    pub fn predict_with_deviation<'q>(&self, query: impl Into<Query<'q>>) -> (Image, Image, StageTimes) {
+        let (pictures, times) = self.pictures(query.into());
         let count = pictures.len() as Real;
-        let clamped: Vec<Image> = pictures.iter().map(Image::clamped).collect();
-        let mean = mean(pictures);
+        let is_picture = self.kind() == Kind::Spectrum;
+        let clamped: Vec<Image> =
+            pictures.iter().map(|own| if is_picture { own.clamped() } else { own.clone() }).collect();
+        let mean = mean(pictures, self.kind());
         let mut deviation = Image::zeros(mean.width, mean.height);
         if clamped.len() > 1 {
             for picture in &clamped {
@@ -84,11 +93,11 @@ impl<'a> Prepared<'a> {
     }
 
     /// What each member draws, not clamped, and how long each stage took in all.
-    fn pictures(&self, tx: [f64; 3]) -> (Vec<Image>, StageTimes) {
+    fn pictures(&self, query: Query<'_>) -> (Vec<Image>, StageTimes) {
         let mut pictures = Vec::with_capacity(self.members.len());
         let mut sum = StageTimes::default();
         for member in &self.members {
-            let (image, times) = member.predict(tx);
+            let (image, times) = member.predict(query);
             pictures.push(image);
             sum.network += times.network;
             sum.projection += times.projection;
@@ -99,17 +108,18 @@ impl<'a> Prepared<'a> {
         (pictures, sum)
     }
 
-    /// Spectra of many transmitters.
-    pub fn predict_many(&self, txs: &[[f64; 3]]) -> Vec<Image> {
-        let mut of_each: Vec<_> = self.members.iter().map(|m| m.predict_many(txs).into_iter()).collect();
-        txs.iter().map(|_| mean(of_each.iter_mut().filter_map(Iterator::next).collect())).collect()
+    /// Observations of many links; those of a transmitter next to each other are cheapest.
+    pub fn predict_many(&self, queries: &[Query<'_>]) -> Vec<Image> {
+        let mut of_each: Vec<_> = self.members.iter().map(|m| m.predict_many(queries).into_iter()).collect();
+        let of_all = |_| mean(of_each.iter_mut().filter_map(Iterator::next).collect(), self.kind());
+        queries.iter().map(of_all).collect()
     }
 }
 
 impl Model {
     /// The spectrum for a transmitter at `tx` (metres, world frame), not clamped. For more than one, [`Self::prepare`].
-    pub fn predict(&self, tx: [f64; 3]) -> Image {
-        self.prepare().predict(tx)
+    pub fn predict<'q>(&self, query: impl Into<Query<'q>>) -> Image {
+        self.prepare().predict_timed(query).0
     }
 
     /// The model with everything worked out that no transmitter changes.
@@ -119,14 +129,14 @@ impl Model {
 }
 
 impl Predict for Model {
-    fn predict(&self, tx: [f64; 3]) -> Image {
-        Self::predict(self, tx)
+    fn predict(&self, query: Query<'_>) -> Image {
+        Self::predict(self, query)
     }
 }
 
 impl Predict for Prepared<'_> {
-    fn predict(&self, tx: [f64; 3]) -> Image {
-        self.predict_timed(tx).0
+    fn predict(&self, query: Query<'_>) -> Image {
+        self.predict_timed(query).0
     }
 }
 
@@ -136,66 +146,62 @@ impl<'a> Member<'a> {
         let rows = stages.drawable(&model.cloud, None);
         let all = rows.len() == model.cloud.len();
         let cloud = if all { Cow::Borrowed(&model.cloud) } else { Cow::Owned(model.cloud.select(&rows)) };
-        let deformation = stages.deformation.prepare(&model.weights, &cloud.means, &stages.pose);
-        let still = (!stages.deformation.varies_geometry())
-            .then(|| Arc::new(stages.geometry(&cloud, &Deltas::default(), 0, None)));
-        Self { model, cloud, deformation, still }
+        let ready = stages.method.prepare(&stages.frame, &stages.parameters(&cloud, &model.weights));
+        Self { model, cloud, ready }
     }
 
-    fn predict(&self, tx: [f64; 3]) -> (Image, StageTimes) {
+    fn predict(&self, query: Query<'_>) -> (Image, StageTimes) {
         let start = Instant::now();
-        let (image, times) = if self.cloud.len() < POOL { self.stages(tx) } else { rayon::scope(|_| self.stages(tx)) };
-        (image, StageTimes { total: start.elapsed().as_secs_f64(), ..times })
+        let one = || self.observations(&[query]);
+        let (mut images, times) = if self.cloud.len() < POOL { one() } else { rayon::scope(|_| one()) };
+        (images.remove(0), StageTimes { total: start.elapsed().as_secs_f64(), ..times })
     }
 
-    /// Network, projection, blending, readout.
-    fn stages(&self, tx: [f64; 3]) -> (Image, StageTimes) {
-        let start = Instant::now();
-        let deltas = self.deform(&[tx]);
-        let network = start.elapsed().as_secs_f64();
-        let (mut images, times) = self.draw(&deltas, 0..1);
-        (images.remove(0), StageTimes { network, ..times })
+    /// A group of links at a time: they share a projection, or at least the network's work, and each its thread.
+    fn predict_many(&self, queries: &[Query<'_>]) -> Vec<Image> {
+        queries.chunks(GROUP).flat_map(|group| self.observations(group).0).collect()
     }
 
-    /// A group of transmitters at a time: they share a projection, or at least the network's work, and each its thread.
-    fn predict_many(&self, txs: &[[f64; 3]]) -> Vec<Image> {
-        let group = |txs: &[[f64; 3]]| {
-            let deltas = self.deform(txs);
-            let draw = |batch: Range<usize>| self.draw(&deltas, batch).0;
-            match self.still {
-                Some(_) => draw(0..txs.len()),
-                None => (0..txs.len()).into_par_iter().flat_map_iter(|b| draw(b..b + 1)).collect(),
-            }
-        };
-        txs.chunks(GROUP).flat_map(group).collect()
-    }
-
-    fn deform(&self, txs: &[[f64; 3]]) -> Deltas {
+    /// Links of one call.
+    fn observations(&self, queries: &[Query<'_>]) -> (Vec<Image>, StageTimes) {
         let Model { stages, weights, .. } = self.model;
-        let txs: Vec<[Real; 3]> = txs.iter().map(|tx| stages.origin.local(*tx)).collect();
-        stages.deformation.forward_prepared(weights, &self.cloud.means, &txs, &stages.pose, &self.deformation)
-    }
-
-    /// Pictures of the transmitters `batch` of `deltas`, which share the geometry of the first.
-    fn draw(&self, deltas: &Deltas, batch: Range<usize>) -> (Vec<Image>, StageTimes) {
-        let start = Instant::now();
-        let Stages { readout, plane, .. } = &self.model.stages;
-        let drawing = self.model.stages.draw(&self.cloud, deltas, batch, None, self.still.as_ref());
-        let pixels = plane.width * plane.height;
-        let image = |pixels| Image { width: plane.width, height: plane.height, pixels };
-        let grey = readout.forward(&drawing.render.pixels, pixels);
-        let images = match grey.len() / pixels.max(1) {
-            1 => vec![image(grey)], // moved, not copied
-            _ => grey.chunks_exact(pixels).map(|p| image(p.to_vec())).collect(),
+        let (conditions, links) = asked(stages, queries);
+        let asked = Asked { conditions: Conditions::new(stages.method.inputs(), &conditions), links: &links };
+        let parameters = stages.parameters(&self.cloud, weights);
+        let (numbers, times) = stages.method.predict(&stages.frame, &parameters, &asked, &self.ready);
+        let ImagePlane { width, height, .. } = stages.plane;
+        let image = |pixels| Image { width, height, pixels };
+        let images = if queries.len() == 1 {
+            vec![image(numbers)] // moved, not copied
+        } else {
+            numbers.chunks_exact(width * height).map(|p| image(p.to_vec())).collect()
         };
-        let [projection, sort] = if self.still.is_some() { [0.0; 2] } else { drawing.geometry.seconds };
-        let blending = start.elapsed().as_secs_f64() - projection - sort;
-        (images, StageTimes { projection, sort, blending, ..StageTimes::default() })
+        (images, times)
     }
 }
 
-/// One picture as it is, or the mean of several, each clamped to [0, 1].
-fn mean(pictures: Vec<Image>) -> Image {
+/// What a method is told of these links: transmitters that follow one another are told once.
+fn asked(stages: &Stages, queries: &[Query<'_>]) -> (Vec<Real>, Vec<Link>) {
+    let mut conditions: Vec<Real> = Vec::new();
+    let mut links: Vec<Link> = Vec::with_capacity(queries.len());
+    let mut last: Option<&Query<'_>> = None;
+    for query in queries {
+        if last.is_none_or(|last| (last.tx, last.features) != (query.tx, query.features)) {
+            if query.features.is_empty() {
+                conditions.extend(stages.origin.local(query.tx));
+            } else {
+                conditions.extend_from_slice(query.features);
+            }
+        }
+        let transmitter = conditions.len() / stages.method.inputs().max(1) - 1;
+        links.push(Link { transmitter, receiver: query.receiver.min(stages.receivers.len() - 1) });
+        last = Some(query);
+    }
+    (conditions, links)
+}
+
+/// One observation as it is, or the mean of several; pictures each clamped to [0, 1].
+fn mean(pictures: Vec<Image>, kind: Kind) -> Image {
     let share = 1.0 / pictures.len() as Real;
     let mut pictures = pictures.into_iter();
     let mut mean = pictures.next().expect("a model or more");
@@ -203,6 +209,13 @@ fn mean(pictures: Vec<Image>) -> Image {
         return mean;
     }
     let sum = mean.pixels.as_mut_slice();
+    if kind != Kind::Spectrum {
+        sum.iter_mut().for_each(|v| *v *= share);
+        for other in pictures {
+            sum.iter_mut().zip(&other.pixels).for_each(|(sum, v)| *sum += v * share);
+        }
+        return mean;
+    }
     pulp::Arch::new().dispatch(
         #[inline(always)]
         || {

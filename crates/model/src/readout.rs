@@ -1,6 +1,6 @@
 //! Readout: from blended signals to a spectrum, and back.
 
-use pwrfgs_core::{Documented, Real};
+use pwrfgs_core::{Documented, Kind, Real};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -20,12 +20,42 @@ pub enum Readout {
     /// All zero, without derivative, where all directions are equally strong. Differentiable wherever the smallest and
     /// the largest pixel are the only ones; of several, the first counts.
     MinMax,
+    /// A received power in dBm: 10 log₁₀ of c₀² + c₁² summed over a whole sky, times solid angle, and an offset that is
+    /// learned for each receiver. The sky is drawn in pixels of so many degrees.
+    Received {
+        /// Sides of a pixel, degrees: a divisor of 180.
+        #[serde(default = "sky_deg")]
+        sky_deg: u32,
+    },
+}
+
+/// A power needs no finer sky.
+fn sky_deg() -> u32 {
+    10
 }
 
 /// A picture whose values differ by less than this share of the largest shows nothing but rounding.
 const NO_CONTRAST: Real = 1e-6;
 
 impl Readout {
+    /// What it gives.
+    pub fn kind(self) -> Kind {
+        if matches!(self, Self::Received { .. }) { Kind::Power } else { Kind::Spectrum }
+    }
+
+    /// Refuses a sky that has no whole number of pixels.
+    ///
+    /// # Errors
+    /// What to give.
+    pub fn check(self) -> Result<(), String> {
+        match self {
+            Self::Received { sky_deg } if sky_deg == 0 || !180u32.is_multiple_of(sky_deg) || sky_deg > 60 => {
+                Err(format!("readout: `sky_deg` is {sky_deg}; give a divisor of 180 up to 60, such as 10"))
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Channels a transmitter needs.
     pub fn channels(self) -> usize {
         if self == Self::Real { 1 } else { 2 }

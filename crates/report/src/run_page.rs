@@ -72,7 +72,7 @@ fn examples(results: &Results<'_>) -> (Vec<Value>, f64) {
     let distances = samples::nearest_train(results.data, results.partition);
     let example = |(example, error): (&Example, &Image)| {
         let Example { which, sample: index, ssim, truth, prediction } = example;
-        let sample = &results.data.samples[*index];
+        let sample = &results.data.sample(*index);
         let marks = [Mark::Measured(truth.argmax()), Mark::Predicted(prediction.argmax())];
         let plane = results.model.plane();
         let panel = |name: &str, image: &Image, scale, marks: &[Mark]| {

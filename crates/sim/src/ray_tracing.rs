@@ -4,7 +4,7 @@ use crate::perturb::{Errors, perturbed};
 use crate::scene::Scene;
 use crate::simulator::{HEIGHT, Simulator, WIDTH};
 use glam::DVec3;
-use pwrfgs_core::{Baseline, Dataset, Documented, Elevation, Error, Image, Known, Predict, Result};
+use pwrfgs_core::{Baseline, Dataset, Documented, Elevation, Error, Image, Known, Predict, Query, Result};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -173,7 +173,8 @@ struct Traced {
 }
 
 impl Predict for Traced {
-    fn predict(&self, tx: [f64; 3]) -> Image {
+    fn predict(&self, query: Query<'_>) -> Image {
+        let tx = query.tx;
         // Another draw for every position, and none of those that the data have: these count from 0.
         let draw = tx
             .iter()

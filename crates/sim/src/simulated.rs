@@ -74,7 +74,7 @@ impl Simulated {
         } else {
             Arrays { root, points, elevation: None }.load(Path::new(""), &nobody)?
         };
-        if data.samples.len() != self.samples || data.scene.points.len() != self.points {
+        if data.len() != self.samples || data.scene.points.len() != self.points {
             return Err(Error::input(folder, "holds another number of spectra or points than were simulated"));
         }
         data.title = clean(&format!("{} (simulated)", recipe.scene.name));

@@ -95,7 +95,7 @@ fn a_kept_data_set_is_used_only_while_it_is_whole() {
             Plugin::<dyn DataSource>::parse(&text).unwrap().load(Path::new(""), &|_, _| {})
         };
         let data = cache::open_or_make(&recipe, Some(&root), &count, read).unwrap();
-        let spectra: Vec<Vec<u8>> = (0..data.samples.len()).map(|i| data.spectra.raw(i).into_owned()).collect();
+        let spectra: Vec<Vec<u8>> = (0..data.len()).map(|i| data.observations.raw(i).into_owned()).collect();
         (spectra, simulated.swap(0, Ordering::Relaxed) > 0)
     };
     let (truth, made) = load();
@@ -139,7 +139,7 @@ fn an_array_holds_what_the_pictures_hold() {
     let [a, b] = [load("Nerf2Spectrum", Layout::Pictures), load("Arrays", Layout::Array)];
     assert!(b.is_simulated() && a.simulation == b.simulation && a.official == b.official);
     for i in 0..12 {
-        assert!(a.spectra.raw(i) == b.spectra.raw(i) && a.samples[i].tx == b.samples[i].tx);
+        assert!(a.observations.raw(i) == b.observations.raw(i) && a.sample(i).tx == b.sample(i).tx);
     }
     // Names have five digits; an array has no names.
     let many = Recipe::read(&folder.path().join("small.ron"), 100_000, 0, 0).unwrap();
@@ -206,7 +206,7 @@ fn ray_tracing_in_the_exact_scene_is_the_generator() {
         let baseline: Plugin<dyn Baseline> = Plugin::parse(text).unwrap();
         let predictor = baseline.fit(&data, Known::default()).unwrap();
         assert!(predictor.knows_scene());
-        (predictor.predict(data.samples[i].tx), predictor.note())
+        (predictor.predict(data.query(i)), predictor.note())
     };
     for i in 0..10 {
         let (exact, note) = predict("RayTracing()", i);
@@ -237,7 +237,7 @@ fn ray_tracing_in_the_exact_scene_is_the_generator() {
     assert!(knows(&read, "small.ron") && !knows(&read, "other.ron"));
     let baseline: Plugin<dyn Baseline> = Plugin::parse("RayTracing()").unwrap();
     let exact = baseline.fit(&read, Known::default()).unwrap();
-    assert!(exact.knows_scene() && exact.predict(read.samples[3].tx) == data.image(3));
+    assert!(exact.knows_scene() && exact.predict(read.query(3)) == data.image(3));
     // Data that were not simulated need a scene by name.
     let measured = Dataset { simulation: None, ..data.clone() };
     assert!(!knows(&measured, "small.ron"));

@@ -1,23 +1,32 @@
-//! `Batches`: which transmitters a step sees, and the pixels of their spectra that it compares.
+//! `Batches`: which transmitters a step sees, and what was observed of their links.
 
 use crate::Pipeline;
 use crate::graph::Batch;
-use pwrfgs_core::{Dataset, Elevation, Error, ImagePlane, Real, Result, rng};
+use pwrfgs_core::{Dataset, Elevation, Error, ImagePlane, Kind, Link, Real, Result, rng};
 use pwrfgs_model::Stages;
 use rayon::prelude::*;
+use std::ops::Range;
 
-/// The training part: every sample once an epoch, in an order of its own each epoch.
+/// The training part: every transmitter once an epoch with all its links, in an order of its own each epoch.
 #[derive(Debug)]
 pub(crate) struct Batches {
     train: Vec<usize>,
-    /// The epoch at hand and its order of samples.
+    /// The links of each transmitter, as places in `train`.
+    transmitters: Vec<Range<usize>>,
+    /// The epoch at hand and its order of transmitters.
     order: (u64, Vec<usize>),
 }
 
 impl Batches {
-    /// Of the samples `train`.
-    pub(crate) fn new(train: Vec<usize>) -> Self {
-        Self { train, order: (u64::MAX, Vec::new()) }
+    /// Of the links `train` of `data`, sorted.
+    pub(crate) fn new(data: &Dataset, train: Vec<usize>) -> Self {
+        let same = |a: &usize, b: &usize| data.links[*a].transmitter == data.links[*b].transmitter;
+        let mut begin = 0;
+        let transmitters = train.chunk_by(same).map(|links| {
+            begin += links.len();
+            begin - links.len()..begin
+        });
+        Self { transmitters: transmitters.collect(), train, order: (u64::MAX, Vec::new()) }
     }
 
     /// The training part.
@@ -25,46 +34,66 @@ impl Batches {
         &self.train
     }
 
-    /// The transmitters of `step`, each moved a little, and of their spectra the pixels that `stages` draw.
+    /// Transmitters of the training part.
+    pub(crate) fn transmitters(&self) -> usize {
+        self.transmitters.len()
+    }
+
+    /// The transmitters of `step`, each moved a little, and what was observed of their links: of spectra the pixels that
+    /// `stages` draw.
     ///
     /// # Errors
     /// Where a spectrum cannot be read.
     pub(crate) fn of_step(&mut self, step: u64, pipeline: &Pipeline, data: &Dataset, stages: &Stages) -> Result<Batch> {
         let settings = &pipeline.training;
-        let (seed, n) = (pipeline.seed, self.train.len() as u64);
+        let (seed, n) = (pipeline.seed, self.transmitters.len() as u64);
         let mut jitter = rng::stream(seed, "jitter", step);
-        let mut batch = Batch { txs: Vec::new(), truths: Vec::new() };
-        let mut samples = Vec::with_capacity(settings.batch);
+        let mut batch = Batch { width: stages.method.inputs(), ..Batch::default() };
+        let mut links = Vec::with_capacity(settings.batch);
         for k in 0..settings.batch as u64 {
             let drawn = (step - 1) * settings.batch as u64 + k;
             if self.order.0 != drawn / n {
-                let mut order = self.train.clone();
+                let mut order: Vec<usize> = (0..self.transmitters.len()).collect();
                 rng::shuffle(&mut rng::stream(seed, "batches", drawn / n), &mut order);
                 self.order = (drawn / n, order);
             }
-            let i = self.order.1[(drawn % n) as usize];
-            let tx = data.scene.origin.local(data.samples[i].tx);
-            batch.txs.push(tx.map(|x| x + settings.tx_jitter_m * rng::normal(&mut jitter)));
-            samples.push(i);
+            let own = &self.train[self.transmitters[self.order.1[(drawn % n) as usize]].clone()];
+            for (place, &i) in own.iter().enumerate() {
+                let query = data.query(i);
+                if !query.features.is_empty() {
+                    batch.conditions.extend_from_slice(query.features); // a link's own
+                } else if place == 0 {
+                    let tx = data.scene.origin.local(query.tx);
+                    batch.conditions.extend(tx.map(|x| x + settings.tx_jitter_m * rng::normal(&mut jitter)));
+                }
+                let transmitter = batch.conditions.len() / batch.width.max(1) - 1;
+                batch.links.push(Link { transmitter, receiver: query.receiver });
+                links.push(i);
+            }
         }
-        let ImagePlane { width, height, .. } = stages.plane;
-        let (pixels, stride) = (width * height, settings.stride);
-        batch.truths.resize(samples.len() * pixels, 0.0);
-        batch.truths.par_chunks_exact_mut(pixels).zip(&samples).for_each(|(truth, &i)| {
-            data.spectra.coarse(i, stride, truth);
+        let numbers = stages.numbers();
+        let stride = if data.kind() == Kind::Spectrum { settings.stride } else { 1 };
+        batch.truths.resize(links.len() * numbers, 0.0);
+        batch.truths.par_chunks_exact_mut(numbers).zip(&links).for_each(|(truth, &i)| {
+            data.observations.coarse(i, stride, truth);
             if stride > 1 {
-                stages.readout.restrict(truth);
+                stages.method.restrict(truth);
             }
         });
-        data.spectra.check()?;
+        data.observations.check()?;
         Ok(batch)
     }
 }
 
 /// The plane of every `stride`-th row and column of `plane`.
-pub(crate) fn coarse(plane: &ImagePlane, pipeline: &Pipeline, elevation: Elevation) -> Result<ImagePlane> {
+pub(crate) fn coarse(
+    plane: &ImagePlane,
+    pipeline: &Pipeline,
+    elevation: Elevation,
+    kind: Kind,
+) -> Result<ImagePlane> {
     let (width, height, stride) = (plane.width, plane.height, pipeline.training.stride);
-    if stride == 1 {
+    if stride == 1 || kind != Kind::Spectrum {
         return Ok(plane.clone());
     }
     if !(width.is_multiple_of(stride) && height.is_multiple_of(stride)) {

@@ -3,7 +3,6 @@
 use crate::Pipeline;
 use crate::batches::Batches;
 use crate::graph::loss_and_gradients;
-use crate::loss::RenderingLoss;
 use crate::trainer::Trainer;
 use pwrfgs_core::{GaussianCloud, Moment, Real, Result};
 use std::sync::Arc;
@@ -65,14 +64,12 @@ impl Trainer<'_> {
         let step = self.done + 1;
         let moment = Moment { step, phase: self.phase(step), seed: self.pipeline.seed };
         let batch =
-            Batches::new(self.batches().train().to_vec()).of_step(step, &self.pipeline, self.data, &self.stages)?;
-        let settings = &self.pipeline.training;
-        let objective = RenderingLoss::strided(settings.loss.ssim_weight, settings.stride);
+            Batches::new(self.data, self.batches().train().to_vec()).of_step(step, &self.pipeline, self.data, &self.stages)?;
         let mut shortest = f64::INFINITY;
         for _ in 0..2 {
             let start = Instant::now();
             let (stages, weights) = (&self.stages, Arc::clone(&self.weights));
-            rayon::scope(|_| loss_and_gradients(stages, &cloud, &weights, &batch, &objective, &[], &moment))?;
+            rayon::scope(|_| loss_and_gradients(stages, &cloud, &weights, &batch, &*self.objective, &[], &moment))?;
             shortest = shortest.min(start.elapsed().as_secs_f64());
         }
         Ok(shortest)

@@ -5,7 +5,7 @@ use crate::settings::Training;
 use crate::trainer::specs_of;
 use pwrfgs_core::files::digest;
 use pwrfgs_core::plugin::ron_options;
-use pwrfgs_core::{Dataset, Real, Sample};
+use pwrfgs_core::{Dataset, Observations, Real, Sample};
 use rayon::prelude::*;
 
 /// Samples whose digests are taken together.
@@ -22,27 +22,36 @@ pub(crate) fn fingerprint(pipeline: &Pipeline, data: &Dataset, train: &[usize]) 
         ..Training::clone(&pipeline.training)
     };
     let p = pipeline;
-    let (stages, pruners) = ((&p.projector, &p.rasterizer, &p.deformation, p.calibration, p.readout), &p.pruners);
+    let stages = (&p.method, &p.projector, &p.rasterizer, &p.deformation, p.calibration, p.readout);
+    let pruners = &p.pruners;
     let said = ron_options().to_string(&(p.seed, &p.initializer, stages, pruners, training)).expect("plain data");
     let columns: Vec<_> = specs_of(pipeline).into_iter().map(|spec| (spec.name, spec.width)).collect();
     let parts = [said, format!("{columns:?} {train:?} {}", size_of::<Real>()), of_data(data)];
     digest(parts.join("\n").as_bytes())
 }
 
-/// Receiver, size, points, and every sample.
+/// Receivers, size, points, and every link.
 fn of_data(data: &Dataset) -> String {
-    let part = |samples: &[(usize, &Sample)]| {
+    let part = |samples: &[(usize, Sample)]| {
         let mut bytes = Vec::new();
         for (i, sample) in samples {
             bytes.extend(sample.tx.iter().flat_map(|v| v.to_le_bytes()));
-            bytes.extend_from_slice(&data.spectra.raw(*i));
+            bytes.extend(data.query(*i).features.iter().flat_map(|v| v.to_le_bytes()));
+            bytes.extend_from_slice(&data.observations.raw(*i));
         }
         digest(&bytes)
     };
-    let samples: Vec<(usize, &Sample)> = data.samples.iter().enumerate().collect();
+    let samples: Vec<(usize, Sample)> = data.samples().enumerate().collect();
     let parts: Vec<String> = samples.par_chunks(CHUNK).map(part).collect();
     let points: Vec<u8> = data.scene.points.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
     let scene = &data.scene;
-    let frame = format!("{:?} {:?} {:?} {} {}", scene.receiver, scene.origin, data.elevation, data.width, data.height);
+    let frequencies = match &data.observations {
+        Observations::Channels(channels) => channels.frequencies_hz.as_slice(),
+        _ => &[],
+    };
+    let links = digest(format!("{:?}", data.links).as_bytes());
+    let size = (data.width, data.height, data.elevation);
+    let frame =
+        format!("{:?} {:?} {:?} {size:?} {frequencies:?} {links}", data.kind(), scene.receivers, scene.origin);
     [frame, digest(&points), parts.join(" ")].join(" ")
 }

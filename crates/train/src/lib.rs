@@ -22,9 +22,9 @@ mod trainer;
 pub use draft::Draft;
 pub use estimate::{Estimate, network_bytes};
 pub use graph::{Batch, LossAndGradients, loss_and_gradients};
-pub use loss::RenderingLoss;
+pub use loss::{ChannelLoss, LinkLoss, Objective, RenderingLoss};
 pub use pipeline::{Pipeline, PipelineFields, PipelinePatch};
 pub use settings::{
-    Densify, DensifyPatch, Loss, LossPatch, Optimizer, OptimizerPatch, Schedule, Training, TrainingPatch,
+    Densify, DensifyPatch, Loss, LossPatch, Optimizer, OptimizerPatch, PowerLoss, Schedule, Training, TrainingPatch,
 };
 pub use trainer::{StepReport, Trainer};

@@ -1,10 +1,80 @@
-//! The rendering loss of eq. (9): (1-w)·L1 + w·(1-SSIM), averaged over the transmitters of a batch.
+//! What training makes small, a loss for each kind of observation.
 
-use pwrfgs_core::Real;
+use crate::settings::{PowerLoss, Training};
+use pwrfgs_core::{Dataset, Kind, Real};
 use pwrfgs_core::ssim::{self, Window};
 use rayon::prelude::*;
 
-/// w of eq. (9), and the window of the trained SSIM.
+/// A loss of predictions against truths.
+pub trait Objective: std::fmt::Debug + Send + Sync {
+    /// Loss of predictions `[L, numbers]` against truths `[L, numbers]`, averaged over links, and its derivative in the
+    /// predictions. `size` is columns and rows of one observation.
+    fn evaluate(&self, predictions: &[Real], truths: &[Real], size: (usize, usize)) -> (Real, Vec<Real>);
+}
+
+/// The objective that `settings` give for `data`, of which `train` is learned.
+pub(crate) fn objective(settings: &Training, data: &Dataset, train: &[usize]) -> Box<dyn Objective> {
+    match data.kind() {
+        Kind::Spectrum => Box::new(RenderingLoss::strided(settings.loss.ssim_weight, settings.stride)),
+        Kind::Power => Box::new(LinkLoss { power: settings.loss.power }),
+        Kind::Channel => Box::new(ChannelLoss::of(data, train)),
+    }
+}
+
+/// The error of received powers, dB or dB².
+#[derive(Clone, Copy, Debug)]
+pub struct LinkLoss {
+    /// How errors count.
+    pub power: PowerLoss,
+}
+
+impl Objective for LinkLoss {
+    fn evaluate(&self, predictions: &[Real], truths: &[Real], _: (usize, usize)) -> (Real, Vec<Real>) {
+        let share = 1.0 / predictions.len().max(1) as Real;
+        let mut loss = 0.0;
+        let errors = predictions.iter().zip(truths).map(|(p, t)| p - t);
+        let d = errors.map(|error| match self.power {
+            PowerLoss::Absolute => {
+                loss += share * error.abs();
+                if error == 0.0 { 0.0 } else { share.copysign(error) }
+            }
+            PowerLoss::Squared => {
+                loss += share * error * error;
+                2.0 * share * error
+            }
+        });
+        let d = d.collect();
+        (loss, d)
+    }
+}
+
+/// The squared error of channels over the mean squared channel: -10 log₁₀ of it is an SNR.
+#[derive(Clone, Copy, Debug)]
+pub struct ChannelLoss {
+    /// Σ|h|² of a link, in the mean.
+    pub mean_energy: Real,
+}
+
+impl ChannelLoss {
+    /// Relative to the links `train` of `data`.
+    pub fn of(data: &Dataset, train: &[usize]) -> Self {
+        let energy = |i: &usize| data.image(*i).pixels.iter().map(|v| f64::from(*v as f32).powi(2)).sum::<f64>();
+        let mean = train.iter().map(energy).sum::<f64>() / train.len().max(1) as f64;
+        Self { mean_energy: if mean > 0.0 { mean as Real } else { 1.0 } }
+    }
+}
+
+impl Objective for ChannelLoss {
+    fn evaluate(&self, predictions: &[Real], truths: &[Real], (width, height): (usize, usize)) -> (Real, Vec<Real>) {
+        let links = (predictions.len() / (width * height).max(1)).max(1) as Real;
+        let share = 1.0 / (links * self.mean_energy);
+        let errors = || predictions.iter().zip(truths).map(|(p, t)| p - t);
+        let loss: Real = errors().map(|error| share * error * error).sum();
+        (loss, errors().map(|error| 2.0 * share * error).collect())
+    }
+}
+
+/// The rendering loss of eq. (9): (1-w)·L1 + w·(1-SSIM), averaged over the spectra of a batch. w, and the window of the trained SSIM.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RenderingLoss {
     /// Weight of 1-SSIM; L1 has the rest.
@@ -27,14 +97,10 @@ impl RenderingLoss {
             Self { ssim_weight, window: Window::new(1.5 / stride as f64) }
         }
     }
+}
 
-    /// Loss of predictions `[B, H·W]` against truths `[B, H·W]`, and its derivative in the predictions.
-    pub fn evaluate(
-        &self,
-        predictions: &[Real],
-        truths: &[Real],
-        (width, height): (usize, usize),
-    ) -> (Real, Vec<Real>) {
+impl Objective for RenderingLoss {
+    fn evaluate(&self, predictions: &[Real], truths: &[Real], (width, height): (usize, usize)) -> (Real, Vec<Real>) {
         let (pixels, ssim_weight) = (width * height, self.ssim_weight);
         let batch = (predictions.len() / pixels) as Real;
         let mut d = vec![0.0; predictions.len()];

@@ -6,10 +6,10 @@ use pwrfgs_core::docs::Kind;
 use pwrfgs_core::plugin::{Checked, Plugin, default_of, read_ron, try_to_ron};
 use pwrfgs_core::ron_tree::Tree;
 use pwrfgs_core::{
-    Baseline, DataSource, Dataset, Deformation, Documented, Error, Initializer, Metric, Partition, Projector, Pruner,
-    Rasterizer, Result, Split, rng,
+    Baseline, DataSource, Dataset, Deformation, Documented, Error, ImagePlane, Initializer, Method, Metric,
+    Partition, Projector, Pruner, Rasterizer, Result, Split, rng,
 };
-use pwrfgs_model::{Calibration, Readout, check_together};
+use pwrfgs_model::{Calibration, Readout, Splatting, check_together};
 use ron::value::RawValue;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -32,6 +32,9 @@ pub struct Pipeline {
     pub data: Plugin<dyn DataSource>,
     /// Training, validation and test.
     pub split: Plugin<dyn Split>,
+    /// The way from Gaussians to observations; left out, they are drawn as splats by the five fields that follow the
+    /// initializer.
+    pub method: Option<Plugin<dyn Method>>,
     /// Where the Gaussians start.
     pub initializer: Plugin<dyn Initializer>,
     /// From space to the picture.
@@ -72,6 +75,7 @@ pub struct PipelineFields<T> {
     pub split_seed: Option<u64>,
     pub data: Option<Plugin<dyn DataSource>>,
     pub split: Option<Plugin<dyn Split>>,
+    pub method: Option<Plugin<dyn Method>>,
     pub initializer: Option<Plugin<dyn Initializer>>,
     pub projector: Option<Plugin<dyn Projector>>,
     pub rasterizer: Option<Plugin<dyn Rasterizer>>,
@@ -127,6 +131,7 @@ impl TryFrom<PipelineFields<Checked<Training>>> for Pipeline {
             split_seed: given.split_seed,
             data: given.data.ok_or_else(|| missing("data"))?,
             split: or_default("split", given.split)?,
+            method: given.method,
             initializer: given.initializer.ok_or_else(|| missing("initializer"))?,
             projector: or_default("projector", given.projector)?,
             rasterizer: or_default("rasterizer", given.rasterizer)?,
@@ -208,6 +213,32 @@ impl Pipeline {
         self.set_all(&[argument])
     }
 
+    /// The way from Gaussians to observations.
+    pub fn method(&self) -> Plugin<dyn Method> {
+        let splatting = || Splatting {
+            deformation: self.deformation.clone(),
+            projector: self.projector.clone(),
+            rasterizer: self.rasterizer.clone(),
+            calibration: self.calibration,
+            readout: self.readout,
+        };
+        self.method.clone().unwrap_or_else(|| Plugin::from(Box::new(splatting()) as Box<dyn Method>))
+    }
+
+    /// The numbers of one observation of `data`: of spectra, the picture as the projector draws it.
+    ///
+    /// # Errors
+    /// Where the projector cannot draw it.
+    pub fn plane(&self, data: &Dataset) -> Result<ImagePlane> {
+        if data.kind() != pwrfgs_core::Kind::Spectrum || self.method.is_some() {
+            return Ok(data.plane());
+        }
+        let plane = self.projector.plane_of(data.width, data.height, data.elevation);
+        let plane = plane.map_err(|why| Error::Config(format!("the projector {why}")))?;
+        self.rasterizer.check_plane(&plane).map_err(|why| Error::Config(format!("rasterizer: {why}")))?;
+        Ok(plane)
+    }
+
     /// How its split divides `data`.
     ///
     /// # Errors
@@ -251,9 +282,20 @@ impl Pipeline {
                 shortened(&self.name)
             ));
         }
+        self.readout.check()?;
+        if self.method.as_ref().is_some_and(|method| is_splatting(&**method)) {
+            return Err("method: `Splatting` is what the fields projector, rasterizer, deformation, calibration and readout \
+                        say; leave `method` out"
+                .into());
+        }
         let plane = self.projector.plane(360, 90);
         check_together(&*self.rasterizer, self.readout, self.calibration, &plane)
     }
+}
+
+fn is_splatting(method: &dyn Method) -> bool {
+    let method: &dyn std::any::Any = method;
+    method.is::<Splatting>()
 }
 
 #[cfg(test)]

@@ -6,6 +6,16 @@
 use pwrfgs_core::{Documented, Real, plugin::Check};
 use serde::{Deserialize, Serialize};
 
+/// How an error of a received power counts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Documented)]
+pub enum PowerLoss {
+    /// |Δ|, in dB: what the field reports, and deaf to outliers.
+    #[default]
+    Absolute,
+    /// Δ², in dB².
+    Squared,
+}
+
 /// Declares settings with their defaults, and the patch over them: plain fields first, nested settings after.
 macro_rules! settings {
     ($(#[$meta:meta])* $name:ident / $patch:ident = $called:literal {
@@ -103,10 +113,13 @@ impl Schedule {
 }
 
 settings! {
-    /// The rendering loss (1-w)·L1 + w·(1-SSIM).
+    /// What training makes small: of spectra the rendering loss (1-w)·L1 + w·(1-SSIM), of powers an error in dB, of channels
+    /// the squared error over the mean squared channel of the training part.
     Loss / LossPatch = "Loss" {
-        /// w of eq. (9), between 0 and 1.
+        /// w of eq. (9), between 0 and 1; spectra only.
         ssim_weight: Real = 0.2,
+        /// How errors of a received power count.
+        power: PowerLoss = PowerLoss::Absolute,
     }
 }
 
@@ -183,7 +196,7 @@ settings! {
         /// is done to them: 0.25 for a quarter of the training in the same proportions. Counts are rounded, and those
         /// above 0 stay at least 1.
         scale: f64 = 1.0,
-        /// Transmitters a step.
+        /// Transmitters a step, each with all its links of the training part.
         batch: usize = 1,
         /// `M_d`: densification ends after this step.
         densify_until: u64 = 20_000,
@@ -207,7 +220,7 @@ settings! {
         /// Steps between two checkpoints.
         checkpoint_every: u64 = 1_000,
         ;
-        /// The rendering loss.
+        /// What is made small.
         loss: Loss / LossPatch,
         /// Learning rates.
         optimizer: Optimizer / OptimizerPatch,

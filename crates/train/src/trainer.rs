@@ -6,12 +6,12 @@ use crate::densify;
 use crate::edit;
 use crate::fingerprint::fingerprint;
 use crate::graph::loss_and_gradients;
-use crate::loss::RenderingLoss;
+use crate::loss::{Objective, objective};
 use crate::pipeline::Pipeline;
 use pwrfgs_core::tape::{Traced, values};
 use pwrfgs_core::{
-    CloudStats, ColumnSpec, Dataset, Error, ExtraColumn, GaussianCloud, ImagePlane, Moment, Partition, Phase, Real,
-    Result, rng,
+    CloudStats, ColumnSpec, Dataset, Error, ExtraColumn, Frame, GaussianCloud, ImagePlane, Method, Moment, Partition, Phase,
+    Real, Result, rng,
 };
 use pwrfgs_model::{Model, Stages};
 use std::sync::{Arc, OnceLock};
@@ -39,6 +39,7 @@ pub struct Trainer<'a> {
     pub(crate) pipeline: Pipeline,
     pub(crate) data: &'a Dataset,
     batches: Batches,
+    pub(crate) objective: Box<dyn Objective>,
     /// As trained: their plane has every `stride`-th row and column.
     pub(crate) stages: Arc<Stages>,
     /// The whole picture.
@@ -60,17 +61,18 @@ impl<'a> Trainer<'a> {
     /// What the initializer lacks, or an empty training part.
     pub fn new(pipeline: &Pipeline, data: &'a Dataset, partition: &Partition) -> Result<Self> {
         let pipeline = &pipeline.resolved()?;
-        let plane = pipeline.projector.plane_of(data.width, data.height, data.elevation);
-        let plane = plane.map_err(|why| Error::Config(format!("the projector {why}")))?;
-        pipeline.rasterizer.check_plane(&plane).map_err(|why| Error::Config(format!("rasterizer: {why}")))?;
+        let plane = pipeline.plane(data)?;
+        let method = pipeline.method();
+        check_inputs(&*method, data)?;
         if partition.train.is_empty() {
             return Err(Error::Config("the training part is empty; use another split".into()));
         }
-        if pipeline.training.batch > partition.train.len() {
+        let batches = Batches::new(data, partition.train.clone());
+        if pipeline.training.batch > batches.transmitters() {
             return Err(Error::Config(format!(
                 "training.batch is {}, but the training part has {} samples only; give at most so many",
                 pipeline.training.batch,
-                partition.train.len()
+                batches.transmitters()
             )));
         }
         let mut cloud =
@@ -83,24 +85,18 @@ impl<'a> Trainer<'a> {
             let values = vec![spec.init; cloud.len() * spec.width];
             cloud.extra.push(ExtraColumn { name: spec.name.into(), width: spec.width, values });
         }
-        let coarse = coarse(&plane, pipeline, data.elevation)?;
-        let weights = Arc::new(pipeline.deformation.init(&mut rng::stream(pipeline.seed, "network", 0)));
-        let stages = Arc::new(Stages {
-            deformation: pipeline.deformation.clone(),
-            projector: pipeline.projector.clone(),
-            rasterizer: pipeline.rasterizer.clone(),
-            calibration: pipeline.calibration,
-            readout: pipeline.readout,
-            origin: data.scene.origin,
-            pose: data.scene.receiver,
-            plane: coarse,
-        });
+        let coarse = coarse(&plane, pipeline, data.elevation, data.kind())?;
+        let stages = Stages { method, frame: Frame::of(data, coarse) };
+        stages.method.check_frame(&stages.frame).map_err(Error::Config)?;
+        let weights = Arc::new(stages.method.init(&stages.frame, &mut rng::stream(pipeline.seed, "network", 0)));
+        let stages = Arc::new(stages);
         Ok(Self {
             adam: Adam::new(&cloud, &weights),
             stats: CloudStats::zeros(cloud.len()),
             pipeline: pipeline.clone(),
             data,
-            batches: Batches::new(partition.train.clone()),
+            objective: objective(&pipeline.training, data, &partition.train),
+            batches,
             stages,
             plane,
             specs,
@@ -161,14 +157,12 @@ impl<'a> Trainer<'a> {
         let moment = Moment { step, phase: self.phase(step), seed: self.pipeline.seed };
         let batch = self.batches.of_step(step, &self.pipeline, self.data, &self.stages)?;
         let pruners = if moment.phase == Phase::Finetune { Vec::new() } else { self.pipeline.pruners.clone() };
-        let settings = &self.pipeline.training;
-        let objective = RenderingLoss::strided(settings.loss.ssim_weight, settings.stride);
         let window = self.window(step);
         let weights = match &window {
             Some(window) => Arc::new(through(window, &self.weights)),
             None => Arc::clone(&self.weights),
         };
-        let mut found = loss_and_gradients(&self.stages, &self.cloud, &weights, &batch, &objective, &pruners, &moment)?;
+        let mut found = loss_and_gradients(&self.stages, &self.cloud, &weights, &batch, &*self.objective, &pruners, &moment)?;
         drop(weights); // the optimiser then changes them where they are
         if let Some(window) = &window {
             found.d_weights = through(window, &found.d_weights);
@@ -201,7 +195,8 @@ impl<'a> Trainer<'a> {
             cloud = cloud.select(&rows);
         }
         cloud.extra.clear();
-        let stages = Stages { plane: self.plane.clone(), ..Stages::clone(&self.stages) };
+        let mut stages = Stages::clone(&self.stages);
+        stages.frame.plane = self.plane.clone();
         let weights = match self.window(self.done) {
             Some(window) => through(&window, &self.weights),
             None => self.weights.to_vec(),
@@ -213,7 +208,7 @@ impl<'a> Trainer<'a> {
     fn window(&self, step: u64) -> Option<Vec<Real>> {
         let steps = self.pipeline.training.anneal_frequencies;
         let share = step as f64 / steps.max(1) as f64;
-        if steps == 0 || share >= 1.0 { None } else { self.stages.deformation.frequency_window(share) }
+        if steps == 0 || share >= 1.0 { None } else { self.stages.method.frequency_window(share) }
     }
 
     /// Changes N where algorithm 1 says so; gives the Gaussians as they were where pruners take some.
@@ -285,6 +280,24 @@ impl<'a> Trainer<'a> {
         let gates = self.pipeline.pruners.iter().filter_map(|p| p.gate(&traced, moment));
         gates.reduce(|a, b| a * b).map(|gate| values(&gate).into_iter().map(|m| m != 0.0).collect())
     }
+}
+
+/// Refuses data that describe a transmitter by other numbers than the method wants.
+fn check_inputs(method: &dyn Method, data: &Dataset) -> Result<()> {
+    let (wants, has) = (method.inputs(), data.features.as_ref().map_or(3, |features| features.width));
+    if data.features.is_none() && !data.placed {
+        return Err(Error::Config("the data have neither positions nor features of the transmitters".into()));
+    }
+    if wants == has {
+        return Ok(());
+    }
+    let what = |n: usize, features: bool| if features { format!("{n} features") } else { "a position".to_owned() };
+    Err(Error::Config(format!(
+        "the method wants {} of a transmitter, and the data give {}; {}",
+        what(wants, wants != 3),
+        what(has, data.features.is_some()),
+        if data.features.is_some() { format!("give deformation: Factored(tx_encoding: Features({has}))") } else { "leave `Features` out".into() }
+    )))
 }
 
 /// Weights, or their derivatives, as far as the window lets them in.

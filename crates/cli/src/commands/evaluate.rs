@@ -59,7 +59,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
     let (data, partition) = load_data(&pipeline, Path::new(""), &mut progress)?;
     if verbosity != Verbosity::Quiet {
         output::note(&format!("{}: scoring {} test spectra", data.title, partition.test.len()));
-        if data.scene.origin.world_pose(data.scene.receiver) != ensemble.members()[0].stages.receiver() {
+        if data.scene.origin.world_pose(data.scene.pose()) != ensemble.members()[0].stages.frame.receiver() {
             output::note("warning: these data have another receiver pose than the model was trained with");
         }
     }

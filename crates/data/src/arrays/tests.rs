@@ -53,9 +53,9 @@ fn a_good_folder_is_read() {
     let folder = Folder::new();
     let data = folder.try_load().unwrap();
     assert_eq!((data.title.as_str(), data.width, data.height), ("s (measured, arrays)", 3, 2));
-    assert_eq!((data.samples[3].id, data.samples[3].tx), (4, [9.0, 10.0, 11.0]));
-    assert_eq!(data.spectra.raw(3).as_ref(), [18, 19, 20, 21, 22, 23]);
-    assert!(data.official.is_none() && data.spectra.bytes_in_memory() == 24);
+    assert_eq!((data.sample(3).id, data.sample(3).tx), (4, [9.0, 10.0, 11.0]));
+    assert_eq!(data.observations.raw(3).as_ref(), [18, 19, 20, 21, 22, 23]);
+    assert!(data.official.is_none() && data.observations.bytes_in_memory() == 24);
     folder.write("train_index.txt", "1\n2\n4\n");
     folder.write("test_index.txt", "0003\n");
     folder.write("manifest.json", r#"{"simulated": true}"#);
@@ -65,7 +65,7 @@ fn a_good_folder_is_read() {
     // A table does as well as an array.
     fs::remove_file(folder.path("s/tx.npy")).unwrap();
     folder.write("tx_pos.csv", "x,y,z\n0,1,2\n3,4,5\n6,7,8\n9,10,11\n");
-    assert_eq!(folder.try_load().unwrap().samples[3].tx, data.samples[3].tx);
+    assert_eq!(folder.try_load().unwrap().sample(3).tx, data.sample(3).tx);
 }
 
 #[test]
@@ -82,7 +82,7 @@ fn every_kind_of_number_is_read_as_it_is() {
     let header = npy_header(Number::F32, &[4, 3]);
     let text = String::from_utf8_lossy(&header[10..]).replace("False", "True ");
     folder.write("tx.npy", [&header[..10], text.as_bytes(), &tx].concat());
-    assert_eq!(folder.try_load().unwrap().samples[1].tx, [1.0, 5.0, 9.0]);
+    assert_eq!(folder.try_load().unwrap().sample(1).tx, [1.0, 5.0, 9.0]);
 }
 
 #[test]

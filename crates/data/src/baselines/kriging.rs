@@ -8,7 +8,7 @@ use super::nearest::Nearest;
 use super::{all_of, choosing, weighted_mean};
 use correlation::{Correlation, Kind};
 use likelihood::Cases;
-use pwrfgs_core::{Baseline, Dataset, Documented, Image, Known, Predict, Result};
+use pwrfgs_core::{Baseline, Dataset, Documented, Image, Known, Predict, Query, Result};
 use serde::{Deserialize, Serialize};
 
 /// Ordinary kriging: the best linear unbiased prediction of a Gaussian process over the transmitter's position, as maps of
@@ -53,8 +53,8 @@ impl Baseline for Kriging {
         let all = all_of(known)?;
         let (train, validation) = choosing(known);
         let correlation = likelihood::most_likely(&Cases::new(data, train, &validation));
-        data.spectra.check()?;
-        let nearest = Nearest::new(all, |i| correlation.scaled(data.samples[i].tx));
+        data.observations.check()?;
+        let nearest = Nearest::new(all, |i| correlation.scaled(data.sample(i).tx));
         Ok(Box::new(Process { data, nearest, correlation, neighbours: self.neighbours }))
     }
 
@@ -78,10 +78,10 @@ struct Process<'a> {
 }
 
 impl Predict for Process<'_> {
-    fn predict(&self, tx: [f64; 3]) -> Image {
-        let at = self.correlation.scaled(tx);
+    fn predict(&self, query: Query<'_>) -> Image {
+        let at = self.correlation.scaled(query.tx);
         let samples: Vec<usize> = self.nearest.find(at, self.neighbours).1.into_iter().map(|(_, i)| i).collect();
-        let places: Vec<[f64; 3]> = samples.iter().map(|&i| self.correlation.scaled(self.data.samples[i].tx)).collect();
+        let places: Vec<[f64; 3]> = samples.iter().map(|&i| self.correlation.scaled(self.data.sample(i).tx)).collect();
         let weights = system::solve(&self.correlation, &places, at).weights;
         weighted_mean(self.data, &samples.into_iter().zip(weights).collect::<Vec<_>>())
     }

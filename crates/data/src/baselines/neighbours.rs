@@ -3,7 +3,7 @@
 use super::nearest::Nearest;
 use super::{all_of, choosing, weighted_mean};
 use pwrfgs_core::docs::Kind;
-use pwrfgs_core::{Baseline, Dataset, Documented, Image, Known, Predict, Real, Result, evenly, ssim};
+use pwrfgs_core::{Baseline, Dataset, Documented, Image, Known, Predict, Query, Real, Result, evenly, ssim};
 use rayon::prelude::*;
 use ron::value::RawValue;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
@@ -101,7 +101,7 @@ impl Baseline for NearestNeighbours {
             Neighbours::Auto => {
                 let (train, validation) = choosing(known);
                 let k = best(data, train, &evenly(&validation, CHOSEN_ON));
-                data.spectra.check()?;
+                data.observations.check()?;
                 (k, true)
             }
         };
@@ -146,7 +146,7 @@ struct Lookup<'a> {
 
 impl<'a> Lookup<'a> {
     fn new(data: &'a Dataset, samples: Vec<usize>, k: usize) -> Self {
-        Self { data, nearest: Nearest::new(samples, |i| data.samples[i].tx), k, chosen: false }
+        Self { data, nearest: Nearest::new(samples, |i| data.sample(i).tx), k, chosen: false }
     }
 
     /// Samples with their weights: those at `tx` exactly, or else the k nearest.
@@ -161,19 +161,19 @@ impl<'a> Lookup<'a> {
 
     /// SSIM of sample `i` as the nearest predict it, for each number of `choices`, ascending.
     fn scores(&self, i: usize, choices: &[usize]) -> Vec<f64> {
-        let (tx, truth) = (self.data.samples[i].tx, self.data.image(i));
+        let (tx, truth) = (self.data.sample(i).tx, self.data.image(i));
         let neighbours = self.neighbours(tx);
         // Those that stand at the very place all count, whatever k.
-        let exact = neighbours.first().is_some_and(|(j, _)| self.data.samples[*j].tx == tx);
+        let exact = neighbours.first().is_some_and(|(j, _)| self.data.sample(*j).tx == tx);
         let (mut sum, mut total, mut taken) = (vec![0.0; truth.pixels.len()], 0.0, 0);
         let score = |k: &usize| {
             let until = if exact { neighbours.len() } else { *k.min(&neighbours.len()) };
             for (j, weight) in &neighbours[taken..until] {
-                self.data.spectra.add(*j, *weight, &mut sum);
+                self.data.observations.add(*j, *weight, &mut sum);
                 total += weight;
             }
             taken = until;
-            let scale = self.data.spectra.number().full_scale() * total;
+            let scale = self.data.observations.full_scale() * total;
             let pixels = sum.iter().map(|s| (s / scale) as Real).collect();
             ssim::evaluation(&Image { pixels, ..truth }.clamped(), &truth)
         };
@@ -182,8 +182,8 @@ impl<'a> Lookup<'a> {
 }
 
 impl Predict for Lookup<'_> {
-    fn predict(&self, tx: [f64; 3]) -> Image {
-        weighted_mean(self.data, &self.neighbours(tx))
+    fn predict(&self, query: Query<'_>) -> Image {
+        weighted_mean(self.data, &self.neighbours(query.tx))
     }
 
     fn note(&self) -> Option<String> {

@@ -7,7 +7,7 @@ use pwrfgs_core::neighbours::distance;
 use pwrfgs_core::{Pose, Sample, Spectra, rng, ssim};
 
 fn predict(baseline: &dyn Baseline, data: &Dataset, train: &[usize], x: f64) -> f64 {
-    let image = baseline.fit(data, Known::train(train)).unwrap().predict([x, 0.0, 0.0]);
+    let image = baseline.fit(data, Known::train(train)).unwrap().predict([x, 0.0, 0.0].into());
     assert_eq!((image.width, image.height, image.pixels.len()), (1, 1, 1));
     image.pixels[0] as f64 * 255.0
 }
@@ -54,7 +54,7 @@ fn the_nearest_of_thousands_are_found() {
     let places: Vec<[f64; 3]> = (0..5000).map(|i| [f64::from(i * 7919 % 5000), f64::from(i % 3), 0.0]).collect();
     let data = samples_at(&places);
     for k in [1, 3, 700, 5000] {
-        let nearest = Nearest::new((0..5000).collect(), |i| data.samples[i].tx);
+        let nearest = Nearest::new((0..5000).collect(), |i| data.sample(i).tx);
         let tx = [2500.25, 1.0, 0.0];
         let mut all: Vec<(f64, usize)> =
             places.iter().enumerate().map(|(i, place)| (distance(*place, tx), i)).collect();
@@ -62,7 +62,7 @@ fn the_nearest_of_thousands_are_found() {
         assert_eq!(nearest.find(tx, k), (vec![], all[..k].to_vec()), "{k}");
     }
     let same = samples_at(&vec![[1.0; 3]; 3000]);
-    let nearest = Nearest::new((0..3000).collect(), |i| same.samples[i].tx);
+    let nearest = Nearest::new((0..3000).collect(), |i| same.sample(i).tx);
     let (exact, near) = nearest.find([1.0; 3], 2);
     assert_eq!((exact.len(), near), (3000, vec![(0.0, 0), (0.0, 1)]), "all that stand there");
 }
@@ -70,7 +70,7 @@ fn the_nearest_of_thousands_are_found() {
 /// Spectra of two patterns that change over from one to the other along a line, with noise of their own.
 fn noisy_line(noise: f64) -> Dataset {
     let mut random = rng::stream(2, "noise", 0);
-    let samples: Vec<Sample> = (0..200).map(|id| Sample { id, tx: [f64::from(id), 0.0, 0.0] }).collect();
+    let samples: Vec<Sample> = (0..200).map(|id| Sample::new(id, [f64::from(id), 0.0, 0.0])).collect();
     let mut pixels = Vec::new();
     for sample in &samples {
         let part = sample.tx[0] / 200.0;
@@ -104,7 +104,7 @@ fn auto_takes_the_best() {
     let (validation, train): (Vec<usize>, Vec<usize>) = (0..200).partition(|i| i % 8 == 3);
     let score = |k: usize| -> f64 {
         let fitted = k_nearest(k).fit(&data, Known::train(&train)).unwrap();
-        let of = |&i: &usize| ssim::evaluation(&fitted.predict(data.samples[i].tx).clamped(), &data.image(i));
+        let of = |&i: &usize| ssim::evaluation(&fitted.predict(data.query(i)).clamped(), &data.image(i));
         validation.iter().map(of).sum()
     };
     let best =
@@ -115,7 +115,7 @@ fn auto_takes_the_best() {
     // What it predicts it has learned from both parts.
     let known = Known { train: &[0], validation: &[1] };
     let fitted = NearestNeighbours { k: Neighbours::Auto }.fit(&data, known).unwrap();
-    assert_eq!(fitted.predict([1.0, 0.0, 0.0]), data.image(1));
+    assert_eq!(fitted.predict([1.0, 0.0, 0.0].into()), data.image(1));
 }
 
 #[test]

@@ -84,9 +84,9 @@ fn numbers_keep_their_precision() {
         let work = Import { scale: (from == Number::U16).then_some(1.0).filter(|_| false), ..folder.work("s.npy") };
         let (imported, data) = folder.import(&work);
         assert_eq!((imported.shape, imported.number), ([4, 2, 3], to));
-        assert_eq!((0..4).flat_map(|i| data.spectra.raw(i).into_owned()).collect::<Vec<u8>>(), kept);
-        assert_eq!((data.samples[3].id, data.samples[3].tx), (4, [9.0, 10.0, 11.0]));
-        assert_eq!((data.title.as_str(), data.scene.receiver.position), ("mine (measured, arrays)", [5.0, 0.26, 0.0]));
+        assert_eq!((0..4).flat_map(|i| data.observations.raw(i).into_owned()).collect::<Vec<u8>>(), kept);
+        assert_eq!((data.sample(3).id, data.sample(3).tx), (4, [9.0, 10.0, 11.0]));
+        assert_eq!((data.title.as_str(), data.scene.pose().position), ("mine (measured, arrays)", [5.0, 0.26, 0.0]));
     }
     let (_, data) = folder.import(&Import { simulated: true, ..folder.work("s.npy") });
     assert!(data.is_simulated());
@@ -116,7 +116,7 @@ fn pictures_of_8_and_16_bits_are_read() {
     save(2, 8);
     assert!(folder.fault(&folder.work("p")).contains("DIR/p/00002.png: has another depth than 00001.png"));
     (1..=4).for_each(|id| save(id, 8));
-    assert_eq!(folder.import(&folder.work("p")).1.spectra.raw(3)[5], 221);
+    assert_eq!(folder.import(&folder.work("p")).1.observations.raw(3)[5], 221);
     fs::remove_dir_all(folder.path("out")).unwrap();
     save(5, 8);
     assert!(folder.fault(&folder.work("p")).contains("holds 5 pictures, and there are 4 transmitters"));
@@ -140,8 +140,8 @@ fn archives_are_read_stored_and_deflated() {
         }
         archive.finish().unwrap();
         let work = Import { tx: None, ..folder.work("all.npz") };
-        assert_eq!(folder.import(&work).1.spectra.raw(0)[0], 60);
-        assert_eq!(folder.import(&folder.work("all.npz:other")).1.spectra.raw(0)[0], 100);
+        assert_eq!(folder.import(&work).1.observations.raw(0)[0], 60);
+        assert_eq!(folder.import(&folder.work("all.npz:other")).1.observations.raw(0)[0], 100);
         fs::remove_dir_all(folder.path("out")).unwrap();
         let said = folder.fault(&folder.work("all.npz:others"));
         assert!(said.contains("no array `others`; did you mean `other`?") && said.contains("all.npz:NAME"), "{said}");

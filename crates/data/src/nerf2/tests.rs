@@ -65,13 +65,13 @@ fn a_good_folder_is_read() {
     assert_eq!(data.title, "s (measured, NeRF2 layout)");
     assert_eq!((data.width, data.height), (8, 3));
     assert_eq!(
-        data.samples.iter().map(|s| (s.id, s.tx)).collect::<Vec<_>>(),
+        data.samples().map(|s| (s.id, s.tx)).collect::<Vec<_>>(),
         [(1, [1.0, 2.0, 3.0]), (2, [4.0, 5.0, 6.0]), (3, [7.0, 8.0, 9.0])]
     );
-    assert_eq!(data.spectra.raw(1)[..3], [2, 3, 4]);
-    assert_eq!(data.spectra.raw(1)[8], 12);
+    assert_eq!(data.observations.raw(1)[..3], [2, 3, 4]);
+    assert_eq!(data.observations.raw(1)[8], 12);
     assert_eq!(data.official, Some((vec![0, 2], vec![1])));
-    assert_eq!(data.scene.receiver.position, [5.0, 0.26, 0.0]);
+    assert_eq!(data.scene.pose().position, [5.0, 0.26, 0.0]);
     assert_eq!(data.scene.bounds, ([1.0, 0.26, 0.0], [7.0, 8.0, 9.0]));
 }
 
@@ -88,7 +88,7 @@ fn variations_found_in_the_wild_read_the_same() {
         "dataset_name: s\ngateway1: {position: [5, 0.26, 0.0], orientation: [0, 0, 0, 1.0]}\n",
     );
     let varied = folder.load();
-    assert_eq!(format!("{:?}", (plain.samples, plain.spectra)), format!("{:?}", (varied.samples, varied.spectra)));
+    assert_eq!(format!("{:?}", (plain.transmitters, plain.observations)), format!("{:?}", (varied.transmitters, varied.observations)));
     assert_eq!(plain.official, varied.official);
     assert_eq!(plain.title, varied.title);
 }
@@ -101,7 +101,7 @@ fn index_files_may_be_absent_and_pictures_without_a_row_are_left_out() {
     folder.grey("00009", WIDTH, HEIGHT, 0);
     let data = folder.load();
     assert_eq!(data.official, None);
-    assert_eq!(data.samples.len(), 3);
+    assert_eq!(data.len(), 3);
     assert_eq!(data.unmatched, Unmatched { positions: 1, pictures: 1 });
 }
 
@@ -349,7 +349,7 @@ fn a_colour_profile_that_unpacks_to_much_is_not_unpacked() {
         assert!(png.len() < 1 << 20, "{} bytes hold {bytes}", png.len());
         let folder = Folder::new();
         folder.write("s/spectrum/00002.png", &png);
-        assert_eq!(folder.load().spectra.raw(1).as_ref(), [7; 24]);
+        assert_eq!(folder.load().observations.raw(1).as_ref(), [7; 24]);
         pictures::decoder(png).unwrap().icc_profile().unwrap()
     };
     assert_eq!(profile_of(100).map(|p| p.len()), Some(100));
@@ -383,7 +383,7 @@ fn measured() -> Option<(PathBuf, Dataset)> {
     let root = shared("data/s23")?;
     let start = std::time::Instant::now();
     let data = Nerf2Spectrum { root: root.clone(), ..Default::default() }.load(Path::new("."), &|_, _| {}).unwrap();
-    println!("{} spectra in {:.2} s", data.samples.len(), start.elapsed().as_secs_f64());
+    println!("{} spectra in {:.2} s", data.len(), start.elapsed().as_secs_f64());
     Some((root, data))
 }
 
@@ -392,12 +392,12 @@ fn the_measured_spectra_are_read() {
     let Some((_, data)) = measured() else { return };
     assert_eq!(data.title, "s23 (measured, NeRF2 layout)");
     assert!(!data.is_simulated());
-    assert_eq!((data.width, data.height, data.samples.len()), (360, 90, 4898));
-    assert_eq!((data.samples[0].id, data.samples[0].tx), (1, [-0.327, -0.583, 1.019]));
-    assert_eq!(data.samples[4897].id, 6123);
+    assert_eq!((data.width, data.height, data.len()), (360, 90, 4898));
+    assert_eq!((data.sample(0).id, data.sample(0).tx), (1, [-0.327, -0.583, 1.019]));
+    assert_eq!(data.sample(4897).id, 6123);
     let (train, test) = data.official.unwrap();
     assert_eq!((train.len(), test.len()), (3918, 980));
-    assert!((0..4898).map(|i| data.spectra.raw(i)).all(|s| s.contains(&0) && s.contains(&255)));
+    assert!((0..4898).map(|i| data.observations.raw(i)).all(|s| s.contains(&0) && s.contains(&255)));
 }
 
 /// Checked from outside: the file has four decimals, so whole tenths of a millimetre decide.
@@ -407,8 +407,8 @@ fn voxels_of_the_measured_spectra_share_no_cell() {
     let text = fs::read_to_string(root.join("tx_pos.csv")).unwrap();
     let tenths = |field: &str| field.trim().replace('.', "").parse::<i64>().unwrap();
     let places: Vec<Vec<i64>> = text.lines().skip(1).map(|row| row.split(',').map(tenths).collect()).collect();
-    let place = |i: &usize| &places[data.samples[*i].id as usize - 1];
-    let all: Vec<usize> = (0..data.samples.len()).collect();
+    let place = |i: &usize| &places[data.sample(*i).id as usize - 1];
+    let all: Vec<usize> = (0..data.len()).collect();
     assert_eq!(all.iter().filter(|i| place(i).iter().any(|v| v % 2000 == 0)).count(), 81, "samples on a wall");
     let cells = |part: &[usize]| -> BTreeSet<Vec<i64>> {
         part.iter().map(|i| place(i).iter().map(|v| v.div_euclid(2000)).collect()).collect()

@@ -35,7 +35,7 @@ impl Default for Random {
 #[typetag::serde]
 impl Split for Random {
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
-        let mut all: Vec<usize> = (0..data.samples.len()).collect();
+        let mut all: Vec<usize> = (0..data.len()).collect();
         rng::shuffle(rng, &mut all);
         let test = all.split_off(all.len() - part(self.test, all.len()));
         let (train, validation) = hold_out(all, self.validation, rng);

@@ -34,7 +34,7 @@ impl Default for Sparse {
 #[typetag::serde]
 impl Split for Sparse {
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
-        let count = data.samples.len();
+        let count = data.len();
         if self.train >= count {
             return Err(Error::Config(format!(
                 "Sparse(train: {}) leaves no test sample: there are {count} samples; lower `train`",

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 /// Samples with one-pixel spectra at these places; every fifth belongs to the official test list.
 pub(crate) fn samples_at(places: &[[f64; 3]]) -> Dataset {
-    let to_sample = |(i, &tx): (usize, &[f64; 3])| Sample { id: i as u32 + 1, tx };
+    let to_sample = |(i, &tx): (usize, &[f64; 3])| Sample::new(i as u32 + 1, tx);
     let (test, train) = (0..places.len()).partition(|i| i % 5 == 4);
     let samples = places.iter().enumerate().map(to_sample).collect();
     let spectra = Spectra::grey((1, 1), (0..places.len()).map(|i| i as u8).collect()).unwrap();
@@ -33,7 +33,7 @@ fn keeps_the_laws(plugin: &dyn Split, data: &Dataset) -> Result<Partition, TestC
     }
     let mut all: Vec<usize> = lists.into_iter().flatten().copied().collect();
     all.sort_unstable();
-    prop_assert_eq!(all, (0..data.samples.len()).collect::<Vec<_>>());
+    prop_assert_eq!(all, (0..data.len()).collect::<Vec<_>>());
     prop_assert!(!partition.train.is_empty() && !partition.test.is_empty());
     prop_assert_eq!(split(plugin, data).map_err(TestCaseError::fail)?, partition.clone());
     Ok(partition)

@@ -41,7 +41,7 @@ impl Default for TimeBlock {
 #[typetag::serde]
 impl Split for TimeBlock {
     fn split(&self, data: &Dataset, _: &mut Rng) -> Result<Partition> {
-        let count = data.samples.len();
+        let count = data.len();
         let length = part(self.length, count);
         let first = ((self.start * count as f64).round() as usize).min(count - length);
         let test = first..first + length;

@@ -70,20 +70,20 @@ fn decimal(v: f64) -> (i128, i32) {
 impl Split for Voxel {
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
         let mut cells: BTreeMap<[i128; 3], Vec<usize>> = BTreeMap::new();
-        for (i, sample) in data.samples.iter().enumerate() {
+        for (i, sample) in data.samples().enumerate() {
             cells.entry(self.cell(sample.tx)).or_default().push(i);
         }
         let mut cells: Vec<Vec<usize>> = cells.into_values().collect();
         if cells.len() < 2 {
             let what = format!(
                 "all {} samples lie in one cell of {} m; lower `size_m` of Voxel",
-                data.samples.len(),
+                data.len(),
                 self.size_m
             );
             return Err(Error::Config(what));
         }
         rng::shuffle(rng, &mut cells);
-        let count = data.samples.len();
+        let count = data.len();
         let test = draw(&mut cells, part(self.test, count));
         let validation = draw(&mut cells, part(self.validation, count - test.len()));
         finish(cells.concat(), validation, test)

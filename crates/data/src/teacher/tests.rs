@@ -19,15 +19,15 @@ fn what_it_makes_is_complete_and_says_that_it_is_simulated() {
     let data = load(&small());
     assert_eq!(data.title, "20 simulated spectra of 12 Gaussians (Teacher, seed 0)");
     assert!(data.is_simulated());
-    assert_eq!((data.width, data.height, data.samples.len(), data.scene.points.len()), (90, 24, 20, 12));
+    assert_eq!((data.width, data.height, data.len(), data.scene.points.len()), (90, 24, 20, 12));
     assert_eq!(data.official.as_ref().unwrap().1, [4, 9, 14, 19]);
-    assert_eq!((0..20).flat_map(|i| data.spectra.raw(i).into_owned()).max(), Some(255));
+    assert_eq!((0..20).flat_map(|i| data.observations.raw(i).into_owned()).max(), Some(255));
     let (low, high) = data.scene.bounds;
-    for sample in &data.samples {
+    for sample in data.samples() {
         let tx = sample.tx.map(|v| v as Real);
         assert!((0..3).all(|k| low[k] <= tx[k] && tx[k] <= high[k]));
     }
-    let ids: Vec<u32> = data.samples.iter().map(|s| s.id).collect();
+    let ids: Vec<u32> = data.samples().map(|s| s.id).collect();
     assert_eq!(ids, (1..=20).collect::<Vec<_>>());
 }
 
@@ -36,7 +36,7 @@ fn the_same_seed_gives_the_same_bits_at_any_thread_count() {
     let spectra = |threads: usize, seed: u64| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let data = pool.install(|| load(&Teacher { seed, ..small() }));
-        (0..20).map(|i| (data.samples[i].tx, data.spectra.raw(i).into_owned())).collect::<Vec<_>>()
+        (0..20).map(|i| (data.sample(i).tx, data.observations.raw(i).into_owned())).collect::<Vec<_>>()
     };
     assert_eq!(spectra(1, 0), spectra(3, 0));
     assert_ne!(spectra(1, 0), spectra(1, 1));
@@ -80,7 +80,7 @@ fn it_is_neither_trivial_nor_out_of_reach() {
     let partition = Official { validation: 0.0 }.split(&data, &mut rng::stream(0, "split", 0)).unwrap();
     let score = |baseline: &dyn Baseline| {
         let fitted = baseline.fit(&data, Known::train(&partition.train)).unwrap();
-        let of = |&i: &usize| ssim::evaluation(&fitted.predict(data.samples[i].tx), &data.image(i));
+        let of = |&i: &usize| ssim::evaluation(&fitted.predict(data.query(i)), &data.image(i));
         partition.test.iter().map(of).sum::<f64>() / partition.test.len() as f64
     };
     let (mean, nearest) = (score(&MeanSpectrum {}), score(&NearestNeighbours { k: 3.into() }));

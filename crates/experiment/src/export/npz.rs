@@ -54,12 +54,12 @@ impl Npz {
             }
         }
         let mut rest = model.weights.as_slice();
-        for spec in model.stages.deformation.layout() {
+        for spec in model.stages.layout() {
             let (own, tail) = rest.split_at(spec.len());
             self.put(&format!("network.{}", spec.name), &spec.shape, own)?;
             rest = tail;
         }
-        for (spec, values) in model.stages.deformation.constants() {
+        for (spec, values) in model.stages.method.constants() {
             self.put(&format!("constants.{}", spec.name), &spec.shape, &values)?;
         }
         let (pose, plane) = (&model.stages.receiver(), &model.stages.plane);
@@ -84,7 +84,7 @@ impl Npz {
         self.put("tx.scales", &[n, 3], p.scales.as_flattened())?;
         self.put("tx.quats", &[n, 4], p.quats.as_flattened())?;
         self.put("tx.opacities", &[n], &p.opacities)?;
-        self.put("tx.signals", &[n, model.stages.readout.channels()], &signals)
+        self.put("tx.signals", &[n, signals.len() / n.max(1)], &signals)
     }
 
     fn put<T: AutoSerialize + Copy>(&mut self, name: &str, shape: &[usize], values: &[T]) -> io::Result<()> {

@@ -2,7 +2,7 @@
 
 use crate::colour::sequential;
 use pwrfgs_core::{Error, Origin, Primitives, Real, Result};
-use pwrfgs_model::{Ensemble, Model};
+use pwrfgs_model::{Ensemble, Model, Readout};
 
 /// Properties in the order in which viewers expect them, all of them `float`. Normals are there for the layout, and 0.
 const PROPERTIES: [&str; 17] = [
@@ -37,7 +37,7 @@ pub fn ply(model: &Ensemble, tx: Option<[f64; 3]>) -> Result<Vec<u8>> {
 /// The rows of one model, each with the number of the member at its end where there are several.
 fn put_rows(out: &mut Vec<u8>, model: &Model, tx: Option<[f64; 3]>, member: Option<f32>) -> Result<()> {
     let (primitives, signals) = model.gaussians(tx);
-    let known = tx.is_some() || !model.stages.deformation.replaces_signals();
+    let known = tx.is_some() || !model.stages.splatting().is_some_and(|splats| splats.deformation.replaces_signals());
     let strengths = known.then(|| strengths(model, &signals));
     for i in 0..primitives.len() {
         let colour = strengths.as_ref().map_or([0.0; 3], |strengths| colour(strengths[i]));
@@ -64,7 +64,8 @@ fn header(n: usize, origin: Origin, several: bool) -> String {
 
 /// The grey value that each Gaussian would give alone, were it opaque.
 fn strengths(model: &Model, signals: &[Real]) -> Vec<Real> {
-    let (n, readout) = (model.cloud.len(), model.stages.readout);
+    let readout = model.stages.splatting().map_or(Readout::Magnitude, |splats| splats.readout);
+    let n = model.cloud.len();
     if n == 0 {
         return Vec::new();
     }

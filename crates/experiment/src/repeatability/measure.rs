@@ -43,7 +43,7 @@ pub(super) fn measure(
         go_on(stop)?;
         let images = |side: fn(&Pair) -> usize| some.par_iter().map(|pair| data.image(side(pair))).collect();
         let (earlier, later): (Vec<Image>, Vec<Image>) = (images(|pair| pair.earlier), images(|pair| pair.later));
-        data.spectra.check()?;
+        data.observations.check()?;
         for found in evaluate(data, &plane, &metrics, &earlier, &later)? {
             if let (Some(of), Values::PerSample(values)) = (all.iter_mut().find(|m| m.key == found.key), found.values) {
                 of.values.extend(values);
@@ -62,8 +62,7 @@ fn evaluate(
     predictions: &[Image],
     truths: &[Image],
 ) -> Result<Vec<Measurement>> {
-    let scene = &data.scene;
-    let seen = Evaluation { predictions, truths, plane, scene, model: None, timed_prediction: None };
+    let seen = Evaluation { predictions, truths, ..Evaluation::of(data, plane) };
     let found: Result<Vec<_>> = metrics.iter().map(|metric| metric.evaluate(&seen)).collect();
     Ok(found?.concat())
 }

@@ -31,14 +31,14 @@ pub(super) struct Pair {
 impl Pair {
     fn of(data: &Dataset, a: usize, b: usize) -> Self {
         let (earlier, later) = (a.min(b), a.max(b));
-        let [p, q] = [earlier, later].map(|i| data.samples[i].tx);
+        let [p, q] = [earlier, later].map(|i| data.sample(i).tx);
         let distance = neighbours::distance(p, q);
         // To a nanometre, so that places given in whole millimetres are whole millimetres apart.
         Self { earlier, later, distance: (distance * 1e9).round() / 1e9 }
     }
 
     fn ids_apart(&self, data: &Dataset) -> u32 {
-        data.samples[self.later].id - data.samples[self.earlier].id
+        data.sample(self.later).id - data.sample(self.earlier).id
     }
 }
 
@@ -59,14 +59,14 @@ pub(super) fn find(data: &Dataset, lapse: Lapse) -> Vec<Pair> {
 
 fn near(data: &Dataset) -> Vec<Pair> {
     let of = |i: usize| {
-        let last = data.samples[i].id.saturating_add(NEAR_IDS);
-        (i + 1..data.samples.len()).take_while(move |&j| data.samples[j].id <= last).map(move |j| Pair::of(data, i, j))
+        let last = data.sample(i).id.saturating_add(NEAR_IDS);
+        (i + 1..data.len()).take_while(move |&j| data.sample(j).id <= last).map(move |j| Pair::of(data, i, j))
     };
-    (0..data.samples.len()).flat_map(of).collect()
+    (0..data.len()).flat_map(of).collect()
 }
 
 fn far(data: &Dataset) -> Vec<Pair> {
-    let places: Vec<[Real; 3]> = data.samples.iter().map(|s| data.scene.origin.local(s.tx)).collect();
+    let places: Vec<[Real; 3]> = data.samples().map(|s| data.scene.origin.local(s.tx)).collect();
     let asked = evenly(&(0..places.len()).collect::<Vec<_>>(), ASKED);
     let from: Vec<[Real; 3]> = asked.iter().map(|&i| places[i]).collect();
     let found = neighbours::k_nearest(&from, &places, 2 * FAR_IDS as usize + 1 + NEIGHBOURS);
@@ -84,7 +84,7 @@ fn far(data: &Dataset) -> Vec<Pair> {
 
 /// Pairs of two samples drawn at random.
 fn drawn(data: &Dataset, count: usize) -> impl Iterator<Item = Pair> {
-    let samples = data.samples.len();
+    let samples = data.len();
     let mut random = rng::stream(0, "repeatability pairs", 0);
     let mut draw = move || Pair::of(data, rng::below(&mut random, samples), rng::below(&mut random, samples));
     let count = if samples < 2 { 0 } else { count };
@@ -98,7 +98,7 @@ pub fn in_order(data: &Dataset) -> bool {
         distances.sort_by(f64::total_cmp);
         quantile(&distances, 0.5)
     };
-    let next = (1..data.samples.len()).map(|i| Pair::of(data, i - 1, i)).collect();
+    let next = (1..data.len()).map(|i| Pair::of(data, i - 1, i)).collect();
     median(next) < 0.5 * median(unrelated(data))
 }
 
@@ -129,7 +129,7 @@ mod tests {
     use std::collections::BTreeSet;
 
     fn data(places: impl Iterator<Item = (u32, f64)>) -> Dataset {
-        let samples: Vec<Sample> = places.map(|(id, x)| Sample { id, tx: [x, 0.0, 0.0] }).collect();
+        let samples: Vec<Sample> = places.map(|(id, x)| Sample::new(id, [x, 0.0, 0.0])).collect();
         let spectra = Spectra::grey((1, 1), vec![0; samples.len()]).unwrap();
         Dataset::new("line", Pose::IDENTITY, vec![], samples, spectra).unwrap()
     }

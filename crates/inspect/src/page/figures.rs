@@ -46,7 +46,7 @@ fn dots(points: Vec<(f64, f64)>, colour: Colour, width: f64) -> Line {
 
 /// Spectra side by side, with their ids.
 pub(super) fn sheet(data: &Dataset) -> String {
-    let all: Vec<usize> = (0..data.samples.len()).collect();
+    let all: Vec<usize> = (0..data.len()).collect();
     let chosen = evenly(&all, SHEET);
     let (width, gap, text) = (196.0, 8.0, 14.0);
     let height = (width * data.height as f64 / data.width as f64).clamp(20.0, 200.0);
@@ -56,7 +56,7 @@ pub(super) fn sheet(data: &Dataset) -> String {
     for (k, &i) in chosen.iter().enumerate() {
         let (x, y) = ((k % ACROSS) as f64 * (width + gap), (k / ACROSS) as f64 * (height + text + gap));
         canvas.framed([x, y + text], [width, height], pixels(&data.image(i), &data.plane(), Scale::Power));
-        canvas.text([x, y + text - 4.0], Anchor::Start, format!("id {}", data.samples[i].id));
+        canvas.text([x, y + text - 4.0], Anchor::Start, format!("id {}", data.sample(i).id));
     }
     canvas.svg("sheet", "spectra side by side")
 }

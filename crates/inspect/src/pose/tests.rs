@@ -25,7 +25,7 @@ fn office() -> Dataset {
 /// The same with another recorded orientation.
 fn recorded_as(data: &Dataset, orientation: DQuat) -> Dataset {
     let mut other = data.clone();
-    other.scene.receiver.orientation = orientation.to_array();
+    other.scene.receivers[0].pose.orientation = orientation.to_array();
     other
 }
 
@@ -36,7 +36,7 @@ fn the_pose_of_a_simulated_office_comes_out_right_and_a_wrong_one_is_mended() {
     assert_eq!(right.verdict, Verdict::Right, "{right:?}");
     assert!(right.turn < 1.0 && right.recorded < 4.0 && right.constant > 3.0 * right.turned, "{right:?}");
 
-    let truth = DQuat::from_array(data.scene.receiver.orientation);
+    let truth = DQuat::from_array(data.scene.pose().orientation);
     let error = DQuat::from_axis_angle(DVec3::new(1.0, -2.0, 0.5).normalize(), 0.6);
     let wrong = found(&recorded_as(&data, (truth * error).normalize()));
     assert_eq!(wrong.verdict, Verdict::Off);
@@ -48,7 +48,7 @@ fn the_pose_of_a_simulated_office_comes_out_right_and_a_wrong_one_is_mended() {
 #[test]
 fn a_quaternion_in_another_order_is_recognised() {
     let data = office();
-    let [x, y, z, w] = data.scene.receiver.orientation;
+    let [x, y, z, w] = data.scene.pose().orientation;
     let found = found(&recorded_as(&data, DQuat::from_xyzw(w, x, y, z)));
     assert_eq!(found.verdict, Verdict::Off);
     assert!(found.sentences().iter().any(|s| s.contains("Taken as w, x, y, z, the")), "{:?}", found.readings);
@@ -56,7 +56,7 @@ fn a_quaternion_in_another_order_is_recognised() {
 
 #[test]
 fn few_or_constant_pictures_say_nothing() {
-    let samples = (1..=30).map(|id| Sample { id, tx: [f64::from(id), 1.0, 1.0] }).collect();
+    let samples = (1..=30).map(|id| Sample::new(id, [f64::from(id), 1.0, 1.0])).collect();
     let spectra = Spectra::grey((8, 2), vec![7; 30 * 16]).unwrap();
     let data = Dataset::new("flat", pwrfgs_core::Pose::IDENTITY, vec![], samples, spectra).unwrap();
     assert!(pose(&data, &Looks::of(&data, &|_, _| {}).unwrap().each).is_none());

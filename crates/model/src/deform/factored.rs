@@ -5,7 +5,7 @@ use super::layers::{laid_out, planned};
 use super::mlp::check_stack;
 use super::waves::Encoding;
 use pwrfgs_core::{
-    Cache, Deformation, DeformationInputs, Deltas, Documented, Pose, Real, WeightSpec, cached, rng::Rng,
+    Cache, Conditions, Deformation, DeformationInputs, Deltas, Documented, Pose, Real, WeightSpec, cached, rng::Rng,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -71,7 +71,7 @@ impl Deformation for Factored {
         false
     }
 
-    fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: &[[Real; 3]], pose: &Pose) -> Deltas {
+    fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: Conditions<'_>, pose: &Pose) -> Deltas {
         self.forward_prepared(weights, means, txs, pose, &self.prepare(weights, means, pose))
     }
 
@@ -85,12 +85,12 @@ impl Deformation for Factored {
         &self,
         weights: &[Real],
         _: &[[Real; 3]],
-        txs: &[[Real; 3]],
+        txs: Conditions<'_>,
         _: &Pose,
         prepared: &Cache,
     ) -> Deltas {
         let (network, factors): &(Network, Factors) = cached(prepared);
-        network.forward(weights, factors, txs)
+        network.forward(weights, factors, txs.positions())
     }
 
     fn vjp(

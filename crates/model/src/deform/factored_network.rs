@@ -119,7 +119,8 @@ impl Network {
         d_weights: &mut [Real],
         d_means: Option<&mut [[Real; 3]]>,
     ) {
-        let DeformationInputs { weights, means, txs, .. } = *inputs;
+        let DeformationInputs { weights, means, .. } = *inputs;
+        let txs = inputs.txs.positions();
         let n = means.len();
         if n == 0 || txs.is_empty() {
             return;

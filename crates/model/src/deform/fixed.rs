@@ -1,6 +1,6 @@
 //! `Fixed`: no deformation at all.
 
-use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Documented, Pose, Real};
+use pwrfgs_core::{Conditions, Deformation, DeformationInputs, Deltas, Documented, Pose, Real};
 use serde::{Deserialize, Serialize};
 
 /// No deformation: every transmitter sees the same Gaussians and the same signals. No weights, no settings.
@@ -23,7 +23,7 @@ impl Deformation for Fixed {
         false
     }
 
-    fn forward(&self, _: &[Real], _: &[[Real; 3]], _: &[[Real; 3]], _: &Pose) -> Deltas {
+    fn forward(&self, _: &[Real], _: &[[Real; 3]], _: Conditions<'_>, _: &Pose) -> Deltas {
         Deltas::default()
     }
 

@@ -4,7 +4,7 @@ use super::encoding::{self, MOST_FREQUENCIES};
 use super::layers::{Plan, laid_out, planned};
 use super::mlp_network::{Network, Outputs};
 use super::trunk::{Trunk, TrunkShape};
-use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Documented, Pose, Real, WeightSpec, rng::Rng};
+use pwrfgs_core::{Conditions, Deformation, DeformationInputs, Deltas, Documented, Pose, Real, WeightSpec, rng::Rng};
 use serde::{Deserialize, Serialize};
 
 /// The network of P-WRFGS: for each Gaussian and transmitter a change of signal, rotation and scale, to be added.
@@ -98,8 +98,8 @@ impl Deformation for Mlp {
         self.outputs == Outputs::All
     }
 
-    fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: &[[Real; 3]], _: &Pose) -> Deltas {
-        laid_out(weights, |plan| self.network(plan)).forward(weights, means, txs)
+    fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: Conditions<'_>, _: &Pose) -> Deltas {
+        laid_out(weights, |plan| self.network(plan)).forward(weights, means, txs.positions())
     }
 
     fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, d_weights: &mut [Real], _: Option<&mut [[Real; 3]]>) {

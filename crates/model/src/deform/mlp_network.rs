@@ -146,7 +146,8 @@ impl Network {
     }
 
     pub(super) fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, d_weights: &mut [Real]) {
-        let DeformationInputs { weights, means, txs, .. } = *inputs;
+        let DeformationInputs { weights, means, .. } = *inputs;
+        let txs = inputs.txs.positions();
         let sides = self.tx_sides(weights, txs);
         let items = items(means.len(), txs.len(), self.trunk.width);
         let sums: Vec<Sum> = items

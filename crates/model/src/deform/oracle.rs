@@ -40,14 +40,14 @@ fn wrfgs_reproduces_the_reference_signals_and_derivatives() {
         let found = error(raw.as_flattened(), &array(&folder, "out_raw"));
         assert!(found < signal_tolerance, "{name}: raw outputs: {found}");
 
-        let signals = wrfgs.forward(&weights, &means, &txs, &pose).signals;
+        let signals = wrfgs.forward(&weights, &means, (&txs).into(), &pose).signals;
         let first: Vec<Real> = signals.iter().map(|s| s[0]).collect();
         let found = error(&first, &array(&folder, "out_signal"));
         assert!(found < signal_tolerance, "{name}: signal: {found}");
         assert!(signals.iter().all(|s| s[1] == 0.0));
 
         let d = array(&folder, "grad_signal").into_iter().map(|d| [d, 0.0]).collect();
-        let inputs = DeformationInputs { weights: &weights, means: &means, txs: &txs, pose: &pose };
+        let inputs = DeformationInputs { weights: &weights, means: &means, txs: (&txs).into(), pose: &pose };
         let mut d_weights = vec![0.0; weights.len()];
         wrfgs.vjp(&inputs, &Deltas { signals: d, ..Deltas::default() }, &mut d_weights, None);
         let mut rest = d_weights.as_slice();

@@ -46,12 +46,12 @@ fn check_derivative(name: &str, deformation: &dyn Deformation, n: usize, batch: 
     };
     let f = |x: &[Real]| {
         let (w, means) = split(x);
-        flat(&deformation.forward(&w, &means, &txs, &POSE))
+        flat(&deformation.forward(&w, &means, (&txs).into(), &POSE))
     };
     let vjp = |x: &[Real], d: &[Real]| {
         let (w, means) = split(x);
-        let inputs = DeformationInputs { weights: &w, means: &means, txs: &txs, pose: &POSE };
-        let d = deltas_like(&deformation.forward(&w, &means, &txs, &POSE), d);
+        let inputs = DeformationInputs { weights: &w, means: &means, txs: (&txs).into(), pose: &POSE };
+        let d = deltas_like(&deformation.forward(&w, &means, (&txs).into(), &POSE), d);
         // Starting from ones shows that derivatives are added.
         let (mut d_weights, mut d_means) = (vec![1.0; w.len()], vec![[1.0; 3]; n]);
         deformation.vjp(&inputs, &d, &mut d_weights, along_means.then_some(&mut d_means));
@@ -152,8 +152,8 @@ fn on_threads(threads: usize, deformation: &dyn Deformation, n: usize, batch: us
     let weights = deformation.init(&mut rng::stream(1, "init", 0));
     let (means, txs) = (points(n, "means"), points(batch, "txs"));
     pool.install(|| {
-        let deltas = deformation.forward(&weights, &means, &txs, &POSE);
-        let inputs = DeformationInputs { weights: &weights, means: &means, txs: &txs, pose: &POSE };
+        let deltas = deformation.forward(&weights, &means, (&txs).into(), &POSE);
+        let inputs = DeformationInputs { weights: &weights, means: &means, txs: (&txs).into(), pose: &POSE };
         let (mut d_weights, mut d_means) = (vec![0.0; weights.len()], vec![[0.0; 3]; n]);
         deformation.vjp(&inputs, &cotangent(&deltas), &mut d_weights, Some(&mut d_means));
         d_weights.extend_from_slice(d_means.as_flattened());
@@ -182,13 +182,13 @@ fn a_batch_gives_the_bits_of_single_calls() {
     for deformation in deformations {
         let weights = deformation.init(&mut rng::stream(1, "init", 0));
         let inputs = |txs| DeformationInputs { weights: &weights, means: &means, txs, pose: &POSE };
-        let batch = deformation.forward(&weights, &means, &txs, &POSE);
+        let batch = deformation.forward(&weights, &means, (&txs).into(), &POSE);
         let d = cotangent(&batch);
         let mut d_batch = vec![0.0; weights.len()];
-        deformation.vjp(&inputs(&txs), &d, &mut d_batch, None);
+        deformation.vjp(&inputs((&txs).into()), &d, &mut d_batch, None);
         let mut d_singles = vec![0.0; weights.len()];
         for (b, tx) in txs.chunks(1).enumerate() {
-            let single = deformation.forward(&weights, &means, tx, &POSE);
+            let single = deformation.forward(&weights, &means, tx.into(), &POSE);
             let rows = b * means.len()..(b + 1) * means.len();
             let part = |d: &Deltas| Deltas {
                 scales: d.scales.get(rows.clone()).unwrap_or_default().to_vec(),
@@ -196,7 +196,7 @@ fn a_batch_gives_the_bits_of_single_calls() {
                 signals: d.signals[rows.clone()].to_vec(),
             };
             assert_eq!(single, part(&batch));
-            deformation.vjp(&inputs(tx), &part(&d), &mut d_singles, None);
+            deformation.vjp(&inputs(tx.into()), &part(&d), &mut d_singles, None);
         }
         let largest = d_batch.iter().fold(0.0, |m: Real, d| m.max(d.abs()));
         for (a, b) in d_batch.iter().zip(&d_singles) {
@@ -264,7 +264,7 @@ fn a_frequency_window_lets_the_encodings_in() {
         assert_eq!(closed.len(), weights.len());
         // Only plain coordinates are left: positions that differ by a period of every wave then look alike but for them.
         let dimmed: Vec<Real> = weights.iter().zip(&closed).map(|(w, f)| w * f).collect();
-        let bare = |points: &[[Real; 3]]| flat(&deformation.forward(&dimmed, points, &[[0.1, 0.2, 0.3]], &POSE));
+        let bare = |points: &[[Real; 3]]| flat(&deformation.forward(&dimmed, points, (&[[0.1, 0.2, 0.3]]).into(), &POSE));
         let (low, mid, high) = (bare(&[[0.10; 3]]), bare(&[[0.1001; 3]]), bare(&[[0.1002; 3]]));
         let bend = low.iter().zip(&mid).zip(&high).map(|((a, b), c)| (a - 2.0 * b + c).abs()).fold(0.0, Real::max);
         assert!(bend < 1e-5, "piecewise linear in the coordinates without waves: {bend}");

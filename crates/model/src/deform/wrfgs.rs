@@ -7,7 +7,7 @@ use super::trunk::{Trunk, TrunkShape};
 use super::wrfgs_branch::Branch;
 use super::wrfgs_network::{Ahead, Network};
 use pwrfgs_core::{
-    Cache, Deformation, DeformationInputs, Deltas, Documented, Pose, Real, WeightSpec, cached, rng::Rng,
+    Cache, Conditions, Deformation, DeformationInputs, Deltas, Documented, Pose, Real, WeightSpec, cached, rng::Rng,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -87,12 +87,12 @@ impl Wrfgs {
         network: &Network,
         weights: &[Real],
         means: &[[Real; 3]],
-        txs: &[[Real; 3]],
+        txs: Conditions<'_>,
         pose: &Pose,
         ahead: Option<&[Ahead]>,
     ) -> Deltas {
         let gain = self.gain(means, pose) as Real;
-        let products = network.forward(weights, means, txs, ahead);
+        let products = network.forward(weights, means, txs.positions(), ahead);
         Deltas { signals: products.into_iter().map(|sa| [gain * sa, 0.0]).collect(), ..Deltas::default() }
     }
 }
@@ -119,7 +119,7 @@ impl Deformation for Wrfgs {
         self.gain.is_none()
     }
 
-    fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: &[[Real; 3]], pose: &Pose) -> Deltas {
+    fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: Conditions<'_>, pose: &Pose) -> Deltas {
         self.deltas(&self.network_of(weights), weights, means, txs, pose, None)
     }
 
@@ -133,7 +133,7 @@ impl Deformation for Wrfgs {
         &self,
         weights: &[Real],
         means: &[[Real; 3]],
-        txs: &[[Real; 3]],
+        txs: Conditions<'_>,
         pose: &Pose,
         prepared: &Cache,
     ) -> Deltas {

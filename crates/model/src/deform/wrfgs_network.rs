@@ -180,7 +180,8 @@ impl Network {
         d_weights: &mut [Real],
         d_means: Option<&mut [[Real; 3]]>,
     ) -> f64 {
-        let DeformationInputs { weights, means, txs, .. } = *inputs;
+        let DeformationInputs { weights, means, .. } = *inputs;
+        let txs = inputs.txs.positions();
         let sides = self.branch.tx_sides(weights, txs);
         let items = items(means.len(), 1, self.trunk.width);
         let sums: Vec<Sum> = items
@@ -235,7 +236,7 @@ impl Network {
             sum.row = d_means.len();
             d_means.resize(sum.row + means.len(), [0.0; 3]);
         }
-        for (b, (tx, side)) in inputs.txs.iter().zip(sides).enumerate() {
+        for (b, (tx, side)) in inputs.txs.positions().iter().zip(sides).enumerate() {
             self.branch.forward(weights, means, &ahead.from_feature, *tx, side, branch);
             let (s, phase) = branch.out.split_at_mut(means.len());
             for (r, &d) in d[b * n..][item.rows.clone()].iter().enumerate() {

@@ -58,12 +58,12 @@ impl Room {
         draw_points(&mut behind, &view, data);
         let mut draw = |part: &[usize], colour, add: fn(&mut Path, Point, f64), radius| {
             let mut path = Path::default();
-            evenly(part, TRANSMITTERS).into_iter().for_each(|i| add(&mut path, view.place(data.samples[i].tx), radius));
+            evenly(part, TRANSMITTERS).into_iter().for_each(|i| add(&mut path, view.place(data.sample(i).tx), radius));
             behind.path(path, Paint::stroke(colour, 0.8));
         };
         draw(&partition.train, TRAINING, Path::add_plus, 1.6);
         draw(&partition.test, TEST, Path::add_cross, 1.3);
-        let pose = data.scene.origin.world_pose(data.scene.receiver);
+        let pose = data.scene.origin.world_pose(data.scene.pose());
         let receiver = Receiver::new(&pose, &view, 0.14 * longest(low, high));
         receiver.draw(&mut behind, view.place(pose.position));
         let (has_test, has_points) = (!partition.test.is_empty(), !data.scene.points.is_empty());
@@ -175,14 +175,8 @@ fn draw_points(canvas: &mut Canvas, view: &View, data: &Dataset) {
 /// The Chamfer distance to the point cloud as the metric of that name defines it, m²; `None` where it does not apply.
 fn chamfer(data: &Dataset, means: &[[Real; 3]]) -> Option<f64> {
     let metric = Plugin::<dyn Metric>::parse("Chamfer()").ok()?;
-    let measured = metric.evaluate(&Evaluation {
-        predictions: &[],
-        truths: &[],
-        plane: &ImagePlane { width: data.width, height: data.height, wraps: false, angles: None },
-        scene: &data.scene,
-        model: Some(ModelFacts { means, gaussian_bytes: 0, network_bytes: 0 }),
-        timed_prediction: None,
-    });
+    let model = Some(ModelFacts { means, gaussian_bytes: 0, network_bytes: 0 });
+    let measured = metric.evaluate(&Evaluation { model, ..Evaluation::of(data, &data.plane()) });
     match measured.ok()?.pop()?.values {
         Values::Whole(distance) => Some(distance),
         _ => None,

@@ -53,7 +53,7 @@ impl Survey {
         distances.sort_by(f64::total_cmp);
         Ok(Self {
             name: name_of(folder),
-            spectra: data.samples.len(),
+            spectra: data.len(),
             size: (data.width, data.height),
             official: data.official.is_some(),
             split,
@@ -113,7 +113,7 @@ fn suggested(data: &Dataset) -> Result<(String, Partition)> {
     }
     let cells = |edge: f64| {
         let cell = |tx: [f64; 3]| tx.map(|v| (v / edge).floor() as i64);
-        data.samples.iter().map(|s| cell(s.tx)).collect::<BTreeSet<_>>().len()
+        data.samples().map(|s| cell(s.tx)).collect::<BTreeSet<_>>().len()
     };
     let edge = EDGES.into_iter().find(|&edge| cells(edge) >= CELLS).map(|edge| format!("Voxel(size_m: {edge})"));
     let choices = edge.into_iter().chain(["TimeBlock()".into(), "Random()".into()]);

@@ -36,8 +36,8 @@ struct Case {
 impl Cases {
     /// `validation` samples predicted from `train`ing samples.
     pub(super) fn new(data: &Dataset, train: Vec<usize>, validation: &[usize]) -> Self {
-        let nearest = Nearest::new(train, |i| data.samples[i].tx);
-        let case = |&i: &usize| Case::new(data, i, &nearest.find(data.samples[i].tx, FROM).1);
+        let nearest = Nearest::new(train, |i| data.sample(i).tx);
+        let case = |&i: &usize| Case::new(data, i, &nearest.find(data.sample(i).tx, FROM).1);
         let cases: Vec<Case> = evenly(validation, CASES).par_iter().map(case).collect();
         let mut distances: Vec<f64> = cases.iter().map(Case::reach_m).filter(|reach| *reach > 0.0).collect();
         distances.sort_by(f64::total_cmp);
@@ -60,7 +60,7 @@ impl Case {
         let stride = ((data.width * data.height) as f64 / PIXELS as f64).sqrt().ceil().max(1.0) as usize;
         let picture = |i: usize| {
             let mut pixels = vec![0.0; data.width.div_ceil(stride) * data.height.div_ceil(stride)];
-            data.spectra.coarse(i, stride, &mut pixels);
+            data.observations.coarse(i, stride, &mut pixels);
             pixels
         };
         let pictures: Vec<Vec<Real>> =
@@ -70,7 +70,7 @@ impl Case {
         let less: Vec<Vec<Real>> =
             pictures.iter().map(|p| p.iter().zip(&pictures[0]).map(|(p, first)| p - first).collect()).collect();
         let products = less.iter().flat_map(|a| less.iter().map(|b| product(a, b))).collect();
-        let place = |i: usize| data.samples[i].tx;
+        let place = |i: usize| data.sample(i).tx;
         Self { at: place(sample), places: from.iter().map(|(_, i)| place(*i)).collect(), products }
     }
 

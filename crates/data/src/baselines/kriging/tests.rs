@@ -61,7 +61,7 @@ fn without_noise_what_was_measured_is_returned_and_coinciding_places_do_no_harm(
 fn drawn(correlation: &Correlation, count: usize) -> Dataset {
     let mut random = rng::stream(5, "process", 0);
     let samples: Vec<Sample> = (0..count as u32)
-        .map(|id| Sample { id, tx: [(); 3].map(|()| f64::from(rng::uniform(&mut random) as f32)) })
+        .map(|id| Sample::new(id, [(); 3].map(|()| f64::from(rng::uniform(&mut random) as f32))))
         .collect();
     // Each from those before it: exact, if not fast.
     let mut pixels: Vec<Vec<f64>> = Vec::new();
@@ -107,8 +107,8 @@ fn the_likelihood_is_that_of_its_predictions() {
     let cases = Cases::new(&data, (0..10).collect(), &[10, 11]);
     let mut terms = Vec::new();
     for i in [10, 11] {
-        let places: Vec<[f64; 3]> = (0..10).map(|j| truth.scaled(data.samples[j].tx)).collect();
-        let solution = solve(&truth, &places, truth.scaled(data.samples[i].tx));
+        let places: Vec<[f64; 3]> = (0..10).map(|j| truth.scaled(data.sample(j).tx)).collect();
+        let solution = solve(&truth, &places, truth.scaled(data.sample(i).tx));
         let mut error = 0.0;
         for k in 0..144 {
             let mean: f64 = (0..10).map(|j| solution.weights[j] * data.image(j).pixels[k] as f64).sum();
@@ -127,7 +127,7 @@ fn few_samples_and_equal_ones_are_no_accident() {
     for count in [1, 2, 3, 12] {
         let all: Vec<usize> = (0..count).collect();
         let fitted = Kriging::default().fit(&data, Known::train(&all)).unwrap();
-        let picture = fitted.predict([3.5, 0.0, 0.0]);
+        let picture = fitted.predict([3.5, 0.0, 0.0].into());
         assert!(picture.pixels.iter().all(|p| p.is_finite()), "{count}");
         assert!(fitted.note().unwrap().contains("length scales of"));
     }
@@ -135,11 +135,11 @@ fn few_samples_and_equal_ones_are_no_accident() {
         "same",
         Pose::IDENTITY,
         vec![],
-        (0..30).map(|id| Sample { id, tx: [1.0; 3] }).collect(),
+        (0..30).map(|id| Sample::new(id, [1.0; 3])).collect(),
         Spectra::grey((2, 2), vec![51; 120]).unwrap(),
     );
     let same = same.unwrap();
     let fitted = Kriging::default().fit(&same, Known::train(&(0..30).collect::<Vec<_>>())).unwrap();
-    assert!(fitted.predict([1.0; 3]).pixels.iter().all(|p| (p - 0.2).abs() < 1e-5));
+    assert!(fitted.predict([1.0; 3].into()).pixels.iter().all(|p| (p - 0.2).abs() < 1e-5));
     assert!(Kriging::default().fit(&same, Known::default()).is_err());
 }

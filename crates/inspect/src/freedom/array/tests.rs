@@ -32,12 +32,12 @@ fn heard(rows: usize, columns: usize, spacing: f64, kind: Kind, count: usize) ->
         };
         pixels.extend(of_one.into_iter().map(|v| (255.0 * grey(v)).round() as u8));
     }
-    let samples = (1..=count as u32).map(|id| Sample { id, tx: [f64::from(id); 3] }).collect();
+    let samples = (1..=count as u32).map(|id| Sample::new(id, [f64::from(id); 3])).collect();
     Dataset::new("heard", Pose::IDENTITY, vec![], samples, Spectra::grey((width, height), pixels).unwrap()).unwrap()
 }
 
 fn found(data: &Dataset) -> Array {
-    let all: Vec<usize> = (0..data.samples.len()).collect();
+    let all: Vec<usize> = (0..data.len()).collect();
     array(data, &all, 1.0 / 255.0 / 12f64.sqrt()).unwrap()
 }
 
@@ -59,7 +59,7 @@ fn the_array_that_heard_the_pictures_is_found() {
 fn pictures_of_no_array_are_not_explained() {
     let mut random = rng::stream(4, "noise", 0);
     let pixels = (0..12 * 72 * 18).map(|_| rng::below(&mut random, 256) as u8).collect();
-    let samples = (1..=12).map(|id| Sample { id, tx: [f64::from(id); 3] }).collect();
+    let samples = (1..=12).map(|id| Sample::new(id, [f64::from(id); 3])).collect();
     let data =
         Dataset::new("noise", Pose::IDENTITY, vec![], samples, Spectra::grey((72, 18), pixels).unwrap()).unwrap();
     assert!(!found(&data).explains());

@@ -28,7 +28,7 @@ pub(crate) fn positions(found: &Inspection<'_>) -> Vec<Figure> {
         |title: &str, axes: [usize; 2], all: bool| figure(title, &places(found, axes, axes.map(|k| names[k]), all));
     let elevation = format!("Elevation: {} and z", ["x", "y"][along]);
     let mut figures = vec![view("Plan: x and y", [0, 1], true), view(&elevation, [along, 2], true)];
-    let receiver = found.data.scene.origin.world_pose(found.data.scene.receiver).position;
+    let receiver = found.data.scene.origin.world_pose(found.data.scene.pose()).position;
     let away = (0..2).map(|k| (low[k] - receiver[k]).max(receiver[k] - high[k])).fold(0.0, f64::max);
     if away > found.trajectory.size() {
         figures.push(view("Plan of the transmitters alone", [0, 1], false));
@@ -58,12 +58,12 @@ fn time(k: usize) -> [u8; 3] {
 /// Transmitters, and the receiver too in a view of `all`, as two coordinates show them, to scale.
 fn places(found: &Inspection<'_>, [a, b]: [usize; 2], names: [&str; 2], all: bool) -> Chart {
     let data = found.data;
-    let receiver = data.scene.origin.world_pose(data.scene.receiver);
+    let receiver = data.scene.origin.world_pose(data.scene.pose());
     let boresight = receiver.world_from_receiver().z_axis.to_array().map(f64::from);
     let arrow = 0.12 * found.trajectory.size().max(0.1);
     let tip = [0, 1, 2].map(|k| receiver.position[k] + arrow * boresight[k]);
-    let samples: Vec<usize> = (0..data.samples.len()).collect();
-    let shown: Vec<[f64; 3]> = evenly(&samples, DOTS).into_iter().map(|i| data.samples[i].tx).collect();
+    let samples: Vec<usize> = (0..data.len()).collect();
+    let shown: Vec<[f64; 3]> = evenly(&samples, DOTS).into_iter().map(|i| data.sample(i).tx).collect();
     let known = || shown.iter().chain([&receiver.position, &tip].into_iter().filter(|_| all));
     let [x, y] = [a, b].map(|k| {
         let values = || known().map(|p| p[k]);

@@ -1,29 +1,15 @@
 //! What the figure of the room shows and what it leaves out.
 
 use super::*;
-use pwrfgs_core::{Elevation, GaussianCloud, Origin, Pose, Sample, Scene, Spectra, Unmatched};
+use pwrfgs_core::{GaussianCloud, Origin, Pose, Sample, Spectra};
 
 /// A room of 4 x 3 x 2 m with `points` points and one transmitter of each kind.
 fn room(points: usize) -> (Dataset, Partition) {
-    let low_high = ([0.0; 3], [4.0, 3.0, 2.0]);
-    let sample = |id| Sample { id, tx: [1.0, 1.0, f64::from(id) / 2.0] };
-    let data = Dataset {
-        elevation: Elevation::UPPER,
-        title: "room".into(),
-        scene: Scene {
-            origin: Origin::ZERO,
-            receiver: Pose::IDENTITY,
-            bounds: low_high,
-            points: vec![[1.0, 2.0, 0.0]; points],
-        },
-        width: 1,
-        height: 1,
-        samples: vec![sample(1), sample(2)],
-        spectra: Spectra::grey((1, 1), vec![0; 2]).unwrap(),
-        official: None,
-        simulation: None,
-        unmatched: Unmatched::default(),
-    };
+    let sample = |id| Sample::new(id, [1.0, 1.0, f64::from(id) / 2.0]);
+    let spectra = Spectra::grey((1, 1), vec![0; 2]).unwrap();
+    let mut data = Dataset::new("room", Pose::IDENTITY, vec![], vec![sample(1), sample(2)], spectra).unwrap();
+    data.scene.bounds = ([0.0; 3], [4.0, 3.0, 2.0]);
+    data.scene.points = vec![[1.0, 2.0, 0.0]; points];
     (data, Partition { train: vec![0], validation: vec![], test: vec![1] })
 }
 

@@ -37,15 +37,15 @@ pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure
     let scores: Option<Vec<BTreeMap<u32, f64>>> = shown.iter().map(|v| v.runs[0].samples(MODEL, "ssim")).collect();
     let Some(scores) = scores else { return Ok(None) };
     let models = shown.iter().map(|v| loaded.model(&v.runs[0])).collect::<Result<Vec<_>>>()?;
-    let samples = &loaded.data.samples;
+    let data = &loaded.data;
     let row = |(name, id): (&'static str, u32)| {
-        let index = samples.iter().position(|s| s.id == id)?;
+        let index = (0..data.len()).find(|&i| data.label(i) == id)?;
         let predicted = models
             .iter()
             .zip(&scores)
-            .map(|(m, s)| (m.prepare().predict_timed(samples[index].tx).0.clamped(), s[&id]))
+            .map(|(m, s)| (m.prepare().predict_timed(data.query(index)).0.clamped(), s[&id]))
             .collect();
-        Some(Row { name, id, truth: loaded.data.image(index), predicted })
+        Some(Row { name, id, truth: data.image(index), predicted })
     };
     let rows: Vec<Row> = chosen(&scores).into_iter().filter_map(row).collect();
     if rows.is_empty() {

@@ -1,0 +1,332 @@
+//! `Dataset`: what was measured, and where, in columns.
+
+use crate::origin::{Origin, place_fault};
+use crate::words::clean;
+use crate::{
+    Axis, Elevation, Error, Features, Image, ImagePlane, Kind, Link, Observations, Pose, Query, Real, Receiver, Result,
+    Sample, Scene, Spectra, Transmitter, Vec3,
+};
+
+/// Everything a data source gives, in columns: transmitters, receivers, links of one with the other, and what was observed
+/// of each link.
+#[derive(Clone, Debug)]
+pub struct Dataset {
+    /// What a person should call it.
+    pub title: String,
+    /// Receivers, bounds and points.
+    pub scene: Scene,
+    /// Columns of every observation.
+    pub width: usize,
+    /// Rows of every observation.
+    pub height: usize,
+    /// What the rows of spectra are; columns go once around.
+    pub elevation: Elevation,
+    /// Places of the transmitter, sorted by id.
+    pub transmitters: Vec<Transmitter>,
+    /// Who was heard by whom, sorted by transmitter, then receiver.
+    pub links: Vec<Link>,
+    /// What was observed of every link, in the same order.
+    pub observations: Observations,
+    /// What stands where the transmitter's position stands elsewhere, a row a link.
+    pub features: Option<Features>,
+    /// Whether the transmitters' positions are known. If not, they are zero, and nobody may look at them.
+    pub placed: bool,
+    /// The split that comes with the data, if any: links for (train, test).
+    pub official: Option<(Vec<usize>, Vec<usize>)>,
+    /// What the observations were computed from; `None` where they were measured.
+    pub simulation: Option<Simulation>,
+    /// What the source holds beside the links.
+    pub unmatched: Unmatched,
+}
+
+/// Halves of samples, which a source leaves out.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Unmatched {
+    /// Positions without a picture.
+    pub positions: usize,
+    /// Pictures without a position.
+    pub pictures: usize,
+}
+
+/// Says of a data set that it is simulated.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Simulation {
+    /// The room that was simulated, as the RON text of a scene with every setting written out; `None` where the data do
+    /// not say, or come from no room.
+    pub scene: Option<String>,
+}
+
+impl Dataset {
+    /// Measured spectra at one receiver, one a sample, with the surface `points` `[P,3]` that are known (metres; none will
+    /// do). All places are in the user's frame. The bounds hold the points, the samples and the receiver.
+    ///
+    /// Rows are elevations from 0 to 90 degrees, there is no official split, nothing is simulated, and nothing was left
+    /// out: who knows better sets these fields.
+    ///
+    /// ```
+    /// # use pwrfgs_core::{Dataset, Pose, Sample, Spectra};
+    /// let samples = (1..=20).map(|id| Sample::new(id, [f64::from(id), 0.0, 1.5])).collect();
+    /// let spectra = Spectra::grey((90, 24), vec![7; 20 * 90 * 24])?;
+    /// let data = Dataset::new("my room", Pose::IDENTITY, vec![], samples, spectra)?;
+    /// assert_eq!(data.scene.bounds, ([0.0; 3], [20.0, 0.0, 1.5]));
+    /// # Ok::<(), pwrfgs_core::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As [`Self::of_links`].
+    pub fn new(
+        title: impl Into<String>,
+        receiver: Pose,
+        points: Vec<[f64; 3]>,
+        samples: Vec<Sample>,
+        spectra: Spectra,
+    ) -> Result<Self> {
+        Self::of_links(title, vec![Receiver::new("receiver", receiver)], points, &samples, spectra.into())
+    }
+
+    /// Observations of any kind at any number of receivers, one a sample; samples are sorted by id, then receiver.
+    ///
+    /// ```
+    /// # use pwrfgs_core::{Dataset, Observations, Pose, Receiver, Sample};
+    /// let at = |name: &str, x| Receiver::new(name, Pose { position: [x, 0.0, 2.5], ..Pose::IDENTITY });
+    /// let tx = [1.0, 2.0, 1.5];
+    /// let samples = [Sample { id: 1, tx, receiver: 0 }, Sample { id: 1, tx, receiver: 1 }];
+    /// let powers = Observations::Powers(vec![-61.0, -70.5]);
+    /// let data = Dataset::of_links("hall", vec![at("north", 0.0), at("south", 9.0)], vec![], &samples, powers)?;
+    /// assert_eq!((data.transmitters.len(), data.len()), (1, 2));
+    /// # Ok::<(), pwrfgs_core::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Config`] where ids decrease, a link comes twice, one id has two places, there are more or fewer
+    /// observations than samples or one that is no number, two receivers have one name or a sample names none, or a place
+    /// is not finite or beyond 1e8 m.
+    pub fn of_links(
+        title: impl Into<String>,
+        receivers: Vec<Receiver>,
+        points: Vec<[f64; 3]>,
+        samples: &[Sample],
+        observations: Observations,
+    ) -> Result<Self> {
+        let title = clean(&title.into());
+        let refuse = |what: String| Error::Config(format!("data set `{title}`: {what}"));
+        check_receivers(&receivers).map_err(refuse)?;
+        if samples.len() != observations.len() {
+            let (have, need, what) = (observations.len(), samples.len(), named(observations.kind()));
+            return Err(refuse(format!("{have} {what} for {need} transmitters; give as many of each")));
+        }
+        if let Some(fault) = observations.fault() {
+            return Err(refuse(fault));
+        }
+        let (transmitters, links) = columns(samples, &receivers).map_err(refuse)?;
+        if let Some((point, fault)) = points.iter().find_map(|point| Some((point, place_fault(*point)?))) {
+            return Err(refuse(format!("a point at {point:?} {fault}")));
+        }
+        let (width, height) = observations.size();
+        Ok(Self {
+            title,
+            scene: scene(receivers, points, &transmitters),
+            width,
+            height,
+            elevation: Elevation::UPPER,
+            transmitters,
+            links,
+            observations,
+            features: None,
+            placed: true,
+            official: None,
+            simulation: None,
+            unmatched: Unmatched::default(),
+        })
+    }
+
+    /// L, links: one a transmitter where there is one receiver.
+    pub fn len(&self) -> usize {
+        self.links.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.links.is_empty()
+    }
+
+    /// Link `i` as a row.
+    pub fn sample(&self, i: usize) -> Sample {
+        let Link { transmitter, receiver } = self.links[i];
+        let Transmitter { id, position } = self.transmitters[transmitter];
+        Sample { id, tx: position, receiver }
+    }
+
+    /// What tables call link `i`: the id of its transmitter where there is one receiver, else its number from 1.
+    pub fn label(&self, i: usize) -> u32 {
+        if self.scene.receivers.len() == 1 { self.sample(i).id } else { i as u32 + 1 }
+    }
+
+    /// All links as rows.
+    pub fn samples(&self) -> impl ExactSizeIterator<Item = Sample> + Clone + '_ {
+        (0..self.len()).map(|i| self.sample(i))
+    }
+
+    /// What a predictor is told of link `i`.
+    pub fn query(&self, i: usize) -> Query<'_> {
+        let Sample { tx, receiver, .. } = self.sample(i);
+        Query { tx, receiver, features: self.features.as_ref().map_or(&[], |features| features.of(i)) }
+    }
+
+    /// Which of the three tasks it is.
+    pub fn kind(&self) -> Kind {
+        self.observations.kind()
+    }
+
+    /// The links of these transmitters, given and returned in ascending order.
+    pub fn links_of(&self, transmitters: &[usize]) -> Vec<usize> {
+        let begin = |t: usize| self.links.partition_point(|link| link.transmitter < t);
+        transmitters.iter().flat_map(|&t| begin(t)..begin(t + 1)).collect()
+    }
+
+    /// Whether it is simulated, not measured.
+    pub fn is_simulated(&self) -> bool {
+        self.simulation.is_some()
+    }
+
+    /// What a pixel of the spectra is: columns go once around, rows are [`Self::elevation`]. The numbers of a power or of a
+    /// channel have no direction.
+    pub fn plane(&self) -> ImagePlane {
+        let is_picture = self.kind() == Kind::Spectrum;
+        let azimuth = Axis { first: 0.0, step: 360.0 / self.width as f64 };
+        let angles = is_picture.then(|| (azimuth, self.elevation.axis(self.height)));
+        ImagePlane { width: self.width, height: self.height, wraps: is_picture, angles }
+    }
+
+    /// What was observed of link `i`, as an array of numbers.
+    pub fn image(&self, i: usize) -> Image {
+        self.observations.image(i)
+    }
+}
+
+fn named(kind: Kind) -> &'static str {
+    match kind {
+        Kind::Spectrum => "spectra",
+        Kind::Power => "powers",
+        Kind::Channel => "channels",
+    }
+}
+
+/// At least one, with places that can be, each with a name and antennas of its own.
+fn check_receivers(receivers: &[Receiver]) -> Result<(), String> {
+    if receivers.is_empty() {
+        return Err("it has no receiver; give one at least".into());
+    }
+    for (i, Receiver { name, pose, antennas }) in receivers.iter().enumerate() {
+        let who = if receivers.len() == 1 { "receiver".to_owned() } else { format!("receiver `{}`", clean(name)) };
+        if let Some((_, fault)) = pose.fault() {
+            return Err(format!("{who}: {fault}"));
+        }
+        if let Some(fault) = antennas.iter().find_map(|place| place_fault(*place)) {
+            return Err(format!("{who}: an antenna {fault}"));
+        }
+        if antennas.is_empty() {
+            return Err(format!("{who} has no antenna; give its place in the receiver's frame, such as [0, 0, 0]"));
+        }
+        if receivers[..i].iter().any(|other| other.name == *name) {
+            return Err(format!("two receivers are called `{}`; give each a name of its own", clean(name)));
+        }
+    }
+    Ok(())
+}
+
+/// Rows as columns: every transmitter once, and the links.
+fn columns(samples: &[Sample], receivers: &[Receiver]) -> Result<(Vec<Transmitter>, Vec<Link>), String> {
+    let mut transmitters: Vec<Transmitter> = Vec::new();
+    let mut links: Vec<Link> = Vec::with_capacity(samples.len());
+    for Sample { id, tx, receiver } in samples {
+        if *receiver >= receivers.len() {
+            return Err(format!("id {id} was heard by receiver {receiver}, and there are {}", receivers.len()));
+        }
+        match transmitters.last() {
+            Some(last) if last.id == *id => {
+                let earlier = links[links.len() - 1].receiver;
+                if earlier >= *receiver {
+                    let order = if receivers.len() == 1 { String::new() } else { " and receivers".into() };
+                    return Err(format!("id {id} follows {id}; sort the samples by ids{order} that differ"));
+                }
+                if last.position != *tx {
+                    return Err(format!("the transmitter of id {id} is at {:?} and at {tx:?}", last.position));
+                }
+            }
+            Some(last) if last.id > *id => {
+                return Err(format!("id {id} follows {}; sort the samples by ids that differ", last.id));
+            }
+            _ => {
+                if let Some(fault) = place_fault(*tx) {
+                    return Err(format!("the transmitter of id {id} at {tx:?} {fault}"));
+                }
+                transmitters.push(Transmitter { id: *id, position: *tx });
+            }
+        }
+        links.push(Link { transmitter: transmitters.len() - 1, receiver: *receiver });
+    }
+    Ok((transmitters, links))
+}
+
+/// Everything from one origin.
+fn scene(mut receivers: Vec<Receiver>, points: Vec<[f64; 3]>, transmitters: &[Transmitter]) -> Scene {
+    let txs = || transmitters.iter().map(|transmitter| transmitter.position);
+    let others: Vec<[f64; 3]> = receivers[1..].iter().map(|receiver| receiver.pose.position).collect();
+    let origin = Origin::of(receivers[0].pose.position, points.iter().copied().chain(txs()).chain(others));
+    receivers.iter_mut().for_each(|receiver| receiver.pose = origin.local_pose(receiver.pose));
+    let points: Vec<[Real; 3]> = points.into_iter().map(|point| origin.local(point)).collect();
+    let known = txs().map(|tx| origin.local(tx)).chain(points.iter().copied());
+    let bounds = bounds_of(known.chain(receivers.iter().map(|receiver| receiver.pose.origin().to_array())));
+    Scene { origin, receivers, bounds, points }
+}
+
+/// Smallest and largest corner of the given points.
+fn bounds_of(points: impl Iterator<Item = [Real; 3]>) -> ([Real; 3], [Real; 3]) {
+    let nothing = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    let (low, high) = points.map(Vec3::from_array).fold(nothing, |(low, high), p| (low.min(p), high.max(p)));
+    (low.to_array(), high.to_array())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_data_set_that_cannot_be_is_refused_with_what_is_wrong() {
+        let sample = |id, x| Sample::new(id, [x, 0.0, 0.0]);
+        let new = |receiver, points, count: usize, samples| {
+            let spectra = Spectra::grey((3, 2), vec![0; 6 * count]).unwrap();
+            Dataset::new("room", receiver, points, samples, spectra).unwrap_err().to_string()
+        };
+        let turned = |orientation| Pose { orientation, ..Pose::IDENTITY };
+        let far = Pose { position: [1e300, 0.0, 0.0], ..Pose::IDENTITY };
+        let good = || vec![sample(1, 0.0)];
+        let said = [
+            new(turned([0.0; 4]), vec![], 1, good()),
+            new(turned([0.0, 0.0, 0.0, 1.01]), vec![], 1, good()),
+            new(Pose::IDENTITY, vec![], 1, vec![]),
+            new(Pose::IDENTITY, vec![], 2, good()),
+            new(Pose::IDENTITY, vec![], 2, vec![sample(2, 0.0), sample(2, 1.0)]),
+            new(Pose::IDENTITY, vec![], 1, vec![sample(1, f64::NAN)]),
+            new(Pose::IDENTITY, vec![[0.0, f64::INFINITY, 0.0]], 1, good()),
+        ];
+        let why = ["is zero", "has length 1.01", "1 spectra for 0", "2 spectra for 1", "id 2 follows 2", "NaN", "inf"];
+        for (said, why) in said.iter().zip(why) {
+            assert!(said.starts_with("data set `room`: ") && said.contains(why), "{said}");
+        }
+        assert!(new(far, vec![], 1, good()).contains("receiver: the position is 1e300 m, beyond 1e8 m"));
+    }
+
+    #[test]
+    fn map_coordinates_count_from_the_receiver() {
+        let one = || Spectra::grey((3, 2), vec![0; 6]).unwrap();
+        let at = |x: f64| vec![Sample::new(1, [x, 0.25, 0.0])];
+        let receiver = Pose { position: [5.5, 0.0, 0.0], ..Pose::IDENTITY };
+        let room = Dataset::new("room", receiver, vec![[1000.0; 3]], at(2.5), one()).unwrap().scene;
+        assert_eq!((room.origin, room.pose(), room.points), (Origin::ZERO, receiver, vec![[1000.0; 3]]));
+        let map = Dataset::new("map", receiver, vec![[1.0, 2.0, 3.0]], at(5_399_999.54), one()).unwrap().scene;
+        assert_eq!((map.origin.0, map.pose().position), ([6.0, 0.0, 0.0], [-0.5, 0.0, 0.0]));
+        assert_eq!((map.points, map.bounds.1), (vec![[-5.0, 2.0, 3.0]], [5_399_993.54, 2.0, 3.0]));
+    }
+}

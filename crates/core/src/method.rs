@@ -1,0 +1,202 @@
+//! `Method`: the one seam between training and what is trained. From parameters and links to observations, and back.
+
+use crate::{
+    Cache, CloudStats, Conditions, Dataset, Elevation, GaussianCloud, ImagePlane, Kind, Link, Origin, Pose, Real, Receiver,
+    StageTimes, WeightSpec, plugin_kind, rng::Rng,
+};
+
+/// Where observations are made, and what they are: all of a data set that a trained model has to know.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Frame {
+    /// The place in the user's frame that everything here counts from.
+    pub origin: Origin,
+    /// Who listens, from the origin.
+    pub receivers: Vec<Receiver>,
+    /// Which of the three tasks it is.
+    pub kind: Kind,
+    /// The numbers of one observation: of a spectrum, its picture.
+    pub plane: ImagePlane,
+    /// Subcarriers of a channel, Hz; empty for anything else.
+    pub frequencies_hz: Vec<f64>,
+}
+
+impl Frame {
+    /// That of `data`, drawn on `plane`.
+    pub fn of(data: &Dataset, plane: ImagePlane) -> Self {
+        let frequencies_hz = match &data.observations {
+            crate::Observations::Channels(channels) => channels.frequencies_hz.clone(),
+            _ => Vec::new(),
+        };
+        let (origin, receivers) = (data.scene.origin, data.scene.receivers.clone());
+        Self { origin, receivers, kind: data.kind(), plane, frequencies_hz }
+    }
+
+    /// Of spectra that one receiver sees.
+    pub fn spectra(origin: Origin, pose: Pose, plane: ImagePlane) -> Self {
+        let receivers = vec![Receiver::new("receiver", pose)];
+        Self { origin, receivers, kind: Kind::Spectrum, plane, frequencies_hz: Vec::new() }
+    }
+
+    /// Numbers of one observation.
+    pub fn numbers(&self) -> usize {
+        self.plane.width * self.plane.height
+    }
+
+    /// The first receiver's pose, from the origin.
+    pub fn pose(&self) -> Pose {
+        self.receivers.first().map_or(Pose::IDENTITY, |receiver| receiver.pose)
+    }
+
+    /// The first receiver's pose in the user's frame.
+    pub fn receiver(&self) -> Pose {
+        self.origin.world_pose(self.pose())
+    }
+
+    /// The elevations that rows of a spectrum are.
+    pub fn elevation(&self) -> Elevation {
+        self.plane.elevation().unwrap_or(Elevation::UPPER)
+    }
+}
+
+/// What is learned, as a method reads it.
+#[derive(Clone, Copy, Debug)]
+pub struct Parameters<'a> {
+    /// The Gaussians; a method may have none.
+    pub cloud: &'a GaussianCloud,
+    /// What pruners multiply each Gaussian by, `[N]`; `None`: all open.
+    pub gate: Option<&'a [Real]>,
+    /// Everything else, as [`Method::layout`] names it.
+    pub weights: &'a [Real],
+}
+
+/// Links whose observations are wanted.
+#[derive(Clone, Copy, Debug)]
+pub struct Asked<'a> {
+    /// Of each transmitter.
+    pub conditions: Conditions<'a>,
+    /// Rows of `conditions` and receivers of the frame. Links of a transmitter are next to each other.
+    pub links: &'a [Link],
+}
+
+/// Observations, and what the way back needs.
+#[derive(Debug)]
+pub struct Observed {
+    /// `[L, numbers]`, an observation a link.
+    pub numbers: Vec<Real>,
+    /// Whatever the method wants to find again in [`Method::vjp`].
+    pub cache: Cache,
+}
+
+/// Derivatives in everything that is learned, and what was seen of each Gaussian.
+#[derive(Clone, Debug)]
+pub struct MethodVjp {
+    /// In the columns of the cloud; extra columns stay 0.
+    pub cloud: GaussianCloud,
+    /// In the gate, `[N]`.
+    pub gate: Vec<Real>,
+    /// In the weights.
+    pub weights: Vec<Real>,
+    /// For pruners and densification; zeros where a method draws no splats.
+    pub seen: CloudStats,
+}
+
+impl MethodVjp {
+    /// Zeros for parameters of this size.
+    pub fn zeros(parameters: &Parameters<'_>) -> Self {
+        let n = parameters.cloud.len();
+        Self {
+            cloud: parameters.cloud.zeros_like(),
+            gate: vec![0.0; n],
+            weights: vec![0.0; parameters.weights.len()],
+            seen: CloudStats::zeros(n),
+        }
+    }
+}
+
+/// A way from parameters to observations. Parameters are the columns of a [`GaussianCloud`], which pruners and densification
+/// change, and a flat vector of weights with names; settings live in the plugin. Trainer, checkpoint, evaluation and model
+/// file know no more of a model than this.
+#[typetag::serde]
+pub trait Method: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
+    /// Names and shapes of the weights, in the order in which they lie in the flat vector.
+    fn layout(&self, frame: &Frame) -> Vec<WeightSpec>;
+
+    /// Fresh weights, as long as [`Self::layout`] says.
+    fn init(&self, frame: &Frame, rng: &mut Rng) -> Vec<Real>;
+
+    /// Numbers read besides settings and weights: drawn from a seed and never learned.
+    fn constants(&self) -> Vec<(WeightSpec, Vec<Real>)> {
+        Vec::new()
+    }
+
+    /// The rows of the cloud that can count, whatever the weights say; [`Self::forward`] gets these alone.
+    fn drawable(&self, frame: &Frame, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
+        let _ = frame;
+        (0..cloud.len()).filter(|&i| gate.is_none_or(|gate| gate[i] != 0.0)).collect()
+    }
+
+    /// Observations of the links asked for.
+    fn forward(&self, frame: &Frame, parameters: &Parameters<'_>, asked: &Asked<'_>) -> Observed;
+
+    /// Adds to `sums`, given the cotangents `d` of [`Observed::numbers`].
+    fn vjp(
+        &self,
+        frame: &Frame,
+        parameters: &Parameters<'_>,
+        asked: &Asked<'_>,
+        observed: Observed,
+        d: &[Real],
+        sums: &mut MethodVjp,
+    );
+
+    /// What no transmitter changes, worked out once for many predictions.
+    fn prepare(&self, frame: &Frame, parameters: &Parameters<'_>) -> Cache {
+        let _ = (frame, parameters);
+        None
+    }
+
+    /// [`Observed::numbers`] of [`Self::forward`], bit for bit, given what [`Self::prepare`] made of the same parameters,
+    /// and how long each stage took.
+    fn predict(
+        &self,
+        frame: &Frame,
+        parameters: &Parameters<'_>,
+        asked: &Asked<'_>,
+        prepared: &Cache,
+    ) -> (Vec<Real>, StageTimes) {
+        let _ = prepared;
+        let start = std::time::Instant::now();
+        let numbers = self.forward(frame, parameters, asked).numbers;
+        (numbers, StageTimes { total: start.elapsed().as_secs_f64(), ..StageTimes::default() })
+    }
+
+    /// As [`Deformation::frequency_window`](crate::Deformation::frequency_window).
+    fn frequency_window(&self, share: f64) -> Option<Vec<Real>> {
+        let _ = share;
+        None
+    }
+
+    /// Numbers a transmitter is described by: 3 for its position.
+    fn inputs(&self) -> usize {
+        3
+    }
+
+    /// A part of the numbers of an observation as the method would give it, where training looks at every `stride`-th pixel.
+    fn restrict(&self, numbers: &mut [Real]) {
+        let _ = numbers;
+    }
+
+    /// Refuses a frame that it cannot serve: another kind of observation, receivers too many, no subcarriers.
+    fn check_frame(&self, frame: &Frame) -> Result<(), String>;
+
+    /// One line for `pwrfgs plugins`.
+    fn about(&self) -> &'static str {
+        ""
+    }
+
+    /// Refuses settings that cannot work, when the pipeline is read.
+    fn check(&self) -> Result<(), String> {
+        Ok(())
+    }
+}
+plugin_kind!(Method);

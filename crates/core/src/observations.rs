@@ -1,0 +1,301 @@
+//! `Observations`: what was observed of every link, and what a number of it is.
+
+use crate::{Documented, Error, Image, ImagePlane, Number, Real, Result, Spectra};
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
+
+/// The three tasks of the field.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Documented)]
+pub enum Kind {
+    /// A spatial spectrum: a picture of the receiver's sky.
+    #[default]
+    Spectrum,
+    /// A received power, one number in dBm.
+    Power,
+    /// A channel: a complex number for every antenna and subcarrier.
+    Channel,
+}
+
+impl Kind {
+    /// As it is called in a sentence, in the plural.
+    pub fn plural(self) -> &'static str {
+        match self {
+            Self::Spectrum => "spatial spectra",
+            Self::Power => "received powers",
+            Self::Channel => "channels",
+        }
+    }
+}
+
+/// What one number of an observation is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Meaning {
+    /// What comes from a direction: a unit vector in the receiver's frame.
+    Direction([Real; 3]),
+    /// A power in dBm.
+    Power,
+    /// Part of a complex gain.
+    Gain {
+        /// At which antenna.
+        antenna: usize,
+        /// On which subcarrier.
+        subcarrier: usize,
+        /// The imaginary part, not the real one.
+        imaginary: bool,
+    },
+    /// A pixel of a projection that knows no angles.
+    Nothing,
+}
+
+/// What the number at a row and a column is: the one place where a place in an array gets a meaning. Pictures ask their
+/// plane.
+pub fn meaning(kind: Kind, plane: &ImagePlane, row: usize, column: usize) -> Meaning {
+    match kind {
+        Kind::Spectrum => plane.direction(column as Real, row as Real).map_or(Meaning::Nothing, Meaning::Direction),
+        Kind::Power => Meaning::Power,
+        Kind::Channel => Meaning::Gain { antenna: row / 2, subcarrier: column, imaginary: row % 2 == 1 },
+    }
+}
+
+/// Channels `[L, A, F]`, complex, in memory.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Channels {
+    /// A, antennas of a receiver.
+    pub antennas: usize,
+    /// Frequencies of the subcarriers `[F]`, Hz.
+    pub frequencies_hz: Vec<f64>,
+    /// Real and imaginary part of every gain.
+    pub gains: Vec<[Real; 2]>,
+}
+
+impl Channels {
+    /// Numbers of one: rows (real parts of an antenna, then its imaginary parts) by columns (subcarriers).
+    fn size(&self) -> (usize, usize) {
+        (self.frequencies_hz.len(), 2 * self.antennas)
+    }
+
+    /// The gains of link `i`, `[A, F]`.
+    pub fn of(&self, i: usize) -> &[[Real; 2]] {
+        let of_one = self.antennas * self.frequencies_hz.len();
+        &self.gains[i * of_one..][..of_one]
+    }
+
+    /// Those of link `i` in the rows of an observation: an antenna's real parts, then its imaginary parts.
+    fn rows(&self, i: usize) -> impl Iterator<Item = Real> + '_ {
+        let antennas = self.of(i).chunks_exact(self.frequencies_hz.len());
+        antennas.flat_map(|own| (0..2).flat_map(move |part| own.iter().map(move |gain| gain[part])))
+    }
+}
+
+/// The gains `[A, F]` of an observation's rows.
+pub fn gains_of(rows: &Image) -> Vec<[Real; 2]> {
+    let antennas = rows.pixels.chunks_exact(2 * rows.width);
+    antennas
+        .flat_map(|own| {
+            let (re, im) = own.split_at(rows.width);
+            re.iter().zip(im).map(|(re, im)| [*re, *im])
+        })
+        .collect()
+}
+
+/// What was observed of the links, in their order, as flat arrays.
+///
+/// Whatever it is, an observation of one link can be had as an array of numbers [`Image`]: a picture is one, a power has
+/// one row and one column, a channel has two rows an antenna (real parts, imaginary parts) and a column a subcarrier.
+#[derive(Clone, Debug)]
+pub enum Observations {
+    /// Spatial spectra `[L, H, W]`.
+    Pictures(Spectra),
+    /// Received powers `[L]`, dBm.
+    Powers(Vec<Real>),
+    /// Channels `[L, A, F]`.
+    Channels(Channels),
+}
+
+impl From<Spectra> for Observations {
+    fn from(spectra: Spectra) -> Self {
+        Self::Pictures(spectra)
+    }
+}
+
+impl Observations {
+    /// Which of the three.
+    pub fn kind(&self) -> Kind {
+        match self {
+            Self::Pictures(_) => Kind::Spectrum,
+            Self::Powers(_) => Kind::Power,
+            Self::Channels(_) => Kind::Channel,
+        }
+    }
+
+    /// L, links.
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Pictures(spectra) => spectra.len(),
+            Self::Powers(powers) => powers.len(),
+            Self::Channels(channels) => channels.gains.len() / (channels.antennas * channels.frequencies_hz.len()),
+        }
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Columns and rows of one observation.
+    pub fn size(&self) -> (usize, usize) {
+        match self {
+            Self::Pictures(spectra) => (spectra.width(), spectra.height()),
+            Self::Powers(_) => (1, 1),
+            Self::Channels(channels) => channels.size(),
+        }
+    }
+
+    /// Observation `i` as an array of numbers.
+    pub fn image(&self, i: usize) -> Image {
+        let (width, height) = self.size();
+        match self {
+            Self::Pictures(spectra) => spectra.image(i),
+            Self::Powers(powers) => Image { width, height, pixels: vec![powers[i]] },
+            Self::Channels(channels) => Image { width, height, pixels: channels.rows(i).collect() },
+        }
+    }
+
+    /// Every `stride`-th column of every `stride`-th row of picture `i` into as many pixels, row-major; the whole of
+    /// anything else.
+    pub fn coarse(&self, i: usize, stride: usize, out: &mut [Real]) {
+        match self {
+            Self::Pictures(spectra) => spectra.coarse(i, stride, out),
+            Self::Powers(powers) => out[0] = powers[i],
+            Self::Channels(channels) => out.iter_mut().zip(channels.rows(i)).for_each(|(out, v)| *out = v),
+        }
+    }
+
+    /// Adds `weight` times observation `i`, in units of which [`Self::full_scale`] are 1, to `sum`.
+    pub fn add(&self, i: usize, weight: f64, sum: &mut [f64]) {
+        match self {
+            Self::Pictures(spectra) => spectra.add(i, weight, sum),
+            Self::Powers(powers) => sum[0] += weight * powers[i] as f64,
+            Self::Channels(channels) => {
+                sum.iter_mut().zip(channels.rows(i)).for_each(|(sum, v)| *sum += weight * v as f64);
+            }
+        }
+    }
+
+    /// What stands for 1 in [`Self::add`].
+    pub fn full_scale(&self) -> f64 {
+        match self {
+            Self::Pictures(spectra) => spectra.number().full_scale(),
+            _ => 1.0,
+        }
+    }
+
+    /// Observation `i` as bytes: two that are equal have the same.
+    pub fn raw(&self, i: usize) -> Cow<'_, [u8]> {
+        match self {
+            Self::Pictures(spectra) => spectra.raw(i),
+            other => Cow::Owned(other.image(i).pixels.iter().flat_map(|v| v.to_le_bytes()).collect()),
+        }
+    }
+
+    /// How the numbers of a picture are stored; what is no picture is held as floats.
+    pub fn number(&self) -> Number {
+        match self {
+            Self::Pictures(spectra) => spectra.number(),
+            _ if size_of::<Real>() == 8 => Number::F64,
+            _ => Number::F32,
+        }
+    }
+
+    /// Bytes held in memory.
+    pub fn bytes_in_memory(&self) -> usize {
+        match self {
+            Self::Pictures(spectra) => spectra.bytes_in_memory(),
+            Self::Powers(powers) => size_of_val(powers.as_slice()),
+            Self::Channels(channels) => size_of_val(channels.gains.as_slice()),
+        }
+    }
+
+    /// Whether all that was read so far could be read.
+    ///
+    /// # Errors
+    /// [`Error::Read`] of the file of pictures.
+    pub fn check(&self) -> Result<()> {
+        match self {
+            Self::Pictures(spectra) => spectra.check(),
+            _ => Ok(()),
+        }
+    }
+
+    /// The pictures, for who can do with nothing else.
+    ///
+    /// # Errors
+    /// [`Error::Config`] naming `who` where these are something else.
+    pub fn pictures(&self, who: &str) -> Result<&Spectra> {
+        match self {
+            Self::Pictures(spectra) => Ok(spectra),
+            other => Err(Error::Config(format!("{who} needs spatial spectra, and these data are {}", other.kind().plural()))),
+        }
+    }
+
+    /// What cannot be: nothing observed, half an observation, a number that is none.
+    pub(crate) fn fault(&self) -> Option<String> {
+        let not_finite = |values: &[Real]| values.iter().position(|v| !v.is_finite());
+        match self {
+            Self::Pictures(_) => None,
+            Self::Powers(powers) if powers.is_empty() => Some("there is no power; give at least one".into()),
+            Self::Powers(powers) => not_finite(powers).map(|i| format!("powers[{i}] is {}; give dBm", powers[i])),
+            Self::Channels(channels) => {
+                let of_one = channels.antennas * channels.frequencies_hz.len();
+                if of_one == 0 || channels.gains.is_empty() || !channels.gains.len().is_multiple_of(of_one) {
+                    let have = channels.gains.len();
+                    let what = format!("{} antennas by {} subcarriers", channels.antennas, channels.frequencies_hz.len());
+                    return Some(format!("{have} gains are no channels of {what}; give at least one, and whole ones"));
+                }
+                if let Some(f) = channels.frequencies_hz.iter().find(|f| !(f.is_finite() && **f > 0.0)) {
+                    return Some(format!("a subcarrier at {f} Hz; give frequencies above 0"));
+                }
+                let i = not_finite(channels.gains.as_flattened())? / 2;
+                let [l, a, f] = [i / of_one, i % of_one / channels.frequencies_hz.len(), i % channels.frequencies_hz.len()];
+                Some(format!("channels[{l}, {a}, {f}] is {:?}; give finite numbers", channels.gains[i]))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn two() -> Observations {
+        let gains = (0..12).map(|i| [i as Real, -(i as Real)]).collect();
+        Observations::Channels(Channels { antennas: 2, frequencies_hz: vec![1e9, 2e9, 3e9], gains })
+    }
+
+    #[test]
+    fn a_channel_is_rows_of_real_and_imaginary_parts() {
+        let all = two();
+        assert_eq!((all.len(), all.size(), all.kind()), (2, (3, 4), Kind::Channel));
+        let second = all.image(1);
+        assert_eq!(second.pixels, [6.0, 7.0, 8.0, -6.0, -7.0, -8.0, 9.0, 10.0, 11.0, -9.0, -10.0, -11.0]);
+        let plane = ImagePlane { width: 3, height: 4, wraps: false, angles: None };
+        let meant = meaning(Kind::Channel, &plane, 3, 2);
+        assert_eq!(meant, Meaning::Gain { antenna: 1, subcarrier: 2, imaginary: true });
+        let Observations::Channels(channels) = &all else { unreachable!() };
+        assert_eq!(gains_of(&second), channels.of(1));
+        let mut sum = vec![0.0; 12];
+        all.add(1, 2.0, &mut sum);
+        assert_eq!(sum[3], -12.0);
+    }
+
+    #[test]
+    fn what_cannot_be_is_told_with_its_place() {
+        assert!(Observations::Powers(vec![-3.0, Real::NAN]).fault().unwrap().starts_with("powers[1] is NaN"));
+        let Observations::Channels(mut channels) = two() else { unreachable!() };
+        channels.gains[10] = [0.0, Real::INFINITY];
+        assert!(Observations::Channels(channels.clone()).fault().unwrap().starts_with("channels[1, 1, 1] is"));
+        channels.gains.pop();
+        assert!(Observations::Channels(channels).fault().unwrap().contains("11 gains are no channels of 2 antennas"));
+        assert!(two().fault().is_none() && two().pictures("`inspect`").is_err());
+    }
+}

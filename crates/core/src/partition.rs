@@ -1,0 +1,42 @@
+//! `Partition`: which links serve what.
+
+/// Which links serve what; indices into [`Dataset::links`], each list sorted, the lists disjoint.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Partition {
+    /// What the model learns from.
+    pub train: Vec<usize>,
+    /// What curves and choices look at.
+    pub validation: Vec<usize>,
+    /// Read once, at the end.
+    pub test: Vec<usize>,
+}
+
+impl Partition {
+    /// All but the test part.
+    pub fn known(&self) -> Known<'_> {
+        Known { train: &self.train, validation: &self.validation }
+    }
+}
+
+/// The links that a baseline may learn from; indices into [`Dataset::links`], two disjoint lists.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Known<'a> {
+    /// What a model learns from, too.
+    pub train: &'a [usize],
+    /// What choices are made on, where there are any to make. Then it is learned from like the rest.
+    pub validation: &'a [usize],
+}
+
+impl<'a> Known<'a> {
+    /// A training part without validation.
+    pub fn train(train: &'a [usize]) -> Self {
+        Self { train, validation: &[] }
+    }
+
+    /// Training and validation together, sorted.
+    pub fn all(&self) -> Vec<usize> {
+        let mut all = [self.train, self.validation].concat();
+        all.sort_unstable();
+        all
+    }
+}

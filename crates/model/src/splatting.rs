@@ -1,0 +1,230 @@
+//! `Splatting`: Gaussians drawn as splats, for prediction and training alike, and the derivative.
+//!
+//! ```text
+//! means, p_tx ─► deform ─► ΔS, ΔR, Δs
+//! cloud, Δ, M ─► activate ─► project ─► prepare the rasterizer      (Geometry, once a receiver)
+//!                 signals ─► rasterize                              (Drawing) ─► read out ─► P̂
+//! ```
+
+mod groups;
+mod method;
+mod received;
+
+use crate::{Activation, ActivationVjp, Calibration, Readout};
+use pwrfgs_core::plugin::Plugin;
+use pwrfgs_core::{
+    Cache, Deformation, Deltas, Documented, Elevation, Frame, GaussianCloud, ImagePlane, Kind, Pose, Primitives, Projector,
+    Rasterizer, Real, Render, RenderVjp, Splats, sigmoid,
+};
+use serde::{Deserialize, Serialize};
+use std::ops::Range;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Gaussians drawn as splats: what the fields `projector`, `rasterizer`, `deformation`, `calibration` and `readout` of a
+/// pipeline say, and what a pipeline does that leaves `method` out.
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[serde(deny_unknown_fields)]
+pub struct Splatting {
+    /// What the transmitter changes.
+    pub deformation: Plugin<dyn Deformation>,
+    /// From space to the picture.
+    pub projector: Plugin<dyn Projector>,
+    /// From splats to pixels.
+    pub rasterizer: Plugin<dyn Rasterizer>,
+    /// How calibration terms meet the base parameters.
+    pub calibration: Calibration,
+    /// From blended signals to grey values.
+    pub readout: Readout,
+}
+
+/// What a receiver looks at: from where, and at which pixels.
+#[derive(Clone, Debug, PartialEq)]
+pub struct View {
+    /// Of the receiver, from the origin.
+    pub pose: Pose,
+    /// Of the sky.
+    pub plane: ImagePlane,
+}
+
+/// Gaussians in space and on the picture, before their signals are looked at.
+#[derive(Debug)]
+pub struct Geometry {
+    /// In space.
+    pub primitives: Primitives,
+    /// On the picture.
+    pub splats: Splats,
+    /// What the rasterizer found of them.
+    pub cache: Cache,
+    /// Seconds that activation and projection took, and the rasterizer.
+    pub seconds: [f64; 2],
+}
+
+/// Blended signals of transmitters that share one geometry, and what the way back needs.
+#[derive(Debug)]
+pub struct Drawing {
+    /// Which transmitters of the batch.
+    pub batch: Range<usize>,
+    /// What is drawn.
+    pub geometry: Arc<Geometry>,
+    /// Signals `[N, batch · channels]`.
+    pub signals: Vec<Real>,
+    /// What is seen of it.
+    pub render: Render,
+}
+
+/// What rasterizer, readout, calibration and plane cannot see of each other: one check for pipelines and model files.
+///
+/// # Errors
+/// Which of them does not suit, and what to do.
+pub fn check_together(
+    rasterizer: &dyn Rasterizer,
+    readout: Readout,
+    calibration: Calibration,
+    plane: &ImagePlane,
+) -> Result<(), String> {
+    rasterizer.check_plane(plane).map_err(|why| format!("rasterizer: {why}"))?;
+    if rasterizer.coherent() && readout.channels() < 2 {
+        return Err(
+            "readout: this rasterizer adds up waves, and Real takes one channel of each; use MinMax, Magnitude \
+                    or Power"
+                .into(),
+        );
+    }
+    if rasterizer.coherent() && calibration == Calibration::AsReleased {
+        return Err(
+            "calibration: AsReleased makes colours of signals, and this rasterizer adds up waves; use Physical".into(),
+        );
+    }
+    Ok(())
+}
+
+/// Whether a readout gives what the data are.
+///
+/// # Errors
+/// Which readout would.
+pub fn check_kind(readout: Readout, kind: Kind) -> Result<(), String> {
+    match (readout.kind(), kind) {
+        (own, kind) if own == kind => Ok(()),
+        (own, Kind::Spectrum) => Err(format!(
+            "readout: it gives {}, and the data are spatial spectra; use Magnitude, MinMax, Power or Real",
+            own.plural()
+        )),
+        (own, Kind::Power) => {
+            Err(format!("readout: it gives {}, and the data are received powers; use Received(sky_deg: 10)", own.plural()))
+        }
+        (own, Kind::Channel) => Err(format!(
+            "readout: it gives {}, and the data are channels; use `method: VirtualTransmitters()`, or readout: Channel",
+            own.plural()
+        )),
+    }
+}
+
+impl Splatting {
+    /// What is drawn of a receiver's sky: the spectrum itself, or a coarse sky that is summed up to a power.
+    pub fn sky(&self, frame: &Frame) -> ImagePlane {
+        match self.readout {
+            Readout::Received { sky_deg } => {
+                let (width, height) = (360 / sky_deg as usize, 180 / sky_deg as usize);
+                let whole = Elevation { first: -90.0, last: 90.0 };
+                let plane = self.projector.plane_of(width.max(1), height.max(1), whole);
+                plane.unwrap_or_else(|_| self.projector.plane(width.max(1), height.max(1)))
+            }
+            _ => frame.plane.clone(),
+        }
+    }
+
+    /// How a cloud is activated here.
+    pub fn activation(&self) -> Activation {
+        Activation {
+            calibration: self.calibration,
+            replaces_signals: self.deformation.replaces_signals(),
+            channels: self.readout.channels(),
+        }
+    }
+
+    /// What the frame's receivers see.
+    pub fn views(&self, frame: &Frame) -> Vec<View> {
+        let plane = self.sky(frame);
+        frame.receivers.iter().map(|receiver| View { pose: receiver.pose, plane: plane.clone() }).collect()
+    }
+
+    /// The rows of `cloud` that can show in a picture, whatever the network says: gate open, not too faint for the
+    /// rasterizer, seen by the projector. Only they need to pass the network; all, where it couples them.
+    pub fn drawable(&self, frame: &Frame, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
+        if self.deformation.couples_gaussians() {
+            return (0..cloud.len()).collect();
+        }
+        let mut seen = vec![false; cloud.len()];
+        for View { pose, plane } in self.views(frame) {
+            let own = self.projector.sees(&cloud.means, &pose, &plane);
+            seen.iter_mut().zip(own).for_each(|(any, own)| *any |= own);
+        }
+        let faintest = self.rasterizer.faintest();
+        let drawn = |i: &usize| {
+            let gate = gate.map_or(1.0, |g| g[*i]);
+            gate != 0.0 && seen[*i] && gate * sigmoid(cloud.opacity_logits[*i]) >= faintest
+        };
+        (0..cloud.len()).filter(drawn).collect()
+    }
+
+    /// The geometry of transmitter `b` of the batch in `deltas`, gated by `gate` `[N]` (`None`: all open), in a view.
+    pub fn geometry(
+        &self,
+        view: &View,
+        cloud: &GaussianCloud,
+        deltas: &Deltas,
+        b: usize,
+        gate: Option<&[Real]>,
+    ) -> Geometry {
+        let start = Instant::now();
+        let primitives = self.activation().geometry(cloud, deltas, b, gate);
+        let splats = self.projector.project(&primitives, &view.pose, &view.plane);
+        let projected = Instant::now();
+        let cache = self.rasterizer.prepare(&splats, &view.plane);
+        let seconds = [projected - start, projected.elapsed()].map(|time| time.as_secs_f64());
+        Geometry { primitives, splats, cache, seconds }
+    }
+
+    /// Draws the transmitters `batch` of `deltas`, which share the geometry of the first; `still` is that geometry where
+    /// it is known.
+    pub fn draw(
+        &self,
+        view: &View,
+        cloud: &GaussianCloud,
+        deltas: &Deltas,
+        batch: Range<usize>,
+        gate: Option<&[Real]>,
+        still: Option<&Arc<Geometry>>,
+    ) -> Drawing {
+        let fresh = || Arc::new(self.geometry(view, cloud, deltas, batch.start, gate));
+        let geometry = still.cloned().unwrap_or_else(fresh);
+        let signals = self.activation().signals(cloud, deltas, batch.clone());
+        let (channels, Geometry { splats, cache, .. }) = (self.readout.channels() * batch.len(), &*geometry);
+        let render = self.rasterizer.forward_prepared(splats, &signals, channels, &view.plane, cache);
+        Drawing { batch, geometry, signals, render }
+    }
+
+    /// The derivative of [`Self::draw`]: adds to `sums`, given the cotangents of the blended signals, and gives those of
+    /// the splats.
+    #[allow(clippy::too_many_arguments)] // what `draw` has, what it gave, and the two ends of the derivative
+    pub fn draw_vjp(
+        &self,
+        view: &View,
+        drawing: &Drawing,
+        cloud: &GaussianCloud,
+        deltas: &Deltas,
+        gate: Option<&[Real]>,
+        d_pixels: &[Real],
+        sums: &mut ActivationVjp,
+    ) -> RenderVjp {
+        let Drawing { batch, geometry, signals, render } = drawing;
+        let (activation, splats) = (self.activation(), &geometry.splats);
+        let channels = activation.channels * batch.len();
+        let d = self.rasterizer.backward(splats, signals, channels, &view.plane, render, d_pixels);
+        let d_primitives = self.projector.project_vjp(&geometry.primitives, &view.pose, &view.plane, splats, &d.splats);
+        activation.geometry_vjp(cloud, deltas, batch.start, gate, &d_primitives, sums);
+        activation.signals_vjp(cloud, deltas, batch.clone(), &d.signals, sums);
+        d
+    }
+}

@@ -1,0 +1,79 @@
+//! `Group`: links that are drawn together, because they share a receiver and a geometry.
+
+use pwrfgs_core::{Deltas, Link, Real};
+use std::borrow::Cow;
+use std::ops::Range;
+
+/// Links of one receiver.
+#[derive(Debug)]
+pub(super) struct Group {
+    pub(super) receiver: usize,
+    /// Places in the list of links.
+    pub(super) links: Vec<usize>,
+    /// Rows of the transmitters.
+    rows: Vec<usize>,
+}
+
+impl Group {
+    /// All links, receiver by receiver; each alone, where they do not `share` a geometry.
+    pub(super) fn all(links: &[Link], receivers: usize, share: bool) -> Vec<Self> {
+        let mut groups: Vec<Self> = Vec::new();
+        for receiver in 0..receivers {
+            let own: Vec<usize> = (0..links.len()).filter(|&i| links[i].receiver == receiver).collect();
+            let together = if share { own.len().max(1) } else { 1 };
+            groups.extend(own.chunks(together).map(|part| Self {
+                receiver,
+                links: part.to_vec(),
+                rows: part.iter().map(|&i| links[i].transmitter).collect(),
+            }));
+        }
+        groups
+    }
+
+    /// The rows of `numbers` that are its links'.
+    pub(super) fn gather<'a>(&self, all: &'a [Real], numbers: usize) -> Cow<'a, [Real]> {
+        if self.links.windows(2).all(|pair| pair[1] == pair[0] + 1) {
+            return Cow::Borrowed(&all[self.links[0] * numbers..][..self.links.len() * numbers]);
+        }
+        Cow::Owned(self.links.iter().flat_map(|link| &all[link * numbers..][..numbers]).copied().collect())
+    }
+
+    /// Puts rows where its links are.
+    pub(super) fn scatter(&self, own: &[Real], numbers: usize, all: &mut [Real]) {
+        for (own, link) in own.chunks_exact(numbers).zip(&self.links) {
+            all[link * numbers..][..numbers].copy_from_slice(own);
+        }
+    }
+
+    /// The terms of its transmitters: rows of `deltas` as they lie there, or copied to lie side by side.
+    pub(super) fn terms<'a>(&self, deltas: &'a Deltas, n: usize) -> (Cow<'a, Deltas>, Range<usize>) {
+        let first = self.rows[0];
+        if self.rows.iter().enumerate().all(|(k, row)| *row == first + k) {
+            return (Cow::Borrowed(deltas), first..first + self.rows.len());
+        }
+        (Cow::Owned(self.copy(deltas, n)), 0..self.rows.len())
+    }
+
+    fn copy(&self, deltas: &Deltas, n: usize) -> Deltas {
+        fn rows<T: Copy>(of: &[T], rows: &[usize], n: usize) -> Vec<T> {
+            if of.is_empty() { Vec::new() } else { rows.iter().flat_map(|b| of[b * n..][..n].iter().copied()).collect() }
+        }
+        let Deltas { scales, quats, signals } = deltas;
+        Deltas {
+            scales: rows(scales, &self.rows, n),
+            quats: rows(quats, &self.rows, n),
+            signals: rows(signals, &self.rows, n),
+        }
+    }
+
+    /// Adds derivatives of copied terms to the rows that they were copied from.
+    pub(super) fn add_back(&self, own: &Deltas, all: &mut Deltas, n: usize) {
+        for (own, all) in own.columns().into_iter().zip(all.columns_mut()) {
+            let width = own.len() / (self.rows.len() * n).max(1);
+            for (k, b) in self.rows.iter().enumerate() {
+                let into = all.iter_mut().skip(b * n * width).take(n * width);
+                into.zip(&own[k * n * width..]).for_each(|(sum, d): (&mut Real, &Real)| *sum += d);
+            }
+        }
+    }
+}

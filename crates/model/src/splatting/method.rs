@@ -1,0 +1,258 @@
+//! Splatting as a [`Method`]: links in, observations out, and back.
+
+use super::groups::Group;
+use super::{Drawing, Geometry, Splatting, View, check_kind, check_together, received};
+use crate::{ActivationVjp, Calibration, Readout};
+use pwrfgs_core::{
+    Asked, Cache, Conditions, DeformationInputs, Deltas, Frame, GaussianCloud, Method, MethodVjp, Observed, Parameters,
+    Real, StageTimes, WeightSpec, cached, rng::Rng,
+};
+use rayon::prelude::*;
+use std::borrow::Cow;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// The name of the offsets among the weights, [`Readout::Received`] only.
+const OFFSETS: &str = "receiver.offsets";
+
+/// What [`Method::vjp`] finds again.
+struct Kept {
+    deltas: Deltas,
+    drawings: Vec<(Group, View, Drawing)>,
+}
+
+/// What no transmitter changes.
+struct Ready {
+    deformation: Cache,
+    /// Of each receiver, where no transmitter changes the geometry.
+    still: Vec<Arc<Geometry>>,
+}
+
+impl Splatting {
+    /// The network's weights, and the receivers' offsets behind them.
+    fn parts<'a>(&self, frame: &Frame, weights: &'a [Real]) -> (&'a [Real], &'a [Real]) {
+        weights.split_at(weights.len() - self.offsets(frame))
+    }
+
+    /// Numbers that are learned of the receivers.
+    fn offsets(&self, frame: &Frame) -> usize {
+        if matches!(self.readout, Readout::Received { .. }) { frame.receivers.len() } else { 0 }
+    }
+
+    /// Blended signals of one receiver's sky `[links, channels, pixels]` as observations.
+    fn read_out(&self, view: &View, offset: Option<&Real>, blended: &[Real]) -> Vec<Real> {
+        match offset {
+            Some(offset) => received::forward(&view.plane, *offset, blended),
+            None => self.readout.forward(blended, view.plane.width * view.plane.height),
+        }
+    }
+
+    /// Cotangents of the blended signals, given those `d` of the observations; adds to that of the offset.
+    fn read_out_vjp(
+        &self,
+        view: &View,
+        d_offset: Option<&mut Real>,
+        blended: &[Real],
+        d: &[Real],
+    ) -> Vec<Real> {
+        if let Some(d_offset) = d_offset {
+            return received::vjp(&view.plane, blended, d, d_offset);
+        }
+        let pixels = view.plane.width * view.plane.height;
+        if self.calibration != Calibration::AsReleased {
+            return self.readout.vjp(blended, pixels, d);
+        }
+        let clamped: Vec<Real> = blended.iter().map(|v| v.clamp(0.0, 1.0)).collect();
+        let mut d_blended = self.readout.vjp(&clamped, pixels, d);
+        // The clamp to [0, 1] passes the derivative on the closed interval only.
+        let outside = d_blended.iter_mut().zip(blended).filter(|(_, p)| !(0.0..=1.0).contains(*p));
+        outside.for_each(|(d, _)| *d = 0.0);
+        d_blended
+    }
+
+    fn terms(&self, frame: &Frame, p: &Parameters<'_>, conditions: Conditions<'_>) -> Deltas {
+        self.deformation.forward(self.parts(frame, p.weights).0, &p.cloud.means, conditions, &frame.pose())
+    }
+}
+
+#[typetag::serde]
+impl Method for Splatting {
+    fn layout(&self, frame: &Frame) -> Vec<WeightSpec> {
+        let mut layout = self.deformation.layout();
+        if self.offsets(frame) > 0 {
+            layout.push(WeightSpec { name: OFFSETS.into(), shape: vec![self.offsets(frame)] });
+        }
+        layout
+    }
+
+    fn init(&self, frame: &Frame, rng: &mut Rng) -> Vec<Real> {
+        let mut weights = self.deformation.init(rng);
+        weights.resize(weights.len() + self.offsets(frame), 0.0);
+        weights
+    }
+
+    fn constants(&self) -> Vec<(WeightSpec, Vec<Real>)> {
+        self.deformation.constants()
+    }
+
+    fn drawable(&self, frame: &Frame, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
+        Self::drawable(self, frame, cloud, gate)
+    }
+
+    fn forward(&self, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>) -> Observed {
+        let deltas = self.terms(frame, p, asked.conditions);
+        let (views, offsets, n) = (self.views(frame), self.parts(frame, p.weights).1, p.cloud.len());
+        let numbers = frame.numbers();
+        let mut observed = Vec::new();
+        let mut drawings = Vec::new();
+        let groups = Group::all(asked.links, views.len(), !self.deformation.varies_geometry());
+        let in_order = groups.iter().flat_map(|group| &group.links).copied().eq(0..asked.links.len());
+        if !in_order {
+            observed.resize(asked.links.len() * numbers, 0.0);
+        }
+        for group in groups {
+            let view = &views[group.receiver];
+            let (terms, batch) = group.terms(&deltas, n);
+            let drawing = self.draw(view, p.cloud, &terms, batch, p.gate, None);
+            let clamped: Vec<Real>;
+            let blended = if self.calibration == Calibration::AsReleased {
+                clamped = drawing.render.pixels.iter().map(|v| v.clamp(0.0, 1.0)).collect();
+                &clamped
+            } else {
+                &drawing.render.pixels
+            };
+            let own = self.read_out(view, offsets.get(group.receiver), blended);
+            match (in_order, observed.is_empty()) {
+                (true, true) => observed = own, // moved, not copied
+                (true, false) => observed.extend(own),
+                _ => group.scatter(&own, numbers, &mut observed),
+            }
+            drawings.push((group, view.clone(), drawing));
+        }
+        Observed { numbers: observed, cache: Some(Arc::new(Kept { deltas, drawings })) }
+    }
+
+    fn vjp(
+        &self,
+        frame: &Frame,
+        p: &Parameters<'_>,
+        asked: &Asked<'_>,
+        observed: Observed,
+        d: &[Real],
+        sums: &mut MethodVjp,
+    ) {
+        let Kept { deltas, drawings } = cached(&observed.cache);
+        let (numbers, n) = (frame.numbers(), p.cloud.len());
+        let network = self.parts(frame, p.weights).0;
+        let (d_network, d_offsets) = sums.weights.split_at_mut(network.len());
+        let mut own = ActivationVjp::zeros(p.cloud, deltas);
+        let rows: Vec<usize> = (0..n).collect();
+        for (group, view, drawing) in drawings {
+            let d = group.gather(d, numbers);
+            let d_offset = d_offsets.get_mut(group.receiver);
+            let d_blended = self.read_out_vjp(view, d_offset, &drawing.render.pixels, &d);
+            let (terms, _) = group.terms(deltas, n);
+            // Copied terms have a derivative of their own, which is then added where they came from.
+            let copied = matches!(terms, Cow::Owned(_));
+            let all = copied.then(|| std::mem::replace(&mut own.deltas, terms.zeros_like()));
+            let d = self.draw_vjp(view, drawing, p.cloud, &terms, p.gate, &d_blended, &mut own);
+            if let Some(all) = all {
+                let part = std::mem::replace(&mut own.deltas, all);
+                group.add_back(&part, &mut own.deltas, n);
+            }
+            sums.seen.observe(&rows, &drawing.geometry.splats, &d, &view.plane, drawings.len());
+        }
+        let mut d_means = vec![[0.0; 3]; n];
+        if own.deltas.to_columns().next().is_some() {
+            let inputs =
+                DeformationInputs { weights: network, means: &p.cloud.means, txs: asked.conditions, pose: &frame.pose() };
+            self.deformation.vjp(&inputs, &own.deltas, d_network, Some(&mut d_means));
+        }
+        for ((_, _, sum), (_, _, own)) in sums.cloud.columns_mut().zip(own.cloud.columns()) {
+            sum.iter_mut().zip(own).for_each(|(sum, d)| *sum += d);
+        }
+        sums.cloud.means.as_flattened_mut().iter_mut().zip(d_means.as_flattened()).for_each(|(sum, d)| *sum += d);
+        sums.gate.iter_mut().zip(&own.gate).for_each(|(sum, d)| *sum += d);
+    }
+
+    fn prepare(&self, frame: &Frame, p: &Parameters<'_>) -> Cache {
+        let network = self.parts(frame, p.weights).0;
+        let still = |view: &View| Arc::new(self.geometry(view, p.cloud, &Deltas::default(), 0, p.gate));
+        Some(Arc::new(Ready {
+            deformation: self.deformation.prepare(network, &p.cloud.means, &frame.pose()),
+            still: if self.deformation.varies_geometry() { Vec::new() } else { self.views(frame).iter().map(still).collect() },
+        }))
+    }
+
+    fn predict(
+        &self,
+        frame: &Frame,
+        p: &Parameters<'_>,
+        asked: &Asked<'_>,
+        prepared: &Cache,
+    ) -> (Vec<Real>, StageTimes) {
+        let start = Instant::now();
+        let Ready { deformation, still } = cached(prepared);
+        let (network, offsets) = self.parts(frame, p.weights);
+        let deltas =
+            self.deformation.forward_prepared(network, &p.cloud.means, asked.conditions, &frame.pose(), deformation);
+        let mut times = StageTimes { network: start.elapsed().as_secs_f64(), ..StageTimes::default() };
+        let (views, numbers) = (self.views(frame), frame.numbers());
+        let one = |group: &Group| {
+            let start = Instant::now();
+            let (view, still) = (&views[group.receiver], still.get(group.receiver));
+            let (terms, batch) = group.terms(&deltas, p.cloud.len());
+            let drawing = self.draw(view, p.cloud, &terms, batch, p.gate, still);
+            let own = self.read_out(view, offsets.get(group.receiver), &drawing.render.pixels);
+            let [projection, sort] = if still.is_some() { [0.0; 2] } else { drawing.geometry.seconds };
+            let blending = start.elapsed().as_secs_f64() - projection - sort;
+            (own, [projection, sort, blending])
+        };
+        let groups = Group::all(asked.links, views.len(), !self.deformation.varies_geometry());
+        if let [group] = groups.as_slice() {
+            let (own, seconds) = one(group);
+            add(&mut times, seconds);
+            return (own, times); // moved, not copied
+        }
+        let mut all = vec![0.0; asked.links.len() * numbers];
+        let drawn: Vec<(Vec<Real>, [f64; 3])> = groups.par_iter().map(one).collect();
+        for (group, (own, seconds)) in groups.iter().zip(drawn) {
+            group.scatter(&own, numbers, &mut all);
+            add(&mut times, seconds);
+        }
+        (all, times)
+    }
+
+    fn frequency_window(&self, share: f64) -> Option<Vec<Real>> {
+        self.deformation.frequency_window(share)
+    }
+
+    fn inputs(&self) -> usize {
+        self.deformation.inputs()
+    }
+
+    fn restrict(&self, numbers: &mut [Real]) {
+        self.readout.restrict(numbers);
+    }
+
+    fn check_frame(&self, frame: &Frame) -> Result<(), String> {
+        check_kind(self.readout, frame.kind)?;
+        if frame.receivers.len() > 1 && self.deformation.reads_receiver() {
+            return Err(format!(
+                "the deformation looks at where the receiver is, and these data have {} receivers; use Factored() or Mlp()",
+                frame.receivers.len()
+            ));
+        }
+        check_together(&*self.rasterizer, self.readout, self.calibration, &self.sky(frame))
+    }
+
+    fn about(&self) -> &'static str {
+        "Gaussians drawn as splats: what a pipeline does that leaves `method` out"
+    }
+}
+
+fn add(times: &mut StageTimes, [projection, sort, blending]: [f64; 3]) {
+    times.projection += projection;
+    times.sort += sort;
+    times.blending += blending;
+}
