@@ -22,8 +22,8 @@ use std::io::{BufWriter, Write as _};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 pub use tables::PATHS;
-pub(crate) use tables::POSITIONS;
 use tables::{Numbers, Tables};
+pub(crate) use tables::{POSITIONS, is_test};
 
 /// Everything about how the folder was made; written last, so that a folder without it is not whole.
 pub const MANIFEST: &str = "manifest.json";

@@ -19,6 +19,11 @@ const TEST: &str = "test_index.txt";
 /// Every how-manieth sample belongs to the test list.
 const TEST_EVERY: usize = 5;
 
+/// Whether the `i`th transmitter, counted from 0, is for testing.
+pub(crate) fn is_test(i: usize) -> bool {
+    (i + 1).is_multiple_of(TEST_EVERY)
+}
+
 /// How a layout of NeRF2 calls its samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Numbers {
@@ -39,7 +44,7 @@ impl Numbers {
 
     fn list(self, samples: usize, test: bool) -> String {
         let mut text = String::new();
-        for i in (0..samples).filter(|i| (i + 1).is_multiple_of(TEST_EVERY) == test) {
+        for i in (0..samples).filter(|i| is_test(*i) == test) {
             match self {
                 Self::FromOne => writeln!(text, "{:05}", i + 1),
                 Self::FromZero => writeln!(text, "{i}"),
