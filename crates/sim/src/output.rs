@@ -142,14 +142,15 @@ pub fn write_as(
     if receivers == 1 || layout == Layout::Rssi {
         return write_links(recipe, layout, paths, out, progress, stop);
     }
-    let recipes: Vec<Recipe> = recipe.scene.receivers().map(|receiver| recipe.with_receiver(receiver)).collect();
-    let simulators = recipes.iter().map(|recipe| Simulator::new(&recipe.scene)).collect::<Result<Vec<_>>>()?;
+    drop(Simulator::new(&recipe.scene)?); // what is wrong with the last receiver is told before the first takes its time
     let making = NewFolder::begin(out)?;
-    for (i, (recipe, simulator)) in recipes.iter().zip(&simulators).enumerate() {
-        let folder = making.path().join(&recipe.scene.receiver.name);
+    for (i, receiver) in recipe.scene.receivers().enumerate() {
+        let recipe = recipe.with_receiver(receiver);
+        let simulator = Simulator::new(&recipe.scene)?;
+        let folder = making.path().join(&receiver.name);
         fs::create_dir(&folder).map_err(|e| Error::write(&folder, e))?;
         let progress = |done, all| progress(i * all + done, receivers * all);
-        fill(recipe, simulator, layout, paths, &folder, &progress, stop)?;
+        fill(&recipe, &simulator, layout, paths, &folder, &progress, stop)?;
     }
     put(&making.path().join(MANIFEST), recipe.to_json())?;
     making.publish()

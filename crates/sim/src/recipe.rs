@@ -8,7 +8,7 @@ use std::path::Path;
 
 /// Changes whenever the same recipe would give other bytes than before.
 const EDITION: u32 = 2;
-/// Most spectra of a data set: 32 GB as an array. Pictures are fewer ([`crate::output::write_as`]).
+/// Most links of a data set: 32 GB of spectra as an array. Pictures are fewer ([`crate::output::write_as`]).
 const MOST_SAMPLES: usize = 1_000_000;
 /// Most bytes of all channels of a data set, which memory has to hold to train on them.
 const MOST_BYTES: usize = 8 << 30;
@@ -40,6 +40,12 @@ impl Recipe {
     pub fn read(scene: &Path, samples: usize, seed: u64, points: usize) -> Result<Self> {
         check(samples, points).map_err(Error::Config)?;
         let scene = Scene::read(scene)?;
+        let receivers = scene.receivers().count();
+        if samples * receivers > MOST_SAMPLES {
+            let what = format!("more than {MOST_SAMPLES} links; give fewer samples");
+            let who = format!("{samples} samples at {receivers} receivers");
+            return Err(Error::Config(format!("scene `{}`: {who} are {what}", scene.name)));
+        }
         let file = |object: &Object| match object {
             Object::Mesh { file, .. } => Some(file.clone()),
             _ => None,

@@ -226,6 +226,8 @@ fn what_does_not_suit_a_layout_is_refused() {
     assert!(said(&text.replace("count: 6", "count: 5"), channel, Layout::Csi).contains("give an even number"));
     let path = folder.path().join("scene.ron");
     fs::write(&path, text.replace("count: 6", "count: 4096")).unwrap();
+    let links = Recipe::read(&path, 600_000, 7, 50).unwrap_err().to_string();
+    assert!(links.contains("600000 samples at 2 receivers are more than 1000000 links"), "{links}");
     let many = Recipe::read(&path, 100_000, 7, 50).unwrap().observing(channel);
     assert!(many.unwrap_err().to_string().contains("GB, more than 8; give fewer samples, antennas or subcarriers"));
     assert!(said(&text, Observe::Power { noise_db: f64::NAN }, Layout::Rssi).contains("`noise_db` is NaN"));
