@@ -52,8 +52,10 @@ inventory::submit! { FieldDefault { field: "baselines", ron: "[MeanSpectrum(), N
 NearestNeighbours(k: 3), NearestNeighbours(k: 5)]" } }
 inventory::submit! { FieldDefault { field: "metrics", ron: "[Ssim(), L1(), Psnr(), RateRatio(), DirectionError(), \
 Chamfer(), GaussianCount(), ModelSize(), Latency()]" } }
-// SSIM and the rate ratio at 0 dB: the columns of validation.csv.
+// The columns of validation.csv, for each kind of observation.
 inventory::submit! { FieldDefault { field: "validation", ron: "[Ssim(), RateRatio(snr_db: 0.0)]" } }
+inventory::submit! { FieldDefault { field: "validation of powers", ron: "[PowerError()]" } }
+inventory::submit! { FieldDefault { field: "validation of channels", ron: "[ChannelSnr()]" } }
 
 /// [`experiment::run`] with the report that this build has.
 ///

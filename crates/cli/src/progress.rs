@@ -4,6 +4,7 @@ use crate::args::Verbosity;
 use crate::commands::{memory, pace};
 use crate::output::{bars, note};
 use indicatif::{ProgressBar, ProgressStyle};
+use pwrfgs::experiment::headline::headline;
 use pwrfgs::experiment::clock::duration;
 use pwrfgs::experiment::text::grouped;
 use pwrfgs::experiment::{Observer, Start, Validation};
@@ -111,7 +112,7 @@ impl Progress {
         let (phase, n) = (report.phase.name(), grouped(report.gaussians as i64));
         let mut words = format!("{phase:<8}  loss {:.4}  N {n}", self.loss);
         if let Some(v) = self.validation {
-            _ = write!(words, "  validation SSIM {:.3}", v.ssim_mean);
+            _ = write!(words, "  validation {} {:.3}", headline(v.kind).name, v.values[0]);
         }
         if let Some(speed) = self.speed() {
             let left = duration((self.steps - report.step) as f64 / speed);
@@ -209,9 +210,11 @@ impl Observer for Progress {
     fn on_validation(&mut self, validation: &Validation) {
         self.validation = Some(*validation);
         if self.verbosity == Verbosity::Verbose {
+            let [mean, median, third] = validation.values;
+            let headline = headline(validation.kind);
             self.say(&format!(
-                "step {}: validation SSIM {:.4} (median {:.4}), eta at 0 dB {:.4}",
-                validation.step, validation.ssim_mean, validation.ssim_median, validation.eta_0db
+                "step {}: validation {} {mean:.4} (median {median:.4}), {} {third:.4}",
+                validation.step, headline.name, headline.columns[2]
             ));
         }
     }

@@ -95,6 +95,14 @@ pub trait Deformation: erased_serde::Serialize + std::any::Any + std::fmt::Debug
         None
     }
 
+    /// Factors `[as many as weights]` that silence a share `rate` of the hidden units, drawn anew each step, and make the
+    /// others louder by as much: dropout, with one draw for all transmitters of the step. `None` where it has no hidden
+    /// units that could do without each other.
+    fn dropout(&self, rate: Real, rng: &mut Rng) -> Option<Vec<Real>> {
+        let _ = (rate, rng);
+        None
+    }
+
     /// One line for `pwrfgs plugins`.
     fn about(&self) -> &'static str {
         ""

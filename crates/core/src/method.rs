@@ -170,10 +170,21 @@ pub trait Method: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Se
         (numbers, StageTimes { total: start.elapsed().as_secs_f64(), ..StageTimes::default() })
     }
 
-    /// As [`Deformation::frequency_window`](crate::Deformation::frequency_window).
-    fn frequency_window(&self, share: f64) -> Option<Vec<Real>> {
-        let _ = share;
+    /// As [`Deformation::frequency_window`](crate::Deformation::frequency_window), for all weights.
+    fn frequency_window(&self, frame: &Frame, share: f64) -> Option<Vec<Real>> {
+        let _ = (frame, share);
         None
+    }
+
+    /// As [`Deformation::dropout`](crate::Deformation::dropout), for all weights.
+    fn dropout(&self, frame: &Frame, rate: Real, rng: &mut Rng) -> Option<Vec<Real>> {
+        let _ = (frame, rate, rng);
+        None
+    }
+
+    /// Sets what can be told from the links `train` of `data` before the first step, such as the receivers' offsets.
+    fn start(&self, frame: &Frame, data: &Dataset, train: &[usize], cloud: &mut GaussianCloud, weights: &mut [Real]) {
+        let _ = (frame, data, train, cloud, weights);
     }
 
     /// Numbers a transmitter is described by: 3 for its position.

@@ -6,6 +6,7 @@ use crate::bench::Bench;
 use crate::ceiling::{Ceiling, ceiling};
 use crate::confidence::Confidence;
 use crate::examples::{self, Example};
+use crate::headline::headline;
 use crate::observer::{Observer, Silent};
 use crate::scores::{MODEL, Scores};
 use crate::validation;
@@ -19,7 +20,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub struct Assessment {
     /// All measurements.
     pub scores: Scores,
-    /// The best, the median and the worst by SSIM, as far as these are different.
+    /// The best, the median and the worst by the first metric of the kind (SSIM of spectra), as far as these are different.
     pub examples: Vec<Example>,
     /// Of an ensemble: whether its members differ where it is wrong.
     pub confidence: Option<Confidence>,
@@ -63,14 +64,16 @@ pub fn evaluate(
         test.model(name, &ensemble.prepare(), Some(facts), &pipeline.metrics, observer, stop)
     };
     let own = score(ensemble, "the model", observer)?;
-    let ssims = if let Some(values) = ssim(&own) {
-        values.to_vec()
+    let headline = headline(data.kind());
+    let of_each = |measured: &[Measurement]| first(measured, headline.key).map(<[f64]>::to_vec);
+    let values = if let Some(values) = of_each(&own) {
+        values
     } else {
-        // The pipeline does not ask for it, but a report shows pictures by it.
-        let metrics = validation::metrics().unwrap_or_default();
-        ssim(&test.model("the model", model, None, &metrics, &mut Silent, stop)?).map_or_else(Vec::new, <[f64]>::to_vec)
+        // The pipeline does not ask for it, but a report shows examples by it.
+        let metrics = validation::metrics(data.kind()).unwrap_or_default();
+        of_each(&test.model("the model", model, None, &metrics, &mut Silent, stop)?).unwrap_or_default()
     };
-    let examples = examples::choose(model, data, &partition.test, &ssims)?;
+    let examples = examples::choose(model, data, &partition.test, &values, headline.higher)?;
     let mut predictors = vec![(MODEL.to_owned(), own)];
     let (mut members, mut confidence) = (Vec::new(), None);
     if ensemble.members().len() > 1 {
@@ -98,9 +101,9 @@ pub fn evaluate(
     Ok(Assessment { scores: Scores { ids, predictors, bounds, members, ceiling, notes }, examples, confidence })
 }
 
-/// The structural similarity of every sample, where it was measured.
-fn ssim(measured: &[Measurement]) -> Option<&[f64]> {
-    measured.iter().find(|m| m.key == "ssim").and_then(|m| match &m.values {
+/// A metric of every sample, where it was measured.
+fn first<'a>(measured: &'a [Measurement], key: &str) -> Option<&'a [f64]> {
+    measured.iter().find(|m| m.key == key).and_then(|m| match &m.values {
         Values::PerSample(values) => Some(values.as_slice()),
         _ => None,
     })

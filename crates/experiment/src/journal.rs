@@ -1,12 +1,13 @@
 //! `Journal`: what a training writes as it goes: `curve.csv`, `validation.csv` and, where asked for, TensorBoard events.
 
 use crate::events::{Events, TEST};
+use crate::headline::headline;
 use crate::folder::{CURVE, EVENTS, RunFolder, VALIDATION};
 use crate::observer::Validation;
 use crate::scores::ScoreTable;
 use crate::series::Series;
 use crate::validation;
-use pwrfgs_core::Result;
+use pwrfgs_core::{Kind, Result};
 use pwrfgs_train::{Pipeline, StepReport};
 
 /// Up to this many steps every one has its row in `curve.csv`, beyond every tenth.
@@ -26,9 +27,9 @@ pub(crate) struct Journal {
 
 impl Journal {
     /// Opens the files, cut back to step `done`.
-    pub(crate) fn open(folder: &RunFolder, pipeline: &Pipeline, done: u64) -> Result<Self> {
+    pub(crate) fn open(folder: &RunFolder, pipeline: &Pipeline, kind: Kind, done: u64) -> Result<Self> {
         let (curve, last) = Series::open(&folder.file(CURVE), CURVE_HEADER, done)?;
-        let (looks, _) = Series::open(&folder.file(VALIDATION), validation::HEADER, done)?;
+        let (looks, _) = Series::open(&folder.file(VALIDATION), &validation::header(kind), done)?;
         let events = pipeline.tensorboard.then(|| Events::open(&folder.file(EVENTS), done)).transpose()?;
         let seconds = last.and_then(|row| row.rsplit(',').next().and_then(|s| s.parse().ok())).unwrap_or_default();
         Ok(Self { curve, looks, events, steps: pipeline.training.steps, seconds })
@@ -53,13 +54,9 @@ impl Journal {
     /// Notes a look at the validation part.
     pub(crate) fn validation(&mut self, seen: &Validation) -> Result<()> {
         self.looks.push(&seen.row())?;
-        let Validation { step, ssim_mean, ssim_median, eta_0db } = *seen;
-        let scalars = [
-            ("validation/ssim_mean", ssim_mean),
-            ("validation/ssim_median", ssim_median),
-            ("validation/eta_0db", eta_0db),
-        ];
-        self.scalars(step, &scalars)
+        let names = headline(seen.kind).columns.map(|column| format!("validation/{column}"));
+        let scalars: Vec<(&str, f64)> = names.iter().map(String::as_str).zip(seen.values).collect();
+        self.scalars(seen.step, &scalars)
     }
 
     /// Brings all of it to the disk; called before each checkpoint, which must never know more.

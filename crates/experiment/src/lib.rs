@@ -17,6 +17,7 @@ mod examples;
 pub mod export;
 mod facts;
 pub mod folder;
+pub mod headline;
 mod input;
 mod journal;
 mod memory;

@@ -1,7 +1,7 @@
 //! `Observer`: who wants to know how a run gets on. The library prints nothing; `cli` draws a progress bar.
 
 use crate::scores::ScoreTable;
-use pwrfgs_core::Progress;
+use pwrfgs_core::{Kind, Progress};
 use pwrfgs_train::{Estimate, StepReport};
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
@@ -28,12 +28,10 @@ pub struct Start<'a> {
 pub struct Validation {
     /// Training step.
     pub step: u64,
-    /// Mean SSIM.
-    pub ssim_mean: f64,
-    /// Median SSIM.
-    pub ssim_median: f64,
-    /// Mean η at 0 dB.
-    pub eta_0db: f64,
+    /// What was looked at.
+    pub kind: Kind,
+    /// The columns of [`headline`](crate::headline::headline): mean and median, and one number more.
+    pub values: [f64; 3],
 }
 
 /// Hears of everything that happens in a run; every method does nothing by default.

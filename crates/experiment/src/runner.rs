@@ -165,7 +165,7 @@ impl<'a> Run<'a> {
     ) -> Result<Option<Model>> {
         let settings = &self.pipeline.training;
         let (steps, earlier) = (settings.steps, facts.wall_seconds);
-        let mut journal = Journal::open(folder, self.pipeline, trainer.done())?;
+        let mut journal = Journal::open(folder, self.pipeline, self.data.kind(), trainer.done())?;
         let looked_at = evenly(&self.partition.validation, settings.validation_samples);
         self.observer.on_start(&Start {
             folder: folder.path(),

@@ -4,8 +4,17 @@
 use pwrfgs_core::{Dataset, Partition, Real, neighbours};
 use std::fmt::Write as _;
 
-/// The text of `samples.csv`: id, x, y, z in metres, split, and the distance to the nearest other training transmitter
-/// in metres (empty where there is none).
+/// Columns where there is one receiver.
+const HEADER: &str = "id,x,y,z,split,nearest_train_m\n";
+
+/// A name as a field of a CSV file.
+fn field(name: &str) -> String {
+    if name.contains([',', '"', '\n']) { format!("\"{}\"", name.replace('"', "\"\"")) } else { name.to_owned() }
+}
+
+/// The text of `samples.csv`: id, x, y, z in metres (empty where not known), split, and the distance to the nearest other training transmitter
+/// in metres (empty where there is none). Of several receivers a row is a link: its number, as in `scores.csv`, comes first, and
+/// the receiver's name after the id.
 pub(crate) fn to_csv(data: &Dataset, partition: &Partition) -> String {
     let mut split = vec!["unused"; data.len()];
     for (part, name) in [(&partition.train, "train"), (&partition.validation, "validation"), (&partition.test, "test")]
@@ -15,11 +24,18 @@ pub(crate) fn to_csv(data: &Dataset, partition: &Partition) -> String {
         }
     }
     let nearest = nearest_train(data, partition);
-    let mut out = String::from("id,x,y,z,split,nearest_train_m\n");
-    for ((sample, split), nearest) in data.samples().zip(split).zip(nearest) {
-        let [x, y, z] = sample.tx;
-        let distance = if nearest.is_finite() { nearest.to_string() } else { String::new() };
-        let _ = writeln!(out, "{},{x},{y},{z},{split},{distance}", sample.id);
+    let many = data.scene.receivers.len() > 1;
+    let mut out = String::from(if many { "link,id,receiver,x,y,z,split,nearest_train_m\n" } else { HEADER });
+    for (i, ((sample, split), nearest)) in data.samples().zip(split).zip(nearest).enumerate() {
+        let distance = if nearest.is_finite() && data.placed { nearest.to_string() } else { String::new() };
+        let place = if data.placed { sample.tx.map(|v| v.to_string()) } else { Default::default() };
+        if many {
+            let receiver = &data.scene.receivers[sample.receiver].name;
+            _ = write!(out, "{},{},{},", data.label(i), sample.id, field(receiver));
+        } else {
+            _ = write!(out, "{},", sample.id);
+        }
+        _ = writeln!(out, "{},{split},{distance}", place.join(","));
     }
     out
 }

@@ -2,43 +2,53 @@
 
 use crate::bench::Bench;
 use crate::evaluate::go_on;
+use crate::headline::headline;
 use crate::observer::{Observer, Silent, Validation};
 use crate::scores::Summary;
 use pwrfgs_core::plugin::default_of;
-use pwrfgs_core::{Dataset, Error, ImagePlane, Known, Measurement, Metric, Partition, Plugin, Result, Values, evenly};
+use pwrfgs_core::{
+    Dataset, Error, ImagePlane, Kind, Known, Measurement, Metric, Partition, Plugin, Result, Values, evenly,
+};
 use pwrfgs_model::Model;
 use pwrfgs_train::Pipeline;
 use std::sync::atomic::AtomicBool;
 
 /// Header of `validation.csv`.
-pub(crate) const HEADER: &str = "step,ssim_mean,ssim_median,eta_0db";
+pub(crate) fn header(kind: Kind) -> String {
+    format!("step,{}", headline(kind).columns.join(","))
+}
 
 impl Validation {
     /// A row of `validation.csv`.
     pub(crate) fn row(&self) -> String {
-        format!("{},{},{},{}", self.step, self.ssim_mean, self.ssim_median, self.eta_0db)
+        let [mean, median, third] = self.values;
+        format!("{},{mean},{median},{third}", self.step)
     }
 }
 
-/// SSIM and η(0 dB), as the program that links the metrics defines them.
-pub(crate) fn metrics() -> Result<Vec<Plugin<dyn Metric>>> {
-    default_of("validation").map_err(Error::Config)
+/// The metrics behind the columns, such as SSIM and η(0 dB), as the program that links the metrics defines them.
+pub(crate) fn metrics(kind: Kind) -> Result<Vec<Plugin<dyn Metric>>> {
+    default_of(headline(kind).field).map_err(Error::Config)
 }
 
-/// One row of `validation.csv` from the two measurements.
-fn row(step: u64, measured: &[Measurement]) -> Validation {
+/// One row of `validation.csv` from the measurements: mean and median of the first; of spectra the mean of the second, of
+/// powers the bad tail of the first, of channels the ratio over all.
+fn row(step: u64, kind: Kind, measured: &[Measurement]) -> Validation {
     let of = |k: usize| match measured.get(k).map(|m| &m.values) {
-        Some(Values::PerSample(values)) => Summary::of(values, true),
+        Some(Values::PerSample(values)) => Summary::of(values, headline(kind).higher),
+        Some(Values::Whole(value)) => Summary { mean: *value, median: *value, p10: *value },
         _ => Summary { mean: f64::NAN, median: f64::NAN, p10: f64::NAN },
     };
-    Validation { step, ssim_mean: of(0).mean, ssim_median: of(0).median, eta_0db: of(1).mean }
+    let third = if kind == Kind::Power { of(0).p10 } else { of(1).mean };
+    Validation { step, kind, values: [of(0).mean, of(0).median, third] }
 }
 
 /// Looks at the samples `part`.
 pub(crate) fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize]) -> Result<Validation> {
     let bench = Bench::new(data, part, &model.stages.plane);
     let never = AtomicBool::new(false);
-    Ok(row(step, &bench.model("the model", &model.prepare(), None, &metrics()?, &mut Silent, &never)?))
+    let (kind, model) = (data.kind(), &model.prepare());
+    Ok(row(step, kind, &bench.model("the model", model, None, &metrics(kind)?, &mut Silent, &never)?))
 }
 
 /// What each baseline, having seen the training part alone, reaches on the samples that validation looks at.
@@ -58,13 +68,13 @@ pub(crate) fn floors(
         return Ok(Vec::new());
     }
     let bench = Bench::new(data, &part, plane);
-    let metrics = metrics()?;
+    let metrics = metrics(data.kind())?;
     let floor = |b: &Plugin<dyn pwrfgs_core::Baseline>| {
         go_on(stop)?;
         let fitted = b.fit(data, Known::train(&partition.train))?;
         let name = b.name();
         let measured = bench.baseline(&name, &*fitted, &metrics, observer, stop)?;
-        Ok((name, row(0, &measured)))
+        Ok((name, row(0, data.kind(), &measured)))
     };
     pipeline.baselines.iter().map(floor).collect()
 }

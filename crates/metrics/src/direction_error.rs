@@ -1,7 +1,7 @@
 //! Angle between the strongest predicted and the strongest measured direction.
 
 use crate::{one, per_sample};
-use pwrfgs_core::{Documented, Evaluation, Goal, Image, ImagePlane, Measurement, Metric, Real, Result, Scope, Values};
+use pwrfgs_core::{Documented, Evaluation, Goal, Kind, Image, ImagePlane, Measurement, Metric, Real, Result, Scope, Values};
 use serde::{Deserialize, Serialize};
 
 /// Great-circle angle in degrees between the strongest directions of prediction and measurement.
@@ -26,7 +26,7 @@ impl Metric for DirectionError {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
         let plane = evaluation.plane;
         let values = if plane.angles.is_some() {
-            per_sample(evaluation, |p, t| match (strongest(plane, p), strongest(plane, t)) {
+            per_sample(evaluation, Kind::Spectrum, |p, t| match (strongest(plane, p), strongest(plane, t)) {
                 (Some(a), Some(b)) => angle_deg(a, b),
                 _ => f64::NAN,
             })?

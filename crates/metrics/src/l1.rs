@@ -1,7 +1,7 @@
 //! Mean absolute error of a pixel.
 
 use crate::{one, per_sample};
-use pwrfgs_core::{Documented, Evaluation, Goal, Measurement, Metric, Result, Scope};
+use pwrfgs_core::{Documented, Evaluation, Goal, Kind, Measurement, Metric, Result, Scope};
 use serde::{Deserialize, Serialize};
 
 /// Mean absolute difference of predicted and measured pixels; the L₁ of eq. (9) with the prediction clamped to [0, 1].
@@ -21,7 +21,7 @@ pub struct L1 {}
 #[typetag::serde]
 impl Metric for L1 {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let values = per_sample(evaluation, |p, t| {
+        let values = per_sample(evaluation, Kind::Spectrum, |p, t| {
             let differences = p.pixels.iter().zip(&t.pixels).map(|(p, t)| (p.clamp(0.0, 1.0) - t).abs() as f64);
             differences.sum::<f64>() / p.pixels.len().max(1) as f64
         })?;

@@ -5,31 +5,55 @@
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
+mod channel_snr;
 mod chamfer;
 mod direction_error;
 mod gaussian_count;
 mod l1;
 mod latency;
 mod model_size;
+mod power_error;
 mod psnr;
 mod rate_ratio;
 mod ssim;
 
+pub use channel_snr::ChannelSnr;
 pub use chamfer::Chamfer;
 pub use direction_error::DirectionError;
 pub use gaussian_count::GaussianCount;
 pub use l1::L1;
 pub use latency::Latency;
 pub use model_size::ModelSize;
+pub use power_error::PowerError;
 pub use psnr::Psnr;
 pub use rate_ratio::RateRatio;
 pub use ssim::Ssim;
 
-use pwrfgs_core::{Error, Evaluation, Goal, Image, Measurement, Result, Values};
+use pwrfgs_core::{Error, Evaluation, Goal, Image, Kind, Measurement, Result, Values};
 use rayon::prelude::*;
 
-/// `score(prediction, truth)` of every sample, in order; the prediction is not clamped.
-fn per_sample(evaluation: &Evaluation<'_>, score: impl Fn(&Image, &Image) -> f64 + Sync) -> Result<Values> {
+/// Why a metric of observations of one kind does not apply to those of another.
+fn not_of(evaluation: &Evaluation<'_>, kind: Kind) -> Option<Values> {
+    let why = || format!("it is a metric of {}, and these are {}", kind.plural(), evaluation.kind.plural());
+    (evaluation.kind != kind).then(|| Values::NotApplicable(why()))
+}
+
+/// `score(prediction, truth)` of every sample, in order, where these are of that kind; the prediction is not clamped.
+fn per_sample(
+    evaluation: &Evaluation<'_>,
+    kind: Kind,
+    score: impl Fn(&Image, &Image) -> f64 + Sync,
+) -> Result<Values> {
+    if let Some(other) = not_of(evaluation, kind) {
+        return Ok(other);
+    }
+    paired(evaluation)?;
+    let both = evaluation.predictions.par_iter().zip(evaluation.truths);
+    Ok(Values::PerSample(both.map(|(p, t)| score(p, t)).collect()))
+}
+
+/// Refuses predictions that do not go with what was measured.
+fn paired(evaluation: &Evaluation<'_>) -> Result<()> {
     let (predictions, truths) = (evaluation.predictions, evaluation.truths);
     let size = |i: &Image| (i.width, i.height, i.pixels.len());
     let paired = predictions.iter().zip(truths).all(|(p, t)| size(p) == size(t));
@@ -38,8 +62,7 @@ fn per_sample(evaluation: &Evaluation<'_>, score: impl Fn(&Image, &Image) -> f64
             "predictions and measured spectra differ in number or size; evaluate on data of the size trained on".into(),
         ));
     }
-    let scores = predictions.par_iter().zip(truths).map(|(p, t)| score(p, t)).collect();
-    Ok(Values::PerSample(scores))
+    Ok(())
 }
 
 /// One measurement, as [`pwrfgs_core::Metric::evaluate`] returns it.
@@ -105,6 +128,12 @@ mod fixture {
         }
     }
 
+    pub(crate) fn of_kind(metric: &dyn Metric, kind: Kind, prediction: &Image, truth: &Image) -> Vec<Measurement> {
+        let (predictions, truths) = (std::slice::from_ref(prediction), std::slice::from_ref(truth));
+        let (plane, scene) = (plane(truth.width, truth.height), scene(&[]));
+        metric.evaluate(&Evaluation { kind, predictions, truths, ..spectra(&plane, &scene) }).unwrap()
+    }
+
     pub(crate) fn of_model(metric: &dyn Metric, model: Option<ModelFacts<'_>>, scene: &Scene) -> Vec<Measurement> {
         of_timed(metric, model, scene, None)
     }
@@ -145,7 +174,10 @@ mod tests {
     fn every_metric_is_registered_and_round_trips() {
         let names = registered::<dyn Metric>();
         for name in
-            ["Chamfer", "DirectionError", "GaussianCount", "L1", "Latency", "ModelSize", "Psnr", "RateRatio", "Ssim"]
+            [
+            "Chamfer", "ChannelSnr", "DirectionError", "GaussianCount", "L1", "Latency", "ModelSize", "PowerError", "Psnr",
+            "RateRatio", "Ssim",
+        ]
         {
             assert!(names.contains(&name), "{name} is missing from {names:?}");
             let plugin = Plugin::<dyn Metric>::parse(&format!("{name}()")).unwrap();

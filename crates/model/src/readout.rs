@@ -20,8 +20,8 @@ pub enum Readout {
     /// All zero, without derivative, where all directions are equally strong. Differentiable wherever the smallest and
     /// the largest pixel are the only ones; of several, the first counts.
     MinMax,
-    /// A received power in dBm: 10 log₁₀ of c₀² + c₁² summed over a whole sky, times solid angle, and an offset that is
-    /// learned for each receiver. The sky is drawn in pixels of so many degrees.
+    /// A received power in dBm: 10 log₁₀ of c₀² + c₁² summed over a whole sky, times solid angle, and for each receiver an
+    /// offset and an exponent of distance that are learned too. The sky is drawn in pixels of so many degrees.
     Received {
         /// Sides of a pixel, degrees: a divisor of 180.
         #[serde(default = "sky_deg")]

@@ -9,7 +9,7 @@ use crate::study::one_line;
 use crate::templates::render;
 use minijinja::value::Serde;
 use minijinja::{Value, context};
-use pwrfgs_core::{Image, Result};
+use pwrfgs_core::{Image, Kind, Result};
 use pwrfgs_experiment::{CEILING, Example, Results, ensemble::MEMBERS, folder::REPORT, samples};
 use pwrfgs_model::Model;
 
@@ -65,13 +65,14 @@ fn members(results: &Results<'_>) -> Vec<Value> {
 
 /// Best, median and worst test spectrum by SSIM, and the limit of the error scale that they share.
 fn examples(results: &Results<'_>) -> (Vec<Value>, f64) {
-    let chosen = &results.assessment.examples;
+    let chosen: &[Example] =
+        if results.data.kind() == Kind::Spectrum { &results.assessment.examples } else { &[] };
     let errors: Vec<Image> = chosen.iter().map(|e| difference(&e.prediction.clamped(), &e.truth)).collect();
     let largest = errors.iter().flat_map(|e| &e.pixels).fold(0.0, |m: f64, e| m.max(e.abs() as f64));
     let limit = ((largest * 10.0).ceil() / 10.0).max(0.1);
     let distances = samples::nearest_train(results.data, results.partition);
     let example = |(example, error): (&Example, &Image)| {
-        let Example { which, sample: index, ssim, truth, prediction } = example;
+        let Example { which, sample: index, score, truth, prediction } = example;
         let sample = &results.data.sample(*index);
         let marks = [Mark::Measured(truth.argmax()), Mark::Predicted(prediction.argmax())];
         let plane = results.model.plane();
@@ -83,7 +84,7 @@ fn examples(results: &Results<'_>) -> (Vec<Value>, f64) {
         context! {
             which => *which,
             id => sample.id,
-            ssim => format!("{ssim:.3}"),
+            ssim => format!("{score:.3}"),
             tx => sample.tx.map(|v| format!("{v:.2}")).join(", "),
             nearest => if distances[*index].is_finite() { format!("{:.2} m", distances[*index]) } else { "n/a".into() },
             peaks => peaks(results, truth, prediction),

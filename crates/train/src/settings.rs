@@ -210,6 +210,9 @@ settings! {
         stride: usize = 1,
         /// Standard deviation of a random shift of the transmitters in training, metres.
         tx_jitter_m: Real = 0.0,
+        /// Share of the network's hidden units that a step does without, drawn anew each step; 0 for none. Against
+        /// memorising, where few transmitters are noisy; of `Factored`.
+        dropout: Real = 0.0,
         /// Steps over which the frequencies of the network's positional encodings are let in, the lowest first, each
         /// along half a cosine; 0 for all from the start. Against memorising.
         anneal_frequencies: u64 = 0,
@@ -283,6 +286,7 @@ impl Check for Training {
         need(self.prune_every >= 1, "`prune_every` is 0; give at least 1")?;
         need(self.checkpoint_every >= 1, "`checkpoint_every` is 0; give at least 1")?;
         need(self.tx_jitter_m >= 0.0 && self.tx_jitter_m.is_finite(), "`tx_jitter_m` must be 0 or a positive length")?;
+        need((0.0..0.95).contains(&self.dropout), "`dropout` must lie from 0 to below 0.95")?;
         need((0.0..=1.0).contains(&self.loss.ssim_weight), "`ssim_weight` must lie between 0 and 1")?;
         self.optimizer.check()?;
         self.densify.check()

@@ -88,7 +88,8 @@ impl<'a> Trainer<'a> {
         let coarse = coarse(&plane, pipeline, data.elevation, data.kind())?;
         let stages = Stages { method, frame: Frame::of(data, coarse) };
         stages.method.check_frame(&stages.frame).map_err(Error::Config)?;
-        let weights = Arc::new(stages.method.init(&stages.frame, &mut rng::stream(pipeline.seed, "network", 0)));
+        let mut weights = stages.method.init(&stages.frame, &mut rng::stream(pipeline.seed, "network", 0));
+        stages.method.start(&stages.frame, data, &partition.train, &mut cloud, &mut weights);
         let stages = Arc::new(stages);
         Ok(Self {
             adam: Adam::new(&cloud, &weights),
@@ -101,7 +102,7 @@ impl<'a> Trainer<'a> {
             plane,
             specs,
             cloud,
-            weights,
+            weights: Arc::new(weights),
             done: 0,
             fingerprint: OnceLock::new(),
         })
@@ -157,7 +158,7 @@ impl<'a> Trainer<'a> {
         let moment = Moment { step, phase: self.phase(step), seed: self.pipeline.seed };
         let batch = self.batches.of_step(step, &self.pipeline, self.data, &self.stages)?;
         let pruners = if moment.phase == Phase::Finetune { Vec::new() } else { self.pipeline.pruners.clone() };
-        let window = self.window(step);
+        let window = self.factors(step);
         let weights = match &window {
             Some(window) => Arc::new(through(window, &self.weights)),
             None => Arc::clone(&self.weights),
@@ -208,7 +209,21 @@ impl<'a> Trainer<'a> {
     fn window(&self, step: u64) -> Option<Vec<Real>> {
         let steps = self.pipeline.training.anneal_frequencies;
         let share = step as f64 / steps.max(1) as f64;
-        if steps == 0 || share >= 1.0 { None } else { self.stages.method.frequency_window(share) }
+        if steps == 0 || share >= 1.0 { None } else { self.stages.method.frequency_window(&self.stages.frame, share) }
+    }
+
+    /// Factors on the weights in this step: the window, and dropout.
+    fn factors(&self, step: u64) -> Option<Vec<Real>> {
+        let (rate, window) = (self.pipeline.training.dropout, self.window(step));
+        if rate == 0.0 {
+            return window;
+        }
+        let mut random = rng::stream(self.pipeline.seed, "dropout", step);
+        let dropout = self.stages.method.dropout(&self.stages.frame, rate, &mut random);
+        match (window, dropout) {
+            (Some(window), Some(dropout)) => Some(through(&window, &dropout)),
+            (window, dropout) => window.or(dropout),
+        }
     }
 
     /// Changes N where algorithm 1 says so; gives the Gaussians as they were where pruners take some.

@@ -5,7 +5,7 @@ use super::layers::{laid_out, planned};
 use super::mlp::check_stack;
 use super::waves::Encoding;
 use pwrfgs_core::{
-    Cache, Conditions, Deformation, DeformationInputs, Deltas, Documented, Pose, Real, WeightSpec, cached, rng::Rng,
+    Cache, Conditions, Deformation, DeformationInputs, Deltas, Documented, Pose, Real, WeightSpec, cached, rng, rng::Rng,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -108,6 +108,17 @@ impl Deformation for Factored {
         let mut factors = vec![1.0; plan.len()];
         network.stack[0].dim(&mut factors, 0, &self.tx_encoding.window(share));
         network.branch.dim(&mut factors, 0, &self.position_encoding.window(share)[3..]);
+        Some(factors)
+    }
+
+    fn dropout(&self, rate: Real, rng: &mut Rng) -> Option<Vec<Real>> {
+        let (network, plan) = planned(|plan| Network::new(self, plan));
+        let mut factors = vec![1.0; plan.len()];
+        for layer in &network.stack {
+            let kept = |_| if rng::uniform(rng) < rate { 0.0 } else { 1.0 / (1.0 - rate) };
+            let outputs: Vec<Real> = (0..layer.outputs).map(kept).collect();
+            layer.scale_outputs(&mut factors, &outputs);
+        }
         Some(factors)
     }
 

@@ -1,6 +1,7 @@
 //! `Group`: links that are drawn together, because they share a receiver and a geometry.
 
-use pwrfgs_core::{Deltas, Link, Real};
+use super::View;
+use pwrfgs_core::{Asked, Deltas, Link, Real, Vec3};
 use std::borrow::Cow;
 use std::ops::Range;
 
@@ -28,6 +29,13 @@ impl Group {
             }));
         }
         groups
+    }
+
+    /// From the receiver to the transmitter of each link, metres; nothing where positions are not known.
+    pub(super) fn distances(&self, view: &View, asked: &Asked<'_>) -> Vec<Real> {
+        let txs = asked.conditions.positions();
+        let distance = |row: &usize| txs.get(*row).map(|tx| (Vec3::from_array(*tx) - view.pose.origin()).length());
+        self.rows.iter().filter_map(distance).collect()
     }
 
     /// The rows of `numbers` that are its links'.

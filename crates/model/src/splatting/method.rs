@@ -1,10 +1,11 @@
 //! Splatting as a [`Method`]: links in, observations out, and back.
 
 use super::groups::Group;
-use super::{Drawing, Geometry, Splatting, View, check_kind, check_together, received};
+use super::received::{self, Laws};
+use super::{Drawing, Geometry, Splatting, View, check_kind, check_together};
 use crate::{ActivationVjp, Calibration, Readout};
 use pwrfgs_core::{
-    Asked, Cache, Conditions, DeformationInputs, Deltas, Frame, GaussianCloud, Method, MethodVjp, Observed, Parameters,
+    Asked, Cache, Conditions, Dataset, DeformationInputs, Deltas, Frame, GaussianCloud, Method, MethodVjp, Observed, Parameters,
     Real, StageTimes, WeightSpec, cached, rng::Rng,
 };
 use rayon::prelude::*;
@@ -12,8 +13,8 @@ use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// The name of the offsets among the weights, [`Readout::Received`] only.
-const OFFSETS: &str = "receiver.offsets";
+/// The names of what is learned of receivers, [`Readout::Received`] only.
+const LAW: [&str; 2] = ["receiver.offsets", "receiver.exponents"];
 
 /// What [`Method::vjp`] finds again.
 struct Kept {
@@ -29,34 +30,43 @@ struct Ready {
 }
 
 impl Splatting {
-    /// The network's weights, and the receivers' offsets behind them.
-    fn parts<'a>(&self, frame: &Frame, weights: &'a [Real]) -> (&'a [Real], &'a [Real]) {
-        weights.split_at(weights.len() - self.offsets(frame))
+    /// The network's weights, and the receivers' laws behind them.
+    pub(super) fn parts<'a>(&self, frame: &Frame, weights: &'a [Real]) -> (&'a [Real], Laws<'a>) {
+        let (network, laws) = weights.split_at(weights.len() - self.laws(frame));
+        let (offsets, exponents) = laws.split_at(laws.len() / 2);
+        (network, Laws { offsets, exponents })
     }
 
     /// Numbers that are learned of the receivers.
-    fn offsets(&self, frame: &Frame) -> usize {
-        if matches!(self.readout, Readout::Received { .. }) { frame.receivers.len() } else { 0 }
+    fn laws(&self, frame: &Frame) -> usize {
+        if matches!(self.readout, Readout::Received { .. }) { 2 * frame.receivers.len() } else { 0 }
     }
 
-    /// Blended signals of one receiver's sky `[links, channels, pixels]` as observations.
-    fn read_out(&self, view: &View, offset: Option<&Real>, blended: &[Real]) -> Vec<Real> {
-        match offset {
-            Some(offset) => received::forward(&view.plane, *offset, blended),
+    /// Factors on the network's weights, and 1 for the others.
+    fn padded(&self, frame: &Frame, mut factors: Vec<Real>) -> Vec<Real> {
+        factors.resize(factors.len() + self.laws(frame), 1.0);
+        factors
+    }
+
+    /// Blended signals of a receiver's sky `[links, channels, pixels]` as observations.
+    fn read_out(&self, view: &View, laws: Laws<'_>, group: &Group, asked: &Asked<'_>, blended: &[Real]) -> Vec<Real> {
+        match laws.of(group.receiver) {
+            Some(law) => received::forward(&view.plane, law, &group.distances(view, asked), blended),
             None => self.readout.forward(blended, view.plane.width * view.plane.height),
         }
     }
 
-    /// Cotangents of the blended signals, given those `d` of the observations; adds to that of the offset.
+    /// Cotangents of the blended signals, given those `d` of the observations; adds to those of the law.
     fn read_out_vjp(
         &self,
         view: &View,
-        d_offset: Option<&mut Real>,
+        d_law: Option<[&mut Real; 2]>,
+        distances: &[Real],
         blended: &[Real],
         d: &[Real],
     ) -> Vec<Real> {
-        if let Some(d_offset) = d_offset {
-            return received::vjp(&view.plane, blended, d, d_offset);
+        if let Some(d_law) = d_law {
+            return received::vjp(&view.plane, distances, blended, d, d_law);
         }
         let pixels = view.plane.width * view.plane.height;
         if self.calibration != Calibration::AsReleased {
@@ -79,15 +89,15 @@ impl Splatting {
 impl Method for Splatting {
     fn layout(&self, frame: &Frame) -> Vec<WeightSpec> {
         let mut layout = self.deformation.layout();
-        if self.offsets(frame) > 0 {
-            layout.push(WeightSpec { name: OFFSETS.into(), shape: vec![self.offsets(frame)] });
+        if self.laws(frame) > 0 {
+            layout.extend(LAW.map(|name| WeightSpec { name: name.into(), shape: vec![frame.receivers.len()] }));
         }
         layout
     }
 
     fn init(&self, frame: &Frame, rng: &mut Rng) -> Vec<Real> {
         let mut weights = self.deformation.init(rng);
-        weights.resize(weights.len() + self.offsets(frame), 0.0);
+        weights.resize(weights.len() + self.laws(frame), 0.0);
         weights
     }
 
@@ -101,7 +111,7 @@ impl Method for Splatting {
 
     fn forward(&self, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>) -> Observed {
         let deltas = self.terms(frame, p, asked.conditions);
-        let (views, offsets, n) = (self.views(frame), self.parts(frame, p.weights).1, p.cloud.len());
+        let (views, laws, n) = (self.views(frame), self.parts(frame, p.weights).1, p.cloud.len());
         let numbers = frame.numbers();
         let mut observed = Vec::new();
         let mut drawings = Vec::new();
@@ -121,7 +131,7 @@ impl Method for Splatting {
             } else {
                 &drawing.render.pixels
             };
-            let own = self.read_out(view, offsets.get(group.receiver), blended);
+            let own = self.read_out(view, laws, &group, asked, blended);
             match (in_order, observed.is_empty()) {
                 (true, true) => observed = own, // moved, not copied
                 (true, false) => observed.extend(own),
@@ -144,13 +154,15 @@ impl Method for Splatting {
         let Kept { deltas, drawings } = cached(&observed.cache);
         let (numbers, n) = (frame.numbers(), p.cloud.len());
         let network = self.parts(frame, p.weights).0;
-        let (d_network, d_offsets) = sums.weights.split_at_mut(network.len());
+        let (d_network, d_laws) = sums.weights.split_at_mut(network.len());
+        let (d_offsets, d_exponents) = d_laws.split_at_mut(d_laws.len() / 2);
         let mut own = ActivationVjp::zeros(p.cloud, deltas);
         let rows: Vec<usize> = (0..n).collect();
         for (group, view, drawing) in drawings {
             let d = group.gather(d, numbers);
-            let d_offset = d_offsets.get_mut(group.receiver);
-            let d_blended = self.read_out_vjp(view, d_offset, &drawing.render.pixels, &d);
+            let d_law = d_offsets.get_mut(group.receiver).zip(d_exponents.get_mut(group.receiver)).map(|(a, b)| [a, b]);
+            let distances = group.distances(view, asked);
+            let d_blended = self.read_out_vjp(view, d_law, &distances, &drawing.render.pixels, &d);
             let (terms, _) = group.terms(deltas, n);
             // Copied terms have a derivative of their own, which is then added where they came from.
             let copied = matches!(terms, Cow::Owned(_));
@@ -193,7 +205,7 @@ impl Method for Splatting {
     ) -> (Vec<Real>, StageTimes) {
         let start = Instant::now();
         let Ready { deformation, still } = cached(prepared);
-        let (network, offsets) = self.parts(frame, p.weights);
+        let (network, laws) = self.parts(frame, p.weights);
         let deltas =
             self.deformation.forward_prepared(network, &p.cloud.means, asked.conditions, &frame.pose(), deformation);
         let mut times = StageTimes { network: start.elapsed().as_secs_f64(), ..StageTimes::default() };
@@ -203,7 +215,7 @@ impl Method for Splatting {
             let (view, still) = (&views[group.receiver], still.get(group.receiver));
             let (terms, batch) = group.terms(&deltas, p.cloud.len());
             let drawing = self.draw(view, p.cloud, &terms, batch, p.gate, still);
-            let own = self.read_out(view, offsets.get(group.receiver), &drawing.render.pixels);
+            let own = self.read_out(view, laws, group, asked, &drawing.render.pixels);
             let [projection, sort] = if still.is_some() { [0.0; 2] } else { drawing.geometry.seconds };
             let blending = start.elapsed().as_secs_f64() - projection - sort;
             (own, [projection, sort, blending])
@@ -223,8 +235,18 @@ impl Method for Splatting {
         (all, times)
     }
 
-    fn frequency_window(&self, share: f64) -> Option<Vec<Real>> {
-        self.deformation.frequency_window(share)
+    fn frequency_window(&self, frame: &Frame, share: f64) -> Option<Vec<Real>> {
+        self.deformation.frequency_window(share).map(|window| self.padded(frame, window))
+    }
+
+    fn dropout(&self, frame: &Frame, rate: Real, rng: &mut Rng) -> Option<Vec<Real>> {
+        self.deformation.dropout(rate, rng).map(|factors| self.padded(frame, factors))
+    }
+
+    fn start(&self, frame: &Frame, data: &Dataset, train: &[usize], cloud: &mut GaussianCloud, weights: &mut [Real]) {
+        if matches!(self.readout, Readout::Received { .. }) {
+            self.start_law(frame, data, train, cloud, weights);
+        }
     }
 
     fn inputs(&self) -> usize {

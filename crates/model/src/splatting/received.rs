@@ -1,43 +1,78 @@
-//! A received power: the sky summed over solid angle, in dB, with an offset a receiver.
+//! A received power: the sky summed over solid angle, in dB, and a law of distance for each receiver.
 //!
-//! P = Σ_pixels (c₀² + c₁²) cos(elevation) Δazimuth Δelevation, and 10 log₁₀ P + 10 β in dBm. β, in bel, is what the
-//! receiver's antenna and cable add; so a step of the optimiser moves it by a decibel in about a hundred.
+//! P = Σ_pixels (c₀² + c₁²) cos(elevation) Δazimuth Δelevation, and 10 log₁₀ P + 10 β − 10 n log₁₀ d in dBm. β, in bel, is
+//! what the receiver's antenna and cable add; n, the exponent, is what distance takes, so that the sky has to say only what
+//! differs from that. d is the distance in metres, at least half a metre; without positions the law is β alone.
 
-use pwrfgs_core::{ImagePlane, Real, consts};
+use super::Splatting;
+use pwrfgs_core::{
+    Asked, Conditions, Dataset, Frame, GaussianCloud, ImagePlane, Link, Method, Observations, Parameters, Real, consts, evenly,
+};
 
 /// What is left of a sky without any signal: -120 dB.
 const FLOOR: Real = 1e-12;
 /// Decibels of a bel.
 const BEL: Real = 10.0;
+/// Nearer than this a path is no shorter, metres.
+const NEAREST_M: Real = 0.5;
+/// Links that the laws are fitted to before training.
+const FITTED: usize = 4_000;
+
+/// Offset β and exponent n of every receiver; nothing where no power is read out.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Laws<'a> {
+    pub(super) offsets: &'a [Real],
+    pub(super) exponents: &'a [Real],
+}
+
+impl Laws<'_> {
+    pub(super) fn of(&self, receiver: usize) -> Option<[Real; 2]> {
+        Some([*self.offsets.get(receiver)?, *self.exponents.get(receiver)?])
+    }
+}
+
+/// Logarithm to base 10 of the distance of link `i`.
+fn log_distance(distances: &[Real], i: usize) -> Real {
+    distances.get(i).map_or(0.0, |d| d.max(NEAREST_M).log10())
+}
 
 /// Solid angle of a pixel in each row.
 fn solid_angles(plane: &ImagePlane) -> Vec<Real> {
     let Some((azimuth, elevation)) = plane.angles else { return vec![1.0; plane.height] };
-    let area = (azimuth.step * elevation.step).abs() / f64::from(consts::DEG as f32).powi(2);
+    let area = azimuth.step.to_radians() * elevation.step.to_radians();
     let middle = |row: usize| (elevation.first + elevation.step * (row as f64 + 0.5)).to_radians();
-    (0..plane.height).map(|row| (area * middle(row).cos()) as Real).collect()
+    (0..plane.height).map(|row| (area * middle(row).cos()).abs() as Real).collect()
 }
 
-/// The two channels of a link, row by row with the rows' solid angles.
+/// Both channels of a link, row by row with the rows' solid angles.
 fn power(angles: &[Real], width: usize, sky: &[Real]) -> Real {
     let rows = sky.chunks_exact(width).zip(angles.iter().cycle());
     rows.map(|(row, angle)| angle * row.iter().map(|c| c * c).sum::<Real>()).sum::<Real>() + FLOOR
 }
 
 /// Powers `[L]` in dBm of blended signals `[L, 2, H·W]`.
-pub(super) fn forward(plane: &ImagePlane, offset: Real, blended: &[Real]) -> Vec<Real> {
+pub(super) fn forward(plane: &ImagePlane, [offset, exponent]: [Real; 2], distances: &[Real], blended: &[Real]) -> Vec<Real> {
     let angles = solid_angles(plane);
-    let skies = blended.chunks_exact(2 * plane.width * plane.height);
-    skies.map(|sky| BEL * (power(&angles, plane.width, sky).log10() + offset)).collect()
+    let skies = blended.chunks_exact(2 * plane.width * plane.height).enumerate();
+    let dbm = |(i, sky)| power(&angles, plane.width, sky).log10() + offset - exponent * log_distance(distances, i);
+    skies.map(|link| BEL * dbm(link)).collect()
 }
 
-/// Cotangents of the blended signals, given those of the powers; adds to that of the offset.
-pub(super) fn vjp(plane: &ImagePlane, blended: &[Real], d: &[Real], d_offset: &mut Real) -> Vec<Real> {
+/// Cotangents of the blended signals, given those of the powers; adds to those of offset and exponent.
+pub(super) fn vjp(
+    plane: &ImagePlane,
+    distances: &[Real],
+    blended: &[Real],
+    d: &[Real],
+    [d_offset, d_exponent]: [&mut Real; 2],
+) -> Vec<Real> {
     let angles = solid_angles(plane);
     let mut d_blended = vec![0.0; blended.len()];
     let of_one = 2 * plane.width * plane.height;
-    for ((d_sky, sky), d) in d_blended.chunks_exact_mut(of_one).zip(blended.chunks_exact(of_one)).zip(d) {
+    let skies = d_blended.chunks_exact_mut(of_one).zip(blended.chunks_exact(of_one));
+    for (i, ((d_sky, sky), d)) in skies.zip(d).enumerate() {
         *d_offset += BEL * d;
+        *d_exponent -= BEL * d * log_distance(distances, i);
         let scale = BEL * d / (consts::LN_10 * power(&angles, plane.width, sky));
         let rows = d_sky.chunks_exact_mut(plane.width).zip(sky.chunks_exact(plane.width)).zip(angles.iter().cycle());
         for ((d_row, row), angle) in rows {
@@ -45,4 +80,61 @@ pub(super) fn vjp(plane: &ImagePlane, blended: &[Real], d: &[Real], d_offset: &m
         }
     }
     d_blended
+}
+
+impl Splatting {
+    /// Begins with a sky that is the same for every transmitter, and with the law that fits the training part best under
+    /// it: an offset a receiver, one exponent for all. A receiver without training links has the mean offset.
+    pub(super) fn start_law(
+        &self,
+        frame: &Frame,
+        data: &Dataset,
+        train: &[usize],
+        cloud: &mut GaussianCloud,
+        weights: &mut [Real],
+    ) {
+        cloud.signals.iter_mut().for_each(|signal| *signal = [1.0, 0.0]);
+        let Observations::Powers(powers) = &data.observations else { return };
+        let Some(last) = weights.len().checked_sub(2 * frame.receivers.len()) else { return };
+        let part = evenly(train, FITTED);
+        let txs: Vec<[Real; 3]> = part.iter().map(|&i| frame.origin.local(data.sample(i).tx)).collect();
+        let at = |(transmitter, &i): (usize, &usize)| Link { transmitter, receiver: data.links[i].receiver };
+        let links: Vec<Link> = part.iter().enumerate().map(at).collect();
+        let conditions = if self.inputs() == 3 { Conditions::from(&txs) } else { return };
+        let parameters = Parameters { cloud, gate: None, weights };
+        let sky = self.forward(frame, &parameters, &Asked { conditions, links: &links }).numbers;
+        let receivers = &frame.receivers;
+        let log = |k: usize| {
+            let way = receivers[links[k].receiver].pose.origin() - pwrfgs_core::Vec3::from_array(txs[k]);
+            f64::from(way.length().max(NEAREST_M) as f32).log10()
+        };
+        let rows: Vec<[f64; 2]> =
+            (0..part.len()).map(|k| [log(k), f64::from((powers[part[k]] - sky[k]) as f32) / 10.0]).collect();
+        let (offsets, exponent) = fit(&rows, &links, receivers.len());
+        weights[last..last + receivers.len()].iter_mut().zip(offsets).for_each(|(w, offset)| *w += offset as Real);
+        weights[last + receivers.len()..].iter_mut().for_each(|w| *w = exponent as Real);
+    }
+}
+
+/// Least squares of y = offset(receiver) − n x over `rows` [x, y]: the slope of what is left when each receiver's means are
+/// taken away.
+fn fit(rows: &[[f64; 2]], links: &[Link], receivers: usize) -> (Vec<f64>, f64) {
+    let mut sums = vec![[0.0; 3]; receivers];
+    for ([x, y], link) in rows.iter().zip(links) {
+        let [n, sx, sy] = &mut sums[link.receiver];
+        (*n, *sx, *sy) = (*n + 1.0, *sx + x, *sy + y);
+    }
+    let means: Vec<Option<[f64; 2]>> = sums.iter().map(|[n, x, y]| (*n > 0.0).then(|| [x / n, y / n])).collect();
+    let (mut xx, mut xy) = (0.0, 0.0);
+    for ([x, y], link) in rows.iter().zip(links) {
+        if let Some([mx, my]) = means[link.receiver] {
+            xx += (x - mx) * (x - mx);
+            xy += (x - mx) * (y - my);
+        }
+    }
+    let exponent = if xx > 0.0 { -xy / xx } else { 0.0 };
+    let offsets: Vec<Option<f64>> = means.iter().map(|m| m.map(|[x, y]| y + exponent * x)).collect();
+    let known: Vec<f64> = offsets.iter().flatten().copied().collect();
+    let mean = known.iter().sum::<f64>() / known.len().max(1) as f64;
+    (offsets.into_iter().map(|offset| offset.unwrap_or(mean)).collect(), exponent)
 }

@@ -7,7 +7,7 @@ mod view;
 
 use super::canvas::{Canvas, Colour, Paint, Path, Point, WHITE};
 use super::legend::{SYMBOL, Symbol};
-use pwrfgs_core::{Dataset, Evaluation, ImagePlane, Metric, ModelFacts, Partition, Plugin, Real, Values, evenly};
+use pwrfgs_core::{Dataset, Evaluation, Metric, ModelFacts, Partition, Plugin, Real, Values, evenly};
 use pwrfgs_experiment::Snapshot;
 use pwrfgs_experiment::text::{grouped, number};
 use receiver::Receiver;

@@ -5,6 +5,7 @@ use crate::draw::charts::{Axis, Chart, Line};
 use crate::draw::marks::{Stroke, Style};
 use crate::draw::steps::{phases, stairs};
 use minijinja::{Value, context};
+use pwrfgs_core::Kind;
 use pwrfgs_experiment::Results;
 use pwrfgs_experiment::folder::{CURVE, VALIDATION};
 use pwrfgs_experiment::scores::{MODEL, quantile};
@@ -90,9 +91,14 @@ fn validation(results: &Results<'_>, rows: &[Vec<Option<f64>>]) -> Option<Figure
         line(column(2), LIGHT, 2.0).named("model, median"),
     ];
     for ((name, floor), colour) in results.floors.iter().zip(FLOOR_COLOURS.into_iter().cycle()) {
-        lines.push(Line::level(floor.ssim_mean, Style::line(Colour::hex(colour), 2.0, Stroke::DASHED)).named(name));
+        lines.push(Line::level(floor.values[0], Style::line(Colour::hex(colour), 2.0, Stroke::DASHED)).named(name));
     }
-    figure("SSIM on validation samples", &over_steps(results, false, lines))
+    let title = match results.data.kind() {
+        Kind::Spectrum => "SSIM on validation samples",
+        Kind::Power => "Error on validation links, dB",
+        Kind::Channel => "SNR on validation links, dB",
+    };
+    figure(title, &over_steps(results, false, lines))
 }
 
 /// Groups of test spectra by the spread of the members.

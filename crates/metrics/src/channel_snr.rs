@@ -1,0 +1,115 @@
+//! How well a channel is predicted.
+
+use crate::{not_of, paired};
+use pwrfgs_core::{Documented, Evaluation, Goal, Image, Kind, Measurement, Metric, Result, Scope, Values};
+use serde::{Deserialize, Serialize};
+
+/// Signal-to-noise ratio of predicted channels, dB: −10 log₁₀(Σ|h′ − h|² / Σ|h|²).
+///
+/// Keys: `snr_db`, a snapshot (all links of a transmitter together, as NeRF2 sums over antennas and subcarriers; its median
+/// is what NeRF2 prints), and `snr_all_db`, one ratio over the whole test part, as NeWRF has it. A predictor of zeros has
+/// 0 dB by both; strong snapshots count more in the second.
+///
+/// ```
+/// # use pwrfgs_metrics as _;
+/// # use pwrfgs_core::{Metric, Plugin};
+/// Plugin::<dyn Metric>::parse("ChannelSnr()")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct ChannelSnr {}
+
+/// What a channel without any error counts as, dB.
+const PERFECT: f64 = 200.0;
+
+/// Σ|h′ − h|² and Σ|h|².
+#[derive(Clone, Copy, Default)]
+struct Energies {
+    error: f64,
+    signal: f64,
+}
+
+impl Energies {
+    fn of(prediction: &Image, truth: &Image) -> Self {
+        let mut sum = Self::default();
+        for (p, t) in prediction.pixels.iter().zip(&truth.pixels) {
+            sum.error += ((p - t) as f64).powi(2);
+            sum.signal += (*t as f64).powi(2);
+        }
+        sum
+    }
+
+    fn plus(self, other: Self) -> Self {
+        Self { error: self.error + other.error, signal: self.signal + other.signal }
+    }
+
+    /// dB; of a channel of zeros 0 where it is predicted as such or not.
+    fn snr(self) -> f64 {
+        match self {
+            Self { signal: 0.0, .. } => 0.0,
+            Self { error, signal } => (-10.0 * (error / signal).log10()).min(PERFECT),
+        }
+    }
+}
+
+#[typetag::serde]
+impl Metric for ChannelSnr {
+    fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
+        let measured =
+            |key: &str, values| Measurement { key: key.to_owned(), unit: "dB", goal: Goal::Higher, values };
+        if let Some(values) = not_of(evaluation, Kind::Channel) {
+            return Ok(vec![measured("snr_db", values.clone()), measured("snr_all_db", values)]);
+        }
+        paired(evaluation)?;
+        let both = evaluation.predictions.iter().zip(evaluation.truths);
+        let each: Vec<Energies> = both.map(|(p, t)| Energies::of(p, t)).collect();
+        let transmitter = |i: usize| evaluation.links.get(i).map_or(i, |link| link.transmitter);
+        let mut snapshots = Vec::with_capacity(each.len());
+        let rows: Vec<usize> = (0..each.len()).collect();
+        for rows in rows.chunk_by(|a, b| transmitter(*a) == transmitter(*b)) {
+            let all = rows.iter().fold(Energies::default(), |sum, i| sum.plus(each[*i]));
+            snapshots.extend(rows.iter().map(|_| all.snr()));
+        }
+        let whole = each.iter().fold(Energies::default(), |sum, own| sum.plus(*own));
+        let over_all = if each.is_empty() { Values::NotApplicable("no sample".into()) } else { Values::Whole(whole.snr()) };
+        Ok(vec![measured("snr_db", Values::PerSample(snapshots)), measured("snr_all_db", over_all)])
+    }
+
+    fn scope(&self) -> Scope {
+        Scope::All
+    }
+
+    fn about(&self) -> &'static str {
+        "signal-to-noise ratio of channels, a snapshot and over all, dB"
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixture::{plane, scene, spectra};
+    use pwrfgs_core::Link;
+
+    #[test]
+    fn snapshots_are_summed_over_their_links() {
+        let channel = |re, im| Image { width: 1, height: 2, pixels: vec![re, im] };
+        let truths = [channel(3.0, 4.0), channel(0.0, 5.0), channel(1.0, 0.0)];
+        let predictions = [channel(3.0, 4.0), channel(1.0, 5.0), channel(0.0, 0.0)];
+        let links = [(0, 0), (0, 1), (1, 0)].map(|(transmitter, receiver)| Link { transmitter, receiver });
+        let (plane, scene) = (plane(1, 2), scene(&[]));
+        let evaluation = Evaluation {
+            kind: Kind::Channel,
+            links: &links,
+            predictions: &predictions,
+            truths: &truths,
+            ..spectra(&plane, &scene)
+        };
+        let found = ChannelSnr {}.evaluate(&evaluation).unwrap();
+        let first = -10.0 * (1.0_f64 / 50.0).log10();
+        assert_eq!(found[0].values, Values::PerSample(vec![first, first, 0.0]));
+        assert_eq!(found[1].values, Values::Whole(-10.0 * (2.0_f64 / 51.0).log10()));
+        let exact = Evaluation { predictions: &truths, ..evaluation };
+        assert_eq!(ChannelSnr {}.evaluate(&exact).unwrap()[1].values, Values::Whole(PERFECT));
+    }
+}
