@@ -168,7 +168,11 @@ fn every_layout_is_written() {
         let more = [&["--layout", layout][..], noise.as_ref().map_or(&[], |noise| &noise[..])].concat();
         let made = simulate(&more, layout);
         assert!(made.status.success(), "{}", stderr(&made));
-        assert!(stderr(&made).contains("10 simulated ") && stderr(&made).contains(" at 2 receivers"), "{}", stderr(&made));
+        assert!(
+            stderr(&made).contains("10 simulated ") && stderr(&made).contains(" at 2 receivers"),
+            "{}",
+            stderr(&made)
+        );
         assert!(files.iter().all(|file| folder.join(layout).join(file).is_file()), "{layout}");
         assert!(folder.join(layout).join("manifest.json").is_file(), "{layout}");
     }
