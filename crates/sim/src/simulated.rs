@@ -128,6 +128,14 @@ fn of_data(scene: &Scene, receiver: &scene::Receiver) -> Receiver {
 
 #[typetag::serde]
 impl DataSource for Simulated {
+    fn kind(&self) -> Option<pwrfgs_core::Kind> {
+        Some(match self.observe {
+            Observe::Spectrum => pwrfgs_core::Kind::Spectrum,
+            Observe::Power { .. } => pwrfgs_core::Kind::Power,
+            Observe::Channel { .. } => pwrfgs_core::Kind::Channel,
+        })
+    }
+
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let recipe = Recipe::read(&base.join(&self.scene), self.samples, self.seed, self.points)?;
         let recipe = recipe.observing(self.observe)?;
