@@ -53,6 +53,10 @@ fn main() {
             ridge: set("RIDGE", default.ridge),
             images: set("IMAGES", 1.0) > 0.0,
             peaks: set("PEAKS", default.peaks as f64) as usize,
+            rounds: set("ROUNDS", default.rounds as f64) as usize,
+            steps: set("STEPS", default.steps as f64) as usize,
+            beyond_doubt: set("DOUBT", default.beyond_doubt),
+            again: set("AGAIN", 0.0) > 0.0,
             seed: set("SEED", 0.0) as u64,
             ..default
         };

@@ -11,7 +11,10 @@ use crate::sweep::{Grid, Peak, sweep, thin};
 use crate::turn;
 use pwrfgs_core::{Real, rng};
 use rayon::prelude::*;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
+
+/// Candidates that climb before the best is taken.
+const CLIMB: usize = 32;
 
 /// How [`pursue`] searches.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,10 +33,18 @@ pub struct Pursuit {
     pub rows: [usize; 2],
     /// Weight of the ridge on |s|², in the share of noise to signal that the fit itself shows; 1 is the Bayesian choice.
     pub ridge: f64,
+    /// Steps of refinement after every addition.
+    pub steps: usize,
+    /// Times that sources are taken away and added again.
+    pub rounds: usize,
+    /// ln of the odds from which a candidate is taken without another look at the whole grid.
+    pub beyond_doubt: f64,
     /// Peaks of the grid that are refined before the best is taken.
     pub peaks: usize,
     /// Whether mirror images of what was found are tried, with the smaller proof that few candidates need.
     pub images: bool,
+    /// Whether the last pass, with all items, searches anew, or refines what was found.
+    pub again: bool,
     /// Seed of the held-out part and of the rows.
     pub seed: u64,
 }
@@ -48,8 +59,12 @@ impl Default for Pursuit {
             hold_out: 5,
             rows: [2048, 16_384],
             ridge: 1.0,
+            steps: 10,
+            rounds: 2,
+            beyond_doubt: 10.0,
             peaks: 256,
             images: true,
+            again: false,
             seed: 0,
         }
     }
@@ -86,17 +101,24 @@ pub fn pursue(
     options.check()?;
     let mut items: Vec<usize> = (0..links.positions.len()).collect();
     let folds = if options.hold_out < 2 { 0 } else { items.len() / options.hold_out };
+    let none = Sources::default;
     if folds == 0 {
-        return Ok(Search::new(links, channel, options, &items, &[]).grow(options.most, go_on).0);
+        return Ok(Search::new(links, channel, options, &items, &[]).grow(none(), options.most, go_on).0);
     }
     rng::shuffle(&mut rng::stream(options.seed, "hold out", 0), &mut items);
     let (held_out, fitted) = items.split_at(folds);
-    let (found, stopped) = Search::new(links, channel, options, fitted, held_out).grow(options.most, go_on);
+    let (found, stopped) = Search::new(links, channel, options, fitted, held_out).grow(none(), options.most, go_on);
     if stopped {
         return Ok(found);
     }
     let all: Vec<usize> = (0..links.positions.len()).collect();
-    Ok(Search::new(links, channel, options, &all, &[]).grow(found.len(), go_on).0)
+    let mut last = Search::new(links, channel, options, &all, &[]);
+    if options.again {
+        return Ok(last.grow(none(), found.len(), go_on).0);
+    }
+    let mut found = found;
+    last.settle(&mut found, 3 * options.steps);
+    Ok(found)
 }
 
 impl Pursuit {
@@ -130,6 +152,8 @@ struct Search<'a> {
     grid: Grid,
     hear: Vec<[f64; 3]>,
     wavelength: f64,
+    /// What the last sweep left.
+    pool: Vec<Peak>,
 }
 
 impl<'a> Search<'a> {
@@ -154,34 +178,72 @@ impl<'a> Search<'a> {
             quats: turn::mirrored(&antennas),
         };
         let [coarse, fine] = options.rows.map(|most| Rows::new(links, channel, fitted, most, options.seed));
-        Self { links, channel, options, held_out, coarse, rows: fine, grid, hear, wavelength }
+        Self { links, channel, options, held_out, coarse, rows: fine, grid, hear, wavelength, pool: Vec::new() }
     }
 
-    /// Adds sources until `most`, until patience ends or until told to stop; the best number of them, and whether it
-    /// was told to stop.
-    fn grow(&self, most: usize, go_on: &mut dyn FnMut(&Progress) -> bool) -> (Sources, bool) {
-        let (mut sources, mut best) = (Sources::default(), (f64::NEG_INFINITY, Sources::default()));
-        let mut since = 0;
-        while sources.len() < most {
-            let Some((peak, proof, image)) = self.next(&sources) else { break };
-            sources.push(peak.place, peak.quat, [0.0; 2]);
-            self.settle(&mut sources, 20);
-            let fitted = snr(&self.rows.residual(&sources), &self.rows);
-            let held_out = if self.held_out.is_empty() { fitted } else { self.score(&sources) };
-            since += 1;
-            if held_out > best.0 {
-                (best, since) = ((held_out, sources.clone()), 0);
-            }
-            let last_pass = self.held_out.is_empty();
-            let told = Progress { last_pass, sources: sources.len(), fitted, held_out, proof, image };
-            if !go_on(&told) {
+    /// Adds sources until `most`, until patience ends or until told to stop, then takes the least needed ones away again,
+    /// and so on while that helps; the best set, and whether it was told to stop.
+    fn grow(&mut self, start: Sources, most: usize, go_on: &mut dyn FnMut(&Progress) -> bool) -> (Sources, bool) {
+        let mut best = (f64::NEG_INFINITY, start);
+        for _ in 0..=self.options.rounds {
+            let before = best.0;
+            if self.forward(&mut best, most, go_on) {
                 return (best.1, true);
             }
-            if since >= self.options.patience {
+            if !self.held_out.is_empty() {
+                self.backward(&mut best);
+            }
+            if best.0 <= before {
                 break;
             }
         }
         (best.1, false)
+    }
+
+    /// Adds sources to the best set; whether it was told to stop.
+    fn forward(
+        &mut self,
+        best: &mut (f64, Sources),
+        most: usize,
+        go_on: &mut dyn FnMut(&Progress) -> bool,
+    ) -> bool {
+        let mut sources = best.1.clone();
+        let mut since = 0;
+        while sources.len() < most && since < self.options.patience {
+            let Some((peak, proof, image)) = self.next(&sources) else { break };
+            sources.push(peak.place, peak.quat, [0.0; 2]);
+            self.settle(&mut sources, self.options.steps);
+            let fitted = snr(&self.rows.residual(&sources), &self.rows);
+            let held_out = if self.held_out.is_empty() { fitted } else { self.score(&sources) };
+            since += 1;
+            if held_out > best.0 {
+                (*best, since) = ((held_out, sources.clone()), 0);
+            }
+            let last_pass = self.held_out.is_empty();
+            if !go_on(&Progress { last_pass, sources: sources.len(), fitted, held_out, proof, image }) {
+                return true;
+            }
+        }
+        false
+    }
+
+    /// Takes away, one after the other, the source without which the fit is least worse.
+    fn backward(&self, best: &mut (f64, Sources)) {
+        let mut sources = best.1.clone();
+        let (least, ridge) = (sources.len() / 2, 1e-9 * self.rows.energy());
+        while sources.len() > least.max(1) {
+            let cost = |g: usize| {
+                gains(&self.rows, &mut sources.without(g), &vec![ridge; sources.len() - 1]).unwrap_or(f64::MAX)
+            };
+            let costs: Vec<f64> = (0..sources.len()).into_par_iter().map(cost).collect();
+            let weakest = (0..costs.len()).fold(0, |w, g| if costs[g] < costs[w] { g } else { w });
+            sources = sources.without(weakest);
+            self.settle(&mut sources, self.options.steps);
+            let held_out = self.score(&sources);
+            if held_out > best.0 {
+                *best = (held_out, sources.clone());
+            }
+        }
     }
 
     /// The ridge of each source, refined with it.
@@ -201,22 +263,29 @@ impl<'a> Search<'a> {
     }
 
     /// The candidate with the best proof after a refinement of its own, that proof, and whether it is an image.
-    fn next(&self, sources: &Sources) -> Option<(Peak, f64, bool)> {
-        let apart = self.wavelength / 2.0;
-        let coarse = self.coarse.residual(sources);
-        let mut peaks = sweep(&coarse, &self.grid, self.options.peaks, apart, &AtomicBool::new(false));
+    ///
+    /// The grid is swept anew only where neither images nor what the last sweep left are beyond doubt.
+    fn next(&mut self, sources: &Sources) -> Option<(Peak, f64, bool)> {
         let residual = self.rows.residual(sources);
-        let mut best = self.refined(&residual, &mut peaks, self.grid.len(), sources).map(|(p, odds)| (p, odds, false));
+        let mut best = None;
         if self.options.images {
             let Grid { low, high, .. } = self.grid;
             let places = images(&sources.positions, &self.hear, low, high, self.wavelength / 4.0);
-            let mut peaks = as_peaks(&places, &self.grid.quats);
+            let peaks = as_peaks(&places, &self.grid.quats);
             let number = peaks.len();
-            if let Some((peak, odds)) = self.refined(&residual, &mut peaks, number, sources) {
-                if best.is_none_or(|b| odds > b.1) {
-                    best = Some((peak, odds, true));
-                }
-            }
+            best = self.refined(&residual, peaks, number, sources).map(|(peak, odds)| (peak, odds, true));
+        }
+        let better = |best: Option<(Peak, f64, bool)>, other: Option<(Peak, f64)>| match (best, other) {
+            (Some(b), Some((_, odds))) if b.1 >= odds => Some(b),
+            (b, None) => b,
+            (_, Some((peak, odds))) => Some((peak, odds, false)),
+        };
+        best = better(best, self.refined(&residual, self.pool.clone(), self.grid.len(), sources));
+        if best.is_none_or(|b| b.1 < self.options.beyond_doubt) {
+            let coarse = self.coarse.residual(sources);
+            let apart = self.wavelength / 2.0;
+            self.pool = sweep(&coarse, &self.grid, self.options.peaks, apart, &AtomicBool::new(false));
+            best = better(best, self.refined(&residual, self.pool.clone(), self.grid.len(), sources));
         }
         best
     }
@@ -225,26 +294,29 @@ impl<'a> Search<'a> {
     fn refined(
         &self,
         residual: &Rows,
-        peaks: &mut Vec<Peak>,
+        mut peaks: Vec<Peak>,
         number: usize,
         sources: &Sources,
     ) -> Option<(Peak, f64)> {
         let energy = residual.energy();
-        let walk = Walk { steps: 8, farthest: self.wavelength / 8.0, turns: self.links.turns() };
-        peaks.par_iter_mut().for_each(|peak| {
+        let climb = |peak: &mut Peak, steps: usize| {
+            let walk = Walk { steps, farthest: self.wavelength / 8.0, turns: self.links.turns() };
             let mut one = Sources::default();
             one.push(peak.place, peak.quat, [0.0; 2]);
             let left = refine(residual, &mut one, &[1e-12 * residual.len() as f64], walk);
             let far = (0..3).any(|k| (one.positions[0][k] - peak.place[k]).abs() > 2.0 * self.wavelength);
             peak.explains = if far { 0.0 } else { left.map_or(0.0, |left| energy - left) };
             (peak.place, peak.quat) = (one.positions[0], one.quats[0]);
-        });
+        };
+        peaks.par_iter_mut().for_each(|peak| climb(peak, 0));
+        thin(&mut peaks, CLIMB, 0.0);
+        peaks.par_iter_mut().for_each(|peak| climb(peak, 8));
         let taken = |p: &Peak| {
             let near = |v: &[f64; 3]| (0..3).map(|k| (v[k] - p.place[k]).powi(2)).sum::<f64>().sqrt();
             sources.positions.iter().any(|v| near(v) < self.wavelength / 8.0)
         };
         peaks.retain(|p| !taken(p));
-        thin(peaks, 1, 0.0);
+        thin(&mut peaks, 1, 0.0);
         let share = |p: &Peak| (p.explains / energy).clamp(0.0, 1.0 - 1e-12);
         let odds = |p: &Peak| -(residual.len() as f64) * (1.0 - share(p)).ln() - (number.max(1) as f64).ln();
         peaks.first().map(|p| (*p, odds(p)))

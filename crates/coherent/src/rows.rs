@@ -63,7 +63,7 @@ impl Rows {
             }
             rest
         };
-        let h = (0..self.len()).into_par_iter().with_min_len(64).map(rest).collect();
+        let h = (0..self.len()).into_par_iter().with_min_len(1024).map(rest).collect();
         Self { h, ..self.clone() }
     }
 

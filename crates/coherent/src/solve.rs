@@ -13,6 +13,9 @@ use rayon::prelude::*;
 /// Blocks of rows whose equations are gathered apart, then added in order.
 const BLOCKS: usize = 8;
 
+/// Rows times unknowns below which one thread is faster than several. The sums are the same.
+const ALONE: usize = 1 << 18;
+
 /// What is unknown: the signals `[N,2]`, then moves `[N,3]`, then turns `[N,3]` about the world's axes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Unknowns {
@@ -76,9 +79,13 @@ pub(crate) fn equations(rows: &Rows, sources: &Sources, unknowns: Unknowns) -> N
         }
         normal
     };
-    let blocks: Vec<Normal> = (0..pairs.div_ceil(block)).into_par_iter().map(gather).collect();
     let mut total = Normal::new(p);
-    blocks.iter().for_each(|b| total.add(b));
+    if rows.len() * p < ALONE {
+        (0..pairs.div_ceil(block)).for_each(|b| total.add(&gather(b)));
+    } else {
+        let blocks: Vec<Normal> = (0..pairs.div_ceil(block)).into_par_iter().map(gather).collect();
+        blocks.iter().for_each(|b| total.add(b));
+    }
     total
 }
 

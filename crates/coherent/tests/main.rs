@@ -3,3 +3,4 @@
 #![allow(clippy::unwrap_used)] // helpers of tests may fail, as tests do
 
 mod field;
+mod search;
