@@ -9,7 +9,6 @@ use pwrfgs_core::{Real, testing::shared};
 use std::time::Instant;
 
 struct Band {
-    name: String,
     frequency: f64,
     positions: Vec<[Real; 3]>,
     channel: Vec<[Real; 2]>,
@@ -29,7 +28,7 @@ fn read(name: &str) -> Band {
     let start = 10 + u16::from_le_bytes([bytes[8], bytes[9]]) as usize;
     let floats: Vec<Real> =
         bytes[start..].as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b) as Real).collect();
-    Band { name: name.into(), frequency, positions, channel: floats.as_chunks::<2>().0.to_vec() }
+    Band { frequency, positions, channel: floats.as_chunks::<2>().0.to_vec() }
 }
 
 fn main() {

@@ -21,7 +21,7 @@ fn truth(quats: [[f64; 4]; 4]) -> Sources {
 }
 
 fn options() -> Pursuit {
-    Pursuit { reach: 0.8, most: 8, patience: 2, peaks: 64, ..Pursuit::default() }
+    Pursuit { reach: 0.8, most: 8, patience: 2, peaks: 64, rounds: 0, ..Pursuit::default() }
 }
 
 fn nearest(found: &Sources, v: [f64; 3]) -> f64 {
@@ -63,7 +63,10 @@ fn a_mirrored_array_is_found_with_its_rotation() {
     let positions = places(40);
     let links = Links { positions: &positions, antennas: &antennas, frequencies: &[0.6e9, 0.64e9] };
     let h = field(&truth.to_cloud(), None, &links);
-    let found = pursue(&links, &h, &options(), &mut |p| p.sources < 5).unwrap();
+    let found = pursue(&links, &h, &options(), &mut |p| {
+        eprintln!("{p:?}");
+        p.sources < 6
+    }).unwrap();
     for v in &truth.positions {
         assert!(nearest(&found, *v) < 0.03, "{v:?}: {found:?}");
     }
