@@ -1,6 +1,6 @@
 //! `DataSource`, `Split`, `Baseline`: what is known, how it is divided, and what must be beaten.
 
-use crate::{Dataset, Image, Known, Partition, Query, Result, plugin_kind, rng::Rng};
+use crate::{Dataset, Image, Kind, Known, Partition, Query, Result, plugin_kind, rng::Rng};
 use std::path::{Path, PathBuf};
 
 /// Told (done, of how many) while something long is under way, from any thread and in any order.
@@ -55,6 +55,12 @@ plugin_kind!(Split);
 pub trait Baseline: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
     /// Its name in tables, such as `3-NN`.
     fn name(&self) -> String;
+
+    /// The same where it depends on what is observed.
+    fn name_for(&self, kind: Kind) -> String {
+        let _ = kind;
+        self.name()
+    }
 
     /// Learns from all `known` links, and makes its choices, if it has any, on their validation part; where that is
     /// empty, on samples of the training part that it leaves out meanwhile.
