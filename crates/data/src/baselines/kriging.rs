@@ -29,8 +29,8 @@ use trend::Trend;
 ///
 /// Each receiver has a process of its own; one without training links is predicted from those of all. Of received powers it
 /// is the residual of a law of distance, RSSI = T - 10 gamma log10(d) by least squares, that is taken for the process; the
-/// law is added again. Its length scale is the same along all axes, and those numbers are taken under which at most 640
-/// training powers are most likely, each given the 16 nearest before it in random order. Data whose links have features in the place of positions are refused.
+/// law is added again. Its correlation is Matern 3/2 with one length scale for all axes, and those numbers are taken under
+/// which at most 320 training powers are most likely, each given the 16 nearest before it in random order. Data whose links have features in the place of positions are refused.
 ///
 /// ```
 /// # use pwrfgs_core::{Baseline, Plugin};

@@ -8,13 +8,21 @@ use pwrfgs_core::{Baseline, Known};
 use std::fs;
 
 fn source(root: PathBuf) -> Channels {
-    Channels { root, file: "h.npy".into(), positions: "p.csv".into(), carrier_hz: 1e9, spacing_hz: 1e6, ..Channels::default() }
+    Channels {
+        root,
+        file: "h.npy".into(),
+        positions: "p.csv".into(),
+        carrier_hz: 1e9,
+        spacing_hz: 1e6,
+        ..Channels::default()
+    }
 }
 
 fn folder(shape: [usize; 3]) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let numbers = (0..2 * shape.iter().product::<usize>()).flat_map(|v| (v as f32).to_le_bytes());
-    fs::write(folder.path().join("h.npy"), npy_complex_header(&shape).into_iter().chain(numbers).collect::<Vec<u8>>()).unwrap();
+    fs::write(folder.path().join("h.npy"), npy_complex_header(&shape).into_iter().chain(numbers).collect::<Vec<u8>>())
+        .unwrap();
     fs::write(folder.path().join("p.csv"), "x,y,z\n1,2,3\n4,5,6\n").unwrap();
     folder
 }
@@ -41,12 +49,18 @@ fn channels_are_read_with_their_antennas_and_frequencies() {
 fn what_does_not_fit_is_refused() {
     let three = folder([3, 1, 1]);
     let said = source(three.path().into()).load(".".as_ref(), &|_, _| {}).unwrap_err().to_string();
-    assert!(said.contains("holds channels of 3 transmitters") && said.contains("p.csv 2; give as many of each"), "{said}");
+    assert!(
+        said.contains("holds channels of 3 transmitters") && said.contains("p.csv 2; give as many of each"),
+        "{said}"
+    );
     for wrong in [
         Channels { carrier_hz: f64::NAN, ..Channels::default() },
         Channels { spacing_hz: 0.0, ..Channels::default() },
         Channels { file: PathBuf::new(), ..Channels::default() },
-        Channels { receiver: ReceiverPlace { orientation: [0.0; 4], ..ReceiverPlace::default() }, ..Channels::default() },
+        Channels {
+            receiver: ReceiverPlace { orientation: [0.0; 4], ..ReceiverPlace::default() },
+            ..Channels::default()
+        },
     ] {
         assert!(wrong.check().is_err());
     }
@@ -57,9 +71,19 @@ fn what_does_not_fit_is_refused() {
 fn no_neighbour_predicts_the_channels_of_newrf() {
     let Some(root) = shared("data/newrf") else { return };
     let receiver = ReceiverPlace { position: [-1.5, 0.0, 1.7], ..ReceiverPlace::default() };
-    let files = [("csi_433MHz.npy", "csi_433MHz_pos.csv", 395), ("csi_928MHz.npy", "tx_pos.csv", 433), ("csi_2400MHz.npy", "tx_pos.csv", 433)];
+    let files = [
+        ("csi_433MHz.npy", "csi_433MHz_pos.csv", 395),
+        ("csi_928MHz.npy", "tx_pos.csv", 433),
+        ("csi_2400MHz.npy", "tx_pos.csv", 433),
+    ];
     for (file, positions, count) in files {
-        let source = Channels { root: root.clone(), file: file.into(), positions: positions.into(), receiver: receiver.clone(), ..Channels::default() };
+        let source = Channels {
+            root: root.clone(),
+            file: file.into(),
+            positions: positions.into(),
+            receiver: receiver.clone(),
+            ..Channels::default()
+        };
         let data = source.load(".".as_ref(), &|_, _| {}).unwrap();
         assert_eq!(data.len(), count);
         let first_test = count - count / 5;

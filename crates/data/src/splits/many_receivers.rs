@@ -13,7 +13,8 @@ fn three_receivers(count: u32) -> Dataset {
         .flat_map(heard)
         .map(|(id, receiver)| Sample { id, tx: [f64::from(id), 0.0, 0.0], receiver })
         .collect();
-    let powers = samples.iter().map(|s| -40.0 - 10.0 * s.receiver as pwrfgs_core::Real - s.id as pwrfgs_core::Real).collect();
+    let powers =
+        samples.iter().map(|s| -40.0 - 10.0 * s.receiver as pwrfgs_core::Real - s.id as pwrfgs_core::Real).collect();
     let receivers = [("a", 0.0), ("b", 5.0), ("c", 9.0)].map(at).to_vec();
     let data = Dataset::of_links("three", receivers, vec![], &samples, Observations::Powers(powers)).unwrap();
     let (test, train) = (0..data.len()).partition(|i| data.links[*i].transmitter % 5 == 4);
@@ -64,7 +65,10 @@ fn a_receiver_left_out_is_the_test() {
         ("LeaveReceiverOut()", "name at least one of `receivers`; the receivers of three are `a`, `b`, `c`"),
         (r#"LeaveReceiverOut(receivers: ["d"])"#, "there is no receiver `d`"),
         (r#"LeaveReceiverOut(receivers: ["a", "b", "c"])"#, "no receiver is left to learn from"),
-        (r#"LeaveReceiverOut(receivers: ["c"], calibration: 20)"#, "`c` has 20 links in all, which leaves none to test"),
+        (
+            r#"LeaveReceiverOut(receivers: ["c"], calibration: 20)"#,
+            "`c` has 20 links in all, which leaves none to test",
+        ),
     ];
     for (text, message) in refused {
         let said = split(text, &data).unwrap_err();
@@ -86,7 +90,10 @@ fn baselines_learn_each_receiver_by_itself() {
     let first_of = |receiver: usize| data.links.iter().position(|link| link.receiver == receiver).unwrap();
     for (receiver, mean) in [(0, -59.5), (1, -69.5), (2, -79.0)] {
         close(predict("MeanSpectrum()", Known::train(&all), first_of(receiver)).0, mean);
-        close(predict("NearestNeighbours(k: 1)", Known::train(&all), first_of(receiver)).0, -40.0 - 10.0 * receiver as f64);
+        close(
+            predict("NearestNeighbours(k: 1)", Known::train(&all), first_of(receiver)).0,
+            -40.0 - 10.0 * receiver as f64,
+        );
         assert!(predict("Kriging()", Known::train(&all), first_of(receiver)).0.is_finite());
     }
     // A receiver that nothing is known of is predicted from all others.
@@ -97,9 +104,14 @@ fn baselines_learn_each_receiver_by_itself() {
     let (power, note) = predict("NearestNeighbours(k: Auto)", Known::train(&known), first_of(2));
     close(power, -45.0);
     let note = note.unwrap();
-    assert!(note.starts_with("k-NN takes k = ") && note.contains("best on validation received powers; c has no"), "{note}");
+    assert!(
+        note.starts_with("k-NN takes k = ") && note.contains("best on validation received powers; c has no"),
+        "{note}"
+    );
     assert!(predict("Kriging()", Known::train(&known), first_of(2)).1.unwrap().contains("of 2 receivers"));
-    assert!(predict("LogDistance(offset: true)", Known::train(&known), first_of(2)).1.unwrap().starts_with("c has too few"));
+    assert!(
+        predict("LogDistance(offset: true)", Known::train(&known), first_of(2)).1.unwrap().starts_with("c has too few")
+    );
     assert_eq!(predict("LogDistance()", Known::train(&known), first_of(2)).1, None);
     let mean = Plugin::<dyn Baseline>::parse("MeanSpectrum()").unwrap();
     let names = [pwrfgs_core::Kind::Spectrum, data.kind()].map(|kind| mean.name_for(kind));
@@ -112,7 +124,8 @@ fn features_stand_where_positions_do() {
     data.placed = false;
     let all: Vec<usize> = (0..data.len()).collect();
     let one = NearestNeighbours { k: Neighbours::Number(1) };
-    let fault = |baseline: &dyn Baseline, data: &Dataset| baseline.fit(data, Known::train(&all)).err().unwrap().to_string();
+    let fault =
+        |baseline: &dyn Baseline, data: &Dataset| baseline.fit(data, Known::train(&all)).err().unwrap().to_string();
     assert!(fault(&one, &data).contains("does not say where the transmitters are"));
     // What is alike in features is far in number: transmitter t is like 9 - t.
     let feature = |i: &usize| {

@@ -12,7 +12,7 @@ const CASES: usize = 160;
 /// Samples that each is predicted from, at most.
 const FROM: usize = 24;
 /// The same of powers.
-const POWERS: usize = 640;
+const POWERS: usize = 320;
 const FROM_POWERS: usize = 16;
 /// Pixels of a picture that are looked at, about: every n-th row and column.
 const PIXELS: usize = 2_000;
@@ -26,8 +26,9 @@ const STEPS: [f64; 5] = [2.0, 1.0, 0.5, 0.25, 0.125];
 /// Samples to be predicted, each from those nearest to it.
 pub(super) struct Cases {
     cases: Vec<Case>,
-    /// Whether the three length scales differ.
-    axes: bool,
+    /// Whether they are powers: then the shape is Matern 3/2 and the three length scales are one, since so few numbers tell
+    /// no more.
+    powers: bool,
     /// Distance from a sample to be predicted to those around it, metres: the middle.
     typical_m: f64,
 }
@@ -45,7 +46,7 @@ impl Cases {
         let place = |i: usize| trend.data.sample(i).tx;
         let nearest = Nearest::new(train, 3, place);
         let case = |&i: &usize| Case::new(trend, i, &nearest.find(&place(i), FROM).1);
-        Self::of(evenly(validation, CASES).par_iter().map(case).collect(), true)
+        Self::of(evenly(validation, CASES).par_iter().map(case).collect(), false)
     }
 
     /// Powers, of which each is one number, so that many are needed: each of at most [`POWERS`] predicted from the nearest of
@@ -59,13 +60,13 @@ impl Cases {
             let before = Nearest::new(order[..n].to_vec(), 3, place);
             Case::new(trend, order[n], &before.find(&place(order[n]), FROM_POWERS).1)
         };
-        Self::of((1..order.len()).into_par_iter().map(case).collect(), false)
+        Self::of((1..order.len()).into_par_iter().map(case).collect(), true)
     }
 
-    fn of(cases: Vec<Case>, axes: bool) -> Self {
+    fn of(cases: Vec<Case>, powers: bool) -> Self {
         let mut distances: Vec<f64> = cases.iter().map(Case::reach_m).filter(|reach| *reach > 0.0).collect();
         distances.sort_by(f64::total_cmp);
-        Self { typical_m: distances.get(distances.len() / 2).copied().unwrap_or(1.0), cases, axes }
+        Self { typical_m: distances.get(distances.len() / 2).copied().unwrap_or(1.0), cases, powers }
     }
 
     /// Logarithm of the density of what was measured, but for a constant, at the most likely strength: n times the logarithm
@@ -125,6 +126,9 @@ pub(super) fn most_likely(cases: &Cases) -> Correlation {
         let start = Correlation { kind, scales_m: [8.0 * cases.typical_m; 3], noise: 0.1 };
         if cases.cases.is_empty() { (0.0, start) } else { search(cases, start) }
     };
+    if cases.powers {
+        return of_kind(Kind::Matern32).1;
+    }
     let found = Kind::ALL.map(of_kind);
     found.into_iter().reduce(|best, next| if next.0 > best.0 { next } else { best }).expect("three were tried").1
 }
@@ -135,7 +139,7 @@ fn search(cases: &Cases, start: Correlation) -> (f64, Correlation) {
         // Each round but the last improves, and there is a best one; the bound is for noise in the last digits.
         for _ in 0..20 {
             let before = best.0;
-            for parameter in (0..6).filter(|p| cases.axes || !(1..=3).contains(p)) {
+            for parameter in (0..6).filter(|p| !(cases.powers && (1..=3).contains(p))) {
                 for factor in [step.exp2(), (-step).exp2()] {
                     while let Some(next) = moved(&best.1, parameter, factor, cases.typical_m) {
                         let likelihood = cases.log_likelihood(&next);

@@ -62,7 +62,8 @@ fn uplinks_are_features_and_downlinks_observations() {
     let placed = folder.load(true).unwrap();
     assert!(placed.placed && placed.sample(3).tx == [4.0, 5.0, 6.0]);
     // In double precision it is the same.
-    let mut double = String::from_utf8_lossy(&npy_complex_header(&[3, 2, 4])[6..]).replace("<c8'", "<c16'").into_bytes();
+    let mut double =
+        String::from_utf8_lossy(&npy_complex_header(&[3, 2, 4])[6..]).replace("<c8'", "<c16'").into_bytes();
     let space = double.iter().rposition(|b| *b == b' ').unwrap();
     double.remove(space);
     let numbers: Vec<u8> = (0..48).flat_map(|v| f64::from(v).to_le_bytes()).collect();
@@ -100,7 +101,11 @@ fn mistakes_are_told_with_their_place() {
     }
     folder.write("csidata.npy", good);
     let texts = [
-        ("base-station.yml", "base_station: [[0, 0, 0], [0, .inf, 0]]", "DIR/base-station.yml:1:1: antenna 2 is not finite"),
+        (
+            "base-station.yml",
+            "base_station: [[0, 0, 0], [0, .inf, 0]]",
+            "DIR/base-station.yml:1:1: antenna 2 is not finite",
+        ),
         ("base-station.yml", "station: 1\n", "DIR/base-station.yml:1:1: missing field `base_station`"),
         ("base-station.yml", "base_station: []", "DIR/base-station.yml: names no antenna"),
         ("tx_pos.csv", "x,y,z\n1,2,3\n", "DIR/tx_pos.csv: holds 1 transmitters, but csidata.npy 3 snapshots"),

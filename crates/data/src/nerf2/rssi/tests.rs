@@ -58,15 +58,27 @@ fn a_good_folder_is_read() {
 fn mistakes_are_told_with_their_place() {
     let folder = Folder::new();
     let cases = [
-        ("gateway_position.yml", "a: [1, 2, 3]\n", "DIR/gateway_rssi.csv:1:1: `b` has no position in gateway_position.yml"),
+        (
+            "gateway_position.yml",
+            "a: [1, 2, 3]\n",
+            "DIR/gateway_rssi.csv:1:1: `b` has no position in gateway_position.yml",
+        ),
         ("gateway_position.yml", "a: [1, 2]\n", "DIR/gateway_position.yml:1:4: a: invalid length 2"),
         ("gateway_position.yml", "a: [1, 2, 3]\na: [1, 2, 3]\n", "DIR/gateway_position.yml:"),
         ("gateway_position.yml", "a: [1, 2, 3]\nb: [1, .nan, 3]\n", "DIR/gateway_position.yml:2:1: `b` is not finite"),
         ("gateway_position.yml", "{}", "DIR/gateway_position.yml: names no gateway"),
-        ("gateway_rssi.csv", "a\n-60\n-61\n-62\n", "DIR/gateway_rssi.csv:1:1: no column `b`, a gateway that has a position"),
+        (
+            "gateway_rssi.csv",
+            "a\n-60\n-61\n-62\n",
+            "DIR/gateway_rssi.csv:1:1: no column `b`, a gateway that has a position",
+        ),
         ("gateway_rssi.csv", "a,b,a\n", "DIR/gateway_rssi.csv:1:5: a second column `a`"),
         ("gateway_rssi.csv", "", "DIR/gateway_rssi.csv: is empty"),
-        ("gateway_rssi.csv", "a,b\n-60,-61\n-62,NaN\n", "DIR/gateway_rssi.csv:3:5: `NaN` is not finite; give the power in dBm"),
+        (
+            "gateway_rssi.csv",
+            "a,b\n-60,-61\n-62,NaN\n",
+            "DIR/gateway_rssi.csv:3:5: `NaN` is not finite; give the power in dBm",
+        ),
         ("gateway_rssi.csv", "a,b\n-60,x\n", "DIR/gateway_rssi.csv:2:5: `x` is not a number"),
         ("gateway_rssi.csv", "a,b\n-60\n", "DIR/gateway_rssi.csv:2:4: the row ends after 1"),
         ("gateway_rssi.csv", "a,b\n-60,-61,5\n", "DIR/gateway_rssi.csv:2:9: the row has 3 fields"),
@@ -83,7 +95,11 @@ fn mistakes_are_told_with_their_place() {
         ),
         ("gateway_rssi.csv", "a,b\n-60,-61\n", "DIR/gateway_rssi.csv: holds 1 rows of powers, but tx_pos.csv 3"),
         ("tx_pos.csv", "x,y,z\n1,2,3\n1,2,inf\n", "DIR/tx_pos.csv:3:5: `inf` is not finite"),
-        ("test_index.txt", "3\n", "DIR/test_index.txt:1:1: there is no row 3 in tx_pos.csv, which has 3; rows count from 0"),
+        (
+            "test_index.txt",
+            "3\n",
+            "DIR/test_index.txt:1:1: there is no row 3 in tx_pos.csv, which has 3; rows count from 0",
+        ),
         ("test_index.txt", "1\n0\n", "DIR/test_index.txt:2:1: id 0 was already named in train_index.txt, line 2"),
         ("test_index.txt", "-1\n", "DIR/test_index.txt:1:1: `-1` is not a row of tx_pos.csv"),
     ];
