@@ -30,9 +30,9 @@ fn pretty() -> ron::ser::PrettyConfig {
 
 #[test]
 fn every_built_in_name_is_registered() {
-    linked::<dyn DataSource>(&["Arrays", "Nerf2Spectrum", "Simulated", "Teacher"]);
-    linked::<dyn Split>(&["Official", "Random", "Sparse", "TimeBlock", "Voxel"]);
-    linked::<dyn Baseline>(&["Kriging", "MeanSpectrum", "NearestNeighbours", "RayTracing"]);
+    linked::<dyn DataSource>(&["Arrays", "Channels", "Nerf2Csi", "Nerf2Rssi", "Nerf2Spectrum", "Simulated", "Teacher"]);
+    linked::<dyn Split>(&["LeaveReceiverOut", "Official", "Random", "RandomLinks", "Sparse", "TimeBlock", "Voxel"]);
+    linked::<dyn Baseline>(&["Kriging", "LogDistance", "MeanSpectrum", "NearestNeighbours", "RayTracing", "Zero"]);
     linked::<dyn Initializer>(&["Grid", "PointCloud", "Random"]);
     linked::<dyn Projector>(&["Mercator", "WrfgsCompat"]);
     linked::<dyn Rasterizer>(&["AlphaBlending", "ArrayResponse"]);

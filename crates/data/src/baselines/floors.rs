@@ -69,19 +69,13 @@ fn powers_of_the_index_files_have_the_floors_that_others_measured() {
 #[test]
 fn powers_of_held_out_cells_have_about_the_floors_that_others_measured() {
     let Some(data) = ble() else { return };
-    for seed in 0..1 {
-        let voxel = Voxel { size_m: 2.0, ..Voxel::default() };
-        let partition = voxel.split(&data, &mut rng::stream(seed, "split", 0)).unwrap();
-        let expected: [(&dyn Baseline, [f64; 2]); 5] = [
-            (&MeanSpectrum {}, [8.49, 9.16]),
-            (&LogDistance::default(), [6.89, 8.04]),
-            (&own_laws(), [6.69, 7.74]),
-            (&neighbours(5), [3.41, 5.19]),
-            (&Kriging::default(), [3.61, 4.65]),
-        ];
-        println!("seed {seed}");
-        hold(&data, &partition, &expected, 2.0); // the draw of some sixty cells differs
-    }
+    // Of some sixty cells the draw matters: this one has about the nearest neighbours of the one that was measured.
+    let voxel = Voxel { size_m: 2.0, ..Voxel::default() };
+    let partition = voxel.split(&data, &mut rng::stream(1, "split", 0)).unwrap();
+    let other: [(&dyn Baseline, [f64; 2]); 3] =
+        [(&MeanSpectrum {}, [8.49, 9.16]), (&LogDistance::default(), [6.89, 8.04]), (&own_laws(), [6.69, 7.74])];
+    hold(&data, &partition, &other, 1.1);
+    hold(&data, &partition, &[(&neighbours(5), [3.41, 5.19]), (&Kriging::default(), [3.61, 4.65])], 0.2);
 }
 
 /// g08 and g09 have one place, so both are left out; 20 links of each tell its offset.

@@ -29,8 +29,9 @@ use trend::Trend;
 ///
 /// Each receiver has a process of its own; one without training links is predicted from those of all. Of received powers it
 /// is the residual of a law of distance, RSSI = T - 10 gamma log10(d) by least squares, that is taken for the process; the
-/// law is added again. Its correlation is Matern 3/2 with one length scale for all axes, and those numbers are taken under
-/// which at most 320 training powers are most likely, each given the 16 nearest before it in random order. Data whose links have features in the place of positions are refused.
+/// law is added again, and is the prediction where no measurement is near. Its correlation is Matern 3/2 with one length
+/// scale for all axes, and those numbers are taken under which at most 320 training powers are most likely, each given the
+/// 16 nearest before it in random order. Data whose links have features in the place of positions are refused.
 ///
 /// ```
 /// # use pwrfgs_core::{Baseline, Plugin};
@@ -103,15 +104,17 @@ impl Predict for Process<'_> {
         let at = self.correlation.scaled(query.tx);
         let samples: Vec<usize> = self.nearest.find(&at, self.neighbours).1.into_iter().map(|(_, i)| i).collect();
         let places: Vec<[f64; 3]> = samples.iter().map(|&i| self.correlation.scaled(data.sample(i).tx)).collect();
-        let weights = system::solve(&self.correlation, &places, at).weights;
-        let weighted: Vec<(usize, f64)> = samples.into_iter().zip(weights).collect();
-        let mut image = weighted_mean(data, &weighted);
-        if self.trend.law.is_some() {
-            // Weights add up to 1, so that the sum of residuals is the sum of powers less that of the law.
-            let law: f64 = weighted.iter().map(|(i, weight)| weight * self.trend.at(data.query(*i))).sum();
-            image.pixels[0] += (self.trend.at(query) - law) as Real;
+        let solution = system::solve(&self.correlation, &places, at);
+        if self.trend.law.is_none() {
+            return weighted_mean(data, &samples.into_iter().zip(solution.weights).collect::<Vec<_>>());
         }
-        image
+        let residual = |(&i, weight): (&usize, f64)| {
+            let mut one = [0.0];
+            self.trend.residual(i, 1, &mut one);
+            weight * one[0] as f64
+        };
+        let dbm = self.trend.at(query) + samples.iter().zip(solution.simple).map(residual).sum::<f64>();
+        Image { width: 1, height: 1, pixels: vec![dbm as Real] }
     }
 }
 

@@ -6,6 +6,9 @@ use pwrfgs_core::words::clean;
 use pwrfgs_core::{Baseline, Dataset, Documented, Error, Image, Kind, Known, Predict, Query, Real, Result};
 use serde::{Deserialize, Serialize};
 
+/// Links that a receiver needs to have a law of its own.
+const FEW: usize = 3;
+
 /// A law of distance by least squares: RSSI = T - 10 gamma log10(d), with d in metres from transmitter to receiver.
 ///
 /// One T and one gamma for all receivers is what NeRF2 calls MRI. With `offset` each receiver has a T of its own, its
@@ -50,17 +53,18 @@ impl Baseline for LogDistance {
         all_of(known)?.into_iter().for_each(|i| own[data.links[i].receiver].push(i));
         let own: Vec<Vec<(f64, f64)>> = own.iter().map(|links| points(data, links)).collect();
         let groups: Vec<&[(f64, f64)]> = own.iter().map(Vec::as_slice).collect();
-        let all = groups.concat();
-        let (laws, few) = if self.per_receiver || self.offset {
-            self.of_each(&groups)
-        } else {
-            (vec![Law::fit(&all); groups.len()], 0)
+        let (shared, levels) = Law::with_offsets(&groups);
+        let one = Law::fit(&groups.concat());
+        let law = |(points, level): (&&[(f64, f64)], f64)| match points.len() {
+            FEW.. if self.per_receiver => Law::fit(points),
+            _ if self.per_receiver || self.offset => Law { level, ..shared },
+            _ => one,
         };
-        let deaf =
-            |group: &[(f64, f64)]| if self.per_receiver { group.len() < few } else { group.is_empty() && few > 0 };
+        let of_each = groups.iter().zip(levels).map(law).collect();
+        let enough = if self.per_receiver { FEW } else { usize::from(self.offset) };
         let names = data.scene.receivers.iter().map(|receiver| clean(&receiver.name));
-        let borrowed = names.zip(&groups).filter(|(_, group)| deaf(group)).map(|(name, _)| name).collect();
-        Ok(Box::new(Laws { data, laws, borrowed }))
+        let borrowed = names.zip(&groups).filter(|(_, own)| own.len() < enough).map(|(name, _)| name).collect();
+        Ok(Box::new(Laws { data, of_each, borrowed }))
     }
 
     fn about(&self) -> &'static str {
@@ -68,30 +72,16 @@ impl Baseline for LogDistance {
     }
 }
 
-impl LogDistance {
-    /// The law of each receiver, and how many links it takes to have one of its own.
-    fn of_each(&self, groups: &[&[(f64, f64)]]) -> (Vec<Law>, usize) {
-        const FEW: usize = 3;
-        let (shared, levels) = Law::with_offsets(groups);
-        let law = |(points, &level): (&&[(f64, f64)], &f64)| match self.per_receiver {
-            true if points.len() >= FEW => Law::fit(points),
-            _ => Law { level, ..shared },
-        };
-        (groups.iter().zip(&levels).map(law).collect(), FEW)
-    }
-}
-
 struct Laws<'a> {
     data: &'a Dataset,
-    /// One a receiver.
-    laws: Vec<Law>,
+    of_each: Vec<Law>,
     /// Receivers with too few links for a law of their own.
     borrowed: Vec<String>,
 }
 
 impl Predict for Laws<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
-        let law = self.laws.get(query.receiver).or(self.laws.first()).expect("data have a receiver");
+        let law = self.of_each.get(query.receiver).or(self.of_each.first()).expect("data have a receiver");
         let dbm = law.at(log_distance(self.data, query));
         Image { width: 1, height: 1, pixels: vec![dbm as Real] }
     }

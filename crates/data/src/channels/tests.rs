@@ -1,4 +1,4 @@
-//! Channels in files, good and bad, and those of NeWRF where they are at hand.
+//! Channels in files, good and bad, and those of `NeWRF` where they are at hand.
 
 use super::*;
 use crate::npy::npy_complex_header;
@@ -66,9 +66,9 @@ fn what_does_not_fit_is_refused() {
     }
 }
 
-/// Neighbours are wavelengths apart: their mean is worse than nothing.
+/// Neighbours are wavelengths apart, or a good part of one at 433 MHz: their mean is next to nothing, or worse.
 #[test]
-fn no_neighbour_predicts_the_channels_of_newrf() {
+fn neighbours_hardly_predict_the_channels_of_newrf() {
     let Some(root) = shared("data/newrf") else { return };
     let receiver = ReceiverPlace { position: [-1.5, 0.0, 1.7], ..ReceiverPlace::default() };
     let files = [
@@ -100,8 +100,8 @@ fn no_neighbour_predicts_the_channels_of_newrf() {
             -10.0 * f64::log10(error / power)
         };
         assert!(snr(&Zero {}).abs() < 1e-9);
-        let found = [1, 5, 15].map(|k| snr(&NearestNeighbours { k: k.into() }));
-        println!("{file}: SNR of 1-NN, 5-NN, 15-NN {found:.2?} dB");
-        assert!(found.iter().all(|snr| *snr < 0.5), "{file}: {found:?}");
+        let found = [1, 2, 3, 5, 8, 15].map(|k| snr(&NearestNeighbours { k: k.into() }));
+        println!("{file}: SNR of 1, 2, 3, 5, 8 and 15 neighbours {found:.2?} dB");
+        assert!(found.iter().all(|snr| *snr < 2.0), "{file}: {found:?}");
     }
 }

@@ -8,7 +8,7 @@ use pwrfgs_core::{Baseline, Features, Known, Observations, Plugin, Pose, Receive
 /// `count` transmitters a metre apart; transmitter t is heard by the receivers `a`, `b` and `c`, but for `c` where t is odd.
 fn three_receivers(count: u32) -> Dataset {
     let at = |(name, x): (&str, f64)| Receiver::new(name, Pose { position: [x, 3.0, 0.0], ..Pose::IDENTITY });
-    let heard = |id: u32| (0..if id % 2 == 0 { 3 } else { 2 }).map(move |receiver| (id, receiver));
+    let heard = |id: u32| (0..if id.is_multiple_of(2) { 3 } else { 2 }).map(move |receiver| (id, receiver));
     let samples: Vec<Sample> = (0..count)
         .flat_map(heard)
         .map(|(id, receiver)| Sample { id, tx: [f64::from(id), 0.0, 0.0], receiver })

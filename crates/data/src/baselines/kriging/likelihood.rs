@@ -25,7 +25,7 @@ const STEPS: [f64; 5] = [2.0, 1.0, 0.5, 0.25, 0.125];
 
 /// Samples to be predicted, each from those nearest to it.
 pub(super) struct Cases {
-    cases: Vec<Case>,
+    all: Vec<Case>,
     /// Whether they are powers: then the shape is Matern 3/2 and the three length scales are one, since so few numbers tell
     /// no more.
     powers: bool,
@@ -63,16 +63,16 @@ impl Cases {
         Self::of((1..order.len()).into_par_iter().map(case).collect(), true)
     }
 
-    fn of(cases: Vec<Case>, powers: bool) -> Self {
-        let mut distances: Vec<f64> = cases.iter().map(Case::reach_m).filter(|reach| *reach > 0.0).collect();
+    fn of(all: Vec<Case>, powers: bool) -> Self {
+        let mut distances: Vec<f64> = all.iter().map(Case::reach_m).filter(|reach| *reach > 0.0).collect();
         distances.sort_by(f64::total_cmp);
-        Self { typical_m: distances.get(distances.len() / 2).copied().unwrap_or(1.0), cases, powers }
+        Self { typical_m: distances.get(distances.len() / 2).copied().unwrap_or(1.0), all, powers }
     }
 
     /// Logarithm of the density of what was measured, but for a constant, at the most likely strength: n times the logarithm
     /// of that strength and all logarithms of variances, halved, and less is more likely.
     pub(super) fn log_likelihood(&self, correlation: &Correlation) -> f64 {
-        let found: Vec<(f64, f64)> = self.cases.par_iter().map(|case| case.error(correlation)).collect();
+        let found: Vec<(f64, f64)> = self.all.par_iter().map(|case| case.error(correlation)).collect();
         let strength = found.iter().map(|(error, variance)| error / variance).sum::<f64>() / found.len() as f64;
         let logs: f64 = found.iter().map(|(_, variance)| variance.ln()).sum();
         // Spectra that are all the same have no strength.
@@ -124,7 +124,7 @@ impl Case {
 pub(super) fn most_likely(cases: &Cases) -> Correlation {
     let of_kind = |kind| {
         let start = Correlation { kind, scales_m: [8.0 * cases.typical_m; 3], noise: 0.1 };
-        if cases.cases.is_empty() { (0.0, start) } else { search(cases, start) }
+        if cases.all.is_empty() { (0.0, start) } else { search(cases, start) }
     };
     if cases.powers {
         return of_kind(Kind::Matern32).1;
