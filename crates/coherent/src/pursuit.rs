@@ -201,12 +201,7 @@ impl<'a> Search<'a> {
     }
 
     /// Adds sources to the best set; whether it was told to stop.
-    fn forward(
-        &mut self,
-        best: &mut (f64, Sources),
-        most: usize,
-        go_on: &mut dyn FnMut(&Progress) -> bool,
-    ) -> bool {
+    fn forward(&mut self, best: &mut (f64, Sources), most: usize, go_on: &mut dyn FnMut(&Progress) -> bool) -> bool {
         let mut sources = best.1.clone();
         let mut since = 0;
         while sources.len() < most && since < self.options.patience {
@@ -291,13 +286,7 @@ impl<'a> Search<'a> {
     }
 
     /// The best of the peaks, each moved uphill alone, and ln of its odds against the best of `number` accidents.
-    fn refined(
-        &self,
-        residual: &Rows,
-        mut peaks: Vec<Peak>,
-        number: usize,
-        sources: &Sources,
-    ) -> Option<(Peak, f64)> {
+    fn refined(&self, residual: &Rows, mut peaks: Vec<Peak>, number: usize, sources: &Sources) -> Option<(Peak, f64)> {
         let energy = residual.energy();
         let climb = |peak: &mut Peak, steps: usize| {
             let walk = Walk { steps, farthest: self.wavelength / 8.0, turns: self.links.turns() };

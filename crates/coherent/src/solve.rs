@@ -116,11 +116,8 @@ fn row(
         // ∂(s·e)/∂d = s·e·(−jk − 1/d).
         let by_d = [k * heard[1] - heard[0] / wave.d, -k * heard[0] - heard[1] / wave.d];
         let along = wave.by.map(|x| x / wave.d);
-        let about = [
-            r[1] * along[2] - r[2] * along[1],
-            r[2] * along[0] - r[0] * along[2],
-            r[0] * along[1] - r[1] * along[0],
-        ];
+        let about =
+            [r[1] * along[2] - r[2] * along[1], r[2] * along[0] - r[0] * along[2], r[0] * along[1] - r[1] * along[0]];
         for c in 0..3 {
             let at = 2 * n + 3 * g + c;
             (real[at], imaginary[at]) = (by_d[0] * along[c], by_d[1] * along[c]);
