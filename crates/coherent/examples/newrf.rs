@@ -1,4 +1,4 @@
-//! The table of NeWRF's conference room: how many virtual transmitters are found, how fast and how good they are.
+//! The table of `NeWRF`'s conference room: how many virtual transmitters are found, how fast and how good they are.
 //!
 //! `PWRFGS_SHARED=../shared cargo run --release -p pwrfgs-coherent --example newrf -- 433 928 2400`
 

@@ -56,7 +56,7 @@ pub fn field(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &Links<'_>) ->
     out
 }
 
-/// The derivative of [`field`]: Σ ⟨d_field, h⟩ by means, quaternions, signals and gates.
+/// The derivative of [`field`]: Σ ⟨`d_field`, h⟩ by means, quaternions, signals and gates.
 pub fn field_vjp(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &Links<'_>, d_field: &[[Real; 2]]) -> FieldVjp {
     assert_eq!(d_field.len(), links.len(), "one cotangent a link");
     let groups = groups(cloud, None, links);

@@ -8,6 +8,7 @@ mod field;
 mod images;
 mod links;
 mod normal;
+mod options;
 mod pursuit;
 mod rows;
 mod solve;
@@ -16,5 +17,6 @@ mod turn;
 
 pub use field::{FieldVjp, field, field_vjp};
 pub use links::{Links, SPEED_OF_LIGHT, Sources};
-pub use pursuit::{Progress, Pursuit, pursue, snr_of};
+pub use options::{Progress, Pursuit};
+pub use pursuit::{pursue, snr_of};
 pub use solve::solve_gains;

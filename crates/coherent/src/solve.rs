@@ -1,7 +1,7 @@
 //! The equations of gains and of moves, and the best gains of given positions.
 //!
 //! With positions fixed, h is linear in the signals: min Σ|h − Σ s·e|² + Σ ridge·|s|², whose normal equations are
-//! (EᴴE + ridge)·s = Eᴴh. They are written with s as two reals, so that one Cholesky serves gains and moves alike.
+//! `(EᴴE + ridge)·s = Eᴴh`. They are written with s as two reals, so that one Cholesky serves gains and moves alike.
 
 use crate::links::{Links, Sources};
 use crate::normal::Normal;
