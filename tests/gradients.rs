@@ -231,9 +231,9 @@ fn spectra_at_two_receivers_differentiate() {
 #[test]
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn channels_of_features_differentiate() {
-    for network in
-        [NETWORK, "Factored(depth: 2, width: 6, tx_encoding: Features(width: 5), position_encoding: Octaves(1))"]
-    {
+    let of = |encoding| format!("Factored(depth: 2, width: 6, tx_encoding: {encoding}, position_encoding: Octaves(1))");
+    let features = [of("Features(width: 5, gain: 0.7)"), of("PseudoPosition(width: 5, gain: 0.5, octaves: 2)")];
+    for network in [NETWORK, &features[0], &features[1]] {
         let step = links(network, Readout::Channel, (3, 4), Box::new(ChannelLoss { mean_energy: 1.7 }));
         step.check(&format!("Channel, {network}"), None);
     }

@@ -145,7 +145,7 @@ impl Deformation for Factored {
         check_stack(self.depth, self.width, None)?;
         self.tx_encoding.check("tx_encoding")?;
         self.position_encoding.check("position_encoding")?;
-        if matches!(self.position_encoding, Encoding::Features { .. }) {
+        if matches!(self.position_encoding, Encoding::Features { .. } | Encoding::PseudoPosition { .. }) {
             return Err(
                 "position_encoding: a Gaussian has a position and no features; give Waves(..) or Octaves(4)".into()
             );

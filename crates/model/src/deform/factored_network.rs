@@ -7,10 +7,11 @@
 //! ```
 
 use super::dense::{self, Matrix, MatrixMut, Store, product};
+use super::encoding::encode_vjp;
 use super::factored::Factored;
 use super::layers::Plan;
 use super::linear::Linear;
-use super::waves::Encoder;
+use super::waves::{Encoder, Encoding};
 use pwrfgs_core::{Conditions, DeformationInputs, Deltas, Real};
 use rayon::prelude::*;
 
@@ -24,6 +25,8 @@ const GROUP: usize = 32;
 pub(super) struct Network {
     tx_encoding: Encoder,
     position_encoding: Encoder,
+    /// Makes a position of features of the data, where that is asked for.
+    pseudo: Option<Pseudo>,
     /// Makes features of the data uncorrelated; nothing of a position.
     pub(super) white: Option<Linear>,
     pub(super) stack: Vec<Linear>,
@@ -43,6 +46,41 @@ pub(super) struct Factors {
     n: usize,
 }
 
+/// Features of the data as a position: 2 tanh of a layer.
+struct Pseudo {
+    layer: Linear,
+    gain: Real,
+    octaves: usize,
+}
+
+impl Pseudo {
+    /// Features `[width, B]`, times the gain.
+    fn inputs(&self, txs: Conditions<'_>) -> Vec<Real> {
+        let (rows, width) = (txs.len(), self.layer.inputs);
+        let value = |i: usize| txs.values()[(i % rows) * width + i / rows] * self.gain;
+        (0..rows * width).map(value).collect()
+    }
+
+    fn positions(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<[Real; 3]> {
+        let rows = txs.len();
+        let mut y = vec![0.0; 3 * rows];
+        self.layer.whole().apply(weights, &self.inputs(txs), &mut y, Store::Set);
+        dense::add_bias(&mut y, self.layer.bias(weights));
+        (0..rows).map(|r| std::array::from_fn(|k| 2.0 * y[k * rows + r].tanh())).collect()
+    }
+
+    /// Adds to `d_weights`, given the encoding γ and its cotangent.
+    fn vjp(&self, weights: &[Real], txs: Conditions<'_>, (gamma, d_gamma): (&[Real], &[Real]), d_weights: &mut [Real]) {
+        let (rows, positions) = (txs.len(), self.positions(weights, txs));
+        let mut d_positions = vec![[0.0; 3]; rows];
+        encode_vjp(gamma, d_gamma, self.octaves, &mut d_positions);
+        let slope = |k: usize, r: usize| d_positions[r][k] * 2.0 * (1.0 - (positions[r][k] / 2.0).powi(2));
+        let d_y: Vec<Real> = (0..3 * rows).map(|i| slope(i / rows, i % rows)).collect();
+        dense::add_bias_vjp(&d_y, self.layer.bias_mut(d_weights));
+        self.layer.whole().weight_vjp(d_weights, &self.inputs(txs), &d_y);
+    }
+}
+
 impl Factors {
     /// G of channel `c`, `[F, N]`, and G₀ `[N]`.
     fn channel(&self, c: usize) -> (&[Real], &[Real]) {
@@ -58,6 +96,12 @@ impl Network {
         let tx_encoding = settings.tx_encoding.encoder();
         let own = settings.tx_encoding.width();
         let inputs = |l| if l == 0 { own } else { width };
+        let pseudo = match settings.tx_encoding {
+            Encoding::PseudoPosition { width, gain, octaves } => {
+                Some(Pseudo { layer: plan.linear("tx.pseudo", width, 3), gain: gain as Real, octaves })
+            }
+            _ => None,
+        };
         let white = matches!(tx_encoding, Encoder::Features(..))
             .then(|| plan.unbiased("tx.white", own, own, (3.0 / own as f64).sqrt()));
         let stack = (0..settings.depth).map(|l| plan.relu(&format!("tx.{l}"), inputs(l), width)).collect();
@@ -68,7 +112,7 @@ impl Network {
         let features = width + direct;
         let branch = plan.unbiased("branch", waves, 2 * (features + 1), bound);
         let position_encoding = settings.position_encoding.encoder();
-        Self { tx_encoding, position_encoding, white, stack, branch, features, direct }
+        Self { tx_encoding, position_encoding, pseudo, white, stack, branch, features, direct }
     }
 
     pub(super) fn factors(&self, weights: &[Real], means: &[[Real; 3]]) -> Factors {
@@ -92,7 +136,10 @@ impl Network {
     /// γ(p) and every layer's output, feature-major `[·, B]`; the last is T.
     fn stack(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<Vec<Real>> {
         let mut layers = vec![vec![0.0; txs.len() * self.stack[0].inputs]];
-        self.tx_encoding.encode_all(txs, &mut layers[0]);
+        match &self.pseudo {
+            Some(pseudo) => self.tx_encoding.encode(&pseudo.positions(weights, txs), &mut layers[0]),
+            None => self.tx_encoding.encode_all(txs, &mut layers[0]),
+        }
         if let Some(white) = &self.white {
             let mut x = vec![0.0; layers[0].len()];
             white.whole().apply(weights, &layers[0], &mut x, Store::Set);
@@ -182,6 +229,11 @@ impl Network {
             layer.whole().weight_vjp(&mut d_weights, &layers[l], &d_h);
             if l == 0 && self.direct > 0 {
                 layer.whole().input_vjp(weights, &d_h, &mut d_own, Store::Add);
+            }
+            if let (0, Some(pseudo)) = (l, &self.pseudo) {
+                let mut d_gamma = vec![0.0; layer.inputs * batch];
+                layer.whole().input_vjp(weights, &d_h, &mut d_gamma, Store::Set);
+                pseudo.vjp(weights, txs, (&layers[0], &d_gamma), &mut d_weights);
             }
             if l > 0 {
                 let mut d_x = vec![0.0; layer.inputs * batch];

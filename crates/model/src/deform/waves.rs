@@ -42,6 +42,17 @@ pub enum Encoding {
         #[serde(default = "one")]
         gain: f64,
     },
+    /// No position, but the vector that the data have in its place, made a pseudo-position: 2 tanh of three learned linear
+    /// maps of it, then sine and cosine of `octaves` frequencies, as `GSRF` has it. Of the transmitter only.
+    PseudoPosition {
+        /// Numbers of the vector.
+        width: usize,
+        /// What they are multiplied by, so that they are about 1.
+        #[serde(default = "one")]
+        gain: f64,
+        /// Frequencies 2⁰…2^(L-1) of the encoding.
+        octaves: usize,
+    },
 }
 
 fn one() -> f64 {
@@ -62,12 +73,16 @@ impl Encoding {
             Self::Waves { count, .. } => 3 + 2 * count,
             Self::Wavelengths { count, .. } => 3 + 6 * count,
             Self::Features { width, .. } => width,
+            Self::PseudoPosition { octaves, .. } => encoding::width(octaves),
         }
     }
 
     /// Numbers that it reads of a transmitter.
     pub(super) fn inputs(&self) -> usize {
-        if let Self::Features { width, .. } = *self { width } else { 3 }
+        match *self {
+            Self::Features { width, .. } | Self::PseudoPosition { width, .. } => width,
+            _ => 3,
+        }
     }
 
     pub(super) fn check(&self, field: &str) -> Result<(), String> {
@@ -90,7 +105,10 @@ impl Encoding {
                     "{field}: wavelengths of {longest_m} to {shortest_m} m; give the longest, then a shorter one above 0"
                 ))
             }
-            Self::Features { width, gain } => {
+            Self::Features { width, gain } | Self::PseudoPosition { width, gain, .. } => {
+                if let Self::PseudoPosition { octaves, .. } = *self {
+                    check_frequencies(field, octaves)?;
+                }
                 if !(1..=WIDEST).contains(&width) || !(gain.is_finite() && gain != 0.0) {
                     return Err(format!("{field}: give a width from 1 to {WIDEST} and a gain that is not 0"));
                 }
@@ -115,6 +133,7 @@ impl Encoding {
                 [1.0; 3].into_iter().chain((0..count).flat_map(|i| [wave(i); 6])).collect()
             }
             Self::Features { width, .. } => vec![1.0; width],
+            Self::PseudoPosition { octaves, .. } => encoding::window(octaves, share),
         }
     }
 
@@ -145,6 +164,7 @@ impl Encoding {
                 Encoder::Waves((0..count).flat_map(along).collect(), std::f64::consts::TAU / longest_m)
             }
             Self::Features { width, gain } => Encoder::Features(width, gain),
+            Self::PseudoPosition { octaves, .. } => Encoder::Octaves(octaves),
         }
     }
 }
