@@ -5,6 +5,7 @@ mod backend;
 pub mod charts;
 pub(crate) mod legend;
 pub mod marks;
+pub mod plan;
 pub(crate) mod room;
 pub(crate) mod ruler;
 pub mod spectra;
