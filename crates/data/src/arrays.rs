@@ -78,7 +78,7 @@ impl DataSource for Arrays {
         }
         let pictures = ids.iter().copied().collect();
         let known = index::Known { table, rows: ids.len(), pictures: &pictures, samples: &ids };
-        let official = index::read(&root, &known)?;
+        let official = index::read(&root, &|word| known.find(word))?;
         let points = self.points.as_ref().map_or(Ok(Vec::new()), |points| read_points(&base.join(points)))?;
         let spectra = checked(spectra, &path, progress)?;
         let stated = self.elevation.or(gateway.elevation);

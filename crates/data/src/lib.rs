@@ -2,14 +2,18 @@
 //!
 //! * [`Nerf2Spectrum`] reads measured spectra in the NeRF2 layout, [`Arrays`] arrays of NumPy; [`Teacher`] simulates some
 //!   with a known answer.
+//! * [`Nerf2Rssi`] reads received powers at many gateways, [`Nerf2Csi`] uplinks and downlinks of a base station, both in the
+//!   NeRF2 layout; [`Channels`] channels as an array of NumPy.
 //! * [`read_points`] reads a point cloud from PLY, XYZ or CSV, [`read_mesh`] triangles from OBJ, STL or PLY.
-//! * [`Official`], [`Random`], [`TimeBlock`], [`Voxel`] and [`Sparse`] divide samples.
+//! * [`Official`], [`Random`], [`TimeBlock`], [`Voxel`] and [`Sparse`] divide transmitters, [`RandomLinks`] links,
+//!   [`LeaveReceiverOut`] receivers.
 //! * [`MeanSpectrum`], [`NearestNeighbours`] and [`Kriging`] are scored beside every model.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
 mod arrays;
 mod baselines;
+mod channels;
 pub mod import;
 mod layout;
 mod mesh;
@@ -24,11 +28,12 @@ mod text;
 
 pub use arrays::Arrays;
 pub use baselines::{Kriging, MeanSpectrum, NearestNeighbours, Neighbours};
-pub use layout::gateway_yaml;
+pub use channels::{Channels, ReceiverPlace};
+pub use layout::{base_station_yaml, gateway_positions_yaml, gateway_yaml};
 pub use mesh::read_mesh;
-pub use nerf2::Nerf2Spectrum;
-pub use npy::npy_header;
+pub use nerf2::{Nerf2Csi, Nerf2Rssi, Nerf2Spectrum};
+pub use npy::{npy_complex_header, npy_header};
 pub use points::read_points;
 pub use polygons::Triangles;
-pub use splits::{Official, Random, Sparse, TimeBlock, Voxel};
+pub use splits::{LeaveReceiverOut, Official, Random, RandomLinks, Sparse, TimeBlock, Voxel};
 pub use teacher::Teacher;

@@ -1,10 +1,18 @@
 //! `Nerf2Spectrum`: measured spectra in the folder layout of NeRF2, as found in the wild.
 
+mod csi;
 pub(crate) mod gateway;
 pub(crate) mod index;
 pub(crate) mod pictures;
+mod places;
+mod rssi;
 #[cfg(test)]
 mod tests;
+mod yaml;
+
+pub use csi::Nerf2Csi;
+pub use rssi::Nerf2Rssi;
+pub(crate) use rssi::{check_root, folder_name};
 
 use crate::points::read_points;
 use crate::text::{XyzColumns, lines, no_longer, read_text, split_commas};
@@ -81,7 +89,7 @@ impl DataSource for Nerf2Spectrum {
         let ids: Vec<u32> = files.keys().copied().filter(|&id| id as usize <= positions.len()).collect();
         let known =
             index::Known { table: "tx_pos.csv", rows: positions.len(), pictures: &known_pictures, samples: &ids };
-        let official = index::read(&root, &known)?;
+        let official = index::read(&root, &|word| known.find(word))?;
         if ids.is_empty() {
             let what = format!("no picture belongs to a row of tx_pos.csv; {LAYOUT}");
             return Err(Error::input(&root.join("spectrum"), what));

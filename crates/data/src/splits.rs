@@ -1,27 +1,35 @@
 //! Splits: which samples are learned from, looked at while choosing, and read once at the end.
 //!
+//! A sample is a transmitter with all its links, so that what one receiver heard of it says nothing about the others in
+//! the test; only [`LeaveReceiverOut`] and [`RandomLinks`] divide links.
+//!
 //! On this kind of data neighbours are millimetres apart, so a random split asks for interpolation over millimetres;
 //! [`TimeBlock`], [`Voxel`] and [`Sparse`] ask for more. Every split can hold out a `validation` share of its training
 //! part by its own rule.
 
+mod leave_receiver_out;
 mod official;
 mod random;
+mod random_links;
 mod sparse;
 #[cfg(test)]
 pub(crate) mod testing;
 mod time_block;
 mod voxel;
 
+pub use leave_receiver_out::LeaveReceiverOut;
 pub use official::Official;
 pub use random::Random;
+pub use random_links::RandomLinks;
 pub use sparse::Sparse;
 pub use time_block::TimeBlock;
 pub use voxel::Voxel;
 
 use pwrfgs_core::{
-    Error, Partition, Result,
+    Dataset, Error, Partition, Result,
     rng::{self, Rng},
 };
+use std::collections::BTreeSet;
 
 /// Share of the training part that a split holds out unless told otherwise.
 const DEFAULT_VALIDATION: f64 = 0.1;
@@ -42,8 +50,21 @@ fn hold_out(mut train: Vec<usize>, share: f64, rng: &mut Rng) -> (Vec<usize>, Ve
     (train, validation)
 }
 
-/// The partition with its lists sorted; refuses one without training or test samples.
-fn finish(mut train: Vec<usize>, mut validation: Vec<usize>, mut test: Vec<usize>) -> Result<Partition> {
+/// The transmitters of some links, each once, in the order in which they come.
+fn transmitters(data: &Dataset, links: &[usize]) -> Vec<usize> {
+    let mut seen = BTreeSet::new();
+    links.iter().map(|i| data.links[*i].transmitter).filter(|t| seen.insert(*t)).collect()
+}
+
+/// The partition of lists of transmitters: all links of each, sorted; refuses one without training or test samples.
+fn finish(data: &Dataset, train: Vec<usize>, validation: Vec<usize>, test: Vec<usize>) -> Result<Partition> {
+    let Partition { train, validation, test } = finish_links(train, validation, test)?;
+    let links = |transmitters: Vec<usize>| data.links_of(&transmitters);
+    Ok(Partition { train: links(train), validation: links(validation), test: links(test) })
+}
+
+/// The partition of lists of links (or whatever is counted), sorted; refuses one without training or test samples.
+fn finish_links(mut train: Vec<usize>, mut validation: Vec<usize>, mut test: Vec<usize>) -> Result<Partition> {
     for (name, list) in [("training", &train), ("test", &test)] {
         if list.is_empty() {
             return Err(Error::Config(format!(

@@ -2,19 +2,13 @@
 
 mod file;
 
-use crate::text::read_text;
+use super::yaml::{self, place_of};
 use file::File;
 use pwrfgs_core::{Elevation, Error, Pose, Result};
-use serde::de::DeserializeSeed as _;
 use std::path::Path;
 
 const EXPECTED: &str =
     "expected `gateway1: {position: [x, y, z], orientation: [x, y, z, w]}` (metres; unit quaternion)";
-
-/// Largest file that is read, bytes. It says a few numbers.
-const MAX_SIZE: u64 = 1 << 20;
-/// Deepest nesting that is read; the parser takes minutes over some ten thousands.
-const MAX_DEPTH: usize = 64;
 
 /// What the file says.
 #[derive(Debug, PartialEq)]
@@ -27,19 +21,9 @@ pub(crate) struct Gateway {
 
 /// Reads the file; `wanted` is the gateway that the user names, `gateway1` where none is named.
 pub(crate) fn read(path: &Path, wanted: Option<&str>, advice: &str) -> Result<Gateway> {
-    let text = read_text(path, MAX_SIZE, advice)?;
-    if let Some(line) = too_deep(&text) {
-        return Err(Error::at(path, line, 1, format!("nested deeper than {MAX_DEPTH}; {EXPECTED}")));
-    }
+    let text = yaml::text(path, advice, EXPECTED)?;
     let name = wanted.unwrap_or("gateway1");
-    let file = File { wanted: name }.deserialize(serde_yaml_ng::Deserializer::from_str(&text)).map_err(|e| {
-        let words = e.to_string();
-        let words = words.split(" at line ").next().unwrap_or_default();
-        match e.location() {
-            Some(place) => Error::at(path, place.line(), place.column(), format!("{words}; {EXPECTED}")),
-            None => Error::input(path, format!("{words}; {EXPECTED}")),
-        }
-    })?;
+    let file = yaml::parse(path, &text, File { wanted: name }, EXPECTED)?;
     let others = file.others.iter().map(|other| format!("`{other}`")).collect::<Vec<_>>().join(", ");
     let one = file.others.first().map_or("gateway2", String::as_str);
     let Some(pose) = file.pose else {
@@ -68,35 +52,6 @@ pub(crate) fn read(path: &Path, wanted: Option<&str>, advice: &str) -> Result<Ga
         return Err(Error::at(path, line, column, fault));
     }
     Ok(Gateway { name: file.title.filter(|n| !n.trim().is_empty()), pose, elevation })
-}
-
-/// The line that opens more than [`MAX_DEPTH`] brackets, or holds more list marks. Those in comments and texts count as
-/// well, which harms no file that a person writes.
-fn too_deep(text: &str) -> Option<usize> {
-    let mut depth = 0_usize;
-    let is_deeper = |line: &str| {
-        for c in line.chars() {
-            match c {
-                '[' | '{' => depth += 1,
-                ']' | '}' => depth = depth.saturating_sub(1),
-                _ => {}
-            }
-            if depth > MAX_DEPTH {
-                return true;
-            }
-        }
-        line.split_whitespace().filter(|word| matches!(*word, "-" | "?" | ":")).count() > MAX_DEPTH
-    };
-    text.lines().position(is_deeper).map(|line| line + 1)
-}
-
-/// Line and column of `key` behind `gateway`; the file is known to hold both.
-fn place_of(text: &str, gateway: &str, key: &str) -> (usize, usize) {
-    let gateway = text.find(gateway).unwrap_or(0);
-    let at = text[gateway..].find(key).map_or(gateway, |i| gateway + i);
-    let before = &text[..at];
-    let start_of_line = before.rfind('\n').map_or(0, |i| i + 1);
-    (before.matches('\n').count() + 1, before[start_of_line..].chars().count() + 1)
 }
 
 #[cfg(test)]

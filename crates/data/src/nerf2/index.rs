@@ -1,13 +1,16 @@
 //! `train_index.txt` and `test_index.txt`: which ids serve what, one a line, zero-padded or not.
 
-use crate::text::{Field, lines, read_text, split_blanks};
+use crate::text::{lines, read_text, split_blanks};
 use pwrfgs_core::{Error, Result, files::MAX_TEXT, words::quoted};
 use std::{
     collections::{BTreeMap, BTreeSet},
     path::Path,
 };
 
-/// What is known of the ids of a data set.
+/// The id that a word of an index file says, and the index of its sample; or what is wrong with it.
+pub(crate) type Find<'a> = dyn Fn(&str) -> Result<(u32, usize), String> + 'a;
+
+/// What is known of the ids of spectra, which count from 1.
 pub(crate) struct Known<'a> {
     /// The file of the transmitters.
     pub(crate) table: &'a str,
@@ -19,15 +22,45 @@ pub(crate) struct Known<'a> {
     pub(crate) samples: &'a [u32],
 }
 
+impl Known<'_> {
+    pub(crate) fn find(&self, word: &str) -> Result<(u32, usize), String> {
+        let table = self.table;
+        let id = match word.parse() {
+            Ok(0) => return Err(format!("there is no id 0; ids count from 1, the first row of {table}")),
+            Ok(id) => id,
+            Err(_) => return Err(format!("{} is not a sample id; write one a line, such as 00001", quoted(word))),
+        };
+        if id as usize > self.rows {
+            let rows = self.rows;
+            return Err(format!("id {id} has no row in {table}, which has {rows}; add the row or remove the id"));
+        }
+        if !self.pictures.contains(&id) {
+            return Err(format!("id {id} has no picture spectrum/{id:05}.png; add the picture or remove the id"));
+        }
+        Ok((id, self.samples.binary_search(&id).expect("an id with a row and a picture is a sample")))
+    }
+}
+
+/// One of the `rows` of `table`, which count from 0, as ids of powers and channels do.
+pub(crate) fn row(word: &str, table: &str, rows: usize) -> Result<(u32, usize), String> {
+    match word.parse::<u32>() {
+        Ok(id) if (id as usize) < rows => Ok((id, id as usize)),
+        Ok(id) => {
+            Err(format!("there is no row {id} in {table}, which has {rows}; rows count from 0: remove the number"))
+        }
+        Err(_) => Err(format!("{} is not a row of {table}; write one a line, counted from 0", quoted(word))),
+    }
+}
+
 /// The two lists as indices into the samples, sorted; `None` where neither file exists.
-pub(crate) fn read(root: &Path, known: &Known<'_>) -> Result<Option<(Vec<usize>, Vec<usize>)>> {
+pub(crate) fn read(root: &Path, find: &Find<'_>) -> Result<Option<(Vec<usize>, Vec<usize>)>> {
     let [train, test] = ["train_index.txt", "test_index.txt"].map(|name| root.join(name));
     match (train.exists(), test.exists()) {
         (false, false) => Ok(None),
         (true, true) => {
             let mut seen = BTreeMap::new();
-            let train = read_list(&train, known, &mut seen)?;
-            Ok(Some((train, read_list(&test, known, &mut seen)?)))
+            let train = read_list(&train, find, &mut seen)?;
+            Ok(Some((train, read_list(&test, find, &mut seen)?)))
         }
         (has_train, _) => {
             let (here, missing) = if has_train { (train, "test_index.txt") } else { (test, "train_index.txt") };
@@ -39,14 +72,14 @@ pub(crate) fn read(root: &Path, known: &Known<'_>) -> Result<Option<(Vec<usize>,
 }
 
 /// One file; `seen` says where an id was named before.
-fn read_list(path: &Path, known: &Known<'_>, seen: &mut BTreeMap<u32, String>) -> Result<Vec<usize>> {
+fn read_list(path: &Path, find: &Find<'_>, seen: &mut BTreeMap<u32, String>) -> Result<Vec<usize>> {
     let text = read_text(path, MAX_TEXT, "give both index files or neither")?;
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let mut list = Vec::new();
     for (line, content) in lines(&text) {
         for field in split_blanks(content) {
-            let id = id(path, line, field, known.table)?;
-            list.push(sample(known, id).map_err(|what| Error::at(path, line, field.column, what))?);
+            let (id, sample) = find(field.text).map_err(|what| Error::at(path, line, field.column, what))?;
+            list.push(sample);
             if let Some(before) = seen.insert(id, format!("{name}, line {line}")) {
                 let what = format!(
                     "id {id} was already named in {before}; a sample serves one purpose: remove one of the two"
@@ -60,27 +93,4 @@ fn read_list(path: &Path, known: &Known<'_>, seen: &mut BTreeMap<u32, String>) -
     }
     list.sort_unstable();
     Ok(list)
-}
-
-fn id(path: &Path, line: usize, field: Field<'_>, table: &str) -> Result<u32> {
-    let what = match field.text.parse() {
-        Ok(0) => format!("there is no id 0; ids count from 1, the first row of {table}"),
-        Ok(id) => return Ok(id),
-        Err(_) => format!("{} is not a sample id; write one a line, such as 00001", quoted(field.text)),
-    };
-    Err(Error::at(path, line, field.column, what))
-}
-
-/// Index of an id among the samples.
-fn sample(known: &Known<'_>, id: u32) -> Result<usize, String> {
-    if id as usize > known.rows {
-        return Err(format!(
-            "id {id} has no row in {}, which has {}; add the row or remove the id",
-            known.table, known.rows
-        ));
-    }
-    if !known.pictures.contains(&id) {
-        return Err(format!("id {id} has no picture spectrum/{id:05}.png; add the picture or remove the id"));
-    }
-    Ok(known.samples.binary_search(&id).expect("an id with a row and a picture is a sample"))
 }

@@ -88,7 +88,10 @@ fn variations_found_in_the_wild_read_the_same() {
         "dataset_name: s\ngateway1: {position: [5, 0.26, 0.0], orientation: [0, 0, 0, 1.0]}\n",
     );
     let varied = folder.load();
-    assert_eq!(format!("{:?}", (plain.transmitters, plain.observations)), format!("{:?}", (varied.transmitters, varied.observations)));
+    assert_eq!(
+        format!("{:?}", (plain.transmitters, plain.observations)),
+        format!("{:?}", (varied.transmitters, varied.observations))
+    );
     assert_eq!(plain.official, varied.official);
     assert_eq!(plain.title, varied.title);
 }

@@ -1,12 +1,13 @@
 //! `Official`: the split that comes with the data.
 
-use super::{DEFAULT_VALIDATION, check_validation, finish, hold_out};
+use super::{DEFAULT_VALIDATION, check_validation, finish_links, hold_out, transmitters};
 use pwrfgs_core::{Dataset, Documented, Error, Partition, Result, Split, rng::Rng};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 
 /// The split that comes with the data: `train_index.txt` and `test_index.txt` of the NeRF2 layout.
 ///
-/// Use it to compare with published figures. Samples that neither list names are left out. The index files of the
+/// Validation is drawn over transmitters, with all links of each. Use it to compare with published figures. Samples that neither list names are left out. The index files of the
 /// NeRF2 spectra are random, so their test samples lie 8 mm from a training sample: read every score beside
 /// [`NearestNeighbours`](crate::NearestNeighbours).
 ///
@@ -38,8 +39,10 @@ impl Split for Official {
                 data.title
             )));
         };
-        let (train, validation) = hold_out(train, self.validation, rng);
-        finish(train, validation, test)
+        let (_, held) = hold_out(transmitters(data, &train), self.validation, rng);
+        let held: BTreeSet<usize> = held.into_iter().collect();
+        let (validation, train) = train.into_iter().partition(|i| held.contains(&data.links[*i].transmitter));
+        finish_links(train, validation, test)
     }
 
     fn about(&self) -> &'static str {

@@ -7,7 +7,7 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// A random share of the samples is the test set.
+/// A random share of the transmitters is the test set, with all links of each.
 ///
 /// The usual split of this field, and the easiest: with a dense trajectory each test sample has a training sample
 /// beside it. Use [`TimeBlock`](crate::TimeBlock) or [`Voxel`](crate::Voxel) to ask for more than interpolation.
@@ -35,11 +35,11 @@ impl Default for Random {
 #[typetag::serde]
 impl Split for Random {
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
-        let mut all: Vec<usize> = (0..data.len()).collect();
+        let mut all: Vec<usize> = (0..data.transmitters.len()).collect();
         rng::shuffle(rng, &mut all);
         let test = all.split_off(all.len() - part(self.test, all.len()));
         let (train, validation) = hold_out(all, self.validation, rng);
-        finish(train, validation, test)
+        finish(data, train, validation, test)
     }
 
     fn about(&self) -> &'static str {

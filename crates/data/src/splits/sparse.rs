@@ -7,7 +7,7 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// A given number of random training samples; all others are the test set.
+/// A given number of random training samples (transmitters with all their links); all others are the test set.
 ///
 /// Asks how far few measurements go: with 220 of the NeRF2 spectra the nearest training sample is 6 cm away.
 ///
@@ -34,7 +34,7 @@ impl Default for Sparse {
 #[typetag::serde]
 impl Split for Sparse {
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
-        let count = data.len();
+        let count = data.transmitters.len();
         if self.train >= count {
             return Err(Error::Config(format!(
                 "Sparse(train: {}) leaves no test sample: there are {count} samples; lower `train`",
@@ -45,7 +45,7 @@ impl Split for Sparse {
         rng::shuffle(rng, &mut all);
         let test = all.split_off(self.train);
         let (train, validation) = hold_out(all, self.validation, rng);
-        finish(train, validation, test)
+        finish(data, train, validation, test)
     }
 
     fn about(&self) -> &'static str {

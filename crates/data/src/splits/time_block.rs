@@ -4,7 +4,7 @@ use super::{DEFAULT_VALIDATION, check_test, check_validation, finish, part};
 use pwrfgs_core::{Dataset, Documented, Partition, Result, Split, rng::Rng};
 use serde::{Deserialize, Serialize};
 
-/// A contiguous block of the sorted ids is the test set.
+/// A contiguous block of the sorted ids of transmitters is the test set, with all links of each.
 ///
 /// Ids follow the trajectory, so this holds out a stretch of it: most test samples are centimetres from training
 /// samples, not millimetres. Validation is a block too: the ids right behind the test block, and where these do not
@@ -41,7 +41,7 @@ impl Default for TimeBlock {
 #[typetag::serde]
 impl Split for TimeBlock {
     fn split(&self, data: &Dataset, _: &mut Rng) -> Result<Partition> {
-        let count = data.len();
+        let count = data.transmitters.len();
         let length = part(self.length, count);
         let first = ((self.start * count as f64).round() as usize).min(count - length);
         let test = first..first + length;
@@ -52,7 +52,7 @@ impl Split for TimeBlock {
         let before = held - behind;
         let train = (0..low - before).chain(high + behind..count).collect();
         let validation = (low - before..low).chain(high..high + behind).collect();
-        finish(train, validation, test.collect())
+        finish(data, train, validation, test.collect())
     }
 
     fn about(&self) -> &'static str {

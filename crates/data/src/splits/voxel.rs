@@ -8,7 +8,8 @@ use pwrfgs_core::{
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Whole cubic cells of space are held out, drawn at random until the test share is reached.
+/// Whole cubic cells of space are held out, drawn at random until the test share is reached; all links of a transmitter
+/// are in one part. Data that do not say where the transmitters are are refused.
 ///
 /// No test sample has a training sample in its own cell, so the model must say what the field is where it was not
 /// measured. Cells lie on a grid through the world's origin; a sample on a wall belongs to the cell above. That is decided
@@ -69,24 +70,28 @@ fn decimal(v: f64) -> (i128, i32) {
 #[typetag::serde]
 impl Split for Voxel {
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
+        if !data.placed {
+            let what = "does not say where the transmitters are, and Voxel divides space; use Random() or Official()";
+            return Err(Error::Config(format!("{} {what}", data.title)));
+        }
         let mut cells: BTreeMap<[i128; 3], Vec<usize>> = BTreeMap::new();
-        for (i, sample) in data.samples().enumerate() {
-            cells.entry(self.cell(sample.tx)).or_default().push(i);
+        for (i, transmitter) in data.transmitters.iter().enumerate() {
+            cells.entry(self.cell(transmitter.position)).or_default().push(i);
         }
         let mut cells: Vec<Vec<usize>> = cells.into_values().collect();
         if cells.len() < 2 {
             let what = format!(
                 "all {} samples lie in one cell of {} m; lower `size_m` of Voxel",
-                data.len(),
+                data.transmitters.len(),
                 self.size_m
             );
             return Err(Error::Config(what));
         }
         rng::shuffle(rng, &mut cells);
-        let count = data.len();
+        let count = data.transmitters.len();
         let test = draw(&mut cells, part(self.test, count));
         let validation = draw(&mut cells, part(self.validation, count - test.len()));
-        finish(cells.concat(), validation, test)
+        finish(data, cells.concat(), validation, test)
     }
 
     fn about(&self) -> &'static str {

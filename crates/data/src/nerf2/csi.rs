@@ -1,0 +1,162 @@
+//! `Nerf2Csi`: channels of a base station in the folder layout of NeRF2; the uplink is known, the downlink asked for.
+
+#[cfg(test)]
+mod tests;
+
+use super::rssi::{check_root, folder_name};
+use super::{index, places, read_transmitters, simulation};
+use crate::channels::{check_frequencies, subcarriers};
+use crate::npy::{Complex, read_complex};
+use pwrfgs_core::{
+    Channels, DataSource, Dataset, Documented, Error, Features, Observations, Pose, Progress, Real, Receiver, Result,
+    Sample,
+};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+const LAYOUT: &str = "a NeRF2 folder of channels holds csidata.npy and base-station.yml";
+const SHAPE: &str =
+    "channels are [N, A, 2F]: N snapshots, A antennas, F subcarriers of the uplink, then F of the downlink";
+
+/// Channels (CSI) of a base station in the layout of NeRF2 (Zhao et al., 2023): what the uplink says of the downlink.
+///
+/// ```text
+/// root/csidata.npy         [N, A, 2F], complex64 or complex128: N snapshots at A antennas of the base station, the first
+///                          half of the subcarriers is the uplink, the second the downlink (NeRF2: 8 antennas, 26 and 26)
+/// root/base-station.yml    base_station: [[x, y, z], ..], a place for each antenna; metres
+/// root/tx_pos.csv          columns x, y, z, a row a snapshot; metres; may be absent
+/// root/train_index.txt     snapshots counted from 0, one a line; this file and
+/// root/test_index.txt      this one come together or not at all
+/// ```
+///
+/// Every antenna is a receiver, called `antenna 1` and so on. A link is a snapshot and an antenna. Its features, which
+/// stand where the transmitter's position stands elsewhere, are its uplink: F real parts, then F imaginary parts. What was
+/// observed of it is its downlink, a channel of 1 antenna and F subcarriers. The id of a transmitter is its snapshot,
+/// counted from 0 as the index files do. Without `tx_pos.csv` nobody knows where the transmitters are, and what needs
+/// places, such as the split `Voxel`, is refused.
+///
+/// The whole array is divided by its largest modulus, of training and test data alike, as NeRF2 does it.
+///
+/// ```
+/// # use pwrfgs_core::{DataSource, Plugin};
+/// # use pwrfgs_data as _;
+/// let text = r#"Nerf2Csi(root: "data/mimo", carrier_hz: 2.4e9, spacing_hz: 312500)"#;
+/// assert!(Plugin::<dyn DataSource>::parse(text).is_ok());
+/// assert!(Plugin::<dyn DataSource>::parse("Nerf2Csi(carrier_hz: 0)").is_err());
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct Nerf2Csi {
+    /// The folder, relative to the pipeline file.
+    #[serde(with = "pwrfgs_core::paths")]
+    pub root: PathBuf,
+    /// Frequency in the middle of all subcarriers, between uplink and downlink, Hz.
+    pub carrier_hz: f64,
+    /// From one subcarrier to the next, Hz.
+    pub spacing_hz: f64,
+    /// Whether all channels are divided by the largest modulus of all data.
+    pub normalise: bool,
+}
+
+impl Default for Nerf2Csi {
+    fn default() -> Self {
+        Self { root: "data/mimo".into(), carrier_hz: 2.4e9, spacing_hz: 312.5e3, normalise: true }
+    }
+}
+
+#[typetag::serde]
+impl DataSource for Nerf2Csi {
+    fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
+        let root = base.join(&self.root);
+        if !root.is_dir() {
+            return Err(Error::input(&root, format!("no such folder; set `root` of Nerf2Csi ({LAYOUT})")));
+        }
+        let antennas = places::antennas(&root.join("base-station.yml"), LAYOUT)?;
+        let path = root.join("csidata.npy");
+        let mut all = self.read(&path, antennas.len())?;
+        let [snapshots, _, both] = all.shape;
+        let frequencies_hz = subcarriers(&path, self.carrier_hz, self.spacing_hz, both)?.split_off(both / 2);
+        let positions = positions(&root, snapshots)?;
+        let rows = index::read(&root, &|word| index::row(word, "csidata.npy", snapshots))?;
+        let (features, gains) = halves(&mut all);
+        let at = |i: usize| positions.as_ref().map_or([0.0; 3], |positions| positions[i]);
+        let links = (0..snapshots).flat_map(|i| (0..antennas.len()).map(move |receiver| (i, receiver)));
+        let samples: Vec<Sample> = links.map(|(i, receiver)| Sample { id: i as u32, tx: at(i), receiver }).collect();
+        let channels = Observations::Channels(Channels { antennas: 1, frequencies_hz, gains });
+        let name = folder_name(&root);
+        let simulation = simulation(&root, &name);
+        let title = format!("{name} ({}NeRF2 layout)", if simulation.is_some() { "" } else { "measured, " });
+        let data = Dataset::of_links(title, receivers(&antennas), vec![], &samples, channels)?;
+        let official = rows.map(|(train, test)| (data.links_of(&train), data.links_of(&test)));
+        progress(data.len(), data.len());
+        let features = Some(Features { width: both, values: features });
+        Ok(Dataset { official, simulation, features, placed: positions.is_some(), ..data })
+    }
+
+    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {
+        Some(Box::new(Self { root: absolute(&self.root), ..self.clone() }))
+    }
+
+    fn about(&self) -> &'static str {
+        "uplink and downlink channels of a base station in the NeRF2 folder layout"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_root(&self.root)?;
+        check_frequencies(self.carrier_hz, self.spacing_hz)
+    }
+}
+
+impl Nerf2Csi {
+    /// `[N,A,2F]`, for a base station of `antennas`.
+    fn read(&self, path: &Path, antennas: usize) -> Result<Complex> {
+        let mut all = read_complex(path, SHAPE)?;
+        let [_, have, both] = all.shape;
+        if have != antennas {
+            let what = format!("has {have} antennas a snapshot, but base-station.yml {antennas}; give as many of each");
+            return Err(Error::input(path, what));
+        }
+        if both % 2 == 1 {
+            let what = format!("has {both} subcarriers, which are no two halves of uplink and downlink; {SHAPE}");
+            return Err(Error::input(path, what));
+        }
+        if self.normalise {
+            all.normalise(path)?;
+        }
+        Ok(all)
+    }
+}
+
+/// `tx_pos.csv`, where it is there: a row a snapshot.
+fn positions(root: &Path, snapshots: usize) -> Result<Option<Vec<[f64; 3]>>> {
+    let path = root.join("tx_pos.csv");
+    if !path.exists() {
+        return Ok(None);
+    }
+    let positions = read_transmitters(&path)?;
+    if positions.len() != snapshots {
+        let what = format!("holds {} transmitters, but csidata.npy {snapshots} snapshots", positions.len());
+        return Err(Error::input(&path, format!("{what}; give as many of each, or remove this file")));
+    }
+    Ok(Some(positions))
+}
+
+/// Each antenna is one.
+fn receivers(antennas: &[[f64; 3]]) -> Vec<Receiver> {
+    let at = |(k, &position): (usize, &[f64; 3])| {
+        Receiver::new(format!("antenna {}", k + 1), Pose { position, ..Pose::IDENTITY })
+    };
+    antennas.iter().enumerate().map(at).collect()
+}
+
+/// The uplink of every link as real numbers `[N A, 2F]`, and its downlink `[N A, F]`.
+fn halves(all: &mut Complex) -> (Vec<Real>, Vec<[Real; 2]>) {
+    let both = all.shape[2];
+    let (mut uplinks, mut downlinks) = (Vec::with_capacity(all.values.len()), Vec::new());
+    for link in std::mem::take(&mut all.values).chunks_exact(both) {
+        let (up, down) = link.split_at(both / 2);
+        (0..2).for_each(|part| uplinks.extend(up.iter().map(|gain| gain[part] as Real)));
+        downlinks.extend(down.iter().map(|gain| gain.map(|v| v as Real)));
+    }
+    (uplinks, downlinks)
+}

@@ -1,0 +1,104 @@
+//! Files that say where several receivers are: `gateway_position.yml` and `base-station.yml`.
+
+use super::yaml::{self, place_of};
+use pwrfgs_core::origin::place_fault;
+use pwrfgs_core::{Error, Result, words::clean};
+use serde::de::{DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess, Visitor};
+use std::collections::BTreeSet;
+use std::fmt::{Formatter, Result as Written};
+use std::path::Path;
+
+const GATEWAYS: &str = "expected one gateway a line, such as `g01: [x, y, z]` (metres)";
+const ANTENNAS: &str = "expected `base_station: [[x, y, z], ..]` (metres), a place for each antenna";
+
+/// Names and places of the gateways, metres, in the order of the file.
+pub(super) fn gateways(path: &Path, advice: &str) -> Result<Vec<(String, [f64; 3])>> {
+    let text = yaml::text(path, advice, GATEWAYS)?;
+    let found = yaml::parse(path, &text, Gateways, GATEWAYS)?;
+    for (name, place) in &found {
+        if let Some(fault) = place_fault(*place) {
+            let (line, column) = place_of(&text, name, "");
+            return Err(Error::at(path, line, column, format!("`{}` {fault}", clean(name))));
+        }
+    }
+    if found.is_empty() {
+        return Err(Error::input(path, format!("names no gateway; {GATEWAYS}")));
+    }
+    Ok(found)
+}
+
+/// Places of the antennas of a base station `[A,3]`, metres.
+pub(super) fn antennas(path: &Path, advice: &str) -> Result<Vec<[f64; 3]>> {
+    let text = yaml::text(path, advice, ANTENNAS)?;
+    let found = yaml::parse(path, &text, Antennas, ANTENNAS)?;
+    if let Some((k, fault)) = found.iter().enumerate().find_map(|(k, place)| Some((k, place_fault(*place)?))) {
+        let (line, column) = place_of(&text, "base_station", "");
+        return Err(Error::at(path, line, column, format!("antenna {} {fault}", k + 1)));
+    }
+    if found.is_empty() {
+        return Err(Error::input(path, format!("names no antenna; {ANTENNAS}")));
+    }
+    Ok(found)
+}
+
+/// Every key is a gateway.
+struct Gateways;
+
+impl<'de> DeserializeSeed<'de> for Gateways {
+    type Value = Vec<(String, [f64; 3])>;
+
+    fn deserialize<D: Deserializer<'de>>(self, from: D) -> Result<Self::Value, D::Error> {
+        from.deserialize_map(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Gateways {
+    type Value = Vec<(String, [f64; 3])>;
+
+    fn expecting(&self, f: &mut Formatter<'_>) -> Written {
+        write!(f, "names with places")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+        let (mut found, mut seen) = (Vec::new(), BTreeSet::new());
+        while let Some(name) = map.next_key::<String>()? {
+            if !seen.insert(name.clone()) {
+                return Err(A::Error::custom(format!("the gateway `{}` comes twice", clean(&name))));
+            }
+            let place = map.next_value()?;
+            found.push((name, place));
+        }
+        Ok(found)
+    }
+}
+
+/// One key counts, others are passed over.
+struct Antennas;
+
+impl<'de> DeserializeSeed<'de> for Antennas {
+    type Value = Vec<[f64; 3]>;
+
+    fn deserialize<D: Deserializer<'de>>(self, from: D) -> Result<Self::Value, D::Error> {
+        from.deserialize_map(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Antennas {
+    type Value = Vec<[f64; 3]>;
+
+    fn expecting(&self, f: &mut Formatter<'_>) -> Written {
+        write!(f, "a key `base_station`")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+        let mut found = None;
+        while let Some(key) = map.next_key::<String>()? {
+            if key != "base_station" {
+                map.next_value::<IgnoredAny>()?;
+            } else if found.replace(map.next_value()?).is_some() {
+                return Err(A::Error::custom("`base_station` comes twice"));
+            }
+        }
+        found.ok_or_else(|| A::Error::missing_field("base_station"))
+    }
+}

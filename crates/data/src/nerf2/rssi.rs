@@ -1,0 +1,112 @@
+//! `Nerf2Rssi`: received powers at many gateways in the folder layout of NeRF2.
+
+mod table;
+#[cfg(test)]
+mod tests;
+
+use super::{index, places, read_transmitters, simulation};
+use crate::points::read_points;
+use pwrfgs_core::words::clean;
+use pwrfgs_core::{
+    DataSource, Dataset, Documented, Error, Observations, Pose, Progress, Real, Receiver, Result, Sample,
+};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+const LAYOUT: &str = "a NeRF2 folder of powers holds gateway_position.yml, gateway_rssi.csv and tx_pos.csv";
+
+/// Received powers (RSSI) at many gateways in the layout of NeRF2 (Zhao et al., 2023).
+///
+/// ```text
+/// root/gateway_position.yml    g01: [x, y, z], one line a gateway; metres
+/// root/gateway_rssi.csv        header with the names of the gateways; row k is what each received, dBm; -100: not heard
+/// root/tx_pos.csv              header naming x, y, z among others; row k is the transmitter; metres
+/// root/train_index.txt         rows counted from 0, one a line; this file and
+/// root/test_index.txt          this one come together or not at all
+/// ```
+///
+/// A link is a transmitter and a gateway that heard it; -100 dBm says that it did not, and is no link. The id of a
+/// transmitter is its row, counted from 0 as the index files do (ids of spectra count from 1). The split of the index
+/// files takes all links of a transmitter. Gateways are receivers of that name, in the order of `gateway_position.yml`.
+///
+/// Of the data that NeRF2 released: whether rows are in the order of time is not known, so that `TimeBlock` may hold out
+/// something else than a stretch of time; the gateways `g08` and `g09` have the same coordinates, so that to leave out one
+/// of them means to leave out both; its gateways are in three separate areas, of which a transmitter is heard in one.
+///
+/// A name that holds the word «simulated», or a `manifest.json` that says so, makes the data count as simulated.
+///
+/// ```
+/// # use pwrfgs_core::{DataSource, Plugin};
+/// # use pwrfgs_data as _;
+/// assert!(Plugin::<dyn DataSource>::parse(r#"Nerf2Rssi(root: "data/ble")"#).is_ok());
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct Nerf2Rssi {
+    /// The folder, relative to the pipeline file.
+    #[serde(with = "pwrfgs_core::paths")]
+    pub root: PathBuf,
+    /// Point cloud of the rooms (PLY, XYZ or CSV, metres, world frame), relative to the pipeline file.
+    #[serde(with = "pwrfgs_core::paths::optional")]
+    pub points: Option<PathBuf>,
+}
+
+impl Default for Nerf2Rssi {
+    fn default() -> Self {
+        Self { root: "data/ble".into(), points: None }
+    }
+}
+
+#[typetag::serde]
+impl DataSource for Nerf2Rssi {
+    fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
+        let root = base.join(&self.root);
+        if !root.is_dir() {
+            return Err(Error::input(&root, format!("no such folder; set `root` of Nerf2Rssi ({LAYOUT})")));
+        }
+        let gateways = places::gateways(&root.join("gateway_position.yml"), LAYOUT)?;
+        let positions = read_transmitters(&root.join("tx_pos.csv"))?;
+        let heard = table::read(&root.join("gateway_rssi.csv"), &gateways, positions.len(), LAYOUT)?;
+        let rows = index::read(&root, &|word| index::row(word, "tx_pos.csv", positions.len()))?;
+        let points = self.points.as_ref().map_or(Ok(Vec::new()), |points| read_points(&base.join(points)))?;
+        let samples: Vec<Sample> = heard
+            .iter()
+            .map(|link| Sample { id: link.row as u32, tx: positions[link.row], receiver: link.gateway })
+            .collect();
+        let powers = heard.iter().map(|link| link.dbm as Real).collect();
+        let at = |(name, position): (String, [f64; 3])| Receiver::new(name, Pose { position, ..Pose::IDENTITY });
+        let receivers = gateways.into_iter().map(at).collect();
+        let name = folder_name(&root);
+        let simulation = simulation(&root, &name);
+        let title = format!("{name} ({}NeRF2 layout)", if simulation.is_some() { "" } else { "measured, " });
+        let data = Dataset::of_links(title, receivers, points, &samples, Observations::Powers(powers))?;
+        let official = rows.map(|(train, test)| (data.links_of(&train), data.links_of(&test)));
+        progress(data.len(), data.len());
+        Ok(Dataset { official, simulation, ..data })
+    }
+
+    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {
+        Some(Box::new(Self { root: absolute(&self.root), points: self.points.as_deref().map(absolute) }))
+    }
+
+    fn about(&self) -> &'static str {
+        "received powers at many gateways in the NeRF2 folder layout"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_root(&self.root)
+    }
+}
+
+/// What a folder is called.
+pub(crate) fn folder_name(root: &Path) -> String {
+    clean(&root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy()))
+}
+
+/// Refuses an empty path.
+pub(crate) fn check_root(root: &Path) -> Result<(), String> {
+    if root.as_os_str().is_empty() {
+        return Err("`root` is empty; name the folder of the data set, or `.` for this one".into());
+    }
+    Ok(())
+}

@@ -1,0 +1,115 @@
+//! `gateway_rssi.csv`: a column a gateway, a row a transmitter.
+
+use crate::text::{Field, lines, no_longer, number, read_text, split_commas};
+use pwrfgs_core::{Error, Result, did_you_mean, files::MAX_TEXT, words::clean, words::quoted};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+/// What stands where nothing was received, dBm.
+const NOT_HEARD: f64 = -100.0;
+/// No power in dBm is larger than this in size: what is has another unit.
+const LARGEST_DBM: f64 = 300.0;
+const ADVICE: &str = "give the power in dBm, or -100 where the gateway heard nothing";
+
+/// One power that was received.
+pub(super) struct Heard {
+    /// Of the transmitters, counted from 0.
+    pub(super) row: usize,
+    /// Into the gateways.
+    pub(super) gateway: usize,
+    pub(super) dbm: f64,
+}
+
+/// All that was heard, by row, then gateway. Every gateway has a column, every transmitter of `rows` a row, and each of
+/// them was heard at least once.
+pub(super) fn read(path: &Path, gateways: &[(String, [f64; 3])], rows: usize, advice: &str) -> Result<Vec<Heard>> {
+    let text = read_text(path, MAX_TEXT, advice)?;
+    let mut contents = lines(&text);
+    let Some((line, header)) = contents.next() else {
+        return Err(Error::input(
+            path,
+            "is empty; write a header with the names of the gateways and a row a transmitter",
+        ));
+    };
+    let header = split_commas(header);
+    let column_of = columns(path, line, &header, gateways)?;
+    let (mut heard, mut count) = (Vec::new(), 0);
+    for (row, (line, content)) in contents.enumerate() {
+        let fields = split_commas(content);
+        no_longer(path, line, &fields, header.len())?;
+        let before = heard.len();
+        for (gateway, &column) in column_of.iter().enumerate() {
+            let dbm = power(path, line, &fields, column)?;
+            heard.extend((dbm != NOT_HEARD).then_some(Heard { row, gateway, dbm }));
+        }
+        if heard.len() == before {
+            let what = "no gateway heard this transmitter (-100 in all columns); remove the row here and in tx_pos.csv, \
+                        and number the index files anew";
+            return Err(Error::at(path, line, 1, what));
+        }
+        count = row + 1;
+    }
+    if count != rows {
+        let what = format!("holds {count} rows of powers, but tx_pos.csv {rows} transmitters; give as many of each");
+        return Err(Error::input(path, what));
+    }
+    let mut hears = vec![false; gateways.len()];
+    heard.iter().for_each(|link| hears[link.gateway] = true);
+    match hears.iter().position(|hears| !hears) {
+        Some(g) => {
+            let what = format!("{} heard no transmitter (-100 in all rows)", quoted(&gateways[g].0));
+            let what = format!("{what}; remove its column here and its line in gateway_position.yml");
+            Err(Error::at(path, line, header[column_of[g]].column, what))
+        }
+        None => Ok(heard),
+    }
+}
+
+/// In which column each gateway stands.
+fn columns(path: &Path, line: usize, header: &[Field<'_>], gateways: &[(String, [f64; 3])]) -> Result<Vec<usize>> {
+    let names = || gateways.iter().map(|(name, _)| name.as_str());
+    let known: BTreeSet<&str> = names().collect();
+    let mut column_of = BTreeMap::new();
+    for (k, field) in header.iter().enumerate() {
+        let at = |what| Error::at(path, line, field.column, what);
+        if column_of.insert(field.text, k).is_some() {
+            return Err(at(format!("a second column {}; name each gateway once", quoted(field.text))));
+        }
+        if !known.contains(field.text) {
+            let near = did_you_mean(field.text, names());
+            let what = format!("{} has no position in gateway_position.yml{near}", quoted(field.text));
+            return Err(at(format!("{what}; add it there, or remove the column")));
+        }
+    }
+    let column = |name: &str| {
+        column_of.get(name).copied().ok_or_else(|| {
+            let what = "add one, or remove its line in gateway_position.yml";
+            Error::at(path, line, 1, format!("no column `{}`, a gateway that has a position; {what}", clean(name)))
+        })
+    };
+    names().map(column).collect()
+}
+
+/// One power of a row.
+fn power(path: &Path, line: usize, row: &[Field<'_>], column: usize) -> Result<f64> {
+    let Some(field) = row.get(column).copied() else {
+        let end = row.last().map_or(1, |f| f.column + f.text.chars().count());
+        let (have, need) = (row.len(), column + 1);
+        return Err(Error::at(
+            path,
+            line,
+            end,
+            format!("the row ends after {have} of at least {need} columns; {ADVICE}"),
+        ));
+    };
+    let dbm = number(path, line, field, ADVICE)?;
+    if dbm.abs() > LARGEST_DBM {
+        return Err(Error::at(
+            path,
+            line,
+            field.column,
+            format!("{} is no power in dBm; {ADVICE}", quoted(field.text)),
+        ));
+    }
+    Ok(dbm)
+}

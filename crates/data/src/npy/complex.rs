@@ -1,0 +1,82 @@
+//! Complex arrays: channels, of which every number is looked at.
+
+use super::{Header, MAX_BYTES};
+use pwrfgs_core::{Error, Real, Result, files};
+use std::io::Read;
+use std::path::Path;
+
+/// A complex array `[M,A,F]`, row-major.
+#[derive(Debug, PartialEq)]
+pub(crate) struct Complex {
+    pub(crate) shape: [usize; 3],
+    /// Real and imaginary part of every number.
+    pub(crate) values: Vec<[f64; 2]>,
+}
+
+/// The complex array of a file; `shape` says in words what its three sizes are.
+pub(crate) fn read_complex(path: &Path, shape: &str) -> Result<Complex> {
+    let refuse = |e| Error::read(path, e);
+    let mut file = files::open(path).map_err(refuse)?;
+    let header = Header::read(path, &mut file)?;
+    let left = file.metadata().map_err(refuse)?.len().saturating_sub(header.offset);
+    header.complex(path, &mut file, left, shape)
+}
+
+impl Header {
+    /// The numbers behind the header, `left` bytes of them.
+    fn complex(&self, path: &Path, file: &mut dyn Read, left: u64, words: &str) -> Result<Complex> {
+        let refuse = |what: String| Error::input(path, what);
+        let name = path.file_stem().unwrap_or_default().to_string_lossy();
+        let double = match self.descr.as_str() {
+            "<c8" => false,
+            "<c16" => true,
+            other => {
+                let what = "channels are complex64 or complex128, little endian: save a.astype('<c8')";
+                return Err(refuse(format!("holds numbers of type `{other}`; {what}")));
+            }
+        };
+        let Ok(shape) = <[usize; 3]>::try_from(self.shape.as_slice()) else {
+            return Err(refuse(format!("has shape {}; {words}; use a.reshape", self.shape_text())));
+        };
+        if self.fortran {
+            return Err(refuse(format!("is in Fortran order; save numpy.ascontiguousarray({name})")));
+        }
+        if shape.contains(&0) {
+            return Err(refuse(format!("has shape {} and holds nothing; {words}", self.shape_text())));
+        }
+        let of_one = if double { 16_u64 } else { 8 };
+        if self.shape.iter().try_fold(of_one, |all, n| all.checked_mul(*n as u64)) != Some(left) {
+            let what = "do not fit its length; it is cut short or damaged: copy it anew";
+            return Err(refuse(format!("numbers of shape {} {what}", self.shape_text())));
+        }
+        if left > MAX_BYTES {
+            return Err(refuse(format!("holds {left} bytes, more than {MAX_BYTES}; give fewer channels")));
+        }
+        let mut bytes = vec![0; left as usize];
+        file.read_exact(&mut bytes).map_err(|e| Error::read(path, e))?;
+        let single = |b: &[u8; 4]| f64::from(f32::from_le_bytes(*b));
+        let parts: Vec<f64> = match double {
+            true => bytes.as_chunks().0.iter().map(|b| f64::from_le_bytes(*b)).collect(),
+            false => bytes.as_chunks().0.iter().map(single).collect(),
+        };
+        if let Some(i) = parts.iter().position(|v| !(*v as Real).is_finite()) {
+            let [_, a, f] = shape;
+            let (i, value) = (i / 2, &parts[i / 2 * 2..][..2]);
+            let place = format!("{name}[{}, {}, {}]", i / (a * f), i / f % a, i % f);
+            return Err(refuse(format!("{place} is {:?}; give finite numbers", (value[0], value[1]))));
+        }
+        Ok(Complex { shape, values: parts.as_chunks().0.to_vec() })
+    }
+}
+
+impl Complex {
+    /// Divides all by the largest modulus; refuses what is zero throughout.
+    pub(crate) fn normalise(&mut self, path: &Path) -> Result<()> {
+        let largest = self.values.iter().map(|[re, im]| re.hypot(*im)).fold(0.0, f64::max);
+        if largest == 0.0 {
+            return Err(Error::input(path, "is zero throughout; give channels that were measured"));
+        }
+        self.values.iter_mut().flatten().for_each(|v| *v /= largest);
+        Ok(())
+    }
+}

@@ -1,0 +1,108 @@
+//! `LeaveReceiverOut`: what was heard at some receivers is the test set.
+
+use super::{DEFAULT_VALIDATION, check_validation, finish_links, hold_out, transmitters};
+use pwrfgs_core::{
+    Dataset, Documented, Error, Partition, Result, Split, did_you_mean,
+    rng::{self, Rng},
+    words::quoted,
+};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+
+/// All links of the receivers named are the test set; the links of the others are learned from.
+///
+/// Asks what somebody would hear where no receiver stood. Validation is a share of the transmitters that the other
+/// receivers heard, with all their links there. Receivers at the same place say much of each other: leave them out
+/// together, such as `g08` and `g09` of the NeRF2 powers.
+///
+/// A receiver that was never heard has a gain that nobody knows. `calibration` leaves some links of each receiver named,
+/// drawn at random, in the training part, so that its offset can be learned.
+///
+/// ```
+/// # use pwrfgs_core::{Plugin, Split};
+/// # use pwrfgs_data as _;
+/// let text = r#"LeaveReceiverOut(receivers: ["g08", "g09"], calibration: 20)"#;
+/// assert!(Plugin::<dyn Split>::parse(text).is_ok());
+/// assert!(Plugin::<dyn Split>::parse(r#"LeaveReceiverOut(receivers: ["g08", "g08"])"#).is_err());
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct LeaveReceiverOut {
+    /// Names of the receivers that are left out.
+    pub receivers: Vec<String>,
+    /// Links of each of them that stay in the training part; 0 for none.
+    pub calibration: usize,
+    /// Share of the transmitters held out of the training part, in [0, 1); 0 for none.
+    pub validation: f64,
+}
+
+impl Default for LeaveReceiverOut {
+    fn default() -> Self {
+        Self { receivers: Vec::new(), calibration: 0, validation: DEFAULT_VALIDATION }
+    }
+}
+
+#[typetag::serde]
+impl Split for LeaveReceiverOut {
+    fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
+        let out = self.left_out(data)?;
+        let is_out = |i: &usize| out.contains(&data.links[*i].receiver);
+        let (mut test, known): (Vec<usize>, Vec<usize>) = (0..data.len()).partition(is_out);
+        let (_, held) = hold_out(transmitters(data, &known), self.validation, rng);
+        let held: BTreeSet<usize> = held.into_iter().collect();
+        let (validation, mut train): (Vec<usize>, Vec<usize>) =
+            known.into_iter().partition(|i| held.contains(&data.links[*i].transmitter));
+        for receiver in out {
+            let (mut own, others): (Vec<usize>, Vec<usize>) =
+                test.into_iter().partition(|i| data.links[*i].receiver == receiver);
+            if self.calibration > 0 && own.len() <= self.calibration {
+                let (name, have) = (quoted(&data.scene.receivers[receiver].name), own.len());
+                let what = format!("{name} has {have} links in all, which leaves none to test; lower `calibration`");
+                return Err(Error::Config(format!("LeaveReceiverOut(calibration: {}): {what}", self.calibration)));
+            }
+            if self.calibration > 0 {
+                rng::shuffle(rng, &mut own);
+                train.extend(own.split_off(own.len() - self.calibration));
+            }
+            test = [others, own].concat();
+        }
+        finish_links(train, validation, test)
+    }
+
+    fn about(&self) -> &'static str {
+        "what some receivers heard is the test set"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        let twice = self.receivers.iter().enumerate().find(|(k, name)| self.receivers[..*k].contains(name));
+        if let Some((_, name)) = twice {
+            return Err(format!("`receivers` names {} twice; name it once", quoted(name)));
+        }
+        check_validation(self.validation)
+    }
+}
+
+impl LeaveReceiverOut {
+    /// Indices of the receivers named; some, but not all.
+    fn left_out(&self, data: &Dataset) -> Result<BTreeSet<usize>> {
+        let names = || data.scene.receivers.iter().map(|receiver| receiver.name.as_str());
+        let refuse = |what: String| {
+            let known = names().take(40).map(quoted).collect::<Vec<_>>().join(", ");
+            Err(Error::Config(format!("LeaveReceiverOut: {what}; the receivers of {} are {known}", data.title)))
+        };
+        if self.receivers.is_empty() {
+            return refuse("name at least one of `receivers`".into());
+        }
+        let mut out = BTreeSet::new();
+        for name in &self.receivers {
+            match names().position(|known| known == name) {
+                Some(i) => out.insert(i),
+                None => return refuse(format!("there is no receiver {}{}", quoted(name), did_you_mean(name, names()))),
+            };
+        }
+        if out.len() == data.scene.receivers.len() {
+            return refuse("no receiver is left to learn from".into());
+        }
+        Ok(out)
+    }
+}
