@@ -4,6 +4,7 @@ mod axes;
 mod backend;
 pub mod charts;
 pub(crate) mod legend;
+pub mod heat;
 pub mod marks;
 pub mod plan;
 pub(crate) mod room;

@@ -113,7 +113,7 @@ fn radius(db: f64) -> f64 {
 fn legend(has_points: bool) -> Canvas {
     let mut canvas = Canvas::new(620.0, 24.0);
     let (mut x, y) = (12.0, 12.0);
-    let mut say = |canvas: &mut Canvas, x: &mut f64, words: &str| {
+    let say = |canvas: &mut Canvas, x: &mut f64, words: &str| {
         canvas.text([*x + 13.0, y + 4.0], Anchor::Start, words);
         *x += 30.0 + text_width(words);
     };
