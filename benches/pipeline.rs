@@ -9,8 +9,8 @@ mod scene;
 
 use criterion::measurement::WallTime;
 use criterion::{BatchSize, BenchmarkGroup, BenchmarkId, Criterion};
-use pwrfgs::core::{DeformationInputs, RenderVjp};
-use pwrfgs::model::{Ensemble, deform::Outputs};
+use pwrfgs::core::{DeformationInputs, Query, RenderVjp};
+use pwrfgs::model::{Ensemble, Splatting, deform::Outputs};
 use pwrfgs::prelude::*;
 use scene::{SIZES, TX, on_array, seeded_cloud, trained, untrained, waves, wrfgs};
 use std::cell::OnceCell;
@@ -41,8 +41,9 @@ fn network(criterion: &mut Criterion, name: &str, outputs: Outputs) {
     let mut group = criterion.benchmark_group(name);
     for n in SIZES {
         let model = untrained(seeded_cloud(n), outputs);
-        let Stages { deformation, pose, .. } = &model.stages;
-        let (weights, means, txs) = (&model.weights, &model.cloud.means, &[TX.map(|x| x as Real)]);
+        let deformation = &model.stages.splatting().expect("it draws splats").deformation;
+        let (tx, pose) = ([TX.map(|x| x as Real)], &model.stages.pose());
+        let (weights, means, txs) = (&model.weights, &model.cloud.means, (&tx).into());
         let deltas = deformation.forward(weights, means, txs, pose);
         group.bench_function(BenchmarkId::new("forward", n), |b| {
             b.iter(|| deformation.forward(weights, means, txs, pose));
@@ -61,9 +62,11 @@ fn stages(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("stages");
     for n in SIZES {
         let model = untrained(seeded_cloud(n), Outputs::All);
-        let Stages { deformation, projector, rasterizer, pose, plane, .. } = &model.stages;
-        let deltas = deformation.forward(&model.weights, &model.cloud.means, &[TX.map(|x| x as Real)], pose);
-        let activation = model.stages.activation();
+        let splatting = model.stages.splatting().expect("it draws splats");
+        let Splatting { deformation, projector, rasterizer, .. } = splatting;
+        let (tx, pose, plane) = ([TX.map(|x| x as Real)], &model.stages.pose(), &model.stages.plane);
+        let deltas = deformation.forward(&model.weights, &model.cloud.means, (&tx).into(), pose);
+        let activation = splatting.activation();
         let geometry = activation.geometry(&model.cloud, &deltas, 0, None);
         let signals = activation.signals(&model.cloud, &deltas, 0..1);
         group.bench_function(BenchmarkId::new("activation", n), |b| {
@@ -143,7 +146,7 @@ fn predict(criterion: &mut Criterion) {
     group.bench_function("waves, two models averaged/32", |b| {
         let pair = Ensemble::new(vec![waves(32), waves(32)]).expect("they share everything");
         let pair = pair.prepare();
-        b.iter(|| pair.predict(TX));
+        b.iter(|| pair.predict(TX.into()));
     });
     for n in SIZES {
         many(&mut group, "many at once", n, || untrained(seeded_cloud(n), Outputs::All));
@@ -158,7 +161,7 @@ fn one(group: &mut BenchmarkGroup<'_, WallTime>, name: &str, n: usize, model: im
     let ready = OnceCell::new();
     group.bench_function(BenchmarkId::new(name, n), |b| {
         let ready = ready.get_or_init(|| made.get_or_init(&model).prepare());
-        b.iter(|| ready.predict(TX));
+        b.iter(|| ready.predict(TX.into()));
     });
 }
 
@@ -169,7 +172,7 @@ fn many(group: &mut BenchmarkGroup<'_, WallTime>, name: &str, n: usize, model: i
     let ready = OnceCell::new();
     group.bench_function(BenchmarkId::new(name, n), |b| {
         let ready = ready.get_or_init(|| made.get_or_init(&model).prepare());
-        let txs: Vec<[f64; 3]> = (0..BATCH).map(|b| TX.map(|x| x + 0.01 * f64::from(b))).collect();
+        let txs: Vec<Query<'_>> = (0..BATCH).map(|b| TX.map(|x| x + 0.01 * f64::from(b)).into()).collect();
         b.iter_custom(|rounds| {
             let start = Instant::now();
             for _ in 0..rounds {

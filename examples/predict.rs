@@ -3,6 +3,7 @@
 #![allow(clippy::print_stdout)] // it is a program
 
 use npyz::WriterBuilder as _;
+use pwrfgs::core::Query;
 use pwrfgs::prelude::*;
 use std::fs::File;
 use std::path::Path;
@@ -20,7 +21,7 @@ fn main() -> Result<()> {
     let members = models.iter().map(|path| pwrfgs::model::file::read(Path::new(path))).collect::<Result<Vec<_>>>()?;
     let ensemble = Ensemble::new(members).map_err(Error::Config)?;
     let prepared: Prepared<'_> = ensemble.prepare(); // what no transmitter changes is worked out once
-    let spectra = prepared.predict_many(&positions());
+    let spectra = prepared.predict_many(&positions().into_iter().map(Query::from).collect::<Vec<_>>());
 
     let ImagePlane { width, height, .. } = prepared.plane();
     let mut array = npyz::WriteOptions::new()

@@ -54,7 +54,7 @@ fn main() -> Result<()> {
         }
     }
     let model = trainer.model();
-    let score = |p: &dyn Predict, i: usize| ssim::evaluation(&p.predict(data.sample(i).tx).clamped(), &data.image(i));
+    let score = |p: &dyn Predict, i: usize| ssim::evaluation(&p.predict(data.query(i)).clamped(), &data.image(i));
     let mean = |p| partition.test.iter().map(|&i| score(p, i)).sum::<f64>() / partition.test.len() as f64;
     let floor = pwrfgs::data::MeanSpectrum {}.fit(&data, partition.known())?;
     println!("SSIM on test positions: model {:.3}, mean spectrum {:.3}", mean(&model), mean(floor.as_ref()));

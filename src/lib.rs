@@ -52,6 +52,14 @@ inventory::submit! { FieldDefault { field: "baselines", ron: "[MeanSpectrum(), N
 NearestNeighbours(k: 3), NearestNeighbours(k: 5)]" } }
 inventory::submit! { FieldDefault { field: "metrics", ron: "[Ssim(), L1(), Psnr(), RateRatio(), DirectionError(), \
 Chamfer(), GaussianCount(), ModelSize(), Latency()]" } }
+inventory::submit! { FieldDefault { field: "baselines of powers", ron: "[MeanSpectrum(), LogDistance(), \
+NearestNeighbours(k: 5), Kriging()]" } }
+inventory::submit! { FieldDefault { field: "baselines of channels", ron: "[Zero(), NearestNeighbours(k: 1), \
+NearestNeighbours(k: 5)]" } }
+inventory::submit! { FieldDefault { field: "metrics of powers", ron: "[PowerError(), Chamfer(), GaussianCount(), \
+ModelSize(), Latency()]" } }
+inventory::submit! { FieldDefault { field: "metrics of channels", ron: "[ChannelSnr(), Chamfer(), GaussianCount(), \
+ModelSize(), Latency()]" } }
 // The columns of validation.csv, for each kind of observation.
 inventory::submit! { FieldDefault { field: "validation", ron: "[Ssim(), RateRatio(snr_db: 0.0)]" } }
 inventory::submit! { FieldDefault { field: "validation of powers", ron: "[PowerError()]" } }

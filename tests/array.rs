@@ -3,7 +3,7 @@
 use crate::common::pipeline;
 use pwrfgs::core::testing::shared;
 use pwrfgs::core::{Splats, rng};
-use pwrfgs::model::{Activation, Ensemble, Model, Readout, Stages};
+use pwrfgs::model::{Activation, Ensemble, Model, Readout, Splatting};
 use pwrfgs::prelude::*;
 use pwrfgs::train::Trainer;
 use std::f64::consts::TAU;
@@ -274,25 +274,26 @@ fn an_ensemble_is_the_mean_of_its_members_and_knows_where_they_differ() {
     let ensemble = Ensemble::new(models.clone()).unwrap();
     let ensemble = ensemble.prepare();
     let (mean, deviation, _) = ensemble.predict_with_deviation(tx);
-    assert_eq!(mean, ensemble.predict(tx));
+    assert_eq!(mean, ensemble.predict(tx.into()));
     for p in 0..mean.pixels.len() {
         let (a, b) = (pictures[0].pixels[p], pictures[1].pixels[p]);
         assert!(
             (mean.pixels[p] - 0.5 * (a + b)).abs() < 1e-6 && (deviation.pixels[p] - 0.5 * (a - b).abs()).abs() < 1e-6
         );
     }
-    assert_eq!(ensemble.predict_many(&[tx, tx]), vec![mean.clone(), mean]);
+    assert_eq!(ensemble.predict_many(&[tx.into(), tx.into()]), vec![mean.clone(), mean]);
     assert!(Ensemble::new(Vec::new()).is_err());
     let mut turned = models;
-    turned[1].stages.pose.position = [1.0, 0.0, 0.0];
+    turned[1].stages.receivers[0].pose.position = [1.0, 0.0, 0.0];
     assert!(Ensemble::new(turned).unwrap_err().contains("model 2"));
 }
 
 #[test]
 fn a_closed_gate_leaves_the_field_and_an_open_one_changes_nothing() {
     let model = train("", 1);
-    let Stages { projector, rasterizer, pose, plane, .. } = &model.stages;
-    let activation: Activation = model.stages.activation();
+    let splatting = model.stages.splatting().unwrap();
+    let (Splatting { projector, rasterizer, .. }, pose, plane) = (splatting, &model.stages.pose(), &model.stages.plane);
+    let activation: Activation = splatting.activation();
     let (cloud, deltas) = (&model.cloud, Deltas::default());
     let gated = |gate: &[Real]| {
         let geometry = activation.geometry(cloud, &deltas, 0, Some(gate));

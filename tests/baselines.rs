@@ -8,8 +8,7 @@ use std::path::Path;
 
 fn scores(metric: &dyn Metric, predictions: &[Image], truths: &[Image], data: &Dataset) -> Vec<f64> {
     let plane = ImagePlane { width: data.width, height: data.height, wraps: true, angles: None };
-    let evaluation =
-        Evaluation { predictions, truths, plane: &plane, scene: &data.scene, model: None, timed_prediction: None };
+    let evaluation = Evaluation { predictions, truths, ..Evaluation::of(data, &plane) };
     match metric.evaluate(&evaluation).expect("pictures of one size").remove(0).values {
         Values::PerSample(values) => values,
         other => panic!("not one value a sample: {other:?}"),
@@ -40,7 +39,7 @@ fn baselines_reach_their_known_scores_on_the_measured_spectra() {
     ];
     for (baseline, expected) in known {
         let fitted = baseline.fit(&data, partition.known()).unwrap();
-        let predictions: Vec<Image> = partition.test.iter().map(|&i| fitted.predict(data.sample(i).tx)).collect();
+        let predictions: Vec<Image> = partition.test.iter().map(|&i| fitted.predict(data.query(i))).collect();
         let ssim = scores(&Ssim {}, &predictions, &truths, &data);
         let eta = scores(&RateRatio { snr_db: 0.0 }, &predictions, &truths, &data);
         let found = [mean(&ssim), median(&ssim), mean(&eta)];

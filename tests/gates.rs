@@ -20,7 +20,7 @@ fn a_closed_gate_equals_an_absent_gaussian() {
     ];
     for deformation in deformations {
         let stages = stages(deformation, Readout::Magnitude);
-        let weights = stages.deformation.init(&mut rng::stream(2, "network", 0));
+        let weights = stages.method.init(&stages.frame, &mut rng::stream(2, "network", 0));
         let batch = batch(2, &stages);
         let outcome = |cloud: &GaussianCloud| {
             let pruners = [plugin("LearnableMask(lambda: 0)")];
@@ -55,7 +55,7 @@ fn a_closed_gate_equals_an_absent_gaussian() {
 fn what_no_picture_can_show_changes_neither_picture_nor_derivative() {
     for deformation in ["Mlp(depth: 2, width: 8, skip: None, tx_hidden: 8, tx_features: 4)", "Factored(width: 16)"] {
         let stages = stages(deformation, Readout::Magnitude);
-        let weights = Arc::new(stages.deformation.init(&mut rng::stream(2, "network", 0)));
+        let weights = Arc::new(stages.method.init(&stages.frame, &mut rng::stream(2, "network", 0)));
         let few = cloud(N, 11);
         let mut more = few.select(&[0, 0, 1, 2, 2, 3, 4, 5, 6, 7]);
         more.means[1] = [0.4, -0.3, -2.0]; // behind the receiver
@@ -68,13 +68,15 @@ fn what_no_picture_can_show_changes_neither_picture_nor_derivative() {
         };
         assert_eq!(picture(&few), picture(&more), "{deformation}");
         // The stages themselves, with every Gaussian, agree that those are not seen.
-        let deltas = stages.deformation.forward(&weights, &more.means, &[[0.3, 0.2, 0.9]], &stages.pose);
-        let activation = stages.activation();
+        let splatting = stages.splatting().unwrap();
+        let txs = [[0.3, 0.2, 0.9]];
+        let deltas = splatting.deformation.forward(&weights, &more.means, (&txs).into(), &stages.pose());
+        let activation = splatting.activation();
         let geometry = activation.geometry(&more, &deltas, 0, None);
-        let splats = stages.projector.project(&geometry, &stages.pose, &stages.plane);
+        let splats = splatting.projector.project(&geometry, &stages.pose(), &stages.plane);
         let signals = activation.signals(&more, &deltas, 0..1);
-        let render = stages.rasterizer.forward(&splats, &signals, activation.channels, &stages.plane);
-        let whole = stages.readout.forward(&render.pixels, stages.plane.width * stages.plane.height);
+        let render = splatting.rasterizer.forward(&splats, &signals, activation.channels, &stages.plane);
+        let whole = splatting.readout.forward(&render.pixels, stages.plane.width * stages.plane.height);
         assert!(whole.iter().zip(picture(&few).pixels).all(|(a, b)| (a - b).abs() < 1e-6), "{deformation}");
         let objective = RenderingLoss::new(0.2);
         let outcome =

@@ -5,7 +5,7 @@
 
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
-use pwrfgs::core::{ColumnSpec, DeformationInputs, GaussianCloud, rng, sigmoid};
+use pwrfgs::core::{ColumnSpec, Conditions, DeformationInputs, GaussianCloud, rng, sigmoid};
 use pwrfgs::model::{Readout, Stages};
 use pwrfgs::prelude::*;
 use pwrfgs::train::{Batch, LossAndGradients, RenderingLoss, loss_and_gradients};
@@ -42,7 +42,7 @@ impl Deformation for Terms {
     fn varies_geometry(&self) -> bool {
         true
     }
-    fn forward(&self, weights: &[Real], _: &[[Real; 3]], txs: &[[Real; 3]], _: &Pose) -> Deltas {
+    fn forward(&self, weights: &[Real], _: &[[Real; 3]], txs: Conditions<'_>, _: &Pose) -> Deltas {
         let (scales, rest) = weights.split_at(3 * N * txs.len());
         let (quats, signals) = rest.split_at(4 * N * txs.len());
         Deltas {
@@ -70,7 +70,7 @@ struct Step {
 impl Step {
     fn new(deformation: &str, readout: Readout, transmitters: usize, ssim_weight: Real, seed: u64) -> Self {
         let stages = stages(deformation, readout);
-        let weights = stages.deformation.init(&mut rng::stream(seed, "network", 0));
+        let weights = stages.method.init(&stages.frame, &mut rng::stream(seed, "network", 0));
         let cloud = with_column(cloud(N, seed), "factor", (0..N).map(|i| 0.7 + 0.1 * i as Real).collect());
         let batch = batch(transmitters, &stages);
         Self { stages, cloud, weights, batch, ssim_weight, pruners: vec![plugin("Factor()")] }
@@ -162,7 +162,7 @@ fn waves_on_an_array_differentiate_in_every_column() {
     let spherical = "ArrayResponse(rows: 3, columns: 4, wavefront: Spherical(wavelength_m: 0.8))";
     for (rasterizer, readout) in [("ArrayResponse()", Readout::MinMax), (spherical, Readout::Magnitude)] {
         let mut step = Step::new(factored, readout, 2, 0.2, 10);
-        step.stages = Arc::new(Stages { rasterizer: plugin(rasterizer), ..Stages::clone(&step.stages) });
+        step.stages = Arc::new(step.stages.with(|splatting| splatting.rasterizer = plugin(rasterizer)));
         step.check(rasterizer, None);
     }
 }

@@ -93,7 +93,7 @@ fn deformations_keep_their_own_shapes() {
         let txs = [[0.1, 0.2, 1.0], [-0.5, 0.3, 0.8]];
         for n in [0, 1, 5] {
             let means = cloud(n, 4).means;
-            let deltas = deformation.forward(&weights, &means, &txs, &Pose::IDENTITY);
+            let deltas = deformation.forward(&weights, &means, (&txs).into(), &Pose::IDENTITY);
             let rows = [deltas.scales.len(), deltas.quats.len(), deltas.signals.len()];
             assert!(rows.iter().all(|rows| [0, 2 * n].contains(rows)), "{name}: {rows:?} rows");
             assert!(deformation.varies_geometry() || rows[..2] == [0, 0], "{name} varies geometry and does not say so");
@@ -101,11 +101,12 @@ fn deformations_keep_their_own_shapes() {
             assert!(flat.into_iter().all(finite), "{name}");
             let prepared = deformation.prepare(&weights, &means, &Pose::IDENTITY);
             for _ in 0..2 {
-                let again = deformation.forward_prepared(&weights, &means, &txs, &Pose::IDENTITY, &prepared);
+                let again = deformation.forward_prepared(&weights, &means, (&txs).into(), &Pose::IDENTITY, &prepared);
                 assert_eq!(again, deltas, "{name}, prepared");
             }
             let (mut d_weights, mut d_means) = (vec![0.0; weights.len()], vec![[0.0; 3]; n]);
-            let inputs = DeformationInputs { weights: &weights, means: &means, txs: &txs, pose: &Pose::IDENTITY };
+            let inputs =
+                DeformationInputs { weights: &weights, means: &means, txs: (&txs).into(), pose: &Pose::IDENTITY };
             deformation.vjp(&inputs, &deltas, &mut d_weights, Some(&mut d_means));
             assert!(finite(&d_weights) && finite(d_means.as_flattened()), "{name}");
         }
@@ -115,7 +116,7 @@ fn deformations_keep_their_own_shapes() {
 #[test]
 fn projectors_and_rasterizers_answer_row_for_row() {
     let stages = stages("Fixed()", Readout::Real);
-    let geometry = stages.activation().geometry(&cloud(7, 5), &Deltas::default(), 0, None);
+    let geometry = stages.splatting().unwrap().activation().geometry(&cloud(7, 5), &Deltas::default(), 0, None);
     for (name, projector) in all::<dyn Projector>() {
         let plane = projector.plane(90, 24);
         assert_eq!((plane.width, plane.height), (90, 24), "{name}");
@@ -161,7 +162,7 @@ fn baselines_predict_pictures_of_the_right_size() {
             }
             Err(e) => panic!("{name}: {e}"),
         };
-        let picture = fitted.predict(data.sample(35).tx);
+        let picture = fitted.predict(data.query(35));
         assert!((picture.width, picture.height) == (60, 15) && finite(&picture.pixels), "{name}");
         assert!(!baseline.name().is_empty());
     }
@@ -173,14 +174,7 @@ fn metrics_measure_every_sample_or_the_whole() {
     let pictures: Vec<Image> = (0..4).map(|i| data.image(i)).collect();
     for projector in ["Mercator()", "WrfgsCompat()"] {
         let plane = plugin::<dyn Projector>(projector).plane(60, 15);
-        let evaluation = Evaluation {
-            predictions: &pictures,
-            truths: &pictures,
-            plane: &plane,
-            scene: &data.scene,
-            model: None,
-            timed_prediction: None,
-        };
+        let evaluation = Evaluation { predictions: &pictures, truths: &pictures, ..Evaluation::of(&data, &plane) };
         for (name, metric) in all::<dyn Metric>() {
             let measurements = metric.evaluate(&evaluation).unwrap();
             assert!(!measurements.is_empty(), "{name}");

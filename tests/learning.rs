@@ -62,10 +62,7 @@ fn learn(seed: u64, pruners: &str, steps: u64, prune_until: u64) -> End {
     let mean_spectrum = mean_spectrum.fit(&data, partition.known()).unwrap();
     let score = |predict: &dyn Predict| {
         mean(
-            partition
-                .test
-                .iter()
-                .map(|&i| ssim::evaluation(&predict.predict(data.sample(i).tx).clamped(), &data.image(i))),
+            partition.test.iter().map(|&i| ssim::evaluation(&predict.predict(data.query(i)).clamped(), &data.image(i))),
         )
     };
     End {

@@ -1,5 +1,6 @@
 //! A baseline of one's own: its paths hold everywhere, and its note stands under every table.
 
+use pwrfgs::core::Query;
 use pwrfgs::experiment::Outcome;
 use pwrfgs::prelude::*;
 use pwrfgs::run;
@@ -35,7 +36,7 @@ impl Baseline for GreyOfAFile {
 struct Grey(Image);
 
 impl Predict for Grey {
-    fn predict(&self, _: [f64; 3]) -> Image {
+    fn predict(&self, _: Query<'_>) -> Image {
         self.0.clone()
     }
 

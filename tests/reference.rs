@@ -10,8 +10,8 @@ mod npy;
 
 use crate::common::{MOMENT, plugin};
 use npy::Reference;
-use pwrfgs::core::{ExtraColumn, Mat3, Origin, Vec3};
-use pwrfgs::model::{Calibration, Readout};
+use pwrfgs::core::{Conditions, ExtraColumn, Frame, Mat3, Origin, Vec3};
+use pwrfgs::model::{Calibration, Readout, Splatting};
 use pwrfgs::prelude::*;
 use pwrfgs::raster::{self, CameraModel, FullSphere, View};
 use pwrfgs::train::{Batch, LossAndGradients, RenderingLoss, loss_and_gradients};
@@ -98,16 +98,14 @@ impl Start {
         let weights =
             deformation.layout().iter().flat_map(|spec| reference.array(&format!("net_{}", spec.name))).collect();
         let plane = projector.plane(360, 90);
-        let stages = Stages {
+        let splatting = Splatting {
             deformation,
             projector,
             rasterizer: plugin("AlphaBlending(support: TileSquares)"),
             calibration: Calibration::AsReleased,
             readout: Readout::Real,
-            origin: Origin::ZERO,
-            pose: pose(reference),
-            plane,
         };
+        let stages = Stages::splats(splatting, Frame::spectra(Origin::ZERO, pose(reference), plane));
         let means = reference.rows("in_xyz");
         let mask = reference.optional("in_mask_logit");
         let pruners = mask.iter().map(|_| plugin(MASK)).collect();
@@ -120,7 +118,7 @@ impl Start {
             opacity_logits: reference.array("in_opacity_logit"),
             extra: mask.map(column).into_iter().collect(),
         };
-        let batch = Batch { txs: reference.rows("in_tx"), truths: reference.array("in_gt") };
+        let batch = Batch::of_positions(&reference.rows("in_tx"), reference.array("in_gt"));
         Self { stages: Arc::new(stages), cloud, weights, batch, pruners }
     }
 
@@ -132,10 +130,13 @@ impl Start {
 
     /// The picture's stages by hand: what is projected, what it becomes, and what is blended (not clamped).
     fn draw(&self) -> (Primitives, Splats, Vec<Real>, Vec<Real>) {
-        let Stages { deformation, projector, rasterizer, pose, plane, .. } = &*self.stages;
+        let splatting = self.stages.splatting().unwrap();
+        let Splatting { deformation, projector, rasterizer, .. } = splatting;
+        let (pose, plane) = (&self.stages.pose(), &self.stages.plane);
         let gate = self.pruners.first().and_then(|p| p.gate(&Traced::new(&self.cloud), &MOMENT)).map(|g| g.as_vec());
-        let activation = self.stages.activation();
-        let deltas = deformation.forward(&self.weights, &self.cloud.means, &self.batch.txs, pose);
+        let activation = splatting.activation();
+        let txs = Conditions::new(self.batch.width, &self.batch.conditions);
+        let deltas = deformation.forward(&self.weights, &self.cloud.means, txs, pose);
         let geometry = activation.geometry(&self.cloud, &deltas, 0, gate.as_deref());
         let splats = projector.project(&geometry, pose, plane);
         let render = rasterizer.forward(&splats, &activation.signals(&self.cloud, &deltas, 0..1), 1, plane);
@@ -253,7 +254,7 @@ fn the_loss_and_every_derivative_are_those_of_the_reference() {
         assert_eq!(outcome.seen.visible, reference.integers("geo_visible"), "{name}");
         assert!(d.signals.as_flattened().iter().all(|d| *d == 0.0), "the network replaces the cloud's signals");
         let mut rest = outcome.d_weights.as_slice();
-        for spec in start.stages.deformation.layout() {
+        for spec in start.stages.layout() {
             let (these, after) = rest.split_at(spec.len());
             rest = after;
             check(&format!("gradnet_{}", spec.name), these);

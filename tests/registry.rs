@@ -1,5 +1,6 @@
 //! Every built-in plugin is linked by the facade, has defaults that pass its own check, and survives its own text.
 use crate::common::built_in;
+use pwrfgs::core::Method;
 use pwrfgs::core::plugin::{PluginKind, ron_options};
 use pwrfgs::prelude::*;
 
@@ -30,21 +31,24 @@ fn pretty() -> ron::ser::PrettyConfig {
 
 #[test]
 fn every_built_in_name_is_registered() {
-    linked::<dyn DataSource>(&["Arrays", "Nerf2Spectrum", "Simulated", "Teacher"]);
-    linked::<dyn Split>(&["Official", "Random", "Sparse", "TimeBlock", "Voxel"]);
+    linked::<dyn DataSource>(&["Arrays", "Channels", "Nerf2Csi", "Nerf2Rssi", "Nerf2Spectrum", "Simulated", "Teacher"]);
+    linked::<dyn Split>(&["LeaveReceiverOut", "Official", "Random", "RandomLinks", "Sparse", "TimeBlock", "Voxel"]);
     linked::<dyn Baseline>(&["Kriging", "MeanSpectrum", "NearestNeighbours", "RayTracing"]);
-    linked::<dyn Initializer>(&["Grid", "PointCloud", "Random"]);
+    linked::<dyn Initializer>(&["Grid", "PointCloud", "Random", "Site"]);
     linked::<dyn Projector>(&["Mercator", "WrfgsCompat"]);
     linked::<dyn Rasterizer>(&["AlphaBlending", "ArrayResponse"]);
+    linked::<dyn Method>(&["Splatting"]);
     linked::<dyn Deformation>(&["Factored", "Fixed", "Mlp", "Wrfgs"]);
     linked::<dyn Pruner>(&["LearnableMask", "OpacityThreshold", "TopK"]);
     linked::<dyn Metric>(&[
         "Chamfer",
+        "ChannelSnr",
         "DirectionError",
         "GaussianCount",
         "L1",
         "Latency",
         "ModelSize",
+        "PowerError",
         "Psnr",
         "RateRatio",
         "Ssim",

@@ -2,7 +2,7 @@
 
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use proptest::prelude::*;
-use pwrfgs::core::rng;
+use pwrfgs::core::{Query, rng};
 use pwrfgs::model::Readout;
 use pwrfgs::prelude::*;
 use pwrfgs::train::{RenderingLoss, loss_and_gradients};
@@ -20,7 +20,12 @@ fn finite(values: &[Real]) -> bool {
 
 /// Geometry of N Gaussians.
 fn geometry(seed: u64) -> Primitives {
-    stages("Fixed()", Readout::Real).activation().geometry(&cloud(N, seed), &Deltas::default(), 0, None)
+    stages("Fixed()", Readout::Real).splatting().unwrap().activation().geometry(
+        &cloud(N, seed),
+        &Deltas::default(),
+        0,
+        None,
+    )
 }
 
 /// The picture of `p`, and the derivative of its square in the geometry.
@@ -117,11 +122,11 @@ fn a_loss_that_is_no_number_is_an_error_and_names_the_step() {
 fn no_and_one_gaussian_predict_and_differentiate() {
     for deformation in ["Fixed()", "Mlp(depth: 2, width: 8, skip: None)", "Wrfgs(depth: 2, width: 8, skip: None)"] {
         let stages = stages(deformation, Readout::Magnitude);
-        let weights = stages.deformation.init(&mut rng::stream(1, "network", 0));
+        let weights = stages.method.init(&stages.frame, &mut rng::stream(1, "network", 0));
         for n in [0, 1] {
             let cloud = cloud(n, 1);
             let model = Model { stages: Stages::clone(&stages), cloud: cloud.clone(), weights: weights.clone() };
-            let pictures = model.prepare().predict_many(&[[0.1, 0.2, 0.3], [0.5, 0.0, 0.9]]);
+            let pictures = model.prepare().predict_many(&[[0.1, 0.2, 0.3], [0.5, 0.0, 0.9]].map(Query::from));
             assert!(pictures.iter().all(|p| p.pixels.len() == 90 * 24 && finite(&p.pixels)), "{deformation}");
             assert!(n > 0 || pictures[0].pixels.iter().all(|p| *p == 0.0));
             let masked = with_column(cloud, "mask_logits", vec![1.0; n]);

@@ -69,18 +69,10 @@ fn scores_are_those_of_all_predictions_at_once() {
     let part: Vec<usize> = (50..300).rev().collect();
     let fitted =
         plugin::<dyn Baseline>("NearestNeighbours()").fit(&data, Known::train(&(0..50).collect::<Vec<_>>())).unwrap();
-    let predictions: Vec<Image> = part.iter().map(|&i| fitted.predict(data.sample(i).tx)).collect();
+    let predictions: Vec<Image> = part.iter().map(|&i| fitted.predict(data.query(i))).collect();
     let truths: Vec<Image> = part.iter().map(|&i| data.image(i)).collect();
     let plane = plugin::<dyn Projector>("Mercator()").plane(data.width, data.height);
-    let scene = &data.scene;
-    let all = Evaluation {
-        predictions: &predictions,
-        truths: &truths,
-        plane: &plane,
-        scene,
-        model: None,
-        timed_prediction: None,
-    };
+    let all = Evaluation { predictions: &predictions, truths: &truths, ..Evaluation::of(&data, &plane) };
     let streamed = scores(&data, &part, &["L1()", "Ssim()"]).unwrap();
     assert_eq!(streamed[0].values, L1 {}.evaluate(&all).unwrap()[0].values);
     assert_eq!(streamed[1].values, Ssim {}.evaluate(&all).unwrap()[0].values);
@@ -93,7 +85,7 @@ fn stored(here: &Path) -> Dataset {
     let path = here.join("spectra");
     std::fs::write(&path, bytes).unwrap();
     let spectra = Spectra::open(&path, 0, pwrfgs::core::Number::U8, [300, 10, 40]).unwrap();
-    Dataset { spectra, ..memory }
+    Dataset { observations: spectra.into(), ..memory }
 }
 
 #[test]

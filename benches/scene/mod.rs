@@ -2,7 +2,8 @@
 
 pub(crate) mod table;
 
-use pwrfgs::core::Origin;
+use pwrfgs::core::{Frame, Origin};
+use pwrfgs::model::Splatting;
 use pwrfgs::model::deform::{Encoding, Factored, Mlp, Outputs, Wrfgs};
 use pwrfgs::prelude::*;
 use pwrfgs::raster::{AlphaBlending, ArrayResponse, Mercator};
@@ -54,16 +55,14 @@ pub(crate) fn untrained(cloud: GaussianCloud, outputs: Outputs) -> Model {
     let weights = network.init(&mut pwrfgs::core::rng::stream(0, "network", 0));
     let projector = Mercator::default();
     let plane = projector.plane(PICTURE.0, PICTURE.1);
-    let stages = Stages {
+    let splatting = Splatting {
         deformation: boxed(network),
         projector: Plugin::from(Box::new(projector) as Box<dyn Projector>),
         rasterizer: Plugin::from(Box::new(AlphaBlending::default()) as Box<dyn Rasterizer>),
         calibration: pwrfgs::model::Calibration::Physical,
         readout: pwrfgs::model::Readout::Magnitude,
-        origin: Origin::ZERO,
-        pose: RECEIVER,
-        plane,
     };
+    let stages = Stages::splats(splatting, Frame::spectra(Origin::ZERO, RECEIVER, plane));
     Model { stages, cloud, weights }
 }
 
@@ -72,8 +71,10 @@ pub(crate) fn wrfgs(cloud: GaussianCloud) -> Model {
     let network = Wrfgs { gain: Some(1.0), ..Wrfgs::default() };
     let mut model = untrained(cloud, Outputs::Signals);
     model.weights = network.init(&mut pwrfgs::core::rng::stream(0, "network", 0));
-    model.stages.deformation = boxed(network);
-    model.stages.readout = pwrfgs::model::Readout::Real;
+    model.stages = model.stages.with(|s| {
+        s.deformation = boxed(network);
+        s.readout = pwrfgs::model::Readout::Real;
+    });
     model
 }
 
@@ -83,15 +84,17 @@ pub(crate) fn waves(n: usize) -> Model {
         Factored { width: 240, tx_encoding: Encoding::Waves { count: 64, reach: 24.0, seed: 0 }, ..Default::default() };
     let mut model = on_array(untrained(seeded_cloud(n), Outputs::Signals));
     model.weights = network.init(&mut pwrfgs::core::rng::stream(0, "network", 0));
-    model.stages.deformation = boxed(network);
+    model.stages = model.stages.with(|s| s.deformation = boxed(network));
     model
 }
 
 /// The model with its Gaussians heard by an array in place of blended.
 pub(crate) fn on_array(mut model: Model) -> Model {
     let array = ArrayResponse { widened: false, ..ArrayResponse::default() };
-    model.stages.rasterizer = Plugin::from(Box::new(array) as Box<dyn Rasterizer>);
-    model.stages.readout = pwrfgs::model::Readout::MinMax;
+    model.stages = model.stages.with(|s| {
+        s.rasterizer = Plugin::from(Box::new(array) as Box<dyn Rasterizer>);
+        s.readout = pwrfgs::model::Readout::MinMax;
+    });
     model
 }
 

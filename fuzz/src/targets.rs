@@ -117,7 +117,7 @@ fn first_step(pipeline: &Pipeline, bench: &Path) -> Result<()> {
     let (data, partition) = load(pipeline, bench, &mut Silent)?;
     let mut trainer = Trainer::new(pipeline, &data, &partition)?;
     trainer.step()?;
-    trainer.model().prepare().predict_many(&[[0.5, 0.5, 0.5]]);
+    trainer.model().prepare().predict_many(&[[0.5, 0.5, 0.5].into()]);
     Ok(())
 }
 
@@ -128,7 +128,7 @@ fn experiment(bench: &Path) -> Result<()> {
 }
 
 fn scene(bench: &Path) -> Result<()> {
-    let one = pwrfgs::sim::Simulated { scene: "scene.ron".into(), samples: 1, points: 16, cache: false, seed: 0 };
+    let one = pwrfgs::sim::Simulated { scene: "scene.ron".into(), samples: 1, points: 16, cache: false, ..Default::default() };
     one.load(bench, &|_, _| {}).map(drop)
 }
 
@@ -163,7 +163,7 @@ fn surface<const CLOUD: bool>(bench: &Path) -> Result<()> {
 
 fn model(bench: &Path) -> Result<()> {
     let model = file::read_ensemble(&bench.join(MODEL))?;
-    model.prepare().predict_many(&[[0.5, 0.5, 0.5]]);
+    model.prepare().predict_many(&[[0.5, 0.5, 0.5].into()]);
     npz(&model, None)?;
     ply(&model, Some([0.5, 0.5, 0.5])).map(drop)
 }

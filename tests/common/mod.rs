@@ -1,7 +1,9 @@
 //! What several of these tests share: small scenes, and pipelines on a small teacher.
 
 use pwrfgs::core::plugin::PluginKind;
-use pwrfgs::core::{ExtraColumn, Frame, GaussianCloud, Mat3, Moment, Origin, Phase, Plugin, Pose, Real, registered, rng};
+use pwrfgs::core::{
+    ExtraColumn, Frame, GaussianCloud, Mat3, Moment, Origin, Phase, Plugin, Pose, Real, registered, rng,
+};
 use pwrfgs::model::{Calibration, Readout, Splatting, Stages};
 use pwrfgs::train::{Batch, Pipeline};
 use std::path::Path;

@@ -91,7 +91,7 @@ pub(crate) enum Command {
     /// Make a data set of your own spectra: NumPy arrays or PNG pictures, and positions
     Import(Import),
     #[cfg(feature = "sim")]
-    /// Simulate the spectra of a room that is known exactly, in the layout of measured data
+    /// Simulate what is measured in a room that is known exactly, in the layout of measured data
     Simulate(Simulate),
     /// Show everything that a pipeline may name: plugins, settings, defaults, what each field does
     Plugins(Plugins),

@@ -170,7 +170,8 @@ fn an_ensemble_is_exported_whole() {
     let mut archive = zip::ZipArchive::new(std::fs::File::open(here.join("a.npz")).unwrap()).unwrap();
     assert!(archive.by_name("members.1.means.npy").is_ok());
     let half = file::read_ensemble(&here.join("half.safetensors")).unwrap();
-    let (whole, half) = (ensemble.prepare().predict_many(&[[0.2; 3]]), half.prepare().predict_many(&[[0.2; 3]]));
+    let (whole, half) =
+        (ensemble.prepare().predict_many(&[[0.2; 3].into()]), half.prepare().predict_many(&[[0.2; 3].into()]));
     assert!(whole[0].pixels.iter().zip(&half[0].pixels).all(|(a, b)| (a - b).abs() < 0.01));
     assert!(file::read(&here.join(model)).unwrap_err().to_string().contains("holds 2 models"));
 }

@@ -86,8 +86,9 @@ fn a_ply_file_shows_the_base_or_what_a_transmitter_makes_of_it() {
     same_geometry(&base, &model, &scales, &quats);
 
     let stages = &model.stages;
-    let deltas: Deltas =
-        stages.deformation.forward(&model.weights, &model.cloud.means, &[TX.map(|x| x as Real)], &stages.pose);
+    let deformation = &stages.splatting().unwrap().deformation;
+    let txs = [TX.map(|x| x as Real)];
+    let deltas: Deltas = deformation.forward(&model.weights, &model.cloud.means, (&txs).into(), &stages.pose());
     assert!(deltas.scales.iter().flatten().any(|d| d.abs() > 1e-4), "the network must move something");
     let sum = |a: &[Real; 3], b: &[Real; 3]| [0, 1, 2].map(|k| (a[k] + b[k]).max(1e-4));
     let scales: Vec<_> = scales.iter().zip(&deltas.scales).map(|(a, b)| sum(a, b)).collect();
@@ -162,14 +163,14 @@ fn an_npz_file_holds_every_number_of_the_model() {
         assert_eq!(base[name], (shape, values.iter().map(|v| *v as f64).collect()), "{name}");
     }
     let mut weights = Vec::new();
-    for spec in model.stages.deformation.layout() {
+    for spec in model.stages.layout() {
         let (shape, values) = &base[&format!("network.{}", spec.name)];
         assert_eq!(*shape, spec.shape.iter().map(|n| *n as u64).collect::<Vec<_>>());
         weights.extend(values.iter().map(|v| *v as Real));
     }
     assert_eq!(weights, model.weights);
-    assert_eq!(base["pose.position"].1, model.stages.pose.position);
-    assert_eq!(base["pose.orientation"].1, model.stages.pose.orientation);
+    assert_eq!(base["pose.position"].1, model.stages.pose().position);
+    assert_eq!(base["pose.orientation"].1, model.stages.pose().orientation);
     assert_eq!(base["plane.size"], (vec![2], vec![48.0, 12.0]));
     assert_eq!(base["plane.wraps"], (vec![], vec![1.0]));
     let (azimuth, elevation) = model.stages.plane.angles.unwrap();

@@ -3,8 +3,8 @@
 use crate::common::{SMALL, python, refuse, succeed, write};
 use pwrfgs::model::Calibration::{AsReleased, Physical};
 use pwrfgs::model::tensors::Tensors;
-use pwrfgs::model::{Calibration, Ensemble, Model, Readout, Stages, file};
-use pwrfgs_core::{GaussianCloud, Origin, Plugin, Pose, Projector, Real, Vec3, rng};
+use pwrfgs::model::{Calibration, Ensemble, Model, Readout, Splatting, Stages, file};
+use pwrfgs_core::{Frame, GaussianCloud, Origin, Plugin, Pose, Projector, Real, Vec3, rng};
 use std::path::Path;
 use std::process::Command;
 
@@ -84,17 +84,16 @@ fn model(
     (deformation, projector, rasterizer, calibration, readout): (&str, &str, &str, Calibration, Readout),
 ) -> Model {
     let projector: Plugin<dyn Projector> = Plugin::parse(projector).unwrap();
-    let stages = Stages {
-        plane: projector.plane(60, 24),
+    let frame = Frame::spectra(Origin::ZERO, POSE, projector.plane(60, 24));
+    let splatting = Splatting {
         deformation: Plugin::parse(deformation).unwrap(),
         rasterizer: Plugin::parse(rasterizer).unwrap(),
-        origin: Origin::ZERO,
-        pose: POSE,
         projector,
         calibration,
         readout,
     };
-    let weights: Vec<Real> = stages.deformation.init(&mut rng::stream(1, "weights", 0));
+    let stages = Stages::splats(splatting, frame);
+    let weights: Vec<Real> = stages.method.init(&stages.frame, &mut rng::stream(1, "weights", 0));
     Model { stages, cloud: cloud(), weights }
 }
 

@@ -147,3 +147,44 @@ fn the_cache_is_cleared_of_what_was_killed() {
     let kept = entries(&folder.join("cache"));
     assert!(kept.len() == 1 && kept[0].starts_with("closet-"), "{kept:?}");
 }
+
+#[test]
+fn every_layout_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let more = "more_receivers: [(name: \"high\", position: (2.8, 1, 2), orientation: Facing(direction: (-1, 0, 0)))],
+        subcarriers: (count: 4, bandwidth_hz: 20e6),\n    transmitter:";
+    fs::write(folder.join("closet.ron"), SCENE.replace("transmitter:", more)).unwrap();
+    let simulate = |more: &[&str], out: &str| {
+        let arguments = ["simulate", "closet.ron", "--samples", "5", "--points", "10", "--out", out];
+        call(folder, &[&arguments[..], more].concat())
+    };
+    for (layout, noise, files) in [
+        ("spectra", None, ["gateway1/gateway_info.yml", "high/spectrum/00005.png"]),
+        ("rssi", Some(["--noise-db", "3"]), ["gateway_rssi.csv", "gateway_position.yml"]),
+        ("channels", Some(["--snr-db", "-3"]), ["gateway1/channel.npy", "high/receiver.yml"]),
+        ("csi", None, ["gateway1/csidata.npy", "high/base-station.yml"]),
+    ] {
+        let more = [&["--layout", layout][..], noise.as_ref().map_or(&[], |noise| &noise[..])].concat();
+        let made = simulate(&more, layout);
+        assert!(made.status.success(), "{}", stderr(&made));
+        assert!(
+            stderr(&made).contains("10 simulated ") && stderr(&made).contains(" at 2 receivers"),
+            "{}",
+            stderr(&made)
+        );
+        assert!(files.iter().all(|file| folder.join(layout).join(file).is_file()), "{layout}");
+        assert!(folder.join(layout).join("manifest.json").is_file(), "{layout}");
+    }
+    for (more, expected) in [
+        (&["--layout", "rssi", "--npy"][..], "--npy is for spectra"),
+        (&["--snr-db", "30"], "--snr-db is for channels; add --layout channels"),
+        (&["--layout", "csi", "--noise-db", "3"], "--noise-db is for powers"),
+        (&["--layout", "rssi", "--noise-db", "NaN"], "`noise_db` is NaN"),
+        (&["--layout", "wifi"], "invalid value 'wifi'"),
+    ] {
+        let refused = simulate(more, "out");
+        assert_eq!(refused.status.code(), Some(2), "{}", stderr(&refused));
+        assert!(stderr(&refused).contains(expected) && !folder.join("out").exists(), "{}", stderr(&refused));
+    }
+}

@@ -1,6 +1,6 @@
 //! `DataSource`, `Split`, `Baseline`: what is known, how it is divided, and what must be beaten.
 
-use crate::{Dataset, Image, Known, Partition, Query, Result, plugin_kind, rng::Rng};
+use crate::{Dataset, Image, Kind, Known, Partition, Query, Result, plugin_kind, rng::Rng};
 use std::path::{Path, PathBuf};
 
 /// Told (done, of how many) while something long is under way, from any thread and in any order.
@@ -12,6 +12,12 @@ pub trait DataSource: erased_serde::Serialize + std::any::Any + std::fmt::Debug 
     /// Everything, in memory. Relative paths are relative to `base`, the folder of the pipeline file. `progress` counts
     /// links; `&|_, _| {}` where nobody wants to know.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset>;
+
+    /// Which kind of observation it gives, where that is known before it is loaded: a pipeline that does not fit is then
+    /// refused when it is read, at its place.
+    fn kind(&self) -> Option<Kind> {
+        None
+    }
 
     /// The same source with its paths made relative to another folder: `absolute` maps a path of `base` to one that
     /// holds everywhere. A source without paths returns `None`.

@@ -103,6 +103,11 @@ pub trait Deformation: erased_serde::Serialize + std::any::Any + std::fmt::Debug
         None
     }
 
+    /// Sets what can be told from the conditions of the training part before the first step.
+    fn start(&self, training: Conditions<'_>, weights: &mut [Real]) {
+        let _ = (training, weights);
+    }
+
     /// One line for `pwrfgs plugins`.
     fn about(&self) -> &'static str {
         ""

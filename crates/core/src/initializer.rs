@@ -1,6 +1,27 @@
 //! `Initializer`: where the Gaussians start.
 
-use crate::{GaussianCloud, ImagePlane, Result, Scene, plugin_kind, rng::Rng};
+use crate::{Dataset, GaussianCloud, ImagePlane, Progress, Result, Scene, plugin_kind, rng::Rng};
+use std::sync::atomic::AtomicBool;
+
+/// What an initialiser may look at that reads observations.
+pub struct Seen<'a> {
+    /// All data.
+    pub data: &'a Dataset,
+    /// The links to learn from, and no others.
+    pub train: &'a [usize],
+    /// What an observation is.
+    pub plane: &'a ImagePlane,
+    /// Told how far it is.
+    pub progress: Progress<'a>,
+    /// Set where somebody wants it to end.
+    pub stop: &'a AtomicBool,
+}
+
+impl std::fmt::Debug for Seen<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Seen").field("data", &self.data.title).field("train", &self.train.len()).finish_non_exhaustive()
+    }
+}
 
 /// Makes the first cloud.
 ///
@@ -13,6 +34,16 @@ pub trait Initializer: erased_serde::Serialize + std::any::Any + std::fmt::Debug
     /// # Errors
     /// Where the scene lacks what is needed, saying what to do instead.
     fn initialize(&self, scene: &Scene, plane: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud>;
+
+    /// The cloud to start from, found in what was observed of the links `train`: [`Self::initialize`] where the scene alone
+    /// decides. Where it takes long it tells `progress`, and ends with [`Error::Stopped`](crate::Error::Stopped) once
+    /// `stop` is set; a run that is resumed does not come here again.
+    ///
+    /// # Errors
+    /// As [`Self::initialize`].
+    fn search(&self, seen: &Seen<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
+        self.initialize(&seen.data.scene, seen.plane, rng)
+    }
 
     /// One line for `pwrfgs plugins`.
     fn about(&self) -> &'static str {

@@ -57,7 +57,7 @@ pub use docs::Documented;
 pub use error::{Error, Result, did_you_mean};
 pub use evenly::evenly;
 pub use image::{Axis, Elevation, Image, ImagePlane};
-pub use initializer::Initializer;
+pub use initializer::{Initializer, Seen};
 pub use link::{Features, Link, Query, Receiver, Sample, Transmitter};
 pub use method::{Asked, Frame, Method, MethodVjp, Observed, Parameters};
 pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, Scope, StageTimes, Values};

@@ -118,6 +118,11 @@ impl MethodVjp {
 /// file know no more of a model than this.
 #[typetag::serde]
 pub trait Method: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
+    /// What it gives, where that does not depend on the frame.
+    fn kind(&self) -> Option<Kind> {
+        None
+    }
+
     /// Names and shapes of the weights, in the order in which they lie in the flat vector.
     fn layout(&self, frame: &Frame) -> Vec<WeightSpec>;
 

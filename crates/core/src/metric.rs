@@ -8,6 +8,11 @@ pub trait Metric: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Se
     /// One or more measurements.
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>>;
 
+    /// The kind of observation that it is a metric of; `None` for one of the model itself, or of any.
+    fn kind(&self) -> Option<Kind> {
+        None
+    }
+
     /// What of the test part it has to see at once. What is said here decides how much memory an evaluation takes.
     fn scope(&self) -> Scope {
         Scope::All

@@ -60,6 +60,10 @@ impl Default for Arrays {
 
 #[typetag::serde]
 impl DataSource for Arrays {
+    fn kind(&self) -> Option<pwrfgs_core::Kind> {
+        Some(pwrfgs_core::Kind::Spectrum)
+    }
+
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = base.join(&self.root);
         if !root.is_dir() {

@@ -97,6 +97,10 @@ impl Default for Channels {
 
 #[typetag::serde]
 impl DataSource for Channels {
+    fn kind(&self) -> Option<pwrfgs_core::Kind> {
+        Some(pwrfgs_core::Kind::Channel)
+    }
+
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = base.join(&self.root);
         if !root.is_dir() {

@@ -32,7 +32,7 @@ pub use channels::{Channels, ReceiverPlace};
 pub use layout::{base_station_yaml, gateway_positions_yaml, gateway_yaml};
 pub use mesh::read_mesh;
 pub use nerf2::{Nerf2Csi, Nerf2Rssi, Nerf2Spectrum};
-pub use npy::{npy_complex_header, npy_header};
+pub use npy::{npy_header, npy_header_as};
 pub use points::read_points;
 pub use polygons::Triangles;
 pub use splits::{LeaveReceiverOut, Official, Random, RandomLinks, Sparse, TimeBlock, Voxel};

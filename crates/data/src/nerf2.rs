@@ -77,6 +77,10 @@ impl Default for Nerf2Spectrum {
 
 #[typetag::serde]
 impl DataSource for Nerf2Spectrum {
+    fn kind(&self) -> Option<pwrfgs_core::Kind> {
+        Some(pwrfgs_core::Kind::Spectrum)
+    }
+
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = base.join(&self.root);
         if !root.is_dir() {

@@ -160,23 +160,17 @@ pub(crate) fn read_positions(path: &Path) -> Result<Vec<[f64; 3]>> {
 
 /// The header of a file of `number`s, to which their bytes are appended, row-major and little endian.
 pub fn npy_header(number: Number, shape: &[usize]) -> Vec<u8> {
-    header_of(
-        match number {
-            Number::U8 => "|u1",
-            Number::U16 => "<u2",
-            Number::F32 => "<f4",
-            Number::F64 => "<f8",
-        },
-        shape,
-    )
+    let descr = match number {
+        Number::U8 => "|u1",
+        Number::U16 => "<u2",
+        Number::F32 => "<f4",
+        Number::F64 => "<f8",
+    };
+    npy_header_as(descr, shape)
 }
 
-/// The header of a file of complex numbers in single precision: real and imaginary part of each follow, little endian.
-pub fn npy_complex_header(shape: &[usize]) -> Vec<u8> {
-    header_of("<c8", shape)
-}
-
-fn header_of(descr: &str, shape: &[usize]) -> Vec<u8> {
+/// The same for numbers of any type, as NumPy calls it: `<c8` is complex, in single precision.
+pub fn npy_header_as(descr: &str, shape: &[usize]) -> Vec<u8> {
     let sizes: Vec<String> = shape.iter().map(ToString::to_string).collect();
     let comma = if sizes.len() == 1 { "," } else { "" }; // Python's tuple of one
     let text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({}{comma}), }}", sizes.join(", "));

@@ -131,6 +131,10 @@ impl Teacher {
 
 #[typetag::serde]
 impl DataSource for Teacher {
+    fn kind(&self) -> Option<pwrfgs_core::Kind> {
+        Some(pwrfgs_core::Kind::Spectrum)
+    }
+
     fn load(&self, _: &Path, progress: Progress<'_>) -> Result<Dataset> {
         DataSource::check(self).map_err(|why| Error::Config(format!("Teacher: {why}")))?;
         let truth = self.truth();

@@ -39,7 +39,7 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
     rebase(&mut pipeline, base);
     let (data, partition) = load(&pipeline, base, observer)?;
     fitting_network(&pipeline)?;
-    let trainer = Trainer::new(&pipeline, &data, &partition)?;
+    let trainer = Trainer::sketch(&pipeline, &data, &partition)?;
     let estimate = fitting(&trainer)?;
     let weights = pipeline.deformation.layout().iter().map(pwrfgs_core::WeightSpec::len).sum();
     Ok(Preview {

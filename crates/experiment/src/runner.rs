@@ -140,14 +140,16 @@ struct Run<'a> {
 
 impl<'a> Run<'a> {
     /// A trainer at the start, or where the checkpoint left it, and what a step will take.
-    fn trainer(&self, out: &Path) -> Result<(Trainer<'a>, Estimate)> {
+    fn trainer(&mut self, out: &Path) -> Result<(Trainer<'a>, Estimate)> {
         fitting_network(self.pipeline)?;
         let path = out.join(CHECKPOINT);
         let trainer = match files::read(&path) {
             Ok(bytes) => Trainer::restore(self.pipeline, self.data, self.partition, &bytes)
                 .map_err(|e| Error::input(&path, format!("{e}; remove it to start again"))),
             Err(e) if [std::io::ErrorKind::NotFound, std::io::ErrorKind::NotADirectory].contains(&e.kind()) => {
-                Trainer::new(self.pipeline, self.data, self.partition)
+                staged(self.observer, "initialising", |progress| {
+                    Trainer::begin(self.pipeline, self.data, self.partition, progress, self.stop)
+                })
             }
             Err(e) => Err(Error::read(&path, e)),
         }?;

@@ -8,11 +8,13 @@
 mod grid;
 mod point_cloud;
 mod random;
+mod site;
 mod start;
 
 pub use grid::Grid;
 pub use point_cloud::PointCloud;
 pub use random::Random;
+pub use site::Site;
 
 #[cfg(test)]
 mod tests {

@@ -76,6 +76,10 @@ impl Metric for ChannelSnr {
         Ok(vec![measured("snr_db", Values::PerSample(snapshots)), measured("snr_all_db", over_all)])
     }
 
+    fn kind(&self) -> Option<Kind> {
+        Some(Kind::Channel)
+    }
+
     fn scope(&self) -> Scope {
         Scope::All
     }

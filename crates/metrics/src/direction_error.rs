@@ -36,6 +36,10 @@ impl Metric for DirectionError {
         Ok(one("direction_error", "deg", Goal::Lower, values))
     }
 
+    fn kind(&self) -> Option<Kind> {
+        Some(Kind::Spectrum)
+    }
+
     fn scope(&self) -> Scope {
         Scope::Sample
     }

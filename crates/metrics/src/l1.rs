@@ -28,6 +28,10 @@ impl Metric for L1 {
         Ok(one("l1", "", Goal::Lower, values))
     }
 
+    fn kind(&self) -> Option<Kind> {
+        Some(Kind::Spectrum)
+    }
+
     fn scope(&self) -> Scope {
         Scope::Sample
     }

@@ -26,6 +26,10 @@ impl Metric for PowerError {
         Ok(one("power_error_db", "dB", Goal::Lower, values))
     }
 
+    fn kind(&self) -> Option<Kind> {
+        Some(Kind::Power)
+    }
+
     fn scope(&self) -> Scope {
         Scope::Sample
     }

@@ -33,6 +33,10 @@ impl Metric for Psnr {
         Ok(one("psnr", "dB", Goal::Higher, values))
     }
 
+    fn kind(&self) -> Option<Kind> {
+        Some(Kind::Spectrum)
+    }
+
     fn scope(&self) -> Scope {
         Scope::Sample
     }

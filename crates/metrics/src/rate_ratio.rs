@@ -42,6 +42,10 @@ impl Metric for RateRatio {
         Ok(one(&format!("eta_{snr}db"), "", Goal::Higher, values))
     }
 
+    fn kind(&self) -> Option<Kind> {
+        Some(Kind::Spectrum)
+    }
+
     fn scope(&self) -> Scope {
         Scope::Sample
     }

@@ -29,6 +29,10 @@ impl Metric for Ssim {
         Ok(one("ssim", "", Goal::Higher, values))
     }
 
+    fn kind(&self) -> Option<Kind> {
+        Some(Kind::Spectrum)
+    }
+
     fn scope(&self) -> Scope {
         Scope::Sample
     }

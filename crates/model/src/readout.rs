@@ -27,6 +27,9 @@ pub enum Readout {
         #[serde(default = "sky_deg")]
         sky_deg: u32,
     },
+    /// A channel: c₀ + j·c₁ of each Gaussian as a spherical wave, summed on the antennas of the receiver for every subcarrier.
+    /// Nothing is projected: scales, rotations and opacities do not count, the projector and the rasterizer neither.
+    Channel,
 }
 
 /// A power needs no finer sky.
@@ -40,7 +43,11 @@ const NO_CONTRAST: Real = 1e-6;
 impl Readout {
     /// What it gives.
     pub fn kind(self) -> Kind {
-        if matches!(self, Self::Received { .. }) { Kind::Power } else { Kind::Spectrum }
+        match self {
+            Self::Received { .. } => Kind::Power,
+            Self::Channel => Kind::Channel,
+            _ => Kind::Spectrum,
+        }
     }
 
     /// Refuses a sky that has no whole number of pixels.

@@ -6,7 +6,9 @@
 //!                 signals ─► rasterize                              (Drawing) ─► read out ─► P̂
 //! ```
 
+mod channel;
 mod groups;
+mod heard;
 mod method;
 mod received;
 
@@ -155,15 +157,16 @@ impl Splatting {
         if self.deformation.couples_gaussians() {
             return (0..cloud.len()).collect();
         }
-        let mut seen = vec![false; cloud.len()];
-        for View { pose, plane } in self.views(frame) {
+        let mut seen = vec![self.readout == Readout::Channel; cloud.len()];
+        let heard = self.readout == Readout::Channel; // nothing is projected, and nothing is faint
+        for View { pose, plane } in self.views(frame).into_iter().filter(|_| !heard) {
             let own = self.projector.sees(&cloud.means, &pose, &plane);
             seen.iter_mut().zip(own).for_each(|(any, own)| *any |= own);
         }
         let faintest = self.rasterizer.faintest();
         let drawn = |i: &usize| {
             let gate = gate.map_or(1.0, |g| g[*i]);
-            gate != 0.0 && seen[*i] && gate * sigmoid(cloud.opacity_logits[*i]) >= faintest
+            gate != 0.0 && seen[*i] && (heard || gate * sigmoid(cloud.opacity_logits[*i]) >= faintest)
         };
         (0..cloud.len()).filter(drawn).collect()
     }

@@ -122,11 +122,30 @@ pub fn channel_at(
     wavelength: f64,
     wavefront: Wavefront,
 ) -> Vec<Complex> {
-    let wavenumber = TAU / wavelength;
+    band_at(paths, elements, center, &[wavelength], wavefront)
+}
+
+/// The channel `[elements, wavelengths]` at antennas anywhere near `center`, all in metres. Each wavelength has its own
+/// wavenumber, so that delays are exact; gains are the same for all. See [`channel_at`].
+pub fn band_at(
+    paths: &[Path],
+    elements: &[DVec3],
+    center: DVec3,
+    wavelengths: &[f64],
+    wavefront: Wavefront,
+) -> Vec<Complex> {
+    let wavenumbers: Vec<f64> = wavelengths.iter().map(|wavelength| TAU / wavelength).collect();
     let length = |path: &Path, element: DVec3| match wavefront {
         Wavefront::Plane => path.length - (element - center).dot(path.arrival),
         Wavefront::Spherical | Wavefront::Traced => path.length_to(element),
     };
-    let received = |path: &Path, element: DVec3| path.gain * Complex::cis(-wavenumber * length(path, element));
-    elements.iter().map(|element| paths.iter().map(|path| received(path, *element)).sum()).collect()
+    let mut channel = vec![Complex::ZERO; elements.len() * wavelengths.len()];
+    for (element, row) in elements.iter().zip(channel.chunks_mut(wavelengths.len().max(1))) {
+        for path in paths {
+            let length = length(path, *element);
+            let received = |wavenumber: &f64| path.gain * Complex::cis(-wavenumber * length);
+            row.iter_mut().zip(&wavenumbers).for_each(|(h, wavenumber)| *h += received(wavenumber));
+        }
+    }
+    channel
 }

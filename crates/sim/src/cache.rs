@@ -1,6 +1,6 @@
 //! Simulated data sets, kept on disk under a key of everything that decides them.
 
-use crate::output::{self, MANIFEST, Pictures};
+use crate::output::{self, Layout, MANIFEST};
 use crate::recipe::Recipe;
 use etcetera::BaseStrategy as _;
 use pwrfgs_core::files::{self, NewFolder};
@@ -19,7 +19,8 @@ pub fn root() -> Option<PathBuf> {
 
 /// What `read` makes of the data set of `recipe`, simulated now or taken from the folder `root`.
 ///
-/// An entry is a folder as [`output::write_as`] makes it, with one array of all spectra. It is used only if its manifest is that of the recipe, word for
+/// An entry is a folder as [`output::write_as`] makes it, with one array or table of all links: the receivers of a
+/// transmitter one after the other. It is used only if its manifest is that of the recipe, word for
 /// word, and `read` finds nothing wrong with it; else it is made anew. Entries appear by renaming, so none is half
 /// written, what killed programs left is removed, and of two programs that make the same one the second finds it there.
 /// Where the disk refuses, the data set is made in the system's folder for temporary files instead, and lost.
@@ -41,8 +42,7 @@ pub fn open_or_make<T>(
             Err(e) => tracing::warn!("the kept data set {} is damaged ({e}) and made anew", folder.display()),
         }
     }
-    let made = move_away(&folder)
-        .and_then(|()| output::write_as(recipe, Pictures::Npy, false, &folder, progress, &AtomicBool::new(false)));
+    let made = move_away(&folder).and_then(|()| make(recipe, &folder, progress));
     match made {
         Ok(()) => read(&folder),
         // Somebody else was faster.
@@ -68,9 +68,13 @@ fn move_away(folder: &Path) -> Result<()> {
     NewFolder::remove(folder)
 }
 
+fn make(recipe: &Recipe, folder: &Path, progress: Progress<'_>) -> Result<()> {
+    output::write_links(recipe, Layout::of(&recipe.observe), false, folder, progress, &AtomicBool::new(false))
+}
+
 fn make_for_now<T>(recipe: &Recipe, progress: Progress<'_>, read: impl Fn(&Path) -> Result<T>) -> Result<T> {
     let making = NewFolder::beside(&std::env::temp_dir().join("pwrfgs"))?;
     let folder = making.path().join("data");
-    output::write_as(recipe, Pictures::Npy, false, &folder, progress, &AtomicBool::new(false))?;
+    make(recipe, &folder, progress)?;
     read(&folder)
 }

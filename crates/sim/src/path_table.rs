@@ -1,7 +1,8 @@
 //! `paths.csv`: every path of a transmitter as a row.
 
+use crate::listener::Listener;
 use crate::path::{Interaction, Path};
-use crate::simulator::Simulator;
+use crate::world::World;
 use glam::{DMat3, DVec3};
 use std::fmt::Write as _;
 
@@ -20,15 +21,15 @@ impl PathTable {
         departure_azimuth_deg,departure_elevation_deg,arrival_azimuth_deg,arrival_elevation_deg,spectrum_azimuth_deg,\
         spectrum_elevation_deg,surfaces";
 
-    pub(crate) fn new(simulator: &Simulator) -> Self {
-        let world = simulator.world();
+    /// Of the paths to `listener`.
+    pub(crate) fn new(world: &World, listener: &Listener) -> Self {
         let faces: Vec<String> = world.faces.iter().map(|f| f.name.clone()).collect();
         let edge = |[a, b]: [u32; 2]| match (&faces[a as usize], &faces[b as usize]) {
             (a, b) if a == b => format!("rim of {a}"),
             (a, b) => format!("edge of {a} and {b}"),
         };
         let edges = world.edges.iter().map(|e| edge(e.faces)).collect();
-        Self { receiver_from_world: simulator.world_from_receiver().transpose(), faces, edges }
+        Self { receiver_from_world: listener.world_from_receiver().transpose(), faces, edges }
     }
 
     /// The rows of transmitter `id`.

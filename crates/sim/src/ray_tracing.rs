@@ -1,19 +1,25 @@
 //! `RayTracing`: what a model must be read against where the room is known.
 
+use crate::observe::{Observe, Observed};
 use crate::perturb::{Errors, perturbed};
 use crate::scene::Scene;
 use crate::simulator::{HEIGHT, Simulator, WIDTH};
 use glam::DVec3;
-use pwrfgs_core::{Baseline, Dataset, Documented, Elevation, Error, Image, Known, Predict, Query, Result};
+use pwrfgs_core::{
+    Baseline, Channels, Dataset, Documented, Elevation, Error, Image, Kind, Known, Observations, Predict, Query, Real,
+    Result,
+};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// Draws of errors that are tried.
 const DRAWS: u64 = 100;
+/// Relative difference of two frequencies that are one, written with a few digits.
+const SAME_FREQUENCY: f64 = 1e-7;
 
 /// Ray tracing in a known room, as a predictor beside the model.
 ///
-/// It learns nothing from the training spectra. With the scene that the data were simulated from it *is* their generator,
+/// It learns nothing from the training part. With the scene that the data were simulated from it *is* their generator,
 /// an upper bound for every model, and tables say so; what the errors of the receiver take from it nobody can win back.
 /// `material_error` and `position_error_m` spoil the scene by a stated amount: what one would have in practice.
 ///
@@ -43,7 +49,12 @@ pub struct RayTracing {
 
 impl RayTracing {
     /// What the name leaves out.
-    fn note(&self, knows_scene: bool) -> String {
+    fn note(&self, knows_scene: bool, kind: Kind) -> String {
+        let things = match kind {
+            Kind::Spectrum => "spectra",
+            Kind::Power => "powers",
+            Kind::Channel => "channels",
+        };
         let what = match (&self.scene, self.is_exact() && knows_scene) {
             (_, true) => {
                 let errors = if self.noise {
@@ -51,11 +62,12 @@ impl RayTracing {
                 } else {
                     "without receiver errors"
                 };
-                format!("the generator of these simulated spectra itself, {errors}: an upper bound, not a competitor")
+                format!("the generator of these simulated {things} itself, {errors}: an upper bound, not a competitor")
             }
             (scene, false) => {
-                let scene =
-                    scene.as_ref().map_or("the scene of these simulated spectra".into(), |p| p.display().to_string());
+                let scene = scene
+                    .as_ref()
+                    .map_or_else(|| format!("the scene of these simulated {things}"), |p| p.display().to_string());
                 format!(
                     "ray tracing in {scene}, material constants off by {:.0} % and places by {:.0} cm (one standard \
                      deviation, one draw)",
@@ -129,20 +141,11 @@ impl Baseline for RayTracing {
     }
 
     fn fit<'a>(&self, data: &'a Dataset, _: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
-        if (data.width, data.height) != (WIDTH, HEIGHT) {
-            return Err(Error::Config(format!(
-                "RayTracing: spectra of this data set have {}x{} pixels, and it makes {WIDTH}x{HEIGHT}; leave it out",
-                data.width, data.height
-            )));
-        }
-        if data.elevation != Elevation::UPPER {
-            let Elevation { first, last } = data.elevation;
-            let what = format!("spectra of this data set are of elevations {first} to {last}, and it makes 0 to 90");
-            return Err(Error::Config(format!("RayTracing: {what}; leave it out")));
-        }
         let (scene, knows_scene) = self.scene(data)?;
-        let (simulator, note) = (self.simulator(&scene)?, self.note(knows_scene));
-        Ok(Box::new(Traced { simulator, noise: self.noise, seed: self.seed, note, knows_scene }))
+        let what = wanted(data, &scene)?;
+        let listeners = receivers(data, &scene)?;
+        let (simulator, note) = (self.simulator(&scene)?, self.note(knows_scene, data.kind()));
+        Ok(Box::new(Traced { simulator, listeners, what, noise: self.noise, seed: self.seed, note, knows_scene }))
     }
 
     fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn Baseline>> {
@@ -164,8 +167,55 @@ impl Baseline for RayTracing {
     }
 }
 
+/// What the data observe; refuses what this scene cannot give.
+fn wanted(data: &Dataset, scene: &Scene) -> Result<Observe> {
+    let refuse = |what: String| Err(Error::Config(format!("RayTracing: {what}; leave it out")));
+    let Observations::Channels(channels) = &data.observations else {
+        if data.kind() == Kind::Power {
+            return Ok(Observe::Power { noise_db: 0.0 });
+        }
+        let (width, height) = (data.width, data.height);
+        if (width, height) != (WIDTH, HEIGHT) {
+            let what = format!("have {width}x{height} pixels, and it makes {WIDTH}x{HEIGHT}");
+            return refuse(format!("spectra of this data set {what}"));
+        }
+        if data.elevation != Elevation::UPPER {
+            let Elevation { first, last } = data.elevation;
+            let what = format!("spectra of this data set are of elevations {first} to {last}, and it makes 0 to 90");
+            return refuse(what);
+        }
+        return Ok(Observe::Spectrum);
+    };
+    let (hz, have) = (scene.frequencies(), channels.antennas);
+    if let Some(other) = scene.receivers().find(|receiver| receiver.array.elements() != have) {
+        let has = other.array.elements();
+        return refuse(format!("channels of this data set have {have} antennas, and `{}` has {has}", other.name));
+    }
+    let near = |(a, b): (&f64, &f64)| (a / b - 1.0).abs() < SAME_FREQUENCY;
+    if hz.len() != channels.frequencies_hz.len() || !hz.iter().zip(&channels.frequencies_hz).all(near) {
+        return refuse("channels of this data set have other subcarriers than the scene".into());
+    }
+    Ok(Observe::Channel { snr_db: None })
+}
+
+/// Which receiver of the scene each of the data is: by name, or the only one.
+fn receivers(data: &Dataset, scene: &Scene) -> Result<Vec<usize>> {
+    let of_data = &data.scene.receivers;
+    let find = |name: &str| scene.receivers().position(|receiver| receiver.name == name);
+    let only = (of_data.len() == 1).then_some(0);
+    let which = |name: &str| {
+        find(name).or(only).ok_or_else(|| {
+            Error::Config(format!("RayTracing: the scene has no receiver `{name}`; name its receivers as the data do"))
+        })
+    };
+    of_data.iter().map(|receiver| which(&receiver.name)).collect()
+}
+
 struct Traced {
     simulator: Simulator,
+    /// The listener of each receiver of the data.
+    listeners: Vec<usize>,
+    what: Observe,
     noise: bool,
     seed: u64,
     note: String,
@@ -179,8 +229,17 @@ impl Predict for Traced {
         let draw = tx
             .iter()
             .fold(!self.seed, |hash, v| (hash ^ u64::from((*v as f32).to_bits())).wrapping_mul(0x0100_0000_01b3));
-        let outcome = self.simulator.spectrum(DVec3::from(tx), self.noise.then_some(draw | 1 << 63));
-        Image::from_bytes(WIDTH, HEIGHT, &outcome.spectrum.pixels)
+        let listener = &self.simulator.listeners()[self.listeners.get(query.receiver).copied().unwrap_or(0)];
+        match listener.observe(DVec3::from(tx), &self.what, self.noise.then_some(draw | 1 << 63)).observed {
+            Observed::Spectrum(spectrum) => Image::from_bytes(WIDTH, HEIGHT, &spectrum.pixels),
+            Observed::Power(dbm) => Image { width: 1, height: 1, pixels: vec![dbm as Real] },
+            Observed::Channel(channel) => {
+                let gains = channel.iter().map(|h| [h.re as Real, h.im as Real]).collect();
+                let frequencies_hz = self.simulator.scene().frequencies();
+                let antennas = listener.receiver().array.elements();
+                Observations::Channels(Channels { antennas, frequencies_hz, gains }).image(0)
+            }
+        }
     }
 
     fn note(&self) -> Option<String> {

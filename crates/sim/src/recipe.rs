@@ -1,14 +1,17 @@
 //! Everything that decides a simulated data set, and the name under which it is kept.
 
 use crate::mesh;
-use crate::scene::{Object, Scene};
+use crate::observe::Observe;
+use crate::scene::{Object, Receiver, Scene};
 use pwrfgs_core::{Error, Result, files};
 use std::path::Path;
 
 /// Changes whenever the same recipe would give other bytes than before.
 const EDITION: u32 = 2;
-/// Most spectra of a data set: 32 GB as an array. Pictures are fewer ([`crate::output::write_as`]).
+/// Most links of a data set: 32 GB of spectra as an array. Pictures are fewer ([`crate::output::write_as`]).
 const MOST_SAMPLES: usize = 1_000_000;
+/// Most bytes of all channels of a data set, which memory has to hold to train on them.
+const MOST_BYTES: usize = 8 << 30;
 /// Most points of a cloud.
 const MOST_POINTS: usize = 50_000_000;
 
@@ -23,6 +26,8 @@ pub struct Recipe {
     pub seed: u64,
     /// Points of the cloud.
     pub points: usize,
+    /// What is observed.
+    pub observe: Observe,
     /// Hash of every mesh file, in the order of the objects.
     meshes: Vec<String>,
 }
@@ -35,6 +40,12 @@ impl Recipe {
     pub fn read(scene: &Path, samples: usize, seed: u64, points: usize) -> Result<Self> {
         check(samples, points).map_err(Error::Config)?;
         let scene = Scene::read(scene)?;
+        let receivers = scene.receivers().count();
+        if samples * receivers > MOST_SAMPLES {
+            let what = format!("more than {MOST_SAMPLES} links; give fewer samples");
+            let who = format!("{samples} samples at {receivers} receivers");
+            return Err(Error::Config(format!("scene `{}`: {who} are {what}", scene.name)));
+        }
         let file = |object: &Object| match object {
             Object::Mesh { file, .. } => Some(file.clone()),
             _ => None,
@@ -45,12 +56,29 @@ impl Recipe {
             Ok(format!("{:016x}", fnv(&bytes)))
         };
         let meshes = scene.objects.iter().filter_map(file).map(hash).collect::<Result<Vec<_>>>()?;
-        Ok(Self { scene, samples, seed, points, meshes })
+        Ok(Self { scene, samples, seed, points, observe: Observe::Spectrum, meshes })
+    }
+
+    /// The same with something else to observe than spectra.
+    ///
+    /// # Errors
+    /// The scene does not suit it.
+    pub fn observing(self, observe: Observe) -> Result<Self> {
+        observe.check().map_err(Error::Config)?;
+        if let Observe::Channel { .. } = observe {
+            check_channels(&self.scene, self.samples)?;
+        }
+        Ok(Self { observe, ..self })
+    }
+
+    /// The same of one of its receivers alone.
+    pub(crate) fn with_receiver(&self, receiver: &Receiver) -> Self {
+        Self { scene: self.scene.with_receiver(receiver), ..self.clone() }
     }
 
     /// The manifest: two recipes with the same text give the same data set.
     pub fn to_json(&self) -> String {
-        let manifest = serde_json::json!({
+        let mut manifest = serde_json::json!({
             "program": concat!("pwrfgs ", env!("CARGO_PKG_VERSION")),
             "edition": EDITION,
             "simulated": true,
@@ -62,6 +90,9 @@ impl Recipe {
             "mesh_hashes": self.meshes,
             "scene": self.scene.portable().to_ron(), // the hashes say which meshes
         });
+        if self.observe != Observe::Spectrum {
+            manifest["observe"] = serde_json::json!(self.observe); // spectra of before keep their name
+        }
         serde_json::to_string_pretty(&manifest).expect("a manifest is plain data") + "\n"
     }
 
@@ -80,6 +111,34 @@ pub(crate) fn check(samples: usize, points: usize) -> Result<(), String> {
     }
     if points > MOST_POINTS {
         return Err(format!("`points` is {points}; give at most {MOST_POINTS}"));
+    }
+    Ok(())
+}
+
+/// Refuses an array of channels that has no one shape, or would not fit.
+fn check_channels(scene: &Scene, samples: usize) -> Result<()> {
+    let elements = |receiver: &Receiver| receiver.array.elements();
+    let (first, count) = (&scene.receiver, elements(&scene.receiver));
+    if let Some(other) = scene.receivers().find(|receiver| elements(receiver) != count) {
+        return Err(Error::Config(format!(
+            "scene `{}`: the receiver `{}` has {count} antennas and `{}` has {}, and channels need as many of each; change \
+             their arrays",
+            scene.name,
+            first.name,
+            other.name,
+            elements(other)
+        )));
+    }
+    let numbers = [scene.receivers().count(), count, scene.frequencies().len()].into_iter().product::<usize>();
+    let bytes = numbers.saturating_mul(samples).saturating_mul(8);
+    if bytes > MOST_BYTES {
+        return Err(Error::Config(format!(
+            "scene `{}`: channels of {samples} transmitters would take {} GB, more than {}; give fewer samples, antennas or \
+             subcarriers",
+            scene.name,
+            bytes >> 30,
+            MOST_BYTES >> 30
+        )));
     }
     Ok(())
 }

@@ -1,19 +1,23 @@
 //! A scene file: the room, what stands in it, who sends, who listens.
 
 mod antennas;
+mod fault;
 mod object;
 mod propagation;
 mod room;
+mod subcarriers;
 
 pub use antennas::{Orientation, Receiver, Transmitter};
 pub use object::{Finish, Object};
 pub use propagation::Propagation;
 pub use room::{Outline, Room};
+pub use subcarriers::Subcarriers;
 
 use crate::material::{self, Material};
 use crate::noise::Noise;
 use crate::spectrum::SpectrumKind;
 use crate::wave::SPEED_OF_LIGHT;
+use fault::{Fault, place};
 use pwrfgs_core::plugin::{Checked, read_ron};
 use pwrfgs_core::{Error, Pose, Result, did_you_mean, files};
 use serde::{Deserialize, Serialize};
@@ -31,6 +35,8 @@ const LEAST_PERMITTIVITY: f64 = 1e-6;
 const MOST_PERMITTIVITY: f64 = 1e70;
 /// Most materials of the scene's own that a message lists.
 const LISTED: usize = 20;
+/// Most receivers: each has images and beams of its own.
+const MOST_RECEIVERS: usize = 200;
 
 /// A scene, as `scenes/*.ron` say it. Metres, hertz, degrees; z is up.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -53,6 +59,13 @@ pub struct Scene {
     pub objects: Vec<Object>,
     /// Who listens.
     pub receiver: Receiver,
+    /// Who listens as well, each with a name of its own. What is new since the first scenes is not written out where it is
+    /// not used, so that their data keep their key.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub more_receivers: Vec<Receiver>,
+    /// The frequencies of channels and powers; default the carrier alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub subcarriers: Option<Checked<Subcarriers>>,
     /// Who sends.
     pub transmitter: Transmitter,
     /// Which ways of the waves count.
@@ -123,9 +136,24 @@ impl Scene {
         SPEED_OF_LIGHT / self.carrier_hz
     }
 
-    /// Pose of the receiver.
+    /// Pose of the first receiver.
     pub fn pose(&self) -> Pose {
-        Pose { position: self.receiver.position, orientation: self.receiver.orientation.quaternion() }
+        self.receiver.pose()
+    }
+
+    /// All receivers: `receiver` first, then `more_receivers`.
+    pub fn receivers(&self) -> impl Iterator<Item = &Receiver> + Clone {
+        std::iter::once(&self.receiver).chain(&self.more_receivers)
+    }
+
+    /// The same scene with one of its receivers alone.
+    pub fn with_receiver(&self, receiver: &Receiver) -> Self {
+        Self { receiver: receiver.clone(), more_receivers: Vec::new(), ..self.clone() }
+    }
+
+    /// Frequencies of channels and powers, Hz, rising.
+    pub fn frequencies(&self) -> Vec<f64> {
+        self.subcarriers.as_ref().map_or_else(|| vec![self.carrier_hz], |band| band.frequencies(self.carrier_hz))
     }
 
     /// All finishes, with what has them.
@@ -184,15 +212,32 @@ impl Scene {
                 return Err(Fault::of(what, &quoted));
             }
         }
-        self.receiver.check().map_err(|what| Fault::of(what, "receiver"))?;
-        let axis = self.transmitter.polarization;
-        if glam::DVec3::from(axis).try_normalize().is_none() {
-            let what = format!("`polarization` of the transmitter is {axis:?}; give an axis such as (0, 0, 1)");
-            return Err(Fault::of(what, "transmitter"));
+        self.check_receivers()?;
+        if let Some(band) = &self.subcarriers {
+            band.check_around(self.carrier_hz).map_err(|what| Fault::of(what, "subcarriers"))?;
         }
-        let element = self.transmitter.element.check();
-        element.map_err(|why| Fault::of(format!("transmitter: {why}"), "transmitter"))?;
+        self.transmitter.check().map_err(|what| Fault::of(what, "transmitter"))?;
         self.transmitter.positions.check().map_err(|what| Fault::of(what, "positions"))
+    }
+
+    fn check_receivers(&self) -> Result<(), Fault> {
+        if self.receivers().count() > MOST_RECEIVERS {
+            let what = format!("{} receivers are too many; give at most {MOST_RECEIVERS}", self.receivers().count());
+            return Err(Fault::of(what, "more_receivers"));
+        }
+        self.receiver.check().map_err(|what| Fault::of(what, "receiver"))?;
+        let mut names = BTreeSet::new();
+        for receiver in self.receivers() {
+            let quoted = format!("\"{}\"", receiver.name);
+            receiver.check_name().map_err(|what| Fault::of(what, &quoted))?;
+            receiver.check().map_err(|what| Fault::of(what, &quoted))?;
+            // Folders of some systems do not tell capitals apart.
+            if !names.insert(receiver.name.to_ascii_lowercase()) {
+                let what = format!("two receivers are called `{}`; give each a `name` of its own", receiver.name);
+                return Err(Fault::of(what, "more_receivers"));
+            }
+        }
+        Ok(())
     }
 
     fn check_finish(&self, owner: &str, finish: &Finish) -> Result<(), Fault> {
@@ -229,26 +274,6 @@ impl Scene {
             _ => Ok(()),
         }
     }
-}
-
-/// What is wrong, and a word of the file near which it stands.
-struct Fault {
-    what: String,
-    near: String,
-}
-
-impl Fault {
-    fn of(what: impl Into<String>, near: &str) -> Self {
-        Self { what: what.into(), near: near.into() }
-    }
-}
-
-/// Line and column of the first place where `word` stands outside comments.
-fn place(text: &str, word: &str) -> Option<(usize, usize)> {
-    text.lines().enumerate().find_map(|(i, line)| {
-        let code = line.split("//").next().unwrap_or_default();
-        code.find(word).map(|at| (i + 1, code[..at].chars().count() + 1))
-    })
 }
 
 /// Refuses what is no file, such as a pipe that nobody writes to, and more than `most` bytes.

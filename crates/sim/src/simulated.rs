@@ -1,17 +1,24 @@
-//! `Simulated`: spectra of a known room as a data source.
+//! `Simulated`: spectra, powers or channels of a known room as a data source.
 
 use crate::cache;
-use crate::output::{PICTURES, POINTS};
+use crate::kept::{Kept, Values};
+use crate::observe::{Observe, SILENT_DBM};
+use crate::output::{PICTURES, POINTS, is_test};
 use crate::recipe::{self, Recipe};
-use pwrfgs_core::{DataSource, Dataset, Documented, Error, Progress, Result, Simulation, words::clean};
-use pwrfgs_data::{Arrays, Nerf2Spectrum};
+use crate::scene::{self, Scene};
+use pwrfgs_core::{
+    Channels, DataSource, Dataset, Documented, Error, Observations, Progress, Real, Receiver, Result, Sample,
+    Simulation, words::clean,
+};
+use pwrfgs_data::{Arrays, Nerf2Spectrum, read_points};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// *Simulated* spectra of a room that is known exactly: ray tracing in a scene file.
+/// *Simulated* spectra, powers or channels of a room that is known exactly: ray tracing in a scene file.
 ///
 /// Paths are found by image sources, diffraction at edges and diffuse patches; their sum on the antennas of the receiver
-/// gives the spectrum, as the measured files hold it (`docs/math.md`). The point cloud of the scene is exact, so that
+/// gives the spectrum, as the measured files hold it (`docs/math.md`), or what `observe` says. A scene with several receivers
+/// gives a link each; one at which nothing is heard is left out. The point cloud of the scene is exact, so that
 /// `PointCloud` initialisation and `Chamfer` mean something here. Every fifth sample belongs to the test list of
 /// [`Official`](pwrfgs_data::Official).
 ///
@@ -32,35 +39,38 @@ pub struct Simulated {
     /// The scene file, relative to the pipeline file.
     #[serde(with = "pwrfgs_core::paths")]
     pub scene: PathBuf,
-    /// Spectra.
+    /// Transmitters; with one receiver, spectra.
     pub samples: usize,
     /// Which transmitter positions and receiver errors; the pipeline's seed does not change them.
     pub seed: u64,
     /// Points of the cloud, spread over all surfaces; the paper has 190,000.
     pub points: usize,
+    /// What is observed: `Spectrum`, `Power(noise_db: 3)` or `Channel(snr_db: 30)`.
+    pub observe: Observe,
     /// Whether the data set is kept on disk.
     pub cache: bool,
 }
 
 impl Default for Simulated {
     fn default() -> Self {
-        Self { scene: "scenes/office.ron".into(), samples: 1000, seed: 0, points: 190_000, cache: true }
+        Self {
+            scene: "scenes/office.ron".into(),
+            samples: 1000,
+            seed: 0,
+            points: 190_000,
+            observe: Observe::Spectrum,
+            cache: true,
+        }
     }
 }
 
 impl Simulated {
-    /// Reads what [`crate::output::write_as`] wrote.
+    /// Reads what [`crate::output::write_links`] wrote.
     fn read(&self, recipe: &Recipe, folder: &Path) -> Result<Dataset> {
-        let points = (self.points > 0).then(|| POINTS.into());
-        let points = points.map(|name: PathBuf| folder.join(name));
-        // An entry of an earlier version has a picture each.
-        let (root, nobody) = (folder.to_owned(), |_, _| {});
-        let mut data = if folder.join(PICTURES).exists() {
-            Nerf2Spectrum { root, points, ..Nerf2Spectrum::default() }.load(Path::new(""), &nobody)?
-        } else {
-            Arrays { root, points, elevation: None }.load(Path::new(""), &nobody)?
-        };
-        if data.len() != self.samples || data.scene.points.len() != self.points {
+        let points = (self.points > 0).then(|| folder.join(POINTS));
+        let one = self.observe == Observe::Spectrum && recipe.scene.more_receivers.is_empty();
+        let mut data = if one { spectra(folder, points)? } else { links(recipe, folder, points)? };
+        if (one && data.len() != self.samples) || data.scene.points.len() != self.points {
             return Err(Error::input(folder, "holds another number of spectra or points than were simulated"));
         }
         data.title = clean(&format!("{} (simulated)", recipe.scene.name));
@@ -69,10 +79,66 @@ impl Simulated {
     }
 }
 
+/// Spectra of one receiver: the layout that other sources read, too.
+fn spectra(folder: &Path, points: Option<PathBuf>) -> Result<Dataset> {
+    let (root, nobody) = (folder.to_owned(), |_, _| {});
+    // An entry of an earlier version has a picture each.
+    if folder.join(PICTURES).exists() {
+        Nerf2Spectrum { root, points, ..Nerf2Spectrum::default() }.load(Path::new(""), &nobody)
+    } else {
+        Arrays { root, points, elevation: None }.load(Path::new(""), &nobody)
+    }
+}
+
+/// Anything else: all links of all receivers. Who is not heard has no link.
+fn links(recipe: &Recipe, folder: &Path, points: Option<PathBuf>) -> Result<Dataset> {
+    let scene = &recipe.scene;
+    let receivers: Vec<Receiver> = scene.receivers().map(|receiver| of_data(scene, receiver)).collect();
+    let Kept { transmitters, values } = Kept::read(recipe, folder)?;
+    let pairs = transmitters.iter().enumerate().flat_map(|(t, tx)| (0..receivers.len()).map(move |r| (t, *tx, r)));
+    let mut samples: Vec<Sample> = pairs.map(|(t, tx, receiver)| Sample { id: t as u32 + 1, tx, receiver }).collect();
+    let observations = match values {
+        Values::Spectra(spectra) => Observations::Pictures(spectra),
+        Values::Channels(gains) => Observations::Channels(Channels {
+            antennas: scene.receiver.array.elements(),
+            frequencies_hz: scene.frequencies(),
+            gains: gains.into_iter().map(|gain| gain.map(Real::from)).collect(),
+        }),
+        Values::Powers(all) => {
+            let mut heard = all.iter().map(|dbm| *dbm > SILENT_DBM);
+            samples.retain(|_| heard.next().unwrap_or(false));
+            Observations::Powers(all.into_iter().filter(|dbm| *dbm > SILENT_DBM).map(|dbm| dbm as Real).collect())
+        }
+    };
+    if samples.is_empty() {
+        let what = "no receiver hears any transmitter; raise `power_dbm` of its transmitter";
+        return Err(Error::Config(format!("scene `{}`: {what}", scene.name)));
+    }
+    let (test, train) = (0..samples.len()).partition(|&i| is_test(samples[i].id as usize - 1));
+    let points = points.map_or_else(|| Ok(Vec::new()), |path| read_points(&path))?;
+    let data = Dataset::of_links(scene.name.clone(), receivers, points, &samples, observations)?;
+    Ok(Dataset { official: Some((train, test)), ..data })
+}
+
+/// A receiver as data sets have it.
+fn of_data(scene: &Scene, receiver: &scene::Receiver) -> Receiver {
+    let antennas = receiver.array.offsets(scene.wavelength()).into_iter().map(|place| place.to_array()).collect();
+    Receiver { antennas, ..Receiver::new(receiver.name.clone(), receiver.pose()) }
+}
+
 #[typetag::serde]
 impl DataSource for Simulated {
+    fn kind(&self) -> Option<pwrfgs_core::Kind> {
+        Some(match self.observe {
+            Observe::Spectrum => pwrfgs_core::Kind::Spectrum,
+            Observe::Power { .. } => pwrfgs_core::Kind::Power,
+            Observe::Channel { .. } => pwrfgs_core::Kind::Channel,
+        })
+    }
+
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let recipe = Recipe::read(&base.join(&self.scene), self.samples, self.seed, self.points)?;
+        let recipe = recipe.observing(self.observe)?;
         let root = if self.cache { cache::root() } else { None };
         cache::open_or_make(&recipe, root.as_deref(), progress, |folder| self.read(&recipe, folder))
     }
@@ -82,10 +148,11 @@ impl DataSource for Simulated {
     }
 
     fn about(&self) -> &'static str {
-        "simulated spectra of a room known exactly, by ray tracing"
+        "simulated spectra, powers or channels of a room known exactly, by ray tracing"
     }
 
     fn check(&self) -> Result<(), String> {
-        recipe::check(self.samples, self.points)
+        recipe::check(self.samples, self.points)?;
+        self.observe.check().map_err(|why| format!("observe: {why}"))
     }
 }

@@ -1,18 +1,17 @@
-//! `Simulator`: a scene made ready, and a spectrum for every transmitter position.
+//! `Simulator`: a scene made ready, and what its receivers observe of every transmitter position.
 
-use crate::array::Wavefront;
-use crate::noise;
+use crate::listener::{Listener, MOST_BYTES};
+use crate::observe::{Heard, Observe, Observed};
 use crate::patches;
 use crate::path::Path;
 use crate::room;
 use crate::scene::Scene;
-use crate::spectrum::{Beamformer, Spectrum};
+use crate::spectrum::Spectrum;
 use crate::surface_points::{self, SurfacePoints};
-use crate::tracer::{Antenna, Tracer};
 use crate::wave::Complex;
 use crate::world::{Triangle, World};
-use glam::{DMat3, DQuat, DVec3};
-use pwrfgs_core::{Error, Pose, Result};
+use glam::{DMat3, DVec3};
+use pwrfgs_core::{Error, Result};
 use rayon::prelude::*;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -24,20 +23,16 @@ pub const HEIGHT: usize = 90;
 
 /// Transmitters simulated at a time.
 const CHUNK: usize = 32;
-/// Most memory of the tracers of all antennas, bytes.
-const MOST_BYTES: usize = 2 << 30;
-
-/// A scene made ready: geometry, image trees and beamformer, everything that no transmitter changes.
+/// A scene made ready: geometry and receivers, everything that no transmitter changes.
 #[derive(Debug)]
 pub struct Simulator {
-    scene: Scene,
+    scene: Arc<Scene>,
     world: Arc<World>,
-    /// The tracer of the array's centre, and with [`Wavefront::Traced`] one for each element behind it.
-    tracers: Vec<Tracer>,
-    beamformer: Beamformer,
+    /// At least one.
+    listeners: Vec<Listener>,
 }
 
-/// What the array receives from one transmitter.
+/// What an array receives from one transmitter.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reception {
     /// Its picture.
@@ -53,54 +48,14 @@ impl Simulator {
     /// A mesh that cannot be read or is not closed where it must be, a receiver inside something, more images or patches
     /// than can be handled.
     pub fn new(scene: &Scene) -> Result<Self> {
-        let world = Arc::new(room::world(scene)?);
-        let pose = scene.pose();
-        let center = DVec3::from(pose.position);
-        world.check_free(center).map_err(|what| {
-            Error::Config(format!("scene `{}`: the receiver at {:?} is {what}; move it", scene.name, pose.position))
-        })?;
-        check_patches(scene, &world)?;
-        let wavelength = scene.wavelength();
-        let antennas = antennas(scene, &pose);
-        let turn = world_from_receiver(&pose);
-        let mut places = vec![center];
-        if scene.receiver.array.wavefront == Wavefront::Traced {
-            places.extend(scene.receiver.array.offsets(wavelength).into_iter().map(|o| center + turn * o));
+        let (scene, world) = (Arc::new(scene.clone()), Arc::new(room::world(scene)?));
+        check_patches(&scene, &world)?;
+        let mut listeners: Vec<Listener> = Vec::new();
+        for receiver in scene.receivers() {
+            listeners.push(Listener::new(&scene, receiver, &world)?);
+            check_memory(&scene, &listeners)?;
         }
-        for place in &places {
-            world.check_free(*place).map_err(|what| {
-                Error::Config(format!(
-                    "scene `{}`: an antenna of the array, at {place}, is {what}; move it",
-                    scene.name
-                ))
-            })?;
-        }
-        let tracer = |place: &DVec3| {
-            Tracer::new(Arc::clone(&world), wavelength, antennas.clone(), *place, &scene.propagation).ok_or_else(|| {
-                Error::Config(format!(
-                    "scene `{}`: its {} faces give the receiver too many images; lower `order` of its propagation, or \
-                     simplify its meshes",
-                    scene.name,
-                    world.faces.len()
-                ))
-            })
-        };
-        let mut tracers = vec![tracer(&places[0])?];
-        let bytes = tracers[0].bytes().saturating_mul(places.len());
-        if bytes > MOST_BYTES {
-            return Err(Error::Config(format!(
-                "scene `{}`: tracing to each of {} antennas would take {} GB; use the wavefront `Spherical`, fewer rows and \
-                 columns, or a lower `order`",
-                scene.name,
-                places.len() - 1,
-                bytes >> 30
-            )));
-        }
-        for place in &places[1..] {
-            tracers.push(tracer(place)?);
-        }
-        let beamformer = Beamformer::new(&scene.receiver.array, WIDTH, HEIGHT);
-        Ok(Self { scene: scene.clone(), world, tracers, beamformer })
+        Ok(Self { scene, world, listeners })
     }
 
     /// The scene.
@@ -113,44 +68,35 @@ impl Simulator {
         &self.world
     }
 
-    /// From the receiver's axes to the world's.
+    /// Its receivers, in the order of the scene; the first is `receiver`.
+    pub fn listeners(&self) -> &[Listener] {
+        &self.listeners
+    }
+
+    /// From the first receiver's axes to the world's.
     pub fn world_from_receiver(&self) -> DMat3 {
-        world_from_receiver(&self.scene.pose())
+        self.listeners[0].world_from_receiver()
     }
 
-    /// Images of the receiver that are tried for each transmitter.
+    /// Images of the first receiver that are tried for each transmitter.
     pub fn images(&self) -> usize {
-        self.tracers[0].images()
+        self.listeners[0].images()
     }
 
-    /// Paths from `tx` to the centre of the array.
+    /// Paths from `tx` to the centre of the first receiver's array.
     pub fn trace(&self, tx: DVec3) -> Vec<Path> {
-        self.tracers[0].trace(tx)
+        self.listeners[0].trace(tx)
     }
 
-    /// The channel h of the array's elements, without errors of the receiver, from the paths of `tx`.
+    /// The channel h of the first receiver's antennas at the carrier, without errors, from the paths of `tx`.
     pub fn channel(&self, tx: DVec3, paths: &[Path]) -> Vec<Complex> {
-        let (pose, wavelength) = (self.scene.pose(), self.scene.wavelength());
-        match self.tracers.split_first() {
-            Some((_, elements)) if !elements.is_empty() => elements
-                .iter()
-                .map(|tracer| tracer.trace(tx).iter().map(|path| path.baseband(wavelength)).sum())
-                .collect(),
-            _ => {
-                let array = &self.scene.receiver.array;
-                array.channel(paths, DVec3::from(pose.position), world_from_receiver(&pose), wavelength)
-            }
-        }
+        self.listeners[0].channel(tx, paths, &[self.scene.carrier_hz])
     }
 
-    /// The spectrum of `tx`. `noise` is the number of the draw of the scene's receiver errors; `None`: without any.
+    /// The spectrum of `tx` at the first receiver. `noise` is the number of the draw of the scene's receiver errors;
+    /// `None`: without any.
     pub fn spectrum(&self, tx: DVec3, noise: Option<u64>) -> Reception {
-        let paths = self.trace(tx);
-        let mut channel = self.channel(tx, &paths);
-        if let Some(draw) = noise {
-            noise::add(&self.scene.noise, &mut channel, draw);
-        }
-        Reception { spectrum: self.beamformer.spectrum(&channel, self.scene.spectrum), paths }
+        self.listeners[0].spectrum(tx, noise)
     }
 
     /// Positions of `count` transmitters.
@@ -172,8 +118,8 @@ impl Simulator {
     }
 }
 
-/// Simulates `samples` transmitters, with the scene's receiver errors, and shows each with its position to `each`, in
-/// order. Memory holds a few at a time; bits do not depend on threads.
+/// Simulates spectra of `samples` transmitters at the first receiver, with the scene's receiver errors, and shows each with
+/// its position to `each`, in order. Memory holds a few at a time; bits do not depend on threads.
 ///
 /// # Errors
 /// Those of [`Simulator::positions`] and of `each`; a channel that is not finite.
@@ -181,42 +127,85 @@ pub fn simulate(
     simulator: &Simulator,
     samples: usize,
     seed: u64,
-    each: impl FnMut(usize, DVec3, Reception) -> Result<()>,
-) -> Result<()> {
-    simulate_until(simulator, samples, seed, &AtomicBool::new(false), each)
-}
-
-/// As [`simulate`], between two transmitters until `stop` is set.
-///
-/// # Errors
-/// Those of [`simulate`], and [`Error::Stopped`].
-pub(crate) fn simulate_until(
-    simulator: &Simulator,
-    samples: usize,
-    seed: u64,
-    stop: &AtomicBool,
     mut each: impl FnMut(usize, DVec3, Reception) -> Result<()>,
 ) -> Result<()> {
+    let wanted = Wanted { what: Observe::Spectrum, samples, seed };
+    let listeners = &simulator.listeners[..1];
+    run(simulator, listeners, &wanted, &AtomicBool::new(false), |i, tx, heard| match heard.into_iter().next() {
+        Some(Heard { observed: Observed::Spectrum(spectrum), paths }) => each(i, tx, Reception { spectrum, paths }),
+        _ => Ok(()), // one spectrum was wanted
+    })
+}
+
+/// What is simulated.
+#[derive(Clone, Copy, Debug)]
+pub struct Wanted {
+    /// What is observed.
+    pub what: Observe,
+    /// Transmitters.
+    pub samples: usize,
+    /// Which transmitter positions, and which errors.
+    pub seed: u64,
+}
+
+/// Simulates what all receivers observe, with all errors, and shows each transmitter with its number, its position and what
+/// every receiver hears, in order. Between two transmitters it ends when `stop` is set. Memory holds a few at a time; bits
+/// do not depend on threads.
+///
+/// # Errors
+/// Those of [`Simulator::positions`] and of `each`, [`Error::Stopped`]; a channel that is not finite.
+pub fn simulate_links(
+    simulator: &Simulator,
+    wanted: &Wanted,
+    stop: &AtomicBool,
+    each: impl FnMut(usize, DVec3, Vec<Heard>) -> Result<()>,
+) -> Result<()> {
+    run(simulator, &simulator.listeners, wanted, stop, each)
+}
+
+fn run(
+    simulator: &Simulator,
+    listeners: &[Listener],
+    wanted: &Wanted,
+    stop: &AtomicBool,
+    mut each: impl FnMut(usize, DVec3, Vec<Heard>) -> Result<()>,
+) -> Result<()> {
+    let &Wanted { what, samples, seed } = wanted;
     let positions = simulator.positions(samples, seed)?;
     for (c, chunk) in positions.chunks(CHUNK).enumerate() {
         let draw = |i: usize| seed.wrapping_mul(1 << 32).wrapping_add((c * CHUNK + i) as u64);
-        let receive = |(i, tx): (usize, &DVec3)| {
+        let hear = |(i, tx): (usize, &DVec3)| {
             if stop.load(Ordering::Relaxed) {
                 return Err(Error::Stopped);
             }
-            Ok(simulator.spectrum(*tx, Some(draw(i))))
+            Ok(listeners.iter().map(|listener| listener.observe(*tx, &what, Some(draw(i)))).collect())
         };
-        let receptions: Vec<Reception> = chunk.par_iter().enumerate().map(receive).collect::<Result<_>>()?;
-        for ((i, tx), reception) in chunk.iter().enumerate().zip(receptions) {
-            if !(reception.spectrum.power.is_finite() && reception.spectrum.high.is_finite()) {
+        let all: Vec<Vec<Heard>> = chunk.par_iter().enumerate().map(hear).collect::<Result<_>>()?;
+        for ((i, tx), heard) in chunk.iter().enumerate().zip(all) {
+            if !heard.iter().all(|heard| heard.observed.is_finite()) {
                 let (scene, number) = (&simulator.scene.name, c * CHUNK + i + 1);
                 let what = "gives a field that is not finite; correct materials and places";
                 return Err(Error::Config(format!("scene `{scene}`: transmitter {number} at {tx} {what}")));
             }
-            each(c * CHUNK + i, *tx, reception)?;
+            each(c * CHUNK + i, *tx, heard)?;
         }
     }
     Ok(())
+}
+
+/// Refuses receivers that together take too much.
+fn check_memory(scene: &Scene, listeners: &[Listener]) -> Result<()> {
+    let bytes: usize = listeners.iter().map(Listener::bytes).sum();
+    if bytes <= MOST_BYTES {
+        return Ok(());
+    }
+    Err(Error::Config(format!(
+        "scene `{}`: images for {} of its {} receivers take more than {} GB already; give fewer receivers or a lower `order`",
+        scene.name,
+        listeners.len(),
+        scene.receivers().count(),
+        MOST_BYTES >> 30
+    )))
 }
 
 /// Refuses more patches than can be traced in reasonable time.
@@ -239,25 +228,4 @@ fn check_patches(scene: &Scene, world: &World) -> Result<()> {
         rough().count(),
         (area / 10_000.0).sqrt().max(2.0 * side)
     )))
-}
-
-fn world_from_receiver(pose: &Pose) -> DMat3 {
-    let [x, y, z, w] = pose.orientation;
-    DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize())
-}
-
-/// Transmitter and receiver.
-fn antennas(scene: &Scene, pose: &Pose) -> (Antenna, Antenna) {
-    let array = &scene.receiver.array;
-    let transmitter = Antenna {
-        element: scene.transmitter.element.clone(),
-        axis: DVec3::from(scene.transmitter.polarization).normalize(),
-        world_from_antenna: DMat3::IDENTITY,
-    };
-    let receiver = Antenna {
-        element: array.element.clone(),
-        axis: DVec3::from(array.polarization).normalize(),
-        world_from_antenna: world_from_receiver(pose),
-    };
-    (transmitter, receiver)
 }

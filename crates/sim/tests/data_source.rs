@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use pwrfgs_core::{Baseline, DataSource, Dataset, Known, Plugin, Simulation};
-use pwrfgs_sim::output::{MANIFEST, POINTS, Pictures, write, write_as};
+use pwrfgs_sim::output::{Layout, MANIFEST, POINTS, write, write_as};
 use pwrfgs_sim::{Recipe, Scene, Simulator, cache, simulate};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -136,7 +136,7 @@ fn an_array_holds_what_the_pictures_hold() {
         let source = Plugin::<dyn DataSource>::parse(&format!("{source}(root: {out:?})")).unwrap();
         source.load(Path::new(""), &|_, _| {}).unwrap()
     };
-    let [a, b] = [load("Nerf2Spectrum", Pictures::Png), load("Arrays", Pictures::Npy)];
+    let [a, b] = [load("Nerf2Spectrum", Layout::Pictures), load("Arrays", Layout::Array)];
     assert!(b.is_simulated() && a.simulation == b.simulation && a.official == b.official);
     for i in 0..12 {
         assert!(a.observations.raw(i) == b.observations.raw(i) && a.sample(i).tx == b.sample(i).tx);

@@ -7,4 +7,7 @@ mod contacts;
 mod data_source;
 mod laws;
 mod limits;
+mod link_data;
+mod link_files;
+mod links;
 mod reference_paths;

@@ -66,7 +66,7 @@ impl<'a> Trainer<'a> {
     /// # Errors
     /// [`Error::Config`] where the bytes are not such a checkpoint: damaged, or of another training.
     pub fn restore(pipeline: &Pipeline, data: &'a Dataset, partition: &Partition, bytes: &[u8]) -> Result<Self> {
-        let mut trainer = Self::new(pipeline, data, partition)?;
+        let mut trainer = Self::blank(pipeline, data, partition)?;
         trainer.read(bytes).map_err(|why| {
             Error::Config(format!("the checkpoint cannot be used: {why}; remove it to start again from step 1"))
         })?;

@@ -14,6 +14,7 @@ mod edit;
 mod estimate;
 mod fingerprint;
 mod graph;
+mod kinds;
 mod loss;
 mod pipeline;
 mod settings;

@@ -1,6 +1,7 @@
 //! `Pipeline`: a whole experiment as one RON value, and the patches that change it.
 
 use crate::draft::{Draft, shortened};
+use crate::kinds::{default_field, mixed, refuse_mixed};
 use crate::settings::{Training, TrainingPatch};
 use pwrfgs_core::docs::Kind;
 use pwrfgs_core::plugin::{Checked, Plugin, default_of, read_ron, try_to_ron};
@@ -125,11 +126,19 @@ impl TryFrom<PipelineFields<Checked<Training>>> for Pipeline {
         if given.set.is_some() {
             return Err("only a sweep has `set`; give the values in their places".into());
         }
+        let data: Plugin<dyn DataSource> = given.data.ok_or_else(|| missing("data"))?;
+        let kind = data.kind();
+        let of_kind = |field: &str| default_field(field, kind);
+        let readout = match kind {
+            Some(pwrfgs_core::Kind::Power) => Readout::Received { sky_deg: 10 },
+            Some(pwrfgs_core::Kind::Channel) => Readout::Channel,
+            Some(pwrfgs_core::Kind::Spectrum) | None => Readout::default(),
+        };
         Ok(Self {
             name: given.name.ok_or_else(|| missing("name"))?,
             seed: given.seed.unwrap_or_default(),
             split_seed: given.split_seed,
-            data: given.data.ok_or_else(|| missing("data"))?,
+            data,
             split: or_default("split", given.split)?,
             method: given.method,
             initializer: given.initializer.ok_or_else(|| missing("initializer"))?,
@@ -137,11 +146,11 @@ impl TryFrom<PipelineFields<Checked<Training>>> for Pipeline {
             rasterizer: or_default("rasterizer", given.rasterizer)?,
             deformation: or_default("deformation", given.deformation)?,
             calibration: given.calibration.unwrap_or_default(),
-            readout: given.readout.unwrap_or_default(),
+            readout: given.readout.unwrap_or(readout),
             pruners: given.pruners.unwrap_or_default(),
             training: given.training.unwrap_or_default(),
-            baselines: or_default("baselines", given.baselines)?,
-            metrics: or_default("metrics", given.metrics)?,
+            baselines: or_default(&of_kind("baselines"), given.baselines)?,
+            metrics: or_default(&of_kind("metrics"), given.metrics)?,
             tensorboard: given.tensorboard.unwrap_or_default(),
         })
     }
@@ -158,6 +167,7 @@ impl Pipeline {
     /// [`Error::Input`] with line and column.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
         let pipeline: Self = read_ron(text, path)?;
+        refuse_mixed(&pipeline, text, path)?;
         pipeline.check().map_err(|why| Error::input(path, why))?;
         Ok(pipeline)
     }
@@ -283,6 +293,9 @@ impl Pipeline {
             ));
         }
         self.readout.check()?;
+        if let Some((field, what)) = mixed(self) {
+            return Err(format!("{field}: {what}"));
+        }
         if self.method.as_ref().is_some_and(|method| is_splatting(&**method)) {
             return Err("method: `Splatting` is what the fields projector, rasterizer, deformation, calibration and readout \
                         say; leave `method` out"

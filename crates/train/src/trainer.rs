@@ -11,9 +11,10 @@ use crate::pipeline::Pipeline;
 use pwrfgs_core::tape::{Traced, values};
 use pwrfgs_core::{
     CloudStats, ColumnSpec, Dataset, Error, ExtraColumn, Frame, GaussianCloud, ImagePlane, Method, Moment, Partition, Phase,
-    Real, Result, rng,
+    Progress, Real, Result, Seen, rng,
 };
 use pwrfgs_model::{Model, Stages};
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
 
 /// What a step did.
@@ -60,6 +61,42 @@ impl<'a> Trainer<'a> {
     /// # Errors
     /// What the initializer lacks, or an empty training part.
     pub fn new(pipeline: &Pipeline, data: &'a Dataset, partition: &Partition) -> Result<Self> {
+        Self::begin(pipeline, data, partition, &|_, _| {}, &AtomicBool::new(false))
+    }
+
+    /// The same for an initializer that may search for long.
+    ///
+    /// # Errors
+    /// As [`Self::new`]; [`Error::Stopped`] once `stop` is set.
+    pub fn begin(
+        pipeline: &Pipeline,
+        data: &'a Dataset,
+        partition: &Partition,
+        progress: Progress<'_>,
+        stop: &AtomicBool,
+    ) -> Result<Self> {
+        let mut blank = Self::blank(pipeline, data, partition)?;
+        let random = &mut rng::stream(pipeline.seed, "init", 0);
+        let seen = Seen { data, train: &partition.train, plane: &blank.plane, progress, stop };
+        let cloud = pipeline.initializer.search(&seen, random)?;
+        blank.fill(cloud)?;
+        Ok(blank)
+    }
+
+    /// With what the initializer makes of the scene alone: as large as the real one, to estimate what a step takes.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn sketch(pipeline: &Pipeline, data: &'a Dataset, partition: &Partition) -> Result<Self> {
+        let mut blank = Self::blank(pipeline, data, partition)?;
+        let random = &mut rng::stream(pipeline.seed, "init", 0);
+        let cloud = pipeline.initializer.initialize(&data.scene, &blank.plane, random)?;
+        blank.fill(cloud)?;
+        Ok(blank)
+    }
+
+    /// Everything but parameters.
+    pub(crate) fn blank(pipeline: &Pipeline, data: &'a Dataset, partition: &Partition) -> Result<Self> {
         let pipeline = &pipeline.resolved()?;
         let plane = pipeline.plane(data)?;
         let method = pipeline.method();
@@ -75,37 +112,43 @@ impl<'a> Trainer<'a> {
                 batches.transmitters()
             )));
         }
-        let mut cloud =
-            pipeline.initializer.initialize(&data.scene, &plane, &mut rng::stream(pipeline.seed, "init", 0))?;
-        if cloud.is_empty() {
-            return Err(Error::Config("the initializer made no Gaussian; raise its count".into()));
-        }
-        let specs = specs_of(pipeline);
-        for spec in &specs {
-            let values = vec![spec.init; cloud.len() * spec.width];
-            cloud.extra.push(ExtraColumn { name: spec.name.into(), width: spec.width, values });
-        }
         let coarse = coarse(&plane, pipeline, data.elevation, data.kind())?;
         let stages = Stages { method, frame: Frame::of(data, coarse) };
         stages.method.check_frame(&stages.frame).map_err(Error::Config)?;
-        let mut weights = stages.method.init(&stages.frame, &mut rng::stream(pipeline.seed, "network", 0));
-        stages.method.start(&stages.frame, data, &partition.train, &mut cloud, &mut weights);
-        let stages = Arc::new(stages);
+        let cloud = GaussianCloud::zeros(0);
         Ok(Self {
-            adam: Adam::new(&cloud, &weights),
-            stats: CloudStats::zeros(cloud.len()),
+            adam: Adam::new(&cloud, &[]),
+            stats: CloudStats::zeros(0),
             pipeline: pipeline.clone(),
             data,
             objective: objective(&pipeline.training, data, &partition.train),
             batches,
-            stages,
+            stages: Arc::new(stages),
             plane,
-            specs,
+            specs: specs_of(pipeline),
             cloud,
-            weights: Arc::new(weights),
+            weights: Arc::default(),
             done: 0,
             fingerprint: OnceLock::new(),
         })
+    }
+
+    /// The parameters before the first step.
+    fn fill(&mut self, mut cloud: GaussianCloud) -> Result<()> {
+        if cloud.is_empty() {
+            return Err(Error::Config("the initializer made no Gaussian; raise its count".into()));
+        }
+        for spec in &self.specs {
+            let values = vec![spec.init; cloud.len() * spec.width];
+            cloud.extra.push(ExtraColumn { name: spec.name.into(), width: spec.width, values });
+        }
+        let Stages { method, frame } = &*self.stages;
+        let mut weights = method.init(frame, &mut rng::stream(self.pipeline.seed, "network", 0));
+        method.start(frame, self.data, self.batches.train(), &mut cloud, &mut weights);
+        self.adam = Adam::new(&cloud, &weights);
+        self.stats = CloudStats::zeros(cloud.len());
+        (self.cloud, self.weights) = (cloud, Arc::new(weights));
+        Ok(())
     }
 
     pub(crate) fn batches(&self) -> &Batches {

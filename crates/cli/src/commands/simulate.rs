@@ -4,10 +4,10 @@ use crate::args::Verbosity;
 use crate::interrupt::{INTERRUPTED, stop_flag};
 use crate::output;
 use crate::progress::Progress;
-use clap::Args;
+use clap::{Args, ValueEnum};
 use pwrfgs::experiment::Observer as _;
-use pwrfgs::sim::Recipe;
-use pwrfgs::sim::output::{self as folder, Pictures};
+use pwrfgs::sim::output::{self as folder, Layout};
+use pwrfgs::sim::{Observe, Recipe};
 use pwrfgs_core::{Error, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -19,9 +19,16 @@ use std::time::Instant;
     train_index.txt and test_index.txt (every fifth); and beside it power.csv (absolute path gain, for RSSI), paths.csv \
     (every path with gain, delay, angles and what it met), points.ply (points on all surfaces, with normals) and \
     manifest.json (every parameter). A folder that holds anything is never touched. In a pipeline, data: \
-    Simulated(scene: ..) makes the same data set without this command.\n\nEXAMPLES\n  pwrfgs simulate \
-    scenes/office.ron --out data/office\n  pwrfgs simulate scenes/lab-s23.ron --samples 4898 --no-paths --out data/lab\n  pwrfgs \
-    simulate scenes/office.ron --samples 100000 --no-paths --npy --out data/many")]
+    Simulated(scene: ..) makes the same data set without this command.\n\nLAYOUTS\n  spectra   pictures, or with --npy \
+    spectra.npy, one array\n  rssi      gateway_position.yml, and gateway_rssi.csv in dBm with a column each receiver; \
+    -100.0 was not heard\n  channels  channel.npy, complex64 [transmitters, antennas, subcarriers], and receiver.yml with \
+    frequencies and antennas\n  csi       csidata.npy, the same array, whose first half of the subcarriers is the uplink \
+    and the second the downlink, and base-station.yml; NeRF2's own program wants 8 antennas and 52 subcarriers\nOf several \
+    receivers each has a folder of its own, but for rssi.\n\nEXAMPLES\n  pwrfgs simulate scenes/office.ron --out \
+    data/office\n  pwrfgs simulate scenes/lab-s23.ron --samples 4898 --no-paths --out data/lab\n  pwrfgs simulate \
+    scenes/office.ron --samples 100000 --no-paths --npy --out data/many\n  pwrfgs simulate scenes/office-links.ron --layout \
+    rssi --noise-db 3 --no-paths --out data/rssi\n  pwrfgs simulate scenes/office-csi.ron --layout csi --snr-db 30 --samples \
+    4000 --no-paths --out data/csi")]
 pub(crate) struct Simulate {
     /// The scene file
     #[arg(value_name = "SCENE")]
@@ -29,7 +36,16 @@ pub(crate) struct Simulate {
     /// The folder to make
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
-    /// How many spectra
+    /// Which files hold what is observed
+    #[arg(long, value_enum, default_value_t = Kind::Spectra)]
+    pub(crate) layout: Kind,
+    /// Signal-to-noise ratio of every channel, in place of the scene's; with channels and csi
+    #[arg(long, value_name = "DB", allow_negative_numbers = true)]
+    pub(crate) snr_db: Option<f64>,
+    /// Standard deviation of every reading of a power; with rssi [default: 0]
+    #[arg(long, value_name = "DB")]
+    pub(crate) noise_db: Option<f64>,
+    /// How many transmitters
     #[arg(long, value_name = "N", default_value_t = 1000)]
     pub(crate) samples: usize,
     /// Which transmitter positions and receiver errors
@@ -46,15 +62,56 @@ pub(crate) struct Simulate {
     pub(crate) no_paths: bool,
 }
 
+/// What is observed, and as which files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Kind {
+    /// Spatial spectra
+    Spectra,
+    /// Received powers, NeRF2's BLE layout
+    Rssi,
+    /// Channels as one array
+    Channels,
+    /// Channels, uplink and downlink: NeRF2's MIMO layout
+    Csi,
+}
+
+impl Simulate {
+    /// What is observed, and the layout of its files.
+    fn wanted(&self) -> Result<(Observe, Layout)> {
+        let refuse = |what: &str| Err(Error::Config(what.into()));
+        let is_channel = matches!(self.layout, Kind::Channels | Kind::Csi);
+        if self.npy && self.layout != Kind::Spectra {
+            return refuse("--npy is for spectra; leave it out, or the layout");
+        }
+        if self.snr_db.is_some() && !is_channel {
+            return refuse(
+                "--snr-db is for channels; add --layout channels, or set the `noise` of the scene for spectra",
+            );
+        }
+        if self.noise_db.is_some() && self.layout != Kind::Rssi {
+            return refuse("--noise-db is for powers; add --layout rssi");
+        }
+        let channel = Observe::Channel { snr_db: self.snr_db };
+        Ok(match self.layout {
+            Kind::Spectra if self.npy => (Observe::Spectrum, Layout::Array),
+            Kind::Spectra => (Observe::Spectrum, Layout::Pictures),
+            Kind::Rssi => (Observe::Power { noise_db: self.noise_db.unwrap_or(0.0) }, Layout::Rssi),
+            Kind::Channels => (channel, Layout::Channels),
+            Kind::Csi => (channel, Layout::Csi),
+        })
+    }
+}
+
 pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<ExitCode> {
     let begun = Instant::now();
     let stop = stop_flag()?;
-    let recipe = Recipe::read(&arguments.scene, arguments.samples, arguments.seed, arguments.points)?;
+    let (observe, layout) = arguments.wanted()?;
+    let recipe =
+        Recipe::read(&arguments.scene, arguments.samples, arguments.seed, arguments.points)?.observing(observe)?;
     let bar = Mutex::new(Progress::new(verbosity));
     let tell = |done, total| bar.lock().unwrap_or_else(PoisonError::into_inner).on_stage("simulating", done, total);
     tell(0, 0);
-    let (pictures, source) = if arguments.npy { (Pictures::Npy, "Arrays") } else { (Pictures::Png, "Nerf2Spectrum") };
-    let written = folder::write_as(&recipe, pictures, !arguments.no_paths, &arguments.out, &tell, &stop);
+    let written = folder::write_as(&recipe, layout, !arguments.no_paths, &arguments.out, &tell, &stop);
     bar.lock().unwrap_or_else(PoisonError::into_inner).finish();
     if matches!(written, Err(Error::Stopped)) {
         output::note("stopped; nothing is left behind, and the same command begins anew");
@@ -62,16 +119,36 @@ pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<Exi
     }
     written?;
     if verbosity != Verbosity::Quiet {
-        output::note(&format!(
-            "{} simulated spectra of {} in {} after {:.1} s; to train on them: data: {source}(root: \"{}\", points: \
-             \"{}\")",
-            arguments.samples,
-            recipe.scene.name,
-            arguments.out.display(),
-            begun.elapsed().as_secs_f64(),
-            arguments.out.display(),
-            arguments.out.join(folder::POINTS).display(),
-        ));
+        output::note(&told(arguments, &recipe, layout, begun.elapsed().as_secs_f64()));
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// What was made, and how to train on it.
+fn told(arguments: &Simulate, recipe: &Recipe, layout: Layout, seconds: f64) -> String {
+    let (scene, out) = (&recipe.scene, arguments.out.display());
+    let receivers = scene.receivers().count();
+    let (things, source) = match layout {
+        Layout::Pictures => ("spectra", "Nerf2Spectrum"),
+        Layout::Array => ("spectra", "Arrays"),
+        Layout::Rssi => ("powers", "Nerf2Rssi"),
+        Layout::Channels => ("channels", "Channels"),
+        Layout::Csi => ("channels", "Nerf2Csi"),
+    };
+    let one = receivers == 1 || layout == Layout::Rssi;
+    // Of several receivers each has a folder; the first stands for all.
+    let root = if one { arguments.out.clone() } else { arguments.out.join(&scene.receiver.name) };
+    let count = recipe.samples * receivers;
+    let at = if receivers == 1 { String::new() } else { format!(" at {receivers} receivers") };
+    let how = match layout {
+        Layout::Pictures | Layout::Array => {
+            let points = root.join(folder::POINTS);
+            format!("{source}(root: \"{}\", points: \"{}\")", root.display(), points.display())
+        }
+        _ => format!("{source}(root: \"{}\")", root.display()),
+    };
+    format!(
+        "{count} simulated {things} of {}{at} in {out} after {seconds:.1} s; to train on them: data: {how}",
+        scene.name
+    )
 }

@@ -66,6 +66,10 @@ impl Default for Nerf2Csi {
 
 #[typetag::serde]
 impl DataSource for Nerf2Csi {
+    fn kind(&self) -> Option<pwrfgs_core::Kind> {
+        Some(pwrfgs_core::Kind::Channel)
+    }
+
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = base.join(&self.root);
         if !root.is_dir() {

@@ -59,6 +59,10 @@ impl Default for Nerf2Rssi {
 
 #[typetag::serde]
 impl DataSource for Nerf2Rssi {
+    fn kind(&self) -> Option<pwrfgs_core::Kind> {
+        Some(pwrfgs_core::Kind::Power)
+    }
+
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = base.join(&self.root);
         if !root.is_dir() {

@@ -96,7 +96,7 @@ fn try_each<R>(
         }
         if let Some((_, data, partition)) = &loaded {
             fitting_network(pipeline).map_err(named)?;
-            let mut trainer = Trainer::new(pipeline, data, partition).map_err(named)?;
+            let mut trainer = Trainer::sketch(pipeline, data, partition).map_err(named)?;
             fitting(&trainer).map_err(named)?;
             all.push(then(&mut trainer).map_err(named)?);
         }

@@ -4,6 +4,7 @@ use super::factored_network::{Factors, Network};
 use super::layers::{laid_out, planned};
 use super::mlp::check_stack;
 use super::waves::Encoding;
+use super::whiten::whitening;
 use pwrfgs_core::{
     Cache, Conditions, Deformation, DeformationInputs, Deltas, Documented, Pose, Real, WeightSpec, cached, rng, rng::Rng,
 };
@@ -54,6 +55,10 @@ impl Deformation for Factored {
         planned(|plan| Network::new(self, plan)).1.layout()
     }
 
+    fn inputs(&self) -> usize {
+        self.tx_encoding.inputs()
+    }
+
     fn kept_per_gaussian(&self) -> usize {
         3 * 2 * (self.width + 1) // both rows of factors, their derivative, and what that is made of
     }
@@ -90,7 +95,7 @@ impl Deformation for Factored {
         prepared: &Cache,
     ) -> Deltas {
         let (network, factors): &(Network, Factors) = cached(prepared);
-        network.forward(weights, factors, txs.positions())
+        network.forward(weights, factors, txs)
     }
 
     fn vjp(
@@ -109,6 +114,15 @@ impl Deformation for Factored {
         network.stack[0].dim(&mut factors, 0, &self.tx_encoding.window(share));
         network.branch.dim(&mut factors, 0, &self.position_encoding.window(share)[3..]);
         Some(factors)
+    }
+
+    fn start(&self, training: Conditions<'_>, weights: &mut [Real]) {
+        let (network, _) = planned(|plan| Network::new(self, plan));
+        let (Some(white), Encoding::Features { gain, .. }) = (network.white, &self.tx_encoding) else { return };
+        if let Some((matrix, bias)) = whitening(training, *gain) {
+            weights[white.weight..][..matrix.len()].copy_from_slice(&matrix);
+            white.bias_mut(weights).copy_from_slice(&bias);
+        }
     }
 
     fn dropout(&self, rate: Real, rng: &mut Rng) -> Option<Vec<Real>> {
@@ -130,6 +144,9 @@ impl Deformation for Factored {
         check_stack(self.depth, self.width, None)?;
         self.tx_encoding.check("tx_encoding")?;
         self.position_encoding.check("position_encoding")?;
+        if matches!(self.position_encoding, Encoding::Features { .. }) {
+            return Err("position_encoding: a Gaussian has a position and no features; give Waves(..) or Octaves(4)".into());
+        }
         if self.position_encoding.width() == 3 {
             return Err("position_encoding needs a wave: give Waves(count: 32, reach: 4.0) or Octaves(4)".into());
         }

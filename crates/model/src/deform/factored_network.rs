@@ -1,6 +1,7 @@
 //! Forward and backward of [`super::Factored`].
 //!
 //! ```text
+//! (features of the data → tx.white →)
 //! γ(p) → tx.0 … tx.{depth-1}, each with ReLU → T ─┐ (once a transmitter)
 //! φ(μ) → branch → factors G, constants G₀ ────────┴→ s = G·T + G₀
 //! ```
@@ -10,7 +11,7 @@ use super::factored::Factored;
 use super::layers::Plan;
 use super::linear::Linear;
 use super::waves::Encoder;
-use pwrfgs_core::{DeformationInputs, Deltas, Real};
+use pwrfgs_core::{Conditions, DeformationInputs, Deltas, Real};
 use rayon::prelude::*;
 
 /// Mean magnitude of a sine.
@@ -23,10 +24,14 @@ const GROUP: usize = 32;
 pub(super) struct Network {
     tx_encoding: Encoder,
     position_encoding: Encoder,
+    /// Makes features of the data uncorrelated; nothing of a position.
+    pub(super) white: Option<Linear>,
     pub(super) stack: Vec<Linear>,
     pub(super) branch: Linear,
     /// Numbers of T.
     features: usize,
+    /// Of these the last ones, which are the transmitter's own numbers; none of a position.
+    direct: usize,
 }
 
 /// The Gaussians' side: waves and factors, feature-major `[·, N]`.
@@ -51,14 +56,18 @@ impl Network {
     pub(super) fn new(settings: &Factored, plan: &mut Plan) -> Self {
         let width = settings.width;
         let tx_encoding = settings.tx_encoding.encoder();
-        let inputs = |l| if l == 0 { settings.tx_encoding.width() } else { width };
+        let own = settings.tx_encoding.width();
+        let inputs = |l| if l == 0 { own } else { width };
+        let white = matches!(tx_encoding, Encoder::Features(..)).then(|| plan.unbiased("tx.white", own, own, (3.0 / own as f64).sqrt()));
         let stack = (0..settings.depth).map(|l| plan.relu(&format!("tx.{l}"), inputs(l), width)).collect();
         let waves = settings.position_encoding.width() - 3;
         // Signals begin about as large as one feature: factors have the variance 1/width.
         let bound = WAVE_MEAN * (6.0 * waves as f64 / width as f64).sqrt();
-        let branch = plan.unbiased("branch", waves, 2 * (width + 1), bound);
+        let direct = if white.is_some() { own } else { 0 };
+        let features = width + direct;
+        let branch = plan.unbiased("branch", waves, 2 * (features + 1), bound);
         let position_encoding = settings.position_encoding.encoder();
-        Self { tx_encoding, position_encoding, stack, branch, features: width }
+        Self { tx_encoding, position_encoding, white, stack, branch, features, direct }
     }
 
     pub(super) fn factors(&self, weights: &[Real], means: &[[Real; 3]]) -> Factors {
@@ -80,27 +89,37 @@ impl Network {
     }
 
     /// γ(p) and every layer's output, feature-major `[·, B]`; the last is T.
-    fn stack(&self, weights: &[Real], txs: &[[Real; 3]]) -> Vec<Vec<Real>> {
+    fn stack(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<Vec<Real>> {
         let mut layers = vec![vec![0.0; txs.len() * self.stack[0].inputs]];
-        self.tx_encoding.encode(txs, &mut layers[0]);
+        self.tx_encoding.encode_all(txs, &mut layers[0]);
+        if let Some(white) = &self.white {
+            let mut x = vec![0.0; layers[0].len()];
+            white.whole().apply(weights, &layers[0], &mut x, Store::Set);
+            dense::add_bias(&mut x, white.bias(weights));
+            layers[0] = x;
+        }
         for (l, layer) in self.stack.iter().enumerate() {
             let mut h = vec![0.0; txs.len() * layer.outputs];
             layer.whole().apply(weights, &layers[l], &mut h, Store::Set);
             dense::bias_relu(&mut h, layer.bias(weights));
             layers.push(h);
         }
+        if self.direct > 0 {
+            let own = layers[0].clone();
+            layers.last_mut().expect("a layer or more").extend(own);
+        }
         layers
     }
 
     /// One transmitter at a time: a batch then gives the bits of single calls.
-    pub(super) fn forward(&self, weights: &[Real], g: &Factors, txs: &[[Real; 3]]) -> Deltas {
+    pub(super) fn forward(&self, weights: &[Real], g: &Factors, txs: Conditions<'_>) -> Deltas {
         let n = g.n;
         let mut signals = vec![[0.0; 2]; txs.len() * n];
         if signals.is_empty() {
             return Deltas { signals, ..Deltas::default() };
         }
-        signals.par_chunks_exact_mut(n).zip(txs).for_each(|(signals, tx)| {
-            let layers = self.stack(weights, &[*tx]);
+        signals.par_chunks_exact_mut(n).enumerate().for_each(|(b, signals)| {
+            let layers = self.stack(weights, txs.rows(b..b + 1));
             let t = Matrix::new(&layers[self.stack.len()], self.features, 1);
             for c in 0..2 {
                 let (factors, base) = g.channel(c);
@@ -119,16 +138,18 @@ impl Network {
         d_weights: &mut [Real],
         d_means: Option<&mut [[Real; 3]]>,
     ) {
-        let DeformationInputs { weights, means, .. } = *inputs;
-        let txs = inputs.txs.positions();
+        let DeformationInputs { weights, means, txs, .. } = *inputs;
         let n = means.len();
         if n == 0 || txs.is_empty() {
             return;
         }
         let g = self.factors(weights, means);
-        let groups = txs.par_chunks(GROUP).zip(d.signals.par_chunks(GROUP * n));
-        let sums: Vec<(Vec<Real>, Vec<Real>)> =
-            groups.map(|(txs, d_signals)| self.group_vjp(weights, &g, txs, d_signals)).collect();
+        let groups = d.signals.par_chunks(GROUP * n).enumerate();
+        let group = |(k, d_signals): (usize, &[[Real; 2]])| {
+            let some = txs.rows(k * GROUP..k * GROUP + d_signals.len() / n);
+            self.group_vjp(weights, &g, some, d_signals)
+        };
+        let sums: Vec<(Vec<Real>, Vec<Real>)> = groups.map(group).collect();
         dense::add_in_order(d_weights, &sums.iter().map(|s| s.0.as_slice()).collect::<Vec<_>>());
         let mut d_factors = vec![0.0; g.rows.len()];
         dense::add_in_order(&mut d_factors, &sums.iter().map(|s| s.1.as_slice()).collect::<Vec<_>>());
@@ -136,7 +157,13 @@ impl Network {
     }
 
     /// Derivatives of the weights and of the factors, from some transmitters.
-    fn group_vjp(&self, weights: &[Real], g: &Factors, txs: &[[Real; 3]], d: &[[Real; 2]]) -> (Vec<Real>, Vec<Real>) {
+    fn group_vjp(
+        &self,
+        weights: &[Real],
+        g: &Factors,
+        txs: Conditions<'_>,
+        d: &[[Real; 2]],
+    ) -> (Vec<Real>, Vec<Real>) {
         let (n, batch, width) = (g.n, txs.len(), self.features);
         let layers = self.stack(weights, txs);
         let (mut d_weights, mut d_factors) = (vec![0.0; weights.len()], vec![0.0; g.rows.len()]);
@@ -154,14 +181,24 @@ impl Network {
             let factors = Matrix::new(g.channel(c).0, width, n);
             product(MatrixMut::new(&mut d_h, width, batch), Store::Add, factors, d_s.t());
         }
+        let mut d_own = d_h.split_off((width - self.direct) * batch);
         for (l, layer) in self.stack.iter().enumerate().rev() {
-            dense::bias_relu_vjp(&mut d_h, &layers[l + 1], layer.bias_mut(&mut d_weights));
+            dense::bias_relu_vjp(&mut d_h, &layers[l + 1][..layer.outputs * batch], layer.bias_mut(&mut d_weights));
             layer.whole().weight_vjp(&mut d_weights, &layers[l], &d_h);
+            if l == 0 && self.direct > 0 {
+                layer.whole().input_vjp(weights, &d_h, &mut d_own, Store::Add);
+            }
             if l > 0 {
                 let mut d_x = vec![0.0; layer.inputs * batch];
                 layer.whole().input_vjp(weights, &d_h, &mut d_x, Store::Set);
                 d_h = d_x;
             }
+        }
+        if let Some(white) = &self.white {
+            let mut raw = vec![0.0; batch * white.inputs];
+            self.tx_encoding.encode_all(txs, &mut raw);
+            dense::add_bias_vjp(&d_own, white.bias_mut(&mut d_weights));
+            white.whole().weight_vjp(&mut d_weights, &raw, &d_own);
         }
         (d_weights, d_factors)
     }

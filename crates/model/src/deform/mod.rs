@@ -21,6 +21,7 @@ mod oracle;
 mod tests;
 mod trunk;
 mod waves;
+mod whiten;
 mod wrfgs;
 mod wrfgs_branch;
 mod wrfgs_network;

@@ -2,7 +2,7 @@
 
 use super::encoding::{self, encode, encode_vjp, let_in};
 use super::mlp::{WIDEST, check_frequencies};
-use pwrfgs_core::{Documented, Real, WeightSpec, rng};
+use pwrfgs_core::{Conditions, Documented, Real, WeightSpec, rng};
 use serde::{Deserialize, Serialize};
 
 /// The encoding γ(p) of a position: the coordinates, and waves over the room.
@@ -23,6 +23,29 @@ pub enum Encoding {
         #[serde(default)]
         seed: u64,
     },
+    /// Sine and cosine of 2π/λ along each axis for `count` wavelengths in equal ratios, and the coordinates times 2π over
+    /// the longest: for fields that vary slowly over tens of metres, such as received powers.
+    Wavelengths {
+        /// Number of wavelengths.
+        count: usize,
+        /// Metres; about the size of the site.
+        longest_m: f64,
+        /// Metres; what varies faster cannot be followed, which keeps a network from learning noise.
+        shortest_m: f64,
+    },
+    /// No position, but the vector that the data have in its place, as it is; of the transmitter only. The network's
+    /// features then hold it too, so that signals may be linear in it.
+    Features {
+        /// Numbers of the vector.
+        width: usize,
+        /// What they are multiplied by, so that they are about 1.
+        #[serde(default = "one")]
+        gain: f64,
+    },
+}
+
+fn one() -> f64 {
+    1.0
 }
 
 impl Default for Encoding {
@@ -37,7 +60,14 @@ impl Encoding {
         match *self {
             Self::Octaves(frequencies) => encoding::width(frequencies),
             Self::Waves { count, .. } => 3 + 2 * count,
+            Self::Wavelengths { count, .. } => 3 + 6 * count,
+            Self::Features { width, .. } => width,
         }
+    }
+
+    /// Numbers that it reads of a transmitter.
+    pub(super) fn inputs(&self) -> usize {
+        if let Self::Features { width, .. } = *self { width } else { 3 }
     }
 
     pub(super) fn check(&self, field: &str) -> Result<(), String> {
@@ -48,6 +78,23 @@ impl Encoding {
             }
             Self::Waves { reach, .. } if !(reach > 0.0 && reach.is_finite()) => {
                 Err(format!("{field}: reach is {reach}; give rad/m above 0, about 2π over the wavelength"))
+            }
+            Self::Wavelengths { count, longest_m, shortest_m } => {
+                if count > WIDEST / 3 {
+                    return Err(format!("{field}: count is {count}; give a number from 0 to {}", WIDEST / 3));
+                }
+                if shortest_m > 0.0 && longest_m >= shortest_m && longest_m.is_finite() {
+                    return Ok(());
+                }
+                Err(format!(
+                    "{field}: wavelengths of {longest_m} to {shortest_m} m; give the longest, then a shorter one above 0"
+                ))
+            }
+            Self::Features { width, gain } => {
+                if !(1..=WIDEST).contains(&width) || !(gain.is_finite() && gain != 0.0) {
+                    return Err(format!("{field}: give a width from 1 to {WIDEST} and a gain that is not 0"));
+                }
+                Ok(())
             }
             Self::Waves { .. } => Ok(()),
         }
@@ -63,12 +110,17 @@ impl Encoding {
                 let wave = |i: usize| let_in((front - length(i, count)) / band);
                 [1.0; 3].into_iter().chain((0..count).flat_map(|i| [wave(i); 2])).collect()
             }
+            Self::Wavelengths { count, .. } => {
+                let wave = |i: usize| let_in(share * (count + 1) as f64 - i as f64);
+                [1.0; 3].into_iter().chain((0..count).flat_map(|i| [wave(i); 6])).collect()
+            }
+            Self::Features { width, .. } => vec![1.0; width],
         }
     }
 
     /// The wave vectors `[count, 3]`, rad/m, as the model file holds them: nobody else can draw them from the seed.
     pub(super) fn constants(&self, field: &str) -> Option<(WeightSpec, Vec<Real>)> {
-        let Encoder::Waves(vectors) = self.encoder() else { return None };
+        let Encoder::Waves(vectors, _) = self.encoder() else { return None };
         let spec = WeightSpec { name: field.into(), shape: vec![vectors.len(), 3] };
         Some((spec, vectors.into_flattened().into_iter().map(|k| k as Real).collect()))
     }
@@ -83,8 +135,15 @@ impl Encoding {
                     let norm = direction.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-9);
                     direction.map(|v| v / norm * length(i, count) * reach)
                 };
-                Encoder::Waves((0..count).map(vector).collect())
+                Encoder::Waves((0..count).map(vector).collect(), 1.0)
             }
+            Self::Wavelengths { count, longest_m, shortest_m } => {
+                let ratio = |i: usize| i as f64 / count.saturating_sub(1).max(1) as f64;
+                let number = |i: usize| std::f64::consts::TAU / (longest_m * (shortest_m / longest_m).powf(ratio(i)));
+                let along = |i: usize| (0..3).map(move |axis| std::array::from_fn(|k| if k == axis { number(i) } else { 0.0 }));
+                Encoder::Waves((0..count).flat_map(along).collect(), std::f64::consts::TAU / longest_m)
+            }
+            Self::Features { width, gain } => Encoder::Features(width, gain),
         }
     }
 }
@@ -98,20 +157,33 @@ fn length(i: usize, count: usize) -> f64 {
 #[derive(Debug)]
 pub(super) enum Encoder {
     Octaves(usize),
-    Waves(Vec<[f64; 3]>),
+    /// Wave vectors, and the factor on the coordinates.
+    Waves(Vec<[f64; 3]>, f64),
+    /// Width and gain.
+    Features(usize, f64),
 }
 
 impl Encoder {
+    /// γ of B transmitters into `out` `[·, B]`.
+    pub(super) fn encode_all(&self, txs: Conditions<'_>, out: &mut [Real]) {
+        let Self::Features(width, gain) = *self else { return self.encode(txs.positions(), out) };
+        let rows = txs.len();
+        for (r, row) in txs.values().chunks_exact(width).enumerate() {
+            row.iter().enumerate().for_each(|(k, v)| out[k * rows + r] = v * gain as Real);
+        }
+    }
+
     /// γ of B points into `out` `[·, B]`.
     pub(super) fn encode(&self, points: &[[Real; 3]], out: &mut [Real]) {
-        let vectors = match self {
+        let (vectors, scale) = match self {
             Self::Octaves(frequencies) => return encode(points.iter().copied(), *frequencies, out),
-            Self::Waves(vectors) => vectors,
+            Self::Waves(vectors, scale) => (vectors, *scale as Real),
+            Self::Features(..) => return,
         };
         let rows = points.len();
         for (r, point) in points.iter().enumerate() {
             let x = point.map(f64::from);
-            (0..3).for_each(|k| out[k * rows + r] = point[k]);
+            (0..3).for_each(|k| out[k * rows + r] = scale * point[k]);
             for (i, k) in vectors.iter().enumerate() {
                 let (sin, cos) = (k[0] * x[0] + k[1] * x[1] + k[2] * x[2]).sin_cos();
                 let row = 3 + 2 * i;
@@ -129,7 +201,8 @@ impl Encoder {
                 let padded = |waves: &[Real]| [vec![0.0; 3 * rows].as_slice(), waves].concat();
                 encode_vjp(&padded(waves), &padded(d_waves), *frequencies, d_points);
             }
-            Self::Waves(vectors) => {
+            Self::Features(..) => {}
+            Self::Waves(vectors, _) => {
                 for (i, k) in vectors.iter().enumerate() {
                     let (sines, cosines) = (2 * i * rows, (2 * i + 1) * rows);
                     for (r, d_point) in d_points.iter_mut().enumerate() {
@@ -149,8 +222,8 @@ mod tests {
     #[test]
     fn waves_have_their_lengths_and_another_seed_other_directions() {
         let vectors = |seed| match (Encoding::Waves { count: 40, reach: 20.0, seed }).encoder() {
-            Encoder::Waves(vectors) => vectors,
-            Encoder::Octaves(_) => unreachable!("they are waves"),
+            Encoder::Waves(vectors, _) => vectors,
+            _ => unreachable!("they are waves"),
         };
         let lengths: Vec<f64> = vectors(0).iter().map(|k| k.iter().map(|v| v * v).sum::<f64>().sqrt()).collect();
         assert!(lengths.iter().enumerate().all(|(i, l)| (l - 0.5 * (i as f64 + 0.5)).abs() < 1e-6));

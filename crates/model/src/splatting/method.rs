@@ -1,11 +1,13 @@
 //! Splatting as a [`Method`]: links in, observations out, and back.
 
 use super::groups::Group;
+use super::channel::Waves;
+use super::heard::ReadyWaves;
 use super::received::{self, Laws};
 use super::{Drawing, Geometry, Splatting, View, check_kind, check_together};
 use crate::{ActivationVjp, Calibration, Readout};
 use pwrfgs_core::{
-    Asked, Cache, Conditions, Dataset, DeformationInputs, Deltas, Frame, GaussianCloud, Method, MethodVjp, Observed, Parameters,
+    Asked, Cache, Conditions, Dataset, DeformationInputs, Deltas, Frame, GaussianCloud, Kind, Method, MethodVjp, Observed, Parameters,
     Real, StageTimes, WeightSpec, cached, rng::Rng,
 };
 use rayon::prelude::*;
@@ -56,6 +58,30 @@ impl Splatting {
         }
     }
 
+    /// Adds what the drawings gave, and what the network gives for it.
+    pub(super) fn finish(
+        &self,
+        frame: &Frame,
+        p: &Parameters<'_>,
+        asked: &Asked<'_>,
+        own: &ActivationVjp,
+        sums: &mut MethodVjp,
+    ) {
+        let network = self.parts(frame, p.weights).0;
+        let mut d_means = vec![[0.0; 3]; p.cloud.len()];
+        if own.deltas.to_columns().next().is_some() {
+            let inputs =
+                DeformationInputs { weights: network, means: &p.cloud.means, txs: asked.conditions, pose: &frame.pose() };
+            let d_network = &mut sums.weights[..network.len()];
+            self.deformation.vjp(&inputs, &own.deltas, d_network, Some(&mut d_means));
+        }
+        for ((_, _, sum), (_, _, own)) in sums.cloud.columns_mut().zip(own.cloud.columns()) {
+            sum.iter_mut().zip(own).for_each(|(sum, d)| *sum += d);
+        }
+        sums.cloud.means.as_flattened_mut().iter_mut().zip(d_means.as_flattened()).for_each(|(sum, d)| *sum += d);
+        sums.gate.iter_mut().zip(&own.gate).for_each(|(sum, d)| *sum += d);
+    }
+
     /// Cotangents of the blended signals, given those `d` of the observations; adds to those of the law.
     fn read_out_vjp(
         &self,
@@ -80,13 +106,17 @@ impl Splatting {
         d_blended
     }
 
-    fn terms(&self, frame: &Frame, p: &Parameters<'_>, conditions: Conditions<'_>) -> Deltas {
+    pub(super) fn terms(&self, frame: &Frame, p: &Parameters<'_>, conditions: Conditions<'_>) -> Deltas {
         self.deformation.forward(self.parts(frame, p.weights).0, &p.cloud.means, conditions, &frame.pose())
     }
 }
 
 #[typetag::serde]
 impl Method for Splatting {
+    fn kind(&self) -> Option<Kind> {
+        Some(self.readout.kind())
+    }
+
     fn layout(&self, frame: &Frame) -> Vec<WeightSpec> {
         let mut layout = self.deformation.layout();
         if self.laws(frame) > 0 {
@@ -110,6 +140,9 @@ impl Method for Splatting {
     }
 
     fn forward(&self, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>) -> Observed {
+        if self.readout == Readout::Channel {
+            return self.heard(frame, p, asked);
+        }
         let deltas = self.terms(frame, p, asked.conditions);
         let (views, laws, n) = (self.views(frame), self.parts(frame, p.weights).1, p.cloud.len());
         let numbers = frame.numbers();
@@ -151,10 +184,13 @@ impl Method for Splatting {
         d: &[Real],
         sums: &mut MethodVjp,
     ) {
+        if self.readout == Readout::Channel {
+            return self.heard_vjp(frame, p, asked, &observed, d, sums);
+        }
         let Kept { deltas, drawings } = cached(&observed.cache);
         let (numbers, n) = (frame.numbers(), p.cloud.len());
         let network = self.parts(frame, p.weights).0;
-        let (d_network, d_laws) = sums.weights.split_at_mut(network.len());
+        let d_laws = &mut sums.weights[network.len()..];
         let (d_offsets, d_exponents) = d_laws.split_at_mut(d_laws.len() / 2);
         let mut own = ActivationVjp::zeros(p.cloud, deltas);
         let rows: Vec<usize> = (0..n).collect();
@@ -174,21 +210,16 @@ impl Method for Splatting {
             }
             sums.seen.observe(&rows, &drawing.geometry.splats, &d, &view.plane, drawings.len());
         }
-        let mut d_means = vec![[0.0; 3]; n];
-        if own.deltas.to_columns().next().is_some() {
-            let inputs =
-                DeformationInputs { weights: network, means: &p.cloud.means, txs: asked.conditions, pose: &frame.pose() };
-            self.deformation.vjp(&inputs, &own.deltas, d_network, Some(&mut d_means));
-        }
-        for ((_, _, sum), (_, _, own)) in sums.cloud.columns_mut().zip(own.cloud.columns()) {
-            sum.iter_mut().zip(own).for_each(|(sum, d)| *sum += d);
-        }
-        sums.cloud.means.as_flattened_mut().iter_mut().zip(d_means.as_flattened()).for_each(|(sum, d)| *sum += d);
-        sums.gate.iter_mut().zip(&own.gate).for_each(|(sum, d)| *sum += d);
+        self.finish(frame, p, asked, &own, sums);
     }
 
     fn prepare(&self, frame: &Frame, p: &Parameters<'_>) -> Cache {
         let network = self.parts(frame, p.weights).0;
+        if self.readout == Readout::Channel {
+            let deformation = self.deformation.prepare(network, &p.cloud.means, &frame.pose());
+            let waves = frame.receivers.iter().map(|receiver| Waves::new(frame, receiver, p.cloud, p.gate)).collect();
+            return Some(Arc::new(ReadyWaves { deformation, waves }));
+        }
         let still = |view: &View| Arc::new(self.geometry(view, p.cloud, &Deltas::default(), 0, p.gate));
         Some(Arc::new(Ready {
             deformation: self.deformation.prepare(network, &p.cloud.means, &frame.pose()),
@@ -204,6 +235,9 @@ impl Method for Splatting {
         prepared: &Cache,
     ) -> (Vec<Real>, StageTimes) {
         let start = Instant::now();
+        if self.readout == Readout::Channel {
+            return self.heard_prepared(frame, p, asked, cached(prepared), start);
+        }
         let Ready { deformation, still } = cached(prepared);
         let (network, laws) = self.parts(frame, p.weights);
         let deltas =
@@ -244,6 +278,11 @@ impl Method for Splatting {
     }
 
     fn start(&self, frame: &Frame, data: &Dataset, train: &[usize], cloud: &mut GaussianCloud, weights: &mut [Real]) {
+        if self.inputs() != 3 {
+            let all: Vec<Real> = train.iter().flat_map(|&i| data.query(i).features).copied().collect();
+            let network = self.parts(frame, weights).0.len();
+            self.deformation.start(Conditions::new(self.inputs(), &all), &mut weights[..network]);
+        }
         if matches!(self.readout, Readout::Received { .. }) {
             self.start_law(frame, data, train, cloud, weights);
         }
@@ -264,6 +303,10 @@ impl Method for Splatting {
                 "the deformation looks at where the receiver is, and these data have {} receivers; use Factored() or Mlp()",
                 frame.receivers.len()
             ));
+        }
+        if self.readout == Readout::Channel {
+            let even = frame.receivers.iter().all(|own| own.antennas.len() == frame.receivers[0].antennas.len());
+            return if even { Ok(()) } else { Err("receivers with different numbers of antennas; give all the same".into()) };
         }
         check_together(&*self.rasterizer, self.readout, self.calibration, &self.sky(frame))
     }

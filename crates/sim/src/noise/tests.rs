@@ -1,4 +1,6 @@
 use super::*;
+use crate::scene::Orientation;
+use pwrfgs_core::plugin::Checked;
 
 fn channel(elements: usize) -> Vec<Complex> {
     (0..elements).map(|k| 1e-3 * Complex::cis(0.7 * k as f64) * (1.0 + (k % 3) as f64)).collect()
@@ -6,12 +8,17 @@ fn channel(elements: usize) -> Vec<Complex> {
 
 fn with(noise: &Noise, draw: u64) -> Vec<Complex> {
     let mut found = channel(16);
-    add(noise, &mut found, draw);
+    draw_into(noise, &mut found, draw);
     found
 }
 
-fn mean_power(values: &[Complex]) -> f64 {
-    values.iter().map(Complex::norm_sqr).sum::<f64>() / values.len() as f64
+fn receiver(name: &str) -> Receiver {
+    let orientation = Orientation::Quaternion(0.0, 0.0, 0.0, 1.0);
+    Receiver { name: name.into(), position: [0.0; 3], orientation, array: Checked::default() }
+}
+
+fn draw_into(noise: &Noise, channel: &mut [Complex], sample: u64) {
+    add(noise, channel, 1, Draw { receiver: &receiver("gateway1"), sample });
 }
 
 #[test]
@@ -45,7 +52,7 @@ fn phase_errors_belong_to_the_receiver_and_not_to_the_sample() {
     assert_eq!(with(&noise, 0), with(&noise, 1));
     assert_ne!(with(&noise, 0), with(&Noise { seed: 1, ..noise.clone() }, 0));
     let mut many = channel(1024);
-    add(&noise, &mut many, 0);
+    draw_into(&noise, &mut many, 0);
     let turned: Vec<f64> = many.iter().zip(channel(1024)).map(|(a, b)| (a / b).arg().to_degrees()).collect();
     let mean = turned.iter().sum::<f64>() / 1024.0;
     let deviation = (turned.iter().map(|d| d * d).sum::<f64>() / 1024.0).sqrt();
@@ -66,7 +73,7 @@ fn the_same_draw_has_the_same_bits_in_any_order() {
 #[test]
 fn silence_stays_silent() {
     let mut silent = vec![Complex::ZERO; 16];
-    add(&Noise { snr_db: Some(10.0), phase_error_deg: 3.0, seed: 0 }, &mut silent, 0);
+    draw_into(&Noise { snr_db: Some(10.0), phase_error_deg: 3.0, seed: 0 }, &mut silent, 0);
     assert_eq!(silent, vec![Complex::ZERO; 16]);
 }
 
@@ -77,4 +84,28 @@ fn settings_out_of_range_are_told() {
     assert!(check(Some(f64::NAN), 0.0).unwrap_err().starts_with("noise: `snr_db` is NaN"));
     assert!(check(Some(f64::INFINITY), 0.0).is_err());
     assert!(check(None, -1.0).unwrap_err().starts_with("noise: `phase_error_deg` is -1"));
+}
+
+#[test]
+fn receivers_have_errors_of_their_own_and_subcarriers_share_those_of_phase() {
+    let noise = Noise { phase_error_deg: 10.0, ..Noise::default() };
+    let of = |noise: &Noise, name: &str, subcarriers: usize| {
+        let mut found = channel(16);
+        add(noise, &mut found, subcarriers, Draw { receiver: &receiver(name), sample: 2 });
+        found
+    };
+    assert_ne!(of(&noise, "north", 1), of(&noise, "south", 1));
+    let turns: Vec<Complex> = of(&noise, "north", 4).iter().zip(channel(16)).map(|(a, b)| a / b).collect();
+    assert!(turns.chunks(4).all(|antenna| antenna.iter().all(|turn| (turn - antenna[0]).norm() < 1e-12)));
+    assert!((turns[0] - turns[4]).norm() > 1e-6);
+    // The seed and the name alone decide: the default name has the draws that a scene without names always had.
+    let noise = Noise { snr_db: Some(10.0), seed: 3, ..Noise::default() };
+    let mut old = channel(16);
+    let deviation = (mean_power(&old) * 0.1).sqrt() * FRAC_1_SQRT_2;
+    let mut random = rng::stream(3, "receiver noise", 2);
+    let mut normal = || deviation * rng::normal(&mut random) as f64;
+    old.iter_mut().for_each(|h| *h += Complex::new(normal(), normal()));
+    assert_eq!(of(&noise, "gateway1", 1), old);
+    assert_eq!(of(&noise, "gateway1", 4), old);
+    assert_ne!(of(&noise, "north", 1), old);
 }

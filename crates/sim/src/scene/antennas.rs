@@ -4,13 +4,27 @@ use super::FAR;
 use crate::array::{Array, Element};
 use crate::transmitters::Transmitters;
 use glam::{DMat3, DQuat, DVec3};
+use pwrfgs_core::Pose;
 use pwrfgs_core::plugin::Checked;
 use serde::{Deserialize, Serialize};
 
-/// The receiver.
+/// Farthest from 0 dBm that a transmitter may be.
+const MOST_DBM: f64 = 200.0;
+/// Name of a receiver that has none of its own: that of the first receiver in `gateway_info.yml`.
+const GATEWAY: &str = "gateway1";
+/// Most letters of a receiver's name.
+const LONGEST: usize = 40;
+/// What YAML takes for a truth value or nothing, where a name is meant.
+const WORDS_OF_YAML: [&str; 8] = ["y", "n", "yes", "no", "on", "off", "true", "false"];
+
+/// A receiver.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Receiver {
+    /// What it is called, in files and folders; default `gateway1`. Its noise depends on the name, not on its place in the
+    /// scene. Not written out where it is the default, so that data of old scenes keep their key.
+    #[serde(default = "gateway", skip_serializing_if = "is_gateway")]
+    pub name: String,
     /// Centre of the array, metres.
     pub position: [f64; 3],
     /// How it is turned.
@@ -46,6 +60,22 @@ pub struct Transmitter {
     /// Axis of its polarisation, world frame; default upright.
     #[serde(default = "upright")]
     pub polarization: [f64; 3],
+    /// What it sends, dBm; default 0. Received powers count from it; spectra and channels do not know it. Not written out
+    /// where it is the default.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub power_dbm: f64,
+}
+
+fn gateway() -> String {
+    GATEWAY.into()
+}
+
+fn is_gateway(name: &str) -> bool {
+    name == GATEWAY
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 fn upright() -> [f64; 3] {
@@ -53,9 +83,44 @@ fn upright() -> [f64; 3] {
 }
 
 impl Receiver {
+    /// Its pose.
+    pub fn pose(&self) -> Pose {
+        Pose { position: self.position, orientation: self.orientation.quaternion() }
+    }
+
+    /// Its name with `what` before, or `what` alone where it has no name of its own.
+    pub(crate) fn called(&self, what: &str) -> String {
+        if is_gateway(&self.name) { what.into() } else { format!("{what} `{}`", self.name) }
+    }
+
+    /// The name of a random stream that is this receiver's own.
+    pub(crate) fn stream(&self, what: &str) -> String {
+        if is_gateway(&self.name) { what.into() } else { format!("{what} of {}", self.name) }
+    }
+
+    /// Refuses a name that cannot be that of a folder, a column and a key on every machine.
+    pub(super) fn check_name(&self) -> Result<(), String> {
+        let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+        let begins = self.name.starts_with(|c: char| c.is_ascii_alphabetic());
+        let fits = begins && self.name.len() <= LONGEST && self.name.chars().all(is_plain);
+        if fits && !WORDS_OF_YAML.contains(&&*self.name.to_ascii_lowercase()) {
+            return Ok(());
+        }
+        let shown: String = self.name.chars().filter(|c| !c.is_control()).take(LONGEST).collect();
+        Err(format!(
+            "`{shown}` is no name for a receiver; give a letter and then at most {} letters, digits, `-` and `_`, such as \
+             \"north\"",
+            LONGEST - 1
+        ))
+    }
+
     pub(super) fn check(&self) -> Result<(), String> {
+        self.check_pose().map_err(|what| format!("{}: {what}", self.called("receiver")))
+    }
+
+    fn check_pose(&self) -> Result<(), String> {
         if !self.position.iter().all(|v| v.abs() <= FAR) {
-            return Err(format!("receiver: `position` is {:?}; give finite metres", self.position));
+            return Err(format!("`position` is {:?}; give finite metres", self.position));
         }
         match &self.orientation {
             Orientation::Quaternion(x, y, z, w) => {
@@ -63,15 +128,29 @@ impl Receiver {
                 if (norm - 1.0).abs() < 0.01 {
                     return Ok(());
                 }
-                Err(format!("receiver: the quaternion has length {norm}; give a unit quaternion x, y, z, w"))
+                Err(format!("the quaternion has length {norm}; give a unit quaternion x, y, z, w"))
             }
             Orientation::Facing { direction } => {
                 if DVec3::from(*direction).try_normalize().is_some() {
                     return Ok(());
                 }
-                Err(format!("receiver: `direction` is {direction:?}; give a direction such as (0, 0, -1)"))
+                Err(format!("`direction` is {direction:?}; give a direction such as (0, 0, -1)"))
             }
         }
+    }
+}
+
+impl Transmitter {
+    pub(super) fn check(&self) -> Result<(), String> {
+        let axis = self.polarization;
+        if DVec3::from(axis).try_normalize().is_none() {
+            return Err(format!("`polarization` of the transmitter is {axis:?}; give an axis such as (0, 0, 1)"));
+        }
+        if self.power_dbm.is_nan() || self.power_dbm.abs() > MOST_DBM {
+            let what = format!("give -{MOST_DBM} to {MOST_DBM} dBm");
+            return Err(format!("`power_dbm` of the transmitter is {}; {what}", self.power_dbm));
+        }
+        self.element.check().map_err(|why| format!("transmitter: {why}"))
     }
 }
 

@@ -33,3 +33,22 @@ pub(crate) fn law_scene(room: &str, objects: &str, receiver: [f64; 3], propagati
     let text = text.replace("position: [", "position: (").replace("], orientation", "), orientation");
     Scene::parse(&text, Path::new("law.ron")).unwrap()
 }
+
+/// A small room with one of everything and two receivers; `more` are further fields.
+pub(crate) fn small_room(more: &str) -> String {
+    format!(
+        "(name: \"small\", carrier_hz: 2.4e9,
+          room: (outline: Box(low: (0, 0, 0), high: (4, 3, 2.5)), walls: (material: \"plasterboard\", thickness_m: 0.1),
+              floor: (material: \"concrete\"), ceiling: (material: \"wood\", thickness_m: 0.02, roughness: 0.3)),
+          objects: [Box(name: \"desk\", low: (1, 1, 0), high: (2, 2, 0.7), finish: (material: \"metal\"))],
+          receiver: (position: (0.2, 1.5, 1.5), orientation: Facing(direction: (1, 0, 0)), array: (rows: 2, columns: 4)),
+          more_receivers: [(name: \"b\", position: (3.7, 1, 2), orientation: Facing(direction: (-1, 0, 0)),
+              array: (rows: 4, columns: 2))],
+          transmitter: (positions: Uniform(low: (0.9, 0.9, 0.4), high: (3.5, 2.5, 1.5))),
+          noise: (snr_db: 20, phase_error_deg: 3),
+          {more})"
+    )
+}
+
+/// Six subcarriers for it.
+pub(crate) const CSI: &str = "subcarriers: (count: 6, bandwidth_hz: 20e6)";

@@ -1,0 +1,143 @@
+//! A channel: the waves of all Gaussians, summed on the antennas of a receiver for every subcarrier.
+//!
+//! h(a, f) = Σ_g m_g s_g exp(−j k_f d_ga)/d_ga with d the distance from Gaussian g to antenna a, k_f = 2πf/c and the gate m.
+//! Gaussians are points here: nothing is projected, and nothing hides anything. What the transmitter changes is the
+//! signals s alone, so the waves W `[2AF, N]` are worked out once for all links of a receiver.
+
+use pwrfgs_core::{Frame, GaussianCloud, Real, Receiver};
+use rayon::prelude::*;
+
+/// Metres a second.
+const SPEED_OF_LIGHT: f64 = 299_792_458.0;
+/// A Gaussian is heard as if it were no nearer to an antenna, metres.
+const NEAREST_M: f64 = 0.05;
+
+/// What each Gaussian sends to a receiver with a signal of 1: real parts `[A·F, N]` and imaginary parts, rows in the order
+/// of an observation's.
+#[derive(Debug)]
+pub(super) struct Waves {
+    re: Vec<Real>,
+    im: Vec<Real>,
+    n: usize,
+    columns: usize,
+}
+
+/// Places of the antennas, metres from the origin.
+fn antennas(receiver: &Receiver) -> Vec<[f64; 3]> {
+    let turn = receiver.pose.world_from_receiver();
+    let place = |r: &[f64; 3]| {
+        let turned = (turn * pwrfgs_core::Vec3::from_array(r.map(|v| v as Real))).to_array();
+        std::array::from_fn(|k| receiver.pose.position[k] + f64::from(turned[k] as f32))
+    };
+    receiver.antennas.iter().map(place).collect()
+}
+
+/// From antenna to Gaussian: the way, and its length, at least [`NEAREST_M`].
+fn way(mean: &[Real; 3], antenna: &[f64; 3]) -> ([f64; 3], f64) {
+    let way: [f64; 3] = std::array::from_fn(|k| mean[k] as f64 - antenna[k]);
+    (way, way.iter().map(|v| v * v).sum::<f64>().sqrt().max(NEAREST_M))
+}
+
+impl Waves {
+    pub(super) fn new(frame: &Frame, receiver: &Receiver, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Self {
+        let (n, columns) = (cloud.len(), frame.frequencies_hz.len());
+        let antennas = antennas(receiver);
+        let mut both = vec![[0.0; 2]; antennas.len() * columns * n];
+        both.par_chunks_exact_mut(n.max(1)).enumerate().for_each(|(row, out)| {
+            let (antenna, hz) = (&antennas[row / columns], frame.frequencies_hz[row % columns]);
+            let k = std::f64::consts::TAU * hz / SPEED_OF_LIGHT;
+            for (i, out) in out.iter_mut().enumerate() {
+                let d = way(&cloud.means[i], antenna).1;
+                let level = gate.map_or(1.0, |gate| gate[i] as f64) / d;
+                let (sin, cos) = (k * d).sin_cos();
+                *out = [(level * cos) as Real, (-level * sin) as Real];
+            }
+        });
+        let part = |k: usize| both.iter().map(|w| w[k]).collect();
+        Self { re: part(0), im: part(1), n, columns }
+    }
+
+    /// Observations `[L, 2A, F]` of signals `[N, L, 2]`.
+    pub(super) fn heard(&self, signals: &[Real], links: usize) -> Vec<Real> {
+        let numbers = 2 * self.re.len() / self.n.max(1);
+        let mut out = vec![0.0; links * numbers];
+        out.par_chunks_exact_mut(numbers.max(1)).enumerate().for_each(|(l, out)| {
+            let own: Vec<[Real; 2]> = (0..self.n).map(|i| [0, 1].map(|c| signals[(i * links + l) * 2 + c])).collect();
+            for row in 0..numbers / 2 {
+                let (re, im) = (&self.re[row * self.n..][..self.n], &self.im[row * self.n..][..self.n]);
+                let mut sum = [0.0; 2];
+                for ((re, im), [a, b]) in re.iter().zip(im).zip(&own) {
+                    sum[0] += re * a - im * b;
+                    sum[1] += re * b + im * a;
+                }
+                let at = self.place(row);
+                (out[at], out[at + self.columns]) = (sum[0], sum[1]);
+            }
+        });
+        out
+    }
+
+    /// Where the real part of row (antenna, subcarrier) stands in an observation; the imaginary one is a row below.
+    fn place(&self, row: usize) -> usize {
+        2 * self.columns * (row / self.columns) + row % self.columns
+    }
+
+    /// Cotangents of the signals `[N, L, 2]` and of the waves (real, imaginary, as [`Waves`] has them), given those `d` of
+    /// the observations.
+    pub(super) fn heard_vjp(&self, signals: &[Real], links: usize, d: &[Real]) -> (Vec<Real>, Vec<[Real; 2]>) {
+        let (n, numbers) = (self.n, 2 * self.re.len() / self.n.max(1));
+        let mut d_signals = vec![0.0; signals.len()];
+        d_signals.par_chunks_exact_mut((2 * links).max(1)).enumerate().for_each(|(i, d_own)| {
+            for (d_signal, d) in d_own.chunks_exact_mut(2).zip(d.chunks_exact(numbers)) {
+                for row in 0..numbers / 2 {
+                    let (re, im, at) = (self.re[row * n + i], self.im[row * n + i], self.place(row));
+                    let (dr, di) = (d[at], d[at + self.columns]);
+                    d_signal[0] += re * dr + im * di;
+                    d_signal[1] += re * di - im * dr;
+                }
+            }
+        });
+        let mut d_waves = vec![[0.0; 2]; self.re.len()];
+        d_waves.par_chunks_exact_mut(n.max(1)).enumerate().for_each(|(row, d_row)| {
+            let at = self.place(row);
+            for (l, d) in d.chunks_exact(numbers).enumerate() {
+                let (dr, di) = (d[at], d[at + self.columns]);
+                for (i, d_wave) in d_row.iter_mut().enumerate() {
+                    let [a, b] = [0, 1].map(|c| signals[(i * links + l) * 2 + c]);
+                    d_wave[0] += dr * a + di * b;
+                    d_wave[1] += di * a - dr * b;
+                }
+            }
+        });
+        (d_signals, d_waves)
+    }
+
+    /// Adds to the cotangents of means and gate, given those of the waves.
+    pub(super) fn vjp(
+        frame: &Frame,
+        receiver: &Receiver,
+        cloud: &GaussianCloud,
+        gate: Option<&[Real]>,
+        d_waves: &[[Real; 2]],
+        (d_means, d_gate): (&mut [[Real; 3]], &mut [Real]),
+    ) {
+        let (n, columns) = (cloud.len(), frame.frequencies_hz.len());
+        let antennas = antennas(receiver);
+        d_means.par_iter_mut().zip(d_gate).enumerate().for_each(|(i, (d_mean, d_gate))| {
+            let open = gate.map_or(1.0, |gate| gate[i] as f64);
+            for (row, d) in d_waves.chunks_exact(n).enumerate() {
+                let (d_re, d_im) = (d[i][0] as f64, d[i][1] as f64);
+                let k = std::f64::consts::TAU * frame.frequencies_hz[row % columns] / SPEED_OF_LIGHT;
+                let (way, d) = way(&cloud.means[i], &antennas[row / columns]);
+                let (sin, cos) = (k * d).sin_cos();
+                *d_gate += ((d_re * cos - d_im * sin) / d) as Real;
+                if d > NEAREST_M {
+                    let slope_re = -k * sin / d - cos / (d * d);
+                    let slope_im = -k * cos / d + sin / (d * d);
+                    let along = open * (d_re * slope_re + d_im * slope_im) / d;
+                    d_mean.iter_mut().zip(way).for_each(|(sum, v)| *sum += (along * v) as Real);
+                }
+            }
+        });
+    }
+}

@@ -1,0 +1,83 @@
+use super::*;
+use crate::cache;
+use crate::noise::Noise;
+use crate::observe::Observed;
+use crate::simulator::{Simulator, Wanted, simulate_links};
+use pwrfgs_core::plugin::Checked;
+use std::fs;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+const SCENE: &str = r#"(
+    name: "small", carrier_hz: 2.4e9,
+    room: (outline: Box(low: (0, 0, 0), high: (4, 3, 2.5)), walls: (material: "brick"), floor: (material: "concrete"),
+        ceiling: (material: "wood")),
+    receiver: (position: (0.2, 1.5, 1.5), orientation: Facing(direction: (1, 0, 0)), array: (rows: 2, columns: 3)),
+    more_receivers: [(name: "b", position: (3.7, 1, 2), orientation: Facing(direction: (-1, 0, 0)),
+        array: (rows: 3, columns: 2))],
+    subcarriers: (count: 4, bandwidth_hz: 20e6),
+    transmitter: (positions: Uniform(low: (0.9, 0.9, 0.4), high: (3.5, 2.5, 1.5))),
+)"#;
+
+/// The observations as numbers, a row a link.
+fn rows(kept: &Kept, links: usize) -> Vec<Vec<f64>> {
+    let flat: Vec<f64> = match &kept.values {
+        Values::Spectra(all) => (0..all.len()).flat_map(|i| all.raw(i).into_owned()).map(f64::from).collect(),
+        Values::Powers(all) => all.clone(),
+        Values::Channels(all) => all.as_flattened().iter().map(|v| f64::from(*v)).collect(),
+    };
+    flat.chunks(flat.len() / links).map(<[f64]>::to_vec).collect()
+}
+
+#[test]
+fn every_kind_is_kept_and_read_back_and_made_anew_where_it_is_damaged() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("small.ron");
+    fs::write(&scene, SCENE).unwrap();
+    let noises = [Observe::Spectrum, Observe::Power { noise_db: 3.0 }, Observe::Channel { snr_db: Some(20.0) }];
+    for (observe, file) in noises.into_iter().zip([SPECTRA, POWERS, CHANNELS]) {
+        let recipe = Recipe::read(&scene, 6, 3, 10).unwrap().observing(observe).unwrap();
+        let root = folder.path().join("cache");
+        let load = || {
+            let made = AtomicUsize::new(0);
+            let count = |done, _| made.store(done, Ordering::Relaxed);
+            let kept = cache::open_or_make(&recipe, Some(&root), &count, |folder| Kept::read(&recipe, folder)).unwrap();
+            ((kept.transmitters.clone(), rows(&kept, 12)), made.into_inner() > 0)
+        };
+        let (truth, made) = load();
+        assert!(made && load() == (truth.clone(), false), "{observe:?}");
+        let entry = root.join(recipe.folder_name()).join(file);
+        let bytes = fs::read(&entry).unwrap();
+        fs::write(&entry, &bytes[..bytes.len() - 5]).unwrap();
+        assert!(load() == (truth.clone(), true) && load() == (truth.clone(), false), "{observe:?}");
+        assert_eq!(truth, heard(&recipe), "{observe:?}");
+    }
+}
+
+/// The same without any folder.
+fn heard(recipe: &Recipe) -> (Vec<[f64; 3]>, Vec<Vec<f64>>) {
+    let (mut places, mut rows) = (Vec::new(), Vec::new());
+    let simulator = Simulator::new(&recipe.scene).unwrap();
+    let wanted = Wanted { what: recipe.observe, samples: recipe.samples, seed: recipe.seed };
+    simulate_links(&simulator, &wanted, &AtomicBool::new(false), |_, tx, heard| {
+        places.push(tx.to_array());
+        rows.extend(heard.into_iter().map(|heard| match heard.observed {
+            Observed::Spectrum(spectrum) => spectrum.pixels.into_iter().map(f64::from).collect(),
+            Observed::Power(dbm) => vec![dbm],
+            Observed::Channel(h) => h.iter().flat_map(|h| [h.re as f32, h.im as f32]).map(f64::from).collect(),
+        }));
+        Ok(())
+    })
+    .unwrap();
+    (places, rows)
+}
+
+#[test]
+fn a_reading_without_noise_depends_on_no_seed() {
+    let scene = crate::Scene::parse(SCENE, Path::new("small.ron")).unwrap();
+    let other = crate::Scene { noise: Checked::new(Noise { seed: 5, ..Noise::default() }).unwrap(), ..scene.clone() };
+    let readings = [scene, other].map(|scene| {
+        let simulator = Simulator::new(&scene).unwrap();
+        simulator.listeners()[1].observe([2.0, 2.0, 1.0].into(), &Observe::Power { noise_db: 0.0 }, Some(1)).observed
+    });
+    assert_eq!(readings[0], readings[1]);
+}

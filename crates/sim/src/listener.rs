@@ -1,0 +1,205 @@
+//! `Listener`: one receiver of a scene made ready.
+
+use crate::array::{self, Wavefront};
+use crate::noise::{self, Draw, Noise};
+use crate::observe::{Heard, Observe, Observed, reading};
+use crate::path::Path;
+use crate::scene::{Receiver, Scene};
+use crate::simulator::{HEIGHT, Reception, WIDTH};
+use crate::spectrum::Beamformer;
+use crate::tracer::{Antenna, Tracer};
+use crate::wave::{Complex, SPEED_OF_LIGHT};
+use crate::world::World;
+use glam::{DMat3, DQuat, DVec3};
+use pwrfgs_core::{Error, Pose, Result};
+use std::sync::Arc;
+
+/// Most memory of the tracers of all antennas, bytes.
+pub(crate) const MOST_BYTES: usize = 2 << 30;
+
+/// One receiver of a scene made ready: image trees and beamformer, everything that no transmitter changes.
+#[derive(Debug)]
+pub struct Listener {
+    scene: Arc<Scene>,
+    receiver: Receiver,
+    /// The tracer of the array's centre, and with [`Wavefront::Traced`] one for each element behind it.
+    tracers: Vec<Tracer>,
+    beamformer: Beamformer,
+}
+
+impl Listener {
+    /// Makes `receiver` of `scene` ready.
+    ///
+    /// # Errors
+    /// An antenna inside something, too many images, too much memory.
+    pub(crate) fn new(scene: &Arc<Scene>, receiver: &Receiver, world: &Arc<World>) -> Result<Self> {
+        let places = places(scene, receiver, world)?;
+        let antennas = antennas(scene, receiver);
+        let tracer = |place: &DVec3| {
+            let (world, antennas) = (Arc::clone(world), antennas.clone());
+            Tracer::new(world, scene.wavelength(), antennas, *place, &scene.propagation)
+        };
+        let tracer = |place: &DVec3| {
+            tracer(place).ok_or_else(|| {
+                Error::Config(format!(
+                    "scene `{}`: its {} faces give {} too many images; lower `order` of its propagation, or simplify its \
+                     meshes",
+                    scene.name,
+                    world.faces.len(),
+                    receiver.called("the receiver")
+                ))
+            })
+        };
+        let mut tracers = vec![tracer(&places[0])?];
+        let bytes = tracers[0].bytes().saturating_mul(places.len());
+        if bytes > MOST_BYTES {
+            return Err(Error::Config(format!(
+                "scene `{}`: tracing to each of {} antennas would take {} GB; use the wavefront `Spherical`, fewer rows and \
+                 columns, or a lower `order`",
+                scene.name,
+                places.len() - 1,
+                bytes >> 30
+            )));
+        }
+        for place in &places[1..] {
+            tracers.push(tracer(place)?);
+        }
+        let beamformer = Beamformer::new(&receiver.array, WIDTH, HEIGHT);
+        Ok(Self { scene: Arc::clone(scene), receiver: receiver.clone(), tracers, beamformer })
+    }
+
+    /// The receiver, as the scene describes it.
+    pub fn receiver(&self) -> &Receiver {
+        &self.receiver
+    }
+
+    /// Where it is and how it is turned.
+    pub fn pose(&self) -> Pose {
+        self.receiver.pose()
+    }
+
+    /// Places of its antennas `[A]` in the world, metres.
+    pub fn antennas(&self) -> Vec<DVec3> {
+        elements(&self.scene, &self.receiver)
+    }
+
+    /// From the receiver's axes to the world's.
+    pub fn world_from_receiver(&self) -> DMat3 {
+        world_from_receiver(&self.pose())
+    }
+
+    /// Images of the receiver that are tried for each transmitter.
+    pub fn images(&self) -> usize {
+        self.tracers[0].images()
+    }
+
+    /// About how much memory the tracers take, bytes.
+    pub(crate) fn bytes(&self) -> usize {
+        self.tracers.iter().map(Tracer::bytes).sum()
+    }
+
+    /// Paths from `tx` to the centre of the array.
+    pub fn trace(&self, tx: DVec3) -> Vec<Path> {
+        self.tracers[0].trace(tx)
+    }
+
+    /// The channel h `[antennas, frequencies]`, without errors of the receiver, from the paths of `tx`; frequencies in Hz.
+    /// Each has its own wavenumber; gains of paths are those at the carrier.
+    pub fn channel(&self, tx: DVec3, paths: &[Path], frequencies: &[f64]) -> Vec<Complex> {
+        let wavelengths: Vec<f64> = frequencies.iter().map(|f| SPEED_OF_LIGHT / f).collect();
+        if self.tracers.len() == 1 {
+            let center = DVec3::from(self.receiver.position);
+            return array::band_at(paths, &self.antennas(), center, &wavelengths, self.receiver.array.wavefront);
+        }
+        let of_element = |tracer: &Tracer| {
+            let paths = tracer.trace(tx);
+            let sum = |wavelength: &f64| paths.iter().map(|path| path.baseband(*wavelength)).sum();
+            wavelengths.iter().map(sum).collect::<Vec<Complex>>()
+        };
+        self.tracers[1..].iter().flat_map(of_element).collect()
+    }
+
+    /// The spectrum of `tx`. `sample` is the number of the draw of the scene's receiver errors; `None`: without any.
+    pub fn spectrum(&self, tx: DVec3, sample: Option<u64>) -> Reception {
+        let (channel, paths) = self.receive(tx, &[self.scene.carrier_hz], &self.scene.noise, sample);
+        Reception { spectrum: self.beamformer.spectrum(&channel, self.scene.spectrum), paths }
+    }
+
+    /// What is observed of `tx`. `sample` is the number of the draw of all errors; `None`: without any.
+    pub fn observe(&self, tx: DVec3, what: &Observe, sample: Option<u64>) -> Heard {
+        match *what {
+            Observe::Spectrum => {
+                let Reception { spectrum, paths } = self.spectrum(tx, sample);
+                Heard { observed: Observed::Spectrum(spectrum), paths }
+            }
+            Observe::Power { noise_db } => {
+                let noise = &self.scene.noise;
+                let (channel, paths) = self.receive(tx, &self.scene.frequencies(), noise, sample);
+                let draw = sample.map(|sample| (noise.seed, Draw { receiver: &self.receiver, sample }));
+                let power = reading(&channel, self.scene.transmitter.power_dbm, noise_db, draw);
+                Heard { observed: Observed::Power(power), paths }
+            }
+            Observe::Channel { snr_db } => {
+                let noise = Noise { snr_db: snr_db.or(self.scene.noise.snr_db), ..(*self.scene.noise).clone() };
+                let (channel, paths) = self.receive(tx, &self.scene.frequencies(), &noise, sample);
+                Heard { observed: Observed::Channel(channel), paths }
+            }
+        }
+    }
+
+    /// The channel `[antennas, frequencies]` with errors, and the paths that it is made of.
+    fn receive(&self, tx: DVec3, hz: &[f64], noise: &Noise, sample: Option<u64>) -> (Vec<Complex>, Vec<Path>) {
+        let paths = self.trace(tx);
+        let mut channel = self.channel(tx, &paths, hz);
+        if let Some(sample) = sample {
+            noise::add(noise, &mut channel, hz.len(), Draw { receiver: &self.receiver, sample });
+        }
+        (channel, paths)
+    }
+}
+
+/// The centre of the array, and each element behind it where each is traced; none lies in something.
+fn places(scene: &Scene, receiver: &Receiver, world: &World) -> Result<Vec<DVec3>> {
+    let center = DVec3::from(receiver.position);
+    world.check_free(center).map_err(|what| {
+        let who = receiver.called("the receiver");
+        Error::Config(format!("scene `{}`: {who} at {:?} is {what}; move it", scene.name, receiver.position))
+    })?;
+    let mut places = vec![center];
+    if receiver.array.wavefront == Wavefront::Traced {
+        places.extend(elements(scene, receiver));
+    }
+    for place in &places {
+        world.check_free(*place).map_err(|what| {
+            Error::Config(format!("scene `{}`: an antenna of the array, at {place}, is {what}; move it", scene.name))
+        })?;
+    }
+    Ok(places)
+}
+
+/// Places of the antennas `[A]` in the world, metres. Their spacing is that of the array at the carrier.
+fn elements(scene: &Scene, receiver: &Receiver) -> Vec<DVec3> {
+    let (center, turn) = (DVec3::from(receiver.position), world_from_receiver(&receiver.pose()));
+    receiver.array.offsets(scene.wavelength()).into_iter().map(|offset| center + turn * offset).collect()
+}
+
+fn world_from_receiver(pose: &Pose) -> DMat3 {
+    let [x, y, z, w] = pose.orientation;
+    DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize())
+}
+
+/// Transmitter and receiver.
+fn antennas(scene: &Scene, receiver: &Receiver) -> (Antenna, Antenna) {
+    let array = &receiver.array;
+    let transmitter = Antenna {
+        element: scene.transmitter.element.clone(),
+        axis: DVec3::from(scene.transmitter.polarization).normalize(),
+        world_from_antenna: DMat3::IDENTITY,
+    };
+    let receiver = Antenna {
+        element: array.element.clone(),
+        axis: DVec3::from(array.polarization).normalize(),
+        world_from_antenna: world_from_receiver(&receiver.pose()),
+    };
+    (transmitter, receiver)
+}

@@ -1,0 +1,235 @@
+//! Folders of powers and channels: the same bytes always, what they hold, and mistakes told clearly.
+
+use crate::common::{CSI, small_room};
+use pwrfgs_sim::output::{Layout, write_as};
+use pwrfgs_sim::{Heard, Observe, Observed, Recipe, SILENT_DBM, Scene, Simulator, Wanted, simulate_links};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+
+fn parse(text: &str) -> Scene {
+    Scene::parse(text, Path::new("links.ron")).unwrap()
+}
+
+fn recipe(folder: &Path, text: &str, observe: Observe) -> Recipe {
+    let path = folder.join("scene.ron");
+    fs::write(&path, text).unwrap();
+    Recipe::read(&path, 10, 7, 50).unwrap().observing(observe).unwrap()
+}
+
+/// Every file of a folder with its bytes.
+fn contents(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let mut all = Vec::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(next) = folders.pop() {
+        for entry in fs::read_dir(next).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                all.push((path.strip_prefix(folder).unwrap().to_owned(), fs::read(&path).unwrap()));
+            }
+        }
+    }
+    all.sort();
+    all
+}
+
+fn written(recipe: &Recipe, layout: Layout, out: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    write_as(recipe, layout, true, out, &|_, _| {}, &AtomicBool::new(false)).unwrap();
+    contents(out)
+}
+
+const KINDS: [(Layout, Observe); 5] = [
+    (Layout::Pictures, Observe::Spectrum),
+    (Layout::Array, Observe::Spectrum),
+    (Layout::Rssi, Observe::Power { noise_db: 3.0 }),
+    (Layout::Channels, Observe::Channel { snr_db: Some(10.0) }),
+    (Layout::Csi, Observe::Channel { snr_db: None }),
+];
+
+#[test]
+fn every_layout_has_the_same_bytes_at_any_thread_count() {
+    let folder = tempfile::tempdir().unwrap();
+    for (layout, observe) in KINDS {
+        let recipe = recipe(folder.path(), &small_room(CSI), observe);
+        let made = [1, 3].map(|threads| {
+            let out = folder.path().join(format!("{layout:?}{threads}"));
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| written(&recipe, layout, &out))
+        });
+        assert!(made[0] == made[1], "{layout:?}");
+    }
+}
+
+#[test]
+fn a_receiver_among_others_hears_what_it_hears_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = small_room(CSI);
+    let (from, to) = (text.find("receiver: (pos").unwrap(), text.find("transmitter: (").unwrap());
+    let b = "receiver: (name: \"b\", position: (3.7, 1, 2), orientation: Facing(direction: (-1, 0, 0)),
+             array: (rows: 4, columns: 2)),";
+    let alone = format!("{}{b}{}", &text[..from], &text[to..]);
+    for (layout, observe) in KINDS {
+        let both = recipe(folder.path(), &text, observe);
+        let all = written(&both, layout, &folder.path().join(format!("{layout:?}")));
+        let recipe = recipe(folder.path(), &alone, observe);
+        let own = written(&recipe, layout, &folder.path().join(format!("{layout:?} alone")));
+        if layout == Layout::Rssi {
+            let column = |files: &[(PathBuf, Vec<u8>)], k: usize| -> Vec<String> {
+                let table = files.iter().find(|(name, _)| name == Path::new("gateway_rssi.csv")).unwrap();
+                let text = String::from_utf8(table.1.clone()).unwrap();
+                text.lines().map(|line| line.split(',').nth(k).unwrap().into()).collect()
+            };
+            assert_eq!(column(&all, 1), column(&own, 0));
+            continue;
+        }
+        let of_b =
+            all.iter().filter_map(|(name, bytes)| Some((name.strip_prefix("b").ok()?.to_owned(), bytes.clone())));
+        assert!(of_b.eq(own.into_iter()), "{layout:?}");
+        assert!(all.iter().any(|(name, _)| name == Path::new("gateway1/manifest.json")));
+    }
+}
+
+#[test]
+fn the_files_hold_what_is_heard() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = small_room(CSI).replace("transmitter: (", "transmitter: (power_dbm: -50, ");
+    let heard = |observe| {
+        let mut all = Vec::new();
+        let wanted = Wanted { what: observe, samples: 10, seed: 7 };
+        let each = |_, _, heard: Vec<Heard>| {
+            all.extend(heard.into_iter().map(|heard| heard.observed));
+            Ok(())
+        };
+        simulate_links(&Simulator::new(&parse(&text)).unwrap(), &wanted, &AtomicBool::new(false), each).unwrap();
+        all
+    };
+    let text_of = |out: &str, name: &str| fs::read_to_string(folder.path().join(out).join(name)).unwrap();
+
+    let observe = Observe::Power { noise_db: 3.0 };
+    written(&recipe(folder.path(), &text, observe), Layout::Rssi, &folder.path().join("rssi"));
+    let table = text_of("rssi", "gateway_rssi.csv");
+    let mut rows = table.lines();
+    assert_eq!(rows.next(), Some("gateway1,b"));
+    let read: Vec<Observed> =
+        rows.flat_map(|row| row.split(',').map(|v| Observed::Power(v.parse().unwrap()))).collect();
+    assert_eq!(read, heard(observe));
+    let silent = table.matches("-100.0").count();
+    assert!(silent > 0 && silent < 20 && read.contains(&Observed::Power(SILENT_DBM)), "{table}");
+    assert_eq!(text_of("rssi", "gateway_position.yml"), "gateway1: [0.2, 1.5, 1.5]\nb: [3.7, 1.0, 2.0]\n");
+    assert_eq!(text_of("rssi", "test_index.txt"), "4\n9\n");
+    assert_eq!(text_of("rssi", "tx_pos.csv").lines().count(), 11);
+    assert!(text_of("rssi", "manifest.json").contains("\"simulated\": true"));
+    assert!(folder.path().join("rssi/paths-b.csv").exists());
+
+    let observe = Observe::Channel { snr_db: Some(30.0) };
+    let recipe = recipe(folder.path(), &text, observe);
+    let links = heard(observe);
+    for (layout, array, facts) in
+        [(Layout::Channels, "channel.npy", "receiver.yml"), (Layout::Csi, "csidata.npy", "base-station.yml")]
+    {
+        let out = format!("{layout:?}");
+        written(&recipe, layout, &folder.path().join(&out));
+        for (r, name) in ["gateway1", "b"].into_iter().enumerate() {
+            let bytes = fs::read(folder.path().join(&out).join(name).join(array)).unwrap();
+            let header = String::from_utf8_lossy(&bytes[10..128]).into_owned();
+            assert!(header.contains("'<c8'") && header.contains("(10, 8, 6)"), "{header}");
+            let own = links.chunks(2).map(|both| &both[r]).flat_map(|observed| match observed {
+                Observed::Channel(channel) => channel.clone(),
+                other => panic!("{other:?}"),
+            });
+            let expected: Vec<u8> = own.flat_map(|h| [h.re as f32, h.im as f32]).flat_map(f32::to_le_bytes).collect();
+            assert!(bytes[128..] == expected);
+            let facts = text_of(&format!("{out}/{name}"), facts);
+            let places = facts.matches('[').count();
+            assert_eq!(places, if layout == Layout::Csi { 1 + 8 } else { 3 + 1 + 8 }, "{facts}");
+        }
+    }
+    let facts = text_of("Channels/b", "receiver.yml");
+    assert!(facts.starts_with("name: b\nposition: [3.7, 1.0, 2.0]\n"), "{facts}");
+    assert!(facts.contains("carrier_hz: 2400000000.0\nspacing_hz: 3333333.3333333335\n"), "{facts}");
+}
+
+#[test]
+fn data_of_old_scenes_keep_their_key() {
+    let scene = parse(&small_room("")).with_receiver(&parse(&small_room("")).receiver);
+    let text = scene.to_ron();
+    for word in ["more_receivers", "subcarriers", "power_dbm", "gateway1"] {
+        assert!(!text.contains(word), "{word}");
+    }
+    assert_eq!(parse(&text), scene);
+    let full = parse(&small_room(CSI).replace("transmitter: (", "transmitter: (power_dbm: 3, "));
+    assert_eq!(parse(&full.to_ron()), full);
+    let folder = tempfile::tempdir().unwrap();
+    let names = KINDS.map(|(_, observe)| recipe(folder.path(), &small_room(CSI), observe).folder_name());
+    assert!(!recipe(folder.path(), &small_room(CSI), Observe::Spectrum).to_json().contains("\"observe\""));
+    assert!(names[0] == names[1] && names[1] != names[2] && names[3] != names[4]);
+}
+
+#[test]
+fn mistakes_are_told_with_their_place() {
+    let told = |from: &str, to: &str| {
+        let text = small_room(CSI);
+        assert!(text.contains(from), "{from}");
+        let scene = Scene::parse(&text.replacen(from, to, 1), Path::new("s.ron"));
+        let error = scene.and_then(|scene| Simulator::new(&scene).map(|_| ())).expect_err(to);
+        assert!(error.is_input());
+        error.to_string()
+    };
+    for (from, to, expected) in [
+        ("name: \"b\"", "name: \"gateway1\"", "s.ron:6:11: two receivers are called `gateway1`"),
+        ("name: \"b\", ", "", "two receivers are called `gateway1`; give each a `name` of its own"),
+        ("name: \"b\"", "name: \"GateWay1\"", "two receivers are called `GateWay1`"),
+        ("name: \"b\"", "name: \"a/b\"", "s.ron:6:35: `a/b` is no name for a receiver; give a letter"),
+        ("name: \"b\"", "name: \"\"", "`` is no name for a receiver"),
+        ("name: \"b\"", "name: \"No\"", "`No` is no name for a receiver"),
+        ("(3.7, 1, 2)", "(NaN, 1, 2)", "s.ron:6:35: receiver `b`: `position` is [NaN"),
+        ("(3.7, 1, 2)", "(1.5, 1.5, 0.3)", "the receiver `b` at [1.5, 1.5, 0.3] is inside `desk`"),
+        ("(3.7, 1, 2)", "(9, 1, 2)", "the receiver `b` at [9.0, 1.0, 2.0] is outside the room"),
+        ("direction: (-1, 0, 0)", "direction: (0, 0, 0)", "receiver `b`: `direction` is [0.0, 0.0, 0.0]"),
+        ("rows: 4", "rows: 0", "array: `rows` is 0"),
+        ("count: 6", "count: 0", "s.ron:10:"),
+        ("count: 6", "count: 5000", "subcarriers: `count` is 5000; give 1 to 4096"),
+        ("20e6", "-1", "subcarriers: `bandwidth_hz` is -1"),
+        ("20e6", "3e9", "s.ron:10:11: subcarriers: `bandwidth_hz` is 3000000000, more than the carrier"),
+        ("bandwidth_hz", "bandwith_hz", "did you mean `bandwidth_hz`?"),
+        ("more_receivers", "more_recievers", "did you mean `more_receivers`?"),
+        ("transmitter: (", "transmitter: (power_dbm: inf, ", "s.ron:8:11: `power_dbm` of the transmitter is inf"),
+    ] {
+        let message = told(from, to);
+        assert!(message.contains(expected), "{to}: {message}");
+    }
+    let one = "(name: \"b\", position: (3.7, 1, 2), orientation: Facing(direction: (-1, 0, 0))),";
+    let many: String = (0..300).map(|i| one.replace("\"b\"", &format!("\"b{i}\""))).collect();
+    assert!(told("more_receivers: [", &format!("more_receivers: [{many}")).contains("302 receivers are too many"));
+}
+
+#[test]
+fn what_does_not_suit_a_layout_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let said = |text: &str, observe: Observe, layout: Layout| {
+        let path = folder.path().join("scene.ron");
+        fs::write(&path, text).unwrap();
+        let recipe = Recipe::read(&path, 10, 7, 50).and_then(|recipe| recipe.observing(observe));
+        let out = folder.path().join("out");
+        let made = recipe.and_then(|r| write_as(&r, layout, false, &out, &|_, _| {}, &AtomicBool::new(false)));
+        let error = made.unwrap_err();
+        assert!(error.is_input() && !out.exists());
+        error.to_string()
+    };
+    let (text, channel) = (small_room(CSI), Observe::Channel { snr_db: None });
+    assert!(said(&text, channel, Layout::Rssi).contains("is not the layout"));
+    assert!(
+        said(&text.replace("rows: 4", "rows: 3"), channel, Layout::Channels).contains("has 8 antennas and `b` has 6")
+    );
+    assert!(said(&text.replace("count: 6", "count: 5"), channel, Layout::Csi).contains("give an even number"));
+    let path = folder.path().join("scene.ron");
+    fs::write(&path, text.replace("count: 6", "count: 4096")).unwrap();
+    let links = Recipe::read(&path, 600_000, 7, 50).unwrap_err().to_string();
+    assert!(links.contains("600000 samples at 2 receivers are more than 1000000 links"), "{links}");
+    let many = Recipe::read(&path, 100_000, 7, 50).unwrap().observing(channel);
+    assert!(many.unwrap_err().to_string().contains("GB, more than 8; give fewer samples, antennas or subcarriers"));
+    assert!(said(&text, Observe::Power { noise_db: f64::NAN }, Layout::Rssi).contains("`noise_db` is NaN"));
+    assert!(said(&text, Observe::Channel { snr_db: Some(1e9) }, Layout::Csi).contains("`snr_db` is 1000000000"));
+}
