@@ -6,7 +6,7 @@
 
 use crate::repeatability::{AtZero, FAR_IDS, Lapse, Likeness, in_order, likeness};
 use crate::text::{grouped, number};
-use pwrfgs_core::{Dataset, Metric, Partition, Plugin, Result};
+use pwrfgs_core::{Dataset, Kind, Metric, Partition, Plugin, Result};
 use std::sync::atomic::AtomicBool;
 
 /// Its name in every table, and in no ranking.
@@ -40,7 +40,7 @@ pub fn ceiling(
     let notes = match (of.is_empty(), found.metrics.first().map(|m| &m.at_zero)) {
         (false, _) => {
             let by = |(key, why): (&String, &String)| format!("no {CEILING} by {key}: {why}");
-            notes(&found, lapse, &why, &of).into_iter().chain(unknown.map(by)).collect()
+            notes(data.kind(), &found, lapse, &why, &of).into_iter().chain(unknown.map(by)).collect()
         }
         (true, Some(Err(reason))) => vec![format!("no {CEILING}: {reason}")],
         (true, _) => Vec::new(),
@@ -81,7 +81,12 @@ fn lapse(data: &Dataset, lags: &[u32]) -> (Lapse, String) {
     }
 }
 
-fn notes(found: &Likeness, lapse: Lapse, why: &str, of: &[(String, AtZero)]) -> Vec<String> {
+fn notes(kind: Kind, found: &Likeness, lapse: Lapse, why: &str, of: &[(String, AtZero)]) -> Vec<String> {
+    let observed = match kind {
+        Kind::Spectrum => "spectra",
+        Kind::Power => "powers",
+        Kind::Channel => "channels",
+    };
     let (pairs, words) = (grouped(found.closest as i64), lapse.words());
     let interval = |(key, at_zero): &(String, AtZero)| {
         let [low, high] = at_zero.interval.map(number);
@@ -90,7 +95,7 @@ fn notes(found: &Likeness, lapse: Lapse, why: &str, of: &[(String, AtZero)]) -> 
     let intervals: Vec<String> = of.iter().map(interval).collect();
     vec![
         format!(
-            "{CEILING} is what two measured spectra at one place have in common: {pairs} pairs {words}, at most {:.0} mm \
+            "{CEILING} is what two measured {observed} at one place have in common: {pairs} pairs {words}, at most {:.0} mm \
              between their transmitters, followed to distance zero; {why}",
             (found.reach_m * 1e3).ceil()
         ),

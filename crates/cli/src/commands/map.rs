@@ -69,7 +69,7 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<ExitCode> {
     let bounds = bounds.unwrap_or_else(|| {
         let means = ensemble.members().iter().flat_map(|own| own.cloud.means.iter().map(|mean| own.stages.origin.world(*mean)));
         let listening: Vec<[f64; 2]> = receivers.iter().map(|&r| plane.flat(poses[r].position)).collect();
-        let bounds = Bounds::around(means.map(|place| plane.flat(place)).collect(), &listening);
+        let bounds = Bounds::around(means.map(|place| plane.flat(place)).collect(), &listening).outwards(arguments.step);
         if verbosity != Verbosity::Quiet {
             terminal::note(&said(plane, bounds));
         }

@@ -9,7 +9,6 @@ use crate::draw::marks::{Stroke, Style};
 use minijinja::{Value, context};
 use pwrfgs_core::evenly;
 use pwrfgs_experiment::scores::quantile;
-use pwrfgs_experiment::text::number;
 use pwrfgs_experiment::{Example, Results, samples};
 
 /// At most so many dots of the scatter.
@@ -46,13 +45,18 @@ pub(super) fn section(results: &Results<'_>) -> Value {
     let figures: Vec<(&str, String)> = [histogram(&errors), scatter(&heard)].into_iter().flatten().collect();
     context! {
         figures,
-        median => number(quantile(&errors, 0.5)),
-        mean => number(errors.iter().sum::<f64>() / errors.len().max(1) as f64),
+        median => signed(quantile(&errors, 0.5)),
+        mean => signed(errors.iter().sum::<f64>() / errors.len().max(1) as f64),
         dots => heard.len().min(DOTS),
         links => heard.len(),
         maps => maps::maps(results, &heard),
         examples => examples(results),
     }
+}
+
+/// Two places after the point, with a sign that is one.
+fn signed(db: f64) -> String {
+    format!("{db:+.2}").replace('-', "−")
 }
 
 /// How often errors of each size are, in per cent of the test links; a hundredth at each end stands in the outermost bar.
@@ -77,7 +81,7 @@ fn histogram(errors: &[f64]) -> Option<(&'static str, String)> {
     let upright = |x: f64, stroke| Line::new(vec![(x, 0.0), (x, 1.05 * most)], Style::line(GREY, 1.3, stroke));
     let lines = vec![
         upright(0.0, Stroke::FULL),
-        upright(median, Stroke::DASHED).named(&format!("median, {} dB", number(median))),
+        upright(median, Stroke::DASHED).named(&format!("median, {} dB", signed(median))),
         Line::new(outline.clone(), Style::line(BLUE, 1.2, Stroke::FULL)),
         Line::new(outline, Style::line(BLUE, 1.0, Stroke::Area)),
     ];

@@ -84,6 +84,13 @@ impl Bounds {
         }
     }
 
+    /// Out to the next multiples of `step`.
+    pub(super) fn outwards(self, step: f64) -> Self {
+        let rounded = |[low, high]: [f64; 2]| [(low / step).floor() * step, (high / step).ceil() * step];
+        let out = self.0.map(rounded);
+        if out.iter().flatten().all(|v| v.is_finite()) { Self(out) } else { self }
+    }
+
     /// The middle nine tenths of `cloud`, and all `receivers`; a square of two metres where that is a single place.
     pub(super) fn around(mut cloud: Vec<[f64; 2]>, receivers: &[[f64; 2]]) -> Self {
         cloud.retain(|place| place.iter().all(|v| v.is_finite()));
@@ -169,6 +176,7 @@ mod tests {
             assert!(Grid::new(plane, Bounds([[0.0, 100.0]; 2]), step, 1).is_err(), "{step}");
         }
         assert_eq!(Bounds::around(vec![], &[[1.0, 2.0]]).0, [[0.0, 2.0], [1.0, 3.0]]);
+        assert_eq!(Bounds([[-0.3, 1.0], [0.0, 0.1]]).outwards(0.5).0, [[-0.5, 1.0], [0.0, 0.5]]);
         assert_eq!(Bounds::around(vec![[f64::NAN; 2]], &[]).0, [[-1.0, 1.0]; 2]);
     }
 }

@@ -4,7 +4,7 @@
 //! comes last, and says that all is there. So a killed command can be given again, and what it left is known by name.
 
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
-use pwrfgs::data::{npy_complex_header, npy_header};
+use pwrfgs::data::{npy_header, npy_header_as};
 use pwrfgs_core::files::{read_text, refuse_foreign, write_atomically};
 use pwrfgs_core::{Error, Image, Number, Real, Result};
 use std::collections::BTreeSet;
@@ -15,6 +15,8 @@ use std::path::{Path, PathBuf};
 /// Rows of the positions, written when everything else is.
 pub(super) const LIST: &str = "predictions.csv";
 const PARTIAL: &str = ".predictions.partial";
+/// What NumPy calls pairs of 32-bit numbers.
+const COMPLEX: &str = "<c8";
 /// What the pictures of an ensemble's disagreement are called besides their row.
 pub(super) const SPREAD: &str = "-spread";
 /// Everything in one array, and all disagreements.
@@ -62,7 +64,7 @@ impl<'a> Folder<'a> {
 
     /// `NAME.npy` of complex gains `[A, F]`.
     pub(super) fn gains(&self, name: &str, shape: [usize; 2], gains: &[[Real; 2]]) -> Result<()> {
-        let mut npy = npy_complex_header(&shape);
+        let mut npy = npy_header_as(COMPLEX, &shape);
         npy.extend(pairs(gains));
         put(&self.path.join(format!("{name}.npy")), &npy)
     }
@@ -100,7 +102,7 @@ impl Stack {
 
     /// Of channels.
     pub(super) fn complex(folder: &Folder<'_>, name: &str, shape: [usize; 3]) -> Result<Self> {
-        Self::create(folder, name, &npy_complex_header(&shape))
+        Self::create(folder, name, &npy_header_as(COMPLEX, &shape))
     }
 
     fn create(folder: &Folder<'_>, name: &str, header: &[u8]) -> Result<Self> {
