@@ -7,6 +7,8 @@ use std::f64::consts::TAU;
 const FEWEST: usize = 4;
 /// Places along a delay, a subcarrier.
 const FINE: usize = 4;
+/// This part of all delays is drawn before 0.
+const BEFORE: usize = 6;
 /// Most places along a delay.
 const PLACES: usize = 2_048;
 
@@ -28,9 +30,11 @@ pub(super) fn profiles(measured: &Gains, predicted: &Gains, frequencies: &[f64])
     };
     let (measured, predicted) = (power(measured), power(predicted));
     let peak = measured.iter().copied().fold(0.0, f64::max);
+    // What came round stands before 0, so that a first path there is whole.
+    let before = places / BEFORE;
     let line = |powers: Vec<f64>| {
-        let delay = |place: usize| 1e9 * place as f64 / (places as f64 * step);
-        powers.into_iter().enumerate().map(|(place, p)| (delay(place), decibels(p, peak))).collect()
+        let delay = |k: usize| 1e9 * (k as f64 - before as f64) / (places as f64 * step);
+        (0..places).map(|k| (delay(k), decibels(powers[(k + places - before) % places], peak))).collect()
     };
     Some([line(measured), line(predicted)])
 }
