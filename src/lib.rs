@@ -18,6 +18,7 @@
 pub use pwrfgs_core as core;
 pub use pwrfgs_data as data;
 pub use pwrfgs_experiment as experiment;
+pub use pwrfgs_coherent as coherent;
 pub use pwrfgs_init as init;
 #[cfg(feature = "inspect")]
 pub use pwrfgs_inspect as inspect;
@@ -99,9 +100,10 @@ pub mod prelude {
     pub use pwrfgs_core::tape::{Trace, TraceScalar, Traced};
     pub use pwrfgs_core::{
         Baseline, CloudStats, ColumnSpec, DataSource, Dataset, Deformation, Deltas, Documented, Elevation, Error,
-        Evaluation, GaussianCloud, Goal, Image, ImagePlane, Initializer, Known, Measurement, Metric, Moment, Origin,
-        Partition, Phase, Plugin, Pose, Predict, Primitives, Progress, Projector, Pruner, Rasterizer, Real, Render,
-        Result, Sample, Scene, Scope, Simulation, Spectra, Splats, Split, Values, rng,
+        Evaluation, Frame, GaussianCloud, Goal, Image, ImagePlane, Initializer, Kind, Known, Link, Measurement, Method,
+        Metric, Moment, Observations, Origin, Partition, Phase, Plugin, Pose, Predict, Primitives, Progress, Projector,
+        Pruner, Query, Rasterizer, Real, Receiver, Render, Result, Sample, Scene, Scope, Simulation, Spectra, Splats,
+        Split, Values, rng,
     };
     pub use pwrfgs_experiment::{Observer, Silent};
     pub use pwrfgs_model::{Ensemble, Model, Prepared, Readout, Stages};

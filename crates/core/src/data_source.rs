@@ -62,6 +62,12 @@ pub trait Baseline: erased_serde::Serialize + std::any::Any + std::fmt::Debug + 
     /// Its name in tables, such as `3-NN`.
     fn name(&self) -> String;
 
+    /// The same where it depends on what is observed.
+    fn name_for(&self, kind: Kind) -> String {
+        let _ = kind;
+        self.name()
+    }
+
     /// Learns from all `known` links, and makes its choices, if it has any, on their validation part; where that is
     /// empty, on samples of the training part that it leaves out meanwhile.
     fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>>;

@@ -1,16 +1,26 @@
 //! Predictors without Gaussians. What a model says is worth what it adds to these.
 
+mod by_receiver;
+#[cfg(test)]
+mod floors;
 mod kriging;
+mod law;
+mod log_distance;
 mod nearest;
 mod neighbours;
+mod zero;
 
 pub use kriging::Kriging;
+pub use log_distance::LogDistance;
 pub use neighbours::{NearestNeighbours, Neighbours};
+pub use zero::Zero;
 
-use pwrfgs_core::{Baseline, Dataset, Documented, Error, Image, Known, Predict, Query, Real, Result};
+use by_receiver::{ByReceiver, Fitted};
+use pwrfgs_core::{Baseline, Dataset, Documented, Error, Image, Kind, Known, Predict, Query, Real, Result};
 use serde::{Deserialize, Serialize};
 
-/// The mean of all training spectra, whatever the transmitter: the floor of every score.
+/// The mean of all training spectra, whatever the transmitter: the floor of every score. Of powers and channels it is the
+/// mean of what the receiver observed, called "mean of the receiver"; a receiver without training links has the mean of all.
 ///
 /// ```
 /// # use pwrfgs_core::{Baseline, Plugin};
@@ -27,13 +37,19 @@ impl Baseline for MeanSpectrum {
         "mean spectrum".into()
     }
 
+    fn name_for(&self, kind: Kind) -> String {
+        if kind == Kind::Spectrum { self.name() } else { "mean of the receiver".into() }
+    }
+
     fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
-        let weighted: Vec<(usize, f64)> = all_of(known)?.into_iter().map(|i| (i, 1.0)).collect();
-        Ok(Box::new(Constant(weighted_mean(data, &weighted))))
+        ByReceiver::fit(data, known, |known| {
+            let weighted: Vec<(usize, f64)> = all_of(known)?.into_iter().map(|i| (i, 1.0)).collect();
+            Ok(Constant(weighted_mean(data, &weighted)))
+        })
     }
 
     fn about(&self) -> &'static str {
-        "the mean of all training spectra"
+        "the mean of all training spectra, or of what each receiver observed"
     }
 }
 
@@ -58,12 +74,18 @@ fn choosing(known: Known<'_>) -> (Vec<usize>, Vec<usize>) {
     (samples(false).collect(), samples(true).collect())
 }
 
-/// Always the same spectrum.
+/// Always the same.
 struct Constant(Image);
 
 impl Predict for Constant {
     fn predict(&self, _: Query<'_>) -> Image {
         self.0.clone()
+    }
+}
+
+impl Fitted for Constant {
+    fn notes(_: &[(&str, &Self)]) -> Option<String> {
+        None
     }
 }
 

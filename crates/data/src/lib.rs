@@ -7,7 +7,7 @@
 //! * [`read_points`] reads a point cloud from PLY, XYZ or CSV, [`read_mesh`] triangles from OBJ, STL or PLY.
 //! * [`Official`], [`Random`], [`TimeBlock`], [`Voxel`] and [`Sparse`] divide transmitters, [`RandomLinks`] links,
 //!   [`LeaveReceiverOut`] receivers.
-//! * [`MeanSpectrum`], [`NearestNeighbours`] and [`Kriging`] are scored beside every model.
+//! * [`MeanSpectrum`], [`NearestNeighbours`], [`Kriging`], [`LogDistance`] and [`Zero`] are scored beside every model.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
@@ -27,7 +27,7 @@ mod teacher;
 mod text;
 
 pub use arrays::Arrays;
-pub use baselines::{Kriging, MeanSpectrum, NearestNeighbours, Neighbours};
+pub use baselines::{Kriging, LogDistance, MeanSpectrum, NearestNeighbours, Neighbours, Zero};
 pub use channels::{Channels, ReceiverPlace};
 pub use layout::{base_station_yaml, gateway_positions_yaml, gateway_yaml};
 pub use mesh::read_mesh;

@@ -8,6 +8,8 @@
 //! part by its own rule.
 
 mod leave_receiver_out;
+#[cfg(test)]
+mod many_receivers;
 mod official;
 mod random;
 mod random_links;

@@ -82,10 +82,10 @@ fn lapse(data: &Dataset, lags: &[u32]) -> (Lapse, String) {
 }
 
 fn notes(kind: Kind, found: &Likeness, lapse: Lapse, why: &str, of: &[(String, AtZero)]) -> Vec<String> {
-    let observed = match kind {
-        Kind::Spectrum => "spectra",
-        Kind::Power => "powers",
-        Kind::Channel => "channels",
+    let what = match kind {
+        Kind::Power => "the error of a perfect predictor of the mean reading: what two readings at one place differ by, over √2",
+        Kind::Spectrum => "what two measured spectra at one place have in common",
+        Kind::Channel => "what two measured channels at one place have in common",
     };
     let (pairs, words) = (grouped(found.closest as i64), lapse.words());
     let interval = |(key, at_zero): &(String, AtZero)| {
@@ -95,8 +95,8 @@ fn notes(kind: Kind, found: &Likeness, lapse: Lapse, why: &str, of: &[(String, A
     let intervals: Vec<String> = of.iter().map(interval).collect();
     vec![
         format!(
-            "{CEILING} is what two measured {observed} at one place have in common: {pairs} pairs {words}, at most {:.0} mm \
-             between their transmitters, followed to distance zero; {why}",
+            "{CEILING} is {what}: {pairs} pairs {words}, at most {:.0} mm between their transmitters, followed to distance \
+             zero; {why}",
             (found.reach_m * 1e3).ceil()
         ),
         format!(

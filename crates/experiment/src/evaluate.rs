@@ -83,7 +83,7 @@ pub fn evaluate(
     for baseline in &pipeline.baselines {
         go_on(stop)?;
         let fitted = baseline.fit(data, partition.known())?;
-        let name = baseline.name();
+        let name = baseline.name_for(data.kind());
         let measured = test.baseline(&name, &*fitted, &pipeline.metrics, observer, stop)?;
         bounds.extend(fitted.knows_scene().then(|| name.clone()));
         predictors.push((name, measured));

@@ -72,7 +72,7 @@ pub(crate) fn floors(
     let floor = |b: &Plugin<dyn pwrfgs_core::Baseline>| {
         go_on(stop)?;
         let fitted = b.fit(data, Known::train(&partition.train))?;
-        let name = b.name();
+        let name = b.name_for(data.kind());
         let measured = bench.baseline(&name, &*fitted, &metrics, observer, stop)?;
         Ok((name, row(0, data.kind(), &measured)))
     };

@@ -13,7 +13,7 @@ mod method;
 mod received;
 
 use crate::{Activation, ActivationVjp, Calibration, Readout};
-use pwrfgs_core::plugin::Plugin;
+use pwrfgs_core::plugin::{Plugin, default_of};
 use pwrfgs_core::{
     Cache, Deformation, Deltas, Documented, Elevation, Frame, GaussianCloud, ImagePlane, Kind, Pose, Primitives, Projector,
     Rasterizer, Real, Render, RenderVjp, Splats, sigmoid,
@@ -26,7 +26,7 @@ use std::time::Instant;
 /// Gaussians drawn as splats: what the fields `projector`, `rasterizer`, `deformation`, `calibration` and `readout` of a
 /// pipeline say, and what a pipeline does that leaves `method` out.
 #[derive(Clone, Debug, Serialize, Deserialize, Documented)]
-#[serde(deny_unknown_fields)]
+#[serde(try_from = "Fields")]
 pub struct Splatting {
     /// What the transmitter changes.
     pub deformation: Plugin<dyn Deformation>,
@@ -38,6 +38,36 @@ pub struct Splatting {
     pub calibration: Calibration,
     /// From blended signals to grey values.
     pub readout: Readout,
+}
+
+/// The same, each of which may be left out, as in a pipeline.
+#[derive(Deserialize)]
+#[serde(rename = "Splatting", deny_unknown_fields)]
+struct Fields {
+    #[serde(default)]
+    deformation: Option<Plugin<dyn Deformation>>,
+    #[serde(default)]
+    projector: Option<Plugin<dyn Projector>>,
+    #[serde(default)]
+    rasterizer: Option<Plugin<dyn Rasterizer>>,
+    #[serde(default)]
+    calibration: Calibration,
+    #[serde(default)]
+    readout: Readout,
+}
+
+impl TryFrom<Fields> for Splatting {
+    type Error = String;
+
+    fn try_from(given: Fields) -> Result<Self, String> {
+        Ok(Self {
+            deformation: given.deformation.map_or_else(|| default_of("deformation"), Ok)?,
+            projector: given.projector.map_or_else(|| default_of("projector"), Ok)?,
+            rasterizer: given.rasterizer.map_or_else(|| default_of("rasterizer"), Ok)?,
+            calibration: given.calibration,
+            readout: given.readout,
+        })
+    }
 }
 
 /// What a receiver looks at: from where, and at which pixels.

@@ -3,13 +3,16 @@
 mod correlation;
 mod likelihood;
 mod system;
+mod trend;
 
+use super::by_receiver::{ByReceiver, Fitted};
 use super::nearest::Nearest;
 use super::{all_of, choosing, weighted_mean};
 use correlation::{Correlation, Kind};
 use likelihood::Cases;
-use pwrfgs_core::{Baseline, Dataset, Documented, Image, Known, Predict, Query, Result};
+use pwrfgs_core::{Baseline, Dataset, Documented, Error, Image, Known, Predict, Query, Real, Result};
 use serde::{Deserialize, Serialize};
+use trend::Trend;
 
 /// Ordinary kriging: the best linear unbiased prediction of a Gaussian process over the transmitter's position, as maps of
 /// radio coverage are made.
@@ -23,6 +26,12 @@ use serde::{Deserialize, Serialize};
 /// given the 24 training spectra nearest to each (the strength follows in closed form). Where there is no validation part,
 /// every tenth training sample is left out for this. The prediction then uses the nearest of all, in units of the length
 /// scales. A note under the tables tells what was found.
+///
+/// Each receiver has a process of its own; one without training links is predicted from those of all. Of received powers it
+/// is the residual of a law of distance, RSSI = T - 10 gamma log10(d) by least squares, that is taken for the process; the
+/// law is added again, and is the prediction where no measurement is near. Its correlation is Matern 3/2 with one length
+/// scale for all axes, and those numbers are taken under which at most 320 training powers are most likely, each given the
+/// 16 nearest before it in random order. Data whose links have features in the place of positions are refused.
 ///
 /// ```
 /// # use pwrfgs_core::{Baseline, Plugin};
@@ -50,12 +59,24 @@ impl Baseline for Kriging {
     }
 
     fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
-        let all = all_of(known)?;
-        let (train, validation) = choosing(known);
-        let correlation = likelihood::most_likely(&Cases::new(data, train, &validation));
-        data.observations.check()?;
-        let nearest = Nearest::new(all, |i| correlation.scaled(data.sample(i).tx));
-        Ok(Box::new(Process { data, nearest, correlation, neighbours: self.neighbours }))
+        if !data.placed || data.features.is_some() {
+            let what = "has no positions of transmitters to predict from, and Kriging is a process over position";
+            return Err(Error::Config(format!("{} {what}; use NearestNeighbours()", data.title)));
+        }
+        ByReceiver::fit(data, known, |known| {
+            let all = all_of(known)?;
+            let trend = Trend::of(data, &all);
+            let cases = if trend.law.is_some() {
+                Cases::of_powers(&trend, &all)
+            } else {
+                let (train, validation) = choosing(known);
+                Cases::new(&trend, train, &validation)
+            };
+            let correlation = likelihood::most_likely(&cases);
+            data.observations.check()?;
+            let nearest = Nearest::new(all, 3, |i| correlation.scaled(data.sample(i).tx));
+            Ok(Process { trend, nearest, correlation, neighbours: self.neighbours })
+        })
     }
 
     fn about(&self) -> &'static str {
@@ -71,7 +92,7 @@ impl Baseline for Kriging {
 }
 
 struct Process<'a> {
-    data: &'a Dataset,
+    trend: Trend<'a>,
     nearest: Nearest,
     correlation: Correlation,
     neighbours: usize,
@@ -79,26 +100,71 @@ struct Process<'a> {
 
 impl Predict for Process<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
+        let data = self.trend.data;
         let at = self.correlation.scaled(query.tx);
-        let samples: Vec<usize> = self.nearest.find(at, self.neighbours).1.into_iter().map(|(_, i)| i).collect();
-        let places: Vec<[f64; 3]> = samples.iter().map(|&i| self.correlation.scaled(self.data.sample(i).tx)).collect();
-        let weights = system::solve(&self.correlation, &places, at).weights;
-        weighted_mean(self.data, &samples.into_iter().zip(weights).collect::<Vec<_>>())
-    }
-
-    fn note(&self) -> Option<String> {
-        let Correlation { kind, scales_m, noise } = &self.correlation;
-        let kind = match kind {
-            Kind::Exponential => "exponential",
-            Kind::Matern32 => "Matern 3/2",
-            Kind::SquaredExponential => "squared exponential",
+        let samples: Vec<usize> = self.nearest.find(&at, self.neighbours).1.into_iter().map(|(_, i)| i).collect();
+        let places: Vec<[f64; 3]> = samples.iter().map(|&i| self.correlation.scaled(data.sample(i).tx)).collect();
+        let solution = system::solve(&self.correlation, &places, at);
+        if self.trend.law.is_none() {
+            return weighted_mean(data, &samples.into_iter().zip(solution.weights).collect::<Vec<_>>());
+        }
+        let residual = |(&i, weight): (&usize, f64)| {
+            let mut one = [0.0];
+            self.trend.residual(i, 1, &mut one);
+            weight * one[0] as f64
         };
-        let [x, y, z] = scales_m.map(|scale| format!("{scale:.3}"));
-        Some(format!(
-            "Kriging found a correlation that is {kind} with length scales of {x}, {y} and {z} m, and noise of {noise:.4} \
-             of the variance"
-        ))
+        let dbm = self.trend.at(query) + samples.iter().zip(solution.simple).map(residual).sum::<f64>();
+        Image { width: 1, height: 1, pixels: vec![dbm as Real] }
     }
+}
+
+impl Fitted for Process<'_> {
+    fn notes(each: &[(&str, &Self)]) -> Option<String> {
+        match each {
+            [] => None,
+            [(_, one)] => Some(one.note_of_one()),
+            many => Some(note_of_many(many)),
+        }
+    }
+}
+
+impl Process<'_> {
+    /// What was found, where there is one receiver.
+    fn note_of_one(&self) -> String {
+        let Correlation { kind, scales_m, noise } = &self.correlation;
+        let [x, y, z] = scales_m.map(|scale| format!("{scale:.3}"));
+        let law = self.trend.law.map_or_else(String::new, |law| {
+            format!(
+                ", about a law of distance of {:.1} dBm at a metre and {:.1} dB a factor of ten",
+                law.level, law.slope
+            )
+        });
+        format!(
+            "Kriging found a correlation that is {} with length scales of {x}, {y} and {z} m, and noise of {noise:.4} \
+             of the variance{law}",
+            kind.words()
+        )
+    }
+}
+
+/// The same of several, in short.
+fn note_of_many(each: &[(&str, &Process<'_>)]) -> String {
+    let ends = |values: &mut dyn Iterator<Item = f64>| {
+        let (low, high) = values.fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), v| (low.min(v), high.max(v)));
+        format!("{low:.3} to {high:.3}")
+    };
+    let count = |kind: Kind| (kind, each.iter().filter(|(_, process)| process.correlation.kind == kind).count());
+    let kinds = Kind::ALL.into_iter().map(count).filter(|(_, n)| *n > 0);
+    let kinds: Vec<String> = kinds.map(|(kind, n)| format!("{} ({n})", kind.words())).collect();
+    let correlations = || each.iter().map(|(_, process)| process.correlation);
+    format!(
+        "Kriging found, of {} receivers, correlations that are {} with length scales of {} m, and noise of {} of the \
+         variance",
+        each.len(),
+        kinds.join(", "),
+        ends(&mut correlations().flat_map(|c| c.scales_m)),
+        ends(&mut correlations().map(|c| c.noise)),
+    )
 }
 
 #[cfg(test)]

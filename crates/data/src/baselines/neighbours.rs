@@ -1,9 +1,12 @@
 //! `NearestNeighbours`: the spectra measured closest by.
 
+use super::by_receiver::{ByReceiver, Fitted};
 use super::nearest::Nearest;
 use super::{all_of, choosing, weighted_mean};
 use pwrfgs_core::docs::Kind;
-use pwrfgs_core::{Baseline, Dataset, Documented, Image, Known, Predict, Query, Real, Result, evenly, ssim};
+use pwrfgs_core::{
+    Baseline, Dataset, Documented, Error, Image, Kind as Task, Known, Predict, Query, Real, Result, evenly, ssim,
+};
 use rayon::prelude::*;
 use ron::value::RawValue;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
@@ -15,10 +18,13 @@ const CHOSEN_ON: usize = 240;
 
 /// The mean of the spectra of the k nearest training transmitters, weighted by inverse distance.
 ///
-/// Where the transmitter stands on training transmitters, it is the mean of the spectra measured there.
+/// Where the transmitter stands on training transmitters, it is the mean of the spectra measured there. Powers and
+/// channels are averaged alike, each receiver by itself; a receiver without training links is given those of all. Where
+/// links have features, such as an uplink channel, distance is that between features.
 ///
 /// `k: Auto` takes the k out of 1, 2, 3, 5, 8, 12, 20, 30, 40, 60, 80, 120 and 160 that predicts the validation part best
-/// from the training part, by the mean SSIM of at most 240 samples, and then learns from both. Where there is no
+/// from the training part, by the mean SSIM of at most 240 samples (powers: the absolute error, channels: the squared
+/// error), and then learns from both. Where there is no
 /// validation part, every tenth training sample is left out for the choice; on a split that holds out whole stretches give
 /// it a validation part, or k comes out too small. A note under the table says which.
 ///
@@ -95,17 +101,23 @@ impl Baseline for NearestNeighbours {
     }
 
     fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
-        let all = all_of(known)?;
-        let (k, chosen) = match self.k {
-            Neighbours::Number(k) => (k, false),
-            Neighbours::Auto => {
-                let (train, validation) = choosing(known);
-                let k = best(data, train, &evenly(&validation, CHOSEN_ON));
-                data.observations.check()?;
-                (k, true)
-            }
-        };
-        Ok(Box::new(Lookup { chosen, ..Lookup::new(data, all, k) }))
+        if !data.placed && data.features.is_none() {
+            let what = "does not say where the transmitters are, and NearestNeighbours looks for near ones";
+            return Err(Error::Config(format!("{} {what}; remove it from `baselines`", data.title)));
+        }
+        ByReceiver::fit(data, known, |known| {
+            let all = all_of(known)?;
+            let (k, chosen) = match self.k {
+                Neighbours::Number(k) => (k, false),
+                Neighbours::Auto => {
+                    let (train, validation) = choosing(known);
+                    let k = best(data, train, &evenly(&validation, CHOSEN_ON));
+                    data.observations.check()?;
+                    (k, true)
+                }
+            };
+            Ok(Lookup { chosen, ..Lookup::new(data, all, k) })
+        })
     }
 
     fn about(&self) -> &'static str {
@@ -146,25 +158,25 @@ struct Lookup<'a> {
 
 impl<'a> Lookup<'a> {
     fn new(data: &'a Dataset, samples: Vec<usize>, k: usize) -> Self {
-        Self { data, nearest: Nearest::new(samples, |i| data.sample(i).tx), k, chosen: false }
+        let width = data.features.as_ref().map_or(3, |features| features.width);
+        Self { data, nearest: Nearest::new(samples, width, |i| place(data.query(i))), k, chosen: false }
     }
 
-    /// Samples with their weights: those at `tx` exactly, or else the k nearest.
-    fn neighbours(&self, tx: [f64; 3]) -> Vec<(usize, f64)> {
-        let (exact, near) = self.nearest.find(tx, self.k);
+    /// Samples with their weights, and whether they are those at `at` exactly, or else the k nearest.
+    fn neighbours(&self, at: &[f64]) -> (bool, Vec<(usize, f64)>) {
+        let (exact, near) = self.nearest.find(at, self.k);
         if exact.is_empty() {
-            near.into_iter().map(|(distance, i)| (i, 1.0 / distance)).collect()
+            (false, near.into_iter().map(|(distance, i)| (i, 1.0 / distance)).collect())
         } else {
-            exact.into_iter().map(|i| (i, 1.0)).collect()
+            (true, exact.into_iter().map(|i| (i, 1.0)).collect())
         }
     }
 
-    /// SSIM of sample `i` as the nearest predict it, for each number of `choices`, ascending.
+    /// How well sample `i` is predicted from the nearest, for each number of `choices`, ascending; more is better.
     fn scores(&self, i: usize, choices: &[usize]) -> Vec<f64> {
-        let (tx, truth) = (self.data.sample(i).tx, self.data.image(i));
-        let neighbours = self.neighbours(tx);
+        let truth = self.data.image(i);
         // Those that stand at the very place all count, whatever k.
-        let exact = neighbours.first().is_some_and(|(j, _)| self.data.sample(*j).tx == tx);
+        let (exact, neighbours) = self.neighbours(&place(self.data.query(i)));
         let (mut sum, mut total, mut taken) = (vec![0.0; truth.pixels.len()], 0.0, 0);
         let score = |k: &usize| {
             let until = if exact { neighbours.len() } else { *k.min(&neighbours.len()) };
@@ -175,18 +187,41 @@ impl<'a> Lookup<'a> {
             taken = until;
             let scale = self.data.observations.full_scale() * total;
             let pixels = sum.iter().map(|s| (s / scale) as Real).collect();
-            ssim::evaluation(&Image { pixels, ..truth }.clamped(), &truth)
+            likeness(self.data.kind(), &Image { pixels, ..truth }, &truth)
         };
         choices.iter().map(score).collect()
     }
 }
 
+/// Where a link is looked for: its features, or the transmitter's place.
+fn place(query: Query<'_>) -> Vec<f64> {
+    if query.features.is_empty() { query.tx.to_vec() } else { query.features.iter().map(|v| *v as f64).collect() }
+}
+
+/// How alike a prediction is to what was observed; more is better.
+fn likeness(task: Task, predicted: &Image, truth: &Image) -> f64 {
+    let errors = || predicted.pixels.iter().zip(&truth.pixels).map(|(p, t)| *p as f64 - *t as f64);
+    match task {
+        Task::Spectrum => ssim::evaluation(&predicted.clamped(), truth),
+        Task::Power => -errors().map(f64::abs).sum::<f64>(),
+        Task::Channel => -errors().map(|e| e * e).sum::<f64>(),
+    }
+}
+
 impl Predict for Lookup<'_> {
     fn predict(&self, query: Query<'_>) -> Image {
-        weighted_mean(self.data, &self.neighbours(query.tx))
+        weighted_mean(self.data, &self.neighbours(&place(query)).1)
     }
+}
 
-    fn note(&self) -> Option<String> {
-        self.chosen.then(|| format!("k-NN takes k = {}, which does best on validation spectra", self.k))
+impl Fitted for Lookup<'_> {
+    fn notes(each: &[(&str, &Self)]) -> Option<String> {
+        let (_, first) = each.first().filter(|(_, lookup)| lookup.chosen)?;
+        let what = format!("best on validation {}", first.data.kind().plural().trim_start_matches("spatial "));
+        if each.iter().all(|(_, lookup)| lookup.k == first.k) {
+            return Some(format!("k-NN takes k = {}, which does {what}", first.k));
+        }
+        let list: Vec<String> = each.iter().map(|(name, lookup)| format!("{} ({name})", lookup.k)).collect();
+        Some(format!("k-NN takes k = {}, each of which does {what}", list.join(", ")))
     }
 }

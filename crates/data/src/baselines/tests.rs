@@ -54,16 +54,16 @@ fn the_nearest_of_thousands_are_found() {
     let places: Vec<[f64; 3]> = (0..5000).map(|i| [f64::from(i * 7919 % 5000), f64::from(i % 3), 0.0]).collect();
     let data = samples_at(&places);
     for k in [1, 3, 700, 5000] {
-        let nearest = Nearest::new((0..5000).collect(), |i| data.sample(i).tx);
+        let nearest = Nearest::new((0..5000).collect(), 3, |i| data.sample(i).tx);
         let tx = [2500.25, 1.0, 0.0];
         let mut all: Vec<(f64, usize)> =
             places.iter().enumerate().map(|(i, place)| (distance(*place, tx), i)).collect();
         all.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        assert_eq!(nearest.find(tx, k), (vec![], all[..k].to_vec()), "{k}");
+        assert_eq!(nearest.find(&tx, k), (vec![], all[..k].to_vec()), "{k}");
     }
     let same = samples_at(&vec![[1.0; 3]; 3000]);
-    let nearest = Nearest::new((0..3000).collect(), |i| same.sample(i).tx);
-    let (exact, near) = nearest.find([1.0; 3], 2);
+    let nearest = Nearest::new((0..3000).collect(), 3, |i| same.sample(i).tx);
+    let (exact, near) = nearest.find(&[1.0; 3], 2);
     assert_eq!((exact.len(), near), (3000, vec![(0.0, 0), (0.0, 1)]), "all that stand there");
 }
 

@@ -1,1 +1,107 @@
+//! Channels in files, good and bad, and those of `NeWRF` where they are at hand.
 
+use super::*;
+use crate::npy::npy_header_as;
+use crate::{NearestNeighbours, Zero};
+use pwrfgs_core::testing::shared;
+use pwrfgs_core::{Baseline, Known};
+use std::fs;
+
+fn source(root: PathBuf) -> Channels {
+    Channels {
+        root,
+        file: "h.npy".into(),
+        positions: "p.csv".into(),
+        carrier_hz: 1e9,
+        spacing_hz: 1e6,
+        ..Channels::default()
+    }
+}
+
+fn folder(shape: [usize; 3]) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let numbers = (0..2 * shape.iter().product::<usize>()).flat_map(|v| (v as f32).to_le_bytes());
+    fs::write(folder.path().join("h.npy"), npy_header_as("<c8", &shape).into_iter().chain(numbers).collect::<Vec<u8>>())
+        .unwrap();
+    fs::write(folder.path().join("p.csv"), "x,y,z\n1,2,3\n4,5,6\n").unwrap();
+    folder
+}
+
+#[test]
+fn channels_are_read_with_their_antennas_and_frequencies() {
+    let folder = folder([2, 2, 3]);
+    let mut source = source(folder.path().into());
+    let said = source.load(".".as_ref(), &|_, _| {}).unwrap_err();
+    assert!(said.is_input() && said.to_string().contains("has 2 antennas, and `receiver.antennas` names 0"), "{said}");
+    source.receiver.antennas = vec![[0.0; 3], [0.1, 0.0, 0.0]];
+    let data = source.load(".".as_ref(), &|_, _| {}).unwrap();
+    assert_eq!((data.len(), data.width, data.height), (2, 3, 4));
+    assert_eq!(data.image(1).pixels[..6], [12.0, 14.0, 16.0, 13.0, 15.0, 17.0]);
+    assert_eq!((data.sample(1).id, data.sample(1).tx), (1, [4.0, 5.0, 6.0]));
+    let Observations::Channels(channels) = &data.observations else { unreachable!() };
+    assert_eq!(channels.frequencies_hz, [1e9 - 1e6, 1e9, 1e9 + 1e6]);
+    assert_eq!(data.scene.receivers[0].antennas.len(), 2);
+    source.carrier_hz = 1e5;
+    assert!(source.load(".".as_ref(), &|_, _| {}).unwrap_err().to_string().contains("correct `carrier_hz`"));
+}
+
+#[test]
+fn what_does_not_fit_is_refused() {
+    let three = folder([3, 1, 1]);
+    let said = source(three.path().into()).load(".".as_ref(), &|_, _| {}).unwrap_err().to_string();
+    assert!(
+        said.contains("holds channels of 3 transmitters") && said.contains("p.csv 2; give as many of each"),
+        "{said}"
+    );
+    for wrong in [
+        Channels { carrier_hz: f64::NAN, ..Channels::default() },
+        Channels { spacing_hz: 0.0, ..Channels::default() },
+        Channels { file: PathBuf::new(), ..Channels::default() },
+        Channels {
+            receiver: ReceiverPlace { orientation: [0.0; 4], ..ReceiverPlace::default() },
+            ..Channels::default()
+        },
+    ] {
+        assert!(wrong.check().is_err());
+    }
+}
+
+/// Neighbours are wavelengths apart, or a good part of one at 433 MHz: their mean is next to nothing, or worse.
+#[test]
+fn neighbours_hardly_predict_the_channels_of_newrf() {
+    let Some(root) = shared("data/newrf") else { return };
+    let receiver = ReceiverPlace { position: [-1.5, 0.0, 1.7], ..ReceiverPlace::default() };
+    let files = [
+        ("csi_433MHz.npy", "csi_433MHz_pos.csv", 395),
+        ("csi_928MHz.npy", "tx_pos.csv", 433),
+        ("csi_2400MHz.npy", "tx_pos.csv", 433),
+    ];
+    for (file, positions, count) in files {
+        let source = Channels {
+            root: root.clone(),
+            file: file.into(),
+            positions: positions.into(),
+            receiver: receiver.clone(),
+            ..Channels::default()
+        };
+        let data = source.load(".".as_ref(), &|_, _| {}).unwrap();
+        assert_eq!(data.len(), count);
+        let first_test = count - count / 5;
+        let train: Vec<usize> = (0..first_test).collect();
+        let snr = |baseline: &dyn Baseline| {
+            let fitted = baseline.fit(&data, Known::train(&train)).unwrap();
+            let (mut error, mut power) = (0.0, 0.0);
+            for i in first_test..count {
+                for (p, t) in fitted.predict(data.query(i)).pixels.iter().zip(data.image(i).pixels) {
+                    error += (*p as f64 - t as f64).powi(2);
+                    power += (t as f64).powi(2);
+                }
+            }
+            -10.0 * f64::log10(error / power)
+        };
+        assert!(snr(&Zero {}).abs() < 1e-9);
+        let found = [1, 2, 3, 5, 8, 15].map(|k| snr(&NearestNeighbours { k: k.into() }));
+        println!("{file}: SNR of 1, 2, 3, 5, 8 and 15 neighbours {found:.2?} dB");
+        assert!(found.iter().all(|snr| *snr < 2.0), "{file}: {found:?}");
+    }
+}

@@ -55,9 +55,10 @@ impl Header {
         let mut bytes = vec![0; left as usize];
         file.read_exact(&mut bytes).map_err(|e| Error::read(path, e))?;
         let single = |b: &[u8; 4]| f64::from(f32::from_le_bytes(*b));
-        let parts: Vec<f64> = match double {
-            true => bytes.as_chunks().0.iter().map(|b| f64::from_le_bytes(*b)).collect(),
-            false => bytes.as_chunks().0.iter().map(single).collect(),
+        let parts: Vec<f64> = if double {
+            bytes.as_chunks().0.iter().map(|b| f64::from_le_bytes(*b)).collect()
+        } else {
+            bytes.as_chunks().0.iter().map(single).collect()
         };
         if let Some(i) = parts.iter().position(|v| !(*v as Real).is_finite()) {
             let [_, a, f] = shape;

@@ -45,10 +45,12 @@ impl Pair {
 /// Pairs of one kind, the closest first. Those near in time are all there are. Of those far apart in time all that are
 /// close are there (of 8,192 samples with any other), and of the distant ones a random part.
 pub(super) fn find(data: &Dataset, lapse: Lapse) -> Vec<Pair> {
-    let mut pairs = match lapse {
-        Lapse::Near => near(data),
-        Lapse::Far => far(data),
+    let rows = by_receiver(data);
+    let of = |own: &Vec<usize>| match lapse {
+        Lapse::Near => near(data, own),
+        Lapse::Far => far(data, own, rows.len()),
     };
+    let mut pairs: Vec<Pair> = rows.iter().flat_map(of).collect();
     pairs.sort_by_key(|pair| (pair.earlier, pair.later));
     pairs.dedup();
     // Among equal distances, of which places in whole millimetres have many, none comes first for its id.
@@ -57,17 +59,27 @@ pub(super) fn find(data: &Dataset, lapse: Lapse) -> Vec<Pair> {
     pairs
 }
 
-fn near(data: &Dataset) -> Vec<Pair> {
-    let of = |i: usize| {
-        let last = data.sample(i).id.saturating_add(NEAR_IDS);
-        (i + 1..data.len()).take_while(move |&j| data.sample(j).id <= last).map(move |j| Pair::of(data, i, j))
-    };
-    (0..data.len()).flat_map(of).collect()
+/// Links of each receiver: only what one and the same receiver heard can be compared.
+fn by_receiver(data: &Dataset) -> Vec<Vec<usize>> {
+    let mut rows = vec![Vec::new(); data.scene.receivers.len()];
+    (0..data.len()).for_each(|i| rows[data.links[i].receiver].push(i));
+    rows
 }
 
-fn far(data: &Dataset) -> Vec<Pair> {
-    let places: Vec<[Real; 3]> = data.samples().map(|s| data.scene.origin.local(s.tx)).collect();
-    let asked = evenly(&(0..places.len()).collect::<Vec<_>>(), ASKED);
+/// Of the links `rows` of one receiver.
+fn near(data: &Dataset, rows: &[usize]) -> Vec<Pair> {
+    let of = |(k, &i): (usize, &usize)| {
+        let last = data.sample(i).id.saturating_add(NEAR_IDS);
+        let next = rows[k + 1..].iter().copied().take_while(move |&j| data.sample(j).id <= last);
+        next.map(move |j| Pair::of(data, i, j))
+    };
+    rows.iter().enumerate().flat_map(of).collect()
+}
+
+/// Of the links `rows` of one receiver, out of some receivers.
+fn far(data: &Dataset, rows: &[usize], receivers: usize) -> Vec<Pair> {
+    let places: Vec<[Real; 3]> = rows.iter().map(|&i| data.scene.origin.local(data.sample(i).tx)).collect();
+    let asked = evenly(&(0..places.len()).collect::<Vec<_>>(), ASKED.div_ceil(receivers));
     let from: Vec<[Real; 3]> = asked.iter().map(|&i| places[i]).collect();
     let found = neighbours::k_nearest(&from, &places, 2 * FAR_IDS as usize + 1 + NEIGHBOURS);
     // Beyond the horizon the lists of some samples are at their end, and what is in others is no fair sample.
@@ -76,17 +88,21 @@ fn far(data: &Dataset) -> Vec<Pair> {
     let complete = found.iter().any(|list| list.len() == places.len());
     let horizon = if complete { f64::INFINITY } else { ends.get(ends.len() / 10).copied().unwrap_or(0.0) };
     let is_far = |pair: &Pair| pair.ids_apart(data) > FAR_IDS;
-    let listed = asked.iter().zip(&found).flat_map(|(&i, list)| list.iter().map(move |(j, _)| Pair::of(data, i, *j)));
+    let of = |(&k, list): (&usize, &Vec<(usize, Real)>)| -> Vec<Pair> {
+        list.iter().map(|(j, _)| Pair::of(data, rows[k], rows[*j])).collect()
+    };
+    let listed = asked.iter().zip(&found).flat_map(of);
     let listed = listed.filter(|pair| pair.distance <= horizon && is_far(pair));
-    let drawn = drawn(data, DRAWN).filter(|pair| pair.distance > horizon && is_far(pair));
+    let drawn = drawn(data, rows, DRAWN.div_ceil(receivers)).filter(|pair| pair.distance > horizon && is_far(pair));
     listed.chain(drawn).collect()
 }
 
-/// Pairs of two samples drawn at random.
-fn drawn(data: &Dataset, count: usize) -> impl Iterator<Item = Pair> {
-    let samples = data.len();
+/// Pairs of two of the links `rows` drawn at random.
+fn drawn(data: &Dataset, rows: &[usize], count: usize) -> impl Iterator<Item = Pair> {
+    let samples = rows.len();
     let mut random = rng::stream(0, "repeatability pairs", 0);
-    let mut draw = move || Pair::of(data, rng::below(&mut random, samples), rng::below(&mut random, samples));
+    let mut one = move || rows[rng::below(&mut random, samples)];
+    let mut draw = move || Pair::of(data, one(), one());
     let count = if samples < 2 { 0 } else { count };
     (0..count).map(move |_| draw()).filter(|pair| pair.earlier != pair.later)
 }
@@ -98,13 +114,16 @@ pub fn in_order(data: &Dataset) -> bool {
         distances.sort_by(f64::total_cmp);
         quantile(&distances, 0.5)
     };
-    let next = (1..data.len()).map(|i| Pair::of(data, i - 1, i)).collect();
+    let own = by_receiver(data).into_iter().max_by_key(Vec::len).unwrap_or_default();
+    let next = own.windows(2).map(|two| Pair::of(data, two[0], two[1])).collect();
     median(next) < 0.5 * median(unrelated(data))
 }
 
 /// Some pairs of any two samples.
 pub(super) fn unrelated(data: &Dataset) -> Vec<Pair> {
-    drawn(data, UNRELATED).collect()
+    let rows = by_receiver(data);
+    let each = UNRELATED.div_ceil(rows.len());
+    rows.iter().flat_map(|rows| drawn(data, rows, each)).collect()
 }
 
 /// Ranges of distances of one, two, three, five and seven times a power of ten, metres, and the place of their pairs in a

@@ -14,6 +14,15 @@ pub(super) enum Kind {
 impl Kind {
     pub(super) const ALL: [Self; 3] = [Self::Exponential, Self::Matern32, Self::SquaredExponential];
 
+    /// As a sentence says it.
+    pub(super) fn words(self) -> &'static str {
+        match self {
+            Self::Exponential => "exponential",
+            Self::Matern32 => "Matern 3/2",
+            Self::SquaredExponential => "squared exponential",
+        }
+    }
+
     /// Of distance `d` in length scales.
     pub(super) fn at(self, d: f64) -> f64 {
         match self {

@@ -3,13 +3,17 @@
 use super::super::nearest::Nearest;
 use super::correlation::{Correlation, Kind};
 use super::system;
-use pwrfgs_core::{Dataset, Real, evenly, neighbours};
+use super::trend::Trend;
+use pwrfgs_core::{Real, evenly, neighbours, rng};
 use rayon::prelude::*;
 
 /// Samples that are predicted, at most.
 const CASES: usize = 160;
 /// Samples that each is predicted from, at most.
 const FROM: usize = 24;
+/// The same of powers.
+const POWERS: usize = 320;
+const FROM_POWERS: usize = 16;
 /// Pixels of a picture that are looked at, about: every n-th row and column.
 const PIXELS: usize = 2_000;
 /// Ends of the noise: below, places that coincide cannot be told from a fault of rounding.
@@ -21,7 +25,10 @@ const STEPS: [f64; 5] = [2.0, 1.0, 0.5, 0.25, 0.125];
 
 /// Samples to be predicted, each from those nearest to it.
 pub(super) struct Cases {
-    cases: Vec<Case>,
+    all: Vec<Case>,
+    /// Whether they are powers: then the shape is Matern 3/2 and the three length scales are one, since so few numbers tell
+    /// no more.
+    powers: bool,
     /// Distance from a sample to be predicted to those around it, metres: the middle.
     typical_m: f64,
 }
@@ -35,19 +42,37 @@ struct Case {
 
 impl Cases {
     /// `validation` samples predicted from `train`ing samples.
-    pub(super) fn new(data: &Dataset, train: Vec<usize>, validation: &[usize]) -> Self {
-        let nearest = Nearest::new(train, |i| data.sample(i).tx);
-        let case = |&i: &usize| Case::new(data, i, &nearest.find(data.sample(i).tx, FROM).1);
-        let cases: Vec<Case> = evenly(validation, CASES).par_iter().map(case).collect();
-        let mut distances: Vec<f64> = cases.iter().map(Case::reach_m).filter(|reach| *reach > 0.0).collect();
+    pub(super) fn new(trend: &Trend<'_>, train: Vec<usize>, validation: &[usize]) -> Self {
+        let place = |i: usize| trend.data.sample(i).tx;
+        let nearest = Nearest::new(train, 3, place);
+        let case = |&i: &usize| Case::new(trend, i, &nearest.find(&place(i), FROM).1);
+        Self::of(evenly(validation, CASES).par_iter().map(case).collect(), false)
+    }
+
+    /// Powers, of which each is one number, so that many are needed: each of at most [`POWERS`] predicted from the nearest of
+    /// those before it, in random order. Their densities multiply to that of all together (Vecchia, Journal of the Royal
+    /// Statistical Society B 50, 1988), and the first ones tell of long distances.
+    pub(super) fn of_powers(trend: &Trend<'_>, all: &[usize]) -> Self {
+        let mut order = evenly(all, POWERS);
+        rng::shuffle(&mut rng::stream(0, "kriging", 0), &mut order);
+        let place = |i: usize| trend.data.sample(i).tx;
+        let case = |n: usize| {
+            let before = Nearest::new(order[..n].to_vec(), 3, place);
+            Case::new(trend, order[n], &before.find(&place(order[n]), FROM_POWERS).1)
+        };
+        Self::of((1..order.len()).into_par_iter().map(case).collect(), true)
+    }
+
+    fn of(all: Vec<Case>, powers: bool) -> Self {
+        let mut distances: Vec<f64> = all.iter().map(Case::reach_m).filter(|reach| *reach > 0.0).collect();
         distances.sort_by(f64::total_cmp);
-        Self { typical_m: distances.get(distances.len() / 2).copied().unwrap_or(1.0), cases }
+        Self { typical_m: distances.get(distances.len() / 2).copied().unwrap_or(1.0), all, powers }
     }
 
     /// Logarithm of the density of what was measured, but for a constant, at the most likely strength: n times the logarithm
     /// of that strength and all logarithms of variances, halved, and less is more likely.
     pub(super) fn log_likelihood(&self, correlation: &Correlation) -> f64 {
-        let found: Vec<(f64, f64)> = self.cases.par_iter().map(|case| case.error(correlation)).collect();
+        let found: Vec<(f64, f64)> = self.all.par_iter().map(|case| case.error(correlation)).collect();
         let strength = found.iter().map(|(error, variance)| error / variance).sum::<f64>() / found.len() as f64;
         let logs: f64 = found.iter().map(|(_, variance)| variance.ln()).sum();
         // Spectra that are all the same have no strength.
@@ -56,11 +81,12 @@ impl Cases {
 }
 
 impl Case {
-    fn new(data: &Dataset, sample: usize, from: &[(f64, usize)]) -> Self {
+    fn new(trend: &Trend<'_>, sample: usize, from: &[(f64, usize)]) -> Self {
+        let data = trend.data;
         let stride = ((data.width * data.height) as f64 / PIXELS as f64).sqrt().ceil().max(1.0) as usize;
         let picture = |i: usize| {
             let mut pixels = vec![0.0; data.width.div_ceil(stride) * data.height.div_ceil(stride)];
-            data.observations.coarse(i, stride, &mut pixels);
+            trend.residual(i, stride, &mut pixels);
             pixels
         };
         let pictures: Vec<Vec<Real>> =
@@ -98,8 +124,11 @@ impl Case {
 pub(super) fn most_likely(cases: &Cases) -> Correlation {
     let of_kind = |kind| {
         let start = Correlation { kind, scales_m: [8.0 * cases.typical_m; 3], noise: 0.1 };
-        if cases.cases.is_empty() { (0.0, start) } else { search(cases, start) }
+        if cases.all.is_empty() { (0.0, start) } else { search(cases, start) }
     };
+    if cases.powers {
+        return of_kind(Kind::Matern32).1;
+    }
     let found = Kind::ALL.map(of_kind);
     found.into_iter().reduce(|best, next| if next.0 > best.0 { next } else { best }).expect("three were tried").1
 }
@@ -110,7 +139,7 @@ fn search(cases: &Cases, start: Correlation) -> (f64, Correlation) {
         // Each round but the last improves, and there is a best one; the bound is for noise in the last digits.
         for _ in 0..20 {
             let before = best.0;
-            for parameter in 0..6 {
+            for parameter in (0..6).filter(|p| !(cases.powers && (1..=3).contains(p))) {
                 for factor in [step.exp2(), (-step).exp2()] {
                     while let Some(next) = moved(&best.1, parameter, factor, cases.typical_m) {
                         let likelihood = cases.log_likelihood(&next);

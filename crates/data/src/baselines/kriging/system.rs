@@ -9,6 +9,8 @@ use pwrfgs_core::neighbours::distance;
 pub(super) struct Solution {
     /// What each of the others counts; they add up to 1.
     pub(super) weights: Vec<f64>,
+    /// The same where the mean of the process is known to be zero: far from all places they are zero.
+    pub(super) simple: Vec<f64>,
     /// Variance of a measurement there, noise included, about the prediction, in units of the process.
     pub(super) variance: f64,
 }
@@ -33,7 +35,7 @@ pub(super) fn solve(correlation: &Correlation, places: &[[f64; 3]], at: [f64; 3]
     let weights: Vec<f64> = simple.iter().zip(&ones).map(|(s, o)| s + o * lacking / total).collect();
     let explained: f64 = towards.iter().zip(&simple).map(|(t, s)| t * s).sum();
     let variance = 1.0 + correlation.noise - explained + lacking * lacking / total;
-    Solution { weights, variance: variance.max(correlation.noise) }
+    Solution { weights, simple, variance: variance.max(correlation.noise) }
 }
 
 /// The lower triangle of a positive definite matrix `[n,n]` becomes that of its Cholesky factor; the upper is not looked at.

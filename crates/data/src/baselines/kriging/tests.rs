@@ -87,7 +87,7 @@ fn likelihood_finds_what_the_samples_were_drawn_from() {
         let truth = Correlation { kind, scales_m: [0.3, 0.3, 1.2], noise: 0.1 };
         let data = drawn(&truth, 260);
         let (train, validation): (Vec<usize>, Vec<usize>) = (0..260).partition(|i| i % 4 != 0);
-        let cases = Cases::new(&data, train, &validation);
+        let cases = Cases::new(&Trend::of(&data, &[]), train, &validation);
         let found = most_likely(&cases);
         println!("{found:?} for {truth:?}: {} {}", cases.log_likelihood(&found), cases.log_likelihood(&truth));
         assert_eq!(found.kind, kind);
@@ -104,7 +104,7 @@ fn likelihood_finds_what_the_samples_were_drawn_from() {
 fn the_likelihood_is_that_of_its_predictions() {
     let truth = Correlation { kind: Kind::Matern32, scales_m: [0.5; 3], noise: 0.2 };
     let data = drawn(&truth, 12);
-    let cases = Cases::new(&data, (0..10).collect(), &[10, 11]);
+    let cases = Cases::new(&Trend::of(&data, &[]), (0..10).collect(), &[10, 11]);
     let mut terms = Vec::new();
     for i in [10, 11] {
         let places: Vec<[f64; 3]> = (0..10).map(|j| truth.scaled(data.sample(j).tx)).collect();

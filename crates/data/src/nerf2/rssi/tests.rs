@@ -1,1 +1,112 @@
+//! A small folder of powers, and what is said when something in it is wrong.
 
+use super::*;
+use crate::layout::gateway_positions_yaml;
+use pwrfgs_core::Link;
+use std::fs;
+
+const ROWS: &str = "b,a\n-60.5,-100\n-100.0,-71\n-62,-73\n";
+
+/// Two gateways and three transmitters; 0 and 2 are training samples.
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        let folder = Self(tempfile::tempdir().unwrap());
+        folder.write("gateway_position.yml", &gateway_positions_yaml([("a", [1.0, 2.0, 3.0]), ("b", [4.0, 5.0, 6.5])]));
+        folder.write("gateway_rssi.csv", ROWS);
+        folder.write("tx_pos.csv", "x,y,z\n1,2,3\n4,5,6\n7,8,9\n");
+        folder.write("train_index.txt", "2\n0\n");
+        folder.write("test_index.txt", "1\n");
+        folder
+    }
+
+    fn write(&self, name: &str, text: &str) {
+        fs::write(self.0.path().join(name), text).unwrap();
+    }
+
+    fn try_load(&self) -> Result<Dataset> {
+        Nerf2Rssi { root: ".".into(), points: None }.load(self.0.path(), &|_, _| {})
+    }
+
+    /// The message with `text` in the file `name`, which is put right again.
+    fn fault(&self, name: &str, text: &str) -> String {
+        let path = self.0.path().join(name);
+        let before = fs::read(&path).unwrap();
+        fs::write(&path, text).unwrap();
+        let error = self.try_load().unwrap_err();
+        assert!(error.is_input());
+        fs::write(&path, before).unwrap();
+        error.to_string().replace(&self.0.path().join(".").display().to_string(), "DIR")
+    }
+}
+
+#[test]
+fn a_good_folder_is_read() {
+    let data = Folder::new().try_load().unwrap();
+    assert_eq!(data.scene.receivers[1], Receiver::new("b", Pose { position: [4.0, 5.0, 6.5], ..Pose::IDENTITY }));
+    let link = |transmitter, receiver| Link { transmitter, receiver };
+    assert_eq!(data.links, [link(0, 1), link(1, 0), link(2, 0), link(2, 1)]);
+    let powers: Vec<Real> = (0..4).map(|i| data.image(i).pixels[0]).collect();
+    assert_eq!(powers, [-60.5, -71.0, -73.0, -62.0]);
+    assert_eq!((data.sample(3).id, data.sample(3).tx), (2, [7.0, 8.0, 9.0]));
+    assert_eq!(data.official, Some((vec![0, 2, 3], vec![1])));
+    assert!(data.placed && !data.is_simulated());
+}
+
+#[test]
+fn mistakes_are_told_with_their_place() {
+    let folder = Folder::new();
+    let cases = [
+        (
+            "gateway_position.yml",
+            "a: [1, 2, 3]\n",
+            "DIR/gateway_rssi.csv:1:1: `b` has no position in gateway_position.yml",
+        ),
+        ("gateway_position.yml", "a: [1, 2]\n", "DIR/gateway_position.yml:1:4: a: invalid length 2"),
+        ("gateway_position.yml", "a: [1, 2, 3]\na: [1, 2, 3]\n", "DIR/gateway_position.yml:"),
+        ("gateway_position.yml", "a: [1, 2, 3]\nb: [1, .nan, 3]\n", "DIR/gateway_position.yml:2:1: `b` is not finite"),
+        ("gateway_position.yml", "{}", "DIR/gateway_position.yml: names no gateway"),
+        (
+            "gateway_rssi.csv",
+            "a\n-60\n-61\n-62\n",
+            "DIR/gateway_rssi.csv:1:1: no column `b`, a gateway that has a position",
+        ),
+        ("gateway_rssi.csv", "a,b,a\n", "DIR/gateway_rssi.csv:1:5: a second column `a`"),
+        ("gateway_rssi.csv", "", "DIR/gateway_rssi.csv: is empty"),
+        (
+            "gateway_rssi.csv",
+            "a,b\n-60,-61\n-62,NaN\n",
+            "DIR/gateway_rssi.csv:3:5: `NaN` is not finite; give the power in dBm",
+        ),
+        ("gateway_rssi.csv", "a,b\n-60,x\n", "DIR/gateway_rssi.csv:2:5: `x` is not a number"),
+        ("gateway_rssi.csv", "a,b\n-60\n", "DIR/gateway_rssi.csv:2:4: the row ends after 1"),
+        ("gateway_rssi.csv", "a,b\n-60,-61,5\n", "DIR/gateway_rssi.csv:2:9: the row has 3 fields"),
+        ("gateway_rssi.csv", "a,b\n-60,1000\n", "DIR/gateway_rssi.csv:2:5: `1000` is no power in dBm"),
+        (
+            "gateway_rssi.csv",
+            "a,b\n-60,-61\n-100,-100.0\n-1,-1\n",
+            "DIR/gateway_rssi.csv:3:1: no gateway heard this transmitter (-100 in all columns)",
+        ),
+        (
+            "gateway_rssi.csv",
+            "a,b\n-60,-100\n-61,-100\n-62,-100\n",
+            "DIR/gateway_rssi.csv:1:3: `b` heard no transmitter (-100 in all rows)",
+        ),
+        ("gateway_rssi.csv", "a,b\n-60,-61\n", "DIR/gateway_rssi.csv: holds 1 rows of powers, but tx_pos.csv 3"),
+        ("tx_pos.csv", "x,y,z\n1,2,3\n1,2,inf\n", "DIR/tx_pos.csv:3:5: `inf` is not finite"),
+        (
+            "test_index.txt",
+            "3\n",
+            "DIR/test_index.txt:1:1: there is no row 3 in tx_pos.csv, which has 3; rows count from 0",
+        ),
+        ("test_index.txt", "1\n0\n", "DIR/test_index.txt:2:1: id 0 was already named in train_index.txt, line 2"),
+        ("test_index.txt", "-1\n", "DIR/test_index.txt:1:1: `-1` is not a row of tx_pos.csv"),
+    ];
+    for (name, text, message) in cases {
+        let said = folder.fault(name, text);
+        assert!(said.starts_with(message), "{said}");
+    }
+    fs::remove_file(folder.0.path().join("gateway_rssi.csv")).unwrap();
+    assert!(folder.try_load().unwrap_err().to_string().contains("no such file; a NeRF2 folder of powers holds"));
+}

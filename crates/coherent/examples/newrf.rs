@@ -1,0 +1,82 @@
+//! The table of NeWRF's conference room: how many virtual transmitters are found, how fast and how good they are.
+//!
+//! `PWRFGS_SHARED=../shared cargo run --release -p pwrfgs-coherent --example newrf -- 433 928 2400`
+
+#![allow(clippy::print_stdout, clippy::print_stderr, clippy::unwrap_used, clippy::disallowed_methods)] // a table for developers
+
+use pwrfgs_coherent::{Links, Pursuit, field, pursue, snr_of};
+use pwrfgs_core::{Real, testing::shared};
+use std::time::Instant;
+
+struct Band {
+    frequency: f64,
+    positions: Vec<[Real; 3]>,
+    channel: Vec<[Real; 2]>,
+}
+
+fn read(name: &str) -> Band {
+    let folder = shared("data/newrf").expect("the data are at hand");
+    let frequency = match name {
+        "2400" => 2.412e9,
+        name => name.parse::<f64>().unwrap() * 1e6,
+    };
+    let positions = if name == "433" { "csi_433MHz_pos.csv" } else { "tx_pos.csv" };
+    let mut reader = csv::Reader::from_path(folder.join(positions)).unwrap();
+    let positions = reader.deserialize::<[Real; 3]>().map(Result::unwrap).collect();
+    let bytes = std::fs::read(folder.join(format!("csi_{name}MHz.npy"))).unwrap();
+    // complex64, 128 bytes of header or as its length field says.
+    let start = 10 + u16::from_le_bytes([bytes[8], bytes[9]]) as usize;
+    let floats: Vec<Real> =
+        bytes[start..].as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b) as Real).collect();
+    Band { frequency, positions, channel: floats.as_chunks::<2>().0.to_vec() }
+}
+
+fn main() {
+    let verbose = std::env::var_os("VERBOSE").is_some();
+    let set = |name: &str, default: f64| std::env::var(name).map_or(default, |v| v.parse().unwrap());
+    for name in std::env::args().skip(1) {
+        let band = read(&name);
+        let n = band.positions.len();
+        let train = n - n / 5;
+        let frequencies = [band.frequency];
+        let links = |p| Links { positions: p, antennas: &[[0.0; 3]], frequencies: &frequencies };
+        let (before, after) = band.positions.split_at(train);
+        let (h, h_after) = band.channel.split_at(train);
+        let default = Pursuit::default();
+        let options = Pursuit {
+            reach: set("REACH", default.reach),
+            step: set("STEP", default.step),
+            most: set("MOST", default.most as f64) as usize,
+            patience: set("PATIENCE", default.patience as f64) as usize,
+            hold_out: set("HOLD", default.hold_out as f64) as usize,
+            ridge: set("RIDGE", default.ridge),
+            images: set("IMAGES", 1.0) > 0.0,
+            peaks: set("PEAKS", default.peaks as f64) as usize,
+            rounds: set("ROUNDS", default.rounds as f64) as usize,
+            steps: set("STEPS", default.steps as f64) as usize,
+            beyond_doubt: set("DOUBT", default.beyond_doubt),
+            again: set("AGAIN", 0.0) > 0.0,
+            seed: set("SEED", 0.0) as u64,
+            ..default
+        };
+        let start = Instant::now();
+        let mut tell = |p: &pwrfgs_coherent::Progress| {
+            if verbose {
+                eprintln!("{:6.1} s {p:?}", start.elapsed().as_secs_f64());
+            }
+            true
+        };
+        let found = pursue(&links(before), h, &options, &mut tell).unwrap();
+        let seconds = start.elapsed().as_secs_f64();
+        let cloud = found.to_cloud();
+        let fitted = snr_of(&field(&cloud, None, &links(before)), h);
+        let test = snr_of(&field(&cloud, None, &links(after)), h_after);
+        println!("{name} seed {}: {} sources, {seconds:.1} s, training {fitted:.2} dB, test {test:.2} dB", options.seed, found.len());
+        if verbose {
+            let unit = 0.299_792_458e9 / band.frequency / (4.0 * std::f64::consts::PI);
+            for (v, s) in found.positions.iter().zip(&found.gains) {
+                println!("  {:7.3} {:7.3} {:7.3}  |s| {:.3} arg {:.2}", v[0], v[1], v[2], s[0].hypot(s[1]) / unit, s[1].atan2(s[0]));
+            }
+        }
+    }
+}

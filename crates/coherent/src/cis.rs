@@ -1,0 +1,87 @@
+//! exp(j2πx) over lanes, and the dispatch to the widest vectors the processor has.
+//!
+//! A phase is counted in cycles: what is whole is dropped exactly, before anything is multiplied by 2π. Single precision
+//! then keeps 1e-7 of the number of wavelengths on the way, some 1e-4 radians at 200 wavelengths.
+
+/// Sines and cosines of cycles, branch-free, so that loops over lanes vectorise.
+pub(crate) trait Cis: Copy {
+    /// (cos 2πx, sin 2πx).
+    fn cis(x: Self) -> (Self, Self);
+}
+
+/// Taylor series at πt, |t| ≤ ½ a cycle, then the double angle. The first term left out is below the rounding.
+macro_rules! cis {
+    ($real:ty, $sin:expr, $cos:expr) => {
+        impl Cis for $real {
+            #[inline(always)]
+            fn cis(x: Self) -> (Self, Self) {
+                let y = (x - x.round_ties_even()) * std::f64::consts::PI as Self;
+                let z = y * y;
+                let (mut s, mut c) = (0.0 as Self, 0.0 as Self);
+                let mut i = 0;
+                while i < $sin.len() {
+                    s = s.mul_add(z, $sin[i]);
+                    i += 1;
+                }
+                i = 0;
+                while i < $cos.len() {
+                    c = c.mul_add(z, $cos[i]);
+                    i += 1;
+                }
+                s *= y;
+                (1.0 - 2.0 * s * s, 2.0 * s * c)
+            }
+        }
+    };
+}
+cis!(f32, taylor32::<6>(1), taylor32::<7>(0));
+cis!(f64, taylor::<11>(1), taylor::<12>(0));
+
+/// The coefficients of the sine (`first` 1) or cosine (`first` 0) in y², the highest power first.
+const fn taylor<const N: usize>(first: usize) -> [f64; N] {
+    let mut out = [0.0; N];
+    let (mut k, mut c) = (0, 1.0);
+    while k < N {
+        out[N - 1 - k] = c;
+        let n = 2 * k + first;
+        c /= -(((n + 1) * (n + 2)) as f64);
+        k += 1;
+    }
+    out
+}
+
+/// [`taylor`] in single precision.
+const fn taylor32<const N: usize>(first: usize) -> [f32; N] {
+    let (wide, mut out) = (taylor::<N>(first), [0.0; N]);
+    let mut k = 0;
+    while k < N {
+        out[k] = wide[k] as f32;
+        k += 1;
+    }
+    out
+}
+
+/// Runs `work` at the widest vectors of this processor. `with_simd` and all it calls must be `#[inline(always)]`.
+#[inline(always)]
+pub(crate) fn widest<W: pulp::WithSimd>(work: W) -> W::Output {
+    pulp::Arch::new().dispatch(work)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exact_to_the_rounding() {
+        for i in -40_000..40_000 {
+            let x = f64::from(i) * 1.234_5e-3;
+            let (sin, cos) = (x.fract() * std::f64::consts::TAU).sin_cos();
+            let (c, s) = f64::cis(x);
+            assert!((c - cos).abs() < 2e-14 && (s - sin).abs() < 2e-14, "{x}: {c} {s}");
+            let narrow = x as f32;
+            let (sin, cos) = (f64::from(narrow.fract()) * std::f64::consts::TAU).sin_cos();
+            let (c, s) = f32::cis(narrow);
+            assert!((f64::from(c) - cos).abs() < 8e-7 && (f64::from(s) - sin).abs() < 8e-7, "{narrow}: {c} {s}");
+        }
+    }
+}

@@ -1,0 +1,263 @@
+//! The field: h[m,a,f] = Σ gate·s·exp(-jkd)/d with d = |p − (v + R r)| and k = 2πf/c, and its derivative.
+//!
+//! Eq. (1) of the paper in space, coherent over the whole room: v `[N,3]` is the mean of a Gaussian, s its signal, R the
+//! rotation of its quaternion, r `[A,3]` an antenna of the fixed node in its own frame, p `[M,3]` the moving end. Exact
+//! for the mirror images of the node in flat walls, as long as nothing hides one. Scales and opacities are not read.
+//!
+//! Both directions go over Gaussians in groups of [`LANES`], items on threads; sums have an order that does not depend on
+//! the number of threads.
+
+use crate::cis::{Cis, widest};
+use crate::links::{Links, SPEED_OF_LIGHT};
+use crate::turn::{matrix, matrix_vjp, turned, unit};
+use pwrfgs_core::{GaussianCloud, Real, consts::TAU};
+use rayon::prelude::*;
+
+/// Gaussians that are worked on at once.
+const LANES: usize = 16;
+/// As near as a transmitter comes to what hears it, metres: nearer, it is heard as from here, and is not moved.
+pub(crate) const CLOSEST: f64 = 1e-3;
+/// Blocks of items whose derivatives are summed apart, then in order.
+const BLOCKS: usize = 16;
+
+type Lane = [Real; LANES];
+const ZERO: Lane = [0.0; LANES];
+
+/// The derivative of a scalar by everything that [`field`] reads of a cloud.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FieldVjp {
+    /// Of `means`, `quats` and `signals`; the other columns are zero.
+    pub cloud: GaussianCloud,
+    /// Of the gates `[N]`, whether or not any were given.
+    pub gate: Vec<Real>,
+}
+
+/// LANES Gaussians: antennas `[A]` as x, y, z, and signals.
+struct Group {
+    places: Vec<[Lane; 3]>,
+    signal: [Lane; 2],
+}
+
+/// h `[M,A,F]` of all Gaussians, each times its gate.
+///
+/// A link and a Gaussian cost some 40 operations. `gate` is `[N]`, or `None` for all 1.
+pub fn field(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &Links<'_>) -> Vec<[Real; 2]> {
+    let groups = groups(cloud, gate, links);
+    let (antennas, subcarriers) = (links.antennas.len(), links.frequencies.len());
+    let per_metre = per_metre(links);
+    let mut out = vec![[0.0; 2]; links.len()];
+    let scratch = || vec![[ZERO; 2]; groups.len()];
+    let items = out.par_chunks_mut((antennas * subcarriers).max(1)).zip(links.positions);
+    items.for_each_init(scratch, |ways, (h, p)| {
+        for (a, h) in h.chunks_exact_mut(subcarriers).enumerate() {
+            widest(Hear { groups: &groups, a, p: *p, per_metre: &per_metre, ways, h });
+        }
+    });
+    out
+}
+
+/// The derivative of [`field`]: Σ ⟨d_field, h⟩ by means, quaternions, signals and gates.
+pub fn field_vjp(
+    cloud: &GaussianCloud,
+    gate: Option<&[Real]>,
+    links: &Links<'_>,
+    d_field: &[[Real; 2]],
+) -> FieldVjp {
+    assert_eq!(d_field.len(), links.len(), "one cotangent a link");
+    let groups = groups(cloud, None, links);
+    let per_metre = per_metre(links);
+    let block = links.positions.len().div_ceil(BLOCKS).max(64);
+    let blocks = links.positions.len().div_ceil(block);
+    let tasks = (0..groups.len() * blocks).into_par_iter().map(|t| {
+        let (group, from) = (&groups[t / blocks], t % blocks * block);
+        let to = (from + block).min(links.positions.len());
+        widest(HearVjp { group, links, per_metre: &per_metre, items: from..to, d_field })
+    });
+    let sums: Vec<Cotangents> = tasks.collect();
+    let mut out = FieldVjp { cloud: cloud.zeros_like(), gate: vec![0.0; cloud.len()] };
+    for i in 0..cloud.len() {
+        let blocks = &sums[i / LANES * blocks..][..blocks];
+        let total = |k: usize| blocks.iter().map(|b| b.0[k][i % LANES]).sum::<Real>();
+        let open = gate.map_or(1.0, |g| g[i]);
+        out.gate[i] = total(14);
+        out.cloud.signals[i] = [open * total(12), open * total(13)];
+        out.cloud.means[i] = [open * total(0), open * total(1), open * total(2)];
+        let d_rotation = [0, 1, 2].map(|r| [0, 1, 2].map(|c| f64::from(open * total(3 + 3 * r + c))));
+        out.cloud.quats[i] = matrix_vjp(cloud.quats[i].map(f64::from), &d_rotation).map(|x| x as Real);
+    }
+    out
+}
+
+/// Wavelengths in a metre `[F]`.
+fn per_metre(links: &Links<'_>) -> Vec<Real> {
+    links.frequencies.iter().map(|f| (f / SPEED_OF_LIGHT) as Real).collect()
+}
+
+fn groups(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &Links<'_>) -> Vec<Group> {
+    assert!(gate.is_none_or(|g| g.len() == cloud.len()), "one gate a Gaussian");
+    let group = |g: usize| {
+        let mut out = Group { places: vec![[ZERO; 3]; links.antennas.len()], signal: [ZERO; 2] };
+        for l in 0..LANES {
+            let i = g * LANES + l;
+            // What fills up the last group stands where the first of it stands, and is silent.
+            let own = if i < cloud.len() { i } else { g * LANES };
+            let rotation = matrix(unit(cloud.quats[own].map(f64::from)));
+            for (place, r) in out.places.iter_mut().zip(links.antennas) {
+                let r = turned(&rotation, r.map(f64::from));
+                for k in 0..3 {
+                    place[k][l] = (f64::from(cloud.means[own][k]) + r[k]) as Real;
+                }
+            }
+            if i < cloud.len() {
+                let open = gate.map_or(1.0, |g| g[i]);
+                (out.signal[0][l], out.signal[1][l]) = (open * cloud.signals[i][0], open * cloud.signals[i][1]);
+            }
+        }
+        out
+    };
+    (0..cloud.len().div_ceil(LANES)).into_par_iter().with_min_len(16).map(group).collect()
+}
+
+/// The vector from p to LANES places, its length, never below [`CLOSEST`], and one over it.
+#[inline(always)]
+fn way(place: &[Lane; 3], p: [Real; 3]) -> ([Lane; 3], Lane, Lane) {
+    let (mut by, mut d, mut inverse) = ([ZERO; 3], ZERO, ZERO);
+    for l in 0..LANES {
+        (by[0][l], by[1][l], by[2][l]) = (place[0][l] - p[0], place[1][l] - p[1], place[2][l] - p[2]);
+        d[l] = (by[0][l] * by[0][l] + by[1][l] * by[1][l] + by[2][l] * by[2][l]).sqrt().max(CLOSEST as Real);
+        inverse[l] = 1.0 / d[l];
+    }
+    (by, d, inverse)
+}
+
+/// One antenna and one item: `h` `[F]`.
+struct Hear<'a> {
+    groups: &'a [Group],
+    a: usize,
+    p: [Real; 3],
+    per_metre: &'a [Real],
+    /// Distances and their inverses, a group a row: room to work.
+    ways: &'a mut [[Lane; 2]],
+    h: &'a mut [[Real; 2]],
+}
+
+impl pulp::WithSimd for Hear<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        for g in 0..self.groups.len() {
+            let (_, d, inverse) = way(&self.groups[g].places[self.a], self.p);
+            self.ways[g] = [d, inverse];
+        }
+        for f in 0..self.h.len() {
+            let per_metre = self.per_metre[f];
+            let (mut re, mut im) = (ZERO, ZERO);
+            for g in 0..self.groups.len() {
+                let ([x, y], [d, inverse]) = (&self.groups[g].signal, &self.ways[g]);
+                for l in 0..LANES {
+                    let (cos, sin) = Real::cis(d[l] * per_metre);
+                    re[l] += (x[l] * cos + y[l] * sin) * inverse[l];
+                    im[l] += (y[l] * cos - x[l] * sin) * inverse[l];
+                }
+            }
+            self.h[f] = [sum(&re), sum(&im)];
+        }
+    }
+}
+
+/// In order.
+#[inline(always)]
+fn sum(lane: &Lane) -> Real {
+    let mut total = 0.0;
+    for l in 0..LANES {
+        total += lane[l];
+    }
+    total
+}
+
+/// Cotangents of LANES Gaussians as if every gate were 1: v, R by rows, s, gate.
+struct Cotangents([Lane; 15]);
+
+/// One group and one block of items.
+struct HearVjp<'a> {
+    group: &'a Group,
+    links: &'a Links<'a>,
+    per_metre: &'a [Real],
+    items: std::ops::Range<usize>,
+    d_field: &'a [[Real; 2]],
+}
+
+impl pulp::WithSimd for HearVjp<'_> {
+    type Output = Cotangents;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> Cotangents {
+        let mut out = [ZERO; 15];
+        let subcarriers = self.per_metre.len();
+        for m in self.items {
+            for a in 0..self.links.antennas.len() {
+                let first = (m * self.links.antennas.len() + a) * subcarriers;
+                let (d_h, r) = (&self.d_field[first..first + subcarriers], self.links.antennas[a]);
+                let (by, d, inverse) = way(&self.group.places[a], self.links.positions[m]);
+                let along = by_distance(&self.group.signal, &d, &inverse, self.per_metre, d_h, &mut out);
+                for l in 0..LANES {
+                    let along = if d[l] > CLOSEST as Real { along[l] * inverse[l] } else { 0.0 };
+                    for k in 0..3 {
+                        let d_place = along * by[k][l];
+                        out[k][l] += d_place;
+                        for c in 0..3 {
+                            out[3 + 3 * k + c][l] += d_place * r[c];
+                        }
+                    }
+                }
+            }
+        }
+        Cotangents(out)
+    }
+}
+
+/// The derivatives by the distance, which it gives, and by signal and gate, which it adds to rows 12 to 14 of `out`.
+#[inline(always)]
+fn by_distance(
+    [x, y]: &[Lane; 2],
+    d: &Lane,
+    inverse: &Lane,
+    per_metre: &[Real],
+    d_h: &[[Real; 2]],
+    out: &mut [Lane; 15],
+) -> Lane {
+    let mut along = ZERO;
+    for f in 0..per_metre.len() {
+        let ([re, im], k) = (d_h[f], TAU * per_metre[f]);
+        for l in 0..LANES {
+            let (cos, sin) = Real::cis(d[l] * per_metre[f]);
+            // w = conj(d_h)·e with e = exp(-jkd)/d.
+            let w = [(re * cos - im * sin) * inverse[l], -(re * sin + im * cos) * inverse[l]];
+            let (real, imaginary) = (x[l] * w[0] - y[l] * w[1], x[l] * w[1] + y[l] * w[0]);
+            out[12][l] += w[0];
+            out[13][l] -= w[1];
+            out[14][l] += real;
+            along[l] += k * imaginary - real * inverse[l];
+        }
+    }
+    along
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn padding_is_silent_and_empty_clouds_are_too() {
+        let links = Links { positions: &[[1.0, 0.0, 0.0], [0.0, 2.0, 0.5]], antennas: &[[0.0; 3]], frequencies: &[1e9] };
+        assert_eq!(field(&GaussianCloud::zeros(0), None, &links), vec![[0.0; 2]; 2]);
+        let mut one = GaussianCloud::zeros(1);
+        one.signals[0] = [1.0, 0.0];
+        let h = field(&one, None, &links);
+        assert!((h[0][0].hypot(h[0][1]) - 1.0).abs() < 1e-6);
+        let gone = field(&one, Some(&[0.0]), &links);
+        assert_eq!(gone, vec![[0.0; 2]; 2]);
+        assert_eq!(field_vjp(&GaussianCloud::zeros(0), None, &links, &h).gate, Vec::<Real>::new());
+    }
+}

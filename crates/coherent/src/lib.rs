@@ -1,0 +1,24 @@
+//! Gaussians as virtual transmitters, coherent over the room: the field, its derivative, gains, search and refinement.
+
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
+
+mod cis;
+mod descent;
+mod field;
+mod images;
+mod links;
+mod matching_pursuit;
+mod normal;
+mod pursuit;
+mod rows;
+mod solve;
+mod sweep;
+mod turn;
+mod virtual_transmitters;
+
+pub use field::{FieldVjp, field, field_vjp};
+pub use links::{Links, SPEED_OF_LIGHT, Sources};
+pub use matching_pursuit::MatchingPursuit;
+pub use pursuit::{Progress, Pursuit, pursue, snr_of};
+pub use solve::solve_gains;
+pub use virtual_transmitters::VirtualTransmitters;

@@ -1,0 +1,137 @@
+//! `Links`: where the waves are heard, and `Sources`: where they come from.
+
+use pwrfgs_core::{GaussianCloud, Real};
+
+/// Metres a second, in vacuum.
+pub const SPEED_OF_LIGHT: f64 = 299_792_458.0;
+
+/// Everything that a channel h `[M,A,F]` is a function of, but for the room.
+#[derive(Clone, Copy, Debug)]
+pub struct Links<'a> {
+    /// The moving end `[M,3]`, metres.
+    pub positions: &'a [[Real; 3]],
+    /// The antennas of the fixed node in its own frame `[A,3]`, metres; one at zero where there is no array.
+    pub antennas: &'a [[Real; 3]],
+    /// The subcarriers `[F]`, Hz.
+    pub frequencies: &'a [f64],
+}
+
+impl Links<'_> {
+    /// M · A · F.
+    pub fn len(&self) -> usize {
+        self.positions.len() * self.antennas.len() * self.frequencies.len()
+    }
+
+    /// Whether nothing is heard.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The wavelength at the highest subcarrier, metres.
+    pub fn shortest_wavelength(&self) -> f64 {
+        SPEED_OF_LIGHT / self.frequencies.iter().copied().fold(f64::MIN_POSITIVE, f64::max)
+    }
+
+    /// Whether an array has more than one place, so that a rotation matters.
+    pub fn turns(&self) -> bool {
+        self.antennas.iter().any(|a| *a != [0.0; 3])
+    }
+
+    /// What is wrong with the numbers, in words for a user.
+    pub fn check(&self) -> Result<(), String> {
+        if self.is_empty() {
+            let [m, a, f] = [self.positions.len(), self.antennas.len(), self.frequencies.len()];
+            return Err(format!("{m} positions, {a} antennas and {f} subcarriers; each must be 1 or more"));
+        }
+        if let Some(i) = (self.positions.iter()).position(|p| !p.iter().all(|x| x.is_finite())) {
+            return Err(format!("position {i} is {:?}; give finite metres", self.positions[i]));
+        }
+        if let Some(i) = self.antennas.iter().position(|a| !a.iter().all(|x| x.is_finite())) {
+            return Err(format!("antenna {i} is at {:?}; give finite metres", self.antennas[i]));
+        }
+        match self.frequencies.iter().find(|f| !(1e3..=1e13).contains(*f)) {
+            Some(f) => Err(format!("a subcarrier at {f} Hz; give 1e3 to 1e13 Hz, such as 2.4e9")),
+            None => Ok(()),
+        }
+    }
+
+    /// [`Self::check`], and whether `channel` is as long as the links are many, finite and not all zero.
+    pub fn check_channel(&self, channel: &[[Real; 2]]) -> Result<(), String> {
+        self.check()?;
+        if channel.len() != self.len() {
+            return Err(format!("{} complex numbers for {} links; give one each", channel.len(), self.len()));
+        }
+        if let Some(i) = channel.iter().position(|[re, im]| !(re.is_finite() && im.is_finite())) {
+            return Err(format!("channel {i} is {:?}; give finite numbers", channel[i]));
+        }
+        if channel.iter().all(|h| *h == [0.0; 2]) {
+            return Err("the channel is zero everywhere; there is nothing to find".into());
+        }
+        Ok(())
+    }
+}
+
+/// N virtual transmitters in double precision, one column a quantity.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Sources {
+    /// Positions v `[N,3]`, metres.
+    pub positions: Vec<[f64; 3]>,
+    /// Rotations of the array `[N,4]` as w, x, y, z, of length 1.
+    pub quats: Vec<[f64; 4]>,
+    /// Complex signals s `[N,2]`: h = s·exp(-jkd)/d, so s is a length in metres times the unit of h.
+    pub gains: Vec<[f64; 2]>,
+}
+
+impl Sources {
+    /// N.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Whether N = 0.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// One more.
+    pub fn push(&mut self, position: [f64; 3], quat: [f64; 4], gain: [f64; 2]) {
+        self.positions.push(position);
+        self.quats.push(quat);
+        self.gains.push(gain);
+    }
+
+    /// Those listed, in that order.
+    pub fn select(&self, rows: &[usize]) -> Self {
+        let mut out = Self::default();
+        for &i in rows {
+            out.push(self.positions[i], self.quats[i], self.gains[i]);
+        }
+        out
+    }
+
+    /// All but one.
+    pub fn without(&self, row: usize) -> Self {
+        self.select(&(0..self.len()).filter(|i| *i != row).collect::<Vec<_>>())
+    }
+
+    /// As a cloud: means, quaternions and signals; scales of 1 m and opacities of ½, which the field does not read.
+    pub fn to_cloud(&self) -> GaussianCloud {
+        let mut cloud = GaussianCloud::zeros(self.len());
+        for i in 0..self.len() {
+            cloud.means[i] = self.positions[i].map(|x| x as Real);
+            cloud.quats[i] = self.quats[i].map(|x| x as Real);
+            cloud.signals[i] = self.gains[i].map(|x| x as Real);
+        }
+        cloud
+    }
+
+    /// Those of a cloud, quaternions normalised.
+    pub fn from_cloud(cloud: &GaussianCloud) -> Self {
+        let mut out = Self::default();
+        for i in 0..cloud.len() {
+            let q = cloud.quats[i].map(f64::from);
+            out.push(cloud.means[i].map(f64::from), crate::turn::unit(q), cloud.signals[i].map(f64::from));
+        }
+        out
+    }
+}

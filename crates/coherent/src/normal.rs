@@ -1,0 +1,152 @@
+//! Linear least squares in double precision: normal equations JᵀJ δ = Jᵀr, gathered row by row, and Cholesky.
+
+use crate::cis::widest;
+
+/// JᵀJ `[P,P]` (the lower half, by rows) and Jᵀr `[P]`; and Σr².
+#[derive(Clone, Debug)]
+pub(crate) struct Normal {
+    pub(crate) matrix: Vec<f64>,
+    pub(crate) right: Vec<f64>,
+    pub(crate) square: f64,
+}
+
+impl Normal {
+    /// Zeros for P unknowns.
+    pub(crate) fn new(unknowns: usize) -> Self {
+        Self { matrix: vec![0.0; unknowns * unknowns], right: vec![0.0; unknowns], square: 0.0 }
+    }
+
+    /// Four rows of J `[4,P]`, one after the other, and of r.
+    pub(crate) fn add_four(&mut self, rows: &[f64], r: [f64; 4]) {
+        widest(Add { to: self, rows, r });
+    }
+
+    /// The sum with another.
+    pub(crate) fn add(&mut self, other: &Self) {
+        self.matrix.iter_mut().zip(&other.matrix).for_each(|(a, b)| *a += b);
+        self.right.iter_mut().zip(&other.right).for_each(|(a, b)| *a += b);
+        self.square += other.square;
+    }
+
+    /// P.
+    pub(crate) fn unknowns(&self) -> usize {
+        self.right.len()
+    }
+
+    /// δ with `damping` `[P]` added to the diagonal; `None` where the matrix is not positive.
+    pub(crate) fn solve(&self, damping: impl Fn(usize) -> f64) -> Option<Vec<f64>> {
+        let p = self.unknowns();
+        let mut l = self.matrix.clone();
+        (0..p).for_each(|i| l[i * p + i] += damping(i));
+        factor(&mut l, p)?;
+        let mut x = self.right.clone();
+        for i in 0..p {
+            let s: f64 = (0..i).map(|k| l[i * p + k] * x[k]).sum();
+            x[i] = (x[i] - s) / l[i * p + i];
+        }
+        for i in (0..p).rev() {
+            x[i] /= l[i * p + i];
+            let done = x[i];
+            (0..i).for_each(|k| x[k] -= l[i * p + k] * done);
+        }
+        x.iter().all(|x| x.is_finite()).then_some(x)
+    }
+}
+
+/// Cholesky in place, row by row: the lower half becomes L.
+fn factor(a: &mut [f64], p: usize) -> Option<()> {
+    for i in 0..p {
+        let (above, row) = a.split_at_mut(i * p);
+        for j in 0..i {
+            let other = &above[j * p..j * p + j + 1];
+            let s = widest(Dot { a: &row[..j], b: &other[..j] });
+            row[j] = (row[j] - s) / other[j];
+        }
+        let s = widest(Dot { a: &row[..i], b: &row[..i] });
+        let pivot = row[i] - s;
+        if !(pivot > 0.0 && pivot.is_finite()) {
+            return None;
+        }
+        row[i] = pivot.sqrt();
+    }
+    Some(())
+}
+
+struct Dot<'a> {
+    a: &'a [f64],
+    b: &'a [f64],
+}
+
+impl pulp::WithSimd for Dot<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> f64 {
+        let mut sums = [0.0; 8];
+        let (a, a_rest) = self.a.as_chunks::<8>();
+        let (b, b_rest) = self.b.as_chunks::<8>();
+        for i in 0..a.len() {
+            for l in 0..8 {
+                sums[l] += a[i][l] * b[i][l];
+            }
+        }
+        let mut total = 0.0;
+        for l in 0..8 {
+            total += sums[l];
+        }
+        for i in 0..a_rest.len() {
+            total += a_rest[i] * b_rest[i];
+        }
+        total
+    }
+}
+
+struct Add<'a> {
+    to: &'a mut Normal,
+    rows: &'a [f64],
+    r: [f64; 4],
+}
+
+impl pulp::WithSimd for Add<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) {
+        let Normal { matrix, right, square } = self.to;
+        let p = right.len();
+        let (j0, rest) = self.rows.split_at(p);
+        let (j1, rest) = rest.split_at(p);
+        let (j2, j3) = rest.split_at(p);
+        for i in 0..p {
+            let (a, b, c, d) = (j0[i], j1[i], j2[i], j3[i]);
+            let row = &mut matrix[i * p..i * p + i + 1];
+            let (j0, j1, j2, j3) = (&j0[..row.len()], &j1[..row.len()], &j2[..row.len()], &j3[..row.len()]);
+            for k in 0..row.len() {
+                row[k] += (a * j0[k] + b * j1[k]) + (c * j2[k] + d * j3[k]);
+            }
+            right[i] += (a * self.r[0] + b * self.r[1]) + (c * self.r[2] + d * self.r[3]);
+        }
+        for r in self.r {
+            *square += r * r;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn least_squares_are_found() {
+        let truth = [1.0, -2.0, 0.5];
+        let mut normal = Normal::new(3);
+        for n in 0..5 {
+            let rows: Vec<f64> = (0..12).map(|k| f64::from((7 * k + 5 * n * n + k * k * n) % 11) - 5.0).collect();
+            let r = std::array::from_fn(|i| (0..3).map(|k| rows[3 * i + k] * truth[k]).sum());
+            normal.add_four(&rows, r);
+        }
+        let found = normal.solve(|_| 0.0).unwrap();
+        assert!(found.iter().zip(truth).all(|(a, b)| (a - b).abs() < 1e-10), "{found:?}");
+        assert!(Normal::new(2).solve(|_| 0.0).is_none(), "no equations, no solution");
+    }
+}

@@ -1,0 +1,348 @@
+//! Orthogonal matching pursuit over the room: the transmitter that explains most, all gains anew, all places refined,
+//! and the next one; as many as a part of the data that nothing was fitted to wants.
+
+use crate::descent::{Walk, refine};
+use crate::field::field;
+use crate::images::{as_peaks, images};
+use crate::links::{Links, Sources};
+use crate::rows::Rows;
+use crate::solve::gains;
+use crate::sweep::{Grid, Peak, sweep, thin};
+use crate::turn;
+use pwrfgs_core::{Real, rng};
+use rayon::prelude::*;
+use std::sync::atomic::AtomicBool;
+
+/// Candidates that climb before the best is taken.
+const CLIMB: usize = 32;
+
+/// How [`pursue`] searches.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pursuit {
+    /// How far beyond the positions of the moving end the box reaches on every side, in sizes of their box.
+    pub reach: f64,
+    /// Distance of the places of the grid, in the shortest wavelength; a quarter or less finds every hill.
+    pub step: f64,
+    /// Virtual transmitters at most.
+    pub most: usize,
+    /// Additions without a better score on the held-out part after which the search stops.
+    pub patience: usize,
+    /// One of so many items is held out while the number of sources is chosen; 0 or 1: none, all `most` are kept.
+    pub hold_out: usize,
+    /// Numbers that the grid is scored on, and that places are refined on, at most.
+    pub rows: [usize; 2],
+    /// Weight of the ridge on |s|², in the share of noise to signal that the fit itself shows; 1 is the Bayesian choice.
+    pub ridge: f64,
+    /// Steps of refinement after every addition.
+    pub steps: usize,
+    /// Times that sources are taken away and added again.
+    pub rounds: usize,
+    /// ln of the odds from which a candidate is taken without another look at the whole grid.
+    pub beyond_doubt: f64,
+    /// Peaks of the grid that are refined before the best is taken.
+    pub peaks: usize,
+    /// Whether mirror images of what was found are tried, with the smaller proof that few candidates need.
+    pub images: bool,
+    /// Whether the last pass, with all items, searches anew, or refines what was found.
+    pub again: bool,
+    /// Seed of the held-out part and of the rows.
+    pub seed: u64,
+}
+
+impl Default for Pursuit {
+    fn default() -> Self {
+        Self {
+            reach: 2.0,
+            step: 0.25,
+            most: 64,
+            patience: 8,
+            hold_out: 5,
+            rows: [2048, 16_384],
+            ridge: 1.0,
+            steps: 10,
+            rounds: 2,
+            beyond_doubt: 10.0,
+            peaks: 256,
+            images: true,
+            again: false,
+            seed: 0,
+        }
+    }
+}
+
+/// What a search tells of itself after every addition.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Progress {
+    /// Whether all items are fitted to, the number being known, or a part is held out.
+    pub last_pass: bool,
+    /// Sources so far.
+    pub sources: usize,
+    /// SNR on what is fitted to, dB.
+    pub fitted: f64,
+    /// SNR on the held-out part, dB; that of `fitted` where there is none.
+    pub held_out: f64,
+    /// ln of the odds that the last one is no accident among all candidates.
+    pub proof: f64,
+    /// Whether it was the mirror image of another.
+    pub image: bool,
+}
+
+/// Searches for the virtual transmitters of `channel` `[M,A,F]`.
+///
+/// `go_on` hears of every addition and ends the search by false; what was found so far is then the answer. An error says
+/// what is wrong with the input.
+pub fn pursue(
+    links: &Links<'_>,
+    channel: &[[Real; 2]],
+    options: &Pursuit,
+    go_on: &mut dyn FnMut(&Progress) -> bool,
+) -> Result<Sources, String> {
+    links.check_channel(channel)?;
+    options.check()?;
+    let mut items: Vec<usize> = (0..links.positions.len()).collect();
+    let folds = if options.hold_out < 2 { 0 } else { items.len() / options.hold_out };
+    let none = Sources::default;
+    if folds == 0 {
+        return Ok(Search::new(links, channel, options, &items, &[]).grow(none(), options.most, go_on).0);
+    }
+    rng::shuffle(&mut rng::stream(options.seed, "hold out", 0), &mut items);
+    let (held_out, fitted) = items.split_at(folds);
+    let (found, stopped) = Search::new(links, channel, options, fitted, held_out).grow(none(), options.most, go_on);
+    if stopped {
+        return Ok(found);
+    }
+    let all: Vec<usize> = (0..links.positions.len()).collect();
+    let mut last = Search::new(links, channel, options, &all, &[]);
+    if options.again {
+        return Ok(last.grow(none(), found.len(), go_on).0);
+    }
+    let mut found = found;
+    last.settle(&mut found, 3 * options.steps);
+    Ok(found)
+}
+
+impl Pursuit {
+    /// What is wrong with the numbers, in words for a user.
+    pub fn check(&self) -> Result<(), String> {
+        if !(0.0..=100.0).contains(&self.reach) {
+            return Err(format!("`reach` is {}; give 0 to 100, such as 2", self.reach));
+        }
+        if !(0.01..=1.0).contains(&self.step) {
+            return Err(format!("`step` is {}; give 0.01 to 1 wavelength, such as 0.25", self.step));
+        }
+        if !(self.ridge >= 0.0 && self.ridge.is_finite()) {
+            return Err(format!("`ridge` is {}; give 0 or more, such as 1", self.ridge));
+        }
+        if self.most == 0 || self.peaks == 0 || self.rows.contains(&0) {
+            return Err("`most`, `peaks` and `rows` must each be 1 or more".into());
+        }
+        Ok(())
+    }
+}
+
+/// One pass of the search.
+struct Search<'a> {
+    links: &'a Links<'a>,
+    channel: &'a [[Real; 2]],
+    options: &'a Pursuit,
+    held_out: &'a [usize],
+    /// For the grid, and for refinement.
+    coarse: Rows,
+    rows: Rows,
+    grid: Grid,
+    hear: Vec<[f64; 3]>,
+    wavelength: f64,
+    /// What the last sweep left.
+    pool: Vec<Peak>,
+}
+
+impl<'a> Search<'a> {
+    fn new(
+        links: &'a Links<'a>,
+        channel: &'a [[Real; 2]],
+        options: &'a Pursuit,
+        fitted: &[usize],
+        held_out: &'a [usize],
+    ) -> Self {
+        let hear: Vec<[f64; 3]> = links.positions.iter().map(|p| p.map(f64::from)).collect();
+        let low: [f64; 3] = std::array::from_fn(|k| hear.iter().fold(f64::MAX, |m, p| m.min(p[k])));
+        let high: [f64; 3] = std::array::from_fn(|k| hear.iter().fold(f64::MIN, |m, p| m.max(p[k])));
+        let wavelength = links.shortest_wavelength();
+        let antennas: Vec<[f64; 3]> = links.antennas.iter().map(|r| r.map(f64::from)).collect();
+        // At least a wavelength: a single position, or a line of them, has no size.
+        let beyond = [0, 1, 2].map(|k| options.reach * (high[k] - low[k]).max(wavelength));
+        let grid = Grid {
+            low: [0, 1, 2].map(|k| low[k] - beyond[k]),
+            high: [0, 1, 2].map(|k| high[k] + beyond[k]),
+            step: options.step * wavelength,
+            quats: turn::mirrored(&antennas),
+        };
+        let [coarse, fine] = options.rows.map(|most| Rows::new(links, channel, fitted, most, options.seed));
+        Self { links, channel, options, held_out, coarse, rows: fine, grid, hear, wavelength, pool: Vec::new() }
+    }
+
+    /// Adds sources until `most`, until patience ends or until told to stop, then takes the least needed ones away again,
+    /// and so on while that helps; the best set, and whether it was told to stop.
+    fn grow(&mut self, start: Sources, most: usize, go_on: &mut dyn FnMut(&Progress) -> bool) -> (Sources, bool) {
+        let mut best = (f64::NEG_INFINITY, start);
+        for _ in 0..=self.options.rounds {
+            let before = best.0;
+            if self.forward(&mut best, most, go_on) {
+                return (best.1, true);
+            }
+            if !self.held_out.is_empty() {
+                self.backward(&mut best);
+            }
+            if best.0 <= before {
+                break;
+            }
+        }
+        (best.1, false)
+    }
+
+    /// Adds sources to the best set; whether it was told to stop.
+    fn forward(
+        &mut self,
+        best: &mut (f64, Sources),
+        most: usize,
+        go_on: &mut dyn FnMut(&Progress) -> bool,
+    ) -> bool {
+        let mut sources = best.1.clone();
+        let mut since = 0;
+        while sources.len() < most && since < self.options.patience {
+            let Some((peak, proof, image)) = self.next(&sources) else { break };
+            sources.push(peak.place, peak.quat, [0.0; 2]);
+            self.settle(&mut sources, self.options.steps);
+            let fitted = snr(&self.rows.residual(&sources), &self.rows);
+            let held_out = if self.held_out.is_empty() { fitted } else { self.score(&sources) };
+            since += 1;
+            if held_out > best.0 {
+                (*best, since) = ((held_out, sources.clone()), 0);
+            }
+            let last_pass = self.held_out.is_empty();
+            if !go_on(&Progress { last_pass, sources: sources.len(), fitted, held_out, proof, image }) {
+                return true;
+            }
+        }
+        false
+    }
+
+    /// Takes away, one after the other, the source without which the fit is least worse.
+    fn backward(&self, best: &mut (f64, Sources)) {
+        let mut sources = best.1.clone();
+        let (least, ridge) = (sources.len() / 2, 1e-9 * self.rows.energy());
+        while sources.len() > least.max(1) {
+            let cost = |g: usize| {
+                gains(&self.rows, &mut sources.without(g), &vec![ridge; sources.len() - 1]).unwrap_or(f64::MAX)
+            };
+            let costs: Vec<f64> = (0..sources.len()).into_par_iter().map(cost).collect();
+            let weakest = (0..costs.len()).fold(0, |w, g| if costs[g] < costs[w] { g } else { w });
+            sources = sources.without(weakest);
+            self.settle(&mut sources, self.options.steps);
+            let held_out = self.score(&sources);
+            if held_out > best.0 {
+                *best = (held_out, sources.clone());
+            }
+        }
+    }
+
+    /// The ridge of each source, refined with it.
+    fn settle(&self, sources: &mut Sources, steps: usize) {
+        let mut ridge = vec![1e-9 * self.rows.energy(); sources.len()];
+        let walk = Walk { steps, farthest: self.wavelength / 8.0, turns: self.links.turns() };
+        let Some(mut cost) = gains(&self.rows, sources, &ridge) else { return };
+        for _ in 0..2 {
+            let noise = cost / self.rows.len() as f64;
+            let signal = sources.gains.iter().map(|[x, y]| x * x + y * y).sum::<f64>() / sources.len() as f64;
+            ridge.fill(self.options.ridge * noise / signal.max(f64::MIN_POSITIVE) + 1e-12 * self.rows.len() as f64);
+            match refine(&self.rows, sources, &ridge, walk) {
+                Some(new) => cost = new,
+                None => return,
+            }
+        }
+    }
+
+    /// The candidate with the best proof after a refinement of its own, that proof, and whether it is an image.
+    ///
+    /// The grid is swept anew only where neither images nor what the last sweep left are beyond doubt.
+    fn next(&mut self, sources: &Sources) -> Option<(Peak, f64, bool)> {
+        let residual = self.rows.residual(sources);
+        let mut best = None;
+        if self.options.images {
+            let Grid { low, high, .. } = self.grid;
+            let places = images(&sources.positions, &self.hear, low, high, self.wavelength / 4.0);
+            let peaks = as_peaks(&places, &self.grid.quats);
+            let number = peaks.len();
+            best = self.refined(&residual, peaks, number, sources).map(|(peak, odds)| (peak, odds, true));
+        }
+        let better = |best: Option<(Peak, f64, bool)>, other: Option<(Peak, f64)>| match (best, other) {
+            (Some(b), Some((_, odds))) if b.1 >= odds => Some(b),
+            (b, None) => b,
+            (_, Some((peak, odds))) => Some((peak, odds, false)),
+        };
+        best = better(best, self.refined(&residual, self.pool.clone(), self.grid.len(), sources));
+        if best.is_none_or(|b| b.1 < self.options.beyond_doubt) {
+            let coarse = self.coarse.residual(sources);
+            let apart = self.wavelength / 2.0;
+            self.pool = sweep(&coarse, &self.grid, self.options.peaks, apart, &AtomicBool::new(false));
+            best = better(best, self.refined(&residual, self.pool.clone(), self.grid.len(), sources));
+        }
+        best
+    }
+
+    /// The best of the peaks, each moved uphill alone, and ln of its odds against the best of `number` accidents.
+    fn refined(
+        &self,
+        residual: &Rows,
+        mut peaks: Vec<Peak>,
+        number: usize,
+        sources: &Sources,
+    ) -> Option<(Peak, f64)> {
+        let energy = residual.energy();
+        let climb = |peak: &mut Peak, steps: usize| {
+            let walk = Walk { steps, farthest: self.wavelength / 8.0, turns: self.links.turns() };
+            let mut one = Sources::default();
+            one.push(peak.place, peak.quat, [0.0; 2]);
+            let left = refine(residual, &mut one, &[1e-12 * residual.len() as f64], walk);
+            let far = (0..3).any(|k| (one.positions[0][k] - peak.place[k]).abs() > 2.0 * self.wavelength);
+            peak.explains = if far { 0.0 } else { left.map_or(0.0, |left| energy - left) };
+            (peak.place, peak.quat) = (one.positions[0], one.quats[0]);
+        };
+        peaks.par_iter_mut().for_each(|peak| climb(peak, 0));
+        thin(&mut peaks, CLIMB, 0.0);
+        peaks.par_iter_mut().for_each(|peak| climb(peak, 8));
+        let taken = |p: &Peak| {
+            let near = |v: &[f64; 3]| (0..3).map(|k| (v[k] - p.place[k]).powi(2)).sum::<f64>().sqrt();
+            sources.positions.iter().any(|v| near(v) < self.wavelength / 8.0)
+        };
+        peaks.retain(|p| !taken(p));
+        thin(&mut peaks, 1, 0.0);
+        let share = |p: &Peak| (p.explains / energy).clamp(0.0, 1.0 - 1e-12);
+        let odds = |p: &Peak| -(residual.len() as f64) * (1.0 - share(p)).ln() - (number.max(1) as f64).ln();
+        peaks.first().map(|p| (*p, odds(p)))
+    }
+
+    /// SNR on the held-out items, dB.
+    fn score(&self, sources: &Sources) -> f64 {
+        let positions: Vec<[Real; 3]> = self.held_out.iter().map(|i| self.links.positions[*i]).collect();
+        let links = Links { positions: &positions, ..*self.links };
+        let each = links.antennas.len() * links.frequencies.len();
+        let truth = self.held_out.iter().flat_map(|i| &self.channel[i * each..(i + 1) * each]);
+        snr_of(&field(&sources.to_cloud(), None, &links), truth)
+    }
+}
+
+fn snr(residual: &Rows, rows: &Rows) -> f64 {
+    -10.0 * (residual.energy() / rows.energy()).log10()
+}
+
+/// −10 log10(Σ|h' − h|²/Σ|h|²) over all links, dB.
+pub fn snr_of<'a>(predicted: &[[Real; 2]], truth: impl IntoIterator<Item = &'a [Real; 2]>) -> f64 {
+    let (mut wrong, mut all) = (0.0, 0.0);
+    for (p, t) in predicted.iter().zip(truth) {
+        let [p, t] = [p, t].map(|z| z.map(f64::from));
+        wrong += (p[0] - t[0]).powi(2) + (p[1] - t[1]).powi(2);
+        all += t[0] * t[0] + t[1] * t[1];
+    }
+    -10.0 * (wrong / all).log10()
+}

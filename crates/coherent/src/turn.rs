@@ -1,0 +1,189 @@
+//! Rotations as quaternions w, x, y, z: to a matrix, its derivative, and small turns, in double precision.
+
+/// A matrix by rows.
+pub(crate) type Rows = [[f64; 3]; 3];
+
+/// No rotation.
+pub(crate) const IDENTITY: [f64; 4] = [1.0, 0.0, 0.0, 0.0];
+
+/// The quaternion of length 1; no rotation where there is no direction.
+pub(crate) fn unit(q: [f64; 4]) -> [f64; 4] {
+    let length = q.iter().map(|x| x * x).sum::<f64>().sqrt();
+    if length > 1e-30 && length.is_finite() { q.map(|x| x / length) } else { IDENTITY }
+}
+
+/// R of a quaternion of length 1.
+pub(crate) fn matrix([w, x, y, z]: [f64; 4]) -> Rows {
+    [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+}
+
+/// R v.
+#[inline(always)]
+pub(crate) fn turned(r: &Rows, v: [f64; 3]) -> [f64; 3] {
+    [
+        r[0][0] * v[0] + r[0][1] * v[1] + r[0][2] * v[2],
+        r[1][0] * v[0] + r[1][1] * v[1] + r[1][2] * v[2],
+        r[2][0] * v[0] + r[2][1] * v[1] + r[2][2] * v[2],
+    ]
+}
+
+/// The derivative of [`matrix`] of [`unit`]: the cotangent of a quaternion of any length, given that of R.
+pub(crate) fn matrix_vjp(q: [f64; 4], d: &Rows) -> [f64; 4] {
+    let length = q.iter().map(|x| x * x).sum::<f64>().sqrt();
+    if !(length > 1e-30 && length.is_finite()) {
+        return [0.0; 4];
+    }
+    let u = q.map(|x| x / length);
+    let [w, x, y, z] = u;
+    let du = [
+        2.0 * (x * (d[2][1] - d[1][2]) + y * (d[0][2] - d[2][0]) + z * (d[1][0] - d[0][1])),
+        2.0 * (y * (d[0][1] + d[1][0]) + z * (d[0][2] + d[2][0]) + w * (d[2][1] - d[1][2])
+            - 2.0 * x * (d[1][1] + d[2][2])),
+        2.0 * (x * (d[0][1] + d[1][0]) + z * (d[1][2] + d[2][1]) + w * (d[0][2] - d[2][0])
+            - 2.0 * y * (d[0][0] + d[2][2])),
+        2.0 * (x * (d[0][2] + d[2][0]) + y * (d[1][2] + d[2][1]) + w * (d[1][0] - d[0][1])
+            - 2.0 * z * (d[0][0] + d[1][1])),
+    ];
+    let along: f64 = (0..4).map(|k| u[k] * du[k]).sum();
+    std::array::from_fn(|k| (du[k] - u[k] * along) / length)
+}
+
+/// The quaternion of a turn by the vector `by` (radians, world axes) after `q`.
+pub(crate) fn nudged(q: [f64; 4], by: [f64; 3]) -> [f64; 4] {
+    let angle = by.iter().map(|x| x * x).sum::<f64>().sqrt();
+    if angle < 1e-30 {
+        return q;
+    }
+    let (s, c) = (angle / 2.0).sin_cos();
+    let [x, y, z] = by.map(|x| x / angle * s);
+    unit(product([c, x, y, z], q))
+}
+
+/// Hamilton's product a·b: first b, then a.
+pub(crate) fn product(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
+    [
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+    ]
+}
+
+/// The normal of the plane that the antennas come closest to lying in: where a plane or a line holds them, exactly.
+///
+/// The eigenvector of the smallest eigenvalue of their covariance, by power iteration on trace·I − covariance.
+pub(crate) fn normal(antennas: &[[f64; 3]]) -> [f64; 3] {
+    let n = antennas.len().max(1) as f64;
+    let mean: [f64; 3] = std::array::from_fn(|k| antennas.iter().map(|a| a[k]).sum::<f64>() / n);
+    let mut c = [[0.0; 3]; 3];
+    for a in antennas {
+        for (i, row) in c.iter_mut().enumerate() {
+            (0..3).for_each(|j| row[j] += (a[i] - mean[i]) * (a[j] - mean[j]) / n);
+        }
+    }
+    let trace = c[0][0] + c[1][1] + c[2][2];
+    let mut v = [0.36, 0.48, 0.8]; // not along an axis
+    for _ in 0..200 {
+        let cv = turned(&c, v);
+        let w: [f64; 3] = std::array::from_fn(|k| trace * v[k] - cv[k]);
+        let length = w.iter().map(|x| x * x).sum::<f64>().sqrt();
+        if length < 1e-30 {
+            return [0.0, 0.0, 1.0];
+        }
+        v = w.map(|x| x / length);
+    }
+    v
+}
+
+/// The quaternions that act on a plane array with this normal as the eight mirrorings diag(±1, ±1, ±1) do, identity
+/// first; those that act alike are listed once.
+///
+/// Where an odd number of signs is negative, the mirroring and that in the plane of the array together are a rotation,
+/// and the second leaves the array alone.
+pub(crate) fn mirrored(antennas: &[[f64; 3]]) -> Vec<[f64; 4]> {
+    let m = normal(antennas);
+    let mut found: Vec<[f64; 4]> = Vec::new();
+    for signs in 0..8_u32 {
+        let sign = |k: usize| if signs >> k & 1 == 1 { -1.0 } else { 1.0 };
+        let odd = signs.count_ones() % 2 == 1;
+        let entry = |i: usize, j: usize| {
+            let own = if i == j { 1.0 } else { 0.0 };
+            sign(i) * (own - if odd { 2.0 * m[i] * m[j] } else { 0.0 })
+        };
+        let q = of_matrix(&std::array::from_fn(|i| std::array::from_fn(|j| entry(i, j))));
+        let place = |q: [f64; 4]| -> Vec<[f64; 3]> { antennas.iter().map(|a| turned(&matrix(q), *a)).collect() };
+        let here = place(q);
+        let reach = antennas.as_flattened().iter().fold(1e-9_f64, |r, x| r.max(x.abs()));
+        let same = |other: &[f64; 4]| {
+            let there = place(*other);
+            here.as_flattened().iter().zip(there.as_flattened()).all(|(a, b)| (a - b).abs() < 1e-6 * reach)
+        };
+        if !found.iter().any(same) {
+            found.push(q);
+        }
+    }
+    found
+}
+
+/// The quaternion of a rotation matrix, from its largest component.
+pub(crate) fn of_matrix(r: &Rows) -> [f64; 4] {
+    let squares = [
+        1.0 + r[0][0] + r[1][1] + r[2][2],
+        1.0 + r[0][0] - r[1][1] - r[2][2],
+        1.0 - r[0][0] + r[1][1] - r[2][2],
+        1.0 - r[0][0] - r[1][1] + r[2][2],
+    ];
+    let largest = (0..4).fold(0, |best, k| if squares[k] > squares[best] { k } else { best });
+    let (a, b, c) = (r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1]);
+    let (d, e, f) = (r[0][1] + r[1][0], r[0][2] + r[2][0], r[1][2] + r[2][1]);
+    unit(match largest {
+        0 => [squares[0], a, b, c],
+        1 => [a, squares[1], d, e],
+        2 => [b, d, squares[2], f],
+        _ => [c, e, f, squares[3]],
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_matrix_gives_its_quaternion_back() {
+        for q in [IDENTITY, [0.5, 0.5, -0.5, 0.5], [0.1, -0.7, 0.2, 0.3], [0.0, 0.0, 1.0, 0.0], [0.0, 0.6, 0.0, -0.8]] {
+            let q = unit(q);
+            let back = of_matrix(&matrix(q));
+            let dot: f64 = (0..4).map(|k| q[k] * back[k]).sum();
+            assert!((dot.abs() - 1.0).abs() < 1e-12, "{q:?} {back:?}");
+        }
+    }
+
+    #[test]
+    fn mirrorings_of_a_plane_array_are_rotations() {
+        // An array in the plane x = 0, as on a wall.
+        let antennas: Vec<[f64; 3]> = (0..16).map(|k| [0.0, f64::from(k % 4), f64::from(k / 4) + 0.1]).collect();
+        let found = mirrored(&antennas);
+        assert_eq!(found.len(), 4, "x does not matter, y and z do");
+        for signs in [[1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, -1.0], [-1.0, -1.0, -1.0]] {
+            let hit = found.iter().any(|q| {
+                antennas.iter().all(|a| {
+                    let t = turned(&matrix(*q), *a);
+                    (0..3).all(|k| (t[k] - signs[k] * a[k]).abs() < 1e-9)
+                })
+            });
+            assert!(hit, "{signs:?}");
+        }
+        assert_eq!(mirrored(&[[0.0; 3]]).len(), 1, "nothing to turn");
+    }
+
+    #[test]
+    fn a_nudge_turns_about_the_axis() {
+        let q = nudged([0.5, 0.5, 0.5, 0.5], [0.0, 0.0, 1e-3]);
+        let (a, b) = (turned(&matrix([0.5; 4]), [1.0, 2.0, 3.0]), turned(&matrix(q), [1.0, 2.0, 3.0]));
+        assert!((b[0] - (a[0] - 1e-3 * a[1])).abs() < 1e-5 && (b[1] - (a[1] + 1e-3 * a[0])).abs() < 1e-5);
+    }
+}

@@ -1,0 +1,133 @@
+//! `VirtualTransmitters`: the method that adds up waves from Gaussians to wherever the transmitter stands.
+
+use crate::field::{field, field_vjp};
+use crate::links::Links;
+use pwrfgs_core::{
+    Asked, Cache, Documented, Frame, Kind, Method, MethodVjp, Observed, Parameters, Real, Receiver, Vec3, WeightSpec,
+    rng::Rng,
+};
+use serde::{Deserialize, Serialize};
+
+/// Channels as sums of spherical waves from virtual transmitters: `h(p) = Σ s·exp(−j k d)/d`, eq. (1) of the paper in space,
+/// coherent over the whole room.
+///
+/// By reciprocity the fixed node and the moving one change roles: each Gaussian is the fixed node (the receiver of the
+/// data), a mirror image of it, or something that scatters. Its mean is its position, its signal a complex gain, and its
+/// quaternion turns the array about it (a mirrored planar array is a turned one). Every subcarrier has its own wavenumber, so
+/// delays come for free. Scales and opacities are not looked at, and there is no network: projector, rasterizer,
+/// deformation, calibration and readout do not count. The basin of a position is a quarter of a wavelength wide, so start
+/// from `MatchingPursuit`; a rate of `means` beyond a hundredth of the wavelength loses it again.
+///
+/// One receiver with any number of antennas. Exact for flat walls as long as nothing hides an image.
+///
+/// ```
+/// # use pwrfgs_core::{Method, Plugin};
+/// # use pwrfgs_coherent as _;
+/// let method = Plugin::<dyn Method>::parse("VirtualTransmitters()").unwrap();
+/// assert_eq!(method.inputs(), 3);
+/// ```
+#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct VirtualTransmitters {}
+
+/// Places of a receiver's antennas about its own, along the axes of the room, metres.
+pub(crate) fn array(receiver: &Receiver) -> Vec<[Real; 3]> {
+    let turn = receiver.pose.world_from_receiver();
+    let place = |r: &[f64; 3]| (turn * Vec3::from_array(r.map(|v| v as Real))).to_array();
+    receiver.antennas.iter().map(place).collect()
+}
+
+/// Gains `[M,A,F]` as observations `[M, 2A, F]`, and back.
+fn rows(gains: &[[Real; 2]], subcarriers: usize) -> Vec<Real> {
+    let antennas = gains.chunks_exact(subcarriers.max(1));
+    antennas.flat_map(|own| (0..2).flat_map(move |part| own.iter().map(move |gain| gain[part]))).collect()
+}
+
+fn gains(rows: &[Real], subcarriers: usize) -> Vec<[Real; 2]> {
+    let antennas = rows.chunks_exact(2 * subcarriers.max(1));
+    antennas
+        .flat_map(|own| {
+            let (re, im) = own.split_at(subcarriers);
+            re.iter().zip(im).map(|(re, im)| [*re, *im])
+        })
+        .collect()
+}
+
+/// Where the moving end is in each link.
+fn positions(asked: &Asked<'_>) -> Vec<[Real; 3]> {
+    let txs = asked.conditions.positions();
+    asked.links.iter().filter_map(|link| txs.get(link.transmitter)).copied().collect()
+}
+
+#[typetag::serde]
+impl Method for VirtualTransmitters {
+    fn kind(&self) -> Option<Kind> {
+        Some(Kind::Channel)
+    }
+
+    fn layout(&self, _: &Frame) -> Vec<WeightSpec> {
+        Vec::new()
+    }
+
+    fn init(&self, _: &Frame, _: &mut Rng) -> Vec<Real> {
+        Vec::new()
+    }
+
+    fn forward(&self, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>) -> Observed {
+        let (positions, antennas) = (positions(asked), array(&frame.receivers[0]));
+        let links = Links { positions: &positions, antennas: &antennas, frequencies: &frame.frequencies_hz };
+        let numbers = rows(&field(p.cloud, p.gate, &links), frame.frequencies_hz.len());
+        Observed { numbers, cache: None as Cache }
+    }
+
+    fn vjp(
+        &self,
+        frame: &Frame,
+        p: &Parameters<'_>,
+        asked: &Asked<'_>,
+        _: Observed,
+        d: &[Real],
+        sums: &mut MethodVjp,
+    ) {
+        let (positions, antennas) = (positions(asked), array(&frame.receivers[0]));
+        let links = Links { positions: &positions, antennas: &antennas, frequencies: &frame.frequencies_hz };
+        let found = field_vjp(p.cloud, p.gate, &links, &gains(d, frame.frequencies_hz.len()));
+        for ((_, _, sum), (_, _, d)) in sums.cloud.columns_mut().zip(found.cloud.columns()) {
+            sum.iter_mut().zip(d).for_each(|(sum, d)| *sum += d);
+        }
+        sums.gate.iter_mut().zip(&found.gate).for_each(|(sum, d)| *sum += d);
+        sums.seen.visible.iter_mut().for_each(|seen| *seen += 1.0);
+        // How much of the channel is each one's: pruners that go by what is seen see this.
+        let weight = |i: usize| p.gate.map_or(1.0, |gate| gate[i]) * p.cloud.signals[i][0].hypot(p.cloud.signals[i][1]);
+        (0..p.cloud.len()).for_each(|i| sums.seen.weight[i] += weight(i));
+    }
+
+    fn check_frame(&self, frame: &Frame) -> Result<(), String> {
+        if frame.kind != Kind::Channel {
+            return Err(format!("method: VirtualTransmitters gives channels, and the data are {}", frame.kind.plural()));
+        }
+        if frame.receivers.len() != 1 {
+            return Err(format!(
+                "method: VirtualTransmitters serves one receiver, and the data have {}; train a model for each",
+                frame.receivers.len()
+            ));
+        }
+        Ok(())
+    }
+
+    fn about(&self) -> &'static str {
+        "channels as sums of spherical waves from the receiver, its mirror images and scatterers, coherent over the room"
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn observations_hold_the_same_gains() {
+        let all: Vec<[Real; 2]> = (0..12).map(|i| [i as Real, 100.0 + i as Real]).collect();
+        assert_eq!(gains(&rows(&all, 3), 3), all);
+        assert_eq!(rows(&all, 3)[..6], [0.0, 1.0, 2.0, 100.0, 101.0, 102.0]);
+    }
+}

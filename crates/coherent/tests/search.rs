@@ -1,0 +1,112 @@
+//! The search finds what made the channel: positions, gains, turned arrays; and is the same on any number of threads.
+
+use pwrfgs_coherent::{Links, Pursuit, Sources, field, pursue, snr_of, solve_gains};
+use pwrfgs_core::{Real, rng};
+
+const IDENTITY: [f64; 4] = [1.0, 0.0, 0.0, 0.0];
+
+/// Places in a room of 2 m.
+fn places(n: usize) -> Vec<[Real; 3]> {
+    let mut random = rng::stream(7, "places", 0);
+    (0..n).map(|_| [0; 3].map(|_| 2.0 * rng::uniform(&mut random))).collect()
+}
+
+/// A node, its images behind a wall and under the floor, and that of the corner.
+fn truth(quats: [[f64; 4]; 4]) -> Sources {
+    let mut out = Sources::default();
+    for (k, (x, z)) in [(1.1, 1.4), (-1.3, 1.4), (1.1, -1.4), (-1.3, -1.4)].into_iter().enumerate() {
+        out.push([x, 0.3, z], quats[k], [[1.0, 0.0], [-0.6, 0.3], [-0.5, 0.0], [0.3, -0.2]][k]);
+    }
+    out
+}
+
+fn options() -> Pursuit {
+    Pursuit { reach: 0.8, most: 8, patience: 2, peaks: 64, rounds: 0, ..Pursuit::default() }
+}
+
+fn nearest(found: &Sources, v: [f64; 3]) -> f64 {
+    let by = |p: &[f64; 3]| (0..3).map(|k| (p[k] - v[k]).powi(2)).sum::<f64>().sqrt();
+    found.positions.iter().map(by).fold(f64::MAX, f64::min)
+}
+
+#[test]
+fn images_of_a_room_are_found() {
+    let (positions, truth) = (places(120), truth([IDENTITY; 4]));
+    let links = Links { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
+    let h = field(&truth.to_cloud(), None, &links);
+    let mut told = 0;
+    let mut tell = |p: &pwrfgs_coherent::Progress| {
+        told += 1;
+        p.sources < 6
+    };
+    let found = pursue(&links, &h, &options(), &mut tell).unwrap();
+    assert!(told >= 4);
+    for v in &truth.positions {
+        assert!(nearest(&found, *v) < 0.02, "{v:?}: {found:?}");
+    }
+    assert!(snr_of(&field(&found.to_cloud(), None, &links), &h) > 30.0);
+    let once = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| pursue(&links, &h, &Pursuit { most: 3, ..options() }, &mut |_| true).unwrap())
+    };
+    assert_eq!(once(1), once(3), "the same bits on any number of threads");
+}
+
+#[test]
+fn a_mirrored_array_is_found_with_its_rotation() {
+    // A plane array on a wall y = const; mirrored in x it is one turned about y, and so on.
+    let (a, b) = ([0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]);
+    let antennas: Vec<[Real; 3]> =
+        (0..9).map(|k| [0.2 * ((k % 3) as Real) + 0.05, 0.0, 0.2 * ((k / 3) as Real)]).collect();
+    // diag(-1, ·, 1) on x and z: half a turn about z; diag(1, ·, -1): about x; both: about y.
+    let truth = truth([IDENTITY, b, [0.0, 1.0, 0.0, 0.0], a]);
+    let positions = places(40);
+    let links = Links { positions: &positions, antennas: &antennas, frequencies: &[0.6e9, 0.64e9] };
+    let h = field(&truth.to_cloud(), None, &links);
+    let found = pursue(&links, &h, &options(), &mut |p| {
+        eprintln!("{p:?}");
+        p.sources < 6
+    }).unwrap();
+    for v in &truth.positions {
+        assert!(nearest(&found, *v) < 0.03, "{v:?}: {found:?}");
+    }
+    assert!(snr_of(&field(&found.to_cloud(), None, &links), &h) > 25.0);
+}
+
+#[test]
+fn gains_of_given_places_are_exact() {
+    let (positions, truth) = (places(30), truth([IDENTITY; 4]));
+    let links = Links { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
+    let h = field(&truth.to_cloud(), None, &links);
+    let mut found = Sources { gains: vec![[0.0; 2]; 4], ..truth.clone() };
+    assert!(solve_gains(&links, &h, &mut found, &[0.0; 4]));
+    for (a, b) in found.gains.iter().flatten().zip(truth.gains.iter().flatten()) {
+        assert!((a - b).abs() < 1e-4, "{found:?}");
+    }
+    let mut twice = truth.select(&[0, 0]);
+    assert!(!solve_gains(&links, &h, &mut twice, &[0.0; 2]) || snr_of(&field(&twice.to_cloud(), None, &links), &h) > 0.0);
+    let mut small = truth.clone();
+    assert!(solve_gains(&links, &h, &mut small, &[1e9; 4]));
+    assert!(small.gains.iter().flatten().all(|s| s.abs() < 1e-3), "a ridge shrinks");
+}
+
+#[test]
+fn what_cannot_be_searched_is_told() {
+    let positions = places(3);
+    let links = Links { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
+    let none = &mut |_: &pwrfgs_coherent::Progress| true;
+    let h = [[1.0, 0.0]; 3];
+    for (links, h, options, word) in [
+        (links, &h[..2], options(), "2 complex numbers for 3 links"),
+        (links, &[[0.0; 2]; 3][..], options(), "zero everywhere"),
+        (links, &[[Real::NAN, 0.0]; 3][..], options(), "finite"),
+        (Links { frequencies: &[5.0], ..links }, &h[..], options(), "5 Hz"),
+        (Links { antennas: &[], ..links }, &[][..], options(), "0 antennas"),
+        (links, &h[..], Pursuit { step: 0.0, ..options() }, "`step`"),
+        (links, &h[..], Pursuit { reach: -1.0, ..options() }, "`reach`"),
+    ] {
+        let why = pursue(&links, h, &options, none).unwrap_err();
+        assert!(why.contains(word), "{why}");
+    }
+    assert!(pursue(&links, &h, &options(), none).is_ok(), "three links are enough not to panic");
+}

@@ -1,0 +1,36 @@
+//! `Zero`: no channel at all.
+
+use super::{Constant, all_of};
+use pwrfgs_core::{Baseline, Dataset, Documented, Error, Image, Kind, Known, Predict, Result};
+use serde::{Deserialize, Serialize};
+
+/// A channel of zeros: an SNR of 0 dB, which a prediction with wrong phases does not reach.
+///
+/// ```
+/// # use pwrfgs_core::{Baseline, Plugin};
+/// # use pwrfgs_data as _;
+/// assert_eq!(Plugin::<dyn Baseline>::parse("Zero()").unwrap().name(), "zero");
+/// ```
+#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct Zero {}
+
+#[typetag::serde]
+impl Baseline for Zero {
+    fn name(&self) -> String {
+        "zero".into()
+    }
+
+    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
+        if data.kind() != Kind::Channel {
+            let what = format!("Zero() is a floor of channels, and {} holds {}", data.title, data.kind().plural());
+            return Err(Error::Config(format!("{what}; use MeanSpectrum()")));
+        }
+        all_of(known)?;
+        Ok(Box::new(Constant(Image::zeros(data.width, data.height))))
+    }
+
+    fn about(&self) -> &'static str {
+        "a channel of zeros"
+    }
+}

@@ -1,0 +1,144 @@
+//! Of several receivers: what is divided, and what stays together.
+
+use super::testing::line_of_samples;
+use super::*;
+use crate::{NearestNeighbours, Neighbours};
+use pwrfgs_core::{Baseline, Features, Known, Observations, Plugin, Pose, Receiver, Sample, Split};
+
+/// `count` transmitters a metre apart; transmitter t is heard by the receivers `a`, `b` and `c`, but for `c` where t is odd.
+fn three_receivers(count: u32) -> Dataset {
+    let at = |(name, x): (&str, f64)| Receiver::new(name, Pose { position: [x, 3.0, 0.0], ..Pose::IDENTITY });
+    let heard = |id: u32| (0..if id.is_multiple_of(2) { 3 } else { 2 }).map(move |receiver| (id, receiver));
+    let samples: Vec<Sample> = (0..count)
+        .flat_map(heard)
+        .map(|(id, receiver)| Sample { id, tx: [f64::from(id), 0.0, 0.0], receiver })
+        .collect();
+    let powers =
+        samples.iter().map(|s| -40.0 - 10.0 * s.receiver as pwrfgs_core::Real - s.id as pwrfgs_core::Real).collect();
+    let receivers = [("a", 0.0), ("b", 5.0), ("c", 9.0)].map(at).to_vec();
+    let data = Dataset::of_links("three", receivers, vec![], &samples, Observations::Powers(powers)).unwrap();
+    let (test, train) = (0..data.len()).partition(|i| data.links[*i].transmitter % 5 == 4);
+    Dataset { official: Some((train, test)), ..data }
+}
+
+fn split(text: &str, data: &Dataset) -> Result<Partition, String> {
+    let plugin = Plugin::<dyn Split>::parse(text).unwrap();
+    plugin.split(data, &mut rng::stream(3, "split", 0)).map_err(|e| e.to_string())
+}
+
+#[test]
+fn all_links_of_a_transmitter_share_a_part() {
+    let data = three_receivers(40);
+    for text in ["Official()", "Random()", "TimeBlock()", "Voxel(size_m: 3)", "Sparse(train: 20)"] {
+        let parts = split(text, &data).unwrap();
+        let of = |links: &[usize]| transmitters(&data, links);
+        let lists = [of(&parts.train), of(&parts.validation), of(&parts.test)];
+        assert_eq!(lists.iter().map(Vec::len).sum::<usize>(), 40, "{text}");
+        assert_eq!(parts.train.len() + parts.validation.len() + parts.test.len(), data.len(), "{text}");
+        // As one receiver would have it.
+        let alone = split(text, &line_of_samples(40)).unwrap();
+        assert_eq!(lists, [alone.train, alone.validation, alone.test], "{text}");
+    }
+}
+
+#[test]
+fn random_links_part_the_links_of_a_transmitter() {
+    let data = three_receivers(40);
+    let parts = split("RandomLinks()", &data).unwrap();
+    assert_eq!((parts.train.len(), parts.validation.len(), parts.test.len()), (72, 8, 20));
+    let (train, test) = (transmitters(&data, &parts.train), transmitters(&data, &parts.test));
+    assert!(test.iter().filter(|t| train.contains(t)).count() > 10);
+    assert_eq!(split("RandomLinks()", &line_of_samples(40)), split("Random()", &line_of_samples(40)));
+}
+
+#[test]
+fn a_receiver_left_out_is_the_test() {
+    let data = three_receivers(40);
+    let parts = split(r#"LeaveReceiverOut(receivers: ["c"])"#, &data).unwrap();
+    assert!(parts.test.iter().all(|i| data.links[*i].receiver == 2) && parts.test.len() == 20);
+    assert_eq!((parts.train.len(), parts.validation.len()), (72, 8));
+    let with = split(r#"LeaveReceiverOut(receivers: ["c", "a"], calibration: 5, validation: 0)"#, &data).unwrap();
+    let of = |links: &[usize], receiver| links.iter().filter(|i| data.links[**i].receiver == receiver).count();
+    let counted = [0, 1, 2].map(|receiver| (of(&with.train, receiver), of(&with.test, receiver)));
+    assert_eq!(counted, [(5, 35), (40, 0), (5, 15)]);
+    let refused = [
+        ("LeaveReceiverOut()", "name at least one of `receivers`; the receivers of three are `a`, `b`, `c`"),
+        (r#"LeaveReceiverOut(receivers: ["d"])"#, "there is no receiver `d`"),
+        (r#"LeaveReceiverOut(receivers: ["a", "b", "c"])"#, "no receiver is left to learn from"),
+        (
+            r#"LeaveReceiverOut(receivers: ["c"], calibration: 20)"#,
+            "`c` has 20 links in all, which leaves none to test",
+        ),
+    ];
+    for (text, message) in refused {
+        let said = split(text, &data).unwrap_err();
+        assert!(said.contains(message), "{said}");
+    }
+    assert!(Plugin::<dyn Split>::parse("RandomLinks(test: 1)").is_err());
+    assert!(Plugin::<dyn Split>::parse("LeaveReceiverOut(validation: 1)").is_err());
+}
+
+#[test]
+fn baselines_learn_each_receiver_by_itself() {
+    let data = three_receivers(40);
+    let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-3, "{a} instead of {b}");
+    let predict = |text: &str, known: Known<'_>, i: usize| {
+        let fitted = Plugin::<dyn Baseline>::parse(text).unwrap().fit(&data, known).unwrap();
+        (fitted.predict(data.query(i)).pixels[0] as f64, fitted.note())
+    };
+    let all: Vec<usize> = (0..data.len()).collect();
+    let first_of = |receiver: usize| data.links.iter().position(|link| link.receiver == receiver).unwrap();
+    for (receiver, mean) in [(0, -59.5), (1, -69.5), (2, -79.0)] {
+        close(predict("MeanSpectrum()", Known::train(&all), first_of(receiver)).0, mean);
+        close(
+            predict("NearestNeighbours(k: 1)", Known::train(&all), first_of(receiver)).0,
+            -40.0 - 10.0 * receiver as f64,
+        );
+        assert!(predict("Kriging()", Known::train(&all), first_of(receiver)).0.is_finite());
+    }
+    // A receiver that nothing is known of is predicted from all others.
+    let known: Vec<usize> = all.iter().copied().filter(|i| data.links[*i].receiver < 2).collect();
+    let (power, note) = predict("MeanSpectrum()", Known::train(&known), first_of(2));
+    close(power, -64.5);
+    assert_eq!(note.unwrap(), "c has no training link and is predicted from those of all receivers");
+    let (power, note) = predict("NearestNeighbours(k: Auto)", Known::train(&known), first_of(2));
+    close(power, -45.0);
+    let note = note.unwrap();
+    assert!(
+        note.starts_with("k-NN takes k = ") && note.contains("best on validation received powers; c has no"),
+        "{note}"
+    );
+    assert!(predict("Kriging()", Known::train(&known), first_of(2)).1.unwrap().contains("of 2 receivers"));
+    assert!(
+        predict("LogDistance(offset: true)", Known::train(&known), first_of(2)).1.unwrap().starts_with("c has too few")
+    );
+    assert_eq!(predict("LogDistance()", Known::train(&known), first_of(2)).1, None);
+    let mean = Plugin::<dyn Baseline>::parse("MeanSpectrum()").unwrap();
+    let names = [pwrfgs_core::Kind::Spectrum, data.kind()].map(|kind| mean.name_for(kind));
+    assert_eq!(names, ["mean spectrum", "mean of the receiver"]);
+}
+
+#[test]
+fn features_stand_where_positions_do() {
+    let mut data = three_receivers(10);
+    data.placed = false;
+    let all: Vec<usize> = (0..data.len()).collect();
+    let one = NearestNeighbours { k: Neighbours::Number(1) };
+    let fault =
+        |baseline: &dyn Baseline, data: &Dataset| baseline.fit(data, Known::train(&all)).err().unwrap().to_string();
+    assert!(fault(&one, &data).contains("does not say where the transmitters are"));
+    // What is alike in features is far in number: transmitter t is like 9 - t.
+    let feature = |i: &usize| {
+        let t = data.links[*i].transmitter as pwrfgs_core::Real;
+        [(t - 4.5).abs(), 1.0]
+    };
+    let values = all.iter().flat_map(feature).collect();
+    data.features = Some(Features { width: 2, values });
+    let known: Vec<usize> = all.iter().copied().filter(|i| data.links[*i].transmitter >= 5).collect();
+    let fitted = one.fit(&data, Known::train(&known)).unwrap();
+    assert_eq!(fitted.predict(data.query(0)).pixels, [-49.0]);
+    assert!(fault(&crate::Kriging::default(), &data).contains("use NearestNeighbours()"));
+    assert!(fault(&crate::LogDistance::default(), &data).contains("no places of transmitters"));
+    assert!(fault(&crate::Zero {}, &data).contains("is a floor of channels"));
+    assert!(fault(&crate::LogDistance::default(), &line_of_samples(30)).contains("holds spatial spectra"));
+}
