@@ -3,11 +3,11 @@
 
 #[cfg(feature = "inspect")]
 use crate::commands::Inspect;
-#[cfg(feature = "report")]
-use crate::commands::{Map, Report};
 #[cfg(feature = "sim")]
 use crate::commands::Simulate;
 use crate::commands::{Check, Completions, Evaluate, Export, Import, Init, Man, Plugins, Predict, Run, Sweep};
+#[cfg(feature = "report")]
+use crate::commands::{Map, Report};
 use clap::{ArgAction, Parser, Subcommand};
 
 /// How much is said.

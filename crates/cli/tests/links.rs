@@ -50,7 +50,9 @@ fn powers_are_reported_predicted_mapped_and_exported() {
     let here = folder.path();
     hall(here);
     let page = read(&here.join("run/report.html"));
-    for words in ["Where the errors are", "Receiver by receiver", "a map a receiver", "predicted, dBm", ">south<", "test links"] {
+    for words in
+        ["Where the errors are", "Receiver by receiver", "a map a receiver", "predicted, dBm", ">south<", "test links"]
+    {
         assert!(page.contains(words), "`{words}` is not in the page");
     }
     assert!(!page.contains("test spectra") && !page.contains("NaN") && !page.contains("<h2>Spectra"));
@@ -85,7 +87,15 @@ fn predicts_powers(here: &Path) {
 
 fn maps_powers(here: &Path) {
     succeed(here, &["map", MODEL, "--plane", "z=1", "--step", "0.5", "--bounds", "0,2,1,2", "--out", "map"]);
-    let maps = ["map.csv", "power-north.npy", "power-north.png", "power-south.npy", "power-south.png", "strongest.npy", "strongest.png"];
+    let maps = [
+        "map.csv",
+        "power-north.npy",
+        "power-north.png",
+        "power-south.npy",
+        "power-south.png",
+        "strongest.npy",
+        "strongest.png",
+    ];
     assert_eq!(names(&here.join("map")), maps.map(str::to_owned).into());
     let (shape, north) = floats(&here.join("map/power-north.npy"));
     let (south, strongest) = (floats(&here.join("map/power-south.npy")).1, floats(&here.join("map/strongest.npy")).1);
@@ -97,7 +107,13 @@ fn maps_powers(here: &Path) {
     assert!((north[12] - predicted).abs() < 1e-3, "{} {predicted}", north[12]);
     assert!(image::open(here.join("map/strongest.png")).is_ok());
     let list = read(&here.join("map/map.csv"));
-    assert!(list.lines().nth(1).unwrap().starts_with("power-north.npy,power-north.png,received power,dBm,north,x,0,5,y,1,3,0.5,z = 1 m,"), "{list}");
+    assert!(
+        list.lines()
+            .nth(1)
+            .unwrap()
+            .starts_with("power-north.npy,power-north.png,received power,dBm,north,x,0,5,y,1,3,0.5,z = 1 m,"),
+        "{list}"
+    );
     let said = succeed(here, &["map", MODEL, "--plane", "y=2", "--receiver", "south", "--step", "1", "--out", "side"]);
     assert!(stderr(&said).contains("--bounds changes it"), "{}", stderr(&said));
     assert_eq!(names(&here.join("side")).len(), 3);
@@ -148,6 +164,7 @@ fn channels_are_reported_predicted_and_mapped() {
     assert_eq!(one[one.len() - 2048..], all[all.len() - 2048..], "the mean of twice the same");
     succeed(here, &["map", MODEL, "--plane", "z=1", "--step", "0.5", "--bounds", "3,4,2,3", "--out", "map"]);
     assert_eq!(floats(&here.join("map/power.npy")).0, [3, 3]);
-    let db: f32 = read(&here.join("each/predictions.csv")).lines().nth(1).unwrap().split(',').nth(5).unwrap().parse().unwrap();
+    let db: f32 =
+        read(&here.join("each/predictions.csv")).lines().nth(1).unwrap().split(',').nth(5).unwrap().parse().unwrap();
     assert!((floats(&here.join("map/power.npy")).1[0] - db).abs() < 1e-2);
 }

@@ -243,7 +243,9 @@ impl Observations {
     pub fn pictures(&self, who: &str) -> Result<&Spectra> {
         match self {
             Self::Pictures(spectra) => Ok(spectra),
-            other => Err(Error::Config(format!("{who} needs spatial spectra, and these data are {}", other.kind().plural()))),
+            other => {
+                Err(Error::Config(format!("{who} needs spatial spectra, and these data are {}", other.kind().plural())))
+            }
         }
     }
 
@@ -258,14 +260,16 @@ impl Observations {
                 let of_one = channels.antennas * channels.frequencies_hz.len();
                 if of_one == 0 || channels.gains.is_empty() || !channels.gains.len().is_multiple_of(of_one) {
                     let have = channels.gains.len();
-                    let what = format!("{} antennas by {} subcarriers", channels.antennas, channels.frequencies_hz.len());
+                    let what =
+                        format!("{} antennas by {} subcarriers", channels.antennas, channels.frequencies_hz.len());
                     return Some(format!("{have} gains are no channels of {what}; give at least one, and whole ones"));
                 }
                 if let Some(f) = channels.frequencies_hz.iter().find(|f| !(f.is_finite() && **f > 0.0)) {
                     return Some(format!("a subcarrier at {f} Hz; give frequencies above 0"));
                 }
                 let i = not_finite(channels.gains.as_flattened())? / 2;
-                let [l, a, f] = [i / of_one, i % of_one / channels.frequencies_hz.len(), i % channels.frequencies_hz.len()];
+                let [l, a, f] =
+                    [i / of_one, i % of_one / channels.frequencies_hz.len(), i % channels.frequencies_hz.len()];
                 Some(format!("channels[{l}, {a}, {f}] is {:?}; give finite numbers", channels.gains[i]))
             }
         }

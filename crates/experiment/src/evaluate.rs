@@ -92,7 +92,11 @@ pub fn evaluate(
     let Ceiling { of: ceiling, notes: said } = ceiling(data, partition, &pipeline.metrics, stop)?;
     notes.extend(said);
     let ids = partition.test.iter().map(|&i| data.label(i)).collect();
-    Ok(Assessment { scores: Scores { kind: data.kind(), ids, predictors, bounds, members, ceiling, notes }, examples, confidence })
+    Ok(Assessment {
+        scores: Scores { kind: data.kind(), ids, predictors, bounds, members, ceiling, notes },
+        examples,
+        confidence,
+    })
 }
 
 /// Refuses data of another kind, another size or other receivers than the model knows.

@@ -3,8 +3,8 @@
 mod axes;
 mod backend;
 pub mod charts;
-pub(crate) mod legend;
 pub mod heat;
+pub(crate) mod legend;
 pub mod marks;
 pub mod plan;
 pub(crate) mod room;

@@ -86,8 +86,7 @@ fn members(results: &Results<'_>) -> Vec<Value> {
 
 /// Best, median and worst test spectrum by SSIM, and the limit of the error scale that they share.
 fn examples(results: &Results<'_>) -> (Vec<Value>, f64) {
-    let chosen: &[Example] =
-        if results.data.kind() == Kind::Spectrum { &results.assessment.examples } else { &[] };
+    let chosen: &[Example] = if results.data.kind() == Kind::Spectrum { &results.assessment.examples } else { &[] };
     let errors: Vec<Image> = chosen.iter().map(|e| difference(&e.prediction.clamped(), &e.truth)).collect();
     let largest = errors.iter().flat_map(|e| &e.pixels).fold(0.0, |m: f64, e| m.max(e.abs() as f64));
     let limit = ((largest * 10.0).ceil() / 10.0).max(0.1);

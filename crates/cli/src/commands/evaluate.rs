@@ -123,7 +123,8 @@ fn warn_of_receivers(data: &Dataset, ensemble: &Ensemble) {
     });
     let names: Vec<String> = moved.map(|(_, other)| clean(&other.name)).collect();
     if !names.is_empty() {
-        let (shown, more) = (names.iter().take(8).cloned().collect::<Vec<_>>().join(", "), names.len().saturating_sub(8));
+        let (shown, more) =
+            (names.iter().take(8).cloned().collect::<Vec<_>>().join(", "), names.len().saturating_sub(8));
         let more = if more > 0 { format!(" and {more} more") } else { String::new() };
         output::note(&format!(
             "warning: receivers have another name or pose than the model was trained with: {shown}{more}"

@@ -20,7 +20,8 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 #[derive(Debug, Args)]
-#[command(after_long_help = "A radio map: the model is asked for a transmitter at every place of a grid on a plane, and what a \
+#[command(
+    after_long_help = "A radio map: the model is asked for a transmitter at every place of a grid on a plane, and what a \
     receiver would observe of it is drawn.\n\nWHAT IS MAPPED\n  received powers   power in dBm at each receiver, and at the \
     strongest of them\n  spectra           azimuth and elevation of the strongest direction (degrees, receiver's frame; \
     arrows show it in the room) and its level; with --of mean the mean level\n  channels          mean power over antennas \
@@ -31,7 +32,8 @@ use std::process::ExitCode;
     a model knows nothing where nobody measured, and says something nevertheless.\n\nEXAMPLES\n  pwrfgs map \
     runs/ble/model.safetensors --plane z=0 --step 0.25 --receiver g01 --out g01\n  pwrfgs map \
     runs/quickstart/model.safetensors --plane z=1.2 --of direction --bounds 0,8,0,6 --out directions\n  python3 -c \"import \
-    numpy; m = numpy.load('g01/power-g01.npy'); print(m.shape, m.max())\"")]
+    numpy; m = numpy.load('g01/power-g01.npy'); print(m.shape, m.max())\""
+)]
 pub(crate) struct Map {
     /// The trained model, model.safetensors of a run folder; several predict as an ensemble
     #[arg(value_name = "MODEL", required = true)]
@@ -67,9 +69,11 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<ExitCode> {
     let origin = ensemble.members()[0].stages.origin;
     let poses: Vec<Pose> = model.receivers().iter().map(|receiver| origin.world_pose(receiver.pose)).collect();
     let bounds = bounds.unwrap_or_else(|| {
-        let means = ensemble.members().iter().flat_map(|own| own.cloud.means.iter().map(|mean| own.stages.origin.world(*mean)));
+        let means =
+            ensemble.members().iter().flat_map(|own| own.cloud.means.iter().map(|mean| own.stages.origin.world(*mean)));
         let listening: Vec<[f64; 2]> = receivers.iter().map(|&r| plane.flat(poses[r].position)).collect();
-        let bounds = Bounds::around(means.map(|place| plane.flat(place)).collect(), &listening).outwards(arguments.step);
+        let bounds =
+            Bounds::around(means.map(|place| plane.flat(place)).collect(), &listening).outwards(arguments.step);
         if verbosity != Verbosity::Quiet {
             terminal::note(&said(plane, bounds));
         }
@@ -86,7 +90,9 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<ExitCode> {
         let missing = layers.iter().flat_map(|layer| &layer.values).filter(|v| !v.is_finite()).count();
         if missing > 0 {
             let missing = grouped(missing as i64);
-            terminal::note(&format!("warning: {missing} values are not finite and grey: numbers of the model overflow there"));
+            terminal::note(&format!(
+                "warning: {missing} values are not finite and grey: numbers of the model overflow there"
+            ));
         }
         let (columns, rows) = (grouped(grid.columns as i64), grouped(grid.rows as i64));
         let maps = if layers.len() == 1 { "1 map".into() } else { format!("{} maps", layers.len()) };

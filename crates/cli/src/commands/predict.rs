@@ -26,7 +26,8 @@ use std::process::ExitCode;
 const CHUNK: usize = 64;
 
 #[derive(Debug, Args)]
-#[command(after_long_help = "Needs nothing but the model file. What is written depends on what the model was trained on; \
+#[command(
+    after_long_help = "Needs nothing but the model file. What is written depends on what the model was trained on; \
     predictions.csv comes last and says that all is there. A folder that holds anything, an earlier prediction too, is not \
     touched; what a killed command left is made anew.\n\nSPECTRA\n  For the first position 00001.npy (float32, rows are \
     elevation, columns azimuth) and 00001.png (8-bit grey), and so on; predictions.csv has row, x, y, z, strongest \
@@ -41,7 +42,8 @@ const CHUNK: usize = 64;
     predict runs/quickstart/model.safetensors --tx 1.2,0.3,1.0 --out heard\n  pwrfgs predict runs/a-0/model.safetensors \
     runs/a-1/model.safetensors --tx-csv positions.csv --out heard\n  pwrfgs predict runs/quickstart/model.safetensors \
     --tx-csv walk.csv --stacked --no-png --out walk\n  pwrfgs predict runs/ble/model.safetensors --tx-csv walk.csv \
-    --receiver g01 --receiver g07 --out walk")]
+    --receiver g01 --receiver g07 --out walk"
+)]
 #[command(group(clap::ArgGroup::new("where").required(true).args(["tx", "tx_csv"])))]
 pub(crate) struct Predict {
     /// The trained model, model.safetensors of a run folder; several, or the file of an ensemble, predict as one
@@ -82,7 +84,8 @@ impl Row<'_> {
     /// The first columns.
     fn begin(&self) -> String {
         let ([x, y, z], number) = (self.tx, self.number);
-        self.name.map_or_else(|| format!("{number},{x},{y},{z}"), |name| format!("{number},{x},{y},{z},{}", field(name)))
+        self.name
+            .map_or_else(|| format!("{number},{x},{y},{z}"), |name| format!("{number},{x},{y},{z},{}", field(name)))
     }
 }
 

@@ -28,7 +28,10 @@ fn unknown(known: &[Receiver], name: &str) -> Error {
     if known.len() > LISTED {
         list += &format!(" and {} more", known.len() - LISTED);
     }
-    Error::Config(format!("--receiver {}: the model knows no receiver of this name{near}; it knows {list}", clean(name)))
+    Error::Config(format!(
+        "--receiver {}: the model knows no receiver of this name{near}; it knows {list}",
+        clean(name)
+    ))
 }
 
 /// Refuses models that are not asked by position.
@@ -49,8 +52,7 @@ mod tests {
 
     #[test]
     fn receivers_are_found_by_name_and_the_nearest_is_told() {
-        let known: Vec<Receiver> =
-            (1..=21).map(|k| Receiver::new(format!("g{k:02}"), Pose::IDENTITY)).collect();
+        let known: Vec<Receiver> = (1..=21).map(|k| Receiver::new(format!("g{k:02}"), Pose::IDENTITY)).collect();
         let chosen = |names: &[&str]| chosen(&known, &names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>());
         assert_eq!(chosen(&["g03", "g01", "g03"]).unwrap(), [0, 2]);
         assert_eq!(chosen(&[]).unwrap().len(), 21);

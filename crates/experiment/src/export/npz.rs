@@ -95,7 +95,8 @@ impl Npz {
         self.put("receivers.positions", &[poses.len(), 3], &positions)?;
         self.put("receivers.orientations", &[poses.len(), 4], &orientations)?;
         let antennas: Vec<u64> = frame.receivers.iter().map(|receiver| receiver.antennas.len() as u64).collect();
-        let places: Vec<[f64; 3]> = frame.receivers.iter().flat_map(|receiver| receiver.antennas.iter().copied()).collect();
+        let places: Vec<[f64; 3]> =
+            frame.receivers.iter().flat_map(|receiver| receiver.antennas.iter().copied()).collect();
         self.put("receivers.antenna_counts", &[antennas.len()], &antennas)?;
         self.put("receivers.antennas", &[places.len(), 3], places.as_flattened())?;
         if frame.frequencies_hz.is_empty() {

@@ -7,10 +7,10 @@ mod virtual_map;
 
 use crate::draw::canvas::Colour;
 use crate::draw::charts::{Axis, Chart, Line, Look};
-use crate::draw::marks::{Stroke, Style};
+use crate::draw::marks::{Marker, Stroke, Style};
 use curves::Gains;
 use minijinja::{Value, context};
-use pwrfgs_core::evenly;
+use pwrfgs_core::{Image, Observations, evenly};
 use pwrfgs_experiment::text::number;
 use pwrfgs_experiment::{Example, Results, samples};
 
@@ -37,24 +37,25 @@ pub(super) fn section(results: &Results<'_>) -> Value {
 /// Subcarriers, Hz.
 fn frequencies<'a>(results: &Results<'a>) -> &'a [f64] {
     match &results.data.observations {
-        pwrfgs_core::Observations::Channels(channels) => &channels.frequencies_hz,
+        Observations::Channels(channels) => &channels.frequencies_hz,
         _ => &[],
     }
 }
 
 /// Measured as a full dark line with dots, predicted dashed with crosses: print needs no colour.
 fn pair(measured: Vec<(f64, f64)>, predicted: Vec<(f64, f64)>) -> Vec<Line> {
-    use crate::draw::marks::Marker;
-    let marked = |points: Vec<(f64, f64)>, colour, stroke, marker, name: &str| {
-        let few = points.len() <= 70;
-        let style = Style { marker: few.then_some(marker), ..Style::line(colour, 1.6, stroke) };
-        let marks = if few { points.clone() } else { Vec::new() };
-        Line { marks, ..Line::new(points, style) }.named(name)
-    };
     vec![
         marked(predicted, PREDICTED, Stroke::DASHED, Marker::Cross, "predicted"),
         marked(measured, MEASURED, Stroke::FULL, Marker::Circle, "measured"),
     ]
+}
+
+/// A line with marks where they are few enough to be told apart, or have no line.
+fn marked(points: Vec<(f64, f64)>, colour: Colour, stroke: Stroke, marker: Marker, name: &str) -> Line {
+    let has_marks = points.len() <= 70 || stroke == Stroke::None;
+    let style = Style { marker: has_marks.then_some(marker), ..Style::line(colour, 1.6, stroke) };
+    let marks = if has_marks { points.clone() } else { Vec::new() };
+    Line { marks, ..Line::new(points, style) }.named(name)
 }
 
 /// A chart of a measured and a predicted line.
@@ -99,27 +100,18 @@ fn examples(results: &Results<'_>) -> Vec<Value> {
 fn plane(results: &Results<'_>) -> Option<Value> {
     let (mut measured, mut predicted) = (Vec::new(), Vec::new());
     super::predicted::each(results, &evenly(&results.partition.test, DOTS), |_, truth, prediction| {
-        let place = |image: &pwrfgs_core::Image| (image.pixels[0] as f64, image.pixels[1] as f64);
+        let place = |image: &Image| (image.pixels[0] as f64, image.pixels[1] as f64);
         measured.push(place(truth));
         predicted.push(place(prediction));
     });
     let reach = measured.iter().chain(&predicted).flat_map(|(a, b)| [a.abs(), b.abs()]).filter(|v| v.is_finite());
     let reach = 1.08 * reach.fold(0.0, f64::max);
-    let joined = Line {
-        bars: Vec::new(),
-        ..Line::new(Vec::new(), Style::line(Colour::hex(0x8d_94a1), 0.8, Stroke::FULL))
-    };
-    let mut lines: Vec<Line> = pair(measured.clone(), predicted.clone())
-        .into_iter()
-        .map(|line| Line { marks: line.points.clone(), points: Vec::new(), ..line })
-        .map(|mut line| {
-            let marker = if line.style.colour == MEASURED { crate::draw::marks::Marker::Circle } else { crate::draw::marks::Marker::Cross };
-            line.style = Style { marker: Some(marker), stroke: Stroke::None, ..line.style };
-            line
-        })
-        .collect();
-    let links = measured.iter().zip(&predicted).map(|(a, b)| Line { points: vec![*a, *b], ..joined.clone() });
-    lines.extend(links);
+    let mut lines = vec![
+        marked(predicted.clone(), PREDICTED, Stroke::None, Marker::Cross, "predicted"),
+        marked(measured.clone(), MEASURED, Stroke::None, Marker::Circle, "measured"),
+    ];
+    let joined = Style::line(Colour::hex(0x8d_94a1), 0.8, Stroke::FULL);
+    lines.extend(measured.iter().zip(&predicted).map(|(a, b)| Line::new(vec![*a, *b], joined)));
     let axis = |name: &str| Axis { name: name.into(), ends: Some((-reach, reach)), log: false };
     let look = Look { size: [470.0, 450.0], ..LOOK };
     let chart = Chart { look, x: axis("real part"), y: axis("imaginary part"), lines, ..Chart::default() };

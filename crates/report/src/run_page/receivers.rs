@@ -22,11 +22,8 @@ pub(super) fn table(results: &Results<'_>) -> Option<Value> {
     for (place, &i) in results.partition.test.iter().enumerate() {
         of_each[data.links[i].receiver].push(place);
     }
-    let predictors: Vec<(&String, &[f64])> = scores
-        .predictors
-        .iter()
-        .filter_map(|(name, _)| Some((name, scores.samples(name, headline.key)?)))
-        .collect();
+    let predictors: Vec<(&String, &[f64])> =
+        scores.predictors.iter().filter_map(|(name, _)| Some((name, scores.samples(name, headline.key)?))).collect();
     let heard: Vec<usize> = (0..receivers.len()).filter(|&r| !of_each[r].is_empty()).collect();
     let row = |&r: &usize| {
         let summaries: Vec<Summary> = predictors

@@ -43,7 +43,9 @@ pub(super) struct Layer {
 pub(super) fn quantities(model: &Prepared<'_>, of: &[Of]) -> Result<Vec<Of>> {
     let has_angles = model.plane().angles.is_some();
     let (fitting, word): (&[Of], _) = match model.kind() {
-        Kind::Spectrum if has_angles => (&[Of::Direction, Of::Level, Of::Mean], "spatial spectra: give direction, level or mean"),
+        Kind::Spectrum if has_angles => {
+            (&[Of::Direction, Of::Level, Of::Mean], "spatial spectra: give direction, level or mean")
+        }
         Kind::Spectrum => (&[Of::Level, Of::Mean], "spectra whose pixels have no angles: give level or mean"),
         Kind::Power => (&[Of::Power], "received powers: give power"),
         Kind::Channel => (&[Of::Power], "channels: give power"),
@@ -53,7 +55,11 @@ pub(super) fn quantities(model: &Prepared<'_>, of: &[Of]) -> Result<Vec<Of>> {
         return Err(Error::Config(format!("--of {name}: this model predicts {word}")));
     }
     let default = if model.kind() == Kind::Spectrum { &fitting[..fitting.len() - 1] } else { fitting };
-    Ok(fitting.iter().copied().filter(|own| if of.is_empty() { default.contains(own) } else { of.contains(own) }).collect())
+    Ok(fitting
+        .iter()
+        .copied()
+        .filter(|own| if of.is_empty() { default.contains(own) } else { of.contains(own) })
+        .collect())
 }
 
 /// Numbers of one observation: level or power, mean, and the pixel of the strongest direction.
@@ -111,8 +117,13 @@ pub(super) fn layers(
 
 /// Arrays of a receiver without values.
 fn empty(kind: Kind, receiver: usize, of: &[Of]) -> Vec<Layer> {
-    let layer = |(name, words, unit)| {
-        Layer { name, words, unit, receiver: Some(receiver), values: Vec::new(), arrows: Vec::new() }
+    let layer = |(name, words, unit)| Layer {
+        name,
+        words,
+        unit,
+        receiver: Some(receiver),
+        values: Vec::new(),
+        arrows: Vec::new(),
     };
     let names = |of: &Of| match (of, kind) {
         (Of::Power, Kind::Channel) => vec![("power", "mean power of the channel", "dB")],

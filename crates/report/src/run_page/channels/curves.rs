@@ -57,7 +57,11 @@ pub(super) fn lines(measured: &Gains, predicted: &Gains, frequencies: &[f64]) ->
     let level = |gains: &[[f64; 2]]| gains.iter().map(|gain| decibels(square(gain), peak)).collect::<Vec<_>>();
     let (phase_a, phase_b) = (unwrapped(&a, None), unwrapped(&b, a.first().map(angle)));
     let on = |values: Vec<f64>| across.iter().copied().zip(values).collect::<Vec<_>>();
-    ([(on(level(&a)), on(level(&b))), (on(phase_a), on(phase_b))], words, (!over_antennas && measured.antennas > 1).then_some(k))
+    (
+        [(on(level(&a)), on(level(&b))), (on(phase_a), on(phase_b))],
+        words,
+        (!over_antennas && measured.antennas > 1).then_some(k),
+    )
 }
 
 /// 10 log₁₀ of a share, cut where it is nothing.
