@@ -96,6 +96,13 @@ impl Plan {
         canvas.upright([12.0, at[1] + size[1] / 2.0], y.title);
     }
 
+    /// The picture in the middle of one so wide: a page then scales maps of any shape alike.
+    pub fn widened(&self, canvas: &Canvas, width: f64) -> Canvas {
+        let mut wide = Canvas::new(width.max(canvas.width), canvas.height);
+        wide.put([(wide.width - canvas.width) / 2.0, 0.0], 1.0, canvas);
+        wide
+    }
+
     /// A receiver: a square with a dot, told from all round marks.
     pub fn receiver(&self, canvas: &mut Canvas, place: Point) {
         if self.holds(place) {
@@ -107,7 +114,7 @@ impl Plan {
     pub fn points(&self, canvas: &mut Canvas, points: impl IntoIterator<Item = Point>) {
         let mut path = Path::default();
         points.into_iter().filter(|p| self.holds(*p)).for_each(|p| path.add(&[self.place(p); 2]));
-        canvas.path(path, Paint { round: true, ..Paint::stroke(Colour::hex(0x8d_94a1).faint(0.45), 1.2) });
+        canvas.path(path, Paint { round: true, ..Paint::stroke(Colour::hex(0x8d_94a1).faint(0.6), 1.5) });
     }
 }
 

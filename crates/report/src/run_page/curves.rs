@@ -77,7 +77,9 @@ fn loss(results: &Results<'_>, points: &[(f64, f64)]) -> Option<Figure> {
 /// N on a logarithmic axis.
 fn gaussians(results: &Results<'_>, points: &[(f64, f64)]) -> Option<Figure> {
     let lines = vec![line(stairs(points), MODEL_COLOUR, 2.0)];
-    figure("Number of Gaussians", &over_steps(results, true, lines))
+    let splats = results.model.members().iter().all(|model| model.stages.splatting().is_some());
+    let title = if splats { "Number of Gaussians" } else { "Number of virtual transmitters" };
+    figure(title, &over_steps(results, true, lines))
 }
 
 /// SSIM on the validation samples, with the floors on the very same samples.
@@ -96,7 +98,7 @@ fn validation(results: &Results<'_>, rows: &[Vec<Option<f64>>]) -> Option<Figure
     let title = match results.data.kind() {
         Kind::Spectrum => "SSIM on validation samples",
         Kind::Power => "Error on validation links, dB",
-        Kind::Channel => "SNR on validation links, dB",
+        Kind::Channel => "SNR on validation channels, dB",
     };
     figure(title, &over_steps(results, false, lines))
 }

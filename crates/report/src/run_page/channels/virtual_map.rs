@@ -12,6 +12,8 @@ use pwrfgs_experiment::text::grouped;
 /// Most transmitters and surface points that are drawn, the strongest first.
 const SHOWN: usize = 600;
 const POINTS: usize = 2_500;
+/// Width of a view.
+const WIDTH: f64 = 560.0;
 /// Radius of the strongest.
 const RADIUS: f64 = 9.0;
 /// Weaker than this below the strongest all are equally small, dB.
@@ -72,7 +74,7 @@ fn draw(results: &Results<'_>, found: &[Found], names: [&'static str; 2], axes: 
     let scene = &results.data.scene;
     let flat = |p: [f64; 3]| axes.map(|k| p[k]);
     let walls = [scene.bounds.0, scene.bounds.1].map(|corner| flat(scene.origin.world(corner)));
-    let plan = Plan::new(frame(walls, found.iter().map(|own| flat(own.place)).collect()), names, 560.0, 420.0);
+    let plan = Plan::new(frame(walls, found.iter().map(|own| flat(own.place)).collect()), names, WIDTH, 420.0);
     let mut canvas = plan.canvas();
     plan.points(&mut canvas, evenly(&scene.points, POINTS).into_iter().map(|p| flat(scene.origin.world(p))));
     let [a, b] = [plan.place([walls[0][0], walls[1][1]]), plan.place([walls[1][0], walls[0][1]])];
@@ -90,7 +92,7 @@ fn draw(results: &Results<'_>, found: &[Found], names: [&'static str; 2], axes: 
         plan.receiver(&mut canvas, flat(scene.origin.world_pose(receiver.pose).position));
     }
     plan.axes(&mut canvas);
-    (canvas, outside)
+    (plan.widened(&canvas, WIDTH), outside)
 }
 
 /// The room and what lies around it, mirror images too, but for the few farthest.

@@ -66,10 +66,7 @@ fn draw(results: &Results<'_>, receiver: usize, heard: &[Heard], limit: f64) -> 
     }
     plan.receiver(&mut canvas, flat(own));
     plan.axes(&mut canvas);
-    // All are equally wide, so that a page scales all of them alike.
-    let mut middle = Canvas::new(WIDTH, canvas.height);
-    middle.put([(WIDTH - canvas.width) / 2.0, 0.0], 1.0, &canvas);
-    middle
+    plan.widened(&canvas, WIDTH)
 }
 
 /// A triangle that points up where the model predicts too much and down where too little, the larger the farther off: its
