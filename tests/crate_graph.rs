@@ -9,6 +9,7 @@ fn crates_depend_on_each_other_as_drawn() {
         ("core", &["macros"]),
         ("raster", &["core"]),
         ("init", &["core"]),
+        ("coherent", &["core"]),
         ("prune", &["core"]),
         ("metrics", &["core"]),
         ("data", &["core"]),

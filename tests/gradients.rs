@@ -5,10 +5,14 @@
 
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
-use pwrfgs::core::{ColumnSpec, Conditions, DeformationInputs, GaussianCloud, rng, sigmoid};
+use pwrfgs::core::{
+    ColumnSpec, Conditions, DeformationInputs, Frame, GaussianCloud, ImagePlane, Kind, Link, Receiver, rng, sigmoid,
+};
 use pwrfgs::model::{Readout, Stages};
 use pwrfgs::prelude::*;
-use pwrfgs::train::{Batch, LossAndGradients, RenderingLoss, loss_and_gradients};
+use pwrfgs::train::{
+    Batch, ChannelLoss, LinkLoss, LossAndGradients, Objective, PowerLoss, RenderingLoss, loss_and_gradients,
+};
 use std::sync::Arc;
 
 const DOUBLE: bool = size_of::<Real>() == 8;
@@ -63,7 +67,7 @@ struct Step {
     cloud: GaussianCloud,
     weights: Vec<Real>,
     batch: Batch,
-    ssim_weight: Real,
+    objective: Box<dyn Objective>,
     pruners: Vec<Plugin<dyn Pruner>>,
 }
 
@@ -73,7 +77,8 @@ impl Step {
         let weights = stages.method.init(&stages.frame, &mut rng::stream(seed, "network", 0));
         let cloud = with_column(cloud(N, seed), "factor", (0..N).map(|i| 0.7 + 0.1 * i as Real).collect());
         let batch = batch(transmitters, &stages);
-        Self { stages, cloud, weights, batch, ssim_weight, pruners: vec![plugin("Factor()")] }
+        let objective = Box::new(RenderingLoss::new(ssim_weight));
+        Self { stages, cloud, weights, batch, objective, pruners: vec![plugin("Factor()")] }
     }
 
     fn outcome(&self, cloud: &GaussianCloud, weights: &[Real]) -> LossAndGradients {
@@ -82,7 +87,7 @@ impl Step {
             cloud,
             &Arc::new(weights.to_vec()),
             &self.batch,
-            &RenderingLoss::new(self.ssim_weight),
+            &*self.objective,
             &self.pruners,
             &MOMENT,
         )
@@ -152,6 +157,100 @@ fn the_network_differentiates_where_it_moves_signals_of_a_batch() {
     for (readout, ssim_weight) in [(Readout::Magnitude, 0.2), (Readout::Power, 0.2), (Readout::Real, 1.0)] {
         Step::new(mlp, readout, 2, ssim_weight, 5).check(&format!("Mlp Signals, {readout:?}"), Some("means"));
     }
+}
+
+/// Two receivers that look at one cloud from different places, each with two antennas.
+fn receivers() -> Vec<Receiver> {
+    let at = |name: &str, position| {
+        let pose = Pose { position, orientation: [0.1, 0.2, 0.3, 0.927_361_849_549_570_4] };
+        Receiver { antennas: vec![[0.0; 3], [0.1, -0.2, 0.05]], ..Receiver::new(name, pose) }
+    };
+    vec![at("left", [-1.0, 0.3, -2.0]), at("right", [2.0, -1.5, -1.0])]
+}
+
+/// Links of three transmitters with them, not all and not in the receivers' order: terms are copied to be drawn together.
+const LINKS: [Link; 5] = [link(0, 0), link(0, 1), link(1, 1), link(2, 0), link(2, 1)];
+
+const fn link(transmitter: usize, receiver: usize) -> Link {
+    Link { transmitter, receiver }
+}
+
+/// A step over these links: `size` is columns and rows of an observation.
+fn links(deformation: &str, readout: Readout, size: (usize, usize), objective: Box<dyn Objective>) -> Step {
+    let mut step = Step::new("Fixed()", Readout::Magnitude, 1, 0.0, 11);
+    let kind = readout.kind();
+    let base = step.stages.with(|splatting| {
+        splatting.deformation = plugin(deformation);
+        splatting.readout = readout;
+    });
+    let plane = if kind == Kind::Spectrum {
+        base.frame.plane.clone()
+    } else {
+        ImagePlane { width: size.0, height: size.1, wraps: false, angles: None }
+    };
+    let frequencies_hz = if kind == Kind::Channel { vec![9e7, 1e8, 1.1e8] } else { vec![] };
+    let frame = Frame { receivers: receivers(), kind, plane, frequencies_hz, ..base.frame.clone() };
+    let stages = Stages { frame, ..base };
+    step.weights = stages.method.init(&stages.frame, &mut rng::stream(12, "network", 0));
+    let (width, random) = (stages.method.inputs(), &mut rng::stream(13, "links", 0));
+    let conditions = (0..3 * width).map(|_| rng::normal(random)).collect();
+    let numbers = LINKS.len() * stages.frame.numbers();
+    let truths = (0..numbers).map(|_| rng::normal(random)).collect();
+    step.batch = Batch { conditions, width, links: LINKS.to_vec(), truths };
+    step.stages = Arc::new(stages);
+    step.objective = objective;
+    step
+}
+
+const NETWORK: &str = "Factored(depth: 2, width: 8, tx_encoding: Wavelengths(count: 2, longest_m: 9.0, shortest_m: 4.0), \
+                       position_encoding: Octaves(1))";
+
+/// A power is the sky over solid angle, with a law of distance for each receiver.
+#[test]
+#[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
+fn powers_at_two_receivers_differentiate_in_every_column_and_law() {
+    for power in [PowerLoss::Absolute, PowerLoss::Squared] {
+        let mut step = links(NETWORK, Readout::Received { sky_deg: 20 }, (1, 1), Box::new(LinkLoss { power }));
+        let offsets = step.weights.len() - 4;
+        step.weights[offsets..].copy_from_slice(&[0.3, -0.2, 1.8, 2.2]);
+        step.check(&format!("Received, {power:?}"), None);
+    }
+}
+
+#[test]
+#[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
+fn spectra_at_two_receivers_differentiate() {
+    let objective = || Box::new(RenderingLoss::new(0.2));
+    links(NETWORK, Readout::Magnitude, (90, 24), objective()).check("spectra at two receivers", None);
+    let moving = "Mlp(depth: 2, width: 8, skip: None, tx_hidden: 8, tx_features: 4, position_frequencies: 1, \
+                  tx_frequencies: 1, head_init: 0.3)";
+    links(moving, Readout::Magnitude, (90, 24), objective()).check("geometry of its own for each link", Some("means"));
+}
+
+/// Gaussians as waves on the antennas, their signals decided by features of the data.
+#[test]
+#[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
+fn channels_of_features_differentiate() {
+    for network in
+        [NETWORK, "Factored(depth: 2, width: 6, tx_encoding: Features(width: 5), position_encoding: Octaves(1))"]
+    {
+        let step = links(network, Readout::Channel, (3, 4), Box::new(ChannelLoss { mean_energy: 1.7 }));
+        step.check(&format!("Channel, {network}"), None);
+    }
+}
+
+#[test]
+#[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
+fn virtual_transmitters_differentiate() {
+    let mut step = links(NETWORK, Readout::Channel, (3, 4), Box::new(ChannelLoss { mean_energy: 1.7 }));
+    let mut stages = Stages::clone(&step.stages);
+    stages.method = plugin("VirtualTransmitters()");
+    stages.frame.receivers.truncate(1);
+    step.weights = Vec::new();
+    step.batch.links = (0..3).map(|transmitter| Link { transmitter, receiver: 0 }).collect();
+    step.batch.truths.truncate(3 * stages.frame.numbers());
+    step.stages = Arc::new(stages);
+    step.check("VirtualTransmitters", None);
 }
 
 /// Waves on an array, down to scales and centres, through a network that sees the centres.

@@ -128,7 +128,13 @@ fn experiment(bench: &Path) -> Result<()> {
 }
 
 fn scene(bench: &Path) -> Result<()> {
-    let one = pwrfgs::sim::Simulated { scene: "scene.ron".into(), samples: 1, points: 16, cache: false, ..Default::default() };
+    let one = pwrfgs::sim::Simulated {
+        scene: "scene.ron".into(),
+        samples: 1,
+        points: 16,
+        cache: false,
+        ..Default::default()
+    };
     one.load(bench, &|_, _| {}).map(drop)
 }
 

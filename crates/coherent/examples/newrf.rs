@@ -1,4 +1,4 @@
-//! The table of NeWRF's conference room: how many virtual transmitters are found, how fast and how good they are.
+//! The table of `NeWRF`'s conference room: how many virtual transmitters are found, how fast and how good they are.
 //!
 //! `PWRFGS_SHARED=../shared cargo run --release -p pwrfgs-coherent --example newrf -- 433 928 2400`
 
@@ -26,8 +26,7 @@ fn read(name: &str) -> Band {
     let bytes = std::fs::read(folder.join(format!("csi_{name}MHz.npy"))).unwrap();
     // complex64, 128 bytes of header or as its length field says.
     let start = 10 + u16::from_le_bytes([bytes[8], bytes[9]]) as usize;
-    let floats: Vec<Real> =
-        bytes[start..].as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b) as Real).collect();
+    let floats: Vec<Real> = bytes[start..].as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b) as Real).collect();
     Band { frequency, positions, channel: floats.as_chunks::<2>().0.to_vec() }
 }
 
@@ -71,11 +70,22 @@ fn main() {
         let cloud = found.to_cloud();
         let fitted = snr_of(&field(&cloud, None, &links(before)), h);
         let test = snr_of(&field(&cloud, None, &links(after)), h_after);
-        println!("{name} seed {}: {} sources, {seconds:.1} s, training {fitted:.2} dB, test {test:.2} dB", options.seed, found.len());
+        println!(
+            "{name} seed {}: {} sources, {seconds:.1} s, training {fitted:.2} dB, test {test:.2} dB",
+            options.seed,
+            found.len()
+        );
         if verbose {
             let unit = 0.299_792_458e9 / band.frequency / (4.0 * std::f64::consts::PI);
             for (v, s) in found.positions.iter().zip(&found.gains) {
-                println!("  {:7.3} {:7.3} {:7.3}  |s| {:.3} arg {:.2}", v[0], v[1], v[2], s[0].hypot(s[1]) / unit, s[1].atan2(s[0]));
+                println!(
+                    "  {:7.3} {:7.3} {:7.3}  |s| {:.3} arg {:.2}",
+                    v[0],
+                    v[1],
+                    v[2],
+                    s[0].hypot(s[1]) / unit,
+                    s[1].atan2(s[0])
+                );
             }
         }
     }

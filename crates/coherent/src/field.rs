@@ -56,13 +56,8 @@ pub fn field(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &Links<'_>) ->
     out
 }
 
-/// The derivative of [`field`]: Σ ⟨d_field, h⟩ by means, quaternions, signals and gates.
-pub fn field_vjp(
-    cloud: &GaussianCloud,
-    gate: Option<&[Real]>,
-    links: &Links<'_>,
-    d_field: &[[Real; 2]],
-) -> FieldVjp {
+/// The derivative of [`field`]: Σ ⟨`d_field`, h⟩ by means, quaternions, signals and gates.
+pub fn field_vjp(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &Links<'_>, d_field: &[[Real; 2]]) -> FieldVjp {
     assert_eq!(d_field.len(), links.len(), "one cotangent a link");
     let groups = groups(cloud, None, links);
     let per_metre = per_metre(links);
@@ -250,7 +245,8 @@ mod tests {
 
     #[test]
     fn padding_is_silent_and_empty_clouds_are_too() {
-        let links = Links { positions: &[[1.0, 0.0, 0.0], [0.0, 2.0, 0.5]], antennas: &[[0.0; 3]], frequencies: &[1e9] };
+        let links =
+            Links { positions: &[[1.0, 0.0, 0.0], [0.0, 2.0, 0.5]], antennas: &[[0.0; 3]], frequencies: &[1e9] };
         assert_eq!(field(&GaussianCloud::zeros(0), None, &links), vec![[0.0; 2]; 2]);
         let mut one = GaussianCloud::zeros(1);
         one.signals[0] = [1.0, 0.0];

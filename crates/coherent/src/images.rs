@@ -10,7 +10,13 @@ const BEHIND: f64 = 0.02;
 
 /// The mirror images of all `places` in all planes half-way between two of them, those of `hear` on one side alone;
 /// without those outside of the box and those nearer than `apart` to a place or to each other.
-pub(crate) fn images(places: &[[f64; 3]], hear: &[[f64; 3]], low: [f64; 3], high: [f64; 3], apart: f64) -> Vec<[f64; 3]> {
+pub(crate) fn images(
+    places: &[[f64; 3]],
+    hear: &[[f64; 3]],
+    low: [f64; 3],
+    high: [f64; 3],
+    apart: f64,
+) -> Vec<[f64; 3]> {
     let near = |a: &[f64; 3], b: &[f64; 3]| (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>() < apart * apart;
     let mut found: Vec<[f64; 3]> = Vec::new();
     for (i, a) in places.iter().enumerate() {

@@ -1,7 +1,8 @@
 //! `MatchingPursuit`: virtual transmitters found in channels, the start of training.
 
 use crate::links::Links;
-use crate::pursuit::{Pursuit, pursue};
+use crate::options::Pursuit;
+use crate::pursuit::pursue;
 use crate::virtual_transmitters::array;
 use pwrfgs_core::{
     Documented, Error, GaussianCloud, ImagePlane, Initializer, Observations, Real, Result, Scene, Seen, rng, rng::Rng,
@@ -71,7 +72,9 @@ impl Initializer for MatchingPursuit {
     fn search(&self, seen: &Seen<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
         let Observations::Channels(channels) = &seen.data.observations else {
             let what = seen.data.kind().plural();
-            return Err(Error::Config(format!("initializer: MatchingPursuit searches channels, and the data are {what}")));
+            return Err(Error::Config(format!(
+                "initializer: MatchingPursuit searches channels, and the data are {what}"
+            )));
         };
         let scene = &seen.data.scene;
         if scene.receivers.len() != 1 || !seen.data.placed {
@@ -79,7 +82,8 @@ impl Initializer for MatchingPursuit {
                 "initializer: MatchingPursuit needs one receiver, and transmitters whose positions are known".into(),
             ));
         }
-        let positions: Vec<[Real; 3]> = seen.train.iter().map(|&i| scene.origin.local(seen.data.sample(i).tx)).collect();
+        let positions: Vec<[Real; 3]> =
+            seen.train.iter().map(|&i| scene.origin.local(seen.data.sample(i).tx)).collect();
         let antennas = array(&scene.receivers[0]);
         let links = Links { positions: &positions, antennas: &antennas, frequencies: &channels.frequencies_hz };
         let channel: Vec<[Real; 2]> = seen.train.iter().flat_map(|&i| channels.of(i)).copied().collect();

@@ -1,8 +1,8 @@
-//! Linear least squares in double precision: normal equations JᵀJ δ = Jᵀr, gathered row by row, and Cholesky.
+//! Linear least squares in double precision: normal equations `JᵀJ δ = Jᵀr`, gathered row by row, and Cholesky.
 
 use crate::cis::widest;
 
-/// JᵀJ `[P,P]` (the lower half, by rows) and Jᵀr `[P]`; and Σr².
+/// `JᵀJ` `[P,P]` (the lower half, by rows) and Jᵀr `[P]`; and Σr².
 #[derive(Clone, Debug)]
 pub(crate) struct Normal {
     pub(crate) matrix: Vec<f64>,
@@ -58,7 +58,7 @@ fn factor(a: &mut [f64], p: usize) -> Option<()> {
     for i in 0..p {
         let (above, row) = a.split_at_mut(i * p);
         for j in 0..i {
-            let other = &above[j * p..j * p + j + 1];
+            let other = &above[j * p..=j * p + j];
             let s = widest(Dot { a: &row[..j], b: &other[..j] });
             row[j] = (row[j] - s) / other[j];
         }
@@ -119,7 +119,7 @@ impl pulp::WithSimd for Add<'_> {
         let (j2, j3) = rest.split_at(p);
         for i in 0..p {
             let (a, b, c, d) = (j0[i], j1[i], j2[i], j3[i]);
-            let row = &mut matrix[i * p..i * p + i + 1];
+            let row = &mut matrix[i * p..=i * p + i];
             let (j0, j1, j2, j3) = (&j0[..row.len()], &j1[..row.len()], &j2[..row.len()], &j3[..row.len()]);
             for k in 0..row.len() {
                 row[k] += (a * j0[k] + b * j1[k]) + (c * j2[k] + d * j3[k]);

@@ -5,6 +5,7 @@ use crate::descent::{Walk, refine};
 use crate::field::field;
 use crate::images::{as_peaks, images};
 use crate::links::{Links, Sources};
+use crate::options::{Progress, Pursuit};
 use crate::rows::Rows;
 use crate::solve::gains;
 use crate::sweep::{Grid, Peak, sweep, thin};
@@ -15,77 +16,6 @@ use std::sync::atomic::AtomicBool;
 
 /// Candidates that climb before the best is taken.
 const CLIMB: usize = 32;
-
-/// How [`pursue`] searches.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Pursuit {
-    /// How far beyond the positions of the moving end the box reaches on every side, in sizes of their box.
-    pub reach: f64,
-    /// Distance of the places of the grid, in the shortest wavelength; a quarter or less finds every hill.
-    pub step: f64,
-    /// Virtual transmitters at most.
-    pub most: usize,
-    /// Additions without a better score on the held-out part after which the search stops.
-    pub patience: usize,
-    /// One of so many items is held out while the number of sources is chosen; 0 or 1: none, all `most` are kept.
-    pub hold_out: usize,
-    /// Numbers that the grid is scored on, and that places are refined on, at most.
-    pub rows: [usize; 2],
-    /// Weight of the ridge on |s|², in the share of noise to signal that the fit itself shows; 1 is the Bayesian choice.
-    pub ridge: f64,
-    /// Steps of refinement after every addition.
-    pub steps: usize,
-    /// Times that sources are taken away and added again.
-    pub rounds: usize,
-    /// ln of the odds from which a candidate is taken without another look at the whole grid.
-    pub beyond_doubt: f64,
-    /// Peaks of the grid that are refined before the best is taken.
-    pub peaks: usize,
-    /// Whether mirror images of what was found are tried, with the smaller proof that few candidates need.
-    pub images: bool,
-    /// Whether the last pass, with all items, searches anew, or refines what was found.
-    pub again: bool,
-    /// Seed of the held-out part and of the rows.
-    pub seed: u64,
-}
-
-impl Default for Pursuit {
-    fn default() -> Self {
-        Self {
-            reach: 2.0,
-            step: 0.25,
-            most: 64,
-            patience: 8,
-            hold_out: 5,
-            rows: [2048, 16_384],
-            ridge: 1.0,
-            steps: 10,
-            rounds: 2,
-            beyond_doubt: 10.0,
-            peaks: 256,
-            images: true,
-            again: false,
-            seed: 0,
-        }
-    }
-}
-
-/// What a search tells of itself after every addition.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Progress {
-    /// Whether all items are fitted to, the number being known, or a part is held out.
-    pub last_pass: bool,
-    /// Sources so far.
-    pub sources: usize,
-    /// SNR on what is fitted to, dB.
-    pub fitted: f64,
-    /// SNR on the held-out part, dB; that of `fitted` where there is none.
-    pub held_out: f64,
-    /// ln of the odds that the last one is no accident among all candidates.
-    pub proof: f64,
-    /// Whether it was the mirror image of another.
-    pub image: bool,
-}
 
 /// Searches for the virtual transmitters of `channel` `[M,A,F]`.
 ///
@@ -119,25 +49,6 @@ pub fn pursue(
     let mut found = found;
     last.settle(&mut found, 3 * options.steps);
     Ok(found)
-}
-
-impl Pursuit {
-    /// What is wrong with the numbers, in words for a user.
-    pub fn check(&self) -> Result<(), String> {
-        if !(0.0..=100.0).contains(&self.reach) {
-            return Err(format!("`reach` is {}; give 0 to 100, such as 2", self.reach));
-        }
-        if !(0.01..=1.0).contains(&self.step) {
-            return Err(format!("`step` is {}; give 0.01 to 1 wavelength, such as 0.25", self.step));
-        }
-        if !(self.ridge >= 0.0 && self.ridge.is_finite()) {
-            return Err(format!("`ridge` is {}; give 0 or more, such as 1", self.ridge));
-        }
-        if self.most == 0 || self.peaks == 0 || self.rows.contains(&0) {
-            return Err("`most`, `peaks` and `rows` must each be 1 or more".into());
-        }
-        Ok(())
-    }
 }
 
 /// One pass of the search.
@@ -201,12 +112,7 @@ impl<'a> Search<'a> {
     }
 
     /// Adds sources to the best set; whether it was told to stop.
-    fn forward(
-        &mut self,
-        best: &mut (f64, Sources),
-        most: usize,
-        go_on: &mut dyn FnMut(&Progress) -> bool,
-    ) -> bool {
+    fn forward(&mut self, best: &mut (f64, Sources), most: usize, go_on: &mut dyn FnMut(&Progress) -> bool) -> bool {
         let mut sources = best.1.clone();
         let mut since = 0;
         while sources.len() < most && since < self.options.patience {
@@ -291,13 +197,7 @@ impl<'a> Search<'a> {
     }
 
     /// The best of the peaks, each moved uphill alone, and ln of its odds against the best of `number` accidents.
-    fn refined(
-        &self,
-        residual: &Rows,
-        mut peaks: Vec<Peak>,
-        number: usize,
-        sources: &Sources,
-    ) -> Option<(Peak, f64)> {
+    fn refined(&self, residual: &Rows, mut peaks: Vec<Peak>, number: usize, sources: &Sources) -> Option<(Peak, f64)> {
         let energy = residual.energy();
         let climb = |peak: &mut Peak, steps: usize| {
             let walk = Walk { steps, farthest: self.wavelength / 8.0, turns: self.links.turns() };

@@ -1,7 +1,7 @@
 //! The equations of gains and of moves, and the best gains of given positions.
 //!
 //! With positions fixed, h is linear in the signals: min Σ|h − Σ s·e|² + Σ ridge·|s|², whose normal equations are
-//! (EᴴE + ridge)·s = Eᴴh. They are written with s as two reals, so that one Cholesky serves gains and moves alike.
+//! `(EᴴE + ridge)·s = Eᴴh`. They are written with s as two reals, so that one Cholesky serves gains and moves alike.
 
 use crate::links::{Links, Sources};
 use crate::normal::Normal;
@@ -116,11 +116,8 @@ fn row(
         // ∂(s·e)/∂d = s·e·(−jk − 1/d).
         let by_d = [k * heard[1] - heard[0] / wave.d, -k * heard[0] - heard[1] / wave.d];
         let along = wave.by.map(|x| x / wave.d);
-        let about = [
-            r[1] * along[2] - r[2] * along[1],
-            r[2] * along[0] - r[0] * along[2],
-            r[0] * along[1] - r[1] * along[0],
-        ];
+        let about =
+            [r[1] * along[2] - r[2] * along[1], r[2] * along[0] - r[0] * along[2], r[0] * along[1] - r[1] * along[0]];
         for c in 0..3 {
             let at = 2 * n + 3 * g + c;
             (real[at], imaginary[at]) = (by_d[0] * along[c], by_d[1] * along[c]);

@@ -136,8 +136,8 @@ impl pulp::WithSimd for Line<'_> {
             let explains = explained(&self.heard.rows, &x, at);
             for l in 0..LANES.min(nx - first) {
                 // A maximum along the line: its neighbours are the same hill.
-                let falls = (l == 0 || explains[l - 1] <= explains[l])
-                    && (l + 1 == LANES || explains[l + 1] <= explains[l]);
+                let falls =
+                    (l == 0 || explains[l - 1] <= explains[l]) && (l + 1 == LANES || explains[l + 1] <= explains[l]);
                 if falls && f64::from(explains[l]) > self.least {
                     let place = [f64::from(x[l]) + low[0], self.at[0] + low[1], self.at[1] + low[2]];
                     self.found.push(Peak { place, quat: self.quat, explains: f64::from(explains[l]) });

@@ -80,15 +80,7 @@ impl Method for VirtualTransmitters {
         Observed { numbers, cache: None as Cache }
     }
 
-    fn vjp(
-        &self,
-        frame: &Frame,
-        p: &Parameters<'_>,
-        asked: &Asked<'_>,
-        _: Observed,
-        d: &[Real],
-        sums: &mut MethodVjp,
-    ) {
+    fn vjp(&self, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>, _: Observed, d: &[Real], sums: &mut MethodVjp) {
         let (positions, antennas) = (positions(asked), array(&frame.receivers[0]));
         let links = Links { positions: &positions, antennas: &antennas, frequencies: &frame.frequencies_hz };
         let found = field_vjp(p.cloud, p.gate, &links, &gains(d, frame.frequencies_hz.len()));
@@ -104,7 +96,10 @@ impl Method for VirtualTransmitters {
 
     fn check_frame(&self, frame: &Frame) -> Result<(), String> {
         if frame.kind != Kind::Channel {
-            return Err(format!("method: VirtualTransmitters gives channels, and the data are {}", frame.kind.plural()));
+            return Err(format!(
+                "method: VirtualTransmitters gives channels, and the data are {}",
+                frame.kind.plural()
+            ));
         }
         if frame.receivers.len() != 1 {
             return Err(format!(

@@ -28,8 +28,7 @@ fn it_differentiates() {
     for n in [3, 19] {
         let x = cloud(n, n as u64);
         let gate: Vec<Real> = (0..n).map(|i| 0.1 + 0.05 * i as Real).collect();
-        let flat =
-            [x.means.as_flattened(), x.quats.as_flattened(), x.signals.as_flattened(), &gate].concat();
+        let flat = [x.means.as_flattened(), x.quats.as_flattened(), x.signals.as_flattened(), &gate].concat();
         let unpack = |x: &[Real]| {
             let mut cloud = GaussianCloud::zeros(n);
             cloud.means.as_flattened_mut().copy_from_slice(&x[..3 * n]);

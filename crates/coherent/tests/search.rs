@@ -5,10 +5,10 @@ use pwrfgs_core::{Real, rng};
 
 const IDENTITY: [f64; 4] = [1.0, 0.0, 0.0, 0.0];
 
-/// Places in a room of 2 m.
+/// Places in a room of 2 m, none near a source: what is near would be nearly all of the energy.
 fn places(n: usize) -> Vec<[Real; 3]> {
     let mut random = rng::stream(7, "places", 0);
-    (0..n).map(|_| [0; 3].map(|_| 2.0 * rng::uniform(&mut random))).collect()
+    (0..n).map(|_| [0.0, 1.0, 0.0].map(|first| first + 2.0 * rng::uniform(&mut random))).collect()
 }
 
 /// A node, its images behind a wall and under the floor, and that of the corner.
@@ -63,10 +63,7 @@ fn a_mirrored_array_is_found_with_its_rotation() {
     let positions = places(40);
     let links = Links { positions: &positions, antennas: &antennas, frequencies: &[0.6e9, 0.64e9] };
     let h = field(&truth.to_cloud(), None, &links);
-    let found = pursue(&links, &h, &options(), &mut |p| {
-        eprintln!("{p:?}");
-        p.sources < 6
-    }).unwrap();
+    let found = pursue(&links, &h, &options(), &mut |p| p.sources < 5).unwrap();
     for v in &truth.positions {
         assert!(nearest(&found, *v) < 0.03, "{v:?}: {found:?}");
     }
@@ -84,7 +81,9 @@ fn gains_of_given_places_are_exact() {
         assert!((a - b).abs() < 1e-4, "{found:?}");
     }
     let mut twice = truth.select(&[0, 0]);
-    assert!(!solve_gains(&links, &h, &mut twice, &[0.0; 2]) || snr_of(&field(&twice.to_cloud(), None, &links), &h) > 0.0);
+    assert!(
+        !solve_gains(&links, &h, &mut twice, &[0.0; 2]) || snr_of(&field(&twice.to_cloud(), None, &links), &h) > 0.0
+    );
     let mut small = truth.clone();
     assert!(solve_gains(&links, &h, &mut small, &[1e9; 4]));
     assert!(small.gains.iter().flatten().all(|s| s.abs() < 1e-3), "a ridge shrinks");

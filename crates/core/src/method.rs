@@ -1,8 +1,8 @@
 //! `Method`: the one seam between training and what is trained. From parameters and links to observations, and back.
 
 use crate::{
-    Cache, CloudStats, Conditions, Dataset, Elevation, GaussianCloud, ImagePlane, Kind, Link, Origin, Pose, Real, Receiver,
-    StageTimes, WeightSpec, plugin_kind, rng::Rng,
+    Cache, CloudStats, Conditions, Dataset, Elevation, GaussianCloud, ImagePlane, Kind, Link, Origin, Pose, Real,
+    Receiver, StageTimes, WeightSpec, plugin_kind, rng::Rng,
 };
 
 /// Where observations are made, and what they are: all of a data set that a trained model has to know.

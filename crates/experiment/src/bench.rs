@@ -6,8 +6,8 @@
 use crate::evaluate::go_on;
 use crate::observer::{Observer, staged};
 use pwrfgs_core::{
-    Dataset, Error, Evaluation, Image, ImagePlane, Link, Measurement, Metric, ModelFacts, Plugin, Predict, Progress, Query,
-    Result, Scope, StageTimes, Values,
+    Dataset, Error, Evaluation, Image, ImagePlane, Link, Measurement, Metric, ModelFacts, Plugin, Predict, Progress,
+    Query, Result, Scope, StageTimes, Values,
 };
 use pwrfgs_model::Prepared;
 use rayon::prelude::*;
@@ -150,7 +150,10 @@ impl<'a> Bench<'a> {
         staged(observer, &format!("scoring {name}"), |progress| {
             for (k, (found, metric)) in found.iter_mut().zip(metrics).enumerate() {
                 match metric.scope() {
-                    Scope::All => *found = metric.evaluate(&self.seen(&predictions, &truths, &self.links, subject.facts, timed))?,
+                    Scope::All => {
+                        *found =
+                            metric.evaluate(&self.seen(&predictions, &truths, &self.links, subject.facts, timed))?
+                    }
                     Scope::Model => *found = metric.evaluate(&self.seen(&[], &[], &[], subject.facts, timed))?,
                     Scope::Sample if self.part.is_empty() => {
                         *found = metric.evaluate(&self.seen(&[], &[], &[], None, None))?;

@@ -19,9 +19,16 @@ pub struct Example {
 }
 
 /// Examples by the `scores` of the links `part`; none of none. They are predicted again, which gives the same bits.
-pub(crate) fn choose(model: &Prepared<'_>, data: &Dataset, part: &[usize], scores: &[f64], higher: bool) -> Result<Vec<Example>> {
+pub(crate) fn choose(
+    model: &Prepared<'_>,
+    data: &Dataset,
+    part: &[usize],
+    scores: &[f64],
+    higher: bool,
+) -> Result<Vec<Example>> {
     let mut order: Vec<usize> = (0..scores.len()).collect();
-    let by_score = |a: usize, b: usize| if higher { scores[b].total_cmp(&scores[a]) } else { scores[a].total_cmp(&scores[b]) };
+    let by_score =
+        |a: usize, b: usize| if higher { scores[b].total_cmp(&scores[a]) } else { scores[a].total_cmp(&scores[b]) };
     order.sort_by(|&a, &b| by_score(a, b).then(a.cmp(&b)));
     let Some(last) = order.len().checked_sub(1) else { return Ok(Vec::new()) };
     let mut chosen = vec![("Best", order[0]), ("Median", order[last / 2]), ("Worst", order[last])];

@@ -1,8 +1,8 @@
 //! `Journal`: what a training writes as it goes: `curve.csv`, `validation.csv` and, where asked for, TensorBoard events.
 
 use crate::events::{Events, TEST};
-use crate::headline::headline;
 use crate::folder::{CURVE, EVENTS, RunFolder, VALIDATION};
+use crate::headline::headline;
 use crate::observer::Validation;
 use crate::scores::ScoreTable;
 use crate::series::Series;

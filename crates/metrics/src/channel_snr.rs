@@ -56,8 +56,7 @@ impl Energies {
 #[typetag::serde]
 impl Metric for ChannelSnr {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let measured =
-            |key: &str, values| Measurement { key: key.to_owned(), unit: "dB", goal: Goal::Higher, values };
+        let measured = |key: &str, values| Measurement { key: key.to_owned(), unit: "dB", goal: Goal::Higher, values };
         if let Some(values) = not_of(evaluation, Kind::Channel) {
             return Ok(vec![measured("snr_db", values.clone()), measured("snr_all_db", values)]);
         }
@@ -72,7 +71,8 @@ impl Metric for ChannelSnr {
             snapshots.extend(rows.iter().map(|_| all.snr()));
         }
         let whole = each.iter().fold(Energies::default(), |sum, own| sum.plus(*own));
-        let over_all = if each.is_empty() { Values::NotApplicable("no sample".into()) } else { Values::Whole(whole.snr()) };
+        let over_all =
+            if each.is_empty() { Values::NotApplicable("no sample".into()) } else { Values::Whole(whole.snr()) };
         Ok(vec![measured("snr_db", Values::PerSample(snapshots)), measured("snr_all_db", over_all)])
     }
 

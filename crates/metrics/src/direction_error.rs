@@ -1,7 +1,9 @@
 //! Angle between the strongest predicted and the strongest measured direction.
 
 use crate::{one, per_sample};
-use pwrfgs_core::{Documented, Evaluation, Goal, Kind, Image, ImagePlane, Measurement, Metric, Real, Result, Scope, Values};
+use pwrfgs_core::{
+    Documented, Evaluation, Goal, Image, ImagePlane, Kind, Measurement, Metric, Real, Result, Scope, Values,
+};
 use serde::{Deserialize, Serialize};
 
 /// Great-circle angle in degrees between the strongest directions of prediction and measurement.

@@ -5,8 +5,8 @@
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
-mod channel_snr;
 mod chamfer;
+mod channel_snr;
 mod direction_error;
 mod gaussian_count;
 mod l1;
@@ -17,8 +17,8 @@ mod psnr;
 mod rate_ratio;
 mod ssim;
 
-pub use channel_snr::ChannelSnr;
 pub use chamfer::Chamfer;
+pub use channel_snr::ChannelSnr;
 pub use direction_error::DirectionError;
 pub use gaussian_count::GaussianCount;
 pub use l1::L1;
@@ -39,11 +39,7 @@ fn not_of(evaluation: &Evaluation<'_>, kind: Kind) -> Option<Values> {
 }
 
 /// `score(prediction, truth)` of every sample, in order, where these are of that kind; the prediction is not clamped.
-fn per_sample(
-    evaluation: &Evaluation<'_>,
-    kind: Kind,
-    score: impl Fn(&Image, &Image) -> f64 + Sync,
-) -> Result<Values> {
+fn per_sample(evaluation: &Evaluation<'_>, kind: Kind, score: impl Fn(&Image, &Image) -> f64 + Sync) -> Result<Values> {
     if let Some(other) = not_of(evaluation, kind) {
         return Ok(other);
     }
@@ -79,12 +75,17 @@ fn not_a_model() -> Values {
 #[cfg(test)]
 mod fixture {
     use pwrfgs_core::{
-        Axis, Evaluation, Image, ImagePlane, Kind, Measurement, Metric, ModelFacts, Origin, Pose, Real, Receiver, Scene,
-        StageTimes, Values,
+        Axis, Evaluation, Image, ImagePlane, Kind, Measurement, Metric, ModelFacts, Origin, Pose, Real, Receiver,
+        Scene, StageTimes, Values,
     };
 
     pub(crate) fn scene(points: &[[Real; 3]]) -> Scene {
-        Scene { origin: Origin::ZERO, receivers: vec![Receiver::new("receiver", Pose::IDENTITY)], bounds: ([0.0; 3], [1.0; 3]), points: points.to_vec() }
+        Scene {
+            origin: Origin::ZERO,
+            receivers: vec![Receiver::new("receiver", Pose::IDENTITY)],
+            bounds: ([0.0; 3], [1.0; 3]),
+            points: points.to_vec(),
+        }
     }
 
     /// One degree a pixel, as measured.
@@ -109,8 +110,7 @@ mod fixture {
     pub(crate) fn of_plane(metric: &dyn Metric, prediction: &Image, truth: &Image, plane: &ImagePlane) -> Measurement {
         let (predictions, truths) = (std::slice::from_ref(prediction), std::slice::from_ref(truth));
         let scene = scene(&[]);
-        let evaluation =
-            Evaluation { predictions, truths, ..spectra(plane, &scene) };
+        let evaluation = Evaluation { predictions, truths, ..spectra(plane, &scene) };
         metric.evaluate(&evaluation).unwrap().remove(0)
     }
 
@@ -145,9 +145,7 @@ mod fixture {
         timed_prediction: Option<&dyn Fn() -> StageTimes>,
     ) -> Vec<Measurement> {
         let plane = plane(4, 3);
-        metric
-            .evaluate(&Evaluation { model, timed_prediction, ..spectra(&plane, scene) })
-            .unwrap()
+        metric.evaluate(&Evaluation { model, timed_prediction, ..spectra(&plane, scene) }).unwrap()
     }
 
     pub(crate) fn value(measurement: &Measurement) -> f64 {
@@ -173,12 +171,19 @@ mod tests {
     #[test]
     fn every_metric_is_registered_and_round_trips() {
         let names = registered::<dyn Metric>();
-        for name in
-            [
-            "Chamfer", "ChannelSnr", "DirectionError", "GaussianCount", "L1", "Latency", "ModelSize", "PowerError", "Psnr",
-            "RateRatio", "Ssim",
-        ]
-        {
+        for name in [
+            "Chamfer",
+            "ChannelSnr",
+            "DirectionError",
+            "GaussianCount",
+            "L1",
+            "Latency",
+            "ModelSize",
+            "PowerError",
+            "Psnr",
+            "RateRatio",
+            "Ssim",
+        ] {
             assert!(names.contains(&name), "{name} is missing from {names:?}");
             let plugin = Plugin::<dyn Metric>::parse(&format!("{name}()")).unwrap();
             assert!(!plugin.about().is_empty());

@@ -1,7 +1,7 @@
 //! Achievable-rate ratio, eq. (15): what steering by the prediction costs.
 
 use crate::{one, per_sample};
-use pwrfgs_core::{Documented, Evaluation, Goal, Kind, Image, Measurement, Metric, Result, Scope};
+use pwrfgs_core::{Documented, Evaluation, Goal, Image, Kind, Measurement, Metric, Result, Scope};
 use serde::{Deserialize, Serialize};
 
 /// Rate reached by steering to the strongest predicted direction, over the rate of the truly strongest one.

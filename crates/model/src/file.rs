@@ -5,7 +5,8 @@ use crate::{Calibration, Ensemble, Model, Readout, Splatting, Stages};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::plugin::{Plugin, PluginKind, ron_options};
 use pwrfgs_core::{
-    COLUMN_NAMES, Error, ExtraColumn, Frame, GaussianCloud, ImagePlane, Kind, Method, Origin, Pose, Real, Receiver, Result,
+    COLUMN_NAMES, Error, ExtraColumn, Frame, GaussianCloud, ImagePlane, Kind, Method, Origin, Pose, Real, Receiver,
+    Result,
 };
 use serde::{Deserialize, Serialize};
 use std::path::Path;

@@ -19,8 +19,7 @@ impl Model {
     /// signals `[N, channels]`.
     pub fn gaussians(&self, tx: Option<[f64; 3]>) -> (Primitives, Vec<Real>) {
         let Some(splatting) = self.stages.splatting() else {
-            let activation =
-                Activation { calibration: Calibration::Physical, replaces_signals: false, channels: 2 };
+            let activation = Activation { calibration: Calibration::Physical, replaces_signals: false, channels: 2 };
             let none = Deltas::default();
             return (activation.geometry(&self.cloud, &none, 0, None), activation.signals(&self.cloud, &none, 0..1));
         };

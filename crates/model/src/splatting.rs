@@ -15,8 +15,8 @@ mod received;
 use crate::{Activation, ActivationVjp, Calibration, Readout};
 use pwrfgs_core::plugin::{Plugin, default_of};
 use pwrfgs_core::{
-    Cache, Deformation, Deltas, Documented, Elevation, Frame, GaussianCloud, ImagePlane, Kind, Pose, Primitives, Projector,
-    Rasterizer, Real, Render, RenderVjp, Splats, sigmoid,
+    Cache, Deformation, Deltas, Documented, Elevation, Frame, GaussianCloud, ImagePlane, Kind, Pose, Primitives,
+    Projector, Rasterizer, Real, Render, RenderVjp, Splats, sigmoid,
 };
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
@@ -142,9 +142,10 @@ pub fn check_kind(readout: Readout, kind: Kind) -> Result<(), String> {
             "readout: it gives {}, and the data are spatial spectra; use Magnitude, MinMax, Power or Real",
             own.plural()
         )),
-        (own, Kind::Power) => {
-            Err(format!("readout: it gives {}, and the data are received powers; use Received(sky_deg: 10)", own.plural()))
-        }
+        (own, Kind::Power) => Err(format!(
+            "readout: it gives {}, and the data are received powers; use Received(sky_deg: 10)",
+            own.plural()
+        )),
         (own, Kind::Channel) => Err(format!(
             "readout: it gives {}, and the data are channels; use `method: VirtualTransmitters()`, or readout: Channel",
             own.plural()

@@ -86,12 +86,7 @@ impl Batches {
 }
 
 /// The plane of every `stride`-th row and column of `plane`.
-pub(crate) fn coarse(
-    plane: &ImagePlane,
-    pipeline: &Pipeline,
-    elevation: Elevation,
-    kind: Kind,
-) -> Result<ImagePlane> {
+pub(crate) fn coarse(plane: &ImagePlane, pipeline: &Pipeline, elevation: Elevation, kind: Kind) -> Result<ImagePlane> {
     let (width, height, stride) = (plane.width, plane.height, pipeline.training.stride);
     if stride == 1 || kind != Kind::Spectrum {
         return Ok(plane.clone());

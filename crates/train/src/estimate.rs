@@ -63,8 +63,12 @@ impl Trainer<'_> {
         let cloud: GaussianCloud = self.cloud.select(&rows);
         let step = self.done + 1;
         let moment = Moment { step, phase: self.phase(step), seed: self.pipeline.seed };
-        let batch =
-            Batches::new(self.data, self.batches().train().to_vec()).of_step(step, &self.pipeline, self.data, &self.stages)?;
+        let batch = Batches::new(self.data, self.batches().train().to_vec()).of_step(
+            step,
+            &self.pipeline,
+            self.data,
+            &self.stages,
+        )?;
         let mut shortest = f64::INFINITY;
         for _ in 0..2 {
             let start = Instant::now();

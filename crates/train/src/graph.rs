@@ -161,8 +161,7 @@ impl Graph {
         let columns = pwrfgs_core::COLUMN_NAMES.iter().map(|name| traced.column(name));
         let inputs: Vec<Trace> = columns.chain(gate).collect();
         let (stages, batch, open) = (Arc::clone(&self.stages), Arc::clone(&self.batch), Rc::clone(&self.open));
-        let (weights, d_weights, seen) =
-            (Arc::clone(&self.weights), Rc::clone(&self.d_weights), Rc::clone(&self.seen));
+        let (weights, d_weights, seen) = (Arc::clone(&self.weights), Rc::clone(&self.d_weights), Rc::clone(&self.seen));
         let mut observed = stages.method.forward(&stages.frame, &open.parameters(&weights), &batch.asked());
         let numbers = std::mem::take(&mut observed.numbers);
         let vjp = move |d: Vec<Vec<Real>>| {

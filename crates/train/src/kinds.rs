@@ -34,7 +34,10 @@ pub(crate) fn mixed(pipeline: &Pipeline) -> Option<(&'static str, String)> {
     let other = |metric: &&Plugin<dyn pwrfgs_core::Metric>| metric.kind().is_some_and(|own| own != kind);
     let metric = pipeline.metrics.iter().find(other)?;
     let own = metric.kind().map_or("", Kind::plural);
-    Some(("metrics", format!("`{}` is a metric of {own}, and the data are {}; leave it out", name(metric), kind.plural())))
+    Some((
+        "metrics",
+        format!("`{}` is a metric of {own}, and the data are {}; leave it out", name(metric), kind.plural()),
+    ))
 }
 
 fn name(plugin: &Plugin<dyn pwrfgs_core::Metric>) -> String {

@@ -1,8 +1,8 @@
 //! What training makes small, a loss for each kind of observation.
 
 use crate::settings::{PowerLoss, Training};
-use pwrfgs_core::{Dataset, Kind, Real};
 use pwrfgs_core::ssim::{self, Window};
+use pwrfgs_core::{Dataset, Kind, Real};
 use rayon::prelude::*;
 
 /// A loss of predictions against truths.

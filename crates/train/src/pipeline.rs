@@ -7,8 +7,8 @@ use pwrfgs_core::docs::Kind;
 use pwrfgs_core::plugin::{Checked, Plugin, default_of, read_ron, try_to_ron};
 use pwrfgs_core::ron_tree::Tree;
 use pwrfgs_core::{
-    Baseline, DataSource, Dataset, Deformation, Documented, Error, ImagePlane, Initializer, Method, Metric,
-    Partition, Projector, Pruner, Rasterizer, Result, Split, rng,
+    Baseline, DataSource, Dataset, Deformation, Documented, Error, ImagePlane, Initializer, Method, Metric, Partition,
+    Projector, Pruner, Rasterizer, Result, Split, rng,
 };
 use pwrfgs_model::{Calibration, Readout, Splatting, check_together};
 use ron::value::RawValue;
@@ -297,9 +297,11 @@ impl Pipeline {
             return Err(format!("{field}: {what}"));
         }
         if self.method.as_ref().is_some_and(|method| is_splatting(&**method)) {
-            return Err("method: `Splatting` is what the fields projector, rasterizer, deformation, calibration and readout \
+            return Err(
+                "method: `Splatting` is what the fields projector, rasterizer, deformation, calibration and readout \
                         say; leave `method` out"
-                .into());
+                    .into(),
+            );
         }
         let plane = self.projector.plane(360, 90);
         check_together(&*self.rasterizer, self.readout, self.calibration, &plane)

@@ -10,8 +10,8 @@ use crate::loss::{Objective, objective};
 use crate::pipeline::Pipeline;
 use pwrfgs_core::tape::{Traced, values};
 use pwrfgs_core::{
-    CloudStats, ColumnSpec, Dataset, Error, ExtraColumn, Frame, GaussianCloud, ImagePlane, Method, Moment, Partition, Phase,
-    Progress, Real, Result, Seen, rng,
+    CloudStats, ColumnSpec, Dataset, Error, ExtraColumn, Frame, GaussianCloud, ImagePlane, Method, Moment, Partition,
+    Phase, Progress, Real, Result, Seen, rng,
 };
 use pwrfgs_model::{Model, Stages};
 use std::sync::atomic::AtomicBool;
@@ -206,7 +206,8 @@ impl<'a> Trainer<'a> {
             Some(window) => Arc::new(through(window, &self.weights)),
             None => Arc::clone(&self.weights),
         };
-        let mut found = loss_and_gradients(&self.stages, &self.cloud, &weights, &batch, &*self.objective, &pruners, &moment)?;
+        let mut found =
+            loss_and_gradients(&self.stages, &self.cloud, &weights, &batch, &*self.objective, &pruners, &moment)?;
         drop(weights); // the optimiser then changes them where they are
         if let Some(window) = &window {
             found.d_weights = through(window, &found.d_weights);
@@ -354,7 +355,11 @@ fn check_inputs(method: &dyn Method, data: &Dataset) -> Result<()> {
         "the method wants {} of a transmitter, and the data give {}; {}",
         what(wants, wants != 3),
         what(has, data.features.is_some()),
-        if data.features.is_some() { format!("give deformation: Factored(tx_encoding: Features({has}))") } else { "leave `Features` out".into() }
+        if data.features.is_some() {
+            format!("give deformation: Factored(tx_encoding: Features({has}))")
+        } else {
+            "leave `Features` out".into()
+        }
     )))
 }
 

@@ -21,8 +21,11 @@ fn source(root: PathBuf) -> Channels {
 fn folder(shape: [usize; 3]) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let numbers = (0..2 * shape.iter().product::<usize>()).flat_map(|v| (v as f32).to_le_bytes());
-    fs::write(folder.path().join("h.npy"), npy_header_as("<c8", &shape).into_iter().chain(numbers).collect::<Vec<u8>>())
-        .unwrap();
+    fs::write(
+        folder.path().join("h.npy"),
+        npy_header_as("<c8", &shape).into_iter().chain(numbers).collect::<Vec<u8>>(),
+    )
+    .unwrap();
     fs::write(folder.path().join("p.csv"), "x,y,z\n1,2,3\n4,5,6\n").unwrap();
     folder
 }

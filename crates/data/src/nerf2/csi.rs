@@ -56,11 +56,14 @@ pub struct Nerf2Csi {
     pub spacing_hz: f64,
     /// Whether all channels are divided by the largest modulus of all data.
     pub normalise: bool,
+    /// Whether the antennas are one receiver's: a link is then a snapshot, its features are the uplinks of all antennas one
+    /// after the other, and what was observed of it is the downlink at all of them.
+    pub together: bool,
 }
 
 impl Default for Nerf2Csi {
     fn default() -> Self {
-        Self { root: "data/mimo".into(), carrier_hz: 2.4e9, spacing_hz: 312.5e3, normalise: true }
+        Self { root: "data/mimo".into(), carrier_hz: 2.4e9, spacing_hz: 312.5e3, normalise: true, together: false }
     }
 }
 
@@ -84,16 +87,18 @@ impl DataSource for Nerf2Csi {
         let rows = index::read(&root, &|word| index::row(word, "csidata.npy", snapshots))?;
         let (features, gains) = halves(&mut all);
         let at = |i: usize| positions.as_ref().map_or([0.0; 3], |positions| positions[i]);
-        let links = (0..snapshots).flat_map(|i| (0..antennas.len()).map(move |receiver| (i, receiver)));
+        let receivers = if self.together { vec![station(&antennas)] } else { receivers(&antennas) };
+        let links = (0..snapshots).flat_map(|i| (0..receivers.len()).map(move |receiver| (i, receiver)));
         let samples: Vec<Sample> = links.map(|(i, receiver)| Sample { id: i as u32, tx: at(i), receiver }).collect();
-        let channels = Observations::Channels(Channels { antennas: 1, frequencies_hz, gains });
+        let (of_each, width) = (antennas.len() / receivers.len(), both * antennas.len() / receivers.len());
+        let channels = Observations::Channels(Channels { antennas: of_each, frequencies_hz, gains });
         let name = folder_name(&root);
         let simulation = simulation(&root, &name);
         let title = format!("{name} ({}NeRF2 layout)", if simulation.is_some() { "" } else { "measured, " });
-        let data = Dataset::of_links(title, receivers(&antennas), vec![], &samples, channels)?;
+        let data = Dataset::of_links(title, receivers, vec![], &samples, channels)?;
         let official = rows.map(|(train, test)| (data.links_of(&train), data.links_of(&test)));
         progress(data.len(), data.len());
-        let features = Some(Features { width: both, values: features });
+        let features = Some(Features { width, values: features });
         Ok(Dataset { official, simulation, features, placed: positions.is_some(), ..data })
     }
 
@@ -151,6 +156,14 @@ fn receivers(antennas: &[[f64; 3]]) -> Vec<Receiver> {
         Receiver::new(format!("antenna {}", k + 1), Pose { position, ..Pose::IDENTITY })
     };
     antennas.iter().enumerate().map(at).collect()
+}
+
+/// All antennas as those of one receiver in their middle.
+fn station(antennas: &[[f64; 3]]) -> Receiver {
+    let middle = std::array::from_fn(|k| antennas.iter().map(|a| a[k]).sum::<f64>() / antennas.len().max(1) as f64);
+    let about = |a: &[f64; 3]| std::array::from_fn(|k| a[k] - middle[k]);
+    let pose = Pose { position: middle, ..Pose::IDENTITY };
+    Receiver { antennas: antennas.iter().map(about).collect(), ..Receiver::new("base station", pose) }
 }
 
 /// The uplink of every link as real numbers `[N A, 2F]`, and its downlink `[N A, F]`.

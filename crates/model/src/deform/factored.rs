@@ -6,7 +6,8 @@ use super::mlp::check_stack;
 use super::waves::Encoding;
 use super::whiten::whitening;
 use pwrfgs_core::{
-    Cache, Conditions, Deformation, DeformationInputs, Deltas, Documented, Pose, Real, WeightSpec, cached, rng, rng::Rng,
+    Cache, Conditions, Deformation, DeformationInputs, Deltas, Documented, Pose, Real, WeightSpec, cached, rng,
+    rng::Rng,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -145,7 +146,9 @@ impl Deformation for Factored {
         self.tx_encoding.check("tx_encoding")?;
         self.position_encoding.check("position_encoding")?;
         if matches!(self.position_encoding, Encoding::Features { .. }) {
-            return Err("position_encoding: a Gaussian has a position and no features; give Waves(..) or Octaves(4)".into());
+            return Err(
+                "position_encoding: a Gaussian has a position and no features; give Waves(..) or Octaves(4)".into()
+            );
         }
         if self.position_encoding.width() == 3 {
             return Err("position_encoding needs a wave: give Waves(count: 32, reach: 4.0) or Octaves(4)".into());

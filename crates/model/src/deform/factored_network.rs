@@ -58,7 +58,8 @@ impl Network {
         let tx_encoding = settings.tx_encoding.encoder();
         let own = settings.tx_encoding.width();
         let inputs = |l| if l == 0 { own } else { width };
-        let white = matches!(tx_encoding, Encoder::Features(..)).then(|| plan.unbiased("tx.white", own, own, (3.0 / own as f64).sqrt()));
+        let white = matches!(tx_encoding, Encoder::Features(..))
+            .then(|| plan.unbiased("tx.white", own, own, (3.0 / own as f64).sqrt()));
         let stack = (0..settings.depth).map(|l| plan.relu(&format!("tx.{l}"), inputs(l), width)).collect();
         let waves = settings.position_encoding.width() - 3;
         // Signals begin about as large as one feature: factors have the variance 1/width.
@@ -157,13 +158,7 @@ impl Network {
     }
 
     /// Derivatives of the weights and of the factors, from some transmitters.
-    fn group_vjp(
-        &self,
-        weights: &[Real],
-        g: &Factors,
-        txs: Conditions<'_>,
-        d: &[[Real; 2]],
-    ) -> (Vec<Real>, Vec<Real>) {
+    fn group_vjp(&self, weights: &[Real], g: &Factors, txs: Conditions<'_>, d: &[[Real; 2]]) -> (Vec<Real>, Vec<Real>) {
         let (n, batch, width) = (g.n, txs.len(), self.features);
         let layers = self.stack(weights, txs);
         let (mut d_weights, mut d_factors) = (vec![0.0; weights.len()], vec![0.0; g.rows.len()]);

@@ -264,7 +264,8 @@ fn a_frequency_window_lets_the_encodings_in() {
         assert_eq!(closed.len(), weights.len());
         // Only plain coordinates are left: positions that differ by a period of every wave then look alike but for them.
         let dimmed: Vec<Real> = weights.iter().zip(&closed).map(|(w, f)| w * f).collect();
-        let bare = |points: &[[Real; 3]]| flat(&deformation.forward(&dimmed, points, (&[[0.1, 0.2, 0.3]]).into(), &POSE));
+        let bare =
+            |points: &[[Real; 3]]| flat(&deformation.forward(&dimmed, points, (&[[0.1, 0.2, 0.3]]).into(), &POSE));
         let (low, mid, high) = (bare(&[[0.10; 3]]), bare(&[[0.1001; 3]]), bare(&[[0.1002; 3]]));
         let bend = low.iter().zip(&mid).zip(&high).map(|((a, b), c)| (a - 2.0 * b + c).abs()).fold(0.0, Real::max);
         assert!(bend < 1e-5, "piecewise linear in the coordinates without waves: {bend}");

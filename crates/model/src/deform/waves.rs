@@ -140,7 +140,8 @@ impl Encoding {
             Self::Wavelengths { count, longest_m, shortest_m } => {
                 let ratio = |i: usize| i as f64 / count.saturating_sub(1).max(1) as f64;
                 let number = |i: usize| std::f64::consts::TAU / (longest_m * (shortest_m / longest_m).powf(ratio(i)));
-                let along = |i: usize| (0..3).map(move |axis| std::array::from_fn(|k| if k == axis { number(i) } else { 0.0 }));
+                let along =
+                    |i: usize| (0..3).map(move |axis| std::array::from_fn(|k| if k == axis { number(i) } else { 0.0 }));
                 Encoder::Waves((0..count).flat_map(along).collect(), std::f64::consts::TAU / longest_m)
             }
             Self::Features { width, gain } => Encoder::Features(width, gain),

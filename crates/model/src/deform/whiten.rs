@@ -87,6 +87,9 @@ mod tests {
         let expected = [0.0, 0.0, 1.0, 0.0, 1.0];
         assert!(sums.iter().zip(expected).all(|(sum, e)| (sum - e).abs() < 0.01), "{sums:?}");
         assert!(whitening(Conditions::new(2, &[]), 1.0).is_none());
-        assert!(whitening(Conditions::new(2, &[1.0, 2.0, 1.0, 2.0]), 1.0).is_some(), "constants have no direction at all");
+        assert!(
+            whitening(Conditions::new(2, &[1.0, 2.0, 1.0, 2.0]), 1.0).is_some(),
+            "constants have no direction at all"
+        );
     }
 }

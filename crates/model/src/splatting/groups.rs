@@ -64,7 +64,11 @@ impl Group {
 
     fn copy(&self, deltas: &Deltas, n: usize) -> Deltas {
         fn rows<T: Copy>(of: &[T], rows: &[usize], n: usize) -> Vec<T> {
-            if of.is_empty() { Vec::new() } else { rows.iter().flat_map(|b| of[b * n..][..n].iter().copied()).collect() }
+            if of.is_empty() {
+                Vec::new()
+            } else {
+                rows.iter().flat_map(|b| of[b * n..][..n].iter().copied()).collect()
+            }
         }
         let Deltas { scales, quats, signals } = deltas;
         Deltas {

@@ -1,14 +1,14 @@
 //! Splatting as a [`Method`]: links in, observations out, and back.
 
-use super::groups::Group;
 use super::channel::Waves;
+use super::groups::Group;
 use super::heard::ReadyWaves;
 use super::received::{self, Laws};
 use super::{Drawing, Geometry, Splatting, View, check_kind, check_together};
 use crate::{ActivationVjp, Calibration, Readout};
 use pwrfgs_core::{
-    Asked, Cache, Conditions, Dataset, DeformationInputs, Deltas, Frame, GaussianCloud, Kind, Method, MethodVjp, Observed, Parameters,
-    Real, StageTimes, WeightSpec, cached, rng::Rng,
+    Asked, Cache, Conditions, Dataset, DeformationInputs, Deltas, Frame, GaussianCloud, Kind, Method, MethodVjp,
+    Observed, Parameters, Real, StageTimes, WeightSpec, cached, rng::Rng,
 };
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -70,8 +70,12 @@ impl Splatting {
         let network = self.parts(frame, p.weights).0;
         let mut d_means = vec![[0.0; 3]; p.cloud.len()];
         if own.deltas.to_columns().next().is_some() {
-            let inputs =
-                DeformationInputs { weights: network, means: &p.cloud.means, txs: asked.conditions, pose: &frame.pose() };
+            let inputs = DeformationInputs {
+                weights: network,
+                means: &p.cloud.means,
+                txs: asked.conditions,
+                pose: &frame.pose(),
+            };
             let d_network = &mut sums.weights[..network.len()];
             self.deformation.vjp(&inputs, &own.deltas, d_network, Some(&mut d_means));
         }
@@ -223,7 +227,11 @@ impl Method for Splatting {
         let still = |view: &View| Arc::new(self.geometry(view, p.cloud, &Deltas::default(), 0, p.gate));
         Some(Arc::new(Ready {
             deformation: self.deformation.prepare(network, &p.cloud.means, &frame.pose()),
-            still: if self.deformation.varies_geometry() { Vec::new() } else { self.views(frame).iter().map(still).collect() },
+            still: if self.deformation.varies_geometry() {
+                Vec::new()
+            } else {
+                self.views(frame).iter().map(still).collect()
+            },
         }))
     }
 
@@ -306,7 +314,11 @@ impl Method for Splatting {
         }
         if self.readout == Readout::Channel {
             let even = frame.receivers.iter().all(|own| own.antennas.len() == frame.receivers[0].antennas.len());
-            return if even { Ok(()) } else { Err("receivers with different numbers of antennas; give all the same".into()) };
+            return if even {
+                Ok(())
+            } else {
+                Err("receivers with different numbers of antennas; give all the same".into())
+            };
         }
         check_together(&*self.rasterizer, self.readout, self.calibration, &self.sky(frame))
     }

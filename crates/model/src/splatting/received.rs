@@ -6,7 +6,8 @@
 
 use super::Splatting;
 use pwrfgs_core::{
-    Asked, Conditions, Dataset, Frame, GaussianCloud, ImagePlane, Link, Method, Observations, Parameters, Real, consts, evenly,
+    Asked, Conditions, Dataset, Frame, GaussianCloud, ImagePlane, Link, Method, Observations, Parameters, Real, consts,
+    evenly,
 };
 
 /// What is left of a sky without any signal: -120 dB.
@@ -51,7 +52,12 @@ fn power(angles: &[Real], width: usize, sky: &[Real]) -> Real {
 }
 
 /// Powers `[L]` in dBm of blended signals `[L, 2, H·W]`.
-pub(super) fn forward(plane: &ImagePlane, [offset, exponent]: [Real; 2], distances: &[Real], blended: &[Real]) -> Vec<Real> {
+pub(super) fn forward(
+    plane: &ImagePlane,
+    [offset, exponent]: [Real; 2],
+    distances: &[Real],
+    blended: &[Real],
+) -> Vec<Real> {
     let angles = solid_angles(plane);
     let skies = blended.chunks_exact(2 * plane.width * plane.height).enumerate();
     let dbm = |(i, sky)| power(&angles, plane.width, sky).log10() + offset - exponent * log_distance(distances, i);

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::layout::base_station_yaml;
-use crate::npy::{npy_header_as, npy_header};
+use crate::npy::{npy_header, npy_header_as};
 use crate::splits::Voxel;
 use pwrfgs_core::{Number, Split, rng};
 use std::fs;
@@ -29,7 +29,8 @@ impl Folder {
     }
 
     fn load(&self, normalise: bool) -> Result<Dataset> {
-        Nerf2Csi { root: ".".into(), normalise, carrier_hz: 1e9, spacing_hz: 2e6 }.load(self.0.path(), &|_, _| {})
+        Nerf2Csi { root: ".".into(), normalise, carrier_hz: 1e9, spacing_hz: 2e6, together: false }
+            .load(self.0.path(), &|_, _| {})
     }
 
     fn fault(&self) -> String {
