@@ -24,10 +24,9 @@ pub(super) fn chosen(known: &[Receiver], names: &[String]) -> Result<Vec<usize>>
 
 fn unknown(known: &[Receiver], name: &str) -> Error {
     let near = did_you_mean(name, known.iter().map(|receiver| receiver.name.as_str()));
-    let mut list = known.iter().take(LISTED).map(|r| clean(&r.name)).collect::<Vec<_>>().join(", ");
-    if known.len() > LISTED {
-        list += &format!(" and {} more", known.len() - LISTED);
-    }
+    let list = known.iter().take(LISTED).map(|r| clean(&r.name)).collect::<Vec<_>>().join(", ");
+    let more = known.len().saturating_sub(LISTED);
+    let list = if more > 0 { format!("{list} and {more} more") } else { list };
     Error::Config(format!(
         "--receiver {}: the model knows no receiver of this name{near}; it knows {list}",
         clean(name)

@@ -117,7 +117,7 @@ impl Heat<'_> {
                 }
                 let far = [column, row].map(|k| self.step * k as f64);
                 let [px, py] = plan.place([self.first[0] + far[0], self.first[1] + far[1]]);
-                let [u, v] = [u / length, -v / length].map(|part| part * 0.36 * ARROWS * length.min(1.0).max(0.25));
+                let [u, v] = [u / length, -v / length].map(|part| part * 0.36 * ARROWS * length.clamp(0.25, 1.0));
                 let tip = [px + u, py + v];
                 let barb = |side: f64| [tip[0] - 0.55 * u + side * 0.35 * v, tip[1] - 0.55 * v - side * 0.35 * u];
                 lines.add(&[[px - u, py - v], tip]);

@@ -74,7 +74,8 @@ fn draw(results: &Results<'_>, found: &[Found], names: [&'static str; 2], axes: 
     let scene = &results.data.scene;
     let flat = |p: [f64; 3]| axes.map(|k| p[k]);
     let walls = [scene.bounds.0, scene.bounds.1].map(|corner| flat(scene.origin.world(corner)));
-    let plan = Plan::new(frame(walls, found.iter().map(|own| flat(own.place)).collect()), names, WIDTH, 420.0);
+    let places: Vec<[f64; 2]> = found.iter().map(|own| flat(own.place)).collect();
+    let plan = Plan::new(frame(walls, &places), names, WIDTH, 420.0);
     let mut canvas = plan.canvas();
     plan.points(&mut canvas, evenly(&scene.points, POINTS).into_iter().map(|p| flat(scene.origin.world(p))));
     let [a, b] = [plan.place([walls[0][0], walls[1][1]]), plan.place([walls[1][0], walls[0][1]])];
@@ -96,7 +97,7 @@ fn draw(results: &Results<'_>, found: &[Found], names: [&'static str; 2], axes: 
 }
 
 /// The room and what lies around it, mirror images too, but for the few farthest.
-fn frame(walls: [[f64; 2]; 2], places: Vec<[f64; 2]>) -> [[f64; 2]; 2] {
+fn frame(walls: [[f64; 2]; 2], places: &[[f64; 2]]) -> [[f64; 2]; 2] {
     let sorted = |k: usize| {
         let mut values: Vec<f64> = places.iter().map(|p| p[k]).collect();
         values.sort_by(f64::total_cmp);
