@@ -118,6 +118,9 @@ fn warn_of_receivers(data: &Dataset, ensemble: &Ensemble) {
         }
         return;
     }
+    if known.len() != listening.len() {
+        return; // refused with words of its own
+    }
     let moved = known.iter().zip(listening).filter(|(own, other)| {
         own.name != other.name || frame.origin.world_pose(own.pose) != data.scene.origin.world_pose(other.pose)
     });
