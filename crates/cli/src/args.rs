@@ -3,11 +3,11 @@
 
 #[cfg(feature = "inspect")]
 use crate::commands::Inspect;
-#[cfg(feature = "report")]
-use crate::commands::Report;
 #[cfg(feature = "sim")]
 use crate::commands::Simulate;
 use crate::commands::{Check, Completions, Evaluate, Export, Import, Init, Man, Plugins, Predict, Run, Sweep};
+#[cfg(feature = "report")]
+use crate::commands::{Map, Report};
 use clap::{ArgAction, Parser, Subcommand};
 
 /// How much is said.
@@ -76,8 +76,11 @@ pub(crate) enum Command {
     Check(Check),
     /// Run every combination of an experiment with every seed: an ablation
     Sweep(Sweep),
-    /// Predict spectra for transmitter positions with a trained model
+    /// Predict spectra, received powers or channels for transmitter positions with a trained model
     Predict(Predict),
+    #[cfg(feature = "report")]
+    /// Map what a trained model predicts over a plane: power, level or strongest direction, as pictures and arrays
+    Map(Map),
     /// Score a trained model, and the baselines beside it, on data of your choice
     Evaluate(Evaluate),
     #[cfg(feature = "report")]

@@ -9,8 +9,11 @@ mod import;
 mod init;
 #[cfg(feature = "inspect")]
 mod inspect;
+#[cfg(feature = "report")]
+mod map;
 mod plugins;
 mod predict;
+mod receivers;
 #[cfg(feature = "report")]
 mod report;
 mod run;
@@ -26,6 +29,8 @@ pub(crate) use import::{Import, import};
 pub(crate) use init::{Init, init};
 #[cfg(feature = "inspect")]
 pub(crate) use inspect::{Inspect, inspect};
+#[cfg(feature = "report")]
+pub(crate) use map::{Map, map};
 pub(crate) use plugins::{Plugins, plugins};
 pub(crate) use predict::{Predict, predict};
 #[cfg(feature = "report")]

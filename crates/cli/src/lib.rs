@@ -25,6 +25,8 @@ pub fn main() -> ExitCode {
         Command::Check(check) => commands::check(check, arguments.verbosity()),
         Command::Sweep(sweep) => commands::sweep(sweep, arguments.threads, arguments.verbosity()),
         Command::Predict(predict) => commands::predict(predict, arguments.verbosity()),
+        #[cfg(feature = "report")]
+        Command::Map(map) => commands::map(map, arguments.verbosity()),
         Command::Evaluate(evaluate) => commands::evaluate(evaluate, arguments.verbosity()),
         #[cfg(feature = "report")]
         Command::Report(report) => commands::report(report, arguments.verbosity()),

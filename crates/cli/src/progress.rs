@@ -160,7 +160,8 @@ impl Observer for Progress {
         }
         let [train, validation, test] = start.samples.map(|n| grouped(n as i64));
         if self.name.is_none() {
-            note(&format!("{}: {train} training, {validation} validation, {test} test spectra", start.title));
+            let things = start.kind.counted();
+            note(&format!("{}: {train} training, {validation} validation, {test} test {things}", start.title));
         }
         let on = if start.done > 0 {
             format!("going on after step {} of", grouped(start.done as i64))

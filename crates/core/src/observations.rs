@@ -17,6 +17,15 @@ pub enum Kind {
 }
 
 impl Kind {
+    /// As they are counted: 120 spectra, 120 links.
+    pub fn counted(self) -> &'static str {
+        match self {
+            Self::Spectrum => "spectra",
+            Self::Power => "links",
+            Self::Channel => "channels",
+        }
+    }
+
     /// As it is called in a sentence, in the plural.
     pub fn plural(self) -> &'static str {
         match self {

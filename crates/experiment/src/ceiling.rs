@@ -82,10 +82,12 @@ fn lapse(data: &Dataset, lags: &[u32]) -> (Lapse, String) {
 }
 
 fn notes(kind: Kind, found: &Likeness, lapse: Lapse, why: &str, of: &[(String, AtZero)]) -> Vec<String> {
-    let what = if kind == Kind::Power {
-        "the error of a perfect predictor of the mean reading: what two readings at one place differ by, over √2"
-    } else {
-        "what two measured spectra at one place have in common"
+    let what = match kind {
+        Kind::Power => {
+            "the error of a perfect predictor of the mean reading: what two readings at one place differ by, over √2"
+        }
+        Kind::Spectrum => "what two measured spectra at one place have in common",
+        Kind::Channel => "what two measured channels at one place have in common",
     };
     let (pairs, words) = (grouped(found.closest as i64), lapse.words());
     let interval = |(key, at_zero): &(String, AtZero)| {

@@ -24,6 +24,13 @@ pub fn diverging(value: f64) -> Rgb {
     oklch(0.98 - 0.50 * size, 0.17 * size.powf(0.85), hue)
 }
 
+/// Once around for values from 0 to 1: light, blue, dark, vermilion and light again. Lightness alone tells it up to the side,
+/// hue tells the side, to the colour-blind too.
+pub fn cyclic(value: f64) -> Rgb {
+    let (sin, cos) = (std::f64::consts::TAU * value).sin_cos();
+    oklch(0.60 + 0.33 * cos, 0.13 * sin.abs(), if sin < 0.0 { 40.0 } else { 256.0 })
+}
+
 /// `OKLab` in polar form to sRGB (Björn Ottosson, 2020); colours outside the gamut are clipped.
 fn oklch(lightness: f64, chroma: f64, hue_deg: f64) -> Rgb {
     let (sin, cos) = hue_deg.to_radians().sin_cos();
@@ -50,6 +57,14 @@ mod tests {
     fn luminance([r, g, b]: Rgb) -> f64 {
         let linear = |c: u8| (f64::from(c) / 255.0).powf(2.2);
         0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b)
+    }
+
+    #[test]
+    fn once_around_has_no_seam() {
+        let gap = |a: Rgb, b: Rgb| a.iter().zip(b).map(|(a, b)| a.abs_diff(b)).max().unwrap();
+        let steps: Vec<Rgb> = (0..=100).map(|i| cyclic(f64::from(i) / 100.0)).collect();
+        assert!(steps.windows(2).all(|w| gap(w[0], w[1]) < 16) && steps[0] == steps[100], "{steps:?}");
+        assert!(luminance(steps[25]) < luminance(steps[0]) && luminance(steps[50]) < luminance(steps[25]));
     }
 
     #[test]

@@ -10,8 +10,8 @@ use crate::headline::headline;
 use crate::observer::{Observer, Silent};
 use crate::scores::{MODEL, Scores};
 use crate::validation;
-use pwrfgs_core::{Dataset, Error, Measurement, ModelFacts, Partition, Result, Values};
-use pwrfgs_model::Ensemble;
+use pwrfgs_core::{Dataset, Error, Kind, Measurement, ModelFacts, Partition, Result, Values};
+use pwrfgs_model::{Ensemble, Prepared};
 use pwrfgs_train::Pipeline;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -40,13 +40,7 @@ pub fn evaluate(
     stop: &AtomicBool,
 ) -> Result<Assessment> {
     let (ensemble, model, plane) = (model, &model.prepare(), model.plane());
-    if (plane.width, plane.height) != (data.width, data.height) {
-        return Err(Error::Config(format!(
-            "the model draws {}x{} pixels and the spectra of the data have {}x{}; evaluate it on data like those it was \
-             trained on",
-            plane.width, plane.height, data.width, data.height
-        )));
-    }
+    check_alike(model, data)?;
     if let Some(drawn) = plane.elevation().filter(|drawn| *drawn != data.elevation) {
         return Err(Error::Config(format!(
             "the model draws elevations of {} to {} degrees and the spectra of the data are of {} to {}; evaluate it on \
@@ -98,7 +92,36 @@ pub fn evaluate(
     let Ceiling { of: ceiling, notes: said } = ceiling(data, partition, &pipeline.metrics, stop)?;
     notes.extend(said);
     let ids = partition.test.iter().map(|&i| data.label(i)).collect();
-    Ok(Assessment { scores: Scores { ids, predictors, bounds, members, ceiling, notes }, examples, confidence })
+    Ok(Assessment {
+        scores: Scores { kind: data.kind(), ids, predictors, bounds, members, ceiling, notes },
+        examples,
+        confidence,
+    })
+}
+
+/// Refuses data of another kind, another size or other receivers than the model knows.
+fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
+    let refuse = |what: String| Err(Error::Config(what + "; evaluate it on data like those it was trained on"));
+    let (plane, kind) = (model.plane(), data.kind());
+    if model.kind() != kind {
+        return refuse(format!("the model predicts {} and the data are {}", model.kind().plural(), kind.plural()));
+    }
+    let (drawn, have) = ((plane.width, plane.height), (data.width, data.height));
+    if drawn != have && kind == Kind::Channel {
+        let size = |(width, height): (usize, usize)| format!("{} antennas and {width} subcarriers", height / 2);
+        return refuse(format!("the model predicts channels of {} and the data have {}", size(drawn), size(have)));
+    }
+    if drawn != have {
+        return refuse(format!(
+            "the model draws {}x{} pixels and the spectra of the data have {}x{}",
+            drawn.0, drawn.1, have.0, have.1
+        ));
+    }
+    let (known, listening) = (model.receivers().len(), data.scene.receivers.len());
+    if known != listening {
+        return refuse(format!("the model knows {known} receivers and the data have {listening}"));
+    }
+    Ok(())
 }
 
 /// A metric of every sample, where it was measured.

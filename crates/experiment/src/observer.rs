@@ -13,6 +13,8 @@ pub struct Start<'a> {
     pub folder: &'a Path,
     /// What the data call themselves.
     pub title: &'a str,
+    /// What they hold.
+    pub kind: Kind,
     /// Samples for training, validation, test.
     pub samples: [usize; 3],
     /// Steps that an earlier start has done.

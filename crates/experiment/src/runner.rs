@@ -172,6 +172,7 @@ impl<'a> Run<'a> {
         self.observer.on_start(&Start {
             folder: folder.path(),
             title: &self.data.title,
+            kind: self.data.kind(),
             samples: facts.samples,
             done: trainer.done(),
             steps,
@@ -233,7 +234,7 @@ impl<'a> Run<'a> {
     /// Scores the model on the test part (unless it is asked to stop) and writes scores, samples, report and facts.
     fn assess(&mut self, model: &Model, folder: &RunFolder, facts: &mut Facts) -> Result<ScoreTable> {
         let (earlier, begun) = (facts.wall_seconds, Instant::now());
-        self.observer.on_message(&format!("scoring {} test spectra", self.partition.test.len()));
+        self.observer.on_message(&format!("scoring {} test {}", self.partition.test.len(), self.data.kind().counted()));
         let ensemble = Ensemble::of(model.clone());
         let assessment = evaluate(&ensemble, self.pipeline, self.data, self.partition, self.observer, self.stop)?;
         let plane = &model.stages.plane;

@@ -1,16 +1,12 @@
 //! Samples of a data set: `samples.csv` (where each transmitter stood, what it served, how far the nearest one trained on
 //! is).
 
+use crate::text::field;
 use pwrfgs_core::{Dataset, Partition, Real, neighbours};
 use std::fmt::Write as _;
 
 /// Columns where there is one receiver.
 const HEADER: &str = "id,x,y,z,split,nearest_train_m\n";
-
-/// A name as a field of a CSV file.
-fn field(name: &str) -> String {
-    if name.contains([',', '"', '\n']) { format!("\"{}\"", name.replace('"', "\"\"")) } else { name.to_owned() }
-}
 
 /// The text of `samples.csv`: id, x, y, z in metres (empty where not known), split, and the distance to the nearest other training transmitter
 /// in metres (empty where there is none). Of several receivers a row is a link: its number, as in `scores.csv`, comes first, and

@@ -5,7 +5,7 @@
 use crate::ceiling::CEILING;
 use crate::repeatability::AtZero;
 use crate::text::{Lines, aligned, number};
-use pwrfgs_core::{Goal, Measurement, Values};
+use pwrfgs_core::{Goal, Kind, Measurement, Values};
 use serde::{Deserialize, Serialize};
 
 /// The name of the trained model in every table.
@@ -14,6 +14,8 @@ pub const MODEL: &str = "model";
 /// All measurements of all predictors on the test part.
 #[derive(Clone, Debug)]
 pub struct Scores {
+    /// What was predicted.
+    pub kind: Kind,
     /// Ids of the test samples, in the order of per-sample values.
     pub ids: Vec<u32>,
     /// Predictors with their measurements; the model comes first.
@@ -75,6 +77,13 @@ pub struct ScoreTable {
     pub members: Vec<String>,
     /// Sentences printed under the table.
     pub notes: Vec<String>,
+    /// What was predicted.
+    #[serde(default, skip_serializing_if = "is_spectra")]
+    pub kind: Kind,
+}
+
+fn is_spectra(kind: &Kind) -> bool {
+    *kind == Kind::Spectrum
 }
 
 /// One metric of all predictors.
@@ -181,7 +190,7 @@ impl Scores {
             }
         }
         let (bounds, members) = (self.bounds.clone(), self.members.clone());
-        ScoreTable { predictors, metrics, bounds, members, notes: self.notes.clone() }
+        ScoreTable { predictors, metrics, bounds, members, notes: self.notes.clone(), kind: self.kind }
     }
 
     /// The text of `scores.csv`.
@@ -249,15 +258,17 @@ impl ScoreTable {
                 lines.push([name, (*statistic).to_owned()].into_iter().chain(cells).collect());
             }
         }
-        let learnt = "baselines learn from training and validation spectra together, the model from training alone";
-        let tail = "bad tail: a tenth of the spectra are this bad or worse";
-        let bound = "† knows the scene that made the simulated spectra: in no ranking";
+        let things = self.kind.counted();
+        let learnt =
+            format!("baselines learn from training and validation {things} together, the model from training alone");
+        let tail = format!("bad tail: a tenth of the {things} are this bad or worse");
+        let bound = format!("† knows the scene that made the simulated {things}: in no ranking");
         let own = [
             self.metrics.iter().any(MetricRow::is_per_sample).then_some(tail),
             (self.predictors.iter().filter(|name| *name != CEILING).count() > 1).then_some(learnt),
             (!self.bounds.is_empty()).then_some(bound),
         ];
-        let notes = own.into_iter().flatten().chain(self.notes.iter().map(String::as_str));
+        let notes = own.iter().flatten().chain(&self.notes);
         notes.fold(aligned(&lines, 2), |text, note| text + "note: " + note + "\n")
     }
 }
@@ -269,6 +280,7 @@ mod tests {
     fn scores() -> Scores {
         let measure = |key: &str, goal, values| Measurement { key: key.into(), unit: "", goal, values };
         Scores {
+            kind: Kind::Spectrum,
             ids: vec![3, 7],
             predictors: vec![
                 (
@@ -338,6 +350,8 @@ mod tests {
         let table = scores().table();
         let text = table.to_text();
         assert!(text.contains("0.6000*") && text.contains("2,613") && text.contains("n/a"), "{text}");
+        let links = ScoreTable { kind: Kind::Power, ..table.clone() }.to_text();
+        assert!(links.contains("a tenth of the links are") && !links.contains("validation spectra"), "{links}");
         let notes: Vec<&str> = text.lines().filter(|line| line.starts_with("note: ")).collect();
         assert_eq!(notes[0], "note: bad tail: a tenth of the spectra are this bad or worse", "{text}");
         assert!(notes[1].starts_with("note: baselines learn from training and validation"), "{text}");

@@ -26,6 +26,11 @@ pub fn number(value: f64) -> String {
     }
 }
 
+/// A name as a field of a CSV file.
+pub fn field(name: &str) -> String {
+    if name.contains([',', '"', '\n', '\r']) { format!("\"{}\"", name.replace('"', "\"\"")) } else { name.to_owned() }
+}
+
 /// 65469 as `65,469`.
 pub fn grouped(value: i64) -> String {
     let digits = value.unsigned_abs().to_string();

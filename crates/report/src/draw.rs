@@ -3,8 +3,10 @@
 mod axes;
 mod backend;
 pub mod charts;
+pub mod heat;
 pub(crate) mod legend;
 pub mod marks;
+pub mod plan;
 pub(crate) mod room;
 pub(crate) mod ruler;
 pub mod spectra;

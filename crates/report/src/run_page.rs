@@ -1,8 +1,14 @@
-//! `report.html`: one file with nothing outside it; table, curves, spectra beside ground truth.
+//! `report.html`: one file with nothing outside it; table, curves, and predictions beside what was observed, as its kind
+//! wants them.
 
+mod channels;
 mod curves;
+mod powers;
+mod predicted;
+mod receivers;
 mod room;
 mod tables;
+mod words;
 
 use crate::draw::spectra::{self, Mark, Scale};
 use crate::study::one_line;
@@ -12,6 +18,7 @@ use minijinja::{Value, context};
 use pwrfgs_core::{Image, Kind, Result};
 use pwrfgs_experiment::{CEILING, Example, Results, ensemble::MEMBERS, folder::REPORT, samples};
 use pwrfgs_model::Model;
+use words::Words;
 
 /// The page of an evaluated model.
 ///
@@ -23,6 +30,7 @@ pub fn page(results: &Results<'_>) -> Result<String> {
     let Results { pipeline, model, data, partition, facts, .. } = results;
     let bounds = [data.scene.bounds.0, data.scene.bounds.1]
         .map(|p| data.scene.origin.world(p).map(|v| (v * 10.0).round() / 10.0));
+    let draws_splats = model.members().iter().all(|model| model.stages.splatting().is_some());
     let page = context! {
         name => pipeline.name.clone(),
         title => data.title.clone(),
@@ -31,7 +39,8 @@ pub fn page(results: &Results<'_>) -> Result<String> {
         gaussians => model.gaussians(),
         bytes => [model.gaussian_bytes(), model.network_bytes()],
         samples => [&partition.train, &partition.validation, &partition.test].map(Vec::len),
-        size => [data.width, data.height],
+        kind => format!("{:?}", data.kind()),
+        words => words(results),
         split => one_line(&pipeline.split),
         bounds => bounds.map(Vec::from),
         seed => pipeline.seed,
@@ -41,7 +50,10 @@ pub fn page(results: &Results<'_>) -> Result<String> {
         bounds_known => scores.bounds.clone(),
         notes => scores.notes.clone(),
         figures => curves::all(results),
-        room => room::figure(results)?,
+        room => if draws_splats { Some(room::figure(results)?) } else { None },
+        powers => (data.kind() == Kind::Power).then(|| powers::section(results)),
+        receivers => if data.kind() == Kind::Power { receivers::table(results) } else { None },
+        channels => (data.kind() == Kind::Channel).then(|| channels::section(results)),
         examples,
         power_bar => Scale::Power.bar().svg("bar", "colours of power"),
         error_bar => Scale::Error(limit).bar().svg("bar", "colours of the error"),
@@ -51,6 +63,15 @@ pub fn page(results: &Results<'_>) -> Result<String> {
         confidence => curves::confidence(results),
     };
     render("run.html", page)
+}
+
+/// What things are called.
+fn words(results: &Results<'_>) -> Value {
+    let Words { plural, singular, size } = words::words(results.data);
+    let (first, rest) = plural.split_at(1);
+    let splats = results.model.members().iter().all(|model| model.stages.splatting().is_some());
+    let parts = if splats { "Gaussians" } else { "Virtual transmitters" };
+    context! { plural, singular, size, title => first.to_uppercase() + rest, parts }
 }
 
 /// Name, seed, Gaussians and page of each member of an ensemble.

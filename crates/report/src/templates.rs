@@ -13,10 +13,13 @@ use pwrfgs_experiment::clock::duration;
 use pwrfgs_experiment::text::grouped;
 use std::sync::LazyLock;
 
-const TEMPLATES: [(&str, &str); 10] = [
+const TEMPLATES: [(&str, &str); 13] = [
     ("style.css", include_str!("templates/style.css")),
     ("head.html", include_str!("templates/head.html")),
     ("run.html", include_str!("templates/run.html")),
+    ("powers.html", include_str!("templates/powers.html")),
+    ("channels.html", include_str!("templates/channels.html")),
+    ("receivers.html", include_str!("templates/receivers.html")),
     ("report.html", include_str!("templates/report.html")),
     ("report.md", include_str!("templates/report.md")),
     ("report.tex", include_str!("templates/report.tex")),

@@ -8,7 +8,8 @@ use pwrfgs::experiment::folder::{PIPELINE, REPORT};
 use pwrfgs::experiment::text::number;
 use pwrfgs::experiment::{Facts, Machine, Recipe, Results, evaluate as score, load as load_data};
 use pwrfgs::model::{Ensemble, file};
-use pwrfgs_core::{Error, Result, files::refuse_foreign};
+use pwrfgs_core::words::clean;
+use pwrfgs_core::{Dataset, Error, Kind, Result, files::refuse_foreign};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -18,8 +19,8 @@ use std::sync::atomic::AtomicBool;
 #[command(
     after_long_help = "Reads the pipeline.ron that lies beside the model for data, split, metrics and baselines; \
     --set changes them. Prints the score table; with --out writes scores.csv, samples.csv and report.html.\n\nSeveral \
-    models are scored as an ensemble: the mean of their pictures, each clamped to [0, 1]. Runs that differ in their seed \
-    alone have the same test spectra unless the split is random; give those that do.\n\nEXAMPLES\
+    models are scored as an ensemble: the mean of what they predict, pictures each clamped to [0, 1]. Runs that differ in \
+    their seed alone have the same test samples unless the split is random; give those that do.\n\nEXAMPLES\
     \n  pwrfgs evaluate runs/s23/model.safetensors --set data.root=data/other-day\n  pwrfgs \
     evaluate runs/s23/model.safetensors --set 'metrics=[Ssim(), RateRatio(snr_db: 20.0)]' --out again\n  pwrfgs \
     evaluate runs/blocks/seed-0/model.safetensors runs/blocks/seed-1/model.safetensors"
@@ -58,10 +59,8 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
     let mut progress = Progress::new(verbosity);
     let (data, partition) = load_data(&pipeline, Path::new(""), &mut progress)?;
     if verbosity != Verbosity::Quiet {
-        output::note(&format!("{}: scoring {} test spectra", data.title, partition.test.len()));
-        if data.scene.origin.world_pose(data.scene.pose()) != ensemble.members()[0].stages.frame.receiver() {
-            output::note("warning: these data have another receiver pose than the model was trained with");
-        }
+        output::note(&format!("{}: scoring {} test {}", data.title, partition.test.len(), data.kind().counted()));
+        warn_of_receivers(&data, &ensemble);
     }
     let assessment = score(&ensemble, &pipeline, &data, &partition, &mut progress, &AtomicBool::new(false));
     progress.finish();
@@ -69,10 +68,11 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
     let mut text = assessment.scores.table().to_text();
     if let Some(confidence) = &assessment.confidence {
         let members = ensemble.members().len();
+        let what = if data.kind() == Kind::Spectrum { "pictures" } else { "predictions" };
         let rank = number(confidence.rank_correlation());
         _ = writeln!(
             text,
-            "\nmodel: {members} models, the mean of their pictures; rank correlation of their spread and its error {rank}"
+            "\nmodel: {members} models, the mean of their {what}; rank correlation of their spread and its error {rank}"
         );
     }
     if let Some(out) = &arguments.out {
@@ -106,6 +106,33 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
     }
     output::result(&text)?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Says which receivers stand elsewhere than the model was trained with, look elsewhere or have other names.
+fn warn_of_receivers(data: &Dataset, ensemble: &Ensemble) {
+    let frame = &ensemble.members()[0].stages.frame;
+    let (known, listening) = (&frame.receivers, &data.scene.receivers);
+    if let ([one], [other]) = (&known[..], &listening[..]) {
+        if frame.origin.world_pose(one.pose) != data.scene.origin.world_pose(other.pose) {
+            output::note("warning: these data have another receiver pose than the model was trained with");
+        }
+        return;
+    }
+    if known.len() != listening.len() {
+        return; // refused with words of its own
+    }
+    let moved = known.iter().zip(listening).filter(|(own, other)| {
+        own.name != other.name || frame.origin.world_pose(own.pose) != data.scene.origin.world_pose(other.pose)
+    });
+    let names: Vec<String> = moved.map(|(_, other)| clean(&other.name)).collect();
+    if !names.is_empty() {
+        let (shown, more) =
+            (names.iter().take(8).cloned().collect::<Vec<_>>().join(", "), names.len().saturating_sub(8));
+        let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+        output::note(&format!(
+            "warning: receivers have another name or pose than the model was trained with: {shown}{more}"
+        ));
+    }
 }
 
 /// All models as one; a file may hold several. Those of several files are called by their numbers.

@@ -123,7 +123,7 @@ fn assess(
 ) -> Result<ScoreTable> {
     let pipeline = team.pipeline();
     let (data, partition) = load(&pipeline, Path::new(""), observer)?;
-    observer.on_message(&format!("scoring {} test spectra", partition.test.len()));
+    observer.on_message(&format!("scoring {} test {}", partition.test.len(), data.kind().counted()));
     let assessment = evaluate(ensemble, &pipeline, &data, &partition, observer, stop)?;
     let scores = assessment.scores.table();
     let members: Vec<PathBuf> = (0..plan.runs.len()).map(|run| plan.folder_of(run)).collect();

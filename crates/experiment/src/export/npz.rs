@@ -1,7 +1,7 @@
 //! The numbers of a model as an NPZ file, which `numpy.load` opens.
 
 use npyz::{AutoSerialize, WriterBuilder as _};
-use pwrfgs_core::{Error, Real, Result};
+use pwrfgs_core::{Error, Kind, Pose, Real, Result};
 use pwrfgs_model::{Ensemble, Model};
 use std::io::{self, Cursor};
 use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
@@ -65,11 +65,44 @@ impl Npz {
         let (pose, plane) = (&model.stages.receiver(), &model.stages.plane);
         self.put("pose.position", &[3], &pose.position)?;
         self.put("pose.orientation", &[4], &pose.orientation)?;
+        if model.stages.kind != Kind::Spectrum || model.stages.receivers.len() > 1 {
+            self.links(model)?;
+        }
         self.put("plane.size", &[2], &[plane.width as u64, plane.height as u64])?;
         self.put("plane.wraps", &[], &[plane.wraps])?;
         let Some((azimuth, elevation)) = plane.angles else { return Ok(()) };
         self.put("plane.azimuth_deg", &[2], &[azimuth.first, azimuth.step])?;
         self.put("plane.elevation_deg", &[2], &[elevation.first, elevation.step])
+    }
+
+    /// Of links: what is observed of them, and who listens. Names are letters, since an array holds no text of any length.
+    fn links(&mut self, model: &Model) -> io::Result<()> {
+        let frame = &model.stages.frame;
+        let text = |file: &mut Self, name: &str, text: &str| file.put(name, &[text.len()], text.as_bytes());
+        let kind = match frame.kind {
+            Kind::Spectrum => "spectrum",
+            Kind::Power => "power",
+            Kind::Channel => "channel",
+        };
+        text(self, "kind", kind)?;
+        let names = frame.receivers.iter().map(|receiver| receiver.name.as_str()).collect::<Vec<_>>().join("\n");
+        text(self, "receivers.names", &names)?;
+        let poses: Vec<Pose> = frame.receivers.iter().map(|receiver| frame.origin.world_pose(receiver.pose)).collect();
+        let [positions, orientations]: [Vec<f64>; 2] = [
+            poses.iter().flat_map(|pose| pose.position).collect(),
+            poses.iter().flat_map(|pose| pose.orientation).collect(),
+        ];
+        self.put("receivers.positions", &[poses.len(), 3], &positions)?;
+        self.put("receivers.orientations", &[poses.len(), 4], &orientations)?;
+        let antennas: Vec<u64> = frame.receivers.iter().map(|receiver| receiver.antennas.len() as u64).collect();
+        let places: Vec<[f64; 3]> =
+            frame.receivers.iter().flat_map(|receiver| receiver.antennas.iter().copied()).collect();
+        self.put("receivers.antenna_counts", &[antennas.len()], &antennas)?;
+        self.put("receivers.antennas", &[places.len(), 3], places.as_flattened())?;
+        if frame.frequencies_hz.is_empty() {
+            return Ok(());
+        }
+        self.put("frequencies_hz", &[frame.frequencies_hz.len()], &frame.frequencies_hz)
     }
 
     /// What is drawn for a transmitter.

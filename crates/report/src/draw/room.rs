@@ -7,7 +7,8 @@ mod view;
 
 use super::canvas::{Canvas, Colour, Paint, Path, Point, WHITE};
 use super::legend::{SYMBOL, Symbol};
-use pwrfgs_core::{Dataset, Evaluation, Metric, ModelFacts, Partition, Plugin, Real, Values, evenly};
+use super::plan::draw_receiver;
+use pwrfgs_core::{Dataset, Evaluation, Metric, ModelFacts, Partition, Plugin, Pose, Real, Values, evenly};
 use pwrfgs_experiment::Snapshot;
 use pwrfgs_experiment::text::{grouped, number};
 use receiver::Receiver;
@@ -39,7 +40,8 @@ pub(crate) struct Room {
     view: View,
     /// Axes, cloud, transmitters and receiver.
     behind: Canvas,
-    receiver: Receiver,
+    /// The receiver; nothing where there are several, which are squares.
+    receiver: Option<Receiver>,
     /// The largest radius of a Gaussian.
     radius: f64,
     has_test: bool,
@@ -63,9 +65,15 @@ impl Room {
         };
         draw(&partition.train, TRAINING, Path::add_plus, 1.6);
         draw(&partition.test, TEST, Path::add_cross, 1.3);
-        let pose = data.scene.origin.world_pose(data.scene.pose());
-        let receiver = Receiver::new(&pose, &view, 0.14 * longest(low, high));
-        receiver.draw(&mut behind, view.place(pose.position));
+        let poses: Vec<Pose> = data.scene.receivers.iter().map(|r| data.scene.origin.world_pose(r.pose)).collect();
+        let mut receiver = None;
+        if let [pose] = &poses[..] {
+            let only = Receiver::new(pose, &view, 0.14 * longest(low, high));
+            only.draw(&mut behind, view.place(pose.position));
+            receiver = Some(only);
+        } else {
+            poses.iter().for_each(|pose| draw_receiver(&mut behind, view.place(pose.position)));
+        }
         let (has_test, has_points) = (!partition.test.is_empty(), !data.scene.points.is_empty());
         Self { view, behind, receiver, radius, has_test, has_points }
     }
@@ -140,7 +148,14 @@ impl Room {
         if self.has_test {
             all.push(symbol("test transmitters", cross, Paint::stroke(TEST, 1.4)));
         }
-        all.push(self.receiver.symbol());
+        all.push(self.receiver.map_or_else(
+            || {
+                let mut picture = Canvas::new(14.0, SYMBOL);
+                draw_receiver(&mut picture, [7.0, SYMBOL / 2.0]);
+                Symbol { picture, meaning: "receivers".into() }
+            },
+            Receiver::symbol,
+        ));
         all
     }
 

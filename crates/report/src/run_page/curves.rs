@@ -1,4 +1,6 @@
-//! Which curves the report shows: loss and N over the steps, SSIM on validation, the spread of SSIM over the test part.
+//! Which curves the report shows: loss and N over the steps, the first metric on validation, its spread over the test part.
+
+mod distribution;
 
 use crate::draw::canvas::Colour;
 use crate::draw::charts::{Axis, Chart, Line};
@@ -8,11 +10,9 @@ use minijinja::{Value, context};
 use pwrfgs_core::Kind;
 use pwrfgs_experiment::Results;
 use pwrfgs_experiment::folder::{CURVE, VALIDATION};
-use pwrfgs_experiment::scores::{MODEL, quantile};
+use pwrfgs_experiment::scores::quantile;
 use pwrfgs_experiment::series;
 
-/// At most this many places along a curve are drawn.
-const PLACES: usize = 400;
 /// At most this many stretches of the loss are averaged.
 const STRETCHES: usize = 150;
 const MODEL_COLOUR: Colour = Colour::hex(0x18_4ea3);
@@ -38,7 +38,7 @@ pub(super) fn all(results: &Results<'_>) -> Vec<Figure> {
         figures.extend(gaussians(results, &column(4)));
         figures.extend(validation(results, &series::read(&folder.join(VALIDATION))));
     }
-    figures.extend(distribution(results));
+    figures.extend(distribution::figure_of(results));
     figures
 }
 
@@ -77,7 +77,9 @@ fn loss(results: &Results<'_>, points: &[(f64, f64)]) -> Option<Figure> {
 /// N on a logarithmic axis.
 fn gaussians(results: &Results<'_>, points: &[(f64, f64)]) -> Option<Figure> {
     let lines = vec![line(stairs(points), MODEL_COLOUR, 2.0)];
-    figure("Number of Gaussians", &over_steps(results, true, lines))
+    let splats = results.model.members().iter().all(|model| model.stages.splatting().is_some());
+    let title = if splats { "Number of Gaussians" } else { "Number of virtual transmitters" };
+    figure(title, &over_steps(results, true, lines))
 }
 
 /// SSIM on the validation samples, with the floors on the very same samples.
@@ -96,7 +98,7 @@ fn validation(results: &Results<'_>, rows: &[Vec<Option<f64>>]) -> Option<Figure
     let title = match results.data.kind() {
         Kind::Spectrum => "SSIM on validation samples",
         Kind::Power => "Error on validation links, dB",
-        Kind::Channel => "SNR on validation links, dB",
+        Kind::Channel => "SNR on validation channels, dB",
     };
     figure(title, &over_steps(results, false, lines))
 }
@@ -127,28 +129,4 @@ pub(super) fn confidence(results: &Results<'_>) -> Option<Value> {
     let rank = measured.rank_correlation();
     let svg = chart.draw()?.svg("chart", "Error against the spread of the members");
     Some(context! { svg, rank => rank.is_finite().then(|| format!("{rank:.2}")), samples => measured.ids.len() })
-}
-
-/// Which share of the test spectra stays below an SSIM.
-fn distribution(results: &Results<'_>) -> Option<Figure> {
-    let scores = &results.assessment.scores;
-    let mut low: f64 = 1.0;
-    let mut lines = Vec::new();
-    let mut floors = FLOOR_COLOURS.into_iter().map(Colour::hex).cycle();
-    for (name, _) in &scores.predictors {
-        let Some(values) = scores.samples(name, "ssim") else { continue };
-        let mut sorted = values.to_vec();
-        sorted.sort_by(f64::total_cmp);
-        let stride = sorted.len().div_ceil(PLACES).max(1);
-        let share = |i: usize| (i + 1) as f64 / sorted.len() as f64;
-        let mut points: Vec<_> = (0..sorted.len()).step_by(stride).map(|i| (sorted[i], share(i))).collect();
-        points.extend(sorted.last().map(|v| (*v, 1.0)));
-        low = low.min(sorted.first().map_or(1.0, |v| (v * 10.0).floor() / 10.0)).max(-1.0);
-        let own = name == MODEL;
-        let colour = if own { MODEL_COLOUR } else { floors.next().unwrap_or(MODEL_COLOUR) };
-        lines.push(line(points, colour, if own { 3.0 } else { 2.0 }).named(name));
-    }
-    let x = Axis { name: "SSIM".into(), ends: Some((low, 1.0)), log: false };
-    let y = Axis { ends: Some((0.0, 1.0)), ..Axis::default() };
-    figure("Share of test spectra below an SSIM", &Chart { x, y, lines, ..Chart::default() })
 }

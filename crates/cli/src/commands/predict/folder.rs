@@ -4,7 +4,7 @@
 //! comes last, and says that all is there. So a killed command can be given again, and what it left is known by name.
 
 use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
-use pwrfgs::data::npy_header;
+use pwrfgs::data::{npy_header, npy_header_as};
 use pwrfgs_core::files::{read_text, refuse_foreign, write_atomically};
 use pwrfgs_core::{Error, Image, Number, Real, Result};
 use std::collections::BTreeSet;
@@ -15,10 +15,12 @@ use std::path::{Path, PathBuf};
 /// Rows of the positions, written when everything else is.
 pub(super) const LIST: &str = "predictions.csv";
 const PARTIAL: &str = ".predictions.partial";
+/// What NumPy calls pairs of 32-bit numbers.
+const COMPLEX: &str = "<c8";
 /// What the pictures of an ensemble's disagreement are called besides their row.
 pub(super) const SPREAD: &str = "-spread";
-/// All pictures in one array, and all disagreements.
-pub(super) const STACKS: [&str; 2] = ["spectra.npy", "spread.npy"];
+/// Everything in one array, and all disagreements.
+const STACKS: [&str; 3] = ["spectra.npy", "channels.npy", "spread.npy"];
 
 /// A folder that is being filled.
 pub(super) struct Folder<'a> {
@@ -60,6 +62,13 @@ impl<'a> Folder<'a> {
         put(&path, &npy)
     }
 
+    /// `NAME.npy` of complex gains `[A, F]`.
+    pub(super) fn gains(&self, name: &str, shape: [usize; 2], gains: &[[Real; 2]]) -> Result<()> {
+        let mut npy = npy_header_as(COMPLEX, &shape);
+        npy.extend(pairs(gains));
+        put(&self.path.join(format!("{name}.npy")), &npy)
+    }
+
     /// `NAME.png` (times `gain`, clamped to [0, 1]), where pictures are wanted.
     pub(super) fn picture(&self, name: &str, image: &Image, gain: Real) -> Result<()> {
         if !self.has_png {
@@ -78,7 +87,7 @@ pub(super) fn name(row: usize) -> String {
     format!("{row:05}")
 }
 
-/// One array `[M, height, width]` of 32-bit numbers, written picture by picture: it may be larger than memory.
+/// One array `[M, height, width]` of 32-bit or complex numbers, written row by row: it may be larger than memory.
 pub(super) struct Stack {
     path: PathBuf,
     beside: PathBuf,
@@ -86,22 +95,36 @@ pub(super) struct Stack {
 }
 
 impl Stack {
-    /// Of `count` pictures.
-    pub(super) fn create(folder: &Folder<'_>, name: &str, [count, height, width]: [usize; 3]) -> Result<Self> {
+    /// Of pictures.
+    pub(super) fn floats(folder: &Folder<'_>, name: &str, shape: [usize; 3]) -> Result<Self> {
+        Self::create(folder, name, &npy_header(Number::F32, &shape))
+    }
+
+    /// Of channels.
+    pub(super) fn complex(folder: &Folder<'_>, name: &str, shape: [usize; 3]) -> Result<Self> {
+        Self::create(folder, name, &npy_header_as(COMPLEX, &shape))
+    }
+
+    fn create(folder: &Folder<'_>, name: &str, header: &[u8]) -> Result<Self> {
         let path = folder.path.join(name);
         let beside = path.with_added_extension("tmp");
         let file = File::create(&beside).map_err(|e| Error::write(&path, e))?;
         let mut stack = Self { path, beside, file: BufWriter::new(file) };
-        stack.write(&npy_header(Number::F32, &[count, height, width]))?;
+        stack.write(header)?;
         Ok(stack)
     }
 
     /// The next picture.
-    pub(super) fn push(&mut self, image: &Image) -> Result<()> {
+    pub(super) fn push_floats(&mut self, image: &Image) -> Result<()> {
         self.write(&floats(image).collect::<Vec<u8>>())
     }
 
-    /// All pictures are there.
+    /// The next channel.
+    pub(super) fn push_complex(&mut self, gains: &[[Real; 2]]) -> Result<()> {
+        self.write(&pairs(gains).collect::<Vec<u8>>())
+    }
+
+    /// All is there.
     pub(super) fn finish(self) -> Result<()> {
         let Self { path, beside, file } = self;
         let file = file.into_inner().map_err(|e| Error::write(&path, e.into_error()))?;
@@ -148,6 +171,11 @@ fn is_own(path: &Path, count: usize) -> bool {
 /// The pixels as 32-bit numbers.
 fn floats(image: &Image) -> impl Iterator<Item = u8> {
     image.pixels.iter().flat_map(|p| (*p as f32).to_le_bytes())
+}
+
+/// Complex numbers of 32 bits a part.
+fn pairs(gains: &[[Real; 2]]) -> impl Iterator<Item = u8> {
+    gains.as_flattened().iter().flat_map(|v| (*v as f32).to_le_bytes())
 }
 
 /// Writes beside and renames: a file is whole or absent. Not synced, since the command can be given again.

@@ -1,0 +1,169 @@
+//! What is mapped of an observation, and the arrays of it.
+
+use super::plane::Grid;
+use clap::ValueEnum;
+use pwrfgs::model::Prepared;
+use pwrfgs_core::{Error, Image, Kind, Query, Real, Result, Vec3};
+use rayon::prelude::*;
+
+/// Queries of one call, and of one step of the progress bar.
+const CALL: usize = 64;
+const STEP: usize = 2_048;
+
+/// What may be asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Of {
+    /// Received power in dBm, or the mean power of a channel's gains in dB
+    Power,
+    /// The strongest pixel of a spectrum
+    Level,
+    /// The mean pixel of a spectrum
+    Mean,
+    /// Azimuth and elevation of the strongest pixel of a spectrum
+    Direction,
+}
+
+/// One array of a map.
+#[derive(Clone, Debug)]
+pub(super) struct Layer {
+    /// Begins the names of its files.
+    pub(super) name: &'static str,
+    /// In words.
+    pub(super) words: &'static str,
+    pub(super) unit: &'static str,
+    /// Which receiver; `None`: the strongest of all that are mapped.
+    pub(super) receiver: Option<usize>,
+    /// Row by row, the lowest first.
+    pub(super) values: Vec<f32>,
+    /// For each value where it comes from, within the plane; of azimuths alone.
+    pub(super) arrows: Vec<[f32; 2]>,
+}
+
+/// What is mapped of this kind where nothing, or something, is asked for.
+pub(super) fn quantities(model: &Prepared<'_>, of: &[Of]) -> Result<Vec<Of>> {
+    let has_angles = model.plane().angles.is_some();
+    let (fitting, word): (&[Of], _) = match model.kind() {
+        Kind::Spectrum if has_angles => {
+            (&[Of::Direction, Of::Level, Of::Mean], "spatial spectra: give direction, level or mean")
+        }
+        Kind::Spectrum => (&[Of::Level, Of::Mean], "spectra whose pixels have no angles: give level or mean"),
+        Kind::Power => (&[Of::Power], "received powers: give power"),
+        Kind::Channel => (&[Of::Power], "channels: give power"),
+    };
+    if let Some(wrong) = of.iter().find(|asked| !fitting.contains(asked)) {
+        let name = wrong.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
+        return Err(Error::Config(format!("--of {name}: this model predicts {word}")));
+    }
+    let default = if model.kind() == Kind::Spectrum { &fitting[..fitting.len() - 1] } else { fitting };
+    Ok(fitting
+        .iter()
+        .copied()
+        .filter(|own| if of.is_empty() { default.contains(own) } else { of.contains(own) })
+        .collect())
+}
+
+/// Numbers of one observation: level or power, mean, and the pixel of the strongest direction.
+#[derive(Clone, Copy)]
+struct Summary {
+    level: f64,
+    mean: f64,
+    strongest: usize,
+}
+
+impl Summary {
+    fn of(kind: Kind, image: &Image) -> Self {
+        let strongest = image.argmax();
+        let count = image.pixels.len().max(1) as f64;
+        let level = match kind {
+            Kind::Channel => {
+                // Two rows an antenna: half as many gains as numbers.
+                10.0 * (2.0 * image.pixels.iter().map(|v| (*v as f64).powi(2)).sum::<f64>() / count).log10()
+            }
+            _ => image.pixels[strongest] as f64,
+        };
+        let mean = image.pixels.iter().map(|v| *v as f64).sum::<f64>() / count;
+        Self { level, mean, strongest }
+    }
+}
+
+/// All arrays of a map; `progress` is told how many places are done.
+pub(super) fn layers(
+    model: &Prepared<'_>,
+    grid: &Grid,
+    receivers: &[usize],
+    of: &[Of],
+    mut progress: impl FnMut(usize),
+) -> Vec<Layer> {
+    let mut layers: Vec<Layer> = receivers.iter().flat_map(|&r| empty(model.kind(), r, of)).collect();
+    let per_receiver = layers.len() / receivers.len().max(1);
+    let places: Vec<usize> = (0..grid.len()).collect();
+    for some in places.chunks((STEP / receivers.len().max(1)).max(1)) {
+        progress(some[0]);
+        let queries: Vec<Query<'static>> =
+            some.iter().flat_map(|&k| receivers.iter().map(move |&r| Query::at(grid.place(k), r))).collect();
+        let summaries: Vec<Summary> = queries
+            .par_chunks(CALL)
+            .flat_map_iter(|queries| model.predict_many(queries))
+            .map(|image| Summary::of(model.kind(), &image))
+            .collect();
+        for (k, summary) in summaries.into_iter().enumerate() {
+            let slot = k % receivers.len();
+            put(model, grid, receivers[slot], summary, &mut layers[slot * per_receiver..][..per_receiver]);
+        }
+    }
+    layers.extend(strongest(model.kind(), &layers, receivers.len()));
+    layers
+}
+
+/// Arrays of a receiver without values.
+fn empty(kind: Kind, receiver: usize, of: &[Of]) -> Vec<Layer> {
+    let layer = |(name, words, unit)| Layer {
+        name,
+        words,
+        unit,
+        receiver: Some(receiver),
+        values: Vec::new(),
+        arrows: Vec::new(),
+    };
+    let names = |of: &Of| match (of, kind) {
+        (Of::Power, Kind::Channel) => vec![("power", "mean power of the channel", "dB")],
+        (Of::Power, _) => vec![("power", "received power", "dBm")],
+        (Of::Level, _) => vec![("level", "strongest level of the spectrum", "")],
+        (Of::Mean, _) => vec![("mean", "mean level of the spectrum", "")],
+        (Of::Direction, _) => vec![
+            ("azimuth", "azimuth of the strongest direction", "degrees"),
+            ("elevation", "elevation of the strongest direction", "degrees"),
+        ],
+    };
+    of.iter().flat_map(names).map(layer).collect()
+}
+
+/// Adds a place to the arrays of its receiver.
+fn put(model: &Prepared<'_>, grid: &Grid, receiver: usize, summary: Summary, layers: &mut [Layer]) {
+    let plane = model.plane();
+    let (column, row) = ((summary.strongest % plane.width) as Real, (summary.strongest / plane.width) as Real);
+    for layer in layers {
+        let angles = || plane.azimuth_elevation_deg(column, row);
+        let value = match layer.name {
+            "mean" => summary.mean,
+            "azimuth" => angles().map_or(f64::NAN, |(azimuth, _)| f64::from(azimuth as f32)),
+            "elevation" => angles().map_or(f64::NAN, |(_, elevation)| f64::from(elevation as f32)),
+            _ => summary.level,
+        };
+        layer.values.push(value as f32);
+        if layer.name == "azimuth" {
+            let turn = model.receivers()[receiver].pose.world_from_receiver();
+            let from = plane.direction(column, row).map(|direction| turn * Vec3::from_array(direction));
+            let flat = grid.plane.flat(from.unwrap_or(Vec3::ZERO).to_array().map(|v| v as f64));
+            layer.arrows.push(flat.map(|v| v as f32));
+        }
+    }
+}
+
+/// The largest power of all receivers at each place, where there are several.
+fn strongest(kind: Kind, layers: &[Layer], receivers: usize) -> Option<Layer> {
+    let first = layers.first().filter(|_| kind == Kind::Power && receivers > 1)?;
+    let largest = |k: usize| layers.iter().map(|layer| layer.values[k]).fold(f32::NAN, f32::max);
+    let values = (0..first.values.len()).map(largest).collect();
+    Some(Layer { name: "strongest", words: "power at the strongest receiver", receiver: None, values, ..first.clone() })
+}

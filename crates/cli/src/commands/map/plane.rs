@@ -1,0 +1,182 @@
+//! The plane of a map: an axis-parallel one, and a grid of places on it.
+
+use pwrfgs_core::origin::coordinate_fault;
+use pwrfgs_core::{Error, Result};
+
+const AXES: [&str; 3] = ["x", "y", "z"];
+/// Most places of a map.
+const MOST: f64 = 4e6;
+
+/// A plane on which one coordinate stays.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Plane {
+    /// Which coordinate stays: 0 for x.
+    pub(super) axis: usize,
+    /// Where, metres.
+    pub(super) at: f64,
+}
+
+impl Plane {
+    /// `z=1.2`.
+    pub(super) fn parse(text: &str) -> Result<Self> {
+        let wrong = || {
+            Error::Config(format!(
+                "--plane {text}: give the coordinate that stays and where in metres, such as z=1.2, x=0.5 or y=-3"
+            ))
+        };
+        let (name, at) = text.split_once('=').ok_or_else(wrong)?;
+        let axis = AXES.iter().position(|axis| name.trim().eq_ignore_ascii_case(axis)).ok_or_else(wrong)?;
+        let at = at.trim().parse().ok().filter(|at| coordinate_fault(*at).is_none()).ok_or_else(wrong)?;
+        Ok(Self { axis, at })
+    }
+
+    /// The two coordinates that do not stay, across first.
+    pub(super) fn axes(&self) -> [usize; 2] {
+        [[1, 2], [0, 2], [0, 1]][self.axis]
+    }
+
+    /// Their names.
+    pub(super) fn names(&self) -> [&'static str; 2] {
+        self.axes().map(|k| AXES[k])
+    }
+
+    /// Such as `z = 1.2 m`.
+    pub(super) fn words(&self) -> String {
+        format!("{} = {} m", AXES[self.axis], self.at)
+    }
+
+    /// A place in space on the plane.
+    fn place(&self, [a, b]: [f64; 2]) -> [f64; 3] {
+        let mut place = [self.at; 3];
+        let [across, up] = self.axes();
+        (place[across], place[up]) = (a, b);
+        place
+    }
+
+    /// The part of a place, or of a vector, that lies in the plane.
+    pub(super) fn flat(&self, place: [f64; 3]) -> [f64; 2] {
+        self.axes().map(|k| place[k])
+    }
+}
+
+/// Ends of both coordinates: low and high across, low and high up.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Bounds(pub(super) [[f64; 2]; 2]);
+
+impl Bounds {
+    /// `x0,x1,y0,y1`.
+    pub(super) fn parse(text: &str, names: [&str; 2]) -> Result<Self> {
+        let [a, b] = names;
+        let wrong = || {
+            Error::Config(format!(
+                "--bounds {text}: give four numbers of metres, {a} from and to, {b} from and to, the smaller first, such as \
+                 0,8,0,6"
+            ))
+        };
+        let numbers: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
+        match <[f64; 4]>::try_from(numbers.unwrap_or_default()) {
+            Ok([x0, x1, y0, y1])
+                if [x0, x1, y0, y1].iter().all(|v| coordinate_fault(*v).is_none()) && x0 <= x1 && y0 <= y1 =>
+            {
+                Ok(Self([[x0, x1], [y0, y1]]))
+            }
+            _ => Err(wrong()),
+        }
+    }
+
+    /// Out to the next multiples of `step`.
+    pub(super) fn outwards(self, step: f64) -> Self {
+        let rounded = |[low, high]: [f64; 2]| [(low / step).floor() * step, (high / step).ceil() * step];
+        let out = self.0.map(rounded);
+        if out.iter().flatten().all(|v| v.is_finite()) { Self(out) } else { self }
+    }
+
+    /// The middle nine tenths of `cloud`, and all `receivers`; a square of two metres where that is a single place.
+    pub(super) fn around(mut cloud: Vec<[f64; 2]>, receivers: &[[f64; 2]]) -> Self {
+        cloud.retain(|place| place.iter().all(|v| v.is_finite()));
+        let of = |k: usize| {
+            let mut values: Vec<f64> = cloud.iter().map(|place| place[k]).collect();
+            values.sort_by(f64::total_cmp);
+            let last = values.len().saturating_sub(1) as f64;
+            let ends = [0.05, 0.95].map(|q| values.get((q * last).round() as usize).copied());
+            let all = || ends.iter().flatten().copied().chain(receivers.iter().map(|place| place[k]));
+            [all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max)]
+        };
+        Self([of(0), of(1)].map(|[low, high]| match high - low {
+            gap if gap > 0.0 => [low, high],
+            _ if low.is_finite() => [low - 1.0, low + 1.0],
+            _ => [-1.0, 1.0],
+        }))
+    }
+}
+
+/// Places on a plane, row by row, the lowest first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Grid {
+    pub(super) plane: Plane,
+    pub(super) first: [f64; 2],
+    pub(super) step: f64,
+    pub(super) columns: usize,
+    pub(super) rows: usize,
+}
+
+impl Grid {
+    /// From the low ends on, `layers` numbers a place.
+    pub(super) fn new(plane: Plane, Bounds([across, up]): Bounds, step: f64, layers: usize) -> Result<Self> {
+        if !(step.is_finite() && step >= 1e-6) {
+            return Err(Error::Config(format!("--step {step}: give metres between two places, such as 0.1")));
+        }
+        let count = |[low, high]: [f64; 2]| ((high - low) / step + 1e-6).floor() + 1.0;
+        let (columns, rows) = (count(across), count(up));
+        if columns * rows > MOST || columns * rows * layers as f64 > 16.0 * MOST {
+            return Err(Error::Config(format!(
+                "a map of {columns} by {rows} places and {layers} receivers is too large; raise --step, narrow --bounds, or \
+                 name a --receiver"
+            )));
+        }
+        Ok(Self { plane, first: [across[0], up[0]], step, columns: columns as usize, rows: rows as usize })
+    }
+
+    /// Places.
+    pub(super) fn len(&self) -> usize {
+        self.columns * self.rows
+    }
+
+    /// Place `k` in space.
+    pub(super) fn place(&self, k: usize) -> [f64; 3] {
+        let far = |n: usize, k: usize| self.first[k] + self.step * n as f64;
+        self.plane.place([far(k % self.columns, 0), far(k / self.columns, 1)])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn planes_and_bounds_are_read_or_refused() {
+        assert_eq!(Plane::parse("Z= -1.5").unwrap(), Plane { axis: 2, at: -1.5 });
+        for wrong in ["", "z", "w=1", "z=", "z=NaN", "z=1e9", "z=1,2"] {
+            assert!(Plane::parse(wrong).unwrap_err().is_input(), "{wrong}");
+        }
+        assert_eq!(Bounds::parse("0, 8,-1,6", ["x", "y"]).unwrap().0, [[0.0, 8.0], [-1.0, 6.0]]);
+        for wrong in ["", "0,1,2", "1,0,0,1", "0,1,0,inf", "0,1,0,1,2"] {
+            assert!(Bounds::parse(wrong, ["x", "y"]).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn the_grid_goes_from_low_to_high() {
+        let plane = Plane { axis: 1, at: 9.0 };
+        let grid = Grid::new(plane, Bounds([[0.0, 0.3], [1.0, 1.2]]), 0.1, 1).unwrap();
+        assert_eq!((grid.columns, grid.rows), (4, 3));
+        let last = grid.place(11);
+        assert!((last[0] - 0.3).abs() < 1e-12 && last[1] == 9.0 && (last[2] - 1.2).abs() < 1e-12, "{last:?}");
+        for step in [0.0, -1.0, f64::NAN, 1e-5] {
+            assert!(Grid::new(plane, Bounds([[0.0, 100.0]; 2]), step, 1).is_err(), "{step}");
+        }
+        assert_eq!(Bounds::around(vec![], &[[1.0, 2.0]]).0, [[0.0, 2.0], [1.0, 3.0]]);
+        assert_eq!(Bounds([[-0.3, 1.0], [0.0, 0.1]]).outwards(0.5).0, [[-0.5, 1.0], [0.0, 0.5]]);
+        assert_eq!(Bounds::around(vec![[f64::NAN; 2]], &[]).0, [[-1.0, 1.0]; 2]);
+    }
+}

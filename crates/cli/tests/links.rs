@@ -1,0 +1,170 @@
+//! Received powers and channels by the same commands as spectra: page, predictions, maps, exports.
+
+use crate::common::{refuse, stderr, succeed, write};
+use std::collections::BTreeSet;
+use std::path::Path;
+
+const MODEL: &str = "run/model.safetensors";
+
+/// Powers of 60 transmitters in a hall at two receivers by a law of distance, in NeRF2's layout, and a pipeline beside them.
+fn hall(here: &Path) {
+    let receivers = [("north", [1.0, 1.0, 2.5]), ("south", [9.0, 5.0, 2.5])];
+    let place = |k: usize| [(k * 7 % 60) as f64 / 6.0, (k * 11 % 60) as f64 / 10.0, 1.0];
+    let dbm = |k: usize, at: [f64; 3]| {
+        let squares: f64 = place(k).iter().zip(at).map(|(a, b)| (a - b).powi(2)).sum();
+        -40.0 - 10.0 * squares.log10() + (k % 5) as f64
+    };
+    let gateways = receivers.map(|(name, at)| format!("{name}: {at:?}\n")).concat();
+    write(&here.join("data/gateway_position.yml"), gateways);
+    let rows = |row: &dyn Fn(usize) -> String| (0..60).map(|k| row(k) + "\n").collect::<String>();
+    let powers = rows(&|k| receivers.map(|(_, at)| format!("{:.2}", dbm(k, at))).join(","));
+    write(&here.join("data/gateway_rssi.csv"), format!("north,south\n{powers}"));
+    let places = rows(&|k| place(k).map(|v| v.to_string()).join(","));
+    write(&here.join("data/tx_pos.csv"), format!("x,y,z\n{places}"));
+    let text = "Pipeline(name: \"hall\", data: Nerf2Rssi(root: \"data\"), split: Random(test: 0.25), \
+                initializer: Grid(count: 12), deformation: Factored(depth: 1, width: 8, tx_encoding: Octaves(1)), \
+                readout: Received(sky_deg: 30), training: (steps: 20, batch: 4, densify_until: 2, prune_until: 4, \
+                prune_every: 2, validate_every: 0, densify: (every: 0)), baselines: [NearestNeighbours(k: 1)], \
+                metrics: [PowerError()])";
+    write(&here.join("p.ron"), text);
+    succeed(here, &["run", "p.ron", "--out", "run"]);
+}
+
+fn read(path: &Path) -> String {
+    std::fs::read_to_string(path).unwrap()
+}
+
+fn names(folder: &Path) -> BTreeSet<String> {
+    folder.read_dir().unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect()
+}
+
+fn floats(path: &Path) -> (Vec<u64>, Vec<f32>) {
+    let bytes = std::fs::read(path).unwrap();
+    let npy = npyz::NpyFile::new(&bytes[..]).unwrap();
+    (npy.shape().to_vec(), npy.into_vec().unwrap())
+}
+
+#[test]
+fn powers_are_reported_predicted_mapped_and_exported() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    hall(here);
+    let page = read(&here.join("run/report.html"));
+    for words in
+        ["Where the errors are", "Receiver by receiver", "a map a receiver", "predicted, dBm", ">south<", "test links"]
+    {
+        assert!(page.contains(words), "`{words}` is not in the page");
+    }
+    assert!(!page.contains("test spectra") && !page.contains("NaN") && !page.contains("<h2>Spectra"));
+    let said = succeed(here, &["evaluate", MODEL, "--out", "again"]);
+    assert!(stderr(&said).contains("scoring 30 test links"), "{}", stderr(&said));
+    predicts_powers(here);
+    maps_powers(here);
+    succeed(here, &["export", MODEL, "--npz", "m.npz", "--ply", "m.ply"]);
+    let mut archive = zip::ZipArchive::new(std::fs::File::open(here.join("m.npz")).unwrap()).unwrap();
+    for name in ["kind", "receivers.names", "receivers.positions", "receivers.antennas"] {
+        assert!(archive.by_name(&format!("{name}.npy")).is_ok(), "{name}");
+    }
+}
+
+fn predicts_powers(here: &Path) {
+    write(&here.join("tx.csv"), "x,y,z\n1,2,1\n3,4,1\n");
+    succeed(here, &["predict", MODEL, "--tx-csv", "tx.csv", "--out", "all"]);
+    let list = read(&here.join("all/predictions.csv"));
+    let rows: Vec<&str> = list.lines().collect();
+    assert_eq!((rows[0], rows.len()), ("row,x,y,z,receiver,dbm,ms", 5));
+    assert!(rows[1].starts_with("1,1,2,1,north,-") && rows[4].starts_with("4,3,4,1,south,-"), "{list}");
+    assert_eq!(names(&here.join("all")), ["predictions.csv".to_owned()].into());
+    succeed(here, &["predict", MODEL, MODEL, "--tx", "1,2,1", "--receiver", "south", "--out", "two"]);
+    let two = read(&here.join("two/predictions.csv"));
+    assert!(two.starts_with("row,x,y,z,receiver,dbm,spread_db,ms\n1,1,2,1,south,-") && two.contains(",0,"), "{two}");
+    let out = ["--tx", "1,2,1", "--out", "no"];
+    refuse(here, &[&["predict", MODEL, "--stacked"][..], &out].concat(), 2, &["--stacked", "predictions.csv"]);
+    let wrong = [&["predict", MODEL, "--receiver", "nort"][..], &out].concat();
+    refuse(here, &wrong, 2, &["--receiver nort", "did you mean `north`?", "north, south"]);
+    assert!(!here.join("no").exists());
+}
+
+fn maps_powers(here: &Path) {
+    succeed(here, &["map", MODEL, "--plane", "z=1", "--step", "0.5", "--bounds", "0,2,1,2", "--out", "map"]);
+    let maps = [
+        "map.csv",
+        "power-north.npy",
+        "power-north.png",
+        "power-south.npy",
+        "power-south.png",
+        "strongest.npy",
+        "strongest.png",
+    ];
+    assert_eq!(names(&here.join("map")), maps.map(str::to_owned).into());
+    let (shape, north) = floats(&here.join("map/power-north.npy"));
+    let (south, strongest) = (floats(&here.join("map/power-south.npy")).1, floats(&here.join("map/strongest.npy")).1);
+    assert_eq!(shape, [3, 5]);
+    assert!(strongest.iter().zip(north.iter().zip(&south)).all(|(s, (a, b))| *s == a.max(*b)));
+    // The place x = 1, y = 2 is the third of the third row.
+    let list = read(&here.join("all/predictions.csv"));
+    let predicted: f32 = list.lines().nth(1).unwrap().split(',').nth(5).unwrap().parse().unwrap();
+    assert!((north[12] - predicted).abs() < 1e-3, "{} {predicted}", north[12]);
+    assert!(image::open(here.join("map/strongest.png")).is_ok());
+    let list = read(&here.join("map/map.csv"));
+    assert!(
+        list.lines()
+            .nth(1)
+            .unwrap()
+            .starts_with("power-north.npy,power-north.png,received power,dBm,north,x,0,5,y,1,3,0.5,z = 1 m,"),
+        "{list}"
+    );
+    let said = succeed(here, &["map", MODEL, "--plane", "y=2", "--receiver", "south", "--step", "1", "--out", "side"]);
+    assert!(stderr(&said).contains("--bounds changes it"), "{}", stderr(&said));
+    assert_eq!(names(&here.join("side")).len(), 3);
+    for (arguments, words) in [
+        (&["--plane", "w=1"][..], &["--plane w=1", "such as z=1.2"][..]),
+        (&["--plane", "z=1", "--step", "0"], &["--step 0"]),
+        (&["--plane", "z=1", "--bounds", "2,1,0,1"], &["--bounds 2,1,0,1", "the smaller first"]),
+        (&["--plane", "z=1", "--bounds", "0,90000,0,90000"], &["too large", "raise --step"]),
+        (&["--plane", "z=1", "--of", "direction"], &["--of direction", "received powers"]),
+        (&["--plane", "z=1", "--receiver", "x"], &["--receiver x", "north, south"]),
+    ] {
+        refuse(here, &[&["map", MODEL, "--out", "no"][..], arguments].concat(), 2, words);
+    }
+    refuse(here, &["map", MODEL, "--plane", "z=1", "--step", "1", "--out", "map"], 2, &["map", "not empty"]);
+    assert!(!here.join("no").exists());
+}
+
+#[test]
+#[cfg(feature = "sim")]
+fn channels_are_reported_predicted_and_mapped() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let scene = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenes/office-channel.ron");
+    let text = format!(
+        "Pipeline(name: \"office\", data: Simulated(scene: \"{scene}\", samples: 24, points: 200, observe: \
+         Channel(snr_db: 30), cache: false), split: Random(test: 0.25), initializer: PointCloud(max_points: 10), \
+         deformation: Factored(depth: 1, width: 8, tx_encoding: Octaves(1)), readout: Channel, training: (steps: 6, batch: \
+         2, densify_until: 2, prune_until: 4, prune_every: 2, validate_every: 0, densify: (every: 0)), baselines: \
+         [NearestNeighbours(k: 1)], metrics: [ChannelSnr()])"
+    );
+    write(&here.join("p.ron"), text);
+    succeed(here, &["run", "p.ron", "--out", "run"]);
+    let page = read(&here.join("run/report.html"));
+    for words in ["Power delay profile", "16 antennas × 16 subcarriers", "degrees, unwrapped", "below an SNR"] {
+        assert!(page.contains(words), "`{words}` is not in the page");
+    }
+    assert!(!page.contains("test spectra") && !page.contains("NaN"));
+    write(&here.join("tx.csv"), "x,y,z\n3,2,1\n4,4,1\n");
+    succeed(here, &["predict", MODEL, "--tx-csv", "tx.csv", "--out", "each"]);
+    succeed(here, &["predict", MODEL, MODEL, "--tx-csv", "tx.csv", "--stacked", "--out", "stack"]);
+    assert_eq!(names(&here.join("each")), ["00001.npy", "00002.npy", "predictions.csv"].map(str::to_owned).into());
+    assert_eq!(names(&here.join("stack")), ["channels.npy", "spread.npy", "predictions.csv"].map(str::to_owned).into());
+    let bytes = |name: &str| std::fs::read(here.join(name)).unwrap();
+    let (one, all) = (bytes("each/00002.npy"), bytes("stack/channels.npy"));
+    let header = |bytes: &[u8]| String::from_utf8_lossy(&bytes[..128]).into_owned();
+    assert!(header(&one).contains("'<c8'") && header(&one).contains("(16, 16)"), "{}", header(&one));
+    assert!(header(&all).contains("'<c8'") && header(&all).contains("(2, 16, 16)"), "{}", header(&all));
+    assert_eq!(one[one.len() - 2048..], all[all.len() - 2048..], "the mean of twice the same");
+    succeed(here, &["map", MODEL, "--plane", "z=1", "--step", "0.5", "--bounds", "3,4,2,3", "--out", "map"]);
+    assert_eq!(floats(&here.join("map/power.npy")).0, [3, 3]);
+    let db: f32 =
+        read(&here.join("each/predictions.csv")).lines().nth(1).unwrap().split(',').nth(5).unwrap().parse().unwrap();
+    assert!((floats(&here.join("map/power.npy")).1[0] - db).abs() < 1e-2);
+}

@@ -1,0 +1,133 @@
+//! Where a model without splats puts its transmitters: the room from above and from the side.
+
+use crate::draw::canvas::{Anchor, Canvas, Colour, Paint, WHITE};
+use crate::draw::font::text_width;
+use crate::draw::plan::{Plan, draw_receiver};
+use minijinja::{Value, context};
+use pwrfgs_core::evenly;
+use pwrfgs_experiment::Results;
+use pwrfgs_experiment::scores::quantile;
+use pwrfgs_experiment::text::grouped;
+
+/// Most transmitters and surface points that are drawn, the strongest first.
+const SHOWN: usize = 600;
+const POINTS: usize = 2_500;
+/// Width of a view.
+const WIDTH: f64 = 560.0;
+/// Radius of the strongest.
+const RADIUS: f64 = 9.0;
+/// Weaker than this below the strongest all are equally small, dB.
+const RANGE_DB: f64 = 40.0;
+const BLUE: Colour = Colour::hex(0x17_4a99);
+const WALLS: Colour = Colour::hex(0xb4_5f06);
+
+/// One of them: place in metres, and how strong in dB below the strongest.
+struct Found {
+    place: [f64; 3],
+    db: f64,
+}
+
+/// Both views, and what is not drawn; nothing of a model that draws splats.
+pub(super) fn map(results: &Results<'_>) -> Option<Value> {
+    let members = results.model.members();
+    if members.iter().any(|model| model.stages.splatting().is_some()) {
+        return None;
+    }
+    let mut found = found(results);
+    if found.is_empty() {
+        return None;
+    }
+    let all = found.len();
+    found.truncate(SHOWN);
+    let view = |names, axes: [usize; 2]| draw(results, &found, names, axes);
+    let ((plan, outside), (side, hidden)) = (view(["x", "y"], [0, 1]), view(["x", "z"], [0, 2]));
+    Some(context! {
+        plan => plan.svg("map", "the room from above"),
+        side => side.svg("map", "the room from the side"),
+        legend => legend(!results.data.scene.points.is_empty()).svg("legend", "what the marks mean"),
+        count => grouped(all as i64),
+        shown => (all > found.len()).then(|| grouped(found.len() as i64)),
+        outside => outside.max(hidden),
+    })
+}
+
+/// All of them in the user's frame, the strongest first.
+fn found(results: &Results<'_>) -> Vec<Found> {
+    let members = results.model.members();
+    let mut all: Vec<([f64; 3], f64)> = members
+        .iter()
+        .flat_map(|model| {
+            let origin = model.stages.origin;
+            let strength = |[re, im]: &[pwrfgs_core::Real; 2]| (*re as f64).hypot(*im as f64);
+            model.cloud.means.iter().zip(&model.cloud.signals).map(move |(p, s)| (origin.world(*p), strength(s)))
+        })
+        .filter(|(place, s)| s.is_finite() && place.iter().all(|v| v.is_finite()))
+        .collect();
+    all.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let most = all.first().map_or(0.0, |own| own.1);
+    let db = |s: f64| if s > 0.0 && most > 0.0 { 20.0 * (s / most).log10() } else { f64::NEG_INFINITY };
+    all.into_iter().map(|(place, s)| Found { place, db: db(s) }).collect()
+}
+
+/// One view along an axis, and how many lie outside its frame.
+fn draw(results: &Results<'_>, found: &[Found], names: [&'static str; 2], axes: [usize; 2]) -> (Canvas, usize) {
+    let scene = &results.data.scene;
+    let flat = |p: [f64; 3]| axes.map(|k| p[k]);
+    let walls = [scene.bounds.0, scene.bounds.1].map(|corner| flat(scene.origin.world(corner)));
+    let places: Vec<[f64; 2]> = found.iter().map(|own| flat(own.place)).collect();
+    let plan = Plan::new(frame(walls, &places), names, WIDTH, 420.0);
+    let mut canvas = plan.canvas();
+    plan.points(&mut canvas, evenly(&scene.points, POINTS).into_iter().map(|p| flat(scene.origin.world(p))));
+    let [a, b] = [plan.place([walls[0][0], walls[1][1]]), plan.place([walls[1][0], walls[0][1]])];
+    canvas.rect(a, [b[0] - a[0], b[1] - a[1]], Paint { dash: &[6.0, 4.0], ..Paint::stroke(WALLS, 1.1) });
+    let mut outside = 0;
+    for own in found {
+        let place = flat(own.place);
+        if plan.holds(place) {
+            canvas.circle(plan.place(place), radius(own.db), Paint::fill(BLUE.faint(0.6)).outlined(WHITE, 0.6));
+        } else {
+            outside += 1;
+        }
+    }
+    for receiver in &scene.receivers {
+        plan.receiver(&mut canvas, flat(scene.origin.world_pose(receiver.pose).position));
+    }
+    plan.axes(&mut canvas);
+    (plan.widened(&canvas, WIDTH), outside)
+}
+
+/// The room and what lies around it, mirror images too, but for the few farthest.
+fn frame(walls: [[f64; 2]; 2], places: &[[f64; 2]]) -> [[f64; 2]; 2] {
+    let sorted = |k: usize| {
+        let mut values: Vec<f64> = places.iter().map(|p| p[k]).collect();
+        values.sort_by(f64::total_cmp);
+        values
+    };
+    let ends = |q: f64| [quantile(&sorted(0), q), quantile(&sorted(1), q)];
+    Plan::corners(walls.into_iter().chain([ends(0.02), ends(0.98)]))
+}
+
+/// Its area falls with decibels.
+fn radius(db: f64) -> f64 {
+    RADIUS * (1.0 + db.max(-RANGE_DB) / RANGE_DB).max(0.03).sqrt()
+}
+
+/// What the marks mean.
+fn legend(has_points: bool) -> Canvas {
+    let mut canvas = Canvas::new(620.0, 24.0);
+    let (mut x, y) = (12.0, 12.0);
+    let say = |canvas: &mut Canvas, x: &mut f64, words: &str| {
+        canvas.text([*x + 13.0, y + 4.0], Anchor::Start, words);
+        *x += 30.0 + text_width(words);
+    };
+    for (db, words) in [(0.0, "strongest"), (-10.0, "10 dB weaker"), (-20.0, "20 dB weaker")] {
+        canvas.circle([x, y], radius(db), Paint::fill(BLUE.faint(0.6)).outlined(WHITE, 0.6));
+        say(&mut canvas, &mut x, words);
+    }
+    draw_receiver(&mut canvas, [x, y]);
+    say(&mut canvas, &mut x, "receiver");
+    canvas.line(&[[x - 9.0, y], [x + 9.0, y]], Paint { dash: &[6.0, 4.0], ..Paint::stroke(WALLS, 1.1) });
+    say(&mut canvas, &mut x, if has_points { "bounds of the scene" } else { "bounds of the data" });
+    canvas.width = x;
+    canvas
+}

@@ -1,0 +1,149 @@
+//! What the page shows of received powers: how errors are spread, where they lie, and the best and the worst links.
+
+mod maps;
+
+use super::predicted;
+use crate::draw::canvas::Colour;
+use crate::draw::charts::{Axis, Chart, Line};
+use crate::draw::marks::{Stroke, Style};
+use minijinja::{Value, context};
+use pwrfgs_core::evenly;
+use pwrfgs_experiment::scores::quantile;
+use pwrfgs_experiment::{Example, Results, samples};
+
+/// At most so many dots of the scatter.
+const DOTS: usize = 3_000;
+/// Bars of the histogram.
+const BARS: usize = 48;
+const BLUE: Colour = Colour::hex(0x18_4ea3);
+const GREY: Colour = Colour::hex(0x10_1318);
+
+/// A test link: what was measured, what is predicted, dBm.
+#[derive(Clone, Copy)]
+struct Heard {
+    link: usize,
+    measured: f64,
+    predicted: f64,
+}
+
+impl Heard {
+    /// Positive where the model predicts too much, dB.
+    fn error(&self) -> f64 {
+        self.predicted - self.measured
+    }
+}
+
+/// Figures, maps and examples.
+pub(super) fn section(results: &Results<'_>) -> Value {
+    let mut heard = Vec::with_capacity(results.partition.test.len());
+    predicted::each(results, &results.partition.test, |link, truth, prediction| {
+        heard.push(Heard { link, measured: truth.pixels[0] as f64, predicted: prediction.pixels[0] as f64 });
+    });
+    heard.retain(|own| own.error().is_finite());
+    let mut errors: Vec<f64> = heard.iter().map(Heard::error).collect();
+    errors.sort_by(f64::total_cmp);
+    let figures: Vec<(&str, String)> = [histogram(&errors), scatter(&heard)].into_iter().flatten().collect();
+    context! {
+        figures,
+        median => signed(quantile(&errors, 0.5)),
+        mean => signed(errors.iter().sum::<f64>() / errors.len().max(1) as f64),
+        dots => heard.len().min(DOTS),
+        links => heard.len(),
+        maps => maps::maps(results, &heard),
+        examples => examples(results),
+    }
+}
+
+/// Two places after the point, with a sign that is one.
+fn signed(db: f64) -> String {
+    format!("{db:+.2}").replace('-', "−")
+}
+
+/// How often errors of each size are, in per cent of the test links; a hundredth at each end stands in the outermost bar.
+fn histogram(errors: &[f64]) -> Option<(&'static str, String)> {
+    let reach = quantile(errors, 0.01).abs().max(quantile(errors, 0.99).abs());
+    let reach = if reach > 0.0 { reach } else { 1.0 };
+    let step = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0].into_iter().find(|s| 2.0 * reach / s <= BARS as f64)?;
+    let half = (reach / step).ceil().max(1.0) as i64;
+    let mut counts = vec![0usize; 2 * half as usize];
+    for error in errors {
+        counts[((error / step).floor() as i64).clamp(-half, half - 1).abs_diff(-half) as usize] += 1;
+    }
+    let share = |count: usize| 100.0 * count as f64 / errors.len().max(1) as f64;
+    let edge = |k: usize| (k as i64 - half) as f64 * step;
+    let mut outline = vec![(edge(0), 0.0)];
+    for (k, &count) in counts.iter().enumerate() {
+        outline.extend([(edge(k), share(count)), (edge(k + 1), share(count))]);
+    }
+    outline.push((edge(counts.len()), 0.0));
+    let most = counts.iter().map(|&count| share(count)).fold(0.0, f64::max);
+    let median = quantile(errors, 0.5);
+    let upright = |x: f64, stroke| Line::new(vec![(x, 0.0), (x, 1.05 * most)], Style::line(GREY, 1.3, stroke));
+    let lines = vec![
+        upright(0.0, Stroke::FULL),
+        upright(median, Stroke::DASHED).named(&format!("median, {} dB", signed(median))),
+        Line::new(outline.clone(), Style::line(BLUE, 1.2, Stroke::FULL)),
+        Line::new(outline, Style::line(BLUE, 1.0, Stroke::Area)),
+    ];
+    let x = Axis { name: "predicted − measured, dB".into(), ends: Some((edge(0), edge(counts.len()))), log: false };
+    let name = format!("% of links in a bar of {step} dB");
+    let y = Axis { name, ends: Some((0.0, 1.05 * most.max(1e-9))), log: false };
+    let title = "Errors of the model";
+    (!errors.is_empty()).then_some(())?;
+    Some((title, Chart { x, y, lines, ..Chart::default() }.draw()?.svg("chart", title)))
+}
+
+/// Predicted against measured, with the line on which they would be equal.
+fn scatter(heard: &[Heard]) -> Option<(&'static str, String)> {
+    let dots: Vec<(f64, f64)> = evenly(heard, DOTS).iter().map(|own| (own.measured, own.predicted)).collect();
+    let all = || dots.iter().flat_map(|(a, b)| [*a, *b]);
+    let (low, high) = (all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max));
+    let air = (0.04 * (high - low)).max(1.0);
+    let ends = (low - air, high + air);
+    let lines = vec![
+        Line::new(vec![(ends.0, ends.0), (ends.1, ends.1)], Style::line(GREY, 1.3, Stroke::DASHED))
+            .named("predicted = measured"),
+        Line::new(dots, Style::line(BLUE.faint(0.55), 2.6, Stroke::Dots)),
+    ];
+    let axis = |name: &str| Axis { name: name.into(), ends: Some(ends), log: false };
+    let chart = Chart { x: axis("measured, dBm"), y: axis("predicted, dBm"), lines, ..Chart::default() };
+    let title = "Predicted against measured";
+    if heard.is_empty() { None } else { Some((title, chart.draw()?.svg("chart", title))) }
+}
+
+/// The best, the median and the worst link as rows.
+fn examples(results: &Results<'_>) -> Vec<Value> {
+    let distances = samples::nearest_train(results.data, results.partition);
+    let row = |Example { which, sample, score, truth, prediction }: &Example| {
+        let own = results.data.sample(*sample);
+        context! {
+            which => *which,
+            id => own.id,
+            receiver => results.data.scene.receivers[own.receiver].name.clone(),
+            tx => results.data.placed.then(|| own.tx.map(|v| format!("{v:.2}")).join(", ")),
+            nearest => distances[*sample].is_finite().then(|| format!("{:.2} m", distances[*sample])),
+            measured => format!("{:.1}", truth.pixels[0]).replace('-', "−"),
+            predicted => format!("{:.1}", prediction.pixels[0]).replace('-', "−"),
+            error => format!("{score:.2}"),
+        }
+    };
+    results.assessment.examples.iter().map(row).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_link_equal_links_and_wild_ones_are_drawn_or_left_out() {
+        assert!(histogram(&[]).is_none() && scatter(&[]).is_none());
+        let one = Heard { link: 0, measured: -60.0, predicted: -60.0 };
+        for errors in [vec![0.0], vec![0.0; 9], vec![-300.0, 0.1, 0.2, 4000.0]] {
+            if let Some((_, svg)) = histogram(&errors) {
+                assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+            }
+        }
+        assert!(histogram(&[0.0]).is_some());
+        assert!(scatter(&[one, one]).unwrap().1.contains("measured, dBm"));
+    }
+}
