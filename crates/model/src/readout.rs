@@ -27,7 +27,8 @@ pub enum Readout {
         #[serde(default = "sky_deg")]
         sky_deg: u32,
     },
-    /// A channel: c₀ + j·c₁ of each Gaussian as a spherical wave, summed on the antennas of the receiver for every subcarrier.
+    /// A channel: c₀ + j·c₁ of each Gaussian as a spherical wave, summed on the antennas of the receiver for every subcarrier,
+    /// times a level that is learned for each receiver.
     /// Nothing is projected: scales, rotations and opacities do not count, the projector and the rasterizer neither.
     Channel,
 }

@@ -4,7 +4,10 @@ use super::Splatting;
 use super::channel::Waves;
 use super::groups::Group;
 use crate::ActivationVjp;
-use pwrfgs_core::{Asked, Cache, Deltas, Frame, MethodVjp, Observed, Parameters, Real, StageTimes, cached};
+use pwrfgs_core::{
+    Asked, Cache, Conditions, Dataset, Deltas, Frame, GaussianCloud, Link, Method, MethodVjp, Observed, Parameters,
+    Real, StageTimes, cached, consts, evenly,
+};
 use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::Instant;
@@ -23,16 +26,59 @@ struct Kept {
     heard: Vec<(Group, Waves, Vec<Real>)>,
 }
 
+/// Links that the level is set by, at most.
+const LOOKED_AT: usize = 256;
+
+/// What a receiver multiplies every channel by: its offset is a decimal logarithm.
+fn level(offsets: &[Real], receiver: usize) -> Real {
+    offsets.get(receiver).map_or(1.0, |offset| (offset * consts::LN_10).exp())
+}
+
 impl Splatting {
+    /// Begins with channels as strong as the measured ones, whatever unit these have.
+    pub(super) fn start_level(
+        &self,
+        frame: &Frame,
+        data: &Dataset,
+        train: &[usize],
+        cloud: &GaussianCloud,
+        weights: &mut [Real],
+    ) {
+        let part = evenly(train, LOOKED_AT);
+        let mut conditions: Vec<Real> = Vec::new();
+        let mut links = Vec::new();
+        for (transmitter, &i) in part.iter().enumerate() {
+            let query = data.query(i);
+            match query.features {
+                [] => conditions.extend(frame.origin.local(query.tx)),
+                own => conditions.extend_from_slice(own),
+            }
+            links.push(Link { transmitter, receiver: query.receiver });
+        }
+        let asked = Asked { conditions: Conditions::new(self.inputs(), &conditions), links: &links };
+        let numbers = self.forward(frame, &Parameters { cloud, gate: None, weights }, &asked).numbers;
+        let energy = |values: &[Real]| values.iter().map(|v| (*v as f64).powi(2)).sum::<f64>();
+        let measured: f64 = part.iter().map(|&i| energy(&data.image(i).pixels)).sum();
+        let ratio = measured / energy(&numbers);
+        let network = self.parts(frame, weights).0.len();
+        if ratio.is_finite() && ratio > 0.0 {
+            weights[network..].iter_mut().for_each(|level| *level += (0.5 * ratio.log10()) as Real);
+        }
+    }
+
     /// Channels of the links asked for.
     pub(super) fn heard(&self, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>) -> Observed {
         let deltas = self.terms(frame, p, asked.conditions);
+        let laws = self.parts(frame, p.weights).1;
         let mut numbers = vec![0.0; asked.links.len() * frame.numbers()];
         let mut heard = Vec::new();
         for group in Group::all(asked.links, frame.receivers.len(), true) {
             let waves = Waves::new(frame, &frame.receivers[group.receiver], p.cloud, p.gate);
             let signals = self.signals_of(p, &deltas, &group);
-            group.scatter(&waves.heard(&signals, group.links.len()), frame.numbers(), &mut numbers);
+            let mut own = waves.heard(&signals, group.links.len());
+            let level = level(laws.offsets, group.receiver);
+            own.iter_mut().for_each(|v| *v *= level);
+            group.scatter(&own, frame.numbers(), &mut numbers);
             heard.push((group, waves, signals));
         }
         Observed { numbers, cache: Some(Arc::new(Kept { deltas, heard })) }
@@ -56,8 +102,13 @@ impl Splatting {
         let Kept { deltas, heard } = cached(&observed.cache);
         let (n, activation) = (p.cloud.len(), self.activation());
         let mut own = ActivationVjp::zeros(p.cloud, deltas);
+        let (network, laws) = self.parts(frame, p.weights);
         for (group, waves, signals) in heard {
-            let d = group.gather(d, frame.numbers());
+            let level = level(laws.offsets, group.receiver);
+            let d: Vec<Real> = group.gather(d, frame.numbers()).iter().map(|d| level * d).collect();
+            let heard = waves.heard(signals, group.links.len());
+            let along: Real = heard.iter().zip(&d).map(|(v, d)| v * d).sum();
+            sums.weights[network.len() + group.receiver] += consts::LN_10 * along;
             let (d_signals, d_waves) = waves.heard_vjp(signals, group.links.len(), &d);
             let receiver = &frame.receivers[group.receiver];
             Waves::vjp(frame, receiver, p.cloud, p.gate, &d_waves, (&mut own.cloud.means, &mut own.gate));
@@ -82,14 +133,16 @@ impl Splatting {
         ready: &ReadyWaves,
         start: Instant,
     ) -> (Vec<Real>, StageTimes) {
-        let network = self.parts(frame, p.weights).0;
+        let (network, laws) = self.parts(frame, p.weights);
         let (means, pose) = (&p.cloud.means, frame.pose());
         let deltas = self.deformation.forward_prepared(network, means, asked.conditions, &pose, &ready.deformation);
         let network = start.elapsed().as_secs_f64();
         let mut numbers = vec![0.0; asked.links.len() * frame.numbers()];
         for group in Group::all(asked.links, frame.receivers.len(), true) {
             let signals = self.signals_of(p, &deltas, &group);
-            let heard = ready.waves[group.receiver].heard(&signals, group.links.len());
+            let level = level(laws.offsets, group.receiver);
+            let mut heard = ready.waves[group.receiver].heard(&signals, group.links.len());
+            heard.iter_mut().for_each(|v| *v *= level);
             group.scatter(&heard, frame.numbers(), &mut numbers);
         }
         let blending = start.elapsed().as_secs_f64() - network;

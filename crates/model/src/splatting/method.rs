@@ -15,7 +15,7 @@ use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// The names of what is learned of receivers, [`Readout::Received`] only.
+/// The names of what is learned of receivers: of powers both, of channels the first.
 const LAW: [&str; 2] = ["receiver.offsets", "receiver.exponents"];
 
 /// What [`Method::vjp`] finds again.
@@ -35,13 +35,17 @@ impl Splatting {
     /// The network's weights, and the receivers' laws behind them.
     pub(super) fn parts<'a>(&self, frame: &Frame, weights: &'a [Real]) -> (&'a [Real], Laws<'a>) {
         let (network, laws) = weights.split_at(weights.len() - self.laws(frame));
-        let (offsets, exponents) = laws.split_at(laws.len() / 2);
+        let (offsets, exponents) = laws.split_at(frame.receivers.len().min(laws.len()));
         (network, Laws { offsets, exponents })
     }
 
     /// Numbers that are learned of the receivers.
     fn laws(&self, frame: &Frame) -> usize {
-        if matches!(self.readout, Readout::Received { .. }) { 2 * frame.receivers.len() } else { 0 }
+        match self.readout {
+            Readout::Received { .. } => 2 * frame.receivers.len(),
+            Readout::Channel => frame.receivers.len(),
+            _ => 0,
+        }
     }
 
     /// Factors on the network's weights, and 1 for the others.
@@ -124,7 +128,9 @@ impl Method for Splatting {
     fn layout(&self, frame: &Frame) -> Vec<WeightSpec> {
         let mut layout = self.deformation.layout();
         if self.laws(frame) > 0 {
-            layout.extend(LAW.map(|name| WeightSpec { name: name.into(), shape: vec![frame.receivers.len()] }));
+            let receivers = frame.receivers.len();
+            let names = LAW.into_iter().take(self.laws(frame) / receivers);
+            layout.extend(names.map(|name| WeightSpec { name: name.into(), shape: vec![receivers] }));
         }
         layout
     }
@@ -293,6 +299,9 @@ impl Method for Splatting {
         }
         if matches!(self.readout, Readout::Received { .. }) {
             self.start_law(frame, data, train, cloud, weights);
+        }
+        if self.readout == Readout::Channel {
+            self.start_level(frame, data, train, cloud, weights);
         }
     }
 
