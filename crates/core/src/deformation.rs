@@ -103,6 +103,13 @@ pub trait Deformation: erased_serde::Serialize + std::any::Any + std::fmt::Debug
         None
     }
 
+    /// The part of the signals that is linear in the transmitter's numbers, for a start in closed form; `None` where there
+    /// is none.
+    fn linear_part(&self, weights: &[Real], means: &[[Real; 3]], training: Conditions<'_>) -> Option<LinearPart> {
+        let _ = (weights, means, training);
+        None
+    }
+
     /// Sets what can be told from the conditions of the training part before the first step.
     fn start(&self, training: Conditions<'_>, weights: &mut [Real]) {
         let _ = (training, weights);
@@ -119,6 +126,31 @@ pub trait Deformation: erased_serde::Serialize + std::any::Any + std::fmt::Debug
     }
 }
 plugin_kind!(Deformation);
+
+/// Signals s of channel c that are linear in D numbers x of the transmitter and in J functions φ of the centre:
+/// s(c) = Σ φⱼ B(c, k, j) xₖ.
+#[derive(Clone, Debug)]
+pub struct LinearPart {
+    /// D.
+    pub inputs: usize,
+    /// x of the training part, `[n, D]`.
+    pub values: Vec<Real>,
+    /// J.
+    pub functions: usize,
+    /// φ of every Gaussian, `[N, J]`.
+    pub basis: Vec<Real>,
+    /// The weights that make signals of anything: set to 0, nothing but the linear part is left.
+    pub cleared: std::ops::Range<usize>,
+    /// Where B(c, 0, 0) lies in the weights, for both channels.
+    pub first: [usize; 2],
+}
+
+impl LinearPart {
+    /// Where B(c, k, j) lies in the weights.
+    pub fn place(&self, channel: usize, input: usize, function: usize) -> usize {
+        self.first[channel] + input * self.functions + function
+    }
+}
 
 /// The arguments of [`Deformation::forward`], once more for its derivative.
 #[derive(Clone, Copy, Debug)]

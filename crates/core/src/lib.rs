@@ -52,7 +52,7 @@ pub use cloud::{COLUMN_NAMES, ExtraColumn, GaussianCloud};
 pub use conditions::Conditions;
 pub use data_source::{Baseline, DataSource, Predict, Progress, Split};
 pub use dataset::{Dataset, Simulation, Unmatched};
-pub use deformation::{Deformation, DeformationInputs, Deltas, WeightSpec};
+pub use deformation::{Deformation, DeformationInputs, Deltas, LinearPart, WeightSpec};
 pub use docs::Documented;
 pub use error::{Error, Result, did_you_mean};
 pub use evenly::evenly;

@@ -9,6 +9,7 @@
 mod channel;
 mod groups;
 mod heard;
+mod linear_start;
 mod method;
 mod received;
 

@@ -6,8 +6,8 @@ use super::mlp::check_stack;
 use super::waves::Encoding;
 use super::whiten::whitening;
 use pwrfgs_core::{
-    Cache, Conditions, Deformation, DeformationInputs, Deltas, Documented, Pose, Real, WeightSpec, cached, rng,
-    rng::Rng,
+    Cache, Conditions, Deformation, DeformationInputs, Deltas, Documented, LinearPart, Pose, Real, WeightSpec, cached,
+    rng, rng::Rng,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -115,6 +115,10 @@ impl Deformation for Factored {
         network.stack[0].dim(&mut factors, 0, &self.tx_encoding.window(share));
         network.branch.dim(&mut factors, 0, &self.position_encoding.window(share)[3..]);
         Some(factors)
+    }
+
+    fn linear_part(&self, weights: &[Real], means: &[[Real; 3]], training: Conditions<'_>) -> Option<LinearPart> {
+        laid_out(weights, |plan| Network::new(self, plan)).linear_part(weights, means, training)
     }
 
     fn start(&self, training: Conditions<'_>, weights: &mut [Real]) {

@@ -12,7 +12,7 @@ use super::factored::Factored;
 use super::layers::Plan;
 use super::linear::Linear;
 use super::waves::{Encoder, Encoding};
-use pwrfgs_core::{Conditions, DeformationInputs, Deltas, Real};
+use pwrfgs_core::{Conditions, DeformationInputs, Deltas, LinearPart, Real};
 use rayon::prelude::*;
 
 /// Mean magnitude of a sine.
@@ -125,6 +125,22 @@ impl Network {
         self.branch.whole().apply(weights, &waves, &mut rows, Store::Set);
         dense::add_bias(&mut rows, self.branch.bias(weights));
         Factors { waves, rows, n }
+    }
+
+    /// The direct part: T's last numbers are the transmitter's own, and a Gaussian's factors for them linear in its waves.
+    pub(super) fn linear_part(&self, weights: &[Real], means: &[[Real; 3]], txs: Conditions<'_>) -> Option<LinearPart> {
+        let (inputs, n, rows) = (self.direct, means.len(), txs.len());
+        if inputs == 0 || n == 0 || rows == 0 {
+            return None;
+        }
+        let own = self.stack(weights, txs).swap_remove(0); // [inputs, rows]
+        let values = (0..rows * inputs).map(|i| own[(i % inputs) * rows + i / inputs]).collect();
+        let (waves, functions) = (self.factors(weights, means).waves, self.branch.inputs);
+        let basis = (0..n * functions).map(|i| waves[(i % functions) * n + i / functions]).collect();
+        let at =
+            |channel: usize| self.branch.weight + (channel * (self.features + 1) + self.features - inputs) * functions;
+        let cleared = self.branch.weight..self.branch.bias + self.branch.outputs;
+        Some(LinearPart { inputs, values, functions, basis, cleared, first: [at(0), at(1)] })
     }
 
     /// The magnitudes of a Gaussian's waves sum to 1: a step of Adam on `branch` then moves factors as far as a step on

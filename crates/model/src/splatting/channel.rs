@@ -77,6 +77,21 @@ impl Waves {
         out
     }
 
+    /// What is heard of each of J functions of the Gaussians, given their values `[N, J]`: complex, `[A·F, J]`.
+    pub(super) fn of_basis(&self, basis: &[Real], functions: usize) -> Vec<[f64; 2]> {
+        let mut out = vec![[0.0; 2]; self.re.len() / self.n.max(1) * functions];
+        out.par_chunks_exact_mut(functions.max(1)).enumerate().for_each(|(row, out)| {
+            for (i, values) in basis.chunks_exact(functions).enumerate() {
+                let (re, im) = (self.re[row * self.n + i] as f64, self.im[row * self.n + i] as f64);
+                for (out, v) in out.iter_mut().zip(values) {
+                    out[0] += re * *v as f64;
+                    out[1] += im * *v as f64;
+                }
+            }
+        });
+        out
+    }
+
     /// Where the real part of row (antenna, subcarrier) stands in an observation; the imaginary one is a row below.
     fn place(&self, row: usize) -> usize {
         2 * self.columns * (row / self.columns) + row % self.columns

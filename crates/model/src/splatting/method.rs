@@ -300,7 +300,7 @@ impl Method for Splatting {
         if matches!(self.readout, Readout::Received { .. }) {
             self.start_law(frame, data, train, cloud, weights);
         }
-        if self.readout == Readout::Channel {
+        if self.readout == Readout::Channel && !self.start_linear(frame, data, train, cloud, weights) {
             self.start_level(frame, data, train, cloud, weights);
         }
     }

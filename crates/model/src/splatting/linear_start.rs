@@ -1,0 +1,185 @@
+//! A start for channels that features decide: the best linear map from features to channels, as signals of the Gaussians.
+//!
+//! With waves W `[AF, N]`, basis Φ `[N, J]` of the Gaussians and features x `[D]` a channel is h = L·W·Φ·B·x. Ridge regression
+//! of the training part gives the map R from x to h; B is then (WΦ)⁺·R/L, regularised. All in double precision.
+
+use super::Splatting;
+use super::channel::Waves;
+use pwrfgs_core::{Conditions, Dataset, Frame, GaussianCloud, LinearPart, Real, gains_of};
+use rayon::prelude::*;
+
+/// Weight of both ridges, in the mean of the diagonal.
+const RIDGE: f64 = 1e-4;
+/// Links that it is fitted to, at most.
+const MOST: usize = 8_000;
+
+impl Splatting {
+    /// Sets the linear part of the deformation, where it has one and there is one receiver; else nothing.
+    pub(super) fn start_linear(
+        &self,
+        frame: &Frame,
+        data: &Dataset,
+        train: &[usize],
+        cloud: &mut GaussianCloud,
+        weights: &mut [Real],
+    ) -> bool {
+        let part = pwrfgs_core::evenly(train, MOST);
+        let all: Vec<Real> = part.iter().flat_map(|&i| data.query(i).features).copied().collect();
+        let network = self.parts(frame, weights).0.len();
+        let conditions = Conditions::new(self.deformation.inputs(), &all);
+        let linear = self.deformation.linear_part(&weights[..network], &cloud.means, conditions);
+        let (Some(linear), [receiver]) = (linear, frame.receivers.as_slice()) else { return false };
+        let waves = Waves::new(frame, receiver, cloud, None);
+        let channels: Vec<Vec<[Real; 2]>> = part.iter().map(|&i| gains_of(&data.image(i))).collect();
+        let Some(map) = ridge(&linear, &channels) else { return false };
+        let seen = waves.of_basis(&linear.basis, linear.functions);
+        let Some(coefficients) = through(&seen, linear.functions, &map, linear.inputs) else { return false };
+        // Signals about 1: the level takes what is left.
+        let size = (coefficients.iter().flatten().map(|v| v * v).sum::<f64>() / linear.inputs as f64).sqrt();
+        let level = if size > 0.0 { size } else { 1.0 };
+        cloud.signals.fill([0.0; 2]);
+        weights[linear.cleared.clone()].fill(0.0);
+        for (i, gain) in coefficients.iter().enumerate() {
+            let (k, j) = (i / linear.functions, i % linear.functions);
+            (0..2).for_each(|c| weights[linear.place(c, k, j)] = (gain[c] / level) as Real);
+        }
+        weights[network..].fill(level.log10() as Real);
+        true
+    }
+}
+
+/// R `[D, AF]`: from features to channels, complex.
+fn ridge(linear: &LinearPart, channels: &[Vec<[Real; 2]>]) -> Option<Vec<Vec<[f64; 2]>>> {
+    let d = linear.inputs;
+    let rows: Vec<&[Real]> = linear.values.chunks_exact(d).collect();
+    let mut gram: Vec<f64> = vec![0.0; d * d];
+    gram.par_chunks_exact_mut(d).enumerate().for_each(|(i, out)| {
+        for row in &rows {
+            let x = row[i] as f64;
+            out.iter_mut().zip(*row).for_each(|(sum, v)| *sum += x * *v as f64);
+        }
+    });
+    let solve = Solver::new(gram, d)?;
+    let numbers = channels.first()?.len();
+    let columns: Vec<Vec<[f64; 2]>> = (0..numbers)
+        .into_par_iter()
+        .map(|n| {
+            let part = |c: usize| {
+                let mut right = vec![0.0; d];
+                for (row, channel) in rows.iter().zip(channels) {
+                    let y = channel[n][c] as f64;
+                    right.iter_mut().zip(*row).for_each(|(sum, v)| *sum += y * *v as f64);
+                }
+                solve.solve(right)
+            };
+            part(0).into_iter().zip(part(1)).map(|(re, im)| [re, im]).collect()
+        })
+        .collect();
+    Some((0..d).map(|k| columns.iter().map(|column| column[k]).collect()).collect())
+}
+
+/// B `[D, J]` with V·B = R in the least squares, V `[AF, J]` being what is heard of each function of the basis.
+fn through(seen: &[[f64; 2]], functions: usize, map: &[Vec<[f64; 2]>], inputs: usize) -> Option<Vec<[f64; 2]>> {
+    let (j, numbers) = (functions, seen.len() / functions.max(1));
+    // Complex unknowns as pairs of real ones: [[Re, -Im], [Im, Re]] of VᴴV.
+    let mut gram = vec![0.0; 4 * j * j];
+    for a in 0..j {
+        for b in 0..j {
+            let (mut re, mut im) = (0.0, 0.0);
+            for n in 0..numbers {
+                let ([ar, ai], [br, bi]) = (seen[n * j + a], seen[n * j + b]);
+                re += ar * br + ai * bi;
+                im += ar * bi - ai * br;
+            }
+            gram[a * 2 * j + b] = re;
+            gram[(a + j) * 2 * j + b + j] = re;
+            gram[a * 2 * j + b + j] = -im;
+            gram[(a + j) * 2 * j + b] = im;
+        }
+    }
+    let solve = Solver::new(gram, 2 * j)?;
+    let of_feature = |k: usize| {
+        let mut right = vec![0.0; 2 * j];
+        for n in 0..numbers {
+            let [hr, hi] = map[k][n];
+            for a in 0..j {
+                let [vr, vi] = seen[n * j + a];
+                right[a] += vr * hr + vi * hi;
+                right[a + j] += vr * hi - vi * hr;
+            }
+        }
+        let found = solve.solve(right);
+        (0..j).map(|a| [found[a], found[a + j]]).collect::<Vec<_>>()
+    };
+    Some((0..inputs).into_par_iter().flat_map_iter(of_feature).collect())
+}
+
+/// The Cholesky factor of a symmetric matrix with a ridge.
+struct Solver {
+    lower: Vec<f64>,
+    n: usize,
+}
+
+impl Solver {
+    fn new(mut a: Vec<f64>, n: usize) -> Option<Self> {
+        let mean = (0..n).map(|k| a[k * n + k]).sum::<f64>() / n.max(1) as f64;
+        (0..n).for_each(|k| a[k * n + k] += RIDGE * mean + f64::MIN_POSITIVE);
+        for i in 0..n {
+            for k in 0..=i {
+                let (above, own) = a.split_at(i * n);
+                let row = if k == i { own } else { &above[k * n..] };
+                let sum = own[k] - own[..k].iter().zip(&row[..k]).map(|(a, b)| a * b).sum::<f64>();
+                let pivot = if k == i { sum.sqrt() } else { sum / row[k] };
+                if !pivot.is_finite() || (k == i && pivot <= 0.0) {
+                    return None;
+                }
+                a[i * n + k] = pivot;
+            }
+        }
+        Some(Self { lower: a, n })
+    }
+
+    fn solve(&self, mut x: Vec<f64>) -> Vec<f64> {
+        let (l, n) = (&self.lower, self.n);
+        for i in 0..n {
+            let sum: f64 = (0..i).map(|k| l[i * n + k] * x[k]).sum();
+            x[i] = (x[i] - sum) / l[i * n + i];
+        }
+        for i in (0..n).rev() {
+            let sum: f64 = (i + 1..n).map(|k| l[k * n + i] * x[k]).sum();
+            x[i] = (x[i] - sum) / l[i * n + i];
+        }
+        x
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_symmetric_matrix_is_solved() {
+        let solve = Solver::new(vec![4.0, 2.0, 2.0, 3.0], 2).unwrap();
+        let x = solve.solve(vec![8.0, 7.0]);
+        assert!((x[0] - 1.25).abs() < 1e-3 && (x[1] - 1.5).abs() < 1e-3, "{x:?}");
+        assert!(Solver::new(vec![1.0, 2.0, 2.0, 1.0], 2).is_none(), "not positive");
+    }
+
+    #[test]
+    fn a_map_is_found_through_what_is_heard() {
+        // Two functions, two numbers: V is invertible, so B is V⁻¹R up to the ridge.
+        let seen = [[1.0, 0.5], [0.0, 1.0], [0.3, 0.0], [2.0, -1.0]];
+        let wanted = [[0.7, -0.2], [0.1, 0.9]];
+        let times = |v: [f64; 2], b: [f64; 2]| [v[0] * b[0] - v[1] * b[1], v[0] * b[1] + v[1] * b[0]];
+        let heard: Vec<[f64; 2]> = (0..2)
+            .map(|n| {
+                let [a, b] = [0, 1].map(|j| times(seen[n * 2 + j], wanted[j]));
+                [a[0] + b[0], a[1] + b[1]]
+            })
+            .collect();
+        let found = through(&seen, 2, &[heard], 1).unwrap();
+        for (found, wanted) in found.iter().zip(wanted) {
+            assert!((found[0] - wanted[0]).abs() < 2e-3 && (found[1] - wanted[1]).abs() < 2e-3, "{found:?}");
+        }
+    }
+}
