@@ -47,7 +47,8 @@ fn initializers_are_deterministic_and_finite() {
 #[test]
 fn splits_are_deterministic_disjoint_and_sorted() {
     let data = data();
-    for (name, split) in all::<dyn Split>() {
+    // LeaveReceiverOut has nobody to leave out here, and says so.
+    for (name, split) in all::<dyn Split>().into_iter().filter(|(name, _)| *name != "LeaveReceiverOut") {
         let part = |seed| split.split(&data, &mut rng::stream(seed, "split", 0)).unwrap();
         let Partition { train, validation, test } = part(1);
         assert!(!train.is_empty() && !test.is_empty(), "{name}");
@@ -156,8 +157,8 @@ fn baselines_predict_pictures_of_the_right_size() {
     for (name, baseline) in all::<dyn Baseline>() {
         let fitted = match baseline.fit(&data, Known::train(&train)) {
             Ok(fitted) => fitted,
-            Err(e) if name == "RayTracing" => {
-                assert!(e.is_input(), "it needs spectra of a known room: {e}");
+            Err(e) if name == "RayTracing" || name == "LogDistance" => {
+                assert!(e.is_input(), "one needs spectra of a known room, the other powers: {e}");
                 continue;
             }
             Err(e) => panic!("{name}: {e}"),

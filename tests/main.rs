@@ -16,6 +16,7 @@ mod gates;
 mod gradients;
 mod laws;
 mod learning;
+mod links;
 mod maps;
 mod own_baseline;
 mod pipelines;

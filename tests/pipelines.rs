@@ -48,13 +48,35 @@ fn every_pipeline_survives_its_own_text() {
     }
 }
 
+/// A small data set of a kind, as an argument of `--set`: features of so many numbers where these are no positions.
+fn small(kind: Option<Kind>, inputs: usize, folder: &Path) -> String {
+    match kind {
+        Some(Kind::Power) => {
+            "data=Simulated(scene: \"../scenes/office-links.ron\", samples: 20, points: 100, observe: Power())".into()
+        }
+        Some(Kind::Channel) if inputs != 3 => {
+            let recipe = pwrfgs::sim::Recipe::read(Path::new("scenes/office-csi.ron"), 20, 0, 100).unwrap();
+            let recipe = recipe.observing(pwrfgs::sim::Observe::Channel { snr_db: Some(30.0) }).unwrap();
+            let (out, layout) = (folder.join("csi simulated"), pwrfgs::sim::output::Layout::Csi);
+            pwrfgs::sim::output::write_as(&recipe, layout, false, &out, &|_, _| {}, &AtomicBool::new(false)).unwrap();
+            format!("data.root={:?}", out.display().to_string())
+        }
+        Some(Kind::Channel) => {
+            "data=Simulated(scene: \"../scenes/office-channel.ron\", samples: 20, points: 100, observe: Channel())"
+                .into()
+        }
+        _ => "data=Teacher(gaussians: 4, samples: 30, width: 72, height: 18)".into(),
+    }
+}
+
 #[test]
 fn every_pipeline_runs_some_steps() {
     for path in shipped(false) {
         let mut pipeline = read(&path);
         let count = if pipeline.deformation.varies_geometry() { 30 } else { 60 };
+        let folder = tempfile::tempdir().unwrap();
         for change in [
-            "data=Teacher(gaussians: 4, samples: 30, width: 72, height: 18)".to_owned(),
+            small(pipeline.data.kind(), pipeline.deformation.inputs(), folder.path()),
             format!("initializer=Random(count: {count}, std: 5.0)"),
             "baselines=[MeanSpectrum()]".to_owned(), // ray tracing needs a scene
             "training=(densify_until: 6, prune_until: 9)".to_owned(),
@@ -65,7 +87,6 @@ fn every_pipeline_runs_some_steps() {
         ] {
             pipeline.set(&change).unwrap_or_else(|e| panic!("{}: {change}: {e}", path.display()));
         }
-        let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("run");
         let stop = AtomicBool::new(false);
         let outcome = pwrfgs::run(&pipeline, Path::new("pipelines"), &out, &mut Silent, &stop);

@@ -52,7 +52,7 @@ impl Default for MatchingPursuit {
 impl MatchingPursuit {
     fn options(&self, seed: u64) -> Pursuit {
         let Self { most, reach, step, patience, hold_out, ridge, images } = *self;
-        Pursuit { most, reach, step, patience, hold_out, ridge, images, seed, ..Pursuit::default() }
+        Pursuit { reach, step, most, patience, hold_out, ridge, images, seed, ..Pursuit::default() }
     }
 }
 

@@ -74,6 +74,7 @@ impl Dataset {
     ///
     /// # Errors
     /// As [`Self::of_links`].
+    #[allow(clippy::needless_pass_by_value)] // who has a list of samples made it for this
     pub fn new(
         title: impl Into<String>,
         receiver: Pose,

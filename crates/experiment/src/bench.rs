@@ -24,6 +24,9 @@ const PIXELS: usize = 1 << 21;
 /// Predicts some links; says now and then how many more are done.
 type Predictor<'a> = dyn Fn(&[Query<'_>], &(dyn Fn(usize) + Sync)) -> Vec<Image> + 'a;
 
+/// Shown predictions, what was observed, and of which links.
+type Show<'a> = dyn FnMut(Vec<Image>, Vec<Image>, &[Link]) -> Result<()> + 'a;
+
 /// Who is scored.
 #[derive(Clone, Copy)]
 struct Subject<'a> {
@@ -151,8 +154,8 @@ impl<'a> Bench<'a> {
             for (k, (found, metric)) in found.iter_mut().zip(metrics).enumerate() {
                 match metric.scope() {
                     Scope::All => {
-                        *found =
-                            metric.evaluate(&self.seen(&predictions, &truths, &self.links, subject.facts, timed))?
+                        let all = self.seen(&predictions, &truths, &self.links, subject.facts, timed);
+                        *found = metric.evaluate(&all)?;
                     }
                     Scope::Model => *found = metric.evaluate(&self.seen(&[], &[], &[], subject.facts, timed))?,
                     Scope::Sample if self.part.is_empty() => {
@@ -173,7 +176,7 @@ impl<'a> Bench<'a> {
         subject: Subject<'_>,
         stop: &AtomicBool,
         progress: Progress<'_>,
-        show: &mut dyn FnMut(Vec<Image>, Vec<Image>, &[Link]) -> Result<()>,
+        show: &mut Show<'_>,
     ) -> Result<()> {
         let numbers = self.plane.width * self.plane.height;
         let size = (PIXELS / numbers.max(1)).clamp(1, if numbers == 1 { MANY } else { CHUNK });

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// Signal-to-noise ratio of predicted channels, dB: −10 log₁₀(Σ|h′ − h|² / Σ|h|²).
 ///
 /// Keys: `snr_db`, a snapshot (all links of a transmitter together, as NeRF2 sums over antennas and subcarriers; its median
-/// is what NeRF2 prints), and `snr_all_db`, one ratio over the whole test part, as NeWRF has it. A predictor of zeros has
+/// is what NeRF2 prints), and `snr_all_db`, one ratio over the whole test part, as `NeWRF` has it. A predictor of zeros has
 /// 0 dB by both; strong snapshots count more in the second.
 ///
 /// ```

@@ -2,7 +2,8 @@
 
 use crate::{Model, Stages};
 use pwrfgs_core::{
-    Asked, Cache, Conditions, GaussianCloud, Image, ImagePlane, Kind, Link, Predict, Query, Real, Receiver, StageTimes,
+    Asked, Cache, Conditions, GaussianCloud, Image, ImagePlane, Kind, Link, Parameters, Predict, Query, Real, Receiver,
+    StageTimes,
 };
 use std::borrow::Cow;
 use std::time::Instant;
@@ -146,7 +147,8 @@ impl<'a> Member<'a> {
         let rows = stages.drawable(&model.cloud, None);
         let all = rows.len() == model.cloud.len();
         let cloud = if all { Cow::Borrowed(&model.cloud) } else { Cow::Owned(model.cloud.select(&rows)) };
-        let ready = stages.method.prepare(&stages.frame, &stages.parameters(&cloud, &model.weights));
+        let parameters = Parameters { cloud: &cloud, gate: None, weights: &model.weights };
+        let ready = stages.method.prepare(&stages.frame, &parameters);
         Self { model, cloud, ready }
     }
 
@@ -167,7 +169,7 @@ impl<'a> Member<'a> {
         let Model { stages, weights, .. } = self.model;
         let (conditions, links) = asked(stages, queries);
         let asked = Asked { conditions: Conditions::new(stages.method.inputs(), &conditions), links: &links };
-        let parameters = stages.parameters(&self.cloud, weights);
+        let parameters = Parameters { cloud: &self.cloud, gate: None, weights };
         let (numbers, times) = stages.method.predict(&stages.frame, &parameters, &asked, &self.ready);
         let ImagePlane { width, height, .. } = stages.plane;
         let image = |pixels| Image { width, height, pixels };

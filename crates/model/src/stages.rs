@@ -2,7 +2,7 @@
 
 use crate::Splatting;
 use pwrfgs_core::plugin::Plugin;
-use pwrfgs_core::{Axis, Frame, GaussianCloud, ImagePlane, Kind, Method, Parameters, Real, Receiver, WeightSpec};
+use pwrfgs_core::{Axis, Frame, GaussianCloud, ImagePlane, Kind, Method, Real, Receiver, WeightSpec};
 use std::any::Any;
 use std::ops::{Deref, DerefMut};
 
@@ -68,7 +68,7 @@ impl Stages {
             return Err(format!("plane: {width} x {height} pixels; there are 1 to {MAX_PIXELS}"));
         }
         if let (Kind::Spectrum, Some(splatting)) = (self.kind, self.splatting()) {
-            self.check_plane(splatting)?;
+            check_plane(&self.frame.plane, splatting)?;
         }
         if !(1..=MAX_RECEIVERS).contains(&self.receivers.len()) {
             return Err(format!("{} receivers; there are 1 to {MAX_RECEIVERS}", self.receivers.len()));
@@ -90,25 +90,6 @@ impl Stages {
         self.method.check_frame(&self.frame)
     }
 
-    /// Whether the projector draws such a picture.
-    fn check_plane(&self, splatting: &Splatting) -> Result<(), String> {
-        let ImagePlane { width, height, .. } = self.plane;
-        let near = |a: Axis, b: Axis| (a.first - b.first).abs() < 1e-9 && (a.step - b.step).abs() < 1e-9;
-        let is_own = |drawn: &ImagePlane| {
-            let alike = match (self.plane.angles, drawn.angles) {
-                (Some(a), Some(b)) => near(a.0, b.0) && near(a.1, b.1),
-                (a, b) => a == b,
-            };
-            alike && self.plane.wraps == drawn.wraps
-        };
-        let elevation = self.plane.elevation().filter(|elevation| elevation.fault().is_none());
-        let stated = elevation.and_then(|elevation| splatting.projector.plane_of(width, height, elevation).ok());
-        if is_own(&splatting.projector.plane(width, height)) || stated.is_some_and(|drawn| is_own(&drawn)) {
-            return Ok(());
-        }
-        Err("plane: its angles are none that the projector draws".into())
-    }
-
     /// Names and shapes of the weights.
     pub fn layout(&self) -> Vec<WeightSpec> {
         self.method.layout(&self.frame)
@@ -118,9 +99,23 @@ impl Stages {
     pub fn drawable(&self, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
         self.method.drawable(&self.frame, cloud, gate)
     }
+}
 
-    /// Parameters of a trained model.
-    pub(crate) fn parameters<'a>(&self, cloud: &'a GaussianCloud, weights: &'a [Real]) -> Parameters<'a> {
-        Parameters { cloud, gate: None, weights }
+/// Whether the projector draws such a picture.
+fn check_plane(plane: &ImagePlane, splatting: &Splatting) -> Result<(), String> {
+    let ImagePlane { width, height, .. } = *plane;
+    let near = |a: Axis, b: Axis| (a.first - b.first).abs() < 1e-9 && (a.step - b.step).abs() < 1e-9;
+    let is_own = |drawn: &ImagePlane| {
+        let alike = match (plane.angles, drawn.angles) {
+            (Some(a), Some(b)) => near(a.0, b.0) && near(a.1, b.1),
+            (a, b) => a == b,
+        };
+        alike && plane.wraps == drawn.wraps
+    };
+    let elevation = plane.elevation().filter(|elevation| elevation.fault().is_none());
+    let stated = elevation.and_then(|elevation| splatting.projector.plane_of(width, height, elevation).ok());
+    if is_own(&splatting.projector.plane(width, height)) || stated.is_some_and(|drawn| is_own(&drawn)) {
+        return Ok(());
     }
+    Err("plane: its angles are none that the projector draws".into())
 }

@@ -23,7 +23,7 @@ pub enum Observe {
     /// The received power in dBm: `power_dbm` of the scene's transmitter and the mean of |h|² over antennas and subcarriers.
     /// What is weaker than -100 dBm is not heard.
     Power {
-        /// Standard deviation of a reading in dB: normal, drawn anew for each; default 0. Measured BLE readings have
+        /// Standard deviation of a reading in dB: normal, drawn anew for each; 0 for none. Measured BLE readings have
         /// about 3.6.
         #[serde(default)]
         noise_db: f64,

@@ -109,7 +109,7 @@ impl Encoding {
                 if let Self::PseudoPosition { octaves, .. } = *self {
                     check_frequencies(field, octaves)?;
                 }
-                if !(1..=WIDEST).contains(&width) || !(gain.is_finite() && gain != 0.0) {
+                if !(1..=WIDEST).contains(&width) || !gain.is_finite() || gain == 0.0 {
                     return Err(format!("{field}: give a width from 1 to {WIDEST} and a gain that is not 0"));
                 }
                 Ok(())

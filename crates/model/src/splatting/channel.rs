@@ -1,6 +1,7 @@
 //! A channel: the waves of all Gaussians, summed on the antennas of a receiver for every subcarrier.
 //!
-//! h(a, f) = Σ_g m_g s_g exp(−j k_f d_ga)/d_ga with d the distance from Gaussian g to antenna a, k_f = 2πf/c and the gate m.
+//! `h(a, f) = Σ_g m_g s_g exp(−j k_f d_ga)/d_ga` with d the distance from Gaussian g to antenna a, `k_f = 2πf/c` and the gate
+//! m.
 //! Gaussians are points here: nothing is projected, and nothing hides anything. What the transmitter changes is the
 //! signals s alone, so the waves W `[2AF, N]` are worked out once for all links of a receiver.
 

@@ -1,6 +1,6 @@
 //! A received power: the sky summed over solid angle, in dB, and a law of distance for each receiver.
 //!
-//! P = Σ_pixels (c₀² + c₁²) cos(elevation) Δazimuth Δelevation, and 10 log₁₀ P + 10 β − 10 n log₁₀ d in dBm. β, in bel, is
+//! P = Σ (c₀² + c₁²) cos(elevation) Δazimuth Δelevation over the pixels, 10 log₁₀ P + 10 β − 10 n log₁₀ d in dBm. β, in bel, is
 //! what the receiver's antenna and cable add; n, the exponent, is what distance takes, so that the sky has to say only what
 //! differs from that. d is the distance in metres, at least half a metre; without positions the law is β alone.
 

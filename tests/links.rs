@@ -1,0 +1,173 @@
+//! Powers and channels at several receivers: the same bits whatever happens, and one path with the spectra.
+
+use pwrfgs::core::{Channels, Features, Known};
+use pwrfgs::model::{Ensemble, Model, file};
+use pwrfgs::prelude::*;
+use pwrfgs::train::{Pipeline, Trainer};
+use std::path::Path;
+
+/// A hall with two receivers; transmitter 7 is heard by one of them alone.
+fn hall(observe: impl Fn(&[Sample]) -> Observations) -> Dataset {
+    let at = |name: &str, x| Receiver::new(name, Pose { position: [x, 0.0, 2.5], ..Pose::IDENTITY });
+    let random = &mut rng::stream(0, "hall", 0);
+    let mut samples = Vec::new();
+    for id in 1..=40 {
+        let tx = [(); 3].map(|()| 6.0 * f64::from(rng::uniform(random) as f32));
+        samples.extend((0..2).filter(|r| id != 7 || *r == 1).map(|receiver| Sample { id, tx, receiver }));
+    }
+    Dataset::of_links("hall", vec![at("north", -1.0), at("south", 8.0)], vec![], &samples, observe(&samples)).unwrap()
+}
+
+fn distance(sample: &Sample) -> f64 {
+    let place = [[-1.0, 0.0, 2.5], [8.0, 0.0, 2.5]][sample.receiver];
+    sample.tx.iter().zip(place).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+}
+
+fn powers() -> Dataset {
+    let dbm = |s: &Sample| (-40.0 - 22.0 * distance(s).log10() - 3.0 * s.receiver as f64) as Real;
+    hall(|samples| Observations::Powers(samples.iter().map(dbm).collect()))
+}
+
+/// Free space at two subcarriers, heard by the first receiver.
+fn channels() -> Dataset {
+    let frequencies_hz = vec![3e8, 3.1e8];
+    let samples: Vec<Sample> =
+        hall(|s| Observations::Powers(vec![0.0; s.len()])).samples().filter(|s| s.receiver == 0).collect();
+    let gain = |s: &Sample, hz: f64| {
+        let d = distance(s);
+        let phase = -std::f64::consts::TAU * hz / 299_792_458.0 * d;
+        [phase.cos() / d, phase.sin() / d].map(|v| v as Real)
+    };
+    let gains = samples.iter().flat_map(|s| frequencies_hz.iter().map(move |hz| gain(s, *hz))).collect();
+    let place = Pose { position: [-1.0, 0.0, 2.5], ..Pose::IDENTITY };
+    let observed = Observations::Channels(Channels { antennas: 1, frequencies_hz, gains });
+    Dataset::of_links("hall", vec![Receiver::new("north", place)], vec![], &samples, observed).unwrap()
+}
+
+fn pipeline(fields: &str) -> Pipeline {
+    let text = format!("Pipeline(name: \"links\", {fields})");
+    Pipeline::parse(&text, Path::new("links.ron")).unwrap()
+}
+
+const POWERS: &str = "data: Nerf2Rssi(root: \"none\"), initializer: Site(count: 40), \
+    deformation: Factored(depth: 2, width: 16, tx_encoding: Wavelengths(count: 2, longest_m: 12.0, shortest_m: 6.0)), \
+    pruners: [OpacityThreshold(epsilon: 0.28)], training: (steps: 40, batch: 8, dropout: 0.1, densify_until: 5, prune_until: 20, \
+    prune_every: 5, densify: (every: 0))";
+const WAVES: &str = "data: Channels(root: \"none\"), initializer: MatchingPursuit(most: 4, hold_out: 0), \
+    method: VirtualTransmitters(), pruners: [LearnableMask()], training: (steps: 30, batch: 8, densify_until: 0, \
+    prune_until: 10, prune_every: 5, densify: (every: 0), optimizer: (means: Constant(0.0001), signals: Constant(0.001)))";
+const UPLINK: &str = "data: Nerf2Csi(root: \"none\"), initializer: Site(count: 12, near: 0.0), \
+    deformation: Factored(depth: 1, width: 8, tx_encoding: Features(width: 4), position_encoding: Waves(count: 8, reach: 2.0)), \
+    training: (steps: 30, batch: 8, densify_until: 0, prune_until: 0, densify: (every: 0))";
+
+/// The three that are trained here, each with its data and how they are divided: every fifth transmitter is tested.
+fn cases() -> Vec<(&'static str, Pipeline, Dataset, Partition)> {
+    let mut uplink = channels();
+    let values = (0..uplink.len()).flat_map(|i| uplink.image(i).pixels).collect();
+    uplink.features = Some(Features { width: 4, values });
+    let case = |name, fields, data: Dataset| {
+        let (test, train) = (0..data.len()).partition(|&i| data.links[i].transmitter % 5 == 4);
+        (name, pipeline(fields), data, Partition { train, test, ..Partition::default() })
+    };
+    vec![case("powers", POWERS, powers()), case("waves", WAVES, channels()), case("uplink", UPLINK, uplink)]
+}
+
+fn trained(trainer: &mut Trainer<'_>) -> Model {
+    while !trainer.finished() {
+        trainer.step().unwrap();
+    }
+    trainer.model()
+}
+
+#[test]
+fn a_training_of_links_ends_in_the_same_bits_however_it_is_interrupted_and_at_any_thread_count() {
+    for (name, pipeline, data, partition) in cases() {
+        let on = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| file::to_bytes(&trained(&mut Trainer::new(&pipeline, &data, &partition).unwrap())))
+        };
+        let whole = on(1);
+        assert!(whole == on(3), "{name}: on three threads");
+        let mut first = Trainer::new(&pipeline, &data, &partition).unwrap();
+        (0..13).for_each(|_| {
+            first.step().unwrap();
+        });
+        let mut second = Trainer::restore(&pipeline, &data, &partition, &first.checkpoint()).unwrap();
+        assert!(file::to_bytes(&trained(&mut second)) == whole, "{name}: resumed");
+    }
+}
+
+#[test]
+fn many_links_are_predicted_as_one_by_one_and_as_read_from_a_file() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, pipeline, data, partition) in cases() {
+        let model = trained(&mut Trainer::new(&pipeline, &data, &partition).unwrap());
+        let path = folder.path().join(name);
+        file::write(&path, &model).unwrap();
+        let read = file::read(&path).unwrap();
+        assert_eq!(read.stages.frame, model.stages.frame, "{name}");
+        let (ready, ensemble) = (read.prepare(), Ensemble::new(vec![model.clone(), model.clone()]).unwrap());
+        let queries: Vec<Query<'_>> = (0..data.len()).map(|i| data.query(i)).collect();
+        let (many, both) = (ready.predict_many(&queries), ensemble.prepare().predict_many(&queries));
+        for (i, (image, both)) in many.iter().zip(&both).enumerate() {
+            assert_eq!((image.width, image.height), (data.width, data.height));
+            assert_eq!(*image, model.predict(data.query(i)), "{name}: link {i}");
+            // The mean of two that are alike, which no clamp of pictures touches.
+            assert_eq!(image.pixels, both.pixels, "{name}: link {i}");
+        }
+    }
+}
+
+#[test]
+fn every_kind_learns_what_there_is_to_learn() {
+    for (name, pipeline, data, partition) in cases() {
+        let model = trained(&mut Trainer::new(&pipeline, &data, &partition).unwrap());
+        let error = |predict: &dyn Predict| -> f64 {
+            let of = |&i: &usize| {
+                let (p, t) = (predict.predict(data.query(i)), data.image(i));
+                p.pixels.iter().zip(&t.pixels).map(|(p, t)| f64::from((p - t) as f32).powi(2)).sum::<f64>()
+            };
+            partition.test.iter().map(of).sum()
+        };
+        let floor: Plugin<dyn Baseline> = Plugin::parse("MeanSpectrum()").unwrap();
+        let mean = floor.fit(&data, Known::train(&partition.train)).unwrap();
+        let (own, floor) = (error(&model), error(&*mean));
+        assert!(own < 0.25 * floor, "{name}: squared error {own} against {floor} of the mean");
+    }
+}
+
+/// The law of distance is in closed form from the first step.
+#[test]
+fn powers_begin_with_the_law_that_fits_best() {
+    let (_, pipeline, data, partition) = cases().remove(0);
+    let model = Trainer::new(&pipeline, &data, &partition).unwrap().model();
+    let exponents = &model.weights[model.weights.len() - 2..];
+    assert!(exponents.iter().all(|n| (n - 2.2).abs() < 0.5), "{exponents:?}");
+}
+
+#[test]
+fn parts_of_different_kinds_are_refused_at_their_place() {
+    let said = |text: &str| Pipeline::parse(text, Path::new("a.ron")).unwrap_err().to_string();
+    let mixed =
+        "Pipeline(\n    name: \"a\",\n    data: Nerf2Rssi(),\n    initializer: Site(),\n    readout: Magnitude,\n)";
+    assert!(said(mixed).starts_with("a.ron:5:14: readout: it gives spatial spectra, and the data are received powers"));
+    let metric = mixed.replace("readout: Magnitude", "metrics: [PowerError(), Ssim()]");
+    assert!(
+        said(&metric).starts_with("a.ron:5:14: metrics: `Ssim` is a metric of spatial spectra"),
+        "{}",
+        said(&metric)
+    );
+    let method = mixed.replace("readout: Magnitude", "method: VirtualTransmitters()");
+    assert!(said(&method).starts_with("a.ron:5:13: method: it gives channels"), "{}", said(&method));
+    let pictures = mixed.replace("Nerf2Rssi()", "Teacher()").replace("Magnitude", "Received()");
+    assert!(
+        said(&pictures).contains("it gives received powers, and the data are spatial spectra"),
+        "{}",
+        said(&pictures)
+    );
+    let fits = mixed.replace("    readout: Magnitude,\n", "");
+    assert_eq!(
+        Pipeline::parse(&fits, Path::new("a.ron")).unwrap().metrics[0].about(),
+        "absolute error of a received power, dB"
+    );
+}
