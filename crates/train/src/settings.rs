@@ -196,7 +196,7 @@ settings! {
         /// is done to them: 0.25 for a quarter of the training in the same proportions. Counts are rounded, and those
         /// above 0 stay at least 1.
         scale: f64 = 1.0,
-        /// Transmitters a step, each with all its links of the training part.
+        /// Transmitters a step.
         batch: usize = 1,
         /// `M_d`: densification ends after this step.
         densify_until: u64 = 20_000,
