@@ -1,4 +1,4 @@
-//! The field: h[m,a,f] = Σ gate·s·exp(-jkd)/d with d = |p − (v + R r)| and k = 2πf/c, and its derivative.
+//! The field: `h[m,a,f] = Σ gate·s·exp(-jkd)/d` with d = |p − (v + R r)| and k = 2πf/c, and its derivative.
 //!
 //! Eq. (1) of the paper in space, coherent over the whole room: v `[N,3]` is the mean of a Gaussian, s its signal, R the
 //! rotation of its quaternion, r `[A,3]` an antenna of the fixed node in its own frame, p `[M,3]` the moving end. Exact

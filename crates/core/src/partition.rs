@@ -1,6 +1,6 @@
 //! `Partition`: which links serve what.
 
-/// Which links serve what; indices into [`Dataset::links`], each list sorted, the lists disjoint.
+/// Which links serve what; indices into [`Dataset::links`](crate::Dataset::links), each list sorted, the lists disjoint.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Partition {
     /// What the model learns from.
@@ -18,7 +18,7 @@ impl Partition {
     }
 }
 
-/// The links that a baseline may learn from; indices into [`Dataset::links`], two disjoint lists.
+/// The links that a baseline may learn from; indices into [`Dataset::links`](crate::Dataset::links), two disjoint lists.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Known<'a> {
     /// What a model learns from, too.
