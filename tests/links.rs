@@ -54,7 +54,7 @@ const POWERS: &str = "data: Nerf2Rssi(root: \"none\"), initializer: Site(count: 
     pruners: [OpacityThreshold(epsilon: 0.28)], training: (steps: 40, batch: 8, dropout: 0.1, densify_until: 5, prune_until: 20, \
     prune_every: 5, densify: (every: 0))";
 const WAVES: &str = "data: Channels(root: \"none\"), initializer: MatchingPursuit(most: 2, hold_out: 0, reach: 0.4, step: 0.3), \
-    method: VirtualTransmitters(), pruners: [LearnableMask()], training: (steps: 30, batch: 8, densify_until: 0, \
+    method: VirtualTransmitters(order: 1), pruners: [LearnableMask()], training: (steps: 30, batch: 8, densify_until: 0, \
     prune_until: 10, prune_every: 5, densify: (every: 0), optimizer: (means: Constant(0.0001), signals: Constant(0.001)))";
 const UPLINK: &str = "data: Nerf2Csi(root: \"none\"), initializer: Site(count: 12, near: 0.0), \
     deformation: Factored(depth: 1, width: 8, tx_encoding: Features(width: 4), position_encoding: Waves(count: 8, reach: 2.0)), \

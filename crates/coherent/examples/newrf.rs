@@ -6,6 +6,7 @@
 
 use pwrfgs_coherent::{Links, Pursuit, field, pursue, snr_of};
 use pwrfgs_core::{Real, testing::shared};
+use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 struct Band {
@@ -55,6 +56,7 @@ fn main() {
             steps: set("STEPS", default.steps as f64) as usize,
             beyond_doubt: set("DOUBT", default.beyond_doubt),
             again: set("AGAIN", 0.0) > 0.0,
+            order: set("ORDER", 0.0) as usize,
             seed: set("SEED", 0.0) as u64,
             ..default
         };
@@ -63,9 +65,8 @@ fn main() {
             if verbose {
                 eprintln!("{:6.1} s {p:?}", start.elapsed().as_secs_f64());
             }
-            true
         };
-        let found = pursue(&links(before), h, &options, &mut tell).unwrap();
+        let found = pursue(&links(before), h, &options, &AtomicBool::new(false), &mut tell).unwrap();
         let seconds = start.elapsed().as_secs_f64();
         let cloud = found.to_cloud();
         let fitted = snr_of(&field(&cloud, None, &links(before)), h);
@@ -77,7 +78,7 @@ fn main() {
         );
         if verbose {
             let unit = 0.299_792_458e9 / band.frequency / (4.0 * std::f64::consts::PI);
-            for (v, s) in found.positions.iter().zip(&found.gains) {
+            for (v, s) in found.positions.iter().zip(found.gains.chunks(found.terms())).map(|(v, s)| (v, s[0])) {
                 println!(
                     "  {:7.3} {:7.3} {:7.3}  |s| {:.3} arg {:.2}",
                     v[0],

@@ -1,17 +1,22 @@
-//! The field: `h[m,a,f] = Σ gate·s·exp(-jkd)/d` with d = |p − (v + R r)| and k = 2πf/c, and its derivative.
+//! The field: `h[m,a,f] = Σ gate·s(u)·exp(-jkd)/d` with d = |p − (v + R r)| and k = 2πf/c, and its derivative.
 //!
 //! Eq. (1) of the paper in space, coherent over the whole room: v `[N,3]` is the mean of a Gaussian, s its signal, R the
 //! rotation of its quaternion, r `[A,3]` an antenna of the fixed node in its own frame, p `[M,3]` the moving end. Exact
 //! for the mirror images of the node in flat walls, as long as nothing hides one. Scales and opacities are not read.
+//! With an extra column of [`HARMONICS`], the signal depends on the direction u from v to p: s(u) = s + Σ c·Y(u).
 //!
 //! Both directions go over Gaussians in groups of [`LANES`], items on threads; sums have an order that does not depend on
 //! the number of threads.
 
 use crate::cis::{Cis, widest};
+use crate::harmonics::{MOST, by_place, direction, harmonics, slopes};
 use crate::links::{Links, SPEED_OF_LIGHT};
 use crate::turn::{matrix, matrix_vjp, turned, unit};
 use pwrfgs_core::{GaussianCloud, Real, consts::TAU};
 use rayon::prelude::*;
+
+/// The extra column `[N, 2(K−1)]` of gains beyond the mean: of each harmonic but the first, its real and imaginary part.
+pub const HARMONICS: &str = "harmonics";
 
 /// Gaussians that are worked on at once.
 const LANES: usize = 16;
@@ -26,16 +31,37 @@ const ZERO: Lane = [0.0; LANES];
 /// The derivative of a scalar by everything that [`field`] reads of a cloud.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FieldVjp {
-    /// Of `means`, `quats` and `signals`; the other columns are zero.
+    /// Of `means`, `quats`, `signals` and [`HARMONICS`]; the other columns are zero.
     pub cloud: GaussianCloud,
     /// Of the gates `[N]`, whether or not any were given.
     pub gate: Vec<Real>,
 }
 
-/// LANES Gaussians: antennas `[A]` as x, y, z, and signals.
+/// LANES Gaussians: antennas `[A]` as x, y, z, and gains.
 struct Group {
     places: Vec<[Lane; 3]>,
-    signal: [Lane; 2],
+    means: [[f64; 3]; LANES],
+    /// Of each harmonic `[K]`, the gate in it.
+    gains: Vec<[Lane; 2]>,
+}
+
+impl Group {
+    /// What the LANES send toward `p`.
+    #[inline(always)]
+    fn signal(&self, p: [Real; 3]) -> [Lane; 2] {
+        if let [only] = &self.gains[..] {
+            return *only;
+        }
+        let (p, mut out) = (p.map(f64::from), [ZERO; 2]);
+        for l in 0..LANES {
+            let y = harmonics(direction(self.means[l], p).0);
+            for (gain, y) in self.gains.iter().zip(y) {
+                out[0][l] += gain[0][l] * y as Real;
+                out[1][l] += gain[1][l] * y as Real;
+            }
+        }
+        out
+    }
 }
 
 /// h `[M,A,F]` of all Gaussians, each times its gate.
@@ -46,17 +72,18 @@ pub fn field(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &Links<'_>) ->
     let (antennas, subcarriers) = (links.antennas.len(), links.frequencies.len());
     let per_metre = per_metre(links);
     let mut out = vec![[0.0; 2]; links.len()];
-    let scratch = || vec![[ZERO; 2]; groups.len()];
+    let scratch = || (vec![[ZERO; 2]; groups.len()], vec![[ZERO; 2]; groups.len()]);
     let items = out.par_chunks_mut((antennas * subcarriers).max(1)).zip(links.positions);
-    items.for_each_init(scratch, |ways, (h, p)| {
+    items.for_each_init(scratch, |(signals, ways), (h, p)| {
+        signals.iter_mut().zip(&groups).for_each(|(signal, group)| *signal = group.signal(*p));
         for (a, h) in h.chunks_exact_mut(subcarriers).enumerate() {
-            widest(Hear { groups: &groups, a, p: *p, per_metre: &per_metre, ways, h });
+            widest(Hear { groups: &groups, signals, a, p: *p, per_metre: &per_metre, ways, h });
         }
     });
     out
 }
 
-/// The derivative of [`field`]: Σ ⟨`d_field`, h⟩ by means, quaternions, signals and gates.
+/// The derivative of [`field`]: Σ ⟨`d_field`, h⟩ by means, quaternions, signals, harmonics and gates.
 pub fn field_vjp(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &Links<'_>, d_field: &[[Real; 2]]) -> FieldVjp {
     assert_eq!(d_field.len(), links.len(), "one cotangent a link");
     let groups = groups(cloud, None, links);
@@ -70,15 +97,21 @@ pub fn field_vjp(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &Links<'_>
     });
     let sums: Vec<Cotangents> = tasks.collect();
     let mut out = FieldVjp { cloud: cloud.zeros_like(), gate: vec![0.0; cloud.len()] };
+    let more = out.cloud.extra.iter().position(|c| c.name == HARMONICS);
     for i in 0..cloud.len() {
         let blocks = &sums[i / LANES * blocks..][..blocks];
-        let total = |k: usize| blocks.iter().map(|b| b.0[k][i % LANES]).sum::<Real>();
+        let total = |of: &dyn Fn(&Cotangents) -> &Lane| blocks.iter().map(|b| of(b)[i % LANES]).sum::<Real>();
         let open = gate.map_or(1.0, |g| g[i]);
-        out.gate[i] = total(14);
-        out.cloud.signals[i] = [open * total(12), open * total(13)];
-        out.cloud.means[i] = [open * total(0), open * total(1), open * total(2)];
-        let d_rotation = [0, 1, 2].map(|r| [0, 1, 2].map(|c| f64::from(open * total(3 + 3 * r + c))));
+        let gain = |k: usize| [0, 1].map(|part| open * total(&|b| &b.gains[k][part]));
+        out.gate[i] = total(&|b| &b.gate);
+        out.cloud.signals[i] = gain(0);
+        out.cloud.means[i] = [0, 1, 2].map(|k| open * total(&|b| &b.mean[k]));
+        let d_rotation = [0, 1, 2].map(|r| [0, 1, 2].map(|c| f64::from(open * total(&|b| &b.rotation[r][c]))));
         out.cloud.quats[i] = matrix_vjp(cloud.quats[i].map(f64::from), &d_rotation).map(|x| x as Real);
+        if let Some(column) = more.map(|c| &mut out.cloud.extra[c]) {
+            let row = &mut column.values[i * column.width..(i + 1) * column.width];
+            (1..).zip(row.as_chunks_mut::<2>().0).for_each(|(k, d)| *d = gain(k));
+        }
     }
     out
 }
@@ -90,22 +123,33 @@ fn per_metre(links: &Links<'_>) -> Vec<Real> {
 
 fn groups(cloud: &GaussianCloud, gate: Option<&[Real]>, links: &Links<'_>) -> Vec<Group> {
     assert!(gate.is_none_or(|g| g.len() == cloud.len()), "one gate a Gaussian");
+    let more = cloud.extra(HARMONICS);
+    let terms = 1 + more.map_or(0, |c| c.width / 2);
+    assert!(terms <= MOST, "at most {MOST} harmonics");
     let group = |g: usize| {
-        let mut out = Group { places: vec![[ZERO; 3]; links.antennas.len()], signal: [ZERO; 2] };
+        let mut out = Group {
+            places: vec![[ZERO; 3]; links.antennas.len()],
+            means: [[0.0; 3]; LANES],
+            gains: vec![[ZERO; 2]; terms],
+        };
         for l in 0..LANES {
             let i = g * LANES + l;
             // What fills up the last group stands where the first of it stands, and is silent.
             let own = if i < cloud.len() { i } else { g * LANES };
             let rotation = matrix(unit(cloud.quats[own].map(f64::from)));
+            out.means[l] = cloud.means[own].map(f64::from);
             for (place, r) in out.places.iter_mut().zip(links.antennas) {
                 let r = turned(&rotation, r.map(f64::from));
                 for k in 0..3 {
-                    place[k][l] = (f64::from(cloud.means[own][k]) + r[k]) as Real;
+                    place[k][l] = (out.means[l][k] + r[k]) as Real;
                 }
             }
             if i < cloud.len() {
                 let open = gate.map_or(1.0, |g| g[i]);
-                (out.signal[0][l], out.signal[1][l]) = (open * cloud.signals[i][0], open * cloud.signals[i][1]);
+                let more = more.map_or(&[][..], |c| c.values[i * c.width..(i + 1) * c.width].as_chunks::<2>().0);
+                for (gain, [x, y]) in out.gains.iter_mut().zip(std::iter::once(&cloud.signals[i]).chain(more)) {
+                    (gain[0][l], gain[1][l]) = (open * x, open * y);
+                }
             }
         }
         out
@@ -128,6 +172,8 @@ fn way(place: &[Lane; 3], p: [Real; 3]) -> ([Lane; 3], Lane, Lane) {
 /// One antenna and one item: `h` `[F]`.
 struct Hear<'a> {
     groups: &'a [Group],
+    /// What each group sends this way.
+    signals: &'a [[Lane; 2]],
     a: usize,
     p: [Real; 3],
     per_metre: &'a [Real],
@@ -149,7 +195,7 @@ impl pulp::WithSimd for Hear<'_> {
             let per_metre = self.per_metre[f];
             let (mut re, mut im) = (ZERO, ZERO);
             for g in 0..self.groups.len() {
-                let ([x, y], [d, inverse]) = (&self.groups[g].signal, &self.ways[g]);
+                let ([x, y], [d, inverse]) = (&self.signals[g], &self.ways[g]);
                 for l in 0..LANES {
                     let (cos, sin) = Real::cis(d[l] * per_metre);
                     re[l] += (x[l] * cos + y[l] * sin) * inverse[l];
@@ -171,8 +217,15 @@ fn sum(lane: &Lane) -> Real {
     total
 }
 
-/// Cotangents of LANES Gaussians as if every gate were 1: v, R by rows, s, gate.
-struct Cotangents([Lane; 15]);
+/// Cotangents of LANES Gaussians as if every gate were 1.
+struct Cotangents {
+    mean: [Lane; 3],
+    /// Of R, by rows.
+    rotation: [[Lane; 3]; 3],
+    /// Of each harmonic `[K]`.
+    gains: Vec<[Lane; 2]>,
+    gate: Lane,
+}
 
 /// One group and one block of items.
 struct HearVjp<'a> {
@@ -188,31 +241,60 @@ impl pulp::WithSimd for HearVjp<'_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) -> Cotangents {
-        let mut out = [ZERO; 15];
+        let gains = vec![[ZERO; 2]; self.group.gains.len()];
+        let mut out = Cotangents { mean: [ZERO; 3], rotation: [[ZERO; 3]; 3], gains, gate: ZERO };
         let subcarriers = self.per_metre.len();
         for m in self.items {
+            let p = self.links.positions[m];
+            let (signal, mut d_signal) = (self.group.signal(p), [ZERO; 2]);
             for a in 0..self.links.antennas.len() {
                 let first = (m * self.links.antennas.len() + a) * subcarriers;
                 let (d_h, r) = (&self.d_field[first..first + subcarriers], self.links.antennas[a]);
-                let (by, d, inverse) = way(&self.group.places[a], self.links.positions[m]);
-                let along = by_distance(&self.group.signal, &d, &inverse, self.per_metre, d_h, &mut out);
+                let (by, d, inverse) = way(&self.group.places[a], p);
+                let along = by_distance(&signal, &d, &inverse, self.per_metre, d_h, &mut d_signal);
                 for l in 0..LANES {
                     let along = if d[l] > CLOSEST as Real { along[l] * inverse[l] } else { 0.0 };
                     for k in 0..3 {
                         let d_place = along * by[k][l];
-                        out[k][l] += d_place;
+                        out.mean[k][l] += d_place;
                         for c in 0..3 {
-                            out[3 + 3 * k + c][l] += d_place * r[c];
+                            out.rotation[k][c][l] += d_place * r[c];
                         }
                     }
                 }
             }
+            for l in 0..LANES {
+                out.gate[l] += signal[0][l] * d_signal[0][l] + signal[1][l] * d_signal[1][l];
+                out.gains[0][0][l] += d_signal[0][l];
+                out.gains[0][1][l] += d_signal[1][l];
+            }
+            if out.gains.len() > 1 {
+                by_direction(self.group, p, &d_signal, &mut out);
+            }
         }
-        Cotangents(out)
+        out
     }
 }
 
-/// The derivatives by the distance, which it gives, and by signal and gate, which it adds to rows 12 to 14 of `out`.
+/// Adds the derivatives by the harmonics but the first, and by the means through the direction.
+fn by_direction(group: &Group, p: [Real; 3], d_signal: &[Lane; 2], out: &mut Cotangents) {
+    for l in 0..LANES {
+        let (u, d) = direction(group.means[l], p.map(f64::from));
+        let (y, slopes, mut d_u) = (harmonics(u), slopes(u), [0.0; 3]);
+        for k in 1..group.gains.len() {
+            let mut d_y = 0.0;
+            for part in 0..2 {
+                out.gains[k][part][l] += d_signal[part][l] * y[k] as Real;
+                d_y += f64::from(group.gains[k][part][l] * d_signal[part][l]);
+            }
+            (0..3).for_each(|c| d_u[c] += d_y * slopes[k][c]);
+        }
+        let d_mean = by_place(u, d, d_u);
+        (0..3).for_each(|c| out.mean[c][l] += d_mean[c] as Real);
+    }
+}
+
+/// The derivative by the distance, which it gives, and by the signal, which it adds to `d_signal`.
 #[inline(always)]
 fn by_distance(
     [x, y]: &[Lane; 2],
@@ -220,7 +302,7 @@ fn by_distance(
     inverse: &Lane,
     per_metre: &[Real],
     d_h: &[[Real; 2]],
-    out: &mut [Lane; 15],
+    d_signal: &mut [Lane; 2],
 ) -> Lane {
     let mut along = ZERO;
     for f in 0..per_metre.len() {
@@ -230,9 +312,8 @@ fn by_distance(
             // w = conj(d_h)·e with e = exp(-jkd)/d.
             let w = [(re * cos - im * sin) * inverse[l], -(re * sin + im * cos) * inverse[l]];
             let (real, imaginary) = (x[l] * w[0] - y[l] * w[1], x[l] * w[1] + y[l] * w[0]);
-            out[12][l] += w[0];
-            out[13][l] -= w[1];
-            out[14][l] += real;
+            d_signal[0][l] += w[0];
+            d_signal[1][l] -= w[1];
             along[l] += k * imaginary - real * inverse[l];
         }
     }

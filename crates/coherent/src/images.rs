@@ -9,12 +9,11 @@ use crate::sweep::Peak;
 const BEHIND: f64 = 0.02;
 
 /// The mirror images of all `places` in all planes half-way between two of them, those of `hear` on one side alone;
-/// without those outside of the box and those nearer than `apart` to a place or to each other.
+/// without those that `holds` does not hold and those nearer than `apart` to a place or to each other.
 pub(crate) fn images(
     places: &[[f64; 3]],
     hear: &[[f64; 3]],
-    low: [f64; 3],
-    high: [f64; 3],
+    holds: impl Fn([f64; 3]) -> bool,
     apart: f64,
 ) -> Vec<[f64; 3]> {
     let near = |a: &[f64; 3], b: &[f64; 3]| (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>() < apart * apart;
@@ -24,8 +23,7 @@ pub(crate) fn images(
             let Some(plane) = Plane::between(*a, *b).filter(|p| p.clear_of(hear)) else { continue };
             for v in places {
                 let image = plane.mirrored(*v);
-                let inside = (0..3).all(|k| (low[k]..=high[k]).contains(&image[k]));
-                if inside && !places.iter().chain(&found).any(|p| near(p, &image)) {
+                if holds(image) && !places.iter().chain(&found).any(|p| near(p, &image)) {
                     found.push(image);
                 }
             }
@@ -83,9 +81,9 @@ mod tests {
     fn the_corner_of_two_walls_follows_from_two_images() {
         let (node, wall, floor) = ([1.0, 0.5, 1.5], [-3.0, 0.5, 1.5], [1.0, 0.5, -1.5]);
         let hear = [[0.0, 0.0, 1.0], [1.0, 1.0, 2.0]];
-        let found = images(&[node, wall, floor], &hear, [-9.0; 3], [9.0; 3], 0.05);
+        let found = images(&[node, wall, floor], &hear, |_| true, 0.05);
         assert!(found.iter().any(|p| (0..3).all(|k| (p[k] - [-3.0, 0.5, -1.5][k]).abs() < 1e-12)), "{found:?}");
-        let across = images(&[node, wall], &[[-2.0, 0.0, 1.0], [1.0, 1.0, 2.0]], [-9.0; 3], [9.0; 3], 0.05);
+        let across = images(&[node, wall], &[[-2.0, 0.0, 1.0], [1.0, 1.0, 2.0]], |_| true, 0.05);
         assert!(across.is_empty(), "no wall goes through where the moving end was: {across:?}");
     }
 }

@@ -5,6 +5,7 @@
 mod cis;
 mod descent;
 mod field;
+mod harmonics;
 mod images;
 mod links;
 mod matching_pursuit;
@@ -17,7 +18,7 @@ mod sweep;
 mod turn;
 mod virtual_transmitters;
 
-pub use field::{FieldVjp, field, field_vjp};
+pub use field::{FieldVjp, HARMONICS, field, field_vjp};
 pub use links::{Links, SPEED_OF_LIGHT, Sources};
 pub use matching_pursuit::MatchingPursuit;
 pub use options::{Progress, Pursuit};

@@ -1,6 +1,8 @@
 //! `Links`: where the waves are heard, and `Sources`: where they come from.
 
-use pwrfgs_core::{GaussianCloud, Real};
+use crate::field::HARMONICS;
+use crate::harmonics;
+use pwrfgs_core::{ExtraColumn, GaussianCloud, Real};
 
 /// Metres a second, in vacuum.
 pub const SPEED_OF_LIGHT: f64 = 299_792_458.0;
@@ -78,11 +80,28 @@ pub struct Sources {
     pub positions: Vec<[f64; 3]>,
     /// Rotations of the array `[N,4]` as w, x, y, z, of length 1.
     pub quats: Vec<[f64; 4]>,
-    /// Complex signals s `[N,2]`: h = s·exp(-jkd)/d, so s is a length in metres times the unit of h.
+    /// Complex signals s `[N,K,2]`, one a harmonic: h = s·exp(-jkd)/d, so s is a length in metres times the unit of h.
     pub gains: Vec<[f64; 2]>,
+    /// Order of the harmonics: K = (order + 1)².
+    pub order: usize,
 }
 
 impl Sources {
+    /// None, whose gains have harmonics up to `order`.
+    pub fn new(order: usize) -> Self {
+        Self { order, ..Self::default() }
+    }
+
+    /// K.
+    pub fn terms(&self) -> usize {
+        harmonics::terms(self.order)
+    }
+
+    /// The gains of source `g`, one a harmonic `[K]`.
+    pub fn gains_of(&self, g: usize) -> &[[f64; 2]] {
+        &self.gains[g * self.terms()..(g + 1) * self.terms()]
+    }
+
     /// N.
     pub fn len(&self) -> usize {
         self.positions.len()
@@ -93,18 +112,28 @@ impl Sources {
         self.positions.is_empty()
     }
 
-    /// One more.
+    /// One more, the same in all directions.
     pub fn push(&mut self, position: [f64; 3], quat: [f64; 4], gain: [f64; 2]) {
         self.positions.push(position);
         self.quats.push(quat);
         self.gains.push(gain);
+        self.gains.resize(self.len() * self.terms(), [0.0; 2]);
+    }
+
+    /// Those of `other` too, of the same order.
+    pub fn extend(&mut self, other: Self) {
+        self.positions.extend(other.positions);
+        self.quats.extend(other.quats);
+        self.gains.extend(other.gains);
     }
 
     /// Those listed, in that order.
     pub fn select(&self, rows: &[usize]) -> Self {
-        let mut out = Self::default();
+        let mut out = Self::new(self.order);
         for &i in rows {
-            out.push(self.positions[i], self.quats[i], self.gains[i]);
+            out.positions.push(self.positions[i]);
+            out.quats.push(self.quats[i]);
+            out.gains.extend(self.gains_of(i));
         }
         out
     }
@@ -114,24 +143,20 @@ impl Sources {
         self.select(&(0..self.len()).filter(|i| *i != row).collect::<Vec<_>>())
     }
 
-    /// As a cloud: means, quaternions and signals; scales of 1 m and opacities of ½, which the field does not read.
+    /// As a cloud: means, quaternions, signals and harmonics; scales of 1 m and opacities of ½, which the field does not
+    /// read.
     pub fn to_cloud(&self) -> GaussianCloud {
         let mut cloud = GaussianCloud::zeros(self.len());
         for i in 0..self.len() {
             cloud.means[i] = self.positions[i].map(|x| x as Real);
             cloud.quats[i] = self.quats[i].map(|x| x as Real);
-            cloud.signals[i] = self.gains[i].map(|x| x as Real);
+            cloud.signals[i] = self.gains_of(i)[0].map(|x| x as Real);
+        }
+        if self.order > 0 {
+            let more = (0..self.len()).flat_map(|i| self.gains_of(i)[1..].as_flattened());
+            let values = more.map(|x| *x as Real).collect();
+            cloud.extra.push(ExtraColumn { name: HARMONICS.into(), width: 2 * (self.terms() - 1), values });
         }
         cloud
-    }
-
-    /// Those of a cloud, quaternions normalised.
-    pub fn from_cloud(cloud: &GaussianCloud) -> Self {
-        let mut out = Self::default();
-        for i in 0..cloud.len() {
-            let q = cloud.quats[i].map(f64::from);
-            out.push(cloud.means[i].map(f64::from), crate::turn::unit(q), cloud.signals[i].map(f64::from));
-        }
-        out
     }
 }

@@ -1,9 +1,9 @@
 //! `MatchingPursuit`: virtual transmitters found in channels, the start of training.
 
-use crate::links::Links;
-use crate::options::Pursuit;
+use crate::links::{Links, Sources};
+use crate::options::{Progress as Told, Pursuit};
 use crate::pursuit::pursue;
-use crate::virtual_transmitters::array;
+use crate::virtual_transmitters::{array, order_of};
 use pwrfgs_core::{
     Documented, Error, GaussianCloud, ImagePlane, Initializer, Observations, Real, Result, Scene, Seen, rng, rng::Rng,
 };
@@ -13,8 +13,8 @@ use std::sync::atomic::Ordering;
 /// Finds the virtual transmitters of the training channels greedily: the one that explains most, all gains anew by least
 /// squares, all places refined, and the next one, as many as a held-out part of the training links wants.
 ///
-/// For `method: VirtualTransmitters()`. Candidates stand on a grid over a box about the transmitters, and at mirror images
-/// of what was found. It reads the training part alone; the part held out for the count is learned from at the end. Where the
+/// For `method: VirtualTransmitters()`, with gains of its `order`. Candidates are the receiver itself, places of a grid about the transmitters, coarser
+/// the farther they are, and mirror images of what was found. It reads the training part alone; the part held out for the count is learned from at the end. Where the
 /// scene alone is asked (`pwrfgs check`), it puts `most` of them anywhere.
 ///
 /// ```
@@ -26,33 +26,40 @@ use std::sync::atomic::Ordering;
 #[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct MatchingPursuit {
-    /// Virtual transmitters at most.
+    /// Virtual transmitters at most, of each search.
     pub most: usize,
-    /// How far beyond the positions of the transmitters the box reaches on every side, in sizes of their box.
+    /// How far beyond the positions of the transmitters the grid reaches in every direction, in the longest side of their
+    /// box.
     pub reach: f64,
-    /// Distance of the places of the grid, in the shortest wavelength; a quarter or less finds every hill.
+    /// Distance of the places of the grid near those positions, in the shortest wavelength; a quarter or less finds every
+    /// hill.
     pub step: f64,
     /// Additions without a better score on the held-out part after which the search stops.
     pub patience: usize,
     /// One of so many training links is held out while the number is chosen; 0 or 1: none, all `most` are kept.
     pub hold_out: usize,
+    /// Times that the least needed are taken away again and others searched in their place.
+    pub rounds: usize,
     /// Weight of the ridge on gains, in the share of noise to signal that the fit itself shows.
     pub ridge: f64,
     /// Whether mirror images of what was found are tried too.
     pub images: bool,
+    /// Searches, each with another part held out: the start is the mean of what they find, as many Gaussians as all of them
+    /// found. What is found by accident differs from search to search, and fades in the mean.
+    pub searches: usize,
 }
 
 impl Default for MatchingPursuit {
     fn default() -> Self {
-        let Pursuit { most, reach, step, patience, hold_out, ridge, images, .. } = Pursuit::default();
-        Self { most, reach, step, patience, hold_out, ridge, images }
+        let Pursuit { most, reach, step, patience, hold_out, rounds, ridge, images, .. } = Pursuit::default();
+        Self { most, reach, step, patience, hold_out, rounds, ridge, images, searches: 1 }
     }
 }
 
 impl MatchingPursuit {
-    fn options(&self, seed: u64) -> Pursuit {
-        let Self { most, reach, step, patience, hold_out, ridge, images } = *self;
-        Pursuit { reach, step, most, patience, hold_out, ridge, images, seed, ..Pursuit::default() }
+    fn options(&self, order: usize, seed: u64) -> Pursuit {
+        let Self { most, reach, step, patience, hold_out, rounds, ridge, images, searches: _ } = *self;
+        Pursuit { reach, step, most, patience, hold_out, ridge, rounds, images, order, seed, ..Pursuit::default() }
     }
 }
 
@@ -87,16 +94,22 @@ impl Initializer for MatchingPursuit {
         let antennas = array(&scene.receivers[0]);
         let links = Links { positions: &positions, antennas: &antennas, frequencies: &channels.frequencies_hz };
         let channel: Vec<[Real; 2]> = seen.train.iter().flat_map(|&i| channels.of(i)).copied().collect();
-        let seed = (0..4).fold(0, |seed, _| seed << 16 | rng::below(rng, 1 << 16) as u64);
-        // Twice over: with a part held out, and at the end with all.
-        let found = pursue(&links, &channel, &self.options(seed), &mut |told| {
-            (seen.progress)(told.sources, self.most);
-            !seen.stop.load(Ordering::Relaxed)
-        });
-        if seen.stop.load(Ordering::Relaxed) {
-            return Err(Error::Stopped);
+        let node = Some(scene.receivers[0].pose.position);
+        let order = order_of(&seen.method.columns());
+        let mut all = Sources::new(order);
+        for search in 0..self.searches {
+            let seed = (0..4).fold(0, |seed, _| seed << 16 | rng::below(rng, 1 << 16) as u64);
+            let options = Pursuit { node, ..self.options(order, seed) };
+            let total = self.searches * self.most;
+            let tell = &mut |told: &Told| (seen.progress)(search * self.most + told.sources, total);
+            let found = pursue(&links, &channel, &options, seen.stop, tell);
+            if seen.stop.load(Ordering::Relaxed) {
+                return Err(Error::Stopped);
+            }
+            all.extend(found.map_err(|why| Error::Config(format!("initializer: MatchingPursuit: {why}")))?);
         }
-        Ok(found.map_err(|why| Error::Config(format!("initializer: MatchingPursuit: {why}")))?.to_cloud())
+        all.gains.as_flattened_mut().iter_mut().for_each(|x| *x /= self.searches as f64);
+        Ok(all.to_cloud())
     }
 
     fn about(&self) -> &'static str {
@@ -104,6 +117,9 @@ impl Initializer for MatchingPursuit {
     }
 
     fn check(&self) -> Result<(), String> {
-        self.options(0).check()
+        if self.searches == 0 {
+            return Err("`searches` is 0; give 1 or more".into());
+        }
+        self.options(0, 0).check()
     }
 }

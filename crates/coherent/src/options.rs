@@ -1,11 +1,14 @@
 //! How the search for virtual transmitters goes, and what it tells of itself.
 
+use crate::harmonics::HIGHEST;
+
 /// How [`crate::pursue`] searches.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pursuit {
-    /// How far beyond the positions of the moving end the box reaches on every side, in sizes of their box.
+    /// How far beyond the positions of the moving end the grid reaches in every direction, in the longest side of their box.
     pub reach: f64,
-    /// Distance of the places of the grid, in the shortest wavelength; a quarter or less finds every hill.
+    /// Distance of the places of the grid near those positions, in the shortest wavelength; a quarter or less finds every
+    /// hill.
     pub step: f64,
     /// Virtual transmitters at most.
     pub most: usize,
@@ -25,10 +28,14 @@ pub struct Pursuit {
     pub beyond_doubt: f64,
     /// Peaks of the grid that are refined before the best is taken.
     pub peaks: usize,
+    /// Where the fixed node is, metres, where that is known: a candidate that needs little proof.
+    pub node: Option<[f64; 3]>,
     /// Whether mirror images of what was found are tried, with the smaller proof that few candidates need.
     pub images: bool,
     /// Whether the last pass, with all items, searches anew, or refines what was found.
     pub again: bool,
+    /// Order of the harmonics of gains over direction, at most 3; 0: gains are the same in all directions.
+    pub order: usize,
     /// Seed of the held-out part and of the rows.
     pub seed: u64,
 }
@@ -47,8 +54,10 @@ impl Default for Pursuit {
             rounds: 2,
             beyond_doubt: 10.0,
             peaks: 256,
+            node: None,
             images: true,
             again: false,
+            order: 0,
             seed: 0,
         }
     }
@@ -82,6 +91,9 @@ impl Pursuit {
         }
         if !(self.ridge >= 0.0 && self.ridge.is_finite()) {
             return Err(format!("`ridge` is {}; give 0 or more, such as 1", self.ridge));
+        }
+        if self.order > HIGHEST {
+            return Err(format!("`order` is {}; give 0 to {HIGHEST}, such as 2", self.order));
         }
         if self.most == 0 || self.peaks == 0 || self.rows.contains(&0) {
             return Err("`most`, `peaks` and `rows` must each be 1 or more".into());

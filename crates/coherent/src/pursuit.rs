@@ -12,41 +12,41 @@ use crate::sweep::{Grid, Peak, sweep, thin};
 use crate::turn;
 use pwrfgs_core::{Real, rng};
 use rayon::prelude::*;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Share of what the best explained after a sweep below which the grid is swept anew.
+const FADED: f64 = 1.0 / 3.0;
 
 /// Candidates that climb before the best is taken.
 const CLIMB: usize = 32;
 
 /// Searches for the virtual transmitters of `channel` `[M,A,F]`.
 ///
-/// `go_on` hears of every addition and ends the search by false; what was found so far is then the answer. An error says
-/// what is wrong with the input.
+/// `tell` hears of every addition; soon after `stop` is set the search ends, and what was found so far is the answer. An
+/// error says what is wrong with the input.
 pub fn pursue(
     links: &Links<'_>,
     channel: &[[Real; 2]],
     options: &Pursuit,
-    go_on: &mut dyn FnMut(&Progress) -> bool,
+    stop: &AtomicBool,
+    tell: &mut dyn FnMut(&Progress),
 ) -> Result<Sources, String> {
     links.check_channel(channel)?;
     options.check()?;
     let mut items: Vec<usize> = (0..links.positions.len()).collect();
     let folds = if options.hold_out < 2 { 0 } else { items.len() / options.hold_out };
-    let none = Sources::default;
+    let none = || Sources::new(options.order);
     if folds == 0 {
-        return Ok(Search::new(links, channel, options, &items, &[]).grow(none(), options.most, go_on).0);
+        return Ok(Search::new(links, channel, options, stop, &items, &[]).grow(none(), options.most, tell));
     }
     rng::shuffle(&mut rng::stream(options.seed, "hold out", 0), &mut items);
     let (held_out, fitted) = items.split_at(folds);
-    let (found, stopped) = Search::new(links, channel, options, fitted, held_out).grow(none(), options.most, go_on);
-    if stopped {
-        return Ok(found);
-    }
+    let mut found = Search::new(links, channel, options, stop, fitted, held_out).grow(none(), options.most, tell);
     let all: Vec<usize> = (0..links.positions.len()).collect();
-    let mut last = Search::new(links, channel, options, &all, &[]);
+    let mut last = Search::new(links, channel, options, stop, &all, &[]);
     if options.again {
-        return Ok(last.grow(none(), found.len(), go_on).0);
+        return Ok(last.grow(none(), found.len(), tell));
     }
-    let mut found = found;
     last.settle(&mut found, 3 * options.steps);
     Ok(found)
 }
@@ -56,6 +56,7 @@ struct Search<'a> {
     links: &'a Links<'a>,
     channel: &'a [[Real; 2]],
     options: &'a Pursuit,
+    stop: &'a AtomicBool,
     held_out: &'a [usize],
     /// For the grid, and for refinement.
     coarse: Rows,
@@ -63,8 +64,9 @@ struct Search<'a> {
     grid: Grid,
     hear: Vec<[f64; 3]>,
     wavelength: f64,
-    /// What the last sweep left.
+    /// What the last sweep left, and what the best of it explained.
     pool: Vec<Peak>,
+    strongest: f64,
 }
 
 impl<'a> Search<'a> {
@@ -72,6 +74,7 @@ impl<'a> Search<'a> {
         links: &'a Links<'a>,
         channel: &'a [[Real; 2]],
         options: &'a Pursuit,
+        stop: &'a AtomicBool,
         fitted: &[usize],
         held_out: &'a [usize],
     ) -> Self {
@@ -79,43 +82,59 @@ impl<'a> Search<'a> {
         let low: [f64; 3] = std::array::from_fn(|k| hear.iter().fold(f64::MAX, |m, p| m.min(p[k])));
         let high: [f64; 3] = std::array::from_fn(|k| hear.iter().fold(f64::MIN, |m, p| m.max(p[k])));
         let wavelength = links.shortest_wavelength();
+        // At least a wavelength: a single position has no size.
+        let side = (0..3).fold(wavelength, |side, k| side.max(high[k] - low[k]));
         let antennas: Vec<[f64; 3]> = links.antennas.iter().map(|r| r.map(f64::from)).collect();
-        // At least a wavelength: a single position, or a line of them, has no size.
-        let beyond = [0, 1, 2].map(|k| options.reach * (high[k] - low[k]).max(wavelength));
         let grid = Grid {
-            low: [0, 1, 2].map(|k| low[k] - beyond[k]),
-            high: [0, 1, 2].map(|k| high[k] + beyond[k]),
+            centre: [0, 1, 2].map(|k| f64::midpoint(low[k], high[k])),
+            side,
+            half: (0.5 + options.reach) * side,
             step: options.step * wavelength,
             quats: turn::mirrored(&antennas),
         };
         let [coarse, fine] = options.rows.map(|most| Rows::new(links, channel, fitted, most, options.seed));
-        Self { links, channel, options, held_out, coarse, rows: fine, grid, hear, wavelength, pool: Vec::new() }
+        Self {
+            links,
+            channel,
+            options,
+            stop,
+            held_out,
+            coarse,
+            rows: fine,
+            grid,
+            hear,
+            wavelength,
+            pool: Vec::new(),
+            strongest: f64::INFINITY,
+        }
+    }
+
+    fn stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
     }
 
     /// Adds sources until `most`, until patience ends or until told to stop, then takes the least needed ones away again,
-    /// and so on while that helps; the best set, and whether it was told to stop.
-    fn grow(&mut self, start: Sources, most: usize, go_on: &mut dyn FnMut(&Progress) -> bool) -> (Sources, bool) {
+    /// and so on while that helps; the best set.
+    fn grow(&mut self, start: Sources, most: usize, tell: &mut dyn FnMut(&Progress)) -> Sources {
         let mut best = (f64::NEG_INFINITY, start);
         for _ in 0..=self.options.rounds {
             let before = best.0;
-            if self.forward(&mut best, most, go_on) {
-                return (best.1, true);
-            }
+            self.forward(&mut best, most, tell);
             if !self.held_out.is_empty() {
                 self.backward(&mut best);
             }
-            if best.0 <= before {
+            if best.0 <= before || self.stopped() {
                 break;
             }
         }
-        (best.1, false)
+        best.1
     }
 
-    /// Adds sources to the best set; whether it was told to stop.
-    fn forward(&mut self, best: &mut (f64, Sources), most: usize, go_on: &mut dyn FnMut(&Progress) -> bool) -> bool {
+    /// Adds sources to the best set.
+    fn forward(&mut self, best: &mut (f64, Sources), most: usize, tell: &mut dyn FnMut(&Progress)) {
         let mut sources = best.1.clone();
         let mut since = 0;
-        while sources.len() < most && since < self.options.patience {
+        while sources.len() < most && since < self.options.patience && !self.stopped() {
             let Some((peak, proof, image)) = self.next(&sources) else { break };
             sources.push(peak.place, peak.quat, [0.0; 2]);
             self.settle(&mut sources, self.options.steps);
@@ -126,18 +145,15 @@ impl<'a> Search<'a> {
                 (*best, since) = ((held_out, sources.clone()), 0);
             }
             let last_pass = self.held_out.is_empty();
-            if !go_on(&Progress { last_pass, sources: sources.len(), fitted, held_out, proof, image }) {
-                return true;
-            }
+            tell(&Progress { last_pass, sources: sources.len(), fitted, held_out, proof, image });
         }
-        false
     }
 
     /// Takes away, one after the other, the source without which the fit is least worse.
     fn backward(&self, best: &mut (f64, Sources)) {
         let mut sources = best.1.clone();
         let (least, ridge) = (sources.len() / 2, 1e-9 * self.rows.energy());
-        while sources.len() > least.max(1) {
+        while sources.len() > least.max(1) && !self.stopped() {
             let cost = |g: usize| {
                 gains(&self.rows, &mut sources.without(g), &vec![ridge; sources.len() - 1]).unwrap_or(f64::MAX)
             };
@@ -155,11 +171,11 @@ impl<'a> Search<'a> {
     /// The ridge of each source, refined with it.
     fn settle(&self, sources: &mut Sources, steps: usize) {
         let mut ridge = vec![1e-9 * self.rows.energy(); sources.len()];
-        let walk = Walk { steps, farthest: self.wavelength / 8.0, turns: self.links.turns() };
+        let walk = self.walk(steps);
         let Some(mut cost) = gains(&self.rows, sources, &ridge) else { return };
         for _ in 0..2 {
             let noise = cost / self.rows.len() as f64;
-            let signal = sources.gains.iter().map(|[x, y]| x * x + y * y).sum::<f64>() / sources.len() as f64;
+            let signal = self.rows.signal(sources) / sources.terms() as f64;
             ridge.fill(self.options.ridge * noise / signal.max(f64::MIN_POSITIVE) + 1e-12 * self.rows.len() as f64);
             match refine(&self.rows, sources, &ridge, walk) {
                 Some(new) => cost = new,
@@ -170,13 +186,19 @@ impl<'a> Search<'a> {
 
     /// The candidate with the best proof after a refinement of its own, that proof, and whether it is an image.
     ///
-    /// The grid is swept anew only where neither images nor what the last sweep left are beyond doubt.
+    /// The grid is swept anew only where neither images nor what the last sweep left are beyond doubt, or where they explain
+    /// much less than the best did then: something better may have come to light.
     fn next(&mut self, sources: &Sources) -> Option<(Peak, f64, bool)> {
         let residual = self.rows.residual(sources);
         let mut best = None;
+        let apart = self.wavelength / 4.0;
+        let away = |node: &[f64; 3]| sources.positions.iter().all(|v| distance(v, node) > apart);
+        let mut places: Vec<[f64; 3]> = self.options.node.filter(away).into_iter().collect();
         if self.options.images {
-            let Grid { low, high, .. } = self.grid;
-            let places = images(&sources.positions, &self.hear, low, high, self.wavelength / 4.0);
+            let known = [&sources.positions[..], &places[..]].concat();
+            places.extend(images(&known, &self.hear, |place| self.grid.holds(place), apart));
+        }
+        if !places.is_empty() {
             let peaks = as_peaks(&places, &self.grid.quats);
             let number = peaks.len();
             best = self.refined(&residual, peaks, number, sources).map(|(peak, odds)| (peak, odds, true));
@@ -187,11 +209,12 @@ impl<'a> Search<'a> {
             (_, Some((peak, odds))) => Some((peak, odds, false)),
         };
         best = better(best, self.refined(&residual, self.pool.clone(), self.grid.len(), sources));
-        if best.is_none_or(|b| b.1 < self.options.beyond_doubt) {
+        let enough = FADED * self.strongest;
+        if best.is_none_or(|b| b.1 < self.options.beyond_doubt || b.0.explains < enough) {
             let coarse = self.coarse.residual(sources);
-            let apart = self.wavelength / 2.0;
-            self.pool = sweep(&coarse, &self.grid, self.options.peaks, apart, &AtomicBool::new(false));
+            self.pool = sweep(&coarse, &self.grid, self.options.peaks, self.stop);
             best = better(best, self.refined(&residual, self.pool.clone(), self.grid.len(), sources));
+            self.strongest = best.map_or(0.0, |b| b.0.explains);
         }
         best
     }
@@ -200,26 +223,28 @@ impl<'a> Search<'a> {
     fn refined(&self, residual: &Rows, mut peaks: Vec<Peak>, number: usize, sources: &Sources) -> Option<(Peak, f64)> {
         let energy = residual.energy();
         let climb = |peak: &mut Peak, steps: usize| {
-            let walk = Walk { steps, farthest: self.wavelength / 8.0, turns: self.links.turns() };
+            let walk = self.walk(steps);
             let mut one = Sources::default();
             one.push(peak.place, peak.quat, [0.0; 2]);
             let left = refine(residual, &mut one, &[1e-12 * residual.len() as f64], walk);
-            let far = (0..3).any(|k| (one.positions[0][k] - peak.place[k]).abs() > 2.0 * self.wavelength);
+            let most = 2.0 * self.wavelength * self.grid.width(peak.place);
+            let far = (0..3).any(|k| (one.positions[0][k] - peak.place[k]).abs() > most);
             peak.explains = if far { 0.0 } else { left.map_or(0.0, |left| energy - left) };
             (peak.place, peak.quat) = (one.positions[0], one.quats[0]);
         };
         peaks.par_iter_mut().for_each(|peak| climb(peak, 0));
-        thin(&mut peaks, CLIMB, 0.0);
+        thin(&mut peaks, CLIMB, |_| 0.0);
         peaks.par_iter_mut().for_each(|peak| climb(peak, 8));
-        let taken = |p: &Peak| {
-            let near = |v: &[f64; 3]| (0..3).map(|k| (v[k] - p.place[k]).powi(2)).sum::<f64>().sqrt();
-            sources.positions.iter().any(|v| near(v) < self.wavelength / 8.0)
-        };
+        let taken = |p: &Peak| sources.positions.iter().any(|v| distance(v, &p.place) < self.wavelength / 8.0);
         peaks.retain(|p| !taken(p));
-        thin(&mut peaks, 1, 0.0);
+        thin(&mut peaks, 1, |_| 0.0);
         let share = |p: &Peak| (p.explains / energy).clamp(0.0, 1.0 - 1e-12);
         let odds = |p: &Peak| -(residual.len() as f64) * (1.0 - share(p)).ln() - (number.max(1) as f64).ln();
         peaks.first().map(|p| (*p, odds(p)))
+    }
+
+    fn walk(&self, steps: usize) -> Walk<'_> {
+        Walk { steps, farthest: self.wavelength / 8.0, turns: self.links.turns(), grid: &self.grid, stop: self.stop }
     }
 
     /// SNR on the held-out items, dB.
@@ -230,6 +255,10 @@ impl<'a> Search<'a> {
         let truth = self.held_out.iter().flat_map(|i| &self.channel[i * each..(i + 1) * each]);
         snr_of(&field(&sources.to_cloud(), None, &links), truth)
     }
+}
+
+fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    (0..3).map(|k| (a[k] - b[k]).powi(2)).sum::<f64>().sqrt()
 }
 
 fn snr(residual: &Rows, rows: &Rows) -> f64 {

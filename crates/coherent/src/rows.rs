@@ -1,6 +1,7 @@
 //! The measured numbers, one row each, in double precision: what gains and positions are fitted to.
 
 use crate::field::CLOSEST;
+use crate::harmonics::gain;
 use crate::links::{Links, SPEED_OF_LIGHT, Sources};
 use crate::turn::{matrix, turned};
 use pwrfgs_core::{Real, rng};
@@ -51,6 +52,16 @@ impl Rows {
         self.h.iter().map(|[re, im]| re * re + im * im).sum()
     }
 
+    /// |s|² of the sources, each the mean over the directions in which it is heard, and the mean of all.
+    pub(crate) fn signal(&self, sources: &Sources) -> f64 {
+        let of = |g: usize| {
+            let heard = |p: &[f64; 3]| gain(sources.gains_of(g), sources.positions[g], *p);
+            self.p.iter().map(|p| heard(p).iter().map(|x| x * x).sum::<f64>()).sum::<f64>() / self.len().max(1) as f64
+        };
+        let each: Vec<f64> = (0..sources.len()).into_par_iter().map(of).collect();
+        each.iter().sum::<f64>() / sources.len().max(1) as f64
+    }
+
     /// The same rows with h less what the sources send.
     pub(crate) fn residual(&self, sources: &Sources) -> Self {
         let rotations: Vec<_> = sources.quats.iter().map(|q| matrix(*q)).collect();
@@ -58,7 +69,7 @@ impl Rows {
             let mut rest = self.h[i];
             for g in 0..sources.len() {
                 let e = self.wave(i, sources.positions[g], turned(&rotations[g], self.r[i])).e;
-                let [x, y] = sources.gains[g];
+                let [x, y] = gain(sources.gains_of(g), sources.positions[g], self.p[i]);
                 rest = [rest[0] - (x * e[0] - y * e[1]), rest[1] - (x * e[1] + y * e[0])];
             }
             rest

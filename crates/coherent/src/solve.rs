@@ -3,6 +3,7 @@
 //! With positions fixed, h is linear in the signals: min Σ|h − Σ s·e|² + Σ ridge·|s|², whose normal equations are
 //! `(EᴴE + ridge)·s = Eᴴh`. They are written with s as two reals, so that one Cholesky serves gains and moves alike.
 
+use crate::harmonics::{MOST, by_place, direction, harmonics, slopes};
 use crate::links::{Links, Sources};
 use crate::normal::Normal;
 use crate::rows::Rows;
@@ -13,10 +14,17 @@ use rayon::prelude::*;
 /// Blocks of rows whose equations are gathered apart, then added in order.
 const BLOCKS: usize = 8;
 
+/// The harmonics of what is the same in all directions.
+const FLAT: [f64; MOST] = {
+    let mut flat = [0.0; MOST];
+    flat[0] = 1.0;
+    flat
+};
+
 /// Rows times unknowns below which one thread is faster than several. The sums are the same.
 const ALONE: usize = 1 << 18;
 
-/// What is unknown: the signals `[N,2]`, then moves `[N,3]`, then turns `[N,3]` about the world's axes.
+/// What is unknown: the signals `[N,K,2]`, then moves `[N,3]`, then turns `[N,3]` about the world's axes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Unknowns {
     Gains,
@@ -25,12 +33,12 @@ pub(crate) enum Unknowns {
 }
 
 impl Unknowns {
-    /// Real numbers a source.
-    pub(crate) fn each(self) -> usize {
+    /// Real numbers a source of `terms` harmonics.
+    pub(crate) fn each(self, terms: usize) -> usize {
         match self {
-            Self::Gains => 2,
-            Self::Moves => 5,
-            Self::MovesAndTurns => 8,
+            Self::Gains => 2 * terms,
+            Self::Moves => 2 * terms + 3,
+            Self::MovesAndTurns => 2 * terms + 6,
         }
     }
 }
@@ -47,9 +55,9 @@ pub fn solve_gains(links: &Links<'_>, channel: &[[Real; 2]], sources: &mut Sourc
 
 /// [`solve_gains`] for rows; Σ|h − Σ s·e|² + Σ ridge·|s|² of the outcome.
 pub(crate) fn gains(rows: &Rows, sources: &mut Sources, ridge: &[f64]) -> Option<f64> {
-    let silent = Sources { gains: vec![[0.0; 2]; sources.len()], ..sources.clone() };
+    let silent = Sources { gains: vec![[0.0; 2]; sources.gains.len()], ..sources.clone() };
     let normal = equations(rows, &silent, Unknowns::Gains);
-    let found = normal.solve(|i| ridge[i / 2])?;
+    let found = normal.solve(|i| ridge[i / (2 * sources.terms())])?;
     // At the minimum, what is left is Σ|h|² − sᵀEᴴh.
     let explained: f64 = found.iter().zip(&normal.right).map(|(s, b)| s * b).sum();
     sources.gains = found.as_chunks::<2>().0.to_vec();
@@ -58,7 +66,7 @@ pub(crate) fn gains(rows: &Rows, sources: &mut Sources, ridge: &[f64]) -> Option
 
 /// The normal equations of a step from `sources`, without ridge or damping.
 pub(crate) fn equations(rows: &Rows, sources: &Sources, unknowns: Unknowns) -> Normal {
-    let p = unknowns.each() * sources.len();
+    let p = unknowns.each(sources.terms()) * sources.len();
     let pairs = rows.len().div_ceil(2);
     let block = pairs.div_ceil(BLOCKS).max(32);
     let rotations: Vec<_> = sources.quats.iter().map(|q| matrix(*q)).collect();
@@ -98,29 +106,36 @@ fn row(
     unknowns: Unknowns,
     j: &mut [f64],
 ) -> [f64; 2] {
-    let n = sources.len();
-    let (real, imaginary) = j.split_at_mut(unknowns.each() * n);
+    let (n, terms) = (sources.len(), sources.terms());
+    let (real, imaginary) = j.split_at_mut(unknowns.each(terms) * n);
     let k = std::f64::consts::TAU * rows.per_metre[i];
     let mut rest = rows.h[i];
     for g in 0..n {
         let r = turned(&rotations[g], rows.r[i]);
         let wave = rows.wave(i, sources.positions[g], r);
-        let ([x, y], [re, im]) = (sources.gains[g], wave.e);
-        let heard = [x * re - y * im, x * im + y * re];
+        let (gains, [re, im]) = (sources.gains_of(g), wave.e);
+        let (u, far) = direction(sources.positions[g], rows.p[i]);
+        let harmonics = if terms > 1 { harmonics(u) } else { FLAT };
+        let mut heard = [0.0; 2];
+        for (k, [x, y]) in gains.iter().enumerate() {
+            let (at, re, im) = (2 * (terms * g + k), harmonics[k] * re, harmonics[k] * im);
+            heard = [heard[0] + (x * re - y * im), heard[1] + (x * im + y * re)];
+            (real[at], real[at + 1]) = (re, -im);
+            (imaginary[at], imaginary[at + 1]) = (im, re);
+        }
         rest = [rest[0] - heard[0], rest[1] - heard[1]];
-        (real[2 * g], real[2 * g + 1]) = (re, -im);
-        (imaginary[2 * g], imaginary[2 * g + 1]) = (im, re);
         if unknowns == Unknowns::Gains {
             continue;
         }
         // ∂(s·e)/∂d = s·e·(−jk − 1/d).
         let by_d = [k * heard[1] - heard[0] / wave.d, -k * heard[0] - heard[1] / wave.d];
         let along = wave.by.map(|x| x / wave.d);
+        let turn = if terms > 1 { by_turning(gains, u, far, wave.e) } else { [[0.0; 3]; 2] };
         let about =
             [r[1] * along[2] - r[2] * along[1], r[2] * along[0] - r[0] * along[2], r[0] * along[1] - r[1] * along[0]];
         for c in 0..3 {
-            let at = 2 * n + 3 * g + c;
-            (real[at], imaginary[at]) = (by_d[0] * along[c], by_d[1] * along[c]);
+            let at = 2 * terms * n + 3 * g + c;
+            (real[at], imaginary[at]) = (by_d[0] * along[c] + turn[0][c], by_d[1] * along[c] + turn[1][c]);
             if unknowns == Unknowns::MovesAndTurns {
                 let at = at + 3 * n;
                 (real[at], imaginary[at]) = (by_d[0] * about[c], by_d[1] * about[c]);
@@ -128,4 +143,16 @@ fn row(
         }
     }
     rest
+}
+
+/// The derivative of the real and of the imaginary part of Σ c·Y(u)·e by the position, through the direction u alone.
+fn by_turning(gains: &[[f64; 2]], u: [f64; 3], far: f64, [re, im]: [f64; 2]) -> [[f64; 3]; 2] {
+    let mut d_u = [[0.0; 3]; 2];
+    for ([x, y], slope) in gains.iter().zip(slopes(u)) {
+        for c in 0..3 {
+            d_u[0][c] += (x * re - y * im) * slope[c];
+            d_u[1][c] += (x * im + y * re) * slope[c];
+        }
+    }
+    d_u.map(|d_u| by_place(u, far, d_u))
 }

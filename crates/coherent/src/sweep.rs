@@ -1,7 +1,8 @@
-//! The grid: how much of the residual one more transmitter would explain, at every place of a box.
+//! The grid: how much of the residual one more transmitter would explain, at every place of a cube about what was heard.
 //!
 //! A place e explains |eᴴr|²/|e|² with its best gain. Places are taken sixteen times two along x at once, in single
-//! precision; only the best are kept, apart by half a wavelength, so memory does not grow with the grid.
+//! precision; only the best are kept, no two of one hill, so memory does not grow with the grid. The farther a place is
+//! from what was heard, the wider are the hills about it: each shell of the grid is twice as coarse as the one within.
 
 use crate::cis::{Cis, widest};
 use crate::rows::Rows;
@@ -12,11 +13,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// Places that are tried at once.
 const LANES: usize = 32;
 
-/// A box and the distance of its places, metres, and the rotations that are tried at each.
+/// A cube in shells, metres, and the rotations that are tried at each place.
 #[derive(Clone, Debug)]
 pub(crate) struct Grid {
-    pub(crate) low: [f64; 3],
-    pub(crate) high: [f64; 3],
+    /// In the middle of what was heard.
+    pub(crate) centre: [f64; 3],
+    /// The longest side of what was heard.
+    pub(crate) side: f64,
+    /// Half an edge of the cube.
+    pub(crate) half: f64,
+    /// Distance of places in the innermost shell, which reaches a `side` in every direction.
     pub(crate) step: f64,
     pub(crate) quats: Vec<[f64; 4]>,
 }
@@ -30,88 +36,151 @@ pub(crate) struct Peak {
     pub(crate) explains: f64,
 }
 
-impl Grid {
-    /// Places along each axis.
-    fn counts(&self) -> [usize; 3] {
-        [0, 1, 2].map(|k| ((self.high[k] - self.low[k]) / self.step).ceil().max(0.0) as usize + 1)
+/// Places between two cubes, `step` apart.
+#[derive(Clone, Copy, Debug)]
+struct Shell {
+    /// Half an edge of what is left out, and of all.
+    hollow: f64,
+    half: f64,
+    step: f64,
+}
+
+impl Shell {
+    /// Places along an edge.
+    fn count(&self) -> usize {
+        (2.0 * self.half / self.step).ceil() as usize + 1
     }
 
-    /// Places times rotations.
+    /// The `i`-th of them, from the middle of the cube.
+    fn at(&self, i: usize) -> f64 {
+        i as f64 * self.step - self.half
+    }
+
+    /// The stretches of a line along x at `y` and `z`, as first place and number of places.
+    fn stretches(&self, [y, z]: [f64; 2]) -> [(usize, usize); 2] {
+        let count = self.count();
+        if y.abs().max(z.abs()) >= self.hollow {
+            return [(0, count), (count, 0)];
+        }
+        let inside = |i: &usize| self.at(*i).abs() < self.hollow;
+        let first = (0..count).find(inside).unwrap_or(count);
+        let last = (first..count).find(|i| !inside(i)).unwrap_or(count);
+        [(0, first), (last, count - last)]
+    }
+}
+
+impl Grid {
+    /// How many steps of the innermost shell hills are wide at `place`, at least 1: what moves there, and how far apart two
+    /// places are that are not the same, are so many times what they are in the middle.
+    pub(crate) fn width(&self, place: [f64; 3]) -> f64 {
+        let off = [0, 1, 2].map(|k| (place[k] - self.centre[k]).abs());
+        (2.0 * off.into_iter().fold(0.0, f64::max) / self.side).max(1.0)
+    }
+
+    /// Whether a place is within the cube.
+    pub(crate) fn holds(&self, place: [f64; 3]) -> bool {
+        (0..3).all(|k| (place[k] - self.centre[k]).abs() <= self.half)
+    }
+
+    fn shells(&self) -> Vec<Shell> {
+        let mut all = vec![Shell { hollow: 0.0, half: self.half.min(self.side), step: self.step }];
+        while let Some(last) = all.last().copied().filter(|last| last.half < self.half) {
+            all.push(Shell { hollow: last.half, half: self.half.min(2.0 * last.half), step: 2.0 * last.step });
+        }
+        all
+    }
+
+    /// Places times rotations, about.
     pub(crate) fn len(&self) -> usize {
-        self.counts().iter().product::<usize>() * self.quats.len()
+        let cube = |edge: f64, step: f64| (edge / step).powi(3);
+        let places = |s: &Shell| cube(2.0 * s.half, s.step) - cube(2.0 * s.hollow, s.step);
+        (self.shells().iter().map(places).sum::<f64>() as usize).max(1) * self.quats.len()
+    }
+
+    /// The best `most`, no two on one hill.
+    pub(crate) fn thin(&self, found: &mut Vec<Peak>, most: usize) {
+        thin(found, most, |peak| 2.0 * self.step * self.width(peak.place));
     }
 }
 
 /// The best `most` places of `grid` for the residual `rows`, the best first; what was found so far where `stop` is set.
-pub(crate) fn sweep(rows: &Rows, grid: &Grid, most: usize, apart: f64, stop: &AtomicBool) -> Vec<Peak> {
-    let [_, ny, nz] = grid.counts();
-    let tasks: Vec<(usize, usize)> = (0..grid.quats.len()).flat_map(|q| (0..nz).map(move |z| (q, z))).collect();
-    let turned: Vec<Heard> = grid.quats.iter().map(|q| Heard::new(rows, *q, grid.low)).collect();
-    let layer = |&(q, z): &(usize, usize)| {
+pub(crate) fn sweep(rows: &Rows, grid: &Grid, most: usize, stop: &AtomicBool) -> Vec<Peak> {
+    let layers = |s: Shell| (0..grid.quats.len()).flat_map(move |q| (0..s.count()).map(move |z| (s, q, z)));
+    let tasks: Vec<(Shell, usize, usize)> = grid.shells().into_iter().flat_map(layers).collect();
+    let turned: Vec<Heard> = grid.quats.iter().map(|q| Heard::new(rows, *q, grid.centre)).collect();
+    let layer = |&(shell, q, z): &(Shell, usize, usize)| {
         let mut found = Vec::new();
-        if stop.load(Ordering::Relaxed) {
-            return found;
-        }
         let mut least = 0.0;
-        for y in 0..ny {
-            let at = [y as f64 * grid.step, z as f64 * grid.step];
-            widest(Line { heard: &turned[q], grid, at, quat: grid.quats[q], found: &mut found, least });
+        for y in 0..shell.count() {
+            if stop.load(Ordering::Relaxed) {
+                return found;
+            }
+            let at = [shell.at(y), shell.at(z)];
+            for (from, count) in shell.stretches(at) {
+                let stretch = (shell.at(from), count, shell.step);
+                widest(Line { heard: &turned[q], grid, stretch, at, quat: grid.quats[q], found: &mut found, least });
+            }
             if found.len() > 8 * most {
-                thin(&mut found, most, apart);
+                grid.thin(&mut found, most);
                 least = if found.len() == most { found[most - 1].explains } else { 0.0 };
             }
         }
-        thin(&mut found, most, apart);
+        grid.thin(&mut found, most);
         found
     };
     let layers: Vec<Vec<Peak>> = tasks.par_iter().map(layer).collect();
     let mut found = layers.concat();
-    thin(&mut found, most, apart);
+    grid.thin(&mut found, most);
     found
 }
 
-/// The best `most`, none within `apart` of a better one.
-pub(crate) fn thin(found: &mut Vec<Peak>, most: usize, apart: f64) {
+/// The best `most`, none nearer to a better one than `apart` of either.
+pub(crate) fn thin(found: &mut Vec<Peak>, most: usize, apart: impl Fn(&Peak) -> f64) {
     found.sort_by(|a, b| b.explains.total_cmp(&a.explains).then_with(|| by_place(a, b)));
-    let mut kept: Vec<Peak> = Vec::with_capacity(most);
+    let mut kept: Vec<(Peak, f64)> = Vec::with_capacity(most);
     for peak in found.iter() {
-        let near = |k: &Peak| (0..3).map(|c| (k.place[c] - peak.place[c]).powi(2)).sum::<f64>() < apart * apart;
+        let own = apart(peak);
+        let near = |(k, other): &(Peak, f64)| {
+            (0..3).map(|c| (k.place[c] - peak.place[c]).powi(2)).sum::<f64>() < own.max(*other).powi(2)
+        };
         if !kept.iter().any(near) {
-            kept.push(*peak);
+            kept.push((*peak, own));
             if kept.len() == most {
                 break;
             }
         }
     }
-    *found = kept;
+    *found = kept.into_iter().map(|(peak, _)| peak).collect();
 }
 
 fn by_place(a: &Peak, b: &Peak) -> std::cmp::Ordering {
     (0..3).fold(std::cmp::Ordering::Equal, |o, k| o.then_with(|| a.place[k].total_cmp(&b.place[k])))
 }
 
-/// The rows for one rotation, relative to the corner of the box: p − R r, wavelengths in a metre, residual.
+/// The rows for one rotation, relative to the middle of the cube: p − R r, wavelengths in a metre, residual.
 struct Heard {
     rows: Vec<[f32; 6]>,
 }
 
 impl Heard {
-    fn new(rows: &Rows, quat: [f64; 4], low: [f64; 3]) -> Self {
+    fn new(rows: &Rows, quat: [f64; 4], centre: [f64; 3]) -> Self {
         let rotation = matrix(quat);
         let row = |i: usize| {
             let (p, r, [re, im]) = (rows.p[i], turned(&rotation, rows.r[i]), rows.h[i]);
-            let [x, y, z] = [0, 1, 2].map(|k| (p[k] - r[k] - low[k]) as f32);
+            let [x, y, z] = [0, 1, 2].map(|k| (p[k] - r[k] - centre[k]) as f32);
             [x, y, z, rows.per_metre[i] as f32, re as f32, im as f32]
         };
         Self { rows: (0..rows.len()).map(row).collect() }
     }
 }
 
-/// All places of one line along x.
+/// A stretch of one line along x.
 struct Line<'a> {
     heard: &'a Heard,
     grid: &'a Grid,
-    /// y and z from the corner of the box, metres.
+    /// The first place from the middle of the cube, metres, how many there are, and their distance.
+    stretch: (f64, usize, f64),
+    /// y and z from the middle of the cube, metres.
     at: [f64; 2],
     quat: [f64; 4],
     found: &'a mut Vec<Peak>,
@@ -124,22 +193,22 @@ impl pulp::WithSimd for Line<'_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, _: S) {
-        let Grid { low, step, .. } = *self.grid;
-        let [nx, ..] = self.grid.counts();
+        let (start, count, step) = self.stretch;
+        let centre = self.grid.centre;
         let at = self.at.map(|x| x as f32);
         let mut first = 0;
-        while first < nx {
+        while first < count {
             let mut x = [0.0_f32; LANES];
             for l in 0..LANES {
-                x[l] = ((first + l) as f64 * step) as f32;
+                x[l] = (start + (first + l) as f64 * step) as f32;
             }
             let explains = explained(&self.heard.rows, &x, at);
-            for l in 0..LANES.min(nx - first) {
+            for l in 0..LANES.min(count - first) {
                 // A maximum along the line: its neighbours are the same hill.
                 let falls =
                     (l == 0 || explains[l - 1] <= explains[l]) && (l + 1 == LANES || explains[l + 1] <= explains[l]);
                 if falls && f64::from(explains[l]) > self.least {
-                    let place = [f64::from(x[l]) + low[0], self.at[0] + low[1], self.at[1] + low[2]];
+                    let place = [f64::from(x[l]) + centre[0], self.at[0] + centre[1], self.at[1] + centre[2]];
                     self.found.push(Peak { place, quat: self.quat, explains: f64::from(explains[l]) });
                 }
             }

@@ -1,7 +1,9 @@
 //! `VirtualTransmitters`: the method that adds up waves from Gaussians to wherever the transmitter stands.
 
-use crate::field::{field, field_vjp};
+use crate::field::{HARMONICS, field, field_vjp};
+use crate::harmonics::{HIGHEST, terms};
 use crate::links::Links;
+use crate::options::Pursuit;
 use pwrfgs_core::{
     Asked, Cache, Documented, Frame, Kind, Method, MethodVjp, Observed, Parameters, Real, Receiver, Vec3, WeightSpec,
     rng::Rng,
@@ -18,17 +20,30 @@ use serde::{Deserialize, Serialize};
 /// deformation, calibration and readout do not count. The basin of a position is a quarter of a wavelength wide, so start
 /// from `MatchingPursuit`; a rate of `means` beyond a hundredth of the wavelength loses it again.
 ///
-/// One receiver with any number of antennas. Exact for flat walls as long as nothing hides an image.
+/// One receiver with any number of antennas. Exact for flat walls as long as nothing hides an image, and what reflects does
+/// so in all directions alike. Real walls, antennas and things in the way do not: with an `order` the gain is a sum of
+/// spherical harmonics of the direction from the virtual transmitter, at the price of (order + 1)² complex numbers each,
+/// which want data: some ten measured numbers for each unknown.
 ///
 /// ```
 /// # use pwrfgs_core::{Method, Plugin};
 /// # use pwrfgs_coherent as _;
-/// let method = Plugin::<dyn Method>::parse("VirtualTransmitters()").unwrap();
-/// assert_eq!(method.inputs(), 3);
+/// let method = Plugin::<dyn Method>::parse("VirtualTransmitters(order: 2)").unwrap();
+/// assert_eq!(method.columns(), [("harmonics", 16)]);
+/// assert!(Plugin::<dyn Method>::parse("VirtualTransmitters(order: 4)").is_err());
 /// ```
 #[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
-pub struct VirtualTransmitters {}
+pub struct VirtualTransmitters {
+    /// Order of the harmonics of a gain over direction, at most 3; 0: the same in all directions.
+    pub order: usize,
+}
+
+/// The order of harmonics whose gains are among `columns`.
+pub(crate) fn order_of(columns: &[(&str, usize)]) -> usize {
+    let width = columns.iter().find(|(name, _)| *name == HARMONICS).map_or(0, |(_, width)| *width);
+    (0..HIGHEST).find(|order| 2 * (terms(*order) - 1) >= width).unwrap_or(HIGHEST)
+}
 
 /// Places of a receiver's antennas about its own, along the axes of the room, metres.
 pub(crate) fn array(receiver: &Receiver) -> Vec<[Real; 3]> {
@@ -65,6 +80,15 @@ impl Method for VirtualTransmitters {
         Some(Kind::Channel)
     }
 
+    fn columns(&self) -> Vec<(&'static str, usize)> {
+        let more = 2 * (terms(self.order.min(HIGHEST)) - 1);
+        if more == 0 { Vec::new() } else { vec![(HARMONICS, more)] }
+    }
+
+    fn check(&self) -> Result<(), String> {
+        Pursuit { order: self.order, ..Pursuit::default() }.check()
+    }
+
     fn layout(&self, _: &Frame) -> Vec<WeightSpec> {
         Vec::new()
     }
@@ -89,9 +113,13 @@ impl Method for VirtualTransmitters {
         }
         sums.gate.iter_mut().zip(&found.gate).for_each(|(sum, d)| *sum += d);
         sums.seen.visible.iter_mut().for_each(|seen| *seen += 1.0);
-        // How much of the channel is each one's: pruners that go by what is seen see this.
-        let weight = |i: usize| p.gate.map_or(1.0, |gate| gate[i]) * p.cloud.signals[i][0].hypot(p.cloud.signals[i][1]);
-        (0..p.cloud.len()).for_each(|i| sums.seen.weight[i] += weight(i));
+        // How much of the channel is each one's, the mean over directions: pruners that go by what is seen see this.
+        let more = p.cloud.extra(HARMONICS);
+        for (i, [x, y]) in p.cloud.signals.iter().enumerate() {
+            let more = more.map_or(&[][..], |c| &c.values[i * c.width..(i + 1) * c.width]);
+            let square = more.iter().fold(x * x + y * y, |sum, c| sum + c * c);
+            sums.seen.weight[i] += p.gate.map_or(1.0, |gate| gate[i]) * square.sqrt();
+        }
     }
 
     fn check_frame(&self, frame: &Frame) -> Result<(), String> {

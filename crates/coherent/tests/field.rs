@@ -1,13 +1,17 @@
 //! The field against closed forms and central differences.
 
-use pwrfgs_coherent::{Links, SPEED_OF_LIGHT, field, field_vjp};
+use pwrfgs_coherent::{HARMONICS, Links, SPEED_OF_LIGHT, field, field_vjp};
 use pwrfgs_core::testing::check_vjp;
 use pwrfgs_core::{GaussianCloud, Real, rng};
 
-/// A few Gaussians, some metres off, their quaternions of no particular length.
-fn cloud(n: usize, seed: u64) -> GaussianCloud {
+/// A few Gaussians, some metres off, their quaternions of no particular length, gains of `terms` harmonics.
+fn cloud(n: usize, terms: usize, seed: u64) -> GaussianCloud {
     let mut random = rng::stream(seed, "cloud", 0);
     let mut cloud = GaussianCloud::zeros(n);
+    if terms > 1 {
+        cloud.complete(&[(HARMONICS, 2 * (terms - 1))]).unwrap();
+        cloud.extra[0].values.fill_with(|| 0.3 * rng::normal(&mut random));
+    }
     for i in 0..n {
         cloud.means[i] = [0; 3].map(|_| 4.0 * rng::normal(&mut random));
         cloud.quats[i] = [0; 4].map(|_| rng::normal(&mut random));
@@ -25,20 +29,31 @@ const LINKS: Links<'_> = Links { positions: &POSITIONS, antennas: &ANTENNAS, fre
 #[test]
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn it_differentiates() {
-    for n in [3, 19] {
-        let x = cloud(n, n as u64);
+    for (n, terms) in [(3, 1), (19, 1), (3, 4), (2, 9), (18, 16)] {
+        let x = cloud(n, terms, n as u64);
         let gate: Vec<Real> = (0..n).map(|i| 0.1 + 0.05 * i as Real).collect();
-        let flat = [x.means.as_flattened(), x.quats.as_flattened(), x.signals.as_flattened(), &gate].concat();
+        let flat = |cloud: &GaussianCloud, gate: &[Real]| {
+            let more = cloud.extra.first().map_or(&[][..], |c| &c.values);
+            let (means, quats, signals) = (&cloud.means, &cloud.quats, &cloud.signals);
+            [means.as_flattened(), quats.as_flattened(), signals.as_flattened(), more, gate].concat()
+        };
         let unpack = |x: &[Real]| {
-            let mut cloud = GaussianCloud::zeros(n);
-            cloud.means.as_flattened_mut().copy_from_slice(&x[..3 * n]);
-            cloud.quats.as_flattened_mut().copy_from_slice(&x[3 * n..7 * n]);
-            cloud.signals.as_flattened_mut().copy_from_slice(&x[7 * n..9 * n]);
-            (cloud, x[9 * n..].to_vec())
+            let mut cloud = cloud(n, terms, 0);
+            let mut rest = x;
+            let mut take = |into: &mut [Real]| {
+                let (own, tail) = rest.split_at(into.len());
+                into.copy_from_slice(own);
+                rest = tail;
+            };
+            take(cloud.means.as_flattened_mut());
+            take(cloud.quats.as_flattened_mut());
+            take(cloud.signals.as_flattened_mut());
+            cloud.extra.iter_mut().for_each(|c| take(&mut c.values));
+            (cloud, rest.to_vec())
         };
         check_vjp(
             "field",
-            &flat,
+            &flat(&x, &gate),
             |x| {
                 let (cloud, gate) = unpack(x);
                 field(&cloud, Some(&gate), &LINKS).into_flattened()
@@ -46,8 +61,7 @@ fn it_differentiates() {
             |x, d| {
                 let (cloud, gate) = unpack(x);
                 let out = field_vjp(&cloud, Some(&gate), &LINKS, d.as_chunks::<2>().0);
-                let c = &out.cloud;
-                [c.means.as_flattened(), c.quats.as_flattened(), c.signals.as_flattened(), &out.gate].concat()
+                flat(&out.cloud, &out.gate)
             },
             1e-6,
             1e-5,

@@ -1,7 +1,10 @@
 //! The search finds what made the channel: positions, gains, turned arrays; and is the same on any number of threads.
 
-use pwrfgs_coherent::{Links, Pursuit, Sources, field, pursue, snr_of, solve_gains};
+use pwrfgs_coherent::{Links, Progress, Pursuit, Sources, field, pursue, snr_of, solve_gains};
 use pwrfgs_core::{Real, rng};
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+
+static NEVER: AtomicBool = AtomicBool::new(false);
 
 const IDENTITY: [f64; 4] = [1.0, 0.0, 0.0, 0.0];
 
@@ -35,12 +38,12 @@ fn images_of_a_room_are_found() {
     let (positions, truth) = (places(120), truth([IDENTITY; 4]));
     let links = Links { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
     let h = field(&truth.to_cloud(), None, &links);
-    let mut told = 0;
-    let mut tell = |p: &pwrfgs_coherent::Progress| {
+    let (mut told, stop) = (0, AtomicBool::new(false));
+    let mut tell = |p: &Progress| {
         told += 1;
-        p.sources < 6
+        stop.store(p.sources >= 6, Relaxed);
     };
-    let found = pursue(&links, &h, &options(), &mut tell).unwrap();
+    let found = pursue(&links, &h, &options(), &stop, &mut tell).unwrap();
     assert!(told >= 4);
     for v in &truth.positions {
         assert!(nearest(&found, *v) < 0.02, "{v:?}: {found:?}");
@@ -48,7 +51,7 @@ fn images_of_a_room_are_found() {
     assert!(snr_of(&field(&found.to_cloud(), None, &links), &h) > 30.0);
     let once = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| pursue(&links, &h, &Pursuit { most: 3, ..options() }, &mut |_| true).unwrap())
+        pool.install(|| pursue(&links, &h, &Pursuit { most: 3, ..options() }, &NEVER, &mut |_| ()).unwrap())
     };
     assert_eq!(once(1), once(3), "the same bits on any number of threads");
 }
@@ -65,11 +68,40 @@ fn a_mirrored_array_is_found_with_its_rotation() {
     let positions = places(40);
     let links = Links { positions: &positions, antennas: &antennas, frequencies: &[0.6e9, 0.64e9] };
     let h = field(&truth.to_cloud(), None, &links);
-    let found = pursue(&links, &h, &options(), &mut |p| p.sources < 5).unwrap();
+    let stop = AtomicBool::new(false);
+    let found = pursue(&links, &h, &options(), &stop, &mut |p| stop.store(p.sources >= 5, Relaxed)).unwrap();
     for v in &truth.positions {
         assert!(nearest(&found, *v) < 0.03, "{v:?}: {found:?}");
     }
     assert!(snr_of(&field(&found.to_cloud(), None, &links), &h) > 25.0);
+}
+
+/// Dipoles: gains that fall off as the square of a cosine, and one that only half of the room sees.
+#[test]
+#[cfg_attr(feature = "f64", ignore = "searched in single precision")]
+fn gains_over_direction_are_found() {
+    let positions = places(200);
+    let mut truth = Sources::new(2);
+    for (place, gain) in [([1.1, 0.3, 1.4], [1.0, 0.0]), ([-1.3, 0.3, 1.4], [-0.6, 0.3])] {
+        truth.push(place, IDENTITY, gain);
+    }
+    // 1 − y²: its harmonics are the mean and two of the second order.
+    for g in 0..2 {
+        let [x, y] = truth.gains[9 * g];
+        truth.gains[9 * g + 6] = [0.4 * x, 0.4 * y];
+        truth.gains[9 * g + 8] = [0.5 * x, 0.5 * y];
+    }
+    truth.gains[9 + 1] = [0.3, 0.1];
+    let links = Links { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
+    let h = field(&truth.to_cloud(), None, &links);
+    let score = |order: usize| {
+        let options = Pursuit { order, most: 2, ..options() };
+        let found = pursue(&links, &h, &options, &NEVER, &mut |_| ()).unwrap();
+        (snr_of(&field(&found.to_cloud(), None, &links), &h), found)
+    };
+    let ((flat, _), (directed, found)) = (score(0), score(2));
+    assert!(directed > 30.0 && directed > flat + 10.0, "{directed} dB, and {flat} dB without directions");
+    assert!(truth.positions.iter().all(|v| nearest(&found, *v) < 0.02), "{found:?}");
 }
 
 #[test]
@@ -97,7 +129,7 @@ fn gains_of_given_places_are_exact() {
 fn what_cannot_be_searched_is_told() {
     let positions = places(3);
     let links = Links { positions: &positions, antennas: &[[0.0; 3]], frequencies: &[0.6e9] };
-    let none = &mut |_: &pwrfgs_coherent::Progress| true;
+    let none = &mut |_: &Progress| ();
     let h = [[1.0, 0.0]; 3];
     for (links, h, options, word) in [
         (links, &h[..2], options(), "2 complex numbers for 3 links"),
@@ -107,9 +139,10 @@ fn what_cannot_be_searched_is_told() {
         (Links { antennas: &[], ..links }, &[][..], options(), "0 antennas"),
         (links, &h[..], Pursuit { step: 0.0, ..options() }, "`step`"),
         (links, &h[..], Pursuit { reach: -1.0, ..options() }, "`reach`"),
+        (links, &h[..], Pursuit { order: 4, ..options() }, "`order`"),
     ] {
-        let why = pursue(&links, h, &options, none).unwrap_err();
+        let why = pursue(&links, h, &options, &NEVER, none).unwrap_err();
         assert!(why.contains(word), "{why}");
     }
-    assert!(pursue(&links, &h, &options(), none).is_ok(), "three links are enough not to panic");
+    assert!(pursue(&links, &h, &options(), &NEVER, none).is_ok(), "three links are enough not to panic");
 }

@@ -16,14 +16,15 @@ pub struct GaussianCloud {
     pub opacity_logits: Vec<Real>,
     /// The signal s ∈ ℂ as two real channels `[N,2]`.
     pub signals: Vec<[Real; 2]>,
-    /// Columns that this pipeline's pruners asked for, such as `mask_logits`; absent from a saved model.
+    /// Columns that the method asked for, such as `harmonics`; and those that this pipeline's pruners asked for, such as
+    /// `mask_logits`, which are absent from a saved model.
     pub extra: Vec<ExtraColumn>,
 }
 
-/// A named column `[N, width]` that a pruner asked for.
+/// A named column `[N, width]` that a method or a pruner asked for.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ExtraColumn {
-    /// What the pruner calls it.
+    /// What it is called.
     pub name: String,
     /// Numbers a Gaussian.
     pub width: usize,
@@ -79,6 +80,21 @@ impl GaussianCloud {
             (COLUMN_NAMES[4], 2, self.signals.as_flattened_mut()),
         ];
         fixed.into_iter().chain(self.extra.iter_mut().map(|c| (c.name.as_str(), c.width, c.values.as_mut_slice())))
+    }
+
+    /// Adds a column of zeros for each of `wanted`, a name and a width, that is missing; errs where one has another width.
+    pub fn complete(&mut self, wanted: &[(&str, usize)]) -> Result<(), String> {
+        for &(name, width) in wanted {
+            match self.extra(name) {
+                Some(own) if own.width == width => {}
+                Some(own) => return Err(format!("column `{name}` is {} wide, and {width} is wanted", own.width)),
+                None => {
+                    let values = vec![0.0; self.len() * width];
+                    self.extra.push(ExtraColumn { name: name.into(), width, values });
+                }
+            }
+        }
+        Ok(())
     }
 
     /// The extra column called `name`.

@@ -1,6 +1,6 @@
 //! `Initializer`: where the Gaussians start.
 
-use crate::{Dataset, GaussianCloud, ImagePlane, Progress, Result, Scene, plugin_kind, rng::Rng};
+use crate::{Dataset, GaussianCloud, ImagePlane, Method, Progress, Result, Scene, plugin_kind, rng::Rng};
 use std::sync::atomic::AtomicBool;
 
 /// What an initialiser may look at that reads observations.
@@ -11,6 +11,8 @@ pub struct Seen<'a> {
     pub train: &'a [usize],
     /// What an observation is.
     pub plane: &'a ImagePlane,
+    /// What the Gaussians are for: it may want more columns than every cloud has.
+    pub method: &'a dyn Method,
     /// Told how far it is.
     pub progress: Progress<'a>,
     /// Set where somebody wants it to end.

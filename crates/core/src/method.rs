@@ -90,7 +90,7 @@ pub struct Observed {
 /// Derivatives in everything that is learned, and what was seen of each Gaussian.
 #[derive(Clone, Debug)]
 pub struct MethodVjp {
-    /// In the columns of the cloud; extra columns stay 0.
+    /// In the columns of the cloud; those that pruners asked for stay 0.
     pub cloud: GaussianCloud,
     /// In the gate, `[N]`.
     pub gate: Vec<Real>,
@@ -121,6 +121,12 @@ pub trait Method: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Se
     /// What it gives, where that does not depend on the frame.
     fn kind(&self) -> Option<Kind> {
         None
+    }
+
+    /// More columns of the cloud that it reads, by name and width: zero until something sets them, learned at the rate of
+    /// `signals`, and saved with the model.
+    fn columns(&self) -> Vec<(&'static str, usize)> {
+        Vec::new()
     }
 
     /// Names and shapes of the weights, in the order in which they lie in the flat vector.

@@ -275,7 +275,8 @@ fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, St
     }
     let stages = Stages { method: method(note)?, frame: frame(note)? };
     stages.check()?;
-    let cloud = take_cloud(file, &format!("{prefix}gaussians."), note.gaussians)?;
+    let columns: Vec<_> = stages.method.columns().into_iter().map(|(name, width)| (name.to_owned(), width)).collect();
+    let cloud = take_columns(file, &format!("{prefix}gaussians."), note.gaussians, &columns)?;
     let weights = take_weights(file, &format!("{prefix}{NETWORK}"), &stages)?;
     check_constants(file, prefix, &stages)?;
     Ok(Model { stages, cloud, weights })
@@ -339,19 +340,11 @@ where
     Plugin::parse(text).map_err(|e| format!("cannot make `{text}`: {e}; use the program that has this plugin"))
 }
 
-/// Puts the five fixed columns of a cloud under `prefix`.
+/// Puts the columns of a cloud under `prefix`.
 pub fn put_cloud(file: &mut Tensors, prefix: &str, cloud: &GaussianCloud) {
     for (name, width, values) in cloud.columns() {
         file.put(format!("{prefix}{name}"), vec![cloud.len(), width], values.to_vec());
     }
-}
-
-/// Takes a cloud of `n` Gaussians without extra columns from under `prefix`.
-///
-/// # Errors
-/// What is missing.
-pub fn take_cloud(file: &mut Tensors, prefix: &str, n: usize) -> Result<GaussianCloud, String> {
-    take_columns(file, prefix, n, &[])
 }
 
 /// Takes a cloud of `n` Gaussians with the extra columns `extra` (name and width) from under `prefix`. The file must hold

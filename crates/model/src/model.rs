@@ -8,7 +8,7 @@ use pwrfgs_core::{Deltas, GaussianCloud, Origin, Primitives, Real, WeightSpec};
 pub struct Model {
     /// The path from cloud to picture.
     pub stages: Stages,
-    /// The Gaussians; no extra columns.
+    /// The Gaussians; no extra columns but the method's.
     pub cloud: GaussianCloud,
     /// Θ, as long as the deformation's layout says.
     pub weights: Vec<Real>,
@@ -40,7 +40,7 @@ impl Model {
         self.cloud.means.iter().map(moved).collect()
     }
 
-    /// Bytes of the Gaussians in the model file: 13 numbers each.
+    /// Bytes of the Gaussians in the model file: 13 numbers each, and those that the method adds.
     pub fn gaussian_bytes(&self) -> usize {
         self.cloud.columns().map(|(_, _, values)| size_of_val(values)).sum()
     }

@@ -80,7 +80,11 @@ fn rate_of(o: &Optimizer, specs: &[ColumnSpec], name: &str, rate: impl Fn(crate:
         "quats" => rate(o.quats),
         "opacity_logits" => rate(o.opacity_logits),
         "signals" => rate(o.signals),
-        extra => specs.iter().find(|s| s.name == extra)?.learning_rate?,
+        // What no pruner asked for is the method's: signals of another kind.
+        extra => match specs.iter().find(|s| s.name == extra) {
+            Some(pruners) => pruners.learning_rate?,
+            None => rate(o.signals),
+        },
     };
     (rate != 0.0).then_some(rate)
 }

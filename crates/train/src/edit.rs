@@ -45,8 +45,7 @@ pub(crate) fn keep(keep: &[bool], cloud: &mut GaussianCloud, adam: &mut Adam, st
     }
 }
 
-/// Removes all extra columns: after the pruning phase no mask is left.
-pub(crate) fn drop_extra(cloud: &mut GaussianCloud, adam: &mut Adam) {
-    cloud.extra.clear();
-    adam.cloud.iter_mut().for_each(|moments| moments.extra.clear());
+/// Removes the columns of pruners, all that are not among the method's `lasting`: after the pruning phase no mask is left.
+pub(crate) fn drop_state(cloud: &mut GaussianCloud, lasting: &[(&str, usize)]) {
+    cloud.extra.retain(|column| lasting.iter().any(|(name, _)| *name == column.name));
 }

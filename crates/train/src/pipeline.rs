@@ -29,7 +29,7 @@ pub struct Pipeline {
     pub seed: u64,
     /// Seed of the split alone; left out, the one seed. Members of an ensemble are divided alike by it.
     pub split_seed: Option<u64>,
-    /// Where the spectra come from.
+    /// Where the observations come from.
     pub data: Plugin<dyn DataSource>,
     /// Training, validation and test.
     pub split: Plugin<dyn Split>,

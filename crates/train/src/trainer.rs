@@ -77,7 +77,8 @@ impl<'a> Trainer<'a> {
     ) -> Result<Self> {
         let mut blank = Self::blank(pipeline, data, partition)?;
         let random = &mut rng::stream(pipeline.seed, "init", 0);
-        let seen = Seen { data, train: &partition.train, plane: &blank.plane, progress, stop };
+        let method = &*blank.stages.method;
+        let seen = Seen { data, train: &partition.train, plane: &blank.plane, method, progress, stop };
         let cloud = pipeline.initializer.search(&seen, random)?;
         blank.fill(cloud)?;
         Ok(blank)
@@ -138,11 +139,12 @@ impl<'a> Trainer<'a> {
         if cloud.is_empty() {
             return Err(Error::Config("the initializer made no Gaussian; raise its count".into()));
         }
+        let Stages { method, frame } = &*self.stages;
+        cloud.complete(&method.columns()).map_err(Error::Config)?;
         for spec in &self.specs {
             let values = vec![spec.init; cloud.len() * spec.width];
             cloud.extra.push(ExtraColumn { name: spec.name.into(), width: spec.width, values });
         }
-        let Stages { method, frame } = &*self.stages;
         let mut weights = method.init(frame, &mut rng::stream(self.pipeline.seed, "network", 0));
         method.start(frame, self.data, self.batches.train(), &mut cloud, &mut weights);
         self.adam = Adam::new(&cloud, &weights);
@@ -239,7 +241,7 @@ impl<'a> Trainer<'a> {
             let rows: Vec<usize> = (0..open.len()).filter(|&i| open[i]).collect();
             cloud = cloud.select(&rows);
         }
-        cloud.extra.clear();
+        edit::drop_state(&mut cloud, &self.stages.method.columns());
         let mut stages = Stages::clone(&self.stages);
         stages.frame.plane = self.plane.clone();
         let weights = match self.window(self.done) {
@@ -304,7 +306,9 @@ impl<'a> Trainer<'a> {
                 let closed = self.take_away(&open);
                 unpruned = unpruned.or(closed);
             }
-            edit::drop_extra(&mut self.cloud, &mut self.adam);
+            let lasting = self.stages.method.columns();
+            edit::drop_state(&mut self.cloud, &lasting);
+            self.adam.cloud.iter_mut().for_each(|moments| edit::drop_state(moments, &lasting));
         }
         unpruned
     }
@@ -332,7 +336,7 @@ impl<'a> Trainer<'a> {
 
     /// Which gates are open; `None` where no pruner has one any more.
     fn open_gates(&self, moment: &Moment) -> Option<Vec<bool>> {
-        if self.cloud.extra.is_empty() {
+        if self.cloud.extra.len() == self.stages.method.columns().len() {
             return None;
         }
         let traced = Traced::new(&self.cloud);
