@@ -67,6 +67,62 @@ fn powers_are_reported_predicted_mapped_and_exported() {
     }
 }
 
+#[test]
+fn sweeps_of_powers_are_compared_by_their_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    hall(here);
+    let experiment = "Experiment(name: \"count\", base: \"p.ron\", seeds: [0, 1], axes: [Axis(name: \"N\", variants: [\
+                      (label: \"6\", initializer: Grid(count: 6)), (label: \"12\")])])";
+    write(&here.join("e.ron"), experiment);
+    succeed(here, &["sweep", "e.ron"]);
+    let report = here.join("runs/count/report");
+    let table = read(&report.join("report.md"));
+    for words in [
+        "error",
+        "mean \\[dB\\]",
+        "bad tail \\[dB\\]",
+        "1-NN (floor)",
+        "Δ error",
+        "test links",
+        "How errors are spread",
+    ] {
+        assert!(table.contains(words), "`{words}` is not in {table}");
+    }
+    assert!(!table.contains("SSIM") && !table.contains("spectra") && !table.contains("NaN"), "{table}");
+    let figures = names(&report.join("figures"));
+    for name in ["1-error-n.svg", "1-distribution.svg", "1-distance.svg", "1-room.svg", "1-gaussians.svg"] {
+        assert!(figures.contains(name), "{name} is not in {figures:?}");
+    }
+    // 15 transmitters are tested, at two receivers each, by two variants and a floor.
+    let rows = read(&here.join("runs/count/N=6,seed=0/scores.csv"));
+    assert_eq!(rows.matches("model,power_error_db,").count(), 30);
+}
+
+#[test]
+fn a_pipeline_is_suggested_for_every_layout() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    hall(here);
+    let said = succeed(here, &["init", "data", "--out", "powers.ron"]);
+    assert!(String::from_utf8_lossy(&said.stdout).contains("120 received powers at 2 receivers"), "{said:?}");
+    let text = read(&here.join("powers.ron"));
+    assert!(text.contains("Nerf2Rssi(") && text.contains("Received(") && text.contains("longest_m: 10.0"), "{text}");
+    succeed(here, &["run", "powers.ron", "--out", "powers", "--scale", "0.005"]);
+    #[cfg(feature = "sim")]
+    {
+        let scene = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenes/office-csi.ron");
+        for (layout, words) in [("channels", ["Channels(", "MatchingPursuit("]), ("csi", ["Nerf2Csi(", "Features("])] {
+            let ron = format!("{layout}.ron");
+            succeed(here, &["simulate", scene, "--layout", layout, "--samples", "30", "--out", layout]);
+            succeed(here, &["init", layout, "--out", &ron]);
+            let text = read(&here.join(&ron));
+            assert!(words.iter().all(|word| text.contains(word)) && text.contains("Official("), "{text}");
+            succeed(here, &["check", &ron]);
+        }
+    }
+}
+
 fn predicts_powers(here: &Path) {
     write(&here.join("tx.csv"), "x,y,z\n1,2,1\n3,4,1\n");
     succeed(here, &["predict", MODEL, "--tx-csv", "tx.csv", "--out", "all"]);

@@ -25,6 +25,13 @@ impl Pose {
         Mat3::from_cols_array(&c)
     }
 
+    /// A place of the world in the receiver's frame, metres.
+    pub fn to_receiver(&self, place: [f64; 3]) -> [f64; 3] {
+        let [x, y, z, w] = self.orientation;
+        let turn = glam::DQuat::from_xyzw(x, y, z, w).normalize().inverse();
+        (turn * (glam::DVec3::from_array(place) - glam::DVec3::from_array(self.position))).to_array()
+    }
+
     /// Position as a vector of the kernels' precision.
     pub fn origin(&self) -> Vec3 {
         let p = self.position.map(|v| v as Real);

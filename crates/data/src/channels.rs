@@ -3,7 +3,7 @@
 #[cfg(test)]
 mod tests;
 
-use crate::nerf2::{check_root, folder_name, read_transmitters, simulation};
+use crate::nerf2::{check_root, folder_name, index, read_transmitters, simulation, yaml};
 use crate::npy::read_complex;
 use pwrfgs_core::{
     Channels as Observed, DataSource, Dataset, Documented, Error, Observations, Pose, Progress, Real, Receiver, Result,
@@ -25,6 +25,9 @@ const SHAPE: &str = "channels are [M, A, F]: M transmitters, A antennas of the r
 /// The id of a transmitter is its row, counted from 0 as NumPy does. Numbers are taken as they are. Subcarriers are evenly
 /// spaced about `carrier_hz`. By reciprocity it is all the same which end sends: where the fixed node is the transmitter,
 /// call it the receiver.
+///
+/// Carrier, spacing and receiver that are left out are read from `root/receiver.yml`, which `pwrfgs simulate --layout
+/// channels` writes; and `train_index.txt` with `test_index.txt`, where they are there, hold ids for `split: Official()`.
 ///
 /// ```
 /// # use pwrfgs_core::{DataSource, Plugin};
@@ -49,11 +52,11 @@ pub struct Channels {
     #[serde(with = "pwrfgs_core::paths")]
     pub positions: PathBuf,
     /// Frequency in the middle of the subcarriers, Hz.
-    pub carrier_hz: f64,
+    pub carrier_hz: Option<f64>,
     /// From one subcarrier to the next, Hz; nothing depends on it where there is one subcarrier.
-    pub spacing_hz: f64,
+    pub spacing_hz: Option<f64>,
     /// Where the receiver is.
-    pub receiver: ReceiverPlace,
+    pub receiver: Option<ReceiverPlace>,
 }
 
 /// Where a receiver is, how it is turned, and where its antennas are.
@@ -85,12 +88,12 @@ impl ReceiverPlace {
 impl Default for Channels {
     fn default() -> Self {
         Self {
-            root: "data/newrf".into(),
-            file: "csi_2400MHz.npy".into(),
+            root: "data/channels".into(),
+            file: "channel.npy".into(),
             positions: "tx_pos.csv".into(),
-            carrier_hz: 2.412e9,
-            spacing_hz: 312.5e3,
-            receiver: ReceiverPlace::default(),
+            carrier_hz: None,
+            spacing_hz: None,
+            receiver: None,
         }
     }
 }
@@ -114,8 +117,10 @@ impl DataSource for Channels {
             let what = format!("holds channels of {count} transmitters, but {} {}", table.display(), positions.len());
             return Err(Error::input(&path, format!("{what}; give as many of each")));
         }
-        let frequencies_hz = subcarriers(&path, self.carrier_hz, self.spacing_hz, width)?;
-        let receiver = self.receiver(&path, antennas)?;
+        let said = Said::of(self, &root)?;
+        let frequencies_hz = subcarriers(&path, said.carrier_hz, said.spacing_hz, width)?;
+        let receiver = said.receiver(&path, antennas)?;
+        let rows = index::read(&root, &|word| index::row(word, &table.display().to_string(), count))?;
         let samples: Vec<Sample> = (0..).zip(positions).map(|(id, tx)| Sample::new(id, tx)).collect();
         let gains = array.values.into_iter().map(|gain| gain.map(|v| v as Real)).collect();
         let channels = Observations::Channels(Observed { antennas, frequencies_hz, gains });
@@ -124,7 +129,7 @@ impl DataSource for Channels {
         let title = format!("{name} ({}channels)", if simulation.is_some() { "" } else { "measured, " });
         let data = Dataset::of_links(title, vec![receiver], vec![], &samples, channels)?;
         progress(data.len(), data.len());
-        Ok(Dataset { simulation, ..data })
+        Ok(Dataset { simulation, official: rows, ..data })
     }
 
     fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {
@@ -142,21 +147,71 @@ impl DataSource for Channels {
                 return Err(format!("`{name}` is empty; name a file in `root`"));
             }
         }
-        check_frequencies(self.carrier_hz, self.spacing_hz)?;
-        match self.receiver.pose().fault() {
+        check_frequencies(self.carrier_hz.unwrap_or(1.0), self.spacing_hz.unwrap_or(1.0))?;
+        match self.receiver.as_ref().and_then(|receiver| receiver.pose().fault()) {
             Some((field, fault)) => Err(format!("`receiver.{field}`: {fault}")),
             None => Ok(()),
         }
     }
 }
 
-impl Channels {
+/// What settings say, and `receiver.yml` where they do not.
+struct Said {
+    carrier_hz: f64,
+    spacing_hz: f64,
+    name: String,
+    place: ReceiverPlace,
+}
+
+/// The file of that name; places of antennas are of the world.
+#[derive(Deserialize)]
+struct File {
+    name: String,
+    position: [f64; 3],
+    orientation: [f64; 4],
+    antennas: Vec<[f64; 3]>,
+    carrier_hz: f64,
+    spacing_hz: f64,
+}
+
+impl Said {
+    fn of(source: &Channels, root: &Path) -> Result<Self> {
+        if let Channels { carrier_hz: Some(carrier_hz), spacing_hz, receiver: Some(place), .. } = source {
+            // Nothing depends on a spacing that nobody says, unless there are several subcarriers.
+            let spacing_hz = spacing_hz.unwrap_or(f64::NAN);
+            return Ok(Self { carrier_hz: *carrier_hz, spacing_hz, name: "receiver".into(), place: place.clone() });
+        }
+        let path = root.join("receiver.yml");
+        let advice = "Channels reads it for what its `carrier_hz`, `spacing_hz` and `receiver` leave out; say all three, or \
+                      give the file";
+        let expected = "expected name, position, orientation, antennas, carrier_hz and spacing_hz";
+        let text = yaml::text(&path, advice, expected)?;
+        let file = yaml::parse(&path, &text, std::marker::PhantomData::<File>, expected)?;
+        let mut place = ReceiverPlace { position: file.position, orientation: file.orientation, antennas: vec![] };
+        let pose = place.pose();
+        if let Some((field, fault)) = pose.fault() {
+            let (line, column) = yaml::place_of(&text, field, "");
+            return Err(Error::at(&path, line, column, fault));
+        }
+        let finite = |place: &[f64; 3]| place.iter().all(|x| x.is_finite());
+        if !(file.antennas.iter().all(finite) && file.carrier_hz.is_finite() && file.spacing_hz.is_finite()) {
+            return Err(Error::input(&path, format!("holds a number that is not finite; {expected}")));
+        }
+        place.antennas = file.antennas.iter().map(|antenna| pose.to_receiver(*antenna)).collect();
+        Ok(Self {
+            carrier_hz: source.carrier_hz.unwrap_or(file.carrier_hz),
+            spacing_hz: source.spacing_hz.unwrap_or(file.spacing_hz),
+            name: if source.receiver.is_some() { "receiver".into() } else { file.name },
+            place: source.receiver.clone().unwrap_or(place),
+        })
+    }
+
     /// The receiver, with as many antennas as the array has.
     fn receiver(&self, path: &Path, antennas: usize) -> Result<Receiver> {
-        let receiver = Receiver::new("receiver", self.receiver.pose());
-        match self.receiver.antennas.len() {
+        let receiver = Receiver::new(&self.name, self.place.pose());
+        match self.place.antennas.len() {
             0 if antennas == 1 => Ok(receiver),
-            n if n == antennas => Ok(Receiver { antennas: self.receiver.antennas.clone(), ..receiver }),
+            n if n == antennas => Ok(Receiver { antennas: self.place.antennas.clone(), ..receiver }),
             n => {
                 let what = format!("has {antennas} antennas, and `receiver.antennas` names {n}");
                 Err(Error::input(path, format!("{what}; give the place of each in the receiver's frame, metres")))
@@ -168,7 +223,11 @@ impl Channels {
 /// Frequencies of `count` subcarriers of the array at `path`, evenly spaced about the carrier, Hz.
 pub(crate) fn subcarriers(path: &Path, carrier_hz: f64, spacing_hz: f64, count: usize) -> Result<Vec<f64>> {
     let middle = (count as f64 - 1.0) / 2.0;
-    let all: Vec<f64> = (0..count).map(|i| carrier_hz + (i as f64 - middle) * spacing_hz).collect();
+    if count > 1 && (spacing_hz.is_nan() || spacing_hz <= 0.0) {
+        return Err(Error::input(path, format!("has {count} subcarriers; say `spacing_hz`, from one to the next")));
+    }
+    let offset = |i: usize| if count > 1 { (i as f64 - middle) * spacing_hz } else { 0.0 };
+    let all: Vec<f64> = (0..count).map(|i| carrier_hz + offset(i)).collect();
     match all.first() {
         Some(lowest) if *lowest <= 0.0 => {
             let what = format!("has {count} subcarriers, of which the lowest would be at {lowest} Hz");

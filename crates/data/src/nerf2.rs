@@ -8,7 +8,7 @@ mod places;
 mod rssi;
 #[cfg(test)]
 mod tests;
-mod yaml;
+pub(crate) mod yaml;
 
 pub use csi::Nerf2Csi;
 pub use rssi::Nerf2Rssi;

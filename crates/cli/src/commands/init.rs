@@ -11,7 +11,7 @@ use clap::Args;
 use pwrfgs::prelude::Pipeline;
 use pwrfgs_core::docs::Documented as _;
 use pwrfgs_core::plugin::to_ron;
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Kind, Result};
 use std::fs::OpenOptions;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -21,8 +21,8 @@ pub(super) use survey::name_of;
 
 #[derive(Debug, Args)]
 #[command(
-    after_long_help = "Looks at the data (the NeRF2 layout, docs/data.md): pictures, positions, index files, a point cloud. \
-    The pipeline it writes runs as it is; every line says what it does. Where the data bring no index files it suggests a \
+    after_long_help = "Looks at the data: spectra, received powers or channels in the layouts of NeRF2, or channels as an \
+    array (docs/data.md, docs/links.md); positions, index files, a point cloud. The pipeline it writes runs as it is; every line says what it does. Where the data bring no index files it suggests a \
     split that holds out space, so that no test transmitter stands beside a training one. Nothing is ever \
     overwritten.\n\nEXAMPLES\n  pwrfgs init data/s23\n  pwrfgs init data/s23 --out pipelines/mine.ron"
 )]
@@ -70,6 +70,14 @@ const COARSE: [&str; 4] = [
 const SHOWN: [&str; 9] =
     ["name", "seed", "data", "split", "initializer", "deformation", "readout", "pruners", "training"];
 
+/// Those of them that another method does not read.
+const OF_SPLATS: [&str; 2] = ["deformation", "readout"];
+
+/// What shipped pipelines make of anything but spectra.
+const POWERS: &str = include_str!("../../../../pipelines/ble.ron");
+const CHANNELS: &str = include_str!("../../../../pipelines/office-channel.ron");
+const UPLINKS: &str = include_str!("../../../../pipelines/uplink.ron");
+
 pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<ExitCode> {
     let mut progress = Progress::new(verbosity);
     let survey = Survey::of(&arguments.folder, &mut progress);
@@ -96,21 +104,47 @@ fn pipeline(survey: &Survey, folder: &Path, out: &Path) -> Result<Pipeline> {
         let text = path.to_str().map(|text| format!("{text:?}"));
         text.ok_or_else(|| Error::input(path, "has a name that is not UTF-8 and cannot stand in a pipeline; rename it"))
     };
-    let detail = if survey.nearest < CLOSE_M { FINE } else { COARSE };
-    let mut set: Vec<String> = LAPTOP.iter().chain(&detail).copied().map(str::to_owned).collect();
-    set.push(format!("name={}", survey.name));
-    set.push(format!("data=Nerf2Spectrum(root: {})", path(&root)?));
-    set.push(format!("split={}", survey.split));
-    set.push(format!("training.stride={}", survey.stride()));
-    set.push(format!("training.batch={}", survey.train.clamp(1, 32)));
-    match survey.clouds.first() {
-        Some((name, _)) => {
-            set.push(format!("data.points={}", path(&root.join(name))?));
-            set.push("initializer=PointCloud(max_points: 300)".into());
+    let (source, settings) = survey.source;
+    let mut set = vec![
+        format!("name={}", survey.name),
+        format!("data={source}(root: {}{settings})", path(&root)?),
+        format!("split={}", survey.split),
+    ];
+    let example = example().map_err(Error::Config)?;
+    let start = match (survey.kind, survey.features) {
+        (Kind::Spectrum, _) => {
+            let detail = if survey.nearest < CLOSE_M { FINE } else { COARSE };
+            set.extend(LAPTOP.iter().chain(&detail).copied().map(str::to_owned));
+            set.push(format!("training.stride={}", survey.stride()));
+            set.push(format!("training.batch={}", survey.transmitters.clamp(1, 32)));
+            match survey.clouds.first() {
+                Some((name, _)) => {
+                    set.push(format!("data.points={}", path(&root.join(name))?));
+                    set.push("initializer=PointCloud(max_points: 300)".into());
+                }
+                None => set.push("initializer=Grid(count: 220, overlap: 1.0, opacity: 0.12)".into()),
+            }
+            example.text()
         }
-        None => set.push("initializer=Grid(count: 220, overlap: 1.0, opacity: 0.12)".into()),
-    }
-    let mut pipeline = Pipeline::parse(example().map_err(Error::Config)?.text(), out)?;
+        (Kind::Power, _) => {
+            // Waves from the size of the site to 2 m, or to an eighth of a small one.
+            let longest = survey.extent.max(1.0).ceil();
+            set.push(format!("deformation.tx_encoding.longest_m={longest:?}"));
+            set.push(format!("deformation.tx_encoding.shortest_m={:?}", (longest / 8.0).min(2.0)));
+            set.push(format!("training.batch={}", survey.transmitters.clamp(1, 128)));
+            POWERS
+        }
+        (Kind::Channel, Some(width)) => {
+            set.push(format!("deformation.tx_encoding=Features(width: {width})"));
+            set.push(format!("training.batch={}", survey.transmitters.clamp(1, 128)));
+            UPLINKS
+        }
+        (Kind::Channel, None) => {
+            set.push(format!("training.batch={}", survey.transmitters.clamp(1, 256)));
+            CHANNELS
+        }
+    };
+    let mut pipeline = Pipeline::parse(start, out)?;
     pipeline.set_all(&set)?;
     Ok(pipeline)
 }
@@ -120,8 +154,9 @@ fn written(survey: &Survey, pipeline: &Pipeline) -> Result<String> {
     let default = example().map_err(Error::Config)?;
     let value = Value::new(to_ron(pipeline)).map_err(Error::Config)?;
     let differs = |path: &[&str]| value.at(path) != default.at(path);
+    let draws = !differs(&["method"]);
     let shows = |owner: &str, field: &str| match owner {
-        "Pipeline" => SHOWN.contains(&field) || differs(&[field]),
+        "Pipeline" => differs(&[field]) || SHOWN.contains(&field) && (draws || !OF_SPLATS.contains(&field)),
         "Training" => !["loss", "optimizer", "densify"].contains(&field) || differs(&["training", field]),
         "Loss" | "Optimizer" | "Densify" => differs(&["training", &owner.to_lowercase(), field]),
         _ => true,

@@ -12,9 +12,9 @@ fn source(root: PathBuf) -> Channels {
         root,
         file: "h.npy".into(),
         positions: "p.csv".into(),
-        carrier_hz: 1e9,
-        spacing_hz: 1e6,
-        ..Channels::default()
+        carrier_hz: Some(1e9),
+        spacing_hz: Some(1e6),
+        receiver: Some(ReceiverPlace::default()),
     }
 }
 
@@ -36,7 +36,7 @@ fn channels_are_read_with_their_antennas_and_frequencies() {
     let mut source = source(folder.path().into());
     let said = source.load(".".as_ref(), &|_, _| {}).unwrap_err();
     assert!(said.is_input() && said.to_string().contains("has 2 antennas, and `receiver.antennas` names 0"), "{said}");
-    source.receiver.antennas = vec![[0.0; 3], [0.1, 0.0, 0.0]];
+    source.receiver.as_mut().unwrap().antennas = vec![[0.0; 3], [0.1, 0.0, 0.0]];
     let data = source.load(".".as_ref(), &|_, _| {}).unwrap();
     assert_eq!((data.len(), data.width, data.height), (2, 3, 4));
     assert_eq!(data.image(1).pixels[..6], [12.0, 14.0, 16.0, 13.0, 15.0, 17.0]);
@@ -44,8 +44,45 @@ fn channels_are_read_with_their_antennas_and_frequencies() {
     let Observations::Channels(channels) = &data.observations else { unreachable!() };
     assert_eq!(channels.frequencies_hz, [1e9 - 1e6, 1e9, 1e9 + 1e6]);
     assert_eq!(data.scene.receivers[0].antennas.len(), 2);
-    source.carrier_hz = 1e5;
+    source.carrier_hz = Some(1e5);
     assert!(source.load(".".as_ref(), &|_, _| {}).unwrap_err().to_string().contains("correct `carrier_hz`"));
+}
+
+#[test]
+fn what_settings_leave_out_stands_in_a_file_beside() {
+    let folder = folder([2, 2, 3]);
+    let bare = Channels { carrier_hz: None, spacing_hz: None, receiver: None, ..source(folder.path().into()) };
+    let load = |source: &Channels| source.load(".".as_ref(), &|_, _| {});
+    let said = load(&bare).unwrap_err();
+    assert!(said.is_input() && said.to_string().contains("say all three, or give the file"), "{said}");
+    // Half a turn about z.
+    let good = "name: tower\nposition: [1, 2, 3]\norientation: [0, 0, 1, 0]\ncarrier_hz: 2.0e9\nspacing_hz: 1.0e6\n\
+                antennas: [[1, 2, 3], [1.1, 2, 3]]\n";
+    fs::write(folder.path().join("receiver.yml"), good).unwrap();
+    fs::write(folder.path().join("train_index.txt"), "1\n").unwrap();
+    fs::write(folder.path().join("test_index.txt"), "0\n").unwrap();
+    let data = load(&bare).unwrap();
+    let tower = &data.scene.receivers[0];
+    assert_eq!((&*tower.name, tower.pose.position), ("tower", [1.0, 2.0, 3.0]));
+    assert!((tower.antennas[1][0] + 0.1).abs() < 1e-12 && tower.antennas[0] == [0.0; 3], "{:?}", tower.antennas);
+    let Observations::Channels(channels) = &data.observations else { unreachable!() };
+    assert_eq!(channels.frequencies_hz, [2e9 - 1e6, 2e9, 2e9 + 1e6]);
+    assert_eq!(data.official, Some((vec![1], vec![0])));
+    let mine = load(&Channels { spacing_hz: Some(5e5), ..bare.clone() }).unwrap();
+    let Observations::Channels(channels) = &mine.observations else { unreachable!() };
+    assert_eq!(channels.frequencies_hz[2], 2e9 + 5e5);
+    for (from, to, word) in [
+        ("0, 0, 1, 0", "0, 0, 0, 0", ":3:1: the quaternion is zero"),
+        ("[1, 2, 3]\no", "[1, .nan, 3]\no", ":2:1: the position"),
+        ("name: tower\n", "", "missing field `name`"),
+        ("2.0e9", "fast", ":4:13:"),
+        ("[1.1, 2, 3]", "[1.1, .inf, 3]", "not finite"),
+        (", [1.1, 2, 3]", "", "`receiver.antennas` names 1"),
+    ] {
+        fs::write(folder.path().join("receiver.yml"), good.replace(from, to)).unwrap();
+        let said = load(&bare).unwrap_err();
+        assert!(said.is_input() && said.to_string().contains(word), "{word}: {said}");
+    }
 }
 
 #[test]
@@ -57,11 +94,11 @@ fn what_does_not_fit_is_refused() {
         "{said}"
     );
     for wrong in [
-        Channels { carrier_hz: f64::NAN, ..Channels::default() },
-        Channels { spacing_hz: 0.0, ..Channels::default() },
+        Channels { carrier_hz: Some(f64::NAN), ..Channels::default() },
+        Channels { spacing_hz: Some(0.0), ..Channels::default() },
         Channels { file: PathBuf::new(), ..Channels::default() },
         Channels {
-            receiver: ReceiverPlace { orientation: [0.0; 4], ..ReceiverPlace::default() },
+            receiver: Some(ReceiverPlace { orientation: [0.0; 4], ..ReceiverPlace::default() }),
             ..Channels::default()
         },
     ] {
@@ -84,7 +121,8 @@ fn neighbours_hardly_predict_the_channels_of_newrf() {
             root: root.clone(),
             file: file.into(),
             positions: positions.into(),
-            receiver: receiver.clone(),
+            carrier_hz: Some(2.412e9),
+            receiver: Some(receiver.clone()),
             ..Channels::default()
         };
         let data = source.load(".".as_ref(), &|_, _| {}).unwrap();

@@ -11,7 +11,7 @@ const MAX_SIZE: u64 = 1 << 20;
 const MAX_DEPTH: usize = 64;
 
 /// The text of a file; `advice` says what to do where it does not exist, `expected` what it should hold.
-pub(super) fn text(path: &Path, advice: &str, expected: &str) -> Result<String> {
+pub(crate) fn text(path: &Path, advice: &str, expected: &str) -> Result<String> {
     let text = read_text(path, MAX_SIZE, advice)?;
     match too_deep(&text) {
         Some(line) => Err(Error::at(path, line, 1, format!("nested deeper than {MAX_DEPTH}; {expected}"))),
@@ -20,7 +20,7 @@ pub(super) fn text(path: &Path, advice: &str, expected: &str) -> Result<String> 
 }
 
 /// What `seed` makes of that text.
-pub(super) fn parse<'a, S: DeserializeSeed<'a>>(
+pub(crate) fn parse<'a, S: DeserializeSeed<'a>>(
     path: &Path,
     text: &'a str,
     seed: S,
@@ -57,7 +57,7 @@ fn too_deep(text: &str) -> Option<usize> {
 }
 
 /// Line and column of `key` behind `gateway`; the file is known to hold both.
-pub(super) fn place_of(text: &str, gateway: &str, key: &str) -> (usize, usize) {
+pub(crate) fn place_of(text: &str, gateway: &str, key: &str) -> (usize, usize) {
     let gateway = text.find(gateway).unwrap_or(0);
     let at = text[gateway..].find(key).map_or(gateway, |i| gateway + i);
     let before = &text[..at];

@@ -1,9 +1,9 @@
 //! What lies in a folder of data, and which split suits it.
 
-use pwrfgs::data::{Nerf2Spectrum, read_points};
+use pwrfgs::data::{Channels, Nerf2Csi, Nerf2Rssi, Nerf2Spectrum, read_points};
 use pwrfgs::experiment::samples::nearest_train;
 use pwrfgs::experiment::{Observer, staged};
-use pwrfgs_core::{DataSource as _, Dataset, Partition, Plugin, Result, Split, rng};
+use pwrfgs_core::{DataSource, Dataset, Kind, Observations, Partition, Plugin, Result, Split, rng};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -19,13 +19,22 @@ pub(super) struct Survey {
     /// A name for the pipeline.
     pub(super) name: String,
     title: String,
-    spectra: usize,
+    /// What was observed.
+    pub(super) kind: Kind,
+    /// The plugin that reads the folder, and its settings besides `root`.
+    pub(super) source: (&'static str, &'static str),
+    /// Numbers that describe a transmitter in place of its position.
+    pub(super) features: Option<usize>,
+    /// Size of the box of positions, metres.
+    pub(super) extent: f64,
+    observations: String,
     size: (usize, usize),
     official: bool,
     /// The suggested split, as RON.
     pub(super) split: String,
-    /// Training samples in it.
-    pub(super) train: usize,
+    /// Transmitters to train on.
+    pub(super) transmitters: usize,
+    train: usize,
     validation: usize,
     test: usize,
     /// Median distance of a test transmitter to the nearest training one, metres.
@@ -43,8 +52,8 @@ impl Survey {
 
     /// Loads the data in `folder`.
     pub(super) fn of(folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
-        let source = Nerf2Spectrum { root: folder.to_owned(), ..Nerf2Spectrum::default() };
-        let data = staged(observer, "spectra", |progress| source.load(Path::new(""), progress))?;
+        let (source, settings, reader) = layout(folder);
+        let data = staged(observer, "observations", |progress| reader.load(Path::new(""), progress))?;
         let (split, partition) = suggested(&data)?;
         let mut distances: Vec<f64> = {
             let all = nearest_train(&data, &partition);
@@ -53,10 +62,15 @@ impl Survey {
         distances.sort_by(f64::total_cmp);
         Ok(Self {
             name: name_of(folder),
-            spectra: data.len(),
+            kind: data.kind(),
+            source: (source, settings),
+            features: data.features.as_ref().map(|features| features.width),
+            extent: extent(&data),
+            observations: observations(&data),
             size: (data.width, data.height),
             official: data.official.is_some(),
             split,
+            transmitters: partition.train.iter().map(|&i| data.links[i].transmitter).collect::<BTreeSet<_>>().len(),
             train: partition.train.len(),
             validation: partition.validation.len(),
             test: partition.test.len(),
@@ -68,10 +82,8 @@ impl Survey {
 
     /// In one line.
     pub(super) fn sentence(&self) -> String {
-        let Self { spectra, size: (width, height), train, validation, test, .. } = self;
-        format!(
-            "{spectra} spectra of {width} x {height} pixels: {train} to train on, {validation} to validate, {test} to test"
-        )
+        let Self { observations, train, validation, test, .. } = self;
+        format!("{observations}: {train} to train on, {validation} to validate, {test} to test")
     }
 
     /// What a reader of the pipeline should know.
@@ -80,7 +92,7 @@ impl Survey {
         let near = format!("half of the test transmitters stand within {:.3} m of a training one", self.nearest);
         notes.push(match (self.official, self.nearest < NEAR) {
             (true, true) => format!(
-                "The split is that of the data's own index files. With it {near}: copying the spectrum of the nearest \
+                "The split is that of the data's own index files. With it {near}: copying what the nearest had \
                  scores high. `split: Voxel()` holds out space and `split: TimeBlock()` time."
             ),
             (true, false) => format!("The split is that of the data's own index files; with it {near}."),
@@ -89,7 +101,12 @@ impl Survey {
                  training one by chance; with it {near}."
             ),
         });
-        notes.push(match &self.clouds[..] {
+        if self.source.0 == "Nerf2Csi" {
+            notes.push(
+                "The files do not say the frequencies: correct `carrier_hz` and `spacing_hz` of the data.".into(),
+            );
+        }
+        notes.extend((self.kind == Kind::Spectrum).then(|| match &self.clouds[..] {
             [] => "There is no point cloud of the room in the folder: Gaussians start on a grid over the sky.".into(),
             [(name, points), others @ ..] => {
                 let others: Vec<String> = others.iter().map(|(name, _)| name.display().to_string()).collect();
@@ -97,9 +114,46 @@ impl Survey {
                     if others.is_empty() { String::new() } else { format!(" Also there: {}.", others.join(", ")) };
                 format!("Gaussians start on {} ({points} points).{more}", name.display())
             }
-        });
+        }));
         notes
     }
+}
+
+/// The plugin that reads a folder, by the files in it, and its settings besides `root`.
+fn layout(folder: &Path) -> (&'static str, &'static str, Box<dyn DataSource>) {
+    let holds = |names: [&str; 2]| names.iter().any(|name| folder.join(name).exists());
+    let root = || folder.to_owned();
+    if holds(["gateway_rssi.csv", "gateway_position.yml"]) {
+        ("Nerf2Rssi", "", Box::new(Nerf2Rssi { root: root(), ..Nerf2Rssi::default() }))
+    } else if holds(["csidata.npy", "base-station.yml"]) {
+        ("Nerf2Csi", ", together: true", Box::new(Nerf2Csi { root: root(), together: true, ..Nerf2Csi::default() }))
+    } else if holds(["channel.npy", "receiver.yml"]) {
+        ("Channels", "", Box::new(Channels { root: root(), ..Channels::default() }))
+    } else {
+        ("Nerf2Spectrum", "", Box::new(Nerf2Spectrum { root: root(), ..Nerf2Spectrum::default() }))
+    }
+}
+
+/// How many of what, in words.
+fn observations(data: &Dataset) -> String {
+    let (count, receivers) = (data.len(), data.scene.receivers.len());
+    match &data.observations {
+        Observations::Channels(channels) => {
+            let (antennas, subcarriers) = (channels.antennas, channels.frequencies_hz.len());
+            format!("{count} channels, antennas x subcarriers {antennas} x {subcarriers}")
+        }
+        _ if data.kind() == Kind::Power => format!("{count} received powers at {receivers} receivers"),
+        _ => format!("{count} spectra of {} x {} pixels", data.width, data.height),
+    }
+}
+
+/// The longest side of the box of positions, metres.
+fn extent(data: &Dataset) -> f64 {
+    let ends = |k: usize| {
+        let all = data.samples().map(move |sample| sample.tx[k]);
+        all.clone().fold(f64::NEG_INFINITY, f64::max) - all.fold(f64::INFINITY, f64::min)
+    };
+    (0..3).map(ends).fold(0.0, f64::max)
 }
 
 /// A split that does not leak, as RON, and what it gives: the data's own, else cells of space, else a block of time.
