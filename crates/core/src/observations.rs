@@ -17,6 +17,9 @@ pub enum Kind {
 }
 
 impl Kind {
+    /// All three.
+    pub const ALL: [Self; 3] = [Self::Spectrum, Self::Power, Self::Channel];
+
     /// As they are counted: 120 spectra, 120 links.
     pub fn counted(self) -> &'static str {
         match self {

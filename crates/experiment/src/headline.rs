@@ -29,14 +29,14 @@ pub fn headline(kind: Kind) -> Headline {
         },
         Kind::Power => Headline {
             key: "power_error_db",
-            name: "error, dB",
+            name: "error [dB]",
             higher: false,
             columns: ["power_error_db_mean", "power_error_db_median", "power_error_db_p90"],
             field: "validation of powers",
         },
         Kind::Channel => Headline {
             key: "snr_db",
-            name: "SNR, dB",
+            name: "SNR [dB]",
             higher: true,
             columns: ["snr_db_mean", "snr_db_median", "snr_all_db"],
             field: "validation of channels",

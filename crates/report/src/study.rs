@@ -20,8 +20,10 @@ pub use output::{Options, write};
 pub use record::{Record, Score};
 
 use grouping::{listed, named, settings};
-use pwrfgs_core::{Error, Result, plugin::ron_options};
+use pwrfgs_core::{Error, Kind, Result, plugin::ron_options};
 use pwrfgs_experiment::folder::PIPELINE;
+use pwrfgs_experiment::headline::{Headline, headline};
+use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::sweep::{LISTING, Listing};
 use std::path::{Path, PathBuf};
 
@@ -68,6 +70,17 @@ impl Setting {
     /// Names of the baselines, each once.
     fn floors(&self) -> Vec<&str> {
         distinct(self.runs().flat_map(Record::floors))
+    }
+
+    /// What was observed: that whose first metric the runs have.
+    fn kind(&self) -> Kind {
+        let scored = |kind: &Kind| self.runs().any(|run| run.value(MODEL, headline(*kind).key).is_some());
+        Kind::ALL.into_iter().find(scored).unwrap_or(Kind::Spectrum)
+    }
+
+    /// The first metric of what was observed.
+    fn headline(&self) -> Headline {
+        headline(self.kind())
     }
 
     /// The fewest and the most seeds of a variant.

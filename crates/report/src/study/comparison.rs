@@ -18,9 +18,9 @@ pub(super) enum Kind {
     Variant,
     /// A baseline.
     Floor,
-    /// A baseline that knows how the simulated spectra were made: a bound, in no ranking.
+    /// A baseline that knows how the simulated data were made: a bound, in no ranking.
     Bound,
-    /// What two measured spectra at one place have in common: in no ranking, and no number a test spectrum.
+    /// What two measurements at one place have in common: in no ranking, and no number a test sample.
     Ceiling,
 }
 
@@ -53,14 +53,14 @@ pub(super) struct Metric {
     pub(super) key: String,
     pub(super) unit: String,
     pub(super) higher_is_better: bool,
-    /// One number a test spectrum, as against one a model.
+    /// One number a test sample, as against one a model.
     pub(super) per_sample: bool,
 }
 
 /// What is told of the numbers of one run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Statistic {
-    /// Mean over test spectra.
+    /// Mean over test samples.
     Mean,
     /// Their middle.
     Median,

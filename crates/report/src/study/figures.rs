@@ -4,6 +4,7 @@
 //! others, so that greyscale does. Headings are left to the page: a figure has a title and a caption beside it.
 
 mod distance;
+mod distribution;
 mod gaussians;
 mod latency;
 mod loaded;
@@ -20,7 +21,7 @@ use crate::templates::sentences;
 use loaded::Loaded;
 use minijinja::{Value, context};
 use pwrfgs_core::files::write_atomically;
-use pwrfgs_core::{Error, Progress, Result};
+use pwrfgs_core::{Error, Kind, Progress, Result};
 use serde::Serialize;
 use std::path::Path;
 
@@ -93,10 +94,23 @@ pub struct Drawn {
     pub left_out: Option<String>,
 }
 
+/// A figure that needs the data and the models.
+type FromData = fn(&Setting, &Loaded) -> Result<Option<Figure>>;
+
 /// Every figure there are numbers for. `progress` counts figures.
 pub fn all(setting: &Setting, progress: Progress<'_>) -> Drawn {
-    let from_scores = [gaussians::figure, tradeoff::ssim, tradeoff::rate_ratio, latency::figure, distance::figure];
-    let from_data = [room::figure, spectra::figure, rate::figure];
+    let from_scores = [
+        gaussians::figure,
+        tradeoff::first_metric,
+        tradeoff::rate_ratio,
+        latency::figure,
+        distribution::figure,
+        distance::figure,
+    ];
+    let from_data: &[FromData] = match setting.kind() {
+        Kind::Spectrum => &[room::figure, spectra::figure, rate::figure],
+        _ => &[room::figure],
+    };
     let count = from_scores.len() + from_data.len();
     let mut figures = Vec::new();
     for (done, make) in from_scores.iter().enumerate() {
@@ -112,6 +126,10 @@ pub fn all(setting: &Setting, progress: Progress<'_>) -> Drawn {
         Ok(drawn)
     });
     let left_out = drawn.map(|drawn| figures.extend(drawn)).err();
-    let left_out = left_out.map(|e| format!("There are no figures of the room, the spectra and the rate ratio: {e}."));
+    let missing = match setting.kind() {
+        Kind::Spectrum => "are no figures of the room, the spectra and the rate ratio",
+        _ => "is no figure of the room",
+    };
+    let left_out = left_out.map(|e| format!("There {missing}: {e}."));
     Drawn { figures, left_out }
 }

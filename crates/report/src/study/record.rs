@@ -34,7 +34,8 @@ pub struct Record {
     pub facts: Facts,
     /// Every score.
     pub scores: Vec<Score>,
-    /// Metres from each test sample to the nearest training transmitter, by id; infinity where there is none.
+    /// Metres from each test sample to the nearest training transmitter, by id, or by link where there are several
+    /// receivers; infinity where there is none.
     pub nearest_train_m: BTreeMap<u32, f64>,
     /// Where the transmitter of each test sample stood, metres, by id.
     pub places: BTreeMap<u32, [f64; 3]>,
@@ -161,6 +162,8 @@ fn unless<T: std::str::FromStr, E: serde::de::Error>(nothing: &str, text: &str) 
 /// A row of `samples.csv`.
 #[derive(Deserialize)]
 struct SampleRow {
+    /// Of several receivers: what scores name. Labels of one receiver's transmitters are in `id`.
+    link: Option<u32>,
     id: u32,
     x: f64,
     y: f64,
@@ -185,8 +188,8 @@ fn scores(text: &str, path: &Path) -> Result<Vec<Score>> {
 /// Distances and places of the test samples in `samples.csv`, by id.
 fn test_samples(text: &str, path: &Path) -> Result<(ById<f64>, ById<[f64; 3]>)> {
     let all: Vec<SampleRow> = rows(text, path)?;
-    let tested = all.iter().filter(|s| s.split == "test");
-    Ok(tested.map(|s| ((s.id, s.nearest_train_m.unwrap_or(f64::INFINITY)), (s.id, [s.x, s.y, s.z]))).unzip())
+    let tested = all.iter().filter(|s| s.split == "test").map(|s| (s.link.unwrap_or(s.id), s));
+    Ok(tested.map(|(id, s)| ((id, s.nearest_train_m.unwrap_or(f64::INFINITY)), (id, [s.x, s.y, s.z]))).unzip())
 }
 
 /// The rows of a file that was written whole.

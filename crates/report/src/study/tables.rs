@@ -70,9 +70,12 @@ pub(super) enum Mark {
     Clear,
 }
 
-/// A title that says where the spectra are simulated.
+/// A title that says where the data are simulated.
 fn title(words: &str, setting: &Setting) -> String {
-    format!("{words}{}", if setting.simulated { " (simulated spectra)" } else { "" })
+    format!(
+        "{words}{}",
+        if setting.simulated { format!(" (simulated {})", setting.kind().counted()) } else { String::new() }
+    )
 }
 
 impl Line {

@@ -8,6 +8,8 @@ use crate::draw::charts::{Axis, Chart, Line};
 use crate::draw::marks::{Stroke, Style};
 use crate::study::{Record, Setting};
 use minijinja::context;
+use pwrfgs_core::Kind;
+use pwrfgs_experiment::headline::headline;
 use pwrfgs_experiment::scores::{MODEL, quantile};
 
 /// Test samples in a bin, and bins at most.
@@ -19,8 +21,9 @@ const MOST_BANDS: usize = 4;
 pub(super) fn figure(setting: &Setting) -> Option<Figure> {
     let mut lines = Vec::new();
     let banded = setting.variants.len() <= MOST_BANDS;
+    let kind = setting.kind();
     for (k, variant) in setting.variants.iter().enumerate() {
-        let (style, bins) = (looks::variant(k), bins(&variant.runs, MODEL));
+        let (style, bins) = (looks::variant(k), bins(&variant.runs, MODEL, kind));
         let quartile = |q: usize| bins.iter().map(move |b| (b.distance, b.quartiles[q]));
         let mut line = Line::new(quartile(1).collect(), style).named(&variant.label);
         line.marks.clone_from(&line.points);
@@ -32,13 +35,14 @@ pub(super) fn figure(setting: &Setting) -> Option<Figure> {
     }
     for (k, name) in setting.floors().into_iter().enumerate() {
         // The same in every variant, up to splits that depend on the seed.
-        let bins = bins(&setting.variants[0].runs, name);
+        let bins = bins(&setting.variants[0].runs, name, kind);
         let points = bins.iter().map(|b| (b.distance, b.quartiles[1])).collect();
         lines.push(Line::new(points, looks::floor(k)).named_at_end(name));
     }
     let x = Axis { name: "distance to the nearest training transmitter [m]".into(), log: true, ends: None };
-    let chart = Chart { x, y: Axis { name: "error 1 − SSIM".into(), ..Axis::default() }, lines, ..Chart::default() };
-    Figure::chart("distance", setting, context! { banded }, chart)
+    let name = if kind == Kind::Spectrum { "error 1 − SSIM" } else { headline(kind).name };
+    let chart = Chart { x, y: Axis { name: name.into(), ..Axis::default() }, lines, ..Chart::default() };
+    Figure::chart("distance", setting, context! { banded, axis => name }, chart)
 }
 
 /// Equally many test spectra of similar distance.
@@ -50,11 +54,12 @@ struct Bin {
     quartiles: [f64; 3],
 }
 
-/// Bins over all `runs` of one predictor; none where it has no SSIM.
-fn bins(runs: &[Record], predictor: &str) -> Vec<Bin> {
+/// Bins over all `runs` of one predictor; none where it has no first metric.
+fn bins(runs: &[Record], predictor: &str, kind: Kind) -> Vec<Bin> {
+    let drawn = |score: f64| if kind == Kind::Spectrum { 1.0 - score } else { score };
     let pairs = |run: &Record| -> Vec<(f64, f64)> {
-        let samples = run.samples(predictor, "ssim").unwrap_or_default();
-        samples.iter().filter_map(|(id, ssim)| Some((*run.nearest_train_m.get(id)?, 1.0 - ssim))).collect()
+        let samples = run.samples(predictor, headline(kind).key).unwrap_or_default();
+        samples.iter().filter_map(|(id, score)| Some((*run.nearest_train_m.get(id)?, drawn(*score)))).collect()
     };
     let samples = runs.first().map_or(0, |r| pairs(r).len());
     binned(runs.iter().flat_map(pairs).collect(), samples / PER_BIN)

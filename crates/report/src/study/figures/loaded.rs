@@ -37,7 +37,7 @@ impl Loaded {
         let model = file::read_ensemble(&path)?;
         let plane = model.plane();
         if (plane.width, plane.height) != (self.data.width, self.data.height) {
-            return Err(Error::input(&path, "the model draws spectra of another size than the data hold"));
+            return Err(Error::input(&path, "the model's observations are of another size than the data hold"));
         }
         Ok(model)
     }

@@ -1,10 +1,11 @@
-//! SSIM and the rate ratio against N: figure 2b of the paper.
+//! The first metric and the rate ratio against N: figure 2b of the paper.
 
 use super::{Figure, looks};
 use crate::draw::charts::{Axis, Chart, Line};
 use crate::study::statistics::Spread;
 use crate::study::{Setting, Variant};
 use minijinja::context;
+use pwrfgs_core::Kind;
 use pwrfgs_experiment::scores::MODEL;
 
 /// Bian, Hua and Gündüz, "P-WRFGS: Pruning 3D Gaussians for Efficient Wireless Radiance Field Construction", section
@@ -22,17 +23,26 @@ struct Score {
     /// Stem of the files.
     name: &'static str,
     /// Name of the axis.
-    axis: &'static str,
+    axis: String,
     /// N and score that the paper publishes.
     published: &'static [(f64, f64)],
 }
 
-pub(super) fn ssim(setting: &Setting) -> Option<Figure> {
-    figure(setting, &Score { key: "ssim", name: "ssim-n", axis: "mean SSIM", published: &PUBLISHED_SSIM })
+pub(super) fn first_metric(setting: &Setting) -> Option<Figure> {
+    let (name, published): (_, &[_]) = match setting.kind() {
+        Kind::Spectrum => ("ssim-n", &PUBLISHED_SSIM),
+        Kind::Power => ("error-n", &[]),
+        Kind::Channel => ("snr-n", &[]),
+    };
+    let headline = setting.headline();
+    figure(setting, &Score { key: headline.key, name, axis: format!("mean {}", headline.name), published })
 }
 
 pub(super) fn rate_ratio(setting: &Setting) -> Option<Figure> {
-    figure(setting, &Score { key: "eta_0db", name: "eta-n", axis: "rate ratio η at 0 dB", published: &PUBLISHED_ETA })
+    figure(
+        setting,
+        &Score { key: "eta_0db", name: "eta-n", axis: "rate ratio η at 0 dB".into(), published: &PUBLISHED_ETA },
+    )
 }
 
 fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
@@ -40,14 +50,14 @@ fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
     if points.is_empty() {
         return None;
     }
-    let published = is_s23(setting);
+    let published = is_s23(setting) && !score.published.is_empty();
     let mut lines = points;
     lines.extend(published.then(|| reference(score)));
     lines.extend(threads(setting, score.key));
     lines.extend(baselines(setting, score));
     let x = Axis { name: "number of Gaussians N".into(), log: true, ends: None };
-    let chart = Chart { x, y: Axis { name: score.axis.into(), ..Axis::default() }, lines, ..Chart::default() };
-    Figure::chart(score.name, setting, context! { axis => score.axis, published }, chart)
+    let chart = Chart { x, y: Axis { name: score.axis.clone(), ..Axis::default() }, lines, ..Chart::default() };
+    Figure::chart(score.name, setting, context! { axis => &score.axis, published }, chart)
 }
 
 /// N and score over the seeds of a variant; nothing where no run has the score.

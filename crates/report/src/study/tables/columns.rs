@@ -19,6 +19,9 @@ pub(super) fn words(metric: &Metric) -> (String, String) {
         "latency_total_ms" => "latency".into(),
         TRAINING => "training".into(),
         "chamfer" => "Chamfer".into(),
+        "power_error_db" => "error".into(),
+        "snr_db" => "SNR".into(),
+        "snr_all_db" => "SNR over all".into(),
         _ => match key.strip_prefix("eta_").and_then(|snr| snr.strip_suffix("db")) {
             Some(snr) => format!("η at {snr} dB"),
             None => key.trim_end_matches(&format!("_{}", metric.unit)).trim_start_matches("latency_").replace('_', " "),

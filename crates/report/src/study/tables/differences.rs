@@ -10,9 +10,10 @@ use minijinja::context;
 /// Decimals of a difference: one more than scores have.
 const DECIMALS: usize = 4;
 
-/// Every row less the reference, in SSIM, η and whatever else is shown first.
+/// Every row less the reference, in the first metric of the kind, η and whatever else is shown first.
 pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &Row<'_>) -> Option<Table> {
-    let shown = |m: &&Metric| m.per_sample && (m.key == "ssim" || m.key.starts_with("eta_"));
+    let first = comparison.setting.headline().key;
+    let shown = |m: &&Metric| m.per_sample && (m.key == first || m.key.starts_with("eta_"));
     let mut metrics: Vec<&Metric> = comparison.metrics.iter().filter(shown).collect();
     if metrics.is_empty() {
         metrics = comparison.metrics.iter().filter(|m| m.per_sample).collect();
@@ -43,6 +44,7 @@ pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &Row
     let words = context! {
         name => table.name,
         reference => reference.label,
+        observations => comparison.setting.kind().counted(),
         least => seeds.0,
         most => seeds.1,
         percent => (CONFIDENCE * 100.0).round() as u32,

@@ -6,24 +6,33 @@ use super::{Table, title};
 use crate::templates::sentences;
 use minijinja::context;
 
+/// Numbers of a whole model that are shown first.
+const WHOLE: [&str; 2] = ["gaussians", "model_bytes"];
+
+/// Whether a metric stands beside the first of its kind.
+fn is_beside(metric: &Metric) -> bool {
+    metric.key.starts_with("eta_") || metric.key == "snr_all_db"
+}
+
 const STAGES: [&str; 5] =
     ["latency_network_ms", "latency_projection_ms", "latency_sort_ms", "latency_blending_ms", "latency_total_ms"];
 
-/// What a reader looks at first: SSIM, η, N, size, latency and training time.
+/// What a reader looks at first: the first metric of the kind, such as SSIM and η, N, size, latency and training time.
 pub(in super::super) fn scores(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
     let metric = |key: &str| comparison.metric(key).into_iter();
-    let ssim = metric("ssim").flat_map(all_statistics);
-    let eta = comparison.metrics.iter().filter(|m| m.key.starts_with("eta_")).map(first_statistic);
-    let whole = ["gaussians", "model_bytes", "latency_total_ms", TRAINING];
+    let first = metric(comparison.setting.headline().key).flat_map(all_statistics);
+    let beside = comparison.metrics.iter().filter(|m| is_beside(m)).map(first_statistic);
+    let whole = WHOLE.iter().chain(&["latency_total_ms", TRAINING]);
     let wanted: Vec<Wanted<'_>> =
-        ssim.chain(eta).chain(whole.iter().flat_map(|key| metric(key)).map(first_statistic)).collect();
+        first.chain(beside).chain(whole.flat_map(|key| metric(key)).map(first_statistic)).collect();
     table("scores", "Scores", comparison, &wanted, same_machine)
 }
 
 /// Metrics that the table of scores leaves out.
 pub(in super::super) fn further(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
-    let shown = |m: &&Metric| m.key == "ssim" || m.key.starts_with("eta_") || m.is_time();
-    let left = comparison.metrics.iter().filter(|m| !shown(m) && !["gaussians", "model_bytes"].contains(&&*m.key));
+    let first = comparison.setting.headline().key;
+    let shown = |m: &&Metric| m.key == first || is_beside(m) || m.is_time() || WHOLE.contains(&&*m.key);
+    let left = comparison.metrics.iter().filter(|m| !shown(m));
     let wanted: Vec<Wanted<'_>> = left.map(first_statistic).collect();
     table("further", "Further metrics", comparison, &wanted, same_machine)
 }
@@ -44,7 +53,7 @@ fn all_statistics(metric: &Metric) -> impl Iterator<Item = Wanted<'_>> {
     metric.statistics().iter().map(move |statistic| (metric, *statistic))
 }
 
-/// The mean over test spectra, or the number of the whole model.
+/// The mean over test samples, or the number of the whole model.
 fn first_statistic(metric: &Metric) -> Wanted<'_> {
     (metric, metric.statistics()[0])
 }
@@ -64,6 +73,7 @@ fn table(
     let (least, most) = comparison.setting.seeds();
     let words = context! {
         name,
+        observations => comparison.setting.kind().counted(),
         sampled => comparison.metrics.iter().any(|m| m.per_sample),
         least,
         most,
