@@ -58,6 +58,16 @@ fn powers_are_reported_predicted_mapped_and_exported() {
     assert!(!page.contains("test spectra") && !page.contains("NaN") && !page.contains("<h2>Spectra"));
     let said = succeed(here, &["evaluate", MODEL, "--out", "again"]);
     assert!(stderr(&said).contains("scoring 30 test links"), "{}", stderr(&said));
+    let said = succeed(here, &["inspect", "p.ron", "--out", "looked"]);
+    let said = String::from_utf8_lossy(&said.stdout);
+    for words in ["120 received powers, ids 0 to 59", "2: north, south", "dBm in the median", "Random(", "1-NN"] {
+        assert!(said.contains(words), "`{words}` is not in {said}");
+    }
+    assert!(
+        !said.contains("picture")
+            && !said.contains("spectra")
+            && !read(&here.join("looked/inspect.html")).contains("NaN")
+    );
     predicts_powers(here);
     maps_powers(here);
     succeed(here, &["export", MODEL, "--npz", "m.npz", "--ply", "m.ply"]);
@@ -207,6 +217,9 @@ fn channels_are_reported_predicted_and_mapped() {
         assert!(page.contains(words), "`{words}` is not in the page");
     }
     assert!(!page.contains("test spectra") && !page.contains("NaN"));
+    let said = succeed(here, &["inspect", "p.ron", "--out", "looked"]);
+    let said = String::from_utf8_lossy(&said.stdout);
+    assert!(said.contains("24 channels of 16 antennas x 16 subcarriers") && said.contains("mean snr_db"), "{said}");
     write(&here.join("tx.csv"), "x,y,z\n3,2,1\n4,4,1\n");
     succeed(here, &["predict", MODEL, "--tx-csv", "tx.csv", "--out", "each"]);
     succeed(here, &["predict", MODEL, MODEL, "--tx-csv", "tx.csv", "--stacked", "--out", "stack"]);

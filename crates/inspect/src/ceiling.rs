@@ -28,7 +28,7 @@ impl Inspection<'_> {
     /// Figures and how to read them.
     pub(crate) fn ceiling_page(&self) -> Value {
         let notes = [
-            "A measured spectrum as the prediction of another, against the distance of their transmitters. What pairs at no \
+            "A measurement as the prediction of another, against the distance of their transmitters. What pairs at no \
              distance have in common no function of the position can exceed by much: the rest is noise, or something other \
              than the position that changed between the two. It is an estimate from pairs; a perfect predictor of the mean \
              would reach a little more.",

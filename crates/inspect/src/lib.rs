@@ -1,7 +1,8 @@
 //! What one wants to know of a data set before training: [`inspect`] looks, [`Inspection::text`] says it in a terminal,
 //! [`Inspection::page`] on a page, and [`write()`] puts that into a folder.
 //!
-//! One question a file: where transmitters stand (`trajectory`), what pictures hold (`pictures`), how many numbers they
+//! One question a file: where transmitters stand (`trajectory`), how strong powers and channels are (`levels`), what pictures
+//! hold (`pictures`), how many numbers they
 //! are made of (`freedom`), whether the recorded pose can be right (`pose`), and what each split asks (`splits`).
 //! Everything is bounded: of many pictures so many are looked at, evenly chosen, and the page says how many.
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
@@ -9,6 +10,7 @@
 mod ceiling;
 mod eigen;
 mod freedom;
+mod levels;
 mod look;
 mod output;
 mod page;
@@ -27,7 +29,7 @@ pub use splits::{Divided, Floor, Outcome};
 pub use trajectory::Trajectory;
 
 use look::Looks;
-use pwrfgs_core::{Dataset, Metric, Plugin, Result, Scope};
+use pwrfgs_core::{Dataset, Kind as Observed, Metric, Plugin, Result, Scope};
 use pwrfgs_experiment::repeatability::{Repeatability, repeatability};
 use pwrfgs_experiment::{Observer, staged};
 use pwrfgs_train::Pipeline;
@@ -40,10 +42,8 @@ pub struct Inspection<'a> {
     pub data: &'a Dataset,
     /// Where transmitters stand.
     pub trajectory: Trajectory,
-    /// What pictures hold.
-    pub pictures: Pictures,
-    /// How many numbers they are made of.
-    pub freedom: Freedom,
+    /// What pictures hold, and how many numbers they are made of; `None` of powers and channels, which are none.
+    pub pictures: Option<(Pictures, Freedom)>,
     /// What they say of the recorded pose; `None` where too few have a strongest direction.
     pub pose: Option<Pose>,
     /// What each split asks.
@@ -57,23 +57,26 @@ pub struct Inspection<'a> {
 /// # Errors
 /// Where a picture cannot be read, or a baseline or a metric refuses.
 pub fn inspect<'a>(pipeline: &Pipeline, data: &'a Dataset, observer: &mut dyn Observer) -> Result<Inspection<'a>> {
-    let looks = staged(observer, "looking at the pictures", |progress| Looks::of(data, progress))?;
-    observer.on_stage("degrees of freedom", 0, 0);
-    let freedom = freedom::freedom(data, &looks.each);
-    observer.on_stage("the pose", 0, 0);
-    let pose = pose::pose(data, &looks.each);
+    let (mut pictures, mut pose) = (None, None);
+    if data.kind() == Observed::Spectrum {
+        let looks = staged(observer, "looking at the pictures", |progress| Looks::of(data, progress))?;
+        observer.on_stage("degrees of freedom", 0, 0);
+        pictures = Some((pictures::pictures(data, &looks), freedom::freedom(data, &looks.each)));
+        observer.on_stage("the pose", 0, 0);
+        pose = pose::pose(data, &looks.each);
+    }
     observer.on_stage("repeatability", 0, 0);
-    let metrics: Vec<Plugin<dyn Metric>> =
-        pipeline.metrics.iter().filter(|metric| metric.scope() == Scope::Sample).cloned().collect();
-    let ceiling = repeatability(data, &metrics, &AtomicBool::new(false))?;
+    let of = |wanted: &dyn Fn(Scope) -> bool| -> Vec<Plugin<dyn Metric>> {
+        pipeline.metrics.iter().filter(|metric| wanted(metric.scope())).cloned().collect()
+    };
+    let ceiling = repeatability(data, &of(&|scope| scope == Scope::Sample), &AtomicBool::new(false))?;
     data.observations.check()?;
     Ok(Inspection {
         data,
         trajectory: trajectory::trajectory(data),
-        pictures: pictures::pictures(data, &looks),
-        freedom,
+        pictures,
         pose,
-        splits: splits::splits(pipeline, &metrics, data, observer)?,
+        splits: splits::splits(pipeline, &of(&|scope| scope != Scope::Model), data, observer)?,
         ceiling,
     })
 }

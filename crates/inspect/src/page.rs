@@ -5,7 +5,7 @@ mod figures;
 pub(crate) use figures::similarity;
 
 use crate::output::MARK;
-use crate::words::{count, facts, freedom, length};
+use crate::words::{count, facts, length, numbers};
 use crate::{Divided, Inspection, Outcome};
 use minijinja::{Value, context};
 use pwrfgs_core::Result;
@@ -44,11 +44,15 @@ impl Inspection<'_> {
             positions => figures::positions(self),
             time_bar => figures::time_bar(self.trajectory.ids),
             drawn => (self.trajectory.samples > figures::DOTS).then(|| count(figures::DOTS)),
-            sheet => figures::sheet(self.data),
-            sheet_of => figures::SHEET.min(self.trajectory.samples),
-            mean => figures::mean(self),
-            freedom => freedom(&self.freedom),
-            freedom_figure => figures::freedom(&self.freedom),
+            observations => self.data.kind().counted(),
+            placed => self.data.placed,
+            pictures => self.pictures.as_ref().map(|(pictures, freedom)| context! {
+                sheet => figures::sheet(self.data),
+                sheet_of => figures::SHEET.min(self.trajectory.samples),
+                mean => figures::mean(pictures, &self.data.plane()),
+                freedom => numbers(freedom),
+                freedom_figure => figures::freedom(freedom),
+            }),
             pose,
             distances => figures::distances(&self.splits),
             splits => self.splits.iter().filter_map(row).collect::<Vec<_>>(),

@@ -20,6 +20,7 @@ impl Inspection<'_> {
                 text += &wrapped(&format!("{:<15}", "pose"), pose.verdict.title());
                 pose.sentences().iter().for_each(|s| text += &wrapped(&" ".repeat(15), s));
             }
+            None if self.pictures.is_none() => {}
             None => {
                 text += &wrapped(&format!("{:<15}", "pose"), "too few pictures with a strongest direction to tell.");
             }
@@ -59,8 +60,9 @@ impl Inspection<'_> {
         }
         let tested = self.splits.iter().filter_map(|d| d.outcome.as_ref().ok()).map(|o| o.tested).max().unwrap_or(0);
         let note = format!(
-            "note: mean {first} of predictors without a model, on up to {tested} test spectra each; nearest training: \
-             median distance from a test transmitter\n"
+            "note: mean {first} of predictors without a model, on up to {tested} test {} each; nearest training: \
+             median distance from a test transmitter\n",
+            self.data.kind().counted()
         );
         let text = aligned(&lines, 1) + &refused + &note;
         self.ceiling_words(&first).iter().fold(text, |text, words| text + "note: " + words + "\n")

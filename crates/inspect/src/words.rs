@@ -1,7 +1,8 @@
 //! What was found in words: the same on the page and in the terminal.
 
+use crate::levels::levels;
 use crate::{Freedom, Inspection, Pictures};
-use pwrfgs_core::{Number, Unmatched};
+use pwrfgs_core::{Dataset, Kind, Number, Observations, Unmatched};
 use pwrfgs_experiment::repeatability::in_order;
 use pwrfgs_experiment::text::{grouped, number};
 
@@ -10,35 +11,55 @@ const NAMED: usize = 5;
 
 /// A name and what is known of it, one a line.
 pub(crate) fn facts(found: &Inspection<'_>) -> Vec<(&'static str, String)> {
-    let Inspection { data, trajectory: t, pictures: p, .. } = found;
-    let receiver = data.scene.origin.world_pose(data.scene.pose());
-    let boresight = receiver.world_from_receiver().z_axis.to_array().map(f64::from);
+    let Inspection { data, trajectory: t, .. } = found;
     let [low, high] = t.extent;
     let axis = |k: usize| format!("{} {:.2} to {:.2}", ["x", "y", "z"][k], low[k], high[k]);
+    let mut all = vec![("samples", samples(found))];
+    if data.placed {
+        all.extend([("transmitters", format!("{} m", [0, 1, 2].map(axis).join(", "))), ("steps", steps(found))]);
+    }
+    all.push(("receiver", receivers(data)));
+    match &found.pictures {
+        Some((pictures, freedom)) => all.extend(of_pictures(found, pictures, freedom)),
+        None => all.extend(levels(data)),
+    }
+    all
+}
+
+fn samples(found: &Inspection<'_>) -> String {
+    let Inspection { data, trajectory: t, .. } = found;
+    let of = match &data.observations {
+        Observations::Channels(c) => format!(" of {} antennas x {} subcarriers", c.antennas, c.frequencies_hz.len()),
+        _ if data.kind() == Kind::Power => String::new(),
+        _ => format!(" of {} x {} pixels", data.width, data.height),
+    };
+    let what = if data.kind() == Kind::Power { "received powers" } else { data.kind().counted() };
+    format!("{} {what}{of}, ids {} to {}", count(t.samples), t.ids[0], t.ids[1])
+}
+
+fn receivers(data: &Dataset) -> String {
+    let all = &data.scene.receivers;
+    if all.len() > 1 {
+        let names: Vec<&str> = all.iter().take(NAMED).map(|receiver| receiver.name.as_str()).collect();
+        return format!("{}: {}{}", all.len(), names.join(", "), if all.len() > NAMED { ", .." } else { "" });
+    }
+    let pose = data.scene.origin.world_pose(data.scene.pose());
+    let boresight = pose.world_from_receiver().z_axis.to_array().map(f64::from);
+    let boresight = list(boresight.map(|v| (v * 1e3).round() / 1e3));
+    format!("at ({}) m, boresight ({boresight})", list(pose.position))
+}
+
+fn of_pictures(found: &Inspection<'_>, p: &Pictures, freedom: &Freedom) -> Vec<(&'static str, String)> {
+    let Inspection { data, trajectory: t, .. } = found;
     let stored = match p.number {
         Number::U8 => "8-bit grey",
         Number::U16 => "16-bit grey",
         Number::F32 => "32-bit floats",
         Number::F64 => "64-bit floats",
     };
-    let (width, height) = (p.size[0], p.size[1]);
     let mut all = vec![
-        (
-            "samples",
-            format!("{} spectra of {width} x {height} pixels, ids {} to {}", count(t.samples), t.ids[0], t.ids[1]),
-        ),
-        ("transmitters", format!("{} m", [0, 1, 2].map(axis).join(", "))),
-        ("steps", steps(found)),
-        (
-            "receiver",
-            format!(
-                "at ({}) m, boresight ({})",
-                list(receiver.position),
-                list(boresight.map(|v| (v * 1e3).round() / 1e3))
-            ),
-        ),
         ("elevations", format!("{}° to {}°, top row to bottom", data.elevation.first, data.elevation.last)),
-        ("grey values", format!("{stored}{}, {:.3} to {:.3}", grain(&found.freedom, p), p.range[0], p.range[1])),
+        ("grey values", format!("{stored}{}, {:.3} to {:.3}", grain(freedom, p), p.range[0], p.range[1])),
         ("normalisation", p.normalisation()),
         ("odd pictures", odd(p, found)),
         ("halves", halves(found)),
@@ -47,7 +68,7 @@ pub(crate) fn facts(found: &Inspection<'_>) -> Vec<(&'static str, String)> {
         let what = "evenly chosen; counts of pictures are of these";
         all.push(("looked at", format!("{} of {} pictures, {what}", count(p.looked_at), count(t.samples))));
     }
-    all.push(("numbers", freedom(&found.freedom).join(" ")));
+    all.push(("numbers", numbers(freedom).join(" ")));
     all
 }
 
@@ -124,7 +145,7 @@ fn halves(found: &Inspection<'_>) -> String {
 }
 
 /// How many numbers the pictures are made of.
-pub(crate) fn freedom(freedom: &Freedom) -> Vec<String> {
+pub(crate) fn numbers(freedom: &Freedom) -> Vec<String> {
     let rounding = match freedom.step {
         Some(_) => format!("rounding (RMS {})", number(freedom.rounding())),
         None => "a millionth".into(),

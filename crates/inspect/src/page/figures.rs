@@ -4,8 +4,8 @@ mod places;
 
 pub(super) use places::{DOTS, positions, time_bar};
 
-use crate::{Divided, Freedom, Inspection, Pose};
-use pwrfgs_core::{Dataset, evenly};
+use crate::{Divided, Freedom, Pictures, Pose};
+use pwrfgs_core::{Dataset, ImagePlane, evenly};
 use pwrfgs_experiment::repeatability::Repeatability;
 use pwrfgs_report::draw::canvas::{Anchor, BLACK, Canvas, Colour, INK};
 use pwrfgs_report::draw::charts::{Axis, Chart, Line, Look};
@@ -62,9 +62,9 @@ pub(super) fn sheet(data: &Dataset) -> String {
 }
 
 /// The mean picture with its colours.
-pub(super) fn mean(found: &Inspection<'_>) -> String {
-    let mean = &found.pictures.mean;
-    let mut canvas = map(mean, &found.data.plane(), Scale::Power, &[Mark::Measured(mean.argmax())]);
+pub(super) fn mean(pictures: &Pictures, plane: &ImagePlane) -> String {
+    let mean = &pictures.mean;
+    let mut canvas = map(mean, plane, Scale::Power, &[Mark::Measured(mean.argmax())]);
     let below = canvas.height;
     canvas.height += 30.0;
     canvas.letters.colour = INK;

@@ -2,7 +2,7 @@
 
 use super::{BLUE, Figure, axis, dots, figure};
 use crate::{Inspection, Trajectory};
-use pwrfgs_core::evenly;
+use pwrfgs_core::{Receiver, evenly};
 use pwrfgs_experiment::colour::sequential;
 use pwrfgs_report::draw::canvas::{Anchor, BLACK, Canvas, Colour, Pixels};
 use pwrfgs_report::draw::charts::{Axis, Chart, Line, Look};
@@ -58,13 +58,18 @@ fn time(k: usize) -> [u8; 3] {
 /// Transmitters, and the receiver too in a view of `all`, as two coordinates show them, to scale.
 fn places(found: &Inspection<'_>, [a, b]: [usize; 2], names: [&str; 2], all: bool) -> Chart {
     let data = found.data;
-    let receiver = data.scene.origin.world_pose(data.scene.pose());
-    let boresight = receiver.world_from_receiver().z_axis.to_array().map(f64::from);
     let arrow = 0.12 * found.trajectory.size().max(0.1);
-    let tip = [0, 1, 2].map(|k| receiver.position[k] + arrow * boresight[k]);
+    // Each receiver's place, and the end of its boresight.
+    let receiver = |receiver: &Receiver| {
+        let pose = data.scene.origin.world_pose(receiver.pose);
+        let boresight = pose.world_from_receiver().z_axis.to_array().map(f64::from);
+        [pose.position, [0, 1, 2].map(|k| pose.position[k] + arrow * boresight[k])]
+    };
+    let receivers: Vec<[[f64; 3]; 2]> =
+        if all { data.scene.receivers.iter().map(receiver).collect() } else { Vec::new() };
     let samples: Vec<usize> = (0..data.len()).collect();
     let shown: Vec<[f64; 3]> = evenly(&samples, DOTS).into_iter().map(|i| data.sample(i).tx).collect();
-    let known = || shown.iter().chain([&receiver.position, &tip].into_iter().filter(|_| all));
+    let known = || shown.iter().chain(receivers.as_flattened());
     let [x, y] = [a, b].map(|k| {
         let values = || known().map(|p| p[k]);
         (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max))
@@ -73,9 +78,12 @@ fn places(found: &Inspection<'_>, [a, b]: [usize; 2], names: [&str; 2], all: boo
     let place = |p: &[f64; 3]| (p[a], p[b]);
     let star = Style { marker: Some(Marker::Star), ..Style::line(BLACK, 1.6, Stroke::FULL) };
     let mut lines = Vec::new();
-    if all {
-        let mut own = Line::new(vec![place(&receiver.position), place(&tip)], star).named("receiver and boresight");
-        own.marks.push(place(&receiver.position));
+    for (k, ends) in receivers.iter().enumerate() {
+        let mut own = Line::new(ends.iter().map(place).collect(), star);
+        if k == 0 {
+            own = own.named(if receivers.len() > 1 { "receivers and boresights" } else { "receiver and boresight" });
+        }
+        own.marks.push(place(&ends[0]));
         lines.push(own);
     }
     for k in 0..COLOURS {
