@@ -4,7 +4,9 @@ use crate::common::{SMALL, python, refuse, succeed, write};
 use pwrfgs::model::Calibration::{AsReleased, Physical};
 use pwrfgs::model::tensors::Tensors;
 use pwrfgs::model::{Calibration, Ensemble, Model, Readout, Splatting, Stages, file};
-use pwrfgs_core::{Frame, GaussianCloud, Origin, Plugin, Pose, Projector, Real, Vec3, rng};
+use pwrfgs_core::{
+    Frame, GaussianCloud, ImagePlane, Kind, Method, Origin, Plugin, Pose, Projector, Real, Receiver, Vec3, rng,
+};
 use std::path::Path;
 use std::process::Command;
 
@@ -97,6 +99,21 @@ fn model(
     Model { stages, cloud: cloud(), weights }
 }
 
+/// Channels of an array that is turned, on two subcarriers.
+fn virtual_transmitters(order: usize) -> Model {
+    let antennas = vec![[0.0; 3], [0.1, 0.0, 0.02], [0.0, -0.1, 0.0]];
+    let receivers = vec![Receiver { antennas, ..Receiver::new("turned", POSE) }];
+    let plane = ImagePlane { width: 2, height: 6, wraps: false, angles: None };
+    let frequencies_hz = vec![0.9e9, 0.95e9];
+    let frame = Frame { origin: Origin([10.0, 0.0, -3.0]), receivers, kind: Kind::Channel, plane, frequencies_hz };
+    let method: Plugin<dyn Method> = Plugin::parse(&format!("VirtualTransmitters(order: {order})")).unwrap();
+    let mut cloud = cloud();
+    cloud.complete(&method.columns()).unwrap();
+    let mut random = rng::stream(6, "harmonics", 0);
+    cloud.extra.iter_mut().for_each(|column| column.values.fill_with(|| rng::normal(&mut random)));
+    Model { stages: Stages { method, frame }, cloud, weights: Vec::new() }
+}
+
 /// Predictions of a model file in the folder `out`.
 fn predict(here: &Path, model: &str, out: &str) {
     let [x, y, z] = file::read_ensemble(&here.join(model)).unwrap().members()[0].stages.origin.0;
@@ -116,6 +133,11 @@ fn numpy_alone_predicts_what_the_document_says() {
         let mut model = model(case);
         model.stages.origin = Origin(if k % 2 == 0 { [0.0; 3] } else { [5e5, 54e5, -1e2] });
         file::write(&here.join(&pairs[2 * k]), &model).unwrap();
+    }
+    for order in [0, 3] {
+        let name = format!("waves-{order}");
+        file::write(&here.join(format!("{name}.safetensors")), &virtual_transmitters(order)).unwrap();
+        pairs.extend([format!("{name}.safetensors"), name]);
     }
     // And one that was trained, as it is and with its network in 16 bits.
     let waves = "Factored(depth: 2, width: 16, tx_encoding: Waves(count: 6, reach: 20))";
