@@ -64,6 +64,13 @@ pub const TARGETS: &[Target] = &[
     of(16, "data/train_index.txt", &["data/test_index.txt"], Plain, measured),
     of(8, "data/manifest.json", &[], Plain, measured),
     of(40, "data/spectrum/00002.png", &["data/spectrum"], Png, measured),
+    of(8, "rssi/gateway_position.yml", &[], Plain, powers),
+    of(24, "rssi/gateway_rssi.csv", &[], Plain, powers),
+    of(4, "rssi/train_index.txt", &["rssi/test_index.txt"], Plain, powers),
+    of(16, "channels/receiver.yml", &[], Plain, channels),
+    of(16, "channels/channel.npy", &[], Plain, channels),
+    of(8, "csi/base-station.yml", &[], Plain, snapshots),
+    of(8, "csi/csidata.npy", &[], Plain, snapshots),
     of(32, "cloud/mesh.ply", &["cloud/binary/mesh.ply"], Plain, surface::<true>),
     of(24, "cloud/points.xyz", &[], Plain, cloud),
     of(24, "cloud/points.csv", &[], Plain, cloud),
@@ -148,6 +155,36 @@ fn on_measured(bench: &Path, data: &str, start: &str) -> Result<()> {
 
 fn measured(bench: &Path) -> Result<()> {
     on_measured(bench, "", "Grid(count: 3)")
+}
+
+fn powers(bench: &Path) -> Result<()> {
+    let rest = "initializer: Site(count: 3), deformation: Factored(depth: 1, width: 4, tx_encoding: Octaves(1)), readout: Received()";
+    on_links(bench, &format!("data: Nerf2Rssi(root: \"rssi\"), {rest}"))
+}
+
+fn channels(bench: &Path) -> Result<()> {
+    let rest =
+        "initializer: MatchingPursuit(most: 1, reach: 0.1, step: 1.0, hold_out: 0), method: VirtualTransmitters()";
+    // The grid of a search is as fine as the file says that waves are: a coarse one of few places is all that is tried.
+    let read = |carrier: &str| on_links(bench, &format!("data: Channels(root: \"channels\"{carrier}), {rest}"));
+    read(", carrier_hz: 3e8, spacing_hz: 1e6").and_then(|()| load_links(bench, "Channels(root: \"channels\")"))
+}
+
+fn snapshots(bench: &Path) -> Result<()> {
+    load_links(bench, "Nerf2Csi(root: \"csi\")")?;
+    load_links(bench, "Nerf2Csi(root: \"csi\", together: true)")
+}
+
+fn load_links(bench: &Path, source: &str) -> Result<()> {
+    let text = format!("Pipeline(name: \"links\", data: {source}, initializer: Random())");
+    let data = Pipeline::parse(&text, Path::new("links.ron"))?.data.load(bench, &|_, _| {})?;
+    data.observations.check()
+}
+
+/// Loads, starts, trains a step and predicts.
+fn on_links(bench: &Path, parts: &str) -> Result<()> {
+    let text = format!("Pipeline(name: \"links\", {parts}, split: Official(), training: (steps: 2, batch: 1))");
+    first_step(&Pipeline::parse(&text, Path::new("links.ron"))?, bench)
 }
 
 /// Both files of points: the one at hand is broken.

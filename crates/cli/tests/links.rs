@@ -1,8 +1,9 @@
 //! Received powers and channels by the same commands as spectra: page, predictions, maps, exports.
 
-use crate::common::{refuse, stderr, succeed, write};
+use crate::common::{pwrfgs, refuse, stderr, succeed, wait_for_step, write};
 use std::collections::BTreeSet;
 use std::path::Path;
+use std::process::Stdio;
 
 const MODEL: &str = "run/model.safetensors";
 
@@ -74,6 +75,53 @@ fn powers_are_reported_predicted_mapped_and_exported() {
     let mut archive = zip::ZipArchive::new(std::fs::File::open(here.join("m.npz")).unwrap()).unwrap();
     for name in ["kind", "receivers.names", "receivers.positions", "receivers.antennas"] {
         assert!(archive.by_name(&format!("{name}.npy")).is_ok(), "{name}");
+    }
+}
+
+/// Free space at two subcarriers in `here/waves`, and a pipeline of virtual transmitters beside it.
+fn free_space(here: &Path) {
+    let place = |k: usize| [1.0 + (k * 7 % 40) as f64 / 20.0, (k * 11 % 40) as f64 / 20.0, 1.0 + (k % 5) as f64 / 10.0];
+    let gain = |k: usize, hz: f64| {
+        let d = place(k).iter().map(|x| x * x).sum::<f64>().sqrt();
+        let (sin, cos) = (std::f64::consts::TAU * hz / 299_792_458.0 * d).sin_cos();
+        [cos / d, -sin / d].map(|x| (x as f32).to_le_bytes()).concat()
+    };
+    let numbers = (0..40).flat_map(|k| [0.3e9 - 5e6, 0.3e9 + 5e6].map(|hz| gain(k, hz)).concat());
+    let mut array = pwrfgs::data::npy_header_as("<c8", &[40, 1, 2]);
+    array.extend(numbers);
+    write(&here.join("waves/channel.npy"), array);
+    let places = (0..40).map(|k| place(k).map(|v| v.to_string()).join(",") + "\n").collect::<String>();
+    write(&here.join("waves/tx_pos.csv"), format!("x,y,z\n{places}"));
+    let text = "Pipeline(name: \"waves\", data: Channels(root: \"waves\", carrier_hz: 3e8, spacing_hz: 1e7, receiver: ()), \
+                split: Random(test: 0.25), initializer: MatchingPursuit(most: 3, reach: 1.0, hold_out: 0), \
+                method: VirtualTransmitters(order: 1), pruners: [LearnableMask(learning_rate: 0.01)], \
+                training: (steps: 1200, batch: 8, densify_until: 0, prune_until: 600, prune_every: 50, validate_every: 100, \
+                checkpoint_every: 35, densify: (every: 0)), baselines: [Zero()], metrics: [ChannelSnr()])";
+    write(&here.join("waves.ron"), text);
+}
+
+#[test]
+fn killed_runs_of_powers_and_channels_end_as_those_never_stopped() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    hall(here);
+    free_space(here);
+    let longer = "training=(steps: 1200, prune_until: 600, prune_every: 50, validate_every: 100, checkpoint_every: 35)";
+    for (pipeline, settings) in [("p.ron", &["--set", longer][..]), ("waves.ron", &[])] {
+        let arguments = |out: &'static str| [&["run", pipeline, "--out", out, "-q"][..], settings].concat();
+        succeed(here, &arguments("whole"));
+        for step in [20, 310, 900] {
+            let mut child = pwrfgs(here).args(arguments("killed")).stdout(Stdio::null()).spawn().unwrap();
+            wait_for_step(&mut child, &here.join("killed"), step);
+            child.kill().unwrap();
+            assert!(!child.wait().unwrap().success(), "{pipeline}: killed after step {step}");
+        }
+        succeed(here, &arguments("killed"));
+        let bytes = |run: &str, name: &str| std::fs::read(here.join(run).join(name)).unwrap();
+        for name in ["model.safetensors", "validation.csv", "samples.csv", "start.safetensors"] {
+            assert!(bytes("whole", name) == bytes("killed", name), "{pipeline}: {name} differs");
+        }
+        ["whole", "killed"].map(|run| std::fs::remove_dir_all(here.join(run)).unwrap());
     }
 }
 

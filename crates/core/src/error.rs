@@ -1,6 +1,6 @@
 //! What can go wrong, told to a person: each message names the thing and says what to do.
 
-use crate::words::told;
+use crate::words::{clean, told};
 use std::path::{Path, PathBuf};
 
 /// Any failure of the toolkit. `is_input` separates wrong input (exit code 2) from failure (exit code 1).
@@ -83,7 +83,7 @@ impl Error {
 }
 
 fn shown(path: &Path) -> String {
-    told(&path.display().to_string())
+    told(&path.display().to_string()).replace(['\n', '\t'], " ")
 }
 
 fn place(at: Option<(usize, usize)>) -> String {
@@ -98,7 +98,7 @@ pub fn did_you_mean<'a>(wrong: &str, known: impl IntoIterator<Item = &'a str>) -
     let wrong = wrong.to_lowercase();
     let near = known.into_iter().map(|name| (strsim::damerau_levenshtein(&wrong, &name.to_lowercase()), name)).min();
     near.filter(|(distance, name)| *distance <= 2 + name.len() / 3)
-        .map_or_else(String::new, |(_, name)| format!("; did you mean `{name}`?"))
+        .map_or_else(String::new, |(_, name)| format!("; did you mean `{}`?", clean(name)))
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ mod file;
 
 use super::yaml::{self, place_of};
 use file::File;
-use pwrfgs_core::{Elevation, Error, Pose, Result};
+use pwrfgs_core::{Elevation, Error, Pose, Result, words::clean};
 use std::path::Path;
 
 const EXPECTED: &str =
@@ -24,13 +24,16 @@ pub(crate) fn read(path: &Path, wanted: Option<&str>, advice: &str) -> Result<Ga
     let text = yaml::text(path, advice, EXPECTED)?;
     let name = wanted.unwrap_or("gateway1");
     let file = yaml::parse(path, &text, File { wanted: name }, EXPECTED)?;
-    let others = file.others.iter().map(|other| format!("`{other}`")).collect::<Vec<_>>().join(", ");
+    let others = file.others.iter().map(|other| format!("`{}`", clean(other))).collect::<Vec<_>>().join(", ");
     let one = file.others.first().map_or("gateway2", String::as_str);
     let Some(pose) = file.pose else {
         let what = if others.is_empty() {
-            format!("missing field `{name}`; {EXPECTED}")
+            format!("missing field `{}`; {EXPECTED}", clean(name))
         } else {
-            format!("missing field `{name}`; name {others}: Nerf2Spectrum(gateway: \"{one}\", ..), or else {EXPECTED}")
+            format!(
+                "missing field `{name}`; name {others}: Nerf2Spectrum(gateway: \"{}\", ..), or else {EXPECTED}",
+                clean(one)
+            )
         };
         return Err(Error::at(path, 1, 1, what));
     };
