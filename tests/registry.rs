@@ -33,7 +33,15 @@ fn pretty() -> ron::ser::PrettyConfig {
 fn every_built_in_name_is_registered() {
     linked::<dyn DataSource>(&["Arrays", "Channels", "Nerf2Csi", "Nerf2Rssi", "Nerf2Spectrum", "Simulated", "Teacher"]);
     linked::<dyn Split>(&["LeaveReceiverOut", "Official", "Random", "RandomLinks", "Sparse", "TimeBlock", "Voxel"]);
-    linked::<dyn Baseline>(&["Kriging", "LogDistance", "MeanSpectrum", "NearestNeighbours", "RayTracing", "Zero"]);
+    linked::<dyn Baseline>(&[
+        "Kriging",
+        "LogDistance",
+        "MeanSpectrum",
+        "NearestNeighbours",
+        "RayTracing",
+        "Ridge",
+        "Zero",
+    ]);
     linked::<dyn Initializer>(&["Grid", "MatchingPursuit", "PointCloud", "Random", "Site"]);
     linked::<dyn Projector>(&["Mercator", "WrfgsCompat"]);
     linked::<dyn Rasterizer>(&["AlphaBlending", "ArrayResponse"]);

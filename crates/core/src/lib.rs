@@ -12,6 +12,7 @@
 #[allow(unused_extern_crates)] // the derive `Documented` names this crate so, here too
 extern crate self as pwrfgs_core;
 
+mod cholesky;
 mod cloud;
 mod conditions;
 mod data_source;
@@ -48,6 +49,7 @@ pub mod tape;
 pub mod testing;
 pub mod words;
 
+pub use cholesky::Cholesky;
 pub use cloud::{COLUMN_NAMES, ExtraColumn, GaussianCloud};
 pub use conditions::Conditions;
 pub use data_source::{Baseline, DataSource, Predict, Progress, Split};

@@ -8,11 +8,13 @@ mod law;
 mod log_distance;
 mod nearest;
 mod neighbours;
+mod ridge;
 mod zero;
 
 pub use kriging::Kriging;
 pub use log_distance::LogDistance;
 pub use neighbours::{NearestNeighbours, Neighbours};
+pub use ridge::Ridge;
 pub use zero::Zero;
 
 use by_receiver::{ByReceiver, Fitted};

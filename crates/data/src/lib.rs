@@ -27,7 +27,7 @@ mod teacher;
 mod text;
 
 pub use arrays::Arrays;
-pub use baselines::{Kriging, LogDistance, MeanSpectrum, NearestNeighbours, Neighbours, Zero};
+pub use baselines::{Kriging, LogDistance, MeanSpectrum, NearestNeighbours, Neighbours, Ridge, Zero};
 pub use channels::{Channels, ReceiverPlace};
 pub use layout::{base_station_yaml, gateway_positions_yaml, gateway_yaml};
 pub use mesh::read_mesh;

@@ -1,7 +1,7 @@
 //! The map that makes vectors uncorrelated, each number of variance 1: with it in front, every direction of the data is
 //! learned equally fast, the faint ones too, in which channels of neighbouring frequencies differ.
 
-use pwrfgs_core::{Conditions, Real};
+use pwrfgs_core::{Cholesky, Conditions, Real};
 
 /// Share of the mean variance that is added to every variance: fainter directions are noise, and are not made as loud.
 const FAINTEST: f64 = 1e-3;
@@ -33,35 +33,9 @@ pub(super) fn whitening(vectors: Conditions<'_>, gain: f64) -> Option<(Vec<Real>
     }
     let variance = (0..d).map(|k| covariance[k * d + k]).sum::<f64>() / d as f64;
     (0..d).for_each(|k| covariance[k * d + k] += FAINTEST * variance + f64::MIN_POSITIVE);
-    let inverse = inverse_of_factor(covariance, d)?;
+    let inverse = Cholesky::new(covariance, d)?.inverse_of_factor();
     let bias = (0..d).map(|i| -(0..=i).map(|j| inverse[i * d + j] * mean[j]).sum::<f64>() as Real).collect();
     Some((inverse.into_iter().map(|v| v as Real).collect(), bias))
-}
-
-/// L⁻¹ of a symmetric positive matrix L·Lᵀ, of which the lower half is read; `None` where it is none.
-fn inverse_of_factor(mut a: Vec<f64>, d: usize) -> Option<Vec<f64>> {
-    for i in 0..d {
-        for j in 0..=i {
-            let sum: f64 = a[i * d + j] - (0..j).map(|k| a[i * d + k] * a[j * d + k]).sum::<f64>();
-            if i == j {
-                if sum.is_nan() || sum <= 0.0 {
-                    return None;
-                }
-                a[i * d + i] = sum.sqrt();
-            } else {
-                a[i * d + j] = sum / a[j * d + j];
-            }
-        }
-    }
-    let mut inverse = vec![0.0; d * d];
-    for c in 0..d {
-        for i in c..d {
-            let unit = if i == c { 1.0 } else { 0.0 };
-            let sum: f64 = (c..i).map(|k| a[i * d + k] * inverse[k * d + c]).sum();
-            inverse[i * d + c] = (unit - sum) / a[i * d + i];
-        }
-    }
-    Some(inverse)
 }
 
 #[cfg(test)]

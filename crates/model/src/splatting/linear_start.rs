@@ -5,7 +5,7 @@
 
 use super::Splatting;
 use super::channel::Waves;
-use pwrfgs_core::{Conditions, Dataset, Frame, GaussianCloud, LinearPart, Real, gains_of};
+use pwrfgs_core::{Cholesky, Conditions, Dataset, Frame, GaussianCloud, LinearPart, Real, gains_of};
 use rayon::prelude::*;
 
 /// Weight of both ridges, in the mean of the diagonal.
@@ -59,7 +59,7 @@ fn ridge(linear: &LinearPart, channels: &[Vec<[Real; 2]>]) -> Option<Vec<Vec<[f6
             out.iter_mut().zip(*row).for_each(|(sum, v)| *sum += x * *v as f64);
         }
     });
-    let solve = Solver::new(gram, d)?;
+    let factor = ridged(gram, d)?;
     let numbers = channels.first()?.len();
     let columns: Vec<Vec<[f64; 2]>> = (0..numbers)
         .into_par_iter()
@@ -70,7 +70,8 @@ fn ridge(linear: &LinearPart, channels: &[Vec<[Real; 2]>]) -> Option<Vec<Vec<[f6
                     let y = channel[n][c] as f64;
                     right.iter_mut().zip(*row).for_each(|(sum, v)| *sum += y * *v as f64);
                 }
-                solve.solve(right)
+                factor.solve(&mut right);
+                right
             };
             part(0).into_iter().zip(part(1)).map(|(re, im)| [re, im]).collect()
         })
@@ -97,7 +98,7 @@ fn through(seen: &[[f64; 2]], functions: usize, map: &[Vec<[f64; 2]>], inputs: u
             gram[(a + j) * 2 * j + b] = im;
         }
     }
-    let solve = Solver::new(gram, 2 * j)?;
+    let factor = ridged(gram, 2 * j)?;
     let of_feature = |k: usize| {
         let mut right = vec![0.0; 2 * j];
         for n in 0..numbers {
@@ -108,62 +109,22 @@ fn through(seen: &[[f64; 2]], functions: usize, map: &[Vec<[f64; 2]>], inputs: u
                 right[a + j] += vr * hi - vi * hr;
             }
         }
-        let found = solve.solve(right);
-        (0..j).map(|a| [found[a], found[a + j]]).collect::<Vec<_>>()
+        factor.solve(&mut right);
+        (0..j).map(|a| [right[a], right[a + j]]).collect::<Vec<_>>()
     };
     Some((0..inputs).into_par_iter().flat_map_iter(of_feature).collect())
 }
 
-/// The Cholesky factor of a symmetric matrix with a ridge.
-struct Solver {
-    lower: Vec<f64>,
-    n: usize,
-}
-
-impl Solver {
-    fn new(mut a: Vec<f64>, n: usize) -> Option<Self> {
-        let mean = (0..n).map(|k| a[k * n + k]).sum::<f64>() / n.max(1) as f64;
-        (0..n).for_each(|k| a[k * n + k] += RIDGE * mean + f64::MIN_POSITIVE);
-        for i in 0..n {
-            for k in 0..=i {
-                let (above, own) = a.split_at(i * n);
-                let row = if k == i { own } else { &above[k * n..] };
-                let sum = own[k] - own[..k].iter().zip(&row[..k]).map(|(a, b)| a * b).sum::<f64>();
-                let pivot = if k == i { sum.sqrt() } else { sum / row[k] };
-                if !pivot.is_finite() || (k == i && pivot <= 0.0) {
-                    return None;
-                }
-                a[i * n + k] = pivot;
-            }
-        }
-        Some(Self { lower: a, n })
-    }
-
-    fn solve(&self, mut x: Vec<f64>) -> Vec<f64> {
-        let (l, n) = (&self.lower, self.n);
-        for i in 0..n {
-            let sum: f64 = (0..i).map(|k| l[i * n + k] * x[k]).sum();
-            x[i] = (x[i] - sum) / l[i * n + i];
-        }
-        for i in (0..n).rev() {
-            let sum: f64 = (i + 1..n).map(|k| l[k * n + i] * x[k]).sum();
-            x[i] = (x[i] - sum) / l[i * n + i];
-        }
-        x
-    }
+/// The factor of a symmetric matrix `[n,n]` with the ridge.
+fn ridged(mut a: Vec<f64>, n: usize) -> Option<Cholesky> {
+    let mean = (0..n).map(|k| a[k * n + k]).sum::<f64>() / n.max(1) as f64;
+    (0..n).for_each(|k| a[k * n + k] += RIDGE * mean + f64::MIN_POSITIVE);
+    Cholesky::new(a, n)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_symmetric_matrix_is_solved() {
-        let solve = Solver::new(vec![4.0, 2.0, 2.0, 3.0], 2).unwrap();
-        let x = solve.solve(vec![8.0, 7.0]);
-        assert!((x[0] - 1.25).abs() < 1e-3 && (x[1] - 1.5).abs() < 1e-3, "{x:?}");
-        assert!(Solver::new(vec![1.0, 2.0, 2.0, 1.0], 2).is_none(), "not positive");
-    }
 
     #[test]
     fn a_map_is_found_through_what_is_heard() {

@@ -1,0 +1,154 @@
+//! `Ridge`: the best linear map from features to observations.
+
+use super::{ByReceiver, Fitted, all_of};
+use pwrfgs_core::{Baseline, Cholesky, Dataset, Documented, Error, Image, Known, Predict, Query, Real, Result};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// Linear regression from what describes a transmitter, such as its uplink, to what was observed, for each receiver.
+///
+/// y = ȳ + B (x − x̄) with B the minimum of Σ|y − ŷ|² + λ|B|² over the training links; λ is `weight` times the mean of
+/// Σ(x − x̄)² over the features. Downlink follows from uplink nearly linearly where few paths make both, so this is the honest
+/// floor of that task.
+///
+/// ```
+/// # use pwrfgs_core::{Baseline, Plugin};
+/// # use pwrfgs_data as _;
+/// assert_eq!(Plugin::<dyn Baseline>::parse("Ridge()").unwrap().name(), "ridge");
+/// assert!(Plugin::<dyn Baseline>::parse("Ridge(weight: 0)").is_err());
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct Ridge {
+    /// Weight of the ridge, in the mean square of the features.
+    pub weight: f64,
+}
+
+impl Default for Ridge {
+    fn default() -> Self {
+        Self { weight: 1e-3 }
+    }
+}
+
+#[typetag::serde]
+impl Baseline for Ridge {
+    fn name(&self) -> String {
+        "ridge".into()
+    }
+
+    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
+        if data.features.is_none() {
+            let what = format!("Ridge() maps features to observations, and transmitters of {} have none", data.title);
+            return Err(Error::Config(format!("{what}; use Kriging()")));
+        }
+        ByReceiver::fit(data, known, |known| Map::fit(data, &all_of(known)?, self.weight))
+    }
+
+    fn about(&self) -> &'static str {
+        "linear regression from features, such as an uplink, to observations"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if self.weight > 0.0 && self.weight.is_finite() {
+            return Ok(());
+        }
+        Err(format!("`weight` is {}; give a number above 0, such as 1e-3", self.weight))
+    }
+}
+
+/// The map of one receiver.
+struct Map {
+    /// Means of features `[D]` and of observations `[M]`.
+    means: [Vec<f64>; 2],
+    /// `[M,D]`.
+    slopes: Vec<f64>,
+    /// Width and height of an observation.
+    size: [usize; 2],
+}
+
+impl Map {
+    fn fit(data: &Dataset, links: &[usize], weight: f64) -> Result<Self> {
+        let xs: Vec<&[Real]> = links.iter().map(|&i| data.query(i).features).collect();
+        let ys: Vec<Vec<Real>> = links.iter().map(|&i| data.image(i).pixels).collect();
+        let (d, m) = (xs[0].len(), ys[0].len());
+        let mean = |width: usize, row: &dyn Fn(usize) -> Vec<f64>| {
+            let mut sum = vec![0.0; width];
+            (0..links.len()).for_each(|k| sum.iter_mut().zip(row(k)).for_each(|(sum, v)| *sum += v));
+            sum.into_iter().map(|v| v / links.len() as f64).collect::<Vec<f64>>()
+        };
+        let wide = |row: &[Real]| row.iter().map(|v| *v as f64).collect::<Vec<f64>>();
+        let (x_mean, y_mean) = (mean(d, &|k| wide(xs[k])), mean(m, &|k| wide(&ys[k])));
+        let mut gram = vec![0.0; d * d];
+        gram.par_chunks_exact_mut(d).enumerate().for_each(|(i, sums)| {
+            for row in &xs {
+                let x = row[i] as f64 - x_mean[i];
+                (0..=i).for_each(|j| sums[j] += x * (row[j] as f64 - x_mean[j]));
+            }
+        });
+        let ridge = weight * (0..d).map(|k| gram[k * d + k]).sum::<f64>() / d as f64 + f64::MIN_POSITIVE;
+        (0..d).for_each(|k| gram[k * d + k] += ridge);
+        let no = || Error::Config("Ridge(): the features are too large for a linear map; scale them".into());
+        let factor = Cholesky::new(gram, d).ok_or_else(no)?;
+        let mut slopes = vec![0.0; m * d];
+        slopes.par_chunks_exact_mut(d).enumerate().for_each(|(n, slope)| {
+            for (x, y) in xs.iter().zip(&ys) {
+                let y = y[n] as f64 - y_mean[n];
+                slope.iter_mut().zip(*x).zip(&x_mean).for_each(|((sum, x), mean)| *sum += y * (*x as f64 - mean));
+            }
+            factor.solve(slope);
+        });
+        Ok(Self { means: [x_mean, y_mean], slopes, size: [data.width, data.height] })
+    }
+}
+
+impl Predict for Map {
+    fn predict(&self, query: Query<'_>) -> Image {
+        let [x_mean, y_mean] = &self.means;
+        let x: Vec<f64> = query.features.iter().zip(x_mean).map(|(x, mean)| *x as f64 - mean).collect();
+        let along = |slope: &[f64]| slope.iter().zip(&x).map(|(b, x)| b * x).sum::<f64>();
+        let rows = self.slopes.chunks_exact(x.len().max(1)).zip(y_mean);
+        let pixels = rows.map(|(slope, mean)| (mean + along(slope)) as Real).collect();
+        Image { width: self.size[0], height: self.size[1], pixels }
+    }
+}
+
+impl Fitted for Map {
+    fn notes(_: &[(&str, &Self)]) -> Option<String> {
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pwrfgs_core::{Features, Observations, Pose, Receiver, Sample, rng};
+
+    /// Powers that are 3 − x₀ + 2x₁ at the first receiver and 5 x₀ at the second, as functions of two features.
+    #[test]
+    fn a_linear_map_is_found_for_each_receiver() {
+        let receivers = ["a", "b"].map(|name| Receiver::new(name, Pose::IDENTITY)).to_vec();
+        let random = &mut rng::stream(0, "ridge", 0);
+        let x: Vec<[Real; 2]> = (0..30).map(|_| [rng::normal(random), rng::normal(random)]).collect();
+        let power = |k: usize, receiver: usize| match receiver {
+            0 => 3.0 - x[k][0] + 2.0 * x[k][1],
+            _ => 5.0 * x[k][0],
+        };
+        let at = |k: u32, receiver| Sample { id: k, tx: [0.0; 3], receiver };
+        let samples: Vec<Sample> = (0..30).flat_map(|k| [at(k, 0), at(k, 1)]).collect();
+        let powers = samples.iter().map(|s| power(s.id as usize, s.receiver)).collect();
+        let data = Dataset::of_links("x", receivers, vec![], &samples, Observations::Powers(powers)).unwrap();
+        assert!(Ridge::default().fit(&data, Known::train(&[0])).err().unwrap().to_string().contains("have none"));
+        let values = samples.iter().flat_map(|s| x[s.id as usize]).collect();
+        let features = Some(Features { width: 2, values });
+        let data = Dataset { features, ..data };
+        let train: Vec<usize> = (0..40).collect();
+        let fitted = Ridge { weight: 1e-9 }.fit(&data, Known::train(&train)).unwrap();
+        for i in 40..60 {
+            let (found, truth) = (fitted.predict(data.query(i)).pixels[0], data.image(i).pixels[0]);
+            assert!((found - truth).abs() < 1e-4, "{found} {truth}");
+        }
+        let first: Vec<usize> = (0..40).step_by(2).collect();
+        let one = Ridge { weight: 1e-9 }.fit(&data, Known::train(&first)).unwrap();
+        assert!(one.note().unwrap().starts_with("b has no training link"));
+    }
+}
