@@ -242,15 +242,21 @@ fn channels_of_features_differentiate() {
 #[test]
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn virtual_transmitters_differentiate() {
-    let mut step = links(NETWORK, Readout::Channel, (3, 4), Box::new(ChannelLoss { mean_energy: 1.7 }));
-    let mut stages = Stages::clone(&step.stages);
-    stages.method = plugin("VirtualTransmitters()");
-    stages.frame.receivers.truncate(1);
-    step.weights = Vec::new();
-    step.batch.links = (0..3).map(|transmitter| Link { transmitter, receiver: 0 }).collect();
-    step.batch.truths.truncate(3 * stages.frame.numbers());
-    step.stages = Arc::new(stages);
-    step.check("VirtualTransmitters", None);
+    for order in [0, 2] {
+        let mut step = links(NETWORK, Readout::Channel, (3, 4), Box::new(ChannelLoss { mean_energy: 1.7 }));
+        let mut stages = Stages::clone(&step.stages);
+        stages.method = plugin(&format!("VirtualTransmitters(order: {order})"));
+        stages.frame.receivers.truncate(1);
+        step.weights = Vec::new();
+        step.batch.links = (0..3).map(|transmitter| Link { transmitter, receiver: 0 }).collect();
+        step.batch.truths.truncate(3 * stages.frame.numbers());
+        step.cloud.complete(&stages.method.columns()).unwrap();
+        let random = &mut rng::stream(3, "harmonics", 0);
+        let own = step.cloud.extra.iter_mut().filter(|column| column.name == "harmonics");
+        own.for_each(|column| column.values.fill_with(|| 0.2 * rng::normal(random)));
+        step.stages = Arc::new(stages);
+        step.check(&format!("VirtualTransmitters, order {order}"), None);
+    }
 }
 
 /// Waves on an array, down to scales and centres, through a network that sees the centres.

@@ -136,6 +136,25 @@ fn every_kind_learns_what_there_is_to_learn() {
     }
 }
 
+/// A source of waves has no size, whatever its columns say: densification leaves it alone.
+#[test]
+fn virtual_transmitters_are_not_densified() {
+    let fields = WAVES
+        .replace("densify_until: 0", "densify_until: 40")
+        .replace("steps: 30", "steps: 40")
+        .replace("prune_until: 10", "prune_until: 40")
+        .replace("densify: (every: 0)", "densify: (every: 5, from: 5, large_after: 1, reset_every: 10)")
+        .replace("pruners: [LearnableMask()], ", "");
+    let (_, _, data, partition) = cases().remove(1);
+    let pipeline = pipeline(&fields);
+    let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+    let before = trainer.cloud().opacity_logits.clone();
+    let model = trained(&mut trainer);
+    assert_eq!(model.cloud.opacity_logits, before, "no source is gone, and none is fainter");
+    let harmonics = &model.cloud.extra("harmonics").unwrap().values;
+    assert!(harmonics.iter().any(|c| *c != 0.0), "gains over direction are learned");
+}
+
 /// The law of distance is in closed form from the first step.
 #[test]
 fn powers_begin_with_the_law_that_fits_best() {
@@ -156,6 +175,14 @@ fn parts_of_different_kinds_are_refused_at_their_place() {
         said(&metric).starts_with("a.ron:5:14: metrics: `Ssim` is a metric of spatial spectra"),
         "{}",
         said(&metric)
+    );
+    let floor = mixed.replace("readout: Magnitude", "baselines: [MeanSpectrum(), Zero()]");
+    assert!(said(&floor).starts_with("a.ron:5:16: baselines: `Zero` is a floor of channels"), "{}", said(&floor));
+    let search = mixed.replace("Site()", "MatchingPursuit()").replace("    readout: Magnitude,\n", "");
+    assert!(
+        said(&search).starts_with("a.ron:4:18: initializer: `MatchingPursuit` searches channels"),
+        "{}",
+        said(&search)
     );
     let method = mixed.replace("readout: Magnitude", "method: VirtualTransmitters()");
     assert!(said(&method).starts_with("a.ron:5:13: method: it gives channels"), "{}", said(&method));

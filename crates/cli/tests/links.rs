@@ -61,7 +61,9 @@ fn powers_are_reported_predicted_mapped_and_exported() {
     assert!(stderr(&said).contains("scoring 30 test links"), "{}", stderr(&said));
     let said = succeed(here, &["inspect", "p.ron", "--out", "looked"]);
     let said = String::from_utf8_lossy(&said.stdout);
-    for words in ["120 received powers, ids 0 to 59", "2: north, south", "dBm in the median", "Random(", "1-NN"] {
+    for words in
+        ["120 received powers at 2 receivers, ids 0 to 59", "2: north, south", "dBm in the median", "Random(", "1-NN"]
+    {
         assert!(said.contains(words), "`{words}` is not in {said}");
     }
     assert!(
@@ -121,7 +123,7 @@ fn killed_runs_of_powers_and_channels_end_as_those_never_stopped() {
         for name in ["model.safetensors", "validation.csv", "samples.csv", "start.safetensors"] {
             assert!(bytes("whole", name) == bytes("killed", name), "{pipeline}: {name} differs");
         }
-        ["whole", "killed"].map(|run| std::fs::remove_dir_all(here.join(run)).unwrap());
+        ["whole", "killed"].iter().for_each(|run| std::fs::remove_dir_all(here.join(run)).unwrap());
     }
 }
 

@@ -55,7 +55,6 @@ fn main() {
             rounds: set("ROUNDS", default.rounds as f64) as usize,
             steps: set("STEPS", default.steps as f64) as usize,
             beyond_doubt: set("DOUBT", default.beyond_doubt),
-            again: set("AGAIN", 0.0) > 0.0,
             order: set("ORDER", 0.0) as usize,
             seed: set("SEED", 0.0) as u64,
             ..default

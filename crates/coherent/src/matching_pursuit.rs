@@ -3,9 +3,10 @@
 use crate::links::{Links, Sources};
 use crate::options::{Progress as Told, Pursuit};
 use crate::pursuit::pursue;
-use crate::virtual_transmitters::{array, order_of};
+use crate::virtual_transmitters::{VirtualTransmitters, array, order_of};
 use pwrfgs_core::{
-    Documented, Error, GaussianCloud, ImagePlane, Initializer, Observations, Real, Result, Scene, Seen, rng, rng::Rng,
+    Documented, Error, GaussianCloud, ImagePlane, Initializer, Kind, Observations, Real, Result, Scene, Seen, rng,
+    rng::Rng,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::Ordering;
@@ -67,7 +68,7 @@ impl MatchingPursuit {
 impl Initializer for MatchingPursuit {
     fn initialize(&self, scene: &Scene, _: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud> {
         let (low, high) = scene.bounds;
-        let mut cloud = GaussianCloud::zeros(self.most);
+        let mut cloud = GaussianCloud::zeros(self.searches * self.most);
         for (mean, signal) in cloud.means.iter_mut().zip(&mut cloud.signals) {
             *mean = std::array::from_fn(|k| low[k] + (high[k] - low[k]) * rng::uniform(rng));
             *signal = [0.1 * rng::normal(rng), 0.1 * rng::normal(rng)];
@@ -83,6 +84,12 @@ impl Initializer for MatchingPursuit {
                 "initializer: MatchingPursuit searches channels, and the data are {what}"
             )));
         };
+        let method: &dyn std::any::Any = seen.method;
+        if !method.is::<VirtualTransmitters>() {
+            return Err(Error::Config(
+                "initializer: MatchingPursuit finds virtual transmitters; add `method: VirtualTransmitters()`".into(),
+            ));
+        }
         let scene = &seen.data.scene;
         if scene.receivers.len() != 1 || !seen.data.placed {
             return Err(Error::Config(
@@ -112,13 +119,17 @@ impl Initializer for MatchingPursuit {
         Ok(all.to_cloud())
     }
 
+    fn kind(&self) -> Option<Kind> {
+        Some(Kind::Channel)
+    }
+
     fn about(&self) -> &'static str {
         "virtual transmitters found in the training channels by orthogonal matching pursuit"
     }
 
     fn check(&self) -> Result<(), String> {
-        if self.searches == 0 {
-            return Err("`searches` is 0; give 1 or more".into());
+        if !(1..=100).contains(&self.searches) {
+            return Err(format!("`searches` is {}; give 1 to 100", self.searches));
         }
         self.options(0, 0).check()
     }

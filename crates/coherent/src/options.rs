@@ -2,6 +2,9 @@
 
 use crate::harmonics::HIGHEST;
 
+/// Sources at most.
+const MOST: usize = 1_000;
+
 /// How [`crate::pursue`] searches.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pursuit {
@@ -32,8 +35,6 @@ pub struct Pursuit {
     pub node: Option<[f64; 3]>,
     /// Whether mirror images of what was found are tried, with the smaller proof that few candidates need.
     pub images: bool,
-    /// Whether the last pass, with all items, searches anew, or refines what was found.
-    pub again: bool,
     /// Order of the harmonics of gains over direction, at most 3; 0: gains are the same in all directions.
     pub order: usize,
     /// Seed of the held-out part and of the rows.
@@ -56,7 +57,6 @@ impl Default for Pursuit {
             peaks: 256,
             node: None,
             images: true,
-            again: false,
             order: 0,
             seed: 0,
         }
@@ -95,8 +95,11 @@ impl Pursuit {
         if self.order > HIGHEST {
             return Err(format!("`order` is {}; give 0 to {HIGHEST}, such as 2", self.order));
         }
-        if self.most == 0 || self.peaks == 0 || self.rows.contains(&0) {
-            return Err("`most`, `peaks` and `rows` must each be 1 or more".into());
+        if !(1..=MOST).contains(&self.most) {
+            return Err(format!("`most` is {}; give 1 to {MOST}, such as 32", self.most));
+        }
+        if self.patience == 0 || self.peaks == 0 || self.rows.contains(&0) {
+            return Err("`patience`, `peaks` and `rows` must each be 1 or more".into());
         }
         Ok(())
     }

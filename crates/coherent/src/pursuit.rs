@@ -43,10 +43,7 @@ pub fn pursue(
     let (held_out, fitted) = items.split_at(folds);
     let mut found = Search::new(links, channel, options, stop, fitted, held_out).grow(none(), options.most, tell);
     let all: Vec<usize> = (0..links.positions.len()).collect();
-    let mut last = Search::new(links, channel, options, stop, &all, &[]);
-    if options.again {
-        return Ok(last.grow(none(), found.len(), tell));
-    }
+    let last = Search::new(links, channel, options, stop, &all, &[]);
     last.settle(&mut found, 3 * options.steps);
     Ok(found)
 }

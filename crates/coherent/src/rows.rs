@@ -4,7 +4,7 @@ use crate::field::CLOSEST;
 use crate::harmonics::gain;
 use crate::links::{Links, SPEED_OF_LIGHT, Sources};
 use crate::turn::{matrix, turned};
-use pwrfgs_core::{Real, rng};
+use pwrfgs_core::{Real, evenly, rng};
 use rayon::prelude::*;
 
 /// K rows, one column a quantity.
@@ -26,9 +26,10 @@ impl Rows {
         let subcarriers = links.frequencies.len();
         let each = links.antennas.len() * subcarriers;
         let taken = (most / items.len().max(1)).clamp(1, each);
+        let items = evenly(items, most);
         let mut order: Vec<usize> = (0..each).collect();
         let mut out = Self::default();
-        for &m in items {
+        for m in items {
             if taken < each {
                 rng::shuffle(&mut rng::stream(seed, "rows", m as u64), &mut order);
             }

@@ -68,6 +68,11 @@ pub trait Baseline: erased_serde::Serialize + std::any::Any + std::fmt::Debug + 
         self.name()
     }
 
+    /// The kind of observation that it predicts alone; `None` for any.
+    fn kind(&self) -> Option<Kind> {
+        None
+    }
+
     /// Learns from all `known` links, and makes its choices, if it has any, on their validation part; where that is
     /// empty, on samples of the training part that it leaves out meanwhile.
     fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>>;

@@ -112,12 +112,12 @@ impl Dataset {
         let title = clean(&title.into());
         let refuse = |what: String| Error::Config(format!("data set `{title}`: {what}"));
         check_receivers(&receivers).map_err(refuse)?;
+        if let Some(fault) = observations.fault() {
+            return Err(refuse(fault));
+        }
         if samples.len() != observations.len() {
             let (have, need, what) = (observations.len(), samples.len(), named(observations.kind()));
             return Err(refuse(format!("{have} {what} for {need} transmitters; give as many of each")));
-        }
-        if let Some(fault) = observations.fault() {
-            return Err(refuse(fault));
         }
         let (transmitters, links) = columns(samples, &receivers).map_err(refuse)?;
         if let Some((point, fault)) = points.iter().find_map(|point| Some((point, place_fault(*point)?))) {

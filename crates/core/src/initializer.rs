@@ -1,6 +1,6 @@
 //! `Initializer`: where the Gaussians start.
 
-use crate::{Dataset, GaussianCloud, ImagePlane, Method, Progress, Result, Scene, plugin_kind, rng::Rng};
+use crate::{Dataset, GaussianCloud, ImagePlane, Kind, Method, Progress, Result, Scene, plugin_kind, rng::Rng};
 use std::sync::atomic::AtomicBool;
 
 /// What an initialiser may look at that reads observations.
@@ -45,6 +45,11 @@ pub trait Initializer: erased_serde::Serialize + std::any::Any + std::fmt::Debug
     /// As [`Self::initialize`].
     fn search(&self, seen: &Seen<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
         self.initialize(&seen.data.scene, seen.plane, rng)
+    }
+
+    /// The kind of observation that it searches; `None` where it reads none, or any.
+    fn kind(&self) -> Option<Kind> {
+        None
     }
 
     /// One line for `pwrfgs plugins`.

@@ -7,7 +7,7 @@ use crate::nerf2::{check_root, folder_name, index, read_transmitters, simulation
 use crate::npy::read_complex;
 use pwrfgs_core::{
     Channels as Observed, DataSource, Dataset, Documented, Error, Observations, Pose, Progress, Real, Receiver, Result,
-    Sample,
+    Sample, Simulation,
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -57,6 +57,8 @@ pub struct Channels {
     pub spacing_hz: Option<f64>,
     /// Where the receiver is.
     pub receiver: Option<ReceiverPlace>,
+    /// Whether the numbers come from a simulation whose files do not say so: nothing made of them is then called measured.
+    pub simulated: bool,
 }
 
 /// Where a receiver is, how it is turned, and where its antennas are.
@@ -94,6 +96,7 @@ impl Default for Channels {
             carrier_hz: None,
             spacing_hz: None,
             receiver: None,
+            simulated: false,
         }
     }
 }
@@ -125,7 +128,7 @@ impl DataSource for Channels {
         let gains = array.values.into_iter().map(|gain| gain.map(|v| v as Real)).collect();
         let channels = Observations::Channels(Observed { antennas, frequencies_hz, gains });
         let name = folder_name(&root);
-        let simulation = simulation(&root, &name);
+        let simulation = simulation(&root, &name).or_else(|| self.simulated.then(Simulation::default));
         let title = format!("{name} ({}channels)", if simulation.is_some() { "" } else { "measured, " });
         let data = Dataset::of_links(title, vec![receiver], vec![], &samples, channels)?;
         progress(data.len(), data.len());
@@ -176,12 +179,14 @@ struct File {
 
 impl Said {
     fn of(source: &Channels, root: &Path) -> Result<Self> {
-        if let Channels { carrier_hz: Some(carrier_hz), spacing_hz, receiver: Some(place), .. } = source {
+        let path = root.join("receiver.yml");
+        if let Channels { carrier_hz: Some(carrier_hz), spacing_hz, receiver: Some(place), .. } = source
+            && (spacing_hz.is_some() || !path.exists())
+        {
             // Nothing depends on a spacing that nobody says, unless there are several subcarriers.
             let spacing_hz = spacing_hz.unwrap_or(f64::NAN);
             return Ok(Self { carrier_hz: *carrier_hz, spacing_hz, name: "receiver".into(), place: place.clone() });
         }
-        let path = root.join("receiver.yml");
         let advice = "Channels reads it for what its `carrier_hz`, `spacing_hz` and `receiver` leave out; say all three, or \
                       give the file";
         let expected = "expected name, position, orientation, antennas, carrier_hz and spacing_hz";

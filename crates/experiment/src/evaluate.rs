@@ -10,7 +10,9 @@ use crate::headline::headline;
 use crate::observer::{Observer, Silent};
 use crate::scores::{MODEL, Scores};
 use crate::validation;
-use pwrfgs_core::{Dataset, Error, Kind, Measurement, ModelFacts, Partition, Result, Values};
+use pwrfgs_core::{
+    Dataset, Error, Kind, Measurement, ModelFacts, Observations, Partition, Result, Values, words::clean,
+};
 use pwrfgs_model::{Ensemble, Prepared};
 use pwrfgs_train::Pipeline;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -99,7 +101,7 @@ pub fn evaluate(
     })
 }
 
-/// Refuses data of another kind, another size or other receivers than the model knows.
+/// Refuses data of another kind, another size, other receivers or other frequencies than the model knows.
 fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
     let refuse = |what: String| Err(Error::Config(what + "; evaluate it on data like those it was trained on"));
     let (plane, kind) = (model.plane(), data.kind());
@@ -120,6 +122,27 @@ fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
     let (known, listening) = (model.receivers().len(), data.scene.receivers.len());
     if known != listening {
         return refuse(format!("the model knows {known} receivers and the data have {listening}"));
+    }
+    for (known, heard) in model.receivers().iter().zip(&data.scene.receivers) {
+        // Of a single receiver the name says nothing: nobody gave it one.
+        if known.name != heard.name && kind != Kind::Spectrum && listening > 1 {
+            return refuse(format!(
+                "receiver `{}` of the model is `{}` in the data",
+                clean(&known.name),
+                clean(&heard.name)
+            ));
+        }
+    }
+    let near = |a: &f64, b: &f64| (a - b).abs() <= 1e-6 * a.abs();
+    if let Observations::Channels(channels) = &data.observations {
+        let (known, heard) = (model.frequencies(), &channels.frequencies_hz);
+        if !(known.len() == heard.len() && known.iter().zip(heard).all(|(a, b)| near(a, b))) {
+            let first = |all: &[f64]| all.first().copied().unwrap_or_default();
+            let (known, heard) = (first(known), first(heard));
+            return refuse(format!(
+                "the model knows subcarriers from {known} Hz on, and those of the data begin at {heard} Hz"
+            ));
+        }
     }
     Ok(())
 }

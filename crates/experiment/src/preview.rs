@@ -1,6 +1,7 @@
 //! `preview`: what a run will do and take, without doing it; and the refusal of what cannot fit the machine.
 
 use crate::memory;
+use crate::observed::observed;
 use crate::observer::Observer;
 use crate::runner::{load, rebase};
 use pwrfgs_core::{Error, Result};
@@ -14,8 +15,8 @@ pub struct Preview {
     pub pipeline: Pipeline,
     /// What the data call themselves.
     pub title: String,
-    /// Columns and rows of a spectrum.
-    pub size: [usize; 2],
+    /// How much of what they hold.
+    pub observed: String,
     /// Samples for training, validation, test.
     pub samples: [usize; 3],
     /// Points of the cloud.
@@ -41,10 +42,10 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
     fitting_network(&pipeline)?;
     let trainer = Trainer::sketch(&pipeline, &data, &partition)?;
     let estimate = fitting(&trainer)?;
-    let weights = pipeline.deformation.layout().iter().map(pwrfgs_core::WeightSpec::len).sum();
+    let weights = trainer.weights();
     Ok(Preview {
         title: data.title.clone(),
-        size: [data.width, data.height],
+        observed: observed(&data),
         samples: [&partition.train, &partition.validation, &partition.test].map(Vec::len),
         points: data.scene.points.len(),
         weights,

@@ -71,7 +71,14 @@ pub fn run(
     let (data, partition) = load(&pipeline, base, observer)?;
     let mut run = Run { pipeline: &pipeline, data: &data, partition: &partition, observer, stop, page, begun };
     // Made before the folder is claimed: settings that cannot work must leave nothing behind.
-    let trainer = if out.join(MODEL_FILE).is_file() { None } else { Some(run.trainer(out)?) };
+    let trainer = if out.join(MODEL_FILE).is_file() {
+        None
+    } else {
+        match run.trainer(out) {
+            Err(Error::Stopped) => return Ok(Outcome::Interrupted { step: 0 }),
+            trainer => Some(trainer?),
+        }
+    };
     let folder = RunFolder::claim(out, &recipe)?;
     let (mut facts, earlier) = Facts::open(out, pipeline.seed)?;
     facts.data.clone_from(&data.title);

@@ -36,15 +36,25 @@ pub(crate) fn to_csv(data: &Dataset, partition: &Partition) -> String {
     out
 }
 
-/// Metres from each sample to the nearest other training sample; infinity where there is none.
+/// Metres from the transmitter of each link to the nearest other transmitter with a training link; infinity where there is
+/// none. Zero where the link itself is not trained on and another of its transmitter is.
 pub fn nearest_train(data: &Dataset, partition: &Partition) -> Vec<Real> {
-    let all: Vec<[Real; 3]> = data.samples().map(|s| data.scene.origin.local(s.tx)).collect();
-    let train: Vec<[Real; 3]> = partition.train.iter().map(|&i| all[i]).collect();
-    let mut squared = neighbours::nearest_squared(&all, &train);
-    for (&i, own) in partition.train.iter().zip(neighbours::nearest_other_squared(&train)) {
-        squared[i] = own;
+    let all: Vec<[Real; 3]> = data.transmitters.iter().map(|t| data.scene.origin.local(t.position)).collect();
+    let mut trained: Vec<usize> = partition.train.iter().map(|&i| data.links[i].transmitter).collect();
+    trained.sort_unstable();
+    trained.dedup();
+    let train: Vec<[Real; 3]> = trained.iter().map(|&t| all[t]).collect();
+    let nearest = neighbours::nearest_squared(&all, &train);
+    let mut others = nearest.clone();
+    for (&t, own) in trained.iter().zip(neighbours::nearest_other_squared(&train)) {
+        others[t] = own;
     }
-    squared.into_iter().map(Real::sqrt).collect()
+    let mut own = vec![false; data.len()];
+    partition.train.iter().for_each(|&i| own[i] = true);
+    let of = |(link, own): (&pwrfgs_core::Link, bool)| {
+        if own { others[link.transmitter] } else { nearest[link.transmitter] }
+    };
+    data.links.iter().zip(own).map(of).map(Real::sqrt).collect()
 }
 
 #[cfg(test)]

@@ -56,10 +56,15 @@ pub struct Pose {
 
 /// What the pictures say of the recorded pose; nothing where fewer than twenty have a strongest direction.
 pub(crate) fn pose(data: &Dataset, looks: &[Look]) -> Option<Pose> {
+    // Of several receivers the first: each has a pose of its own to be wrong.
     let receiver = data.scene.origin.world_pose(data.scene.pose());
     let place = DVec3::from_array(receiver.position);
     let pair = |look: &Look| {
-        let way = DVec3::from_array(data.sample(look.sample).tx) - place;
+        let sample = data.sample(look.sample);
+        let way = DVec3::from_array(sample.tx) - place;
+        if sample.receiver != 0 {
+            return None;
+        }
         Some((way.try_normalize()?, look.strongest?))
     };
     let in_world: Vec<Pair> = evenly(&looks.iter().filter_map(pair).collect::<Vec<_>>(), PAIRS);

@@ -14,7 +14,7 @@ pub struct Trajectory {
     pub extent: [[f64; 3]; 2],
     /// Metres between successive ids, ascending; where ids are missing between two it is left out.
     pub steps: Vec<f64>,
-    /// Samples that stand exactly where another stands.
+    /// Transmitters that stand exactly where another stands.
     pub shared: usize,
     /// Halves of samples.
     pub unmatched: Unmatched,
@@ -35,7 +35,7 @@ impl Trajectory {
 
 /// Of all samples.
 pub(crate) fn trajectory(data: &Dataset) -> Trajectory {
-    let places: Vec<[f64; 3]> = data.samples().map(|s| s.tx).collect();
+    let places: Vec<[f64; 3]> = data.transmitters.iter().map(|t| t.position).collect();
     let ends = |pick: fn(f64, f64) -> f64, from: f64| [0, 1, 2].map(|k| places.iter().map(|p| p[k]).fold(from, pick));
     let successive = data.transmitters.windows(2).filter(|pair| pair[1].id == pair[0].id + 1);
     let mut steps: Vec<f64> = successive.map(|pair| distance(pair[0].position, pair[1].position)).collect();
@@ -45,7 +45,7 @@ pub(crate) fn trajectory(data: &Dataset) -> Trajectory {
     let same = |i: usize, k: Option<usize>| k.and_then(|k| sorted.get(k)).is_some_and(|other| *other == sorted[i]);
     let shared = (0..sorted.len()).filter(|&i| same(i, i.checked_sub(1)) || same(i, Some(i + 1))).count();
     Trajectory {
-        samples: places.len(),
+        samples: data.len(),
         ids: [data.transmitters.first(), data.transmitters.last()].map(|s| s.map_or(0, |s| s.id)),
         extent: [ends(f64::min, f64::INFINITY), ends(f64::max, f64::NEG_INFINITY)],
         steps,

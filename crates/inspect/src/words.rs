@@ -2,7 +2,8 @@
 
 use crate::levels::levels;
 use crate::{Freedom, Inspection, Pictures};
-use pwrfgs_core::{Dataset, Kind, Number, Observations, Unmatched};
+use pwrfgs_core::{Dataset, Number, Unmatched};
+use pwrfgs_experiment::observed;
 use pwrfgs_experiment::repeatability::in_order;
 use pwrfgs_experiment::text::{grouped, number};
 
@@ -27,14 +28,8 @@ pub(crate) fn facts(found: &Inspection<'_>) -> Vec<(&'static str, String)> {
 }
 
 fn samples(found: &Inspection<'_>) -> String {
-    let Inspection { data, trajectory: t, .. } = found;
-    let of = match &data.observations {
-        Observations::Channels(c) => format!(" of {} antennas x {} subcarriers", c.antennas, c.frequencies_hz.len()),
-        _ if data.kind() == Kind::Power => String::new(),
-        _ => format!(" of {} x {} pixels", data.width, data.height),
-    };
-    let what = if data.kind() == Kind::Power { "received powers" } else { data.kind().counted() };
-    format!("{} {what}{of}, ids {} to {}", count(t.samples), t.ids[0], t.ids[1])
+    let [first, last] = found.trajectory.ids;
+    format!("{}, ids {first} to {last}", observed(found.data))
 }
 
 fn receivers(data: &Dataset) -> String {

@@ -10,7 +10,7 @@ pub struct Model {
     pub stages: Stages,
     /// The Gaussians; no extra columns but the method's.
     pub cloud: GaussianCloud,
-    /// Θ, as long as the deformation's layout says.
+    /// Θ, as long as the method's layout says.
     pub weights: Vec<Real>,
 }
 

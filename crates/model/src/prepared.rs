@@ -65,6 +65,11 @@ impl<'a> Prepared<'a> {
         &self.members[0].model.stages.frame.receivers
     }
 
+    /// The subcarriers of its channels, Hz; empty for anything else.
+    pub fn frequencies(&self) -> &'a [f64] {
+        &self.members[0].model.stages.frame.frequencies_hz
+    }
+
     /// What is observed of a link, such as the spectrum for a transmitter at a place (metres, world frame) at the only
     /// receiver, and how long each stage took in all. Of one model it is not clamped; of several it is the mean, spectra each
     /// clamped to [0, 1].

@@ -157,15 +157,20 @@ pub fn check_kind(readout: Readout, kind: Kind) -> Result<(), String> {
 impl Splatting {
     /// What is drawn of a receiver's sky: the spectrum itself, or a coarse sky that is summed up to a power.
     pub fn sky(&self, frame: &Frame) -> ImagePlane {
-        match self.readout {
-            Readout::Received { sky_deg } => {
-                let (width, height) = (360 / sky_deg as usize, 180 / sky_deg as usize);
-                let whole = Elevation { first: -90.0, last: 90.0 };
-                let plane = self.projector.plane_of(width.max(1), height.max(1), whole);
-                plane.unwrap_or_else(|_| self.projector.plane(width.max(1), height.max(1)))
-            }
-            _ => frame.plane.clone(),
-        }
+        self.whole_sky(frame).expect("`check_frame` refuses what draws no whole sky")
+    }
+
+    /// The same.
+    ///
+    /// # Errors
+    /// Where the projector does not draw a whole sky.
+    fn whole_sky(&self, frame: &Frame) -> Result<ImagePlane, String> {
+        let Readout::Received { sky_deg } = self.readout else { return Ok(frame.plane.clone()) };
+        self.readout.check()?;
+        let (width, height) = (360 / sky_deg as usize, 180 / sky_deg as usize);
+        let whole = Elevation { first: -90.0, last: 90.0 };
+        let advice = |why| format!("readout: Received wants the whole sky, and the projector: {why}; use Mercator()");
+        self.projector.plane_of(width, height, whole).map_err(advice)
     }
 
     /// How a cloud is activated here.

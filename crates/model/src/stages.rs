@@ -32,6 +32,8 @@ impl DerefMut for Stages {
 /// The most pixels of a picture: a file may promise more than memory holds.
 const MAX_PIXELS: usize = 1 << 24;
 /// The most receivers, and antennas of one.
+/// What the names of weights begin with that belong to receivers: they come last, and decay does not touch them.
+pub(crate) const RECEIVERS: &str = "receiver.";
 const MAX_RECEIVERS: usize = 1 << 16;
 
 impl Stages {
@@ -93,6 +95,11 @@ impl Stages {
     /// Names and shapes of the weights.
     pub fn layout(&self) -> Vec<WeightSpec> {
         self.method.layout(&self.frame)
+    }
+
+    /// How many of the weights are a network's: what is learned of receivers comes behind them.
+    pub fn network_weights(&self) -> usize {
+        self.layout().iter().take_while(|spec| !spec.name.starts_with(RECEIVERS)).map(WeightSpec::len).sum()
     }
 
     /// The rows of `cloud` that can count in an observation.

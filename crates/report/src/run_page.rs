@@ -52,7 +52,7 @@ pub fn page(results: &Results<'_>) -> Result<String> {
         figures => curves::all(results),
         room => if draws_splats { Some(room::figure(results)?) } else { None },
         powers => (data.kind() == Kind::Power).then(|| powers::section(results)),
-        receivers => if data.kind() == Kind::Power { receivers::table(results) } else { None },
+        receivers => receivers::table(results),
         channels => (data.kind() == Kind::Channel).then(|| channels::section(results)),
         examples,
         power_bar => Scale::Power.bar().svg("bar", "colours of power"),

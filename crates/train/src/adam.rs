@@ -39,7 +39,7 @@ impl Adam {
         specs: &[ColumnSpec],
         step: u64,
         (cloud, d_cloud): (&mut GaussianCloud, &GaussianCloud),
-        (weights, d_weights): (&mut [Real], &[Real]),
+        (weights, d_weights, decayed): (&mut [Real], &[Real], usize),
     ) -> Result<(), String> {
         let o = &settings.optimizer;
         let rate = |schedule: crate::Schedule| schedule.rate(step, settings.steps);
@@ -68,7 +68,12 @@ impl Adam {
             decay: o.network_decay,
             ..update
         };
-        network.apply(weights, d_weights, first, second).map_err(|()| "the network".into())
+        // Offsets of receivers are no weights: zero is no better than any other place for them.
+        let others = Update { l2: 0.0, decay: 0.0, ..network };
+        let (w, m, v) = (weights.split_at_mut(decayed), first.split_at_mut(decayed), second.split_at_mut(decayed));
+        let d = d_weights.split_at(decayed);
+        let stepped = network.apply(w.0, d.0, m.0, v.0).and_then(|()| others.apply(w.1, d.1, m.1, v.1));
+        stepped.map_err(|()| "the network".into())
     }
 }
 

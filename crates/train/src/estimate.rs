@@ -4,7 +4,7 @@ use crate::Pipeline;
 use crate::batches::Batches;
 use crate::graph::loss_and_gradients;
 use crate::trainer::Trainer;
-use pwrfgs_core::{GaussianCloud, Moment, Real, Result};
+use pwrfgs_core::{GaussianCloud, Kind, Moment, Real, Result};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -32,8 +32,14 @@ const PER_PIXEL: usize = 20;
 /// Gaussians times transmitters of a trial.
 const TRIAL: usize = 4_000;
 
-/// Bytes that the network of `pipeline` takes in training; known before anything is made.
+/// Numbers a Gaussian and number of a channel: waves and their derivatives, real and imaginary.
+const PER_WAVE: usize = 4;
+
+/// Bytes that the network of `pipeline` takes in training; known before anything is made. A method of its own has none.
 pub fn network_bytes(pipeline: &Pipeline) -> u64 {
+    if pipeline.method.is_some() {
+        return 0;
+    }
     let weights = pipeline.deformation.layout().iter().map(|spec| spec.len() as u64).sum::<u64>();
     weights * (PER_WEIGHT * size_of::<Real>()) as u64
 }
@@ -50,9 +56,17 @@ impl Trainer<'_> {
         let (whole, half) = (self.trial(most)?, if most < n { self.trial(most / 2)? } else { 0.0 });
         let each = if most < n { ((whole - half) / (most - most / 2) as f64).max(0.0) } else { 0.0 };
         let step_seconds = whole + each * (n - most) as f64;
-        let plane = &self.stages.plane;
-        let kept = PER_GAUSSIAN + self.pipeline.deformation.kept_per_gaussian();
-        let numbers = n * (kept + batch * PER_TERM) + batch * plane.width * plane.height * PER_PIXEL;
+        let links = batch * self.data.len().div_ceil(self.data.transmitters.len().max(1));
+        let frame = &self.stages.frame;
+        let (kept, pixels) = match self.stages.splatting() {
+            Some(splatting) => {
+                let sky = splatting.sky(frame);
+                let waves = if frame.kind == Kind::Channel { PER_WAVE * frame.numbers() / 2 } else { 0 };
+                (PER_GAUSSIAN + self.pipeline.deformation.kept_per_gaussian() + waves, sky.width * sky.height)
+            }
+            None => (PER_GAUSSIAN, frame.numbers()),
+        };
+        let numbers = n * (kept + batch * PER_TERM) + links * pixels * PER_PIXEL;
         let step_bytes = (numbers * size_of::<Real>()) as u64 + network_bytes(&self.pipeline);
         Ok(Estimate { gaussians: n, step_bytes, step_seconds })
     }

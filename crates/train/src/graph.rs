@@ -158,7 +158,10 @@ struct Graph {
 impl Graph {
     /// The method as an op: columns of the cloud, gate (and Θ, beside the tape) → observations `[L, numbers]`.
     fn observe(&self, traced: &Traced, gate: Option<Trace>) -> Trace {
-        let columns = pwrfgs_core::COLUMN_NAMES.iter().map(|name| traced.column(name));
+        // Those that every cloud has, and the method's own; columns of pruners reach it through the gate.
+        let own = self.stages.method.columns().into_iter().map(|(name, _)| name);
+        let names: Vec<&str> = pwrfgs_core::COLUMN_NAMES.into_iter().chain(own).collect();
+        let columns = names.iter().map(|name| traced.column(name));
         let inputs: Vec<Trace> = columns.chain(gate).collect();
         let (stages, batch, open) = (Arc::clone(&self.stages), Arc::clone(&self.batch), Rc::clone(&self.open));
         let (weights, d_weights, seen) = (Arc::clone(&self.weights), Rc::clone(&self.d_weights), Rc::clone(&self.seen));
@@ -173,7 +176,8 @@ impl Graph {
             for ((_, all), (_, own)) in seen.columns_mut().into_iter().zip(sums.seen.columns()) {
                 *all = open.scatter(1, own);
             }
-            let columns = sums.cloud.columns().take(5).map(|(_, width, values)| open.scatter(width, values));
+            let of = |name: &&str| sums.cloud.columns().find(|column| column.0 == *name);
+            let columns = names.iter().filter_map(of).map(|(_, width, values)| open.scatter(width, values));
             let gate = open.gate.is_some().then(|| open.scatter(1, &sums.gate));
             columns.chain(gate).collect()
         };

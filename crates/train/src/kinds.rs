@@ -2,7 +2,7 @@
 
 use crate::Pipeline;
 use pwrfgs_core::ron_tree::Tree;
-use pwrfgs_core::{Error, Kind, Plugin};
+use pwrfgs_core::{Error, Kind};
 use std::path::Path;
 
 /// The field default that fills in `field` for observations of a kind.
@@ -31,16 +31,23 @@ pub(crate) fn mixed(pipeline: &Pipeline) -> Option<(&'static str, String)> {
         let what = format!("it gives {}, and the data are {}; use {advice}", own.plural(), kind.plural());
         return Some((field, what));
     }
-    let other = |metric: &&Plugin<dyn pwrfgs_core::Metric>| metric.kind().is_some_and(|own| own != kind);
-    let metric = pipeline.metrics.iter().find(other)?;
-    let own = metric.kind().map_or("", Kind::plural);
-    Some((
-        "metrics",
-        format!("`{}` is a metric of {own}, and the data are {}; leave it out", name(metric), kind.plural()),
-    ))
+    let other = |own: Option<Kind>| own.filter(|own| *own != kind);
+    let what = |name: String, role: &str, own: Kind, advice: &str| {
+        format!("`{name}` {role} {}, and the data are {}; {advice}", own.plural(), kind.plural())
+    };
+    if let Some(own) = other(pipeline.initializer.kind()) {
+        let name = name(&pipeline.initializer);
+        return Some(("initializer", what(name, "searches", own, "use another, such as Random()")));
+    }
+    if let Some((baseline, own)) = pipeline.baselines.iter().find_map(|b| Some((b, other(b.kind())?))) {
+        return Some(("baselines", what(name(baseline), "is a floor of", own, "leave it out")));
+    }
+    let (metric, own) = pipeline.metrics.iter().find_map(|metric| Some((metric, other(metric.kind())?)))?;
+    Some(("metrics", what(name(metric), "is a metric of", own, "leave it out")))
 }
 
-fn name(plugin: &Plugin<dyn pwrfgs_core::Metric>) -> String {
+/// `Zero` of `Zero()`.
+fn name(plugin: &impl serde::Serialize) -> String {
     let text = pwrfgs_core::plugin::to_ron(plugin);
     text.split(['(', '{']).next().unwrap_or_default().trim().to_owned()
 }

@@ -116,6 +116,7 @@ impl<'a> Trainer<'a> {
         let coarse = coarse(&plane, pipeline, data.elevation, data.kind())?;
         let stages = Stages { method, frame: Frame::of(data, coarse) };
         stages.method.check_frame(&stages.frame).map_err(Error::Config)?;
+        Stages { frame: Frame::of(data, plane.clone()), ..stages.clone() }.check().map_err(Error::Config)?;
         let cloud = GaussianCloud::zeros(0);
         Ok(Self {
             adam: Adam::new(&cloud, &[]),
@@ -165,6 +166,11 @@ impl<'a> Trainer<'a> {
     /// Steps taken.
     pub fn done(&self) -> u64 {
         self.done
+    }
+
+    /// How many weights are learned besides the Gaussians.
+    pub fn weights(&self) -> usize {
+        self.weights.len()
     }
 
     /// Whether all steps are taken.
@@ -221,7 +227,7 @@ impl<'a> Trainer<'a> {
                 &self.specs,
                 step,
                 (&mut self.cloud, &found.d_cloud),
-                (Arc::make_mut(&mut self.weights).as_mut_slice(), &found.d_weights),
+                (Arc::make_mut(&mut self.weights).as_mut_slice(), &found.d_weights, self.stages.network_weights()),
             )
             .map_err(|what| Error::NonFinite { what, step })?;
         for pruner in &pruners {
@@ -277,7 +283,8 @@ impl<'a> Trainer<'a> {
         let training = self.pipeline.training.clone();
         let (step, mut unpruned) = (moment.step, None);
         match moment.phase {
-            Phase::Densify => {
+            // What was not drawn has no size to speak of: a source of waves is neither large nor small.
+            Phase::Densify if self.stats.radius.iter().any(|radius| *radius > 0.0) => {
                 let settings = &training.densify;
                 if densify::due(settings, step) {
                     let extent = match settings.extent_m {
@@ -351,6 +358,11 @@ fn check_inputs(method: &dyn Method, data: &Dataset) -> Result<()> {
     if data.features.is_none() && !data.placed {
         return Err(Error::Config("the data have neither positions nor features of the transmitters".into()));
     }
+    if has == 3 && data.features.is_some() {
+        return Err(Error::Config(
+            "3 features look like a position, and are taken for one; give more, or positions".into(),
+        ));
+    }
     if wants == has {
         return Ok(());
     }
@@ -360,7 +372,7 @@ fn check_inputs(method: &dyn Method, data: &Dataset) -> Result<()> {
         what(wants, wants != 3),
         what(has, data.features.is_some()),
         if data.features.is_some() {
-            format!("give deformation: Factored(tx_encoding: Features({has}))")
+            format!("give deformation: Factored(tx_encoding: Features(width: {has}))")
         } else {
             "leave `Features` out".into()
         }

@@ -70,7 +70,7 @@ fn text(p: &Preview) -> String {
     let free = p.free_bytes.map_or_else(String::new, |free| format!(", {} left here", memory(free)));
     let seconds = p.estimate.step_seconds;
     let rows = [
-        ("data", format!("{}: {} x {} pixels", p.title, p.size[0], p.size[1])),
+        ("data", format!("{}: {}", p.title, p.observed)),
         ("samples", format!("{train} training, {validation} validation, {test} test")),
         ("point cloud", if p.points > 0 { format!("{} points", n(p.points)) } else { "none".into() }),
         ("Gaussians", format!("{} at the start", n(p.estimate.gaussians))),

@@ -66,6 +66,10 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
             output::note(&format!("stopped; the members lie in {}, and the same command goes on", members.display()));
             Ok(ExitCode::from(INTERRUPTED))
         }
+        Outcome::Interrupted { step: 0 } => {
+            output::note("stopped before the first step; the same command begins again");
+            Ok(ExitCode::from(INTERRUPTED))
+        }
         Outcome::Interrupted { step } => {
             output::note(&format!(
                 "stopped after step {step} of {}; the checkpoint lies in {}, and the same command goes on from there",

@@ -145,6 +145,11 @@ fn told(arguments: &Simulate, recipe: &Recipe, layout: Layout, seconds: f64) -> 
             let points = root.join(folder::POINTS);
             format!("{source}(root: \"{}\", points: \"{}\")", root.display(), points.display())
         }
+        Layout::Csi => {
+            let spacing = scene.subcarriers.as_ref().map_or(0.0, |band| band.spacing_hz());
+            let (root, carrier) = (root.display(), scene.carrier_hz);
+            format!("{source}(root: \"{root}\", carrier_hz: {carrier:?}, spacing_hz: {spacing:?}, together: true)")
+        }
         _ => format!("{source}(root: \"{}\")", root.display()),
     };
     format!(

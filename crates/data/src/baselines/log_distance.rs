@@ -67,6 +67,10 @@ impl Baseline for LogDistance {
         Ok(Box::new(Laws { data, of_each, borrowed }))
     }
 
+    fn kind(&self) -> Option<Kind> {
+        Some(Kind::Power)
+    }
+
     fn about(&self) -> &'static str {
         "a law of distance for received powers, by least squares"
     }

@@ -30,6 +30,10 @@ impl Baseline for Zero {
         Ok(Box::new(Constant(Image::zeros(data.width, data.height))))
     }
 
+    fn kind(&self) -> Option<Kind> {
+        Some(Kind::Channel)
+    }
+
     fn about(&self) -> &'static str {
         "a channel of zeros"
     }

@@ -15,6 +15,7 @@ fn source(root: PathBuf) -> Channels {
         carrier_hz: Some(1e9),
         spacing_hz: Some(1e6),
         receiver: Some(ReceiverPlace::default()),
+        simulated: false,
     }
 }
 
@@ -44,6 +45,10 @@ fn channels_are_read_with_their_antennas_and_frequencies() {
     let Observations::Channels(channels) = &data.observations else { unreachable!() };
     assert_eq!(channels.frequencies_hz, [1e9 - 1e6, 1e9, 1e9 + 1e6]);
     assert_eq!(data.scene.receivers[0].antennas.len(), 2);
+    assert!(!data.is_simulated() && data.title.contains("measured"), "{}", data.title);
+    source.simulated = true;
+    let data = source.load(".".as_ref(), &|_, _| {}).unwrap();
+    assert!(data.is_simulated() && !data.title.contains("measured"), "{}", data.title);
     source.carrier_hz = Some(1e5);
     assert!(source.load(".".as_ref(), &|_, _| {}).unwrap_err().to_string().contains("correct `carrier_hz`"));
 }

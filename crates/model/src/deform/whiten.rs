@@ -9,7 +9,7 @@ const FAINTEST: f64 = 1e-3;
 const MOST: usize = 4_000;
 
 /// W `[D,D]` and b `[D]` such that W·(gain·x) + b has mean zero and nearly the covariance 1: W = L⁻¹ of the Cholesky factor
-/// L of the covariance. `None` for no vectors.
+/// L of the covariance. `None` for no vectors, and for vectors that are all the same.
 pub(super) fn whitening(vectors: Conditions<'_>, gain: f64) -> Option<(Vec<Real>, Vec<Real>)> {
     let d = vectors.width();
     let stride = vectors.len().div_ceil(MOST).max(1);
@@ -32,7 +32,10 @@ pub(super) fn whitening(vectors: Conditions<'_>, gain: f64) -> Option<(Vec<Real>
         }
     }
     let variance = (0..d).map(|k| covariance[k * d + k]).sum::<f64>() / d as f64;
-    (0..d).for_each(|k| covariance[k * d + k] += FAINTEST * variance + f64::MIN_POSITIVE);
+    if variance.is_nan() || variance <= 0.0 {
+        return None; // vectors that are all the same have no direction that could be made as loud as another
+    }
+    (0..d).for_each(|k| covariance[k * d + k] += FAINTEST * variance);
     let inverse = Cholesky::new(covariance, d)?.inverse_of_factor();
     let bias = (0..d).map(|i| -(0..=i).map(|j| inverse[i * d + j] * mean[j]).sum::<f64>() as Real).collect();
     Some((inverse.into_iter().map(|v| v as Real).collect(), bias))
@@ -62,7 +65,7 @@ mod tests {
         assert!(sums.iter().zip(expected).all(|(sum, e)| (sum - e).abs() < 0.01), "{sums:?}");
         assert!(whitening(Conditions::new(2, &[]), 1.0).is_none());
         assert!(
-            whitening(Conditions::new(2, &[1.0, 2.0, 1.0, 2.0]), 1.0).is_some(),
+            whitening(Conditions::new(2, &[1.0, 2.0, 1.0, 2.0]), 1.0).is_none(),
             "constants have no direction at all"
         );
     }

@@ -35,6 +35,20 @@ fn level(offsets: &[Real], receiver: usize) -> Real {
 }
 
 impl Splatting {
+    /// What describes the transmitters of the links `part`, one after the other, and the links.
+    pub(super) fn asked_of(frame: &Frame, data: &Dataset, part: &[usize]) -> (Vec<Real>, Vec<Link>) {
+        let (mut conditions, mut links) = (Vec::new(), Vec::with_capacity(part.len()));
+        for (transmitter, &i) in part.iter().enumerate() {
+            let query = data.query(i);
+            match query.features {
+                [] => conditions.extend(frame.origin.local(query.tx)),
+                own => conditions.extend_from_slice(own),
+            }
+            links.push(Link { transmitter, receiver: query.receiver });
+        }
+        (conditions, links)
+    }
+
     /// Begins with channels as strong as the measured ones, whatever unit these have.
     pub(super) fn start_level(
         &self,
@@ -45,16 +59,7 @@ impl Splatting {
         weights: &mut [Real],
     ) {
         let part = evenly(train, LOOKED_AT);
-        let mut conditions: Vec<Real> = Vec::new();
-        let mut links = Vec::new();
-        for (transmitter, &i) in part.iter().enumerate() {
-            let query = data.query(i);
-            match query.features {
-                [] => conditions.extend(frame.origin.local(query.tx)),
-                own => conditions.extend_from_slice(own),
-            }
-            links.push(Link { transmitter, receiver: query.receiver });
-        }
+        let (conditions, links) = Self::asked_of(frame, data, &part);
         let asked = Asked { conditions: Conditions::new(self.inputs(), &conditions), links: &links };
         let numbers = self.forward(frame, &Parameters { cloud, gate: None, weights }, &asked).numbers;
         let energy = |values: &[Real]| values.iter().map(|v| (*v as f64).powi(2)).sum::<f64>();
@@ -116,6 +121,11 @@ impl Splatting {
             let copied = matches!(terms, Cow::Owned(_));
             let all = copied.then(|| std::mem::replace(&mut own.deltas, terms.zeros_like()));
             activation.signals_vjp(p.cloud, &terms, batch, &d_signals, &mut own);
+            for (i, signals) in signals.chunks_exact((2 * group.links.len()).max(1)).enumerate() {
+                let mean = signals.iter().map(|s| s * s).sum::<Real>() / group.links.len().max(1) as Real;
+                sums.seen.visible[i] += 1.0;
+                sums.seen.weight[i] += p.gate.map_or(1.0, |gate| gate[i]) * mean.sqrt();
+            }
             if let Some(all) = all {
                 let part = std::mem::replace(&mut own.deltas, all);
                 group.add_back(&part, &mut own.deltas, n);

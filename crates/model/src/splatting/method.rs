@@ -315,6 +315,12 @@ impl Method for Splatting {
 
     fn check_frame(&self, frame: &Frame) -> Result<(), String> {
         check_kind(self.readout, frame.kind)?;
+        if frame.kind != Kind::Spectrum && self.calibration == Calibration::AsReleased {
+            let what = frame.kind.plural();
+            return Err(format!(
+                "calibration: AsReleased is that of spectra as released, and the data are {what}; use Physical"
+            ));
+        }
         if frame.receivers.len() > 1 && self.deformation.reads_receiver() {
             return Err(format!(
                 "the deformation looks at where the receiver is, and these data have {} receivers; use Factored() or Mlp()",
@@ -329,7 +335,7 @@ impl Method for Splatting {
                 Err("receivers with different numbers of antennas; give all the same".into())
             };
         }
-        check_together(&*self.rasterizer, self.readout, self.calibration, &self.sky(frame))
+        check_together(&*self.rasterizer, self.readout, self.calibration, &self.whole_sky(frame)?)
     }
 
     fn about(&self) -> &'static str {

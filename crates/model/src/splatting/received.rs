@@ -1,6 +1,6 @@
 //! A received power: the sky summed over solid angle, in dB, and a law of distance for each receiver.
 //!
-//! P = Σ (c₀² + c₁²) cos(elevation) Δazimuth Δelevation over the pixels, 10 log₁₀ P + 10 β − 10 n log₁₀ d in dBm. β, in bel, is
+//! P = Σ (c₀² + c₁²) Δazimuth Δsin(elevation) over the pixels, 10 log₁₀ P + 10 β − 10 n log₁₀ d in dBm. β, in bel, is
 //! what the receiver's antenna and cable add; n, the exponent, is what distance takes, so that the sky has to say only what
 //! differs from that. d is the distance in metres, at least half a metre; without positions the law is β alone.
 
@@ -40,9 +40,10 @@ fn log_distance(distances: &[Real], i: usize) -> Real {
 /// Solid angle of a pixel in each row.
 fn solid_angles(plane: &ImagePlane) -> Vec<Real> {
     let Some((azimuth, elevation)) = plane.angles else { return vec![1.0; plane.height] };
-    let area = azimuth.step.to_radians() * elevation.step.to_radians();
-    let middle = |row: usize| (elevation.first + elevation.step * (row as f64 + 0.5)).to_radians();
-    (0..plane.height).map(|row| (area * middle(row).cos()).abs() as Real).collect()
+    // A pixel is the direction in its middle; what lies beyond the zenith is nowhere.
+    let sin = |row: f64| (elevation.first + elevation.step * row).clamp(-90.0, 90.0).to_radians().sin();
+    let ring = |row: usize| (sin(row as f64 + 0.5) - sin(row as f64 - 0.5)).abs();
+    (0..plane.height).map(|row| (azimuth.step.to_radians().abs() * ring(row)) as Real).collect()
 }
 
 /// Both channels of a link, row by row with the rows' solid angles.
@@ -89,7 +90,7 @@ pub(super) fn vjp(
 }
 
 impl Splatting {
-    /// Begins with a sky that is the same for every transmitter, and with the law that fits the training part best under
+    /// Begins with signals that are the same everywhere, and with the law that fits the training part best under
     /// it: an offset a receiver, one exponent for all. A receiver without training links has the mean offset.
     pub(super) fn start_law(
         &self,
@@ -103,15 +104,16 @@ impl Splatting {
         let Observations::Powers(powers) = &data.observations else { return };
         let Some(last) = weights.len().checked_sub(2 * frame.receivers.len()) else { return };
         let part = evenly(train, FITTED);
-        let txs: Vec<[Real; 3]> = part.iter().map(|&i| frame.origin.local(data.sample(i).tx)).collect();
-        let at = |(transmitter, &i): (usize, &usize)| Link { transmitter, receiver: data.links[i].receiver };
-        let links: Vec<Link> = part.iter().enumerate().map(at).collect();
-        let conditions = if self.inputs() == 3 { Conditions::from(&txs) } else { return };
+        let (conditions, links) = Self::asked_of(frame, data, &part);
+        let conditions = Conditions::new(self.inputs(), &conditions);
         let parameters = Parameters { cloud, gate: None, weights };
         let sky = self.forward(frame, &parameters, &Asked { conditions, links: &links }).numbers;
         let receivers = &frame.receivers;
+        let txs = if self.inputs() == 3 { conditions.positions() } else { &[] };
+        // Without positions the law is the offset alone.
         let log = |k: usize| {
-            let way = receivers[links[k].receiver].pose.origin() - pwrfgs_core::Vec3::from_array(txs[k]);
+            let Some(tx) = txs.get(k) else { return 0.0 };
+            let way = receivers[links[k].receiver].pose.origin() - pwrfgs_core::Vec3::from_array(*tx);
             f64::from(way.length().max(NEAREST_M) as f32).log10()
         };
         let rows: Vec<[f64; 2]> =

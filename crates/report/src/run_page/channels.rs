@@ -87,7 +87,7 @@ fn examples(results: &Results<'_>) -> Vec<Value> {
             id => own.id,
             receiver => (receivers.len() > 1).then(|| receivers[own.receiver].name.clone()),
             tx => results.data.placed.then(|| own.tx.map(|v| format!("{v:.2}")).join(", ")),
-            nearest => distances[*sample].is_finite().then(|| format!("{:.2} m", distances[*sample])),
+            nearest => (results.data.placed && distances[*sample].is_finite()).then(|| format!("{:.2} m", distances[*sample])),
             score => number(*score),
             antenna => of,
             charts => charts.into_iter().flatten().collect::<Vec<_>>(),

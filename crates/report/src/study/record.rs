@@ -165,9 +165,10 @@ struct SampleRow {
     /// Of several receivers: what scores name. Labels of one receiver's transmitters are in `id`.
     link: Option<u32>,
     id: u32,
-    x: f64,
-    y: f64,
-    z: f64,
+    /// Nowhere where positions are not known.
+    x: Option<f64>,
+    y: Option<f64>,
+    z: Option<f64>,
     split: String,
     nearest_train_m: Option<f64>,
 }
@@ -189,7 +190,12 @@ fn scores(text: &str, path: &Path) -> Result<Vec<Score>> {
 fn test_samples(text: &str, path: &Path) -> Result<(ById<f64>, ById<[f64; 3]>)> {
     let all: Vec<SampleRow> = rows(text, path)?;
     let tested = all.iter().filter(|s| s.split == "test").map(|s| (s.link.unwrap_or(s.id), s));
-    Ok(tested.map(|(id, s)| ((id, s.nearest_train_m.unwrap_or(f64::INFINITY)), (id, [s.x, s.y, s.z]))).unzip())
+    // Without places each is a place of its own: the bootstrap then draws single ones.
+    let place = |id: u32, s: &SampleRow| match [s.x, s.y, s.z] {
+        [Some(x), Some(y), Some(z)] => [x, y, z],
+        _ => [f64::from(id), 0.0, 0.0],
+    };
+    Ok(tested.map(|(id, s)| ((id, s.nearest_train_m.unwrap_or(f64::INFINITY)), (id, place(id, s)))).unzip())
 }
 
 /// The rows of a file that was written whole.

@@ -2,8 +2,8 @@
 
 use pwrfgs::data::{Channels, Nerf2Csi, Nerf2Rssi, Nerf2Spectrum, read_points};
 use pwrfgs::experiment::samples::nearest_train;
-use pwrfgs::experiment::{Observer, staged};
-use pwrfgs_core::{DataSource, Dataset, Kind, Observations, Partition, Plugin, Result, Split, rng};
+use pwrfgs::experiment::{Observer, observed, staged};
+use pwrfgs_core::{DataSource, Dataset, Kind, Partition, Plugin, Result, Split, rng};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -66,7 +66,7 @@ impl Survey {
             source: (source, settings),
             features: data.features.as_ref().map(|features| features.width),
             extent: extent(&data),
-            observations: observations(&data),
+            observations: observed(&data),
             size: (data.width, data.height),
             official: data.official.is_some(),
             split,
@@ -131,19 +131,6 @@ fn layout(folder: &Path) -> (&'static str, &'static str, Box<dyn DataSource>) {
         ("Channels", "", Box::new(Channels { root: root(), ..Channels::default() }))
     } else {
         ("Nerf2Spectrum", "", Box::new(Nerf2Spectrum { root: root(), ..Nerf2Spectrum::default() }))
-    }
-}
-
-/// How many of what, in words.
-fn observations(data: &Dataset) -> String {
-    let (count, receivers) = (data.len(), data.scene.receivers.len());
-    match &data.observations {
-        Observations::Channels(channels) => {
-            let (antennas, subcarriers) = (channels.antennas, channels.frequencies_hz.len());
-            format!("{count} channels, antennas x subcarriers {antennas} x {subcarriers}")
-        }
-        _ if data.kind() == Kind::Power => format!("{count} received powers at {receivers} receivers"),
-        _ => format!("{count} spectra of {} x {} pixels", data.width, data.height),
     }
 }
 
