@@ -10,9 +10,9 @@
 
 use crate::cis::{Cis, widest};
 use crate::harmonics::{MOST, by_place, direction, harmonics, slopes};
-use crate::links::{Links, SPEED_OF_LIGHT};
+use crate::links::Links;
 use crate::turn::{matrix, matrix_vjp, turned, unit};
-use pwrfgs_core::{GaussianCloud, Real, consts::TAU};
+use pwrfgs_core::{GaussianCloud, Real, consts::TAU, SPEED_OF_LIGHT};
 use rayon::prelude::*;
 
 /// The extra column `[N, 2(K−1)]` of gains beyond the mean: of each harmonic but the first, its real and imaginary part.

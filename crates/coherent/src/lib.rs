@@ -19,7 +19,7 @@ mod turn;
 mod virtual_transmitters;
 
 pub use field::{FieldVjp, HARMONICS, field, field_vjp};
-pub use links::{Links, SPEED_OF_LIGHT, Sources};
+pub use links::{Links, Sources};
 pub use matching_pursuit::MatchingPursuit;
 pub use options::{Progress, Pursuit};
 pub use pursuit::{pursue, snr_of};

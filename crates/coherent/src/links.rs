@@ -2,10 +2,7 @@
 
 use crate::field::HARMONICS;
 use crate::harmonics;
-use pwrfgs_core::{ExtraColumn, GaussianCloud, Real};
-
-/// Metres a second, in vacuum.
-pub const SPEED_OF_LIGHT: f64 = 299_792_458.0;
+use pwrfgs_core::{ExtraColumn, GaussianCloud, Real, SPEED_OF_LIGHT};
 
 /// Everything that a channel h `[M,A,F]` is a function of, but for the room.
 #[derive(Clone, Copy, Debug)]

@@ -2,9 +2,9 @@
 
 use crate::field::CLOSEST;
 use crate::harmonics::gain;
-use crate::links::{Links, SPEED_OF_LIGHT, Sources};
+use crate::links::{Links, Sources};
 use crate::turn::{matrix, turned};
-use pwrfgs_core::{Real, evenly, rng};
+use pwrfgs_core::{Real, evenly, rng, SPEED_OF_LIGHT};
 use rayon::prelude::*;
 
 /// K rows, one column a quantity.

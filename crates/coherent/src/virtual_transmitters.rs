@@ -5,7 +5,7 @@ use crate::harmonics::{HIGHEST, terms};
 use crate::links::Links;
 use crate::options::Pursuit;
 use pwrfgs_core::{
-    Asked, Cache, Documented, Frame, Kind, Method, MethodVjp, Observed, Parameters, Real, Receiver, Vec3, WeightSpec,
+    Asked, Cache, Documented, Frame, Kind, Method, MethodVjp, Observed, Parameters, Real, Receiver, WeightSpec, gains_of, rows_of,
     rng::Rng,
 };
 use serde::{Deserialize, Serialize};
@@ -47,25 +47,7 @@ pub(crate) fn order_of(columns: &[(&str, usize)]) -> usize {
 
 /// Places of a receiver's antennas about its own, along the axes of the room, metres.
 pub(crate) fn array(receiver: &Receiver) -> Vec<[Real; 3]> {
-    let turn = receiver.pose.world_from_receiver();
-    let place = |r: &[f64; 3]| (turn * Vec3::from_array(r.map(|v| v as Real))).to_array();
-    receiver.antennas.iter().map(place).collect()
-}
-
-/// Gains `[M,A,F]` as observations `[M, 2A, F]`, and back.
-fn rows(gains: &[[Real; 2]], subcarriers: usize) -> Vec<Real> {
-    let antennas = gains.chunks_exact(subcarriers.max(1));
-    antennas.flat_map(|own| (0..2).flat_map(move |part| own.iter().map(move |gain| gain[part]))).collect()
-}
-
-fn gains(rows: &[Real], subcarriers: usize) -> Vec<[Real; 2]> {
-    let antennas = rows.chunks_exact(2 * subcarriers.max(1));
-    antennas
-        .flat_map(|own| {
-            let (re, im) = own.split_at(subcarriers);
-            re.iter().zip(im).map(|(re, im)| [*re, *im])
-        })
-        .collect()
+    receiver.array().iter().map(|place| place.map(|x| x as Real)).collect()
 }
 
 /// Where the moving end is in each link.
@@ -100,14 +82,14 @@ impl Method for VirtualTransmitters {
     fn forward(&self, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>) -> Observed {
         let (positions, antennas) = (positions(asked), array(&frame.receivers[0]));
         let links = Links { positions: &positions, antennas: &antennas, frequencies: &frame.frequencies_hz };
-        let numbers = rows(&field(p.cloud, p.gate, &links), frame.frequencies_hz.len());
+        let numbers = rows_of(&field(p.cloud, p.gate, &links), frame.frequencies_hz.len());
         Observed { numbers, cache: None as Cache }
     }
 
     fn vjp(&self, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>, _: Observed, d: &[Real], sums: &mut MethodVjp) {
         let (positions, antennas) = (positions(asked), array(&frame.receivers[0]));
         let links = Links { positions: &positions, antennas: &antennas, frequencies: &frame.frequencies_hz };
-        let found = field_vjp(p.cloud, p.gate, &links, &gains(d, frame.frequencies_hz.len()));
+        let found = field_vjp(p.cloud, p.gate, &links, &gains_of(d, frame.frequencies_hz.len()));
         for ((_, _, sum), (_, _, d)) in sums.cloud.columns_mut().zip(found.cloud.columns()) {
             sum.iter_mut().zip(d).for_each(|(sum, d)| *sum += d);
         }
@@ -140,17 +122,5 @@ impl Method for VirtualTransmitters {
 
     fn about(&self) -> &'static str {
         "channels as sums of spherical waves from the receiver, its mirror images and scatterers, coherent over the room"
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn observations_hold_the_same_gains() {
-        let all: Vec<[Real; 2]> = (0..12).map(|i| [i as Real, 100.0 + i as Real]).collect();
-        assert_eq!(gains(&rows(&all, 3), 3), all);
-        assert_eq!(rows(&all, 3)[..6], [0.0, 1.0, 2.0, 100.0, 101.0, 102.0]);
     }
 }

@@ -18,6 +18,11 @@ impl Receiver {
     pub fn new(name: impl Into<String>, pose: Pose) -> Self {
         Self { name: name.into(), pose, antennas: vec![[0.0; 3]] }
     }
+
+    /// Places of the antennas about the receiver's own, along the axes of the world, metres.
+    pub fn array(&self) -> Vec<[f64; 3]> {
+        self.antennas.iter().map(|antenna| self.pose.turned(*antenna)).collect()
+    }
 }
 
 /// One transmitter and one receiver; indices into the columns of a data set.

@@ -1,6 +1,6 @@
 //! `Observations`: what was observed of every link, and what a number of it is.
 
-use crate::{Documented, Error, Image, ImagePlane, Number, Real, Result, Spectra};
+use crate::{Documented, Error, Image, Number, Real, Result, Spectra};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
@@ -39,34 +39,30 @@ impl Kind {
     }
 }
 
-/// What one number of an observation is.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Meaning {
-    /// What comes from a direction: a unit vector in the receiver's frame.
-    Direction([Real; 3]),
-    /// A power in dBm.
-    Power,
-    /// Part of a complex gain.
-    Gain {
-        /// At which antenna.
-        antenna: usize,
-        /// On which subcarrier.
-        subcarrier: usize,
-        /// The imaginary part, not the real one.
-        imaginary: bool,
-    },
-    /// A pixel of a projection that knows no angles.
-    Nothing,
+/// Metres a second, in vacuum.
+pub const SPEED_OF_LIGHT: f64 = 299_792_458.0;
+
+/// Where the real and the imaginary part of a gain stand in an observation of `subcarriers` columns. Here alone a place in an
+/// array of a channel gets its meaning, as that in a picture does in [`ImagePlane::direction`](crate::ImagePlane::direction).
+pub fn gain_at(antenna: usize, subcarrier: usize, subcarriers: usize) -> [usize; 2] {
+    let real = 2 * antenna * subcarriers + subcarrier;
+    [real, real + subcarriers]
 }
 
-/// What the number at a row and a column is: the one place where a place in an array gets a meaning. Pictures ask their
-/// plane.
-pub fn meaning(kind: Kind, plane: &ImagePlane, row: usize, column: usize) -> Meaning {
-    match kind {
-        Kind::Spectrum => plane.direction(column as Real, row as Real).map_or(Meaning::Nothing, Meaning::Direction),
-        Kind::Power => Meaning::Power,
-        Kind::Channel => Meaning::Gain { antenna: row / 2, subcarrier: column, imaginary: row % 2 == 1 },
+/// Gains `[.., A, F]` as observations `[.., 2A, F]`.
+pub fn rows_of(gains: &[[Real; 2]], subcarriers: usize) -> Vec<Real> {
+    let mut rows = vec![0.0; 2 * gains.len()];
+    for (i, gain) in gains.iter().enumerate() {
+        let [re, im] = gain_at(i / subcarriers, i % subcarriers, subcarriers);
+        [rows[re], rows[im]] = *gain;
     }
+    rows
+}
+
+/// The gains `[.., A, F]` of observations `[.., 2A, F]`.
+pub fn gains_of(rows: &[Real], subcarriers: usize) -> Vec<[Real; 2]> {
+    let gain = |i: usize| gain_at(i / subcarriers, i % subcarriers, subcarriers).map(|at| rows[at]);
+    (0..rows.len() / 2).map(gain).collect()
 }
 
 /// Channels `[L, A, F]`, complex, in memory.
@@ -92,22 +88,10 @@ impl Channels {
         &self.gains[i * of_one..][..of_one]
     }
 
-    /// Those of link `i` in the rows of an observation: an antenna's real parts, then its imaginary parts.
-    fn rows(&self, i: usize) -> impl Iterator<Item = Real> + '_ {
-        let antennas = self.of(i).chunks_exact(self.frequencies_hz.len());
-        antennas.flat_map(|own| (0..2).flat_map(move |part| own.iter().map(move |gain| gain[part])))
+    /// Those of link `i` as an observation.
+    fn rows(&self, i: usize) -> Vec<Real> {
+        rows_of(self.of(i), self.frequencies_hz.len())
     }
-}
-
-/// The gains `[A, F]` of an observation's rows.
-pub fn gains_of(rows: &Image) -> Vec<[Real; 2]> {
-    let antennas = rows.pixels.chunks_exact(2 * rows.width);
-    antennas
-        .flat_map(|own| {
-            let (re, im) = own.split_at(rows.width);
-            re.iter().zip(im).map(|(re, im)| [*re, *im])
-        })
-        .collect()
 }
 
 /// What was observed of the links, in their order, as flat arrays.
@@ -169,7 +153,7 @@ impl Observations {
         match self {
             Self::Pictures(spectra) => spectra.image(i),
             Self::Powers(powers) => Image { width, height, pixels: vec![powers[i]] },
-            Self::Channels(channels) => Image { width, height, pixels: channels.rows(i).collect() },
+            Self::Channels(channels) => Image { width, height, pixels: channels.rows(i) },
         }
     }
 
@@ -294,11 +278,9 @@ mod tests {
         assert_eq!((all.len(), all.size(), all.kind()), (2, (3, 4), Kind::Channel));
         let second = all.image(1);
         assert_eq!(second.pixels, [6.0, 7.0, 8.0, -6.0, -7.0, -8.0, 9.0, 10.0, 11.0, -9.0, -10.0, -11.0]);
-        let plane = ImagePlane { width: 3, height: 4, wraps: false, angles: None };
-        let meant = meaning(Kind::Channel, &plane, 3, 2);
-        assert_eq!(meant, Meaning::Gain { antenna: 1, subcarrier: 2, imaginary: true });
+        assert_eq!(gain_at(1, 2, 3).map(|at| second.pixels[at]), [11.0, -11.0]);
         let Observations::Channels(channels) = &all else { unreachable!() };
-        assert_eq!(gains_of(&second), channels.of(1));
+        assert_eq!(gains_of(&second.pixels, 3), channels.of(1));
         let mut sum = vec![0.0; 12];
         all.add(1, 2.0, &mut sum);
         assert_eq!(sum[3], -12.0);

@@ -19,17 +19,25 @@ impl Pose {
 
     /// `world_from_receiver`: columns are the receiver's x, y and z (boresight) axes in the world.
     pub fn world_from_receiver(&self) -> Mat3 {
-        let [x, y, z, w] = self.orientation;
-        let m = glam::DMat3::from_quat(glam::DQuat::from_xyzw(x, y, z, w).normalize());
+        let m = glam::DMat3::from_quat(self.rotation());
         let c = m.to_cols_array().map(|v| v as Real);
         Mat3::from_cols_array(&c)
     }
 
     /// A place of the world in the receiver's frame, metres.
     pub fn to_receiver(&self, place: [f64; 3]) -> [f64; 3] {
+        let way = glam::DVec3::from_array(place) - glam::DVec3::from_array(self.position);
+        (self.rotation().inverse() * way).to_array()
+    }
+
+    /// A vector of the receiver's frame in the world's.
+    pub fn turned(&self, vector: [f64; 3]) -> [f64; 3] {
+        (self.rotation() * glam::DVec3::from_array(vector)).to_array()
+    }
+
+    fn rotation(&self) -> glam::DQuat {
         let [x, y, z, w] = self.orientation;
-        let turn = glam::DQuat::from_xyzw(x, y, z, w).normalize().inverse();
-        (turn * (glam::DVec3::from_array(place) - glam::DVec3::from_array(self.position))).to_array()
+        glam::DQuat::from_xyzw(x, y, z, w).normalize()
     }
 
     /// Position as a vector of the kernels' precision.

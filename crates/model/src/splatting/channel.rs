@@ -5,11 +5,9 @@
 //! Gaussians are points here: nothing is projected, and nothing hides anything. What the transmitter changes is the
 //! signals s alone, so the waves W `[2AF, N]` are worked out once for all links of a receiver.
 
-use pwrfgs_core::{Frame, GaussianCloud, Real, Receiver};
+use pwrfgs_core::{Frame, GaussianCloud, Real, Receiver, SPEED_OF_LIGHT, gain_at};
 use rayon::prelude::*;
 
-/// Metres a second.
-const SPEED_OF_LIGHT: f64 = 299_792_458.0;
 /// A Gaussian is heard as if it were no nearer to an antenna, metres.
 const NEAREST_M: f64 = 0.05;
 
@@ -25,12 +23,8 @@ pub(super) struct Waves {
 
 /// Places of the antennas, metres from the origin.
 fn antennas(receiver: &Receiver) -> Vec<[f64; 3]> {
-    let turn = receiver.pose.world_from_receiver();
-    let place = |r: &[f64; 3]| {
-        let turned = (turn * pwrfgs_core::Vec3::from_array(r.map(|v| v as Real))).to_array();
-        std::array::from_fn(|k| receiver.pose.position[k] + f64::from(turned[k] as f32))
-    };
-    receiver.antennas.iter().map(place).collect()
+    let place = |r: &[f64; 3]| std::array::from_fn(|k| receiver.pose.position[k] + r[k]);
+    receiver.array().iter().map(place).collect()
 }
 
 /// From antenna to Gaussian: the way, and its length, at least [`NEAREST_M`].
@@ -95,7 +89,7 @@ impl Waves {
 
     /// Where the real part of row (antenna, subcarrier) stands in an observation; the imaginary one is a row below.
     fn place(&self, row: usize) -> usize {
-        2 * self.columns * (row / self.columns) + row % self.columns
+        gain_at(row / self.columns, row % self.columns, self.columns)[0]
     }
 
     /// Cotangents of the signals `[N, L, 2]` and of the waves (real, imaginary, as [`Waves`] has them), given those `d` of

@@ -5,7 +5,7 @@
 
 use super::Splatting;
 use super::channel::Waves;
-use pwrfgs_core::{Cholesky, Conditions, Dataset, Frame, GaussianCloud, LinearPart, Real, gains_of};
+use pwrfgs_core::{Cholesky, Conditions, Dataset, Frame, GaussianCloud, LinearPart, Observations, Real};
 use rayon::prelude::*;
 
 /// Weight of both ridges, in the mean of the diagonal.
@@ -30,7 +30,8 @@ impl Splatting {
         let linear = self.deformation.linear_part(&weights[..network], &cloud.means, conditions);
         let (Some(linear), [receiver]) = (linear, frame.receivers.as_slice()) else { return false };
         let waves = Waves::new(frame, receiver, cloud, None);
-        let channels: Vec<Vec<[Real; 2]>> = part.iter().map(|&i| gains_of(&data.image(i))).collect();
+        let Observations::Channels(all) = &data.observations else { return false };
+        let channels: Vec<&[[Real; 2]]> = part.iter().map(|&i| all.of(i)).collect();
         let Some(map) = ridge(&linear, &channels) else { return false };
         let seen = waves.of_basis(&linear.basis, linear.functions);
         let Some(coefficients) = through(&seen, linear.functions, &map, linear.inputs) else { return false };
@@ -49,7 +50,7 @@ impl Splatting {
 }
 
 /// R `[D, AF]`: from features to channels, complex.
-fn ridge(linear: &LinearPart, channels: &[Vec<[Real; 2]>]) -> Option<Vec<Vec<[f64; 2]>>> {
+fn ridge(linear: &LinearPart, channels: &[&[[Real; 2]]]) -> Option<Vec<Vec<[f64; 2]>>> {
     let d = linear.inputs;
     let rows: Vec<&[Real]> = linear.values.chunks_exact(d).collect();
     let mut gram: Vec<f64> = vec![0.0; d * d];

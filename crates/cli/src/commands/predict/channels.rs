@@ -40,7 +40,7 @@ impl Writer for Channels {
 
     fn take(&mut self, folder: &Folder<'_>, rows: &[Row<'_>], drawn: &[Drawn], list: &mut String) -> Result<()> {
         for (row, Drawn { image, spread, milliseconds }) in rows.iter().zip(drawn) {
-            let (gains, name) = (gains_of(image), name(row.number));
+            let (gains, name) = (gains_of(&image.pixels, image.width), name(row.number));
             let spread = spread.as_ref().map(lengths);
             if let Some(stack) = self.stacks.first_mut() {
                 stack.push_complex(&gains)?;
@@ -65,6 +65,6 @@ impl Writer for Channels {
 
 /// How far complex gains are apart, from the standard deviations of their two parts.
 fn lengths(parts: &Image) -> Image {
-    let pixels: Vec<Real> = gains_of(parts).iter().map(|[re, im]| re.hypot(*im)).collect();
+    let pixels: Vec<Real> = gains_of(&parts.pixels, parts.width).iter().map(|[re, im]| re.hypot(*im)).collect();
     Image { width: parts.width, height: parts.height / 2, pixels }
 }

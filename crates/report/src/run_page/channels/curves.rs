@@ -17,7 +17,7 @@ pub(super) type Pair = (Vec<(f64, f64)>, Vec<(f64, f64)>);
 
 impl Gains {
     pub(super) fn of(rows: &Image) -> Self {
-        let values = gains_of(rows).into_iter().map(|gain| gain.map(|v| v as f64)).collect();
+        let values = gains_of(&rows.pixels, rows.width).into_iter().map(|gain| gain.map(|v| v as f64)).collect();
         Self { antennas: rows.height / 2, subcarriers: rows.width, values }
     }
 
