@@ -26,9 +26,9 @@ pub(crate) enum Verbosity {
     name = "pwrfgs",
     version,
     about = "Pruned 3D Gaussian splatting for wireless radiance fields",
-    long_about = "Pruned 3D Gaussian splatting for wireless radiance fields (P-WRFGS).\n\nLearns, from spatial \
-        spectra measured at known transmitter positions, a small set of Gaussians that predicts the spectrum of any \
-        other position. An experiment is one RON file, a pipeline; a run of it is one folder.",
+    long_about = "Pruned 3D Gaussian splatting for wireless radiance fields (P-WRFGS).\n\nLearns, from what was \
+        measured at known transmitter positions (spatial spectra, received powers or channels), a small set of Gaussians \
+        that predicts it at any other position. An experiment is one RON file, a pipeline; a run of it is one folder.",
     after_long_help = "EXAMPLES\n  A first run, without any download, in about a minute:\n      pwrfgs run \
         pipelines/quickstart.ron\n  The same with other settings, elsewhere:\n      pwrfgs run pipelines/quickstart.ron \
         --scale 0.25 --set seed=1 --out runs/short\n  What a transmitter at 1.2, 0.3, 1.0 m would be heard \

@@ -92,7 +92,7 @@ fn what_is_not_ours_is_never_touched_and_what_is_no_data_is_refused() {
     assert_eq!(page(here, "thesis"), "mine");
     write(&here.join("notes/a.txt"), "mine");
     refuse(here, &["inspect", "small.ron", "--out", "notes"], 2, &["it holds `a.txt`", "choose another --out"]);
-    refuse(here, &["inspect", "notes"], 2, &["notes", "spectra.npy", "give a folder of spectra"]);
+    refuse(here, &["inspect", "notes"], 2, &["notes", "received powers or channels", "give a folder of data"]);
     refuse(here, &["inspect", "nowhere.ron"], 2, &["nowhere.ron"]);
     refuse(
         here,

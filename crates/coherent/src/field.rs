@@ -12,7 +12,7 @@ use crate::cis::{Cis, widest};
 use crate::harmonics::{MOST, by_place, direction, harmonics, slopes};
 use crate::links::Links;
 use crate::turn::{matrix, matrix_vjp, turned, unit};
-use pwrfgs_core::{GaussianCloud, Real, consts::TAU, SPEED_OF_LIGHT};
+use pwrfgs_core::{GaussianCloud, Real, SPEED_OF_LIGHT, consts::TAU};
 use rayon::prelude::*;
 
 /// The extra column `[N, 2(K−1)]` of gains beyond the mean: of each harmonic but the first, its real and imaginary part.

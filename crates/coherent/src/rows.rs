@@ -4,7 +4,7 @@ use crate::field::CLOSEST;
 use crate::harmonics::gain;
 use crate::links::{Links, Sources};
 use crate::turn::{matrix, turned};
-use pwrfgs_core::{Real, evenly, rng, SPEED_OF_LIGHT};
+use pwrfgs_core::{Real, SPEED_OF_LIGHT, evenly, rng};
 use rayon::prelude::*;
 
 /// K rows, one column a quantity.

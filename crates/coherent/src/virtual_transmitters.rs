@@ -5,8 +5,8 @@ use crate::harmonics::{HIGHEST, terms};
 use crate::links::Links;
 use crate::options::Pursuit;
 use pwrfgs_core::{
-    Asked, Cache, Documented, Frame, Kind, Method, MethodVjp, Observed, Parameters, Real, Receiver, WeightSpec, gains_of, rows_of,
-    rng::Rng,
+    Asked, Cache, Documented, Frame, Kind, Method, MethodVjp, Observed, Parameters, Real, Receiver, WeightSpec,
+    gains_of, rng::Rng, rows_of,
 };
 use serde::{Deserialize, Serialize};
 

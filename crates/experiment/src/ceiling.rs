@@ -89,6 +89,8 @@ fn notes(kind: Kind, found: &Likeness, lapse: Lapse, why: &str, of: &[(String, A
         Kind::Spectrum => "what two measured spectra at one place have in common",
         Kind::Channel => "what two measured channels at one place have in common",
     };
+    // Of powers the row is the perfect predictor's already.
+    let more = if kind == Kind::Power { "" } else { "; a perfect predictor of the mean could reach a little more" };
     let (pairs, words) = (grouped(found.closest as i64), lapse.words());
     let interval = |(key, at_zero): &(String, AtZero)| {
         let [low, high] = at_zero.interval.map(number);
@@ -102,8 +104,7 @@ fn notes(kind: Kind, found: &Likeness, lapse: Lapse, why: &str, of: &[(String, A
             (found.reach_m * 1e3).ceil()
         ),
         format!(
-            "{CEILING} is an estimate and in no ranking; a perfect predictor of the mean could reach a little more; 95 % \
-             intervals of its means: {}",
+            "{CEILING} is an estimate and in no ranking{more}; 95 % intervals of its means: {}",
             intervals.join(", ")
         ),
     ]

@@ -140,7 +140,11 @@ pub fn write_as(
     refuse_occupied(out)?; // before the scene is looked at
     let receivers = recipe.scene.receivers().count();
     if receivers == 1 || layout == Layout::Rssi {
-        return write_links(recipe, layout, paths, out, progress, stop);
+        let making = filled(recipe, layout, paths, out, progress, stop)?;
+        if layout == Layout::Rssi {
+            powers::check(making.path())?;
+        }
+        return making.publish();
     }
     drop(Simulator::new(&recipe.scene)?); // what is wrong with the last receiver is told before the first takes its time
     let making = NewFolder::begin(out)?;
@@ -168,12 +172,24 @@ pub(crate) fn write_links(
     progress: Progress<'_>,
     stop: &AtomicBool,
 ) -> Result<()> {
+    filled(recipe, layout, paths, out, progress, stop)?.publish()
+}
+
+/// A folder that is whole and not yet where it belongs.
+fn filled(
+    recipe: &Recipe,
+    layout: Layout,
+    paths: bool,
+    out: &Path,
+    progress: Progress<'_>,
+    stop: &AtomicBool,
+) -> Result<NewFolder> {
     layout.check(recipe)?;
     refuse_occupied(out)?;
     let simulator = Simulator::new(&recipe.scene)?;
     let making = NewFolder::begin(out)?;
     fill(recipe, &simulator, layout, paths, making.path(), progress, stop)?;
-    making.publish()
+    Ok(making)
 }
 
 /// Takes what is observed, transmitter by transmitter.

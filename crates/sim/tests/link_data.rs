@@ -60,7 +60,8 @@ fn who_is_not_heard_has_no_link() {
         let (loud, quiet) = (all.image(j).pixels[0], some.image(i).pixels[0]);
         assert!(quiet > -100.0 && (loud - quiet - 50.0).abs() < 0.01);
     }
-    assert!(sends(-190.0).unwrap_err().to_string().contains("no receiver hears any transmitter; raise `power_dbm`"));
+    let said = sends(-190.0).unwrap_err().to_string();
+    assert!(said.contains("no receiver hears any transmitter; raise `power_dbm`"), "{said}");
 }
 
 #[test]

@@ -233,3 +233,14 @@ fn what_does_not_suit_a_layout_is_refused() {
     assert!(said(&text, Observe::Power { noise_db: f64::NAN }, Layout::Rssi).contains("`noise_db` is NaN"));
     assert!(said(&text, Observe::Channel { snr_db: Some(1e9) }, Layout::Csi).contains("`snr_db` is 1000000000"));
 }
+
+#[test]
+fn a_table_of_silence_is_refused_and_nothing_is_left() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = small_room("").replace("transmitter: (", "transmitter: (power_dbm: -190, ");
+    let recipe = recipe(folder.path(), &text, Observe::Power { noise_db: 0.0 });
+    let out = folder.path().join("silent");
+    let said = write_as(&recipe, Layout::Rssi, true, &out, &|_, _| {}, &AtomicBool::new(false)).unwrap_err();
+    assert!(said.is_input() && said.to_string().contains("10 of 10 transmitters are heard by no receiver"), "{said}");
+    assert!(!out.exists());
+}

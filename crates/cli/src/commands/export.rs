@@ -1,6 +1,7 @@
 //! `pwrfgs export`: a trained model for splat viewers and for Python.
 
 use super::predict::position;
+use super::receivers::check_positions;
 use crate::args::Verbosity;
 use crate::output;
 use clap::Args;
@@ -64,6 +65,9 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<ExitCod
     }
     files.iter().try_for_each(|(path, _)| check_new(path))?;
     let model = file::read_ensemble(&arguments.model)?;
+    if tx.is_some() {
+        check_positions(&model)?;
+    }
     // All are made before the first is written: what cannot be exported leaves nothing behind.
     let made: Vec<Vec<u8>> = files.iter().map(|(_, writer)| writer(&model, tx)).collect::<Result<_>>()?;
     let origin = model.members()[0].stages.origin;

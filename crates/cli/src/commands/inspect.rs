@@ -1,15 +1,14 @@
 //! `pwrfgs inspect`: what to know of data before training.
 
 use super::changes::named;
-use super::init::name_of;
+use super::init::{layout, name_of};
 use crate::args::Verbosity;
 use crate::output;
 use crate::progress::Progress;
 use clap::Args;
-use pwrfgs::data::{Arrays, Nerf2Spectrum};
 use pwrfgs::experiment::{read_pipeline, staged};
 use pwrfgs::inspect as work;
-use pwrfgs::prelude::{DataSource, Pipeline};
+use pwrfgs::prelude::Pipeline;
 use pwrfgs_core::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -29,7 +28,7 @@ use std::process::ExitCode;
     pwrfgs inspect pipelines/s23-array.ron --set data.root=/where/it/is/s23"
 )]
 pub(crate) struct Inspect {
-    /// A folder of spectra (NeRF2 layout, or arrays as `pwrfgs import` writes them), a pipeline file, or a run folder
+    /// A folder of data (the layouts of NeRF2, arrays as `pwrfgs import` writes them, channels), a pipeline file, or a run folder
     #[arg(value_name = "DATA")]
     pub(crate) data: PathBuf,
     /// Where to write the page [default: inspect-NAME where you stand, after the folder or the pipeline]
@@ -58,19 +57,12 @@ pub(crate) fn inspect(arguments: &Inspect, verbosity: Verbosity) -> Result<ExitC
 
 /// The pipeline that `path` names, or one of all defaults for the data in that folder.
 fn pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
-    let source: Box<dyn DataSource> = match () {
-        () if path.join("spectra.npy").exists() => Box::new(Arrays { root: path.into(), ..Arrays::default() }),
-        () if path.join("spectrum").exists() || path.join("gateway_info.yml").exists() => {
-            Box::new(Nerf2Spectrum { root: path.into(), ..Nerf2Spectrum::default() })
-        }
-        () => {
-            let pipeline = named(path).map_err(|_neither| {
-                let what =
-                    "holds neither spectra (folder spectrum, or spectra.npy) nor a run; give a folder of spectra";
-                Error::input(path, format!("{what}, a pipeline file, or the folder of a run"))
-            });
-            return read_pipeline(&pipeline?.0, set);
-        }
+    let Some((_, _, source)) = layout(path) else {
+        let pipeline = named(path).map_err(|_neither| {
+            let what = "holds neither data (spectra, received powers or channels) nor a run; give a folder of data";
+            Error::input(path, format!("{what}, a pipeline file, or the folder of a run"))
+        });
+        return read_pipeline(&pipeline?.0, set);
     };
     let text = format!("Pipeline(name: {:?}, data: Teacher(), initializer: Random())", name_of(path));
     let mut pipeline = Pipeline::parse(&text, path)?;

@@ -58,7 +58,18 @@ fn too_deep(text: &str) -> Option<usize> {
 
 /// Line and column of `key` behind `gateway`; the file is known to hold both.
 pub(crate) fn place_of(text: &str, gateway: &str, key: &str) -> (usize, usize) {
-    let gateway = text.find(gateway).unwrap_or(0);
+    // A key begins its line; a comment or a value that holds its letters is none.
+    let begins = |(start, line): &(usize, &str)| {
+        let own = line.trim_start().trim_start_matches(['"', '\'']);
+        let rest = own.strip_prefix(gateway).map(|rest| rest.trim_start_matches(['"', '\'', ' ']));
+        rest.is_some_and(|rest| rest.starts_with(':')).then(|| start + line.len() - own.len())
+    };
+    let lines = text.split_inclusive('\n').scan(0, |next, line| {
+        let start = *next;
+        *next += line.len();
+        Some((start, line))
+    });
+    let gateway = lines.into_iter().find_map(|line| begins(&line)).or_else(|| text.find(gateway)).unwrap_or(0);
     let at = text[gateway..].find(key).map_or(gateway, |i| gateway + i);
     let before = &text[..at];
     let start_of_line = before.rfind('\n').map_or(0, |i| i + 1);

@@ -3,7 +3,7 @@
 use super::{Sink, list, put};
 use crate::observe::{Heard, Observed, SILENT_DBM};
 use crate::simulator::Simulator;
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, files};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -16,9 +16,6 @@ pub(super) struct Powers {
     folder: PathBuf,
     places: String,
     rows: String,
-    transmitters: usize,
-    /// Those that no receiver hears.
-    unheard: usize,
 }
 
 impl Powers {
@@ -26,16 +23,12 @@ impl Powers {
         let receivers = || simulator.listeners().iter().map(crate::Listener::receiver);
         let place = |receiver: &crate::scene::Receiver| format!("{}: {}\n", receiver.name, list(&receiver.position));
         let names: Vec<&str> = receivers().map(|receiver| &*receiver.name).collect();
-        let (places, rows) = (receivers().map(place).collect(), names.join(",") + "\n");
-        Self { folder: folder.into(), places, rows, transmitters: 0, unheard: 0 }
+        Self { folder: folder.into(), places: receivers().map(place).collect(), rows: names.join(",") + "\n" }
     }
 }
 
 impl Sink for Powers {
     fn add(&mut self, _: usize, heard: &[Heard]) -> Result<()> {
-        self.transmitters += 1;
-        let silent = |heard: &Heard| !matches!(&heard.observed, Observed::Power(dbm) if *dbm > SILENT_DBM);
-        self.unheard += usize::from(heard.iter().all(silent));
         for (i, heard) in heard.iter().enumerate() {
             let comma = if i == 0 { "" } else { "," };
             match &heard.observed {
@@ -49,14 +42,22 @@ impl Sink for Powers {
     }
 
     fn finish(self: Box<Self>) -> Result<()> {
-        if self.unheard > 0 {
-            return Err(Error::Config(format!(
-                "{} of {} transmitters are heard by no receiver above {SILENT_DBM} dBm, which the layout cannot say; raise \
-                 `power_dbm`, or keep transmitters nearer to receivers",
-                self.unheard, self.transmitters
-            )));
-        }
         put(&self.folder.join(PLACES), self.places)?;
         put(&self.folder.join(POWERS), self.rows)
+    }
+}
+
+/// Refuses a table with transmitters that no receiver hears: who reads the layout cannot tell them from mistakes.
+pub(super) fn check(folder: &Path) -> Result<()> {
+    let text = files::read_string(folder.join(POWERS)).map_err(|e| Error::read(folder, e))?;
+    let silent = format!("{SILENT_DBM:.1}");
+    let rows = || text.lines().skip(1);
+    match rows().filter(|row| row.split(',').all(|cell| cell == silent)).count() {
+        0 => Ok(()),
+        unheard => Err(Error::Config(format!(
+            "{unheard} of {} transmitters are heard by no receiver above {SILENT_DBM} dBm, which the layout cannot say; raise \
+             `power_dbm` of the transmitter, or keep it nearer to receivers",
+            rows().count()
+        ))),
     }
 }
