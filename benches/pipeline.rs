@@ -9,8 +9,8 @@ mod scene;
 
 use criterion::measurement::WallTime;
 use criterion::{BatchSize, BenchmarkGroup, BenchmarkId, Criterion};
-use pwrfgs::core::{DeformationInputs, Query, RenderVjp};
-use pwrfgs::model::{Ensemble, Splatting, deform::Outputs};
+use pwrfgs::core::{DeformationInputs, Frame, ImagePlane, Kind, Origin, Pose, Query, Receiver, RenderVjp, rng};
+use pwrfgs::model::{Calibration, Ensemble, Model, Readout, Splatting, Stages, deform::Outputs};
 use pwrfgs::prelude::*;
 use scene::{SIZES, TX, on_array, seeded_cloud, trained, untrained, waves, wrfgs};
 use std::cell::OnceCell;
@@ -32,8 +32,41 @@ fn main() {
     step(&mut criterion);
     predict(&mut criterion);
     scale(&mut criterion);
+    links(&mut criterion);
     criterion.final_summary();
     scene::table::print(SIZES, start);
+}
+
+/// What all 21 receivers of a site hear of one transmitter, through a network as `pipelines/ble.ron` has it.
+fn links(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("links");
+    for sky_deg in [10, 20, 30] {
+        let deformation = "Factored(depth: 3, width: 128, tx_encoding: Wavelengths(count: 10, longest_m: 80.0, \
+                           shortest_m: 2.0), position_encoding: Waves(count: 32, reach: 4.0))";
+        let splatting = Splatting {
+            deformation: Plugin::parse(deformation).expect("a plugin"),
+            projector: Plugin::parse("Mercator()").expect("a plugin"),
+            rasterizer: Plugin::parse("AlphaBlending()").expect("a plugin"),
+            calibration: Calibration::Physical,
+            readout: Readout::Received { sky_deg },
+        };
+        let place = |k: usize| [k as f64 % 7.0, k as f64 / 4.0, 2.5];
+        let receiver = |k| Receiver::new(format!("g{k}"), Pose { position: place(k), ..Pose::IDENTITY });
+        let frame = Frame {
+            origin: Origin::ZERO,
+            receivers: (0..21).map(receiver).collect(),
+            kind: Kind::Power,
+            plane: ImagePlane { width: 1, height: 1, wraps: false, angles: None },
+            frequencies_hz: Vec::new(),
+        };
+        let stages = Stages::splats(splatting, frame);
+        let weights = stages.method.init(&stages.frame, &mut rng::stream(1, "weights", 0));
+        let model = Model { stages, cloud: seeded_cloud(500), weights };
+        let (ready, queries) = (model.prepare(), (0..21).map(|r| Query::at(TX, r)).collect::<Vec<_>>());
+        group.bench_function(BenchmarkId::new("a position, 21 receivers, sky of degrees", sky_deg), |b| {
+            b.iter(|| ready.predict_many(&queries));
+        });
+    }
 }
 
 /// Forward and backward of the 8x256 network for one transmitter.
