@@ -24,7 +24,16 @@ fn truth(quats: [[f64; 4]; 4]) -> Sources {
 }
 
 fn options() -> Pursuit {
-    Pursuit { reach: 0.8, most: 8, patience: 2, peaks: 64, rounds: 0, ..Pursuit::default() }
+    Pursuit {
+        reach: 0.8,
+        step: 0.35,
+        rows: [256, 1024],
+        most: 8,
+        patience: 2,
+        peaks: 32,
+        rounds: 0,
+        ..Pursuit::default()
+    }
 }
 
 fn nearest(found: &Sources, v: [f64; 3]) -> f64 {
