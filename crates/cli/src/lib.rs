@@ -8,6 +8,7 @@
 mod args;
 mod commands;
 mod interrupt;
+mod memory;
 mod output;
 mod progress;
 mod reference;
@@ -18,6 +19,7 @@ use std::process::ExitCode;
 
 /// Reads the command line and does what it says; prints one message on failure.
 pub fn main() -> ExitCode {
+    memory::keep();
     let arguments = Arguments::parse();
     output::start_logging(arguments.verbosity());
     let done = threads(arguments.threads).and_then(|()| match &arguments.command {

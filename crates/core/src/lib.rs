@@ -41,6 +41,7 @@ mod real;
 pub mod rng;
 pub mod ron_tree;
 mod scene;
+pub mod simd;
 mod spectra;
 mod splats;
 pub mod ssim;

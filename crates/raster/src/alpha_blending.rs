@@ -2,8 +2,8 @@
 
 use crate::blend::{ALPHA_MIN, Backward, Forward, GEOMETRY, PIXELS, TILE, Tile};
 use crate::canvas::{gather, patches};
-use crate::simd::widest;
 use crate::tiles::{Support, TileLists};
+use pwrfgs_core::simd::widest;
 use pwrfgs_core::{Cache, Documented, ImagePlane, Rasterizer, Real, Render, RenderVjp, Splats, cached};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};

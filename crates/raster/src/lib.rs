@@ -11,8 +11,8 @@ mod array_response;
 mod blend;
 mod canvas;
 mod ewa;
+mod exp;
 mod mercator;
-mod simd;
 mod tiles;
 mod wrfgs_compat;
 

@@ -3,7 +3,7 @@
 //! Bookkeeping only: the lists are conservative, and whether a splat is drawn in a pixel is decided there, by its alpha.
 
 use crate::blend::{ALPHA_MIN, TILE, nearest_image};
-use crate::simd::widest;
+use pwrfgs_core::simd::widest;
 use pwrfgs_core::{Documented, ImagePlane, Real, Splats};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};

@@ -1,6 +1,6 @@
 //! `Factored`: signals as products of what depends on the transmitter and what depends on the Gaussian.
 
-use super::factored_network::{Factors, Network};
+use super::factored_network::{Basis, Network};
 use super::layers::{laid_out, planned};
 use super::mlp::check_stack;
 use super::waves::Encoding;
@@ -61,7 +61,7 @@ impl Deformation for Factored {
     }
 
     fn kept_per_gaussian(&self) -> usize {
-        3 * 2 * (self.width + 1) // both rows of factors, their derivative, and what that is made of
+        2 * (self.position_encoding.width() - 3) // its waves and their derivative
     }
 
     fn init(&self, rng: &mut Rng) -> Vec<Real> {
@@ -83,8 +83,8 @@ impl Deformation for Factored {
 
     fn prepare(&self, weights: &[Real], means: &[[Real; 3]], _: &Pose) -> Cache {
         let network = laid_out(weights, |plan| Network::new(self, plan));
-        let factors = network.factors(weights, means);
-        Some(Arc::new((network, factors)))
+        let basis = network.basis(means);
+        Some(Arc::new((network, basis)))
     }
 
     fn forward_prepared(
@@ -95,8 +95,8 @@ impl Deformation for Factored {
         _: &Pose,
         prepared: &Cache,
     ) -> Deltas {
-        let (network, factors): &(Network, Factors) = cached(prepared);
-        network.forward(weights, factors, txs)
+        let (network, basis): &(Network, Basis) = cached(prepared);
+        network.forward(weights, basis, txs)
     }
 
     fn vjp(

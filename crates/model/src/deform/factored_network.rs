@@ -2,9 +2,11 @@
 //!
 //! ```text
 //! (features of the data → tx.white →)
-//! γ(p) → tx.0 … tx.{depth-1}, each with ReLU → T ─┐ (once a transmitter)
-//! φ(μ) → branch → factors G, constants G₀ ────────┴→ s = G·T + G₀
+//! γ(p) → tx.0 … tx.{depth-1}, each with ReLU → T → branchᵀ → v ─┐ (once a transmitter)
+//! φ(μ) ─────────────────────────────────────────────────────────┴→ s = v·φ + v₀ (once a Gaussian)
 //! ```
+//! Factors G = branch·φ are linear in the waves, so G·T = φ·(branchᵀ·T): what the transmitter says of the waves is worked
+//! out once, and a Gaussian costs two products of as many numbers as it has waves, however wide the stack is.
 
 use super::dense::{self, Matrix, MatrixMut, Store, product};
 use super::encoding::encode_vjp;
@@ -12,8 +14,10 @@ use super::factored::Factored;
 use super::layers::Plan;
 use super::linear::Linear;
 use super::waves::{Encoder, Encoding};
+use pwrfgs_core::simd::{Lanes, widest};
 use pwrfgs_core::{Conditions, DeformationInputs, Deltas, LinearPart, Real};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Mean magnitude of a sine.
 const WAVE_MEAN: f64 = std::f64::consts::FRAC_2_PI;
@@ -37,13 +41,36 @@ pub(super) struct Network {
     direct: usize,
 }
 
-/// The Gaussians' side: waves and factors, feature-major `[·, N]`.
-pub(super) struct Factors {
-    /// φ(μ), scaled; see [`Network::wave_scale`].
-    waves: Vec<Real>,
-    /// Rows 0 to F: real part, then G₀; the same again for the imaginary part.
-    rows: Vec<Real>,
+/// Gaussians that a kernel takes side by side.
+const LANES: usize = 64;
+
+/// Tiles of [`LANES`] Gaussians that one task takes. Depends on nothing, so that threads do not show in the bits.
+const TILES: usize = 8;
+
+/// The Gaussians' side: φ(μ), scaled (see [`Network::wave_scale`]), in tiles of [`LANES`] Gaussians, `[tiles, waves]` rows of
+/// lanes. Lanes of the last tile that belong to nobody are 0.
+pub(super) struct Basis {
+    lanes: Vec<[Real; LANES]>,
     n: usize,
+}
+
+/// What transmitters say of the waves, of each channel `[waves, B]`, and of none, `[B]`.
+struct Mixed {
+    waves: [Vec<Real>; 2],
+    base: [Vec<Real>; 2],
+}
+
+impl Mixed {
+    fn zeros(waves: usize, batch: usize) -> Self {
+        Self { waves: [(); 2].map(|()| vec![0.0; waves * batch]), base: [(); 2].map(|()| vec![0.0; batch]) }
+    }
+
+    fn add(&mut self, other: &Self) {
+        for c in 0..2 {
+            dense::add(&mut self.waves[c], &other.waves[c]);
+            dense::add(&mut self.base[c], &other.base[c]);
+        }
+    }
 }
 
 /// Features of the data as a position: 2 tanh of a layer.
@@ -81,15 +108,6 @@ impl Pseudo {
     }
 }
 
-impl Factors {
-    /// G of channel `c`, `[F, N]`, and G₀ `[N]`.
-    fn channel(&self, c: usize) -> (&[Real], &[Real]) {
-        let rows = self.rows.len() / self.n.max(1) / 2;
-        let own = &self.rows[c * rows * self.n..(c + 1) * rows * self.n];
-        own.split_at(own.len() - self.n)
-    }
-}
-
 impl Network {
     pub(super) fn new(settings: &Factored, plan: &mut Plan) -> Self {
         let width = settings.width;
@@ -115,16 +133,17 @@ impl Network {
         Self { tx_encoding, position_encoding, pseudo, white, stack, branch, features, direct }
     }
 
-    pub(super) fn factors(&self, weights: &[Real], means: &[[Real; 3]]) -> Factors {
-        let n = means.len();
-        let mut gamma = vec![0.0; n * (3 + self.branch.inputs)];
-        self.position_encoding.encode(means, &mut gamma);
-        let mut waves = gamma.split_off(3 * n);
-        waves.iter_mut().for_each(|w| *w *= self.wave_scale());
-        let mut rows = vec![0.0; n * self.branch.outputs];
-        self.branch.whole().apply(weights, &waves, &mut rows, Store::Set);
-        dense::add_bias(&mut rows, self.branch.bias(weights));
-        Factors { waves, rows, n }
+    pub(super) fn basis(&self, means: &[[Real; 3]]) -> Basis {
+        let (n, waves, scale) = (means.len(), self.branch.inputs, self.wave_scale());
+        let mut lanes = vec![[0.0; LANES]; n.div_ceil(LANES) * waves];
+        lanes.par_chunks_exact_mut(waves).zip(means.par_chunks(LANES)).for_each(|(tile, means)| {
+            let mut gamma = vec![0.0; means.len() * (3 + waves)];
+            self.position_encoding.encode(means, &mut gamma);
+            for (lanes, values) in tile.iter_mut().zip(gamma[3 * means.len()..].chunks_exact(means.len())) {
+                lanes.iter_mut().zip(values).for_each(|(lane, value)| *lane = value * scale);
+            }
+        });
+        Basis { lanes, n }
     }
 
     /// The direct part: T's last numbers are the transmitter's own, and a Gaussian's factors for them linear in its waves.
@@ -135,8 +154,9 @@ impl Network {
         }
         let own = self.stack(weights, txs).swap_remove(0); // [inputs, rows]
         let values = (0..rows * inputs).map(|i| own[(i % inputs) * rows + i / inputs]).collect();
-        let (waves, functions) = (self.factors(weights, means).waves, self.branch.inputs);
-        let basis = (0..n * functions).map(|i| waves[(i % functions) * n + i / functions]).collect();
+        let (functions, lanes) = (self.branch.inputs, self.basis(means).lanes);
+        let wave = |i: usize, k: usize| lanes[i / LANES * functions + k][i % LANES];
+        let basis = (0..n * functions).map(|e| wave(e / functions, e % functions)).collect();
         let at =
             |channel: usize| self.branch.weight + (channel * (self.features + 1) + self.features - inputs) * functions;
         let cleared = self.branch.weight..self.branch.bias + self.branch.outputs;
@@ -175,22 +195,53 @@ impl Network {
         layers
     }
 
+    /// The rows of `branch` that make channel `c`'s factors, and then its constants.
+    fn rows(&self, c: usize) -> Range<usize> {
+        c * (self.features + 1)..(c + 1) * (self.features + 1)
+    }
+
+    /// T `[F, B]`, the last of the layers, as seen by the waves.
+    fn mixed(&self, weights: &[Real], t: &[Real]) -> Mixed {
+        let (waves, batch) = (self.branch.inputs, t.len() / self.features);
+        let mut mixed = Mixed::zeros(waves, batch);
+        let features = Matrix::new(t, self.features, batch);
+        for c in 0..2 {
+            // The row of constants is what the sums begin with.
+            let (factors, constant) = self.branch.rows(weights, self.rows(c)).split_at(self.features * waves);
+            let (biases, last) = self.branch.bias(weights)[self.rows(c)].split_at(self.features);
+            for (row, constant) in mixed.waves[c].chunks_exact_mut(batch).zip(constant) {
+                row.fill(*constant);
+            }
+            mixed.base[c].fill(last[0]);
+            let factors = Matrix::new(factors, self.features, waves).t();
+            product(MatrixMut::new(&mut mixed.waves[c], waves, batch), Store::Add, factors, features);
+            let biases = Matrix::new(biases, 1, self.features);
+            product(MatrixMut::new(&mut mixed.base[c], 1, batch), Store::Add, biases, features);
+        }
+        mixed
+    }
+
     /// One transmitter at a time: a batch then gives the bits of single calls.
-    pub(super) fn forward(&self, weights: &[Real], g: &Factors, txs: Conditions<'_>) -> Deltas {
-        let n = g.n;
+    pub(super) fn forward(&self, weights: &[Real], basis: &Basis, txs: Conditions<'_>) -> Deltas {
+        let n = basis.n;
         let mut signals = vec![[0.0; 2]; txs.len() * n];
         if signals.is_empty() {
             return Deltas { signals, ..Deltas::default() };
         }
-        signals.par_chunks_exact_mut(n).enumerate().for_each(|(b, signals)| {
+        let one = |b: usize| {
             let layers = self.stack(weights, txs.rows(b..b + 1));
-            let t = Matrix::new(&layers[self.stack.len()], self.features, 1);
-            for c in 0..2 {
-                let (factors, base) = g.channel(c);
-                let mut s = base.to_vec();
-                product(MatrixMut::new(&mut s, n, 1), Store::Add, Matrix::new(factors, self.features, n).t(), t);
-                signals.iter_mut().zip(s).for_each(|(signal, s)| signal[c] = s);
-            }
+            self.mixed(weights, &layers[self.stack.len()])
+        };
+        let mixed: Vec<Mixed> = (0..txs.len()).into_par_iter().map(one).collect();
+        // Of each task's Gaussians, the signals of every transmitter.
+        let tasks = basis.lanes.par_chunks(TILES * self.branch.inputs);
+        let mut parts: Vec<Vec<&mut [[Real; 2]]>> = tasks.clone().map(|_| Vec::new()).collect();
+        for own in signals.chunks_exact_mut(n) {
+            parts.iter_mut().zip(own.chunks_mut(TILES * LANES)).for_each(|(part, own)| part.push(own));
+        }
+        tasks.zip(parts).for_each(|(tiles, part)| {
+            let waves = self.branch.inputs;
+            part.into_iter().zip(&mixed).for_each(|(signals, mixed)| widest(Speak { tiles, waves, mixed, signals }));
         });
         Deltas { signals, ..Deltas::default() }
     }
@@ -203,41 +254,116 @@ impl Network {
         d_means: Option<&mut [[Real; 3]]>,
     ) {
         let DeformationInputs { weights, means, txs, .. } = *inputs;
-        let n = means.len();
-        if n == 0 || txs.is_empty() {
+        if means.is_empty() || txs.is_empty() {
             return;
         }
-        let g = self.factors(weights, means);
-        let groups = d.signals.par_chunks(GROUP * n).enumerate();
-        let group = |(k, d_signals): (usize, &[[Real; 2]])| {
-            let some = txs.rows(k * GROUP..k * GROUP + d_signals.len() / n);
-            self.group_vjp(weights, &g, some, d_signals)
+        let groups: Vec<Range<usize>> =
+            (0..txs.len()).step_by(GROUP).map(|first| first..(first + GROUP).min(txs.len())).collect();
+        let layers: Vec<Vec<Vec<Real>>> =
+            groups.par_iter().map(|some| self.stack(weights, txs.rows(some.clone()))).collect();
+        let mixed: Vec<Mixed> = layers.par_iter().map(|own| self.mixed(weights, &own[self.stack.len()])).collect();
+        let d_mixed = self.tiles_vjp(&self.basis(means), &groups, &mixed, d, d_means);
+        let group = |((some, layers), d_mixed): ((&Range<usize>, &Vec<Vec<Real>>), &Mixed)| {
+            self.group_vjp(weights, txs.rows(some.clone()), layers, d_mixed)
         };
-        let sums: Vec<(Vec<Real>, Vec<Real>)> = groups.map(group).collect();
-        dense::add_in_order(d_weights, &sums.iter().map(|s| s.0.as_slice()).collect::<Vec<_>>());
-        let mut d_factors = vec![0.0; g.rows.len()];
-        dense::add_in_order(&mut d_factors, &sums.iter().map(|s| s.1.as_slice()).collect::<Vec<_>>());
-        self.branch_vjp(weights, &g, &d_factors, d_weights, d_means);
+        let sums: Vec<Vec<Real>> = groups.par_iter().zip(&layers).zip(&d_mixed).map(group).collect();
+        dense::add_in_order(d_weights, &sums.iter().map(Vec::as_slice).collect::<Vec<_>>());
     }
 
-    /// Derivatives of the weights and of the factors, from some transmitters.
-    fn group_vjp(&self, weights: &[Real], g: &Factors, txs: Conditions<'_>, d: &[[Real; 2]]) -> (Vec<Real>, Vec<Real>) {
-        let (n, batch, width) = (g.n, txs.len(), self.features);
-        let layers = self.stack(weights, txs);
-        let (mut d_weights, mut d_factors) = (vec![0.0; weights.len()], vec![0.0; g.rows.len()]);
-        let mut d_h = vec![0.0; width * batch];
-        let rows = d_factors.len() / 2;
-        for (c, d_factors) in d_factors.chunks_exact_mut(rows).enumerate() {
-            // Signals of one channel: element (b, i) lies at 2(bN + i) + c.
-            let d_s = Matrix::strided(&d.as_flattened()[c..], (batch, n), (2 * n, 2));
-            let (d_f, d_base) = d_factors.split_at_mut(rows - n);
-            let t = Matrix::new(&layers[self.stack.len()], width, batch);
-            product(MatrixMut::new(d_f, width, n), Store::Set, t, d_s);
-            for d in d.chunks_exact(n) {
-                d_base.iter_mut().zip(d).for_each(|(sum, d)| *sum += d[c]);
+    /// Derivatives of what each group's transmitters say of the waves; of the centres they are added to `d_means`.
+    fn tiles_vjp(
+        &self,
+        basis: &Basis,
+        groups: &[Range<usize>],
+        mixed: &[Mixed],
+        d: &Deltas,
+        d_means: Option<&mut [[Real; 3]]>,
+    ) -> Vec<Mixed> {
+        let (n, waves) = (basis.n, self.branch.inputs);
+        let mut centres = d_means.map(|d_means| d_means.chunks_mut(TILES * LANES));
+        let parts: Vec<Option<&mut [[Real; 3]]>> =
+            (0..n).step_by(TILES * LANES).map(|_| centres.as_mut().and_then(Iterator::next)).collect();
+        let task = |(k, (tiles, mut d_means)): (usize, (&[[Real; LANES]], Option<&mut [[Real; 3]]>))| {
+            let mut sums: Vec<Mixed> = groups.iter().map(|some| Mixed::zeros(waves, some.len())).collect();
+            for (j, tile) in tiles.chunks_exact(waves).enumerate() {
+                let first = (k * TILES + j) * LANES;
+                let own = first..(first + LANES).min(n);
+                let d_tile = d_means.as_mut().map(|d| &mut d[j * LANES..][..own.len()]);
+                self.tile_vjp(tile, own, groups, mixed, d, d_tile, &mut sums);
             }
-            let factors = Matrix::new(g.channel(c).0, width, n);
-            product(MatrixMut::new(&mut d_h, width, batch), Store::Add, factors, d_s.t());
+            sums
+        };
+        let of_tasks: Vec<Vec<Mixed>> =
+            basis.lanes.par_chunks(TILES * waves).zip(parts).enumerate().map(task).collect();
+        // In the order of the tasks, whatever thread had which.
+        let mut of_tasks = of_tasks.into_iter();
+        let mut sums = of_tasks.next().expect("a Gaussian or more");
+        for own in of_tasks {
+            sums.iter_mut().zip(&own).for_each(|(sum, own)| sum.add(own));
+        }
+        sums
+    }
+
+    /// The Gaussians `own` of one tile: adds to `sums`, and to the derivatives of their centres.
+    #[allow(clippy::too_many_arguments)] // the tile, and both ends of the derivative
+    fn tile_vjp(
+        &self,
+        tile: &[[Real; LANES]],
+        own: Range<usize>,
+        groups: &[Range<usize>],
+        mixed: &[Mixed],
+        d: &Deltas,
+        d_means: Option<&mut [[Real; 3]]>,
+        sums: &mut [Mixed],
+    ) {
+        let (all, waves, r) = (d.signals.len() / groups.last().map_or(1, |g| g.end), tile.len(), own.len());
+        let phi = Matrix::strided(tile.as_flattened(), (waves, r), (LANES, 1));
+        let mut d_phi = vec![0.0; if d_means.is_some() { waves * r } else { 0 }];
+        for ((some, mixed), sum) in groups.iter().zip(mixed).zip(sums) {
+            let batch = some.len();
+            for c in 0..2 {
+                // Signals of one channel: element (i, b) lies at 2(bN + i) + c.
+                let first = 2 * (some.start * all + own.start) + c;
+                let d_s = Matrix::strided(&d.signals.as_flattened()[first..], (r, batch), (2, 2 * all));
+                product(MatrixMut::new(&mut sum.waves[c], waves, batch), Store::Add, phi, d_s);
+                for (b, sum) in some.clone().zip(&mut sum.base[c]) {
+                    *sum += d.signals[b * all..][own.clone()].iter().map(|d| d[c]).sum::<Real>();
+                }
+                if d_means.is_some() {
+                    let said = Matrix::new(&mixed.waves[c], waves, batch);
+                    product(MatrixMut::new(&mut d_phi, waves, r), Store::Add, said, d_s.t());
+                }
+            }
+        }
+        if let Some(d_means) = d_means {
+            // Waves were scaled: so are their slopes, and the encoding's own derivative wants neither.
+            let scale = self.wave_scale();
+            let unscaled: Vec<Real> = tile.iter().flat_map(|row| &row[..r]).map(|w| w / scale).collect();
+            d_phi.iter_mut().for_each(|d| *d *= scale);
+            self.position_encoding.waves_vjp(&unscaled, &d_phi, d_means);
+        }
+    }
+
+    /// Derivatives of the weights, from some transmitters.
+    fn group_vjp(&self, weights: &[Real], txs: Conditions<'_>, layers: &[Vec<Real>], d: &Mixed) -> Vec<Real> {
+        let (batch, width, waves) = (txs.len(), self.features, self.branch.inputs);
+        let mut d_weights = vec![0.0; weights.len()];
+        let mut d_h = vec![0.0; width * batch];
+        let t = Matrix::new(&layers[self.stack.len()], width, batch);
+        for c in 0..2 {
+            let d_v = Matrix::new(&d.waves[c], waves, batch);
+            let d_base = Matrix::new(&d.base[c], 1, batch);
+            let factors = Matrix::new(&self.branch.rows(weights, self.rows(c))[..width * waves], width, waves);
+            product(MatrixMut::new(&mut d_h, width, batch), Store::Add, factors, d_v);
+            let biases = Matrix::new(&self.branch.bias(weights)[self.rows(c)][..width], 1, width);
+            product(MatrixMut::new(&mut d_h, width, batch), Store::Add, biases.t(), d_base);
+            let (d_factors, d_constant) =
+                self.branch.rows_mut(&mut d_weights, self.rows(c)).split_at_mut(width * waves);
+            product(MatrixMut::new(d_factors, width, waves), Store::Set, t, d_v.t());
+            dense::add_bias_vjp(&d.waves[c], d_constant);
+            let (d_biases, d_last) = self.branch.bias_mut(&mut d_weights)[self.rows(c)].split_at_mut(width);
+            product(MatrixMut::new(d_biases, width, 1), Store::Set, t, d_base.t());
+            dense::add_bias_vjp(&d.base[c], d_last);
         }
         let mut d_own = d_h.split_off((width - self.direct) * batch);
         for (l, layer) in self.stack.iter().enumerate().rev() {
@@ -263,28 +389,29 @@ impl Network {
             dense::add_bias_vjp(&d_own, white.bias_mut(&mut d_weights));
             white.whole().weight_vjp(&mut d_weights, &raw, &d_own);
         }
-        (d_weights, d_factors)
+        d_weights
     }
+}
 
-    /// Back through the Gaussians' side.
-    fn branch_vjp(
-        &self,
-        weights: &[Real],
-        g: &Factors,
-        d_factors: &[Real],
-        d_weights: &mut [Real],
-        d_means: Option<&mut [[Real; 3]]>,
-    ) {
-        dense::add_bias_vjp(d_factors, self.branch.bias_mut(d_weights));
-        self.branch.whole().weight_vjp(d_weights, &g.waves, d_factors);
-        if let Some(d_means) = d_means {
-            let mut d_waves = vec![0.0; g.waves.len()];
-            self.branch.whole().input_vjp(weights, d_factors, &mut d_waves, Store::Set);
-            // Waves were scaled: so are their slopes, and the encoding's own derivative wants neither.
-            let scale = self.wave_scale();
-            let unscaled: Vec<Real> = g.waves.iter().map(|w| w / scale).collect();
-            d_waves.iter_mut().for_each(|d| *d *= scale);
-            self.position_encoding.waves_vjp(&unscaled, &d_waves, d_means);
+/// Signals of one transmitter and the Gaussians of some tiles: s = v·φ + v₀, each summed in the order of the waves alone.
+struct Speak<'a> {
+    tiles: &'a [[Real; LANES]],
+    waves: usize,
+    mixed: &'a Mixed,
+    signals: &'a mut [[Real; 2]],
+}
+
+impl pulp::WithSimd for Speak<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, simd: S) {
+        let Self { tiles, waves, mixed: Mixed { waves: [re, im], base }, signals } = self;
+        for (tile, signals) in tiles.chunks_exact(waves).zip(signals.chunks_mut(LANES)) {
+            let mut sums = [[0.0; LANES]; 2];
+            Real::two_sums(simd, &mut sums, [re, im], tile);
+            for (lane, signal) in signals.iter_mut().enumerate() {
+                *signal = [base[0][0] + sums[0][lane], base[1][0] + sums[1][lane]];
+            }
         }
     }
 }

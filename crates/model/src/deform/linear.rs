@@ -24,6 +24,15 @@ impl Linear {
         MatrixMut::new(&mut flat[self.weight..][..self.outputs * self.inputs], self.outputs, self.inputs)
     }
 
+    /// Some rows of `W`.
+    pub(super) fn rows<'a>(&self, flat: &'a [Real], rows: Range<usize>) -> &'a [Real] {
+        &flat[self.weight + rows.start * self.inputs..self.weight + rows.end * self.inputs]
+    }
+
+    pub(super) fn rows_mut<'a>(&self, flat: &'a mut [Real], rows: Range<usize>) -> &'a mut [Real] {
+        &mut flat[self.weight + rows.start * self.inputs..self.weight + rows.end * self.inputs]
+    }
+
     pub(super) fn bias<'a>(&self, flat: &'a [Real]) -> &'a [Real] {
         &flat[self.bias..][..self.outputs]
     }

@@ -7,7 +7,7 @@
 //! cost K multiply-adds a channel, and the table covers half of the picture.
 
 use super::wave::Antennas;
-use crate::simd::{Lanes, widest};
+use pwrfgs_core::simd::{Lanes, widest};
 use pwrfgs_core::{ImagePlane, Real, Vec3};
 use rayon::prelude::*;
 use std::ops::Range;

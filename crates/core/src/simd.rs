@@ -1,36 +1,8 @@
-//! The exponential of the blending kernel, and the dispatch to the widest vectors the processor has.
-
-use pwrfgs_core::Real;
-
-/// eˣ for x ≤ 0; relative error below 2e-7 in single precision. Branch-free, so that loops over lanes vectorise.
-#[inline(always)]
-pub(crate) fn exp_nonpositive(x: Real) -> Real {
-    if size_of::<Real>() == 8 { x.exp() } else { fast(x as f32) as Real }
-}
-
-/// 2ⁿ · e^r with |r| ≤ ln2/2: n by the rounding trick, r in two steps (Cody and Waite), e^r by its Taylor polynomial of
-/// degree 6, whose last coefficients are adjusted for the interval.
-#[inline(always)]
-fn fast(x: f32) -> f32 {
-    const ROUND: f32 = 12_582_912.0; // 1.5 · 2²³
-    let x = x.max(-87.0);
-    let shifted = x.mul_add(std::f32::consts::LOG2_E, ROUND);
-    let n = shifted - ROUND;
-    let r = n.mul_add(2.121_944_4e-4, n.mul_add(-0.693_359_4, x));
-    let p = r
-        .mul_add(0.001_388_9, 0.008_363_38)
-        .mul_add(r, 0.041_665_73)
-        .mul_add(r, 0.166_666_55)
-        .mul_add(r, 0.5)
-        .mul_add(r, 1.0)
-        .mul_add(r, 1.0);
-    let power = (shifted.to_bits().wrapping_sub(ROUND.to_bits()).wrapping_add(127)) << 23;
-    f32::from_bits(power) * p
-}
+//! Kernels over lanes of vectors, and the dispatch to the widest that the processor has.
 
 /// Multiply and add over the lanes of a row, with explicit vectors: left to itself the compiler vectorises across
 /// channels instead, by gathering.
-pub(crate) trait Lanes: Sized {
+pub trait Lanes: Sized {
     /// sum += scale · x.
     fn add_scaled<S: pulp::Simd, const N: usize>(simd: S, sum: &mut [Self; N], scale: Self, x: &[Self; N]);
     /// sum += x · y.
@@ -107,20 +79,6 @@ lanes!(f64, as_simd_f64s, as_mut_simd_f64s, splat_f64s, mul_add_f64s);
 /// The standard library does not promise it of `zip`, `array::map` and `array::from_fn`, which become calls where a
 /// crate's parts are not optimised together: kernels count their lanes.
 #[inline(always)]
-pub(crate) fn widest<W: pulp::WithSimd>(work: W) -> W::Output {
+pub fn widest<W: pulp::WithSimd>(work: W) -> W::Output {
     pulp::Arch::new().dispatch(work)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn exponential_is_exact_to_single_precision() {
-        let worst = (0..20_000)
-            .map(|i| -(i as Real) * 0.001)
-            .map(|x| ((exp_nonpositive(x) - x.exp()) / x.exp()).abs())
-            .fold(0.0, Real::max);
-        assert!(worst < 2.5e-7, "relative error {worst}");
-    }
 }
