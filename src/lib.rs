@@ -99,11 +99,11 @@ pub fn run_team(
 pub mod prelude {
     pub use pwrfgs_core::tape::{Trace, TraceScalar, Traced};
     pub use pwrfgs_core::{
-        Baseline, CloudStats, ColumnSpec, DataSource, Dataset, Deformation, Deltas, Documented, Elevation, Error,
-        Evaluation, Frame, GaussianCloud, Goal, Image, ImagePlane, Initializer, Kind, Known, Link, Measurement, Method,
-        Metric, Moment, Observations, Origin, Partition, Phase, Plugin, Pose, Predict, Primitives, Progress, Projector,
-        Pruner, Query, Rasterizer, Real, Receiver, Render, Result, Sample, Scene, Scope, Simulation, Spectra, Splats,
-        Split, Values, rng,
+        Baseline, Budget, CloudStats, ColumnSpec, DataSource, Dataset, Deformation, Deltas, Documented, Edit,
+        Elevation, Error, Evaluation, Frame, Gate, GaussianCloud, Goal, Image, ImagePlane, Initializer, Kind, Known,
+        Link, Measurement, Method, Metric, Moment, Needs, Observations, Origin, Partition, Phase, Plugin, Pose,
+        Predict, Primitives, Progress, Projector, Pruner, Query, Rasterizer, Real, Receiver, Render, Result, Row,
+        Sample, Scene, Scope, Simulation, Spectra, Splats, Split, Statistic, Statistics, Values, rng,
     };
     pub use pwrfgs_experiment::{Observer, Silent};
     pub use pwrfgs_model::{Ensemble, Model, Prepared, Readout, Stages};

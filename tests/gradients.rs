@@ -32,8 +32,8 @@ impl Pruner for Factor {
     fn columns(&self) -> Vec<ColumnSpec> {
         vec![ColumnSpec { name: "factor", width: 1, init: 1.0, learning_rate: Some(0.01) }]
     }
-    fn gate(&self, cloud: &Traced, _: &Moment) -> Option<Trace> {
-        Some(cloud.column("factor"))
+    fn gate(&self, cloud: &Traced, _: &Moment) -> Option<Gate> {
+        Some(cloud.column("factor").into())
     }
 }
 

@@ -20,6 +20,7 @@ mod links;
 mod maps;
 mod own_baseline;
 mod pipelines;
+mod pruners;
 mod reference;
 mod registry;
 mod repeatability;

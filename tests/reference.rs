@@ -133,7 +133,8 @@ impl Start {
         let splatting = self.stages.splatting().unwrap();
         let Splatting { deformation, projector, rasterizer, .. } = splatting;
         let (pose, plane) = (&self.stages.pose(), &self.stages.plane);
-        let gate = self.pruners.first().and_then(|p| p.gate(&Traced::new(&self.cloud), &MOMENT)).map(|g| g.as_vec());
+        let gate =
+            self.pruners.first().and_then(|p| p.gate(&Traced::new(&self.cloud), &MOMENT)).map(|g| g.factor().as_vec());
         let activation = splatting.activation();
         let txs = Conditions::new(self.batch.width, &self.batch.conditions);
         let deltas = deformation.forward(&self.weights, &self.cloud.means, txs, pose);

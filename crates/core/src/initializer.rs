@@ -1,6 +1,7 @@
 //! `Initializer`: where the Gaussians start.
 
-use crate::{Dataset, GaussianCloud, ImagePlane, Kind, Method, Progress, Result, Scene, plugin_kind, rng::Rng};
+use crate::{Dataset, GaussianCloud, ImagePlane, Kind, Method, Progress, Real, Result, Scene, plugin_kind, rng::Rng};
+use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
 /// What an initialiser may look at that reads observations.
@@ -45,6 +46,26 @@ pub trait Initializer: erased_serde::Serialize + std::any::Any + std::fmt::Debug
     /// As [`Self::initialize`].
     fn search(&self, seen: &Seen<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
         self.initialize(&seen.data.scene, seen.plane, rng)
+    }
+
+    /// Weights to start from, where it has them; fresh ones where not.
+    ///
+    /// # Errors
+    /// Where they do not fit the method.
+    fn weights(&self, seen: &Seen<'_>) -> Result<Option<Vec<Real>>> {
+        let _ = seen;
+        Ok(None)
+    }
+
+    /// The same with its paths made relative to another folder, as [`DataSource::rebased`](crate::DataSource::rebased) does.
+    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn Initializer>> {
+        let _ = absolute;
+        None
+    }
+
+    /// How many Gaussians it makes, where its settings alone say so.
+    fn count(&self) -> Option<usize> {
+        None
     }
 
     /// The kind of observation that it searches; `None` where it reads none, or any.

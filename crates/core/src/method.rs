@@ -1,8 +1,8 @@
 //! `Method`: the one seam between training and what is trained. From parameters and links to observations, and back.
 
 use crate::{
-    Cache, CloudStats, Conditions, Dataset, Elevation, GaussianCloud, ImagePlane, Kind, Link, Origin, Pose, Real,
-    Receiver, StageTimes, WeightSpec, plugin_kind, rng::Rng,
+    Cache, CloudStats, Conditions, Dataset, Elevation, GaussianCloud, ImagePlane, Kind, Link, Needs, Origin, Pose,
+    Real, Receiver, StageTimes, Statistics, WeightSpec, plugin_kind, rng::Rng,
 };
 
 /// Where observations are made, and what they are: all of a data set that a trained model has to know.
@@ -63,8 +63,11 @@ impl Frame {
 pub struct Parameters<'a> {
     /// The Gaussians; a method may have none.
     pub cloud: &'a GaussianCloud,
-    /// What pruners multiply each Gaussian by, `[N]`; `None`: all open.
+    /// What pruners multiply each Gaussian by, opacity and scale alike, `[N]`; `None`: all open.
     pub gate: Option<&'a [Real]>,
+    /// What they multiply its part in the picture by, and nothing else, `[N]`; `None` without such a gate, and for a method
+    /// that does not [know](Method::knows_presence) the difference.
+    pub presence: Option<&'a [Real]>,
     /// Everything else, as [`Method::layout`] names it.
     pub weights: &'a [Real],
 }
@@ -94,6 +97,8 @@ pub struct MethodVjp {
     pub cloud: GaussianCloud,
     /// In the gate, `[N]`.
     pub gate: Vec<Real>,
+    /// In the presence, `[N]`.
+    pub presence: Vec<Real>,
     /// In the weights.
     pub weights: Vec<Real>,
     /// For pruners and densification; zeros where a method draws no splats.
@@ -107,6 +112,7 @@ impl MethodVjp {
         Self {
             cloud: parameters.cloud.zeros_like(),
             gate: vec![0.0; n],
+            presence: vec![0.0; n],
             weights: vec![0.0; parameters.weights.len()],
             seen: CloudStats::zeros(n),
         }
@@ -159,6 +165,30 @@ pub trait Method: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Se
         d: &[Real],
         sums: &mut MethodVjp,
     );
+
+    /// Whether it reads [`Parameters::presence`]; where not, such gates are multiplied into the other.
+    fn knows_presence(&self) -> bool {
+        false
+    }
+
+    /// Whether it can tell what [wants blending](crate::Statistic::wants_blending) of its Gaussians.
+    fn blends(&self) -> bool {
+        false
+    }
+
+    /// What each of its Gaussians has to do with the observations asked for, whose true values are `truths`
+    /// `[L, numbers]`.
+    fn survey(
+        &self,
+        frame: &Frame,
+        parameters: &Parameters<'_>,
+        asked: &Asked<'_>,
+        truths: &[Real],
+        needs: &Needs,
+    ) -> Statistics {
+        let _ = (frame, asked, truths);
+        Statistics::zeros(needs, parameters.cloud.len())
+    }
 
     /// What no transmitter changes, worked out once for many predictions.
     fn prepare(&self, frame: &Frame, parameters: &Parameters<'_>) -> Cache {

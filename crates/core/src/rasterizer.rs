@@ -39,6 +39,17 @@ pub trait Rasterizer: erased_serde::Serialize + std::any::Any + std::fmt::Debug 
         d_pixels: &[Real],
     ) -> RenderVjp;
 
+    /// Whether it blends, front to back: it then reads [`Splats::presence`] and can [`survey`](Self::survey) its weights.
+    fn blends(&self) -> bool {
+        false
+    }
+
+    /// What each splat has to do with the picture that `render` is; empty where it does not blend.
+    fn survey(&self, splats: &Splats, plane: &ImagePlane, render: &Render, survey: &Survey<'_>) -> Vec<Looked> {
+        let _ = (splats, plane, render, survey);
+        Vec::new()
+    }
+
     /// Refuses a plane it cannot draw on, when the pipeline is checked.
     fn check_plane(&self, plane: &ImagePlane) -> Result<(), String> {
         let _ = plane;
@@ -67,6 +78,58 @@ pub trait Rasterizer: erased_serde::Serialize + std::any::Any + std::fmt::Debug 
     }
 }
 plugin_kind!(Rasterizer);
+
+/// What [`Rasterizer::survey`] shall look at besides weights; each is left out where it is empty.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Survey<'a> {
+    /// Absolute errors of the picture, `[height, width]`.
+    pub errors: &'a [Real],
+    /// Where the error is high, `[height, width]`.
+    pub high: &'a [bool],
+    /// How many splats of each pixel are marked as its first, given what was measured `[height, width]` and the splats' own
+    /// strengths `[N]`.
+    pub top: Option<(usize, &'a [Real], &'a [Real])>,
+    /// Signals `[N, channels]` of `render`, and for each pixel the derivative of what is read out there in its own channels,
+    /// `[channels, height, width]`.
+    pub slopes: Option<(&'a [Real], &'a [Real])>,
+    /// Whether the products of geometry's slopes are wanted too.
+    pub fisher: bool,
+}
+
+/// What a survey finds of one splat.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Looked {
+    /// Sum of its blending weights γ·T.
+    pub weight: Real,
+    /// The largest of them.
+    pub largest: Real,
+    /// Pixels where it counts.
+    pub pixels: Real,
+    /// Sum of its weights times the errors.
+    pub error: Real,
+    /// Pixels of high error where it counts.
+    pub high: Real,
+    /// Whether it is among the first of some pixel.
+    pub top: bool,
+    /// Sum of (∂P̂/∂a)² with a factor a on γ.
+    pub sensitivity: Real,
+    /// Sum of J Jᵀ with J = ∂P̂/∂(mean2d, conic): the upper triangle of 5 × 5, row by row.
+    pub fisher: [Real; 15],
+}
+
+impl Looked {
+    /// Adds what another part of the picture shows of the same splat.
+    pub fn add(&mut self, other: &Self) {
+        self.weight += other.weight;
+        self.largest = self.largest.max(other.largest);
+        self.pixels += other.pixels;
+        self.error += other.error;
+        self.high += other.high;
+        self.top |= other.top;
+        self.sensitivity += other.sensitivity;
+        self.fisher.iter_mut().zip(other.fisher).for_each(|(sum, own)| *sum += own);
+    }
+}
 
 /// A drawn picture.
 #[derive(Clone, Debug)]

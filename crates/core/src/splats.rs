@@ -32,6 +32,9 @@ pub struct Splats {
     pub radii: Vec<Real>,
     /// Opacities `[N]`.
     pub opacities: Vec<Real>,
+    /// Factors on γ after it was found to count, `[N]`, as [`crate::Gate::Presence`] has them; empty where all are 1. Only a
+    /// rasterizer that [`blends`](crate::Rasterizer::blends) is given any.
+    pub presence: Vec<Real>,
 }
 
 impl Primitives {
@@ -71,6 +74,7 @@ impl Splats {
             sigmas2d: vec![[0.0; 2]; n],
             radii: vec![0.0; n],
             opacities: vec![0.0; n],
+            presence: Vec::new(),
         }
     }
 }

@@ -1,6 +1,6 @@
 //! What pruners and densification may look at: `Moment` and `CloudStats`.
 
-use crate::{ImagePlane, Real, RenderVjp, Splats};
+use crate::{ImagePlane, Real, RenderVjp, Splats, Statistics};
 use serde::{Deserialize, Serialize};
 
 /// The three phases of algorithm 1.
@@ -35,9 +35,32 @@ pub struct Moment {
     pub phase: Phase,
     /// The pipeline's seed.
     pub seed: u64,
+    /// Which prune step of the pruning phase it is, from 1; 0 at any other step.
+    pub round: u64,
+    /// How many there are.
+    pub rounds: u64,
 }
 
-/// What was seen of each Gaussian since the last densification; owned by the trainer.
+impl Moment {
+    /// A step that is no prune step.
+    pub fn new(step: u64, phase: Phase, seed: u64) -> Self {
+        Self { step, phase, seed, round: 0, rounds: 0 }
+    }
+
+    /// How many of `n` Gaussians stay at this prune step, so that at the last one `target` do, and each takes the same
+    /// share. All of them where it is no prune step.
+    pub fn quota(&self, n: usize, target: usize) -> usize {
+        if self.round == 0 || n <= target {
+            return n;
+        }
+        let left = self.rounds.saturating_sub(self.round) as f64;
+        let (now, last) = (n as f64, target as f64);
+        let share = (now / last).powf(left / (left + 1.0));
+        (last * share).round() as usize
+    }
+}
+
+/// What was seen of each Gaussian since the last densification, and at a prune step what the pruner asked for.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CloudStats {
     /// Renders in which it reached the picture, `[N]`.
@@ -48,12 +71,17 @@ pub struct CloudStats {
     pub radius: Vec<Real>,
     /// Sum of blending weights γ·T over pixels and renders, `[N]`.
     pub weight: Vec<Real>,
+    /// What [`crate::Pruner::needs`] names, fresh from a pass at this prune step; empty at any other.
+    pub asked: Statistics,
+    /// What the pruner remembers of the pipeline, as [`crate::Pruner::state`] began it; empty for others.
+    pub state: Vec<Real>,
 }
 
 impl CloudStats {
     /// Zeros for N Gaussians.
     pub fn zeros(n: usize) -> Self {
-        Self { visible: vec![0.0; n], gradient: vec![0.0; n], radius: vec![0.0; n], weight: vec![0.0; n] }
+        let zeros = || vec![0.0; n];
+        Self { visible: zeros(), gradient: zeros(), radius: zeros(), weight: zeros(), ..Self::default() }
     }
 
     /// Adds what one of `drawings` that share the mean of a loss shows of the Gaussians `rows`: their splats, and the
@@ -81,14 +109,15 @@ impl CloudStats {
         }
     }
 
-    /// The rows listed, in that order.
+    /// The rows listed, in that order, of what is summed over steps.
     pub fn select(&self, rows: &[usize]) -> Self {
         let pick = |column: &[Real]| rows.iter().map(|&i| column[i]).collect();
-        let Self { visible, gradient, radius, weight } = self;
-        Self { visible: pick(visible), gradient: pick(gradient), radius: pick(radius), weight: pick(weight) }
+        let Self { visible, gradient, radius, weight, .. } = self;
+        let (visible, gradient, radius, weight) = (pick(visible), pick(gradient), pick(radius), pick(weight));
+        Self { visible, gradient, radius, weight, ..Self::default() }
     }
 
-    /// The four columns by name.
+    /// The four columns that are summed over steps, by name.
     pub fn columns(&self) -> [(&'static str, &[Real]); 4] {
         [("visible", &self.visible), ("gradient", &self.gradient), ("radius", &self.radius), ("weight", &self.weight)]
     }

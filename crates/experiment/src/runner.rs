@@ -122,6 +122,9 @@ pub fn rebase(pipeline: &mut Pipeline, base: &Path) {
     if let Some(rebased) = pipeline.data.rebased(&|path| absolute(base, path)) {
         pipeline.data = rebased.into();
     }
+    if let Some(rebased) = pipeline.initializer.rebased(&|path| absolute(base, path)) {
+        pipeline.initializer = rebased.into();
+    }
     for baseline in &mut pipeline.baselines {
         if let Some(rebased) = baseline.rebased(&|path| absolute(base, path)) {
             *baseline = rebased.into();

@@ -60,6 +60,10 @@ impl Initializer for Grid {
         Ok(start::cloud(means, &scales, self.opacity, self.signal_scale, rng))
     }
 
+    fn count(&self) -> Option<usize> {
+        Some(self.count)
+    }
+
     fn about(&self) -> &'static str {
         "evenly spread directions at one distance from the receiver"
     }

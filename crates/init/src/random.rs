@@ -56,6 +56,10 @@ impl Initializer for Random {
         Ok(start::cloud(means, &scales, self.opacity, self.signal_scale, rng))
     }
 
+    fn count(&self) -> Option<usize> {
+        Some(self.count)
+    }
+
     fn about(&self) -> &'static str {
         "normally distributed about the receiver and in front of it (the released start)"
     }

@@ -42,12 +42,15 @@ pub struct ActivationVjp {
     pub deltas: Deltas,
     /// In the gate, `[N]`.
     pub gate: Vec<Real>,
+    /// In the presence, `[N]`, which no activation sees.
+    pub presence: Vec<Real>,
 }
 
 impl ActivationVjp {
     /// Zeros for `cloud` and `deltas`.
     pub fn zeros(cloud: &GaussianCloud, deltas: &Deltas) -> Self {
-        Self { cloud: cloud.zeros_like(), deltas: deltas.zeros_like(), gate: vec![0.0; cloud.len()] }
+        let (gate, presence) = (vec![0.0; cloud.len()], vec![0.0; cloud.len()]);
+        Self { cloud: cloud.zeros_like(), deltas: deltas.zeros_like(), gate, presence }
     }
 }
 
@@ -85,7 +88,7 @@ impl Activation {
         d: &Primitives,
         sums: &mut ActivationVjp,
     ) {
-        let ActivationVjp { cloud: d_cloud, deltas: d_deltas, gate: d_gate } = sums;
+        let ActivationVjp { cloud: d_cloud, deltas: d_deltas, gate: d_gate, .. } = sums;
         let n = cloud.len();
         for i in 0..n {
             let m = gate.map_or(1.0, |g| g[i]);

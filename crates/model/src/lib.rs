@@ -15,6 +15,7 @@ mod readout;
 mod splatting;
 mod stages;
 pub mod tensors;
+mod trained;
 
 pub use activate::{Activation, ActivationVjp, Calibration};
 pub use ensemble::Ensemble;
@@ -23,3 +24,4 @@ pub use prepared::Prepared;
 pub use readout::Readout;
 pub use splatting::{Drawing, Geometry, Splatting, View, check_kind, check_together};
 pub use stages::Stages;
+pub use trained::Trained;

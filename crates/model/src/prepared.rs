@@ -152,7 +152,7 @@ impl<'a> Member<'a> {
         let rows = stages.drawable(&model.cloud, None);
         let all = rows.len() == model.cloud.len();
         let cloud = if all { Cow::Borrowed(&model.cloud) } else { Cow::Owned(model.cloud.select(&rows)) };
-        let parameters = Parameters { cloud: &cloud, gate: None, weights: &model.weights };
+        let parameters = Parameters { cloud: &cloud, gate: None, presence: None, weights: &model.weights };
         let ready = stages.method.prepare(&stages.frame, &parameters);
         Self { model, cloud, ready }
     }
@@ -174,7 +174,7 @@ impl<'a> Member<'a> {
         let Model { stages, weights, .. } = self.model;
         let (conditions, links) = asked(stages, queries);
         let asked = Asked { conditions: Conditions::new(stages.method.inputs(), &conditions), links: &links };
-        let parameters = Parameters { cloud: &self.cloud, gate: None, weights };
+        let parameters = Parameters { cloud: &self.cloud, gate: None, presence: None, weights };
         let (numbers, times) = stages.method.predict(&stages.frame, &parameters, &asked, &self.ready);
         let ImagePlane { width, height, .. } = stages.plane;
         let image = |pixels| Image { width, height, pixels };

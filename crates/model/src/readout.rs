@@ -98,6 +98,21 @@ impl Readout {
         }
     }
 
+    /// For each pixel the derivative of its grey value in its own channels, `[channels, H·W]`; [`Self::MinMax`] with its
+    /// smallest and its largest value held.
+    pub(crate) fn slopes(self, signals: &[Real], pixels: usize) -> Vec<Real> {
+        let gain = if self == Self::MinMax {
+            let mut image = vec![0.0; pixels];
+            powers(&mut image, signals.split_at(pixels));
+            let (low, high) = range(&image);
+            gain(low.sqrt(), high.sqrt())
+        } else {
+            1.0
+        };
+        let readout = if self == Self::MinMax { Self::Magnitude } else { self };
+        readout.vjp(signals, pixels, &vec![gain; pixels])
+    }
+
     /// Cotangents of the signals, given those of the image.
     pub fn vjp(self, signals: &[Real], pixels: usize, d_image: &[Real]) -> Vec<Real> {
         if self == Self::Real {

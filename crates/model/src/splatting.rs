@@ -12,12 +12,13 @@ mod heard;
 mod linear_start;
 mod method;
 mod received;
+mod survey;
 
 use crate::{Activation, ActivationVjp, Calibration, Readout};
 use pwrfgs_core::plugin::{Plugin, default_of};
 use pwrfgs_core::{
-    Cache, Deformation, Deltas, Documented, Elevation, Frame, GaussianCloud, ImagePlane, Kind, Pose, Primitives,
-    Projector, Rasterizer, Real, Render, RenderVjp, Splats, sigmoid,
+    Cache, Deformation, Deltas, Documented, Elevation, Frame, GaussianCloud, ImagePlane, Kind, Parameters, Pose,
+    Primitives, Projector, Rasterizer, Real, Render, RenderVjp, Splats, sigmoid,
 };
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
@@ -78,6 +79,27 @@ pub struct View {
     pub pose: Pose,
     /// Of the sky.
     pub plane: ImagePlane,
+}
+
+/// What pruners multiply Gaussians by, `[N]` each; `None`: all open.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Gates<'a> {
+    /// Opacity and scale.
+    pub whole: Option<&'a [Real]>,
+    /// Their part in the picture alone; only where the rasterizer blends.
+    pub presence: Option<&'a [Real]>,
+}
+
+impl<'a> From<Option<&'a [Real]>> for Gates<'a> {
+    fn from(whole: Option<&'a [Real]>) -> Self {
+        Self { whole, presence: None }
+    }
+}
+
+impl<'a> From<&Parameters<'a>> for Gates<'a> {
+    fn from(p: &Parameters<'a>) -> Self {
+        Self { whole: p.gate, presence: p.presence }
+    }
 }
 
 /// Gaussians in space and on the picture, before their signals are looked at.
@@ -208,18 +230,19 @@ impl Splatting {
         (0..cloud.len()).filter(drawn).collect()
     }
 
-    /// The geometry of transmitter `b` of the batch in `deltas`, gated by `gate` `[N]` (`None`: all open), in a view.
+    /// The geometry of transmitter `b` of the batch in `deltas`, gated, in a view.
     pub fn geometry(
         &self,
         view: &View,
         cloud: &GaussianCloud,
         deltas: &Deltas,
         b: usize,
-        gate: Option<&[Real]>,
+        gates: Gates<'_>,
     ) -> Geometry {
         let start = Instant::now();
-        let primitives = self.activation().geometry(cloud, deltas, b, gate);
-        let splats = self.projector.project(&primitives, &view.pose, &view.plane);
+        let primitives = self.activation().geometry(cloud, deltas, b, gates.whole);
+        let mut splats = self.projector.project(&primitives, &view.pose, &view.plane);
+        splats.presence = gates.presence.map_or_else(Vec::new, <[Real]>::to_vec);
         let projected = Instant::now();
         let cache = self.rasterizer.prepare(&splats, &view.plane);
         let seconds = [projected - start, projected.elapsed()].map(|time| time.as_secs_f64());
@@ -234,10 +257,10 @@ impl Splatting {
         cloud: &GaussianCloud,
         deltas: &Deltas,
         batch: Range<usize>,
-        gate: Option<&[Real]>,
+        gates: Gates<'_>,
         still: Option<&Arc<Geometry>>,
     ) -> Drawing {
-        let fresh = || Arc::new(self.geometry(view, cloud, deltas, batch.start, gate));
+        let fresh = || Arc::new(self.geometry(view, cloud, deltas, batch.start, gates));
         let geometry = still.cloned().unwrap_or_else(fresh);
         let signals = self.activation().signals(cloud, deltas, batch.clone());
         let (channels, Geometry { splats, cache, .. }) = (self.readout.channels() * batch.len(), &*geometry);
@@ -254,7 +277,7 @@ impl Splatting {
         drawing: &Drawing,
         cloud: &GaussianCloud,
         deltas: &Deltas,
-        gate: Option<&[Real]>,
+        gates: Gates<'_>,
         d_pixels: &[Real],
         sums: &mut ActivationVjp,
     ) -> RenderVjp {
@@ -263,7 +286,8 @@ impl Splatting {
         let channels = activation.channels * batch.len();
         let d = self.rasterizer.backward(splats, signals, channels, &view.plane, render, d_pixels);
         let d_primitives = self.projector.project_vjp(&geometry.primitives, &view.pose, &view.plane, splats, &d.splats);
-        activation.geometry_vjp(cloud, deltas, batch.start, gate, &d_primitives, sums);
+        activation.geometry_vjp(cloud, deltas, batch.start, gates.whole, &d_primitives, sums);
+        sums.presence.iter_mut().zip(&d.splats.presence).for_each(|(sum, d)| *sum += d);
         activation.signals_vjp(cloud, deltas, batch.clone(), &d.signals, sums);
         d
     }

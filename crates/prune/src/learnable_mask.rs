@@ -3,10 +3,11 @@
 //! The worked example of a pruner that learns: a column, a gate and a penalty, written forward-only on the step's tape,
 //! and a decision. dfdx differentiates; nothing is derived by hand here.
 
+use crate::rounds::check_target;
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
-    CloudStats, ColumnSpec, Documented, GaussianCloud, Moment, Phase, Pruner, Real, sigmoid,
-    tape::{Trace, TraceScalar, Traced},
+    Budget, CloudStats, ColumnSpec, Documented, Gate, GaussianCloud, Moment, Phase, Pruner, Real, sigmoid,
+    tape::{TraceScalar, Traced},
 };
 use serde::{Deserialize, Serialize};
 
@@ -43,11 +44,14 @@ pub struct LearnableMask {
     pub initial_logit: Real,
     /// Adam's rate for m.
     pub learning_rate: Real,
+    /// How many Gaussians there shall be at the end of pruning: at the last prune step those of the largest m stay, closed
+    /// or not. Left out, the penalty decides.
+    pub target: Option<usize>,
 }
 
 impl Default for LearnableMask {
     fn default() -> Self {
-        Self { lambda: 0.01, threshold: 0.01, initial_logit: 1.0, learning_rate: 0.01 }
+        Self { lambda: 0.01, threshold: 0.01, initial_logit: 1.0, learning_rate: 0.01, target: None }
     }
 }
 
@@ -64,9 +68,9 @@ impl Pruner for LearnableMask {
         vec![ColumnSpec { name: COLUMN, width: 1, init: self.initial_logit, learning_rate }]
     }
 
-    fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Trace> {
+    fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Gate> {
         (moment.phase != Phase::Finetune)
-            .then(|| cloud.straight_through(cloud.column(COLUMN).sigmoid(), self.threshold))
+            .then(|| cloud.straight_through(cloud.column(COLUMN).sigmoid(), self.threshold).into())
     }
 
     fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
@@ -74,8 +78,12 @@ impl Pruner for LearnableMask {
             .then(|| cloud.column(COLUMN).sigmoid().mean::<Rank0, _>() * self.lambda)
     }
 
-    fn score(&self, cloud: &GaussianCloud, _: &CloudStats) -> Vec<Real> {
+    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<Real> {
         cloud.extra(COLUMN).map_or_else(|| cloud.opacity_logits.clone(), |c| c.values.clone())
+    }
+
+    fn budget(&self) -> Option<Budget> {
+        self.target.map(Budget::AtLast)
     }
 
     fn about(&self) -> &'static str {
@@ -83,7 +91,7 @@ impl Pruner for LearnableMask {
     }
 
     fn check(&self) -> Result<(), String> {
-        let Self { lambda, threshold, initial_logit, learning_rate } = self;
+        let Self { lambda, threshold, initial_logit, learning_rate, target } = self;
         if !(lambda.is_finite() && *lambda >= 0.0) {
             return Err(format!("`lambda` is {lambda}; give 0 or more, such as 0.01: a larger one prunes more"));
         }
@@ -98,7 +106,7 @@ impl Pruner for LearnableMask {
         if !(learning_rate.is_finite() && *learning_rate > 0.0) {
             return Err(format!("`learning_rate` is {learning_rate}; give a positive number, such as 0.01"));
         }
-        Ok(())
+        check_target(*target)
     }
 }
 
@@ -124,7 +132,7 @@ mod tests {
     #[test]
     fn the_straight_through_gate_has_its_closed_form() {
         let (mask, traced) = (LearnableMask::default(), Traced::new(&masked(&LOGITS)));
-        let gate = mask.gate(&traced, &moment(Phase::Densify)).unwrap();
+        let gate = mask.gate(&traced, &moment(Phase::Densify)).unwrap().factor();
         assert_eq!(gate.as_vec(), [1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0]);
         // Cotangents that differ, so that a mixed-up order would show.
         let weights: Vec<Real> = (0..LOGITS.len()).map(|i| i as Real - 2.5).collect();
@@ -156,10 +164,10 @@ mod tests {
         let logits: Vec<Real> = (-500..500).map(|i| edge + i as Real * edge.abs() * Real::EPSILON).collect();
         let cloud = masked(&logits);
         let kept = mask.keep(&cloud, &CloudStats::zeros(cloud.len()), &moment(Phase::Prune));
-        let gate = mask.gate(&Traced::new(&cloud), &moment(Phase::Prune)).unwrap().as_vec();
+        let gate = mask.gate(&Traced::new(&cloud), &moment(Phase::Prune)).unwrap().factor().as_vec();
         assert_eq!(gate, kept.iter().map(|k| Real::from(u8::from(*k))).collect::<Vec<_>>());
         assert!(kept.contains(&true) && kept.contains(&false));
-        assert_eq!(mask.score(&cloud, &CloudStats::zeros(cloud.len())), logits);
+        assert_eq!(mask.score(&cloud, &CloudStats::zeros(cloud.len()), &moment(Phase::Prune)), logits);
     }
 
     #[test]

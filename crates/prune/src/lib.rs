@@ -5,13 +5,57 @@
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
+mod control_gs;
+mod covariance;
+mod eagles;
+mod fast_gs;
+mod gaussian_spa;
+mod greedy_elimination;
 mod learnable_mask;
+mod light_gaussian;
+mod lp_3dgs;
+mod mask_gaussian;
+mod mcmc;
+mod merge_by_moments;
+mod mini_splatting;
+mod natural_selection;
 mod opacity_threshold;
+mod pup_3dgs;
+mod rad_splat;
+mod random_reference;
+mod reduced_3dgs;
+mod rounds;
+mod safeguard_gs;
+mod signal_contribution;
+mod speedy_splat;
+mod taming_3dgs;
 mod top_k;
+mod trimming_the_fat;
 
+pub use control_gs::ControlGs;
+pub use eagles::Eagles;
+pub use fast_gs::FastGs;
+pub use gaussian_spa::GaussianSpa;
+pub use greedy_elimination::GreedyElimination;
 pub use learnable_mask::LearnableMask;
+pub use light_gaussian::LightGaussian;
+pub use lp_3dgs::Lp3dgs;
+pub use mask_gaussian::MaskGaussian;
+pub use mcmc::Mcmc;
+pub use merge_by_moments::MergeByMoments;
+pub use mini_splatting::{MiniSplatting, Rule};
+pub use natural_selection::NaturalSelection;
 pub use opacity_threshold::OpacityThreshold;
+pub use pup_3dgs::Pup3dgs;
+pub use rad_splat::RadSplat;
+pub use random_reference::RandomReference;
+pub use reduced_3dgs::Reduced3dgs;
+pub use safeguard_gs::SafeguardGs;
+pub use signal_contribution::{Over, SignalContribution};
+pub use speedy_splat::SpeedySplat;
+pub use taming_3dgs::Taming3dgs;
 pub use top_k::{Score, TopK};
+pub use trimming_the_fat::TrimmingTheFat;
 
 /// What tests prune.
 #[cfg(test)]
@@ -19,7 +63,7 @@ mod fixture {
     use pwrfgs_core::{ColumnSpec, ExtraColumn, GaussianCloud, Moment, Phase, Real, Vec3};
 
     pub(crate) fn moment(phase: Phase) -> Moment {
-        Moment { step: 21_000, phase, seed: 0 }
+        Moment::new(21_000, phase, 0)
     }
 
     /// N Gaussians of unit scale with these opacity logits.
@@ -70,7 +114,7 @@ mod tests {
                 }
                 let stats = CloudStats::zeros(n);
                 assert_eq!(plugin.keep(&cloud, &stats, &moment(Phase::Prune)), vec![true; n], "{name}: a fresh cloud");
-                assert_eq!(plugin.score(&cloud, &stats).len(), n);
+                assert_eq!(plugin.score(&cloud, &stats, &moment(Phase::Prune)).len(), n);
             }
         }
     }

@@ -1,6 +1,7 @@
 //! Discards what is nearly transparent.
 
-use pwrfgs_core::{CloudStats, Documented, GaussianCloud, Moment, Pruner, Real, sigmoid};
+use crate::rounds::check_target;
+use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Pruner, Real, sigmoid};
 use serde::{Deserialize, Serialize};
 
 /// A Gaussian stays where its opacity o = σ(logit) is at least epsilon.
@@ -21,11 +22,13 @@ use serde::{Deserialize, Serialize};
 pub struct OpacityThreshold {
     /// Smallest opacity ε that stays, from 0 (keeps all) to below 1.
     pub epsilon: Real,
+    /// How many Gaussians there shall be at the end of pruning, the most opaque ones; in place of epsilon.
+    pub target: Option<usize>,
 }
 
 impl Default for OpacityThreshold {
     fn default() -> Self {
-        Self { epsilon: 0.005 }
+        Self { epsilon: 0.005, target: None }
     }
 }
 
@@ -33,6 +36,10 @@ impl Default for OpacityThreshold {
 impl Pruner for OpacityThreshold {
     fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
         cloud.opacity_logits.iter().map(|logit| sigmoid(*logit) >= self.epsilon).collect()
+    }
+
+    fn budget(&self) -> Option<Budget> {
+        self.target.map(Budget::Rounds)
     }
 
     fn about(&self) -> &'static str {
@@ -43,7 +50,7 @@ impl Pruner for OpacityThreshold {
         if !(0.0..1.0).contains(&self.epsilon) {
             return Err(format!("`epsilon` is {}; give an opacity from 0 to below 1, such as 0.005", self.epsilon));
         }
-        Ok(())
+        check_target(self.target)
     }
 }
 
@@ -56,7 +63,9 @@ mod tests {
     #[test]
     fn opacities_from_epsilon_on_stay() {
         let cloud = cloud(&[logit(0.0049), logit(0.0051), 0.0, 40.0, -40.0]);
-        let keep = |epsilon| OpacityThreshold { epsilon }.keep(&cloud, &CloudStats::zeros(5), &moment(Phase::Prune));
+        let keep = |epsilon| {
+            OpacityThreshold { epsilon, target: None }.keep(&cloud, &CloudStats::zeros(5), &moment(Phase::Prune))
+        };
         assert_eq!(keep(0.005), [false, true, true, true, false]);
         assert_eq!(keep(0.5), [false, false, true, true, false]);
         assert_eq!(keep(0.0), [true; 5]);

@@ -1,6 +1,6 @@
 //! An exact budget: the best `keep` Gaussians stay.
 
-use pwrfgs_core::{CloudStats, Documented, GaussianCloud, Moment, Pruner, Real, sigmoid};
+use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Pruner, Real, best, sigmoid};
 use serde::{Deserialize, Serialize};
 
 /// Keeps the best-scored Gaussians, exactly as many as asked for.
@@ -46,17 +46,15 @@ impl Default for TopK {
 
 #[typetag::serde]
 impl Pruner for TopK {
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<bool> {
-        let scores = self.score(cloud, stats);
-        let mut best: Vec<usize> = (0..cloud.len()).collect();
-        // Stable, so that equal scores stay in order.
-        best.sort_by(|&i, &j| scores[j].total_cmp(&scores[i]));
-        let mut kept = vec![false; cloud.len()];
-        best.into_iter().take(self.keep).for_each(|i| kept[i] = true);
-        kept
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
+        best(self.keep, &self.score(cloud, stats, moment), |_| true)
     }
 
-    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats) -> Vec<Real> {
+    fn budget(&self) -> Option<Budget> {
+        Some(Budget::AtMost(self.keep))
+    }
+
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
         // What is not a number counts as least.
         let number = |s: Real| if s.is_nan() { Real::NEG_INFINITY } else { s };
         let seen = stats.weight.len() == cloud.len() && stats.weight.iter().any(|w| *w > 0.0);

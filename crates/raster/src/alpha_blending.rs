@@ -2,9 +2,10 @@
 
 use crate::blend::{ALPHA_MIN, Backward, Forward, GEOMETRY, PIXELS, TILE, Tile};
 use crate::canvas::{gather, patches};
+use crate::survey::Look;
 use crate::tiles::{Support, TileLists};
 use pwrfgs_core::simd::widest;
-use pwrfgs_core::{Cache, Documented, ImagePlane, Rasterizer, Real, Render, RenderVjp, Splats, cached};
+use pwrfgs_core::{Cache, Documented, ImagePlane, Looked, Rasterizer, Real, Render, RenderVjp, Splats, Survey, cached};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -100,7 +101,29 @@ impl Rasterizer for AlphaBlending {
                 widest(Backward { tile: &tile, pixels, d_pixels: d, d_signal, out });
             },
         );
-        sum_over_tiles(lists, splats.len(), channels, &parts)
+        let mut found = sum_over_tiles(lists, splats.len(), channels, &parts);
+        found.splats.presence.truncate(splats.presence.len());
+        found
+    }
+
+    fn blends(&self) -> bool {
+        true
+    }
+
+    fn survey(&self, splats: &Splats, plane: &ImagePlane, render: &Render, survey: &Survey<'_>) -> Vec<Looked> {
+        let lists: &TileLists = cached(&render.cache);
+        let channels = render.pixels.len() / (plane.width * plane.height);
+        let look = |t: usize| {
+            let tile = tile(lists, t, splats, &[], channels, plane);
+            Look { tile: &tile, picture: &render.pixels, survey }.run()
+        };
+        let found: Vec<Vec<Looked>> = (0..lists.len()).into_par_iter().map(look).collect();
+        // In the order of the tiles, whatever thread looked at which.
+        let mut sums = vec![Looked::default(); splats.len()];
+        for (t, found) in found.iter().enumerate() {
+            lists.of(t).0.iter().zip(found).for_each(|(&i, own)| sums[i as usize].add(own));
+        }
+        sums
     }
 
     fn faintest(&self) -> Real {
@@ -148,20 +171,22 @@ fn sum_over_tiles(lists: &TileLists, n: usize, channels: usize, parts: &[Real]) 
         next[i as usize] += 1;
     }
     let mut d = Splats::zeros(n);
+    d.presence = vec![0.0; n];
     let mut signals = vec![0.0; n * channels];
     let mut weights = vec![0.0; n];
     let rows = (d.means2d.par_iter_mut())
         .zip(d.conics.par_iter_mut())
-        .zip(d.opacities.par_iter_mut())
+        .zip(d.opacities.par_iter_mut().zip(d.presence.par_iter_mut()))
         .zip(signals.par_chunks_exact_mut(channels))
         .zip(weights.par_iter_mut());
-    rows.enumerate().with_min_len(256).for_each(|(i, ((((mean, conic), opacity), signal), weight))| {
+    rows.enumerate().with_min_len(256).for_each(|(i, ((((mean, conic), (opacity, presence)), signal), weight))| {
         for &slot in &slots[first[i]..first[i + 1]] {
             let part = &parts[slot as usize * stride..][..stride];
             mean.iter_mut().zip(&part[..2]).for_each(|(sum, d)| *sum += d);
             conic.iter_mut().zip(&part[2..5]).for_each(|(sum, d)| *sum += d);
             *opacity += part[5];
             *weight += part[6];
+            *presence += part[7];
             signal.iter_mut().zip(&part[GEOMETRY..]).for_each(|(sum, d)| *sum += d);
         }
     });

@@ -19,8 +19,8 @@ pub(crate) const ALPHA_MAX: Real = 0.99;
 pub(crate) const ALPHA_MIN: Real = 1.0 / 255.0;
 /// A pixel is full before T falls below this.
 pub(crate) const T_MIN: Real = 1e-4;
-/// Cotangents of a splat's geometry in one tile: mean (2), conic (3), opacity, and its summed weight.
-pub(crate) const GEOMETRY: usize = 7;
+/// Cotangents of a splat's geometry in one tile: mean (2), conic (3), opacity, its summed weight, and presence.
+pub(crate) const GEOMETRY: usize = 8;
 
 pub(crate) type Row = [Real; TILE];
 
@@ -51,7 +51,7 @@ pub(crate) struct Transmittance {
 }
 
 /// One splat as the lanes of a row see it.
-struct Brush {
+pub(crate) struct Brush {
     /// Column offsets mean − pixel, nearest image.
     dx: Row,
     /// −½ A dx².
@@ -60,12 +60,14 @@ struct Brush {
     b: Real,
     c: Real,
     y: Real,
-    opacity: Real,
+    pub(crate) opacity: Real,
+    /// Factor on γ.
+    pub(crate) presence: Real,
 }
 
 impl Tile<'_> {
     #[inline(always)]
-    fn start(&self) -> Transmittance {
+    pub(crate) fn start(&self) -> Transmittance {
         let mut t = Transmittance { signed: [[-1.0; TILE]; TILE], alive: [false; TILE] };
         let columns = (self.plane.width - self.corner.0).min(TILE);
         for row in 0..(self.plane.height - self.corner.1).min(TILE) {
@@ -76,7 +78,7 @@ impl Tile<'_> {
     }
 
     #[inline(always)]
-    fn brush(&self, i: usize) -> Brush {
+    pub(crate) fn brush(&self, i: usize) -> Brush {
         let [x, y] = self.splats.means2d[i];
         let [a, b, c] = self.splats.conics[i];
         let width = self.plane.width as Real;
@@ -85,7 +87,8 @@ impl Tile<'_> {
             if self.plane.wraps { nearest_image(d, width) } else { d }
         });
         let across = lanes(|lane| -0.5 * a * dx[lane] * dx[lane]);
-        Brush { dx, across, a, b, c, y, opacity: self.splats.opacities[i] }
+        let presence = self.splats.presence.get(i).copied().unwrap_or(1.0);
+        Brush { dx, across, a, b, c, y, opacity: self.splats.opacities[i], presence }
     }
 
     /// Blended signals `[channels][PIXELS]` into `out` (zeroed here), and what light is left.
@@ -102,8 +105,8 @@ impl Tile<'_> {
                 if !t.alive[row] {
                     continue;
                 }
-                let (_, alpha) = brush.alpha((self.corner.1 + row) as Real);
-                let weight = t.pass(row, &alpha);
+                let (_, raw) = brush.alpha((self.corner.1 + row) as Real);
+                let weight = t.pass(row, &brush.veiled(raw));
                 for (c, s) in signal.iter().enumerate() {
                     Real::add_scaled(simd, &mut out[c * TILE + row], *s, &weight);
                 }
@@ -140,9 +143,11 @@ impl Tile<'_> {
                 if !t.alive[row] {
                     continue;
                 }
-                let (gauss, alpha) = brush.alpha((self.corner.1 + row) as Real);
+                let (gauss, raw) = brush.alpha((self.corner.1 + row) as Real);
+                let alpha = brush.veiled(raw);
                 let before = t.signed[row];
                 let weight = t.pass(row, &alpha);
+                let counts = if brush.presence == 1.0 { weight } else { t.open(row, &raw) };
                 let mut q = [0.0; TILE];
                 for (c, s) in signal.iter().enumerate() {
                     let g = &d_pixels[c * TILE + row];
@@ -154,8 +159,15 @@ impl Tile<'_> {
                 for lane in 0..TILE {
                     behind[row][lane] -= weight[lane] * q[lane];
                     let through = before[lane] * q[lane] - behind[row][lane] / (1.0 - alpha[lane]);
-                    d_alpha[lane] = if weight[lane] > 0.0 { through } else { 0.0 };
+                    d_alpha[lane] = if counts[lane] > 0.0 { through } else { 0.0 };
                     d_power[lane] = d_alpha[lane] * brush.opacity * gauss[lane];
+                }
+                if brush.presence != 1.0 {
+                    Real::add_product(simd, &mut d[7], &d_alpha, &raw);
+                    d_alpha = lanes(|lane| d_alpha[lane] * brush.presence);
+                    d_power = lanes(|lane| d_power[lane] * brush.presence);
+                } else if self.splats.presence.len() > i {
+                    Real::add_product(simd, &mut d[7], &d_alpha, &raw);
                 }
                 let Brush { dx, a, b, c, .. } = &brush;
                 Real::add_product(simd, &mut d[0], &d_power, &lanes(|lane| -(a * dx[lane] + b * dy)));
@@ -207,9 +219,22 @@ impl pulp::WithSimd for Backward<'_, '_> {
 }
 
 impl Brush {
+    /// γ with the factor on it.
+    #[inline(always)]
+    pub(crate) fn veiled(&self, alpha: Row) -> Row {
+        if self.presence == 1.0 { alpha } else { lanes(|lane| alpha[lane] * self.presence) }
+    }
+
+    /// The slopes of the exponent by mean (2) and conic (3), in one pixel.
+    pub(crate) fn slopes(&self, lane: usize, y: Real) -> [Real; 5] {
+        let (dx, dy) = (self.dx[lane], self.y - y);
+        let along = [-(self.a * dx + self.b * dy), -(self.c * dy + self.b * dx)];
+        [along[0], along[1], -0.5 * dx * dx, -dx * dy, -0.5 * dy * dy]
+    }
+
     /// G and γ in the row `y`; γ is 0 where the splat does not count.
     #[inline(always)]
-    fn alpha(&self, y: Real) -> (Row, Row) {
+    pub(crate) fn alpha(&self, y: Real) -> (Row, Row) {
         let dy = self.y - y;
         let (along, cross) = (-0.5 * self.c * dy * dy, self.b * dy);
         let (mut gauss, mut alpha) = ([0.0; TILE], [0.0; TILE]);
@@ -229,7 +254,7 @@ impl Transmittance {
     ///
     /// One loop a quantity, on a copy: conditional stores to the tile itself would be compiled lane by lane.
     #[inline(always)]
-    fn pass(&mut self, row: usize, alpha: &Row) -> Row {
+    pub(crate) fn pass(&mut self, row: usize, alpha: &Row) -> Row {
         let light = self.signed[row];
         let taken = lanes(|lane| alpha[lane] * light[lane]);
         let next = lanes(|lane| light[lane] * (1.0 - alpha[lane]));
@@ -237,6 +262,22 @@ impl Transmittance {
         self.alive[row] = signed.iter().fold(0, |any, &t| any | u8::from(t > 0.0)) != 0;
         self.signed[row] = signed;
         lanes(|lane| if next[lane] >= T_MIN { taken[lane] } else { 0.0 })
+    }
+
+    /// Where a splat that was just passed counts whatever its factor is: the lanes of `alpha`, and 0 where the pixel is full.
+    #[inline(always)]
+    fn open(&self, row: usize, alpha: &Row) -> Row {
+        lanes(|lane| if self.signed[row][lane] > 0.0 { alpha[lane] } else { 0.0 })
+    }
+
+    /// Whether a row has a pixel that is still open.
+    pub(crate) fn is_open(&self, row: usize) -> bool {
+        self.alive[row]
+    }
+
+    /// What is left in a row; negative where nothing changes it any more.
+    pub(crate) fn row(&self, row: usize) -> Row {
+        self.signed[row]
     }
 
     /// What is left in the end.

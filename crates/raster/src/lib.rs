@@ -13,6 +13,7 @@ mod canvas;
 mod ewa;
 mod exp;
 mod mercator;
+mod survey;
 mod tiles;
 mod wrfgs_compat;
 

@@ -2,7 +2,7 @@
 
 use crate::Pipeline;
 use crate::graph::Batch;
-use pwrfgs_core::{Dataset, Elevation, Error, ImagePlane, Kind, Link, Real, Result, rng};
+use pwrfgs_core::{Dataset, Elevation, Error, ImagePlane, Kind, Link, Moment, Needs, Real, Result, rng};
 use pwrfgs_model::Stages;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -48,8 +48,7 @@ impl Batches {
         let settings = &pipeline.training;
         let (seed, n) = (pipeline.seed, self.transmitters.len() as u64);
         let mut jitter = rng::stream(seed, "jitter", step);
-        let mut batch = Batch { width: stages.method.inputs(), ..Batch::default() };
-        let mut links = Vec::with_capacity(settings.batch);
+        let mut transmitters = Vec::with_capacity(settings.batch);
         for k in 0..settings.batch as u64 {
             let drawn = (step - 1) * settings.batch as u64 + k;
             if self.order.0 != drawn / n {
@@ -57,14 +56,47 @@ impl Batches {
                 rng::shuffle(&mut rng::stream(seed, "batches", drawn / n), &mut order);
                 self.order = (drawn / n, order);
             }
-            let own = &self.train[self.transmitters[self.order.1[(drawn % n) as usize]].clone()];
+            transmitters.push(self.order.1[(drawn % n) as usize]);
+        }
+        let mut moved = |x: Real| x + settings.tx_jitter_m * rng::normal(&mut jitter);
+        self.of_transmitters(&transmitters, data, stages, settings.stride, &mut moved)
+    }
+
+    /// The transmitters of a pass, where they are, a few at a time.
+    pub(crate) fn sample<'a>(
+        &'a self,
+        needs: &Needs,
+        moment: &Moment,
+        data: &'a Dataset,
+        (stages, stride): (&'a Stages, usize),
+    ) -> impl Iterator<Item = Result<Batch>> + 'a {
+        let mut sample = needs.sample(self.transmitters.len(), moment.seed, moment.step).into_iter().peekable();
+        std::iter::from_fn(move || {
+            sample.peek()?;
+            let some: Vec<usize> = sample.by_ref().take(AT_ONCE).collect();
+            Some(self.of_transmitters(&some, data, stages, stride, &mut |x| x))
+        })
+    }
+
+    /// What was observed of the links of some transmitters, whose coordinates are `moved`.
+    fn of_transmitters(
+        &self,
+        transmitters: &[usize],
+        data: &Dataset,
+        stages: &Stages,
+        stride: usize,
+        moved: &mut dyn FnMut(Real) -> Real,
+    ) -> Result<Batch> {
+        let mut batch = Batch { width: stages.method.inputs(), ..Batch::default() };
+        let mut links = Vec::with_capacity(transmitters.len());
+        for &transmitter in transmitters {
+            let own = &self.train[self.transmitters[transmitter].clone()];
             for (place, &i) in own.iter().enumerate() {
                 let query = data.query(i);
                 if !query.features.is_empty() {
                     batch.conditions.extend_from_slice(query.features); // a link's own
                 } else if place == 0 {
-                    let tx = data.scene.origin.local(query.tx);
-                    batch.conditions.extend(tx.map(|x| x + settings.tx_jitter_m * rng::normal(&mut jitter)));
+                    batch.conditions.extend(data.scene.origin.local(query.tx).map(&mut *moved));
                 }
                 let transmitter = batch.conditions.len() / batch.width.max(1) - 1;
                 batch.links.push(Link { transmitter, receiver: query.receiver });
@@ -72,7 +104,7 @@ impl Batches {
             }
         }
         let numbers = stages.numbers();
-        let stride = if data.kind() == Kind::Spectrum { settings.stride } else { 1 };
+        let stride = if data.kind() == Kind::Spectrum { stride } else { 1 };
         batch.truths.resize(links.len() * numbers, 0.0);
         batch.truths.par_chunks_exact_mut(numbers).zip(&links).for_each(|(truth, &i)| {
             data.observations.coarse(i, stride, truth);
@@ -84,6 +116,9 @@ impl Batches {
         Ok(batch)
     }
 }
+
+/// Transmitters that a pass holds at a time.
+const AT_ONCE: usize = 64;
 
 /// The plane of every `stride`-th row and column of `plane`.
 pub(crate) fn coarse(plane: &ImagePlane, pipeline: &Pipeline, elevation: Elevation, kind: Kind) -> Result<ImagePlane> {

@@ -27,10 +27,12 @@ struct Note {
     gaussians: usize,
     /// Extra columns and their widths.
     extra: Vec<(String, usize)>,
+    /// How many numbers each pruner remembers.
+    memories: Vec<usize>,
 }
 
 const FORMAT: &str = "pwrfgs-checkpoint";
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 
 impl<'a> Trainer<'a> {
     /// Everything needed to go on, as bytes.
@@ -42,6 +44,7 @@ impl<'a> Trainer<'a> {
             done: self.done,
             gaussians: self.cloud.len(),
             extra: self.cloud.extra.iter().map(|c| (c.name.clone(), c.width)).collect(),
+            memories: self.memories.0.iter().map(Vec::len).collect(),
         };
         let mut file = Tensors::new(json(&note));
         let clouds = [("value", &self.cloud), ("first", &self.adam.cloud[0]), ("second", &self.adam.cloud[1])];
@@ -56,6 +59,9 @@ impl<'a> Trainer<'a> {
         }
         for (name, values) in self.stats.columns() {
             file.put(format!("stats.{name}"), vec![values.len()], values.to_vec());
+        }
+        for (k, memory) in self.memories.0.iter().enumerate().filter(|(_, memory)| !memory.is_empty()) {
+            file.put(format!("pruner.{k}"), vec![memory.len()], memory.clone());
         }
         file.note = json(&Sealed { digest: file.digest(), note });
         file.to_bytes()
@@ -97,6 +103,9 @@ impl<'a> Trainer<'a> {
         self.stats = CloudStats::zeros(n);
         for (name, values) in self.stats.columns_mut() {
             *values = file.take(&format!("stats.{name}"), &[n])?;
+        }
+        for (k, (memory, len)) in self.memories.0.iter_mut().zip(&note.memories).enumerate().filter(|(_, m)| *m.1 > 0) {
+            *memory = file.take(&format!("pruner.{k}"), &[*len])?;
         }
         self.done = note.done;
         Ok(())

@@ -1,9 +1,9 @@
 //! Densification of 3D Gaussian splatting (algorithm 1, line 9): clone, split, remove, reset opacities.
 
 use crate::adam::Adam;
-use crate::edit::{self, Row};
+use crate::edit;
 use crate::settings::Densify;
-use pwrfgs_core::{CloudStats, GaussianCloud, Real, Vec3, logit, rng, sigmoid};
+use pwrfgs_core::{CloudStats, GaussianCloud, Real, Row, Vec3, logit, rng, sigmoid};
 
 /// Whether densification is due after `step`.
 pub(crate) fn due(settings: &Densify, step: u64) -> bool {

@@ -6,7 +6,7 @@ use crate::pipeline::{Pipeline, PipelinePatch};
 use pwrfgs_core::docs::{Body as Parts, Docs, Documented as _, Field, Kind};
 use pwrfgs_core::plugin::{Family, ron_options, to_ron};
 use pwrfgs_core::ron_tree::{Body, Tree};
-use pwrfgs_core::{Baseline, DataSource, Error, Plugin, Result, did_you_mean};
+use pwrfgs_core::{Baseline, DataSource, Error, Initializer, Plugin, Result, did_you_mean};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -86,7 +86,7 @@ impl Draft {
         Ok(())
     }
 
-    /// Makes relative paths of data and baselines absolute.
+    /// Makes relative paths of data, initializer and baselines absolute.
     ///
     /// # Errors
     /// Where these plugins do not pass their own checks.
@@ -98,6 +98,12 @@ impl Draft {
         let data = Plugin::<dyn DataSource>::parse(text("data")).map_err(|e| wrong("data", e))?;
         if let (Some(rebased), Some(old)) = (data.rebased(absolute), tree.field("data")) {
             edits.push((old.span.clone(), to_ron(&Plugin::from(rebased))));
+        }
+        if let Some(old) = tree.field("initializer") {
+            let given = Plugin::<dyn Initializer>::parse(text("initializer")).map_err(|e| wrong("initializer", e))?;
+            if let Some(rebased) = given.rebased(absolute) {
+                edits.push((old.span.clone(), to_ron(&Plugin::from(rebased))));
+            }
         }
         let list = text("baselines");
         let baselines: Vec<Plugin<dyn Baseline>> =

@@ -1,25 +1,11 @@
 //! The one place where N changes: a list of rows rewrites parameters, moments and statistics together.
 
 use crate::adam::Adam;
-use pwrfgs_core::{CloudStats, GaussianCloud};
-
-/// Where a row of the new cloud comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Row {
-    /// The same Gaussian: it keeps its moments.
-    Kept(usize),
-    /// A copy of that Gaussian: its moments start at 0.
-    Copied(usize),
-}
+use pwrfgs_core::{CloudStats, Edit, GaussianCloud, Row};
 
 /// Rewrites cloud, moments and statistics so that row k of the new is `rows[k]` of the old. Statistics start anew.
 pub(crate) fn rewrite(rows: &[Row], cloud: &mut GaussianCloud, adam: &mut Adam, stats: &mut CloudStats) {
-    let sources: Vec<usize> = rows
-        .iter()
-        .map(|row| match row {
-            Row::Kept(i) | Row::Copied(i) => *i,
-        })
-        .collect();
+    let sources: Vec<usize> = rows.iter().map(|row| row.source()).collect();
     *cloud = cloud.select(&sources);
     for moments in &mut adam.cloud {
         *moments = moments.select(&sources);
@@ -43,6 +29,26 @@ pub(crate) fn keep(keep: &[bool], cloud: &mut GaussianCloud, adam: &mut Adam, st
         rewrite(&rows.into_iter().map(Row::Kept).collect::<Vec<_>>(), cloud, adam, stats);
         *stats = kept;
     }
+}
+
+/// Puts a pruner's cloud in the place of this one. Statistics of a Gaussian that is another now start anew.
+pub(crate) fn replace(edit: Edit, cloud: &mut GaussianCloud, adam: &mut Adam, stats: &mut CloudStats) {
+    let Edit { cloud: new, rows } = edit;
+    let n = cloud.len();
+    let fits = new.len() == rows.len() && !new.is_empty() && rows.iter().all(|row| row.source() < n);
+    let columns =
+        |cloud: &GaussianCloud| cloud.columns().map(|(name, width, _)| (name.to_owned(), width)).collect::<Vec<_>>();
+    assert!(
+        fits && columns(&new) == columns(cloud),
+        "an edit names a row of the cloud for each of its own, and keeps the columns"
+    );
+    let mut kept = stats.select(&rows.iter().map(|row| row.source()).collect::<Vec<_>>());
+    rewrite(&rows, cloud, adam, stats);
+    for (_, column) in kept.columns_mut() {
+        let moved = column.iter_mut().zip(&rows).filter(|(_, row)| matches!(row, Row::Copied(_)));
+        moved.for_each(|(v, _)| *v = 0.0);
+    }
+    (*cloud, *stats) = (new, kept);
 }
 
 /// Removes the columns of pruners, all that are not among the method's `lasting`: after the pruning phase no mask is left.

@@ -4,7 +4,7 @@ use crate::Pipeline;
 use crate::batches::Batches;
 use crate::graph::loss_and_gradients;
 use crate::trainer::Trainer;
-use pwrfgs_core::{GaussianCloud, Kind, Moment, Real, Result};
+use pwrfgs_core::{GaussianCloud, Kind, Real, Result};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -52,7 +52,8 @@ impl Trainer<'_> {
     /// Numbers that are not finite.
     pub fn estimate(&self) -> Result<Estimate> {
         let (n, batch) = (self.cloud.len(), self.pipeline.training.batch);
-        let most = (TRIAL / batch).clamp(16, n.max(16)).min(n);
+        // Of many an eighth, or what is small and noisy would be multiplied by a hundred.
+        let most = (TRIAL / batch).max(n / 8).clamp(16, n.max(16)).min(n);
         let (whole, half) = (self.trial(most)?, if most < n { self.trial(most / 2)? } else { 0.0 });
         let each = if most < n { ((whole - half) / (most - most / 2) as f64).max(0.0) } else { 0.0 };
         let step_seconds = whole + each * (n - most) as f64;
@@ -76,7 +77,7 @@ impl Trainer<'_> {
         let rows: Vec<usize> = (0..n).map(|i| i * self.cloud.len() / n.max(1)).collect();
         let cloud: GaussianCloud = self.cloud.select(&rows);
         let step = self.done + 1;
-        let moment = Moment { step, phase: self.phase(step), seed: self.pipeline.seed };
+        let moment = self.moment(step);
         let batch = Batches::new(self.data, self.batches().train().to_vec()).of_step(
             step,
             &self.pipeline,

@@ -1,8 +1,8 @@
 //! One step's graph: method and loss as ops on the dfdx tape, from the leaves of a cloud to the loss, and back.
 //!
 //! ```text
-//! cloud ── pruners.gate ──► M [N]
-//!   └──── observe: the method makes observations of cloud, M and Θ ─► loss (+ penalty)
+//! cloud ── pruners.gate ──► M [N] (opacity and scale), presence [N] (part in the picture)
+//!   └──── observe: the method makes observations of cloud, gates and Θ ─► loss (+ penalty)
 //! ```
 //! Gaussians that cannot show, because their gate is 0, or they are too faint or out of sight, are left out of `observe`:
 //! they have no derivative either. A deformation that couples Gaussians is the exception: all go through, and the
@@ -14,7 +14,8 @@ use dfdx::tensor_ops::{Backward, SumTo};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::tape::{Trace, TraceScalar, Traced, op, values};
 use pwrfgs_core::{
-    Asked, CloudStats, Conditions, Error, GaussianCloud, Link, MethodVjp, Moment, Parameters, Pruner, Real, Result,
+    Asked, CloudStats, Conditions, Error, Gate, GaussianCloud, Link, MethodVjp, Moment, Parameters, Pruner, Real,
+    Result,
 };
 use pwrfgs_model::Stages;
 use std::cell::RefCell;
@@ -41,7 +42,8 @@ impl Batch {
         Self { conditions: txs.as_flattened().to_vec(), width: 3, links, truths }
     }
 
-    fn asked(&self) -> Asked<'_> {
+    /// The links, as a method is asked for them.
+    pub(crate) fn asked(&self) -> Asked<'_> {
         Asked { conditions: Conditions::new(self.width, &self.conditions), links: &self.links }
     }
 }
@@ -75,20 +77,20 @@ pub fn loss_and_gradients(
     moment: &Moment,
 ) -> Result<LossAndGradients> {
     let traced = Traced::new(cloud);
-    let gate = pruners.iter().filter_map(|p| p.gate(&traced, moment)).reduce(|a, b| a * b);
+    let gates = Gates::of(&traced, pruners, moment);
     let penalty = pruners.iter().filter_map(|p| p.penalty(&traced, moment)).reduce(|a, b| a + b);
     let seen = Rc::new(RefCell::new(CloudStats::zeros(cloud.len())));
     let d_weights = Rc::new(RefCell::new(vec![0.0; weights.len()]));
     let graph = Graph {
         stages: Arc::clone(stages),
         batch: Arc::new(batch.clone()),
-        open: Rc::new(Open::of(stages, cloud, gate.as_ref())),
+        open: Rc::new(Open::of(stages, cloud, &gates)),
         weights: Arc::clone(weights),
         d_weights: Rc::clone(&d_weights),
         seen: Rc::clone(&seen),
     };
 
-    let observed = graph.observe(&traced, gate);
+    let observed = graph.observe(&traced, gates);
     let loss = graph.loss(observed, objective);
 
     let value = loss.array();
@@ -112,26 +114,64 @@ pub fn loss_and_gradients(
     Ok(LossAndGradients { loss: value, penalty: penalty_value, d_cloud, d_weights, seen })
 }
 
+/// What all pruners together multiply Gaussians by.
+struct Gates {
+    whole: Option<Trace>,
+    presence: Option<Trace>,
+}
+
+impl Gates {
+    fn of(traced: &Traced, pruners: &[Plugin<dyn Pruner>], moment: &Moment) -> Self {
+        let mut gates = Self { whole: None, presence: None };
+        let times = |product: &mut Option<Trace>, factor: Trace| {
+            *product = Some(match product.take() {
+                Some(product) => product * factor,
+                None => factor,
+            });
+        };
+        for gate in pruners.iter().filter_map(|p| p.gate(traced, moment)) {
+            match gate {
+                Gate::Whole(factor) => times(&mut gates.whole, factor),
+                Gate::Presence(factor) => times(&mut gates.presence, factor),
+            }
+        }
+        gates
+    }
+}
+
+/// Which Gaussians are open, as far as gates say so that may leave out closed ones; `None` where there is no such gate.
+pub(crate) fn open_gates(cloud: &GaussianCloud, pruners: &[Plugin<dyn Pruner>], moment: &Moment) -> Option<Vec<Real>> {
+    Gates::of(&Traced::new(cloud), pruners, moment).whole.as_ref().map(values)
+}
+
 /// The Gaussians that can be drawn ([`Stages::drawable`]), as a cloud of their own.
 struct Open {
     /// Their rows in the whole cloud.
     rows: Vec<usize>,
     cloud: GaussianCloud,
     gate: Option<Vec<Real>>,
+    presence: Option<Vec<Real>>,
     /// Rows of the whole cloud.
     all: usize,
 }
 
 impl Open {
-    fn of(stages: &Stages, cloud: &GaussianCloud, gate: Option<&Trace>) -> Self {
-        let gate = gate.map(values);
+    fn of(stages: &Stages, cloud: &GaussianCloud, gates: &Gates) -> Self {
+        let [mut gate, mut presence] = [&gates.whole, &gates.presence].map(|gate| gate.as_ref().map(values));
         let rows = stages.drawable(cloud, gate.as_deref());
-        let gate = gate.map(|g| rows.iter().map(|&i| g[i]).collect());
-        Self { cloud: cloud.select(&rows), rows, gate, all: cloud.len() }
+        if !stages.method.knows_presence()
+            && let Some(presence) = presence.take()
+        {
+            let gate = gate.get_or_insert_with(|| vec![1.0; cloud.len()]);
+            gate.iter_mut().zip(presence).for_each(|(gate, factor)| *gate *= factor);
+        }
+        let pick = |factors: Vec<Real>| rows.iter().map(|&i| factors[i]).collect();
+        let (gate, presence) = (gate.map(pick), presence.map(pick));
+        Self { cloud: cloud.select(&rows), rows, gate, presence, all: cloud.len() }
     }
 
     fn parameters<'a>(&'a self, weights: &'a [Real]) -> Parameters<'a> {
-        Parameters { cloud: &self.cloud, gate: self.gate.as_deref(), weights }
+        Parameters { cloud: &self.cloud, gate: self.gate.as_deref(), presence: self.presence.as_deref(), weights }
     }
 
     /// Rows of `width` numbers, put back where they belong in the whole cloud.
@@ -157,12 +197,20 @@ struct Graph {
 
 impl Graph {
     /// The method as an op: columns of the cloud, gate (and Θ, beside the tape) → observations `[L, numbers]`.
-    fn observe(&self, traced: &Traced, gate: Option<Trace>) -> Trace {
+    fn observe(&self, traced: &Traced, mut gates: Gates) -> Trace {
         // Those that every cloud has, and the method's own; columns of pruners reach it through the gate.
         let own = self.stages.method.columns().into_iter().map(|(name, _)| name);
         let names: Vec<&str> = pwrfgs_core::COLUMN_NAMES.into_iter().chain(own).collect();
         let columns = names.iter().map(|name| traced.column(name));
-        let inputs: Vec<Trace> = columns.chain(gate).collect();
+        if !self.stages.method.knows_presence()
+            && let Some(presence) = gates.presence.take()
+        {
+            gates.whole = Some(match gates.whole.take() {
+                Some(whole) => whole * presence,
+                None => presence,
+            });
+        }
+        let inputs: Vec<Trace> = columns.chain(gates.whole).chain(gates.presence).collect();
         let (stages, batch, open) = (Arc::clone(&self.stages), Arc::clone(&self.batch), Rc::clone(&self.open));
         let (weights, d_weights, seen) = (Arc::clone(&self.weights), Rc::clone(&self.d_weights), Rc::clone(&self.seen));
         let mut observed = stages.method.forward(&stages.frame, &open.parameters(&weights), &batch.asked());
@@ -179,7 +227,8 @@ impl Graph {
             let of = |name: &&str| sums.cloud.columns().find(|column| column.0 == *name);
             let columns = names.iter().filter_map(of).map(|(_, width, values)| open.scatter(width, values));
             let gate = open.gate.is_some().then(|| open.scatter(1, &sums.gate));
-            columns.chain(gate).collect()
+            let presence = open.presence.is_some().then(|| open.scatter(1, &sums.presence));
+            columns.chain(gate).chain(presence).collect()
         };
         op(inputs, vec![numbers], vjp).remove(0)
     }

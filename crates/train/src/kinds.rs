@@ -1,6 +1,7 @@
-//! Whether the parts of a pipeline go together: data, method and metrics of one kind of observation.
+//! Whether the parts of a pipeline go together: data, method and metrics of one kind of observation, and pruners.
 
 use crate::Pipeline;
+use crate::budgets::contradiction;
 use pwrfgs_core::ron_tree::Tree;
 use pwrfgs_core::{Error, Kind};
 use std::path::Path;
@@ -17,6 +18,10 @@ pub(crate) fn default_field(field: &str, kind: Option<Kind>) -> String {
 /// The first field that is of another kind than the data, and what to do about it; nothing where the source does not know
 /// before it loads.
 pub(crate) fn mixed(pipeline: &Pipeline) -> Option<(&'static str, String)> {
+    other_kinds(pipeline).or_else(|| contradiction(pipeline).map(|what| ("pruners", what)))
+}
+
+fn other_kinds(pipeline: &Pipeline) -> Option<(&'static str, String)> {
     let kind = pipeline.data.kind()?;
     let (method, field) = match &pipeline.method {
         Some(method) => (method.kind(), "method"),
@@ -42,8 +47,8 @@ pub(crate) fn mixed(pipeline: &Pipeline) -> Option<(&'static str, String)> {
     if let Some((baseline, own)) = pipeline.baselines.iter().find_map(|b| Some((b, other(b.kind())?))) {
         return Some(("baselines", what(name(baseline), "is a floor of", own, "leave it out")));
     }
-    let (metric, own) = pipeline.metrics.iter().find_map(|metric| Some((metric, other(metric.kind())?)))?;
-    Some(("metrics", what(name(metric), "is a metric of", own, "leave it out")))
+    let metric = pipeline.metrics.iter().find_map(|metric| Some((metric, other(metric.kind())?)));
+    metric.map(|(metric, own)| ("metrics", what(name(metric), "is a metric of", own, "leave it out")))
 }
 
 /// `Zero` of `Zero()`.

@@ -7,6 +7,7 @@
 
 mod adam;
 mod batches;
+mod budgets;
 mod checkpoint;
 mod densify;
 mod draft;
@@ -17,7 +18,9 @@ mod graph;
 mod kinds;
 mod loss;
 mod pipeline;
+mod pruning;
 mod settings;
+mod survey;
 mod trainer;
 
 pub use draft::Draft;

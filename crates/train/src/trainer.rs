@@ -2,16 +2,18 @@
 
 use crate::adam::Adam;
 use crate::batches::{Batches, coarse};
+use crate::budgets::too_many;
 use crate::densify;
 use crate::edit;
 use crate::fingerprint::fingerprint;
-use crate::graph::loss_and_gradients;
+use crate::graph::{loss_and_gradients, open_gates};
 use crate::loss::{Objective, objective};
 use crate::pipeline::Pipeline;
-use pwrfgs_core::tape::{Traced, values};
+use crate::pruning::Memories;
+use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
-    CloudStats, ColumnSpec, Dataset, Error, ExtraColumn, Frame, GaussianCloud, ImagePlane, Method, Moment, Partition,
-    Phase, Progress, Real, Result, Seen, rng,
+    Budget, CloudStats, ColumnSpec, Dataset, Error, ExtraColumn, Frame, GaussianCloud, ImagePlane, Method, Moment,
+    Partition, Phase, Progress, Pruner, Real, Result, Seen, rng,
 };
 use pwrfgs_model::{Model, Stages};
 use std::sync::atomic::AtomicBool;
@@ -50,6 +52,8 @@ pub struct Trainer<'a> {
     pub(crate) weights: Arc<Vec<Real>>,
     pub(crate) adam: Adam,
     pub(crate) stats: CloudStats,
+    /// Of each pruner.
+    pub(crate) memories: Memories,
     pub(crate) done: u64,
     /// See [`fingerprint`]; worked out when the first checkpoint is written or read.
     fingerprint: OnceLock<String>,
@@ -80,7 +84,15 @@ impl<'a> Trainer<'a> {
         let method = &*blank.stages.method;
         let seen = Seen { data, train: &partition.train, plane: &blank.plane, method, progress, stop };
         let cloud = pipeline.initializer.search(&seen, random)?;
+        let weights = pipeline.initializer.weights(&seen)?;
         blank.fill(cloud)?;
+        if let Some(weights) = weights {
+            if weights.len() != blank.weights.len() {
+                let (has, wants) = (weights.len(), blank.weights.len());
+                return Err(Error::Config(format!("initializer: {has} weights, and the method has {wants}")));
+            }
+            blank.weights = Arc::new(weights);
+        }
         Ok(blank)
     }
 
@@ -121,6 +133,7 @@ impl<'a> Trainer<'a> {
         Ok(Self {
             adam: Adam::new(&cloud, &[]),
             stats: CloudStats::zeros(0),
+            memories: Memories::of(&pipeline.pruners),
             pipeline: pipeline.clone(),
             data,
             objective: objective(&pipeline.training, data, &partition.train),
@@ -139,6 +152,9 @@ impl<'a> Trainer<'a> {
     fn fill(&mut self, mut cloud: GaussianCloud) -> Result<()> {
         if cloud.is_empty() {
             return Err(Error::Config("the initializer made no Gaussian; raise its count".into()));
+        }
+        if let Some(what) = too_many(&self.pipeline, cloud.len()) {
+            return Err(Error::Config(format!("pruners: {what}")));
         }
         let Stages { method, frame } = &*self.stages;
         cloud.complete(&method.columns()).map_err(Error::Config)?;
@@ -206,7 +222,7 @@ impl<'a> Trainer<'a> {
 
     fn next_step(&mut self) -> Result<StepReport> {
         let step = self.done + 1;
-        let moment = Moment { step, phase: self.phase(step), seed: self.pipeline.seed };
+        let moment = self.moment(step);
         let batch = self.batches.of_step(step, &self.pipeline, self.data, &self.stages)?;
         let pruners = if moment.phase == Phase::Finetune { Vec::new() } else { self.pipeline.pruners.clone() };
         let window = self.factors(step);
@@ -230,10 +246,11 @@ impl<'a> Trainer<'a> {
                 (Arc::make_mut(&mut self.weights).as_mut_slice(), &found.d_weights, self.stages.network_weights()),
             )
             .map_err(|what| Error::NonFinite { what, step })?;
-        for pruner in &pruners {
-            pruner.update(&mut self.cloud, &self.stats, &moment);
+        for (k, pruner) in pruners.iter().enumerate() {
+            let told = (!self.memories.0[k].is_empty()).then(|| self.told(k));
+            pruner.update(&mut self.cloud, told.as_ref().unwrap_or(&self.stats), &moment);
         }
-        let unpruned = self.edit(&moment);
+        let unpruned = self.edit(&moment)?;
         self.done = step;
         let (loss, penalty, gaussians) = (found.loss as f64, found.penalty as f64, self.cloud.len());
         Ok(StepReport { step, phase: moment.phase, loss, penalty, gaussians, unpruned })
@@ -241,7 +258,7 @@ impl<'a> Trainer<'a> {
 
     /// The model as it stands: Gaussians whose gate is closed are gone, and so are the masks.
     pub fn model(&self) -> Model {
-        let moment = Moment { step: self.done.max(1), phase: self.phase(self.done.max(1)), seed: self.pipeline.seed };
+        let moment = self.moment(self.done.max(1));
         let mut cloud = self.cloud.clone();
         if let Some(open) = self.open_gates(&moment) {
             let rows: Vec<usize> = (0..open.len()).filter(|&i| open[i]).collect();
@@ -250,11 +267,15 @@ impl<'a> Trainer<'a> {
         edit::drop_state(&mut cloud, &self.stages.method.columns());
         let mut stages = Stages::clone(&self.stages);
         stages.frame.plane = self.plane.clone();
-        let weights = match self.window(self.done) {
+        Model { stages, cloud, weights: self.weights_at(self.done) }
+    }
+
+    /// The weights as a model of `step` has them: without dropout, and with the frequencies that are in.
+    pub(crate) fn weights_at(&self, step: u64) -> Vec<Real> {
+        match self.window(step) {
             Some(window) => through(&window, &self.weights),
             None => self.weights.to_vec(),
-        };
-        Model { stages, cloud, weights }
+        }
     }
 
     /// Factors on the network's weights while frequencies are let in; `None` where all are in.
@@ -279,7 +300,7 @@ impl<'a> Trainer<'a> {
     }
 
     /// Changes N where algorithm 1 says so; gives the Gaussians as they were where pruners take some.
-    fn edit(&mut self, moment: &Moment) -> Option<GaussianCloud> {
+    fn edit(&mut self, moment: &Moment) -> Result<Option<GaussianCloud>> {
         let training = self.pipeline.training.clone();
         let (step, mut unpruned) = (moment.step, None);
         match moment.phase {
@@ -294,51 +315,33 @@ impl<'a> Trainer<'a> {
                     let (seed, cloud) = (self.pipeline.seed, &mut self.cloud);
                     densify::densify(settings, extent, (seed, step), cloud, &mut self.adam, &mut self.stats);
                     if settings.prune_masked {
-                        unpruned = self.prune(moment);
+                        unpruned = self.prune(moment)?;
                     }
                 }
                 if densify::reset_due(settings, step) && step < training.densify_until {
                     densify::reset_opacities(settings.reset_opacity, &mut self.cloud, &mut self.adam);
                 }
             }
-            Phase::Prune if step.is_multiple_of(training.prune_every) || step == training.prune_until => {
-                unpruned = self.prune(moment);
-            }
+            Phase::Prune if moment.round > 0 => unpruned = self.prune(moment)?,
             _ => {}
         }
         if step == training.prune_until {
-            // Fine-tuning starts with M = 1 everywhere: closed gates go, and then the masks.
-            if let Some(mut open) = self.open_gates(moment) {
+            // Fine-tuning starts with M = 1 everywhere: closed gates go, but for those that an exact number needs, and then
+            // the masks.
+            let exact =
+                |pruner: &Plugin<dyn Pruner>| matches!(pruner.budget(), Some(Budget::Rounds(_) | Budget::AtLast(_)));
+            let exact = self.pipeline.pruners.iter().any(exact);
+            if let Some(mut open) = self.open_gates(moment).filter(|_| !exact) {
                 densify::ensure_one(&mut open, &self.cloud.opacity_logits, "closing the gates");
-                let closed = self.take_away(&open);
+                let closed = open.contains(&false).then(|| self.cloud.clone());
+                self.take_away(&open);
                 unpruned = unpruned.or(closed);
             }
             let lasting = self.stages.method.columns();
             edit::drop_state(&mut self.cloud, &lasting);
             self.adam.cloud.iter_mut().for_each(|moments| edit::drop_state(moments, &lasting));
         }
-        unpruned
-    }
-
-    /// Asks every pruner; a Gaussian stays where all agree.
-    fn prune(&mut self, moment: &Moment) -> Option<GaussianCloud> {
-        let pruners = &self.pipeline.pruners;
-        let first = pruners.first()?;
-        let mut keep = vec![true; self.cloud.len()];
-        for pruner in pruners {
-            let own = pruner.keep(&self.cloud, &self.stats, moment);
-            assert_eq!(own.len(), keep.len(), "a pruner answers for every Gaussian");
-            keep.iter_mut().zip(own).for_each(|(all, own)| *all &= own);
-        }
-        densify::ensure_one(&mut keep, &first.score(&self.cloud, &self.stats), "pruning");
-        self.take_away(&keep)
-    }
-
-    /// Keeps the rows that are true; gives the cloud as it was where some are not.
-    fn take_away(&mut self, keep: &[bool]) -> Option<GaussianCloud> {
-        let before = keep.contains(&false).then(|| self.cloud.clone());
-        edit::keep(keep, &mut self.cloud, &mut self.adam, &mut self.stats);
-        before
+        Ok(unpruned)
     }
 
     /// Which gates are open; `None` where no pruner has one any more.
@@ -346,9 +349,8 @@ impl<'a> Trainer<'a> {
         if self.cloud.extra.len() == self.stages.method.columns().len() {
             return None;
         }
-        let traced = Traced::new(&self.cloud);
-        let gates = self.pipeline.pruners.iter().filter_map(|p| p.gate(&traced, moment));
-        gates.reduce(|a, b| a * b).map(|gate| values(&gate).into_iter().map(|m| m != 0.0).collect())
+        let open = open_gates(&self.cloud, &self.pipeline.pruners, moment)?;
+        Some(open.into_iter().map(|m| m != 0.0).collect())
     }
 }
 

@@ -58,7 +58,7 @@ impl Pruner for GumbelMask {
         vec![ColumnSpec { name: COLUMN, width: 1, init: self.initial_logit, learning_rate }]
     }
 
-    fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Trace> {
+    fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Gate> {
         if moment.phase == Phase::Finetune {
             return None;
         }
@@ -67,7 +67,8 @@ impl Pruner for GumbelMask {
         let noise = (0..cloud.len()).map(|_| logistic(rng::uniform(&mut random))).collect();
         let y = ((cloud.column(COLUMN) + cloud.constant(noise)) / self.temperature).sigmoid();
         let logits = cloud.leaf(COLUMN).as_vec();
-        Some(y * cloud.constant(logits.iter().map(|m| Real::from(u8::from(*m >= 0.0))).collect()))
+        let open = logits.iter().map(|m| Real::from(u8::from(*m >= 0.0))).collect();
+        Some((y * cloud.constant(open)).into())
     }
 
     fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
@@ -75,7 +76,7 @@ impl Pruner for GumbelMask {
             .then(|| cloud.column(COLUMN).sigmoid().mean::<Rank0, _>() * self.lambda)
     }
 
-    fn score(&self, cloud: &GaussianCloud, _: &CloudStats) -> Vec<Real> {
+    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<Real> {
         cloud.extra(COLUMN).map_or_else(|| cloud.opacity_logits.clone(), |c| c.values.clone())
     }
 

@@ -31,6 +31,18 @@ impl Group {
         groups
     }
 
+    /// Its links, each as a group of its own.
+    pub(super) fn alone(&self) -> impl Iterator<Item = Self> + '_ {
+        let one =
+            |(link, row): (&usize, &usize)| Self { receiver: self.receiver, links: vec![*link], rows: vec![*row] };
+        self.links.iter().zip(&self.rows).map(one)
+    }
+
+    /// The place of its first link.
+    pub(super) fn first(&self) -> usize {
+        self.links[0]
+    }
+
     /// From the receiver to the transmitter of each link, metres; nothing where positions are not known.
     pub(super) fn distances(&self, view: &View, asked: &Asked<'_>) -> Vec<Real> {
         let txs = asked.conditions.positions();

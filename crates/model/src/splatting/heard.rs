@@ -61,7 +61,7 @@ impl Splatting {
         let part = evenly(train, LOOKED_AT);
         let (conditions, links) = Self::asked_of(frame, data, &part);
         let asked = Asked { conditions: Conditions::new(self.inputs(), &conditions), links: &links };
-        let numbers = self.forward(frame, &Parameters { cloud, gate: None, weights }, &asked).numbers;
+        let numbers = self.forward(frame, &Parameters { cloud, gate: None, presence: None, weights }, &asked).numbers;
         let energy = |values: &[Real]| values.iter().map(|v| (*v as f64).powi(2)).sum::<f64>();
         let measured: f64 = part.iter().map(|&i| energy(&data.image(i).pixels)).sum();
         let ratio = measured / energy(&numbers);

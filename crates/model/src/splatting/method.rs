@@ -7,8 +7,8 @@ use super::received::{self, Laws};
 use super::{Drawing, Geometry, Splatting, View, check_kind, check_together};
 use crate::{ActivationVjp, Calibration, Readout};
 use pwrfgs_core::{
-    Asked, Cache, Conditions, Dataset, DeformationInputs, Deltas, Frame, GaussianCloud, Kind, Method, MethodVjp,
-    Observed, Parameters, Real, StageTimes, WeightSpec, cached, rng::Rng,
+    Asked, Cache, Conditions, Dataset, DeformationInputs, Deltas, Frame, GaussianCloud, Kind, Method, MethodVjp, Needs,
+    Observed, Parameters, Real, StageTimes, Statistics, WeightSpec, cached, rng::Rng,
 };
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -55,7 +55,14 @@ impl Splatting {
     }
 
     /// Blended signals of a receiver's sky `[links, channels, pixels]` as observations.
-    fn read_out(&self, view: &View, laws: Laws<'_>, group: &Group, asked: &Asked<'_>, blended: &[Real]) -> Vec<Real> {
+    pub(super) fn read_out(
+        &self,
+        view: &View,
+        laws: Laws<'_>,
+        group: &Group,
+        asked: &Asked<'_>,
+        blended: &[Real],
+    ) -> Vec<Real> {
         match laws.of(group.receiver) {
             Some(law) => received::forward(&view.plane, law, &group.distances(view, asked), blended),
             None => self.readout.forward(blended, view.plane.width * view.plane.height),
@@ -88,10 +95,11 @@ impl Splatting {
         }
         sums.cloud.means.as_flattened_mut().iter_mut().zip(d_means.as_flattened()).for_each(|(sum, d)| *sum += d);
         sums.gate.iter_mut().zip(&own.gate).for_each(|(sum, d)| *sum += d);
+        sums.presence.iter_mut().zip(&own.presence).for_each(|(sum, d)| *sum += d);
     }
 
     /// Cotangents of the blended signals, given those `d` of the observations; adds to those of the law.
-    fn read_out_vjp(
+    pub(super) fn read_out_vjp(
         &self,
         view: &View,
         d_law: Option<[&mut Real; 2]>,
@@ -166,7 +174,7 @@ impl Method for Splatting {
         for group in groups {
             let view = &views[group.receiver];
             let (terms, batch) = group.terms(&deltas, n);
-            let drawing = self.draw(view, p.cloud, &terms, batch, p.gate, None);
+            let drawing = self.draw(view, p.cloud, &terms, batch, p.into(), None);
             let clamped: Vec<Real>;
             let blended = if self.calibration == Calibration::AsReleased {
                 clamped = drawing.render.pixels.iter().map(|v| v.clamp(0.0, 1.0)).collect();
@@ -213,7 +221,7 @@ impl Method for Splatting {
             // Copied terms have a derivative of their own, which is then added where they came from.
             let copied = matches!(terms, Cow::Owned(_));
             let all = copied.then(|| std::mem::replace(&mut own.deltas, terms.zeros_like()));
-            let d = self.draw_vjp(view, drawing, p.cloud, &terms, p.gate, &d_blended, &mut own);
+            let d = self.draw_vjp(view, drawing, p.cloud, &terms, p.into(), &d_blended, &mut own);
             if let Some(all) = all {
                 let part = std::mem::replace(&mut own.deltas, all);
                 group.add_back(&part, &mut own.deltas, n);
@@ -223,6 +231,25 @@ impl Method for Splatting {
         self.finish(frame, p, asked, &own, sums);
     }
 
+    fn knows_presence(&self) -> bool {
+        self.blends()
+    }
+
+    fn blends(&self) -> bool {
+        self.readout != Readout::Channel && self.rasterizer.blends()
+    }
+
+    fn survey(
+        &self,
+        frame: &Frame,
+        p: &Parameters<'_>,
+        asked: &Asked<'_>,
+        truths: &[Real],
+        needs: &Needs,
+    ) -> Statistics {
+        self.look(frame, p, asked, truths, needs)
+    }
+
     fn prepare(&self, frame: &Frame, p: &Parameters<'_>) -> Cache {
         let network = self.parts(frame, p.weights).0;
         if self.readout == Readout::Channel {
@@ -230,7 +257,7 @@ impl Method for Splatting {
             let waves = frame.receivers.iter().map(|receiver| Waves::new(frame, receiver, p.cloud, p.gate)).collect();
             return Some(Arc::new(ReadyWaves { deformation, waves }));
         }
-        let still = |view: &View| Arc::new(self.geometry(view, p.cloud, &Deltas::default(), 0, p.gate));
+        let still = |view: &View| Arc::new(self.geometry(view, p.cloud, &Deltas::default(), 0, p.into()));
         Some(Arc::new(Ready {
             deformation: self.deformation.prepare(network, &p.cloud.means, &frame.pose()),
             still: if self.deformation.varies_geometry() {
@@ -262,7 +289,7 @@ impl Method for Splatting {
             let start = Instant::now();
             let (view, still) = (&views[group.receiver], still.get(group.receiver));
             let (terms, batch) = group.terms(&deltas, p.cloud.len());
-            let drawing = self.draw(view, p.cloud, &terms, batch, p.gate, still);
+            let drawing = self.draw(view, p.cloud, &terms, batch, p.into(), still);
             let own = self.read_out(view, laws, group, asked, &drawing.render.pixels);
             let [projection, sort] = if still.is_some() { [0.0; 2] } else { drawing.geometry.seconds };
             let blending = start.elapsed().as_secs_f64() - projection - sort;

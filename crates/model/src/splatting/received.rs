@@ -106,7 +106,7 @@ impl Splatting {
         let part = evenly(train, FITTED);
         let (conditions, links) = Self::asked_of(frame, data, &part);
         let conditions = Conditions::new(self.inputs(), &conditions);
-        let parameters = Parameters { cloud, gate: None, weights };
+        let parameters = Parameters { cloud, gate: None, presence: None, weights };
         let sky = self.forward(frame, &parameters, &Asked { conditions, links: &links }).numbers;
         let receivers = &frame.receivers;
         let txs = if self.inputs() == 3 { conditions.positions() } else { &[] };

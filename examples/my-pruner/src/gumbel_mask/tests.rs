@@ -5,7 +5,7 @@ use dfdx::prelude::{AsArray, Backward, SumTo};
 use pwrfgs::core::{ExtraColumn, sigmoid};
 
 fn moment(step: u64, phase: Phase) -> Moment {
-    Moment { step, phase, seed: 7 }
+    Moment::new(step, phase, 7)
 }
 
 /// Gaussians with these gate logits.

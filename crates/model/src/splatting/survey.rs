@@ -1,0 +1,236 @@
+//! What each Gaussian has to do with the observations, for pruners that ask.
+
+use super::groups::Group;
+use super::{Drawing, Geometry, Splatting, View};
+use crate::Calibration;
+use pwrfgs_core::{Asked, Deltas, Frame, Kind, Looked, Needs, Parameters, Real, Splats, Statistic, Statistics, Survey};
+use std::ops::Range;
+use std::sync::Arc;
+
+/// Derivatives of (mean2d, conic) by (mean, log scale) of one Gaussian.
+type Jacobian = [[Real; 6]; 5];
+
+/// The Gaussians of one link, and what was measured of it.
+struct Sight<'a> {
+    view: &'a View,
+    drawing: &'a Drawing,
+    /// Of an observation by blended signals.
+    slopes: &'a [Real],
+    /// Made of it, and measured.
+    picture: [&'a [Real]; 2],
+    jacobians: &'a [Jacobian],
+}
+
+impl Splatting {
+    /// See [`pwrfgs_core::Method::survey`].
+    pub(super) fn look(
+        &self,
+        frame: &Frame,
+        p: &Parameters<'_>,
+        asked: &Asked<'_>,
+        truths: &[Real],
+        needs: &Needs,
+    ) -> Statistics {
+        let (n, numbers) = (p.cloud.len(), frame.numbers());
+        let rows: Vec<usize> = (0..n).collect();
+        let mut sums = Statistics::zeros(needs, n);
+        let deltas = self.terms(frame, p, asked.conditions);
+        let (views, laws) = (self.views(frame), self.parts(frame, p.weights).1);
+        for group in Group::all(asked.links, views.len(), !self.deformation.varies_geometry()) {
+            let view = &views[group.receiver];
+            let (terms, batch) = group.terms(&deltas, n);
+            let geometry = Arc::new(self.geometry(view, p.cloud, &terms, batch.start, p.into()));
+            let jacobians = match needs.statistics.contains(&Statistic::Fisher) {
+                true => self.jacobians(view, p, &geometry),
+                false => Vec::new(),
+            };
+            if !needs.statistics.iter().any(per_link) {
+                sums.add(&rows, &self.weigh(view, p, (&terms, batch), &geometry, needs));
+                continue;
+            }
+            for (b, link) in batch.zip(group.alone()) {
+                let drawing = self.draw(view, p.cloud, &terms, b..b + 1, p.into(), Some(&geometry));
+                let blended = &drawing.render.pixels;
+                let truth = &truths[link.first() * numbers..][..numbers];
+                let made = self.read_out(view, laws, &link, asked, blended);
+                let slopes = match frame.kind {
+                    Kind::Spectrum if self.calibration == Calibration::Physical => {
+                        self.readout.slopes(blended, view.plane.width * view.plane.height)
+                    }
+                    _ => {
+                        let law = &mut [0.0; 2];
+                        let [offset, exponent] = law;
+                        let d_law = laws.of(group.receiver).map(|_| [offset, exponent]);
+                        self.read_out_vjp(view, d_law, &link.distances(view, asked), blended, &vec![1.0; numbers])
+                    }
+                };
+                let picture = [made.as_slice(), truth];
+                let sight = Sight { view, drawing: &drawing, slopes: &slopes, picture, jacobians: &jacobians };
+                sums.add(&rows, &self.see(&sight, needs, frame.kind));
+            }
+        }
+        sums
+    }
+
+    /// All links of a geometry, whose weights are the same: signals alone differ.
+    fn weigh(
+        &self,
+        view: &View,
+        p: &Parameters<'_>,
+        (terms, batch): (&Deltas, Range<usize>),
+        geometry: &Arc<Geometry>,
+        needs: &Needs,
+    ) -> Statistics {
+        let (n, links, channels) = (p.cloud.len(), batch.len(), self.readout.channels());
+        let drawing = self.draw(view, p.cloud, terms, batch.start..batch.start + 1, p.into(), Some(geometry));
+        let looked = self.rasterizer.survey(&geometry.splats, &view.plane, &drawing.render, &Survey::default());
+        let mut found = Statistics::zeros(needs, n);
+        found.links = links;
+        let mut strengths: [Vec<Real>; 2] = [vec![0.0; found.signal_mean.len()], vec![0.0; found.signal_mean.len()]];
+        if !found.signal_mean.is_empty() {
+            let [sums, largest] = &mut strengths;
+            let signals = self.activation().signals(p.cloud, terms, batch);
+            for (i, own) in signals.chunks_exact(links * channels).enumerate() {
+                for strength in own.chunks_exact(channels).map(norm) {
+                    sums[i] += strength;
+                    largest[i] = largest[i].max(strength);
+                }
+            }
+        }
+        let times = links as Real;
+        fill(&mut found.weight, &looked, |_, own| times * own.weight);
+        fill(&mut found.largest_weight, &looked, |_, own| own.largest);
+        fill(&mut found.weight_per_area, &looked, |_, own| times * own.weight / own.pixels.max(1.0));
+        fill(&mut found.signal_mean, &looked, |i, own| strengths[0][i] * own.weight);
+        fill(&mut found.signal_max, &looked, |i, own| strengths[1][i] * own.weight);
+        found
+    }
+
+    /// One link.
+    fn see(&self, sight: &Sight<'_>, needs: &Needs, kind: Kind) -> Statistics {
+        let Sight { view, drawing, slopes, picture: [made, truth], .. } = *sight;
+        let Drawing { geometry, signals, render, .. } = drawing;
+        let (splats, channels) = (&geometry.splats, self.readout.channels());
+        let asks = |what: fn(&Statistic) -> bool| needs.statistics.iter().copied().find(what);
+        let strengths: Vec<Real> = signals.chunks_exact(channels).map(norm).collect();
+        let errors: Vec<Real> = made.iter().zip(truth).map(|(a, b)| (a - b).abs()).collect();
+        let (mut survey, high) = (Survey::default(), high_errors(&errors, needs));
+        if kind == Kind::Spectrum {
+            if asks(|s| matches!(s, Statistic::Error { .. })).is_some() {
+                (survey.errors, survey.high) = (&errors, &high);
+            }
+            if let Some(Statistic::Top { count }) = asks(|s| matches!(s, Statistic::Top { .. })) {
+                survey.top = Some((count, truth, &strengths));
+            }
+            if asks(|s| matches!(s, Statistic::Sensitivity | Statistic::Fisher)).is_some() {
+                survey.slopes = Some((signals, slopes));
+                survey.fisher = !sight.jacobians.is_empty();
+            }
+        }
+        let mut looked = self.rasterizer.survey(splats, &view.plane, render, &survey);
+        if kind == Kind::Power {
+            self.as_one_number(sight, &mut looked);
+        }
+        let mut found = Statistics::zeros(needs, splats.len());
+        found.links = 1;
+        let mean_error = errors.iter().sum::<Real>() / errors.len().max(1) as Real;
+        fill(&mut found.weight, &looked, |_, own| own.weight);
+        fill(&mut found.largest_weight, &looked, |_, own| own.largest);
+        fill(&mut found.weight_per_area, &looked, |_, own| own.weight / own.pixels.max(1.0));
+        fill(&mut found.signal_mean, &looked, |i, own| strengths[i] * own.weight);
+        fill(&mut found.signal_max, &looked, |i, own| strengths[i] * own.weight);
+        fill(&mut found.error, &looked, |_, own| own.error);
+        fill(&mut found.high_error, &looked, |_, own| mean_error * own.high);
+        fill(&mut found.sensitivity, &looked, |_, own| own.sensitivity);
+        found.top.iter_mut().zip(&looked).for_each(|(v, own)| *v = own.top);
+        let fishers = found.fisher.iter_mut().zip(sight.jacobians).zip(&looked);
+        fishers.for_each(|((v, jacobian), own)| *v = carried(&own.fisher, jacobian));
+        found
+    }
+
+    /// Slopes of a power, which is one number: those of its pixels add up before they are squared.
+    fn as_one_number(&self, sight: &Sight<'_>, looked: &mut [Looked]) {
+        let Sight { view, drawing: Drawing { geometry, signals, render, .. }, slopes, .. } = *sight;
+        let mut splats = geometry.splats.clone();
+        if splats.presence.is_empty() {
+            splats.presence = vec![1.0; splats.len()];
+        }
+        let channels = self.readout.channels();
+        let d = self.rasterizer.backward(&splats, signals, channels, &view.plane, render, slopes);
+        for (i, own) in looked.iter_mut().enumerate() {
+            own.sensitivity = (splats.presence[i] * d.splats.presence[i]).powi(2);
+            let ([x, y], [a, b, c]) = (d.splats.means2d[i], d.splats.conics[i]);
+            let slopes = [x, y, a, b, c];
+            let pairs = (0..5).flat_map(|j| (j..5).map(move |k| (j, k)));
+            own.fisher.iter_mut().zip(pairs).for_each(|(v, (j, k))| *v = slopes[j] * slopes[k]);
+        }
+    }
+
+    /// How the splats move with their Gaussians: one pass of the projector's derivative for each of their five numbers.
+    fn jacobians(&self, view: &View, p: &Parameters<'_>, geometry: &Geometry) -> Vec<Jacobian> {
+        let Geometry { primitives, splats, .. } = geometry;
+        let n = splats.len();
+        let mut jacobians = vec![[[0.0; 6]; 5]; n];
+        for k in 0..5 {
+            let mut d = Splats::zeros(n);
+            match k {
+                0 | 1 => d.means2d.iter_mut().for_each(|own| own[k] = 1.0),
+                _ => d.conics.iter_mut().for_each(|own| own[k - 2] = 1.0),
+            }
+            let d = self.projector.project_vjp(primitives, &view.pose, &view.plane, splats, &d);
+            for (i, jacobian) in jacobians.iter_mut().enumerate() {
+                let gate = p.gate.map_or(1.0, |gate| gate[i]);
+                let scale = [0, 1, 2].map(|j| d.scales[i][j] * gate * p.cloud.log_scales[i][j].exp());
+                let mean = d.means[i];
+                jacobian[k] = [mean[0], mean[1], mean[2], scale[0], scale[1], scale[2]];
+            }
+        }
+        jacobians
+    }
+}
+
+/// Whether a statistic is another for each link, even where the geometry is the same.
+fn per_link(statistic: &Statistic) -> bool {
+    use Statistic::{Error, Fisher, Sensitivity, Top};
+    matches!(statistic, Error { .. } | Top { .. } | Sensitivity | Fisher)
+}
+
+/// One number of each Gaussian, where it was asked for.
+fn fill(column: &mut [Real], looked: &[Looked], value: impl Fn(usize, &Looked) -> Real) {
+    column.iter_mut().zip(looked.iter().enumerate()).for_each(|(v, (i, own))| *v = value(i, own));
+}
+
+fn norm(signal: &[Real]) -> Real {
+    signal.iter().map(|s| s * s).sum::<Real>().sqrt()
+}
+
+/// Where errors are above the share asked for of the way from the smallest to the largest.
+fn high_errors(errors: &[Real], needs: &Needs) -> Vec<bool> {
+    let asked =
+        needs.statistics.iter().find_map(|s| if let Statistic::Error { high } = s { Some(*high) } else { None });
+    let Some(share) = asked else { return Vec::new() };
+    let low = errors.iter().copied().fold(Real::INFINITY, Real::min);
+    let most = errors.iter().copied().fold(Real::NEG_INFINITY, Real::max);
+    errors.iter().map(|e| *e > low + share * (most - low)).collect()
+}
+
+/// Jᵀ F J: the upper triangle of 5 × 5 becomes that of 6 × 6.
+fn carried(fisher: &[Real; 15], jacobian: &Jacobian) -> [Real; 21] {
+    let mut full = [[0.0; 5]; 5];
+    let mut own = fisher.iter();
+    for j in 0..5 {
+        for k in j..5 {
+            let v = *own.next().expect("fifteen numbers");
+            (full[j][k], full[k][j]) = (v, v);
+        }
+    }
+    let mut out = [0.0; 21];
+    let mut place = out.iter_mut();
+    for a in 0..6 {
+        for b in a..6 {
+            let sum = (0..25).map(|e| jacobian[e / 5][a] * full[e / 5][e % 5] * jacobian[e % 5][b]).sum();
+            *place.next().expect("twenty-one numbers") = sum;
+        }
+    }
+    out
+}

@@ -1,0 +1,67 @@
+//! `Trained`: a model as the start of another training.
+
+use crate::file;
+use pwrfgs_core::{Documented, Error, GaussianCloud, ImagePlane, Initializer, Real, Result, Scene, Seen, rng::Rng};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Gaussians and weights of a trained model.
+///
+/// To prune, or to go on training, where another run ended: the same dense model can then be thinned out in many ways, all
+/// trained equally long (`experiments/pareto.ron`). Method and receivers must be those of the model; the optimiser begins
+/// anew. A checkpoint, with which a run that was stopped goes on, is another thing.
+///
+/// ```
+/// # use pwrfgs_model as _;
+/// # use pwrfgs_core::{Initializer, Plugin};
+/// Plugin::<dyn Initializer>::parse("Trained(model: \"runs/dense/model.safetensors\")")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct Trained {
+    /// The `model.safetensors` of a finished run, relative to the pipeline.
+    #[serde(with = "pwrfgs_core::paths")]
+    pub model: PathBuf,
+}
+
+#[typetag::serde]
+impl Initializer for Trained {
+    fn initialize(&self, scene: &Scene, _: &ImagePlane, _: &mut Rng) -> Result<GaussianCloud> {
+        let model = file::read(&self.model)?;
+        if model.stages.frame.origin != scene.origin {
+            return Err(Error::input(
+                &self.model,
+                "it counts from another origin than these data; give one trained on them",
+            ));
+        }
+        Ok(model.cloud)
+    }
+
+    fn weights(&self, seen: &Seen<'_>) -> Result<Option<Vec<Real>>> {
+        let model = file::read(&self.model)?;
+        let (own, wanted) = (model.stages.method.get(), seen.method);
+        let text = |method: &dyn pwrfgs_core::Method| serde_json::to_string(method).unwrap_or_default();
+        if text(own) != text(wanted) || model.stages.frame.receivers != seen.data.scene.receivers {
+            let what = "its method or its receivers are others than those of the pipeline; copy projector, rasterizer, \
+                        deformation, calibration and readout from the run that made it";
+            return Err(Error::input(&self.model, what));
+        }
+        Ok(Some(model.weights))
+    }
+
+    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn Initializer>> {
+        Some(Box::new(Self { model: absolute(&self.model) }))
+    }
+
+    fn about(&self) -> &'static str {
+        "the Gaussians and weights of a trained model"
+    }
+
+    fn check(&self) -> std::result::Result<(), String> {
+        if self.model.as_os_str().is_empty() {
+            return Err("`model` is missing; give the model.safetensors of a finished run".into());
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,74 @@
+//! What stands where the pictures are wrong.
+
+use crate::rounds::{asked, check_share, check_target};
+use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic};
+use serde::{Deserialize, Serialize};
+
+/// Drops what stands, again and again, where the pictures are wrong.
+///
+/// For each training transmitter the Gaussian's pixels of high error are counted and multiplied by the picture's mean absolute
+/// error; the sums, stretched from 0 to 1, are its blame, and what has more than `blame` goes (FastGS, Ren et al., 2025,
+/// view-consistent pruning). An error of a pixel is high above `high` of the way from the picture's smallest to its largest.
+/// It takes the large, misplaced ones, and is no measure of use: as a way down to a small number it is the wrong tool.
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner};
+/// Plugin::<dyn Pruner>::parse("FastGs(blame: 0.9)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct FastGs {
+    /// Blame above which a Gaussian goes, from 0 to 1.
+    pub blame: Real,
+    /// Share of the way from a picture's smallest error to its largest from which an error is high, from 0 to 1.
+    pub high: Real,
+    /// Training transmitters that a pass looks at; 0: all.
+    pub transmitters: usize,
+    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
+    /// `blame`.
+    pub target: Option<usize>,
+}
+
+impl Default for FastGs {
+    fn default() -> Self {
+        Self { blame: 0.9, high: 0.1, transmitters: 64, target: None }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for FastGs {
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
+        let known = stats.asked.high_error.len() == cloud.len();
+        self.score(cloud, stats, moment).iter().map(|score| !known || *score >= 1.0 - self.blame).collect()
+    }
+
+    fn needs(&self) -> Needs {
+        Needs::of(&[Statistic::Error { high: self.high }], self.transmitters)
+    }
+
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
+        let blame = asked(&stats.asked.high_error, cloud);
+        if stats.asked.high_error.len() != cloud.len() {
+            return blame;
+        }
+        let (low, high) = blame.iter().fold((Real::INFINITY, 0.0 as Real), |(a, b), v| (a.min(*v), b.max(*v)));
+        let width = (high - low).max(Real::MIN_POSITIVE);
+        blame.iter().map(|v| 1.0 - (v - low) / width).collect()
+    }
+
+    fn budget(&self) -> Option<Budget> {
+        self.target.map(Budget::Rounds)
+    }
+
+    fn about(&self) -> &'static str {
+        "what covers pixels of high error in many pictures goes (FastGS)"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_share("blame", self.blame)?;
+        check_share("high", self.high)?;
+        check_target(self.target)
+    }
+}

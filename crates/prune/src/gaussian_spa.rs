@@ -1,0 +1,136 @@
+//! Opacities drawn towards their own best few.
+
+use crate::rounds::check_target;
+use dfdx::prelude::{Rank0, SumTo};
+use pwrfgs_core::{
+    Budget, CloudStats, ColumnSpec, Documented, GaussianCloud, Moment, Phase, Pruner, Real, best, sigmoid,
+    tape::{TraceScalar, Traced},
+};
+use serde::{Deserialize, Serialize};
+
+/// The column of z, the sparse opacities.
+const SPARSE: &str = "spa_sparse";
+/// The column of u, the scaled dual.
+const DUAL: &str = "spa_dual";
+
+/// Opacities are drawn, a little at every step, towards a vector in which only the best few are not 0.
+///
+/// The alternating direction method of multipliers on the opacities o: every `every` steps of the pruning phase z becomes
+/// o + u with all but the largest k set to 0, and u gains o − z; in between the loss has rho/2 · Σ (o − z + u)², which the
+/// optimiser works off. What shall go fades while training makes up for it, so that the cut at the last prune step, to the k
+/// largest o + u, changes little (GaussianSpa, Zhang et al., CVPR 2025, algorithm 1: rho 5e-4, 80 % pruned after a first
+/// half). Nothing goes before the last prune step.
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner};
+/// Plugin::<dyn Pruner>::parse("GaussianSpa(target: 157)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct GaussianSpa {
+    /// Weight ρ of the distance, above 0.
+    pub rho: Real,
+    /// Steps between two projections, 1 or more.
+    pub every: u64,
+    /// The share that goes, where no target is set, from 0 to below 1.
+    pub share: Real,
+    /// How many Gaussians there shall be at the end of pruning.
+    pub target: Option<usize>,
+}
+
+impl Default for GaussianSpa {
+    fn default() -> Self {
+        Self { rho: 0.0005, every: 50, share: 0.8, target: None }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for GaussianSpa {
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
+        let last = moment.round > 0 && moment.round == moment.rounds;
+        let count = if last { self.count(cloud.len()) } else { cloud.len() };
+        best(count, &self.score(cloud, stats, moment), |_| true)
+    }
+
+    fn columns(&self) -> Vec<ColumnSpec> {
+        // No opacity is negative: until the first projection there is nothing to be drawn to.
+        vec![
+            ColumnSpec { name: SPARSE, width: 1, init: -1.0, learning_rate: None },
+            ColumnSpec { name: DUAL, width: 1, init: 0.0, learning_rate: None },
+        ]
+    }
+
+    fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
+        let (z, u) = (cloud.leaf(SPARSE).as_vec(), cloud.leaf(DUAL).as_vec());
+        if moment.phase != Phase::Prune || z.is_empty() || z.iter().any(|z| *z < 0.0) {
+            return None;
+        }
+        let away: Vec<Real> = z.iter().zip(u).map(|(z, u)| u - z).collect();
+        Some((cloud.opacities() + cloud.constant(away)).square().sum::<Rank0, _>() * (0.5 * self.rho))
+    }
+
+    fn update(&self, cloud: &mut GaussianCloud, _: &CloudStats, moment: &Moment) {
+        if moment.phase != Phase::Prune || !moment.step.is_multiple_of(self.every) || cloud.is_empty() {
+            return;
+        }
+        let opacities: Vec<Real> = cloud.opacity_logits.iter().map(|o| sigmoid(*o)).collect();
+        let Some(dual) = cloud.extra(DUAL).map(|column| column.values.clone()) else { return };
+        let wanted: Vec<Real> = opacities.iter().zip(&dual).map(|(o, u)| o + u).collect();
+        let open = best(self.count(cloud.len()), &wanted, |_| true);
+        let sparse: Vec<Real> = wanted.iter().zip(open).map(|(w, open)| if open { w.max(0.0) } else { 0.0 }).collect();
+        for column in &mut cloud.extra {
+            match column.name.as_str() {
+                DUAL => {
+                    let steps = opacities.iter().zip(&sparse);
+                    column.values.iter_mut().zip(steps).for_each(|(u, (o, z))| *u += o - z);
+                }
+                SPARSE => column.values.clone_from(&sparse),
+                _ => {}
+            }
+        }
+    }
+
+    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<Real> {
+        let opacities = cloud.opacity_logits.iter().map(|o| sigmoid(*o));
+        match cloud.extra(DUAL) {
+            Some(dual) => opacities.zip(&dual.values).map(|(o, u)| o + u).collect(),
+            None => opacities.collect(),
+        }
+    }
+
+    fn budget(&self) -> Option<Budget> {
+        self.target.map(Budget::AtLast)
+    }
+
+    fn about(&self) -> &'static str {
+        "opacities are drawn to a sparse vector, then cut to an exact number (GaussianSpa)"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_admm(self)?;
+        check_target(self.target)
+    }
+}
+
+impl GaussianSpa {
+    /// k, of `n`.
+    fn count(&self, n: usize) -> usize {
+        self.target.unwrap_or_else(|| ((1.0 - f64::from(self.share)) * n as f64).ceil() as usize).clamp(1, n.max(1))
+    }
+}
+
+fn check_admm(settings: &GaussianSpa) -> Result<(), String> {
+    let GaussianSpa { rho, every, share, .. } = settings;
+    if !(rho.is_finite() && *rho > 0.0) {
+        return Err(format!("`rho` is {rho}; give a number above 0, such as 0.0005"));
+    }
+    if *every == 0 {
+        return Err("`every` is 0; give the steps between two projections, such as 50".to_owned());
+    }
+    if (0.0..1.0).contains(share) {
+        return Ok(());
+    }
+    Err(format!("`share` is {share}; give the share that goes, from 0 to below 1"))
+}

@@ -1,0 +1,77 @@
+//! One at a time, by the true loss.
+
+use crate::rounds::{asked, check_shares, check_target, share_at, without_share};
+use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic, Statistics};
+use serde::{Deserialize, Serialize};
+
+/// Takes one Gaussian at a time: always that one without which the training loss is smallest.
+///
+/// The reference from above for small numbers, for any method and any observation: nothing is estimated, the loss of
+/// `transmitters` is worked out without each Gaussian in turn, N(N+1)/2 times in all. Above `most` Gaussians that is too much,
+/// and it goes by what the pictures are sensitive to, as [`crate::SpeedySplat`] does (by opacity, where nothing is blended),
+/// until `most` are left. It is greedy and looks no step ahead, so that it can be beaten by training with fewer from the
+/// start.
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner};
+/// Plugin::<dyn Pruner>::parse("GreedyElimination(target: 24)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct GreedyElimination {
+    /// Gaussians from which on the true loss decides, from 2 to 1,000.
+    pub most: usize,
+    /// The share that goes at each prune step, from the first on; after the last of them nothing goes.
+    pub shares: Vec<Real>,
+    /// Training transmitters that a pass looks at; 0: all.
+    pub transmitters: usize,
+    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
+    /// `shares`.
+    pub target: Option<usize>,
+}
+
+impl Default for GreedyElimination {
+    fn default() -> Self {
+        Self { most: 100, shares: vec![0.5], transmitters: 64, target: None }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for GreedyElimination {
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
+        without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
+    }
+
+    fn needs(&self) -> Needs {
+        let elimination = Statistic::Elimination { most: self.most };
+        Needs::of(&[elimination], self.transmitters).and_where_blended(&[Statistic::Sensitivity])
+    }
+
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
+        let Statistics { elimination, sensitivity, .. } = &stats.asked;
+        asked(if elimination.len() == cloud.len() { elimination } else { sensitivity }, cloud)
+    }
+
+    fn budget(&self) -> Option<Budget> {
+        self.target.map(Budget::Rounds)
+    }
+
+    fn about(&self) -> &'static str {
+        "one at a time by the true loss: the reference for small numbers"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_most(self.most)?;
+        check_shares(&self.shares)?;
+        check_target(self.target)
+    }
+}
+
+fn check_most(most: usize) -> Result<(), String> {
+    if (2..=1000).contains(&most) {
+        return Ok(());
+    }
+    Err(format!("`most` is {most}; give a number from 2 to 1000: the work grows with its square"))
+}

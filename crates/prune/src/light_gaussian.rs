@@ -1,0 +1,75 @@
+//! Weight in the pictures, and a little of the volume.
+
+use crate::rounds::{asked, check_shares, check_target, check_weight, quantile, share_at, without_share};
+use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic};
+use serde::{Deserialize, Serialize};
+
+/// Drops a share of the Gaussians that show least, weighed a little by their volume.
+///
+/// The score is Σ w · min(V/V₉₀, 1)^volume_power, w = γ·T the blending weights over all pixels and training transmitters, V
+/// the product of the scales and V₉₀ the volume that nine tenths do not reach (LightGaussian, Fan et al., NeurIPS 2024,
+/// eq. (4)). It prunes two thirds at once there, then a decaying share, and fine-tunes. What hardly shows goes, however
+/// opaque it is; what shows a little to every transmitter stays before what one transmitter alone needs: for that see
+/// [`crate::SignalContribution`].
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner};
+/// Plugin::<dyn Pruner>::parse("LightGaussian(target: 157)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct LightGaussian {
+    /// The share that goes at each prune step, from the first on; after the last of them nothing goes.
+    pub shares: Vec<Real>,
+    /// Power of the volume, 0 or more; 0 leaves it out.
+    pub volume_power: Real,
+    /// Training transmitters that a pass looks at; 0: all.
+    pub transmitters: usize,
+    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
+    /// `shares`.
+    pub target: Option<usize>,
+}
+
+impl Default for LightGaussian {
+    fn default() -> Self {
+        Self { shares: vec![0.66, 0.4, 0.24], volume_power: 0.1, transmitters: 0, target: None }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for LightGaussian {
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
+        without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
+    }
+
+    fn needs(&self) -> Needs {
+        Needs::of(&[Statistic::Weight], self.transmitters)
+    }
+
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
+        let volumes: Vec<Real> = cloud.log_scales.iter().map(|s| s.iter().sum::<Real>().exp()).collect();
+        let large = quantile(&volumes, 0.9);
+        let factor = |v: Real| (v / large).min(1.0).powf(self.volume_power);
+        let weight = asked(&stats.asked.weight, cloud);
+        if stats.asked.weight.len() != cloud.len() {
+            return weight;
+        }
+        weight.iter().zip(volumes).map(|(w, v)| w * factor(v)).collect()
+    }
+
+    fn budget(&self) -> Option<Budget> {
+        self.target.map(Budget::Rounds)
+    }
+
+    fn about(&self) -> &'static str {
+        "least weight in the pictures goes, times a power of volume (LightGaussian)"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_shares(&self.shares)?;
+        check_weight("volume_power", self.volume_power)?;
+        check_target(self.target)
+    }
+}

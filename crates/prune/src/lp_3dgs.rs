@@ -1,0 +1,142 @@
+//! A learned mask on top of an importance.
+
+use crate::rounds::{check_rate, check_target, check_weight, logistic_noise, quantile};
+use dfdx::prelude::{MeanTo, Rank0};
+use pwrfgs_core::{
+    Budget, CloudStats, ColumnSpec, Documented, Edit, Gate, GaussianCloud, Moment, Needs, Phase, Pruner, Real, Row,
+    Statistic, rng,
+    tape::{Trace, TraceScalar, Traced},
+};
+use serde::{Deserialize, Serialize};
+
+/// The column of logits m.
+const COLUMN: &str = "lp_logits";
+/// The column of ln(S/S̃).
+const IMPORTANCE: &str = "lp_importance";
+
+/// A mask is learned whose odds are those of an importance score, so that learning starts from what the pictures say.
+///
+/// The chance to stay is σ(m + ln(S/S̃)): the importance S of a Gaussian, its largest blending weight in any pixel of any
+/// transmitter as RadSplat has it, over the median S̃, multiplies the odds of a learned logit m. While training, the light
+/// that it takes is multiplied by the relaxed throw σ((m + ln(S/S̃) + g)/temperature) with logistic noise g (LP-3DGS, Zhang et
+/// al., NeurIPS 2024, section 3.2: a Gumbel-sigmoid mask on an importance score, which finds the share to prune by itself),
+/// and the loss gains lambda times the mean chance. At a prune step what stays has a chance of one half or more. S is measured
+/// at the first prune step and again at each; before the first it counts as 1.
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner};
+/// Plugin::<dyn Pruner>::parse("Lp3dgs(lambda: 0.02)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct Lp3dgs {
+    /// Weight λ of the penalty, 0 or more.
+    pub lambda: Real,
+    /// How far throws are from 0 and 1: from 0.2 to 5.
+    pub temperature: Real,
+    /// m at the start.
+    pub initial_logit: Real,
+    /// Adam's rate for m.
+    pub learning_rate: Real,
+    /// Training transmitters that a pass looks at; 0: all.
+    pub transmitters: usize,
+    /// How many Gaussians there shall be at the end of pruning. Left out, the penalty decides.
+    pub target: Option<usize>,
+}
+
+impl Default for Lp3dgs {
+    fn default() -> Self {
+        Self {
+            lambda: 0.01,
+            temperature: 0.5,
+            initial_logit: 3.0,
+            learning_rate: 0.01,
+            transmitters: 256,
+            target: None,
+        }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for Lp3dgs {
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
+        self.score(cloud, stats, moment).iter().map(|odds| *odds >= 0.0).collect()
+    }
+
+    fn needs(&self) -> Needs {
+        Needs::of(&[Statistic::LargestWeight], self.transmitters)
+    }
+
+    fn columns(&self) -> Vec<ColumnSpec> {
+        let learning_rate = Some(self.learning_rate);
+        vec![
+            ColumnSpec { name: COLUMN, width: 1, init: self.initial_logit, learning_rate },
+            ColumnSpec { name: IMPORTANCE, width: 1, init: 0.0, learning_rate: None },
+        ]
+    }
+
+    fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Gate> {
+        if moment.phase == Phase::Finetune {
+            return None;
+        }
+        let mut random = rng::stream(moment.seed, "pruner Lp3dgs", moment.step);
+        let noise = cloud.constant(logistic_noise(cloud.len(), &mut random));
+        Some(Gate::Presence(((odds(cloud) + noise) / self.temperature).sigmoid()))
+    }
+
+    fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
+        (moment.phase != Phase::Finetune && !cloud.is_empty())
+            .then(|| odds(cloud).sigmoid().mean::<Rank0, _>() * self.lambda)
+    }
+
+    /// Not another cloud, but the importance of the same Gaussians, measured anew.
+    fn edit(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Option<Edit> {
+        let importance = &stats.asked.largest_weight;
+        if importance.len() != cloud.len() || cloud.is_empty() {
+            return None;
+        }
+        let median = quantile(importance, 0.5).max(1e-6);
+        let mut cloud = cloud.clone();
+        let column = cloud.extra.iter_mut().find(|column| column.name == IMPORTANCE)?;
+        column.values = importance.iter().map(|s| (s.max(1e-6) / median).ln()).collect();
+        let rows = (0..cloud.len()).map(Row::Kept).collect();
+        Some(Edit { cloud, rows })
+    }
+
+    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<Real> {
+        match (cloud.extra(COLUMN), cloud.extra(IMPORTANCE)) {
+            (Some(m), Some(s)) => m.values.iter().zip(&s.values).map(|(m, s)| m + s).collect(),
+            _ => cloud.opacity_logits.clone(),
+        }
+    }
+
+    fn budget(&self) -> Option<Budget> {
+        self.target.map(Budget::AtLast)
+    }
+
+    fn about(&self) -> &'static str {
+        "a learned Gumbel mask whose odds are an importance score (LP-3DGS)"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_weight("lambda", self.lambda)?;
+        check_rate(self.learning_rate)?;
+        check_mask(self)?;
+        check_target(self.target)
+    }
+}
+
+/// m + ln(S/S̃), of which m is learned.
+fn odds(cloud: &Traced) -> Trace {
+    cloud.column(COLUMN) + cloud.leaf(IMPORTANCE).clone()
+}
+
+fn check_mask(settings: &Lp3dgs) -> Result<(), String> {
+    let Lp3dgs { temperature, initial_logit, .. } = settings;
+    if !(0.2..=5.0).contains(temperature) {
+        return Err(format!("`temperature` is {temperature}; give a number from 0.2 to 5, such as 0.5"));
+    }
+    if initial_logit.is_finite() { Ok(()) } else { Err(format!("`initial_logit` is {initial_logit}; give a number")) }
+}

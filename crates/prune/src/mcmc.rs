@@ -1,0 +1,187 @@
+//! Nothing dies: what has faded is moved onto what has not.
+
+use crate::covariance::Covariance;
+use crate::rounds::{check_share, check_target, check_weight};
+use dfdx::prelude::{MeanTo, Rank0};
+use pwrfgs_core::{
+    Budget, CloudStats, Documented, Edit, GaussianCloud, Moment, Phase, Pruner, Real, Row, logit, rng, sigmoid,
+    tape::{TraceScalar, Traced},
+};
+use serde::{Deserialize, Serialize};
+
+/// Moves what has faded onto others, drawn by their opacity, so that the picture stays the same and the work is shared.
+///
+/// At a prune step each Gaussian of opacity `dead` or less moves onto one drawn in proportion to opacity. Of a place that k
+/// now share, each takes the opacity 1 − (1 − o)^(1/k), so that together they let through what one did, and scales that keep
+/// the blended amplitude: s · o / Σᵢ Σⱼ (i−1 over j) (−1)^j o′^(j+1) / √(j+1), i from 1 to k, j below i (3D Gaussian splatting
+/// as Markov chain Monte Carlo, Kheradmand et al., NeurIPS 2024, eq. (9)). The loss gains `opacity_weight` times the mean
+/// opacity and `scale_weight` times the mean scale, and centres are stirred, the faint ones more:
+/// noise · σ(100 (0.005 − o)) · Σ · N(0, 1).
+///
+/// A `target` is the cap on N: with more, the least opaque go by rounds; with fewer, at most `grow` of N are added at a prune
+/// step, in the same way as the dead are moved. Without one N stays as it is.
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner};
+/// Plugin::<dyn Pruner>::parse("Mcmc(target: 500)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct Mcmc {
+    /// Opacity up to which a Gaussian is dead, from 0 to below 1.
+    pub dead: Real,
+    /// Share of N that may be added at a prune step, from 0 to 1.
+    pub grow: Real,
+    /// Weight of the mean opacity in the loss, 0 or more.
+    pub opacity_weight: Real,
+    /// Weight of the mean scale in the loss, 1/m, 0 or more.
+    pub scale_weight: Real,
+    /// How much faint centres are stirred at each step, 1/m, 0 or more; 80 at the first step of the paper's schedule.
+    pub noise: Real,
+    /// The cap on N, and the number of Gaussians at the end of pruning.
+    pub target: Option<usize>,
+}
+
+impl Default for Mcmc {
+    fn default() -> Self {
+        Self { dead: 0.005, grow: 0.05, opacity_weight: 0.01, scale_weight: 0.01, noise: 0.0, target: None }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for Mcmc {
+    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
+        vec![true; cloud.len()]
+    }
+
+    fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
+        (moment.phase != Phase::Finetune && !cloud.is_empty()).then(|| {
+            let opacity = cloud.opacities().mean::<Rank0, _>() * self.opacity_weight;
+            opacity + cloud.column("log_scales").exp().mean::<Rank0, _>() * self.scale_weight
+        })
+    }
+
+    fn update(&self, cloud: &mut GaussianCloud, _: &CloudStats, moment: &Moment) {
+        if self.noise == 0.0 {
+            return;
+        }
+        let mut random = rng::stream(moment.seed, "pruner Mcmc noise", moment.step);
+        for i in 0..cloud.len() {
+            let size = self.noise * sigmoid(100.0 * (0.005 - sigmoid(cloud.opacity_logits[i])));
+            let draw = [(); 3].map(|()| rng::normal(&mut random));
+            let covariance = Covariance::of(cloud, i).0;
+            for k in 0..3 {
+                cloud.means[i][k] += size * (0..3).map(|j| covariance[k][j] as Real * draw[j]).sum::<Real>();
+            }
+        }
+    }
+
+    fn edit(&self, cloud: &GaussianCloud, _: &CloudStats, moment: &Moment) -> Option<Edit> {
+        if moment.round == 0 {
+            return None;
+        }
+        let n = cloud.len();
+        let opacities: Vec<f64> = cloud.opacity_logits.iter().map(|o| f64::from(sigmoid(*o))).collect();
+        let alive: Vec<usize> = (0..n).filter(|&i| opacities[i] > f64::from(self.dead)).collect();
+        let room = self.target.map_or(0, |target| target.saturating_sub(n));
+        let last = moment.round == moment.rounds;
+        let added = if last { room } else { room.min((f64::from(self.grow) * n as f64) as usize) };
+        if alive.is_empty() || (alive.len() == n && added == 0) {
+            return None;
+        }
+        let mut random = rng::stream(moment.seed, "pruner Mcmc", moment.step);
+        let drawn = draws(&alive, &opacities, n - alive.len() + added, &mut random);
+        let mut shared = vec![1usize; n];
+        drawn.iter().for_each(|&i| shared[i] += 1);
+        // The dead take the places of the first draws, and new rows those of the others.
+        let mut sources = drawn.into_iter();
+        let mut rows: Vec<Row> = (0..n).map(Row::Kept).collect();
+        for (i, row) in rows.iter_mut().enumerate() {
+            if opacities[i] <= f64::from(self.dead) {
+                *row = Row::Copied(sources.next().expect("a draw for each that is dead"));
+            }
+        }
+        rows.extend(sources.map(Row::Copied));
+        let order: Vec<usize> = rows.iter().map(|row| row.source()).collect();
+        let mut moved = cloud.select(&order);
+        for (k, &source) in order.iter().enumerate().filter(|(_, source)| shared[**source] > 1) {
+            let (opacity, shrink) = share_out(opacities[source], shared[source]);
+            moved.opacity_logits[k] = logit(opacity as Real);
+            moved.log_scales[k].iter_mut().for_each(|s| *s += shrink.ln() as Real);
+            rows[k] = Row::Copied(source); // whoever shares its place begins anew
+        }
+        Some(Edit { cloud: moved, rows })
+    }
+
+    fn grows(&self) -> bool {
+        true
+    }
+
+    fn budget(&self) -> Option<Budget> {
+        self.target.map(Budget::Rounds)
+    }
+
+    fn about(&self) -> &'static str {
+        "moves the faint onto the opaque, under a cap on N (3DGS-MCMC)"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_share("dead", self.dead)?;
+        check_share("grow", self.grow)?;
+        check_weight("opacity_weight", self.opacity_weight)?;
+        check_weight("scale_weight", self.scale_weight)?;
+        check_weight("noise", self.noise)?;
+        check_target(self.target)
+    }
+}
+
+/// `count` of `alive`, each drawn with a probability in proportion to its opacity.
+fn draws(alive: &[usize], opacities: &[f64], count: usize, random: &mut rng::Rng) -> Vec<usize> {
+    let mut sum = 0.0;
+    let sums: Vec<f64> = alive
+        .iter()
+        .map(|&i| {
+            sum += opacities[i];
+            sum
+        })
+        .collect();
+    let draw = |_| {
+        let at = f64::from(rng::uniform(random)) * sum;
+        alive[sums.partition_point(|s| *s <= at).min(alive.len() - 1)]
+    };
+    (0..count).map(draw).collect()
+}
+
+/// Opacity of each of `k` that share a place, and the factor on its scales.
+fn share_out(opacity: f64, k: usize) -> (f64, f64) {
+    let k = k.min(50); // beyond, the alternating sum is lost in rounding
+    let own = (1.0 - (1.0 - opacity).powf(1.0 / k as f64)).clamp(1e-6, 1.0 - 1e-6);
+    let mut sum = 0.0;
+    for i in 1..=k {
+        let mut binomial = 1.0;
+        for j in 0..i {
+            let sign = if j % 2 == 0 { 1.0 } else { -1.0 };
+            sum += sign * binomial * own.powi(j as i32 + 1) / ((j + 1) as f64).sqrt();
+            binomial *= (i - 1 - j) as f64 / (j + 1) as f64;
+        }
+    }
+    (own, if sum > 0.0 { opacity / sum } else { 1.0 })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_in_one_place_look_like_one() {
+        // The amplitude over a line through both: o₂ = 1 − √(1−o); 2 o₂ s′ − o₂² s′/√2 = o s.
+        for opacity in [0.05, 0.3, 0.8] {
+            let (own, shrink) = share_out(opacity, 2);
+            assert!((1.0 - (1.0 - own).powi(2) - opacity).abs() < 1e-12);
+            assert!((shrink * (2.0 * own - own * own / 2f64.sqrt()) - opacity).abs() < 1e-12, "{opacity}");
+        }
+        assert_eq!(share_out(0.3, 1).1, 1.0);
+    }
+}

@@ -1,0 +1,134 @@
+//! Two near ones become one of their joint mean and covariance.
+
+use crate::covariance::Covariance;
+use crate::rounds::{check_shares, check_target, share_at};
+use pwrfgs_core::{
+    Budget, CloudStats, Documented, Edit, GaussianCloud, Moment, Pruner, Real, Row, logit, neighbours, sigmoid,
+};
+use serde::{Deserialize, Serialize};
+
+/// Replaces the nearest pairs by one Gaussian each, of their joint mean and covariance.
+///
+/// The mass of a Gaussian is its opacity times the product of its scales. Pairs are taken in the order of Ward's criterion,
+/// m₁m₂/(m₁+m₂) · ‖μ₁ − μ₂‖², each Gaussian with its nearest other and once a pass, until enough are gone. The one that takes
+/// their place has the mean and the covariance of both as a mixture, their mean signal, and an opacity that keeps the mass, at
+/// most 0.99. Nothing is lost from a place where something was, as with any other strategy; detail is. Its network's signals
+/// are those of the new centre.
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner};
+/// Plugin::<dyn Pruner>::parse("MergeByMoments(target: 500)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct MergeByMoments {
+    /// The share of Gaussians that are merged away at each prune step, from the first on.
+    pub shares: Vec<Real>,
+    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
+    /// `shares`.
+    pub target: Option<usize>,
+}
+
+impl Default for MergeByMoments {
+    fn default() -> Self {
+        Self { shares: vec![0.5, 0.5, 0.5], target: None }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for MergeByMoments {
+    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
+        vec![true; cloud.len()]
+    }
+
+    fn edit(&self, cloud: &GaussianCloud, _: &CloudStats, moment: &Moment) -> Option<Edit> {
+        let n = cloud.len();
+        let by_share = || n - (f64::from(share_at(&self.shares, moment)) * n as f64).floor() as usize;
+        let count = self.target.map_or_else(by_share, |target| moment.quota(n, target)).max(1);
+        if count >= n || cloud.means.as_flattened().iter().any(|v| !v.is_finite()) {
+            return None;
+        }
+        let mut edit = Edit { cloud: cloud.clone(), rows: (0..n).map(Row::Kept).collect() };
+        while edit.rows.len() > count {
+            merge_pass(&mut edit, count);
+        }
+        Some(edit)
+    }
+
+    fn budget(&self) -> Option<Budget> {
+        self.target.map(Budget::Own)
+    }
+
+    fn about(&self) -> &'static str {
+        "the nearest pairs become one of their joint mean and covariance"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_shares(&self.shares)?;
+        check_target(self.target)
+    }
+}
+
+/// Opacity times the product of the scales.
+fn mass(cloud: &GaussianCloud, i: usize) -> f64 {
+    let volume: f64 = cloud.log_scales[i].iter().map(|s| f64::from(*s)).sum::<f64>().exp();
+    f64::from(sigmoid(cloud.opacity_logits[i])) * volume
+}
+
+/// Merges pairs of nearest, cheapest first, none twice, until `count` are left or every pair is taken.
+fn merge_pass(edit: &mut Edit, count: usize) {
+    let Edit { cloud, rows } = edit;
+    let n = cloud.len();
+    let nearest = neighbours::k_nearest(&cloud.means, &cloud.means, 2.min(n));
+    let masses: Vec<f64> = (0..n).map(|i| mass(cloud, i)).collect();
+    let pair = |i: usize| {
+        let &(j, squared) = nearest[i].iter().find(|(j, _)| *j != i)?;
+        let (a, b) = (masses[i], masses[j]);
+        Some((a * b / (a + b).max(f64::MIN_POSITIVE) * f64::from(squared), i.min(j), i.max(j)))
+    };
+    let mut pairs: Vec<(f64, usize, usize)> = (0..n).filter_map(pair).collect();
+    pairs.sort_by(|a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+    let (mut taken, mut gone) = (vec![false; n], vec![false; n]);
+    let mut left = n;
+    for (_, i, j) in pairs {
+        if left > count && !taken[i] && !taken[j] {
+            join(cloud, [i, j], [masses[i], masses[j]]);
+            rows[i] = Row::Copied(rows[i].source());
+            (taken[i], taken[j], gone[j]) = (true, true, true);
+            left -= 1;
+        }
+    }
+    let stay: Vec<usize> = (0..n).filter(|&i| !gone[i]).collect();
+    *cloud = cloud.select(&stay);
+    *rows = stay.iter().map(|&i| rows[i]).collect();
+}
+
+/// Row `i` becomes what both were together.
+fn join(cloud: &mut GaussianCloud, [i, j]: [usize; 2], [a, b]: [f64; 2]) {
+    let whole = (a + b).max(f64::MIN_POSITIVE);
+    let (a, b) = if a + b > 0.0 { (a / whole, b / whole) } else { (0.5, 0.5) };
+    let covariances = [Covariance::of(cloud, i), Covariance::of(cloud, j)];
+    let means = [cloud.means[i], cloud.means[j]].map(|mean| mean.map(f64::from));
+    let between: [f64; 3] = std::array::from_fn(|k| means[0][k] - means[1][k]);
+    let joint = Covariance(std::array::from_fn(|r| {
+        std::array::from_fn(|c| {
+            a * covariances[0].0[r][c] + b * covariances[1].0[r][c] + a * b * between[r] * between[c]
+        })
+    }));
+    let (scales, quat) = joint.axes();
+    let volume: f64 = scales.iter().product();
+    cloud.log_scales[i] = scales.map(|s| s.max(1e-9).ln() as Real);
+    cloud.quats[i] = quat.map(|q| q as Real);
+    cloud.opacity_logits[i] = logit((whole / volume.max(1e-30)).clamp(1e-6, 0.99) as Real);
+    let mix = |x: Real, y: Real| (a * f64::from(x) + b * f64::from(y)) as Real;
+    cloud.means[i] = std::array::from_fn(|k| mix(cloud.means[i][k], cloud.means[j][k]));
+    cloud.signals[i] = std::array::from_fn(|k| mix(cloud.signals[i][k], cloud.signals[j][k]));
+    for column in &mut cloud.extra {
+        for k in 0..column.width {
+            column.values[i * column.width + k] =
+                mix(column.values[i * column.width + k], column.values[j * column.width + k]);
+        }
+    }
+}

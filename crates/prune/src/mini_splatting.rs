@@ -1,0 +1,108 @@
+//! A lottery by weight, or the few that have nearly all of it.
+
+use crate::rounds::{asked, check_share, check_target, without_share};
+use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic, rng};
+use serde::{Deserialize, Serialize};
+
+/// Who stays, by weight.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Documented)]
+pub enum Rule {
+    /// This share of all Gaussians, drawn with probabilities in proportion to weight.
+    Sampled(Real),
+    /// The best, until they have this share of the weight of all.
+    Cumulated(Real),
+}
+
+impl Rule {
+    fn share(self) -> Real {
+        let (Self::Sampled(share) | Self::Cumulated(share)) = self;
+        share
+    }
+}
+
+/// Keeps Gaussians by chance, in proportion to their weight, or those that together have nearly all of it.
+///
+/// Weight is Σ w, or per pixel that the Gaussian touches, over the training transmitters. `Sampled` draws without
+/// replacement with that probability, so that a thin cover of the scene remains where the best alone would crowd together;
+/// `Cumulated` keeps the best until they have that share of all weight (Mini-Splatting, Fang and Wang, ECCV 2024,
+/// section 3.3: half drawn at step 15,000, 0.99 of the weight kept at 20,000). Draws come from the pipeline's seed.
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner};
+/// Plugin::<dyn Pruner>::parse("MiniSplatting(rule: Cumulated(0.99), per_area: true)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct MiniSplatting {
+    /// Who stays.
+    pub rule: Rule,
+    /// Whether the weight is that of a pixel in the mean of those it touches, and not their sum.
+    pub per_area: bool,
+    /// Training transmitters that a pass looks at; 0: all.
+    pub transmitters: usize,
+    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
+    /// `rule`.
+    pub target: Option<usize>,
+}
+
+impl Default for MiniSplatting {
+    fn default() -> Self {
+        Self { rule: Rule::Sampled(0.5), per_area: false, transmitters: 0, target: None }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for MiniSplatting {
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
+        if moment.round == 0 {
+            return vec![true; cloud.len()];
+        }
+        let scores = self.score(cloud, stats, moment);
+        match self.rule {
+            Rule::Sampled(share) => without_share(&scores, 1.0 - share),
+            Rule::Cumulated(share) => {
+                let whole: Real = scores.iter().sum();
+                let mut order: Vec<usize> = (0..scores.len()).collect();
+                order.sort_by(|&i, &j| scores[j].total_cmp(&scores[i]));
+                let (mut kept, mut sum) = (vec![false; scores.len()], 0.0);
+                for i in order {
+                    kept[i] = sum < share * whole;
+                    sum += scores[i];
+                }
+                kept
+            }
+        }
+    }
+
+    fn needs(&self) -> Needs {
+        let statistic = if self.per_area { Statistic::WeightPerArea } else { Statistic::Weight };
+        Needs::of(&[statistic], self.transmitters)
+    }
+
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<Real> {
+        let weights = asked(if self.per_area { &stats.asked.weight_per_area } else { &stats.asked.weight }, cloud);
+        match self.rule {
+            Rule::Cumulated(_) => weights,
+            // The largest of these keys are a draw without replacement (Efraimidis and Spirakis, 2006).
+            Rule::Sampled(_) => {
+                let mut random = rng::stream(moment.seed, "pruner MiniSplatting", moment.step);
+                weights.iter().map(|w| rng::uniform(&mut random).max(Real::MIN_POSITIVE).ln() / w.max(0.0)).collect()
+            }
+        }
+    }
+
+    fn budget(&self) -> Option<Budget> {
+        self.target.map(Budget::Rounds)
+    }
+
+    fn about(&self) -> &'static str {
+        "a lottery by weight in the pictures, or a share of all weight (Mini-Splatting)"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_share("rule", self.rule.share())?;
+        check_target(self.target)
+    }
+}

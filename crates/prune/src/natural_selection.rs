@@ -1,0 +1,89 @@
+//! All opacities decay, and what the pictures need resists.
+
+use crate::rounds::{check_share, check_target, check_weight};
+use dfdx::prelude::{MeanTo, Rank0};
+use pwrfgs_core::{
+    Budget, CloudStats, ColumnSpec, Documented, GaussianCloud, Moment, Phase, Pruner, Real, sigmoid,
+    tape::{TraceScalar, Traced},
+};
+use serde::{Deserialize, Serialize};
+
+/// The column of lives: moving averages of opacity.
+const LIFE: &str = "life";
+
+/// All opacities decay alike, and the derivative of the picture holds up those that are needed.
+///
+/// The loss gains `pressure` times the mean opacity logit, so that every logit is pulled by the same amount however opaque its
+/// Gaussian is; what the loss does not hold falls without end. Life is a moving average of opacity, so that a Gaussian is not
+/// lost to one bad batch; it dies where life is below `epsilon` (Gaussian Natural Selection, 2025, whose field of decay is this
+/// pull, and whose count is set by a final cut to a budget: `target`).
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner};
+/// Plugin::<dyn Pruner>::parse("NaturalSelection(pressure: 0.05, target: 157)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct NaturalSelection {
+    /// Weight of the mean logit, 0 or more.
+    pub pressure: Real,
+    /// Life below which a Gaussian dies, from 0 to below 1.
+    pub epsilon: Real,
+    /// What is left of life after a step, from 0 to below 1; the rest is the opacity of that step.
+    pub memory: Real,
+    /// How many Gaussians there shall be at the end of pruning, those of the longest life. Left out, the pressure decides.
+    pub target: Option<usize>,
+}
+
+impl Default for NaturalSelection {
+    fn default() -> Self {
+        Self { pressure: 0.05, epsilon: 0.005, memory: 0.9, target: None }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for NaturalSelection {
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
+        self.score(cloud, stats, moment).iter().map(|life| *life >= self.epsilon).collect()
+    }
+
+    fn columns(&self) -> Vec<ColumnSpec> {
+        // Born with a full life: the average then forgets it.
+        vec![ColumnSpec { name: LIFE, width: 1, init: 1.0, learning_rate: None }]
+    }
+
+    fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
+        (moment.phase == Phase::Prune && !cloud.is_empty())
+            .then(|| cloud.column("opacity_logits").mean::<Rank0, _>() * self.pressure)
+    }
+
+    fn update(&self, cloud: &mut GaussianCloud, _: &CloudStats, _: &Moment) {
+        let opacities: Vec<Real> = cloud.opacity_logits.iter().map(|o| sigmoid(*o)).collect();
+        for column in cloud.extra.iter_mut().filter(|column| column.name == LIFE) {
+            let lives = column.values.iter_mut().zip(&opacities);
+            lives.for_each(|(life, o)| *life = self.memory * *life + (1.0 - self.memory) * o);
+        }
+    }
+
+    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<Real> {
+        let opacities = || cloud.opacity_logits.iter().map(|o| sigmoid(*o)).collect();
+        cloud.extra(LIFE).map_or_else(opacities, |column| column.values.clone())
+    }
+
+    fn budget(&self) -> Option<Budget> {
+        self.target.map(Budget::AtLast)
+    }
+
+    fn about(&self) -> &'static str {
+        "all opacities decay alike, and die below a threshold (Natural Selection)"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_weight("pressure", self.pressure)?;
+        check_share("epsilon", self.epsilon)?;
+        check_share("memory", self.memory)?;
+        check_target(self.target)
+    }
+}

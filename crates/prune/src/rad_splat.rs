@@ -1,0 +1,64 @@
+//! The largest weight in any pixel.
+
+use crate::rounds::{asked, check_share, check_target};
+use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic};
+use serde::{Deserialize, Serialize};
+
+/// A Gaussian stays where it has at least `threshold` of some pixel for some transmitter.
+///
+/// The score is max w, the largest blending weight γ·T over all pixels and training transmitters (RadSplat, Niemeyer et al.,
+/// 3DV 2025, eq. (12); 0.01 there, 0.25 for a light model). A maximum keeps what a single pixel needs, where a sum keeps what
+/// is seen often: of two like Gaussians behind each other the front one stays.
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner};
+/// Plugin::<dyn Pruner>::parse("RadSplat(threshold: 0.01)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct RadSplat {
+    /// Smallest weight that counts, from 0 to 1.
+    pub threshold: Real,
+    /// Training transmitters that a pass looks at; 0: all.
+    pub transmitters: usize,
+    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
+    /// `threshold`.
+    pub target: Option<usize>,
+}
+
+impl Default for RadSplat {
+    fn default() -> Self {
+        Self { threshold: 0.01, transmitters: 0, target: None }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for RadSplat {
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<bool> {
+        let known = stats.asked.largest_weight.len() == cloud.len();
+        (0..cloud.len()).map(|i| !known || stats.asked.largest_weight[i] >= self.threshold).collect()
+    }
+
+    fn needs(&self) -> Needs {
+        Needs::of(&[Statistic::LargestWeight], self.transmitters)
+    }
+
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
+        asked(&stats.asked.largest_weight, cloud)
+    }
+
+    fn budget(&self) -> Option<Budget> {
+        self.target.map(Budget::Rounds)
+    }
+
+    fn about(&self) -> &'static str {
+        "what has no pixel to itself goes: largest weight below a threshold (RadSplat)"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_share("threshold", self.threshold)?;
+        check_target(self.target)
+    }
+}

@@ -1,0 +1,57 @@
+//! Chance: what every strategy has to beat.
+
+use crate::rounds::{check_shares, check_target, share_at, without_share};
+use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Pruner, Real, rng};
+use serde::{Deserialize, Serialize};
+
+/// Drops Gaussians by chance: the reference from below that every strategy has to beat.
+///
+/// Each prune step draws anew from the pipeline's seed. What a strategy gains over it at equal N and equal training is what
+/// its score knows; the reference from above is [`crate::GreedyElimination`].
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner};
+/// Plugin::<dyn Pruner>::parse("RandomReference(target: 157)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct RandomReference {
+    /// The share that goes at each prune step, from the first on; after the last of them nothing goes.
+    pub shares: Vec<Real>,
+    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
+    /// `shares`.
+    pub target: Option<usize>,
+}
+
+impl Default for RandomReference {
+    fn default() -> Self {
+        Self { shares: vec![0.5, 0.5, 0.5], target: None }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for RandomReference {
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
+        without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
+    }
+
+    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, moment: &Moment) -> Vec<Real> {
+        let mut random = rng::stream(moment.seed, "pruner RandomReference", moment.step);
+        (0..cloud.len()).map(|_| rng::uniform(&mut random)).collect()
+    }
+
+    fn budget(&self) -> Option<Budget> {
+        self.target.map(Budget::Rounds)
+    }
+
+    fn about(&self) -> &'static str {
+        "Gaussians go by chance: the reference that any strategy has to beat"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_shares(&self.shares)?;
+        check_target(self.target)
+    }
+}

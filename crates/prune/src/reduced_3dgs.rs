@@ -1,0 +1,99 @@
+//! Too many in one place.
+
+use crate::rounds::{check_share, check_target, without_share};
+use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Pruner, Real, neighbours, sigmoid};
+use serde::{Deserialize, Serialize};
+
+/// Thins out where Gaussians crowd: of those with many overlaps, the less opaque half goes.
+///
+/// Two Gaussians overlap where their centres are nearer than the sum of their largest scales; of each the `neighbours`
+/// nearest are looked at. Whose count lies more than `deviations` standard deviations above the mean is crowded, and of the
+/// crowded the `share` that is least opaque goes (Reducing the memory footprint of 3DGS, Papantonakis et al., I3D 2024, with
+/// spheres for its ray test). It looks at the cloud alone, so that it works for any method. Under a `target` the most crowded
+/// go first, then the least opaque.
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner};
+/// Plugin::<dyn Pruner>::parse("Reduced3dgs(deviations: 1.0)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct Reduced3dgs {
+    /// Neighbours that are looked at, 1 or more.
+    pub neighbours: usize,
+    /// How far above the mean a count is crowded, in standard deviations.
+    pub deviations: Real,
+    /// Share of the crowded that goes, from 0 to 1.
+    pub share: Real,
+    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
+    /// the share.
+    pub target: Option<usize>,
+}
+
+impl Default for Reduced3dgs {
+    fn default() -> Self {
+        Self { neighbours: 30, deviations: 1.0, share: 0.5, target: None }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for Reduced3dgs {
+    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, moment: &Moment) -> Vec<bool> {
+        let mut keep = vec![true; cloud.len()];
+        if moment.round == 0 {
+            return keep;
+        }
+        let counts = overlaps(cloud, self.neighbours);
+        let n = counts.len().max(1) as Real;
+        let mean = counts.iter().sum::<Real>() / n;
+        let deviation = (counts.iter().map(|c| (c - mean).powi(2)).sum::<Real>() / n).sqrt();
+        let crowded: Vec<usize> =
+            (0..counts.len()).filter(|&i| counts[i] > mean + self.deviations * deviation).collect();
+        let opacities: Vec<Real> = crowded.iter().map(|&i| cloud.opacity_logits[i]).collect();
+        crowded.iter().zip(without_share(&opacities, self.share)).for_each(|(&i, stays)| keep[i] = stays);
+        keep
+    }
+
+    fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<Real> {
+        let counts = overlaps(cloud, self.neighbours);
+        cloud.opacity_logits.iter().zip(counts).map(|(o, count)| sigmoid(*o) - count).collect()
+    }
+
+    fn budget(&self) -> Option<Budget> {
+        self.target.map(Budget::Rounds)
+    }
+
+    fn about(&self) -> &'static str {
+        "the fainter half of the crowded goes (Reduced-3DGS)"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_share("share", self.share)?;
+        check_neighbours(self)?;
+        check_target(self.target)
+    }
+}
+
+fn check_neighbours(settings: &Reduced3dgs) -> Result<(), String> {
+    if settings.neighbours == 0 || !settings.deviations.is_finite() {
+        return Err("`neighbours` is at least 1, and `deviations` a number; such as 30 and 1.0".to_owned());
+    }
+    Ok(())
+}
+
+/// How many of its nearest others each Gaussian overlaps.
+fn overlaps(cloud: &GaussianCloud, count: usize) -> Vec<Real> {
+    let finite = cloud.means.as_flattened().iter().all(|v| v.is_finite());
+    if !finite || cloud.len() < 2 {
+        return vec![0.0; cloud.len()];
+    }
+    let radius = |i: usize| cloud.log_scales[i].iter().copied().fold(Real::NEG_INFINITY, Real::max).exp();
+    let nearest = neighbours::k_nearest(&cloud.means, &cloud.means, (count + 1).min(cloud.len()));
+    let near = |(i, found): (usize, &Vec<(usize, Real)>)| {
+        let touches = |&&(j, squared): &&(usize, Real)| j != i && squared.sqrt() < radius(i) + radius(j);
+        found.iter().filter(touches).count() as Real
+    };
+    nearest.iter().enumerate().map(near).collect()
+}

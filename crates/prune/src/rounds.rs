@@ -1,0 +1,69 @@
+//! What strategies by score have in common: a share at each prune step, the best of a list, checks of settings.
+
+use pwrfgs_core::{GaussianCloud, Moment, Real, best};
+
+/// The share that goes at this prune step: `shares` has those of the first ones, and after them nothing goes.
+pub(crate) fn share_at(shares: &[Real], moment: &Moment) -> Real {
+    let place = moment.round.checked_sub(1).map(|place| place as usize);
+    place.and_then(|place| shares.get(place)).copied().unwrap_or(0.0)
+}
+
+/// All but the worst `share` by `scores`.
+pub(crate) fn without_share(scores: &[Real], share: Real) -> Vec<bool> {
+    let gone = (scores.len() as f64 * f64::from(share)).floor() as usize;
+    best(scores.len() - gone.min(scores.len()), scores, |_| true)
+}
+
+/// A column of a pass; opacity where there was none, so that nothing is decided by zeros.
+pub(crate) fn asked(column: &[Real], cloud: &GaussianCloud) -> Vec<Real> {
+    if column.len() == cloud.len() { column.to_vec() } else { cloud.opacity_logits.clone() }
+}
+
+/// The value below which a share `q` of `values` lies; −∞ of none.
+pub(crate) fn quantile(values: &[Real], q: Real) -> Real {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(Real::total_cmp);
+    let place = (f64::from(q) * sorted.len() as f64).ceil() as usize;
+    sorted.get(place.max(1) - 1).copied().unwrap_or(Real::NEG_INFINITY)
+}
+
+/// A logistic draw of each of `n`: the difference of two Gumbel draws.
+pub(crate) fn logistic_noise(n: usize, random: &mut pwrfgs_core::rng::Rng) -> Vec<Real> {
+    const EDGE: Real = 1e-6;
+    let draw = |_| pwrfgs_core::rng::uniform(random).clamp(EDGE, 1.0 - EDGE);
+    (0..n).map(draw).map(|u| u.ln() - (1.0 - u).ln()).collect()
+}
+
+pub(crate) fn check_shares(shares: &[Real]) -> Result<(), String> {
+    match shares.iter().find(|share| !(0.0..1.0).contains(*share)) {
+        Some(share) => {
+            Err(format!("`shares` has {share}; give the share that goes at each prune step, from 0 to below 1"))
+        }
+        None => Ok(()),
+    }
+}
+
+/// A number from 0 to 1.
+pub(crate) fn check_share(field: &str, value: Real) -> Result<(), String> {
+    if (0.0..=1.0).contains(&value) { Ok(()) } else { Err(format!("`{field}` is {value}; give a number from 0 to 1")) }
+}
+
+/// A finite number, 0 or more.
+pub(crate) fn check_weight(field: &str, value: Real) -> Result<(), String> {
+    if value.is_finite() && value >= 0.0 { Ok(()) } else { Err(format!("`{field}` is {value}; give 0 or more")) }
+}
+
+/// A rate of Adam.
+pub(crate) fn check_rate(value: Real) -> Result<(), String> {
+    if value.is_finite() && value > 0.0 {
+        return Ok(());
+    }
+    Err(format!("`learning_rate` is {value}; give a positive number, such as 0.01"))
+}
+
+pub(crate) fn check_target(target: Option<usize>) -> Result<(), String> {
+    if target == Some(0) {
+        return Err("`target` is 0, which would leave nothing; give at least 1".to_owned());
+    }
+    Ok(())
+}

@@ -1,0 +1,74 @@
+//! Whatever some pixel needs.
+
+use crate::rounds::{asked, check_target};
+use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic};
+use serde::{Deserialize, Serialize};
+
+/// Keeps whatever is among the first few of some pixel of some transmitter.
+///
+/// In each pixel splats are ranked by exp(−|‖s‖ − P|) · w, with the splat's own strength ‖s‖, what was measured there P, and
+/// the blending weight w = γ·T: those that show, and show what is there. The first `of_pixel` are safe (SafeguardGS, Lee et
+/// al., 2024, with amplitudes in place of colours). No pixel is left empty, which matters most when few are left. Under a
+/// `target` those that are safe come first, by weight.
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner};
+/// Plugin::<dyn Pruner>::parse("SafeguardGs(of_pixel: 1)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct SafeguardGs {
+    /// How many of each pixel are safe, from 1 to 64.
+    pub of_pixel: usize,
+    /// Training transmitters that a pass looks at; 0: all.
+    pub transmitters: usize,
+    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
+    /// `of_pixel`.
+    pub target: Option<usize>,
+}
+
+impl Default for SafeguardGs {
+    fn default() -> Self {
+        Self { of_pixel: 1, transmitters: 256, target: None }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for SafeguardGs {
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<bool> {
+        if stats.asked.top.len() == cloud.len() { stats.asked.top.clone() } else { vec![true; cloud.len()] }
+    }
+
+    fn needs(&self) -> Needs {
+        Needs::of(&[Statistic::Top { count: self.of_pixel }, Statistic::Weight], self.transmitters)
+    }
+
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
+        let weight = asked(&stats.asked.weight, cloud);
+        let largest = weight.iter().copied().fold(0.0, Real::max);
+        let safe = |i: usize| stats.asked.top.get(i).is_some_and(|top| *top);
+        weight.iter().enumerate().map(|(i, w)| if safe(i) { 1.0 + largest + w } else { *w }).collect()
+    }
+
+    fn budget(&self) -> Option<Budget> {
+        self.target.map(Budget::Rounds)
+    }
+
+    fn about(&self) -> &'static str {
+        "what no pixel needs goes: not among the first of any (SafeguardGS)"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_places(self.of_pixel)?;
+        check_target(self.target)
+    }
+}
+
+fn check_places(of_pixel: usize) -> Result<(), String> {
+    if (1..=64).contains(&of_pixel) {
+        return Ok(());
+    }
+    Err(format!("`of_pixel` is {of_pixel}; give a number from 1 to 64"))
+}

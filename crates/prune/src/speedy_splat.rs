@@ -1,0 +1,64 @@
+//! How much the picture changes with the Gaussian's own strength.
+
+use crate::rounds::{asked, check_shares, check_target, share_at, without_share};
+use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic};
+use serde::{Deserialize, Serialize};
+
+/// Drops what the pictures are least sensitive to.
+///
+/// The score is Σ (∂P̂/∂a)² over pixels and training transmitters, with a factor a on the Gaussian's γ, at 1: one number a
+/// Gaussian, of second order, as it is the diagonal of the Gauss-Newton Hessian along its own strength (Speedy-Splat, Hanson
+/// et al., CVPR 2025, eq. (10), whose derivative is by the Gaussian's value). 80 % may go at once ("soft", while training
+/// goes on), then 30 % at a time ("hard"). It sees hiding: a Gaussian before another of the same signal hardly counts.
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner};
+/// Plugin::<dyn Pruner>::parse("SpeedySplat(target: 157)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct SpeedySplat {
+    /// The share that goes at each prune step, from the first on; after the last of them nothing goes.
+    pub shares: Vec<Real>,
+    /// Training transmitters that a pass looks at; 0: all.
+    pub transmitters: usize,
+    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
+    /// `shares`.
+    pub target: Option<usize>,
+}
+
+impl Default for SpeedySplat {
+    fn default() -> Self {
+        Self { shares: vec![0.8, 0.3, 0.3, 0.3], transmitters: 256, target: None }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for SpeedySplat {
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
+        without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
+    }
+
+    fn needs(&self) -> Needs {
+        Needs::of(&[Statistic::Sensitivity], self.transmitters)
+    }
+
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
+        asked(&stats.asked.sensitivity, cloud)
+    }
+
+    fn budget(&self) -> Option<Budget> {
+        self.target.map(Budget::Rounds)
+    }
+
+    fn about(&self) -> &'static str {
+        "what the pictures are least sensitive to goes (Speedy-Splat)"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_shares(&self.shares)?;
+        check_target(self.target)
+    }
+}

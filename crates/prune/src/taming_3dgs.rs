@@ -1,0 +1,83 @@
+//! A sum of everything that may matter, each over its median.
+
+use crate::rounds::{check_shares, check_target, quantile, share_at, without_share};
+use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic, sigmoid};
+use serde::{Deserialize, Serialize};
+
+/// Drops the least by a weighted sum of what may matter, each number over its own median.
+///
+/// Gradient 25, opacity 100, radius 10, scale 25, loss 10 (weights times errors), count 0.1 (pictures that it is seen in),
+/// blend 50 (blending weights): the score of Taming 3DGS (Mallick et al., SIGGRAPH Asia 2024, section 4.2), which uses it to
+/// choose what to densify under an exact budget. Its terms for depth and for distance are left out: they tell cameras apart
+/// that go round a scene, and a receiver stands still.
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner};
+/// Plugin::<dyn Pruner>::parse("Taming3dgs(target: 500)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct Taming3dgs {
+    /// The share that goes at each prune step, from the first on; after the last of them nothing goes.
+    pub shares: Vec<Real>,
+    /// Training transmitters that a pass looks at; 0: all.
+    pub transmitters: usize,
+    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
+    /// `shares`.
+    pub target: Option<usize>,
+}
+
+impl Default for Taming3dgs {
+    fn default() -> Self {
+        Self { shares: vec![0.5], transmitters: 256, target: None }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for Taming3dgs {
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
+        without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
+    }
+
+    fn needs(&self) -> Needs {
+        Needs::of(&[Statistic::Weight, Statistic::Error { high: 1.0 }], self.transmitters)
+    }
+
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
+        let n = cloud.len();
+        let scale = |s: &[Real; 3]| s.iter().copied().fold(Real::NEG_INFINITY, Real::max).exp();
+        let terms: [(Real, Vec<Real>); 7] = [
+            (25.0, stats.gradient.clone()),
+            (100.0, cloud.opacity_logits.iter().map(|o| sigmoid(*o)).collect()),
+            (10.0, stats.radius.clone()),
+            (25.0, cloud.log_scales.iter().map(scale).collect()),
+            (10.0, stats.asked.error.clone()),
+            (0.1, stats.visible.clone()),
+            (50.0, stats.asked.weight.clone()),
+        ];
+        let mut sums = vec![0.0; n];
+        for (weight, values) in terms.iter().filter(|(_, values)| values.len() == n) {
+            let positive: Vec<Real> = values.iter().copied().filter(|v| *v > 0.0).collect();
+            let median = quantile(&positive, 0.5);
+            if median > 0.0 {
+                sums.iter_mut().zip(values).for_each(|(sum, v)| *sum += weight * v / median);
+            }
+        }
+        sums
+    }
+
+    fn budget(&self) -> Option<Budget> {
+        self.target.map(Budget::Rounds)
+    }
+
+    fn about(&self) -> &'static str {
+        "least by a sum of median-normalised terms goes (Taming 3DGS)"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_shares(&self.shares)?;
+        check_target(self.target)
+    }
+}

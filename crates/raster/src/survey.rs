@@ -1,0 +1,119 @@
+//! What each splat has to do with a picture: weights, errors, places among the first, slopes. One more pass over the
+//! tiles, front to back, for whoever decides which Gaussians stay.
+
+use crate::blend::{PIXELS, TILE, Tile};
+use crate::canvas::gather;
+use pwrfgs_core::{Looked, Real, Survey};
+
+/// The first splats of a pixel: value and place in the tile's list, best first.
+type First = Vec<(Real, usize)>;
+
+/// One tile of a survey.
+pub(crate) struct Look<'a, 'b> {
+    pub(crate) tile: &'b Tile<'a>,
+    /// The drawn picture, `[channels, H, W]`.
+    pub(crate) picture: &'b [Real],
+    pub(crate) survey: &'b Survey<'b>,
+}
+
+/// What the derivative along the strength of splats needs of a tile: `[channels][PIXELS]`, and what is not yet passed.
+struct Slopes {
+    own: Vec<Real>,
+    behind: Vec<Real>,
+    channels: usize,
+}
+
+impl Slopes {
+    fn of(look: &Look<'_, '_>) -> Option<Self> {
+        let (_, slopes) = look.survey.slopes?;
+        let Tile { channels, plane, corner, .. } = *look.tile;
+        let (mut own, mut drawn) = (vec![0.0; channels * PIXELS], vec![0.0; channels * PIXELS]);
+        gather(slopes, plane, corner, &mut own);
+        gather(look.picture, plane, corner, &mut drawn);
+        let mut behind = vec![0.0; PIXELS];
+        for (k, (slope, value)) in own.iter().zip(&drawn).enumerate() {
+            behind[k % PIXELS] += slope * value;
+        }
+        Some(Self { own, behind, channels })
+    }
+
+    /// ∂P̂/∂γ of a splat in pixel `p` of the tile, which it then has passed.
+    fn along(&mut self, p: usize, signal: &[Real], (before, alpha, weight): (Real, Real, Real)) -> Real {
+        let q: Real = (0..self.channels).map(|c| signal[c] * self.own[c * PIXELS + p]).sum();
+        self.behind[p] -= weight * q;
+        before * q - self.behind[p] / (1.0 - alpha)
+    }
+}
+
+impl Look<'_, '_> {
+    /// For each splat of the tile's list.
+    pub(crate) fn run(&self) -> Vec<Looked> {
+        let Self { tile, survey, .. } = self;
+        let mut found = vec![Looked::default(); tile.list.len()];
+        let mut slopes = Slopes::of(self);
+        let mut first: Vec<First> = vec![Vec::new(); if survey.top.is_some() { PIXELS } else { 0 }];
+        let mut light = tile.start();
+        for (k, (&i, &[top, end])) in tile.list.iter().zip(tile.rows).enumerate() {
+            let i = i as usize;
+            let brush = tile.brush(i);
+            let own = &mut found[k];
+            for row in top as usize..end as usize {
+                if !light.is_open(row) {
+                    continue;
+                }
+                let y = tile.corner.1 + row;
+                let (gauss, raw) = brush.alpha(y as Real);
+                let alpha = brush.veiled(raw);
+                let before = light.row(row);
+                let weight = light.pass(row, &alpha);
+                for lane in 0..TILE {
+                    let (w, p) = (weight[lane], row * TILE + lane);
+                    if w <= 0.0 {
+                        continue;
+                    }
+                    let pixel = y * tile.plane.width + tile.corner.0 + lane;
+                    own.weight += w;
+                    own.largest = own.largest.max(w);
+                    own.pixels += 1.0;
+                    own.error += w * survey.errors.get(pixel).copied().unwrap_or(0.0);
+                    own.high += Real::from(u8::from(survey.high.get(pixel).copied().unwrap_or(false)));
+                    if let Some((count, truth, strengths)) = survey.top {
+                        let value = (-(strengths[i] - truth[pixel]).abs()).exp() * w;
+                        place(&mut first[p], count, (value, k));
+                    }
+                    if let (Some(slopes), Some((signals, _))) = (&mut slopes, survey.slopes) {
+                        let signal = &signals[i * slopes.channels..][..slopes.channels];
+                        let d = slopes.along(p, signal, (before[lane], alpha[lane], w));
+                        own.sensitivity += (d * alpha[lane]).powi(2);
+                        if survey.fisher {
+                            let d_power = d * brush.presence * brush.opacity * gauss[lane];
+                            outer(&mut own.fisher, &brush.slopes(lane, y as Real).map(|slope| d_power * slope));
+                        }
+                    }
+                }
+            }
+        }
+        first.iter().flatten().for_each(|&(_, k)| found[k].top = true);
+        found
+    }
+}
+
+/// Keeps the `count` largest values, those that came first among equals.
+fn place(first: &mut First, count: usize, entry: (Real, usize)) {
+    let at = first.partition_point(|(value, _)| *value >= entry.0);
+    if at < count {
+        first.insert(at, entry);
+        first.truncate(count);
+    }
+}
+
+/// Adds the upper triangle of x xᵀ.
+fn outer(sum: &mut [Real; 15], x: &[Real; 5]) {
+    let mut k = 0;
+    for i in 0..5 {
+        for j in i..5 {
+            sum[k] += x[i] * x[j];
+            k += 1;
+        }
+    }
+}

@@ -1,0 +1,65 @@
+//! Whether the pruners of a pipeline can be had together, and what they ask can be told.
+
+use crate::Pipeline;
+use pwrfgs_core::plugin::to_ron;
+use pwrfgs_core::{Budget, Kind, Statistic};
+
+/// What is wrong with the list of pruners.
+pub(crate) fn contradiction(pipeline: &Pipeline) -> Option<String> {
+    let name = |k: usize| {
+        let text = to_ron(&pipeline.pruners[k]);
+        text.split('(').next().unwrap_or_default().to_owned()
+    };
+    let exact = pipeline.pruners.iter().filter_map(|p| p.budget()).any(|budget| !matches!(budget, Budget::AtMost(_)));
+    let mut budgets = pipeline.pruners.iter().enumerate().filter_map(|(k, p)| Some((k, p.budget()?.target())));
+    if let Some((first, target)) = budgets.next() {
+        if let Some((other, another)) = budgets.find(|(_, another)| *another != target) {
+            return Some(format!(
+                "`{}` wants {target} Gaussians at the end and `{}` {another}; give one number",
+                name(first),
+                name(other)
+            ));
+        }
+        let training = &pipeline.training;
+        if training.prune_until <= training.densify_until && exact {
+            return Some(format!(
+                "`{}` wants {target} Gaussians, and there is no pruning phase; set training.prune_until above \
+                 densify_until",
+                name(first)
+            ));
+        }
+    }
+    if let Some(what) = pipeline.initializer.count().and_then(|n| too_many(pipeline, n)) {
+        return Some(what);
+    }
+    let method = pipeline.method();
+    for (k, pruner) in pipeline.pruners.iter().enumerate() {
+        let needs = pruner.needs();
+        if !method.blends() && needs.statistics.iter().any(|statistic| statistic.wants_blending()) {
+            return Some(format!(
+                "`{}` goes by blending weights, and nothing is blended here; use rasterizer: AlphaBlending(), or a pruner \
+                 that needs none, such as LearnableMask()",
+                name(k)
+            ));
+        }
+        let wants_pictures = |s: &Statistic| matches!(s, Statistic::Error { .. } | Statistic::Top { .. });
+        if method.kind().is_some_and(|kind| kind != Kind::Spectrum) && needs.statistics.iter().any(wants_pictures) {
+            return Some(format!(
+                "`{}` looks at the errors of pixels, and these data have none; leave it out",
+                name(k)
+            ));
+        }
+    }
+    None
+}
+
+/// The exact number that is asked for, where it is above the `n` Gaussians at the start and none are added.
+pub(crate) fn too_many(pipeline: &Pipeline, n: usize) -> Option<String> {
+    let grows = pipeline.training.densify.every > 0 && pipeline.training.densify_until > 0;
+    let exact = |budget: &Budget| !matches!(budget, Budget::AtMost(_));
+    let target = pipeline.pruners.iter().filter_map(|pruner| pruner.budget()).find(exact)?.target();
+    let adds = pipeline.pruners.iter().any(|pruner| pruner.grows());
+    (target > n && !grows && !adds).then(|| {
+        format!("{target} Gaussians are wanted at the end, and there are {n} at the start; start with more, or ask for fewer")
+    })
+}

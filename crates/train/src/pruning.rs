@@ -1,0 +1,120 @@
+//! A prune step: passes for whoever asks, edits, votes, and the exact budget.
+
+use crate::edit;
+use crate::graph::open_gates;
+use crate::survey;
+use crate::trainer::Trainer;
+use pwrfgs_core::plugin::Plugin;
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, Moment, Phase, Pruner, Real, Result};
+
+/// What every pruner of the pipeline remembers of it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Memories(pub(crate) Vec<Vec<Real>>);
+
+impl Memories {
+    pub(crate) fn of(pruners: &[Plugin<dyn Pruner>]) -> Self {
+        Self(pruners.iter().map(|pruner| pruner.state().unwrap_or_default()).collect())
+    }
+}
+
+/// How many prune steps there are up to `step` in the pruning phase.
+fn rounds_until(step: u64, (first, last, every): (u64, u64, u64)) -> u64 {
+    let whole = |step: u64| step / every.max(1);
+    let regular = whole(step.min(last)).saturating_sub(whole(first));
+    regular + u64::from(step >= last && last > first && !last.is_multiple_of(every.max(1)))
+}
+
+impl Trainer<'_> {
+    /// What `step` is.
+    pub(crate) fn moment(&self, step: u64) -> Moment {
+        let t = &self.pipeline.training;
+        let phases = (t.densify_until, t.prune_until, t.prune_every);
+        let (phase, rounds) = (self.phase(step), rounds_until(t.prune_until, phases));
+        let due = phase == Phase::Prune && (step.is_multiple_of(t.prune_every) || step == t.prune_until);
+        let round = if due { rounds_until(step, phases) } else { 0 };
+        Moment { round, rounds, ..Moment::new(step, phase, self.pipeline.seed) }
+    }
+
+    /// Asks every pruner; a Gaussian stays where all agree, or where a budget says so. Gives the cloud as it was where it
+    /// changed.
+    pub(crate) fn prune(&mut self, moment: &Moment) -> Result<Option<GaussianCloud>> {
+        let pruners = self.pipeline.pruners.clone();
+        let Some(first) = pruners.first() else { return Ok(None) };
+        let (before, n) = (self.cloud.clone(), self.cloud.len());
+        let mut known = vec![None; pruners.len()];
+        for (k, pruner) in pruners.iter().enumerate() {
+            let stats = self.stats_for(k, pruner, moment)?;
+            match pruner.edit(&self.cloud, &stats, moment) {
+                Some(edit) => {
+                    edit::replace(edit, &mut self.cloud, &mut self.adam, &mut self.stats);
+                    known.fill(None);
+                }
+                None => known[k] = Some(stats),
+            }
+        }
+        for (k, pruner) in pruners.iter().enumerate() {
+            if known[k].is_none() {
+                known[k] = Some(self.stats_for(k, pruner, moment)?);
+            }
+        }
+        let known: Vec<CloudStats> = known.into_iter().flatten().collect();
+        let budget = |k: usize| pruners[k].budget().map(|budget| (k, budget));
+        let scored =
+            |(_, budget): &(usize, Budget)| matches!(budget, Budget::Rounds(_) | Budget::AtLast(_)) && moment.round > 0;
+        let mut keep = vec![true; self.cloud.len()];
+        for (pruner, stats) in pruners.iter().zip(&known) {
+            if matches!(pruner.budget(), Some(Budget::Rounds(_))) {
+                continue;
+            }
+            let own = pruner.keep(&self.cloud, stats, moment);
+            assert_eq!(own.len(), keep.len(), "a pruner answers for every Gaussian");
+            keep.iter_mut().zip(own).for_each(|(all, own)| *all &= own);
+        }
+        if let Some((k, budget)) = (0..pruners.len()).filter_map(budget).find(scored) {
+            keep = budget.settle(&keep, &pruners[k].score(&self.cloud, &known[k], moment), moment);
+        }
+        crate::densify::ensure_one(&mut keep, &first.score(&self.cloud, &known[0], moment), "pruning");
+        self.take_away(&keep);
+        for (k, pruner) in pruners.iter().enumerate().filter(|_| moment.round > 0) {
+            pruner.advance(&mut self.memories.0[k], n, &self.cloud, moment);
+        }
+        Ok((before != self.cloud).then_some(before))
+    }
+
+    /// Keeps the rows that are true.
+    pub(crate) fn take_away(&mut self, keep: &[bool]) {
+        edit::keep(keep, &mut self.cloud, &mut self.adam, &mut self.stats);
+    }
+
+    /// What pruner `k` is told of the Gaussians.
+    pub(crate) fn told(&self, k: usize) -> CloudStats {
+        CloudStats { state: self.memories.0[k].clone(), ..self.stats.clone() }
+    }
+
+    /// The same, and what it asked for.
+    fn stats_for(&self, k: usize, pruner: &Plugin<dyn Pruner>, moment: &Moment) -> Result<CloudStats> {
+        let (needs, mut stats) = (pruner.needs().settled(self.stages.method.blends()), self.told(k));
+        if !needs.is_nothing() && moment.round > 0 {
+            let gate = open_gates(&self.cloud, &self.pipeline.pruners, moment);
+            let stride = self.pipeline.training.stride;
+            let batches = self.batches().sample(&needs, moment, self.data, (&self.stages, stride));
+            let weights = self.weights_at(moment.step);
+            let scene = survey::Scene { stages: &self.stages, weights: &weights, objective: &*self.objective };
+            stats.asked = survey::survey(&scene, &self.cloud, gate.as_deref(), &needs, batches)?;
+        }
+        Ok(stats)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn prune_steps_are_counted() {
+        let rounds = |step| rounds_until(step, (100, 1000, 300));
+        assert_eq!([100, 299, 300, 600, 900, 999, 1000, 2000].map(rounds), [0, 0, 1, 2, 3, 3, 4, 4]);
+        assert_eq!(rounds_until(900, (300, 900, 300)), 2, "the last step of densification is none");
+        assert_eq!(rounds_until(50, (50, 50, 10)), 0, "no phase, no round");
+    }
+}

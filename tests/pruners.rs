@@ -1,0 +1,193 @@
+//! Every pruning strategy: the exact number it is asked for, the same bytes after a stop, and what defines its score.
+
+use crate::common::{built_in, cloud, pipeline, plugin, with_column};
+use pwrfgs::core::{best, rng};
+use pwrfgs::prelude::*;
+use std::path::Path;
+
+/// The settings that make each strategy do something within a few steps, without a number to come to.
+const ALL: [(&str, &str); 24] = [
+    ("ControlGs", "lambda: 0.3, epsilon: 0.2"),
+    ("Eagles", "quantile: 0.2"),
+    ("FastGs", ""),
+    ("GaussianSpa", "every: 2, share: 0.5"),
+    ("GreedyElimination", "most: 20, transmitters: 4"),
+    ("LearnableMask", "lambda: 0.5, learning_rate: 0.8"),
+    ("LightGaussian", ""),
+    ("Lp3dgs", "lambda: 0.5, learning_rate: 0.8"),
+    ("MaskGaussian", "lambda: 0.5, learning_rate: 0.8"),
+    ("Mcmc", "noise: 0.1, dead: 0.1"),
+    ("MergeByMoments", ""),
+    ("MiniSplatting", ""),
+    ("NaturalSelection", "pressure: 3, epsilon: 0.2"),
+    ("OpacityThreshold", "epsilon: 0.1"),
+    ("Pup3dgs", ""),
+    ("RadSplat", "threshold: 0.05"),
+    ("RandomReference", ""),
+    ("Reduced3dgs", ""),
+    ("SafeguardGs", ""),
+    ("SignalContribution", ""),
+    ("SpeedySplat", ""),
+    ("Taming3dgs", ""),
+    ("TopK", "keep: 9"),
+    ("TrimmingTheFat", "opacity_quantile: 0.5, gradient_quantile: 0.9"),
+];
+
+fn small(pruner: &str) -> Pipeline {
+    pipeline(&format!(
+        "seed: 5, data: Teacher(gaussians: 6, samples: 20, width: 60, height: 15),
+         initializer: Random(count: 40, std: 3),
+         deformation: Factored(depth: 2, width: 8),
+         pruners: [{pruner}],
+         training: (steps: 24, batch: 3, densify_until: 3, prune_until: 20, prune_every: 4, densify: (every: 0),
+             optimizer: (opacity_logits: Constant(0.1)))"
+    ))
+}
+
+fn data_of(pipeline: &Pipeline) -> (Dataset, Partition) {
+    let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
+    let partition = pipeline.split.split(&data, &mut rng::stream(5, "split", 0)).unwrap();
+    (data, partition)
+}
+
+/// The checkpoint in the middle, the one at the end, and N after each step.
+fn train(pipeline: &Pipeline) -> (Vec<u8>, Vec<u8>, Vec<usize>) {
+    let (data, partition) = data_of(pipeline);
+    let mut trainer = Trainer::new(pipeline, &data, &partition).unwrap();
+    let (mut middle, mut counts) = (Vec::new(), Vec::new());
+    while !trainer.finished() {
+        counts.push(trainer.step().unwrap().gaussians);
+        if trainer.done() == 14 {
+            middle = trainer.checkpoint();
+        }
+    }
+    (middle, trainer.checkpoint(), counts)
+}
+
+#[test]
+fn every_strategy_is_tried_here() {
+    assert_eq!(built_in::<dyn Pruner>(), ALL.map(|(name, _)| name));
+}
+
+#[test]
+fn every_strategy_takes_some_and_resumes_to_the_same_bytes_at_any_thread_count() {
+    for (name, settings) in ALL {
+        let pipeline = small(&format!("{name}({settings})"));
+        let pool = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let (middle, end, counts) = pool(2).install(|| train(&pipeline));
+        // 3DGS-MCMC moves Gaussians, and FastGS takes what is to blame for errors, if anything is.
+        assert!(counts[23] < 40 || ["Mcmc", "FastGs"].contains(&name), "{name} takes nothing: {counts:?}");
+        assert!(counts[23] > 0);
+        let (data, partition) = data_of(&pipeline);
+        let mut trainer = Trainer::restore(&pipeline, &data, &partition, &middle).unwrap();
+        pool(1).install(|| {
+            while !trainer.finished() {
+                trainer.step().unwrap();
+            }
+        });
+        assert!(trainer.checkpoint() == end, "{name}: bits differ after a stop");
+    }
+}
+
+#[test]
+fn an_exact_number_is_what_is_left() {
+    for (name, settings) in ALL.into_iter().filter(|(name, _)| *name != "TopK") {
+        let comma = if settings.is_empty() { "" } else { ", " };
+        let (_, _, counts) = train(&small(&format!("{name}({settings}{comma}target: 7)")));
+        assert_eq!(counts[23], 7, "{name}: {counts:?}");
+        // Beside others too, which take more or less.
+        let both = format!("{name}({settings}{comma}target: 7), OpacityThreshold(epsilon: 0.3)");
+        let counts = train(&small(&both)).2;
+        assert!(counts[23] == 7 || (counts[23] < 7 && name == "MergeByMoments"), "{both}: {counts:?}");
+    }
+}
+
+#[test]
+fn rounds_take_the_same_share_each() {
+    let (_, _, counts) = train(&small("RandomReference(target: 5)"));
+    // Five prune steps from 40 to 5: 8^(1/5) each.
+    assert_eq!([4, 8, 12, 16, 20].map(|step: usize| counts[step - 1]), [26, 17, 11, 7, 5]);
+}
+
+/// Statistics as a pass would give them, one column for all, and what a score makes of them.
+fn scores(pruner: &Plugin<dyn Pruner>, cloud: &GaussianCloud, column: &[Real]) -> Vec<Real> {
+    let fisher = column.iter().map(|v| {
+        let mut own = [0.0; 21];
+        let mut place = 0;
+        for i in 0..6 {
+            own[place] = v + 0.1;
+            place += 6 - i;
+        }
+        own
+    });
+    let asked = Statistics {
+        links: 1,
+        weight: column.to_vec(),
+        largest_weight: column.to_vec(),
+        weight_per_area: column.to_vec(),
+        signal_mean: column.to_vec(),
+        signal_max: column.to_vec(),
+        error: column.to_vec(),
+        high_error: column.iter().map(|v| 1.0 - v).collect(),
+        top: column.iter().map(|v| *v > 0.5).collect(),
+        sensitivity: column.to_vec(),
+        fisher: fisher.collect(),
+        elimination: column.to_vec(),
+    };
+    pruner.score(cloud, &CloudStats { asked, ..CloudStats::zeros(cloud.len()) }, &moment())
+}
+
+fn moment() -> Moment {
+    Moment { round: 1, rounds: 3, ..Moment::new(12, Phase::Prune, 3) }
+}
+
+#[test]
+fn strategies_that_draw_no_lots_do_not_care_for_the_order_of_gaussians() {
+    let n = 23;
+    let column: Vec<Real> = (0..n).map(|i| ((i * 7 + 3) % n) as Real / n as Real).collect();
+    let mut order: Vec<usize> = (0..n).collect();
+    rng::shuffle(&mut rng::stream(2, "order", 0), &mut order);
+    let turned: Vec<Real> = order.iter().map(|&i| column[i]).collect();
+    for (name, settings) in ALL.into_iter().filter(|(name, _)| !["RandomReference", "MiniSplatting"].contains(name)) {
+        let pruner: Plugin<dyn Pruner> = plugin(&format!("{name}({settings})"));
+        let mut cloud = cloud(n, 3);
+        for spec in pruner.columns() {
+            cloud = with_column(cloud, spec.name, column.iter().map(|v| spec.init * (0.5 + v)).collect());
+        }
+        let straight = scores(&pruner, &cloud, &column);
+        let shuffled = scores(&pruner, &cloud.select(&order), &turned);
+        for (k, &i) in order.iter().enumerate() {
+            assert!((shuffled[k] - straight[i]).abs() <= 1e-4 * straight[i].abs().max(1.0), "{name}, row {i}");
+        }
+    }
+}
+
+#[test]
+fn what_has_nothing_to_do_with_pictures_goes_first() {
+    let by_pictures = [
+        "Eagles",
+        "GreedyElimination",
+        "LightGaussian",
+        "MiniSplatting",
+        "Pup3dgs",
+        "RadSplat",
+        "SafeguardGs",
+        "SignalContribution",
+        "SpeedySplat",
+    ];
+    for name in by_pictures {
+        let pruner: Plugin<dyn Pruner> = plugin(&format!("{name}()"));
+        let column = [0.4, 0.0, 0.7, 0.9, 0.0, 0.2];
+        let kept = best(4, &scores(&pruner, &cloud(6, 1), &column), |_| true);
+        assert_eq!(kept, [true, false, true, true, false, true], "{name}");
+    }
+}
+
+#[test]
+fn equals_stay_in_order() {
+    for (name, settings) in [("OpacityThreshold", ""), ("TopK", "keep: 2"), ("SignalContribution", "shares: [0.5]")] {
+        let pruner: Plugin<dyn Pruner> = plugin(&format!("{name}({settings})"));
+        let same = cloud(1, 1).select(&[0, 0, 0, 0]);
+        assert_eq!(best(2, &scores(&pruner, &same, &[0.3; 4]), |_| true), [true, true, false, false], "{name}");
+    }
+}
