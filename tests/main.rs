@@ -28,3 +28,4 @@ mod robustness;
 mod stopping;
 mod streaming;
 mod supply_chain;
+mod surveys;

@@ -42,12 +42,37 @@ fn every_built_in_name_is_registered() {
         "Ridge",
         "Zero",
     ]);
-    linked::<dyn Initializer>(&["Grid", "MatchingPursuit", "PointCloud", "Random", "Site"]);
+    linked::<dyn Initializer>(&["Grid", "MatchingPursuit", "PointCloud", "Random", "Site", "Trained"]);
     linked::<dyn Projector>(&["Mercator", "WrfgsCompat"]);
     linked::<dyn Rasterizer>(&["AlphaBlending", "ArrayResponse"]);
     linked::<dyn Method>(&["Splatting", "VirtualTransmitters"]);
     linked::<dyn Deformation>(&["Factored", "Fixed", "Mlp", "Wrfgs"]);
-    linked::<dyn Pruner>(&["LearnableMask", "OpacityThreshold", "TopK"]);
+    linked::<dyn Pruner>(&[
+        "ControlGs",
+        "Eagles",
+        "FastGs",
+        "GaussianSpa",
+        "GreedyElimination",
+        "LearnableMask",
+        "LightGaussian",
+        "Lp3dgs",
+        "MaskGaussian",
+        "Mcmc",
+        "MergeByMoments",
+        "MiniSplatting",
+        "NaturalSelection",
+        "OpacityThreshold",
+        "Pup3dgs",
+        "RadSplat",
+        "RandomReference",
+        "Reduced3dgs",
+        "SafeguardGs",
+        "SignalContribution",
+        "SpeedySplat",
+        "Taming3dgs",
+        "TopK",
+        "TrimmingTheFat",
+    ]);
     linked::<dyn Metric>(&[
         "Chamfer",
         "ChannelSnr",

@@ -21,7 +21,7 @@ where
 }
 
 /// Plugins of these tests themselves.
-pub(crate) const OF_TESTS: [&str; 5] = ["Counted", "Factor", "GreyOfAFile", "Literal", "Terms"];
+pub(crate) const OF_TESTS: [&str; 6] = ["Counted", "Factor", "GreyOfAFile", "Literal", "Terms", "There"];
 
 /// The linked plugins of a kind without those of these tests.
 pub(crate) fn built_in<T: ?Sized + PluginKind>() -> Vec<&'static str>

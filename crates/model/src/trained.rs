@@ -17,12 +17,18 @@ use std::path::{Path, PathBuf};
 /// Plugin::<dyn Initializer>::parse("Trained(model: \"runs/dense/model.safetensors\")")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct Trained {
     /// The `model.safetensors` of a finished run, relative to the pipeline.
     #[serde(with = "pwrfgs_core::paths")]
     pub model: PathBuf,
+}
+
+impl Default for Trained {
+    fn default() -> Self {
+        Self { model: "model.safetensors".into() }
+    }
 }
 
 #[typetag::serde]
@@ -56,12 +62,5 @@ impl Initializer for Trained {
 
     fn about(&self) -> &'static str {
         "the Gaussians and weights of a trained model"
-    }
-
-    fn check(&self) -> std::result::Result<(), String> {
-        if self.model.as_os_str().is_empty() {
-            return Err("`model` is missing; give the model.safetensors of a finished run".into());
-        }
-        Ok(())
     }
 }
