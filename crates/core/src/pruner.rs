@@ -63,6 +63,12 @@ pub trait Pruner: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Se
         None
     }
 
+    /// The same, asked for an exact number; `None` where it takes none.
+    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
+        let _ = target;
+        None
+    }
+
     /// Whether it may add Gaussians until its [`Pruner::budget`] is reached.
     fn grows(&self) -> bool {
         false

@@ -58,6 +58,10 @@ impl Pruner for FastGs {
         blame.iter().map(|v| 1.0 - (v - low) / width).collect()
     }
 
+    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
+        Some(Box::new(Self { target: Some(target), ..self.clone() }))
+    }
+
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
     }

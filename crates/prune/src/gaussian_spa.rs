@@ -100,6 +100,10 @@ impl Pruner for GaussianSpa {
         }
     }
 
+    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
+        Some(Box::new(Self { target: Some(target), ..self.clone() }))
+    }
+
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::AtLast)
     }

@@ -54,6 +54,10 @@ impl Pruner for GreedyElimination {
         asked(if elimination.len() == cloud.len() { elimination } else { sensitivity }, cloud)
     }
 
+    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
+        Some(Box::new(Self { target: Some(target), ..self.clone() }))
+    }
+
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
     }

@@ -59,6 +59,10 @@ impl Pruner for LightGaussian {
         weight.iter().zip(volumes).map(|(w, v)| w * factor(v)).collect()
     }
 
+    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
+        Some(Box::new(Self { target: Some(target), ..self.clone() }))
+    }
+
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
     }

@@ -72,6 +72,10 @@ impl Pruner for NaturalSelection {
         cloud.extra(LIFE).map_or_else(opacities, |column| column.values.clone())
     }
 
+    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
+        Some(Box::new(Self { target: Some(target), ..self.clone() }))
+    }
+
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::AtLast)
     }

@@ -38,6 +38,10 @@ impl Pruner for OpacityThreshold {
         cloud.opacity_logits.iter().map(|logit| sigmoid(*logit) >= self.epsilon).collect()
     }
 
+    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
+        Some(Box::new(Self { target: Some(target), ..self.clone() }))
+    }
+
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
     }

@@ -55,6 +55,10 @@ impl Pruner for Pup3dgs {
         stats.asked.fisher.iter().map(|fisher| log_det(fisher, f64::from(self.ridge)) as Real).collect()
     }
 
+    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
+        Some(Box::new(Self { target: Some(target), ..self.clone() }))
+    }
+
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
     }

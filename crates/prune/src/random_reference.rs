@@ -42,6 +42,10 @@ impl Pruner for RandomReference {
         (0..cloud.len()).map(|_| rng::uniform(&mut random)).collect()
     }
 
+    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
+        Some(Box::new(Self { target: Some(target), ..self.clone() }))
+    }
+
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
     }

@@ -61,6 +61,10 @@ impl Pruner for Reduced3dgs {
         cloud.opacity_logits.iter().zip(counts).map(|(o, count)| sigmoid(*o) - count).collect()
     }
 
+    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
+        Some(Box::new(Self { target: Some(target), ..self.clone() }))
+    }
+
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
     }

@@ -52,6 +52,10 @@ impl Pruner for SafeguardGs {
         weight.iter().enumerate().map(|(i, w)| if safe(i) { 1.0 + largest + w } else { *w }).collect()
     }
 
+    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
+        Some(Box::new(Self { target: Some(target), ..self.clone() }))
+    }
+
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
     }

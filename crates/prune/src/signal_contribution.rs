@@ -62,6 +62,10 @@ impl Pruner for SignalContribution {
         asked(if self.over == Over::Max { &stats.asked.signal_max } else { &stats.asked.signal_mean }, cloud)
     }
 
+    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
+        Some(Box::new(Self { target: Some(target), ..self.clone() }))
+    }
+
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
     }

@@ -51,6 +51,10 @@ impl Pruner for TrimmingTheFat {
         ranks[0].iter().zip(&ranks[1]).map(|(a, b)| a.max(*b)).collect()
     }
 
+    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
+        Some(Box::new(Self { target: Some(target), ..self.clone() }))
+    }
+
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
     }

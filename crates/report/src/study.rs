@@ -12,6 +12,7 @@ mod format;
 mod grouping;
 mod output;
 mod page;
+mod race;
 mod record;
 mod statistics;
 mod tables;

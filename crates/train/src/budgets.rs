@@ -1,11 +1,39 @@
 //! Whether the pruners of a pipeline can be had together, and what they ask can be told.
 
 use crate::Pipeline;
-use pwrfgs_core::plugin::to_ron;
-use pwrfgs_core::{Budget, Kind, Statistic};
+use pwrfgs_core::plugin::{Plugin, to_ron};
+use pwrfgs_core::{Budget, Kind, Pruner, Statistic};
+
+/// The pruners, and the pipeline's own number given to the first that takes one.
+///
+/// # Errors
+/// Where none does.
+pub(crate) fn targeted(pipeline: &Pipeline) -> Result<Vec<Plugin<dyn Pruner>>, String> {
+    let (mut pruners, target) = (pipeline.pruners.clone(), pipeline.training.target);
+    if target == 0 || pruners.iter().any(|pruner| pruner.budget().is_some_and(|own| own.target() == target)) {
+        return Ok(pruners);
+    }
+    let own = pruners.iter_mut().find_map(|pruner| Some((pruner.with_target(target)?, pruner)));
+    let Some((asked, pruner)) = own else {
+        return Err(format!(
+            "training.target is {target}, and no pruner takes an exact number; add one that does, such as \
+             SignalContribution()"
+        ));
+    };
+    if let Some(own) = pruner.budget() {
+        return Err(format!("training.target is {target}, and a pruner's own is {}; give one number", own.target()));
+    }
+    *pruner = Plugin::from(asked);
+    Ok(pruners)
+}
 
 /// What is wrong with the list of pruners.
 pub(crate) fn contradiction(pipeline: &Pipeline) -> Option<String> {
+    let pruners = match targeted(pipeline) {
+        Ok(pruners) => pruners,
+        Err(why) => return Some(why),
+    };
+    let pipeline = &Pipeline { pruners, ..pipeline.clone() };
     let name = |k: usize| {
         let text = to_ron(&pipeline.pruners[k]);
         text.split('(').next().unwrap_or_default().to_owned()

@@ -204,6 +204,9 @@ settings! {
         prune_until: u64 = 40_000,
         /// `I_p`: steps between two prunes.
         prune_every: u64 = 1_000,
+        /// The exact number of Gaussians at the end of pruning, as the `target` of the first pruner that takes one; 0 to
+        /// leave it to the pruners.
+        target: usize = 0,
         /// Training looks at every `stride`-th row and column of the spectra, and draws these only; a divisor of both
         /// sides. Spectra of a small array are smooth: with 3 a step is nine times cheaper and learns as much. The
         /// window of SSIM stays as wide in degrees. Scores are of whole pictures always.

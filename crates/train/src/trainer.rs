@@ -2,7 +2,7 @@
 
 use crate::adam::Adam;
 use crate::batches::{Batches, coarse};
-use crate::budgets::too_many;
+use crate::budgets::{targeted, too_many};
 use crate::densify;
 use crate::edit;
 use crate::fingerprint::fingerprint;
@@ -110,7 +110,9 @@ impl<'a> Trainer<'a> {
 
     /// Everything but parameters.
     pub(crate) fn blank(pipeline: &Pipeline, data: &'a Dataset, partition: &Partition) -> Result<Self> {
-        let pipeline = &pipeline.resolved()?;
+        let mut pipeline = pipeline.resolved()?;
+        pipeline.pruners = targeted(&pipeline).map_err(Error::Config)?;
+        let pipeline = &pipeline;
         let plane = pipeline.plane(data)?;
         let method = pipeline.method();
         check_inputs(&*method, data)?;

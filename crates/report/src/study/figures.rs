@@ -9,6 +9,7 @@ mod gaussians;
 mod latency;
 mod loaded;
 mod looks;
+mod pareto;
 mod rate;
 mod room;
 mod spectra;
@@ -103,6 +104,9 @@ pub fn all(setting: &Setting, progress: Progress<'_>) -> Drawn {
         gaussians::figure,
         tradeoff::first_metric,
         tradeoff::rate_ratio,
+        pareto::by_number,
+        pareto::by_bytes,
+        pareto::by_time,
         latency::figure,
         distribution::figure,
         distance::figure,

@@ -106,6 +106,7 @@ impl Section {
         warnings.extend(comparison.holes());
         warnings.extend(drawn.left_out);
         let tables = [
+            tables::ranks(setting),
             tables::scores(comparison, same_machine),
             tables::differences(comparison, compared),
             tables::further(comparison, same_machine),

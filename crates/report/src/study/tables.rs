@@ -2,9 +2,11 @@
 
 mod columns;
 mod differences;
+mod ranks;
 mod scores;
 
 pub(super) use differences::differences;
+pub(super) use ranks::ranks;
 pub(super) use scores::{further, latency, scores};
 
 use super::Setting;

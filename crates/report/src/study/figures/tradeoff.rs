@@ -2,6 +2,7 @@
 
 use super::{Figure, looks};
 use crate::draw::charts::{Axis, Chart, Line};
+use crate::study::race::{Race, family};
 use crate::study::statistics::Spread;
 use crate::study::{Setting, Variant};
 use minijinja::context;
@@ -46,6 +47,9 @@ pub(super) fn rate_ratio(setting: &Setting) -> Option<Figure> {
 }
 
 fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
+    if Race::of(setting).is_some() {
+        return None; // a mark and a name for each variant would be too many: figures of the race have a line a way
+    }
     let points: Vec<Line> = setting.variants.iter().enumerate().filter_map(|(k, v)| point(v, k, score.key)).collect();
     if points.is_empty() {
         return None;
@@ -95,11 +99,6 @@ fn threads(setting: &Setting, key: &str) -> Vec<Line> {
     families.into_iter().map(|(_, points)| Line::new(points, looks::thread())).collect()
 }
 
-/// The label without its numbers.
-fn family(label: &str) -> String {
-    label.chars().filter(|c| !(c.is_ascii_digit() || ".-+".contains(*c))).collect()
-}
-
 /// Level lines over the whole width, with their names at the right.
 fn baselines(setting: &Setting, score: &Score) -> Vec<Line> {
     let line = |(k, name): (usize, &str)| {
@@ -121,15 +120,4 @@ fn reference(score: &Score) -> Line {
     let mut line = Line::new(Vec::new(), looks::published()).named("published, s23");
     line.marks = score.published.to_vec();
     line
-}
-
-#[cfg(test)]
-mod tests {
-    use super::family;
-
-    #[test]
-    fn families_differ_in_more_than_numbers() {
-        assert_eq!(family("lambda 0.02, cloud"), family("lambda 0.4, cloud"));
-        assert_ne!(family("lambda 0.02, cloud"), family("lambda 0.02, random"));
-    }
 }

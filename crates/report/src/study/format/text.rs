@@ -11,7 +11,7 @@ pub(in super::super) fn text(page: &Page) -> String {
     let mut out = String::new();
     for section in &page.sections {
         _ = writeln!(out, "{}", section.title);
-        for table in section.tables.iter().filter(|t| ["scores", "differences"].contains(&t.name)) {
+        for table in section.tables.iter().filter(|t| ["ranks", "scores", "differences"].contains(&t.name)) {
             _ = write!(out, "\n{}\n{}", table.title, aligned(&lines(table), 1));
             let how = if table.is_marked() { "* best, + second best" } else { "[95 % interval], * leaves 0 out" };
             _ = writeln!(out, "{how}");
