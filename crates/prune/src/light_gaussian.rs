@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 /// Drops a share of the Gaussians that show least, weighed a little by their volume.
 ///
-/// The score is Σ w · min(V/V₉₀, 1)^volume_power, w = γ·T the blending weights over all pixels and training transmitters, V
+/// The score is Σ w · min(V/V₉₀, 1)^`volume_power`, w = γ·T the blending weights over all pixels and training transmitters, V
 /// the product of the scales and V₉₀ the volume that nine tenths do not reach (LightGaussian, Fan et al., NeurIPS 2024,
 /// eq. (4)). It prunes two thirds at once there, then a decaying share, and fine-tunes. What hardly shows goes, however
 /// opaque it is; what shows a little to every transmitter stays before what one transmitter alone needs: for that see

@@ -123,14 +123,10 @@ mod tests {
             place += 6 - i;
         }
         assert!((log_det(&diagonal, 1e-12) - 720f64.ln()).abs() < 1e-6);
-        let factor = |i: usize, j: usize| {
-            if i == j {
-                1.0 + i as f64
-            } else if j < i {
-                0.3 * (i + j) as f64
-            } else {
-                0.0
-            }
+        let factor = |i: usize, j: usize| match i.cmp(&j) {
+            std::cmp::Ordering::Equal => 1.0 + i as f64,
+            std::cmp::Ordering::Greater => 0.3 * (i + j) as f64,
+            std::cmp::Ordering::Less => 0.0,
         };
         let mut full = [0.0; 21];
         let mut own = full.iter_mut();

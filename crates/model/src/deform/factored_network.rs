@@ -54,6 +54,9 @@ pub(super) struct Basis {
     n: usize,
 }
 
+/// Which of the tasks it is, its tiles, and the derivatives of their centres, where they are wanted.
+type Task<'a> = (usize, (&'a [[Real; LANES]], Option<&'a mut [[Real; 3]]>));
+
 /// What transmitters say of the waves, of each channel `[waves, B]`, and of none, `[B]`.
 struct Mixed {
     waves: [Vec<Real>; 2],
@@ -283,7 +286,7 @@ impl Network {
         let mut centres = d_means.map(|d_means| d_means.chunks_mut(TILES * LANES));
         let parts: Vec<Option<&mut [[Real; 3]]>> =
             (0..n).step_by(TILES * LANES).map(|_| centres.as_mut().and_then(Iterator::next)).collect();
-        let task = |(k, (tiles, mut d_means)): (usize, (&[[Real; LANES]], Option<&mut [[Real; 3]]>))| {
+        let task = |(k, (tiles, mut d_means)): Task<'_>| {
             let mut sums: Vec<Mixed> = groups.iter().map(|some| Mixed::zeros(waves, some.len())).collect();
             for (j, tile) in tiles.chunks_exact(waves).enumerate() {
                 let first = (k * TILES + j) * LANES;

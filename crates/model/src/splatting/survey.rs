@@ -40,9 +40,10 @@ impl Splatting {
             let view = &views[group.receiver];
             let (terms, batch) = group.terms(&deltas, n);
             let geometry = Arc::new(self.geometry(view, p.cloud, &terms, batch.start, p.into()));
-            let jacobians = match needs.statistics.contains(&Statistic::Fisher) {
-                true => self.jacobians(view, p, &geometry),
-                false => Vec::new(),
+            let jacobians = if needs.statistics.contains(&Statistic::Fisher) {
+                self.jacobians(view, p, &geometry)
+            } else {
+                Vec::new()
             };
             if !needs.statistics.iter().any(per_link) {
                 sums.add(&rows, &self.weigh(view, p, (&terms, batch), &geometry, needs));

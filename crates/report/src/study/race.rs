@@ -98,7 +98,7 @@ fn shorten(ways: &mut [Way<'_>]) {
     let last =
         (0..least.saturating_sub(first + 1)).take_while(|&k| same(&|own| own[own.len() - 1 - k].clone())).count();
     for (way, own) in ways.iter_mut().zip(&all).filter(|(_, own)| own.len() > first + last) {
-        way.name = own[first..own.len() - last].join(" ").trim_end_matches(',').to_owned();
+        own[first..own.len() - last].join(" ").trim_end_matches(',').clone_into(&mut way.name);
     }
 }
 

@@ -17,7 +17,7 @@ fn gated(logits: &[Real]) -> GaussianCloud {
 }
 
 fn gate(mask: &GumbelMask, logits: &[Real], step: u64) -> Vec<Real> {
-    mask.gate(&Traced::new(&gated(logits)), &moment(step, Phase::Densify)).unwrap().as_vec()
+    mask.gate(&Traced::new(&gated(logits)), &moment(step, Phase::Densify)).unwrap().factor().as_vec()
 }
 
 #[test]
@@ -49,7 +49,7 @@ fn coins_are_thrown_anew_at_every_step_and_the_same_when_a_run_goes_on() {
     let (a, b) = (gate(&mask, &logits, 9), gate(&mask, &logits, 10));
     assert!(a.iter().zip(&b).all(|(a, b)| a != b));
     let other = Moment { seed: 8, ..moment(9, Phase::Densify) };
-    assert_ne!(mask.gate(&Traced::new(&gated(&logits)), &other).unwrap().as_vec(), a);
+    assert_ne!(mask.gate(&Traced::new(&gated(&logits)), &other).unwrap().factor().as_vec(), a);
 }
 
 #[test]
@@ -57,7 +57,7 @@ fn the_derivative_has_its_closed_form() {
     let mask = GumbelMask { temperature: 0.5, ..GumbelMask::default() };
     let logits = [0.0, 0.3, 1.0, 2.0, -0.2, 5.0];
     let traced = Traced::new(&gated(&logits));
-    let gate = mask.gate(&traced, &moment(3, Phase::Prune)).unwrap();
+    let gate = mask.gate(&traced, &moment(3, Phase::Prune)).unwrap().factor();
     let y = gate.as_vec();
     // Cotangents that differ, so that a mixed-up order would show.
     let weights: Vec<Real> = (0..logits.len()).map(|i| i as Real - 2.5).collect();
@@ -98,7 +98,7 @@ fn what_is_drawn_is_kept_and_what_is_kept_is_drawn() {
     }
     // The hardest throw that the noise allows.
     assert!(sigmoid(logistic(0.0) / 0.2) > 0.0 && logistic(1.0).is_finite());
-    assert_eq!(mask.score(&cloud, &CloudStats::zeros(cloud.len())), logits);
+    assert_eq!(mask.score(&cloud, &CloudStats::zeros(cloud.len()), &moment(0, Phase::Prune)), logits);
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! Ways to the same numbers of Gaussians: the first metric against N, bytes and milliseconds.
 
+use super::tradeoff::floors;
 use super::{Figure, looks};
 use crate::draw::charts::{Axis, Chart, Line};
 use crate::study::race::{Race, Way, spread};
@@ -51,6 +52,7 @@ fn figure(setting: &Setting, price: &Price) -> Option<Figure> {
     }
     lines.append(&mut shown);
     lines.append(&mut others);
+    lines.extend(floors(setting, headline.key));
     let axis = format!("mean {}", headline.name);
     let x = Axis { name: price.axis.into(), log: true, ends: None };
     let chart = Chart { x, y: Axis { name: axis.clone(), ..Axis::default() }, lines, ..Chart::default() };

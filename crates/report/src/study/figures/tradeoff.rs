@@ -58,7 +58,7 @@ fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
     let mut lines = points;
     lines.extend(published.then(|| reference(score)));
     lines.extend(threads(setting, score.key));
-    lines.extend(baselines(setting, score));
+    lines.extend(floors(setting, score.key));
     let x = Axis { name: "number of Gaussians N".into(), log: true, ends: None };
     let chart = Chart { x, y: Axis { name: score.axis.clone(), ..Axis::default() }, lines, ..Chart::default() };
     Figure::chart(score.name, setting, context! { axis => &score.axis, published }, chart)
@@ -100,9 +100,9 @@ fn threads(setting: &Setting, key: &str) -> Vec<Line> {
 }
 
 /// Level lines over the whole width, with their names at the right.
-fn baselines(setting: &Setting, score: &Score) -> Vec<Line> {
+pub(super) fn floors(setting: &Setting, key: &str) -> Vec<Line> {
     let line = |(k, name): (usize, &str)| {
-        let values: Vec<f64> = setting.runs().filter_map(|r| r.value(name, score.key)).collect();
+        let values: Vec<f64> = setting.runs().filter_map(|r| r.value(name, key)).collect();
         Some(Line::level(Spread::of(&values)?.mean, looks::floor(k)).named_at_end(name))
     };
     setting.floors().into_iter().enumerate().filter_map(line).collect()
