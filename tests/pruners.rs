@@ -98,7 +98,7 @@ fn an_exact_number_is_what_is_left() {
         // Beside others too, which take more or less.
         let both = format!("{name}({settings}{comma}target: 7), OpacityThreshold(epsilon: 0.3)");
         let counts = train(&small(&both)).2;
-        assert!(counts[23] == 7 || (counts[23] < 7 && name == "MergeByMoments"), "{both}: {counts:?}");
+        assert_eq!(counts[23], 7, "{both}: {counts:?}");
     }
 }
 
@@ -190,4 +190,40 @@ fn equals_stay_in_order() {
         let same = cloud(1, 1).select(&[0, 0, 0, 0]);
         assert_eq!(best(2, &scores(&pruner, &same, &[0.3; 4]), |_| true), [true, true, false, false], "{name}");
     }
+}
+
+#[test]
+fn numbers_that_cannot_be_are_refused_with_their_place() {
+    let written = |start: usize, rest: &str| {
+        let text = format!(
+            "Pipeline(name: \"a\", data: Teacher(),\n initializer: Random(count: {start}),\n {rest},\n \
+             training: (steps: 9, densify_until: 2, prune_until: 6, densify: (every: 0)))"
+        );
+        Pipeline::parse(&text, Path::new("a.ron")).map_err(|e| e.to_string())
+    };
+    assert!(written(50, "pruners: [SpeedySplat(target: 50)]").is_ok());
+    for (start, pruners, line, words) in [
+        (50, "pruners: [SpeedySplat(target: 51)]", "a.ron:3:", "51 Gaussians are wanted"),
+        (50, "pruners: [Eagles(target: 9), RadSplat(target: 8)]", "a.ron:3:", "give one number"),
+        (50, "pruners: [Eagles(target: 9), TopK(keep: 8)]", "a.ron:3:", "give one number"),
+        (50, "pruners: [Eagles(target: 9), RadSplat(target: 9)]", "a.ron:3:", "both come to an exact number"),
+        (50, "pruners: [LightGaussian(shares: [0.5, 1.5])]", "a.ron:3:", "`shares` has 1.5"),
+        (50, "pruners: [RadSplat(threshold: 1.5)]", "a.ron:3:", "`threshold` is 1.5"),
+        (50, "pruners: [Eagles(target: 0)]", "a.ron:3:", "`target` is 0"),
+        (50, "rasterizer: ArrayResponse(), pruners: [RadSplat()]", "a.ron:3:", "nothing is blended here"),
+    ] {
+        let said = written(start, pruners).unwrap_err();
+        assert!(said.starts_with(line) && said.contains(words), "{pruners}: {said}");
+    }
+    // What masks and the true loss say needs no blending.
+    for pruner in ["LearnableMask()", "GreedyElimination()", "MaskGaussian()", "RandomReference()"] {
+        written(50, &format!("rasterizer: ArrayResponse(), pruners: [{pruner}]")).unwrap();
+    }
+    let mut pipeline = small("LightGaussian()");
+    pipeline.set("training.target=5").unwrap();
+    assert_eq!(train(&pipeline).2[23], 5, "one word in the pipeline");
+    let said = small("Eagles(target: 7)").set("training.target=5").unwrap_err().to_string();
+    assert!(said.contains("training.target is 5") && said.contains('7'), "{said}");
+    let said = small("RadSplat(threshold: 0.1)").set_all(&["pruners=[]", "training.target=5"]).unwrap_err().to_string();
+    assert!(said.contains("no pruner takes an exact number"), "{said}");
 }

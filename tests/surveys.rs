@@ -6,7 +6,7 @@ use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
     Asked, ColumnSpec, Conditions, Frame, ImagePlane, Kind, Parameters, Receiver, Statistic, Statistics, rng,
 };
-use pwrfgs::model::{Readout, Stages};
+use pwrfgs::model::{Gates, Readout, Stages};
 use pwrfgs::prelude::*;
 use pwrfgs::train::{Batch, RenderingLoss, loss_and_gradients};
 use std::sync::Arc;
@@ -70,7 +70,7 @@ impl Sight {
             Conditions::new(3, &self.batch.conditions),
             &self.stages.frame.pose(),
         );
-        let splats = splatting.geometry(view, &self.cloud, &deltas, b, Default::default()).splats;
+        let splats = splatting.geometry(view, &self.cloud, &deltas, b, Gates::default()).splats;
         let signals: Vec<Real> = (0..N * N).map(|k| Real::from(u8::from(k / N == k % N))).collect();
         let pixels = splatting.rasterizer.forward(&splats, &signals, N, &view.plane).pixels;
         pixels.chunks_exact(view.plane.width * view.plane.height).map(<[Real]>::to_vec).collect()
@@ -239,16 +239,23 @@ fn present(sight: &Sight, presence: &[Real]) -> pwrfgs::train::LossAndGradients 
 #[test]
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn who_is_not_there_still_has_a_derivative() {
-    let sight = Sight::new("Factored(width: 12, depth: 2)", Readout::Magnitude);
+    for rasterizer in ["AlphaBlending()", "ArrayResponse()"] {
+        let mut sight = Sight::new("Factored(width: 12, depth: 2)", Readout::Magnitude);
+        sight.stages = Arc::new(sight.stages.with(|splatting| splatting.rasterizer = plugin(rasterizer)));
+        derivatives_of_presence(&sight);
+    }
+}
+
+fn derivatives_of_presence(sight: &Sight) {
     // Gone, half there, and whole; the others' derivatives too.
     let presence = [0.0, 0.5, 1.0, 0.0, 0.8];
-    let loss = |x: &[Real]| vec![present(&sight, x).loss];
+    let loss = |x: &[Real]| vec![present(sight, x).loss];
     let vjp = |x: &[Real], d: &[Real]| {
-        let found = present(&sight, x);
+        let found = present(sight, x);
         found.d_cloud.extra("there").unwrap().values.iter().map(|v| v * d[0]).collect()
     };
     check_vjp("presence", &presence, loss, vjp, 1e-6, 1e-5);
-    let found = present(&sight, &presence);
+    let found = present(sight, &presence);
     assert!(found.d_cloud.extra("there").unwrap().values[0] != 0.0);
     assert_eq!(found.d_cloud.opacity_logits[0], 0.0, "what takes no light has no other derivative");
     for name in ["means", "log_scales", "opacity_logits"] {

@@ -15,8 +15,10 @@ pub trait Pruner: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Se
     /// True for each Gaussian that stays, `[N]`; asked at the prune steps of algorithm 1. Several pruners: all must agree.
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool>;
 
-    /// What [`CloudStats::asked`] shall hold at a prune step, computed by a pass over training transmitters.
-    fn needs(&self) -> Needs {
+    /// What [`CloudStats::asked`] shall hold at a prune step, computed by a pass over training transmitters; nothing where it
+    /// would decide nothing. When the pipeline is checked, `cloud` is empty.
+    fn needs(&self, cloud: &GaussianCloud, moment: &Moment) -> Needs {
+        let _ = (cloud, moment);
         Needs::nothing()
     }
 
@@ -104,7 +106,7 @@ pub enum Budget {
     Rounds(usize),
     /// Whatever [`Pruner::keep`] says, but never fewer, and at the last prune step exactly so many, by [`Pruner::score`].
     AtLast(usize),
-    /// [`Pruner::edit`] sees to it.
+    /// [`Pruner::edit`] sees to it, and nobody else takes any.
     Own(usize),
     /// [`Pruner::keep`] leaves no more at any prune step; fewer will do.
     AtMost(usize),
@@ -123,7 +125,8 @@ impl Budget {
     pub fn settle(self, agreed: &[bool], scores: &[Real], moment: &Moment) -> Vec<bool> {
         let open = agreed.iter().filter(|own| **own).count();
         let count = match self {
-            Self::Own(_) | Self::AtMost(_) => return agreed.to_vec(),
+            Self::Own(_) => return vec![true; agreed.len()],
+            Self::AtMost(_) => return agreed.to_vec(),
             Self::Rounds(target) => moment.quota(agreed.len(), target),
             Self::AtLast(target) if moment.round > 0 && moment.round == moment.rounds => target,
             Self::AtLast(target) => open.max(target),

@@ -22,6 +22,6 @@ pub use ensemble::Ensemble;
 pub use model::Model;
 pub use prepared::Prepared;
 pub use readout::Readout;
-pub use splatting::{Drawing, Geometry, Splatting, View, check_kind, check_together};
+pub use splatting::{Drawing, Gates, Geometry, Splatting, View, check_kind, check_together};
 pub use stages::Stages;
 pub use trained::Trained;

@@ -86,7 +86,7 @@ pub struct View {
 pub struct Gates<'a> {
     /// Opacity and scale.
     pub whole: Option<&'a [Real]>,
-    /// Their part in the picture alone; only where the rasterizer blends.
+    /// Their part in the picture alone.
     pub presence: Option<&'a [Real]>,
 }
 
@@ -109,6 +109,8 @@ pub struct Geometry {
     pub primitives: Primitives,
     /// On the picture.
     pub splats: Splats,
+    /// Opacities `[N]` before presence, where the rasterizer does not know of any and it was multiplied into them.
+    pub unveiled: Vec<Real>,
     /// What the rasterizer found of them.
     pub cache: Cache,
     /// Seconds that activation and projection took, and the rasterizer.
@@ -242,11 +244,19 @@ impl Splatting {
         let start = Instant::now();
         let primitives = self.activation().geometry(cloud, deltas, b, gates.whole);
         let mut splats = self.projector.project(&primitives, &view.pose, &view.plane);
-        splats.presence = gates.presence.map_or_else(Vec::new, <[Real]>::to_vec);
+        let mut unveiled = Vec::new();
+        match gates.presence {
+            Some(presence) if self.rasterizer.blends() => splats.presence = presence.to_vec(),
+            Some(presence) => {
+                unveiled.clone_from(&splats.opacities);
+                splats.opacities.iter_mut().zip(presence).for_each(|(o, m)| *o *= m);
+            }
+            None => {}
+        }
         let projected = Instant::now();
         let cache = self.rasterizer.prepare(&splats, &view.plane);
         let seconds = [projected - start, projected.elapsed()].map(|time| time.as_secs_f64());
-        Geometry { primitives, splats, cache, seconds }
+        Geometry { primitives, splats, unveiled, cache, seconds }
     }
 
     /// Draws the transmitters `batch` of `deltas`, which share the geometry of the first; `still` is that geometry where
@@ -284,7 +294,11 @@ impl Splatting {
         let Drawing { batch, geometry, signals, render } = drawing;
         let (activation, splats) = (self.activation(), &geometry.splats);
         let channels = activation.channels * batch.len();
-        let d = self.rasterizer.backward(splats, signals, channels, &view.plane, render, d_pixels);
+        let mut d = self.rasterizer.backward(splats, signals, channels, &view.plane, render, d_pixels);
+        if let Some(presence) = gates.presence.filter(|_| !geometry.unveiled.is_empty()) {
+            d.splats.presence = d.splats.opacities.iter().zip(&geometry.unveiled).map(|(d, o)| d * o).collect();
+            d.splats.opacities.iter_mut().zip(presence).for_each(|(d, m)| *d *= m);
+        }
         let d_primitives = self.projector.project_vjp(&geometry.primitives, &view.pose, &view.plane, splats, &d.splats);
         activation.geometry_vjp(cloud, deltas, batch.start, gates.whole, &d_primitives, sums);
         sums.presence.iter_mut().zip(&d.splats.presence).for_each(|(sum, d)| *sum += d);

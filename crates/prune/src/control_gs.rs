@@ -1,6 +1,6 @@
 //! A pull on all opacities until nothing more goes.
 
-use crate::rounds::{check_share, check_target, check_weight};
+use crate::rounds::{check_below_one, check_share, check_target, check_weight};
 use dfdx::prelude::{Rank0, SumTo};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, Documented, GaussianCloud, Moment, Phase, Pruner, Real, sigmoid,
@@ -71,11 +71,13 @@ impl Pruner for ControlGs {
     }
 
     fn advance(&self, state: &mut [Real], n: usize, cloud: &GaussianCloud, _: &Moment) {
-        let gone = n.saturating_sub(cloud.len()) as Real;
-        // Before the first have faded, nothing goes and nothing has settled.
-        if gone > 0.0 || state[0] < 0.0 {
-            state[0] = if gone < self.settle * n as Real { 1.0 } else { -1.0 };
-        }
+        let many = n.saturating_sub(cloud.len()) as Real >= self.settle * n as Real;
+        // Before many have faded, few that go are no sign that it has settled.
+        state[0] = match (many, state[0] < 0.0) {
+            (true, _) => -1.0,
+            (false, true) => 1.0,
+            (false, false) => state[0],
+        };
     }
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
@@ -93,12 +95,12 @@ impl Pruner for ControlGs {
     fn check(&self) -> Result<(), String> {
         check_weight("lambda", self.lambda)?;
         check_share("settle", self.settle)?;
-        check_share("epsilon", self.epsilon)?;
+        check_below_one("epsilon", self.epsilon)?;
         check_target(self.target)
     }
 }
 
-/// 0: nothing has gone yet; −1: they are going; 1: it has settled.
+/// 0: not many have gone yet; −1: they are going; 1: it has settled.
 fn settled(state: &[Real]) -> bool {
     state.first().is_some_and(|state| *state > 0.0)
 }

@@ -45,7 +45,7 @@ impl Pruner for Eagles {
         scores.iter().map(|score| *score > limit).collect()
     }
 
-    fn needs(&self) -> Needs {
+    fn needs(&self, _: &GaussianCloud, _: &Moment) -> Needs {
         Needs::of(&[Statistic::Weight], self.transmitters)
     }
 

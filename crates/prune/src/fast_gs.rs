@@ -44,7 +44,7 @@ impl Pruner for FastGs {
         self.score(cloud, stats, moment).iter().map(|score| !known || *score >= 1.0 - self.blame).collect()
     }
 
-    fn needs(&self) -> Needs {
+    fn needs(&self, _: &GaussianCloud, _: &Moment) -> Needs {
         Needs::of(&[Statistic::Error { high: self.high }], self.transmitters)
     }
 

@@ -1,10 +1,10 @@
 //! Opacities drawn towards their own best few.
 
-use crate::rounds::check_target;
+use crate::rounds::{check_target, share_of};
 use dfdx::prelude::{Rank0, SumTo};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, Documented, GaussianCloud, Moment, Phase, Pruner, Real, best, sigmoid,
-    tape::{TraceScalar, Traced},
+    tape::{TraceScalar, Traced, values},
 };
 use serde::{Deserialize, Serialize};
 
@@ -63,7 +63,7 @@ impl Pruner for GaussianSpa {
     }
 
     fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
-        let (z, u) = (cloud.leaf(SPARSE).as_vec(), cloud.leaf(DUAL).as_vec());
+        let (z, u) = (values(cloud.leaf(SPARSE)), values(cloud.leaf(DUAL)));
         if moment.phase != Phase::Prune || z.is_empty() || z.iter().any(|z| *z < 0.0) {
             return None;
         }
@@ -121,7 +121,8 @@ impl Pruner for GaussianSpa {
 impl GaussianSpa {
     /// k, of `n`.
     fn count(&self, n: usize) -> usize {
-        self.target.unwrap_or_else(|| ((1.0 - f64::from(self.share)) * n as f64).ceil() as usize).clamp(1, n.max(1))
+        let by_share = || n - share_of(n, self.share).floor() as usize;
+        self.target.unwrap_or_else(by_share).clamp(1, n.max(1))
     }
 }
 

@@ -25,7 +25,7 @@ pub struct GreedyElimination {
     pub most: usize,
     /// The share that goes at each prune step, from the first on; after the last of them nothing goes.
     pub shares: Vec<Real>,
-    /// Training transmitters that a pass looks at; 0: all.
+    /// Training transmitters whose loss it is, from 1 to 1,000: they are held in memory.
     pub transmitters: usize,
     /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
     /// `shares`.
@@ -44,9 +44,11 @@ impl Pruner for GreedyElimination {
         without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
     }
 
-    fn needs(&self) -> Needs {
-        let elimination = Statistic::Elimination { most: self.most };
-        Needs::of(&[elimination], self.transmitters).and_where_blended(&[Statistic::Sensitivity])
+    fn needs(&self, cloud: &GaussianCloud, _: &Moment) -> Needs {
+        if cloud.len() > self.most {
+            return Needs::of(&[], self.transmitters).and_where_blended(&[Statistic::Sensitivity]);
+        }
+        Needs::of(&[Statistic::Elimination { most: self.most }], self.transmitters)
     }
 
     fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
@@ -67,13 +69,16 @@ impl Pruner for GreedyElimination {
     }
 
     fn check(&self) -> Result<(), String> {
-        check_most(self.most)?;
+        check_most(self.most, self.transmitters)?;
         check_shares(&self.shares)?;
         check_target(self.target)
     }
 }
 
-fn check_most(most: usize) -> Result<(), String> {
+fn check_most(most: usize, transmitters: usize) -> Result<(), String> {
+    if !(1..=1000).contains(&transmitters) {
+        return Err(format!("`transmitters` is {transmitters}; give a number from 1 to 1000, such as 64"));
+    }
     if (2..=1000).contains(&most) {
         return Ok(());
     }

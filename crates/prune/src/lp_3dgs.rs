@@ -65,7 +65,7 @@ impl Pruner for Lp3dgs {
         self.score(cloud, stats, moment).iter().map(|odds| *odds >= 0.0).collect()
     }
 
-    fn needs(&self) -> Needs {
+    fn needs(&self, _: &GaussianCloud, _: &Moment) -> Needs {
         Needs::of(&[Statistic::LargestWeight], self.transmitters)
     }
 

@@ -1,7 +1,7 @@
 //! Nothing dies: what has faded is moved onto what has not.
 
 use crate::covariance::Covariance;
-use crate::rounds::{check_share, check_target, check_weight};
+use crate::rounds::{check_below_one, check_share, check_target, check_weight};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
     Budget, CloudStats, Documented, Edit, GaussianCloud, Moment, Phase, Pruner, Real, Row, logit, rng, sigmoid,
@@ -38,7 +38,8 @@ pub struct Mcmc {
     pub opacity_weight: Real,
     /// Weight of the mean scale in the loss, 1/m, 0 or more.
     pub scale_weight: Real,
-    /// How much faint centres are stirred at each step, 1/m, 0 or more; 80 at the first step of the paper's schedule.
+    /// How much faint centres are stirred at each step, 1/m, 0 or more. The paper lets it fall with the rate of the means,
+    /// from 80 to 0.8; here it stays, as the pruning phase is short.
     pub noise: Real,
     /// The cap on N, and the number of Gaussians at the end of pruning.
     pub target: Option<usize>,
@@ -46,7 +47,7 @@ pub struct Mcmc {
 
 impl Default for Mcmc {
     fn default() -> Self {
-        Self { dead: 0.005, grow: 0.05, opacity_weight: 0.01, scale_weight: 0.01, noise: 0.0, target: None }
+        Self { dead: 0.005, grow: 0.05, opacity_weight: 0.01, scale_weight: 0.01, noise: 1.0, target: None }
     }
 }
 
@@ -84,7 +85,10 @@ impl Pruner for Mcmc {
         }
         let n = cloud.len();
         let opacities: Vec<f64> = cloud.opacity_logits.iter().map(|o| f64::from(sigmoid(*o))).collect();
-        let alive: Vec<usize> = (0..n).filter(|&i| opacities[i] > f64::from(self.dead)).collect();
+        let mut alive: Vec<usize> = (0..n).filter(|&i| opacities[i] > f64::from(self.dead)).collect();
+        if alive.is_empty() {
+            alive = (0..n).collect(); // where all are faint, nobody is
+        }
         let room = self.target.map_or(0, |target| target.saturating_sub(n));
         let last = moment.round == moment.rounds;
         let added = if last { room } else { room.min((f64::from(self.grow) * n as f64) as usize) };
@@ -99,7 +103,7 @@ impl Pruner for Mcmc {
         let mut sources = drawn.into_iter();
         let mut rows: Vec<Row> = (0..n).map(Row::Kept).collect();
         for (i, row) in rows.iter_mut().enumerate() {
-            if opacities[i] <= f64::from(self.dead) {
+            if alive.len() < n && opacities[i] <= f64::from(self.dead) {
                 *row = Row::Copied(sources.next().expect("a draw for each that is dead"));
             }
         }
@@ -116,7 +120,7 @@ impl Pruner for Mcmc {
     }
 
     fn grows(&self) -> bool {
-        true
+        self.target.is_some()
     }
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
@@ -132,7 +136,7 @@ impl Pruner for Mcmc {
     }
 
     fn check(&self) -> Result<(), String> {
-        check_share("dead", self.dead)?;
+        check_below_one("dead", self.dead)?;
         check_share("grow", self.grow)?;
         check_weight("opacity_weight", self.opacity_weight)?;
         check_weight("scale_weight", self.scale_weight)?;

@@ -1,7 +1,7 @@
 //! Two near ones become one of their joint mean and covariance.
 
 use crate::covariance::Covariance;
-use crate::rounds::{check_shares, check_target, share_at};
+use crate::rounds::{check_shares, check_target, share_at, share_of};
 use pwrfgs_core::{
     Budget, CloudStats, Documented, Edit, GaussianCloud, Moment, Pruner, Real, Row, logit, neighbours, sigmoid,
 };
@@ -45,7 +45,7 @@ impl Pruner for MergeByMoments {
 
     fn edit(&self, cloud: &GaussianCloud, _: &CloudStats, moment: &Moment) -> Option<Edit> {
         let n = cloud.len();
-        let by_share = || n - (f64::from(share_at(&self.shares, moment)) * n as f64).floor() as usize;
+        let by_share = || n - share_of(n, share_at(&self.shares, moment)).floor() as usize;
         let count = self.target.map_or_else(by_share, |target| moment.quota(n, target)).max(1);
         if count >= n || cloud.means.as_flattened().iter().any(|v| !v.is_finite()) {
             return None;

@@ -63,20 +63,20 @@ impl Pruner for MiniSplatting {
         match self.rule {
             Rule::Sampled(share) => without_share(&scores, 1.0 - share),
             Rule::Cumulated(share) => {
-                let whole: Real = scores.iter().sum();
+                let whole: f64 = scores.iter().map(|s| f64::from(*s)).sum();
                 let mut order: Vec<usize> = (0..scores.len()).collect();
                 order.sort_by(|&i, &j| scores[j].total_cmp(&scores[i]));
                 let (mut kept, mut sum) = (vec![false; scores.len()], 0.0);
                 for i in order {
-                    kept[i] = sum < share * whole;
-                    sum += scores[i];
+                    kept[i] = sum < f64::from(share) * whole;
+                    sum += f64::from(scores[i]);
                 }
                 kept
             }
         }
     }
 
-    fn needs(&self) -> Needs {
+    fn needs(&self, _: &GaussianCloud, _: &Moment) -> Needs {
         let statistic = if self.per_area { Statistic::WeightPerArea } else { Statistic::Weight };
         Needs::of(&[statistic], self.transmitters)
     }

@@ -1,6 +1,6 @@
 //! All opacities decay, and what the pictures need resists.
 
-use crate::rounds::{check_share, check_target, check_weight};
+use crate::rounds::{check_below_one, check_target, check_weight};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, Documented, GaussianCloud, Moment, Phase, Pruner, Real, sigmoid,
@@ -86,8 +86,8 @@ impl Pruner for NaturalSelection {
 
     fn check(&self) -> Result<(), String> {
         check_weight("pressure", self.pressure)?;
-        check_share("epsilon", self.epsilon)?;
-        check_share("memory", self.memory)?;
+        check_below_one("epsilon", self.epsilon)?;
+        check_below_one("memory", self.memory)?;
         check_target(self.target)
     }
 }

@@ -41,7 +41,7 @@ impl Pruner for RadSplat {
         (0..cloud.len()).map(|i| !known || stats.asked.largest_weight[i] >= self.threshold).collect()
     }
 
-    fn needs(&self) -> Needs {
+    fn needs(&self, _: &GaussianCloud, _: &Moment) -> Needs {
         Needs::of(&[Statistic::LargestWeight], self.transmitters)
     }
 

@@ -8,9 +8,15 @@ pub(crate) fn share_at(shares: &[Real], moment: &Moment) -> Real {
     place.and_then(|place| shares.get(place)).copied().unwrap_or(0.0)
 }
 
+/// A share of `n`; a whole number where it is one but for the rounding of the share.
+pub(crate) fn share_of(n: usize, share: Real) -> f64 {
+    let part = n as f64 * f64::from(share);
+    if (part - part.round()).abs() <= 1e-6 * n as f64 { part.round() } else { part }
+}
+
 /// All but the worst `share` by `scores`.
 pub(crate) fn without_share(scores: &[Real], share: Real) -> Vec<bool> {
-    let gone = (scores.len() as f64 * f64::from(share)).floor() as usize;
+    let gone = share_of(scores.len(), share).floor() as usize;
     best(scores.len() - gone.min(scores.len()), scores, |_| true)
 }
 
@@ -23,7 +29,7 @@ pub(crate) fn asked(column: &[Real], cloud: &GaussianCloud) -> Vec<Real> {
 pub(crate) fn quantile(values: &[Real], q: Real) -> Real {
     let mut sorted = values.to_vec();
     sorted.sort_by(Real::total_cmp);
-    let place = (f64::from(q) * sorted.len() as f64).ceil() as usize;
+    let place = share_of(sorted.len(), q).ceil() as usize;
     sorted.get(place.max(1) - 1).copied().unwrap_or(Real::NEG_INFINITY)
 }
 
@@ -46,6 +52,14 @@ pub(crate) fn check_shares(shares: &[Real]) -> Result<(), String> {
 /// A number from 0 to 1.
 pub(crate) fn check_share(field: &str, value: Real) -> Result<(), String> {
     if (0.0..=1.0).contains(&value) { Ok(()) } else { Err(format!("`{field}` is {value}; give a number from 0 to 1")) }
+}
+
+/// A number from 0 to below 1.
+pub(crate) fn check_below_one(field: &str, value: Real) -> Result<(), String> {
+    if (0.0..1.0).contains(&value) {
+        return Ok(());
+    }
+    Err(format!("`{field}` is {value}; give a number from 0 to below 1"))
 }
 
 /// A finite number, 0 or more.

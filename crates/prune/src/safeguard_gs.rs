@@ -41,15 +41,17 @@ impl Pruner for SafeguardGs {
         if stats.asked.top.len() == cloud.len() { stats.asked.top.clone() } else { vec![true; cloud.len()] }
     }
 
-    fn needs(&self) -> Needs {
+    fn needs(&self, _: &GaussianCloud, _: &Moment) -> Needs {
         Needs::of(&[Statistic::Top { count: self.of_pixel }, Statistic::Weight], self.transmitters)
     }
 
     fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
         let weight = asked(&stats.asked.weight, cloud);
-        let largest = weight.iter().copied().fold(0.0, Real::max);
+        let (n, mut sorted) = (weight.len(), weight.clone());
+        sorted.sort_by(Real::total_cmp);
+        let rank = |w: &Real| sorted.partition_point(|other| other.total_cmp(w).is_lt());
         let safe = |i: usize| stats.asked.top.get(i).is_some_and(|top| *top);
-        weight.iter().enumerate().map(|(i, w)| if safe(i) { 1.0 + largest + w } else { *w }).collect()
+        weight.iter().enumerate().map(|(i, w)| (rank(w) + if safe(i) { n } else { 0 }) as Real).collect()
     }
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {

@@ -54,7 +54,10 @@ impl Pruner for SignalContribution {
         without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
     }
 
-    fn needs(&self) -> Needs {
+    fn needs(&self, _: &GaussianCloud, moment: &Moment) -> Needs {
+        if self.target.is_none() && share_at(&self.shares, moment) == 0.0 {
+            return Needs::nothing();
+        }
         Needs::of(&[Statistic::SignalWeight], self.transmitters)
     }
 

@@ -41,7 +41,10 @@ impl Pruner for SpeedySplat {
         without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
     }
 
-    fn needs(&self) -> Needs {
+    fn needs(&self, _: &GaussianCloud, moment: &Moment) -> Needs {
+        if self.target.is_none() && share_at(&self.shares, moment) == 0.0 {
+            return Needs::nothing();
+        }
         Needs::of(&[Statistic::Sensitivity], self.transmitters)
     }
 

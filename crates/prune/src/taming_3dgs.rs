@@ -41,7 +41,10 @@ impl Pruner for Taming3dgs {
         without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
     }
 
-    fn needs(&self) -> Needs {
+    fn needs(&self, _: &GaussianCloud, moment: &Moment) -> Needs {
+        if self.target.is_none() && share_at(&self.shares, moment) == 0.0 {
+            return Needs::nothing();
+        }
         Needs::of(&[Statistic::Weight, Statistic::Error { high: 1.0 }], self.transmitters)
     }
 
@@ -49,7 +52,7 @@ impl Pruner for Taming3dgs {
         let n = cloud.len();
         let scale = |s: &[Real; 3]| s.iter().copied().fold(Real::NEG_INFINITY, Real::max).exp();
         let terms: [(Real, Vec<Real>); 7] = [
-            (25.0, stats.gradient.clone()),
+            (25.0, mean_gradients(stats)),
             (100.0, cloud.opacity_logits.iter().map(|o| sigmoid(*o)).collect()),
             (10.0, stats.radius.clone()),
             (25.0, cloud.log_scales.iter().map(scale).collect()),
@@ -84,4 +87,10 @@ impl Pruner for Taming3dgs {
         check_shares(&self.shares)?;
         check_target(self.target)
     }
+}
+
+/// Of each picture that it was seen in.
+fn mean_gradients(stats: &CloudStats) -> Vec<Real> {
+    let pairs = stats.gradient.iter().zip(&stats.visible);
+    pairs.map(|(sum, count)| if *count > 0.0 { sum / count } else { 0.0 }).collect()
 }

@@ -115,7 +115,7 @@ impl Rasterizer for AlphaBlending {
         let channels = render.pixels.len() / (plane.width * plane.height);
         let look = |t: usize| {
             let tile = tile(lists, t, splats, &[], channels, plane);
-            Look { tile: &tile, picture: &render.pixels, survey }.run()
+            widest(Look { tile: &tile, picture: &render.pixels, survey })
         };
         let found: Vec<Vec<Looked>> = (0..lists.len()).into_par_iter().map(look).collect();
         // In the order of the tiles, whatever thread looked at which.

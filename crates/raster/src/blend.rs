@@ -226,6 +226,7 @@ impl Brush {
     }
 
     /// The slopes of the exponent by mean (2) and conic (3), in one pixel.
+    #[inline(always)]
     pub(crate) fn slopes(&self, lane: usize, y: Real) -> [Real; 5] {
         let (dx, dy) = (self.dx[lane], self.y - y);
         let along = [-(self.a * dx + self.b * dy), -(self.c * dy + self.b * dx)];
@@ -271,11 +272,13 @@ impl Transmittance {
     }
 
     /// Whether a row has a pixel that is still open.
+    #[inline(always)]
     pub(crate) fn is_open(&self, row: usize) -> bool {
         self.alive[row]
     }
 
     /// What is left in a row; negative where nothing changes it any more.
+    #[inline(always)]
     pub(crate) fn row(&self, row: usize) -> Row {
         self.signed[row]
     }

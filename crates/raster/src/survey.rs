@@ -38,6 +38,7 @@ impl Slopes {
     }
 
     /// ∂P̂/∂γ of a splat in pixel `p` of the tile, which it then has passed.
+    #[inline(always)]
     fn along(&mut self, p: usize, signal: &[Real], (before, alpha, weight): (Real, Real, Real)) -> Real {
         let q: Real = (0..self.channels).map(|c| signal[c] * self.own[c * PIXELS + p]).sum();
         self.behind[p] -= weight * q;
@@ -45,12 +46,14 @@ impl Slopes {
     }
 }
 
-impl Look<'_, '_> {
+impl pulp::WithSimd for Look<'_, '_> {
+    type Output = Vec<Looked>;
     /// For each splat of the tile's list.
-    pub(crate) fn run(&self) -> Vec<Looked> {
-        let Self { tile, survey, .. } = self;
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _: S) -> Vec<Looked> {
+        let Self { tile, survey, .. } = &self;
         let mut found = vec![Looked::default(); tile.list.len()];
-        let mut slopes = Slopes::of(self);
+        let mut slopes = Slopes::of(&self);
         let mut first: Vec<First> = vec![Vec::new(); if survey.top.is_some() { PIXELS } else { 0 }];
         let mut light = tile.start();
         for (k, (&i, &[top, end])) in tile.list.iter().zip(tile.rows).enumerate() {
@@ -108,6 +111,7 @@ fn place(first: &mut First, count: usize, entry: (Real, usize)) {
 }
 
 /// Adds the upper triangle of x xᵀ.
+#[inline(always)]
 fn outer(sum: &mut [Real; 15], x: &[Real; 5]) {
     let mut k = 0;
     for i in 0..5 {

@@ -2,7 +2,7 @@
 
 use crate::Pipeline;
 use pwrfgs_core::plugin::{Plugin, to_ron};
-use pwrfgs_core::{Budget, Kind, Pruner, Statistic};
+use pwrfgs_core::{Budget, GaussianCloud, Kind, Moment, Phase, Pruner, Statistic};
 
 /// The pruners, and the pipeline's own number given to the first that takes one.
 ///
@@ -10,7 +10,9 @@ use pwrfgs_core::{Budget, Kind, Pruner, Statistic};
 /// Where none does.
 pub(crate) fn targeted(pipeline: &Pipeline) -> Result<Vec<Plugin<dyn Pruner>>, String> {
     let (mut pruners, target) = (pipeline.pruners.clone(), pipeline.training.target);
-    if target == 0 || pruners.iter().any(|pruner| pruner.budget().is_some_and(|own| own.target() == target)) {
+    if target == 0
+        || pruners.iter().any(|pruner| is_exact(pruner) && pruner.budget().is_some_and(|own| own.target() == target))
+    {
         return Ok(pruners);
     }
     let own = pruners.iter_mut().find_map(|pruner| Some((pruner.with_target(target)?, pruner)));
@@ -27,6 +29,11 @@ pub(crate) fn targeted(pipeline: &Pipeline) -> Result<Vec<Plugin<dyn Pruner>>, S
     Ok(pruners)
 }
 
+/// Whether a pruner comes to an exact number.
+pub(crate) fn is_exact(pruner: &Plugin<dyn Pruner>) -> bool {
+    pruner.budget().is_some_and(|budget| !matches!(budget, Budget::AtMost(_)))
+}
+
 /// What is wrong with the list of pruners.
 pub(crate) fn contradiction(pipeline: &Pipeline) -> Option<String> {
     let pruners = match targeted(pipeline) {
@@ -38,7 +45,7 @@ pub(crate) fn contradiction(pipeline: &Pipeline) -> Option<String> {
         let text = to_ron(&pipeline.pruners[k]);
         text.split('(').next().unwrap_or_default().to_owned()
     };
-    let exact = pipeline.pruners.iter().filter_map(|p| p.budget()).any(|budget| !matches!(budget, Budget::AtMost(_)));
+    let exact: Vec<usize> = (0..pipeline.pruners.len()).filter(|&k| is_exact(&pipeline.pruners[k])).collect();
     let mut budgets = pipeline.pruners.iter().enumerate().filter_map(|(k, p)| Some((k, p.budget()?.target())));
     if let Some((first, target)) = budgets.next() {
         if let Some((other, another)) = budgets.find(|(_, another)| *another != target) {
@@ -48,8 +55,12 @@ pub(crate) fn contradiction(pipeline: &Pipeline) -> Option<String> {
                 name(other)
             ));
         }
+        if let [first, second, ..] = exact[..] {
+            let (first, second) = (name(first), name(second));
+            return Some(format!("`{first}` and `{second}` both come to an exact number; give one of them a `target`"));
+        }
         let training = &pipeline.training;
-        if training.prune_until <= training.densify_until && exact {
+        if training.prune_until <= training.densify_until && !exact.is_empty() {
             return Some(format!(
                 "`{}` wants {target} Gaussians, and there is no pruning phase; set training.prune_until above \
                  densify_until",
@@ -62,12 +73,14 @@ pub(crate) fn contradiction(pipeline: &Pipeline) -> Option<String> {
     }
     let method = pipeline.method();
     for (k, pruner) in pipeline.pruners.iter().enumerate() {
-        let needs = pruner.needs();
+        let moment = Moment { round: 1, rounds: 1, ..Moment::new(1, Phase::Prune, 0) };
+        let needs = pruner.needs(&GaussianCloud::zeros(0), &moment);
         if !method.blends() && needs.statistics.iter().any(|statistic| statistic.wants_blending()) {
             return Some(format!(
-                "`{}` goes by blending weights, and nothing is blended here; use rasterizer: AlphaBlending(), or a pruner \
-                 that needs none, such as LearnableMask()",
-                name(k)
+                "`{}` goes by blending weights, and nothing is blended here; use {}a pruner that needs none, such as \
+                 LearnableMask()",
+                name(k),
+                if method.kind() == Some(Kind::Channel) { "" } else { "rasterizer: AlphaBlending(), or " }
             ));
         }
         let wants_pictures = |s: &Statistic| matches!(s, Statistic::Error { .. } | Statistic::Top { .. });
@@ -83,9 +96,10 @@ pub(crate) fn contradiction(pipeline: &Pipeline) -> Option<String> {
 
 /// The exact number that is asked for, where it is above the `n` Gaussians at the start and none are added.
 pub(crate) fn too_many(pipeline: &Pipeline, n: usize) -> Option<String> {
-    let grows = pipeline.training.densify.every > 0 && pipeline.training.densify_until > 0;
-    let exact = |budget: &Budget| !matches!(budget, Budget::AtMost(_));
-    let target = pipeline.pruners.iter().filter_map(|pruner| pruner.budget()).find(exact)?.target();
+    let target = pipeline.pruners.iter().find(|pruner| is_exact(pruner))?.budget()?.target();
+    let densify = &pipeline.training.densify;
+    let room = densify.max_gaussians == 0 || densify.max_gaussians >= target;
+    let grows = densify.every > 0 && densify.from < pipeline.training.densify_until && room;
     let adds = pipeline.pruners.iter().any(|pruner| pruner.grows());
     (target > n && !grows && !adds).then(|| {
         format!("{target} Gaussians are wanted at the end, and there are {n} at the start; start with more, or ask for fewer")

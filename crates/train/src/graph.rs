@@ -144,6 +144,14 @@ pub(crate) fn open_gates(cloud: &GaussianCloud, pruners: &[Plugin<dyn Pruner>], 
     Gates::of(&Traced::new(cloud), pruners, moment).whole.as_ref().map(values)
 }
 
+/// Which Gaussians are drawn, gates of presence as they are at this step: what a model of it shows. `None` without a gate.
+pub(crate) fn drawn_gates(cloud: &GaussianCloud, pruners: &[Plugin<dyn Pruner>], moment: &Moment) -> Option<Vec<bool>> {
+    let Gates { whole, presence } = Gates::of(&Traced::new(cloud), pruners, moment);
+    let open = |gate: &Trace, least: Real| values(gate).into_iter().map(|m| m > least).collect::<Vec<_>>();
+    let gates = [whole.map(|gate| open(&gate, 0.0)), presence.map(|gate| open(&gate, 0.5))];
+    gates.into_iter().flatten().reduce(|a, b| a.into_iter().zip(b).map(|(a, b)| a && b).collect())
+}
+
 /// The Gaussians that can be drawn ([`Stages::drawable`]), as a cloud of their own.
 struct Open {
     /// Their rows in the whole cloud.

@@ -1,11 +1,12 @@
 //! A prune step: passes for whoever asks, edits, votes, and the exact budget.
 
+use crate::budgets::is_exact;
 use crate::edit;
 use crate::graph::open_gates;
 use crate::survey;
 use crate::trainer::Trainer;
 use pwrfgs_core::plugin::Plugin;
-use pwrfgs_core::{Budget, CloudStats, GaussianCloud, Moment, Phase, Pruner, Real, Result};
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, Moment, Phase, Pruner, Real, Result, Row};
 
 /// What every pruner of the pipeline remembers of it.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -46,8 +47,15 @@ impl Trainer<'_> {
             let stats = self.stats_for(k, pruner, moment)?;
             match pruner.edit(&self.cloud, &stats, moment) {
                 Some(edit) => {
+                    // Where only columns are new, what is known of Gaussians stays true.
+                    let same = edit.rows.iter().enumerate().all(|(i, row)| *row == Row::Kept(i))
+                        && edit.rows.len() == self.cloud.len();
                     edit::replace(edit, &mut self.cloud, &mut self.adam, &mut self.stats);
-                    known.fill(None);
+                    if same {
+                        known[k] = Some(stats);
+                    } else {
+                        known.fill(None);
+                    }
                 }
                 None => known[k] = Some(stats),
             }
@@ -59,8 +67,11 @@ impl Trainer<'_> {
         }
         let known: Vec<CloudStats> = known.into_iter().flatten().collect();
         let budget = |k: usize| pruners[k].budget().map(|budget| (k, budget));
-        let scored =
-            |(_, budget): &(usize, Budget)| matches!(budget, Budget::Rounds(_) | Budget::AtLast(_)) && moment.round > 0;
+        let scored = |(_, budget): &(usize, Budget)| match budget {
+            Budget::Rounds(_) | Budget::Own(_) => moment.round > 0,
+            Budget::AtLast(_) => true,
+            Budget::AtMost(_) => false,
+        };
         let mut keep = vec![true; self.cloud.len()];
         for (pruner, stats) in pruners.iter().zip(&known) {
             if matches!(pruner.budget(), Some(Budget::Rounds(_))) {
@@ -78,7 +89,13 @@ impl Trainer<'_> {
         for (k, pruner) in pruners.iter().enumerate().filter(|_| moment.round > 0) {
             pruner.advance(&mut self.memories.0[k], n, &self.cloud, moment);
         }
-        Ok((before != self.cloud).then_some(before))
+        if let Some(target) = pruners.iter().find(|pruner| is_exact(pruner)).and_then(|pruner| pruner.budget()) {
+            let (target, n) = (target.target(), self.cloud.len());
+            if moment.round > 0 && moment.round == moment.rounds && n != target {
+                tracing::warn!("{target} Gaussians were wanted at the end of pruning, and there are {n}");
+            }
+        }
+        Ok((self.cloud.len() < n).then_some(before))
     }
 
     /// Keeps the rows that are true.
@@ -93,7 +110,7 @@ impl Trainer<'_> {
 
     /// The same, and what it asked for.
     fn stats_for(&self, k: usize, pruner: &Plugin<dyn Pruner>, moment: &Moment) -> Result<CloudStats> {
-        let (needs, mut stats) = (pruner.needs().settled(self.stages.method.blends()), self.told(k));
+        let (needs, mut stats) = (pruner.needs(&self.cloud, moment).settled(self.stages.method.blends()), self.told(k));
         if !needs.is_nothing() && moment.round > 0 {
             let gate = open_gates(&self.cloud, &self.pipeline.pruners, moment);
             let stride = self.pipeline.training.stride;

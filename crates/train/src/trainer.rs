@@ -2,18 +2,17 @@
 
 use crate::adam::Adam;
 use crate::batches::{Batches, coarse};
-use crate::budgets::{targeted, too_many};
+use crate::budgets::{is_exact, targeted, too_many};
 use crate::densify;
 use crate::edit;
 use crate::fingerprint::fingerprint;
-use crate::graph::{loss_and_gradients, open_gates};
+use crate::graph::{drawn_gates, loss_and_gradients, open_gates};
 use crate::loss::{Objective, objective};
 use crate::pipeline::Pipeline;
 use crate::pruning::Memories;
-use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
-    Budget, CloudStats, ColumnSpec, Dataset, Error, ExtraColumn, Frame, GaussianCloud, ImagePlane, Method, Moment,
-    Partition, Phase, Progress, Pruner, Real, Result, Seen, rng,
+    CloudStats, ColumnSpec, Dataset, Error, ExtraColumn, Frame, GaussianCloud, ImagePlane, Method, Moment, Partition,
+    Phase, Progress, Real, Result, Seen, rng,
 };
 use pwrfgs_model::{Model, Stages};
 use std::sync::atomic::AtomicBool;
@@ -85,14 +84,7 @@ impl<'a> Trainer<'a> {
         let seen = Seen { data, train: &partition.train, plane: &blank.plane, method, progress, stop };
         let cloud = pipeline.initializer.search(&seen, random)?;
         let weights = pipeline.initializer.weights(&seen)?;
-        blank.fill(cloud)?;
-        if let Some(weights) = weights {
-            if weights.len() != blank.weights.len() {
-                let (has, wants) = (weights.len(), blank.weights.len());
-                return Err(Error::Config(format!("initializer: {has} weights, and the method has {wants}")));
-            }
-            blank.weights = Arc::new(weights);
-        }
+        blank.fill(cloud, weights)?;
         Ok(blank)
     }
 
@@ -104,7 +96,10 @@ impl<'a> Trainer<'a> {
         let mut blank = Self::blank(pipeline, data, partition)?;
         let random = &mut rng::stream(pipeline.seed, "init", 0);
         let cloud = pipeline.initializer.initialize(&data.scene, &blank.plane, random)?;
-        blank.fill(cloud)?;
+        let (method, stop) = (&*blank.stages.method, &AtomicBool::new(false));
+        let seen = Seen { data, train: &partition.train, plane: &blank.plane, method, progress: &|_, _| {}, stop };
+        let weights = pipeline.initializer.weights(&seen)?;
+        blank.fill(cloud, weights)?;
         Ok(blank)
     }
 
@@ -132,7 +127,7 @@ impl<'a> Trainer<'a> {
         stages.method.check_frame(&stages.frame).map_err(Error::Config)?;
         Stages { frame: Frame::of(data, plane.clone()), ..stages.clone() }.check().map_err(Error::Config)?;
         let cloud = GaussianCloud::zeros(0);
-        Ok(Self {
+        let blank = Self {
             adam: Adam::new(&cloud, &[]),
             stats: CloudStats::zeros(0),
             memories: Memories::of(&pipeline.pruners),
@@ -147,11 +142,19 @@ impl<'a> Trainer<'a> {
             weights: Arc::default(),
             done: 0,
             fingerprint: OnceLock::new(),
-        })
+        };
+        if blank.pipeline.pruners.iter().any(is_exact) && blank.moment(1).rounds == 0 {
+            return Err(Error::Config(
+                "an exact number of Gaussians is wanted, and there is no prune step; set training.prune_until above \
+                 densify_until, or a larger scale"
+                    .into(),
+            ));
+        }
+        Ok(blank)
     }
 
-    /// The parameters before the first step.
-    fn fill(&mut self, mut cloud: GaussianCloud) -> Result<()> {
+    /// The parameters before the first step; where the initializer has weights, as it has them.
+    fn fill(&mut self, mut cloud: GaussianCloud, trained: Option<Vec<Real>>) -> Result<()> {
         if cloud.is_empty() {
             return Err(Error::Config("the initializer made no Gaussian; raise its count".into()));
         }
@@ -165,7 +168,14 @@ impl<'a> Trainer<'a> {
             cloud.extra.push(ExtraColumn { name: spec.name.into(), width: spec.width, values });
         }
         let mut weights = method.init(frame, &mut rng::stream(self.pipeline.seed, "network", 0));
-        method.start(frame, self.data, self.batches.train(), &mut cloud, &mut weights);
+        match trained {
+            Some(trained) if trained.len() == weights.len() => weights = trained,
+            Some(trained) => {
+                let (has, wants) = (trained.len(), weights.len());
+                return Err(Error::Config(format!("initializer: {has} weights, and the method has {wants}")));
+            }
+            None => method.start(frame, self.data, self.batches.train(), &mut cloud, &mut weights),
+        }
         self.adam = Adam::new(&cloud, &weights);
         self.stats = CloudStats::zeros(cloud.len());
         (self.cloud, self.weights) = (cloud, Arc::new(weights));
@@ -262,7 +272,9 @@ impl<'a> Trainer<'a> {
     pub fn model(&self) -> Model {
         let moment = self.moment(self.done.max(1));
         let mut cloud = self.cloud.clone();
-        if let Some(open) = self.open_gates(&moment) {
+        if let Some(open) =
+            self.has_state().then(|| drawn_gates(&self.cloud, &self.pipeline.pruners, &moment)).flatten()
+        {
             let rows: Vec<usize> = (0..open.len()).filter(|&i| open[i]).collect();
             cloud = cloud.select(&rows);
         }
@@ -330,9 +342,7 @@ impl<'a> Trainer<'a> {
         if step == training.prune_until {
             // Fine-tuning starts with M = 1 everywhere: closed gates go, but for those that an exact number needs, and then
             // the masks.
-            let exact =
-                |pruner: &Plugin<dyn Pruner>| matches!(pruner.budget(), Some(Budget::Rounds(_) | Budget::AtLast(_)));
-            let exact = self.pipeline.pruners.iter().any(exact);
+            let exact = self.pipeline.pruners.iter().any(is_exact);
             if let Some(mut open) = self.open_gates(moment).filter(|_| !exact) {
                 densify::ensure_one(&mut open, &self.cloud.opacity_logits, "closing the gates");
                 let closed = open.contains(&false).then(|| self.cloud.clone());
@@ -346,9 +356,14 @@ impl<'a> Trainer<'a> {
         Ok(unpruned)
     }
 
+    /// Whether columns of pruners are there still.
+    fn has_state(&self) -> bool {
+        self.cloud.extra.len() > self.stages.method.columns().len()
+    }
+
     /// Which gates are open; `None` where no pruner has one any more.
     fn open_gates(&self, moment: &Moment) -> Option<Vec<bool>> {
-        if self.cloud.extra.len() == self.stages.method.columns().len() {
+        if !self.has_state() {
             return None;
         }
         let open = open_gates(&self.cloud, &self.pipeline.pruners, moment)?;

@@ -232,7 +232,7 @@ impl Method for Splatting {
     }
 
     fn knows_presence(&self) -> bool {
-        self.blends()
+        self.readout != Readout::Channel
     }
 
     fn blends(&self) -> bool {

@@ -4,7 +4,6 @@ use super::groups::Group;
 use super::{Drawing, Geometry, Splatting, View};
 use crate::Calibration;
 use pwrfgs_core::{Asked, Deltas, Frame, Kind, Looked, Needs, Parameters, Real, Splats, Statistic, Statistics, Survey};
-use std::ops::Range;
 use std::sync::Arc;
 
 /// Derivatives of (mean2d, conic) by (mean, log scale) of one Gaussian.
@@ -34,9 +33,19 @@ impl Splatting {
         let (n, numbers) = (p.cloud.len(), frame.numbers());
         let rows: Vec<usize> = (0..n).collect();
         let mut sums = Statistics::zeros(needs, n);
-        let deltas = self.terms(frame, p, asked.conditions);
         let (views, laws) = (self.views(frame), self.parts(frame, p.weights).1);
-        for group in Group::all(asked.links, views.len(), !self.deformation.varies_geometry()) {
+        let groups = Group::all(asked.links, views.len(), !self.deformation.varies_geometry());
+        if !needs.statistics.iter().any(reads_signals) && !self.deformation.varies_geometry() {
+            // Weights are those of the geometry, whatever the network says of each transmitter.
+            for group in groups {
+                let geometry =
+                    Arc::new(self.geometry(&views[group.receiver], p.cloud, &Deltas::default(), 0, p.into()));
+                sums.add(&rows, &self.weigh(&views[group.receiver], group.len(), None, &geometry, needs));
+            }
+            return sums;
+        }
+        let deltas = self.terms(frame, p, asked.conditions);
+        for group in groups {
             let view = &views[group.receiver];
             let (terms, batch) = group.terms(&deltas, n);
             let geometry = Arc::new(self.geometry(view, p.cloud, &terms, batch.start, p.into()));
@@ -46,14 +55,22 @@ impl Splatting {
                 Vec::new()
             };
             if !needs.statistics.iter().any(per_link) {
-                sums.add(&rows, &self.weigh(view, p, (&terms, batch), &geometry, needs));
+                let signals = self.activation().signals(p.cloud, &terms, batch.clone());
+                sums.add(&rows, &self.weigh(view, batch.len(), Some(signals), &geometry, needs));
                 continue;
             }
             for (b, link) in batch.zip(group.alone()) {
                 let drawing = self.draw(view, p.cloud, &terms, b..b + 1, p.into(), Some(&geometry));
                 let blended = &drawing.render.pixels;
                 let truth = &truths[link.first() * numbers..][..numbers];
-                let made = self.read_out(view, laws, &link, asked, blended);
+                let clamped: Vec<Real>;
+                let shown = if self.calibration == Calibration::AsReleased {
+                    clamped = blended.iter().map(|v| v.clamp(0.0, 1.0)).collect();
+                    &clamped
+                } else {
+                    blended
+                };
+                let made = self.read_out(view, laws, &link, asked, shown);
                 let slopes = match frame.kind {
                     Kind::Spectrum if self.calibration == Calibration::Physical => {
                         self.readout.slopes(blended, view.plane.width * view.plane.height)
@@ -73,24 +90,25 @@ impl Splatting {
         sums
     }
 
-    /// All links of a geometry, whose weights are the same: signals alone differ.
+    /// All links of a geometry, whose weights are the same: `signals` `[N, links · channels]` alone differ.
     fn weigh(
         &self,
         view: &View,
-        p: &Parameters<'_>,
-        (terms, batch): (&Deltas, Range<usize>),
-        geometry: &Arc<Geometry>,
+        links: usize,
+        signals: Option<Vec<Real>>,
+        geometry: &Geometry,
         needs: &Needs,
     ) -> Statistics {
-        let (n, links, channels) = (p.cloud.len(), batch.len(), self.readout.channels());
-        let drawing = self.draw(view, p.cloud, terms, batch.start..batch.start + 1, p.into(), Some(geometry));
-        let looked = self.rasterizer.survey(&geometry.splats, &view.plane, &drawing.render, &Survey::default());
+        let (splats, channels) = (&geometry.splats, self.readout.channels());
+        let n = splats.len();
+        // What is drawn does not matter, but how much of it.
+        let render = self.rasterizer.forward_prepared(splats, &vec![1.0; n], 1, &view.plane, &geometry.cache);
+        let looked = self.rasterizer.survey(splats, &view.plane, &render, &Survey::default());
         let mut found = Statistics::zeros(needs, n);
         found.links = links;
         let mut strengths: [Vec<Real>; 2] = [vec![0.0; found.signal_mean.len()], vec![0.0; found.signal_mean.len()]];
-        if !found.signal_mean.is_empty() {
+        if let Some(signals) = signals.filter(|_| !found.signal_mean.is_empty()) {
             let [sums, largest] = &mut strengths;
-            let signals = self.activation().signals(p.cloud, terms, batch);
             for (i, own) in signals.chunks_exact(links * channels).enumerate() {
                 for strength in own.chunks_exact(channels).map(norm) {
                     sums[i] += strength;
@@ -194,6 +212,11 @@ impl Splatting {
 fn per_link(statistic: &Statistic) -> bool {
     use Statistic::{Error, Fisher, Sensitivity, Top};
     matches!(statistic, Error { .. } | Top { .. } | Sensitivity | Fisher)
+}
+
+/// Whether signals count in a statistic.
+fn reads_signals(statistic: &Statistic) -> bool {
+    per_link(statistic) || *statistic == Statistic::SignalWeight
 }
 
 /// One number of each Gaussian, where it was asked for.

@@ -28,10 +28,10 @@ pub(super) struct Way<'a> {
 }
 
 impl Way<'_> {
-    /// Over the numbers that it comes to.
+    /// Over the numbers that it comes to; infinite where it comes to none.
     pub(super) fn mean_rank(&self) -> f64 {
         let ranks: Vec<f64> = self.places.iter().flatten().map(|(_, rank)| *rank as f64).collect();
-        ranks.iter().sum::<f64>() / ranks.len().max(1) as f64
+        if ranks.is_empty() { f64::INFINITY } else { ranks.iter().sum::<f64>() / ranks.len() as f64 }
     }
 }
 

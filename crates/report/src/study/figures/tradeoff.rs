@@ -2,7 +2,7 @@
 
 use super::{Figure, looks};
 use crate::draw::charts::{Axis, Chart, Line};
-use crate::study::race::{Race, family};
+use crate::study::race::Race;
 use crate::study::statistics::Spread;
 use crate::study::{Setting, Variant};
 use minijinja::context;
@@ -90,13 +90,18 @@ fn threads(setting: &Setting, key: &str) -> Vec<Line> {
     let mut families: Vec<(String, Vec<(f64, f64)>)> = Vec::new();
     for variant in &setting.variants {
         let Some((n, score)) = spreads(variant, key) else { continue };
-        let (family, at) = (family(&variant.label), (n.mean, score.mean));
+        let (family, at) = (without_digits(&variant.label), (n.mean, score.mean));
         match families.iter_mut().find(|f| f.0 == family) {
             Some((_, points)) => points.push(at),
             None => families.push((family, vec![at])),
         }
     }
     families.into_iter().map(|(_, points)| Line::new(points, looks::thread())).collect()
+}
+
+/// The label without its numbers, within words too.
+fn without_digits(label: &str) -> String {
+    label.chars().filter(|c| !(c.is_ascii_digit() || ".-+".contains(*c))).collect()
 }
 
 /// Level lines over the whole width, with their names at the right.

@@ -34,7 +34,9 @@ pub(in super::super) fn ranks(setting: &Setting) -> Option<Table> {
             })
         };
         let mut cells: Vec<Shown> = way.places.iter().map(cell).collect();
-        cells.push(Shown { value: format!("{:.1}", way.mean_rank()), ..Shown::default() });
+        let mean = way.mean_rank();
+        let value = if mean.is_finite() { format!("{mean:.1}") } else { String::new() };
+        cells.push(Shown { value, ..Shown::default() });
         Line { label: way.name.clone(), kind: Kind::Variant, cells }
     });
     let lines: Vec<Line> = lines.collect();
