@@ -35,7 +35,7 @@ impl Covariance {
     }
 }
 
-/// One rotation that makes a[p][q] zero.
+/// One rotation that makes the element (p, q) zero.
 fn turn(a: &mut [[f64; 3]; 3], v: &mut [[f64; 3]; 3], p: usize, q: usize) {
     if a[p][q] == 0.0 {
         return;
