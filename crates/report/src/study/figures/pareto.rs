@@ -4,6 +4,7 @@ use super::tradeoff::floors;
 use super::{Figure, looks};
 use crate::draw::charts::{Axis, Chart, Line};
 use crate::study::race::{Race, Way, spread};
+use crate::study::statistics::Spread;
 use crate::study::{Record, Setting};
 use minijinja::context;
 use pwrfgs_experiment::scores::MODEL;
@@ -37,8 +38,22 @@ pub(super) fn by_time(setting: &Setting) -> Option<Figure> {
 }
 
 fn figure(setting: &Setting, price: &Price) -> Option<Figure> {
-    let race = Race::of(setting)?;
+    let mut race = Race::of(setting)?;
     let headline = setting.headline();
+    // What is worse than every floor wherever it was tried would take the whole axis.
+    let worst = worst_floor(setting);
+    let hopeless = |way: &Way<'_>| {
+        let scores: Vec<f64> = way.places.iter().flatten().map(|(score, _)| score.mean).collect();
+        let below =
+            |score: &f64| worst.is_some_and(|worst| if headline.higher { *score < worst } else { *score > worst });
+        !scores.is_empty() && scores.iter().all(below)
+    };
+    let (left_out, ways): (Vec<_>, Vec<_>) = race.ways.into_iter().partition(hopeless);
+    race.ways = ways;
+    let left_out: Vec<String> = left_out.into_iter().map(|way| way.name).collect();
+    if race.ways.is_empty() {
+        return None;
+    }
     let last = race.ways.len() - 1;
     let mut lines: Vec<Line> = Vec::new();
     let (mut shown, mut others) = (Vec::new(), Vec::new());
@@ -57,7 +72,17 @@ fn figure(setting: &Setting, price: &Price) -> Option<Figure> {
     let x = Axis { name: price.axis.into(), log: true, ends: None };
     let chart = Chart { x, y: Axis { name: axis.clone(), ..Axis::default() }, lines, ..Chart::default() };
     let (ways, shown) = (race.ways.len(), SHOWN.min(last));
-    Figure::chart(price.name, setting, context! { axis, ways, shown, price => price.axis }, chart)
+    Figure::chart(price.name, setting, context! { axis, ways, shown, left_out, price => price.axis }, chart)
+}
+
+/// The mean score of the floor that is easiest to beat.
+fn worst_floor(setting: &Setting) -> Option<f64> {
+    let headline = setting.headline();
+    let of = |name: &str| {
+        let values: Vec<f64> = setting.runs().filter_map(|run| run.value(name, headline.key)).collect();
+        Some(Spread::of(&values)?.mean)
+    };
+    setting.floors().into_iter().filter_map(of).reduce(if headline.higher { f64::min } else { f64::max })
 }
 
 /// A way through its variants, with bars over seeds.
@@ -77,9 +102,8 @@ fn line(way: &Way<'_>, k: usize, price: &Price, key: &str, shown: bool) -> Optio
     }
     let mut line = Line::new(points.clone(), looks::variant(k.min(SHOWN))).named(&way.name);
     line.marks = points;
-    let bar = |(paid, score): &(f64, crate::study::statistics::Spread)| {
-        score.deviation.map(|d| [(*paid, score.mean - d), (*paid, score.mean + d)])
-    };
+    let bar =
+        |(paid, score): &(f64, Spread)| score.deviation.map(|d| [(*paid, score.mean - d), (*paid, score.mean + d)]);
     line.bars = places.iter().filter_map(bar).filter(|[a, b]| a != b).collect();
     Some(line)
 }
