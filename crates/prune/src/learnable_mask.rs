@@ -24,8 +24,14 @@ const COLUMN: &str = "mask_logits";
 /// reach the threshold some 560 steps after the start, for any lambda above 0.
 ///
 /// Use it to let training find how many Gaussians a quality is worth; a larger lambda leaves fewer (the paper: 2,613 at
-/// 0.01, 157 at 0.02, 8 at 0.04). For a number given beforehand use [`crate::TopK`]. Threshold and initial logit are
-/// those of Compact-3DGS, where the paper is silent.
+/// 0.01, 157 at 0.02, 8 at 0.04). For a number given beforehand say `target`; [`crate::LightGaussian`] and others come to
+/// one with less loss. Threshold and initial logit are those of Compact-3DGS, where the paper is silent.
+///
+/// With tens of thousands of Gaussians lambda/N is small against the noise of the picture's derivative, and Adam divides
+/// by that noise: the rate of 0.01 then wants the paper's 20,000 steps of one transmitter. With B transmitters a step the
+/// noise is smaller by √B: a Bth of the steps at √B times the rate keeps drift and random walk alike. A higher rate still
+/// is faster and lets chance close masks, which do not come back: fewer are left at the same lambda, and SSIM at equal N is
+/// much the same. `docs/reproduce.md` has the figures, under "Masks in a hurry".
 ///
 /// ```
 /// # use pwrfgs_prune as _;
