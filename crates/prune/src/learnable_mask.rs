@@ -3,7 +3,7 @@
 //! The worked example of a pruner that learns: a column, a gate and a penalty, written forward-only on the step's tape,
 //! and a decision. dfdx differentiates; nothing is derived by hand here.
 
-use crate::rounds::check_target;
+use crate::rounds::{check_rate, check_target, check_weight, learned};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, Documented, Gate, GaussianCloud, Moment, Phase, Pruner, Real, sigmoid,
@@ -85,7 +85,7 @@ impl Pruner for LearnableMask {
     }
 
     fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<Real> {
-        cloud.extra(COLUMN).map_or_else(|| cloud.opacity_logits.clone(), |c| c.values.clone())
+        learned(cloud, COLUMN)
     }
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
@@ -102,9 +102,7 @@ impl Pruner for LearnableMask {
 
     fn check(&self) -> Result<(), String> {
         let Self { lambda, threshold, initial_logit, learning_rate, target } = self;
-        if !(lambda.is_finite() && *lambda >= 0.0) {
-            return Err(format!("`lambda` is {lambda}; give 0 or more, such as 0.01: a larger one prunes more"));
-        }
+        check_weight("lambda", *lambda)?;
         if !(*threshold > 0.0 && *threshold < 1.0) {
             return Err(format!("`threshold` is {threshold}; give a number above 0 and below 1, such as 0.01"));
         }
@@ -113,9 +111,7 @@ impl Pruner for LearnableMask {
                 "`initial_logit` is {initial_logit}, which closes every gate from the start; raise it, such as to 1.0"
             ));
         }
-        if !(learning_rate.is_finite() && *learning_rate > 0.0) {
-            return Err(format!("`learning_rate` is {learning_rate}; give a positive number, such as 0.01"));
-        }
+        check_rate(*learning_rate)?;
         check_target(*target)
     }
 }

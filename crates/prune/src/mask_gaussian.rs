@@ -1,6 +1,6 @@
 //! A coin a Gaussian, thrown at every step; who loses still learns.
 
-use crate::rounds::{check_rate, check_target, check_weight, logistic_noise};
+use crate::rounds::{check_rate, check_target, check_weight, learned, logistic_noise};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, Documented, Gate, GaussianCloud, Moment, Phase, Pruner, Real, rng,
@@ -77,7 +77,7 @@ impl Pruner for MaskGaussian {
     }
 
     fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<Real> {
-        cloud.extra(COLUMN).map_or_else(|| cloud.opacity_logits.clone(), |c| c.values.clone())
+        learned(cloud, COLUMN)
     }
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {

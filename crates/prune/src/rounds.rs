@@ -25,6 +25,11 @@ pub(crate) fn asked(column: &[Real], cloud: &GaussianCloud) -> Vec<Real> {
     if column.len() == cloud.len() { column.to_vec() } else { cloud.opacity_logits.clone() }
 }
 
+/// A learned column; opacity where a cloud has none.
+pub(crate) fn learned(cloud: &GaussianCloud, column: &str) -> Vec<Real> {
+    cloud.extra(column).map_or_else(|| cloud.opacity_logits.clone(), |column| column.values.clone())
+}
+
 /// The value below which a share `q` of `values` lies; −∞ of none.
 pub(crate) fn quantile(values: &[Real], q: Real) -> Real {
     let mut sorted = values.to_vec();

@@ -25,6 +25,32 @@ fn rounds_until(step: u64, (first, last, every): (u64, u64, u64)) -> u64 {
     regular + u64::from(step >= last && last > first && !last.is_multiple_of(every.max(1)))
 }
 
+/// Whom the pruners of a pipeline keep together: a Gaussian stays where all agree, or where a budget says so.
+fn votes(pruners: &[Plugin<dyn Pruner>], cloud: &GaussianCloud, known: &[CloudStats], moment: &Moment) -> Vec<bool> {
+    let mut keep = vec![true; cloud.len()];
+    let mut exact = None;
+    for (pruner, stats) in pruners.iter().zip(known) {
+        let budget = pruner.budget();
+        let settles = match budget {
+            Some(Budget::Rounds(_) | Budget::Own(_)) => moment.round > 0,
+            Some(Budget::AtLast(_)) => true,
+            Some(Budget::AtMost(_)) | None => false,
+        };
+        if let Some(budget) = budget.filter(|_| settles && exact.is_none()) {
+            exact = Some((budget, pruner.score(cloud, stats, moment)));
+        }
+        if !matches!(budget, Some(Budget::Rounds(_))) {
+            let own = pruner.keep(cloud, stats, moment);
+            assert_eq!(own.len(), keep.len(), "a pruner answers for every Gaussian");
+            keep.iter_mut().zip(own).for_each(|(all, own)| *all &= own);
+        }
+    }
+    match exact {
+        Some((budget, scores)) => budget.settle(&keep, &scores, moment),
+        None => keep,
+    }
+}
+
 impl Trainer<'_> {
     /// What `step` is.
     pub(crate) fn moment(&self, step: u64) -> Moment {
@@ -36,12 +62,30 @@ impl Trainer<'_> {
         Moment { round, rounds, ..Moment::new(step, phase, self.pipeline.seed) }
     }
 
-    /// Asks every pruner; a Gaussian stays where all agree, or where a budget says so. Gives the cloud as it was where it
-    /// changed.
+    /// Asks every pruner. Gives the cloud as it was where it changed.
     pub(crate) fn prune(&mut self, moment: &Moment) -> Result<Option<GaussianCloud>> {
         let pruners = self.pipeline.pruners.clone();
         let Some(first) = pruners.first() else { return Ok(None) };
         let (before, n) = (self.cloud.clone(), self.cloud.len());
+        let known = self.edits(&pruners, moment)?;
+        let mut keep = votes(&pruners, &self.cloud, &known, moment);
+        crate::densify::ensure_one(&mut keep, &first.score(&self.cloud, &known[0], moment), "pruning");
+        self.take_away(&keep);
+        for (k, pruner) in pruners.iter().enumerate().filter(|_| moment.round > 0) {
+            pruner.advance(&mut self.memories.0[k], n, &self.cloud, moment);
+        }
+        let exact = pruners.iter().find(|pruner| is_exact(pruner)).and_then(|pruner| pruner.budget());
+        if let Some(target) = exact.map(Budget::target) {
+            let n = self.cloud.len();
+            if moment.round > 0 && moment.round == moment.rounds && n != target {
+                tracing::warn!("{target} Gaussians were wanted at the end of pruning, and there are {n}");
+            }
+        }
+        Ok((self.cloud.len() < n).then_some(before))
+    }
+
+    /// Lets every pruner change rows, and gives what each knows of the Gaussians after that.
+    fn edits(&mut self, pruners: &[Plugin<dyn Pruner>], moment: &Moment) -> Result<Vec<CloudStats>> {
         let mut known = vec![None; pruners.len()];
         for (k, pruner) in pruners.iter().enumerate() {
             let stats = self.stats_for(k, pruner, moment)?;
@@ -60,42 +104,8 @@ impl Trainer<'_> {
                 None => known[k] = Some(stats),
             }
         }
-        for (k, pruner) in pruners.iter().enumerate() {
-            if known[k].is_none() {
-                known[k] = Some(self.stats_for(k, pruner, moment)?);
-            }
-        }
-        let known: Vec<CloudStats> = known.into_iter().flatten().collect();
-        let budget = |k: usize| pruners[k].budget().map(|budget| (k, budget));
-        let scored = |(_, budget): &(usize, Budget)| match budget {
-            Budget::Rounds(_) | Budget::Own(_) => moment.round > 0,
-            Budget::AtLast(_) => true,
-            Budget::AtMost(_) => false,
-        };
-        let mut keep = vec![true; self.cloud.len()];
-        for (pruner, stats) in pruners.iter().zip(&known) {
-            if matches!(pruner.budget(), Some(Budget::Rounds(_))) {
-                continue;
-            }
-            let own = pruner.keep(&self.cloud, stats, moment);
-            assert_eq!(own.len(), keep.len(), "a pruner answers for every Gaussian");
-            keep.iter_mut().zip(own).for_each(|(all, own)| *all &= own);
-        }
-        if let Some((k, budget)) = (0..pruners.len()).filter_map(budget).find(scored) {
-            keep = budget.settle(&keep, &pruners[k].score(&self.cloud, &known[k], moment), moment);
-        }
-        crate::densify::ensure_one(&mut keep, &first.score(&self.cloud, &known[0], moment), "pruning");
-        self.take_away(&keep);
-        for (k, pruner) in pruners.iter().enumerate().filter(|_| moment.round > 0) {
-            pruner.advance(&mut self.memories.0[k], n, &self.cloud, moment);
-        }
-        if let Some(target) = pruners.iter().find(|pruner| is_exact(pruner)).and_then(|pruner| pruner.budget()) {
-            let (target, n) = (target.target(), self.cloud.len());
-            if moment.round > 0 && moment.round == moment.rounds && n != target {
-                tracing::warn!("{target} Gaussians were wanted at the end of pruning, and there are {n}");
-            }
-        }
-        Ok((self.cloud.len() < n).then_some(before))
+        let known = known.into_iter().zip(pruners).enumerate();
+        known.map(|(k, (known, pruner))| known.map_or_else(|| self.stats_for(k, pruner, moment), Ok)).collect()
     }
 
     /// Keeps the rows that are true.

@@ -38,11 +38,6 @@ impl Group {
         self.links.iter().zip(&self.rows).map(one)
     }
 
-    /// How many links.
-    pub(super) fn len(&self) -> usize {
-        self.links.len()
-    }
-
     /// The place of its first link.
     pub(super) fn first(&self) -> usize {
         self.links[0]

@@ -4,6 +4,7 @@ use super::channel::Waves;
 use super::groups::Group;
 use super::heard::ReadyWaves;
 use super::received::{self, Laws};
+use super::survey::Question;
 use super::{Drawing, Geometry, Splatting, View, check_kind, check_together};
 use crate::{ActivationVjp, Calibration, Readout};
 use pwrfgs_core::{
@@ -52,6 +53,14 @@ impl Splatting {
     fn padded(&self, frame: &Frame, mut factors: Vec<Real>) -> Vec<Real> {
         factors.resize(factors.len() + self.laws(frame), 1.0);
         factors
+    }
+
+    /// What is read out in training: blended signals as they are, or clamped to [0, 1] as released.
+    pub(super) fn shown<'a>(&self, blended: &'a [Real]) -> Cow<'a, [Real]> {
+        match self.calibration {
+            Calibration::AsReleased => blended.iter().map(|v| v.clamp(0.0, 1.0)).collect(),
+            Calibration::Physical => Cow::Borrowed(blended),
+        }
     }
 
     /// Blended signals of a receiver's sky `[links, channels, pixels]` as observations.
@@ -114,8 +123,7 @@ impl Splatting {
         if self.calibration != Calibration::AsReleased {
             return self.readout.vjp(blended, pixels, d);
         }
-        let clamped: Vec<Real> = blended.iter().map(|v| v.clamp(0.0, 1.0)).collect();
-        let mut d_blended = self.readout.vjp(&clamped, pixels, d);
+        let mut d_blended = self.readout.vjp(&self.shown(blended), pixels, d);
         // The clamp to [0, 1] passes the derivative on the closed interval only.
         let outside = d_blended.iter_mut().zip(blended).filter(|(_, p)| !(0.0..=1.0).contains(*p));
         outside.for_each(|(d, _)| *d = 0.0);
@@ -175,14 +183,7 @@ impl Method for Splatting {
             let view = &views[group.receiver];
             let (terms, batch) = group.terms(&deltas, n);
             let drawing = self.draw(view, p.cloud, &terms, batch, p.into(), None);
-            let clamped: Vec<Real>;
-            let blended = if self.calibration == Calibration::AsReleased {
-                clamped = drawing.render.pixels.iter().map(|v| v.clamp(0.0, 1.0)).collect();
-                &clamped
-            } else {
-                &drawing.render.pixels
-            };
-            let own = self.read_out(view, laws, &group, asked, blended);
+            let own = self.read_out(view, laws, &group, asked, &self.shown(&drawing.render.pixels));
             match (in_order, observed.is_empty()) {
                 (true, true) => observed = own, // moved, not copied
                 (true, false) => observed.extend(own),
@@ -247,7 +248,7 @@ impl Method for Splatting {
         truths: &[Real],
         needs: &Needs,
     ) -> Statistics {
-        self.look(frame, p, asked, truths, needs)
+        self.look(&Question { frame, p, asked, truths, needs })
     }
 
     fn prepare(&self, frame: &Frame, p: &Parameters<'_>) -> Cache {

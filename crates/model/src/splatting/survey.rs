@@ -9,85 +9,59 @@ use std::sync::Arc;
 /// Derivatives of (mean2d, conic) by (mean, log scale) of one Gaussian.
 type Jacobian = [[Real; 6]; 5];
 
-/// The Gaussians of one link, and what was measured of it.
-struct Sight<'a> {
-    view: &'a View,
-    drawing: &'a Drawing,
-    /// Of an observation by blended signals.
-    slopes: &'a [Real],
-    /// Made of it, and measured.
-    picture: [&'a [Real]; 2],
-    jacobians: &'a [Jacobian],
+/// What [`pwrfgs_core::Method::survey`] is asked.
+pub(super) struct Question<'a> {
+    pub(super) frame: &'a Frame,
+    pub(super) p: &'a Parameters<'a>,
+    pub(super) asked: &'a Asked<'a>,
+    pub(super) truths: &'a [Real],
+    pub(super) needs: &'a Needs,
+}
+
+impl Question<'_> {
+    fn any(&self, what: fn(&Statistic) -> bool) -> bool {
+        self.needs.statistics.iter().any(what)
+    }
 }
 
 impl Splatting {
-    /// See [`pwrfgs_core::Method::survey`].
-    pub(super) fn look(
-        &self,
-        frame: &Frame,
-        p: &Parameters<'_>,
-        asked: &Asked<'_>,
-        truths: &[Real],
-        needs: &Needs,
-    ) -> Statistics {
-        let (n, numbers) = (p.cloud.len(), frame.numbers());
+    pub(super) fn look(&self, question: &Question<'_>) -> Statistics {
+        let Question { frame, p, asked, needs, .. } = *question;
+        let (views, n) = (self.views(frame), p.cloud.len());
+        let still = !self.deformation.varies_geometry();
+        // Weights are then those of the geometry, whatever the network says of each transmitter.
+        let blind = still && !question.any(reads_signals);
+        let deltas = if blind { Deltas::default() } else { self.terms(frame, p, asked.conditions) };
         let rows: Vec<usize> = (0..n).collect();
         let mut sums = Statistics::zeros(needs, n);
-        let (views, laws) = (self.views(frame), self.parts(frame, p.weights).1);
-        let groups = Group::all(asked.links, views.len(), !self.deformation.varies_geometry());
-        if !needs.statistics.iter().any(reads_signals) && !self.deformation.varies_geometry() {
-            // Weights are those of the geometry, whatever the network says of each transmitter.
-            for group in groups {
-                let geometry =
-                    Arc::new(self.geometry(&views[group.receiver], p.cloud, &Deltas::default(), 0, p.into()));
-                sums.add(&rows, &self.weigh(&views[group.receiver], group.len(), None, &geometry, needs));
-            }
-            return sums;
-        }
-        let deltas = self.terms(frame, p, asked.conditions);
-        for group in groups {
+        for group in Group::all(asked.links, views.len(), still) {
             let view = &views[group.receiver];
             let (terms, batch) = group.terms(&deltas, n);
             let geometry = Arc::new(self.geometry(view, p.cloud, &terms, batch.start, p.into()));
-            let jacobians = if needs.statistics.contains(&Statistic::Fisher) {
-                self.jacobians(view, p, &geometry)
-            } else {
-                Vec::new()
-            };
-            if !needs.statistics.iter().any(per_link) {
-                let signals = self.activation().signals(p.cloud, &terms, batch.clone());
-                sums.add(&rows, &self.weigh(view, batch.len(), Some(signals), &geometry, needs));
+            if !question.any(per_link) {
+                let signals = (!blind).then(|| self.activation().signals(p.cloud, &terms, batch.clone()));
+                sums.add(&rows, &self.weigh(view, batch.len(), signals, &geometry, needs));
                 continue;
             }
+            let jacobians =
+                if question.any(|s| *s == Statistic::Fisher) { self.jacobians(view, p, &geometry) } else { Vec::new() };
             for (b, link) in batch.zip(group.alone()) {
                 let drawing = self.draw(view, p.cloud, &terms, b..b + 1, p.into(), Some(&geometry));
-                let blended = &drawing.render.pixels;
-                let truth = &truths[link.first() * numbers..][..numbers];
-                let clamped: Vec<Real>;
-                let shown = if self.calibration == Calibration::AsReleased {
-                    clamped = blended.iter().map(|v| v.clamp(0.0, 1.0)).collect();
-                    &clamped
-                } else {
-                    blended
-                };
-                let made = self.read_out(view, laws, &link, asked, shown);
-                let slopes = match frame.kind {
-                    Kind::Spectrum if self.calibration == Calibration::Physical => {
-                        self.readout.slopes(blended, view.plane.width * view.plane.height)
-                    }
-                    _ => {
-                        let law = &mut [0.0; 2];
-                        let [offset, exponent] = law;
-                        let d_law = laws.of(group.receiver).map(|_| [offset, exponent]);
-                        self.read_out_vjp(view, d_law, &link.distances(view, asked), blended, &vec![1.0; numbers])
-                    }
-                };
-                let picture = [made.as_slice(), truth];
-                let sight = Sight { view, drawing: &drawing, slopes: &slopes, picture, jacobians: &jacobians };
-                sums.add(&rows, &self.see(&sight, needs, frame.kind));
+                sums.add(&rows, &self.see(question, view, &link, &drawing, &jacobians));
             }
         }
         sums
+    }
+
+    /// ∂observation/∂blended, summed over the numbers of an observation.
+    fn slopes(&self, question: &Question<'_>, view: &View, link: &Group, blended: &[Real]) -> Vec<Real> {
+        let Question { frame, p, asked, .. } = *question;
+        if frame.kind == Kind::Spectrum && self.calibration == Calibration::Physical {
+            return self.readout.slopes(blended, view.plane.width * view.plane.height);
+        }
+        let [offset, exponent] = &mut [0.0; 2];
+        let d_law = self.parts(frame, p.weights).1.of(link.receiver).map(|_| [offset, exponent]);
+        self.read_out_vjp(view, d_law, &link.distances(view, asked), blended, &vec![1.0; frame.numbers()])
     }
 
     /// All links of a geometry, whose weights are the same: `signals` `[N, links · channels]` alone differ.
@@ -125,30 +99,40 @@ impl Splatting {
         found
     }
 
-    /// One link.
-    fn see(&self, sight: &Sight<'_>, needs: &Needs, kind: Kind) -> Statistics {
-        let Sight { view, drawing, slopes, picture: [made, truth], .. } = *sight;
+    /// One link of a group.
+    fn see(
+        &self,
+        question: &Question<'_>,
+        view: &View,
+        link: &Group,
+        drawing: &Drawing,
+        jacobians: &[Jacobian],
+    ) -> Statistics {
+        let Question { frame, p, asked, truths, needs } = *question;
         let Drawing { geometry, signals, render, .. } = drawing;
         let (splats, channels) = (&geometry.splats, self.readout.channels());
+        let truth = &truths[link.first() * frame.numbers()..][..frame.numbers()];
+        let made = self.read_out(view, self.parts(frame, p.weights).1, link, asked, &self.shown(&render.pixels));
+        let slopes = self.slopes(question, view, link, &render.pixels);
         let asks = |what: fn(&Statistic) -> bool| needs.statistics.iter().copied().find(what);
         let strengths: Vec<Real> = signals.chunks_exact(channels).map(norm).collect();
         let errors: Vec<Real> = made.iter().zip(truth).map(|(a, b)| (a - b).abs()).collect();
         let (mut survey, high) = (Survey::default(), high_errors(&errors, needs));
-        if kind == Kind::Spectrum {
-            if asks(|s| matches!(s, Statistic::Error { .. })).is_some() {
+        if frame.kind == Kind::Spectrum {
+            if question.any(|s| matches!(s, Statistic::Error { .. })) {
                 (survey.errors, survey.high) = (&errors, &high);
             }
             if let Some(Statistic::Top { count }) = asks(|s| matches!(s, Statistic::Top { .. })) {
                 survey.top = Some((count, truth, &strengths));
             }
-            if asks(|s| matches!(s, Statistic::Sensitivity | Statistic::Fisher)).is_some() {
-                survey.slopes = Some((signals, slopes));
-                survey.fisher = !sight.jacobians.is_empty();
+            if question.any(|s| matches!(s, Statistic::Sensitivity | Statistic::Fisher)) {
+                survey.slopes = Some((signals, &slopes));
+                survey.fisher = !jacobians.is_empty();
             }
         }
         let mut looked = self.rasterizer.survey(splats, &view.plane, render, &survey);
-        if kind == Kind::Power {
-            self.as_one_number(sight, &mut looked);
+        if frame.kind == Kind::Power {
+            self.as_one_number(view, drawing, &slopes, &mut looked);
         }
         let mut found = Statistics::zeros(needs, splats.len());
         found.links = 1;
@@ -162,14 +146,14 @@ impl Splatting {
         fill(&mut found.high_error, &looked, |_, own| mean_error * own.high);
         fill(&mut found.sensitivity, &looked, |_, own| own.sensitivity);
         found.top.iter_mut().zip(&looked).for_each(|(v, own)| *v = own.top);
-        let fishers = found.fisher.iter_mut().zip(sight.jacobians).zip(&looked);
+        let fishers = found.fisher.iter_mut().zip(jacobians).zip(&looked);
         fishers.for_each(|((v, jacobian), own)| *v = carried(&own.fisher, jacobian));
         found
     }
 
     /// Slopes of a power, which is one number: those of its pixels add up before they are squared.
-    fn as_one_number(&self, sight: &Sight<'_>, looked: &mut [Looked]) {
-        let Sight { view, drawing: Drawing { geometry, signals, render, .. }, slopes, .. } = *sight;
+    fn as_one_number(&self, view: &View, drawing: &Drawing, slopes: &[Real], looked: &mut [Looked]) {
+        let Drawing { geometry, signals, render, .. } = drawing;
         let mut splats = geometry.splats.clone();
         if splats.presence.is_empty() {
             splats.presence = vec![1.0; splats.len()];
