@@ -1,7 +1,6 @@
 //! `Factored`: signals as products of what depends on the transmitter and what depends on the Gaussian.
 
 use super::factored_network::{Basis, Network};
-use super::layers::{laid_out, planned};
 use super::mlp::check_stack;
 use super::waves::Encoding;
 use super::whiten::whitening;
@@ -9,6 +8,7 @@ use pwrfgs_core::{
     Cache, Conditions, Deformation, DeformationInputs, Deltas, Documented, LinearPart, Pose, Real, WeightSpec, cached,
     rng, rng::Rng,
 };
+use pwrfgs_layers::plan::{laid_out, planned};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -111,7 +111,7 @@ impl Deformation for Factored {
 
     fn frequency_window(&self, share: f64) -> Option<Vec<Real>> {
         let (network, plan) = planned(|plan| Network::new(self, plan));
-        let mut factors = vec![1.0; plan.len()];
+        let mut factors = vec![1.0; plan.numbers()];
         network.stack[0].dim(&mut factors, 0, &self.tx_encoding.window(share));
         network.branch.dim(&mut factors, 0, &self.position_encoding.window(share)[3..]);
         Some(factors)
@@ -132,7 +132,7 @@ impl Deformation for Factored {
 
     fn dropout(&self, rate: Real, rng: &mut Rng) -> Option<Vec<Real>> {
         let (network, plan) = planned(|plan| Network::new(self, plan));
-        let mut factors = vec![1.0; plan.len()];
+        let mut factors = vec![1.0; plan.numbers()];
         for layer in &network.stack {
             let kept = |_| if rng::uniform(rng) < rate { 0.0 } else { 1.0 / (1.0 - rate) };
             let outputs: Vec<Real> = (0..layer.outputs).map(kept).collect();

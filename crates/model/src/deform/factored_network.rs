@@ -8,14 +8,14 @@
 //! Factors G = branch·φ are linear in the waves, so G·T = φ·(branchᵀ·T): what the transmitter says of the waves is worked
 //! out once, and a Gaussian costs two products of as many numbers as it has waves, however wide the stack is.
 
-use super::dense::{self, Matrix, MatrixMut, Store, product};
-use super::encoding::encode_vjp;
 use super::factored::Factored;
-use super::layers::Plan;
-use super::linear::Linear;
 use super::waves::{Encoder, Encoding};
 use pwrfgs_core::simd::{Lanes, widest};
 use pwrfgs_core::{Conditions, DeformationInputs, Deltas, LinearPart, Real};
+use pwrfgs_layers::dense::{self, Matrix, MatrixMut, Store, product};
+use pwrfgs_layers::encoding::encode_vjp;
+use pwrfgs_layers::linear::Linear;
+use pwrfgs_layers::plan::Plan;
 use rayon::prelude::*;
 use std::ops::Range;
 

@@ -1,10 +1,10 @@
 //! `Mlp`: the deformation network of P-WRFGS, `(Δs, ΔR, ΔS) = D_Θ(γ(μ), γ(p_tx))` of eq. (5).
 
-use super::encoding::{self, MOST_FREQUENCIES};
-use super::layers::{Plan, laid_out, planned};
 use super::mlp_network::{Network, Outputs};
-use super::trunk::{Trunk, TrunkShape};
 use pwrfgs_core::{Conditions, Deformation, DeformationInputs, Deltas, Documented, Pose, Real, WeightSpec, rng::Rng};
+use pwrfgs_layers::encoding::{self, MOST_FREQUENCIES};
+use pwrfgs_layers::plan::{Plan, laid_out, planned};
+use pwrfgs_layers::trunk::{Trunk, TrunkShape};
 use serde::{Deserialize, Serialize};
 
 /// The network of P-WRFGS: for each Gaussian and transmitter a change of signal, rotation and scale, to be added.
@@ -109,7 +109,7 @@ impl Deformation for Mlp {
 
     fn frequency_window(&self, share: f64) -> Option<Vec<Real>> {
         let (network, plan) = planned(|plan| self.network(plan));
-        let mut factors = vec![1.0; plan.len()];
+        let mut factors = vec![1.0; plan.numbers()];
         network.dim(&mut factors, share);
         Some(factors)
     }

@@ -5,12 +5,12 @@
 //! γ(μ) ─────────────────────────────┴→ trunk.0 … trunk.{depth-1} → heads: rotation 4, scaling 3, signal 2
 //! ```
 
-use super::dense::{self, Matrix, MatrixMut, Store, product};
-use super::encoding::{self, encode};
-use super::layers::{Item, items, items_per_sum};
-use super::linear::Linear;
-use super::trunk::{Joints, Trunk, TrunkGradient};
 use pwrfgs_core::{DeformationInputs, Deltas, Documented, Real};
+use pwrfgs_layers::dense::{self, Matrix, MatrixMut, Store, product};
+use pwrfgs_layers::encoding::{self, encode};
+use pwrfgs_layers::linear::Linear;
+use pwrfgs_layers::plan::{Item, items, items_per_sum};
+use pwrfgs_layers::trunk::{Joints, Trunk, TrunkGradient};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 

@@ -1,8 +1,8 @@
 //! `Encoding`: what a network sees of a position.
 
-use super::encoding::{self, encode, encode_vjp, let_in};
 use super::mlp::{WIDEST, check_frequencies};
 use pwrfgs_core::{Conditions, Documented, Real, WeightSpec, rng};
+use pwrfgs_layers::encoding::{self, encode, encode_vjp, let_in};
 use serde::{Deserialize, Serialize};
 
 /// The encoding γ(p) of a position: the coordinates, and waves over the room.

@@ -1,14 +1,14 @@
 //! `Wrfgs`: the network of WRF-GS (Wen et al., IEEE INFOCOM 2025) as the released code has it.
 
-use super::encoding;
-use super::layers::{Plan, laid_out, planned};
 use super::mlp::{check_frequencies, check_stack};
-use super::trunk::{Trunk, TrunkShape};
 use super::wrfgs_branch::Branch;
 use super::wrfgs_network::{Ahead, Network};
 use pwrfgs_core::{
     Cache, Conditions, Deformation, DeformationInputs, Deltas, Documented, Pose, Real, WeightSpec, cached, rng::Rng,
 };
+use pwrfgs_layers::encoding;
+use pwrfgs_layers::plan::{Plan, laid_out, planned};
+use pwrfgs_layers::trunk::{Trunk, TrunkShape};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -174,7 +174,7 @@ impl Deformation for Wrfgs {
 
     fn frequency_window(&self, share: f64) -> Option<Vec<Real>> {
         let (network, plan) = planned(|plan| self.network(plan));
-        let mut factors = vec![1.0; plan.len()];
+        let mut factors = vec![1.0; plan.numbers()];
         network.dim(&mut factors, share);
         Some(factors)
     }

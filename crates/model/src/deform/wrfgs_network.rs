@@ -5,13 +5,13 @@
 //!                          └→ feat → signal branch → S    (once a Gaussian and transmitter, see `wrfgs_branch`)
 //! ```
 
-use super::dense::{self, Store};
-use super::encoding::{self, encode, encode_vjp};
-use super::layers::{Item, items, items_per_sum};
-use super::linear::Linear;
-use super::trunk::{Joints, Trunk, TrunkGradient};
 use super::wrfgs_branch::{Branch, Room, TxSide, amplitude, amplitude_slope};
 use pwrfgs_core::{DeformationInputs, Real};
+use pwrfgs_layers::dense::{self, Store};
+use pwrfgs_layers::encoding::{self, encode, encode_vjp};
+use pwrfgs_layers::linear::Linear;
+use pwrfgs_layers::plan::{Item, items, items_per_sum};
+use pwrfgs_layers::trunk::{Joints, Trunk, TrunkGradient};
 use rayon::prelude::*;
 
 /// The layers and where their weights lie.

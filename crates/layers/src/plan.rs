@@ -1,12 +1,12 @@
 //! Where the layers lie in the flat weight vector, and how the vector is divided over chunks and threads.
 
-use super::linear::Linear;
+use crate::linear::Linear;
 use pwrfgs_core::{Real, WeightSpec, rng};
 use std::ops::Range;
 
 /// The tensors of a network, in order, each with the bound of its uniform initial values.
 #[derive(Debug, Default)]
-pub(super) struct Plan {
+pub struct Plan {
     tensors: Vec<(WeightSpec, f64)>,
     len: usize,
 }
@@ -21,18 +21,18 @@ impl Plan {
     }
 
     /// A layer with PyTorch's initial values: weights and biases uniform within ±1/√inputs.
-    pub(super) fn linear(&mut self, name: &str, inputs: usize, outputs: usize) -> Linear {
+    pub fn linear(&mut self, name: &str, inputs: usize, outputs: usize) -> Linear {
         self.heads(&[(name, outputs)], inputs, 1.0)
     }
 
     /// A layer before a ReLU with He's initial values: weights uniform within ±√(6/inputs), biases 0. What goes in and
     /// what comes out are then of one size, however deep the stack.
-    pub(super) fn relu(&mut self, name: &str, inputs: usize, outputs: usize) -> Linear {
+    pub fn relu(&mut self, name: &str, inputs: usize, outputs: usize) -> Linear {
         self.unbiased(name, inputs, outputs, (6.0 / inputs as f64).sqrt())
     }
 
     /// A layer with weights uniform within ±`bound` and biases 0.
-    pub(super) fn unbiased(&mut self, name: &str, inputs: usize, outputs: usize, bound: f64) -> Linear {
+    pub fn unbiased(&mut self, name: &str, inputs: usize, outputs: usize, bound: f64) -> Linear {
         let weight = self.push(format!("{name}.weight"), vec![outputs, inputs], bound);
         let bias = self.push(format!("{name}.bias"), vec![outputs], 0.0);
         Linear { inputs, outputs, weight, bias }
@@ -40,7 +40,7 @@ impl Plan {
 
     /// Layers that share their input, stored weights first and then biases, so that they act as one layer. Their
     /// initial values are multiplied by `scale`.
-    pub(super) fn heads(&mut self, heads: &[(&str, usize)], inputs: usize, scale: f64) -> Linear {
+    pub fn heads(&mut self, heads: &[(&str, usize)], inputs: usize, scale: f64) -> Linear {
         let bound = scale / (inputs as f64).sqrt();
         let (weight, outputs) = (self.len, heads.iter().map(|h| h.1).sum());
         for (name, outputs) in heads {
@@ -54,17 +54,17 @@ impl Plan {
     }
 
     /// Numbers in the flat vector.
-    pub(super) fn len(&self) -> usize {
+    pub fn numbers(&self) -> usize {
         self.len
     }
 
     /// Names and shapes.
-    pub(super) fn layout(self) -> Vec<WeightSpec> {
+    pub fn layout(self) -> Vec<WeightSpec> {
         self.tensors.into_iter().map(|(spec, _)| spec).collect()
     }
 
     /// Fresh weights.
-    pub(super) fn init(&self, rng: &mut rng::Rng) -> Vec<Real> {
+    pub fn init(&self, rng: &mut rng::Rng) -> Vec<Real> {
         let mut flat = Vec::with_capacity(self.len);
         for (spec, bound) in &self.tensors {
             flat.extend((0..spec.len()).map(|_| (2.0 * rng::uniform(rng) - 1.0) * *bound as Real));
@@ -74,30 +74,32 @@ impl Plan {
 }
 
 /// The network that `build` lays out, and the plan of it.
-pub(super) fn planned<N>(build: impl FnOnce(&mut Plan) -> N) -> (N, Plan) {
+pub fn planned<N>(build: impl FnOnce(&mut Plan) -> N) -> (N, Plan) {
     let mut plan = Plan::default();
     (build(&mut plan), plan)
 }
 
 /// The network that `build` lays out, for weights of the length it says.
-pub(super) fn laid_out<N>(weights: &[Real], build: impl FnOnce(&mut Plan) -> N) -> N {
+pub fn laid_out<N>(weights: &[Real], build: impl FnOnce(&mut Plan) -> N) -> N {
     let (network, plan) = planned(build);
-    assert_eq!(weights.len(), plan.len(), "as many weights as the layout says");
+    assert_eq!(weights.len(), plan.numbers(), "as many weights as the layout says");
     network
 }
 
 /// A piece of work: these Gaussians for these transmitters.
 #[derive(Clone, Debug)]
-pub(super) struct Item {
-    pub(super) rows: Range<usize>,
-    pub(super) txs: Range<usize>,
+pub struct Item {
+    /// Of the points.
+    pub rows: Range<usize>,
+    /// Of the batch.
+    pub txs: Range<usize>,
 }
 
 /// Gaussians a chunk. Depends on nothing but N and the width, so that neither the number of threads nor the size of
 /// the batch shows in the bits. At most 192 (two activations of width 256 then stay in 1 MiB of second-level cache,
 /// and a stride of 256 or 512 floats, where gemm loses half its speed to cache conflicts, never occurs); fewer for
 /// small N, in an even number of chunks, so that two threads share N = 157.
-pub(super) fn rows_per_chunk(n: usize, width: usize) -> usize {
+pub fn rows_per_chunk(n: usize, width: usize) -> usize {
     let most = (192 * 256 / width.max(1) / 16 * 16).clamp(48, 192);
     let chunks = n.div_ceil(most).max((n / 64).min(24)).next_multiple_of(2);
     n.div_ceil(chunks.max(1)).next_multiple_of(16).clamp(16, most)
@@ -105,7 +107,7 @@ pub(super) fn rows_per_chunk(n: usize, width: usize) -> usize {
 
 /// All work for N Gaussians and B transmitters: chunk by chunk, the batch divided only where chunks alone are too few
 /// to keep a machine busy. Groups of transmitters outside, chunks inside.
-pub(super) fn items(n: usize, batch: usize, width: usize) -> Vec<Item> {
+pub fn items(n: usize, batch: usize, width: usize) -> Vec<Item> {
     let rows = rows_per_chunk(n, width);
     let chunks = n.div_ceil(rows);
     let groups = 16usize.div_ceil(chunks.max(1)).clamp(1, batch.max(1));
@@ -121,7 +123,7 @@ pub(super) fn items(n: usize, batch: usize, width: usize) -> Vec<Item> {
 
 /// How many items one weight-gradient accumulator takes, in their order. The number of accumulators is a power of two
 /// up to 16 and does not depend on the threads: each is summed in order, then they are added in order.
-pub(super) fn items_per_sum(items: usize) -> usize {
+pub fn items_per_sum(items: usize) -> usize {
     let half = (items / 2).max(1);
     let sums = (1 << half.ilog2()).clamp(2, 16);
     items.div_ceil(sums).max(1)

@@ -11,15 +11,15 @@
 use pwrfgs_core::Real;
 
 /// The most that angle doubling carries to full single precision; 2¹⁵ rad/m is a period of 0.2 mm.
-pub(super) const MOST_FREQUENCIES: usize = 16;
+pub const MOST_FREQUENCIES: usize = 16;
 
 /// How many numbers γ has for one point.
-pub(super) fn width(frequencies: usize) -> usize {
+pub fn width(frequencies: usize) -> usize {
     3 + 6 * frequencies
 }
 
 /// γ of R points into `out` `[3 + 6L, R]`.
-pub(super) fn encode(points: impl ExactSizeIterator<Item = [Real; 3]>, frequencies: usize, out: &mut [Real]) {
+pub fn encode(points: impl ExactSizeIterator<Item = [Real; 3]>, frequencies: usize, out: &mut [Real]) {
     let rows = points.len();
     assert_eq!(out.len(), rows * width(frequencies), "one column a point");
     let (plain, mut waves) = out.split_at_mut(3 * rows);
@@ -56,7 +56,7 @@ fn double(s_out: &mut [Real], c_out: &mut [Real], sines: &mut [f64], cosines: &m
 }
 
 /// Adds to `d_points` the derivative through γ: `encoded` is what [`encode`] gave, `d` its cotangent.
-pub(super) fn encode_vjp(encoded: &[Real], d: &[Real], frequencies: usize, d_points: &mut [[Real; 3]]) {
+pub fn encode_vjp(encoded: &[Real], d: &[Real], frequencies: usize, d_points: &mut [[Real; 3]]) {
     let rows = d_points.len();
     assert!(encoded.len() == rows * width(frequencies) && d.len() == encoded.len(), "one column a point");
     for (r, d_point) in d_points.iter_mut().enumerate() {
@@ -75,13 +75,13 @@ pub(super) fn encode_vjp(encoded: &[Real], d: &[Real], frequencies: usize, d_poi
 
 /// Factors on γ's rows `[3 + 6L]` when a `share` of the annealing, 0 to 1, is done: one frequency after the other is let
 /// in along half a cosine (Nerfies, eq. 8). The point itself is always in.
-pub(super) fn window(frequencies: usize, share: f64) -> Vec<Real> {
+pub fn window(frequencies: usize, share: f64) -> Vec<Real> {
     let band = |f: usize| let_in(share * frequencies as f64 - f as f64);
     [1.0; 3].into_iter().chain((0..frequencies).flat_map(|f| [band(f); 6])).collect()
 }
 
 /// Half a cosine from 0 at 0 to 1 at 1.
-pub(super) fn let_in(t: f64) -> Real {
+pub fn let_in(t: f64) -> Real {
     (0.5 * (1.0 - (std::f64::consts::PI * t.clamp(0.0, 1.0)).cos())) as Real
 }
 

@@ -1,59 +1,66 @@
-//! The stack of ReLU layers that both networks share: h₀ = relu(W₀·[γ, e] + b₀), …, with [γ, e] once more beside h
+//! The stack of ReLU layers that networks share: h₀ = relu(W₀·[γ, e] + b₀), …, with [γ, e] once more beside h
 //! after layer `skip`.
 //!
 //! γ depends on the Gaussian alone and e on the transmitter alone. So W·γ is computed once a chunk and serves every
 //! transmitter of the batch, W·e once a transmitter and becomes part of the bias; only h → h is left for each pair.
 
-use super::dense::{self, Matrix, MatrixMut, Store, product};
-use super::layers::Plan;
-use super::linear::{Linear, Part};
+use crate::dense::{self, Matrix, MatrixMut, Store, product};
+use crate::linear::{Linear, Part};
+use crate::plan::Plan;
 use pwrfgs_core::Real;
 use std::ops::Range;
 
 /// Layers and where the inputs join.
 #[derive(Debug)]
-pub(super) struct Trunk {
+pub struct Trunk {
     layers: Vec<Linear>,
     /// The layer that sees [γ, e, h].
     joined: Option<usize>,
     gamma: usize,
     side: usize,
-    pub(super) width: usize,
+    /// Units of every layer.
+    pub width: usize,
 }
 
 /// What the constructor needs to know.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct TrunkShape {
-    pub(super) depth: usize,
-    pub(super) width: usize,
-    pub(super) skip: Option<usize>,
+pub struct TrunkShape {
+    /// How many layers.
+    pub depth: usize,
+    /// Units of every layer.
+    pub width: usize,
+    /// The layer after which [γ, e] come in once more.
+    pub skip: Option<usize>,
     /// Numbers of γ.
-    pub(super) gamma: usize,
+    pub gamma: usize,
     /// Numbers of e.
-    pub(super) side: usize,
+    pub side: usize,
 }
 
 /// A vector for each of the two layers that see γ and e: `[width]` as biases, `[width, R]` as W·γ. `joined` is empty
 /// without a skip.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Joints {
-    pub(super) first: Vec<Real>,
-    pub(super) joined: Vec<Real>,
+pub struct Joints {
+    /// Of the first layer.
+    pub first: Vec<Real>,
+    /// Of the one after the skip.
+    pub joined: Vec<Real>,
 }
 
 /// What [`Trunk::backward`] adds to.
 #[derive(Debug)]
-pub(super) struct TrunkGradient<'a> {
+pub struct TrunkGradient<'a> {
     /// As long as the weights.
-    pub(super) weights: &'a mut [Real],
+    pub weights: &'a mut [Real],
     /// Of W·γ, `[width, R]` each.
-    pub(super) shared: &'a mut Joints,
+    pub shared: &'a mut Joints,
     /// Of the folded biases, `[width]` each; the second is not read without a skip.
-    pub(super) folded: [&'a mut [Real]; 2],
+    pub folded: [&'a mut [Real]; 2],
 }
 
 impl Trunk {
-    pub(super) fn new(plan: &mut Plan, shape: TrunkShape) -> Self {
+    /// Layers called `trunk.0` and on, with PyTorch's initial values.
+    pub fn new(plan: &mut Plan, shape: TrunkShape) -> Self {
         let joined = shape.skip.map(|s| s + 1);
         let (gamma, side, width) = (shape.gamma, shape.side, shape.width);
         let layers = (0..shape.depth)
@@ -69,7 +76,8 @@ impl Trunk {
         Self { layers, joined, gamma, side, width }
     }
 
-    pub(super) fn depth(&self) -> usize {
+    /// How many layers.
+    pub fn depth(&self) -> usize {
         self.layers.len()
     }
 
@@ -85,7 +93,7 @@ impl Trunk {
     }
 
     /// Multiplies the factors of all columns that see γ by `window`.
-    pub(super) fn dim(&self, factors: &mut [Real], window: &[Real]) {
+    pub fn dim(&self, factors: &mut [Real], window: &[Real]) {
         self.joints().for_each(|layer| layer.dim(factors, 0, window));
     }
 
@@ -94,12 +102,12 @@ impl Trunk {
     }
 
     /// Zeros, `len` for each layer that sees γ and e.
-    pub(super) fn zero_joints(&self, len: usize) -> Joints {
+    pub fn zero_joints(&self, len: usize) -> Joints {
         Joints { first: vec![0.0; len], joined: vec![0.0; if self.joined.is_some() { len } else { 0 }] }
     }
 
     /// The biases of these layers with W·e added.
-    pub(super) fn fold(&self, weights: &[Real], e: &[Real]) -> Joints {
+    pub fn fold(&self, weights: &[Real], e: &[Real]) -> Joints {
         let mut folded = self.joints().map(|layer| {
             let mut bias = layer.bias(weights).to_vec();
             let w = layer.weight(weights).columns(self.e_columns());
@@ -111,13 +119,7 @@ impl Trunk {
 
     /// The vjp of [`Self::fold`] for B transmitters: `e` `[B, side]`, `d_folded` one vector `[B, width]` a joint. Adds
     /// to `d_weights` and returns that of e, `[B, side]`.
-    pub(super) fn fold_vjp(
-        &self,
-        weights: &[Real],
-        e: &[Real],
-        d_folded: &Joints,
-        d_weights: &mut [Real],
-    ) -> Vec<Real> {
+    pub fn fold_vjp(&self, weights: &[Real], e: &[Real], d_folded: &Joints, d_weights: &mut [Real]) -> Vec<Real> {
         let batch = d_folded.first.len() / self.width;
         let mut d_e = vec![0.0; batch * self.side];
         for (layer, d) in self.joints().zip([&d_folded.first, &d_folded.joined]) {
@@ -132,14 +134,14 @@ impl Trunk {
     }
 
     /// Adds derivatives of the biases of the layers that see γ.
-    pub(super) fn add_joint_biases(&self, d_weights: &mut [Real], d: &Joints) {
+    pub fn add_joint_biases(&self, d_weights: &mut [Real], d: &Joints) {
         for (layer, d) in self.joints().zip([&d.first, &d.joined]) {
             dense::add(layer.bias_mut(d_weights), d);
         }
     }
 
     /// W·γ of the layers that see γ, for a chunk; γ `[gamma, R]`.
-    pub(super) fn share(&self, weights: &[Real], gamma: &[Real], shared: &mut Joints) {
+    pub fn share(&self, weights: &[Real], gamma: &[Real], shared: &mut Joints) {
         let rows = gamma.len() / self.gamma;
         for (layer, out) in self.joints().zip([&mut shared.first, &mut shared.joined]) {
             out.resize(self.width * rows, 0.0);
@@ -148,7 +150,7 @@ impl Trunk {
     }
 
     /// The vjp of [`Self::share`]: adds to `d_weights`, and to `d_gamma` where given.
-    pub(super) fn share_vjp(
+    pub fn share_vjp(
         &self,
         weights: &[Real],
         gamma: &[Real],
@@ -167,7 +169,7 @@ impl Trunk {
 
     /// All layers for one chunk and one transmitter. Layer l writes slot `l % slots.len()`: two slots to predict, as
     /// many as layers to differentiate. The result is in slot [`Self::last`].
-    pub(super) fn forward(&self, weights: &[Real], shared: &Joints, folded: &Joints, slots: &mut [Vec<Real>]) {
+    pub fn forward(&self, weights: &[Real], shared: &Joints, folded: &Joints, slots: &mut [Vec<Real>]) {
         for (l, layer) in self.layers.iter().enumerate() {
             let out = l % slots.len();
             if l == 0 {
@@ -191,13 +193,13 @@ impl Trunk {
     }
 
     /// The slot that holds the last layer.
-    pub(super) fn last(&self, slots: usize) -> usize {
+    pub fn last(&self, slots: usize) -> usize {
         (self.depth() - 1) % slots
     }
 
     /// The vjp of [`Self::forward`] with all activations in `slots`. `d` is the cotangent of the last layer and is used
     /// up, `spare` is room to work in.
-    pub(super) fn backward(
+    pub fn backward(
         &self,
         weights: &[Real],
         slots: &[Vec<Real>],
@@ -228,7 +230,7 @@ impl Trunk {
 
 impl Joints {
     /// The part of transmitter `b` in each of two `[B, width]`.
-    pub(super) fn of_tx(&mut self, b: usize, width: usize) -> [&mut [Real]; 2] {
+    pub fn of_tx(&mut self, b: usize, width: usize) -> [&mut [Real]; 2] {
         let part = b * width..(b + 1) * width;
         [&mut self.first[part.clone()], self.joined.get_mut(part).unwrap_or_default()]
     }

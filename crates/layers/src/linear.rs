@@ -1,48 +1,55 @@
 //! `Linear`: one layer inside the flat weight vector, and its products with chunks.
 
-use super::dense::{Matrix, MatrixMut, Store, product};
+use crate::dense::{Matrix, MatrixMut, Store, product};
 use pwrfgs_core::Real;
 use std::ops::Range;
 
 /// A linear layer y = W·x + b: `W` `[outputs, inputs]` row-major and `b` `[outputs]` inside a flat vector.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Linear {
-    pub(super) inputs: usize,
-    pub(super) outputs: usize,
+pub struct Linear {
+    /// Numbers of x.
+    pub inputs: usize,
+    /// Numbers of y.
+    pub outputs: usize,
     /// Where `W` starts.
-    pub(super) weight: usize,
+    pub weight: usize,
     /// Where `b` starts.
-    pub(super) bias: usize,
+    pub bias: usize,
 }
 
 impl Linear {
-    pub(super) fn weight<'a>(&self, flat: &'a [Real]) -> Matrix<'a> {
+    /// W in the flat vector.
+    pub fn weight<'a>(&self, flat: &'a [Real]) -> Matrix<'a> {
         Matrix::new(&flat[self.weight..][..self.outputs * self.inputs], self.outputs, self.inputs)
     }
 
-    pub(super) fn weight_mut<'a>(&self, flat: &'a mut [Real]) -> MatrixMut<'a> {
+    /// W in the flat vector, to be written.
+    pub fn weight_mut<'a>(&self, flat: &'a mut [Real]) -> MatrixMut<'a> {
         MatrixMut::new(&mut flat[self.weight..][..self.outputs * self.inputs], self.outputs, self.inputs)
     }
 
     /// Some rows of `W`.
-    pub(super) fn rows<'a>(&self, flat: &'a [Real], rows: Range<usize>) -> &'a [Real] {
+    pub fn rows<'a>(&self, flat: &'a [Real], rows: Range<usize>) -> &'a [Real] {
         &flat[self.weight + rows.start * self.inputs..self.weight + rows.end * self.inputs]
     }
 
-    pub(super) fn rows_mut<'a>(&self, flat: &'a mut [Real], rows: Range<usize>) -> &'a mut [Real] {
+    /// Some rows of `W`, to be written.
+    pub fn rows_mut<'a>(&self, flat: &'a mut [Real], rows: Range<usize>) -> &'a mut [Real] {
         &mut flat[self.weight + rows.start * self.inputs..self.weight + rows.end * self.inputs]
     }
 
-    pub(super) fn bias<'a>(&self, flat: &'a [Real]) -> &'a [Real] {
+    /// b in the flat vector.
+    pub fn bias<'a>(&self, flat: &'a [Real]) -> &'a [Real] {
         &flat[self.bias..][..self.outputs]
     }
 
-    pub(super) fn bias_mut<'a>(&self, flat: &'a mut [Real]) -> &'a mut [Real] {
+    /// b in the flat vector, to be written.
+    pub fn bias_mut<'a>(&self, flat: &'a mut [Real]) -> &'a mut [Real] {
         &mut flat[self.bias..][..self.outputs]
     }
 
     /// Multiplies the factors of the columns from `first` on by `window`, one factor a column.
-    pub(super) fn dim(&self, factors: &mut [Real], first: usize, window: &[Real]) {
+    pub fn dim(&self, factors: &mut [Real], first: usize, window: &[Real]) {
         for row in factors[self.weight..][..self.outputs * self.inputs].chunks_exact_mut(self.inputs) {
             row[first..].iter_mut().zip(window).for_each(|(factor, w)| *factor *= w);
         }
@@ -50,33 +57,33 @@ impl Linear {
 
     /// Multiplies the factors of all rows and biases by those of the layer's outputs: what a ReLU lets through is then
     /// multiplied by as much, since factors are not negative.
-    pub(super) fn scale_outputs(&self, factors: &mut [Real], outputs: &[Real]) {
+    pub fn scale_outputs(&self, factors: &mut [Real], outputs: &[Real]) {
         let rows = factors[self.weight..][..self.outputs * self.inputs].chunks_exact_mut(self.inputs);
         rows.zip(outputs).for_each(|(row, f)| row.iter_mut().for_each(|factor| *factor *= f));
         self.bias_mut(factors).iter_mut().zip(outputs).for_each(|(factor, f)| *factor *= f);
     }
 
     /// The columns of W that see one of several inputs.
-    pub(super) fn part(&self, columns: Range<usize>) -> Part {
+    pub fn part(&self, columns: Range<usize>) -> Part {
         Part { layer: *self, columns }
     }
 
     /// All columns of W.
-    pub(super) fn whole(&self) -> Part {
+    pub fn whole(&self) -> Part {
         self.part(0..self.inputs)
     }
 }
 
 /// Some columns of a layer's W, acting on chunks: x `[columns, R]`, y `[outputs, R]`.
 #[derive(Clone, Debug)]
-pub(super) struct Part {
+pub struct Part {
     layer: Linear,
     columns: Range<usize>,
 }
 
 impl Part {
     /// `y = W·x` or `y += W·x`.
-    pub(super) fn apply(&self, weights: &[Real], x: &[Real], y: &mut [Real], store: Store) {
+    pub fn apply(&self, weights: &[Real], x: &[Real], y: &mut [Real], store: Store) {
         let (features, outputs) = (self.columns.len(), self.layer.outputs);
         let rows = y.len() / outputs;
         let w = self.layer.weight(weights).columns(self.columns.clone());
@@ -84,7 +91,7 @@ impl Part {
     }
 
     /// Adds the derivative along W to `d_weights`.
-    pub(super) fn weight_vjp(&self, d_weights: &mut [Real], x: &[Real], d_y: &[Real]) {
+    pub fn weight_vjp(&self, d_weights: &mut [Real], x: &[Real], d_y: &[Real]) {
         let (features, outputs) = (self.columns.len(), self.layer.outputs);
         let rows = d_y.len() / outputs;
         let d_w = self.layer.weight_mut(d_weights).columns(self.columns.clone());
@@ -92,7 +99,7 @@ impl Part {
     }
 
     /// `d_x = Wᵀ·d_y` or `d_x += Wᵀ·d_y`.
-    pub(super) fn input_vjp(&self, weights: &[Real], d_y: &[Real], d_x: &mut [Real], store: Store) {
+    pub fn input_vjp(&self, weights: &[Real], d_y: &[Real], d_x: &mut [Real], store: Store) {
         let (features, outputs) = (self.columns.len(), self.layer.outputs);
         let rows = d_y.len() / outputs;
         let w = self.layer.weight(weights).columns(self.columns.clone());

@@ -12,7 +12,7 @@ use std::ops::Range;
 
 /// A matrix inside a slice: element (i, j) lies at `i · strides.0 + j · strides.1`.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Matrix<'a> {
+pub struct Matrix<'a> {
     data: &'a [Real],
     shape: (usize, usize),
     strides: (usize, usize),
@@ -20,7 +20,7 @@ pub(super) struct Matrix<'a> {
 
 /// A [`Matrix`] to be written.
 #[derive(Debug)]
-pub(super) struct MatrixMut<'a> {
+pub struct MatrixMut<'a> {
     data: &'a mut [Real],
     shape: (usize, usize),
     strides: (usize, usize),
@@ -33,23 +33,23 @@ fn fits(len: usize, (rows, columns): (usize, usize), (down, right): (usize, usiz
 
 impl<'a> Matrix<'a> {
     /// `rows` by `columns`, row by row.
-    pub(super) fn new(data: &'a [Real], rows: usize, columns: usize) -> Self {
+    pub fn new(data: &'a [Real], rows: usize, columns: usize) -> Self {
         Self::strided(data, (rows, columns), (columns, 1))
     }
 
     /// Any strides.
-    pub(super) fn strided(data: &'a [Real], shape: (usize, usize), strides: (usize, usize)) -> Self {
+    pub fn strided(data: &'a [Real], shape: (usize, usize), strides: (usize, usize)) -> Self {
         assert!(fits(data.len(), shape, strides), "a matrix lies inside its slice");
         Self { data, shape, strides }
     }
 
     /// Rows and columns exchanged.
-    pub(super) fn t(self) -> Self {
+    pub fn t(self) -> Self {
         Self { shape: (self.shape.1, self.shape.0), strides: (self.strides.1, self.strides.0), ..self }
     }
 
     /// The columns of `range`.
-    pub(super) fn columns(self, range: Range<usize>) -> Self {
+    pub fn columns(self, range: Range<usize>) -> Self {
         assert!(range.end <= self.shape.1, "columns of the matrix");
         let data = &self.data[(range.start * self.strides.1).min(self.data.len())..];
         Self { data, shape: (self.shape.0, range.len()), strides: self.strides }
@@ -58,18 +58,18 @@ impl<'a> Matrix<'a> {
 
 impl<'a> MatrixMut<'a> {
     /// `rows` by `columns`, row by row.
-    pub(super) fn new(data: &'a mut [Real], rows: usize, columns: usize) -> Self {
+    pub fn new(data: &'a mut [Real], rows: usize, columns: usize) -> Self {
         Self::strided(data, (rows, columns), (columns, 1))
     }
 
     /// Any strides.
-    pub(super) fn strided(data: &'a mut [Real], shape: (usize, usize), strides: (usize, usize)) -> Self {
+    pub fn strided(data: &'a mut [Real], shape: (usize, usize), strides: (usize, usize)) -> Self {
         assert!(fits(data.len(), shape, strides), "a matrix lies inside its slice");
         Self { data, shape, strides }
     }
 
     /// The columns of `range`.
-    pub(super) fn columns(self, range: Range<usize>) -> Self {
+    pub fn columns(self, range: Range<usize>) -> Self {
         assert!(range.end <= self.shape.1, "columns of the matrix");
         let start = (range.start * self.strides.1).min(self.data.len());
         Self { data: &mut self.data[start..], shape: (self.shape.0, range.len()), strides: self.strides }
@@ -83,7 +83,7 @@ impl<'a> MatrixMut<'a> {
 
 /// What becomes of the numbers that were in the destination.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Store {
+pub enum Store {
     /// They are overwritten.
     Set,
     /// The product is added to them.
@@ -95,7 +95,7 @@ pub(super) enum Store {
 /// With AVX-512 `gemm` takes 64 columns at a time (four vectors, six rows of `a` each), and is half as fast on 16 that
 /// are left over, with too few sums on their way to fill the pipeline: the last 80 are taken as 48 and 32. Elsewhere that
 /// does no harm.
-pub(super) fn product(mut c: MatrixMut<'_>, store: Store, a: Matrix<'_>, b: Matrix<'_>) {
+pub fn product(mut c: MatrixMut<'_>, store: Store, a: Matrix<'_>, b: Matrix<'_>) {
     let n = c.shape.1;
     assert!(a.shape.0 == c.shape.0 && b.shape == (a.shape.1, n), "inner and outer sizes of a product agree");
     let left_over = n > 64 && (1..=16).contains(&(n % 64));
@@ -144,7 +144,7 @@ fn multiply(c: MatrixMut<'_>, store: Store, a: Matrix<'_>, b: Matrix<'_>) {
 }
 
 /// Adds `bias[f]` to feature f and clips at zero. NaN stays NaN: it must reach the loss, where it is reported.
-pub(super) fn bias_relu(h: &mut [Real], bias: &[Real]) {
+pub fn bias_relu(h: &mut [Real], bias: &[Real]) {
     let rows = h.len() / bias.len().max(1);
     pulp::Arch::new().dispatch(
         #[inline(always)]
@@ -160,7 +160,7 @@ pub(super) fn bias_relu(h: &mut [Real], bias: &[Real]) {
 }
 
 /// Adds `bias[f]` to feature f.
-pub(super) fn add_bias(h: &mut [Real], bias: &[Real]) {
+pub fn add_bias(h: &mut [Real], bias: &[Real]) {
     let rows = h.len() / bias.len().max(1);
     for (row, &b) in h.chunks_exact_mut(rows.max(1)).zip(bias) {
         for x in row {
@@ -171,7 +171,7 @@ pub(super) fn add_bias(h: &mut [Real], bias: &[Real]) {
 
 /// The vjp of [`bias_relu`]: `d` becomes zero where the output `h` is not positive; its sum over the Gaussians is added
 /// to `d_bias`.
-pub(super) fn bias_relu_vjp(d: &mut [Real], h: &[Real], d_bias: &mut [Real]) {
+pub fn bias_relu_vjp(d: &mut [Real], h: &[Real], d_bias: &mut [Real]) {
     let rows = (d.len() / d_bias.len().max(1)).max(1);
     pulp::Arch::new().dispatch(
         #[inline(always)]
@@ -187,7 +187,7 @@ pub(super) fn bias_relu_vjp(d: &mut [Real], h: &[Real], d_bias: &mut [Real]) {
 }
 
 /// The vjp of [`add_bias`]: sums over the Gaussians, added to `d_bias`.
-pub(super) fn add_bias_vjp(d: &[Real], d_bias: &mut [Real]) {
+pub fn add_bias_vjp(d: &[Real], d_bias: &mut [Real]) {
     let rows = (d.len() / d_bias.len().max(1)).max(1);
     for (d, sum) in d.chunks_exact(rows).zip(d_bias) {
         *sum += lane_sum(d);
@@ -211,7 +211,7 @@ fn lane_sum(values: &[Real]) -> Real {
 }
 
 /// `a += b`.
-pub(super) fn add(a: &mut [Real], b: &[Real]) {
+pub fn add(a: &mut [Real], b: &[Real]) {
     pulp::Arch::new().dispatch(
         #[inline(always)]
         || a.iter_mut().zip(b).for_each(|(a, b)| *a += b),
@@ -219,7 +219,7 @@ pub(super) fn add(a: &mut [Real], b: &[Real]) {
 }
 
 /// Adds all `sums` to `total`, for each number in the order of the list.
-pub(super) fn add_in_order(total: &mut [Real], sums: &[&[Real]]) {
+pub fn add_in_order(total: &mut [Real], sums: &[&[Real]]) {
     const PIECE: usize = 8192;
     total.par_chunks_mut(PIECE).enumerate().for_each(|(k, total)| {
         for sum in sums {
