@@ -11,7 +11,7 @@ use pwrfgs::core::{
 use pwrfgs::model::{Readout, Stages};
 use pwrfgs::prelude::*;
 use pwrfgs::train::{
-    Batch, ChannelLoss, LinkLoss, LossAndGradients, Objective, PowerLoss, RenderingLoss, loss_and_gradients,
+    Batch, ChannelLoss, Errors, LinkLoss, LossAndGradients, Objective, RenderingLoss, loss_and_gradients,
 };
 use std::sync::Arc;
 
@@ -196,7 +196,7 @@ fn links(deformation: &str, readout: Readout, size: (usize, usize), objective: B
     let conditions = (0..3 * width).map(|_| rng::normal(random)).collect();
     let numbers = LINKS.len() * stages.frame.numbers();
     let truths = (0..numbers).map(|_| rng::normal(random)).collect();
-    step.batch = Batch { conditions, width, links: LINKS.to_vec(), truths };
+    step.batch = Batch { conditions, width, links: LINKS.to_vec(), truths, ..Batch::default() };
     step.stages = Arc::new(stages);
     step.objective = objective;
     step
@@ -209,7 +209,7 @@ const NETWORK: &str = "Factored(depth: 2, width: 8, tx_encoding: Wavelengths(cou
 #[test]
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn powers_at_two_receivers_differentiate_in_every_column_and_law() {
-    for power in [PowerLoss::Absolute, PowerLoss::Squared] {
+    for power in [Errors::Absolute, Errors::Squared] {
         let mut step = links(NETWORK, Readout::Received { sky_deg: 20 }, (1, 1), Box::new(LinkLoss { power }));
         let offsets = step.weights.len() - 4;
         step.weights[offsets..].copy_from_slice(&[0.3, -0.2, 1.8, 2.2]);

@@ -4,7 +4,7 @@
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
-    Asked, ColumnSpec, Conditions, Frame, ImagePlane, Kind, Parameters, Receiver, Statistic, Statistics, rng,
+    Asked, ColumnSpec, Conditions, Frame, ImagePlane, Kind, Parameters, Pixels, Receiver, Statistic, Statistics, rng,
 };
 use pwrfgs::model::{Gates, Readout, Stages};
 use pwrfgs::prelude::*;
@@ -41,7 +41,7 @@ impl Sight {
     }
 
     fn asked(&self) -> Asked<'_> {
-        Asked { conditions: Conditions::new(3, &self.batch.conditions), links: &self.batch.links }
+        Asked { conditions: Conditions::new(3, &self.batch.conditions), links: &self.batch.links, pixels: Pixels::All }
     }
 
     fn survey(&self, statistics: &[Statistic]) -> Statistics {

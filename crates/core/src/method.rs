@@ -79,12 +79,37 @@ pub struct Asked<'a> {
     pub conditions: Conditions<'a>,
     /// Rows of `conditions` and receivers of the frame. Links of a transmitter are next to each other.
     pub links: &'a [Link],
+    /// Which numbers of each observation; a method that does not [choose](Method::chooses_pixels) is asked for all.
+    pub pixels: Pixels<'a>,
+}
+
+/// Which numbers of an observation are wanted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Pixels<'a> {
+    /// All of them.
+    #[default]
+    All,
+    /// The same of every link: places in an observation.
+    Same(&'a [usize]),
+    /// One of each link: `[L]` places.
+    Own(&'a [usize]),
+}
+
+impl Pixels<'_> {
+    /// How many of a link, of `numbers` that an observation has.
+    pub fn of_link(&self, numbers: usize) -> usize {
+        match self {
+            Self::All => numbers,
+            Self::Same(places) => places.len(),
+            Self::Own(_) => 1,
+        }
+    }
 }
 
 /// Observations, and what the way back needs.
 #[derive(Debug)]
 pub struct Observed {
-    /// `[L, numbers]`, an observation a link.
+    /// `[L, numbers]`, an observation a link, or what [`Asked::pixels`] wants of it.
     pub numbers: Vec<Real>,
     /// Whatever the method wants to find again in [`Method::vjp`].
     pub cache: Cache,
@@ -127,6 +152,16 @@ pub trait Method: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Se
     /// What it gives, where that does not depend on the frame.
     fn kind(&self) -> Option<Kind> {
         None
+    }
+
+    /// Whether it has Gaussians at all. Where not, there is no initializer, nothing is pruned, and clouds are empty.
+    fn has_gaussians(&self) -> bool {
+        true
+    }
+
+    /// Whether it can be asked for some [pixels](Asked::pixels) alone.
+    fn chooses_pixels(&self) -> bool {
+        false
     }
 
     /// More columns of the cloud that it reads, by name and width: zero until something sets them, learned at the rate of

@@ -239,6 +239,15 @@ impl Spectra {
         }
     }
 
+    /// Some pixels of picture `i` as [`Self::coarse`] has it with this `stride`.
+    pub fn coarse_at(&self, i: usize, stride: usize, places: &[usize], out: &mut [Real]) {
+        let (bytes, of_one, columns) = (self.raw(i), self.number.bytes(), self.width.div_ceil(stride));
+        for (out, place) in out.iter_mut().zip(places) {
+            let at = (place / columns * self.width + place % columns) * stride * of_one;
+            self.number.pixels(&bytes[at..at + of_one], 1, std::slice::from_mut(out));
+        }
+    }
+
     /// Adds `weight` times picture `i`, in units of which [`Number::full_scale`] are 1, to `sum`.
     pub fn add(&self, i: usize, weight: f64, sum: &mut [f64]) {
         self.number.add(&self.raw(i), weight, sum);

@@ -2,8 +2,8 @@
 
 use crate::{Model, Stages};
 use pwrfgs_core::{
-    Asked, Cache, Conditions, GaussianCloud, Image, ImagePlane, Kind, Link, Parameters, Predict, Query, Real, Receiver,
-    StageTimes,
+    Asked, Cache, Conditions, GaussianCloud, Image, ImagePlane, Kind, Link, Parameters, Pixels, Predict, Query, Real,
+    Receiver, StageTimes,
 };
 use std::borrow::Cow;
 use std::time::Instant;
@@ -173,7 +173,11 @@ impl<'a> Member<'a> {
     fn observations(&self, queries: &[Query<'_>]) -> (Vec<Image>, StageTimes) {
         let Model { stages, weights, .. } = self.model;
         let (conditions, links) = asked(stages, queries);
-        let asked = Asked { conditions: Conditions::new(stages.method.inputs(), &conditions), links: &links };
+        let asked = Asked {
+            conditions: Conditions::new(stages.method.inputs(), &conditions),
+            links: &links,
+            pixels: Pixels::All,
+        };
         let parameters = Parameters { cloud: &self.cloud, gate: None, presence: None, weights };
         let (numbers, times) = stages.method.predict(&stages.frame, &parameters, &asked, &self.ready);
         let ImagePlane { width, height, .. } = stages.plane;

@@ -1,8 +1,9 @@
 //! `Batches`: which transmitters a step sees, and what was observed of their links.
 
 use crate::Pipeline;
-use crate::graph::Batch;
-use pwrfgs_core::{Dataset, Elevation, Error, ImagePlane, Kind, Link, Moment, Needs, Real, Result, rng};
+use crate::graph::{Batch, Places};
+use crate::settings::Rays;
+use pwrfgs_core::{Dataset, Elevation, Error, ImagePlane, Kind, Link, Moment, Needs, Observations, Real, Result, rng};
 use pwrfgs_model::Stages;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -48,6 +49,19 @@ impl Batches {
         let settings = &pipeline.training;
         let (seed, n) = (pipeline.seed, self.transmitters.len() as u64);
         let mut jitter = rng::stream(seed, "jitter", step);
+        let mut moved = |x: Real| x + settings.tx_jitter_m * rng::normal(&mut jitter);
+        let random = &mut rng::stream(seed, "rays", step);
+        let places = match settings.rays {
+            Rays::All => Places::All,
+            Rays::Same(count) => Places::Same(rays(count, stages.numbers(), random)),
+            Rays::Each(count) => {
+                let mut links: Vec<usize> =
+                    (0..count).map(|_| self.train[rng::below(random, self.train.len())]).collect();
+                links.sort_unstable();
+                let places = Places::Own(rays(count, stages.numbers(), random));
+                return observed(&links, data, stages, (settings.stride, places), &mut moved);
+            }
+        };
         let mut transmitters = Vec::with_capacity(settings.batch);
         for k in 0..settings.batch as u64 {
             let drawn = (step - 1) * settings.batch as u64 + k;
@@ -58,8 +72,12 @@ impl Batches {
             }
             transmitters.push(self.order.1[(drawn % n) as usize]);
         }
-        let mut moved = |x: Real| x + settings.tx_jitter_m * rng::normal(&mut jitter);
-        self.of_transmitters(&transmitters, data, stages, settings.stride, &mut moved)
+        observed(&self.links_of(&transmitters), data, stages, (settings.stride, places), &mut moved)
+    }
+
+    /// The links of some transmitters.
+    fn links_of(&self, transmitters: &[usize]) -> Vec<usize> {
+        transmitters.iter().flat_map(|&t| &self.train[self.transmitters[t].clone()]).copied().collect()
     }
 
     /// The transmitters of a pass, where they are, a few at a time.
@@ -74,47 +92,53 @@ impl Batches {
         std::iter::from_fn(move || {
             sample.peek()?;
             let some: Vec<usize> = sample.by_ref().take(AT_ONCE).collect();
-            Some(self.of_transmitters(&some, data, stages, stride, &mut |x| x))
+            Some(observed(&self.links_of(&some), data, stages, (stride, Places::All), &mut |x| x))
         })
     }
+}
 
-    /// What was observed of the links of some transmitters, whose coordinates are `moved`.
-    fn of_transmitters(
-        &self,
-        transmitters: &[usize],
-        data: &Dataset,
-        stages: &Stages,
-        stride: usize,
-        moved: &mut dyn FnMut(Real) -> Real,
-    ) -> Result<Batch> {
-        let mut batch = Batch { width: stages.method.inputs(), ..Batch::default() };
-        let mut links = Vec::with_capacity(transmitters.len());
-        for &transmitter in transmitters {
-            let own = &self.train[self.transmitters[transmitter].clone()];
-            for (place, &i) in own.iter().enumerate() {
-                let query = data.query(i);
-                if !query.features.is_empty() {
-                    batch.conditions.extend_from_slice(query.features); // a link's own
-                } else if place == 0 {
-                    batch.conditions.extend(data.scene.origin.local(query.tx).map(&mut *moved));
-                }
-                let transmitter = batch.conditions.len() / batch.width.max(1) - 1;
-                batch.links.push(Link { transmitter, receiver: query.receiver });
-                links.push(i);
-            }
+/// Places in an observation of so many numbers, each as likely.
+fn rays(count: usize, numbers: usize, random: &mut rng::Rng) -> Vec<usize> {
+    (0..count).map(|_| rng::below(random, numbers)).collect()
+}
+
+/// What was observed of some links, those of a transmitter next to each other, whose transmitters' coordinates are `moved`.
+fn observed(
+    links: &[usize],
+    data: &Dataset,
+    stages: &Stages,
+    (stride, places): (usize, Places),
+    moved: &mut dyn FnMut(Real) -> Real,
+) -> Result<Batch> {
+    let mut batch = Batch { width: stages.method.inputs(), places, ..Batch::default() };
+    let (mut before, own) = (None, matches!(batch.places, Places::Own(_)));
+    for &i in links {
+        let (query, transmitter) = (data.query(i), data.links[i].transmitter);
+        if !query.features.is_empty() {
+            batch.conditions.extend_from_slice(query.features); // a link's own
+        } else if before.is_none_or(|(t, j)| t != transmitter || j >= i && !own) {
+            batch.conditions.extend(data.scene.origin.local(query.tx).map(&mut *moved));
         }
-        let numbers = stages.numbers();
-        let stride = if data.kind() == Kind::Spectrum { stride } else { 1 };
-        batch.truths.resize(links.len() * numbers, 0.0);
-        batch.truths.par_chunks_exact_mut(numbers).zip(&links).for_each(|(truth, &i)| {
-            data.observations.coarse(i, stride, truth);
+        before = Some((transmitter, i));
+        let transmitter = batch.conditions.len() / batch.width.max(1) - 1;
+        batch.links.push(Link { transmitter, receiver: query.receiver });
+    }
+    let of_link = batch.places.pixels().of_link(stages.numbers());
+    let stride = if data.kind() == Kind::Spectrum { stride } else { 1 };
+    batch.truths.resize(links.len() * of_link, 0.0);
+    let truths = batch.truths.par_chunks_exact_mut(of_link).zip(links).enumerate();
+    truths.for_each(|(k, (truth, &i))| match (&batch.places, &data.observations) {
+        (Places::Same(places), Observations::Pictures(spectra)) => spectra.coarse_at(i, stride, places, truth),
+        (Places::Own(places), Observations::Pictures(spectra)) => spectra.coarse_at(i, stride, &places[k..=k], truth),
+        (_, observations) => {
+            observations.coarse(i, stride, truth);
             if stride > 1 {
                 stages.method.restrict(truth);
             }
-        });
-        data.observations.check()?;
-        Ok(batch)
-    }
+        }
+    });
+    data.observations.check()?;
+    Ok(batch)
 }
 
 /// Transmitters that a pass holds at a time.

@@ -14,8 +14,8 @@ use dfdx::tensor_ops::{Backward, SumTo};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::tape::{Trace, TraceScalar, Traced, op, values};
 use pwrfgs_core::{
-    Asked, CloudStats, Conditions, Error, Gate, GaussianCloud, Link, MethodVjp, Moment, Parameters, Pruner, Real,
-    Result,
+    Asked, CloudStats, Conditions, Error, Gate, GaussianCloud, Link, MethodVjp, Moment, Parameters, Pixels, Pruner,
+    Real, Result,
 };
 use pwrfgs_model::Stages;
 use std::cell::RefCell;
@@ -31,20 +31,46 @@ pub struct Batch {
     pub width: usize,
     /// Which transmitter of the batch was heard by which receiver; those of a transmitter next to each other.
     pub links: Vec<Link>,
+    /// Which numbers of the observations.
+    pub places: Places,
     /// Observations `[L, numbers]`: spectra in [0, 1], powers in dBm, channels.
     pub truths: Vec<Real>,
+}
+
+/// Which numbers of each observation a step looks at: [`Pixels`], owned.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum Places {
+    /// All.
+    #[default]
+    All,
+    /// The same of every link.
+    Same(Vec<usize>),
+    /// One of each link.
+    Own(Vec<usize>),
+}
+
+impl Places {
+    /// As a method is asked for them.
+    pub fn pixels(&self) -> Pixels<'_> {
+        match self {
+            Self::All => Pixels::All,
+            Self::Same(places) => Pixels::Same(places),
+            Self::Own(places) => Pixels::Own(places),
+        }
+    }
 }
 
 impl Batch {
     /// Transmitters at `txs` `[B,3]` (metres from the origin) heard by the first receiver.
     pub fn of_positions(txs: &[[Real; 3]], truths: Vec<Real>) -> Self {
         let links = (0..txs.len()).map(|transmitter| Link { transmitter, receiver: 0 }).collect();
-        Self { conditions: txs.as_flattened().to_vec(), width: 3, links, truths }
+        Self { conditions: txs.as_flattened().to_vec(), width: 3, links, truths, ..Self::default() }
     }
 
     /// The links, as a method is asked for them.
     pub(crate) fn asked(&self) -> Asked<'_> {
-        Asked { conditions: Conditions::new(self.width, &self.conditions), links: &self.links }
+        let conditions = Conditions::new(self.width, &self.conditions);
+        Asked { conditions, links: &self.links, pixels: self.places.pixels() }
     }
 }
 
@@ -244,8 +270,11 @@ impl Graph {
     /// The loss as an op.
     fn loss(&self, observed: Trace, objective: &dyn Objective) -> TraceScalar {
         let plane = &self.stages.plane;
-        let (value, d_observed) =
-            objective.evaluate(&observed.as_vec(), &self.batch.truths, (plane.width, plane.height));
+        let size = match self.batch.places {
+            Places::All => (plane.width, plane.height),
+            _ => (self.batch.truths.len(), 1),
+        };
+        let (value, d_observed) = objective.evaluate(&observed.as_vec(), &self.batch.truths, size);
         let loss = op(vec![observed], vec![vec![value]], move |d| {
             let upstream = d[0][0];
             vec![d_observed.iter().map(|d| upstream * d).collect()]

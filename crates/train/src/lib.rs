@@ -25,10 +25,10 @@ mod trainer;
 
 pub use draft::Draft;
 pub use estimate::{Estimate, network_bytes};
-pub use graph::{Batch, LossAndGradients, loss_and_gradients};
+pub use graph::{Batch, LossAndGradients, Places, loss_and_gradients};
 pub use loss::{ChannelLoss, LinkLoss, Objective, RenderingLoss};
 pub use pipeline::{Pipeline, PipelineFields, PipelinePatch};
 pub use settings::{
-    Densify, DensifyPatch, Loss, LossPatch, Optimizer, OptimizerPatch, PowerLoss, Schedule, Training, TrainingPatch,
+    Densify, DensifyPatch, Errors, Loss, LossPatch, Optimizer, OptimizerPatch, Rays, Schedule, Training, TrainingPatch,
 };
 pub use trainer::{StepReport, Trainer};

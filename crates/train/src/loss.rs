@@ -1,6 +1,6 @@
 //! What training makes small, a loss for each kind of observation.
 
-use crate::settings::{PowerLoss, Training};
+use crate::settings::{Errors, Training};
 use pwrfgs_core::ssim::{self, Window};
 use pwrfgs_core::{Dataset, Kind, Real};
 use rayon::prelude::*;
@@ -15,9 +15,33 @@ pub trait Objective: std::fmt::Debug + Send + Sync {
 /// The objective that `settings` give for `data`, of which `train` is learned.
 pub(crate) fn objective(settings: &Training, data: &Dataset, train: &[usize]) -> Box<dyn Objective> {
     match data.kind() {
-        Kind::Spectrum => Box::new(RenderingLoss::strided(settings.loss.ssim_weight, settings.stride)),
+        Kind::Spectrum => Box::new(RenderingLoss {
+            errors: settings.loss.pixel,
+            ..RenderingLoss::strided(settings.loss.ssim_weight, settings.stride)
+        }),
         Kind::Power => Box::new(LinkLoss { power: settings.loss.power }),
         Kind::Channel => Box::new(ChannelLoss::of(data, train)),
+    }
+}
+
+impl Errors {
+    /// The sum over pairs; writes its derivative times `share`.
+    fn sum(self, predictions: &[Real], truths: &[Real], share: Real, d: &mut [Real]) -> Real {
+        let mut sum = 0.0;
+        for ((d, p), t) in d.iter_mut().zip(predictions).zip(truths) {
+            let error = p - t;
+            match self {
+                Self::Absolute => {
+                    sum += error.abs();
+                    *d = if error == 0.0 { 0.0 } else { share.copysign(error) };
+                }
+                Self::Squared => {
+                    sum += error * error;
+                    *d = 2.0 * share * error;
+                }
+            }
+        }
+        sum
     }
 }
 
@@ -25,26 +49,15 @@ pub(crate) fn objective(settings: &Training, data: &Dataset, train: &[usize]) ->
 #[derive(Clone, Copy, Debug)]
 pub struct LinkLoss {
     /// How errors count.
-    pub power: PowerLoss,
+    pub power: Errors,
 }
 
 impl Objective for LinkLoss {
     fn evaluate(&self, predictions: &[Real], truths: &[Real], _: (usize, usize)) -> (Real, Vec<Real>) {
         let share = 1.0 / predictions.len().max(1) as Real;
-        let mut loss = 0.0;
-        let errors = predictions.iter().zip(truths).map(|(p, t)| p - t);
-        let d = errors.map(|error| match self.power {
-            PowerLoss::Absolute => {
-                loss += share * error.abs();
-                if error == 0.0 { 0.0 } else { share.copysign(error) }
-            }
-            PowerLoss::Squared => {
-                loss += share * error * error;
-                2.0 * share * error
-            }
-        });
-        let d = d.collect();
-        (loss, d)
+        let mut d = vec![0.0; predictions.len()];
+        let sum = self.power.sum(predictions, truths, share, &mut d);
+        (share * sum, d)
     }
 }
 
@@ -81,12 +94,14 @@ pub struct RenderingLoss {
     pub ssim_weight: Real,
     /// Gaussian, zero padding; σ = 1.5 px by default.
     pub window: Window,
+    /// What stands in the place of L1.
+    pub errors: Errors,
 }
 
 impl RenderingLoss {
     /// With the usual window.
     pub fn new(ssim_weight: Real) -> Self {
-        Self { ssim_weight, window: Window::default() }
+        Self { ssim_weight, ..Self::default() }
     }
 
     /// With the window that is as wide on every `stride`-th pixel as the usual one on all.
@@ -94,7 +109,7 @@ impl RenderingLoss {
         if stride == 1 {
             Self::new(ssim_weight)
         } else {
-            Self { ssim_weight, window: Window::new(1.5 / stride as f64) }
+            Self { window: Window::new(1.5 / stride as f64), ..Self::new(ssim_weight) }
         }
     }
 }
@@ -109,13 +124,7 @@ impl Objective for RenderingLoss {
             .zip(truths.par_chunks_exact(pixels))
             .map(|((d, p), t)| {
                 let l1_scale = (1.0 - ssim_weight) / (pixels as Real * batch);
-                let mut l1 = 0.0;
-                for ((d, p), t) in d.iter_mut().zip(p).zip(t) {
-                    let error = p - t;
-                    l1 += error.abs();
-                    *d = if error == 0.0 { 0.0 } else { l1_scale.copysign(error) };
-                }
-                let mut loss = l1 * l1_scale;
+                let mut loss = l1_scale * self.errors.sum(p, t, l1_scale, d);
                 if ssim_weight > 0.0 {
                     let (ssim, d_ssim) = ssim::training(p, t, (width, height), &self.window);
                     loss += ssim_weight / batch * (1.0 - ssim);

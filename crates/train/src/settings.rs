@@ -6,14 +6,27 @@
 use pwrfgs_core::{Documented, Real, plugin::Check};
 use serde::{Deserialize, Serialize};
 
-/// How an error of a received power counts.
+/// How errors count.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Documented)]
-pub enum PowerLoss {
-    /// |Δ|, in dB: what the field reports, and deaf to outliers.
+pub enum Errors {
+    /// |Δ|: deaf to outliers.
     #[default]
     Absolute,
-    /// Δ², in dB².
+    /// Δ².
     Squared,
+}
+
+/// Which pixels of the spectra a step looks at, for a method that can draw some alone.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Documented)]
+pub enum Rays {
+    /// All that `stride` leaves.
+    #[default]
+    All,
+    /// So many, drawn anew at each step, the same of all spectra of the batch: what does not depend on the transmitter is
+    /// then worked out once.
+    Same(usize),
+    /// In place of a batch so many pairs of a spectrum and a pixel, as NeRF2 draws them.
+    Each(usize),
 }
 
 /// Declares settings with their defaults, and the patch over them: plain fields first, nested settings after.
@@ -116,10 +129,12 @@ settings! {
     /// What training makes small: of spectra the rendering loss (1-w)·L1 + w·(1-SSIM), of powers an error in dB, of channels
     /// the squared error over the mean squared channel of the training part.
     Loss / LossPatch = "Loss" {
-        /// w of eq. (9), between 0 and 1; spectra only.
+        /// w of eq. (9), between 0 and 1; spectra only, and 0 with `rays` other than `All`.
         ssim_weight: Real = 0.2,
+        /// How errors of a pixel count, beside SSIM.
+        pixel: Errors = Errors::Absolute,
         /// How errors of a received power count.
-        power: PowerLoss = PowerLoss::Absolute,
+        power: Errors = Errors::Absolute,
     }
 }
 
@@ -211,6 +226,8 @@ settings! {
         /// sides. Spectra of a small array are smooth: with 3 a step is nine times cheaper and learns as much. The
         /// window of SSIM stays as wide in degrees. Scores are of whole pictures always.
         stride: usize = 1,
+        /// Which of the pixels that are left a step looks at.
+        rays: Rays = Rays::All,
         /// Standard deviation of a random shift of the transmitters in training, metres.
         tx_jitter_m: Real = 0.0,
         /// Share of the network's hidden units that a step does without, drawn anew each step; 0 for none. Against
@@ -286,6 +303,11 @@ impl Check for Training {
             "`prune_until` comes before `densify_until`; algorithm 1 densifies first, then prunes",
         )?;
         need(self.stride >= 1, "`stride` is 0; give 1 for every pixel")?;
+        need(!matches!(self.rays, Rays::Same(0) | Rays::Each(0)), "`rays` is none; give at least 1, or All")?;
+        need(
+            self.rays == Rays::All || self.loss.ssim_weight == 0.0,
+            "SSIM wants whole pictures, and `rays` gives single pixels; set loss.ssim_weight to 0, or rays to All",
+        )?;
         need(self.prune_every >= 1, "`prune_every` is 0; give at least 1")?;
         need(self.checkpoint_every >= 1, "`checkpoint_every` is 0; give at least 1")?;
         need(self.tx_jitter_m >= 0.0 && self.tx_jitter_m.is_finite(), "`tx_jitter_m` must be 0 or a positive length")?;

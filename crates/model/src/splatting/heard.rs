@@ -6,7 +6,7 @@ use super::groups::Group;
 use crate::ActivationVjp;
 use pwrfgs_core::{
     Asked, Cache, Conditions, Dataset, Deltas, Frame, GaussianCloud, Link, Method, MethodVjp, Observed, Parameters,
-    Real, StageTimes, cached, consts, evenly,
+    Pixels, Real, StageTimes, cached, consts, evenly,
 };
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -60,7 +60,8 @@ impl Splatting {
     ) {
         let part = evenly(train, LOOKED_AT);
         let (conditions, links) = Self::asked_of(frame, data, &part);
-        let asked = Asked { conditions: Conditions::new(self.inputs(), &conditions), links: &links };
+        let asked =
+            Asked { conditions: Conditions::new(self.inputs(), &conditions), links: &links, pixels: Pixels::All };
         let numbers = self.forward(frame, &Parameters { cloud, gate: None, presence: None, weights }, &asked).numbers;
         let energy = |values: &[Real]| values.iter().map(|v| (*v as f64).powi(2)).sum::<f64>();
         let measured: f64 = part.iter().map(|&i| energy(&data.image(i).pixels)).sum();

@@ -6,8 +6,8 @@
 
 use super::Splatting;
 use pwrfgs_core::{
-    Asked, Conditions, Dataset, Frame, GaussianCloud, ImagePlane, Link, Method, Observations, Parameters, Real, consts,
-    evenly,
+    Asked, Conditions, Dataset, Frame, GaussianCloud, ImagePlane, Link, Method, Observations, Parameters, Pixels, Real,
+    consts, evenly,
 };
 
 /// What is left of a sky without any signal: -120 dB.
@@ -107,7 +107,7 @@ impl Splatting {
         let (conditions, links) = Self::asked_of(frame, data, &part);
         let conditions = Conditions::new(self.inputs(), &conditions);
         let parameters = Parameters { cloud, gate: None, presence: None, weights };
-        let sky = self.forward(frame, &parameters, &Asked { conditions, links: &links }).numbers;
+        let sky = self.forward(frame, &parameters, &Asked { conditions, links: &links, pixels: Pixels::All }).numbers;
         let receivers = &frame.receivers;
         let txs = if self.inputs() == 3 { conditions.positions() } else { &[] };
         // Without positions the law is the offset alone.

@@ -1,0 +1,508 @@
+//! `Nerf2`: the method, from links to observations.
+
+use crate::network::Network;
+use crate::path::Law;
+use crate::rays::Rays;
+use crate::walk::{Signal, Still, Sums, Trunked, Walk};
+use pwrfgs_core::{
+    Asked, Cache, Documented, Frame, Kind, Method, MethodVjp, Observed, Parameters, Pixels, Real, SPEED_OF_LIGHT,
+    StageTimes, WeightSpec, cached, consts, gain_at, rng::Rng,
+};
+use pwrfgs_layers::dense::add_in_order;
+use pwrfgs_layers::plan::{Plan, items_per_sum, laid_out, planned};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::ops::Range;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Rays from the receiver through a network that says of every place how it weakens a wave and what it emits (NeRF2, Zhao
+/// et al., MobiCom 2023): the baseline that everybody compares with. It has no Gaussians, so nothing is pruned, and N and
+/// Chamfer are n/a.
+///
+/// A trunk of `depth` layers reads a sample's place and gives its attenuation; with the direction of the ray and the
+/// transmitter (or its `features`) a smaller net says what the sample emits. A pixel of a spectrum is the modulus of the sum
+/// along its ray; a received power the modulus of the sum over a coarse sky, as 100 |R| − 100 dBm; a channel the sum itself,
+/// with a weight of its own for each subcarrier. The rate of `optimizer.network` counts, `rays` says which pixels a step looks
+/// at, and projector, rasterizer, deformation, calibration and readout do not count.
+///
+/// As released, with two exceptions: the sky of powers and channels is that of `azimuths` and `elevations`, of which the
+/// released code draws only the first ring for powers (`first_ring` has it so); and directions of pixels are those of the
+/// data, which are one degree from the released ones. The rate that falls and rises again is `Cosine` with its `steps`
+/// below those of the training; normalisation by test data is a setting of `Nerf2Csi`.
+///
+/// The trunk does not know the transmitter: it is worked out once for all that are asked for together, and kept between
+/// predictions as far as `cache_mb` allows. Training at full size wants some 10¹² multiply-adds a step; `nerf2-laptop.ron` is
+/// a size for two cores.
+///
+/// ```
+/// # use pwrfgs_core::{Method, Plugin};
+/// # use pwrfgs_nerf2 as _;
+/// Plugin::<dyn Method>::parse("Nerf2(width: 128, samples: 32)")?;
+/// assert!(Plugin::<dyn Method>::parse("Nerf2(samples: 1)").is_err());
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct Nerf2 {
+    /// Layers of the trunk.
+    pub depth: usize,
+    /// Units of each, an even number.
+    pub width: usize,
+    /// Samples of a ray, from the receiver to the far end, both included.
+    pub samples: usize,
+    /// Where rays end, metres.
+    pub far_m: Real,
+    /// Metres of the network's unit of length; the released settings have 60 for BLE.
+    pub unit_m: Real,
+    /// Directions around, of powers and channels.
+    pub azimuths: usize,
+    /// Rings above the horizon, up to the zenith.
+    pub elevations: usize,
+    /// Whether powers see the lowest ring alone, as the released renderer does by a slip in its number of chunks.
+    pub first_ring: bool,
+    /// Frequency whose phase turns along a ray of powers and channels, Hz; the distance counts in the network's unit, as
+    /// released.
+    pub carrier_hz: f64,
+    /// Numbers that describe a transmitter in place of its position: 52 for the uplinks of NeRF2's channels; 0: the
+    /// position.
+    pub features: usize,
+    /// What predictions may keep of the trunk, MB.
+    pub cache_mb: usize,
+}
+
+impl Default for Nerf2 {
+    fn default() -> Self {
+        Self {
+            depth: 8,
+            width: 256,
+            samples: 64,
+            far_m: 5.0,
+            unit_m: 1.0,
+            azimuths: 36,
+            elevations: 9,
+            first_ring: false,
+            carrier_hz: 2.4e9,
+            features: 0,
+            cache_mb: 2_500,
+        }
+    }
+}
+
+/// What a step may keep for its way back, bytes; the rest is worked out again.
+const KEPT: usize = 1 << 30;
+/// Samples of a ray, units of a layer, layers, and directions: more is a slip.
+const MOST: usize = 4_096;
+
+/// Links whose rays are the same, and their chunks.
+struct Group<'a> {
+    walk: Walk<'a>,
+    links: Links,
+}
+
+/// Who is heard along the rays of a group.
+enum Links {
+    /// Every link along all rays: places among those asked for, and rows of transmitters.
+    All(Vec<(usize, usize)>),
+    /// One link a ray.
+    Own(Vec<(usize, usize)>),
+}
+
+impl Links {
+    /// The transmitters of each pass over a chunk, one a ray.
+    fn passes(&self, chunk: &Range<usize>) -> Vec<Vec<usize>> {
+        match self {
+            Self::All(links) => links.iter().map(|(_, tx)| vec![*tx; chunk.len()]).collect(),
+            Self::Own(links) => vec![links[chunk.clone()].iter().map(|(_, tx)| *tx).collect()],
+        }
+    }
+
+    /// The link of a pass and a ray.
+    fn link(&self, pass: usize, ray: usize) -> usize {
+        match self {
+            Self::All(links) => links[pass].0,
+            Self::Own(links) => links[ray].0,
+        }
+    }
+}
+
+/// A chunk of a group, and what was worked out of it.
+struct Chunk {
+    group: usize,
+    rays: Range<usize>,
+    kept: Option<Walked>,
+}
+
+/// The activations of a chunk.
+struct Walked {
+    still: Still,
+    trunked: Trunked,
+    signals: Vec<Signal>,
+}
+
+/// What [`Method::vjp`] finds again.
+struct Forward {
+    chunks: Vec<Chunk>,
+    /// Sums over the sky, `[L, bands]`; of spectra none.
+    totals: Vec<[Real; 2]>,
+}
+
+/// What [`Method::prepare`] keeps: of each receiver the chunks of its sky.
+type Ready = Vec<Vec<Still>>;
+
+impl Nerf2 {
+    /// Directions of powers and channels, ring by ring from the horizon up.
+    pub(crate) fn sky(&self) -> Vec<[Real; 3]> {
+        let rings = if self.first_ring { 1 } else { self.elevations };
+        let direction = |i: usize| {
+            let (ring, column) = ((i / self.azimuths + 1) as Real, (i % self.azimuths) as Real);
+            let el = consts::PI / 2.0 * ring / self.elevations as Real;
+            let az = 2.0 * consts::PI * column / self.azimuths as Real;
+            [el.cos() * az.cos(), el.cos() * az.sin(), el.sin()]
+        };
+        (0..rings * self.azimuths).map(direction).collect()
+    }
+
+    fn law(&self, kind: Kind) -> Law {
+        match kind {
+            Kind::Spectrum => Law::Spectrum,
+            _ => Law::Wave { wavenumber: (2.0 * std::f64::consts::PI * self.carrier_hz / SPEED_OF_LIGHT) as Real },
+        }
+    }
+
+    fn network(&self, frame: &Frame, plan: &mut Plan) -> Network {
+        Network::new(self, bands(frame), plan)
+    }
+
+    fn walk<'a>(
+        &self,
+        frame: &Frame,
+        (network, weights): (&'a Network, &'a [Real]),
+        (receiver, pixels): (usize, &Pixels<'_>),
+        told: &'a [Real],
+    ) -> Walk<'a> {
+        Walk { network, weights, rays: Rays::of(self, frame, receiver, pixels), law: self.law(frame.kind), told }
+    }
+
+    /// Links asked for, those of a receiver together.
+    fn groups<'a>(
+        &self,
+        frame: &Frame,
+        network: (&'a Network, &'a [Real]),
+        asked: &Asked<'_>,
+        told: &'a [Real],
+    ) -> Vec<Group<'a>> {
+        let of = |receiver: usize| {
+            let links = asked.links.iter().enumerate().filter(|(_, link)| link.receiver == receiver);
+            let links: Vec<(usize, usize)> = links.map(|(k, link)| (k, link.transmitter)).collect();
+            if links.is_empty() {
+                return None;
+            }
+            Some(match asked.pixels {
+                Pixels::Own(places) => {
+                    let own: Vec<usize> = links.iter().map(|(k, _)| places[*k]).collect();
+                    let walk = self.walk(frame, network, (receiver, &Pixels::Own(&own)), told);
+                    Group { walk, links: Links::Own(links) }
+                }
+                pixels => {
+                    Group { walk: self.walk(frame, network, (receiver, &pixels), told), links: Links::All(links) }
+                }
+            })
+        };
+        (0..frame.receivers.len()).filter_map(of).collect()
+    }
+
+    /// Sums of all rays become observations: of spectra `sums` come with the place of their number.
+    fn observations(frame: &Frame, totals: &[[Real; 2]]) -> Vec<Real> {
+        match frame.kind {
+            Kind::Spectrum => totals.iter().map(|[re, im]| re.hypot(*im)).collect(),
+            Kind::Power => totals.iter().map(|[re, im]| 100.0 * re.hypot(*im) - 100.0).collect(),
+            Kind::Channel => pwrfgs_core::rows_of(totals, bands(frame)),
+        }
+    }
+
+    /// The cotangents of sums, given those of the observations.
+    fn observations_vjp(frame: &Frame, totals: &[[Real; 2]], d: &[Real]) -> Vec<[Real; 2]> {
+        let along = |([re, im], d): (&[Real; 2], &Real)| {
+            let size = re.hypot(*im);
+            if size > 0.0 { [d * re / size, d * im / size] } else { [0.0; 2] }
+        };
+        match frame.kind {
+            Kind::Spectrum => totals.iter().zip(d).map(along).collect(),
+            Kind::Power => totals.iter().zip(d).map(along).map(|d| d.map(|d| 100.0 * d)).collect(),
+            Kind::Channel => {
+                let bands = bands(frame);
+                (0..totals.len()).map(|i| gain_at(i / bands, i % bands, bands).map(|at| d[at])).collect()
+            }
+        }
+    }
+
+    /// Sums `[L, pixels or bands]` of chunks, in their order.
+    fn gather(
+        frame: &Frame,
+        asked: &Asked<'_>,
+        groups: &[Group<'_>],
+        chunks: impl Iterator<Item = (usize, Range<usize>, Vec<Vec<[Real; 2]>>)>,
+    ) -> Vec<[Real; 2]> {
+        let of_link = if frame.kind == Kind::Spectrum { asked.pixels.of_link(frame.numbers()) } else { bands(frame) };
+        let mut totals = vec![[0.0; 2]; asked.links.len() * of_link];
+        for (group, rays, passes) in chunks {
+            let bands = bands(frame);
+            for (pass, sums) in passes.into_iter().enumerate() {
+                for (i, sum) in sums.into_iter().enumerate() {
+                    let (ray, band) = (rays.start + i / bands, i % bands);
+                    let total = &mut totals[place(frame, &groups[group].links, of_link, (pass, ray, band))];
+                    total[0] += sum[0];
+                    total[1] += sum[1];
+                }
+            }
+        }
+        totals
+    }
+}
+
+/// Where the sum of a ray belongs among all.
+fn place(frame: &Frame, links: &Links, of_link: usize, (pass, ray, band): (usize, usize, usize)) -> usize {
+    let link = links.link(pass, ray);
+    match (frame.kind, links) {
+        (Kind::Spectrum, Links::All(_)) => link * of_link + ray,
+        (Kind::Spectrum, Links::Own(_)) => link,
+        _ => link * of_link + band,
+    }
+}
+
+/// Complex weights of a sample.
+fn bands(frame: &Frame) -> usize {
+    if frame.kind == Kind::Channel { frame.frequencies_hz.len() } else { 1 }
+}
+
+/// What a chunk will hold if it is kept, bytes.
+fn bytes_of(network: &Network, samples: usize, rays: usize, passes: usize) -> usize {
+    let of_sample =
+        (network.trunk.depth() + 2) * network.width() + passes * (3 * network.width() / 2 + network.outputs);
+    rays * samples * of_sample * size_of::<Real>()
+}
+
+#[typetag::serde]
+impl Method for Nerf2 {
+    fn has_gaussians(&self) -> bool {
+        false
+    }
+
+    fn chooses_pixels(&self) -> bool {
+        true
+    }
+
+    fn layout(&self, frame: &Frame) -> Vec<WeightSpec> {
+        planned(|plan| self.network(frame, plan)).1.layout()
+    }
+
+    fn init(&self, frame: &Frame, rng: &mut Rng) -> Vec<Real> {
+        planned(|plan| self.network(frame, plan)).1.init(rng)
+    }
+
+    fn forward(&self, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>) -> Observed {
+        let network = laid_out(p.weights, |plan| self.network(frame, plan));
+        let told = network.tell(p.weights, &asked.conditions, self.unit_m);
+        let groups = self.groups(frame, (&network, p.weights), asked, &told);
+        let mut room = KEPT;
+        let mut items = Vec::new();
+        for (g, group) in groups.iter().enumerate() {
+            for rays in group.walk.chunks() {
+                let passes = if let Links::All(links) = &group.links { links.len() } else { 1 };
+                let bytes = bytes_of(&network, self.samples, rays.len(), passes);
+                let keep = bytes <= room;
+                room -= if keep { bytes } else { 0 };
+                items.push((g, rays, keep));
+            }
+        }
+        let walked = items.par_iter().map_init(<(Trunked, Signal)>::default, |(trunked, signal), (g, rays, keep)| {
+            let Group { walk, links } = &groups[*g];
+            let slots = if *keep { network.trunk.depth() } else { 2 };
+            let mut own = Trunked::default();
+            let trunked = if *keep { &mut own } else { trunked };
+            let still = walk.still(rays.clone(), slots, trunked);
+            let mut signals = Vec::new();
+            let sums: Vec<Vec<[Real; 2]>> = (links.passes(rays).iter())
+                .map(|of| {
+                    if *keep {
+                        signals.push(Signal::default());
+                    }
+                    let signal = signals.last_mut().unwrap_or(signal);
+                    walk.signal(&still, of, signal);
+                    walk.sums(&still, signal)
+                })
+                .collect();
+            let kept = keep.then(|| Walked { still, trunked: own, signals });
+            (Chunk { group: *g, rays: rays.clone(), kept }, sums)
+        });
+        let (chunks, sums): (Vec<Chunk>, Vec<Vec<Vec<[Real; 2]>>>) = walked.collect::<Vec<_>>().into_iter().unzip();
+        let sums = chunks.iter().zip(sums).map(|(chunk, sums)| (chunk.group, chunk.rays.clone(), sums));
+        let totals = Self::gather(frame, asked, &groups, sums);
+        let numbers = Self::observations(frame, &totals);
+        Observed { numbers, cache: Some(Arc::new(Forward { chunks, totals })) }
+    }
+
+    fn vjp(
+        &self,
+        frame: &Frame,
+        p: &Parameters<'_>,
+        asked: &Asked<'_>,
+        observed: Observed,
+        d: &[Real],
+        sums: &mut MethodVjp,
+    ) {
+        let Forward { chunks, totals } = cached(&observed.cache);
+        let network = laid_out(p.weights, |plan| self.network(frame, plan));
+        let told = network.tell(p.weights, &asked.conditions, self.unit_m);
+        let groups = self.groups(frame, (&network, p.weights), asked, &told);
+        let d_totals = Self::observations_vjp(frame, totals, d);
+        let of_link = totals.len() / asked.links.len().max(1);
+        let parts: Vec<Sums> = chunks
+            .par_chunks(items_per_sum(chunks.len()))
+            .map(|chunks| {
+                let mut into = Sums { weights: vec![0.0; p.weights.len()], told: vec![0.0; told.len()] };
+                let (mut trunked, mut signal) = <(Trunked, Signal)>::default();
+                for Chunk { group, rays, kept } in chunks {
+                    let Group { walk, links } = &groups[*group];
+                    let again: Still;
+                    let (still, trunked) = match kept {
+                        Some(kept) => (&kept.still, &kept.trunked),
+                        None => {
+                            again = walk.still(rays.clone(), network.trunk.depth(), &mut trunked);
+                            (&again, &trunked)
+                        }
+                    };
+                    let (mut d_factors, mut d_seen) = walk.zeros(still);
+                    for (pass, of) in links.passes(rays).iter().enumerate() {
+                        let signal = match kept {
+                            Some(kept) => &kept.signals[pass],
+                            None => {
+                                walk.signal(still, of, &mut signal);
+                                &signal
+                            }
+                        };
+                        let at = |i: usize| {
+                            let (ray, band) = (rays.start + i / bands(frame), i % bands(frame));
+                            d_totals[place(frame, links, of_link, (pass, ray, band))]
+                        };
+                        let d: Vec<[Real; 2]> = (0..rays.len() * bands(frame)).map(at).collect();
+                        walk.signal_vjp((still, signal, of), &d, (&mut d_factors, &mut d_seen), &mut into);
+                    }
+                    walk.still_vjp((still, trunked), (&d_factors, &d_seen), &mut into);
+                }
+                into
+            })
+            .collect();
+        add_in_order(&mut sums.weights, &parts.iter().map(|part| part.weights.as_slice()).collect::<Vec<_>>());
+        let mut d_told = vec![0.0; told.len()];
+        add_in_order(&mut d_told, &parts.iter().map(|part| part.told.as_slice()).collect::<Vec<_>>());
+        network.tell_vjp(&asked.conditions, self.unit_m, &d_told, &mut sums.weights);
+    }
+
+    fn prepare(&self, frame: &Frame, p: &Parameters<'_>) -> Cache {
+        let network = laid_out(p.weights, |plan| self.network(frame, plan));
+        let rays = if frame.kind == Kind::Spectrum { frame.numbers() } else { self.sky().len() };
+        let of_sample = network.width() + network.outputs;
+        let bytes = frame.receivers.len() * rays * self.samples * of_sample * size_of::<Real>();
+        if bytes > self.cache_mb << 20 {
+            return None;
+        }
+        let of = |receiver: usize| {
+            let walk = self.walk(frame, (&network, p.weights), (receiver, &Pixels::All), &[]);
+            let chunks: Vec<Range<usize>> = walk.chunks().collect();
+            let still = |trunked: &mut Trunked, rays: &Range<usize>| walk.still(rays.clone(), 2, trunked);
+            chunks.par_iter().map_init(Trunked::default, still).collect()
+        };
+        let ready: Ready = (0..frame.receivers.len()).map(of).collect();
+        Some(Arc::new(ready))
+    }
+
+    fn predict(
+        &self,
+        frame: &Frame,
+        p: &Parameters<'_>,
+        asked: &Asked<'_>,
+        prepared: &Cache,
+    ) -> (Vec<Real>, StageTimes) {
+        let start = Instant::now();
+        let network = laid_out(p.weights, |plan| self.network(frame, plan));
+        let told = network.tell(p.weights, &asked.conditions, self.unit_m);
+        let groups = self.groups(frame, (&network, p.weights), asked, &told);
+        let ready: Option<&Ready> = (prepared.is_some() && asked.pixels == Pixels::All).then(|| cached(prepared));
+        let chunks = |g: usize| {
+            let receiver = match &groups[g].links {
+                Links::All(links) | Links::Own(links) => asked.links[links[0].0].receiver,
+            };
+            groups[g].walk.chunks().enumerate().map(move |(c, rays)| (g, receiver, c, rays))
+        };
+        let items: Vec<_> = (0..groups.len()).flat_map(chunks).collect();
+        let one = |(trunked, signal): &mut (Trunked, Signal),
+                   (g, receiver, c, rays): &(usize, usize, usize, Range<usize>)| {
+            let Group { walk, links } = &groups[*g];
+            let own: Still;
+            let still = match ready {
+                Some(ready) => &ready[*receiver][*c],
+                None => {
+                    own = walk.still(rays.clone(), 2, trunked);
+                    &own
+                }
+            };
+            let sums = |of: &Vec<usize>| {
+                walk.signal(still, of, signal);
+                walk.sums(still, signal)
+            };
+            (*g, rays.clone(), links.passes(rays).iter().map(sums).collect::<Vec<_>>())
+        };
+        let walked: Vec<_> = items.par_iter().map_init(<(Trunked, Signal)>::default, one).collect();
+        let totals = Self::gather(frame, asked, &groups, walked.into_iter());
+        let numbers = Self::observations(frame, &totals);
+        let total = start.elapsed().as_secs_f64();
+        (numbers, StageTimes { network: total, total, ..StageTimes::default() })
+    }
+
+    fn inputs(&self) -> usize {
+        if self.features == 0 { 3 } else { self.features }
+    }
+
+    fn check_frame(&self, frame: &Frame) -> Result<(), String> {
+        if frame.kind == Kind::Channel && frame.receivers.iter().any(|receiver| receiver.antennas.len() > 1) {
+            return Err("method: Nerf2 hears one antenna at a time, and a receiver of these data has more; \
+                 make each antenna a receiver, as Nerf2Csi does with together: false"
+                .into());
+        }
+        if frame.kind == Kind::Spectrum && frame.plane.direction(0.0, 0.0).is_none() {
+            return Err("method: Nerf2 wants directions of pixels; use projector: Mercator()".into());
+        }
+        Ok(())
+    }
+
+    fn about(&self) -> &'static str {
+        "rays through a network, without Gaussians (NeRF2): the baseline that everybody compares with"
+    }
+
+    fn check(&self) -> Result<(), String> {
+        let counts = [
+            ("depth", self.depth, 1),
+            ("width", self.width, 2),
+            ("samples", self.samples, 2),
+            ("azimuths", self.azimuths, 1),
+            ("elevations", self.elevations, 1),
+        ];
+        if let Some((name, value, least)) = counts.iter().find(|(_, value, least)| !(*least..=MOST).contains(value)) {
+            return Err(format!("`{name}` is {value}; give {least} to {MOST}"));
+        }
+        if self.width % 2 == 1 {
+            return Err(format!("`width` is {}; give an even number: a layer has half of it", self.width));
+        }
+        let lengths =
+            [("far_m", f64::from(self.far_m)), ("unit_m", f64::from(self.unit_m)), ("carrier_hz", self.carrier_hz)];
+        if let Some((name, value)) = lengths.iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
+            return Err(format!("`{name}` is {value}; give a positive number"));
+        }
+        if (1..=3).contains(&self.features) || self.features > MOST {
+            return Err(format!("`features` is {}; give 0 for the position, or 4 to {MOST}", self.features));
+        }
+        Ok(())
+    }
+}

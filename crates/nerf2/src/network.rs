@@ -1,0 +1,122 @@
+//! `Network`: the layers of NeRF2, and where their weights lie.
+
+use crate::method::Nerf2;
+use pwrfgs_core::{Conditions, Real};
+use pwrfgs_layers::dense::{self, Matrix, MatrixMut, Store, product};
+use pwrfgs_layers::encoding::{encode, width};
+use pwrfgs_layers::linear::{Linear, Part};
+use pwrfgs_layers::plan::Plan;
+use pwrfgs_layers::trunk::{Trunk, TrunkShape};
+
+/// Frequencies of every encoding.
+pub(crate) const FREQUENCIES: usize = 10;
+
+/// All layers. A sample's place goes through the trunk; what comes out gives its attenuation, and with the view and the
+/// transmitter what it emits.
+#[derive(Debug)]
+pub(crate) struct Network {
+    pub(crate) trunk: Trunk,
+    pub(crate) attenuation: Linear,
+    pub(crate) feature: Linear,
+    /// [feature, view, transmitter] → width → width / 2.
+    pub(crate) signal: [Linear; 2],
+    pub(crate) emission: Linear,
+    /// Numbers of a raw output: amplitudes, then phases.
+    pub(crate) outputs: usize,
+    /// Whether the transmitter is described by features, which are not encoded.
+    plain: bool,
+    told: usize,
+}
+
+impl Network {
+    /// That of `method`, with so many amplitudes and as many phases a sample.
+    pub(crate) fn new(method: &Nerf2, bands: usize, plan: &mut Plan) -> Self {
+        let (wide, encoded, outputs) = (method.width, width(FREQUENCIES), 2 * bands);
+        let (plain, told) = match method.features {
+            0 => (false, encoded),
+            features => (true, features),
+        };
+        let skip = (method.depth > 5).then_some(4);
+        Self {
+            trunk: Trunk::new(plan, TrunkShape { depth: method.depth, width: wide, skip, gamma: encoded, side: 0 }),
+            attenuation: plan.linear("attenuation", wide, outputs),
+            feature: plan.linear("feature", wide, wide),
+            signal: [plan.linear("signal.0", wide + encoded + told, wide), plan.linear("signal.1", wide, wide / 2)],
+            emission: plan.linear("emission", wide / 2, outputs),
+            outputs,
+            plain,
+            told,
+        }
+    }
+
+    /// Units of the trunk.
+    pub(crate) fn width(&self) -> usize {
+        self.trunk.width
+    }
+
+    /// The columns of the signal net's first layer that see the feature.
+    pub(crate) fn of_feature(&self) -> Part {
+        self.signal[0].part(0..self.width())
+    }
+
+    /// Those that see the view.
+    pub(crate) fn of_view(&self) -> Part {
+        self.signal[0].part(self.width()..self.width() + width(FREQUENCIES))
+    }
+
+    fn of_transmitter(&self) -> std::ops::Range<usize> {
+        self.signal[0].inputs - self.told..self.signal[0].inputs
+    }
+
+    /// What the network reads of each transmitter, `[B, told]`; positions are divided by `unit`.
+    fn read(&self, conditions: &Conditions<'_>, unit: Real) -> Vec<Real> {
+        if self.plain {
+            return conditions.values().to_vec();
+        }
+        let mut read = vec![0.0; conditions.len() * self.told];
+        for (tx, read) in conditions.positions().iter().zip(read.chunks_exact_mut(self.told)) {
+            encode([tx.map(|x| x / unit)].into_iter(), FREQUENCIES, read);
+        }
+        read
+    }
+
+    /// What the signal net's first layer is told by each transmitter, `[B, width]`. One at a time: a batch then gives the
+    /// bits of single calls.
+    pub(crate) fn tell(&self, weights: &[Real], conditions: &Conditions<'_>, unit: Real) -> Vec<Real> {
+        let read = self.read(conditions, unit);
+        let mut told = vec![0.0; conditions.len() * self.width()];
+        for (own, out) in read.chunks_exact(self.told).zip(told.chunks_exact_mut(self.width())) {
+            let w = self.signal[0].weight(weights).columns(self.of_transmitter());
+            product(MatrixMut::new(out, self.width(), 1), Store::Set, w, Matrix::new(own, self.told, 1));
+        }
+        told
+    }
+
+    /// The vjp of [`Self::tell`]: adds to `d_weights`.
+    pub(crate) fn tell_vjp(&self, conditions: &Conditions<'_>, unit: Real, d_told: &[Real], d_weights: &mut [Real]) {
+        let (read, batch) = (self.read(conditions, unit), conditions.len());
+        let d = Matrix::new(d_told, batch, self.width());
+        let d_w = self.signal[0].weight_mut(d_weights).columns(self.of_transmitter());
+        product(d_w, Store::Add, d.t(), Matrix::new(&read, batch, self.told));
+    }
+
+    /// A layer with its biases, on `x` `[inputs, R]`.
+    pub(crate) fn apply(layer: &Linear, weights: &[Real], x: &[Real], y: &mut Vec<Real>) {
+        y.resize(x.len() / layer.inputs * layer.outputs, 0.0);
+        layer.whole().apply(weights, x, y, Store::Set);
+        dense::add_bias(y, layer.bias(weights));
+    }
+
+    /// The vjp of [`Self::apply`]: adds to `d_weights`, and writes or adds the cotangent of `x`.
+    pub(crate) fn apply_vjp(
+        layer: &Linear,
+        weights: &[Real],
+        (x, d_y): (&[Real], &[Real]),
+        (d_x, store): (&mut [Real], Store),
+        d_weights: &mut [Real],
+    ) {
+        layer.whole().weight_vjp(d_weights, x, d_y);
+        dense::add_bias_vjp(d_y, layer.bias_mut(d_weights));
+        layer.whole().input_vjp(weights, d_y, d_x, store);
+    }
+}

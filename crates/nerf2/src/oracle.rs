@@ -1,0 +1,161 @@
+//! What NeRF2's released code makes in double precision: outputs, losses, and the gradient of every weight.
+
+use crate::method::Nerf2;
+use crate::network::Network;
+use crate::path::Law;
+use crate::rays::Rays;
+use crate::walk::{Signal, Sums, Trunked, Walk};
+use npyz::npz::NpzArchive;
+use pwrfgs_core::testing::shared;
+use pwrfgs_core::{Conditions, Real, SPEED_OF_LIGHT};
+use pwrfgs_layers::plan::planned;
+use std::fs::File;
+use std::io::BufReader;
+
+struct Oracle(NpzArchive<BufReader<File>>);
+
+impl Oracle {
+    fn open(mode: &str) -> Option<Self> {
+        let path = shared("oracle/nerf2")?.join(format!("{mode}.npz"));
+        Some(Self(NpzArchive::new(BufReader::new(File::open(path).unwrap())).unwrap()))
+    }
+
+    fn array(&mut self, name: &str) -> Vec<Real> {
+        let array = self.0.by_name(name).unwrap().unwrap_or_else(|| panic!("{name}"));
+        let values: Vec<f64> = array.into_vec().unwrap();
+        values.into_iter().map(|v| v as Real).collect()
+    }
+
+    /// All weights, or all gradients, in our order.
+    fn weights(&mut self, kind: &str, names: &[String]) -> Vec<Real> {
+        let theirs = |ours: &str| {
+            let (layer, what) = ours.rsplit_once('.').unwrap();
+            let layer = match layer {
+                "attenuation" => "attenuation_output".to_owned(),
+                "feature" => "feature_layer".to_owned(),
+                "emission" => "signal_output".to_owned(),
+                _ => layer.replace("trunk", "attenuation_linears").replace("signal", "signal_linears"),
+            };
+            format!("{kind}.{layer}.{what}")
+        };
+        names.iter().flat_map(|name| self.array(&theirs(name))).collect()
+    }
+}
+
+fn error(found: &[Real], expected: &[Real]) -> f64 {
+    assert_eq!(found.len(), expected.len());
+    let largest = expected.iter().fold(0.0, |m: Real, e| m.max(e.abs()));
+    f64::from(found.iter().zip(expected).fold(0.0, |m: Real, (f, e)| m.max((f - e).abs())) / largest)
+}
+
+/// All links of a mode along their rays, and back: outputs `[L, numbers]` and gradients.
+fn reproduce(mode: &str, bands: usize, law: Law) {
+    let Some(mut oracle) = Oracle::open(mode) else { return };
+    let (tx, label) = (oracle.array("tx"), oracle.array("label"));
+    let (origins, directions) = (oracle.array("rays_o"), oracle.array("rays_d"));
+    let links = origins.len() / 3;
+    let features = if mode == "csi" { tx.len() / links } else { 0 };
+    let samples = if mode == "spectrum" { 64 } else { 32 };
+    let far_m = if mode == "rssi" { 1.0 } else { 5.0 };
+    let method = Nerf2 { width: 32, samples, far_m, features, first_ring: mode == "rssi", ..Nerf2::default() };
+    let (network, plan) = planned(|plan| Network::new(&method, bands, plan));
+    let names: Vec<String> = plan.layout().into_iter().map(|spec| spec.name).collect();
+    let weights = oracle.weights("w", &names);
+    let conditions = Conditions::new(method_inputs(&method), &tx);
+    let told = network.tell(&weights, &conditions, 1.0);
+    let walks: Vec<Walk<'_>> = (0..links)
+        .map(|link| {
+            let all: Vec<[Real; 3]> = directions.as_chunks().0.to_vec();
+            let of_link = all.len() / links;
+            // The released renderer draws the first ring of powers alone.
+            let used = if mode == "rssi" { method.sky().len() } else { of_link };
+            let rays = Rays {
+                origin: origins[3 * link..3 * link + 3].try_into().unwrap(),
+                directions: all[link * of_link..][..used].to_vec(),
+                samples: (0..samples).map(|i| far_m * i as Real / (samples - 1) as Real).collect(),
+            };
+            if mode != "spectrum" {
+                let sky = method.sky();
+                let off = rays.directions.iter().zip(&sky).map(|(a, b)| (0..3).map(|k| (a[k] - b[k]).abs()).sum::<Real>());
+                assert!(off.fold(0.0, Real::max) < 1e-6, "the sky is the released one");
+            }
+            Walk { network: &network, weights: &weights, rays, law, told: &told }
+        })
+        .collect();
+
+    let mut totals = vec![[0.0; 2]; links * bands];
+    for (link, walk) in walks.iter().enumerate() {
+        for chunk in walk.chunks() {
+            let (mut trunked, mut signal) = (Trunked::default(), Signal::default());
+            let still = walk.still(chunk.clone(), 2, &mut trunked);
+            walk.signal(&still, &vec![link; chunk.len()], &mut signal);
+            for (i, sum) in walk.sums(&still, &signal).into_iter().enumerate() {
+                let total = &mut totals[link * bands + i % bands];
+                *total = [total[0] + sum[0], total[1] + sum[1]];
+            }
+        }
+    }
+    let output: Vec<Real> = if mode == "csi" {
+        pwrfgs_core::rows_of(&totals, bands)
+    } else {
+        totals.iter().map(|[re, im]| re.hypot(*im)).collect()
+    };
+    let exact = size_of::<Real>() == 8;
+    let off = error(&output, &oracle.array("output"));
+    assert!(off < if exact { 1e-10 } else { 2e-3 }, "{mode}: outputs: {off:e}");
+    let mse = output.iter().zip(&label).map(|(o, l)| (o - l) * (o - l)).sum::<Real>() / output.len() as Real;
+    let off = error(&[mse], &oracle.array("loss"));
+    assert!(off < if exact { 1e-10 } else { 2e-3 }, "{mode}: loss: {off:e}");
+
+    let d: Vec<Real> = output.iter().zip(&label).map(|(o, l)| 2.0 * (o - l) / output.len() as Real).collect();
+    let d_totals: Vec<[Real; 2]> = if mode == "csi" {
+        pwrfgs_core::gains_of(&d, bands)
+    } else {
+        totals.iter().zip(&d).map(|([re, im], d)| [d * re / re.hypot(*im), d * im / re.hypot(*im)]).collect()
+    };
+    let mut into = Sums { weights: vec![0.0; weights.len()], told: vec![0.0; told.len()] };
+    for (link, walk) in walks.iter().enumerate() {
+        for chunk in walk.chunks() {
+            let (mut trunked, mut signal) = (Trunked::default(), Signal::default());
+            let of = vec![link; chunk.len()];
+            let still = walk.still(chunk.clone(), network.trunk.depth(), &mut trunked);
+            walk.signal(&still, &of, &mut signal);
+            let (mut d_factors, mut d_seen) = walk.zeros(&still);
+            let d: Vec<[Real; 2]> = (0..chunk.len() * bands).map(|i| d_totals[link * bands + i % bands]).collect();
+            walk.signal_vjp((&still, &signal, &of), &d, (&mut d_factors, &mut d_seen), &mut into);
+            walk.still_vjp((&still, &trunked), (&d_factors, &d_seen), &mut into);
+        }
+    }
+    let Sums { weights: mut found, told: d_told } = into;
+    network.tell_vjp(&conditions, 1.0, &d_told, &mut found);
+    let mut from = 0;
+    for name in &names {
+        let expected = oracle.weights("g", std::slice::from_ref(name));
+        let off = error(&found[from..from + expected.len()], &expected);
+        assert!(off < if exact { 1e-10 } else { 2e-2 }, "{mode}: {name}: {off:e}");
+        from += expected.len();
+    }
+}
+
+fn method_inputs(method: &Nerf2) -> usize {
+    pwrfgs_core::Method::inputs(method)
+}
+
+#[test]
+fn a_spectrum_is_the_released_one() {
+    reproduce("spectrum", 1, Law::Spectrum);
+}
+
+#[test]
+fn a_power_is_the_released_one() {
+    reproduce("rssi", 1, released_wave());
+}
+
+#[test]
+fn a_channel_is_the_released_one() {
+    reproduce("csi", 26, released_wave());
+}
+
+fn released_wave() -> Law {
+    Law::Wave { wavenumber: (2.0 * std::f64::consts::PI * 2.4e9 / SPEED_OF_LIGHT) as Real }
+}
