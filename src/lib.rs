@@ -24,6 +24,7 @@ pub use pwrfgs_init as init;
 pub use pwrfgs_inspect as inspect;
 pub use pwrfgs_metrics as metrics;
 pub use pwrfgs_model as model;
+pub use pwrfgs_nerf2 as nerf2;
 pub use pwrfgs_prune as prune;
 pub use pwrfgs_raster as raster;
 #[cfg(feature = "report")]
@@ -46,6 +47,7 @@ pub const PAGE: Option<experiment::Page> = None;
 
 // What a pipeline's fields take where nothing is said.
 inventory::submit! { FieldDefault { field: "split", ron: "Official()" } }
+inventory::submit! { FieldDefault { field: "initializer of no Gaussians", ron: "NoGaussians()" } }
 inventory::submit! { FieldDefault { field: "projector", ron: "Mercator()" } }
 inventory::submit! { FieldDefault { field: "rasterizer", ron: "AlphaBlending()" } }
 inventory::submit! { FieldDefault { field: "deformation", ron: "Mlp()" } }

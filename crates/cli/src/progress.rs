@@ -109,8 +109,10 @@ impl Progress {
 
     /// Phase, loss, N, speed, time left.
     fn words(&self, report: &StepReport) -> String {
-        let (phase, n) = (report.phase.name(), grouped(report.gaussians as i64));
-        let mut words = format!("{phase:<8}  loss {:.4}  N {n}", self.loss);
+        let mut words = format!("{:<8}  loss {:.4}", report.phase.name(), self.loss);
+        if report.gaussians > 0 {
+            _ = write!(words, "  N {}", grouped(report.gaussians as i64));
+        }
         if let Some(v) = self.validation {
             _ = write!(words, "  validation {} {:.3}", headline(v.kind).name, v.values[0]);
         }
@@ -175,9 +177,14 @@ impl Observer for Progress {
         }
         let Estimate { gaussians, step_bytes, step_seconds } = start.estimate;
         let left = duration(step_seconds * (start.steps - start.done.min(start.steps)) as f64);
-        let n = grouped(gaussians as i64);
         let (memory, pace) = (memory(step_bytes), pace(step_seconds));
-        self.say(&format!("N = {n}: a step takes about {pace} and {memory}, the training {left} if N stays"));
+        self.say(&match gaussians {
+            0 => format!("a step takes about {pace} and {memory}, the training {left}"),
+            n => {
+                let n = grouped(n as i64);
+                format!("N = {n}: a step takes about {pace} and {memory}, the training {left} if N stays")
+            }
+        });
         self.steps = start.steps;
         self.draw_bar(start.steps);
         if let Some(bar) = &self.bar {

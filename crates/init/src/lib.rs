@@ -6,12 +6,14 @@
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
 mod grid;
+mod no_gaussians;
 mod point_cloud;
 mod random;
 mod site;
 mod start;
 
 pub use grid::Grid;
+pub use no_gaussians::NoGaussians;
 pub use point_cloud::PointCloud;
 pub use random::Random;
 pub use site::Site;

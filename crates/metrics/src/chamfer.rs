@@ -1,6 +1,6 @@
 //! Chamfer distance between the Gaussians and the point cloud, eq. (16).
 
-use crate::{not_a_model, one};
+use crate::{no_gaussians, not_a_model, one};
 use pwrfgs_core::{Documented, Evaluation, Goal, Measurement, Metric, Real, Result, Scope, Values, neighbours};
 use serde::{Deserialize, Serialize};
 
@@ -27,7 +27,7 @@ impl Metric for Chamfer {
         let values = match evaluation.model {
             None => not_a_model(),
             Some(_) if points.is_empty() => Values::NotApplicable("the scene has no point cloud".to_owned()),
-            Some(model) if model.means.is_empty() => Values::NotApplicable("the model has no Gaussians".to_owned()),
+            Some(model) if model.means.is_empty() => no_gaussians(),
             Some(model) => Values::Whole(mean_squared(points, model.means) + mean_squared(model.means, points)),
         };
         Ok(one("chamfer", "m²", Goal::Lower, values))

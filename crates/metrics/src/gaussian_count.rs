@@ -1,12 +1,12 @@
 //! N, the number of Gaussians.
 
-use crate::{not_a_model, one};
+use crate::{no_gaussians, not_a_model, one};
 use pwrfgs_core::{Documented, Evaluation, Goal, Measurement, Metric, Result, Scope, Values};
 use serde::{Deserialize, Serialize};
 
 /// Number of Gaussians of the model: the horizontal axis of the paper's trade-off (fig. 2b).
 ///
-/// Key `gaussians`. `n/a` for baselines.
+/// Key `gaussians`. `n/a` for baselines, and for a method without Gaussians.
 ///
 /// ```
 /// # use pwrfgs_metrics as _;
@@ -21,7 +21,11 @@ pub struct GaussianCount {}
 #[typetag::serde]
 impl Metric for GaussianCount {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let values = evaluation.model.map_or_else(not_a_model, |m| Values::Whole(m.means.len() as f64));
+        let values = match evaluation.model {
+            None => not_a_model(),
+            Some(model) if model.means.is_empty() => no_gaussians(),
+            Some(model) => Values::Whole(model.means.len() as f64),
+        };
         Ok(one("gaussians", "", Goal::Lower, values))
     }
 

@@ -71,6 +71,11 @@ fn not_a_model() -> Values {
     Values::NotApplicable("a baseline has no Gaussians".to_owned())
 }
 
+/// Why it does not apply to a model without any.
+fn no_gaussians() -> Values {
+    Values::NotApplicable("the method has no Gaussians".to_owned())
+}
+
 /// What tests evaluate.
 #[cfg(test)]
 mod fixture {

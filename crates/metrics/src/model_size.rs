@@ -1,6 +1,6 @@
 //! Bytes of the model file.
 
-use crate::not_a_model;
+use crate::{no_gaussians, not_a_model};
 use pwrfgs_core::{Documented, Evaluation, Goal, Measurement, Metric, Result, Scope, Values};
 use serde::{Deserialize, Serialize};
 
@@ -24,11 +24,13 @@ pub struct ModelSize {}
 impl Metric for ModelSize {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
         let bytes = evaluation.model.map(|m| (m.gaussian_bytes, m.gaussian_bytes + m.network_bytes));
-        let measurement = |key: &str, bytes: Option<usize>| Measurement {
-            key: key.to_owned(),
-            unit: "B",
-            goal: Goal::Lower,
-            values: bytes.map_or_else(not_a_model, |b| Values::Whole(b as f64)),
+        let measurement = |key: &str, bytes: Option<usize>| {
+            let values = match bytes {
+                None => not_a_model(),
+                Some(0) => no_gaussians(),
+                Some(bytes) => Values::Whole(bytes as f64),
+            };
+            Measurement { key: key.to_owned(), unit: "B", goal: Goal::Lower, values }
         };
         Ok(vec![measurement("gaussian_bytes", bytes.map(|b| b.0)), measurement("model_bytes", bytes.map(|b| b.1))])
     }

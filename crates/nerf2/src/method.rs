@@ -1,9 +1,10 @@
 //! `Nerf2`: the method, from links to observations.
 
+use crate::group::{Group, Links, Passes, Scratch, Walked};
 use crate::network::Network;
 use crate::path::Law;
 use crate::rays::Rays;
-use crate::walk::{Signal, Still, Sums, Trunked, Walk};
+use crate::walk::{Still, Sums, Trunked, Walk};
 use pwrfgs_core::{
     Asked, Cache, Documented, Frame, Kind, Method, MethodVjp, Observed, Parameters, Pixels, Real, SPEED_OF_LIGHT,
     StageTimes, WeightSpec, cached, consts, gain_at, rng::Rng,
@@ -94,50 +95,11 @@ const KEPT: usize = 1 << 30;
 /// Samples of a ray, units of a layer, layers, and directions: more is a slip.
 const MOST: usize = 4_096;
 
-/// Links whose rays are the same, and their chunks.
-struct Group<'a> {
-    walk: Walk<'a>,
-    links: Links,
-}
-
-/// Who is heard along the rays of a group.
-enum Links {
-    /// Every link along all rays: places among those asked for, and rows of transmitters.
-    All(Vec<(usize, usize)>),
-    /// One link a ray.
-    Own(Vec<(usize, usize)>),
-}
-
-impl Links {
-    /// The transmitters of each pass over a chunk, one a ray.
-    fn passes(&self, chunk: &Range<usize>) -> Vec<Vec<usize>> {
-        match self {
-            Self::All(links) => links.iter().map(|(_, tx)| vec![*tx; chunk.len()]).collect(),
-            Self::Own(links) => vec![links[chunk.clone()].iter().map(|(_, tx)| *tx).collect()],
-        }
-    }
-
-    /// The link of a pass and a ray.
-    fn link(&self, pass: usize, ray: usize) -> usize {
-        match self {
-            Self::All(links) => links[pass].0,
-            Self::Own(links) => links[ray].0,
-        }
-    }
-}
-
 /// A chunk of a group, and what was worked out of it.
 struct Chunk {
     group: usize,
     rays: Range<usize>,
     kept: Option<Walked>,
-}
-
-/// The activations of a chunk.
-struct Walked {
-    still: Still,
-    trunked: Trunked,
-    signals: Vec<Signal>,
 }
 
 /// What [`Method::vjp`] finds again.
@@ -202,11 +164,13 @@ impl Nerf2 {
                 Pixels::Own(places) => {
                     let own: Vec<usize> = links.iter().map(|(k, _)| places[*k]).collect();
                     let walk = self.walk(frame, network, (receiver, &Pixels::Own(&own)), told);
-                    Group { walk, links: Links::Own(links) }
+                    Group { receiver, walk, links: Links::Own(links) }
                 }
-                pixels => {
-                    Group { walk: self.walk(frame, network, (receiver, &pixels), told), links: Links::All(links) }
-                }
+                pixels => Group {
+                    receiver,
+                    walk: self.walk(frame, network, (receiver, &pixels), told),
+                    links: Links::All(links),
+                },
             })
         };
         (0..frame.receivers.len()).filter_map(of).collect()
@@ -242,7 +206,7 @@ impl Nerf2 {
         frame: &Frame,
         asked: &Asked<'_>,
         groups: &[Group<'_>],
-        chunks: impl Iterator<Item = (usize, Range<usize>, Vec<Vec<[Real; 2]>>)>,
+        chunks: impl Iterator<Item = (usize, Range<usize>, Passes)>,
     ) -> Vec<[Real; 2]> {
         let of_link = if frame.kind == Kind::Spectrum { asked.pixels.of_link(frame.numbers()) } else { bands(frame) };
         let mut totals = vec![[0.0; 2]; asked.links.len() * of_link];
@@ -309,34 +273,23 @@ impl Method for Nerf2 {
         let mut items = Vec::new();
         for (g, group) in groups.iter().enumerate() {
             for rays in group.walk.chunks() {
-                let passes = if let Links::All(links) = &group.links { links.len() } else { 1 };
-                let bytes = bytes_of(&network, self.samples, rays.len(), passes);
+                let bytes = bytes_of(&network, self.samples, rays.len(), group.links.passes());
                 let keep = bytes <= room;
                 room -= if keep { bytes } else { 0 };
                 items.push((g, rays, keep));
             }
         }
-        let walked = items.par_iter().map_init(<(Trunked, Signal)>::default, |(trunked, signal), (g, rays, keep)| {
-            let Group { walk, links } = &groups[*g];
-            let slots = if *keep { network.trunk.depth() } else { 2 };
-            let mut own = Trunked::default();
-            let trunked = if *keep { &mut own } else { trunked };
-            let still = walk.still(rays.clone(), slots, trunked);
-            let mut signals = Vec::new();
-            let sums: Vec<Vec<[Real; 2]>> = (links.passes(rays).iter())
-                .map(|of| {
-                    if *keep {
-                        signals.push(Signal::default());
-                    }
-                    let signal = signals.last_mut().unwrap_or(signal);
-                    walk.signal(&still, of, signal);
-                    walk.sums(&still, signal)
-                })
-                .collect();
-            let kept = keep.then(|| Walked { still, trunked: own, signals });
-            (Chunk { group: *g, rays: rays.clone(), kept }, sums)
-        });
-        let (chunks, sums): (Vec<Chunk>, Vec<Vec<Vec<[Real; 2]>>>) = walked.collect::<Vec<_>>().into_iter().unzip();
+        let one = |scratch: &mut Scratch, (g, rays, keep): (usize, Range<usize>, bool)| {
+            let (kept, sums) = if keep {
+                let (walked, sums) = groups[g].keep(&rays);
+                (Some(walked), sums)
+            } else {
+                (None, groups[g].pass(&rays, None, scratch))
+            };
+            (Chunk { group: g, rays, kept }, sums)
+        };
+        let walked: Vec<_> = items.into_par_iter().map_init(Scratch::default, one).collect();
+        let (chunks, sums): (Vec<Chunk>, Vec<Passes>) = walked.into_iter().unzip();
         let sums = chunks.iter().zip(sums).map(|(chunk, sums)| (chunk.group, chunk.rays.clone(), sums));
         let totals = Self::gather(frame, asked, &groups, sums);
         let numbers = Self::observations(frame, &totals);
@@ -362,34 +315,11 @@ impl Method for Nerf2 {
             .par_chunks(items_per_sum(chunks.len()))
             .map(|chunks| {
                 let mut into = Sums { weights: vec![0.0; p.weights.len()], told: vec![0.0; told.len()] };
-                let (mut trunked, mut signal) = <(Trunked, Signal)>::default();
+                let mut scratch = Scratch::default();
                 for Chunk { group, rays, kept } in chunks {
-                    let Group { walk, links } = &groups[*group];
-                    let again: Still;
-                    let (still, trunked) = match kept {
-                        Some(kept) => (&kept.still, &kept.trunked),
-                        None => {
-                            again = walk.still(rays.clone(), network.trunk.depth(), &mut trunked);
-                            (&again, &trunked)
-                        }
-                    };
-                    let (mut d_factors, mut d_seen) = walk.zeros(still);
-                    for (pass, of) in links.passes(rays).iter().enumerate() {
-                        let signal = match kept {
-                            Some(kept) => &kept.signals[pass],
-                            None => {
-                                walk.signal(still, of, &mut signal);
-                                &signal
-                            }
-                        };
-                        let at = |i: usize| {
-                            let (ray, band) = (rays.start + i / bands(frame), i % bands(frame));
-                            d_totals[place(frame, links, of_link, (pass, ray, band))]
-                        };
-                        let d: Vec<[Real; 2]> = (0..rays.len() * bands(frame)).map(at).collect();
-                        walk.signal_vjp((still, signal, of), &d, (&mut d_factors, &mut d_seen), &mut into);
-                    }
-                    walk.still_vjp((still, trunked), (&d_factors, &d_seen), &mut into);
+                    let group = &groups[*group];
+                    let d = |pass, ray, band| d_totals[place(frame, &group.links, of_link, (pass, ray, band))];
+                    group.back(rays, kept.as_ref(), d, &mut scratch, &mut into);
                 }
                 into
             })
@@ -430,31 +360,14 @@ impl Method for Nerf2 {
         let told = network.tell(p.weights, &asked.conditions, self.unit_m);
         let groups = self.groups(frame, (&network, p.weights), asked, &told);
         let ready: Option<&Ready> = (prepared.is_some() && asked.pixels == Pixels::All).then(|| cached(prepared));
-        let chunks = |g: usize| {
-            let receiver = match &groups[g].links {
-                Links::All(links) | Links::Own(links) => asked.links[links[0].0].receiver,
-            };
-            groups[g].walk.chunks().enumerate().map(move |(c, rays)| (g, receiver, c, rays))
-        };
+        let chunks = |g: usize| groups[g].walk.chunks().enumerate().map(move |(c, rays)| (g, c, rays));
         let items: Vec<_> = (0..groups.len()).flat_map(chunks).collect();
-        let one = |(trunked, signal): &mut (Trunked, Signal),
-                   (g, receiver, c, rays): &(usize, usize, usize, Range<usize>)| {
-            let Group { walk, links } = &groups[*g];
-            let own: Still;
-            let still = match ready {
-                Some(ready) => &ready[*receiver][*c],
-                None => {
-                    own = walk.still(rays.clone(), 2, trunked);
-                    &own
-                }
-            };
-            let sums = |of: &Vec<usize>| {
-                walk.signal(still, of, signal);
-                walk.sums(still, signal)
-            };
-            (*g, rays.clone(), links.passes(rays).iter().map(sums).collect::<Vec<_>>())
+        let one = |scratch: &mut Scratch, (g, c, rays): (usize, usize, Range<usize>)| {
+            let still = ready.map(|ready| &ready[groups[g].receiver][c]);
+            let sums = groups[g].pass(&rays, still, scratch);
+            (g, rays, sums)
         };
-        let walked: Vec<_> = items.par_iter().map_init(<(Trunked, Signal)>::default, one).collect();
+        let walked: Vec<_> = items.into_par_iter().map_init(Scratch::default, one).collect();
         let totals = Self::gather(frame, asked, &groups, walked.into_iter());
         let numbers = Self::observations(frame, &totals);
         let total = start.elapsed().as_secs_f64();

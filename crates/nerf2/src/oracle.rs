@@ -76,7 +76,8 @@ fn reproduce(mode: &str, bands: usize, law: Law) {
             };
             if mode != "spectrum" {
                 let sky = method.sky();
-                let off = rays.directions.iter().zip(&sky).map(|(a, b)| (0..3).map(|k| (a[k] - b[k]).abs()).sum::<Real>());
+                let off =
+                    rays.directions.iter().zip(&sky).map(|(a, b)| (0..3).map(|k| (a[k] - b[k]).abs()).sum::<Real>());
                 assert!(off.fold(0.0, Real::max) < 1e-6, "the sky is the released one");
             }
             Walk { network: &network, weights: &weights, rays, law, told: &told }
@@ -120,7 +121,7 @@ fn reproduce(mode: &str, bands: usize, law: Law) {
             let of = vec![link; chunk.len()];
             let still = walk.still(chunk.clone(), network.trunk.depth(), &mut trunked);
             walk.signal(&still, &of, &mut signal);
-            let (mut d_factors, mut d_seen) = walk.zeros(&still);
+            let (mut d_factors, mut d_seen) = still.zeros();
             let d: Vec<[Real; 2]> = (0..chunk.len() * bands).map(|i| d_totals[link * bands + i % bands]).collect();
             walk.signal_vjp((&still, &signal, &of), &d, (&mut d_factors, &mut d_seen), &mut into);
             walk.still_vjp((&still, &trunked), (&d_factors, &d_seen), &mut into);

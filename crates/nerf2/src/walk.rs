@@ -64,9 +64,9 @@ pub(crate) struct Sums {
 }
 
 impl Still {
-    /// Bytes that it holds.
-    pub(crate) fn bytes(&self) -> usize {
-        size_of_val(&*self.seen) + size_of_val(&*self.factors)
+    /// Zeros for the cotangents of the path and of what was seen.
+    pub(crate) fn zeros(&self) -> (Vec<[Real; 2]>, Vec<Real>) {
+        (vec![[0.0; 2]; self.factors.len()], vec![0.0; self.seen.len()])
     }
 
     fn live(&self) -> usize {
@@ -270,11 +270,6 @@ impl Walk<'_> {
         network.trunk.backward(weights, &trunked.slots, &mut d_h, &mut d_feature, trunk);
         network.trunk.add_joint_biases(&mut into.weights, &d_folded);
         network.trunk.share_vjp(weights, &trunked.gamma, &d_shared, &mut into.weights, None);
-    }
-
-    /// Zeros for what is added on the way back of a chunk.
-    pub(crate) fn zeros(&self, still: &Still) -> (Vec<[Real; 2]>, Vec<Real>) {
-        (vec![[0.0; 2]; still.factors.len()], vec![0.0; still.seen.len()])
     }
 }
 

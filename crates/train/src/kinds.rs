@@ -2,6 +2,7 @@
 
 use crate::Pipeline;
 use crate::budgets::contradiction;
+use crate::settings::Rays;
 use pwrfgs_core::ron_tree::Tree;
 use pwrfgs_core::{Error, Kind};
 use std::path::Path;
@@ -18,7 +19,24 @@ pub(crate) fn default_field(field: &str, kind: Option<Kind>) -> String {
 /// The first field that is of another kind than the data, and what to do about it; nothing where the source does not know
 /// before it loads.
 pub(crate) fn mixed(pipeline: &Pipeline) -> Option<(&'static str, String)> {
-    other_kinds(pipeline).or_else(|| contradiction(pipeline).map(|what| ("pruners", what)))
+    let pruners = || contradiction(pipeline).map(|what| ("pruners", what));
+    other_kinds(pipeline).or_else(pruners).or_else(|| unable(pipeline))
+}
+
+/// What the method cannot do that the pipeline wants of it.
+fn unable(pipeline: &Pipeline) -> Option<(&'static str, String)> {
+    let method = pipeline.method();
+    let chooses = method.chooses_pixels() && pipeline.data.kind().is_none_or(|kind| kind == Kind::Spectrum);
+    if pipeline.training.rays != Rays::All && !chooses {
+        let what = "`rays` wants single pixels of spectra, which Nerf2 draws; leave it out".to_owned();
+        return Some(("training", what));
+    }
+    let nobody_prunes = pipeline.pruners.is_empty() && pipeline.training.target == 0;
+    if !method.has_gaussians() && !nobody_prunes {
+        let what = format!("{} has no Gaussians, so there is nothing to prune; leave them out", name(&method));
+        return Some(("pruners", what));
+    }
+    None
 }
 
 fn other_kinds(pipeline: &Pipeline) -> Option<(&'static str, String)> {

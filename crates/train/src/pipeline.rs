@@ -36,7 +36,7 @@ pub struct Pipeline {
     /// The way from Gaussians to observations; left out, they are drawn as splats by the five fields that follow the
     /// initializer.
     pub method: Option<Plugin<dyn Method>>,
-    /// Where the Gaussians start.
+    /// Where the Gaussians start; a method without Gaussians needs none.
     pub initializer: Plugin<dyn Initializer>,
     /// From space to the picture.
     pub projector: Plugin<dyn Projector>,
@@ -129,6 +129,7 @@ impl TryFrom<PipelineFields<Checked<Training>>> for Pipeline {
         let data: Plugin<dyn DataSource> = given.data.ok_or_else(|| missing("data"))?;
         let kind = data.kind();
         let of_kind = |field: &str| default_field(field, kind);
+        let has_gaussians = given.method.as_ref().is_none_or(|method| method.has_gaussians());
         let readout = match kind {
             Some(pwrfgs_core::Kind::Power) => Readout::Received { sky_deg: 10 },
             Some(pwrfgs_core::Kind::Channel) => Readout::Channel,
@@ -140,8 +141,11 @@ impl TryFrom<PipelineFields<Checked<Training>>> for Pipeline {
             split_seed: given.split_seed,
             data,
             split: or_default("split", given.split)?,
+            initializer: match given.initializer {
+                None if !has_gaussians => default_of("initializer of no Gaussians")?,
+                initializer => initializer.ok_or_else(|| missing("initializer"))?,
+            },
             method: given.method,
-            initializer: given.initializer.ok_or_else(|| missing("initializer"))?,
             projector: or_default("projector", given.projector)?,
             rasterizer: or_default("rasterizer", given.rasterizer)?,
             deformation: or_default("deformation", given.deformation)?,

@@ -82,7 +82,8 @@ impl<'a> Trainer<'a> {
         let random = &mut rng::stream(pipeline.seed, "init", 0);
         let method = &*blank.stages.method;
         let seen = Seen { data, train: &partition.train, plane: &blank.plane, method, progress, stop };
-        let cloud = pipeline.initializer.search(&seen, random)?;
+        let cloud =
+            if method.has_gaussians() { pipeline.initializer.search(&seen, random)? } else { GaussianCloud::zeros(0) };
         let weights = pipeline.initializer.weights(&seen)?;
         blank.fill(cloud, weights)?;
         Ok(blank)
@@ -95,8 +96,12 @@ impl<'a> Trainer<'a> {
     pub fn sketch(pipeline: &Pipeline, data: &'a Dataset, partition: &Partition) -> Result<Self> {
         let mut blank = Self::blank(pipeline, data, partition)?;
         let random = &mut rng::stream(pipeline.seed, "init", 0);
-        let cloud = pipeline.initializer.initialize(&data.scene, &blank.plane, random)?;
         let (method, stop) = (&*blank.stages.method, &AtomicBool::new(false));
+        let cloud = if method.has_gaussians() {
+            pipeline.initializer.initialize(&data.scene, &blank.plane, random)?
+        } else {
+            GaussianCloud::zeros(0)
+        };
         let seen = Seen { data, train: &partition.train, plane: &blank.plane, method, progress: &|_, _| {}, stop };
         let weights = pipeline.initializer.weights(&seen)?;
         blank.fill(cloud, weights)?;
@@ -155,7 +160,7 @@ impl<'a> Trainer<'a> {
 
     /// The parameters before the first step; where the initializer has weights, as it has them.
     fn fill(&mut self, mut cloud: GaussianCloud, trained: Option<Vec<Real>>) -> Result<()> {
-        if cloud.is_empty() {
+        if cloud.is_empty() && self.stages.method.has_gaussians() {
             return Err(Error::Config("the initializer made no Gaussian; raise its count".into()));
         }
         if let Some(what) = too_many(&self.pipeline, cloud.len()) {

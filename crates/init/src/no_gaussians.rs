@@ -1,0 +1,31 @@
+//! `NoGaussians`: nothing to start with.
+
+use pwrfgs_core::{Documented, GaussianCloud, ImagePlane, Initializer, Result, Scene, rng::Rng};
+use serde::{Deserialize, Serialize};
+
+/// No Gaussians, for a method that has none, such as `Nerf2`; it is what such a pipeline takes that leaves `initializer` out.
+///
+/// ```
+/// # use pwrfgs_init as _;
+/// # use pwrfgs_core::{Initializer, Plugin};
+/// Plugin::<dyn Initializer>::parse("NoGaussians()")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[serde(default, deny_unknown_fields)]
+pub struct NoGaussians {}
+
+#[typetag::serde]
+impl Initializer for NoGaussians {
+    fn initialize(&self, _: &Scene, _: &ImagePlane, _: &mut Rng) -> Result<GaussianCloud> {
+        Ok(GaussianCloud::zeros(0))
+    }
+
+    fn count(&self) -> Option<usize> {
+        Some(0)
+    }
+
+    fn about(&self) -> &'static str {
+        "no Gaussians, for a method that has none"
+    }
+}
