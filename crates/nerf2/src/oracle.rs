@@ -1,10 +1,11 @@
 //! What NeRF2's released code makes in double precision: outputs, losses, and the gradient of every weight.
 
+use crate::group::{Group, Links, Scratch};
 use crate::method::Nerf2;
 use crate::network::Network;
 use crate::path::Law;
 use crate::rays::Rays;
-use crate::walk::{Signal, Sums, Trunked, Walk};
+use crate::walk::{Sums, Walk};
 use npyz::npz::NpzArchive;
 use pwrfgs_core::testing::shared;
 use pwrfgs_core::{Conditions, Real, SPEED_OF_LIGHT};
@@ -63,7 +64,7 @@ fn reproduce(mode: &str, bands: usize, law: Law) {
     let weights = oracle.weights("w", &names);
     let conditions = Conditions::new(method_inputs(&method), &tx);
     let told = network.tell(&weights, &conditions, 1.0);
-    let walks: Vec<Walk<'_>> = (0..links)
+    let groups: Vec<Group<'_>> = (0..links)
         .map(|link| {
             let all: Vec<[Real; 3]> = directions.as_chunks().0.to_vec();
             let of_link = all.len() / links;
@@ -80,17 +81,17 @@ fn reproduce(mode: &str, bands: usize, law: Law) {
                     rays.directions.iter().zip(&sky).map(|(a, b)| (0..3).map(|k| (a[k] - b[k]).abs()).sum::<Real>());
                 assert!(off.fold(0.0, Real::max) < 1e-6, "the sky is the released one");
             }
-            Walk { network: &network, weights: &weights, rays, law, told: &told }
+            let walk = Walk { network: &network, weights: &weights, rays, law, told: &told };
+            Group { receiver: 0, walk, links: Links::All(vec![(link, link)]) }
         })
         .collect();
 
     let mut totals = vec![[0.0; 2]; links * bands];
-    for (link, walk) in walks.iter().enumerate() {
-        for chunk in walk.chunks() {
-            let (mut trunked, mut signal) = (Trunked::default(), Signal::default());
-            let still = walk.still(chunk.clone(), 2, &mut trunked);
-            walk.signal(&still, &vec![link; chunk.len()], &mut signal);
-            for (i, sum) in walk.sums(&still, &signal).into_iter().enumerate() {
+    for (link, group) in groups.iter().enumerate() {
+        for chunk in group.walk.chunks() {
+            let sums = group.pass(&chunk, None, &mut Scratch::default());
+            assert_eq!(group.keep(&chunk).1, sums, "what is kept is what passes");
+            for (i, sum) in sums[0].iter().enumerate() {
                 let total = &mut totals[link * bands + i % bands];
                 *total = [total[0] + sum[0], total[1] + sum[1]];
             }
@@ -114,21 +115,20 @@ fn reproduce(mode: &str, bands: usize, law: Law) {
     } else {
         totals.iter().zip(&d).map(|([re, im], d)| [d * re / re.hypot(*im), d * im / re.hypot(*im)]).collect()
     };
-    let mut into = Sums { weights: vec![0.0; weights.len()], told: vec![0.0; told.len()] };
-    for (link, walk) in walks.iter().enumerate() {
-        for chunk in walk.chunks() {
-            let (mut trunked, mut signal) = (Trunked::default(), Signal::default());
-            let of = vec![link; chunk.len()];
-            let still = walk.still(chunk.clone(), network.trunk.depth(), &mut trunked);
-            walk.signal(&still, &of, &mut signal);
-            let (mut d_factors, mut d_seen) = still.zeros();
-            let d: Vec<[Real; 2]> = (0..chunk.len() * bands).map(|i| d_totals[link * bands + i % bands]).collect();
-            walk.signal_vjp((&still, &signal, &of), &d, (&mut d_factors, &mut d_seen), &mut into);
-            walk.still_vjp((&still, &trunked), (&d_factors, &d_seen), &mut into);
+    let back = |kept: bool| {
+        let mut into = Sums { weights: vec![0.0; weights.len()], told: vec![0.0; told.len()] };
+        for (link, group) in groups.iter().enumerate() {
+            for chunk in group.walk.chunks() {
+                let walked = kept.then(|| group.keep(&chunk).0);
+                let d = |_, _, band| d_totals[link * bands + band];
+                group.back(&chunk, walked.as_ref(), d, &mut Scratch::default(), &mut into);
+            }
         }
-    }
-    let Sums { weights: mut found, told: d_told } = into;
-    network.tell_vjp(&conditions, 1.0, &d_told, &mut found);
+        network.tell_vjp(&conditions, 1.0, &into.told, &mut into.weights);
+        into.weights
+    };
+    let found = back(true);
+    assert!(back(false) == found, "what is worked out again is what was kept");
     let mut from = 0;
     for name in &names {
         let expected = oracle.weights("g", std::slice::from_ref(name));

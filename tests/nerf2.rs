@@ -1,0 +1,237 @@
+//! Rays through a network: derivatives, pixels alone and together, predictions with and without what is kept, training.
+
+use crate::common::{pipeline, plugin};
+use pwrfgs::core::testing::check_vjp;
+use pwrfgs::core::{
+    Asked, Conditions, Frame, GaussianCloud, ImagePlane, Kind, Link, MethodVjp, Origin, Parameters, Pixels, Receiver,
+    rng,
+};
+use pwrfgs::prelude::*;
+use pwrfgs::train::Places;
+use std::path::Path;
+
+const SETTINGS: &str = "depth: 7, width: 8, samples: 5, azimuths: 4, elevations: 2";
+
+/// A small network, and where it listens: two receivers.
+struct Room {
+    method: Plugin<dyn Method>,
+    frame: Frame,
+    weights: Vec<Real>,
+    conditions: Vec<Real>,
+}
+
+const fn link(transmitter: usize, receiver: usize) -> Link {
+    Link { transmitter, receiver }
+}
+
+/// Not all, and not in the receivers' order.
+const LINKS: [Link; 5] = [link(0, 0), link(0, 1), link(1, 1), link(2, 0), link(2, 1)];
+
+impl Room {
+    fn new(kind: Kind, more: &str) -> Self {
+        let method: Plugin<dyn Method> = plugin(&format!("Nerf2({SETTINGS}, {more})"));
+        let at = |name: &str, position| {
+            let orientation = [0.1, 0.2, 0.3, 0.927_361_849_549_570_4];
+            Receiver::new(name, Pose { position, orientation })
+        };
+        let receivers = vec![at("left", [-1.0, 0.3, -2.0]), at("right", [2.0, -1.5, -1.0])];
+        let projector: Plugin<dyn pwrfgs::core::Projector> = plugin("Mercator()");
+        let frequencies_hz = if kind == Kind::Channel { vec![9e7, 1e8, 1.1e8] } else { vec![] };
+        let plain = |width, height| ImagePlane { width, height, wraps: false, angles: None };
+        let plane = match kind {
+            Kind::Spectrum => projector.plane(8, 3),
+            Kind::Power => plain(1, 1),
+            Kind::Channel => plain(3, 2),
+        };
+        let frame = Frame { receivers, kind, frequencies_hz, ..Frame::spectra(Origin::ZERO, Pose::IDENTITY, plane) };
+        let weights = method.init(&frame, &mut rng::stream(3, "network", 0));
+        let random = &mut rng::stream(4, "transmitters", 0);
+        let conditions = (0..3 * method.inputs()).map(|_| rng::normal(random)).collect();
+        Self { method, frame, weights, conditions }
+    }
+
+    fn asked<'a>(&'a self, links: &'a [Link], pixels: Pixels<'a>) -> Asked<'a> {
+        Asked { conditions: Conditions::new(self.method.inputs(), &self.conditions), links, pixels }
+    }
+
+    fn numbers(&self, weights: &[Real], links: &[Link], pixels: Pixels<'_>) -> Vec<Real> {
+        let cloud = GaussianCloud::zeros(0);
+        let p = Parameters { cloud: &cloud, gate: None, presence: None, weights };
+        self.method.forward(&self.frame, &p, &self.asked(links, pixels)).numbers
+    }
+
+    fn differentiates(&self, name: &str, pixels: Pixels<'_>) {
+        let cloud = GaussianCloud::zeros(0);
+        // Some of every layer.
+        let stride = 3;
+        let all = |x: &[Real]| {
+            let mut weights = self.weights.clone();
+            weights.iter_mut().step_by(stride).zip(x).for_each(|(w, x)| *w = *x);
+            weights
+        };
+        let x: Vec<Real> = self.weights.iter().copied().step_by(stride).collect();
+        let vjp = |x: &[Real], d: &[Real]| {
+            let weights = all(x);
+            let p = Parameters { cloud: &cloud, gate: None, presence: None, weights: &weights };
+            let (asked, mut sums) = (self.asked(&LINKS, pixels), MethodVjp::zeros(&p));
+            let observed = self.method.forward(&self.frame, &p, &asked);
+            self.method.vjp(&self.frame, &p, &asked, observed, d, &mut sums);
+            sums.weights.into_iter().step_by(stride).collect()
+        };
+        check_vjp(name, &x, |x| self.numbers(&all(x), &LINKS, pixels), vjp, 1e-6, 2e-5);
+    }
+}
+
+#[test]
+#[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
+fn spectra_powers_and_channels_differentiate_in_every_layer() {
+    let spectrum = Room::new(Kind::Spectrum, "far_m: 3");
+    spectrum.differentiates("all pixels", Pixels::All);
+    spectrum.differentiates("the same pixels", Pixels::Same(&[5, 0, 5, 23]));
+    spectrum.differentiates("a pixel each", Pixels::Own(&[5, 0, 5, 23, 7]));
+    Room::new(Kind::Power, "unit_m: 2").differentiates("powers", Pixels::All);
+    Room::new(Kind::Power, "first_ring: true").differentiates("powers of one ring", Pixels::All);
+    Room::new(Kind::Channel, "features: 5").differentiates("channels", Pixels::All);
+}
+
+#[test]
+fn a_picture_is_its_pixels_and_a_batch_its_links_bit_for_bit() {
+    let room = Room::new(Kind::Spectrum, "far_m: 3");
+    let (all, pixels) = (room.numbers(&room.weights, &LINKS, Pixels::All), room.frame.numbers());
+    let every: Vec<usize> = (0..pixels).collect();
+    assert_eq!(room.numbers(&room.weights, &LINKS, Pixels::Same(&every)), all);
+    let some = [11, 3, 3, 20, 0];
+    let own: Vec<Real> = some.iter().enumerate().map(|(l, p)| all[l * pixels + p]).collect();
+    assert_eq!(room.numbers(&room.weights, &LINKS, Pixels::Own(&some)), own);
+    for kind in [Kind::Spectrum, Kind::Power, Kind::Channel] {
+        let room = Room::new(kind, "far_m: 3");
+        let all = room.numbers(&room.weights, &LINKS, Pixels::All);
+        for (l, link) in LINKS.iter().enumerate() {
+            let of_link = room.frame.numbers();
+            assert_eq!(room.numbers(&room.weights, &[*link], Pixels::All), all[l * of_link..][..of_link], "{kind:?}");
+        }
+    }
+}
+
+#[test]
+fn what_is_kept_changes_no_bit_of_a_prediction() {
+    for kind in [Kind::Spectrum, Kind::Power, Kind::Channel] {
+        for cache in ["cache_mb: 100", "cache_mb: 0"] {
+            let (room, cloud) = (Room::new(kind, cache), GaussianCloud::zeros(0));
+            let p = Parameters { cloud: &cloud, gate: None, presence: None, weights: &room.weights };
+            let ready = room.method.prepare(&room.frame, &p);
+            assert_eq!(ready.is_some(), cache == "cache_mb: 100");
+            let found = room.method.predict(&room.frame, &p, &room.asked(&LINKS, Pixels::All), &ready).0;
+            assert_eq!(found, room.numbers(&room.weights, &LINKS, Pixels::All), "{kind:?}, {cache}");
+        }
+    }
+}
+
+/// A wall that lets nothing through hides what is behind it: the picture does not change with what is emitted there.
+#[test]
+fn behind_a_dark_sample_nothing_counts() {
+    let room = Room::new(Kind::Spectrum, "far_m: 3");
+    let layout = room.method.layout(&room.frame);
+    let mut weights = room.weights.clone();
+    let mut from = 0;
+    for spec in layout {
+        let own = &mut weights[from..from + spec.len()];
+        from += spec.len();
+        match spec.name.as_str() {
+            "attenuation.weight" => own.fill(0.0),
+            "attenuation.bias" => own[0] = 1e4,
+            _ => {}
+        }
+    }
+    let seen = room.numbers(&weights, &LINKS, Pixels::All);
+    assert!(seen.iter().all(|v| v.is_finite()) && seen.iter().any(|v| *v > 0.0));
+    // The first sample is the receiver itself, whatever lies behind it.
+    let near =
+        Room { method: plugin(&format!("Nerf2({}, far_m: 3)", SETTINGS.replace("samples: 5", "samples: 2"))), ..room };
+    let alone = near.numbers(&weights, &LINKS, Pixels::All);
+    let ratio = 0.25; // 0.025 over the next sample: 3 m / 4 here, 3 m / 1 there
+    assert!(
+        seen.iter().zip(&alone).all(|(a, b)| (a * ratio - b).abs() < 1e-5 * a.abs().max(1e-3)),
+        "{seen:?}, {alone:?}"
+    );
+}
+
+fn small(training: &str) -> Pipeline {
+    pipeline(&format!(
+        "seed: 5, data: Teacher(gaussians: 6, samples: 20, width: 36, height: 9),
+         method: Nerf2(depth: 3, width: 16, samples: 8),
+         training: (batch: 3, densify_until: 0, prune_until: 0, {training})"
+    ))
+}
+
+#[test]
+fn trainings_of_rays_give_the_same_bits_at_any_thread_count_and_resumed() {
+    let squared = "loss: (ssim_weight: 0, pixel: Squared)";
+    let all = [
+        "steps: 12, loss: (ssim_weight: 0.5)".to_owned(),
+        format!("steps: 12, rays: Same(30), {squared}"),
+        format!("steps: 12, rays: Each(40), stride: 3, {squared}"),
+    ];
+    for training in all {
+        let pipeline = small(&training);
+        let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
+        let partition = pipeline.partition(&data).unwrap();
+        let train = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| {
+                let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+                let mut all = vec![trainer.checkpoint()];
+                while !trainer.finished() {
+                    let report = trainer.step().unwrap();
+                    assert!(report.gaussians == 0 && report.loss > 0.0);
+                    all.push(trainer.checkpoint());
+                }
+                all
+            })
+        };
+        let (one, two) = (train(1), train(2));
+        assert!(one == two, "{training}: threads show");
+        let mut trainer = Trainer::restore(&pipeline, &data, &partition, &one[7]).unwrap();
+        while !trainer.finished() {
+            trainer.step().unwrap();
+        }
+        assert!(trainer.checkpoint() == one[12], "{training}: the stop shows");
+    }
+}
+
+#[test]
+fn rays_are_learned() {
+    let pipeline = small(
+        "steps: 150, rays: Same(60), loss: (ssim_weight: 0, pixel: Squared), optimizer: (network: Constant(0.003))",
+    );
+    let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
+    let partition = pipeline.partition(&data).unwrap();
+    let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+    let mut losses = Vec::new();
+    while !trainer.finished() {
+        losses.push(trainer.step().unwrap().loss);
+    }
+    let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
+    let (first, last) = (mean(&losses[..10]), mean(&losses[140..]));
+    assert!(last < 0.5 * first, "from {first} to {last}");
+    assert_eq!(Places::default(), Places::All);
+}
+
+#[test]
+fn what_rays_cannot_do_is_refused_with_its_place() {
+    let refused = |fields: &str, expected: &str| {
+        let text = format!("Pipeline(name: \"a\", data: Teacher(),\n{fields})");
+        let said = Pipeline::parse(&text, Path::new("a.ron")).unwrap_err().to_string();
+        assert!(said.contains(expected), "{said}");
+        assert!(said.starts_with("a.ron:2:"), "{said}");
+    };
+    let plain = "loss: (ssim_weight: 0)";
+    refused("method: Nerf2(width: 7)", "even");
+    refused("method: Nerf2(samples: 1)", "`samples` is 1");
+    refused("method: Nerf2(features: 2)", "`features` is 2");
+    refused("method: Nerf2(far_m: 0)", "`far_m` is 0");
+    refused("method: Nerf2(), pruners: [TopK(keep: 3)]", "nothing to prune");
+    refused("initializer: Random(), training: (rays: Same(9), loss: (ssim_weight: 0))", "Nerf2");
+    refused("method: Nerf2(), training: (rays: Same(9))", "SSIM wants whole pictures");
+    refused(&format!("method: Nerf2(), training: (rays: Each(0), {plain})"), "at least 1");
+}
