@@ -30,7 +30,7 @@ impl Pruner for Factor {
         vec![true; cloud.len()]
     }
     fn columns(&self) -> Vec<ColumnSpec> {
-        vec![ColumnSpec { name: "factor", width: 1, init: 1.0, learning_rate: Some(0.01) }]
+        vec![ColumnSpec::learned("factor", 1.0, 0.01)]
     }
     fn gate(&self, cloud: &Traced, _: &Moment) -> Option<Gate> {
         Some(cloud.column("factor").into())

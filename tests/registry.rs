@@ -42,10 +42,10 @@ fn every_built_in_name_is_registered() {
         "Ridge",
         "Zero",
     ]);
-    linked::<dyn Initializer>(&["Grid", "MatchingPursuit", "PointCloud", "Random", "Site", "Trained"]);
+    linked::<dyn Initializer>(&["Grid", "MatchingPursuit", "NoGaussians", "PointCloud", "Random", "Site", "Trained"]);
     linked::<dyn Projector>(&["Mercator", "WrfgsCompat"]);
     linked::<dyn Rasterizer>(&["AlphaBlending", "ArrayResponse"]);
-    linked::<dyn Method>(&["Splatting", "VirtualTransmitters"]);
+    linked::<dyn Method>(&["Nerf2", "Splatting", "VirtualTransmitters"]);
     linked::<dyn Deformation>(&["Factored", "Fixed", "Mlp", "Wrfgs"]);
     linked::<dyn Pruner>(&[
         "ControlGs",

@@ -221,7 +221,7 @@ impl Pruner for There {
         vec![true; cloud.len()]
     }
     fn columns(&self) -> Vec<ColumnSpec> {
-        vec![ColumnSpec { name: "there", width: 1, init: 1.0, learning_rate: Some(0.01) }]
+        vec![ColumnSpec::learned("there", 1.0, 0.01)]
     }
     fn gate(&self, cloud: &Traced, _: &Moment) -> Option<Gate> {
         Some(Gate::Presence(cloud.column("there")))

@@ -155,6 +155,21 @@ pub struct ColumnSpec {
     pub width: usize,
     /// Initial value.
     pub init: Real,
-    /// Learning rate for Adam, or `None` for state that only [`Pruner::update`] changes.
+    /// Learning rate, or `None` for state that only [`Pruner::update`] changes.
     pub learning_rate: Option<Real>,
+    /// Whether Adam moves it. Where not, x −= rate · N · ∂loss/∂x: the pull of a penalty on the mean over Gaussians then does
+    /// not thin out with N, and is not divided by the noise of the picture's derivative either.
+    pub adam: bool,
+}
+
+impl ColumnSpec {
+    /// One number a Gaussian, learned by Adam at `rate`.
+    pub fn learned(name: &'static str, init: Real, rate: Real) -> Self {
+        Self { name, width: 1, init, learning_rate: Some(rate), adam: true }
+    }
+
+    /// One number a Gaussian that only [`Pruner::update`] and [`Pruner::edit`] change.
+    pub fn state(name: &'static str, init: Real) -> Self {
+        Self { name, width: 1, init, learning_rate: None, adam: true }
+    }
 }

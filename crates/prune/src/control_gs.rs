@@ -53,7 +53,7 @@ impl Pruner for ControlGs {
 
     fn columns(&self) -> Vec<ColumnSpec> {
         // Of all Gaussians the same: the tape sees columns, and no memory of the pipeline.
-        vec![ColumnSpec { name: PULL, width: 1, init: 1.0, learning_rate: None }]
+        vec![ColumnSpec::state(PULL, 1.0)]
     }
 
     fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {

@@ -56,10 +56,7 @@ impl Pruner for GaussianSpa {
 
     fn columns(&self) -> Vec<ColumnSpec> {
         // No opacity is negative: until the first projection there is nothing to be drawn to.
-        vec![
-            ColumnSpec { name: SPARSE, width: 1, init: -1.0, learning_rate: None },
-            ColumnSpec { name: DUAL, width: 1, init: 0.0, learning_rate: None },
-        ]
+        vec![ColumnSpec::state(SPARSE, -1.0), ColumnSpec::state(DUAL, 0.0)]
     }
 
     fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {

@@ -28,10 +28,12 @@ const COLUMN: &str = "mask_logits";
 /// one with less loss. Threshold and initial logit are those of Compact-3DGS, where the paper is silent.
 ///
 /// With tens of thousands of Gaussians lambda/N is small against the noise of the picture's derivative, and Adam divides
-/// by that noise: the rate of 0.01 then wants the paper's 20,000 steps of one transmitter. With B transmitters a step the
-/// noise is smaller by √B: a Bth of the steps at √B times the rate keeps drift and random walk alike. A higher rate still
-/// is faster and lets chance close masks, which do not come back: fewer are left at the same lambda, and SSIM at equal N is
-/// much the same. `docs/reproduce.md` has the figures, under "Masks in a hurry".
+/// by that noise: the rate of 0.01 then wants the paper's 20,000 steps of one transmitter. What makes it affordable: train
+/// first and press then, from a trained model (`Trained` as the initializer), with 16
+/// transmitters a step at 0.03 for 4,000 steps; or leave Adam's division out, `LearnableMask(adam: false, learning_rate: 5)`,
+/// whose end is the same within a tenth of N and 0.002 of SSIM. N goes on falling as long as it is pressed, slowly, so the
+/// length of the pressure belongs to lambda. A rate of 0.1 is faster still, and chance then closes masks, which do not come
+/// back: fewer are left, and SSIM at equal N is worse. `docs/reproduce.md` has the figures, under "Masks in a hurry".
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -48,8 +50,10 @@ pub struct LearnableMask {
     pub threshold: Real,
     /// m at the start; σ(1) is 0.73.
     pub initial_logit: Real,
-    /// Adam's rate for m.
+    /// Rate of m; without Adam some 3 to 10.
     pub learning_rate: Real,
+    /// Whether Adam moves m; without it m −= rate · N · derivative.
+    pub adam: bool,
     /// How many Gaussians there shall be at the end of pruning: at the last prune step those of the largest m stay, closed
     /// or not. Left out, the penalty decides.
     pub target: Option<usize>,
@@ -57,7 +61,7 @@ pub struct LearnableMask {
 
 impl Default for LearnableMask {
     fn default() -> Self {
-        Self { lambda: 0.01, threshold: 0.01, initial_logit: 1.0, learning_rate: 0.01, target: None }
+        Self { lambda: 0.01, threshold: 0.01, initial_logit: 1.0, learning_rate: 0.01, adam: true, target: None }
     }
 }
 
@@ -70,8 +74,8 @@ impl Pruner for LearnableMask {
     }
 
     fn columns(&self) -> Vec<ColumnSpec> {
-        let learning_rate = Some(self.learning_rate);
-        vec![ColumnSpec { name: COLUMN, width: 1, init: self.initial_logit, learning_rate }]
+        let column = ColumnSpec::learned(COLUMN, self.initial_logit, self.learning_rate);
+        vec![ColumnSpec { adam: self.adam, ..column }]
     }
 
     fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Gate> {
@@ -101,7 +105,7 @@ impl Pruner for LearnableMask {
     }
 
     fn check(&self) -> Result<(), String> {
-        let Self { lambda, threshold, initial_logit, learning_rate, target } = self;
+        let Self { lambda, threshold, initial_logit, learning_rate, target, .. } = self;
         check_weight("lambda", *lambda)?;
         if !(*threshold > 0.0 && *threshold < 1.0) {
             return Err(format!("`threshold` is {threshold}; give a number above 0 and below 1, such as 0.01"));

@@ -70,11 +70,7 @@ impl Pruner for Lp3dgs {
     }
 
     fn columns(&self) -> Vec<ColumnSpec> {
-        let learning_rate = Some(self.learning_rate);
-        vec![
-            ColumnSpec { name: COLUMN, width: 1, init: self.initial_logit, learning_rate },
-            ColumnSpec { name: IMPORTANCE, width: 1, init: 0.0, learning_rate: None },
-        ]
+        vec![ColumnSpec::learned(COLUMN, self.initial_logit, self.learning_rate), ColumnSpec::state(IMPORTANCE, 0.0)]
     }
 
     fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Gate> {

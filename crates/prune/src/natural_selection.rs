@@ -51,7 +51,7 @@ impl Pruner for NaturalSelection {
 
     fn columns(&self) -> Vec<ColumnSpec> {
         // Born with a full life: the average then forgets it.
-        vec![ColumnSpec { name: LIFE, width: 1, init: 1.0, learning_rate: None }]
+        vec![ColumnSpec::state(LIFE, 1.0)]
     }
 
     fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {

@@ -52,12 +52,17 @@ impl Adam {
             l2: 0.0,
             decay: 0.0,
         };
+        let n = cloud.len();
         let [first, second] = &mut self.cloud;
         let columns = cloud.columns_mut().zip(d_cloud.columns()).zip(first.columns_mut().zip(second.columns_mut()));
         for (((name, _, x), (_, _, d)), ((_, _, m), (_, _, v))) in columns {
-            if let Some(rate) = rate_of(o, specs, name, rate) {
-                Update { rate, ..update }.apply(x, d, m, v).map_err(|()| format!("`{name}`"))?;
-            }
+            let Some(rate) = rate_of(o, specs, name, rate) else { continue };
+            let stepped = if specs.iter().any(|spec| spec.name == name && !spec.adam) {
+                descend(x, d, rate * n as Real)
+            } else {
+                Update { rate, ..update }.apply(x, d, m, v)
+            };
+            stepped.map_err(|()| format!("`{name}`"))?;
         }
         let [first, second] = &mut self.weights;
         let warm = (step as f64 / o.network_warmup.max(1) as f64).min(1.0) as Real;
@@ -94,6 +99,12 @@ fn rate_of(o: &Optimizer, specs: &[ColumnSpec], name: &str, rate: impl Fn(crate:
     (rate != 0.0).then_some(rate)
 }
 
+/// x −= rate · d.
+fn descend(x: &mut [Real], d: &[Real], rate: Real) -> Result<(), ()> {
+    x.iter_mut().zip(d).for_each(|(x, d)| *x -= rate * d);
+    if x.iter().all(|x| x.is_finite()) { Ok(()) } else { Err(()) }
+}
+
 impl Update {
     /// Adam of Kingma and Ba, with L2 added to the gradient and decoupled decay taken from the value.
     fn apply(self, x: &mut [Real], d: &[Real], m: &mut [Real], v: &mut [Real]) -> Result<(), ()> {
@@ -128,6 +139,22 @@ impl Update {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn without_adam_a_column_goes_down_its_slope_by_rate_times_n() {
+        let mut cloud = GaussianCloud::zeros(3);
+        let column = |values: &[Real]| pwrfgs_core::ExtraColumn { name: "m".into(), width: 1, values: values.to_vec() };
+        cloud.extra.push(column(&[1.0, 2.0, 3.0]));
+        let mut d_cloud = cloud.zeros_like();
+        d_cloud.extra[0] = column(&[0.5, 0.0, -1.0]);
+        let specs = [ColumnSpec { adam: false, ..ColumnSpec::learned("m", 0.0, 0.1) }];
+        let (settings, mut adam) = (Training::default(), Adam::new(&cloud, &[]));
+        for step in 1..=2 {
+            adam.step(&settings, &specs, step, (&mut cloud, &d_cloud), (&mut [], &[], 0)).unwrap();
+        }
+        let expected: [Real; 3] = [0.7, 2.0, 3.6];
+        assert!(cloud.extra[0].values.iter().zip(expected).all(|(m, e)| (m - e).abs() < 1e-6), "{:?}", cloud.extra[0]);
+    }
 
     /// Three steps of PyTorch's Adam (lr 0.1, betas 0.9 and 0.999, eps 1e-8) from x = 1 with gradients 0.5, -1, 2.
     #[test]

@@ -54,8 +54,7 @@ impl Pruner for GumbelMask {
     }
 
     fn columns(&self) -> Vec<ColumnSpec> {
-        let learning_rate = Some(self.learning_rate);
-        vec![ColumnSpec { name: COLUMN, width: 1, init: self.initial_logit, learning_rate }]
+        vec![ColumnSpec::learned(COLUMN, self.initial_logit, self.learning_rate)]
     }
 
     fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Gate> {

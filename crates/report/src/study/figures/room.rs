@@ -55,7 +55,8 @@ fn draw_row(canvas: &mut Canvas, row: &[Panel], width: f64, top: f64) -> f64 {
         canvas.put([left, top + head], width / COLUMN, &panel.picture);
         // The numbers of the axes leave room below.
         let mut y = top + head + panel.picture.height * width / COLUMN - 8.0;
-        for line in [&panel.numbers, &panel.caption].into_iter().filter(|line| !line.is_empty()) {
+        let lines = std::iter::once(panel.numbers.as_str()).chain(panel.caption.split("; "));
+        for line in lines.filter(|line| !line.is_empty()) {
             for line in wrapped(line, width - 6.0) {
                 y += LINE;
                 canvas.text([middle, y], Anchor::Middle, line);
