@@ -164,6 +164,13 @@ pub trait Method: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Se
         false
     }
 
+    /// How many links of [a pixel each](Pixels::Own) it had better be asked for at a time: what it keeps for the way back
+    /// then fits in memory. A step of more is taken in parts.
+    fn links_at_once(&self, frame: &Frame) -> usize {
+        let _ = frame;
+        usize::MAX
+    }
+
     /// More columns of the cloud that it reads, by name and width: zero until something sets them, learned at the rate of
     /// `signals`, and saved with the model.
     fn columns(&self) -> Vec<(&'static str, usize)> {

@@ -91,7 +91,7 @@ impl Default for Nerf2 {
 }
 
 /// What a step may keep for its way back, bytes; the rest is worked out again.
-const KEPT: usize = 1 << 30;
+const KEPT: usize = 5 << 28;
 /// Samples of a ray, units of a layer, layers, and directions: more is a slip.
 const MOST: usize = 4_096;
 
@@ -255,6 +255,11 @@ impl Method for Nerf2 {
 
     fn chooses_pixels(&self) -> bool {
         true
+    }
+
+    fn links_at_once(&self, frame: &Frame) -> usize {
+        let network = planned(|plan| self.network(frame, plan)).0;
+        (KEPT / bytes_of(&network, self.samples, 1, 1)).max(1)
     }
 
     fn layout(&self, frame: &Frame) -> Vec<WeightSpec> {

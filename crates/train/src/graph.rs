@@ -67,6 +67,24 @@ impl Batch {
         Self { conditions: txs.as_flattened().to_vec(), width: 3, links, truths, ..Self::default() }
     }
 
+    /// Parts of at most `most` links, where each has one pixel of its own; else all of it.
+    pub(crate) fn parts(&self, most: usize) -> Vec<Self> {
+        match &self.places {
+            Places::Own(places) if places.len() > most => {
+                let parts = self.links.chunks(most).zip(places.chunks(most)).zip(self.truths.chunks(most));
+                let part = |((links, places), truths): ((&[Link], &[usize]), &[Real])| Self {
+                    conditions: self.conditions.clone(),
+                    width: self.width,
+                    links: links.to_vec(),
+                    places: Places::Own(places.to_vec()),
+                    truths: truths.to_vec(),
+                };
+                parts.map(part).collect()
+            }
+            _ => vec![self.clone()],
+        }
+    }
+
     /// The links, as a method is asked for them.
     pub(crate) fn asked(&self) -> Asked<'_> {
         let conditions = Conditions::new(self.width, &self.conditions);
@@ -138,6 +156,34 @@ pub fn loss_and_gradients(
     }
     let (seen, d_weights) = (seen.take(), d_weights.take());
     Ok(LossAndGradients { loss: value, penalty: penalty_value, d_cloud, d_weights, seen })
+}
+
+/// The same, part by part where a method had better not be asked for all links at once. The loss is a mean over links.
+pub(crate) fn in_parts(
+    stages: &Arc<Stages>,
+    cloud: &GaussianCloud,
+    weights: &Arc<Vec<Real>>,
+    batch: &Batch,
+    objective: &dyn Objective,
+    pruners: &[Plugin<dyn Pruner>],
+    moment: &Moment,
+) -> Result<LossAndGradients> {
+    let of = |part: &Batch| loss_and_gradients(stages, cloud, weights, part, objective, pruners, moment);
+    let parts = batch.parts(stages.method.links_at_once(&stages.frame));
+    let [first, others @ ..] = parts.as_slice() else { return of(batch) };
+    let mut sum = of(first)?;
+    if others.is_empty() {
+        return Ok(sum);
+    }
+    let share = |part: &Batch| part.links.len() as Real / batch.links.len() as Real;
+    sum.loss *= share(first);
+    sum.d_weights.iter_mut().for_each(|d| *d *= share(first));
+    for part in others {
+        let own = of(part)?;
+        sum.loss += share(part) * own.loss;
+        sum.d_weights.iter_mut().zip(&own.d_weights).for_each(|(sum, d)| *sum += share(part) * d);
+    }
+    Ok(sum)
 }
 
 /// What all pruners together multiply Gaussians by.
