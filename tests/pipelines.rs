@@ -2,7 +2,7 @@
 use pwrfgs::experiment::Recipe;
 use pwrfgs::experiment::sweep::{Board, Fate, Plan};
 use pwrfgs::prelude::*;
-use pwrfgs::train::Trainer;
+use pwrfgs::train::{Rays, Trainer};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
@@ -69,6 +69,18 @@ fn small(kind: Option<Kind>, inputs: usize, folder: &Path) -> String {
     }
 }
 
+/// A network of rays that a test has time for.
+fn shrink(pipeline: &mut Pipeline) {
+    if pipeline.method.as_ref().is_some_and(|method| !method.has_gaussians()) {
+        for (field, value) in [("depth", "2"), ("width", "8"), ("samples", "4")] {
+            pipeline.set(&format!("method.Nerf2.{field}={value}")).unwrap();
+        }
+        if let Rays::Each(_) = pipeline.training.rays {
+            pipeline.set("training.rays=Each(50)").unwrap();
+        }
+    }
+}
+
 #[test]
 fn every_pipeline_runs_some_steps() {
     for path in shipped(false) {
@@ -88,6 +100,7 @@ fn every_pipeline_runs_some_steps() {
         ] {
             pipeline.set(&change).unwrap_or_else(|e| panic!("{}: {change}: {e}", path.display()));
         }
+        shrink(&mut pipeline);
         let out = folder.path().join("run");
         let stop = AtomicBool::new(false);
         let outcome = pwrfgs::run(&pipeline, Path::new("pipelines"), &out, &mut Silent, &stop);
@@ -165,6 +178,7 @@ fn every_experiment_resolves_and_its_variants_train() {
             } else if pipeline.initializer.count().is_some_and(|count| count > 600) {
                 pipeline.set("initializer.count=600").unwrap();
             }
+            shrink(&mut pipeline);
             let (data, partition) = pwrfgs::experiment::load(&pipeline, Path::new(""), &mut Silent).unwrap();
             if let Ok(mut trainer) = Trainer::new(&pipeline, &data, &partition) {
                 (0..12).for_each(|_| assert!(trainer.step().unwrap().loss.is_finite(), "{}", run.folder));
