@@ -10,6 +10,7 @@ fn crates_depend_on_each_other_as_drawn() {
         ("raster", &["core"]),
         ("init", &["core"]),
         ("coherent", &["core"]),
+        ("nerf2", &["core", "layers"]),
         ("prune", &["core"]),
         ("metrics", &["core"]),
         ("data", &["core"]),

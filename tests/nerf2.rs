@@ -7,10 +7,10 @@ use pwrfgs::core::{
     rng,
 };
 use pwrfgs::prelude::*;
-use pwrfgs::train::Places;
 use std::path::Path;
 
-const SETTINGS: &str = "depth: 7, width: 8, samples: 5, azimuths: 4, elevations: 2";
+/// Rays enough for several chunks.
+const SETTINGS: &str = "depth: 7, width: 8, samples: 20, azimuths: 7, elevations: 3";
 
 /// A small network, and where it listens: two receivers.
 struct Room {
@@ -63,7 +63,7 @@ impl Room {
     fn differentiates(&self, name: &str, pixels: Pixels<'_>) {
         let cloud = GaussianCloud::zeros(0);
         // Some of every layer.
-        let stride = 3;
+        let stride = 7;
         let all = |x: &[Real]| {
             let mut weights = self.weights.clone();
             weights.iter_mut().step_by(stride).zip(x).for_each(|(w, x)| *w = *x);
@@ -127,33 +127,31 @@ fn what_is_kept_changes_no_bit_of_a_prediction() {
     }
 }
 
-/// A wall that lets nothing through hides what is behind it: the picture does not change with what is emitted there.
-#[test]
-fn behind_a_dark_sample_nothing_counts() {
-    let room = Room::new(Kind::Spectrum, "far_m: 3");
-    let layout = room.method.layout(&room.frame);
+/// Weights with the attenuation's layer multiplied, so that some rays end early.
+fn darker(room: &Room, factor: Real) -> Vec<Real> {
     let mut weights = room.weights.clone();
     let mut from = 0;
-    for spec in layout {
+    for spec in room.method.layout(&room.frame) {
         let own = &mut weights[from..from + spec.len()];
         from += spec.len();
-        match spec.name.as_str() {
-            "attenuation.weight" => own.fill(0.0),
-            "attenuation.bias" => own[0] = 1e4,
-            _ => {}
+        if spec.name.starts_with("attenuation.") {
+            own.iter_mut().for_each(|w| *w *= factor);
         }
     }
-    let seen = room.numbers(&weights, &LINKS, Pixels::All);
-    assert!(seen.iter().all(|v| v.is_finite()) && seen.iter().any(|v| *v > 0.0));
-    // The first sample is the receiver itself, whatever lies behind it.
-    let near =
-        Room { method: plugin(&format!("Nerf2({}, far_m: 3)", SETTINGS.replace("samples: 5", "samples: 2"))), ..room };
-    let alone = near.numbers(&weights, &LINKS, Pixels::All);
-    let ratio = 0.25; // 0.025 over the next sample: 3 m / 4 here, 3 m / 1 there
-    assert!(
-        seen.iter().zip(&alone).all(|(a, b)| (a * ratio - b).abs() < 1e-5 * a.abs().max(1e-3)),
-        "{seen:?}, {alone:?}"
-    );
+    weights
+}
+
+#[test]
+#[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
+fn rays_that_end_early_differentiate() {
+    // Powers are some hundreds, of which differences keep too few digits.
+    for kind in [Kind::Spectrum, Kind::Channel] {
+        let mut room = Room::new(kind, "far_m: 3");
+        let seen = room.numbers(&room.weights, &LINKS, Pixels::All);
+        room.weights = darker(&room, 100.0);
+        assert_ne!(room.numbers(&room.weights, &LINKS, Pixels::All), seen);
+        room.differentiates("rays that end early", Pixels::All);
+    }
 }
 
 fn small(training: &str) -> Pipeline {
@@ -214,7 +212,6 @@ fn rays_are_learned() {
     let mean = |part: &[f64]| part.iter().sum::<f64>() / part.len() as f64;
     let (first, last) = (mean(&losses[..10]), mean(&losses[140..]));
     assert!(last < 0.5 * first, "from {first} to {last}");
-    assert_eq!(Places::default(), Places::All);
 }
 
 #[test]

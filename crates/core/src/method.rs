@@ -171,6 +171,13 @@ pub trait Method: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Se
         usize::MAX
     }
 
+    /// Bytes that a step over so many links, and so many numbers of each, keeps for its way back; 0 where what is kept goes
+    /// with the Gaussians.
+    fn step_bytes(&self, frame: &Frame, links: usize, pixels: usize) -> u64 {
+        let _ = (frame, links, pixels);
+        0
+    }
+
     /// More columns of the cloud that it reads, by name and width: zero until something sets them, learned at the rate of
     /// `signals`, and saved with the model.
     fn columns(&self) -> Vec<(&'static str, usize)> {

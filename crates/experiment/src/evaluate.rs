@@ -51,15 +51,15 @@ pub fn evaluate(
         )));
     }
     let test = Bench::new(data, &partition.test, plane);
-    let score = |ensemble: &Ensemble, name: &str, observer: &mut dyn Observer| {
+    let score = |ensemble: &Ensemble, ready: &Prepared<'_>, name: &str, observer: &mut dyn Observer| {
         let facts = ModelFacts {
             means: &ensemble.means_from(data.scene.origin),
             gaussian_bytes: ensemble.gaussian_bytes(),
             network_bytes: ensemble.network_bytes(),
         };
-        test.model(name, &ensemble.prepare(), Some(facts), &pipeline.metrics, observer, stop)
+        test.model(name, ready, Some(facts), &pipeline.metrics, observer, stop)
     };
-    let own = score(ensemble, "the model", observer)?;
+    let own = score(ensemble, model, "the model", observer)?;
     let headline = headline(data.kind());
     let of_each = |measured: &[Measurement]| first(measured, headline.key).map(<[f64]>::to_vec);
     let values = if let Some(values) = of_each(&own) {
@@ -75,7 +75,8 @@ pub fn evaluate(
     if ensemble.members().len() > 1 {
         for (name, member) in ensemble.names().iter().zip(ensemble.members()) {
             let name = format!("member {name}");
-            let scores = score(&Ensemble::of(member.clone()), &name, observer)?;
+            let member = Ensemble::of(member.clone());
+            let scores = score(&member, &member.prepare(), &name, observer)?;
             predictors.push((name.clone(), scores));
             members.push(name);
         }

@@ -1,7 +1,7 @@
 //! What the samples of a ray emit towards the receiver: Σ s·exp(jψ)·c.
 
 use crate::path::{amplitude, amplitude_slope, turn, turn_slope};
-use pwrfgs_core::{Real, consts};
+use pwrfgs_core::Real;
 
 /// Σ over samples, given raw amplitudes and phases `[n]` and the factors of the path; `back` is taken from the phase.
 pub(crate) fn sum(raw: &[Real], raw_phase: &[Real], factors: &[[Real; 2]], back: Real) -> [Real; 2] {
@@ -34,9 +34,4 @@ pub(crate) fn sum_vjp(
         d_factors[i][0] += s * (d[0] * cos + d[1] * sin);
         d_factors[i][1] += s * (d[1] * cos - d[0] * sin);
     }
-}
-
-/// What is taken from the phases of a law other than the spectrum's: they lie from −π to π.
-pub(crate) fn back(law: crate::path::Law) -> Real {
-    if law == crate::path::Law::Spectrum { 0.0 } else { consts::PI }
 }

@@ -27,13 +27,15 @@ use std::time::Instant;
 /// with a weight of its own for each subcarrier. The rate of `optimizer.network` counts, `rays` says which pixels a step looks
 /// at, and projector, rasterizer, deformation, calibration and readout do not count.
 ///
-/// As released, with two exceptions: the sky of powers and channels is that of `azimuths` and `elevations`, of which the
-/// released code draws only the first ring for powers (`first_ring` has it so); and directions of pixels are those of the
-/// data, which are one degree from the released ones. The rate that falls and rises again is `Cosine` with its `steps`
+/// As released, but for this: the sky of powers and channels is that of `azimuths` and `elevations`, of which the released
+/// code draws only the first ring for powers (`first_ring` has it so); directions of pixels are those of the data, which are
+/// one degree from the released ones; behind a trillionth of the amplitude, and at the endless last sample of powers and
+/// channels, nothing counts; losses are those of this program, in dB² of powers (10⁴ times the released one) and relative of
+/// channels. The rate that falls and rises again is `Cosine` with its `steps`
 /// below those of the training; normalisation by test data is a setting of `Nerf2Csi`.
 ///
 /// The trunk does not know the transmitter: it is worked out once for all that are asked for together, and kept between
-/// predictions as far as `cache_mb` allows. Training at full size wants some 10¹² multiply-adds a step; `nerf2-laptop.ron` is
+/// predictions where all of it fits in `cache_mb`. Training at full size wants some 10¹² multiply-adds a step; `nerf2-laptop.ron` is
 /// a size for two cores.
 ///
 /// ```
@@ -46,7 +48,7 @@ use std::time::Instant;
 #[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct Nerf2 {
-    /// Layers of the trunk.
+    /// Layers of the trunk; from 6 on the place comes in once more at the sixth.
     pub depth: usize,
     /// Units of each, an even number.
     pub width: usize,
@@ -68,7 +70,7 @@ pub struct Nerf2 {
     /// Numbers that describe a transmitter in place of its position: 52 for the uplinks of NeRF2's channels; 0: the
     /// position.
     pub features: usize,
-    /// What predictions may keep of the trunk, MB.
+    /// What predictions may keep of the trunk, MiB a model; where all of it is more, nothing is kept.
     pub cache_mb: usize,
 }
 
@@ -91,9 +93,11 @@ impl Default for Nerf2 {
 }
 
 /// What a step may keep for its way back, bytes; the rest is worked out again.
-const KEPT: usize = 5 << 28;
+const KEPT: usize = 1_340_000_000;
 /// Samples of a ray, units of a layer, layers, and directions: more is a slip.
 const MOST: usize = 4_096;
+/// Weights of a network; the released one has 0.7 million.
+const LARGEST: usize = 1 << 28;
 
 /// A chunk of a group, and what was worked out of it.
 struct Chunk {
@@ -114,8 +118,8 @@ type Ready = Vec<Vec<Still>>;
 
 impl Nerf2 {
     /// Directions of powers and channels, ring by ring from the horizon up.
-    pub(crate) fn sky(&self) -> Vec<[Real; 3]> {
-        let rings = if self.first_ring { 1 } else { self.elevations };
+    pub(crate) fn sky(&self, kind: Kind) -> Vec<[Real; 3]> {
+        let rings = if self.first_ring && kind == Kind::Power { 1 } else { self.elevations };
         let direction = |i: usize| {
             let (ring, column) = ((i / self.azimuths + 1) as Real, (i % self.azimuths) as Real);
             let el = consts::PI / 2.0 * ring / self.elevations as Real;
@@ -176,7 +180,7 @@ impl Nerf2 {
         (0..frame.receivers.len()).filter_map(of).collect()
     }
 
-    /// Sums of all rays become observations: of spectra `sums` come with the place of their number.
+    /// Sums `[L, pixels or bands]` become observations.
     fn observations(frame: &Frame, totals: &[[Real; 2]]) -> Vec<Real> {
         match frame.kind {
             Kind::Spectrum => totals.iter().map(|[re, im]| re.hypot(*im)).collect(),
@@ -262,6 +266,17 @@ impl Method for Nerf2 {
         (KEPT / bytes_of(&network, self.samples, 1, 1)).max(1)
     }
 
+    fn step_bytes(&self, frame: &Frame, links: usize, pixels: usize) -> u64 {
+        let network = planned(|plan| self.network(frame, plan)).0;
+        // Rays that all links see, and the links along each; with a pixel each, as many rays as links.
+        let (rays, passes) = match (frame.kind, pixels) {
+            (Kind::Spectrum, 1) => (links, 1),
+            (Kind::Spectrum, pixels) => (pixels, links),
+            _ => (self.sky(frame.kind).len() * frame.receivers.len(), links.div_ceil(frame.receivers.len().max(1))),
+        };
+        bytes_of(&network, self.samples, rays, passes).min(KEPT) as u64
+    }
+
     fn layout(&self, frame: &Frame) -> Vec<WeightSpec> {
         planned(|plan| self.network(frame, plan)).1.layout()
     }
@@ -337,7 +352,7 @@ impl Method for Nerf2 {
 
     fn prepare(&self, frame: &Frame, p: &Parameters<'_>) -> Cache {
         let network = laid_out(p.weights, |plan| self.network(frame, plan));
-        let rays = if frame.kind == Kind::Spectrum { frame.numbers() } else { self.sky().len() };
+        let rays = if frame.kind == Kind::Spectrum { frame.numbers() } else { self.sky(frame.kind).len() };
         let of_sample = network.width() + network.outputs;
         let bytes = frame.receivers.len() * rays * self.samples * of_sample * size_of::<Real>();
         if bytes > self.cache_mb << 20 {
@@ -390,7 +405,7 @@ impl Method for Nerf2 {
                 .into());
         }
         if frame.kind == Kind::Spectrum && frame.plane.direction(0.0, 0.0).is_none() {
-            return Err("method: Nerf2 wants directions of pixels; use projector: Mercator()".into());
+            return Err("method: Nerf2 wants directions of pixels, and these data do not say them".into());
         }
         Ok(())
     }
@@ -409,6 +424,10 @@ impl Method for Nerf2 {
         ];
         if let Some((name, value, least)) = counts.iter().find(|(_, value, least)| !(*least..=MOST).contains(value)) {
             return Err(format!("`{name}` is {value}; give {least} to {MOST}"));
+        }
+        let weights = (self.depth + 2) * self.width * self.width;
+        if weights > LARGEST {
+            return Err(format!("depth {} and width {} make {weights} weights; give less", self.depth, self.width));
         }
         if self.width % 2 == 1 {
             return Err(format!("`width` is {}; give an even number: a layer has half of it", self.width));

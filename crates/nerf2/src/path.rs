@@ -6,7 +6,7 @@ use pwrfgs_core::{Real, consts};
 const SPARE: Real = 1e-10;
 /// The last step has no end.
 const ENDLESS: Real = 1e10;
-/// Where less than this is left of the amplitude, what lies behind counts nothing, to fourteen digits of a picture.
+/// Where less than this is left of the amplitude, what lies behind counts nothing.
 const DARK: Real = 1e-12;
 
 /// How attenuation becomes a complex factor c of what a sample emits.
@@ -48,6 +48,11 @@ pub(crate) fn turn_slope(turned: Real) -> Real {
 }
 
 impl Law {
+    /// What is taken from the phases of what samples emit: those of powers and channels lie from −π to π.
+    pub(crate) fn phase_offset(self) -> Real {
+        if self == Self::Spectrum { 0.0 } else { consts::PI }
+    }
+
     /// Lengths of the steps between samples.
     fn step(samples: &[Real], i: usize) -> Real {
         samples.get(i + 1).map_or(ENDLESS, |next| next - samples[i])
@@ -71,6 +76,8 @@ impl Law {
                     let next = samples.get(i + 1).map_or(ENDLESS, |next| *next);
                     0.025 / next
                 }
+                // Nothing comes through an endless step, but for an attenuation of exactly nothing.
+                Self::Wave { .. } if i + 1 == samples.len() => return i,
                 Self::Wave { wavenumber } => {
                     log -= loss;
                     phase += turned - consts::PI + wavenumber * step;

@@ -31,7 +31,7 @@ impl Rays {
                     Pixels::Same(places) | Pixels::Own(places) => places.iter().map(|&p| at(p)).collect(),
                 }
             }
-            Kind::Power | Kind::Channel => method.sky().into_iter().map(turned).collect(),
+            Kind::Power | Kind::Channel => method.sky(frame.kind).into_iter().map(turned).collect(),
         };
         Self::new(method, pose, directions)
     }

@@ -1,6 +1,6 @@
 //! A chunk of rays through the network and back.
 
-use crate::emission::{back, sum, sum_vjp};
+use crate::emission::{sum, sum_vjp};
 use crate::network::{FREQUENCIES, Network};
 use crate::path::Law;
 use crate::rays::Rays;
@@ -161,7 +161,7 @@ impl Walk<'_> {
         let one = |i: usize| {
             let (ray, band) = (i / bands, i % bands);
             let [raw, phase] = emitted(&signal.raw, still, band, bands, ray);
-            sum(raw, phase, self.on_path(still, band, ray), back(self.law))
+            sum(raw, phase, self.on_path(still, band, ray), self.law.phase_offset())
         };
         (0..rays * bands).map(one).collect()
     }
@@ -192,7 +192,7 @@ impl Walk<'_> {
             sum_vjp(
                 emitted(&signal.raw, still, band, bands, ray),
                 self.on_path(still, band, ray),
-                back(self.law),
+                self.law.phase_offset(),
                 *d,
                 [&mut d_amplitudes[own.clone()], &mut d_phases[own]],
                 &mut d_factors[on_path..on_path + segment.len()],

@@ -70,8 +70,9 @@ fn words(results: &Results<'_>) -> Value {
     let Words { plural, singular, size } = words::words(results.data);
     let (first, rest) = plural.split_at(1);
     let splats = results.model.members().iter().all(|model| model.stages.splatting().is_some());
-    let parts = if splats { "Gaussians" } else { "Virtual transmitters" };
-    context! { plural, singular, size, title => first.to_uppercase() + rest, parts }
+    let none = results.model.gaussians() == 0;
+    let parts = if splats || none { "Gaussians" } else { "Virtual transmitters" };
+    context! { plural, singular, size, title => first.to_uppercase() + rest, parts, none }
 }
 
 /// Name, seed, Gaussians and page of each member of an ensemble.

@@ -2,7 +2,8 @@
 
 use crate::Pipeline;
 use crate::batches::Batches;
-use crate::graph::loss_and_gradients;
+use crate::graph::in_parts;
+use crate::settings::Rays;
 use crate::trainer::Trainer;
 use pwrfgs_core::{GaussianCloud, Kind, Real, Result};
 use std::sync::Arc;
@@ -35,7 +36,7 @@ const TRIAL: usize = 4_000;
 /// Numbers a Gaussian and number of a channel: waves and their derivatives, real and imaginary.
 const PER_WAVE: usize = 4;
 
-/// Bytes that the network of `pipeline` takes in training; known before anything is made. A method of its own has none.
+/// Bytes that the network of `pipeline` takes in training; known before anything is made, but of a method of its own.
 pub fn network_bytes(pipeline: &Pipeline) -> u64 {
     if pipeline.method.is_some() {
         return 0;
@@ -57,18 +58,25 @@ impl Trainer<'_> {
         let (whole, half) = (self.trial(most)?, if most < n { self.trial(most / 2)? } else { 0.0 });
         let each = if most < n { ((whole - half) / (most - most / 2) as f64).max(0.0) } else { 0.0 };
         let step_seconds = whole + each * (n - most) as f64;
-        let links = batch * self.data.len().div_ceil(self.data.transmitters.len().max(1));
         let frame = &self.stages.frame;
+        let of_each = self.data.len().div_ceil(self.data.transmitters.len().max(1));
+        let (links, chosen) = match self.pipeline.training.rays {
+            Rays::All => (batch * of_each, frame.numbers()),
+            Rays::Same(rays) => (batch * of_each, rays),
+            Rays::Each(pairs) => (pairs, 1),
+        };
         let (kept, pixels) = match self.stages.splatting() {
             Some(splatting) => {
                 let sky = splatting.sky(frame);
                 let waves = if frame.kind == Kind::Channel { PER_WAVE * frame.numbers() / 2 } else { 0 };
                 (PER_GAUSSIAN + self.pipeline.deformation.kept_per_gaussian() + waves, sky.width * sky.height)
             }
-            None => (PER_GAUSSIAN, frame.numbers()),
+            None => (PER_GAUSSIAN, chosen),
         };
         let numbers = n * (kept + batch * PER_TERM) + links * pixels * PER_PIXEL;
-        let step_bytes = (numbers * size_of::<Real>()) as u64 + network_bytes(&self.pipeline);
+        let weights = (self.weights() * PER_WEIGHT * size_of::<Real>()) as u64;
+        let of_method = self.stages.method.step_bytes(frame, links, chosen);
+        let step_bytes = (numbers * size_of::<Real>()) as u64 + weights + of_method;
         Ok(Estimate { gaussians: n, step_bytes, step_seconds })
     }
 
@@ -88,7 +96,7 @@ impl Trainer<'_> {
         for _ in 0..2 {
             let start = Instant::now();
             let (stages, weights) = (&self.stages, Arc::clone(&self.weights));
-            rayon::scope(|_| loss_and_gradients(stages, &cloud, &weights, &batch, &*self.objective, &[], &moment))?;
+            rayon::scope(|_| in_parts(stages, &cloud, &weights, &batch, &*self.objective, &[], &moment))?;
             shortest = shortest.min(start.elapsed().as_secs_f64());
         }
         Ok(shortest)

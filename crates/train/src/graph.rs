@@ -67,22 +67,18 @@ impl Batch {
         Self { conditions: txs.as_flattened().to_vec(), width: 3, links, truths, ..Self::default() }
     }
 
-    /// Parts of at most `most` links, where each has one pixel of its own; else all of it.
-    pub(crate) fn parts(&self, most: usize) -> Vec<Self> {
-        match &self.places {
-            Places::Own(places) if places.len() > most => {
-                let parts = self.links.chunks(most).zip(places.chunks(most)).zip(self.truths.chunks(most));
-                let part = |((links, places), truths): ((&[Link], &[usize]), &[Real])| Self {
-                    conditions: self.conditions.clone(),
-                    width: self.width,
-                    links: links.to_vec(),
-                    places: Places::Own(places.to_vec()),
-                    truths: truths.to_vec(),
-                };
-                parts.map(part).collect()
-            }
-            _ => vec![self.clone()],
-        }
+    /// Parts of at most `most` links, each of which has one pixel of its own; `None` where it need not be divided.
+    fn parts(&self, most: usize) -> Option<impl Iterator<Item = Self>> {
+        let Places::Own(places) = &self.places else { return None };
+        let parts = self.links.chunks(most).zip(places.chunks(most)).zip(self.truths.chunks(most));
+        let part = |((links, places), truths): ((&[Link], &[usize]), &[Real])| Self {
+            conditions: self.conditions.clone(),
+            width: self.width,
+            links: links.to_vec(),
+            places: Places::Own(places.to_vec()),
+            truths: truths.to_vec(),
+        };
+        (places.len() > most).then(|| parts.map(part))
     }
 
     /// The links, as a method is asked for them.
@@ -169,19 +165,22 @@ pub(crate) fn in_parts(
     moment: &Moment,
 ) -> Result<LossAndGradients> {
     let of = |part: &Batch| loss_and_gradients(stages, cloud, weights, part, objective, pruners, moment);
-    let parts = batch.parts(stages.method.links_at_once(&stages.frame));
-    let [first, others @ ..] = parts.as_slice() else { return of(batch) };
-    let mut sum = of(first)?;
-    if others.is_empty() {
-        return Ok(sum);
-    }
-    let share = |part: &Batch| part.links.len() as Real / batch.links.len() as Real;
-    sum.loss *= share(first);
-    sum.d_weights.iter_mut().for_each(|d| *d *= share(first));
-    for part in others {
-        let own = of(part)?;
-        sum.loss += share(part) * own.loss;
-        sum.d_weights.iter_mut().zip(&own.d_weights).for_each(|(sum, d)| *sum += share(part) * d);
+    let Some(parts) = batch.parts(stages.method.links_at_once(&stages.frame)) else { return of(batch) };
+    let mut sum = LossAndGradients {
+        loss: 0.0,
+        penalty: 0.0,
+        d_cloud: cloud.zeros_like(),
+        d_weights: vec![0.0; weights.len()],
+        seen: CloudStats::zeros(cloud.len()),
+    };
+    for part in parts {
+        let (own, share) = (of(&part)?, part.links.len() as Real / batch.links.len() as Real);
+        let add = |sum: &mut [Real], d: &[Real]| sum.iter_mut().zip(d).for_each(|(sum, d)| *sum += share * d);
+        sum.loss += share * own.loss;
+        sum.penalty = own.penalty;
+        add(&mut sum.d_weights, &own.d_weights);
+        sum.d_cloud.columns_mut().zip(own.d_cloud.columns()).for_each(|((_, _, sum), (_, _, d))| add(sum, d));
+        sum.seen.add(&own.seen);
     }
     Ok(sum)
 }
@@ -326,5 +325,28 @@ impl Graph {
             vec![d_observed.iter().map(|d| upstream * d).collect()]
         });
         loss.into_iter().next().expect("one output").sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_of_a_batch_are_all_of_it_in_order() {
+        let links: Vec<Link> = (0..20).map(|k| Link { transmitter: k / 3, receiver: 0 }).collect();
+        let places = Places::Own((0..20).map(|k| 7 * k % 11).collect());
+        let truths = (0..20).map(|k| k as Real).collect();
+        let batch = Batch { conditions: vec![1.0; 21], width: 3, links, places, truths };
+        assert!(batch.parts(20).is_none() && Batch { places: Places::All, ..batch.clone() }.parts(7).is_none());
+        let parts: Vec<Batch> = batch.parts(7).unwrap().collect();
+        assert_eq!(parts.iter().map(|part| part.links.len()).collect::<Vec<_>>(), [7, 7, 6]);
+        let own = |part: &Batch| match &part.places {
+            Places::Own(places) => places.clone(),
+            _ => Vec::new(),
+        };
+        assert_eq!(parts.iter().flat_map(own).collect::<Vec<_>>(), own(&batch));
+        assert_eq!(parts.iter().flat_map(|part| part.links.clone()).collect::<Vec<_>>(), batch.links);
+        assert_eq!(parts.iter().flat_map(|part| part.truths.clone()).collect::<Vec<_>>(), batch.truths);
     }
 }

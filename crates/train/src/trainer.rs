@@ -10,9 +10,10 @@ use crate::graph::{drawn_gates, in_parts, open_gates};
 use crate::loss::{Objective, objective};
 use crate::pipeline::Pipeline;
 use crate::pruning::Memories;
+use crate::settings::Rays;
 use pwrfgs_core::{
-    CloudStats, ColumnSpec, Dataset, Error, ExtraColumn, Frame, GaussianCloud, ImagePlane, Method, Moment, Partition,
-    Phase, Progress, Real, Result, Seen, rng,
+    CloudStats, ColumnSpec, Dataset, Error, ExtraColumn, Frame, GaussianCloud, ImagePlane, Kind, Method, Moment,
+    Partition, Phase, Progress, Real, Result, Seen, rng,
 };
 use pwrfgs_model::{Model, Stages};
 use std::sync::atomic::AtomicBool;
@@ -115,7 +116,7 @@ impl<'a> Trainer<'a> {
         let pipeline = &pipeline;
         let plane = pipeline.plane(data)?;
         let method = pipeline.method();
-        check_inputs(&*method, data)?;
+        check_inputs(&*method, pipeline.method.is_some(), data)?;
         if partition.train.is_empty() {
             return Err(Error::Config("the training part is empty; use another split".into()));
         }
@@ -129,6 +130,7 @@ impl<'a> Trainer<'a> {
         }
         let coarse = coarse(&plane, pipeline, data.elevation, data.kind())?;
         let stages = Stages { method, frame: Frame::of(data, coarse) };
+        check_rays(pipeline.training.rays, &stages)?;
         stages.method.check_frame(&stages.frame).map_err(Error::Config)?;
         Stages { frame: Frame::of(data, plane.clone()), ..stages.clone() }.check().map_err(Error::Config)?;
         let cloud = GaussianCloud::zeros(0);
@@ -161,7 +163,7 @@ impl<'a> Trainer<'a> {
     /// The parameters before the first step; where the initializer has weights, as it has them.
     fn fill(&mut self, mut cloud: GaussianCloud, trained: Option<Vec<Real>>) -> Result<()> {
         if cloud.is_empty() && self.stages.method.has_gaussians() {
-            return Err(Error::Config("the initializer made no Gaussian; raise its count".into()));
+            return Err(Error::Config("the initializer made no Gaussian; raise its count, or take Random()".into()));
         }
         if let Some(what) = too_many(&self.pipeline, cloud.len()) {
             return Err(Error::Config(format!("pruners: {what}")));
@@ -375,8 +377,32 @@ impl<'a> Trainer<'a> {
     }
 }
 
-/// Refuses data that describe a transmitter by other numbers than the method wants.
-fn check_inputs(method: &dyn Method, data: &Dataset) -> Result<()> {
+/// Refuses rays where there are no pixels to choose, and more than a step can be meant to have.
+fn check_rays(rays: Rays, stages: &Stages) -> Result<()> {
+    let most = match rays {
+        Rays::All => return Ok(()),
+        Rays::Same(_) => stages.frame.numbers(),
+        Rays::Each(_) => MOST_PAIRS,
+    };
+    if stages.frame.kind != Kind::Spectrum {
+        let what = stages.frame.kind.plural();
+        return Err(Error::Config(format!(
+            "training.rays chooses pixels of spectra, and the data are {what}; leave it out"
+        )));
+    }
+    match rays {
+        Rays::Same(count) | Rays::Each(count) if count > most => {
+            Err(Error::Config(format!("training.rays has {count}; give at most {most}")))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Pairs of a spectrum and a pixel a step.
+const MOST_PAIRS: usize = 1 << 22;
+
+/// Refuses data that describe a transmitter by other numbers than the method wants, which is splatting or one of its `own`.
+fn check_inputs(method: &dyn Method, own: bool, data: &Dataset) -> Result<()> {
     let (wants, has) = (method.inputs(), data.features.as_ref().map_or(3, |features| features.width));
     if data.features.is_none() && !data.placed {
         return Err(Error::Config("the data have neither positions nor features of the transmitters".into()));
@@ -394,10 +420,11 @@ fn check_inputs(method: &dyn Method, data: &Dataset) -> Result<()> {
         "the method wants {} of a transmitter, and the data give {}; {}",
         what(wants, wants != 3),
         what(has, data.features.is_some()),
-        if data.features.is_some() {
-            format!("give deformation: Factored(tx_encoding: Features(width: {has}))")
-        } else {
-            "leave `Features` out".into()
+        match (own, data.features.is_some()) {
+            (true, true) => format!("give the method that many, such as Nerf2(features: {has})"),
+            (true, false) => "leave `features` of the method out".into(),
+            (false, true) => format!("give deformation: Factored(tx_encoding: Features(width: {has}))"),
+            (false, false) => "leave `Features` out".into(),
         }
     )))
 }

@@ -8,6 +8,7 @@ use clap::Args;
 use pwrfgs::experiment::clock::duration;
 use pwrfgs::experiment::text::{aligned, grouped};
 use pwrfgs::experiment::{Preview, Recipe, preview};
+use pwrfgs::train::Rays;
 use pwrfgs_core::Result;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -73,10 +74,23 @@ fn text(p: &Preview) -> String {
         ("data", format!("{}: {}", p.title, p.observed)),
         ("samples", format!("{train} training, {validation} validation, {test} test")),
         ("point cloud", if p.points > 0 { format!("{} points", n(p.points)) } else { "none".into() }),
-        ("Gaussians", format!("{} at the start", n(p.estimate.gaussians))),
+        (
+            "Gaussians",
+            match p.estimate.gaussians {
+                0 => "none".into(),
+                count => format!("{} at the start", n(count)),
+            },
+        ),
         ("network", format!("{} numbers", n(p.weights))),
         ("pruners", names(p.pipeline.pruners.iter().map(plugin_name).collect())),
-        ("steps", format!("{} of {} transmitters", steps(t.steps), n(t.batch))),
+        (
+            "steps",
+            match t.rays {
+                Rays::All => format!("{} of {} transmitters", steps(t.steps), n(t.batch)),
+                Rays::Same(rays) => format!("{} of {} rays of {} transmitters", steps(t.steps), n(rays), n(t.batch)),
+                Rays::Each(pairs) => format!("{} of {} pairs of a spectrum and a pixel", steps(t.steps), n(pairs)),
+            },
+        ),
         ("phases", names(phases.into_iter().flatten().collect())),
         ("memory", format!("about {}{free}", memory(p.loaded_bytes + p.estimate.step_bytes))),
         ("time", format!("{} a step, about {} in all", pace(seconds), duration(seconds * t.steps as f64))),

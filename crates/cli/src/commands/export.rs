@@ -68,6 +68,10 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<ExitCod
     if tx.is_some() {
         check_positions(&model)?;
     }
+    if arguments.ply.is_some() && model.gaussians() == 0 {
+        let what = "this model has no Gaussians, so there is nothing for a viewer of splats; --npz has its numbers";
+        return Err(Error::input(&arguments.model, what));
+    }
     // All are made before the first is written: what cannot be exported leaves nothing behind.
     let made: Vec<Vec<u8>> = files.iter().map(|(_, writer)| writer(&model, tx)).collect::<Result<_>>()?;
     let origin = model.members()[0].stages.origin;
@@ -78,7 +82,9 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<ExitCod
     for ((path, _), bytes) in files.iter().zip(made) {
         write_atomically(path, &bytes)?;
         if verbosity != Verbosity::Quiet {
-            output::note(&format!("{} Gaussians in {}", model.gaussians(), path.display()));
+            let what =
+                if model.gaussians() == 0 { "the network".into() } else { format!("{} Gaussians", model.gaussians()) };
+            output::note(&format!("{what} in {}", path.display()));
         }
     }
     Ok(ExitCode::SUCCESS)

@@ -68,6 +68,10 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<ExitCode> {
     let receivers = chosen(model.receivers(), &arguments.receiver)?;
     let origin = ensemble.members()[0].stages.origin;
     let poses: Vec<Pose> = model.receivers().iter().map(|receiver| origin.world_pose(receiver.pose)).collect();
+    if bounds.is_none() && ensemble.gaussians() == 0 {
+        let what = "the model has no Gaussians that would say where the room is; give --bounds";
+        return Err(pwrfgs_core::Error::Config(what.into()));
+    }
     let bounds = bounds.unwrap_or_else(|| {
         let means =
             ensemble.members().iter().flat_map(|own| own.cloud.means.iter().map(|mean| own.stages.origin.world(*mean)));

@@ -17,7 +17,7 @@ pub(super) fn figure(setting: &Setting) -> Option<Figure> {
     let words = context! { shaded => !bands.is_empty() };
     let mut lines = Vec::new();
     let count = setting.variants.len();
-    for (k, variant) in setting.variants.iter().enumerate() {
+    for (k, variant) in setting.variants.iter().enumerate().filter(|(_, v)| v.runs[0].facts.gaussians > 0) {
         let style = looks::variant(k);
         let [low, middle, high] = curves(variant);
         let mut line = Line::new(stairs(&middle), style).named(&variant.label);

@@ -6,7 +6,7 @@ use crate::draw::canvas::{Anchor, Canvas};
 use crate::draw::font::{LINE, TEXT, wrapped};
 use crate::draw::legend::Legend;
 use crate::draw::room::{Panel, Room};
-use crate::study::Setting;
+use crate::study::{Setting, Variant};
 use minijinja::context;
 use pwrfgs_core::Result;
 use pwrfgs_experiment::Snapshot;
@@ -15,8 +15,12 @@ use pwrfgs_experiment::Snapshot;
 const MOST: usize = 6;
 
 pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure>> {
-    let shown = &setting.variants[..setting.variants.len().min(MOST)];
-    let snapshot = |v: &crate::study::Variant| {
+    let with = || setting.variants.iter().filter(|v| v.runs[0].facts.gaussians > 0);
+    let shown: Vec<&Variant> = with().take(MOST).collect();
+    if shown.is_empty() {
+        return Ok(None);
+    }
+    let snapshot = |v: &&Variant| {
         let run = &v.runs[0];
         Ok(Snapshot::of_ensemble(run.facts.steps, &loaded.model(run)?))
     };
@@ -40,7 +44,7 @@ pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure
     let legend = Legend::new(room.legend(), canvas.width);
     legend.draw(&mut canvas, top);
     canvas.height = top + legend.height();
-    let words = context! { more => setting.variants.len() - shown.len(), note => room.note(&loaded.data) };
+    let words = context! { more => with().count() - shown.len(), note => room.note(&loaded.data) };
     Ok(Some(Figure::new("room", setting, words, &canvas)))
 }
 

@@ -64,11 +64,13 @@ fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
     Figure::chart(score.name, setting, context! { axis => &score.axis, published }, chart)
 }
 
-/// N and score over the seeds of a variant; nothing where no run has the score.
+/// N and score over the seeds of a variant; nothing where no run has the score, or the method no Gaussians.
 fn spreads(variant: &Variant, key: &str) -> Option<(Spread, Spread)> {
     let scored = variant.runs.iter().filter_map(|r| Some((r.facts.gaussians as f64, r.value(MODEL, key)?)));
     let (n, score): (Vec<f64>, Vec<f64>) = scored.unzip();
-    Some((Spread::of(&n)?, Spread::of(&score)?))
+    let n = Spread::of(&n)?;
+    // Without Gaussians there is no place on the axis.
+    if n.mean > 0.0 { Some((n, Spread::of(&score)?)) } else { None }
 }
 
 /// The mark of one variant with its bars.
