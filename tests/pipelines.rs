@@ -75,8 +75,10 @@ fn shrink(pipeline: &mut Pipeline) {
         for (field, value) in [("depth", "2"), ("width", "8"), ("samples", "4")] {
             pipeline.set(&format!("method.Nerf2.{field}={value}")).unwrap();
         }
-        if let Rays::Each(_) = pipeline.training.rays {
-            pipeline.set("training.rays=Each(50)").unwrap();
+        match pipeline.training.rays {
+            Rays::All => (),
+            Rays::Same(_) => pipeline.set("training.rays=Same(50)").unwrap(),
+            Rays::Each(_) => pipeline.set("training.rays=Each(50)").unwrap(),
         }
     }
 }
