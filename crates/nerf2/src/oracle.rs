@@ -6,24 +6,24 @@ use crate::network::Network;
 use crate::path::Law;
 use crate::rays::Rays;
 use crate::walk::{Sums, Walk};
-use npyz::npz::NpzArchive;
 use pwrfgs_core::testing::shared;
 use pwrfgs_core::{Conditions, Kind, Real, SPEED_OF_LIGHT};
 use pwrfgs_layers::plan::planned;
 use std::fs::File;
 use std::io::BufReader;
+use zip::ZipArchive;
 
-struct Oracle(NpzArchive<BufReader<File>>);
+struct Oracle(ZipArchive<BufReader<File>>);
 
 impl Oracle {
     fn open(mode: &str) -> Option<Self> {
         let path = shared("oracle/nerf2")?.join(format!("{mode}.npz"));
-        Some(Self(NpzArchive::new(BufReader::new(File::open(path).unwrap())).unwrap()))
+        Some(Self(ZipArchive::new(BufReader::new(File::open(path).unwrap())).unwrap()))
     }
 
     fn array(&mut self, name: &str) -> Vec<Real> {
-        let array = self.0.by_name(name).unwrap().unwrap_or_else(|| panic!("{name}"));
-        let values: Vec<f64> = array.into_vec().unwrap();
+        let array = self.0.by_name(&format!("{name}.npy")).unwrap_or_else(|e| panic!("{name}: {e}"));
+        let values: Vec<f64> = npyz::NpyFile::new(array).unwrap().into_vec().unwrap();
         values.into_iter().map(|v| v as Real).collect()
     }
 
