@@ -2,6 +2,7 @@
 
 use crate::recipe::Recipe;
 use pwrfgs_core::files::{self, refuse_foreign, write_atomically};
+use pwrfgs_core::words::clean;
 use pwrfgs_core::{Error, Result};
 use std::fs::{File, TryLockError};
 use std::io::ErrorKind;
@@ -123,8 +124,8 @@ fn same_recipe(folder: &Path, file: &Path, theirs: &str, ours: &str) -> Result<(
              choose another --out or remove the folder",
             folder.display(),
             line + 1,
-            there.trim().trim_end_matches(','),
-            here.trim().trim_end_matches(',')
+            clean(there).trim_end_matches(','),
+            clean(here).trim_end_matches(',')
         ))),
         None if theirs.lines().count() == ours.lines().count() => Ok(()),
         None => Err(Error::Config(format!(
