@@ -197,6 +197,20 @@ fn trainings_of_rays_give_the_same_bits_at_any_thread_count_and_resumed() {
     }
 }
 
+/// The projector does not count, not even where every third pixel is looked at.
+#[test]
+fn a_stride_asks_no_projector() {
+    let first = |projector: &str| {
+        let rays = "rays: Same(9), stride: 3, loss: (ssim_weight: 0)";
+        let mut pipeline = small(rays);
+        pipeline.set(&format!("projector={projector}")).unwrap();
+        let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
+        let partition = pipeline.partition(&data).unwrap();
+        Trainer::new(&pipeline, &data, &partition).unwrap().step().unwrap().loss
+    };
+    assert_eq!(first("Mercator()"), first("WrfgsCompat()"));
+}
+
 #[test]
 fn rays_are_learned() {
     let pipeline = small(

@@ -109,7 +109,7 @@ struct Chunk {
 /// What [`Method::vjp`] finds again.
 struct Forward {
     chunks: Vec<Chunk>,
-    /// Sums over the sky, `[L, bands]`; of spectra none.
+    /// Sums over the samples `[L, pixels]`, or over the whole sky `[L, bands]`.
     totals: Vec<[Real; 2]>,
 }
 

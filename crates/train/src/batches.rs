@@ -3,7 +3,9 @@
 use crate::Pipeline;
 use crate::graph::{Batch, Places};
 use crate::settings::Rays;
-use pwrfgs_core::{Dataset, Elevation, Error, ImagePlane, Kind, Link, Moment, Needs, Observations, Real, Result, rng};
+use pwrfgs_core::{
+    Axis, Dataset, Elevation, Error, ImagePlane, Kind, Link, Moment, Needs, Observations, Real, Result, rng,
+};
 use pwrfgs_model::Stages;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -159,6 +161,12 @@ pub(crate) fn coarse(plane: &ImagePlane, pipeline: &Pipeline, elevation: Elevati
             "training.stride {stride} does not divide the pictures' {width} columns and {height} rows; use one of {}",
             fits.join(", ")
         )));
+    }
+    if pipeline.method.is_some() {
+        // No projector draws it: the same angles, further apart.
+        let wider = |axis: Axis| Axis { step: axis.step * stride as f64, ..axis };
+        let angles = plane.angles.map(|(azimuth, elevation)| (wider(azimuth), wider(elevation)));
+        return Ok(ImagePlane { width: width / stride, height: height / stride, angles, ..plane.clone() });
     }
     let coarse = pipeline.projector.plane_of(width / stride, height / stride, elevation);
     let coarse = coarse.map_err(|why| Error::Config(format!("the projector {why}")))?;
