@@ -103,11 +103,8 @@ pub struct LossAndGradients {
     pub seen: CloudStats,
 }
 
-/// Runs the graph forward and backward.
-///
-/// # Errors
-/// [`Error::NonFinite`] where the loss is not a number.
-pub fn loss_and_gradients(
+/// The graph of a batch, or of a part of it, forward and backward.
+fn whole(
     stages: &Arc<Stages>,
     cloud: &GaussianCloud,
     weights: &Arc<Vec<Real>>,
@@ -154,8 +151,12 @@ pub fn loss_and_gradients(
     Ok(LossAndGradients { loss: value, penalty: penalty_value, d_cloud, d_weights, seen })
 }
 
-/// The same, part by part where a method had better not be asked for all links at once. The loss is a mean over links.
-pub(crate) fn in_parts(
+/// Runs the graph forward and backward, part by part where a method had better not be asked for
+/// [all links at once](pwrfgs_core::Method::links_at_once): the loss is a mean over links.
+///
+/// # Errors
+/// [`Error::NonFinite`] where the loss is not a number.
+pub fn loss_and_gradients(
     stages: &Arc<Stages>,
     cloud: &GaussianCloud,
     weights: &Arc<Vec<Real>>,
@@ -164,7 +165,7 @@ pub(crate) fn in_parts(
     pruners: &[Plugin<dyn Pruner>],
     moment: &Moment,
 ) -> Result<LossAndGradients> {
-    let of = |part: &Batch| loss_and_gradients(stages, cloud, weights, part, objective, pruners, moment);
+    let of = |part: &Batch| whole(stages, cloud, weights, part, objective, pruners, moment);
     let Some(parts) = batch.parts(stages.method.links_at_once(&stages.frame)) else { return of(batch) };
     let mut sum = LossAndGradients {
         loss: 0.0,

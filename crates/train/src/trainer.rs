@@ -6,7 +6,7 @@ use crate::budgets::{is_exact, targeted, too_many};
 use crate::densify;
 use crate::edit;
 use crate::fingerprint::fingerprint;
-use crate::graph::{drawn_gates, in_parts, open_gates};
+use crate::graph::{drawn_gates, loss_and_gradients, open_gates};
 use crate::loss::{Objective, objective};
 use crate::pipeline::Pipeline;
 use crate::pruning::Memories;
@@ -249,7 +249,8 @@ impl<'a> Trainer<'a> {
             Some(window) => Arc::new(through(window, &self.weights)),
             None => Arc::clone(&self.weights),
         };
-        let mut found = in_parts(&self.stages, &self.cloud, &weights, &batch, &*self.objective, &pruners, &moment)?;
+        let mut found =
+            loss_and_gradients(&self.stages, &self.cloud, &weights, &batch, &*self.objective, &pruners, &moment)?;
         drop(weights); // the optimiser then changes them where they are
         if let Some(window) = &window {
             found.d_weights = through(window, &found.d_weights);
