@@ -32,7 +32,7 @@ use std::time::Instant;
 /// one degree from the released ones; behind a trillionth of the amplitude, and at the endless last sample of powers and
 /// channels, nothing counts; losses are those of this program, in dB² of powers (10⁴ times the released one) and relative of
 /// channels. The rate that falls and rises again is `Cosine` with its `steps`
-/// below those of the training; normalisation by test data is a setting of `Nerf2Csi`.
+/// below those of the training; normalisation by test data is `by_test_data` of `Nerf2Csi`.
 ///
 /// The trunk does not know the transmitter: it is worked out once for all that are asked for together, and kept between
 /// predictions where all of it fits in `cache_mb`. Training at full size wants some 10¹² multiply-adds a step; `nerf2-laptop.ron` is

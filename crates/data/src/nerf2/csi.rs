@@ -35,7 +35,8 @@ const SHAPE: &str =
 /// counted from 0 as the index files do. Without `tx_pos.csv` nobody knows where the transmitters are, and what needs
 /// places, such as the split `Voxel`, is refused.
 ///
-/// The whole array is divided by its largest modulus, of training and test data alike, as NeRF2 does it.
+/// The whole array is divided by its largest modulus, which is looked for in the training part of the index files, and in
+/// all snapshots where there are none. NeRF2 looks for it in training and test data alike: `by_test_data: true` does so.
 ///
 /// ```
 /// # use pwrfgs_core::{DataSource, Plugin};
@@ -54,8 +55,10 @@ pub struct Nerf2Csi {
     pub carrier_hz: f64,
     /// From one subcarrier to the next, Hz.
     pub spacing_hz: f64,
-    /// Whether all channels are divided by the largest modulus of all data.
+    /// Whether all channels are divided by one number, the largest modulus of the training part.
     pub normalise: bool,
+    /// Whether the largest modulus may be one of the test part, as NeRF2 has it; a factor that no score sees.
+    pub by_test_data: bool,
     /// Whether the antennas are one receiver's: a link is then a snapshot, its features are the uplinks of all antennas one
     /// after the other, and what was observed of it is the downlink at all of them.
     pub together: bool,
@@ -63,7 +66,7 @@ pub struct Nerf2Csi {
 
 impl Default for Nerf2Csi {
     fn default() -> Self {
-        Self { root: "data/mimo".into(), carrier_hz: 2.4e9, spacing_hz: 312.5e3, normalise: true, together: false }
+        Self { root: "data/mimo".into(), carrier_hz: 2.4e9, spacing_hz: 312.5e3, normalise: true, by_test_data: false, together: false }
     }
 }
 
@@ -85,6 +88,10 @@ impl DataSource for Nerf2Csi {
         let frequencies_hz = subcarriers(&path, self.carrier_hz, self.spacing_hz, both)?.split_off(both / 2);
         let positions = positions(&root, snapshots)?;
         let rows = index::read(&root, &|word| index::row(word, "csidata.npy", snapshots))?;
+        if self.normalise {
+            let seen = rows.as_ref().filter(|_| !self.by_test_data).map(|(train, _)| train.as_slice());
+            all.normalise(&path, seen)?;
+        }
         let (features, gains) = halves(&mut all);
         let at = |i: usize| positions.as_ref().map_or([0.0; 3], |positions| positions[i]);
         let receivers = if self.together { vec![station(&antennas)] } else { receivers(&antennas) };
@@ -119,7 +126,7 @@ impl DataSource for Nerf2Csi {
 impl Nerf2Csi {
     /// `[N,A,2F]`, for a base station of `antennas`.
     fn read(&self, path: &Path, antennas: usize) -> Result<Complex> {
-        let mut all = read_complex(path, SHAPE)?;
+        let all = read_complex(path, SHAPE)?;
         let [_, have, both] = all.shape;
         if have != antennas {
             let what = format!("has {have} antennas a snapshot, but base-station.yml {antennas}; give as many of each");
@@ -128,9 +135,6 @@ impl Nerf2Csi {
         if both % 2 == 1 {
             let what = format!("has {both} subcarriers, which are no two halves of uplink and downlink; {SHAPE}");
             return Err(Error::input(path, what));
-        }
-        if self.normalise {
-            all.normalise(path)?;
         }
         Ok(all)
     }

@@ -71,11 +71,15 @@ impl Header {
 }
 
 impl Complex {
-    /// Divides all by the largest modulus; refuses what is zero throughout.
-    pub(crate) fn normalise(&mut self, path: &Path) -> Result<()> {
-        let largest = self.values.iter().map(|[re, im]| re.hypot(*im)).fold(0.0, f64::max);
+    /// Divides all by the largest modulus of the rows `seen`, or of all where none are named; refuses what is zero there.
+    pub(crate) fn normalise(&mut self, path: &Path, seen: Option<&[usize]>) -> Result<()> {
+        let largest_of = |values: &[[f64; 2]]| values.iter().map(|[re, im]| re.hypot(*im)).fold(0.0, f64::max);
+        let [_, antennas, frequencies] = self.shape;
+        let row = |&i: &usize| largest_of(&self.values[i * antennas * frequencies..][..antennas * frequencies]);
+        let largest = seen.map_or_else(|| largest_of(&self.values), |rows| rows.iter().map(row).fold(0.0, f64::max));
         if largest == 0.0 {
-            return Err(Error::input(path, "is zero throughout; give channels that were measured"));
+            let part = if seen.is_some() { "in its training part" } else { "throughout" };
+            return Err(Error::input(path, format!("is zero {part}; give channels that were measured")));
         }
         self.values.iter_mut().flatten().for_each(|v| *v /= largest);
         Ok(())

@@ -29,8 +29,11 @@ impl Folder {
     }
 
     fn load(&self, normalise: bool) -> Result<Dataset> {
-        Nerf2Csi { root: ".".into(), normalise, carrier_hz: 1e9, spacing_hz: 2e6, together: false }
-            .load(self.0.path(), &|_, _| {})
+        self.load_as(Nerf2Csi { normalise, ..Nerf2Csi::default() })
+    }
+
+    fn load_as(&self, source: Nerf2Csi) -> Result<Dataset> {
+        Nerf2Csi { root: ".".into(), carrier_hz: 1e9, spacing_hz: 2e6, ..source }.load(self.0.path(), &|_, _| {})
     }
 
     fn fault(&self) -> String {
@@ -54,9 +57,18 @@ fn uplinks_are_features_and_downlinks_observations() {
     assert_eq!(data.official, Some((vec![0, 1, 4, 5], vec![2, 3])));
     let Observations::Channels(channels) = &data.observations else { unreachable!() };
     assert_eq!(channels.frequencies_hz, [1e9 + 1e6, 1e9 + 3e6]);
-    // By the largest modulus of all.
+    // By the largest modulus of the training part: snapshots 0 and 2.
     let scaled = folder.load(true).unwrap().image(5).pixels[3] as f64;
     assert!((scaled - 47.0 / 46f64.hypot(47.0)).abs() < 1e-6);
+    // That is also the largest of all, until the last snapshot is the test.
+    for (by_test_data, largest) in [(false, 30f64.hypot(31.0)), (true, 46f64.hypot(47.0))] {
+        folder.write("train_index.txt", "0\n1\n");
+        folder.write("test_index.txt", "2\n");
+        let data = folder.load_as(Nerf2Csi { by_test_data, ..Nerf2Csi::default() }).unwrap();
+        assert!((data.image(5).pixels[3] as f64 - 47.0 / largest).abs() < 1e-6);
+    }
+    folder.write("train_index.txt", "0\n2\n");
+    folder.write("test_index.txt", "1\n");
     let said = Voxel::default().split(&data, &mut rng::stream(0, "split", 0)).unwrap_err();
     assert!(said.to_string().contains("does not say where the transmitters are"), "{said}");
     folder.write("tx_pos.csv", "x,y,z\n1,2,3\n4,5,6\n7,8,9\n");
@@ -82,7 +94,7 @@ fn mistakes_are_told_with_their_place() {
         (complex(&[3, 2, 4], vec![1.0; 47]), "numbers of shape [3, 2, 4] do not fit its length"),
         (complex(&[0, 2, 4], vec![]), "has shape [0, 2, 4] and holds nothing"),
         (complex(&[usize::MAX, 2, 4], vec![1.0; 48]), "numbers of shape"),
-        (complex(&[3, 2, 4], vec![0.0; 48]), "is zero throughout"),
+        (complex(&[3, 2, 4], vec![0.0; 48]), "is zero in its training part; give channels"),
         (
             complex(&[3, 2, 4], (0..48).map(|i| if i == 31 { f32::NAN } else { 1.0 })),
             "csidata[1, 1, 3] is (1.0, NaN); give finite numbers",
