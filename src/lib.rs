@@ -19,6 +19,7 @@ pub use pwrfgs_coherent as coherent;
 pub use pwrfgs_core as core;
 pub use pwrfgs_data as data;
 pub use pwrfgs_experiment as experiment;
+pub use pwrfgs_foreign as foreign;
 pub use pwrfgs_init as init;
 #[cfg(feature = "inspect")]
 pub use pwrfgs_inspect as inspect;

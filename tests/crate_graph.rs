@@ -9,6 +9,7 @@ fn crates_depend_on_each_other_as_drawn() {
         ("core", &["macros"]),
         ("raster", &["core"]),
         ("init", &["core"]),
+        ("foreign", &["core"]),
         ("coherent", &["core"]),
         ("nerf2", &["core", "layers"]),
         ("prune", &["core"]),

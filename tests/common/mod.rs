@@ -23,12 +23,15 @@ where
 /// Plugins of these tests themselves.
 pub(crate) const OF_TESTS: [&str; 6] = ["Counted", "Factor", "GreyOfAFile", "Literal", "Terms", "There"];
 
-/// The linked plugins of a kind without those of these tests.
+/// What another language has to fill (`crates/foreign`).
+pub(crate) const FOREIGN: &str = "Python";
+
+/// The linked plugins of a kind without those of these tests and of other languages.
 pub(crate) fn built_in<T: ?Sized + PluginKind>() -> Vec<&'static str>
 where
     Box<T>: for<'de> serde::Deserialize<'de>,
 {
-    registered::<T>().into_iter().filter(|name| !OF_TESTS.contains(name)).collect()
+    registered::<T>().into_iter().filter(|name| !OF_TESTS.contains(name) && *name != FOREIGN).collect()
 }
 
 /// Unit quaternion x, y, z, w of a rotation matrix.

@@ -1,7 +1,7 @@
 //! `Pruner`: which Gaussians stay.
 
 use crate::{
-    CloudStats, Edit, Gate, GaussianCloud, Moment, Needs, Real, plugin_kind,
+    CloudStats, Edit, Gate, GaussianCloud, Moment, Needs, Real, Result, plugin_kind,
     tape::{TraceScalar, Traced},
 };
 
@@ -85,6 +85,15 @@ pub trait Pruner: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Se
     /// New values of its [`Pruner::state`], once after each prune step: `n` Gaussians were there before, `cloud` is left.
     fn advance(&self, state: &mut [Real], n: usize, cloud: &GaussianCloud, moment: &Moment) {
         let _ = (state, n, cloud, moment);
+    }
+
+    /// Whether it can be asked at all: one that is written in another language wants a program that runs it. A training
+    /// asks before anything else.
+    ///
+    /// # Errors
+    /// Why not, and what to do.
+    fn ready(&self) -> Result<()> {
+        Ok(())
     }
 
     /// One line for `pwrfgs plugins`.

@@ -1,6 +1,6 @@
 //! What every writer of a data folder writes alike.
 
-use pwrfgs_core::Pose;
+use pwrfgs_core::{Origin, Pose, Receiver};
 
 /// The text of `gateway_info.yml` for a data set called `name`.
 pub fn gateway_yaml(name: &str, pose: &Pose) -> String {
@@ -22,6 +22,20 @@ pub fn gateway_positions_yaml<'a>(gateways: impl IntoIterator<Item = (&'a str, [
 pub fn base_station_yaml(antennas: &[[f64; 3]]) -> String {
     let places: Vec<String> = antennas.iter().map(|place| format!("[{}]", list(place))).collect();
     format!("base_station: [{}]\n", places.join(", "))
+}
+
+/// The text of `receiver.yml`: pose, frequencies, and places of the antennas in the world; metres and Hz.
+pub(crate) fn receiver_yaml(receiver: &Receiver, origin: Origin, carrier_hz: f64, spacing_hz: f64) -> String {
+    let pose = origin.world_pose(receiver.pose);
+    let antenna = |about: [f64; 3]| format!("[{}]", list(&[0, 1, 2].map(|k| pose.position[k] + about[k])));
+    format!(
+        "name: {}\nposition: [{}]\norientation: [{}] # quaternion x, y, z, w\ncarrier_hz: {carrier_hz:?}\n\
+         spacing_hz: {spacing_hz:?}\nantennas: [{}] # in the world, metres\n",
+        serde_json::Value::from(receiver.name.as_str()),
+        list(&pose.position),
+        list(&pose.orientation),
+        receiver.array().into_iter().map(antenna).collect::<Vec<_>>().join(", ")
+    )
 }
 
 fn list(v: &[f64]) -> String {

@@ -112,6 +112,7 @@ impl<'a> Trainer<'a> {
     /// Everything but parameters.
     pub(crate) fn blank(pipeline: &Pipeline, data: &'a Dataset, partition: &Partition) -> Result<Self> {
         let mut pipeline = pipeline.resolved()?;
+        pipeline.pruners.iter().try_for_each(|pruner| pruner.ready())?;
         pipeline.pruners = targeted(&pipeline).map_err(Error::Config)?;
         let pipeline = &pipeline;
         let plane = pipeline.plane(data)?;
@@ -216,6 +217,27 @@ impl<'a> Trainer<'a> {
     /// The Gaussians as they stand.
     pub fn cloud(&self) -> &GaussianCloud {
         &self.cloud
+    }
+
+    /// What was seen of the Gaussians since the last densification.
+    pub fn stats(&self) -> &CloudStats {
+        &self.stats
+    }
+
+    /// Takes away the Gaussians that are not to be kept, as a prune step does: parameters, moments of Adam and statistics.
+    ///
+    /// # Errors
+    /// [`Error::Config`] where `keep` is of another length, or would leave nothing.
+    pub fn keep(&mut self, keep: &[bool]) -> Result<()> {
+        let n = self.cloud.len();
+        if keep.len() != n {
+            return Err(Error::Config(format!("keep: {} values for {n} Gaussians; give one of each", keep.len())));
+        }
+        if !keep.contains(&true) {
+            return Err(Error::Config("keep: nothing would be left; keep one Gaussian at least".into()));
+        }
+        self.take_away(keep);
+        Ok(())
     }
 
     /// Phase of algorithm 1 at `step`.

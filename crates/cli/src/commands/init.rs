@@ -17,7 +17,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use survey::Survey;
-pub(super) use survey::{layout, name_of};
+pub(super) use survey::name_of;
 
 #[derive(Debug, Args)]
 #[command(

@@ -1,11 +1,12 @@
 //! `pwrfgs inspect`: what to know of data before training.
 
 use super::changes::named;
-use super::init::{layout, name_of};
+use super::init::name_of;
 use crate::args::Verbosity;
 use crate::output;
 use crate::progress::Progress;
 use clap::Args;
+use pwrfgs::data::source_in;
 use pwrfgs::experiment::{read_pipeline, staged};
 use pwrfgs::inspect as work;
 use pwrfgs::prelude::Pipeline;
@@ -57,7 +58,7 @@ pub(crate) fn inspect(arguments: &Inspect, verbosity: Verbosity) -> Result<ExitC
 
 /// The pipeline that `path` names, or one of all defaults for the data in that folder.
 fn pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
-    let Some((_, _, source)) = layout(path) else {
+    let Some((_, _, source)) = source_in(path) else {
         let pipeline = named(path).map_err(|_neither| {
             let what = "holds neither data (spectra, received powers or channels) nor a run; give a folder of data";
             Error::input(path, format!("{what}, a pipeline file, or the folder of a run"))

@@ -66,7 +66,14 @@ pub struct Nerf2Csi {
 
 impl Default for Nerf2Csi {
     fn default() -> Self {
-        Self { root: "data/mimo".into(), carrier_hz: 2.4e9, spacing_hz: 312.5e3, normalise: true, by_test_data: false, together: false }
+        Self {
+            root: "data/mimo".into(),
+            carrier_hz: 2.4e9,
+            spacing_hz: 312.5e3,
+            normalise: true,
+            by_test_data: false,
+            together: false,
+        }
     }
 }
 

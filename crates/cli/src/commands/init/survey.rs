@@ -1,6 +1,6 @@
 //! What lies in a folder of data, and which split suits it.
 
-use pwrfgs::data::{Arrays, Channels, Nerf2Csi, Nerf2Rssi, Nerf2Spectrum, read_points};
+use pwrfgs::data::{Nerf2Spectrum, read_points, source_in};
 use pwrfgs::experiment::samples::nearest_train;
 use pwrfgs::experiment::{Observer, observed, staged};
 use pwrfgs_core::{DataSource, Dataset, Kind, Partition, Plugin, Result, Split, rng};
@@ -56,7 +56,7 @@ impl Survey {
         let spectra = || -> (_, _, Box<dyn DataSource>) {
             ("Nerf2Spectrum", "", Box::new(Nerf2Spectrum { root: folder.to_owned(), ..Nerf2Spectrum::default() }))
         };
-        let (source, settings, reader) = layout(folder).unwrap_or_else(spectra);
+        let (source, settings, reader) = source_in(folder).unwrap_or_else(spectra);
         let data = staged(observer, "observations", |progress| reader.load(Path::new(""), progress))?;
         let (split, partition) = suggested(&data)?;
         let mut distances: Vec<f64> = {
@@ -121,25 +121,6 @@ impl Survey {
         }));
         notes
     }
-}
-
-/// The plugin that reads a folder, by the files in it, and its settings besides `root`; nothing where it holds no data.
-pub(crate) fn layout(folder: &Path) -> Option<(&'static str, &'static str, Box<dyn DataSource>)> {
-    let holds = |names: [&str; 2]| names.iter().any(|name| folder.join(name).exists());
-    let root = || folder.to_owned();
-    Some(if holds(["gateway_rssi.csv", "gateway_position.yml"]) {
-        ("Nerf2Rssi", "", Box::new(Nerf2Rssi { root: root(), ..Nerf2Rssi::default() }))
-    } else if holds(["csidata.npy", "base-station.yml"]) {
-        ("Nerf2Csi", ", together: true", Box::new(Nerf2Csi { root: root(), together: true, ..Nerf2Csi::default() }))
-    } else if holds(["channel.npy", "receiver.yml"]) {
-        ("Channels", "", Box::new(Channels { root: root(), ..Channels::default() }))
-    } else if holds(["spectra.npy"; 2]) {
-        ("Arrays", "", Box::new(Arrays { root: root(), ..Arrays::default() }))
-    } else if holds(["spectrum", "gateway_info.yml"]) {
-        ("Nerf2Spectrum", "", Box::new(Nerf2Spectrum { root: root(), ..Nerf2Spectrum::default() }))
-    } else {
-        return None;
-    })
 }
 
 /// The longest side of the box of positions, metres.
