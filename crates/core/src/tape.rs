@@ -50,6 +50,11 @@ impl Traced {
         self.len == 0
     }
 
+    /// Names of the columns.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.columns.iter().map(|(name, _)| name.as_str())
+    }
+
     /// The leaf of column `name`, row-major `[N · width]`.
     ///
     /// # Panics

@@ -1,0 +1,47 @@
+"""pwrfgs: pruned 3D Gaussian splatting for wireless radiance fields.
+
+Three lines get a prediction::
+
+    import pwrfgs
+    model = pwrfgs.Model.load("runs/quickstart")
+    spectrum = model.predict([1.2, 0.3, 1.0])          # [H, W]
+
+Every plugin of the toolkit is a class here, such as ``pwrfgs.LearnableMask(lambda_=0.02)``; choices of settings are in
+``pwrfgs.settings``, such as ``pwrfgs.settings.Rays.Same(400)``. Strategies of one's own derive from ``pwrfgs.Pruner``,
+``Initializer``, ``Split``, ``Baseline`` and ``Metric``.
+"""
+
+from __future__ import annotations
+
+from typing import Any, List
+
+from . import baselines, metrics, plot, settings
+from ._errors import Error, InputError
+from ._kernels import project, rasterize, rasterize_with_vjp
+from ._pipeline import Pipeline
+from ._plugins import *  # noqa: F403  one class for each plugin
+from ._pwrfgs import Dataset, Model, __version__
+from ._run import Run, Trainer, report, run, simulate, sweep
+from ._strategies import Baseline, Initializer, Metric, Pruner, Split
+from ._types import Cloud, Column, Gaussians, Links, Moment, Partition, Pose, Receiver, Room, Splats, Stats
+from ._values import Value
+from .metrics import repeatability
+from . import _plugins
+
+__all__: List[str] = [
+    "Baseline", "Cloud", "Column", "Dataset", "Error", "Gaussians", "Initializer", "InputError", "Links", "Metric", "Model",
+    "Moment", "Partition", "Pipeline", "Pose", "Pruner", "Receiver", "Room", "Run", "Splats", "Split", "Stats", "Trainer",
+    "Value", "__version__", "baselines", "metrics", "plot", "project", "rasterize", "rasterize_with_vjp", "repeatability",
+    "report", "run", "settings", "simulate", "sweep",
+    *_plugins.__all__,
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "torch":  # only where torch is
+        import importlib
+
+        return importlib.import_module("pwrfgs.torch")
+    from ._values import CLASSES, unknown
+
+    raise AttributeError(unknown("pwrfgs", name, [*__all__, *map(str, CLASSES)]).replace("field", "name", 1).split(" (there")[0])

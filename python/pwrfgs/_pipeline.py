@@ -1,0 +1,115 @@
+"""`Pipeline`: a whole experiment as one value."""
+
+from __future__ import annotations
+
+import os
+from typing import Any, Dict, List, Mapping, Optional, Union
+
+from . import _pwrfgs
+from ._errors import InputError
+from ._values import from_ron, own, to_ron, unknown
+
+Source = Union[str, "os.PathLike[str]", "Pipeline"]
+
+
+class Pipeline:
+    """A whole experiment: data, split, initialiser, pruners, training, baselines and metrics.
+
+    ``Pipeline("pipelines/quickstart.ron")`` reads a file, ``Pipeline("Pipeline(name: ..)")`` a text, and
+    ``Pipeline(name="first", data=Teacher(), initializer=Random())`` is made of values. Fields are attributes, at any depth:
+    ``pipeline.training.steps = 2000``. Each change is checked at once. ``repr`` is RON with every default written out.
+
+    Relative paths count from the folder of the file, or from where you stand.
+    """
+
+    __slots__ = ("_inner",)
+    _inner: _pwrfgs.Pipeline
+
+    def __init__(self, source: Optional[Source] = None, **fields: Any) -> None:
+        if isinstance(source, Pipeline):
+            inner = source._inner.copied()
+        elif source is None:
+            text = ", ".join(f"{name}: {to_ron(value)}" for name, value in fields.items())
+            inner, fields = _pwrfgs.Pipeline.parse(f"Pipeline({text})", "pipeline", os.getcwd()), {}
+        elif isinstance(source, str) and "(" in source:
+            inner = _pwrfgs.Pipeline.parse(source, "pipeline", os.getcwd())
+        else:
+            path = os.path.abspath(os.fspath(source))
+            if os.path.isdir(path):
+                path = os.path.join(path, "pipeline.ron")
+            try:
+                with open(path, encoding="utf-8") as file:
+                    text = file.read()
+            except (OSError, UnicodeDecodeError) as error:
+                raise InputError(f"cannot read {os.fspath(source)}: {error}") from None
+            inner = _pwrfgs.Pipeline.parse(text, os.path.relpath(path), os.path.dirname(path))
+        object.__setattr__(self, "_inner", inner)
+        if fields:
+            self.set(fields)
+
+    def get(self, path: str) -> Any:
+        """The value at ``path``, such as ``"training.steps"`` or ``"pruners.LearnableMask.lambda"``."""
+        value: Any = from_ron(self._inner.text())
+        own(value, self, "")
+        for step in path.split("."):
+            if isinstance(value, list):
+                named = [item for item in value if getattr(item, "_name", None) == step]
+                try:
+                    value = named[0] if named else value[int(step)]
+                except (ValueError, IndexError):
+                    raise InputError(f"{path}: there is no entry `{step}`") from None
+            else:
+                value = getattr(value, step)
+        return value
+
+    def set(self, values: Mapping[str, Any], **more: Any) -> "Pipeline":
+        """Sets values by their path, all or none of them: ``pipeline.set({"training.steps": 2000})``."""
+        every = {**dict(values), **more}
+        self._inner.set([(path, to_ron(value)) for path, value in every.items()])
+        return self
+
+    def copy(self) -> "Pipeline":
+        """Another pipeline that says the same."""
+        return Pipeline(self)
+
+    def save(self, path: Union[str, "os.PathLike[str]"]) -> None:
+        """Writes it as a file that the command line runs."""
+        with open(path, "x", encoding="utf-8") as file:
+            file.write(self._inner.text())
+
+    def load_data(self) -> "_pwrfgs.Dataset":
+        """The data that it names."""
+        return self._inner.data()
+
+    @property
+    def folder(self) -> str:
+        """Where its relative paths begin."""
+        return os.fspath(self._inner.folder)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        value = from_ron(self._inner.text())
+        own(value, self, "")
+        return getattr(value, name)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name not in self._field_names():
+            raise AttributeError(unknown("Pipeline", name, self._field_names()))
+        self.set({name: value})
+
+    def _field_names(self) -> List[str]:
+        fields: Dict[str, Any] = from_ron(self._inner.text())._fields
+        return list(fields)
+
+    def __dir__(self) -> List[str]:
+        return [*super().__dir__(), *self._field_names()]
+
+    def __repr__(self) -> str:
+        return self._inner.text()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Pipeline) and repr(self) == repr(other)
+
+    def __hash__(self) -> int:
+        return hash(repr(self))

@@ -1,0 +1,8 @@
+"""One class for each plugin that the program has, made when the package is imported; ``_plugins.pyi`` lists them."""
+
+from typing import List
+
+from . import _values
+
+globals().update({name: made for name, made in _values.CLASSES.items() if name})
+__all__: List[str] = sorted(name for name in _values.CLASSES if name)

@@ -1,0 +1,190 @@
+"""Strategies of one's own: base classes to derive from, and how a run folder records an object of them."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import inspect
+import json
+import sys
+from typing import Any, Dict, Iterable, List, Optional, Sequence, Set, Tuple, Union
+
+from ._errors import InputError
+from ._types import Array, Cloud, Column, Links, Moment, Room, Stats
+
+
+class Pruner:
+    """Decides which Gaussians stay. Only ``keep`` is required.
+
+    An object is recorded by its class and the arguments of ``__init__``, each of which must be an attribute of the same
+    name (a dataclass has it so); from these it is made anew when a run is resumed. What it must remember lies in columns or
+    in ``state``; anything else is lost.
+    """
+
+    def keep(self, cloud: Cloud, stats: Stats, moment: Moment) -> Array:
+        """True for each Gaussian that stays, [N] bool; asked at every prune step."""
+        raise NotImplementedError
+
+    def columns(self) -> Sequence[Column]:
+        """Columns to add to the Gaussians; they survive cloning, pruning and checkpoints."""
+        return ()
+
+    def needs(self, cloud: Cloud, moment: Moment) -> Iterable[str]:
+        """Names of what ``stats.asked`` shall hold at a prune step: "weight", "largest_weight", "weight_per_area",
+        "signal_weight", "error", "top", "sensitivity", "fisher", "elimination"."""
+        return ()
+
+    def score(self, cloud: Cloud, stats: Stats, moment: Moment) -> Array:
+        """How much each matters, [N], larger is better: who stays if all pruners together would leave nothing."""
+        raise NotImplementedError
+
+    def gate(self, cloud: Cloud, moment: Moment) -> Optional[Tuple[Any, ...]]:
+        """A factor on opacity and scale while training: (factor [N], {column: derivative}), each Gaussian's factor by its own
+        number in the column. A third entry "presence" puts it on the light that it takes alone."""
+        return None
+
+    def penalty(self, cloud: Cloud, moment: Moment) -> Optional[Tuple[float, Dict[str, Array]]]:
+        """A number added to the loss: (value, {column: derivative})."""
+        return None
+
+    def update(self, cloud: Cloud, stats: Stats, moment: Moment) -> None:
+        """Changes columns in place, once after each step: ``cloud.columns["age"] += 1``."""
+
+    def state(self) -> Array:
+        """Numbers to remember of the whole training, as they are at the start."""
+        raise NotImplementedError
+
+    def advance(self, state: Array, n: int, cloud: Cloud, moment: Moment) -> Array:
+        """New values of the ``state`` after a prune step; ``n`` Gaussians were there before it."""
+        return state
+
+
+class Initializer:
+    """Places the Gaussians."""
+
+    def initialize(self, room: Room, rng: Any) -> Dict[str, Any]:
+        """A dict of ``means`` [N, 3] and ``scales`` [N, 3], [N] or a number, metres; and, if wanted, ``opacities``, ``quats``
+        [N, 4] as w, x, y, z, and ``signals`` [N] complex. ``rng`` is a generator of NumPy's that follows from the seed."""
+        raise NotImplementedError
+
+
+class Split:
+    """Divides the links."""
+
+    def split(self, links: Links, rng: Any) -> Sequence[Array]:
+        """(train, test) or (train, validation, test): places of links, or masks [L]."""
+        raise NotImplementedError
+
+
+class Baseline:
+    """Predicts without Gaussians, beside the model. ``name`` is what tables call it."""
+
+    def fit(self, links: Links, observed: Array) -> Any:
+        """Learns from links and what was observed of them, [L, ...]; gives what has ``predict``, or None for itself."""
+        return None
+
+    def predict(self, tx: Array, receiver: int) -> Array:
+        """What is observed of a transmitter at ``tx`` [3]."""
+        raise NotImplementedError
+
+
+class Metric:
+    """Scores predictions. ``name``, ``unit`` and ``higher_is_better`` say what its numbers are."""
+
+    unit: str = ""
+    higher_is_better: bool = True
+
+    def evaluate(self, predictions: Array, truths: Array) -> Union[float, Array]:
+        """A number, or one a sample [B], of predictions and truths [B, ...] (spectra are not clamped)."""
+        raise NotImplementedError
+
+
+BASES: Dict[str, type] = {
+    "Pruner": Pruner,
+    "Initializer": Initializer,
+    "Split": Split,
+    "Baseline": Baseline,
+    "Metric": Metric,
+}
+REQUIRED = {"Pruner": "keep", "Initializer": "initialize", "Split": "split", "Baseline": "predict", "Metric": "evaluate"}
+FIT_MAY_GIVE_IT = "Baseline"
+
+
+def digest(cls: type) -> str:
+    """SHA-256 of the class's source; of its code where there is no source, as in a plain prompt."""
+    try:
+        text = inspect.getsource(cls)
+    except (OSError, TypeError):
+        methods = [(name, member.__code__) for name, member in vars(cls).items() if inspect.isfunction(member)]
+        text = repr([(name, code.co_code, code.co_names, repr(code.co_consts)) for name, code in sorted(methods)])
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def settings_of(value: Any) -> Dict[str, Any]:
+    """The arguments that make an equal object."""
+    cls = type(value)
+    parameters = list(inspect.signature(cls).parameters.values())
+    found = {}
+    for parameter in parameters:
+        if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
+            continue
+        if not hasattr(value, parameter.name):
+            raise InputError(
+                f"{cls.__qualname__}: its argument `{parameter.name}` is no attribute; a run folder must be able to say what "
+                f"it was, so set self.{parameter.name} in __init__, or make the class a dataclass"
+            )
+        found[parameter.name] = getattr(value, parameter.name)
+    return found
+
+
+def described(value: Any) -> str:
+    """An object of one's own class as a pipeline records it."""
+    cls = type(value)
+    if not any(callable(getattr(value, method, None)) for method in REQUIRED.values()) and not hasattr(value, "fit"):
+        raise InputError(
+            f"{value!r} is nothing that a pipeline holds; give a number, a text, a list, a plugin such as "
+            "pwrfgs.TopK(keep=100), or an object with one of the methods " + ", ".join(REQUIRED.values())
+        )
+    if "<locals>" in cls.__qualname__:
+        raise InputError(f"{cls.__qualname__} is defined inside a function, where nobody finds it again; move it out")
+    try:
+        settings = json.dumps(settings_of(value), sort_keys=True)
+    except TypeError as error:
+        raise InputError(f"{cls.__qualname__}: its settings must be numbers, texts and lists ({error})") from None
+    fields = {"module": cls.__module__, "class": cls.__qualname__, "settings": settings, "source": digest(cls)}
+    inside = ", ".join(f"{name}: {json.dumps(text, ensure_ascii=False)}" for name, text in fields.items())
+    return f"Python({inside})"
+
+
+def made(kind: str, module: str, name: str, settings: str, source: str) -> Any:
+    """The object that a pipeline records; refuses a class whose source has changed since."""
+    try:
+        found: Any = sys.modules.get(module) or importlib.import_module(module)
+    except ImportError as error:
+        raise InputError(
+            f"`{name}` comes from the Python module `{module}`, which cannot be imported ({error}); stand where it lies, or "
+            "add its folder to PYTHONPATH"
+        ) from error
+    for part in name.split("."):
+        found = getattr(found, part, None)
+        if found is None:
+            where = "this session" if module == "__main__" else f"the module `{module}`"
+            raise InputError(f"there is no class `{name}` in {where}; define it before the run is resumed")
+    if source and digest(found) != source:
+        raise InputError(
+            f"the source of `{name}` in `{module}` has changed since this run began, and what is left of it would be another "
+            "experiment; give the old class back, or start in a new folder"
+        )
+    own = found(**json.loads(settings or "{}"))
+    required = REQUIRED[kind]
+    if not callable(getattr(own, required, None)) and not (kind == FIT_MAY_GIVE_IT and hasattr(own, "fit")):
+        raise InputError(f"`{name}` has no method `{required}`, and so is no {kind}")
+    return own
+
+
+def overrides(kind: str, value: Any) -> Set[str]:
+    """The methods that a class has of its own: the others are never called."""
+    base = BASES[kind]
+    names: List[str] = [name for name in vars(base) if not name.startswith("_")]
+    cls = type(value)
+    return {name for name in names if getattr(cls, name, None) not in (None, getattr(base, name))}

@@ -1,0 +1,321 @@
+"""Values of a pipeline: plugins, settings and choices, and their RON text."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import keyword
+import math
+import os
+from typing import TYPE_CHECKING, Any, Dict, Iterator, List, Optional, Tuple
+
+import numpy as np
+
+from . import _pwrfgs
+from ._errors import InputError
+
+if TYPE_CHECKING:
+    from ._pipeline import Pipeline
+
+
+def python_name(name: str) -> str:
+    """A field as Python can say it: ``lambda`` is ``lambda_``."""
+    return name + "_" if keyword.iskeyword(name) else name
+
+
+def ron_name(name: str) -> str:
+    """The reverse."""
+    bare = name[:-1] if name.endswith("_") else name
+    return bare if keyword.iskeyword(bare) else name
+
+
+class Value:
+    """A value of a pipeline with a name and fields, such as ``LearnableMask(lambda_=0.02)``.
+
+    Fields are attributes; ``repr`` is RON. One that came out of a pipeline writes to that pipeline when a field is set.
+    """
+
+    __slots__ = ("_name", "_fields", "_items", "_owner")
+
+    _name: Optional[str]
+    _fields: Dict[str, Any]
+    _items: Tuple[Any, ...]
+    _owner: Optional[Tuple["Pipeline", str]]
+
+    @classmethod
+    def _make(cls, name: Optional[str], fields: Dict[str, Any], items: Tuple[Any, ...] = ()) -> "Value":
+        value = Value.__new__(CLASSES.get(name, Value) if name else Value)
+        object.__setattr__(value, "_name", name)
+        object.__setattr__(value, "_fields", fields)
+        object.__setattr__(value, "_items", items)
+        object.__setattr__(value, "_owner", None)
+        return value
+
+    def _own(self, pipeline: "Pipeline", path: str) -> None:
+        object.__setattr__(self, "_owner", (pipeline, path))
+        for name, field in self._fields.items():
+            own(field, pipeline, f"{path}.{name}" if path else name)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        fields = object.__getattribute__(self, "_fields")
+        try:
+            return fields[ron_name(name)]
+        except KeyError:
+            raise AttributeError(unknown(self._name or "this value", name, fields)) from None
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        field = ron_name(name)
+        if field not in self._fields:
+            raise AttributeError(unknown(self._name or "this value", name, self._fields))
+        if self._owner is not None:
+            pipeline, path = self._owner
+            pipeline.set({f"{path}.{field}": value})
+            self._fields[field] = pipeline.get(f"{path}.{field}")
+        else:
+            self._fields[field] = value
+
+    def __dir__(self) -> List[str]:
+        return [*super().__dir__(), *map(python_name, self._fields)]
+
+    def __repr__(self) -> str:
+        return to_ron(self)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Value) and to_ron(self) == to_ron(other)
+
+    def __hash__(self) -> int:
+        return hash(to_ron(self))
+
+    def replace(self, **fields: Any) -> "Value":
+        """The same with other values of some fields."""
+        merged = {**self._fields, **{ron_name(name): value for name, value in fields.items()}}
+        if self._name in KINDS:
+            made = CLASSES[self._name](**{python_name(name): value for name, value in merged.items()})
+            assert isinstance(made, Value)
+            return made
+        return Value._make(self._name, merged, self._items)
+
+
+def unknown(what: str, name: str, fields: Any) -> str:
+    """There is no such field: which there are, and which is near."""
+    import difflib
+
+    names = [python_name(field) for field in fields]
+    near = difflib.get_close_matches(name, names, n=1)
+    hint = f"; did you mean `{near[0]}`?" if near else ""
+    there = f" (there are {', '.join(names)})" if names else ""
+    return f"{what} has no field `{name}`{hint}{there}"
+
+
+def own(value: Any, pipeline: "Pipeline", path: str) -> None:
+    """Makes values that came out of a pipeline write to it."""
+    if isinstance(value, Value):
+        value._own(pipeline, path)
+    elif isinstance(value, list):
+        for place, item in enumerate(value):
+            own(item, pipeline, f"{path}.{place}")
+
+
+# Kinds of plugins by their name (`Random` is an initializer and a split), and the classes made of them.
+KINDS: Dict[str, List[str]] = {}
+CLASSES: Dict[Optional[str], type] = {}
+
+
+def to_ron(value: Any) -> str:
+    """RON text of a value of Python's."""
+    if value is None:
+        return "None"
+    if isinstance(value, (bool, np.bool_)):
+        return "true" if value else "false"
+    if isinstance(value, (int, np.integer)):
+        return str(int(value))
+    if isinstance(value, (float, np.floating)):
+        number = float(value)
+        if math.isfinite(number):
+            return repr(number)
+        return "NaN" if math.isnan(number) else ("inf" if number > 0 else "-inf")
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, os.PathLike):
+        return json.dumps(os.fspath(value), ensure_ascii=False)
+    if isinstance(value, np.ndarray):
+        return to_ron(value.tolist())
+    if isinstance(value, Value):
+        return value_text(value)
+    if isinstance(value, dict):
+        return "(" + ", ".join(f"{ron_name(str(name))}: {to_ron(field)}" for name, field in value.items()) + ")"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(to_ron, value)) + "]"
+    if isinstance(value, tuple):
+        return "(" + ", ".join(map(to_ron, value)) + ")"
+    if isinstance(value, _pwrfgs.Dataset):
+        source = value._source
+        if source is None:
+            raise InputError("a pipeline names data by where they lie; call dataset.save(path) first")
+        return source
+    if isinstance(value, type) and issubclass(value, Value):
+        return to_ron(value())
+    from . import _strategies
+
+    return _strategies.described(value)
+
+
+def value_text(value: Value) -> str:
+    """``Name(field: value)``."""
+    inside = [f"{name}: {to_ron(field)}" for name, field in value._fields.items()]
+    inside += [to_ron(item) for item in value._items]
+    name = value._name or ""
+    bare = name and not inside and name not in KINDS
+    return name if bare else f"{name}({', '.join(inside)})"
+
+
+def from_ron(text: str) -> Any:
+    """The value that a RON text says."""
+    return from_node(_pwrfgs.parse_ron(text))
+
+
+def from_node(node: Any) -> Any:
+    kind = node[0]
+    if kind == "text":
+        return node[1]
+    if kind == "plain":
+        return plain(node[1])
+    if kind == "fields":
+        return Value._make(node[1], {name: from_node(field) for name, field in node[2]})
+    name, items = node[1], [from_node(item) for item in node[2]]
+    if kind == "list":
+        return items
+    if name == "Some" and len(items) == 1:
+        return items[0]
+    return Value._make(name, {}, tuple(items)) if name else tuple(items)
+
+
+def plain(text: str) -> Any:
+    named = {"true": True, "false": False, "None": None, "inf": math.inf, "-inf": -math.inf, "NaN": math.nan}
+    if text in named:
+        return named[text]
+    try:
+        digits = text.replace("_", "")
+        return int(digits) if digits.lstrip("+-").isdigit() else float(digits)
+    except ValueError:
+        return Value._make(text, {})
+
+
+def plugin_text(kind: str, value: Any, settings: Optional[Dict[str, Any]]) -> str:
+    """RON of what a user gives for a plugin of this kind: a value, a name with settings, or an object of their own."""
+    if isinstance(value, str):
+        if "(" in value:
+            return value
+        names = [name for name, kinds in KINDS.items() if kind in kinds]
+        wanted = value.replace("_", "").lower()
+        found = [name for name in names if name.lower() == wanted]
+        if not found:
+            raise InputError(unknown(f"{kind}", value, names).replace("has no field", "has none called"))
+        value = CLASSES[found[0]](**(settings or {}))
+    elif settings:
+        raise InputError("settings go with a name; an object has its own")
+    return to_ron(value)
+
+
+def make_class(name: str, entries: List[Dict[str, Any]]) -> type:
+    """The class of a plugin's name, from what the registry says of it."""
+    kinds = [entry["kind"] for entry in entries]
+    fields: Dict[str, Tuple[str, str]] = {}
+    for entry in entries:
+        for field, words, doc, _ in entry["fields"]:
+            fields.setdefault(field, (words, doc))
+
+    def __init__(self: Value, **given: Any) -> None:
+        named = {ron_name(field): value for field, value in given.items()}
+        for field in given:
+            if fields and ron_name(field) not in fields:
+                raise InputError(unknown(name, field, fields))
+        text = f"{name}({', '.join(f'{field}: {to_ron(value)}' for field, value in named.items())})"
+        fault: Optional[InputError] = None
+        for kind in kinds:
+            try:
+                made = from_ron(_pwrfgs.complete(kind, text))
+            except InputError as error:
+                fault = fault or error
+                continue
+            object.__setattr__(self, "_name", name)
+            object.__setattr__(self, "_fields", dict(made._fields) if isinstance(made, Value) else {})
+            object.__setattr__(self, "_items", ())
+            object.__setattr__(self, "_owner", None)
+            return
+        raise fault or InputError(f"{name} cannot be made")
+
+    defaults: Dict[str, Any] = {}
+    for entry in entries:
+        if entry["text"]:
+            whole = from_ron(entry["text"])
+            defaults.update(whole._fields if isinstance(whole, Value) else {})
+    parameters = [
+        inspect.Parameter(
+            python_name(field), inspect.Parameter.KEYWORD_ONLY, default=defaults.get(field, inspect.Parameter.empty)
+        )
+        for field in fields
+    ]
+    about = "\n\n".join(f"{entry['kind']}: {entry['about']}.\n\n{entry['doc'] or ''}".rstrip() for entry in entries)
+    listing = "\n".join(f"{python_name(field)} : {words}\n    {doc}" for field, (words, doc) in fields.items())
+    body = {
+        "__init__": __init__,
+        "__slots__": (),
+        "__doc__": about + (f"\n\nParameters\n----------\n{listing}" if listing else ""),
+        "__signature__": inspect.Signature(parameters),
+        "__module__": "pwrfgs",
+    }
+    return type(name, (Value,), body)
+
+
+class Choice(type):
+    """An enum of settings: its variants are attributes."""
+
+    def __iter__(cls) -> Iterator[str]:
+        return iter(getattr(cls, "_variants"))
+
+
+def make_choice(entry: Dict[str, Any]) -> type:
+    """A namespace of an enum's variants, such as ``Rays.Same(400)`` and ``Readout.Real``."""
+    body: Dict[str, Any] = {"__doc__": entry["doc"], "__module__": "pwrfgs.settings", "_variants": []}
+    for variant, doc, named, fields in entry["variants"]:
+        body["_variants"].append(variant)
+        if not fields:
+            body[variant] = Value._make(variant, {})
+            continue
+
+        def build(
+            *items: Any, _variant: str = variant, _named: bool = named, _fields: Any = fields, **given: Any
+        ) -> Value:
+            names = [field[0] for field in _fields]
+            if not _named:
+                return Value._make(_variant, {}, items)
+            if items:
+                raise InputError(f"{_variant} has fields with names: {', '.join(names)}")
+            for field in given:
+                if ron_name(field) not in names:
+                    raise InputError(unknown(_variant, field, names))
+            return Value._make(_variant, {ron_name(field): value for field, value in given.items()})
+
+        listing = "\n".join(f"{python_name(field[0])} : {field[1]}\n    {field[2]}" for field in fields)
+        build.__name__ = build.__qualname__ = variant
+        build.__doc__ = f"{doc}\n\n{listing}"
+        body[variant] = staticmethod(build)
+    return Choice(entry["name"], (), body)
+
+
+def fill() -> None:
+    """Makes a class of every plugin that the program has."""
+    by_name: Dict[str, List[Dict[str, Any]]] = {}
+    for entry in _pwrfgs.registry():
+        if entry["name"] != "Python":
+            by_name.setdefault(entry["name"], []).append(entry)
+    for name, entries in by_name.items():
+        KINDS[name] = [entry["kind"] for entry in entries]
+        CLASSES[name] = make_class(name, entries)
+
+
+fill()
+CHOICES: Dict[str, type] = {entry["name"]: make_choice(entry) for entry in _pwrfgs.types() if "variants" in entry}

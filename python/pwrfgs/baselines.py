@@ -1,0 +1,43 @@
+"""What must be beaten: predictors without Gaussians, on any data set.
+
+Each learns from the links ``train`` of a data set and predicts for transmitters at ``tx`` [B, 3] heard by one receiver:
+spectra [B, H, W], powers [B] or channels [B, A, F].
+"""
+
+from __future__ import annotations
+
+from typing import Any, Optional
+
+import numpy as np
+
+from . import _pwrfgs
+from ._types import Array
+
+
+def predict(
+    baseline: Any, dataset: "_pwrfgs.Dataset", tx: Any, train: Optional[Any] = None, receiver: int = 0
+) -> Array:
+    """What any baseline predicts, such as ``pwrfgs.Kriging()``. Learns from all links where ``train`` is left out."""
+    links = np.arange(len(dataset)) if train is None else train
+    found: Array = _pwrfgs.predict_baseline(baseline, dataset, links, np.atleast_2d(tx), receiver)
+    return found
+
+
+def mean(dataset: "_pwrfgs.Dataset", tx: Any, train: Optional[Any] = None, receiver: int = 0) -> Array:
+    """The mean of what was observed, whatever the position."""
+    return predict("MeanSpectrum()", dataset, tx, train, receiver)
+
+
+def knn(dataset: "_pwrfgs.Dataset", tx: Any, train: Optional[Any] = None, receiver: int = 0, k: int = 5) -> Array:
+    """The mean of the k nearest, weighted by distance."""
+    return predict(f"NearestNeighbours(k: {int(k)})", dataset, tx, train, receiver)
+
+
+def log_distance(dataset: "_pwrfgs.Dataset", tx: Any, train: Optional[Any] = None, receiver: int = 0) -> Array:
+    """A law of distance for each receiver, of received powers."""
+    return predict("LogDistance()", dataset, tx, train, receiver)
+
+
+def kriging(dataset: "_pwrfgs.Dataset", tx: Any, train: Optional[Any] = None, receiver: int = 0) -> Array:
+    """A Gaussian process over position."""
+    return predict("Kriging()", dataset, tx, train, receiver)

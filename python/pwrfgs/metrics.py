@@ -1,0 +1,75 @@
+"""The numbers of the reports on any arrays.
+
+Each takes a prediction and what was observed, of one sample or of many with a leading axis B, and gives a number or [B].
+"""
+
+from __future__ import annotations
+
+from typing import Any, Dict, Sequence, Tuple, Union
+
+import numpy as np
+
+from . import _pwrfgs
+from ._types import Array
+from ._values import to_ron
+
+Score = Union[float, Array]
+
+
+def _measure(metric: str, kind: str, prediction: Any, truth: Any, axes: int, **more: Any) -> Score:
+    one = np.ndim(truth) <= axes
+    found = _pwrfgs.measure(metric, kind, prediction, truth, more.get("elevation_deg", (0.0, 90.0)))
+    values = found[0][2]
+    return float(values[0]) if one and np.ndim(values) == 1 else values
+
+
+def ssim(prediction: Any, truth: Any) -> Score:
+    """Structural similarity of spectra [.., H, W] from 0 to 1, as scikit-image has it; predictions are clamped."""
+    return _measure("Ssim()", "spectrum", prediction, truth, 2)
+
+
+def psnr(prediction: Any, truth: Any) -> Score:
+    """Peak signal-to-noise ratio of spectra [.., H, W], dB."""
+    return _measure("Psnr()", "spectrum", prediction, truth, 2)
+
+
+def l1(prediction: Any, truth: Any) -> Score:
+    """Mean absolute error of spectra [.., H, W]."""
+    return _measure("L1()", "spectrum", prediction, truth, 2)
+
+
+def eta(prediction: Any, truth: Any, snr_db: float = 0.0) -> Score:
+    """Achievable-rate ratio of spectra [.., H, W], from 0 to 1: what steering by the prediction costs. Eq. (15)."""
+    return _measure(f"RateRatio(snr_db: {float(snr_db)!r})", "spectrum", prediction, truth, 2)
+
+
+def direction_error(prediction: Any, truth: Any, elevation_deg: Tuple[float, float] = (0.0, 90.0)) -> Score:
+    """Angle between the strongest directions of spectra [.., H, W], degrees."""
+    return _measure("DirectionError()", "spectrum", prediction, truth, 2, elevation_deg=elevation_deg)
+
+
+def power_error(prediction: Any, truth: Any) -> Score:
+    """Absolute error of received powers [..], dB."""
+    return _measure("PowerError()", "power", prediction, truth, 0)
+
+
+def channel_snr(prediction: Any, truth: Any) -> Score:
+    """Signal-to-noise ratio of channels [.., A, F], dB: the power of the truth over that of the error."""
+    return _measure("ChannelSnr()", "channel", prediction, truth, 2)
+
+
+def chamfer(first: Any, second: Any) -> float:
+    """Chamfer distance of two sets of points [N, 3] and [P, 3], m²: the mean squared distance to the nearest of the others,
+    both ways added."""
+    return float(_pwrfgs.chamfer(first, second))
+
+
+def repeatability(dataset: "_pwrfgs.Dataset", metrics: Sequence[Any] = ("Ssim()",)) -> Dict[str, Dict[str, Any]]:
+    """What two observations at one place have in common: the ceiling of any function of the position.
+
+    Pairs of samples are taken at small distances and followed to distance zero: ``["near"]`` those measured within a moment,
+    ``["far"]`` those far apart in time. Each has ``pairs``, ``reach_m`` and, for each metric, ``mean``, ``median`` and
+    ``interval`` (95 %) at distance zero, or ``why_not``.
+    """
+    texts = [metric if isinstance(metric, str) else to_ron(metric) for metric in metrics]
+    return dict(_pwrfgs.repeatability(dataset, texts))

@@ -1,0 +1,138 @@
+"""Pictures by matplotlib that look like the reports: ``plot.spectrum``, ``plot.sky``, ``plot.room``, ``plot.curve``, ``plot.plane``.
+
+Each draws on ``ax``, or on a new figure, and gives the axes. Colours are even to the eye and safe for the colour-blind.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Optional, Tuple
+
+import numpy as np
+
+# The reports' sequential scale: lightness linear in the value, hue and chroma at 0, 1/4, 1/2, 3/4 and 1 (OKLCh).
+_HUES = ((305.0, 0.10), (268.0, 0.115), (205.0, 0.085), (152.0, 0.14), (106.0, 0.175))
+TRAINING, TEST, RECEIVER = "#c27c00", "#00805c", "#174a99"
+
+
+def _axes(ax: Any, **options: Any) -> Any:
+    if ax is not None:
+        return ax
+    import matplotlib.pyplot as plt
+
+    return plt.subplots(layout="constrained", **options)[1]
+
+
+def colours() -> Any:
+    """The reports' colour map, from dark violet to yellow."""
+    from matplotlib.colors import ListedColormap
+
+    t = np.linspace(0.0, 1.0, 256)
+    hue = np.deg2rad(np.interp(t, np.linspace(0, 1, 5), [h for h, _ in _HUES]))
+    chroma = np.interp(t, np.linspace(0, 1, 5), [c for _, c in _HUES])
+    lightness, a, b = 0.23 + 0.70 * t, chroma * np.cos(hue), chroma * np.sin(hue)
+    l = (lightness + 0.3963377774 * a + 0.2158037573 * b) ** 3
+    m = (lightness - 0.1055613458 * a - 0.0638541728 * b) ** 3
+    s = (lightness - 0.0894841775 * a - 1.2914855480 * b) ** 3
+    linear = np.stack(
+        [
+            4.0767416621 * l - 3.3077115913 * m + 0.2309699292 * s,
+            -1.2684380046 * l + 2.6097574011 * m - 0.3413193965 * s,
+            -0.0041960863 * l - 0.7034186147 * m + 1.7076147010 * s,
+        ],
+        axis=-1,
+    ).clip(0.0, 1.0)
+    shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
+    return ListedColormap(shown.clip(0.0, 1.0), name="pwrfgs")
+
+
+def spectrum(
+    values: Any, ax: Any = None, title: Optional[str] = None, elevation_deg: Tuple[float, float] = (0.0, 90.0)
+) -> Any:
+    """A spatial spectrum [H, W] as a map: azimuth across, elevation up."""
+    values = np.asarray(values)
+    if values.ndim != 2:
+        raise ValueError(f"values has shape {list(values.shape)}, and [H, W] is wanted; choose one of them")
+    ax = _axes(ax, figsize=(6.4, 2.4))
+    shown = ax.imshow(
+        values.clip(0.0, 1.0), origin="lower", aspect="auto", cmap=colours(), vmin=0.0, vmax=1.0,
+        extent=(0.0, 360.0, *elevation_deg), interpolation="nearest",
+    )
+    ax.set(xlabel="azimuth, degrees", ylabel="elevation, degrees", xticks=range(0, 361, 90))
+    if title:
+        ax.set_title(title, loc="left", fontsize="medium")
+    ax.figure.colorbar(shown, ax=ax, label="amplitude", pad=0.02)
+    return ax
+
+
+def sky(values: Any, ax: Any = None, title: Optional[str] = None, elevation_deg: Tuple[float, float] = (0.0, 90.0)) -> Any:
+    """The same as the receiver sees it: the zenith in the middle, the horizon around."""
+    values = np.asarray(values)
+    if values.ndim != 2:
+        raise ValueError(f"values has shape {list(values.shape)}, and [H, W] is wanted; choose one of them")
+    ax = _axes(ax, figsize=(3.6, 3.6), subplot_kw={"projection": "polar"})
+    height, width = values.shape
+    azimuth = np.deg2rad(np.linspace(0.0, 360.0, width + 1))
+    zenith = 90.0 - np.linspace(*elevation_deg, height + 1)
+    ax.pcolormesh(azimuth, zenith, values.clip(0.0, 1.0), cmap=colours(), vmin=0.0, vmax=1.0, rasterized=True)
+    ax.set(ylim=(0.0, 90.0), yticks=[30, 60], yticklabels=["60°", "30°"])
+    ax.grid(False)
+    if title:
+        ax.set_title(title, fontsize="medium")
+    return ax
+
+
+def room(dataset: Any, model: Any = None, split: Any = None, ax: Any = None) -> Any:
+    """The room from above, metres: surface points, receivers, transmitters (by part, where ``split`` is given) and the
+    Gaussians of ``model``, larger where they are more opaque."""
+    ax = _axes(ax, figsize=(5.6, 4.8))
+    points, tx = dataset.points, dataset.tx
+    if len(points):
+        ax.scatter(*points[:, :2].T, s=1.5, color="0.75", linewidths=0, label="surfaces", rasterized=True)
+    if split is None:
+        ax.scatter(*tx[:, :2].T, s=5, color=TRAINING, linewidths=0, label="transmitters")
+    else:
+        ax.scatter(*tx[split.train][:, :2].T, s=5, color=TRAINING, linewidths=0, label="training")
+        ax.scatter(*tx[split.test][:, :2].T, s=7, marker="D", color=TEST, linewidths=0, label="test")
+    if model is not None:
+        gaussians = model.gaussians()
+        ax.scatter(
+            *gaussians.means[:, :2].T, s=4 + 40 * gaussians.opacities, facecolors="none", edgecolors="0.2",
+            linewidths=0.7, label="Gaussians",
+        )
+    at = np.array([receiver.position for receiver in dataset.receivers])
+    ax.scatter(*at[:, :2].T, s=60, marker="^", color=RECEIVER, zorder=3, label="receivers" if len(at) > 1 else "receiver")
+    said = "simulated" if dataset.simulated else "measured"
+    ax.set(xlabel="x, metres", ylabel="y, metres", aspect="equal")
+    ax.set_title(f"{dataset.title}" + ("" if said in dataset.title else f" ({said})"), loc="left", fontsize="medium")
+    ax.legend(loc="best", fontsize="small", framealpha=0.9)
+    return ax
+
+
+def curve(run: Any, ax: Any = None) -> Any:
+    """Loss, smoothed, and the number of Gaussians of a run by step."""
+    ax = _axes(ax, figsize=(6.4, 3.0))
+    rows = run.curve
+    steps, loss = rows["step"], rows["loss"]
+    width = max(1, len(loss) // 100)
+    smooth = np.convolve(loss, np.ones(width) / width, mode="valid")
+    ax.plot(steps[width - 1 :], smooth, color=RECEIVER, label="loss")
+    ax.set(xlabel="step", ylabel="loss", yscale="log")
+    other = ax.twinx()
+    other.plot(steps, rows["gaussians"], color=TRAINING, linestyle="--", label="Gaussians")
+    other.set(ylabel="Gaussians", ylim=(0, None))
+    lines = [*ax.get_lines(), *other.get_lines()]
+    ax.legend(lines, [line.get_label() for line in lines], loc="upper right", fontsize="small")
+    return ax
+
+
+def plane(
+    values: Any, x: Any, y: Any, ax: Any = None, label: str = "received power, dBm", title: Optional[str] = None
+) -> Any:
+    """Numbers [len(y), len(x)] over a horizontal plane, such as a radio map; ``x`` and ``y`` in metres."""
+    ax = _axes(ax, figsize=(5.6, 4.4))
+    shown = ax.pcolormesh(np.asarray(x), np.asarray(y), np.asarray(values), cmap=colours(), shading="nearest", rasterized=True)
+    ax.set(xlabel="x, metres", ylabel="y, metres", aspect="equal")
+    if title:
+        ax.set_title(title, loc="left", fontsize="medium")
+    ax.figure.colorbar(shown, ax=ax, label=label, pad=0.02)
+    return ax

@@ -1,0 +1,107 @@
+//! Arrays of NumPy in and out.
+
+use crate::border::wrong;
+use num_complex::Complex;
+use numpy::{Element, IntoPyArray as _, PyArrayDyn, PyArrayMethods as _, PyReadonlyArrayDyn, PyUntypedArrayMethods as _};
+use numpy::{PyArrayDescrMethods as _, dtype};
+use pwrfgs_core::Real;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+/// What a user gave, as a contiguous array.
+pub(crate) type Given<'py, T> = PyReadonlyArrayDyn<'py, T>;
+
+/// A complex number of the kernels' precision: complex64, or complex128 in the double-precision build.
+pub(crate) type Gain = Complex<Real>;
+
+/// `value` as an array of `T` in C order: itself where it is one, else a copy. `shape` has `None` where any length will do.
+///
+/// # Errors
+/// Where it is no array of numbers, or has another shape; `what` names it.
+pub(crate) fn given<'py, T: Element>(
+    what: &str,
+    value: &Bound<'py, PyAny>,
+    shape: &[Option<usize>],
+) -> PyResult<Given<'py, T>> {
+    let py = value.py();
+    let array = match value.cast::<PyArrayDyn<T>>() {
+        Ok(array) if array.is_c_contiguous() => array.clone(),
+        _ => converted(what, value)?,
+    };
+    let have = array.shape();
+    let fits = have.len() == shape.len() && have.iter().zip(shape).all(|(n, want)| want.is_none_or(|want| want == *n));
+    if !fits {
+        let want: Vec<String> = shape.iter().map(|n| n.map_or_else(|| "any".into(), |n| n.to_string())).collect();
+        let message = format!("{what} has shape {}, and [{}] is wanted", shown(have), want.join(", "));
+        return Err(wrong(py, &message));
+    }
+    array.try_readonly().map_err(|e| wrong(py, &format!("{what}: {e}")))
+}
+
+fn shown(shape: &[usize]) -> String {
+    format!("{shape:?}")
+}
+
+/// Through NumPy, which refuses what is no number.
+fn converted<'py, T: Element>(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
+    let py = value.py();
+    let numpy = py.import("numpy")?;
+    let array = numpy.call_method1("asarray", (value,)).map_err(|e| wrong(py, &format!("{what} is no array: {e}")))?;
+    let kind = array.getattr("dtype")?.getattr("kind")?.extract::<String>()?;
+    let target = dtype::<T>(py);
+    let takes = if target.kind() == b'c' { "fiubc" } else if target.kind() == b'b' { "b" } else { "fiub" };
+    if !takes.contains(kind.as_str()) {
+        let found = array.getattr("dtype")?;
+        return Err(wrong(py, &format!("{what} holds {found}, and {target} is wanted")));
+    }
+    let options = PyDict::new(py);
+    options.set_item("dtype", target)?;
+    let array = numpy.call_method("ascontiguousarray", (array,), Some(&options))?;
+    array.cast_into::<PyArrayDyn<T>>().map_err(Into::into)
+}
+
+/// How many axes a value has.
+pub(crate) fn axes(value: &Bound<'_, PyAny>) -> PyResult<usize> {
+    if let Ok(array) = value.cast::<numpy::PyUntypedArray>() {
+        return Ok(array.ndim());
+    }
+    value.py().import("numpy")?.call_method1("ndim", (value,))?.extract()
+}
+
+/// Places `[.., 3]`, metres, all of them finite.
+pub(crate) fn places(what: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; 3]>> {
+    let array = given::<f64>(what, value, &[None, Some(3)])?;
+    let all = array.as_slice().map_err(|e| wrong(value.py(), &e.to_string()))?;
+    let places: Vec<[f64; 3]> = all.as_chunks().0.to_vec();
+    match places.iter().position(|place| !place.iter().all(|v| v.is_finite())) {
+        Some(i) => Err(wrong(value.py(), &format!("{what}[{i}] is {:?}; give finite numbers", places[i]))),
+        None => Ok(places),
+    }
+}
+
+/// Numbers as they are, for `[N, width]` columns.
+pub(crate) fn numbers<T: Element + Copy>(
+    what: &str,
+    value: &Bound<'_, PyAny>,
+    shape: &[Option<usize>],
+) -> PyResult<Vec<T>> {
+    let array = given::<T>(what, value, shape)?;
+    array.as_slice().map(<[T]>::to_vec).map_err(|e| wrong(value.py(), &e.to_string()))
+}
+
+/// A new array of this shape.
+///
+/// # Errors
+/// Where NumPy refuses.
+pub(crate) fn array<'py, T: Element>(
+    py: Python<'py>,
+    values: Vec<T>,
+    shape: &[usize],
+) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
+    values.into_pyarray(py).reshape(shape.to_vec())
+}
+
+/// Pairs of real numbers as complex ones.
+pub(crate) fn complex(pairs: &[[Real; 2]]) -> Vec<Gain> {
+    pairs.iter().map(|[re, im]| Gain::new(*re, *im)).collect()
+}

@@ -1,0 +1,158 @@
+//! Between Rust and Python: errors, the interpreter's lock, Ctrl-C, and processes that forked.
+
+use pwrfgs_core::{Error, Result};
+use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError};
+use pyo3::prelude::*;
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::process;
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::time::Duration;
+
+/// How often Ctrl-C is looked for.
+const LOOK: Duration = Duration::from_millis(50);
+/// Events that may wait for a slow listener.
+const WAITING: usize = 64;
+
+/// The process that loaded the library. Threads do not survive a fork.
+static HOME: OnceLock<u32> = OnceLock::new();
+
+/// Remembers the process.
+pub(crate) fn begin() {
+    HOME.get_or_init(process::id);
+}
+
+/// Refuses a process that was forked after the library was loaded: its threads are not there, and it would wait for ever.
+pub(crate) fn at_home() -> PyResult<()> {
+    if *HOME.get_or_init(process::id) == process::id() {
+        return Ok(());
+    }
+    Err(PyRuntimeError::new_err(
+        "pwrfgs was loaded before this process was forked, and its threads stayed behind; start processes with \
+         multiprocessing.get_context(\"spawn\"), or import pwrfgs in the child only",
+    ))
+}
+
+/// Does `work` without the interpreter's lock.
+pub(crate) fn free<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T> + Send) -> PyResult<T> {
+    at_home()?;
+    let done = py.detach(|| catch_unwind(AssertUnwindSafe(work)));
+    settled(py, done)
+}
+
+/// Does `work` on a thread of its own, while this one looks for Ctrl-C and hands events to `hear`. Once it is interrupted,
+/// or `hear` raises, `work` is told to stop, and what interrupted it is raised when it has.
+pub(crate) fn waited<T: Send, E: Send>(
+    py: Python<'_>,
+    work: impl FnOnce(SyncSender<E>, &AtomicBool) -> Result<T> + Send,
+    mut hear: impl FnMut(E) -> PyResult<()>,
+) -> PyResult<T> {
+    at_home()?;
+    let stop = AtomicBool::new(false);
+    let (sender, events) = sync_channel(WAITING);
+    std::thread::scope(|scope| {
+        let worker = scope.spawn(|| catch_unwind(AssertUnwindSafe(|| work(sender, &stop))));
+        let mut raised: Option<PyErr> = None;
+        while let Some(event) = next(py, &events) {
+            let said = match event {
+                Some(event) if raised.is_none() => hear(event),
+                _ => Ok(()),
+            };
+            if let Err(error) = said.and_then(|()| py.check_signals()) {
+                stop.store(true, Ordering::Relaxed);
+                raised.get_or_insert(error);
+            }
+        }
+        let done = py.detach(|| worker.join()).unwrap_or_else(Err);
+        match (settled(py, done), raised) {
+            (_, Some(error)) => Err(error),
+            (done, None) => done,
+        }
+    })
+}
+
+/// The next event; `Some(None)` after a while without one, `None` when the worker is done.
+#[allow(clippy::option_option)]
+fn next<E: Send>(py: Python<'_>, events: &Receiver<E>) -> Option<Option<E>> {
+    // A receiver is no thing to share, and is not: this thread waits.
+    let events = AssertSend(events);
+    match py.detach(move || events.wait()) {
+        Ok(event) => Some(Some(event)),
+        Err(RecvTimeoutError::Timeout) => Some(None),
+        Err(RecvTimeoutError::Disconnected) => None,
+    }
+}
+
+/// A receiver that stays on its thread while the lock is free.
+struct AssertSend<'a, E>(&'a Receiver<E>);
+
+#[allow(unsafe_code)]
+// SAFETY: `detach` runs its closure on the calling thread, so that the receiver is used by one thread only.
+unsafe impl<E> Send for AssertSend<'_, E> {}
+
+impl<E> AssertSend<'_, E> {
+    fn wait(&self) -> Result<E, RecvTimeoutError> {
+        self.0.recv_timeout(LOOK)
+    }
+}
+
+/// What work came to, as Python has it.
+fn settled<T>(py: Python<'_>, done: Result<Result<T>, Box<dyn Any + Send>>) -> PyResult<T> {
+    match done {
+        Ok(done) => done.map_err(|error| raised(py, error)),
+        Err(panic) => Err(match panic.downcast::<PyErr>() {
+            Ok(error) => *error,
+            Err(panic) => {
+                let text = panic.downcast_ref::<String>().map(String::as_str);
+                let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no reason given");
+                exception(py, "Error", &format!("this is a mistake in pwrfgs, please report it: {text}"))
+            }
+        }),
+    }
+}
+
+/// An exception of the class `name` of `pwrfgs`.
+fn exception(py: Python<'_>, name: &str, message: &str) -> PyErr {
+    let made = py.import("pwrfgs._errors").and_then(|m| m.getattr(name)).and_then(|class| class.call1((message,)));
+    made.map_or_else(|error| error, PyErr::from_value)
+}
+
+/// An error of the toolkit as an exception: with the same text, and where it names a file with `path`, `line` and `column`.
+pub(crate) fn raised(py: Python<'_>, error: Error) -> PyErr {
+    let is_input = error.is_input();
+    let message = error.to_string();
+    match error {
+        Error::Plugin(inner) => match inner.downcast::<PyErr>() {
+            Ok(error) => *error, // an exception of a strategy, with its traceback
+            Err(_) => exception(py, "InputError", &message),
+        },
+        Error::Stopped => PyKeyboardInterrupt::new_err(message),
+        Error::Input { path, at, .. } => {
+            let made = exception(py, "InputError", &message);
+            let value = made.value(py);
+            _ = value.setattr("path", path);
+            if let Some((line, column)) = at {
+                _ = value.setattr("line", line).and_then(|()| value.setattr("column", column));
+            }
+            made
+        }
+        _ => exception(py, if is_input { "InputError" } else { "Error" }, &message),
+    }
+}
+
+/// Wrong input that only Python can give.
+pub(crate) fn wrong(py: Python<'_>, message: &str) -> PyErr {
+    exception(py, "InputError", message)
+}
+
+/// An exception on its way through code that knows none: it unwinds to [`free`] or [`waited`].
+pub(crate) fn throw(error: PyErr) -> ! {
+    std::panic::resume_unwind(Box::new(error))
+}
+
+/// The same as an error of the toolkit.
+pub(crate) fn carried(error: PyErr) -> Error {
+    Error::Plugin(Box::new(error))
+}

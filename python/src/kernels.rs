@@ -1,0 +1,230 @@
+//! `project` and `rasterize`: the differentiable kernels, for methods of one's own.
+
+use crate::arrays::{array, numbers};
+use crate::border::{free, wrong};
+use crate::settings::{plugin, text_of};
+use pwrfgs_core::{
+    Elevation, ImagePlane, Plugin, Pose, Primitives, Projector, Rasterizer, Real, Render, Splats,
+};
+use pyo3::prelude::*;
+
+/// Gaussians from Python, drawn: the picture, and the way back.
+#[pyclass(frozen, module = "pwrfgs._pwrfgs")]
+pub(crate) struct Drawing {
+    view: View,
+    given: Primitives,
+    splats: Splats,
+    signals: Vec<Real>,
+    channels: usize,
+    render: Render,
+}
+
+/// What draws, from where, on what.
+struct View {
+    projector: Plugin<dyn Projector>,
+    rasterizer: Plugin<dyn Rasterizer>,
+    pose: Pose,
+    plane: ImagePlane,
+}
+
+/// Position and orientation (x, y, z, w) of a receiver.
+fn pose_of(pose: &Bound<'_, PyAny>) -> PyResult<Pose> {
+    let (position, orientation): ([f64; 3], [f64; 4]) = pose.extract()?;
+    let pose_of = Pose { position, orientation };
+    match pose_of.fault() {
+        Some((_, fault)) => Err(wrong(pose.py(), &format!("pose: {fault}"))),
+        None => Ok(pose_of),
+    }
+}
+
+impl View {
+    fn of(
+        projector: &Bound<'_, PyAny>,
+        rasterizer: &Bound<'_, PyAny>,
+        pose: &Bound<'_, PyAny>,
+        (height, width): (usize, usize),
+        elevation: (f64, f64),
+    ) -> PyResult<Self> {
+        let py = pose.py();
+        if height == 0 || width == 0 || height.saturating_mul(width) > 1 << 28 {
+            return Err(wrong(py, &format!("a picture of {height} by {width} pixels cannot be drawn")));
+        }
+        let projector = plugin::<dyn Projector>(py, &text_of("Projector", projector, None)?)?;
+        let rasterizer = plugin::<dyn Rasterizer>(py, &text_of("Rasterizer", rasterizer, None)?)?;
+        let elevation = Elevation { first: elevation.0, last: elevation.1 };
+        if let Some(fault) = elevation.fault() {
+            return Err(wrong(py, &format!("elevation_deg {fault}")));
+        }
+        let plane = projector.plane_of(width, height, elevation);
+        let plane = plane.map_err(|why| wrong(py, &format!("the projector {why}")))?;
+        rasterizer.check_plane(&plane).map_err(|why| wrong(py, &why))?;
+        Ok(Self { projector, rasterizer, pose: pose_of(pose)?, plane })
+    }
+}
+
+/// Columns as NumPy has them; rotations are brought to unit length.
+fn primitives(
+    means: &Bound<'_, PyAny>,
+    quats: &Bound<'_, PyAny>,
+    scales: &Bound<'_, PyAny>,
+    opacities: &Bound<'_, PyAny>,
+) -> PyResult<Primitives> {
+    let py = means.py();
+    let means = numbers::<Real>("means", means, &[None, Some(3)])?;
+    let n = Some(means.len() / 3);
+    let quats = numbers::<Real>("quats", quats, &[n, Some(4)])?;
+    let scales = numbers::<Real>("scales", scales, &[n, Some(3)])?;
+    let opacities = numbers::<Real>("opacities", opacities, &[n])?;
+    for (what, column) in [("means", &means), ("quats", &quats), ("scales", &scales), ("opacities", &opacities)] {
+        if let Some(i) = column.iter().position(|v| !v.is_finite()) {
+            return Err(wrong(py, &format!("{what} holds {}; give finite numbers", column[i])));
+        }
+    }
+    if let Some(o) = opacities.iter().find(|o| !(0.0..1.0).contains(*o)) {
+        return Err(wrong(py, &format!("opacities: {o} is outside 0 to 1; 1 itself would hide all behind it")));
+    }
+    let given = Primitives {
+        means: means.as_chunks().0.to_vec(),
+        scales: scales.as_chunks().0.to_vec(),
+        quats: quats.as_chunks().0.to_vec(),
+        opacities,
+    };
+    match given.quats.iter().position(|q| length(*q) == 0.0) {
+        Some(i) => Err(wrong(py, &format!("quats[{i}] is zero; give a rotation, such as (1, 0, 0, 0)"))),
+        None => Ok(given),
+    }
+}
+
+fn length(q: [Real; 4]) -> Real {
+    q.iter().map(|v| v * v).sum::<Real>().sqrt()
+}
+
+/// The same with unit rotations.
+fn unit(given: &Primitives) -> Primitives {
+    let quats = given.quats.iter().map(|q| q.map(|v| v / length(*q))).collect();
+    Primitives { quats, ..given.clone() }
+}
+
+/// The derivative of [`unit`]: what is along the rotation itself goes.
+fn unit_vjp(given: &Primitives, d: &mut Primitives) {
+    for (q, d) in given.quats.iter().zip(&mut d.quats) {
+        let size = length(*q);
+        let u = q.map(|v| v / size);
+        let along: Real = u.iter().zip(&*d).map(|(u, d)| u * d).sum();
+        *d = std::array::from_fn(|k| (d[k] - along * u[k]) / size);
+    }
+}
+
+/// project(means, quats, scales, opacities, pose, height=90, width=360, projector="Mercator", elevation_deg=(0.0, 90.0))
+/// --
+///
+/// Gaussians in space as ellipses on a picture of the receiver's sky; the named tuple `Splats`: means2d [N, 2] (column, row,
+/// px), conics [N, 3] (inverse covariances, px⁻²), depths [N] (metres), radii [N] (px; 0 where it does not reach the picture)
+/// and opacities [N].
+///
+/// means [N, 3] in metres, quats [N, 4] as w, x, y, z (of any length but 0), scales [N, 3] in metres, opacities [N] below 1;
+/// `pose` is the receiver's (position, orientation as x, y, z, w).
+#[pyfunction]
+#[pyo3(signature = (means, quats, scales, opacities, pose, height, width, projector, elevation_deg))]
+#[allow(clippy::too_many_arguments)] // columns with names, as Python has them
+pub(crate) fn project<'py>(
+    py: Python<'py>,
+    means: &Bound<'py, PyAny>,
+    quats: &Bound<'py, PyAny>,
+    scales: &Bound<'py, PyAny>,
+    opacities: &Bound<'py, PyAny>,
+    pose: &Bound<'py, PyAny>,
+    height: usize,
+    width: usize,
+    projector: &Bound<'py, PyAny>,
+    elevation_deg: (f64, f64),
+) -> PyResult<Bound<'py, PyAny>> {
+    let alpha = "AlphaBlending()".into_pyobject(py)?.into_any();
+    let view = View::of(projector, &alpha, pose, (height, width), elevation_deg)?;
+    let given = primitives(means, quats, scales, opacities)?;
+    let splats = free(py, || Ok(view.projector.project(&unit(&given), &view.pose, &view.plane)))?;
+    let n = splats.len();
+    let fields = (
+        array(py, splats.means2d.into_flattened(), &[n, 2])?,
+        array(py, splats.conics.into_flattened(), &[n, 3])?,
+        array(py, splats.depths, &[n])?,
+        array(py, splats.radii, &[n])?,
+        array(py, splats.opacities, &[n])?,
+    );
+    py.import("pwrfgs._types")?.getattr("Splats")?.call1(fields)
+}
+
+/// Draws; see `pwrfgs.rasterize`.
+#[pyfunction]
+#[pyo3(signature = (means, quats, scales, opacities, signals, pose, height, width, projector, rasterizer, elevation_deg))]
+#[allow(clippy::too_many_arguments)] // as above
+pub(crate) fn draw<'py>(
+    py: Python<'py>,
+    means: &Bound<'py, PyAny>,
+    quats: &Bound<'py, PyAny>,
+    scales: &Bound<'py, PyAny>,
+    opacities: &Bound<'py, PyAny>,
+    signals: &Bound<'py, PyAny>,
+    pose: &Bound<'py, PyAny>,
+    height: usize,
+    width: usize,
+    projector: &Bound<'py, PyAny>,
+    rasterizer: &Bound<'py, PyAny>,
+    elevation_deg: (f64, f64),
+) -> PyResult<Drawing> {
+    let view = View::of(projector, rasterizer, pose, (height, width), elevation_deg)?;
+    let given = primitives(means, quats, scales, opacities)?;
+    let signals = numbers::<Real>("signals", signals, &[Some(given.len()), None])?;
+    let channels = signals.len().checked_div(given.len()).unwrap_or(1).max(1);
+    if view.rasterizer.coherent() && channels % 2 == 1 {
+        return Err(wrong(py, "signals: waves have two numbers each, a real and an imaginary part"));
+    }
+    if !signals.iter().all(|v| v.is_finite()) {
+        return Err(wrong(py, "signals holds a number that is not finite"));
+    }
+    free(py, move || {
+        let splats = view.projector.project(&unit(&given), &view.pose, &view.plane);
+        let render = view.rasterizer.forward(&splats, &signals, channels, &view.plane);
+        Ok(Drawing { view, given, splats, signals, channels, render })
+    })
+}
+
+#[pymethods]
+impl Drawing {
+    /// Blended signals [channels, H, W].
+    #[getter]
+    fn image<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let ImagePlane { width, height, .. } = self.view.plane;
+        array(py, self.render.pixels.clone(), &[self.channels, height, width]).map(Bound::into_any)
+    }
+
+    /// What is left behind the last splat [H, W]; None where nothing hides anything.
+    #[getter]
+    fn transmittance<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
+        let ImagePlane { width, height, .. } = self.view.plane;
+        let left = &self.render.transmittance;
+        (!left.is_empty()).then(|| array(py, left.clone(), &[height, width]).map(Bound::into_any)).transpose()
+    }
+
+    /// Derivatives of a number in (means, quats, scales, opacities, signals), given its derivative `d_image` in the image.
+    fn backward<'py>(&self, py: Python<'py>, d_image: &Bound<'py, PyAny>) -> PyResult<Vec<Bound<'py, PyAny>>> {
+        let View { projector, rasterizer, pose, plane } = &self.view;
+        let shape = [Some(self.channels), Some(plane.height), Some(plane.width)];
+        let d_pixels = numbers::<Real>("d_image", d_image, &shape)?;
+        let (d, d_signals) = free(py, || {
+            let found =
+                rasterizer.backward(&self.splats, &self.signals, self.channels, plane, &self.render, &d_pixels);
+            let mut d = projector.project_vjp(&unit(&self.given), pose, plane, &self.splats, &found.splats);
+            unit_vjp(&self.given, &mut d);
+            Ok((d, found.signals))
+        })?;
+        let n = self.given.len();
+        Ok(vec![
+            array(py, d.means.into_flattened(), &[n, 3])?.into_any(),
+            array(py, d.quats.into_flattened(), &[n, 4])?.into_any(),
+            array(py, d.scales.into_flattened(), &[n, 3])?.into_any(),
+            array(py, d.opacities, &[n])?.into_any(),
+            array(py, d_signals, &[n, self.channels])?.into_any(),
+        ])
+    }
+}

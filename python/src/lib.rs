@@ -1,0 +1,48 @@
+//! The Python package's compiled half: `pwrfgs._pwrfgs`. What Python sees is in `python/pwrfgs`; here are the classes and
+//! functions that it wraps, a file each.
+//!
+//! Three rules hold at the border: work runs without the interpreter's lock (`border::free`), errors become exceptions with
+//! the same text, and nothing panics across it.
+
+mod arrays;
+mod border;
+mod data;
+mod kernels;
+mod looped;
+mod model;
+mod run;
+mod scores;
+mod settings;
+mod strategies;
+mod tools;
+
+use pyo3::prelude::*;
+
+#[pymodule]
+mod _pwrfgs {
+    #[pymodule_export]
+    use super::data::Dataset;
+    #[pymodule_export]
+    use super::kernels::{Drawing, draw, project};
+    #[pymodule_export]
+    use super::looped::Trainer;
+    #[pymodule_export]
+    use super::model::Model;
+    #[pymodule_export]
+    use super::run::{facts, run, run_file};
+    #[pymodule_export]
+    use super::scores::{chamfer, measure, predict_baseline, repeatability};
+    #[pymodule_export]
+    use super::settings::{Pipeline, complete, parse_ron, registry, types};
+    #[pymodule_export]
+    use super::tools::{report, simulate, sweep};
+    use pyo3::prelude::*;
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        super::border::begin();
+        super::strategies::begin();
+        module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+        module.add("real_bytes", size_of::<pwrfgs_core::Real>())
+    }
+}

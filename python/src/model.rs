@@ -1,0 +1,367 @@
+//! `Model`: a trained model, or several that predict together.
+
+use crate::arrays::{Gain, array, axes, complex, numbers, places};
+use crate::border::{free, wrong};
+use crate::data::{angles, kind_name};
+use numpy::PyArrayDyn;
+use pwrfgs::experiment::export;
+use pwrfgs::model::{Ensemble, Prepared, file};
+use pwrfgs_core::files::write_atomically;
+use pwrfgs_core::{Error, Image, Kind, Query, Real, Result, gains_of};
+use pyo3::prelude::*;
+use pyo3::types::{PyList, PyTuple};
+use self_cell::self_cell;
+use std::path::PathBuf;
+use std::sync::{Arc, OnceLock};
+
+/// Links of one call of the library: as many as its own groups hold several times over.
+const CHUNK: usize = 64;
+
+self_cell!(
+    /// Models, and what they worked out once.
+    struct Ready {
+        owner: Arc<Ensemble>,
+        #[covariant]
+        dependent: Prepared,
+    }
+);
+
+/// A trained model: predicts what is observed of a transmitter anywhere. Load one with `Model.load(path)`.
+///
+/// Several models of one scene predict as an ensemble: the mean of what they say. Two threads may predict at once.
+#[pyclass(frozen, module = "pwrfgs")]
+pub(crate) struct Model {
+    ensemble: Arc<Ensemble>,
+    ready: OnceLock<Ready>,
+}
+
+/// Which links a call is about.
+struct Links {
+    txs: Vec<[f64; 3]>,
+    features: Vec<Real>,
+    receivers: Vec<usize>,
+    /// The axes before those of an observation.
+    lead: Vec<usize>,
+}
+
+impl Links {
+    fn len(&self) -> usize {
+        self.lead.iter().product()
+    }
+
+    fn query(&self, k: usize) -> Query<'_> {
+        let (i, receiver) = (k / self.receivers.len(), self.receivers[k % self.receivers.len()]);
+        let width = self.features.len() / self.txs.len().max(1);
+        Query { tx: self.txs[i], receiver, features: &self.features[i * width..][..width] }
+    }
+}
+
+impl Model {
+    pub(crate) fn new(ensemble: Ensemble) -> Self {
+        Self { ensemble: Arc::new(ensemble), ready: OnceLock::new() }
+    }
+
+    fn prepared(&self) -> &Prepared<'_> {
+        let ready = self.ready.get_or_init(|| Ready::new(Arc::clone(&self.ensemble), |own| own.prepare()));
+        ready.borrow_dependent()
+    }
+
+    fn stages(&self) -> &pwrfgs::model::Stages {
+        &self.ensemble.members()[0].stages
+    }
+
+    /// What a call asks for.
+    fn links(
+        &self,
+        py: Python<'_>,
+        tx: Option<&Bound<'_, PyAny>>,
+        receiver: Option<&Bound<'_, PyAny>>,
+        features: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Links> {
+        let (stages, there) = (self.stages(), &self.stages().frame.receivers);
+        let inputs = stages.method.inputs();
+        let (txs, features, one) = match (tx, features) {
+            (Some(tx), None) if inputs == 3 => {
+                let one = axes(tx)? == 1;
+                let txs = if one {
+                    let place = numbers::<f64>("tx", tx, &[Some(3)])?;
+                    if !place.iter().all(|v| v.is_finite()) {
+                        return Err(wrong(py, &format!("tx is {place:?}; give finite numbers")));
+                    }
+                    vec![[place[0], place[1], place[2]]]
+                } else {
+                    places("tx", tx)?
+                };
+                (txs, Vec::new(), one)
+            }
+            (None, Some(features)) if inputs != 3 => {
+                let one = axes(features)? == 1;
+                let shape: &[Option<usize>] = if one { &[Some(inputs)] } else { &[None, Some(inputs)] };
+                let all = numbers::<Real>("features", features, shape)?;
+                (vec![[0.0; 3]; all.len() / inputs], all, one)
+            }
+            _ if inputs == 3 => return Err(wrong(py, "give tx, positions [B, 3] in metres")),
+            _ => return Err(wrong(py, &format!("this model knows transmitters by features; give features=[B, {inputs}]"))),
+        };
+        let mut lead = if one { vec![] } else { vec![txs.len()] };
+        let receivers = match receiver {
+            Some(receiver) => vec![self.find(receiver)?],
+            None if there.len() == 1 => vec![0],
+            None => {
+                lead.push(there.len());
+                (0..there.len()).collect()
+            }
+        };
+        Ok(Links { txs, features, receivers, lead })
+    }
+
+    /// A receiver by its name or its place.
+    fn find(&self, receiver: &Bound<'_, PyAny>) -> PyResult<usize> {
+        let (py, there) = (receiver.py(), &self.stages().frame.receivers);
+        if let Ok(name) = receiver.extract::<String>() {
+            return there.iter().position(|own| own.name == name).ok_or_else(|| {
+                let hint = pwrfgs_core::did_you_mean(&name, there.iter().map(|own| own.name.as_str()));
+                wrong(py, &format!("there is no receiver `{name}`{hint}"))
+            });
+        }
+        let place: usize = receiver.extract()?;
+        if place < there.len() {
+            return Ok(place);
+        }
+        Err(wrong(py, &format!("there is no receiver {place}; there are {}, counted from 0", there.len())))
+    }
+
+    /// The numbers of many links, `of_each` of them each, one after the other; `work` does a chunk.
+    fn all(&self, links: &Links, work: impl Fn(&[Query<'_>]) -> Vec<Image>) -> Result<Vec<Real>> {
+        let plane = &self.stages().plane;
+        let of_each = plane.width * plane.height;
+        let mut all = Vec::with_capacity(links.len() * of_each);
+        for first in (0..links.len()).step_by(CHUNK) {
+            let queries: Vec<Query<'_>> = (first..(first + CHUNK).min(links.len())).map(|k| links.query(k)).collect();
+            for (image, query) in work(&queries).iter().zip(&queries) {
+                if !image.pixels.iter().all(|v| v.is_finite()) {
+                    return Err(Error::Config(format!(
+                        "what is predicted for a transmitter at {:?} is not finite: numbers of the model overflow there; \
+                         leave the position out if it is far from all that the model has seen",
+                        query.tx
+                    )));
+                }
+                all.extend_from_slice(&image.pixels);
+            }
+        }
+        Ok(all)
+    }
+
+    /// As an array of the kind that the model predicts.
+    fn shaped<'py>(&self, py: Python<'py>, links: &Links, all: Vec<Real>) -> PyResult<Bound<'py, PyAny>> {
+        let plane = &self.stages().plane;
+        let mut shape = links.lead.clone();
+        match self.stages().kind {
+            Kind::Spectrum => shape.extend([plane.height, plane.width]),
+            Kind::Power if shape.is_empty() => return Ok(all[0].into_pyobject(py)?.into_any()),
+            Kind::Power => {}
+            Kind::Channel => {
+                let (antennas, subcarriers) = (plane.height / 2, plane.width);
+                let of_each = plane.height * plane.width;
+                let gains = |rows: &[Real]| complex(&gains_of(rows, subcarriers));
+                let all: Vec<Gain> = all.chunks_exact(of_each).flat_map(gains).collect();
+                shape.extend([antennas, subcarriers]);
+                return array(py, all, &shape).map(Bound::into_any);
+            }
+        }
+        array(py, all, &shape).map(Bound::into_any)
+    }
+}
+
+#[pymethods]
+impl Model {
+    /// Model.load(*paths)
+    /// --
+    ///
+    /// Reads a model file, or a run folder; several together are an ensemble.
+    #[staticmethod]
+    #[pyo3(signature = (*paths))]
+    fn load(py: Python<'_>, paths: Vec<PathBuf>) -> PyResult<Self> {
+        let read = || {
+            let mut members = Vec::new();
+            for path in &paths {
+                let file_in = if path.is_dir() { path.join(pwrfgs::experiment::folder::MODEL_FILE) } else { path.clone() };
+                let ensemble = file::read_ensemble(&file_in)?;
+                let called = |(name, model): (&String, &pwrfgs::model::Model)| {
+                    let alone = ensemble.members().len() == 1;
+                    (if alone { path.display().to_string() } else { format!("{}/{name}", path.display()) }, model.clone())
+                };
+                members.extend(ensemble.names().iter().zip(ensemble.members()).map(called));
+            }
+            Ensemble::named(members).map_err(Error::Config)
+        };
+        if paths.is_empty() {
+            return Err(wrong(py, "give the path of a model or of a run folder"));
+        }
+        free(py, read).map(Self::new)
+    }
+
+    /// predict(tx=None, receiver=None, *, features=None)
+    /// --
+    ///
+    /// What is observed of transmitters at `tx`, [3] or [B, 3], metres: spectra [B, H, W] (float32, not clamped; of an
+    /// ensemble the mean of pictures clamped to 0..1), powers [B, R] in dBm, or channels [B, R, A, F] (complex64). The axis B
+    /// is there where `tx` has it, and R where the model knows several receivers and none is named by `receiver`, a name or
+    /// a place. A model that knows transmitters by features wants `features` [B, width] in place of `tx`.
+    #[pyo3(signature = (tx=None, receiver=None, *, features=None))]
+    fn predict<'py>(
+        &self,
+        py: Python<'py>,
+        tx: Option<&Bound<'py, PyAny>>,
+        receiver: Option<&Bound<'py, PyAny>>,
+        features: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let links = self.links(py, tx, receiver, features)?;
+        let all = free(py, || {
+            let ready = self.prepared();
+            // One alone as the command line does it, many in groups that share their work: the same bits.
+            self.all(&links, |queries| match queries {
+                [query] => vec![ready.predict_timed(*query).0],
+                queries => ready.predict_many(queries),
+            })
+        })?;
+        self.shaped(py, &links, all)
+    }
+
+    /// spread(tx=None, receiver=None, *, features=None)
+    /// --
+    ///
+    /// How far the members of an ensemble differ there: the standard deviation of every number, in the shape of
+    /// `predict`; 0 for one model alone. Do not trust a prediction where it is large.
+    #[pyo3(signature = (tx=None, receiver=None, *, features=None))]
+    fn spread<'py>(
+        &self,
+        py: Python<'py>,
+        tx: Option<&Bound<'py, PyAny>>,
+        receiver: Option<&Bound<'py, PyAny>>,
+        features: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let links = self.links(py, tx, receiver, features)?;
+        let all = free(py, || {
+            let ready = self.prepared();
+            self.all(&links, |queries| queries.iter().map(|q| ready.predict_with_deviation(*q).1).collect())
+        })?;
+        self.shaped(py, &links, all)
+    }
+
+    /// gaussians(tx=None, member=0)
+    /// --
+    ///
+    /// The Gaussians in space, a named tuple of arrays: means [N, 3] (metres), quats [N, 4] (w, x, y, z), scales [N, 3]
+    /// (metres), opacities [N], signals [N] (complex64). Of the base parameters, or as they are for a transmitter at `tx`.
+    #[pyo3(signature = (tx=None, member=0))]
+    fn gaussians<'py>(
+        &self,
+        py: Python<'py>,
+        tx: Option<&Bound<'py, PyAny>>,
+        member: usize,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let count = self.ensemble.members().len();
+        let Some(model) = self.ensemble.members().get(member) else {
+            return Err(wrong(py, &format!("there is no member {member}; there are {count}, counted from 0")));
+        };
+        let tx = match tx {
+            None => None,
+            Some(tx) => {
+                let place = numbers::<f64>("tx", tx, &[Some(3)])?;
+                Some([place[0], place[1], place[2]])
+            }
+        };
+        let (primitives, signals) = free(py, || Ok(model.gaussians(tx)))?;
+        let (n, origin) = (primitives.len(), model.stages.origin);
+        let channels = signals.len().checked_div(n).unwrap_or(2);
+        let signal = |own: &[Real]| Gain::new(own[0], own.get(1).copied().unwrap_or(0.0));
+        let signals: Vec<Gain> = signals.chunks_exact(channels.max(1)).map(signal).collect();
+        let means: Vec<f64> = primitives.means.iter().flat_map(|mean| origin.world(*mean)).collect();
+        let fields = (
+            array(py, means, &[n, 3])?,
+            array(py, primitives.quats.into_flattened(), &[n, 4])?,
+            array(py, primitives.scales.into_flattened(), &[n, 3])?,
+            array(py, primitives.opacities, &[n])?,
+            array(py, signals, &[n])?,
+        );
+        py.import("pwrfgs._types")?.getattr("Gaussians")?.call1(fields)
+    }
+
+    /// save(path, *, half=False)
+    /// --
+    ///
+    /// Writes the model file, whole or not at all; with `half` the networks in 16-bit numbers, which halves it.
+    #[pyo3(signature = (path, *, half=false))]
+    fn save(&self, py: Python<'_>, path: PathBuf, half: bool) -> PyResult<()> {
+        free(py, || {
+            if half {
+                return write_atomically(&path, &file::to_bytes_half(&self.ensemble)?);
+            }
+            file::write_ensemble(&path, &self.ensemble)
+        })
+    }
+
+    /// to_ply(path, tx=None)
+    /// --
+    ///
+    /// Writes the Gaussians as a PLY file that splat viewers open, as they are for a transmitter at `tx`.
+    #[pyo3(signature = (path, tx=None))]
+    fn to_ply(&self, py: Python<'_>, path: PathBuf, tx: Option<[f64; 3]>) -> PyResult<()> {
+        free(py, || write_atomically(&path, &export::ply(&self.ensemble, tx)?))
+    }
+
+    /// "spectrum", "power" or "channel".
+    #[getter]
+    fn kind(&self) -> &'static str {
+        kind_name(self.stages().kind)
+    }
+
+    /// Gaussians, of all members together.
+    #[getter]
+    fn n(&self) -> usize {
+        self.ensemble.gaussians()
+    }
+
+    /// Bytes of the model file's numbers.
+    #[getter]
+    fn bytes(&self) -> usize {
+        self.ensemble.gaussian_bytes() + self.ensemble.network_bytes()
+    }
+
+    /// What the members are called, of an ensemble.
+    #[getter]
+    fn members(&self) -> Vec<String> {
+        self.ensemble.names().to_vec()
+    }
+
+    /// Names of the receivers.
+    #[getter]
+    fn receivers<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+        PyList::new(py, self.stages().frame.receivers.iter().map(|receiver| receiver.name.as_str()))
+    }
+
+    /// Frequencies of the subcarriers [F], Hz; empty but for channels.
+    #[getter]
+    fn frequencies_hz<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
+        let all = self.stages().frame.frequencies_hz.clone();
+        let count = all.len();
+        array(py, all, &[count])
+    }
+
+    /// Degrees of the rows and of the columns of a spectrum: (elevations [H], azimuths [W]); None of anything else.
+    #[getter]
+    fn angles_deg<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyTuple>>> {
+        angles(py, &self.stages().plane)
+    }
+
+    fn __repr__(&self) -> String {
+        let several = if self.ensemble.members().len() > 1 {
+            format!("{} members, ", self.ensemble.members().len())
+        } else {
+            String::new()
+        };
+        format!("<Model: {}{} Gaussians, predicts a {}>", several, self.n(), self.kind())
+    }
+
+}

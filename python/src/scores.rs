@@ -1,0 +1,225 @@
+//! Metrics, baselines and repeatability of any arrays.
+
+use crate::arrays::{Gain, array, axes, given, places};
+use crate::border::{free, waited, wrong};
+use crate::data::Dataset;
+use crate::settings::{plugin, text_of};
+use numpy::PyUntypedArrayMethods as _;
+use pwrfgs::experiment::repeatability as work;
+use pwrfgs_core::{
+    Baseline, Elevation, Evaluation, Image, ImagePlane, Kind, Known, Metric, ModelFacts, Origin, Plugin, Pose,
+    Query, Real, Receiver, Scene, Values, rows_of,
+};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList};
+
+/// Observations of one kind as the library has them: (kind, images).
+fn images(what: &str, value: &Bound<'_, PyAny>, kind: &str) -> PyResult<(Kind, Vec<Image>)> {
+    let py = value.py();
+    match kind {
+        "spectrum" => {
+            let one = axes(value)? == 2;
+            let shape: &[Option<usize>] = if one { &[None, None] } else { &[None, None, None] };
+            let all = given::<Real>(what, value, shape)?;
+            let (height, width) = (all.shape()[all.ndim() - 2], all.shape()[all.ndim() - 1]);
+            let all = all.as_slice().map_err(|e| wrong(py, &e.to_string()))?;
+            if width * height == 0 {
+                return Err(wrong(py, &format!("{what} has no pixels")));
+            }
+            let image = |pixels: &[Real]| Image { width, height, pixels: pixels.to_vec() };
+            Ok((Kind::Spectrum, all.chunks_exact(width * height).map(image).collect()))
+        }
+        "power" => {
+            let shape = vec![None; axes(value)?];
+            let all = given::<Real>(what, value, &shape)?;
+            let all = all.as_slice().map_err(|e| wrong(py, &e.to_string()))?;
+            Ok((Kind::Power, all.iter().map(|dbm| Image { width: 1, height: 1, pixels: vec![*dbm] }).collect()))
+        }
+        _ => {
+            let lead = axes(value)?;
+            if lead < 2 {
+                return Err(wrong(py, &format!("{what} has {lead} axes, and [.., A, F] is wanted")));
+            }
+            let all = given::<Gain>(what, value, &vec![None; lead])?;
+            let (antennas, width) = (all.shape()[lead - 2], all.shape()[lead - 1]);
+            let all = all.as_slice().map_err(|e| wrong(py, &e.to_string()))?;
+            if antennas * width == 0 {
+                return Err(wrong(py, &format!("{what} holds no gains")));
+            }
+            let image = |gains: &[Gain]| {
+                let pairs: Vec<[Real; 2]> = gains.iter().map(|gain| [gain.re, gain.im]).collect();
+                Image { width, height: 2 * antennas, pixels: rows_of(&pairs, width) }
+            };
+            Ok((Kind::Channel, all.chunks_exact(antennas * width).map(image).collect()))
+        }
+    }
+}
+
+/// Predictions and truths by a metric: for each of its measurements (key, unit, numbers a sample or the one number).
+#[pyfunction]
+pub(crate) fn measure<'py>(
+    py: Python<'py>,
+    metric: &Bound<'py, PyAny>,
+    kind: &str,
+    predictions: &Bound<'py, PyAny>,
+    truths: &Bound<'py, PyAny>,
+    elevation_deg: (f64, f64),
+) -> PyResult<Bound<'py, PyList>> {
+    let metric = plugin::<dyn Metric>(py, &text_of("Metric", metric, None)?)?;
+    let (kind, predictions) = images("prediction", predictions, kind)?;
+    let (_, truths) = images("truth", truths, crate::data::kind_name(kind))?;
+    let size = |images: &[Image]| images.first().map(|image| (image.height, image.width));
+    if (predictions.len(), size(&predictions)) != (truths.len(), size(&truths)) {
+        let said = |images: &[Image]| size(images).map_or("0".into(), |(h, w)| format!("{} of {h} by {w}", images.len()));
+        let what = format!("prediction and truth differ in shape: {} and {}", said(&predictions), said(&truths));
+        return Err(wrong(py, &what));
+    }
+    let Some((height, width)) = size(&truths) else { return Err(wrong(py, "there is nothing to compare")) };
+    let is_picture = kind == Kind::Spectrum;
+    let azimuth = pwrfgs_core::Axis { first: 0.0, step: 360.0 / width as f64 };
+    let elevation = Elevation { first: elevation_deg.0, last: elevation_deg.1 };
+    let angles = is_picture.then(|| (azimuth, elevation.axis(height)));
+    let plane = ImagePlane { width, height, wraps: is_picture, angles };
+    let scene = empty_scene(vec![]);
+    let found = free(py, || {
+        metric.evaluate(&Evaluation {
+            predictions: &predictions,
+            truths: &truths,
+            kind,
+            links: &[],
+            plane: &plane,
+            scene: &scene,
+            model: None,
+            timed_prediction: None,
+        })
+    })?;
+    measurements(py, found)
+}
+
+fn empty_scene(points: Vec<[Real; 3]>) -> Scene {
+    Scene {
+        origin: Origin::ZERO,
+        receivers: vec![Receiver::new("receiver", Pose::IDENTITY)],
+        bounds: ([0.0; 3], [0.0; 3]),
+        points,
+    }
+}
+
+fn measurements(py: Python<'_>, found: Vec<pwrfgs_core::Measurement>) -> PyResult<Bound<'_, PyList>> {
+    let all = PyList::empty(py);
+    for one in found {
+        match one.values {
+            Values::PerSample(values) => {
+                let count = values.len();
+                all.append((one.key, one.unit, array(py, values, &[count])?))?;
+            }
+            Values::Whole(value) => all.append((one.key, one.unit, value))?,
+            Values::NotApplicable(why) => return Err(wrong(py, &format!("{}: {why}", one.key))),
+        }
+    }
+    Ok(all)
+}
+
+/// The Chamfer distance of two sets of points [.., 3], m².
+#[pyfunction]
+pub(crate) fn chamfer(py: Python<'_>, first: &Bound<'_, PyAny>, second: &Bound<'_, PyAny>) -> PyResult<f64> {
+    let local = |places: Vec<[f64; 3]>| places.into_iter().map(|p| p.map(|v| v as Real)).collect::<Vec<_>>();
+    let (means, points) = (local(places("first", first)?), local(places("second", second)?));
+    if means.is_empty() || points.is_empty() {
+        return Err(wrong(py, "one of the two sets holds no point"));
+    }
+    let metric = plugin::<dyn Metric>(py, "Chamfer()")?;
+    let scene = empty_scene(points);
+    let plane = ImagePlane { width: 1, height: 1, wraps: false, angles: None };
+    let found = free(py, || {
+        let model = Some(ModelFacts { means: &means, gaussian_bytes: 0, network_bytes: 0 });
+        metric.evaluate(&Evaluation {
+            predictions: &[],
+            truths: &[],
+            kind: Kind::Spectrum,
+            links: &[],
+            plane: &plane,
+            scene: &scene,
+            model,
+            timed_prediction: None,
+        })
+    })?;
+    match found.first().map(|one| &one.values) {
+        Some(Values::Whole(value)) => Ok(*value),
+        _ => Err(wrong(py, "the distance is not defined here")),
+    }
+}
+
+/// What a baseline that learned from the links `train` predicts for the links `at` of the same data, or at places `tx` for
+/// the receiver `receiver`.
+#[pyfunction]
+#[pyo3(signature = (baseline, dataset, train, tx, receiver))]
+pub(crate) fn predict_baseline<'py>(
+    py: Python<'py>,
+    baseline: &Bound<'py, PyAny>,
+    dataset: &Dataset,
+    train: &Bound<'py, PyAny>,
+    tx: &Bound<'py, PyAny>,
+    receiver: usize,
+) -> PyResult<Bound<'py, PyAny>> {
+    let baseline: Plugin<dyn Baseline> = plugin(py, &text_of("Baseline", baseline, None)?)?;
+    let train = dataset.indices("train", train)?;
+    if train.is_empty() {
+        return Err(wrong(py, "train: there is nothing to learn from"));
+    }
+    let data = &dataset.data;
+    if data.features.is_some() {
+        return Err(wrong(py, "these data know transmitters by features, and a baseline here goes by positions"));
+    }
+    if receiver >= data.scene.receivers.len() {
+        return Err(wrong(py, &format!("there is no receiver {receiver}; there are {}", data.scene.receivers.len())));
+    }
+    let txs = places("tx", tx)?;
+    let found: Vec<Image> = free(py, || {
+        let predictor = baseline.fit(data, Known::train(&train))?;
+        Ok(txs.iter().map(|tx| predictor.predict(Query::at(*tx, receiver))).collect())
+    })?;
+    let (count, width, height) = (found.len(), data.width, data.height);
+    let all: Vec<Real> = found.into_iter().flat_map(|image| image.pixels).collect();
+    match data.kind() {
+        Kind::Spectrum => array(py, all, &[count, height, width]).map(Bound::into_any),
+        Kind::Power => array(py, all, &[count]).map(Bound::into_any),
+        Kind::Channel => {
+            let gains: Vec<Gain> =
+                all.chunks_exact(width * height).flat_map(|rows| crate::arrays::complex(&pwrfgs_core::gains_of(rows, width))).collect();
+            array(py, gains, &[count, height / 2, width]).map(Bound::into_any)
+        }
+    }
+}
+
+/// See `pwrfgs.repeatability`.
+#[pyfunction]
+pub(crate) fn repeatability<'py>(
+    py: Python<'py>,
+    dataset: &Dataset,
+    metrics: Vec<String>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let metrics = metrics.iter().map(|text| plugin::<dyn Metric>(py, text)).collect::<PyResult<Vec<_>>>()?;
+    let found = waited::<_, ()>(py, |_, stop| work::repeatability(&dataset.data, &metrics, stop), |()| Ok(()))?;
+    let all = PyDict::new(py);
+    for (name, likeness) in [("near", &found.near), ("far", &found.far)] {
+        let own = PyDict::new(py);
+        own.set_item("pairs", likeness.closest)?;
+        own.set_item("reach_m", likeness.reach_m)?;
+        for metric in &likeness.metrics {
+            let entry = PyDict::new(py);
+            entry.set_item("unrelated", metric.unrelated)?;
+            match &metric.at_zero {
+                Ok(zero) => {
+                    entry.set_item("mean", zero.mean)?;
+                    entry.set_item("median", zero.median)?;
+                    entry.set_item("interval", zero.interval.to_vec())?;
+                }
+                Err(why) => entry.set_item("why_not", why)?,
+            }
+            own.set_item(&metric.key, entry)?;
+        }
+        all.set_item(name, own)?;
+    }
+    Ok(all)
+}

@@ -1,0 +1,225 @@
+//! Plugins, pipelines and their text.
+
+use crate::border::{free, raised, wrong};
+use pwrfgs::prelude::Pipeline as Inner;
+use pwrfgs::train::Draft;
+use pwrfgs_core::docs::{Body, Docs, Documented as _, Kind};
+use pwrfgs_core::plugin::{Family, PluginKind, inventory, ron_options};
+use pwrfgs_core::ron_tree::{Body as Parts, Tree};
+use pwrfgs_core::{Error, Plugin};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+/// The RON text of what a user gives for a plugin of this kind: a value, a name with settings, or an object of a class of
+/// their own.
+pub(crate) fn text_of(kind: &str, value: &Bound<'_, PyAny>, settings: Option<&Bound<'_, PyDict>>) -> PyResult<String> {
+    let helper = value.py().import("pwrfgs._values")?.getattr("plugin_text")?;
+    helper.call1((kind, value, settings))?.extract()
+}
+
+/// A plugin from its text.
+pub(crate) fn plugin<T: ?Sized + PluginKind>(py: Python<'_>, text: &str) -> PyResult<Plugin<T>>
+where
+    Box<T>: for<'de> pwrfgs::prelude::Deserialize<'de>,
+{
+    pwrfgs_core::plugin::read_ron(text, Path::new(T::KIND)).map_err(|error| match error {
+        // The position would count in a text that nobody has seen.
+        Error::Input { message, .. } => raised(py, Error::Config(message)),
+        other => raised(py, other),
+    })
+}
+
+/// A pipeline and its text; what the Python class `Pipeline` is about.
+#[pyclass(frozen, module = "pwrfgs._pwrfgs")]
+pub(crate) struct Pipeline {
+    inner: Mutex<Inner>,
+    /// The folder of its relative paths.
+    base: PathBuf,
+}
+
+impl Pipeline {
+    pub(crate) fn now(&self) -> Inner {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    pub(crate) fn base(&self) -> &Path {
+        &self.base
+    }
+}
+
+#[pymethods]
+impl Pipeline {
+    /// From RON text; `path` is what messages call it, and `folder` where its relative paths begin.
+    #[staticmethod]
+    fn parse(py: Python<'_>, text: &str, path: PathBuf, folder: PathBuf) -> PyResult<Self> {
+        let inner = Inner::parse(text, &path).map_err(|error| raised(py, error))?;
+        Ok(Self { inner: Mutex::new(inner), base: folder })
+    }
+
+    /// All of it as RON, every default written out.
+    fn text(&self) -> String {
+        self.now().to_ron()
+    }
+
+    #[getter]
+    fn folder(&self) -> PathBuf {
+        self.base.clone()
+    }
+
+    /// Sets values by their path, RON text each; all or none.
+    fn set(&self, py: Python<'_>, values: Vec<(String, String)>) -> PyResult<()> {
+        let mut draft = Draft::of(&self.now());
+        let changed = values.iter().try_for_each(|(path, value)| draft.set(path, value)).and_then(|()| draft.finish());
+        let changed = changed.map_err(|error| raised(py, error))?;
+        *self.inner.lock().unwrap_or_else(PoisonError::into_inner) = changed;
+        Ok(())
+    }
+
+    /// The same with arguments of `--set`.
+    fn set_arguments(&self, py: Python<'_>, arguments: Vec<String>) -> PyResult<()> {
+        let mut inner = self.now();
+        inner.set_all(&arguments).map_err(|error| raised(py, error))?;
+        *self.inner.lock().unwrap_or_else(PoisonError::into_inner) = inner;
+        Ok(())
+    }
+
+    fn copied(&self) -> Self {
+        Self { inner: Mutex::new(self.now()), base: self.base.clone() }
+    }
+
+    /// The data, loaded.
+    fn data(&self, py: Python<'_>) -> PyResult<crate::data::Dataset> {
+        let inner = self.now();
+        let data = free(py, || inner.data.load(&self.base, &|_, _| {}))?;
+        Ok(crate::data::Dataset::new(data, None))
+    }
+}
+
+/// RON text as nested tuples: ("plain", text), ("text", str), ("fields", name, [(field, value)]), ("items", name, [value]).
+#[pyfunction]
+pub(crate) fn parse_ron<'py>(py: Python<'py>, text: &str) -> PyResult<Bound<'py, PyAny>> {
+    let tree = Tree::parse(text).map_err(|why| wrong(py, &why))?;
+    parts(py, &tree, text)
+}
+
+fn parts<'py>(py: Python<'py>, tree: &Tree, text: &str) -> PyResult<Bound<'py, PyAny>> {
+    let own = tree.of(text);
+    Ok(match &tree.body {
+        Parts::Fields(fields) => {
+            let fields = fields.iter().map(|(name, value)| Ok((name.as_str(), parts(py, value, text)?)));
+            let fields = PyList::new(py, fields.collect::<PyResult<Vec<_>>>()?)?;
+            ("fields", tree.name.as_deref(), fields).into_pyobject(py)?.into_any()
+        }
+        Parts::Items(items) => {
+            let items = items.iter().map(|value| parts(py, value, text)).collect::<PyResult<Vec<_>>>()?;
+            let open = own[tree.name.as_ref().map_or(0, String::len)..].trim_start().starts_with('[');
+            let kind = if open { "list" } else { "items" };
+            (kind, tree.name.as_deref(), PyList::new(py, items)?).into_pyobject(py)?.into_any()
+        }
+        Parts::Plain if tree.quoted => {
+            let decoded = ron_options().from_str::<String>(own).map_err(|e| wrong(py, &e.to_string()))?;
+            ("text", decoded).into_pyobject(py)?.into_any()
+        }
+        Parts::Plain => ("plain", own).into_pyobject(py)?.into_any(),
+    })
+}
+
+/// A plugin of this kind with every default written out.
+#[pyfunction]
+pub(crate) fn complete(py: Python<'_>, kind: &str, text: &str) -> PyResult<String> {
+    fn whole<T: ?Sized + PluginKind + erased_serde::Serialize>(py: Python<'_>, text: &str) -> PyResult<String>
+    where
+        Box<T>: for<'de> pwrfgs::prelude::Deserialize<'de>,
+    {
+        plugin::<T>(py, text).map(|plugin| pwrfgs_core::plugin::to_ron(&plugin))
+    }
+    macro_rules! of_kinds {
+        ($($name:ident),+) => {
+            match kind {
+                $(stringify!($name) => whole::<dyn pwrfgs_core::$name>(py, text),)+
+                other => Err(wrong(py, &format!("there is no kind of plugins called `{other}`"))),
+            }
+        };
+    }
+    of_kinds!(Baseline, DataSource, Deformation, Initializer, Method, Metric, Projector, Pruner, Rasterizer, Split)
+}
+
+/// Every plugin that is linked, kind by kind.
+#[pyfunction]
+pub(crate) fn registry<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+    let all = PyList::empty(py);
+    let mut families: Vec<&Family> = inventory::iter::<Family>().collect();
+    families.sort_by_key(|family| family.kind);
+    for family in families {
+        for member in (family.members)() {
+            let entry = PyDict::new(py);
+            entry.set_item("kind", family.kind)?;
+            entry.set_item("name", member.name)?;
+            entry.set_item("about", member.about)?;
+            entry.set_item("text", member.text.clone().ok())?;
+            entry.set_item("doc", member.docs.map(|docs| docs.text))?;
+            entry.set_item("fields", member.docs.map_or_else(|| Ok(PyList::empty(py)), |docs| fields(py, docs.fields()))?)?;
+            all.append(entry)?;
+        }
+    }
+    Ok(all)
+}
+
+fn fields<'py>(py: Python<'py>, fields: &[pwrfgs_core::docs::Field]) -> PyResult<Bound<'py, PyList>> {
+    let list = PyList::empty(py);
+    for field in fields {
+        list.append((field.name, (field.kind)().words(), field.text, field.optional))?;
+    }
+    Ok(list)
+}
+
+/// The plain structs and enums that a pipeline is made of, by name: their docs, fields or variants.
+#[pyfunction]
+pub(crate) fn types<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+    let mut found: BTreeMap<&'static str, &'static Docs> = BTreeMap::new();
+    gather(&Inner::kind(), &mut found);
+    for family in inventory::iter::<Family>() {
+        for docs in (family.members)().iter().filter_map(|member| member.docs) {
+            docs.fields().iter().for_each(|field| gather(&(field.kind)(), &mut found));
+        }
+    }
+    let all = PyList::empty(py);
+    for (name, docs) in found {
+        let entry = PyDict::new(py);
+        entry.set_item("name", name)?;
+        entry.set_item("doc", docs.text)?;
+        match docs.body {
+            Body::Fields(own) => entry.set_item("fields", fields(py, own)?)?,
+            Body::Variants(variants) => {
+                let list = PyList::empty(py);
+                for variant in variants {
+                    list.append((variant.name, variant.text, variant.named, fields(py, variant.fields)?))?;
+                }
+                entry.set_item("variants", list)?;
+            }
+        }
+        all.append(entry)?;
+    }
+    Ok(all)
+}
+
+fn gather(kind: &Kind, found: &mut BTreeMap<&'static str, &'static Docs>) {
+    match kind {
+        Kind::Of(docs) => {
+            if found.insert(docs.name, docs).is_none() {
+                match docs.body {
+                    Body::Fields(fields) => fields.iter().for_each(|field| gather(&(field.kind)(), found)),
+                    Body::Variants(variants) => {
+                        variants.iter().flat_map(|v| v.fields).for_each(|field| gather(&(field.kind)(), found));
+                    }
+                }
+            }
+        }
+        Kind::Optional(inner) | Kind::List(inner) | Kind::Map(inner) => gather(inner, found),
+        Kind::Tuple(parts) => parts.iter().for_each(|part| gather(part, found)),
+        Kind::Plain(_) | Kind::Plugin(_) => {}
+    }
+}

@@ -1,0 +1,96 @@
+//! `simulate`, `sweep` and `report`, as the command line has them.
+
+use crate::border::{raised, waited, wrong};
+use crate::run::Nobody;
+use pwrfgs::experiment::sweep::{Fate, Plan, check, execute};
+use pwrfgs::prelude::Silent;
+use pwrfgs::report::{Options, Study, write};
+use pwrfgs::sim::output::{self as folder, Layout};
+use pwrfgs::sim::{Observe, Recipe};
+use pyo3::prelude::*;
+use std::path::PathBuf;
+
+/// See `pwrfgs.simulate`.
+#[pyfunction]
+#[allow(clippy::too_many_arguments)] // settings with names, as Python has them
+pub(crate) fn simulate(
+    py: Python<'_>,
+    scene: PathBuf,
+    out: PathBuf,
+    layout: &str,
+    samples: usize,
+    seed: u64,
+    points: usize,
+    noise_db: f64,
+    snr_db: Option<f64>,
+    paths: bool,
+    hear: &Bound<'_, PyAny>,
+) -> PyResult<()> {
+    let (observe, layout) = match layout {
+        "spectra" => (Observe::Spectrum, Layout::Pictures),
+        "arrays" => (Observe::Spectrum, Layout::Array),
+        "rssi" => (Observe::Power { noise_db }, Layout::Rssi),
+        "channels" => (Observe::Channel { snr_db }, Layout::Channels),
+        "csi" => (Observe::Channel { snr_db }, Layout::Csi),
+        other => {
+            let all = ["spectra", "arrays", "rssi", "channels", "csi"];
+            let hint = pwrfgs_core::did_you_mean(other, all);
+            return Err(wrong(py, &format!("layout: there is no `{other}`{hint} (there are {})", all.join(", "))));
+        }
+    };
+    let recipe = Recipe::read(&scene, samples, seed, points).and_then(|recipe| recipe.observing(observe));
+    let recipe = recipe.map_err(|error| raised(py, error))?;
+    let work = |events: std::sync::mpsc::SyncSender<(usize, usize)>, stop: &_| {
+        let tell = |done, total| _ = events.try_send((done, total));
+        folder::write_as(&recipe, layout, paths, &out, &tell, stop)
+    };
+    waited(py, work, |(done, total)| hear.call1((done, total)).map(|_| ()))
+}
+
+/// See `pwrfgs.sweep`: the sweep folder, and of every run its folder and why it failed, if it did.
+#[pyfunction]
+pub(crate) fn sweep(
+    py: Python<'_>,
+    experiment: PathBuf,
+    arguments: Vec<String>,
+    out: Option<PathBuf>,
+    jobs: usize,
+) -> PyResult<(PathBuf, Vec<(PathBuf, Option<String>)>)> {
+    let plan = Plan::read(&experiment, &arguments, out.as_deref()).map_err(|error| raised(py, error))?;
+    let runs: Vec<usize> = (0..plan.runs.len()).collect();
+    let work = |_: std::sync::mpsc::SyncSender<()>, stop: &std::sync::atomic::AtomicBool| {
+        check(&plan, &runs, &mut Silent)?;
+        let ends = execute(&plan, &runs, jobs, &Nobody, stop, pwrfgs::PAGE)?;
+        let whole = ends.len() == runs.len() && ends.iter().all(|(_, fate)| matches!(fate, Fate::Finished { .. }));
+        if whole {
+            let study = Study::read(std::slice::from_ref(&plan.folder))?;
+            write(&study, &Options::default(), &plan.folder.join("report"), &mut Silent)?;
+        }
+        Ok(ends)
+    };
+    let mut ends = waited(py, work, |()| Ok(()))?;
+    ends.sort_by_key(|(run, _)| *run);
+    let failed = |fate: &Fate| match fate {
+        Fate::Failed(error) => Some(error.to_string()),
+        Fate::Finished { .. } => None,
+        Fate::Busy => Some("another process is at work in its folder".into()),
+        Fate::Interrupted { .. } | Fate::Unscored => Some("stopped; the same call goes on".into()),
+    };
+    let ends = ends.iter().map(|(run, fate)| (plan.folder_of(*run), failed(fate))).collect();
+    Ok((plan.folder.clone(), ends))
+}
+
+/// See `pwrfgs.report`: the tables as text.
+#[pyfunction]
+pub(crate) fn report(
+    py: Python<'_>,
+    runs: Vec<PathBuf>,
+    out: PathBuf,
+    reference: Option<String>,
+) -> PyResult<String> {
+    let work = |_: std::sync::mpsc::SyncSender<()>, _: &_| {
+        let study = Study::read(&runs)?;
+        write(&study, &Options { reference }, &out, &mut Silent)
+    };
+    waited(py, work, |()| Ok(()))
+}
