@@ -13,7 +13,7 @@ Every plugin of the toolkit is a class here, such as ``pwrfgs.LearnableMask(lamb
 
 from __future__ import annotations
 
-from typing import Any, List
+from typing import TYPE_CHECKING, Any, List
 
 from . import baselines, metrics, plot, settings
 from ._errors import Error, InputError
@@ -37,11 +37,16 @@ __all__: List[str] = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    if name == "torch":  # only where torch is
-        import importlib
+if TYPE_CHECKING:  # to checkers a module with `__getattr__` would have every name
+    from . import torch as torch
+else:
 
-        return importlib.import_module("pwrfgs.torch")
-    from ._values import CLASSES, unknown
+    def __getattr__(name: str) -> Any:
+        if name == "torch":  # only where torch is
+            import importlib
 
-    raise AttributeError(unknown("pwrfgs", name, [*__all__, *map(str, CLASSES)]).replace("field", "name", 1).split(" (there")[0])
+            return importlib.import_module("pwrfgs.torch")
+        from ._values import CLASSES, unknown
+
+        known = [*__all__, *map(str, CLASSES)]
+        raise AttributeError(unknown("pwrfgs", name, known).replace("field", "name", 1).split(" (there")[0])

@@ -35,8 +35,9 @@ def project(
     pose : (position [3], orientation x, y, z, w) of the receiver; a ``Pose``
     projector : a projector such as ``pwrfgs.Mercator()``, or its name
     """
+    elevation: Any = tuple(elevation_deg)
     splats: Splats = _pwrfgs.project(
-        means, quats, scales, opacities, _pose(pose), height, width, projector, tuple(elevation_deg)
+        means, quats, scales, opacities, _pose(pose), height, width, projector, elevation
     )
     return splats
 
@@ -92,8 +93,9 @@ def rasterize_with_vjp(
     waves = np.iscomplexobj(signals)
     if waves:
         signals = np.stack([signals.real, signals.imag], axis=-1).astype(real)
+    elevation: Any = tuple(elevation_deg)
     drawing = _pwrfgs.draw(
-        means, quats, scales, opacities, signals, _pose(pose), height, width, projector, rasterizer, tuple(elevation_deg)
+        means, quats, scales, opacities, signals, _pose(pose), height, width, projector, rasterizer, elevation
     )
     picture: Array = drawing.image
     if waves:

@@ -228,10 +228,10 @@ def run(
         if _is_ensemble(path) and not given:
             bar = _Progress(progress)
             try:
-                folder, _ = _pwrfgs.run_file(path, _arguments(set), out, _listener(bar, callback))
+                made, _ = _pwrfgs.run_file(path, _arguments(set), out, _listener(bar, callback))
             finally:
                 bar.close()
-            return Run(folder)
+            return Run(made)
         chosen = Pipeline(path)
     else:
         chosen = Pipeline(pipeline)

@@ -32,6 +32,9 @@ class Receiver:
     antennas: List[Tuple[float, float, float]] = field(default_factory=lambda: [(0.0, 0.0, 0.0)])
     """Places of the antennas in the receiver's frame, metres."""
 
+    def __post_init__(self) -> None:
+        self.antennas = [tuple(map(float, place)) for place in self.antennas]  # type: ignore[misc]
+
 
 class Partition(NamedTuple):
     """Places of links, sorted and disjoint."""

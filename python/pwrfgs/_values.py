@@ -44,7 +44,7 @@ class Value:
 
     @classmethod
     def _make(cls, name: Optional[str], fields: Dict[str, Any], items: Tuple[Any, ...] = ()) -> "Value":
-        value = Value.__new__(CLASSES.get(name, Value) if name else Value)
+        value: Value = Value.__new__(CLASSES.get(name, Value) if name else Value)
         object.__setattr__(value, "_name", name)
         object.__setattr__(value, "_fields", fields)
         object.__setattr__(value, "_items", items)
@@ -233,19 +233,21 @@ def make_class(name: str, entries: List[Dict[str, Any]]) -> type:
             if fields and ron_name(field) not in fields:
                 raise InputError(unknown(name, field, fields))
         text = f"{name}({', '.join(f'{field}: {to_ron(value)}' for field, value in named.items())})"
+        whole: List[Dict[str, Any]] = []
         fault: Optional[InputError] = None
         for kind in kinds:
             try:
                 made = from_ron(_pwrfgs.complete(kind, text))
+                whole.append(dict(made._fields) if isinstance(made, Value) else {})
             except InputError as error:
                 fault = fault or error
-                continue
-            object.__setattr__(self, "_name", name)
-            object.__setattr__(self, "_fields", dict(made._fields) if isinstance(made, Value) else {})
-            object.__setattr__(self, "_items", ())
-            object.__setattr__(self, "_owner", None)
-            return
-        raise fault or InputError(f"{name} cannot be made")
+        if not whole:
+            raise InputError(f"{fault}" if name in str(fault) else f"{name}: {fault}")
+        object.__setattr__(self, "_name", name)
+        # A name that means two things, and could be either still, says no more than it was given.
+        object.__setattr__(self, "_fields", whole[0] if len(whole) == 1 else named)
+        object.__setattr__(self, "_items", ())
+        object.__setattr__(self, "_owner", None)
 
     defaults: Dict[str, Any] = {}
     for entry in entries:

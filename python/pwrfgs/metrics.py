@@ -19,7 +19,7 @@ Score = Union[float, Array]
 def _measure(metric: str, kind: str, prediction: Any, truth: Any, axes: int, **more: Any) -> Score:
     one = np.ndim(truth) <= axes
     found = _pwrfgs.measure(metric, kind, prediction, truth, more.get("elevation_deg", (0.0, 90.0)))
-    values = found[0][2]
+    values: Any = found[0][2]
     return float(values[0]) if one and np.ndim(values) == 1 else values
 
 

@@ -12,12 +12,12 @@ from ._kernels import rasterize_with_vjp
 DTYPE = torch.float64 if _pwrfgs.real_bytes == 8 else torch.float32
 
 
-class _Rasterize(torch.autograd.Function):  # type: ignore[misc]
+class _Rasterize(torch.autograd.Function):  # type: ignore[misc, unused-ignore]
     @staticmethod
     def forward(ctx: Any, means: Any, quats: Any, scales: Any, opacities: Any, signals: Any, options: Any) -> Any:
         given = [x.detach().cpu().numpy() for x in (means, quats, scales, opacities, signals)]
         pose, settings = options
-        picture, ctx.vjp = rasterize_with_vjp(*given, pose, **settings)
+        picture, ctx.vjp = rasterize_with_vjp(*[*given, pose], **settings)
         ctx.like = means
         return torch.from_numpy(picture).to(device=means.device, dtype=means.dtype)
 

@@ -65,7 +65,9 @@ pub(crate) fn axes(value: &Bound<'_, PyAny>) -> PyResult<usize> {
     if let Ok(array) = value.cast::<numpy::PyUntypedArray>() {
         return Ok(array.ndim());
     }
-    value.py().import("numpy")?.call_method1("ndim", (value,))?.extract()
+    let py = value.py();
+    let count = py.import("numpy")?.call_method1("ndim", (value,));
+    count.map_err(|e| wrong(py, &format!("this is no array: {e}")))?.extract()
 }
 
 /// Places `[.., 3]`, metres, all of them finite.

@@ -132,7 +132,7 @@ pub(crate) fn raised(py: Python<'_>, error: Error) -> PyErr {
         Error::Input { path, at, .. } => {
             let made = exception(py, "InputError", &message);
             let value = made.value(py);
-            _ = value.setattr("path", path);
+            _ = value.setattr("path", path.display().to_string());
             if let Some((line, column)) = at {
                 _ = value.setattr("line", line).and_then(|()| value.setattr("column", column));
             }

@@ -1,0 +1,250 @@
+"""Writes ``_plugins.pyi`` and ``settings.pyi``: what editors and type checkers know of the classes that are made of the
+program's plugins and settings.
+
+``python -m pwrfgs._stubs`` writes both beside itself; with ``--check`` it writes nothing, and exits 1 where they are
+not current.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import math
+import os
+import re
+import sys
+import textwrap
+from typing import Any, Dict, List, Optional, Sequence, Tuple
+
+from . import _pwrfgs
+from ._values import CLASSES, python_name
+
+WIDTH = 120
+HEAD = "# Written by `python -m pwrfgs._stubs` from what the program says of itself; changes belong there.\n\n"
+PATH = "_Path: TypeAlias = Union[str, os.PathLike[str]]\n"
+TYPING = ("Any", "ClassVar", "List", "Optional", "Sequence", "Tuple", "Union")
+PLAIN = {
+    "number": "float",
+    "whole number": "int",
+    "true or false": "bool",
+    "text": "str",
+    "path": "_Path",
+    "two numbers": "Tuple[float, float]",
+}
+
+
+def annotation(words: str) -> str:
+    """The type of a field, from the registry's words for it; ``Any`` where they name a plugin or a setting."""
+    if words in PLAIN:
+        return PLAIN[words]
+    if words.endswith(" or None"):
+        return f"Optional[{annotation(words[: -len(' or None')])}]"
+    if words.startswith("list of "):
+        return f"Sequence[{annotation(words[len('list of ') :])}]"
+    if words.startswith("(") and words.endswith(")"):
+        return f"Tuple[{', '.join(map(annotation, parts(words[1:-1])))}]"
+    if " or " in words:
+        return f"Union[{', '.join(map(annotation, words.split(' or ')))}]"
+    return "Any"
+
+
+def parts(words: str) -> List[str]:
+    """What commas divide, but for those inside parentheses."""
+    found, depth = [""], 0
+    for letter in words:
+        depth += (letter == "(") - (letter == ")")
+        if letter == "," and depth == 0:
+            found.append("")
+        else:
+            found[-1] += letter
+    return [part.strip() for part in found]
+
+
+def literal(value: Any) -> str:
+    """A default as a stub may have it: plain values and lists of them, else an ellipsis."""
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if value is None or isinstance(value, (bool, int)) or (isinstance(value, float) and math.isfinite(value)):
+        return repr(value)
+    if isinstance(value, (list, tuple)):
+        inside = [literal(item) for item in value]
+        if "..." not in inside:
+            return f"[{', '.join(inside)}]" if isinstance(value, list) else f"({', '.join(inside)})"
+    return "..."
+
+
+def prose(text: str, width: int, taken: int = 0) -> List[str]:
+    """A comment of the source in lines of ``width``, of which ``taken`` is not free in the first: paragraphs filled,
+    examples in Rust and its links left out."""
+    lines: List[str] = []
+    paragraph: List[str] = []
+    fence: Optional[str] = None
+
+    def flush() -> None:
+        if any(line.startswith("|") for line in paragraph):  # a table
+            lines.extend(paragraph)
+        else:
+            indent = "" if lines else " " * taken
+            lines.extend(line.strip() for line in wrap(" ".join(paragraph), width, indent))
+        paragraph.clear()
+
+    for line in text.splitlines():
+        mark = line.strip()
+        if mark.startswith("```"):
+            flush()
+            kept = mark != "```" if fence is None else fence != "```"  # a block that names no language is Rust
+            if kept:
+                lines.append(mark)
+            fence = mark if fence is None else None
+        elif fence is not None:
+            if fence != "```":
+                lines.append(line.rstrip())
+        elif not mark or mark.startswith("# "):
+            flush()
+            if lines and lines[-1]:
+                lines.append("")
+            if mark:
+                lines += [mark[2:] + ":", ""]
+        else:
+            mark = re.sub(r"\[(`[^`]+`)\](\([^)]*\))?", r"\1", mark)
+            paragraph.append(mark.replace("`crate::", "`"))
+    flush()
+    while lines and not lines[-1]:
+        lines.pop()
+    return lines
+
+
+def wrap(text: str, width: int, indent: str = "") -> List[str]:
+    """Words in lines, none of them divided."""
+    return textwrap.wrap(text, width, initial_indent=indent, break_long_words=False, break_on_hyphens=False)
+
+
+def docstring(lines: Sequence[str], indent: str) -> str:
+    """Lines as a docstring."""
+    escaped = [line.replace("\\", "\\\\").replace('"""', r"\"\"\"") for line in lines]
+    if len(escaped) == 1 and len(indent) + len(escaped[0]) + 6 <= WIDTH and not escaped[0].endswith('"'):
+        return f'{indent}"""{escaped[0]}"""\n'
+    body = "\n".join(indent + line if line else "" for line in escaped[1:])
+    return f'{indent}"""{escaped[0]}\n{body}\n{indent}"""\n' if body else f'{indent}"""{escaped[0]}\n{indent}"""\n'
+
+
+def listing(fields: Sequence[Tuple[str, str, str]], width: int) -> List[str]:
+    """Fields (name, words, comment) as NumPy's docstrings have them."""
+    lines = ["Parameters", "----------"]
+    for name, words, text in fields:
+        lines.append(f"{name} : {words}")
+        lines += ["    " + line if line else "" for line in prose(text, width - 4)]
+    return lines
+
+
+def function(name: str, parameters: Sequence[str], result: str, indent: str, end: str) -> str:
+    """``def`` with its parameters, in one line where they fit."""
+    flat = f"{indent}def {name}({', '.join(parameters)}) -> {result}:{end}\n"
+    if len(flat) <= WIDTH + 1:
+        return flat
+    inside = f"{indent}    {', '.join(parameters)}\n"
+    if len(inside) > WIDTH + 1:
+        inside = "".join(f"{indent}    {parameter},\n" for parameter in parameters)
+    return f"{indent}def {name}(\n{inside}{indent}) -> {result}:{end}\n"
+
+
+def plugins() -> str:
+    """The text of ``_plugins.pyi``."""
+    by_name: Dict[str, List[Dict[str, Any]]] = {name: [] for name in CLASSES if name}
+    for entry in _pwrfgs.registry():
+        if entry["name"] in by_name:
+            by_name[entry["name"]].append(entry)
+    text = exports(sorted(by_name))
+    for name, entries in sorted(by_name.items()):
+        fields: Dict[str, Tuple[str, str]] = {}
+        said: List[str] = []
+        for entry in entries:
+            for field, words, comment, _ in entry["fields"]:
+                fields.setdefault(python_name(field), (words, comment))
+            whole = f"{entry['kind']}: {entry['about']}.\n\n{entry['doc'] or ''}"
+            said += prose(whole, WIDTH - 4, 0 if said else 3) + [""]
+        if fields:
+            said += listing([(field, *about) for field, about in fields.items()], WIDTH - 4)
+        else:
+            said.pop()
+        defaults = inspect.signature(CLASSES[name]).parameters
+        parameters = ["self", "*"] if fields else ["self"]
+        text += f"\nclass {name}(Value):\n" + docstring(said, "    ") + "\n"
+        for field, (words, _) in fields.items():
+            text += f"    {field}: {annotation(words)}\n"
+            default = defaults[field].default
+            known = "" if default is inspect.Parameter.empty else f" = {literal(default)}"
+            parameters.append(f"{field}: {annotation(words)}{known}")
+        text += function("__init__", parameters, "None", "    ", " ...")
+    return HEAD + imports(PATH + text, ["Value"]) + "\n" + PATH + "\n" + text
+
+
+def settings() -> str:
+    """The text of ``settings.pyi``."""
+    entries = sorted((entry for entry in _pwrfgs.types() if "variants" in entry), key=lambda entry: str(entry["name"]))
+    text = exports([entry["name"] for entry in entries])
+    for entry in entries:
+        text += f"\nclass {entry['name']}(metaclass=Choice):\n" + docstring(prose(entry["doc"], WIDTH - 4, 3), "    ")
+        for variant, comment, named, fields in entry["variants"]:
+            said = prose(comment, WIDTH - (8 if fields else 4), 3)
+            if not fields:
+                text += f"\n    {variant}: ClassVar[Value]\n" + (docstring(said, "    ") if said else "")
+                continue
+            parameters = []
+            for field, words, _, optional in fields:
+                called = python_name(field) if named else "value" if len(fields) == 1 else f"value{field}"
+                parameters.append(f"{called}: {annotation(words)}{' = ...' if optional else ''}")
+            parameters = ["*", *parameters] if named else [*parameters, "/"]
+            if named:
+                said += ["", *listing([(python_name(name), words, text) for name, words, text, _ in fields], WIDTH - 8)]
+            text += "\n    @staticmethod\n"
+            text += function(variant, parameters, "Value", "    ", "" if said else " ...")
+            if said:
+                text += docstring(said, "        ") + "        ...\n"
+    return HEAD + imports(text, ["Choice", "Value"]) + "\n" + text
+
+
+def imports(text: str, values: Sequence[str]) -> str:
+    """What ``text`` uses of ``typing``, and ``values`` of this package."""
+    code = re.sub(r'""".*?"""', "", text, flags=re.DOTALL)
+    used = [name for name in TYPING if re.search(rf"\b{name}\b", code)]
+    found = f"from typing import {', '.join(used)}\n\n"
+    if PATH in text:
+        found = f"import os\n{found}from typing_extensions import TypeAlias\n\n"
+    return found + f"from ._values import {', '.join(values)}\n"
+
+
+def exports(names: Sequence[str]) -> str:
+    """``__all__``, filled."""
+    lines = wrap(", ".join(f'"{name}"' for name in names) + ",", WIDTH - 4)
+    return "__all__: List[str] = [\n" + "".join(f"    {line}\n" for line in lines) + "]\n"
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Writes the stubs, or looks whether they are current."""
+    if list(arguments) not in ([], ["--check"]):
+        print("usage: python -m pwrfgs._stubs [--check]", file=sys.stderr)
+        return 2
+    here = os.path.dirname(os.path.abspath(__file__))
+    stale = []
+    for name, text in (("_plugins.pyi", plugins()), ("settings.pyi", settings())):
+        path = os.path.join(here, name)
+        try:
+            with open(path, encoding="utf-8", newline="") as file:
+                current = file.read() == text
+        except FileNotFoundError:
+            current = False
+        if current:
+            continue
+        stale.append(name)
+        if not arguments:
+            with open(path, "w", encoding="utf-8", newline="\n") as file:
+                file.write(text)
+    if arguments and stale:
+        print(f"not current: {', '.join(stale)}; run python -m pwrfgs._stubs", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,92 @@
+"""Data in and out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pwrfgs
+
+TX = np.random.default_rng(0).uniform(0, 4, size=(30, 3))
+
+
+def spectra(n=30):
+    return np.random.default_rng(1).uniform(size=(n, 12, 36)).astype(np.float32)
+
+
+def test_spectra_come_and_go(tmp_path):
+    given = spectra()
+    receiver = pwrfgs.Receiver("gate", (1.0, 2.0, 3.0), (0.0, 0.0, 0.6, 0.8))
+    data = pwrfgs.Dataset.from_arrays(TX, given, receivers=[receiver], points=[[1, 2, 3.0]], title="mine", simulated=True)
+    assert len(data) == 30 and data.kind == "spectrum" and data.simulated and data.title == "mine"
+    assert np.allclose(data.spectra, given) and np.array_equal(data.tx, TX) and data.rssi is None and data.csi is None
+    assert data.receivers == [receiver] and np.array_equal(data.points, [[1, 2, 3]])
+    assert np.array_equal(data.observations([3, 1]), data.spectra[[3, 1]])
+    assert "simulated" in repr(data)
+    data.save(tmp_path / "mine")
+    again = pwrfgs.Dataset.load(tmp_path / "mine")
+    assert np.array_equal(again.spectra, data.spectra) and np.array_equal(again.tx, data.tx) and again.simulated
+    with pytest.raises(pwrfgs.Error):
+        data.save(tmp_path / "mine")
+
+
+def test_bytes_stay_bytes():
+    grey = np.random.default_rng(2).integers(0, 256, size=(30, 12, 36), dtype=np.uint8)
+    assert np.allclose(pwrfgs.Dataset.from_arrays(TX, grey).spectra, grey / 255, atol=1e-7)
+
+
+def test_powers_and_channels(tmp_path):
+    rssi = np.random.default_rng(3).uniform(-90, -40, size=(30, 2))
+    rssi[0, 1] = np.nan
+    data = pwrfgs.Dataset.from_arrays(TX, rssi=rssi, receivers=[[0, 0, 2.0], [4, 4, 2.0]])
+    assert len(data) == 59 and data.kind == "power" and data.rssi.shape == (59,)
+    assert np.allclose(data.rssi, rssi[~np.isnan(rssi)], atol=1e-4) and data.receiver[:3].tolist() == [0, 0, 1]
+    data.save(tmp_path / "rssi")
+    assert np.allclose(pwrfgs.Dataset.load(tmp_path / "rssi").rssi, data.rssi, atol=1e-4)
+    csi = np.random.default_rng(4).normal(size=(30, 2, 5)) + 1j
+    antennas = [(0.0, 0.0, 0.0), (0.06, 0.0, 0.0)]
+    hz = 2.4e9 + 3e5 * np.arange(5)
+    data = pwrfgs.Dataset.from_arrays(TX, csi=csi, receivers=[pwrfgs.Receiver(antennas=antennas)], frequencies_hz=list(hz))
+    assert data.csi.shape == (30, 2, 5) and np.iscomplexobj(data.csi) and np.allclose(data.csi, csi, atol=1e-6)
+    data.save(tmp_path / "csi")
+    assert np.allclose(pwrfgs.Dataset.load(tmp_path / "csi").csi, data.csi)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (dict(), "give one of spectra, rssi and csi"),
+        (dict(spectra=spectra(), rssi=np.zeros(30)), "give one of"),
+        (dict(spectra=spectra(29)), "spectra has shape [29, 12, 36], and [30, any, any]"),
+        (dict(spectra=2 * spectra()), "give amplitudes from 0 to 1"),
+        (dict(spectra=np.full((30, 4, 4), np.nan, np.float32)), "is NaN"),
+        (dict(rssi=np.zeros((30, 3))), "rssi has shape [30, 3]"),
+        (dict(csi=np.zeros((30, 1, 4), complex)), "wants frequencies_hz"),
+        (dict(spectra=spectra(), receivers=[[0, 0]]), "a receiver has shape [2]"),
+        (dict(spectra=spectra(), receivers=[pwrfgs.Receiver(orientation=(0, 0, 0, 2.0))]), "has length 2"),
+        (dict(spectra=spectra(), points=[[0, 0, np.inf]]), "points[0]"),
+    ],
+)
+def test_what_cannot_be_is_refused(given, said):
+    with pytest.raises(pwrfgs.InputError) as told:
+        pwrfgs.Dataset.from_arrays(TX, **given)
+    assert said in str(told.value)
+
+
+def test_splits(dataset):
+    parts = dataset.split("voxel", size_m=0.5)
+    every = np.concatenate(parts)
+    assert sorted(every) == list(range(len(dataset))) and (np.diff(parts.train) > 0).all()
+    assert [a.tolist() for a in dataset.split(pwrfgs.TimeBlock())] == [a.tolist() for a in dataset.split("time_block")]
+    assert not np.array_equal(dataset.split("Random", seed=1).test, dataset.split("Random", seed=2).test)
+    with pytest.raises(pwrfgs.InputError, match="did you mean `Voxel`"):
+        dataset.split("vxel")
+    with pytest.raises(pwrfgs.InputError, match="size_m"):
+        dataset.split("voxel", size=1.0)
+    with pytest.raises(pwrfgs.InputError, match="there is no link 900"):
+        dataset.observations([900])
+
+
+def test_a_folder_without_data_is_told(tmp_path):
+    with pytest.raises(pwrfgs.InputError, match="holds no data of a layout that is known"):
+        pwrfgs.Dataset.load(tmp_path)

@@ -1,0 +1,171 @@
+"""Predictions: their shapes, their bits, and what is said when they are asked wrongly."""
+
+from __future__ import annotations
+
+import gc
+import os
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+import pwrfgs
+
+
+def test_one_place_and_many(model):
+    places = np.array([[0.5, 0.2, 1.0], [1.0, -0.5, 1.2], [0.0, 0.1, 0.9]])
+    many = model.predict(places)
+    assert many.shape == (3, 15, 60) and many.dtype == np.dtype(f"float{8 * pwrfgs._pwrfgs.real_bytes}")
+    assert many.flags.c_contiguous and many.flags.writeable
+    for place, own in zip(places, many):
+        assert np.array_equal(model.predict(place), own)
+        assert np.array_equal(model.predict(list(place)), own)
+    assert np.array_equal(model.predict(places.astype(np.float32).astype(np.float64)), model.predict(places.astype(np.float32)))
+
+
+def test_arrays_as_they_come(model):
+    places = np.random.default_rng(0).normal(size=(6, 3))
+    want = model.predict(places)
+    assert np.array_equal(model.predict(np.asfortranarray(places)), want)
+    padded = np.zeros((6, 6))
+    padded[:, ::2] = places
+    assert np.array_equal(model.predict(padded[:, ::2]), want)
+    fixed = places.copy()
+    fixed.flags.writeable = False
+    assert np.array_equal(model.predict(fixed), want)
+    assert model.predict(np.empty((0, 3))).shape == (0, 15, 60)
+    assert model.predict([[1, 2, 3]]).shape == (1, 15, 60)
+
+
+@pytest.mark.parametrize(
+    ("tx", "said"),
+    [
+        ([1.0, 2.0], "tx has shape [2], and [3] is wanted"),
+        (np.zeros((2, 4)), "tx has shape [2, 4]"),
+        (np.zeros((2, 2, 3)), "tx has shape [2, 2, 3]"),
+        (1.0, "is wanted"),
+        ("here", "is wanted"),
+        ([[1.0, 2.0, float("nan")]], "tx[0] is [1.0, 2.0, NaN]; give finite numbers"),
+        ([0.0, float("inf"), 0.0], "give finite numbers"),
+        (np.zeros((2, 3), complex), "tx holds complex128"),
+        (np.array([["a", "b", "c"]]), "is wanted"),
+        ([[object()] * 3], "tx holds object"),
+        ([[1.0, 2.0, 3.0], [1.0]], "is no array"),
+        (None, "give tx"),
+    ],
+)
+def test_what_is_no_position_is_refused(model, tx, said):
+    with pytest.raises(pwrfgs.InputError) as told:
+        model.predict(tx)
+    assert said in str(told.value)
+    assert isinstance(told.value, ValueError) and isinstance(told.value, pwrfgs.Error)
+
+
+def test_the_same_bits_as_the_command_line(model, run, cli, tmp_path):
+    places = np.random.default_rng(1).normal(size=(5, 3))
+    table = tmp_path / "tx.csv"
+    table.write_text("x,y,z\n" + "".join(f"{x!r},{y!r},{z!r}\n" for x, y, z in places.tolist()))
+    command = [cli, "predict", f"{run.folder}/model.safetensors", "--tx-csv", str(table), "--out", str(tmp_path / "p"), "--no-png"]
+    subprocess.run(command, check=True, capture_output=True)
+    for i, place in enumerate(places):
+        assert np.array_equal(np.load(tmp_path / "p" / f"{i + 1:05}.npy"), model.predict(place))
+
+
+def test_ensembles_spread(run, model):
+    pair = pwrfgs.Model.load(run.folder, f"{run.folder}/model.safetensors")
+    place = [0.5, 0.2, 1.0]
+    assert len(pair.members) == 2 and pair.n == 2 * model.n
+    assert np.array_equal(pair.spread(place), np.zeros((15, 60), np.float32))
+    assert np.allclose(pair.predict(place), model.predict(place).clip(0, 1), atol=1e-6)
+
+
+def test_gaussians_and_files(model, tmp_path):
+    gaussians = model.gaussians()
+    n = model.n
+    assert [a.shape for a in gaussians] == [(n, 3), (n, 4), (n, 3), (n,), (n,)]
+    assert np.iscomplexobj(gaussians.signals) and (gaussians.scales > 0).all()
+    assert ((gaussians.opacities > 0) & (gaussians.opacities < 1)).all()
+    assert np.allclose(np.linalg.norm(gaussians.quats, axis=1), 1, atol=1e-5)
+    there = model.gaussians(tx=[0.5, 0.2, 1.0])
+    assert not np.array_equal(there.signals, gaussians.signals)
+    model.save(tmp_path / "m.safetensors")
+    model.save(tmp_path / "half.safetensors", half=True)
+    again = pwrfgs.Model.load(tmp_path / "m.safetensors")
+    assert np.array_equal(again.predict([1.0, 0, 1]), model.predict([1.0, 0, 1]))
+    assert (tmp_path / "half.safetensors").stat().st_size < (tmp_path / "m.safetensors").stat().st_size
+    model.to_ply(tmp_path / "m.ply")
+    assert (tmp_path / "m.ply").read_bytes().startswith(b"ply\n")
+    with pytest.raises(pwrfgs.InputError, match="there is no member 3"):
+        model.gaussians(member=3)
+    with pytest.raises(pwrfgs.Error, match="none.safetensors"):
+        pwrfgs.Model.load(tmp_path / "none.safetensors")
+    (tmp_path / "junk.safetensors").write_bytes(b"junk")
+    with pytest.raises(pwrfgs.InputError) as told:
+        pwrfgs.Model.load(tmp_path / "junk.safetensors")
+    assert told.value.path == str(tmp_path / "junk.safetensors")
+
+
+def test_two_threads_predict_at_once(model):
+    places = np.random.default_rng(2).normal(size=(200, 3))
+    want, found = model.predict(places), {}
+    threads = [threading.Thread(target=lambda k=k: found.update({k: model.predict(places)})) for k in range(4)]
+    [thread.start() for thread in threads]
+    [thread.join(60) for thread in threads]
+    assert len(found) == 4 and all(np.array_equal(own, want) for own in found.values())
+
+
+def test_others_run_while_it_predicts(model):
+    ticks, stop = [], threading.Event()
+
+    def tick():
+        while not stop.is_set():
+            ticks.append(0)
+            stop.wait(0.001)
+
+    ticker = threading.Thread(target=tick)
+    ticker.start()
+    model.predict(np.random.default_rng(3).normal(size=(3000, 3)))
+    stop.set()
+    ticker.join()
+    assert len(ticks) > 5
+
+
+def resident() -> int:
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGESIZE")
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="memory is told by Linux only")
+def test_memory_does_not_grow(model):
+    place = np.array([0.5, 0.2, 1.0])
+    for _ in range(200):
+        model.predict(place)
+        model.gaussians()
+    gc.collect()
+    before = resident()
+    for _ in range(1000):
+        model.predict(place)
+        model.gaussians()
+    gc.collect()
+    assert resident() - before < 4 << 20
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
+def test_a_forked_child_is_told_and_does_not_hang(run):
+    code = f"""
+import os, signal, pwrfgs
+model = pwrfgs.Model.load({run.folder!r})
+model.predict([0.5, 0.2, 1.0])
+child = os.fork()
+if child == 0:
+    signal.alarm(20)
+    try:
+        model.predict([[0.5, 0.2, 1.0]] * 100)
+        os._exit(1)
+    except RuntimeError as error:
+        os._exit(0 if "spawn" in str(error) else 2)
+raise SystemExit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+    assert subprocess.run([sys.executable, "-c", code], timeout=60, check=False).returncode == 0

@@ -1,0 +1,100 @@
+"""Pipelines and their values."""
+
+from __future__ import annotations
+
+import copy
+import pathlib
+
+import numpy as np
+import pytest
+
+import pwrfgs
+from pwrfgs._values import from_ron, to_ron
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+
+
+def test_every_plugin_is_a_class_whose_text_is_its_value():
+    assert len(pwrfgs._values.CLASSES) > 70
+    for entry in pwrfgs._pwrfgs.registry():
+        if entry["name"] == "Python":
+            continue
+        made = getattr(pwrfgs, entry["name"])
+        assert entry["about"] in made.__doc__
+        if entry["text"] is not None:
+            assert to_ron(from_ron(entry["text"])) == to_ron(from_ron(to_ron(from_ron(entry["text"]))))
+
+
+def test_values():
+    mask = pwrfgs.LearnableMask(lambda_=0.02)
+    assert mask.lambda_ == 0.02 and mask.adam is True and mask.target is None
+    assert repr(mask).startswith("LearnableMask(lambda: 0.02, ")
+    assert "lambda_" in dir(mask) and mask == pwrfgs.LearnableMask(lambda_=0.02) != mask.replace(lambda_=0.1)
+    assert pwrfgs.Random(count=5).count == 5 and pwrfgs.Random(test=0.3).test == 0.3
+    assert repr(pwrfgs.settings.Rays.Same(400)) == "Same(400)" and repr(pwrfgs.settings.Readout.Real) == "Real"
+    assert repr(pwrfgs.settings.Schedule.Cosine(first=1e-3, last=1e-6)) == "Cosine(first: 0.001, last: 1e-06)"
+    for wrong, said in [(dict(lamda=1), "did you mean `lambda_`"), (dict(lambda_=-1.0), "lambda"), (dict(lambda_="a"), "LearnableMask")]:
+        with pytest.raises(pwrfgs.InputError) as told:
+            pwrfgs.LearnableMask(**wrong)
+        assert said in str(told.value)
+    with pytest.raises(AttributeError, match="did you mean `LearnableMask`"):
+        pwrfgs.LernableMask
+    with pytest.raises(AttributeError, match="did you mean `lambda_`"):
+        mask.lamda = 1
+
+
+@pytest.mark.parametrize("value", [0, -3, 1.5, 1e-9, True, None, "a \"b\" \\ ü\n", [1, 2], (1.0, 2.0), [[1, 2], []], float("inf")])
+def test_python_to_ron_and_back(value):
+    assert from_ron(to_ron(value)) == value
+
+
+def test_fields_are_attributes(pipeline):
+    assert pipeline.training.steps == 60 and pipeline.name == "small" and pipeline.pruners[0].epsilon == 0.02
+    pipeline.training.steps = 80
+    pipeline.pruners[0].epsilon = 0.1
+    pipeline.pruners = [*pipeline.pruners, pwrfgs.LearnableMask(lambda_=0.5)]
+    pipeline.training.optimizer.network = pwrfgs.settings.Schedule.Constant(1e-3)
+    pipeline.set({"training.batch": 2, "seed": 4})
+    assert (pipeline.training.steps, pipeline.training.batch, pipeline.seed) == (80, 2, 4)
+    assert pipeline.get("pruners.LearnableMask.lambda") == 0.5 and pipeline.pruners[0].epsilon == 0.1
+    assert repr(pipeline.training.optimizer.network) == "Constant(0.001)"
+    assert pwrfgs.Pipeline(repr(pipeline)) == pipeline
+    other = pipeline.copy()
+    other.seed = 9
+    assert pipeline.seed == 4 and copy.deepcopy is not None
+    assert "training" in dir(pipeline) and "steps" in dir(pipeline.training)
+
+
+def test_made_of_values():
+    made = pwrfgs.Pipeline(
+        name="made", data=pwrfgs.Teacher(samples=40), initializer=pwrfgs.Random(count=np.int64(7)),
+        training=dict(steps=5, batch=2, densify_until=0, prune_until=0),
+    )
+    assert made.initializer.count == 7 and made.training.steps == 5 and made.data.samples == 40
+
+
+def test_mistakes_have_a_place(pipeline, tmp_path):
+    file = tmp_path / "p.ron"
+    file.write_text('Pipeline(\n    name: "a",\n    initialiser: Random(),\n)')
+    with pytest.raises(pwrfgs.InputError) as told:
+        pwrfgs.Pipeline(file)
+    assert (told.value.line, told.value.column) == (3, 16) and "did you mean `initializer`" in str(told.value)
+    assert str(told.value.path).endswith("p.ron")
+    before = repr(pipeline)
+    for change in [{"training.stepps": 1}, {"training.steps": "many"}, {"seed": -1}, {"training.batch": 0}]:
+        with pytest.raises(pwrfgs.InputError):
+            pipeline.set({"training.steps": 7, **change} if "training.steps" not in change else change)
+        assert repr(pipeline) == before
+    with pytest.raises(AttributeError, match="did you mean `training`"):
+        pipeline.trainig = 1
+    with pytest.raises(pwrfgs.InputError):
+        pipeline.pruners = [object()]
+    with pytest.raises(pwrfgs.InputError, match="cannot read"):
+        pwrfgs.Pipeline(tmp_path / "none.ron")
+
+
+def test_every_pipeline_of_the_project_is_read():
+    for file in sorted((ROOT / "pipelines").glob("*.ron")):
+        if "Ensemble(" not in file.read_text():
+            read = pwrfgs.Pipeline(file)
+            assert pwrfgs.Pipeline(repr(read)).name == read.name

@@ -1,0 +1,112 @@
+"""Runs: the same as the command line's, resumed, stopped, and told of."""
+
+from __future__ import annotations
+
+import subprocess
+
+import numpy as np
+import pytest
+from conftest import SMALL, files
+
+import pwrfgs
+
+
+def test_a_run_is_that_of_the_command_line(run, cli, tmp_path):
+    (tmp_path / "small.ron").write_text(SMALL)
+    subprocess.run([cli, "run", str(tmp_path / "small.ron"), "--out", str(tmp_path / "r"), "-q"], check=True, capture_output=True)
+    ours, theirs = files(run.folder), files(tmp_path / "r")
+    assert [name for name in ours if ours[name] != theirs[name]] == []
+
+
+def test_what_a_run_holds(run):
+    assert run.finished and run.facts["steps"] == 60 and run.model.n == run.scores["model"]["gaussians"]
+    assert 0 < run.scores["model"]["ssim"]["mean"] <= 1 and set(run.scores) >= {"model", "mean spectrum", "3-NN"}
+    assert run.scores["3-NN"]["gaussians"] is None
+    assert run.curve["step"].tolist() == list(range(1, 61)) and run.curve["phase"][0] == "densify"
+    assert "ssim" in repr(run) and "<pre>" in run._repr_html_() and "html" in open(run.report).read(200)
+    table = run.table()
+    assert "model" in (table.index if hasattr(table, "index") and not isinstance(table, list) else [r["predictor"] for r in table])
+    assert {row["split"] for row in run.samples()} >= {"train", "test"} and run.validation["step"].tolist() == [20, 40, 60]
+    again = pwrfgs.run(pwrfgs.Pipeline(SMALL), out=run.folder, progress=False)
+    assert again.scores == run.scores
+    with pytest.raises(pwrfgs.InputError, match="no run folder"):
+        pwrfgs.Run("/nowhere")
+
+
+def test_stopped_and_resumed_it_ends_in_the_same_files(run, tmp_path):
+    def stop_at(step):
+        def hear(event):
+            if event["what"] == "step" and event["step"] == step:
+                raise KeyboardInterrupt
+
+        return hear
+
+    for step in (3, 25, 47):
+        with pytest.raises(KeyboardInterrupt):
+            pwrfgs.run(pwrfgs.Pipeline(SMALL), out=tmp_path / "r", callback=stop_at(step), progress=False)
+        assert (tmp_path / "r/checkpoint.safetensors").is_file() and not pwrfgs.Run(tmp_path / "r").finished
+    resumed = pwrfgs.run(tmp_path / "r", progress=False)
+    assert files(resumed.folder) == files(run.folder)
+
+
+def test_an_exception_in_a_callback_comes_out(tmp_path):
+    class Mine(Exception):
+        pass
+
+    def hear(event):
+        if event["what"] == "step":
+            raise Mine(event["step"])
+
+    with pytest.raises(Mine):
+        pwrfgs.run(pwrfgs.Pipeline(SMALL), out=tmp_path / "r", callback=hear, progress=False)
+
+
+def test_settings_as_on_the_command_line(tmp_path):
+    events = []
+    done = pwrfgs.run(
+        pwrfgs.Pipeline(SMALL), set={"training.scale": 0.2, "pruners": [pwrfgs.TopK(keep=20)], "split": "Random(test: 0.5)"},
+        out=tmp_path / "r", callback=events.append, progress=True,
+    )
+    assert done.facts["steps"] == 12 and done.model.n <= 20 and done.facts["samples"][2] == 60
+    assert {event["what"] for event in events} >= {"start", "step", "stage", "message"}
+    with pytest.raises(pwrfgs.InputError, match="did you mean"):
+        pwrfgs.run(pwrfgs.Pipeline(SMALL), set={"training.stepz": 1}, out=tmp_path / "x", progress=False)
+    with pytest.raises(pwrfgs.Error):
+        pwrfgs.run(pwrfgs.Pipeline(SMALL), set={"seed": 5}, out=tmp_path / "r", progress=False)  # another run lies there
+
+
+def test_the_loop_in_ones_own_hands(pipeline, run):
+    trainer = pwrfgs.Trainer(pipeline)
+    losses = [trainer.step()["loss"] for _ in range(60)]
+    assert trainer.finished and trainer.done == 60
+    place = [0.5, 0.2, 1.0]
+    assert np.array_equal(trainer.model().predict(place), run.model.predict(place))
+    assert np.allclose(losses, run.curve["loss"], rtol=1e-6)
+    trainer = pwrfgs.Trainer(pipeline, trainer.dataset)
+    trainer.step()
+    n = len(trainer.cloud)
+    keep = np.arange(n) % 2 == 0
+    means = trainer.cloud.means[keep]
+    assert trainer.prune(keep) == keep.sum() and np.array_equal(trainer.cloud.means, means)
+    assert len(trainer.stats.visible) == keep.sum()
+    trainer.step()
+    for wrong, said in [(np.ones(3, bool), "3 values"), (np.zeros(int(keep.sum()), bool), "nothing would be left"), ([1.5], "bool")]:
+        with pytest.raises(pwrfgs.InputError) as told:
+            trainer.prune(wrong)
+        assert said in str(told.value)
+
+
+def test_sweeps_reports_and_simulations(tmp_path):
+    (tmp_path / "small.ron").write_text(SMALL.replace("steps: 60", "steps: 40"))
+    (tmp_path / "e.ron").write_text(
+        'Experiment(name: "e", base: "small.ron", seeds: [0, 1], axes: [Axis(name: "n", variants: [(label: "20", '
+        "pruners: [TopK(keep: 20)]), (label: \"40\", pruners: [TopK(keep: 40)])])])"
+    )
+    runs = pwrfgs.sweep(tmp_path / "e.ron", out=tmp_path / "sweep", jobs=1)
+    assert len(runs) == 4 and all(run.finished for run in runs) and (tmp_path / "sweep/report/report.html").is_file()
+    text = pwrfgs.report(runs[:2], out=tmp_path / "compared")
+    assert "SSIM" in text and (tmp_path / "compared/report.html").is_file()
+    with pytest.raises(pwrfgs.InputError, match="did you mean"):
+        pwrfgs.simulate("x.ron", tmp_path / "s", layout="spectrum")
+    with pytest.raises(pwrfgs.Error):
+        pwrfgs.sweep(tmp_path / "none.ron")

@@ -1,0 +1,215 @@
+"""Strategies that are written in Python."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import subprocess
+import sys
+import textwrap
+import traceback
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from conftest import SMALL, files
+
+import pwrfgs
+
+
+@dataclass
+class Thin(pwrfgs.Pruner):
+    share: float = 0.2
+
+    def keep(self, cloud, stats, moment):
+        return cloud.opacities >= np.quantile(cloud.opacities, self.share)
+
+
+@dataclass
+class Mask(pwrfgs.Pruner):
+    """The paper's mask by hand: gate, penalty and their derivatives."""
+
+    lam: float = 0.3
+    rate: float = 0.3
+    presence: bool = False
+
+    def columns(self):
+        return [pwrfgs.Column("logit", init=1.0, learning_rate=self.rate), pwrfgs.Column("age", width=2)]
+
+    def gate(self, cloud, moment):
+        mask = 1 / (1 + np.exp(-cloud["logit"]))
+        found = (mask >= 0.01).astype(mask.dtype), {"logit": mask * (1 - mask)}
+        return (*found, "presence") if self.presence else found
+
+    def penalty(self, cloud, moment):
+        mask = 1 / (1 + np.exp(-cloud["logit"]))
+        return self.lam * float(mask.mean()), {"logit": self.lam * mask * (1 - mask) / len(mask)}
+
+    def update(self, cloud, stats, moment):
+        cloud.columns["age"] += 1
+
+    def needs(self, cloud, moment):
+        return ["weight", "largest_weight"]
+
+    def score(self, cloud, stats, moment):
+        return cloud["logit"]
+
+    def state(self):
+        return np.zeros(2)
+
+    def advance(self, state, n, cloud, moment):
+        return state + [n, 1]
+
+    def keep(self, cloud, stats, moment):
+        assert stats.asked["weight"].shape == (len(cloud),) and "elimination" not in stats.asked
+        assert (cloud["age"] == moment.step).all() and cloud["age"].shape == (len(cloud), 2)
+        assert stats.state[1] == moment.round - 1
+        assert not cloud.means.flags.writeable
+        return cloud["logit"] >= np.log(0.01 / 0.99)
+
+
+class Wrong(pwrfgs.Pruner):
+    def keep(self, cloud, stats, moment):
+        raise RuntimeError(f"nothing can be kept at step {moment.step}")
+
+
+class Short(pwrfgs.Pruner):
+    def keep(self, cloud, stats, moment):
+        return [True]
+
+
+@dataclass
+class Box(pwrfgs.Initializer):
+    n: int = 50
+
+    def initialize(self, room, rng):
+        return dict(means=rng.uniform(*room.bounds, size=(self.n, 3)), scales=0.5, opacities=np.full(self.n, 0.3))
+
+
+class Odd(pwrfgs.Split):
+    def split(self, links, rng):
+        return links.ids % 2 == 1, np.flatnonzero(links.ids % 2 == 0)
+
+
+class Nearest(pwrfgs.Baseline):
+    name = "nearest of mine"
+
+    def fit(self, links, observed):
+        self.links, self.observed = links, observed
+
+    def predict(self, tx, receiver):
+        return self.observed[np.argmin(((self.links.tx - tx) ** 2).sum(1))]
+
+
+class Squares(pwrfgs.Metric):
+    name, higher_is_better = "squares", False
+
+    def evaluate(self, predictions, truths):
+        return ((predictions - truths) ** 2).mean((1, 2))
+
+
+def test_all_kinds_take_part(tmp_path):
+    run = pwrfgs.run(
+        pwrfgs.Pipeline(SMALL), out=tmp_path / "r", progress=False, pruners=[Thin(0.25), Mask()], initializer=Box(40),
+        split=Odd(), baselines=[Nearest(), pwrfgs.NearestNeighbours(k=1)], metrics=[Squares()],
+    )
+    scores = run.scores
+    assert run.facts["samples"] == [60, 0, 60] and run.curve["gaussians"][0] == 40 and run.model.n < 40
+    assert scores["nearest of mine"]["ssim"] == scores["1-NN"]["ssim"]
+    assert 0 < scores["model"]["squares"]["mean"] < 1
+    recorded = [p for p in run.pipeline.pruners if p._name == "Python"][0]
+    assert recorded.module == __name__ and getattr(recorded, "class_") == "Thin" and json.loads(recorded.settings) == {"share": 0.25}
+    assert len(recorded.source) == 64
+
+
+def test_a_mask_by_hand_is_the_papers(tmp_path):
+    settings = {"training.prune_until": 60}
+    builtin = pwrfgs.Pipeline(SMALL).set(settings)
+    builtin.pruners = [pwrfgs.LearnableMask(lambda_=0.3, learning_rate=0.3)]
+    ours = pwrfgs.Pipeline(SMALL).set(settings)
+    ours.pruners = [Mask()]
+    theirs, mine = pwrfgs.Trainer(builtin), pwrfgs.Trainer(ours)
+    for _ in range(60):
+        a, b = theirs.step(), mine.step()
+        assert a["gaussians"] == b["gaussians"] and np.isclose(a["loss"], b["loss"], rtol=1e-3)
+        assert np.isclose(a["penalty"], b["penalty"], rtol=1e-4)
+    presence = pwrfgs.Pipeline(SMALL)
+    presence.pruners = [Mask(presence=True)]
+    trainer = pwrfgs.Trainer(presence)
+    assert all(np.isfinite(trainer.step()["loss"]) for _ in range(5))
+
+
+def test_stopped_and_resumed_it_ends_in_the_same_files(tmp_path):
+    whole = pwrfgs.run(pwrfgs.Pipeline(SMALL), out=tmp_path / "whole", pruners=[Mask(), Thin(0.1)], progress=False)
+
+    def hear(event):
+        if event["what"] == "step" and event["step"] == 31:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        pwrfgs.run(pwrfgs.Pipeline(SMALL), out=tmp_path / "r", pruners=[Mask(), Thin(0.1)], callback=hear, progress=False)
+    assert files(pwrfgs.run(tmp_path / "r", progress=False).folder) == files(whole.folder)
+
+
+@pytest.mark.parametrize(("pruner", "error", "said"), [(Wrong(), RuntimeError, "at step 30"), (Short(), pwrfgs.InputError, "[1]")])
+def test_an_exception_stops_the_run_and_keeps_the_checkpoint(tmp_path, pruner, error, said):
+    with pytest.raises(error) as told:
+        pwrfgs.run(pwrfgs.Pipeline(SMALL), out=tmp_path / "r", pruners=[pruner], progress=False)
+    assert said in str(told.value)
+    if error is RuntimeError:
+        assert any("in keep" in line for line in traceback.format_exception(told.type, told.value, told.tb))
+    assert (tmp_path / "r/checkpoint.safetensors").is_file()
+    assert pwrfgs.Run(tmp_path / "r").facts["finished"] is None
+
+
+def test_a_changed_source_does_not_go_on(tmp_path, monkeypatch):
+    text = """
+    import pwrfgs
+    class Mine(pwrfgs.Pruner):
+        def keep(self, cloud, stats, moment):
+            return cloud.opacities > {}
+    """
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "strategy_of_mine.py").write_text(textwrap.dedent(text.format(0.0)))
+    module = importlib.import_module("strategy_of_mine")
+
+    def hear(event):
+        if event["what"] == "step" and event["step"] == 25:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        pwrfgs.run(pwrfgs.Pipeline(SMALL), out=tmp_path / "r", pruners=[module.Mine()], callback=hear, progress=False)
+    code = "import pwrfgs, sys; sys.path.insert(0, {!r}); pwrfgs.run({!r}, progress=False)".format(str(tmp_path), str(tmp_path / "r"))
+    (tmp_path / "strategy_of_mine.py").write_text(textwrap.dedent(text.format(0.5)))
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert told.returncode != 0 and "has changed since this run began" in told.stderr
+    (tmp_path / "strategy_of_mine.py").write_text(textwrap.dedent(text.format(0.0)))
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+    assert pwrfgs.Run(tmp_path / "r").finished
+
+
+def test_the_command_line_reports_and_predicts_and_does_not_train(tmp_path, cli):
+    run = pwrfgs.run(pwrfgs.Pipeline(SMALL), out=tmp_path / "r", pruners=[Thin()], progress=False)
+
+    def call(*arguments):
+        return subprocess.run([cli, *map(str, arguments)], capture_output=True, text=True, check=False)
+
+    assert call("report", run.folder, "--out", tmp_path / "report").returncode == 0
+    assert call("predict", f"{run.folder}/model.safetensors", "--tx", "0,0,1", "--out", tmp_path / "p").returncode == 0
+    told = call("run", run.folder, "--out", tmp_path / "again")
+    assert told.returncode == 2 and "`Thin`" in told.stderr and "written in Python" in told.stderr
+
+
+def test_what_cannot_be_recorded_is_refused(pipeline):
+    class Inside(pwrfgs.Pruner):
+        def keep(self, cloud, stats, moment):
+            return np.ones(len(cloud), bool)
+
+    class_without = type("Hidden", (pwrfgs.Pruner,), {"__init__": lambda self, share: None, "keep": Inside.keep, "__module__": __name__})
+    for value, said in [(Inside(), "defined inside a function"), (class_without(1), "`share` is no attribute"), (Thin(share=object()), "settings must be")]:
+        with pytest.raises(pwrfgs.InputError) as told:
+            pipeline.pruners = [value]
+        assert said in str(told.value)
+    pipeline.pruners = [Odd()]
+    with pytest.raises(pwrfgs.InputError, match="no method `keep`"):
+        pwrfgs.Trainer(pipeline)
