@@ -5,8 +5,21 @@ Arrays are of single precision, as in every release; a build where ``real_bytes`
 
 import os
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterable, List, Literal, Optional, Sequence, SupportsIndex, Tuple, Type, Union
-from typing import final
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Iterable,
+    List,
+    Literal,
+    Optional,
+    Sequence,
+    SupportsIndex,
+    Tuple,
+    Type,
+    Union,
+    final,
+)
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -50,9 +63,7 @@ class Dataset:
     ) -> Dataset: ...
     def save(self, path: _Path) -> None: ...
     def observations(self, links: ArrayLike) -> _Observed: ...
-    def split(
-        self, how: Optional[Union[_Plugin, Split]] = None, *, seed: int = 0, **settings: Any
-    ) -> Partition: ...
+    def split(self, how: Optional[Union[_Plugin, Split]] = None, *, seed: int = 0, **settings: Any) -> Partition: ...
     @property
     def title(self) -> str: ...
     @property

@@ -196,11 +196,12 @@ def settings() -> str:
                 parameters.append(f"{called}: {annotation(words)}{' = ...' if optional else ''}")
             parameters = ["*", *parameters] if named else [*parameters, "/"]
             if named:
-                said += ["", *listing([(python_name(name), words, text) for name, words, text, _ in fields], WIDTH - 8)]
+                about = [(python_name(field), words, doc) for field, words, doc, _ in fields]
+                said += [*([""] if said else []), *listing(about, WIDTH - 8)]
             text += "\n    @staticmethod\n"
             text += function(variant, parameters, "Value", "    ", "" if said else " ...")
             if said:
-                text += docstring(said, "        ") + "        ...\n"
+                text += docstring(said, "        ")
     return HEAD + imports(text, ["Choice", "Value"]) + "\n" + text
 
 

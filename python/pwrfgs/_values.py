@@ -7,7 +7,7 @@ import json
 import keyword
 import math
 import os
-from typing import TYPE_CHECKING, Any, Dict, Iterator, List, Optional, Tuple
+from typing import TYPE_CHECKING, Any, Dict, Iterator, List, Optional, Set, Tuple
 
 import numpy as np
 
@@ -120,6 +120,8 @@ def own(value: Any, pipeline: "Pipeline", path: str) -> None:
 
 # Kinds of plugins by their name (`Random` is an initializer and a split), and the classes made of them.
 KINDS: Dict[str, List[str]] = {}
+# Variants without fields, such as `Real`: they are written without parentheses.
+UNITS: Set[str] = set()
 CLASSES: Dict[Optional[str], type] = {}
 
 
@@ -167,7 +169,7 @@ def value_text(value: Value) -> str:
     inside = [f"{name}: {to_ron(field)}" for name, field in value._fields.items()]
     inside += [to_ron(item) for item in value._items]
     name = value._name or ""
-    bare = name and not inside and name not in KINDS
+    bare = name and not inside and name in UNITS
     return name if bare else f"{name}({', '.join(inside)})"
 
 
@@ -200,6 +202,8 @@ def plain(text: str) -> Any:
         digits = text.replace("_", "")
         return int(digits) if digits.lstrip("+-").isdigit() else float(digits)
     except ValueError:
+        if text.isidentifier() and text not in KINDS:
+            UNITS.add(text)
         return Value._make(text, {})
 
 
@@ -219,6 +223,39 @@ def plugin_text(kind: str, value: Any, settings: Optional[Dict[str, Any]]) -> st
     return to_ron(value)
 
 
+def fitting(words: str, value: Any) -> Any:
+    """A list where a list is wanted, a tuple where a tuple is: Python's users take either for the other."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, tuple) and words.startswith("list of"):
+        return list(value)
+    if isinstance(value, list) and words.startswith(("(", "two numbers")):
+        return tuple(value)
+    if isinstance(value, str) and words in CHOICE_NAMES:
+        return Value._make(value, {}) if value in CHOICE_NAMES[words] else value
+    return value
+
+
+def blamed(name: str, kinds: List[str], named: Dict[str, Any], fields: Dict[str, Tuple[str, str]], fault: str) -> str:
+    """What is wrong, with the field that is at fault where it is wrong alone."""
+    if name in fault and "`" in fault:
+        return fault
+    for field, value in named.items():
+        text = f"{name}({field}: {to_ron(value)})"
+        tried = []
+        for kind in kinds:
+            try:
+                _pwrfgs.complete(kind, text)
+                break
+            except InputError as error:
+                tried.append(str(error))
+        else:
+            if fault in tried:
+                wanted = f"; it takes a {fields[field][0]}" if field in fields else ""
+                return f"{name}: `{python_name(field)}` is {value!r}: {fault}{wanted}"
+    return fault if name in fault else f"{name}: {fault}"
+
+
 def make_class(name: str, entries: List[Dict[str, Any]]) -> type:
     """The class of a plugin's name, from what the registry says of it."""
     kinds = [entry["kind"] for entry in entries]
@@ -230,8 +267,9 @@ def make_class(name: str, entries: List[Dict[str, Any]]) -> type:
     def __init__(self: Value, **given: Any) -> None:
         named = {ron_name(field): value for field, value in given.items()}
         for field in given:
-            if fields and ron_name(field) not in fields:
+            if entries[0]["doc"] is not None and ron_name(field) not in fields:
                 raise InputError(unknown(name, field, fields))
+        named = {field: fitting(fields[field][0], value) if field in fields else value for field, value in named.items()}
         text = f"{name}({', '.join(f'{field}: {to_ron(value)}' for field, value in named.items())})"
         whole: List[Dict[str, Any]] = []
         fault: Optional[InputError] = None
@@ -242,7 +280,7 @@ def make_class(name: str, entries: List[Dict[str, Any]]) -> type:
             except InputError as error:
                 fault = fault or error
         if not whole:
-            raise InputError(f"{fault}" if name in str(fault) else f"{name}: {fault}")
+            raise InputError(blamed(name, kinds, named, fields, str(fault)))
         object.__setattr__(self, "_name", name)
         # A name that means two things, and could be either still, says no more than it was given.
         object.__setattr__(self, "_fields", whole[0] if len(whole) == 1 else named)
@@ -285,6 +323,7 @@ def make_choice(entry: Dict[str, Any]) -> type:
     for variant, doc, named, fields in entry["variants"]:
         body["_variants"].append(variant)
         if not fields:
+            UNITS.add(variant)
             body[variant] = Value._make(variant, {})
             continue
 
@@ -293,9 +332,14 @@ def make_choice(entry: Dict[str, Any]) -> type:
         ) -> Value:
             names = [field[0] for field in _fields]
             if not _named:
+                if given or len(items) != len(names):
+                    raise InputError(f"{_variant} takes {len(names)} without a name, such as {_variant}(..)")
                 return Value._make(_variant, {}, items)
             if items:
                 raise InputError(f"{_variant} has fields with names: {', '.join(names)}")
+            missing = [field[0] for field in _fields if not field[3] and field[0] not in map(ron_name, given)]
+            if missing:
+                raise InputError(f"{_variant} lacks {', '.join(map(python_name, missing))}")
             for field in given:
                 if ron_name(field) not in names:
                     raise InputError(unknown(_variant, field, names))
@@ -304,6 +348,9 @@ def make_choice(entry: Dict[str, Any]) -> type:
         listing = "\n".join(f"{python_name(field[0])} : {field[1]}\n    {field[2]}" for field in fields)
         build.__name__ = build.__qualname__ = variant
         build.__doc__ = f"{doc}\n\n{listing}"
+        kind = inspect.Parameter.KEYWORD_ONLY if named else inspect.Parameter.POSITIONAL_ONLY
+        parameters = [inspect.Parameter(python_name(field[0].strip("_0") or "value") if not named else python_name(field[0]), kind) for field in fields]
+        build.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         body[variant] = staticmethod(build)
     return Choice(entry["name"], (), body)
 
@@ -319,5 +366,10 @@ def fill() -> None:
         CLASSES[name] = make_class(name, entries)
 
 
+TYPES = [entry for entry in _pwrfgs.types() if "variants" in entry]
+# Variants of a type that have no fields: a text may name them.
+CHOICE_NAMES: Dict[str, Set[str]] = {
+    entry["name"]: {variant for variant, _, _, fields in entry["variants"] if not fields} for entry in TYPES
+}
 fill()
-CHOICES: Dict[str, type] = {entry["name"]: make_choice(entry) for entry in _pwrfgs.types() if "variants" in entry}
+CHOICES: Dict[str, type] = {entry["name"]: make_choice(entry) for entry in TYPES}

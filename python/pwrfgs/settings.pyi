@@ -28,7 +28,6 @@ class Encoding(metaclass=Choice):
         """Sine and cosine of 2⁰…2^(L-1) rad/m along each axis (`NeRF`). 5 ends at 16 rad/m, near 2π/λ at 920 MHz,
         beyond which no wave from a transmitter varies.
         """
-        ...
 
     @staticmethod
     def Waves(*, count: int, reach: float, seed: int = ...) -> Value:
@@ -45,7 +44,6 @@ class Encoding(metaclass=Choice):
         seed : whole number
             Decides the directions.
         """
-        ...
 
     @staticmethod
     def Wavelengths(*, count: int, longest_m: float, shortest_m: float) -> Value:
@@ -61,7 +59,6 @@ class Encoding(metaclass=Choice):
         shortest_m : number
             Metres; what varies faster cannot be followed, which keeps a network from learning noise.
         """
-        ...
 
     @staticmethod
     def Features(*, width: int, gain: float = ...) -> Value:
@@ -75,7 +72,6 @@ class Encoding(metaclass=Choice):
         gain : number
             What they are multiplied by, so that they are about 1.
         """
-        ...
 
     @staticmethod
     def PseudoPosition(*, width: int, gain: float = ..., octaves: int) -> Value:
@@ -91,7 +87,6 @@ class Encoding(metaclass=Choice):
         octaves : whole number
             Frequencies 2⁰…2^(L-1) of the encoding.
         """
-        ...
 
 class Errors(metaclass=Choice):
     """How errors count."""
@@ -119,7 +114,6 @@ class Observe(metaclass=Choice):
             Standard deviation of a reading in dB: normal, drawn anew for each; 0 for none. Measured BLE readings have
             about 3.6.
         """
-        ...
 
     @staticmethod
     def Channel(*, snr_db: Optional[float] = ...) -> Value:
@@ -132,7 +126,6 @@ class Observe(metaclass=Choice):
             subcarriers of this one snapshot against the variance of complex Gaussian noise, drawn anew for each of
             them. Left out: that of the scene.
         """
-        ...
 
 class Outputs(metaclass=Choice):
     """What an `Mlp` changes."""
@@ -163,12 +156,10 @@ class Rays(metaclass=Choice):
         """So many, drawn anew at each step, the same of all spectra of the batch: what does not depend on the
         transmitter is then worked out once.
         """
-        ...
 
     @staticmethod
     def Each(value: int, /) -> Value:
         """In place of a batch so many pairs of a spectrum and a pixel, as NeRF2 draws them."""
-        ...
 
 class Readout(metaclass=Choice):
     """How the two real channels of a blended signal become one grey value."""
@@ -202,7 +193,6 @@ class Readout(metaclass=Choice):
         sky_deg : whole number
             Sides of a pixel, degrees: a divisor of 180.
         """
-        ...
 
     Channel: ClassVar[Value]
     """A channel: c₀ + j·c₁ of each Gaussian as a spherical wave, summed on the antennas of the receiver for every
@@ -216,12 +206,10 @@ class Rule(metaclass=Choice):
     @staticmethod
     def Sampled(value: float, /) -> Value:
         """This share of all Gaussians, drawn with probabilities in proportion to weight."""
-        ...
 
     @staticmethod
     def Cumulated(value: float, /) -> Value:
         """The best, until they have this share of the weight of all."""
-        ...
 
 class Schedule(metaclass=Choice):
     """A learning rate as a function of the step."""
@@ -229,7 +217,6 @@ class Schedule(metaclass=Choice):
     @staticmethod
     def Constant(value: float, /) -> Value:
         """The same at every step."""
-        ...
 
     @staticmethod
     def LogLinear(*, first: float, last: float, steps: int = ...) -> Value:
@@ -244,7 +231,6 @@ class Schedule(metaclass=Choice):
         steps : whole number
             Steps the fall takes; 0 for `training.steps`.
         """
-        ...
 
     @staticmethod
     def Cosine(*, first: float, last: float, steps: int = ...) -> Value:
@@ -259,7 +245,6 @@ class Schedule(metaclass=Choice):
         steps : whole number
             Half a period; 0 for `training.steps`.
         """
-        ...
 
 class Score(metaclass=Choice):
     """How much a Gaussian matters."""
@@ -299,4 +284,3 @@ class Wavefront(metaclass=Choice):
         wavelength_m : number
             Wavelength of the carrier, metres.
         """
-        ...

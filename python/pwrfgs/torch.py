@@ -6,10 +6,7 @@ from typing import Any, Tuple
 
 import torch
 
-from . import _pwrfgs
 from ._kernels import rasterize_with_vjp
-
-DTYPE = torch.float64 if _pwrfgs.real_bytes == 8 else torch.float32
 
 
 class _Rasterize(torch.autograd.Function):  # type: ignore[misc, unused-ignore]

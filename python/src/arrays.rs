@@ -2,7 +2,9 @@
 
 use crate::border::wrong;
 use num_complex::Complex;
-use numpy::{Element, IntoPyArray as _, PyArrayDyn, PyArrayMethods as _, PyReadonlyArrayDyn, PyUntypedArrayMethods as _};
+use numpy::{
+    Element, IntoPyArray as _, PyArrayDyn, PyArrayMethods as _, PyReadonlyArrayDyn, PyUntypedArrayMethods as _,
+};
 use numpy::{PyArrayDescrMethods as _, dtype};
 use pwrfgs_core::Real;
 use pyo3::prelude::*;
@@ -49,7 +51,13 @@ fn converted<'py, T: Element>(what: &str, value: &Bound<'py, PyAny>) -> PyResult
     let array = numpy.call_method1("asarray", (value,)).map_err(|e| wrong(py, &format!("{what} is no array: {e}")))?;
     let kind = array.getattr("dtype")?.getattr("kind")?.extract::<String>()?;
     let target = dtype::<T>(py);
-    let takes = if target.kind() == b'c' { "fiubc" } else if target.kind() == b'b' { "b" } else { "fiub" };
+    let takes = if target.kind() == b'c' {
+        "fiubc"
+    } else if target.kind() == b'b' {
+        "b"
+    } else {
+        "fiub"
+    };
     if !takes.contains(kind.as_str()) {
         let found = array.getattr("dtype")?;
         return Err(wrong(py, &format!("{what} holds {found}, and {target} is wanted")));

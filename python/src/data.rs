@@ -60,38 +60,29 @@ impl Dataset {
 
 #[pymethods]
 impl Dataset {
-    /// Dataset.load(source)
-    /// --
-    ///
     /// Reads a folder of data, in any layout that the command line knows, or what a data source such as
     /// `pwrfgs.Nerf2Spectrum(root="data/s23")` or `pwrfgs.Simulated(...)` gives. Ctrl-C stops it between links.
     #[staticmethod]
     fn load(py: Python<'_>, source: &Bound<'_, PyAny>) -> PyResult<Self> {
         let path: Result<PathBuf, _> = source.extract();
-        let (text, reader): (String, Plugin<dyn DataSource>) = match path {
-            Ok(path) => {
-                let there = py.import("os.path")?.call_method1("abspath", (&path,))?.extract::<PathBuf>()?;
-                let Some((_, _, reader)) = source_in(&there) else {
-                    let what = "holds no data of a layout that is known; docs/data.md says which there are, and \
-                                Dataset.from_arrays takes arrays";
-                    return Err(crate::border::raised(py, Error::input(&path, what)));
-                };
-                let reader = Plugin::from(reader);
-                (pwrfgs_core::plugin::to_ron(&reader), reader)
-            }
-            Err(_) => {
-                let text = text_of("DataSource", source, None)?;
-                let reader = plugin::<dyn DataSource>(py, &text)?;
-                (text, reader)
-            }
+        let (text, reader): (String, Plugin<dyn DataSource>) = if let Ok(path) = path {
+            let there = py.import("os.path")?.call_method1("abspath", (&path,))?.extract::<PathBuf>()?;
+            let Some((_, _, reader)) = source_in(&there) else {
+                let what = "holds no data of a layout that is known; docs/data.md says which there are, and \
+                            Dataset.from_arrays takes arrays";
+                return Err(crate::border::raised(py, Error::input(&path, what)));
+            };
+            let reader = Plugin::from(reader);
+            (pwrfgs_core::plugin::to_ron(&reader), reader)
+        } else {
+            let text = text_of("DataSource", source, None)?;
+            let reader = plugin::<dyn DataSource>(py, &text)?;
+            (text, reader)
         };
         let data = free(py, || reader.load(std::path::Path::new(""), &|_, _| {}))?;
         Ok(Self::new(data, Some(text)))
     }
 
-    /// Dataset.from_arrays(tx, spectra=None, rssi=None, csi=None, *, receivers=None, frequencies_hz=None, points=None, elevation_deg=(0.0, 90.0), title="arrays", simulated=False)
-    /// --
-    ///
     /// A data set of one's own arrays. Give one of the three:
     ///
     /// * `spectra` [M, H, W]: spatial spectra from 0 to 1 (or bytes of 0 to 255) at one receiver; rows are elevations,
@@ -140,14 +131,12 @@ impl Dataset {
         Ok(Self::new(Data { elevation, simulation, ..data }, None))
     }
 
-    /// save(path)
-    /// --
-    ///
     /// Writes a new folder that `Dataset.load` and the command line read: spectra as arrays, powers and channels in the
     /// layouts of NeRF2's BLE set and of `pwrfgs simulate`. A folder that holds anything is not touched.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let out: PathBuf = py.import("os.path")?.call_method1("abspath", (&path,))?.extract()?;
-        let text = free(py, || save(&self.data, &out).map(|source| pwrfgs_core::plugin::to_ron(&Plugin::from(source))))?;
+        let text =
+            free(py, || save(&self.data, &out).map(|source| pwrfgs_core::plugin::to_ron(&Plugin::from(source))))?;
         *self.source.lock().unwrap_or_else(PoisonError::into_inner) = Some(text);
         Ok(())
     }
@@ -240,9 +229,6 @@ impl Dataset {
         self.all_of(py, Kind::Channel)
     }
 
-    /// observations(links)
-    /// --
-    ///
     /// What was observed of these links: a picture [H, W], a power or a channel [A, F] each.
     fn observations<'py>(&self, py: Python<'py>, links: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         observed(py, &self.data, &self.indices("links", links)?)
@@ -269,9 +255,6 @@ impl Dataset {
         angles(py, &self.data.plane())
     }
 
-    /// split(how="Official", *, seed=0, **settings)
-    /// --
-    ///
     /// Divides the links: a named tuple (train, validation, test) of sorted places, disjoint. `how` is a split such as
     /// `pwrfgs.Voxel(size_m=0.2)`, or its name with settings: `split("voxel", size_m=0.2)`.
     #[pyo3(signature = (how=None, *, seed=0, **settings))]
@@ -339,19 +322,22 @@ fn tuple<'py>(py: Python<'py>, numbers: &[f64]) -> PyResult<Bound<'py, PyTuple>>
 fn receivers_of(py: Python<'_>, given: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Receiver>> {
     let Some(given) = given else { return Ok(vec![Receiver::new("receiver", Pose::IDENTITY)]) };
     let class = py.import("pwrfgs._types")?.getattr("Receiver")?;
-    let items: Vec<Bound<'_, PyAny>> = if given.is_instance(&class)? {
-        vec![given.clone()]
-    } else {
-        given.try_iter()?.collect::<PyResult<_>>()?
-    };
+    let items: Vec<Bound<'_, PyAny>> =
+        if given.is_instance(&class)? { vec![given.clone()] } else { given.try_iter()?.collect::<PyResult<_>>()? };
     let one = |(i, item): (usize, &Bound<'_, PyAny>)| {
         if !item.is_instance(&class)? {
             let position = numbers::<f64>("a receiver", item, &[Some(3)])?;
             let pose = Pose { position: [position[0], position[1], position[2]], ..Pose::IDENTITY };
             return Ok(Receiver::new(if items.len() == 1 { "receiver".into() } else { format!("r{i}") }, pose));
         }
-        let pose = Pose { position: item.getattr("position")?.extract()?, orientation: item.getattr("orientation")?.extract()? };
-        Ok(Receiver { antennas: item.getattr("antennas")?.extract()?, ..Receiver::new(item.getattr("name")?.extract::<String>()?, pose) })
+        let pose = Pose {
+            position: item.getattr("position")?.extract()?,
+            orientation: item.getattr("orientation")?.extract()?,
+        };
+        Ok(Receiver {
+            antennas: item.getattr("antennas")?.extract()?,
+            ..Receiver::new(item.getattr("name")?.extract::<String>()?, pose)
+        })
     };
     items.iter().enumerate().map(one).collect()
 }
@@ -360,8 +346,11 @@ fn receivers_of(py: Python<'_>, given: Option<&Bound<'_, PyAny>>) -> PyResult<Ve
 fn pictures(given_spectra: &Bound<'_, PyAny>, count: usize) -> PyResult<Spectra> {
     let py = given_spectra.py();
     let shape = [Some(count), None, None];
-    let bytes: Option<PyReadonlyArrayDyn<'_, u8>> =
-        given_spectra.cast::<PyArrayDyn<u8>>().ok().map(|_| given::<u8>("spectra", given_spectra, &shape)).transpose()?;
+    let bytes: Option<PyReadonlyArrayDyn<'_, u8>> = given_spectra
+        .cast::<PyArrayDyn<u8>>()
+        .ok()
+        .map(|_| given::<u8>("spectra", given_spectra, &shape))
+        .transpose()?;
     let said = |error: Error| crate::border::raised(py, error);
     if let Some(bytes) = bytes {
         let size = bytes.shape_of();
@@ -411,7 +400,8 @@ fn heard(rssi: &Bound<'_, PyAny>, txs: &[[f64; 3]], receivers: usize) -> PyResul
 /// Channels with their subcarriers.
 fn gains(csi: &Bound<'_, PyAny>, count: usize, frequencies_hz: Option<Vec<f64>>) -> PyResult<Observations> {
     let py = csi.py();
-    let frequencies_hz = frequencies_hz.ok_or_else(|| wrong(py, "csi wants frequencies_hz, those of its subcarriers"))?;
+    let frequencies_hz =
+        frequencies_hz.ok_or_else(|| wrong(py, "csi wants frequencies_hz, those of its subcarriers"))?;
     if frequencies_hz.is_empty() || !frequencies_hz.iter().all(|f| f.is_finite() && *f > 0.0) {
         return Err(wrong(py, "frequencies_hz: give Hz above 0, one a subcarrier"));
     }

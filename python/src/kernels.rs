@@ -3,9 +3,7 @@
 use crate::arrays::{array, numbers};
 use crate::border::{free, wrong};
 use crate::settings::{plugin, text_of};
-use pwrfgs_core::{
-    Elevation, ImagePlane, Plugin, Pose, Primitives, Projector, Rasterizer, Real, Render, Splats,
-};
+use pwrfgs_core::{Elevation, ImagePlane, Plugin, Pose, Primitives, Projector, Rasterizer, Real, Render, Splats};
 use pyo3::prelude::*;
 
 /// Gaussians from Python, drawn: the picture, and the way back.
@@ -115,9 +113,6 @@ fn unit_vjp(given: &Primitives, d: &mut Primitives) {
     }
 }
 
-/// project(means, quats, scales, opacities, pose, height=90, width=360, projector="Mercator", elevation_deg=(0.0, 90.0))
-/// --
-///
 /// Gaussians in space as ellipses on a picture of the receiver's sky; the named tuple `Splats`: means2d [N, 2] (column, row,
 /// px), conics [N, 3] (inverse covariances, px⁻²), depths [N] (metres), radii [N] (px; 0 where it does not reach the picture)
 /// and opacities [N].
@@ -212,8 +207,7 @@ impl Drawing {
         let shape = [Some(self.channels), Some(plane.height), Some(plane.width)];
         let d_pixels = numbers::<Real>("d_image", d_image, &shape)?;
         let (d, d_signals) = free(py, || {
-            let found =
-                rasterizer.backward(&self.splats, &self.signals, self.channels, plane, &self.render, &d_pixels);
+            let found = rasterizer.backward(&self.splats, &self.signals, self.channels, plane, &self.render, &d_pixels);
             let mut d = projector.project_vjp(&unit(&self.given), pose, plane, &self.splats, &found.splats);
             unit_vjp(&self.given, &mut d);
             Ok((d, found.signals))

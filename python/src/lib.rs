@@ -4,6 +4,10 @@
 //! Three rules hold at the border: work runs without the interpreter's lock (`border::free`), errors become exceptions with
 //! the same text, and nothing panics across it.
 
+#![allow(clippy::needless_pass_by_value)] // arguments come out of Python by value
+#![allow(clippy::doc_markdown)] // comments on what Python sees are its docstrings
+#![allow(clippy::elidable_lifetime_names)] // 'py is the interpreter's, by the library's own custom
+
 mod arrays;
 mod border;
 mod data;

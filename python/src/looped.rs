@@ -50,7 +50,12 @@ impl Trainer {
     }
 
     fn step<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let report = free(py, || self.with(|inner| inner.step()))?;
+        let report = free(py, || {
+            self.with(|inner| {
+                let report = inner.step()?;
+                Ok(report)
+            })
+        })?;
         let dict = PyDict::new(py);
         crate::run::step(&dict, &report)?;
         Ok(dict)

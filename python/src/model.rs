@@ -101,7 +101,12 @@ impl Model {
                 (vec![[0.0; 3]; all.len() / inputs], all, one)
             }
             _ if inputs == 3 => return Err(wrong(py, "give tx, positions [B, 3] in metres")),
-            _ => return Err(wrong(py, &format!("this model knows transmitters by features; give features=[B, {inputs}]"))),
+            _ => {
+                return Err(wrong(
+                    py,
+                    &format!("this model knows transmitters by features; give features=[B, {inputs}]"),
+                ));
+            }
         };
         let mut lead = if one { vec![] } else { vec![txs.len()] };
         let receivers = match receiver {
@@ -175,9 +180,6 @@ impl Model {
 
 #[pymethods]
 impl Model {
-    /// Model.load(*paths)
-    /// --
-    ///
     /// Reads a model file, or a run folder; several together are an ensemble.
     #[staticmethod]
     #[pyo3(signature = (*paths))]
@@ -185,11 +187,15 @@ impl Model {
         let read = || {
             let mut members = Vec::new();
             for path in &paths {
-                let file_in = if path.is_dir() { path.join(pwrfgs::experiment::folder::MODEL_FILE) } else { path.clone() };
+                let file_in =
+                    if path.is_dir() { path.join(pwrfgs::experiment::folder::MODEL_FILE) } else { path.clone() };
                 let ensemble = file::read_ensemble(&file_in)?;
                 let called = |(name, model): (&String, &pwrfgs::model::Model)| {
                     let alone = ensemble.members().len() == 1;
-                    (if alone { path.display().to_string() } else { format!("{}/{name}", path.display()) }, model.clone())
+                    (
+                        if alone { path.display().to_string() } else { format!("{}/{name}", path.display()) },
+                        model.clone(),
+                    )
                 };
                 members.extend(ensemble.names().iter().zip(ensemble.members()).map(called));
             }
@@ -201,9 +207,6 @@ impl Model {
         free(py, read).map(Self::new)
     }
 
-    /// predict(tx=None, receiver=None, *, features=None)
-    /// --
-    ///
     /// What is observed of transmitters at `tx`, [3] or [B, 3], metres: spectra [B, H, W] (float32, not clamped; of an
     /// ensemble the mean of pictures clamped to 0..1), powers [B, R] in dBm, or channels [B, R, A, F] (complex64). The axis B
     /// is there where `tx` has it, and R where the model knows several receivers and none is named by `receiver`, a name or
@@ -228,9 +231,6 @@ impl Model {
         self.shaped(py, &links, all)
     }
 
-    /// spread(tx=None, receiver=None, *, features=None)
-    /// --
-    ///
     /// How far the members of an ensemble differ there: the standard deviation of every number, in the shape of
     /// `predict`; 0 for one model alone. Do not trust a prediction where it is large.
     #[pyo3(signature = (tx=None, receiver=None, *, features=None))]
@@ -249,9 +249,6 @@ impl Model {
         self.shaped(py, &links, all)
     }
 
-    /// gaussians(tx=None, member=0)
-    /// --
-    ///
     /// The Gaussians in space, a named tuple of arrays: means [N, 3] (metres), quats [N, 4] (w, x, y, z), scales [N, 3]
     /// (metres), opacities [N], signals [N] (complex64). Of the base parameters, or as they are for a transmitter at `tx`.
     #[pyo3(signature = (tx=None, member=0))]
@@ -288,9 +285,6 @@ impl Model {
         py.import("pwrfgs._types")?.getattr("Gaussians")?.call1(fields)
     }
 
-    /// save(path, *, half=False)
-    /// --
-    ///
     /// Writes the model file, whole or not at all; with `half` the networks in 16-bit numbers, which halves it.
     #[pyo3(signature = (path, *, half=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, half: bool) -> PyResult<()> {
@@ -302,9 +296,6 @@ impl Model {
         })
     }
 
-    /// to_ply(path, tx=None)
-    /// --
-    ///
     /// Writes the Gaussians as a PLY file that splat viewers open, as they are for a transmitter at `tx`.
     #[pyo3(signature = (path, tx=None))]
     fn to_ply(&self, py: Python<'_>, path: PathBuf, tx: Option<[f64; 3]>) -> PyResult<()> {
@@ -363,5 +354,4 @@ impl Model {
         };
         format!("<Model: {}{} Gaussians, predicts a {}>", several, self.n(), self.kind())
     }
-
 }

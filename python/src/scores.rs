@@ -7,8 +7,8 @@ use crate::settings::{plugin, text_of};
 use numpy::PyUntypedArrayMethods as _;
 use pwrfgs::experiment::repeatability as work;
 use pwrfgs_core::{
-    Baseline, Elevation, Evaluation, Image, ImagePlane, Kind, Known, Metric, ModelFacts, Origin, Plugin, Pose,
-    Query, Real, Receiver, Scene, Values, rows_of,
+    Baseline, Elevation, Evaluation, Image, ImagePlane, Kind, Known, Metric, ModelFacts, Origin, Plugin, Pose, Query,
+    Real, Receiver, Scene, Values, rows_of,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -30,8 +30,7 @@ fn images(what: &str, value: &Bound<'_, PyAny>, kind: &str) -> PyResult<(Kind, V
             Ok((Kind::Spectrum, all.chunks_exact(width * height).map(image).collect()))
         }
         "power" => {
-            let shape = vec![None; axes(value)?];
-            let all = given::<Real>(what, value, &shape)?;
+            let all = given::<Real>(what, value, &vec![None; axes(value)?.max(1)])?; // a number is an array of one
             let all = all.as_slice().map_err(|e| wrong(py, &e.to_string()))?;
             Ok((Kind::Power, all.iter().map(|dbm| Image { width: 1, height: 1, pixels: vec![*dbm] }).collect()))
         }
@@ -70,7 +69,8 @@ pub(crate) fn measure<'py>(
     let (_, truths) = images("truth", truths, crate::data::kind_name(kind))?;
     let size = |images: &[Image]| images.first().map(|image| (image.height, image.width));
     if (predictions.len(), size(&predictions)) != (truths.len(), size(&truths)) {
-        let said = |images: &[Image]| size(images).map_or("0".into(), |(h, w)| format!("{} of {h} by {w}", images.len()));
+        let said =
+            |images: &[Image]| size(images).map_or("0".into(), |(h, w)| format!("{} of {h} by {w}", images.len()));
         let what = format!("prediction and truth differ in shape: {} and {}", said(&predictions), said(&truths));
         return Err(wrong(py, &what));
     }
@@ -185,8 +185,10 @@ pub(crate) fn predict_baseline<'py>(
         Kind::Spectrum => array(py, all, &[count, height, width]).map(Bound::into_any),
         Kind::Power => array(py, all, &[count]).map(Bound::into_any),
         Kind::Channel => {
-            let gains: Vec<Gain> =
-                all.chunks_exact(width * height).flat_map(|rows| crate::arrays::complex(&pwrfgs_core::gains_of(rows, width))).collect();
+            let gains: Vec<Gain> = all
+                .chunks_exact(width * height)
+                .flat_map(|rows| crate::arrays::complex(&pwrfgs_core::gains_of(rows, width)))
+                .collect();
             array(py, gains, &[count, height / 2, width]).map(Bound::into_any)
         }
     }

@@ -92,9 +92,10 @@ impl Pipeline {
 
     /// The data, loaded.
     fn data(&self, py: Python<'_>) -> PyResult<crate::data::Dataset> {
-        let inner = self.now();
+        let mut inner = self.now();
+        pwrfgs::experiment::rebase(&mut inner, &self.base);
         let data = free(py, || inner.data.load(&self.base, &|_, _| {}))?;
-        Ok(crate::data::Dataset::new(data, None))
+        Ok(crate::data::Dataset::new(data, Some(pwrfgs_core::plugin::to_ron(&inner.data))))
     }
 }
 
@@ -161,7 +162,10 @@ pub(crate) fn registry<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
             entry.set_item("about", member.about)?;
             entry.set_item("text", member.text.clone().ok())?;
             entry.set_item("doc", member.docs.map(|docs| docs.text))?;
-            entry.set_item("fields", member.docs.map_or_else(|| Ok(PyList::empty(py)), |docs| fields(py, docs.fields()))?)?;
+            entry.set_item(
+                "fields",
+                member.docs.map_or_else(|| Ok(PyList::empty(py)), |docs| fields(py, docs.fields()))?,
+            )?;
             all.append(entry)?;
         }
     }

@@ -135,11 +135,7 @@ impl Strategy {
 }
 
 /// Gaussians as the Python class `Cloud`: new arrays, which a strategy may keep; those of `update` may be written to.
-pub(crate) fn cloud_object<'py>(
-    py: Python<'py>,
-    cloud: &GaussianCloud,
-    writable: bool,
-) -> PyResult<Bound<'py, PyAny>> {
+pub(crate) fn cloud_object<'py>(py: Python<'py>, cloud: &GaussianCloud, writable: bool) -> PyResult<Bound<'py, PyAny>> {
     let columns = cloud.columns().map(|(name, _, values)| (name, values.to_vec()));
     columns_object(py, cloud.len(), columns, writable)
 }
@@ -313,7 +309,8 @@ impl Pruner for Strategy {
                 let name: String = name?.extract()?;
                 let Some(statistic) = statistic(&name) else {
                     let hint = pwrfgs_core::did_you_mean(&name, STATISTICS);
-                    let what = format!("needs: there is no statistic `{name}`{hint} (there are {})", STATISTICS.join(", "));
+                    let what =
+                        format!("needs: there is no statistic `{name}`{hint} (there are {})", STATISTICS.join(", "));
                     return Err(wrong(py, &what));
                 };
                 needs.statistics.push(statistic);
@@ -452,7 +449,9 @@ impl Initializer for Strategy {
 fn start(found: &Bound<'_, PyDict>, scene: &Scene) -> PyResult<GaussianCloud> {
     let py = found.py();
     let need = |name: &str| {
-        found.get_item(name)?.ok_or_else(|| wrong(py, &format!("initialize gave no `{name}`; means [N, 3] and scales are needed")))
+        found
+            .get_item(name)?
+            .ok_or_else(|| wrong(py, &format!("initialize gave no `{name}`; means [N, 3] and scales are needed")))
     };
     let means = crate::arrays::places("means", &need("means")?)?;
     let n = means.len();
@@ -518,8 +517,9 @@ impl Split for Strategy {
         };
         let mut all: Vec<usize> = [&train, &validation, &test].into_iter().flatten().copied().collect();
         all.sort_unstable();
-        if let Some(twice) = all.windows(2).find(|pair| pair[0] == pair[1]) {
-            return Err(Error::Config(format!("split: link {} is in two parts", twice[0])));
+        let twice = all.windows(2).find_map(|pair| (pair[0] == pair[1]).then(|| pair[0]));
+        if let Some(twice) = twice {
+            return Err(Error::Config(format!("split: link {twice} is in two parts")));
         }
         Ok(Partition { train, validation, test })
     }

@@ -47,6 +47,9 @@ pub(crate) fn simulate(
     waited(py, work, |(done, total)| hear.call1((done, total)).map(|_| ()))
 }
 
+/// Of every run its folder, and why it failed, if it did.
+type Ends = Vec<(PathBuf, Option<String>)>;
+
 /// See `pwrfgs.sweep`: the sweep folder, and of every run its folder and why it failed, if it did.
 #[pyfunction]
 pub(crate) fn sweep(
@@ -55,7 +58,7 @@ pub(crate) fn sweep(
     arguments: Vec<String>,
     out: Option<PathBuf>,
     jobs: usize,
-) -> PyResult<(PathBuf, Vec<(PathBuf, Option<String>)>)> {
+) -> PyResult<(PathBuf, Ends)> {
     let plan = Plan::read(&experiment, &arguments, out.as_deref()).map_err(|error| raised(py, error))?;
     let runs: Vec<usize> = (0..plan.runs.len()).collect();
     let work = |_: std::sync::mpsc::SyncSender<()>, stop: &std::sync::atomic::AtomicBool| {
@@ -82,12 +85,7 @@ pub(crate) fn sweep(
 
 /// See `pwrfgs.report`: the tables as text.
 #[pyfunction]
-pub(crate) fn report(
-    py: Python<'_>,
-    runs: Vec<PathBuf>,
-    out: PathBuf,
-    reference: Option<String>,
-) -> PyResult<String> {
+pub(crate) fn report(py: Python<'_>, runs: Vec<PathBuf>, out: PathBuf, reference: Option<String>) -> PyResult<String> {
     let work = |_: std::sync::mpsc::SyncSender<()>, _: &_| {
         let study = Study::read(&runs)?;
         write(&study, &Options { reference }, &out, &mut Silent)

@@ -164,7 +164,9 @@ impl Folder<'_> {
         for (name, links) in [("train_index.txt", train), ("test_index.txt", test)] {
             let mut rows: Vec<usize> = links.iter().map(|&link| self.data.links[link].transmitter + first).collect();
             rows.dedup();
-            self.put(name, rows.iter().map(|row| format!("{row}\n")).collect::<String>())?;
+            let mut text = String::new();
+            rows.iter().for_each(|row| writeln!(text, "{row}").expect("text grows"));
+            self.put(name, text)?;
         }
         Ok(())
     }

@@ -41,6 +41,7 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
     let (data, partition) = load(&pipeline, base, observer)?;
     fitting_network(&pipeline)?;
     let trainer = Trainer::sketch(&pipeline, &data, &partition)?;
+    let loaded_bytes = memory::peak(); // before a step is tried, which is counted by itself
     let estimate = fitting(&trainer)?;
     let weights = trainer.weights();
     Ok(Preview {
@@ -50,7 +51,7 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
         points: data.scene.points.len(),
         weights,
         estimate,
-        loaded_bytes: memory::peak(),
+        loaded_bytes,
         free_bytes: memory::free(),
         pipeline,
     })

@@ -90,7 +90,7 @@ impl DataSource for Nerf2Csi {
         }
         let antennas = places::antennas(&root.join("base-station.yml"), LAYOUT)?;
         let path = root.join("csidata.npy");
-        let mut all = self.read(&path, antennas.len())?;
+        let mut all = read_all(&path, antennas.len())?;
         let [snapshots, _, both] = all.shape;
         let frequencies_hz = subcarriers(&path, self.carrier_hz, self.spacing_hz, both)?.split_off(both / 2);
         let positions = positions(&root, snapshots)?;
@@ -130,21 +130,19 @@ impl DataSource for Nerf2Csi {
     }
 }
 
-impl Nerf2Csi {
-    /// `[N,A,2F]`, for a base station of `antennas`.
-    fn read(&self, path: &Path, antennas: usize) -> Result<Complex> {
-        let all = read_complex(path, SHAPE)?;
-        let [_, have, both] = all.shape;
-        if have != antennas {
-            let what = format!("has {have} antennas a snapshot, but base-station.yml {antennas}; give as many of each");
-            return Err(Error::input(path, what));
-        }
-        if both % 2 == 1 {
-            let what = format!("has {both} subcarriers, which are no two halves of uplink and downlink; {SHAPE}");
-            return Err(Error::input(path, what));
-        }
-        Ok(all)
+/// `[N,A,2F]`, for a base station of `antennas`.
+fn read_all(path: &Path, antennas: usize) -> Result<Complex> {
+    let all = read_complex(path, SHAPE)?;
+    let [_, have, both] = all.shape;
+    if have != antennas {
+        let what = format!("has {have} antennas a snapshot, but base-station.yml {antennas}; give as many of each");
+        return Err(Error::input(path, what));
     }
+    if both % 2 == 1 {
+        let what = format!("has {both} subcarriers, which are no two halves of uplink and downlink; {SHAPE}");
+        return Err(Error::input(path, what));
+    }
+    Ok(all)
 }
 
 /// `tx_pos.csv`, where it is there: a row a snapshot.

@@ -1,0 +1,33 @@
+"""The notebooks run, from their folder, and keep small outputs."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+
+import pytest
+
+import pwrfgs
+
+NOTEBOOKS = sorted((pathlib.Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
+
+
+def test_they_are_there():
+    assert len(NOTEBOOKS) == 4
+
+
+@pytest.mark.skipif(pwrfgs._pwrfgs.real_bytes == 8, reason="once is enough")
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_it_runs(path, monkeypatch):
+    nbformat = pytest.importorskip("nbformat")
+    nbclient = pytest.importorskip("nbclient")
+    pytest.importorskip("ipykernel")
+    pytest.importorskip("matplotlib")
+    text = path.read_text(encoding="utf-8")
+    assert len(text) < 300_000 and str(pathlib.Path.home()) not in text
+    notebook = nbformat.reads(text, as_version=4)
+    # The kernel imports the package that is tested.
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([os.path.dirname(os.path.dirname(pwrfgs.__file__)), os.environ.get("PYTHONPATH", "")]))
+    nbclient.NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(path.parent)}}).execute()
+    for cell in notebook.cells:
+        assert not [out for out in cell.get("outputs", []) if out["output_type"] == "error"]

@@ -1,0 +1,186 @@
+"""The types that editors and type checkers see: generated stubs are current, and mypy finds what it should."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pwrfgs import _stubs
+
+ROOT = Path(__file__).resolve().parent.parent
+needs_mypy = pytest.mark.skipif(importlib.util.find_spec("mypy") is None, reason="mypy is not installed")
+
+# Code of a user's. A line with a mistake says so; nothing else may be found.
+SAMPLE = """
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, List
+
+import numpy as np
+from numpy.typing import NDArray
+
+import pwrfgs
+from pwrfgs import Kriging, settings
+from pwrfgs.settings import Rays, Readout, Schedule
+
+
+@dataclass
+class Thin(pwrfgs.Pruner):
+    share: float = 0.1
+
+    def columns(self) -> List[pwrfgs.Column]:
+        return [pwrfgs.Column("age")]
+
+    def keep(self, cloud: pwrfgs.Cloud, stats: pwrfgs.Stats, moment: pwrfgs.Moment) -> NDArray[np.bool_]:
+        return cloud.opacities > self.share * moment.round
+
+
+class Bias(pwrfgs.Metric):
+    def evaluate(self, predictions: NDArray[Any], truths: NDArray[Any]) -> float:
+        return float(np.mean(predictions - truths))
+
+
+mask = pwrfgs.LearnableMask(lambda_=0.02, target=200)
+mask.lambda_ = mask.threshold / 2
+pwrfgs.LearnableMask(lamda=1)  # error
+pwrfgs.LearnableMask(0.02)  # error
+pwrfgs.LearnableMask(lambda_="0.02")  # error
+pwrfgs.LearnableMask(target=None)
+pwrfgs.LernableMask()  # error
+pwrfgs.Ssim(window=7)  # error
+
+share: float = pwrfgs.Random(test=0.1).test
+count: int = pwrfgs.Random(count=1_000).count
+pwrfgs.LightGaussian(shares=[0.5, 1])
+pwrfgs.LightGaussian(shares=["half"])  # error
+pwrfgs.Nerf2Spectrum(root=Path("data") / "s23", gateway=None, elevation=(0.0, 90.0))
+pwrfgs.Nerf2Spectrum(elevation=(0.0, 45.0, 90.0))  # error
+pwrfgs.Teacher(width=36.5)  # error
+pwrfgs.Teacher(projector=pwrfgs.Mercator(), wavelength_m=(1.0, 2.0))
+
+values: List[pwrfgs.Value] = [Readout.Real, Readout.Received(sky_deg=10), Rays.Same(400), mask]
+names: List[str] = list(settings.Rays)
+Schedule.Cosine(first=1e-3, last=1e-5)
+Schedule.Cosine(first=1e-3)  # error
+Schedule.Cosine(1e-3, 1e-5)  # error
+Schedule.Constant(rate=1e-3)  # error
+Rays.Some  # error
+Rays.Same("400")  # error
+
+pipeline = pwrfgs.Pipeline(name="first", data=pwrfgs.Teacher(), initializer=pwrfgs.Random())
+pipeline.training.steps = 20
+dataset = pipeline.load_data()
+dataset = pwrfgs.Dataset.load(Path("data"))
+dataset = pwrfgs.Dataset.load(pwrfgs.Arrays(root="data"))
+dataset = pwrfgs.Dataset.load(3)  # error
+dataset = pwrfgs.Dataset.from_arrays([[0.0, 0.0, 1.0]], rssi=[[-40.0]], receivers=[pwrfgs.Receiver()])
+part: pwrfgs.Partition = dataset.split("voxel", size_m=0.2)
+links = dataset.split(pwrfgs.Voxel(), seed=1).train[:4]
+dataset.spectra.shape  # error
+if dataset.kind == "spectra":  # error
+    pass
+if dataset.spectra is not None:
+    brightest: NDArray[np.float32] = dataset.spectra[links]
+
+run = pwrfgs.run(pipeline, {"training.batch": 2}, pruners=[Thin(0.2)], metrics=[Bias()], baselines=[Kriging()])
+pwrfgs.run(pipeline, sets={})  # error
+model = run.model
+model = pwrfgs.Model.load("runs/a", Path("runs/b"))
+print(model.predict([1.2, 0.3, 1.0]).shape, model.predict(dataset.tx, receiver=0), model.gaussians().means)
+score = pwrfgs.metrics.ssim(model.predict(dataset.tx), dataset.spectra)
+trainer = pwrfgs.Trainer(pipeline, dataset)
+while not trainer.finished:
+    loss: float = trainer.step()["loss"]
+kept: int = trainer.prune(trainer.cloud.opacities > 0.1)
+trainer.modle()  # error
+picture, vjp = pwrfgs.rasterize_with_vjp(*model.gaussians(), pwrfgs.Pose())
+d_means = vjp(np.ones_like(picture))[0]
+"""
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What mypy found out about NumPy, once for all tests."""
+    return tmp_path_factory.mktemp("mypy")
+
+
+def python(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Runs a module where ``folder`` is the first place that Python looks in; mypy looks in the sources."""
+    environment = {**os.environ, "MYPYPATH": str(ROOT)}
+    command = [sys.executable, "-m", *arguments]
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+
+
+def mypy(cache: Path, *arguments: str) -> str:
+    """What mypy says, by the settings of the package."""
+    options = ["--strict", "--no-pretty", "--no-error-summary", "--cache-dir", str(cache)]
+    done = python(ROOT, "mypy", *options, *arguments)
+    assert done.returncode in (0, 1), done.stdout + done.stderr
+    return done.stdout
+
+
+def test_generated_stubs_are_current(tmp_path: Path) -> None:
+    done = python(tmp_path, "pwrfgs._stubs", "--check")
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_check_finds_what_is_not_current(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(_stubs, "settings", lambda: "something else\n")
+    assert _stubs.main(["--check"]) == 1
+    assert "settings.pyi" in capsys.readouterr().err
+    monkeypatch.undo()
+    assert _stubs.main(["--check"]) == 0
+    assert _stubs.main(["--chekc"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        ("whole number or None", "Optional[int]"),
+        ("list of (number, number)", "Sequence[Tuple[float, float]]"),
+        ("((number, number), text)", "Tuple[Tuple[float, float], str]"),
+        ("path", "_Path"),
+        ("whole number or Auto", "Union[int, Any]"),
+        ("list of Pruner", "Sequence[Any]"),
+        ("Projector or None", "Optional[Any]"),
+    ],
+)
+def test_words_become_types(words: str, wanted: str) -> None:
+    assert _stubs.annotation(words) == wanted
+
+
+@needs_mypy
+def test_the_package_passes(cache: Path) -> None:
+    assert mypy(cache, "--package", "pwrfgs") == ""
+
+
+@needs_mypy
+def test_mistakes_of_users_are_found(cache: Path, tmp_path: Path) -> None:
+    sample = tmp_path / "sample.py"
+    sample.write_text(SAMPLE, encoding="utf-8")
+    wanted = [number for number, line in enumerate(SAMPLE.splitlines(), 1) if line.endswith("# error")]
+    said = mypy(cache, str(sample))
+    found = [int(number) for number in re.findall(r"sample\.py:(\d+): error: ", said)]
+    assert found == wanted, said
+    assert said.count(" error: ") == len(wanted), said
+
+
+@needs_mypy
+def test_the_stub_of_the_compiled_half_names_what_is_there(tmp_path: Path) -> None:
+    settings = str(ROOT / "pyproject.toml")
+    done = python(tmp_path, "mypy.stubtest", "--concise", "--mypy-config-file", settings, "pwrfgs._pwrfgs")
+    telling = re.compile(r"is not present (in stub|at runtime)|is inconsistent")
+    # PyO3 has no names for some defaults, and gives a module `__all__`.
+    idle = re.compile(r"default value of Ellipsis|__all__")
+    wrong = [line for line in done.stdout.splitlines() if telling.search(line) and not idle.search(line)]
+    assert wrong == [], done.stdout
+    looked = "error:" not in done.stdout and "failed" not in done.stdout
+    assert looked and not done.stderr, done.stdout + done.stderr

@@ -1,0 +1,52 @@
+#!/usr/bin/env bash
+# Tests of the Python package with what cargo has built for development: its compiled half beside the Python half, in single
+# and in double precision, and the notebooks. Arguments go to cargo. Says so where there is no Python to test with.
+set -eu
+cd "$(dirname "$0")/.."
+target=${CARGO_TARGET_DIR:-target}
+
+skip() {
+    echo "== Python: $1"
+    if [ -n "${PWRFGS_SKIPPED:-}" ]; then echo "tests of the Python package: $1" >>"$PWRFGS_SKIPPED"; fi
+    exit 0
+}
+
+python=${PYTHON:-python3}
+"$python" -c "import sys; sys.exit(sys.version_info < (3, 9))" 2>/dev/null || skip "no Python of 3.9 or later"
+
+# What the tests import, in an environment of their own that is made once.
+wanted=$(sed -n 's/^test = \[\(.*\)\]/\1/p' python/pyproject.toml | tr -d '",'; echo "numpy tqdm")
+env=$target/python-env-$(echo "$wanted" "$("$python" -V)" | sha256sum | cut -c1-12)
+if [ ! -f "$env/complete" ]; then
+    rm -rf "$env"
+    "$python" -m venv "$env" >/dev/null 2>&1 || skip "python3 -m venv makes no environment (Debian: apt-get install python3-venv)"
+    # shellcheck disable=SC2086 # a word a package
+    "$env/bin/pip" install -q --disable-pip-version-check $wanted >"$env/log" 2>&1 ||
+        { tail -n 3 "$env/log"; skip "pip cannot install what the tests import"; }
+    touch "$env/complete"
+fi
+
+# The package as it is installed, but for who built it.
+together() {
+    local folder=$target/python-package/$1
+    rm -rf "$folder" && mkdir -p "$folder"
+    cp -r python/pwrfgs "$folder/"
+    rm -f "$folder"/pwrfgs/*.so
+    for name in lib_pwrfgs.so lib_pwrfgs.dylib; do
+        if [ -f "$target/debug/$name" ]; then cp "$target/debug/$name" "$folder/pwrfgs/_pwrfgs.abi3.so"; fi
+    done
+}
+
+test_package() {
+    PYTHONPATH=$(cd "$target/python-package/$1" && pwd) PYTHONDONTWRITEBYTECODE=1 PWRFGS_CLI=$(cd "$target" && pwd)/debug/pwrfgs \
+        MPLBACKEND=Agg "$env/bin/python" -m pytest -q --no-header -p no:cacheprovider --rootdir python -rs "${@:2}"
+}
+
+echo "== Python, f32"
+cargo build "$@" --workspace # as the other tests do, so that nothing is compiled twice
+together f32
+test_package f32 python/tests
+echo "== Python, f64: derivatives against central differences"
+cargo build "$@" -p pwrfgs-python -p pwrfgs -p pwrfgs-cli --features pwrfgs/f64
+together f64
+test_package f64 python/tests/test_numbers.py
