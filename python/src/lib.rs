@@ -6,6 +6,7 @@
 
 #![allow(clippy::needless_pass_by_value)] // arguments come out of Python by value
 #![allow(clippy::doc_markdown)] // comments on what Python sees are its docstrings
+#![allow(rustdoc::broken_intra_doc_links)] // [N] is a shape
 #![allow(clippy::elidable_lifetime_names)] // 'py is the interpreter's, by the library's own custom
 
 mod arrays;

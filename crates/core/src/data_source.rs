@@ -44,6 +44,14 @@ pub trait Split: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Sen
     /// Three disjoint sorted lists; train and test are not empty.
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition>;
 
+    /// Whether it can be asked at all, as [`Pruner::ready`](crate::Pruner::ready).
+    ///
+    /// # Errors
+    /// Why not, and what to do.
+    fn ready(&self) -> Result<()> {
+        Ok(())
+    }
+
     /// One line for `pwrfgs plugins`.
     fn about(&self) -> &'static str {
         ""

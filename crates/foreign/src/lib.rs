@@ -156,6 +156,10 @@ impl Split for Python {
         self.host()?.split(self)?.split(data, rng)
     }
 
+    fn ready(&self) -> Result<()> {
+        self.host()?.split(self).map(|_| ())
+    }
+
     fn about(&self) -> &'static str {
         "a class of Python's divides the data"
     }

@@ -62,7 +62,8 @@ pub(crate) fn splits(
 ) -> Result<Vec<Divided>> {
     let standard = registered::<dyn Split>().into_iter().filter_map(|name| {
         let name = format!("{name}()");
-        Some((Plugin::<dyn Split>::parse(&name).ok()?, name))
+        let split = Plugin::<dyn Split>::parse(&name).ok()?;
+        split.ready().is_ok().then_some((split, name))
     });
     let standard: Vec<(Plugin<dyn Split>, String)> = standard.collect();
     let own = to_ron(&pipeline.split);
