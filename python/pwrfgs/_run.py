@@ -10,7 +10,7 @@ from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Union
 
 import numpy as np
 
-from . import _pwrfgs
+from . import _pwrfgs, _strategies
 from ._errors import InputError
 from ._pipeline import Pipeline
 from ._types import Array, Cloud, Stats
@@ -243,6 +243,7 @@ def run(
     for field, one in (("initializer", initializer), ("split", split)):
         if one is not None:
             chosen.set({field: one})
+    _strategies.check(chosen)
     folder = os.fspath(out) if out is not None else os.path.join("runs", chosen.name)
     bar = _Progress(progress)
     try:
@@ -269,6 +270,7 @@ class Trainer:
 
     def __init__(self, pipeline: Any, dataset: Optional["_pwrfgs.Dataset"] = None) -> None:
         self.pipeline = Pipeline(pipeline)
+        _strategies.check(self.pipeline)
         self.dataset = self.pipeline.load_data() if dataset is None else dataset
         self._inner = _pwrfgs.Trainer(self.pipeline._inner, self.dataset)
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import importlib
 import inspect
 import json
+import linecache
 import sys
+import types
 from typing import Any, Dict, Iterable, List, Optional, Sequence, Set, Tuple, Union
 
 from ._errors import InputError
@@ -31,7 +34,8 @@ class Pruner:
 
     def needs(self, cloud: Cloud, moment: Moment) -> Iterable[str]:
         """Names of what ``stats.asked`` shall hold at a prune step: "weight", "largest_weight", "weight_per_area",
-        "signal_weight", "error", "top", "sensitivity", "fisher", "elimination"."""
+        "signal_weight", "error", "top", "sensitivity", "fisher", "elimination" (the true loss without each, in turn: work
+        that grows with the square of their number)."""
         return ()
 
     def score(self, cloud: Cloud, stats: Stats, moment: Moment) -> Array:
@@ -111,13 +115,56 @@ FIT_MAY_GIVE_IT = "Baseline"
 
 
 def digest(cls: type) -> str:
-    """SHA-256 of the class's source; of its code where there is no source, as in a plain prompt."""
+    """SHA-256 of the source of a class, and of one's own classes that it derives from."""
+    theirs = ("builtins", "abc", "typing", "pwrfgs")
+    own = [base for base in cls.__mro__ if base is cls or base.__module__.split(".")[0] not in theirs]
+    return hashlib.sha256("\n".join(map(source, own)).encode()).hexdigest()
+
+
+def source(cls: type) -> str:
+    """Its text; of a class of a plain prompt, which has none, its code."""
     try:
-        text = inspect.getsource(cls)
+        return inspect.getsource(cls)
     except (OSError, TypeError):
-        methods = [(name, member.__code__) for name, member in vars(cls).items() if inspect.isfunction(member)]
-        text = repr([(name, code.co_code, code.co_names, repr(code.co_consts)) for name, code in sorted(methods)])
-    return hashlib.sha256(text.encode()).hexdigest()
+        return cell(cls) or repr(code(cls))
+
+
+def cell(cls: type) -> Optional[str]:
+    """The text of a class of a notebook: the interpreter keeps that of its cells, and functions say which is theirs."""
+    for member in vars(cls).values():
+        if not inspect.isfunction(member):
+            continue
+        own = member.__code__
+        text = "".join(linecache.getlines(own.co_filename))
+        try:
+            nodes = list(ast.walk(ast.parse(text)))
+        except SyntaxError:
+            continue
+        for node in nodes:
+            if isinstance(node, ast.ClassDef) and node.name == cls.__name__ and node.end_lineno is not None:
+                if node.lineno <= own.co_firstlineno <= node.end_lineno:
+                    first = min([node.lineno, *(decorator.lineno for decorator in node.decorator_list)])
+                    return "".join(text.splitlines(True)[first - 1 : node.end_lineno])
+    return None
+
+
+def code(value: Any) -> Any:
+    """Code without its places in memory."""
+    if isinstance(value, type):
+        members = sorted(vars(value).items())
+        return [(name, code(own)) for name, own in members if not name.startswith("__") or inspect.isfunction(own)]
+    if inspect.isfunction(value):
+        return code(value.__code__)
+    if isinstance(value, (staticmethod, classmethod)):
+        return code(value.__func__)
+    if isinstance(value, property):
+        return [code(part) for part in (value.fget, value.fset) if part]
+    if isinstance(value, types.CodeType):
+        return value.co_code.hex(), value.co_names, [code(constant) for constant in value.co_consts]
+    if isinstance(value, frozenset):
+        return sorted(map(repr, value))
+    plain = (str, bytes, int, float, complex, bool, type(None), tuple)
+    return value if isinstance(value, plain) else type(value).__name__
 
 
 def settings_of(value: Any) -> Dict[str, Any]:
@@ -156,26 +203,40 @@ def described(value: Any) -> str:
     return f"Python({inside})"
 
 
-def made(kind: str, module: str, name: str, settings: str, source: str) -> Any:
-    """The object that a pipeline records; refuses a class whose source has changed since."""
+def found(module: str, name: str, source: str) -> Any:
+    """The class that a pipeline records; refuses one whose source has changed since."""
     try:
-        found: Any = sys.modules.get(module) or importlib.import_module(module)
+        own: Any = sys.modules.get(module) or importlib.import_module(module)
     except ImportError as error:
         raise InputError(
             f"`{name}` comes from the Python module `{module}`, which cannot be imported ({error}); stand where it lies, or "
             "add its folder to PYTHONPATH"
         ) from error
     for part in name.split("."):
-        found = getattr(found, part, None)
-        if found is None:
+        own = getattr(own, part, None)
+        if own is None:
             where = "this session" if module == "__main__" else f"the module `{module}`"
             raise InputError(f"there is no class `{name}` in {where}; define it before the run is resumed")
-    if source and digest(found) != source:
+    if source and digest(own) != source:
         raise InputError(
             f"the source of `{name}` in `{module}` has changed since this run began, and what is left of it would be another "
             "experiment; give the old class back, or start in a new folder"
         )
-    own = found(**json.loads(settings or "{}"))
+    return own
+
+
+def check(pipeline: Any) -> None:
+    """Refuses a pipeline that records a class which has changed since, also one that this session has used before."""
+    for field in ("pruners", "baselines", "metrics", "initializer", "split"):
+        values = pipeline.get(field)
+        for value in values if isinstance(values, list) else [values]:
+            if getattr(value, "_name", None) == "Python":
+                found(value._fields["module"], value._fields["class"], value._fields["source"])
+
+
+def made(kind: str, module: str, name: str, settings: str, source: str) -> Any:
+    """The object that a pipeline records."""
+    own = found(module, name, source)(**json.loads(settings or "{}"))
     required = REQUIRED[kind]
     if not callable(getattr(own, required, None)) and not (kind == FIT_MAY_GIVE_IT and hasattr(own, "fit")):
         raise InputError(f"`{name}` has no method `{required}`, and so is no {kind}")

@@ -74,8 +74,10 @@ def sky(values: Any, ax: Any = None, title: Optional[str] = None, elevation_deg:
     azimuth = np.deg2rad(np.linspace(0.0, 360.0, width + 1))
     zenith = 90.0 - np.linspace(*elevation_deg, height + 1)
     ax.pcolormesh(azimuth, zenith, values.clip(0.0, 1.0), cmap=colours(), vmin=0.0, vmax=1.0, rasterized=True)
-    ax.set(ylim=(0.0, 90.0), yticks=[30, 60], yticklabels=["60°", "30°"])
+    ax.set(ylim=(0.0, 90.0), yticks=[30, 60], yticklabels=["60°", "30°"], xticks=np.deg2rad([0, 90, 180, 270]))
+    ax.set_rlabel_position(45)
     ax.grid(False)
+    ax.tick_params(axis="y", labelcolor="white", labelsize="small")
     if title:
         ax.set_title(title, fontsize="medium")
     return ax
@@ -104,7 +106,9 @@ def room(dataset: Any, model: Any = None, split: Any = None, ax: Any = None) -> 
     said = "simulated" if dataset.simulated else "measured"
     ax.set(xlabel="x, metres", ylabel="y, metres", aspect="equal")
     ax.set_title(f"{dataset.title}" + ("" if said in dataset.title else f" ({said})"), loc="left", fontsize="medium")
-    ax.legend(loc="best", fontsize="small", framealpha=0.9)
+    legend = ax.legend(loc="center left", bbox_to_anchor=(1.02, 0.5), fontsize="small", frameon=False)
+    for handle in getattr(legend, "legend_handles", ()):  # points of the room are too small to be seen there
+        handle.set_sizes([max(18.0, handle.get_sizes()[0])])
     return ax
 
 
@@ -126,13 +130,22 @@ def curve(run: Any, ax: Any = None) -> Any:
 
 
 def plane(
-    values: Any, x: Any, y: Any, ax: Any = None, label: str = "received power, dBm", title: Optional[str] = None
+    values: Any,
+    x: Any,
+    y: Any,
+    ax: Any = None,
+    label: str = "received power, dBm",
+    title: Optional[str] = None,
+    limits: Optional[Tuple[float, float]] = None,
 ) -> Any:
-    """Numbers [len(y), len(x)] over a horizontal plane, such as a radio map; ``x`` and ``y`` in metres."""
+    """Numbers [len(y), len(x)] over a horizontal plane, such as a radio map; ``x`` and ``y`` in metres. ``limits`` are the ends
+    of the colour scale."""
     ax = _axes(ax, figsize=(5.6, 4.4))
     shown = ax.pcolormesh(np.asarray(x), np.asarray(y), np.asarray(values), cmap=colours(), shading="nearest", rasterized=True)
+    if limits is not None:
+        shown.set_clim(*limits)
     ax.set(xlabel="x, metres", ylabel="y, metres", aspect="equal")
     if title:
         ax.set_title(title, loc="left", fontsize="medium")
-    ax.figure.colorbar(shown, ax=ax, label=label, pad=0.02)
+    ax.figure.colorbar(shown, cax=ax.inset_axes((1.03, 0.0, 0.04, 1.0)), label=label)
     return ax

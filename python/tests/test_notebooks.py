@@ -23,6 +23,7 @@ def test_it_runs(path, monkeypatch):
     nbclient = pytest.importorskip("nbclient")
     pytest.importorskip("ipykernel")
     pytest.importorskip("matplotlib")
+    pytest.importorskip("pandas")
     text = path.read_text(encoding="utf-8")
     assert len(text) < 300_000 and str(pathlib.Path.home()) not in text
     notebook = nbformat.reads(text, as_version=4)

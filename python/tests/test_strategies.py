@@ -213,3 +213,24 @@ def test_what_cannot_be_recorded_is_refused(pipeline):
     pipeline.pruners = [Odd()]
     with pytest.raises(pwrfgs.InputError, match="no method `keep`"):
         pwrfgs.Trainer(pipeline)
+
+
+def test_the_digest_is_of_the_source_and_of_what_it_derives_from():
+    from pwrfgs._strategies import code, digest
+
+    def of(text, name="B"):
+        space = {"pwrfgs": pwrfgs, "np": np, "__name__": "prompt"}
+        exec(textwrap.dedent(text), space)
+        return digest(space[name])
+
+    text = """
+    class A(pwrfgs.Pruner):
+        share = {}
+        def keep(self, cloud, stats, moment):
+            return np.array([o > {} for o in cloud.opacities])
+    class B(A):
+        pass
+    """
+    assert of(text.format(1, 0)) == of(text.format(1, 0))
+    assert len({of(text.format(*values)) for values in [(1, 0), (2, 0), (1, 1)]}) == 3
+    assert " at 0x" not in repr(code(Mask)) and digest(Mask) != digest(Thin)

@@ -151,6 +151,8 @@ struct Run<'a> {
 impl<'a> Run<'a> {
     /// A trainer at the start, or where the checkpoint left it, and what a step will take.
     fn trainer(&mut self, out: &Path) -> Result<(Trainer<'a>, Estimate)> {
+        // Who cannot be asked is no fault of a checkpoint.
+        self.pipeline.pruners.iter().try_for_each(|pruner| pruner.ready())?;
         fitting_network(self.pipeline)?;
         let path = out.join(CHECKPOINT);
         let trainer = match files::read(&path) {

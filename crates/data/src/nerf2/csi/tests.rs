@@ -29,11 +29,11 @@ impl Folder {
     }
 
     fn load(&self, normalise: bool) -> Result<Dataset> {
-        self.load_as(Nerf2Csi { normalise, ..Nerf2Csi::default() })
+        self.load_as(&Nerf2Csi { normalise, ..Nerf2Csi::default() })
     }
 
-    fn load_as(&self, source: Nerf2Csi) -> Result<Dataset> {
-        Nerf2Csi { root: ".".into(), carrier_hz: 1e9, spacing_hz: 2e6, ..source }.load(self.0.path(), &|_, _| {})
+    fn load_as(&self, source: &Nerf2Csi) -> Result<Dataset> {
+        Nerf2Csi { root: ".".into(), carrier_hz: 1e9, spacing_hz: 2e6, ..source.clone() }.load(self.0.path(), &|_, _| {})
     }
 
     fn fault(&self) -> String {
@@ -64,7 +64,7 @@ fn uplinks_are_features_and_downlinks_observations() {
     for (by_test_data, largest) in [(false, 30f64.hypot(31.0)), (true, 46f64.hypot(47.0))] {
         folder.write("train_index.txt", "0\n1\n");
         folder.write("test_index.txt", "2\n");
-        let data = folder.load_as(Nerf2Csi { by_test_data, ..Nerf2Csi::default() }).unwrap();
+        let data = folder.load_as(&Nerf2Csi { by_test_data, ..Nerf2Csi::default() }).unwrap();
         assert!((data.image(5).pixels[3] as f64 - 47.0 / largest).abs() < 1e-6);
     }
     folder.write("train_index.txt", "0\n2\n");
