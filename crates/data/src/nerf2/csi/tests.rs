@@ -33,7 +33,8 @@ impl Folder {
     }
 
     fn load_as(&self, source: &Nerf2Csi) -> Result<Dataset> {
-        Nerf2Csi { root: ".".into(), carrier_hz: 1e9, spacing_hz: 2e6, ..source.clone() }.load(self.0.path(), &|_, _| {})
+        Nerf2Csi { root: ".".into(), carrier_hz: 1e9, spacing_hz: 2e6, ..source.clone() }
+            .load(self.0.path(), &|_, _| {})
     }
 
     fn fault(&self) -> String {
