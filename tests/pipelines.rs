@@ -91,7 +91,7 @@ fn every_pipeline_runs_some_steps() {
         let folder = tempfile::tempdir().unwrap();
         for change in [
             "training.target=0".to_owned(), // more than there will be
-            small(pipeline.data.kind(), pipeline.deformation.inputs(), folder.path()),
+            small(pipeline.data.kind(), pipeline.method().inputs(), folder.path()),
             format!("initializer=Random(count: {count}, std: 5.0)"),
             "baselines=[MeanSpectrum()]".to_owned(), // ray tracing needs a scene
             "training=(densify_until: 6, prune_until: 9)".to_owned(),

@@ -25,7 +25,7 @@ use std::sync::{Arc, OnceLock};
 /// # use pwrfgs_foreign as _;
 /// let text = r#"Python(module: "strategies", class: "Thin", settings: "{\"share\": 0.1}", source: "5f1c")"#;
 /// let pruner = Plugin::<dyn Pruner>::parse(text).unwrap();
-/// assert!(pruner.ready().unwrap_err().contains("Thin"));
+/// assert!(pruner.ready().unwrap_err().to_string().contains("Thin"));
 /// ```
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
