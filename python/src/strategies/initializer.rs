@@ -1,0 +1,80 @@
+//! A class of Python's as an initialiser.
+
+use super::Strategy;
+use super::objects::generator;
+use crate::arrays::{Gain, array, axes, numbers};
+use crate::border::wrong;
+use pwrfgs_core::{ExtraColumn, GaussianCloud, ImagePlane, Initializer, Real, Result, Scene, logit, rng};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+impl Initializer for Strategy {
+    fn typetag_name(&self) -> &'static str {
+        "Python"
+    }
+
+    fn typetag_deserialize(&self) {}
+
+    fn initialize(&self, scene: &Scene, _: &ImagePlane, random: &mut rng::Rng) -> Result<GaussianCloud> {
+        self.try_with(|py, own| {
+            let world = |place: &[Real; 3]| scene.origin.world(*place);
+            let points: Vec<f64> = scene.points.iter().flat_map(world).collect();
+            let receivers: Vec<f64> =
+                scene.receivers.iter().flat_map(|receiver| scene.origin.world_pose(receiver.pose).position).collect();
+            let arguments = (
+                array(py, points, &[scene.points.len(), 3])?,
+                array(py, [world(&scene.bounds.0), world(&scene.bounds.1)].concat(), &[2, 3])?,
+                array(py, receivers, &[scene.receivers.len(), 3])?,
+            );
+            let scene_object = py.import("pwrfgs._types")?.getattr("Room")?.call1(arguments)?;
+            let found = own.call_method1("initialize", (scene_object, generator(py, random)?))?;
+            let found = found.cast::<PyDict>().map_err(PyErr::from)?;
+            start(found, scene)
+        })
+    }
+}
+
+/// A cloud from means, scales and whatever else is given.
+fn start(found: &Bound<'_, PyDict>, scene: &Scene) -> PyResult<GaussianCloud> {
+    let py = found.py();
+    let need = |name: &str| {
+        found
+            .get_item(name)?
+            .ok_or_else(|| wrong(py, &format!("initialize gave no `{name}`; means [N, 3] and scales are needed")))
+    };
+    let means = crate::arrays::places("means", &need("means")?)?;
+    let n = means.len();
+    let scales = need("scales")?;
+    let scales: Vec<[Real; 3]> = match axes(&scales)? {
+        0 => vec![[scales.extract()?; 3]; n],
+        1 => numbers::<Real>("scales", &scales, &[Some(n)])?.into_iter().map(|s| [s; 3]).collect(),
+        _ => numbers::<Real>("scales", &scales, &[Some(n), Some(3)])?.as_chunks().0.to_vec(),
+    };
+    if !scales.as_flattened().iter().all(|s| s.is_finite() && *s > 0.0) {
+        return Err(wrong(py, "scales: give metres above 0"));
+    }
+    let opacities = match found.get_item("opacities")? {
+        None => vec![0.1; n],
+        Some(given) if axes(&given)? == 0 => vec![given.extract()?; n],
+        Some(given) => numbers::<Real>("opacities", &given, &[Some(n)])?,
+    };
+    if !opacities.iter().all(|o| *o > 0.0 && *o < 1.0) {
+        return Err(wrong(py, "opacities: give numbers between 0 and 1"));
+    }
+    let quats = match found.get_item("quats")? {
+        None => vec![[1.0, 0.0, 0.0, 0.0]; n],
+        Some(given) => numbers::<Real>("quats", &given, &[Some(n), Some(4)])?.as_chunks().0.to_vec(),
+    };
+    let signals = match found.get_item("signals")? {
+        None => vec![[0.0; 2]; n],
+        Some(given) => numbers::<Gain>("signals", &given, &[Some(n)])?.iter().map(|s| [s.re, s.im]).collect(),
+    };
+    Ok(GaussianCloud {
+        means: means.iter().map(|mean| scene.origin.local(*mean)).collect(),
+        log_scales: scales.iter().map(|s| s.map(Real::ln)).collect(),
+        quats,
+        opacity_logits: opacities.into_iter().map(logit).collect(),
+        signals,
+        extra: Vec::<ExtraColumn>::new(),
+    })
+}

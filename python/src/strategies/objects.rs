@@ -1,0 +1,110 @@
+//! What strategies are given: columns of the toolkit as the records of `pwrfgs._types`.
+
+use crate::arrays::{array, axes, given};
+use crate::border::wrong;
+use pwrfgs_core::tape::Traced;
+use pwrfgs_core::{CloudStats, Dataset, GaussianCloud, Moment, Real, rng};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+/// Gaussians as the Python class `Cloud`: new arrays, which a strategy may keep; those of `update` may be written to.
+pub(crate) fn cloud_object<'py>(py: Python<'py>, cloud: &GaussianCloud, writable: bool) -> PyResult<Bound<'py, PyAny>> {
+    let columns = cloud.columns().map(|(name, _, values)| (name, values.to_vec()));
+    columns_object(py, cloud.len(), columns, writable)
+}
+
+/// The same of Gaussians on the tape.
+pub(super) fn traced_object<'py>(py: Python<'py>, cloud: &Traced) -> PyResult<Bound<'py, PyAny>> {
+    let columns = cloud.names().map(|name| (name, pwrfgs_core::tape::values(cloud.leaf(name))));
+    columns_object(py, cloud.len(), columns, false)
+}
+
+pub(super) fn columns_object<'py, 'a>(
+    py: Python<'py>,
+    n: usize,
+    columns: impl Iterator<Item = (&'a str, Vec<Real>)>,
+    writable: bool,
+) -> PyResult<Bound<'py, PyAny>> {
+    let object = PyDict::new(py);
+    for (name, values) in columns {
+        // One number a Gaussian has no second axis.
+        let width = values.len().checked_div(n).unwrap_or(1);
+        let shape: &[usize] = if width <= 1 { &[n] } else { &[n, width] };
+        let column = array(py, values, shape)?;
+        if !writable {
+            column.getattr("flags")?.setattr("writeable", false)?;
+        }
+        object.set_item(name, column)?;
+    }
+    py.import("pwrfgs._types")?.getattr("Cloud")?.call1((object,))
+}
+
+/// What was seen of the Gaussians, as the Python class `Stats`.
+pub(crate) fn stats_object<'py>(py: Python<'py>, stats: &CloudStats) -> PyResult<Bound<'py, PyAny>> {
+    let column = |values: &[Real]| array(py, values.to_vec(), &[values.len()]);
+    let found = PyDict::new(py);
+    let asked = &stats.asked;
+    for (name, values) in [
+        ("weight", &asked.weight),
+        ("largest_weight", &asked.largest_weight),
+        ("weight_per_area", &asked.weight_per_area),
+        ("signal_mean", &asked.signal_mean),
+        ("signal_max", &asked.signal_max),
+        ("error", &asked.error),
+        ("high_error", &asked.high_error),
+        ("sensitivity", &asked.sensitivity),
+        ("elimination", &asked.elimination),
+    ] {
+        if !values.is_empty() {
+            found.set_item(name, column(values)?)?;
+        }
+    }
+    if !asked.top.is_empty() {
+        found.set_item("top", array(py, asked.top.clone(), &[asked.top.len()])?)?;
+    }
+    if !asked.fisher.is_empty() {
+        let all: Vec<Real> = asked.fisher.as_flattened().to_vec();
+        found.set_item("fisher", array(py, all, &[asked.fisher.len(), 21])?)?;
+    }
+    let fields = (
+        column(&stats.visible)?,
+        column(&stats.gradient)?,
+        column(&stats.radius)?,
+        column(&stats.weight)?,
+        found,
+        column(&stats.state)?,
+    );
+    py.import("pwrfgs._types")?.getattr("Stats")?.call1(fields)
+}
+
+pub(super) fn moment_object<'py>(py: Python<'py>, moment: &Moment) -> PyResult<Bound<'py, PyAny>> {
+    let Moment { step, phase, seed, round, rounds } = *moment;
+    py.import("pwrfgs._types")?.getattr("Moment")?.call1((step, phase.name(), seed, round, rounds))
+}
+
+/// Links without what was observed of them, as the Python class `Links`.
+pub(super) fn links_object<'py>(py: Python<'py>, data: &Dataset, links: &[usize]) -> PyResult<Bound<'py, PyAny>> {
+    let rows: Vec<_> = links.iter().map(|&i| data.sample(i)).collect();
+    let fields = (
+        array(py, rows.iter().flat_map(|s| s.tx).collect::<Vec<f64>>(), &[rows.len(), 3])?,
+        array(py, rows.iter().map(|s| i64::from(s.id)).collect::<Vec<i64>>(), &[rows.len()])?,
+        array(py, rows.iter().map(|s| s.receiver as i64).collect::<Vec<i64>>(), &[rows.len()])?,
+    );
+    py.import("pwrfgs._types")?.getattr("Links")?.call1(fields)
+}
+
+/// A generator of NumPy's that follows from the run's own.
+pub(super) fn generator<'py>(py: Python<'py>, random: &mut rng::Rng) -> PyResult<Bound<'py, PyAny>> {
+    py.import("numpy.random")?.call_method1("default_rng", (rng::below(random, 1 << 62),))
+}
+
+/// Numbers of any shape, `length` in all.
+pub(super) fn given_flat(what: &str, values: &Bound<'_, PyAny>, length: usize) -> PyResult<Vec<Real>> {
+    let array = given::<Real>(what, values, &vec![None; axes(values)?])?;
+    let all = array.as_slice().map_err(|e| wrong(values.py(), &e.to_string()))?;
+    if all.len() == length && all.iter().all(|v| v.is_finite()) {
+        return Ok(all.to_vec());
+    }
+    let found = all.len();
+    Err(wrong(values.py(), &format!("{what} has {found} numbers, and {length} finite ones are wanted")))
+}
