@@ -29,7 +29,7 @@ double=("$@" "${formulas[@]}" --features pwrfgs/f64)
 { cargo build "${double[@]}" --examples && cargo test "${double[@]}" --no-fail-fast --lib --test all; } || failed+=("f64")
 cargo test "${double[@]}" --doc || failed+=("f64, examples in the documentation")
 echo "== the Python package"
-tests/python.sh "$@" || failed+=("the Python package")
+PWRFGS_FORMULAS="${formulas[*]}" tests/python.sh "$@" || failed+=("the Python package")
 echo "== beside them: the example plugin, Slurm, kills and full disks, broken files"
 wait $beside_pid || failed+=("what ran beside the rest")
 cat "$notes/beside"

@@ -281,7 +281,10 @@ fn an_ensemble_is_the_mean_of_its_members_and_knows_where_they_differ() {
             (mean.pixels[p] - 0.5 * (a + b)).abs() < 1e-6 && (deviation.pixels[p] - 0.5 * (a - b).abs()).abs() < 1e-6
         );
     }
-    assert_eq!(ensemble.predict_many(&[tx.into(), tx.into()]), vec![mean.clone(), mean]);
+    assert_eq!(ensemble.predict_many(&[tx.into(), tx.into()]), vec![mean.clone(), mean.clone()]);
+    let mut numbers = vec![0.0; mean.pixels.len()];
+    ensemble.predict_into(&[tx.into()], &mut numbers);
+    assert_eq!(numbers, mean.pixels);
     assert!(Ensemble::new(Vec::new()).is_err());
     let mut turned = models;
     turned[1].stages.receivers[0].pose.position = [1.0, 0.0, 0.0];

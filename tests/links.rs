@@ -115,6 +115,12 @@ fn many_links_are_predicted_as_one_by_one_and_as_read_from_a_file() {
             // The mean of two that are alike, which no clamp of pictures touches.
             assert_eq!(image.pixels, both.pixels, "{name}: link {i}");
         }
+        for ready in [ready, ensemble.prepare()] {
+            let mut numbers = vec![Real::NAN; queries.len() * data.width * data.height];
+            ready.predict_into(&queries, &mut numbers);
+            let images: Vec<Real> = many.iter().flat_map(|image| image.pixels.clone()).collect();
+            assert_eq!(numbers, images, "{name}");
+        }
     }
 }
 

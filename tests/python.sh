@@ -5,6 +5,7 @@ set -eu
 cd "$(dirname "$0")/.."
 target=${CARGO_TARGET_DIR:-target}
 
+# What has not been tested, and why; the end.
 skip() {
     echo "== Python: $1"
     if [ -n "${PWRFGS_SKIPPED:-}" ]; then echo "tests of the Python package: $1" >>"$PWRFGS_SKIPPED"; fi
@@ -42,11 +43,22 @@ test_package() {
         MPLBACKEND=Agg "$env/bin/python" -m pytest -q --no-header -p no:cacheprovider --rootdir python -rs "${@:2}"
 }
 
+# Targets are those of the other tests, tests too, so that features are the same and nothing is compiled twice.
 echo "== Python, f32"
-cargo build "$@" --workspace # as the other tests do, so that nothing is compiled twice
+cargo build "$@" --workspace --lib --bins --tests
 together f32
 test_package f32 python/tests
 echo "== Python, f64: derivatives against central differences"
-cargo build "$@" -p pwrfgs-python -p pwrfgs -p pwrfgs-cli --features pwrfgs/f64
+# shellcheck disable=SC2086 # a word a package
+cargo build "$@" ${PWRFGS_FORMULAS:--p pwrfgs -p pwrfgs-cli} -p pwrfgs-python --features pwrfgs/f64 --lib --bins --test all
 together f64
 test_package f64 python/tests/test_numbers.py
+# Debian has a torch of a size that can be installed, for its own Python.
+torch=(/usr/bin/python3 -B python/tests/gradcheck.py)
+if "$env/bin/python" -c "import torch" 2>/dev/null; then
+    : # it was among the tests
+elif "${torch[0]}" -c "import numpy, torch" 2>/dev/null; then
+    PYTHONPATH=$(cd "$target/python-package/f64" && pwd) "${torch[@]}"
+else
+    skip "no torch (Debian: apt-get install python3-torch), so nobody ran gradcheck"
+fi

@@ -4,7 +4,7 @@ Three lines get a prediction::
 
     import pwrfgs
     model = pwrfgs.Model.load("runs/quickstart")
-    spectrum = model.predict([1.2, 0.3, 1.0])          # [H, W]
+    spectrum = model.predict([3.5, 2.2, 1.2])          # [H, W]
 
 Every plugin of the toolkit is a class here, such as ``pwrfgs.LearnableMask(lambda_=0.02)``; choices of settings are in
 ``pwrfgs.settings``, such as ``pwrfgs.settings.Rays.Same(400)``. Strategies of one's own derive from ``pwrfgs.Pruner``,
@@ -21,7 +21,7 @@ from ._kernels import project, rasterize, rasterize_with_vjp
 from ._pipeline import Pipeline
 from ._plugins import *  # noqa: F403  one class for each plugin
 from ._pwrfgs import Dataset, Model, __version__
-from ._run import Run, Trainer, report, run, simulate, sweep
+from ._run import Run, SweepError, Trainer, report, run, simulate, sweep
 from ._strategies import Baseline, Initializer, Metric, Pruner, Split
 from ._types import Cloud, Column, Gaussians, Links, Moment, Partition, Pose, Receiver, Room, Splats, Stats
 from ._values import Value
@@ -30,11 +30,11 @@ from . import _plugins
 
 __all__: List[str] = [
     "Baseline", "Cloud", "Column", "Dataset", "Error", "Gaussians", "Initializer", "InputError", "Links", "Metric", "Model",
-    "Moment", "Partition", "Pipeline", "Pose", "Pruner", "Receiver", "Room", "Run", "Splats", "Split", "Stats", "Trainer",
+    "Moment", "Partition", "Pipeline", "Pose", "Pruner", "Receiver", "Room", "Run", "Splats", "Split", "Stats", "SweepError", "Trainer",
     "Value", "__version__", "baselines", "metrics", "plot", "project", "rasterize", "rasterize_with_vjp", "repeatability",
     "report", "run", "settings", "simulate", "sweep",
-    *_plugins.__all__,
 ]
+__all__ += _plugins.__all__
 
 
 if TYPE_CHECKING:  # to checkers a module with `__getattr__` would have every name

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Tuple
+from typing import Any, Callable, Sequence, Tuple
 
 import numpy as np
 
@@ -22,7 +22,7 @@ def project(
     width: int = 360,
     *,
     projector: Any = "Mercator",
-    elevation_deg: Tuple[float, float] = (0.0, 90.0),
+    elevation_deg: Sequence[float] = (0.0, 90.0),
 ) -> Splats:
     """Gaussians in space as ellipses on a picture of the receiver's sky.
 
@@ -35,9 +35,8 @@ def project(
     pose : (position [3], orientation x, y, z, w) of the receiver; a ``Pose``
     projector : a projector such as ``pwrfgs.Mercator()``, or its name
     """
-    elevation: Any = tuple(elevation_deg)
     splats: Splats = _pwrfgs.project(
-        means, quats, scales, opacities, _pose(pose), height, width, projector, elevation
+        means, quats, scales, opacities, _pose(pose), height, width, projector, elevation_deg
     )
     return splats
 
@@ -59,7 +58,7 @@ def rasterize(
     *,
     projector: Any = "Mercator",
     rasterizer: Any = "AlphaBlending",
-    elevation_deg: Tuple[float, float] = (0.0, 90.0),
+    elevation_deg: Sequence[float] = (0.0, 90.0),
 ) -> Array:
     """Draws Gaussians on the receiver's sky.
 
@@ -84,7 +83,7 @@ def rasterize_with_vjp(
     *,
     projector: Any = "Mercator",
     rasterizer: Any = "AlphaBlending",
-    elevation_deg: Tuple[float, float] = (0.0, 90.0),
+    elevation_deg: Sequence[float] = (0.0, 90.0),
 ) -> Tuple[Array, Vjp]:
     """``rasterize``, and the way back: a function from the derivative of a real number in the picture (of its shape; of a
     complex picture ∂/∂Re + i ∂/∂Im) to those in (means, quats, scales, opacities, signals)."""
@@ -93,13 +92,12 @@ def rasterize_with_vjp(
     waves = np.iscomplexobj(signals)
     if waves:
         signals = np.stack([signals.real, signals.imag], axis=-1).astype(real)
-    elevation: Any = tuple(elevation_deg)
     drawing = _pwrfgs.draw(
-        means, quats, scales, opacities, signals, _pose(pose), height, width, projector, rasterizer, elevation
+        means, quats, scales, opacities, signals, _pose(pose), height, width, projector, rasterizer, elevation_deg
     )
     picture: Array = drawing.image
     if waves:
-        picture = picture[0] + 1j * picture[1]
+        picture = picture[0] + 1j * picture[1]  # two channels, also of no Gaussian at all
 
     def vjp(d_picture: Any) -> Tuple[Array, Array, Array, Array, Array]:
         d_picture = np.asarray(d_picture)

@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 import os
-from typing import Any, Dict, List, Mapping, Optional, Union
+import re
+from typing import Any, Dict, List, Mapping, Optional, Tuple, Union
 
 from . import _pwrfgs
 from ._errors import InputError
 from ._values import from_ron, own, to_ron, unknown
 
 Source = Union[str, "os.PathLike[str]", "Pipeline"]
+
+
+def is_text(source: Any) -> bool:
+    """Whether a user gave RON, and not the path of a file or of a folder."""
+    if not isinstance(source, str) or (len(source) < 4096 and os.path.exists(source)):
+        return False
+    return re.match(r"(?:Pipeline|Ensemble)?\s*\(", without_comments(source)) is not None
+
+
+def without_comments(text: str) -> str:
+    """RON text from its first word on."""
+    return re.sub(r"\A(?:\s+|//[^\n]*|/\*.*?\*/|#!\[[^\]]*\])*", "", text, flags=re.DOTALL)
 
 
 class Pipeline:
@@ -31,7 +44,7 @@ class Pipeline:
         elif source is None:
             text = ", ".join(f"{name}: {to_ron(value)}" for name, value in fields.items())
             inner, fields = _pwrfgs.Pipeline.parse(f"Pipeline({text})", "pipeline", os.getcwd()), {}
-        elif isinstance(source, str) and "(" in source:
+        elif isinstance(source, str) and is_text(source):
             inner = _pwrfgs.Pipeline.parse(source, "pipeline", os.getcwd())
         else:
             path = os.path.abspath(os.fspath(source))
@@ -51,7 +64,7 @@ class Pipeline:
         """The value at ``path``, such as ``"training.steps"`` or ``"pruners.LearnableMask.lambda"``."""
         value: Any = from_ron(self._inner.text())
         own(value, self, "")
-        for step in path.split("."):
+        for step in path.split(".") if path else ():
             if isinstance(value, list):
                 named = [item for item in value if getattr(item, "_name", None) == step]
                 try:
@@ -68,14 +81,16 @@ class Pipeline:
         self._inner.set([(path, to_ron(value)) for path, value in every.items()])
         return self
 
+    def __reduce__(self) -> Tuple[Any, ...]:
+        return _read, (self._inner.text(), self.folder)
+
     def copy(self) -> "Pipeline":
         """Another pipeline that says the same."""
         return Pipeline(self)
 
     def save(self, path: Union[str, "os.PathLike[str]"]) -> None:
-        """Writes it as a file that the command line runs."""
-        with open(path, "x", encoding="utf-8") as file:
-            file.write(self._inner.text())
+        """Writes it as a new file that the command line runs; relative paths become absolute."""
+        self._inner.save(os.fspath(path))
 
     def load_data(self) -> "_pwrfgs.Dataset":
         """The data that it names."""
@@ -113,3 +128,10 @@ class Pipeline:
 
     def __hash__(self) -> int:
         return hash(repr(self))
+
+
+def _read(text: str, folder: str) -> Pipeline:
+    """What was pickled."""
+    pipeline = Pipeline.__new__(Pipeline)
+    object.__setattr__(pipeline, "_inner", _pwrfgs.Pipeline.parse(text, "pipeline", folder))
+    return pipeline

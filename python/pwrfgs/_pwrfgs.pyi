@@ -57,7 +57,7 @@ class Dataset:
         receivers: Optional[Union[Receiver, Iterable[Union[Receiver, ArrayLike]]]] = None,
         frequencies_hz: Optional[ArrayLike] = None,
         points: Optional[ArrayLike] = None,
-        elevation_deg: Tuple[float, float] = (0.0, 90.0),
+        elevation_deg: Sequence[float] = (0.0, 90.0),
         title: str = "arrays",
         simulated: bool = False,
     ) -> Dataset: ...
@@ -138,6 +138,7 @@ class Pipeline:
     def text(self) -> str: ...
     def set(self, values: Sequence[Tuple[str, str]]) -> None: ...
     def set_arguments(self, arguments: Sequence[str]) -> None: ...
+    def save(self, path: str) -> None: ...
     def copied(self) -> Pipeline: ...
     def data(self) -> Dataset: ...
     @property
@@ -176,7 +177,7 @@ def project(
     height: int,
     width: int,
     projector: _Plugin,
-    elevation_deg: Tuple[float, float],
+    elevation_deg: Sequence[float],
 ) -> Splats: ...
 def draw(
     means: ArrayLike,
@@ -189,7 +190,7 @@ def draw(
     width: int,
     projector: _Plugin,
     rasterizer: _Plugin,
-    elevation_deg: Tuple[float, float],
+    elevation_deg: Sequence[float],
 ) -> Drawing: ...
 def run(pipeline: Pipeline, out: _Path, hear: Callable[[_Event], Any]) -> bool: ...
 def run_file(
@@ -201,7 +202,7 @@ def measure(
     kind: str,
     predictions: ArrayLike,
     truths: ArrayLike,
-    elevation_deg: Tuple[float, float],
+    elevation_deg: Sequence[float],
 ) -> List[Tuple[str, str, Union[float, NDArray[np.float64]]]]: ...
 def chamfer(first: ArrayLike, second: ArrayLike) -> float: ...
 def predict_baseline(
@@ -215,7 +216,7 @@ def simulate(
     samples: int,
     seed: int,
     points: int,
-    noise_db: float,
+    noise_db: Optional[float],
     snr_db: Optional[float],
     paths: bool,
     hear: Callable[[int, int], Any],

@@ -12,9 +12,9 @@ import numpy as np
 
 from . import _pwrfgs, _strategies
 from ._errors import InputError
-from ._pipeline import Pipeline
+from ._pipeline import Pipeline, is_text, without_comments
 from ._types import Array, Cloud, Stats
-from ._values import to_ron
+from ._values import from_ron, plugin_text, to_ron
 
 PathLike = Union[str, "os.PathLike[str]"]
 Event = Dict[str, Any]
@@ -87,7 +87,7 @@ class Run:
 
     @property
     def pipeline(self) -> Pipeline:
-        """What was run."""
+        """What was run. An ensemble has one for each of its members: ``Run(folder_of_the_member).pipeline``."""
         return Pipeline(self._file("pipeline.ron"))
 
     @property
@@ -179,8 +179,7 @@ def _arguments(values: Optional[Mapping[str, Any]]) -> List[str]:
 def _is_ensemble(path: str) -> bool:
     try:
         with open(path, encoding="utf-8") as file:
-            lines = (line.split("//")[0].strip() for line in file)
-            return next((line for line in lines if line), "").startswith("Ensemble")
+            return without_comments(file.read()).startswith("Ensemble")
     except (OSError, UnicodeDecodeError):
         return False
 
@@ -219,13 +218,17 @@ def run(
 
     Ctrl-C stops at the next step and writes a checkpoint; the same call goes on and ends in the same files.
     """
-    if isinstance(pipeline, (str, os.PathLike)) and "(" not in os.fspath(pipeline):
+    for name, many in (("pruners", pruners), ("baselines", baselines), ("metrics", metrics)):
+        if not isinstance(many, (list, tuple)):
+            raise InputError(f"{name} is {many!r}; give a list, such as {name}=[..]")
+    if isinstance(pipeline, (str, os.PathLike)) and not is_text(pipeline):
         path = os.fspath(pipeline)
         if os.path.isdir(path):
             out = path if out is None else out
             path = os.path.join(path, "pipeline.ron")
-        given = pruners or initializer is not None or split is not None or baselines or metrics
-        if _is_ensemble(path) and not given:
+        if _is_ensemble(path):
+            if pruners or initializer is not None or split is not None or baselines or metrics:
+                raise InputError(f"{path} is an ensemble, whose strategies are those of its pipeline; change them there")
             bar = _Progress(progress)
             try:
                 made, _ = _pwrfgs.run_file(path, _arguments(set), out, _listener(bar, callback))
@@ -239,10 +242,10 @@ def run(
         chosen._inner.set_arguments(_arguments(set))
     for field, more in (("pruners", pruners), ("baselines", baselines), ("metrics", metrics)):
         if more:
-            chosen.set({field: [*chosen.get(field), *more]})
+            chosen.get(field).extend(_named(field, item) for item in more)
     for field, one in (("initializer", initializer), ("split", split)):
         if one is not None:
-            chosen.set({field: one})
+            chosen.set({field: _named(field, one)})
     _strategies.check(chosen)
     folder = os.fspath(out) if out is not None else os.path.join("runs", chosen.name)
     bar = _Progress(progress)
@@ -251,6 +254,11 @@ def run(
     finally:
         bar.close()
     return Run(folder)
+
+
+def _named(field: str, strategy: Any) -> Any:
+    """A plugin that is given by its name alone, as a value."""
+    return from_ron(plugin_text(_strategies.FIELDS[field], strategy, None)) if isinstance(strategy, str) else strategy
 
 
 def _listener(bar: _Progress, callback: Optional[Callable[[Event], Any]]) -> Callable[[Event], None]:
@@ -276,7 +284,7 @@ class Trainer:
 
     def step(self) -> Event:
         """One step: batch, gradients, Adam, then densification or pruning where due. Gives step, phase, loss, penalty and
-        gaussians (N after it)."""
+        gaussians (N after it). After an exception in it the trainer takes no further step: half of one may be done."""
         return dict(self._inner.step())
 
     @property
@@ -321,14 +329,14 @@ def simulate(
     samples: int = 200,
     seed: int = 0,
     points: int = 3000,
-    noise_db: float = 0.0,
+    noise_db: Optional[float] = None,
     snr_db: Optional[float] = None,
     paths: bool = False,
     progress: bool = True,
 ) -> "_pwrfgs.Dataset":
     """Simulates a scene file into the new folder ``out`` and loads it: ``simulate("scenes/office.ron", "data/office")``.
 
-    ``layout`` is "spectra", "arrays", "rssi", "channels" or "csi". Ctrl-C stops it; nothing is left behind then. A scene
+    ``layout`` is "spectra", "arrays", "rssi" (``noise_db`` is its scatter), "channels" or "csi" (``snr_db`` is their noise). Ctrl-C stops it; nothing is left behind then. A scene
     of several receivers makes a folder for each inside ``out`` (but for "rssi"); the first is loaded.
     """
     bar = _Progress(progress)
@@ -356,7 +364,7 @@ def sweep(
 ) -> List[Run]:
     """Does every run of an experiment file that is left to do, and its report; gives the runs in their order.
 
-    The same call goes on after Ctrl-C. Raises when runs failed, after all others are done.
+    The same call goes on after Ctrl-C. Raises ``SweepError`` when runs failed, after all others are done.
     """
     folder, ends = _pwrfgs.sweep(experiment, _arguments(set), out, jobs)
     failed = {os.fspath(run): reason for run, reason in ends if reason}

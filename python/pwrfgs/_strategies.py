@@ -16,7 +16,20 @@ from ._errors import InputError
 from ._types import Array, Cloud, Column, Links, Moment, Room, Stats
 
 
-class Pruner:
+# Where a class keeps its source as it was when it was defined: a file may change while its class is used.
+TEXT = "_pwrfgs_source"
+
+
+class Strategy:
+    """What classes of one's own have in common."""
+
+    def __init_subclass__(cls, **given: Any) -> None:
+        super().__init_subclass__(**given)
+        if not cls.__module__.startswith("pwrfgs."):
+            setattr(cls, TEXT, source(cls))
+
+
+class Pruner(Strategy):
     """Decides which Gaussians stay. Only ``keep`` is required.
 
     An object is recorded by its class and the arguments of ``__init__``, each of which must be an attribute of the same
@@ -34,7 +47,8 @@ class Pruner:
 
     def needs(self, cloud: Cloud, moment: Moment) -> Iterable[str]:
         """Names of what ``stats.asked`` shall hold at a prune step: "weight", "largest_weight", "weight_per_area",
-        "signal_weight", "error", "top", "sensitivity", "fisher", "elimination" (the true loss without each, in turn: work
+        "signal_weight" (as "signal_mean" and "signal_max"), "error" (also "high_error", of pixels above one half), "top"
+        (pixels where it is the heaviest), "sensitivity", "fisher", "elimination" (the true loss without each, in turn: work
         that grows with the square of their number)."""
         return ()
 
@@ -63,7 +77,7 @@ class Pruner:
         return state
 
 
-class Initializer:
+class Initializer(Strategy):
     """Places the Gaussians."""
 
     def initialize(self, room: Room, rng: Any) -> Dict[str, Any]:
@@ -72,7 +86,7 @@ class Initializer:
         raise NotImplementedError
 
 
-class Split:
+class Split(Strategy):
     """Divides the links."""
 
     def split(self, links: Links, rng: Any) -> Sequence[Array]:
@@ -80,7 +94,7 @@ class Split:
         raise NotImplementedError
 
 
-class Baseline:
+class Baseline(Strategy):
     """Predicts without Gaussians, beside the model. ``name`` is what tables call it."""
 
     def fit(self, links: Links, observed: Array) -> Any:
@@ -92,7 +106,7 @@ class Baseline:
         raise NotImplementedError
 
 
-class Metric:
+class Metric(Strategy):
     """Scores predictions. ``name``, ``unit`` and ``higher_is_better`` say what its numbers are."""
 
     unit: str = ""
@@ -110,6 +124,9 @@ BASES: Dict[str, type] = {
     "Baseline": Baseline,
     "Metric": Metric,
 }
+FIELDS = {
+    "pruners": "Pruner", "initializer": "Initializer", "split": "Split", "baselines": "Baseline", "metrics": "Metric",
+}  # fmt: skip
 REQUIRED = {"Pruner": "keep", "Initializer": "initialize", "Split": "split", "Baseline": "predict", "Metric": "evaluate"}
 FIT_MAY_GIVE_IT = "Baseline"
 
@@ -118,14 +135,15 @@ def digest(cls: type) -> str:
     """SHA-256 of the source of a class, and of one's own classes that it derives from."""
     theirs = ("builtins", "abc", "typing", "pwrfgs")
     own = [base for base in cls.__mro__ if base is cls or base.__module__.split(".")[0] not in theirs]
-    return hashlib.sha256("\n".join(map(source, own)).encode()).hexdigest()
+    texts = [vars(base).get(TEXT) or source(base) for base in own]
+    return hashlib.sha256("\n".join(texts).encode()).hexdigest()
 
 
 def source(cls: type) -> str:
     """Its text; of a class of a plain prompt, which has none, its code."""
     try:
         return inspect.getsource(cls)
-    except (OSError, TypeError):
+    except (OSError, TypeError, SyntaxError):
         return cell(cls) or repr(code(cls))
 
 
@@ -173,8 +191,11 @@ def settings_of(value: Any) -> Dict[str, Any]:
     parameters = list(inspect.signature(cls).parameters.values())
     found = {}
     for parameter in parameters:
-        if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
-            continue
+        if parameter.kind not in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY):
+            raise InputError(
+                f"{cls.__qualname__}: its argument `{parameter.name}` cannot be given by name, and so not be recorded; name all "
+                "arguments of __init__, or make the class a dataclass"
+            )
         if not hasattr(value, parameter.name):
             raise InputError(
                 f"{cls.__qualname__}: its argument `{parameter.name}` is no attribute; a run folder must be able to say what "
@@ -182,6 +203,14 @@ def settings_of(value: Any) -> Dict[str, Any]:
             )
         found[parameter.name] = getattr(value, parameter.name)
     return found
+
+
+def written(value: Any) -> str:
+    """Its settings as text."""
+    try:
+        return json.dumps(settings_of(value), sort_keys=True)
+    except TypeError as error:
+        raise InputError(f"{type(value).__qualname__}: its settings must be numbers, texts and lists ({error})") from None
 
 
 def described(value: Any) -> str:
@@ -194,10 +223,12 @@ def described(value: Any) -> str:
         )
     if "<locals>" in cls.__qualname__:
         raise InputError(f"{cls.__qualname__} is defined inside a function, where nobody finds it again; move it out")
-    try:
-        settings = json.dumps(settings_of(value), sort_keys=True)
-    except TypeError as error:
-        raise InputError(f"{cls.__qualname__}: its settings must be numbers, texts and lists ({error})") from None
+    settings = written(value)
+    if written(cls(**json.loads(settings))) != settings:
+        raise InputError(
+            f"{cls.__qualname__}: made anew from its settings {settings} it has others; keep every argument of __init__ as it "
+            "was given, under the same name, and work out the rest from it"
+        )
     fields = {"module": cls.__module__, "class": cls.__qualname__, "settings": settings, "source": digest(cls)}
     inside = ", ".join(f"{name}: {json.dumps(text, ensure_ascii=False)}" for name, text in fields.items())
     return f"Python({inside})"
@@ -226,12 +257,13 @@ def found(module: str, name: str, source: str) -> Any:
 
 
 def check(pipeline: Any) -> None:
-    """Refuses a pipeline that records a class which has changed since, also one that this session has used before."""
-    for field in ("pruners", "baselines", "metrics", "initializer", "split"):
+    """Refuses a pipeline whose strategies cannot be made, before anything is trained: a class that has changed since, also one
+    that this session has used before, or one of another kind."""
+    for field, kind in FIELDS.items():
         values = pipeline.get(field)
         for value in values if isinstance(values, list) else [values]:
             if getattr(value, "_name", None) == "Python":
-                found(value._fields["module"], value._fields["class"], value._fields["source"])
+                made(kind, *(value._fields[name] for name in ("module", "class", "settings", "source")))
 
 
 def made(kind: str, module: str, name: str, settings: str, source: str) -> Any:

@@ -13,10 +13,10 @@ import math
 import os
 import re
 import sys
-import textwrap
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 from . import _pwrfgs
+from ._prose import prose, wrap
 from ._values import CLASSES, python_name
 
 WIDTH = 120
@@ -71,52 +71,6 @@ def literal(value: Any) -> str:
         if "..." not in inside:
             return f"[{', '.join(inside)}]" if isinstance(value, list) else f"({', '.join(inside)})"
     return "..."
-
-
-def prose(text: str, width: int, taken: int = 0) -> List[str]:
-    """A comment of the source in lines of ``width``, of which ``taken`` is not free in the first: paragraphs filled,
-    examples in Rust and its links left out."""
-    lines: List[str] = []
-    paragraph: List[str] = []
-    fence: Optional[str] = None
-
-    def flush() -> None:
-        if any(line.startswith("|") for line in paragraph):  # a table
-            lines.extend(paragraph)
-        else:
-            indent = "" if lines else " " * taken
-            lines.extend(line.strip() for line in wrap(" ".join(paragraph), width, indent))
-        paragraph.clear()
-
-    for line in text.splitlines():
-        mark = line.strip()
-        if mark.startswith("```"):
-            flush()
-            kept = mark != "```" if fence is None else fence != "```"  # a block that names no language is Rust
-            if kept:
-                lines.append(mark)
-            fence = mark if fence is None else None
-        elif fence is not None:
-            if fence != "```":
-                lines.append(line.rstrip())
-        elif not mark or mark.startswith("# "):
-            flush()
-            if lines and lines[-1]:
-                lines.append("")
-            if mark:
-                lines += [mark[2:] + ":", ""]
-        else:
-            mark = re.sub(r"\[(`[^`]+`)\](\([^)]*\))?", r"\1", mark)
-            paragraph.append(mark.replace("`crate::", "`"))
-    flush()
-    while lines and not lines[-1]:
-        lines.pop()
-    return lines
-
-
-def wrap(text: str, width: int, indent: str = "") -> List[str]:
-    """Words in lines, none of them divided."""
-    return textwrap.wrap(text, width, initial_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def docstring(lines: Sequence[str], indent: str) -> str:

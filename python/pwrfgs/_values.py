@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
-import json
 import keyword
 import math
 import os
@@ -13,9 +13,14 @@ import numpy as np
 
 from . import _pwrfgs
 from ._errors import InputError
+from ._prose import prose
 
 if TYPE_CHECKING:
     from ._pipeline import Pipeline
+
+
+# Letters in a line of a docstring.
+WIDTH = 110
 
 
 def python_name(name: str) -> str:
@@ -71,10 +76,14 @@ class Value:
             raise AttributeError(unknown(self._name or "this value", name, self._fields))
         if self._owner is not None:
             pipeline, path = self._owner
+            current(self, pipeline, path)
             pipeline.set({f"{path}.{field}": value})
             self._fields[field] = pipeline.get(f"{path}.{field}")
         else:
-            self._fields[field] = value
+            self._fields.update(self.replace(**{name: value})._fields)
+
+    def __reduce__(self) -> Tuple[Any, ...]:
+        return from_ron, (to_ron(self),)
 
     def __dir__(self) -> List[str]:
         return [*super().__dir__(), *map(python_name, self._fields)]
@@ -109,13 +118,59 @@ def unknown(what: str, name: str, fields: Any) -> str:
     return f"{what} has no field `{name}`{hint}{there}"
 
 
+class Items(List[Any]):
+    """A list of a pipeline: what changes it changes the pipeline."""
+
+    _owner: Optional[Tuple["Pipeline", str]] = None
+
+    def _own(self, pipeline: "Pipeline", path: str) -> None:
+        self._owner = (pipeline, path)
+        for place, item in enumerate(self):
+            own(item, pipeline, f"{path}.{place}")
+
+    def __reduce__(self) -> Tuple[Any, ...]:
+        return from_ron, (to_ron(self),)
+
+
+def changing(method: str) -> Any:
+    """A method of lists that changes the pipeline first, so that what it refuses is not in the list either."""
+    plainly = getattr(list, method)
+
+    def change(self: Items, *given: Any, **named: Any) -> Any:
+        changed = list(self)
+        result = plainly(changed, *given, **named)
+        if self._owner is not None:
+            pipeline, path = self._owner
+            current(self, pipeline, path)
+            pipeline.set({path: changed})
+            changed = pipeline.get(path)
+        list.__setitem__(self, slice(None), changed)
+        return self if method in ("__iadd__", "__imul__") else result
+
+    return functools.wraps(plainly)(change)
+
+
+for _method in (
+    "append", "clear", "extend", "insert", "pop", "remove", "reverse", "sort",
+    "__setitem__", "__delitem__", "__iadd__", "__imul__",
+):  # fmt: skip
+    setattr(Items, _method, changing(_method))
+
+
 def own(value: Any, pipeline: "Pipeline", path: str) -> None:
     """Makes values that came out of a pipeline write to it."""
-    if isinstance(value, Value):
+    if isinstance(value, (Value, Items)):
         value._own(pipeline, path)
-    elif isinstance(value, list):
-        for place, item in enumerate(value):
-            own(item, pipeline, f"{path}.{place}")
+
+
+def current(value: Any, pipeline: "Pipeline", path: str) -> None:
+    """Refuses a value that no longer stands where it came from: to change it would change another."""
+    try:
+        there = pipeline.get(path)
+    except (InputError, AttributeError):
+        there = None
+    if there != value:
+        raise InputError(f"`{path}` of the pipeline has changed since this value was taken from it; take it anew")
 
 
 # Kinds of plugins by their name (`Random` is an initializer and a split), and the classes made of them.
@@ -139,9 +194,9 @@ def to_ron(value: Any) -> str:
             return repr(number)
         return "NaN" if math.isnan(number) else ("inf" if number > 0 else "-inf")
     if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
+        return quoted(value)
     if isinstance(value, os.PathLike):
-        return json.dumps(os.fspath(value), ensure_ascii=False)
+        return quoted(os.fspath(value))
     if isinstance(value, np.ndarray):
         return to_ron(value.tolist())
     if isinstance(value, Value):
@@ -162,6 +217,19 @@ def to_ron(value: Any) -> str:
     from . import _strategies
 
     return _strategies.described(value)
+
+
+def quoted(text: str) -> str:
+    """A text between quotes, as RON reads it."""
+
+    def letter(c: str) -> str:
+        return "\\" + c if c in '"\\' else c if c.isprintable() else f"\\u{{{ord(c):x}}}"
+
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise InputError(f"{text!r} is no text that can be written as UTF-8") from None
+    return '"' + "".join(map(letter, text)) + '"'
 
 
 def value_text(value: Value) -> str:
@@ -188,7 +256,7 @@ def from_node(node: Any) -> Any:
         return Value._make(node[1], {name: from_node(field) for name, field in node[2]})
     name, items = node[1], [from_node(item) for item in node[2]]
     if kind == "list":
-        return items
+        return Items(items)
     if name == "Some" and len(items) == 1:
         return items[0]
     return Value._make(name, {}, tuple(items)) if name else tuple(items)
@@ -298,7 +366,9 @@ def make_class(name: str, entries: List[Dict[str, Any]]) -> type:
         )
         for field in fields
     ]
-    about = "\n\n".join(f"{entry['kind']}: {entry['about']}.\n\n{entry['doc'] or ''}".rstrip() for entry in entries)
+    about = "\n\n".join(
+        "\n".join([f"{entry['kind']}: {entry['about']}.", "", *prose(entry["doc"] or "", WIDTH)]).rstrip() for entry in entries
+    )
     listing = "\n".join(f"{python_name(field)} : {words}\n    {doc}" for field, (words, doc) in fields.items())
     body = {
         "__init__": __init__,

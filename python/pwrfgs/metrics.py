@@ -1,15 +1,17 @@
 """The numbers of the reports on any arrays.
 
-Each takes a prediction and what was observed, of one sample or of many with a leading axis B, and gives a number or [B].
+Each takes a prediction and what was observed, of one sample or of many with leading axes, and gives a number, or numbers of
+the shape of those axes.
 """
 
 from __future__ import annotations
 
-from typing import Any, Dict, Sequence, Tuple, Union
+from typing import Any, Dict, Sequence, Union
 
 import numpy as np
 
 from . import _pwrfgs
+from ._errors import InputError
 from ._types import Array
 from ._values import to_ron
 
@@ -17,10 +19,17 @@ Score = Union[float, Array]
 
 
 def _measure(metric: str, kind: str, prediction: Any, truth: Any, axes: int, **more: Any) -> Score:
-    one = np.ndim(truth) <= axes
+    shape, other = np.shape(truth), np.shape(prediction)
+    if shape != other:
+        raise InputError(f"prediction and truth differ in shape: {list(other)} and {list(shape)}")
+    lead = shape[: max(len(shape) - axes, 0)]
+    if len(lead) > 1:  # one axis of samples is what the toolkit knows
+        prediction, truth = (np.reshape(x, (-1, *shape[len(lead) :])) for x in (prediction, truth))
     found = _pwrfgs.measure(metric, kind, prediction, truth, more.get("elevation_deg", (0.0, 90.0)))
     values: Any = found[0][2]
-    return float(values[0]) if one and np.ndim(values) == 1 else values
+    if np.ndim(values) == 0:
+        return float(values)
+    return values.reshape(lead) if lead else float(values[0])
 
 
 def ssim(prediction: Any, truth: Any) -> Score:
@@ -43,7 +52,7 @@ def eta(prediction: Any, truth: Any, snr_db: float = 0.0) -> Score:
     return _measure(f"RateRatio(snr_db: {float(snr_db)!r})", "spectrum", prediction, truth, 2)
 
 
-def direction_error(prediction: Any, truth: Any, elevation_deg: Tuple[float, float] = (0.0, 90.0)) -> Score:
+def direction_error(prediction: Any, truth: Any, elevation_deg: Sequence[float] = (0.0, 90.0)) -> Score:
     """Angle between the strongest directions of spectra [.., H, W], degrees."""
     return _measure("DirectionError()", "spectrum", prediction, truth, 2, elevation_deg=elevation_deg)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Tuple
+from typing import Any, Sequence
 
 import torch
 
@@ -37,7 +37,7 @@ def rasterize(
     *,
     projector: Any = "Mercator",
     rasterizer: Any = "AlphaBlending",
-    elevation_deg: Tuple[float, float] = (0.0, 90.0),
+    elevation_deg: Sequence[float] = (0.0, 90.0),
 ) -> Any:
     """``pwrfgs.rasterize`` of tensors: signals [N, C] real, picture [C, H, W]. Computes on the processor in single
     precision, wherever the tensors are; gradients flow to all five."""

@@ -7,6 +7,7 @@ use numpy::{
 };
 use numpy::{PyArrayDescrMethods as _, dtype};
 use pwrfgs_core::Real;
+use pyo3::exceptions::PyMemoryError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -55,10 +56,13 @@ fn converted<'py, T: Element>(what: &str, value: &Bound<'py, PyAny>) -> PyResult
         "fiubc"
     } else if target.kind() == b'b' {
         "b"
+    } else if target.kind() == b'i' {
+        "iu"
     } else {
         "fiub"
     };
-    if !takes.contains(kind.as_str()) {
+    let empty = array.getattr("size")?.extract::<usize>()? == 0; // an empty list has no kind of its own
+    if !takes.contains(kind.as_str()) && !empty {
         let found = array.getattr("dtype")?;
         return Err(wrong(py, &format!("{what} holds {found}, and {target} is wanted")));
     }
@@ -109,6 +113,18 @@ pub(crate) fn array<'py, T: Element>(
     shape: &[usize],
 ) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
     values.into_pyarray(py).reshape(shape.to_vec())
+}
+
+/// Refuses numbers that there is no memory for, before they are made.
+///
+/// # Errors
+/// `MemoryError`.
+pub(crate) fn room<T>(shape: &[usize]) -> PyResult<()> {
+    let count = shape.iter().try_fold(1_usize, |count, n| count.checked_mul(*n));
+    if count.is_some_and(|count| Vec::<T>::new().try_reserve_exact(count).is_ok()) {
+        return Ok(());
+    }
+    Err(PyMemoryError::new_err(format!("there is no memory for numbers of shape {shape:?}; ask for fewer at a time")))
 }
 
 /// Pairs of real numbers as complex ones.

@@ -12,7 +12,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Duration;
 
 /// How often Ctrl-C is looked for.
-const LOOK: Duration = Duration::from_millis(50);
+pub(crate) const LOOK: Duration = Duration::from_millis(50);
 /// Events that may wait for a slow listener.
 const WAITING: usize = 64;
 
@@ -40,6 +40,30 @@ pub(crate) fn free<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T> + S
     at_home()?;
     let done = py.detach(|| catch_unwind(AssertUnwindSafe(work)));
     settled(py, done)
+}
+
+/// The same, of something that others may have in hand: `work` gives nothing while they have, and is tried again. Ctrl-C ends
+/// the waiting.
+pub(crate) fn free_once_there<T: Send>(
+    py: Python<'_>,
+    mut work: impl FnMut() -> Option<Result<T>> + Send,
+) -> PyResult<T> {
+    at_home()?;
+    loop {
+        match py.detach(|| catch_unwind(AssertUnwindSafe(&mut work))).transpose() {
+            Some(done) => return settled(py, done),
+            None if crate::strategies::asked() => {
+                return Err(wrong(
+                    py,
+                    "this trainer is in the middle of a step, and the strategy that it asks cannot use it",
+                ));
+            }
+            None => {
+                py.check_signals()?;
+                py.detach(|| std::thread::sleep(Duration::from_millis(1)));
+            }
+        }
+    }
 }
 
 /// Does `work` on a thread of its own, while this one looks for Ctrl-C and hands events to `hear`. Once it is interrupted,
@@ -122,7 +146,7 @@ fn exception(py: Python<'_>, name: &str, message: &str) -> PyErr {
 /// An error of the toolkit as an exception: with the same text, and where it names a file with `path`, `line` and `column`.
 pub(crate) fn raised(py: Python<'_>, error: Error) -> PyErr {
     let is_input = error.is_input();
-    let message = error.to_string();
+    let message = without_flags(&error.to_string());
     match error {
         Error::Plugin(inner) => match inner.downcast::<PyErr>() {
             Ok(error) => *error, // an exception of a strategy, with its traceback
@@ -140,6 +164,18 @@ pub(crate) fn raised(py: Python<'_>, error: Error) -> PyErr {
         }
         _ => exception(py, if is_input { "InputError" } else { "Error" }, &message),
     }
+}
+
+/// Settings by the names that they have in Python, where the command line has flags.
+fn without_flags(message: &str) -> String {
+    let flags = [
+        ("--set ", ""),
+        ("another --out", "another `out`"),
+        ("--reference", "reference"),
+        ("--scale ", "scale="),
+        ("--launcher", "the launcher"),
+    ];
+    flags.iter().fold(message.to_owned(), |message, (flag, own)| message.replace(flag, own))
 }
 
 /// Wrong input that only Python can give.

@@ -61,7 +61,7 @@ impl Dataset {
 #[pymethods]
 impl Dataset {
     /// Reads a folder of data, in any layout that the command line knows, or what a data source such as
-    /// `pwrfgs.Nerf2Spectrum(root="data/s23")` or `pwrfgs.Simulated(...)` gives. Ctrl-C stops it between links.
+    /// `pwrfgs.Nerf2Spectrum(root="data/s23")` or `pwrfgs.Simulated(...)` gives.
     #[staticmethod]
     fn load(py: Python<'_>, source: &Bound<'_, PyAny>) -> PyResult<Self> {
         let path: Result<PathBuf, _> = source.extract();
@@ -94,7 +94,7 @@ impl Dataset {
     /// one at the origin where it is left out. `points` [P, 3] are surface points of the room. Say `simulated=True` of what
     /// was not measured.
     #[staticmethod]
-    #[pyo3(signature = (tx, spectra=None, rssi=None, csi=None, *, receivers=None, frequencies_hz=None, points=None, elevation_deg=(0.0, 90.0), title="arrays", simulated=false))]
+    #[pyo3(signature = (tx, spectra=None, rssi=None, csi=None, *, receivers=None, frequencies_hz=None, points=None, elevation_deg=[0.0, 90.0], title="arrays", simulated=false))]
     #[allow(clippy::too_many_arguments)] // arguments with names, as Python has them
     fn from_arrays(
         py: Python<'_>,
@@ -105,7 +105,7 @@ impl Dataset {
         receivers: Option<&Bound<'_, PyAny>>,
         frequencies_hz: Option<Vec<f64>>,
         points: Option<&Bound<'_, PyAny>>,
-        elevation_deg: (f64, f64),
+        elevation_deg: [f64; 2],
         title: &str,
         simulated: bool,
     ) -> PyResult<Self> {
@@ -121,7 +121,7 @@ impl Dataset {
             (None, None, Some(csi)) => (alone, gains(csi, txs.len(), frequencies_hz)?),
             _ => return Err(wrong(py, "give one of spectra, rssi and csi")),
         };
-        let elevation = Elevation { first: elevation_deg.0, last: elevation_deg.1 };
+        let elevation = Elevation { first: elevation_deg[0], last: elevation_deg[1] };
         let made = Data::of_links(title, receivers, points, &samples, observations);
         let data = made.map_err(|error| crate::border::raised(py, error))?;
         let simulation = simulated.then(Simulation::default);
@@ -265,6 +265,7 @@ impl Dataset {
         seed: u64,
         settings: Option<&Bound<'py, PyDict>>,
     ) -> PyResult<Bound<'py, PyAny>> {
+        crate::strategies::forget();
         let text = match how {
             Some(how) => text_of("Split", how, settings)?,
             None => "Official()".into(),
@@ -278,8 +279,11 @@ impl Dataset {
 impl Dataset {
     /// Places of links that a user names, each of which is there.
     pub(crate) fn indices(&self, what: &str, links: &Bound<'_, PyAny>) -> PyResult<Vec<usize>> {
-        let all = numbers::<i64>(what, links, &[None])?;
         let count = self.data.len();
+        if let Ok(mask) = numbers::<bool>(what, links, &[Some(count)]) {
+            return Ok((0..count).filter(|&i| mask[i]).collect());
+        }
+        let all = numbers::<i64>(what, links, &[None])?;
         let fits = |i: i64| usize::try_from(i).ok().filter(|i| *i < count);
         let wanted: Option<Vec<usize>> = all.iter().map(|i| fits(*i)).collect();
         wanted.ok_or_else(|| {

@@ -1,8 +1,9 @@
 //! `project` and `rasterize`: the differentiable kernels, for methods of one's own.
 
-use crate::arrays::{array, numbers};
+use crate::arrays::{array, given, numbers, room};
 use crate::border::{free, wrong};
 use crate::settings::{plugin, text_of};
+use numpy::PyUntypedArrayMethods as _;
 use pwrfgs_core::{Elevation, ImagePlane, Plugin, Pose, Primitives, Projector, Rasterizer, Real, Render, Splats};
 use pyo3::prelude::*;
 
@@ -41,7 +42,7 @@ impl View {
         rasterizer: &Bound<'_, PyAny>,
         pose: &Bound<'_, PyAny>,
         (height, width): (usize, usize),
-        elevation: (f64, f64),
+        elevation: [f64; 2],
     ) -> PyResult<Self> {
         let py = pose.py();
         if height == 0 || width == 0 || height.saturating_mul(width) > 1 << 28 {
@@ -49,7 +50,7 @@ impl View {
         }
         let projector = plugin::<dyn Projector>(py, &text_of("Projector", projector, None)?)?;
         let rasterizer = plugin::<dyn Rasterizer>(py, &text_of("Rasterizer", rasterizer, None)?)?;
-        let elevation = Elevation { first: elevation.0, last: elevation.1 };
+        let elevation = Elevation { first: elevation[0], last: elevation[1] };
         if let Some(fault) = elevation.fault() {
             return Err(wrong(py, &format!("elevation_deg {fault}")));
         }
@@ -132,7 +133,7 @@ pub(crate) fn project<'py>(
     height: usize,
     width: usize,
     projector: &Bound<'py, PyAny>,
-    elevation_deg: (f64, f64),
+    elevation_deg: [f64; 2],
 ) -> PyResult<Bound<'py, PyAny>> {
     let alpha = "AlphaBlending()".into_pyobject(py)?.into_any();
     let view = View::of(projector, &alpha, pose, (height, width), elevation_deg)?;
@@ -165,12 +166,17 @@ pub(crate) fn draw<'py>(
     width: usize,
     projector: &Bound<'py, PyAny>,
     rasterizer: &Bound<'py, PyAny>,
-    elevation_deg: (f64, f64),
+    elevation_deg: [f64; 2],
 ) -> PyResult<Drawing> {
     let view = View::of(projector, rasterizer, pose, (height, width), elevation_deg)?;
-    let given = primitives(means, quats, scales, opacities)?;
-    let signals = numbers::<Real>("signals", signals, &[Some(given.len()), None])?;
-    let channels = signals.len().checked_div(given.len()).unwrap_or(1).max(1);
+    let columns = primitives(means, quats, scales, opacities)?;
+    let signals = given::<Real>("signals", signals, &[Some(columns.len()), None])?;
+    let channels = signals.shape()[1];
+    if channels == 0 {
+        return Err(wrong(py, "signals has no channel; give [N, C] with C of 1 at least"));
+    }
+    room::<Real>(&[channels, height, width])?;
+    let signals = signals.as_slice().map_err(|e| wrong(py, &e.to_string()))?.to_vec();
     if view.rasterizer.coherent() && channels % 2 == 1 {
         return Err(wrong(py, "signals: waves have two numbers each, a real and an imaginary part"));
     }
@@ -178,9 +184,9 @@ pub(crate) fn draw<'py>(
         return Err(wrong(py, "signals holds a number that is not finite"));
     }
     free(py, move || {
-        let splats = view.projector.project(&unit(&given), &view.pose, &view.plane);
+        let splats = view.projector.project(&unit(&columns), &view.pose, &view.plane);
         let render = view.rasterizer.forward(&splats, &signals, channels, &view.plane);
-        Ok(Drawing { view, given, splats, signals, channels, render })
+        Ok(Drawing { view, given: columns, splats, signals, channels, render })
     })
 }
 

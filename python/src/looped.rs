@@ -1,7 +1,7 @@
 //! `Trainer`: the training loop in one's own hands.
 
 use crate::arrays::numbers;
-use crate::border::{free, wrong};
+use crate::border::{free, free_once_there, wrong};
 use crate::data::Dataset;
 use crate::model::Model;
 use crate::settings::Pipeline;
@@ -13,7 +13,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use self_cell::self_cell;
 use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, TryLockError};
 
 self_cell!(
     struct Held {
@@ -27,11 +28,23 @@ self_cell!(
 #[pyclass(frozen, module = "pwrfgs._pwrfgs")]
 pub(crate) struct Trainer {
     held: Mutex<Held>,
+    /// A step that failed may have changed something before it did.
+    failed: AtomicBool,
 }
 
 impl Trainer {
-    fn with<T>(&self, look: impl FnOnce(&mut Inner<'_>) -> T) -> T {
-        self.held.lock().unwrap_or_else(PoisonError::into_inner).with_dependent_mut(|_, inner| look(inner))
+    /// Looks at the training when nobody else does.
+    fn with<T: Send>(&self, py: Python<'_>, look: impl FnOnce(&mut Inner<'_>) -> Result<T> + Send) -> PyResult<T> {
+        let mut look = Some(look);
+        free_once_there(py, || {
+            let mut held = match self.held.try_lock() {
+                Ok(held) => held,
+                Err(TryLockError::Poisoned(held)) => held.into_inner(),
+                Err(TryLockError::WouldBlock) => return None,
+            };
+            let look = look.take()?;
+            Some(held.with_dependent_mut(|_, inner| look(inner)))
+        })
     }
 }
 
@@ -42,59 +55,61 @@ impl Trainer {
         let mut inner = pipeline.now();
         pwrfgs::experiment::rebase(&mut inner, pipeline.base());
         let data = Arc::clone(&dataset.data);
+        crate::strategies::forget();
         let begin = move || -> Result<Held> {
             let partition: Partition = inner.partition(&data)?;
             Held::try_new(data, |data| Inner::new(&inner, data, &partition))
         };
-        Ok(Self { held: Mutex::new(free(py, begin)?) })
+        Ok(Self { held: Mutex::new(free(py, begin)?), failed: AtomicBool::new(false) })
     }
 
     fn step<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let report = free(py, || {
-            self.with(|inner| {
-                let report = inner.step()?;
-                Ok(report)
-            })
-        })?;
+        if self.failed.load(Ordering::Relaxed) {
+            return Err(wrong(py, "a step of this trainer has failed, half done; make a new one"));
+        }
+        let mut begun = false;
+        let report = self.with(py, |inner| {
+            begun = true;
+            inner.step()
+        });
+        self.failed.store(begun && report.is_err(), Ordering::Relaxed);
         let dict = PyDict::new(py);
-        crate::run::step(&dict, &report)?;
+        crate::run::step(&dict, &report?)?;
         Ok(dict)
     }
 
     #[getter]
-    fn done(&self, py: Python<'_>) -> u64 {
-        py.detach(|| self.with(|inner| inner.done()))
+    fn done(&self, py: Python<'_>) -> PyResult<u64> {
+        self.with(py, |inner| Ok(inner.done()))
     }
 
     #[getter]
-    fn finished(&self, py: Python<'_>) -> bool {
-        py.detach(|| self.with(|inner| inner.finished()))
+    fn finished(&self, py: Python<'_>) -> PyResult<bool> {
+        self.with(py, |inner| Ok(inner.finished()))
     }
 
     #[getter]
     fn cloud<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let cloud = py.detach(|| self.with(|inner| inner.cloud().clone()));
+        let cloud = self.with(py, |inner| Ok(inner.cloud().clone()))?;
         cloud_object(py, &cloud, false)
     }
 
     #[getter]
     fn stats<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let stats = py.detach(|| self.with(|inner| inner.stats().clone()));
+        let stats = self.with(py, |inner| Ok(inner.stats().clone()))?;
         stats_object(py, &stats)
     }
 
     fn prune(&self, py: Python<'_>, keep: &Bound<'_, PyAny>) -> PyResult<usize> {
         let keep = numbers::<bool>("keep", keep, &[None])?;
-        free(py, || {
-            self.with(|inner| {
-                inner.keep(&keep)?;
-                Ok(inner.cloud().len())
-            })
+        self.with(py, |inner| {
+            inner.keep(&keep)?;
+            Ok(inner.cloud().len())
         })
     }
 
-    fn model(&self, py: Python<'_>) -> Model {
-        Model::new(Ensemble::of(py.detach(|| self.with(|inner| inner.model()))))
+    fn model(&self, py: Python<'_>) -> PyResult<Model> {
+        self.with(py, |inner| Ok(inner.model())).map(|model| Model::new(Ensemble::of(model)))
     }
 
     /// The bytes of a checkpoint, written whole or not at all.
@@ -102,6 +117,6 @@ impl Trainer {
         if path.as_path() == Path::new("") {
             return Err(wrong(py, "give the path of a file"));
         }
-        free(py, || pwrfgs_core::files::write_atomically(&path, &self.with(|inner| inner.checkpoint())))
+        self.with(py, |inner| pwrfgs_core::files::write_atomically(&path, &inner.checkpoint()))
     }
 }

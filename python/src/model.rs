@@ -1,21 +1,23 @@
 //! `Model`: a trained model, or several that predict together.
 
-use crate::arrays::{Gain, array, axes, complex, numbers, places};
-use crate::border::{free, wrong};
+use crate::arrays::{Gain, array, axes, complex, numbers, places, room};
+use crate::border::{LOOK, carried, free, wrong};
 use crate::data::{angles, kind_name};
 use numpy::PyArrayDyn;
 use pwrfgs::experiment::export;
-use pwrfgs::model::{Ensemble, Prepared, file};
+use pwrfgs::model::{Ensemble, Prepared, Stages, file};
 use pwrfgs_core::files::write_atomically;
-use pwrfgs_core::{Error, Image, Kind, Query, Real, Result, gains_of};
+use pwrfgs_core::{Error, Frame, Kind, Query, Real, Result, gains_of};
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyTuple};
+use rayon::prelude::*;
 use self_cell::self_cell;
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
+use std::time::Instant;
 
-/// Links of one call of the library: as many as its own groups hold several times over.
-const CHUNK: usize = 64;
+/// Links of one call of the library: as many as its own groups hold, so that what they gave is still in cache.
+const CHUNK: usize = 16;
 
 self_cell!(
     /// Models, and what they worked out once.
@@ -45,10 +47,6 @@ struct Links {
 }
 
 impl Links {
-    fn len(&self) -> usize {
-        self.lead.iter().product()
-    }
-
     fn query(&self, k: usize) -> Query<'_> {
         let (i, receiver) = (k / self.receivers.len(), self.receivers[k % self.receivers.len()]);
         let width = self.features.len() / self.txs.len().max(1);
@@ -66,7 +64,7 @@ impl Model {
         ready.borrow_dependent()
     }
 
-    fn stages(&self) -> &pwrfgs::model::Stages {
+    fn stages(&self) -> &Stages {
         &self.ensemble.members()[0].stages
     }
 
@@ -136,45 +134,58 @@ impl Model {
         Err(wrong(py, &format!("there is no receiver {place}; there are {}, counted from 0", there.len())))
     }
 
-    /// The numbers of many links, `of_each` of them each, one after the other; `work` does a chunk.
-    fn all(&self, links: &Links, work: impl Fn(&[Query<'_>]) -> Vec<Image>) -> Result<Vec<Real>> {
-        let plane = &self.stages().plane;
-        let of_each = plane.width * plane.height;
-        let mut all = Vec::with_capacity(links.len() * of_each);
-        for first in (0..links.len()).step_by(CHUNK) {
-            let queries: Vec<Query<'_>> = (first..(first + CHUNK).min(links.len())).map(|k| links.query(k)).collect();
-            for (image, query) in work(&queries).iter().zip(&queries) {
-                if !image.pixels.iter().all(|v| v.is_finite()) {
-                    return Err(Error::Config(format!(
-                        "what is predicted for a transmitter at {:?} is not finite: numbers of the model overflow there; \
-                         leave the position out if it is far from all that the model has seen",
-                        query.tx
-                    )));
-                }
-                all.extend_from_slice(&image.pixels);
-            }
-        }
-        Ok(all)
-    }
-
-    /// As an array of the kind that the model predicts.
-    fn shaped<'py>(&self, py: Python<'py>, links: &Links, all: Vec<Real>) -> PyResult<Bound<'py, PyAny>> {
-        let plane = &self.stages().plane;
-        let mut shape = links.lead.clone();
-        match self.stages().kind {
-            Kind::Spectrum => shape.extend([plane.height, plane.width]),
+    /// An array of the kind that the model predicts; `work` fills the numbers of a chunk, one observation after the other.
+    fn observed<'py>(
+        &self,
+        py: Python<'py>,
+        links: &Links,
+        work: impl Fn(&[Query<'_>], &mut [Real]) + Send,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let Frame { plane, kind, .. } = &self.stages().frame;
+        let (of_each, mut shape) = (plane.width * plane.height, links.lead.clone());
+        room::<Real>(&[&shape[..], &[of_each]].concat())?;
+        let all = free(py, || {
+            let mut all = vec![0.0; shape.iter().product::<usize>() * of_each];
+            self.fill(links, &mut all, work).map(|()| all)
+        })?;
+        match kind {
             Kind::Power if shape.is_empty() => return Ok(all[0].into_pyobject(py)?.into_any()),
             Kind::Power => {}
+            Kind::Spectrum => shape.extend([plane.height, plane.width]),
             Kind::Channel => {
-                let (antennas, subcarriers) = (plane.height / 2, plane.width);
-                let of_each = plane.height * plane.width;
-                let gains = |rows: &[Real]| complex(&gains_of(rows, subcarriers));
+                shape.extend([plane.height / 2, plane.width]);
+                let gains = |rows: &[Real]| complex(&gains_of(rows, plane.width));
                 let all: Vec<Gain> = all.chunks_exact(of_each).flat_map(gains).collect();
-                shape.extend([antennas, subcarriers]);
                 return array(py, all, &shape).map(Bound::into_any);
             }
         }
         array(py, all, &shape).map(Bound::into_any)
+    }
+
+    /// `all` in chunks, and what is not finite refused.
+    fn fill(&self, links: &Links, all: &mut [Real], work: impl Fn(&[Query<'_>], &mut [Real])) -> Result<()> {
+        let of_each = self.stages().plane.width * self.stages().plane.height;
+        let mut looked = Instant::now();
+        for (chunk, numbers) in all.chunks_mut(CHUNK * of_each).enumerate() {
+            let queries: Vec<Query<'_>> =
+                (0..numbers.len() / of_each).map(|k| links.query(chunk * CHUNK + k)).collect();
+            work(&queries, numbers);
+            if looked.elapsed() > LOOK {
+                #[allow(clippy::redundant_closure_for_method_calls)] // the method itself is of one lifetime
+                Python::attach(|py| py.check_signals()).map_err(carried)?;
+                looked = Instant::now();
+            }
+            // Without a way out in its middle the loop is done by vectors.
+            let finite = |numbers: &[Real]| numbers.iter().fold(true, |all, v| all & v.is_finite());
+            if let Some(k) = numbers.par_chunks_exact(of_each).position_first(|own| !finite(own)) {
+                return Err(Error::Config(format!(
+                    "what is predicted for a transmitter at {:?} is not finite: numbers of the model overflow there; \
+                     leave the position out if it is far from all that the model has seen",
+                    queries[k].tx
+                )));
+            }
+        }
+        Ok(())
     }
 }
 
@@ -220,15 +231,11 @@ impl Model {
         features: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let links = self.links(py, tx, receiver, features)?;
-        let all = free(py, || {
-            let ready = self.prepared();
-            // One alone as the command line does it, many in groups that share their work: the same bits.
-            self.all(&links, |queries| match queries {
-                [query] => vec![ready.predict_timed(*query).0],
-                queries => ready.predict_many(queries),
-            })
-        })?;
-        self.shaped(py, &links, all)
+        // One alone as the command line does it, many in groups that share their work: the same bits.
+        self.observed(py, &links, |queries, numbers| match queries {
+            [query] => numbers.copy_from_slice(&self.prepared().predict_timed(*query).0.pixels),
+            queries => self.prepared().predict_into(queries, numbers),
+        })
     }
 
     /// How far the members of an ensemble differ there: the standard deviation of every number, in the shape of
@@ -242,11 +249,12 @@ impl Model {
         features: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let links = self.links(py, tx, receiver, features)?;
-        let all = free(py, || {
-            let ready = self.prepared();
-            self.all(&links, |queries| queries.iter().map(|q| ready.predict_with_deviation(*q).1).collect())
-        })?;
-        self.shaped(py, &links, all)
+        self.observed(py, &links, |queries, numbers| {
+            let of_each = numbers.len() / queries.len();
+            for (query, numbers) in queries.iter().zip(numbers.chunks_exact_mut(of_each)) {
+                numbers.copy_from_slice(&self.prepared().predict_with_deviation(*query).1.pixels);
+            }
+        })
     }
 
     /// The Gaussians in space, a named tuple of arrays: means [N, 3] (metres), quats [N, 4] (w, x, y, z), scales [N, 3]
@@ -266,6 +274,9 @@ impl Model {
             None => None,
             Some(tx) => {
                 let place = numbers::<f64>("tx", tx, &[Some(3)])?;
+                if !place.iter().all(|v| v.is_finite()) {
+                    return Err(wrong(py, &format!("tx is {place:?}; give finite numbers")));
+                }
                 Some([place[0], place[1], place[2]])
             }
         };
@@ -285,7 +296,7 @@ impl Model {
         py.import("pwrfgs._types")?.getattr("Gaussians")?.call1(fields)
     }
 
-    /// Writes the model file, whole or not at all; with `half` the networks in 16-bit numbers, which halves it.
+    /// Writes the model file, whole or not at all, in the place of one that is there; with `half` the networks in 16-bit numbers, which halves it.
     #[pyo3(signature = (path, *, half=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, half: bool) -> PyResult<()> {
         free(py, || {

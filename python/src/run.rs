@@ -99,6 +99,7 @@ pub(crate) fn step(dict: &Bound<'_, PyDict>, report: &StepReport) -> PyResult<()
 /// Runs a pipeline in `out`; `hear` is called with every event. Gives whether there was anything left to do.
 #[pyfunction]
 pub(crate) fn run(py: Python<'_>, pipeline: &Pipeline, out: PathBuf, hear: &Bound<'_, PyAny>) -> PyResult<bool> {
+    crate::strategies::forget();
     let inner = pipeline.now();
     let base = pipeline.base().to_owned();
     let hear = |event| hear.call1((told(py, event)?,)).map(|_| ());

@@ -62,8 +62,9 @@ pub(crate) fn measure<'py>(
     kind: &str,
     predictions: &Bound<'py, PyAny>,
     truths: &Bound<'py, PyAny>,
-    elevation_deg: (f64, f64),
+    elevation_deg: [f64; 2],
 ) -> PyResult<Bound<'py, PyList>> {
+    crate::strategies::forget();
     let metric = plugin::<dyn Metric>(py, &text_of("Metric", metric, None)?)?;
     let (kind, predictions) = images("prediction", predictions, kind)?;
     let (_, truths) = images("truth", truths, crate::data::kind_name(kind))?;
@@ -77,7 +78,7 @@ pub(crate) fn measure<'py>(
     let Some((height, width)) = size(&truths) else { return Err(wrong(py, "there is nothing to compare")) };
     let is_picture = kind == Kind::Spectrum;
     let azimuth = pwrfgs_core::Axis { first: 0.0, step: 360.0 / width as f64 };
-    let elevation = Elevation { first: elevation_deg.0, last: elevation_deg.1 };
+    let elevation = Elevation { first: elevation_deg[0], last: elevation_deg[1] };
     let angles = is_picture.then(|| (azimuth, elevation.axis(height)));
     let plane = ImagePlane { width, height, wraps: is_picture, angles };
     let scene = empty_scene(vec![]);
@@ -162,6 +163,7 @@ pub(crate) fn predict_baseline<'py>(
     tx: &Bound<'py, PyAny>,
     receiver: usize,
 ) -> PyResult<Bound<'py, PyAny>> {
+    crate::strategies::forget();
     let baseline: Plugin<dyn Baseline> = plugin(py, &text_of("Baseline", baseline, None)?)?;
     let train = dataset.indices("train", train)?;
     if train.is_empty() {

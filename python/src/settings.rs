@@ -4,6 +4,7 @@ use crate::border::{free, raised, wrong};
 use pwrfgs::prelude::Pipeline as Inner;
 use pwrfgs::train::Draft;
 use pwrfgs_core::docs::{Body, Docs, Documented as _, Kind};
+use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::plugin::{Family, PluginKind, inventory, ron_options};
 use pwrfgs_core::ron_tree::{Body as Parts, Tree};
 use pwrfgs_core::{Error, Plugin};
@@ -84,6 +85,14 @@ impl Pipeline {
         inner.set_all(&arguments).map_err(|error| raised(py, error))?;
         *self.inner.lock().unwrap_or_else(PoisonError::into_inner) = inner;
         Ok(())
+    }
+
+    /// A new file of it, whose relative paths mean what they mean here.
+    fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        let mut inner = self.now();
+        pwrfgs::experiment::rebase(&mut inner, &self.base);
+        let there = || Error::input(&path, "exists; choose another name or remove it");
+        free(py, || if path.exists() { Err(there()) } else { write_atomically(&path, inner.to_ron().as_bytes()) })
     }
 
     fn copied(&self) -> Self {

@@ -10,23 +10,44 @@ mod objects;
 mod pruner;
 mod split;
 
-use crate::border::{carried, throw};
+use crate::border::{carried, throw, wrong};
 pub(crate) use objects::{cloud_object, stats_object};
 use pwrfgs::foreign::{Host, Python as Named, set_host};
-use pwrfgs_core::{Baseline, ColumnSpec, Initializer, Metric, Pruner, Result, Split};
+use pwrfgs_core::{Baseline, ColumnSpec, GaussianCloud, Initializer, Metric, Pruner, Real, Result, Split};
 use pyo3::prelude::*;
+use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
 
+/// Numbers of a column that a Gaussian may have.
+const WIDEST: usize = 4096;
+
 /// Registers the host.
 pub(crate) fn begin() {
-    set_host(Box::new(Interpreter::default()));
+    set_host(Box::new(Interpreter));
 }
 
-/// Makes objects of Python, each once.
-#[derive(Default)]
-struct Interpreter {
-    made: Mutex<BTreeMap<(&'static str, Named), Arc<Object>>>,
+/// Makes objects of Python.
+struct Interpreter;
+
+/// The objects of what goes on, each made once.
+static MADE: Mutex<BTreeMap<(&'static str, Named), Arc<Object>>> = Mutex::new(BTreeMap::new());
+
+thread_local! {
+    /// Strategies that are being asked on this thread.
+    static ASKED: Cell<usize> = const { Cell::new(0) };
+}
+
+/// Whether a strategy is being asked on this thread: what it does then must not wait for the run that asks it.
+pub(crate) fn asked() -> bool {
+    ASKED.get() > 0
+}
+
+/// Begins something that has objects of its own: what others remember outside of columns and state is not there.
+pub(crate) fn forget() {
+    if !asked() {
+        MADE.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
 }
 
 /// An object of a user's class.
@@ -39,38 +60,37 @@ struct Object {
     columns: Vec<ColumnSpec>,
 }
 
-impl Interpreter {
-    fn object(&self, kind: &'static str, which: &Named) -> Result<Arc<Object>> {
-        let key = (kind, which.clone());
-        if let Some(object) = self.made.lock().unwrap_or_else(PoisonError::into_inner).get(&key) {
-            return Ok(Arc::clone(object));
-        }
-        // Not under the lock: Python may call back.
-        let object = Arc::new(Python::attach(|py| Object::make(py, kind, which)).map_err(carried)?);
-        let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
-        Ok(Arc::clone(made.entry(key).or_insert(object)))
+/// The object of a strategy that goes on, made where it is not there yet.
+fn object(kind: &'static str, which: &Named) -> Result<Arc<Object>> {
+    let key = (kind, which.clone());
+    if let Some(object) = MADE.lock().unwrap_or_else(PoisonError::into_inner).get(&key) {
+        return Ok(Arc::clone(object));
     }
+    // Not under the lock: Python may call back.
+    let object = Arc::new(Python::attach(|py| Object::make(py, kind, which)).map_err(carried)?);
+    let mut made = MADE.lock().unwrap_or_else(PoisonError::into_inner);
+    Ok(Arc::clone(made.entry(key).or_insert(object)))
 }
 
 impl Host for Interpreter {
     fn pruner(&self, which: &Named) -> Result<Arc<dyn Pruner>> {
-        Ok(Arc::new(Strategy { object: self.object("Pruner", which)?, named: which.clone() }))
+        Ok(Arc::new(Strategy { object: object("Pruner", which)?, named: which.clone() }))
     }
 
     fn initializer(&self, which: &Named) -> Result<Arc<dyn Initializer>> {
-        Ok(Arc::new(Strategy { object: self.object("Initializer", which)?, named: which.clone() }))
+        Ok(Arc::new(Strategy { object: object("Initializer", which)?, named: which.clone() }))
     }
 
     fn split(&self, which: &Named) -> Result<Arc<dyn Split>> {
-        Ok(Arc::new(Strategy { object: self.object("Split", which)?, named: which.clone() }))
+        Ok(Arc::new(Strategy { object: object("Split", which)?, named: which.clone() }))
     }
 
     fn baseline(&self, which: &Named) -> Result<Arc<dyn Baseline>> {
-        Ok(Arc::new(Strategy { object: self.object("Baseline", which)?, named: which.clone() }))
+        Ok(Arc::new(Strategy { object: object("Baseline", which)?, named: which.clone() }))
     }
 
     fn metric(&self, which: &Named) -> Result<Arc<dyn Metric>> {
-        Ok(Arc::new(Strategy { object: self.object("Metric", which)?, named: which.clone() }))
+        Ok(Arc::new(Strategy { object: object("Metric", which)?, named: which.clone() }))
     }
 }
 
@@ -100,7 +120,35 @@ fn columns(asked: &Bound<'_, PyAny>) -> PyResult<Vec<ColumnSpec>> {
             adam: column.getattr("adam")?.extract()?,
         })
     };
-    asked.try_iter()?.map(|column| one(column?)).collect()
+    let all = asked.try_iter()?.map(|column| one(column?)).collect::<PyResult<Vec<ColumnSpec>>>()?;
+    match all.iter().enumerate().find_map(|(i, spec)| fault(spec, &all[..i]).map(|what| (spec.name, what))) {
+        Some((name, what)) => Err(wrong(asked.py(), &format!("columns: `{name}` {what}"))),
+        None => Ok(all),
+    }
+}
+
+/// What is wrong with a column; `others` come before it.
+fn fault(spec: &ColumnSpec, others: &[ColumnSpec]) -> Option<&'static str> {
+    let is_name = spec.name.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
+        && spec.name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
+    if !is_name {
+        return Some("is no name; take letters, digits and underscores");
+    }
+    if GaussianCloud::zeros(0).columns().any(|(own, ..)| own == spec.name) {
+        return Some("is a column that every Gaussian has; take another name");
+    }
+    if others.iter().any(|other| other.name == spec.name) {
+        return Some("is there twice");
+    }
+    if !(1..=WIDEST).contains(&spec.width) {
+        return Some("has a width that is not from 1 to 4096");
+    }
+    if !spec.init.is_finite() {
+        return Some("begins with a number that is not finite");
+    }
+    let positive = |rate: Real| rate.is_finite() && rate > 0.0;
+    (!spec.learning_rate.is_none_or(positive))
+        .then_some("has a learning rate that is no positive number; None is for columns that do not learn")
 }
 
 /// A name that lasts as long as the process; each once.
@@ -125,12 +173,24 @@ struct Strategy {
 impl Strategy {
     /// Does `work` with the object; an exception unwinds.
     fn with<T>(&self, work: impl FnOnce(Python<'_>, &Bound<'_, PyAny>) -> PyResult<T>) -> T {
-        Python::attach(|py| work(py, self.object.own.bind(py))).unwrap_or_else(|error| throw(error))
+        self.ask(work).unwrap_or_else(|error| throw(error))
     }
 
     /// The same where an exception is an error.
     fn try_with<T>(&self, work: impl FnOnce(Python<'_>, &Bound<'_, PyAny>) -> PyResult<T>) -> Result<T> {
-        Python::attach(|py| work(py, self.object.own.bind(py))).map_err(carried)
+        self.ask(work).map_err(carried)
+    }
+
+    fn ask<T>(&self, work: impl FnOnce(Python<'_>, &Bound<'_, PyAny>) -> PyResult<T>) -> PyResult<T> {
+        struct Asking;
+        impl Drop for Asking {
+            fn drop(&mut self) {
+                ASKED.set(ASKED.get() - 1);
+            }
+        }
+        ASKED.set(ASKED.get() + 1);
+        let _asking = Asking;
+        Python::attach(|py| work(py, self.object.own.bind(py)))
     }
 }
 

@@ -21,15 +21,22 @@ pub(crate) fn simulate(
     samples: usize,
     seed: u64,
     points: usize,
-    noise_db: f64,
+    noise_db: Option<f64>,
     snr_db: Option<f64>,
     paths: bool,
     hear: &Bound<'_, PyAny>,
 ) -> PyResult<()> {
+    if snr_db.is_some() && !matches!(layout, "channels" | "csi") {
+        let what = "snr_db is for channels: say layout=\"channels\", or set the `noise` of the scene for spectra";
+        return Err(wrong(py, what));
+    }
+    if noise_db.is_some() && layout != "rssi" {
+        return Err(wrong(py, "noise_db is for powers: say layout=\"rssi\""));
+    }
     let (observe, layout) = match layout {
         "spectra" => (Observe::Spectrum, Layout::Pictures),
         "arrays" => (Observe::Spectrum, Layout::Array),
-        "rssi" => (Observe::Power { noise_db }, Layout::Rssi),
+        "rssi" => (Observe::Power { noise_db: noise_db.unwrap_or(0.0) }, Layout::Rssi),
         "channels" => (Observe::Channel { snr_db }, Layout::Channels),
         "csi" => (Observe::Channel { snr_db }, Layout::Csi),
         other => {

@@ -90,3 +90,33 @@ def test_splits(dataset):
 def test_a_folder_without_data_is_told(tmp_path):
     with pytest.raises(pwrfgs.InputError, match="holds no data of a layout that is known"):
         pwrfgs.Dataset.load(tmp_path)
+
+
+@pytest.mark.parametrize("elevation, size", [((10, 80), (8, 32)), ((90, 0), (12, 36)), ((-90, 90), (16, 32)), ((0, 45), (8, 20))])
+def test_angles_and_points_are_saved(tmp_path, elevation, size):
+    given = np.random.default_rng(1).uniform(size=(30, *size)).astype(np.float32)
+    data = pwrfgs.Dataset.from_arrays(TX, given, elevation_deg=list(elevation), points=[[1, 2, 3.0]])
+    data.save(tmp_path / "d")
+    again = pwrfgs.Dataset.load(tmp_path / "d")
+    assert np.array_equal(again.points, [[1, 2, 3]])
+    for one, other in zip(data.angles_deg, again.angles_deg):
+        assert np.array_equal(one, other)
+
+
+def test_links_are_places_or_a_mask():
+    data = pwrfgs.Dataset.from_arrays(TX, spectra())
+    mask = np.arange(30) >= 28
+    assert np.array_equal(data.observations(mask), data.spectra[28:])
+    assert np.allclose(pwrfgs.baselines.mean(data, TX[:1], mask)[0], data.spectra[28:].mean(0), atol=1e-5)
+    for wrong in (mask[:5], [4.9], [-1], [30]):
+        with pytest.raises(pwrfgs.InputError, match="links"):
+            data.observations(wrong)
+    assert data.observations([]).shape == (0, 12, 36)
+
+
+def test_settings_of_a_simulation_that_would_do_nothing_are_refused(tmp_path):
+    for settings, said in [(dict(snr_db=3.0), "snr_db is for channels"), (dict(noise_db=3.0), "noise_db is for powers"), (dict(layout="rsssi"), "did you mean `rssi`")]:
+        with pytest.raises(pwrfgs.InputError, match=said):
+            pwrfgs.simulate(tmp_path / "none.ron", tmp_path / "s", progress=False, **settings)
+    with pytest.raises(pwrfgs.InputError):
+        pwrfgs.Dataset.from_arrays(TX, spectra()).save("")

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 import subprocess
 import sys
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -169,3 +171,27 @@ if child == 0:
 raise SystemExit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
     assert subprocess.run([sys.executable, "-c", code], timeout=60, check=False).returncode == 0
+
+
+def test_more_than_there_is_memory_for(model):
+    with pytest.raises(MemoryError, match="fewer at a time"):
+        model.predict(np.zeros((100_000_000, 3)))
+    with pytest.raises(pwrfgs.InputError, match="finite"):
+        model.gaussians([np.nan, 0, 0])
+
+
+def test_ctrl_c_ends_a_long_prediction(tmp_path, run):
+    code = (
+        "import numpy as np, pwrfgs, signal\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # what runs in the background may ignore it
+        f"model = pwrfgs.Model.load({run.folder!r}); print('there', flush=True)\n"
+        "try:\n    while True: model.predict(np.zeros((20000, 3)))\nexcept KeyboardInterrupt: print('stopped', flush=True)\n"
+    )
+    child = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert child.stdout.readline() == "there\n"
+    time.sleep(0.5)
+    child.send_signal(signal.SIGINT)
+    try:
+        assert child.communicate(timeout=30)[0] == "stopped\n"
+    finally:
+        child.kill()

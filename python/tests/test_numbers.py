@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import pwrfgs
+from gaussians import POSE, N, gaussians
 
 RNG = np.random.default_rng(0)
 P, T = RNG.uniform(size=(4, 30, 40)).astype(np.float32), RNG.uniform(size=(4, 30, 40)).astype(np.float32)
@@ -69,18 +70,6 @@ def test_repeatability(dataset):
     assert set(found) == {"near", "far"} and "pairs" in found["near"] and ("mean" in found["near"]["ssim"] or "why_not" in found["near"]["ssim"])
 
 
-N = 6
-POSE = pwrfgs.Pose((0.1, -0.2, 0.0), (0.0, 0.0, 0.38268343, 0.92387953))
-
-
-def gaussians(seed=0):
-    rng = np.random.default_rng(seed)
-    return dict(
-        means=rng.normal(size=(N, 3)) + [0, 0, 2.0], quats=rng.normal(size=(N, 4)), scales=rng.uniform(0.2, 0.5, (N, 3)),
-        opacities=rng.uniform(0.2, 0.8, N), signals=rng.normal(size=(N, 2)),
-    )
-
-
 def test_drawing():
     given = gaussians()
     splats = pwrfgs.project(given["means"], given["quats"], given["scales"], given["opacities"], POSE, 24, 96)
@@ -133,10 +122,28 @@ def test_derivatives_by_central_differences(rasterizer):
 
 @pytest.mark.skipif(pwrfgs._pwrfgs.real_bytes == 4, reason="single precision; the test command runs it in double too")
 def test_torch():
-    torch = pytest.importorskip("torch")
-    import pwrfgs.torch
+    pytest.importorskip("torch")
+    import gradcheck
 
-    tensors = [torch.tensor(value, dtype=torch.float64, requires_grad=True) for value in gaussians(3).values()]
-    assert torch.autograd.gradcheck(
-        lambda *given: pwrfgs.torch.rasterize(*given, POSE, 12, 48), tensors, eps=1e-7, atol=1e-4, rtol=1e-3, nondet_tol=0
-    )
+    gradcheck.main()
+
+
+def test_metrics_have_the_shape_of_their_samples():
+    for metric, shape in [("power_error", ()), ("channel_snr", (2, 5)), ("ssim", (8, 9))]:
+        measure = getattr(pwrfgs.metrics, metric)
+        p, t = RNG.uniform(size=(2, 3, *shape)), RNG.uniform(size=(2, 3, *shape))
+        found = measure(p, t)
+        assert found.shape == (2, 3) and np.isclose(found[1, 2], measure(p[1, 2], t[1, 2]))
+        with pytest.raises(pwrfgs.InputError, match="differ in shape"):
+            measure(p, t.swapaxes(0, 1))
+
+
+def test_drawing_nothing_and_too_much():
+    nothing = {name: column[:0] for name, column in gaussians().items()}
+    assert pwrfgs.rasterize(**{**nothing, "signals": np.zeros((0, 5))}, pose=POSE, height=4, width=16).shape == (5, 4, 16)
+    assert pwrfgs.rasterize(**{**nothing, "signals": np.zeros(0, complex)}, pose=POSE, height=4, width=16).shape == (4, 16)
+    with pytest.raises(pwrfgs.InputError, match="no channel"):
+        pwrfgs.rasterize(**{**gaussians(), "signals": np.zeros((N, 0))}, pose=POSE)
+    one = {name: column[:1] for name, column in gaussians().items()}
+    with pytest.raises(MemoryError):
+        pwrfgs.rasterize(**{**one, "signals": np.ones((1, 1 << 20), np.float32)}, pose=POSE, height=9000, width=9000)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pathlib
+import pickle
 
 import numpy as np
 import pytest
@@ -98,3 +99,50 @@ def test_every_pipeline_of_the_project_is_read():
         if "Ensemble(" not in file.read_text():
             read = pwrfgs.Pipeline(file)
             assert pwrfgs.Pipeline(repr(read)).name == read.name
+
+
+def test_lists_of_a_pipeline_change_it(pipeline):
+    pipeline.pruners.append(pwrfgs.LearnableMask(lambda_=0.5))
+    assert [pruner._name for pruner in pipeline.pruners] == ["OpacityThreshold", "LearnableMask"]
+    pruners = pipeline.pruners
+    del pruners[0]
+    pruners[0].lambda_ = 0.25
+    pruners += [pwrfgs.TopK(keep=7)]
+    assert pipeline.pruners[0].lambda_ == 0.25 and pipeline.pruners[1].keep == 7 and pruners == pipeline.pruners
+    with pytest.raises(pwrfgs.InputError):
+        pruners.append(pwrfgs.Ssim())
+    assert len(pruners) == len(pipeline.pruners) == 2
+    held = pipeline.pruners[0]
+    pipeline.pruners = [pwrfgs.OpacityThreshold()]
+    for change in (lambda: setattr(held, "lambda_", 0.9), lambda: pruners.clear()):
+        with pytest.raises(pwrfgs.InputError, match="take it anew"):
+            change()
+    assert len(pipeline.pruners) == 1
+
+
+def test_values_and_pipelines_are_copied_and_pickled(pipeline):
+    mask = pwrfgs.LearnableMask(lambda_=0.3)
+    for again in (copy.copy(mask), copy.deepcopy(mask), pickle.loads(pickle.dumps(mask))):
+        assert again == mask and type(again) is type(mask)
+    for again in (copy.copy(pipeline), copy.deepcopy(pipeline), pickle.loads(pickle.dumps(pipeline))):
+        assert again == pipeline and again.folder == pipeline.folder
+        again.training.steps = 7
+        assert pipeline.training.steps == 60
+    with pytest.raises(pwrfgs.InputError):
+        mask.lambda_ = "foo"
+    assert mask.lambda_ == 0.3
+    odd = 'a\x01b\b"\\é\n'
+    assert pwrfgs.Nerf2Spectrum(root=odd).root == odd
+
+
+def test_a_saved_pipeline_means_the_same_data(tmp_path):
+    there = pwrfgs.Pipeline(ROOT / "pipelines/quickstart.ron")
+    path = tmp_path / "a (1)" / "q (2).ron"
+    path.parent.mkdir()
+    there.save(path)
+    again = pwrfgs.Pipeline(str(path))
+    assert again.load_data().title == there.load_data().title
+    with pytest.raises(pwrfgs.InputError, match="exists"):
+        there.save(path)
+    commented = "// mine\n/* (a) */ " + repr(there)
+    assert pwrfgs.Pipeline(commented).name == there.name

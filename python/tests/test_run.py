@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -47,6 +50,30 @@ def test_stopped_and_resumed_it_ends_in_the_same_files(run, tmp_path):
         assert (tmp_path / "r/checkpoint.safetensors").is_file() and not pwrfgs.Run(tmp_path / "r").finished
     resumed = pwrfgs.run(tmp_path / "r", progress=False)
     assert files(resumed.folder) == files(run.folder)
+
+
+def test_ctrl_c_in_a_terminal(run, tmp_path):
+    """The signal itself, in a process of its own; what goes on then is what would have been."""
+    code = (
+        "import pwrfgs, signal, sys\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # what runs in the background may ignore it
+        f"from conftest import SMALL\npipeline = pwrfgs.Pipeline(SMALL)\n"
+        "def hear(event):\n    import time\n    if event['what'] == 'step' and event['step'] >= 20:\n"
+        "        print('there', flush=True); time.sleep(0.05)\n"
+        "try: pwrfgs.run(pipeline, out=sys.argv[1], callback=hear, progress=False)\n"
+        "except KeyboardInterrupt as stopped: print('stopped:', stopped, flush=True)\n"
+    )
+    child = subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path / "r")], stdout=subprocess.PIPE, text=True, cwd=os.path.dirname(__file__)
+    )
+    assert child.stdout.readline() == "there\n"
+    child.send_signal(signal.SIGINT)
+    try:
+        assert "stopped:" in child.communicate(timeout=60)[0]
+    finally:
+        child.kill()
+    assert (tmp_path / "r/checkpoint.safetensors").is_file() and not pwrfgs.Run(tmp_path / "r").finished
+    assert files(pwrfgs.run(tmp_path / "r", progress=False).folder) == files(run.folder)
 
 
 def test_an_exception_in_a_callback_comes_out(tmp_path):
@@ -110,3 +137,18 @@ def test_sweeps_reports_and_simulations(tmp_path):
         pwrfgs.simulate("x.ron", tmp_path / "s", layout="spectrum")
     with pytest.raises(pwrfgs.Error):
         pwrfgs.sweep(tmp_path / "none.ron")
+
+
+def test_folders_of_others_are_left_alone(pipeline, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scores.csv").write_text("mine")
+    for out in ("", ".", tmp_path):
+        with pytest.raises(pwrfgs.InputError):
+            pwrfgs.run(pipeline, out=out, progress=False)
+    assert [path.name for path in tmp_path.iterdir()] == ["scores.csv"]
+
+
+def test_a_folder_may_have_any_name(pipeline, tmp_path):
+    run = pwrfgs.run(pipeline, out=tmp_path / "a (1)", progress=False)
+    for name in (tmp_path / "a (1)", str(tmp_path / "a (1)")):
+        assert pwrfgs.run(name, progress=False).folder == run.folder

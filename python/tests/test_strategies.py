@@ -234,3 +234,83 @@ def test_the_digest_is_of_the_source_and_of_what_it_derives_from():
     assert of(text.format(1, 0)) == of(text.format(1, 0))
     assert len({of(text.format(*values)) for values in [(1, 0), (2, 0), (1, 1)]}) == 3
     assert " at 0x" not in repr(code(Mask)) and digest(Mask) != digest(Thin)
+
+
+class Counting(pwrfgs.Pruner):
+    def __init__(self):
+        self.count = 0
+
+    def keep(self, cloud, stats, moment):
+        self.count += 1
+        return np.arange(len(cloud)) >= self.count
+
+
+class Settings(pwrfgs.Pruner):
+    def __init__(self, **settings):
+        self.share = settings.get("share", 0.1)
+
+    def keep(self, cloud, stats, moment):
+        return cloud.opacities > self.share
+
+
+class Percent(Thin):
+    def __init__(self, share=50):
+        self.share = share / 100
+
+
+def test_what_an_object_remembers_ends_with_its_run(pipeline, tmp_path):
+    left = [pwrfgs.run(pipeline, pruners=[Counting()], out=tmp_path / f"{i}", progress=False).model.n for i in range(2)]
+    assert left[0] == left[1]
+
+
+def test_strategies_that_a_folder_could_not_make_again_are_refused(pipeline, tmp_path):
+    for strategy, said in [(Settings(share=0.5), "cannot be given by name"), (Percent(50), "made anew"), (Odd(), "has no method `keep`")]:
+        with pytest.raises(pwrfgs.InputError, match=said):
+            pwrfgs.run(pipeline, pruners=[strategy], out=tmp_path / "r", progress=False)
+    with pytest.raises(pwrfgs.InputError, match="give a list"):
+        pwrfgs.run(pipeline, pruners=Thin(), out=tmp_path / "r")
+    with pytest.raises(pwrfgs.InputError, match="has no method `evaluate`"):
+        pwrfgs.run(pipeline, metrics=[Thin()], out=tmp_path / "r")
+    assert not (tmp_path / "r").exists()
+    assert pwrfgs.run(pipeline, metrics=["L1"], out=tmp_path / "r", progress=False).scores["model"]["l1"]
+
+
+TRAINER = []
+
+
+class Asks(pwrfgs.Pruner):
+    def keep(self, cloud, stats, moment):
+        return np.ones(len(cloud), bool)
+
+    def update(self, cloud, stats, moment):
+        if moment.step == 3:
+            TRAINER[0].step()
+
+
+def test_a_trainer_is_not_used_by_the_strategy_that_it_asks(pipeline):
+    pipeline.pruners = [Asks()]
+    trainer = pwrfgs.Trainer(pipeline)
+    TRAINER[:] = [trainer]
+    trainer.step(), trainer.step()
+    with pytest.raises(pwrfgs.InputError, match="middle of a step"):
+        trainer.step()
+    with pytest.raises(pwrfgs.InputError, match="half done"):
+        trainer.step()
+    assert trainer.done == 2 and len(trainer.cloud) == 60
+
+
+COLUMN = []
+
+
+class Columns(Asks):
+    def columns(self):
+        return COLUMN
+
+
+def test_columns_have_names_and_numbers_of_their_own(pipeline):
+    column = pwrfgs.Column
+    for wrong in ([column("means")], [column("")], [column("a b")], [column("a"), column("a")], [column("a", width=0)], [column("a", width=10**13)],
+                  [column("a", init=float("nan"))], [column("a", learning_rate=-1.0)]):  # fmt: skip
+        COLUMN[:] = wrong
+        with pytest.raises(pwrfgs.InputError, match="columns: "):
+            pwrfgs.Trainer(pwrfgs.Pipeline(SMALL).set({"pruners": [Columns()]}))

@@ -31,8 +31,8 @@ pub(crate) enum Verbosity {
         that predicts it at any other position. An experiment is one RON file, a pipeline; a run of it is one folder.",
     after_long_help = "EXAMPLES\n  A first run, without any download, in about a minute:\n      pwrfgs run \
         pipelines/quickstart.ron\n  The same with other settings, elsewhere:\n      pwrfgs run pipelines/quickstart.ron \
-        --scale 0.25 --set seed=1 --out runs/short\n  What a transmitter at 1.2, 0.3, 1.0 m would be heard \
-        from:\n      pwrfgs predict runs/quickstart/model.safetensors --tx 1.2,0.3,1.0 --out heard\n  Everything that a \
+        --scale 0.25 --set seed=1 --out runs/short\n  What a transmitter at 3.5, 2.2, 1.2 m would be heard \
+        from:\n      pwrfgs predict runs/quickstart/model.safetensors --tx 3.5,2.2,1.2 --out heard\n  Everything that a \
         pipeline may name:\n      pwrfgs plugins\n\nEXIT CODES\n  0 done, 1 failed, 2 wrong input, 130 interrupted \
         (the same command goes on)."
 )]

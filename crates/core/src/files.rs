@@ -184,6 +184,10 @@ fn holds(entry: &DirEntry) -> String {
 /// What a folder holds; nothing where it does not exist.
 fn entries(folder: &Path) -> Result<Vec<DirEntry>> {
     match fs::read_dir(folder) {
+        // An empty path would be where one stands.
+        Err(_) if folder.as_os_str().is_empty() => {
+            Err(Error::Config("the path of the folder is empty; name one".into()))
+        }
         Ok(entries) => Ok(entries.flatten().collect()),
         // Where it lies below a file, making it will say why it fails.
         Err(_) if !folder.exists() => Ok(Vec::new()),

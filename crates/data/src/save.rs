@@ -29,8 +29,7 @@ pub fn save(data: &Dataset, out: &Path) -> Result<Box<dyn DataSource>> {
     let source: Box<dyn DataSource> = match &data.observations {
         Observations::Pictures(spectra) => {
             to.spectra(spectra)?;
-            let elevation = (data.elevation != Elevation::UPPER).then_some(data.elevation);
-            Box::new(Arrays { root: out.into(), points: points_of_out(), elevation })
+            Box::new(Arrays { root: out.into(), points: points_of_out(), ..Arrays::default() })
         }
         Observations::Powers(powers) => {
             to.powers(powers.iter().map(|dbm| *dbm as f64).collect())?;
@@ -96,7 +95,9 @@ impl Folder<'_> {
         self.alone()?;
         let scene = &self.data.scene;
         let pose = scene.origin.world_pose(scene.pose());
-        self.put("gateway_info.yml", gateway_yaml(&self.data.title, &pose))?;
+        let Elevation { first, last } = self.data.elevation;
+        let elevation = format!("elevation: [{first:?}, {last:?}]\n"); // stated, pixels need not be square either
+        self.put("gateway_info.yml", gateway_yaml(&self.data.title, &pose) + &elevation)?;
         let numbers = self.data.transmitters.iter().flat_map(|tx| tx.position).flat_map(f64::to_le_bytes);
         let header = npy_header(Number::F64, &[self.data.transmitters.len(), 3]);
         self.put("tx.npy", header.into_iter().chain(numbers).collect::<Vec<u8>>())?;
@@ -176,17 +177,18 @@ impl Folder<'_> {
 pub fn source_in(folder: &Path) -> Option<(&'static str, &'static str, Box<dyn DataSource>)> {
     let holds = |names: [&str; 2]| names.iter().any(|name| folder.join(name).exists());
     let root = || folder.to_owned();
+    let points = || [POINTS, "points.ply"].map(|name| folder.join(name)).into_iter().find(|path| path.exists());
     Some(if holds(["gateway_rssi.csv", "gateway_position.yml"]) {
-        ("Nerf2Rssi", "", Box::new(Nerf2Rssi { root: root(), ..Nerf2Rssi::default() }))
+        ("Nerf2Rssi", "", Box::new(Nerf2Rssi { root: root(), points: points() }))
     } else if holds(["csidata.npy", "base-station.yml"]) {
         let csi = crate::Nerf2Csi { root: root(), together: true, ..crate::Nerf2Csi::default() };
         ("Nerf2Csi", ", together: true", Box::new(csi))
     } else if holds(["channel.npy", "receiver.yml"]) {
         ("Channels", "", Box::new(Channels { root: root(), ..Channels::default() }))
     } else if holds(["spectra.npy"; 2]) {
-        ("Arrays", "", Box::new(Arrays { root: root(), ..Arrays::default() }))
+        ("Arrays", "", Box::new(Arrays { root: root(), points: points(), ..Arrays::default() }))
     } else if holds(["spectrum", "gateway_info.yml"]) {
-        let spectra = crate::Nerf2Spectrum { root: root(), ..crate::Nerf2Spectrum::default() };
+        let spectra = crate::Nerf2Spectrum { root: root(), points: points(), ..crate::Nerf2Spectrum::default() };
         ("Nerf2Spectrum", "", Box::new(spectra))
     } else {
         return None;
@@ -202,7 +204,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("saved");
         let source = save(data, &out).unwrap();
-        assert!(source_in(&out).is_some());
+        let (_, _, found) = source_in(&out).unwrap();
+        let alike = format!("{:?}", found.load(Path::new(""), &|_, _| {}).unwrap());
+        assert_eq!(alike, format!("{:?}", source.load(Path::new(""), &|_, _| {}).unwrap()), "found as written");
         assert!(save(data, &out).is_err(), "what lies there stays");
         source.load(Path::new(""), &|_, _| {}).unwrap()
     }
@@ -212,6 +216,7 @@ mod tests {
         assert_eq!(data.samples().map(|s| s.tx).collect::<Vec<_>>(), again.samples().map(|s| s.tx).collect::<Vec<_>>());
         assert_eq!((&data.official, &data.scene.points), (&again.official, &again.scene.points));
         assert!((0..data.len()).all(|i| data.image(i) == again.image(i)));
+        assert_eq!(data.elevation, again.elevation);
         assert_eq!(data.is_simulated(), again.is_simulated());
     }
 
@@ -223,6 +228,8 @@ mod tests {
         let mut data = Dataset::new("room", pose, vec![[1.0, 2.0, 0.125]], samples.clone(), spectra).unwrap();
         data.official = Some((vec![0, 2], vec![1]));
         data.simulation = Some(Simulation::default());
+        same(&data, &again(&data));
+        data.elevation = Elevation { first: 80.0, last: -10.0 }; // pixels that are not square, from above to below
         same(&data, &again(&data));
 
         let at = |name: &str, x| Receiver::new(name, Pose { position: [x, 0.0, 2.5], ..Pose::IDENTITY });

@@ -5,6 +5,7 @@ use pwrfgs_core::{
     Asked, Cache, Conditions, GaussianCloud, Image, ImagePlane, Kind, Link, Parameters, Pixels, Predict, Query, Real,
     Receiver, StageTimes,
 };
+use rayon::prelude::*;
 use std::borrow::Cow;
 use std::time::Instant;
 
@@ -120,6 +121,27 @@ impl<'a> Prepared<'a> {
         let of_all = |_| mean(of_each.iter_mut().filter_map(Iterator::next).collect(), self.kind());
         queries.iter().map(of_all).collect()
     }
+
+    /// [`Self::predict_many`] into `numbers`, one observation after the other, with nothing in between.
+    ///
+    /// # Panics
+    /// If `numbers` has not as many as the observations.
+    pub fn predict_into(&self, queries: &[Query<'_>], numbers: &mut [Real]) {
+        let of_each = self.plane().width * self.plane().height;
+        assert_eq!(numbers.len(), queries.len() * of_each, "numbers of {} observations", queries.len());
+        for (group, numbers) in queries.chunks(GROUP).zip(numbers.chunks_mut(GROUP * of_each)) {
+            if let [member] = self.members.as_slice() {
+                let (found, _) = member.numbers(group);
+                // Where `numbers` are new memory, its first touch takes longer than the copy.
+                let copy = |(to, from): (&mut [Real], &[Real])| to.copy_from_slice(from);
+                numbers.par_chunks_mut(of_each).zip(found.par_chunks(of_each)).for_each(copy);
+                continue;
+            }
+            for (image, numbers) in self.predict_many(group).iter().zip(numbers.chunks_exact_mut(of_each)) {
+                numbers.copy_from_slice(&image.pixels);
+            }
+        }
+    }
 }
 
 impl Model {
@@ -169,8 +191,21 @@ impl<'a> Member<'a> {
         queries.chunks(GROUP).flat_map(|group| self.observations(group).0).collect()
     }
 
-    /// Links of one call.
+    /// Links of one call, an observation each.
     fn observations(&self, queries: &[Query<'_>]) -> (Vec<Image>, StageTimes) {
+        let ImagePlane { width, height, .. } = self.model.stages.plane;
+        let (numbers, times) = self.numbers(queries);
+        let image = |pixels| Image { width, height, pixels };
+        let images = if queries.len() == 1 {
+            vec![image(numbers)] // moved, not copied
+        } else {
+            numbers.chunks_exact(width * height).map(|p| image(p.to_vec())).collect()
+        };
+        (images, times)
+    }
+
+    /// The numbers of links of one call, one observation after the other.
+    fn numbers(&self, queries: &[Query<'_>]) -> (Vec<Real>, StageTimes) {
         let Model { stages, weights, .. } = self.model;
         let (conditions, links) = asked(stages, queries);
         let asked = Asked {
@@ -179,15 +214,7 @@ impl<'a> Member<'a> {
             pixels: Pixels::All,
         };
         let parameters = Parameters { cloud: &self.cloud, gate: None, presence: None, weights };
-        let (numbers, times) = stages.method.predict(&stages.frame, &parameters, &asked, &self.ready);
-        let ImagePlane { width, height, .. } = stages.plane;
-        let image = |pixels| Image { width, height, pixels };
-        let images = if queries.len() == 1 {
-            vec![image(numbers)] // moved, not copied
-        } else {
-            numbers.chunks_exact(width * height).map(|p| image(p.to_vec())).collect()
-        };
-        (images, times)
+        stages.method.predict(&stages.frame, &parameters, &asked, &self.ready)
     }
 }
 

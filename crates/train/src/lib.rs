@@ -9,6 +9,7 @@ mod adam;
 mod batches;
 mod budgets;
 mod checkpoint;
+mod checks;
 mod densify;
 mod draft;
 mod edit;

@@ -28,7 +28,7 @@ type Writer = fn(&Ensemble, Option<[f64; 3]>) -> Result<Vec<u8>>;
     an ensemble the PLY file has the Gaussians of all members, one member after the other, with a property `member` \
     counted from 0 (a viewer blends them all: pick one to look at), and the NPZ file has the arrays of member 0 as \
     members.0.means and so on.\n\nA file that exists is never overwritten.\n\nEXAMPLES\n  pwrfgs export \
-    runs/quickstart/model.safetensors --ply office.ply\n  pwrfgs export runs/quickstart/model.safetensors --tx 1.2,0.3,1.0 --ply office-at.ply --npz office-at.npz"
+    runs/quickstart/model.safetensors --ply office.ply\n  pwrfgs export runs/quickstart/model.safetensors --tx 3.5,2.2,1.2 --ply office-at.ply --npz office-at.npz"
 )]
 #[command(group(clap::ArgGroup::new("what").required(true).multiple(true).args(["ply", "npz", "half"])))]
 pub(crate) struct Export {

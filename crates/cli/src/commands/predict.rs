@@ -39,7 +39,7 @@ const CHUNK: usize = 64;
     ms.\n\nSeveral models predict as an ensemble: the mean of what they say, pictures each clamped to [0, 1]. How far they \
     differ, the standard deviation of every number, is then written beside, as 00001-spread.npy and .png (white is 0.5) or \
     spread.npy, and of powers as a column spread_db: do not trust a prediction where it is large.\n\nEXAMPLES\n  pwrfgs \
-    predict runs/quickstart/model.safetensors --tx 1.2,0.3,1.0 --out heard\n  pwrfgs predict runs/a-0/model.safetensors \
+    predict runs/quickstart/model.safetensors --tx 3.5,2.2,1.2 --out heard\n  pwrfgs predict runs/a-0/model.safetensors \
     runs/a-1/model.safetensors --tx-csv positions.csv --out heard\n  pwrfgs predict runs/quickstart/model.safetensors \
     --tx-csv walk.csv --stacked --no-png --out walk\n  pwrfgs predict runs/ble/model.safetensors --tx-csv walk.csv \
     --receiver g01 --receiver g07 --out walk"

@@ -44,7 +44,7 @@ fn put_rows(out: &mut Vec<u8>, model: &Model, tx: Option<[f64; 3]>, member: Opti
         let row = row(&primitives, i, model.cloud.opacity_logits[i], colour);
         if let Some(k) = row.iter().position(|v| !v.is_finite()) {
             return Err(Error::Config(format!(
-                "`{}` of Gaussian {i} is not finite: training went wrong, or --tx is far from all it was trained on",
+                "`{}` of Gaussian {i} is not finite: training went wrong, or the transmitter is far from all it was trained on",
                 PROPERTIES[k]
             )));
         }

@@ -8,7 +8,7 @@ use std::path::Path;
 pub(in crate::commands) fn position(option: &str, text: &str) -> Result<[f64; 3]> {
     let wrong = || {
         Error::Config(format!(
-            "{option} {text}: give three finite numbers of at most 1e8 in metres, such as 1.2,0.3,1.0"
+            "{option} {text}: give three finite numbers of at most 1e8 in metres, such as 3.5,2.2,1.2"
         ))
     };
     let numbers: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
