@@ -74,7 +74,7 @@ fn what_a_shell_would_eat_may_be_left_out() {
 
 #[test]
 fn what_cannot_be_is_told_with_what_can() {
-    let cases: [(&str, &[&str]); 16] = [
+    let cases: [(&str, &[&str]); 17] = [
         ("training.steps", &["path.to.field=value"]),
         ("training.step=5", &["`training` has no field `step`", "did you mean `steps`?"]),
         ("trainin.steps=5", &["a pipeline has no field `trainin`", "did you mean `training`?"]),
@@ -89,7 +89,8 @@ fn what_cannot_be_is_told_with_what_can() {
         ("training=(stepz: 5)", &["did you mean `steps`?"]),
         ("training=Training(stepz: 5)", &["did you mean `steps`?"]),
         ("training.steps=((", &["is no value"]),
-        ("training.steps=many", &["integer"]),
+        ("training.steps=many", &["integer", "it takes a whole number"]),
+        ("initializer.count=-5", &["it takes a whole number"]),
         ("pruners.0.lambda=-1", &["`lambda` is -1"]),
     ];
     for (argument, words) in cases {

@@ -7,7 +7,8 @@ from typing import Any, Callable, Sequence, Tuple
 import numpy as np
 
 from . import _pwrfgs
-from ._types import Array, Splats
+from ._errors import InputError
+from ._types import Array, Receiver, Splats
 
 Vjp = Callable[[Any], Tuple[Array, Array, Array, Array, Array]]
 
@@ -30,9 +31,9 @@ def project(
     ----------
     means : [N, 3], metres
     quats : [N, 4] as w, x, y, z, of any length but 0
-    scales : [N, 3], metres
+    scales : [N, 3], metres above 0
     opacities : [N], from 0 to below 1
-    pose : (position [3], orientation x, y, z, w) of the receiver; a ``Pose``
+    pose : a ``Pose``, a ``Receiver``, or (position [3], orientation x, y, z, w) of the receiver
     projector : a projector such as ``pwrfgs.Mercator()``, or its name
     """
     splats: Splats = _pwrfgs.project(
@@ -42,8 +43,18 @@ def project(
 
 
 def _pose(pose: Any) -> Any:
-    position, orientation = pose
-    return tuple(float(v) for v in position), tuple(float(v) for v in orientation)
+    if isinstance(pose, Receiver):
+        pose = (pose.position, pose.orientation)
+    try:
+        position, orientation = ([float(v) for v in part] for part in pose)
+    except (TypeError, ValueError):
+        position, orientation = [], []
+    if len(position) != 3 or len(orientation) != 4:
+        raise InputError(
+            f"pose is {pose!r}; give a Pose(position=(x, y, z), orientation=(x, y, z, w)), or a Receiver such as "
+            "dataset.receivers[0]"
+        )
+    return tuple(position), tuple(orientation)
 
 
 def rasterize(
@@ -86,7 +97,10 @@ def rasterize_with_vjp(
     elevation_deg: Sequence[float] = (0.0, 90.0),
 ) -> Tuple[Array, Vjp]:
     """``rasterize``, and the way back: a function from the derivative of a real number in the picture (of its shape; of a
-    complex picture ∂/∂Re + i ∂/∂Im) to those in (means, quats, scales, opacities, signals)."""
+    complex picture ∂/∂Re + i ∂/∂Im) to those in (means, quats, scales, opacities, signals).
+
+    The derivative is that of the picture as it is drawn: where Gaussians change places in depth, or enter or leave a pixel at
+    1/255, the picture jumps, and no derivative says so."""
     real = np.float64 if _pwrfgs.real_bytes == 8 else np.float32
     signals = np.asarray(signals)
     waves = np.iscomplexobj(signals)

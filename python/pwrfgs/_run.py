@@ -14,7 +14,7 @@ from . import _pwrfgs, _strategies
 from ._errors import InputError
 from ._pipeline import Pipeline, is_text, without_comments
 from ._types import Array, Cloud, Stats
-from ._values import from_ron, plugin_text, to_ron
+from ._values import KINDS, from_ron, plugin_text, to_ron
 
 PathLike = Union[str, "os.PathLike[str]"]
 Event = Dict[str, Any]
@@ -82,7 +82,9 @@ class Run:
 
     @property
     def model(self) -> "_pwrfgs.Model":
-        """The trained model."""
+        """The trained model; there is none before the run has finished."""
+        if not os.path.isfile(self._file("model.safetensors")):
+            raise InputError(f"{self.folder} has no model yet: the run has not finished; pwrfgs.run({self.folder!r}) goes on with it")
         return _pwrfgs.Model.load(self._file("model.safetensors"))
 
     @property
@@ -211,8 +213,11 @@ def run(
     callback
         Called with every event, a dict with ``what``: "step" (step, phase, loss, penalty, gaussians), "validation", "stage",
         "start" or "message". An exception in it stops the run at the next step, with a checkpoint.
-    pruners, initializer, split, baselines, metrics
-        Strategies of one's own, or plugins: added to those of the pipeline, or in place of its own.
+    pruners, baselines, metrics
+        Strategies of one's own, or plugins, **beside** those that the pipeline names: a Gaussian stays where all pruners agree.
+        ``set={"pruners": []}`` takes the pipeline's away first.
+    initializer, split
+        A strategy of one's own, or a plugin, in the place of the pipeline's.
     progress
         Whether a bar is drawn.
 
@@ -242,7 +247,7 @@ def run(
         chosen._inner.set_arguments(_arguments(set))
     for field, more in (("pruners", pruners), ("baselines", baselines), ("metrics", metrics)):
         if more:
-            chosen.get(field).extend(_named(field, item) for item in more)
+            chosen.set({field: _beside(field, chosen.get(field), [_named(field, item) for item in more])})
     for field, one in (("initializer", initializer), ("split", split)):
         if one is not None:
             chosen.set({field: _named(field, one)})
@@ -257,8 +262,31 @@ def run(
 
 
 def _named(field: str, strategy: Any) -> Any:
-    """A plugin that is given by its name alone, as a value."""
-    return from_ron(plugin_text(_strategies.FIELDS[field], strategy, None)) if isinstance(strategy, str) else strategy
+    """What a user gives for a field: a name alone becomes a value; a plugin must be of the kind that stands there."""
+    kind = _strategies.FIELDS[field]
+    value = from_ron(plugin_text(kind, strategy, None))
+    kinds = KINDS.get(getattr(value, "_name", None) or "", [kind])
+    if kind not in kinds:
+        raise InputError(f"{field}: {value._name} is a {' and a '.join(kinds)}, and a {kind} is wanted")
+    return value
+
+
+def _beside(field: str, there: List[Any], more: List[Any]) -> List[Any]:
+    """Both; no pruner twice, which nobody means."""
+    for place, value in enumerate(more if field == "pruners" else ()):
+        if any(_same(value, other) for other in [*there, *more[:place]]):
+            name = value._fields["class"] if value._name == "Python" else value._name
+            raise InputError(
+                f"the pipeline has {name} already, and this would be another beside it; change its settings by `set`, or take the "
+                'pruners that are there away with set={"pruners": []}'
+            )
+    return [*there, *more]
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Whether they are of one class."""
+    classes = [(value._name, value._fields.get("module"), value._fields.get("class")) for value in (one, other)]
+    return classes[0] == classes[1]
 
 
 def _listener(bar: _Progress, callback: Optional[Callable[[Event], Any]]) -> Callable[[Event], None]:

@@ -38,11 +38,13 @@ class Pruner(Strategy):
     """
 
     def keep(self, cloud: Cloud, stats: Stats, moment: Moment) -> Array:
-        """True for each Gaussian that stays, [N] bool; asked at every prune step."""
+        """True for each Gaussian that stays, [N] bool; asked at every prune step. Of several pruners all must agree. Where
+        none would be left, the one of the highest ``score`` stays, with a warning."""
         raise NotImplementedError
 
     def columns(self) -> Sequence[Column]:
-        """Columns to add to the Gaussians; they survive cloning, pruning and checkpoints."""
+        """Columns to add to the Gaussians while they are trained; they survive cloning, pruning and checkpoints. The model
+        that is left has none of them."""
         return ()
 
     def needs(self, cloud: Cloud, moment: Moment) -> Iterable[str]:
@@ -53,16 +55,30 @@ class Pruner(Strategy):
         return ()
 
     def score(self, cloud: Cloud, stats: Stats, moment: Moment) -> Array:
-        """How much each matters, [N], larger is better: who stays if all pruners together would leave nothing."""
+        """How much each matters, [N], larger is better: who stays if all pruners together would leave nothing. By opacity
+        where it is left out."""
         raise NotImplementedError
 
     def gate(self, cloud: Cloud, moment: Moment) -> Optional[Tuple[Any, ...]]:
-        """A factor on opacity and scale while training: (factor [N], {column: derivative}), each Gaussian's factor by its own
-        number in the column. A third entry "presence" puts it on the light that it takes alone."""
+        """A factor on opacity and scale while training: (factor [N], {column: derivative}), or None for no gate at this step.
+
+        Factors go from 0 (left out of the step) to 1. Each is worked out of the Gaussian's own number in a column, and the
+        derivative is that of factor i by number i. A third entry "presence" puts the factor on the light that a Gaussian
+        takes alone. At ``prune_until`` gate and column fall away, and the Gaussians that are left count whole: let ``keep``
+        drop what the gate has shut; what still lies between 0 and 1 then jumps to 1, and the steps after it must make up
+        for that.
+
+        Check a derivative of yours against a difference before you train with it::
+
+            h = 1e-3
+            (up, _), (down, _) = factor(score + h), factor(score - h)
+            assert numpy.allclose(factor(score)[1]["score"], (up - down) / (2 * h), atol=1e-3)
+        """
         return None
 
     def penalty(self, cloud: Cloud, moment: Moment) -> Optional[Tuple[float, Dict[str, Array]]]:
-        """A number added to the loss: (value, {column: derivative})."""
+        """A number added to the loss at every step until ``prune_until``: (value, {column: derivative}), the derivative of
+        the value by every number of the column, in its shape; or None."""
         return None
 
     def update(self, cloud: Cloud, stats: Stats, moment: Moment) -> None:
@@ -216,6 +232,8 @@ def written(value: Any) -> str:
 def described(value: Any) -> str:
     """An object of one's own class as a pipeline records it."""
     cls = type(value)
+    if isinstance(value, type):
+        raise InputError(f"{value.__qualname__} is a class; give an object of it, such as {value.__qualname__}()")
     if not any(callable(getattr(value, method, None)) for method in REQUIRED.values()) and not hasattr(value, "fit"):
         raise InputError(
             f"{value!r} is nothing that a pipeline holds; give a number, a text, a list, a plugin such as "
@@ -269,9 +287,9 @@ def check(pipeline: Any) -> None:
 def made(kind: str, module: str, name: str, settings: str, source: str) -> Any:
     """The object that a pipeline records."""
     own = found(module, name, source)(**json.loads(settings or "{}"))
-    required = REQUIRED[kind]
-    if not callable(getattr(own, required, None)) and not (kind == FIT_MAY_GIVE_IT and hasattr(own, "fit")):
-        raise InputError(f"`{name}` has no method `{required}`, and so is no {kind}")
+    required, has = REQUIRED[kind], overrides(kind, own)
+    if required not in has and not (kind == FIT_MAY_GIVE_IT and "fit" in has):
+        raise InputError(f"`{name}` has no method `{required}` of its own, and so is no {kind}")
     return own
 
 

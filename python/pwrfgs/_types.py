@@ -2,42 +2,67 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
-from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
+from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple, Type, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ._errors import InputError
+
 Array = NDArray[Any]
+Record = TypeVar("Record")
 
 
+def _told(cls: Type[Record]) -> Type[Record]:
+    """Gives the fields of a named tuple the lines of its docstring, which `help` shows beside them."""
+    for name, doc in re.findall(r"^ *(\w+) : (.*)$", cls.__doc__ or "", flags=re.MULTILINE):
+        getattr(cls, name).__doc__ = doc
+    return cls
+
+
+@_told
 class Pose(NamedTuple):
-    """Where a receiver is and how it is turned."""
+    """Where a receiver is and how it is turned.
+
+    position : Metres, world frame.
+    orientation : Unit quaternion x, y, z, w (the order of the data sets) that turns receiver axes into world axes.
+    """
 
     position: Tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Metres, world frame."""
     orientation: Tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
-    """Unit quaternion x, y, z, w (the order of the data sets) that turns receiver axes into world axes."""
 
 
 @dataclass
 class Receiver:
-    """One receiver of a data set."""
+    """One receiver of a data set.
+
+    name : what tables call it
+    position : metres, world frame
+    orientation : unit quaternion x, y, z, w that turns receiver axes into world axes; boresight is z
+    antennas : places [A, 3] of its antennas, metres in its own frame, before it is turned; one at the middle where left out
+    """
 
     name: str = "receiver"
     position: Tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Metres, world frame."""
     orientation: Tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
-    """Unit quaternion x, y, z, w that turns receiver axes into world axes; boresight is z."""
     antennas: List[Tuple[float, float, float]] = field(default_factory=lambda: [(0.0, 0.0, 0.0)])
-    """Places of the antennas in the receiver's frame, metres."""
 
     def __post_init__(self) -> None:
         self.antennas = [tuple(map(float, place)) for place in self.antennas]  # type: ignore[misc]
+        if any(len(place) != 3 for place in self.antennas):
+            raise InputError(f"antennas is {self.antennas}; give places [A, 3], metres")
 
 
+@_told
 class Partition(NamedTuple):
-    """Places of links, sorted and disjoint."""
+    """Places of links, sorted and disjoint.
+
+    train : places of links to learn from
+    validation : places of links to watch a training by; may be none
+    test : places of links to score with
+    """
 
     train: Array
     validation: Array
@@ -45,33 +70,38 @@ class Partition(NamedTuple):
 
 
 class Gaussians(NamedTuple):
-    """Gaussians in space, named as gsplat names them."""
+    """Gaussians in space, named as gsplat names them.
+
+    means : [N, 3], metres, world frame.
+    quats : [N, 4] as w, x, y, z.
+    scales : [N, 3], metres.
+    opacities : [N], from 0 to 1.
+    signals : [N], complex64.
+    """
 
     means: Array
-    """[N, 3], metres, world frame."""
     quats: Array
-    """[N, 4] as w, x, y, z."""
     scales: Array
-    """[N, 3], metres."""
     opacities: Array
-    """[N], from 0 to 1."""
     signals: Array
-    """[N], complex64."""
 
 
+@_told
 class Splats(NamedTuple):
-    """Gaussians on a picture."""
+    """Gaussians on a picture.
+
+    means2d : [N, 2]: column and row, px.
+    conics : [N, 3]: A, B, C of A dx² + 2 B dx dy + C dy², px⁻².
+    depths : [N], metres.
+    radii : [N], px; 0 where it does not reach the picture.
+    opacities : [N].
+    """
 
     means2d: Array
-    """[N, 2]: column and row, px."""
     conics: Array
-    """[N, 3]: A, B, C of A dx² + 2 B dx dy + C dy², px⁻²."""
     depths: Array
-    """[N], metres."""
     radii: Array
-    """[N], px; 0 where it does not reach the picture."""
     opacities: Array
-    """[N]."""
 
 
 class Cloud:
@@ -126,69 +156,86 @@ class Cloud:
         return self.columns["signals"]
 
 
+@_told
 class Stats(NamedTuple):
-    """What was seen of each Gaussian since the last densification, [N] each."""
+    """What was seen of each Gaussian since the last densification, [N] each.
+
+    visible : Drawings that it was in.
+    gradient : Sum over these of the norm of the derivative in its place on the picture.
+    radius : Largest radius, px.
+    weight : Sum of its blending weights.
+    asked : What ``needs`` named, fresh at this prune step; empty at any other.
+    state : The numbers that the strategy remembers of the whole training.
+    """
 
     visible: Array
-    """Drawings that it was in."""
     gradient: Array
-    """Sum over these of the norm of the derivative in its place on the picture."""
     radius: Array
-    """Largest radius, px."""
     weight: Array
-    """Sum of its blending weights."""
     asked: Dict[str, Array]
-    """What ``needs`` named, fresh at this prune step; empty at any other."""
     state: Array
-    """The numbers that the strategy remembers of the whole training."""
 
 
+@_told
 class Moment(NamedTuple):
-    """When a strategy is asked."""
+    """When a strategy is asked.
+
+    step : Training step, from 1.
+    phase : "densify", "prune" or "finetune".
+    seed : The pipeline's.
+    round : Which prune step it is, from 1; 0 at any other step.
+    rounds : How many there are.
+    """
 
     step: int
-    """Training step, from 1."""
     phase: str
-    """"densify", "prune" or "finetune"."""
     seed: int
-    """The pipeline's."""
     round: int
-    """Which prune step it is, from 1; 0 at any other step."""
     rounds: int
-    """How many there are."""
 
 
+@_told
 class Room(NamedTuple):
-    """What an initialiser knows, metres in the world frame."""
+    """What an initialiser knows, metres in the world frame.
+
+    points : Surface points [P, 3]; P is 0 where none are known.
+    bounds : [2, 3]: smallest and largest corner of everything known.
+    receivers : [R, 3].
+    """
 
     points: Array
-    """Surface points [P, 3]; P is 0 where none are known."""
     bounds: Array
-    """[2, 3]: smallest and largest corner of everything known."""
     receivers: Array
-    """[R, 3]."""
 
 
+@_told
 class Links(NamedTuple):
-    """Links without what was observed of them."""
+    """Links without what was observed of them.
+
+    tx : [L, 3], metres.
+    ids : [L]: the numbers that the data give the transmitters.
+    receiver : [L]: who heard it.
+    """
 
     tx: Array
-    """[L, 3], metres."""
     ids: Array
-    """[L]: the numbers that the data give the transmitters."""
     receiver: Array
-    """[L]: who heard it."""
 
 
 @dataclass
 class Column:
-    """A column of the Gaussians that a strategy asks for."""
+    """A column of the Gaussians that a strategy asks for.
+
+    name : what ``cloud`` and derivatives call it
+    width : numbers a Gaussian
+    init : what they begin with
+    learning_rate : how fast it is learned by the derivatives of ``gate`` and ``penalty``; None, for a column that only
+        ``update`` changes, learns nothing
+    adam : whether Adam moves it; where not, plain descent does
+    """
 
     name: str
     width: int = 1
-    """Numbers a Gaussian."""
     init: float = 0.0
     learning_rate: Optional[float] = None
-    """None for one that only ``update`` changes."""
     adam: bool = True
-    """Whether Adam moves it; where not, plain descent does."""

@@ -10,6 +10,7 @@ use pwrfgs_core::{
     Channels, DataSource, Dataset as Data, Elevation, Error, Kind, Number, Observations, Partition, Plugin, Pose, Real,
     Receiver, Sample, Simulation, Spectra, Split, rng,
 };
+use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyTuple};
 use std::path::PathBuf;
@@ -67,6 +68,10 @@ impl Dataset {
         let path: Result<PathBuf, _> = source.extract();
         let (text, reader): (String, Plugin<dyn DataSource>) = if let Ok(path) = path {
             let there = py.import("os.path")?.call_method1("abspath", (&path,))?.extract::<PathBuf>()?;
+            if !there.is_dir() {
+                let what = "there is no such folder; a data source such as pwrfgs.Arrays(root=..) is given as a value";
+                return Err(crate::border::raised(py, Error::input(&path, what)));
+            }
             let Some((_, _, reader)) = source_in(&there) else {
                 let what = "holds no data of a layout that is known; docs/data.md says which there are, and \
                             Dataset.from_arrays takes arrays";
@@ -88,7 +93,8 @@ impl Dataset {
     /// * `spectra` [M, H, W]: spatial spectra from 0 to 1 (or bytes of 0 to 255) at one receiver; rows are elevations,
     ///   columns azimuths that go once around.
     /// * `rssi` [M, R]: received powers in dBm; NaN where a receiver heard nothing.
-    /// * `csi` [M, A, F]: channels at one receiver with A antennas and F subcarriers of `frequencies_hz` [F].
+    /// * `csi` [M, A, F]: channels at one receiver with A antennas, whose places its `Receiver(antennas=..)` has, and F
+    ///   subcarriers of `frequencies_hz` [F] (evenly spaced and rising, if they are to be saved).
     ///
     /// `tx` [M, 3] are the transmitters' positions in metres. `receivers` is a list of `Receiver`, or of positions [R, 3];
     /// one at the origin where it is left out. `points` [P, 3] are surface points of the room. Say `simulated=True` of what
@@ -121,6 +127,8 @@ impl Dataset {
             (None, None, Some(csi)) => (alone, gains(csi, txs.len(), frequencies_hz)?),
             _ => return Err(wrong(py, "give one of spectra, rssi and csi")),
         };
+        check_antennas(py, &observations, &receivers)?;
+        warn_of_milliwatts(py, &observations)?;
         let elevation = Elevation { first: elevation_deg[0], last: elevation_deg[1] };
         let made = Data::of_links(title, receivers, points, &samples, observations);
         let data = made.map_err(|error| crate::border::raised(py, error))?;
@@ -344,6 +352,30 @@ fn receivers_of(py: Python<'_>, given: Option<&Bound<'_, PyAny>>) -> PyResult<Ve
         })
     };
     items.iter().enumerate().map(one).collect()
+}
+
+/// Refuses channels of other antennas than the receiver has: what is learned rests on where they are.
+fn check_antennas(py: Python<'_>, observations: &Observations, receivers: &[Receiver]) -> PyResult<()> {
+    let (Observations::Channels(channels), [receiver]) = (observations, receivers) else { return Ok(()) };
+    let (given, placed) = (channels.antennas, receiver.antennas.len());
+    if given == placed {
+        return Ok(());
+    }
+    let what = format!(
+        "csi has {given} antennas, and the receiver has {placed}; say where they are: \
+         receivers=[Receiver(position=(x, y, z), antennas=[(0, 0, 0), ..])], {given} places in metres, in its own frame"
+    );
+    Err(wrong(py, &what))
+}
+
+/// Who hears nothing but more than a milliwatt has likely given milliwatts.
+fn warn_of_milliwatts(py: Python<'_>, observations: &Observations) -> PyResult<()> {
+    let Observations::Powers(powers) = observations else { return Ok(()) };
+    if powers.is_empty() || powers.iter().any(|dbm| *dbm < 0.0) {
+        return Ok(());
+    }
+    let text = "every power is 0 dBm or more, which is a milliwatt; of powers in mW give 10 * log10(mW)";
+    py.import("warnings")?.call_method1("warn", (text, py.get_type::<PyUserWarning>(), 2)).map(drop)
 }
 
 /// Spectra as they are given: bytes stay bytes.

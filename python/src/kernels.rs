@@ -1,6 +1,6 @@
 //! `project` and `rasterize`: the differentiable kernels, for methods of one's own.
 
-use crate::arrays::{array, given, numbers, room};
+use crate::arrays::{array, axes, given, numbers, room};
 use crate::border::{free, wrong};
 use crate::settings::{plugin, text_of};
 use numpy::PyUntypedArrayMethods as _;
@@ -78,6 +78,9 @@ fn primitives(
         if let Some(i) = column.iter().position(|v| !v.is_finite()) {
             return Err(wrong(py, &format!("{what} holds {}; give finite numbers", column[i])));
         }
+    }
+    if let Some(i) = scales.iter().position(|v| *v <= 0.0) {
+        return Err(wrong(py, &format!("scales[{}] holds {}; give metres above 0", i / 3, scales[i])));
     }
     if let Some(o) = opacities.iter().find(|o| !(0.0..1.0).contains(*o)) {
         return Err(wrong(py, &format!("opacities: {o} is outside 0 to 1; 1 itself would hide all behind it")));
@@ -170,6 +173,9 @@ pub(crate) fn draw<'py>(
 ) -> PyResult<Drawing> {
     let view = View::of(projector, rasterizer, pose, (height, width), elevation_deg)?;
     let columns = primitives(means, quats, scales, opacities)?;
+    if axes(signals)? == 1 {
+        return Err(wrong(py, "signals has one axis of real numbers; give complex ones [N], or real ones [N, C]"));
+    }
     let signals = given::<Real>("signals", signals, &[Some(columns.len()), None])?;
     let channels = signals.shape()[1];
     if channels == 0 {

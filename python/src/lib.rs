@@ -19,6 +19,7 @@ mod run;
 mod scores;
 mod settings;
 mod strategies;
+mod told;
 mod tools;
 
 use pyo3::prelude::*;
@@ -47,6 +48,7 @@ mod _pwrfgs {
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         super::border::begin();
         super::strategies::begin();
+        super::told::begin();
         module.add("__version__", env!("CARGO_PKG_VERSION"))?;
         module.add("real_bytes", size_of::<pwrfgs_core::Real>())
     }

@@ -1,13 +1,12 @@
 //! Plugins, pipelines and their text.
 
-use crate::border::{free, raised, wrong};
+use crate::border::{free, wrong};
 use pwrfgs::prelude::Pipeline as Inner;
-use pwrfgs::train::Draft;
 use pwrfgs_core::docs::{Body, Docs, Documented as _, Kind};
 use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::plugin::{Family, PluginKind, inventory, ron_options};
 use pwrfgs_core::ron_tree::{Body as Parts, Tree};
-use pwrfgs_core::{Error, Plugin};
+use pwrfgs_core::{Error, Plugin, Result};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::collections::BTreeMap;
@@ -26,10 +25,12 @@ pub(crate) fn plugin<T: ?Sized + PluginKind>(py: Python<'_>, text: &str) -> PyRe
 where
     Box<T>: for<'de> pwrfgs::prelude::Deserialize<'de>,
 {
-    pwrfgs_core::plugin::read_ron(text, Path::new(T::KIND)).map_err(|error| match error {
-        // The position would count in a text that nobody has seen.
-        Error::Input { message, .. } => raised(py, Error::Config(message)),
-        other => raised(py, other),
+    free(py, || {
+        pwrfgs_core::plugin::read_ron(text, Path::new(T::KIND)).map_err(|error| match error {
+            // The position would count in a text that nobody has seen.
+            Error::Input { message, .. } => Error::Config(message),
+            other => other,
+        })
     })
 }
 
@@ -49,6 +50,14 @@ impl Pipeline {
     pub(crate) fn base(&self) -> &Path {
         &self.base
     }
+
+    /// Changes it, all or nothing. Checks may ask strategies of Python.
+    fn change(&self, py: Python<'_>, by: impl FnOnce(&mut Inner) -> Result<()> + Send) -> PyResult<()> {
+        let mut changed = self.now();
+        let changed = free(py, || by(&mut changed).map(|()| changed))?;
+        *self.inner.lock().unwrap_or_else(PoisonError::into_inner) = changed;
+        Ok(())
+    }
 }
 
 #[pymethods]
@@ -56,7 +65,7 @@ impl Pipeline {
     /// From RON text; `path` is what messages call it, and `folder` where its relative paths begin.
     #[staticmethod]
     fn parse(py: Python<'_>, text: &str, path: PathBuf, folder: PathBuf) -> PyResult<Self> {
-        let inner = Inner::parse(text, &path).map_err(|error| raised(py, error))?;
+        let inner = free(py, || Inner::parse(text, &path))?;
         Ok(Self { inner: Mutex::new(inner), base: folder })
     }
 
@@ -72,19 +81,12 @@ impl Pipeline {
 
     /// Sets values by their path, RON text each; all or none.
     fn set(&self, py: Python<'_>, values: Vec<(String, String)>) -> PyResult<()> {
-        let mut draft = Draft::of(&self.now());
-        let changed = values.iter().try_for_each(|(path, value)| draft.set(path, value)).and_then(|()| draft.finish());
-        let changed = changed.map_err(|error| raised(py, error))?;
-        *self.inner.lock().unwrap_or_else(PoisonError::into_inner) = changed;
-        Ok(())
+        self.change(py, |inner| inner.set_values(&values))
     }
 
     /// The same with arguments of `--set`.
     fn set_arguments(&self, py: Python<'_>, arguments: Vec<String>) -> PyResult<()> {
-        let mut inner = self.now();
-        inner.set_all(&arguments).map_err(|error| raised(py, error))?;
-        *self.inner.lock().unwrap_or_else(PoisonError::into_inner) = inner;
-        Ok(())
+        self.change(py, |inner| inner.set_all(&arguments))
     }
 
     /// A new file of it, whose relative paths mean what they mean here.

@@ -5,6 +5,10 @@ from __future__ import annotations
 import os
 import pathlib
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from typing import Any, Dict
 
 import pytest
@@ -61,3 +65,20 @@ def files(folder: Any) -> Dict[str, bytes]:
             lines = [line.rsplit(",", 1)[0] for line in lines]
         found[name] = "\n".join(line for line in lines if "latency" not in line).encode()
     return found
+
+
+def interrupted(code: str, *arguments: Any, after: float = 0.0) -> str:
+    """Runs `code` in a process of its own, sends Ctrl-C `after` seconds from its line "there" on; what it printed then."""
+    # What runs in the background may ignore the signal.
+    begin = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+    child = subprocess.Popen(
+        [sys.executable, "-c", begin + code, *map(str, arguments)],
+        stdout=subprocess.PIPE, text=True, cwd=os.path.dirname(__file__),
+    )  # fmt: skip
+    try:
+        assert child.stdout is not None and child.stdout.readline() == "there\n"
+        time.sleep(after)
+        child.send_signal(signal.SIGINT)
+        return child.communicate(timeout=60)[0]
+    finally:
+        child.kill()

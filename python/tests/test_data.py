@@ -120,3 +120,38 @@ def test_settings_of_a_simulation_that_would_do_nothing_are_refused(tmp_path):
             pwrfgs.simulate(tmp_path / "none.ron", tmp_path / "s", progress=False, **settings)
     with pytest.raises(pwrfgs.InputError):
         pwrfgs.Dataset.from_arrays(TX, spectra()).save("")
+
+
+def test_antennas_are_where_the_receiver_says():
+    tx, hz = np.zeros((3, 3)), [1e9, 1.1e9]
+    csi = np.ones((3, 2, 2), np.complex64)
+    with pytest.raises(pwrfgs.InputError, match="csi has 2 antennas, and the receiver has 1"):
+        pwrfgs.Dataset.from_arrays(tx, csi=csi, frequencies_hz=hz)
+    with pytest.raises(pwrfgs.InputError, match=r"give places \[A, 3\]"):
+        pwrfgs.Receiver(antennas=[(0, 0)])
+    receiver = pwrfgs.Receiver(position=(0, 0, 2), antennas=[(0, 0, 0), (0.1, 0, 0)])
+    data = pwrfgs.Dataset.from_arrays(tx, csi=csi, frequencies_hz=hz, receivers=[receiver])
+    assert data.receivers[0].antennas == receiver.antennas
+
+
+def test_milliwatts_are_told(tmp_path):
+    with pytest.warns(UserWarning, match="10 \\* log10"):
+        pwrfgs.Dataset.from_arrays(np.zeros((2, 3)), rssi=[[1e-6], [2e-7]])
+    with pytest.raises(pwrfgs.InputError, match="no such folder"):
+        pwrfgs.Dataset.load(tmp_path / "nowhere")
+
+
+def test_a_law_of_distance_a_receiver():
+    rng = np.random.default_rng(0)
+    tx, receivers = rng.uniform(0, 10, (60, 3)), np.array([[0, 0, 3], [10, 10, 3.0]])
+    distance = np.linalg.norm(tx[:, None] - receivers, axis=2)
+    rssi = [-40, -60] - np.array([20, 35]) * np.log10(distance)
+    data = pwrfgs.Dataset.from_arrays(tx, rssi=rssi, receivers=receivers)
+    for receiver, name in enumerate(["r0", "r1"]):
+        found = pwrfgs.baselines.log_distance(data, tx[:5], receiver=name)
+        assert np.allclose(found, rssi[:5, receiver], atol=1e-3)
+        assert not np.allclose(pwrfgs.baselines.log_distance(data, tx[:5], receiver=receiver, per_receiver=False), found, atol=0.1)
+    with pytest.raises(pwrfgs.InputError, match="no receiver 'r2'; there are r0, r1"):
+        pwrfgs.baselines.knn(data, tx, receiver="r2")
+    with pytest.raises(pwrfgs.InputError, match="one part of it"):
+        pwrfgs.baselines.knn(data, tx, data.split("random"))

@@ -147,3 +147,18 @@ def test_drawing_nothing_and_too_much():
     one = {name: column[:1] for name, column in gaussians().items()}
     with pytest.raises(MemoryError):
         pwrfgs.rasterize(**{**one, "signals": np.ones((1, 1 << 20), np.float32)}, pose=POSE, height=9000, width=9000)
+
+
+def test_drawing_says_what_it_wants(dataset):
+    one = gaussians()
+    for change, said in [
+        ({"scales": np.zeros((N, 3))}, "metres above 0"),
+        ({"signals": np.ones(N)}, r"give complex ones \[N\], or real ones \[N, C\]"),
+        ({"pose": (0, 0, 0)}, "give a Pose"),
+        ({"pose": ((0, 0), (0, 0, 0, 1))}, "give a Pose"),
+    ]:
+        with pytest.raises(pwrfgs.InputError, match=said):
+            pwrfgs.rasterize(**{**one, "pose": POSE, **change}, height=9, width=36)
+    receiver = pwrfgs.Receiver(position=POSE.position, orientation=POSE.orientation)
+    drawn = [pwrfgs.rasterize(**one, pose=pose, height=9, width=36) for pose in (POSE, receiver)]
+    assert np.array_equal(*drawn)

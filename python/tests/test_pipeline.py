@@ -86,6 +86,18 @@ def test_mistakes_have_a_place(pipeline, tmp_path):
         with pytest.raises(pwrfgs.InputError):
             pipeline.set({"training.steps": 7, **change} if "training.steps" not in change else change)
         assert repr(pipeline) == before
+    for change, said in [
+        ({"training.steps": -5}, "^training.steps = -5: .*; it takes a whole number$"),
+        ({"seed": [1]}, r"^seed = \[1\]: .*; it takes a whole number$"),
+        ({"training.stepps": 1}, "did you mean `steps`"),
+        ({"training.batch": 0}, "^training.batch = 0: `batch`"),
+    ]:
+        with pytest.raises(pwrfgs.InputError, match=said):
+            pipeline.set(change)
+    with pytest.raises(pwrfgs.InputError, match="^training.steps=-5: .*; it takes a whole number$"):
+        pwrfgs.run(pipeline, set={"training.steps": -5})
+    with pytest.raises(pwrfgs.InputError, match="^seed = 'x'|^seed = \"x\": .*it takes a whole number$"):
+        pipeline.seed = "x"
     with pytest.raises(AttributeError, match="did you mean `training`"):
         pipeline.trainig = 1
     with pytest.raises(pwrfgs.InputError):

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 
 import numpy as np
 import pytest
-from conftest import SMALL, files
+from conftest import SMALL, files, interrupted
 
 import pwrfgs
 
@@ -55,23 +54,13 @@ def test_stopped_and_resumed_it_ends_in_the_same_files(run, tmp_path):
 def test_ctrl_c_in_a_terminal(run, tmp_path):
     """The signal itself, in a process of its own; what goes on then is what would have been."""
     code = (
-        "import pwrfgs, signal, sys\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # what runs in the background may ignore it
-        f"from conftest import SMALL\npipeline = pwrfgs.Pipeline(SMALL)\n"
-        "def hear(event):\n    import time\n    if event['what'] == 'step' and event['step'] >= 20:\n"
+        "import pwrfgs, sys, time\nfrom conftest import SMALL\n"
+        "def hear(event):\n    if event['what'] == 'step' and event['step'] >= 20:\n"
         "        print('there', flush=True); time.sleep(0.05)\n"
-        "try: pwrfgs.run(pipeline, out=sys.argv[1], callback=hear, progress=False)\n"
+        "try: pwrfgs.run(pwrfgs.Pipeline(SMALL), out=sys.argv[1], callback=hear, progress=False)\n"
         "except KeyboardInterrupt as stopped: print('stopped:', stopped, flush=True)\n"
     )
-    child = subprocess.Popen(
-        [sys.executable, "-c", code, str(tmp_path / "r")], stdout=subprocess.PIPE, text=True, cwd=os.path.dirname(__file__)
-    )
-    assert child.stdout.readline() == "there\n"
-    child.send_signal(signal.SIGINT)
-    try:
-        assert "stopped:" in child.communicate(timeout=60)[0]
-    finally:
-        child.kill()
+    assert "stopped:" in interrupted(code, tmp_path / "r")
     assert (tmp_path / "r/checkpoint.safetensors").is_file() and not pwrfgs.Run(tmp_path / "r").finished
     assert files(pwrfgs.run(tmp_path / "r", progress=False).folder) == files(run.folder)
 

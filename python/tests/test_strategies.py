@@ -314,3 +314,79 @@ def test_columns_have_names_and_numbers_of_their_own(pipeline):
         COLUMN[:] = wrong
         with pytest.raises(pwrfgs.InputError, match="columns: "):
             pwrfgs.Trainer(pwrfgs.Pipeline(SMALL).set({"pruners": [Columns()]}))
+
+
+class Says(Asks):
+    """Whatever the test wants of it."""
+
+    what = {}
+
+    def columns(self):
+        return [pwrfgs.Column("own", learning_rate=0.1), pwrfgs.Column("fixed")]
+
+    def gate(self, cloud, moment):
+        return self.what.get("gate", lambda n: None)(len(cloud))
+
+    def penalty(self, cloud, moment):
+        return self.what.get("penalty", lambda n: None)(len(cloud))
+
+    def needs(self, cloud, moment):
+        return self.what.get("needs", [])
+
+    def update(self, cloud, stats, moment):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [
+        ({"gate": np.ones}, r"gate gave a value of ndarray; give \(factor \[N\], \{column: derivative\}\), or None"),
+        ({"gate": lambda n: (np.ones(n), np.ones(n))}, "a value of ndarray as its derivatives"),
+        ({"gate": lambda n: (-np.ones(n), {"own": np.ones(n)})}, "a factor is -1; give numbers from 0 to 1"),
+        ({"gate": lambda n: (np.ones(n), {"own": np.full(n, np.nan)})}, "the derivative in `own` holds NaN"),
+        ({"gate": lambda n: (np.ones(n), {"own": np.ones(n + 1)})}, "has 61 numbers, and 60 are wanted"),
+        ({"gate": lambda n: (np.ones(n), {"owm": np.ones(n)})}, "no column `owm`; did you mean `own`"),
+        ({"gate": lambda n: (np.ones(n), {"fixed": np.ones(n)})}, "`fixed` has no learning_rate"),
+        ({"gate": lambda n: (np.ones(n), {"own": np.ones(n)}, "presents")}, "may be \"presence\""),
+        ({"penalty": lambda n: 0.5}, r"penalty gave a value of float; give \(number, \{column: derivative\}\)"),
+        ({"penalty": lambda n: (np.inf, {"own": np.ones(n)})}, "penalty: the value holds inf"),
+    ],
+)
+def test_what_a_strategy_gives_is_named_where_it_is_wrong(monkeypatch, what, said):
+    monkeypatch.setattr(Says, "what", what)
+    trainer = pwrfgs.Trainer(pwrfgs.Pipeline(SMALL).set({"pruners": [Says()]}))
+    with pytest.raises(pwrfgs.InputError, match=said):
+        trainer.step()
+
+
+def test_a_statistic_that_is_not_there_is_told_when_it_is_set(pipeline, monkeypatch):
+    monkeypatch.setattr(Says, "what", {"needs": ["wieght"]})
+    with pytest.raises(pwrfgs.InputError, match="no statistic `wieght`; did you mean `weight`"):
+        pipeline.pruners = [Says()]
+    with pytest.raises(pwrfgs.InputError, match="no statistic"):
+        pwrfgs.run(SMALL, pruners=[Says()])
+
+
+class Nothing(pwrfgs.Pruner):
+    def keep(self, cloud, stats, moment):
+        return np.zeros(len(cloud), bool)
+
+
+class NoKeep(pwrfgs.Pruner):
+    pass
+
+
+def test_pruners_stand_beside_those_of_the_pipeline(pipeline, tmp_path, caplog):
+    out = dict(out=tmp_path / "r", progress=False)
+    with pytest.raises(pwrfgs.InputError, match="has OpacityThreshold already"):
+        pwrfgs.run(pipeline, pruners=[pwrfgs.OpacityThreshold()], **out)
+    with pytest.raises(pwrfgs.InputError, match="has Thin already"):
+        pwrfgs.run(pipeline, pruners=[Thin(), Thin(0.1)], **out)
+    with pytest.raises(pwrfgs.InputError, match="Thin is a class; give an object of it"):
+        pwrfgs.run(pipeline, pruners=[Thin], **out)
+    with pytest.raises(pwrfgs.InputError, match="TopK is a Pruner, and a Metric is wanted"):
+        pwrfgs.run(pipeline, metrics=[pwrfgs.TopK(keep=5)], **out)
+    with pytest.raises(pwrfgs.InputError, match="no method `keep` of its own"):
+        pwrfgs.run(pipeline, pruners=[NoKeep()], **out)
+    run = pwrfgs.run(pipeline, set={"pruners": []}, pruners=[Nothing()], **out)
+    assert run.model.n == 1 and "would leave no Gaussian" in caplog.text

@@ -44,10 +44,7 @@ impl Draft {
     /// [`Error::Config`] where there is no such place, or the value is none. Whether it fits is told at the end.
     pub fn set(&mut self, path: &str, value: &str) -> Result<()> {
         let tree = self.tree();
-        let mut place = Place { name: String::new(), tree: &tree, kind: Some(Pipeline::kind()) };
-        for step in path.trim().split('.') {
-            place = place.step(step.trim()).map_err(Error::Config)?;
-        }
+        let place = Place::at(path, &tree).map_err(Error::Config)?;
         let value = place.complete(value.trim());
         let new =
             Tree::parse(&value).map_err(|why| Error::Config(format!("{} is no value: {why}", quoted(value.trim()))))?;
@@ -55,6 +52,12 @@ impl Draft {
         place.put(&new, &value, false, &mut edits).map_err(Error::Config)?;
         self.change(edits);
         Ok(())
+    }
+
+    /// What can stand at `path`, in a word or two.
+    pub(crate) fn takes(&self, path: &str) -> Option<String> {
+        let tree = self.tree();
+        Place::at(path, &tree).ok()?.kind.map(|kind| kind.words())
     }
 
     /// [`Self::set`] with `path=value`.
@@ -140,7 +143,16 @@ impl Draft {
     }
 }
 
-impl Place<'_> {
+impl<'a> Place<'a> {
+    /// The place that `path` names.
+    fn at(path: &str, tree: &'a Tree) -> Result<Self, String> {
+        let mut place = Self { name: String::new(), tree, kind: Some(Pipeline::kind()) };
+        for step in path.trim().split('.') {
+            place = place.step(step.trim())?;
+        }
+        Ok(place)
+    }
+
     /// The place called `step` inside this one.
     fn step(self, step: &str) -> Result<Self, String> {
         let Self { name, tree, kind } = self;

@@ -202,20 +202,54 @@ impl Pipeline {
     /// # Errors
     /// [`Error::Config`] naming the argument.
     pub fn set_all<S: AsRef<str>>(&mut self, arguments: &[S]) -> Result<()> {
+        self.apply(
+            arguments,
+            |draft, argument| draft.set_argument(argument.as_ref()),
+            |argument| {
+                let argument = argument.as_ref();
+                (format!("--set {}", shortened(argument)), argument.split('=').next().unwrap_or_default())
+            },
+        )
+    }
+
+    /// The same with paths and the RON text of values.
+    ///
+    /// # Errors
+    /// As there, naming path and value.
+    pub fn set_values(&mut self, values: &[(String, String)]) -> Result<()> {
+        self.apply(
+            values,
+            |draft, (path, value)| draft.set(path, value),
+            |(path, value)| (format!("{path} = {}", shortened(value)), path),
+        )
+    }
+
+    /// Does all of `changes`, or none of them. `named` is what messages call one, and its path.
+    fn apply<C>(
+        &mut self,
+        changes: &[C],
+        change: impl Fn(&mut Draft, &C) -> Result<()>,
+        named: impl Fn(&C) -> (String, &str),
+    ) -> Result<()> {
         let mut draft = Draft::of(self);
-        arguments.iter().try_for_each(|argument| draft.set_argument(argument.as_ref()))?;
-        let alone = |argument: &&S| {
+        changes.iter().try_for_each(|one| change(&mut draft, one))?;
+        let alone = |one: &&C| {
             let mut draft = Draft::of(self);
-            draft.set_argument(argument.as_ref()).and_then(|()| draft.finish()).map_err(|e| e.to_string()).err()
+            change(&mut draft, one).and_then(|()| draft.finish()).map_err(|e| e.to_string()).err()
         };
-        *self = draft.finish().map_err(|error| {
+        let made = draft.finish().map_err(|error| {
             // Whoever makes the same mistake alone is to blame, else all together.
-            let said = error.to_string();
-            let one = arguments.iter().find(|argument| alone(argument).as_ref() == Some(&said));
-            let blamed = one.map_or(arguments, std::slice::from_ref);
-            let named: Vec<String> = blamed.iter().map(|a| format!("--set {}", shortened(a.as_ref()))).collect();
-            Error::Config(format!("{}: {said}", named.join(" ")))
+            let mut said = error.to_string();
+            let one = changes.iter().find(|one| alone(one).as_ref() == Some(&said));
+            // What only says that a value cannot be read says nothing of what can.
+            if let Some(wanted) = one.filter(|_| !said.contains('`')).and_then(|one| draft.takes(named(one).1)) {
+                said = format!("{said}; it takes a {wanted}");
+            }
+            let blamed = one.map_or(changes, std::slice::from_ref);
+            let names: Vec<String> = blamed.iter().map(|one| named(one).0).collect();
+            Error::Config(format!("{}: {said}", names.join(" ")))
         })?;
+        *self = made;
         Ok(())
     }
 

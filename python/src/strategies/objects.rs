@@ -98,13 +98,15 @@ pub(super) fn generator<'py>(py: Python<'py>, random: &mut rng::Rng) -> PyResult
     py.import("numpy.random")?.call_method1("default_rng", (rng::below(random, 1 << 62),))
 }
 
-/// Numbers of any shape, `length` in all.
+/// Finite numbers of any shape, `length` in all.
 pub(super) fn given_flat(what: &str, values: &Bound<'_, PyAny>, length: usize) -> PyResult<Vec<Real>> {
-    let array = given::<Real>(what, values, &vec![None; axes(values)?])?;
+    let array = given::<Real>(what, values, &vec![None; axes(values)?.max(1)])?; // a number becomes an array of one
     let all = array.as_slice().map_err(|e| wrong(values.py(), &e.to_string()))?;
-    if all.len() == length && all.iter().all(|v| v.is_finite()) {
-        return Ok(all.to_vec());
+    if all.len() != length {
+        return Err(wrong(values.py(), &format!("{what} has {} numbers, and {length} are wanted", all.len())));
     }
-    let found = all.len();
-    Err(wrong(values.py(), &format!("{what} has {found} numbers, and {length} finite ones are wanted")))
+    match all.iter().find(|v| !v.is_finite()) {
+        Some(bad) => Err(wrong(values.py(), &format!("{what} holds {bad}; give finite numbers"))),
+        None => Ok(all.to_vec()),
+    }
 }

@@ -23,32 +23,79 @@ const STATISTICS: [(&str, Statistic); 9] = [
     ("elimination", Statistic::Elimination { most: 4_096 }),
 ];
 
-/// The derivatives that come with a gate or a penalty: of each column that is named.
-struct Slopes {
+/// What `gate` and `penalty` give: numbers, and their derivatives in the columns that are named.
+struct Curve<'py> {
+    value: Bound<'py, PyAny>,
     columns: Vec<Trace>,
     slopes: Vec<Vec<Real>>,
+    /// A word after the two.
+    word: Option<String>,
 }
 
-impl Slopes {
-    fn of(given: &Bound<'_, PyAny>, cloud: &Traced, what: &str) -> PyResult<Self> {
+impl Strategy {
+    /// Asks `method`, which gives a value and its derivatives, or None. `form` is how a manual would write that.
+    fn curve<T>(
+        &self,
+        method: &'static str,
+        form: &str,
+        (cloud, moment): (&Traced, &Moment),
+        then: impl FnOnce(Curve<'_>) -> PyResult<T>,
+    ) -> Option<T> {
+        if !self.object.has(method) {
+            return None;
+        }
+        self.with(|py, own| {
+            let found = own.call_method1(method, (traced_object(py, cloud)?, moment_object(py, moment)?))?;
+            if found.is_none() {
+                return Ok(None);
+            }
+            let wants = |what: &str| wrong(py, &format!("{method} gave {what}; give {form}, or None"));
+            let Ok(parts) = found.cast::<PyTuple>() else { return Err(wants(&kind_of(&found))) };
+            if !(2..=3).contains(&parts.len()) {
+                return Err(wants(&format!("{} things", parts.len())));
+            }
+            let slopes = parts.get_item(1)?;
+            let Ok(slopes) = slopes.cast::<PyDict>() else {
+                return Err(wants(&format!("{} as its derivatives", kind_of(&slopes))));
+            };
+            let (columns, slopes) = self.slopes(slopes, cloud, method)?;
+            let word = parts.get_item(2).and_then(|word| word.extract()).ok();
+            then(Curve { value: parts.get_item(0)?, columns, slopes, word }).map(Some)
+        })
+    }
+
+    /// The columns that a dict names, and what it has for them.
+    fn slopes(
+        &self,
+        given: &Bound<'_, PyDict>,
+        cloud: &Traced,
+        method: &str,
+    ) -> PyResult<(Vec<Trace>, Vec<Vec<Real>>)> {
         let (mut columns, mut slopes) = (Vec::new(), Vec::new());
-        for item in given.cast::<PyDict>().map_err(PyErr::from)?.iter() {
-            let (name, values): (String, _) = (item.0.extract()?, item.1);
+        for (name, values) in given {
+            let name: String = name.extract()?;
+            let refuse = |what: &str| Err(wrong(given.py(), &format!("{method}: {what}")));
             if !cloud.names().any(|own| own == name) {
                 let hint = pwrfgs_core::did_you_mean(&name, cloud.names());
-                return Err(wrong(given.py(), &format!("{what}: there is no column `{name}`{hint}")));
+                return refuse(&format!("there is no column `{name}`{hint}"));
             }
-            let trace = cloud.column(&name);
+            if self.object.columns.iter().any(|own| own.name == name && own.learning_rate.is_none()) {
+                return refuse(&format!("the column `{name}` has no learning_rate, so that no derivative moves it"));
+            }
             let length = pwrfgs_core::tape::values(cloud.leaf(&name)).len();
-            let flat = given_flat(&format!("{what}: the derivative in `{name}`"), &values, length)?;
-            columns.push(trace);
-            slopes.push(flat);
+            slopes.push(given_flat(&format!("{method}: the derivative in `{name}`"), &values, length)?);
+            columns.push(cloud.column(&name));
         }
         if columns.is_empty() {
-            return Err(wrong(given.py(), &format!("{what}: give the derivative in one column at least")));
+            return Err(wrong(given.py(), &format!("{method}: give the derivative in one column at least")));
         }
-        Ok(Self { columns, slopes })
+        Ok((columns, slopes))
     }
+}
+
+/// The name of its class.
+fn kind_of(value: &Bound<'_, PyAny>) -> String {
+    value.get_type().name().map_or_else(|_| "something else".into(), |name| format!("a value of {name}"))
 }
 
 impl Pruner for Strategy {
@@ -92,19 +139,13 @@ impl Pruner for Strategy {
     }
 
     fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Gate> {
-        if !self.object.has("gate") {
-            return None;
-        }
-        self.with(|py, own| {
-            let arguments = (traced_object(py, cloud)?, moment_object(py, moment)?);
-            let found = own.call_method1("gate", arguments)?;
-            if found.is_none() {
-                return Ok(None);
+        let n = cloud.len();
+        self.curve("gate", "(factor [N], {column: derivative})", (cloud, moment), |found| {
+            let Curve { value, columns, slopes, word } = found;
+            let factor = given_flat("gate: the factor", &value, n)?;
+            if let Some(bad) = factor.iter().find(|v| **v < 0.0) {
+                return Err(wrong(value.py(), &format!("gate: a factor is {bad}; give numbers from 0 to 1")));
             }
-            let parts = found.cast::<PyTuple>().map_err(PyErr::from)?;
-            let factor = given_flat("the gate", &parts.get_item(0)?, cloud.len())?;
-            let Slopes { columns, slopes } = Slopes::of(&parts.get_item(1)?, cloud, "gate")?;
-            let n = cloud.len();
             let vjp = move |cotangents: Vec<Vec<Real>>| {
                 let rows = |slopes: &Vec<Real>| {
                     let width = slopes.len().checked_div(n).unwrap_or(1).max(1);
@@ -113,27 +154,24 @@ impl Pruner for Strategy {
                 slopes.iter().map(rows).collect()
             };
             let gate = op(columns, vec![factor], vjp).remove(0);
-            let presence = parts.len() > 2 && parts.get_item(2)?.extract::<String>()? == "presence";
-            Ok(Some(if presence { Gate::Presence(gate) } else { Gate::Whole(gate) }))
+            match word.as_deref() {
+                None => Ok(Gate::Whole(gate)),
+                Some("presence") => Ok(Gate::Presence(gate)),
+                Some(other) => {
+                    Err(wrong(value.py(), &format!("gate: {other:?} is unknown; the third may be \"presence\"")))
+                }
+            }
         })
     }
 
     fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
-        if !self.object.has("penalty") {
-            return None;
-        }
-        self.with(|py, own| {
-            let arguments = (traced_object(py, cloud)?, moment_object(py, moment)?);
-            let found = own.call_method1("penalty", arguments)?;
-            if found.is_none() {
-                return Ok(None);
-            }
-            let (value, slopes): (Real, Bound<'_, PyAny>) = found.extract()?;
-            let Slopes { columns, slopes } = Slopes::of(&slopes, cloud, "penalty")?;
+        self.curve("penalty", "(number, {column: derivative})", (cloud, moment), |found| {
+            let Curve { value, columns, slopes, .. } = found;
+            let number = given_flat("penalty: the value", &value, 1)?;
             let vjp = move |cotangents: Vec<Vec<Real>>| {
                 slopes.iter().map(|slopes| slopes.iter().map(|slope| slope * cotangents[0][0]).collect()).collect()
             };
-            Ok(Some(op(columns, vec![vec![value]], vjp).remove(0).sum()))
+            Ok(op(columns, vec![number], vjp).remove(0).sum())
         })
     }
 
