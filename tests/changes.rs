@@ -74,7 +74,7 @@ fn what_a_shell_would_eat_may_be_left_out() {
 
 #[test]
 fn what_cannot_be_is_told_with_what_can() {
-    let cases: [(&str, &[&str]); 17] = [
+    let cases: [(&str, &[&str]); 19] = [
         ("training.steps", &["path.to.field=value"]),
         ("training.step=5", &["`training` has no field `step`", "did you mean `steps`?"]),
         ("trainin.steps=5", &["a pipeline has no field `trainin`", "did you mean `training`?"]),
@@ -91,6 +91,8 @@ fn what_cannot_be_is_told_with_what_can() {
         ("training.steps=((", &["is no value"]),
         ("training.steps=many", &["integer", "it takes a whole number"]),
         ("initializer.count=-5", &["it takes a whole number"]),
+        ("training.optimizer.network=0.001", &["`0.001` stands where a name is expected; it takes a Schedule"]),
+        ("pruners=TopK(keep: 5)", &["it takes a list of Pruner"]),
         ("pruners.0.lambda=-1", &["`lambda` is -1"]),
     ];
     for (argument, words) in cases {

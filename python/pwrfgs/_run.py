@@ -6,6 +6,7 @@ import csv
 import html
 import json
 import os
+from collections.abc import Mapping as Mappings
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Union
 
 import numpy as np
@@ -175,6 +176,8 @@ class _Progress:
 
 def _arguments(values: Optional[Mapping[str, Any]]) -> List[str]:
     """Settings as ``--set`` has them: texts as they are on the command line, everything else as RON."""
+    if values is not None and not isinstance(values, Mappings):
+        raise InputError(f'set is {values!r}; give a dict, such as {{"training.steps": 2000}}')
     return [f"{path}={value if isinstance(value, str) else to_ron(value)}" for path, value in (values or {}).items()]
 
 

@@ -332,7 +332,11 @@ def make_class(name: str, entries: List[Dict[str, Any]]) -> type:
         for field, words, doc, _ in entry["fields"]:
             fields.setdefault(field, (words, doc))
 
-    def __init__(self: Value, **given: Any) -> None:
+    def __init__(self: Value, *items: Any, **given: Any) -> None:
+        if items:
+            first = next(iter(fields), None)
+            form = f"{python_name(first)}={items[0]!r}" if first else ""
+            raise TypeError(f"{name} takes its settings by name, such as {name}({form})" if first else f"{name} has no settings")
         named = {ron_name(field): value for field, value in given.items()}
         for field in given:
             if entries[0]["doc"] is not None and ron_name(field) not in fields:
@@ -385,6 +389,11 @@ class Choice(type):
 
     def __iter__(cls) -> Iterator[str]:
         return iter(getattr(cls, "_variants"))
+
+    def __getattr__(cls, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        raise AttributeError(unknown(cls.__name__, name, cls).replace("has no field", "has no variant"))
 
 
 def make_choice(entry: Dict[str, Any]) -> type:

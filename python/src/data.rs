@@ -109,7 +109,7 @@ impl Dataset {
         rssi: Option<&Bound<'_, PyAny>>,
         csi: Option<&Bound<'_, PyAny>>,
         receivers: Option<&Bound<'_, PyAny>>,
-        frequencies_hz: Option<Vec<f64>>,
+        frequencies_hz: Option<&Bound<'_, PyAny>>,
         points: Option<&Bound<'_, PyAny>>,
         elevation_deg: [f64; 2],
         title: &str,
@@ -122,6 +122,10 @@ impl Dataset {
         let sample = |(i, tx): (usize, &[f64; 3])| Sample::new(i as u32 + first, *tx);
         let alone: Vec<Sample> = txs.iter().enumerate().map(sample).collect();
         let (samples, observations) = match (spectra, rssi, csi) {
+            (Some(_), None, None) | (None, None, Some(_)) if receivers.len() != 1 => {
+                let what = "spectra and csi are those of one receiver";
+                return Err(wrong(py, &format!("{what}, and there are {}; make a data set of each", receivers.len())));
+            }
             (Some(spectra), None, None) => (alone, Observations::from(pictures(spectra, txs.len())?)),
             (None, Some(rssi), None) => heard(rssi, &txs, receivers.len())?,
             (None, None, Some(csi)) => (alone, gains(csi, txs.len(), frequencies_hz)?),
@@ -237,6 +241,15 @@ impl Dataset {
         self.all_of(py, Kind::Channel)
     }
 
+    /// Frequencies of the subcarriers of channels [F], Hz; None where something else was observed.
+    #[getter]
+    fn frequencies_hz<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<f64>>>> {
+        let Observations::Channels(channels) = &self.data.observations else { return Ok(None) };
+        let all = channels.frequencies_hz.clone();
+        let count = all.len();
+        array(py, all, &[count]).map(Some)
+    }
+
     /// What was observed of these links: a picture [H, W], a power or a channel [A, F] each.
     fn observations<'py>(&self, py: Python<'py>, links: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         observed(py, &self.data, &self.indices("links", links)?)
@@ -334,8 +347,7 @@ fn tuple<'py>(py: Python<'py>, numbers: &[f64]) -> PyResult<Bound<'py, PyTuple>>
 fn receivers_of(py: Python<'_>, given: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Receiver>> {
     let Some(given) = given else { return Ok(vec![Receiver::new("receiver", Pose::IDENTITY)]) };
     let class = py.import("pwrfgs._types")?.getattr("Receiver")?;
-    let items: Vec<Bound<'_, PyAny>> =
-        if given.is_instance(&class)? { vec![given.clone()] } else { given.try_iter()?.collect::<PyResult<_>>()? };
+    let items: Vec<Bound<'_, PyAny>> = if given.is_instance(&class)? { vec![given.clone()] } else { listed(given)? };
     let one = |(i, item): (usize, &Bound<'_, PyAny>)| {
         if !item.is_instance(&class)? {
             let position = numbers::<f64>("a receiver", item, &[Some(3)])?;
@@ -352,6 +364,11 @@ fn receivers_of(py: Python<'_>, given: Option<&Bound<'_, PyAny>>) -> PyResult<Ve
         })
     };
     items.iter().enumerate().map(one).collect()
+}
+
+fn listed<'py>(given: &Bound<'py, PyAny>) -> PyResult<Vec<Bound<'py, PyAny>>> {
+    let form = "give a list of Receiver, or places [R, 3] in metres";
+    given.try_iter().map_err(|error| wrong(given.py(), &format!("receivers: {error}; {form}")))?.collect()
 }
 
 /// Refuses channels of other antennas than the receiver has: what is learned rests on where they are.
@@ -434,10 +451,11 @@ fn heard(rssi: &Bound<'_, PyAny>, txs: &[[f64; 3]], receivers: usize) -> PyResul
 }
 
 /// Channels with their subcarriers.
-fn gains(csi: &Bound<'_, PyAny>, count: usize, frequencies_hz: Option<Vec<f64>>) -> PyResult<Observations> {
+fn gains(csi: &Bound<'_, PyAny>, count: usize, frequencies_hz: Option<&Bound<'_, PyAny>>) -> PyResult<Observations> {
     let py = csi.py();
     let frequencies_hz =
         frequencies_hz.ok_or_else(|| wrong(py, "csi wants frequencies_hz, those of its subcarriers"))?;
+    let frequencies_hz = numbers::<f64>("frequencies_hz", frequencies_hz, &[None])?;
     if frequencies_hz.is_empty() || !frequencies_hz.iter().all(|f| f.is_finite() && *f > 0.0) {
         return Err(wrong(py, "frequencies_hz: give Hz above 0, one a subcarrier"));
     }

@@ -12,6 +12,7 @@ use pwrfgs_core::{
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
+use std::ops::RangeInclusive;
 
 /// Observations of one kind as the library has them: (kind, images).
 fn images(what: &str, value: &Bound<'_, PyAny>, kind: &str) -> PyResult<(Kind, Vec<Image>)> {
@@ -54,6 +55,9 @@ fn images(what: &str, value: &Bound<'_, PyAny>, kind: &str) -> PyResult<(Kind, V
     }
 }
 
+/// What pixels of a truth may be, but for rounding.
+const AMPLITUDES: RangeInclusive<Real> = -1e-6..=1.000_001;
+
 /// Predictions and truths by a metric: for each of its measurements (key, unit, numbers a sample or the one number).
 #[pyfunction]
 pub(crate) fn measure<'py>(
@@ -81,20 +85,25 @@ pub(crate) fn measure<'py>(
     let elevation = Elevation { first: elevation_deg[0], last: elevation_deg[1] };
     let angles = is_picture.then(|| (azimuth, elevation.axis(height)));
     let plane = ImagePlane { width, height, wraps: is_picture, angles };
+    if let Some(bad) = truths.iter().flat_map(|truth| &truth.pixels).find(|v| is_picture && !AMPLITUDES.contains(*v)) {
+        return Err(wrong(py, &format!("truth holds {bad}; spectra go from 0 to 1 (divide bytes by 255)")));
+    }
     let scene = empty_scene(vec![]);
     let found = free(py, || {
-        metric.evaluate(&Evaluation {
-            predictions: &predictions,
-            truths: &truths,
-            kind,
-            links: &[],
-            plane: &plane,
-            scene: &scene,
-            model: None,
-            timed_prediction: None,
-        })
+        let given = (predictions.as_slice(), truths.as_slice());
+        metric.evaluate(&Evaluation { kind, ..evaluation(given, &plane, &scene) })
     })?;
     measurements(py, found)
+}
+
+/// Pictures without links and without a model, on a plane.
+fn evaluation<'a>(
+    (predictions, truths): (&'a [Image], &'a [Image]),
+    plane: &'a ImagePlane,
+    scene: &'a Scene,
+) -> Evaluation<'a> {
+    let kind = Kind::Spectrum;
+    Evaluation { predictions, truths, kind, links: &[], plane, scene, model: None, timed_prediction: None }
 }
 
 fn empty_scene(points: Vec<[Real; 3]>) -> Scene {
@@ -134,16 +143,7 @@ pub(crate) fn chamfer(py: Python<'_>, first: &Bound<'_, PyAny>, second: &Bound<'
     let plane = ImagePlane { width: 1, height: 1, wraps: false, angles: None };
     let found = free(py, || {
         let model = Some(ModelFacts { means: &means, gaussian_bytes: 0, network_bytes: 0 });
-        metric.evaluate(&Evaluation {
-            predictions: &[],
-            truths: &[],
-            kind: Kind::Spectrum,
-            links: &[],
-            plane: &plane,
-            scene: &scene,
-            model,
-            timed_prediction: None,
-        })
+        metric.evaluate(&Evaluation { model, ..evaluation((&[], &[]), &plane, &scene) })
     })?;
     match found.first().map(|one| &one.values) {
         Some(Values::Whole(value)) => Ok(*value),

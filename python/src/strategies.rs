@@ -120,7 +120,9 @@ fn columns(asked: &Bound<'_, PyAny>) -> PyResult<Vec<ColumnSpec>> {
             adam: column.getattr("adam")?.extract()?,
         })
     };
-    let all = asked.try_iter()?.map(|column| one(column?)).collect::<PyResult<Vec<ColumnSpec>>>()?;
+    let all = asked.try_iter().and_then(|all| all.map(|column| one(column?)).collect::<PyResult<Vec<ColumnSpec>>>());
+    let form = "give a list of pwrfgs.Column(name, width=1, init=0.0, learning_rate=None, adam=True)";
+    let all = all.map_err(|error| wrong(asked.py(), &format!("columns: {error}; {form}")))?;
     match all.iter().enumerate().find_map(|(i, spec)| fault(spec, &all[..i]).map(|what| (spec.name, what))) {
         Some((name, what)) => Err(wrong(asked.py(), &format!("columns: `{name}` {what}"))),
         None => Ok(all),

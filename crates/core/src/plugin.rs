@@ -106,7 +106,7 @@ pub fn try_to_ron(value: &impl Serialize) -> Result<String, String> {
 /// # Errors
 /// [`Error::Input`](crate::Error::Input) with line and column.
 pub fn read_ron<T: de::DeserializeOwned>(text: &str, path: &Path) -> crate::Result<T> {
-    use ron::Error::{NoSuchEnumVariant, NoSuchStructField};
+    use ron::Error::{NoSuchEnumVariant, NoSuchStructField, SuggestRawIdentifier};
     ron_options().from_str(text).map_err(|e| {
         let hint = match &e.code {
             NoSuchEnumVariant { expected, found, .. } | NoSuchStructField { expected, found, .. } => {
@@ -114,7 +114,11 @@ pub fn read_ron<T: de::DeserializeOwned>(text: &str, path: &Path) -> crate::Resu
             }
             _ => String::new(),
         };
-        crate::Error::at(path, e.span.end.line, e.span.end.col, format!("{}{hint}", e.code))
+        let what = match &e.code {
+            SuggestRawIdentifier(found) => format!("`{found}` stands where a name is expected"),
+            code => code.to_string(),
+        };
+        crate::Error::at(path, e.span.end.line, e.span.end.col, what + &hint)
     })
 }
 

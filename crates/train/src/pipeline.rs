@@ -242,7 +242,9 @@ impl Pipeline {
             let mut said = error.to_string();
             let one = changes.iter().find(|one| alone(one).as_ref() == Some(&said));
             // What only says that a value cannot be read says nothing of what can.
-            if let Some(wanted) = one.filter(|_| !said.contains('`')).and_then(|one| draft.takes(named(one).1)) {
+            let misread = ["Expected ", "Integer is "].iter().any(|begin| said.starts_with(begin))
+                || said.ends_with("where a name is expected");
+            if let Some(wanted) = one.filter(|_| misread).and_then(|one| draft.takes(named(one).1)) {
                 said = format!("{said}; it takes a {wanted}");
             }
             let blamed = one.map_or(changes, std::slice::from_ref);
