@@ -390,10 +390,12 @@ class Choice(type):
     def __iter__(cls) -> Iterator[str]:
         return iter(getattr(cls, "_variants"))
 
-    def __getattr__(cls, name: str) -> Any:
-        if name.startswith("_"):
-            raise AttributeError(name)
-        raise AttributeError(unknown(cls.__name__, name, cls).replace("has no field", "has no variant"))
+    if not TYPE_CHECKING:  # a checker would take every name for one that is there
+
+        def __getattr__(cls, name: str) -> Any:
+            if name.startswith("_"):
+                raise AttributeError(name)
+            raise AttributeError(unknown(cls.__name__, name, cls).replace("has no field", "has no variant"))
 
 
 def make_choice(entry: Dict[str, Any]) -> type:

@@ -98,6 +98,12 @@ def test_mistakes_have_a_place(pipeline, tmp_path):
         pwrfgs.run(pipeline, set={"training.steps": -5})
     with pytest.raises(pwrfgs.InputError, match="^seed = 'x'|^seed = \"x\": .*it takes a whole number$"):
         pipeline.seed = "x"
+    with pytest.raises(AttributeError, match="Schedule has no variant `Cosin`; did you mean `Cosine`"):
+        pwrfgs.settings.Schedule.Cosin
+    with pytest.raises(TypeError, match=r"by name, such as LearnableMask\(lambda_=0.05\)"):
+        pwrfgs.LearnableMask(0.05)
+    with pytest.raises(pwrfgs.InputError, match="give a dict"):
+        pwrfgs.run(pipeline, set="training.steps=5")
     with pytest.raises(AttributeError, match="did you mean `training`"):
         pipeline.trainig = 1
     with pytest.raises(pwrfgs.InputError):
