@@ -250,7 +250,10 @@ def run(
         chosen._inner.set_arguments(_arguments(set))
     for field, more in (("pruners", pruners), ("baselines", baselines), ("metrics", metrics)):
         if more:
-            chosen.set({field: _beside(field, chosen.get(field), [_named(field, item) for item in more])})
+            there, named = chosen.get(field), [_named(field, item) for item in more]
+            if field == "pruners":
+                _refuse_twice(there, named)
+            chosen.set({field: [*there, *named]})
     for field, one in (("initializer", initializer), ("split", split)):
         if one is not None:
             chosen.set({field: _named(field, one)})
@@ -274,22 +277,19 @@ def _named(field: str, strategy: Any) -> Any:
     return value
 
 
-def _beside(field: str, there: List[Any], more: List[Any]) -> List[Any]:
-    """Both; no pruner twice, which nobody means."""
-    for place, value in enumerate(more if field == "pruners" else ()):
-        if any(_same(value, other) for other in [*there, *more[:place]]):
+def _refuse_twice(there: List[Any], more: List[Any]) -> None:
+    """Refuses a pruner that is there already, which nobody means."""
+
+    def of_class(value: Any) -> Any:
+        return value._name, value._fields.get("module"), value._fields.get("class")
+
+    for place, value in enumerate(more):
+        if of_class(value) in map(of_class, [*there, *more[:place]]):
             name = value._fields["class"] if value._name == "Python" else value._name
             raise InputError(
                 f"the pipeline has {name} already, and this would be another beside it; change its settings by `set`, or take the "
                 'pruners that are there away with set={"pruners": []}'
             )
-    return [*there, *more]
-
-
-def _same(one: Any, other: Any) -> bool:
-    """Whether they are of one class."""
-    classes = [(value._name, value._fields.get("module"), value._fields.get("class")) for value in (one, other)]
-    return classes[0] == classes[1]
 
 
 def _listener(bar: _Progress, callback: Optional[Callable[[Event], Any]]) -> Callable[[Event], None]:
@@ -367,8 +367,9 @@ def simulate(
 ) -> "_pwrfgs.Dataset":
     """Simulates a scene file into the new folder ``out`` and loads it: ``simulate("scenes/office.ron", "data/office")``.
 
-    ``layout`` is "spectra", "arrays", "rssi" (``noise_db`` is its scatter), "channels" or "csi" (``snr_db`` is their noise). Ctrl-C stops it; nothing is left behind then. A scene
-    of several receivers makes a folder for each inside ``out`` (but for "rssi"); the first is loaded.
+    ``layout`` is "spectra", "arrays", "rssi" (``noise_db`` is its scatter), "channels" or "csi" (``snr_db`` is their noise).
+    Ctrl-C stops it; nothing is left behind then. A scene of several receivers makes a folder for each inside ``out`` (but for
+    "rssi"); the first is loaded.
     """
     bar = _Progress(progress)
     bar.begin("simulating", samples)

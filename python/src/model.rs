@@ -296,7 +296,8 @@ impl Model {
         py.import("pwrfgs._types")?.getattr("Gaussians")?.call1(fields)
     }
 
-    /// Writes the model file, whole or not at all, in the place of one that is there; with `half` the networks in 16-bit numbers, which halves it.
+    /// Writes the model file, whole or not at all, in the place of one that is there; with `half` the networks in 16-bit
+    /// numbers, which halves it.
     #[pyo3(signature = (path, *, half=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, half: bool) -> PyResult<()> {
         free(py, || {

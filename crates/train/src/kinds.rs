@@ -49,7 +49,7 @@ fn other_kinds(pipeline: &Pipeline) -> Option<(&'static str, String)> {
         let advice = match kind {
             Kind::Spectrum => "readout: Magnitude",
             Kind::Power => "readout: Received(sky_deg: 10)",
-            Kind::Channel => "method: VirtualTransmitters()",
+            Kind::Channel => "method: VirtualTransmitters(), or readout: Channel",
         };
         let what = format!("it gives {}, and the data are {}; use {advice}", own.plural(), kind.plural());
         return Some((field, what));

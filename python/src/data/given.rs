@@ -1,0 +1,146 @@
+//! What a user gives for a data set: receivers, spectra, powers, channels, each checked.
+
+use crate::arrays::{Gain, axes, given, numbers};
+use crate::border::wrong;
+use numpy::PyArrayDyn;
+use numpy::PyReadonlyArrayDyn;
+use pwrfgs_core::{Channels, Error, Number, Observations, Pose, Real, Receiver, Sample, Spectra};
+use pyo3::exceptions::PyUserWarning;
+use pyo3::prelude::*;
+
+/// What a user says of receivers.
+pub(super) fn receivers_of(py: Python<'_>, given: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Receiver>> {
+    let Some(given) = given else { return Ok(vec![Receiver::new("receiver", Pose::IDENTITY)]) };
+    let class = py.import("pwrfgs._types")?.getattr("Receiver")?;
+    let items: Vec<Bound<'_, PyAny>> = if given.is_instance(&class)? { vec![given.clone()] } else { listed(given)? };
+    let one = |(i, item): (usize, &Bound<'_, PyAny>)| {
+        if !item.is_instance(&class)? {
+            let position = numbers::<f64>("a receiver", item, &[Some(3)])?;
+            let pose = Pose { position: [position[0], position[1], position[2]], ..Pose::IDENTITY };
+            return Ok(Receiver::new(if items.len() == 1 { "receiver".into() } else { format!("r{i}") }, pose));
+        }
+        let pose = Pose {
+            position: item.getattr("position")?.extract()?,
+            orientation: item.getattr("orientation")?.extract()?,
+        };
+        Ok(Receiver {
+            antennas: item.getattr("antennas")?.extract()?,
+            ..Receiver::new(item.getattr("name")?.extract::<String>()?, pose)
+        })
+    };
+    items.iter().enumerate().map(one).collect()
+}
+
+fn listed<'py>(given: &Bound<'py, PyAny>) -> PyResult<Vec<Bound<'py, PyAny>>> {
+    let form = "give a list of Receiver, or places [R, 3] in metres";
+    given.try_iter().map_err(|error| wrong(given.py(), &format!("receivers: {error}; {form}")))?.collect()
+}
+
+/// Refuses channels of other antennas than the receiver has: what is learned rests on where they are.
+pub(super) fn check_antennas(py: Python<'_>, observations: &Observations, receivers: &[Receiver]) -> PyResult<()> {
+    let (Observations::Channels(channels), [receiver]) = (observations, receivers) else { return Ok(()) };
+    let (given, placed) = (channels.antennas, receiver.antennas.len());
+    if given == placed {
+        return Ok(());
+    }
+    let what = format!(
+        "csi has {given} antennas, and the receiver has {placed}; say where they are: \
+         receivers=[Receiver(position=(x, y, z), antennas=[(0, 0, 0), ..])], {given} places in metres, in its own frame"
+    );
+    Err(wrong(py, &what))
+}
+
+/// Who hears nothing but more than a milliwatt has likely given milliwatts.
+pub(super) fn warn_of_milliwatts(py: Python<'_>, observations: &Observations) -> PyResult<()> {
+    let Observations::Powers(powers) = observations else { return Ok(()) };
+    if powers.is_empty() || powers.iter().any(|dbm| *dbm < 0.0) {
+        return Ok(());
+    }
+    let text = "every power is 0 dBm or more, which is a milliwatt; of powers in mW give 10 * log10(mW)";
+    py.import("warnings")?.call_method1("warn", (text, py.get_type::<PyUserWarning>(), 2)).map(drop)
+}
+
+/// Spectra as they are given: bytes stay bytes.
+pub(super) fn pictures(given_spectra: &Bound<'_, PyAny>, count: usize) -> PyResult<Spectra> {
+    let py = given_spectra.py();
+    let shape = [Some(count), None, None];
+    let bytes: Option<PyReadonlyArrayDyn<'_, u8>> = given_spectra
+        .cast::<PyArrayDyn<u8>>()
+        .ok()
+        .map(|_| given::<u8>("spectra", given_spectra, &shape))
+        .transpose()?;
+    let said = |error: Error| crate::border::raised(py, error);
+    if let Some(bytes) = bytes {
+        let size = bytes.shape_of();
+        let bytes = bytes.as_slice().map_err(|e| wrong(py, &e.to_string()))?.to_vec();
+        return Spectra::in_memory(size, Number::U8, bytes).map_err(said);
+    }
+    let floats = given::<f32>("spectra", given_spectra, &shape)?;
+    let size = floats.shape_of();
+    let pixels = floats.as_slice().map_err(|e| wrong(py, &e.to_string()))?;
+    if let Some(i) = pixels.iter().position(|v| !(-1e-6..=1.000_001).contains(v)) {
+        let of_one = size.0 * size.1;
+        let (s, r, c) = (i / of_one, i % of_one / size.0, i % size.0);
+        return Err(wrong(py, &format!("spectra[{s}, {r}, {c}] is {}; give amplitudes from 0 to 1", pixels[i])));
+    }
+    Spectra::float(size, pixels).map_err(said)
+}
+
+/// Columns and rows of a stack of pictures.
+trait ShapeOf {
+    fn shape_of(&self) -> (usize, usize);
+}
+
+impl<T: numpy::Element> ShapeOf for PyReadonlyArrayDyn<'_, T> {
+    fn shape_of(&self) -> (usize, usize) {
+        use numpy::PyUntypedArrayMethods as _;
+        (self.shape()[2], self.shape()[1])
+    }
+}
+
+/// Links of whoever was heard, and their powers.
+pub(super) fn heard(
+    rssi: &Bound<'_, PyAny>,
+    txs: &[[f64; 3]],
+    receivers: usize,
+) -> PyResult<(Vec<Sample>, Observations)> {
+    let flat = axes(rssi)? == 1;
+    let shape: &[Option<usize>] = if flat { &[Some(txs.len())] } else { &[Some(txs.len()), Some(receivers)] };
+    if flat && receivers != 1 {
+        return Err(wrong(rssi.py(), &format!("rssi has one axis, and there are {receivers} receivers; give [M, R]")));
+    }
+    let all = numbers::<f64>("rssi", rssi, shape)?;
+    let (mut samples, mut powers) = (Vec::new(), Vec::new());
+    for (k, dbm) in all.iter().enumerate().filter(|(_, dbm)| !dbm.is_nan()) {
+        let i = k / receivers;
+        samples.push(Sample { id: i as u32, tx: txs[i], receiver: k % receivers });
+        powers.push(*dbm as Real);
+    }
+    Ok((samples, Observations::Powers(powers)))
+}
+
+/// Channels with their subcarriers.
+pub(super) fn gains(
+    csi: &Bound<'_, PyAny>,
+    count: usize,
+    frequencies_hz: Option<&Bound<'_, PyAny>>,
+) -> PyResult<Observations> {
+    let py = csi.py();
+    let frequencies_hz =
+        frequencies_hz.ok_or_else(|| wrong(py, "csi wants frequencies_hz, those of its subcarriers"))?;
+    let frequencies_hz = numbers::<f64>("frequencies_hz", frequencies_hz, &[None])?;
+    if frequencies_hz.is_empty() || !frequencies_hz.iter().all(|f| f.is_finite() && *f > 0.0) {
+        return Err(wrong(py, "frequencies_hz: give Hz above 0, one a subcarrier"));
+    }
+    let all = given::<Gain>("csi", csi, &[Some(count), None, Some(frequencies_hz.len())])?;
+    let antennas = {
+        use numpy::PyUntypedArrayMethods as _;
+        all.shape()[1]
+    };
+    let gains = all.as_slice().map_err(|e| wrong(py, &e.to_string()))?;
+    Ok(Observations::Channels(Channels {
+        antennas,
+        frequencies_hz,
+        gains: gains.iter().map(|gain| [gain.re, gain.im]).collect(),
+    }))
+}
