@@ -39,7 +39,7 @@ impl Observer for Teller {
     }
 
     fn on_step(&mut self, report: &StepReport) {
-        self.tell(Event::Step(StepReport { unpruned: None, ..report.clone() }));
+        self.tell(Event::Step(StepReport { pruned: None, ..report.clone() }));
     }
 
     fn on_validation(&mut self, seen: &Validation) {

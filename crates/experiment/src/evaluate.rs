@@ -103,7 +103,10 @@ pub fn evaluate(
 }
 
 /// Refuses data of another kind, another size, other receivers or other frequencies than the model knows.
-fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
+///
+/// # Errors
+/// The first difference.
+pub fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
     let refuse = |what: String| Err(Error::Config(what + "; evaluate it on data like those it was trained on"));
     let (plane, kind) = (model.plane(), data.kind());
     if model.kind() != kind {

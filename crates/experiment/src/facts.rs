@@ -2,7 +2,8 @@
 
 use crate::clock;
 use crate::folder::{
-    CONFIDENCE, CURVE, FACTS, MODEL_FILE, REPORT, SAMPLES, SCORES, START_SNAPSHOT, UNPRUNED_SNAPSHOT, VALIDATION,
+    CONFIDENCE, CURVE, FACTS, MODEL_FILE, PRUNED_SNAPSHOTS, REPORT, SAMPLES, SCORES, START_SNAPSHOT, UNPRUNED_SNAPSHOT,
+    VALIDATION,
 };
 use crate::memory;
 use crate::scores::ScoreTable;
@@ -167,7 +168,7 @@ impl Facts {
     /// Marks the files of a run that has just finished.
     pub(crate) fn seal(&mut self, folder: &Path) -> Result<()> {
         self.files.clear();
-        for name in MARKED.into_iter().filter(|name| folder.join(name).is_file()) {
+        for name in MARKED.into_iter().chain(PRUNED_SNAPSHOTS).filter(|name| folder.join(name).is_file()) {
             let path = folder.join(name);
             let bytes = files::read(&path).map_err(|e| Error::read(&path, e))?;
             self.files.insert(name.into(), Mark::of(&bytes));

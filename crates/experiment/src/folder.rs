@@ -19,6 +19,21 @@ pub const MODEL_FILE: &str = "model.safetensors";
 pub const START_SNAPSHOT: &str = "start.safetensors";
 /// The Gaussians before pruning, when they were most.
 pub const UNPRUNED_SNAPSHOT: &str = "unpruned.safetensors";
+/// The Gaussians after prune steps: spread evenly over all of them, so many at most.
+pub const PRUNED_SNAPSHOTS: [&str; 12] = [
+    "pruned-01.safetensors",
+    "pruned-02.safetensors",
+    "pruned-03.safetensors",
+    "pruned-04.safetensors",
+    "pruned-05.safetensors",
+    "pruned-06.safetensors",
+    "pruned-07.safetensors",
+    "pruned-08.safetensors",
+    "pruned-09.safetensors",
+    "pruned-10.safetensors",
+    "pruned-11.safetensors",
+    "pruned-12.safetensors",
+];
 /// Step, phase, loss, penalty, Gaussians, seconds.
 pub const CURVE: &str = "curve.csv";
 /// Step, SSIM and η on the validation part.
@@ -35,6 +50,20 @@ pub const CONFIDENCE: &str = "confidence.csv";
 pub const FACTS: &str = "run.json";
 /// The report.
 pub const REPORT: &str = "report.html";
+
+/// Every snapshot that a training may leave, in the order of their steps, and what it shows.
+pub fn snapshots() -> impl Iterator<Item = (&'static str, &'static str)> {
+    let first = [(START_SNAPSHOT, "At the start"), (UNPRUNED_SNAPSHOT, "Before pruning")];
+    first.into_iter().chain(PRUNED_SNAPSHOTS.map(|name| (name, "Pruned")))
+}
+
+/// The snapshot after prune step `round` of `rounds`, counted from 1; nothing for those that are left out.
+pub(crate) fn pruned_snapshot((round, rounds): (u64, u64)) -> Option<&'static str> {
+    let most = rounds.min(PRUNED_SNAPSHOTS.len() as u64);
+    let place = |round: u64| (round * most).checked_div(rounds).unwrap_or(0);
+    let is_next = round > 0 && place(round) > place(round - 1);
+    is_next.then(|| PRUNED_SNAPSHOTS[place(round) as usize - 1])
+}
 
 /// A run folder that this process holds.
 #[derive(Debug)]
@@ -139,12 +168,26 @@ fn same_recipe(folder: &Path, file: &Path, theirs: &str, ours: &str) -> Result<(
 /// tells that nobody is writing them any more. What cannot be removed does no harm.
 fn remove_leftovers(folder: &Path) {
     let own = [PIPELINE, CHECKPOINT, MODEL_FILE, START_SNAPSHOT, UNPRUNED_SNAPSHOT, CURVE, VALIDATION, SCORES, SAMPLES];
-    let own = [&own[..], &[CONFIDENCE, REPORT, FACTS]].concat();
+    let own = [&own[..], &[CONFIDENCE, REPORT, FACTS], &PRUNED_SNAPSHOTS].concat();
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
         let name = entry.file_name().to_string_lossy().into_owned();
         let stem = name.strip_prefix('.').and_then(|n| n.strip_suffix(".tmp")).and_then(|n| n.rsplit_once('.'));
         if stem.is_some_and(|(file, process)| own.contains(&file) && process.bytes().all(|b| b.is_ascii_digit())) {
             _ = std::fs::remove_file(entry.path());
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn snapshots_of_prune_steps_are_spread_over_all_of_them() {
+        let all = |rounds: u64| (1..=rounds).filter_map(|k| pruned_snapshot((k, rounds))).collect::<Vec<_>>();
+        assert_eq!(all(3), PRUNED_SNAPSHOTS[..3]);
+        assert_eq!(all(100), PRUNED_SNAPSHOTS);
+        assert_eq!(pruned_snapshot((100, 100)), Some("pruned-12.safetensors"), "the last is always among them");
+        assert_eq!(pruned_snapshot((0, 0)), None, "densification's are not");
     }
 }

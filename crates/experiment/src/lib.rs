@@ -38,7 +38,7 @@ mod validation;
 
 pub use bench::Bench;
 pub use ceiling::{CEILING, Ceiling, ceiling, lapse_of};
-pub use evaluate::{Assessment, evaluate};
+pub use evaluate::{Assessment, check_alike, evaluate};
 pub use examples::Example;
 pub use facts::{Facts, Machine, Mark};
 pub use folder::RunFolder;

@@ -6,7 +6,7 @@
 
 use crate::evaluate::evaluate;
 use crate::facts::Facts;
-use crate::folder::{CHECKPOINT, MODEL_FILE, RunFolder, START_SNAPSHOT, UNPRUNED_SNAPSHOT};
+use crate::folder::{CHECKPOINT, MODEL_FILE, RunFolder, START_SNAPSHOT, UNPRUNED_SNAPSHOT, pruned_snapshot};
 use crate::journal::{Journal, note_scores};
 use crate::observer::{Observer, Start, staged};
 use crate::preview::{fitting, fitting_network};
@@ -18,7 +18,7 @@ use crate::{clock, validation};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Dataset, Error, GaussianCloud, Partition, Result, evenly};
 use pwrfgs_model::{Ensemble, Model, file};
-use pwrfgs_train::{Estimate, Pipeline, Trainer};
+use pwrfgs_train::{Estimate, Pipeline, Pruned, Trainer};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -191,9 +191,11 @@ impl<'a> Run<'a> {
             estimate,
         });
         let origin = self.data.scene.origin;
-        let snapshot = |name, step, cloud: &GaussianCloud| Snapshot::of(step, cloud, origin).write(&folder.file(name));
+        let write = |name, step, cloud: &GaussianCloud, births: &[u32], gates| {
+            Snapshot::of(step, cloud, origin).known(births, gates).write(&folder.file(name))
+        };
         if trainer.done() == 0 {
-            snapshot(START_SNAPSHOT, 0, trainer.cloud())?;
+            write(START_SNAPSHOT, 0, trainer.cloud(), trainer.births(), trainer.gates())?;
         }
         // A file that an earlier start left is of the same events: nothing smaller is worth another.
         let mut fullest = Snapshot::read(&folder.file(UNPRUNED_SNAPSHOT))?.map_or(0, |before| before.means.len());
@@ -203,9 +205,14 @@ impl<'a> Run<'a> {
                 let begun = Instant::now();
                 let report = trainer.step().inspect_err(|_| self.kept(folder))?;
                 let seconds = begun.elapsed().as_secs_f64();
-                if let Some(cloud) = report.unpruned.as_ref().filter(|cloud| cloud.len() > fullest) {
-                    fullest = cloud.len();
-                    snapshot(UNPRUNED_SNAPSHOT, report.step, cloud)?;
+                if let Some(Pruned { cloud, births, gates, round }) = &report.pruned {
+                    if cloud.len() > fullest {
+                        fullest = cloud.len();
+                        write(UNPRUNED_SNAPSHOT, report.step, cloud, births, gates.clone())?;
+                    }
+                    if let Some(name) = pruned_snapshot(*round) {
+                        write(name, report.step, trainer.cloud(), trainer.births(), trainer.gates())?;
+                    }
                 }
                 journal.step(&report, seconds)?;
                 let look = settings.validate_every > 0 && report.step.is_multiple_of(settings.validate_every);

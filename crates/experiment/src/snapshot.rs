@@ -6,7 +6,7 @@ use pwrfgs_model::{Ensemble, tensors::Tensors};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// Places and opacities of N Gaussians.
+/// N Gaussians at one moment.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Snapshot {
     /// Steps done, that of the edit at hand included.
@@ -17,6 +17,15 @@ pub struct Snapshot {
     pub means: Vec<[Real; 3]>,
     /// Opacities `[N]` in (0, 1), without the gates of pruners.
     pub opacities: Vec<Real>,
+    /// Scales `[N,3]` in metres and rotations `[N,4]` (w, x, y, z) as learned, without what a transmitter adds; empty in a
+    /// file of an earlier version.
+    pub scales: Vec<[Real; 3]>,
+    /// See [`Self::scales`].
+    pub quats: Vec<[Real; 4]>,
+    /// Who each Gaussian is `[N]`: a number that stays from snapshot to snapshot; empty where nobody knows.
+    pub births: Vec<u32>,
+    /// Gates of pruners `[N]`, from 0 (closed) to 1; empty where there are none.
+    pub gates: Vec<Real>,
 }
 
 /// What the file says besides numbers.
@@ -31,20 +40,29 @@ struct Note {
 }
 
 const FORMAT: &str = "pwrfgs-snapshot";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 impl Snapshot {
     /// Of `cloud`, which counts from `origin`, at `step`.
     pub fn of(step: u64, cloud: &GaussianCloud, origin: Origin) -> Self {
         let opacities = cloud.opacity_logits.iter().copied().map(sigmoid).collect();
-        Self { step, origin, means: cloud.means.clone(), opacities }
+        let scales = cloud.log_scales.iter().map(|s| s.map(Real::exp)).collect();
+        let (means, quats) = (cloud.means.clone(), cloud.quats.clone());
+        Self { step, origin, means, opacities, scales, quats, births: Vec::new(), gates: Vec::new() }
+    }
+
+    /// The same, saying who the Gaussians are and which gates they have.
+    #[must_use]
+    pub fn known(self, births: &[u32], gates: Option<Vec<Real>>) -> Self {
+        Self { births: births.to_vec(), gates: gates.unwrap_or_default(), ..self }
     }
 
     /// Of all members of an ensemble together.
     pub fn of_ensemble(step: u64, ensemble: &Ensemble) -> Self {
         let origin = ensemble.members()[0].stages.origin;
         let logits = ensemble.members().iter().flat_map(|model| model.cloud.opacity_logits.iter().copied());
-        Self { step, origin, means: ensemble.means_from(origin), opacities: logits.map(sigmoid).collect() }
+        let opacities = logits.map(sigmoid).collect();
+        Self { step, origin, means: ensemble.means_from(origin), opacities, ..Self::default() }
     }
 
     /// Centre `i` in the user's frame, metres.
@@ -62,6 +80,16 @@ impl Snapshot {
         let mut file = Tensors::new(serde_json::to_string(&note).expect("plain data"));
         file.put("means", vec![n, 3], self.means.as_flattened().to_vec());
         file.put("opacities", vec![n], self.opacities.clone());
+        let births: Vec<Real> = self.births.iter().map(|birth| *birth as Real).collect();
+        let scales = self.scales.as_flattened().to_vec();
+        let quats = self.quats.as_flattened().to_vec();
+        for (name, width, values) in
+            [("scales", 3, scales), ("quats", 4, quats), ("births", 1, births), ("gates", 1, self.gates.clone())]
+        {
+            if !values.is_empty() {
+                file.put(name, vec![n, width], values);
+            }
+        }
         write_atomically(path, &file.to_bytes())
     }
 
@@ -80,7 +108,7 @@ impl Snapshot {
     fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
         let mut file = Tensors::from_bytes(bytes)?;
         let note: Note = serde_json::from_str(&file.note).map_err(|e| format!("not a snapshot of pwrfgs ({e})"))?;
-        if note.format != FORMAT || note.version != VERSION {
+        if note.format != FORMAT || !(1..=VERSION).contains(&note.version) {
             return Err(format!(
                 "a `{}` of version {}, this program reads `{FORMAT}` {VERSION}",
                 note.format, note.version
@@ -91,9 +119,28 @@ impl Snapshot {
         if let Some(wrong) = opacities.iter().find(|o| !(0.0..=1.0).contains(*o)) {
             return Err(format!("a damaged snapshot: an opacity is {wrong}"));
         }
-        let means = means.chunks_exact(3).map(|m| [m[0], m[1], m[2]]).collect();
-        Ok(Self { step: note.step, origin: note.origin, means, opacities })
+        let n = note.gaussians;
+        let mut column = |name: &str, width: usize| match file.shape(name) {
+            Some(_) => file.take(name, &[n, width]),
+            None => Ok(Vec::new()),
+        };
+        let (scales, quats) = (column("scales", 3)?, column("quats", 4)?);
+        let (births, gates) = (column("births", 1)?, column("gates", 1)?);
+        Ok(Self {
+            step: note.step,
+            origin: note.origin,
+            means: rows(&means),
+            opacities,
+            scales: rows(&scales),
+            quats: rows(&quats),
+            births: births.into_iter().map(|birth| birth as u32).collect(),
+            gates,
+        })
     }
+}
+
+fn rows<const K: usize>(values: &[Real]) -> Vec<[Real; K]> {
+    values.as_chunks().0.to_vec()
 }
 
 #[cfg(test)]
@@ -108,7 +155,7 @@ mod tests {
         let mut cloud = GaussianCloud::zeros(3);
         cloud.means[1] = [1.0, -2.0, 0.5];
         cloud.opacity_logits = vec![0.0, 3.0, -3.0];
-        let snapshot = Snapshot::of(250, &cloud, Origin([5e5, 54e5, 1e2]));
+        let snapshot = Snapshot::of(250, &cloud, Origin([5e5, 54e5, 1e2])).known(&[4, 0, 9], Some(vec![1.0, 0.0, 0.5]));
         assert_eq!(snapshot.place(1), [500_001.0, 5_399_998.0, 100.5]);
         assert!((snapshot.opacities[1] + snapshot.opacities[2] - 1.0).abs() < 1e-6);
         snapshot.write(&path).unwrap();
@@ -116,7 +163,9 @@ mod tests {
         let bytes = std::fs::read(&path).unwrap();
         std::fs::write(&path, &bytes[..bytes.len() - 5]).unwrap();
         assert!(Snapshot::read(&path).unwrap_err().is_input());
-        Snapshot { step: 0, origin: Origin::ZERO, means: vec![[0.0; 3]], opacities: vec![1.5] }.write(&path).unwrap();
+        Snapshot { step: 0, origin: Origin::ZERO, means: vec![[0.0; 3]], opacities: vec![1.5], ..Snapshot::default() }
+            .write(&path)
+            .unwrap();
         assert!(Snapshot::read(&path).unwrap_err().to_string().ends_with("an opacity is 1.5"));
     }
 }

@@ -3,8 +3,8 @@
 //! Random streams are functions of (seed, name, step), so a step number is all the state they have.
 
 use crate::trainer::Trainer;
-use crate::{Pipeline, adam::Adam};
-use pwrfgs_core::{CloudStats, Dataset, Error, Partition, Result};
+use crate::{Pipeline, adam::Adam, births::Births};
+use pwrfgs_core::{CloudStats, Dataset, Error, Partition, Real, Result};
 use pwrfgs_model::file::{put_weights, take_columns, take_weights};
 use pwrfgs_model::tensors::Tensors;
 use serde::{Deserialize, Serialize};
@@ -29,10 +29,12 @@ struct Note {
     extra: Vec<(String, usize)>,
     /// How many numbers each pruner remembers.
     memories: Vec<usize>,
+    /// How many Gaussians there have been.
+    born: u32,
 }
 
 const FORMAT: &str = "pwrfgs-checkpoint";
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 
 impl<'a> Trainer<'a> {
     /// Everything needed to go on, as bytes.
@@ -45,6 +47,7 @@ impl<'a> Trainer<'a> {
             gaussians: self.cloud.len(),
             extra: self.cloud.extra.iter().map(|c| (c.name.clone(), c.width)).collect(),
             memories: self.memories.0.iter().map(Vec::len).collect(),
+            born: self.births.next,
         };
         let mut file = Tensors::new(json(&note));
         let clouds = [("value", &self.cloud), ("first", &self.adam.cloud[0]), ("second", &self.adam.cloud[1])];
@@ -60,6 +63,8 @@ impl<'a> Trainer<'a> {
         for (name, values) in self.stats.columns() {
             file.put(format!("stats.{name}"), vec![values.len()], values.to_vec());
         }
+        let births = self.births.of.iter().map(|birth| *birth as Real).collect();
+        file.put("births", vec![self.cloud.len()], births);
         for (k, memory) in self.memories.0.iter().enumerate().filter(|(_, memory)| !memory.is_empty()) {
             file.put(format!("pruner.{k}"), vec![memory.len()], memory.clone());
         }
@@ -107,6 +112,8 @@ impl<'a> Trainer<'a> {
         for (k, (memory, len)) in self.memories.0.iter_mut().zip(&note.memories).enumerate().filter(|(_, m)| *m.1 > 0) {
             *memory = file.take(&format!("pruner.{k}"), &[*len])?;
         }
+        let births = file.take("births", &[n])?;
+        self.births = Births { of: births.into_iter().map(|birth| birth as u32).collect(), next: note.born };
         self.done = note.done;
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! Densification of 3D Gaussian splatting (algorithm 1, line 9): clone, split, remove, reset opacities.
 
 use crate::adam::Adam;
-use crate::edit;
+use crate::edit::{self, Beside};
 use crate::settings::Densify;
 use pwrfgs_core::{CloudStats, GaussianCloud, Real, Row, Vec3, logit, rng, sigmoid};
 
@@ -22,12 +22,11 @@ pub(crate) fn densify(
     extent: Real,
     (seed, step): (u64, u64),
     cloud: &mut GaussianCloud,
-    adam: &mut Adam,
-    stats: &mut CloudStats,
+    beside: &mut Beside<'_>,
 ) {
     let n = cloud.len();
     let largest = |i: usize| cloud.log_scales[i].iter().fold(Real::MIN, |m, s| m.max(*s)).exp();
-    let chosen = chosen(settings, n, stats);
+    let chosen = chosen(settings, n, beside.stats);
     let (mut rows, mut children) = (Vec::with_capacity(n), Vec::new());
     let mut copies = Vec::new();
     for (i, chosen) in chosen.iter().enumerate() {
@@ -47,12 +46,12 @@ pub(crate) fn densify(
         }
         rows.push(Row::Copied(i));
     }
-    edit::rewrite(&rows, cloud, adam, stats);
+    edit::rewrite(&rows, cloud, beside);
     for (row, mean) in children {
         cloud.means[row] = mean;
         cloud.log_scales[row].iter_mut().for_each(|s| *s -= settings.split_shrink.ln());
     }
-    remove(settings, extent, step, cloud, adam, stats);
+    remove(settings, extent, step, cloud, beside);
 }
 
 /// Gaussians to densify: mean gradient norm from the threshold on, within the budget; the strongest first.
@@ -79,14 +78,7 @@ fn child_mean(cloud: &GaussianCloud, i: usize, random: &mut rng::Rng) -> [Real; 
     (Vec3::from_array(cloud.means[i]) + turned).to_array()
 }
 
-fn remove(
-    settings: &Densify,
-    extent: Real,
-    step: u64,
-    cloud: &mut GaussianCloud,
-    adam: &mut Adam,
-    stats: &mut CloudStats,
-) {
+fn remove(settings: &Densify, extent: Real, step: u64, cloud: &mut GaussianCloud, beside: &mut Beside<'_>) {
     let too_large =
         (settings.large_above > 0.0 && step > settings.large_after).then_some(settings.large_above * extent);
     let mut keep: Vec<bool> = (0..cloud.len())
@@ -96,7 +88,7 @@ fn remove(
         })
         .collect();
     ensure_one(&mut keep, &cloud.opacity_logits, "densification");
-    edit::keep(&keep, cloud, adam, stats);
+    edit::keep(&keep, cloud, beside);
 }
 
 /// Where nothing would be left, keeps the one with the best score, and warns.
@@ -124,6 +116,8 @@ pub(crate) fn extent_of((low, high): ([Real; 3], [Real; 3])) -> Real {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::adam::Adam;
+    use crate::births::Births;
     use pwrfgs_core::ExtraColumn;
 
     /// A small, a large, a quiet and a transparent Gaussian, with a mask column and moments of 1.
@@ -148,7 +142,9 @@ mod tests {
     fn small_ones_are_cloned_large_ones_split_and_transparent_ones_removed() {
         let (mut cloud, mut adam, mut stats) = scene();
         let settings = Densify::default();
-        densify(&settings, 1.0, (0, 600), &mut cloud, &mut adam, &mut stats);
+        let mut births = Births::of(cloud.len());
+        let mut beside = Beside { adam: &mut adam, stats: &mut stats, births: &mut births };
+        densify(&settings, 1.0, (0, 600), &mut cloud, &mut beside);
         // Kept: 0, 2. Cloned: 0. Split: 1 into two, itself gone. Removed: 3.
         assert_eq!(cloud.signals.iter().map(|s| s[0]).collect::<Vec<_>>(), [0.0, 2.0, 0.0, 1.0, 1.0]);
         assert_eq!(cloud.extra[0].values, [1.0, 3.0, 1.0, 2.0, 2.0], "copies inherit the mask");
@@ -159,13 +155,16 @@ mod tests {
         assert_eq!(adam.cloud[0].opacity_logits, [1.0, 1.0, 0.0, 0.0, 0.0], "new rows have no moments");
         assert_eq!(adam.cloud[1].extra[0].values, [1.0, 1.0, 0.0, 0.0, 0.0]);
         assert_eq!(stats, CloudStats::zeros(5));
+        assert_eq!(births.of, [0, 2, 4, 5, 6], "children are somebody else");
     }
 
     #[test]
     fn the_budget_takes_the_strongest_first() {
         let (mut cloud, mut adam, mut stats) = scene();
         let settings = Densify { max_gaussians: 5, opacity_floor: 0.0, ..Densify::default() };
-        densify(&settings, 1.0, (0, 600), &mut cloud, &mut adam, &mut stats);
+        let mut births = Births::of(cloud.len());
+        let mut beside = Beside { adam: &mut adam, stats: &mut stats, births: &mut births };
+        densify(&settings, 1.0, (0, 600), &mut cloud, &mut beside);
         assert_eq!(cloud.len(), 5);
         assert_eq!(cloud.signals.iter().filter(|s| s[0] == 1.0).count(), 2, "the large one had the larger gradient");
     }
@@ -174,7 +173,9 @@ mod tests {
     fn the_last_gaussian_stays() {
         let (mut cloud, mut adam, mut stats) = scene();
         let settings = Densify { opacity_floor: 0.9, gradient_threshold: 100.0, ..Densify::default() };
-        densify(&settings, 1.0, (0, 600), &mut cloud, &mut adam, &mut stats);
+        let mut births = Births::of(cloud.len());
+        let mut beside = Beside { adam: &mut adam, stats: &mut stats, births: &mut births };
+        densify(&settings, 1.0, (0, 600), &mut cloud, &mut beside);
         assert_eq!(cloud.len(), 1);
     }
 

@@ -1,13 +1,22 @@
-//! The one place where N changes: a list of rows rewrites parameters, moments and statistics together.
+//! The one place where N changes: a list of rows rewrites parameters, moments, statistics and births together.
 
 use crate::adam::Adam;
+use crate::births::Births;
 use pwrfgs_core::{CloudStats, Edit, GaussianCloud, Row};
 
+/// What has a row a Gaussian besides the cloud.
+#[derive(Debug)]
+pub(crate) struct Beside<'a> {
+    pub(crate) adam: &'a mut Adam,
+    pub(crate) stats: &'a mut CloudStats,
+    pub(crate) births: &'a mut Births,
+}
+
 /// Rewrites cloud, moments and statistics so that row k of the new is `rows[k]` of the old. Statistics start anew.
-pub(crate) fn rewrite(rows: &[Row], cloud: &mut GaussianCloud, adam: &mut Adam, stats: &mut CloudStats) {
+pub(crate) fn rewrite(rows: &[Row], cloud: &mut GaussianCloud, beside: &mut Beside<'_>) {
     let sources: Vec<usize> = rows.iter().map(|row| row.source()).collect();
     *cloud = cloud.select(&sources);
-    for moments in &mut adam.cloud {
+    for moments in &mut beside.adam.cloud {
         *moments = moments.select(&sources);
         for (_, width, values) in moments.columns_mut() {
             for (row, values) in rows.iter().zip(values.chunks_exact_mut(width)) {
@@ -17,22 +26,23 @@ pub(crate) fn rewrite(rows: &[Row], cloud: &mut GaussianCloud, adam: &mut Adam, 
             }
         }
     }
-    *stats = CloudStats::zeros(rows.len());
+    *beside.stats = CloudStats::zeros(rows.len());
+    beside.births.rewrite(rows);
 }
 
 /// Keeps the rows that are true.
-pub(crate) fn keep(keep: &[bool], cloud: &mut GaussianCloud, adam: &mut Adam, stats: &mut CloudStats) {
+pub(crate) fn keep(keep: &[bool], cloud: &mut GaussianCloud, beside: &mut Beside<'_>) {
     let rows: Vec<usize> = (0..keep.len()).filter(|&i| keep[i]).collect();
     if rows.len() < keep.len() {
         // A prune, unlike a densification, does not end the period over which statistics are summed.
-        let kept = stats.select(&rows);
-        rewrite(&rows.into_iter().map(Row::Kept).collect::<Vec<_>>(), cloud, adam, stats);
-        *stats = kept;
+        let kept = beside.stats.select(&rows);
+        rewrite(&rows.into_iter().map(Row::Kept).collect::<Vec<_>>(), cloud, beside);
+        *beside.stats = kept;
     }
 }
 
 /// Puts a pruner's cloud in the place of this one. Statistics of a Gaussian that is another now start anew.
-pub(crate) fn replace(edit: Edit, cloud: &mut GaussianCloud, adam: &mut Adam, stats: &mut CloudStats) {
+pub(crate) fn replace(edit: Edit, cloud: &mut GaussianCloud, beside: &mut Beside<'_>) {
     let Edit { cloud: new, rows } = edit;
     let n = cloud.len();
     let fits = new.len() == rows.len() && !new.is_empty() && rows.iter().all(|row| row.source() < n);
@@ -42,13 +52,13 @@ pub(crate) fn replace(edit: Edit, cloud: &mut GaussianCloud, adam: &mut Adam, st
         fits && columns(&new) == columns(cloud),
         "an edit names a row of the cloud for each of its own, and keeps the columns"
     );
-    let mut kept = stats.select(&rows.iter().map(|row| row.source()).collect::<Vec<_>>());
-    rewrite(&rows, cloud, adam, stats);
+    let mut kept = beside.stats.select(&rows.iter().map(|row| row.source()).collect::<Vec<_>>());
+    rewrite(&rows, cloud, beside);
     for (_, column) in kept.columns_mut() {
         let moved = column.iter_mut().zip(&rows).filter(|(_, row)| matches!(row, Row::Copied(_)));
         moved.for_each(|(v, _)| *v = 0.0);
     }
-    (*cloud, *stats) = (new, kept);
+    (*cloud, *beside.stats) = (new, kept);
 }
 
 /// Removes the columns of pruners, all that are not among the method's `lasting`: after the pruning phase no mask is left.

@@ -7,6 +7,7 @@
 
 mod adam;
 mod batches;
+mod births;
 mod budgets;
 mod checkpoint;
 mod checks;
@@ -32,4 +33,4 @@ pub use pipeline::{Pipeline, PipelineFields, PipelinePatch};
 pub use settings::{
     Densify, DensifyPatch, Errors, Loss, LossPatch, Optimizer, OptimizerPatch, Rays, Schedule, Training, TrainingPatch,
 };
-pub use trainer::{StepReport, Trainer};
+pub use trainer::{Pruned, StepReport, Trainer};

@@ -4,7 +4,7 @@ use crate::budgets::is_exact;
 use crate::edit;
 use crate::graph::open_gates;
 use crate::survey;
-use crate::trainer::Trainer;
+use crate::trainer::{Before, Trainer};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{Budget, CloudStats, GaussianCloud, Moment, Phase, Pruner, Real, Result, Row};
 
@@ -62,11 +62,11 @@ impl Trainer<'_> {
         Moment { round, rounds, ..Moment::new(step, phase, self.pipeline.seed) }
     }
 
-    /// Asks every pruner. Gives the cloud as it was where it changed.
-    pub(crate) fn prune(&mut self, moment: &Moment) -> Result<Option<GaussianCloud>> {
+    /// Asks every pruner. Gives the Gaussians as they were where they changed.
+    pub(crate) fn prune(&mut self, moment: &Moment) -> Result<Option<Before>> {
         let pruners = self.pipeline.pruners.clone();
         let Some(first) = pruners.first() else { return Ok(None) };
-        let (before, n) = (self.cloud.clone(), self.cloud.len());
+        let (before, n) = (self.before(), self.cloud.len());
         let known = self.edits(&pruners, moment)?;
         let mut keep = votes(&pruners, &self.cloud, &known, moment);
         crate::densify::ensure_one(&mut keep, &first.score(&self.cloud, &known[0], moment), "pruning");
@@ -94,7 +94,8 @@ impl Trainer<'_> {
                     // Where only columns are new, what is known of Gaussians stays true.
                     let same = edit.rows.iter().enumerate().all(|(i, row)| *row == Row::Kept(i))
                         && edit.rows.len() == self.cloud.len();
-                    edit::replace(edit, &mut self.cloud, &mut self.adam, &mut self.stats);
+                    let (cloud, mut beside) = self.rows();
+                    edit::replace(edit, cloud, &mut beside);
                     if same {
                         known[k] = Some(stats);
                     } else {
@@ -110,7 +111,8 @@ impl Trainer<'_> {
 
     /// Keeps the rows that are true.
     pub(crate) fn take_away(&mut self, keep: &[bool]) {
-        edit::keep(keep, &mut self.cloud, &mut self.adam, &mut self.stats);
+        let (cloud, mut beside) = self.rows();
+        edit::keep(keep, cloud, &mut beside);
     }
 
     /// What pruner `k` is told of the Gaussians.

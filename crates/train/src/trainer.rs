@@ -2,10 +2,11 @@
 
 use crate::adam::Adam;
 use crate::batches::{Batches, coarse};
+use crate::births::Births;
 use crate::budgets::{is_exact, targeted, too_many};
 use crate::checks::{check_inputs, check_rays};
 use crate::densify;
-use crate::edit;
+use crate::edit::{self, Beside};
 use crate::fingerprint::fingerprint;
 use crate::graph::{drawn_gates, loss_and_gradients, open_gates};
 use crate::loss::{Objective, objective};
@@ -32,9 +33,25 @@ pub struct StepReport {
     pub penalty: f64,
     /// N after the step.
     pub gaussians: usize,
-    /// The Gaussians just before pruners took some, where they did.
-    pub unpruned: Option<GaussianCloud>,
+    /// What pruners took, where they did.
+    pub pruned: Option<Pruned>,
 }
+
+/// A step at which pruners took Gaussians.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pruned {
+    /// The Gaussians just before.
+    pub cloud: GaussianCloud,
+    /// Who each of them is `[N]`: a number that stays while rows move.
+    pub births: Vec<u32>,
+    /// Gates of the pruners `[N]`, from 0 (closed) to 1; `None` where there are none.
+    pub gates: Option<Vec<Real>>,
+    /// Which prune step it is, from 1, and how many there are; 0 where densification prunes.
+    pub round: (u64, u64),
+}
+
+/// The Gaussians before something took some, and who they are.
+pub(crate) type Before = (GaussianCloud, Vec<u32>);
 
 /// A training under way. The same pipeline and data give the same bits at any thread count, interrupted or not.
 #[derive(Debug)]
@@ -52,6 +69,7 @@ pub struct Trainer<'a> {
     pub(crate) weights: Arc<Vec<Real>>,
     pub(crate) adam: Adam,
     pub(crate) stats: CloudStats,
+    pub(crate) births: Births,
     /// Of each pruner.
     pub(crate) memories: Memories,
     pub(crate) done: u64,
@@ -138,6 +156,7 @@ impl<'a> Trainer<'a> {
         let blank = Self {
             adam: Adam::new(&cloud, &[]),
             stats: CloudStats::zeros(0),
+            births: Births::default(),
             memories: Memories::of(&pipeline.pruners),
             pipeline: pipeline.clone(),
             data,
@@ -186,6 +205,7 @@ impl<'a> Trainer<'a> {
         }
         self.adam = Adam::new(&cloud, &weights);
         self.stats = CloudStats::zeros(cloud.len());
+        self.births = Births::of(cloud.len());
         (self.cloud, self.weights) = (cloud, Arc::new(weights));
         Ok(())
     }
@@ -217,6 +237,31 @@ impl<'a> Trainer<'a> {
     /// The Gaussians as they stand.
     pub fn cloud(&self) -> &GaussianCloud {
         &self.cloud
+    }
+
+    /// Who each Gaussian is `[N]`: a number that stays while rows move. A copy has a number of its own.
+    pub fn births(&self) -> &[u32] {
+        &self.births.of
+    }
+
+    /// Gates of the pruners `[N]`, from 0 (closed) to 1, as they are now; `None` where there are none.
+    pub fn gates(&self) -> Option<Vec<Real>> {
+        self.gates_of(&self.cloud, &self.moment(self.done.max(1)))
+    }
+
+    fn gates_of(&self, cloud: &GaussianCloud, moment: &Moment) -> Option<Vec<Real>> {
+        let has_state = cloud.extra.len() > self.stages.method.columns().len();
+        has_state.then(|| open_gates(cloud, &self.pipeline.pruners, moment)).flatten()
+    }
+
+    /// Everything that has a row a Gaussian.
+    pub(crate) fn rows(&mut self) -> (&mut GaussianCloud, Beside<'_>) {
+        let beside = Beside { adam: &mut self.adam, stats: &mut self.stats, births: &mut self.births };
+        (&mut self.cloud, beside)
+    }
+
+    pub(crate) fn before(&self) -> Before {
+        (self.cloud.clone(), self.births.of.clone())
     }
 
     /// What was seen of the Gaussians since the last densification.
@@ -291,10 +336,13 @@ impl<'a> Trainer<'a> {
             let told = (!self.memories.0[k].is_empty()).then(|| self.told(k));
             pruner.update(&mut self.cloud, told.as_ref().unwrap_or(&self.stats), &moment);
         }
-        let unpruned = self.edit(&moment)?;
+        let pruned = self.edit(&moment)?.map(|(cloud, births)| {
+            let gates = self.gates_of(&cloud, &moment);
+            Pruned { cloud, births, gates, round: (moment.round, moment.rounds) }
+        });
         self.done = step;
         let (loss, penalty, gaussians) = (found.loss as f64, found.penalty as f64, self.cloud.len());
-        Ok(StepReport { step, phase: moment.phase, loss, penalty, gaussians, unpruned })
+        Ok(StepReport { step, phase: moment.phase, loss, penalty, gaussians, pruned })
     }
 
     /// The model as it stands: Gaussians whose gate is closed are gone, and so are the masks.
@@ -343,7 +391,7 @@ impl<'a> Trainer<'a> {
     }
 
     /// Changes N where algorithm 1 says so; gives the Gaussians as they were where pruners take some.
-    fn edit(&mut self, moment: &Moment) -> Result<Option<GaussianCloud>> {
+    fn edit(&mut self, moment: &Moment) -> Result<Option<Before>> {
         let training = self.pipeline.training.clone();
         let (step, mut unpruned) = (moment.step, None);
         match moment.phase {
@@ -355,8 +403,9 @@ impl<'a> Trainer<'a> {
                         0.0 => densify::extent_of(self.data.scene.bounds),
                         metres => metres,
                     };
-                    let (seed, cloud) = (self.pipeline.seed, &mut self.cloud);
-                    densify::densify(settings, extent, (seed, step), cloud, &mut self.adam, &mut self.stats);
+                    let seed = self.pipeline.seed;
+                    let (cloud, mut beside) = self.rows();
+                    densify::densify(settings, extent, (seed, step), cloud, &mut beside);
                     if settings.prune_masked {
                         unpruned = self.prune(moment)?;
                     }
@@ -374,7 +423,7 @@ impl<'a> Trainer<'a> {
             let exact = self.pipeline.pruners.iter().any(is_exact);
             if let Some(mut open) = self.open_gates(moment).filter(|_| !exact) {
                 densify::ensure_one(&mut open, &self.cloud.opacity_logits, "closing the gates");
-                let closed = open.contains(&false).then(|| self.cloud.clone());
+                let closed = open.contains(&false).then(|| self.before());
                 self.take_away(&open);
                 unpruned = unpruned.or(closed);
             }

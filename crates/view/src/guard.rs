@@ -1,0 +1,136 @@
+//! Who is let in: whoever knows the token, and says where from.
+//!
+//! The page listens on the loopback alone, but so does every other page of the browser: a name that resolves to 127.0.0.1
+//! (DNS rebinding), a form or a script of another origin. So `Host` must be ours, `Origin` ours where it is said, and the path
+//! begins with the token, which is in the address that the terminal shows and nowhere else.
+
+use hyper::header::{CONTENT_LENGTH, HOST, HeaderMap, HeaderName, ORIGIN, TRANSFER_ENCODING};
+use hyper::{Method, StatusCode, Uri};
+
+/// Longest address that is read, bytes.
+const LONGEST: usize = 2_000;
+
+/// The lock of a page.
+#[derive(Clone, Debug)]
+pub(crate) struct Guard {
+    token: String,
+    hosts: [String; 2],
+}
+
+impl Guard {
+    /// A random token for a page on `port`.
+    pub(crate) fn new(port: u16) -> Result<Self, getrandom::Error> {
+        let mut bytes = [0u8; 16];
+        getrandom::fill(&mut bytes)?;
+        let token = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+        Ok(Self { token, hosts: [format!("127.0.0.1:{port}"), format!("localhost:{port}")] })
+    }
+
+    /// The address of the page.
+    pub(crate) fn address(&self) -> String {
+        format!("http://{}/{}/", self.hosts[0], self.token)
+    }
+
+    /// The part of the path behind the token.
+    ///
+    /// # Errors
+    /// Why somebody is not let in.
+    pub(crate) fn admit<'a>(&self, method: &Method, uri: &'a Uri, headers: &HeaderMap) -> Result<&'a str, StatusCode> {
+        let ours = |text: &str| self.hosts.iter().any(|host| host == text);
+        if !only(headers, &HOST).is_some_and(ours) {
+            return Err(StatusCode::MISDIRECTED_REQUEST);
+        }
+        let origin = |text: &str| text.strip_prefix("http://").is_some_and(ours);
+        if headers.contains_key(ORIGIN) && !only(headers, &ORIGIN).is_some_and(origin) {
+            return Err(StatusCode::FORBIDDEN);
+        }
+        let site = HeaderName::from_static("sec-fetch-site");
+        if headers.contains_key(&site) && !only(headers, &site).is_some_and(|v| ["same-origin", "none"].contains(&v)) {
+            return Err(StatusCode::FORBIDDEN);
+        }
+        if method != Method::GET {
+            return Err(StatusCode::METHOD_NOT_ALLOWED);
+        }
+        if headers.contains_key(TRANSFER_ENCODING) || only(headers, &CONTENT_LENGTH).is_some_and(|v| v != "0") {
+            return Err(StatusCode::PAYLOAD_TOO_LARGE);
+        }
+        if uri.path_and_query().is_none_or(|all| all.as_str().len() > LONGEST) {
+            return Err(StatusCode::URI_TOO_LONG);
+        }
+        let (token, rest) = uri.path().trim_start_matches('/').split_once('/').ok_or(StatusCode::NOT_FOUND)?;
+        if same(token.as_bytes(), self.token.as_bytes()) { Ok(rest) } else { Err(StatusCode::NOT_FOUND) }
+    }
+}
+
+/// The value of a header that is said once.
+fn only<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
+    let mut all = headers.get_all(name).iter();
+    let first = all.next()?.to_str().ok()?;
+    all.next().is_none().then_some(first)
+}
+
+/// Whether they are equal; takes as long wherever they differ.
+fn same(a: &[u8], b: &[u8]) -> bool {
+    a.len() == b.len() && a.iter().zip(b).fold(0, |all, (a, b)| all | (a ^ b)) == 0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn asked(guard: &Guard, path: &str, headers: &[(&'static str, &str)]) -> Result<String, u16> {
+        let mut all = HeaderMap::new();
+        for (name, value) in headers {
+            all.append(*name, value.parse().unwrap());
+        }
+        let uri: Uri = path.parse().unwrap();
+        guard.admit(&Method::GET, &uri, &all).map(str::to_owned).map_err(|status| status.as_u16())
+    }
+
+    #[test]
+    fn whoever_knows_the_token_and_comes_from_here_is_let_in() {
+        let guard = Guard::new(4711).unwrap();
+        let path = format!("/{}/predict?tx=1,2,3", guard.token);
+        let host = ("host", "127.0.0.1:4711");
+        assert_eq!(asked(&guard, &path, &[host]).unwrap(), "predict");
+        assert_eq!(
+            asked(&guard, &path, &[("host", "localhost:4711"), ("origin", "http://localhost:4711")]).unwrap(),
+            "predict"
+        );
+        assert_eq!(asked(&guard, &path, &[host, ("sec-fetch-site", "same-origin")]).unwrap(), "predict");
+        assert_ne!(Guard::new(4711).unwrap().token, guard.token, "a token is drawn anew");
+        assert_eq!(guard.token.len(), 32);
+    }
+
+    #[test]
+    fn everybody_else_is_told_to_go() {
+        let guard = Guard::new(4711).unwrap();
+        let path = format!("/{}/predict", guard.token);
+        let host = ("host", "127.0.0.1:4711");
+        let cases: &[(&str, &[(&'static str, &str)], u16)] = &[
+            (&path, &[], 421),
+            (&path, &[("host", "evil.example:4711")], 421),
+            (&path, &[("host", "127.0.0.1:80")], 421),
+            (&path, &[host, ("host", "127.0.0.1:4711")], 421),
+            (&path, &[host, ("origin", "http://evil.example")], 403),
+            (&path, &[host, ("origin", "null")], 403),
+            (&path, &[host, ("origin", "https://127.0.0.1:4711")], 403),
+            (&path, &[host, ("sec-fetch-site", "cross-site")], 403),
+            (&path, &[host, ("content-length", "5")], 413),
+            (&path, &[host, ("transfer-encoding", "chunked")], 413),
+            ("/", &[host], 404),
+            ("/predict", &[host], 404),
+            ("/00000000000000000000000000000000/predict", &[host], 404),
+            (&format!("/{}", guard.token), &[host], 404),
+            (&format!("/{}0/predict", guard.token), &[host], 404),
+            (&format!("{path}?{}", "x".repeat(3_000)), &[host], 414),
+        ];
+        for (path, headers, status) in cases {
+            assert_eq!(asked(&guard, path, headers), Err(*status), "{path} {headers:?}");
+        }
+        let uri: Uri = path.parse().unwrap();
+        let mut headers = HeaderMap::new();
+        headers.append("host", "127.0.0.1:4711".parse().unwrap());
+        assert_eq!(guard.admit(&Method::POST, &uri, &headers), Err(StatusCode::METHOD_NOT_ALLOWED));
+    }
+}

@@ -1,0 +1,211 @@
+//! Arrays for the page: room, Gaussians, predictions, what was observed.
+
+use super::Refusal;
+use super::asked::Asked;
+use crate::house::House;
+use crate::moments::moments;
+use crate::side::{Known, Predictor, Side, score};
+use hyper::StatusCode;
+use pwrfgs_core::{Image, Kind, Query, Real, neighbours};
+use pwrfgs_experiment::folder::CURVE;
+use pwrfgs_experiment::{Snapshot, series};
+use pwrfgs_live::{self as live, Pack};
+use serde_json::{Value, json};
+use std::sync::Arc;
+
+/// Surface points that a page shows at most.
+const POINTS: usize = 20_000;
+/// Rows of the curve that a page shows at most.
+const ROWS: usize = 600;
+/// Places across the longer side of a radio map.
+const ACROSS: usize = 60;
+
+pub(super) fn pack(path: &str, asked: &Asked, house: &House) -> Result<Pack, Refusal> {
+    let side = house.sides.get(asked.side).ok_or_else(|| wrong("there is no such side"))?;
+    match path {
+        "room" => Ok(room(side, house)),
+        "gaussians" => gaussians(side, asked),
+        "predict" => predict(side, asked),
+        "link" => link(side, asked),
+        "map" => map(side, asked),
+        "curve" => Ok(curve(side)),
+        _ => Err((StatusCode::NOT_FOUND, "there is nothing here".into())),
+    }
+}
+
+fn wrong(why: &str) -> Refusal {
+    (StatusCode::BAD_REQUEST, why.to_owned())
+}
+
+fn known(side: &Side) -> Result<&Arc<Known>, Refusal> {
+    side.known.as_ref().ok_or_else(|| wrong("there are no data beside this model"))
+}
+
+fn predictor(side: &Side) -> Result<Arc<Predictor>, Refusal> {
+    side.predictor().ok_or((StatusCode::SERVICE_UNAVAILABLE, "there is no model before the first checkpoint".into()))
+}
+
+fn room(side: &Side, house: &House) -> Pack {
+    let known = side.known.as_deref();
+    let data = known.map(|k| live::Known { data: &k.data, partition: &k.partition, scores: &k.scores });
+    let predictor = side.predictor();
+    let ensemble = predictor.as_ref().and_then(|p| p.ensemble());
+    let origin = live::origin(&side.frame, data.map(|d| d.data));
+    let means = ensemble.map_or(Vec::new(), |ensemble| ensemble.means_from(origin));
+    let mut pack = live::room(&side.frame, data, &means, POINTS);
+    pack.note["sides"] = house.sides.iter().map(about).collect();
+    pack
+}
+
+/// What a page says of a side.
+fn about(side: &Side) -> Value {
+    let predictor = side.predictor();
+    let ensemble = predictor.as_ref().and_then(|predictor| predictor.ensemble());
+    let splats = ensemble.is_some_and(|e| e.members().iter().all(|m| m.stages.splatting().is_some()));
+    let by_position = ensemble.is_none_or(|e| e.members().iter().all(|m| m.stages.method.inputs() == 3));
+    json!({
+        "name": side.name,
+        "gaussians": ensemble.map(|ensemble| ensemble.gaussians()),
+        "members": ensemble.map_or(1, |ensemble| ensemble.members().len()),
+        "ellipsoids": splats,
+        "by_position": by_position,
+        "floor": predictor.as_ref().is_some_and(|p| p.ensemble().is_none()),
+        "moments": moments(side).iter().map(|(_, m)| json!({ "title": m.title, "step": m.step, "gaussians": m.gaussians }))
+            .collect::<Vec<_>>(),
+        "running": side.folder.as_ref().is_some_and(|folder| !folder.join(pwrfgs_experiment::folder::MODEL_FILE).is_file()),
+        "steps": side.known.as_ref().map(|known| known.pipeline.training.steps),
+    })
+}
+
+fn gaussians(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
+    let origin = live::origin(&side.frame, side.known.as_ref().map(|known| &*known.data));
+    if let Some(k) = asked.moment {
+        let all = moments(side);
+        let (path, _) = all.get(k).ok_or_else(|| wrong("there is no such moment"))?;
+        let snapshot = Snapshot::read(path).map_err(|e| crate::server::internal(&e))?;
+        let snapshot = snapshot.ok_or_else(|| wrong("the snapshot is gone"))?;
+        return Ok(live::moment(&snapshot, origin));
+    }
+    let predictor = predictor(side)?;
+    let ensemble = predictor.ensemble().ok_or_else(|| wrong("a floor has no Gaussians"))?;
+    let mut pack = live::gaussians(ensemble, origin, asked.tx);
+    if let Some(tx) = asked.tx.filter(|_| asked.with == "contribution") {
+        let all = live::contributions(ensemble, tx, receiver(side, asked)?);
+        pack.put("contributions", &[all.len()], all);
+    }
+    Ok(pack)
+}
+
+fn receiver(side: &Side, asked: &Asked) -> Result<usize, Refusal> {
+    let count = side.frame.receivers.len();
+    if asked.receiver < count { Ok(asked.receiver) } else { Err(wrong("there is no such receiver")) }
+}
+
+/// What is observed of a transmitter: at the receiver asked for, of powers at all of them; and how far that is from what was
+/// observed of the nearest one.
+fn predict(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
+    let (predictor, receiver, kind) = (predictor(side)?, receiver(side, asked)?, side.frame.kind);
+    let known = side.known.as_deref();
+    let by_position = predictor.ensemble().is_none_or(|e| e.members().iter().all(|m| m.stages.method.inputs() == 3));
+    let query = match (asked.tx, asked.link, known) {
+        (Some(tx), _, _) if by_position => Query::at(tx, receiver),
+        (_, Some(i), Some(known)) if i < known.data.len() => known.data.query(i),
+        _ => return Err(wrong("say where: tx=x,y,z, or link=k of the data")),
+    };
+    let found = predictor.predict(query);
+    let (width, height) = (found.image.width, found.image.height);
+    let nearest = match (asked.link, known) {
+        (Some(i), Some(known)) if i < known.data.len() && asked.tx.is_none() => Some((i, 0.0)),
+        (_, Some(known)) if known.data.placed => nearest(known, query.tx, receiver),
+        _ => None,
+    };
+    let mut pack = Pack::new(json!({ "ms": found.ms, "strongest": strongest(side, &found.image) }));
+    if let (Some((i, metres)), Some(known)) = (nearest, known) {
+        let value = score(kind, &found.image, &known.data.image(i));
+        pack.note["nearest"] = json!({ "link": i, "metres": metres, "score": value });
+    }
+    if kind == Kind::Power {
+        let all: Vec<Query<'_>> = (0..side.frame.receivers.len()).map(|r| Query { receiver: r, ..query }).collect();
+        let powers = predictor.predict_many(&all);
+        pack.put("powers", &[powers.len()], powers.iter().map(|image| image.pixels[0]));
+    }
+    if let Some(deviation) = found.deviation {
+        let mean = deviation.pixels.iter().sum::<Real>() / deviation.pixels.len().max(1) as Real;
+        pack.note["spread"] = json!(mean);
+        pack.put("deviation", &[height, width], deviation.pixels);
+    }
+    pack.put("picture", &[height, width], found.image.pixels);
+    Ok(pack)
+}
+
+/// Azimuth and elevation of the strongest pixel, degrees.
+fn strongest(side: &Side, image: &Image) -> Value {
+    let i = image.argmax();
+    let angles = side.frame.plane.azimuth_elevation_deg((i % image.width) as Real, (i / image.width) as Real);
+    angles.map_or(Value::Null, |(azimuth, elevation)| json!([azimuth, elevation]))
+}
+
+/// The link of the nearest transmitter that this receiver heard, and how far it is.
+fn nearest(known: &Known, tx: [f64; 3], receiver: usize) -> Option<(usize, f64)> {
+    let heard = known.data.samples().enumerate().filter(|(_, sample)| sample.receiver == receiver);
+    let all = heard.map(|(i, sample)| (i, neighbours::distance(sample.tx, tx)));
+    all.min_by(|a, b| a.1.total_cmp(&b.1))
+}
+
+fn link(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
+    let known = known(side)?;
+    let i = asked.link.filter(|i| *i < known.data.len()).ok_or_else(|| wrong("there is no such link"))?;
+    let image = known.data.image(i);
+    let mut pack = Pack::new(json!({ "strongest": strongest(side, &image) }));
+    if side.frame.kind == Kind::Power {
+        let mut all = vec![Real::NAN; side.frame.receivers.len()];
+        for other in known.data.links_of(&[known.data.links[i].transmitter]) {
+            all[known.data.links[other].receiver] = known.data.image(other).pixels[0];
+        }
+        pack.put("powers", &[all.len()], all);
+    }
+    pack.put("picture", &[image.height, image.width], image.pixels);
+    Ok(pack)
+}
+
+/// What a receiver hears of a transmitter anywhere on a plane: dBm, or dB of the mean power of a channel.
+fn map(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
+    let (predictor, receiver) = (predictor(side)?, receiver(side, asked)?);
+    let z = asked.z.ok_or_else(|| wrong("say the height: z=1.2"))?;
+    if side.frame.kind == Kind::Spectrum {
+        return Err(wrong("a map is of powers or channels"));
+    }
+    let data = &known(side)?.data;
+    let corners = [data.scene.bounds.0, data.scene.bounds.1].map(|corner| data.scene.origin.world(corner));
+    let [width, height] = [0, 1].map(|k| (corners[1][k] - corners[0][k]).max(0.1));
+    let step = width.max(height) / ACROSS as f64;
+    let [columns, rows] = [width, height].map(|side| (side / step).round().max(1.0) as usize);
+    let place = |k: usize| {
+        let at = |cell: usize, axis: usize| corners[0][axis] + step * (cell as f64 + 0.5);
+        Query::at([at(k % columns, 0), at(k / columns, 1), z], receiver)
+    };
+    let queries: Vec<Query<'_>> = (0..rows * columns).map(place).collect();
+    let level = |image: &Image| match side.frame.kind {
+        Kind::Channel => {
+            let gains = image.pixels.len() as Real / 2.0;
+            10.0 * (image.pixels.iter().map(|v| v * v).sum::<Real>() / gains).log10()
+        }
+        Kind::Spectrum | Kind::Power => image.pixels[0],
+    };
+    let first = data.scene.origin.local([corners[0][0] + step / 2.0, corners[0][1] + step / 2.0, z]);
+    let mut pack = Pack::new(json!({ "first": first, "step": step }));
+    pack.put("map", &[rows, columns], predictor.predict_many(&queries).iter().map(level));
+    Ok(pack)
+}
+
+/// Step, loss and N of the training so far.
+fn curve(side: &Side) -> Pack {
+    let rows = side.folder.as_ref().map_or(Vec::new(), |folder| series::read(&folder.join(CURVE)));
+    let stride = rows.len().div_ceil(ROWS).max(1);
+    let shown: Vec<_> =
+        rows.iter().enumerate().filter(|(k, _)| (k + 1).is_multiple_of(stride) || k + 1 == rows.len()).collect();
+    let field = |row: &[Option<f64>], k: usize| row.get(k).copied().flatten().unwrap_or(f64::NAN) as Real;
+    let mut pack = Pack::new(json!({ "rows": shown.len() }));
+    pack.put("curve", &[shown.len(), 3], shown.iter().flat_map(|(_, row)| [0, 2, 4].map(|k| field(row, k))));
+    pack
+}

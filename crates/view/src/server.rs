@@ -1,0 +1,105 @@
+//! The server: one page, on the loopback, for as long as somebody looks at it.
+
+use crate::guard::Guard;
+use crate::house::House;
+use crate::routes::{self, Body};
+use hyper::server::conn::http1;
+use hyper::service::service_fn;
+use hyper::{Request, Response, StatusCode, body::Incoming};
+use hyper_util::rt::{TokioIo, TokioTimer};
+use pwrfgs_core::{Error, Result};
+use std::convert::Infallible;
+use std::net::Ipv4Addr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Semaphore;
+use tokio::task::LocalSet;
+
+/// Connections at once; a page needs a few, the others are closed unread.
+const CONNECTIONS: usize = 64;
+/// Time in which a request must be said.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// Largest head of a request, bytes.
+const HEAD: usize = 16 << 10;
+/// How often it looks whether it shall stop.
+const TICK: Duration = Duration::from_millis(100);
+/// How long nobody may look once somebody has, such as while a page is loaded again.
+const UNWATCHED: Duration = Duration::from_secs(4);
+
+/// Serves `house` on a free port of the loopback until `stop` is set, or the last page is closed. `ready` is told the
+/// address, in which the token is.
+///
+/// # Errors
+/// Where the system gives no port or no random numbers.
+pub(crate) fn serve(house: &Arc<House>, ready: impl FnOnce(&str), stop: &AtomicBool) -> Result<()> {
+    let failed = |what: &str, e: &dyn std::fmt::Display| Error::Config(format!("cannot {what}: {e}"));
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_io()
+        .enable_time()
+        .build()
+        .map_err(|e| failed("start the server", &e))?;
+    LocalSet::new().block_on(&runtime, async {
+        let listener =
+            TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.map_err(|e| failed("listen on 127.0.0.1", &e))?;
+        let port = listener.local_addr().map_err(|e| failed("listen on 127.0.0.1", &e))?.port();
+        let guard = Guard::new(port).map_err(|e| failed("draw a token", &e))?;
+        ready(&guard.address());
+        let accepting = tokio::task::spawn_local(accept(listener, Arc::new(guard), Arc::clone(house)));
+        wait(house, stop).await;
+        accepting.abort();
+        Ok(())
+    })
+}
+
+/// Until it shall stop, or nobody looks any more.
+async fn wait(house: &House, stop: &AtomicBool) {
+    let mut unwatched = Duration::ZERO;
+    while !stop.load(Ordering::Relaxed) && unwatched < UNWATCHED {
+        tokio::time::sleep(TICK).await;
+        let (watched, watchers) = house.watchers();
+        let left = watched && watchers == 0;
+        unwatched = if left { unwatched + TICK } else { Duration::ZERO };
+    }
+}
+
+async fn accept(listener: TcpListener, guard: Arc<Guard>, house: Arc<House>) {
+    let places = Arc::new(Semaphore::new(CONNECTIONS));
+    loop {
+        let Ok((stream, _)) = listener.accept().await else {
+            // Out of file descriptors, say: those of others are given back in a while.
+            tokio::time::sleep(TICK).await;
+            continue;
+        };
+        let Ok(place) = Arc::clone(&places).try_acquire_owned() else { continue };
+        let (guard, house) = (Arc::clone(&guard), Arc::clone(&house));
+        tokio::task::spawn_local(async move {
+            talk(stream, &guard, &house).await;
+            drop(place);
+        });
+    }
+}
+
+/// One connection, for as many requests as it brings. What goes wrong ends it, and nothing else.
+async fn talk(stream: TcpStream, guard: &Guard, house: &Arc<House>) {
+    _ = stream.set_nodelay(true);
+    let service = service_fn(async |request| Ok::<_, Infallible>(answer(request, guard, house).await));
+    let mut server = http1::Builder::new();
+    server.timer(TokioTimer::new()).header_read_timeout(PATIENCE).max_buf_size(HEAD).max_headers(64);
+    _ = server.serve_connection(TokioIo::new(stream), service).await;
+}
+
+async fn answer(request: Request<Incoming>, guard: &Guard, house: &Arc<House>) -> Response<Body> {
+    let admitted = guard.admit(request.method(), request.uri(), request.headers());
+    let answer = match admitted {
+        Ok(path) => routes::answer(path, request.uri().query().unwrap_or(""), house).await,
+        Err(status) => Err((status, status.canonical_reason().unwrap_or("refused").to_owned())),
+    };
+    routes::sealed(answer.unwrap_or_else(|(status, why)| routes::plain(status, &why)))
+}
+
+/// What went wrong inside, in a line.
+pub(crate) fn internal(why: &dyn std::fmt::Display) -> (StatusCode, String) {
+    (StatusCode::INTERNAL_SERVER_ERROR, why.to_string())
+}

@@ -1,0 +1,273 @@
+//! `Side`: what a page shows in one half: a model, a run under way, or a floor.
+
+use pwrfgs_core::{
+    Baseline, Dataset, Error, Frame, Image, Kind, Partition, Plugin, Predict, Query, Real, Result, files,
+};
+use pwrfgs_experiment::folder::{CHECKPOINT, MODEL_FILE, PIPELINE, SCORES};
+use pwrfgs_experiment::headline::headline;
+use pwrfgs_experiment::{Facts, Observer, Recipe, check_alike, load};
+use pwrfgs_model::{Ensemble, Prepared, file};
+use pwrfgs_train::{Pipeline, Trainer};
+use self_cell::self_cell;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, PoisonError, RwLock};
+use std::time::Instant;
+
+self_cell!(
+    /// Models, and what they worked out once.
+    pub(crate) struct Ready {
+        owner: Arc<Ensemble>,
+        #[covariant]
+        dependent: Prepared,
+    }
+);
+
+type Learned<'a> = Box<dyn Predict + 'a>;
+
+self_cell!(
+    /// A floor, and the data that it learned from.
+    pub(crate) struct Fitted {
+        owner: Arc<Dataset>,
+        #[covariant]
+        dependent: Learned,
+    }
+);
+
+/// What predicts.
+pub(crate) enum Predictor {
+    /// A model, or several that predict together.
+    Model(Ready),
+    /// A baseline.
+    Floor(Fitted),
+}
+
+/// What was predicted.
+pub(crate) struct Predicted {
+    pub(crate) image: Image,
+    /// Standard deviation of the members, of an ensemble.
+    pub(crate) deviation: Option<Image>,
+    /// Milliseconds of the prediction alone.
+    pub(crate) ms: f64,
+}
+
+impl Predictor {
+    /// The models, where it is one.
+    pub(crate) fn ensemble(&self) -> Option<&Arc<Ensemble>> {
+        match self {
+            Self::Model(ready) => Some(ready.borrow_owner()),
+            Self::Floor(_) => None,
+        }
+    }
+
+    /// What is observed of a link.
+    pub(crate) fn predict(&self, query: Query<'_>) -> Predicted {
+        let begun = Instant::now();
+        let ms = |begun: Instant| begun.elapsed().as_secs_f64() * 1e3;
+        match self {
+            Self::Floor(floor) => {
+                let image = floor.borrow_dependent().predict(query);
+                Predicted { image, deviation: None, ms: ms(begun) }
+            }
+            Self::Model(ready) if ready.borrow_owner().members().len() == 1 => {
+                let (image, _) = ready.borrow_dependent().predict_timed(query);
+                Predicted { image, deviation: None, ms: ms(begun) }
+            }
+            Self::Model(ready) => {
+                let (image, deviation, _) = ready.borrow_dependent().predict_with_deviation(query);
+                Predicted { image, deviation: Some(deviation), ms: ms(begun) }
+            }
+        }
+    }
+
+    /// One number each of many links, such as powers over a plane.
+    pub(crate) fn predict_many(&self, queries: &[Query<'_>]) -> Vec<Image> {
+        match self {
+            Self::Floor(floor) => queries.iter().map(|query| floor.borrow_dependent().predict(*query)).collect(),
+            Self::Model(ready) => ready.borrow_dependent().predict_many(queries),
+        }
+    }
+}
+
+/// Data, how they are divided, and how well each link was predicted.
+pub(crate) struct Known {
+    pub(crate) pipeline: Pipeline,
+    pub(crate) data: Arc<Dataset>,
+    pub(crate) partition: Partition,
+    /// Of each link, NaN where nobody says.
+    pub(crate) scores: Vec<f64>,
+}
+
+/// One half of the page.
+pub struct Side {
+    pub(crate) name: String,
+    /// The run folder, where there is one.
+    pub(crate) folder: Option<PathBuf>,
+    /// Of the run, where its pipeline lies beside the model.
+    pub(crate) known: Option<Arc<Known>>,
+    /// What it predicts about.
+    pub(crate) frame: Frame,
+    predictor: RwLock<Option<Arc<Predictor>>>,
+}
+
+impl Side {
+    /// A model file, or the folder of a run that may still be at work.
+    ///
+    /// # Errors
+    /// What is missing or damaged, or data that are others than the model's.
+    pub fn open(path: &Path, observer: &mut dyn Observer) -> Result<Self> {
+        let (folder, model) = if path.is_dir() {
+            (path.to_owned(), path.join(MODEL_FILE))
+        } else {
+            (path.parent().unwrap_or(Path::new("")).to_owned(), path.to_owned())
+        };
+        let recipe = folder.join(PIPELINE);
+        if path.is_dir() && !recipe.is_file() {
+            return Err(Error::input(path, format!("is no run folder: there is no {PIPELINE} in it")));
+        }
+        let finished = model.is_file() || !path.is_dir();
+        let ensemble = finished.then(|| file::read_ensemble(&model)).transpose()?;
+        let known = recipe.is_file().then(|| Known::load(&recipe, &folder, observer)).transpose()?.map(Arc::new);
+        if let (Some(ensemble), Some(known)) = (&ensemble, &known) {
+            check_alike(&ensemble.prepare(), &known.data)?;
+        }
+        let (frame, predictor) = match (ensemble, &known) {
+            (Some(ensemble), _) => (ensemble.members()[0].stages.frame.clone(), Some(ready(ensemble))),
+            (None, Some(known)) => (Frame::of(&known.data, known.data.plane()), known.checkpoint(&folder)?),
+            (None, None) => unreachable!("a folder without a pipeline was refused"),
+        };
+        let is_run = path.is_dir() || folder.join(PIPELINE).is_file();
+        let name = if is_run { &folder } else { path };
+        let name = name.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
+        Ok(Self {
+            name,
+            folder: is_run.then_some(folder),
+            known,
+            frame,
+            predictor: RwLock::new(predictor.map(Arc::new)),
+        })
+    }
+
+    /// A floor that learned from the data of another side.
+    ///
+    /// # Errors
+    /// Where there are no data, or it cannot learn from them.
+    pub fn floor(baseline: &Plugin<dyn Baseline>, beside: &Self) -> Result<Self> {
+        let Some(known) = &beside.known else {
+            let what = "a floor learns from the data of a run, and beside this model is no pipeline that names them";
+            return Err(Error::Config(what.into()));
+        };
+        let kind = known.data.kind();
+        let name = baseline.name_for(kind);
+        if let Some(own) = baseline.kind().filter(|own| *own != kind) {
+            return Err(Error::Config(format!(
+                "{name} is a floor of {}, and the data are {}",
+                own.plural(),
+                kind.plural()
+            )));
+        }
+        let fitted = Fitted::try_new(Arc::clone(&known.data), |data| baseline.fit(data, known.partition.known()))?;
+        Ok(Self {
+            name,
+            folder: None,
+            known: Some(Arc::clone(known)),
+            frame: beside.frame.clone(),
+            predictor: RwLock::new(Some(Arc::new(Predictor::Floor(fitted)))),
+        })
+    }
+
+    /// What predicts now; nothing before the first checkpoint of a run.
+    pub(crate) fn predictor(&self) -> Option<Arc<Predictor>> {
+        self.predictor.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Reads the model again, or the checkpoint of a run under way. Whether it is finished.
+    pub(crate) fn reload(&self) -> Result<bool> {
+        let (Some(folder), Some(known)) = (&self.folder, &self.known) else { return Ok(true) };
+        let model = folder.join(MODEL_FILE);
+        let finished = model.is_file();
+        let found = if finished { Some(ready(file::read_ensemble(&model)?)) } else { known.checkpoint(folder)? };
+        *self.predictor.write().unwrap_or_else(PoisonError::into_inner) = found.map(Arc::new);
+        Ok(finished)
+    }
+
+    /// Refuses a side that is about something else than `other`.
+    pub(crate) fn check_beside(&self, other: &Self) -> Result<()> {
+        let (a, b) = (&self.frame, &other.frame);
+        let places = |frame: &Frame| -> Vec<_> {
+            frame.receivers.iter().map(|receiver| frame.origin.world_pose(receiver.pose)).collect()
+        };
+        if a.kind != b.kind
+            || (a.plane.width, a.plane.height) != (b.plane.width, b.plane.height)
+            || places(a) != places(b)
+        {
+            let what = "predict other things, or for other receivers; compare models of the same data";
+            return Err(Error::Config(format!("{} and {} {what}", other.name, self.name)));
+        }
+        Ok(())
+    }
+}
+
+fn ready(ensemble: Ensemble) -> Predictor {
+    Predictor::Model(Ready::new(Arc::new(ensemble), |own| own.prepare()))
+}
+
+impl Known {
+    fn load(recipe: &Path, folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
+        let pipeline = Recipe::read(recipe, &[])?.pipeline();
+        let (data, partition) = load(&pipeline, Path::new(""), observer)?;
+        let scores = scores(&folder.join(SCORES), &data);
+        Ok(Self { pipeline, data: Arc::new(data), partition, scores })
+    }
+
+    /// The model as the last checkpoint of a run in `folder` has it; nothing before the first.
+    fn checkpoint(&self, folder: &Path) -> Result<Option<Predictor>> {
+        let path = folder.join(CHECKPOINT);
+        let bytes = match files::read(&path) {
+            Ok(bytes) => bytes,
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            Err(e) => return Err(Error::read(&path, e)),
+        };
+        let trainer = Trainer::restore(&self.pipeline, &self.data, &self.partition, &bytes);
+        let trainer = trainer.map_err(|why| Error::input(&path, why.to_string()))?;
+        Ok(Some(ready(Ensemble::of(trainer.model()))))
+    }
+}
+
+/// The first metric of the model for each link; NaN where it was not scored.
+fn scores(path: &Path, data: &Dataset) -> Vec<f64> {
+    let mut scores = vec![f64::NAN; data.len()];
+    let key = headline(data.kind()).key;
+    let text = files::read_string(path).unwrap_or_default();
+    let mut of: std::collections::BTreeMap<u32, f64> = std::collections::BTreeMap::new();
+    for line in text.lines() {
+        let fields: Vec<&str> = line.split(',').collect();
+        if let ["model", metric, label, value] = fields[..] {
+            if metric == key {
+                of.extend(label.parse::<u32>().ok().zip(value.parse::<f64>().ok()));
+            }
+        }
+    }
+    for (i, score) in scores.iter_mut().enumerate() {
+        *score = of.get(&data.label(i)).copied().unwrap_or(f64::NAN);
+    }
+    scores
+}
+
+/// Steps, and whether it has ended, of a run folder.
+pub(crate) fn facts(folder: &Path) -> Option<Facts> {
+    Facts::read(folder).ok().flatten()
+}
+
+/// How well a prediction meets what was observed: SSIM, dB of error, or dB of signal over error.
+pub(crate) fn score(kind: Kind, predicted: &Image, truth: &Image) -> f64 {
+    match kind {
+        Kind::Spectrum => pwrfgs_core::ssim::evaluation(&predicted.clamped(), truth),
+        Kind::Power => f64::from((predicted.pixels[0] - truth.pixels[0]).abs() as f32),
+        Kind::Channel => {
+            let power =
+                |values: &mut dyn Iterator<Item = Real>| values.map(|v| f64::from(v as f32).powi(2)).sum::<f64>();
+            let error = power(&mut predicted.pixels.iter().zip(&truth.pixels).map(|(p, t)| p - t));
+            10.0 * (power(&mut truth.pixels.iter().copied()) / error).log10()
+        }
+    }
+}
