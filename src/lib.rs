@@ -33,6 +33,8 @@ pub use pwrfgs_report as report;
 #[cfg(feature = "sim")]
 pub use pwrfgs_sim as sim;
 pub use pwrfgs_train as train;
+#[cfg(feature = "view")]
+pub use pwrfgs_view as view;
 
 use prelude::{Observer, Pipeline, Result};
 use pwrfgs_core::plugin::{FieldDefault, inventory};

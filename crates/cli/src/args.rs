@@ -5,6 +5,8 @@
 use crate::commands::Inspect;
 #[cfg(feature = "sim")]
 use crate::commands::Simulate;
+#[cfg(feature = "view")]
+use crate::commands::View;
 use crate::commands::{Check, Completions, Evaluate, Export, Import, Init, Man, Plugins, Predict, Run, Sweep};
 #[cfg(feature = "report")]
 use crate::commands::{Map, Report};
@@ -81,6 +83,9 @@ pub(crate) enum Command {
     #[cfg(feature = "report")]
     /// Map what a trained model predicts over a plane: power, level or strongest direction, as pictures and arrays
     Map(Map),
+    #[cfg(feature = "view")]
+    /// Open a page where the transmitter can be dragged and the spectrum follows; compare two models
+    View(View),
     /// Score a trained model, and the baselines beside it, on data of your choice
     Evaluate(Evaluate),
     #[cfg(feature = "report")]

@@ -20,6 +20,8 @@ mod run;
 #[cfg(feature = "sim")]
 mod simulate;
 mod sweep;
+#[cfg(feature = "view")]
+mod view;
 
 pub(crate) use check::{Check, check, memory, pace};
 pub(crate) use completions::{Completions, Man, completions, man};
@@ -39,3 +41,5 @@ pub(crate) use run::{Run, run};
 #[cfg(feature = "sim")]
 pub(crate) use simulate::{Simulate, simulate};
 pub(crate) use sweep::{Sweep, sweep};
+#[cfg(feature = "view")]
+pub(crate) use view::{View, view};

@@ -29,6 +29,8 @@ pub fn main() -> ExitCode {
         Command::Predict(predict) => commands::predict(predict, arguments.verbosity()),
         #[cfg(feature = "report")]
         Command::Map(map) => commands::map(map, arguments.verbosity()),
+        #[cfg(feature = "view")]
+        Command::View(view) => commands::view(view, arguments.verbosity()),
         Command::Evaluate(evaluate) => commands::evaluate(evaluate, arguments.verbosity()),
         #[cfg(feature = "report")]
         Command::Report(report) => commands::report(report, arguments.verbosity()),

@@ -1,0 +1,124 @@
+import { readTensors } from "./tensors.js";
+import { Predictor } from "./predict.js";
+import { structuralSimilarity } from "./ssim.js";
+import { strongestPixel } from "./spectrum.js";
+
+/** What a page knows, from the program behind it (`pwrfgs view`). Positions are metres in the world frame. */
+export class ServerSource {
+  constructor() {
+    this.free = true;
+  }
+
+  async fetch(path, asked = {}) {
+    const query = Object.entries(asked).filter(([, value]) => value !== null && value !== undefined);
+    const text = query.map(([name, value]) => `${name}=${value}`).join("&");
+    const answer = await fetch(text ? `${path}?${text}` : path);
+    if (!answer.ok) throw new Error((await answer.text()).trim());
+    return readTensors(new Uint8Array(await answer.arrayBuffer()));
+  }
+
+  room() {
+    return this.fetch("room");
+  }
+
+  gaussians(side, { moment, tx, receiver, contribution }) {
+    return this.fetch("gaussians", { side, moment, tx, receiver, with: contribution ? "contribution" : null });
+  }
+
+  predict(side, { tx, link, receiver }) {
+    return this.fetch("predict", { side, tx, link, receiver });
+  }
+
+  link(side, link) {
+    return this.fetch("link", { side, link });
+  }
+
+  map(side, z, receiver) {
+    return this.fetch("map", { side, z, receiver });
+  }
+
+  curve(side) {
+    return this.fetch("curve", { side });
+  }
+
+  /** Tells of news of runs under way, and when the program has gone. */
+  listen(news, gone) {
+    const events = new EventSource("events");
+    events.onmessage = (event) => news(JSON.parse(event.data));
+    events.onerror = () => gone();
+  }
+}
+
+/** What a page knows, from what lies in it (`report.html`). */
+export class FileSource {
+  constructor() {
+    const bytes = (id) => {
+      const text = document.getElementById(id)?.textContent;
+      return text ? Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)) : null;
+    };
+    this.packs = Object.fromEntries(["room", "gaussians", "spectra", "model"].map((id) => [id, bytes(`live-${id}`)]));
+    this.known = readTensors(this.packs.room);
+    this.spectra = this.packs.spectra && readTensors(this.packs.spectra);
+    this.predictor = this.packs.model && new Predictor(readTensors(this.packs.model));
+    this.free = Boolean(this.predictor);
+    this.links = this.spectra ? this.spectra.note.links : [];
+  }
+
+  async room() {
+    return this.known;
+  }
+
+  async gaussians(side, { tx }) {
+    const all = readTensors(this.packs.gaussians);
+    if (!tx || !this.predictor) return all;
+    const { strengths, scales, quats, opacities } = this.predictor.predict(tx);
+    const own = { strengths, scales, quats, opacities };
+    return { ...all, has: (name) => name in own || all.has(name), get: (name) => own[name] ?? all.get(name) };
+  }
+
+  async predict(side, { tx, link }) {
+    const begun = performance.now();
+    const { width, height } = this.known.note.plane;
+    const nearest = this.nearest(link === null ? tx : this.position(link));
+    const picture = this.predictor ? this.predictor.predict(tx ?? this.position(link)).picture : this.stored("predicted", nearest.link);
+    const note = { ms: performance.now() - begun, strongest: this.direction(picture), nearest };
+    if (nearest) nearest.score = structuralSimilarity(picture, this.stored("truth", nearest.link), width, height);
+    return { note, has: (name) => name === "picture", get: () => picture };
+  }
+
+  async link(side, link) {
+    const picture = this.stored("truth", link);
+    return { note: { strongest: this.direction(picture) }, has: (name) => name === "picture", get: () => picture };
+  }
+
+  listen() {}
+
+  /** A picture that lies in the page, grey values from 0 to 1. */
+  stored(name, link) {
+    return Float32Array.from(this.spectra.get(`${name}.${link}`), (byte) => byte / 255);
+  }
+
+  position(link) {
+    const at = this.known.get("links.tx");
+    return [0, 1, 2].map((k) => at[3 * link + k] + this.known.note.origin[k]);
+  }
+
+  /** Of the samples whose spectra lie in the page. */
+  nearest(tx) {
+    let best = null;
+    for (const link of this.links) {
+      const metres = Math.hypot(...this.position(link).map((v, k) => v - tx[k]));
+      if (!best || metres < best.metres) best = { link, metres };
+    }
+    return best;
+  }
+
+  direction(picture) {
+    const { angles, width } = this.known.note.plane;
+    if (!angles) return null;
+    const pixel = strongestPixel(picture);
+    const [azimuth, elevation] = angles;
+    const row = Math.floor(pixel / width);
+    return [azimuth.first + azimuth.step * (pixel % width), elevation.first + elevation.step * row];
+  }
+}

@@ -1,0 +1,625 @@
+import { Room } from "./room.js";
+import { SpectrumView, paletteOf, strongestPixel } from "./spectrum.js";
+import { drawChart, channelCurves, chartNumber } from "./chart.js";
+import { ServerSource } from "./source.js";
+
+/** Colours of parts of the data, of what goes and what stays: told apart by the colour-blind (Okabe and Ito). */
+const PART_COLOURS = [[230, 159, 0], [86, 180, 233], [0, 158, 115], [140, 146, 158]];
+const PART_NAMES = ["training", "validation", "test", "unused"];
+const GOES = [213, 94, 0];
+const STAYS = [0, 114, 178];
+const MEASURED_LINE = "#0072b2";
+const PREDICTED_LINE = "#d55e00";
+/** Metres of an arrow key. */
+const STRIDE = 0.1;
+
+/** One half: a room and what its model predicts. */
+class StageSide {
+  constructor(stage, place, about) {
+    Object.assign(this, { stage, place, about });
+    const article = stage.template("side").querySelector("article");
+    this.root = article;
+    this.find("name").textContent = stage.abouts.length > 1 ? about.name : "";
+    this.numbers = this.find("numbers");
+    const canvas = this.find("room");
+    canvas.setAttribute("aria-label", `The room in three dimensions, ${about.name}: arrow keys move the transmitter`);
+    stage.find("sides").append(article);
+    this.room = openRoom(canvas);
+    if (!this.room) canvas.replaceWith("This browser draws nothing in three dimensions (WebGL2 is missing).");
+    this.figures = {};
+    this.gaussians = null;
+  }
+
+  find(name) {
+    return this.root.querySelector(`[data-${name}]`);
+  }
+
+  /** A figure for a picture, made when it is first wanted. */
+  figure(name, title, palette, low, high) {
+    if (!this.figures[name]) {
+      const figure = this.stage.template("figure").querySelector("figure");
+      this.find("pictures").append(figure);
+      const [map, sky] = [figure.querySelector("[data-map]"), figure.querySelector("[data-sky]")];
+      map.setAttribute("role", "img");
+      map.setAttribute("aria-label", `${title}, as a map of azimuth and elevation`);
+      sky.setAttribute("aria-label", `${title}, as the sky over the receiver`);
+      sky.setAttribute("role", "img");
+      const view = palette ? new SpectrumView(map, sky, this.stage.note.plane, palette, low, high) : null;
+      if (!view) sky.remove();
+      this.figures[name] = { view, map, caption: figure.querySelector("figcaption") };
+    }
+    this.figures[name].caption.textContent = title;
+    return this.figures[name];
+  }
+
+  /** Loads the Gaussians of the moment, or as the transmitter makes them, and colours them. */
+  async loadGaussians(tx) {
+    const { stage } = this;
+    if (!this.room || this.about.floor || !this.about.gaussians) return;
+    const moment = stage.momentOf(this);
+    const moves = moment === null && ["strength", "contribution"].includes(stage.colouring);
+    const contribution = stage.colouring === "contribution";
+    const asked = moment === null ? { tx: moves ? tx : null, receiver: stage.receiver, contribution } : { moment };
+    const all = await stage.source.gaussians(this.place, asked);
+    this.gaussians = all;
+    this.drawGaussians(all, await this.fates(moment));
+  }
+
+  /** Who is there in the next snapshot; null where nobody knows. */
+  async fates(moment) {
+    const { moments } = this.about;
+    if (moment === null || moment + 1 >= moments.length || !this.gaussians.has("births")) return null;
+    const next = await this.stage.source.gaussians(this.place, { moment: moment + 1 });
+    return next.has("births") ? new Set(next.get("births")) : null;
+  }
+
+  drawGaussians(all, fates) {
+    const means = all.get("means");
+    const n = means.length / 3;
+    const colours = this.stage.coloursOf(all, n, fates);
+    if (!this.about.ellipsoids || !all.has("scales")) {
+      this.room.setGaussians(null);
+      this.room.setPoints("gaussians", { positions: means, colours, size: 6, shape: "dot", pickable: false });
+      return;
+    }
+    this.room.setPoints("gaussians", null);
+    this.room.setGaussians({ means, scales: all.get("scales"), quats: all.get("quats"), colours });
+  }
+
+  /** Shows what was predicted, what was measured nearest, and their difference. */
+  show(found, truth) {
+    const { kind } = this.stage.note;
+    if (kind === "spectrum") this.showSpectra(found, truth);
+    if (kind === "power") this.showPowers(found, truth);
+    if (kind === "channel") this.showChannels(found, truth);
+    this.numbers.textContent = this.stage.sentence(found, truth);
+  }
+
+  showSpectra(found, truth) {
+    const { palettes, ink, note } = this.stage;
+    const picture = found.get("picture");
+    const mine = { pixel: strongestPixel(picture), cross: true };
+    const predicted = this.figure("predicted", "Predicted", palettes.power, 0, 1);
+    if (!truth) {
+      predicted.view.draw(picture, [mine], ink);
+    } else {
+      const measured = truth.get("picture");
+      const theirs = { pixel: strongestPixel(measured), cross: false };
+      predicted.view.draw(picture, [theirs, mine], ink);
+      const word = note.simulated ? "Simulated" : "Measured";
+      const title = `${word} nearest, ${found.note.nearest.metres.toFixed(2)} m away`;
+      this.figure("measured", title, palettes.power, 0, 1).view.draw(measured, [theirs], ink);
+      this.difference ??= new Float32Array(picture.length);
+      for (let i = 0; i < picture.length; i++) this.difference[i] = Math.min(1, Math.max(0, picture[i])) - measured[i];
+      this.figure("difference", "Predicted − that, from −0.5 to 0.5", palettes.error, -0.5, 0.5).view.draw(this.difference, [], ink);
+    }
+    if (found.has("deviation")) {
+      const title = "Spread of the members, from 0 to 0.5";
+      this.figure("spread", title, palettes.power, 0, 0.5).view.draw(found.get("deviation"), [], ink);
+    }
+  }
+
+  showPowers(found, truth) {
+    const points = (values) => Array.from(values, (dbm, k) => [k + 1, dbm]);
+    const lines = [{ points: points(found.get("powers")), colour: PREDICTED_LINE, dots: true, dash: [4, 3], name: "× predicted" }];
+    if (truth) lines.push({ points: points(truth.get("powers")), colour: MEASURED_LINE, dots: true, name: "○ nearest observed" });
+    const { map } = this.figure("powers", "Received power", null);
+    drawChart(map, { x: "receiver", y: "dBm", lines }, this.stage.ink);
+  }
+
+  showChannels(found, truth) {
+    const { plane, frequencies_hz: hz } = this.stage.note;
+    const curves = (pack) => channelCurves(pack.get("picture"), plane.height, plane.width, hz);
+    const both = [[curves(found), PREDICTED_LINE, [6, 4], "- - predicted"]];
+    if (truth) both.push([curves(truth), MEASURED_LINE, [], "— nearest observed"]);
+    const lines = (key) => both.map(([curve, colour, dash, name]) => ({ points: curve[key], colour, dash, name }));
+    const dots = (all) => (both[0][0].magnitude.length === 1 ? all.map((line) => ({ ...line, dots: true })) : all);
+    const magnitude = this.figure("magnitude", "Magnitude", null);
+    drawChart(magnitude.map, { x: both[0][0].over, y: "dB", lines: dots(lines("magnitude")) }, this.stage.ink);
+    if (!both[0][0].delays.length) return;
+    const delays = this.figure("delays", "Power over delay", null);
+    drawChart(delays.map, { x: "ns", y: "dB", lines: lines("delays") }, this.stage.ink);
+  }
+
+  /** What is heard of a transmitter anywhere at this height, as squares in the room. */
+  async showMap(z, receiver) {
+    if (!this.room || this.stage.note.kind === "spectrum" || !this.stage.source.map || !this.about.by_position) return;
+    const pack = await this.stage.source.map(this.place, z, receiver);
+    const [values, [rows, columns]] = [pack.get("map"), pack.shape("map")];
+    const finite = values.filter(Number.isFinite);
+    const [low, high] = [finite.reduce((a, b) => Math.min(a, b), Infinity), finite.reduce((a, b) => Math.max(a, b), -Infinity)];
+    const { first, step } = pack.note;
+    const cells = { positions: new Float32Array(3 * rows * columns), colours: new Uint8Array(4 * rows * columns) };
+    for (let k = 0; k < values.length; k++) {
+      cells.positions.set([first[0] + step * (k % columns), first[1] + step * Math.floor(k / columns), first[2]], 3 * k);
+      const at = Math.round((255 * (values[k] - low)) / (high - low || 1));
+      cells.colours.set(Number.isFinite(values[k]) ? [...this.stage.rgb(at), 200] : [128, 128, 128, 60], 4 * k);
+    }
+    this.room.setPoints("map", { ...cells, size: 7, shape: "square", pickable: false });
+    this.mapEnds = [low, high];
+  }
+
+  /** Loss and N of a run under way. */
+  async showCurve() {
+    if (!this.about.running) return;
+    const curve = (await this.stage.source.curve(this.place)).get("curve");
+    const rows = Array.from({ length: curve.length / 3 }, (_, k) => curve.subarray(3 * k, 3 * k + 3));
+    const line = (k, colour) => [{ points: rows.map((row) => [row[0], k === 1 ? Math.log10(row[k]) : row[k]]), colour }];
+    const { ink } = this.stage;
+    drawChart(this.figure("loss", "Loss of the training", null).map, { x: "step", y: "log10 of the loss", lines: line(1, PREDICTED_LINE) }, ink);
+    drawChart(this.figure("count", "Gaussians of the training", null).map, { x: "step", y: "N", lines: line(2, MEASURED_LINE) }, ink);
+  }
+}
+
+function openRoom(canvas) {
+  try {
+    return new Room(canvas);
+  } catch {
+    return null;
+  }
+}
+
+/** The whole: one transmitter, one side or two. */
+export class Stage {
+  constructor(root, source) {
+    Object.assign(this, { root, source, sides: [], abouts: [], updates: 0, times: { page: 0, prediction: 0 } });
+    this.colouring = "opacity";
+    this.receiver = 0;
+    this.moment = null;
+    this.truths = new Map();
+  }
+
+  find(name) {
+    return this.root.querySelector(`[data-${name}]`);
+  }
+
+  template(name) {
+    return this.root.parentElement.querySelector(`template[data-${name}]`).content.cloneNode(true);
+  }
+
+  async start() {
+    this.known = await this.source.room();
+    this.note = this.known.note;
+    this.abouts = this.note.sides;
+    this.root.hidden = false;
+    this.palettes = { power: paletteOf(this.known.get("colours.power")), error: paletteOf(this.known.get("colours.error")) };
+    this.find("title").textContent = this.note.title ?? this.abouts[0].name;
+    const word = this.note.simulated === undefined ? "no data beside the model" : this.note.simulated ? "simulated data" : "measured data";
+    this.find("tag").textContent = word;
+    this.find("sides").classList.toggle("stage-two", this.abouts.length > 1);
+    this.sides = this.abouts.map((about, place) => new StageSide(this, place, about));
+    this.placeLinks();
+    this.buildControls();
+    this.drawRooms();
+    this.listenToRooms();
+    this.setTheme();
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.setTheme());
+    this.source.listen((news) => this.hear(news), () => this.say("The program behind this page has ended."));
+    await this.refresh();
+    this.root.dataset.ready = "yes";
+  }
+
+  /** Samples as they can be stepped through: [link, ..] in the order wanted. */
+  placeLinks() {
+    const has = this.known.has("links.tx");
+    this.positions = has ? this.known.get("links.tx") : new Float32Array(0);
+    this.ids = has ? this.known.get("links.id") : new Float32Array(0);
+    this.scores = has ? this.known.get("links.score") : new Float32Array(0);
+    this.parts = has ? this.known.get("links.part") : new Uint8Array(0);
+    this.receivers = has ? this.known.get("links.receiver") : new Float32Array(0);
+    const [low, high] = this.note.bounds;
+    this.tx = low.map((v, k) => (v + high[k]) / 2);
+    this.link = null;
+    const first = this.ordered("id")[0];
+    if (first !== undefined) this.goTo(first, false);
+  }
+
+  /** Links of the receiver that is listened to, sorted. */
+  ordered(order) {
+    const own = this.source.links ?? Array.from(this.ids.keys());
+    const links = own.filter((i) => this.receivers[i] === this.receiver);
+    if (order === "id") return links.sort((a, b) => this.ids[a] - this.ids[b]);
+    const scored = links.filter((i) => Number.isFinite(this.scores[i]));
+    const sign = (order === "best") === this.note.score.higher ? -1 : 1;
+    return scored.sort((a, b) => sign * (this.scores[a] - this.scores[b]));
+  }
+
+  goTo(link, ask = true) {
+    this.link = link;
+    if (this.note.placed !== false) this.tx = Array.from(this.positions.subarray(3 * link, 3 * link + 3));
+    this.find("sample").value = this.ids[link];
+    if (ask) this.moved();
+  }
+
+  /** Metres in the world frame. */
+  world(tx) {
+    return tx.map((v, k) => v + this.note.origin[k]);
+  }
+
+  get byPosition() {
+    return this.source.free && this.note.placed !== false && this.abouts.every((about) => about.by_position !== false);
+  }
+
+  buildControls() {
+    const bar = this.find("controls");
+    bar.addEventListener("submit", (event) => event.preventDefault());
+    const on = (name, event, act) => this.root.querySelectorAll(`[data-${name}]`).forEach((own) => own.addEventListener(event, () => act(own)));
+    on("tx", "change", (own) => this.moveTo(this.tx.map((v, k) => (k === Number(own.dataset.tx) ? own.valueAsNumber - this.note.origin[k] : v))));
+    on("height", "input", (own) => this.moveTo([this.tx[0], this.tx[1], own.valueAsNumber - this.note.origin[2]]));
+    on("sample", "change", (own) => this.seek(own.valueAsNumber));
+    on("step", "click", (own) => this.step(Number(own.dataset.step)));
+    on("order", "change", (own) => this.step(0, own.value));
+    on("receiver", "change", (own) => this.listenAt(Number(own.value)));
+    on("colour", "change", (own) => this.colourBy(own.value));
+    on("spread", "input", (own) => this.sides.forEach((side) => side.room?.setSpread(own.valueAsNumber)));
+    on("samples", "change", () => this.drawSamples());
+    on("surfaces", "change", () => this.drawSurfaces());
+    on("reset", "click", () => this.resetView());
+    on("moment", "input", (own) => this.showMoment(own.valueAsNumber));
+    this.offerColours();
+    this.offerMoments();
+    const names = this.note.receivers.map((receiver, k) => new Option(receiver.name, k));
+    this.find("receiver").append(...names);
+    this.find("of-receivers").hidden = names.length < 2;
+    const [low, high] = this.note.bounds;
+    const height = this.find("height");
+    [height.min, height.max] = [low[2] + this.note.origin[2], high[2] + this.note.origin[2]];
+    this.root.querySelectorAll("[data-tx], [data-height]").forEach((own) => (own.disabled = !this.byPosition));
+    this.find("sample").disabled = !this.ids.length;
+  }
+
+  offerColours() {
+    const some = this.abouts.some((about) => about.gaussians && !about.floor);
+    this.root.querySelectorAll("[data-of-gaussians]").forEach((own) => (own.hidden = !some));
+    const all = [["opacity", "opacity"]];
+    if (this.byPosition) all.push(["strength", "strength for this transmitter"]);
+    if (this.byPosition && this.source.map) all.push(["contribution", "contribution to this picture"]);
+    if (this.abouts.some((about) => about.moments?.length)) all.push(["fate", "who goes next"], ["mask", "mask"]);
+    this.find("colour").replaceChildren(...all.map(([value, text]) => new Option(text, value)));
+    this.find("colour").value = this.colouring;
+  }
+
+  offerMoments() {
+    const count = Math.max(0, ...this.abouts.map((about) => about.moments?.length ?? 0));
+    this.find("of-time").hidden = count === 0;
+    const slider = this.find("moment");
+    slider.max = count;
+    if (this.moment === null) slider.value = count;
+    this.nameMoment();
+  }
+
+  nameMoment() {
+    const about = this.abouts.find((own) => own.moments?.length) ?? this.abouts[0];
+    const at = this.moment === null ? null : about.moments?.[this.moment];
+    const n = at ? at.gaussians : about.gaussians;
+    const title = at ? at.title : about.running ? "Now" : "In the end";
+    this.find("moment-title").textContent = n === null ? title : `${title}: N = ${n.toLocaleString("en")}`;
+    this.find("moment").setAttribute("aria-valuetext", this.find("moment-title").textContent);
+  }
+
+  /** The snapshot a side shows; null at the end. */
+  momentOf(side) {
+    return this.moment !== null && this.moment < (side.about.moments?.length ?? 0) ? this.moment : null;
+  }
+
+  showMoment(place) {
+    const count = Number(this.find("moment").max);
+    this.moment = place >= count ? null : place;
+    this.nameMoment();
+    if (this.moment !== null && this.colouring !== "mask") this.colouring = this.find("colour").value = "fate";
+    if (this.moment === null && ["fate", "mask"].includes(this.colouring)) this.colouring = this.find("colour").value = "opacity";
+    this.reloadGaussians();
+  }
+
+  colourBy(name) {
+    this.colouring = name;
+    this.reloadGaussians();
+  }
+
+  /** Loads Gaussians anew; the last wish wins. */
+  async reloadGaussians() {
+    const wish = (this.wish = (this.wish ?? 0) + 1);
+    for (const side of this.sides) {
+      if (wish === this.wish) await side.loadGaussians(this.world(this.tx)).catch((error) => this.say(error.message));
+    }
+    this.drawLegend();
+  }
+
+  listenAt(receiver) {
+    this.receiver = receiver;
+    this.goTo(this.ordered("id")[0] ?? this.link);
+  }
+
+  seek(id) {
+    const links = this.ordered("id");
+    if (!links.length || !Number.isFinite(id)) return;
+    this.goTo(links.reduce((best, i) => (Math.abs(this.ids[i] - id) < Math.abs(this.ids[best] - id) ? i : best)));
+  }
+
+  step(by, order = this.find("order").value) {
+    const links = this.ordered(order);
+    if (!links.length) {
+      this.say("No sample has a score yet.");
+      return;
+    }
+    const at = by === 0 ? 0 : links.indexOf(this.link) + by;
+    this.goTo(links[(at + links.length) % links.length]);
+  }
+
+  drawRooms() {
+    const [low, high] = this.note.bounds;
+    const receivers = this.note.receivers;
+    const reach = 0.12 * Math.hypot(...high.map((v, k) => v - low[k]));
+    for (const { room } of this.sides.filter((side) => side.room)) {
+      room.setBounds(low, high);
+      const colours = new Uint8Array(receivers.flatMap(() => [213, 94, 0, 255]));
+      room.setPoints("receivers", { positions: new Float32Array(receivers.flatMap((own) => own.position)), colours, size: 13, shape: "square", pickable: false });
+      const lines = receivers.flatMap(({ position, boresight }) => [...position, ...position.map((v, k) => v + reach * boresight[k])]);
+      room.setLines("boresights", { positions: new Float32Array(lines), colours });
+    }
+    this.drawSurfaces();
+    this.drawSamples();
+  }
+
+  drawSurfaces() {
+    const shown = this.find("surfaces").checked && this.known.has("points");
+    for (const { room } of this.sides.filter((side) => side.room)) {
+      const positions = shown ? this.known.get("points") : new Float32Array(0);
+      const colours = new Uint8Array((positions.length / 3) * 4);
+      for (let i = 0; i < colours.length; i += 4) colours.set([141, 148, 161, 150], i);
+      room.setPoints("surface", positions.length ? { positions, colours, size: 2, shape: "dot", pickable: false } : null);
+    }
+  }
+
+  drawSamples() {
+    const by = this.find("samples").value;
+    const n = this.ids.length;
+    const colours = new Uint8Array(4 * n);
+    const finite = Array.from(this.scores).filter(Number.isFinite).sort((a, b) => a - b);
+    const [low, high] = [finite[Math.floor(0.02 * finite.length)], finite[Math.floor(0.98 * (finite.length - 1))]];
+    for (let i = 0; i < n; i++) {
+      const scored = by === "score" && Number.isFinite(this.scores[i]);
+      const part = (this.scores[i] - low) / (high - low || 1);
+      const good = Math.min(255, Math.max(0, Math.round(255 * (this.note.score.higher ? part : 1 - part))));
+      colours.set(scored ? [...this.rgb(good), 255] : [...PART_COLOURS[by === "score" ? 3 : this.parts[i]], by === "score" ? 70 : 200], 4 * i);
+    }
+    const layer = n && by !== "none" && this.note.placed !== false ? { positions: this.positions, colours, size: 5, shape: "dot", pickable: true } : null;
+    this.sides.forEach((side) => side.room?.setPoints("samples", layer));
+    this.drawLegend();
+  }
+
+  /** What colours mean, in words. */
+  drawLegend() {
+    const mark = ([r, g, b], text) => {
+      const dot = document.createElement("i");
+      dot.style.background = `rgb(${r}, ${g}, ${b})`;
+      return [dot, text];
+    };
+    const by = this.find("samples").value;
+    const parts = PART_NAMES.map((name, k) => mark(PART_COLOURS[k], name)).filter((_, k) => this.parts.includes(k));
+    const all = by === "part" ? ["Transmitters:", ...parts.flat()] : [];
+    if (by === "score") all.push(`Transmitters by ${this.note.score.name} on the test part:`, ...mark(this.rgb(0), "worst"), ...mark(this.rgb(255), "best"));
+    if (this.colouring === "fate" && this.moment !== null) all.push("  Gaussians:", ...mark(GOES, "gone in the next moment"), ...mark(STAYS, "stay"));
+    else if (this.abouts.some((about) => about.gaussians)) all.push(`  Gaussians by ${this.colouring}:`, ...mark(this.rgb(0), "least"), ...mark(this.rgb(255), "most"));
+    all.push("  Receivers:", ...mark([213, 94, 0], "with their boresight"));
+    this.find("legend").replaceChildren(...all);
+  }
+
+  rgb(index) {
+    const all = this.known.get("colours.power");
+    return [all[3 * index], all[3 * index + 1], all[3 * index + 2]];
+  }
+
+  /** RGBA of each Gaussian. */
+  coloursOf(all, n, fates) {
+    const colours = new Uint8Array(4 * n);
+    const names = { opacity: "opacities", strength: "strengths", contribution: "contributions", mask: "gates" };
+    const name = names[this.colouring];
+    const births = fates && this.colouring === "fate" ? all.get("births") : null;
+    const values = !births && all.has(name) ? all.get(name) : all.get("opacities");
+    const most = this.colouring === "mask" ? 1 : values.reduce((a, b) => Math.max(a, b), 1e-12);
+    for (let i = 0; i < n; i++) {
+      const own = births ? (fates.has(births[i]) ? STAYS : GOES) : this.rgb(Math.min(255, Math.max(0, Math.round((255 * values[i]) / most))));
+      colours.set([...own, 255], 4 * i);
+    }
+    return colours;
+  }
+
+  listenToRooms() {
+    for (const side of this.sides.filter((own) => own.room)) {
+      const { room } = side;
+      room.onTransmitter = (place) => this.moveTo(Array.from(place));
+      room.onPick = (layer, index) => layer === "samples" && this.goTo(this.pickable(index));
+      room.onView = () => this.sides.forEach((other) => other !== side && other.room && (other.room.view = room.view));
+      side.find("room").addEventListener("keydown", (event) => this.press(event, room));
+    }
+    this.firstView = this.sides.find((side) => side.room)?.room.view;
+  }
+
+  /** The sample itself, or the nearest that can be shown. */
+  pickable(link) {
+    const { links } = this.source;
+    if (!links || links.includes(link)) return link;
+    return this.source.nearest(this.world(Array.from(this.positions.subarray(3 * link, 3 * link + 3)))).link;
+  }
+
+  resetView() {
+    this.sides.forEach((side) => side.room && (side.room.view = this.firstView));
+  }
+
+  press(event, room) {
+    const moves = { ArrowLeft: [-1, 0, 0], ArrowRight: [1, 0, 0], ArrowUp: [0, 1, 0], ArrowDown: [0, -1, 0], PageUp: [0, 0, 1], PageDown: [0, 0, -1] };
+    const looks = { "+": () => room.zoom(0.9), "-": () => room.zoom(1.1), "[": () => room.turn(-0.1, 0), "]": () => room.turn(0.1, 0) };
+    if (moves[event.key]) this.moveTo(this.tx.map((v, k) => v + STRIDE * moves[event.key][k]));
+    else if (looks[event.key]) looks[event.key]();
+    else return;
+    event.preventDefault();
+  }
+
+  moveTo(tx) {
+    if (!this.byPosition) {
+      const near = this.source.nearest?.(this.world(tx));
+      if (near && near.link !== this.link) this.goTo(near.link);
+      return;
+    }
+    if (!tx.every(Number.isFinite)) return;
+    this.link = null;
+    this.tx = tx;
+    this.moved();
+  }
+
+  /** The transmitter stands elsewhere: everything follows, as often as the program answers. */
+  moved() {
+    this.sides.forEach((side) => side.room?.setTransmitter(this.tx));
+    this.world(this.tx).forEach((v, k) => (this.root.querySelector(`[data-tx="${k}"]`).value = v.toFixed(2)));
+    this.find("height").value = this.world(this.tx)[2];
+    this.refresh();
+  }
+
+  async refresh() {
+    if (this.busy) {
+      this.again = true;
+      return;
+    }
+    this.busy = true;
+    do {
+      this.again = false;
+      await this.update().catch((error) => this.say(error.message));
+    } while (this.again);
+    this.busy = false;
+    await this.settle();
+  }
+
+  async update() {
+    const { tx, link, receiver } = this;
+    const asked = { tx: this.byPosition ? this.world(tx) : null, link: this.byPosition ? null : link, receiver };
+    const found = await Promise.all(this.sides.map((side) => this.source.predict(side.place, asked)));
+    const truths = await Promise.all(found.map((one, k) => one.note.nearest && this.truth(k, one.note.nearest.link)));
+    const begun = performance.now();
+    this.sides.forEach((side, k) => side.show(found[k], truths[k]));
+    const near = found[0].note.nearest;
+    const at = near && this.note.placed !== false ? Array.from(this.positions.subarray(3 * near.link, 3 * near.link + 3)) : null;
+    this.sides.forEach((side) => side.room?.setSelected(at));
+    this.times = { page: performance.now() - begun, prediction: found[0].note.ms };
+    this.updates += 1;
+    if (["strength", "contribution"].includes(this.colouring) && this.moment === null) await this.reloadGaussians();
+  }
+
+  /** What is heavier than a prediction, once the transmitter rests. */
+  async settle() {
+    clearTimeout(this.resting);
+    this.resting = setTimeout(async () => {
+      this.say(this.sides.map((side) => `${side.about.name}: ${side.numbers.textContent}`).join(". "));
+      const z = this.world(this.tx)[2];
+      if (this.note.kind === "spectrum" || (z === this.mapped?.[0] && this.receiver === this.mapped?.[1])) return;
+      this.mapped = [z, this.receiver];
+      for (const side of this.sides) await side.showMap(z, this.receiver).catch((error) => this.say(error.message));
+    }, 150);
+    if (!this.drawn) {
+      this.drawn = true;
+      this.sides.forEach((side) => side.room?.setTransmitter(this.tx));
+      this.world(this.tx).forEach((v, k) => (this.root.querySelector(`[data-tx="${k}"]`).value = v.toFixed(2)));
+      this.find("height").value = this.world(this.tx)[2];
+      await this.reloadGaussians();
+      for (const side of this.sides) await side.showCurve();
+    }
+  }
+
+  /** What was observed of a link, kept. */
+  async truth(side, link) {
+    const key = `${side} ${link}`;
+    if (!this.truths.has(key)) {
+      if (this.truths.size > 200) this.truths.clear();
+      this.truths.set(key, await this.source.link(side, link));
+    }
+    return this.truths.get(key);
+  }
+
+  /** The numbers of a prediction. */
+  sentence({ note, has }, truth) {
+    const degrees = (pair) => pair && pair.map((v) => `${Math.round(v)}°`).join(" / ").replace(/-/g, "−");
+    const parts = [];
+    if (note.nearest) {
+      const { score, link, metres } = note.nearest;
+      parts.push(`${this.note.score.name} ${chartNumber(Number(score.toFixed(3)))} against sample ${this.ids[link]}, ${metres.toFixed(2)} m away`);
+    }
+    if (note.strongest) {
+      const other = truth?.note.strongest ? ` (there ${degrees(truth.note.strongest)})` : "";
+      parts.push(`strongest at ${degrees(note.strongest)}${other}`);
+    }
+    if (has("deviation")) parts.push(`mean spread of the members ${note.spread.toFixed(3)}`);
+    parts.push(`predicted in ${note.ms.toFixed(2)} ms`);
+    return parts.join(" · ");
+  }
+
+  say(text) {
+    this.find("said").textContent = text;
+    if (this.note === undefined) {
+      this.root.hidden = false;
+      this.find("title").textContent = text;
+    }
+  }
+
+  /** News of a run under way. */
+  async hear(news) {
+    const side = this.sides[news.side];
+    if (!side) return;
+    if (news.changed) {
+      this.known = await this.source.room();
+      this.abouts = this.note.sides = this.known.note.sides;
+      this.sides.forEach((own, k) => (own.about = this.abouts[k]));
+      this.offerMoments();
+      this.offerColours();
+      await this.reloadGaussians();
+      await this.refresh();
+    }
+    side.about.running = !news.finished;
+    await side.showCurve();
+    const of = news.steps ? ` of ${news.steps.toLocaleString("en")}` : "";
+    const state = news.finished ? "finished" : `step ${news.step?.toLocaleString("en") ?? 0}${of}, N = ${news.gaussians ?? "?"}, loss ${news.loss?.toPrecision(3) ?? "?"}`;
+    side.find("name").textContent = `${side.about.name}: ${state}`;
+  }
+
+  setTheme() {
+    const style = getComputedStyle(this.root);
+    const rgb = (name) => {
+      const hex = style.getPropertyValue(name).trim();
+      const full = hex.length === 4 ? [...hex.slice(1)].map((c) => c + c).join("") : hex.slice(1);
+      return [0, 2, 4].map((k) => parseInt(full.slice(k, k + 2), 16) / 255);
+    };
+    this.ink = style.getPropertyValue("--stage-ink").trim();
+    this.sides.forEach((side) => side.room?.setTheme({ background: rgb("--stage-paper"), ink: rgb("--stage-ink") }));
+    if (this.drawn) this.refresh();
+  }
+}
+
+/** Starts the stage of a page that `pwrfgs view` serves. */
+function startServed() {
+  const main = document.querySelector("[data-source=server]");
+  if (!main) return;
+  const stage = new Stage(main.querySelector("[data-stage]"), new ServerSource());
+  main.stage = stage;
+  stage.start().catch((error) => stage.say(error.message));
+}
+
+startServed();

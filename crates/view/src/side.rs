@@ -59,6 +59,11 @@ impl Predictor {
         }
     }
 
+    /// Whether it is asked by the transmitter's position, and not by what stands in its place.
+    pub(crate) fn by_position(&self) -> bool {
+        self.ensemble().is_none_or(|own| own.members().iter().all(|model| model.stages.method.inputs() == 3))
+    }
+
     /// What is observed of a link.
     pub(crate) fn predict(&self, query: Query<'_>) -> Predicted {
         let begun = Instant::now();

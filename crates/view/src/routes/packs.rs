@@ -62,13 +62,12 @@ fn about(side: &Side) -> Value {
     let predictor = side.predictor();
     let ensemble = predictor.as_ref().and_then(|predictor| predictor.ensemble());
     let splats = ensemble.is_some_and(|e| e.members().iter().all(|m| m.stages.splatting().is_some()));
-    let by_position = ensemble.is_none_or(|e| e.members().iter().all(|m| m.stages.method.inputs() == 3));
     json!({
         "name": side.name,
         "gaussians": ensemble.map(|ensemble| ensemble.gaussians()),
         "members": ensemble.map_or(1, |ensemble| ensemble.members().len()),
         "ellipsoids": splats,
-        "by_position": by_position,
+        "by_position": predictor.as_ref().is_none_or(|predictor| predictor.by_position()),
         "floor": predictor.as_ref().is_some_and(|p| p.ensemble().is_none()),
         "moments": moments(side).iter().map(|(_, m)| json!({ "title": m.title, "step": m.step, "gaussians": m.gaussians }))
             .collect::<Vec<_>>(),
@@ -106,7 +105,7 @@ fn receiver(side: &Side, asked: &Asked) -> Result<usize, Refusal> {
 fn predict(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
     let (predictor, receiver, kind) = (predictor(side)?, receiver(side, asked)?, side.frame.kind);
     let known = side.known.as_deref();
-    let by_position = predictor.ensemble().is_none_or(|e| e.members().iter().all(|m| m.stages.method.inputs() == 3));
+    let by_position = predictor.by_position();
     let query = match (asked.tx, asked.link, known) {
         (Some(tx), _, _) if by_position => Query::at(tx, receiver),
         (_, Some(i), Some(known)) if i < known.data.len() => known.data.query(i),

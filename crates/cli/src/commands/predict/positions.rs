@@ -19,7 +19,7 @@ pub(in crate::commands) fn position(option: &str, text: &str) -> Result<[f64; 3]
 }
 
 /// Columns x, y, z of a CSV file.
-pub(super) fn positions(path: &Path) -> Result<Vec<[f64; 3]>> {
+pub(in crate::commands) fn positions(path: &Path) -> Result<Vec<[f64; 3]>> {
     let text = files::read_at_most(path, files::MAX_TEXT).map_err(|e| Error::read(path, e))?;
     let text = text.strip_prefix("\u{feff}".as_bytes()).unwrap_or(&text);
     let mut reader = csv::ReaderBuilder::new().flexible(true).trim(csv::Trim::All).from_reader(text);

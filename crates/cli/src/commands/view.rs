@@ -1,0 +1,96 @@
+//! `pwrfgs view`: a page where the transmitter can be dragged.
+
+use crate::args::Verbosity;
+use crate::interrupt::stop_flag;
+use crate::output;
+use crate::progress::Progress;
+use clap::Args;
+use pwrfgs::view::{Side, record, view as show};
+use pwrfgs_core::plugin::Plugin;
+use pwrfgs_core::words::clean;
+use pwrfgs_core::{Baseline, Error, Result};
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode, Stdio};
+
+#[derive(Debug, Args)]
+#[command(
+    after_long_help = "Prints the address of a page and serves it until Ctrl-C, or until the page is closed. Nobody else can \
+    open it: it listens on this machine alone, on a random port, and the address holds a random word. Nothing is \
+    written.\n\nON THE PAGE\n  Drag the transmitter, with Shift by its height; arrow keys move it by 10 cm, Page Up and Down \
+    lift it; click a measured one to go there. Drag the room to turn it, scroll to zoom. The slider goes through the training, \
+    from its start over every prune step to the end; a run that is still at work is followed.\n\nCOMPARE\n  Two models, or a \
+    model and a floor that learns from the same data, move together. A floor is written as in a pipeline, such as \
+    NearestNeighbours(k: 5), or by its name alone.\n\nRECORDING\n  --record draws an animated GIF without a browser: a frame \
+    for each position of a CSV file with columns x, y, z in metres, ten a second.\n\nEXAMPLES\n  pwrfgs view \
+    runs/quickstart\n  pwrfgs view runs/s23-best runs/s23-laptop\n  pwrfgs view runs/quickstart 'NearestNeighbours(k: 5)'\n  \
+    pwrfgs view runs/quickstart --record walk.csv walk.gif"
+)]
+pub(crate) struct View {
+    /// A run folder or a model file; the second may be a floor, such as NearestNeighbours
+    #[arg(value_name = "MODEL_OR_RUN", required = true, num_args = 1..=2)]
+    pub(crate) sides: Vec<String>,
+    /// Open the page in the browser of this desktop. The address is then seen by who may list processes of this machine
+    #[arg(long, conflicts_with = "record")]
+    pub(crate) open: bool,
+    /// Draw a frame for each position of a CSV file into a new GIF, and serve nothing
+    #[arg(long, num_args = 2, value_names = ["POSITIONS.CSV", "OUT.GIF"])]
+    pub(crate) record: Option<Vec<PathBuf>>,
+}
+
+pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<ExitCode> {
+    let mut progress = Progress::new(verbosity);
+    let sides = open(&arguments.sides, &mut progress);
+    progress.finish();
+    let sides = sides?;
+    if let Some([positions, out]) = arguments.record.as_deref() {
+        let path = super::predict::positions(positions)?;
+        let frames = record(&sides, &path, out, &mut progress);
+        progress.finish();
+        let frames = frames?;
+        output::note(&format!("{frames} frames in {}", out.display()));
+        return Ok(ExitCode::SUCCESS);
+    }
+    let stop = stop_flag()?;
+    let ready = |address: &str| {
+        // Whoever pipes it wants the address alone.
+        _ = output::result(&format!("{address}\n"));
+        if verbosity != Verbosity::Quiet {
+            output::note("open this address in a browser; Ctrl-C, or closing the page, ends it");
+        }
+        if arguments.open && !opened(address) {
+            output::note("no browser could be started here; open the address yourself");
+        }
+    };
+    show(sides, ready, &stop)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn open(named: &[String], progress: &mut Progress) -> Result<Vec<Side>> {
+    let first = Side::open(Path::new(&named[0]), progress)?;
+    let second = match named.get(1) {
+        None => return Ok(vec![first]),
+        Some(path) if Path::new(path).exists() => Side::open(Path::new(path), progress)?,
+        Some(text) => Side::floor(&floor(text)?, &first)?,
+    };
+    Ok(vec![first, second])
+}
+
+/// A baseline by its RON text, or its name.
+fn floor(text: &str) -> Result<Plugin<dyn Baseline>> {
+    let whole = if text.contains('(') { text.to_owned() } else { format!("{text}()") };
+    Plugin::<dyn Baseline>::parse(&whole).map_err(|why| {
+        Error::Config(format!(
+            "{}: there is no such file or folder, and it is no floor either: {why}; a floor is written as \
+             NearestNeighbours(k: 5)",
+            clean(text)
+        ))
+    })
+}
+
+/// Asks the desktop for a browser.
+fn opened(address: &str) -> bool {
+    let program = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
+    let mut browser = Command::new(program);
+    browser.arg(address).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    browser.status().is_ok_and(|status| status.success())
+}
