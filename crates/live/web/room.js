@@ -48,10 +48,10 @@ function mat4View(eye, [x, y, z]) {
 }
 
 const ROOM_POINT_VERTEX = `#version 300 es
-uniform mat4 camera; uniform float size; uniform float lift;
+uniform mat4 camera; uniform float size;
 layout(location = 0) in vec3 position; layout(location = 1) in vec4 colour;
 out vec4 shade;
-void main() { gl_Position = camera * vec4(position, 1.0); gl_Position.z -= lift * gl_Position.w; gl_PointSize = size; shade = colour; }`;
+void main() { gl_Position = camera * vec4(position, 1.0); gl_PointSize = size; shade = colour; }`;
 
 const ROOM_POINT_FRAGMENT = `#version 300 es
 precision highp float;
@@ -121,7 +121,7 @@ export class Room {
     this.layers = new Map();
     this.lines = new Map();
     this.ground = { background: [1, 1, 1], ink: [0.1, 0.1, 0.1] };
-    this.spread = 1;
+    this.spread = 0.4;
     this.frames = 0;
     this.lastFrameMs = 0;
     this.dragsHeight = false;
@@ -182,7 +182,10 @@ export class Room {
     this.setLines("box", { positions: new Float32Array(ends.flatMap((end) => end.slice(0, 6))), colours: new Uint8Array(colours) });
   }
 
-  /** A layer of points: `positions` [N, 3], `colours` [N, 4], `size` in pixels, `shape` "dot", "square" or "ring"; or null. */
+  /**
+   * A layer of points: `positions` [N, 3], `colours` [N, 4], `size` in pixels, `shape` "dot", "square" or "ring"; `onTop` of
+   * everything, or behind what is nearer; or null.
+   */
   setPoints(name, layer) {
     this.replace(this.layers, name, layer);
   }
@@ -232,7 +235,7 @@ export class Room {
     this.transmitter = place;
     this.markLayer("transmitter", place, 17, "dot");
     const down = this.bounds ? [place[0], place[1], Math.min(this.bounds[0][2], place[2])] : place;
-    this.setLines("stem", { positions: new Float32Array([...place, ...down]), colours: new Uint8Array([...ROOM_TRANSMITTER, 255]) });
+    this.setLines("stem", { positions: new Float32Array([...place, ...down]), colours: new Uint8Array([...ROOM_TRANSMITTER, 255]), onTop: true });
   }
 
   /** A ring around a measured sample, or nothing. */
@@ -242,7 +245,7 @@ export class Room {
 
   markLayer(name, place, size, shape) {
     const colours = new Uint8Array([...ROOM_TRANSMITTER, 255]);
-    this.setPoints(name, place && { positions: new Float32Array(place), colours, size, shape, pickable: false, lift: 0.002 });
+    this.setPoints(name, place && { positions: new Float32Array(place), colours, size, shape, pickable: false, onTop: true });
   }
 
   get view() {
@@ -303,9 +306,11 @@ export class Room {
     gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     const camera = this.camera();
     this.drawEllipsoids(camera, h);
-    for (const layer of this.lines.values()) this.drawLayer(layer, gl.LINES, 2, camera, 1);
-    for (const layer of this.layers.values()) this.drawLayer(layer, gl.POINTS, 1, camera, ratio);
+    const lines = [...this.lines.values()].map((layer) => [layer, gl.LINES, 2, camera, 1]);
+    const points = [...this.layers.values()].map((layer) => [layer, gl.POINTS, 1, camera, ratio]);
+    for (const drawn of [...lines, ...points].sort(([a], [b]) => Boolean(a.onTop) - Boolean(b.onTop))) this.drawLayer(...drawn);
     if (this.triangles) {
+      gl.enable(gl.DEPTH_TEST);
       gl.depthMask(false);
       this.drawLayer(this.triangles, gl.TRIANGLES, 3, camera, 1);
       gl.depthMask(true);
@@ -321,9 +326,10 @@ export class Room {
     const count = layer.positions.length / 3;
     layer.buffers ??= [roomBuffer(gl, layer.positions), roomBuffer(gl, roomColours(layer, count, corners))];
     gl.useProgram(program);
+    if (layer.onTop) gl.disable(gl.DEPTH_TEST);
+    else gl.enable(gl.DEPTH_TEST);
     gl.uniformMatrix4fv(gl.getUniformLocation(program, "camera"), false, camera.matrix);
     gl.uniform1f(gl.getUniformLocation(program, "size"), (layer.size ?? 1) * ratio);
-    gl.uniform1f(gl.getUniformLocation(program, "lift"), layer.lift ?? 0);
     const shape = mode === gl.POINTS ? ["dot", "square", "ring"].indexOf(layer.shape ?? "dot") : 3;
     gl.uniform1i(gl.getUniformLocation(program, "shape"), shape);
     roomAttribute(gl, 0, layer.buffers[0], 3, gl.FLOAT, 0);

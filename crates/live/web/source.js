@@ -6,7 +6,7 @@ import { strongestPixel } from "./spectrum.js";
 /** What a page knows, from the program behind it (`pwrfgs view`). Positions are metres in the world frame. */
 export class ServerSource {
   constructor() {
-    this.free = true;
+    this.free = this.predicts = true;
   }
 
   async fetch(path, asked = {}) {
@@ -61,7 +61,8 @@ export class FileSource {
     this.spectra = this.packs.spectra && readTensors(this.packs.spectra);
     this.predictor = this.packs.model && new Predictor(readTensors(this.packs.model));
     this.free = Boolean(this.predictor);
-    this.links = this.spectra ? this.spectra.note.links : [];
+    this.predicts = Boolean(this.spectra);
+    this.links = this.spectra ? this.spectra.note.links : null;
   }
 
   async room() {
@@ -69,7 +70,7 @@ export class FileSource {
   }
 
   async gaussians(side, { tx }) {
-    const all = readTensors(this.packs.gaussians);
+    const all = (this.cloud ??= readTensors(this.packs.gaussians));
     if (!tx || !this.predictor) return all;
     const { strengths, scales, quats, opacities } = this.predictor.predict(tx);
     const own = { strengths, scales, quats, opacities };
@@ -106,7 +107,7 @@ export class FileSource {
   /** Of the samples whose spectra lie in the page. */
   nearest(tx) {
     let best = null;
-    for (const link of this.links) {
+    for (const link of this.links ?? this.known.get("links.id").keys()) {
       const metres = Math.hypot(...this.position(link).map((v, k) => v - tx[k]));
       if (!best || metres < best.metres) best = { link, metres };
     }

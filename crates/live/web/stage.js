@@ -373,9 +373,9 @@ export class Stage {
     for (const { room } of this.sides.filter((side) => side.room)) {
       room.setBounds(low, high);
       const colours = new Uint8Array(receivers.flatMap(() => [213, 94, 0, 255]));
-      room.setPoints("receivers", { positions: new Float32Array(receivers.flatMap((own) => own.position)), colours, size: 13, shape: "square", pickable: false });
+      room.setPoints("receivers", { positions: new Float32Array(receivers.flatMap((own) => own.position)), colours, size: 13, shape: "square", pickable: false, onTop: true });
       const lines = receivers.flatMap(({ position, boresight }) => [...position, ...position.map((v, k) => v + reach * boresight[k])]);
-      room.setLines("boresights", { positions: new Float32Array(lines), colours });
+      room.setLines("boresights", { positions: new Float32Array(lines), colours, onTop: true });
     }
     this.drawSurfaces();
     this.drawSamples();
@@ -512,6 +512,10 @@ export class Stage {
 
   async update() {
     const { tx, link, receiver } = this;
+    if (!this.source.predicts) {
+      this.sides[0].numbers.textContent = this.aboutSample(link);
+      return;
+    }
     const asked = { tx: this.byPosition ? this.world(tx) : null, link: this.byPosition ? null : link, receiver };
     const found = await Promise.all(this.sides.map((side) => this.source.predict(side.place, asked)));
     const truths = await Promise.all(found.map((one, k) => one.note.nearest && this.truth(k, one.note.nearest.link)));
@@ -553,6 +557,13 @@ export class Stage {
       this.truths.set(key, await this.source.link(side, link));
     }
     return this.truths.get(key);
+  }
+
+  /** A sample in words, where nothing is predicted. */
+  aboutSample(link) {
+    const score = this.scores[link];
+    const scored = Number.isFinite(score) ? `${this.note.score.name} ${chartNumber(Number(score.toFixed(3)))}` : "not scored";
+    return link === null ? "" : `sample ${this.ids[link]}, ${PART_NAMES[this.parts[link]]}, ${scored}`;
   }
 
   /** The numbers of a prediction. */

@@ -12,8 +12,8 @@ function makeHeadSortable(table, cell, column) {
   const button = document.createElement("button");
   button.type = "button";
   button.className = "sort";
-  button.textContent = cell.textContent || (column ? "value" : "name");
-  button.title = "sort by this column";
+  button.textContent = cell.textContent || "↕";
+  button.setAttribute("aria-label", `sort by ${cell.textContent || "this column"}`);
   cell.replaceChildren(button);
   button.addEventListener("click", () => sortTable(table, cell, column));
 }

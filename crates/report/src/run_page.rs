@@ -3,6 +3,7 @@
 
 mod channels;
 mod curves;
+mod live;
 mod powers;
 mod predicted;
 mod receivers;
@@ -57,6 +58,7 @@ pub fn page(results: &Results<'_>) -> Result<String> {
         examples,
         power_bar => Scale::Power.bar().svg("bar", "colours of power"),
         error_bar => Scale::Error(limit).bar().svg("bar", "colours of the error"),
+        live => live::section(results),
         angles => model.plane().angles.is_some(),
         pipeline => results.settings.clone(),
         members => members(results),
