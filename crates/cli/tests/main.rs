@@ -23,3 +23,4 @@ mod resume;
 mod simulate;
 mod slurm;
 mod sweep;
+mod view;

@@ -99,6 +99,11 @@ fn model(
     Model { stages, cloud: cloud(), weights }
 }
 
+/// A model of each case.
+pub(crate) fn models() -> impl Iterator<Item = Model> {
+    CASES.into_iter().map(model)
+}
+
 /// Channels of an array that is turned, on two subcarriers.
 fn virtual_transmitters(order: usize) -> Model {
     let antennas = vec![[0.0; 3], [0.1, 0.0, 0.02], [0.0, -0.1, 0.0]];

@@ -1,3 +1,5 @@
+import { penOf } from "./spectrum.js";
+
 /** Lines on axes: `lines` are `{ points: [[x, y], ..], colour, dash, dots, name }`. */
 export function drawChart(canvas, { x, y, lines }, ink) {
   const [width, height] = [420, 220];

@@ -97,7 +97,7 @@ class StageSide {
 
   showSpectra(found, truth) {
     const { palettes, ink, note } = this.stage;
-    const picture = found.get("picture");
+    const picture = (this.picture = found.get("picture"));
     const mine = { pixel: strongestPixel(picture), cross: true };
     const predicted = this.figure("predicted", "Predicted", palettes.power, 0, 1);
     if (!truth) {
@@ -214,7 +214,7 @@ export class Stage {
     this.listenToRooms();
     this.setTheme();
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.setTheme());
-    this.source.listen((news) => this.hear(news), () => this.say("The program behind this page has ended."));
+    this.source.listen((news) => this.hear(news).catch((error) => this.say(error.message)), () => this.say("The program behind this page has ended."));
     await this.refresh();
     this.root.dataset.ready = "yes";
   }

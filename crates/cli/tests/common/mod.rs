@@ -1,5 +1,7 @@
 //! The program under test, small pipelines and small data.
 
+pub(crate) mod browser;
+
 use pwrfgs_core::testing::skipped;
 use std::path::Path;
 use std::process::{Child, Command, Output};

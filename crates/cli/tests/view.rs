@@ -1,0 +1,334 @@
+//! `pwrfgs view` and the part of a report that moves: in a real browser where there is one, and against whoever means ill.
+
+use crate::common::browser::Browser;
+use crate::common::{SMALL, call, pwrfgs, refuse, stderr, succeed, write};
+use crate::model_format::models;
+use pwrfgs::model::file;
+use pwrfgs_core::testing::skipped;
+use serde_json::{Value, json};
+use std::io::{BufRead as _, BufReader, Read as _, Write as _};
+use std::net::{Shutdown, TcpStream};
+use std::path::Path;
+use std::process::{Child, Stdio};
+use std::time::{Duration, Instant};
+
+const NO_BROWSER: &str = "there is no Chromium, so nobody looked at the pages";
+
+/// A page that is served until this value is gone.
+struct Served {
+    child: Child,
+    address: String,
+}
+
+impl Served {
+    fn start(folder: &Path, arguments: &[&str]) -> Self {
+        let mut command = pwrfgs(folder);
+        command.arg("view").args(arguments).stdout(Stdio::piped()).stderr(Stdio::null());
+        let mut child = command.spawn().unwrap();
+        let mut address = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut address).unwrap();
+        assert!(address.starts_with("http://127.0.0.1:"), "{address}");
+        Self { child, address: address.trim().to_owned() }
+    }
+
+    /// `127.0.0.1:port`, and the word.
+    fn parts(&self) -> (&str, &str) {
+        let rest = self.address.strip_prefix("http://").unwrap();
+        let (host, token) = rest.split_once('/').unwrap();
+        (host, token.trim_end_matches('/'))
+    }
+
+    /// Sends bytes and gives the first line of the answer; empty where the connection was closed. `ends`: nothing more comes.
+    fn says(&self, request: &[u8], ends: bool) -> String {
+        let mut stream = TcpStream::connect(self.parts().0).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+        _ = stream.write_all(request);
+        if ends {
+            _ = stream.shutdown(Shutdown::Write);
+        }
+        let mut answer = Vec::new();
+        _ = stream.read_to_end(&mut answer);
+        String::from_utf8_lossy(&answer).lines().next().unwrap_or_default().to_owned()
+    }
+
+    fn get(&self, path: &str, headers: &str) -> String {
+        let (host, _) = self.parts();
+        self.says(
+            format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n{headers}Connection: close\r\n\r\n").as_bytes(),
+            false,
+        )
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        _ = self.child.kill();
+        _ = self.child.wait();
+    }
+}
+
+fn small_run() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    write(&folder.path().join("small.ron"), SMALL);
+    succeed(folder.path(), &["run", "small.ron", "--out", "run", "-q"]);
+    folder
+}
+
+fn numbers(value: &Value) -> Vec<f64> {
+    value.as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
+}
+
+/// Where the transmitter is in the window.
+fn grip(page: &Browser, stage: &str) -> [f64; 2] {
+    let at = page.eval(&format!(
+        "(() => {{ const room = {stage}.sides[0].room; const box = room.canvas.getBoundingClientRect(); \
+         const at = room.project({stage}.tx); return [box.left + at[0], box.top + at[1]]; }})()"
+    ));
+    numbers(&at).try_into().unwrap()
+}
+
+#[test]
+fn the_page_follows_the_transmitter_and_ends_with_its_window() {
+    let folder = small_run();
+    let mut served = Served::start(folder.path(), &["run"]);
+    let Some(page) = Browser::open(&served.address, [1300, 900]) else { return skipped(NO_BROWSER) };
+    page.wait("document.querySelector('[data-ready]')");
+    let stage = "document.querySelector('main').stage";
+    let before = numbers(&page.eval(&format!("{stage}.tx")));
+    let [x, y] = grip(&page, stage);
+    page.drag([x, y], [x + 60.0, y + 25.0], 12, false);
+    page.wait(&format!("{stage}.updates > 1 && !{stage}.busy"));
+    let tx = numbers(&page.eval(&format!("{stage}.tx")));
+    assert!(tx[0] != before[0] && tx[1] != before[1] && tx[2] == before[2], "{before:?} {tx:?}");
+    let shown = numbers(&page.eval(&format!("Array.from({stage}.sides[0].picture)")));
+    let model = file::read(&folder.path().join("run/model.safetensors")).unwrap();
+    let predicted = model.predict(pwrfgs_core::Query::at([tx[0], tx[1], tx[2]], 0));
+    assert_eq!(shown.len(), predicted.pixels.len());
+    for (shown, own) in shown.iter().zip(&predicted.pixels) {
+        assert_eq!(*shown as f32, *own as f32, "the page shows what the program predicts");
+    }
+    // By height, by keys, by sample, and back through the training.
+    let [x, y] = grip(&page, stage);
+    page.drag([x, y], [x, y - 30.0], 4, true);
+    page.wait(&format!("{stage}.tx[2] > {} && !{stage}.busy", tx[2]));
+    page.eval("document.querySelector('[data-room]').focus()");
+    let at = numbers(&page.eval(&format!("{stage}.tx")));
+    page.key("ArrowRight");
+    page.wait(&format!("Math.abs({stage}.tx[0] - {}) > 0.09", at[0]));
+    page.eval(
+        "document.querySelector('[data-order]').value = 'worst'; document.querySelector('[data-step=\"1\"]').click()",
+    );
+    page.wait(&format!("{stage}.link !== null && !{stage}.busy"));
+    page.wait("document.querySelector('[data-numbers]').textContent.includes('0.00 m away')");
+    page.eval("{ const own = document.querySelector('[data-moment]'); own.value = 0; own.dispatchEvent(new Event('input')); }");
+    page.wait("document.querySelector('[data-moment-title]').textContent.startsWith('At the start')");
+    page.wait(&format!("{stage}.sides[0].gaussians?.has('births')"));
+    page.resize([390, 800]);
+    assert_eq!(page.eval("document.documentElement.scrollWidth <= 390"), json!(true), "a phone shows it whole");
+    let unnamed = "[...document.querySelectorAll('.stage input, .stage select, .stage button')].filter((own) => \
+                   !own.labels?.length && !own.getAttribute('aria-label') && !own.textContent.trim()).length";
+    assert_eq!(page.eval(unnamed), json!(0), "every control has a name");
+    assert!(page.screenshot(false).starts_with(b"\x89PNG"));
+    assert_eq!(page.console(), Vec::<String>::new());
+    drop(page);
+    let begun = Instant::now();
+    while served.child.try_wait().unwrap().is_none() {
+        assert!(begun.elapsed() < Duration::from_secs(30), "the program ends once nobody looks");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    assert!(served.child.wait().unwrap().success());
+}
+
+#[test]
+fn two_sides_move_together_and_a_floor_may_be_one() {
+    let folder = small_run();
+    let served = Served::start(folder.path(), &["run", "NearestNeighbours(k: 1)"]);
+    let Some(page) = Browser::open(&served.address, [1300, 900]) else { return skipped(NO_BROWSER) };
+    page.wait("document.querySelector('[data-ready]')");
+    let stage = "document.querySelector('main').stage";
+    page.eval(&format!("{stage}.goTo({stage}.ordered('id')[3])"));
+    page.wait(&format!("{stage}.updates > 1 && !{stage}.busy"));
+    let names = page.eval("[...document.querySelectorAll('[data-name]')].map((own) => own.textContent).join()");
+    assert_eq!(names, json!("run,1-NN"));
+    let differ = format!("{stage}.sides[0].picture.some((v, k) => v !== {stage}.sides[1].picture[k])");
+    assert_eq!(page.eval(&differ), json!(true));
+    assert_eq!(page.console(), Vec::<String>::new());
+}
+
+#[test]
+fn models_predict_in_the_page_as_in_the_program() {
+    let folder = small_run();
+    let served = Served::start(folder.path(), &["run"]);
+    let Some(page) = Browser::open(&served.address, [600, 400]) else { return skipped(NO_BROWSER) };
+    page.wait("document.querySelector('[data-ready]')");
+    let mut seen = 0;
+    for model in models() {
+        let bytes = file::to_bytes(&model);
+        let text: Vec<String> = bytes.iter().map(u8::to_string).collect();
+        for tx in [[1.0, 0.5, 0.2], [-2.0, 1.5, 0.9]] {
+            let script = format!(
+                "(async () => {{ const [t, p] = [await import('./tensors.js'), await import('./predict.js')]; \
+                 const file = t.readTensors(Uint8Array.from([{}])); const why = p.Predictor.refuses(file); \
+                 return why ?? Array.from(new p.Predictor(file).predict({tx:?}).picture); }})()",
+                text.join(",")
+            );
+            let found = page.eval(&script);
+            if found.is_string() {
+                continue; // the released network, which no report predicts
+            }
+            seen += 1;
+            let expected = model.predict(pwrfgs_core::Query::at(tx, 0));
+            let errors: Vec<f64> =
+                numbers(&found).iter().zip(&expected.pixels).map(|(a, b)| (a - f64::from(*b as f32)).abs()).collect();
+            let largest = expected.pixels.iter().fold(1.0, |m: f64, v| m.max(f64::from(v.abs() as f32)));
+            let many = errors.iter().filter(|error| **error > 1e-4 * largest).count();
+            assert!(many * 1000 <= errors.len(), "{many} pixels of {} differ: {:?}", errors.len(), model.stages.method);
+        }
+    }
+    assert_eq!(seen, 14, "seven models of nine, two places each");
+}
+
+#[test]
+fn a_report_is_alive_without_a_server_and_still_without_scripts() {
+    let folder = small_run();
+    let path = folder.path().join("run/report.html");
+    assert!(std::fs::metadata(&path).unwrap().len() < 8_000_000);
+    let address = format!("file://{}", path.display());
+    let Some(page) = Browser::open(&address, [1300, 900]) else { return skipped(NO_BROWSER) };
+    page.wait("document.querySelector('[data-ready]')");
+    let stage = "document.querySelector('[data-source=file]').stage";
+    let model = file::read(&folder.path().join("run/model.safetensors")).unwrap();
+    page.eval("document.querySelector('[data-room]').scrollIntoView({ block: 'center' })");
+    let [x, y] = grip(&page, stage);
+    page.drag([x, y], [x + 40.0, y + 10.0], 6, false);
+    page.wait(&format!("{stage}.updates > 1 && !{stage}.busy"));
+    let tx = numbers(&page.eval(&format!("{stage}.tx")));
+    let shown = numbers(&page.eval(&format!("Array.from({stage}.sides[0].picture)")));
+    let own = model.predict(pwrfgs_core::Query::at([tx[0], tx[1], tx[2]], 0));
+    let beyond = shown.iter().zip(&own.pixels).filter(|(a, b)| (*a - f64::from(**b as f32)).abs() > 1e-4).count();
+    assert!(beyond * 1000 <= shown.len(), "{beyond} pixels of {}", shown.len());
+    let first = "document.querySelector('table.scores tbody tr').textContent";
+    let before = page.eval(first);
+    page.eval("document.querySelectorAll('table.scores .sort')[1].click()");
+    let sorted = page.eval(first);
+    page.eval("document.querySelectorAll('table.scores .sort')[1].click()");
+    assert!(sorted != page.eval(first) && !before.is_null(), "a column is sorted, and then the other way");
+    assert_eq!(page.console(), Vec::<String>::new());
+    page.ask("Emulation.setScriptExecutionDisabled", &json!({ "value": true }));
+    page.go(&address);
+    let seen = |page: &Browser| page.eval("getComputedStyle(document.querySelector('[data-stage]')).display");
+    assert_eq!(seen(&page), json!("none"), "without scripts there is no stage");
+    page.ask("Emulation.setScriptExecutionDisabled", &json!({ "value": false }));
+    page.go(&address);
+    page.wait("document.querySelector('[data-ready]')");
+    page.ask("Emulation.setEmulatedMedia", &json!({ "media": "print" }));
+    assert_eq!(seen(&page), json!("none"), "nor on paper");
+}
+
+#[test]
+fn a_run_under_way_is_followed() {
+    let folder = tempfile::tempdir().unwrap();
+    write(&folder.path().join("small.ron"), SMALL.replace("steps: 60", "steps: 100_000"));
+    let mut run = pwrfgs(folder.path()).args(["run", "small.ron", "--out", "run", "-q"]).spawn().unwrap();
+    crate::common::wait_for_step(&mut run, &folder.path().join("run"), 30);
+    let served = Served::start(folder.path(), &["run"]);
+    let page = Browser::open(&served.address, [1000, 700]);
+    if let Some(page) = &page {
+        page.wait("document.querySelector('[data-ready]')");
+        page.wait("/step [\\d,]+ of 100,000, N = \\d+, loss/.test(document.querySelector('[data-name]').textContent)");
+        page.wait("document.querySelectorAll('figure').length >= 4");
+        assert_eq!(page.console(), Vec::<String>::new());
+    }
+    run.kill().unwrap();
+    run.wait().unwrap();
+    if page.is_none() {
+        skipped(NO_BROWSER);
+    }
+}
+
+#[test]
+fn whoever_means_ill_is_refused_and_the_page_goes_on() {
+    let folder = small_run();
+    let served = Served::start(folder.path(), &["run/model.safetensors"]);
+    let (host, token) = served.parts();
+    let room = format!("/{token}/room");
+    let good = || assert_eq!(served.get(&room, ""), "HTTP/1.1 200 OK");
+    good();
+    let long = format!("X-Long: {}\r\n", "x".repeat(100_000));
+    let many: String = (0..500).map(|k| format!("X-{k}: 1\r\n")).collect();
+    for (path, headers, status) in [
+        ("/", "", "404"),
+        ("/room", "", "404"),
+        ("/0123456789abcdef0123456789abcdef/room", "", "404"),
+        (&room, "Origin: http://evil.example\r\n", "403"),
+        (&room, "Origin: null\r\n", "403"),
+        (&room, "Sec-Fetch-Site: cross-site\r\n", "403"),
+        (&room, "Host: evil.example\r\n", "421"),
+        (&room, "Content-Length: 10\r\n", "413"),
+        (&room, &long, "431"),
+        (&room, &many, "431"),
+        (&format!("{room}/../../../etc/passwd"), "", "404"),
+        (&format!("/{token}/predict?tx=nan,0,0"), "", "400"),
+        (&format!("/{token}/predict?tx=1,2"), "", "400"),
+        (&format!("/{token}/predict?tx=1,2,3&receiver=99"), "", "400"),
+        (&format!("/{token}/predict?link=99999999999999999999"), "", "400"),
+        (&format!("/{token}/link?link=1000000"), "", "400"),
+        (&format!("/{token}/gaussians?moment=99"), "", "400"),
+        (&format!("/{token}/gaussians?side=7"), "", "400"),
+    ] {
+        let said = served.get(path, headers);
+        assert!(said.contains(&format!(" {status} ")), "{path} {}: {said}", &headers[..headers.len().min(60)]);
+    }
+    let foreign = format!("GET {room} HTTP/1.1\r\nHost: rebound.example\r\nConnection: close\r\n\r\n");
+    assert!(served.says(foreign.as_bytes(), false).contains(" 421 "), "a name that leads here is not ours");
+    for method in ["POST", "PUT", "DELETE", "OPTIONS"] {
+        let request = format!("{method} {room} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n");
+        assert!(served.says(request.as_bytes(), false).contains(" 405 "), "{method}");
+    }
+    for garbage in
+        [&b"\0\xff\xfe rubbish \r\n\r\n"[..], b"GET", b"GET / HTTP/9.9\r\n\r\n", b"\r\n\r\n\r\n", &[b'A'; 50_000]]
+    {
+        let said = served.says(garbage, true);
+        assert!(!said.contains(" 200 "), "{said}");
+    }
+    // A thousand connections that say nothing: those beyond the limit are closed, and the page is there again after them.
+    let open: Vec<TcpStream> = (0..1000).filter_map(|_| TcpStream::connect(host).ok()).collect();
+    assert!(open.len() > 100);
+    drop(open);
+    let begun = Instant::now();
+    while served.get(&room, "") != "HTTP/1.1 200 OK" {
+        assert!(begun.elapsed() < Duration::from_secs(20));
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    good();
+}
+
+#[test]
+fn a_walk_is_recorded_without_a_browser() {
+    let folder = small_run();
+    write(&folder.path().join("walk.csv"), "x,y,z\n1,0,1\n1.2,0.1,1\n1.4,0.2,1\n");
+    let output = succeed(folder.path(), &["view", "run", "--record", "walk.csv", "walk.gif"]);
+    assert!(stderr(&output).contains("3 frames in walk.gif"));
+    let gif = std::fs::read(folder.path().join("walk.gif")).unwrap();
+    assert!(gif.starts_with(b"GIF89a"));
+    assert_eq!(gif.windows(3).filter(|w| *w == [0x21, 0xf9, 0x04]).count(), 3, "three frames");
+    refuse(folder.path(), &["view", "run", "--record", "walk.csv", "walk.gif"], 2, &["walk.gif exists"]);
+    assert_eq!(std::fs::read(folder.path().join("walk.gif")).unwrap(), gif);
+    let again = call(folder.path(), &["view", "run", "--record", "walk.csv", "again.gif"]);
+    assert!(again.status.success());
+    assert_eq!(std::fs::read(folder.path().join("again.gif")).unwrap(), gif, "the same walk gives the same bytes");
+}
+
+#[test]
+fn what_cannot_be_viewed_is_told() {
+    let folder = small_run();
+    let path = folder.path();
+    write(&path.join("broken.safetensors"), "no model");
+    std::fs::create_dir(path.join("empty")).unwrap();
+    refuse(path, &["view", "nothing"], 2, &["nothing"]);
+    refuse(path, &["view", "empty"], 2, &["is no run folder"]);
+    refuse(path, &["view", "broken.safetensors"], 2, &["broken.safetensors"]);
+    refuse(path, &["view", "run", "NearestNeighbour"], 2, &["NearestNeighbours"]);
+    refuse(path, &["view", "run", "LogDistance()"], 2, &["floor of"]);
+    refuse(path, &["view", "run", "--record", "none.csv", "a.gif"], 2, &["none.csv"]);
+}
