@@ -22,7 +22,9 @@ fn crates_depend_on_each_other_as_drawn() {
         ("train", &["core", "model"]),
         ("experiment", &["core", "model", "train"]),
         ("canvas", &[]),
-        ("report", &["canvas", "core", "experiment", "model", "train"]),
+        ("live", &["core", "experiment", "model"]),
+        ("report", &["canvas", "core", "experiment", "live", "model", "train"]),
+        ("view", &["canvas", "core", "experiment", "live", "model", "report", "train"]),
         ("inspect", &["core", "experiment", "report", "train"]),
     ];
     let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());

@@ -255,7 +255,7 @@ fn whoever_means_ill_is_refused_and_the_page_goes_on() {
     let good = || assert_eq!(served.get(&room, ""), "HTTP/1.1 200 OK");
     good();
     let long = format!("X-Long: {}\r\n", "x".repeat(100_000));
-    let many: String = (0..500).map(|k| format!("X-{k}: 1\r\n")).collect();
+    let many = "X-Many: 1\r\n".repeat(500);
     for (path, headers, status) in [
         ("/", "", "404"),
         ("/room", "", "404"),
@@ -286,7 +286,7 @@ fn whoever_means_ill_is_refused_and_the_page_goes_on() {
         assert!(served.says(request.as_bytes(), false).contains(" 405 "), "{method}");
     }
     for garbage in
-        [&b"\0\xff\xfe rubbish \r\n\r\n"[..], b"GET", b"GET / HTTP/9.9\r\n\r\n", b"\r\n\r\n\r\n", &[b'A'; 50_000]]
+        [&b"\0\xff\xfe rubbish \r\n\r\n"[..], b"GET", b"GET / HTTP/9.9\r\n\r\n", b"\r\n\r\n\r\n", &vec![b'A'; 50_000]]
     {
         let said = served.says(garbage, true);
         assert!(!said.contains(" 200 "), "{said}");

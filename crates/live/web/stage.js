@@ -156,7 +156,8 @@ class StageSide {
       cells.colours.set(Number.isFinite(values[k]) ? [...this.stage.rgb(at), 200] : [128, 128, 128, 60], 4 * k);
     }
     this.room.setPoints("map", { ...cells, size: 7, shape: "square", pickable: false });
-    this.mapEnds = [low, high];
+    this.stage.mapEnds = [low, high];
+    this.stage.drawLegend();
   }
 
   /** Loss and N of a run under way. */
@@ -387,6 +388,8 @@ export class Stage {
       const positions = shown ? this.known.get("points") : new Float32Array(0);
       const colours = new Uint8Array((positions.length / 3) * 4);
       for (let i = 0; i < colours.length; i += 4) colours.set([141, 148, 161, 150], i);
+      const walls = this.find("surfaces").checked && this.known.has("surfaces") ? this.known.get("surfaces") : [];
+      room.setTriangles(walls.length ? { positions: walls, colour: [0.55, 0.58, 0.63, 0.16] } : null);
       room.setPoints("surface", positions.length ? { positions, colours, size: 2, shape: "dot", pickable: false } : null);
     }
   }
@@ -421,6 +424,12 @@ export class Stage {
     if (by === "score") all.push(`Transmitters by ${this.note.score.name} on the test part:`, ...mark(this.rgb(0), "worst"), ...mark(this.rgb(255), "best"));
     if (this.colouring === "fate" && this.moment !== null) all.push("  Gaussians:", ...mark(GOES, "gone in the next moment"), ...mark(STAYS, "stay"));
     else if (this.abouts.some((about) => about.gaussians)) all.push(`  Gaussians by ${this.colouring}:`, ...mark(this.rgb(0), "least"), ...mark(this.rgb(255), "most"));
+    if (this.mapEnds) {
+      const [low, high] = this.mapEnds.map((v) => chartNumber(Math.round(v)));
+      const unit = this.note.kind === "power" ? "dBm" : "dB";
+      all.push(`  Squares: what ${this.note.receivers[this.receiver].name} hears of a transmitter there at this height,`);
+      all.push(...mark(this.rgb(0), `${low} ${unit}`), ...mark(this.rgb(255), `${high} ${unit}`));
+    }
     all.push("  Receivers:", ...mark([213, 94, 0], "with their boresight"));
     this.find("legend").replaceChildren(...all);
   }

@@ -109,6 +109,17 @@ impl Scene {
         Ok(scene)
     }
 
+    /// Corners of the triangles of all surfaces but the ceiling, metres: what one sees who looks in from above.
+    ///
+    /// # Errors
+    /// A mesh that cannot be read, or surfaces that make no room.
+    pub fn open_surfaces(&self) -> Result<Vec<[[f64; 3]; 3]>> {
+        let world = crate::room::world(self)?;
+        let shown =
+            world.triangles.iter().filter(|triangle| !world.faces[triangle.face as usize].name.contains("ceiling"));
+        Ok(shown.map(|triangle| triangle.corners().map(|corner| corner.to_array())).collect())
+    }
+
     /// The scene as RON text, every default written out.
     pub fn to_ron(&self) -> String {
         let config = ron::ser::PrettyConfig::new().struct_names(true);

@@ -22,7 +22,7 @@ impl Guard {
     pub(crate) fn new(port: u16) -> Result<Self, getrandom::Error> {
         let mut bytes = [0u8; 16];
         getrandom::fill(&mut bytes)?;
-        let token = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+        let token = format!("{:032x}", u128::from_be_bytes(bytes));
         Ok(Self { token, hosts: [format!("127.0.0.1:{port}"), format!("localhost:{port}")] })
     }
 
@@ -102,12 +102,15 @@ mod tests {
         assert_eq!(guard.token.len(), 32);
     }
 
+    /// Path, headers, and what is said to them.
+    type Case<'a> = (&'a str, &'a [(&'static str, &'a str)], u16);
+
     #[test]
     fn everybody_else_is_told_to_go() {
         let guard = Guard::new(4711).unwrap();
         let path = format!("/{}/predict", guard.token);
         let host = ("host", "127.0.0.1:4711");
-        let cases: &[(&str, &[(&'static str, &str)], u16)] = &[
+        let cases: &[Case<'_>] = &[
             (&path, &[], 421),
             (&path, &[("host", "evil.example:4711")], 421),
             (&path, &[("host", "127.0.0.1:80")], 421),

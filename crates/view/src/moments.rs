@@ -16,8 +16,8 @@ pub(crate) struct Moment {
 /// Files and what they are; a damaged one is left out.
 pub(crate) fn moments(side: &Side) -> Vec<(PathBuf, Moment)> {
     let Some(folder) = &side.folder else { return Vec::new() };
-    let found = snapshots().into_iter().filter_map(|(name, what)| {
-        let path = folder.join(&name);
+    let found = snapshots().filter_map(|(name, what)| {
+        let path = folder.join(name);
         let snapshot = Snapshot::read(&path).ok().flatten()?;
         let title = format!("{what}, step {}", grouped(snapshot.step as i64));
         Some((path, Moment { title, step: snapshot.step, gaussians: snapshot.means.len() }))

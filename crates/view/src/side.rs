@@ -111,6 +111,8 @@ pub struct Side {
     pub(crate) known: Option<Arc<Known>>,
     /// What it predicts about.
     pub(crate) frame: Frame,
+    /// Corners of surfaces `[T,3,3]`, metres, world frame.
+    pub(crate) surfaces: Vec<[[f64; 3]; 3]>,
     predictor: RwLock<Option<Arc<Predictor>>>,
 }
 
@@ -148,8 +150,19 @@ impl Side {
             folder: is_run.then_some(folder),
             known,
             frame,
+            surfaces: Vec::new(),
             predictor: RwLock::new(predictor.map(Arc::new)),
         })
+    }
+
+    /// The room that simulated data come from, as the text of a scene.
+    pub fn scene(&self) -> Option<&str> {
+        self.known.as_ref()?.data.simulation.as_ref()?.scene.as_deref()
+    }
+
+    /// Shows surfaces too: corners of triangles `[T,3,3]`, metres, world frame.
+    pub fn set_surfaces(&mut self, surfaces: Vec<[[f64; 3]; 3]>) {
+        self.surfaces = surfaces;
     }
 
     /// A floor that learned from the data of another side.
@@ -176,6 +189,7 @@ impl Side {
             folder: None,
             known: Some(Arc::clone(known)),
             frame: beside.frame.clone(),
+            surfaces: Vec::new(),
             predictor: RwLock::new(Some(Arc::new(Predictor::Floor(fitted)))),
         })
     }
@@ -246,10 +260,10 @@ fn scores(path: &Path, data: &Dataset) -> Vec<f64> {
     let mut of: std::collections::BTreeMap<u32, f64> = std::collections::BTreeMap::new();
     for line in text.lines() {
         let fields: Vec<&str> = line.split(',').collect();
-        if let ["model", metric, label, value] = fields[..] {
-            if metric == key {
-                of.extend(label.parse::<u32>().ok().zip(value.parse::<f64>().ok()));
-            }
+        if let ["model", metric, label, value] = fields[..]
+            && metric == key
+        {
+            of.extend(label.parse::<u32>().ok().zip(value.parse::<f64>().ok()));
         }
     }
     for (i, score) in scores.iter_mut().enumerate() {

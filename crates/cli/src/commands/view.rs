@@ -26,7 +26,7 @@ use std::process::{Command, ExitCode, Stdio};
     pwrfgs view runs/quickstart --record walk.csv walk.gif"
 )]
 pub(crate) struct View {
-    /// A run folder or a model file; the second may be a floor, such as NearestNeighbours
+    /// A run folder or a model file; the second may be a floor, such as Kriging
     #[arg(value_name = "MODEL_OR_RUN", required = true, num_args = 1..=2)]
     pub(crate) sides: Vec<String>,
     /// Open the page in the browser of this desktop. The address is then seen by who may list processes of this machine
@@ -66,13 +66,29 @@ pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<ExitCode> {
 }
 
 fn open(named: &[String], progress: &mut Progress) -> Result<Vec<Side>> {
-    let first = Side::open(Path::new(&named[0]), progress)?;
+    let mut first = Side::open(Path::new(&named[0]), progress)?;
+    show_walls(&mut first)?;
     let second = match named.get(1) {
         None => return Ok(vec![first]),
         Some(path) if Path::new(path).exists() => Side::open(Path::new(path), progress)?,
         Some(text) => Side::floor(&floor(text)?, &first)?,
     };
     Ok(vec![first, second])
+}
+
+/// The surfaces of the room that simulated data come from.
+#[cfg(feature = "sim")]
+fn show_walls(side: &mut Side) -> Result<()> {
+    let Some(text) = side.scene() else { return Ok(()) };
+    let surfaces = pwrfgs::sim::Scene::parse(text, Path::new("the scene of the data"))?.open_surfaces()?;
+    side.set_surfaces(surfaces);
+    Ok(())
+}
+
+#[cfg(not(feature = "sim"))]
+#[allow(clippy::unnecessary_wraps)] // as the other
+fn show_walls(_side: &mut Side) -> Result<()> {
+    Ok(())
 }
 
 /// A baseline by its RON text, or its name.

@@ -1,4 +1,4 @@
-//! Headless Chromium, driven over pipes by its DevTools protocol: messages of JSON, each with a zero at its end.
+//! Headless Chromium, driven over pipes by its protocol for developers: messages of JSON, each with a zero at its end.
 
 use serde_json::{Value, json};
 use std::cell::RefCell;
@@ -8,7 +8,7 @@ use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
 /// How long an answer may take.
-const PATIENCE: Duration = Duration::from_secs(60);
+const PATIENCE: Duration = Duration::from_mins(1);
 const NAMES: [&str; 3] = ["chromium", "chromium-browser", "google-chrome"];
 
 /// One browser with one page; it ends with this value.

@@ -26,7 +26,7 @@ impl Asked {
         let mut asked = Self::default();
         for pair in query.split('&').filter(|pair| !pair.is_empty()) {
             let (name, value) = pair.split_once('=').ok_or_else(|| format!("`{pair}` has no value"))?;
-            let index = || value.parse::<usize>().map_err(|_| format!("`{name}` is no number of something"));
+            let index = || value.parse::<usize>().map_err(|e| format!("`{name}`: {e}"));
             match name {
                 "side" => asked.side = index()?,
                 "receiver" => asked.receiver = index()?,
@@ -35,9 +35,12 @@ impl Asked {
                 "z" => asked.z = Some(metres(name, value)?),
                 "tx" => {
                     let all: Vec<f64> = value.split(',').map(|v| metres(name, v)).collect::<Result<_, _>>()?;
-                    asked.tx = Some(all.try_into().map_err(|_| "`tx` wants x,y,z".to_owned())?);
+                    asked.tx = Some(
+                        all.try_into()
+                            .map_err(|all: Vec<f64>| format!("`tx` wants x,y,z, not {} numbers", all.len()))?,
+                    );
                 }
-                "with" => asked.with = value.to_owned(),
+                "with" => value.clone_into(&mut asked.with),
                 _ => return Err(format!("`{name}` means nothing here")),
             }
         }

@@ -53,6 +53,9 @@ fn room(side: &Side, house: &House) -> Pack {
     let origin = live::origin(&side.frame, data.map(|d| d.data));
     let means = ensemble.map_or(Vec::new(), |ensemble| ensemble.means_from(origin));
     let mut pack = live::room(&side.frame, data, &means, POINTS);
+    let corners = house.sides.iter().flat_map(|side| side.surfaces.as_flattened());
+    let corners: Vec<Real> = corners.flat_map(|corner| origin.local(*corner)).collect();
+    pack.put("surfaces", &[corners.len() / 9, 3, 3], corners);
     pack.note["sides"] = house.sides.iter().map(about).collect();
     pack
 }
