@@ -108,6 +108,10 @@ void main() {
 }`;
 
 const ROOM_FOV = 0.75;
+/** A picture rests when nothing has asked for a frame for so long, ms. */
+const ROOM_REST = 1500;
+/** As many Gaussians are always drawn. */
+const ROOM_LEAST = 1500;
 /** Pixels from the transmitter in which it is grasped. */
 const ROOM_GRASP = 22;
 const ROOM_TRANSMITTER = [204, 0, 119];
@@ -123,6 +127,9 @@ export class Room {
     this.ground = { background: [1, 1, 1], ink: [0.1, 0.1, 0.1] };
     this.spread = 0.4;
     this.frames = 0;
+    this.most = Infinity;
+    this.steady = 0;
+    this.whole = true;
     this.lastFrameMs = 0;
     this.dragsHeight = false;
     this.onTransmitter = this.onPick = this.onView = () => {};
@@ -217,12 +224,8 @@ export class Room {
   /** `means`, `scales` [N, 3], `quats` [N, 4] as w, x, y, z, `colours` [N, 4]; or null. */
   setGaussians(layer) {
     this.free(this.gaussians);
-    this.gaussians = layer && { ...layer, buffers: null };
+    this.gaussians = layer && { ...roomLargestFirst(layer), buffers: null };
     this.redraw();
-  }
-
-  setGaussianColours(colours) {
-    if (this.gaussians) this.setGaussians({ ...this.gaussians, colours });
   }
 
   /** How many standard deviations an ellipsoid reaches. */
@@ -271,12 +274,31 @@ export class Room {
     this.onView();
   }
 
-  /** Asks for a frame. */
+  /** Asks for a frame; what moves is drawn in less detail where all of it would be slow, and whole once it rests. */
   redraw() {
-    this.asked ??= requestAnimationFrame(() => {
+    this.asked ??= requestAnimationFrame((now) => {
       this.asked = null;
+      this.pace(now - (this.lastFrame ?? -Infinity));
+      this.lastFrame = now;
       this.draw();
     });
+  }
+
+  /** Finds out how many Gaussians a moving picture has time for. */
+  pace(since) {
+    clearTimeout(this.resting);
+    if (!this.gaussians) return;
+    const drawn = Math.min(this.most, this.gaussians.means.length / 3);
+    const moving = since < ROOM_REST;
+    if (!moving) this.steady = 0;
+    else if (++this.steady > 2 && since > 80) this.most = Math.max(ROOM_LEAST, Math.round((drawn * 50) / since));
+    this.whole = !moving || since > ROOM_REST;
+    if (drawn < this.gaussians.means.length / 3 && !this.whole) {
+      this.resting = setTimeout(() => {
+        this.lastFrame = undefined;
+        this.redraw();
+      }, ROOM_REST);
+    }
   }
 
   /** The eye, its axes (right, up, back) and the matrix from the room to the screen. */
@@ -355,7 +377,7 @@ export class Room {
     roomAttribute(gl, 0, this.corners, 2, gl.FLOAT, 0);
     [3, 3, 4].forEach((size, k) => roomAttribute(gl, k + 1, gaussians.buffers[k], size, gl.FLOAT, 1));
     roomAttribute(gl, 4, gaussians.buffers[3], 4, gl.UNSIGNED_BYTE, 1);
-    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, means.length / 3);
+    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, Math.min(this.whole ? Infinity : this.most, means.length / 3));
     for (let place = 0; place < 5; place++) {
       gl.vertexAttribDivisor(place, 0);
       gl.disableVertexAttribArray(place);
@@ -504,6 +526,19 @@ export class Room {
     this.sizes.disconnect();
     this.gl.getExtension("WEBGL_lose_context")?.loseContext();
   }
+}
+
+/** The same Gaussians, the largest first: the others are left out first where time is short. */
+function roomLargestFirst({ means, scales, quats, colours }) {
+  const n = means.length / 3;
+  const size = Float32Array.from({ length: n }, (_, i) => Math.max(scales[3 * i], scales[3 * i + 1], scales[3 * i + 2]));
+  const order = Uint32Array.from({ length: n }, (_, i) => i).sort((a, b) => size[b] - size[a]);
+  const sorted = (values, width) => {
+    const out = new values.constructor(values.length);
+    order.forEach((i, k) => out.set(values.subarray(width * i, width * i + width), width * k));
+    return out;
+  };
+  return { means: sorted(means, 3), scales: sorted(scales, 3), quats: sorted(quats, 4), colours: sorted(colours, 4) };
 }
 
 function roomBuffer(gl, values) {

@@ -301,7 +301,7 @@ export class Stage {
   }
 
   offerMoments() {
-    const count = Math.max(0, ...this.abouts.map((about) => about.moments?.length ?? 0));
+    const count = Math.max(0, ...this.abouts.map((about) => (about.gaussians === 0 ? 0 : about.moments?.length ?? 0)));
     this.find("of-time").hidden = count === 0;
     const slider = this.find("moment");
     slider.max = count;
@@ -422,15 +422,15 @@ export class Stage {
     const parts = PART_NAMES.map((name, k) => mark(PART_COLOURS[k], name)).filter((_, k) => this.parts.includes(k));
     const all = by === "part" ? ["Transmitters:", ...parts.flat()] : [];
     if (by === "score") all.push(`Transmitters by ${this.note.score.name} on the test part:`, ...mark(this.rgb(0), "worst"), ...mark(this.rgb(255), "best"));
-    if (this.colouring === "fate" && this.moment !== null) all.push("  Gaussians:", ...mark(GOES, "gone in the next moment"), ...mark(STAYS, "stay"));
-    else if (this.abouts.some((about) => about.gaussians)) all.push(`  Gaussians by ${this.colouring}:`, ...mark(this.rgb(0), "least"), ...mark(this.rgb(255), "most"));
+    if (this.colouring === "fate" && this.moment !== null) all.push(" · Gaussians:", ...mark(GOES, "gone in the next moment"), ...mark(STAYS, "stay"));
+    else if (this.abouts.some((about) => about.gaussians)) all.push(` · Gaussians by ${this.colouring}:`, ...mark(this.rgb(0), "least"), ...mark(this.rgb(255), "most"));
     if (this.mapEnds) {
       const [low, high] = this.mapEnds.map((v) => chartNumber(Math.round(v)));
       const unit = this.note.kind === "power" ? "dBm" : "dB";
-      all.push(`  Squares: what ${this.note.receivers[this.receiver].name} hears of a transmitter there at this height,`);
+      all.push(` · Squares: what ${this.note.receivers[this.receiver].name} hears of a transmitter there at this height,`);
       all.push(...mark(this.rgb(0), `${low} ${unit}`), ...mark(this.rgb(255), `${high} ${unit}`));
     }
-    all.push("  Receivers:", ...mark([213, 94, 0], "with their boresight"));
+    all.push(" · Receivers:", ...mark([213, 94, 0], "with their boresight"));
     this.find("legend").replaceChildren(...all);
   }
 
@@ -581,7 +581,8 @@ export class Stage {
     const parts = [];
     if (note.nearest) {
       const { score, link, metres } = note.nearest;
-      parts.push(`${this.note.score.name} ${chartNumber(Number(score.toFixed(3)))} against sample ${this.ids[link]}, ${metres.toFixed(2)} m away`);
+      const value = Number.isFinite(score) ? chartNumber(Number(score.toFixed(3))) : "n/a";
+      parts.push(`${this.note.score.name} ${value} against sample ${this.ids[link]}, ${metres.toFixed(2)} m away`);
     }
     if (note.strongest) {
       const other = truth?.note.strongest ? ` (there ${degrees(truth.note.strongest)})` : "";

@@ -15,7 +15,7 @@ use std::path::Path;
 use std::time::Duration;
 
 /// Pixels a unit of the drawing.
-const SCALE: f64 = 1.25;
+const SCALE: f64 = 1.0;
 /// How long a frame stays.
 const FRAME: Duration = Duration::from_millis(100);
 /// Surface points that a frame shows.

@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use std::sync::Arc;
 
 /// Surface points that a page shows at most.
-const POINTS: usize = 20_000;
+const POINTS: usize = 8_000;
 /// Rows of the curve that a page shows at most.
 const ROWS: usize = 600;
 /// Places across the longer side of a radio map.
