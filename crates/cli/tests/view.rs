@@ -332,3 +332,19 @@ fn what_cannot_be_viewed_is_told() {
     refuse(path, &["view", "run", "LogDistance()"], 2, &["floor of"]);
     refuse(path, &["view", "run", "--record", "none.csv", "a.gif"], 2, &["none.csv"]);
 }
+
+#[test]
+#[ignore = "draws docs/images/view.png, of runs/quickstart"]
+fn the_picture_of_the_docs() {
+    let checkout = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let served = Served::start(&checkout, &["runs/quickstart"]);
+    let page = Browser::open(&served.address, [1360, 860]).expect("there is a Chromium");
+    page.wait("document.querySelector('[data-ready]')");
+    page.eval(
+        "(() => { const stage = document.querySelector('main').stage; const { room } = stage.sides[0]; \
+         room.turn(0.9, 0.12); room.zoom(0.78); stage.moveTo([3.2, 2.4, 1.2]); stage.colourBy('strength'); \
+         document.querySelector('[data-colour]').value = 'strength'; })()",
+    );
+    std::thread::sleep(Duration::from_secs(3));
+    write(&checkout.join("docs/images/view.png"), page.screenshot(false));
+}

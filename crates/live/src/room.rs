@@ -15,6 +15,8 @@ pub struct Known<'a> {
     pub partition: &'a Partition,
     /// A score of the first metric for each link, NaN where there is none; `[L]`.
     pub scores: &'a [f64],
+    /// The links that the page knows, which calls them by their places in this list.
+    pub links: &'a [usize],
 }
 
 /// The room: receivers, bounds, surface points (`points` of them at most), and of every link its transmitter, part and score.
@@ -60,19 +62,19 @@ pub fn origin(frame: &Frame, data: Option<&Dataset>) -> Origin {
     data.map_or(frame.origin, |data| data.scene.origin)
 }
 
-fn put_data(pack: &mut Pack, Known { data, partition, scores }: Known<'_>, points: usize) {
+fn put_data(pack: &mut Pack, Known { data, partition, scores, links }: Known<'_>, points: usize) {
     let shown = evenly(&(0..data.scene.points.len()).collect::<Vec<_>>(), points);
     pack.put("points", &[shown.len(), 3], shown.iter().flat_map(|&i| data.scene.points[i]));
-    let links = data.len();
-    let mut parts = vec![3; links];
+    let mut parts = vec![3; data.len()];
     for (k, part) in [&partition.train, &partition.validation, &partition.test].into_iter().enumerate() {
         part.iter().for_each(|&i| parts[i] = k as u8);
     }
-    pack.put("links.tx", &[links, 3], data.samples().flat_map(|sample| data.scene.origin.local(sample.tx)));
-    pack.put("links.id", &[links], data.samples().map(|sample| sample.id as Real));
-    pack.put("links.receiver", &[links], data.samples().map(|sample| sample.receiver as Real));
-    pack.put("links.score", &[links], scores.iter().map(|score| *score as Real));
-    pack.put_bytes("links.part", &[links], parts);
+    let (n, samples) = (links.len(), || links.iter().map(|&i| data.sample(i)));
+    pack.put("links.tx", &[n, 3], samples().flat_map(|sample| data.scene.origin.local(sample.tx)));
+    pack.put("links.id", &[n], samples().map(|sample| sample.id as Real));
+    pack.put("links.receiver", &[n], samples().map(|sample| sample.receiver as Real));
+    pack.put("links.score", &[n], links.iter().map(|&i| scores[i] as Real));
+    pack.put_bytes("links.part", &[n], links.iter().map(|&i| parts[i]).collect());
 }
 
 fn receiver(name: &str, pose: &Pose, origin: Origin) -> Value {

@@ -128,9 +128,6 @@ impl Side {
             (path.parent().unwrap_or(Path::new("")).to_owned(), path.to_owned())
         };
         let recipe = folder.join(PIPELINE);
-        if path.is_dir() && !recipe.is_file() {
-            return Err(Error::input(path, format!("is no run folder: there is no {PIPELINE} in it")));
-        }
         let finished = model.is_file() || !path.is_dir();
         let ensemble = finished.then(|| file::read_ensemble(&model)).transpose()?;
         let known = recipe.is_file().then(|| Known::load(&recipe, &folder, observer)).transpose()?.map(Arc::new);
@@ -139,8 +136,13 @@ impl Side {
         }
         let (frame, predictor) = match (ensemble, &known) {
             (Some(ensemble), _) => (ensemble.members()[0].stages.frame.clone(), Some(ready(ensemble))),
-            (None, Some(known)) => (Frame::of(&known.data, known.data.plane()), known.checkpoint(&folder)?),
-            (None, None) => unreachable!("a folder without a pipeline was refused"),
+            (None, Some(known)) => {
+                (Frame::of(&known.data, known.pipeline.plane(&known.data)?), known.checkpoint(&folder)?)
+            }
+            (None, None) => {
+                let what = format!("is no run folder: there is neither {MODEL_FILE} nor {PIPELINE} in it");
+                return Err(Error::input(path, what));
+            }
         };
         let is_run = path.is_dir() || folder.join(PIPELINE).is_file();
         let name = if is_run { &folder } else { path };

@@ -15,11 +15,13 @@ use serde_json::json;
 
 /// Most spectra in a page, and most bytes of them.
 const SPECTRA: usize = 50;
-const BYTES: usize = 2_800_000;
+const BYTES: usize = 2_400_000;
 /// Surface points in a page.
 const POINTS: usize = 3_000;
 /// Most Gaussians in a page.
 const GAUSSIANS: usize = 20_000;
+/// Links whose transmitters a page shows at most, besides those whose spectra lie in it.
+const LINKS: usize = 5_000;
 /// Largest model that predicts in the page, bytes.
 const MODEL_BYTES: usize = 1 << 20;
 /// Names of deformations that `web/predict.js` knows.
@@ -40,17 +42,16 @@ pub(super) fn section(results: &Results<'_>) -> Value {
         let origin = origin(&results.model.members()[0].stages.frame, Some(results.data));
         gaussians(results.model, origin, None).to_bytes()
     });
-    let links = chosen(results, model.is_some());
+    let chosen = if spectra { chosen(results, model.is_some()) } else { Vec::new() };
+    let links = shown(results, &chosen);
     context! {
         script,
         digest,
         stage => STAGE,
         style => STYLE,
-        predicts => model.is_some(),
-        steps => spectra,
-        room => base64(&room_pack(results).to_bytes()),
+        room => base64(&room_pack(results, &links).to_bytes()),
         gaussians => gaussians.as_deref().map(base64),
-        spectra => spectra.then(|| base64(&spectra_pack(results, &links, model.is_none()).to_bytes())),
+        spectra => spectra.then(|| base64(&spectra_pack(results, &links, &chosen, model.is_none()).to_bytes())),
         model => model.as_deref().map(base64),
     }
 }
@@ -94,6 +95,15 @@ fn chosen(results: &Results<'_>, alone: bool) -> Vec<usize> {
     chosen
 }
 
+/// The links that the page knows, sorted: the chosen ones, and others evenly.
+fn shown(results: &Results<'_>, chosen: &[usize]) -> Vec<usize> {
+    let all: Vec<usize> = (0..results.data.len()).collect();
+    let mut shown = [&evenly(&all, LINKS)[..], chosen].concat();
+    shown.sort_unstable();
+    shown.dedup();
+    shown
+}
+
 /// Test links with their score.
 fn scored<'a>(results: &'a Results<'_>) -> impl Iterator<Item = (usize, f64)> + 'a {
     let key = headline(results.data.kind()).key;
@@ -102,10 +112,10 @@ fn scored<'a>(results: &'a Results<'_>) -> impl Iterator<Item = (usize, f64)> + 
     results.partition.test.iter().enumerate().map(move |(k, &i)| (i, score(k)))
 }
 
-fn room_pack(results: &Results<'_>) -> Pack {
+fn room_pack(results: &Results<'_>, links: &[usize]) -> Pack {
     let mut scores = vec![f64::NAN; results.data.len()];
     scored(results).for_each(|(i, score)| scores[i] = score);
-    let known = Known { data: results.data, partition: results.partition, scores: &scores };
+    let known = Known { data: results.data, partition: results.partition, scores: &scores, links };
     let mut pack = room(&results.model.members()[0].stages.frame, Some(known), &[], POINTS);
     let ellipsoids = results.model.members().iter().all(|model| model.stages.splatting().is_some());
     pack.note["sides"] = json!([{
@@ -118,18 +128,20 @@ fn room_pack(results: &Results<'_>) -> Pack {
     pack
 }
 
-/// What was observed of each link and, where the page does not predict, what was predicted; 8 bits a pixel.
-fn spectra_pack(results: &Results<'_>, links: &[usize], predicted: bool) -> Pack {
-    let mut pack = Pack::new(json!({ "links": links }));
+/// What was observed of each chosen link and, where the page does not predict, what was predicted; 8 bits a pixel. Called by
+/// their places among `links`.
+fn spectra_pack(results: &Results<'_>, links: &[usize], chosen: &[usize], predicted: bool) -> Pack {
+    let places: Vec<usize> = chosen.iter().filter_map(|link| links.binary_search(link).ok()).collect();
+    let mut pack = Pack::new(json!({ "links": places }));
     let put = |pack: &mut Pack, name: String, image: &Image| {
         pack.put_bytes(&name, &[image.height, image.width], image.to_bytes());
     };
-    let queries: Vec<Query<'_>> = links.iter().map(|&i| results.data.query(i)).collect();
+    let queries: Vec<Query<'_>> = chosen.iter().map(|&i| results.data.query(i)).collect();
     let pictures = if predicted { results.model.prepare().predict_many(&queries) } else { Vec::new() };
-    for (k, &i) in links.iter().enumerate() {
-        put(&mut pack, format!("truth.{i}"), &results.data.image(i));
+    for (k, (place, &i)) in places.iter().zip(chosen).enumerate() {
+        put(&mut pack, format!("truth.{place}"), &results.data.image(i));
         if let Some(picture) = pictures.get(k) {
-            put(&mut pack, format!("predicted.{i}"), picture);
+            put(&mut pack, format!("predicted.{place}"), picture);
         }
     }
     pack

@@ -47,7 +47,8 @@ fn predictor(side: &Side) -> Result<Arc<Predictor>, Refusal> {
 
 fn room(side: &Side, house: &House) -> Pack {
     let known = side.known.as_deref();
-    let data = known.map(|k| live::Known { data: &k.data, partition: &k.partition, scores: &k.scores });
+    let links: Vec<usize> = (0..known.map_or(0, |k| k.data.len())).collect();
+    let data = known.map(|k| live::Known { data: &k.data, partition: &k.partition, scores: &k.scores, links: &links });
     let predictor = side.predictor();
     let ensemble = predictor.as_ref().and_then(|p| p.ensemble());
     let origin = live::origin(&side.frame, data.map(|d| d.data));
