@@ -35,8 +35,9 @@ function mat4Multiply(a, b) {
   return out;
 }
 
-function mat4Perspective(fov, aspect, near, far) {
-  const f = 1 / Math.tan(fov / 2);
+/** `half` is the tangent of half the angle upwards. */
+function mat4Perspective(half, aspect, near, far) {
+  const f = 1 / half;
   const d = near - far;
   return new Float32Array([f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (near + far) / d, -1, 0, 0, (2 * near * far) / d, 0]);
 }
@@ -301,6 +302,15 @@ export class Room {
     }
   }
 
+  aspect() {
+    return this.canvas.clientWidth / Math.max(1, this.canvas.clientHeight);
+  }
+
+  /** Tangent of half the angle of view, upwards; the shorter side of the canvas has the same in any case. */
+  half() {
+    return Math.tan(ROOM_FOV / 2) / Math.min(1, this.aspect());
+  }
+
   /** The eye, its axes (right, up, back) and the matrix from the room to the screen. */
   camera() {
     const { yaw, pitch, distance, target } = this.looking;
@@ -308,8 +318,7 @@ export class Room {
     const eye = vec3Add(target, back, distance);
     const right = [-Math.sin(yaw), Math.cos(yaw), 0];
     const axes = [right, vec3Cross(back, right), back];
-    const aspect = this.canvas.clientWidth / Math.max(1, this.canvas.clientHeight);
-    const lens = mat4Perspective(ROOM_FOV, aspect, distance / 50, distance * 20);
+    const lens = mat4Perspective(this.half(), this.aspect(), distance / 50, distance * 20);
     return { eye, axes, matrix: mat4Multiply(lens, mat4View(eye, axes)) };
   }
 
@@ -373,7 +382,7 @@ export class Room {
     gl.uniform3fv(at("right"), axes[0]);
     gl.uniform3fv(at("light"), vec3Unit(vec3Add(vec3Add(axes[2], axes[1], 0.6), axes[0], 0.3)));
     gl.uniform1f(at("spread"), this.spread);
-    gl.uniform1f(at("pixelSize"), (2 * Math.tan(ROOM_FOV / 2)) / height);
+    gl.uniform1f(at("pixelSize"), (2 * this.half()) / height);
     roomAttribute(gl, 0, this.corners, 2, gl.FLOAT, 0);
     [3, 3, 4].forEach((size, k) => roomAttribute(gl, k + 1, gaussians.buffers[k], size, gl.FLOAT, 1));
     roomAttribute(gl, 4, gaussians.buffers[3], 4, gl.UNSIGNED_BYTE, 1);
@@ -394,7 +403,7 @@ export class Room {
   /** The ray through a place on the canvas. */
   ray([x, y]) {
     const { eye, axes } = this.camera();
-    const half = Math.tan(ROOM_FOV / 2);
+    const half = this.half();
     const [w, h] = [this.canvas.clientWidth, this.canvas.clientHeight];
     const [u, v] = [((2 * x) / w - 1) * half * (w / h), (1 - (2 * y) / h) * half];
     return [eye, vec3Unit(vec3Add(vec3Add(vec3Add([0, 0, 0], axes[0], u), axes[1], v), axes[2], -1))];
@@ -470,7 +479,7 @@ export class Room {
 
   /** Metres at the target for a pixel. */
   metresAPixel(distance = this.looking.distance) {
-    return (2 * Math.tan(ROOM_FOV / 2) * distance) / Math.max(1, this.canvas.clientHeight);
+    return (2 * this.half() * distance) / Math.max(1, this.canvas.clientHeight);
   }
 
   pan(dx, dy) {
