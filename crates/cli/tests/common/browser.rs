@@ -3,6 +3,7 @@
 use serde_json::{Value, json};
 use std::cell::RefCell;
 use std::io::{BufRead as _, BufReader, Write as _};
+use std::os::unix::process::CommandExt as _;
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
@@ -39,6 +40,7 @@ impl Browser {
             .args(["--force-device-scale-factor=1", "--no-first-run", "--disable-background-networking"])
             .arg(format!("--user-data-dir={}", profile.path().display()))
             .arg("about:blank")
+            .process_group(0)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
@@ -58,7 +60,7 @@ impl Browser {
         let attach = json!({ "targetId": target["targetId"], "flatten": true });
         let session = browser.ask("Target.attachToTarget", &attach)["sessionId"].as_str().unwrap().to_owned();
         browser.state.borrow_mut().session = Some(session);
-        for domain in ["Page", "Runtime", "Log"] {
+        for domain in ["Page", "Runtime", "Log", "Audits"] {
             browser.ask(&format!("{domain}.enable"), &json!({}));
         }
         browser.resize(size);
@@ -68,7 +70,8 @@ impl Browser {
 
     /// Opens another address in the page.
     pub(crate) fn go(&self, address: &str) {
-        self.ask("Page.navigate", &json!({ "url": address }));
+        let answer = self.ask("Page.navigate", &json!({ "url": address }));
+        assert!(answer["errorText"].is_null(), "{address}: {}", answer["errorText"]);
         self.wait("document.readyState === 'complete' && location.href !== 'about:blank'");
     }
 
@@ -159,6 +162,7 @@ impl State {
             "Runtime.exceptionThrown" => true,
             "Runtime.consoleAPICalled" => loud(&parameters["type"]),
             "Log.entryAdded" => loud(&parameters["entry"]["level"]),
+            "Audits.issueAdded" => !parameters["issue"]["details"]["contentSecurityPolicyIssueDetails"].is_null(),
             _ => false,
         };
         // Software rendering says that reading a picture back is slow.
@@ -171,7 +175,8 @@ impl State {
 
 impl Drop for Browser {
     fn drop(&mut self) {
-        _ = self.child.kill();
+        // All of its processes: none may write into the profile while it is removed.
+        _ = Command::new("sh").args(["-c", "kill -s KILL -- -$0", &self.child.id().to_string()]).status();
         _ = self.child.wait();
     }
 }
