@@ -26,9 +26,10 @@ pub struct MatrixMut<'a> {
     strides: (usize, usize),
 }
 
-/// Whether the last element of a matrix lies inside its slice.
+/// Whether the last element of a matrix lies inside its slice; strides whose products overflow do not fit.
 fn fits(len: usize, (rows, columns): (usize, usize), (down, right): (usize, usize)) -> bool {
-    rows == 0 || columns == 0 || (rows - 1) * down + (columns - 1) * right < len
+    let last = || (rows - 1).checked_mul(down)?.checked_add((columns - 1).checked_mul(right)?);
+    rows == 0 || columns == 0 || last().is_some_and(|last| last < len)
 }
 
 impl<'a> Matrix<'a> {
@@ -51,7 +52,7 @@ impl<'a> Matrix<'a> {
     /// The columns of `range`.
     pub fn columns(self, range: Range<usize>) -> Self {
         assert!(range.end <= self.shape.1, "columns of the matrix");
-        let data = &self.data[(range.start * self.strides.1).min(self.data.len())..];
+        let data = &self.data[range.start.saturating_mul(self.strides.1).min(self.data.len())..];
         Self { data, shape: (self.shape.0, range.len()), strides: self.strides }
     }
 }
@@ -71,7 +72,7 @@ impl<'a> MatrixMut<'a> {
     /// The columns of `range`.
     pub fn columns(self, range: Range<usize>) -> Self {
         assert!(range.end <= self.shape.1, "columns of the matrix");
-        let start = (range.start * self.strides.1).min(self.data.len());
+        let start = range.start.saturating_mul(self.strides.1).min(self.data.len());
         Self { data: &mut self.data[start..], shape: (self.shape.0, range.len()), strides: self.strides }
     }
 
@@ -277,6 +278,12 @@ mod tests {
             product(MatrixMut::new(&mut c, m, n), Store::Set, Matrix::new(&[], m, 0), Matrix::new(&[], 0, n));
             assert!(c.iter().all(|&c| c == 0.0), "an empty sum");
         }
+    }
+
+    #[test]
+    #[should_panic(expected = "a matrix lies inside its slice")]
+    fn a_stride_that_overflows_is_refused() {
+        let _ = Matrix::strided(&[0.0], (3, 1), (1 << 63, 1)); // 2 · 2^63 wraps around to 0
     }
 
     #[test]
