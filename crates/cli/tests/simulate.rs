@@ -127,6 +127,33 @@ fn a_stopped_simulation_leaves_nothing_and_a_killed_one_until_the_next() {
 }
 
 #[test]
+fn polygons_and_fans_of_thousands_of_corners_are_simulated() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let count = 4_000;
+    let corner = |k: usize, radius: f64, z: f64| {
+        let (sin, cos) = (std::f64::consts::TAU * k as f64 / count as f64).sin_cos();
+        format!("v {:.6} {:.6} {z}\n", 1.5 + radius * cos, 1.0 + radius * sin)
+    };
+    // A circle with a dent as one polygon; and a zigzag of triangles about one vertex.
+    let circle = (0..count).map(|k| corner(k, if k == count / 3 { 0.2 } else { 0.4 }, 1.0)).collect::<String>();
+    let face = (1..=count).map(|k| format!(" {k}")).collect::<Vec<_>>().concat();
+    fs::write(folder.join("circle.obj"), format!("{circle}f{face}\n")).unwrap();
+    let rim = (0..count).map(|k| corner(k, 0.4, if k.is_multiple_of(2) { 2.0 } else { 2.1 })).collect::<String>();
+    let sides = (2..=count).map(|k| format!("f 1 {k} {}\n", k + 1)).collect::<Vec<_>>().concat();
+    fs::write(folder.join("fan.obj"), format!("v 1.5 1.0 2.0\n{rim}{sides}")).unwrap();
+    let mesh = |name: &str| {
+        format!("Mesh(name: \"{name}\", file: \"{name}.obj\", finish: (material: \"wood\", thickness_m: 0.01))")
+    };
+    let objects =
+        format!("objects: [{}, {}], propagation: (order: 1, diffraction: false),", mesh("circle"), mesh("fan"));
+    fs::write(folder.join("closet.ron"), SCENE.replace("receiver:", &format!("{objects}\n    receiver:"))).unwrap();
+    let made =
+        call(folder, &["simulate", "closet.ron", "--samples", "5", "--points", "10", "--no-paths", "--out", "out"]);
+    assert!(made.status.success(), "{}", stderr(&made));
+}
+
+#[test]
 #[cfg(unix)]
 fn the_cache_is_cleared_of_what_was_killed() {
     let folder = tempfile::tempdir().unwrap();

@@ -6,6 +6,9 @@ use std::path::Path;
 /// Vertices `[V,3]` as the file has them, in double precision, and the triangles `[F,3]` over them, counted from 0.
 pub type Triangles = (Vec<[f64; 3]>, Vec<[u32; 3]>);
 
+/// Most tests of a side per corner of a polygon: few polygons need more than two.
+const TESTS: usize = 64;
+
 /// Faces of three and more corners, all within the vertices.
 #[derive(Debug, Default)]
 pub(crate) struct Polygons {
@@ -37,9 +40,9 @@ impl Polygons {
         for (face, end) in self.ends.into_iter().enumerate() {
             let corners = &self.corners[start..end];
             start = end;
-            let apex = fan_apex(&vertices, corners).ok_or_else(|| {
-                let what = "is not filled by any fan of triangles; triangulate the mesh where it was made";
-                Error::input(path, format!("face {} of {} corners {what}", face + 1, corners.len()))
+            let apex = fan_apex(&vertices, corners, TESTS * corners.len()).map_err(|what| {
+                let advice = "triangulate the mesh where it was made";
+                Error::input(path, format!("face {} of {} corners {what}; {advice}", face + 1, corners.len()))
             })?;
             let at = |k: usize| corners[(apex + k) % corners.len()];
             triangles.extend((1..corners.len() - 1).map(|k| [at(0), at(k), at(k + 1)]));
@@ -50,15 +53,35 @@ impl Polygons {
 
 /// The first corner from which all triangles of the fan have the sense of the whole polygon.
 ///
-/// A simple polygon is then covered once, convex or not: an L has such a corner, a U has none.
-fn fan_apex(vertices: &[[f64; 3]], corners: &[u32]) -> Option<usize> {
-    if corners.len() == 3 {
-        return Some(0);
+/// A simple polygon is then covered once, convex or not: an L has such a corner, a U has none. The side that ruled out the
+/// last corner is tested first, since it rules out most of its neighbours: this takes about two tests per corner. Says
+/// what is wrong where there is no such corner, or where `most` tests do not find it.
+fn fan_apex(vertices: &[[f64; 3]], corners: &[u32], most: usize) -> Result<usize, &'static str> {
+    let n = corners.len();
+    if n == 3 {
+        return Ok(0);
     }
-    let at = |k: usize| vertices[corners[k % corners.len()] as usize];
-    let normal = (1..corners.len() - 1).fold([0.0; 3], |sum, k| add(sum, area(at(0), at(k), at(k + 1))));
-    (0..corners.len())
-        .find(|&apex| (1..corners.len() - 1).all(|k| dot(normal, area(at(apex), at(apex + k), at(apex + k + 1))) > 0.0))
+    let at = |k: usize| vertices[corners[k % n] as usize];
+    let normal = (1..n - 1).fold([0.0; 3], |sum, k| add(sum, area(at(0), at(k), at(k + 1))));
+    // A side that ends at the apex makes no triangle.
+    let rules_out = |side: usize, apex: usize| {
+        side != apex && (side + 1) % n != apex && dot(normal, area(at(apex), at(side), at(side + 1))) <= 0.0
+    };
+    let (mut last, mut tests) = (0, 0);
+    for apex in 0..n {
+        let mut sides = std::iter::once(last).chain((1..n - 1).map(|k| (apex + k) % n));
+        match sides.find(|&side| {
+            tests += 1;
+            rules_out(side, apex)
+        }) {
+            Some(side) => last = side,
+            None => return Ok(apex),
+        }
+        if tests > most {
+            return Err("is too intricate to be filled by a fan of triangles");
+        }
+    }
+    Err("is not filled by any fan of triangles")
 }
 
 /// Twice the area of a triangle, along its normal.
@@ -118,6 +141,29 @@ mod tests {
         let mut clockwise = l;
         clockwise.reverse();
         assert_eq!(signed_area(&triangles(&clockwise).unwrap()), -3.0);
+    }
+
+    /// A circle of `n` corners with a dent, from whose two sides most corners are not seen.
+    fn dented(n: usize) -> Vec<[f64; 3]> {
+        let corner = |k: usize| {
+            let (sin, cos) = (std::f64::consts::TAU * k as f64 / n as f64).sin_cos();
+            let radius = if k == n / 3 { 0.5 } else { 1.0 };
+            [radius * cos, radius * sin, 0.0]
+        };
+        (0..n).map(corner).collect()
+    }
+
+    #[test]
+    fn a_fan_is_found_with_a_few_tests_per_corner() {
+        for n in [8, 500, 60_000] {
+            let (vertices, corners) = (dented(n), (0..n as u32).collect::<Vec<_>>());
+            let apex = fan_apex(&vertices, &corners, 4 * n).unwrap();
+            let at = |k: usize| vertices[(apex + k) % n];
+            assert!((1..n - 1).all(|k| area(at(0), at(k), at(k + 1))[2] > 0.0), "{n} corners");
+        }
+        let (vertices, corners) = (dented(500), (0..500).collect::<Vec<u32>>());
+        let said = fan_apex(&vertices, &corners, 100).unwrap_err();
+        assert_eq!(said, "is too intricate to be filled by a fan of triangles");
     }
 
     #[test]

@@ -14,8 +14,13 @@ const THIN: f64 = 1e-9;
 pub(crate) const LEAST_AREA: f64 = 1e-12;
 /// Most images of one point: more would exhaust the memory.
 const MOST_IMAGES: usize = 2_000_000;
+/// Most planes of all beams, likewise.
+const MOST_PLANES: usize = 20 * MOST_IMAGES;
 /// Most pairs of image and face that are tried: more would take minutes.
 const MOST_TRIALS: usize = 500_000_000;
+
+/// Most pairs of a plane of a beam and a corner of a face: faces may have tens of thousands of corners.
+const MOST_CORNERS: usize = 50 * MOST_TRIALS;
 
 /// Pairs that take longer than somebody waits without a word: some ten seconds.
 const SLOW_TRIALS: usize = 50_000_000;
@@ -59,13 +64,15 @@ impl ImageTree {
         // The faces of the room, should more reflections be allowed on them than on all, come first.
         let of_room = world.faces.iter().take_while(|f| f.is_room()).count() as u32;
         let mut beams = vec![(u32::MAX, origin, Vec::new(), true)];
-        let mut trials = 0;
+        let (mut trials, mut corners) = (0, 0_usize);
         for order in 1..=orders.all.max(orders.room) {
             let mut next = Vec::new();
             let any_face = order <= orders.all;
             let candidates = if any_face { world.faces.len() as u32 } else { of_room };
             trials += beams.len() * candidates as usize;
-            if trials > MOST_TRIALS {
+            let hulls: usize = world.faces[..candidates as usize].iter().map(|face| face.hull.len()).sum();
+            corners += beams.iter().map(|(_, _, beam, _)| beam.len() + 1).sum::<usize>().saturating_mul(hulls);
+            if trials > MOST_TRIALS || corners > MOST_CORNERS {
                 return None; // known before any of them
             }
             if beams.len() * candidates as usize > SLOW_TRIALS {
@@ -84,7 +91,7 @@ impl ImageTree {
                     let planes = tree.store_beam(world, face, image, &clipped);
                     let id = tree.nodes.len() as u32;
                     tree.nodes.push(Node { parent: *parent, face, image, planes: planes.clone() });
-                    if tree.nodes.len() > MOST_IMAGES {
+                    if tree.nodes.len() > MOST_IMAGES || tree.planes.len() > MOST_PLANES {
                         return None;
                     }
                     if order == orders.all.max(orders.room) {

@@ -96,10 +96,13 @@ impl Builder {
     /// Too many faces lie on each other.
     pub fn build(mut self) -> Result<World, String> {
         let hierarchy = Hierarchy::new(&self.triangles);
-        let contacts = contact::Contacts { faces: &self.faces, triangles: &self.triangles, hierarchy: &hierarchy };
-        let is_free =
-            |(edge, part): &(&Edge, &usize)| !contacts.ends(edge, &|face| self.parts[face as usize] != **part);
-        let edges = self.edges.iter().zip(&self.owners).filter(is_free).map(|(edge, _)| edge.clone()).collect();
+        let contacts = contact::Contacts::new(&self.faces, &self.triangles, &hierarchy, &self.parts);
+        let mut edges = Vec::new();
+        for (edge, part) in self.edges.iter().zip(&self.owners) {
+            if !contacts.ends(edge, *part)? {
+                edges.push(edge.clone());
+            }
+        }
         contact::find_twins(&mut self.faces)?;
         let Self { surfaces, faces, triangles, bodies, .. } = self;
         Ok(World { surfaces, faces, edges, triangles, bodies, hierarchy })

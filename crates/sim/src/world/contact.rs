@@ -3,6 +3,7 @@
 use super::hierarchy::Hierarchy;
 use super::{Edge, Face, Triangle};
 use glam::DVec3;
+use std::cell::Cell;
 use std::collections::BTreeMap;
 
 /// What lies closer than this to a face of something else touches it, metres.
@@ -12,18 +13,33 @@ const BEYOND: f64 = 1e-3;
 /// Most pairs of faces that lie on each other: more would exhaust the memory.
 const MOST_PAIRS: usize = 5_000_000;
 
+/// Most boxes that are looked at for contacts, and most corners of faces that are compared: more would take minutes.
+const MOST_TRIALS: usize = 500_000_000;
+const TOO_MANY_TRIALS: &str = "its meshes touch in too many places; simplify them, or move them apart";
+
 /// Faces and triangles of all parts.
 pub(super) struct Contacts<'a> {
-    pub(super) faces: &'a [Face],
-    pub(super) triangles: &'a [Triangle],
-    pub(super) hierarchy: &'a Hierarchy,
+    faces: &'a [Face],
+    triangles: &'a [Triangle],
+    hierarchy: &'a Hierarchy,
+    /// The part of each box of the hierarchy that holds triangles of one part only.
+    owners: Vec<Option<usize>>,
+    trials: Cell<usize>,
 }
 
-impl Contacts<'_> {
-    /// Whether an edge lies on something else for most of its length, as that of a board on a wall does: it is no edge.
-    /// What lies on the edge's own faces ends there with them, unless it goes on beyond. `is_other` says whether a face
-    /// belongs to another part.
-    pub(super) fn ends(&self, edge: &Edge, is_other: &dyn Fn(u32) -> bool) -> bool {
+impl<'a> Contacts<'a> {
+    /// `parts` has the part of each face.
+    pub(super) fn new(faces: &'a [Face], triangles: &'a [Triangle], hierarchy: &'a Hierarchy, parts: &[usize]) -> Self {
+        let owners = hierarchy.owners(|triangle| parts[triangles[triangle].face as usize]);
+        Self { faces, triangles, hierarchy, owners, trials: Cell::new(0) }
+    }
+
+    /// Whether an edge of `part` lies on another part for most of its length, as that of a board on a wall does: it is no
+    /// edge. What lies on the edge's own faces ends there with them, unless it goes on beyond.
+    ///
+    /// # Errors
+    /// With all edges so far it took too much.
+    pub(super) fn ends(&self, edge: &Edge, part: usize) -> Result<bool, String> {
         let lies_on = |face: u32, host: u32| {
             let [face, host] = [face, host].map(|f| &self.faces[f as usize]);
             face.layer > host.layer && is_coplanar(face, host)
@@ -32,16 +48,22 @@ impl Contacts<'_> {
             let point = edge.ends[0].lerp(edge.ends[1], t);
             let is_apart = |face: u32| !edge.faces.iter().any(|host| lies_on(face, *host));
             let goes_on = |(host, inwards): (u32, DVec3)| {
-                self.is_near_any(point - BEYOND * inwards, &|face| is_other(face) && lies_on(face, host))
+                self.is_near_any(point - BEYOND * inwards, part, &|face| lies_on(face, host))
             };
-            self.is_near_any(point, &|face| is_other(face) && is_apart(face))
-                || edge.faces.into_iter().zip(edge.inwards()).any(goes_on)
+            self.is_near_any(point, part, &is_apart) || edge.faces.into_iter().zip(edge.inwards()).any(goes_on)
         };
-        [0.1, 0.3, 0.5, 0.7, 0.9].into_iter().filter(|t| is_near(*t)).count() >= 3
+        let ends = [0.1, 0.3, 0.5, 0.7, 0.9].into_iter().filter(|t| is_near(*t)).count() >= 3;
+        if self.trials.get() > MOST_TRIALS { Err(TOO_MANY_TRIALS.into()) } else { Ok(ends) }
     }
 
-    fn is_near_any(&self, point: DVec3, counts: &dyn Fn(u32) -> bool) -> bool {
-        self.hierarchy.around(point, TOUCHING).map(|i| &self.triangles[i]).any(|triangle| {
+    /// Whether a face of another part than `part` touches the point. Boxes with that part alone are passed over: about the
+    /// tip of a fan there are as many as it has triangles.
+    fn is_near_any(&self, point: DVec3, part: usize, counts: &dyn Fn(u32) -> bool) -> bool {
+        let is_other = |number: usize| {
+            self.trials.set(self.trials.get() + 1);
+            self.owners[number] != Some(part)
+        };
+        self.hierarchy.around(point, TOUCHING, is_other).map(|i| &self.triangles[i]).any(|triangle| {
             let face = &self.faces[triangle.face as usize];
             is_near(face, point, std::slice::from_ref(triangle)) && counts(triangle.face)
         })
@@ -72,13 +94,13 @@ pub(super) fn find_twins(faces: &mut [Face]) -> Result<(), String> {
         [grid(n.x), grid(n.y), grid(n.z), grid(face.offset)]
     };
     let bounds: Vec<[DVec3; 2]> = faces.iter().map(bounds).collect();
-    let mut pairs = Vec::new();
+    let (mut pairs, mut trials) = (Vec::new(), 0);
     for nudge in [0.25, 0.75] {
         let mut planes: BTreeMap<[i64; 4], Vec<u32>> = BTreeMap::new();
         for (index, face) in faces.iter().enumerate() {
             planes.entry(key(face, nudge)).or_default().push(index as u32);
         }
-        planes.into_values().try_for_each(|plane| pairs_of(plane, faces, &bounds, &mut pairs))?;
+        planes.into_values().try_for_each(|plane| pairs_of(plane, faces, &bounds, (&mut pairs, &mut trials)))?;
     }
     pairs.sort_unstable();
     pairs.dedup();
@@ -101,7 +123,7 @@ fn pairs_of(
     mut plane: Vec<u32>,
     faces: &[Face],
     bounds: &[[DVec3; 2]],
-    pairs: &mut Vec<[u32; 2]>,
+    (pairs, trials): (&mut Vec<[u32; 2]>, &mut usize),
 ) -> Result<(), String> {
     let of = |face: u32| bounds[face as usize];
     let low = plane.iter().map(|f| of(*f)[0]).reduce(DVec3::min).unwrap_or_default();
@@ -112,6 +134,10 @@ fn pairs_of(
         for &b in plane[i + 1..].iter().take_while(|b| of(**b)[0][axis] <= of(a)[1][axis]) {
             let overlap = of(a)[0].cmple(of(b)[1]).all() && of(b)[0].cmple(of(a)[1]).all();
             let (first, second) = (a.min(b), a.max(b));
+            *trials += if overlap { faces[second as usize].hull.len() } else { 1 };
+            if *trials > MOST_TRIALS {
+                return Err(TOO_MANY_TRIALS.into());
+            }
             if overlap && is_coplanar(&faces[second as usize], &faces[first as usize]) {
                 pairs.push([first, second]);
             }
@@ -121,4 +147,45 @@ fn pairs_of(
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::Mesh;
+    use crate::scattering::Lobe;
+    use crate::wave::Complex;
+    use crate::world::{Builder, Part, Surface};
+
+    /// A zigzag fan of `count` triangles about one vertex.
+    fn fan(count: usize) -> Mesh {
+        let rim = |k: usize| {
+            let (sin, cos) = (std::f64::consts::TAU * k as f64 / (count + 1) as f64).sin_cos();
+            DVec3::new(cos, sin, if k.is_multiple_of(2) { 0.0 } else { 0.3 })
+        };
+        let vertices = std::iter::once(DVec3::ZERO).chain((0..=count).map(rim)).collect();
+        Mesh { vertices, triangles: (1..=count as u32).map(|k| [0, k, k + 1]).collect() }
+    }
+
+    #[test]
+    fn edges_of_a_fan_are_looked_at_in_a_bounded_number_of_boxes() {
+        let mut builder = Builder::default();
+        let (eta, lobe) = (Complex::new(4.0, 0.0), Lobe::Lambertian);
+        builder.surface(Surface { object: "a".into(), eta, thickness: Some(0.01), roughness: 0.0, lobe });
+        let describe = |_: DVec3, _: usize| ("a".to_owned(), 0);
+        let room = Mesh {
+            vertices: [(-2.0, -2.0), (2.0, -2.0), (0.0, 2.0)].map(|(x, y)| DVec3::new(x, y, -1.0)).into(),
+            triangles: vec![[0, 1, 2]],
+        };
+        for mesh in [room, fan(1_000)] {
+            builder.add(&Part { name: "a", mesh: &mesh, closed: false, describe: &describe });
+        }
+        let hierarchy = Hierarchy::new(&builder.triangles);
+        let contacts = Contacts::new(&builder.faces, &builder.triangles, &hierarchy, &builder.parts);
+        for (edge, part) in builder.edges.iter().zip(&builder.owners) {
+            assert!(!contacts.ends(edge, *part).unwrap());
+        }
+        let edges = builder.edges.len();
+        assert!(edges > 1_900 && contacts.trials.get() < 100 * edges, "{} boxes", contacts.trials.get());
+    }
 }

@@ -70,21 +70,42 @@ impl Hierarchy {
     /// The indices of all triangles that the segment from `from` to `from + span` crosses, among others; in no order.
     pub(super) fn candidates(&self, from: DVec3, span: DVec3) -> impl Iterator<Item = usize> {
         let inverse = 1.0 / span;
-        self.leaves(move |node| node.is_met(from, inverse))
+        self.leaves(move |_, node| node.is_met(from, inverse))
     }
 
-    /// The indices of all triangles that come closer than `reach` to the point, among others; in no order.
-    pub(super) fn around(&self, point: DVec3, reach: f64) -> impl Iterator<Item = usize> {
-        self.leaves(move |node| point.cmpge(node.low - reach).all() && point.cmple(node.high + reach).all())
+    /// The indices of all triangles that come closer than `reach` to the point, among others; in no order. Boxes that
+    /// `is_wanted` refuses by their number in the tree are left out with all inside.
+    pub(super) fn around(
+        &self,
+        point: DVec3,
+        reach: f64,
+        is_wanted: impl Fn(usize) -> bool,
+    ) -> impl Iterator<Item = usize> {
+        let is_near = move |node: &Node| point.cmpge(node.low - reach).all() && point.cmple(node.high + reach).all();
+        self.leaves(move |number, node| is_near(node) && is_wanted(number))
+    }
+
+    /// For each box the owner that all triangles in it have; nothing where they have several.
+    pub(super) fn owners(&self, owner_of: impl Fn(usize) -> usize) -> Vec<Option<usize>> {
+        let mut owners = vec![None; self.nodes.len()];
+        for (i, node) in self.nodes.iter().enumerate().rev() {
+            owners[i] = if node.triangle == u32::MAX {
+                let second = self.nodes[i + 1].exit as usize;
+                owners[i + 1].filter(|owner| owners[second] == Some(*owner))
+            } else {
+                Some(owner_of(node.triangle as usize))
+            };
+        }
+        owners
     }
 
     /// The triangles in boxes that are met.
     #[inline(always)]
-    fn leaves(&self, is_met: impl Fn(&Node) -> bool) -> impl Iterator<Item = usize> {
+    fn leaves(&self, is_met: impl Fn(usize, &Node) -> bool) -> impl Iterator<Item = usize> {
         let mut next = usize::from(self.nodes.len() > 1); // the first box holds all
         std::iter::from_fn(move || {
             while let Some(node) = self.nodes.get(next) {
-                if is_met(node) {
+                if is_met(next, node) {
                     next += 1;
                     if node.triangle != u32::MAX {
                         return Some(node.triangle as usize);
