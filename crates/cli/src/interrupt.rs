@@ -1,14 +1,27 @@
 //! Ctrl-C: once to stop where the same command can go on, twice to stop at once.
+//!
+//! Work looks at the flag where it can stop; what does not within a second is ended, whatever it is: nothing that is
+//! written is ever half. A training alone may finish its step, which its checkpoint then holds.
 
 use crate::output;
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, files::NewFolder};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
 
 /// What a shell expects of an interrupted program.
 pub(crate) const INTERRUPTED: u8 = 130;
+/// How long anything but a training may take to stop.
+const GRACE: Duration = Duration::from_secs(1);
+/// How often it is looked whether a training goes on.
+const TICK: Duration = Duration::from_millis(50);
+
+/// Trainings under way.
+static TRAININGS: AtomicUsize = AtomicUsize::new(0);
+/// Whether the program is being ended, and no other end counts.
+static ENDING: AtomicBool = AtomicBool::new(false);
 
 /// A flag that Ctrl-C (or a request to terminate) sets; the second one ends the program at once.
 pub(crate) fn stop_flag() -> Result<Arc<AtomicBool>> {
@@ -23,12 +36,56 @@ pub(crate) fn stop_flag() -> Result<Arc<AtomicBool>> {
     std::thread::spawn(move || {
         for _ in signals.forever() {
             if raised.swap(true, Ordering::Relaxed) {
-                std::process::exit(i32::from(INTERRUPTED));
+                end();
             }
             output::note("stopping where the same command can go on; once more to stop at once");
+            std::thread::spawn(end_what_does_not_stop);
         }
     });
     Ok(stop)
+}
+
+/// A training under way, which stops after its step.
+#[derive(Debug)]
+pub(crate) struct Training(());
+
+impl Training {
+    pub(crate) fn begin() -> Self {
+        TRAININGS.fetch_add(1, Ordering::Relaxed);
+        Self(())
+    }
+}
+
+impl Drop for Training {
+    fn drop(&mut self) {
+        TRAININGS.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+/// Waits for the end of the program where it is being ended: an error that comes of it is none.
+pub(crate) fn wait_if_ending() {
+    while ENDING.load(Ordering::Relaxed) {
+        std::thread::sleep(TICK);
+    }
+}
+
+/// Ends the program once nothing has trained for a while.
+fn end_what_does_not_stop() {
+    let mut last = Instant::now();
+    while last.elapsed() < GRACE {
+        std::thread::sleep(TICK);
+        if TRAININGS.load(Ordering::Relaxed) > 0 {
+            last = Instant::now();
+        }
+    }
+    end()
+}
+
+fn end() -> ! {
+    ENDING.store(true, Ordering::Relaxed);
+    NewFolder::abandon_all();
+    output::note("stopped at once; the same command goes on from what is written");
+    std::process::exit(i32::from(INTERRUPTED))
 }
 
 /// Whether whoever started this program wants it to outlive the terminal, as `nohup` does; told by Linux only.

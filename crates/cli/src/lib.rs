@@ -45,6 +45,7 @@ pub fn main() -> ExitCode {
         Command::Completions(completions) => commands::completions(completions),
         Command::Man(man) => commands::man(man),
     });
+    interrupt::wait_if_ending();
     done.unwrap_or_else(|error| {
         output::error(&error);
         ExitCode::from(if error.is_input() { 2 } else { 1 })

@@ -2,6 +2,7 @@
 
 use crate::args::Verbosity;
 use crate::commands::{memory, pace};
+use crate::interrupt::Training;
 use crate::output::{bars, note};
 use indicatif::{ProgressBar, ProgressStyle};
 use pwrfgs::experiment::clock::duration;
@@ -42,6 +43,7 @@ pub(crate) struct Progress {
     validation: Option<Validation>,
     /// When the stage at hand began.
     stage: Instant,
+    training: Option<Training>,
 }
 
 impl Progress {
@@ -57,6 +59,7 @@ impl Progress {
             loss: f64::NAN,
             validation: None,
             stage: now,
+            training: None,
         }
     }
 
@@ -136,6 +139,7 @@ impl Drop for Progress {
 
 impl Observer for Progress {
     fn on_stage(&mut self, name: &str, done: usize, total: usize) {
+        self.training = None;
         let now = Instant::now();
         if done == 0 || done >= total {
             self.finish();
@@ -157,6 +161,7 @@ impl Observer for Progress {
     }
 
     fn on_start(&mut self, start: &Start<'_>) {
+        self.training = Some(Training::begin());
         if self.verbosity == Verbosity::Quiet {
             return;
         }
@@ -228,6 +233,7 @@ impl Observer for Progress {
     }
 
     fn on_message(&mut self, message: &str) {
+        self.training = None; // it is over: what follows is scored
         if self.verbosity != Verbosity::Quiet && (self.name.is_none() || self.verbosity == Verbosity::Verbose) {
             self.finish();
             self.say(message);

@@ -126,6 +126,45 @@ fn a_stopped_simulation_leaves_nothing_and_a_killed_one_until_the_next() {
     assert_eq!(entries(folder), ["closet.ron", "out"]);
 }
 
+/// Sends Ctrl-C and waits for the end; what is said.
+#[cfg(unix)]
+fn interrupted(mut child: Child) -> String {
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let end = Instant::now() + Duration::from_mins(1); // a second is meant, and the machine may be busy
+    while child.try_wait().unwrap().is_none() {
+        if Instant::now() > end {
+            child.kill().unwrap();
+            panic!("Ctrl-C was not heard within a minute");
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(130), "{}", stderr(&output));
+    stderr(&output)
+}
+
+#[test]
+#[cfg(unix)]
+fn ctrl_c_ends_a_run_while_its_data_are_simulated() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    fs::write(folder.join("closet.ron"), SCENE).unwrap();
+    let data = "Teacher(gaussians: 4, samples: 40, width: 48, height: 12)";
+    let source = "Simulated(scene: \"closet.ron\", samples: 1_000_000)";
+    fs::write(folder.join("small.ron"), crate::common::SMALL.replace(data, source)).unwrap();
+    fs::create_dir(folder.join("cache")).unwrap();
+    let mut run = pwrfgs(folder);
+    run.args(["run", "small.ron"]).env("PWRFGS_CACHE", folder.join("cache"));
+    let child = run.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    let end = Instant::now() + Duration::from_mins(1);
+    while entries(&folder.join("cache")).is_empty() && Instant::now() < end {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let said = interrupted(child);
+    assert!(said.contains("stopping where") && said.contains("the same command goes on"), "{said}");
+    assert!(entries(&folder.join("cache")).is_empty() && !folder.join("runs").exists(), "{:?}", entries(folder));
+}
+
 #[test]
 fn polygons_and_fans_of_thousands_of_corners_are_simulated() {
     let folder = tempfile::tempdir().unwrap();

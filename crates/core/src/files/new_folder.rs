@@ -5,13 +5,19 @@ use crate::{Error, Result};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Marks a folder under way as ours. It is locked by whoever fills the folder: a killed program no longer holds it.
 const LOCK: &str = ".pwrfgs-lock";
 /// Most letters of the name that is being made: the rest of a long one is left out.
 const LONGEST: usize = 60;
+/// How often removing a folder is tried into which somebody still writes.
+const ATTEMPTS: usize = 100;
 /// Where a folder goes that is removed.
 const GRAVE: &str = "removed";
+
+/// Folders under way in this process.
+static UNDER_WAY: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
 /// A folder under way: made beside its place as `.NAME.PID-K.tmp`, renamed when it is whole, removed when it is dropped
 /// before. What a killed program left of the same name is removed when the next one begins.
@@ -50,6 +56,7 @@ impl NewFolder {
         let path = parent.join(format!(".{name}.{}-{k}.tmp", std::process::id()));
         let made = fs::create_dir(&path).and_then(|()| locked(&path));
         let lock = made.map_err(|e| Error::write(&path, e))?;
+        under_way().push(path.clone());
         Ok(Self { path, out: out.into(), _lock: lock })
     }
 
@@ -65,6 +72,14 @@ impl NewFolder {
     /// Removes what killed programs left in `parent`, of any name.
     pub fn clear(parent: &Path) {
         clear(parent, None);
+    }
+
+    /// Removes all folders under way of this process, which is about to end in the middle of its work.
+    pub fn abandon_all() {
+        for path in under_way().iter() {
+            // Whoever still writes into it makes that fail, until the folder is not there any more.
+            _ = (0..ATTEMPTS).find(|_| fs::remove_dir_all(path).is_ok() || !path.exists());
+        }
     }
 
     /// Where its files are written.
@@ -87,8 +102,13 @@ impl NewFolder {
 
 impl Drop for NewFolder {
     fn drop(&mut self) {
+        under_way().retain(|path| *path != self.path);
         let _ = fs::remove_dir_all(&self.path); // published: not there; else the next start tries again
     }
+}
+
+fn under_way() -> MutexGuard<'static, Vec<PathBuf>> {
+    UNDER_WAY.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// The lock of a new folder. It gets its name when it is locked: nobody sees it free.
