@@ -108,6 +108,27 @@ fn free_space(here: &Path) {
 }
 
 #[test]
+fn names_of_receivers_are_no_formulas_in_tables() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    hall(here);
+    std::fs::remove_dir_all(here.join("run")).unwrap();
+    for (file, name) in [("gateway_position.yml", "\"=north()\""), ("gateway_rssi.csv", "'=north()")] {
+        let path = here.join("data").join(file);
+        write(&path, read(&path).replacen("north", name, 1));
+    }
+    succeed(here, &["run", "p.ron", "--out", "run", "-q"]);
+    succeed(here, &["predict", MODEL, "--tx", "1,2,1", "--out", "all"]);
+    succeed(here, &["map", MODEL, "--plane", "z=1", "--step", "1", "--bounds", "0,1,0,1", "--out", "map"]);
+    for (table, rows) in [("run/samples.csv", 60), ("all/predictions.csv", 1), ("map/map.csv", 1)] {
+        let text = read(&here.join(table));
+        assert_eq!(text.matches(",'=north(),").count(), rows, "{table}: {text}");
+        assert!(!text.contains(",=") && !text.contains("'-"), "numbers are not names: {text}");
+    }
+    assert!(read(&here.join("all/predictions.csv")).contains("north(),-"), "a power below zero");
+}
+
+#[test]
 fn killed_runs_of_powers_and_channels_end_as_those_never_stopped() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();

@@ -1,5 +1,9 @@
 //! Words of others, as they are shown: what a file says may hold anything, and reaches a terminal or a page.
 
+use std::borrow::Cow;
+
+/// How formulas of spreadsheets begin.
+const FORMULA: [char; 4] = ['=', '+', '-', '@'];
 /// Longest token that a message quotes, characters.
 const TOKEN: usize = 60;
 /// Longest message, characters: what is longer repeats a file. So much of its end is kept, where it says what to do.
@@ -39,6 +43,18 @@ pub fn told(message: &str) -> String {
     plain(&format!("{start} .. {end}"))
 }
 
+/// Text as a cell of a table: a spreadsheet would compute what begins with `=`, `+`, `-` or `@`, which `'` before it
+/// prevents. Numbers stay as they are.
+pub fn cell(text: &str) -> Cow<'_, str> {
+    let is_text = || text.parse::<f64>().is_err();
+    if text.starts_with(FORMULA) && is_text() { format!("'{text}").into() } else { text.into() }
+}
+
+/// The text that [`cell`] made a cell of.
+pub fn text_of(cell: &str) -> &str {
+    cell.strip_prefix('\'').filter(|text| text.starts_with(FORMULA)).unwrap_or(cell)
+}
+
 /// The first `most` characters, and whether there are more.
 fn first(text: &str, most: usize) -> (&str, bool) {
     text.char_indices().nth(most).map_or((text, false), |(end, _)| (&text[..end], true))
@@ -55,6 +71,11 @@ mod tests {
         assert_eq!(quoted("x"), "`x`");
         assert_eq!(quoted("a\x07b"), "`a b`");
         assert_eq!(quoted(&"é".repeat(5_000_000)), format!("`{} ..`", "é".repeat(60)));
+        assert_eq!(
+            ["=1+1", "@a", "-x", "a=b", "-0.5", "+1e3", "-inf"].map(cell),
+            ["'=1+1", "'@a", "'-x", "a=b", "-0.5", "+1e3", "-inf"]
+        );
+        assert_eq!(["'=1+1", "'a", "=1"].map(text_of), ["=1+1", "'a", "=1"]);
         assert_eq!(plain("s\u{1b}[31m23\r\n\tµ"), "s\u{fffd}[31m23\u{fffd}\n\tµ");
         assert_eq!(told(&"é".repeat(1_200)).chars().count(), 1_200);
         let long = told(&format!("`{}`; write less", "é".repeat(5_000_000)));

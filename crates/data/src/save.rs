@@ -4,6 +4,7 @@ use crate::layout::{gateway_positions_yaml, gateway_yaml, receiver_yaml};
 use crate::npy::{npy_header, npy_header_as};
 use crate::{Arrays, Channels, Nerf2Rssi};
 use pwrfgs_core::files::NewFolder;
+use pwrfgs_core::words::cell;
 use pwrfgs_core::{DataSource, Dataset, Elevation, Error, Number, Observations, Result, Spectra};
 use std::fmt::Write as _;
 use std::fs;
@@ -124,7 +125,7 @@ impl Folder<'_> {
         for (link, dbm) in self.data.links.iter().zip(dbm) {
             cells[link.transmitter * receivers.len() + link.receiver] = dbm;
         }
-        let names: Vec<&str> = receivers.iter().map(|receiver| receiver.name.as_str()).collect();
+        let names: Vec<_> = receivers.iter().map(|receiver| cell(&receiver.name)).collect();
         let mut text = names.join(",") + "\n";
         for row in cells.chunks(receivers.len().max(1)) {
             text += &row.iter().map(|dbm| format!("{dbm:?}")).collect::<Vec<_>>().join(",");
@@ -236,8 +237,9 @@ mod tests {
         let samples =
             [(0, 0), (0, 1), (1, 1)].map(|(id, receiver)| Sample { id, tx: [f64::from(id), 2.0, 1.5], receiver });
         let powers = Observations::Powers(vec![-61.5, -70.25, -80.0]);
-        let data = Dataset::of_links("hall", vec![at("n", 0.0), at("s", 9.0)], vec![], &samples, powers).unwrap();
+        let data = Dataset::of_links("hall", vec![at("=n()", 0.0), at("s", 9.0)], vec![], &samples, powers).unwrap();
         same(&data, &again(&data));
+        assert_eq!(data.scene.receivers, again(&data).scene.receivers);
 
         let receiver = Receiver { antennas: vec![[0.0; 3], [0.0, 0.0625, 0.0]], ..at("array", 1.0) };
         let samples: Vec<Sample> = (0..2).map(|i| Sample::new(i, [f64::from(i), 2.0, 1.5])).collect();

@@ -1,5 +1,7 @@
 //! Numbers, tables and CSV as text: one way for all of them.
 
+use pwrfgs_core::words::cell;
+
 /// Four significant digits or so, no exponent in the usual range, whole numbers as such.
 pub fn number(value: f64) -> String {
     let size = value.abs();
@@ -26,9 +28,10 @@ pub fn number(value: f64) -> String {
     }
 }
 
-/// A name as a field of a CSV file.
+/// A name as a field of a CSV file, which no spreadsheet takes for a formula.
 pub fn field(name: &str) -> String {
-    if name.contains([',', '"', '\n', '\r']) { format!("\"{}\"", name.replace('"', "\"\"")) } else { name.to_owned() }
+    let name = cell(name);
+    if name.contains([',', '"', '\n', '\r']) { format!("\"{}\"", name.replace('"', "\"\"")) } else { name.into() }
 }
 
 /// 65469 as `65,469`.
@@ -87,7 +90,10 @@ impl<const K: usize> Lines<K> {
 
     /// One more line.
     pub fn put(&mut self, fields: [&str; K]) {
-        self.0.write_record(fields).expect("memory takes every line, and all have K fields");
+        let fields = fields.map(cell);
+        self.0
+            .write_record(fields.iter().map(|field| field.as_bytes()))
+            .expect("memory takes every line, and all have K fields");
     }
 
     /// The whole file.

@@ -4,6 +4,7 @@ use crate::listener::Listener;
 use crate::path::{Interaction, Path};
 use crate::world::World;
 use glam::{DMat3, DVec3};
+use pwrfgs_core::words::cell;
 use std::fmt::Write as _;
 
 /// Names and frames that rows need.
@@ -56,7 +57,7 @@ impl PathTable {
                 arrival.1,
                 shown.0,
                 shown.1,
-                names.join(">").replace('"', "\"\"")
+                cell(&names.join(">")).replace('"', "\"\"")
             )
             .expect("text grows");
         }

@@ -2,6 +2,7 @@
 
 use super::{distinct, one_line};
 use pwrfgs_core::files::read_text;
+use pwrfgs_core::words::text_of;
 use pwrfgs_core::{Error, Result};
 use pwrfgs_experiment::folder::{CURVE, MODEL_FILE, PIPELINE, SAMPLES, SCORES};
 use pwrfgs_experiment::scores::MODEL;
@@ -178,6 +179,7 @@ fn scores(text: &str, path: &Path) -> Result<Vec<Score>> {
     let mut all: Vec<Score> = Vec::new();
     for ScoreRow { predictor, metric, sample, value } in rows(text, path)? {
         let Some(value) = value else { continue };
+        let [predictor, metric] = [predictor, metric].map(|name| text_of(&name).to_owned());
         match all.last_mut().filter(|s| s.predictor == predictor && s.metric == metric) {
             Some(score) => score.values.push((sample, value)),
             None => all.push(Score { predictor, metric, values: vec![(sample, value)] }),

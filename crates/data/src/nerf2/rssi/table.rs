@@ -1,7 +1,8 @@
 //! `gateway_rssi.csv`: a column a gateway, a row a transmitter.
 
 use crate::text::{Field, lines, no_longer, number, read_text, split_commas};
-use pwrfgs_core::{Error, Result, did_you_mean, files::MAX_TEXT, words::clean, words::quoted};
+use pwrfgs_core::words::{clean, quoted, text_of};
+use pwrfgs_core::{Error, Result, did_you_mean, files::MAX_TEXT};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
@@ -72,10 +73,11 @@ fn columns(path: &Path, line: usize, header: &[Field<'_>], gateways: &[(String, 
     let mut column_of = BTreeMap::new();
     for (k, field) in header.iter().enumerate() {
         let at = |what| Error::at(path, line, field.column, what);
-        if column_of.insert(field.text, k).is_some() {
+        let name = if known.contains(field.text) { field.text } else { text_of(field.text) };
+        if column_of.insert(name, k).is_some() {
             return Err(at(format!("a second column {}; name each gateway once", quoted(field.text))));
         }
-        if !known.contains(field.text) {
+        if !known.contains(name) {
             let near = did_you_mean(field.text, names());
             let what = format!("{} has no position in gateway_position.yml{near}", quoted(field.text));
             return Err(at(format!("{what}; add it there, or remove the column")));
