@@ -108,6 +108,25 @@ fn free_space(here: &Path) {
 }
 
 #[test]
+fn gains_that_are_too_large_are_named_with_their_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    free_space(here);
+    let path = here.join("waves/channel.npy");
+    let mut array = std::fs::read(&path).unwrap();
+    let last = array.len() - 8;
+    array[last..last + 4].copy_from_slice(&1e20_f32.to_le_bytes());
+    write(&path, array);
+    refuse(
+        here,
+        &["run", "waves.ron"],
+        2,
+        &["waves/channel.npy: channel[39, 0, 1] is (1.0000000200408773e20, ", "1e9"],
+    );
+    assert!(!here.join("runs").exists());
+}
+
+#[test]
 fn names_of_receivers_are_no_formulas_in_tables() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();

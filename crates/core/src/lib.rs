@@ -69,7 +69,7 @@ pub use initializer::{Initializer, Seen};
 pub use link::{Features, Link, Query, Receiver, Sample, Transmitter};
 pub use method::{Asked, Frame, Method, MethodVjp, Observed, Parameters, Pixels};
 pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, Scope, StageTimes, Values};
-pub use observations::{Channels, Kind, Observations, SPEED_OF_LIGHT, gain_at, gains_of, rows_of};
+pub use observations::{Channels, Kind, Observations, SPEED_OF_LIGHT, gain_at, gain_fault, gains_of, rows_of};
 pub use origin::Origin;
 pub use partition::{Known, Partition};
 pub use plugin::{Cache, Checked, Plugin, cached, registered};

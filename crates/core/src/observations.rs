@@ -65,6 +65,21 @@ pub fn gains_of(rows: &[Real], subcarriers: usize) -> Vec<[Real; 2]> {
     (0..rows.len() / 2).map(gain).collect()
 }
 
+/// Largest part of a gain: sums of its squares stay finite in single precision.
+const MAX_GAIN: f64 = 1e9;
+
+/// What is wrong with a gain, real and imaginary part, and what to do.
+pub fn gain_fault([re, im]: [f64; 2]) -> Option<String> {
+    let advice = if !(re.is_finite() && im.is_finite()) {
+        "give finite numbers".to_owned()
+    } else if re.abs().max(im.abs()) > MAX_GAIN {
+        format!("give at most {MAX_GAIN:e}, such as all channels divided by their largest modulus")
+    } else {
+        return None;
+    };
+    Some(format!("is {:?}; {advice}", (re, im)))
+}
+
 /// Channels `[L, A, F]`, complex, in memory.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Channels {
@@ -254,10 +269,11 @@ impl Observations {
                 if let Some(f) = channels.frequencies_hz.iter().find(|f| !(f.is_finite() && **f > 0.0)) {
                     return Some(format!("a subcarrier at {f} Hz; give frequencies above 0"));
                 }
-                let i = not_finite(channels.gains.as_flattened())? / 2;
+                let mut faults = channels.gains.iter().map(|gain| gain_fault(gain.map(|v| v as f64))).enumerate();
+                let (i, fault) = faults.find_map(|(i, fault)| Some((i, fault?)))?;
                 let [l, a, f] =
                     [i / of_one, i % of_one / channels.frequencies_hz.len(), i % channels.frequencies_hz.len()];
-                Some(format!("channels[{l}, {a}, {f}] is {:?}; give finite numbers", channels.gains[i]))
+                Some(format!("channels[{l}, {a}, {f}] {fault}"))
             }
         }
     }

@@ -115,6 +115,7 @@ impl DataSource for Channels {
         let (path, table) = (root.join(&self.file), root.join(&self.positions));
         let positions = read_transmitters(&table)?;
         let array = read_complex(&path, SHAPE)?;
+        array.check_size(&path)?;
         let [count, antennas, width] = array.shape;
         if count != positions.len() {
             let what = format!("holds channels of {count} transmitters, but {} {}", table.display(), positions.len());

@@ -9,6 +9,8 @@ use pwrfgs_core::{
 const LEAST_SQUARE: Real = 1e-7;
 /// Scale of a Gaussian without neighbours, m.
 const LONELY: Real = 1.0;
+/// Largest distance, scale and signal: the products of squared ones stay finite in single precision.
+const LARGEST: Real = 1e6;
 /// Most Gaussians that can be asked for: more is a slip of the pen, and would exhaust the memory.
 const MOST: usize = 10_000_000;
 
@@ -49,12 +51,12 @@ pub(crate) fn check(opacity: Real, signal_scale: Real) -> Result<(), String> {
     positive("signal_scale", signal_scale, "at 0 the magnitude of a signal has no derivative")
 }
 
-/// Refuses what is not a positive finite number.
+/// Refuses what is not positive, and what no computation in single precision survives.
 pub(crate) fn positive(field: &str, value: Real, why: &str) -> Result<(), String> {
-    if value > 0.0 && value.is_finite() {
+    if value > 0.0 && value <= LARGEST {
         return Ok(());
     }
-    Err(format!("`{field}` is {value}; give a positive finite number: {why}"))
+    Err(format!("`{field}` is {value:?}; give a number above 0 and at most {LARGEST:e}: {why}"))
 }
 
 /// Refuses no Gaussians and absurdly many.

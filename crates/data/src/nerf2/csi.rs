@@ -99,6 +99,7 @@ impl DataSource for Nerf2Csi {
             let seen = rows.as_ref().filter(|_| !self.by_test_data).map(|(train, _)| train.as_slice());
             all.normalise(&path, seen)?;
         }
+        all.check_size(&path)?; // normalised too: the test part is divided by the largest modulus of the training part
         let (features, gains) = halves(&mut all);
         let at = |i: usize| positions.as_ref().map_or([0.0; 3], |positions| positions[i]);
         let receivers = if self.together { vec![station(&antennas)] } else { receivers(&antennas) };

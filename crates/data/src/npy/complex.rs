@@ -1,7 +1,7 @@
 //! Complex arrays: channels, of which every number is looked at.
 
 use super::{Header, MAX_BYTES};
-use pwrfgs_core::{Error, Real, Result, files};
+use pwrfgs_core::{Error, Real, Result, files, gain_fault};
 use std::io::Read;
 use std::path::Path;
 
@@ -60,17 +60,32 @@ impl Header {
         } else {
             bytes.as_chunks().0.iter().map(single).collect()
         };
+        let all = Complex { shape, values: parts.as_chunks().0.to_vec() };
         if let Some(i) = parts.iter().position(|v| !(*v as Real).is_finite()) {
-            let [_, a, f] = shape;
-            let (i, value) = (i / 2, &parts[i / 2 * 2..][..2]);
-            let place = format!("{name}[{}, {}, {}]", i / (a * f), i / f % a, i % f);
-            return Err(refuse(format!("{place} is {:?}; give finite numbers", (value[0], value[1]))));
+            let [re, im] = all.values[i / 2];
+            return Err(refuse(format!("{} is {:?}; give finite numbers", all.place(path, i / 2), (re, im))));
         }
-        Ok(Complex { shape, values: parts.as_chunks().0.to_vec() })
+        Ok(all)
     }
 }
 
 impl Complex {
+    /// Refuses numbers that are too large to compute with.
+    pub(crate) fn check_size(&self, path: &Path) -> Result<()> {
+        let mut faults = self.values.iter().map(|gain| gain_fault(*gain)).enumerate();
+        match faults.find_map(|(i, fault)| Some((i, fault?))) {
+            Some((i, fault)) => Err(Error::input(path, format!("{} {fault}", self.place(path, i)))),
+            None => Ok(()),
+        }
+    }
+
+    /// Number `i` as Python writes it.
+    fn place(&self, path: &Path, i: usize) -> String {
+        let [_, a, f] = self.shape;
+        let name = path.file_stem().unwrap_or_default().to_string_lossy();
+        format!("{name}[{}, {}, {}]", i / (a * f), i / f % a, i % f)
+    }
+
     /// Divides all by the largest modulus of the rows `seen`, or of all where none are named; refuses what is zero there.
     pub(crate) fn normalise(&mut self, path: &Path, seen: Option<&[usize]>) -> Result<()> {
         let largest_of = |values: &[[f64; 2]]| values.iter().map(|[re, im]| re.hypot(*im)).fold(0.0, f64::max);
