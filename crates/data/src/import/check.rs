@@ -72,6 +72,13 @@ impl Range {
         if high <= 0.0 {
             return refuse("every value is 0; is this the right file?".into());
         }
+        if high < f64::from(f32::MIN_POSITIVE) {
+            return refuse(format!(
+                "the largest value becomes {high:e}, below the smallest number of 32 bits, {:e}; give {}",
+                f32::MIN_POSITIVE,
+                suited(high)
+            ));
+        }
         if high < FAINT && scale.is_none() {
             return refuse(format!(
                 "the largest value is {high}, and 1 stands for the strongest direction; give {}, or --scale 1 where \

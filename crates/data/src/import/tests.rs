@@ -172,6 +172,10 @@ fn what_cannot_be_meant_is_refused_with_what_to_do() {
         Import { scale: Some(0.5), ..folder.floats("a.npy", 23, 4.0) },
         "the largest value is 2 (spectra[3, 1, 2]) and spectra are from 0 to 1; give --scale 0.25",
     );
+    case(
+        Import { scale: Some(1e-46), ..folder.floats("a.npy", 23, 1.0) },
+        "the largest value becomes 1e-46, below the smallest number of 32 bits, 1.1754944e-38; give --scale 1",
+    );
     case(Import { scale: Some(f64::NAN), ..folder.floats("a.npy", 23, 1.0) }, "--scale NaN: give a finite number");
     let mut shaped = |shape: &[usize], bytes: usize, expected: &str| {
         folder.write("s.npy", &array(Number::U8, shape, vec![9; bytes]));
