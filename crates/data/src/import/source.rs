@@ -130,6 +130,10 @@ fn in_archive<T>(
         |e: zip::result::ZipError| Error::input(path, format!("is no archive of NumPy ({e}); use numpy.savez"));
     let file: File = files::open(path).map_err(|e| Error::read(path, e))?;
     let mut archive = ZipArchive::new(BufReader::new(file)).map_err(broken)?;
+    if archive.has_duplicate_names() {
+        let what = "holds two arrays of one name, of which NumPy reads only the last; save each under its own name";
+        return Err(Error::input(path, what));
+    }
     let names = archive.file_names().collect::<Result<Vec<_>, _>>().map_err(broken)?;
     let names: Vec<String> = names.iter().map(|n| n.strip_suffix(".npy").unwrap_or(n).to_owned()).collect();
     let wanted = match name {

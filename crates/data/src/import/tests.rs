@@ -154,6 +154,26 @@ fn archives_are_read_stored_and_deflated() {
 }
 
 #[test]
+fn two_arrays_of_one_name_are_refused() {
+    let folder = Folder::new();
+    let mut archive = ZipWriter::new(File::create(folder.path("all.npz")).unwrap());
+    for name in ["spectra.npy", "SPECTRA.npy"] {
+        archive.start_file(name, SimpleFileOptions::default()).unwrap();
+        archive.write_all(&array(Number::U8, &[4, 2, 3], 60..84)).unwrap();
+    }
+    archive.finish().unwrap();
+    folder.import(&folder.work("all.npz"));
+    fs::remove_dir_all(folder.path("out")).unwrap();
+    let mut bytes = fs::read(folder.path("all.npz")).unwrap();
+    let other = |bytes: &[u8]| bytes.windows(7).position(|name| name == b"SPECTRA");
+    while let Some(at) = other(&bytes) {
+        bytes[at..at + 7].copy_from_slice(b"spectra");
+    }
+    folder.write("all.npz", &bytes);
+    assert!(folder.fault(&folder.work("all.npz")).contains("DIR/all.npz: holds two arrays of one name"));
+}
+
+#[test]
 fn what_cannot_be_meant_is_refused_with_what_to_do() {
     let folder = Folder::new();
     let mut cases = Vec::new();
