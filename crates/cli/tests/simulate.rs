@@ -56,10 +56,17 @@ fn mistakes_leave_nothing_behind() {
         SCENE.replace("high: (2.5, 1.5, 2)", "high: (2.5, 9.5, 2)").replace("low: (1, 0.5, 0.5)", "low: (1, 8.5, 0.5)"),
     )
     .unwrap();
+    let at = "low: (0.2, 1, 1.5), high: (0.2, 1, 1.5)";
+    let with = |places: &str| SCENE.replace("Uniform(low: (1, 0.5, 0.5), high: (2.5, 1.5, 2))", places);
+    fs::write(folder.join("in.ron"), with(&format!("Uniform({at})"))).unwrap();
+    let grid = "Grid(low: (0.15, 1, 1.5), high: (0.65, 1, 1.5), step_m: 0.1)";
+    fs::write(folder.join("on.ron"), with(grid)).unwrap();
     for (scene, more, expected) in [
         ("gone.ron", vec![], "cannot read gone.ron"),
         ("brik.ron", vec![], "brik.ron:6:27: unknown material `brik`; did you mean `brick`?"),
         ("far.ron", vec![], "outside the room"),
+        ("in.ron", vec![], "transmitter 1 at (0.2, 1, 1.5) is in the receiver; move the"),
+        ("on.ron", vec!["--samples", "5"], "transmitter 1 at (0.2, 1, 1.5) is in the receiver; move the"),
         ("brik.ron", vec!["--samples", "0"], "`samples` is 0"),
         ("brik.ron", vec!["--samples", "many"], "invalid value"),
     ] {
@@ -69,7 +76,7 @@ fn mistakes_leave_nothing_behind() {
     }
     let mut left: Vec<_> = fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name()).collect();
     left.sort();
-    assert_eq!(left, ["brik.ron", "far.ron"]);
+    assert_eq!(left, ["brik.ron", "far.ron", "in.ron", "on.ron"]);
 }
 
 /// What stands in a folder, sorted.

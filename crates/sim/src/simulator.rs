@@ -9,7 +9,7 @@ use crate::scene::Scene;
 use crate::spectrum::Spectrum;
 use crate::surface_points::{self, SurfacePoints};
 use crate::wave::Complex;
-use crate::world::{Triangle, World};
+use crate::world::{MARGIN, Triangle, World};
 use glam::{DMat3, DVec3};
 use pwrfgs_core::{Error, Result};
 use rayon::prelude::*;
@@ -102,11 +102,27 @@ impl Simulator {
     /// Positions of `count` transmitters.
     ///
     /// # Errors
-    /// No room for them, or a grid point inside something.
+    /// No room for them, a grid point inside something, or a transmitter in an antenna of a receiver.
     pub fn positions(&self, count: usize, seed: u64) -> Result<Vec<DVec3>> {
         let free = |point: DVec3| self.world.check_free(point);
         let drawn = self.scene.transmitter.positions.draw(count, seed, &free);
+        let drawn = drawn.and_then(|positions| self.check_apart(&positions).map(|()| positions));
         drawn.map_err(|e| Error::Config(format!("scene `{}`: {e}", self.scene.name)))
+    }
+
+    /// Refuses a transmitter in an antenna, which has no line of sight to it and no finite gain.
+    fn check_apart(&self, positions: &[DVec3]) -> Result<()> {
+        for listener in &self.listeners {
+            let mut places = listener.antennas();
+            places.push(DVec3::from(listener.receiver().position));
+            let is_in = |tx: &DVec3| places.iter().any(|place| place.distance(*tx) < MARGIN);
+            if let Some(i) = positions.iter().position(is_in) {
+                let (DVec3 { x, y, z }, who) = (positions[i], listener.receiver().called("the receiver"));
+                let what = "move the transmitters or the receiver";
+                return Err(Error::Config(format!("transmitter {} at ({x}, {y}, {z}) is in {who}; {what}", i + 1)));
+            }
+        }
+        Ok(())
     }
 
     /// `count` points on all surfaces, with normals.

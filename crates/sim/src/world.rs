@@ -16,7 +16,7 @@ use std::f64::consts::PI;
 use std::ops::Range;
 
 /// How close to its ends a segment meets nothing, metres: reflection points lie on faces.
-const MARGIN: f64 = 1e-6;
+pub(crate) const MARGIN: f64 = 1e-6;
 
 /// What a face is made of.
 #[derive(Clone, Debug, PartialEq)]
