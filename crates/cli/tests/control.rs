@@ -96,6 +96,15 @@ fn shells_and_manuals_know_every_command() {
     succeed(here, &["man", "--out", "man1"]);
     let page = std::fs::read_to_string(here.join("man1/pwrfgs-run.1")).unwrap();
     assert!(page.contains("tensorboard") && here.join("man1/pwrfgs.1").is_file(), "{page}");
+    // Pages of an earlier version give way, and nothing else does.
+    write(&here.join("man1/pwrfgs-run.1"), page.replace("tensorboard", "?"));
+    succeed(here, &["man", "--out", "man1"]);
+    assert_eq!(std::fs::read_to_string(here.join("man1/pwrfgs-run.1")).unwrap(), page);
+    write(&here.join("man1/pwrfgs-run.1"), "notes of mine\n");
+    std::fs::remove_file(here.join("man1/pwrfgs.1")).unwrap();
+    refuse(here, &["man", "--out", "man1"], 2, &["man1/pwrfgs-run.1", "is not replaced", "--out"]);
+    assert_eq!(std::fs::read_to_string(here.join("man1/pwrfgs-run.1")).unwrap(), "notes of mine\n");
+    assert!(!here.join("man1/pwrfgs.1").exists(), "all or none");
 }
 
 #[test]

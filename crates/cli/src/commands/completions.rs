@@ -4,7 +4,7 @@ use crate::args::Arguments;
 use crate::output;
 use clap::{Args, CommandFactory as _};
 use clap_complete::Shell;
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, files};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -50,13 +50,27 @@ pub(crate) fn man(arguments: &Man) -> Result<ExitCode> {
         output::result(&String::from_utf8_lossy(&page))?;
         return Ok(ExitCode::SUCCESS);
     };
-    std::fs::create_dir_all(folder).map_err(failed(folder))?;
+    let mut pages = Vec::new();
     for page in std::iter::once(&command).chain(command.get_subcommands().filter(|c| c.get_name() != "help")) {
         let man = clap_mangen::Man::new(page.clone());
         let path = folder.join(man.get_filename());
+        refuse_other_file(&path)?;
         let mut text = Vec::new();
         man.render(&mut text).map_err(failed(&path))?;
-        pwrfgs_core::files::write_atomically(&path, &text)?;
+        pages.push((path, text));
     }
+    std::fs::create_dir_all(folder).map_err(failed(folder))?;
+    pages.iter().try_for_each(|(path, text)| files::write_atomically(path, text))?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Refuses to replace anything but an earlier version of the same page, whose title names it.
+fn refuse_other_file(path: &Path) -> Result<()> {
+    let Ok(found) = path.symlink_metadata() else { return Ok(()) };
+    let title = format!(".TH {} ", path.file_stem().unwrap_or_default().display());
+    let is_title = |text: String| text.lines().any(|line| line.starts_with(&title));
+    if found.is_file() && files::read_string(path).is_ok_and(is_title) {
+        return Ok(());
+    }
+    Err(Error::input(path, "is no manual page of pwrfgs and is not replaced; choose another --out, or move the file"))
 }
