@@ -210,7 +210,7 @@ impl Model {
                 };
                 members.extend(ensemble.names().iter().zip(ensemble.members()).map(called));
             }
-            Ensemble::named(members).map_err(Error::Config)
+            Ensemble::named(members).and_then(Ensemble::distinct).map_err(Error::Config)
         };
         if paths.is_empty() {
             return Err(wrong(py, "give the path of a model or of a run folder"));

@@ -74,12 +74,15 @@ def test_the_same_bits_as_the_command_line(model, run, cli, tmp_path):
         assert np.array_equal(np.load(tmp_path / "p" / f"{i + 1:05}.npy"), model.predict(place))
 
 
-def test_ensembles_spread(run, model):
-    pair = pwrfgs.Model.load(run.folder, f"{run.folder}/model.safetensors")
+def test_ensembles_spread(run, model, tmp_path):
+    model.save(tmp_path / "half.safetensors", half=True)
+    pair = pwrfgs.Model.load(run.folder, tmp_path / "half.safetensors")
     place = [0.5, 0.2, 1.0]
     assert len(pair.members) == 2 and pair.n == 2 * model.n
-    assert np.array_equal(pair.spread(place), np.zeros((15, 60), np.float32))
-    assert np.allclose(pair.predict(place), model.predict(place).clip(0, 1), atol=1e-6)
+    assert pair.spread(place).shape == (15, 60) and (0 <= pair.spread(place)).all() and (pair.spread(place) < 0.01).all()
+    assert np.allclose(pair.predict(place), model.predict(place).clip(0, 1), atol=0.01)
+    with pytest.raises(pwrfgs.InputError, match="are the same model"):
+        pwrfgs.Model.load(run.folder, f"{run.folder}/model.safetensors")
 
 
 def test_gaussians_and_files(model, tmp_path):

@@ -62,6 +62,11 @@ fn several_models_predict_as_one_and_show_where_they_differ() {
         2,
         &["model 2", "pixels"],
     );
+    for command in [&["evaluate"][..], &["predict", "--tx", "0,0,1", "--out", "no"]] {
+        let twice = [command, &models, &["0/model.safetensors"]].concat();
+        refuse(here, &twice, 2, &["models 1 and 3 of the ensemble are the same model", "give each model once"]);
+    }
+    assert!(!here.join("no").exists());
 }
 
 #[test]
@@ -191,6 +196,7 @@ fn an_ensemble_that_cannot_be_one_is_refused() {
     let other = |set: &str| format!("Member(base: \"p.ron\"), Member(base: \"p.ron\", label: \"b\", set: ({set}))");
     refused(&other("split: Sparse(train: 10)"), &["another `split`", "tested on"]);
     refused(&other("data: Teacher(samples: 50)"), &["another `data`"]);
+    refused(&other("tensorboard: true"), &["`small` and `b` are trained alike", "`seed`"]);
     refused(&other("seed: 3"), &["`set` cannot give", "seeds"]);
     refused(&other("training: (steps: 10)"), &["member `b`", "pruners"]);
     refused("Membre(base: \"p.ron\")", &["x.ron:1:", "Member"]);

@@ -26,6 +26,12 @@ pub struct Team {
 /// The most members of one ensemble.
 const MOST: usize = 100;
 
+/// Everything of a pipeline that decides the model.
+fn trained(pipeline: &Pipeline) -> String {
+    let unnamed = Pipeline { name: String::new(), baselines: Vec::new(), metrics: Vec::new(), ..pipeline.essential() };
+    to_ron(&unnamed)
+}
+
 impl Team {
     /// Of two members or more on the same data, divided in the same way.
     ///
@@ -45,6 +51,13 @@ impl Team {
             let own = &member.name;
             if members[..place].iter().any(|other| other.name.eq_ignore_ascii_case(own)) {
                 return Err(format!("two members are called `{own}`; give one another `label`"));
+            }
+            if let Some(twin) = members[..place].iter().find(|other| trained(other) == trained(member)) {
+                return Err(format!(
+                    "the members `{}` and `{own}` are trained alike and give the same model; change the `seed` or a \
+                     setting of one",
+                    twin.name
+                ));
             }
             let differs = |what: &str, advice: &str| {
                 Err(format!("the members `{}` and `{own}` have another `{what}`; {advice}", first.name))

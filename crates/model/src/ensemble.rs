@@ -43,6 +43,27 @@ impl Ensemble {
         Ok(Self { names, members })
     }
 
+    /// The same ensemble, if no model takes part twice: two equal models have no spread, and count double in the mean.
+    ///
+    /// # Errors
+    /// The first two that are equal.
+    pub fn distinct(self) -> Result<Self, String> {
+        let is_same = |a: &Model, b: &Model| {
+            let method = |model: &Model| serde_json::to_string(&*model.stages.method).ok();
+            a.weights == b.weights && a.cloud == b.cloud && method(a) == method(b)
+        };
+        for (place, model) in self.members.iter().enumerate() {
+            if let Some(first) = self.members[..place].iter().position(|other| is_same(other, model)) {
+                return Err(format!(
+                    "models {} and {} of the ensemble are the same model; give each model once",
+                    first + 1,
+                    place + 1
+                ));
+            }
+        }
+        Ok(self)
+    }
+
     /// The models that take part, one or more.
     pub fn members(&self) -> &[Model] {
         &self.members

@@ -141,5 +141,6 @@ pub(super) fn read_models(paths: &[PathBuf]) -> Result<Ensemble> {
         return file::read_ensemble(path);
     }
     let files: Vec<Ensemble> = paths.iter().map(|path| file::read_ensemble(path)).collect::<Result<_>>()?;
-    Ensemble::new(files.iter().flat_map(|file| file.members().iter().cloned()).collect()).map_err(Error::Config)
+    let members = files.iter().flat_map(|file| file.members().iter().cloned()).collect();
+    Ensemble::new(members).and_then(Ensemble::distinct).map_err(Error::Config)
 }
