@@ -134,6 +134,7 @@ fn mistakes_in_a_pipeline_are_shown_where_they_stand() {
         ("LearnableMask(", "LearnedMask(", &["p.ron:7:", "`LearnedMask`", "did you mean `LearnableMask`?"]),
         ("split:", "spilt:", &["p.ron:4:", "`spilt`", "did you mean `split`?"]),
         ("lambda: 0.02", "lambda: -0.02", &["p.ron:7:", "lambda"]),
+        ("OpacityThreshold()", "LearnableMask()", &["p.ron:7:", "`LearnableMask` is given twice; give it once"]),
         ("Grid(count: 8)", "Grid(count: 8, distance_m: 1e30)", &["p.ron:5:", "`distance_m` is 1e30", "at most 1e6"]),
         ("Grid(count: 8)", "Random(count: 8, signal_scale: 1e20)", &["p.ron:5:", "`signal_scale` is 1e20"]),
         ("densify_until: 20", "densify_until: 50", &["p.ron:", "`prune_until` comes before `densify_until`"]),

@@ -29,6 +29,25 @@ pub(crate) fn targeted(pipeline: &Pipeline) -> Result<Vec<Plugin<dyn Pruner>>, S
     Ok(pruners)
 }
 
+/// `TopK` of `TopK(keep: 8)`.
+fn name(pruner: &Plugin<dyn Pruner>) -> String {
+    to_ron(pruner).split('(').next().unwrap_or_default().to_owned()
+}
+
+/// A pruner with a column of its own that is given twice: the settings of the second would change nothing, and both would
+/// press on one column. Different pruners may share a column.
+fn given_twice(pruners: &[Plugin<dyn Pruner>]) -> Option<String> {
+    // Strategies written in Python have one name and differ in their class.
+    let kind = |pruner: &Plugin<dyn Pruner>| match name(pruner) {
+        python if python == "Python" => to_ron(pruner),
+        name => name,
+    };
+    let twice = pruners.iter().enumerate().find(|(k, pruner)| {
+        !pruner.columns().is_empty() && pruners[..*k].iter().any(|other| kind(other) == kind(pruner))
+    });
+    twice.map(|(_, pruner)| format!("`{}` is given twice; give it once", name(pruner)))
+}
+
 /// Whether a pruner comes to an exact number.
 pub(crate) fn is_exact(pruner: &Plugin<dyn Pruner>) -> bool {
     pruner.budget().is_some_and(|budget| !matches!(budget, Budget::AtMost(_)))
@@ -36,15 +55,15 @@ pub(crate) fn is_exact(pruner: &Plugin<dyn Pruner>) -> bool {
 
 /// What is wrong with the list of pruners.
 pub(crate) fn contradiction(pipeline: &Pipeline) -> Option<String> {
+    if let Some(why) = given_twice(&pipeline.pruners) {
+        return Some(why);
+    }
     let pruners = match targeted(pipeline) {
         Ok(pruners) => pruners,
         Err(why) => return Some(why),
     };
     let pipeline = &Pipeline { pruners, ..pipeline.clone() };
-    let name = |k: usize| {
-        let text = to_ron(&pipeline.pruners[k]);
-        text.split('(').next().unwrap_or_default().to_owned()
-    };
+    let name = |k: usize| name(&pipeline.pruners[k]);
     let exact: Vec<usize> = (0..pipeline.pruners.len()).filter(|&k| is_exact(&pipeline.pruners[k])).collect();
     let mut budgets = pipeline.pruners.iter().enumerate().filter_map(|(k, p)| Some((k, p.budget()?.target())));
     if let Some((first, target)) = budgets.next() {
