@@ -9,7 +9,9 @@ mod scene;
 
 use criterion::measurement::WallTime;
 use criterion::{BatchSize, BenchmarkGroup, BenchmarkId, Criterion};
-use pwrfgs::core::{DeformationInputs, Frame, ImagePlane, Kind, Origin, Pose, Query, Receiver, RenderVjp, rng};
+use pwrfgs::core::{
+    DeformationInputs, Frame, ImagePlane, Kind, Origin, Pose, Query, Receiver, RenderVjp, Sampling, rng,
+};
 use pwrfgs::model::{Calibration, Ensemble, Model, Readout, Splatting, Stages, deform::Outputs};
 use pwrfgs::prelude::*;
 use scene::{SIZES, TX, on_array, seeded_cloud, trained, untrained, waves, wrfgs};
@@ -48,7 +50,7 @@ fn links(criterion: &mut Criterion) {
             projector: Plugin::parse("Mercator()").expect("a plugin"),
             rasterizer: Plugin::parse("AlphaBlending()").expect("a plugin"),
             calibration: Calibration::Physical,
-            readout: Readout::Received { sky_deg },
+            readout: Readout::Received { sky_deg, filter_deg2: 30.0 },
         };
         let place = |k: usize| [k as f64 % 7.0, k as f64 / 4.0, 2.5];
         let receiver = |k| Receiver::new(format!("g{k}"), Pose { position: place(k), ..Pose::IDENTITY });
@@ -56,7 +58,7 @@ fn links(criterion: &mut Criterion) {
             origin: Origin::ZERO,
             receivers: (0..21).map(receiver).collect(),
             kind: Kind::Power,
-            plane: ImagePlane { width: 1, height: 1, wraps: false, angles: None },
+            plane: ImagePlane { width: 1, height: 1, wraps: false, angles: None, sampling: Sampling::WHOLE },
             frequencies_hz: Vec::new(),
         };
         let stages = Stages::splats(splatting, frame);

@@ -6,7 +6,8 @@
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
-    ColumnSpec, Conditions, DeformationInputs, Frame, GaussianCloud, ImagePlane, Kind, Link, Receiver, rng, sigmoid,
+    ColumnSpec, Conditions, DeformationInputs, Frame, GaussianCloud, ImagePlane, Kind, Link, Receiver, Sampling, rng,
+    sigmoid,
 };
 use pwrfgs::model::{Readout, Stages};
 use pwrfgs::prelude::*;
@@ -186,7 +187,7 @@ fn links(deformation: &str, readout: Readout, size: (usize, usize), objective: B
     let plane = if kind == Kind::Spectrum {
         base.frame.plane.clone()
     } else {
-        ImagePlane { width: size.0, height: size.1, wraps: false, angles: None }
+        ImagePlane { width: size.0, height: size.1, wraps: false, angles: None, sampling: Sampling::WHOLE }
     };
     let frequencies_hz = if kind == Kind::Channel { vec![9e7, 1e8, 1.1e8] } else { vec![] };
     let frame = Frame { receivers: receivers(), kind, plane, frequencies_hz, ..base.frame.clone() };
@@ -210,7 +211,8 @@ const NETWORK: &str = "Factored(depth: 2, width: 8, tx_encoding: Wavelengths(cou
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn powers_at_two_receivers_differentiate_in_every_column_and_law() {
     for power in [Errors::Absolute, Errors::Squared] {
-        let mut step = links(NETWORK, Readout::Received { sky_deg: 20 }, (1, 1), Box::new(LinkLoss { power }));
+        let mut step =
+            links(NETWORK, Readout::Received { sky_deg: 20, filter_deg2: 120.0 }, (1, 1), Box::new(LinkLoss { power }));
         let offsets = step.weights.len() - 4;
         step.weights[offsets..].copy_from_slice(&[0.3, -0.2, 1.8, 2.2]);
         step.check(&format!("Received, {power:?}"), None);

@@ -26,6 +26,7 @@ mod reference;
 mod registry;
 mod repeatability;
 mod robustness;
+mod sampling;
 mod stopping;
 mod streaming;
 mod supply_chain;

@@ -4,7 +4,7 @@ use crate::common::{pipeline, plugin};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
     Asked, Conditions, Frame, GaussianCloud, ImagePlane, Kind, Link, MethodVjp, Origin, Parameters, Pixels, Receiver,
-    rng,
+    Sampling, rng,
 };
 use pwrfgs::prelude::*;
 use std::path::Path;
@@ -37,7 +37,7 @@ impl Room {
         let receivers = vec![at("left", [-1.0, 0.3, -2.0]), at("right", [2.0, -1.5, -1.0])];
         let projector: Plugin<dyn pwrfgs::core::Projector> = plugin("Mercator()");
         let frequencies_hz = if kind == Kind::Channel { vec![9e7, 1e8, 1.1e8] } else { vec![] };
-        let plain = |width, height| ImagePlane { width, height, wraps: false, angles: None };
+        let plain = |width, height| ImagePlane { width, height, wraps: false, angles: None, sampling: Sampling::WHOLE };
         let plane = match kind {
             Kind::Spectrum => projector.plane(8, 3),
             Kind::Power => plain(1, 1),

@@ -8,7 +8,7 @@ use numpy::PyUntypedArrayMethods as _;
 use pwrfgs::experiment::repeatability as work;
 use pwrfgs_core::{
     Baseline, Elevation, Evaluation, Image, ImagePlane, Kind, Known, Metric, ModelFacts, Origin, Plugin, Pose, Query,
-    Real, Receiver, Scene, Values, rows_of,
+    Real, Receiver, Sampling, Scene, Values, rows_of,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -84,7 +84,7 @@ pub(crate) fn measure<'py>(
     let azimuth = pwrfgs_core::Axis { first: 0.0, step: 360.0 / width as f64 };
     let elevation = Elevation { first: elevation_deg[0], last: elevation_deg[1] };
     let angles = is_picture.then(|| (azimuth, elevation.axis(height)));
-    let plane = ImagePlane { width, height, wraps: is_picture, angles };
+    let plane = ImagePlane { width, height, wraps: is_picture, angles, sampling: Sampling::WHOLE };
     if let Some(bad) = truths.iter().flat_map(|truth| &truth.pixels).find(|v| is_picture && !AMPLITUDES.contains(*v)) {
         return Err(wrong(py, &format!("truth holds {bad}; spectra go from 0 to 1 (divide bytes by 255)")));
     }
@@ -140,7 +140,7 @@ pub(crate) fn chamfer(py: Python<'_>, first: &Bound<'_, PyAny>, second: &Bound<'
     }
     let metric = plugin::<dyn Metric>(py, "Chamfer()")?;
     let scene = empty_scene(points);
-    let plane = ImagePlane { width: 1, height: 1, wraps: false, angles: None };
+    let plane = ImagePlane { width: 1, height: 1, wraps: false, angles: None, sampling: Sampling::WHOLE };
     let found = free(py, || {
         let model = Some(ModelFacts { means: &means, gaussian_bytes: 0, network_bytes: 0 });
         metric.evaluate(&Evaluation { model, ..evaluation((&[], &[]), &plane, &scene) })

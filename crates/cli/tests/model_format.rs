@@ -5,7 +5,8 @@ use pwrfgs::model::Calibration::{AsReleased, Physical};
 use pwrfgs::model::tensors::Tensors;
 use pwrfgs::model::{Calibration, Ensemble, Model, Readout, Splatting, Stages, file};
 use pwrfgs_core::{
-    Frame, GaussianCloud, ImagePlane, Kind, Method, Origin, Plugin, Pose, Projector, Real, Receiver, Vec3, rng,
+    Frame, GaussianCloud, ImagePlane, Kind, Method, Origin, Plugin, Pose, Projector, Real, Receiver, Sampling, Vec3,
+    rng,
 };
 use std::path::Path;
 use std::process::Command;
@@ -108,7 +109,7 @@ pub(crate) fn models() -> impl Iterator<Item = Model> {
 fn virtual_transmitters(order: usize) -> Model {
     let antennas = vec![[0.0; 3], [0.1, 0.0, 0.02], [0.0, -0.1, 0.0]];
     let receivers = vec![Receiver { antennas, ..Receiver::new("turned", POSE) }];
-    let plane = ImagePlane { width: 2, height: 6, wraps: false, angles: None };
+    let plane = ImagePlane { width: 2, height: 6, wraps: false, angles: None, sampling: Sampling::WHOLE };
     let frequencies_hz = vec![0.9e9, 0.95e9];
     let frame = Frame { origin: Origin([10.0, 0.0, -3.0]), receivers, kind: Kind::Channel, plane, frequencies_hz };
     let method: Plugin<dyn Method> = Plugin::parse(&format!("VirtualTransmitters(order: {order})")).unwrap();

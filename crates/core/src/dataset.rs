@@ -4,7 +4,7 @@ use crate::origin::{Origin, place_fault};
 use crate::words::clean;
 use crate::{
     Axis, Elevation, Error, Features, Image, ImagePlane, Kind, Link, Observations, Pose, Query, Real, Receiver, Result,
-    Sample, Scene, Spectra, Transmitter, Vec3,
+    Sample, Sampling, Scene, Spectra, Transmitter, Vec3,
 };
 
 /// Everything a data source gives, in columns: transmitters, receivers, links of one with the other, and what was observed
@@ -196,7 +196,7 @@ impl Dataset {
         let is_picture = self.kind() == Kind::Spectrum;
         let azimuth = Axis { first: 0.0, step: 360.0 / self.width as f64 };
         let angles = is_picture.then(|| (azimuth, self.elevation.axis(self.height)));
-        ImagePlane { width: self.width, height: self.height, wraps: is_picture, angles }
+        ImagePlane { width: self.width, height: self.height, wraps: is_picture, angles, sampling: Sampling::WHOLE }
     }
 
     /// What was observed of link `i`, as an array of numbers.

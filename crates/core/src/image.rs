@@ -2,6 +2,7 @@
 
 use crate::{Real, consts};
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 
 /// A spatial spectrum as a picture, row-major `[height, width]`; 1 is the strongest direction.
 #[derive(Clone, Debug, PartialEq)]
@@ -127,9 +128,76 @@ pub struct ImagePlane {
     /// Azimuth of a column and elevation of a row in the receiver frame, in degrees; `None` where a pixel has no such
     /// meaning (the released projection).
     pub angles: Option<(Axis, Axis)>,
+    /// Which pixels of a larger image these are. Not stored: a model draws whole images.
+    #[serde(skip)]
+    pub sampling: Sampling,
+}
+
+/// Which pixels of an image a plane holds, and how a projector filters them: every `stride`-th column and row from
+/// `offset` on. Training with a stride draws such a plane; lengths in pixels, such as a projector's filter, stay those of
+/// the whole image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sampling {
+    /// Columns, and rows, of the whole image per pixel.
+    pub stride: usize,
+    /// Column and row of the whole image at the first pixel, less than `stride`.
+    pub offset: [usize; 2],
+    /// Variance of the low-pass filter, px² of the whole image; `None` for the projector's own.
+    pub filter: Option<Real>,
+}
+
+impl Default for Sampling {
+    fn default() -> Self {
+        Self::WHOLE
+    }
+}
+
+impl Sampling {
+    /// Every pixel.
+    pub const WHOLE: Self = Self::every(1);
+
+    /// Every `stride`-th column and row from the first on.
+    pub const fn every(stride: usize) -> Self {
+        Self { stride, offset: [0, 0], filter: None }
+    }
 }
 
 impl ImagePlane {
+    /// Every `stride`-th column and row of this whole image, from `offset` (column, row) on. `stride` divides both sides.
+    #[must_use]
+    pub fn strided(&self, stride: usize, offset: [usize; 2]) -> Self {
+        let axis = |axis: Axis, offset: usize| Axis {
+            first: axis.first + axis.step * offset as f64,
+            step: axis.step * stride as f64,
+        };
+        Self {
+            width: self.width / stride,
+            height: self.height / stride,
+            wraps: self.wraps,
+            angles: self.angles.map(|(az, el)| (axis(az, offset[0]), axis(el, offset[1]))),
+            sampling: Sampling { stride, offset, ..self.sampling },
+        }
+    }
+
+    /// The whole image of which this is every stride-th pixel: the inverse of [`Self::strided`].
+    pub fn whole(&self) -> Cow<'_, Self> {
+        let Sampling { stride, offset, filter } = self.sampling;
+        if stride == 1 {
+            return Cow::Borrowed(self);
+        }
+        let axis = |axis: Axis, offset: usize| {
+            let step = axis.step / stride as f64;
+            Axis { first: axis.first - step * offset as f64, step }
+        };
+        Cow::Owned(Self {
+            width: self.width * stride,
+            height: self.height * stride,
+            wraps: self.wraps,
+            angles: self.angles.map(|(az, el)| (axis(az, offset[0]), axis(el, offset[1]))),
+            sampling: Sampling { filter, ..Sampling::WHOLE },
+        })
+    }
+
     /// The elevations of its rows, to a billionth of a degree; `None` where the plane has no angles.
     pub fn elevation(&self) -> Option<Elevation> {
         // 90/H · H may differ from 90 in the last bit.

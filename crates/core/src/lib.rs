@@ -64,7 +64,7 @@ pub use edit::{Edit, Row};
 pub use error::{Error, Result, did_you_mean};
 pub use evenly::evenly;
 pub use gate::Gate;
-pub use image::{Axis, Elevation, Image, ImagePlane};
+pub use image::{Axis, Elevation, Image, ImagePlane, Sampling};
 pub use initializer::{Initializer, Seen};
 pub use link::{Features, Link, Query, Receiver, Sample, Transmitter};
 pub use method::{Asked, Frame, Method, MethodVjp, Observed, Parameters, Pixels};

@@ -1,6 +1,6 @@
 //! `Observations`: what was observed of every link, and what a number of it is.
 
-use crate::{Documented, Error, Image, Number, Real, Result, Spectra};
+use crate::{Documented, Error, Image, Number, Real, Result, Sampling, Spectra};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
@@ -172,11 +172,10 @@ impl Observations {
         }
     }
 
-    /// Every `stride`-th column of every `stride`-th row of picture `i` into as many pixels, row-major; the whole of
-    /// anything else.
-    pub fn coarse(&self, i: usize, stride: usize, out: &mut [Real]) {
+    /// The pixels of picture `i` that `sampling` names, row-major; the whole of anything else.
+    pub fn coarse(&self, i: usize, sampling: Sampling, out: &mut [Real]) {
         match self {
-            Self::Pictures(spectra) => spectra.coarse(i, stride, out),
+            Self::Pictures(spectra) => spectra.coarse(i, sampling, out),
             Self::Powers(powers) => out[0] = powers[i],
             Self::Channels(channels) => out.iter_mut().zip(channels.rows(i)).for_each(|(out, v)| *out = v),
         }

@@ -26,6 +26,9 @@ pub trait Projector: erased_serde::Serialize + std::any::Any + std::fmt::Debug +
 
     /// Splats `[N]`, row for row; a Gaussian out of sight has radius 0. Opacities may be lowered but never raised: those
     /// that are too faint for the rasterizer are left out before.
+    ///
+    /// `plane` is a whole image: with a stride, the splats are brought to the coarser pixels afterwards
+    /// ([`Splats::sampled`]), so that a projector needs to know nothing of it.
     fn project(&self, primitives: &Primitives, pose: &Pose, plane: &ImagePlane) -> Splats;
 
     /// Which Gaussians centred at `means` `[N,3]` may be drawn, whatever their shape: the others need no network. All,

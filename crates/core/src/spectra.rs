@@ -4,7 +4,7 @@ mod stored;
 #[cfg(test)]
 mod tests;
 
-use crate::{Error, Image, Real, Result};
+use crate::{Error, Image, Real, Result, Sampling};
 use std::borrow::Cow;
 use std::path::Path;
 use std::sync::Arc;
@@ -230,20 +230,24 @@ impl Spectra {
         image
     }
 
-    /// Every `stride`-th column of every `stride`-th row of picture `i`, into as many pixels, row-major.
-    pub fn coarse(&self, i: usize, stride: usize, out: &mut [Real]) {
-        let bytes = self.raw(i);
-        let rows = bytes.chunks_exact(self.width * self.number.bytes()).step_by(stride);
-        for (out, row) in out.chunks_exact_mut(self.width.div_ceil(stride)).zip(rows) {
-            self.number.pixels(row, stride, out);
+    /// The pixels of picture `i` that `sampling` names, row-major.
+    pub fn coarse(&self, i: usize, sampling: Sampling, out: &mut [Real]) {
+        let (bytes, of_one, Sampling { stride, offset: [left, top], .. }) =
+            (self.raw(i), self.number.bytes(), sampling);
+        let rows = bytes.chunks_exact(self.width * of_one).skip(top).step_by(stride);
+        for (out, row) in out.chunks_exact_mut((self.width - left).div_ceil(stride)).zip(rows) {
+            self.number.pixels(&row[left * of_one..], stride, out);
         }
     }
 
-    /// Some pixels of picture `i` as [`Self::coarse`] has it with this `stride`.
-    pub fn coarse_at(&self, i: usize, stride: usize, places: &[usize], out: &mut [Real]) {
-        let (bytes, of_one, columns) = (self.raw(i), self.number.bytes(), self.width.div_ceil(stride));
+    /// Some of the pixels that [`Self::coarse`] gives of picture `i`.
+    pub fn coarse_at(&self, i: usize, sampling: Sampling, places: &[usize], out: &mut [Real]) {
+        let (bytes, of_one, Sampling { stride, offset: [left, top], .. }) =
+            (self.raw(i), self.number.bytes(), sampling);
+        let columns = (self.width - left).div_ceil(stride);
         for (out, place) in out.iter_mut().zip(places) {
-            let at = (place / columns * self.width + place % columns) * stride * of_one;
+            let (row, column) = (top + place / columns * stride, left + place % columns * stride);
+            let at = (row * self.width + column) * of_one;
             self.number.pixels(&bytes[at..at + of_one], 1, std::slice::from_mut(out));
         }
     }

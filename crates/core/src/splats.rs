@@ -1,6 +1,7 @@
 //! The two rungs between a cloud and a picture: `Primitives` in space, `Splats` on the image plane.
 
-use crate::Real;
+use crate::{ImagePlane, Real, Sampling};
+use std::borrow::Cow;
 
 /// Activated and gated Gaussians in space, ready to be projected, for one transmitter or for a batch of transmitters
 /// that share one geometry.
@@ -76,5 +77,54 @@ impl Splats {
             opacities: vec![0.0; n],
             presence: Vec::new(),
         }
+    }
+
+    /// The same splats, projected onto a whole image, in the pixels of a `plane` that holds a part of them
+    /// ([`Sampling`]): centres, conics, standard deviations and radii change their unit.
+    #[must_use]
+    pub fn sampled(mut self, plane: &ImagePlane) -> Self {
+        let Sampling { stride, offset, .. } = plane.sampling;
+        if stride > 1 {
+            let s = stride as Real;
+            for mean in &mut self.means2d {
+                *mean = [(mean[0] - offset[0] as Real) / s, (mean[1] - offset[1] as Real) / s];
+                if plane.wraps && mean[0] < 0.0 {
+                    mean[0] += plane.width as Real;
+                }
+            }
+            self.conics.as_flattened_mut().iter_mut().for_each(|c| *c *= s * s);
+            self.sigmas2d.as_flattened_mut().iter_mut().for_each(|v| *v /= s);
+            self.radii.iter_mut().for_each(|r| *r = (*r / s).ceil());
+        }
+        self
+    }
+
+    /// Undoes [`Self::sampled`] for what a projector's derivative reads: conics, and which splats have a radius.
+    pub fn unsampled(&self, plane: &ImagePlane) -> Cow<'_, Self> {
+        let Sampling { stride, offset, .. } = plane.sampling;
+        if stride == 1 {
+            return Cow::Borrowed(self);
+        }
+        let (mut whole, s) = (self.clone(), stride as Real);
+        for mean in &mut whole.means2d {
+            *mean = [mean[0] * s + offset[0] as Real, mean[1] * s + offset[1] as Real];
+        }
+        whole.conics.as_flattened_mut().iter_mut().for_each(|c| *c /= s * s);
+        whole.sigmas2d.as_flattened_mut().iter_mut().for_each(|v| *v *= s);
+        whole.radii.iter_mut().for_each(|r| *r *= s);
+        Cow::Owned(whole)
+    }
+
+    /// Cotangents of the splats on the whole image, given these of the splats on `plane`: the derivative of
+    /// [`Self::sampled`].
+    pub fn sampled_vjp(&self, plane: &ImagePlane) -> Cow<'_, Self> {
+        let stride = plane.sampling.stride;
+        if stride == 1 {
+            return Cow::Borrowed(self);
+        }
+        let (mut d, s) = (self.clone(), stride as Real);
+        d.means2d.as_flattened_mut().iter_mut().for_each(|v| *v /= s);
+        d.conics.as_flattened_mut().iter_mut().for_each(|v| *v *= s * s);
+        Cow::Owned(d)
     }
 }

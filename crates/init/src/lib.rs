@@ -20,7 +20,9 @@ pub use site::Site;
 
 #[cfg(test)]
 mod tests {
-    use pwrfgs_core::{Axis, ImagePlane, Initializer, Origin, Plugin, Pose, Receiver, Scene, registered, rng};
+    use pwrfgs_core::{
+        Axis, ImagePlane, Initializer, Origin, Plugin, Pose, Receiver, Sampling, Scene, registered, rng,
+    };
 
     /// As a pipeline file has it: `Name(field: value)`.
     fn written(plugin: &Plugin<dyn Initializer>) -> String {
@@ -42,7 +44,13 @@ mod tests {
     /// With angles (the true pose), or without (the released projection).
     pub(crate) fn plane(angles: bool) -> ImagePlane {
         let axis = Axis { first: 0.0, step: 1.0 };
-        ImagePlane { width: 360, height: 90, wraps: angles, angles: angles.then_some((axis, axis)) }
+        ImagePlane {
+            width: 360,
+            height: 90,
+            wraps: angles,
+            angles: angles.then_some((axis, axis)),
+            sampling: Sampling::WHOLE,
+        }
     }
 
     #[test]

@@ -81,7 +81,7 @@ fn no_gaussians() -> Values {
 mod fixture {
     use pwrfgs_core::{
         Axis, Evaluation, Image, ImagePlane, Kind, Measurement, Metric, ModelFacts, Origin, Pose, Real, Receiver,
-        Scene, StageTimes, Values,
+        Sampling, Scene, StageTimes, Values,
     };
 
     pub(crate) fn scene(points: &[[Real; 3]]) -> Scene {
@@ -96,7 +96,7 @@ mod fixture {
     /// One degree a pixel, as measured.
     pub(crate) fn plane(width: usize, height: usize) -> ImagePlane {
         let axis = Axis { first: 0.0, step: 1.0 };
-        ImagePlane { width, height, wraps: true, angles: Some((axis, axis)) }
+        ImagePlane { width, height, wraps: true, angles: Some((axis, axis)), sampling: Sampling::WHOLE }
     }
 
     /// A picture of zeros but for the pixels listed.

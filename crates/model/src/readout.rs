@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// How the two real channels of a blended signal become one grey value.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Documented)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Documented)]
 pub enum Readout {
     /// The first channel alone: WRF-GS.
     Real,
@@ -26,6 +26,10 @@ pub enum Readout {
         /// Sides of a pixel, degrees: a divisor of 180.
         #[serde(default = "sky_deg")]
         sky_deg: u32,
+        /// Added to both diagonal entries of the 2-D covariance of a Gaussian on this sky, in place of the projector's
+        /// filter, degrees².
+        #[serde(default = "filter_deg2")]
+        filter_deg2: Real,
     },
     /// A channel: c₀ + j·c₁ of each Gaussian as a spherical wave, summed on the antennas of the receiver for every subcarrier,
     /// times a level that is learned for each receiver.
@@ -38,10 +42,18 @@ fn sky_deg() -> u32 {
     10
 }
 
+/// A standard deviation of half a pixel of 10 degrees: a narrower Gaussian would fall between pixels.
+fn filter_deg2() -> Real {
+    30.0
+}
+
 /// A picture whose values differ by less than this share of the largest shows nothing but rounding.
 const NO_CONTRAST: Real = 1e-6;
 
 impl Readout {
+    /// The readout of a received power by default.
+    pub const RECEIVED: Self = Self::Received { sky_deg: 10, filter_deg2: 30.0 };
+
     /// What it gives.
     pub fn kind(self) -> Kind {
         match self {
@@ -57,9 +69,12 @@ impl Readout {
     /// What to give.
     pub fn check(self) -> Result<(), String> {
         match self {
-            Self::Received { sky_deg } if sky_deg == 0 || !180u32.is_multiple_of(sky_deg) || sky_deg > 60 => {
+            Self::Received { sky_deg, .. } if sky_deg == 0 || !180u32.is_multiple_of(sky_deg) || sky_deg > 60 => {
                 Err(format!("readout: `sky_deg` is {sky_deg}; give a divisor of 180 up to 60, such as 10"))
             }
+            Self::Received { filter_deg2, .. } if !(filter_deg2 > 0.0 && filter_deg2 <= 1e4) => Err(format!(
+                "readout: `filter_deg2` is {filter_deg2}; give degrees² above 0 and up to 10000, such as 30"
+            )),
             _ => Ok(()),
         }
     }

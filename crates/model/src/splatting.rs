@@ -189,12 +189,15 @@ impl Splatting {
     /// # Errors
     /// Where the projector does not draw a whole sky.
     fn whole_sky(&self, frame: &Frame) -> Result<ImagePlane, String> {
-        let Readout::Received { sky_deg } = self.readout else { return Ok(frame.plane.clone()) };
+        let Readout::Received { sky_deg, filter_deg2 } = self.readout else { return Ok(frame.plane.clone()) };
         self.readout.check()?;
-        let (width, height) = (360 / sky_deg as usize, 180 / sky_deg as usize);
-        let whole = Elevation { first: -90.0, last: 90.0 };
+        // Both poles have a row, so that the cells cover the sphere.
+        let (width, height, side) = (360 / sky_deg as usize, 180 / sky_deg as usize + 1, f64::from(sky_deg));
+        let whole = Elevation { first: -90.0, last: 90.0 + side };
         let advice = |why| format!("readout: Received wants the whole sky, and the projector: {why}; use Mercator()");
-        self.projector.plane_of(width, height, whole).map_err(advice)
+        let mut sky = self.projector.plane_of(width, height, whole).map_err(advice)?;
+        sky.sampling.filter = Some(filter_deg2 / (side * side) as Real);
+        Ok(sky)
     }
 
     /// How a cloud is activated here.
@@ -221,7 +224,7 @@ impl Splatting {
         let mut seen = vec![self.readout == Readout::Channel; cloud.len()];
         let heard = self.readout == Readout::Channel; // nothing is projected, and nothing is faint
         for View { pose, plane } in self.views(frame).into_iter().filter(|_| !heard) {
-            let own = self.projector.sees(&cloud.means, &pose, &plane);
+            let own = self.projector.sees(&cloud.means, &pose, &plane.whole());
             seen.iter_mut().zip(own).for_each(|(any, own)| *any |= own);
         }
         let faintest = self.rasterizer.faintest();
@@ -243,7 +246,8 @@ impl Splatting {
     ) -> Geometry {
         let start = Instant::now();
         let primitives = self.activation().geometry(cloud, deltas, b, gates.whole);
-        let mut splats = self.projector.project(&primitives, &view.pose, &view.plane);
+        let whole = view.plane.whole();
+        let mut splats = self.projector.project(&primitives, &view.pose, &whole).sampled(&view.plane);
         let mut unveiled = Vec::new();
         match gates.presence {
             Some(presence) if self.rasterizer.blends() => splats.presence = presence.to_vec(),
@@ -299,10 +303,17 @@ impl Splatting {
             d.splats.presence = d.splats.opacities.iter().zip(&geometry.unveiled).map(|(d, o)| d * o).collect();
             d.splats.opacities.iter_mut().zip(presence).for_each(|(d, m)| *d *= m);
         }
-        let d_primitives = self.projector.project_vjp(&geometry.primitives, &view.pose, &view.plane, splats, &d.splats);
+        let d_primitives = self.project_vjp(view, geometry, &d.splats);
         activation.geometry_vjp(cloud, deltas, batch.start, gates.whole, &d_primitives, sums);
         sums.presence.iter_mut().zip(&d.splats.presence).for_each(|(sum, d)| *sum += d);
         activation.signals_vjp(cloud, deltas, batch.clone(), &d.signals, sums);
         d
+    }
+
+    /// Cotangents of the primitives, given those of the splats in the pixels of the view's plane.
+    pub(crate) fn project_vjp(&self, view: &View, geometry: &Geometry, d: &Splats) -> Primitives {
+        let Geometry { primitives, splats, .. } = geometry;
+        let (splats, d) = (splats.unsampled(&view.plane), d.sampled_vjp(&view.plane));
+        self.projector.project_vjp(primitives, &view.pose, &view.plane.whole(), &splats, &d)
     }
 }

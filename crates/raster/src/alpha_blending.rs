@@ -134,6 +134,11 @@ impl Rasterizer for AlphaBlending {
         if self.support == Support::TileSquares && plane.wraps {
             return Err("support: TileSquares cannot draw across the seam; use support: Exact, or WrfgsCompat()".into());
         }
+        if self.support == Support::TileSquares && plane.sampling.stride > 1 {
+            return Err("support: TileSquares draws whole tiles, which a stride changes; use support: Exact, or \
+                        training.stride: 1"
+                .into());
+        }
         Ok(())
     }
 

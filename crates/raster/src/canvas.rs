@@ -90,12 +90,13 @@ fn copy_row(to: &mut [Real], from: &[Real], columns: usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use pwrfgs_core::Sampling;
 
     /// Neither rayon nor vectors here: Miri runs this test.
     #[test]
     fn threads_fill_their_tiles_and_nothing_else() {
         for (width, height, channels) in [(37, 21, 2), (16, 16, 1), (5, 40, 3), (32, 1, 1), (0, 7, 0)] {
-            let plane = ImagePlane { width, height, wraps: false, angles: None };
+            let plane = ImagePlane { width, height, wraps: false, angles: None, sampling: Sampling::WHOLE };
             let mut pictures = vec![-1.0; channels * width * height];
             let patches = patches(&mut pictures, &plane);
             let across = width.div_ceil(TILE);

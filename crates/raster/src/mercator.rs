@@ -2,7 +2,7 @@
 
 use crate::ewa::{self, CameraModel};
 use pwrfgs_core::{
-    Axis, Documented, Elevation, ImagePlane, Pose, Primitives, Projector, Real, Splats, Vec3, consts::DEG,
+    Axis, Documented, Elevation, ImagePlane, Pose, Primitives, Projector, Real, Sampling, Splats, Vec3, consts::DEG,
 };
 use serde::{Deserialize, Serialize};
 
@@ -44,7 +44,8 @@ const ON_AXIS: Real = 1e-6;
 #[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct Mercator {
-    /// Added to both diagonal entries of the 2-D covariance, px².
+    /// Added to both diagonal entries of the 2-D covariance, px² of the whole spectrum, whatever `training.stride` is.
+    /// `readout: Received` has a filter of its own.
     pub blur: Real,
     /// Gaussians nearer to the receiver than this are not drawn, metres.
     pub near_m: Real,
@@ -98,7 +99,13 @@ impl Projector for Mercator {
 
 fn plane(width: usize, height: usize, elevation: Elevation) -> ImagePlane {
     let azimuth = Axis { first: 0.0, step: 360.0 / width as f64 };
-    ImagePlane { width, height, wraps: true, angles: Some((azimuth, elevation.axis(height))) }
+    ImagePlane {
+        width,
+        height,
+        wraps: true,
+        angles: Some((azimuth, elevation.axis(height))),
+        sampling: Sampling::WHOLE,
+    }
 }
 
 /// The camera model with its constants at hand.
@@ -121,7 +128,8 @@ impl Hemisphere {
         let below = plugin.margin_deg - first.min(last) as Real;
         let lowest = if below < 90.0 { -(below / DEG).sin() } else { -2.0 };
         let above = first as Real / DEG * per_radian[1];
-        Self { per_radian, width: plane.width as Real, above, blur: plugin.blur, near: plugin.near_m, lowest }
+        let blur = plane.sampling.filter.unwrap_or(plugin.blur);
+        Self { per_radian, width: plane.width as Real, above, blur, near: plugin.near_m, lowest }
     }
 }
 

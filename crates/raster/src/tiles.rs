@@ -273,6 +273,7 @@ pub(crate) fn square(centre: [Real; 2], radius: Real, plane: &ImagePlane) -> (Ra
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use pwrfgs_core::Sampling;
 
     /// One splat with standard deviations `sigmas` along axes turned by `angle`.
     fn one(mean: [f64; 2], sigmas: [f64; 2], angle: f64, opacity: f64) -> Splats {
@@ -329,7 +330,7 @@ mod tests {
                 }
                 None => (mean, opacity),
             };
-            let plane = ImagePlane { width, height, wraps, angles: None };
+            let plane = ImagePlane { width, height, wraps, angles: None, sampling: Sampling::WHOLE };
             let splats = one(mean, sigmas.into(), angle, opacity);
             let offered = offered(&splats, &plane);
             for p in 0..width * height {
@@ -341,7 +342,7 @@ mod tests {
 
     #[test]
     fn a_thin_slanting_splat_does_not_take_the_tiles_of_its_box() {
-        let plane = ImagePlane { width: 360, height: 90, wraps: true, angles: None };
+        let plane = ImagePlane { width: 360, height: 90, wraps: true, angles: None, sampling: Sampling::WHOLE };
         let splats = one([100.0, 45.0], [30.0, 1.0], 0.6, 0.9);
         let count = |list: &[bool]| list.iter().filter(|&&p| p).count();
         let needed = (0..360 * 90).filter(|p| counts(&splats, &plane, (p % 360, p / 360))).count();

@@ -2,7 +2,7 @@
 
 use crate::common::{POSE, primitives, signals};
 use pwrfgs_core::testing::check_vjp;
-use pwrfgs_core::{ImagePlane, Primitives, Projector, Rasterizer, Real, Splats, Vec3};
+use pwrfgs_core::{ImagePlane, Primitives, Projector, Rasterizer, Real, Sampling, Splats, Vec3};
 use pwrfgs_raster::{AlphaBlending, CameraModel, Mercator, Support, WrfgsCompat, project, project_vjp, sees};
 
 const N: usize = 12;
@@ -77,7 +77,7 @@ struct Disc {
 }
 
 const DISC: Disc = Disc { half: [30.0, 20.0] };
-const PLANE: ImagePlane = ImagePlane { width: 60, height: 40, wraps: false, angles: None };
+const PLANE: ImagePlane = ImagePlane { width: 60, height: 40, wraps: false, angles: None, sampling: Sampling::WHOLE };
 
 impl CameraModel for Disc {
     fn pixel(&self, v: Vec3) -> [Real; 2] {

@@ -3,9 +3,7 @@
 use crate::Pipeline;
 use crate::graph::{Batch, Places};
 use crate::settings::Rays;
-use pwrfgs_core::{
-    Axis, Dataset, Elevation, Error, ImagePlane, Kind, Link, Moment, Needs, Observations, Real, Result, rng,
-};
+use pwrfgs_core::{Dataset, Error, ImagePlane, Kind, Link, Moment, Needs, Observations, Real, Result, rng};
 use pwrfgs_model::Stages;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -61,7 +59,7 @@ impl Batches {
                     (0..count).map(|_| self.train[rng::below(random, self.train.len())]).collect();
                 links.sort_unstable();
                 let places = Places::Own(rays(count, stages.numbers(), random));
-                return observed(&links, data, stages, (settings.stride, places), &mut moved);
+                return observed(&links, data, stages, places, &mut moved);
             }
         };
         let mut transmitters = Vec::with_capacity(settings.batch);
@@ -74,7 +72,7 @@ impl Batches {
             }
             transmitters.push(self.order.1[(drawn % n) as usize]);
         }
-        observed(&self.links_of(&transmitters), data, stages, (settings.stride, places), &mut moved)
+        observed(&self.links_of(&transmitters), data, stages, places, &mut moved)
     }
 
     /// The links of some transmitters.
@@ -88,13 +86,13 @@ impl Batches {
         needs: &Needs,
         moment: &Moment,
         data: &'a Dataset,
-        (stages, stride): (&'a Stages, usize),
+        stages: &'a Stages,
     ) -> impl Iterator<Item = Result<Batch>> + 'a {
         let mut sample = needs.sample(self.transmitters.len(), moment.seed, moment.step).into_iter().peekable();
         std::iter::from_fn(move || {
             sample.peek()?;
             let some: Vec<usize> = sample.by_ref().take(AT_ONCE).collect();
-            Some(observed(&self.links_of(&some), data, stages, (stride, Places::All), &mut |x| x))
+            Some(observed(&self.links_of(&some), data, stages, Places::All, &mut |x| x))
         })
     }
 }
@@ -109,7 +107,7 @@ fn observed(
     links: &[usize],
     data: &Dataset,
     stages: &Stages,
-    (stride, places): (usize, Places),
+    places: Places,
     moved: &mut dyn FnMut(Real) -> Real,
 ) -> Result<Batch> {
     let mut batch = Batch { width: stages.method.inputs(), places, ..Batch::default() };
@@ -126,15 +124,15 @@ fn observed(
         batch.links.push(Link { transmitter, receiver: query.receiver });
     }
     let of_link = batch.places.pixels().of_link(stages.numbers());
-    let stride = if data.kind() == Kind::Spectrum { stride } else { 1 };
+    let sampling = stages.plane.sampling;
     batch.truths.resize(links.len() * of_link, 0.0);
     let truths = batch.truths.par_chunks_exact_mut(of_link).zip(links).enumerate();
     truths.for_each(|(k, (truth, &i))| match (&batch.places, &data.observations) {
-        (Places::Same(places), Observations::Pictures(spectra)) => spectra.coarse_at(i, stride, places, truth),
-        (Places::Own(places), Observations::Pictures(spectra)) => spectra.coarse_at(i, stride, &places[k..=k], truth),
+        (Places::Same(places), Observations::Pictures(spectra)) => spectra.coarse_at(i, sampling, places, truth),
+        (Places::Own(places), Observations::Pictures(spectra)) => spectra.coarse_at(i, sampling, &places[k..=k], truth),
         (_, observations) => {
-            observations.coarse(i, stride, truth);
-            if stride > 1 {
+            observations.coarse(i, sampling, truth);
+            if sampling.stride > 1 {
                 stages.method.restrict(truth);
             }
         }
@@ -146,38 +144,30 @@ fn observed(
 /// Transmitters that a pass holds at a time.
 const AT_ONCE: usize = 64;
 
-/// The plane of every `stride`-th row and column of `plane`.
-pub(crate) fn coarse(plane: &ImagePlane, pipeline: &Pipeline, elevation: Elevation, kind: Kind) -> Result<ImagePlane> {
-    let (width, height, stride) = (plane.width, plane.height, pipeline.training.stride);
+/// The plane that `step` of the training draws: every `stride`-th row and column of the whole image, from the first one or
+/// from one that is drawn for this step; every pixel of anything but a spectrum.
+pub(crate) fn plane_of_step(whole: &ImagePlane, pipeline: &Pipeline, kind: Kind, step: u64) -> ImagePlane {
+    let stride = pipeline.training.stride;
     if stride == 1 || kind != Kind::Spectrum {
-        return Ok(plane.clone());
+        return whole.clone();
     }
-    if !(width.is_multiple_of(stride) && height.is_multiple_of(stride)) {
-        let fits: Vec<String> = (1..=width.min(height))
-            .filter(|s| width.is_multiple_of(*s) && height.is_multiple_of(*s))
-            .map(|s| s.to_string())
-            .collect();
-        return Err(Error::Config(format!(
-            "training.stride {stride} does not divide the pictures' {width} columns and {height} rows; use one of {}",
-            fits.join(", ")
-        )));
+    let random = &mut rng::stream(pipeline.seed, "stride", step);
+    let offset = if pipeline.training.moving_stride { [(); 2].map(|()| rng::below(random, stride)) } else { [0, 0] };
+    whole.strided(stride, offset)
+}
+
+/// Whether the stride divides the image.
+pub(crate) fn check_stride(plane: &ImagePlane, pipeline: &Pipeline, kind: Kind) -> Result<()> {
+    let (width, height, stride) = (plane.width, plane.height, pipeline.training.stride);
+    if kind != Kind::Spectrum || width.is_multiple_of(stride) && height.is_multiple_of(stride) {
+        return Ok(());
     }
-    if pipeline.method.is_some() {
-        // No projector draws it: the same angles, further apart.
-        let wider = |axis: Axis| Axis { step: axis.step * stride as f64, ..axis };
-        let angles = plane.angles.map(|(azimuth, elevation)| (wider(azimuth), wider(elevation)));
-        return Ok(ImagePlane { width: width / stride, height: height / stride, angles, ..plane.clone() });
-    }
-    let coarse = pipeline.projector.plane_of(width / stride, height / stride, elevation);
-    let coarse = coarse.map_err(|why| Error::Config(format!("the projector {why}")))?;
-    let (last_x, last_y) = ((coarse.width - 1) as Real, (coarse.height - 1) as Real);
-    let corner = plane.direction(last_x * stride as Real, last_y * stride as Real);
-    match (coarse.direction(last_x, last_y), corner) {
-        (Some(a), Some(b)) if a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4) => Ok(coarse),
-        _ => Err(Error::Config(
-            "training.stride needs a projector that keeps directions on a coarser picture; use projector: Mercator(), or \
-             stride: 1"
-                .into(),
-        )),
-    }
+    let fits: Vec<String> = (1..=width.min(height))
+        .filter(|s| width.is_multiple_of(*s) && height.is_multiple_of(*s))
+        .map(|s| s.to_string())
+        .collect();
+    Err(Error::Config(format!(
+        "training.stride {stride} does not divide the pictures' {width} columns and {height} rows; use one of {}",
+        fits.join(", ")
+    )))
 }

@@ -29,13 +29,12 @@ struct Note {
     extra: Vec<(String, usize)>,
     /// How many numbers each pruner remembers.
     memories: Vec<usize>,
-    /// How many Gaussians there have been; a file of version 3 does not say.
-    #[serde(default, skip_serializing_if = "u32_is_zero")]
+    /// How many Gaussians there have been.
     born: u32,
 }
 
 const FORMAT: &str = "pwrfgs-checkpoint";
-const VERSION: u32 = 4;
+const VERSION: u32 = 5;
 
 impl<'a> Trainer<'a> {
     /// Everything needed to go on, as bytes.
@@ -93,8 +92,8 @@ impl<'a> Trainer<'a> {
         if file.digest() != digest {
             return Err("it is damaged: what it holds is not what was written".into());
         }
-        if note.format != FORMAT || ![3, VERSION].contains(&note.version) {
-            return Err(format!("it is a `{}` of version {}", note.format, note.version));
+        if (&*note.format, note.version) != (FORMAT, VERSION) {
+            return Err(format!("it is a `{}` of version {}, expected {VERSION}", note.format, note.version));
         }
         if note.fingerprint != self.fingerprint() {
             return Err("it was written with other settings, other data or another split".into());
@@ -113,20 +112,11 @@ impl<'a> Trainer<'a> {
         for (k, (memory, len)) in self.memories.0.iter_mut().zip(&note.memories).enumerate().filter(|(_, m)| *m.1 > 0) {
             *memory = file.take(&format!("pruner.{k}"), &[*len])?;
         }
-        self.births = if note.version == 3 {
-            Births::of(n)
-        } else {
-            let births = file.take("births", &[n])?;
-            Births { of: births.into_iter().map(|birth| birth as u32).collect(), next: note.born }
-        };
+        let births = file.take("births", &[n])?;
+        self.births = Births { of: births.into_iter().map(|birth| birth as u32).collect(), next: note.born };
         self.done = note.done;
         Ok(())
     }
-}
-
-#[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
-fn u32_is_zero(value: &u32) -> bool {
-    *value == 0
 }
 
 fn json(note: &impl Serialize) -> String {

@@ -131,7 +131,7 @@ impl TryFrom<PipelineFields<Checked<Training>>> for Pipeline {
         let of_kind = |field: &str| default_field(field, kind);
         let has_gaussians = given.method.as_ref().is_none_or(|method| method.has_gaussians());
         let readout = match kind {
-            Some(pwrfgs_core::Kind::Power) => Readout::Received { sky_deg: 10 },
+            Some(pwrfgs_core::Kind::Power) => Readout::RECEIVED,
             Some(pwrfgs_core::Kind::Channel) => Readout::Channel,
             Some(pwrfgs_core::Kind::Spectrum) | None => Readout::default(),
         };

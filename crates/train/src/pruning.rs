@@ -125,8 +125,7 @@ impl Trainer<'_> {
         let (needs, mut stats) = (pruner.needs(&self.cloud, moment).settled(self.stages.method.blends()), self.told(k));
         if !needs.is_nothing() && moment.round > 0 {
             let gate = open_gates(&self.cloud, &self.pipeline.pruners, moment);
-            let stride = self.pipeline.training.stride;
-            let batches = self.batches().sample(&needs, moment, self.data, (&self.stages, stride));
+            let batches = self.batches().sample(&needs, moment, self.data, &self.stages);
             let weights = self.weights_at(moment.step);
             let scene = survey::Scene { stages: &self.stages, weights: &weights, objective: &*self.objective };
             stats.asked = survey::survey(&scene, &self.cloud, gate.as_deref(), &needs, batches)?;

@@ -224,8 +224,11 @@ settings! {
         target: usize = 0,
         /// Training looks at every `stride`-th row and column of the spectra, and draws these only; a divisor of both
         /// sides. Spectra of a small array are smooth: with 3 a step is nine times cheaper and learns as much. The
-        /// window of SSIM stays as wide in degrees. Scores are of whole pictures always.
+        /// projector's filter and the window of SSIM stay those of the whole image. Scores are of whole images always.
         stride: usize = 1,
+        /// Whether each step draws a new first row and column for the stride, so that every pixel is trained. Gaussians
+        /// narrower than the stride need it; for a few wide ones `false` has less noise.
+        moving_stride: bool = true,
         /// Which of the pixels that are left a step looks at.
         rays: Rays = Rays::All,
         /// Standard deviation of a random shift of the transmitters in training, metres.

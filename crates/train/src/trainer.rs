@@ -1,7 +1,7 @@
 //! `Trainer`: the loop of algorithm 1, step by step.
 
 use crate::adam::Adam;
-use crate::batches::{Batches, coarse};
+use crate::batches::{Batches, check_stride, plane_of_step};
 use crate::births::Births;
 use crate::budgets::{is_exact, targeted, too_many};
 use crate::checks::{check_inputs, check_rays};
@@ -60,7 +60,7 @@ pub struct Trainer<'a> {
     pub(crate) data: &'a Dataset,
     batches: Batches,
     pub(crate) objective: Box<dyn Objective>,
-    /// As trained: their plane has every `stride`-th row and column.
+    /// As trained: their plane is that of the next step, every `stride`-th row and column.
     pub(crate) stages: Arc<Stages>,
     /// The whole picture.
     plane: ImagePlane,
@@ -147,7 +147,8 @@ impl<'a> Trainer<'a> {
                 batches.transmitters()
             )));
         }
-        let coarse = coarse(&plane, pipeline, data.elevation, data.kind())?;
+        check_stride(&plane, pipeline, data.kind())?;
+        let coarse = plane_of_step(&plane, pipeline, data.kind(), 1);
         let stages = Stages { method, frame: Frame::of(data, coarse) };
         check_rays(pipeline.training.rays, &stages)?;
         stages.method.check_frame(&stages.frame).map_err(Error::Config)?;
@@ -309,6 +310,7 @@ impl<'a> Trainer<'a> {
     fn next_step(&mut self) -> Result<StepReport> {
         let step = self.done + 1;
         let moment = self.moment(step);
+        self.look_anew(step);
         let batch = self.batches.of_step(step, &self.pipeline, self.data, &self.stages)?;
         let pruners = if moment.phase == Phase::Finetune { Vec::new() } else { self.pipeline.pruners.clone() };
         let window = self.factors(step);
@@ -343,6 +345,14 @@ impl<'a> Trainer<'a> {
         self.done = step;
         let (loss, penalty, gaussians) = (found.loss as f64, found.penalty as f64, self.cloud.len());
         Ok(StepReport { step, phase: moment.phase, loss, penalty, gaussians, pruned })
+    }
+
+    /// The plane that `step` draws.
+    fn look_anew(&mut self, step: u64) {
+        let plane = plane_of_step(&self.plane, &self.pipeline, self.data.kind(), step);
+        if plane != self.stages.plane {
+            Arc::make_mut(&mut self.stages).frame.plane = plane;
+        }
     }
 
     /// The model as it stands: Gaussians whose gate is closed are gone, and so are the masks.

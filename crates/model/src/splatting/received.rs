@@ -1,6 +1,7 @@
 //! A received power: the sky summed over solid angle, in dB, and a law of distance for each receiver.
 //!
-//! P = Σ (c₀² + c₁²) Δazimuth Δsin(elevation) over the pixels, 10 log₁₀ P + 10 β − 10 n log₁₀ d in dBm. β, in bel, is
+//! P = Σ (c₀² + c₁²) Δazimuth Δsin(elevation) over the pixels, 10 log₁₀ P + 10 β − 10 n log₁₀ d in dBm. The solid
+//! angles sum to 4π: the first and the last row are the caps about the poles. β, in bel, is
 //! what the receiver's antenna and cable add; n, the exponent, is what distance takes, so that the sky has to say only what
 //! differs from that. d is the distance in metres, at least half a metre; without positions the law is β alone.
 
@@ -145,4 +146,22 @@ fn fit(rows: &[[f64; 2]], links: &[Link], receivers: usize) -> (Vec<f64>, f64) {
     let known: Vec<f64> = offsets.iter().flatten().copied().collect();
     let mean = known.iter().sum::<f64>() / known.len().max(1) as f64;
     (offsets.into_iter().map(|offset| offset.unwrap_or(mean)).collect(), exponent)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pwrfgs_core::{Axis, Sampling};
+
+    #[test]
+    fn solid_angles_sum_to_the_sphere() {
+        for side in [1, 6, 10, 30, 60] {
+            let axis = |first| Axis { first, step: f64::from(side) };
+            let (width, height) = (360 / side as usize, 180 / side as usize + 1);
+            let angles = Some((axis(0.0), axis(-90.0)));
+            let plane = ImagePlane { width, height, wraps: true, angles, sampling: Sampling::WHOLE };
+            let sum: f64 = solid_angles(&plane).iter().map(|ring| width as f64 * f64::from(*ring as f32)).sum();
+            assert!((sum / (4.0 * std::f64::consts::PI) - 1.0).abs() < 1e-6, "{side} degrees: {sum}");
+        }
+    }
 }

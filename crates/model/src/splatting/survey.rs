@@ -171,8 +171,7 @@ impl Splatting {
 
     /// How the splats move with their Gaussians: one pass of the projector's derivative for each of their five numbers.
     fn jacobians(&self, view: &View, p: &Parameters<'_>, geometry: &Geometry) -> Vec<Jacobian> {
-        let Geometry { primitives, splats, .. } = geometry;
-        let n = splats.len();
+        let n = geometry.splats.len();
         let mut jacobians = vec![[[0.0; 6]; 5]; n];
         for k in 0..5 {
             let mut d = Splats::zeros(n);
@@ -180,7 +179,7 @@ impl Splatting {
                 0 | 1 => d.means2d.iter_mut().for_each(|own| own[k] = 1.0),
                 _ => d.conics.iter_mut().for_each(|own| own[k - 2] = 1.0),
             }
-            let d = self.projector.project_vjp(primitives, &view.pose, &view.plane, splats, &d);
+            let d = self.project_vjp(view, geometry, &d);
             for (i, jacobian) in jacobians.iter_mut().enumerate() {
                 let gate = p.gate.map_or(1.0, |gate| gate[i]);
                 let scale = [0, 1, 2].map(|j| d.scales[i][j] * gate * p.cloud.log_scales[i][j].exp());

@@ -96,6 +96,7 @@ pub(crate) fn draw_elevation(canvas: &mut Canvas, plane: &ImagePlane, [left, top
 #[cfg(test)]
 mod tests {
     use super::*;
+    use pwrfgs_core::Sampling;
 
     const DEGREE: Axis = Axis { first: 0.0, step: 1.0 };
 
@@ -108,7 +109,13 @@ mod tests {
 
     #[test]
     fn ticks_keep_the_ends() {
-        let plane = ImagePlane { width: 360, height: 90, wraps: true, angles: Some((DEGREE, DEGREE)) };
+        let plane = ImagePlane {
+            width: 360,
+            height: 90,
+            wraps: true,
+            angles: Some((DEGREE, DEGREE)),
+            sampling: Sampling::WHOLE,
+        };
         let [azimuth, _] = rulers(&plane);
         let labels = |n| azimuth.ticks(90.0, n).into_iter().map(|t| t.0).collect::<Vec<_>>();
         assert_eq!(labels(4.0), ["0°", "90°", "180°", "270°", "360°"]);

@@ -204,6 +204,7 @@ fn bilinear(image: &Image, wraps: bool, px: f64, py: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use pwrfgs_core::Sampling;
 
     #[test]
     fn the_sky_wraps_at_the_seam() {
@@ -214,7 +215,7 @@ mod tests {
 
     #[test]
     fn a_plane_without_angles_has_no_sky() {
-        let plane = ImagePlane { width: 4, height: 2, wraps: false, angles: None };
+        let plane = ImagePlane { width: 4, height: 2, wraps: false, angles: None, sampling: Sampling::WHOLE };
         let image = Image::zeros(4, 2);
         assert!(sky(&image, &plane, Scale::Power, &[]).is_none());
         let map = map(&image, &plane, Scale::Error(0.5), &[Mark::Measured(3), Mark::Predicted(5)]);

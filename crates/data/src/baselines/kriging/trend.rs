@@ -1,7 +1,7 @@
 //! What a process is about: nothing for pictures and channels, a law of distance for powers.
 
 use super::super::law::{Law, log_distance, points};
-use pwrfgs_core::{Dataset, Kind, Query, Real};
+use pwrfgs_core::{Dataset, Kind, Query, Real, Sampling};
 
 /// What is taken off every observation first.
 pub(super) struct Trend<'a> {
@@ -22,7 +22,7 @@ impl<'a> Trend<'a> {
 
     /// What is left of link `i`, every `stride`-th number of every `stride`-th row.
     pub(super) fn residual(&self, i: usize, stride: usize, out: &mut [Real]) {
-        self.data.observations.coarse(i, stride, out);
+        self.data.observations.coarse(i, Sampling::every(stride), out);
         if self.law.is_some() {
             out[0] -= self.at(self.data.query(i)) as Real;
         }

@@ -1,0 +1,196 @@
+//! A plane of every third row and column holds the pixels of the whole image: training with a stride draws what is
+//! predicted, with the filter of the whole image.
+
+use crate::common::{built_in, cloud, pipeline, plugin, stages};
+use pwrfgs::core::{
+    Axis, Conditions, Elevation, Frame, Link, MethodVjp, Observed, Origin, Parameters, Pixels, Projector, Rasterizer,
+    Receiver, rng,
+};
+use pwrfgs::model::{Readout, Stages};
+use pwrfgs::prelude::*;
+use std::path::Path;
+
+const STRIDE: usize = 3;
+
+/// Narrow Gaussians and wide ones, drawn by every projector and rasterizer that accepts a stride.
+fn every_way(mut check: impl FnMut(&str, &Stages)) {
+    let mut checked = Vec::new();
+    for projector in built_in::<dyn Projector>() {
+        for rasterizer in built_in::<dyn Rasterizer>() {
+            let way = format!("{projector} and {rasterizer}");
+            let mut whole = stages("Fixed()", Readout::Magnitude).with(|splatting| {
+                splatting.projector = plugin(&format!("{projector}()"));
+                splatting.rasterizer = plugin(&format!("{rasterizer}()"));
+            });
+            whole.frame.plane = whole.splatting().unwrap().projector.plane(90, 24);
+            let coarse = whole.frame.plane.strided(STRIDE, [0, 0]);
+            let frame = Frame { plane: coarse, ..whole.frame.clone() };
+            if whole.method.check_frame(&frame).is_ok() {
+                check(&way, &whole);
+                checked.push(way);
+            }
+        }
+    }
+    assert!(checked.len() >= 3, "{checked:?}");
+}
+
+/// Gaussians, of which every second is narrower than a pixel.
+fn narrow_and_wide() -> GaussianCloud {
+    let mut cloud = cloud(60, 5);
+    cloud.log_scales.iter_mut().step_by(2).for_each(|scales| *scales = [-4.5; 3]);
+    cloud
+}
+
+fn draw(stages: &Stages, plane: &ImagePlane, cloud: &GaussianCloud) -> (Frame, Observed) {
+    let frame = Frame { plane: plane.clone(), ..stages.frame.clone() };
+    let observed = stages.method.forward(&frame, &parameters(cloud), &asked());
+    (frame, observed)
+}
+
+fn parameters(cloud: &GaussianCloud) -> Parameters<'_> {
+    Parameters { cloud, gate: None, presence: None, weights: &[] }
+}
+
+fn asked() -> pwrfgs::core::Asked<'static> {
+    const LINKS: [Link; 1] = [Link { transmitter: 0, receiver: 0 }];
+    pwrfgs::core::Asked { conditions: Conditions::new(3, &[0.1, 0.2, 0.3]), links: &LINKS, pixels: Pixels::All }
+}
+
+/// Where the pixels of a strided plane lie in the whole image.
+fn places(plane: &ImagePlane, width: usize) -> impl Iterator<Item = usize> {
+    let (columns, rows, [left, top]) = (plane.width, plane.height, plane.sampling.offset);
+    (0..rows).flat_map(move |r| (0..columns).map(move |c| (top + STRIDE * r) * width + left + STRIDE * c))
+}
+
+#[test]
+fn a_strided_image_holds_the_pixels_of_the_whole_one() {
+    let cloud = narrow_and_wide();
+    let close = if size_of::<Real>() == 8 { 1e-11 } else { 2e-4 };
+    every_way(|way, stages| {
+        let whole = draw(stages, &stages.plane, &cloud).1.numbers;
+        for offset in [[0, 0], [2, 1]] {
+            let plane = stages.plane.strided(STRIDE, offset);
+            let coarse = draw(stages, &plane, &cloud).1.numbers;
+            let of_whole: Vec<Real> = places(&plane, stages.plane.width).map(|at| whole[at]).collect();
+            assert!(of_whole.iter().any(|v| *v > 0.05), "{way}: there is something to see");
+            for (i, (a, b)) in coarse.iter().zip(&of_whole).enumerate() {
+                assert!((a - b).abs() < close, "{way}, offset {offset:?}, pixel {i}: {a} and {b}");
+            }
+        }
+    });
+}
+
+#[test]
+fn the_gradient_of_a_strided_image_is_that_of_the_same_pixels_of_the_whole_one() {
+    let cloud = narrow_and_wide();
+    let close = if size_of::<Real>() == 8 { 1e-9 } else { 5e-3 };
+    every_way(|way, stages| {
+        let plane = stages.plane.strided(STRIDE, [1, 2]);
+        let random = &mut rng::stream(3, "cotangents", 0);
+        let d: Vec<Real> = (0..plane.width * plane.height).map(|_| rng::normal(random)).collect();
+        let mut d_whole = vec![0.0; stages.plane.width * stages.plane.height];
+        places(&plane, stages.plane.width).zip(&d).for_each(|(at, d)| d_whole[at] = *d);
+        let gradient = |plane: &ImagePlane, d: &[Real]| {
+            let (frame, observed) = draw(stages, plane, &cloud);
+            let mut sums = MethodVjp::zeros(&parameters(&cloud));
+            stages.method.vjp(&frame, &parameters(&cloud), &asked(), observed, d, &mut sums);
+            sums.cloud
+        };
+        let (coarse, whole) = (gradient(&plane, &d), gradient(&stages.plane, &d_whole));
+        for ((name, _, a), (_, _, b)) in coarse.columns().zip(whole.columns()) {
+            let largest = b.iter().fold(1e-3, |m: Real, v| m.max(v.abs()));
+            for (a, b) in a.iter().zip(b) {
+                assert!((a - b).abs() < close * largest, "{way}, {name}: {a} and {b} of {largest}");
+            }
+        }
+    });
+}
+
+#[test]
+fn the_loss_with_a_stride_is_that_of_the_whole_image_in_the_mean_over_places() {
+    let losses = |stride: usize, steps: usize| {
+        let still: String = ["means", "log_scales", "quats", "opacity_logits", "signals", "network"]
+            .map(|rate| format!("{rate}: Constant(0.0)"))
+            .join(", ");
+        let pipeline = pipeline(&format!(
+            "data: Teacher(gaussians: 20, samples: 12, width: 36, height: 12), split: Random(test: 0.2), \
+             initializer: Grid(count: 300, overlap: 0.2, opacity: 0.6), deformation: Fixed(), baselines: [], metrics: [Ssim()], \
+             pruners: [], training: (steps: {steps}, batch: 9, stride: {stride}, densify_until: 0, prune_until: 0, \
+             loss: (ssim_weight: 0.0), densify: (every: 0), optimizer: ({still}))"
+        ));
+        let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
+        let partition = pipeline.split.split(&data, &mut rng::stream(0, "split", 0)).unwrap();
+        let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+        let mut losses: Vec<f64> = (0..steps).map(|_| trainer.step().unwrap().loss).collect();
+        losses.sort_by(f64::total_cmp);
+        losses.dedup_by(|a, b| (*a - *b).abs() < 1e-7);
+        losses
+    };
+    let (whole, strided) = (losses(1, 2), losses(STRIDE, 90));
+    assert_eq!((whole.len(), strided.len()), (1, 9), "every place of the stride is drawn: {strided:?}");
+    let mean = strided.iter().sum::<f64>() / 9.0;
+    assert!((mean - whole[0]).abs() < 1e-5, "{mean} in the mean of {strided:?}, {} of all pixels", whole[0]);
+}
+
+#[test]
+fn whole_tiles_refuse_a_stride() {
+    let mut whole = stages("Fixed()", Readout::Magnitude).with(|splatting| {
+        splatting.projector = plugin("WrfgsCompat()");
+        splatting.rasterizer = plugin("AlphaBlending(support: TileSquares)");
+    });
+    whole.frame.plane = ImagePlane { wraps: false, angles: None, ..whole.frame.plane.clone() };
+    assert_eq!(whole.method.check_frame(&whole.frame), Ok(()));
+    whole.frame.plane = whole.frame.plane.strided(STRIDE, [0, 0]);
+    assert!(whole.method.check_frame(&whole.frame).unwrap_err().contains("training.stride: 1"));
+}
+
+#[test]
+fn a_strided_plane_knows_its_whole_image() {
+    let axis = |first, step| Axis { first, step };
+    let plane = stages("Fixed()", Readout::Magnitude).plane.clone();
+    let strided = plane.strided(STRIDE, [2, 1]);
+    assert_eq!(strided.angles, Some((axis(8.0, 12.0), axis(3.75, 11.25))));
+    assert_eq!(*strided.whole(), plane);
+    assert_eq!(plane.elevation(), Some(Elevation::UPPER));
+}
+
+/// The power of one Gaussian at an elevation, on a sky of so many degrees per pixel.
+fn power(elevation_deg: Real, sky_deg: u32) -> Real {
+    let readout = Readout::Received { sky_deg, filter_deg2: 270.0 };
+    let base = stages("Fixed()", Readout::Magnitude).with(|splatting| splatting.readout = readout);
+    let plane = ImagePlane { width: 1, height: 1, wraps: false, angles: None, ..base.frame.plane.clone() };
+    let receivers = vec![Receiver::new("gateway", Pose::IDENTITY)];
+    let frame = Frame {
+        plane,
+        kind: pwrfgs::core::Kind::Power,
+        receivers,
+        ..Frame::spectra(Origin::ZERO, Pose::IDENTITY, base.frame.plane.clone())
+    };
+    let (sin, cos) = elevation_deg.to_radians().sin_cos();
+    let cloud = GaussianCloud {
+        means: vec![[4.0 * cos, 0.0, 4.0 * sin]],
+        log_scales: vec![[-2.0; 3]],
+        quats: vec![[1.0, 0.0, 0.0, 0.0]],
+        opacity_logits: vec![0.0],
+        signals: vec![[1.0, 0.0]],
+        ..GaussianCloud::default()
+    };
+    let parameters = Parameters { weights: &[0.0, 0.0], ..parameters(&cloud) };
+    base.method.forward(&frame, &parameters, &asked()).numbers[0]
+}
+
+#[test]
+fn the_sky_of_a_power_covers_the_sphere_with_one_filter_at_any_resolution() {
+    for sky_deg in [6, 10, 30] {
+        let base = stages("Fixed()", Readout::Magnitude)
+            .with(|splatting| splatting.readout = Readout::Received { sky_deg, filter_deg2: 30.0 });
+        let sky = base.splatting().unwrap().sky(&base.frame);
+        let last = sky.azimuth_elevation_deg(0.0, sky.height as Real - 1.0).unwrap().1;
+        assert_eq!((sky.height, last), (180 / sky_deg as usize + 1, 90.0), "the poles have rows");
+    }
+    for elevation in [5.0, 40.0, 88.0] {
+        let [fine, usual, coarse] = [5, 10, 30].map(|sky_deg| power(elevation, sky_deg));
+        println!("{elevation} degrees: {fine} dB at 5, {usual} at 10, {coarse} at 30");
+        assert!((fine - usual).abs() < 0.3 && (fine - coarse).abs() < 1.5, "{elevation}: {fine} {usual} {coarse}");
+    }
+}
