@@ -192,6 +192,24 @@ fn every_experiment_resolves_and_its_variants_train() {
 }
 
 #[test]
+fn wrfgs_densifies_at_the_steps_of_the_released_code() {
+    let mut pipeline = read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/wrfgs.ron"));
+    pipeline.set("data=Teacher(gaussians: 4, samples: 30, width: 72, height: 18)").unwrap();
+    pipeline.set("initializer.count=20").unwrap();
+    let (data, partition) = pwrfgs::experiment::load(&pipeline, Path::new(""), &mut Silent).unwrap();
+    let trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+    let densify = &pipeline.training.densify;
+    let is_due = |step: &u64| step.is_multiple_of(densify.every) && *step > densify.from;
+    let steps = 1..=pipeline.training.steps;
+    let due: Vec<u64> = steps.clone().filter(|step| is_due(step) && trainer.phase(*step) == Phase::Densify).collect();
+    assert_eq!(due, (600..=14_900).step_by(100).collect::<Vec<u64>>());
+    assert!(
+        !steps.clone().any(|step| trainer.phase(step) == Phase::Prune),
+        "the released code never prunes after that"
+    );
+}
+
+#[test]
 fn the_quickstart_runs_on_the_office_it_names() {
     let mut pipeline = read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("pipelines/quickstart.ron"));
     for change in [
