@@ -39,6 +39,9 @@ impl CameraModel for Placed {
     fn view(&self, _: &Pose) -> View {
         self.view
     }
+    fn depth(&self, mean: [Real; 3], _: &Pose) -> Real {
+        (self.view.rotation * Vec3::from_array(mean) + self.view.offset).length()
+    }
     fn visible(&self, v: Vec3) -> bool {
         self.model.visible(v)
     }

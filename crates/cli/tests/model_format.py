@@ -281,7 +281,7 @@ def blend(settings, note, splats, opacities, signals):
     rows, columns = np.mgrid[: plane["height"], : plane["width"]]
     picture = np.zeros((signals.shape[1], *rows.shape))
     light, open_ = np.ones(rows.shape), np.full(rows.shape, True)
-    for i in np.argsort(distances, kind="stable"):
+    for i in np.argsort(distances.astype("f4"), kind="stable"):
         if radii[i] == 0:
             continue
         dx, dy = pixels[i, 0] - columns, pixels[i, 1] - rows

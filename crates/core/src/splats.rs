@@ -24,7 +24,8 @@ pub struct Splats {
     pub means2d: Vec<[Real; 2]>,
     /// Inverse covariances `[N,3]`, px⁻²: (A, B, C) of A·dx² + 2B·dx·dy + C·dy².
     pub conics: Vec<[Real; 3]>,
-    /// Distances from the receiver `[N]`, metres: the blending order.
+    /// Distances from the receiver `[N]`, metres: the blending order. Rounded to single precision; equal ones are blended in
+    /// the order of rows.
     pub depths: Vec<Real>,
     /// Standard deviations along columns and rows `[N,2]`, px: the roots of the diagonal of the conic's inverse. They say
     /// how far a splat reaches. Not differentiated.

@@ -210,10 +210,11 @@ function projectGaussians(model, scales, quats) {
     const { pixel, jacobian, seen } = (mercator ? mercatorPoint : releasedPoint)(projector, v, plane);
     const [a, b, c] = covarianceOf(jacobian, frame, rotationOf(...quats.subarray(4 * i, 4 * i + 4)), scales.subarray(3 * i, 3 * i + 3));
     const blur = mercator ? projector.blur : 0.3;
-    const splat = { i, pixel, cov: [a + blur, b, c + blur], distance: Math.hypot(...v), v };
+    const distance = Math.hypot(...v);
+    const splat = { i, pixel, cov: [a + blur, b, c + blur], distance, depth: Math.fround(distance), v };
     if (seen && splatReaches(splat, plane, mercator)) splats.push(splat);
   }
-  return splats.sort((a, b) => a.distance - b.distance || a.i - b.i);
+  return splats.sort((a, b) => a.depth - b.depth || a.i - b.i);
 }
 
 /** J Rᵀ M (J Rᵀ M)ᵀ: the upper triangle. */

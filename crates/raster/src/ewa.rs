@@ -43,6 +43,12 @@ pub trait CameraModel: Sync {
         View { rotation, offset: -(rotation * pose.origin()) }
     }
 
+    /// Depth of a Gaussian with this mean, metres: the distance from the receiver. Computed in double precision and rounded
+    /// once, so that rounding of `v` does not decide which of two Gaussians is nearer.
+    fn depth(&self, mean: [Real; 3], pose: &Pose) -> Real {
+        distance(mean, pose.position)
+    }
+
     /// Whether a Gaussian centred at `v` is drawn at all: where its pixel is a number.
     fn visible(&self, v: Vec3) -> bool {
         self.pixel(v).iter().all(|x| x.is_finite())
@@ -63,6 +69,12 @@ pub trait CameraModel: Sync {
         };
         (plane.wraps || inside(centre[0], cov[0], plane.width)) && inside(centre[1], cov[2], plane.height)
     }
+}
+
+/// Distance of a mean from a position, in double precision, rounded once.
+pub(crate) fn distance(mean: [Real; 3], from: [f64; 3]) -> Real {
+    let square = |k: usize| (mean[k] as f64 - from[k]).powi(2);
+    (square(0) + square(1) + square(2)).sqrt() as Real
 }
 
 /// What forward and backward both need of one Gaussian.
@@ -114,7 +126,7 @@ pub fn project(model: &impl CameraModel, p: &Primitives, pose: &Pose, plane: &Im
     rows.enumerate().with_min_len(256).for_each(|(i, (((((mean, conic), depth), sigma), radius), opacity))| {
         let g = project_one(model, &view, p, i);
         *opacity = p.opacities[i];
-        *depth = g.v.length();
+        *depth = model.depth(p.means[i], pose);
         if !(model.visible(g.v) && g.det > 0.0 && g.det.is_finite()) {
             return;
         }

@@ -119,10 +119,10 @@ impl Strip {
     }
 }
 
-/// Indices of the splats that reach the picture, nearest first; equal depths in index order.
+/// Indices of the splats that reach the picture, nearest first by depths in single precision; equal depths in index order.
 fn depth_order(splats: &Splats) -> Vec<u32> {
     // The bits of positive floats are ordered like the floats.
-    let key = |i: usize| splats.depths[i].to_bits();
+    let key = |i: usize| (splats.depths[i] as f32).to_bits();
     let visible = (0..splats.len()).filter(|&i| splats.radii[i] > 0.0);
     let mut keys: Vec<_> = visible.map(|i| (key(i), i as u32)).collect();
     if keys.len() < 4096 {

@@ -69,6 +69,11 @@ impl CameraModel for FullSphere {
         View { rotation: pose.world_from_receiver().transpose(), offset: pose.origin() }
     }
 
+    /// The distance from −R·r, where v is 0.
+    fn depth(&self, mean: [Real; 3], pose: &Pose) -> Real {
+        ewa::distance(mean, pose.turned(pose.position).map(|v| -v))
+    }
+
     #[inline]
     fn visible(&self, v: Vec3) -> bool {
         v.length_squared() > 0.04

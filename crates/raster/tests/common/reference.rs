@@ -47,7 +47,7 @@ fn touches(splats: &Splats, order: &[usize], plane: &ImagePlane, x: usize, y: us
 /// Splats that reach the picture, nearest first.
 fn order_of(splats: &Splats) -> Vec<usize> {
     let mut order: Vec<usize> = (0..splats.len()).filter(|&i| splats.radii[i] > 0.0).collect();
-    order.sort_by(|&a, &b| splats.depths[a].total_cmp(&splats.depths[b]));
+    order.sort_by(|&a, &b| (splats.depths[a] as f32).total_cmp(&(splats.depths[b] as f32)));
     order
 }
 
