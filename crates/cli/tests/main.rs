@@ -20,6 +20,7 @@ mod my_pruner;
 mod odd_files;
 mod report;
 mod resume;
+mod shipped_models;
 mod simulate;
 mod slurm;
 mod sweep;

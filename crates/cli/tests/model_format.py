@@ -2,12 +2,15 @@
 
     python3 model_format.py MODEL.safetensors FOLDER [MODEL FOLDER ..]
 
-FOLDER is what `pwrfgs predict MODEL --tx-csv .. --out FOLDER` wrote. Needs NumPy and nothing else. Numbers are in
-double precision here and in single in the program; hence the two tolerances, both shares of the picture's largest value:
+FOLDER is what `pwrfgs predict MODEL --tx-csv .. --out FOLDER` wrote. For a model that reads features, which `predict`
+refuses, FOLDER has the same files and features.npy [rows, width]. Needs NumPy and nothing else. Numbers are in double
+precision here and in single in the program; hence the tolerances, all but DECIBELS shares of the largest value:
 
-* CLOSE: what rounding does to a pixel;
+* CLOSE: what rounding does to a pixel of splats;
 * EDGE: what one Gaussian may do whose alpha is so near to 1/255 that rounding decides whether it counts, which may
-  happen in FEW of the pixels.
+  happen in FEW of the pixels and two more;
+* TURNED: what rounding does to a sum of waves, whose phases are hundreds of radians;
+* DECIBELS: what it does to a received power of splats, dB.
 """
 
 import csv
@@ -18,7 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
-CLOSE, EDGE, FEW = 1e-5, 2e-2, 1e-3
+CLOSE, EDGE, FEW, TURNED, DECIBELS = 1e-5, 2e-2, 1e-3, 1e-3, 1e-4
+LIGHT = 299792458
 
 
 # The file.
@@ -47,10 +51,12 @@ def read_safetensors(path):
 
 
 def local(note):
-    """The note with everything counted from the origin."""
+    """The note with everything counted from the origin, and `links` in every one."""
     note["origin"] = np.array(note.get("origin", [0, 0, 0]), dtype=float)
-    for place in [note] if "pose" in note else note["links"]["receivers"]:
-        place["pose"]["position"] = place["pose"]["position"] - note["origin"]
+    if "links" not in note:
+        note["links"] = {"kind": "Spectrum", "receivers": [{"name": "", "pose": note["pose"], "antennas": [[0, 0, 0]]}]}
+    for receiver in note["links"]["receivers"]:
+        receiver["pose"]["position"] = receiver["pose"]["position"] - note["origin"]
     return note
 
 
@@ -98,7 +104,8 @@ def encode(x, settings, vectors):
         return octaves(x, int(settings[0]))
     phase = x @ vectors.T
     in_turn = np.stack([np.sin(phase), np.cos(phase)], axis=-1).reshape(*x.shape[:-1], -1)
-    return np.concatenate([x, in_turn], axis=-1)
+    scale = 2 * np.pi / settings["longest_m"] if settings[""] == "Wavelengths" else 1
+    return np.concatenate([scale * x, in_turn], axis=-1)
 
 
 def relu(x):
@@ -129,10 +136,17 @@ def mlp(tensors, settings, means, tx):
     return {head: layer(tensors, head)(h) for head in heads}
 
 
-def factored(tensors, settings, means, tx):
-    t = encode(tx, settings["tx_encoding"], tensors.get("constants.tx_encoding"))
+def factored(tensors, settings, means, told):
+    encoding, own = settings["tx_encoding"], []
+    if encoding[""] == "Features":
+        t = own = layer(tensors, "tx.white")(encoding["gain"] * told)
+    elif encoding[""] == "PseudoPosition":
+        t = octaves(2 * np.tanh(layer(tensors, "tx.pseudo")(encoding["gain"] * told)), int(encoding["octaves"]))
+    else:
+        t = encode(told, encoding, tensors.get("constants.tx_encoding"))
     for k in range(int(settings["depth"])):
         t = relu(layer(tensors, f"tx.{k}")(t))
+    t = np.concatenate([t, own])
     waves = encode(means, settings["position_encoding"], tensors.get("constants.position_encoding"))[:, 3:]
     rows = layer(tensors, "branch")(waves * np.pi / (2 * waves.shape[1]))
     real, imaginary = np.split(rows, 2, axis=1)
@@ -155,15 +169,15 @@ def wrfgs(tensors, settings, means, tx, position):
     return {"signal": np.stack([gain * amplitude(s) * amplitude(a), np.zeros(len(means))], axis=1)}
 
 
-def deform(tensors, note, tx):
+def deform(tensors, note, told):
     """What is added to rotations, scales and signals, each absent where the transmitter leaves it alone."""
     settings, means = read_ron(note["deformation"]), tensors["gaussians.means"]
     if settings[""] == "Mlp":
-        return mlp(tensors, settings, means, tx)
+        return mlp(tensors, settings, means, told)
     if settings[""] == "Factored":
-        return factored(tensors, settings, means, tx)
+        return factored(tensors, settings, means, told)
     if settings[""] == "Wrfgs":
-        return wrfgs(tensors, settings, means, tx, np.array(note["pose"]["position"]))
+        return wrfgs(tensors, settings, means, told, np.array(note["links"]["receivers"][0]["pose"]["position"]))
     assert settings[""] == "Fixed"
     return {}
 
@@ -196,6 +210,12 @@ def matrix(q):
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
     return np.moveaxis(np.array(rows), [0, 1], [-2, -1])
+
+
+def to_world(pose):
+    """The rotation from the receiver's axes to the world's."""
+    x, y, z, w = np.array(pose["orientation"]) / np.linalg.norm(pose["orientation"])
+    return matrix(np.array([w, x, y, z]))
 
 
 # From space to the picture.
@@ -240,13 +260,10 @@ def square(pixels, radii, count):
     return first, np.trunc((pixels + radii + 15) / 16).clip(0, tiles)
 
 
-def project(note, means, scales, quats):
+def project(projector, pose, plane, means, scales, quats):
     """Centres on the picture, covariances [N, 2, 2], distances, radii (0: not drawn), directions."""
-    pose, plane = note["pose"], note["plane"]
     width, height = plane["width"], plane["height"]
-    x, y, z, w = np.array(pose["orientation"]) / np.linalg.norm(pose["orientation"])
-    to_receiver = matrix(np.array([w, x, y, z])).T
-    projector = read_ron(note["projector"])
+    to_receiver = to_world(pose).T
     if projector[""] == "Mercator":
         v = (means - pose["position"]) @ to_receiver.T
         pixels, jacobians, visible = mercator(projector, v, width, height, plane["angles"][1])
@@ -274,9 +291,8 @@ def project(note, means, scales, quats):
 # From splats to pixels.
 
 
-def blend(settings, note, splats, opacities, signals):
+def blend(settings, plane, splats, opacities, signals):
     """`AlphaBlending`: [channels, H, W]."""
-    plane = note["plane"]
     pixels, cov, distances, radii, _ = splats
     rows, columns = np.mgrid[: plane["height"], : plane["width"]]
     picture = np.zeros((signals.shape[1], *rows.shape))
@@ -302,9 +318,17 @@ def blend(settings, note, splats, opacities, signals):
     return picture
 
 
-def array(settings, note, splats, opacities, signals):
+def directions_of(plane):
+    """Unit vectors of the pixels in the receiver's frame, [H, W, 3]."""
+    azimuth, elevation = plane["angles"]
+    rows, columns = np.mgrid[: plane["height"], : plane["width"]]
+    az = np.radians(azimuth["first"] + azimuth["step"] * columns)
+    el = np.radians(elevation["first"] + elevation["step"] * rows)
+    return np.stack([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)], axis=-1)
+
+
+def array(settings, plane, splats, opacities, signals):
     """`ArrayResponse`: [2, H, W], real and imaginary part."""
-    plane = note["plane"]
     pixels, cov, distances, radii, u = splats
     azimuth, elevation = plane["angles"]
     # The antennas [K, 3], wavelengths.
@@ -329,11 +353,7 @@ def array(settings, note, splats, opacities, signals):
     amplitudes = np.where(radii > 0, opacities, 0) * (signals[:, 0] + 1j * signals[:, 1])
     field = amplitudes @ waves
     # The array steered to every pixel.
-    rows, columns = np.mgrid[: plane["height"], : plane["width"]]
-    az = np.radians(azimuth["first"] + azimuth["step"] * columns)
-    el = np.radians(elevation["first"] + elevation["step"] * rows)
-    directions = np.stack([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)], axis=-1)
-    heard = np.exp(-2j * np.pi * directions @ p.T) @ field / len(p)
+    heard = np.exp(-2j * np.pi * directions_of(plane) @ p.T) @ field / len(p)
     return np.stack([heard.real, heard.imag])
 
 
@@ -350,17 +370,45 @@ def read_out(readout, picture):
     return (magnitude - low) / (high - low) if high - low > 1e-6 * high else 0 * magnitude
 
 
-def predict(tensors, note, tx):
-    """The spectrum [H, W] of a transmitter at `tx`, metres."""
-    tx = (np.array(tx) - note["origin"]).astype("f4").astype(float)
-    scales, quats, opacities, signals = activate(tensors, note, deform(tensors, note, tx))
-    splats = project(note, tensors["gaussians.means"], scales, quats)
+def drawn(tensors, note, told, pose, plane):
+    """Blended signals or waves of all Gaussians at a receiver, [channels, H, W]."""
+    scales, quats, opacities, signals = activate(tensors, note, deform(tensors, note, told))
+    splats = project(read_ron(note["projector"]), pose, plane, tensors["gaussians.means"], scales, quats)
     rasterizer = read_ron(note["rasterizer"])
     draw = {"AlphaBlending": blend, "ArrayResponse": array}[rasterizer[""]]
-    return read_out(note["readout"], draw(rasterizer, note, splats, opacities, signals))
+    return draw(rasterizer, plane, splats, opacities, signals)
+
+
+# Received powers.
+
+
+def received(tensors, note, told, receiver):
+    """`readout: Received`: dBm."""
+    step, pose = note["readout"]["Received"]["sky_deg"], note["links"]["receivers"][receiver]["pose"]
+    elevations = np.arange(-90, 90, step)
+    angles = [{"first": 0, "step": step}, {"first": -90, "step": step}]
+    plane = {"width": 360 // step, "height": len(elevations), "wraps": True, "angles": angles}
+    edges = [np.sin(np.radians(np.clip(elevations + side * step / 2, -90, 90))) for side in (-1, 1)]
+    sky = np.sum(drawn(tensors, note, told, pose, plane) ** 2, axis=0)
+    power = np.sum(sky * (np.radians(step) * (edges[1] - edges[0]))[:, None]) + 1e-12
+    offset, exponent = (tensors[f"network.receiver.{name}"][receiver] for name in ("offsets", "exponents"))
+    far = np.log10(max(np.linalg.norm(told - pose["position"]), 0.5)) if len(told) == 3 else 0
+    return 10 * (np.log10(power) + offset - exponent * far)
 
 
 # Channels.
+
+
+def spherical(tensors, note, told, receiver):
+    """`readout: Channel`: [A, F]."""
+    own, f = note["links"]["receivers"][receiver], np.array(note["links"]["frequencies_hz"])
+    antennas = own["pose"]["position"] + np.array(own["antennas"]) @ to_world(own["pose"]).T
+    signals = activate(tensors, note, deform(tensors, note, told))[3]
+    way = np.linalg.norm(tensors["gaussians.means"][:, None] - antennas, axis=2)
+    d = np.maximum(way, 0.05)[:, :, None]  # [N, A, 1]
+    waves = np.exp(-2j * np.pi * f * d / LIGHT) / d
+    level = 10 ** tensors["network.receiver.offsets"][receiver]
+    return level * np.einsum("n,naf->af", signals[:, 0] + 1j * signals[:, 1], waves)
 
 
 def harmonics(u):
@@ -374,12 +422,10 @@ def harmonics(u):
     return np.stack([*first, *(np.sqrt(15) * np.array(second)), *third], axis=-1)
 
 
-def virtual_transmitters(tensors, note, tx):
-    """The channel [A, F] of a transmitter at `tx`, metres."""
-    p = (np.array(tx) - note["origin"]).astype("f4").astype(float)
-    receiver, f = note["links"]["receivers"][0], np.array(note["links"]["frequencies_hz"])
-    x, y, z, w = np.array(receiver["pose"]["orientation"]) / np.linalg.norm(receiver["pose"]["orientation"])
-    antennas = np.array(receiver["antennas"]) @ matrix(np.array([w, x, y, z])).T
+def virtual_transmitters(tensors, note, p, receiver):
+    """`VirtualTransmitters`: [A, F]."""
+    own, f = note["links"]["receivers"][receiver], np.array(note["links"]["frequencies_hz"])
+    antennas = np.array(own["antennas"]) @ to_world(own["pose"]).T
     v, quats = tensors["gaussians.means"], tensors["gaussians.quats"]
     turned = matrix(quats / np.linalg.norm(quats, axis=1, keepdims=True)) @ antennas.T  # [N, 3, A]
     u = (p - v) / np.linalg.norm(p - v, axis=1, keepdims=True)
@@ -387,39 +433,114 @@ def virtual_transmitters(tensors, note, tx):
     gains = gains[:, ::2] + 1j * gains[:, 1::2]
     s = np.sum(gains * harmonics(u)[:, : gains.shape[1]], axis=1)
     d = np.linalg.norm(p[:, None] - v[:, :, None] - turned, axis=1)[:, :, None]
-    return np.sum(s[:, None, None] * np.exp(-2j * np.pi * f * d / 299792458) / d, axis=0)
+    return np.sum(s[:, None, None] * np.exp(-2j * np.pi * f * d / LIGHT) / d, axis=0)
 
 
-def compare_channels(model, folder):
-    """The same for channels, on whose phase single precision leaves more."""
-    [(tensors, note)] = read_safetensors(model)
-    good = True
-    for row in csv.DictReader((Path(folder) / "predictions.csv").open()):
-        expected = virtual_transmitters(tensors, note, [float(row[axis]) for axis in "xyz"])
-        found = np.load(Path(folder) / f"{int(row['row']):05}.npy")
-        assert found.shape == expected.shape and np.abs(expected).min() > 0
-        error = np.abs(found - expected).max() / np.abs(expected).max()
-        good &= error < 1e-3
-        print(f"{'same' if error < 1e-3 else 'DIFFERENT'} {model} {row['row']}: largest {error:.1e}")
-    return good
+# NeRF2.
+
+
+def rays(settings, note, receiver):
+    """Unit vectors in the world, [R, 3]."""
+    if note["links"]["kind"] == "Spectrum":
+        own = directions_of(note["plane"])
+    else:
+        rings, around = int(settings["elevations"]), int(settings["azimuths"])
+        used = 1 if settings["first_ring"] and note["links"]["kind"] == "Power" else rings
+        el = np.pi / 2 * np.arange(1, used + 1)[:, None] / rings
+        az = 2 * np.pi * np.arange(around) / around
+        own = np.stack([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el) + 0 * az], axis=-1)
+    return own.reshape(-1, 3) @ to_world(note["links"]["receivers"][receiver]["pose"]).T
+
+
+def strength_and_angle(raw):
+    """Amplitudes and phases from a layer's outputs, of which the second half are phases."""
+    amplitudes, phases = np.split(raw, 2, axis=-1)
+    return np.where(amplitudes > 0, amplitudes, -0.01 * amplitudes), 2 * np.pi / (1 + np.exp(-phases))
+
+
+def on_the_way(t, attenuation, turn, wavenumber):
+    """What is left of each sample's wave [R, n, B] at the receiver; no wavenumber: of a spectrum."""
+    steps = np.append(np.diff(t), 1e10)[:, None]
+    if wavenumber is None:
+        before = lambda x: np.concatenate([0 * x[:, :1], np.cumsum(x, axis=1)[:, :-1]], axis=1)
+        left = before(np.log(np.exp(-attenuation * steps) + 1e-10))
+        return 0.025 / np.append(t[1:], 1e10)[:, None] * np.exp(left + 1j * (1 + before(turn * steps)))
+    left = np.exp(np.cumsum(-attenuation * steps + 1j * (turn - np.pi + wavenumber * steps), axis=1))
+    return np.where(steps < 1e10, left, 0)
+
+
+def nerf2(tensors, settings, note, told, receiver):
+    """`Nerf2`: a spectrum [H, W], a power in dBm, or a channel [1, F]."""
+    unit, n, depth = settings["unit_m"], int(settings["samples"]), int(settings["depth"])
+    t = settings["far_m"] / unit * np.arange(n) / (n - 1)
+    ways = rays(settings, note, receiver)
+    x = note["links"]["receivers"][receiver]["pose"]["position"] / unit + ways[:, None] * t[:, None]
+    h = trunk(tensors, {"depth": depth, "skip": 4 if depth > 5 else None}, octaves(x, 10))
+    kind = note["links"]["kind"]
+    wavenumber = None if kind == "Spectrum" else 2 * np.pi * settings["carrier_hz"] / LIGHT
+    left = on_the_way(t, *strength_and_angle(layer(tensors, "attenuation")(h)), wavenumber)
+    told = told if settings["features"] else octaves(told / unit, 10)
+    wide = lambda own: np.broadcast_to(own, (*h.shape[:2], own.shape[-1]))
+    inputs = [layer(tensors, "feature")(h), wide(octaves(ways, 10)[:, None]), wide(told)]
+    h = relu(layer(tensors, "signal.1")(relu(layer(tensors, "signal.0")(np.concatenate(inputs, axis=-1)))))
+    s, psi = strength_and_angle(layer(tensors, "emission")(h))
+    sums = np.sum(s * np.exp(1j * (psi if kind == "Spectrum" else psi - np.pi)) * left, axis=1)  # [R, B]
+    if kind == "Spectrum":
+        return np.abs(sums).reshape(note["plane"]["height"], -1)
+    total = np.sum(sums, axis=0)
+    return total[None] if kind == "Channel" else 100 * np.abs(total[0]) - 100
+
+
+# Every kind of model.
+
+
+def predict(tensors, note, tx, features, receiver):
+    """A spectrum [H, W], a power in dBm, or a channel [A, F] of a transmitter at `tx` (metres), or of `features`."""
+    told = (np.array(tx) - note["origin"]).astype("f4").astype(float) if features is None else features
+    if "method" in note:
+        settings = read_ron(note["method"])
+        if settings[""] == "Nerf2":
+            return nerf2(tensors, settings, note, told, receiver)
+        assert settings[""] == "VirtualTransmitters"
+        return virtual_transmitters(tensors, note, told, receiver)
+    if note["readout"] == "Channel":
+        return spherical(tensors, note, told, receiver)
+    if "Received" in note["readout"]:
+        return received(tensors, note, told, receiver)
+    pose = note["links"]["receivers"][receiver]["pose"]
+    return read_out(note["readout"], drawn(tensors, note, told, pose, note["plane"]))
+
+
+def is_same(note, found, expected):
+    """Whether rounding explains what is between the two, and how much it is."""
+    kind, error = note["links"]["kind"], np.abs(found - expected)
+    assert found.shape == np.shape(expected)
+    if kind == "Power":
+        return error < (TURNED * abs(expected + 100) if "method" in note else DECIBELS), f"{error:.1e} dB"
+    assert np.abs(expected).max() > (np.abs(expected).min() if kind == "Spectrum" else 0), "something on it"
+    error = error / np.abs(expected).max()
+    if "method" in note or kind == "Channel":
+        return error.max() < TURNED, f"largest {error.max():.1e}"
+    many = np.sum(error > CLOSE)
+    return error.max() <= EDGE and many <= FEW * error.size + 2, f"largest {error.max():.1e}, {many} beyond"
 
 
 def compare(model, folder):
     """Whether every prediction in the folder is what the file says."""
-    members = read_safetensors(model)
-    if "method" in members[0][1]:
-        return compare_channels(model, folder)
-    good = True
-    for row in csv.DictReader((Path(folder) / "predictions.csv").open()):
-        pictures = [predict(*member, [float(row[axis]) for axis in "xyz"]) for member in members]
-        expected = pictures[0] if len(pictures) == 1 else np.mean(np.clip(pictures, 0, 1), axis=0)
-        found = np.load(Path(folder) / f"{int(row['row']):05}.npy")
-        assert found.shape == expected.shape and expected.max() > expected.min(), "a picture with something on it"
-        error = np.abs(found - expected) / np.abs(expected).max()
-        many = np.mean(error > CLOSE)
-        fine = error.max() <= EDGE and many <= FEW
+    members, folder, good = read_safetensors(model), Path(folder), True
+    note = members[0][1]
+    names = [receiver["name"] for receiver in note["links"]["receivers"]]
+    features = np.load(folder / "features.npy").astype(float) if (folder / "features.npy").exists() else None
+    for k, row in enumerate(csv.DictReader((folder / "predictions.csv").open())):
+        tx, own = [float(row[axis]) for axis in "xyz"], None if features is None else features[k]
+        receiver = names.index(row["receiver"]) if "receiver" in row else 0
+        each = [predict(*member, tx, own, receiver) for member in members]
+        is_mean_of_spectra = len(each) > 1 and note["links"]["kind"] == "Spectrum"
+        expected = np.mean(np.clip(each, 0, 1) if is_mean_of_spectra else each, axis=0)
+        found = np.array(float(row["dbm"])) if "dbm" in row else np.load(folder / f"{int(row['row']):05}.npy")
+        fine, said = is_same(note, found, expected)
         good &= fine
-        print(f"{'same' if fine else 'DIFFERENT'} {model} {row['row']}: largest {error.max():.1e}, beyond {many:.4f}")
+        print(f"{'same' if fine else 'DIFFERENT'} {model} {row['row']}: {said}")
     return good
 
 

@@ -12,10 +12,10 @@ use std::path::Path;
 use std::process::Command;
 
 /// Said where there is no NumPy.
-const NOBODY: &str = "nobody has followed docs/model-format.md";
+pub(crate) const NOBODY: &str = "nobody has followed docs/model-format.md";
 
 /// Deformation, projector, rasterizer, calibration and readout: each of them somewhere.
-const CASES: [(&str, &str, &str, Calibration, Readout); 9] = [
+const CASES: [(&str, &str, &str, Calibration, Readout); 10] = [
     ("Mlp(depth: 4, width: 24, skip: Some(1))", "Mercator()", "AlphaBlending()", Physical, Readout::Magnitude),
     (
         "Mlp(depth: 2, width: 16, skip: None, tx_frequencies: 3, outputs: Signals)",
@@ -55,6 +55,14 @@ const CASES: [(&str, &str, &str, Calibration, Readout); 9] = [
     ("Wrfgs(depth: 2, width: 12, skip: None, gain: 30)", "Mercator()", "AlphaBlending()", Physical, Readout::Magnitude),
     ("Fixed()", "Mercator()", "ArrayResponse(widened: false)", Physical, Readout::Power),
     ("Mlp(depth: 2, width: 16, skip: None)", "WrfgsCompat()", "AlphaBlending()", AsReleased, Readout::Magnitude),
+    (
+        "Factored(width: 12, tx_encoding: Wavelengths(count: 3, longest_m: 40, shortest_m: 2), \
+         position_encoding: Wavelengths(count: 4, longest_m: 9, shortest_m: 1))",
+        "Mercator()",
+        "AlphaBlending()",
+        Physical,
+        Readout::Magnitude,
+    ),
 ];
 
 /// Receiver that stands and looks anywhere.
@@ -132,11 +140,21 @@ fn virtual_transmitters(order: usize) -> Model {
 }
 
 /// Predictions of a model file in the folder `out`.
-fn predict(here: &Path, model: &str, out: &str) {
+pub(crate) fn predict(here: &Path, model: &str, out: &str) {
     let [x, y, z] = file::read_ensemble(&here.join(model)).unwrap().members()[0].stages.origin.0;
     let row = |dx, dy, dz| format!("{},{},{}\n", x + dx, y + dy, z + dz);
     write(&here.join("tx.csv"), format!("x,y,z\n{}{}", row(0.4, -0.3, 1.1), row(-1.25, 2.0, 0.2)));
     succeed(here, &["predict", model, "--tx-csv", "tx.csv", "--out", out]);
+}
+
+/// How many predictions the reader makes again from pairs of a model and its predictions; all must be the same.
+pub(crate) fn predicted_again(python: &str, here: &Path, pairs: &[String]) -> usize {
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/model_format.py");
+    let output = Command::new(python).arg(script).args(pairs).current_dir(here).output().unwrap();
+    let said = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    println!("{said}");
+    said.matches("same ").count()
 }
 
 #[test]
@@ -168,12 +186,7 @@ fn numpy_alone_predicts_what_the_document_says() {
     file::write_ensemble(&here.join("both.safetensors"), &together).unwrap();
     pairs.extend(["both.safetensors", "both"].map(String::from));
     pairs.chunks_exact(2).for_each(|pair| predict(here, &pair[0], &pair[1]));
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/model_format.py");
-    let output = Command::new(python).arg(script).args(&pairs).current_dir(here).output().unwrap();
-    let said = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{said}");
-    assert_eq!(said.matches("same ").count(), pairs.len(), "two positions a model: {said}");
-    println!("{said}");
+    assert_eq!(predicted_again(python, here, &pairs), pairs.len(), "two positions a model");
 }
 
 #[test]

@@ -36,9 +36,9 @@ function octavesOf(x, frequencies) {
   return all;
 }
 
-/** x, then sine and cosine of the product with each wave vector [count, 3]. */
-function wavesOf(x, vectors) {
-  const all = [...x];
+/** x times `scale`, then sine and cosine of the product of x with each wave vector [count, 3]. */
+function wavesOf(x, vectors, scale) {
+  const all = x.map((v) => v * scale);
   for (let i = 0; i < vectors.length; i += 3) {
     const phase = x[0] * vectors[i] + x[1] * vectors[i + 1] + x[2] * vectors[i + 2];
     all.push(Math.sin(phase), Math.cos(phase));
@@ -116,7 +116,8 @@ class FactoredDeformation {
   constructor(file, settings, means) {
     Object.assign(this, settings, { n: means.length / 3, keepsGeometry: true });
     const vectors = (name) => (file.has(`constants.${name}`) ? file.get(`constants.${name}`) : null);
-    const encoder = (own, table) => (own[""] === "Octaves" ? (x) => octavesOf(x, own[0]) : (x) => wavesOf(x, table));
+    const scaleOf = (own) => (own[""] === "Wavelengths" ? (2 * Math.PI) / own.longest_m : 1);
+    const encoder = (own, table) => (own[""] === "Octaves" ? (x) => octavesOf(x, own[0]) : (x) => wavesOf(x, table, scaleOf(own)));
     this.encode = encoder(this.tx_encoding, vectors("tx_encoding"));
     const waves = encoder(this.position_encoding, vectors("position_encoding"));
     this.layers = Array.from({ length: this.depth }, (_, k) => new NetworkLayer(file, `tx.${k}`));
