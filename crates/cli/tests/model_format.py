@@ -267,7 +267,7 @@ def project(projector, pose, plane, means, scales, quats):
     if projector[""] == "Mercator":
         v = (means - pose["position"]) @ to_receiver.T
         pixels, jacobians, visible = mercator(projector, v, width, height, plane["angles"][1])
-        blur = projector["blur"]
+        blur = plane.get("filter", projector["blur"])
     else:
         assert projector[""] == "WrfgsCompat"
         v = means @ to_receiver.T + pose["position"]
@@ -384,10 +384,12 @@ def drawn(tensors, note, told, pose, plane):
 
 def received(tensors, note, told, receiver):
     """`readout: Received`: dBm."""
-    step, pose = note["readout"]["Received"]["sky_deg"], note["links"]["receivers"][receiver]["pose"]
-    elevations = np.arange(-90, 90, step)
+    readout, pose = note["readout"]["Received"], note["links"]["receivers"][receiver]["pose"]
+    step = readout["sky_deg"]
+    elevations = np.arange(-90, 91, step)
     angles = [{"first": 0, "step": step}, {"first": -90, "step": step}]
     plane = {"width": 360 // step, "height": len(elevations), "wraps": True, "angles": angles}
+    plane["filter"] = readout["filter_deg2"] / step**2
     edges = [np.sin(np.radians(np.clip(elevations + side * step / 2, -90, 90))) for side in (-1, 1)]
     sky = np.sum(drawn(tensors, note, told, pose, plane) ** 2, axis=0)
     power = np.sum(sky * (np.radians(step) * (edges[1] - edges[0]))[:, None]) + 1e-12
