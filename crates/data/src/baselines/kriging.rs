@@ -8,7 +8,7 @@ mod trend;
 use super::by_receiver::{ByReceiver, Fitted};
 use super::nearest::Nearest;
 use super::{all_of, choosing, weighted_mean};
-use correlation::{Correlation, Kind};
+use correlation::Correlation;
 use likelihood::Cases;
 use pwrfgs_core::{Baseline, Dataset, Documented, Error, Image, Known, Predict, Query, Real, Result};
 use serde::{Deserialize, Serialize};
@@ -132,39 +132,49 @@ impl Process<'_> {
     /// What was found, where there is one receiver.
     fn note_of_one(&self) -> String {
         let Correlation { kind, scales_m, noise } = &self.correlation;
-        let [x, y, z] = scales_m.map(|scale| format!("{scale:.3}"));
+        let [x, y, z] = scales_m.map(digits);
         let law = self.trend.law.map_or_else(String::new, |law| {
-            format!(
-                ", about a law of distance of {:.1} dBm at a metre and {:.1} dB a factor of ten",
-                law.level, law.slope
-            )
+            let (level, slope) = (digits(law.level), digits(law.slope));
+            format!(", about a law of distance of {level} dBm at a metre and {slope} dB a factor of ten")
         });
         format!(
-            "Kriging found a correlation that is {} with length scales of {x}, {y} and {z} m, and noise of {noise:.4} \
-             of the variance{law}",
-            kind.words()
+            "Kriging found a correlation that is {} with length scales of {x}, {y} and {z} m, and noise of {} of the \
+             variance{law}",
+            kind.words(),
+            digits(*noise)
         )
+    }
+
+    /// The same of one among several, in the order of [`note_of_many`].
+    fn in_short(&self) -> String {
+        let Correlation { kind, scales_m, noise } = &self.correlation;
+        let [x, y, z] = scales_m.map(digits);
+        let scales = if x == y && y == z { x } else { format!("{x} x {y} x {z}") };
+        let law = self.trend.law.map(|law| [digits(law.level), digits(law.slope)]);
+        let numbers = [kind.words().to_owned(), scales, digits(*noise)].into_iter().chain(law.into_iter().flatten());
+        numbers.collect::<Vec<_>>().join(", ")
     }
 }
 
-/// The same of several, in short.
+/// What was found of several receivers: every number, since scores cannot be repeated from their range.
 fn note_of_many(each: &[(&str, &Process<'_>)]) -> String {
-    let ends = |values: &mut dyn Iterator<Item = f64>| {
-        let (low, high) = values.fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), v| (low.min(v), high.max(v)));
-        format!("{low:.3} to {high:.3}")
+    let law = if each.iter().any(|(_, process)| process.trend.law.is_some()) {
+        ", law of distance in dBm at a metre and dB a factor of ten"
+    } else {
+        ""
     };
-    let count = |kind: Kind| (kind, each.iter().filter(|(_, process)| process.correlation.kind == kind).count());
-    let kinds = Kind::ALL.into_iter().map(count).filter(|(_, n)| *n > 0);
-    let kinds: Vec<String> = kinds.map(|(kind, n)| format!("{} ({n})", kind.words())).collect();
-    let correlations = || each.iter().map(|(_, process)| process.correlation);
+    let list: Vec<String> = each.iter().map(|(name, process)| format!("{name}: {}", process.in_short())).collect();
     format!(
-        "Kriging found, of {} receivers, correlations that are {} with length scales of {} m, and noise of {} of the \
-         variance",
+        "Kriging found, of {} receivers, correlations (length scales in m, noise in parts of the variance{law}): {}",
         each.len(),
-        kinds.join(", "),
-        ends(&mut correlations().flat_map(|c| c.scales_m)),
-        ends(&mut correlations().map(|c| c.noise)),
+        list.join("; ")
     )
+}
+
+/// Four significant digits: with those that are printed, a score can be repeated.
+fn digits(value: f64) -> String {
+    let decimals = if value == 0.0 { 0.0 } else { (3.0 - value.abs().log10().floor()).clamp(0.0, 9.0) };
+    format!("{value:.0$}", decimals as usize)
 }
 
 #[cfg(test)]

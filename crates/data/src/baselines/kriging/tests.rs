@@ -122,6 +122,30 @@ fn the_likelihood_is_that_of_its_predictions() {
 }
 
 #[test]
+fn predictions_follow_from_the_numbers_of_the_note() {
+    let truth = Correlation { kind: Kind::SquaredExponential, scales_m: [0.08, 0.3, 1.2], noise: 0.001 };
+    let data = drawn(&truth, 120);
+    let all: Vec<usize> = (0..100).collect();
+    let fitted = Kriging::default().fit(&data, Known::train(&all)).unwrap();
+    let note = fitted.note().unwrap();
+    let words: Vec<&str> = note.split([' ', ',']).filter(|word| word.parse::<f64>().is_ok()).collect();
+    for word in &words {
+        let digits = word.trim_start_matches(['0', '.']).chars().filter(char::is_ascii_digit).count();
+        assert!(digits >= 4, "{word} in: {note}");
+    }
+    let numbers: Vec<f64> = words.iter().map(|word| word.parse().unwrap()).collect();
+    let [x, y, z, noise] = numbers[..] else { panic!("{note}") };
+    let kind = Kind::ALL.into_iter().rev().find(|kind| note.contains(kind.words())).unwrap();
+    let correlation = Correlation { kind, scales_m: [x, y, z], noise };
+    let nearest = Nearest::new(all, 3, |i| correlation.scaled(data.sample(i).tx));
+    let again = Process { trend: Trend::of(&data, &[]), nearest, correlation, neighbours: 48 };
+    for i in 100..120 {
+        let [a, b] = [&*fitted, &again].map(|process: &dyn Predict| process.predict(data.query(i)).pixels);
+        a.iter().zip(&b).for_each(|(a, b)| close(*a as f64, *b as f64, 5e-3));
+    }
+}
+
+#[test]
 fn few_samples_and_equal_ones_are_no_accident() {
     let data = line_of_samples(12);
     for count in [1, 2, 3, 12] {
