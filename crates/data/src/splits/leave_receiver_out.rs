@@ -48,10 +48,8 @@ impl Split for LeaveReceiverOut {
         let out = self.left_out(data)?;
         let is_out = |i: &usize| out.contains(&data.links[*i].receiver);
         let (mut test, known): (Vec<usize>, Vec<usize>) = (0..data.len()).partition(is_out);
-        let (_, held) = hold_out(transmitters(data, &known), self.validation, rng);
-        let held: BTreeSet<usize> = held.into_iter().collect();
-        let (validation, mut train): (Vec<usize>, Vec<usize>) =
-            known.into_iter().partition(|i| held.contains(&data.links[*i].transmitter));
+        // Drawn before validation, which must not change the test set.
+        let mut calibration = Vec::new();
         for receiver in out {
             let (mut own, others): (Vec<usize>, Vec<usize>) =
                 test.into_iter().partition(|i| data.links[*i].receiver == receiver);
@@ -62,10 +60,15 @@ impl Split for LeaveReceiverOut {
             }
             if self.calibration > 0 {
                 rng::shuffle(rng, &mut own);
-                train.extend(own.split_off(own.len() - self.calibration));
+                calibration.extend(own.split_off(own.len() - self.calibration));
             }
             test = [others, own].concat();
         }
+        let (_, held) = hold_out(transmitters(data, &known), self.validation, rng);
+        let held: BTreeSet<usize> = held.into_iter().collect();
+        let (validation, mut train): (Vec<usize>, Vec<usize>) =
+            known.into_iter().partition(|i| held.contains(&data.links[*i].transmitter));
+        train.extend(calibration);
         finish_links(train, validation, test)
     }
 

@@ -79,6 +79,25 @@ fn a_receiver_left_out_is_the_test() {
 }
 
 #[test]
+fn validation_does_not_change_the_test_set() {
+    let data = three_receivers(40);
+    let splits = [
+        "Official(",
+        "Random(",
+        "RandomLinks(",
+        "TimeBlock(",
+        "Voxel(size_m: 3, ",
+        "Sparse(train: 20, ",
+        r#"LeaveReceiverOut(receivers: ["a", "c"], calibration: 5, "#,
+    ];
+    for text in splits {
+        let test = |share: &str| split(&format!("{text}validation: {share})"), &data).unwrap().test;
+        assert_eq!(test("0.0"), test("0.1"), "{text}");
+        assert_eq!(test("0.0"), test("0.4"), "{text}");
+    }
+}
+
+#[test]
 fn baselines_learn_each_receiver_by_itself() {
     let data = three_receivers(40);
     let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-3, "{a} instead of {b}");
