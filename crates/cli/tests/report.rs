@@ -207,3 +207,50 @@ fn damaged_runs_are_told(here: &Path) {
         assert_eq!(std::fs::read(here.join("mine/1-room.svg")).unwrap(), b"mine");
     }
 }
+
+/// The end of a run, its page and `run.json` say what `report` says of the same pairs.
+#[test]
+fn a_run_gives_its_differences_from_the_baselines() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("small.ron"), SMALL.replace("steps: 60", "steps: 40"));
+    let floors = "baselines=[MeanSpectrum(), NearestNeighbours(k: 1)]";
+    let said = stdout(&succeed(here, &["run", "small.ron", "-q", "--out", "run", "--set", floors]));
+    let facts = std::fs::read_to_string(here.join("run/run.json")).unwrap();
+    let facts: serde_json::Value = serde_json::from_str(&facts).unwrap();
+    let pairs = facts["scores"]["paired"]["rows"].as_array().unwrap();
+    let page = std::fs::read_to_string(here.join("run/report.html")).unwrap();
+    let own = ssim(&here.join("run"), "model");
+    for floor in ["mean spectrum", "1-NN"] {
+        let pair = pairs.iter().find(|pair| pair["baseline"] == floor && pair["metric"] == "ssim").unwrap();
+        let number = |value: &serde_json::Value| value.as_f64().unwrap();
+        let (mean_of_pairs, low, high) =
+            (number(&pair["mean"]), number(&pair["interval"][0]), number(&pair["interval"][1]));
+        let expected = mean(ssim(&here.join("run"), floor).iter().map(|(id, value)| own[id] - value));
+        assert!((mean_of_pairs - expected).abs() < 1e-12 && low <= mean_of_pairs && mean_of_pairs <= high);
+        // The same interval in the report of this run alone.
+        succeed(here, &["report", "-q", "run", "--reference", floor]);
+        let report = rows(&std::fs::read_to_string(here.join("run/report/report.csv")).unwrap());
+        let is = |row: &&BTreeMap<String, String>| {
+            row["kind"] == "variant" && row["metric"] == "ssim" && row["statistic"] == "difference"
+        };
+        let found = report.iter().find(is).unwrap();
+        let near = |column: &str, value: f64| (found[column].parse::<f64>().unwrap() - value).abs() < 1e-12;
+        assert!(near("value", mean_of_pairs) && near("low", low) && near("high", high), "{pair} {found:?}");
+        let verdict = if low <= 0.0 && 0.0 <= high {
+            "level"
+        } else if mean_of_pairs > 0.0 {
+            "better"
+        } else {
+            "worse"
+        };
+        let line = said.lines().find(|line| line.starts_with(floor)).unwrap_or_else(|| panic!("{said}"));
+        assert!(line.contains(verdict) && page.contains(&format!("<td>{verdict}</td>")), "{line}");
+    }
+    // Elsewhere tested, it is still trained on what its run says.
+    let other = "data=Teacher(seed: 3, width: 48, height: 12, samples: 20)";
+    let said = stdout(&succeed(here, &["evaluate", "-q", "run/model.safetensors", "--set", other]));
+    let heading =
+        "4 test spectra; the model is trained on 26; the baselines are trained on 16 (training and validation)";
+    assert_eq!(said.lines().next(), Some(heading), "{said}");
+}

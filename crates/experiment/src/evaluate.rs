@@ -8,6 +8,7 @@ use crate::confidence::Confidence;
 use crate::examples::{self, Example};
 use crate::headline::headline;
 use crate::observer::{Observer, Silent};
+use crate::paired::Paired;
 use crate::scores::{MODEL, Scores};
 use crate::validation;
 use pwrfgs_core::{
@@ -15,6 +16,7 @@ use pwrfgs_core::{
 };
 use pwrfgs_model::{Ensemble, Prepared};
 use pwrfgs_train::Pipeline;
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Scores, and a few of the predictions that they were computed from.
@@ -95,11 +97,21 @@ pub fn evaluate(
     let Ceiling { of: ceiling, notes: said } = ceiling(data, partition, &pipeline.metrics, stop)?;
     notes.extend(said);
     let ids = partition.test.iter().map(|&i| data.label(i)).collect();
-    Ok(Assessment {
-        scores: Scores { kind: data.kind(), ids, predictors, bounds, members, ceiling, notes },
-        examples,
-        confidence,
-    })
+    let trained_on = [partition.train.len(), partition.known().all().len()];
+    let mut scores =
+        Scores { kind: data.kind(), ids, predictors, bounds, members, ceiling, trained_on, paired: None, notes };
+    scores.paired = Paired::of(&scores, &places(data, &partition.test));
+    Ok(Assessment { scores, examples, confidence })
+}
+
+/// Where the transmitters of a part stood, by id. Without places each is a place of its own: the bootstrap then draws
+/// single ones.
+fn places(data: &Dataset, part: &[usize]) -> BTreeMap<u32, [f64; 3]> {
+    let place = |&i: &usize| {
+        let id = data.label(i);
+        (id, if data.placed { data.sample(i).tx } else { [f64::from(id), 0.0, 0.0] })
+    };
+    part.iter().map(place).collect()
 }
 
 /// Refuses data of another kind, another size, other receivers or other frequencies than the model knows.

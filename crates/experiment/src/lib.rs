@@ -6,6 +6,7 @@
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
 mod bench;
+pub mod blocks;
 mod ceiling;
 pub mod clock;
 pub mod colour;
@@ -23,15 +24,18 @@ mod journal;
 mod memory;
 mod observed;
 mod observer;
+pub mod paired;
 mod preview;
 mod recipe;
 pub mod repeatability;
 mod results;
 mod runner;
 pub mod samples;
+mod score_text;
 pub mod scores;
 pub mod series;
 mod snapshot;
+pub mod statistics;
 pub mod sweep;
 pub mod text;
 mod validation;
@@ -45,6 +49,7 @@ pub use folder::RunFolder;
 pub use input::read_pipeline;
 pub use observed::observed;
 pub use observer::{Observer, Silent, Start, Validation, staged};
+pub use paired::Paired;
 pub use preview::{Preview, preview};
 pub use recipe::Recipe;
 pub use repeatability::{Repeatability, repeatability};

@@ -3,8 +3,9 @@
 //! Columns of `scores.csv`: predictor, metric, sample (a test id, or empty for a number about the whole model), value.
 
 use crate::ceiling::CEILING;
+use crate::paired::Paired;
 use crate::repeatability::AtZero;
-use crate::text::{Lines, aligned, number};
+use crate::text::Lines;
 use pwrfgs_core::{Goal, Kind, Measurement, Values};
 use serde::{Deserialize, Serialize};
 
@@ -12,7 +13,7 @@ use serde::{Deserialize, Serialize};
 pub const MODEL: &str = "model";
 
 /// All measurements of all predictors on the test part.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Scores {
     /// What was predicted.
     pub kind: Kind,
@@ -27,6 +28,10 @@ pub struct Scores {
     /// What two measured spectra at one place have in common, by key of a metric: it has no number a test sample. Nothing
     /// where nobody can tell.
     pub ceiling: Vec<(String, AtZero)>,
+    /// Samples that the model is trained on (0 if not known), and samples that baselines are trained on.
+    pub trained_on: [usize; 2],
+    /// The model less each baseline, in pairs of test samples.
+    pub paired: Option<Paired>,
     /// What a reader of the numbers must know, one sentence each.
     pub notes: Vec<String>,
 }
@@ -75,6 +80,12 @@ pub struct ScoreTable {
     /// Predictors that are members of the model.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub members: Vec<String>,
+    /// Samples that the model is trained on (0 if not known), samples that baselines are trained on, test samples.
+    #[serde(default)]
+    pub samples: [usize; 3],
+    /// The model less each baseline, in pairs of test samples.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub paired: Option<Paired>,
     /// Sentences printed under the table.
     pub notes: Vec<String>,
     /// What was predicted.
@@ -190,7 +201,10 @@ impl Scores {
             }
         }
         let (bounds, members) = (self.bounds.clone(), self.members.clone());
-        ScoreTable { predictors, metrics, bounds, members, notes: self.notes.clone(), kind: self.kind }
+        let [model, baselines] = self.trained_on;
+        let samples = [model, baselines, self.ids.len()];
+        let (paired, notes) = (self.paired.clone(), self.notes.clone());
+        ScoreTable { predictors, metrics, bounds, members, samples, paired, notes, kind: self.kind }
     }
 
     /// The text of `scores.csv`.
@@ -235,42 +249,6 @@ impl ScoreTable {
     fn is_ranked(&self, name: &str) -> bool {
         name != CEILING && !self.bounds.iter().any(|bound| bound == name)
     }
-
-    /// Aligned text for a terminal: a line for each metric and statistic, a column for each predictor; the best of a
-    /// line carries a `*`, a bound a `†`. Notes follow.
-    pub fn to_text(&self) -> String {
-        let name = |name: &String| format!("{name}{}", if self.bounds.contains(name) { " †" } else { "" });
-        let head = ["metric".to_owned(), String::new()].into_iter().chain(self.predictors.iter().map(name));
-        let mut lines: Vec<Vec<String>> = vec![head.collect()];
-        for row in &self.metrics {
-            let arrow = if row.higher_is_better { "↑" } else { "↓" };
-            let unit = if row.unit.is_empty() { String::new() } else { format!(" [{}]", row.unit) };
-            let statistics: &[&str] = if row.is_per_sample() { &["mean", "median", "bad tail"] } else { &[""] };
-            for (k, statistic) in statistics.iter().enumerate() {
-                let name = if k == 0 { format!("{}{unit} {arrow}", row.key) } else { String::new() };
-                let ranks = self.ranks(row, k);
-                let alone = ranks.iter().flatten().count() < 2;
-                let cell = |(cell, rank): (&Cell, &Option<usize>)| match cell.numbers().get(k) {
-                    Some(value) => format!("{}{}", number(*value), if *rank == Some(0) && !alone { "*" } else { " " }),
-                    None => "n/a ".to_owned(),
-                };
-                let cells = row.cells.iter().zip(&ranks).map(cell);
-                lines.push([name, (*statistic).to_owned()].into_iter().chain(cells).collect());
-            }
-        }
-        let things = self.kind.counted();
-        let learnt =
-            format!("baselines learn from training and validation {things} together, the model from training alone");
-        let tail = format!("bad tail: a tenth of the {things} are this bad or worse");
-        let bound = format!("† knows the scene that made the simulated {things}: in no ranking");
-        let own = [
-            self.metrics.iter().any(MetricRow::is_per_sample).then_some(tail),
-            (self.predictors.iter().filter(|name| *name != CEILING).count() > 1).then_some(learnt),
-            (!self.bounds.is_empty()).then_some(bound),
-        ];
-        let notes = own.iter().flatten().chain(&self.notes);
-        notes.fold(aligned(&lines, 2), |text, note| text + "note: " + note + "\n")
-    }
 }
 
 #[cfg(test)]
@@ -298,10 +276,9 @@ mod tests {
                     ],
                 ),
             ],
-            bounds: vec![],
-            members: vec![],
-            ceiling: vec![],
             notes: vec!["k, far has seen the test spectra".into()],
+            trained_on: [9, 12],
+            ..Scores::default()
         }
     }
 
@@ -334,7 +311,7 @@ mod tests {
         assert_eq!(table.metrics[0].cells[2].numbers(), [0.9, 0.95, 0.8]);
         assert_eq!(table.metrics[1].cells[2], Cell::NotApplicable("no estimate".into()));
         assert_eq!(table.ranks(&table.metrics[0], 0), vec![Some(0), Some(1), None]);
-        assert!(table.to_text().lines().next().unwrap().ends_with(CEILING), "{}", table.to_text());
+        assert!(table.to_text().lines().nth(1).unwrap().ends_with(CEILING), "{}", table.to_text());
         assert!(!scores.to_csv().contains("ceiling"), "no number a test sample");
     }
 
@@ -354,8 +331,12 @@ mod tests {
         assert!(links.contains("a tenth of the links are") && !links.contains("validation spectra"), "{links}");
         let notes: Vec<&str> = text.lines().filter(|line| line.starts_with("note: ")).collect();
         assert_eq!(notes[0], "note: bad tail: a tenth of the spectra are this bad or worse", "{text}");
-        assert!(notes[1].starts_with("note: baselines learn from training and validation"), "{text}");
-        assert_eq!(notes[2..], ["note: k, far has seen the test spectra"], "{text}");
+        assert_eq!(notes[1..], ["note: k, far has seen the test spectra"], "{text}");
+        let heading =
+            "2 test spectra; the model is trained on 9; the baselines are trained on 12 (training and validation)";
+        assert_eq!(text.lines().next(), Some(heading), "{text}");
+        let same = Scores { trained_on: [12; 2], ..scores() }.table();
+        assert_eq!(same.heading(), "2 test spectra; model and baselines are trained on the same 12");
         assert_eq!((table.of_model("ssim"), table.of_model("gaussians")), (Some(0.6), Some(2613.0)));
         assert_eq!(table.of_model("eta_0db"), None);
         assert_eq!(table.ranks(&table.metrics[0], 0), vec![Some(0), Some(1)]);

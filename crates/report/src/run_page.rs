@@ -45,6 +45,8 @@ pub fn page(results: &Results<'_>) -> Result<String> {
         split => one_line(&pipeline.split),
         bounds => bounds.map(Vec::from),
         seed => pipeline.seed,
+        heading => scores.heading(),
+        paired => scores.paired.as_ref().map(|pairs| (pairs.lines(&scores.bounds), pairs.note(scores.kind))),
         predictors => scores.predictors.clone(),
         ceiling => CEILING,
         groups => tables::groups(&scores),

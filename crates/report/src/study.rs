@@ -5,7 +5,6 @@
 //! A run of a sweep belongs to the variant that its labels name; a run folder named by itself, to that of all such runs
 //! whose pipelines differ in seed and name alone.
 
-mod blocks;
 mod comparison;
 pub mod figures;
 mod format;
@@ -14,7 +13,6 @@ mod output;
 mod page;
 mod race;
 mod record;
-mod statistics;
 mod tables;
 
 pub use output::{Options, write};

@@ -64,7 +64,8 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
     }
     let assessment = score(&ensemble, &pipeline, &data, &partition, &mut progress, &AtomicBool::new(false));
     progress.finish();
-    let assessment = assessment?;
+    let mut assessment = assessment?;
+    assessment.scores.trained_on[0] = trained_on(&arguments.models);
     let mut text = assessment.scores.table().to_text();
     if let Some(confidence) = &assessment.confidence {
         let members = ensemble.members().len();
@@ -106,6 +107,17 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
     }
     output::result(&text)?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Samples that all models were trained on, as their runs say; 0 if they differ, or nobody knows. The data and the split of
+/// this evaluation may be others.
+fn trained_on(models: &[PathBuf]) -> usize {
+    let of = |model: &PathBuf| {
+        let facts = Facts::read(model.parent().unwrap_or(Path::new(""))).ok().flatten();
+        facts.map_or(0, |facts| facts.samples[0])
+    };
+    let first = of(&models[0]);
+    if models.iter().all(|model| of(model) == first) { first } else { 0 }
 }
 
 /// Says which receivers stand elsewhere than the model was trained with, look elsewhere or have other names.

@@ -1,10 +1,10 @@
 //! `Comparison`: the rows of a setting (variants, then floors) and every number of theirs.
 
-use super::blocks::Blocks;
-use super::statistics::{Cell, Difference, Spread};
 use super::{Record, Setting, distinct};
 use pwrfgs_experiment::CEILING;
+use pwrfgs_experiment::blocks::Blocks;
 use pwrfgs_experiment::scores::{MODEL, Summary};
+use pwrfgs_experiment::statistics::{Difference, Spread};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -141,14 +141,7 @@ impl Row<'_> {
         let of_seed = |run: &&Record| {
             let own = self.samples(run.facts.seed, metric)?;
             let other = reference.samples(run.facts.seed, metric)?;
-            let mut cells = vec![Cell::default(); blocks.count];
-            for (id, value) in own {
-                let difference = other.get(&id).map(|o| value - o).filter(|d| d.is_finite());
-                if let (Some(difference), Some(block)) = (difference, blocks.of(id)) {
-                    cells[block].add(difference);
-                }
-            }
-            Some(cells)
+            Some(blocks.cells(own.iter().filter_map(|(id, value)| Some((*id, value - other.get(id)?)))))
         };
         Difference::of(&self.runs.iter().filter_map(of_seed).collect::<Vec<_>>())
     }

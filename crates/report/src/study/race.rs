@@ -1,8 +1,8 @@
 //! `Race`: variants of a setting that come to the same numbers of Gaussians in different ways.
 
-use super::statistics::Spread;
 use super::{Record, Setting, Variant};
 use pwrfgs_experiment::scores::MODEL;
+use pwrfgs_experiment::statistics::Spread;
 
 /// At least so many ways, at so many numbers of Gaussians, are a race.
 const LEAST: [usize; 2] = [4, 2];

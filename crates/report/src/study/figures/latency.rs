@@ -5,10 +5,10 @@ use crate::draw::canvas::{Anchor, Canvas, Colour, INK, Paint, Point};
 use crate::draw::font::{text_width, wrapped};
 use crate::draw::legend::{Legend, SYMBOL, Symbol};
 use crate::draw::ticks::ticks;
-use crate::study::statistics::Spread;
 use crate::study::{Setting, Variant, distinct};
 use minijinja::context;
 use pwrfgs_experiment::scores::MODEL;
+use pwrfgs_experiment::statistics::Spread;
 use pwrfgs_experiment::text::number;
 
 /// Stages with their keys in `scores.csv`.

@@ -4,10 +4,10 @@ use super::tradeoff::floors;
 use super::{Figure, looks};
 use crate::draw::charts::{Axis, Chart, Line};
 use crate::study::race::{Race, Way, spread};
-use crate::study::statistics::Spread;
 use crate::study::{Record, Setting};
 use minijinja::context;
 use pwrfgs_experiment::scores::MODEL;
+use pwrfgs_experiment::statistics::Spread;
 
 /// Ways that are drawn in a colour: the best, and the last one.
 const SHOWN: usize = 7;

@@ -3,11 +3,11 @@
 use super::{Figure, looks};
 use crate::draw::charts::{Axis, Chart, Line};
 use crate::study::race::Race;
-use crate::study::statistics::Spread;
 use crate::study::{Setting, Variant};
 use minijinja::context;
 use pwrfgs_core::Kind;
 use pwrfgs_experiment::scores::MODEL;
+use pwrfgs_experiment::statistics::Spread;
 
 /// Bian, Hua and Gündüz, "P-WRFGS: Pruning 3D Gaussians for Efficient Wireless Radiance Field Construction", section
 /// IV-A, its source and table I, for weights of 0, 0.02 and 0.04 of the mask loss; with 0 it is WRF-GS started from

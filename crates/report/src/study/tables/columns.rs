@@ -1,8 +1,8 @@
 //! Columns of scores: names, units, digits and marks.
 
 use super::super::comparison::{Comparison, Kind, Metric, Row, Statistic, TRAINING};
-use super::super::statistics::Spread;
 use super::{Column, Line, Mark, Shown};
+use pwrfgs_experiment::statistics::Spread;
 use pwrfgs_experiment::text::grouped;
 
 /// A column to be.

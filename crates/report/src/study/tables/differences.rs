@@ -1,11 +1,11 @@
 //! The table of paired differences against a reference.
 
 use super::super::comparison::{Comparison, Kind, Metric, Row};
-use super::super::statistics::{CONFIDENCE, Difference, REPLICATES};
 use super::columns::{fixed, words};
 use super::{Column, Line, Mark, Shown, Table, title};
 use crate::templates::sentences;
 use minijinja::context;
+use pwrfgs_experiment::statistics::{CONFIDENCE, Difference, REPLICATES};
 
 /// Decimals of a difference: one more than scores have.
 const DECIMALS: usize = 4;

@@ -22,7 +22,7 @@ pub(in super::super) fn ranks(setting: &Setting) -> Option<Table> {
     columns.push(Column { title: "mean rank".into(), detail: String::new(), arrow: "↓" });
     let lines = race.ways.iter().map(|way| {
         let cell = |place: &Option<_>| {
-            place.map_or_else(Shown::default, |(score, rank): (super::super::statistics::Spread, usize)| Shown {
+            place.map_or_else(Shown::default, |(score, rank): (pwrfgs_experiment::statistics::Spread, usize)| Shown {
                 value: format!("{} ({rank})", number(score.mean)),
                 deviation: score.deviation.map_or_else(String::new, number),
                 mark: match rank {

@@ -4,6 +4,7 @@
 //! known; a longer reach than the edge of a cube leaves intervals too narrow. Larger cubes are fewer, and from few
 //! nothing can be drawn: the edge is the largest that leaves [`WANTED`] of them. Reports print it.
 
+use crate::statistics::Cell;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Cubes with test transmitters that there should be.
@@ -13,18 +14,18 @@ const FINEST: u32 = 256;
 
 /// Test samples in cubes of space.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Blocks {
+pub struct Blocks {
     /// Edge of a cube in metres.
-    pub(super) edge_m: f64,
+    pub edge_m: f64,
     /// How many hold test transmitters.
-    pub(super) count: usize,
+    pub count: usize,
     /// The cube of each test sample, by id.
     of: BTreeMap<u32, usize>,
 }
 
 impl Blocks {
     /// Of test samples at these places, metres, by id.
-    pub(super) fn new(places: &BTreeMap<u32, [f64; 3]>) -> Self {
+    pub fn new(places: &BTreeMap<u32, [f64; 3]>) -> Self {
         let end = |pick: fn(f64, f64) -> f64, start: f64| {
             [0, 1, 2].map(|k| places.values().fold(start, |end, place| pick(end, place[k])))
         };
@@ -41,8 +42,19 @@ impl Blocks {
         Self { edge_m, count: number.len(), of }
     }
 
+    /// Differences of test samples, by id, gathered by cube; those that are not finite are left out.
+    pub fn cells(&self, differences: impl IntoIterator<Item = (u32, f64)>) -> Vec<Cell> {
+        let mut cells = vec![Cell::default(); self.count];
+        for (id, difference) in differences.into_iter().filter(|(_, difference)| difference.is_finite()) {
+            if let Some(block) = self.of(id) {
+                cells[block].add(difference);
+            }
+        }
+        cells
+    }
+
     /// The cube of a test sample.
-    pub(super) fn of(&self, id: u32) -> Option<usize> {
+    pub fn of(&self, id: u32) -> Option<usize> {
         self.of.get(&id).copied()
     }
 }

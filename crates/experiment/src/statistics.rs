@@ -10,29 +10,29 @@
 //! What remains optimistic with few seeds is the shape: the percentiles of three values know nothing of the long tails
 //! of Student's distribution. `coverage_over_repetitions` measures it.
 
+use crate::scores::quantile;
 use pwrfgs_core::rng::{self, Rng};
-use pwrfgs_experiment::scores::quantile;
 use std::iter::repeat_with;
 
 /// Bootstrap replicates behind an interval.
-pub(super) const REPLICATES: usize = 10_000;
+pub const REPLICATES: usize = 10_000;
 /// Share of the replicates inside an interval.
-pub(super) const CONFIDENCE: f64 = 0.95;
+pub const CONFIDENCE: f64 = 0.95;
 
 /// Mean and sample standard deviation.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Spread {
+pub struct Spread {
     /// Arithmetic mean.
-    pub(super) mean: f64,
+    pub mean: f64,
     /// With n−1 in the denominator; `None` of one value, or where a value is infinite.
-    pub(super) deviation: Option<f64>,
+    pub deviation: Option<f64>,
     /// How many values.
-    pub(super) n: usize,
+    pub n: usize,
 }
 
 impl Spread {
     /// Of one value or more.
-    pub(super) fn of(values: &[f64]) -> Option<Self> {
+    pub fn of(values: &[f64]) -> Option<Self> {
         let (n, first) = (values.len(), *values.first()?);
         // Equal values have no deviation, whatever the sum is rounded to.
         let mean = if values.iter().all(|v| *v == first) { first } else { values.iter().sum::<f64>() / n as f64 };
@@ -44,16 +44,16 @@ impl Spread {
 
 /// The differences of one seed in one block of space.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Cell {
+pub struct Cell {
     /// Their sum.
-    pub(super) sum: f64,
+    pub sum: f64,
     /// How many.
-    pub(super) count: usize,
+    pub count: usize,
 }
 
 impl Cell {
     /// Takes one more difference in.
-    pub(super) fn add(&mut self, difference: f64) {
+    pub fn add(&mut self, difference: f64) {
         self.sum += difference;
         self.count += 1;
     }
@@ -61,18 +61,18 @@ impl Cell {
 
 /// What is known of a mean difference.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Difference {
+pub struct Difference {
     /// Mean over seeds of the mean over test spectra.
-    pub(super) mean: f64,
+    pub mean: f64,
     /// The percentile interval of [`CONFIDENCE`]; `None` where there is one block alone.
-    pub(super) interval: Option<(f64, f64)>,
+    pub interval: Option<(f64, f64)>,
     /// Seeds in both; of one alone the interval says nothing about others.
-    pub(super) seeds: usize,
+    pub seeds: usize,
 }
 
 impl Difference {
     /// Of `cells[seed][block]`, all seeds with the same blocks; `None` without a single difference.
-    pub(super) fn of(cells: &[Vec<Cell>]) -> Option<Self> {
+    pub fn of(cells: &[Vec<Cell>]) -> Option<Self> {
         Self::with_replicates(cells, REPLICATES)
     }
 
@@ -98,7 +98,7 @@ impl Difference {
     }
 
     /// Whether the interval leaves 0 out.
-    pub(super) fn is_clear(&self) -> bool {
+    pub fn is_clear(&self) -> bool {
         self.interval.is_some_and(|(low, high)| low > 0.0 || high < 0.0)
     }
 }

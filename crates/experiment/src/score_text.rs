@@ -1,0 +1,63 @@
+//! A table of scores as text for a terminal.
+
+use crate::ceiling::CEILING;
+use crate::scores::{Cell, MetricRow, ScoreTable};
+use crate::text::{aligned, grouped, number};
+
+impl ScoreTable {
+    /// How many samples were tested, and how many the model and the baselines are trained on; empty if not counted.
+    pub fn heading(&self) -> String {
+        let [model, baselines, test] = self.samples;
+        if test == 0 {
+            return String::new();
+        }
+        let has_baselines = self.predictors.iter().skip(1 + self.members.len()).any(|name| name != CEILING);
+        let [own, theirs, tested] = self.samples.map(|n| grouped(n as i64));
+        let own = if has_baselines && model == baselines {
+            vec![format!("model and baselines are trained on the same {own}")]
+        } else {
+            let own = (model > 0).then(|| format!("the model is trained on {own}"));
+            let theirs = format!("the baselines are trained on {theirs} (training and validation)");
+            own.into_iter().chain(has_baselines.then_some(theirs)).collect()
+        };
+        [vec![format!("{tested} test {}", self.kind.counted())], own].concat().join("; ")
+    }
+
+    /// Aligned text for a terminal: the heading, a line for each metric and statistic, a column for each predictor; the
+    /// best of a line carries a `*`, a bound a `†`. Differences in pairs and notes follow.
+    pub fn to_text(&self) -> String {
+        let name = |name: &String| format!("{name}{}", if self.bounds.contains(name) { " †" } else { "" });
+        let head = ["metric".to_owned(), String::new()].into_iter().chain(self.predictors.iter().map(name));
+        let mut lines: Vec<Vec<String>> = vec![head.collect()];
+        for row in &self.metrics {
+            let arrow = if row.higher_is_better { "↑" } else { "↓" };
+            let unit = if row.unit.is_empty() { String::new() } else { format!(" [{}]", row.unit) };
+            let statistics: &[&str] = if row.is_per_sample() { &["mean", "median", "bad tail"] } else { &[""] };
+            for (k, statistic) in statistics.iter().enumerate() {
+                let name = if k == 0 { format!("{}{unit} {arrow}", row.key) } else { String::new() };
+                let ranks = self.ranks(row, k);
+                let alone = ranks.iter().flatten().count() < 2;
+                let cell = |(cell, rank): (&Cell, &Option<usize>)| match cell.numbers().get(k) {
+                    Some(value) => format!("{}{}", number(*value), if *rank == Some(0) && !alone { "*" } else { " " }),
+                    None => "n/a ".to_owned(),
+                };
+                let cells = row.cells.iter().zip(&ranks).map(cell);
+                lines.push([name, (*statistic).to_owned()].into_iter().chain(cells).collect());
+            }
+        }
+        let things = self.kind.counted();
+        let tail = format!("bad tail: a tenth of the {things} are this bad or worse");
+        let bound = format!("† knows the scene that made the simulated {things}: in no ranking");
+        let own = [
+            self.metrics.iter().any(MetricRow::is_per_sample).then_some(tail),
+            (!self.bounds.is_empty()).then_some(bound),
+        ];
+        let pairs = self.paired.as_ref().map(|paired| paired.note(self.kind));
+        let notes = own.iter().flatten().chain(&pairs).chain(&self.notes);
+        let heading = Some(self.heading() + "\n").filter(|text| text.len() > 1).unwrap_or_default();
+        let differences =
+            self.paired.as_ref().map_or_else(String::new, |pairs| aligned(&pairs.lines(&self.bounds), 1) + "\n");
+        let text = heading + &aligned(&lines, 2) + "\n" + &differences;
+        notes.fold(text, |text, note| text + "note: " + note + "\n")
+    }
+}
