@@ -208,6 +208,59 @@ fn damaged_runs_are_told(here: &Path) {
     }
 }
 
+#[test]
+fn runs_that_differ_in_validation_share_a_table() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write(&here.join("small.ron"), SMALL.replace("steps: 60", "steps: 40"));
+    let floors = "baselines=[MeanSpectrum(), NearestNeighbours(k: Auto)]";
+    for (run, split) in [
+        ("runs/all", "split.validation=0.0"),
+        ("runs/held", "split.validation=0.4"),
+        ("runs/other", "split=Random(test: 0.3)"),
+        ("runs/links", "split=RandomLinks(test: 0.3)"), // fields of the same names, and another split
+    ] {
+        let said = stdout(&succeed(here, &["run", "small.ron", "-q", "--out", run, "--set", split, "--set", floors]));
+        let heading = said.lines().next().unwrap();
+        let expected = match run {
+            "runs/all" => "8 test spectra; model and baselines are trained on the same 32",
+            "runs/held" => {
+                "8 test spectra; the model is trained on 19; the baselines are trained on 32 (training and validation)"
+            }
+            _ => {
+                "12 test spectra; the model is trained on 25; the baselines are trained on 28 (training and validation)"
+            }
+        };
+        assert_eq!(heading, expected, "{said}");
+        let page = std::fs::read_to_string(here.join(run).join("report.html")).unwrap();
+        assert!(page.contains(expected), "the page of {run} does not say what was trained on what");
+    }
+    let said = stdout(&succeed(here, &["report", "-q", "runs/all", "runs/held", "runs/other", "runs/links"]));
+    assert_eq!(said.matches("\nScores").count(), 3, "{said}");
+    let report = std::fs::read_to_string(here.join("runs/all/report/report.csv")).unwrap();
+    let trained: Vec<[String; 4]> = rows(&report)
+        .into_iter()
+        .filter(|row| row["metric"] == "trained_on")
+        .map(|row| ["setting", "variant", "unit", "value"].map(|column| row[column].clone()))
+        .collect();
+    let data = "40 simulated spectra of 4 Gaussians (Teacher, seed 0)";
+    let setting = |split: &str, rows: [&[(&str, &str)]; 2]| {
+        let row = |(row, n): &(&str, &str)| [&format!("{data}; {split}"), *row, "spectra", *n].map(str::to_owned);
+        rows.concat().iter().map(row).collect::<Vec<_>>()
+    };
+    let floors = |n| [("mean spectrum", n), ("k-NN", n)];
+    let expected = [
+        setting(
+            "Official(validation: 0.0) and Official(validation: 0.4)",
+            [&[("all", "32"), ("held", "19")], &floors("32")],
+        ),
+        setting("Random(test: 0.3, validation: 0.1)", [&[("other", "25")], &floors("28")]),
+        setting("RandomLinks(test: 0.3, validation: 0.1)", [&[("links", "25")], &floors("28")]),
+    ];
+    assert_eq!(trained, expected.concat());
+    assert!(said.contains("warning: k-NN differs between the runs of seed 0"), "{said}");
+}
+
 /// The end of a run, its page and `run.json` say what `report` says of the same pairs.
 #[test]
 fn a_run_gives_its_differences_from_the_baselines() {

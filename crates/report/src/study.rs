@@ -1,6 +1,6 @@
 //! `Study`: finished runs read back and put in order, for tables and figures that compare them.
 //!
-//! Runs on the same data and split form a *setting*: only within one are scores comparable, and only there floors hold.
+//! Runs on the same data and test set form a *setting*: only within one are scores comparable, and only there floors hold.
 //! In a setting, runs that differ in nothing but their seed form a *variant*.
 //! A run of a sweep belongs to the variant that its labels name; a run folder named by itself, to that of all such runs
 //! whose pipelines differ in seed and name alone.
@@ -43,7 +43,7 @@ pub struct Study {
 /// Runs on the same data and the same split.
 #[derive(Clone, Debug)]
 pub struct Setting {
-    /// What the data call themselves, and the split as RON.
+    /// What the data call themselves, and the split as RON; of runs that differ in `validation`, all splits.
     pub title: String,
     /// Whether the spectra are simulated.
     pub simulated: bool,

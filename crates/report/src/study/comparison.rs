@@ -11,6 +11,9 @@ use std::collections::BTreeMap;
 /// Key of the seconds inside training steps, which no metric measures.
 pub(super) const TRAINING: &str = "training_s";
 
+/// Key of the number of samples that a row is trained on, which no metric measures.
+pub(super) const TRAINED_ON: &str = "trained_on";
+
 /// What a row is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub(super) enum Kind {
@@ -93,6 +96,11 @@ impl Metric {
         if self.per_sample { &[Statistic::Mean, Statistic::Median, Statistic::P10] } else { &[Statistic::Whole] }
     }
 
+    /// Whether its best is marked: times of several machines are not comparable, and a training set is no score.
+    pub(super) fn is_ranked(&self, same_machine: bool) -> bool {
+        self.key != TRAINED_ON && (same_machine || !self.is_time())
+    }
+
     /// Whether it is a time, which depends on the machine.
     pub(super) fn is_time(&self) -> bool {
         self.key.starts_with("latency") || self.key == TRAINING
@@ -105,6 +113,14 @@ impl Row<'_> {
         let of_run = |run: &&Record| match statistic {
             Statistic::Whole if metric.key == TRAINING => {
                 (self.kind == Kind::Variant).then_some(run.facts.training_seconds)
+            }
+            Statistic::Whole if metric.key == TRAINED_ON => {
+                let [train, validation, _] = run.facts.samples;
+                match self.kind {
+                    Kind::Variant => Some(train as f64),
+                    Kind::Floor => Some((train + validation) as f64),
+                    Kind::Bound | Kind::Ceiling => None,
+                }
             }
             Statistic::Whole => run.value(self.predictor, &metric.key),
             _ if self.kind == Kind::Ceiling => {
@@ -152,7 +168,7 @@ impl Row<'_> {
 pub(super) struct Comparison<'a> {
     pub(super) setting: &'a Setting,
     pub(super) rows: Vec<Row<'a>>,
-    /// In the order of the runs; the training time comes last.
+    /// In the order of the runs; training set and training time come last.
     pub(super) metrics: Vec<Metric>,
     pub(super) blocks: Blocks,
 }
@@ -198,8 +214,9 @@ impl<'a> Comparison<'a> {
                 metrics.push(metric);
             }
         }
-        let (key, unit) = (TRAINING.to_owned(), "s".to_owned());
-        metrics.push(Metric { key, unit, higher_is_better: false, per_sample: false });
+        for (key, unit, higher_is_better) in [(TRAINED_ON, setting.kind().counted(), true), (TRAINING, "s", false)] {
+            metrics.push(Metric { key: key.into(), unit: unit.into(), higher_is_better, per_sample: false });
+        }
         let places = setting.runs().flat_map(|run| run.places.iter().map(|(id, place)| (*id, *place))).collect();
         Self { setting, rows, metrics, blocks: Blocks::new(&places) }
     }
@@ -222,6 +239,27 @@ impl<'a> Comparison<'a> {
                 let (key, label, runs) = (&metric.key, row.label, row.runs.len());
                 all.push(format!(
                     "{key} of {label} is no number in {count} of {runs} runs; its means leave these out."
+                ));
+            }
+        }
+        all
+    }
+
+    /// Floors that are not the same in all runs of a seed, a sentence each: a row can show one of them.
+    pub(super) fn ambiguous(&self) -> Vec<String> {
+        let key = self.setting.headline().key;
+        let mut all = Vec::new();
+        for row in self.rows.iter().filter(|row| [Kind::Floor, Kind::Bound].contains(&row.kind)) {
+            let differs = |run: &&Record| {
+                let shown = row.runs.iter().find(|shown| shown.facts.seed == run.facts.seed)?;
+                let [a, b] = [run, shown].map(|run| run.value(row.predictor, key));
+                ((a? - b?).abs() > 1e-6).then_some((run.facts.seed, shown.folder.display()))
+            };
+            if let Some((seed, folder)) = self.setting.runs().find_map(|run| differs(&run)) {
+                all.push(format!(
+                    "{} differs between the runs of seed {seed}, by its settings or its validation set; the tables show \
+                     that of {folder}.",
+                    row.label
                 ));
             }
         }

@@ -69,15 +69,16 @@ pub(super) fn settings(records: Vec<(Labels, Record)>) -> Result<Vec<Setting>> {
     for (labels, record) in records {
         let key = record.setting_key()?;
         let place = found.iter().position(|(k, _)| *k == key).unwrap_or_else(|| {
-            let setting =
-                Setting { title: record.setting_title(), simulated: record.facts.simulated, variants: Vec::new() };
-            found.push((key, setting));
+            let (title, simulated) = (record.facts.data.clone(), record.facts.simulated);
+            found.push((key, Setting { title, simulated, variants: Vec::new() }));
             groups.push(Vec::new());
             found.len() - 1
         });
         groups[place].push((labels, record));
     }
     for ((_, setting), group) in found.iter_mut().zip(groups) {
+        let splits = distinct(group.iter().map(|(_, record)| record.split()));
+        setting.title = format!("{}; {}", setting.title, splits.join(" and "));
         setting.variants = variants(group);
     }
     tell_apart(&mut found);

@@ -104,6 +104,7 @@ impl Section {
         );
         let mut warnings = said.split_off(1);
         warnings.extend(comparison.holes());
+        warnings.extend(comparison.ambiguous());
         warnings.extend(drawn.left_out);
         let tables = [
             tables::ranks(setting),

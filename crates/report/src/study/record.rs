@@ -10,7 +10,7 @@ use pwrfgs_experiment::series;
 use pwrfgs_experiment::{CEILING, Facts, Recipe};
 use pwrfgs_train::Pipeline;
 use serde::de::DeserializeOwned;
-use serde::{Deserialize, Deserializer};
+use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -118,12 +118,16 @@ impl Record {
         self.scores.iter().find(|s| s.predictor == predictor && s.metric == metric)
     }
 
-    /// Data and split: equal for runs whose scores are comparable.
+    /// Data and split: equal for runs whose scores are comparable. What a split holds out for validation leaves the test
+    /// set as it is.
     pub(super) fn setting_key(&self) -> Result<Value> {
-        // Through text: there a number of single precision has the digits that a person gave it.
-        let text = serde_json::to_string(&(&self.pipeline.data, &self.pipeline.split));
-        let value = text.and_then(|text| serde_json::from_str(&text));
-        value.map_err(|e| Error::input(&self.folder, format!("data and split cannot be compared: {e}")))
+        let failed = |e| Error::input(&self.folder, format!("data and split cannot be compared: {e}"));
+        let [data, mut split] =
+            [named_fields(&self.pipeline.data).map_err(failed)?, named_fields(&self.pipeline.split).map_err(failed)?];
+        if let Some(fields) = split.1.as_object_mut() {
+            fields.remove("validation");
+        }
+        Ok([data, split].into_iter().map(|(name, fields)| Value::from_iter([(name, fields)])).collect())
     }
 
     /// Equal for runs that differ in seed and name alone.
@@ -131,9 +135,17 @@ impl Record {
         self.variant_key.clone()
     }
 
-    pub(super) fn setting_title(&self) -> String {
-        format!("{}; {}", self.facts.data, one_line(&self.pipeline.split))
+    /// The split as RON.
+    pub(super) fn split(&self) -> String {
+        one_line(&self.pipeline.split)
     }
+}
+
+/// Name and fields of a plugin; JSON has the fields alone.
+fn named_fields(plugin: &impl Serialize) -> serde_json::Result<(String, Value)> {
+    let name = one_line(plugin).split('(').next().unwrap_or_default().to_owned();
+    // Through text: there a number of single precision has the digits that a person gave it.
+    Ok((name, serde_json::from_str(&serde_json::to_string(plugin)?)?))
 }
 
 /// A row of `scores.csv`.

@@ -1,6 +1,6 @@
 //! Columns of scores: names, units, digits and marks.
 
-use super::super::comparison::{Comparison, Kind, Metric, Row, Statistic, TRAINING};
+use super::super::comparison::{Comparison, Kind, Metric, Row, Statistic, TRAINED_ON, TRAINING};
 use super::{Column, Line, Mark, Shown};
 use pwrfgs_experiment::statistics::Spread;
 use pwrfgs_experiment::text::grouped;
@@ -41,7 +41,7 @@ fn scale(unit: &str, largest: f64) -> (&str, f64) {
 
 /// Decimals of a column: three digits of the largest number, at most three decimals; whole numbers of Gaussians.
 fn decimals(metric: &Metric, largest: f64) -> usize {
-    if metric.key == "gaussians" || largest >= 100.0 {
+    if ["gaussians", TRAINED_ON].contains(&metric.key.as_str()) || largest >= 100.0 {
         0
     } else if largest >= 10.0 {
         1
@@ -95,7 +95,11 @@ fn column(rows: &[Row<'_>], (metric, statistic): Wanted<'_>, ranked: bool) -> Op
         (statistic, "") => statistic.words().into(),
         (statistic, unit) => format!("{} [{unit}]", statistic.words()),
     };
-    let arrow = if metric.higher_is_better { "↑" } else { "↓" };
+    let arrow = match metric.key.as_str() {
+        TRAINED_ON => "",
+        _ if metric.higher_is_better => "↑",
+        _ => "↓",
+    };
     Some((Column { title: words, detail, arrow }, cells))
 }
 

@@ -1,13 +1,13 @@
 //! The table of scores, that of all other metrics, and table I: latency by stage.
 
-use super::super::comparison::{Comparison, Kind, Metric, TRAINING};
+use super::super::comparison::{Comparison, Kind, Metric, TRAINED_ON, TRAINING};
 use super::columns::{Wanted, filled};
 use super::{Table, title};
 use crate::templates::sentences;
 use minijinja::context;
 
 /// Numbers of a whole model that are shown first.
-const WHOLE: [&str; 2] = ["gaussians", "model_bytes"];
+const WHOLE: [&str; 3] = [TRAINED_ON, "gaussians", "model_bytes"];
 
 /// Whether a metric stands beside the first of its kind.
 fn is_beside(metric: &Metric) -> bool {
@@ -65,7 +65,7 @@ fn table(
     wanted: &[Wanted<'_>],
     same_machine: bool,
 ) -> Option<Table> {
-    let (columns, lines) = filled(comparison, wanted, |metric| same_machine || !metric.is_time());
+    let (columns, lines) = filled(comparison, wanted, |metric| metric.is_ranked(same_machine));
     if columns.is_empty() {
         return None;
     }
