@@ -173,6 +173,9 @@ fn predict(criterion: &mut Criterion) {
         one(&mut group, "seeded, signals", n, || untrained(seeded_cloud(n), Outputs::Signals));
         one(&mut group, "seeded, WRF-GS", n, || wrfgs(seeded_cloud(n)));
     }
+    for n in SIZES {
+        unprepared(&mut group, n, || untrained(seeded_cloud(n), Outputs::All));
+    }
     one(&mut group, "trained", 157, trained);
     for n in [16, 32, 64] {
         one(&mut group, "waves, Factored 4x240", n, || waves(n));
@@ -197,6 +200,15 @@ fn one(group: &mut BenchmarkGroup<'_, WallTime>, name: &str, n: usize, model: im
     group.bench_function(BenchmarkId::new(name, n), |b| {
         let ready = ready.get_or_init(|| made.get_or_init(&model).prepare());
         b.iter(|| ready.predict(TX.into()));
+    });
+}
+
+/// Times predictions that prepare nothing, as the paper's table I does.
+fn unprepared(group: &mut BenchmarkGroup<'_, WallTime>, n: usize, model: impl Fn() -> Model) {
+    let made = OnceCell::new();
+    group.bench_function(BenchmarkId::new("seeded, unprepared", n), |b| {
+        let model = made.get_or_init(&model);
+        b.iter(|| model.predict(TX));
     });
 }
 

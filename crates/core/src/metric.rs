@@ -111,6 +111,8 @@ pub struct StageTimes {
     pub blending: f64,
     /// All of it, from position to picture.
     pub total: f64,
+    /// What no transmitter changes, computed once before the first prediction and not in the total.
+    pub prepare: f64,
 }
 
 /// Which way is better.

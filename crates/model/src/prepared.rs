@@ -30,6 +30,8 @@ struct Member<'a> {
     cloud: Cow<'a, GaussianCloud>,
     /// What the method worked out once.
     ready: Cache,
+    /// How long that took.
+    seconds: f64,
 }
 
 /// Transmitters of one call of the network in [`Prepared::predict_many`], and of one projection where geometry stays:
@@ -111,6 +113,7 @@ impl<'a> Prepared<'a> {
             sum.sort += times.sort;
             sum.blending += times.blending;
             sum.total += times.total;
+            sum.prepare += times.prepare;
         }
         (pictures, sum)
     }
@@ -170,20 +173,21 @@ impl Predict for Prepared<'_> {
 
 impl<'a> Member<'a> {
     fn new(model: &'a Model) -> Self {
+        let start = Instant::now();
         let stages = &model.stages;
         let rows = stages.drawable(&model.cloud, None);
         let all = rows.len() == model.cloud.len();
         let cloud = if all { Cow::Borrowed(&model.cloud) } else { Cow::Owned(model.cloud.select(&rows)) };
         let parameters = Parameters { cloud: &cloud, gate: None, presence: None, weights: &model.weights };
         let ready = stages.method.prepare(&stages.frame, &parameters);
-        Self { model, cloud, ready }
+        Self { model, cloud, ready, seconds: start.elapsed().as_secs_f64() }
     }
 
     fn predict(&self, query: Query<'_>) -> (Image, StageTimes) {
         let start = Instant::now();
         let one = || self.observations(&[query]);
         let (mut images, times) = if self.cloud.len() < POOL { one() } else { rayon::scope(|_| one()) };
-        (images.remove(0), StageTimes { total: start.elapsed().as_secs_f64(), ..times })
+        (images.remove(0), StageTimes { total: start.elapsed().as_secs_f64(), prepare: self.seconds, ..times })
     }
 
     /// A group of links at a time: they share a projection, or at least the network's work, and each its thread.

@@ -14,8 +14,14 @@ fn is_beside(metric: &Metric) -> bool {
     metric.key.starts_with("eta_") || metric.key == "snr_all_db"
 }
 
-const STAGES: [&str; 5] =
-    ["latency_network_ms", "latency_projection_ms", "latency_sort_ms", "latency_blending_ms", "latency_total_ms"];
+const STAGES: [&str; 6] = [
+    "latency_prepare_ms",
+    "latency_network_ms",
+    "latency_projection_ms",
+    "latency_sort_ms",
+    "latency_blending_ms",
+    "latency_total_ms",
+];
 
 /// What a reader looks at first: the first metric of the kind, such as SSIM and η, N, size, latency and training time.
 pub(in super::super) fn scores(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
