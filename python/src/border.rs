@@ -19,9 +19,10 @@ const WAITING: usize = 64;
 /// The process that loaded the library. Threads do not survive a fork.
 static HOME: OnceLock<u32> = OnceLock::new();
 
-/// Remembers the process.
-pub(crate) fn begin() {
+/// Remembers the process, and refuses an environment that asks for too many threads.
+pub(crate) fn begin(py: Python<'_>) -> PyResult<()> {
     HOME.get_or_init(process::id);
+    pwrfgs_core::threads::check_environment().map_err(|error| raised(py, error))
 }
 
 /// Refuses a process that was forked after the library was loaded: its threads are not there, and it would wait for ever.

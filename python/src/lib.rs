@@ -46,7 +46,7 @@ mod _pwrfgs {
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
-        super::border::begin();
+        super::border::begin(module.py())?;
         super::strategies::begin();
         super::told::begin();
         module.add("__version__", env!("CARGO_PKG_VERSION"))?;

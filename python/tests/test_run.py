@@ -141,3 +141,13 @@ def test_a_folder_may_have_any_name(pipeline, tmp_path):
     run = pwrfgs.run(pipeline, out=tmp_path / "a (1)", progress=False)
     for name in (tmp_path / "a (1)", str(tmp_path / "a (1)")):
         assert pwrfgs.run(name, progress=False).folder == run.folder
+
+
+def test_too_many_threads_in_the_environment_are_refused():
+    def called(value):
+        environment = {**os.environ, "RAYON_NUM_THREADS": value}
+        return subprocess.run([sys.executable, "-c", "import pwrfgs"], env=environment, capture_output=True, text=True, check=False)
+
+    told = called("100000")
+    assert told.returncode == 1 and "InputError: RAYON_NUM_THREADS is `100000`; give a number from 1 to 1024" in told.stderr
+    assert called("2").returncode == 0

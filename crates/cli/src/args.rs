@@ -11,6 +11,7 @@ use crate::commands::{Check, Completions, Evaluate, Export, Import, Init, Man, P
 #[cfg(feature = "report")]
 use crate::commands::{Map, Report};
 use clap::{ArgAction, Parser, Subcommand};
+use pwrfgs_core::threads::COUNTS;
 
 /// How much is said.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd)]
@@ -55,8 +56,8 @@ pub(crate) struct Arguments {
 /// A number of threads or jobs.
 pub(crate) fn count(text: &str) -> Result<usize, String> {
     match text.parse() {
-        Ok(count) if (1..=1024).contains(&count) => Ok(count),
-        _ => Err("give a number from 1 to 1024".into()),
+        Ok(count) if COUNTS.contains(&count) => Ok(count),
+        _ => Err(format!("give a number from {} to {}", COUNTS.start(), COUNTS.end())),
     }
 }
 

@@ -52,9 +52,9 @@ pub fn main() -> ExitCode {
     })
 }
 
-/// Sets how many threads everything uses; all processors where nothing is said.
+/// Sets how many threads everything uses; without `count` the environment decides, or all processors are used.
 fn threads(count: Option<usize>) -> pwrfgs_core::Result<()> {
-    let Some(count) = count else { return Ok(()) };
+    let Some(count) = count else { return pwrfgs_core::threads::check_environment() };
     rayon::ThreadPoolBuilder::new()
         .num_threads(count)
         .build_global()

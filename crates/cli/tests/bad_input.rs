@@ -1,5 +1,5 @@
 //! Every bad input: exit code 2, one message that names the file and what is wrong, and nothing written.
-use crate::common::{SMALL, measured, picture, refuse, succeed, write};
+use crate::common::{SMALL, measured, picture, pwrfgs, refuse, stderr, succeed, write};
 use std::path::{Path, PathBuf};
 
 /// A folder with good data, spoilt by `spoil`; the run must refuse it with `words` and make no run folder.
@@ -174,6 +174,25 @@ fn mistakes_on_the_command_line_are_named() {
     refuse(here, &["run", "p.ron", "--threads", "0"], 2, &["--threads"]);
     refuse(here, &["run"], 2, &["<PIPELINE>"]);
     assert!(!here.join("runs").exists());
+}
+
+#[test]
+fn rejects_too_many_threads_in_the_environment() {
+    let called = |name: &str, value: &str, arguments: &[&str]| {
+        let output = pwrfgs(Path::new(".")).args(arguments).env(name, value).output().unwrap();
+        (output.status.code(), stderr(&output))
+    };
+    for (name, value) in [("RAYON_NUM_THREADS", "100000"), ("RAYON_NUM_THREADS", "all"), ("RAYON_RS_NUM_CPUS", "1025")]
+    {
+        let (code, said) = called(name, value, &["plugins", "Grid"]);
+        assert_eq!(code, Some(2), "{name}={value}: {said}");
+        assert!(said.contains(&format!("{name} is `{value}`; give a number from 1 to 1024")), "{said}");
+        let (code, said) = called(name, value, &["plugins", "Grid", "--threads", "1"]);
+        assert_eq!(code, Some(0), "--threads decides: {said}");
+    }
+    for value in ["", "0", "1", "1024"] {
+        assert_eq!(called("RAYON_NUM_THREADS", value, &["plugins", "Grid"]).0, Some(0), "{value}");
+    }
 }
 
 #[test]

@@ -51,6 +51,7 @@ mod statistics;
 mod stats;
 pub mod tape;
 pub mod testing;
+pub mod threads;
 pub mod words;
 
 pub use cholesky::Cholesky;

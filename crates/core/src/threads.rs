@@ -1,0 +1,25 @@
+//! Number of threads: the bound of `--threads`, which holds for the environment as well.
+
+use crate::{Error, Result};
+use std::ops::RangeInclusive;
+
+/// Accepted numbers of threads.
+pub const COUNTS: RangeInclusive<usize> = 1..=1024;
+/// Variables that set the size of rayon's thread pool; 0 selects one thread per processor.
+const VARIABLES: [&str; 2] = ["RAYON_NUM_THREADS", "RAYON_RS_NUM_CPUS"];
+
+/// Refuses an environment in which rayon would start more threads than [`COUNTS`] allows: it starts any number, for minutes.
+///
+/// # Errors
+/// [`Error::Config`] that names the variable.
+pub fn check_environment() -> Result<()> {
+    VARIABLES.into_iter().try_for_each(|name| {
+        let value = std::env::var_os(name).unwrap_or_default();
+        let count = value.to_str().and_then(|text| text.parse::<usize>().ok());
+        if value.is_empty() || count.is_some_and(|count| count == 0 || COUNTS.contains(&count)) {
+            return Ok(());
+        }
+        let (low, high) = (COUNTS.start(), COUNTS.end());
+        Err(Error::Config(format!("{name} is `{}`; give a number from {low} to {high}, or unset it", value.display())))
+    })
+}
