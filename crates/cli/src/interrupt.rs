@@ -88,6 +88,15 @@ fn end() -> ! {
     std::process::exit(i32::from(INTERRUPTED))
 }
 
+/// Turns a write beyond the limit on file sizes (`ulimit -f`) into an error of that write; the signal would end the program.
+pub(crate) fn survive_file_limit() {
+    #[cfg(unix)]
+    {
+        // Nobody reads the flag. If the handler cannot be installed, the signal ends the program as before.
+        _ = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::default());
+    }
+}
+
 /// Whether whoever started this program wants it to outlive the terminal, as `nohup` does; told by Linux only.
 #[cfg(unix)]
 fn hang_up_is_ignored() -> bool {

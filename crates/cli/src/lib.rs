@@ -20,6 +20,7 @@ use std::process::ExitCode;
 /// Reads the command line and does what it says; prints one message on failure.
 pub fn main() -> ExitCode {
     memory::keep();
+    interrupt::survive_file_limit();
     let arguments = Arguments::parse();
     output::start_logging(arguments.verbosity());
     let done = threads(arguments.threads).and_then(|()| match &arguments.command {

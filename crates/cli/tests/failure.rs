@@ -6,13 +6,11 @@ fn a_folder_that_cannot_be_written_is_a_failure() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("p.ron"), SMALL);
-    write(&here.join("file"), "not a folder");
-    refuse(here, &["run", "p.ron", "--out", "file/below"], 1, &["cannot write file/below"]);
     refuse(here, &["run", "p.ron", "--out", "/proc/nowhere"], 1, &["cannot write /proc/nowhere"]);
-    assert_eq!(std::fs::read_to_string(here.join("file")).unwrap(), "not a folder");
 }
 
-/// A limit on the size of files stands for a full disk: both make a write fail half-way.
+/// A limit on the size of files stands for a full disk: both make a write fail half-way. Its signal, SIGXFSZ, is not ignored
+/// by who starts the program.
 #[test]
 fn a_full_disk_leaves_what_is_written_and_the_run_goes_on_later() {
     let folder = tempfile::tempdir().unwrap();
@@ -21,12 +19,12 @@ fn a_full_disk_leaves_what_is_written_and_the_run_goes_on_later() {
     succeed(here, &["run", "p.ron", "--out", "whole", "-q"]);
     let checkpoint = std::fs::metadata(here.join("whole/checkpoint.safetensors")).unwrap().len();
     let blocks = checkpoint / 1024 / 2; // in KiB: settings and curve fit, the checkpoint does not
-    let script =
-        format!("trap '' XFSZ; ulimit -f {blocks}; exec {} run p.ron --out r -q", env!("CARGO_BIN_EXE_pwrfgs"));
+    let script = format!("ulimit -f {blocks}; exec {} run p.ron --out r -q", env!("CARGO_BIN_EXE_pwrfgs"));
     let output = std::process::Command::new("bash").args(["-c", &script]).current_dir(here).output().unwrap();
     let said = stderr(&output);
     assert_eq!(output.status.code(), Some(1), "{said}");
-    assert!(said.contains("error: cannot write r/") && !said.contains("panicked"), "{said}");
+    assert!(said.contains("error: cannot write r/") && said.contains("File too large"), "{said}");
+    assert!(!said.contains("panicked"), "{said}");
     let names: Vec<String> =
         std::fs::read_dir(here.join("r")).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
     assert!(
