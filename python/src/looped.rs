@@ -8,6 +8,7 @@ use crate::settings::Pipeline;
 use crate::strategies::{cloud_object, stats_object};
 use pwrfgs::model::Ensemble;
 use pwrfgs::train::Trainer as Inner;
+use pwrfgs_core::files::{check_file_place, write_atomically};
 use pwrfgs_core::{Dataset as Data, Partition, Result};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -117,6 +118,9 @@ impl Trainer {
         if path.as_path() == Path::new("") {
             return Err(wrong(py, "give the path of a file"));
         }
-        self.with(py, |inner| pwrfgs_core::files::write_atomically(&path, &inner.checkpoint()))
+        self.with(py, |inner| {
+            check_file_place(&path)?;
+            write_atomically(&path, &inner.checkpoint())
+        })
     }
 }

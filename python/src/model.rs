@@ -6,7 +6,7 @@ use crate::data::{angles, kind_name};
 use numpy::PyArrayDyn;
 use pwrfgs::experiment::export;
 use pwrfgs::model::{Ensemble, Prepared, Stages, file};
-use pwrfgs_core::files::write_atomically;
+use pwrfgs_core::files::{check_file_place, write_atomically};
 use pwrfgs_core::{Error, Frame, Kind, Query, Real, Result, gains_of};
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyTuple};
@@ -301,6 +301,7 @@ impl Model {
     #[pyo3(signature = (path, *, half=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, half: bool) -> PyResult<()> {
         free(py, || {
+            check_file_place(&path)?;
             if half {
                 return write_atomically(&path, &file::to_bytes_half(&self.ensemble)?);
             }
@@ -311,7 +312,10 @@ impl Model {
     /// Writes the Gaussians as a PLY file that splat viewers open, as they are for a transmitter at `tx`.
     #[pyo3(signature = (path, tx=None))]
     fn to_ply(&self, py: Python<'_>, path: PathBuf, tx: Option<[f64; 3]>) -> PyResult<()> {
-        free(py, || write_atomically(&path, &export::ply(&self.ensemble, tx)?))
+        free(py, || {
+            check_file_place(&path)?;
+            write_atomically(&path, &export::ply(&self.ensemble, tx)?)
+        })
     }
 
     /// "spectrum", "power" or "channel".

@@ -3,7 +3,7 @@
 use crate::border::{free, wrong};
 use pwrfgs::prelude::Pipeline as Inner;
 use pwrfgs_core::docs::{Body, Docs, Documented as _, Kind};
-use pwrfgs_core::files::write_atomically;
+use pwrfgs_core::files::{check_new_file, write_atomically};
 use pwrfgs_core::plugin::{Family, PluginKind, inventory, ron_options};
 use pwrfgs_core::ron_tree::{Body as Parts, Tree};
 use pwrfgs_core::{Error, Plugin, Result};
@@ -93,8 +93,10 @@ impl Pipeline {
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let mut inner = self.now();
         pwrfgs::experiment::rebase(&mut inner, &self.base);
-        let there = || Error::input(&path, "exists; choose another name or remove it");
-        free(py, || if path.exists() { Err(there()) } else { write_atomically(&path, inner.to_ron().as_bytes()) })
+        free(py, || {
+            check_new_file(&path)?;
+            write_atomically(&path, inner.to_ron().as_bytes())
+        })
     }
 
     fn copied(&self) -> Self {

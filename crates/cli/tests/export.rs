@@ -221,7 +221,7 @@ fn mistakes_are_named_and_nothing_is_written_or_overwritten() {
     wrong(&[MODEL, "--ply", MODEL], &["exists; choose another name"]);
     wrong(&[MODEL, "--ply", "r"], &["r exists"]);
     assert_eq!(std::fs::read(here.join("thesis.npz")).unwrap(), b"years of work");
-    refuse(here, &["export", MODEL, "--ply", "no/folder.ply"], 1, &["cannot write no/folder.ply"]);
+    wrong(&[MODEL, "--ply", "no/folder.ply"], &["no/folder.ply: the folder `no` does not exist; make it"]);
     let mut left: Vec<String> =
         std::fs::read_dir(here).unwrap().map(|e| e.unwrap().file_name().to_string_lossy().into_owned()).collect();
     left.sort();

@@ -83,6 +83,71 @@ fn a_pipe_in_place_of_a_file_is_refused_and_not_waited_for() {
 }
 
 #[test]
+fn rejects_output_paths_that_cannot_be_made() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    measured(here);
+    succeed(here, &["run", "p.ron", "--out", "r", "-q"]);
+    std::fs::copy(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes/lab-s23.ron"), here.join("lab.ron"))
+        .unwrap();
+    write(&here.join("walk.csv"), "x,y,z\n1,0,1\n");
+    let axes = "axes: [(name: \"steps\", variants: [(label: \"a\"), (label: \"b\", training: (stride: 2))])]";
+    write(&here.join("e.ron"), format!("Experiment(name: \"e\", base: \"p.ron\", {axes})"));
+    std::os::unix::fs::symlink("nowhere", here.join("link")).unwrap();
+    let model = "r/model.safetensors";
+    let commands: &[&[&str]] = &[
+        &["run", "p.ron", "--out"],
+        &["sweep", "e.ron", "--out"],
+        &["predict", model, "--tx", "0,0,1", "--out"],
+        &["map", model, "--plane", "z=1", "--step", "1", "--bounds", "0,1,0,1", "--out"],
+        &["evaluate", model, "--out"],
+        &["report", "r", "--out"],
+        &["inspect", "p.ron", "--out"],
+        &["simulate", "lab.ron", "--samples", "5", "--points", "50", "--out"],
+        &[
+            "import",
+            "--spectra",
+            "data/spectrum",
+            "--tx",
+            "data/tx_pos.csv",
+            "--receiver",
+            "0,0,0",
+            "--orientation",
+            "0,0,0,1",
+            "--out",
+        ],
+        &["init", "data", "--out"],
+        &["man", "--out"],
+        &["export", model, "--ply"],
+        &["export", model, "--npz"],
+        &["export", model, "--half"],
+        &["view", "r", "--record", "walk.csv"],
+    ];
+    let long = "n".repeat(300);
+    let below = format!("missing/{long}");
+    for command in commands {
+        for (out, word) in
+            [("link", "link"), ("/dev/null/x", "/dev/null"), (&long, "nnn"), (&below, "nnn"), ("p.ron/x", "p.ron")]
+        {
+            refuse(here, &[command, &[out][..]].concat(), 2, &[word]);
+        }
+        if ["export", "view"].contains(&command[0]) {
+            refuse(
+                here,
+                &[command, &["missing/file"][..]].concat(),
+                2,
+                &["the folder `missing` does not exist; make it"],
+            );
+        }
+    }
+    assert!(!here.join("missing").exists() && !here.join("nowhere").exists(), "nothing was written");
+    // The longest name that a file system takes is fine.
+    let longest = "n".repeat(251) + ".npz";
+    succeed(here, &["export", model, "--npz", &longest]);
+    assert!(here.join(longest).is_file());
+}
+
+#[test]
 fn what_files_say_steers_no_terminal_and_is_not_repeated_at_length() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();

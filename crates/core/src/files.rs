@@ -16,6 +16,8 @@ use std::path::Path;
 pub const MAX_TEXT: u64 = 1 << 28;
 /// Largest file of numbers that is read whole, bytes: 16 GiB.
 pub const MAX_NUMBERS: u64 = 1 << 34;
+/// Bytes of a file's name that its temporary file has as well; file systems take 255.
+const LONGEST_NAME: usize = 200;
 
 /// Opens a file for reading. All readers of the toolkit go through here, so that none waits for ever: whoever opens a
 /// named pipe waits until somebody writes.
@@ -96,6 +98,69 @@ pub fn read_at_most(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     if bytes.len() as u64 > limit { refuse() } else { Ok(bytes) }
 }
 
+/// Refuses a path at which nothing can be made, before any work: below something that is no folder, a link to nothing, or a
+/// name that the file system does not take. Missing folders are fine; what stands at `path` itself is not judged.
+///
+/// # Errors
+/// [`Error::Input`] that names the part of the path.
+pub fn check_place(path: &Path) -> Result<()> {
+    let refuse = |what: String| Err(Error::input(path, format!("{what}; choose another path")));
+    let mut missing = Vec::new();
+    for own in path.ancestors() {
+        let standing = if own.as_os_str().is_empty() { Path::new(".") } else { own };
+        match fs::metadata(standing) {
+            Ok(found) if found.is_dir() => {
+                // A name that is too long is only told of in a folder that exists.
+                let told =
+                    missing.iter().find_map(|name| fs::symlink_metadata(standing.join(name)).err().filter(is_bad));
+                return told.map_or(Ok(()), |e| refuse(e.to_string()));
+            }
+            Ok(_) if own == path => return Ok(()),
+            Ok(_) => return refuse(format!("`{}` is no folder", own.display())),
+            Err(_) if own.is_symlink() => return refuse(format!("the link `{}` leads to nothing", own.display())),
+            Err(e) if is_bad(&e) => return refuse(e.to_string()),
+            Err(_) => missing.extend(own.file_name()),
+        }
+    }
+    Ok(())
+}
+
+/// Whether a name is at fault, and not what it names.
+fn is_bad(error: &io::Error) -> bool {
+    matches!(error.kind(), ErrorKind::InvalidFilename | ErrorKind::InvalidInput)
+}
+
+/// Refuses a path at which no file can be made, before any work: as [`check_place`], and the folder must exist.
+///
+/// # Errors
+/// [`Error::Input`] that says what is missing.
+pub fn check_file_place(path: &Path) -> Result<()> {
+    check_place(path)?;
+    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if path.is_dir() || path.file_name().is_none() {
+        return Err(Error::input(path, "is a folder; choose the name of a file"));
+    }
+    if parent.is_dir() {
+        return Ok(());
+    }
+    Err(Error::input(
+        path,
+        format!("the folder `{}` does not exist; make it, or choose another path", parent.display()),
+    ))
+}
+
+/// Refuses a path at which no new file can be made, before any work: as [`check_file_place`], and nothing may stand there.
+///
+/// # Errors
+/// [`Error::Input`] that says why.
+pub fn check_new_file(path: &Path) -> Result<()> {
+    // A broken link too: it may be anything.
+    if path.symlink_metadata().is_ok() {
+        return Err(Error::Config(format!("{} exists; choose another name or remove it", path.display())));
+    }
+    check_file_place(path)
+}
+
 /// Writes a file so that at every instant either the old or the whole new one is there: a temporary file in the same
 /// folder, synced, then renamed.
 ///
@@ -103,6 +168,7 @@ pub fn read_at_most(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
 /// [`Error::Write`]; the old file is then untouched.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let name = &name[..name.floor_char_boundary(LONGEST_NAME)]; // the temporary one is longer
     let temporary = path.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
     let written = (|| {
         // What stands there is left of a killed process, or a link that somebody else laid: neither is written to.
@@ -183,14 +249,14 @@ fn holds(entry: &DirEntry) -> String {
 
 /// What a folder holds; nothing where it does not exist.
 fn entries(folder: &Path) -> Result<Vec<DirEntry>> {
+    let folder = folder.components().as_path(); // without a slash at the end, which hides a file
     match fs::read_dir(folder) {
         // An empty path would be where one stands.
         Err(_) if folder.as_os_str().is_empty() => {
             Err(Error::Config("the path of the folder is empty; name one".into()))
         }
         Ok(entries) => Ok(entries.flatten().collect()),
-        // Where it lies below a file, making it will say why it fails.
-        Err(_) if !folder.exists() => Ok(Vec::new()),
+        Err(_) if !folder.exists() => check_place(folder).map(|()| Vec::new()),
         Err(e) if e.kind() == ErrorKind::NotADirectory => {
             Err(Error::Config(format!("{} is no folder; choose another --out", folder.display())))
         }

@@ -3,7 +3,7 @@
 use crate::side::{Predictor, Side};
 use image::codecs::gif::{GifEncoder, Repeat};
 use image::{Delay, Frame, RgbaImage};
-use pwrfgs_core::files::write_atomically;
+use pwrfgs_core::files::{check_new_file, write_atomically};
 use pwrfgs_core::{Error, Image, Kind, Query, Real, Result, evenly};
 use pwrfgs_experiment::Observer;
 use pwrfgs_report::draw::canvas::{Anchor, Canvas, Colour, Paint, Point};
@@ -32,9 +32,7 @@ const PREDICTED: Colour = Colour::hex(0xd5_5e00);
 /// # Errors
 /// A file that exists, too long a walk, a run without a model yet, or one that is not asked by position.
 pub fn record(sides: &[Side], walk: &[[f64; 3]], out: &Path, observer: &mut dyn Observer) -> Result<usize> {
-    if out.symlink_metadata().is_ok() {
-        return Err(Error::Config(format!("{} exists; choose another name or remove it", out.display())));
-    }
+    check_new_file(out)?;
     if walk.len() > MOST {
         return Err(Error::Config(format!("{} positions: give {MOST} at most, ten are a second", walk.len())));
     }

@@ -50,6 +50,7 @@ pub(crate) fn man(arguments: &Man) -> Result<ExitCode> {
         output::result(&String::from_utf8_lossy(&page))?;
         return Ok(ExitCode::SUCCESS);
     };
+    pwrfgs_core::files::check_place(folder)?;
     let mut pages = Vec::new();
     for page in std::iter::once(&command).chain(command.get_subcommands().filter(|c| c.get_name() != "help")) {
         let man = clap_mangen::Man::new(page.clone());

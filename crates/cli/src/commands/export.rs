@@ -7,7 +7,7 @@ use crate::output;
 use clap::Args;
 use pwrfgs::experiment::export::{npz, ply};
 use pwrfgs::model::{Ensemble, file};
-use pwrfgs_core::files::write_atomically;
+use pwrfgs_core::files::{check_new_file, write_atomically};
 use pwrfgs_core::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -63,7 +63,7 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<ExitCod
     if names.len() < files.len() {
         return Err(Error::Config("two exports name the same file; give each a name of its own".into()));
     }
-    files.iter().try_for_each(|(path, _)| check_new(path))?;
+    files.iter().try_for_each(|(path, _)| check_new_file(path))?;
     let model = file::read_ensemble(&arguments.model)?;
     if tx.is_some() {
         check_positions(&model)?;
@@ -94,12 +94,4 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<ExitCod
 fn spelt(path: &Path) -> PathBuf {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     folder.canonicalize().unwrap_or_else(|_| folder.into()).join(path.file_name().unwrap_or_default())
-}
-
-/// Refuses what exists, a broken link included: it may be anything.
-fn check_new(path: &Path) -> Result<()> {
-    match path.symlink_metadata() {
-        Ok(_) => Err(Error::Config(format!("{} exists; choose another name or remove it", path.display()))),
-        Err(_) => Ok(()),
-    }
 }

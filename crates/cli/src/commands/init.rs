@@ -10,6 +10,7 @@ use crate::reference::{Value, example, prose};
 use clap::Args;
 use pwrfgs::prelude::Pipeline;
 use pwrfgs_core::docs::Documented as _;
+use pwrfgs_core::files::check_place;
 use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{Error, Kind, Result};
 use std::fs::OpenOptions;
@@ -87,6 +88,7 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<ExitCode> {
     if out.symlink_metadata().is_ok() {
         return Err(Error::input(&out, "exists, and nothing is overwritten; name another file with --out"));
     }
+    check_place(&out)?;
     let pipeline = pipeline(&survey, &arguments.folder, &out)?;
     let text = written(&survey, &pipeline)?;
     write_new(&out, &text)?;
