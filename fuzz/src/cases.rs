@@ -6,7 +6,7 @@ use pwrfgs_core::{Error, Result, rng};
 use std::fs::{self, File};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -16,6 +16,8 @@ const PATIENCE: f64 = 10.0;
 const LONGEST: Duration = Duration::from_mins(1);
 /// The variable that makes the fuzzer be `pwrfgs`.
 pub const AS_PROGRAM: &str = "PWRFGS_FUZZ_AS_PROGRAM";
+/// What calls of the program write; a call is refused beside what an earlier one left.
+const WRITTEN: [&str; 6] = ["ran", "simulated", "compared", "heard", "out.npz", "out.ply"];
 /// Longest message, bytes.
 const LONGEST_MESSAGE: usize = 2_000;
 
@@ -103,7 +105,10 @@ impl Bench {
                 Ok(Err(e)) => fault_of_message(&e.to_string()),
                 Err(_) => Some(PANIC.lock().unwrap_or_else(PoisonError::into_inner).clone()),
             },
-            Reader::Program(arguments) => self.call(arguments)?,
+            Reader::Program(arguments) => match self.call(arguments)? {
+                None => Some("takes too long".into()),
+                Some((status, text)) => fault_of_end(status, &text),
+            },
         };
         if !keep {
             put(&self.seeds[target][0])?;
@@ -111,8 +116,23 @@ impl Bench {
         Ok(fault.or_else(|| begun.is_hanging(std::process::id()).then(|| "takes too long".into())))
     }
 
-    /// Calls the program; what is wrong with how it ends.
-    fn call(&self, arguments: &[&str]) -> Result<Option<String>> {
+    /// What the reader of target number `target` says against its own whole file, if anything. A reader that refuses it may
+    /// never come to read the file, so that its cases test nothing.
+    ///
+    /// # Errors
+    /// Where the program cannot be called.
+    pub fn refusal(&self, target: usize) -> Result<Option<String>> {
+        Ok(match TARGETS[target].reader {
+            Reader::Library(read) => read(&self.folder).err().map(|e| e.to_string()),
+            Reader::Program(arguments) => match self.call(arguments)? {
+                Some((status, text)) => (!status.success()).then_some(text),
+                None => Some("takes too long".into()),
+            },
+        })
+    }
+
+    /// Calls the program; how it ends and what it says, nothing if it takes too long.
+    fn call(&self, arguments: &[&str]) -> Result<Option<(ExitStatus, String)>> {
         let said = self.folder.join("said.txt");
         let open = || File::create(&said).map_err(|e| Error::write(&said, e));
         let program = std::env::current_exe().map_err(|e| Error::Config(format!("where is this program? {e}")))?;
@@ -127,22 +147,26 @@ impl Bench {
                 Some(status) => break status,
                 None if begun.is_hanging(child.id()) => {
                     _ = child.kill().and_then(|()| child.wait());
-                    return Ok(Some("takes too long".into()));
+                    return Ok(None);
                 }
                 None => std::thread::sleep(Duration::from_millis(2)),
             }
         };
         let text = fs::read(&said).map_err(|e| Error::read(&said, e))?;
-        let text = String::from_utf8_lossy(&text);
-        for folder in ["ran", "simulated", "compared", "heard"] {
-            let _ = fs::remove_dir_all(self.folder.join(folder));
+        for path in WRITTEN.map(|name| self.folder.join(name)) {
+            let _ = fs::remove_dir_all(&path).or_else(|_| fs::remove_file(&path));
         }
-        match status.code() {
-            Some(0..=2) => Ok(text.lines().find_map(fault_of_message)),
-            code => {
-                let last = text.lines().find(|line| line.contains("panicked")).or(text.lines().last());
-                Ok(Some(format!("ends with {code:?} ({status}): {}", last.unwrap_or_default())))
-            }
+        Ok(Some((status, String::from_utf8_lossy(&text).into_owned())))
+    }
+}
+
+/// What is wrong with how the program ended.
+fn fault_of_end(status: ExitStatus, text: &str) -> Option<String> {
+    match status.code() {
+        Some(0..=2) => text.lines().find_map(fault_of_message),
+        code => {
+            let last = text.lines().find(|line| line.contains("panicked")).or(text.lines().last());
+            Some(format!("ends with {code:?} ({status}): {}", last.unwrap_or_default()))
         }
     }
 }
@@ -162,7 +186,11 @@ fn target_of(n: u64) -> usize {
 
 /// What a case breaks, for people.
 pub fn name_of(n: u64) -> String {
-    let target = &TARGETS[target_of(n)];
+    title(&TARGETS[target_of(n)])
+}
+
+/// The file of a target, and the command that reads it.
+pub fn title(target: &Target) -> String {
     match target.reader {
         Reader::Library(_) => target.file.into(),
         Reader::Program(arguments) => format!("{} for pwrfgs {}", target.file, arguments[0]),

@@ -4,13 +4,15 @@
 //! ```text
 //! pwrfgs-fuzz [--cases N] [--first N]   tries cases and lists what is wrong; exit code 1 where something is
 //! pwrfgs-fuzz --case N                  tries one in this process and keeps the broken file
+//! pwrfgs-fuzz --whole                   tries files that are not broken and lists those that are refused
 //! ```
 
 #![allow(clippy::print_stdout, clippy::print_stderr, clippy::disallowed_methods)] // a program that reads its own files
 
 use pwrfgs_core::Result;
 use pwrfgs_fuzz::bench;
-use pwrfgs_fuzz::cases::{AS_PROGRAM, Begun, Bench, name_of, own_frame};
+use pwrfgs_fuzz::cases::{AS_PROGRAM, Begun, Bench, name_of, own_frame, title};
+use pwrfgs_fuzz::targets::TARGETS;
 use std::collections::BTreeMap;
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::Path;
@@ -35,6 +37,7 @@ fn main() -> ExitCode {
     };
     let done = match (arguments.first().map(String::as_str), number("--case")) {
         (Some("work"), _) => work(&arguments[1..]),
+        (Some("--whole"), _) => whole(),
         (_, Some(case)) => repeat(case),
         _ => drive(number("--first").unwrap_or(0), number("--cases").unwrap_or(10_000)),
     };
@@ -52,6 +55,21 @@ fn repeat(case: u64) -> Result<ExitCode> {
     let fault = Bench::open(&folder)?.try_case(case, true)?;
     println!("{}", fault.as_deref().unwrap_or("fine"));
     Ok(ExitCode::from(u8::from(fault.is_some())))
+}
+
+/// The whole file of every target, twice: an earlier call must not be what refuses the next.
+fn whole() -> Result<ExitCode> {
+    let folder = tempfile::tempdir().map_err(|e| pwrfgs_core::Error::write(&std::env::temp_dir(), e))?;
+    bench::make(folder.path())?;
+    let bench = Bench::open(folder.path())?;
+    let mut refused = 0;
+    for (place, target) in TARGETS.iter().enumerate().chain(TARGETS.iter().enumerate()) {
+        if let Some(why) = bench.refusal(place)? {
+            println!("{}: {}", title(target), why.trim());
+            refused += 1;
+        }
+    }
+    Ok(ExitCode::from(u8::from(refused > 0)))
 }
 
 /// Every `step`-th case from `first` to below `end`: tells which it tries, and what is wrong with it.

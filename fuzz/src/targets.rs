@@ -102,7 +102,7 @@ pub const TARGETS: &[Target] = &[
     program("e.ron", Plain, &["sweep", "e.ron", "--dry-run", "-q"]),
     program("sweep/a/run.json", Plain, &["run", "p.ron", "--out", "sweep/a", "-q"]),
     program("sweep/a/scores.csv", Plain, &["report", "sweep", "--out", "compared", "-q"]),
-    program("scene.ron", Plain, &["simulate", "scene.ron", "--out", "simulated", "--samples", "1", "-q"]),
+    program("scene.ron", Plain, &["simulate", "scene.ron", "--out", "simulated", "--samples", "5", "-q"]),
 ];
 
 fn pipeline(bench: &Path) -> Result<()> {
@@ -137,7 +137,7 @@ fn experiment(bench: &Path) -> Result<()> {
 fn scene(bench: &Path) -> Result<()> {
     let one = pwrfgs::sim::Simulated {
         scene: "scene.ron".into(),
-        samples: 1,
+        samples: 5, // fewer are refused before the scene is read
         points: 16,
         cache: false,
         ..Default::default()

@@ -3,6 +3,12 @@
 use std::process::Command;
 
 #[test]
+fn every_reader_accepts_a_whole_file() {
+    let output = Command::new(env!("CARGO_BIN_EXE_pwrfgs-fuzz")).arg("--whole").output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
+}
+
+#[test]
 fn ten_thousand_broken_files_are_told_from_whole_ones() {
     let output = Command::new(env!("CARGO_BIN_EXE_pwrfgs-fuzz")).args(["--cases", "10000"]).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
