@@ -85,7 +85,7 @@ pub struct Slurm {
     pub at_once: Option<usize>,
     /// More options for `sbatch`, such as `--qos=long`.
     pub options: Vec<String>,
-    /// Lines of shell before the run, such as `module load gcc`.
+    /// Lines of shell before the run, such as `module load gcc`. They run with your rights: read them in a file from elsewhere.
     pub setup: Vec<String>,
 }
 
