@@ -3,22 +3,28 @@
 use crate::guard::Guard;
 use crate::house::House;
 use crate::routes::{self, Body};
+use hyper::header::{CONNECTION, HeaderValue};
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper::{Request, Response, StatusCode, body::Incoming};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use pwrfgs_core::{Error, Result};
+use std::cell::RefCell;
+use std::collections::VecDeque;
 use std::convert::Infallible;
 use std::net::Ipv4Addr;
+use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::Semaphore;
-use tokio::task::LocalSet;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::task::{AbortHandle, LocalSet};
 
-/// Connections at once; a page needs a few, the others are closed unread.
-const CONNECTIONS: usize = 64;
+/// Connections with the token at once; a page needs a few.
+const ADMITTED: usize = 64;
+/// Connections at once that have not sent the token; if more come, the oldest is closed.
+const STRANGERS: usize = 64;
 /// Time in which a request must be said.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Largest head of a request, bytes.
@@ -64,37 +70,71 @@ async fn wait(house: &House, stop: &AtomicBool) {
     }
 }
 
+/// A place among the admitted connections, taken by the first request with the token.
+struct Entry {
+    places: Arc<Semaphore>,
+    place: RefCell<Option<OwnedSemaphorePermit>>,
+}
+
+impl Entry {
+    fn is_admitted(&self) -> bool {
+        self.place.borrow().is_some()
+    }
+
+    /// Takes a place.
+    ///
+    /// # Errors
+    /// If there is none left.
+    fn admit(&self) -> Result<(), StatusCode> {
+        if !self.is_admitted() {
+            let place =
+                Arc::clone(&self.places).try_acquire_owned().map_err(|_full| StatusCode::SERVICE_UNAVAILABLE)?;
+            *self.place.borrow_mut() = Some(place);
+        }
+        Ok(())
+    }
+}
+
 async fn accept(listener: TcpListener, guard: Arc<Guard>, house: Arc<House>) {
-    let places = Arc::new(Semaphore::new(CONNECTIONS));
+    let places = Arc::new(Semaphore::new(ADMITTED));
+    let mut strangers: VecDeque<(Rc<Entry>, AbortHandle)> = VecDeque::new();
     loop {
         let Ok((stream, _)) = listener.accept().await else {
             // Out of file descriptors, say: those of others are given back in a while.
             tokio::time::sleep(TICK).await;
             continue;
         };
-        let Ok(place) = Arc::clone(&places).try_acquire_owned() else { continue };
-        let (guard, house) = (Arc::clone(&guard), Arc::clone(&house));
-        tokio::task::spawn_local(async move {
-            talk(stream, &guard, &house).await;
-            drop(place);
-        });
+        strangers.retain(|(entry, task)| !entry.is_admitted() && !task.is_finished());
+        if strangers.len() == STRANGERS
+            && let Some((_, oldest)) = strangers.pop_front()
+        {
+            oldest.abort();
+        }
+        let entry = Rc::new(Entry { places: Arc::clone(&places), place: RefCell::default() });
+        let (own, guard, house) = (Rc::clone(&entry), Arc::clone(&guard), Arc::clone(&house));
+        let task = tokio::task::spawn_local(async move { talk(stream, &own, &guard, &house).await });
+        strangers.push_back((entry, task.abort_handle()));
     }
 }
 
 /// One connection, for as many requests as it brings. What goes wrong ends it, and nothing else.
-async fn talk(stream: TcpStream, guard: &Guard, house: &Arc<House>) {
+async fn talk(stream: TcpStream, entry: &Entry, guard: &Guard, house: &Arc<House>) {
     _ = stream.set_nodelay(true);
-    let service = service_fn(async |request| Ok::<_, Infallible>(answer(request, guard, house).await));
+    let service = service_fn(async |request| Ok::<_, Infallible>(answer(request, entry, guard, house).await));
     let mut server = http1::Builder::new();
     server.timer(TokioTimer::new()).header_read_timeout(PATIENCE).max_buf_size(HEAD).max_headers(64);
     _ = server.serve_connection(TokioIo::new(stream), service).await;
 }
 
-async fn answer(request: Request<Incoming>, guard: &Guard, house: &Arc<House>) -> Response<Body> {
+async fn answer(request: Request<Incoming>, entry: &Entry, guard: &Guard, house: &Arc<House>) -> Response<Body> {
     let admitted = guard.admit(request.method(), request.uri(), request.headers());
-    let answer = match admitted {
+    let answer = match admitted.and_then(|path| entry.admit().map(|()| path)) {
         Ok(path) => routes::answer(path, request.uri().query().unwrap_or(""), house).await,
-        Err(status) => Err((status, status.canonical_reason().unwrap_or("refused").to_owned())),
+        Err(status) => {
+            let mut refusal = routes::plain(status, status.canonical_reason().unwrap_or("refused"));
+            refusal.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
+            Ok(refusal)
+        }
     };
     routes::sealed(answer.unwrap_or_else(|(status, why)| routes::plain(status, &why)))
 }
