@@ -10,7 +10,7 @@ const MODEL: &str = "run/model.safetensors";
 const HALF: &str = "half.safetensors";
 
 /// Powers of 60 transmitters in a hall at two receivers by a law of distance, in NeRF2's layout, and a pipeline beside them.
-fn hall(here: &Path) {
+pub(crate) fn hall(here: &Path) {
     let receivers = [("north", [1.0, 1.0, 2.5]), ("south", [9.0, 5.0, 2.5])];
     let place = |k: usize| [(k * 7 % 60) as f64 / 6.0, (k * 11 % 60) as f64 / 10.0, 1.0];
     let dbm = |k: usize, at: [f64; 3]| {

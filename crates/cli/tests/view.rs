@@ -2,6 +2,7 @@
 
 use crate::common::browser::Browser;
 use crate::common::{SMALL, call, pwrfgs, refuse, stderr, succeed, write};
+use crate::links::hall;
 use crate::model_format::models;
 use pwrfgs::model::file;
 use pwrfgs_core::testing::skipped;
@@ -40,6 +41,11 @@ impl Served {
 
     /// Sends bytes and gives the first line of the answer; empty where the connection was closed. `ends`: nothing more comes.
     fn says(&self, request: &[u8], ends: bool) -> String {
+        self.answer(request, ends).lines().next().unwrap_or_default().to_owned()
+    }
+
+    /// The whole answer.
+    fn answer(&self, request: &[u8], ends: bool) -> String {
         let mut stream = TcpStream::connect(self.parts().0).unwrap();
         stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
         _ = stream.write_all(request);
@@ -48,15 +54,18 @@ impl Served {
         }
         let mut answer = Vec::new();
         _ = stream.read_to_end(&mut answer);
-        String::from_utf8_lossy(&answer).lines().next().unwrap_or_default().to_owned()
+        String::from_utf8_lossy(&answer).into_owned()
     }
 
     fn get(&self, path: &str, headers: &str) -> String {
+        self.body(path, headers).lines().next().unwrap_or_default().to_owned()
+    }
+
+    /// The head of an answer with what follows it.
+    fn body(&self, path: &str, headers: &str) -> String {
         let (host, _) = self.parts();
-        self.says(
-            format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n{headers}Connection: close\r\n\r\n").as_bytes(),
-            false,
-        )
+        let request = format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n{headers}Connection: close\r\n\r\n");
+        self.answer(request.as_bytes(), false)
     }
 }
 
@@ -72,6 +81,72 @@ fn small_run() -> tempfile::TempDir {
     write(&folder.path().join("small.ron"), SMALL);
     succeed(folder.path(), &["run", "small.ron", "--out", "run", "-q"]);
     folder
+}
+
+/// Number of the first sample of a run in one of its sets, such as `test`.
+fn first_of(run: &Path, set: &str) -> usize {
+    let samples = std::fs::read_to_string(run.join("samples.csv")).unwrap();
+    samples.lines().skip(1).position(|line| line.split(',').nth(4) == Some(set)).unwrap()
+}
+
+#[test]
+fn a_baseline_is_not_scored_against_samples_that_it_stores() {
+    let folder = small_run();
+    let served = Served::start(folder.path(), &["run", "NearestNeighbours(k: 1)"]);
+    let (_, token) = served.parts();
+    let samples = std::fs::read_to_string(folder.path().join("run/samples.csv")).unwrap();
+    let asked = |side: usize, set: &str, by_position: bool| {
+        let link = first_of(&folder.path().join("run"), set);
+        let fields: Vec<&str> = samples.lines().nth(link + 1).unwrap().split(',').collect();
+        let place = if by_position { format!("tx={}", fields[1..4].join(",")) } else { format!("link={link}") };
+        served.body(&format!("/{token}/predict?side={side}&{place}"), "")
+    };
+    for by_position in [true, false] {
+        for (number, set) in ["train", "validation", "test"].into_iter().enumerate() {
+            let [model, baseline] = [0, 1].map(|side| asked(side, set, by_position).replace('\\', ""));
+            for answer in [&model, &baseline] {
+                assert!(answer.contains(&format!("\"part\":{number}")), "{set}: {answer:.400}");
+            }
+            assert!(!model.contains("\"score\":null"), "{set}: {model:.400}");
+            assert_eq!(baseline.contains("\"score\":null"), set != "test", "{set}: {baseline:.400}");
+        }
+    }
+}
+
+#[test]
+fn pages_open_on_a_test_sample_and_name_the_set() {
+    let folder = small_run();
+    let run = folder.path().join("run");
+    let served = Served::start(folder.path(), &["run", "NearestNeighbours(k: 1)"]);
+    let Some(page) = Browser::open(&served.address, [1300, 900]) else { return skipped(NO_BROWSER) };
+    let opens_on_a_test_sample = |stage: &str| {
+        page.wait("document.querySelector('[data-ready]')");
+        assert_eq!(page.eval(&format!("{stage}.parts[{stage}.link]")), json!(2), "{stage}");
+        let said = page.eval("document.querySelector('[data-numbers]').textContent");
+        assert!(said.as_str().unwrap().contains("test"), "{stage}: {said}");
+    };
+    let stage = "document.querySelector('main').stage";
+    opens_on_a_test_sample(stage);
+    let said = |set: &str| -> Vec<String> {
+        page.eval(&format!("{stage}.goTo({})", first_of(&run, set)));
+        let shown = format!("document.querySelector('[data-numbers]').textContent.includes('({}')", &set[..4]);
+        page.wait(&format!("{shown} && !{stage}.busy"));
+        let all = page.eval("[...document.querySelectorAll('[data-numbers]')].map((own) => own.textContent)");
+        serde_json::from_value(all).unwrap()
+    };
+    let [model, baseline] = said("train").try_into().unwrap();
+    assert!(model.starts_with("SSIM 0.") && model.contains("(training), 0.00 m away"), "{model}");
+    assert!(baseline.starts_with("not scored: the baseline learned from sample "), "{baseline}");
+    let [_, baseline] = said("test").try_into().unwrap();
+    assert!(baseline.starts_with("SSIM ") && baseline.contains("(test), 0.00 m away"), "{baseline}");
+    assert_eq!(page.console(), Vec::<String>::new());
+    // The same stage in reports, which predict in the page or show samples alone.
+    let powers = tempfile::tempdir().unwrap();
+    hall(powers.path());
+    for run in [run, powers.path().join("run")] {
+        page.go(&format!("file://{}", run.join("report.html").display()));
+        opens_on_a_test_sample("document.querySelector('[data-source=file]').stage");
+    }
 }
 
 fn numbers(value: &Value) -> Vec<f64> {

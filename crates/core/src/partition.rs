@@ -16,6 +16,12 @@ impl Partition {
     pub fn known(&self) -> Known<'_> {
         Known { train: &self.train, validation: &self.validation }
     }
+
+    /// Set of a link as pages number it: 0 training, 1 validation, 2 test, 3 none of them.
+    pub fn set_of(&self, link: usize) -> u8 {
+        let sets = [&self.train, &self.validation, &self.test];
+        sets.iter().zip(0..).find(|(set, _)| set.binary_search(&link).is_ok()).map_or(3, |(_, number)| number)
+    }
 }
 
 /// The links that a baseline may learn from; indices into [`Dataset::links`](crate::Dataset::links), two disjoint lists.

@@ -65,16 +65,12 @@ pub fn origin(frame: &Frame, data: Option<&Dataset>) -> Origin {
 fn put_data(pack: &mut Pack, Known { data, partition, scores, links }: Known<'_>, points: usize) {
     let shown = evenly(&(0..data.scene.points.len()).collect::<Vec<_>>(), points);
     pack.put("points", &[shown.len(), 3], shown.iter().flat_map(|&i| data.scene.points[i]));
-    let mut parts = vec![3; data.len()];
-    for (k, part) in [&partition.train, &partition.validation, &partition.test].into_iter().enumerate() {
-        part.iter().for_each(|&i| parts[i] = k as u8);
-    }
     let (n, samples) = (links.len(), || links.iter().map(|&i| data.sample(i)));
     pack.put("links.tx", &[n, 3], samples().flat_map(|sample| data.scene.origin.local(sample.tx)));
     pack.put("links.id", &[n], samples().map(|sample| sample.id as Real));
     pack.put("links.receiver", &[n], samples().map(|sample| sample.receiver as Real));
     pack.put("links.score", &[n], links.iter().map(|&i| scores[i] as Real));
-    pack.put_bytes("links.part", &[n], links.iter().map(|&i| parts[i]).collect());
+    pack.put_bytes("links.part", &[n], links.iter().map(|&i| partition.set_of(i)).collect());
 }
 
 fn receiver(name: &str, pose: &Pose, origin: Origin) -> Value {

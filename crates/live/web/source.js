@@ -80,10 +80,13 @@ export class FileSource {
   async predict(side, { tx, link }) {
     const begun = performance.now();
     const { width, height } = this.known.note.plane;
-    const nearest = this.nearest(link === null ? tx : this.position(link));
+    const nearest = link === null ? this.nearest(tx) : { link, metres: 0 };
     const picture = this.predictor ? this.predictor.predict(tx ?? this.position(link)).picture : this.stored("predicted", nearest.link);
     const note = { ms: performance.now() - begun, strongest: this.direction(picture), nearest };
-    if (nearest) nearest.score = structuralSimilarity(picture, this.stored("truth", nearest.link), width, height);
+    if (nearest) {
+      nearest.score = structuralSimilarity(picture, this.stored("truth", nearest.link), width, height);
+      nearest.part = this.known.get("links.part")[nearest.link];
+    }
     return { note, has: (name) => name === "picture", get: () => picture };
   }
 

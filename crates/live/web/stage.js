@@ -6,6 +6,7 @@ import { ServerSource } from "./source.js";
 /** Colours of parts of the data, of what goes and what stays: told apart by the colour-blind (Okabe and Ito). */
 const PART_COLOURS = [[230, 159, 0], [86, 180, 233], [0, 158, 115], [140, 146, 158]];
 const PART_NAMES = ["training", "validation", "test", "unused"];
+const TEST = 2;
 const GOES = [213, 94, 0];
 const STAYS = [0, 114, 178];
 const MEASURED_LINE = "#0072b2";
@@ -231,8 +232,14 @@ export class Stage {
     const [low, high] = this.note.bounds;
     this.tx = low.map((v, k) => (v + high[k]) / 2);
     this.link = null;
-    const first = this.ordered("id")[0];
+    const first = this.firstLink();
     if (first !== undefined) this.goTo(first, false);
+  }
+
+  /** The first test sample of the receiver that is listened to; any where there is none. */
+  firstLink() {
+    const all = this.ordered("id");
+    return all.find((i) => this.parts[i] === TEST) ?? all[0];
   }
 
   /** Links of the receiver that is listened to, sorted. */
@@ -348,7 +355,7 @@ export class Stage {
 
   listenAt(receiver) {
     this.receiver = receiver;
-    this.goTo(this.ordered("id")[0] ?? this.link);
+    this.goTo(this.firstLink() ?? this.link);
   }
 
   seek(id) {
@@ -525,7 +532,7 @@ export class Stage {
       this.sides[0].numbers.textContent = this.aboutSample(link);
       return;
     }
-    const asked = { tx: this.byPosition ? this.world(tx) : null, link: this.byPosition ? null : link, receiver };
+    const asked = { tx: this.byPosition ? this.world(tx) : null, link, receiver };
     const found = await Promise.all(this.sides.map((side) => this.source.predict(side.place, asked)));
     const truths = await Promise.all(found.map((one, k) => one.note.nearest && this.truth(k, one.note.nearest.link)));
     const begun = performance.now();
@@ -580,9 +587,10 @@ export class Stage {
     const degrees = (pair) => pair && pair.map((v) => `${Math.round(v)}°`).join(" / ").replace(/-/g, "−");
     const parts = [];
     if (note.nearest) {
-      const { score, link, metres } = note.nearest;
+      const { score, link, metres, part, learned } = note.nearest;
       const value = Number.isFinite(score) ? chartNumber(Number(score.toFixed(3))) : "n/a";
-      parts.push(`${this.note.score.name} ${value} against sample ${this.ids[link]}, ${metres.toFixed(2)} m away`);
+      const scored = learned ? "not scored: the baseline learned from" : `${this.note.score.name} ${value} against`;
+      parts.push(`${scored} sample ${this.ids[link]} (${PART_NAMES[part]}), ${metres.toFixed(2)} m away`);
     }
     if (note.strongest) {
       const other = truth?.note.strongest ? ` (there ${degrees(truth.note.strongest)})` : "";

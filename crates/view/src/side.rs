@@ -64,6 +64,11 @@ impl Predictor {
         self.ensemble().is_none_or(|own| own.members().iter().all(|model| model.stages.method.inputs() == 3))
     }
 
+    /// Whether it is a baseline that learned from training and validation samples, which it may store.
+    pub(crate) fn is_fitted(&self) -> bool {
+        matches!(self, Self::Floor(floor) if !floor.borrow_dependent().knows_scene())
+    }
+
     /// What is observed of a link.
     pub(crate) fn predict(&self, query: Query<'_>) -> Predicted {
         let begun = Instant::now();

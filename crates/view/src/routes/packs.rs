@@ -17,6 +17,8 @@ use std::sync::Arc;
 const POINTS: usize = 8_000;
 /// Rows of the curve that a page shows at most.
 const ROWS: usize = 600;
+/// Distance of a position from itself after a page has rounded it, metres.
+const SAME_PLACE: f64 = 1e-3;
 /// Places across the longer side of a radio map.
 const ACROSS: usize = 60;
 
@@ -117,15 +119,23 @@ fn predict(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
     };
     let found = predictor.predict(query);
     let (width, height) = (found.image.width, found.image.height);
+    // The sample that was asked for, also where another one has the same position.
+    let is_asked = |known: &Known, i: usize| {
+        let sample = known.data.sample(i);
+        asked.tx.is_none_or(|tx| sample.receiver == receiver && neighbours::distance(sample.tx, tx) < SAME_PLACE)
+    };
     let nearest = match (asked.link, known) {
-        (Some(i), Some(known)) if i < known.data.len() && asked.tx.is_none() => Some((i, 0.0)),
+        (Some(i), Some(known)) if i < known.data.len() && is_asked(known, i) => Some((i, 0.0)),
         (_, Some(known)) if known.data.placed => nearest(known, query.tx, receiver),
         _ => None,
     };
     let mut pack = Pack::new(json!({ "ms": found.ms, "strongest": strongest(side, &found.image) }));
     if let (Some((i, metres)), Some(known)) = (nearest, known) {
-        let value = score(kind, &found.image, &known.data.image(i));
-        pack.note["nearest"] = json!({ "link": i, "metres": metres, "score": value });
+        let set = known.partition.set_of(i);
+        // A baseline stores what it learned from: against that it would be perfect.
+        let learned = predictor.is_fitted() && matches!(set, 0 | 1);
+        let value = (!learned).then(|| score(kind, &found.image, &known.data.image(i)));
+        pack.note["nearest"] = json!({ "link": i, "metres": metres, "score": value, "part": set, "learned": learned });
     }
     if kind == Kind::Power {
         let all: Vec<Query<'_>> = (0..side.frame.receivers.len()).map(|r| Query { receiver: r, ..query }).collect();
