@@ -286,16 +286,21 @@ def check(pipeline: Any) -> None:
 
 def made(kind: str, module: str, name: str, settings: str, source: str) -> Any:
     """The object that a pipeline records."""
-    own = found(module, name, source)(**json.loads(settings or "{}"))
-    required, has = REQUIRED[kind], overrides(kind, own)
+    cls = found(module, name, source)
+    required, has = REQUIRED[kind], methods(kind, cls)
+    # Before it is called: a file may name anything that can be imported.
     if required not in has and not (kind == FIT_MAY_GIVE_IT and "fit" in has):
         raise InputError(f"`{name}` has no method `{required}` of its own, and so is no {kind}")
-    return own
+    return cls(**json.loads(settings or "{}"))
 
 
 def overrides(kind: str, value: Any) -> Set[str]:
+    """The methods that the class of an object has of its own."""
+    return methods(kind, type(value))
+
+
+def methods(kind: str, cls: Any) -> Set[str]:
     """The methods that a class has of its own: the others are never called."""
     base = BASES[kind]
     names: List[str] = [name for name in vars(base) if not name.startswith("_")]
-    cls = type(value)
     return {name for name in names if getattr(cls, name, None) not in (None, getattr(base, name))}

@@ -287,6 +287,15 @@ class Asks(pwrfgs.Pruner):
             TRAINER[0].step()
 
 
+def test_a_file_that_names_another_program_does_not_start_it(tmp_path):
+    settings = json.dumps({"args": ["touch", str(tmp_path / "touched")]})
+    named = f'Python(module: "subprocess", class: "Popen", settings: {json.dumps(settings)})'
+    text = SMALL.replace("OpacityThreshold(epsilon: 0.02)", named)
+    with pytest.raises(pwrfgs.InputError, match="`Popen` has no method `keep` of its own, and so is no Pruner"):
+        pwrfgs.run(pwrfgs.Pipeline(text), out=tmp_path / "r", progress=False)
+    assert not (tmp_path / "touched").exists() and not (tmp_path / "r").exists()
+
+
 def test_a_trainer_is_not_used_by_the_strategy_that_it_asks(pipeline):
     pipeline.pruners = [Asks()]
     trainer = pwrfgs.Trainer(pipeline)
