@@ -22,6 +22,7 @@ mod report;
 mod resume;
 mod shipped_models;
 mod simulate;
+mod scoring;
 mod slurm;
 mod sweep;
 mod view;

@@ -81,6 +81,16 @@ pub trait Baseline: erased_serde::Serialize + std::any::Any + std::fmt::Debug + 
         None
     }
 
+    /// Whether it can predict observations like those of `data`. Commands ask before the first training step, so that no
+    /// model is trained for a table that cannot be made.
+    ///
+    /// # Errors
+    /// Why not, and what to do.
+    fn check_data(&self, data: &Dataset) -> Result<()> {
+        let _ = data;
+        Ok(())
+    }
+
     /// Learns from all `known` links, and makes its choices, if it has any, on their validation part; where that is
     /// empty, on samples of the training part that it leaves out meanwhile.
     fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>>;

@@ -167,6 +167,14 @@ pub fn check_new_file(path: &Path) -> Result<()> {
 /// # Errors
 /// [`Error::Write`]; the old file is then untouched.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
+    replace(path, bytes, |_| ()).map(|_| ())
+}
+
+/// The same; gives the file, still open. `prepare` sees it before it takes the name, to lock it say.
+///
+/// # Errors
+/// As [`write_atomically`].
+pub fn replace(path: &Path, bytes: &[u8], prepare: impl FnOnce(&File)) -> Result<File> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let name = &name[..name.floor_char_boundary(LONGEST_NAME)]; // the temporary one is longer
     let temporary = path.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
@@ -176,13 +184,14 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
         let mut file = File::create_new(&temporary)?;
         file.write_all(bytes)?;
         file.sync_all()?;
+        prepare(&file);
         fs::rename(&temporary, path)?;
         // The rename itself lasts only once the folder is on disk; a file system that cannot sync folders still has it.
         if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
             #[expect(clippy::disallowed_methods, reason = "a folder of our own")]
             let _ = File::open(folder).and_then(|folder| folder.sync_all());
         }
-        Ok(())
+        Ok(file)
     })();
     written.map_err(|e| {
         let _ = fs::remove_file(&temporary);

@@ -8,6 +8,16 @@ pub trait Metric: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Se
     /// One or more measurements.
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>>;
 
+    /// Whether it can score predictions of observations like those of `data`; asked before the first training step, as
+    /// [`Baseline::check_data`](crate::Baseline::check_data).
+    ///
+    /// # Errors
+    /// Why not, and what to do.
+    fn check_data(&self, data: &Dataset) -> Result<()> {
+        let _ = data;
+        Ok(())
+    }
+
     /// The kind of observation that it is a metric of; `None` for one of the model itself, or of any.
     fn kind(&self) -> Option<Kind> {
         None

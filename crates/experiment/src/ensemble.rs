@@ -99,6 +99,13 @@ impl Team {
         Self { name: self.name.clone(), members: self.members.iter().map(Pipeline::essential).collect() }
     }
 
+    /// The same, each member changed by that of `other` in its place.
+    pub(crate) fn zipped(&self, other: &Self, change: impl Fn(&Pipeline, &Pipeline) -> Pipeline) -> Self {
+        let mut own = self.clone();
+        own.members.iter_mut().zip(&other.members).for_each(|(own, other)| *own = change(own, other));
+        own
+    }
+
     /// The members as runs of a sweep in `folder`. Baselines are scored once, beside the ensemble.
     pub fn plan(&self, folder: &Path) -> Plan {
         let run = |(combination, member): (usize, &Pipeline)| {

@@ -81,7 +81,7 @@ impl RunFolder {
     pub fn inspect(path: &Path, recipe: &Recipe) -> Result<()> {
         let own = path.join(PIPELINE);
         match files::read_string(&own) {
-            Ok(text) => same_recipe(path, &own, &text, &recipe.essential().to_ron()),
+            Ok(text) => same_recipe(path, &own, &text, recipe),
             Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => {
                 refuse_foreign(path, "a run folder")
             }
@@ -114,6 +114,29 @@ impl RunFolder {
         }
     }
 
+    /// Whether the run in `path` was scored by the baselines and metrics of this recipe, whose run it is.
+    pub(crate) fn is_scored_as(path: &Path, recipe: &Recipe) -> bool {
+        let own = path.join(PIPELINE);
+        let theirs = files::read_string(&own).ok().and_then(|text| Recipe::parse(&text, &own, &[]).ok());
+        theirs.is_none_or(|theirs| recipe.scored_as(&theirs).to_ron() == recipe.to_ron())
+    }
+
+    /// Replaces `pipeline.ron` where its baselines or metrics are not those of the recipe. The new file is locked before
+    /// it takes the name, so that at no instant another process can hold the folder.
+    ///
+    /// # Errors
+    /// Where it cannot be written; the old file is then untouched.
+    pub(crate) fn renew(self, recipe: &Recipe) -> Result<Self> {
+        if Self::is_scored_as(&self.path, recipe) {
+            return Ok(self);
+        }
+        let lock = files::replace(&self.file(PIPELINE), recipe.to_ron().as_bytes(), |file| {
+            // A file system without locks is no reason to refuse.
+            _ = file.try_lock();
+        })?;
+        Ok(Self { path: self.path.clone(), _lock: lock })
+    }
+
     /// Whether a process is at work in `path`.
     pub fn is_busy(path: &Path) -> bool {
         files::open(path.join(PIPELINE)).is_ok_and(|own| matches!(own.try_lock_shared(), Err(TryLockError::WouldBlock)))
@@ -141,11 +164,14 @@ fn patiently(lock: &File) -> Result<(), TryLockError> {
     lock.try_lock()
 }
 
-/// Refuses a folder that holds a run of another pipeline, naming the first difference.
-fn same_recipe(folder: &Path, file: &Path, theirs: &str, ours: &str) -> Result<()> {
+/// Refuses a folder that holds a run of another pipeline, naming the first difference. A run is what is trained: other
+/// baselines and metrics are no difference.
+fn same_recipe(folder: &Path, file: &Path, theirs: &str, ours: &Recipe) -> Result<()> {
     // Read and written again, so that fields added since with their defaults, or a comment, are no difference.
-    let theirs =
-        Recipe::parse(theirs, file, &[]).map_or_else(|_| theirs.to_owned(), |recipe| recipe.essential().to_ron());
+    let (theirs, ours) = match Recipe::parse(theirs, file, &[]) {
+        Ok(recipe) => (recipe.essential().to_ron(), ours.scored_as(&recipe).essential().to_ron()),
+        Err(_) => (theirs.to_owned(), ours.essential().to_ron()),
+    };
     let differ = theirs.lines().zip(ours.lines()).enumerate().find(|(_, (a, b))| a != b);
     match differ {
         Some((line, (there, here))) => Err(Error::Config(format!(

@@ -3,7 +3,7 @@
 use crate::memory;
 use crate::observed::observed;
 use crate::observer::Observer;
-use crate::runner::{load, rebase};
+use crate::runner::{check_scoring, load, rebase};
 use pwrfgs_core::{Error, Result};
 use pwrfgs_train::{Estimate, Pipeline, Trainer, network_bytes};
 use std::path::Path;
@@ -41,6 +41,7 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
     let (data, partition) = load(&pipeline, base, observer)?;
     fitting_network(&pipeline)?;
     let trainer = Trainer::sketch(&pipeline, &data, &partition)?;
+    check_scoring(&pipeline, &data)?;
     let loaded_bytes = memory::peak(); // before a step is tried, which is counted by itself
     let estimate = fitting(&trainer)?;
     let weights = trainer.weights();

@@ -71,6 +71,20 @@ impl Recipe {
         }
     }
 
+    /// The same with the baselines and metrics of `other`: these are not part of what is trained.
+    pub(crate) fn scored_as(&self, other: &Self) -> Self {
+        let scored = |own: &Pipeline, other: &Pipeline| Pipeline {
+            baselines: other.baselines.clone(),
+            metrics: other.metrics.clone(),
+            ..own.clone()
+        };
+        match (self, other) {
+            (Self::Pipeline(own), Self::Pipeline(other)) => Self::Pipeline(Box::new(scored(own, other))),
+            (Self::Ensemble(own), Self::Ensemble(other)) => Self::Ensemble(own.zipped(other, scored)),
+            _ => self.clone(),
+        }
+    }
+
     /// The same without what changes nothing of the result.
     pub(crate) fn essential(&self) -> Self {
         match self {

@@ -64,11 +64,12 @@ pub fn run(
     pipeline.check_text()?;
     let recipe = Recipe::Pipeline(Box::new(pipeline.clone()));
     RunFolder::inspect(out, &recipe)?;
-    if let Some((scores, facts)) = Facts::finished(out)?.filter(|(_, facts)| facts.report || page.is_none()) {
+    if let Some((scores, facts)) = finished(out, &recipe, page)? {
         facts.verify(out)?;
         return Ok(Outcome::Finished { scores, already: true });
     }
     let (data, partition) = load(&pipeline, base, observer)?;
+    check_scoring(&pipeline, &data)?;
     let mut run = Run { pipeline: &pipeline, data: &data, partition: &partition, observer, stop, page, begun };
     // Made before the folder is claimed: settings that cannot work must leave nothing behind.
     let trainer = if out.join(MODEL_FILE).is_file() {
@@ -84,12 +85,13 @@ pub fn run(
     facts.data.clone_from(&data.title);
     facts.simulated = data.is_simulated();
     facts.samples = [partition.train.len(), partition.validation.len(), partition.test.len()];
+    if trainer.is_none() {
+        earlier.verify_file(out, MODEL_FILE)?;
+        facts.write(out)?; // it is not finished any more: what it says of files is about to be wrong
+    }
+    let folder = folder.renew(&recipe)?;
     let model = match trainer {
-        None => {
-            earlier.verify_file(out, MODEL_FILE)?;
-            facts.write(out)?; // it is not finished any more: what it says of files is about to be wrong
-            file::read(&folder.file(MODEL_FILE))?
-        }
+        None => file::read(&folder.file(MODEL_FILE))?,
         Some((mut trainer, estimate)) => match run.train(&mut trainer, estimate, &folder, &mut facts)? {
             Some(model) => model,
             None => return Ok(Outcome::Interrupted { step: trainer.done() }),
@@ -115,6 +117,34 @@ pub fn load(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Re
         }
     }
     Ok((data, partition))
+}
+
+/// Scores and facts of the run of `recipe` in `out`, if nothing is left to do: trained, scored as the recipe says, and
+/// reported where there is a `page`.
+pub(crate) fn finished(out: &Path, recipe: &Recipe, page: Option<Page>) -> Result<Option<(ScoreTable, Facts)>> {
+    let done = Facts::finished(out)?.filter(|(_, facts)| facts.report || page.is_none());
+    Ok(done.filter(|_| RunFolder::is_scored_as(out, recipe)))
+}
+
+/// Refuses baselines and metrics that cannot work on `data`, before a model is trained for their table.
+///
+/// # Errors
+/// The first that refuses, by the name of its field.
+pub(crate) fn check_scoring(pipeline: &Pipeline, data: &Dataset) -> Result<()> {
+    let named = |field: &str, error: Error| match error {
+        Error::Config(_) | Error::Input { .. } | Error::Read { .. } => Error::Config(format!("{field}: {error}")),
+        other => other, // an exception of Python's stays one
+    };
+    let baselines = pipeline.baselines.iter().map(|baseline| ("baselines", baseline.kind(), baseline.check_data(data)));
+    let metrics = pipeline.metrics.iter().map(|metric| ("metrics", metric.kind(), metric.check_data(data)));
+    for (field, kind, answer) in baselines.chain(metrics) {
+        answer.map_err(|error| named(field, error))?;
+        if let Some(kind) = kind.filter(|kind| *kind != data.kind()) {
+            let (own, has) = (kind.plural(), data.kind().plural());
+            return Err(Error::Config(format!("{field}: one is of {own}, and the data are {has}; leave it out")));
+        }
+    }
+    Ok(())
 }
 
 /// Takes every relative path of the pipeline from `base` and makes it absolute.

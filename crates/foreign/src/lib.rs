@@ -176,6 +176,10 @@ impl Baseline for Python {
         own.map_or_else(|_| self.class.clone(), |own| own.name_for(kind))
     }
 
+    fn check_data(&self, data: &Dataset) -> Result<()> {
+        self.host()?.baseline(self)?.check_data(data)
+    }
+
     fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.host()?.baseline(self)?.fit(data, known)
     }
@@ -187,6 +191,10 @@ impl Baseline for Python {
 
 #[typetag::serde]
 impl Metric for Python {
+    fn check_data(&self, data: &Dataset) -> Result<()> {
+        self.host()?.metric(self)?.check_data(data)
+    }
+
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
         self.host()?.metric(self)?.evaluate(evaluation)
     }

@@ -140,6 +140,10 @@ impl Baseline for RayTracing {
         words.join(" ")
     }
 
+    fn check_data(&self, data: &Dataset) -> Result<()> {
+        self.fit(data, Known::train(&[])).map(|_| ()) // it learns nothing, and reads all that can be missing
+    }
+
     fn fit<'a>(&self, data: &'a Dataset, _: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
         let (scene, knows_scene) = self.scene(data)?;
         let what = wanted(data, &scene)?;

@@ -20,7 +20,8 @@ use std::sync::atomic::AtomicBool;
     after_long_help = "The run folder holds pipeline.ron (every setting), curve.csv, validation.csv, scores.csv, \
     samples.csv, run.json, the checkpoint, model.safetensors and report.html; with --set tensorboard=true also \
     an event file, which `tensorboard --logdir runs` shows while the run goes on. The same command resumes a run that \
-    was stopped or killed, and ends in the same files. A folder that holds anything else is never touched.\n\nPaths in \
+    was stopped or killed, and ends in the same files; with other baselines or metrics it scores the trained model anew, \
+    without training. A folder that holds anything else is never touched.\n\nPaths in \
     a pipeline are relative to its file; on the command line, to where you stand.\n\nA file that says Ensemble(..) names \
     several pipelines. Each is trained in its own folder below DIR/members, as many at a time as there are threads, and \
     the mean of their pictures is scored and saved as one model, with confidence.csv: how far the members differ, and how \

@@ -58,11 +58,16 @@ impl Baseline for Kriging {
         "Kriging".into()
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
-        if !data.placed || data.features.is_some() {
-            let what = "has no positions of transmitters to predict from, and Kriging is a process over position";
-            return Err(Error::Config(format!("{} {what}; use NearestNeighbours()", data.title)));
+    fn check_data(&self, data: &Dataset) -> Result<()> {
+        if data.placed && data.features.is_none() {
+            return Ok(());
         }
+        let what = "has no positions of transmitters to predict from, and Kriging is a process over position";
+        Err(Error::Config(format!("{} {what}; use NearestNeighbours()", data.title)))
+    }
+
+    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
+        self.check_data(data)?;
         ByReceiver::fit(data, known, |known| {
             let all = all_of(known)?;
             let trend = Trend::of(data, &all);

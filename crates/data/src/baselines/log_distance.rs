@@ -42,13 +42,18 @@ impl Baseline for LogDistance {
         }
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
-        if data.kind() != Kind::Power || !data.placed {
-            let holds = if data.placed { data.kind().plural() } else { "no places of transmitters" };
-            let what =
-                format!("LogDistance() is a law of received powers at known places, and {} holds {holds}", data.title);
-            return Err(Error::Config(format!("{what}; remove it from `baselines`")));
+    fn check_data(&self, data: &Dataset) -> Result<()> {
+        if data.kind() == Kind::Power && data.placed {
+            return Ok(());
         }
+        let holds = if data.placed { data.kind().plural() } else { "no places of transmitters" };
+        let what =
+            format!("LogDistance() is a law of received powers at known places, and {} holds {holds}", data.title);
+        Err(Error::Config(format!("{what}; remove it from `baselines`")))
+    }
+
+    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
+        self.check_data(data)?;
         let mut own = vec![Vec::new(); data.scene.receivers.len()];
         all_of(known)?.into_iter().for_each(|i| own[data.links[i].receiver].push(i));
         let own: Vec<Vec<(f64, f64)>> = own.iter().map(|links| points(data, links)).collect();

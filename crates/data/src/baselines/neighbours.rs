@@ -100,11 +100,16 @@ impl Baseline for NearestNeighbours {
         }
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
-        if !data.placed && data.features.is_none() {
-            let what = "does not say where the transmitters are, and NearestNeighbours looks for near ones";
-            return Err(Error::Config(format!("{} {what}; remove it from `baselines`", data.title)));
+    fn check_data(&self, data: &Dataset) -> Result<()> {
+        if data.placed || data.features.is_some() {
+            return Ok(());
         }
+        let what = "does not say where the transmitters are, and NearestNeighbours looks for near ones";
+        Err(Error::Config(format!("{} {what}; remove it from `baselines`", data.title)))
+    }
+
+    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
+        self.check_data(data)?;
         ByReceiver::fit(data, known, |known| {
             let all = all_of(known)?;
             let (k, chosen) = match self.k {

@@ -36,11 +36,16 @@ impl Baseline for Ridge {
         "ridge".into()
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
-        if data.features.is_none() {
-            let what = format!("Ridge() maps features to observations, and transmitters of {} have none", data.title);
-            return Err(Error::Config(format!("{what}; use Kriging()")));
+    fn check_data(&self, data: &Dataset) -> Result<()> {
+        if data.features.is_some() {
+            return Ok(());
         }
+        let what = format!("Ridge() maps features to observations, and transmitters of {} have none", data.title);
+        Err(Error::Config(format!("{what}; use Kriging()")))
+    }
+
+    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
+        self.check_data(data)?;
         ByReceiver::fit(data, known, |known| Map::fit(data, &all_of(known)?, self.weight))
     }
 

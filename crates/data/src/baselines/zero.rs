@@ -21,11 +21,16 @@ impl Baseline for Zero {
         "zero".into()
     }
 
-    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
-        if data.kind() != Kind::Channel {
-            let what = format!("Zero() is a floor of channels, and {} holds {}", data.title, data.kind().plural());
-            return Err(Error::Config(format!("{what}; use MeanSpectrum()")));
+    fn check_data(&self, data: &Dataset) -> Result<()> {
+        if data.kind() == Kind::Channel {
+            return Ok(());
         }
+        let what = format!("Zero() is a floor of channels, and {} holds {}", data.title, data.kind().plural());
+        Err(Error::Config(format!("{what}; use MeanSpectrum()")))
+    }
+
+    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
+        self.check_data(data)?;
         all_of(known)?;
         Ok(Box::new(Constant(Image::zeros(data.width, data.height))))
     }

@@ -8,7 +8,7 @@ use crate::folder::{MODEL_FILE, RunFolder};
 use crate::observer::Observer;
 use crate::recipe::Recipe;
 use crate::results::{Page, Results};
-use crate::runner::{Outcome, load};
+use crate::runner::{Outcome, finished, load};
 use crate::scores::ScoreTable;
 use crate::sweep::{Board, Fate, Plan, check, execute};
 use pwrfgs_core::{Error, Result};
@@ -39,16 +39,20 @@ pub fn run_team(
     team.check_text()?;
     let recipe = Recipe::Ensemble(team.clone());
     RunFolder::inspect(out, &recipe)?;
-    if let Some((scores, facts)) = Facts::finished(out)?.filter(|(_, facts)| facts.report || page.is_none()) {
+    if let Some((scores, facts)) = finished(out, &recipe, page)? {
         facts.verify(out)?;
         return Ok(Outcome::Finished { scores, already: true });
     }
     let plan = team.plan(&out.join(MEMBERS));
     let all: Vec<usize> = (0..plan.runs.len()).collect();
-    let open = check(&plan, &all, observer)?;
+    // Members are scored without baselines; the first is asked for those of the ensemble.
+    let mut asked = plan.clone();
+    asked.runs[0].pipeline.baselines = team.pipeline().baselines;
+    let open = check(&asked, &all, observer)?;
     let folder = RunFolder::claim(out, &recipe)?;
     let (mut facts, _) = Facts::open(out, team.members()[0].seed)?;
     facts.write(out)?;
+    let folder = folder.renew(&recipe)?;
     if let Some(end) = train(&plan, &open, jobs, board, stop, page)? {
         return Ok(end);
     }

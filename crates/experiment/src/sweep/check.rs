@@ -6,7 +6,7 @@ use crate::folder::RunFolder;
 use crate::observer::Observer;
 use crate::preview::{fitting, fitting_network};
 use crate::recipe::Recipe;
-use crate::runner::load;
+use crate::runner::{check_scoring, load};
 use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_train::{Pipeline, Trainer};
 use std::path::Path;
@@ -98,6 +98,7 @@ fn try_each<R>(
             fitting_network(pipeline).map_err(named)?;
             let mut trainer = Trainer::sketch(pipeline, data, partition).map_err(named)?;
             fitting(&trainer).map_err(named)?;
+            check_scoring(pipeline, data).map_err(named)?;
             all.push(then(&mut trainer).map_err(named)?);
         }
     }

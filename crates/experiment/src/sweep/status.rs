@@ -3,6 +3,8 @@
 use super::plan::Plan;
 use crate::facts::Facts;
 use crate::folder::{CURVE, PIPELINE, RunFolder};
+use crate::recipe::Recipe;
+use crate::runner::finished;
 use crate::scores::ScoreTable;
 use crate::series;
 use pwrfgs_core::files::{self, write_atomically};
@@ -42,7 +44,7 @@ impl Plan {
     /// How far one run is.
     pub fn state(&self, run: usize) -> State {
         let folder = self.folder_of(run);
-        match Facts::finished(&folder) {
+        match finished(&folder, &Recipe::Pipeline(Box::new(self.runs[run].pipeline.clone())), None) {
             Ok(Some(end)) => return State::Finished(Box::new(end)),
             Ok(None) => {}
             Err(damage) => return State::Failed(damage.to_string()),

@@ -1,0 +1,121 @@
+//! Baselines and metrics: asked before the first step, and changed without training again.
+use crate::common::{SMALL, measured, pwrfgs, refuse, stderr, stdout, succeed, wait_for_step, write};
+use std::path::Path;
+use std::process::Stdio;
+use std::time::SystemTime;
+
+const ENSEMBLE: &str = "Ensemble(name: \"both\", seeds: [0, 1], members: [Member(base: \"p.ron\")])";
+const EXPERIMENT: &str = "Experiment(
+    name: \"tiny\", base: \"p.ron\", seeds: [0],
+    axes: [Axis(name: \"batch\", variants: [(label: \"1\", training: (batch: 1)), (label: \"2\")])],
+)";
+
+/// `SMALL`, alone and as an ensemble and an experiment of it.
+fn folder() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    write(&folder.path().join("p.ron"), SMALL);
+    write(&folder.path().join("both.ron"), ENSEMBLE);
+    write(&folder.path().join("e.ron"), EXPERIMENT);
+    folder
+}
+
+fn text(path: &Path) -> String {
+    std::fs::read_to_string(path).unwrap()
+}
+
+/// When training last wrote into a run folder.
+fn trained(run: &Path) -> [SystemTime; 3] {
+    let written = |name: &str| run.join(name).metadata().unwrap().modified().unwrap();
+    ["model.safetensors", "checkpoint.safetensors", "curve.csv"].map(written)
+}
+
+#[test]
+fn unsuitable_baselines_are_refused_before_the_first_step() {
+    let folder = folder();
+    let here = folder.path();
+    measured(here);
+    let unsuitable: [(&str, &[&str]); 3] = [
+        ("RayTracing()", &["baselines: RayTracing", "not simulated from a scene"]),
+        ("Ridge()", &["baselines: Ridge() maps features", "use Kriging()"]),
+        ("RayTracing(scene: \"missing.ron\")", &["baselines: cannot read", "missing.ron"]),
+    ];
+    for (baseline, words) in unsuitable {
+        let set = format!("baselines=[{baseline}]");
+        for file in ["p.ron", "both.ron"] {
+            refuse(here, &["check", file, "--set", &set], 2, words);
+            refuse(here, &["run", file, "--set", &set], 2, words);
+        }
+        refuse(here, &["sweep", "e.ron", "--set", &set], 2, words);
+        refuse(here, &["sweep", "e.ron", "--dry-run", "--set", &set], 2, words);
+        assert!(!here.join("runs").exists(), "nothing is written for {baseline}");
+    }
+}
+
+#[test]
+fn a_finished_run_is_scored_anew_without_training() {
+    let folder = folder();
+    let here = folder.path();
+    let run = here.join("r");
+    succeed(here, &["run", "p.ron", "--out", "r", "-q", "--set", "baselines=[MeanSpectrum()]"]);
+    let before = trained(&run);
+    let other =
+        ["run", "p.ron", "--out", "r", "--set", "baselines=[NearestNeighbours(k: 2)]", "--set", "metrics=[L1()]"];
+    let table = stdout(&succeed(here, &other));
+    assert!(table.contains("2-NN") && table.contains("l1"), "{table}");
+    assert!(!table.contains("mean spectrum") && !table.contains("ssim"), "{table}");
+    let pipeline = text(&run.join("pipeline.ron"));
+    assert!(pipeline.contains("NearestNeighbours") && !pipeline.contains("MeanSpectrum"), "{pipeline}");
+    let scores = text(&run.join("scores.csv"));
+    assert!(scores.contains("2-NN,l1,") && !scores.contains("ssim"), "{scores}");
+    assert!(stderr(&succeed(here, &other)).contains("nothing to do"), "it is finished again");
+    succeed(here, &["report", "r", "-q"]); // every file is the one that run.json names
+
+    // Another model is another run, whatever it is scored by.
+    let line = 1 + pipeline.lines().position(|line| line.trim().starts_with("batch:")).unwrap();
+    let place = format!("pipeline.ron:{line} has `");
+    refuse(here, &["run", "p.ron", "--out", "r", "--set", "training.batch=1"], 2, &["another pipeline", &place]);
+    refuse(here, &["run", "r", "--set", "metrics=[Ssim()]", "--set", "seed=1"], 2, &["another pipeline", "seed"]);
+    assert_eq!(text(&run.join("pipeline.ron")), pipeline);
+    succeed(here, &["run", "r", "-q", "--set", "metrics=[Ssim()]"]);
+    assert!(text(&run.join("scores.csv")).contains("2-NN,ssim,"), "a folder is scored anew by its name too");
+    assert_eq!(trained(&run), before);
+}
+
+#[test]
+fn a_stopped_run_goes_on_with_other_metrics() {
+    let folder = folder();
+    let here = folder.path();
+    write(&here.join("p.ron"), SMALL.replace("steps: 60", "steps: 700"));
+    succeed(here, &["run", "p.ron", "--out", "whole", "-q"]);
+    let mut child = pwrfgs(here).args(["run", "p.ron", "--out", "killed", "-q"]).stdout(Stdio::null()).spawn().unwrap();
+    wait_for_step(&mut child, &here.join("killed"), 300);
+    child.kill().unwrap();
+    assert!(!child.wait().unwrap().success());
+    let said = succeed(here, &["run", "p.ron", "--out", "killed", "--set", "metrics=[L1()]"]);
+    assert!(stderr(&said).contains("going on after step"), "{}", stderr(&said));
+    let model = |run: &str| std::fs::read(here.join(run).join("model.safetensors")).unwrap();
+    assert!(model("whole") == model("killed"));
+    assert!(!text(&here.join("killed/pipeline.ron")).contains("Ssim"));
+    assert!(!text(&here.join("killed/scores.csv")).contains("ssim"));
+}
+
+#[test]
+fn ensembles_and_sweeps_are_scored_anew_too() {
+    let folder = folder();
+    let here = folder.path();
+    let runs = [
+        ("runs/both/members/small-0", ["run", "both.ron"], "runs/both"),
+        ("runs/tiny/batch=1,seed=0", ["sweep", "e.ron"], "runs/tiny/batch=1,seed=0"),
+    ];
+    for (trains, command, scored) in runs {
+        succeed(here, &[&command[..], &["-q"]].concat());
+        let before = trained(&here.join(trains));
+        let set = ["-q", "--set", "baselines=[NearestNeighbours(k: 2)]", "--set", "metrics=[L1()]"];
+        succeed(here, &[&command[..], &set].concat());
+        let scores = text(&here.join(scored).join("scores.csv"));
+        assert!(scores.contains("2-NN,l1,") && !scores.contains("ssim"), "{scores}");
+        assert_eq!(trained(&here.join(trains)), before, "{trains} was not trained again");
+    }
+    let status = stdout(&succeed(here, &["sweep", "e.ron", "--status"]));
+    assert!(status.contains("0 of 2 runs finished"), "with the metrics of the file they are not scored: {status}");
+}
