@@ -20,7 +20,8 @@ pub use record::{Record, Score};
 
 use grouping::{listed, named, settings};
 use pwrfgs_core::{Error, Kind, Result, plugin::ron_options};
-use pwrfgs_experiment::folder::PIPELINE;
+use pwrfgs_experiment::Mark;
+use pwrfgs_experiment::folder::{MODEL_FILE, PIPELINE};
 use pwrfgs_experiment::headline::{Headline, headline};
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::sweep::{LISTING, Listing};
@@ -71,6 +72,13 @@ impl Setting {
         distinct(self.runs().flat_map(Record::floors))
     }
 
+    /// The first variant before number `k` whose models have the same bytes, seed by seed: what the two differ in changed
+    /// nothing.
+    fn twin(&self, k: usize) -> Option<&Variant> {
+        let own = self.variants[k].models()?;
+        self.variants[..k].iter().find(|other| other.models().as_ref() == Some(&own))
+    }
+
     /// What was observed: that whose first metric the runs have.
     fn kind(&self) -> Kind {
         let scored = |kind: &Kind| self.runs().any(|run| run.value(MODEL, headline(*kind).key).is_some());
@@ -86,6 +94,13 @@ impl Setting {
     fn seeds(&self) -> (Option<usize>, Option<usize>) {
         let counts = self.variants.iter().map(|v| v.runs.len());
         (counts.clone().min(), counts.max())
+    }
+}
+
+impl Variant {
+    /// Seeds and model file of each run; `None` where a run folder of an earlier version does not say.
+    fn models(&self) -> Option<Vec<(&[u64], &Mark)>> {
+        self.runs.iter().map(|run| Some((run.seeds.as_slice(), run.facts.files.get(MODEL_FILE)?))).collect()
     }
 }
 

@@ -1,6 +1,6 @@
 //! `Comparison`: the rows of a setting (variants, then floors) and every number of theirs.
 
-use super::{Record, Setting, distinct};
+use super::{Record, Setting, Variant, distinct};
 use pwrfgs_experiment::CEILING;
 use pwrfgs_experiment::blocks::Blocks;
 use pwrfgs_experiment::scores::{MODEL, Summary};
@@ -44,6 +44,8 @@ impl Kind {
 pub(super) struct Row<'a> {
     pub(super) label: &'a str,
     pub(super) kind: Kind,
+    /// The first variant with the very same models.
+    pub(super) twin: Option<&'a str>,
     /// As `scores.csv` calls it.
     predictor: &'a str,
     /// One a seed.
@@ -175,11 +177,11 @@ pub(super) struct Comparison<'a> {
 
 impl<'a> Comparison<'a> {
     pub(super) fn new(setting: &'a Setting) -> Self {
-        let mut rows: Vec<Row<'a>> = setting
-            .variants
-            .iter()
-            .map(|v| Row { label: &v.label, kind: Kind::Variant, predictor: MODEL, runs: v.runs.iter().collect() })
-            .collect();
+        let variant = |(k, v): (usize, &'a Variant)| {
+            let twin = setting.twin(k).map(|first| first.label.as_str());
+            Row { label: &v.label, kind: Kind::Variant, twin, predictor: MODEL, runs: v.runs.iter().collect() }
+        };
+        let mut rows: Vec<Row<'a>> = setting.variants.iter().enumerate().map(variant).collect();
         let variants = rows.len();
         for run in setting.runs() {
             for name in run.floors() {
@@ -191,7 +193,7 @@ impl<'a> Comparison<'a> {
                         let scores = run.facts.scores.as_ref();
                         let bound = scores.is_some_and(|table| table.bounds.iter().any(|bound| bound == name));
                         let kind = if bound { Kind::Bound } else { Kind::Floor };
-                        rows.push(Row { label: name, kind, predictor: name, runs: vec![run] });
+                        rows.push(Row { label: name, kind, twin: None, predictor: name, runs: vec![run] });
                     }
                 }
             }
@@ -204,7 +206,7 @@ impl<'a> Comparison<'a> {
             }
         }
         if !ceiling.is_empty() {
-            rows.push(Row { label: CEILING, kind: Kind::Ceiling, predictor: CEILING, runs: ceiling });
+            rows.push(Row { label: CEILING, kind: Kind::Ceiling, twin: None, predictor: CEILING, runs: ceiling });
         }
         let mut metrics: Vec<Metric> = Vec::new();
         for row in setting.runs().filter_map(|run| run.facts.scores.as_ref()).flat_map(|table| &table.metrics) {
@@ -264,6 +266,15 @@ impl<'a> Comparison<'a> {
             }
         }
         all
+    }
+
+    /// Variants with the very same models, a list of labels each.
+    pub(super) fn twins(&self) -> Vec<String> {
+        let group = |first: &Row<'a>| {
+            let others = self.rows.iter().filter(|row| row.twin == Some(first.label)).map(|row| row.label);
+            [first.label].into_iter().chain(others).collect::<Vec<_>>()
+        };
+        self.rows.iter().map(group).filter(|group| group.len() > 1).map(|group| group.join(" ≡ ")).collect()
     }
 
     /// What every predictor of the setting has to say beside its numbers.

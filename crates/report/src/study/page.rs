@@ -100,6 +100,7 @@ impl Section {
                 precisions => distinct(setting.runs().map(|r| r.facts.real_bytes)),
                 absent => reference.filter(|_| named.is_none()),
                 reference => compared.label,
+                twins => comparison.twins(),
             },
         );
         let mut warnings = said.split_off(1);

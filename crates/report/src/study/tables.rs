@@ -10,7 +10,7 @@ pub(super) use ranks::ranks;
 pub(super) use scores::{further, latency, scores};
 
 use super::Setting;
-use super::comparison::Kind;
+use super::comparison::{Kind, Row};
 use serde::Serialize;
 
 /// A table of numbers.
@@ -81,12 +81,15 @@ fn title(words: &str, setting: &Setting) -> String {
 }
 
 impl Line {
-    /// Label with what it is: floors are named so, bounds carry a dagger, the ceiling is named so already.
-    fn new(label: &str, kind: Kind, cells: Vec<Shown>) -> Self {
-        let label = match kind {
-            Kind::Variant | Kind::Ceiling => label.to_owned(),
-            Kind::Floor => format!("{label} (floor)"),
-            Kind::Bound => format!("{label} †"),
+    /// Label with what it is: floors are named so, bounds carry a dagger, the ceiling is named so already, and a variant
+    /// names the first one with the same models.
+    fn new(row: &Row<'_>, cells: Vec<Shown>) -> Self {
+        let Row { label, kind, .. } = *row;
+        let label = match (kind, row.twin) {
+            (_, Some(twin)) => format!("{label} ≡ {twin}"),
+            (Kind::Variant | Kind::Ceiling, None) => label.to_owned(),
+            (Kind::Floor, None) => format!("{label} (floor)"),
+            (Kind::Bound, None) => format!("{label} †"),
         };
         Self { label, kind, cells }
     }

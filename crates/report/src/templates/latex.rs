@@ -8,7 +8,7 @@ const SIGNS: &str = r#"
 
 /// Letters and signs that only formulas have.
 const SYMBOLS: &str = r"
-    − - ± \pm × \times · \cdot ° ^\circ ² ^2 ³ ^3 ∞ \infty ≤ \le ≥ \ge ≈ \approx → \rightarrow ↑ \uparrow ↓ \downarrow
+    − - ± \pm × \times · \cdot ° ^\circ ² ^2 ³ ^3 ∞ \infty ≤ \le ≥ \ge ≈ \approx ≡ \equiv → \rightarrow ↑ \uparrow ↓ \downarrow
     √ \surd ∈ \in Δ \Delta Σ \Sigma Ω \Omega Φ \Phi α \alpha β \beta γ \gamma δ \delta ε \varepsilon η \eta θ \theta
     λ \lambda μ \mu µ \mu ν \nu π \pi ρ \rho σ \sigma τ \tau φ \varphi ψ \psi ω \omega ¹ ^1 ⁻ ^-";
 

@@ -86,7 +86,7 @@ fn column(rows: &[Row<'_>], (metric, statistic): Wanted<'_>, ranked: bool) -> Op
     };
     let mut cells: Vec<Shown> = spreads.iter().map(shown).collect();
     if ranked {
-        let rivals = |row: &Row<'_>| [Kind::Variant, Kind::Floor].contains(&row.kind);
+        let rivals = |row: &Row<'_>| [Kind::Variant, Kind::Floor].contains(&row.kind) && row.twin.is_none();
         mark(&mut cells, &spreads, &rows.iter().map(rivals).collect::<Vec<_>>(), metric.higher_is_better);
     }
     let detail = match (statistic, unit) {
@@ -132,7 +132,7 @@ pub(super) fn filled(
     let columns: Vec<(Column, Vec<Shown>)> = wanted.iter().filter_map(|w| column(rows, *w, is_ranked(w.0))).collect();
     let line = |(i, row): (usize, &Row<'_>)| {
         let cells: Vec<Shown> = columns.iter().map(|(_, cells)| cells[i].clone()).collect();
-        cells.iter().any(|c| !c.value.is_empty()).then(|| Line::new(row.label, row.kind, cells))
+        cells.iter().any(|c| !c.value.is_empty()).then(|| Line::new(row, cells))
     };
     let lines = rows.iter().enumerate().filter_map(line).collect();
     (columns.into_iter().map(|(column, _)| column).collect(), lines)

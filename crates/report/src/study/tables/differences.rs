@@ -25,7 +25,7 @@ pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &Row
                 metrics.iter().map(|m| row.less(reference, m, &comparison.blocks)).collect();
             let seeds = found.iter().flatten().map(|d| d.seeds).max()?;
             let cells = found.iter().map(|d| d.as_ref().map_or_else(Shown::default, cell)).collect();
-            Some((Line::new(row.label, row.kind, cells), seeds))
+            Some((Line::new(row, cells), seeds))
         })
         .collect();
     let seeds = (lines.iter().map(|l| l.1).min()?, lines.iter().map(|l| l.1).max()?);
@@ -52,6 +52,7 @@ pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &Row
         edge => format!("{:.2}", comparison.blocks.edge_m),
         cubes => comparison.blocks.count,
         bounds => table.has(Kind::Bound),
+        twins => !comparison.twins().is_empty(),
     };
     table.legend = sentences("legend.txt", words);
     Some(table)

@@ -86,6 +86,7 @@ fn table(
         floors => table.has(Kind::Floor),
         marked => table.is_marked(),
         bounds => table.has(Kind::Bound),
+        twins => !comparison.twins().is_empty(),
         ceiling => table.has(Kind::Ceiling),
         machines_differ => !same_machine && wanted.iter().any(|w| w.0.is_time()),
     };
