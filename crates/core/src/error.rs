@@ -44,6 +44,18 @@ pub enum Error {
         /// The training step, counted from 1.
         step: u64,
     },
+    /// Training removed all Gaussians but one.
+    #[error(
+        "training: one Gaussian is left at step {step}, removed by {}; relax that rule, or ask for one Gaussian with \
+             training.target: 1",
+        told(rules)
+    )]
+    Collapsed {
+        /// The training step, counted from 1.
+        step: u64,
+        /// How many Gaussians each rule removed.
+        rules: String,
+    },
     /// Someone asked to stop before all was done.
     #[error("stopped before all was done")]
     Stopped,

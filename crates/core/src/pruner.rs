@@ -76,6 +76,20 @@ pub trait Pruner: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Se
         false
     }
 
+    /// Training steps after which it removes a Gaussian that the data do not need: what it learns has to fall from its
+    /// initial value to a threshold. `decays` are those of Adam's two moments. `None` if it does not depend on that.
+    fn steps_to_remove(&self, decays: [Real; 2]) -> Option<u64> {
+        let _ = decays;
+        None
+    }
+
+    /// The same for a training of `scale` times the steps, below 1: what it learns falls as far in fewer steps. `None` if
+    /// nothing changes.
+    fn shortened(&self, scale: f64) -> Option<Box<dyn Pruner>> {
+        let _ = scale;
+        None
+    }
+
     /// Numbers that it remembers of the pipeline, as they are at the start; `None`: nothing. They are kept in checkpoints
     /// and shown as [`CloudStats::state`].
     fn state(&self) -> Option<Vec<Real>> {

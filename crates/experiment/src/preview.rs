@@ -23,6 +23,8 @@ pub struct Preview {
     pub points: usize,
     /// Numbers of the network.
     pub weights: usize,
+    /// Settings that cannot do what they are for.
+    pub warnings: Vec<String>,
     /// What a step takes, with the Gaussians it starts from.
     pub estimate: Estimate,
     /// Memory that the process has taken with all data loaded, bytes; 0 where the system does not tell.
@@ -39,9 +41,9 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
     let mut pipeline = pipeline.resolved()?;
     rebase(&mut pipeline, base);
     let (data, partition) = load(&pipeline, base, observer)?;
+    check_scoring(&pipeline, &data)?;
     fitting_network(&pipeline)?;
     let trainer = Trainer::sketch(&pipeline, &data, &partition)?;
-    check_scoring(&pipeline, &data)?;
     let loaded_bytes = memory::peak(); // before a step is tried, which is counted by itself
     let estimate = fitting(&trainer)?;
     let weights = trainer.weights();
@@ -51,6 +53,7 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
         samples: [&partition.train, &partition.validation, &partition.test].map(Vec::len),
         points: data.scene.points.len(),
         weights,
+        warnings: trainer.warnings(),
         estimate,
         loaded_bytes,
         free_bytes: memory::free(),

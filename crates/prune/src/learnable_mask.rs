@@ -3,7 +3,7 @@
 //! The worked example of a pruner that learns: a column, a gate and a penalty, written forward-only on the step's tape,
 //! and a decision. dfdx differentiates; nothing is derived by hand here.
 
-use crate::rounds::{check_rate, check_target, check_weight, learned};
+use crate::rounds::{check_rate, check_target, check_weight, learned, shortened_rate};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, Documented, Gate, GaussianCloud, Moment, Phase, Pruner, Real, sigmoid,
@@ -13,6 +13,8 @@ use serde::{Deserialize, Serialize};
 
 /// The column of mask logits m.
 const COLUMN: &str = "mask_logits";
+/// Most steps that are counted until a mask closes.
+const MOST_STEPS: u64 = 1_000_000;
 
 /// One learned mask a Gaussian, under pressure from a penalty: the pruning of P-WRFGS.
 ///
@@ -20,8 +22,8 @@ const COLUMN: &str = "mask_logits";
 /// 1, derivative σ′(m). The loss gains lambda · mean σ(m), eqs. (12) and (13). At a prune step what has M = 0 is
 /// discarded, eq. (10). A mask that crosses the threshold cannot come back: a Gaussian with M = 0 is not drawn, has no
 /// derivative from the picture, and only the penalty is left to move it. The pressure on one Gaussian is
-/// lambda/N · σ(1−σ), and Adam takes its size away for Gaussians that the picture does not need: at 0.01 a step they
-/// reach the threshold some 560 steps after the start, for any lambda above 0.
+/// lambda/N · σ(1−σ), and Adam divides it by its running size. Masks of Gaussians that the spectra do not need therefore
+/// reach the threshold about 1,410 steps after the start at a rate of 0.01, for any lambda above 0 (730 steps at 0.02).
 ///
 /// Use it to let training find how many Gaussians a quality is worth; a larger lambda leaves fewer (the paper: 2,613 at
 /// 0.01, 157 at 0.02, 8 at 0.04). For a number given beforehand say `target`; [`crate::LightGaussian`] and others come to
@@ -100,6 +102,18 @@ impl Pruner for LearnableMask {
         self.target.map(Budget::AtLast)
     }
 
+    fn steps_to_remove(&self, decays: [Real; 2]) -> Option<u64> {
+        (self.lambda > 0.0).then(|| self.steps_to_close(decays.map(f64::from)))
+    }
+
+    fn shortened(&self, scale: f64) -> Option<Box<dyn Pruner>> {
+        let rate = self.learning_rate;
+        // Without Adam a mask moves by its derivative, whose size is not known here: ten times the rate at most.
+        let plain = ((f64::from(rate) / scale) as Real).min(10.0 * rate);
+        let learning_rate = if self.adam { shortened_rate(rate, scale) } else { plain };
+        Some(Box::new(Self { learning_rate, ..self.clone() }))
+    }
+
     fn about(&self) -> &'static str {
         "one learned mask a Gaussian, with a penalty on the mean mask (P-WRFGS)"
     }
@@ -117,6 +131,26 @@ impl Pruner for LearnableMask {
         }
         check_rate(*learning_rate)?;
         check_target(*target)
+    }
+}
+
+impl LearnableMask {
+    /// Steps until a mask closes that the penalty alone moves, by the update of the optimiser in double precision. The
+    /// size of its derivative, lambda/N, cancels.
+    fn steps_to_close(&self, [beta1, beta2]: [f64; 2]) -> u64 {
+        let [rate, threshold, lambda] = [self.learning_rate, self.threshold, self.lambda].map(f64::from);
+        let (mut m, mut first, mut second) = (f64::from(self.initial_logit), 0.0, 0.0);
+        let mut step = |k: u64| {
+            let open = 1.0 / (1.0 + (-m).exp());
+            let slope = open * (1.0 - open);
+            first = beta1 * first + (1.0 - beta1) * slope;
+            second = beta2 * second + (1.0 - beta2) * slope * slope;
+            let unbias = |beta: f64| 1.0 - beta.powf(k as f64);
+            let adam = first / unbias(beta1) / (second / unbias(beta2)).sqrt();
+            m -= rate * if self.adam { adam } else { lambda * slope };
+            1.0 / (1.0 + (-m).exp()) < threshold
+        };
+        (1..MOST_STEPS).find(|k| step(*k)).unwrap_or(MOST_STEPS)
     }
 }
 
@@ -178,6 +212,38 @@ mod tests {
         assert_eq!(gate, kept.iter().map(|k| Real::from(u8::from(*k))).collect::<Vec<_>>());
         assert!(kept.contains(&true) && kept.contains(&false));
         assert_eq!(mask.score(&cloud, &CloudStats::zeros(cloud.len()), &moment(Phase::Prune)), logits);
+    }
+
+    #[test]
+    fn a_mask_that_nothing_needs_closes_after_the_steps_that_are_counted() {
+        // The paper's rate, the quickstart's, and both without Adam's division: by a simulation in another language.
+        let steps = |rate, adam| {
+            let mask = LearnableMask { learning_rate: rate, adam, ..LearnableMask::default() };
+            mask.steps_to_remove([0.9, 0.999])
+        };
+        assert_eq!([steps(0.01, true), steps(0.02, true)], [Some(1_410), Some(730)]);
+        // dm/dt = −rate·lambda·σ(1−σ), so that t = (eᵐ − e⁻ᵐ + 2m)/(rate·lambda) between the ends.
+        let integral = |m: f64| m.exp() - (-m).exp() + 2.0 * m;
+        let expected = (integral(1.0) - integral((0.01_f64 / 0.99).ln())) / (5.0 * 0.01);
+        let found = steps(5.0, false).unwrap() as f64;
+        assert!((found / expected - 1.0).abs() < 0.01, "{found} against {expected}");
+        assert_eq!(LearnableMask { lambda: 0.0, ..LearnableMask::default() }.steps_to_remove([0.9, 0.999]), None);
+    }
+
+    #[test]
+    fn a_shorter_training_moves_masks_faster_within_bounds() {
+        let of = |text: &str, scale| {
+            let pruner = pwrfgs_core::Plugin::<dyn Pruner>::parse(text).unwrap();
+            pruner.shortened(scale).unwrap().columns()[0].learning_rate.unwrap()
+        };
+        let near = |a: Real, b: Real| assert!((a - b).abs() < 1e-6, "{a} against {b}");
+        for name in ["LearnableMask", "MaskGaussian", "Lp3dgs"] {
+            near(of(&format!("{name}(learning_rate: 0.02)"), 0.25), 0.08);
+            near(of(&format!("{name}(learning_rate: 0.02)"), 0.01), 0.1);
+            near(of(&format!("{name}(learning_rate: 0.3)"), 0.5), 0.3);
+        }
+        near(of("LearnableMask(adam: false, learning_rate: 5)", 0.25), 20.0);
+        near(of("LearnableMask(adam: false, learning_rate: 5)", 0.01), 50.0);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! A learned mask on top of an importance.
 
-use crate::rounds::{check_rate, check_target, check_weight, logistic_noise, quantile};
+use crate::rounds::{check_rate, check_target, check_weight, logistic_noise, quantile, shortened_rate};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, Documented, Edit, Gate, GaussianCloud, Moment, Needs, Phase, Pruner, Real, Row,
@@ -110,6 +110,10 @@ impl Pruner for Lp3dgs {
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
+    }
+
+    fn shortened(&self, scale: f64) -> Option<Box<dyn Pruner>> {
+        Some(Box::new(Self { learning_rate: shortened_rate(self.learning_rate, scale), ..self.clone() }))
     }
 
     fn budget(&self) -> Option<Budget> {

@@ -1,6 +1,6 @@
 //! A coin a Gaussian, thrown at every step; who loses still learns.
 
-use crate::rounds::{check_rate, check_target, check_weight, learned, logistic_noise};
+use crate::rounds::{check_rate, check_target, check_weight, learned, logistic_noise, shortened_rate};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, Documented, Gate, GaussianCloud, Moment, Phase, Pruner, Real, rng,
@@ -81,6 +81,10 @@ impl Pruner for MaskGaussian {
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
+    }
+
+    fn shortened(&self, scale: f64) -> Option<Box<dyn Pruner>> {
+        Some(Box::new(Self { learning_rate: shortened_rate(self.learning_rate, scale), ..self.clone() }))
     }
 
     fn budget(&self) -> Option<Budget> {

@@ -113,14 +113,24 @@ pub(crate) fn contradiction(pipeline: &Pipeline) -> Option<String> {
     None
 }
 
+/// Whether densification or a pruner may add Gaussians, up to `n` at least.
+fn grows(pipeline: &Pipeline, n: usize) -> bool {
+    let densify = &pipeline.training.densify;
+    let room = densify.max_gaussians == 0 || densify.max_gaussians >= n;
+    (densify.every > 0 && densify.from < pipeline.training.densify_until && room)
+        || pipeline.pruners.iter().any(|pruner| pruner.grows())
+}
+
+/// The target that removes none of the `n` Gaussians at the start, if none are added.
+pub(crate) fn idle_target(pipeline: &Pipeline, n: usize) -> Option<usize> {
+    let target = pipeline.pruners.iter().find_map(|pruner| pruner.budget())?.target();
+    (target >= n && !grows(pipeline, n + 1)).then_some(target)
+}
+
 /// The exact number that is asked for, where it is above the `n` Gaussians at the start and none are added.
 pub(crate) fn too_many(pipeline: &Pipeline, n: usize) -> Option<String> {
     let target = pipeline.pruners.iter().find(|pruner| is_exact(pruner))?.budget()?.target();
-    let densify = &pipeline.training.densify;
-    let room = densify.max_gaussians == 0 || densify.max_gaussians >= target;
-    let grows = densify.every > 0 && densify.from < pipeline.training.densify_until && room;
-    let adds = pipeline.pruners.iter().any(|pruner| pruner.grows());
-    (target > n && !grows && !adds).then(|| {
+    (target > n && !grows(pipeline, target)).then(|| {
         format!("{target} Gaussians are wanted at the end, and there are {n} at the start; start with more, or ask for fewer")
     })
 }

@@ -16,21 +16,21 @@ pub(crate) fn reset_due(settings: &Densify, step: u64) -> bool {
 }
 
 /// Clones small and splits large Gaussians with a strong 2-D gradient, then removes transparent and oversized ones.
-/// `extent` is the size of the scene, metres. The last Gaussian is never removed.
+/// `extent` is the size of the scene, metres. The last Gaussian is never removed. Gives how many there were before the
+/// removal, and how many each rule removed.
 pub(crate) fn densify(
     settings: &Densify,
     extent: Real,
     (seed, step): (u64, u64),
     cloud: &mut GaussianCloud,
     beside: &mut Beside<'_>,
-) {
+) -> (usize, Vec<(String, usize)>) {
     let n = cloud.len();
-    let largest = |i: usize| cloud.log_scales[i].iter().fold(Real::MIN, |m, s| m.max(*s)).exp();
     let chosen = chosen(settings, n, beside.stats);
     let (mut rows, mut children) = (Vec::with_capacity(n), Vec::new());
     let mut copies = Vec::new();
     for (i, chosen) in chosen.iter().enumerate() {
-        let small = largest(i) <= settings.clone_below * extent;
+        let small = largest(cloud, i) <= settings.clone_below * extent;
         if !chosen || small {
             rows.push(Row::Kept(i));
         }
@@ -51,7 +51,8 @@ pub(crate) fn densify(
         cloud.means[row] = mean;
         cloud.log_scales[row].iter_mut().for_each(|s| *s -= settings.split_shrink.ln());
     }
-    remove(settings, extent, step, cloud, beside);
+    let before = cloud.len();
+    (before, remove(settings, extent, step, cloud, beside))
 }
 
 /// Gaussians to densify: mean gradient norm from the threshold on, within the budget; the strongest first.
@@ -78,17 +79,31 @@ fn child_mean(cloud: &GaussianCloud, i: usize, random: &mut rng::Rng) -> [Real; 
     (Vec3::from_array(cloud.means[i]) + turned).to_array()
 }
 
-fn remove(settings: &Densify, extent: Real, step: u64, cloud: &mut GaussianCloud, beside: &mut Beside<'_>) {
+fn remove(
+    settings: &Densify,
+    extent: Real,
+    step: u64,
+    cloud: &mut GaussianCloud,
+    beside: &mut Beside<'_>,
+) -> Vec<(String, usize)> {
     let too_large =
         (settings.large_above > 0.0 && step > settings.large_after).then_some(settings.large_above * extent);
-    let mut keep: Vec<bool> = (0..cloud.len())
-        .map(|i| {
-            let large = cloud.log_scales[i].iter().any(|s| too_large.is_some_and(|limit| s.exp() > limit));
-            sigmoid(cloud.opacity_logits[i]) >= settings.opacity_floor && !large
-        })
-        .collect();
+    let is_large = |i: usize| too_large.is_some_and(|limit| largest(cloud, i) > limit);
+    let is_faint = |i: usize| sigmoid(cloud.opacity_logits[i]) < settings.opacity_floor;
+    let mut keep: Vec<bool> = (0..cloud.len()).map(|i| !is_faint(i) && !is_large(i)).collect();
+    let count = |of: &dyn Fn(usize) -> bool| (0..cloud.len()).filter(|i| of(*i)).count();
+    let rules = vec![
+        (format!("`large_above`, {:.2} m", too_large.unwrap_or_default()), count(&is_large)),
+        (format!("`opacity_floor`, {}", settings.opacity_floor), count(&is_faint)),
+    ];
     ensure_one(&mut keep, &cloud.opacity_logits, "densification");
     edit::keep(&keep, cloud, beside);
+    rules
+}
+
+/// The largest scale of Gaussian `i`, metres.
+pub(crate) fn largest(cloud: &GaussianCloud, i: usize) -> Real {
+    cloud.log_scales[i].iter().fold(Real::MIN, |m, s| m.max(*s)).exp()
 }
 
 /// Where nothing would be left, keeps the one with the best score, and warns.

@@ -70,7 +70,7 @@ fn other_kinds(pipeline: &Pipeline) -> Option<(&'static str, String)> {
 }
 
 /// `Zero` of `Zero()`.
-fn name(plugin: &impl serde::Serialize) -> String {
+pub(crate) fn name(plugin: &impl serde::Serialize) -> String {
     let text = pwrfgs_core::plugin::to_ron(plugin);
     text.split(['(', '{']).next().unwrap_or_default().trim().to_owned()
 }

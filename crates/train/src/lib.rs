@@ -24,6 +24,7 @@ mod pruning;
 mod settings;
 mod survey;
 mod trainer;
+mod warnings;
 
 pub use draft::Draft;
 pub use estimate::{Estimate, network_bytes};

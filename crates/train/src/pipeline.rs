@@ -297,7 +297,8 @@ impl Pipeline {
         self.split.split(data, &mut rng::stream(self.split_seed.unwrap_or(self.seed), "split", 0))
     }
 
-    /// The pipeline as it is trained: `training.scale` multiplied into every count of steps.
+    /// The pipeline as it is trained: `training.scale` multiplied into every count of steps, and below 1 divided out of the
+    /// rates of masks.
     ///
     /// # Errors
     /// [`Error::Config`] where training ends before the pruners are done: such a run would be scored unpruned.
@@ -312,7 +313,10 @@ impl Pipeline {
             )));
         }
         let training = Checked::new(training).map_err(|why| Error::Config(format!("training: {why}")))?;
-        Ok(Self { training, ..self.clone() })
+        let scale = self.training.scale;
+        let shortened = |own: &Plugin<dyn Pruner>| own.shortened(scale).map_or_else(|| own.clone(), Plugin::from);
+        let pruners = if scale < 1.0 { self.pruners.iter().map(shortened).collect() } else { self.pruners.clone() };
+        Ok(Self { pruners, training, ..self.clone() })
     }
 
     /// The same without what changes nothing of the result: TensorBoard, and how often a checkpoint is written.

@@ -3,6 +3,7 @@
 use crate::budgets::is_exact;
 use crate::edit;
 use crate::graph::open_gates;
+use crate::kinds::name;
 use crate::survey;
 use crate::trainer::{Before, Trainer};
 use pwrfgs_core::plugin::Plugin;
@@ -25,8 +26,18 @@ fn rounds_until(step: u64, (first, last, every): (u64, u64, u64)) -> u64 {
     regular + u64::from(step >= last && last > first && !last.is_multiple_of(every.max(1)))
 }
 
-/// Whom the pruners of a pipeline keep together: a Gaussian stays where all agree, or where a budget says so.
-fn votes(pruners: &[Plugin<dyn Pruner>], cloud: &GaussianCloud, known: &[CloudStats], moment: &Moment) -> Vec<bool> {
+/// How many Gaussians each rule removes.
+pub(crate) type Rules = Vec<(String, usize)>;
+
+/// Whom the pruners of a pipeline keep together: a Gaussian stays where all agree, or where a budget says so. Beside it, how
+/// many each pruner removes.
+fn votes(
+    pruners: &[Plugin<dyn Pruner>],
+    cloud: &GaussianCloud,
+    known: &[CloudStats],
+    moment: &Moment,
+) -> (Vec<bool>, Rules) {
+    let mut rules = Rules::new();
     let mut keep = vec![true; cloud.len()];
     let mut exact = None;
     for (pruner, stats) in pruners.iter().zip(known) {
@@ -42,12 +53,17 @@ fn votes(pruners: &[Plugin<dyn Pruner>], cloud: &GaussianCloud, known: &[CloudSt
         if !matches!(budget, Some(Budget::Rounds(_))) {
             let own = pruner.keep(cloud, stats, moment);
             assert_eq!(own.len(), keep.len(), "a pruner answers for every Gaussian");
+            rules.push((format!("`{}`", name(pruner)), own.iter().filter(|keep| !**keep).count()));
             keep.iter_mut().zip(own).for_each(|(all, own)| *all &= own);
         }
     }
     match exact {
-        Some((budget, scores)) => budget.settle(&keep, &scores, moment),
-        None => keep,
+        Some((budget, scores)) => {
+            let kept = budget.settle(&keep, &scores, moment);
+            let removed = kept.iter().filter(|keep| !**keep).count();
+            (kept, vec![(format!("the target of {}", budget.target()), removed)])
+        }
+        None => (keep, rules),
     }
 }
 
@@ -68,9 +84,10 @@ impl Trainer<'_> {
         let Some(first) = pruners.first() else { return Ok(None) };
         let (before, n) = (self.before(), self.cloud.len());
         let known = self.edits(&pruners, moment)?;
-        let mut keep = votes(&pruners, &self.cloud, &known, moment);
+        let (mut keep, rules) = votes(&pruners, &self.cloud, &known, moment);
         crate::densify::ensure_one(&mut keep, &first.score(&self.cloud, &known[0], moment), "pruning");
         self.take_away(&keep);
+        self.report_removal(moment.step, keep.len(), &rules)?;
         for (k, pruner) in pruners.iter().enumerate().filter(|_| moment.round > 0) {
             pruner.advance(&mut self.memories.0[k], n, &self.cloud, moment);
         }

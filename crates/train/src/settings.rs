@@ -209,7 +209,8 @@ settings! {
         steps: u64 = 200_000,
         /// Multiplies every count of steps here, in `densify` and in the schedules of `optimizer`, as the last thing that
         /// is done to them: 0.25 for a quarter of the training in the same proportions. Counts are rounded, and those
-        /// above 0 stay at least 1.
+        /// above 0 stay at least 1. Below 1 it also divides the learning rates of masks, up to 0.1 (without Adam: ten times
+        /// the rate), so that they close within the shorter training.
         scale: f64 = 1.0,
         /// Transmitters a step.
         batch: usize = 1,

@@ -409,13 +409,10 @@ impl<'a> Trainer<'a> {
             Phase::Densify if self.stats.radius.iter().any(|radius| *radius > 0.0) => {
                 let settings = &training.densify;
                 if densify::due(settings, step) {
-                    let extent = match settings.extent_m {
-                        0.0 => densify::extent_of(self.data.scene.bounds),
-                        metres => metres,
-                    };
-                    let seed = self.pipeline.seed;
+                    let (extent, seed) = (self.extent(), self.pipeline.seed);
                     let (cloud, mut beside) = self.rows();
-                    densify::densify(settings, extent, (seed, step), cloud, &mut beside);
+                    let (before, rules) = densify::densify(settings, extent, (seed, step), cloud, &mut beside);
+                    self.report_removal(step, before, &rules)?;
                     if settings.prune_masked {
                         unpruned = self.prune(moment)?;
                     }
@@ -435,6 +432,7 @@ impl<'a> Trainer<'a> {
                 densify::ensure_one(&mut open, &self.cloud.opacity_logits, "closing the gates");
                 let closed = open.contains(&false).then(|| self.before());
                 self.take_away(&open);
+                self.report_removal(step, open.len(), &[("closed gates".into(), open.len() - self.cloud.len())])?;
                 unpruned = unpruned.or(closed);
             }
             let lasting = self.stages.method.columns();

@@ -11,7 +11,8 @@ pub(crate) struct Changes {
     /// given whole, such as 'split=Random(test: 0.3)'. What the axis of a sweep says wins
     #[arg(long = "set", value_name = "FIELD=VALUE")]
     set: Vec<String>,
-    /// Multiply every count of steps, the schedules' too: 0.25 for a quarter of the training
+    /// Multiply every count of steps, the schedules' too: 0.25 for a quarter of the training. Below 1 it also divides the
+    /// learning rates of masks, up to 0.1, so that they close in time
     #[arg(long, value_name = "FACTOR")]
     scale: Option<f64>,
 }

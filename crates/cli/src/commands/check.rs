@@ -16,7 +16,7 @@ use std::process::ExitCode;
 #[derive(Debug, Args)]
 #[command(
     after_long_help = "Reads the pipeline, loads the data, divides them, makes the Gaussians and tries one step; writes \
-    nothing. What it refuses, `pwrfgs run` would refuse. Memory and time are those of the Gaussians at the start: \
+    nothing. What it refuses, `pwrfgs run` would refuse. Warnings name settings that cannot do what they are for. Memory and time are those of the Gaussians at the start: \
     densification makes both larger, pruning smaller.\n\nEXAMPLES\n  pwrfgs check pipelines/s23-laptop.ron\n  pwrfgs check \
     pipelines/pwrfgs.ron --scale 0.1"
 )]
@@ -39,6 +39,9 @@ pub(crate) fn check(arguments: &Check, verbosity: Verbosity) -> Result<ExitCode>
     let found: Result<Vec<Preview>> = members.iter().map(|m| preview(m, Path::new(""), &mut progress)).collect();
     progress.finish();
     let found = found?;
+    for preview in &found {
+        preview.warnings.iter().for_each(|warning| output::note(&format!("warning: {warning}")));
+    }
     output::result(&match &recipe {
         Recipe::Pipeline(_) => text(&found[0]),
         Recipe::Ensemble(_) => text_of_all(&found),

@@ -28,7 +28,7 @@ pub fn check(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Result
         RunFolder::inspect(&plan.folder_of(run), &recipe)?;
     }
     let open: Vec<usize> = runs.iter().copied().filter(|&r| !matches!(plan.state(r), State::Finished(_))).collect();
-    try_each(plan, &representatives(plan, &open), observer, |_| Ok(()))?;
+    try_each(plan, &representatives(plan, &open), observer, |_, _| Ok(()))?;
     Ok(open)
 }
 
@@ -52,7 +52,10 @@ pub fn estimate(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Res
     let open = check(plan, runs, observer)?;
     let unknown: Vec<usize> = open.iter().copied().filter(|&r| known(plan.runs[r].combination).is_none()).collect();
     let tried = representatives(plan, &unknown);
-    let measured = try_each(plan, &tried, observer, seconds_per_step)?;
+    let measured = try_each(plan, &tried, observer, |run, trainer| {
+        trainer.warnings().iter().for_each(|warning| tracing::warn!("{}: {warning}", plan.runs[run].folder));
+        seconds_per_step(trainer)
+    })?;
     let seconds = |&run: &usize| {
         let PlannedRun { combination, pipeline, .. } = &plan.runs[run];
         let steps = pipeline.training.steps as f64;
@@ -81,7 +84,7 @@ fn try_each<R>(
     plan: &Plan,
     runs: &[usize],
     observer: &mut dyn Observer,
-    then: impl Fn(&mut Trainer<'_>) -> Result<R>,
+    then: impl Fn(usize, &mut Trainer<'_>) -> Result<R>,
 ) -> Result<Vec<R>> {
     let mut all = Vec::new();
     let mut loaded: Option<(String, Dataset, Partition)> = None;
@@ -95,11 +98,11 @@ fn try_each<R>(
             loaded = Some((key, data, partition));
         }
         if let Some((_, data, partition)) = &loaded {
+            check_scoring(pipeline, data).map_err(named)?;
             fitting_network(pipeline).map_err(named)?;
             let mut trainer = Trainer::sketch(pipeline, data, partition).map_err(named)?;
             fitting(&trainer).map_err(named)?;
-            check_scoring(pipeline, data).map_err(named)?;
-            all.push(then(&mut trainer).map_err(named)?);
+            all.push(then(run, &mut trainer).map_err(named)?);
         }
     }
     Ok(all)

@@ -1,0 +1,128 @@
+//! Pruning that does nothing, or too much, is reported.
+use crate::common::{SMALL, refuse, stderr, stdout, succeed, write};
+use std::path::Path;
+
+/// Three strategies to as many Gaussians as there are at the start.
+const IDLE: &str = "Experiment(
+    name: \"idle\", base: \"p.ron\", seeds: [0],
+    set: (training: (target: 8)),
+    axes: [Axis(name: \"by\", variants: [
+        (label: \"chance\", pruners: [RandomReference()]),
+        (label: \"light\", pruners: [LightGaussian()]),
+        (label: \"signal\", pruners: [SignalContribution()]),
+    ])],
+)";
+
+/// `SMALL` without densification: 8 Gaussians from the first step on.
+fn folder() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    write(&folder.path().join("p.ron"), SMALL.replace("every: 5, from: 5", "every: 0"));
+    folder
+}
+
+fn gaussians(run: &Path) -> u64 {
+    let facts: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(run.join("run.json")).unwrap()).unwrap();
+    facts["gaussians"].as_u64().unwrap()
+}
+
+#[test]
+fn a_target_that_is_reached_from_the_start_is_reported_and_equal_models_are_marked() {
+    let folder = folder();
+    let here = folder.path();
+    write(&here.join("e.ron"), IDLE);
+    let idle = "the target is 8 and training starts with 8 Gaussians";
+    let one = ["p.ron", "--set", "pruners=[LightGaussian()]", "--set"];
+    let said = |command: &str, target: &str| stderr(&succeed(here, &[&[command][..], &one, &[target]].concat()));
+    assert!(said("check", "training.target=8").contains(&format!("warning: pruners: {idle}")));
+    assert!(!said("check", "training.target=7").contains("warning"));
+    let run = said("run", "training.target=8");
+    assert!(run.contains(idle) && run.contains("nothing was pruned: 8 Gaussians remain"), "{run}");
+
+    let said = stderr(&succeed(here, &["sweep", "e.ron", "--dry-run"]));
+    assert!(["chance", "light", "signal"].iter().all(|by| said.contains(&format!("by={by},seed=0: pruners: {idle}"))));
+    let table = stdout(&succeed(here, &["sweep", "e.ron", "-q"]));
+    for words in [
+        "by light ≡ by chance",
+        "by signal ≡ by chance",
+        "by chance ≡ by light ≡ by signal: these variants have bit-identical",
+    ] {
+        assert!(table.contains(words), "`{words}` is not in {table}");
+    }
+    let latex = std::fs::read_to_string(here.join("runs/idle/report/tables/1-scores.tex")).unwrap();
+    let row = latex.lines().find(|line| line.starts_with("by light ")).unwrap();
+    assert!(row.contains("\\equiv") && !row.contains("\\textbf"), "a twin competes with nobody: {row}");
+}
+
+#[test]
+fn variants_that_differ_are_not_marked() {
+    let folder = folder();
+    let here = folder.path();
+    write(&here.join("e.ron"), IDLE.replace("target: 8", "target: 3"));
+    let said = succeed(here, &["sweep", "e.ron", "--dry-run"]);
+    assert!(!stderr(&said).contains("WARN"), "{}", stderr(&said));
+    let table = stdout(&succeed(here, &["sweep", "e.ron", "-q"]));
+    assert!(!table.contains('≡'), "{table}");
+}
+
+#[test]
+fn a_mask_that_cannot_close_in_time_is_reported() {
+    let folder = folder();
+    let here = folder.path();
+    let slow = ["p.ron", "--set", "pruners=[LearnableMask(learning_rate: 0.1)]"];
+    let words = "a mask of `LearnableMask` needs about 128 steps to close and pruning ends after step 40";
+    let said = stderr(&succeed(here, &[&["check"][..], &slow].concat()));
+    assert!(said.contains(words), "{said}");
+    let said = stderr(&succeed(here, &[&["run"][..], &slow].concat()));
+    assert!(said.contains(words) && said.contains("nothing was pruned: 8 Gaussians remain"), "{said}");
+    for fast in ["LearnableMask(learning_rate: 1.0)", "LearnableMask(target: 3)", "OpacityThreshold()"] {
+        let said = stderr(&succeed(here, &["check", "p.ron", "--set", &format!("pruners=[{fast}]")]));
+        assert!(!said.contains("warning"), "{fast}: {said}");
+    }
+}
+
+#[test]
+fn a_shorter_training_still_prunes() {
+    let folder = folder();
+    let here = folder.path();
+    let text = SMALL
+        .replace("Grid(count: 8)", "Grid(count: 40)")
+        .replace("every: 5, from: 5", "every: 0")
+        .replace("lambda: 0.02, learning_rate: 0.1", "lambda: 0.1, learning_rate: 0.02")
+        .replace("steps: 60", "steps: 1_200")
+        .replace("prune_until: 40, prune_every: 10", "prune_until: 1_000, prune_every: 50");
+    write(&here.join("p.ron"), text);
+    let said = stderr(&succeed(here, &["run", "p.ron", "--scale", "0.25", "--out", "short"]));
+    assert!(!said.contains("nothing was pruned") && !said.contains("to close"), "{said}");
+    assert!(gaussians(&here.join("short")) < 40);
+    let pipeline = std::fs::read_to_string(here.join("short/pipeline.ron")).unwrap();
+    assert!(pipeline.contains("prune_until: 250") && pipeline.contains("learning_rate: 0.08"), "{pipeline}");
+    let tiny = stderr(&succeed(here, &["check", "p.ron", "--scale", "0.05"]));
+    assert!(tiny.contains("needs about 128 steps to close and pruning ends after step 50"), "{tiny}");
+}
+
+#[test]
+fn a_step_that_removes_more_than_half_names_its_rule() {
+    let folder = folder();
+    let here = folder.path();
+    let said = stderr(&succeed(here, &["run", "p.ron", "-q", "--set", "pruners=[TopK(keep: 3)]"]));
+    assert!(said.contains("step 30 removed 5 of 8 Gaussians (`TopK`: 5)"), "{said}");
+}
+
+#[test]
+fn training_stops_when_one_gaussian_is_left() {
+    let folder = folder();
+    let here = folder.path();
+    let size = "training.densify=(every: 5, from: 5, large_above: 0.0001, large_after: 10)";
+    let run =
+        |out: &'static str, more: &[&'static str]| [&["run", "p.ron", "--set", size, "--out", out][..], more].concat();
+    let said = stderr(&succeed(here, &["check", "p.ron", "--set", size]));
+    assert!(said.contains("8 of 8 Gaussians start larger than `large_above`") && said.contains("at step 15"), "{said}");
+    refuse(here, &run("r", &[]), 1, &["one Gaussian is left at step 15", "`large_above`, 0.00 m: ", "target: 1"]);
+    assert!(!here.join("r/model.safetensors").exists());
+    succeed(here, &run("asked", &["--set", "training.target=1"]));
+    succeed(here, &run("alone", &["--set", "initializer=Grid(count: 1)"]));
+    let masks = "pruners=[LearnableMask(lambda: 1000, learning_rate: 1.0)]";
+    let masked = ["run", "p.ron", "--out", "masked", "--set", masks];
+    refuse(here, &masked, 1, &["one Gaussian is left at step 30, removed by `LearnableMask`: 8"]);
+}

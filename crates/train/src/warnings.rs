@@ -1,0 +1,103 @@
+//! What a training will not do although its pipeline asks for it, said before its first step; and what a step removed.
+
+use crate::budgets::{idle_target, is_exact};
+use crate::densify::{self, extent_of, largest};
+use crate::kinds::name;
+use crate::settings::Densify;
+use crate::trainer::Trainer;
+use pwrfgs_core::{Budget, Error, Real, Result};
+
+impl Trainer<'_> {
+    /// Settings that cannot do what they are for, with the Gaussians at hand: a sentence each.
+    pub fn warnings(&self) -> Vec<String> {
+        let masks = (0..self.pipeline.pruners.len()).filter_map(|k| self.slow_mask(k));
+        self.idle_target().into_iter().chain(masks).chain(self.oversized()).collect()
+    }
+
+    /// A target that is reached from the start.
+    fn idle_target(&self) -> Option<String> {
+        let n = self.cloud.len();
+        let target = idle_target(&self.pipeline, n)?;
+        Some(format!(
+            "pruners: the target is {target} and training starts with {n} Gaussians, so pruning removes none; lower the \
+             target, or start with more Gaussians"
+        ))
+    }
+
+    /// A mask that cannot fall from its initial value to its threshold before pruning ends.
+    fn slow_mask(&self, k: usize) -> Option<String> {
+        let (training, pruner) = (&self.pipeline.training, &self.pipeline.pruners[k]);
+        let decays = [training.optimizer.beta1, training.optimizer.beta2];
+        let (needed, until) = (pruner.steps_to_remove(decays)?, training.prune_until);
+        (needed > until && !is_exact(pruner)).then(|| {
+            format!(
+                "pruners: a mask of `{}` needs about {needed} steps to close and pruning ends after step {until}, so it \
+                 removes none; raise its `learning_rate`, or training.prune_until",
+                name(pruner)
+            )
+        })
+    }
+
+    /// Gaussians that densification removes for their size at its first step with that rule, unless they shrink before.
+    fn oversized(&self) -> Option<String> {
+        let (training, settings) = (&self.pipeline.training, &self.pipeline.training.densify);
+        let step = first_size_step(settings).filter(|step| *step <= training.densify_until)?;
+        if !self.stages.method.blends() {
+            return None; // what is not drawn has no size
+        }
+        let (n, limit) = (self.cloud.len(), settings.large_above * self.extent());
+        let large = (0..n).filter(|i| largest(&self.cloud, *i) > limit).count();
+        (2 * large > n).then(|| {
+            format!(
+                "training.densify: {large} of {n} Gaussians start larger than `large_above` ({limit:.2} m, {} of the \
+                 extent) and are removed at step {step} if they stay so; start with smaller Gaussians, raise `large_above`, \
+                 or set it to 0",
+                settings.large_above
+            )
+        })
+    }
+
+    /// Size of the scene, metres.
+    pub(crate) fn extent(&self) -> Real {
+        match self.pipeline.training.densify.extent_m {
+            0.0 => extent_of(self.data.scene.bounds),
+            metres => metres,
+        }
+    }
+
+    /// Says which rules removed more than half of the `before` Gaussians.
+    ///
+    /// # Errors
+    /// Where one is left, and nobody asked for that.
+    pub(crate) fn report_removal(&self, step: u64, before: usize, rules: &[(String, usize)]) -> Result<()> {
+        let left = self.cloud.len();
+        let rule = |(name, count): &(String, usize)| format!("{name}: {count}");
+        let rules = rules.iter().filter(|(_, count)| *count > 0).map(rule).collect::<Vec<_>>().join("; ");
+        if left == 1 && before > 1 && !self.wants_one() {
+            return Err(Error::Collapsed { step, rules });
+        }
+        if 2 * left < before {
+            let (name, removed) = (&self.pipeline.name, before - left);
+            let said = format!("{name}: step {step} removed {removed} of {before} Gaussians ({rules})");
+            if self.pipeline.pruners.iter().any(is_exact) && step > self.pipeline.training.densify_until {
+                tracing::info!("{said}"); // as was asked for
+            } else {
+                tracing::warn!("{said}");
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether the pipeline asks for a single Gaussian.
+    fn wants_one(&self) -> bool {
+        let target = self.pipeline.pruners.iter().find_map(|pruner| pruner.budget()).map(Budget::target);
+        target == Some(1) || self.pipeline.initializer.count() == Some(1)
+    }
+}
+
+/// The first step at which densification looks at sizes; `None` if it never does.
+fn first_size_step(settings: &Densify) -> Option<u64> {
+    let after = settings.from.max(settings.large_after);
+    let step = settings.every * (after.checked_div(settings.every)? + 1);
+    (settings.large_above > 0.0 && densify::due(settings, step)).then_some(step)
+}
