@@ -119,3 +119,25 @@ fn ensembles_and_sweeps_are_scored_anew_too() {
     let status = stdout(&succeed(here, &["sweep", "e.ron", "--status"]));
     assert!(status.contains("0 of 2 runs finished"), "with the metrics of the file they are not scored: {status}");
 }
+
+#[test]
+fn a_folder_that_is_scored_anew_is_held_and_survives_a_kill() {
+    let folder = folder();
+    let here = folder.path();
+    succeed(here, &["run", "p.ron", "--out", "r", "-q"]);
+    let before = trained(&here.join("r"));
+    // Each baseline is timed for two seconds.
+    let slow = ["run", "p.ron", "--out", "r", "-q", "--set", "metrics=[Latency(repeats: 10_000, warm_up: 10_000)]"];
+    let mut child = pwrfgs(here).args(slow).stdout(Stdio::null()).spawn().unwrap();
+    while !text(&here.join("r/pipeline.ron")).contains("warm_up: 10000") {
+        assert!(child.try_wait().unwrap().is_none(), "the run has ended");
+        std::thread::sleep(std::time::Duration::from_millis(1));
+    }
+    refuse(here, &["run", "p.ron", "--out", "r"], 2, &["another pwrfgs is at work in r"]);
+    refuse(here, &["run", "r", "--set", "metrics=[L1()]"], 2, &["another pwrfgs is at work in r"]);
+    child.kill().unwrap();
+    assert!(!child.wait().unwrap().success());
+    succeed(here, &["run", "p.ron", "--out", "r", "-q", "--set", "metrics=[L1()]"]);
+    assert!(text(&here.join("r/scores.csv")).contains("model,l1,"));
+    assert_eq!(trained(&here.join("r")), before);
+}
