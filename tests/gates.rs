@@ -124,14 +124,19 @@ fn pruning_open_gates_is_the_identity() {
 }
 
 #[test]
-fn a_prune_that_would_leave_nothing_keeps_the_best() {
+fn a_prune_that_would_leave_nothing_stops_unless_one_is_asked_for() {
     for pruners in [
         "OpacityThreshold(epsilon: 0.99)",
         "LearnableMask(lambda: 1, learning_rate: 3)",
-        "LearnableMask(lambda: 1, learning_rate: 3), OpacityThreshold(epsilon: 0.99), TopK(keep: 3)",
+        "LearnableMask(lambda: 1, learning_rate: 3), OpacityThreshold(epsilon: 0.99)",
     ] {
         let pipeline = training(pruners, "prune_every: 6");
         let (data, partition) = data_of(&pipeline);
+        let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+        let failed = (0..12).find_map(|_| trainer.step().err());
+        assert!(matches!(failed, Some(Error::Collapsed { step: 12, .. })), "{pruners}: {failed:?}");
+
+        let pipeline = training(&format!("{pruners}, TopK(keep: 1)"), "prune_every: 6");
         let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
         let mut counts = Vec::new();
         while !trainer.finished() {
@@ -147,7 +152,7 @@ fn a_prune_that_would_leave_nothing_keeps_the_best() {
 
 #[test]
 fn the_best_is_the_one_its_pruner_scores_highest() {
-    let pipeline = training("OpacityThreshold(epsilon: 0.99)", "prune_every: 6");
+    let pipeline = training("OpacityThreshold(epsilon: 0.99), TopK(keep: 1)", "prune_every: 6");
     let (data, partition) = data_of(&pipeline);
     let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
     let mut before = trainer.model().cloud;

@@ -5,7 +5,7 @@ use crate::densify::{self, extent_of, largest};
 use crate::kinds::name;
 use crate::settings::Densify;
 use crate::trainer::Trainer;
-use pwrfgs_core::{Budget, Error, Real, Result};
+use pwrfgs_core::{Error, Real, Result};
 
 impl Trainer<'_> {
     /// Settings that cannot do what they are for, with the Gaussians at hand: a sentence each.
@@ -90,8 +90,8 @@ impl Trainer<'_> {
 
     /// Whether the pipeline asks for a single Gaussian.
     fn wants_one(&self) -> bool {
-        let target = self.pipeline.pruners.iter().find_map(|pruner| pruner.budget()).map(Budget::target);
-        target == Some(1) || self.pipeline.initializer.count() == Some(1)
+        let mut budgets = self.pipeline.pruners.iter().filter_map(|pruner| pruner.budget());
+        budgets.any(|budget| budget.target() == 1) || self.pipeline.initializer.count() == Some(1)
     }
 }
 
