@@ -226,6 +226,8 @@ fn a_pipeline_is_suggested_for_every_layout() {
             let text = read(&here.join(&ron));
             assert!(words.iter().all(|word| text.contains(word)) && text.contains("Official("), "{text}");
             succeed(here, &["check", &ron]);
+            #[cfg(feature = "inspect")]
+            succeed(here, &["inspect", layout, "--out", &format!("looked-{layout}"), "-q"]);
         }
     }
 }

@@ -13,6 +13,7 @@ mod failure;
 mod faults;
 mod import;
 mod inspect;
+mod kinds;
 mod links;
 mod maps;
 mod model_format;

@@ -41,7 +41,8 @@ pub fn record(sides: &[Side], walk: &[[f64; 3]], out: &Path, observer: &mut dyn 
         let none = || Error::Config(format!("{}: there is no model before the first checkpoint", side.name));
         let predictor = side.predictor().ok_or_else(none)?;
         if !predictor.by_position() {
-            return Err(Error::Config(format!("{}: this model is not asked by position", side.name)));
+            let what = "the model takes features in place of a transmitter position; score it with `pwrfgs evaluate`";
+            return Err(Error::Config(format!("{}: {what}", side.name)));
         }
         predictors.push(predictor);
     }

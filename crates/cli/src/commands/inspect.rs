@@ -10,6 +10,7 @@ use pwrfgs::data::source_in;
 use pwrfgs::experiment::{read_pipeline, staged};
 use pwrfgs::inspect as work;
 use pwrfgs::prelude::Pipeline;
+use pwrfgs_core::plugin::{Plugin, try_to_ron};
 use pwrfgs_core::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -65,9 +66,10 @@ fn pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
         });
         return read_pipeline(&pipeline?.0, set);
     };
-    let text = format!("Pipeline(name: {:?}, data: Teacher(), initializer: Random())", name_of(path));
+    // Fields that are left out then get the defaults for this kind of data.
+    let data = try_to_ron(&Plugin::from(source)).map_err(|why| Error::input(path, why))?;
+    let text = format!("Pipeline(name: {:?}, data: {data}, initializer: Random())", name_of(path));
     let mut pipeline = Pipeline::parse(&text, path)?;
-    pipeline.data = source.into();
     pipeline.set_all(set)?;
     Ok(pipeline)
 }
