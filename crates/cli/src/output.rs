@@ -3,9 +3,10 @@
 use crate::args::Verbosity;
 use indicatif::MultiProgress;
 use pwrfgs_core::{Error, Result, words::plain};
+use std::collections::BTreeSet;
 use std::io::{ErrorKind, IsTerminal as _, Write};
 use std::path::Path;
-use std::sync::OnceLock;
+use std::sync::{Mutex, OnceLock, PoisonError};
 use tracing::Level;
 use tracing_subscriber::filter::Targets;
 use tracing_subscriber::prelude::*;
@@ -19,6 +20,14 @@ pub(crate) fn bars() -> &'static MultiProgress {
 /// A line on stderr, above the progress bar.
 pub(crate) fn note(line: &str) {
     bars().suspend(|| _ = writeln!(std::io::stderr(), "{}", plain(line)));
+}
+
+/// A warning on stderr, once per process however many runs report it.
+pub(crate) fn warning(text: &str) {
+    static SHOWN: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+    if SHOWN.lock().unwrap_or_else(PoisonError::into_inner).insert(text.to_owned()) {
+        note(&format!("warning: {text}"));
+    }
 }
 
 /// The one message of a failed command.

@@ -3,7 +3,7 @@
 use crate::args::Verbosity;
 use crate::commands::{memory, pace};
 use crate::interrupt::Training;
-use crate::output::{bars, note};
+use crate::output::{self, bars, note};
 use indicatif::{ProgressBar, ProgressStyle};
 use pwrfgs::experiment::clock::duration;
 use pwrfgs::experiment::headline::headline;
@@ -237,6 +237,13 @@ impl Observer for Progress {
         if self.verbosity != Verbosity::Quiet && (self.name.is_none() || self.verbosity == Verbosity::Verbose) {
             self.finish();
             self.say(message);
+        }
+    }
+
+    fn on_warning(&mut self, warning: &str) {
+        if self.verbosity != Verbosity::Quiet {
+            self.finish();
+            output::warning(warning);
         }
     }
 }

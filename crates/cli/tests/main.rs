@@ -28,3 +28,4 @@ mod simulate;
 mod slurm;
 mod sweep;
 mod view;
+mod warnings;

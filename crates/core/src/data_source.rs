@@ -44,6 +44,11 @@ pub trait Split: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Sen
     /// Three disjoint sorted lists; train and test are not empty.
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition>;
 
+    /// Whether the training set is small on purpose, so that a larger test set is no mistake.
+    fn is_sparse(&self) -> bool {
+        false
+    }
+
     /// Whether it can be asked at all, as [`Pruner::ready`](crate::Pruner::ready).
     ///
     /// # Errors

@@ -34,7 +34,7 @@ pub struct Import {
 }
 
 /// What became of it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Imported {
     /// M, H, W.
     pub shape: [usize; 3],
@@ -42,6 +42,10 @@ pub struct Imported {
     pub number: Number,
     /// Smallest and largest value.
     pub range: (f64, f64),
+    /// Positions of the transmitters, `[M, 3]`, metres.
+    pub tx: Vec<[f64; 3]>,
+    /// Whether all spectra are equal.
+    pub are_equal: bool,
 }
 
 impl Import {
@@ -60,7 +64,7 @@ impl Import {
         let folder = NewFolder::begin(out)?;
         let mut sink = Sink::new(self.scale, folder.path().join("spectra.npy"), progress);
         source::pictures(&self.spectra, txs.len(), &mut sink)?;
-        let imported = sink.finish(&self.spectra)?;
+        let mut imported = sink.finish(&self.spectra)?;
         let put = |name: &str, bytes: &[u8]| {
             let path = folder.path().join(name);
             fs::write(&path, bytes).map_err(|e| Error::write(&path, e))
@@ -76,6 +80,7 @@ impl Import {
         });
         put("manifest.json", format!("{manifest:#}\n").as_bytes())?;
         folder.publish()?;
+        imported.tx = txs;
         Ok(imported)
     }
 }
@@ -92,13 +97,15 @@ struct Sink<'a> {
     done: usize,
     range: Range,
     bytes: Vec<u8>,
+    /// The first spectrum as it comes, as long as all others are equal to it.
+    first: Option<Vec<u8>>,
 }
 
 impl<'a> Sink<'a> {
     fn new(scale: Option<f64>, path: PathBuf, progress: Progress<'a>) -> Self {
         let numbers = (Number::U8, Number::U8);
         let (range, bytes) = (Range::default(), Vec::new());
-        Self { scale, path, progress, file: None, shape: [0; 3], numbers, done: 0, range, bytes }
+        Self { scale, path, progress, file: None, shape: [0; 3], numbers, done: 0, range, bytes, first: None }
     }
 
     /// Before the first.
@@ -119,6 +126,10 @@ impl<'a> Sink<'a> {
         let factor = self.scale.unwrap_or(1.0) / number.full_scale();
         let (range, width, i) = (&mut self.range, self.shape[2], self.done);
         let mut at = 0;
+        if i == 0 {
+            self.first = Some(bytes.to_vec());
+        }
+        self.first.take_if(|first| first != bytes);
         self.bytes.clear();
         number.each(bytes, |v| {
             let value = v * factor;
@@ -146,6 +157,7 @@ impl<'a> Sink<'a> {
         self.range.check(from, self.scale)?;
         let file = self.file.map(|mut file| file.flush().and_then(|()| file.get_ref().sync_all()));
         file.transpose().map_err(|e| Error::write(&self.path, e))?;
-        Ok(Imported { shape: self.shape, number: self.numbers.1, range: self.range.ends() })
+        let (range, are_equal) = (self.range.ends(), self.first.is_some());
+        Ok(Imported { shape: self.shape, number: self.numbers.1, range, tx: Vec::new(), are_equal })
     }
 }

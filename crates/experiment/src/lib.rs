@@ -11,6 +11,7 @@ mod ceiling;
 pub mod clock;
 pub mod colour;
 pub mod confidence;
+mod data_warnings;
 pub mod ensemble;
 mod evaluate;
 mod events;
@@ -42,6 +43,7 @@ mod validation;
 
 pub use bench::Bench;
 pub use ceiling::{CEILING, Ceiling, ceiling, lapse_of};
+pub use data_warnings::{data_warnings, equality_warning, position_warning};
 pub use evaluate::{Assessment, check_alike, evaluate};
 pub use examples::Example;
 pub use facts::{Facts, Machine, Mark};

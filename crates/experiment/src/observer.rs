@@ -68,6 +68,11 @@ pub trait Observer: Send {
     fn on_message(&mut self, message: &str) {
         let _ = message;
     }
+
+    /// Input that can be used, but is probably not what was meant; several runs may report the same.
+    fn on_warning(&mut self, warning: &str) {
+        self.on_message(&format!("warning: {warning}"));
+    }
 }
 
 /// Nobody.

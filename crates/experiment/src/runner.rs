@@ -4,6 +4,7 @@
 //! them, and a resumed run cuts the series back to its checkpoint: so it ends in the same files as one never stopped.
 //! Snapshots are functions of the step, and written before the checkpoint of that step: a resumed run writes them again.
 
+use crate::data_warnings::data_warnings;
 use crate::evaluate::evaluate;
 use crate::facts::Facts;
 use crate::folder::{CHECKPOINT, MODEL_FILE, RunFolder, START_SNAPSHOT, UNPRUNED_SNAPSHOT, pruned_snapshot};
@@ -116,6 +117,8 @@ pub fn load(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Re
             return Err(Error::Config(format!("split: no sample is left for the {name} part; change `split`")));
         }
     }
+    let judged = (!pipeline.split.is_sparse()).then_some(&partition);
+    data_warnings(&data, judged).iter().for_each(|warning| observer.on_warning(warning));
     Ok((data, partition))
 }
 

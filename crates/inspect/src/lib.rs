@@ -24,7 +24,7 @@ mod words;
 pub use freedom::{Array, Components, Freedom, Kind};
 pub use output::{claim, write};
 pub use pictures::Pictures;
-pub use pose::{Pose, Verdict};
+pub use pose::{Flip, Pose, Verdict};
 pub use splits::{Divided, Floor, Outcome};
 pub use trajectory::Trajectory;
 

@@ -6,7 +6,7 @@ pub(crate) use figures::similarity;
 
 use crate::output::MARK;
 use crate::words::{count, facts, length, numbers};
-use crate::{Divided, Inspection, Outcome};
+use crate::{Divided, Flip, Inspection, Outcome};
 use minijinja::{Value, context};
 use pwrfgs_core::Result;
 use pwrfgs_experiment::repeatability::Lapse;
@@ -21,10 +21,15 @@ impl Inspection<'_> {
     pub fn page(&self) -> Result<String> {
         let words: Vec<(&str, String)> = facts(self).into_iter().filter(|(name, _)| *name != "numbers").collect();
         let pose = self.pose.as_ref().map(|pose| {
+            let recorded = ("as recorded: x, y, z, w", pose.recorded);
             let turned = ("as recorded, and the best rotation", pose.turned);
             let constant = ("one constant direction", pose.constant);
-            let rows =
-                [("as recorded: x, y, z, w", pose.recorded), turned, constant].into_iter().chain(pose.readings.clone());
+            let rows = [recorded, turned, constant].into_iter().chain(pose.readings.clone());
+            let flip = |flip: &Flip| {
+                let turned = if flip.is_turned { ", and the best rotation" } else { "" };
+                (format!("{}{turned}", flip.name), flip.angle)
+            };
+            let rows = rows.map(|(name, angle)| (name.to_owned(), angle)).chain(pose.flips.iter().map(flip));
             context! {
                 title => pose.verdict.title(),
                 sentences => pose.sentences(),

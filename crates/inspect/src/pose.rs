@@ -4,10 +4,13 @@
 //! sight in the receiver's frame, up to one rotation: the error of the recorded orientation. What the rotation that fits
 //! best is worth is measured against one constant direction, which knows no transmitter.
 
+mod flips;
 mod rotation;
 mod verdict;
 
 use crate::look::Look;
+pub use flips::Flip;
+use flips::flips;
 use glam::{DQuat, DVec3};
 use pwrfgs_core::{Dataset, evenly, rng};
 use pwrfgs_experiment::scores::quantile;
@@ -48,6 +51,8 @@ pub struct Pose {
     pub spread: f64,
     /// The recorded numbers taken otherwise, with the median angle.
     pub readings: Vec<(&'static str, f64)>,
+    /// The spectra flipped, with the median angle.
+    pub flips: Vec<Flip>,
     /// What follows.
     pub verdict: Verdict,
     /// Azimuth and elevation of line of sight and strongest direction, by the recorded pose.
@@ -86,12 +91,6 @@ pub(crate) fn pose(data: &Dataset, looks: &[Look]) -> Option<Pose> {
     let correction = best(&pairs, &vec![1.0; pairs.len()]);
     let (ways, strongest): (Vec<DVec3>, Vec<DVec3>) = pairs.iter().copied().unzip();
     let (way, heard) = (middle(&ways), middle(&strongest));
-    let mirrored: Vec<Pair> = pairs.iter().map(|(a, b)| (*a, DVec3::new(b.x, -b.y, b.z))).collect();
-    let back = best(&mirrored, &vec![1.0; mirrored.len()]);
-    let median = |pairs: &[Pair], turn: DQuat| median_deg(pairs.iter().map(|(a, b)| angle(turn * *a, *b)));
-    let mut readings: Vec<(&'static str, f64)> =
-        readings.map(|(name, taken)| (name, median(&seen_with(taken), DQuat::IDENTITY))).into();
-    readings.push(("azimuth counted the other way, and the best rotation", median(&mirrored, back)));
     let mut found = Pose {
         pairs: pairs.len(),
         behind: ways.iter().filter(|way| way.z < 0.0).count(),
@@ -102,7 +101,8 @@ pub(crate) fn pose(data: &Dataset, looks: &[Look]) -> Option<Pose> {
         turn_within: within(&pairs, correction),
         orientation: (recorded * correction.inverse()).normalize().to_array(),
         spread: median_deg(ways.iter().map(|a| angle(way, *a))),
-        readings,
+        readings: readings.map(|(name, taken)| (name, median(&seen_with(taken), DQuat::IDENTITY))).into(),
+        flips: flips(&data.plane(), &pairs),
         verdict: Verdict::Right,
         shown: pairs.iter().map(|(a, b)| [angles(*a), angles(*b)]).collect(),
     };
@@ -123,6 +123,11 @@ fn within(pairs: &[Pair], found: DQuat) -> f64 {
     let mut off: Vec<f64> = (0..REPLICATES).into_par_iter().map(replicate).collect();
     off.sort_by(f64::total_cmp);
     quantile(&off, 0.95)
+}
+
+/// Median angle of `pairs` once the first of each is turned, degrees.
+fn median(pairs: &[Pair], turn: DQuat) -> f64 {
+    median_deg(pairs.iter().map(|(a, b)| angle(turn * *a, *b)))
 }
 
 fn median_deg(angles: impl Iterator<Item = f64>) -> f64 {

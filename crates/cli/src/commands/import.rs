@@ -6,8 +6,8 @@ use crate::output;
 use crate::progress::Progress;
 use clap::Args;
 use pwrfgs::data::import::Import as Work;
-use pwrfgs::experiment::Observer as _;
-use pwrfgs_core::{Error, Number, Pose, Result};
+use pwrfgs::experiment::{Observer as _, equality_warning, position_warning};
+use pwrfgs_core::{Error, Kind, Number, Pose, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::{Mutex, PoisonError};
@@ -73,6 +73,8 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<ExitCod
     bar.lock().unwrap_or_else(PoisonError::into_inner).finish();
     let imported = imported?;
     if verbosity != Verbosity::Quiet {
+        let equality = equality_warning(Kind::Spectrum, imported.tx.len(), imported.are_equal);
+        position_warning(&imported.tx).iter().chain(&equality).for_each(|warning| output::warning(warning));
         let ([m, h, w], (low, high)) = (imported.shape, imported.range);
         let kind = match imported.number {
             Number::U8 => "8-bit",

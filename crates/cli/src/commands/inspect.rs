@@ -7,7 +7,7 @@ use crate::output;
 use crate::progress::Progress;
 use clap::Args;
 use pwrfgs::data::source_in;
-use pwrfgs::experiment::{read_pipeline, staged};
+use pwrfgs::experiment::{Observer as _, data_warnings, read_pipeline, staged};
 use pwrfgs::inspect as work;
 use pwrfgs::prelude::Pipeline;
 use pwrfgs_core::plugin::{Plugin, try_to_ron};
@@ -48,6 +48,8 @@ pub(crate) fn inspect(arguments: &Inspect, verbosity: Verbosity) -> Result<ExitC
     let mut progress = Progress::new(verbosity);
     let written = (|| {
         let data = staged(&mut progress, "spectra", |progress| pipeline.data.load(Path::new(""), progress))?;
+        let partition = pipeline.partition(&data).ok().filter(|_| !pipeline.split.is_sparse());
+        data_warnings(&data, partition.as_ref()).iter().for_each(|warning| progress.on_warning(warning));
         let found = work::inspect(&pipeline, &data, &mut progress)?;
         Ok((work::write(&found, &out)?, found.text()))
     })();

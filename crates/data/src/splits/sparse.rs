@@ -48,6 +48,10 @@ impl Split for Sparse {
         finish(data, train, validation, test)
     }
 
+    fn is_sparse(&self) -> bool {
+        true
+    }
+
     fn about(&self) -> &'static str {
         "a few random training samples, all others are the test set"
     }

@@ -54,6 +54,38 @@ fn a_quaternion_in_another_order_is_recognised() {
     assert!(found.sentences().iter().any(|s| s.contains("Taken as w, x, y, z, the")), "{:?}", found.readings);
 }
 
+/// The spectra with rows or columns reversed.
+fn flipped(data: &Dataset, flip: impl Fn(&mut [u8], usize)) -> Dataset {
+    let (width, mut pixels) = (data.width, Vec::new());
+    for i in 0..data.len() {
+        let mut own = data.observations.raw(i).into_owned();
+        flip(&mut own, width);
+        pixels.extend(own);
+    }
+    Dataset { observations: Spectra::grey((width, data.height), pixels).unwrap().into(), ..data.clone() }
+}
+
+#[test]
+fn spectra_that_run_the_other_way_are_named() {
+    let data = office();
+    let columns = |pixels: &mut [u8], width| pixels.chunks_exact_mut(width).for_each(<[u8]>::reverse);
+    let rows = |pixels: &mut [u8], width| {
+        pixels.reverse();
+        columns(pixels, width);
+    };
+    let said = |data: &Dataset| (found(data).verdict, found(data).sentences().concat());
+    let mirrored = said(&flipped(&data, columns));
+    assert!(mirrored.0 == Verdict::Flipped && mirrored.1.contains("save the spectra as s[:, :, ::-1]"), "{mirrored:?}");
+    let upside_down = said(&flipped(&data, rows));
+    assert!(upside_down.0 == Verdict::Flipped && upside_down.1.contains("s[:, ::-1, :]"), "{upside_down:?}");
+    // Beside an orientation that is off, too.
+    let turn = DQuat::from_axis_angle(DVec3::new(1.0, -2.0, 0.5).normalize(), 0.6);
+    let truth = DQuat::from_array(data.scene.pose().orientation);
+    let both = said(&recorded_as(&flipped(&data, columns), (truth * turn).normalize()));
+    assert!(both.0 == Verdict::Flipped && both.1.contains("and the rotation that then fits best"), "{both:?}");
+    assert!(!said(&data).1.contains("reversed"), "nothing is said of spectra that are right");
+}
+
 #[test]
 fn few_or_constant_pictures_say_nothing() {
     let samples = (1..=30).map(|id| Sample::new(id, [f64::from(id), 1.0, 1.0])).collect();

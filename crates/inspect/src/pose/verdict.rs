@@ -1,6 +1,6 @@
 //! What can be told of the pose, and what cannot, in words.
 
-use super::Pose;
+use super::{Flip, Pose};
 
 /// What follows from the angles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -9,6 +9,8 @@ pub enum Verdict {
     Right,
     /// The strongest direction follows the line of sight, once the receiver is turned.
     Off,
+    /// The strongest direction follows the line of sight, once rows or columns of the spectra are reversed.
+    Flipped,
     /// A rotation fits better, but hardly better than one constant direction.
     Unclear,
     /// The strongest direction does not follow the line of sight, turned or not.
@@ -25,6 +27,9 @@ const WIDE_DEG: f64 = 20.0;
 
 impl Verdict {
     pub(super) fn of(found: &Pose) -> Self {
+        if found.certain_flip().is_some() {
+            return Self::Flipped;
+        }
         // One cannot ask more of a rotation than how well it is known.
         let still = found.turn <= SMALL_DEG.max(found.turn_within);
         let no_gain = found.recorded <= 1.15 * found.turned + 0.5;
@@ -42,6 +47,7 @@ impl Verdict {
         match self {
             Self::Right => "The recorded orientation fits the pictures.",
             Self::Off => "The recorded orientation does not fit the pictures; another one does.",
+            Self::Flipped => "Rows or columns of the spectra run the other way.",
             Self::Unclear => "The pictures cannot tell whether the recorded orientation is right.",
             Self::NotDirect => "The strongest direction does not follow the transmitter.",
         }
@@ -78,6 +84,7 @@ impl Pose {
                 "The strongest direction follows the transmitters once the receiver is turned, so the recorded orientation is \
                  off, or its numbers mean something else. This orientation fits: [{x}, {y}, {z}, {w}] (x, y, z, w)."
             )),
+            Verdict::Flipped => {}
             Verdict::Unclear => said.push(format!(
                 "A constant direction does nearly as well as the rotation, since transmitters are seen within {spread:.1}° \
                  of one direction (median): there is little to follow. Either the recorded orientation is off, or the \
@@ -98,6 +105,10 @@ impl Pose {
                 self.behind, self.pairs
             ));
         }
+        if let Some(Flip { name, advice, is_turned, angle }) = self.certain_flip().or_else(|| self.likely_flip()) {
+            let turned = if *is_turned { " and the rotation that then fits best" } else { "" };
+            said.push(format!("With {name}{turned} the angle is {angle:.1}°: {advice}."));
+        }
         if let Some((name, angle)) = self.better_reading() {
             said.push(format!("Taken as {name}, the recorded numbers leave {angle:.1}°: that may be what they mean."));
         }
@@ -108,6 +119,24 @@ impl Pose {
     fn better_reading(&self) -> Option<(&'static str, f64)> {
         let better =
             self.readings.iter().filter(|(_, angle)| *angle < 0.5 * self.recorded && *angle < 1.5 * self.turned);
-        better.filter(|(name, _)| !name.starts_with("azimuth")).min_by(|a, b| a.1.total_cmp(&b.1)).copied()
+        better.min_by(|a, b| a.1.total_cmp(&b.1)).copied()
+    }
+
+    /// A flip that fits much better than any rotation does.
+    fn certain_flip(&self) -> Option<&Flip> {
+        self.flip(|flip| flip.angle < 0.5 * self.turned.min(self.recorded))
+    }
+
+    /// A flip that fits much better than the recorded orientation, and hardly worse than the best rotation: where
+    /// transmitters are in one plane with the receiver, the two look alike.
+    fn likely_flip(&self) -> Option<&Flip> {
+        self.flip(|flip| !flip.is_turned && flip.angle < 0.5 * self.recorded && flip.angle < 1.5 * self.turned)
+    }
+
+    /// The flip that fits best of those for which `fits` holds and the strongest direction follows the line of sight; one
+    /// without a rotation is preferred.
+    fn flip(&self, fits: impl Fn(&Flip) -> bool) -> Option<&Flip> {
+        let follows = |flip: &&Flip| fits(flip) && flip.angle <= FOLLOWS * self.constant;
+        self.flips.iter().filter(follows).min_by(|a, b| a.is_turned.cmp(&b.is_turned).then(a.angle.total_cmp(&b.angle)))
     }
 }

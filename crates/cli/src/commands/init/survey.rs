@@ -2,7 +2,7 @@
 
 use pwrfgs::data::{Nerf2Spectrum, read_points, source_in};
 use pwrfgs::experiment::samples::nearest_train;
-use pwrfgs::experiment::{Observer, observed, staged};
+use pwrfgs::experiment::{Observer, data_warnings, observed, staged};
 use pwrfgs_core::{DataSource, Dataset, Kind, Partition, Plugin, Result, Split, rng};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -59,6 +59,7 @@ impl Survey {
         let (source, settings, reader) = source_in(folder).unwrap_or_else(spectra);
         let data = staged(observer, "observations", |progress| reader.load(Path::new(""), progress))?;
         let (split, partition) = suggested(&data)?;
+        data_warnings(&data, Some(&partition)).iter().for_each(|warning| observer.on_warning(warning));
         let mut distances: Vec<f64> = {
             let all = nearest_train(&data, &partition);
             partition.test.iter().map(|&i| f64::from(all[i])).collect()
