@@ -177,8 +177,9 @@ class Channels(Value):
     evenly spaced about `carrier_hz`. By reciprocity it is all the same which end sends: where the fixed node is the
     transmitter, call it the receiver.
 
-    Carrier, spacing and receiver that are left out are read from `root/receiver.yml`, which `pwrfgs simulate --layout
-    channels` writes; and `train_index.txt` with `test_index.txt`, where they are there, hold ids for `split:
+    The `frequencies_hz` of `root/receiver.yml` count if neither carrier nor spacing is given, and need not be evenly
+    spaced. Carrier, spacing and receiver that are left out are read from `root/receiver.yml`, which `pwrfgs simulate
+    --layout channels` writes; and `train_index.txt` with `test_index.txt`, where they are there, hold ids for `split:
     Official()`.
 
     Parameters
@@ -189,6 +190,8 @@ class Channels(Value):
         The array, relative to `root`.
     positions : path
         The table of places, relative to `root`.
+    points : path or None
+        Point cloud of the room (PLY, XYZ or CSV, metres, world frame), relative to the pipeline file.
     carrier_hz : number or None
         Frequency in the middle of the subcarriers, Hz.
     spacing_hz : number or None
@@ -203,6 +206,7 @@ class Channels(Value):
     root: _Path
     file: _Path
     positions: _Path
+    points: Optional[_Path]
     carrier_hz: Optional[float]
     spacing_hz: Optional[float]
     receiver: Optional[Any]
@@ -213,6 +217,7 @@ class Channels(Value):
         root: _Path = "data/channels",
         file: _Path = "channel.npy",
         positions: _Path = "tx_pos.csv",
+        points: Optional[_Path] = None,
         carrier_hz: Optional[float] = None,
         spacing_hz: Optional[float] = None,
         receiver: Optional[Any] = None,
@@ -1275,7 +1280,8 @@ class Nerf2Rssi(Value):
     Received powers (RSSI) at many gateways in the layout of NeRF2 (Zhao et al., 2023).
 
     ```text
-    root/gateway_position.yml    g01: [x, y, z], one line a gateway; metres
+    root/gateway_position.yml    g01: [x, y, z], one line a gateway; metres; of one that is turned
+                                 g01: {position: [x, y, z], orientation: [x, y, z, w]}, a unit quaternion
     root/gateway_rssi.csv        header with the names of the gateways; row k is what each received, dBm; -100: not heard
     root/tx_pos.csv              header naming x, y, z among others; row k is the transmitter; metres
     root/train_index.txt         rows counted from 0, one a line; this file and

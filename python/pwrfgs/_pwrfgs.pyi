@@ -57,7 +57,7 @@ class Dataset:
         receivers: Optional[Union[Receiver, Iterable[Union[Receiver, ArrayLike]]]] = None,
         frequencies_hz: Optional[ArrayLike] = None,
         points: Optional[ArrayLike] = None,
-        elevation_deg: Sequence[float] = (0.0, 90.0),
+        elevation_deg: Optional[Sequence[float]] = None,
         title: str = "arrays",
         simulated: bool = False,
     ) -> Dataset: ...

@@ -279,6 +279,8 @@ def plugin_text(kind: str, value: Any, settings: Optional[Dict[str, Any]]) -> st
     """RON of what a user gives for a plugin of this kind: a value, a name with settings, or an object of their own."""
     if isinstance(value, str):
         if "(" in value:
+            if settings:
+                raise InputError(f"{kind}: {value} has settings of its own; give all in one place")
             return value
         names = [name for name, kinds in KINDS.items() if kind in kinds]
         wanted = value.replace("_", "").lower()

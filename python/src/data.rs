@@ -6,7 +6,7 @@ use crate::arrays::{Gain, array, complex, numbers, places};
 use crate::border::{free, wrong};
 use crate::settings::{plugin, text_of};
 use numpy::PyArrayDyn;
-use pwrfgs::data::{save, source_in};
+use pwrfgs::data::{check, save, shape_fault, source_in};
 use pwrfgs_core::{
     DataSource, Dataset as Data, Elevation, Error, Kind, Observations, Partition, Plugin, Pose, Real, Receiver, Sample,
     Simulation, Split, rng,
@@ -85,6 +85,7 @@ impl Dataset {
             (text, reader)
         };
         let data = free(py, || reader.load(std::path::Path::new(""), &|_, _| {}))?;
+        given::warn(py, &data)?;
         Ok(Self::new(data, Some(text)))
     }
 
@@ -92,15 +93,16 @@ impl Dataset {
     ///
     /// * `spectra` [M, H, W]: spatial spectra from 0 to 1 (or bytes of 0 to 255) at one receiver; rows are elevations,
     ///   columns azimuths that go once around.
-    /// * `rssi` [M, R]: received powers in dBm; NaN where a receiver heard nothing.
+    /// * `rssi` [M, R]: received powers in dBm; NaN where a receiver received nothing. Every row and column has a power.
     /// * `csi` [M, A, F]: channels at one receiver with A antennas, whose places its `Receiver(antennas=..)` has, and F
-    ///   subcarriers of `frequencies_hz` [F] (evenly spaced and rising, if they are to be saved).
+    ///   subcarriers of `frequencies_hz` [F].
     ///
     /// `tx` [M, 3] are the transmitters' positions in metres. `receivers` is a list of `Receiver`, or of positions [R, 3];
-    /// one at the origin where it is left out. `points` [P, 3] are surface points of the room. Say `simulated=True` of what
-    /// was not measured.
+    /// one at the origin where it is left out. `points` [P, 3] are surface points of the room. `elevation_deg` are the
+    /// elevations where the top row of spectra begins and the bottom row ends, (0, 90) where it is left out. Say
+    /// `simulated=True` of what was not measured.
     #[staticmethod]
-    #[pyo3(signature = (tx, spectra=None, rssi=None, csi=None, *, receivers=None, frequencies_hz=None, points=None, elevation_deg=[0.0, 90.0], title="arrays", simulated=false))]
+    #[pyo3(signature = (tx, spectra=None, rssi=None, csi=None, *, receivers=None, frequencies_hz=None, points=None, elevation_deg=None, title="arrays", simulated=false))]
     #[allow(clippy::too_many_arguments)] // arguments with names, as Python has them
     fn from_arrays(
         py: Python<'_>,
@@ -111,7 +113,7 @@ impl Dataset {
         receivers: Option<&Bound<'_, PyAny>>,
         frequencies_hz: Option<&Bound<'_, PyAny>>,
         points: Option<&Bound<'_, PyAny>>,
-        elevation_deg: [f64; 2],
+        elevation_deg: Option<[f64; 2]>,
         title: &str,
         simulated: bool,
     ) -> PyResult<Self> {
@@ -131,16 +133,32 @@ impl Dataset {
             (None, None, Some(csi)) => (alone, given::gains(csi, txs.len(), frequencies_hz)?),
             _ => return Err(wrong(py, "give one of spectra, rssi and csi")),
         };
-        given::check_antennas(py, &observations, &receivers)?;
-        given::warn_of_milliwatts(py, &observations)?;
-        let elevation = Elevation { first: elevation_deg[0], last: elevation_deg[1] };
-        let made = Data::of_links(title, receivers, points, &samples, observations);
-        let data = made.map_err(|error| crate::border::raised(py, error))?;
-        let simulation = simulated.then(Simulation::default);
+        for (name, is_given, is_used, kind) in [
+            ("elevation_deg", elevation_deg.is_some(), spectra.is_some(), "spectra"),
+            ("frequencies_hz", frequencies_hz.is_some(), csi.is_some(), "csi"),
+        ] {
+            if is_given && !is_used {
+                return Err(wrong(py, &format!("{name}: only {kind} have it; leave it out")));
+            }
+        }
+        let elevation = elevation_deg.map_or(Elevation::UPPER, |[first, last]| Elevation { first, last });
         if let Some(fault) = elevation.fault() {
             return Err(wrong(py, &format!("elevation_deg {fault}")));
         }
-        Ok(Self::new(Data { elevation, simulation, ..data }, None))
+        if let Observations::Pictures(spectra) = &observations {
+            let (size, say) = ((spectra.width(), spectra.height()), "elevation_deg=(-90, 90) for a full sphere");
+            if let Some(fault) = shape_fault(elevation, elevation_deg.is_some(), size, say) {
+                return Err(wrong(py, &format!("a spectrum {fault}")));
+            }
+        }
+        let simulation = simulated.then(Simulation::default);
+        let data = free(py, || {
+            let made = Data::of_links(title, receivers, points, &samples, observations)?;
+            let data = Data { elevation, simulation, ..made };
+            check(&data).map(|()| data)
+        })?;
+        given::warn(py, &data)?;
+        Ok(Self::new(data, None))
     }
 
     /// Writes a new folder that `Dataset.load` and the command line read: spectra as arrays, powers and channels in the
@@ -277,7 +295,7 @@ impl Dataset {
     }
 
     /// Divides the links: a named tuple (train, validation, test) of sorted places, disjoint. `how` is a split such as
-    /// `pwrfgs.Voxel(size_m=0.2)`, or its name with settings: `split("voxel", size_m=0.2)`.
+    /// `pwrfgs.Voxel(size_m=0.2)`, or its name with settings: `split("voxel", size_m=0.2)`; left out, the data's own.
     #[pyo3(signature = (how=None, *, seed=0, **settings))]
     fn split<'py>(
         &self,
@@ -289,6 +307,10 @@ impl Dataset {
         crate::strategies::forget();
         let text = match how {
             Some(how) => text_of("Split", how, settings)?,
+            None if settings.is_some_and(|settings| !settings.is_empty()) => {
+                let what = "split: settings without a split; name the split that they belong to";
+                return Err(wrong(py, &format!("{what}, such as split(\"random\", test=0.2)")));
+            }
             None => "Official()".into(),
         };
         let split = plugin::<dyn Split>(py, &text)?;

@@ -58,8 +58,17 @@ def test_powers_and_channels(tmp_path):
         (dict(), "give one of spectra, rssi and csi"),
         (dict(spectra=spectra(), rssi=np.zeros(30)), "give one of"),
         (dict(spectra=spectra(29)), "spectra has shape [29, 12, 36], and [30, any, any]"),
-        (dict(spectra=2 * spectra()), "give amplitudes from 0 to 1"),
-        (dict(spectra=np.full((30, 4, 4), np.nan, np.float32)), "is NaN"),
+        (dict(spectra=2 * spectra()), "spectra are linear, from 0 to 1"),
+        (dict(spectra=np.full((30, 12, 36), np.nan, np.float32)), "is NaN"),
+        (dict(spectra=spectra().transpose(0, 2, 1)), "s.transpose(0, 2, 1)"),
+        (dict(spectra=np.zeros((30, 18, 36), np.uint8)), "such as elevation_deg=(-90, 90) for a full sphere"),
+        (dict(rssi=np.where(np.arange(30) == 3, np.nan, -60.0)), "rssi[3] is NaN throughout"),
+        (dict(rssi=np.tile([-60.0, np.nan], (30, 1)), receivers=[[0, 0, 2], [4, 4, 2]]), "rssi[:, 1] is NaN throughout"),
+        (dict(rssi=np.full(30, -60.0), elevation_deg=(0, 90)), "only spectra have it"),
+        (dict(rssi=np.full(30, -60.0), frequencies_hz=[1e9]), "only csi have it"),
+        (dict(rssi=np.full(30, -100.0)), "stands for nothing received"),
+        (dict(rssi=np.full(30, 1e6)), "no power in dBm"),
+        (dict(rssi=np.full(30, -60.0), receivers=[pwrfgs.Receiver('a"b')]), "1 to 100 characters"),
         (dict(rssi=np.zeros((30, 3))), "rssi has shape [30, 3]"),
         (dict(csi=np.zeros((30, 1, 4), complex)), "wants frequencies_hz"),
         (dict(spectra=spectra(), receivers=[[0, 0]]), "a receiver has shape [2]"),
@@ -83,6 +92,9 @@ def test_splits(dataset):
         dataset.split("vxel")
     with pytest.raises(pwrfgs.InputError, match="size_m"):
         dataset.split("voxel", size=1.0)
+    for wrong, settings in [(None, dict(test_size=0.2)), ("Random(test: 0.2)", dict(test=0.3)), (pwrfgs.Voxel(), dict(size_m=0.2))]:
+        with pytest.raises(pwrfgs.InputError, match="settings"):
+            dataset.split(wrong, **settings)
     with pytest.raises(pwrfgs.InputError, match="there is no link 900"):
         dataset.observations([900])
 
@@ -125,7 +137,7 @@ def test_settings_of_a_simulation_that_would_do_nothing_are_refused(tmp_path):
 def test_antennas_are_where_the_receiver_says():
     tx, hz = np.zeros((3, 3)), [1e9, 1.1e9]
     csi = np.ones((3, 2, 2), np.complex64)
-    with pytest.raises(pwrfgs.InputError, match="csi has 2 antennas, and the receiver has 1"):
+    with pytest.raises(pwrfgs.InputError, match="channels have 2 antennas, and receiver `receiver` has 1"):
         pwrfgs.Dataset.from_arrays(tx, csi=csi, frequencies_hz=hz)
     with pytest.raises(pwrfgs.InputError, match=r"give places \[A, 3\]"):
         pwrfgs.Receiver(antennas=[(0, 0)])
@@ -134,9 +146,38 @@ def test_antennas_are_where_the_receiver_says():
     assert data.receivers[0].antennas == receiver.antennas
 
 
-def test_milliwatts_are_told(tmp_path):
-    with pytest.warns(UserWarning, match="10 \\* log10"):
-        pwrfgs.Dataset.from_arrays(np.zeros((2, 3)), rssi=[[1e-6], [2e-7]])
+def test_what_is_accepted_is_read_back_equal(tmp_path):
+    rng = np.random.default_rng(5)
+    turned = (0.0, 0.0, 0.6, 0.8)
+    rssi = np.where(rng.uniform(size=(30, 2)) < 0.2, np.nan, rng.uniform(-90, -40, (30, 2)))
+    rssi[:, 0] = -50.0
+    for k, given in enumerate([
+        dict(spectra=spectra(), receivers=[pwrfgs.Receiver("gate, é", (1, 2, 3), turned)], elevation_deg=(90, 0), simulated=True),
+        dict(rssi=rssi, receivers=[pwrfgs.Receiver("a, b", (0, 0, 2), turned), pwrfgs.Receiver("[c", (4, 4, 2))]),
+        dict(csi=rng.normal(size=(30, 1, 3)) + 1j, frequencies_hz=[2.4e9, 2.1e9, 2.2e9], receivers=[pwrfgs.Receiver("x: y", (1, 2, 3), turned)]),
+    ]):  # fmt: skip
+        data = pwrfgs.Dataset.from_arrays(TX, **given)
+        data.save(tmp_path / str(k))
+        again = pwrfgs.Dataset.load(tmp_path / str(k))
+        assert again.receivers == data.receivers and np.array_equal(again.ids, data.ids) and again.simulated == data.simulated
+        for name in ("tx", "receiver", "spectra", "rssi", "csi", "frequencies_hz", "angles_deg"):
+            one, other = getattr(data, name), getattr(again, name)
+            assert (one is None) == (other is None) and (one is None or all(map(np.array_equal, one, other))), name
+
+
+def test_wrong_units_are_warned_of(tmp_path):
+    for data, words in [
+        (dict(rssi=10 ** np.linspace(-9, -4, 30)), "10 \\* log10"),
+        (dict(rssi=np.full(30, 45.0) - 90 * (np.arange(30) < 3)), "the median is 45.0 dBm"),
+        (dict(spectra=np.tile(spectra(1), (30, 1, 1))), "all 30 are equal"),
+    ]:
+        with pytest.warns(UserWarning, match=words):
+            made = pwrfgs.Dataset.from_arrays(TX, **data)
+    made.save(tmp_path / "equal")
+    with pytest.warns(UserWarning, match="all 30 are equal"):
+        pwrfgs.Dataset.load(tmp_path / "equal")
+    with pytest.warns(UserWarning, match="convert them to metres"):
+        pwrfgs.Dataset.from_arrays(100 * TX, rssi=np.linspace(-60, -50, 30))
     with pytest.raises(pwrfgs.InputError, match="no such folder"):
         pwrfgs.Dataset.load(tmp_path / "nowhere")
 

@@ -1,6 +1,8 @@
 //! `pwrfgs import`: what NumPy saves becomes data that train, and mistakes leave nothing behind.
 
-use crate::common::{SMALL, call, python, refuse, stderr, stdout, succeed};
+use crate::common::{SMALL, call, python, refuse, stderr, stdout, succeed, write};
+use pwrfgs::data::npy_header;
+use pwrfgs_core::Number;
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -122,4 +124,23 @@ fn a_pose_that_is_none_is_refused() {
         refuse(here, &arguments, 2, &[words]);
     }
     assert_eq!(call(here, &["import", "--spectra", "s.npy"]).status.code(), Some(2));
+}
+
+#[test]
+fn a_shape_that_does_not_suit_its_angles_is_refused_as_readers_refuse_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let array = |number, shape: &[usize], bytes: Vec<u8>| [npy_header(number, shape), bytes].concat();
+    write(&here.join("s.npy"), array(Number::U8, &[20, 18, 36], (0..20 * 18 * 36).map(|i| (i % 251) as u8).collect()));
+    let tx: Vec<u8> = (0..60).flat_map(|i| (f64::from(i) / 10.0).to_le_bytes()).collect();
+    write(&here.join("tx.npy"), array(Number::F64, &[20, 3], tx));
+    let import = arguments("s.npy", "tx.npy", &["--out", "mine"]);
+    refuse(here, &import, 2, &["s.npy: is 36 x 18 pixels", "such as --elevation -90,90 for a full sphere"]);
+    for (elevation, words) in [("-90", "give two numbers in degrees"), ("0,200", "degrees from -90 to 90")] {
+        refuse(here, &[&import[..], &["--elevation", elevation]].concat(), 2, &[words]);
+    }
+    assert!(!here.join("mine").exists());
+    succeed(here, &[&import[..], &["--elevation", "-90,90"]].concat());
+    let said = stdout(&succeed(here, &["init", "mine", "--out", "mine.ron"]));
+    assert!(said.contains("20 spectra of 36 x 18 pixels"), "{said}");
 }

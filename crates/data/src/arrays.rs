@@ -3,6 +3,7 @@
 #[cfg(test)]
 mod tests;
 
+use crate::checks::value_fault;
 use crate::nerf2::{check_shape, gateway, index, read_transmitters, simulation};
 use crate::npy;
 use crate::points::read_points;
@@ -15,8 +16,6 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 const LAYOUT: &str = "a folder of arrays holds gateway_info.yml, tx.npy and spectra.npy; `pwrfgs import` writes one";
 /// Spectra that memory holds whole, bytes: then nothing that happens to the file matters to a run.
 const IN_MEMORY: u64 = 1 << 29;
-/// How far a value may be outside 0 to 1, by rounding.
-const ROUNDING: f64 = 1e-6;
 
 /// Spectra and transmitters as arrays of NumPy. `pwrfgs import` writes such a folder from what you have.
 ///
@@ -88,12 +87,12 @@ impl DataSource for Arrays {
         let stated = self.elevation.or(gateway.elevation);
         let elevation = stated.unwrap_or(Elevation::UPPER);
         check_shape(&path, elevation, stated.is_some(), (spectra.width(), spectra.height()))?;
-        let samples = ids.iter().zip(positions).map(|(&id, tx)| Sample::new(id, tx)).collect();
+        let samples: Vec<Sample> = ids.iter().zip(positions).map(|(&id, tx)| Sample::new(id, tx)).collect();
         let folder = || root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
-        let name = gateway.name.unwrap_or_else(folder);
+        let name = gateway.name.clone().unwrap_or_else(folder);
         let simulation = simulation(&root, &name);
         let title = format!("{name} ({}arrays)", if simulation.is_some() { "" } else { "measured, " });
-        let data = Dataset::new(title, gateway.pose, points, samples, spectra)?;
+        let data = Dataset::of_links(title, vec![gateway.receiver()], points, &samples, spectra.into())?;
         Ok(Dataset { elevation, official, simulation, ..data })
     }
 
@@ -125,7 +124,7 @@ fn checked(spectra: Spectra, path: &Path, progress: Progress<'_>) -> Result<Spec
     if spectra.number().is_float() {
         let done = AtomicUsize::new(0);
         let look = |i: usize| {
-            let fault = fault(&spectra, i);
+            let fault = value_fault(&spectra, i);
             progress(done.fetch_add(1, Ordering::Relaxed) + 1, count);
             fault
         };
@@ -137,19 +136,4 @@ fn checked(spectra: Spectra, path: &Path, progress: Progress<'_>) -> Result<Spec
     }
     progress(count, count);
     Ok(spectra)
-}
-
-/// The first value of picture `i` that is no amplitude from 0 to 1, in words.
-fn fault(spectra: &Spectra, i: usize) -> Option<String> {
-    let (mut at, mut wrong) = (0, None);
-    spectra.number().each(&spectra.raw(i), |v| {
-        if !(-ROUNDING..=1.0 + ROUNDING).contains(&v) && wrong.is_none() {
-            wrong = Some((at, v));
-        }
-        at += 1;
-    });
-    let (at, value) = wrong?;
-    let (row, column) = (at / spectra.width(), at % spectra.width());
-    let what = "spectra are linear, from 0 to 1: `pwrfgs import` brings others into shape";
-    Some(format!("spectra[{i}, {row}, {column}] is {value}; {what}"))
 }

@@ -5,6 +5,7 @@ mod tests;
 
 use crate::nerf2::{check_root, folder_name, index, read_transmitters, simulation, yaml};
 use crate::npy::read_complex;
+use crate::points::read_points;
 use pwrfgs_core::{
     Channels as Observed, DataSource, Dataset, Documented, Error, Observations, Pose, Progress, Real, Receiver, Result,
     Sample, Simulation,
@@ -26,6 +27,7 @@ const SHAPE: &str = "channels are [M, A, F]: M transmitters, A antennas of the r
 /// spaced about `carrier_hz`. By reciprocity it is all the same which end sends: where the fixed node is the transmitter,
 /// call it the receiver.
 ///
+/// The `frequencies_hz` of `root/receiver.yml` count if neither carrier nor spacing is given, and need not be evenly spaced.
 /// Carrier, spacing and receiver that are left out are read from `root/receiver.yml`, which `pwrfgs simulate --layout
 /// channels` writes; and `train_index.txt` with `test_index.txt`, where they are there, hold ids for `split: Official()`.
 ///
@@ -51,6 +53,9 @@ pub struct Channels {
     /// The table of places, relative to `root`.
     #[serde(with = "pwrfgs_core::paths")]
     pub positions: PathBuf,
+    /// Point cloud of the room (PLY, XYZ or CSV, metres, world frame), relative to the pipeline file.
+    #[serde(with = "pwrfgs_core::paths::optional")]
+    pub points: Option<PathBuf>,
     /// Frequency in the middle of the subcarriers, Hz.
     pub carrier_hz: Option<f64>,
     /// From one subcarrier to the next, Hz; nothing depends on it where there is one subcarrier.
@@ -93,6 +98,7 @@ impl Default for Channels {
             root: "data/channels".into(),
             file: "channel.npy".into(),
             positions: "tx_pos.csv".into(),
+            points: None,
             carrier_hz: None,
             spacing_hz: None,
             receiver: None,
@@ -122,7 +128,14 @@ impl DataSource for Channels {
             return Err(Error::input(&path, format!("{what}; give as many of each")));
         }
         let said = Said::of(self, &root)?;
-        let frequencies_hz = subcarriers(&path, said.carrier_hz, said.spacing_hz, width)?;
+        let frequencies_hz = match &said.frequencies_hz {
+            Some(all) if all.len() == width => all.clone(),
+            Some(all) => {
+                let what = format!("has {width} subcarriers, but receiver.yml lists {} `frequencies_hz`", all.len());
+                return Err(Error::input(&path, format!("{what}; give as many of each")));
+            }
+            None => subcarriers(&path, said.carrier_hz, said.spacing_hz, width)?,
+        };
         let receiver = said.receiver(&path, antennas)?;
         let rows = index::read(&root, &|word| index::row(word, &table.display().to_string(), count))?;
         let samples: Vec<Sample> = (0..).zip(positions).map(|(id, tx)| Sample::new(id, tx)).collect();
@@ -131,13 +144,15 @@ impl DataSource for Channels {
         let name = folder_name(&root);
         let simulation = simulation(&root, &name).or_else(|| self.simulated.then(Simulation::default));
         let title = format!("{name} ({}channels)", if simulation.is_some() { "" } else { "measured, " });
-        let data = Dataset::of_links(title, vec![receiver], vec![], &samples, channels)?;
+        let points = self.points.as_ref().map_or(Ok(Vec::new()), |points| read_points(&base.join(points)))?;
+        let data = Dataset::of_links(title, vec![receiver], points, &samples, channels)?;
         progress(data.len(), data.len());
         Ok(Dataset { simulation, official: rows, ..data })
     }
 
     fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {
-        Some(Box::new(Self { root: absolute(&self.root), ..self.clone() }))
+        let (root, points) = (absolute(&self.root), self.points.as_deref().map(absolute));
+        Some(Box::new(Self { root, points, ..self.clone() }))
     }
 
     fn about(&self) -> &'static str {
@@ -163,6 +178,8 @@ impl DataSource for Channels {
 struct Said {
     carrier_hz: f64,
     spacing_hz: f64,
+    /// One by one, where they are.
+    frequencies_hz: Option<Vec<f64>>,
     name: String,
     place: ReceiverPlace,
 }
@@ -176,6 +193,8 @@ struct File {
     antennas: Vec<[f64; 3]>,
     carrier_hz: f64,
     spacing_hz: f64,
+    /// Of all subcarriers, which need not be evenly spaced.
+    frequencies_hz: Option<Vec<f64>>,
 }
 
 impl Said {
@@ -186,7 +205,8 @@ impl Said {
         {
             // Nothing depends on a spacing that nobody says, unless there are several subcarriers.
             let spacing_hz = spacing_hz.unwrap_or(f64::NAN);
-            return Ok(Self { carrier_hz: *carrier_hz, spacing_hz, name: "receiver".into(), place: place.clone() });
+            let (name, place) = ("receiver".into(), place.clone());
+            return Ok(Self { carrier_hz: *carrier_hz, spacing_hz, frequencies_hz: None, name, place });
         }
         let advice = "Channels reads it for what its `carrier_hz`, `spacing_hz` and `receiver` leave out; say all three, or \
                       give the file";
@@ -204,7 +224,9 @@ impl Said {
             return Err(Error::input(&path, format!("holds a number that is not finite; {expected}")));
         }
         place.antennas = file.antennas.iter().map(|antenna| pose.to_receiver(*antenna)).collect();
+        let is_spaced = source.carrier_hz.is_none() && source.spacing_hz.is_none();
         Ok(Self {
+            frequencies_hz: file.frequencies_hz.filter(|_| is_spaced),
             carrier_hz: source.carrier_hz.unwrap_or(file.carrier_hz),
             spacing_hz: source.spacing_hz.unwrap_or(file.spacing_hz),
             name: if source.receiver.is_some() { "receiver".into() } else { file.name },

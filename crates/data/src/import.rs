@@ -8,10 +8,11 @@ mod source;
 #[cfg(test)]
 mod tests;
 
+use crate::checks::shape_fault;
 use crate::layout::gateway_yaml;
 use crate::npy::npy_header;
 use check::Range;
-use pwrfgs_core::{Error, Number, Pose, Progress, Result, files::NewFolder};
+use pwrfgs_core::{Elevation, Error, Number, Pose, Progress, Result, files::NewFolder};
 use std::fs::{self, File};
 use std::io::{BufWriter, Write as _};
 use std::path::{Path, PathBuf};
@@ -25,6 +26,8 @@ pub struct Import {
     pub tx: Option<PathBuf>,
     /// Where the receiver is.
     pub receiver: Pose,
+    /// Elevations where the top row begins and the bottom row ends, degrees; `None`: 0 and 90.
+    pub elevation: Option<Elevation>,
     /// What the data set is called.
     pub name: String,
     /// What every value is multiplied by, so that they lie between 0 and 1.
@@ -57,12 +60,15 @@ impl Import {
         if let Some((field, fault)) = self.receiver.fault() {
             return Err(Error::Config(format!("{field} of the receiver: {fault}")));
         }
+        if let Some(fault) = self.elevation.and_then(Elevation::fault) {
+            return Err(Error::Config(format!("--elevation: {fault}")));
+        }
         if let Some(scale) = self.scale.filter(|s| !(s.is_finite() && *s > 0.0)) {
             return Err(Error::Config(format!("--scale {scale}: give a finite number above 0")));
         }
         let txs = source::positions(self.tx.as_deref().unwrap_or(&self.spectra), self.tx.is_none())?;
         let folder = NewFolder::begin(out)?;
-        let mut sink = Sink::new(self.scale, folder.path().join("spectra.npy"), progress);
+        let mut sink = Sink::new(self, folder.path().join("spectra.npy"), progress);
         source::pictures(&self.spectra, txs.len(), &mut sink)?;
         let mut imported = sink.finish(&self.spectra)?;
         let put = |name: &str, bytes: &[u8]| {
@@ -71,7 +77,9 @@ impl Import {
         };
         let numbers = txs.as_flattened().iter().flat_map(|v| v.to_le_bytes());
         put("tx.npy", &npy_header(Number::F64, &[txs.len(), 3]).into_iter().chain(numbers).collect::<Vec<u8>>())?;
-        put("gateway_info.yml", gateway_yaml(&self.name, &self.receiver).as_bytes())?;
+        let angles = |e: Elevation| format!("elevation: [{:?}, {:?}]\n", e.first, e.last);
+        let elevation = self.elevation.map_or_else(String::new, angles);
+        put("gateway_info.yml", (gateway_yaml(&self.name, &self.receiver) + &elevation).as_bytes())?;
         let manifest = serde_json::json!({
             "program": concat!("pwrfgs ", env!("CARGO_PKG_VERSION")),
             "simulated": self.simulated,
@@ -88,6 +96,7 @@ impl Import {
 /// Takes spectra one at a time and writes them.
 struct Sink<'a> {
     scale: Option<f64>,
+    elevation: Option<Elevation>,
     path: PathBuf,
     progress: Progress<'a>,
     file: Option<BufWriter<File>>,
@@ -102,14 +111,30 @@ struct Sink<'a> {
 }
 
 impl<'a> Sink<'a> {
-    fn new(scale: Option<f64>, path: PathBuf, progress: Progress<'a>) -> Self {
+    fn new(&Import { scale, elevation, .. }: &Import, path: PathBuf, progress: Progress<'a>) -> Self {
         let numbers = (Number::U8, Number::U8);
         let (range, bytes) = (Range::default(), Vec::new());
-        Self { scale, path, progress, file: None, shape: [0; 3], numbers, done: 0, range, bytes, first: None }
+        Self {
+            scale,
+            elevation,
+            path,
+            progress,
+            file: None,
+            shape: [0; 3],
+            numbers,
+            done: 0,
+            range,
+            bytes,
+            first: None,
+        }
     }
 
-    /// Before the first.
-    fn begin(&mut self, shape: [usize; 3], number: Number) -> Result<()> {
+    /// Before the first, which comes from `from`.
+    fn begin(&mut self, from: &Path, shape: [usize; 3], number: Number) -> Result<()> {
+        let (elevation, say) = (self.elevation.unwrap_or(Elevation::UPPER), "--elevation -90,90 for a full sphere");
+        if let Some(fault) = shape_fault(elevation, self.elevation.is_some(), (shape[2], shape[1]), say) {
+            return Err(Error::input(from, fault));
+        }
         let kept = if number.is_float() || self.scale.is_some() { Number::F32 } else { number };
         (self.shape, self.numbers) = (shape, (number, kept));
         let begun = File::create(&self.path).and_then(|file| {

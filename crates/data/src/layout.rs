@@ -1,21 +1,43 @@
 //! What every writer of a data folder writes alike.
 
 use pwrfgs_core::{Origin, Pose, Receiver};
+use std::fmt::Write as _;
 
 /// The text of `gateway_info.yml` for a data set called `name`.
 pub fn gateway_yaml(name: &str, pose: &Pose) -> String {
     format!(
         "dataset_name: {}\ngateway1:\n  position: [{}]\n  orientation: [{}] # quaternion x, y, z, w\n",
-        serde_json::Value::from(name), // a JSON string is a YAML string
+        yaml(name),
         list(&pose.position),
         list(&pose.orientation)
     )
 }
 
-/// The text of `gateway_position.yml`: names and places of gateways, metres.
-pub fn gateway_positions_yaml<'a>(gateways: impl IntoIterator<Item = (&'a str, [f64; 3])>) -> String {
-    let line = |(name, place): (&str, [f64; 3])| format!("{}: [{}]\n", serde_json::Value::from(name), list(&place));
+/// The text of `gateway_position.yml`: names and places of gateways, metres, with the orientation of those that are turned.
+pub fn gateway_positions_yaml<'a>(gateways: impl IntoIterator<Item = (&'a str, Pose)>) -> String {
+    let line = |(name, pose): (&str, Pose)| {
+        let (name, place) = (yaml(name), list(&pose.position));
+        if pose.orientation == Pose::IDENTITY.orientation {
+            return format!("{name}: [{place}]\n");
+        }
+        format!("{name}: {{position: [{place}], orientation: [{}]}}\n", list(&pose.orientation))
+    };
     gateways.into_iter().map(line).collect()
+}
+
+/// A text of YAML: a JSON string is one. Marks by which a reader counts how deep a file is nested are written as numbers.
+pub(crate) fn yaml(text: &str) -> String {
+    let (mut out, mut before) = (String::new(), ' ');
+    for c in serde_json::Value::from(text).to_string().chars() {
+        let counts = "[]{}".contains(c) || ("-?:".contains(c) && before.is_whitespace());
+        if counts || c.is_control() || matches!(c, '\u{2028}' | '\u{2029}' | '\u{feff}' | '\u{fffe}' | '\u{ffff}') {
+            write!(out, "\\u{:04x}", u32::from(c)).expect("text grows");
+        } else {
+            out.push(c);
+        }
+        before = c;
+    }
+    out
 }
 
 /// The text of `base-station.yml`: places of the antennas, metres.
@@ -25,15 +47,19 @@ pub fn base_station_yaml(antennas: &[[f64; 3]]) -> String {
 }
 
 /// The text of `receiver.yml`: pose, frequencies, and places of the antennas in the world; metres and Hz.
-pub(crate) fn receiver_yaml(receiver: &Receiver, origin: Origin, carrier_hz: f64, spacing_hz: f64) -> String {
+pub(crate) fn receiver_yaml(receiver: &Receiver, origin: Origin, frequencies_hz: &[f64]) -> String {
+    let [first, last] = [frequencies_hz[0], frequencies_hz[frequencies_hz.len() - 1]];
+    let carrier_hz = 0.5 * (first + last);
+    let spacing_hz = (last - first) / (frequencies_hz.len() - 1).max(1) as f64;
     let pose = origin.world_pose(receiver.pose);
     let antenna = |about: [f64; 3]| format!("[{}]", list(&[0, 1, 2].map(|k| pose.position[k] + about[k])));
     format!(
         "name: {}\nposition: [{}]\norientation: [{}] # quaternion x, y, z, w\ncarrier_hz: {carrier_hz:?}\n\
-         spacing_hz: {spacing_hz:?}\nantennas: [{}] # in the world, metres\n",
-        serde_json::Value::from(receiver.name.as_str()),
+         spacing_hz: {spacing_hz:?}\nfrequencies_hz: [{}]\nantennas: [{}] # in the world, metres\n",
+        yaml(&receiver.name),
         list(&pose.position),
         list(&pose.orientation),
+        list(frequencies_hz),
         receiver.array().into_iter().map(antenna).collect::<Vec<_>>().join(", ")
     )
 }

@@ -14,6 +14,7 @@
 mod arrays;
 mod baselines;
 mod channels;
+mod checks;
 pub mod import;
 mod layout;
 mod mesh;
@@ -30,6 +31,7 @@ mod text;
 pub use arrays::Arrays;
 pub use baselines::{Kriging, LogDistance, MeanSpectrum, NearestNeighbours, Neighbours, Ridge, Zero};
 pub use channels::{Channels, ReceiverPlace};
+pub use checks::{Unheard, check, power_fault, shape_fault, unheard};
 pub use layout::{base_station_yaml, gateway_positions_yaml, gateway_yaml};
 pub use mesh::read_mesh;
 pub use nerf2::{Nerf2Csi, Nerf2Rssi, Nerf2Spectrum};

@@ -14,6 +14,7 @@ pub use csi::Nerf2Csi;
 pub use rssi::Nerf2Rssi;
 pub(crate) use rssi::{check_root, folder_name};
 
+use crate::checks::shape_fault;
 use crate::points::read_points;
 use crate::text::{XyzColumns, lines, no_longer, read_text, split_commas};
 use pwrfgs_core::{
@@ -112,12 +113,12 @@ impl DataSource for Nerf2Spectrum {
         let elevation = stated.unwrap_or(Elevation::UPPER);
         check_shape(paths[0], elevation, stated.is_some(), (spectra.width(), spectra.height()))?;
         let unmatched = Unmatched { positions: positions.len() - ids.len(), pictures: files.len() - ids.len() };
-        let samples = ids.iter().map(|&id| Sample::new(id, positions[id as usize - 1])).collect();
+        let samples: Vec<Sample> = ids.iter().map(|&id| Sample::new(id, positions[id as usize - 1])).collect();
         let folder = || root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
-        let name = clean(&gateway.name.unwrap_or_else(folder));
+        let name = clean(&gateway.name.clone().unwrap_or_else(folder));
         let simulation = simulation(&root, &name);
         let title = format!("{name} ({}NeRF2 layout)", if simulation.is_some() { "" } else { "measured, " });
-        let data = Dataset::new(title, gateway.pose, points, samples, spectra)?;
+        let data = Dataset::of_links(title, vec![gateway.receiver()], points, &samples, spectra.into())?;
         Ok(Dataset { elevation, official, simulation, unmatched, ..data })
     }
 
@@ -140,15 +141,9 @@ impl DataSource for Nerf2Spectrum {
 
 /// Refuses a picture that does not suit its angles.
 pub(crate) fn check_shape(path: &Path, elevation: Elevation, stated: bool, size: (usize, usize)) -> Result<()> {
-    let advice = if stated {
-        "correct `elevation`, or resample the pictures"
-    } else {
-        "say where the top row begins and the bottom row ends, such as `elevation: (-90, 90)` of the data source for a full \
-         sphere, or `elevation: [-90, 90]` in gateway_info.yml"
-    };
-    let factor = if stated { 4.0 } else { 1.75 };
-    let misfit = elevation.misfit(size, factor);
-    misfit.map_or(Ok(()), |what| Err(Error::input(path, format!("{what}; {advice}"))))
+    let say =
+        "`elevation: (-90, 90)` of the data source for a full sphere, or `elevation: [-90, 90]` in gateway_info.yml";
+    shape_fault(elevation, stated, size, say).map_or(Ok(()), |what| Err(Error::input(path, what)))
 }
 
 /// `manifest.json`, as `pwrfgs simulate` writes it.

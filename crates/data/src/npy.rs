@@ -15,7 +15,7 @@ const MAGIC: &[u8] = b"\x93NUMPY";
 /// Longest header that is read, bytes; NumPy's own limit is 10,000.
 const MAX_HEADER: usize = 1 << 16;
 /// Largest array that is read whole, bytes.
-const MAX_BYTES: u64 = 1 << 30;
+pub(crate) const MAX_BYTES: u64 = 1 << 30;
 
 /// What an array file says of itself.
 #[derive(Debug, PartialEq)]

@@ -4,7 +4,9 @@ use crate::arrays::{Gain, axes, given, numbers};
 use crate::border::wrong;
 use numpy::PyArrayDyn;
 use numpy::PyReadonlyArrayDyn;
-use pwrfgs_core::{Channels, Error, Number, Observations, Pose, Real, Receiver, Sample, Spectra};
+use pwrfgs::data::{Unheard, power_fault, unheard};
+use pwrfgs::experiment::data_warnings;
+use pwrfgs_core::{Channels, Dataset, Error, Number, Observations, Pose, Real, Receiver, Sample, Spectra};
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 
@@ -36,28 +38,11 @@ fn listed<'py>(given: &Bound<'py, PyAny>) -> PyResult<Vec<Bound<'py, PyAny>>> {
     given.try_iter().map_err(|error| wrong(given.py(), &format!("receivers: {error}; {form}")))?.collect()
 }
 
-/// Refuses channels of other antennas than the receiver has: what is learned rests on where they are.
-pub(super) fn check_antennas(py: Python<'_>, observations: &Observations, receivers: &[Receiver]) -> PyResult<()> {
-    let (Observations::Channels(channels), [receiver]) = (observations, receivers) else { return Ok(()) };
-    let (given, placed) = (channels.antennas, receiver.antennas.len());
-    if given == placed {
-        return Ok(());
-    }
-    let what = format!(
-        "csi has {given} antennas, and the receiver has {placed}; say where they are: \
-         receivers=[Receiver(position=(x, y, z), antennas=[(0, 0, 0), ..])], {given} places in metres, in its own frame"
-    );
-    Err(wrong(py, &what))
-}
-
-/// Who hears nothing but more than a milliwatt has likely given milliwatts.
-pub(super) fn warn_of_milliwatts(py: Python<'_>, observations: &Observations) -> PyResult<()> {
-    let Observations::Powers(powers) = observations else { return Ok(()) };
-    if powers.is_empty() || powers.iter().any(|dbm| *dbm < 0.0) {
-        return Ok(());
-    }
-    let text = "every power is 0 dBm or more, which is a milliwatt; of powers in mW give 10 * log10(mW)";
-    py.import("warnings")?.call_method1("warn", (text, py.get_type::<PyUserWarning>(), 2)).map(drop)
+/// Warns of data that can be used, but are probably not what was meant.
+pub(super) fn warn(py: Python<'_>, data: &Dataset) -> PyResult<()> {
+    let warnings = py.import("warnings")?;
+    let warn = |text| warnings.call_method1("warn", (text, py.get_type::<PyUserWarning>(), 2)).map(drop);
+    data_warnings(data, None).into_iter().try_for_each(warn)
 }
 
 /// Spectra as they are given: bytes stay bytes.
@@ -78,11 +63,6 @@ pub(super) fn pictures(given_spectra: &Bound<'_, PyAny>, count: usize) -> PyResu
     let floats = given::<f32>("spectra", given_spectra, &shape)?;
     let size = floats.shape_of();
     let pixels = floats.as_slice().map_err(|e| wrong(py, &e.to_string()))?;
-    if let Some(i) = pixels.iter().position(|v| !(-1e-6..=1.000_001).contains(v)) {
-        let of_one = size.0 * size.1;
-        let (s, r, c) = (i / of_one, i % of_one / size.0, i % size.0);
-        return Err(wrong(py, &format!("spectra[{s}, {r}, {c}] is {}; give amplitudes from 0 to 1", pixels[i])));
-    }
     Spectra::float(size, pixels).map_err(said)
 }
 
@@ -112,11 +92,22 @@ pub(super) fn heard(
     let all = numbers::<f64>("rssi", rssi, shape)?;
     let (mut samples, mut powers) = (Vec::new(), Vec::new());
     for (k, dbm) in all.iter().enumerate().filter(|(_, dbm)| !dbm.is_nan()) {
-        let i = k / receivers;
-        samples.push(Sample { id: i as u32, tx: txs[i], receiver: k % receivers });
+        let (i, receiver) = (k / receivers, k % receivers);
+        if let Some(fault) = power_fault(*dbm as Real as f64) {
+            return Err(wrong(rssi.py(), &format!("rssi[{i}, {receiver}] {fault}")));
+        }
+        samples.push(Sample { id: i as u32, tx: txs[i], receiver });
         powers.push(*dbm as Real);
     }
-    Ok((samples, Observations::Powers(powers)))
+    let links = samples.iter().map(|sample| (sample.id as usize, sample.receiver));
+    let silent = match unheard(txs.len(), receivers, links) {
+        None => return Ok((samples, Observations::Powers(powers))),
+        Some(Unheard::Transmitter(i)) => format!("rssi[{i}] is NaN throughout: leave the transmitter out, in tx too"),
+        Some(Unheard::Receiver(r)) => {
+            format!("rssi[:, {r}] is NaN throughout: leave the receiver out, in receivers too")
+        }
+    };
+    Err(wrong(rssi.py(), &silent))
 }
 
 /// Channels with their subcarriers.

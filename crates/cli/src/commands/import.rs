@@ -7,7 +7,7 @@ use crate::progress::Progress;
 use clap::Args;
 use pwrfgs::data::import::Import as Work;
 use pwrfgs::experiment::{Observer as _, equality_warning, position_warning};
-use pwrfgs_core::{Error, Kind, Number, Pose, Result};
+use pwrfgs_core::{Elevation, Error, Kind, Number, Pose, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::{Mutex, PoisonError};
@@ -39,6 +39,9 @@ pub(crate) struct Import {
     /// Orientation of the receiver: the unit quaternion that turns its axes into the world's; 0,0,0,1 for none
     #[arg(long, value_name = "X,Y,Z,W", allow_hyphen_values = true)]
     pub(crate) orientation: String,
+    /// Elevations where the top row begins and the bottom row ends, degrees [default: 0,90]
+    #[arg(long, value_name = "FIRST,LAST", allow_hyphen_values = true)]
+    pub(crate) elevation: Option<String>,
     /// The folder to make
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
@@ -62,6 +65,7 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<ExitCod
             position: position("--receiver", &arguments.receiver)?,
             orientation: quaternion(&arguments.orientation)?,
         },
+        elevation: arguments.elevation.as_deref().map(elevation).transpose()?,
         name: arguments.name.clone().unwrap_or_else(name),
         scale: arguments.scale,
         simulated: arguments.simulated,
@@ -89,6 +93,16 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<ExitCod
         output::note("    split: Random(test: 0.2),");
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// `first,last` of the command line.
+fn elevation(text: &str) -> Result<Elevation> {
+    let degrees: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
+    let degrees: Option<[f64; 2]> = degrees.and_then(|degrees| degrees.try_into().ok());
+    let [first, last] = degrees.ok_or_else(|| {
+        Error::Config(format!("--elevation {text}: give two numbers in degrees, such as -90,90 for a full sphere"))
+    })?;
+    Ok(Elevation { first, last })
 }
 
 /// `x,y,z,w` of the command line.

@@ -12,6 +12,7 @@ fn source(root: PathBuf) -> Channels {
         root,
         file: "h.npy".into(),
         positions: "p.csv".into(),
+        points: None,
         carrier_hz: Some(1e9),
         spacing_hz: Some(1e6),
         receiver: Some(ReceiverPlace::default()),
@@ -81,6 +82,7 @@ fn what_settings_leave_out_stands_in_a_file_beside() {
         ("[1, 2, 3]\no", "[1, .nan, 3]\no", ":2:1: the position"),
         ("name: tower\n", "", "missing field `name`"),
         ("2.0e9", "fast", ":4:13:"),
+        ("spacing_hz: 1.0e6", "spacing_hz: 1e6\nfrequencies_hz: [1e9, 2e9]", "lists 2 `frequencies_hz`"),
         ("[1.1, 2, 3]", "[1.1, .inf, 3]", "not finite"),
         (", [1.1, 2, 3]", "", "`receiver.antennas` names 1"),
     ] {

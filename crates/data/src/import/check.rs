@@ -1,10 +1,9 @@
 //! What values can be meant, and what to do about others.
 
+use crate::checks::ROUNDING;
 use pwrfgs_core::{Error, Result};
 use std::path::Path;
 
-/// How far a value may be outside 0 to 1, by rounding.
-const ROUNDING: f64 = 1e-6;
 /// A largest value below this is not meant: the measures of likeness take 1 for the strongest direction.
 const FAINT: f64 = 0.01;
 

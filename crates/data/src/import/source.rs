@@ -66,15 +66,10 @@ fn each(path: &Path, array: &mut dyn Read, bytes: u64, count: usize, sink: &mut 
         let advice = if w == count { "; save numpy.moveaxis(s, 2, 0)" } else { ": give as many of each" };
         return refuse(what + advice);
     }
-    if h > w {
-        let what =
-            "; rows are elevation, a quarter of a turn, and columns azimuth, all of it: save s.transpose(0, 2, 1)";
-        return refuse(what.into());
-    }
     if header.bytes(number).and_then(|n| n.checked_add(header.offset)) != Some(bytes) || h * w == 0 {
         return refuse(format!(", which does not fit its {bytes} bytes; it is cut short or damaged: copy it anew"));
     }
-    sink.begin(shape, number)?;
+    sink.begin(path, shape, number)?;
     let mut one = vec![0; h * w * number.bytes()];
     for _ in 0..m {
         array.read_exact(&mut one).map_err(|e| Error::read(path, e))?;
@@ -102,7 +97,7 @@ fn folder(path: &Path, count: usize, sink: &mut Sink<'_>) -> Result<()> {
         let size = (picture.width, picture.height);
         match &first {
             None => {
-                sink.begin([count, size.1, size.0], picture.number)?;
+                sink.begin(&file, [count, size.1, size.0], picture.number)?;
                 let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
                 first = Some((size, picture.number, name));
             }

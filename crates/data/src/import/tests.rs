@@ -29,6 +29,7 @@ impl Folder {
             spectra: self.path(spectra),
             tx: Some(self.path("tx.npy")),
             receiver: Pose { position: [5.0, 0.26, 0.0], ..Pose::IDENTITY },
+            elevation: Some((-90.0, 90.0).into()),
             name: "mine".into(),
             scale: None,
             simulated: false,
@@ -39,12 +40,7 @@ impl Folder {
         let out = self.path("out");
         let _ = fs::remove_dir_all(&out);
         let imported = work.write(&out, &|_, _| {}).unwrap();
-        (
-            imported,
-            Arrays { root: out, elevation: Some((-90.0, 90.0).into()), ..Arrays::default() }
-                .load(Path::new(""), &|_, _| {})
-                .unwrap(),
-        )
+        (imported, Arrays { root: out, ..Arrays::default() }.load(Path::new(""), &|_, _| {}).unwrap())
     }
 
     /// The message, with this folder as `DIR`; nothing is left behind.
@@ -201,11 +197,7 @@ fn what_cannot_be_meant_is_refused_with_what_to_do() {
         folder.write("s.npy", &array(Number::U8, shape, vec![9; bytes]));
         case(folder.work("s.npy"), expected);
     };
-    shaped(
-        &[4, 3, 2],
-        24,
-        "has shape [4, 3, 2]; rows are elevation, a quarter of a turn, and columns azimuth, all of it: save s.transpose(0, 2, 1)",
-    );
+    shaped(&[4, 36, 6], 864, "save s.transpose(0, 2, 1)");
     shaped(
         &[2, 3, 4],
         24,

@@ -4,7 +4,7 @@ mod file;
 
 use super::yaml::{self, place_of};
 use file::File;
-use pwrfgs_core::{Elevation, Error, Pose, Result, words::clean};
+use pwrfgs_core::{Elevation, Error, Pose, Receiver, Result, words::clean};
 use std::path::Path;
 
 const EXPECTED: &str =
@@ -15,8 +15,16 @@ const EXPECTED: &str =
 pub(crate) struct Gateway {
     pub(crate) name: Option<String>,
     pub(crate) pose: Pose,
+    /// What the receiver is called, where it says so.
+    receiver: Option<String>,
     /// Of the pictures' rows, where it says so.
     pub(crate) elevation: Option<Elevation>,
+}
+
+impl Gateway {
+    pub(crate) fn receiver(&self) -> Receiver {
+        Receiver::new(self.receiver.as_deref().unwrap_or("receiver"), self.pose)
+    }
 }
 
 /// Reads the file; `wanted` is the gateway that the user names, `gateway1` where none is named.
@@ -54,7 +62,8 @@ pub(crate) fn read(path: &Path, wanted: Option<&str>, advice: &str) -> Result<Ga
         let (line, column) = place_of(&text, "elevation", "");
         return Err(Error::at(path, line, column, fault));
     }
-    Ok(Gateway { name: file.title.filter(|n| !n.trim().is_empty()), pose, elevation })
+    let is_said = |name: &String| !name.trim().is_empty();
+    Ok(Gateway { name: file.title.filter(is_said), pose, receiver: file.receiver.filter(is_said), elevation })
 }
 
 #[cfg(test)]

@@ -2,21 +2,25 @@
 
 use super::yaml::{self, place_of};
 use pwrfgs_core::origin::place_fault;
-use pwrfgs_core::{Error, Result, words::clean};
-use serde::de::{DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess, Visitor};
+use pwrfgs_core::{Error, Pose, Result, words::clean};
+use serde::Deserialize;
+use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
+use serde::de::{DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use std::collections::BTreeSet;
 use std::fmt::{Formatter, Result as Written};
 use std::path::Path;
 
-const GATEWAYS: &str = "expected one gateway a line, such as `g01: [x, y, z]` (metres)";
+const GATEWAYS: &str = "expected one gateway a line, such as `g01: [x, y, z]` (metres), or `g01: {position: [x, y, z], \
+                        orientation: [x, y, z, w]}`";
 const ANTENNAS: &str = "expected `base_station: [[x, y, z], ..]` (metres), a place for each antenna";
 
-/// Names and places of the gateways, metres, in the order of the file.
-pub(super) fn gateways(path: &Path, advice: &str) -> Result<Vec<(String, [f64; 3])>> {
+/// Names and poses of the gateways in the order of the file; without an orientation, axes are those of the world.
+pub(super) fn gateways(path: &Path, advice: &str) -> Result<Vec<(String, Pose)>> {
     let text = yaml::text(path, advice, GATEWAYS)?;
     let found = yaml::parse(path, &text, Gateways, GATEWAYS)?;
-    for (name, place) in &found {
-        if let Some(fault) = place_fault(*place) {
+    for (name, pose) in &found {
+        let place = place_fault(pose.position);
+        if let Some(fault) = place.or_else(|| pose.fault().map(|(_, fault)| format!("is turned: {fault}"))) {
             let (line, column) = place_of(&text, name, "");
             return Err(Error::at(path, line, column, format!("`{}` {fault}", clean(name))));
         }
@@ -45,7 +49,7 @@ pub(super) fn antennas(path: &Path, advice: &str) -> Result<Vec<[f64; 3]>> {
 struct Gateways;
 
 impl<'de> DeserializeSeed<'de> for Gateways {
-    type Value = Vec<(String, [f64; 3])>;
+    type Value = Vec<(String, Pose)>;
 
     fn deserialize<D: Deserializer<'de>>(self, from: D) -> Result<Self::Value, D::Error> {
         from.deserialize_map(self)
@@ -53,7 +57,7 @@ impl<'de> DeserializeSeed<'de> for Gateways {
 }
 
 impl<'de> Visitor<'de> for Gateways {
-    type Value = Vec<(String, [f64; 3])>;
+    type Value = Vec<(String, Pose)>;
 
     fn expecting(&self, f: &mut Formatter<'_>) -> Written {
         write!(f, "names with places")
@@ -65,10 +69,36 @@ impl<'de> Visitor<'de> for Gateways {
             if !seen.insert(name.clone()) {
                 return Err(A::Error::custom(format!("the gateway `{}` comes twice", clean(&name))));
             }
-            let place = map.next_value()?;
-            found.push((name, place));
+            let Gateway(pose) = map.next_value()?;
+            found.push((name, pose));
         }
         Ok(found)
+    }
+}
+
+/// A position, or a pose.
+struct Gateway(Pose);
+
+impl<'de> Deserialize<'de> for Gateway {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        struct Look;
+        impl<'de> Visitor<'de> for Look {
+            type Value = Gateway;
+
+            fn expecting(&self, f: &mut Formatter<'_>) -> Written {
+                write!(f, "a position")
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, seq: A) -> Result<Gateway, A::Error> {
+                let position = Deserialize::deserialize(SeqAccessDeserializer::new(seq))?;
+                Ok(Gateway(Pose { position, ..Pose::IDENTITY }))
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Gateway, A::Error> {
+                Pose::deserialize(MapAccessDeserializer::new(map)).map(Gateway)
+            }
+        }
+        from.deserialize_any(Look)
     }
 }
 

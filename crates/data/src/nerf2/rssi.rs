@@ -7,9 +7,7 @@ mod tests;
 use super::{index, places, read_transmitters, simulation};
 use crate::points::read_points;
 use pwrfgs_core::words::clean;
-use pwrfgs_core::{
-    DataSource, Dataset, Documented, Error, Observations, Pose, Progress, Real, Receiver, Result, Sample,
-};
+use pwrfgs_core::{DataSource, Dataset, Documented, Error, Observations, Progress, Real, Receiver, Result, Sample};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -18,7 +16,8 @@ const LAYOUT: &str = "a NeRF2 folder of powers holds gateway_position.yml, gatew
 /// Received powers (RSSI) at many gateways in the layout of NeRF2 (Zhao et al., 2023).
 ///
 /// ```text
-/// root/gateway_position.yml    g01: [x, y, z], one line a gateway; metres
+/// root/gateway_position.yml    g01: [x, y, z], one line a gateway; metres; of one that is turned
+///                              g01: {position: [x, y, z], orientation: [x, y, z, w]}, a unit quaternion
 /// root/gateway_rssi.csv        header with the names of the gateways; row k is what each received, dBm; -100: not heard
 /// root/tx_pos.csv              header naming x, y, z among others; row k is the transmitter; metres
 /// root/train_index.txt         rows counted from 0, one a line; this file and
@@ -70,7 +69,8 @@ impl DataSource for Nerf2Rssi {
         }
         let gateways = places::gateways(&root.join("gateway_position.yml"), LAYOUT)?;
         let positions = read_transmitters(&root.join("tx_pos.csv"))?;
-        let heard = table::read(&root.join("gateway_rssi.csv"), &gateways, positions.len(), LAYOUT)?;
+        let names: Vec<String> = gateways.iter().map(|(name, _)| name.clone()).collect();
+        let heard = table::read(&root.join("gateway_rssi.csv"), &names, positions.len(), LAYOUT)?;
         let rows = index::read(&root, &|word| index::row(word, "tx_pos.csv", positions.len()))?;
         let points = self.points.as_ref().map_or(Ok(Vec::new()), |points| read_points(&base.join(points)))?;
         let samples: Vec<Sample> = heard
@@ -78,8 +78,7 @@ impl DataSource for Nerf2Rssi {
             .map(|link| Sample { id: link.row as u32, tx: positions[link.row], receiver: link.gateway })
             .collect();
         let powers = heard.iter().map(|link| link.dbm as Real).collect();
-        let at = |(name, position): (String, [f64; 3])| Receiver::new(name, Pose { position, ..Pose::IDENTITY });
-        let receivers = gateways.into_iter().map(at).collect();
+        let receivers = gateways.into_iter().map(|(name, pose)| Receiver::new(name, pose)).collect();
         let name = folder_name(&root);
         let simulation = simulation(&root, &name);
         let title = format!("{name} ({}NeRF2 layout)", if simulation.is_some() { "" } else { "measured, " });

@@ -6,7 +6,7 @@ use serde::de::DeserializeSeed;
 use std::path::Path;
 
 /// Largest file that is read, bytes. It says a few numbers.
-const MAX_SIZE: u64 = 1 << 20;
+pub(crate) const MAX_SIZE: u64 = 1 << 20;
 /// Deepest nesting that is read; the parser takes minutes over some ten thousands.
 const MAX_DEPTH: usize = 64;
 

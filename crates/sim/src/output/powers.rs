@@ -32,7 +32,10 @@ impl Sink for Powers {
         for (i, heard) in heard.iter().enumerate() {
             let comma = if i == 0 { "" } else { "," };
             match &heard.observed {
-                Observed::Power(dbm) if *dbm > SILENT_DBM => write!(self.rows, "{comma}{dbm:.3}"),
+                Observed::Power(dbm) if *dbm > SILENT_DBM => {
+                    // Rounded, none is what stands for nothing received.
+                    write!(self.rows, "{comma}{:.3}", dbm.max(SILENT_DBM + 1e-3))
+                }
                 _ => write!(self.rows, "{comma}{SILENT_DBM:.1}"),
             }
             .expect("text grows");
@@ -47,11 +50,21 @@ impl Sink for Powers {
     }
 }
 
-/// Refuses a table with transmitters that no receiver hears: who reads the layout cannot tell them from mistakes.
+/// Refuses a table with transmitters that no receiver receives, or receivers that receive none: who reads the layout cannot
+/// tell them from mistakes.
 pub(super) fn check(folder: &Path) -> Result<()> {
     let text = files::read_string(folder.join(POWERS)).map_err(|e| Error::read(folder, e))?;
     let silent = format!("{SILENT_DBM:.1}");
     let rows = || text.lines().skip(1);
+    let columns = rows().next().map_or(0, |row| row.split(',').count());
+    let is_deaf = |column: &usize| rows().all(|row| row.split(',').nth(*column) == Some(&*silent));
+    if let Some(column) = (0..columns).find(is_deaf) {
+        let name = text.lines().next().and_then(|names| names.split(',').nth(column)).unwrap_or_default();
+        return Err(Error::Config(format!(
+            "receiver `{name}` receives no transmitter above {SILENT_DBM} dBm, which the layout cannot say; raise `power_dbm` \
+             of the transmitter, or leave the receiver out"
+        )));
+    }
     match rows().filter(|row| row.split(',').all(|cell| cell == silent)).count() {
         0 => Ok(()),
         unheard => Err(Error::Config(format!(

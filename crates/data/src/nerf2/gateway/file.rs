@@ -16,6 +16,8 @@ pub(super) struct File<'a> {
 pub(super) struct Contents {
     /// `dataset_name`, a text or a number.
     pub(super) title: Option<String>,
+    /// `receiver`, its name.
+    pub(super) receiver: Option<String>,
     /// `elevation`, degrees.
     pub(super) elevation: Option<[f64; 2]>,
     /// The gateway that is wanted.
@@ -54,7 +56,9 @@ impl<'de> Visitor<'de> for File<'_> {
                 contents.elevation = Some(map.next_value()?);
             } else {
                 let seen = map.next_value::<Glance>()?;
-                if seen.has_position || key.to_lowercase().starts_with("gateway") {
+                if key == "receiver" && seen.scalar.is_some() {
+                    contents.receiver = seen.scalar;
+                } else if seen.has_position || key.to_lowercase().starts_with("gateway") {
                     contents.others.push(key);
                 }
             }

@@ -1,15 +1,12 @@
 //! `gateway_rssi.csv`: a column a gateway, a row a transmitter.
 
+use crate::checks::{NOT_RECEIVED, Unheard, power_fault, unheard};
 use crate::text::{Field, lines, no_longer, number, read_text, split_commas};
 use pwrfgs_core::words::{clean, quoted, text_of};
 use pwrfgs_core::{Error, Result, did_you_mean, files::MAX_TEXT};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// What stands where nothing was received, dBm.
-const NOT_HEARD: f64 = -100.0;
-/// No power in dBm is larger than this in size: what is has another unit.
-const LARGEST_DBM: f64 = 300.0;
 const ADVICE: &str = "give the power in dBm, or -100 where the gateway heard nothing";
 
 /// One power that was received.
@@ -23,7 +20,7 @@ pub(super) struct Heard {
 
 /// All that was heard, by row, then gateway. Every gateway has a column, every transmitter of `rows` a row, and each of
 /// them was heard at least once.
-pub(super) fn read(path: &Path, gateways: &[(String, [f64; 3])], rows: usize, advice: &str) -> Result<Vec<Heard>> {
+pub(super) fn read(path: &Path, gateways: &[String], rows: usize, advice: &str) -> Result<Vec<Heard>> {
     let text = read_text(path, MAX_TEXT, advice)?;
     let mut contents = lines(&text);
     let Some((line, header)) = contents.next() else {
@@ -34,31 +31,29 @@ pub(super) fn read(path: &Path, gateways: &[(String, [f64; 3])], rows: usize, ad
     };
     let header = split_commas(header);
     let column_of = columns(path, line, &header, gateways)?;
-    let (mut heard, mut count) = (Vec::new(), 0);
+    let (mut heard, mut lines_of): (Vec<Heard>, Vec<usize>) = (Vec::new(), Vec::new());
     for (row, (line, content)) in contents.enumerate() {
         let fields = split_commas(content);
         no_longer(path, line, &fields, header.len())?;
-        let before = heard.len();
         for (gateway, &column) in column_of.iter().enumerate() {
             let dbm = power(path, line, &fields, column)?;
-            heard.extend((dbm != NOT_HEARD).then_some(Heard { row, gateway, dbm }));
+            heard.extend((dbm != NOT_RECEIVED).then_some(Heard { row, gateway, dbm }));
         }
-        if heard.len() == before {
-            let what = "no gateway heard this transmitter (-100 in all columns); remove the row here and in tx_pos.csv, \
-                        and number the index files anew";
-            return Err(Error::at(path, line, 1, what));
-        }
-        count = row + 1;
+        lines_of.push(line);
     }
+    let count = lines_of.len();
     if count != rows {
         let what = format!("holds {count} rows of powers, but tx_pos.csv {rows} transmitters; give as many of each");
         return Err(Error::input(path, what));
     }
-    let mut hears = vec![false; gateways.len()];
-    heard.iter().for_each(|link| hears[link.gateway] = true);
-    match hears.iter().position(|hears| !hears) {
-        Some(g) => {
-            let what = format!("{} heard no transmitter (-100 in all rows)", quoted(&gateways[g].0));
+    match unheard(rows, gateways.len(), heard.iter().map(|link| (link.row, link.gateway))) {
+        Some(Unheard::Transmitter(row)) => {
+            let what = "no gateway heard this transmitter (-100 in all columns); remove the row here and in tx_pos.csv, \
+                        and number the index files anew";
+            Err(Error::at(path, lines_of[row], 1, what))
+        }
+        Some(Unheard::Receiver(g)) => {
+            let what = format!("{} heard no transmitter (-100 in all rows)", quoted(&gateways[g]));
             let what = format!("{what}; remove its column here and its line in gateway_position.yml");
             Err(Error::at(path, line, header[column_of[g]].column, what))
         }
@@ -67,8 +62,8 @@ pub(super) fn read(path: &Path, gateways: &[(String, [f64; 3])], rows: usize, ad
 }
 
 /// In which column each gateway stands.
-fn columns(path: &Path, line: usize, header: &[Field<'_>], gateways: &[(String, [f64; 3])]) -> Result<Vec<usize>> {
-    let names = || gateways.iter().map(|(name, _)| name.as_str());
+fn columns(path: &Path, line: usize, header: &[Field<'_>], gateways: &[String]) -> Result<Vec<usize>> {
+    let names = || gateways.iter().map(String::as_str);
     let known: BTreeSet<&str> = names().collect();
     let mut column_of = BTreeMap::new();
     for (k, field) in header.iter().enumerate() {
@@ -105,7 +100,7 @@ fn power(path: &Path, line: usize, row: &[Field<'_>], column: usize) -> Result<f
         ));
     };
     let dbm = number(path, line, field, ADVICE)?;
-    if dbm.abs() > LARGEST_DBM {
+    if dbm != NOT_RECEIVED && power_fault(dbm).is_some() {
         return Err(Error::at(
             path,
             line,

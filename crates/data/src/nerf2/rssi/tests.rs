@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::layout::gateway_positions_yaml;
-use pwrfgs_core::Link;
+use pwrfgs_core::{Link, Pose};
 use std::fs;
 
 const ROWS: &str = "b,a\n-60.5,-100\n-100.0,-71\n-62,-73\n";
@@ -13,7 +13,9 @@ struct Folder(tempfile::TempDir);
 impl Folder {
     fn new() -> Self {
         let folder = Self(tempfile::tempdir().unwrap());
-        folder.write("gateway_position.yml", &gateway_positions_yaml([("a", [1.0, 2.0, 3.0]), ("b", [4.0, 5.0, 6.5])]));
+        let at = |position| Pose { position, ..Pose::IDENTITY };
+        let gateways = [("a", at([1.0, 2.0, 3.0])), ("b", at([4.0, 5.0, 6.5]))];
+        folder.write("gateway_position.yml", &gateway_positions_yaml(gateways));
         folder.write("gateway_rssi.csv", ROWS);
         folder.write("tx_pos.csv", "x,y,z\n1,2,3\n4,5,6\n7,8,9\n");
         folder.write("train_index.txt", "2\n0\n");

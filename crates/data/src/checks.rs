@@ -1,0 +1,150 @@
+//! What data must be like, wherever they come from: folders, `import`, or arrays of a program. What passes [`check`] can be
+//! saved, and is read back as it was.
+
+use pwrfgs_core::words::{clean, quoted};
+use pwrfgs_core::{Dataset, Elevation, Error, Kind, Observations, Real, Receiver, Result, Spectra};
+use rayon::prelude::*;
+
+/// How far a value of a spectrum may be outside 0 to 1, by rounding.
+pub(crate) const ROUNDING: f64 = 1e-6;
+/// What stands in a table of powers where nothing was received, dBm.
+pub(crate) const NOT_RECEIVED: f64 = -100.0;
+/// No power in dBm is larger than this in size: what is has another unit.
+const LARGEST_DBM: f64 = 300.0;
+/// Longest name of a receiver, characters.
+const LONGEST_NAME: usize = 100;
+
+/// Refuses a data set that [`save`](crate::save) could not write, or that would be refused when it is read again.
+///
+/// # Errors
+/// [`Error::Config`] with what is wrong and what to do.
+pub fn check(data: &Dataset) -> Result<()> {
+    fault(data).map_or(Ok(()), |what| Err(Error::Config(format!("data set `{}`: {what}", data.title))))
+}
+
+fn fault(data: &Dataset) -> Option<String> {
+    let receivers = &data.scene.receivers;
+    let links = data.links.iter().map(|link| (link.transmitter, link.receiver));
+    let of_kind = match &data.observations {
+        Observations::Pictures(spectra) => elevation_fault(data).or_else(|| first_value_fault(spectra)),
+        Observations::Powers(powers) => {
+            let fault = |(i, dbm): (usize, &Real)| Some(format!("powers[{i}] {}", power_fault(*dbm as f64)?));
+            powers.iter().enumerate().find_map(fault)
+        }
+        Observations::Channels(_) => None,
+    };
+    let name = receivers.iter().find_map(name_fault);
+    let silent = || Some(unheard(data.transmitters.len(), receivers.len(), links)?.words(receivers));
+    of_kind.or(name).or_else(|| antennas_fault(data)).or_else(silent)
+}
+
+/// Who has no link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unheard {
+    /// The transmitter of this number, counted from 0.
+    Transmitter(usize),
+    /// The receiver of this number, counted from 0.
+    Receiver(usize),
+}
+
+impl Unheard {
+    fn words(self, receivers: &[Receiver]) -> String {
+        match self {
+            Self::Transmitter(i) => format!("no receiver received transmitter {i}; leave it out"),
+            Self::Receiver(i) => {
+                format!("receiver {} received no transmitter; leave it out", quoted(&receivers[i].name))
+            }
+        }
+    }
+}
+
+/// The first transmitter without a link, else the first receiver without one; `links` are pairs of both.
+pub fn unheard(
+    transmitters: usize,
+    receivers: usize,
+    links: impl IntoIterator<Item = (usize, usize)>,
+) -> Option<Unheard> {
+    let (mut sends, mut receives) = (vec![false; transmitters], vec![false; receivers]);
+    links.into_iter().for_each(|(transmitter, receiver)| (sends[transmitter], receives[receiver]) = (true, true));
+    let missing = |all: &[bool]| all.iter().position(|has_link| !has_link);
+    missing(&sends).map(Unheard::Transmitter).or_else(|| missing(&receives).map(Unheard::Receiver))
+}
+
+/// What is wrong with a power that was received, dBm.
+pub fn power_fault(dbm: f64) -> Option<String> {
+    if dbm == NOT_RECEIVED {
+        let what = "stands for nothing received in a folder of powers";
+        return Some(format!("is {dbm} dBm, which {what}; leave the link out, or give -99.99 if it was measured"));
+    }
+    (dbm.is_nan() || dbm.abs() > LARGEST_DBM).then(|| format!("is {dbm}, no power in dBm; give dBm"))
+}
+
+/// What is wrong with the angles and the size of spectra; `say` is how a user states elevations that are not `stated`,
+/// with an example.
+pub fn shape_fault(elevation: Elevation, stated: bool, (width, height): (usize, usize), say: &str) -> Option<String> {
+    let factor = if stated { 4.0 } else { 1.75 };
+    let what = elevation.misfit((width, height), factor)?;
+    let turned = height > width && elevation.misfit((height, width), factor).is_none();
+    let advice = match (turned, stated) {
+        (true, _) => "rows are elevations and columns are azimuths: save s.transpose(0, 2, 1)".into(),
+        (false, true) => "correct `elevation`, or resample the spectra".into(),
+        (false, false) => {
+            format!("say where the top row begins and the bottom row ends, such as {say}")
+        }
+    };
+    Some(format!("{what}; {advice}"))
+}
+
+fn elevation_fault(data: &Dataset) -> Option<String> {
+    let size = (data.width, data.height);
+    let misfit = || shape_fault(data.elevation, true, size, "").map(|what| format!("a spectrum {what}"));
+    data.elevation.fault().or_else(misfit)
+}
+
+/// The first value of spectrum `i` that is not from 0 to 1.
+pub(crate) fn value_fault(spectra: &Spectra, i: usize) -> Option<String> {
+    if !spectra.number().is_float() {
+        return None;
+    }
+    let (mut at, mut wrong) = (0, None);
+    spectra.number().each(&spectra.raw(i), |v| {
+        if !(-ROUNDING..=1.0 + ROUNDING).contains(&v) && wrong.is_none() {
+            wrong = Some((at, v));
+        }
+        at += 1;
+    });
+    let (at, value) = wrong?;
+    let (row, column) = (at / spectra.width(), at % spectra.width());
+    let what = "spectra are linear, from 0 to 1: `pwrfgs import` brings others into shape";
+    Some(format!("spectra[{i}, {row}, {column}] is {value}; {what}"))
+}
+
+fn first_value_fault(spectra: &Spectra) -> Option<String> {
+    (0..spectra.len()).into_par_iter().find_map_first(|i| value_fault(spectra, i))
+}
+
+/// A name that cannot head a column of a table, or steers a terminal.
+fn name_fault(receiver: &Receiver) -> Option<String> {
+    let name = &receiver.name;
+    let fits = clean(name) == *name && !name.is_empty() && !name.contains('"') && name.chars().count() <= LONGEST_NAME;
+    let what = "1 to 100 characters without quotes, control characters or blanks at the ends";
+    (!fits).then(|| format!("a receiver is called {}; give it a name of {what}", quoted(name)))
+}
+
+/// Antennas that are not those of the observations: what is learned rests on where they are.
+fn antennas_fault(data: &Dataset) -> Option<String> {
+    let (given, what) = match &data.observations {
+        Observations::Pictures(_) => return None,
+        Observations::Powers(_) => (1, "a power is received by one antenna at the position of the receiver"),
+        Observations::Channels(channels) => {
+            (channels.antennas, "give the position of each in the receiver's frame, metres")
+        }
+    };
+    let receiver = data.scene.receivers.iter().find(|receiver| {
+        let is_elsewhere = data.kind() == Kind::Power && receiver.antennas.iter().any(|place| *place != [0.0; 3]);
+        receiver.antennas.len() != given || is_elsewhere
+    })?;
+    let (name, placed) = (quoted(&receiver.name), receiver.antennas.len());
+    let things = data.kind().plural();
+    Some(format!("the {things} have {given} antennas, and receiver {name} has {placed}; {what}"))
+}

@@ -1,0 +1,154 @@
+//! What passes the checks is saved and read back as it was, and what does not is refused before anything is written.
+
+use super::*;
+use crate::source_in;
+use proptest::prelude::*;
+use pwrfgs_core::{Channels as Gains, Pose, Receiver, Sample, Simulation};
+
+/// The data set that a folder of it holds.
+fn again(data: &Dataset) -> Dataset {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("saved");
+    let source = save(data, &out).unwrap();
+    let (_, _, found) = source_in(&out).unwrap();
+    let alike = format!("{:?}", found.load(Path::new(""), &|_, _| {}).unwrap());
+    assert_eq!(alike, format!("{:?}", source.load(Path::new(""), &|_, _| {}).unwrap()), "found as written");
+    assert!(save(data, &out).is_err(), "what lies there stays");
+    source.load(Path::new(""), &|_, _| {}).unwrap()
+}
+
+fn same(data: &Dataset, again: &Dataset) {
+    assert_eq!((data.len(), data.width, data.height), (again.len(), again.width, again.height));
+    let links = |data: &Dataset| data.samples().map(|s| (s.tx, s.receiver)).collect::<Vec<_>>();
+    assert_eq!(links(data), links(again));
+    assert_eq!((&data.official, &data.scene.points), (&again.official, &again.scene.points));
+    assert!((0..data.len()).all(|i| data.observations.raw(i) == again.observations.raw(i)));
+    if let (Observations::Channels(one), Observations::Channels(other)) = (&data.observations, &again.observations) {
+        assert_eq!(one, other);
+    }
+    assert_eq!(data.elevation, again.elevation);
+    assert_eq!(data.is_simulated(), again.is_simulated());
+    assert_eq!(data.scene.receivers.len(), again.scene.receivers.len());
+    // Sums and rotations of places round: to a hundredth of a micrometre on a map.
+    let near = |a: &[f64; 3], b: &[f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-8);
+    for (one, other) in data.scene.receivers.iter().zip(&again.scene.receivers) {
+        assert_eq!((&one.name, one.pose.orientation), (&other.name, other.pose.orientation));
+        assert!(near(&one.pose.position, &other.pose.position), "{one:?} {other:?}");
+        assert!(one.antennas.iter().zip(&other.antennas).all(|(a, b)| near(a, b)), "{one:?} {other:?}");
+    }
+}
+
+#[test]
+fn what_is_saved_is_read_again() {
+    let pose = Pose { position: [0.25, 1.0, 2.0], ..Pose::IDENTITY };
+    let samples: Vec<Sample> = (1..=3).map(|i| Sample::new(i, [f64::from(i) / 3.0, 0.5, 1.0])).collect();
+    let spectra = Spectra::float((30, 8), &(0..720).map(|v| v as f32 / 720.0).collect::<Vec<_>>()).unwrap();
+    let mut data = Dataset::new("room", pose, vec![[1.0, 2.0, 0.125]], samples.clone(), spectra).unwrap();
+    data.official = Some((vec![0, 2], vec![1]));
+    data.simulation = Some(Simulation::default());
+    same(&data, &again(&data));
+    data.elevation = Elevation { first: 80.0, last: -10.0 }; // pixels that are not square, from above to below
+    same(&data, &again(&data));
+
+    let at = |name: &str, x| Receiver::new(name, Pose { position: [x, 0.0, 2.5], ..Pose::IDENTITY });
+    let samples = [(0, 0), (0, 1), (1, 1)].map(|(id, receiver)| Sample { id, tx: [f64::from(id), 2.0, 1.5], receiver });
+    let powers = Observations::Powers(vec![-61.5, -70.25, -80.0]);
+    let data = Dataset::of_links("hall", vec![at("=n()", 0.0), at("s", 9.0)], vec![], &samples, powers).unwrap();
+    same(&data, &again(&data));
+
+    let receiver = Receiver { antennas: vec![[0.0; 3], [0.0, 0.0625, 0.0]], ..at("array", 1.0) };
+    let samples: Vec<Sample> = (0..2).map(|i| Sample::new(i, [f64::from(i), 2.0, 1.5])).collect();
+    let gains = (0..12).map(|v| [v as Real, -1.0]).collect();
+    let channels = Gains { antennas: 2, frequencies_hz: vec![2.3e9, 2.4e9, 2.5e9], gains };
+    let data =
+        Dataset::of_links("channels", vec![receiver], vec![], &samples, Observations::Channels(channels)).unwrap();
+    let back = again(&data);
+    same(&data, &back);
+    assert_eq!(data.scene.receivers, back.scene.receivers);
+}
+
+/// Small data of any kind, some of which no folder can hold: the numbers decide.
+fn made(kind: usize, odd: usize, names: &[String], title: &str, numbers: &[f64]) -> Result<Dataset> {
+    let number = |i: usize| numbers[i % numbers.len()];
+    let far = if odd.is_multiple_of(2) { [0.0; 3] } else { [500_000.25, 5_400_000.5, 100.0] };
+    let place = |i: usize| [0, 1, 2].map(|k| far[k] + number(3 * i + k));
+    let turn: [f64; 4] = [0, 1, 2, 3].map(|k| number(k + 7) + 1.5);
+    let length = turn.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let orientation = if odd.is_multiple_of(3) { Pose::IDENTITY.orientation } else { turn.map(|v| v / length) };
+    let antennas = if kind == 2 { 1 + odd % 3 } else { 1 };
+    let receiver = |(i, name): (usize, &String)| Receiver {
+        antennas: (0..antennas).map(|a| [0.06 * a as f64, 0.0, 0.0]).collect(),
+        ..Receiver::new(name.clone(), Pose { position: place(40 + i), orientation })
+    };
+    let receivers: Vec<Receiver> = names.iter().enumerate().map(receiver).take(if kind == 1 { 9 } else { 1 }).collect();
+    let pairs = (0..4).flat_map(|t| (0..receivers.len()).map(move |r| (t, r)));
+    let is_received = |(t, r): &(usize, usize)| kind != 1 || number(5 * t + r) > -0.7;
+    let samples: Vec<Sample> =
+        pairs.filter(is_received).map(|(t, receiver)| Sample { id: t as u32 + 1, tx: place(t), receiver }).collect();
+    let count = samples.len();
+    let size = [(12, 6), (6, 12), (16, 4), (5, 5)][odd % 4];
+    let of_one = size.0 * size.1;
+    let observations = match kind {
+        0 if odd < 5 => {
+            Spectra::grey(size, (0..4 * of_one).map(|i| (90.0 * (1.2 + number(i))) as u8).collect())?.into()
+        }
+        0 => Spectra::float(size, &(0..4 * of_one).map(|i| number(i).abs() as f32).collect::<Vec<_>>())?.into(),
+        1 => Observations::Powers((0..count).map(|i| (number(i) * 100.0).round() as Real).collect()),
+        _ => {
+            let frequencies_hz = (0..3).map(|i| 1e9 + 1e6 * (number(i) + if odd < 6 { 3.0 * i as f64 } else { 0.0 }));
+            let given = if odd == 7 { 1 } else { antennas };
+            let gains = (0..4 * given * 3).map(|i| [number(i) as Real, number(i + 9) as Real]).collect();
+            Observations::Channels(Gains { antennas: given, frequencies_hz: frequencies_hz.collect(), gains })
+        }
+    };
+    let points = (0..odd).map(|i| place(i + 20).map(|v| (v * 16.0).round() / 16.0)).collect();
+    let data = Dataset::of_links(title, receivers, points, &samples, observations)?;
+    let elevation = [(0.0, 90.0), (-90.0, 90.0), (90.0, 0.0), (0.0, 0.5)][if kind == 0 { odd / 2 } else { 0 }];
+    Ok(Dataset { elevation: elevation.into(), simulation: (odd > 3).then(Simulation::default), ..data })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn what_passes_the_checks_is_read_back_as_it_was(
+        kind in 0..3usize, odd in 0..8usize, names in prop::collection::vec("[ab,\"\\[: é\u{2028}-]{1,4}", 1..4),
+        title in "[a-z\\[{ :-]{0,9}", numbers in prop::collection::vec(-1.01..1.01f64, 3..90),
+    ) {
+        let Ok(data) = made(kind, odd, &names, &title, &numbers) else { return Ok(()) };
+        match check(&data) {
+            Ok(()) => same(&data, &again(&data)),
+            Err(refused) => {
+                let folder = tempfile::tempdir().unwrap();
+                let said = save(&data, &folder.path().join("saved")).unwrap_err();
+                prop_assert!(said.is_input() && said.to_string() == refused.to_string(), "{said}\n{refused}");
+                prop_assert_eq!(folder.path().read_dir().unwrap().count(), 0);
+            }
+        }
+    }
+}
+
+#[test]
+fn what_no_folder_can_hold_is_refused_with_what_to_do() {
+    let named = |names: &[&str], powers: &[Real]| {
+        let receivers: Vec<Receiver> = names.iter().map(|name| Receiver::new(*name, Pose::IDENTITY)).collect();
+        let samples: Vec<Sample> = (0..powers.len()).map(|i| Sample::new(i as u32, [i as f64, 0.0, 0.0])).collect();
+        let data = Dataset::of_links("d", receivers, vec![], &samples, Observations::Powers(powers.to_vec())).unwrap();
+        check(&data).unwrap_err().to_string()
+    };
+    let spectra = |size: (usize, usize), value: f32| {
+        let spectra = Spectra::float(size, &vec![value; size.0 * size.1]).unwrap();
+        check(&Dataset::new("d", Pose::IDENTITY, vec![], vec![Sample::new(1, [0.0; 3])], spectra).unwrap())
+    };
+    for (said, words) in [
+        (named(&["a", "b"], &[-60.0]), "receiver `b` received no transmitter; leave it out"),
+        (named(&["a"], &[-60.0, -100.0]), "powers[1] is -100 dBm, which stands for nothing received"),
+        (named(&["a"], &[-301.0]), "powers[0] is -301, no power in dBm"),
+        (named(&["a\"b"], &[-60.0]), "give it a name of 1 to 100 characters"),
+        (spectra((12, 36), 0.5).unwrap_err().to_string(), "save s.transpose(0, 2, 1)"),
+        (spectra((36, 12), 1.5).unwrap_err().to_string(), "spectra[0, 0, 0] is 1.5; spectra are linear, from 0 to 1"),
+    ] {
+        assert!(said.starts_with("data set `d`: ") && said.contains(words), "{said}");
+    }
+    assert!(spectra((36, 12), 0.5).is_ok());
+}
