@@ -43,22 +43,27 @@ test_package() {
         MPLBACKEND=Agg "$env/bin/python" -m pytest -q --no-header -p no:cacheprovider --rootdir python -rs "${@:2}"
 }
 
+# Debian has a torch of a size that can be installed, for its own Python.
+test_torch() {
+    local torch=(/usr/bin/python3 -B python/tests/gradcheck.py)
+    if "$env/bin/python" -c "import torch" 2>/dev/null; then
+        : # it was among the tests
+    elif "${torch[0]}" -c "import numpy, torch" 2>/dev/null; then
+        PYTHONPATH=$(cd "$target/python-package/$1" && pwd) "${torch[@]}"
+    elif [ "$1" = f64 ]; then # at the end
+        skip "no torch (Debian: apt-get install python3-torch), so nobody ran gradcheck"
+    fi
+}
+
 # Targets are those of the other tests, tests too, so that features are the same and nothing is compiled twice.
 echo "== Python, f32"
 cargo build "$@" --workspace --lib --bins --tests
 together f32
 test_package f32 python/tests
+test_torch f32
 echo "== Python, f64: derivatives against central differences"
 # shellcheck disable=SC2086 # a word a package
 cargo build "$@" ${PWRFGS_FORMULAS:--p pwrfgs -p pwrfgs-cli} -p pwrfgs-python --features pwrfgs/f64 --lib --bins --test all
 together f64
 test_package f64 python/tests/test_numbers.py
-# Debian has a torch of a size that can be installed, for its own Python.
-torch=(/usr/bin/python3 -B python/tests/gradcheck.py)
-if "$env/bin/python" -c "import torch" 2>/dev/null; then
-    : # it was among the tests
-elif "${torch[0]}" -c "import numpy, torch" 2>/dev/null; then
-    PYTHONPATH=$(cd "$target/python-package/f64" && pwd) "${torch[@]}"
-else
-    skip "no torch (Debian: apt-get install python3-torch), so nobody ran gradcheck"
-fi
+test_torch f64

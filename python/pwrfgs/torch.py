@@ -5,24 +5,38 @@ from __future__ import annotations
 from typing import Any, Sequence
 
 import torch
+from torch.autograd.function import once_differentiable
 
+from . import _pwrfgs
+from ._errors import InputError
 from ._kernels import rasterize_with_vjp
+
+# What the kernels of this build compute in, and narrower numbers, which lose nothing on the way.
+_REAL = (torch.float32, torch.float64)[: _pwrfgs.real_bytes // 4]
+_COMPLEX = (torch.complex64, torch.complex128)[: _pwrfgs.real_bytes // 4]
+
+
+def _array(x: Any) -> Any:
+    return x.detach().cpu().resolve_conj().resolve_neg().numpy()
+
+
+def _like(array: Any, x: Any) -> Any:
+    return torch.from_numpy(array).to(device=x.device, dtype=x.dtype)
 
 
 class _Rasterize(torch.autograd.Function):  # type: ignore[misc, unused-ignore]
     @staticmethod
     def forward(ctx: Any, means: Any, quats: Any, scales: Any, opacities: Any, signals: Any, options: Any) -> Any:
-        given = [x.detach().cpu().numpy() for x in (means, quats, scales, opacities, signals)]
+        given = means, quats, scales, opacities, signals
+        ctx.like = [x.new_empty(0) for x in given]
         pose, settings = options
-        picture, ctx.vjp = rasterize_with_vjp(*[*given, pose], **settings)
-        ctx.like = means
-        return torch.from_numpy(picture).to(device=means.device, dtype=means.dtype)
+        picture, ctx.vjp = rasterize_with_vjp(*[*map(_array, given), pose], **settings)
+        return _like(picture, signals)
 
     @staticmethod
-    def backward(ctx: Any, *d_picture: Any) -> Any:
-        found = ctx.vjp(d_picture[0].detach().cpu().numpy())
-        like = ctx.like
-        return (*(torch.from_numpy(d).to(device=like.device, dtype=like.dtype) for d in found), None)
+    @once_differentiable  # type: ignore[untyped-decorator, unused-ignore]
+    def backward(ctx: Any, d_picture: Any) -> Any:
+        return (*map(_like, ctx.vjp(_array(d_picture)), ctx.like), None)
 
 
 def rasterize(
@@ -39,9 +53,21 @@ def rasterize(
     rasterizer: Any = "AlphaBlending",
     elevation_deg: Sequence[float] = (0.0, 90.0),
 ) -> Any:
-    """``pwrfgs.rasterize`` of tensors: signals [N, C] real, picture [C, H, W]. Computes on the processor in single
-    precision, wherever the tensors are; gradients flow to all five."""
+    """``pwrfgs.rasterize`` of tensors: ``signals`` [N] complex give a complex picture [H, W], [N, C] real ones a picture
+    [C, H, W]. Gradients flow to all five, once: there is no second derivative.
+
+    Computes on the processor, wherever the tensors are, in single precision: tensors are float32, signals float32 or
+    complex64. Others are refused."""
+    given = dict(means=means, quats=quats, scales=scales, opacities=opacities, signals=signals)
+    for name, x in given.items():
+        takes = _REAL + _COMPLEX if name == "signals" else _REAL
+        dtype = getattr(x, "dtype", None)
+        if not isinstance(x, torch.Tensor) or dtype not in takes:
+            found = dtype if isinstance(x, torch.Tensor) else type(x).__name__
+            wanted = " or ".join(str(dtype) for dtype in takes)
+            convert = "torch.complex64" if getattr(x, "is_complex", bool)() and name == "signals" else "torch.float32"
+            raise InputError(f"{name}: unsupported type {found} (expected a tensor of {wanted}); use {name}.to({convert})")
     settings = dict(
         height=height, width=width, projector=projector, rasterizer=rasterizer, elevation_deg=elevation_deg
     )
-    return _Rasterize.apply(means, quats, scales, opacities, signals, (pose, settings))
+    return _Rasterize.apply(*given.values(), (pose, settings))

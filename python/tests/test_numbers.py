@@ -120,7 +120,6 @@ def test_derivatives_by_central_differences(rasterizer):
         assert close.mean() > 0.95, (name, found, want)
 
 
-@pytest.mark.skipif(pwrfgs._pwrfgs.real_bytes == 4, reason="single precision; the test command runs it in double too")
 def test_torch():
     pytest.importorskip("torch")
     import gradcheck
