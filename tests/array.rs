@@ -244,7 +244,8 @@ fn a_stride_that_does_not_fit_is_refused_with_those_that_do() {
         Trainer::new(&pipeline, &data, &partition).unwrap_err().to_string()
     };
     assert!(refused("training: (stride: 4)").contains("use one of 1, 2, 3, 6, 9, 18"));
-    assert!(refused("projector: WrfgsCompat(), training: (stride: 2)").contains("Mercator"));
+    let tiles = "projector: WrfgsCompat(), rasterizer: AlphaBlending(support: TileSquares), training: (stride: 2)";
+    assert!(refused(tiles).contains("training.stride: 1"));
 }
 
 #[test]
