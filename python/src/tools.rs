@@ -73,6 +73,7 @@ pub(crate) fn sweep(
         let ends = execute(&plan, &runs, jobs, &Nobody, stop, pwrfgs::PAGE)?;
         let whole = ends.len() == runs.len() && ends.iter().all(|(_, fate)| matches!(fate, Fate::Finished { .. }));
         if whole {
+            let _held = plan.claim()?;
             let study = Study::read(std::slice::from_ref(&plan.folder))?;
             write(&study, &Options::default(), &plan.folder.join("report"), &mut Silent)?;
         }

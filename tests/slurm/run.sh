@@ -71,7 +71,7 @@ Experiment(
 RON
 }
 
-submit() { "$pwrfgs" sweep "$work/$1.ron" --out "$work/$1" --launcher slurm; }
+submit() { "$pwrfgs" sweep "$work/$1.ron" --out "$work/$1" --launcher slurm "${@:2}"; }
 status() { "$pwrfgs" sweep "$work/$1.ron" --out "$work/$1" --status; }
 all_finished() { status "$1" | grep -q '4 of 4 runs finished'; }
 queue_is_empty() { [ -z "$(squeue --noheader)" ]; }
@@ -147,7 +147,10 @@ experiment long "(steps: 4_000, batch: 2, densify_until: 1_500, prune_until: 3_0
 # shellcheck source=/dev/null
 . "$work/environment"
 
-submit short
+submit short --shard 1/2 &
+submit short --shard 2/2
+wait $!
+check "shards submitted at once submit each run once" test "$(cat "$work"/short/slurm/*/runs.txt | sort | uniq -c | grep -c ' 1 ')" = 4
 check "the runs of a sweep stand in Slurm's queue" test "$(squeue --noheader --array | wc -l)" -gt 0
 wait_until "a sweep finished" all_finished short
 wait_until "an empty queue" queue_is_empty

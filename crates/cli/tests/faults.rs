@@ -10,7 +10,7 @@ use std::process::{Command, Output};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Less than a second: densified, pruned twice, four checkpoints, three looks at the validation part, a report.
-const TINY: &str = "Pipeline(
+pub(crate) const TINY: &str = "Pipeline(
     name: \"tiny\", tensorboard: true,
     data: Teacher(gaussians: 4, samples: 12, width: 90, height: 24),
     split: Official(validation: 0.2),
@@ -27,7 +27,7 @@ const TINY: &str = "Pipeline(
 ";
 
 /// The shim, made in `folder`; nothing where there is no compiler, or where the program does not take it.
-fn shim(folder: &Path) -> Option<PathBuf> {
+pub(crate) fn shim(folder: &Path) -> Option<PathBuf> {
     let (source, shim) = (Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/faults/shim.c"), folder.join("shim.so"));
     let made = Command::new("cc").args(["-shared", "-fPIC", "-O1", "-o"]).arg(&shim).arg(source).arg("-ldl").output();
     let why = match made {
@@ -40,7 +40,7 @@ fn shim(folder: &Path) -> Option<PathBuf> {
 }
 
 /// The tiny run in the folder `out`, whose call number `at` goes wrong.
-fn faulty(here: &Path, shim: &Path, out: &str, (mode, at): (&str, u64)) -> Output {
+pub(crate) fn faulty(here: &Path, shim: &Path, out: &str, (mode, at): (&str, u64)) -> Output {
     let mut command = pwrfgs(here);
     command.args(["run", "p.ron", "--out", out, "-q", "--threads", "1"]).env("LD_PRELOAD", shim);
     command.env("FAULT_MODE", mode).env("FAULT_AT", at.to_string()).env("FAULT_COUNT", here.join("count"));
@@ -49,7 +49,7 @@ fn faulty(here: &Path, shim: &Path, out: &str, (mode, at): (&str, u64)) -> Outpu
 
 /// Every file of a run, without what tells the time: seconds in `curve.csv`, times in the events, times, memory and the
 /// number of starts in `run.json`, two lines of the report.
-fn end_of(run: &Path) -> BTreeMap<String, Vec<u8>> {
+pub(crate) fn end_of(run: &Path) -> BTreeMap<String, Vec<u8>> {
     let names = std::fs::read_dir(run).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
     let content = |name: &str| {
         let bytes = std::fs::read(run.join(name)).unwrap();

@@ -27,5 +27,6 @@ mod shipped_models;
 mod simulate;
 mod slurm;
 mod sweep;
+mod together;
 mod view;
 mod warnings;

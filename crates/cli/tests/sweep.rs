@@ -1,6 +1,6 @@
 //! Sweeps: what they run, what they skip, what stops them and what does not.
 use crate::common::{SMALL, call, pwrfgs, refuse, stderr, stdout, succeed, wait_for_step, write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
 /// Two axes of two variants, one seed.
@@ -203,4 +203,78 @@ fn mistakes_are_refused_where_they_stand_before_anything_runs() {
     succeed(here, &["run", "base/p.ron", "--out", &format!("runs/tiny/{}", RUNS[2])]);
     refuse(here, &["sweep", "e.ron"], 2, &["another pipeline", RUNS[2]]);
     assert!(!here.join("runs/tiny").join(RUNS[0]).exists());
+}
+
+/// Every file below a folder.
+fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let mut all = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            all.extend(files(&path));
+        } else {
+            all.push((path.clone(), std::fs::read(path).unwrap()));
+        }
+    }
+    all.sort();
+    all
+}
+
+#[test]
+fn a_folder_that_is_not_of_this_experiment_is_refused_and_left_as_it_is() {
+    let folder = folder(EXPERIMENT, SMALL);
+    let here = folder.path();
+    let foreign: [(&str, &[u8], &[&str]); 4] = [
+        (
+            "sweep.json",
+            b"{\"layers\": 3}",
+            &["runs/tiny/sweep.json:1:", "not the listing of a sweep", "choose another --out"],
+        ),
+        ("sweep.json", b"{\"name\": \"lr\", \"runs\": []}", &["lists the runs of `lr`, not of `tiny`"]),
+        ("thesis.tex", b"mine", &["runs/tiny is not a sweep folder", "it holds `thesis.tex`"]),
+        ("report/figure.png", b"mine", &["runs/tiny is not a sweep folder", "it holds `report`"]),
+    ];
+    for (name, content, words) in foreign {
+        write(&here.join("runs/tiny").join(name), content);
+        let before = files(&here.join("runs"));
+        for further in [&["--dry-run"][..], &["--only", RUNS[0]], &["--launcher", "slurm"], &[]] {
+            refuse(here, &[&["sweep", "e.ron"], further].concat(), 2, words);
+            assert_eq!(files(&here.join("runs")), before, "{name} {further:?}");
+        }
+        std::fs::remove_dir_all(here.join("runs")).unwrap();
+    }
+}
+
+#[test]
+fn another_experiment_of_the_same_name_leaves_the_listing_of_the_first() {
+    let folder = folder(EXPERIMENT, SMALL);
+    let here = folder.path();
+    let listing = || std::fs::read_to_string(here.join("runs/tiny/sweep.json")).unwrap();
+    succeed(here, &["sweep", "e.ron", "-q", "--only", RUNS[0]]);
+    let first = listing();
+    // Other runs, in part or altogether; and the same names of another base, asked for a run that has not begun.
+    let others = [
+        EXPERIMENT.replace("(label: \"0\",", "(label: \"none\","),
+        EXPERIMENT.replace("seeds: [4]", "seeds: [5]"),
+        EXPERIMENT.replace("batch: 1", "batch: 1, steps: 50"),
+    ];
+    for (other, words) in
+        others.iter().zip([["lambda=0,", "`lambda=none,"], ["seed=4`", "seed=5`"], ["another pipeline", RUNS[0]]])
+    {
+        write(&here.join("e.ron"), other);
+        let before = files(&here.join("runs"));
+        for further in [&["--only", "lambda=0.02,start=few,seed=4"][..], &["--shard", "2/2"], &["--dry-run"], &[]] {
+            if !(other.contains("[5]") && further.contains(&"--only")) {
+                refuse(here, &[&["sweep", "e.ron"], further].concat(), 2, &words);
+            }
+        }
+        assert_eq!(files(&here.join("runs")), before, "{words:?}");
+    }
+    // One that has shrunk leaves the listing, one that has grown extends it.
+    write(&here.join("e.ron"), EXPERIMENT.replace("(label: \"more (8)\"),", ""));
+    succeed(here, &["sweep", "e.ron", "-q", "--only", RUNS[0]]);
+    assert_eq!(listing(), first);
+    write(&here.join("e.ron"), EXPERIMENT.replace("seeds: [4]", "seeds: [4, 5]"));
+    succeed(here, &["sweep", "e.ron", "-q", "--only", RUNS[0]]);
+    assert!(listing().matches("\"seed\": ").count() == 8 && listing().contains("\"seed\": 5"), "{}", listing());
 }

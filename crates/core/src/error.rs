@@ -56,6 +56,9 @@ pub enum Error {
         /// How many Gaussians each rule removed.
         rules: String,
     },
+    /// Another process is at work in a folder.
+    #[error("another pwrfgs is at work in {}; wait until it ends, or choose another --out", shown(.0))]
+    Busy(PathBuf),
     /// Someone asked to stop before all was done.
     #[error("stopped before all was done")]
     Stopped,
@@ -90,7 +93,7 @@ impl Error {
 
     /// Whether what the user gave is at fault, as against the machine or the arithmetic.
     pub fn is_input(&self) -> bool {
-        matches!(self, Self::Read { .. } | Self::Input { .. } | Self::Config(_) | Self::Plugin(_))
+        matches!(self, Self::Read { .. } | Self::Input { .. } | Self::Config(_) | Self::Busy(_) | Self::Plugin(_))
     }
 }
 

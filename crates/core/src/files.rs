@@ -1,13 +1,16 @@
 //! Files as everything here treats them: written whole or not at all, text with a place for its faults, and folders that
 //! are never taken from somebody else.
 
+mod held;
 mod new_folder;
 
+pub use held::{HeldFolder, lock, try_lock};
 pub use new_folder::NewFolder;
 
 use crate::{Error, Result};
 use sha2::{Digest as _, Sha256};
 use std::fs::{self, DirEntry, File, FileType};
+use std::hash::{BuildHasher as _, RandomState};
 use std::io::{self, ErrorKind, Read as _, Write as _};
 use std::path::Path;
 
@@ -167,7 +170,7 @@ pub fn check_new_file(path: &Path) -> Result<()> {
 /// # Errors
 /// [`Error::Write`]; the old file is then untouched.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
-    replace(path, bytes, |_| ()).map(|_| ())
+    replace(path, bytes, |_| ()).map(drop)
 }
 
 /// The same; gives the file, still open. `prepare` sees it before it takes the name, to lock it say.
@@ -175,28 +178,64 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
 /// # Errors
 /// As [`write_atomically`].
 pub fn replace(path: &Path, bytes: &[u8], prepare: impl FnOnce(&File)) -> Result<File> {
+    let publish = |file: &File, temporary: &Path| {
+        prepare(file);
+        fs::rename(temporary, path)
+    };
+    write_beside(path, bytes, publish).map_err(|e| Error::write(path, e))
+}
+
+/// Writes a file that is not there yet, whole or not at all. Returns `false` if something is there, which stays: of
+/// several processes that write the same file at once, one gets `true`.
+///
+/// # Errors
+/// [`Error::Write`].
+pub fn write_new(path: &Path, bytes: &[u8]) -> Result<bool> {
+    if path.symlink_metadata().is_ok() {
+        return Ok(false);
+    }
+    let written = write_beside(path, bytes, |_, temporary| match fs::hard_link(temporary, path) {
+        Ok(()) => {
+            let _ = fs::remove_file(temporary); // or who holds the folder meanwhile has
+            Ok(())
+        }
+        // Whoever holds the folder meanwhile has cleared the temporary file away.
+        Err(e) if e.kind() == ErrorKind::NotFound => Err(ErrorKind::AlreadyExists.into()),
+        // The file system has no links: the name is taken first, and the bytes follow.
+        Err(e) if [ErrorKind::PermissionDenied, ErrorKind::Unsupported].contains(&e.kind()) => {
+            let mut file = File::create_new(path)?;
+            let filled = file.write_all(bytes).and_then(|()| file.sync_all());
+            let _ = fs::remove_file(if filled.is_ok() { temporary } else { path });
+            filled
+        }
+        Err(e) => Err(e),
+    });
+    match written {
+        Ok(_) => Ok(true),
+        Err(e) if e.kind() == ErrorKind::AlreadyExists => Ok(false),
+        Err(e) => Err(Error::write(path, e)),
+    }
+}
+
+/// Writes `bytes` to a synced temporary file beside `path`, which `publish` gives its name; gives the file, still open.
+fn write_beside(path: &Path, bytes: &[u8], publish: impl FnOnce(&File, &Path) -> io::Result<()>) -> io::Result<File> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let name = &name[..name.floor_char_boundary(LONGEST_NAME)]; // the temporary one is longer
-    let temporary = path.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
-    let written = (|| {
-        // What stands there is left of a killed process, or a link that somebody else laid: neither is written to.
+    // By chance, not by process: on a shared disk two machines may have processes of one number.
+    let number = RandomState::new().hash_one(std::process::id()) as u32;
+    let temporary = path.with_file_name(format!(".{name}.{number}.tmp"));
+    let mut file = File::create_new(&temporary)?;
+    let written = file.write_all(bytes).and_then(|()| file.sync_all()).and_then(|()| publish(&file, &temporary));
+    if let Err(e) = written {
         let _ = fs::remove_file(&temporary);
-        let mut file = File::create_new(&temporary)?;
-        file.write_all(bytes)?;
-        file.sync_all()?;
-        prepare(&file);
-        fs::rename(&temporary, path)?;
-        // The rename itself lasts only once the folder is on disk; a file system that cannot sync folders still has it.
-        if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
-            #[expect(clippy::disallowed_methods, reason = "a folder of our own")]
-            let _ = File::open(folder).and_then(|folder| folder.sync_all());
-        }
-        Ok(file)
-    })();
-    written.map_err(|e| {
-        let _ = fs::remove_file(&temporary);
-        Error::write(path, e)
-    })
+        return Err(e);
+    }
+    // The name itself lasts only once the folder is on disk; a file system that cannot sync folders still has it.
+    if let Some(folder) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
+        #[expect(clippy::disallowed_methods, reason = "a folder of our own")]
+        let _ = File::open(folder).and_then(|folder| folder.sync_all());
+    }
+    Ok(file)
 }
 
 /// SHA-256 as `sha256sum` prints it.
@@ -286,15 +325,22 @@ mod tests {
         assert_eq!(fs::read(&path).unwrap(), b"new");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
         assert!(!write_atomically(&folder.path().join("missing/a.txt"), b"").unwrap_err().is_input());
-        #[cfg(unix)]
-        {
-            let precious = folder.path().join("precious");
-            fs::write(&precious, "mine").unwrap();
-            let temporary = folder.path().join(format!(".a.txt.{}.tmp", std::process::id()));
-            std::os::unix::fs::symlink(&precious, &temporary).unwrap();
-            write_atomically(&path, b"newest").unwrap();
-            assert_eq!((fs::read(&precious).unwrap(), fs::read(&path).unwrap()), (b"mine".into(), b"newest".into()));
-        }
+    }
+
+    #[test]
+    fn a_new_file_never_replaces_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.txt");
+        let made: Vec<bool> = std::thread::scope(|scope| {
+            let write = |k: u8| write_new(&folder.path().join("a.txt"), &[k; 9]).unwrap();
+            let all: Vec<_> = (0..8).map(|k| scope.spawn(move || write(k))).collect();
+            all.into_iter().map(|one| one.join().unwrap()).collect()
+        });
+        let first = made.iter().position(|made| *made).unwrap() as u8;
+        assert_eq!(made.iter().filter(|made| **made).count(), 1, "{made:?}");
+        assert_eq!(fs::read(&path).unwrap(), [first; 9]);
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary file is left");
+        assert!(write_new(&folder.path().join("missing/a.txt"), b"").is_err());
     }
 
     #[test]

@@ -1,13 +1,12 @@
 //! `RunFolder`: one folder a run, claimed by its pipeline and never taken from another.
 
 use crate::recipe::Recipe;
-use pwrfgs_core::files::{self, refuse_foreign, write_atomically};
+use pwrfgs_core::files::{self, HeldFolder, refuse_foreign, write_new};
 use pwrfgs_core::words::clean;
 use pwrfgs_core::{Error, Result};
 use std::fs::{File, TryLockError};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 /// The file that names the run and makes a folder a run folder.
 pub const PIPELINE: &str = "pipeline.ron";
@@ -68,9 +67,10 @@ pub(crate) fn pruned_snapshot((round, rounds): (u64, u64)) -> Option<&'static st
 /// A run folder that this process holds.
 #[derive(Debug)]
 pub struct RunFolder {
-    path: PathBuf,
-    /// Locked while the run is at work; the system releases it however the process ends.
-    _lock: File,
+    folder: HeldFolder,
+    /// `pipeline.ron`, locked while the run is at work; the system releases it however the process ends.
+    lock: File,
+    is_new: bool,
 }
 
 impl RunFolder {
@@ -83,35 +83,28 @@ impl RunFolder {
         match files::read_string(&own) {
             Ok(text) => same_recipe(path, &own, &text, recipe),
             Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => {
-                refuse_foreign(path, "a run folder")
+                match refuse_foreign(path, "a run folder") {
+                    // Another process has made the run since.
+                    Err(_) if own.is_file() => Self::inspect(path, recipe),
+                    foreign => foreign,
+                }
             }
             Err(e) => Err(Error::read(&own, e)),
         }
     }
 
-    /// Makes the folder where it is missing, writes `pipeline.ron` into it and locks it.
+    /// Makes the folder where it is missing, writes `pipeline.ron` into it and locks it. Of several processes that claim
+    /// one folder at once, one succeeds.
     ///
     /// # Errors
-    /// As [`Self::inspect`], or where it cannot be written, or another process is at work in it.
+    /// As [`Self::inspect`]; [`Error::Busy`] if another process is at work in it; [`Error::Write`].
     pub fn claim(path: &Path, recipe: &Recipe) -> Result<Self> {
         Self::inspect(path, recipe)?;
         std::fs::create_dir_all(path).map_err(|e| Error::write(path, e))?;
-        let own = path.join(PIPELINE);
-        if !own.exists() {
-            write_atomically(&own, recipe.to_ron().as_bytes())?;
-        }
-        let lock = files::open(&own).map_err(|e| Error::read(&own, e))?;
-        match patiently(&lock) {
-            Err(TryLockError::WouldBlock) => Err(Error::Config(format!(
-                "another pwrfgs is at work in {}; wait until it ends, or choose another --out",
-                path.display()
-            ))),
-            // A file system without locks is no reason to refuse.
-            Ok(()) | Err(TryLockError::Error(_)) => {
-                remove_leftovers(path);
-                Ok(Self { path: path.into(), _lock: lock })
-            }
-        }
+        let folder = HeldFolder::open(path)?;
+        let (lock, is_new) = locked(folder.path(), recipe).map_err(|e| folder.named(e))?;
+        remove_leftovers(folder.path());
+        Ok(Self { folder, lock, is_new })
     }
 
     /// Whether the run in `path` was scored by the baselines and metrics of this recipe, whose run it is.
@@ -126,15 +119,14 @@ impl RunFolder {
     ///
     /// # Errors
     /// Where it cannot be written; the old file is then untouched.
-    pub(crate) fn renew(self, recipe: &Recipe) -> Result<Self> {
-        if Self::is_scored_as(&self.path, recipe) {
-            return Ok(self);
+    pub(crate) fn renew(&mut self, recipe: &Recipe) -> Result<()> {
+        if !Self::is_scored_as(self.path(), recipe) {
+            self.lock = files::replace(&self.file(PIPELINE), recipe.to_ron().as_bytes(), |file| {
+                // A file system without locks is no reason to refuse.
+                _ = file.try_lock();
+            })?;
         }
-        let lock = files::replace(&self.file(PIPELINE), recipe.to_ron().as_bytes(), |file| {
-            // A file system without locks is no reason to refuse.
-            _ = file.try_lock();
-        })?;
-        Ok(Self { path: self.path.clone(), _lock: lock })
+        Ok(())
     }
 
     /// Whether a process is at work in `path`.
@@ -142,26 +134,49 @@ impl RunFolder {
         files::open(path.join(PIPELINE)).is_ok_and(|own| matches!(own.try_lock_shared(), Err(TryLockError::WouldBlock)))
     }
 
-    /// The folder.
+    /// Whether this claim has made the run: nothing but `pipeline.ron` lies in the folder.
+    pub fn is_new(&self) -> bool {
+        self.is_new
+    }
+
+    /// The path through which its files are reached, whatever takes the name of the folder meanwhile.
     pub fn path(&self) -> &Path {
-        &self.path
+        self.folder.path()
+    }
+
+    /// The path that users gave, for messages.
+    pub fn name(&self) -> &Path {
+        self.folder.name()
     }
 
     /// A file in it.
     pub fn file(&self, name: &str) -> PathBuf {
-        self.path.join(name)
+        self.path().join(name)
+    }
+
+    /// Puts the name of the folder into the error of a `result`, and checks that it still leads to the folder.
+    ///
+    /// # Errors
+    /// That of `result`, or where the folder was moved or replaced.
+    pub fn settle<T>(&self, result: Result<T>) -> Result<T> {
+        let value = result.map_err(|e| self.folder.named(e))?;
+        self.folder.check_name().map(|()| value)
     }
 }
 
-/// Takes the lock; tries again for a moment, since [`RunFolder::is_busy`] of another process holds it for one.
-fn patiently(lock: &File) -> Result<(), TryLockError> {
-    for _ in 0..20 {
-        match lock.try_lock() {
-            Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(10)),
-            other => return other,
+/// Locks `pipeline.ron` of `recipe`, which is written where there is none; also whether it was.
+fn locked(folder: &Path, recipe: &Recipe) -> Result<(File, bool)> {
+    let own = folder.join(PIPELINE);
+    loop {
+        let is_new = write_new(&own, recipe.to_ron().as_bytes())?;
+        match files::try_lock(&own) {
+            Ok(None) => return Err(Error::Busy(folder.into())),
+            // What is locked may be what another process wrote meanwhile.
+            Ok(Some(lock)) => return RunFolder::inspect(folder, recipe).map(|()| (lock, is_new)),
+            Err(e) if e.kind() == ErrorKind::NotFound => {} // removed since it was written
+            Err(e) => return Err(Error::read(&own, e)),
         }
     }
-    lock.try_lock()
 }
 
 /// Refuses a folder that holds a run of another pipeline, naming the first difference. A run is what is trained: other

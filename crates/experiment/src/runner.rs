@@ -7,7 +7,7 @@
 use crate::data_warnings::data_warnings;
 use crate::evaluate::evaluate;
 use crate::facts::Facts;
-use crate::folder::{CHECKPOINT, MODEL_FILE, RunFolder, START_SNAPSHOT, UNPRUNED_SNAPSHOT, pruned_snapshot};
+use crate::folder::{CHECKPOINT, MODEL_FILE, PIPELINE, RunFolder, START_SNAPSHOT, UNPRUNED_SNAPSHOT, pruned_snapshot};
 use crate::journal::{Journal, note_scores};
 use crate::observer::{Observer, Start, staged};
 use crate::preview::{fitting, fitting_network};
@@ -65,44 +65,52 @@ pub fn run(
     pipeline.check_text()?;
     let recipe = Recipe::Pipeline(Box::new(pipeline.clone()));
     RunFolder::inspect(out, &recipe)?;
-    if let Some((scores, facts)) = finished(out, &recipe, page)? {
-        facts.verify(out)?;
-        return Ok(Outcome::Finished { scores, already: true });
+    if let Some(end) = ended(out, &recipe, page)? {
+        // What has ended may have been begun since, by another process with another pipeline.
+        return RunFolder::inspect(out, &recipe).map(|()| end);
+    }
+    // What earlier starts left is read by whoever holds it: another process would write on.
+    let held = out.join(PIPELINE).exists().then(|| RunFolder::claim(out, &recipe)).transpose()?;
+    if held.is_some()
+        && let Some(end) = ended(out, &recipe, page)?
+    {
+        return Ok(end);
     }
     let (data, partition) = load(&pipeline, base, observer)?;
     check_scoring(&pipeline, &data)?;
-    let mut run = Run { pipeline: &pipeline, data: &data, partition: &partition, observer, stop, page, begun };
-    // Made before the folder is claimed: settings that cannot work must leave nothing behind.
-    let trainer = if out.join(MODEL_FILE).is_file() {
+    let mut work = Run { pipeline: &pipeline, data: &data, partition: &partition, observer, stop, page, begun };
+    // Made before a new folder is claimed: settings that cannot work must leave nothing behind.
+    let trainer = if held.is_some() && out.join(MODEL_FILE).is_file() {
         None
     } else {
-        match run.trainer(out) {
+        match work.trainer(held.is_some().then_some(out)) {
             Err(Error::Stopped) => return Ok(Outcome::Interrupted { step: 0 }),
             trainer => Some(trainer?),
         }
     };
-    let folder = RunFolder::claim(out, &recipe)?;
-    let (mut facts, earlier) = Facts::open(out, pipeline.seed)?;
-    facts.data.clone_from(&data.title);
-    facts.simulated = data.is_simulated();
-    facts.samples = [partition.train.len(), partition.validation.len(), partition.test.len()];
-    if trainer.is_none() {
-        earlier.verify_file(out, MODEL_FILE)?;
-        facts.write(out)?; // it is not finished any more: what it says of files is about to be wrong
-    }
-    let folder = folder.renew(&recipe)?;
-    let model = match trainer {
-        None => file::read(&folder.file(MODEL_FILE))?,
-        Some((mut trainer, estimate)) => match run.train(&mut trainer, estimate, &folder, &mut facts)? {
-            Some(model) => model,
-            None => return Ok(Outcome::Interrupted { step: trainer.done() }),
+    let mut folder = match held {
+        Some(folder) => folder,
+        None => match RunFolder::claim(out, &recipe)? {
+            folder if folder.is_new() => folder,
+            // Another process has begun this run since, and may have ended it.
+            folder => {
+                drop(folder);
+                return run(&pipeline, base, out, work.observer, stop, page);
+            }
         },
     };
-    match run.assess(&model, &folder, &mut facts) {
-        Ok(scores) => Ok(Outcome::Finished { scores, already: false }),
-        Err(Error::Stopped) => Ok(Outcome::Unscored),
-        Err(error) => Err(error),
-    }
+    let ended = work.end(trainer, &mut folder, &recipe);
+    folder.settle(ended)
+}
+
+/// The end of the run of `recipe` in `out`, if nothing is left to do, its files held against their marks.
+///
+/// # Errors
+/// A file that is damaged or missing.
+pub(crate) fn ended(out: &Path, recipe: &Recipe, page: Option<Page>) -> Result<Option<Outcome>> {
+    let Some((scores, facts)) = finished(out, recipe, page)? else { return Ok(None) };
+    facts.verify(out)?;
+    Ok(Some(Outcome::Finished { scores, already: true }))
 }
 
 /// Loads the data of a pipeline and divides them.
@@ -182,13 +190,44 @@ struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    /// A trainer at the start, or where the checkpoint left it, and what a step will take.
-    fn trainer(&mut self, out: &Path) -> Result<(Trainer<'a>, Estimate)> {
+    /// Trains what is left, unless the model is there (then there is no trainer), and scores it.
+    fn end(
+        &mut self,
+        trainer: Option<(Trainer<'a>, Estimate)>,
+        folder: &mut RunFolder,
+        recipe: &Recipe,
+    ) -> Result<Outcome> {
+        let (mut facts, earlier) = Facts::open(folder.path(), self.pipeline.seed)?;
+        facts.data.clone_from(&self.data.title);
+        facts.simulated = self.data.is_simulated();
+        facts.samples = [&self.partition.train, &self.partition.validation, &self.partition.test].map(Vec::len);
+        if trainer.is_none() {
+            earlier.verify_file(folder.path(), MODEL_FILE)?;
+            facts.write(folder.path())?; // it is not finished any more: what it says of files is about to be wrong
+        }
+        folder.renew(recipe)?;
+        let model = match trainer {
+            None => file::read(&folder.file(MODEL_FILE))?,
+            Some((mut trainer, estimate)) => match self.train(&mut trainer, estimate, folder, &mut facts)? {
+                Some(model) => model,
+                None => return Ok(Outcome::Interrupted { step: trainer.done() }),
+            },
+        };
+        match self.assess(&model, folder, &mut facts) {
+            Ok(scores) => Ok(Outcome::Finished { scores, already: false }),
+            Err(Error::Stopped) => Ok(Outcome::Unscored),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// A trainer at the start, or where the checkpoint in the folder `held` left it, and what a step will take.
+    fn trainer(&mut self, held: Option<&Path>) -> Result<(Trainer<'a>, Estimate)> {
         // Who cannot be asked is no fault of a checkpoint.
         self.pipeline.pruners.iter().try_for_each(|pruner| pruner.ready())?;
         fitting_network(self.pipeline)?;
-        let path = out.join(CHECKPOINT);
-        let trainer = match files::read(&path) {
+        let path = held.unwrap_or(Path::new("")).join(CHECKPOINT);
+        let checkpoint = held.map_or_else(|| Err(std::io::ErrorKind::NotFound.into()), |_| files::read(&path));
+        let trainer = match checkpoint {
             Ok(bytes) => Trainer::restore(self.pipeline, self.data, self.partition, &bytes)
                 .map_err(|e| Error::input(&path, format!("{e}; remove it to start again"))),
             Err(e) if [std::io::ErrorKind::NotFound, std::io::ErrorKind::NotADirectory].contains(&e.kind()) => {
@@ -215,7 +254,7 @@ impl<'a> Run<'a> {
         let mut journal = Journal::open(folder, self.pipeline, self.data.kind(), trainer.done())?;
         let looked_at = evenly(&self.partition.validation, settings.validation_samples);
         self.observer.on_start(&Start {
-            folder: folder.path(),
+            folder: folder.name(),
             title: &self.data.title,
             kind: self.data.kind(),
             samples: facts.samples,
@@ -283,8 +322,8 @@ impl<'a> Run<'a> {
 
     /// Says that the last checkpoint outlives a failed step.
     fn kept(&mut self, folder: &RunFolder) {
-        let path = folder.file(CHECKPOINT);
-        if path.is_file() {
+        if folder.file(CHECKPOINT).is_file() {
+            let path = folder.name().join(CHECKPOINT);
             self.observer.on_message(&format!("the last checkpoint is kept in {}", path.display()));
         }
     }

@@ -135,6 +135,7 @@ fn here(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Resul
     board.finish();
     #[cfg(feature = "report")]
     if plan.states().iter().all(|state| matches!(state, State::Finished(_))) {
+        let _held = plan.claim()?; // of two processes whose last runs end at once, one writes after the other
         super::report::of_sweep(&plan.folder, verbosity)?;
     }
     let failed = ends.iter().filter(|(_, fate)| matches!(fate, Fate::Failed(_))).count();
@@ -168,6 +169,7 @@ fn dry_run(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Re
 
 /// Hands the runs to Slurm that are neither done, nor at work, nor in its queue already.
 fn submit(plan: &Plan, open: &[usize], arguments: &Sweep, threads: Option<usize>) -> Result<ExitCode> {
+    let _held = plan.claim()?; // what is asked for here must not be submitted by another process meanwhile
     let queued = slurm::queued(plan)?;
     let free =
         |run: &usize| !queued.contains(&plan.runs[*run].folder) && !matches!(plan.state(*run), State::Running { .. });

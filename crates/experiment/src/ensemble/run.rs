@@ -8,7 +8,7 @@ use crate::folder::{MODEL_FILE, RunFolder};
 use crate::observer::Observer;
 use crate::recipe::Recipe;
 use crate::results::{Page, Results};
-use crate::runner::{Outcome, finished, load};
+use crate::runner::{Outcome, ended, load};
 use crate::scores::ScoreTable;
 use crate::sweep::{Board, Fate, Plan, check, execute};
 use pwrfgs_core::{Error, Result};
@@ -39,9 +39,9 @@ pub fn run_team(
     team.check_text()?;
     let recipe = Recipe::Ensemble(team.clone());
     RunFolder::inspect(out, &recipe)?;
-    if let Some((scores, facts)) = finished(out, &recipe, page)? {
-        facts.verify(out)?;
-        return Ok(Outcome::Finished { scores, already: true });
+    if let Some(end) = ended(out, &recipe, page)? {
+        // What has ended may have been begun since, by another process with another recipe.
+        return RunFolder::inspect(out, &recipe).map(|()| end);
     }
     let plan = team.plan(&out.join(MEMBERS));
     let all: Vec<usize> = (0..plan.runs.len()).collect();
@@ -49,20 +49,28 @@ pub fn run_team(
     let mut asked = plan.clone();
     asked.runs[0].pipeline.baselines = team.pipeline().baselines;
     let open = check(&asked, &all, observer)?;
-    let folder = RunFolder::claim(out, &recipe)?;
-    let (mut facts, _) = Facts::open(out, team.members()[0].seed)?;
-    facts.write(out)?;
-    let folder = folder.renew(&recipe)?;
-    if let Some(end) = train(&plan, &open, jobs, board, stop, page)? {
+    let mut folder = RunFolder::claim(out, &recipe)?;
+    // Another process may have ended it since.
+    if let Some(end) = ended(out, &recipe, page)? {
         return Ok(end);
     }
-    let ensemble = assemble(&plan)?;
-    file::write_ensemble(&folder.file(MODEL_FILE), &ensemble)?;
-    match assess(team, &plan, &ensemble, &folder, (&mut facts, begun), observer, stop, page) {
-        Ok(scores) => Ok(Outcome::Finished { scores, already: false }),
-        Err(Error::Stopped) => Ok(Outcome::Unscored),
-        Err(error) => Err(error),
-    }
+    let mut work = || {
+        let (mut facts, _) = Facts::open(folder.path(), team.members()[0].seed)?;
+        facts.write(folder.path())?;
+        folder.renew(&recipe)?;
+        if let Some(end) = train(&plan, &open, jobs, board, stop, page)? {
+            return Ok(end);
+        }
+        let ensemble = assemble(&plan)?;
+        file::write_ensemble(&folder.file(MODEL_FILE), &ensemble)?;
+        match assess(team, &plan, &ensemble, &folder, (&mut facts, begun), observer, stop, page) {
+            Ok(scores) => Ok(Outcome::Finished { scores, already: false }),
+            Err(Error::Stopped) => Ok(Outcome::Unscored),
+            Err(error) => Err(error),
+        }
+    };
+    let ended = work();
+    folder.settle(ended)
 }
 
 /// Does the runs `open` of the plan; an outcome where they did not all end well.
@@ -86,13 +94,7 @@ fn train(
                 let told = format!("member `{}`: {error}", plan.runs[run].folder);
                 return Err(if error.is_input() { Error::Config(told) } else { Error::Plugin(told.into()) });
             }
-            Fate::Busy => {
-                let folder = plan.folder_of(run);
-                return Err(Error::Config(format!(
-                    "another pwrfgs is at work in {}; wait until it ends",
-                    folder.display()
-                )));
-            }
+            Fate::Busy => return Err(Error::Busy(plan.folder_of(run))),
             Fate::Unscored => interrupted = interrupted.or(Some(Outcome::Unscored)),
             Fate::Interrupted { step } => interrupted = Some(Outcome::Interrupted { step }),
         }

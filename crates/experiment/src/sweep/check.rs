@@ -16,17 +16,18 @@ use std::time::{Duration, Instant};
 const STEPS: u64 = 20;
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// Holds every one of `runs` (places in the plan) against its folder, and those that have not finished against their data
+/// Holds the plan against its folder, and those of `runs` (places in the plan) that have not finished against their data
 /// and initialiser. Returns the latter.
 ///
 /// # Errors
 /// The first that cannot work, by name; nothing has been written then.
 pub fn check(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Result<Vec<usize>> {
-    for &run in runs {
-        plan.runs[run].pipeline.check_text()?;
-        let recipe = Recipe::Pipeline(Box::new(plan.runs[run].pipeline.clone()));
-        RunFolder::inspect(&plan.folder_of(run), &recipe)?;
+    runs.iter().try_for_each(|&run| plan.runs[run].pipeline.check_text())?;
+    // All of them, those of other shards too: runs of one folder are compared.
+    for (run, planned) in plan.runs.iter().enumerate() {
+        RunFolder::inspect(&plan.folder_of(run), &Recipe::Pipeline(Box::new(planned.pipeline.clone())))?;
     }
+    plan.listing().inspect(&plan.folder)?;
     let open: Vec<usize> = runs.iter().copied().filter(|&r| !matches!(plan.state(r), State::Finished(_))).collect();
     try_each(plan, &representatives(plan, &open), observer, |_, _| Ok(()))?;
     Ok(open)

@@ -49,7 +49,7 @@ pub trait Board: Sync {
 /// report of each.
 ///
 /// # Errors
-/// Where the sweep folder cannot be written, or threads cannot be started.
+/// As [`Plan::claim`], or where threads cannot be started.
 pub fn execute(
     plan: &Plan,
     runs: &[usize],
@@ -58,8 +58,7 @@ pub fn execute(
     stop: &AtomicBool,
     page: Option<Page>,
 ) -> Result<Vec<(usize, Fate)>> {
-    std::fs::create_dir_all(&plan.folder).map_err(|e| Error::write(&plan.folder, e))?;
-    plan.listing().write(&plan.folder)?;
+    drop(plan.claim()?);
     let jobs = jobs.clamp(1, runs.len().max(1));
     let threads = (rayon::current_num_threads() / jobs).max(1);
     let pool = || rayon::ThreadPoolBuilder::new().num_threads(threads).build();
@@ -105,6 +104,8 @@ fn one(plan: &Plan, place: usize, board: &dyn Board, stop: &AtomicBool, page: Op
         Ok(Outcome::Finished { scores, already }) => Fate::Finished { scores, already },
         Ok(Outcome::Interrupted { step }) => Fate::Interrupted { step },
         Ok(Outcome::Unscored) => Fate::Unscored,
+        // Another process has claimed it since it was looked at.
+        Err(Error::Busy(_)) => Fate::Busy,
         Err(error) => {
             // The failure itself is reported in any case.
             _ = plan.note_failure(place, &error);

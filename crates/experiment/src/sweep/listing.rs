@@ -1,8 +1,11 @@
 //! `sweep.json`: which runs a sweep folder holds, for whoever reads them back.
 
-use pwrfgs_core::files::{self, write_atomically};
+use pwrfgs_core::files::{self, refuse_foreign, write_atomically, write_new};
 use pwrfgs_core::{Error, Result};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::fs::File;
+use std::io::ErrorKind;
 use std::path::{Component, Path};
 
 /// The file that makes a folder a sweep folder.
@@ -18,7 +21,7 @@ pub struct Listing {
 }
 
 /// One run of a sweep.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct ListedRun {
     /// Its folder, below that of the sweep.
     pub folder: String,
@@ -65,7 +68,7 @@ impl Listing {
                     )),
                 }
             }
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
+            Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => Ok(None),
             Err(e) => Err(Error::read(&path, e)),
         }
     }
@@ -75,8 +78,74 @@ impl Listing {
     /// # Errors
     /// [`Error::Write`].
     pub fn write(&self, folder: &Path) -> Result<()> {
-        let text = serde_json::to_string_pretty(self).expect("plain data") + "\n";
-        write_atomically(&folder.join(LISTING), text.as_bytes())
+        write_atomically(&folder.join(LISTING), self.to_json().as_bytes())
+    }
+
+    /// Whether `folder` may hold this sweep; reads only. Returns the listing that is there.
+    ///
+    /// # Errors
+    /// Where it holds anything else, or the runs of another experiment: of two listings that are both of one sweep, one
+    /// has all runs of the other.
+    pub(super) fn inspect(&self, folder: &Path) -> Result<Option<Self>> {
+        let path = folder.join(LISTING);
+        let advised = |error| match error {
+            Error::Input { path, at, message } => {
+                Error::Input { path, at, message: format!("{message}; choose another --out") }
+            }
+            other => other,
+        };
+        let Some(there) = Self::read(folder).map_err(advised)? else {
+            return match refuse_foreign(folder, "a sweep folder") {
+                // Another process has made it since.
+                Err(_) if path.is_file() => self.inspect(folder),
+                foreign => foreign.map(|()| None),
+            };
+        };
+        let refuse = |what: String| Err(Error::input(&path, format!("{what}; choose another --out")));
+        match (there.missing_in(self), self.missing_in(&there)) {
+            _ if there.name != self.name => {
+                refuse(format!("lists the runs of `{}`, not of `{}`", there.name, self.name))
+            }
+            (Some(theirs), Some(ours)) => refuse(format!(
+                "lists the runs of another experiment called `{}`: it has `{}` and lacks `{}`",
+                self.name, theirs.folder, ours.folder
+            )),
+            _ => Ok(Some(there)),
+        }
+    }
+
+    /// Makes `folder`, or takes that of an earlier start, and lists the runs there; one that lists more keeps them.
+    /// Returns the locked listing.
+    ///
+    /// # Errors
+    /// As [`Self::inspect`], or where the folder cannot be written.
+    pub(super) fn claim(&self, folder: &Path) -> Result<File> {
+        let path = folder.join(LISTING);
+        loop {
+            self.inspect(folder)?;
+            std::fs::create_dir_all(folder).map_err(|e| Error::write(folder, e))?;
+            write_new(&path, self.to_json().as_bytes())?;
+            let lock = match files::lock(&path) {
+                Err(e) if e.kind() == ErrorKind::NotFound => continue, // removed since it was written
+                lock => lock.map_err(|e| Error::read(&path, e))?,
+            };
+            match self.inspect(folder)? {
+                // Replaced, and then locked anew.
+                Some(there) if there != *self && there.missing_in(self).is_none() => self.write(folder)?,
+                Some(_) => return Ok(lock),
+                None => {}
+            }
+        }
+    }
+
+    /// The first of its runs that `other` does not list.
+    fn missing_in(&self, other: &Self) -> Option<&ListedRun> {
+        let others: BTreeSet<&ListedRun> = other.runs.iter().collect();
+        self.runs.iter().find(|run| !others.contains(run))
+    }
+
+    fn to_json(&self) -> String {
+        serde_json::to_string_pretty(self).expect("plain data") + "\n"
     }
 }
 

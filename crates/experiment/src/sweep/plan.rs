@@ -7,6 +7,7 @@ use crate::runner::absolute;
 use pwrfgs_core::{Error, Result, did_you_mean, files::read_text};
 use pwrfgs_train::{Draft, Pipeline, PipelinePatch};
 use std::collections::BTreeMap;
+use std::fs::File;
 use std::path::{Path, PathBuf};
 
 /// The longest name of a folder that common file systems take, in bytes.
@@ -107,6 +108,15 @@ impl Plan {
         let listed =
             |r: &PlannedRun| ListedRun { folder: r.folder.clone(), labels: r.labels.clone(), seed: r.pipeline.seed };
         Listing { name: self.name.clone(), runs: self.runs.iter().map(listed).collect() }
+    }
+
+    /// Makes the sweep folder, or takes that of an earlier start, and writes `sweep.json`. Until the returned file is
+    /// dropped, no other process changes the list, submits runs of it or writes its report; one that wants to waits.
+    ///
+    /// # Errors
+    /// Where the folder holds anything else, or the runs of another experiment, or cannot be written.
+    pub fn claim(&self) -> Result<File> {
+        self.listing().claim(&self.folder)
     }
 
     /// The place of the run whose folder is called `name`.

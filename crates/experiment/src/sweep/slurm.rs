@@ -9,6 +9,7 @@ use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Error, Result};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -18,17 +19,13 @@ const RUNS: &str = "runs.txt";
 const JOB: &str = "job.txt";
 
 /// Writes and submits a job array for `runs`; `command` is the program with all arguments of one task but the run's name,
-/// which comes last. Returns the job id and the script.
+/// which comes last. Returns the job id and the script. Whoever asks [`queued`] first and then submits holds the sweep
+/// folder ([`Plan::claim`]) for both, so that nobody else submits the same.
 ///
 /// # Errors
 /// Where the folder cannot be written, or `sbatch` is missing or refuses.
 pub fn submit(plan: &Plan, runs: &[usize], command: &[String]) -> Result<(String, PathBuf)> {
-    std::fs::create_dir_all(&plan.folder).map_err(|e| Error::write(&plan.folder, e))?;
-    plan.listing().write(&plan.folder)?;
-    let folder = std::path::absolute(&plan.folder).map_err(|e| Error::read(&plan.folder, e))?.join(FOLDER);
-    let number = submissions(plan).last().map_or(1, |(number, _)| number + 1);
-    let own = folder.join(number.to_string());
-    std::fs::create_dir_all(&own).map_err(|e| Error::write(&own, e))?;
+    let own = new_submission(plan)?;
     let names: String = runs.iter().map(|&run| plan.runs[run].folder.clone() + "\n").collect();
     write_atomically(&own.join(RUNS), names.as_bytes())?;
     let path = own.join(SCRIPT);
@@ -85,6 +82,22 @@ fn tasks(job: &str) -> Result<Vec<usize>> {
     }
     let numbers = String::from_utf8_lossy(&output.stdout).lines().filter_map(|l| l.trim().parse().ok()).collect();
     Ok(numbers)
+}
+
+/// A folder for one more submission.
+fn new_submission(plan: &Plan) -> Result<PathBuf> {
+    let folder = std::path::absolute(&plan.folder).map_err(|e| Error::read(&plan.folder, e))?.join(FOLDER);
+    std::fs::create_dir_all(&folder).map_err(|e| Error::write(&folder, e))?;
+    let mut number = submissions(plan).last().map_or(1, |(number, _)| number + 1);
+    loop {
+        let own = folder.join(number.to_string());
+        match std::fs::create_dir(&own) {
+            Ok(()) => return Ok(own),
+            // Of another submission, made since they were counted.
+            Err(e) if e.kind() == ErrorKind::AlreadyExists => number += 1,
+            Err(e) => return Err(Error::write(&own, e)),
+        }
+    }
 }
 
 /// Earlier submissions by number.

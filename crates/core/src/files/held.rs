@@ -1,0 +1,200 @@
+//! What one process holds against others: files by a lock, folders by an open descriptor.
+
+use crate::{Error, Result};
+use std::fs::{self, File, OpenOptions, TryLockError};
+use std::io::{self, ErrorKind};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Locks the file at `path` until the returned file is dropped. Returns `None` if another process holds the lock for
+/// more than a moment.
+///
+/// # Errors
+/// If there is no such file, or it cannot be opened.
+pub fn try_lock(path: &Path) -> io::Result<Option<File>> {
+    locked(path, |file| {
+        for _ in 0..20 {
+            match file.try_lock() {
+                Err(TryLockError::WouldBlock) => std::thread::sleep(Duration::from_millis(10)),
+                other => return other,
+            }
+        }
+        file.try_lock()
+    })
+}
+
+/// Locks the file at `path` until the returned file is dropped, and waits for other processes.
+///
+/// # Errors
+/// If there is no such file, or it cannot be opened.
+pub fn lock(path: &Path) -> io::Result<File> {
+    let taken = locked(path, |file| {
+        loop {
+            match file.lock() {
+                Err(e) if e.kind() == ErrorKind::Interrupted => {}
+                other => return other.map_err(TryLockError::Error),
+            }
+        }
+    });
+    taken.map(|file| file.expect("it waits until the lock is free"))
+}
+
+fn locked(path: &Path, take: impl Fn(&File) -> Result<(), TryLockError>) -> io::Result<Option<File>> {
+    loop {
+        super::refuse_irregular(path)?;
+        // NFS locks only what may be written to.
+        let file = match OpenOptions::new().read(true).write(true).open(path) {
+            Err(e) if e.kind() == ErrorKind::PermissionDenied => super::open(path)?,
+            opened => opened?,
+        };
+        match take(&file) {
+            Err(TryLockError::WouldBlock) => return Ok(None),
+            // A file system without locks is no reason to refuse.
+            Ok(()) | Err(TryLockError::Error(_)) => {}
+        }
+        // Between opening and locking another file may have taken its name.
+        if is_at(&file, path)? {
+            return Ok(Some(file));
+        }
+    }
+}
+
+/// Whether `path` leads to what `file` has open.
+fn is_at(file: &File, path: &Path) -> io::Result<bool> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt as _;
+        let (own, there) = (file.metadata()?, fs::metadata(path)?);
+        Ok((own.dev(), own.ino()) == (there.dev(), there.ino()))
+    }
+    #[cfg(not(unix))]
+    fs::metadata(path).map(|_| file.metadata().is_ok())
+}
+
+/// A folder that stays the same one if another folder or a link takes its name. On Linux, files are reached through the
+/// open descriptor; other systems have no such path, and files are reached by name there.
+#[derive(Debug)]
+pub struct HeldFolder {
+    name: PathBuf,
+    path: PathBuf,
+    folder: Option<File>,
+}
+
+impl HeldFolder {
+    /// Opens the folder `name`.
+    ///
+    /// # Errors
+    /// If there is no such folder.
+    pub fn open(name: &Path) -> Result<Self> {
+        let by_name = || Self { name: name.into(), path: name.into(), folder: None };
+        #[cfg(target_os = "linux")]
+        {
+            use std::os::fd::AsRawFd as _;
+            #[expect(clippy::disallowed_methods, reason = "a folder, which never waits")]
+            let folder = File::open(name).map_err(|e| Error::write(name, e))?;
+            let path = PathBuf::from(format!("/proc/self/fd/{}", folder.as_raw_fd()));
+            if is_at(&folder, &path).unwrap_or(false) {
+                return Ok(Self { name: name.into(), path, folder: Some(folder) });
+            }
+        }
+        Ok(by_name())
+    }
+
+    /// The path through which files are read and written.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The path that users gave, for messages.
+    pub fn name(&self) -> &Path {
+        &self.name
+    }
+
+    /// Puts the name of the folder into an error in place of its path.
+    #[must_use]
+    pub fn named(&self, error: Error) -> Error {
+        let path = |path: PathBuf| match path.strip_prefix(&self.path) {
+            Ok(rest) if rest.as_os_str().is_empty() => self.name.clone(),
+            Ok(rest) => self.name.join(rest),
+            Err(_) => path,
+        };
+        let text = |text: String| text.replace(&*self.path.to_string_lossy(), &self.name.to_string_lossy());
+        match error {
+            Error::Read { path: at, source } => Error::Read { path: path(at), source },
+            Error::Write { path: at, source } => Error::Write { path: path(at), source },
+            Error::Input { path: file, at, message } => Error::Input { path: path(file), at, message: text(message) },
+            Error::Config(message) => Error::Config(text(message)),
+            Error::Busy(at) => Error::Busy(path(at)),
+            other => other,
+        }
+    }
+
+    /// Checks that the name still leads to the folder.
+    ///
+    /// # Errors
+    /// [`Error::Write`] that says where the files lie now.
+    pub fn check_name(&self) -> Result<()> {
+        match &self.folder {
+            Some(folder) if !is_at(folder, &self.name).unwrap_or(false) => {
+                let now = fs::read_link(&self.path).unwrap_or_default();
+                let what = format!("the folder was moved or replaced meanwhile; its files lie in {}", now.display());
+                Err(Error::write(&self.name, io::Error::other(what)))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn locks_follow_the_name_of_a_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a");
+        assert_eq!(try_lock(&path).unwrap_err().kind(), ErrorKind::NotFound);
+        fs::write(&path, "1").unwrap();
+        let held = try_lock(&path).unwrap().unwrap();
+        assert!(try_lock(&path).unwrap().is_none());
+        // Whoever waits for a file that is replaced gets the new one.
+        let waiting = std::thread::spawn({
+            let path = path.clone();
+            move || lock(&path).unwrap()
+        });
+        std::thread::sleep(Duration::from_millis(50));
+        super::super::write_atomically(&path, b"2").unwrap();
+        drop(held);
+        assert!(is_at(&waiting.join().unwrap(), &path).unwrap_or(!cfg!(unix)));
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_held_folder_is_not_left_for_a_link_of_its_name() {
+        let (here, elsewhere) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let (name, moved) = (here.path().join("a"), here.path().join("b"));
+        fs::create_dir(&name).unwrap();
+        let held = HeldFolder::open(&name).unwrap();
+        held.check_name().unwrap();
+        fs::rename(&name, &moved).unwrap();
+        std::os::unix::fs::symlink(elsewhere.path(), &name).unwrap();
+        super::super::write_atomically(&held.path().join("x"), b"1").unwrap();
+        assert!(super::super::write_new(&held.path().join("y"), b"2").unwrap());
+        assert_eq!(fs::read_dir(elsewhere.path()).unwrap().count(), 0);
+        assert_eq!(
+            (fs::read(moved.join("x")).unwrap(), fs::read(moved.join("y")).unwrap()),
+            (b"1".into(), b"2".into())
+        );
+        let said = held.check_name().unwrap_err().to_string();
+        assert!(said.contains(moved.to_str().unwrap()) && said.contains(name.to_str().unwrap()), "{said}");
+        let errors = [
+            Error::write(&held.path().join("x"), io::Error::other("no")),
+            Error::Busy(held.path().into()),
+            Error::Config(format!("{} holds something else", held.path().display())),
+        ];
+        for error in errors {
+            let said = held.named(error).to_string();
+            assert!(said.contains(name.to_str().unwrap()) && !said.contains("/proc"), "{said}");
+        }
+    }
+}
