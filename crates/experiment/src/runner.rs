@@ -267,7 +267,7 @@ impl<'a> Run<'a> {
             Snapshot::of(step, cloud, origin).known(births, gates).write(&folder.file(name))
         };
         if trainer.done() == 0 {
-            trainer.warnings().iter().for_each(|warning| tracing::warn!("{}: {warning}", folder.path().display()));
+            trainer.warnings().iter().for_each(|warning| tracing::warn!("{}: {warning}", folder.name().display()));
             write(START_SNAPSHOT, 0, trainer.cloud(), trainer.births(), trainer.gates())?;
         }
         // A file that an earlier start left is of the same events: nothing smaller is worth another.
@@ -313,7 +313,7 @@ impl<'a> Run<'a> {
         let model = trainer.model();
         let prunes = !self.pipeline.pruners.is_empty() && !self.pipeline.pruners.iter().any(|pruner| pruner.grows());
         if prunes && fullest == 0 && !model.cloud.is_empty() {
-            let (folder, n) = (folder.path().display(), model.cloud.len());
+            let (folder, n) = (folder.name().display(), model.cloud.len());
             tracing::warn!("{folder}: nothing was pruned: {n} Gaussians remain, and no pruner has removed any");
         }
         file::write(&folder.file(MODEL_FILE), &model)?;
