@@ -535,13 +535,13 @@ class Latency(Value):
     Median milliseconds of one prediction: network, projection, sorting, blending, and all of it.
 
     Keys `latency_prepare_ms`, `latency_network_ms`, `latency_projection_ms`, `latency_sort_ms`, `latency_blending_ms`,
-    `latency_total_ms`. Each median is taken by itself, so the stages need not add up to the total.
-    Times are those of this machine under its present load and differ from run to run. A baseline has the total alone,
-    without the time it takes to learn; it is timed for two seconds at most, but once at least.
+    `latency_total_ms`. Each median is taken by itself, so the stages need not add up to the total. Times are those of
+    this machine under its present load and differ from run to run. A baseline has the total alone, without the time it
+    takes to learn; it is timed for two seconds at most, but once at least.
 
-    What no transmitter changes is prepared once and is in no other stage: the network's share of it and, if geometry does
-    not depend on the transmitter, projection and sorting. `latency_prepare_ms` is the time of that one preparation. Table I
-    of the paper counts all of it in every prediction: add it to the total to compare.
+    What no transmitter changes is prepared once and is in no other stage: the network's share of it and, if geometry
+    does not depend on the transmitter, projection and sorting. `latency_prepare_ms` is the time of that one
+    preparation. Table I of the paper counts all of it in every prediction: add it to the total to compare.
 
     Parameters
     ----------
@@ -941,7 +941,8 @@ class Mercator(Value):
     Parameters
     ----------
     blur : number
-        Added to both diagonal entries of the 2-D covariance, px².
+        Added to both diagonal entries of the 2-D covariance, px² of the whole spectrum, whatever `training.stride` is.
+        `readout: Received` has a filter of its own.
     near_m : number
         Gaussians nearer to the receiver than this are not drawn, metres.
     margin_deg : number

@@ -183,7 +183,7 @@ class Readout(metaclass=Choice):
     """
 
     @staticmethod
-    def Received(*, sky_deg: int = ...) -> Value:
+    def Received(*, sky_deg: int = ..., filter_deg2: float = ...) -> Value:
         """A received power in dBm: 10 log₁₀ of c₀² + c₁² summed over a whole sky, times solid angle, and for each
         receiver an offset and an exponent of distance that are learned too. The sky is drawn in pixels of so many
         degrees.
@@ -192,6 +192,9 @@ class Readout(metaclass=Choice):
         ----------
         sky_deg : whole number
             Sides of a pixel, degrees: a divisor of 180.
+        filter_deg2 : number
+            Added to both diagonal entries of the 2-D covariance of a Gaussian on this sky, in place of the projector's
+            filter, degrees².
         """
 
     Channel: ClassVar[Value]
