@@ -2,7 +2,7 @@
 //!
 //! Spectra of neighbouring transmitters are alike, and so are the errors of a model there. How far that reaches is not
 //! known; a longer reach than the edge of a cube leaves intervals too narrow. Larger cubes are fewer, and from few
-//! nothing can be drawn: the edge is the largest that leaves [`WANTED`] of them. Reports print it.
+//! nothing can be drawn: the edge is the largest that leaves 30 of them. Reports print it.
 
 use crate::statistics::Cell;
 use std::collections::{BTreeMap, BTreeSet};
