@@ -14,7 +14,7 @@ const LARGEST_DBM: f64 = 300.0;
 /// Longest name of a receiver, characters.
 const LONGEST_NAME: usize = 100;
 
-/// Refuses a data set that [`save`](crate::save) could not write, or that would be refused when it is read again.
+/// Refuses a data set that [`save`](crate::save()) could not write, or that would be refused when it is read again.
 ///
 /// # Errors
 /// [`Error::Config`] with what is wrong and what to do.
