@@ -108,7 +108,7 @@ pub mod prelude {
         Elevation, Error, Evaluation, Frame, Gate, GaussianCloud, Goal, Image, ImagePlane, Initializer, Kind, Known,
         Link, Measurement, Method, Metric, Moment, Needs, Observations, Origin, Partition, Phase, Plugin, Pose,
         Predict, Primitives, Progress, Projector, Pruner, Query, Rasterizer, Real, Receiver, Render, Result, Row,
-        Sample, Scene, Scope, Simulation, Spectra, Splats, Split, Statistic, Statistics, Values, rng,
+        Sample, Sampling, Scene, Scope, Simulation, Spectra, Splats, Split, Statistic, Statistics, Values, rng,
     };
     pub use pwrfgs_experiment::{Observer, Silent};
     pub use pwrfgs_model::{Ensemble, Model, Prepared, Readout, Stages};

@@ -42,6 +42,10 @@ pub fn open_or_make<T>(
             Err(e) => tracing::warn!("the kept data set {} is damaged ({e}) and made anew", folder.display()),
         }
     }
+    if let Err(e) = files::check_place(&folder) {
+        tracing::warn!("simulated data are not kept: {e}");
+        return make_for_now(recipe, progress, read);
+    }
     let made = move_away(&folder).and_then(|()| make(recipe, &folder, progress));
     match made {
         Ok(()) => read(&folder),
