@@ -99,7 +99,7 @@ fn a_plugin_of_ones_own_is_swept_by_name() {
         assert!(curve(&done).iter().take(40).all(|(penalty, _)| *penalty > 0.0), "{name}");
     }
     // Under pressure gates fall shut for good; what is left then is the model, without a trace of the column.
-    let hard = ["--set", "pruners=[GumbelMask(lambda: 1, learning_rate: 0.2)]", "--out", "r"];
+    let hard = ["--set", "pruners=[GumbelMask(lambda: 0.3, learning_rate: 0.13)]", "--out", "r"];
     run(&[&["run", &file("gumbel.ron")][..], &set, &hard].concat());
     let counts: Vec<usize> = curve(&folder.path().join("r")).iter().map(|(_, n)| *n).collect();
     assert!(counts[0] == 30 && (1..30).contains(&counts[39]), "{counts:?}");
