@@ -57,10 +57,10 @@ pub struct ArrayResponse {
 
 /// The beams of the last few arrays and pictures, for all who draw: they follow from these alone, making them takes
 /// longer than a picture, and models of one ensemble had better read the same. No result depends on what is kept.
-/// Training on a coarse picture and scoring on the whole one needs two.
+/// Training with a stride that moves needs one for each of its places, which together are as large as that of the whole image.
 static TABLES: RwLock<Vec<Known>> = RwLock::new(Vec::new());
 
-/// Tables that are kept.
+/// Tables of whole images that are kept, or as many pixels of others.
 const KEPT: usize = 4;
 
 /// A table and what it is for.
@@ -201,8 +201,14 @@ impl ArrayResponse {
         if let Some((_, same)) = known.iter().find(|(known, _)| *known == grid) {
             return Arc::clone(same); // another thread was faster: one table for all
         }
-        known.truncate(KEPT - 1);
         known.insert(0, (grid, Arc::clone(&beams)));
+        let size = |(rows, columns, _, plane): &Grid| rows * columns * plane.width * plane.height;
+        let mut room = KEPT * self.rows * self.columns * plane.width * plane.height * plane.sampling.stride.pow(2);
+        known.retain(|(grid, _)| {
+            let fits = size(grid) <= room;
+            room -= if fits { size(grid) } else { room };
+            fits
+        });
         beams
     }
 }

@@ -60,7 +60,7 @@ pub struct Trainer<'a> {
     pub(crate) data: &'a Dataset,
     batches: Batches,
     pub(crate) objective: Box<dyn Objective>,
-    /// As trained: their plane is that of the next step, every `stride`-th row and column.
+    /// As trained: their plane is that of the step begun last, every `stride`-th row and column.
     pub(crate) stages: Arc<Stages>,
     /// The whole picture.
     plane: ImagePlane,
@@ -310,7 +310,7 @@ impl<'a> Trainer<'a> {
     fn next_step(&mut self) -> Result<StepReport> {
         let step = self.done + 1;
         let moment = self.moment(step);
-        self.look_anew(step);
+        self.set_plane(step);
         let batch = self.batches.of_step(step, &self.pipeline, self.data, &self.stages)?;
         let pruners = if moment.phase == Phase::Finetune { Vec::new() } else { self.pipeline.pruners.clone() };
         let window = self.factors(step);
@@ -347,8 +347,8 @@ impl<'a> Trainer<'a> {
         Ok(StepReport { step, phase: moment.phase, loss, penalty, gaussians, pruned })
     }
 
-    /// The plane that `step` draws.
-    fn look_anew(&mut self, step: u64) {
+    /// Sets the plane that `step` draws.
+    fn set_plane(&mut self, step: u64) {
         let plane = plane_of_step(&self.plane, &self.pipeline, self.data.kind(), step);
         if plane != self.stages.plane {
             Arc::make_mut(&mut self.stages).frame.plane = plane;
