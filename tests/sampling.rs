@@ -132,6 +132,34 @@ fn the_loss_with_a_stride_is_that_of_the_whole_image_in_the_mean_over_places() {
     assert!((mean - whole[0]).abs() < 1e-5, "{mean} in the mean of {strided:?}, {} of all pixels", whole[0]);
 }
 
+/// Which half of 2,000 Gaussians, most of them narrower than the stride, a prune step keeps.
+fn kept(training: &str) -> Vec<u32> {
+    let still: String = ["means", "log_scales", "quats", "opacity_logits", "signals", "network"]
+        .map(|rate| format!("{rate}: Constant(0.0)"))
+        .join(", ");
+    let pipeline = pipeline(&format!(
+        "data: Teacher(gaussians: 20, samples: 1000, width: 36, height: 12), split: Random(test: 0.1), \
+         initializer: Random(count: 2000, std: 2.0, nearest: 1, opacity: 0.6), deformation: Fixed(), baselines: [], metrics: [Ssim()], \
+         pruners: [LightGaussian(target: 1000, volume_power: 0)], training: (steps: 2, batch: 1, densify_until: 0, prune_until: 2, \
+         prune_every: 2, densify: (every: 0), optimizer: ({still}), {training})"
+    ));
+    let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
+    let partition = pipeline.split.split(&data, &mut rng::stream(0, "split", 0)).unwrap();
+    let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+    (0..2).for_each(|_| drop(trainer.step().unwrap()));
+    trainer.births().to_vec()
+}
+
+#[test]
+fn a_prune_step_with_a_stride_keeps_what_one_without_keeps() {
+    let whole = kept("stride: 1");
+    for training in ["stride: 3", "stride: 3, moving_stride: false"] {
+        let common = kept(training).iter().filter(|birth| whole.contains(birth)).count();
+        println!("{training}: {common} of 1,000 Gaussians kept are those of the whole image");
+        assert!(common >= 950, "{training}: {common} of 1,000"); // at one place for all parts: 817
+    }
+}
+
 #[test]
 fn whole_tiles_refuse_a_stride() {
     let mut whole = stages("Fixed()", Readout::Magnitude).with(|splatting| {

@@ -282,7 +282,8 @@ pub trait Method: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Se
         3
     }
 
-    /// A part of the numbers of an observation as the method would give it, where training looks at every `stride`-th pixel.
+    /// Brings a part of the pixels of an observation, which a stride leaves, into the form that the method gives them: a
+    /// stretched spectrum is stretched over these alone.
     fn restrict(&self, numbers: &mut [Real]) {
         let _ = numbers;
     }

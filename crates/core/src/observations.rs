@@ -173,9 +173,9 @@ impl Observations {
     }
 
     /// The pixels of picture `i` that `sampling` names, row-major; the whole of anything else.
-    pub fn coarse(&self, i: usize, sampling: Sampling, out: &mut [Real]) {
+    pub fn sampled(&self, i: usize, sampling: Sampling, out: &mut [Real]) {
         match self {
-            Self::Pictures(spectra) => spectra.coarse(i, sampling, out),
+            Self::Pictures(spectra) => spectra.sampled(i, sampling, out),
             Self::Powers(powers) => out[0] = powers[i],
             Self::Channels(channels) => out.iter_mut().zip(channels.rows(i)).for_each(|(out, v)| *out = v),
         }

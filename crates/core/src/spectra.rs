@@ -231,7 +231,7 @@ impl Spectra {
     }
 
     /// The pixels of picture `i` that `sampling` names, row-major.
-    pub fn coarse(&self, i: usize, sampling: Sampling, out: &mut [Real]) {
+    pub fn sampled(&self, i: usize, sampling: Sampling, out: &mut [Real]) {
         let (bytes, of_one, Sampling { stride, offset: [left, top], .. }) =
             (self.raw(i), self.number.bytes(), sampling);
         let rows = bytes.chunks_exact(self.width * of_one).skip(top).step_by(stride);
@@ -240,8 +240,8 @@ impl Spectra {
         }
     }
 
-    /// Some of the pixels that [`Self::coarse`] gives of picture `i`.
-    pub fn coarse_at(&self, i: usize, sampling: Sampling, places: &[usize], out: &mut [Real]) {
+    /// Some of the pixels that [`Self::sampled`] gives of picture `i`.
+    pub fn sampled_at(&self, i: usize, sampling: Sampling, places: &[usize], out: &mut [Real]) {
         let (bytes, of_one, Sampling { stride, offset: [left, top], .. }) =
             (self.raw(i), self.number.bytes(), sampling);
         let columns = (self.width - left).div_ceil(stride);

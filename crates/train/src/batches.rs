@@ -80,19 +80,22 @@ impl Batches {
         transmitters.iter().flat_map(|&t| &self.train[self.transmitters[t].clone()]).copied().collect()
     }
 
-    /// The transmitters of a pass, where they are, a few at a time.
+    /// The transmitters of a pass, where they are, a few at a time, each time with the stages that `stages_of` gives.
     pub(crate) fn sample<'a>(
         &'a self,
         needs: &Needs,
         moment: &Moment,
         data: &'a Dataset,
-        stages: &'a Stages,
-    ) -> impl Iterator<Item = Result<Batch>> + 'a {
+        stages_of: impl Fn(u64) -> Stages + 'a,
+    ) -> impl Iterator<Item = Result<(Stages, Batch)>> + 'a {
         let mut sample = needs.sample(self.transmitters.len(), moment.seed, moment.step).into_iter().peekable();
+        let mut parts = 0..;
         std::iter::from_fn(move || {
             sample.peek()?;
             let some: Vec<usize> = sample.by_ref().take(AT_ONCE).collect();
-            Some(observed(&self.links_of(&some), data, stages, Places::All, &mut |x| x))
+            let stages = stages_of(parts.next()?);
+            let batch = observed(&self.links_of(&some), data, &stages, Places::All, &mut |x| x);
+            Some(batch.map(|batch| (stages, batch)))
         })
     }
 }
@@ -128,10 +131,12 @@ fn observed(
     batch.truths.resize(links.len() * of_link, 0.0);
     let truths = batch.truths.par_chunks_exact_mut(of_link).zip(links).enumerate();
     truths.for_each(|(k, (truth, &i))| match (&batch.places, &data.observations) {
-        (Places::Same(places), Observations::Pictures(spectra)) => spectra.coarse_at(i, sampling, places, truth),
-        (Places::Own(places), Observations::Pictures(spectra)) => spectra.coarse_at(i, sampling, &places[k..=k], truth),
+        (Places::Same(places), Observations::Pictures(spectra)) => spectra.sampled_at(i, sampling, places, truth),
+        (Places::Own(places), Observations::Pictures(spectra)) => {
+            spectra.sampled_at(i, sampling, &places[k..=k], truth);
+        }
         (_, observations) => {
-            observations.coarse(i, sampling, truth);
+            observations.sampled(i, sampling, truth);
             if sampling.stride > 1 {
                 stages.method.restrict(truth);
             }
@@ -144,15 +149,34 @@ fn observed(
 /// Transmitters that a pass holds at a time.
 const AT_ONCE: usize = 64;
 
-/// The plane that `step` of the training draws: every `stride`-th row and column of the whole image, from the first one or
-/// from one that is drawn for this step; every pixel of anything but a spectrum.
+/// The plane that `step` draws: every `stride`-th row and column of the whole image, from the first one, or from one that is
+/// drawn for this step.
 pub(crate) fn plane_of_step(whole: &ImagePlane, pipeline: &Pipeline, kind: Kind, step: u64) -> ImagePlane {
+    strided(whole, pipeline, kind, pipeline.training.moving_stride.then_some(("stride", step)))
+}
+
+/// The plane that a part of the pass of a prune step draws, from a row and a column on that are drawn for this part: the
+/// pixels between those of the training count in predictions too.
+pub(crate) fn plane_of_pass(
+    whole: &ImagePlane,
+    pipeline: &Pipeline,
+    kind: Kind,
+    (step, part): (u64, u64),
+) -> ImagePlane {
+    strided(whole, pipeline, kind, Some(("stride of a pass", step << 24 | part)))
+}
+
+/// Every `stride`-th row and column, from a place that the stream of this name and number draws; every pixel of anything but
+/// a spectrum.
+fn strided(whole: &ImagePlane, pipeline: &Pipeline, kind: Kind, stream: Option<(&str, u64)>) -> ImagePlane {
     let stride = pipeline.training.stride;
     if stride == 1 || kind != Kind::Spectrum {
         return whole.clone();
     }
-    let random = &mut rng::stream(pipeline.seed, "stride", step);
-    let offset = if pipeline.training.moving_stride { [(); 2].map(|()| rng::below(random, stride)) } else { [0, 0] };
+    let offset = stream.map_or([0, 0], |(name, number)| {
+        let random = &mut rng::stream(pipeline.seed, name, number);
+        [(); 2].map(|()| rng::below(random, stride))
+    });
     whole.strided(stride, offset)
 }
 

@@ -1,6 +1,7 @@
 //! Whether the pruners of a pipeline can be had together, and what they ask can be told.
 
 use crate::Pipeline;
+use crate::kinds::name;
 use pwrfgs_core::plugin::{Plugin, to_ron};
 use pwrfgs_core::{Budget, GaussianCloud, Kind, Moment, Phase, Pruner, Statistic};
 
@@ -27,11 +28,6 @@ pub(crate) fn targeted(pipeline: &Pipeline) -> Result<Vec<Plugin<dyn Pruner>>, S
     }
     *pruner = Plugin::from(asked);
     Ok(pruners)
-}
-
-/// `TopK` of `TopK(keep: 8)`.
-fn name(pruner: &Plugin<dyn Pruner>) -> String {
-    to_ron(pruner).split('(').next().unwrap_or_default().to_owned()
 }
 
 /// A pruner with a column of its own that is given twice: the settings of the second would change nothing, and both would

@@ -1,5 +1,6 @@
 //! A prune step: passes for whoever asks, edits, votes, and the exact budget.
 
+use crate::batches::plane_of_pass;
 use crate::budgets::is_exact;
 use crate::edit;
 use crate::graph::open_gates;
@@ -8,6 +9,7 @@ use crate::survey;
 use crate::trainer::{Before, Trainer};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{Budget, CloudStats, GaussianCloud, Moment, Phase, Pruner, Real, Result, Row};
+use pwrfgs_model::Stages;
 
 /// What every pruner of the pipeline remembers of it.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -142,7 +144,13 @@ impl Trainer<'_> {
         let (needs, mut stats) = (pruner.needs(&self.cloud, moment).settled(self.stages.method.blends()), self.told(k));
         if !needs.is_nothing() && moment.round > 0 {
             let gate = open_gates(&self.cloud, &self.pipeline.pruners, moment);
-            let batches = self.batches().sample(&needs, moment, self.data, &self.stages);
+            let stages_of = |part: u64| {
+                let mut stages = Stages::clone(&self.stages);
+                let place = (moment.step, part);
+                stages.frame.plane = plane_of_pass(&self.plane, &self.pipeline, self.data.kind(), place);
+                stages
+            };
+            let batches = self.batches().sample(&needs, moment, self.data, stages_of);
             let weights = self.weights_at(moment.step);
             let scene = survey::Scene { stages: &self.stages, weights: &weights, objective: &*self.objective };
             stats.asked = survey::survey(&scene, &self.cloud, gate.as_deref(), &needs, batches)?;

@@ -19,7 +19,7 @@ pub(crate) fn survey(
     cloud: &GaussianCloud,
     gate: Option<&[Real]>,
     needs: &Needs,
-    batches: impl Iterator<Item = Result<Batch>>,
+    batches: impl Iterator<Item = Result<(Stages, Batch)>>,
 ) -> Result<Statistics> {
     let mut sums = Statistics::zeros(needs, cloud.len());
     let rows = scene.stages.drawable(cloud, gate);
@@ -33,13 +33,13 @@ pub(crate) fn survey(
     let draws = needs.statistics.iter().any(|statistic| statistic.wants_blending());
     let mut seen = Vec::new();
     for batch in batches {
-        let batch = batch?;
+        let (stages, batch) = batch?;
         if draws {
-            let Stages { method, frame } = scene.stages;
+            let Stages { method, frame } = &stages;
             sums.add(&rows, &method.survey(frame, &parameters, &batch.asked(), &batch.truths, needs));
         }
         if most.is_some() {
-            seen.push(batch);
+            seen.push((stages, batch));
         }
     }
     if most.is_some() {
@@ -51,7 +51,13 @@ pub(crate) fn survey(
 
 /// The place at which each of `n` Gaussians is taken: those that are not drawn first, then in turn the one without which
 /// the loss of `batches` is smallest, of equals the last.
-fn elimination(scene: &Scene<'_>, p: &Parameters<'_>, rows: &[usize], n: usize, batches: &[Batch]) -> Vec<Real> {
+fn elimination(
+    scene: &Scene<'_>,
+    p: &Parameters<'_>,
+    rows: &[usize],
+    n: usize,
+    batches: &[(Stages, Batch)],
+) -> Vec<Real> {
     let mut places = vec![Real::NAN; n];
     let mut drawn = vec![false; n];
     rows.iter().for_each(|&i| drawn[i] = true);
@@ -76,16 +82,15 @@ fn elimination(scene: &Scene<'_>, p: &Parameters<'_>, rows: &[usize], n: usize, 
 }
 
 /// Mean loss of the Gaussians `some`.
-fn loss_of(scene: &Scene<'_>, p: &Parameters<'_>, some: &[usize], batches: &[Batch]) -> Real {
+fn loss_of(scene: &Scene<'_>, p: &Parameters<'_>, some: &[usize], batches: &[(Stages, Batch)]) -> Real {
     let cloud = p.cloud.select(some);
     let gate: Option<Vec<Real>> = p.gate.map(|gate| some.iter().map(|&i| gate[i]).collect());
     let parameters = Parameters { cloud: &cloud, gate: gate.as_deref(), ..*p };
-    let Stages { method, frame } = scene.stages;
-    let size = (frame.plane.width, frame.plane.height);
-    let loss = |batch: &Batch| {
+    let loss = |(Stages { method, frame }, batch): &(Stages, Batch)| {
+        let size = (frame.plane.width, frame.plane.height);
         let numbers = method.forward(frame, &parameters, &batch.asked()).numbers;
         scene.objective.evaluate(&numbers, &batch.truths, size).0 * batch.links.len() as Real
     };
-    let links: usize = batches.iter().map(|batch| batch.links.len()).sum();
+    let links: usize = batches.iter().map(|(_, batch)| batch.links.len()).sum();
     batches.iter().map(loss).sum::<Real>() / links.max(1) as Real
 }

@@ -62,8 +62,8 @@ pub struct Trainer<'a> {
     pub(crate) objective: Box<dyn Objective>,
     /// As trained: their plane is that of the step begun last, every `stride`-th row and column.
     pub(crate) stages: Arc<Stages>,
-    /// The whole picture.
-    plane: ImagePlane,
+    /// The whole image.
+    pub(crate) plane: ImagePlane,
     pub(crate) specs: Vec<ColumnSpec>,
     pub(crate) cloud: GaussianCloud,
     pub(crate) weights: Arc<Vec<Real>>,
@@ -148,8 +148,8 @@ impl<'a> Trainer<'a> {
             )));
         }
         check_stride(&plane, pipeline, data.kind())?;
-        let coarse = plane_of_step(&plane, pipeline, data.kind(), 1);
-        let stages = Stages { method, frame: Frame::of(data, coarse) };
+        let strided = plane_of_step(&plane, pipeline, data.kind(), 1);
+        let stages = Stages { method, frame: Frame::of(data, strided) };
         check_rays(pipeline.training.rays, &stages)?;
         stages.method.check_frame(&stages.frame).map_err(Error::Config)?;
         Stages { frame: Frame::of(data, plane.clone()), ..stages.clone() }.check().map_err(Error::Config)?;

@@ -55,17 +55,17 @@ fn a_coarse_picture_has_every_second_row_and_column() {
         let spectra = Spectra::in_memory((3, 4), number, bytes).unwrap();
         let all = spectra.image(0).pixels;
         let mut coarse = [0.0; 4];
-        spectra.coarse(0, Sampling::every(2), &mut coarse);
+        spectra.sampled(0, Sampling::every(2), &mut coarse);
         assert_eq!(coarse, [all[0], all[2], all[6], all[8]]);
         let sampling = Sampling { offset: [1, 1], ..Sampling::every(2) };
         let mut shifted = [0.0; 2];
-        spectra.coarse(0, sampling, &mut shifted);
+        spectra.sampled(0, sampling, &mut shifted);
         assert_eq!(shifted, [all[4], all[10]]);
         let mut at = [0.0];
-        spectra.coarse_at(0, sampling, &[1], &mut at);
+        spectra.sampled_at(0, sampling, &[1], &mut at);
         assert_eq!(at, [all[10]]);
         let mut same = [0.0; 12];
-        spectra.coarse(0, Sampling::WHOLE, &mut same);
+        spectra.sampled(0, Sampling::WHOLE, &mut same);
         assert_eq!(same.as_slice(), all);
     }
 }

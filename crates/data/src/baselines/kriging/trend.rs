@@ -22,7 +22,7 @@ impl<'a> Trend<'a> {
 
     /// What is left of link `i`, every `stride`-th number of every `stride`-th row.
     pub(super) fn residual(&self, i: usize, stride: usize, out: &mut [Real]) {
-        self.data.observations.coarse(i, Sampling::every(stride), out);
+        self.data.observations.sampled(i, Sampling::every(stride), out);
         if self.law.is_some() {
             out[0] -= self.at(self.data.query(i)) as Real;
         }
