@@ -121,6 +121,25 @@ fn ensembles_and_sweeps_are_scored_anew_too() {
 }
 
 #[test]
+fn a_run_killed_while_its_model_is_made_and_scored_anew_is_not_finished() {
+    let folder = folder();
+    let here = folder.path();
+    succeed(here, &["run", "p.ron", "--out", "r", "-q"]);
+    let ended = |json: &str| json.contains("\"finished\": \"");
+    assert!(ended(&text(&here.join("r/run.json"))));
+    std::fs::remove_file(here.join("r/model.safetensors")).unwrap(); // the checkpoint makes it again
+    let slow = ["run", "p.ron", "--out", "r", "-q", "--set", "metrics=[Latency(repeats: 10_000, warm_up: 10_000)]"];
+    let mut child = pwrfgs(here).args(slow).stdout(Stdio::null()).spawn().unwrap();
+    while !here.join("r/model.safetensors").is_file() {
+        assert!(child.try_wait().unwrap().is_none(), "the run has ended");
+        std::thread::sleep(std::time::Duration::from_millis(1));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(!ended(&text(&here.join("r/run.json"))), "its table is that of other metrics");
+}
+
+#[test]
 fn a_folder_that_is_scored_anew_is_held_and_survives_a_kill() {
     let folder = folder();
     let here = folder.path();

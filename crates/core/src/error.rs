@@ -45,16 +45,22 @@ pub enum Error {
         step: u64,
     },
     /// Training removed all Gaussians but one.
-    #[error(
-        "training: one Gaussian is left at step {step}, removed by {}; relax that rule, or ask for one Gaussian with \
-             training.target: 1",
-        told(rules)
-    )]
+    #[error("training: one Gaussian is left at step {step}{}; {advice}", told(removed))]
     Collapsed {
         /// The training step, counted from 1.
         step: u64,
-        /// How many Gaussians each rule removed.
-        rules: String,
+        /// `, removed by` the rules, with how many each removed; empty if the step had none.
+        removed: String,
+        /// What the pipeline can do about it.
+        advice: &'static str,
+    },
+    /// A member of an ensemble failed.
+    #[error("member `{}`: {source}", clean(name))]
+    Member {
+        /// The member.
+        name: String,
+        /// Why.
+        source: Box<Self>,
     },
     /// Another process is at work in a folder.
     #[error("another pwrfgs is at work in {}; wait until it ends, or choose another --out", shown(.0))]
@@ -93,6 +99,9 @@ impl Error {
 
     /// Whether what the user gave is at fault, as against the machine or the arithmetic.
     pub fn is_input(&self) -> bool {
+        if let Self::Member { source, .. } = self {
+            return source.is_input();
+        }
         matches!(self, Self::Read { .. } | Self::Input { .. } | Self::Config(_) | Self::Busy(_) | Self::Plugin(_))
     }
 }
@@ -125,6 +134,14 @@ mod tests {
         let path = Path::new("a.ron");
         assert_eq!(Error::at(path, 3, 7, "no").to_string(), "a.ron:3:7: no");
         assert_eq!(Error::input(path, "no").to_string(), "a.ron: no");
+    }
+
+    #[test]
+    fn a_member_fails_as_its_run_does() {
+        let of = |error: Error| Error::Member { name: "waves-0".into(), source: Box::new(error) };
+        assert!(of(Error::Config("no".into())).is_input());
+        let full = of(Error::write(Path::new("model"), std::io::ErrorKind::StorageFull.into()));
+        assert!(!full.is_input() && full.to_string().starts_with("member `waves-0`: cannot write model: "), "{full}");
     }
 
     #[test]

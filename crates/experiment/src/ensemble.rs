@@ -47,16 +47,17 @@ impl Team {
         }
         members.iter_mut().for_each(|member| member.split_seed = Some(split_seed));
         let first = &members[0];
+        let trained: Vec<String> = members.iter().map(trained).collect();
         for (place, member) in members.iter().enumerate() {
             let own = &member.name;
             if members[..place].iter().any(|other| other.name.eq_ignore_ascii_case(own)) {
                 return Err(format!("two members are called `{own}`; give one another `label`"));
             }
-            if let Some(twin) = members[..place].iter().find(|other| trained(other) == trained(member)) {
+            if let Some(twin) = trained[..place].iter().position(|other| *other == trained[place]) {
                 return Err(format!(
                     "the members `{}` and `{own}` are trained alike and give the same model; change the `seed` or a \
                      setting of one",
-                    twin.name
+                    members[twin].name
                 ));
             }
             let differs = |what: &str, advice: &str| {

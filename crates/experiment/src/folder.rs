@@ -68,7 +68,8 @@ pub(crate) fn pruned_snapshot((round, rounds): (u64, u64)) -> Option<&'static st
 #[derive(Debug)]
 pub struct RunFolder {
     folder: HeldFolder,
-    /// `pipeline.ron`, locked while the run is at work; the system releases it however the process ends.
+    /// `pipeline.ron`, locked while the run is at work. Dropping it releases the lock, and the system does so however the
+    /// process ends.
     lock: File,
     is_new: bool,
 }

@@ -64,43 +64,64 @@ pub fn run(
     let pipeline = pipeline.resolved()?;
     pipeline.check_text()?;
     let recipe = Recipe::Pipeline(Box::new(pipeline.clone()));
-    RunFolder::inspect(out, &recipe)?;
-    if let Some(end) = ended(out, &recipe, page)? {
-        // What has ended may have been begun since, by another process with another pipeline.
-        return RunFolder::inspect(out, &recipe).map(|()| end);
-    }
-    // What earlier starts left is read by whoever holds it: another process would write on.
-    let held = out.join(PIPELINE).exists().then(|| RunFolder::claim(out, &recipe)).transpose()?;
-    if held.is_some()
-        && let Some(end) = ended(out, &recipe, page)?
-    {
-        return Ok(end);
-    }
-    let (data, partition) = load(&pipeline, base, observer)?;
-    check_scoring(&pipeline, &data)?;
-    let mut work = Run { pipeline: &pipeline, data: &data, partition: &partition, observer, stop, page, begun };
-    // Made before a new folder is claimed: settings that cannot work must leave nothing behind.
-    let trainer = if held.is_some() && out.join(MODEL_FILE).is_file() {
-        None
-    } else {
-        match work.trainer(held.is_some().then_some(out)) {
-            Err(Error::Stopped) => return Ok(Outcome::Interrupted { step: 0 }),
-            trainer => Some(trainer?),
+    loop {
+        let mut attempt = Attempt { pipeline: &pipeline, recipe: &recipe, base, out, observer, stop, page, begun };
+        if let Some(end) = attempt.run()? {
+            return Ok(end);
         }
-    };
-    let mut folder = match held {
-        Some(folder) => folder,
-        None => match RunFolder::claim(out, &recipe)? {
-            folder if folder.is_new() => folder,
-            // Another process has begun this run since, and may have ended it.
-            folder => {
-                drop(folder);
-                return run(&pipeline, base, out, work.observer, stop, page);
-            }
-        },
-    };
-    let ended = work.end(trainer, &mut folder, &recipe);
-    folder.settle(ended)
+    }
+}
+
+/// A run in a folder that other processes may claim too.
+struct Attempt<'a> {
+    pipeline: &'a Pipeline,
+    recipe: &'a Recipe,
+    base: &'a Path,
+    out: &'a Path,
+    observer: &'a mut dyn Observer,
+    stop: &'a AtomicBool,
+    page: Option<Page>,
+    begun: Instant,
+}
+
+impl Attempt<'_> {
+    /// The end of the run; nothing if another process has begun it meanwhile: then what it left counts.
+    fn run(&mut self) -> Result<Option<Outcome>> {
+        let Self { pipeline, recipe, out, stop, page, begun, .. } = *self;
+        RunFolder::inspect(out, recipe)?;
+        if let Some(end) = ended(out, recipe, page)? {
+            // What has ended may have been begun since, by another process with another pipeline.
+            return RunFolder::inspect(out, recipe).map(|()| Some(end));
+        }
+        // What earlier starts left is read by the process that holds it: another one would write on.
+        let held = out.join(PIPELINE).exists().then(|| RunFolder::claim(out, recipe)).transpose()?;
+        if let Some(folder) = &held
+            && let Some(end) = folder.settle(ended(folder.path(), recipe, page))?
+        {
+            return Ok(Some(end));
+        }
+        let (data, partition) = load(pipeline, self.base, self.observer)?;
+        check_scoring(pipeline, &data)?;
+        let observer = &mut *self.observer;
+        let mut work = Run { pipeline, data: &data, partition: &partition, observer, stop, page, begun };
+        // Made before a new folder is claimed: settings that cannot work must leave nothing behind.
+        let trainer = match &held {
+            Some(folder) if folder.file(MODEL_FILE).is_file() => None,
+            held => match work.trainer(held.as_ref()) {
+                Err(Error::Stopped) => return Ok(Some(Outcome::Interrupted { step: 0 })),
+                trainer => Some(trainer?),
+            },
+        };
+        let mut folder = match held {
+            Some(folder) => folder,
+            None => match RunFolder::claim(out, recipe)? {
+                folder if folder.is_new() => folder,
+                _ => return Ok(None), // another process has begun this run since, and may have ended it
+            },
+        };
+        let ended = work.end(trainer, &mut folder, recipe);
+        folder.settle(ended).map(Some)
+    }
 }
 
 /// The end of the run of `recipe` in `out`, if nothing is left to do, its files held against their marks.
@@ -203,8 +224,9 @@ impl<'a> Run<'a> {
         facts.samples = [&self.partition.train, &self.partition.validation, &self.partition.test].map(Vec::len);
         if trainer.is_none() {
             earlier.verify_file(folder.path(), MODEL_FILE)?;
-            facts.write(folder.path())?; // it is not finished any more: what it says of files is about to be wrong
         }
+        // It is not finished any more: what an earlier end says of files, and of baselines, is about to be wrong.
+        facts.write(folder.path())?;
         folder.renew(recipe)?;
         let model = match trainer {
             None => file::read(&folder.file(MODEL_FILE))?,
@@ -220,25 +242,34 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// A trainer at the start, or where the checkpoint in the folder `held` left it, and what a step will take.
-    fn trainer(&mut self, held: Option<&Path>) -> Result<(Trainer<'a>, Estimate)> {
-        // Who cannot be asked is no fault of a checkpoint.
+    /// A trainer at the start, or where the checkpoint in the folder left it, and what a step will take.
+    fn trainer(&mut self, held: Option<&RunFolder>) -> Result<(Trainer<'a>, Estimate)> {
+        // A strategy that cannot be asked is refused before a checkpoint is blamed for it.
         self.pipeline.pruners.iter().try_for_each(|pruner| pruner.ready())?;
         fitting_network(self.pipeline)?;
-        let path = held.unwrap_or(Path::new("")).join(CHECKPOINT);
-        let checkpoint = held.map_or_else(|| Err(std::io::ErrorKind::NotFound.into()), |_| files::read(&path));
-        let trainer = match checkpoint {
-            Ok(bytes) => Trainer::restore(self.pipeline, self.data, self.partition, &bytes)
-                .map_err(|e| Error::input(&path, format!("{e}; remove it to start again"))),
-            Err(e) if [std::io::ErrorKind::NotFound, std::io::ErrorKind::NotADirectory].contains(&e.kind()) => {
-                staged(self.observer, "initialising", |progress| {
-                    Trainer::begin(self.pipeline, self.data, self.partition, progress, self.stop)
-                })
-            }
-            Err(e) => Err(Error::read(&path, e)),
-        }?;
+        let restored = match held {
+            Some(folder) => folder.settle(self.restored(&folder.file(CHECKPOINT)))?,
+            None => None,
+        };
+        let trainer = match restored {
+            Some(trainer) => trainer,
+            None => staged(self.observer, "initialising", |progress| {
+                Trainer::begin(self.pipeline, self.data, self.partition, progress, self.stop)
+            })?,
+        };
         let estimate = fitting(&trainer)?;
         Ok((trainer, estimate))
+    }
+
+    /// The trainer of the checkpoint at `path`, if there is one.
+    fn restored(&self, path: &Path) -> Result<Option<Trainer<'a>>> {
+        let bytes = match files::read(path) {
+            Ok(bytes) => bytes,
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            Err(e) => return Err(Error::read(path, e)),
+        };
+        let restored = Trainer::restore(self.pipeline, self.data, self.partition, &bytes);
+        restored.map(Some).map_err(|e| Error::input(path, format!("{e}; remove it to start again")))
     }
 
     /// Trains to the end and writes the model, or returns nothing where it was asked to stop.
@@ -267,7 +298,8 @@ impl<'a> Run<'a> {
             Snapshot::of(step, cloud, origin).known(births, gates).write(&folder.file(name))
         };
         if trainer.done() == 0 {
-            trainer.warnings().iter().for_each(|warning| tracing::warn!("{}: {warning}", folder.name().display()));
+            let named = |warning: &String| format!("{}: {warning}", folder.name().display());
+            trainer.warnings().iter().for_each(|warning| self.observer.on_warning(&named(warning)));
             write(START_SNAPSHOT, 0, trainer.cloud(), trainer.births(), trainer.gates())?;
         }
         // A file that an earlier start left is of the same events: nothing smaller is worth another.
@@ -314,7 +346,8 @@ impl<'a> Run<'a> {
         let prunes = !self.pipeline.pruners.is_empty() && !self.pipeline.pruners.iter().any(|pruner| pruner.grows());
         if prunes && fullest == 0 && !model.cloud.is_empty() {
             let (folder, n) = (folder.name().display(), model.cloud.len());
-            tracing::warn!("{folder}: nothing was pruned: {n} Gaussians remain, and no pruner has removed any");
+            let what = format!("{folder}: nothing was pruned: {n} Gaussians remain, and no pruner has removed any");
+            self.observer.on_warning(&what);
         }
         file::write(&folder.file(MODEL_FILE), &model)?;
         Ok(Some(model))

@@ -99,6 +99,8 @@ const VERSION: u32 = 1;
 const VERSION_WITH_ORIGIN: u32 = 2;
 /// Of a file that is anything else than splats seen as spectra by one receiver.
 const VERSION_WITH_LINKS: u32 = 3;
+/// Of a file of received powers, whose sky has a filter of its own and rows at both poles.
+const VERSION_WITH_SKY: u32 = 4;
 /// What the names of the network's tensors begin with.
 const NETWORK: &str = "network.";
 /// What the names of the numbers begin with that the network has from a seed.
@@ -107,6 +109,7 @@ const CONSTANTS: &str = "constants.";
 /// A file is of the lowest version that says all of it.
 fn version(note: &Note) -> u32 {
     match note {
+        Note { readout: Some(Readout::Received { .. }), .. } => VERSION_WITH_SKY,
         Note { links: Some(_), .. } | Note { method: Some(_), .. } => VERSION_WITH_LINKS,
         note if note.origin.is_zero() => VERSION,
         _ => VERSION_WITH_ORIGIN,
@@ -266,8 +269,10 @@ fn from_bytes(bytes: &[u8]) -> Result<Ensemble, String> {
 fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, String> {
     if note.format != FORMAT || note.version != version(note) {
         return Err(format!(
-            "a `{}` of version {}, this program reads `{FORMAT}` up to {VERSION_WITH_LINKS}",
-            note.format, note.version
+            "a `{}` of version {}, expected `{FORMAT}` of version {}",
+            note.format,
+            note.version,
+            version(note)
         ));
     }
     if let Some(fault) = note.origin.fault() {

@@ -74,7 +74,14 @@ impl Trainer<'_> {
         let rule = |(name, count): &(String, usize)| format!("{name}: {count}");
         let rules = rules.iter().filter(|(_, count)| *count > 0).map(rule).collect::<Vec<_>>().join("; ");
         if left == 1 && before > 1 && !self.wants_one() {
-            return Err(Error::Collapsed { step, rules });
+            let removed = if rules.is_empty() { rules } else { format!(", removed by {rules}") };
+            let takes_target = self.pipeline.pruners.iter().any(|pruner| pruner.with_target(1).is_some());
+            let advice = if takes_target {
+                "relax that rule, or ask for one Gaussian with training.target: 1"
+            } else {
+                "relax that rule, or start with one Gaussian"
+            };
+            return Err(Error::Collapsed { step, removed, advice });
         }
         if 2 * left < before {
             let (name, removed) = (&self.pipeline.name, before - left);

@@ -8,9 +8,9 @@ use crate::folder::{MODEL_FILE, RunFolder};
 use crate::observer::Observer;
 use crate::recipe::Recipe;
 use crate::results::{Page, Results};
-use crate::runner::{Outcome, ended, load};
+use crate::runner::{Outcome, check_scoring, ended, load};
 use crate::scores::ScoreTable;
-use crate::sweep::{Board, Fate, Plan, check, execute};
+use crate::sweep::{Board, Fate, Plan, State, check, execute};
 use pwrfgs_core::{Error, Result};
 use pwrfgs_model::{Ensemble, file};
 use std::path::{Path, PathBuf};
@@ -45,13 +45,15 @@ pub fn run_team(
     }
     let plan = team.plan(&out.join(MEMBERS));
     let all: Vec<usize> = (0..plan.runs.len()).collect();
-    // Members are scored without baselines; the first is asked for those of the ensemble.
+    // Members are scored without baselines; the first that is left to train is asked for those of the ensemble.
     let mut asked = plan.clone();
-    asked.runs[0].pipeline.baselines = team.pipeline().baselines;
+    if let Some(&first) = all.iter().find(|&&run| !matches!(plan.state(run), State::Finished(_))) {
+        asked.runs[first].pipeline.baselines = team.pipeline().baselines;
+    }
     let open = check(&asked, &all, observer)?;
     let mut folder = RunFolder::claim(out, &recipe)?;
     // Another process may have ended it since.
-    if let Some(end) = ended(out, &recipe, page)? {
+    if let Some(end) = folder.settle(ended(folder.path(), &recipe, page))? {
         return Ok(end);
     }
     let mut work = || {
@@ -91,8 +93,7 @@ fn train(
         match fate {
             Fate::Finished { .. } => {}
             Fate::Failed(error) => {
-                let told = format!("member `{}`: {error}", plan.runs[run].folder);
-                return Err(if error.is_input() { Error::Config(told) } else { Error::Plugin(told.into()) });
+                return Err(Error::Member { name: plan.runs[run].folder.clone(), source: Box::new(error) });
             }
             Fate::Busy => return Err(Error::Busy(plan.folder_of(run))),
             Fate::Unscored => interrupted = interrupted.or(Some(Outcome::Unscored)),
@@ -129,6 +130,7 @@ fn assess(
 ) -> Result<ScoreTable> {
     let pipeline = team.pipeline();
     let (data, partition) = load(&pipeline, Path::new(""), observer)?;
+    check_scoring(&pipeline, &data)?;
     observer.on_message(&format!("scoring {} test {}", partition.test.len(), data.kind().counted()));
     let assessment = evaluate(ensemble, &pipeline, &data, &partition, observer, stop)?;
     let scores = assessment.scores.table();
