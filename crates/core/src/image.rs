@@ -166,6 +166,10 @@ impl ImagePlane {
     /// Every `stride`-th column and row of this whole image, from `offset` (column, row) on. `stride` divides both sides.
     #[must_use]
     pub fn strided(&self, stride: usize, offset: [usize; 2]) -> Self {
+        debug_assert!(
+            self.width.is_multiple_of(stride) && self.height.is_multiple_of(stride),
+            "a stride divides the sides"
+        );
         let axis = |axis: Axis, offset: usize| Axis {
             first: axis.first + axis.step * offset as f64,
             step: axis.step * stride as f64,

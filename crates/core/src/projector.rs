@@ -29,6 +29,9 @@ pub trait Projector: erased_serde::Serialize + std::any::Any + std::fmt::Debug +
     ///
     /// `plane` is a whole image: with a stride, the splats are brought to the coarser pixels afterwards
     /// ([`Splats::sampled`]), so that a projector needs to know nothing of it.
+    ///
+    /// If [`Sampling::filter`](crate::Sampling::filter) of `plane` is given, it replaces the projector's own low-pass filter:
+    /// the sky of `readout: Received` has one. A projector that draws other elevations ([`Self::plane_of`]) must use it.
     fn project(&self, primitives: &Primitives, pose: &Pose, plane: &ImagePlane) -> Splats;
 
     /// Which Gaussians centred at `means` `[N,3]` may be drawn, whatever their shape: the others need no network. All,

@@ -24,8 +24,8 @@ pub struct Splats {
     pub means2d: Vec<[Real; 2]>,
     /// Inverse covariances `[N,3]`, px⁻²: (A, B, C) of A·dx² + 2B·dx·dy + C·dy².
     pub conics: Vec<[Real; 3]>,
-    /// Distances from the receiver `[N]`, metres: the blending order. Rounded to single precision; equal ones are blended in
-    /// the order of rows.
+    /// Distances from the receiver `[N]`, metres: the blending order. They are compared in single precision; equal ones are
+    /// blended in the order of rows.
     pub depths: Vec<Real>,
     /// Standard deviations along columns and rows `[N,2]`, px: the roots of the diagonal of the conic's inverse. They say
     /// how far a splat reaches. Not differentiated.
@@ -80,8 +80,8 @@ impl Splats {
         }
     }
 
-    /// The same splats, projected onto a whole image, in the pixels of a `plane` that holds a part of them
-    /// ([`Sampling`]): centres, conics, standard deviations and radii change their unit.
+    /// The splats `[N]` of a whole image in the pixels of a `plane` that holds a part of it ([`Sampling`]): centres, conics,
+    /// standard deviations and radii change their unit.
     #[must_use]
     pub fn sampled(mut self, plane: &ImagePlane) -> Self {
         let Sampling { stride, offset, .. } = plane.sampling;
@@ -100,32 +100,38 @@ impl Splats {
         self
     }
 
-    /// Undoes [`Self::sampled`] for what a projector's derivative reads: conics, and which splats have a radius.
+    /// Undoes [`Self::sampled`] `[N]` for the derivative of a projector; radii are rounded up to whole strides.
     pub fn unsampled(&self, plane: &ImagePlane) -> Cow<'_, Self> {
         let Sampling { stride, offset, .. } = plane.sampling;
         if stride == 1 {
             return Cow::Borrowed(self);
         }
-        let (mut whole, s) = (self.clone(), stride as Real);
-        for mean in &mut whole.means2d {
-            *mean = [mean[0] * s + offset[0] as Real, mean[1] * s + offset[1] as Real];
-        }
-        whole.conics.as_flattened_mut().iter_mut().for_each(|c| *c /= s * s);
-        whole.sigmas2d.as_flattened_mut().iter_mut().for_each(|v| *v *= s);
-        whole.radii.iter_mut().for_each(|r| *r *= s);
-        Cow::Owned(whole)
+        let (s, [left, top]) = (stride as Real, offset.map(|v| v as Real));
+        Cow::Owned(Self {
+            means2d: self.means2d.iter().map(|[x, y]| [x * s + left, y * s + top]).collect(),
+            conics: self.conics.iter().map(|conic| conic.map(|c| c / (s * s))).collect(),
+            depths: self.depths.clone(),
+            sigmas2d: self.sigmas2d.iter().map(|sigmas| sigmas.map(|v| v * s)).collect(),
+            radii: self.radii.iter().map(|r| r * s).collect(),
+            opacities: self.opacities.clone(),
+            presence: Vec::new(),
+        })
     }
 
-    /// Cotangents of the splats on the whole image, given these of the splats on `plane`: the derivative of
-    /// [`Self::sampled`].
+    /// Cotangents `[N]` of the splats on the whole image, given these of the splats on `plane`: the derivative of
+    /// [`Self::sampled`]. Of the columns without a derivative nothing is left.
     pub fn sampled_vjp(&self, plane: &ImagePlane) -> Cow<'_, Self> {
         let stride = plane.sampling.stride;
         if stride == 1 {
             return Cow::Borrowed(self);
         }
-        let (mut d, s) = (self.clone(), stride as Real);
-        d.means2d.as_flattened_mut().iter_mut().for_each(|v| *v /= s);
-        d.conics.as_flattened_mut().iter_mut().for_each(|v| *v *= s * s);
-        Cow::Owned(d)
+        let s = stride as Real;
+        Cow::Owned(Self {
+            means2d: self.means2d.iter().map(|mean| mean.map(|v| v / s)).collect(),
+            conics: self.conics.iter().map(|conic| conic.map(|v| v * (s * s))).collect(),
+            depths: self.depths.clone(),
+            opacities: self.opacities.clone(),
+            ..Self::default()
+        })
     }
 }
