@@ -3,6 +3,7 @@
 use super::refuse_occupied;
 use crate::{Error, Result};
 use std::fs::{self, File};
+use std::mem;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -52,11 +53,12 @@ impl NewFolder {
         let name = short_name(out);
         fs::create_dir_all(parent).map_err(|e| Error::write(parent, e))?;
         clear(parent, Some(&name));
+        let mut folders = under_way();
         let k = COUNT.fetch_add(1, Ordering::Relaxed);
         let path = parent.join(format!(".{name}.{}-{k}.tmp", std::process::id()));
         let made = fs::create_dir(&path).and_then(|()| locked(&path));
         let lock = made.map_err(|e| Error::write(&path, e))?;
-        under_way().push(path.clone());
+        folders.push(path.clone());
         Ok(Self { path, out: out.into(), _lock: lock })
     }
 
@@ -74,12 +76,15 @@ impl NewFolder {
         clear(parent, None);
     }
 
-    /// Removes all folders under way of this process, which is about to end in the middle of its work.
+    /// Removes all folders under way of this process, which must end next: from here on, a thread that begins, publishes
+    /// or drops a folder waits for ever.
     pub fn abandon_all() {
-        for path in under_way().iter() {
+        let folders = under_way();
+        for path in folders.iter() {
             // Whoever still writes into it makes that fail, until the folder is not there any more.
             _ = (0..ATTEMPTS).find(|_| fs::remove_dir_all(path).is_ok() || !path.exists());
         }
+        mem::forget(folders); // still locked
     }
 
     /// Where its files are written.
@@ -93,6 +98,7 @@ impl NewFolder {
     /// Where the disk refuses.
     pub fn publish(self) -> Result<()> {
         let refuse = |e| Error::write(&self.out, e);
+        let _held = under_way(); // a folder that `abandon_all` empties must not get its name
         // Where it does not exist, or is not empty, the rename says what matters.
         let _ = fs::remove_dir(&self.out);
         fs::rename(&self.path, &self.out).map_err(refuse)?;
@@ -179,6 +185,27 @@ mod tests {
         NewFolder::remove(&out).unwrap();
         assert!(names(&here.path().join("a")).is_empty());
         NewFolder::begin(&here.path().join("x".repeat(250))).unwrap().publish().unwrap();
+    }
+
+    /// In a process of its own, which no other test shares.
+    #[test]
+    fn nothing_is_published_once_all_is_abandoned() {
+        const OUT: &str = "PWRFGS_TEST_ABANDONED";
+        if let Some(out) = std::env::var_os(OUT) {
+            let folder = NewFolder::begin(Path::new(&out)).unwrap();
+            let path = folder.path().to_owned();
+            NewFolder::abandon_all();
+            assert!(!path.exists());
+            fs::create_dir(&path).unwrap(); // by a thread that still writes into it
+            std::thread::spawn(move || folder.publish());
+            std::thread::sleep(std::time::Duration::from_millis(100));
+            std::process::exit(i32::from(Path::new(&out).exists()));
+        }
+        let here = tempfile::tempdir().unwrap();
+        let name = "files::new_folder::tests::nothing_is_published_once_all_is_abandoned";
+        let mut own = std::process::Command::new(std::env::current_exe().unwrap());
+        let ended = own.args(["--exact", name]).env(OUT, here.path().join("data")).status().unwrap();
+        assert!(ended.success(), "{ended}");
     }
 
     #[test]
