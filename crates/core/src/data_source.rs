@@ -86,11 +86,11 @@ pub trait Baseline: erased_serde::Serialize + std::any::Any + std::fmt::Debug + 
         None
     }
 
-    /// Whether it can predict observations like those of `data`. Commands ask before the first training step, so that no
-    /// model is trained for a table that cannot be made.
+    /// Checks whether the baseline supports the observations of `data`. Commands call this before the first training step.
+    /// It must be cheap: sweeps call it once per combination.
     ///
     /// # Errors
-    /// Why not, and what to do.
+    /// The baseline does not support `data`; the message names the setting to change.
     fn check_data(&self, data: &Dataset) -> Result<()> {
         let _ = data;
         Ok(())

@@ -101,11 +101,11 @@ pub fn read_at_most(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     if bytes.len() as u64 > limit { refuse() } else { Ok(bytes) }
 }
 
-/// Refuses a path at which nothing can be made, before any work: below something that is no folder, a link to nothing, or a
-/// name that the file system does not take. Missing folders are fine; what stands at `path` itself is not judged.
+/// Refuses a path at which neither a file nor a folder can be created: below a file, below a broken link, or with a name
+/// that the file system rejects. Missing folders are accepted. A file or folder at `path` itself is not checked.
 ///
 /// # Errors
-/// [`Error::Input`] that names the part of the path.
+/// [`Error::Input`] names the invalid part of the path.
 pub fn check_place(path: &Path) -> Result<()> {
     let refuse = |what: String| Err(Error::input(path, format!("{what}; choose another path")));
     let mut missing = Vec::new();
@@ -113,7 +113,7 @@ pub fn check_place(path: &Path) -> Result<()> {
         let standing = if own.as_os_str().is_empty() { Path::new(".") } else { own };
         match fs::metadata(standing) {
             Ok(found) if found.is_dir() => {
-                // A name that is too long is only told of in a folder that exists.
+                // The file system rejects a long name only in a folder that exists.
                 let told =
                     missing.iter().find_map(|name| fs::symlink_metadata(standing.join(name)).err().filter(is_bad));
                 return told.map_or(Ok(()), |e| refuse(e.to_string()));
@@ -128,15 +128,15 @@ pub fn check_place(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Whether a name is at fault, and not what it names.
+/// Whether the file system rejects the name itself.
 fn is_bad(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::InvalidFilename | ErrorKind::InvalidInput)
 }
 
-/// Refuses a path at which no file can be made, before any work: as [`check_place`], and the folder must exist.
+/// Refuses a path at which no file can be created: as [`check_place`], and the folder of the file must exist.
 ///
 /// # Errors
-/// [`Error::Input`] that says what is missing.
+/// [`Error::Input`] names the missing folder.
 pub fn check_file_place(path: &Path) -> Result<()> {
     check_place(path)?;
     let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -152,10 +152,10 @@ pub fn check_file_place(path: &Path) -> Result<()> {
     ))
 }
 
-/// Refuses a path at which no new file can be made, before any work: as [`check_file_place`], and nothing may stand there.
+/// Refuses a path at which no new file can be created: as [`check_file_place`], and the path must not exist.
 ///
 /// # Errors
-/// [`Error::Input`] that says why.
+/// [`Error::Config`] if the path exists, else as [`check_file_place`].
 pub fn check_new_file(path: &Path) -> Result<()> {
     // A broken link too: it may be anything.
     if path.symlink_metadata().is_ok() {
@@ -173,7 +173,8 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
     replace(path, bytes, |_| ()).map(drop)
 }
 
-/// The same; gives the file, still open. `prepare` sees it before it takes the name, to lock it say.
+/// Writes a file as [`write_atomically`] does and returns it open. `prepare` gets the temporary file before the rename, for
+/// example to lock it.
 ///
 /// # Errors
 /// As [`write_atomically`].

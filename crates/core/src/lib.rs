@@ -72,7 +72,7 @@ pub use method::{Asked, Frame, Method, MethodVjp, Observed, Parameters, Pixels};
 pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, Scope, StageTimes, Values};
 pub use observations::{Channels, Kind, Observations, SPEED_OF_LIGHT, gain_at, gain_fault, gains_of, rows_of};
 pub use origin::Origin;
-pub use partition::{Known, Partition};
+pub use partition::{Known, LinkSet, Partition};
 pub use plugin::{Cache, Checked, Plugin, cached, registered};
 pub use pose::Pose;
 pub use projector::Projector;

@@ -8,11 +8,11 @@ pub trait Metric: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Se
     /// One or more measurements.
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>>;
 
-    /// Whether it can score predictions of observations like those of `data`; asked before the first training step, as
-    /// [`Baseline::check_data`](crate::Baseline::check_data).
+    /// Checks whether the metric supports the observations of `data`, as
+    /// [`Baseline::check_data`](crate::Baseline::check_data) does.
     ///
     /// # Errors
-    /// Why not, and what to do.
+    /// The metric does not support `data`; the message names the setting to change.
     fn check_data(&self, data: &Dataset) -> Result<()> {
         let _ = data;
         Ok(())

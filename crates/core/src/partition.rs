@@ -17,11 +17,27 @@ impl Partition {
         Known { train: &self.train, validation: &self.validation }
     }
 
-    /// Set of a link as pages number it: 0 training, 1 validation, 2 test, 3 none of them.
-    pub fn set_of(&self, link: usize) -> u8 {
-        let sets = [&self.train, &self.validation, &self.test];
-        sets.iter().zip(0..).find(|(set, _)| set.binary_search(&link).is_ok()).map_or(3, |(_, number)| number)
+    /// Returns the set that holds a link.
+    pub fn set_of(&self, link: usize) -> LinkSet {
+        let sets =
+            [(&self.train, LinkSet::Training), (&self.validation, LinkSet::Validation), (&self.test, LinkSet::Test)];
+        let found = sets.into_iter().find(|(links, _)| links.binary_search(&link).is_ok());
+        found.map_or(LinkSet::Unused, |(_, set)| set)
     }
+}
+
+/// Set of a link. Pages receive its number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum LinkSet {
+    /// Training set.
+    Training = 0,
+    /// Validation set.
+    Validation = 1,
+    /// Test set.
+    Test = 2,
+    /// No set.
+    Unused = 3,
 }
 
 /// The links that a baseline may learn from; indices into [`Dataset::links`](crate::Dataset::links), two disjoint lists.

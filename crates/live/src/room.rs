@@ -70,7 +70,7 @@ fn put_data(pack: &mut Pack, Known { data, partition, scores, links }: Known<'_>
     pack.put("links.id", &[n], samples().map(|sample| sample.id as Real));
     pack.put("links.receiver", &[n], samples().map(|sample| sample.receiver as Real));
     pack.put("links.score", &[n], links.iter().map(|&i| scores[i] as Real));
-    pack.put_bytes("links.part", &[n], links.iter().map(|&i| partition.set_of(i)).collect());
+    pack.put_bytes("links.part", &[n], links.iter().map(|&i| partition.set_of(i) as u8).collect());
 }
 
 fn receiver(name: &str, pose: &Pose, origin: Origin) -> Value {

@@ -6,7 +6,7 @@ use crate::house::House;
 use crate::moments::moments;
 use crate::side::{Known, Predictor, Side, score};
 use hyper::StatusCode;
-use pwrfgs_core::{Image, Kind, Query, Real, neighbours};
+use pwrfgs_core::{Image, Kind, LinkSet, Query, Real, neighbours};
 use pwrfgs_experiment::folder::CURVE;
 use pwrfgs_experiment::{Snapshot, series};
 use pwrfgs_live::{self as live, Pack};
@@ -133,9 +133,10 @@ fn predict(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
     if let (Some((i, metres)), Some(known)) = (nearest, known) {
         let set = known.partition.set_of(i);
         // A baseline stores what it learned from: against that it would be perfect.
-        let learned = predictor.is_fitted() && matches!(set, 0 | 1);
+        let learned = predictor.is_fitted() && matches!(set, LinkSet::Training | LinkSet::Validation);
         let value = (!learned).then(|| score(kind, &found.image, &known.data.image(i)));
-        pack.note["nearest"] = json!({ "link": i, "metres": metres, "score": value, "part": set, "learned": learned });
+        pack.note["nearest"] =
+            json!({ "link": i, "metres": metres, "score": value, "part": set as u8, "learned": learned });
     }
     if kind == Kind::Power {
         let all: Vec<Query<'_>> = (0..side.frame.receivers.len()).map(|r| Query { receiver: r, ..query }).collect();
