@@ -5,6 +5,7 @@ use crate::nerf2::pictures::{self, Depth};
 use crate::nerf2::read_transmitters;
 use crate::npy::{Header, read_positions};
 use pwrfgs_core::{Error, Number, Result, did_you_mean, files};
+use std::collections::BTreeSet;
 use std::ffi::OsStr;
 use std::fs::File;
 use std::io::{BufReader, Read};
@@ -125,12 +126,12 @@ fn in_archive<T>(
         |e: zip::result::ZipError| Error::input(path, format!("is no archive of NumPy ({e}); use numpy.savez"));
     let file: File = files::open(path).map_err(|e| Error::read(path, e))?;
     let mut archive = ZipArchive::new(BufReader::new(file)).map_err(broken)?;
-    if archive.has_duplicate_names() {
+    let names = archive.file_names().collect::<Result<Vec<_>, _>>().map_err(broken)?;
+    let names: Vec<String> = names.iter().map(|n| n.strip_suffix(".npy").unwrap_or(n).to_owned()).collect();
+    if archive.has_duplicate_names() || names.iter().collect::<BTreeSet<_>>().len() < names.len() {
         let what = "holds two arrays of one name, of which NumPy reads only the last; save each under its own name";
         return Err(Error::input(path, what));
     }
-    let names = archive.file_names().collect::<Result<Vec<_>, _>>().map_err(broken)?;
-    let names: Vec<String> = names.iter().map(|n| n.strip_suffix(".npy").unwrap_or(n).to_owned()).collect();
     let wanted = match name {
         Some(name) => name,
         None if names.iter().any(|n| n == usual) || names.len() != 1 => usual.to_owned(),

@@ -167,6 +167,14 @@ fn two_arrays_of_one_name_are_refused() {
     }
     folder.write("all.npz", &bytes);
     assert!(folder.fault(&folder.work("all.npz")).contains("DIR/all.npz: holds two arrays of one name"));
+
+    let mut archive = ZipWriter::new(File::create(folder.path("all.npz")).unwrap());
+    for name in ["spectra", "spectra.npy"] {
+        archive.start_file(name, SimpleFileOptions::default()).unwrap();
+        archive.write_all(&array(Number::U8, &[4, 2, 3], 60..84)).unwrap();
+    }
+    archive.finish().unwrap();
+    assert!(folder.fault(&folder.work("all.npz")).contains("DIR/all.npz: holds two arrays of one name"));
 }
 
 #[test]
