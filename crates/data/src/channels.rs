@@ -3,6 +3,7 @@
 #[cfg(test)]
 mod tests;
 
+use crate::checks::name_fault;
 use crate::nerf2::{check_root, folder_name, index, read_transmitters, simulation, yaml};
 use crate::npy::read_complex;
 use crate::points::read_points;
@@ -215,7 +216,8 @@ impl Said {
         let file = yaml::parse(&path, &text, std::marker::PhantomData::<File>, expected)?;
         let mut place = ReceiverPlace { position: file.position, orientation: file.orientation, antennas: vec![] };
         let pose = place.pose();
-        if let Some((field, fault)) = pose.fault() {
+        let fault = name_fault(&file.name).map(|fault| ("name", fault));
+        if let Some((field, fault)) = fault.or(pose.fault()) {
             let (line, column) = yaml::place_of(&text, field, "");
             return Err(Error::at(&path, line, column, fault));
         }

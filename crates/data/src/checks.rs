@@ -33,7 +33,7 @@ fn fault(data: &Dataset) -> Option<String> {
         }
         Observations::Channels(_) => None,
     };
-    let name = receivers.iter().find_map(name_fault);
+    let name = receivers.iter().find_map(|receiver| name_fault(&receiver.name));
     let silent = || Some(unheard(data.transmitters.len(), receivers.len(), links)?.words(receivers));
     of_kind.or(name).or_else(|| antennas_fault(data)).or_else(silent)
 }
@@ -123,10 +123,9 @@ fn first_value_fault(spectra: &Spectra) -> Option<String> {
     (0..spectra.len()).into_par_iter().find_map_first(|i| value_fault(spectra, i))
 }
 
-/// A name that cannot head a column of a table, or steers a terminal.
-fn name_fault(receiver: &Receiver) -> Option<String> {
-    let name = &receiver.name;
-    let fits = clean(name) == *name && !name.is_empty() && !name.contains('"') && name.chars().count() <= LONGEST_NAME;
+/// What is wrong with the name of a receiver: it cannot head a column of a table, or steers a terminal.
+pub(crate) fn name_fault(name: &str) -> Option<String> {
+    let fits = clean(name) == name && !name.is_empty() && !name.contains('"') && name.chars().count() <= LONGEST_NAME;
     let what = "1 to 100 characters without quotes, control characters or blanks at the ends";
     (!fits).then(|| format!("a receiver is called {}; give it a name of {what}", quoted(name)))
 }

@@ -3,6 +3,7 @@
 mod file;
 
 use super::yaml::{self, place_of};
+use crate::checks::name_fault;
 use file::File;
 use pwrfgs_core::{Elevation, Error, Pose, Receiver, Result, words::clean};
 use std::path::Path;
@@ -63,7 +64,12 @@ pub(crate) fn read(path: &Path, wanted: Option<&str>, advice: &str) -> Result<Ga
         return Err(Error::at(path, line, column, fault));
     }
     let is_said = |name: &String| !name.trim().is_empty();
-    Ok(Gateway { name: file.title.filter(is_said), pose, receiver: file.receiver.filter(is_said), elevation })
+    let receiver = file.receiver.filter(is_said);
+    if let Some(fault) = receiver.as_deref().and_then(name_fault) {
+        let (line, column) = place_of(&text, "receiver", "");
+        return Err(Error::at(path, line, column, fault));
+    }
+    Ok(Gateway { name: file.title.filter(is_said), pose, receiver, elevation })
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! Files that say where several receivers are: `gateway_position.yml` and `base-station.yml`.
 
 use super::yaml::{self, place_of};
+use crate::checks::name_fault;
 use pwrfgs_core::origin::place_fault;
 use pwrfgs_core::{Error, Pose, Result, words::clean};
 use serde::Deserialize;
@@ -20,9 +21,11 @@ pub(super) fn gateways(path: &Path, advice: &str) -> Result<Vec<(String, Pose)>>
     let found = yaml::parse(path, &text, Gateways, GATEWAYS)?;
     for (name, pose) in &found {
         let place = place_fault(pose.position);
-        if let Some(fault) = place.or_else(|| pose.fault().map(|(_, fault)| format!("is turned: {fault}"))) {
+        let fault = place.or_else(|| pose.fault().map(|(_, fault)| format!("is turned: {fault}")));
+        let fault = fault.map(|fault| format!("`{}` {fault}", clean(name)));
+        if let Some(fault) = name_fault(name).or(fault) {
             let (line, column) = place_of(&text, name, "");
-            return Err(Error::at(path, line, column, format!("`{}` {fault}", clean(name))));
+            return Err(Error::at(path, line, column, fault));
         }
     }
     if found.is_empty() {

@@ -128,6 +128,52 @@ proptest! {
     }
 }
 
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn a_folder_of_powers_that_is_read_is_saved_and_read_back(
+        names in prop::collection::vec("['=\"]?[=ab é]{1,2}", 1..4),
+        cells in prop::collection::vec(prop::sample::select(vec!["-60", "-100", "-100.0000001", "-99.9", "2e-50"]), 3),
+    ) {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: String| fs::write(folder.path().join(name), text).unwrap();
+        write("gateway_position.yml", gateway_positions_yaml(names.iter().map(|name| (&**name, Pose::IDENTITY))));
+        let row = |cell: &&str| names.iter().map(|_| *cell).collect::<Vec<_>>().join(",") + "\n";
+        let head = names.iter().map(|name| field(name)).collect::<Vec<_>>().join(",") + "\n";
+        write("gateway_rssi.csv", head + &cells.iter().map(row).collect::<String>());
+        write("tx_pos.csv", "x,y,z\n1,2,3\n4,5,6\n7,8,9\n".into());
+        let source = Nerf2Rssi { root: folder.path().into(), points: None };
+        if let Ok(data) = source.load(Path::new(""), &|_, _| {}) {
+            let read: Vec<&str> = data.scene.receivers.iter().map(|receiver| &*receiver.name).collect();
+            prop_assert_eq!(read, names.iter().map(String::as_str).collect::<Vec<_>>());
+            same(&data, &again(&data));
+        }
+    }
+}
+
+#[test]
+fn a_receiver_whose_name_cannot_be_saved_is_not_read() {
+    let at = |name: &str| Receiver::new(name, Pose::IDENTITY);
+    let samples: Vec<Sample> = (1..3).map(|i| Sample::new(i, [f64::from(i), 0.5, 1.0])).collect();
+    let spectra = Spectra::grey((12, 3), vec![7; 72]).unwrap();
+    let spectra = Dataset::new("room", Pose::IDENTITY, vec![], samples.clone(), spectra).unwrap();
+    let gains = Gains { antennas: 1, frequencies_hz: vec![1e9], gains: vec![[1.0, 0.0]; 2] };
+    let channels =
+        Dataset::of_links("channels", vec![at("receiver")], vec![], &samples, Observations::Channels(gains)).unwrap();
+    for (data, file) in [(spectra, "gateway_info.yml"), (channels, "receiver.yml")] {
+        let folder = tempfile::tempdir().unwrap();
+        let source = save(&data, &folder.path().join("saved")).unwrap();
+        let path = folder.path().join("saved").join(file);
+        let text = fs::read_to_string(&path).unwrap();
+        fs::write(&path, text.replacen("\"receiver\"", "'a\"b'", 1)).unwrap();
+        let said = source.load(Path::new(""), &|_, _| {}).unwrap_err();
+        let place =
+            format!("{}:{}:1: a receiver is called `a\"b`", path.display(), if file == "receiver.yml" { 1 } else { 6 });
+        assert!(said.is_input() && said.to_string().starts_with(&place), "{said}");
+    }
+}
+
 #[test]
 fn what_no_folder_can_hold_is_refused_with_what_to_do() {
     let named = |names: &[&str], powers: &[Real]| {

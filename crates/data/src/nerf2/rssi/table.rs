@@ -3,7 +3,7 @@
 use crate::checks::{NOT_RECEIVED, Unheard, power_fault, unheard};
 use crate::text::{Field, lines, no_longer, number, read_text, split_commas};
 use pwrfgs_core::words::{clean, quoted, text_of};
-use pwrfgs_core::{Error, Result, did_you_mean, files::MAX_TEXT};
+use pwrfgs_core::{Error, Real, Result, did_you_mean, files::MAX_TEXT};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
@@ -68,7 +68,8 @@ fn columns(path: &Path, line: usize, header: &[Field<'_>], gateways: &[String]) 
     let mut column_of = BTreeMap::new();
     for (k, field) in header.iter().enumerate() {
         let at = |what| Error::at(path, line, field.column, what);
-        let name = if known.contains(field.text) { field.text } else { text_of(field.text) };
+        let text = text_of(field.text);
+        let name = if known.contains(text) { text } else { field.text };
         if column_of.insert(name, k).is_some() {
             return Err(at(format!("a second column {}; name each gateway once", quoted(field.text))));
         }
@@ -100,7 +101,8 @@ fn power(path: &Path, line: usize, row: &[Field<'_>], column: usize) -> Result<f
         ));
     };
     let dbm = number(path, line, field, ADVICE)?;
-    if dbm != NOT_RECEIVED && power_fault(dbm).is_some() {
+    let stored = dbm as Real as f64; // rounding may make it the number that stands for nothing received
+    if dbm != NOT_RECEIVED && [dbm, stored].into_iter().find_map(power_fault).is_some() {
         return Err(Error::at(
             path,
             line,

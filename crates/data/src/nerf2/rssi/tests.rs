@@ -68,6 +68,11 @@ fn mistakes_are_told_with_their_place() {
         ("gateway_position.yml", "a: [1, 2]\n", "DIR/gateway_position.yml:1:4: a: invalid length 2"),
         ("gateway_position.yml", "a: [1, 2, 3]\na: [1, 2, 3]\n", "DIR/gateway_position.yml:"),
         ("gateway_position.yml", "a: [1, 2, 3]\nb: [1, .nan, 3]\n", "DIR/gateway_position.yml:2:1: `b` is not finite"),
+        (
+            "gateway_position.yml",
+            "a: [1, 2, 3]\n'b\"': [1, 2, 3]\n",
+            "DIR/gateway_position.yml:2:2: a receiver is called `b\"`; give it a name of 1 to 100 characters",
+        ),
         ("gateway_position.yml", "{}", "DIR/gateway_position.yml: names no gateway"),
         (
             "gateway_rssi.csv",
@@ -85,6 +90,7 @@ fn mistakes_are_told_with_their_place() {
         ("gateway_rssi.csv", "a,b\n-60\n", "DIR/gateway_rssi.csv:2:4: the row ends after 1"),
         ("gateway_rssi.csv", "a,b\n-60,-61,5\n", "DIR/gateway_rssi.csv:2:9: the row has 3 fields"),
         ("gateway_rssi.csv", "a,b\n-60,1000\n", "DIR/gateway_rssi.csv:2:5: `1000` is no power in dBm"),
+        ("gateway_rssi.csv", "a,b\n-60,300.0000001\n", "DIR/gateway_rssi.csv:2:5: `300.0000001` is no power in dBm"),
         (
             "gateway_rssi.csv",
             "a,b\n-60,-61\n-100,-100.0\n-1,-1\n",
