@@ -106,6 +106,9 @@ fn every_command_takes_every_kind_of_data_or_refuses_it() {
             }
         }
     }
+    // Without positions the bootstrap draws single samples.
+    let drawn = |kind: &str| std::fs::read_to_string(here.join("run").join(kind).join("run.json")).unwrap();
+    assert!(drawn("uplinks").contains("\"edge_m\": null") && !drawn("channels").contains("\"edge_m\": null"));
     for (kind, data) in [
         ("powers", "data=Arrays(root: \"spectra\")"),
         ("spectra", "data=Nerf2Rssi(root: \"powers\")"),

@@ -16,7 +16,6 @@ use pwrfgs_core::{
 };
 use pwrfgs_model::{Ensemble, Prepared};
 use pwrfgs_train::Pipeline;
-use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Scores, and a few of the predictions that they were computed from.
@@ -98,20 +97,11 @@ pub fn evaluate(
     notes.extend(said);
     let ids = partition.test.iter().map(|&i| data.label(i)).collect();
     let trained_on = [partition.train.len(), partition.known().all().len()];
-    let mut scores =
-        Scores { kind: data.kind(), ids, predictors, bounds, members, ceiling, trained_on, paired: None, notes };
-    scores.paired = Paired::of(&scores, &places(data, &partition.test));
+    let kind = data.kind();
+    let mut scores = Scores { kind, ids, predictors, bounds, members, ceiling, trained_on, notes, ..Scores::default() };
+    let position = |&i: &usize| (data.label(i), data.placed.then(|| data.sample(i).tx));
+    scores.paired = Paired::of(&scores, &partition.test.iter().map(position).collect());
     Ok(Assessment { scores, examples, confidence })
-}
-
-/// Where the transmitters of a part stood, by id. Without places each is a place of its own: the bootstrap then draws
-/// single ones.
-fn places(data: &Dataset, part: &[usize]) -> BTreeMap<u32, [f64; 3]> {
-    let place = |&i: &usize| {
-        let id = data.label(i);
-        (id, if data.placed { data.sample(i).tx } else { [f64::from(id), 0.0, 0.0] })
-    };
-    part.iter().map(place).collect()
 }
 
 /// Refuses data of another kind, another size, other receivers or other frequencies than the model knows.

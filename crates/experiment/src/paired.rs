@@ -7,19 +7,23 @@ use crate::blocks::Blocks;
 use crate::headline::headline;
 use crate::scores::{MODEL, Scores};
 use crate::statistics::{CONFIDENCE, Difference};
+use crate::text::fixed;
 use pwrfgs_core::{Goal, Kind};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
+/// Decimals of a difference: one more than scores have.
+const DECIMALS: usize = 4;
 /// Fewer cubes than this give rough intervals.
 const ENOUGH: usize = 10;
 
 /// Differences of a model from its baselines.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Paired {
-    /// Edge of the cubes of space that the bootstrap draws, metres.
-    pub edge_m: f64,
-    /// How many of them hold test transmitters.
+    /// Edge of the cubes of space that the bootstrap draws, metres; `None` if it draws single samples, whose positions are
+    /// unknown.
+    pub edge_m: Option<f64>,
+    /// Number of cubes that hold test transmitters, or of single samples.
     pub cubes: usize,
     /// One for each baseline and metric, baselines in the order of the scores.
     pub rows: Vec<PairedRow>,
@@ -41,13 +45,12 @@ pub struct PairedRow {
 }
 
 impl Paired {
-    /// Of the first metric of the kind and every rate ratio; `places` are those of the test transmitters, metres, by id.
-    /// `None` where there is no baseline, or no such metric.
-    pub(crate) fn of(scores: &Scores, places: &BTreeMap<u32, [f64; 3]>) -> Option<Self> {
-        let blocks = Blocks::new(places);
-        let first = headline(scores.kind).key;
+    /// Of the metrics that [`is_compared`] selects; `positions` are those of the test transmitters, metres, by id. `None`
+    /// if there is no baseline or no such metric.
+    pub(crate) fn of(scores: &Scores, positions: &BTreeMap<u32, Option<[f64; 3]>>) -> Option<Self> {
+        let blocks = Blocks::new(positions);
         let (_, own) = scores.predictors.first()?;
-        let wanted = own.iter().filter(|m| m.key == first || m.key.starts_with("eta_"));
+        let wanted = own.iter().filter(|m| is_compared(&m.key, scores.kind));
         let baselines = scores.predictors.iter().filter(|(name, _)| name != MODEL && !scores.members.contains(name));
         let row = |baseline: &str, key: &str, goal: Goal| {
             let pairs = scores.samples(MODEL, key)?.iter().zip(scores.samples(baseline, key)?);
@@ -90,12 +93,16 @@ impl Paired {
 
     /// How to read it, in one sentence.
     pub fn note(&self, kind: Kind) -> String {
-        let Self { edge_m, cubes, .. } = self;
-        let rough = if *cubes < ENOUGH { "; with fewer than ten cubes it is a rough guide" } else { "" };
+        let (count, things) = (self.cubes, kind.counted());
+        let (drawn, blocks) = match self.edge_m {
+            Some(edge) => (format!("{count} cubes of {edge:.2} m"), "cubes"),
+            None => (format!("{count} single {things}, whose positions are unknown"), things),
+        };
+        let rough =
+            if count < ENOUGH { format!("; with fewer than ten {blocks} it is a rough guide") } else { String::new() };
         format!(
-            "differences are means over the same test {}, with the {:.0} % bootstrap interval of this run over {cubes} \
-             cubes of {edge_m:.2} m{rough}; level: the interval covers 0",
-            kind.counted(),
+            "differences are means over the same test {things}, with the {:.0} % bootstrap interval of this run over \
+             {drawn}{rough}; level: the interval covers 0",
             100.0 * CONFIDENCE
         )
     }
@@ -120,15 +127,16 @@ impl PairedRow {
     }
 }
 
-/// Four decimals with a sign; what is rounded to 0 has none.
-fn signed(value: f64) -> String {
-    let text = format!("{:.4}", value.abs());
-    let sign = match value {
-        _ if text.bytes().all(|b| matches!(b, b'0' | b'.')) => "",
-        v if v > 0.0 => "+",
-        _ => "−",
-    };
-    format!("{sign}{text}")
+/// Whether tables of differences show a metric: the first one of the kind and every rate ratio.
+pub fn is_compared(key: &str, kind: Kind) -> bool {
+    key == headline(kind).key || key.starts_with("eta_")
+}
+
+/// A difference with its sign; what is rounded to 0 has none.
+pub fn signed(value: f64) -> String {
+    let text = fixed(value, DECIMALS);
+    let is_zero = text.bytes().all(|b| matches!(b, b'0' | b'.'));
+    if value > 0.0 && !is_zero { format!("+{text}") } else { text }
 }
 
 #[cfg(test)]
@@ -152,7 +160,7 @@ mod tests {
             ],
             ..Scores::default()
         };
-        let places = (0..64).map(|id| (id, [f64::from(id % 8), f64::from(id / 8), 0.0])).collect();
+        let places = (0..64).map(|id| (id, Some([f64::from(id % 8), f64::from(id / 8), 0.0]))).collect();
         let mut found = Paired::of(&scores, &places).unwrap();
         assert!(found.cubes >= 30 && found.note(Kind::Spectrum).contains("95 %"), "{found:?}");
         assert_eq!(found.lines(&["1-NN".into()])[1][0], "1-NN †");
@@ -170,7 +178,18 @@ mod tests {
     }
 
     #[test]
+    fn a_note_names_what_is_drawn() {
+        let pairs = Paired { edge_m: Some(0.4), cubes: 9, rows: Vec::new() };
+        let words = "over 9 cubes of 0.40 m; with fewer than ten cubes";
+        assert!(pairs.note(Kind::Spectrum).contains(words), "{}", pairs.note(Kind::Spectrum));
+        let single = Paired { edge_m: None, cubes: 31, ..pairs };
+        let words = "of this run over 31 single channels, whose positions are unknown; level";
+        assert!(single.note(Kind::Channel).contains(words), "{}", single.note(Kind::Channel));
+    }
+
+    #[test]
     fn numbers_carry_their_sign() {
-        assert_eq!([0.002_84, -0.0027, 0.0, -1e-9].map(signed), ["+0.0028", "−0.0027", "0.0000", "0.0000"]);
+        let expected = ["+0.0028", "−0.0027", "+0.000052", "0.0000", "0.0000", "0.0000"];
+        assert_eq!([0.002_84, -0.0027, 5.2e-5, 0.0, -1e-9, 1e-9].map(signed), expected);
     }
 }

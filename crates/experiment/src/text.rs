@@ -28,6 +28,20 @@ pub fn number(value: f64) -> String {
     }
 }
 
+/// A number with that many decimals, or with two digits where that would leave fewer (and six decimals are enough).
+pub fn fixed(value: f64, decimals: usize) -> String {
+    if !value.is_finite() {
+        return if value > 0.0 { "∞".into() } else { "−∞".into() };
+    }
+    let two_digits = (1.0 - value.abs().log10().floor()).clamp(0.0, 99.0) as usize;
+    let is_short = (value.fract() == 0.0 && decimals == 0) || two_digits > 6;
+    let text = format!("{:.*}", if is_short { decimals } else { decimals.max(two_digits) }, value.abs());
+    let text = if decimals == 0 && value.abs() >= 1e3 { grouped(value.abs().round() as i64) } else { text };
+    // What is rounded to 0 has no sign.
+    let negative = value < 0.0 && text.bytes().any(|b| (b'1'..=b'9').contains(&b));
+    if negative { format!("−{text}") } else { text }
+}
+
 /// A name as a field of a CSV file, which no spreadsheet takes for a formula.
 pub fn field(name: &str) -> String {
     let name = cell(name);
@@ -110,6 +124,24 @@ mod tests {
     fn numbers_are_short() {
         let all = [0.0, 0.88125, 12.345, 65469.0, 1e-6, f64::INFINITY, 123.456].map(number);
         assert_eq!(all, ["0", "0.8812", "12.35", "65,469", "1.00e-6", "∞", "123.5"]);
+    }
+
+    #[test]
+    fn numbers_keep_two_digits_and_no_sign_of_zero() {
+        let all = [
+            (0.8012, 3),
+            (0.0035, 3),
+            (12.3, 0),
+            (8.666, 0),
+            (8.0, 0),
+            (12_345.6, 0),
+            (-0.25, 2),
+            (-1e-9, 3),
+            (0.0, 3),
+        ];
+        let found = all.map(|(value, decimals)| fixed(value, decimals));
+        assert_eq!(found, ["0.801", "0.0035", "12", "8.7", "8", "12,346", "−0.25", "0.000", "0.000"]);
+        assert_eq!([f64::INFINITY, f64::NEG_INFINITY].map(|v| fixed(v, 3)), ["∞", "−∞"]);
     }
 
     #[test]

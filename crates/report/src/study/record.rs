@@ -16,6 +16,8 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 type ById<T> = BTreeMap<u32, T>;
+/// Metres; `None` if unknown.
+type Positions = ById<Option<[f64; 3]>>;
 
 /// What to do about a damaged file.
 const ADVICE: &str = "the run's own files must stay as it wrote them; restore it, or repeat the run in another folder";
@@ -38,8 +40,8 @@ pub struct Record {
     /// Metres from each test sample to the nearest training transmitter, by id, or by link where there are several
     /// receivers; infinity where there is none.
     pub nearest_train_m: BTreeMap<u32, f64>,
-    /// Where the transmitter of each test sample stood, metres, by id.
-    pub places: BTreeMap<u32, [f64; 3]>,
+    /// Position of the transmitter of each test sample, metres, by id; `None` if unknown.
+    pub places: BTreeMap<u32, Option<[f64; 3]>>,
     /// Step and number of Gaussians along the training.
     pub gaussians: Vec<(f64, f64)>,
 }
@@ -201,15 +203,11 @@ fn scores(text: &str, path: &Path) -> Result<Vec<Score>> {
 }
 
 /// Distances and places of the test samples in `samples.csv`, by id.
-fn test_samples(text: &str, path: &Path) -> Result<(ById<f64>, ById<[f64; 3]>)> {
+fn test_samples(text: &str, path: &Path) -> Result<(ById<f64>, Positions)> {
     let all: Vec<SampleRow> = rows(text, path)?;
     let tested = all.iter().filter(|s| s.split == "test").map(|s| (s.link.unwrap_or(s.id), s));
-    // Without places each is a place of its own: the bootstrap then draws single ones.
-    let place = |id: u32, s: &SampleRow| match [s.x, s.y, s.z] {
-        [Some(x), Some(y), Some(z)] => [x, y, z],
-        _ => [f64::from(id), 0.0, 0.0],
-    };
-    Ok(tested.map(|(id, s)| ((id, s.nearest_train_m.unwrap_or(f64::INFINITY)), (id, place(id, s)))).unzip())
+    let place = |s: &SampleRow| Some([s.x?, s.y?, s.z?]);
+    Ok(tested.map(|(id, s)| ((id, s.nearest_train_m.unwrap_or(f64::INFINITY)), (id, place(s)))).unzip())
 }
 
 /// The rows of a file that was written whole.
@@ -258,9 +256,9 @@ mod tests {
 
     #[test]
     fn test_samples_have_distances_and_places() {
-        let text = "id,x,y,z,split,nearest_train_m\n1,0,0,0,train,2\n5,2.5,0,1,test,0.5\n6,9,0,0,test,\n";
+        let text = "id,x,y,z,split,nearest_train_m\n1,0,0,0,train,2\n5,2.5,0,1,test,0.5\n6,,,,test,\n";
         let (distances, places) = test_samples(text, Path::new("samples.csv")).unwrap();
         assert_eq!(distances.into_iter().collect::<Vec<_>>(), [(5, 0.5), (6, f64::INFINITY)]);
-        assert_eq!(places[&5], [2.5, 0.0, 1.0]);
+        assert_eq!((places[&5], places[&6]), (Some([2.5, 0.0, 1.0]), None));
     }
 }

@@ -3,7 +3,7 @@
 use super::super::comparison::{Comparison, Kind, Metric, Row, Statistic, TRAINED_ON, TRAINING};
 use super::{Column, Line, Mark, Shown};
 use pwrfgs_experiment::statistics::Spread;
-use pwrfgs_experiment::text::grouped;
+use pwrfgs_experiment::text::{fixed, grouped};
 
 /// A column to be.
 pub(super) type Wanted<'a> = (&'a Metric, Statistic);
@@ -50,20 +50,6 @@ fn decimals(metric: &Metric, largest: f64) -> usize {
     } else {
         3
     }
-}
-
-/// A number with that many decimals, or with two digits where that would leave fewer (and six decimals are enough).
-pub(super) fn fixed(value: f64, decimals: usize) -> String {
-    if !value.is_finite() {
-        return if value > 0.0 { "∞".into() } else { "−∞".into() };
-    }
-    let two_digits = (1.0 - value.abs().log10().floor()).clamp(0.0, 99.0) as usize;
-    let is_short = (value.fract() == 0.0 && decimals == 0) || two_digits > 6;
-    let text = format!("{:.*}", if is_short { decimals } else { decimals.max(two_digits) }, value.abs());
-    let text = if decimals == 0 && value.abs() >= 1e3 { grouped(value.abs().round() as i64) } else { text };
-    // What is rounded to 0 has no sign.
-    let negative = value < 0.0 && text.bytes().any(|b| (b'1'..=b'9').contains(&b));
-    if negative { format!("−{text}") } else { text }
 }
 
 /// One column of all rows: its head, and a cell each row.
@@ -141,24 +127,6 @@ pub(super) fn filled(
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn numbers_keep_two_digits_and_no_sign_of_zero() {
-        let all = [
-            (0.8012, 3),
-            (0.0035, 3),
-            (12.3, 0),
-            (8.666, 0),
-            (8.0, 0),
-            (12_345.6, 0),
-            (-0.25, 2),
-            (-1e-9, 3),
-            (0.0, 3),
-        ];
-        let found = all.map(|(value, decimals)| fixed(value, decimals));
-        assert_eq!(found, ["0.801", "0.0035", "12", "8.7", "8", "12,346", "−0.25", "0.000", "0.000"]);
-        assert_eq!([f64::INFINITY, f64::NEG_INFINITY].map(|v| fixed(v, 3)), ["∞", "−∞"]);
-    }
 
     /// Marks of a column of these printed numbers and means.
     fn marks(column: &[(&str, f64)], competes: &[bool], higher_is_better: bool) -> Vec<Mark> {

@@ -1,19 +1,16 @@
 //! The table of paired differences against a reference.
 
 use super::super::comparison::{Comparison, Kind, Metric, Row};
-use super::columns::{fixed, words};
+use super::columns::words;
 use super::{Column, Line, Mark, Shown, Table, title};
 use crate::templates::sentences;
 use minijinja::context;
+use pwrfgs_experiment::paired::{is_compared, signed};
 use pwrfgs_experiment::statistics::{CONFIDENCE, Difference, REPLICATES};
 
-/// Decimals of a difference: one more than scores have.
-const DECIMALS: usize = 4;
-
-/// Every row less the reference, in the first metric of the kind, η and whatever else is shown first.
+/// Every row less the reference, by the metrics that [`is_compared`] selects; by all if it selects none.
 pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &Row<'_>) -> Option<Table> {
-    let first = comparison.setting.headline().key;
-    let shown = |m: &&Metric| m.per_sample && (m.key == first || m.key.starts_with("eta_"));
+    let shown = |m: &&Metric| m.per_sample && is_compared(&m.key, comparison.setting.kind());
     let mut metrics: Vec<&Metric> = comparison.metrics.iter().filter(shown).collect();
     if metrics.is_empty() {
         metrics = comparison.metrics.iter().filter(|m| m.per_sample).collect();
@@ -49,7 +46,7 @@ pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &Row
         most => seeds.1,
         percent => (CONFIDENCE * 100.0).round() as u32,
         replicates => REPLICATES,
-        edge => format!("{:.2}", comparison.blocks.edge_m),
+        edge => comparison.blocks.edge_m.map(|edge| format!("{edge:.2}")),
         cubes => comparison.blocks.count,
         bounds => table.has(Kind::Bound),
         twins => !comparison.twins().is_empty(),
@@ -59,10 +56,6 @@ pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &Row
 }
 
 fn cell(difference: &Difference) -> Shown {
-    let signed = |v: f64| {
-        let text = fixed(v, DECIMALS);
-        if v > 0.0 { format!("+{text}") } else { text }
-    };
     Shown {
         value: signed(difference.mean),
         interval: difference.interval.map(|(low, high)| (signed(low), signed(high))),
