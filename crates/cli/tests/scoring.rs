@@ -52,6 +52,28 @@ fn unsuitable_baselines_are_refused_before_the_first_step() {
 }
 
 #[test]
+fn equal_numbers_of_samples_are_the_same_only_on_the_data_of_the_run() {
+    let folder = folder();
+    let here = folder.path();
+    for other in ["", "other"] {
+        measured(&here.join(other));
+    }
+    let same = "2 test spectra; model and baselines are trained on the same 4";
+    let each = "the model is trained on 4; the baselines are trained on 4 (training and validation)";
+    let set = ["--set", "baselines=[MeanSpectrum()]"];
+    assert!(stdout(&succeed(here, &[&["run", "p.ron", "--out", "r", "-q"][..], &set].concat())).contains(same));
+    let head = |more: &[&str]| {
+        let all = [&["evaluate", "r/model.safetensors", "-q"][..], more].concat();
+        stdout(&succeed(here, &all)).lines().next().unwrap().to_owned()
+    };
+    assert_eq!(head(&[]), same);
+    assert_eq!(head(&["--set", "metrics=[L1()]"]), same);
+    assert!(head(&["--set", "data.root=other/data"]).contains(each));
+    assert!(head(&["--set", "split=Random(test: 0.4, validation: 0.0)"]).contains(each));
+    assert!(head(&["--pipeline", "other/p.ron", set[0], set[1]]).contains(each));
+}
+
+#[test]
 fn a_finished_run_is_scored_anew_without_training() {
     let folder = folder();
     let here = folder.path();

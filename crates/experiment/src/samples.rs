@@ -3,10 +3,16 @@
 
 use crate::text::field;
 use pwrfgs_core::{Dataset, Partition, Real, neighbours};
+use pwrfgs_train::Pipeline;
 use std::fmt::Write as _;
 
 /// Columns where there is one receiver.
 const HEADER: &str = "id,x,y,z,split,nearest_train_m\n";
+
+/// A key of the data and the split of a pipeline: equal for pipelines with the same samples in each set.
+pub fn data_key(pipeline: &Pipeline) -> String {
+    format!("{:?} {:?} {}", pipeline.data, pipeline.split, pipeline.split_seed.unwrap_or(pipeline.seed))
+}
 
 /// The text of `samples.csv`: id, x, y, z in metres (empty where not known), split, and the distance to the nearest other training transmitter
 /// in metres (empty where there is none). Of several receivers a row is a link: its number, as in `scores.csv`, comes first, and

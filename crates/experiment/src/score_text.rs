@@ -13,7 +13,7 @@ impl ScoreTable {
         }
         let has_baselines = self.predictors.iter().skip(1 + self.members.len()).any(|name| name != CEILING);
         let [own, theirs, tested] = self.samples.map(|n| grouped(n as i64));
-        let own = if has_baselines && model == baselines {
+        let own = if has_baselines && model == baselines && !self.trained_elsewhere {
             vec![format!("model and baselines are trained on the same {own}")]
         } else {
             let own = (model > 0).then(|| format!("the model is trained on {own}"));

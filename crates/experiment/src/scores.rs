@@ -30,6 +30,8 @@ pub struct Scores {
     pub ceiling: Vec<(String, AtZero)>,
     /// Samples that the model is trained on (0 if not known), and samples that baselines are trained on.
     pub trained_on: [usize; 2],
+    /// Whether the model may be trained on other data or another split than the baselines.
+    pub trained_elsewhere: bool,
     /// The model less each baseline, in pairs of test samples.
     pub paired: Option<Paired>,
     /// What a reader of the numbers must know, one sentence each.
@@ -83,6 +85,9 @@ pub struct ScoreTable {
     /// Samples that the model is trained on (0 if not known), samples that baselines are trained on, test samples.
     #[serde(default)]
     pub samples: [usize; 3],
+    /// Whether the model may be trained on other data or another split than the baselines.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub trained_elsewhere: bool,
     /// The model less each baseline, in pairs of test samples.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub paired: Option<Paired>,
@@ -204,7 +209,8 @@ impl Scores {
         let [model, baselines] = self.trained_on;
         let samples = [model, baselines, self.ids.len()];
         let (paired, notes) = (self.paired.clone(), self.notes.clone());
-        ScoreTable { predictors, metrics, bounds, members, samples, paired, notes, kind: self.kind }
+        let (kind, trained_elsewhere) = (self.kind, self.trained_elsewhere);
+        ScoreTable { predictors, metrics, bounds, members, samples, trained_elsewhere, paired, notes, kind }
     }
 
     /// The text of `scores.csv`.

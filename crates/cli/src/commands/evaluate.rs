@@ -5,9 +5,11 @@ use crate::output;
 use crate::progress::Progress;
 use clap::Args;
 use pwrfgs::experiment::folder::{PIPELINE, REPORT};
+use pwrfgs::experiment::samples::data_key;
 use pwrfgs::experiment::text::number;
 use pwrfgs::experiment::{Facts, Machine, Recipe, Results, evaluate as score, load as load_data};
 use pwrfgs::model::{Ensemble, file};
+use pwrfgs::train::Pipeline;
 use pwrfgs_core::words::clean;
 use pwrfgs_core::{Dataset, Error, Kind, Result, files::refuse_foreign};
 use std::fmt::Write as _;
@@ -66,6 +68,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
     progress.finish();
     let mut assessment = assessment?;
     assessment.scores.trained_on[0] = trained_on(&arguments.models);
+    assessment.scores.trained_elsewhere = !arguments.models.iter().all(|model| is_trained_by(model, &pipeline));
     let mut text = assessment.scores.table().to_text();
     if let Some(confidence) = &assessment.confidence {
         let members = ensemble.members().len();
@@ -109,8 +112,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
     Ok(ExitCode::SUCCESS)
 }
 
-/// Samples that all models were trained on, as their runs say; 0 if they differ, or nobody knows. The data and the split of
-/// this evaluation may be others.
+/// Samples that all models were trained on, as their runs say; 0 if they differ, or nobody knows.
 fn trained_on(models: &[PathBuf]) -> usize {
     let of = |model: &PathBuf| {
         let facts = Facts::read(model.parent().unwrap_or(Path::new(""))).ok().flatten();
@@ -118,6 +120,12 @@ fn trained_on(models: &[PathBuf]) -> usize {
     };
     let first = of(&models[0]);
     if models.iter().all(|model| of(model) == first) { first } else { 0 }
+}
+
+/// Whether the pipeline beside a model has the data and the split of `pipeline`.
+fn is_trained_by(model: &Path, pipeline: &Pipeline) -> bool {
+    let own = Recipe::read(&model.with_file_name(PIPELINE), &[]);
+    own.is_ok_and(|own| data_key(&own.pipeline()) == data_key(pipeline))
 }
 
 /// Says which receivers stand elsewhere than the model was trained with, look elsewhere or have other names.

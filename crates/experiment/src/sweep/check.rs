@@ -7,8 +7,9 @@ use crate::observer::Observer;
 use crate::preview::{fitting, fitting_network};
 use crate::recipe::Recipe;
 use crate::runner::{check_scoring, load};
+use crate::samples::data_key;
 use pwrfgs_core::{Dataset, Error, Partition, Result};
-use pwrfgs_train::{Pipeline, Trainer};
+use pwrfgs_train::Trainer;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -17,7 +18,7 @@ const STEPS: u64 = 20;
 const PATIENCE: Duration = Duration::from_secs(2);
 
 /// Holds the plan against its folder, and those of `runs` (places in the plan) that have not finished against their data
-/// and initialiser. Returns the latter.
+/// and initialiser, whose warnings the observer gets once per combination. Returns the latter.
 ///
 /// # Errors
 /// The first that cannot work, by name; nothing has been written then.
@@ -107,11 +108,6 @@ fn try_each<R>(
         }
     }
     Ok(all)
-}
-
-/// Equal where the same samples are trained on.
-fn data_key(pipeline: &Pipeline) -> String {
-    format!("{:?} {:?} {}", pipeline.data, pipeline.split, pipeline.split_seed.unwrap_or(pipeline.seed))
 }
 
 /// The median of a few steps.
