@@ -36,11 +36,17 @@ fn a_target_that_is_reached_from_the_start_is_reported_and_equal_models_are_mark
     let said = |command: &str, target: &str| stderr(&succeed(here, &[&[command][..], &one, &[target]].concat()));
     assert!(said("check", "training.target=8").contains(&format!("warning: pruners: {idle}")));
     assert!(!said("check", "training.target=7").contains("warning"));
+    write(&here.join("both.ron"), "Ensemble(name: \"both\", seeds: [0, 1], members: [Member(base: \"p.ron\")])");
+    let set = ["--set", "pruners=[LightGaussian()]", "--set", "training.target=8"];
+    let both = |more: &[&str]| stderr(&succeed(here, &[&["check", "both.ron"][..], &set, more].concat()));
+    assert_eq!((both(&[]).matches(idle).count(), both(&["-q"]).matches(idle).count()), (1, 0));
     let run = said("run", "training.target=8");
     assert!(run.contains(idle) && run.contains("nothing was pruned: 8 Gaussians remain"), "{run}");
 
     let said = stderr(&succeed(here, &["sweep", "e.ron", "--dry-run"]));
-    assert!(["chance", "light", "signal"].iter().all(|by| said.contains(&format!("by={by},seed=0: pruners: {idle}"))));
+    let warning = |by: &str| format!("warning: by={by},seed=0: pruners: {idle}");
+    assert!(["chance", "light", "signal"].iter().all(|by| said.contains(&warning(by))), "{said}");
+    assert!(stderr(&succeed(here, &["sweep", "e.ron", "--dry-run", "-q"])).is_empty());
     let table = stdout(&succeed(here, &["sweep", "e.ron", "-q"]));
     for words in [
         "by light ≡ by chance",
@@ -49,6 +55,10 @@ fn a_target_that_is_reached_from_the_start_is_reported_and_equal_models_are_mark
     ] {
         assert!(table.contains(words), "`{words}` is not in {table}");
     }
+    // One more seed of combinations that have finished.
+    write(&here.join("e.ron"), IDLE.replace("seeds: [0]", "seeds: [0, 1]"));
+    let said = stderr(&succeed(here, &["sweep", "e.ron", "--dry-run"]));
+    assert!(said.contains("warning: by=chance,seed=1") && said.matches(idle).count() == 3, "{said}");
     let latex = std::fs::read_to_string(here.join("runs/idle/report/tables/1-scores.tex")).unwrap();
     let row = latex.lines().find(|line| line.starts_with("by light ")).unwrap();
     assert!(row.contains("\\equiv") && !row.contains("\\textbf"), "a twin competes with nobody: {row}");
@@ -60,7 +70,7 @@ fn variants_that_differ_are_not_marked() {
     let here = folder.path();
     write(&here.join("e.ron"), IDLE.replace("target: 8", "target: 3"));
     let said = succeed(here, &["sweep", "e.ron", "--dry-run"]);
-    assert!(!stderr(&said).contains("WARN"), "{}", stderr(&said));
+    assert!(!stderr(&said).contains("warning"), "{}", stderr(&said));
     let table = stdout(&succeed(here, &["sweep", "e.ron", "-q"]));
     assert!(!table.contains('≡'), "{table}");
 }

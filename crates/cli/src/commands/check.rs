@@ -7,7 +7,7 @@ use crate::progress::Progress;
 use clap::Args;
 use pwrfgs::experiment::clock::duration;
 use pwrfgs::experiment::text::{aligned, grouped};
-use pwrfgs::experiment::{Preview, Recipe, preview};
+use pwrfgs::experiment::{Observer as _, Preview, Recipe, preview};
 use pwrfgs::train::Rays;
 use pwrfgs_core::Result;
 use std::path::{Path, PathBuf};
@@ -16,8 +16,8 @@ use std::process::ExitCode;
 #[derive(Debug, Args)]
 #[command(
     after_long_help = "Reads the pipeline, loads the data, divides them, makes the Gaussians and tries one step; writes \
-    nothing. What it refuses, `pwrfgs run` would refuse. Warnings name settings that cannot do what they are for. Memory and time are those of the Gaussians at the start: \
-    densification makes both larger, pruning smaller.\n\nEXAMPLES\n  pwrfgs check pipelines/s23-laptop.ron\n  pwrfgs check \
+    nothing. What it refuses, `pwrfgs run` would refuse. Warns of settings without effect. Memory and time are those of the Gaussians \
+    at the start: densification makes both larger, pruning smaller.\n\nEXAMPLES\n  pwrfgs check pipelines/s23-laptop.ron\n  pwrfgs check \
     pipelines/pwrfgs.ron --scale 0.1"
 )]
 pub(crate) struct Check {
@@ -40,7 +40,7 @@ pub(crate) fn check(arguments: &Check, verbosity: Verbosity) -> Result<ExitCode>
     progress.finish();
     let found = found?;
     for preview in &found {
-        preview.warnings.iter().for_each(|warning| output::note(&format!("warning: {warning}")));
+        preview.warnings.iter().for_each(|warning| progress.on_warning(warning));
     }
     output::result(&match &recipe {
         Recipe::Pipeline(_) => text(&found[0]),

@@ -30,7 +30,10 @@ pub fn check(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Result
     }
     plan.listing().inspect(&plan.folder)?;
     let open: Vec<usize> = runs.iter().copied().filter(|&r| !matches!(plan.state(r), State::Finished(_))).collect();
-    try_each(plan, &representatives(plan, &open), observer, |_, _| Ok(()))?;
+    let warned = try_each(plan, &representatives(plan, &open), observer, |run, trainer| Ok((run, trainer.warnings())))?;
+    for (run, warnings) in warned {
+        warnings.iter().for_each(|warning| observer.on_warning(&format!("{}: {warning}", plan.runs[run].folder)));
+    }
     Ok(open)
 }
 
@@ -54,10 +57,7 @@ pub fn estimate(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Res
     let open = check(plan, runs, observer)?;
     let unknown: Vec<usize> = open.iter().copied().filter(|&r| known(plan.runs[r].combination).is_none()).collect();
     let tried = representatives(plan, &unknown);
-    let measured = try_each(plan, &tried, observer, |run, trainer| {
-        trainer.warnings().iter().for_each(|warning| tracing::warn!("{}: {warning}", plan.runs[run].folder));
-        seconds_per_step(trainer)
-    })?;
+    let measured = try_each(plan, &tried, observer, |_, trainer| seconds_per_step(trainer))?;
     let seconds = |&run: &usize| {
         let PlannedRun { combination, pipeline, .. } = &plan.runs[run];
         let steps = pipeline.training.steps as f64;
