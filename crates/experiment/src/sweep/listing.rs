@@ -132,7 +132,10 @@ impl Listing {
             match self.inspect(folder)? {
                 // Replaced, and then locked anew.
                 Some(there) if there != *self && there.missing_in(self).is_none() => self.write(folder)?,
-                Some(_) => return Ok(lock),
+                Some(_) => {
+                    files::remove_temporaries(&path);
+                    return Ok(lock);
+                }
                 None => {}
             }
         }
@@ -152,6 +155,21 @@ impl Listing {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn temporary_files_of_killed_processes_are_removed() {
+        let sweep = tempfile::tempdir().unwrap();
+        let listing = Listing { name: "lambda".into(), runs: vec![] };
+        drop(listing.claim(sweep.path()).unwrap());
+        let others = [".sweep.json.tmp", ".sweep.json.x.tmp", ".other.json.1.tmp", "sweep.json.1.tmp"];
+        for name in [&[".sweep.json.1.tmp", ".sweep.json.4294967295.tmp"], &others[..]].concat() {
+            std::fs::write(sweep.path().join(name), "half").unwrap();
+        }
+        let _lock = listing.claim(sweep.path()).unwrap();
+        let found = std::fs::read_dir(sweep.path()).unwrap().map(|entry| entry.unwrap().file_name());
+        let found: BTreeSet<_> = found.map(|name| name.into_string().unwrap()).collect();
+        assert_eq!(found, others.into_iter().chain([LISTING]).map(String::from).collect());
+    }
 
     #[test]
     fn a_listing_does_not_lead_out_of_its_folder() {
