@@ -1,18 +1,20 @@
-//! Ctrl-C: once to stop where the same command can go on, twice to stop at once.
+//! Ctrl-C: once to stop where the same command can go on, twice to stop at once. A command without such a place stops at once.
 //!
 //! Work looks at the flag where it can stop; what does not within a second is ended, whatever it is: nothing that is
 //! written is ever half. A training alone may finish its step, which its checkpoint then holds.
 
 use crate::output;
-use pwrfgs_core::{Error, Result, files::NewFolder};
+use pwrfgs_core::files::NewFolder;
+use pwrfgs_core::{Error, Result};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 /// What a shell expects of an interrupted program.
 pub(crate) const INTERRUPTED: u8 = 130;
+const AT_ONCE: &str = "stopped at once; the same command goes on from what is written";
 /// How long anything but a training may take to stop.
 const GRACE: Duration = Duration::from_secs(1);
 /// How often it is looked whether a training goes on.
@@ -20,29 +22,36 @@ const TICK: Duration = Duration::from_millis(50);
 
 /// Trainings under way.
 static TRAININGS: AtomicUsize = AtomicUsize::new(0);
+/// Set by Ctrl-C, for a command that stops where it can go on.
+static STOP: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 /// Whether the program is being ended, and no other end counts.
 static ENDING: AtomicBool = AtomicBool::new(false);
 
-/// A flag that Ctrl-C (or a request to terminate) sets; the second one ends the program at once.
-pub(crate) fn stop_flag() -> Result<Arc<AtomicBool>> {
+/// A flag that Ctrl-C (or a request to terminate) sets; the second one ends the program at once. Without the flag, the
+/// first one does.
+pub(crate) fn stop_flag() -> Arc<AtomicBool> {
+    Arc::clone(STOP.get_or_init(Arc::default))
+}
+
+/// Listens for Ctrl-C, in a thread of its own.
+pub(crate) fn listen() -> Result<()> {
     let failed = |e: std::io::Error| Error::Config(format!("cannot listen for Ctrl-C: {e}"));
     let mut signals = Signals::new([SIGINT, SIGTERM]).map_err(failed)?;
     #[cfg(unix)]
     if !hang_up_is_ignored() {
         signals.add_signal(signal_hook::consts::SIGHUP).map_err(failed)?;
     }
-    let stop = Arc::new(AtomicBool::new(false));
-    let raised = Arc::clone(&stop);
     std::thread::spawn(move || {
         for _ in signals.forever() {
-            if raised.swap(true, Ordering::Relaxed) {
-                end();
+            let Some(stop) = STOP.get() else { end("stopped") };
+            if stop.swap(true, Ordering::Relaxed) {
+                end(AT_ONCE);
             }
             output::note("stopping where the same command can go on; once more to stop at once");
             std::thread::spawn(end_what_does_not_stop);
         }
     });
-    Ok(stop)
+    Ok(())
 }
 
 /// A training under way, which stops after its step.
@@ -78,13 +87,13 @@ fn end_what_does_not_stop() {
             last = Instant::now();
         }
     }
-    end()
+    end(AT_ONCE)
 }
 
-fn end() -> ! {
+fn end(said: &str) -> ! {
     ENDING.store(true, Ordering::Relaxed);
     NewFolder::abandon_all();
-    output::note("stopped at once; the same command goes on from what is written");
+    output::note(said);
     std::process::exit(i32::from(INTERRUPTED))
 }
 

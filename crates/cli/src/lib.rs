@@ -23,7 +23,7 @@ pub fn main() -> ExitCode {
     interrupt::survive_file_limit();
     let arguments = Arguments::parse();
     output::start_logging(arguments.verbosity());
-    let done = threads(arguments.threads).and_then(|()| match &arguments.command {
+    let done = threads(arguments.threads).and_then(|()| interrupt::listen()).and_then(|()| match &arguments.command {
         Command::Run(run) => commands::run(run, arguments.verbosity()),
         Command::Check(check) => commands::check(check, arguments.verbosity()),
         Command::Sweep(sweep) => commands::sweep(sweep, arguments.threads, arguments.verbosity()),

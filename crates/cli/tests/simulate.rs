@@ -152,7 +152,7 @@ fn interrupted(mut child: Child) -> String {
 
 #[test]
 #[cfg(unix)]
-fn ctrl_c_ends_a_run_while_its_data_are_simulated() {
+fn ctrl_c_ends_commands_while_their_data_are_simulated() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     fs::write(folder.join("closet.ron"), SCENE).unwrap();
@@ -160,16 +160,18 @@ fn ctrl_c_ends_a_run_while_its_data_are_simulated() {
     let source = "Simulated(scene: \"closet.ron\", samples: 1_000_000)";
     fs::write(folder.join("small.ron"), crate::common::SMALL.replace(data, source)).unwrap();
     fs::create_dir(folder.join("cache")).unwrap();
-    let mut run = pwrfgs(folder);
-    run.args(["run", "small.ron"]).env("PWRFGS_CACHE", folder.join("cache"));
-    let child = run.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
-    let end = Instant::now() + Duration::from_mins(1);
-    while entries(&folder.join("cache")).is_empty() && Instant::now() < end {
-        std::thread::sleep(Duration::from_millis(20));
+    for (command, words) in [("run", ["stopping where", "the same command goes on"]), ("check", ["stopped"; 2])] {
+        let mut program = pwrfgs(folder);
+        program.args([command, "small.ron"]).env("PWRFGS_CACHE", folder.join("cache"));
+        let child = program.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        let end = Instant::now() + Duration::from_mins(1);
+        while entries(&folder.join("cache")).is_empty() && Instant::now() < end {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        let said = interrupted(child);
+        assert!(words.iter().all(|words| said.contains(words)), "{said}");
+        assert!(entries(&folder.join("cache")).is_empty() && !folder.join("runs").exists(), "{:?}", entries(folder));
     }
-    let said = interrupted(child);
-    assert!(said.contains("stopping where") && said.contains("the same command goes on"), "{said}");
-    assert!(entries(&folder.join("cache")).is_empty() && !folder.join("runs").exists(), "{:?}", entries(folder));
 }
 
 #[test]

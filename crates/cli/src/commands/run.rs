@@ -47,7 +47,7 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
     let recipe = Recipe::read(&file, &arguments.changes.all())?;
     let pipeline = recipe.pipeline();
     let out = arguments.out.clone().or(folder).unwrap_or_else(|| Path::new("runs").join(&pipeline.name));
-    let stop = stop_flag()?;
+    let stop = stop_flag();
     let mut progress = Progress::new(verbosity);
     let outcome = match &recipe {
         Recipe::Pipeline(pipeline) => pwrfgs::run(pipeline, Path::new(""), &out, &mut progress, &stop),

@@ -104,7 +104,7 @@ impl Simulate {
 
 pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<ExitCode> {
     let begun = Instant::now();
-    let stop = stop_flag()?;
+    let stop = stop_flag();
     let (observe, layout) = arguments.wanted()?;
     let recipe =
         Recipe::read(&arguments.scene, arguments.samples, arguments.seed, arguments.points)?.observing(observe)?;

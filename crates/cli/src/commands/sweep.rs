@@ -129,7 +129,7 @@ fn chosen(plan: &Plan, arguments: &Sweep) -> Result<Vec<usize>> {
 
 /// All runs in this process.
 fn here(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<ExitCode> {
-    let stop = stop_flag()?;
+    let stop = stop_flag();
     let board = Table::new(plan, runs.len(), verbosity);
     let ends = execute(plan, runs, jobs, &board, &stop, pwrfgs::PAGE)?;
     board.finish();

@@ -50,7 +50,7 @@ pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<ExitCode> {
         output::note(&format!("{frames} frames in {}", out.display()));
         return Ok(ExitCode::SUCCESS);
     }
-    let stop = stop_flag()?;
+    let stop = stop_flag();
     let ready = |address: &str| {
         // Whoever pipes it wants the address alone.
         _ = output::result(&format!("{address}\n"));
