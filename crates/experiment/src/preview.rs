@@ -23,7 +23,7 @@ pub struct Preview {
     pub points: usize,
     /// Numbers of the network.
     pub weights: usize,
-    /// Settings that cannot do what they are for.
+    /// Warnings of settings without effect.
     pub warnings: Vec<String>,
     /// What a step takes, with the Gaussians it starts from.
     pub estimate: Estimate,

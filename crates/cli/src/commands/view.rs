@@ -15,7 +15,7 @@ use std::process::{Command, ExitCode, Stdio};
 #[derive(Debug, Args)]
 #[command(
     after_long_help = "Prints the address of a page and serves it until Ctrl-C, or until the page is closed. Nobody else can \
-    open it: it listens on this machine alone, on a random port, and the address holds a random word. Nothing is \
+    open it: it listens on this machine alone, on a random port, and the address holds a random token. Nothing is \
     written.\n\nON THE PAGE\n  Drag the transmitter, with Shift by its height; arrow keys move it by 10 cm, Page Up and Down \
     lift it; click a measured one to go there. Drag the room to turn it, scroll to zoom. The slider goes through the training, \
     from its start over every prune step to the end; a run that is still at work is followed.\n\nCOMPARE\n  Two models, or a \
