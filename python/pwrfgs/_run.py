@@ -69,7 +69,9 @@ class Run:
 
     def samples(self) -> List[Dict[str, str]]:
         """Every number of ``samples.csv``: a row a test sample."""
-        return _rows(self._file("samples.csv"))
+        # Names that spreadsheets would compute have one more apostrophe in the file.
+        rows = _rows(self._file("samples.csv"))
+        return [{key: text[1:] if text.startswith("'") else text for key, text in row.items()} for row in rows]
 
     @property
     def curve(self) -> Dict[str, Array]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,12 @@ def test_a_run_is_that_of_the_command_line(run, cli, tmp_path):
     subprocess.run([cli, "run", str(tmp_path / "small.ron"), "--out", str(tmp_path / "r"), "-q"], check=True, capture_output=True)
     ours, theirs = files(run.folder), files(tmp_path / "r")
     assert [name for name in ours if ours[name] != theirs[name]] == []
+
+
+def test_names_of_receivers_are_read_as_they_are(tmp_path):
+    (tmp_path / "samples.csv").write_text("link,id,receiver,x\n0,0,'=n(),-1.5\n1,0,''a,2\n")
+    rows = pwrfgs.Run.samples(SimpleNamespace(_file=lambda name: str(tmp_path / name)))
+    assert [(row["receiver"], row["x"]) for row in rows] == [("=n()", "-1.5"), ("'a", "2")]
 
 
 def test_what_a_run_holds(run):
