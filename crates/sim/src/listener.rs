@@ -159,7 +159,7 @@ impl Listener {
 }
 
 /// The centre of the array, and each element behind it where each is traced; none lies in something.
-pub(crate) fn places(scene: &Scene, receiver: &Receiver, world: &World) -> Result<Vec<DVec3>> {
+fn places(scene: &Scene, receiver: &Receiver, world: &World) -> Result<Vec<DVec3>> {
     let center = DVec3::from(receiver.position);
     world.check_free(center).map_err(|what| {
         let who = receiver.called("the receiver");

@@ -102,10 +102,10 @@ impl RayTracing {
         }
     }
 
-    /// What `make` makes of the scene with its errors. Where a wall moves past the receiver, another draw is taken.
-    fn with_errors<T>(&self, scene: &Scene, make: fn(&Scene) -> Result<T>) -> Result<T> {
+    /// The scene with its errors, made ready. Where a wall moves past the receiver, another draw is taken.
+    fn simulator(&self, scene: &Scene) -> Result<Simulator> {
         if self.is_exact() {
-            return make(scene);
+            return Simulator::new(scene);
         }
         let attempt = |draw| {
             let errors =
@@ -113,7 +113,7 @@ impl RayTracing {
             let wrong = perturbed(scene, &errors);
             match wrong.fault() {
                 Some(fault) => Err(Error::Config(format!("RayTracing: {fault}; lower its errors"))),
-                None => make(&wrong),
+                None => Simulator::new(&wrong),
             }
         };
         (0..DRAWS).find_map(|draw| attempt(draw).ok()).map_or_else(|| attempt(DRAWS), Ok)
@@ -141,17 +141,14 @@ impl Baseline for RayTracing {
     }
 
     fn check_data(&self, data: &Dataset) -> Result<()> {
-        let (scene, _) = self.scene(data)?;
-        wanted(data, &scene)?;
-        receivers(data, &scene)?;
-        self.with_errors(&scene, Simulator::check)
+        self.fit(data, Known::train(&[])).map(|_| ()) // it learns nothing, and reads all that can be missing
     }
 
     fn fit<'a>(&self, data: &'a Dataset, _: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
         let (scene, knows_scene) = self.scene(data)?;
         let what = wanted(data, &scene)?;
         let listeners = receivers(data, &scene)?;
-        let (simulator, note) = (self.with_errors(&scene, Simulator::new)?, self.note(knows_scene, data.kind()));
+        let (simulator, note) = (self.simulator(&scene)?, self.note(knows_scene, data.kind()));
         Ok(Box::new(Traced { simulator, listeners, what, noise: self.noise, seed: self.seed, note, knows_scene }))
     }
 

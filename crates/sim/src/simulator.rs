@@ -1,6 +1,6 @@
 //! `Simulator`: a scene made ready, and what its receivers observe of every transmitter position.
 
-use crate::listener::{Listener, MOST_BYTES, places};
+use crate::listener::{Listener, MOST_BYTES};
 use crate::observe::{Heard, Observe, Observed};
 use crate::patches;
 use crate::path::Path;
@@ -48,23 +48,14 @@ impl Simulator {
     /// A mesh that cannot be read or is not closed where it must be, a receiver inside something, more images or patches
     /// than can be handled.
     pub fn new(scene: &Scene) -> Result<Self> {
-        let (scene, world) = (Arc::new(scene.clone()), Arc::new(geometry(scene)?));
+        let (scene, world) = (Arc::new(scene.clone()), Arc::new(room::world(scene)?));
+        check_patches(&scene, &world)?;
         let mut listeners: Vec<Listener> = Vec::new();
         for receiver in scene.receivers() {
             listeners.push(Listener::new(&scene, receiver, &world)?);
             check_memory(&scene, &listeners)?;
         }
         Ok(Self { scene, world, listeners })
-    }
-
-    /// Checks `scene` without images, whose number and memory [`Self::new`] checks too.
-    ///
-    /// # Errors
-    /// A mesh that cannot be read or is not closed where it must be, a receiver inside something, more patches than can be
-    /// handled.
-    pub(crate) fn check(scene: &Scene) -> Result<()> {
-        let world = geometry(scene)?;
-        scene.receivers().try_for_each(|receiver| places(scene, receiver, &world).map(drop))
     }
 
     /// The scene.
@@ -231,13 +222,6 @@ fn check_memory(scene: &Scene, listeners: &[Listener]) -> Result<()> {
         scene.receivers().count(),
         MOST_BYTES >> 30
     )))
-}
-
-/// The geometry of a scene whose patches can be traced.
-fn geometry(scene: &Scene) -> Result<World> {
-    let world = room::world(scene)?;
-    check_patches(scene, &world)?;
-    Ok(world)
 }
 
 /// Refuses more patches than can be traced in reasonable time.

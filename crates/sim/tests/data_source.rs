@@ -245,34 +245,6 @@ fn ray_tracing_in_the_exact_scene_is_the_generator() {
 }
 
 #[test]
-fn ray_tracing_is_checked_without_images() {
-    let folder = tempfile::tempdir().unwrap();
-    file(folder.path(), "small.ron", &scene_text(""));
-    let source: Plugin<dyn DataSource> =
-        Plugin::parse("Simulated(scene: \"small.ron\", samples: 5, points: 100, cache: false)").unwrap();
-    let data = source.load(folder.path(), &|_, _| {}).unwrap();
-    let baseline = |text: &str, errors: &str| {
-        let scene = file(folder.path(), "other.ron", text);
-        Plugin::<dyn Baseline>::parse(&format!("RayTracing(scene: {scene:?}, {errors})")).unwrap()
-    };
-    // Images for each of 1,024 antennas are too many for the memory, which takes long to count.
-    let many = scene_text("propagation: (order: 7),")
-        .replace("rows: 4, columns: 4", "rows: 32, columns: 32, wavefront: Traced")
-        .replace("(0.2, 1.5, 1.5)", "(0.7, 1.5, 1.25)");
-    baseline(&many, "").check_data(&data).unwrap();
-    assert!(baseline(&many, "").fit(&data, Known::default()).is_err());
-    let inside = scene_text("").replace("(0.2, 1.5, 1.5)", "(1.5, 1.5, 0.5)");
-    let mesh = "objects: [Mesh(name: \"m\", file: \"missing.obj\", finish: (material: \"metal\")), ";
-    for (text, why) in [(inside, "inside"), (scene_text("").replace("objects: [", mesh), "missing.obj")] {
-        for errors in ["", "material_error: 0.1, position_error_m: 0.01"] {
-            let said = baseline(&text, errors).check_data(&data).unwrap_err().to_string();
-            assert!(said.contains(why), "{said}");
-            assert_eq!(baseline(&text, errors).fit(&data, Known::default()).err().unwrap().to_string(), said);
-        }
-    }
-}
-
-#[test]
 fn mistakes_in_a_scene_are_told_with_their_place() {
     let folder = tempfile::tempdir().unwrap();
     let told = |text: &str| {
