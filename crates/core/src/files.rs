@@ -239,18 +239,13 @@ fn write_beside(path: &Path, bytes: &[u8], publish: impl FnOnce(&File, &Path) ->
     Ok(file)
 }
 
-/// Removes the temporary files of `path` that killed processes left. The caller holds a lock without which no process
-/// replaces the file. A file that cannot be removed does no harm.
-pub fn remove_temporaries(path: &Path) {
-    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+/// Removes what killed processes left in `folder` of the files `names` while they wrote them, `.run.json.123.tmp` say. The
+/// caller holds a lock without which no process writes them. A file that cannot be removed does no harm.
+pub fn remove_temporaries(folder: &Path, names: &[&str]) {
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let found = entry.file_name().to_string_lossy().into_owned();
-        let parts = found
-            .strip_prefix('.')
-            .and_then(|found| found.strip_suffix(".tmp"))
-            .and_then(|found| found.rsplit_once('.'));
-        if parts.is_some_and(|(stem, number)| stem == name && number.parse::<u32>().is_ok()) {
+        let parts = found.strip_prefix('.').and_then(|found| found.strip_suffix(".tmp")?.rsplit_once('.'));
+        if parts.is_some_and(|(name, number)| names.contains(&name) && number.bytes().all(|b| b.is_ascii_digit())) {
             _ = fs::remove_file(entry.path());
         }
     }

@@ -211,13 +211,7 @@ fn same_recipe(folder: &Path, file: &Path, theirs: &str, ours: &Recipe) -> Resul
 fn remove_leftovers(folder: &Path) {
     let own = [PIPELINE, CHECKPOINT, MODEL_FILE, START_SNAPSHOT, UNPRUNED_SNAPSHOT, CURVE, VALIDATION, SCORES, SAMPLES];
     let own = [&own[..], &[CONFIDENCE, REPORT, FACTS], &PRUNED_SNAPSHOTS].concat();
-    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
-        let name = entry.file_name().to_string_lossy().into_owned();
-        let stem = name.strip_prefix('.').and_then(|n| n.strip_suffix(".tmp")).and_then(|n| n.rsplit_once('.'));
-        if stem.is_some_and(|(file, process)| own.contains(&file) && process.bytes().all(|b| b.is_ascii_digit())) {
-            _ = std::fs::remove_file(entry.path());
-        }
-    }
+    files::remove_temporaries(folder, &own);
 }
 
 #[cfg(test)]

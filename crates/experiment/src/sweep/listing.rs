@@ -133,7 +133,7 @@ impl Listing {
                 // Replaced, and then locked anew.
                 Some(there) if there != *self && there.missing_in(self).is_none() => self.write(folder)?,
                 Some(_) => {
-                    files::remove_temporaries(&path);
+                    files::remove_temporaries(folder, &[LISTING]);
                     return Ok(lock);
                 }
                 None => {}
