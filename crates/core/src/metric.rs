@@ -121,7 +121,7 @@ pub struct StageTimes {
     pub blending: f64,
     /// All of it, from position to picture.
     pub total: f64,
-    /// What no transmitter changes, computed once before the first prediction and not in the total.
+    /// What no transmitter changes, computed once before the first prediction and not in the total; seconds, as all others.
     pub prepare: f64,
 }
 
