@@ -82,7 +82,7 @@ pub fn run(
     observer: &mut dyn Observer,
     stop: &AtomicBool,
 ) -> Result<experiment::Outcome> {
-    experiment::run(pipeline, base, out, observer, stop, PAGE)
+    experiment::run(pipeline, base, out, &mut experiment::Session { observer, stop, page: PAGE })
 }
 
 /// [`experiment::ensemble::run_team`] with the report that this build has.
@@ -97,7 +97,8 @@ pub fn run_team(
     observer: &mut dyn Observer,
     stop: &AtomicBool,
 ) -> Result<experiment::Outcome> {
-    experiment::ensemble::run_team(team, out, jobs, board, observer, stop, PAGE)
+    let session = &mut experiment::Session { observer, stop, page: PAGE };
+    experiment::ensemble::run_team(team, out, jobs, board, session)
 }
 
 /// What a plugin or a small program needs.

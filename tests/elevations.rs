@@ -1,6 +1,7 @@
 //! Pictures of other elevations than 0 to 90 degrees: a full sphere trains, and nobody reads it as half of one.
 
 use crate::common::pipeline;
+use pwrfgs::experiment::Session;
 use pwrfgs::model::file;
 use pwrfgs::prelude::*;
 
@@ -72,9 +73,9 @@ fn who_cannot_draw_or_has_not_learnt_the_elevations_says_so() {
     let pipeline = pipeline(&format!("initializer: Grid(count: 8), {SETTINGS}"));
     let half = sphere(Elevation::UPPER);
     let model = Trainer::new(&pipeline, &half, &partition).unwrap().model();
-    let stop = std::sync::atomic::AtomicBool::new(false);
-    let said =
-        pwrfgs::experiment::evaluate(&Ensemble::of(model.clone()), &pipeline, &data, &partition, &mut Silent, &stop);
+    let (ensemble, mut silent) = (Ensemble::of(model.clone()), Silent);
+    let session = &mut Session::new(&mut silent);
+    let said = pwrfgs::experiment::evaluate(&ensemble, &pipeline, &data, &partition, session);
     let said = said.unwrap_err().to_string();
     assert!(
         said.contains("draws elevations of 0 to 90 degrees and the spectra of the data are of -90 to 90"),

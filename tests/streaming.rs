@@ -3,11 +3,10 @@
 
 use crate::common::plugin;
 use pwrfgs::core::Scope;
-use pwrfgs::experiment::Bench;
+use pwrfgs::experiment::{Bench, Session};
 use pwrfgs::metrics::{L1, Ssim};
 use pwrfgs::prelude::*;
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
 
 /// How many predictions it is shown: one number a sample, or one in all.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -46,7 +45,7 @@ fn scores(data: &Dataset, part: &[usize], metrics: &[&str]) -> Result<Vec<Measur
     let metrics: Vec<Plugin<dyn Metric>> = metrics.iter().map(|text| plugin(text)).collect();
     let known: Vec<usize> = (0..50).collect();
     let fitted = plugin::<dyn Baseline>("NearestNeighbours()").fit(data, Known::train(&known))?;
-    Bench::new(data, part, &plane).baseline("3-NN", &*fitted, &metrics, &mut Silent, &AtomicBool::new(false))
+    Bench::new(data, part, &plane).baseline("3-NN", &*fitted, &metrics, &mut Session::new(&mut Silent))
 }
 
 #[test]

@@ -4,13 +4,12 @@
 use crate::mutate::Form;
 use pwrfgs::experiment::export::{npz, ply};
 use pwrfgs::experiment::sweep::Plan;
-use pwrfgs::experiment::{load, read_pipeline};
+use pwrfgs::experiment::{Session, load, read_pipeline};
 use pwrfgs::model::file;
 use pwrfgs::prelude::*;
 use pwrfgs::report::{Options, Study};
 use std::fs;
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
 
 /// A file and who reads it.
 #[derive(Clone, Copy, Debug)]
@@ -233,7 +232,7 @@ fn resumed(bench: &Path) -> Result<()> {
         fs::copy(entry.path(), again.join(entry.file_name())).map_err(|e| Error::write(&again, e))?;
     }
     let pipeline = read_pipeline(&bench.join("p.ron"), &[])?;
-    pwrfgs::experiment::run(&pipeline, bench, &again, &mut Silent, &AtomicBool::new(false), None).map(drop)
+    pwrfgs::experiment::run(&pipeline, bench, &again, &mut Session::new(&mut Silent)).map(drop)
 }
 
 fn read_back(bench: &Path) -> Result<()> {

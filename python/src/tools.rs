@@ -2,6 +2,7 @@
 
 use crate::border::{raised, waited, wrong};
 use crate::run::Nobody;
+use pwrfgs::experiment::Session;
 use pwrfgs::experiment::sweep::{Fate, Plan, check, execute};
 use pwrfgs::prelude::Silent;
 use pwrfgs::report::{Options, Study, write};
@@ -70,7 +71,7 @@ pub(crate) fn sweep(
     let runs: Vec<usize> = (0..plan.runs.len()).collect();
     let work = |_: std::sync::mpsc::SyncSender<()>, stop: &std::sync::atomic::AtomicBool| {
         check(&plan, &runs, &mut Silent)?;
-        let ends = execute(&plan, &runs, jobs, &Nobody, stop, pwrfgs::PAGE)?;
+        let ends = execute(&plan, &runs, jobs, &Nobody, &Session { observer: &mut Silent, stop, page: pwrfgs::PAGE })?;
         let whole = ends.len() == runs.len() && ends.iter().all(|(_, fate)| matches!(fate, Fate::Finished { .. }));
         if whole {
             let _held = plan.claim()?;

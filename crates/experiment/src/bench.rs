@@ -3,8 +3,8 @@
 //! Predictions and spectra of a chunk are held together, those of the whole part never (unless a metric asks for that),
 //! so that memory does not grow with the number of samples.
 
-use crate::evaluate::go_on;
-use crate::observer::{Observer, staged};
+use crate::observer::staged;
+use crate::session::{Session, check_stopped};
 use pwrfgs_core::{
     Dataset, Error, Evaluation, Image, ImagePlane, Link, Measurement, Metric, ModelFacts, Plugin, Predict, Progress,
     Query, Result, Scope, StageTimes, Values,
@@ -71,8 +71,7 @@ impl<'a> Bench<'a> {
         model: &Prepared<'_>,
         facts: Option<ModelFacts<'_>>,
         metrics: &[Plugin<dyn Metric>],
-        observer: &mut dyn Observer,
-        stop: &AtomicBool,
+        session: &mut Session<'_>,
     ) -> Result<Vec<Measurement>> {
         let timed = |query: Query<'_>| model.predict_timed(query).1;
         let subject = Subject {
@@ -84,7 +83,7 @@ impl<'a> Bench<'a> {
             facts,
             timed: facts.is_some().then_some(&timed),
         };
-        self.measure(name, subject, metrics, observer, stop)
+        self.measure(name, subject, metrics, session)
     }
 
     /// Every measurement of a baseline called `name`.
@@ -96,8 +95,7 @@ impl<'a> Bench<'a> {
         name: &str,
         fitted: &dyn Predict,
         metrics: &[Plugin<dyn Metric>],
-        observer: &mut dyn Observer,
-        stop: &AtomicBool,
+        session: &mut Session<'_>,
     ) -> Result<Vec<Measurement>> {
         let timed = |query: Query<'_>| {
             let begun = Instant::now();
@@ -112,7 +110,7 @@ impl<'a> Bench<'a> {
             };
             queries.par_iter().map(one).collect()
         };
-        self.measure(name, Subject { predict: &predict, facts: None, timed: Some(&timed) }, metrics, observer, stop)
+        self.measure(name, Subject { predict: &predict, facts: None, timed: Some(&timed) }, metrics, session)
     }
 
     /// Every measurement of one called `name`, in the order of `metrics`.
@@ -121,13 +119,13 @@ impl<'a> Bench<'a> {
         name: &str,
         subject: Subject<'_>,
         metrics: &[Plugin<dyn Metric>],
-        observer: &mut dyn Observer,
-        stop: &AtomicBool,
+        session: &mut Session<'_>,
     ) -> Result<Vec<Measurement>> {
         let mut found: Vec<Vec<Measurement>> = vec![Vec::new(); metrics.len()];
         let together = metrics.iter().any(|m| m.scope() == Scope::All);
         let (mut predictions, mut truths) = (Vec::new(), Vec::new());
-        staged(observer, &format!("predicting with {name}"), |progress| {
+        let stop = session.stop;
+        staged(session.observer, &format!("predicting with {name}"), |progress| {
             self.chunks(subject, stop, progress, &mut |some, of_them, links| {
                 refuse_infinite(name, &some)?;
                 let seen = self.seen(&some, &of_them, links, subject.facts, None);
@@ -141,7 +139,7 @@ impl<'a> Bench<'a> {
                 Ok(())
             })
         })?;
-        go_on(stop)?;
+        session.check_stopped()?;
         // One link after the other is timed.
         let next = Cell::new(0);
         let timed = |one: &dyn Fn(Query<'_>) -> StageTimes| {
@@ -150,7 +148,7 @@ impl<'a> Bench<'a> {
         };
         let timed = subject.timed.map(|one| move || timed(one));
         let timed = timed.as_ref().map(|timed| timed as &dyn Fn() -> StageTimes);
-        staged(observer, &format!("scoring {name}"), |progress| {
+        staged(session.observer, &format!("scoring {name}"), |progress| {
             for (k, (found, metric)) in found.iter_mut().zip(metrics).enumerate() {
                 match metric.scope() {
                     Scope::All => {
@@ -183,7 +181,7 @@ impl<'a> Bench<'a> {
         let done = AtomicUsize::new(0);
         let tell = |more: usize| progress(done.fetch_add(more, Ordering::Relaxed) + more, self.part.len());
         for (part, links) in self.part.chunks(size).zip(self.links.chunks(size)) {
-            go_on(stop)?;
+            check_stopped(stop)?;
             let queries: Vec<Query<'_>> = part.iter().map(|&i| self.data.query(i)).collect();
             let predictions = (subject.predict)(&queries, &tell);
             let truths = part.par_iter().map(|&i| self.data.image(i)).collect();

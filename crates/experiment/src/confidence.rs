@@ -1,12 +1,12 @@
 //! Confidence: whether the members of an ensemble differ where their mean is wrong.
 
-use crate::evaluate::go_on;
-use crate::observer::{Observer, staged};
+use crate::observer::staged;
+use crate::session::{Session, check_stopped};
 use crate::text::Lines;
 use pwrfgs_core::{Dataset, Image, Kind, Result};
 use pwrfgs_model::Prepared;
 use rayon::prelude::*;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Test spectra that are predicted together.
 const CHUNK: usize = 64;
@@ -26,15 +26,10 @@ impl Confidence {
     /// Of the samples `part`.
     ///
     /// # Errors
-    /// A spectrum that cannot be read; [`pwrfgs_core::Error::Stopped`] once `stop` is set.
-    pub fn measure(
-        model: &Prepared<'_>,
-        data: &Dataset,
-        part: &[usize],
-        observer: &mut dyn Observer,
-        stop: &AtomicBool,
-    ) -> Result<Self> {
-        staged(observer, "measuring the spread of members", |progress| {
+    /// A spectrum that cannot be read; [`pwrfgs_core::Error::Stopped`] once the session is.
+    pub fn measure(model: &Prepared<'_>, data: &Dataset, part: &[usize], session: &mut Session<'_>) -> Result<Self> {
+        let stop = session.stop;
+        staged(session.observer, "measuring the spread of members", |progress| {
             let mut all = Self { ids: part.iter().map(|&i| data.label(i)).collect(), ..Self::default() };
             let done = AtomicUsize::new(0);
             let of = |&i: &usize| {
@@ -45,7 +40,7 @@ impl Confidence {
                 pair
             };
             for chunk in part.chunks(CHUNK) {
-                go_on(stop)?;
+                check_stopped(stop)?;
                 let pairs: Vec<(f64, f64)> = chunk.par_iter().map(of).collect();
                 all.spreads.extend(pairs.iter().map(|pair| pair.0));
                 all.errors.extend(pairs.iter().map(|pair| pair.1));

@@ -7,16 +7,16 @@ use crate::ceiling::{Ceiling, ceiling};
 use crate::confidence::Confidence;
 use crate::examples::{self, Example};
 use crate::headline::headline;
-use crate::observer::{Observer, Silent};
+use crate::observer::Silent;
 use crate::paired::Paired;
 use crate::scores::{MODEL, Scores};
+use crate::session::Session;
 use crate::validation;
 use pwrfgs_core::{
     Dataset, Error, Kind, Measurement, ModelFacts, Observations, Partition, Result, Values, words::clean,
 };
 use pwrfgs_model::{Ensemble, Prepared};
 use pwrfgs_train::Pipeline;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Scores, and a few of the predictions that they were computed from.
 #[derive(Debug)]
@@ -33,14 +33,13 @@ pub struct Assessment {
 ///
 /// # Errors
 /// Where the model draws pictures of another size than the data hold, or a metric or baseline refuses;
-/// [`Error::Stopped`] once `stop` is set.
+/// [`Error::Stopped`] once the session is.
 pub fn evaluate(
     model: &Ensemble,
     pipeline: &Pipeline,
     data: &Dataset,
     partition: &Partition,
-    observer: &mut dyn Observer,
-    stop: &AtomicBool,
+    session: &mut Session<'_>,
 ) -> Result<Assessment> {
     let (ensemble, model, plane) = (model, &model.prepare(), model.plane());
     check_alike(model, data)?;
@@ -52,15 +51,15 @@ pub fn evaluate(
         )));
     }
     let test = Bench::new(data, &partition.test, plane);
-    let score = |ensemble: &Ensemble, ready: &Prepared<'_>, name: &str, observer: &mut dyn Observer| {
+    let score = |ensemble: &Ensemble, ready: &Prepared<'_>, name: &str, session: &mut Session<'_>| {
         let facts = ModelFacts {
             means: &ensemble.means_from(data.scene.origin),
             gaussian_bytes: ensemble.gaussian_bytes(),
             network_bytes: ensemble.network_bytes(),
         };
-        test.model(name, ready, Some(facts), &pipeline.metrics, observer, stop)
+        test.model(name, ready, Some(facts), &pipeline.metrics, session)
     };
-    let own = score(ensemble, model, "the model", observer)?;
+    let own = score(ensemble, model, "the model", session)?;
     let headline = headline(data.kind());
     let of_each = |measured: &[Measurement]| first(measured, headline.key).map(<[f64]>::to_vec);
     let values = if let Some(values) = of_each(&own) {
@@ -68,7 +67,14 @@ pub fn evaluate(
     } else {
         // The pipeline does not ask for it, but a report shows examples by it.
         let metrics = validation::metrics(data.kind()).unwrap_or_default();
-        of_each(&test.model("the model", model, None, &metrics, &mut Silent, stop)?).unwrap_or_default()
+        of_each(&test.model(
+            "the model",
+            model,
+            None,
+            &metrics,
+            &mut Session { stop: session.stop, ..Session::new(&mut Silent) },
+        )?)
+        .unwrap_or_default()
     };
     let examples = examples::choose(model, data, &partition.test, &values, headline.higher)?;
     let mut predictors = vec![(MODEL.to_owned(), own)];
@@ -77,23 +83,23 @@ pub fn evaluate(
         for (name, member) in ensemble.names().iter().zip(ensemble.members()) {
             let name = format!("member {name}");
             let member = Ensemble::of(member.clone());
-            let scores = score(&member, &member.prepare(), &name, observer)?;
+            let scores = score(&member, &member.prepare(), &name, session)?;
             predictors.push((name.clone(), scores));
             members.push(name);
         }
-        confidence = Some(Confidence::measure(model, data, &partition.test, observer, stop)?);
+        confidence = Some(Confidence::measure(model, data, &partition.test, session)?);
     }
     let (mut notes, mut bounds): (Vec<String>, Vec<String>) = Default::default();
     for baseline in &pipeline.baselines {
-        go_on(stop)?;
+        session.check_stopped()?;
         let fitted = baseline.fit(data, partition.known())?;
         let name = baseline.name_for(data.kind());
-        let measured = test.baseline(&name, &*fitted, &pipeline.metrics, observer, stop)?;
+        let measured = test.baseline(&name, &*fitted, &pipeline.metrics, session)?;
         bounds.extend(fitted.knows_scene().then(|| name.clone()));
         predictors.push((name, measured));
         notes.extend(fitted.note().filter(|note| !notes.contains(note)));
     }
-    let Ceiling { of: ceiling, notes: said } = ceiling(data, partition, &pipeline.metrics, stop)?;
+    let Ceiling { of: ceiling, notes: said } = ceiling(data, partition, &pipeline.metrics, session.stop)?;
     notes.extend(said);
     let ids = partition.test.iter().map(|&i| data.label(i)).collect();
     let trained_on = [partition.train.len(), partition.known().all().len()];
@@ -159,9 +165,4 @@ fn first<'a>(measured: &'a [Measurement], key: &str) -> Option<&'a [f64]> {
         Values::PerSample(values) => Some(values.as_slice()),
         _ => None,
     })
-}
-
-/// [`Error::Stopped`] once `stop` is set.
-pub(crate) fn go_on(stop: &AtomicBool) -> Result<()> {
-    if stop.load(Ordering::Relaxed) { Err(Error::Stopped) } else { Ok(()) }
 }

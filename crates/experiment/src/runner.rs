@@ -12,8 +12,9 @@ use crate::journal::{Journal, note_scores};
 use crate::observer::{Observer, Start, staged};
 use crate::preview::{fitting, fitting_network};
 use crate::recipe::Recipe;
-use crate::results::{Page, Results};
+use crate::results::Results;
 use crate::scores::ScoreTable;
+use crate::session::Session;
 use crate::snapshot::Snapshot;
 use crate::{clock, validation};
 use pwrfgs_core::files::{self, write_atomically};
@@ -21,7 +22,7 @@ use pwrfgs_core::{Dataset, Error, GaussianCloud, Partition, Result, evenly};
 use pwrfgs_model::{Ensemble, Model, file};
 use pwrfgs_train::{Estimate, Pipeline, Pruned, Trainer};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 /// How a run ended.
@@ -44,20 +45,13 @@ pub enum Outcome {
 }
 
 /// Runs `pipeline`, whose relative paths are relative to `base`, in the folder `out`; stops at the next step
-/// once `stop` is set, or, trained, before the next chunk of predictions, before scoring them, or at the next baseline.
-/// `page` makes the report; without it there is none.
+/// once the session is stopped, or, trained, before the next chunk of predictions, before scoring them, or at the next
+/// baseline.
 ///
 /// # Errors
 /// Wrong input, before anything is written; a folder that cannot be written; numbers that leave the finite range. Files
 /// written so far stay intact.
-pub fn run(
-    pipeline: &Pipeline,
-    base: &Path,
-    out: &Path,
-    observer: &mut dyn Observer,
-    stop: &AtomicBool,
-    page: Option<Page>,
-) -> Result<Outcome> {
+pub fn run(pipeline: &Pipeline, base: &Path, out: &Path, session: &mut Session<'_>) -> Result<Outcome> {
     let begun = Instant::now();
     let mut pipeline = pipeline.clone();
     rebase(&mut pipeline, base);
@@ -65,7 +59,7 @@ pub fn run(
     pipeline.check_text()?;
     let recipe = Recipe::Pipeline(Box::new(pipeline.clone()));
     loop {
-        let mut attempt = Attempt { pipeline: &pipeline, recipe: &recipe, base, out, observer, stop, page, begun };
+        let mut attempt = Attempt { pipeline: &pipeline, recipe: &recipe, base, out, session, begun };
         if let Some(end) = attempt.run()? {
             return Ok(end);
         }
@@ -73,37 +67,35 @@ pub fn run(
 }
 
 /// A run in a folder that other processes may claim too.
-struct Attempt<'a> {
+struct Attempt<'a, 's> {
     pipeline: &'a Pipeline,
     recipe: &'a Recipe,
     base: &'a Path,
     out: &'a Path,
-    observer: &'a mut dyn Observer,
-    stop: &'a AtomicBool,
-    page: Option<Page>,
+    session: &'a mut Session<'s>,
     begun: Instant,
 }
 
-impl Attempt<'_> {
+impl Attempt<'_, '_> {
     /// The end of the run; nothing if another process has begun it meanwhile: then what it left counts.
     fn run(&mut self) -> Result<Option<Outcome>> {
-        let Self { pipeline, recipe, out, stop, page, begun, .. } = *self;
+        let Self { pipeline, recipe, out, begun, .. } = *self;
+        let reported = self.session.page.is_some();
         RunFolder::inspect(out, recipe)?;
-        if let Some(end) = ended(out, recipe, page)? {
+        if let Some(end) = ended(out, recipe, reported)? {
             // What has ended may have been begun since, by another process with another pipeline.
             return RunFolder::inspect(out, recipe).map(|()| Some(end));
         }
         // What earlier starts left is read by the process that holds it: another one would write on.
         let held = out.join(PIPELINE).exists().then(|| RunFolder::claim(out, recipe)).transpose()?;
         if let Some(folder) = &held
-            && let Some(end) = folder.settle(ended(folder.path(), recipe, page))?
+            && let Some(end) = folder.settle(ended(folder.path(), recipe, reported))?
         {
             return Ok(Some(end));
         }
-        let (data, partition) = load(pipeline, self.base, self.observer)?;
+        let (data, partition) = load(pipeline, self.base, self.session.observer)?;
         check_scoring(pipeline, &data)?;
-        let observer = &mut *self.observer;
-        let mut work = Run { pipeline, data: &data, partition: &partition, observer, stop, page, begun };
+        let mut work = Run { pipeline, data: &data, partition: &partition, session: self.session, begun };
         // Made before a new folder is claimed: settings that cannot work must leave nothing behind.
         let trainer = match &held {
             Some(folder) if folder.file(MODEL_FILE).is_file() => None,
@@ -128,8 +120,8 @@ impl Attempt<'_> {
 ///
 /// # Errors
 /// A file that is damaged or missing.
-pub(crate) fn ended(out: &Path, recipe: &Recipe, page: Option<Page>) -> Result<Option<Outcome>> {
-    let Some((scores, facts)) = finished(out, recipe, page)? else { return Ok(None) };
+pub(crate) fn ended(out: &Path, recipe: &Recipe, reported: bool) -> Result<Option<Outcome>> {
+    let Some((scores, facts)) = finished(out, recipe, reported)? else { return Ok(None) };
     facts.verify(out)?;
     Ok(Some(Outcome::Finished { scores, already: true }))
 }
@@ -152,9 +144,9 @@ pub fn load(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Re
 }
 
 /// Scores and facts of the run of `recipe` in `out`, if nothing is left to do: trained, scored as the recipe says, and
-/// reported where there is a `page`.
-pub(crate) fn finished(out: &Path, recipe: &Recipe, page: Option<Page>) -> Result<Option<(ScoreTable, Facts)>> {
-    let done = Facts::finished(out)?.filter(|(_, facts)| facts.report || page.is_none());
+/// `reported` if that is asked for.
+pub(crate) fn finished(out: &Path, recipe: &Recipe, reported: bool) -> Result<Option<(ScoreTable, Facts)>> {
+    let done = Facts::finished(out)?.filter(|(_, facts)| facts.report || !reported);
     Ok(done.filter(|_| RunFolder::is_scored_as(out, recipe)))
 }
 
@@ -200,17 +192,15 @@ pub(crate) fn absolute(base: &Path, path: &Path) -> PathBuf {
     joined.canonicalize().or_else(|_| std::path::absolute(&joined)).unwrap_or(joined)
 }
 
-struct Run<'a> {
+struct Run<'a, 's> {
     pipeline: &'a Pipeline,
     data: &'a Dataset,
     partition: &'a Partition,
-    observer: &'a mut dyn Observer,
-    stop: &'a AtomicBool,
-    page: Option<Page>,
+    session: &'a mut Session<'s>,
     begun: Instant,
 }
 
-impl<'a> Run<'a> {
+impl<'a> Run<'a, '_> {
     /// Trains what is left, unless the model is there (then there is no trainer), and scores it.
     fn end(
         &mut self,
@@ -253,8 +243,8 @@ impl<'a> Run<'a> {
         };
         let trainer = match restored {
             Some(trainer) => trainer,
-            None => staged(self.observer, "initialising", |progress| {
-                Trainer::begin(self.pipeline, self.data, self.partition, progress, self.stop)
+            None => staged(self.session.observer, "initialising", |progress| {
+                Trainer::begin(self.pipeline, self.data, self.partition, progress, self.session.stop)
             })?,
         };
         let estimate = fitting(&trainer)?;
@@ -284,7 +274,7 @@ impl<'a> Run<'a> {
         let (steps, earlier) = (settings.steps, facts.wall_seconds);
         let mut journal = Journal::open(folder, self.pipeline, self.data.kind(), trainer.done())?;
         let looked_at = evenly(&self.partition.validation, settings.validation_samples);
-        self.observer.on_start(&Start {
+        self.session.observer.on_start(&Start {
             folder: folder.name(),
             title: &self.data.title,
             kind: self.data.kind(),
@@ -299,13 +289,13 @@ impl<'a> Run<'a> {
         };
         if trainer.done() == 0 {
             let named = |warning: &String| format!("{}: {warning}", folder.name().display());
-            trainer.warnings().iter().for_each(|warning| self.observer.on_warning(&named(warning)));
+            trainer.warnings().iter().for_each(|warning| self.session.observer.on_warning(&named(warning)));
             write(START_SNAPSHOT, 0, trainer.cloud(), trainer.births(), trainer.gates())?;
         }
         // A file that an earlier start left is of the same events: nothing smaller is worth another.
         let mut fullest = Snapshot::read(&folder.file(UNPRUNED_SNAPSHOT))?.map_or(0, |before| before.means.len());
         while !trainer.finished() {
-            let stopped = self.stop.load(Ordering::Relaxed);
+            let stopped = self.session.stop.load(Ordering::Relaxed);
             if !stopped {
                 let begun = Instant::now();
                 let report = trainer.step().inspect_err(|_| self.kept(folder))?;
@@ -324,9 +314,9 @@ impl<'a> Run<'a> {
                 if look && !looked_at.is_empty() {
                     let seen = validation::validate(report.step, &trainer.model(), self.data, &looked_at)?;
                     journal.validation(&seen)?;
-                    self.observer.on_validation(&seen);
+                    self.session.observer.on_validation(&seen);
                 }
-                self.observer.on_step(&report);
+                self.session.observer.on_step(&report);
                 facts.gaussians = report.gaussians;
             }
             let step = trainer.done();
@@ -347,7 +337,7 @@ impl<'a> Run<'a> {
         if prunes && fullest == 0 && !model.cloud.is_empty() {
             let (folder, n) = (folder.name().display(), model.cloud.len());
             let what = format!("{folder}: nothing was pruned: {n} Gaussians remain, and no pruner has removed any");
-            self.observer.on_warning(&what);
+            self.session.observer.on_warning(&what);
         }
         file::write(&folder.file(MODEL_FILE), &model)?;
         Ok(Some(model))
@@ -357,25 +347,29 @@ impl<'a> Run<'a> {
     fn kept(&mut self, folder: &RunFolder) {
         if folder.file(CHECKPOINT).is_file() {
             let path = folder.name().join(CHECKPOINT);
-            self.observer.on_message(&format!("the last checkpoint is kept in {}", path.display()));
+            self.session.observer.on_message(&format!("the last checkpoint is kept in {}", path.display()));
         }
     }
 
     /// Scores the model on the test part (unless it is asked to stop) and writes scores, samples, report and facts.
     fn assess(&mut self, model: &Model, folder: &RunFolder, facts: &mut Facts) -> Result<ScoreTable> {
         let (earlier, begun) = (facts.wall_seconds, Instant::now());
-        self.observer.on_message(&format!("scoring {} test {}", self.partition.test.len(), self.data.kind().counted()));
+        self.session.observer.on_message(&format!(
+            "scoring {} test {}",
+            self.partition.test.len(),
+            self.data.kind().counted()
+        ));
         let ensemble = Ensemble::of(model.clone());
-        let assessment = evaluate(&ensemble, self.pipeline, self.data, self.partition, self.observer, self.stop)?;
+        let assessment = evaluate(&ensemble, self.pipeline, self.data, self.partition, self.session)?;
         let plane = &model.stages.plane;
-        let floors = validation::floors(self.pipeline, plane, self.data, self.partition, self.observer, self.stop)?;
+        let floors = validation::floors(self.pipeline, plane, self.data, self.partition, self.session)?;
         let scores = assessment.scores.table();
         facts.steps = self.pipeline.training.steps;
         facts.gaussians = model.cloud.len();
         facts.scores = Some(scores.clone());
         facts.wall_seconds = earlier + begun.elapsed().as_secs_f64();
         facts.finished = Some(clock::now());
-        facts.report = self.page.is_some();
+        facts.report = self.session.page.is_some();
         facts.note_memory(); // here, so that the report tells what run.json tells
         let results = Results {
             pipeline: self.pipeline,
@@ -388,11 +382,11 @@ impl<'a> Run<'a> {
             training: Some(folder.path()),
             floors,
         };
-        results.write(folder.path(), self.page)?;
+        results.write(folder.path(), self.session.page)?;
         note_scores(folder, self.pipeline, &scores)?;
         facts.seal(folder.path())?;
         facts.write(folder.path())?;
-        self.observer.on_evaluation(&scores);
+        self.session.observer.on_evaluation(&scores);
         Ok(scores)
     }
 }

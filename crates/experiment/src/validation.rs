@@ -1,17 +1,16 @@
 //! The look at the validation part while training, and the floors on the very same samples.
 
 use crate::bench::Bench;
-use crate::evaluate::go_on;
 use crate::headline::headline;
-use crate::observer::{Observer, Silent, Validation};
+use crate::observer::{Silent, Validation};
 use crate::scores::Summary;
+use crate::session::Session;
 use pwrfgs_core::plugin::default_of;
 use pwrfgs_core::{
     Dataset, Error, ImagePlane, Kind, Known, Measurement, Metric, Partition, Plugin, Result, Values, evenly,
 };
 use pwrfgs_model::Model;
 use pwrfgs_train::Pipeline;
-use std::sync::atomic::AtomicBool;
 
 /// Header of `validation.csv`.
 pub(crate) fn header(kind: Kind) -> String {
@@ -46,22 +45,20 @@ fn row(step: u64, kind: Kind, measured: &[Measurement]) -> Validation {
 /// Looks at the samples `part`.
 pub(crate) fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize]) -> Result<Validation> {
     let bench = Bench::new(data, part, &model.stages.plane);
-    let never = AtomicBool::new(false);
     let (kind, model) = (data.kind(), &model.prepare());
-    Ok(row(step, kind, &bench.model("the model", model, None, &metrics(kind)?, &mut Silent, &never)?))
+    Ok(row(step, kind, &bench.model("the model", model, None, &metrics(kind)?, &mut Session::new(&mut Silent))?))
 }
 
 /// What each baseline, having seen the training part alone, reaches on the samples that validation looks at.
 ///
 /// # Errors
-/// Where a baseline or a metric refuses; [`pwrfgs_core::Error::Stopped`] once `stop` is set.
+/// Where a baseline or a metric refuses; [`pwrfgs_core::Error::Stopped`] once the session is.
 pub(crate) fn floors(
     pipeline: &Pipeline,
     plane: &ImagePlane,
     data: &Dataset,
     partition: &Partition,
-    observer: &mut dyn Observer,
-    stop: &AtomicBool,
+    session: &mut Session<'_>,
 ) -> Result<Vec<(String, Validation)>> {
     let part = evenly(&partition.validation, pipeline.training.validation_samples);
     if part.is_empty() || pipeline.training.validate_every == 0 {
@@ -70,10 +67,10 @@ pub(crate) fn floors(
     let bench = Bench::new(data, &part, plane);
     let metrics = metrics(data.kind())?;
     let floor = |b: &Plugin<dyn pwrfgs_core::Baseline>| {
-        go_on(stop)?;
+        session.check_stopped()?;
         let fitted = b.fit(data, Known::train(&partition.train))?;
         let name = b.name_for(data.kind());
-        let measured = bench.baseline(&name, &*fitted, &metrics, observer, stop)?;
+        let measured = bench.baseline(&name, &*fitted, &metrics, session)?;
         Ok((name, row(0, data.kind(), &measured)))
     };
     pipeline.baselines.iter().map(floor).collect()

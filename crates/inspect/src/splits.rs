@@ -6,9 +6,8 @@ use pwrfgs_core::{Dataset, Goal, Metric, Partition, Plugin, Result, Split, Value
 use pwrfgs_experiment::repeatability::Lapse;
 use pwrfgs_experiment::samples::nearest_train;
 use pwrfgs_experiment::scores::{Summary, quantile};
-use pwrfgs_experiment::{Bench, Observer, lapse_of};
+use pwrfgs_experiment::{Bench, Observer, Session, lapse_of};
 use pwrfgs_train::Pipeline;
-use std::sync::atomic::AtomicBool;
 
 /// Most test samples that floors are scored on.
 const TESTED: usize = 300;
@@ -119,13 +118,12 @@ fn floors(
 ) -> Result<Vec<Floor>> {
     let plane = data.plane();
     let bench = Bench::new(data, tested, &plane);
-    let never = AtomicBool::new(false);
     let mut floors = Vec::new();
     for baseline in &pipeline.baselines {
         let fitted = baseline.fit(data, partition.known())?;
         let name = baseline.name_for(data.kind()); // the same for all splits, whatever it chooses in each
         let mut scores = Vec::new();
-        for m in bench.baseline(&name, &*fitted, metrics, observer, &never)? {
+        for m in bench.baseline(&name, &*fitted, metrics, &mut Session::new(observer))? {
             if let Values::PerSample(values) = m.values {
                 let higher = m.goal == Goal::Higher;
                 scores.push((m.key, higher, Summary::of(&values, higher)));

@@ -7,7 +7,7 @@ use clap::Args;
 use pwrfgs::experiment::folder::{PIPELINE, REPORT};
 use pwrfgs::experiment::samples::data_key;
 use pwrfgs::experiment::text::number;
-use pwrfgs::experiment::{Facts, Machine, Recipe, Results, evaluate as score, load as load_data};
+use pwrfgs::experiment::{Facts, Machine, Recipe, Results, Session, evaluate as score, load as load_data};
 use pwrfgs::model::{Ensemble, file};
 use pwrfgs::train::Pipeline;
 use pwrfgs_core::words::clean;
@@ -15,7 +15,6 @@ use pwrfgs_core::{Dataset, Error, Kind, Result, files::refuse_foreign};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::atomic::AtomicBool;
 
 #[derive(Debug, Args)]
 #[command(
@@ -64,7 +63,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
         output::note(&format!("{}: scoring {} test {}", data.title, partition.test.len(), data.kind().counted()));
         warn_of_receivers(&data, &ensemble);
     }
-    let assessment = score(&ensemble, &pipeline, &data, &partition, &mut progress, &AtomicBool::new(false));
+    let assessment = score(&ensemble, &pipeline, &data, &partition, &mut Session::new(&mut progress));
     progress.finish();
     let mut assessment = assessment?;
     assessment.scores.trained_on[0] = trained_on(&arguments.models);

@@ -10,6 +10,7 @@ use crate::output;
 use crate::progress::Progress;
 pub(super) use board::Table;
 use clap::Args;
+use pwrfgs::experiment::Session;
 use pwrfgs::experiment::sweep::{Fate, Plan, State, check, estimate, execute, slurm};
 use pwrfgs_core::{Error, Result};
 use std::collections::BTreeSet;
@@ -131,7 +132,9 @@ fn chosen(plan: &Plan, arguments: &Sweep) -> Result<Vec<usize>> {
 fn here(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<ExitCode> {
     let stop = stop_flag();
     let board = Table::new(plan, runs.len(), verbosity);
-    let ends = execute(plan, runs, jobs, &board, &stop, pwrfgs::PAGE)?;
+    let mut progress = Progress::new(verbosity);
+    let session = Session { observer: &mut progress, stop: &stop, page: pwrfgs::PAGE };
+    let ends = execute(plan, runs, jobs, &board, &session)?;
     board.finish();
     #[cfg(feature = "report")]
     if plan.states().iter().all(|state| matches!(state, State::Finished(_))) {

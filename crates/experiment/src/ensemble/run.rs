@@ -5,16 +5,15 @@ use crate::clock;
 use crate::evaluate::evaluate;
 use crate::facts::Facts;
 use crate::folder::{MODEL_FILE, RunFolder};
-use crate::observer::Observer;
 use crate::recipe::Recipe;
-use crate::results::{Page, Results};
+use crate::results::Results;
 use crate::runner::{Outcome, check_scoring, ended, load};
 use crate::scores::ScoreTable;
+use crate::session::Session;
 use crate::sweep::{Board, Fate, Plan, State, check, execute};
 use pwrfgs_core::{Error, Result};
 use pwrfgs_model::{Ensemble, file};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 /// Below the run folder of an ensemble: the run folders of its members.
@@ -25,21 +24,12 @@ pub const MEMBERS: &str = "members";
 ///
 /// # Errors
 /// As [`crate::run`]; the first member that fails, by its name.
-#[allow(clippy::too_many_arguments)] // what a run takes, and what a sweep takes
-pub fn run_team(
-    team: &Team,
-    out: &Path,
-    jobs: usize,
-    board: &dyn Board,
-    observer: &mut dyn Observer,
-    stop: &AtomicBool,
-    page: Option<Page>,
-) -> Result<Outcome> {
+pub fn run_team(team: &Team, out: &Path, jobs: usize, board: &dyn Board, session: &mut Session<'_>) -> Result<Outcome> {
     let begun = Instant::now();
     team.check_text()?;
     let recipe = Recipe::Ensemble(team.clone());
     RunFolder::inspect(out, &recipe)?;
-    if let Some(end) = ended(out, &recipe, page)? {
+    if let Some(end) = ended(out, &recipe, session.page.is_some())? {
         // What has ended may have been begun since, by another process with another recipe.
         return RunFolder::inspect(out, &recipe).map(|()| end);
     }
@@ -50,22 +40,22 @@ pub fn run_team(
     if let Some(&first) = all.iter().find(|&&run| !matches!(plan.state(run), State::Finished(_))) {
         asked.runs[first].pipeline.baselines = team.pipeline().baselines;
     }
-    let open = check(&asked, &all, observer)?;
+    let open = check(&asked, &all, session.observer)?;
     let mut folder = RunFolder::claim(out, &recipe)?;
     // Another process may have ended it since.
-    if let Some(end) = folder.settle(ended(folder.path(), &recipe, page))? {
+    if let Some(end) = folder.settle(ended(folder.path(), &recipe, session.page.is_some()))? {
         return Ok(end);
     }
     let mut work = || {
         let (mut facts, _) = Facts::open(folder.path(), team.members()[0].seed)?;
         facts.write(folder.path())?;
         folder.renew(&recipe)?;
-        if let Some(end) = train(&plan, &open, jobs, board, stop, page)? {
+        if let Some(end) = train(&plan, &open, jobs, board, session)? {
             return Ok(end);
         }
         let ensemble = assemble(&plan)?;
         file::write_ensemble(&folder.file(MODEL_FILE), &ensemble)?;
-        match assess(team, &plan, &ensemble, &folder, (&mut facts, begun), observer, stop, page) {
+        match assess(team, &plan, &ensemble, &folder, (&mut facts, begun), session) {
             Ok(scores) => Ok(Outcome::Finished { scores, already: false }),
             Err(Error::Stopped) => Ok(Outcome::Unscored),
             Err(error) => Err(error),
@@ -81,13 +71,12 @@ fn train(
     open: &[usize],
     jobs: usize,
     board: &dyn Board,
-    stop: &AtomicBool,
-    page: Option<Page>,
+    session: &Session<'_>,
 ) -> Result<Option<Outcome>> {
     if open.is_empty() {
         return Ok(None);
     }
-    let ends = execute(plan, open, jobs, board, stop, page)?;
+    let ends = execute(plan, open, jobs, board, session)?;
     let mut interrupted = (ends.len() < open.len()).then_some(Outcome::Interrupted { step: 0 });
     for (run, fate) in ends {
         match fate {
@@ -117,22 +106,19 @@ fn assemble(plan: &Plan) -> Result<Ensemble> {
 }
 
 /// Scores the ensemble on the test part and writes scores, samples, report and facts.
-#[allow(clippy::too_many_arguments)] // all of a run
 fn assess(
     team: &Team,
     plan: &Plan,
     ensemble: &Ensemble,
     folder: &RunFolder,
     (facts, begun): (&mut Facts, Instant),
-    observer: &mut dyn Observer,
-    stop: &AtomicBool,
-    page: Option<Page>,
+    session: &mut Session<'_>,
 ) -> Result<ScoreTable> {
     let pipeline = team.pipeline();
-    let (data, partition) = load(&pipeline, Path::new(""), observer)?;
+    let (data, partition) = load(&pipeline, Path::new(""), session.observer)?;
     check_scoring(&pipeline, &data)?;
-    observer.on_message(&format!("scoring {} test {}", partition.test.len(), data.kind().counted()));
-    let assessment = evaluate(ensemble, &pipeline, &data, &partition, observer, stop)?;
+    session.observer.on_message(&format!("scoring {} test {}", partition.test.len(), data.kind().counted()));
+    let assessment = evaluate(ensemble, &pipeline, &data, &partition, session)?;
     let scores = assessment.scores.table();
     let members: Vec<PathBuf> = (0..plan.runs.len()).map(|run| plan.folder_of(run)).collect();
     facts.data.clone_from(&data.title);
@@ -150,7 +136,7 @@ fn assess(
     facts.scores = Some(scores.clone());
     facts.wall_seconds += begun.elapsed().as_secs_f64();
     facts.finished = Some(clock::now());
-    facts.report = page.is_some();
+    facts.report = session.page.is_some();
     facts.note_memory();
     let results = Results {
         pipeline: &pipeline,
@@ -163,9 +149,9 @@ fn assess(
         training: None,
         floors: Vec::new(),
     };
-    results.write(folder.path(), page)?;
+    results.write(folder.path(), session.page)?;
     facts.seal(folder.path())?;
     facts.write(folder.path())?;
-    observer.on_evaluation(&scores);
+    session.observer.on_evaluation(&scores);
     Ok(scores)
 }

@@ -1,7 +1,7 @@
 //! What the metrics say of pairs.
 
 use super::pairs::Pair;
-use crate::evaluate::go_on;
+use crate::session::check_stopped;
 use pwrfgs_core::{Dataset, Evaluation, Goal, Image, ImagePlane, Measurement, Metric, Plugin, Result, Scope, Values};
 use rayon::prelude::*;
 use std::sync::atomic::AtomicBool;
@@ -40,7 +40,7 @@ pub(super) fn measure(
     let mut all: Vec<Measured> = best.into_iter().filter_map(started).collect();
     let size = (PIXELS / (data.width * data.height).max(1)).clamp(1, CHUNK);
     for some in pairs.chunks(size) {
-        go_on(stop)?;
+        check_stopped(stop)?;
         let images = |side: fn(&Pair) -> usize| some.par_iter().map(|pair| data.image(side(pair))).collect();
         let (earlier, later): (Vec<Image>, Vec<Image>) = (images(|pair| pair.earlier), images(|pair| pair.later));
         data.observations.check()?;

@@ -3,14 +3,14 @@
 use super::plan::Plan;
 use crate::folder::RunFolder;
 use crate::observer::Observer;
-use crate::results::Page;
 use crate::runner::{Outcome, run};
 use crate::scores::ScoreTable;
+use crate::session::Session;
 use pwrfgs_core::{Error, Result};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// How a run of a sweep ended.
 #[derive(Debug)]
@@ -45,8 +45,8 @@ pub trait Board: Sync {
 }
 
 /// Does the runs `runs` of the plan, `jobs` at a time, in their order. They share the threads of the calling pool. A run
-/// that fails does not stop the others; `stop` stops all at their next step, or where they are scored. `page` makes the
-/// report of each.
+/// that fails does not stop the others; the session stops all at their next step, or where they are scored. `board` observes
+/// the runs, not the session.
 ///
 /// # Errors
 /// As [`Plan::claim`], or where threads cannot be started.
@@ -55,8 +55,7 @@ pub fn execute(
     runs: &[usize],
     jobs: usize,
     board: &dyn Board,
-    stop: &AtomicBool,
-    page: Option<Page>,
+    session: &Session<'_>,
 ) -> Result<Vec<(usize, Fate)>> {
     drop(plan.claim()?);
     let jobs = jobs.clamp(1, runs.len().max(1));
@@ -65,6 +64,7 @@ pub fn execute(
     let pools = (0..jobs)
         .map(|_| pool().map_err(|e| Error::Config(format!("cannot start {threads} threads: {e}"))))
         .collect::<Result<Vec<_>>>()?;
+    let (stop, page) = (session.stop, session.page);
     let next = AtomicUsize::new(0);
     let ends = Mutex::new(Vec::new());
     std::thread::scope(|scope| {
@@ -74,7 +74,12 @@ pub fn execute(
                     if stop.load(Ordering::Relaxed) {
                         break;
                     }
-                    let fate = pool.install(|| one(plan, run, board, stop, page));
+                    let fate = if RunFolder::is_busy(&plan.folder_of(run)) {
+                        Fate::Busy
+                    } else {
+                        let mut observer = board.starts(run);
+                        pool.install(|| one(plan, run, &mut Session { observer: &mut *observer, stop, page }))
+                    };
                     board.ends(run, &fate);
                     ends.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push((run, fate));
                 }
@@ -87,15 +92,11 @@ pub fn execute(
 }
 
 /// Does one run.
-fn one(plan: &Plan, place: usize, board: &dyn Board, stop: &AtomicBool, page: Option<Page>) -> Fate {
+fn one(plan: &Plan, place: usize, session: &mut Session<'_>) -> Fate {
     let (folder, pipeline) = (plan.folder_of(place), &plan.runs[place].pipeline);
-    if RunFolder::is_busy(&folder) {
-        return Fate::Busy;
-    }
     plan.forget_failure(place);
-    let mut observer = board.starts(place);
     // A panic is a broken invariant of one run, a plugin's say; the others have none of it.
-    let work = || run(pipeline, Path::new(""), &folder, &mut *observer, stop, page);
+    let work = || run(pipeline, Path::new(""), &folder, session);
     let outcome = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
         let said = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
         Err(Error::Config(format!("the program panicked: {}", said.unwrap_or("no message"))))

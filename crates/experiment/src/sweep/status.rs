@@ -44,7 +44,7 @@ impl Plan {
     /// How far one run is.
     pub fn state(&self, run: usize) -> State {
         let folder = self.folder_of(run);
-        match finished(&folder, &Recipe::Pipeline(Box::new(self.runs[run].pipeline.clone())), None) {
+        match finished(&folder, &Recipe::Pipeline(Box::new(self.runs[run].pipeline.clone())), false) {
             Ok(Some(end)) => return State::Finished(Box::new(end)),
             Ok(None) => {}
             Err(damage) => return State::Failed(damage.to_string()),

@@ -6,9 +6,7 @@ use crate::draw::charts::{Axis, Chart, Line};
 use crate::study::Setting;
 use minijinja::context;
 use pwrfgs_core::{Error, Measurement, Metric, Plugin, Result, Values, evenly};
-use pwrfgs_experiment::Bench;
-use pwrfgs_experiment::Silent;
-use std::sync::atomic::AtomicBool;
+use pwrfgs_experiment::{Bench, Session, Silent};
 
 /// Ends of the axis and steps between, dB.
 const LOW_DB: f64 = -20.0;
@@ -30,8 +28,8 @@ pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure
             fewer |= part.len() < test.len();
             let model = loaded.model(run)?;
             let bench = Bench::new(&loaded.data, &part, model.plane());
-            let never = AtomicBool::new(false);
-            curves.push(curve(&bench.model("the model", &model.prepare(), None, &metrics, &mut Silent, &never)?));
+            let model = &model.prepare();
+            curves.push(curve(&bench.model("the model", model, None, &metrics, &mut Session::new(&mut Silent))?));
         }
         let mut line = Line::new(mean_of(&curves), looks::variant(k)).named(&variant.label);
         // Every fourth, each line from another on.
@@ -53,8 +51,7 @@ fn baselines(setting: &Setting, loaded: &Loaded, metrics: &[Plugin<dyn Metric>])
     let line = |(k, baseline): (usize, &Plugin<dyn pwrfgs_core::Baseline>)| {
         let fitted = baseline.fit(&loaded.data, partition.known())?;
         let name = baseline.name();
-        let never = AtomicBool::new(false);
-        let measured = bench.baseline(&name, &*fitted, metrics, &mut Silent, &never)?;
+        let measured = bench.baseline(&name, &*fitted, metrics, &mut Session::new(&mut Silent))?;
         Ok(Line::new(curve(&measured), looks::floor(k)).named_at_end(&name))
     };
     run.pipeline.baselines.iter().enumerate().map(line).collect()
