@@ -146,7 +146,7 @@ fn one_step(group: &mut BenchmarkGroup<'_, WallTime>, name: &str, n: usize) {
     // A fresh trainer for each, because a trained one would drift away from the seeded cloud; its first step, which meets
     // memory that nobody has touched, is not counted.
     let start = || {
-        let mut trainer = Trainer::new(&pipeline, &data, &partition).expect("the pipeline can be trained");
+        let mut trainer = pipeline.trainer(&data, &partition).expect("the pipeline can be trained");
         trainer.step().expect("a first step");
         trainer
     };

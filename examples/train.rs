@@ -46,7 +46,7 @@ fn main() -> Result<()> {
     let pipeline = Pipeline::parse(PIPELINE, "examples/train.rs".as_ref())?;
     let data = pipeline.data.load(".".as_ref(), &|_, _| {})?;
     let partition = pipeline.split.split(&data, &mut rng::stream(pipeline.seed, "split", 0))?;
-    let mut trainer = Trainer::new(&pipeline, &data, &partition)?;
+    let mut trainer = pipeline.trainer(&data, &partition)?;
     while !trainer.finished() {
         let StepReport { step, loss, gaussians, .. } = trainer.step()?;
         if step % 20 == 0 {

@@ -26,6 +26,7 @@ pub use pwrfgs_inspect as inspect;
 pub use pwrfgs_metrics as metrics;
 pub use pwrfgs_model as model;
 pub use pwrfgs_nerf2 as nerf2;
+pub use pwrfgs_pipeline as pipeline;
 pub use pwrfgs_prune as prune;
 pub use pwrfgs_raster as raster;
 #[cfg(feature = "report")]
@@ -37,7 +38,6 @@ pub use pwrfgs_train as train;
 pub use pwrfgs_view as view;
 
 use prelude::{Observer, Pipeline, Result};
-use pwrfgs_core::plugin::{FieldDefault, inventory};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
@@ -47,29 +47,6 @@ pub const PAGE: Option<experiment::Page> = Some(report::page);
 /// What makes the report of a run; `None` without the feature `report`.
 #[cfg(not(feature = "report"))]
 pub const PAGE: Option<experiment::Page> = None;
-
-// What a pipeline's fields take where nothing is said.
-inventory::submit! { FieldDefault { field: "split", ron: "Official()" } }
-inventory::submit! { FieldDefault { field: "initializer of no Gaussians", ron: "NoGaussians()" } }
-inventory::submit! { FieldDefault { field: "projector", ron: "Mercator()" } }
-inventory::submit! { FieldDefault { field: "rasterizer", ron: "AlphaBlending()" } }
-inventory::submit! { FieldDefault { field: "deformation", ron: "Mlp()" } }
-inventory::submit! { FieldDefault { field: "baselines", ron: "[MeanSpectrum(), NearestNeighbours(k: 1), \
-NearestNeighbours(k: 3), NearestNeighbours(k: 5)]" } }
-inventory::submit! { FieldDefault { field: "metrics", ron: "[Ssim(), L1(), Psnr(), RateRatio(), DirectionError(), \
-Chamfer(), GaussianCount(), ModelSize(), Latency()]" } }
-inventory::submit! { FieldDefault { field: "baselines of powers", ron: "[MeanSpectrum(), LogDistance(), \
-NearestNeighbours(k: 5), Kriging()]" } }
-inventory::submit! { FieldDefault { field: "baselines of channels", ron: "[Zero(), NearestNeighbours(k: 1), \
-NearestNeighbours(k: 5)]" } }
-inventory::submit! { FieldDefault { field: "metrics of powers", ron: "[PowerError(), Chamfer(), GaussianCount(), \
-ModelSize(), Latency()]" } }
-inventory::submit! { FieldDefault { field: "metrics of channels", ron: "[ChannelSnr(), Chamfer(), GaussianCount(), \
-ModelSize(), Latency()]" } }
-// The columns of validation.csv, for each kind of observation.
-inventory::submit! { FieldDefault { field: "validation", ron: "[Ssim(), RateRatio(snr_db: 0.0)]" } }
-inventory::submit! { FieldDefault { field: "validation of powers", ron: "[PowerError()]" } }
-inventory::submit! { FieldDefault { field: "validation of channels", ron: "[ChannelSnr()]" } }
 
 /// [`experiment::run`] with the report that this build has.
 ///
@@ -113,7 +90,8 @@ pub mod prelude {
     };
     pub use pwrfgs_experiment::{Observer, Silent};
     pub use pwrfgs_model::{Ensemble, Model, Prepared, Readout, Stages};
-    pub use pwrfgs_train::{Pipeline, StepReport, Trainer};
+    pub use pwrfgs_pipeline::Pipeline;
+    pub use pwrfgs_train::{StepReport, Trainer};
     pub use serde::{Deserialize, Serialize};
     pub use typetag;
 }

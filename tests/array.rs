@@ -5,7 +5,6 @@ use pwrfgs::core::testing::shared;
 use pwrfgs::core::{Splats, rng};
 use pwrfgs::model::{Activation, Ensemble, Model, Readout, Splatting};
 use pwrfgs::prelude::*;
-use pwrfgs::train::Trainer;
 use std::f64::consts::TAU;
 use std::path::Path;
 
@@ -209,7 +208,7 @@ fn train(more: &str, steps: u64) -> Model {
     let pipeline = pipeline(&format!("{FIELDS}, training: (steps: {steps}, batch: 4, {more})"));
     let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
     let partition = pipeline.split.split(&data, &mut rng::stream(0, "split", 0)).unwrap();
-    let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap_or_else(|e| panic!("{e}"));
+    let mut trainer = pipeline.trainer(&data, &partition).unwrap_or_else(|e| panic!("{e}"));
     (0..steps).for_each(|_| _ = trainer.step().unwrap());
     trainer.model()
 }
@@ -222,7 +221,7 @@ fn a_strided_training_gives_whole_pictures_and_learns() {
         ));
         let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
         let partition = pipeline.split.split(&data, &mut rng::stream(0, "split", 0)).unwrap();
-        let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+        let mut trainer = pipeline.trainer(&data, &partition).unwrap();
         let losses: Vec<f64> = (0..steps).map(|_| trainer.step().unwrap().loss).collect();
         assert_eq!(trainer.model().stages.plane, pipeline.projector.plane(72, 18));
         losses
@@ -241,7 +240,7 @@ fn a_stride_that_does_not_fit_is_refused_with_those_that_do() {
         ));
         let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
         let partition = pipeline.split.split(&data, &mut rng::stream(0, "split", 0)).unwrap();
-        Trainer::new(&pipeline, &data, &partition).unwrap_err().to_string()
+        pipeline.trainer(&data, &partition).unwrap_err().to_string()
     };
     assert!(refused("training: (stride: 4)").contains("use one of 1, 2, 3, 6, 9, 18"));
     let tiles = "projector: WrfgsCompat(), rasterizer: AlphaBlending(support: TileSquares), training: (stride: 2)";

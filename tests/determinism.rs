@@ -30,7 +30,7 @@ fn data_of(pipeline: &Pipeline) -> (Dataset, Partition) {
 /// Checkpoints after 0, 1, … steps, and N after each step.
 fn train(pipeline: &Pipeline) -> (Vec<Vec<u8>>, Vec<usize>) {
     let (data, partition) = data_of(pipeline);
-    let mut trainer = Trainer::new(pipeline, &data, &partition).unwrap();
+    let mut trainer = pipeline.trainer(&data, &partition).unwrap();
     let (mut checkpoints, mut counts) = (vec![trainer.checkpoint()], Vec::new());
     while !trainer.finished() {
         counts.push(trainer.step().unwrap().gaussians);
@@ -57,7 +57,7 @@ fn a_training_restored_at_any_step_ends_in_the_same_bits() {
     let (checkpoints, _) = train(&pipeline);
     let (data, partition) = data_of(&pipeline);
     for (at, bytes) in checkpoints.iter().enumerate() {
-        let mut trainer = Trainer::restore(&pipeline, &data, &partition, bytes).unwrap();
+        let mut trainer = Trainer::restore(&pipeline.plan().unwrap(), &data, &partition, bytes).unwrap();
         assert_eq!(trainer.done(), at as u64);
         assert!(trainer.checkpoint() == *bytes, "a checkpoint of step {at} survives reading");
         // Far enough to see the next edit, and the end once.
@@ -73,10 +73,10 @@ fn a_training_restored_at_any_step_ends_in_the_same_bits() {
 fn a_damaged_checkpoint_is_refused_with_a_sentence() {
     let pipeline = busy();
     let (data, partition) = data_of(&pipeline);
-    let good = Trainer::new(&pipeline, &data, &partition).unwrap().checkpoint();
+    let good = pipeline.trainer(&data, &partition).unwrap().checkpoint();
     for bytes in [&good[..0], &good[..7], &good[..good.len() / 2], &good[..good.len() - 1], b"not a checkpoint at all"]
     {
-        let refused = Trainer::restore(&pipeline, &data, &partition, bytes).unwrap_err().to_string();
+        let refused = Trainer::restore(&pipeline.plan().unwrap(), &data, &partition, bytes).unwrap_err().to_string();
         assert!(refused.contains("the checkpoint cannot be used"), "{refused}");
     }
 }
@@ -85,11 +85,12 @@ fn a_damaged_checkpoint_is_refused_with_a_sentence() {
 fn refuses_a_checkpoint_of_another_version() {
     let pipeline = busy();
     let (data, partition) = data_of(&pipeline);
-    let mut file = Tensors::from_bytes(&Trainer::new(&pipeline, &data, &partition).unwrap().checkpoint()).unwrap();
+    let mut file = Tensors::from_bytes(&pipeline.trainer(&data, &partition).unwrap().checkpoint()).unwrap();
     let (_, note) = file.note.split_once("\"note\":").unwrap();
     file.note = note.strip_suffix('}').unwrap().replace("\"version\":5", "\"version\":4");
     file.note = format!("{{\"digest\":\"{}\",\"note\":{}}}", file.digest(), file.note);
-    let refused = Trainer::restore(&pipeline, &data, &partition, &file.to_bytes()).unwrap_err().to_string();
+    let refused =
+        Trainer::restore(&pipeline.plan().unwrap(), &data, &partition, &file.to_bytes()).unwrap_err().to_string();
     assert!(refused.contains("of version 4, expected 5; remove it"), "{refused}");
 }
 

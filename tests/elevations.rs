@@ -37,7 +37,7 @@ fn a_full_sphere_trains_in_front_and_behind_either_way_up() {
             let data = sphere(elevation);
             let all: Vec<usize> = (0..6).collect();
             let partition = Partition { train: all, ..Partition::default() };
-            let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+            let mut trainer = pipeline.trainer(&data, &partition).unwrap();
             let first = trainer.step().unwrap().loss;
             while !trainer.finished() {
                 trainer.step().unwrap();
@@ -66,13 +66,13 @@ fn who_cannot_draw_or_has_not_learnt_the_elevations_says_so() {
     let partition = Partition { train: vec![0, 1, 2], test: vec![3, 4], ..Partition::default() };
     let refused = |settings: &str| {
         let pipeline = pipeline(&format!("initializer: Grid(count: 8), {SETTINGS}, {settings}"));
-        Trainer::new(&pipeline, &data, &partition).err().unwrap().to_string()
+        pipeline.trainer(&data, &partition).err().unwrap().to_string()
     };
     let said = refused("projector: WrfgsCompat()");
     assert!(said.contains("the projector draws no elevations of -90 to 90 degrees"), "{said}");
     let pipeline = pipeline(&format!("initializer: Grid(count: 8), {SETTINGS}"));
     let half = sphere(Elevation::UPPER);
-    let model = Trainer::new(&pipeline, &half, &partition).unwrap().model();
+    let model = pipeline.trainer(&half, &partition).unwrap().model();
     let (ensemble, mut silent) = (Ensemble::of(model.clone()), Silent);
     let session = &mut Session::new(&mut silent);
     let said = pwrfgs::experiment::evaluate(&ensemble, &pipeline, &data, &partition, session);

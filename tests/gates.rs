@@ -110,7 +110,7 @@ fn pruning_open_gates_is_the_identity() {
     let checkpoints = |every: u64| {
         let pipeline = training("LearnableMask(), OpacityThreshold()", &format!("prune_every: {every}"));
         let (data, partition) = data_of(&pipeline);
-        let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+        let mut trainer = pipeline.trainer(&data, &partition).unwrap();
         // All but the note, which says what training this is.
         let state = |trainer: &Trainer<'_>| {
             let mut state = Tensors::from_bytes(&trainer.checkpoint()).unwrap();
@@ -132,12 +132,12 @@ fn a_prune_that_would_leave_nothing_stops_unless_one_is_asked_for() {
     ] {
         let pipeline = training(pruners, "prune_every: 6");
         let (data, partition) = data_of(&pipeline);
-        let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+        let mut trainer = pipeline.trainer(&data, &partition).unwrap();
         let failed = (0..12).find_map(|_| trainer.step().err());
         assert!(matches!(failed, Some(Error::Collapsed { step: 12, .. })), "{pruners}: {failed:?}");
 
         let pipeline = training(&format!("{pruners}, TopK(keep: 1)"), "prune_every: 6");
-        let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+        let mut trainer = pipeline.trainer(&data, &partition).unwrap();
         let mut counts = Vec::new();
         while !trainer.finished() {
             counts.push(trainer.step().unwrap_or_else(|e| panic!("{pruners}: {e}")).gaussians);
@@ -154,7 +154,7 @@ fn a_prune_that_would_leave_nothing_stops_unless_one_is_asked_for() {
 fn the_best_is_the_one_its_pruner_scores_highest() {
     let pipeline = training("OpacityThreshold(epsilon: 0.99), TopK(keep: 1)", "prune_every: 6");
     let (data, partition) = data_of(&pipeline);
-    let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+    let mut trainer = pipeline.trainer(&data, &partition).unwrap();
     let mut before = trainer.model().cloud;
     while trainer.done() < 12 {
         before = trainer.model().cloud;

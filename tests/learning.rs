@@ -50,7 +50,7 @@ fn learn(seed: u64, pruners: &str, steps: u64, prune_until: u64) -> End {
     ));
     let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
     let partition = pipeline.split.split(&data, &mut rng::stream(seed, "split", 0)).unwrap();
-    let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+    let mut trainer = pipeline.trainer(&data, &partition).unwrap();
     let (mut losses, mut counts) = (Vec::new(), Vec::new());
     while !trainer.finished() {
         let report = trainer.step().unwrap();

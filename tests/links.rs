@@ -2,8 +2,9 @@
 
 use pwrfgs::core::{Channels, Features, Known};
 use pwrfgs::model::{Ensemble, Model, file};
+use pwrfgs::pipeline::Pipeline;
 use pwrfgs::prelude::*;
-use pwrfgs::train::{Pipeline, Trainer};
+use pwrfgs::train::Trainer;
 use std::path::Path;
 
 /// A hall with two receivers; transmitter 7 is heard by one of them alone.
@@ -84,15 +85,15 @@ fn a_training_of_links_ends_in_the_same_bits_however_it_is_interrupted_and_at_an
     for (name, pipeline, data, partition) in cases() {
         let on = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| file::to_bytes(&trained(&mut Trainer::new(&pipeline, &data, &partition).unwrap())))
+            pool.install(|| file::to_bytes(&trained(&mut pipeline.trainer(&data, &partition).unwrap())))
         };
         let whole = on(1);
         assert!(whole == on(3), "{name}: on three threads");
-        let mut first = Trainer::new(&pipeline, &data, &partition).unwrap();
+        let mut first = pipeline.trainer(&data, &partition).unwrap();
         (0..13).for_each(|_| {
             first.step().unwrap();
         });
-        let mut second = Trainer::restore(&pipeline, &data, &partition, &first.checkpoint()).unwrap();
+        let mut second = Trainer::restore(&pipeline.plan().unwrap(), &data, &partition, &first.checkpoint()).unwrap();
         assert!(file::to_bytes(&trained(&mut second)) == whole, "{name}: resumed");
     }
 }
@@ -101,7 +102,7 @@ fn a_training_of_links_ends_in_the_same_bits_however_it_is_interrupted_and_at_an
 fn many_links_are_predicted_as_one_by_one_and_as_read_from_a_file() {
     let folder = tempfile::tempdir().unwrap();
     for (name, pipeline, data, partition) in cases() {
-        let model = trained(&mut Trainer::new(&pipeline, &data, &partition).unwrap());
+        let model = trained(&mut pipeline.trainer(&data, &partition).unwrap());
         let path = folder.path().join(name);
         file::write(&path, &model).unwrap();
         let read = file::read(&path).unwrap();
@@ -127,7 +128,7 @@ fn many_links_are_predicted_as_one_by_one_and_as_read_from_a_file() {
 #[test]
 fn every_kind_learns_what_there_is_to_learn() {
     for (name, pipeline, data, partition) in cases() {
-        let model = trained(&mut Trainer::new(&pipeline, &data, &partition).unwrap());
+        let model = trained(&mut pipeline.trainer(&data, &partition).unwrap());
         let error = |predict: &dyn Predict| -> f64 {
             let of = |&i: &usize| {
                 let (p, t) = (predict.predict(data.query(i)), data.image(i));
@@ -153,7 +154,7 @@ fn virtual_transmitters_are_not_densified() {
         .replace("pruners: [LearnableMask()], ", "");
     let (_, _, data, partition) = cases().remove(1);
     let pipeline = pipeline(&fields);
-    let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+    let mut trainer = pipeline.trainer(&data, &partition).unwrap();
     let before = trainer.cloud().opacity_logits.clone();
     let model = trained(&mut trainer);
     assert_eq!(model.cloud.opacity_logits, before, "no source is gone, and none is fainter");
@@ -165,7 +166,7 @@ fn virtual_transmitters_are_not_densified() {
 #[test]
 fn powers_begin_with_the_law_that_fits_best() {
     let (_, pipeline, data, partition) = cases().remove(0);
-    let model = Trainer::new(&pipeline, &data, &partition).unwrap().model();
+    let model = pipeline.trainer(&data, &partition).unwrap().model();
     let exponents = &model.weights[model.weights.len() - 2..];
     assert!(exponents.iter().all(|n| (n - 2.2).abs() < 0.5), "{exponents:?}");
 }

@@ -32,7 +32,7 @@ fn data_of(pipeline: &Pipeline, shifted: bool) -> Dataset {
 
 fn trained(pipeline: &Pipeline, data: &Dataset) -> Model {
     let partition = pipeline.split.split(data, &mut rng::stream(5, "split", 0)).unwrap();
-    let mut trainer = Trainer::new(pipeline, data, &partition).unwrap();
+    let mut trainer = pipeline.trainer(data, &partition).unwrap();
     while !trainer.finished() {
         trainer.step().unwrap();
     }

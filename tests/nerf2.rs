@@ -177,7 +177,7 @@ fn trainings_of_rays_give_the_same_bits_at_any_thread_count_and_resumed() {
         let train = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| {
-                let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+                let mut trainer = pipeline.trainer(&data, &partition).unwrap();
                 let mut all = vec![trainer.checkpoint()];
                 while !trainer.finished() {
                     let report = trainer.step().unwrap();
@@ -189,7 +189,7 @@ fn trainings_of_rays_give_the_same_bits_at_any_thread_count_and_resumed() {
         };
         let (one, two) = (train(1), train(2));
         assert!(one == two, "{training}: threads show");
-        let mut trainer = Trainer::restore(&pipeline, &data, &partition, &one[7]).unwrap();
+        let mut trainer = Trainer::restore(&pipeline.plan().unwrap(), &data, &partition, &one[7]).unwrap();
         while !trainer.finished() {
             trainer.step().unwrap();
         }
@@ -206,7 +206,7 @@ fn a_stride_asks_no_projector() {
         pipeline.set(&format!("projector={projector}")).unwrap();
         let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
         let partition = pipeline.partition(&data).unwrap();
-        Trainer::new(&pipeline, &data, &partition).unwrap().step().unwrap().loss
+        pipeline.trainer(&data, &partition).unwrap().step().unwrap().loss
     };
     assert_eq!(first("Mercator()"), first("WrfgsCompat()"));
 }
@@ -218,7 +218,7 @@ fn rays_are_learned() {
     );
     let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
     let partition = pipeline.partition(&data).unwrap();
-    let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+    let mut trainer = pipeline.trainer(&data, &partition).unwrap();
     let mut losses = Vec::new();
     while !trainer.finished() {
         losses.push(trainer.step().unwrap().loss);

@@ -2,7 +2,7 @@
 use pwrfgs::experiment::Recipe;
 use pwrfgs::experiment::sweep::{Board, Fate, Plan};
 use pwrfgs::prelude::*;
-use pwrfgs::train::{Rays, Trainer};
+use pwrfgs::train::Rays;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
@@ -182,7 +182,7 @@ fn every_experiment_resolves_and_its_variants_train() {
             }
             shrink(&mut pipeline);
             let (data, partition) = pwrfgs::experiment::load(&pipeline, Path::new(""), &mut Silent).unwrap();
-            if let Ok(mut trainer) = Trainer::new(&pipeline, &data, &partition) {
+            if let Ok(mut trainer) = pipeline.trainer(&data, &partition) {
                 for _ in 0..12 {
                     match trainer.step() {
                         Ok(report) => assert!(report.loss.is_finite(), "{}", run.folder),
@@ -203,7 +203,7 @@ fn wrfgs_densifies_at_the_steps_of_the_released_code() {
     pipeline.set("data=Teacher(gaussians: 4, samples: 30, width: 72, height: 18)").unwrap();
     pipeline.set("initializer.count=20").unwrap();
     let (data, partition) = pwrfgs::experiment::load(&pipeline, Path::new(""), &mut Silent).unwrap();
-    let trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+    let trainer = pipeline.trainer(&data, &partition).unwrap();
     let densify = &pipeline.training.densify;
     let is_due = |step: &u64| step.is_multiple_of(densify.every) && *step > densify.from;
     let steps = 1..=pipeline.training.steps;

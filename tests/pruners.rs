@@ -53,7 +53,7 @@ fn data_of(pipeline: &Pipeline) -> (Dataset, Partition) {
 /// The checkpoint in the middle, the one at the end, and N after each step.
 fn train(pipeline: &Pipeline) -> (Vec<u8>, Vec<u8>, Vec<usize>) {
     let (data, partition) = data_of(pipeline);
-    let mut trainer = Trainer::new(pipeline, &data, &partition).unwrap();
+    let mut trainer = pipeline.trainer(&data, &partition).unwrap();
     let (mut middle, mut counts) = (Vec::new(), Vec::new());
     while !trainer.finished() {
         counts.push(trainer.step().unwrap().gaussians);
@@ -79,7 +79,7 @@ fn every_strategy_takes_some_and_resumes_to_the_same_bytes_at_any_thread_count()
         assert!(counts[23] < 40 || ["Mcmc", "FastGs"].contains(&name), "{name} takes nothing: {counts:?}");
         assert!(counts[23] > 0);
         let (data, partition) = data_of(&pipeline);
-        let mut trainer = Trainer::restore(&pipeline, &data, &partition, &middle).unwrap();
+        let mut trainer = Trainer::restore(&pipeline.plan().unwrap(), &data, &partition, &middle).unwrap();
         pool(1).install(|| {
             while !trainer.finished() {
                 trainer.step().unwrap();

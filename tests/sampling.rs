@@ -120,7 +120,7 @@ fn the_loss_with_a_stride_is_that_of_the_whole_image_in_the_mean_over_places() {
         ));
         let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
         let partition = pipeline.split.split(&data, &mut rng::stream(0, "split", 0)).unwrap();
-        let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+        let mut trainer = pipeline.trainer(&data, &partition).unwrap();
         let mut losses: Vec<f64> = (0..steps).map(|_| trainer.step().unwrap().loss).collect();
         losses.sort_by(f64::total_cmp);
         losses.dedup_by(|a, b| (*a - *b).abs() < 1e-7);
@@ -145,7 +145,7 @@ fn kept(training: &str) -> Vec<u32> {
     ));
     let data = pipeline.data.load(Path::new("."), &|_, _| {}).unwrap();
     let partition = pipeline.split.split(&data, &mut rng::stream(0, "split", 0)).unwrap();
-    let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+    let mut trainer = pipeline.trainer(&data, &partition).unwrap();
     (0..2).for_each(|_| drop(trainer.step().unwrap()));
     trainer.births().to_vec()
 }

@@ -95,7 +95,7 @@ fn training_and_scores_have_the_same_bits_from_a_file() {
     let pipeline = Pipeline::parse(text, Path::new("file.ron")).unwrap();
     let partition = Partition { train: (0..200).collect(), validation: vec![], test: (200..300).collect() };
     let reached = |data: &Dataset| {
-        let mut trainer = Trainer::new(&pipeline, data, &partition).unwrap();
+        let mut trainer = pipeline.trainer(data, &partition).unwrap();
         let losses: Vec<f64> = (0..4).map(|_| trainer.step().unwrap().loss).collect();
         (losses, format!("{:?}", scores(data, &partition.test, &["Ssim()"]).unwrap()))
     };
@@ -116,7 +116,7 @@ fn a_file_that_is_cut_short_ends_training_and_scoring_with_words() {
         training: (steps: 9, densify_until: 0, prune_until: 0))";
     let pipeline = Pipeline::parse(text, Path::new("file.ron")).unwrap();
     let partition = Partition { train: (100..200).collect(), validation: vec![], test: (200..300).collect() };
-    let mut trainer = Trainer::new(&pipeline, &data, &partition).unwrap();
+    let mut trainer = pipeline.trainer(&data, &partition).unwrap();
     trainer.step().unwrap();
     std::fs::File::options().write(true).open(here.path().join("spectra")).unwrap().set_len(0).unwrap();
     let said = trainer.step().unwrap_err().to_string();

@@ -114,7 +114,8 @@ pub(crate) fn trained() -> Model {
     );
     let data = pipeline.data.load(Path::new("."), &|_, _| {}).expect("the teacher needs no file");
     let (train, test) = data.official.clone().expect("the teacher divides its samples");
-    let mut trainer = Trainer::new(&pipeline, &data, &Partition { train, test, ..Partition::default() })
+    let mut trainer = pipeline
+        .trainer(&data, &Partition { train, test, ..Partition::default() })
         .expect("the pipeline below can be trained");
     while !trainer.finished() {
         trainer.step().expect("numbers stay finite");

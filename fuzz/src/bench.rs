@@ -78,7 +78,7 @@ fn models(folder: &Path) -> Result<()> {
         let mut pipeline = read_pipeline(&folder.join("p.ron"), &[])?;
         settings.iter().try_for_each(|setting| pipeline.set(setting))?;
         let (data, partition) = load(&pipeline, folder, &mut Silent)?;
-        put(&format!("{i}.safetensors"), &Trainer::new(&pipeline, &data, &partition)?.model())?;
+        put(&format!("{i}.safetensors"), &pipeline.trainer(&data, &partition)?.model())?;
     }
     let trained = file::read_ensemble(&folder.join("sweep/a/model.safetensors"))?;
     let half = folder.join("models/half.safetensors");

@@ -121,7 +121,7 @@ fn is_small(pipeline: &Pipeline) -> bool {
 /// Loads, starts, trains a step and predicts.
 fn first_step(pipeline: &Pipeline, bench: &Path) -> Result<()> {
     let (data, partition) = load(pipeline, bench, &mut Silent)?;
-    let mut trainer = Trainer::new(pipeline, &data, &partition)?;
+    let mut trainer = pipeline.trainer(&data, &partition)?;
     trainer.step()?;
     trainer.model().prepare().predict_many(&[[0.5, 0.5, 0.5].into()]);
     Ok(())
@@ -215,7 +215,7 @@ fn checkpoint(bench: &Path) -> Result<()> {
     let (data, partition) = load(&pipeline, bench, &mut Silent)?;
     let path = bench.join("half/checkpoint.safetensors");
     let bytes = fs::read(&path).map_err(|e| Error::read(&path, e))?;
-    let mut trainer = Trainer::restore(&pipeline, &data, &partition, &bytes)?;
+    let mut trainer = Trainer::restore(&pipeline.plan()?, &data, &partition, &bytes)?;
     if !trainer.finished() {
         trainer.step()?;
     }

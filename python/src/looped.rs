@@ -59,7 +59,7 @@ impl Trainer {
         crate::strategies::forget();
         let begin = move || -> Result<Held> {
             let partition: Partition = inner.partition(&data)?;
-            Held::try_new(data, |data| Inner::new(&inner, data, &partition))
+            Held::try_new(data, |data| inner.trainer(data, &partition))
         };
         Ok(Self { held: Mutex::new(free(py, begin)?), failed: AtomicBool::new(false) })
     }

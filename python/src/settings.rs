@@ -1,11 +1,11 @@
 //! Plugins, pipelines and their text.
 
 use crate::border::{free, wrong};
+use pwrfgs::pipeline::ron_tree::{Body as Parts, Tree};
 use pwrfgs::prelude::Pipeline as Inner;
 use pwrfgs_core::docs::{Body, Docs, Documented as _, Kind};
 use pwrfgs_core::files::{check_new_file, write_atomically};
 use pwrfgs_core::plugin::{Family, PluginKind, inventory, ron_options};
-use pwrfgs_core::ron_tree::{Body as Parts, Tree};
 use pwrfgs_core::{Error, Plugin, Result};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};

@@ -5,7 +5,8 @@ use pwrfgs::core::{
     ExtraColumn, Frame, GaussianCloud, Mat3, Moment, Origin, Phase, Plugin, Pose, Real, registered, rng,
 };
 use pwrfgs::model::{Calibration, Readout, Splatting, Stages};
-use pwrfgs::train::{Batch, Pipeline};
+use pwrfgs::pipeline::Pipeline;
+use pwrfgs::train::Batch;
 use std::path::Path;
 use std::sync::Arc;
 

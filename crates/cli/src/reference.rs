@@ -5,10 +5,10 @@ pub(crate) mod commented;
 pub(crate) mod markdown;
 pub(crate) mod prose;
 
+use pwrfgs::pipeline::ron_tree::Tree;
 use pwrfgs::prelude::Pipeline;
 use pwrfgs_core::docs::{Body, Docs, Documented, Field, Kind};
 use pwrfgs_core::plugin::{Family, to_ron};
-use pwrfgs_core::ron_tree::Tree;
 use std::path::Path;
 
 /// Not a field: the file itself.

@@ -6,7 +6,7 @@ use crate::model_format::{NOBODY, predict, predicted_again};
 use pwrfgs::data::{npy_header, npy_header_as};
 use pwrfgs::experiment::{Recipe, Silent, load};
 use pwrfgs::model::{Ensemble, Model, file};
-use pwrfgs::train::{Pipeline, Trainer};
+use pwrfgs::pipeline::Pipeline;
 use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{Kind, Number, Query, Real, gains_of};
 use std::path::{Path, PathBuf};
@@ -54,7 +54,7 @@ fn changes(pipeline: &Pipeline, uplinks: &Path) -> Vec<String> {
 
 fn trained(pipeline: &Pipeline) -> Model {
     let (data, partition) = load(pipeline, Path::new(""), &mut Silent).unwrap_or_else(|e| panic!("{e}"));
-    let mut trainer = Trainer::new(pipeline, &data, &partition).unwrap_or_else(|e| panic!("{e}"));
+    let mut trainer = pipeline.trainer(&data, &partition).unwrap_or_else(|e| panic!("{e}"));
     while !trainer.finished() {
         trainer.step().unwrap();
     }

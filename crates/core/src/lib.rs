@@ -41,7 +41,6 @@ mod pruner;
 mod rasterizer;
 mod real;
 pub mod rng;
-pub mod ron_tree;
 mod scene;
 pub mod simd;
 mod spectra;

@@ -101,6 +101,12 @@ pub fn try_to_ron(value: &impl Serialize) -> Result<String, String> {
     ron_options().to_string_pretty(value, config).map_err(|e| e.to_string())
 }
 
+/// The name of a plugin, such as `Zero` of `Zero()`.
+pub fn name_of(plugin: &impl Serialize) -> String {
+    let text = to_ron(plugin);
+    text.split(['(', '{']).next().unwrap_or_default().trim().to_owned()
+}
+
 /// Reads RON with the project's extensions; suggests the nearest known name for a misspelt one. `path` is for messages.
 ///
 /// # Errors
@@ -228,28 +234,6 @@ where
     let mut names = Box::<T>::deserialize(probe).err().map_or_else(Vec::new, |p| p.0);
     names.sort_unstable();
     names
-}
-
-/// What a field of a pipeline takes where nothing is said. Submitted by the crate that links the plugins it names:
-/// `inventory::submit! { FieldDefault { field: "split", ron: "Official()" } }`.
-#[derive(Debug)]
-pub struct FieldDefault {
-    /// The field.
-    pub field: &'static str,
-    /// Its value as RON.
-    pub ron: &'static str,
-}
-inventory::collect!(FieldDefault);
-
-/// The value that `field` takes where nothing is said.
-///
-/// # Errors
-/// Where nobody has submitted one, or what it names is not linked.
-pub fn default_of<T: de::DeserializeOwned>(field: &str) -> Result<T, String> {
-    let Some(default) = inventory::iter::<FieldDefault>().find(|d| d.field == field) else {
-        return Err(format!("`{field}` has no default in this program; give it, or link the crate `pwrfgs`"));
-    };
-    ron_options().from_str(default.ron).map_err(|e| format!("the default of `{field}`: {e}"))
 }
 
 /// What a plugin has worked out and hands out to find again later: only it knows what is inside.

@@ -13,7 +13,7 @@ use crate::sweep::{Plan, PlannedRun};
 use file::{Written, WrittenMember};
 use pwrfgs_core::plugin::{to_ron, try_to_ron};
 use pwrfgs_core::{Error, Result};
-use pwrfgs_train::Pipeline;
+use pwrfgs_pipeline::Pipeline;
 use std::path::Path;
 
 /// The members of an ensemble as they are trained; paths are absolute.

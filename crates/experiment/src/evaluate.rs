@@ -11,12 +11,11 @@ use crate::observer::Silent;
 use crate::paired::Paired;
 use crate::scores::{MODEL, Scores};
 use crate::session::Session;
-use crate::validation;
 use pwrfgs_core::{
     Dataset, Error, Kind, Measurement, ModelFacts, Observations, Partition, Result, Values, words::clean,
 };
 use pwrfgs_model::{Ensemble, Prepared};
-use pwrfgs_train::Pipeline;
+use pwrfgs_pipeline::{Pipeline, defaults};
 
 /// Scores, and a few of the predictions that they were computed from.
 #[derive(Debug)]
@@ -66,7 +65,7 @@ pub fn evaluate(
         values
     } else {
         // The pipeline does not ask for it, but a report shows examples by it.
-        let metrics = validation::metrics(data.kind()).unwrap_or_default();
+        let metrics = defaults::validation(data.kind());
         of_each(&test.model(
             "the model",
             model,

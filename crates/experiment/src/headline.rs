@@ -13,33 +13,25 @@ pub struct Headline {
     pub higher: bool,
     /// Columns of `validation.csv` after the step: mean and median of it, and one number more.
     pub columns: [&'static str; 3],
-    /// The field default that lists the metrics behind these columns.
-    pub(crate) field: &'static str,
 }
 
 /// That of a kind.
 pub fn headline(kind: Kind) -> Headline {
     match kind {
-        Kind::Spectrum => Headline {
-            key: "ssim",
-            name: "SSIM",
-            higher: true,
-            columns: ["ssim_mean", "ssim_median", "eta_0db"],
-            field: "validation",
-        },
+        Kind::Spectrum => {
+            Headline { key: "ssim", name: "SSIM", higher: true, columns: ["ssim_mean", "ssim_median", "eta_0db"] }
+        }
         Kind::Power => Headline {
             key: "power_error_db",
             name: "error [dB]",
             higher: false,
             columns: ["power_error_db_mean", "power_error_db_median", "power_error_db_p90"],
-            field: "validation of powers",
         },
         Kind::Channel => Headline {
             key: "snr_db",
             name: "SNR [dB]",
             higher: true,
             columns: ["snr_db_mean", "snr_db_median", "snr_all_db"],
-            field: "validation of channels",
         },
     }
 }

@@ -3,7 +3,7 @@
 use crate::recipe::Recipe;
 use crate::runner::rebase;
 use pwrfgs_core::{Result, files::read_text};
-use pwrfgs_train::Pipeline;
+use pwrfgs_pipeline::Pipeline;
 use std::path::Path;
 
 /// The pipeline in `path`, or what the ensemble there is scored by, as [`Recipe::read`] gives it.

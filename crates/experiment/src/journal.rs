@@ -8,7 +8,8 @@ use crate::scores::ScoreTable;
 use crate::series::Series;
 use crate::validation;
 use pwrfgs_core::{Kind, Result};
-use pwrfgs_train::{Pipeline, StepReport};
+use pwrfgs_pipeline::Pipeline;
+use pwrfgs_train::StepReport;
 
 /// Up to this many steps every one has its row in `curve.csv`, beyond every tenth.
 const DENSE_STEPS: u64 = 2_000;

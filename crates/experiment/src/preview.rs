@@ -5,7 +5,8 @@ use crate::observed::observed;
 use crate::observer::Observer;
 use crate::runner::{check_scoring, load, rebase};
 use pwrfgs_core::{Error, Result};
-use pwrfgs_train::{Estimate, Pipeline, Trainer, network_bytes};
+use pwrfgs_pipeline::Pipeline;
+use pwrfgs_train::{Estimate, Trainer, network_bytes};
 use std::path::Path;
 
 /// What a run will do and take.
@@ -43,7 +44,7 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
     let (data, partition) = load(&pipeline, base, observer)?;
     check_scoring(&pipeline, &data)?;
     fitting_network(&pipeline)?;
-    let trainer = Trainer::sketch(&pipeline, &data, &partition)?;
+    let trainer = Trainer::sketch(&pipeline.plan()?, &data, &partition)?;
     let loaded_bytes = memory::peak(); // before a step is tried, which is counted by itself
     let estimate = fitting(&trainer)?;
     let weights = trainer.weights();
@@ -63,7 +64,7 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
 
 /// Refuses a network that does not fit the machine, before it is made.
 pub(crate) fn fitting_network(pipeline: &Pipeline) -> Result<()> {
-    let needed = network_bytes(pipeline);
+    let needed = if pipeline.method.is_some() { 0 } else { network_bytes(&*pipeline.deformation) };
     refuse_beyond_memory(needed, "the network", "a smaller `width` or `depth` of the deformation")
 }
 

@@ -3,7 +3,7 @@
 use crate::ensemble::{EnsembleFile, Team};
 use crate::input::{parse_base, set_all};
 use pwrfgs_core::{Result, files::read_text};
-use pwrfgs_train::Pipeline;
+use pwrfgs_pipeline::Pipeline;
 use std::path::Path;
 
 /// A pipeline, or an ensemble of them.

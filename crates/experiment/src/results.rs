@@ -8,7 +8,7 @@ use crate::samples;
 use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::{Dataset, Partition, Result};
 use pwrfgs_model::Ensemble;
-use pwrfgs_train::Pipeline;
+use pwrfgs_pipeline::Pipeline;
 use std::path::Path;
 
 /// Makes the page of a run, HTML in one file.

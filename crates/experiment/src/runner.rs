@@ -20,7 +20,8 @@ use crate::{clock, validation};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Dataset, Error, GaussianCloud, Partition, Result, evenly};
 use pwrfgs_model::{Ensemble, Model, file};
-use pwrfgs_train::{Estimate, Pipeline, Pruned, Trainer};
+use pwrfgs_pipeline::Pipeline;
+use pwrfgs_train::{Estimate, Pruned, Trainer};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
@@ -244,7 +245,7 @@ impl<'a> Run<'a, '_> {
         let trainer = match restored {
             Some(trainer) => trainer,
             None => staged(self.session.observer, "initialising", |progress| {
-                Trainer::begin(self.pipeline, self.data, self.partition, progress, self.session.stop)
+                Trainer::begin(&self.pipeline.plan()?, self.data, self.partition, progress, self.session.stop)
             })?,
         };
         let estimate = fitting(&trainer)?;
@@ -258,7 +259,7 @@ impl<'a> Run<'a, '_> {
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
             Err(e) => return Err(Error::read(path, e)),
         };
-        let restored = Trainer::restore(self.pipeline, self.data, self.partition, &bytes);
+        let restored = Trainer::restore(&self.pipeline.plan()?, self.data, self.partition, &bytes);
         restored.map(Some).map_err(|e| Error::input(path, format!("{e}; remove it to start again")))
     }
 

@@ -3,7 +3,7 @@
 
 use crate::text::field;
 use pwrfgs_core::{Dataset, Partition, Real, neighbours};
-use pwrfgs_train::Pipeline;
+use pwrfgs_pipeline::Pipeline;
 use std::fmt::Write as _;
 
 /// Columns where there is one receiver.

@@ -5,12 +5,9 @@ use crate::headline::headline;
 use crate::observer::{Silent, Validation};
 use crate::scores::Summary;
 use crate::session::Session;
-use pwrfgs_core::plugin::default_of;
-use pwrfgs_core::{
-    Dataset, Error, ImagePlane, Kind, Known, Measurement, Metric, Partition, Plugin, Result, Values, evenly,
-};
+use pwrfgs_core::{Dataset, ImagePlane, Kind, Known, Measurement, Partition, Plugin, Result, Values, evenly};
 use pwrfgs_model::Model;
-use pwrfgs_train::Pipeline;
+use pwrfgs_pipeline::{Pipeline, defaults};
 
 /// Header of `validation.csv`.
 pub(crate) fn header(kind: Kind) -> String {
@@ -23,11 +20,6 @@ impl Validation {
         let [mean, median, third] = self.values;
         format!("{},{mean},{median},{third}", self.step)
     }
-}
-
-/// The metrics behind the columns, such as SSIM and η(0 dB), as the program that links the metrics defines them.
-pub(crate) fn metrics(kind: Kind) -> Result<Vec<Plugin<dyn Metric>>> {
-    default_of(headline(kind).field).map_err(Error::Config)
 }
 
 /// One row of `validation.csv` from the measurements: mean and median of the first; of spectra the mean of the second, of
@@ -46,7 +38,11 @@ fn row(step: u64, kind: Kind, measured: &[Measurement]) -> Validation {
 pub(crate) fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize]) -> Result<Validation> {
     let bench = Bench::new(data, part, &model.stages.plane);
     let (kind, model) = (data.kind(), &model.prepare());
-    Ok(row(step, kind, &bench.model("the model", model, None, &metrics(kind)?, &mut Session::new(&mut Silent))?))
+    Ok(row(
+        step,
+        kind,
+        &bench.model("the model", model, None, &defaults::validation(kind), &mut Session::new(&mut Silent))?,
+    ))
 }
 
 /// What each baseline, having seen the training part alone, reaches on the samples that validation looks at.
@@ -65,7 +61,7 @@ pub(crate) fn floors(
         return Ok(Vec::new());
     }
     let bench = Bench::new(data, &part, plane);
-    let metrics = metrics(data.kind())?;
+    let metrics = defaults::validation(data.kind());
     let floor = |b: &Plugin<dyn pwrfgs_core::Baseline>| {
         session.check_stopped()?;
         let fitted = b.fit(data, Known::train(&partition.train))?;

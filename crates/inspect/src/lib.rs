@@ -32,7 +32,7 @@ use look::Looks;
 use pwrfgs_core::{Dataset, Kind as Observed, Metric, Plugin, Result, Scope};
 use pwrfgs_experiment::repeatability::{Repeatability, repeatability};
 use pwrfgs_experiment::{Observer, staged};
-use pwrfgs_train::Pipeline;
+use pwrfgs_pipeline::Pipeline;
 use std::sync::atomic::AtomicBool;
 
 /// All that was found.

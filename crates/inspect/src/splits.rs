@@ -7,7 +7,7 @@ use pwrfgs_experiment::repeatability::Lapse;
 use pwrfgs_experiment::samples::nearest_train;
 use pwrfgs_experiment::scores::{Summary, quantile};
 use pwrfgs_experiment::{Bench, Observer, Session, lapse_of};
-use pwrfgs_train::Pipeline;
+use pwrfgs_pipeline::Pipeline;
 
 /// Most test samples that floors are scored on.
 const TESTED: usize = 300;

@@ -14,12 +14,14 @@ mod method;
 mod received;
 mod survey;
 
+use crate::deform::Mlp;
 use crate::{Activation, ActivationVjp, Calibration, Readout};
-use pwrfgs_core::plugin::{Plugin, default_of};
+use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
     Cache, Deformation, Deltas, Documented, Elevation, Frame, GaussianCloud, ImagePlane, Kind, Parameters, Pose,
     Primitives, Projector, Rasterizer, Real, Render, RenderVjp, Splats, sigmoid,
 };
+use pwrfgs_raster::{AlphaBlending, Mercator};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::sync::Arc;
@@ -28,7 +30,7 @@ use std::time::Instant;
 /// Gaussians drawn as splats: what the fields `projector`, `rasterizer`, `deformation`, `calibration` and `readout` of a
 /// pipeline say, and what a pipeline does that leaves `method` out.
 #[derive(Clone, Debug, Serialize, Deserialize, Documented)]
-#[serde(try_from = "Fields")]
+#[serde(default, deny_unknown_fields)]
 pub struct Splatting {
     /// What the transmitter changes.
     pub deformation: Plugin<dyn Deformation>,
@@ -42,33 +44,18 @@ pub struct Splatting {
     pub readout: Readout,
 }
 
-/// The same, each of which may be left out, as in a pipeline.
-#[derive(Deserialize)]
-#[serde(rename = "Splatting", deny_unknown_fields)]
-struct Fields {
-    #[serde(default)]
-    deformation: Option<Plugin<dyn Deformation>>,
-    #[serde(default)]
-    projector: Option<Plugin<dyn Projector>>,
-    #[serde(default)]
-    rasterizer: Option<Plugin<dyn Rasterizer>>,
-    #[serde(default)]
-    calibration: Calibration,
-    #[serde(default)]
-    readout: Readout,
-}
-
-impl TryFrom<Fields> for Splatting {
-    type Error = String;
-
-    fn try_from(given: Fields) -> Result<Self, String> {
-        Ok(Self {
-            deformation: given.deformation.map_or_else(|| default_of("deformation"), Ok)?,
-            projector: given.projector.map_or_else(|| default_of("projector"), Ok)?,
-            rasterizer: given.rasterizer.map_or_else(|| default_of("rasterizer"), Ok)?,
-            calibration: given.calibration,
-            readout: given.readout,
-        })
+impl Default for Splatting {
+    fn default() -> Self {
+        let deformation: Box<dyn Deformation> = Box::new(Mlp::default());
+        let projector: Box<dyn Projector> = Box::new(Mercator::default());
+        let rasterizer: Box<dyn Rasterizer> = Box::new(AlphaBlending::default());
+        Self {
+            deformation: deformation.into(),
+            projector: projector.into(),
+            rasterizer: rasterizer.into(),
+            calibration: Calibration::default(),
+            readout: Readout::default(),
+        }
     }
 }
 

@@ -2,7 +2,9 @@
 
 use crate::Splatting;
 use pwrfgs_core::plugin::Plugin;
-use pwrfgs_core::{Axis, Frame, GaussianCloud, ImagePlane, Kind, Method, Real, Receiver, WeightSpec};
+use pwrfgs_core::{
+    Axis, Dataset, Error, Frame, GaussianCloud, ImagePlane, Kind, Method, Real, Receiver, Result, WeightSpec,
+};
 use std::any::Any;
 use std::ops::{Deref, DerefMut};
 
@@ -40,6 +42,22 @@ impl Stages {
     /// Gaussians drawn as splats.
     pub fn splats(splatting: Splatting, frame: Frame) -> Self {
         Self { method: Plugin::from(Box::new(splatting) as Box<dyn Method>), frame }
+    }
+
+    /// A method for `data`, with the whole image as its plane.
+    ///
+    /// # Errors
+    /// [`Error::Config`] where splats cannot be drawn on an image of this size.
+    pub fn of(method: Plugin<dyn Method>, data: &Dataset) -> Result<Self> {
+        let mut stages = Self { method, frame: Frame::of(data, data.plane()) };
+        if let (Kind::Spectrum, Some(splatting)) = (data.kind(), stages.splatting()) {
+            let plane = splatting.projector.plane_of(data.width, data.height, data.elevation);
+            let plane = plane.map_err(|why| Error::Config(format!("the projector {why}")))?;
+            let fits = splatting.rasterizer.check_plane(&plane);
+            fits.map_err(|why| Error::Config(format!("rasterizer: {why}")))?;
+            stages.frame.plane = plane;
+        }
+        Ok(stages)
     }
 
     /// The settings of Gaussians that are drawn as splats, where that is the method.

@@ -1,6 +1,6 @@
 //! `Batches`: which transmitters a step sees, and what was observed of their links.
 
-use crate::Pipeline;
+use crate::TrainingPlan;
 use crate::graph::{Batch, Places};
 use crate::settings::Rays;
 use pwrfgs_core::{Dataset, Error, ImagePlane, Kind, Link, Moment, Needs, Observations, Real, Result, rng};
@@ -45,9 +45,9 @@ impl Batches {
     ///
     /// # Errors
     /// Where a spectrum cannot be read.
-    pub(crate) fn of_step(&mut self, step: u64, pipeline: &Pipeline, data: &Dataset, stages: &Stages) -> Result<Batch> {
-        let settings = &pipeline.training;
-        let (seed, n) = (pipeline.seed, self.transmitters.len() as u64);
+    pub(crate) fn of_step(&mut self, step: u64, plan: &TrainingPlan, data: &Dataset, stages: &Stages) -> Result<Batch> {
+        let settings = &plan.training;
+        let (seed, n) = (plan.seed, self.transmitters.len() as u64);
         let mut jitter = rng::stream(seed, "jitter", step);
         let mut moved = |x: Real| x + settings.tx_jitter_m * rng::normal(&mut jitter);
         let random = &mut rng::stream(seed, "rays", step);
@@ -151,38 +151,38 @@ const AT_ONCE: usize = 64;
 
 /// The plane that `step` draws: every `stride`-th row and column of the whole image, from the first one, or from one that is
 /// drawn for this step.
-pub(crate) fn plane_of_step(whole: &ImagePlane, pipeline: &Pipeline, kind: Kind, step: u64) -> ImagePlane {
-    strided(whole, pipeline, kind, pipeline.training.moving_stride.then_some(("stride", step)))
+pub(crate) fn plane_of_step(whole: &ImagePlane, plan: &TrainingPlan, kind: Kind, step: u64) -> ImagePlane {
+    strided(whole, plan, kind, plan.training.moving_stride.then_some(("stride", step)))
 }
 
 /// The plane that a part of the pass of a prune step draws, from a row and a column on that are drawn for this part: the
 /// pixels between those of the training count in predictions too.
 pub(crate) fn plane_of_pass(
     whole: &ImagePlane,
-    pipeline: &Pipeline,
+    plan: &TrainingPlan,
     kind: Kind,
     (step, part): (u64, u64),
 ) -> ImagePlane {
-    strided(whole, pipeline, kind, Some(("stride of a pass", step << 24 | part)))
+    strided(whole, plan, kind, Some(("stride of a pass", step << 24 | part)))
 }
 
 /// Every `stride`-th row and column, from a place that the stream of this name and number draws; every pixel of anything but
 /// a spectrum.
-fn strided(whole: &ImagePlane, pipeline: &Pipeline, kind: Kind, stream: Option<(&str, u64)>) -> ImagePlane {
-    let stride = pipeline.training.stride;
+fn strided(whole: &ImagePlane, plan: &TrainingPlan, kind: Kind, stream: Option<(&str, u64)>) -> ImagePlane {
+    let stride = plan.training.stride;
     if stride == 1 || kind != Kind::Spectrum {
         return whole.clone();
     }
     let offset = stream.map_or([0, 0], |(name, number)| {
-        let random = &mut rng::stream(pipeline.seed, name, number);
+        let random = &mut rng::stream(plan.seed, name, number);
         [(); 2].map(|()| rng::below(random, stride))
     });
     whole.strided(stride, offset)
 }
 
 /// Whether the stride divides the image.
-pub(crate) fn check_stride(plane: &ImagePlane, pipeline: &Pipeline, kind: Kind) -> Result<()> {
-    let (width, height, stride) = (plane.width, plane.height, pipeline.training.stride);
+pub(crate) fn check_stride(plane: &ImagePlane, plan: &TrainingPlan, kind: Kind) -> Result<()> {
+    let (width, height, stride) = (plane.width, plane.height, plan.training.stride);
     if kind != Kind::Spectrum || width.is_multiple_of(stride) && height.is_multiple_of(stride) {
         return Ok(());
     }

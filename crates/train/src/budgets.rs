@@ -1,16 +1,15 @@
 //! Whether the pruners of a pipeline can be had together, and what they ask can be told.
 
-use crate::Pipeline;
-use crate::kinds::name;
-use pwrfgs_core::plugin::{Plugin, to_ron};
+use crate::TrainingPlan;
+use pwrfgs_core::plugin::{Plugin, name_of, to_ron};
 use pwrfgs_core::{Budget, GaussianCloud, Kind, Moment, Phase, Pruner, Statistic};
 
-/// The pruners, and the pipeline's own number given to the first that takes one.
+/// The pruners, and `training.target` given to the first that takes one.
 ///
 /// # Errors
 /// Where none does.
-pub(crate) fn targeted(pipeline: &Pipeline) -> Result<Vec<Plugin<dyn Pruner>>, String> {
-    let (mut pruners, target) = (pipeline.pruners.clone(), pipeline.training.target);
+pub(crate) fn targeted(plan: &TrainingPlan) -> Result<Vec<Plugin<dyn Pruner>>, String> {
+    let (mut pruners, target) = (plan.pruners.clone(), plan.training.target);
     if target == 0
         || pruners.iter().any(|pruner| is_exact(pruner) && pruner.budget().is_some_and(|own| own.target() == target))
     {
@@ -34,14 +33,14 @@ pub(crate) fn targeted(pipeline: &Pipeline) -> Result<Vec<Plugin<dyn Pruner>>, S
 /// press on one column. Different pruners may share a column.
 fn given_twice(pruners: &[Plugin<dyn Pruner>]) -> Option<String> {
     // Strategies written in Python have one name and differ in their class.
-    let kind = |pruner: &Plugin<dyn Pruner>| match name(pruner) {
+    let kind = |pruner: &Plugin<dyn Pruner>| match name_of(pruner) {
         python if python == "Python" => to_ron(pruner),
         name => name,
     };
     let twice = pruners.iter().enumerate().find(|(k, pruner)| {
         !pruner.columns().is_empty() && pruners[..*k].iter().any(|other| kind(other) == kind(pruner))
     });
-    twice.map(|(_, pruner)| format!("`{}` is given twice; give it once", name(pruner)))
+    twice.map(|(_, pruner)| format!("`{}` is given twice; give it once", name_of(pruner)))
 }
 
 /// Whether a pruner comes to an exact number.
@@ -50,18 +49,18 @@ pub(crate) fn is_exact(pruner: &Plugin<dyn Pruner>) -> bool {
 }
 
 /// What is wrong with the list of pruners.
-pub(crate) fn contradiction(pipeline: &Pipeline) -> Option<String> {
-    if let Some(why) = given_twice(&pipeline.pruners) {
+pub(crate) fn contradiction(plan: &TrainingPlan) -> Option<String> {
+    if let Some(why) = given_twice(&plan.pruners) {
         return Some(why);
     }
-    let pruners = match targeted(pipeline) {
+    let pruners = match targeted(plan) {
         Ok(pruners) => pruners,
         Err(why) => return Some(why),
     };
-    let pipeline = &Pipeline { pruners, ..pipeline.clone() };
-    let name = |k: usize| name(&pipeline.pruners[k]);
-    let exact: Vec<usize> = (0..pipeline.pruners.len()).filter(|&k| is_exact(&pipeline.pruners[k])).collect();
-    let mut budgets = pipeline.pruners.iter().enumerate().filter_map(|(k, p)| Some((k, p.budget()?.target())));
+    let plan = &TrainingPlan { pruners, ..plan.clone() };
+    let name = |k: usize| name_of(&plan.pruners[k]);
+    let exact: Vec<usize> = (0..plan.pruners.len()).filter(|&k| is_exact(&plan.pruners[k])).collect();
+    let mut budgets = plan.pruners.iter().enumerate().filter_map(|(k, p)| Some((k, p.budget()?.target())));
     if let Some((first, target)) = budgets.next() {
         if let Some((other, another)) = budgets.find(|(_, another)| *another != target) {
             return Some(format!(
@@ -74,7 +73,7 @@ pub(crate) fn contradiction(pipeline: &Pipeline) -> Option<String> {
             let (first, second) = (name(first), name(second));
             return Some(format!("`{first}` and `{second}` both come to an exact number; give one of them a `target`"));
         }
-        let training = &pipeline.training;
+        let training = &plan.training;
         if training.prune_until <= training.densify_until && !exact.is_empty() {
             return Some(format!(
                 "`{}` wants {target} Gaussians, and there is no pruning phase; set training.prune_until above \
@@ -83,11 +82,11 @@ pub(crate) fn contradiction(pipeline: &Pipeline) -> Option<String> {
             ));
         }
     }
-    if let Some(what) = pipeline.initializer.count().and_then(|n| too_many(pipeline, n)) {
+    if let Some(what) = plan.initializer.count().and_then(|n| too_many(plan, n)) {
         return Some(what);
     }
-    let method = pipeline.method();
-    for (k, pruner) in pipeline.pruners.iter().enumerate() {
+    let method = &plan.method;
+    for (k, pruner) in plan.pruners.iter().enumerate() {
         let moment = Moment { round: 1, rounds: 1, ..Moment::new(1, Phase::Prune, 0) };
         let needs = pruner.needs(&GaussianCloud::zeros(0), &moment);
         if !method.blends() && needs.statistics.iter().any(|statistic| statistic.wants_blending()) {
@@ -110,23 +109,23 @@ pub(crate) fn contradiction(pipeline: &Pipeline) -> Option<String> {
 }
 
 /// Whether densification or a pruner may add Gaussians, up to `n` at least.
-fn grows(pipeline: &Pipeline, n: usize) -> bool {
-    let densify = &pipeline.training.densify;
+fn grows(plan: &TrainingPlan, n: usize) -> bool {
+    let densify = &plan.training.densify;
     let room = densify.max_gaussians == 0 || densify.max_gaussians >= n;
-    (densify.every > 0 && densify.from < pipeline.training.densify_until && room)
-        || pipeline.pruners.iter().any(|pruner| pruner.grows())
+    (densify.every > 0 && densify.from < plan.training.densify_until && room)
+        || plan.pruners.iter().any(|pruner| pruner.grows())
 }
 
 /// The target that removes none of the `n` Gaussians at the start, if none are added.
-pub(crate) fn idle_target(pipeline: &Pipeline, n: usize) -> Option<usize> {
-    let target = pipeline.pruners.iter().find_map(|pruner| pruner.budget())?.target();
-    (target >= n && !grows(pipeline, n + 1)).then_some(target)
+pub(crate) fn idle_target(plan: &TrainingPlan, n: usize) -> Option<usize> {
+    let target = plan.pruners.iter().find_map(|pruner| pruner.budget())?.target();
+    (target >= n && !grows(plan, n + 1)).then_some(target)
 }
 
 /// The exact number that is asked for, where it is above the `n` Gaussians at the start and none are added.
-pub(crate) fn too_many(pipeline: &Pipeline, n: usize) -> Option<String> {
-    let target = pipeline.pruners.iter().find(|pruner| is_exact(pruner))?.budget()?.target();
-    (target > n && !grows(pipeline, target)).then(|| {
+pub(crate) fn too_many(plan: &TrainingPlan, n: usize) -> Option<String> {
+    let target = plan.pruners.iter().find(|pruner| is_exact(pruner))?.budget()?.target();
+    (target > n && !grows(plan, target)).then(|| {
         format!("{target} Gaussians are wanted at the end, and there are {n} at the start; start with more, or ask for fewer")
     })
 }

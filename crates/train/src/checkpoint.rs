@@ -3,7 +3,7 @@
 //! Random streams are functions of (seed, name, step), so a step number is all the state they have.
 
 use crate::trainer::Trainer;
-use crate::{Pipeline, adam::Adam, births::Births};
+use crate::{TrainingPlan, adam::Adam, births::Births};
 use pwrfgs_core::{CloudStats, Dataset, Error, Partition, Real, Result};
 use pwrfgs_model::file::{put_weights, take_columns, take_weights};
 use pwrfgs_model::tensors::Tensors;
@@ -21,7 +21,7 @@ struct Sealed {
 struct Note {
     format: String,
     version: u32,
-    /// Of pipeline and data.
+    /// Of plan and data.
     fingerprint: String,
     done: u64,
     gaussians: usize,
@@ -72,12 +72,12 @@ impl<'a> Trainer<'a> {
         file.to_bytes()
     }
 
-    /// The trainer that wrote `bytes`, for the same pipeline and data.
+    /// The trainer that wrote `bytes`, for the same plan and data.
     ///
     /// # Errors
     /// [`Error::Config`] where the bytes are not such a checkpoint: damaged, or of another training.
-    pub fn restore(pipeline: &Pipeline, data: &'a Dataset, partition: &Partition, bytes: &[u8]) -> Result<Self> {
-        let mut trainer = Self::blank(pipeline, data, partition)?;
+    pub fn restore(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition, bytes: &[u8]) -> Result<Self> {
+        let mut trainer = Self::blank(plan, data, partition)?;
         trainer.read(bytes).map_err(|why| {
             Error::Config(format!("the checkpoint cannot be used: {why}; remove it to start again from step 1"))
         })?;

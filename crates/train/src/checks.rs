@@ -1,7 +1,7 @@
-//! What a pipeline and its data must have in common before a training begins.
+//! What a plan and its data must have in common before a training begins.
 
 use crate::settings::Rays;
-use pwrfgs_core::{Dataset, Error, Kind, Method, Result};
+use pwrfgs_core::{Dataset, Error, Kind, Result};
 use pwrfgs_model::Stages;
 
 /// Refuses rays where there are no pixels to choose, and more than a step can be meant to have.
@@ -28,9 +28,10 @@ pub(crate) fn check_rays(rays: Rays, stages: &Stages) -> Result<()> {
 /// Pairs of a spectrum and a pixel a step.
 const MOST_PAIRS: usize = 1 << 22;
 
-/// Refuses data that describe a transmitter by other numbers than the method wants, which is splatting or one of its `own`.
-pub(crate) fn check_inputs(method: &dyn Method, own: bool, data: &Dataset) -> Result<()> {
-    let (wants, has) = (method.inputs(), data.features.as_ref().map_or(3, |features| features.width));
+/// Refuses data that describe a transmitter by other numbers than the method wants.
+pub(crate) fn check_inputs(stages: &Stages, data: &Dataset) -> Result<()> {
+    let own = stages.splatting().is_none();
+    let (wants, has) = (stages.method.inputs(), data.features.as_ref().map_or(3, |features| features.width));
     if data.features.is_none() && !data.placed {
         return Err(Error::Config("the data have neither positions nor features of the transmitters".into()));
     }

@@ -1,11 +1,10 @@
 //! `Estimate`: what training will take, said before its first step.
 
-use crate::Pipeline;
 use crate::batches::Batches;
 use crate::graph::loss_and_gradients;
 use crate::settings::Rays;
 use crate::trainer::Trainer;
-use pwrfgs_core::{GaussianCloud, Kind, Real, Result};
+use pwrfgs_core::{Deformation, GaussianCloud, Kind, Real, Result};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -36,12 +35,9 @@ const TRIAL: usize = 4_000;
 /// Numbers a Gaussian and number of a channel: waves and their derivatives, real and imaginary.
 const PER_WAVE: usize = 4;
 
-/// Bytes that the network of `pipeline` takes in training; known before anything is made, but of a method of its own.
-pub fn network_bytes(pipeline: &Pipeline) -> u64 {
-    if pipeline.method.is_some() {
-        return 0;
-    }
-    let weights = pipeline.deformation.layout().iter().map(|spec| spec.len() as u64).sum::<u64>();
+/// Bytes that the network of `deformation` takes in training; known before anything is made.
+pub fn network_bytes(deformation: &dyn Deformation) -> u64 {
+    let weights = deformation.layout().iter().map(|spec| spec.len() as u64).sum::<u64>();
     weights * (PER_WEIGHT * size_of::<Real>()) as u64
 }
 
@@ -52,7 +48,7 @@ impl Trainer<'_> {
     /// # Errors
     /// Numbers that are not finite.
     pub fn estimate(&self) -> Result<Estimate> {
-        let (n, batch) = (self.cloud.len(), self.pipeline.training.batch);
+        let (n, batch) = (self.cloud.len(), self.plan.training.batch);
         // Of many an eighth, or what is small and noisy would be multiplied by a hundred.
         let most = (TRIAL / batch).max(n / 8).clamp(16, n.max(16)).min(n);
         let (whole, half) = (self.trial(most)?, if most < n { self.trial(most / 2)? } else { 0.0 });
@@ -60,7 +56,7 @@ impl Trainer<'_> {
         let step_seconds = whole + each * (n - most) as f64;
         let frame = &self.stages.frame;
         let of_each = self.data.len().div_ceil(self.data.transmitters.len().max(1));
-        let (links, chosen) = match self.pipeline.training.rays {
+        let (links, chosen) = match self.plan.training.rays {
             Rays::All => (batch * of_each, frame.numbers()),
             Rays::Same(rays) => (batch * of_each, rays),
             Rays::Each(pairs) => (pairs, 1),
@@ -69,7 +65,7 @@ impl Trainer<'_> {
             Some(splatting) => {
                 let sky = splatting.sky(frame);
                 let waves = if frame.kind == Kind::Channel { PER_WAVE * frame.numbers() / 2 } else { 0 };
-                (PER_GAUSSIAN + self.pipeline.deformation.kept_per_gaussian() + waves, sky.width * sky.height)
+                (PER_GAUSSIAN + splatting.deformation.kept_per_gaussian() + waves, sky.width * sky.height)
             }
             None => (PER_GAUSSIAN, chosen),
         };
@@ -88,7 +84,7 @@ impl Trainer<'_> {
         let moment = self.moment(step);
         let batch = Batches::new(self.data, self.batches().train().to_vec()).of_step(
             step,
-            &self.pipeline,
+            &self.plan,
             self.data,
             &self.stages,
         )?;

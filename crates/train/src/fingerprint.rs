@@ -1,31 +1,28 @@
 //! What a training follows from, as one digest: a checkpoint goes on in the very training that it comes from.
 
-use crate::Pipeline;
+use crate::TrainingPlan;
 use crate::settings::Training;
 use crate::trainer::specs_of;
 use pwrfgs_core::files::digest;
-use pwrfgs_core::plugin::ron_options;
+use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{Dataset, Observations, Real, Sample};
 use rayon::prelude::*;
 
 /// Samples whose digests are taken together.
 const CHUNK: usize = 64;
 
-/// The digest of everything in `pipeline` that changes a training, of the `data` and of which of them are trained on.
+/// The digest of everything in `plan` that changes a training, of the `data` and of which of them are trained on.
 /// Where the data lie, how they are scored and how often one looks or saves is left out.
-pub(crate) fn fingerprint(pipeline: &Pipeline, data: &Dataset, train: &[usize]) -> String {
+pub(crate) fn fingerprint(plan: &TrainingPlan, data: &Dataset, train: &[usize]) -> String {
     let looks = Training::default();
     let training = Training {
         checkpoint_every: looks.checkpoint_every,
         validate_every: looks.validate_every,
         validation_samples: looks.validation_samples,
-        ..Training::clone(&pipeline.training)
+        ..Training::clone(&plan.training)
     };
-    let p = pipeline;
-    let stages = (&p.method, &p.projector, &p.rasterizer, &p.deformation, p.calibration, p.readout);
-    let pruners = &p.pruners;
-    let said = ron_options().to_string(&(p.seed, &p.initializer, stages, pruners, training)).expect("plain data");
-    let columns: Vec<_> = specs_of(pipeline).into_iter().map(|spec| (spec.name, spec.width)).collect();
+    let said = to_ron(&(plan.seed, &plan.initializer, &plan.method, &plan.pruners, training));
+    let columns: Vec<_> = specs_of(plan).into_iter().map(|spec| (spec.name, spec.width)).collect();
     let parts = [said, format!("{columns:?} {train:?} {}", size_of::<Real>()), of_data(data)];
     digest(parts.join("\n").as_bytes())
 }

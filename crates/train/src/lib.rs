@@ -12,25 +12,22 @@ mod budgets;
 mod checkpoint;
 mod checks;
 mod densify;
-mod draft;
 mod edit;
 mod estimate;
 mod fingerprint;
 mod graph;
-mod kinds;
 mod loss;
-mod pipeline;
+mod plan;
 mod pruning;
 mod settings;
 mod survey;
 mod trainer;
 mod warnings;
 
-pub use draft::Draft;
 pub use estimate::{Estimate, network_bytes};
 pub use graph::{Batch, LossAndGradients, Places, loss_and_gradients};
 pub use loss::{ChannelLoss, LinkLoss, Objective, RenderingLoss};
-pub use pipeline::{Pipeline, PipelineFields, PipelinePatch};
+pub use plan::TrainingPlan;
 pub use settings::{
     Densify, DensifyPatch, Errors, Loss, LossPatch, Optimizer, OptimizerPatch, Rays, Schedule, Training, TrainingPatch,
 };

@@ -4,10 +4,9 @@ use crate::batches::plane_of_pass;
 use crate::budgets::is_exact;
 use crate::edit;
 use crate::graph::open_gates;
-use crate::kinds::name;
 use crate::survey;
 use crate::trainer::{Before, Trainer};
-use pwrfgs_core::plugin::Plugin;
+use pwrfgs_core::plugin::{Plugin, name_of};
 use pwrfgs_core::{Budget, CloudStats, GaussianCloud, Moment, Phase, Pruner, Real, Result, Row};
 use pwrfgs_model::Stages;
 
@@ -55,7 +54,7 @@ fn votes(
         if !matches!(budget, Some(Budget::Rounds(_))) {
             let own = pruner.keep(cloud, stats, moment);
             assert_eq!(own.len(), keep.len(), "a pruner answers for every Gaussian");
-            rules.push((format!("`{}`", name(pruner)), own.iter().filter(|keep| !**keep).count()));
+            rules.push((format!("`{}`", name_of(pruner)), own.iter().filter(|keep| !**keep).count()));
             keep.iter_mut().zip(own).for_each(|(all, own)| *all &= own);
         }
     }
@@ -72,17 +71,17 @@ fn votes(
 impl Trainer<'_> {
     /// What `step` is.
     pub(crate) fn moment(&self, step: u64) -> Moment {
-        let t = &self.pipeline.training;
+        let t = &self.plan.training;
         let phases = (t.densify_until, t.prune_until, t.prune_every);
         let (phase, rounds) = (self.phase(step), rounds_until(t.prune_until, phases));
         let due = phase == Phase::Prune && (step.is_multiple_of(t.prune_every) || step == t.prune_until);
         let round = if due { rounds_until(step, phases) } else { 0 };
-        Moment { round, rounds, ..Moment::new(step, phase, self.pipeline.seed) }
+        Moment { round, rounds, ..Moment::new(step, phase, self.plan.seed) }
     }
 
     /// Asks every pruner. Gives the Gaussians as they were where they changed.
     pub(crate) fn prune(&mut self, moment: &Moment) -> Result<Option<Before>> {
-        let pruners = self.pipeline.pruners.clone();
+        let pruners = self.plan.pruners.clone();
         let Some(first) = pruners.first() else { return Ok(None) };
         let (before, n) = (self.before(), self.cloud.len());
         let known = self.edits(&pruners, moment)?;
@@ -143,11 +142,11 @@ impl Trainer<'_> {
     fn stats_for(&self, k: usize, pruner: &Plugin<dyn Pruner>, moment: &Moment) -> Result<CloudStats> {
         let (needs, mut stats) = (pruner.needs(&self.cloud, moment).settled(self.stages.method.blends()), self.told(k));
         if !needs.is_nothing() && moment.round > 0 {
-            let gate = open_gates(&self.cloud, &self.pipeline.pruners, moment);
+            let gate = open_gates(&self.cloud, &self.plan.pruners, moment);
             let stages_of = |part: u64| {
                 let mut stages = Stages::clone(&self.stages);
                 let place = (moment.step, part);
-                stages.frame.plane = plane_of_pass(&self.plane, &self.pipeline, self.data.kind(), place);
+                stages.frame.plane = plane_of_pass(&self.plane, &self.plan, self.data.kind(), place);
                 stages
             };
             let batches = self.batches().sample(&needs, moment, self.data, stages_of);

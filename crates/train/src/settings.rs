@@ -263,7 +263,7 @@ fn scaled(steps: u64, scale: f64) -> u64 {
 
 impl Training {
     /// The same with `scale` multiplied in, and 1 from then on.
-    pub(crate) fn resolved(&self) -> Self {
+    pub fn resolved(&self) -> Self {
         let mut own = self.clone();
         if self.scale == 1.0 {
             return own; // counts beyond 2^53 would be rounded

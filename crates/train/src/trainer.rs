@@ -1,5 +1,6 @@
 //! `Trainer`: the loop of algorithm 1, step by step.
 
+use crate::TrainingPlan;
 use crate::adam::Adam;
 use crate::batches::{Batches, check_stride, plane_of_step};
 use crate::births::Births;
@@ -10,11 +11,10 @@ use crate::edit::{self, Beside};
 use crate::fingerprint::fingerprint;
 use crate::graph::{drawn_gates, loss_and_gradients, open_gates};
 use crate::loss::{Objective, objective};
-use crate::pipeline::Pipeline;
 use crate::pruning::Memories;
 use pwrfgs_core::{
-    CloudStats, ColumnSpec, Dataset, Error, ExtraColumn, Frame, GaussianCloud, ImagePlane, Moment, Partition, Phase,
-    Progress, Real, Result, Seen, rng,
+    CloudStats, ColumnSpec, Dataset, Error, ExtraColumn, GaussianCloud, ImagePlane, Moment, Partition, Phase, Progress,
+    Real, Result, Seen, rng,
 };
 use pwrfgs_model::{Model, Stages};
 use std::sync::atomic::AtomicBool;
@@ -53,10 +53,10 @@ pub struct Pruned {
 /// The Gaussians before something took some, and who they are.
 pub(crate) type Before = (GaussianCloud, Vec<u32>);
 
-/// A training under way. The same pipeline and data give the same bits at any thread count, interrupted or not.
+/// A training under way. The same plan and data give the same bits at any thread count, interrupted or not.
 #[derive(Debug)]
 pub struct Trainer<'a> {
-    pub(crate) pipeline: Pipeline,
+    pub(crate) plan: TrainingPlan,
     pub(crate) data: &'a Dataset,
     batches: Batches,
     pub(crate) objective: Box<dyn Objective>,
@@ -82,8 +82,8 @@ impl<'a> Trainer<'a> {
     ///
     /// # Errors
     /// What the initializer lacks, or an empty training part.
-    pub fn new(pipeline: &Pipeline, data: &'a Dataset, partition: &Partition) -> Result<Self> {
-        Self::begin(pipeline, data, partition, &|_, _| {}, &AtomicBool::new(false))
+    pub fn new(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition) -> Result<Self> {
+        Self::begin(plan, data, partition, &|_, _| {}, &AtomicBool::new(false))
     }
 
     /// The same for an initializer that may search for long.
@@ -91,19 +91,19 @@ impl<'a> Trainer<'a> {
     /// # Errors
     /// As [`Self::new`]; [`Error::Stopped`] once `stop` is set.
     pub fn begin(
-        pipeline: &Pipeline,
+        plan: &TrainingPlan,
         data: &'a Dataset,
         partition: &Partition,
         progress: Progress<'_>,
         stop: &AtomicBool,
     ) -> Result<Self> {
-        let mut blank = Self::blank(pipeline, data, partition)?;
-        let random = &mut rng::stream(pipeline.seed, "init", 0);
+        let mut blank = Self::blank(plan, data, partition)?;
+        let random = &mut rng::stream(plan.seed, "init", 0);
         let method = &*blank.stages.method;
         let seen = Seen { data, train: &partition.train, plane: &blank.plane, method, progress, stop };
         let cloud =
-            if method.has_gaussians() { pipeline.initializer.search(&seen, random)? } else { GaussianCloud::zeros(0) };
-        let weights = pipeline.initializer.weights(&seen)?;
+            if method.has_gaussians() { plan.initializer.search(&seen, random)? } else { GaussianCloud::zeros(0) };
+        let weights = plan.initializer.weights(&seen)?;
         blank.fill(cloud, weights)?;
         Ok(blank)
     }
@@ -112,66 +112,65 @@ impl<'a> Trainer<'a> {
     ///
     /// # Errors
     /// As [`Self::new`].
-    pub fn sketch(pipeline: &Pipeline, data: &'a Dataset, partition: &Partition) -> Result<Self> {
-        let mut blank = Self::blank(pipeline, data, partition)?;
-        let random = &mut rng::stream(pipeline.seed, "init", 0);
+    pub fn sketch(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition) -> Result<Self> {
+        let mut blank = Self::blank(plan, data, partition)?;
+        let random = &mut rng::stream(plan.seed, "init", 0);
         let (method, stop) = (&*blank.stages.method, &AtomicBool::new(false));
         let cloud = if method.has_gaussians() {
-            pipeline.initializer.initialize(&data.scene, &blank.plane, random)?
+            plan.initializer.initialize(&data.scene, &blank.plane, random)?
         } else {
             GaussianCloud::zeros(0)
         };
         let seen = Seen { data, train: &partition.train, plane: &blank.plane, method, progress: &|_, _| {}, stop };
-        let weights = pipeline.initializer.weights(&seen)?;
+        let weights = plan.initializer.weights(&seen)?;
         blank.fill(cloud, weights)?;
         Ok(blank)
     }
 
     /// Everything but parameters.
-    pub(crate) fn blank(pipeline: &Pipeline, data: &'a Dataset, partition: &Partition) -> Result<Self> {
-        let mut pipeline = pipeline.resolved()?;
-        pipeline.pruners.iter().try_for_each(|pruner| pruner.ready())?;
-        pipeline.pruners = targeted(&pipeline).map_err(Error::Config)?;
-        let pipeline = &pipeline;
-        let plane = pipeline.plane(data)?;
-        let method = pipeline.method();
-        check_inputs(&*method, pipeline.method.is_some(), data)?;
+    pub(crate) fn blank(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition) -> Result<Self> {
+        let mut plan = plan.clone();
+        plan.pruners.iter().try_for_each(|pruner| pruner.ready())?;
+        plan.pruners = targeted(&plan).map_err(Error::Config)?;
+        let whole = Stages::of(plan.method.clone(), data)?;
+        check_inputs(&whole, data)?;
         if partition.train.is_empty() {
             return Err(Error::Config("the training part is empty; use another split".into()));
         }
         let batches = Batches::new(data, partition.train.clone());
-        if pipeline.training.batch > batches.transmitters() {
+        if plan.training.batch > batches.transmitters() {
             return Err(Error::Config(format!(
                 "training.batch is {}, but the training part has {} samples only; give at most so many",
-                pipeline.training.batch,
+                plan.training.batch,
                 batches.transmitters()
             )));
         }
-        check_stride(&plane, pipeline, data.kind())?;
-        let strided = plane_of_step(&plane, pipeline, data.kind(), 1);
-        let stages = Stages { method, frame: Frame::of(data, strided) };
-        check_rays(pipeline.training.rays, &stages)?;
+        let plane = whole.plane.clone();
+        check_stride(&plane, &plan, data.kind())?;
+        let mut stages = whole.clone();
+        stages.frame.plane = plane_of_step(&plane, &plan, data.kind(), 1);
+        check_rays(plan.training.rays, &stages)?;
         stages.method.check_frame(&stages.frame).map_err(Error::Config)?;
-        Stages { frame: Frame::of(data, plane.clone()), ..stages.clone() }.check().map_err(Error::Config)?;
+        whole.check().map_err(Error::Config)?;
         let cloud = GaussianCloud::zeros(0);
         let blank = Self {
             adam: Adam::new(&cloud, &[]),
             stats: CloudStats::zeros(0),
             births: Births::default(),
-            memories: Memories::of(&pipeline.pruners),
-            pipeline: pipeline.clone(),
+            memories: Memories::of(&plan.pruners),
             data,
-            objective: objective(&pipeline.training, data, &partition.train),
+            objective: objective(&plan.training, data, &partition.train),
             batches,
             stages: Arc::new(stages),
             plane,
-            specs: specs_of(pipeline),
+            specs: specs_of(&plan),
+            plan,
             cloud,
             weights: Arc::default(),
             done: 0,
             fingerprint: OnceLock::new(),
         };
-        if blank.pipeline.pruners.iter().any(is_exact) && blank.moment(1).rounds == 0 {
+        if blank.plan.pruners.iter().any(is_exact) && blank.moment(1).rounds == 0 {
             return Err(Error::Config(
                 "an exact number of Gaussians is wanted, and there is no prune step; set training.prune_until above \
                  densify_until, or a larger scale"
@@ -186,7 +185,7 @@ impl<'a> Trainer<'a> {
         if cloud.is_empty() && self.stages.method.has_gaussians() {
             return Err(Error::Config("the initializer made no Gaussian; raise its count, or take Random()".into()));
         }
-        if let Some(what) = too_many(&self.pipeline, cloud.len()) {
+        if let Some(what) = too_many(&self.plan, cloud.len()) {
             return Err(Error::Config(format!("pruners: {what}")));
         }
         let Stages { method, frame } = &*self.stages;
@@ -195,7 +194,7 @@ impl<'a> Trainer<'a> {
             let values = vec![spec.init; cloud.len() * spec.width];
             cloud.extra.push(ExtraColumn { name: spec.name.into(), width: spec.width, values });
         }
-        let mut weights = method.init(frame, &mut rng::stream(self.pipeline.seed, "network", 0));
+        let mut weights = method.init(frame, &mut rng::stream(self.plan.seed, "network", 0));
         match trained {
             Some(trained) if trained.len() == weights.len() => weights = trained,
             Some(trained) => {
@@ -217,7 +216,7 @@ impl<'a> Trainer<'a> {
 
     /// What this training follows from.
     pub(crate) fn fingerprint(&self) -> &str {
-        self.fingerprint.get_or_init(|| fingerprint(&self.pipeline, self.data, self.batches.train()))
+        self.fingerprint.get_or_init(|| fingerprint(&self.plan, self.data, self.batches.train()))
     }
 
     /// Steps taken.
@@ -232,7 +231,7 @@ impl<'a> Trainer<'a> {
 
     /// Whether all steps are taken.
     pub fn finished(&self) -> bool {
-        self.done >= self.pipeline.training.steps
+        self.done >= self.plan.training.steps
     }
 
     /// The Gaussians as they stand.
@@ -252,7 +251,7 @@ impl<'a> Trainer<'a> {
 
     fn gates_of(&self, cloud: &GaussianCloud, moment: &Moment) -> Option<Vec<Real>> {
         let has_state = cloud.extra.len() > self.stages.method.columns().len();
-        has_state.then(|| open_gates(cloud, &self.pipeline.pruners, moment)).flatten()
+        has_state.then(|| open_gates(cloud, &self.plan.pruners, moment)).flatten()
     }
 
     /// Everything that has a row a Gaussian.
@@ -288,7 +287,7 @@ impl<'a> Trainer<'a> {
 
     /// Phase of algorithm 1 at `step`.
     pub fn phase(&self, step: u64) -> Phase {
-        let t = &self.pipeline.training;
+        let t = &self.plan.training;
         if step <= t.densify_until {
             Phase::Densify
         } else if step <= t.prune_until {
@@ -311,8 +310,8 @@ impl<'a> Trainer<'a> {
         let step = self.done + 1;
         let moment = self.moment(step);
         self.set_plane(step);
-        let batch = self.batches.of_step(step, &self.pipeline, self.data, &self.stages)?;
-        let pruners = if moment.phase == Phase::Finetune { Vec::new() } else { self.pipeline.pruners.clone() };
+        let batch = self.batches.of_step(step, &self.plan, self.data, &self.stages)?;
+        let pruners = if moment.phase == Phase::Finetune { Vec::new() } else { self.plan.pruners.clone() };
         let window = self.factors(step);
         let weights = match &window {
             Some(window) => Arc::new(through(window, &self.weights)),
@@ -327,7 +326,7 @@ impl<'a> Trainer<'a> {
         self.stats.add(&found.seen);
         self.adam
             .step(
-                &self.pipeline.training,
+                &self.plan.training,
                 &self.specs,
                 step,
                 (&mut self.cloud, &found.d_cloud),
@@ -349,7 +348,7 @@ impl<'a> Trainer<'a> {
 
     /// Sets the plane that `step` draws.
     fn set_plane(&mut self, step: u64) {
-        let plane = plane_of_step(&self.plane, &self.pipeline, self.data.kind(), step);
+        let plane = plane_of_step(&self.plane, &self.plan, self.data.kind(), step);
         if plane != self.stages.plane {
             Arc::make_mut(&mut self.stages).frame.plane = plane;
         }
@@ -359,9 +358,7 @@ impl<'a> Trainer<'a> {
     pub fn model(&self) -> Model {
         let moment = self.moment(self.done.max(1));
         let mut cloud = self.cloud.clone();
-        if let Some(open) =
-            self.has_state().then(|| drawn_gates(&self.cloud, &self.pipeline.pruners, &moment)).flatten()
-        {
+        if let Some(open) = self.has_state().then(|| drawn_gates(&self.cloud, &self.plan.pruners, &moment)).flatten() {
             let rows: Vec<usize> = (0..open.len()).filter(|&i| open[i]).collect();
             cloud = cloud.select(&rows);
         }
@@ -381,18 +378,18 @@ impl<'a> Trainer<'a> {
 
     /// Factors on the network's weights while frequencies are let in; `None` where all are in.
     fn window(&self, step: u64) -> Option<Vec<Real>> {
-        let steps = self.pipeline.training.anneal_frequencies;
+        let steps = self.plan.training.anneal_frequencies;
         let share = step as f64 / steps.max(1) as f64;
         if steps == 0 || share >= 1.0 { None } else { self.stages.method.frequency_window(&self.stages.frame, share) }
     }
 
     /// Factors on the weights in this step: the window, and dropout.
     fn factors(&self, step: u64) -> Option<Vec<Real>> {
-        let (rate, window) = (self.pipeline.training.dropout, self.window(step));
+        let (rate, window) = (self.plan.training.dropout, self.window(step));
         if rate == 0.0 {
             return window;
         }
-        let mut random = rng::stream(self.pipeline.seed, "dropout", step);
+        let mut random = rng::stream(self.plan.seed, "dropout", step);
         let dropout = self.stages.method.dropout(&self.stages.frame, rate, &mut random);
         match (window, dropout) {
             (Some(window), Some(dropout)) => Some(through(&window, &dropout)),
@@ -402,14 +399,14 @@ impl<'a> Trainer<'a> {
 
     /// Changes N where algorithm 1 says so; gives the Gaussians as they were where pruners take some.
     fn edit(&mut self, moment: &Moment) -> Result<Option<Before>> {
-        let training = self.pipeline.training.clone();
+        let training = self.plan.training.clone();
         let (step, mut unpruned) = (moment.step, None);
         match moment.phase {
             // What was not drawn has no size to speak of: a source of waves is neither large nor small.
             Phase::Densify if self.stats.radius.iter().any(|radius| *radius > 0.0) => {
                 let settings = &training.densify;
                 if densify::due(settings, step) {
-                    let (extent, seed) = (self.extent(), self.pipeline.seed);
+                    let (extent, seed) = (self.extent(), self.plan.seed);
                     let (cloud, mut beside) = self.rows();
                     let (before, rules) = densify::densify(settings, extent, (seed, step), cloud, &mut beside);
                     self.report_removal(step, before, &rules)?;
@@ -427,7 +424,7 @@ impl<'a> Trainer<'a> {
         if step == training.prune_until {
             // Fine-tuning starts with M = 1 everywhere: closed gates go, but for those that an exact number needs, and then
             // the masks.
-            let exact = self.pipeline.pruners.iter().any(is_exact);
+            let exact = self.plan.pruners.iter().any(is_exact);
             if let Some(mut open) = self.open_gates(moment).filter(|_| !exact) {
                 densify::ensure_one(&mut open, &self.cloud.opacity_logits, "closing the gates");
                 let closed = open.contains(&false).then(|| self.before());
@@ -452,7 +449,7 @@ impl<'a> Trainer<'a> {
         if !self.has_state() {
             return None;
         }
-        let open = open_gates(&self.cloud, &self.pipeline.pruners, moment)?;
+        let open = open_gates(&self.cloud, &self.plan.pruners, moment)?;
         Some(open.into_iter().map(|m| m != 0.0).collect())
     }
 }
@@ -463,10 +460,10 @@ fn through(window: &[Real], weights: &[Real]) -> Vec<Real> {
 }
 
 /// The columns that the pruners ask for, each once; none where there is no phase in which they count.
-pub(crate) fn specs_of(pipeline: &Pipeline) -> Vec<ColumnSpec> {
+pub(crate) fn specs_of(plan: &TrainingPlan) -> Vec<ColumnSpec> {
     let mut specs: Vec<ColumnSpec> = Vec::new();
-    if pipeline.training.prune_until > 0 {
-        for spec in pipeline.pruners.iter().flat_map(|p| p.columns()) {
+    if plan.training.prune_until > 0 {
+        for spec in plan.pruners.iter().flat_map(|p| p.columns()) {
             if specs.iter().all(|s| s.name != spec.name) {
                 specs.push(spec);
             }

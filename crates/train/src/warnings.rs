@@ -2,22 +2,22 @@
 
 use crate::budgets::{idle_target, is_exact};
 use crate::densify::{self, extent_of, largest};
-use crate::kinds::name;
 use crate::settings::Densify;
 use crate::trainer::Trainer;
+use pwrfgs_core::plugin::name_of;
 use pwrfgs_core::{Error, Real, Result};
 
 impl Trainer<'_> {
     /// Settings that cannot do what they are for, with the Gaussians at hand: a sentence each.
     pub fn warnings(&self) -> Vec<String> {
-        let masks = (0..self.pipeline.pruners.len()).filter_map(|k| self.slow_mask(k));
+        let masks = (0..self.plan.pruners.len()).filter_map(|k| self.slow_mask(k));
         self.idle_target().into_iter().chain(masks).chain(self.oversized()).collect()
     }
 
     /// A target that is reached from the start.
     fn idle_target(&self) -> Option<String> {
         let n = self.cloud.len();
-        let target = idle_target(&self.pipeline, n)?;
+        let target = idle_target(&self.plan, n)?;
         Some(format!(
             "pruners: the target is {target} and training starts with {n} Gaussians, so pruning removes none; lower the \
              target, or start with more Gaussians"
@@ -26,21 +26,21 @@ impl Trainer<'_> {
 
     /// A mask that cannot fall from its initial value to its threshold before pruning ends.
     fn slow_mask(&self, k: usize) -> Option<String> {
-        let (training, pruner) = (&self.pipeline.training, &self.pipeline.pruners[k]);
+        let (training, pruner) = (&self.plan.training, &self.plan.pruners[k]);
         let decays = [training.optimizer.beta1, training.optimizer.beta2];
         let (needed, until) = (pruner.steps_to_remove(decays)?, training.prune_until);
         (needed > until && !is_exact(pruner)).then(|| {
             format!(
                 "pruners: a mask of `{}` needs about {needed} steps to close and pruning ends after step {until}, so it \
                  removes none; raise its `learning_rate`, or training.prune_until",
-                name(pruner)
+                name_of(pruner)
             )
         })
     }
 
     /// Gaussians that densification removes for their size at its first step with that rule, unless they shrink before.
     fn oversized(&self) -> Option<String> {
-        let (training, settings) = (&self.pipeline.training, &self.pipeline.training.densify);
+        let (training, settings) = (&self.plan.training, &self.plan.training.densify);
         let step = first_size_step(settings).filter(|step| *step <= training.densify_until)?;
         if !self.stages.method.blends() {
             return None; // what is not drawn has no size
@@ -59,7 +59,7 @@ impl Trainer<'_> {
 
     /// Size of the scene, metres.
     pub(crate) fn extent(&self) -> Real {
-        match self.pipeline.training.densify.extent_m {
+        match self.plan.training.densify.extent_m {
             0.0 => extent_of(self.data.scene.bounds),
             metres => metres,
         }
@@ -75,7 +75,7 @@ impl Trainer<'_> {
         let rules = rules.iter().filter(|(_, count)| *count > 0).map(rule).collect::<Vec<_>>().join("; ");
         if left == 1 && before > 1 && !self.wants_one() {
             let removed = if rules.is_empty() { rules } else { format!(", removed by {rules}") };
-            let takes_target = self.pipeline.pruners.iter().any(|pruner| pruner.with_target(1).is_some());
+            let takes_target = self.plan.pruners.iter().any(|pruner| pruner.with_target(1).is_some());
             let advice = if takes_target {
                 "relax that rule, or ask for one Gaussian with training.target: 1"
             } else {
@@ -84,9 +84,9 @@ impl Trainer<'_> {
             return Err(Error::Collapsed { step, removed, advice });
         }
         if 2 * left < before {
-            let (name, removed) = (&self.pipeline.name, before - left);
+            let (name, removed) = (&self.plan.name, before - left);
             let said = format!("{name}: step {step} removed {removed} of {before} Gaussians ({rules})");
-            if self.pipeline.pruners.iter().any(is_exact) && step > self.pipeline.training.densify_until {
+            if self.plan.pruners.iter().any(is_exact) && step > self.plan.training.densify_until {
                 tracing::info!("{said}"); // as was asked for
             } else {
                 tracing::warn!("{said}");
@@ -97,8 +97,8 @@ impl Trainer<'_> {
 
     /// Whether the pipeline asks for a single Gaussian.
     fn wants_one(&self) -> bool {
-        let mut budgets = self.pipeline.pruners.iter().filter_map(|pruner| pruner.budget());
-        budgets.any(|budget| budget.target() == 1) || self.pipeline.initializer.count() == Some(1)
+        let mut budgets = self.plan.pruners.iter().filter_map(|pruner| pruner.budget());
+        budgets.any(|budget| budget.target() == 1) || self.plan.initializer.count() == Some(1)
     }
 }
 

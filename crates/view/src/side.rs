@@ -7,7 +7,8 @@ use pwrfgs_experiment::folder::{CHECKPOINT, MODEL_FILE, PIPELINE, SCORES};
 use pwrfgs_experiment::headline::headline;
 use pwrfgs_experiment::{Facts, Observer, Recipe, check_alike, load};
 use pwrfgs_model::{Ensemble, Prepared, file};
-use pwrfgs_train::{Pipeline, Trainer};
+use pwrfgs_pipeline::Pipeline;
+use pwrfgs_train::Trainer;
 use self_cell::self_cell;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
@@ -253,7 +254,7 @@ impl Known {
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
             Err(e) => return Err(Error::read(&path, e)),
         };
-        let trainer = Trainer::restore(&self.pipeline, &self.data, &self.partition, &bytes);
+        let trainer = Trainer::restore(&self.pipeline.plan()?, &self.data, &self.partition, &bytes);
         let trainer = trainer.map_err(|why| Error::input(&path, why.to_string()))?;
         Ok(Some(ready(Ensemble::of(trainer.model()))))
     }

@@ -9,7 +9,7 @@ use pwrfgs::experiment::samples::data_key;
 use pwrfgs::experiment::text::number;
 use pwrfgs::experiment::{Facts, Machine, Recipe, Results, Session, evaluate as score, load as load_data};
 use pwrfgs::model::{Ensemble, file};
-use pwrfgs::train::Pipeline;
+use pwrfgs::pipeline::Pipeline;
 use pwrfgs_core::words::clean;
 use pwrfgs_core::{Dataset, Error, Kind, Result, files::refuse_foreign};
 use std::fmt::Write as _;

@@ -1,9 +1,9 @@
 //! RON with a comment above every field: what it takes and what it does.
 
 use super::{Value, prose, takes};
+use pwrfgs::pipeline::ron_tree::{Body, Tree};
 use pwrfgs_core::docs::{Docs, Field, Kind};
 use pwrfgs_core::plugin::Family;
-use pwrfgs_core::ron_tree::{Body, Tree};
 use std::fmt::Write as _;
 
 /// Signs a line.

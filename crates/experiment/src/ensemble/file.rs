@@ -7,7 +7,7 @@ use crate::sweep::{check_name, check_seeds};
 use pwrfgs_core::docs::Kind;
 use pwrfgs_core::plugin::{Check, Checked, ron_options};
 use pwrfgs_core::{Documented, Error, Result, plugin::read_ron};
-use pwrfgs_train::{Draft, Pipeline, PipelinePatch};
+use pwrfgs_pipeline::{Draft, Pipeline, PipelinePatch};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 

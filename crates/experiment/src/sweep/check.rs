@@ -102,7 +102,8 @@ fn try_each<R>(
         if let Some((_, data, partition)) = &loaded {
             check_scoring(pipeline, data).map_err(named)?;
             fitting_network(pipeline).map_err(named)?;
-            let mut trainer = Trainer::sketch(pipeline, data, partition).map_err(named)?;
+            let mut trainer =
+                pipeline.plan().and_then(|plan| Trainer::sketch(&plan, data, partition)).map_err(named)?;
             fitting(&trainer).map_err(named)?;
             all.push(then(run, &mut trainer).map_err(named)?);
         }

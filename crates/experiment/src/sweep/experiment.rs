@@ -3,7 +3,7 @@
 use pwrfgs_core::docs::Kind;
 use pwrfgs_core::plugin::{Check, Checked, read_ron};
 use pwrfgs_core::{Documented, Result};
-use pwrfgs_train::PipelinePatch;
+use pwrfgs_pipeline::PipelinePatch;
 use serde::{Deserialize, Deserializer, Serialize, de};
 use std::path::{Path, PathBuf};
 

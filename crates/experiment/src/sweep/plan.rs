@@ -5,7 +5,7 @@ use super::listing::{ListedRun, Listing};
 use crate::input::{read_base, set_all};
 use crate::runner::absolute;
 use pwrfgs_core::{Error, Result, did_you_mean, files::read_text};
-use pwrfgs_train::{Draft, Pipeline, PipelinePatch};
+use pwrfgs_pipeline::{Draft, Pipeline, PipelinePatch};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};

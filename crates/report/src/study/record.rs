@@ -8,7 +8,7 @@ use pwrfgs_experiment::folder::{CURVE, MODEL_FILE, PIPELINE, SAMPLES, SCORES};
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::series;
 use pwrfgs_experiment::{CEILING, Facts, Recipe};
-use pwrfgs_train::Pipeline;
+use pwrfgs_pipeline::Pipeline;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;

@@ -1,25 +1,16 @@
 //! Whether the parts of a pipeline go together: data, method and metrics of one kind of observation, and pruners.
 
 use crate::Pipeline;
-use crate::budgets::contradiction;
-use crate::settings::Rays;
-use pwrfgs_core::ron_tree::Tree;
+use crate::ron_tree::Tree;
+use pwrfgs_core::plugin::name_of;
 use pwrfgs_core::{Error, Kind};
+use pwrfgs_train::Rays;
 use std::path::Path;
-
-/// The field default that fills in `field` for observations of a kind.
-pub(crate) fn default_field(field: &str, kind: Option<Kind>) -> String {
-    match kind {
-        Some(Kind::Power) => format!("{field} of powers"),
-        Some(Kind::Channel) => format!("{field} of channels"),
-        Some(Kind::Spectrum) | None => field.to_owned(),
-    }
-}
 
 /// The first field that is of another kind than the data, and what to do about it; nothing where the source does not know
 /// before it loads.
 pub(crate) fn mixed(pipeline: &Pipeline) -> Option<(&'static str, String)> {
-    let pruners = || contradiction(pipeline).map(|what| ("pruners", what));
+    let pruners = || pipeline.as_plan().check().err().map(|what| ("pruners", what));
     other_kinds(pipeline).or_else(pruners).or_else(|| unable(pipeline))
 }
 
@@ -33,7 +24,7 @@ fn unable(pipeline: &Pipeline) -> Option<(&'static str, String)> {
     }
     let nobody_prunes = pipeline.pruners.is_empty() && pipeline.training.target == 0;
     if !method.has_gaussians() && !nobody_prunes {
-        let what = format!("{} has no Gaussians, so there is nothing to prune; leave them out", name(&method));
+        let what = format!("{} has no Gaussians, so there is nothing to prune; leave them out", name_of(&method));
         return Some(("pruners", what));
     }
     None
@@ -59,20 +50,14 @@ fn other_kinds(pipeline: &Pipeline) -> Option<(&'static str, String)> {
         format!("`{name}` {role} {}, and the data are {}; {advice}", own.plural(), kind.plural())
     };
     if let Some(own) = other(pipeline.initializer.kind()) {
-        let name = name(&pipeline.initializer);
+        let name = name_of(&pipeline.initializer);
         return Some(("initializer", what(name, "searches", own, "use another, such as Random()")));
     }
     if let Some((baseline, own)) = pipeline.baselines.iter().find_map(|b| Some((b, other(b.kind())?))) {
-        return Some(("baselines", what(name(baseline), "is a floor of", own, "leave it out")));
+        return Some(("baselines", what(name_of(baseline), "is a floor of", own, "leave it out")));
     }
     let metric = pipeline.metrics.iter().find_map(|metric| Some((metric, other(metric.kind())?)));
-    metric.map(|(metric, own)| ("metrics", what(name(metric), "is a metric of", own, "leave it out")))
-}
-
-/// `Zero` of `Zero()`.
-pub(crate) fn name(plugin: &impl serde::Serialize) -> String {
-    let text = pwrfgs_core::plugin::to_ron(plugin);
-    text.split(['(', '{']).next().unwrap_or_default().trim().to_owned()
+    metric.map(|(metric, own)| ("metrics", what(name_of(metric), "is a metric of", own, "leave it out")))
 }
 
 /// The same as an error at the field's place in `text`, or at that of the data where the field was left out.

@@ -3,9 +3,9 @@
 //! once, after all changes.
 
 use crate::pipeline::{Pipeline, PipelinePatch};
+use crate::ron_tree::{Body, Tree};
 use pwrfgs_core::docs::{Body as Parts, Docs, Documented as _, Field, Kind};
 use pwrfgs_core::plugin::{Family, ron_options, to_ron};
-use pwrfgs_core::ron_tree::{Body, Tree};
 use pwrfgs_core::{Baseline, DataSource, Error, Initializer, Plugin, Result, did_you_mean};
 use std::ops::Range;
 use std::path::{Path, PathBuf};

@@ -1,25 +1,24 @@
 //! `Pipeline`: a whole experiment as one RON value, and the patches that change it.
 
+use crate::defaults;
 use crate::draft::{Draft, shortened};
-use crate::kinds::{default_field, mixed, refuse_mixed};
-use crate::settings::{Training, TrainingPatch};
+use crate::kinds::{mixed, refuse_mixed};
+use crate::ron_tree::Tree;
 use pwrfgs_core::docs::Kind;
-use pwrfgs_core::plugin::{Checked, Plugin, default_of, read_ron, try_to_ron};
-use pwrfgs_core::ron_tree::Tree;
+use pwrfgs_core::plugin::{Checked, Plugin, read_ron, try_to_ron};
 use pwrfgs_core::{
     Baseline, DataSource, Dataset, Deformation, Documented, Error, ImagePlane, Initializer, Method, Metric, Partition,
     Projector, Pruner, Rasterizer, Result, Split, rng,
 };
-use pwrfgs_model::{Calibration, Readout, Splatting, check_together};
+use pwrfgs_model::{Calibration, Readout, Splatting, Stages, check_together};
+use pwrfgs_train::{Trainer, Training, TrainingPatch, TrainingPlan};
 use ron::value::RawValue;
-use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Everything a run needs to know. Plugins are named in the words of the registry; plain settings are nested structs. A
-/// field that is left out takes what the program that links the plugins has submitted for it
-/// ([`FieldDefault`](pwrfgs_core::plugin::FieldDefault)); name, data and initializer have no default.
+/// field that is left out takes what [`defaults`] says; name, data and initializer have no default.
 #[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(try_from = "PipelineFields<Checked<Training>>")]
 pub struct Pipeline {
@@ -116,9 +115,6 @@ impl TryFrom<PipelineFields<Checked<Training>>> for Pipeline {
     type Error = String;
 
     fn try_from(given: PipelineFields<Checked<Training>>) -> Result<Self, String> {
-        fn or_default<T: DeserializeOwned>(field: &str, given: Option<T>) -> Result<T, String> {
-            given.map_or_else(|| default_of(field), Ok)
-        }
         let missing = |field: &str| format!("the field `{field}` is missing");
         if given.label.is_some() {
             return Err("only a variant of a sweep has a `label`".into());
@@ -127,34 +123,28 @@ impl TryFrom<PipelineFields<Checked<Training>>> for Pipeline {
             return Err("only a sweep has `set`; give the values in their places".into());
         }
         let data: Plugin<dyn DataSource> = given.data.ok_or_else(|| missing("data"))?;
-        let kind = data.kind();
-        let of_kind = |field: &str| default_field(field, kind);
+        let kind = data.kind().unwrap_or(pwrfgs_core::Kind::Spectrum);
         let has_gaussians = given.method.as_ref().is_none_or(|method| method.has_gaussians());
-        let readout = match kind {
-            Some(pwrfgs_core::Kind::Power) => Readout::RECEIVED,
-            Some(pwrfgs_core::Kind::Channel) => Readout::Channel,
-            Some(pwrfgs_core::Kind::Spectrum) | None => Readout::default(),
-        };
         Ok(Self {
             name: given.name.ok_or_else(|| missing("name"))?,
             seed: given.seed.unwrap_or_default(),
             split_seed: given.split_seed,
             data,
-            split: or_default("split", given.split)?,
+            split: given.split.unwrap_or_else(defaults::split),
             initializer: match given.initializer {
-                None if !has_gaussians => default_of("initializer of no Gaussians")?,
+                None if !has_gaussians => defaults::initializer(),
                 initializer => initializer.ok_or_else(|| missing("initializer"))?,
             },
             method: given.method,
-            projector: or_default("projector", given.projector)?,
-            rasterizer: or_default("rasterizer", given.rasterizer)?,
-            deformation: or_default("deformation", given.deformation)?,
+            projector: given.projector.unwrap_or_else(defaults::projector),
+            rasterizer: given.rasterizer.unwrap_or_else(defaults::rasterizer),
+            deformation: given.deformation.unwrap_or_else(defaults::deformation),
             calibration: given.calibration.unwrap_or_default(),
-            readout: given.readout.unwrap_or(readout),
+            readout: given.readout.unwrap_or_else(|| defaults::readout(kind)),
             pruners: given.pruners.unwrap_or_default(),
             training: given.training.unwrap_or_default(),
-            baselines: or_default(&of_kind("baselines"), given.baselines)?,
-            metrics: or_default(&of_kind("metrics"), given.metrics)?,
+            baselines: given.baselines.unwrap_or_else(|| defaults::baselines(kind)),
+            metrics: given.metrics.unwrap_or_else(|| defaults::metrics(kind)),
             tensorboard: given.tensorboard.unwrap_or_default(),
         })
     }
@@ -280,13 +270,35 @@ impl Pipeline {
     /// # Errors
     /// Where the projector cannot draw it.
     pub fn plane(&self, data: &Dataset) -> Result<ImagePlane> {
-        if data.kind() != pwrfgs_core::Kind::Spectrum || self.method.is_some() {
-            return Ok(data.plane());
+        Stages::of(self.method(), data).map(|stages| stages.frame.plane)
+    }
+
+    /// What is trained, with `training.scale` multiplied in.
+    ///
+    /// # Errors
+    /// As [`Self::resolved`].
+    pub fn plan(&self) -> Result<TrainingPlan> {
+        self.resolved().map(|resolved| resolved.as_plan())
+    }
+
+    /// What is trained, as it stands.
+    pub(crate) fn as_plan(&self) -> TrainingPlan {
+        TrainingPlan {
+            name: self.name.clone(),
+            seed: self.seed,
+            method: self.method(),
+            initializer: self.initializer.clone(),
+            pruners: self.pruners.clone(),
+            training: self.training.clone(),
         }
-        let plane = self.projector.plane_of(data.width, data.height, data.elevation);
-        let plane = plane.map_err(|why| Error::Config(format!("the projector {why}")))?;
-        self.rasterizer.check_plane(&plane).map_err(|why| Error::Config(format!("rasterizer: {why}")))?;
-        Ok(plane)
+    }
+
+    /// A trainer before its first step.
+    ///
+    /// # Errors
+    /// As [`Self::plan`] and [`Trainer::new`].
+    pub fn trainer<'a>(&self, data: &'a Dataset, partition: &Partition) -> Result<Trainer<'a>> {
+        Trainer::new(&self.plan()?, data, partition)
     }
 
     /// How its split divides `data`.
@@ -355,17 +367,4 @@ impl Pipeline {
 fn is_splatting(method: &dyn Method) -> bool {
     let method: &dyn std::any::Any = method;
     method.is::<Splatting>()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn without_the_facade_a_field_left_out_is_an_error() {
-        let said = Pipeline::parse("Pipeline(name: \"a\")", Path::new("a.ron")).unwrap_err().to_string();
-        assert_eq!(said, "a.ron:1:20: the field `data` is missing");
-        let said = default_of::<Plugin<dyn Split>>("split").unwrap_err();
-        assert!(said.contains("`split` has no default") && said.contains("`pwrfgs`"), "{said}");
-    }
 }

@@ -1,0 +1,93 @@
+//! What the fields of a pipeline take if they are left out.
+
+use pwrfgs_core::{Baseline, Deformation, Initializer, Kind, Metric, Plugin, Projector, Rasterizer, Split};
+use pwrfgs_data::{Kriging, LogDistance, MeanSpectrum, NearestNeighbours, Official, Zero};
+use pwrfgs_init::NoGaussians;
+use pwrfgs_metrics::{
+    Chamfer, ChannelSnr, DirectionError, GaussianCount, L1, Latency, ModelSize, PowerError, Psnr, RateRatio, Ssim,
+};
+use pwrfgs_model::Readout;
+use pwrfgs_model::deform::Mlp;
+use pwrfgs_raster::{AlphaBlending, Mercator};
+
+/// Plugins of one kind, each with the settings given here.
+macro_rules! plugins {
+    ($kind:ident: $($plugin:expr),+ $(,)?) => {
+        vec![$(Plugin::from(Box::new($plugin) as Box<dyn $kind>)),+]
+    };
+}
+
+/// The split that the data come with.
+pub fn split() -> Plugin<dyn Split> {
+    let split: Box<dyn Split> = Box::new(Official::default());
+    split.into()
+}
+
+/// The initializer of a method without Gaussians.
+pub fn initializer() -> Plugin<dyn Initializer> {
+    let initializer: Box<dyn Initializer> = Box::new(NoGaussians::default());
+    initializer.into()
+}
+
+/// The projector of splats.
+pub fn projector() -> Plugin<dyn Projector> {
+    let projector: Box<dyn Projector> = Box::new(Mercator::default());
+    projector.into()
+}
+
+/// The rasterizer of splats.
+pub fn rasterizer() -> Plugin<dyn Rasterizer> {
+    let rasterizer: Box<dyn Rasterizer> = Box::new(AlphaBlending::default());
+    rasterizer.into()
+}
+
+/// The deformation of splats.
+pub fn deformation() -> Plugin<dyn Deformation> {
+    let deformation: Box<dyn Deformation> = Box::new(Mlp::default());
+    deformation.into()
+}
+
+/// The readout of splats for observations of `kind`.
+pub fn readout(kind: Kind) -> Readout {
+    match kind {
+        Kind::Spectrum => Readout::default(),
+        Kind::Power => Readout::RECEIVED,
+        Kind::Channel => Readout::Channel,
+    }
+}
+
+/// The baselines of observations of `kind`.
+pub fn baselines(kind: Kind) -> Vec<Plugin<dyn Baseline>> {
+    let nearest = |k: usize| NearestNeighbours { k: k.into() };
+    match kind {
+        Kind::Spectrum => plugins![Baseline: MeanSpectrum::default(), nearest(1), nearest(3), nearest(5)],
+        Kind::Power => {
+            plugins![Baseline: MeanSpectrum::default(), LogDistance::default(), nearest(5), Kriging::default()]
+        }
+        Kind::Channel => plugins![Baseline: Zero::default(), nearest(1), nearest(5)],
+    }
+}
+
+/// The metrics of observations of `kind`.
+pub fn metrics(kind: Kind) -> Vec<Plugin<dyn Metric>> {
+    let mut metrics = match kind {
+        Kind::Spectrum => plugins![
+            Metric: Ssim::default(), L1::default(), Psnr::default(), RateRatio::default(), DirectionError::default(),
+        ],
+        Kind::Power => plugins![Metric: PowerError::default()],
+        Kind::Channel => plugins![Metric: ChannelSnr::default()],
+    };
+    let of_models =
+        plugins![Metric: Chamfer::default(), GaussianCount::default(), ModelSize::default(), Latency::default()];
+    metrics.extend(of_models);
+    metrics
+}
+
+/// The metrics behind the columns of `validation.csv`.
+pub fn validation(kind: Kind) -> Vec<Plugin<dyn Metric>> {
+    match kind {
+        Kind::Spectrum => plugins![Metric: Ssim::default(), RateRatio { snr_db: 0.0 }],
+        Kind::Power => plugins![Metric: PowerError::default()],
+        Kind::Channel => plugins![Metric: ChannelSnr::default()],
+    }
+}

@@ -1,0 +1,16 @@
+//! The pipeline file: its fields with their defaults, what must go together, and changes by path.
+//!
+//! [`Pipeline`] is the whole of a run as one RON value. This crate depends on the plugins that a pipeline takes where
+//! nothing is given, so that defaults are plain values; `train` sees none of it, only the plan that
+//! [`Pipeline::plan`] makes.
+
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
+
+pub mod defaults;
+mod draft;
+mod kinds;
+mod pipeline;
+pub mod ron_tree;
+
+pub use draft::Draft;
+pub use pipeline::{Pipeline, PipelineFields, PipelinePatch};
