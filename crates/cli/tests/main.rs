@@ -11,6 +11,7 @@ mod ensemble;
 mod export;
 mod failure;
 mod faults;
+mod golden;
 mod import;
 mod inspect;
 mod kinds;
