@@ -72,8 +72,7 @@ fn tensors(path: &Path, label: &str) -> Vec<Content> {
     let content = header.into_iter().map(|(name, entry)| {
         assert_eq!(entry["dtype"], "F32", "{name}");
         let [from, to] = [0, 1].map(|k| entry["data_offsets"][k].as_u64().unwrap() as usize);
-        let values: Vec<f64> =
-            data[from..to].as_chunks().0.iter().map(|v| f64::from(f32::from_le_bytes(*v))).collect();
+        let values: Vec<f64> = data[from..to].as_chunks().0.iter().map(|v| f64::from(f32::from_le_bytes(*v))).collect();
         let shape = entry["shape"].to_string();
         Content::of(format!("{label}/{name}{shape}"), &values)
     });
@@ -120,8 +119,14 @@ fn write_channels(folder: &Path) {
     write(&folder.join("base-station.yml"), "base_station: [[0.0, 0.0, 0.0], [0.06, 0.0, 0.0]]\n");
     let mut table = "x,y,z\n".to_owned();
     for k in 0..40 {
-        writeln!(table, "{},{},{}", 1.0 + (k * 7 % 40) as f64 / 16.0, (k * 11 % 40) as f64 / 16.0, 1.0 + (k % 5) as f64)
-            .unwrap();
+        writeln!(
+            table,
+            "{},{},{}",
+            1.0 + (k * 7 % 40) as f64 / 16.0,
+            (k * 11 % 40) as f64 / 16.0,
+            1.0 + (k % 5) as f64
+        )
+        .unwrap();
     }
     write(&folder.join("tx.csv"), table);
 }
@@ -164,7 +169,8 @@ fn machine() -> String {
     let features = [("unknown", true)];
     let features: Vec<&str> = features.iter().filter(|(_, has)| *has).map(|(name, _)| *name).collect();
     let library = Command::new("getconf").arg("GNU_LIBC_VERSION").output();
-    let library = library.map_or("an unknown C library".into(), |o| String::from_utf8_lossy(&o.stdout).trim().to_owned());
+    let library =
+        library.map_or("an unknown C library".into(), |o| String::from_utf8_lossy(&o.stdout).trim().to_owned());
     format!("{} with {}, {library}", std::env::consts::ARCH, features.join(" "))
 }
 
