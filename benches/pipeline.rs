@@ -10,7 +10,7 @@ mod scene;
 use criterion::measurement::WallTime;
 use criterion::{BatchSize, BenchmarkGroup, BenchmarkId, Criterion};
 use pwrfgs::core::{
-    DeformationInputs, Frame, ImagePlane, Kind, Origin, Pose, Query, Receiver, RenderVjp, Sampling, rng,
+    DeformationInputs, Frame, ImagePlane, Origin, Pose, Query, Receiver, RenderVjp, Sampling, Task, rng,
 };
 use pwrfgs::model::{Calibration, Ensemble, Model, Readout, Splatting, Stages, deform::Outputs};
 use pwrfgs::prelude::*;
@@ -57,7 +57,7 @@ fn links(criterion: &mut Criterion) {
         let frame = Frame {
             origin: Origin::ZERO,
             receivers: (0..21).map(receiver).collect(),
-            kind: Kind::Power,
+            task: Task::Power,
             plane: ImagePlane { width: 1, height: 1, wraps: false, angles: None, sampling: Sampling::WHOLE },
             frequencies_hz: Vec::new(),
         };

@@ -83,10 +83,10 @@ pub mod prelude {
     pub use pwrfgs_core::tape::{Trace, TraceScalar, Traced};
     pub use pwrfgs_core::{
         Baseline, Budget, CloudStats, ColumnSpec, DataSource, Dataset, Deformation, Deltas, Documented, Edit,
-        Elevation, Error, Evaluation, Frame, Gate, GaussianCloud, Goal, Image, ImagePlane, Initializer, Kind, Known,
-        Link, Measurement, Method, Metric, Moment, Needs, Observations, Origin, Partition, Phase, Plugin, Pose,
-        Predict, Primitives, Progress, Projector, Pruner, Query, Rasterizer, Real, Receiver, Render, Result, Row,
-        Sample, Sampling, Scene, Scope, Simulation, Spectra, Splats, Split, Statistic, Statistics, Values, rng,
+        Elevation, Error, Evaluation, Frame, Gate, GaussianCloud, Goal, Image, ImagePlane, Initializer, Known, Link,
+        Measurement, Method, Metric, Moment, Needs, Observations, Origin, Partition, Phase, Plugin, Pose, Predict,
+        Primitives, Progress, Projector, Pruner, Query, Rasterizer, Real, Receiver, Render, Result, Row, Sample,
+        Sampling, Scene, Scope, Simulation, Spectra, Splats, Split, Statistic, Statistics, Task, Values, rng,
     };
     pub use pwrfgs_experiment::{Observer, Silent};
     pub use pwrfgs_model::{Ensemble, Model, Prepared, Readout, Stages};

@@ -6,7 +6,7 @@
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
-    ColumnSpec, Conditions, DeformationInputs, Frame, GaussianCloud, ImagePlane, Kind, Link, Receiver, Sampling, rng,
+    ColumnSpec, Conditions, DeformationInputs, Frame, GaussianCloud, ImagePlane, Link, Receiver, Sampling, Task, rng,
     sigmoid,
 };
 use pwrfgs::model::{Readout, Stages};
@@ -179,18 +179,18 @@ const fn link(transmitter: usize, receiver: usize) -> Link {
 /// A step over these links: `size` is columns and rows of an observation.
 fn links(deformation: &str, readout: Readout, size: (usize, usize), objective: Box<dyn Objective>) -> Step {
     let mut step = Step::new("Fixed()", Readout::Magnitude, 1, 0.0, 11);
-    let kind = readout.kind();
+    let kind = readout.task();
     let base = step.stages.with(|splatting| {
         splatting.deformation = plugin(deformation);
         splatting.readout = readout;
     });
-    let plane = if kind == Kind::Spectrum {
+    let plane = if kind == Task::Spectrum {
         base.frame.plane.clone()
     } else {
         ImagePlane { width: size.0, height: size.1, wraps: false, angles: None, sampling: Sampling::WHOLE }
     };
-    let frequencies_hz = if kind == Kind::Channel { vec![9e7, 1e8, 1.1e8] } else { vec![] };
-    let frame = Frame { receivers: receivers(), kind, plane, frequencies_hz, ..base.frame.clone() };
+    let frequencies_hz = if kind == Task::Channel { vec![9e7, 1e8, 1.1e8] } else { vec![] };
+    let frame = Frame { receivers: receivers(), task: kind, plane, frequencies_hz, ..base.frame.clone() };
     let stages = Stages { frame, ..base };
     step.weights = stages.method.init(&stages.frame, &mut rng::stream(12, "network", 0));
     let (width, random) = (stages.method.inputs(), &mut rng::stream(13, "links", 0));

@@ -176,13 +176,9 @@ fn parts_of_different_kinds_are_refused_at_their_place() {
     let said = |text: &str| Pipeline::parse(text, Path::new("a.ron")).unwrap_err().to_string();
     let mixed =
         "Pipeline(\n    name: \"a\",\n    data: Nerf2Rssi(),\n    initializer: Site(),\n    readout: Magnitude,\n)";
-    assert!(said(mixed).starts_with("a.ron:5:14: readout: it gives spatial spectra, and the data are received powers"));
+    assert!(said(mixed).starts_with("a.ron:5:14: readout: it gives spectra, and the data are received powers"));
     let metric = mixed.replace("readout: Magnitude", "metrics: [PowerError(), Ssim()]");
-    assert!(
-        said(&metric).starts_with("a.ron:5:14: metrics: `Ssim` is a metric of spatial spectra"),
-        "{}",
-        said(&metric)
-    );
+    assert!(said(&metric).starts_with("a.ron:5:14: metrics: `Ssim` is a metric of spectra"), "{}", said(&metric));
     let floor = mixed.replace("readout: Magnitude", "baselines: [MeanSpectrum(), Zero()]");
     assert!(said(&floor).starts_with("a.ron:5:16: baselines: `Zero` is a floor of channels"), "{}", said(&floor));
     let search = mixed.replace("Site()", "MatchingPursuit()").replace("    readout: Magnitude,\n", "");
@@ -194,11 +190,7 @@ fn parts_of_different_kinds_are_refused_at_their_place() {
     let method = mixed.replace("readout: Magnitude", "method: VirtualTransmitters()");
     assert!(said(&method).starts_with("a.ron:5:13: method: it gives channels"), "{}", said(&method));
     let pictures = mixed.replace("Nerf2Rssi()", "Teacher()").replace("Magnitude", "Received()");
-    assert!(
-        said(&pictures).contains("it gives received powers, and the data are spatial spectra"),
-        "{}",
-        said(&pictures)
-    );
+    assert!(said(&pictures).contains("it gives received powers, and the data are spectra"), "{}", said(&pictures));
     let fits = mixed.replace("    readout: Magnitude,\n", "");
     assert_eq!(
         Pipeline::parse(&fits, Path::new("a.ron")).unwrap().metrics[0].about(),

@@ -3,8 +3,8 @@
 use crate::common::{pipeline, plugin};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
-    Asked, Conditions, Frame, GaussianCloud, ImagePlane, Kind, Link, MethodVjp, Origin, Parameters, Pixels, Receiver,
-    Sampling, rng,
+    Asked, Conditions, Frame, GaussianCloud, ImagePlane, Link, MethodVjp, Origin, Parameters, Pixels, Receiver,
+    Sampling, Task, rng,
 };
 use pwrfgs::prelude::*;
 use std::path::Path;
@@ -28,7 +28,7 @@ const fn link(transmitter: usize, receiver: usize) -> Link {
 const LINKS: [Link; 5] = [link(0, 0), link(0, 1), link(1, 1), link(2, 0), link(2, 1)];
 
 impl Room {
-    fn new(kind: Kind, more: &str) -> Self {
+    fn new(kind: Task, more: &str) -> Self {
         let method: Plugin<dyn Method> = plugin(&format!("Nerf2({SETTINGS}, {more})"));
         let at = |name: &str, position| {
             let orientation = [0.1, 0.2, 0.3, 0.927_361_849_549_570_4];
@@ -36,14 +36,15 @@ impl Room {
         };
         let receivers = vec![at("left", [-1.0, 0.3, -2.0]), at("right", [2.0, -1.5, -1.0])];
         let projector: Plugin<dyn pwrfgs::core::Projector> = plugin("Mercator()");
-        let frequencies_hz = if kind == Kind::Channel { vec![9e7, 1e8, 1.1e8] } else { vec![] };
+        let frequencies_hz = if kind == Task::Channel { vec![9e7, 1e8, 1.1e8] } else { vec![] };
         let plain = |width, height| ImagePlane { width, height, wraps: false, angles: None, sampling: Sampling::WHOLE };
         let plane = match kind {
-            Kind::Spectrum => projector.plane(8, 3),
-            Kind::Power => plain(1, 1),
-            Kind::Channel => plain(3, 2),
+            Task::Spectrum => projector.plane(8, 3),
+            Task::Power => plain(1, 1),
+            Task::Channel => plain(3, 2),
         };
-        let frame = Frame { receivers, kind, frequencies_hz, ..Frame::spectra(Origin::ZERO, Pose::IDENTITY, plane) };
+        let frame =
+            Frame { receivers, task: kind, frequencies_hz, ..Frame::spectra(Origin::ZERO, Pose::IDENTITY, plane) };
         let weights = method.init(&frame, &mut rng::stream(3, "network", 0));
         let random = &mut rng::stream(4, "transmitters", 0);
         let conditions = (0..3 * method.inputs()).map(|_| rng::normal(random)).collect();
@@ -85,25 +86,25 @@ impl Room {
 #[test]
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn spectra_powers_and_channels_differentiate_in_every_layer() {
-    let spectrum = Room::new(Kind::Spectrum, "far_m: 3");
+    let spectrum = Room::new(Task::Spectrum, "far_m: 3");
     spectrum.differentiates("all pixels", Pixels::All);
     spectrum.differentiates("the same pixels", Pixels::Same(&[5, 0, 5, 23]));
     spectrum.differentiates("a pixel each", Pixels::Own(&[5, 0, 5, 23, 7]));
-    Room::new(Kind::Power, "unit_m: 2").differentiates("powers", Pixels::All);
-    Room::new(Kind::Power, "first_ring: true").differentiates("powers of one ring", Pixels::All);
-    Room::new(Kind::Channel, "features: 5").differentiates("channels", Pixels::All);
+    Room::new(Task::Power, "unit_m: 2").differentiates("powers", Pixels::All);
+    Room::new(Task::Power, "first_ring: true").differentiates("powers of one ring", Pixels::All);
+    Room::new(Task::Channel, "features: 5").differentiates("channels", Pixels::All);
 }
 
 #[test]
 fn a_picture_is_its_pixels_and_a_batch_its_links_bit_for_bit() {
-    let room = Room::new(Kind::Spectrum, "far_m: 3");
+    let room = Room::new(Task::Spectrum, "far_m: 3");
     let (all, pixels) = (room.numbers(&room.weights, &LINKS, Pixels::All), room.frame.numbers());
     let every: Vec<usize> = (0..pixels).collect();
     assert_eq!(room.numbers(&room.weights, &LINKS, Pixels::Same(&every)), all);
     let some = [11, 3, 3, 20, 0];
     let own: Vec<Real> = some.iter().enumerate().map(|(l, p)| all[l * pixels + p]).collect();
     assert_eq!(room.numbers(&room.weights, &LINKS, Pixels::Own(&some)), own);
-    for kind in [Kind::Spectrum, Kind::Power, Kind::Channel] {
+    for kind in [Task::Spectrum, Task::Power, Task::Channel] {
         let room = Room::new(kind, "far_m: 3");
         let all = room.numbers(&room.weights, &LINKS, Pixels::All);
         for (l, link) in LINKS.iter().enumerate() {
@@ -115,7 +116,7 @@ fn a_picture_is_its_pixels_and_a_batch_its_links_bit_for_bit() {
 
 #[test]
 fn what_is_kept_changes_no_bit_of_a_prediction() {
-    for kind in [Kind::Spectrum, Kind::Power, Kind::Channel] {
+    for kind in [Task::Spectrum, Task::Power, Task::Channel] {
         for cache in ["cache_mb: 100", "cache_mb: 0"] {
             let (room, cloud) = (Room::new(kind, cache), GaussianCloud::zeros(0));
             let p = Parameters { cloud: &cloud, gate: None, presence: None, weights: &room.weights };
@@ -145,7 +146,7 @@ fn darker(room: &Room, factor: Real) -> Vec<Real> {
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn rays_that_end_early_differentiate() {
     // Powers are some hundreds, of which differences keep too few digits.
-    for kind in [Kind::Spectrum, Kind::Channel] {
+    for kind in [Task::Spectrum, Task::Channel] {
         let mut room = Room::new(kind, "far_m: 3");
         let seen = room.numbers(&room.weights, &LINKS, Pixels::All);
         room.weights = darker(&room, 100.0);

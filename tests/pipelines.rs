@@ -49,19 +49,19 @@ fn every_pipeline_survives_its_own_text() {
 }
 
 /// A small data set of a kind, as an argument of `--set`: features of so many numbers where these are no positions.
-fn small(kind: Option<Kind>, inputs: usize, folder: &Path) -> String {
+fn small(kind: Option<Task>, inputs: usize, folder: &Path) -> String {
     match kind {
-        Some(Kind::Power) => {
+        Some(Task::Power) => {
             "data=Simulated(scene: \"../scenes/office-links.ron\", samples: 20, points: 100, observe: Power())".into()
         }
-        Some(Kind::Channel) if inputs != 3 => {
+        Some(Task::Channel) if inputs != 3 => {
             let recipe = pwrfgs::sim::Recipe::read(Path::new("scenes/office-csi.ron"), 20, 0, 100).unwrap();
             let recipe = recipe.observing(pwrfgs::sim::Observe::Channel { snr_db: Some(30.0) }).unwrap();
             let (out, layout) = (folder.join("csi simulated"), pwrfgs::sim::output::Layout::Csi);
             pwrfgs::sim::output::write_as(&recipe, layout, false, &out, &|_, _| {}, &AtomicBool::new(false)).unwrap();
             format!("data.root={:?}", out.display().to_string())
         }
-        Some(Kind::Channel) => {
+        Some(Task::Channel) => {
             "data=Simulated(scene: \"../scenes/office-channel.ron\", samples: 20, points: 100, observe: Channel())"
                 .into()
         }
@@ -91,7 +91,7 @@ fn every_pipeline_runs_some_steps() {
         let folder = tempfile::tempdir().unwrap();
         for change in [
             "training.target=0".to_owned(), // more than there will be
-            small(pipeline.data.kind(), pipeline.method().inputs(), folder.path()),
+            small(pipeline.data.task(), pipeline.method().inputs(), folder.path()),
             format!("initializer=Random(count: {count}, std: 5.0)"),
             "baselines=[MeanSpectrum()]".to_owned(), // ray tracing needs a scene
             "training=(densify_until: 6, prune_until: 9)".to_owned(),

@@ -190,7 +190,7 @@ fn power(elevation_deg: Real, sky_deg: u32) -> Real {
     let receivers = vec![Receiver::new("gateway", Pose::IDENTITY)];
     let frame = Frame {
         plane,
-        kind: pwrfgs::core::Kind::Power,
+        task: pwrfgs::core::Task::Power,
         receivers,
         ..Frame::spectra(Origin::ZERO, Pose::IDENTITY, base.frame.plane.clone())
     };

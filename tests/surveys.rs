@@ -4,8 +4,8 @@
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
-    Asked, ColumnSpec, Conditions, Frame, ImagePlane, Kind, Parameters, Pixels, Receiver, Sampling, Statistic,
-    Statistics, rng,
+    Asked, ColumnSpec, Conditions, Frame, ImagePlane, Parameters, Pixels, Receiver, Sampling, Statistic, Statistics,
+    Task, rng,
 };
 use pwrfgs::model::{Gates, Readout, Stages};
 use pwrfgs::prelude::*;
@@ -178,11 +178,11 @@ fn close(found: &[Real], expected: &[Real], what: &str) {
 fn sensitivity_and_fisher_agree_with_central_differences() {
     for readout in [Readout::Magnitude, Readout::Power, Readout::Received { sky_deg: 15, filter_deg2: 67.5 }] {
         let mut sight = Sight::new("Fixed()", readout);
-        if readout.kind() == Kind::Power {
+        if readout.task() == Task::Power {
             let stages = Arc::get_mut(&mut sight.stages).unwrap();
             let receivers = vec![Receiver::new("a", stages.frame.receivers[0].pose)];
             let plane = ImagePlane { width: 1, height: 1, wraps: false, angles: None, sampling: Sampling::WHOLE };
-            stages.frame = Frame { kind: Kind::Power, plane, receivers, ..stages.frame.clone() };
+            stages.frame = Frame { task: Task::Power, plane, receivers, ..stages.frame.clone() };
             sight.weights = stages.method.init(&stages.frame, &mut rng::stream(4, "network", 0));
             sight.batch.truths.truncate(2);
         }

@@ -8,8 +8,8 @@ use crate::settings::{plugin, text_of};
 use numpy::PyArrayDyn;
 use pwrfgs::data::{check, save, shape_fault, source_in};
 use pwrfgs_core::{
-    DataSource, Dataset as Data, Elevation, Error, Kind, Observations, Partition, Plugin, Pose, Real, Receiver, Sample,
-    Simulation, Split, rng,
+    DataSource, Dataset as Data, Elevation, Error, Observations, Partition, Plugin, Pose, Real, Receiver, Sample,
+    Simulation, Split, Task, rng,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyTuple};
@@ -51,8 +51,8 @@ impl Dataset {
         Self { data: Arc::new(data), source: Mutex::new(source) }
     }
 
-    fn all_of<'py>(&self, py: Python<'py>, kind: Kind) -> PyResult<Option<Bound<'py, PyAny>>> {
-        if self.data.kind() != kind {
+    fn all_of<'py>(&self, py: Python<'py>, kind: Task) -> PyResult<Option<Bound<'py, PyAny>>> {
+        if self.data.task() != kind {
             return Ok(None);
         }
         observed(py, &self.data, &(0..self.data.len()).collect::<Vec<_>>()).map(Some)
@@ -202,7 +202,7 @@ impl Dataset {
     /// "spectrum", "power" or "channel".
     #[getter]
     fn kind(&self) -> &'static str {
-        kind_name(self.data.kind())
+        kind_name(self.data.task())
     }
 
     /// Whether they were computed, not measured.
@@ -244,19 +244,19 @@ impl Dataset {
     /// Spatial spectra [L, H, W], float32 from 0 to 1; None where something else was observed.
     #[getter]
     fn spectra<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
-        self.all_of(py, Kind::Spectrum)
+        self.all_of(py, Task::Spectrum)
     }
 
     /// Received powers [L], dBm; None where something else was observed.
     #[getter]
     fn rssi<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
-        self.all_of(py, Kind::Power)
+        self.all_of(py, Task::Power)
     }
 
     /// Channels [L, A, F], complex64; None where something else was observed.
     #[getter]
     fn csi<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
-        self.all_of(py, Kind::Channel)
+        self.all_of(py, Task::Channel)
     }
 
     /// Frequencies of the subcarriers of channels [F], Hz; None where something else was observed.
@@ -344,11 +344,11 @@ fn parts<'py>(py: Python<'py>, partition: &Partition) -> PyResult<Bound<'py, PyA
 }
 
 /// As Python calls a kind.
-pub(crate) fn kind_name(kind: Kind) -> &'static str {
+pub(crate) fn kind_name(kind: Task) -> &'static str {
     match kind {
-        Kind::Spectrum => "spectrum",
-        Kind::Power => "power",
-        Kind::Channel => "channel",
+        Task::Spectrum => "spectrum",
+        Task::Power => "power",
+        Task::Channel => "channel",
     }
 }
 

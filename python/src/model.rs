@@ -7,7 +7,7 @@ use numpy::PyArrayDyn;
 use pwrfgs::experiment::export;
 use pwrfgs::model::{Ensemble, Prepared, Stages, file};
 use pwrfgs_core::files::{check_file_place, write_atomically};
-use pwrfgs_core::{Error, Frame, Kind, Query, Real, Result, gains_of};
+use pwrfgs_core::{Error, Frame, Query, Real, Result, Task, gains_of};
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyTuple};
 use rayon::prelude::*;
@@ -141,18 +141,18 @@ impl Model {
         links: &Links,
         work: impl Fn(&[Query<'_>], &mut [Real]) + Send,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let Frame { plane, kind, .. } = &self.stages().frame;
+        let Frame { plane, task, .. } = &self.stages().frame;
         let (of_each, mut shape) = (plane.width * plane.height, links.lead.clone());
         room::<Real>(&[&shape[..], &[of_each]].concat())?;
         let all = free(py, || {
             let mut all = vec![0.0; shape.iter().product::<usize>() * of_each];
             self.fill(links, &mut all, work).map(|()| all)
         })?;
-        match kind {
-            Kind::Power if shape.is_empty() => return Ok(all[0].into_pyobject(py)?.into_any()),
-            Kind::Power => {}
-            Kind::Spectrum => shape.extend([plane.height, plane.width]),
-            Kind::Channel => {
+        match task {
+            Task::Power if shape.is_empty() => return Ok(all[0].into_pyobject(py)?.into_any()),
+            Task::Power => {}
+            Task::Spectrum => shape.extend([plane.height, plane.width]),
+            Task::Channel => {
                 shape.extend([plane.height / 2, plane.width]);
                 let gains = |rows: &[Real]| complex(&gains_of(rows, plane.width));
                 let all: Vec<Gain> = all.chunks_exact(of_each).flat_map(gains).collect();
@@ -321,7 +321,7 @@ impl Model {
     /// "spectrum", "power" or "channel".
     #[getter]
     fn kind(&self) -> &'static str {
-        kind_name(self.stages().kind)
+        kind_name(self.stages().task)
     }
 
     /// Gaussians, of all members together.

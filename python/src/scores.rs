@@ -7,15 +7,15 @@ use crate::settings::{plugin, text_of};
 use numpy::PyUntypedArrayMethods as _;
 use pwrfgs::experiment::repeatability as work;
 use pwrfgs_core::{
-    Baseline, Elevation, Evaluation, Image, ImagePlane, Kind, Known, Metric, ModelFacts, Origin, Plugin, Pose, Query,
-    Real, Receiver, Sampling, Scene, Values, rows_of,
+    Baseline, Elevation, Evaluation, Image, ImagePlane, Known, Metric, ModelFacts, Origin, Plugin, Pose, Query, Real,
+    Receiver, Sampling, Scene, Task, Values, rows_of,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::ops::RangeInclusive;
 
 /// Observations of one kind as the library has them: (kind, images).
-fn images(what: &str, value: &Bound<'_, PyAny>, kind: &str) -> PyResult<(Kind, Vec<Image>)> {
+fn images(what: &str, value: &Bound<'_, PyAny>, kind: &str) -> PyResult<(Task, Vec<Image>)> {
     let py = value.py();
     match kind {
         "spectrum" => {
@@ -28,12 +28,12 @@ fn images(what: &str, value: &Bound<'_, PyAny>, kind: &str) -> PyResult<(Kind, V
                 return Err(wrong(py, &format!("{what} has no pixels")));
             }
             let image = |pixels: &[Real]| Image { width, height, pixels: pixels.to_vec() };
-            Ok((Kind::Spectrum, all.chunks_exact(width * height).map(image).collect()))
+            Ok((Task::Spectrum, all.chunks_exact(width * height).map(image).collect()))
         }
         "power" => {
             let all = given::<Real>(what, value, &vec![None; axes(value)?.max(1)])?; // a number is an array of one
             let all = all.as_slice().map_err(|e| wrong(py, &e.to_string()))?;
-            Ok((Kind::Power, all.iter().map(|dbm| Image { width: 1, height: 1, pixels: vec![*dbm] }).collect()))
+            Ok((Task::Power, all.iter().map(|dbm| Image { width: 1, height: 1, pixels: vec![*dbm] }).collect()))
         }
         _ => {
             let lead = axes(value)?;
@@ -50,7 +50,7 @@ fn images(what: &str, value: &Bound<'_, PyAny>, kind: &str) -> PyResult<(Kind, V
                 let pairs: Vec<[Real; 2]> = gains.iter().map(|gain| [gain.re, gain.im]).collect();
                 Image { width, height: 2 * antennas, pixels: rows_of(&pairs, width) }
             };
-            Ok((Kind::Channel, all.chunks_exact(antennas * width).map(image).collect()))
+            Ok((Task::Channel, all.chunks_exact(antennas * width).map(image).collect()))
         }
     }
 }
@@ -80,7 +80,7 @@ pub(crate) fn measure<'py>(
         return Err(wrong(py, &what));
     }
     let Some((height, width)) = size(&truths) else { return Err(wrong(py, "there is nothing to compare")) };
-    let is_picture = kind == Kind::Spectrum;
+    let is_picture = kind == Task::Spectrum;
     let azimuth = pwrfgs_core::Axis { first: 0.0, step: 360.0 / width as f64 };
     let elevation = Elevation { first: elevation_deg[0], last: elevation_deg[1] };
     let angles = is_picture.then(|| (azimuth, elevation.axis(height)));
@@ -91,7 +91,7 @@ pub(crate) fn measure<'py>(
     let scene = empty_scene(vec![]);
     let found = free(py, || {
         let given = (predictions.as_slice(), truths.as_slice());
-        metric.evaluate(&Evaluation { kind, ..evaluation(given, &plane, &scene) })
+        metric.evaluate(&Evaluation { task: kind, ..evaluation(given, &plane, &scene) })
     })?;
     measurements(py, found)
 }
@@ -102,8 +102,8 @@ fn evaluation<'a>(
     plane: &'a ImagePlane,
     scene: &'a Scene,
 ) -> Evaluation<'a> {
-    let kind = Kind::Spectrum;
-    Evaluation { predictions, truths, kind, links: &[], plane, scene, model: None, timed_prediction: None }
+    let kind = Task::Spectrum;
+    Evaluation { predictions, truths, task: kind, links: &[], plane, scene, model: None, timed_prediction: None }
 }
 
 fn empty_scene(points: Vec<[Real; 3]>) -> Scene {
@@ -183,10 +183,10 @@ pub(crate) fn predict_baseline<'py>(
     })?;
     let (count, width, height) = (found.len(), data.width, data.height);
     let all: Vec<Real> = found.into_iter().flat_map(|image| image.pixels).collect();
-    match data.kind() {
-        Kind::Spectrum => array(py, all, &[count, height, width]).map(Bound::into_any),
-        Kind::Power => array(py, all, &[count]).map(Bound::into_any),
-        Kind::Channel => {
+    match data.task() {
+        Task::Spectrum => array(py, all, &[count, height, width]).map(Bound::into_any),
+        Task::Power => array(py, all, &[count]).map(Bound::into_any),
+        Task::Channel => {
             let gains: Vec<Gain> = all
                 .chunks_exact(width * height)
                 .flat_map(|rows| crate::arrays::complex(&pwrfgs_core::gains_of(rows, width)))

@@ -167,7 +167,7 @@ impl Observer for Progress {
         }
         let [train, validation, test] = start.samples.map(|n| grouped(n as i64));
         if self.name.is_none() {
-            let things = start.kind.counted();
+            let things = start.kind.counted[1];
             note(&format!("{}: {train} training, {validation} validation, {test} test {things}", start.title));
         }
         let on = if start.done > 0 {

@@ -5,7 +5,7 @@ use pwrfgs::model::Calibration::{AsReleased, Physical};
 use pwrfgs::model::tensors::Tensors;
 use pwrfgs::model::{Calibration, Ensemble, Model, Readout, Splatting, Stages, file};
 use pwrfgs_core::{
-    Frame, GaussianCloud, ImagePlane, Kind, Method, Origin, Plugin, Pose, Projector, Real, Receiver, Sampling, Vec3,
+    Frame, GaussianCloud, ImagePlane, Method, Origin, Plugin, Pose, Projector, Real, Receiver, Sampling, Task, Vec3,
     rng,
 };
 use std::path::Path;
@@ -130,7 +130,7 @@ fn virtual_transmitters(order: usize) -> Model {
     let receivers = vec![Receiver { antennas, ..Receiver::new("turned", POSE) }];
     let plane = ImagePlane { width: 2, height: 6, wraps: false, angles: None, sampling: Sampling::WHOLE };
     let frequencies_hz = vec![0.9e9, 0.95e9];
-    let frame = Frame { origin: Origin([10.0, 0.0, -3.0]), receivers, kind: Kind::Channel, plane, frequencies_hz };
+    let frame = Frame { origin: Origin([10.0, 0.0, -3.0]), receivers, task: Task::Channel, plane, frequencies_hz };
     let method: Plugin<dyn Method> = Plugin::parse(&format!("VirtualTransmitters(order: {order})")).unwrap();
     let mut cloud = cloud();
     cloud.complete(&method.columns()).unwrap();

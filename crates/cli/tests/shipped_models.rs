@@ -8,7 +8,7 @@ use pwrfgs::experiment::{Recipe, Silent, load};
 use pwrfgs::model::{Ensemble, Model, file};
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs_core::plugin::to_ron;
-use pwrfgs_core::{Kind, Number, Query, Real, gains_of};
+use pwrfgs_core::{Number, Query, Real, Task, gains_of};
 use std::path::{Path, PathBuf};
 
 /// Snapshots that are asked for where a model reads features.
@@ -25,12 +25,12 @@ fn small_data(pipeline: &Pipeline, uplinks: &Path) -> String {
         let scene = project("scenes").join(scene).display().to_string();
         format!("data=Simulated(scene: {scene:?}, samples: 12, points: 50, cache: false{observe})")
     };
-    match pipeline.data.kind() {
-        Some(Kind::Power) => simulated("office-links.ron", ", observe: Power()"),
-        Some(Kind::Channel) if pipeline.method().inputs() != 3 => {
+    match pipeline.data.task() {
+        Some(Task::Power) => simulated("office-links.ron", ", observe: Power()"),
+        Some(Task::Channel) if pipeline.method().inputs() != 3 => {
             format!("data.root={:?}", uplinks.display().to_string())
         }
-        Some(Kind::Channel) => simulated("office-channel.ron", ", observe: Channel()"),
+        Some(Task::Channel) => simulated("office-channel.ron", ", observe: Channel()"),
         _ if to_ron(&pipeline.data).contains("office-links") => simulated("office-links.ron", ""),
         _ => "data=Teacher(gaussians: 4, samples: 20, width: 72, height: 18)".into(),
     }

@@ -5,7 +5,7 @@ use crate::options::{Progress as Told, Pursuit};
 use crate::pursuit::pursue;
 use crate::virtual_transmitters::{VirtualTransmitters, array, order_of};
 use pwrfgs_core::{
-    Documented, Error, GaussianCloud, ImagePlane, Initializer, Kind, Observations, Real, Result, Scene, Seen, rng,
+    Documented, Error, GaussianCloud, ImagePlane, Initializer, Observations, Real, Result, Scene, Seen, Task, rng,
     rng::Rng,
 };
 use serde::{Deserialize, Serialize};
@@ -79,7 +79,7 @@ impl Initializer for MatchingPursuit {
 
     fn search(&self, seen: &Seen<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
         let Observations::Channels(channels) = &seen.data.observations else {
-            let what = seen.data.kind().plural();
+            let what = seen.data.task().plural;
             return Err(Error::Config(format!(
                 "initializer: MatchingPursuit searches channels, and the data are {what}"
             )));
@@ -119,8 +119,8 @@ impl Initializer for MatchingPursuit {
         Ok(all.to_cloud())
     }
 
-    fn kind(&self) -> Option<Kind> {
-        Some(Kind::Channel)
+    fn task(&self) -> Option<Task> {
+        Some(Task::Channel)
     }
 
     fn about(&self) -> &'static str {

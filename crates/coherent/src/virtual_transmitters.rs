@@ -5,7 +5,7 @@ use crate::harmonics::{HIGHEST, terms};
 use crate::links::Links;
 use crate::options::Pursuit;
 use pwrfgs_core::{
-    Asked, Cache, Documented, Frame, Kind, Method, MethodVjp, Observed, Parameters, Real, Receiver, WeightSpec,
+    Asked, Cache, Documented, Frame, Method, MethodVjp, Observed, Parameters, Real, Receiver, Task, WeightSpec,
     gains_of, rng::Rng, rows_of,
 };
 use serde::{Deserialize, Serialize};
@@ -58,8 +58,8 @@ fn positions(asked: &Asked<'_>) -> Vec<[Real; 3]> {
 
 #[typetag::serde]
 impl Method for VirtualTransmitters {
-    fn kind(&self) -> Option<Kind> {
-        Some(Kind::Channel)
+    fn task(&self) -> Option<Task> {
+        Some(Task::Channel)
     }
 
     fn columns(&self) -> Vec<(&'static str, usize)> {
@@ -105,11 +105,8 @@ impl Method for VirtualTransmitters {
     }
 
     fn check_frame(&self, frame: &Frame) -> Result<(), String> {
-        if frame.kind != Kind::Channel {
-            return Err(format!(
-                "method: VirtualTransmitters gives channels, and the data are {}",
-                frame.kind.plural()
-            ));
+        if frame.task != Task::Channel {
+            return Err(format!("method: VirtualTransmitters gives channels, and the data are {}", frame.task.plural));
         }
         if frame.receivers.len() != 1 {
             return Err(format!(

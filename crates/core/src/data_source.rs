@@ -1,6 +1,6 @@
 //! `DataSource`, `Split`, `Baseline`: what is known, how it is divided, and what must be beaten.
 
-use crate::{Dataset, Image, Kind, Known, Partition, Query, Result, plugin_kind, rng::Rng};
+use crate::{Dataset, Image, Known, Partition, Query, Result, Task, plugin_kind, rng::Rng};
 use std::path::{Path, PathBuf};
 
 /// Told (done, of how many) while something long is under way, from any thread and in any order.
@@ -15,7 +15,7 @@ pub trait DataSource: erased_serde::Serialize + std::any::Any + std::fmt::Debug 
 
     /// Which kind of observation it gives, where that is known before it is loaded: a pipeline that does not fit is then
     /// refused when it is read, at its place.
-    fn kind(&self) -> Option<Kind> {
+    fn task(&self) -> Option<Task> {
         None
     }
 
@@ -76,13 +76,13 @@ pub trait Baseline: erased_serde::Serialize + std::any::Any + std::fmt::Debug + 
     fn name(&self) -> String;
 
     /// The same where it depends on what is observed.
-    fn name_for(&self, kind: Kind) -> String {
+    fn name_for(&self, kind: Task) -> String {
         let _ = kind;
         self.name()
     }
 
     /// The kind of observation that it predicts alone; `None` for any.
-    fn kind(&self) -> Option<Kind> {
+    fn task(&self) -> Option<Task> {
         None
     }
 

@@ -3,8 +3,8 @@
 use crate::origin::{Origin, place_fault};
 use crate::words::clean;
 use crate::{
-    Axis, Elevation, Error, Features, Image, ImagePlane, Kind, Link, Observations, Pose, Query, Real, Receiver, Result,
-    Sample, Sampling, Scene, Spectra, Transmitter, Vec3,
+    Elevation, Error, Features, Image, ImagePlane, Link, Observations, Pose, Query, Real, Receiver, Result, Sample,
+    Scene, Spectra, Task, Transmitter, Vec3,
 };
 
 /// Everything a data source gives, in columns: transmitters, receivers, links of one with the other, and what was observed
@@ -92,7 +92,7 @@ impl Dataset {
     /// let at = |name: &str, x| Receiver::new(name, Pose { position: [x, 0.0, 2.5], ..Pose::IDENTITY });
     /// let tx = [1.0, 2.0, 1.5];
     /// let samples = [Sample { id: 1, tx, receiver: 0 }, Sample { id: 1, tx, receiver: 1 }];
-    /// let powers = Observations::Powers(vec![-61.0, -70.5]);
+    /// let powers = vec![-61.0, -70.5].into();
     /// let data = Dataset::of_links("hall", vec![at("north", 0.0), at("south", 9.0)], vec![], &samples, powers)?;
     /// assert_eq!((data.transmitters.len(), data.len()), (1, 2));
     /// # Ok::<(), pwrfgs_core::Error>(())
@@ -116,7 +116,7 @@ impl Dataset {
             return Err(refuse(fault));
         }
         if samples.len() != observations.len() {
-            let (have, need, what) = (observations.len(), samples.len(), named(observations.kind()));
+            let (have, need, what) = (observations.len(), samples.len(), observations.task().plural);
             return Err(refuse(format!("{have} {what} for {need} transmitters; give as many of each")));
         }
         let (transmitters, links) = columns(samples, &receivers).map_err(refuse)?;
@@ -175,8 +175,8 @@ impl Dataset {
     }
 
     /// Which of the three tasks it is.
-    pub fn kind(&self) -> Kind {
-        self.observations.kind()
+    pub fn task(&self) -> Task {
+        self.observations.task()
     }
 
     /// The links of these transmitters, given and returned in ascending order.
@@ -193,23 +193,12 @@ impl Dataset {
     /// What a pixel of the spectra is: columns go once around, rows are [`Self::elevation`]. The numbers of a power or of a
     /// channel have no direction.
     pub fn plane(&self) -> ImagePlane {
-        let is_picture = self.kind() == Kind::Spectrum;
-        let azimuth = Axis { first: 0.0, step: 360.0 / self.width as f64 };
-        let angles = is_picture.then(|| (azimuth, self.elevation.axis(self.height)));
-        ImagePlane { width: self.width, height: self.height, wraps: is_picture, angles, sampling: Sampling::WHOLE }
+        self.task().plane((self.width, self.height), self.elevation)
     }
 
     /// What was observed of link `i`, as an array of numbers.
     pub fn image(&self, i: usize) -> Image {
         self.observations.image(i)
-    }
-}
-
-fn named(kind: Kind) -> &'static str {
-    match kind {
-        Kind::Spectrum => "spectra",
-        Kind::Power => "powers",
-        Kind::Channel => "channels",
     }
 }
 

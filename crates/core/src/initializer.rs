@@ -1,6 +1,6 @@
 //! `Initializer`: where the Gaussians start.
 
-use crate::{Dataset, GaussianCloud, ImagePlane, Kind, Method, Progress, Real, Result, Scene, plugin_kind, rng::Rng};
+use crate::{Dataset, GaussianCloud, ImagePlane, Method, Progress, Real, Result, Scene, Task, plugin_kind, rng::Rng};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
@@ -69,7 +69,7 @@ pub trait Initializer: erased_serde::Serialize + std::any::Any + std::fmt::Debug
     }
 
     /// The kind of observation that it searches; `None` where it reads none, or any.
-    fn kind(&self) -> Option<Kind> {
+    fn task(&self) -> Option<Task> {
         None
     }
 

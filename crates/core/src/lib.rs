@@ -30,7 +30,6 @@ mod link;
 mod method;
 mod metric;
 pub mod neighbours;
-mod observations;
 pub mod origin;
 mod partition;
 pub mod paths;
@@ -49,6 +48,7 @@ pub mod ssim;
 mod statistics;
 mod stats;
 pub mod tape;
+mod task;
 pub mod testing;
 pub mod threads;
 pub mod words;
@@ -69,7 +69,6 @@ pub use initializer::{Initializer, Seen};
 pub use link::{Features, Link, Query, Receiver, Sample, Transmitter};
 pub use method::{Asked, Frame, Method, MethodVjp, Observed, Parameters, Pixels};
 pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, Scope, StageTimes, Values};
-pub use observations::{Channels, Kind, Observations, SPEED_OF_LIGHT, gain_at, gain_fault, gains_of, rows_of};
 pub use origin::Origin;
 pub use partition::{Known, LinkSet, Partition};
 pub use plugin::{Cache, Checked, Plugin, cached, registered};
@@ -83,3 +82,7 @@ pub use spectra::{Number, Spectra};
 pub use splats::{Primitives, Splats};
 pub use statistics::{Needs, Statistic, Statistics};
 pub use stats::{CloudStats, Moment, Phase};
+pub use task::{
+    Channels, Columns, Description, Headline, Observations, SPEED_OF_LIGHT, Task, gain_at, gain_fault, gains_of,
+    rows_of,
+};

@@ -1,8 +1,8 @@
 //! `Method`: the one seam between training and what is trained. From parameters and links to observations, and back.
 
 use crate::{
-    Cache, CloudStats, Conditions, Dataset, Elevation, GaussianCloud, ImagePlane, Kind, Link, Needs, Origin, Pose,
-    Real, Receiver, StageTimes, Statistics, WeightSpec, plugin_kind, rng::Rng,
+    Cache, CloudStats, Conditions, Dataset, Elevation, GaussianCloud, ImagePlane, Link, Needs, Origin, Pose, Real,
+    Receiver, StageTimes, Statistics, Task, WeightSpec, plugin_kind, rng::Rng,
 };
 
 /// Where observations are made, and what they are: all of a data set that a trained model has to know.
@@ -13,7 +13,7 @@ pub struct Frame {
     /// Who listens, from the origin.
     pub receivers: Vec<Receiver>,
     /// Which of the three tasks it is.
-    pub kind: Kind,
+    pub task: Task,
     /// The numbers of one observation: of a spectrum, its picture.
     pub plane: ImagePlane,
     /// Subcarriers of a channel, Hz; empty for anything else.
@@ -23,18 +23,15 @@ pub struct Frame {
 impl Frame {
     /// That of `data`, drawn on `plane`.
     pub fn of(data: &Dataset, plane: ImagePlane) -> Self {
-        let frequencies_hz = match &data.observations {
-            crate::Observations::Channels(channels) => channels.frequencies_hz.clone(),
-            _ => Vec::new(),
-        };
+        let frequencies_hz = data.observations.frequencies_hz().to_vec();
         let (origin, receivers) = (data.scene.origin, data.scene.receivers.clone());
-        Self { origin, receivers, kind: data.kind(), plane, frequencies_hz }
+        Self { origin, receivers, task: data.task(), plane, frequencies_hz }
     }
 
     /// Of spectra that one receiver sees.
     pub fn spectra(origin: Origin, pose: Pose, plane: ImagePlane) -> Self {
         let receivers = vec![Receiver::new("receiver", pose)];
-        Self { origin, receivers, kind: Kind::Spectrum, plane, frequencies_hz: Vec::new() }
+        Self { origin, receivers, task: Task::default(), plane, frequencies_hz: Vec::new() }
     }
 
     /// Numbers of one observation.
@@ -150,7 +147,7 @@ impl MethodVjp {
 #[typetag::serde]
 pub trait Method: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
     /// What it gives, where that does not depend on the frame.
-    fn kind(&self) -> Option<Kind> {
+    fn task(&self) -> Option<Task> {
         None
     }
 

@@ -1,6 +1,6 @@
 //! `Metric`: how good a prediction is.
 
-use crate::{Dataset, Image, ImagePlane, Kind, Link, Real, Result, Scene, plugin_kind};
+use crate::{Dataset, Image, ImagePlane, Link, Real, Result, Scene, Task, plugin_kind};
 
 /// Scores predictions or a whole model.
 #[typetag::serde]
@@ -19,7 +19,7 @@ pub trait Metric: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Se
     }
 
     /// The kind of observation that it is a metric of; `None` for one of the model itself, or of any.
-    fn kind(&self) -> Option<Kind> {
+    fn task(&self) -> Option<Task> {
         None
     }
 
@@ -60,7 +60,7 @@ pub struct Evaluation<'a> {
     /// What was observed, in the same order.
     pub truths: &'a [Image],
     /// Which of the three tasks it is.
-    pub kind: Kind,
+    pub task: Task,
     /// Which links they are of, in the same order; empty where nobody can say.
     pub links: &'a [Link],
     /// What a pixel means.
@@ -80,7 +80,7 @@ impl<'a> Evaluation<'a> {
         Self {
             predictions: &[],
             truths: &[],
-            kind: data.kind(),
+            task: data.task(),
             links: &[],
             plane,
             scene: &data.scene,

@@ -59,8 +59,8 @@ impl Default for Arrays {
 
 #[typetag::serde]
 impl DataSource for Arrays {
-    fn kind(&self) -> Option<pwrfgs_core::Kind> {
-        Some(pwrfgs_core::Kind::Spectrum)
+    fn task(&self) -> Option<pwrfgs_core::Task> {
+        Some(pwrfgs_core::Task::Spectrum)
     }
 
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {

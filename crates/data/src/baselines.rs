@@ -18,7 +18,7 @@ pub use ridge::Ridge;
 pub use zero::Zero;
 
 use by_receiver::{ByReceiver, Fitted};
-use pwrfgs_core::{Baseline, Dataset, Documented, Error, Image, Kind, Known, Predict, Query, Real, Result};
+use pwrfgs_core::{Baseline, Dataset, Documented, Error, Image, Known, Predict, Query, Real, Result, Task};
 use serde::{Deserialize, Serialize};
 
 /// The mean of all training spectra, whatever the transmitter: the floor of every score. Of powers and channels it is the
@@ -39,8 +39,8 @@ impl Baseline for MeanSpectrum {
         "mean spectrum".into()
     }
 
-    fn name_for(&self, kind: Kind) -> String {
-        if kind == Kind::Spectrum { self.name() } else { "mean of the receiver".into() }
+    fn name_for(&self, kind: Task) -> String {
+        if kind == Task::Spectrum { self.name() } else { "mean of the receiver".into() }
     }
 
     fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {

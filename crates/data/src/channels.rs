@@ -110,8 +110,8 @@ impl Default for Channels {
 
 #[typetag::serde]
 impl DataSource for Channels {
-    fn kind(&self) -> Option<pwrfgs_core::Kind> {
-        Some(pwrfgs_core::Kind::Channel)
+    fn task(&self) -> Option<pwrfgs_core::Task> {
+        Some(pwrfgs_core::Task::Channel)
     }
 
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {

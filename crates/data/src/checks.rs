@@ -2,7 +2,7 @@
 //! saved, and is read back as it was.
 
 use pwrfgs_core::words::{clean, quoted};
-use pwrfgs_core::{Dataset, Elevation, Error, Kind, Observations, Real, Receiver, Result, Spectra};
+use pwrfgs_core::{Dataset, Elevation, Error, Observations, Real, Receiver, Result, Spectra, Task};
 use rayon::prelude::*;
 
 /// How far a value of a spectrum may be outside 0 to 1, by rounding.
@@ -140,10 +140,10 @@ fn antennas_fault(data: &Dataset) -> Option<String> {
         }
     };
     let receiver = data.scene.receivers.iter().find(|receiver| {
-        let is_elsewhere = data.kind() == Kind::Power && receiver.antennas.iter().any(|place| *place != [0.0; 3]);
+        let is_elsewhere = data.task() == Task::Power && receiver.antennas.iter().any(|place| *place != [0.0; 3]);
         receiver.antennas.len() != given || is_elsewhere
     })?;
     let (name, placed) = (quoted(&receiver.name), receiver.antennas.len());
-    let things = data.kind().plural();
+    let things = data.task().plural;
     Some(format!("the {things} have {given} antennas, and receiver {name} has {placed}; {what}"))
 }

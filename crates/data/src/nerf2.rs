@@ -78,8 +78,8 @@ impl Default for Nerf2Spectrum {
 
 #[typetag::serde]
 impl DataSource for Nerf2Spectrum {
-    fn kind(&self) -> Option<pwrfgs_core::Kind> {
-        Some(pwrfgs_core::Kind::Spectrum)
+    fn task(&self) -> Option<pwrfgs_core::Task> {
+        Some(pwrfgs_core::Task::Spectrum)
     }
 
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {

@@ -131,8 +131,8 @@ impl Teacher {
 
 #[typetag::serde]
 impl DataSource for Teacher {
-    fn kind(&self) -> Option<pwrfgs_core::Kind> {
-        Some(pwrfgs_core::Kind::Spectrum)
+    fn task(&self) -> Option<pwrfgs_core::Task> {
+        Some(pwrfgs_core::Task::Spectrum)
     }
 
     fn load(&self, _: &Path, progress: Progress<'_>) -> Result<Dataset> {

@@ -6,7 +6,7 @@
 
 use crate::repeatability::{AtZero, FAR_IDS, Lapse, Likeness, in_order, likeness};
 use crate::text::{grouped, number};
-use pwrfgs_core::{Dataset, Kind, Metric, Partition, Plugin, Result};
+use pwrfgs_core::{Dataset, Metric, Partition, Plugin, Result, Task};
 use std::sync::atomic::AtomicBool;
 
 /// Its name in every table, and in no ranking.
@@ -40,7 +40,7 @@ pub fn ceiling(
     let notes = match (of.is_empty(), found.metrics.first().map(|m| &m.at_zero)) {
         (false, _) => {
             let by = |(key, why): (&String, &String)| format!("no {CEILING} by {key}: {why}");
-            notes(data.kind(), &found, lapse, &why, &of).into_iter().chain(unknown.map(by)).collect()
+            notes(data.task(), &found, lapse, &why, &of).into_iter().chain(unknown.map(by)).collect()
         }
         (true, Some(Err(reason))) => vec![format!("no {CEILING}: {reason}")],
         (true, _) => Vec::new(),
@@ -81,16 +81,16 @@ fn lapse(data: &Dataset, lags: &[u32]) -> (Lapse, String) {
     }
 }
 
-fn notes(kind: Kind, found: &Likeness, lapse: Lapse, why: &str, of: &[(String, AtZero)]) -> Vec<String> {
+fn notes(kind: Task, found: &Likeness, lapse: Lapse, why: &str, of: &[(String, AtZero)]) -> Vec<String> {
     let what = match kind {
-        Kind::Power => {
+        Task::Power => {
             "the error of a perfect predictor of the mean reading: what two readings at one place differ by, over √2"
         }
-        Kind::Spectrum => "what two measured spectra at one place have in common",
-        Kind::Channel => "what two measured channels at one place have in common",
+        Task::Spectrum => "what two measured spectra at one place have in common",
+        Task::Channel => "what two measured channels at one place have in common",
     };
     // Of powers the row is the perfect predictor's already.
-    let more = if kind == Kind::Power { "" } else { "; a perfect predictor of the mean could reach a little more" };
+    let more = if kind == Task::Power { "" } else { "; a perfect predictor of the mean could reach a little more" };
     let (pairs, words) = (grouped(found.closest as i64), lapse.words());
     let interval = |(key, at_zero): &(String, AtZero)| {
         let [low, high] = at_zero.interval.map(number);

@@ -1,7 +1,7 @@
 //! Warnings of data in wrong units or in a wrong order, which every reader accepts.
 
 use pwrfgs_core::neighbours::nearest_other_squared;
-use pwrfgs_core::{Dataset, Kind, Observations, Partition, Real};
+use pwrfgs_core::{Dataset, Observations, Partition, Real, Task};
 
 /// Longest site and widest spacing of transmitters in metres; positions beyond both are likely in another unit.
 const SITE_M: f64 = 100.0;
@@ -24,7 +24,7 @@ pub fn data_warnings(data: &Dataset, partition: Option<&Partition>) -> Vec<Strin
         all.extend(power_warning(powers));
     }
     all.extend(partition.and_then(|partition| split_warning(data, partition)));
-    all.extend(equality_warning(data.kind(), data.len(), are_equal));
+    all.extend(equality_warning(data.task(), data.len(), are_equal));
     all
 }
 
@@ -80,13 +80,13 @@ fn split_warning(data: &Dataset, partition: &Partition) -> Option<String> {
     } else {
         "if that is not meant, give the split a smaller test share"
     };
-    let things = data.kind().counted();
+    let things = data.task().counted[1];
     (test > known).then(|| format!("split: {test} test {things}, but only {known} to learn from; {advice}"))
 }
 
 /// Observations that are all the same.
-pub fn equality_warning(kind: Kind, count: usize, are_equal: bool) -> Option<String> {
-    let things = kind.plural();
+pub fn equality_warning(kind: Task, count: usize, are_equal: bool) -> Option<String> {
+    let things = kind.plural;
     (count > 1 && are_equal).then(|| {
         format!(
             "{things}: all {count} are equal, so nothing depends on the transmitter; check the files they came from"

@@ -12,7 +12,7 @@ use crate::paired::Paired;
 use crate::scores::{MODEL, Scores};
 use crate::session::Session;
 use pwrfgs_core::{
-    Dataset, Error, Kind, Measurement, ModelFacts, Observations, Partition, Result, Values, words::clean,
+    Dataset, Error, Measurement, ModelFacts, Observations, Partition, Result, Task, Values, words::clean,
 };
 use pwrfgs_model::{Ensemble, Prepared};
 use pwrfgs_pipeline::{Pipeline, defaults};
@@ -59,13 +59,13 @@ pub fn evaluate(
         test.model(name, ready, Some(facts), &pipeline.metrics, session)
     };
     let own = score(ensemble, model, "the model", session)?;
-    let headline = headline(data.kind());
+    let headline = headline(data.task());
     let of_each = |measured: &[Measurement]| first(measured, headline.key).map(<[f64]>::to_vec);
     let values = if let Some(values) = of_each(&own) {
         values
     } else {
         // The pipeline does not ask for it, but a report shows examples by it.
-        let metrics = defaults::validation(data.kind());
+        let metrics = defaults::validation(data.task());
         of_each(&test.model(
             "the model",
             model,
@@ -92,7 +92,7 @@ pub fn evaluate(
     for baseline in &pipeline.baselines {
         session.check_stopped()?;
         let fitted = baseline.fit(data, partition.known())?;
-        let name = baseline.name_for(data.kind());
+        let name = baseline.name_for(data.task());
         let measured = test.baseline(&name, &*fitted, &pipeline.metrics, session)?;
         bounds.extend(fitted.knows_scene().then(|| name.clone()));
         predictors.push((name, measured));
@@ -102,7 +102,7 @@ pub fn evaluate(
     notes.extend(said);
     let ids = partition.test.iter().map(|&i| data.label(i)).collect();
     let trained_on = [partition.train.len(), partition.known().all().len()];
-    let kind = data.kind();
+    let kind = data.task();
     let mut scores = Scores { kind, ids, predictors, bounds, members, ceiling, trained_on, notes, ..Scores::default() };
     let position = |&i: &usize| (data.label(i), data.placed.then(|| data.sample(i).tx));
     scores.paired = Paired::of(&scores, &partition.test.iter().map(position).collect());
@@ -115,12 +115,12 @@ pub fn evaluate(
 /// The first difference.
 pub fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
     let refuse = |what: String| Err(Error::Config(what + "; evaluate it on data like those it was trained on"));
-    let (plane, kind) = (model.plane(), data.kind());
-    if model.kind() != kind {
-        return refuse(format!("the model predicts {} and the data are {}", model.kind().plural(), kind.plural()));
+    let (plane, kind) = (model.plane(), data.task());
+    if model.task() != kind {
+        return refuse(format!("the model predicts {} and the data are {}", model.task().plural, kind.plural));
     }
     let (drawn, have) = ((plane.width, plane.height), (data.width, data.height));
-    if drawn != have && kind == Kind::Channel {
+    if drawn != have && kind == Task::Channel {
         let size = |(width, height): (usize, usize)| format!("{} antennas and {width} subcarriers", height / 2);
         return refuse(format!("the model predicts channels of {} and the data have {}", size(drawn), size(have)));
     }
@@ -136,7 +136,7 @@ pub fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
     }
     for (known, heard) in model.receivers().iter().zip(&data.scene.receivers) {
         // Of a single receiver the name says nothing: nobody gave it one.
-        if known.name != heard.name && kind != Kind::Spectrum && listening > 1 {
+        if known.name != heard.name && kind != Task::Spectrum && listening > 1 {
             return refuse(format!(
                 "receiver `{}` of the model is `{}` in the data",
                 clean(&known.name),

@@ -1,6 +1,6 @@
 //! `Headline`: by which number observations of a kind are judged first, on curves, in examples and while one waits.
 
-use pwrfgs_core::Kind;
+use pwrfgs_core::Task;
 
 /// The first metric of a kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,18 +16,18 @@ pub struct Headline {
 }
 
 /// That of a kind.
-pub fn headline(kind: Kind) -> Headline {
+pub fn headline(kind: Task) -> Headline {
     match kind {
-        Kind::Spectrum => {
+        Task::Spectrum => {
             Headline { key: "ssim", name: "SSIM", higher: true, columns: ["ssim_mean", "ssim_median", "eta_0db"] }
         }
-        Kind::Power => Headline {
+        Task::Power => Headline {
             key: "power_error_db",
             name: "error [dB]",
             higher: false,
             columns: ["power_error_db_mean", "power_error_db_median", "power_error_db_p90"],
         },
-        Kind::Channel => Headline {
+        Task::Channel => Headline {
             key: "snr_db",
             name: "SNR [dB]",
             higher: true,

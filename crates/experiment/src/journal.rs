@@ -7,7 +7,7 @@ use crate::observer::Validation;
 use crate::scores::ScoreTable;
 use crate::series::Series;
 use crate::validation;
-use pwrfgs_core::{Kind, Result};
+use pwrfgs_core::{Result, Task};
 use pwrfgs_pipeline::Pipeline;
 use pwrfgs_train::StepReport;
 
@@ -28,7 +28,7 @@ pub(crate) struct Journal {
 
 impl Journal {
     /// Opens the files, cut back to step `done`.
-    pub(crate) fn open(folder: &RunFolder, pipeline: &Pipeline, kind: Kind, done: u64) -> Result<Self> {
+    pub(crate) fn open(folder: &RunFolder, pipeline: &Pipeline, kind: Task, done: u64) -> Result<Self> {
         let (curve, last) = Series::open(&folder.file(CURVE), CURVE_HEADER, done)?;
         let (looks, _) = Series::open(&folder.file(VALIDATION), &validation::header(kind), done)?;
         let events = pipeline.tensorboard.then(|| Events::open(&folder.file(EVENTS), done)).transpose()?;

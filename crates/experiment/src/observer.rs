@@ -1,7 +1,7 @@
 //! `Observer`: who wants to know how a run gets on. The library prints nothing; `cli` draws a progress bar.
 
 use crate::scores::ScoreTable;
-use pwrfgs_core::{Kind, Progress};
+use pwrfgs_core::{Progress, Task};
 use pwrfgs_train::{Estimate, StepReport};
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
@@ -14,7 +14,7 @@ pub struct Start<'a> {
     /// What the data call themselves.
     pub title: &'a str,
     /// What they hold.
-    pub kind: Kind,
+    pub kind: Task,
     /// Samples for training, validation, test.
     pub samples: [usize; 3],
     /// Steps that an earlier start has done.
@@ -31,7 +31,7 @@ pub struct Validation {
     /// Training step.
     pub step: u64,
     /// What was looked at.
-    pub kind: Kind,
+    pub kind: Task,
     /// The columns of [`headline`](crate::headline::headline): mean and median, and one number more.
     pub values: [f64; 3],
 }

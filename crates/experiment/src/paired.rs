@@ -8,7 +8,7 @@ use crate::headline::headline;
 use crate::scores::{MODEL, Scores};
 use crate::statistics::{CONFIDENCE, Difference};
 use crate::text::fixed;
-use pwrfgs_core::{Goal, Kind};
+use pwrfgs_core::{Goal, Task};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -92,8 +92,8 @@ impl Paired {
     }
 
     /// How to read it, in one sentence.
-    pub fn note(&self, kind: Kind) -> String {
-        let (count, things) = (self.cubes, kind.counted());
+    pub fn note(&self, kind: Task) -> String {
+        let (count, things) = (self.cubes, kind.counted[1]);
         let (drawn, blocks) = match self.edge_m {
             Some(edge) => (format!("{count} cubes of {edge:.2} m"), "cubes"),
             None => (format!("{count} single {things}, whose positions are unknown"), things),
@@ -128,7 +128,7 @@ impl PairedRow {
 }
 
 /// Whether tables of differences show a metric: the first one of the kind and every rate ratio.
-pub fn is_compared(key: &str, kind: Kind) -> bool {
+pub fn is_compared(key: &str, kind: Task) -> bool {
     key == headline(kind).key || key.starts_with("eta_")
 }
 
@@ -152,7 +152,7 @@ mod tests {
         };
         let place = |id: u32| f64::from(id * 37 % 64) / 64.0;
         let scores = Scores {
-            kind: Kind::Spectrum,
+            kind: Task::Spectrum,
             ids: (0..64).collect(),
             predictors: vec![
                 (MODEL.into(), values(&|id| place(id) + ahead + noise * (f64::from(id % 3) - 1.0))),
@@ -162,7 +162,7 @@ mod tests {
         };
         let places = (0..64).map(|id| (id, Some([f64::from(id % 8), f64::from(id / 8), 0.0]))).collect();
         let mut found = Paired::of(&scores, &places).unwrap();
-        assert!(found.cubes >= 30 && found.note(Kind::Spectrum).contains("95 %"), "{found:?}");
+        assert!(found.cubes >= 30 && found.note(Task::Spectrum).contains("95 %"), "{found:?}");
         assert_eq!(found.lines(&["1-NN".into()])[1][0], "1-NN †");
         found.rows.remove(0)
     }
@@ -181,10 +181,10 @@ mod tests {
     fn a_note_names_what_is_drawn() {
         let pairs = Paired { edge_m: Some(0.4), cubes: 9, rows: Vec::new() };
         let words = "over 9 cubes of 0.40 m; with fewer than ten cubes";
-        assert!(pairs.note(Kind::Spectrum).contains(words), "{}", pairs.note(Kind::Spectrum));
+        assert!(pairs.note(Task::Spectrum).contains(words), "{}", pairs.note(Task::Spectrum));
         let single = Paired { edge_m: None, cubes: 31, ..pairs };
         let words = "of this run over 31 single channels, whose positions are unknown; level";
-        assert!(single.note(Kind::Channel).contains(words), "{}", single.note(Kind::Channel));
+        assert!(single.note(Task::Channel).contains(words), "{}", single.note(Task::Channel));
     }
 
     #[test]

@@ -19,7 +19,7 @@ use crate::scores::Summary;
 use extrapolate::{Scale, at_zero};
 use measure::Measured;
 use pairs::Pair;
-use pwrfgs_core::{Dataset, Goal, Kind, Metric, Plugin, Result, evenly};
+use pwrfgs_core::{Dataset, Goal, Metric, Plugin, Result, Task, evenly};
 use std::ops::Range;
 use std::sync::atomic::AtomicBool;
 
@@ -147,7 +147,7 @@ pub(crate) fn likeness(
             let (words, cm) = (lapse.words(), REACH_M * 100.0);
             Err(format!("{closest} pairs of samples {words} are within {cm:.0} cm of each other; it takes {LEAST}"))
         } else {
-            at_zero(&wanted[..closest], &single(data.kind(), &values[..closest]), &scale)
+            at_zero(&wanted[..closest], &single(data.task(), &values[..closest]), &scale)
         };
         Similarity { key, unit, goal, bins: ranges.iter().map(bin).collect(), unrelated, at_zero }
     };
@@ -158,8 +158,8 @@ pub(crate) fn likeness(
 
 /// What one reading is off from the mean of all, of what two are off from each other: two readings of a power are both
 /// noisy, and independent errors of one size add up to √2 of it. Of anything else, the values as they are.
-fn single(kind: Kind, values: &[f64]) -> Vec<f64> {
-    let share = if kind == Kind::Power { std::f64::consts::FRAC_1_SQRT_2 } else { 1.0 };
+fn single(kind: Task, values: &[f64]) -> Vec<f64> {
+    let share = if kind == Task::Power { std::f64::consts::FRAC_1_SQRT_2 } else { 1.0 };
     values.iter().map(|v| share * v).collect()
 }
 

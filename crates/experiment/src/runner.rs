@@ -160,12 +160,12 @@ pub(crate) fn check_scoring(pipeline: &Pipeline, data: &Dataset) -> Result<()> {
         Error::Config(_) | Error::Input { .. } | Error::Read { .. } => Error::Config(format!("{field}: {error}")),
         other => other, // an exception of Python's stays one
     };
-    let baselines = pipeline.baselines.iter().map(|baseline| ("baselines", baseline.kind(), baseline.check_data(data)));
-    let metrics = pipeline.metrics.iter().map(|metric| ("metrics", metric.kind(), metric.check_data(data)));
+    let baselines = pipeline.baselines.iter().map(|baseline| ("baselines", baseline.task(), baseline.check_data(data)));
+    let metrics = pipeline.metrics.iter().map(|metric| ("metrics", metric.task(), metric.check_data(data)));
     for (field, kind, answer) in baselines.chain(metrics) {
         answer.map_err(|error| named(field, error))?;
-        if let Some(kind) = kind.filter(|kind| *kind != data.kind()) {
-            let (own, has) = (kind.plural(), data.kind().plural());
+        if let Some(kind) = kind.filter(|kind| *kind != data.task()) {
+            let (own, has) = (kind.plural, data.task().plural);
             return Err(Error::Config(format!("{field}: one is of {own}, and the data are {has}; leave it out")));
         }
     }
@@ -273,12 +273,12 @@ impl<'a> Run<'a, '_> {
     ) -> Result<Option<Model>> {
         let settings = &self.pipeline.training;
         let (steps, earlier) = (settings.steps, facts.wall_seconds);
-        let mut journal = Journal::open(folder, self.pipeline, self.data.kind(), trainer.done())?;
+        let mut journal = Journal::open(folder, self.pipeline, self.data.task(), trainer.done())?;
         let looked_at = evenly(&self.partition.validation, settings.validation_samples);
         self.session.observer.on_start(&Start {
             folder: folder.name(),
             title: &self.data.title,
-            kind: self.data.kind(),
+            kind: self.data.task(),
             samples: facts.samples,
             done: trainer.done(),
             steps,
@@ -358,7 +358,7 @@ impl<'a> Run<'a, '_> {
         self.session.observer.on_message(&format!(
             "scoring {} test {}",
             self.partition.test.len(),
-            self.data.kind().counted()
+            self.data.task().counted[1]
         ));
         let ensemble = Ensemble::of(model.clone());
         let assessment = evaluate(&ensemble, self.pipeline, self.data, self.partition, self.session)?;

@@ -6,7 +6,7 @@ use crate::ceiling::CEILING;
 use crate::paired::Paired;
 use crate::repeatability::AtZero;
 use crate::text::Lines;
-use pwrfgs_core::{Goal, Kind, Measurement, Values};
+use pwrfgs_core::{Goal, Measurement, Task, Values};
 use serde::{Deserialize, Serialize};
 
 /// The name of the trained model in every table.
@@ -16,7 +16,7 @@ pub const MODEL: &str = "model";
 #[derive(Clone, Debug, Default)]
 pub struct Scores {
     /// What was predicted.
-    pub kind: Kind,
+    pub kind: Task,
     /// Ids of the test samples, in the order of per-sample values.
     pub ids: Vec<u32>,
     /// Predictors with their measurements; the model comes first.
@@ -95,11 +95,11 @@ pub struct ScoreTable {
     pub notes: Vec<String>,
     /// What was predicted.
     #[serde(default, skip_serializing_if = "is_spectra")]
-    pub kind: Kind,
+    pub kind: Task,
 }
 
-fn is_spectra(kind: &Kind) -> bool {
-    *kind == Kind::Spectrum
+fn is_spectra(kind: &Task) -> bool {
+    *kind == Task::Spectrum
 }
 
 /// One metric of all predictors.
@@ -264,7 +264,7 @@ mod tests {
     fn scores() -> Scores {
         let measure = |key: &str, goal, values| Measurement { key: key.into(), unit: "", goal, values };
         Scores {
-            kind: Kind::Spectrum,
+            kind: Task::Spectrum,
             ids: vec![3, 7],
             predictors: vec![
                 (
@@ -333,7 +333,7 @@ mod tests {
         let table = scores().table();
         let text = table.to_text();
         assert!(text.contains("0.6000*") && text.contains("2,613") && text.contains("n/a"), "{text}");
-        let links = ScoreTable { kind: Kind::Power, ..table.clone() }.to_text();
+        let links = ScoreTable { kind: Task::Power, ..table.clone() }.to_text();
         assert!(links.contains("a tenth of the links are") && !links.contains("validation spectra"), "{links}");
         let notes: Vec<&str> = text.lines().filter(|line| line.starts_with("note: ")).collect();
         assert_eq!(notes[0], "note: bad tail: a tenth of the spectra are this bad or worse", "{text}");

@@ -5,12 +5,12 @@ use crate::headline::headline;
 use crate::observer::{Silent, Validation};
 use crate::scores::Summary;
 use crate::session::Session;
-use pwrfgs_core::{Dataset, ImagePlane, Kind, Known, Measurement, Partition, Plugin, Result, Values, evenly};
+use pwrfgs_core::{Dataset, ImagePlane, Known, Measurement, Partition, Plugin, Result, Task, Values, evenly};
 use pwrfgs_model::Model;
 use pwrfgs_pipeline::{Pipeline, defaults};
 
 /// Header of `validation.csv`.
-pub(crate) fn header(kind: Kind) -> String {
+pub(crate) fn header(kind: Task) -> String {
     format!("step,{}", headline(kind).columns.join(","))
 }
 
@@ -24,20 +24,20 @@ impl Validation {
 
 /// One row of `validation.csv` from the measurements: mean and median of the first; of spectra the mean of the second, of
 /// powers the bad tail of the first, of channels the ratio over all.
-fn row(step: u64, kind: Kind, measured: &[Measurement]) -> Validation {
+fn row(step: u64, kind: Task, measured: &[Measurement]) -> Validation {
     let of = |k: usize| match measured.get(k).map(|m| &m.values) {
         Some(Values::PerSample(values)) => Summary::of(values, headline(kind).higher),
         Some(Values::Whole(value)) => Summary { mean: *value, median: *value, p10: *value },
         _ => Summary { mean: f64::NAN, median: f64::NAN, p10: f64::NAN },
     };
-    let third = if kind == Kind::Power { of(0).p10 } else { of(1).mean };
+    let third = if kind == Task::Power { of(0).p10 } else { of(1).mean };
     Validation { step, kind, values: [of(0).mean, of(0).median, third] }
 }
 
 /// Looks at the samples `part`.
 pub(crate) fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize]) -> Result<Validation> {
     let bench = Bench::new(data, part, &model.stages.plane);
-    let (kind, model) = (data.kind(), &model.prepare());
+    let (kind, model) = (data.task(), &model.prepare());
     Ok(row(
         step,
         kind,
@@ -61,13 +61,13 @@ pub(crate) fn floors(
         return Ok(Vec::new());
     }
     let bench = Bench::new(data, &part, plane);
-    let metrics = defaults::validation(data.kind());
+    let metrics = defaults::validation(data.task());
     let floor = |b: &Plugin<dyn pwrfgs_core::Baseline>| {
         session.check_stopped()?;
         let fitted = b.fit(data, Known::train(&partition.train))?;
-        let name = b.name_for(data.kind());
+        let name = b.name_for(data.task());
         let measured = bench.baseline(&name, &*fitted, &metrics, session)?;
-        Ok((name, row(0, data.kind(), &measured)))
+        Ok((name, row(0, data.task(), &measured)))
     };
     pipeline.baselines.iter().map(floor).collect()
 }

@@ -8,8 +8,8 @@
 use pwrfgs_core::tape::{TraceScalar, Traced};
 use pwrfgs_core::{
     Baseline, CloudStats, ColumnSpec, Dataset, Documented, Error, Evaluation, Gate, GaussianCloud, ImagePlane,
-    Initializer, Kind, Known, Measurement, Metric, Moment, Needs, Partition, Predict, Pruner, Real, Result, Scene,
-    Seen, Split, rng::Rng,
+    Initializer, Known, Measurement, Metric, Moment, Needs, Partition, Predict, Pruner, Real, Result, Scene, Seen,
+    Split, Task, rng::Rng,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, OnceLock};
@@ -171,7 +171,7 @@ impl Baseline for Python {
         self.class.clone()
     }
 
-    fn name_for(&self, kind: Kind) -> String {
+    fn name_for(&self, kind: Task) -> String {
         let own = self.host().and_then(|host| host.baseline(self));
         own.map_or_else(|_| self.class.clone(), |own| own.name_for(kind))
     }

@@ -29,7 +29,7 @@ pub use splits::{Divided, Floor, Outcome};
 pub use trajectory::Trajectory;
 
 use look::Looks;
-use pwrfgs_core::{Dataset, Kind as Observed, Metric, Plugin, Result, Scope};
+use pwrfgs_core::{Dataset, Metric, Plugin, Result, Scope, Task as Observed};
 use pwrfgs_experiment::repeatability::{Repeatability, repeatability};
 use pwrfgs_experiment::{Observer, staged};
 use pwrfgs_pipeline::Pipeline;
@@ -58,7 +58,7 @@ pub struct Inspection<'a> {
 /// Where a picture cannot be read, or a baseline or a metric refuses.
 pub fn inspect<'a>(pipeline: &Pipeline, data: &'a Dataset, observer: &mut dyn Observer) -> Result<Inspection<'a>> {
     let (mut pictures, mut pose) = (None, None);
-    if data.kind() == Observed::Spectrum {
+    if data.task() == Observed::Spectrum {
         let looks = staged(observer, "looking at the pictures", |progress| Looks::of(data, progress))?;
         observer.on_stage("degrees of freedom", 0, 0);
         pictures = Some((pictures::pictures(data, &looks), freedom::freedom(data, &looks.each)));

@@ -49,7 +49,7 @@ impl Inspection<'_> {
             positions => figures::positions(self),
             time_bar => figures::time_bar(self.trajectory.ids),
             drawn => (self.trajectory.samples > figures::DOTS).then(|| count(figures::DOTS)),
-            observations => self.data.kind().counted(),
+            observations => self.data.task().counted[1],
             placed => self.data.placed,
             pictures => self.pictures.as_ref().map(|(pictures, freedom)| context! {
                 sheet => figures::sheet(self.data),

@@ -121,7 +121,7 @@ fn floors(
     let mut floors = Vec::new();
     for baseline in &pipeline.baselines {
         let fitted = baseline.fit(data, partition.known())?;
-        let name = baseline.name_for(data.kind()); // the same for all splits, whatever it chooses in each
+        let name = baseline.name_for(data.task()); // the same for all splits, whatever it chooses in each
         let mut scores = Vec::new();
         for m in bench.baseline(&name, &*fitted, metrics, &mut Session::new(observer))? {
             if let Values::PerSample(values) = m.values {

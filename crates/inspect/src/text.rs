@@ -62,7 +62,7 @@ impl Inspection<'_> {
         let note = format!(
             "note: mean {first} of predictors without a model, on up to {tested} test {} each; nearest training: \
              median distance from a test transmitter\n",
-            self.data.kind().counted()
+            self.data.task().counted[1]
         );
         let text = aligned(&lines, 1) + &refused + &note;
         self.ceiling_words(&first).iter().fold(text, |text, words| text + "note: " + words + "\n")

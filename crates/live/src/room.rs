@@ -1,7 +1,7 @@
 //! What a page knows of data and split: the room, who sends and who listens.
 
 use crate::Pack;
-use pwrfgs_core::{Dataset, Frame, Kind, Origin, Partition, Pose, Real, evenly};
+use pwrfgs_core::{Dataset, Frame, Origin, Partition, Pose, Real, Task, evenly};
 use pwrfgs_experiment::colour::{diverging, sequential};
 use pwrfgs_experiment::headline::headline;
 use serde_json::{Value, json};
@@ -29,8 +29,8 @@ pub fn room(frame: &Frame, known: Option<Known<'_>>, means: &[[Real; 3]], points
     let plane = &frame.plane;
     let mut note = json!({
         "format": "pwrfgs-room",
-        "kind": kind_name(frame.kind),
-        "score": { "name": headline(frame.kind).name, "higher": headline(frame.kind).higher },
+        "kind": kind_name(frame.task),
+        "score": { "name": headline(frame.task).name, "higher": headline(frame.task).higher },
         "origin": origin.0,
         "plane": { "width": plane.width, "height": plane.height, "wraps": plane.wraps, "angles": plane.angles },
         "receivers": poses.iter().map(|(name, pose)| receiver(name, pose, origin)).collect::<Vec<_>>(),
@@ -86,10 +86,10 @@ fn bounds(places: impl Iterator<Item = [Real; 3]>) -> Value {
     if low[0] > high[0] { json!([[-1, -1, -1], [1, 1, 1]]) } else { json!([low, high]) }
 }
 
-fn kind_name(kind: Kind) -> &'static str {
+fn kind_name(kind: Task) -> &'static str {
     match kind {
-        Kind::Spectrum => "spectrum",
-        Kind::Power => "power",
-        Kind::Channel => "channel",
+        Task::Spectrum => "spectrum",
+        Task::Power => "power",
+        Task::Channel => "channel",
     }
 }

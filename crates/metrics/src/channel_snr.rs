@@ -1,7 +1,7 @@
 //! How well a channel is predicted.
 
 use crate::{not_of, paired};
-use pwrfgs_core::{Documented, Evaluation, Goal, Image, Kind, Measurement, Metric, Result, Scope, Values};
+use pwrfgs_core::{Documented, Evaluation, Goal, Image, Measurement, Metric, Result, Scope, Task, Values};
 use serde::{Deserialize, Serialize};
 
 /// Signal-to-noise ratio of predicted channels, dB: −10 log₁₀(Σ|h′ − h|² / Σ|h|²).
@@ -57,7 +57,7 @@ impl Energies {
 impl Metric for ChannelSnr {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
         let measured = |key: &str, values| Measurement { key: key.to_owned(), unit: "dB", goal: Goal::Higher, values };
-        if let Some(values) = not_of(evaluation, Kind::Channel) {
+        if let Some(values) = not_of(evaluation, Task::Channel) {
             return Ok(vec![measured("snr_db", values.clone()), measured("snr_all_db", values)]);
         }
         paired(evaluation)?;
@@ -76,8 +76,8 @@ impl Metric for ChannelSnr {
         Ok(vec![measured("snr_db", Values::PerSample(snapshots)), measured("snr_all_db", over_all)])
     }
 
-    fn kind(&self) -> Option<Kind> {
-        Some(Kind::Channel)
+    fn task(&self) -> Option<Task> {
+        Some(Task::Channel)
     }
 
     fn scope(&self) -> Scope {
@@ -103,7 +103,7 @@ mod tests {
         let links = [(0, 0), (0, 1), (1, 0)].map(|(transmitter, receiver)| Link { transmitter, receiver });
         let (plane, scene) = (plane(1, 2), scene(&[]));
         let evaluation = Evaluation {
-            kind: Kind::Channel,
+            task: Task::Channel,
             links: &links,
             predictions: &predictions,
             truths: &truths,

@@ -1,7 +1,7 @@
 //! Mean absolute error of a pixel.
 
 use crate::{one, per_sample};
-use pwrfgs_core::{Documented, Evaluation, Goal, Kind, Measurement, Metric, Result, Scope};
+use pwrfgs_core::{Documented, Evaluation, Goal, Measurement, Metric, Result, Scope, Task};
 use serde::{Deserialize, Serialize};
 
 /// Mean absolute difference of predicted and measured pixels; the L₁ of eq. (9) with the prediction clamped to [0, 1].
@@ -21,15 +21,15 @@ pub struct L1 {}
 #[typetag::serde]
 impl Metric for L1 {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let values = per_sample(evaluation, Kind::Spectrum, |p, t| {
+        let values = per_sample(evaluation, Task::Spectrum, |p, t| {
             let differences = p.pixels.iter().zip(&t.pixels).map(|(p, t)| (p.clamp(0.0, 1.0) - t).abs() as f64);
             differences.sum::<f64>() / p.pixels.len().max(1) as f64
         })?;
         Ok(one("l1", "", Goal::Lower, values))
     }
 
-    fn kind(&self) -> Option<Kind> {
-        Some(Kind::Spectrum)
+    fn task(&self) -> Option<Task> {
+        Some(Task::Spectrum)
     }
 
     fn scope(&self) -> Scope {

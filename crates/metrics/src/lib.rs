@@ -29,17 +29,17 @@ pub use psnr::Psnr;
 pub use rate_ratio::RateRatio;
 pub use ssim::Ssim;
 
-use pwrfgs_core::{Error, Evaluation, Goal, Image, Kind, Measurement, Result, Values};
+use pwrfgs_core::{Error, Evaluation, Goal, Image, Measurement, Result, Task, Values};
 use rayon::prelude::*;
 
 /// Why a metric of observations of one kind does not apply to those of another.
-fn not_of(evaluation: &Evaluation<'_>, kind: Kind) -> Option<Values> {
-    let why = || format!("it is a metric of {}, and these are {}", kind.plural(), evaluation.kind.plural());
-    (evaluation.kind != kind).then(|| Values::NotApplicable(why()))
+fn not_of(evaluation: &Evaluation<'_>, kind: Task) -> Option<Values> {
+    let why = || format!("it is a metric of {}, and these are {}", kind.plural, evaluation.task.plural);
+    (evaluation.task != kind).then(|| Values::NotApplicable(why()))
 }
 
 /// `score(prediction, truth)` of every sample, in order, where these are of that kind; the prediction is not clamped.
-fn per_sample(evaluation: &Evaluation<'_>, kind: Kind, score: impl Fn(&Image, &Image) -> f64 + Sync) -> Result<Values> {
+fn per_sample(evaluation: &Evaluation<'_>, kind: Task, score: impl Fn(&Image, &Image) -> f64 + Sync) -> Result<Values> {
     if let Some(other) = not_of(evaluation, kind) {
         return Ok(other);
     }
@@ -80,8 +80,8 @@ fn no_gaussians() -> Values {
 #[cfg(test)]
 mod fixture {
     use pwrfgs_core::{
-        Axis, Evaluation, Image, ImagePlane, Kind, Measurement, Metric, ModelFacts, Origin, Pose, Real, Receiver,
-        Sampling, Scene, StageTimes, Values,
+        Axis, Evaluation, Image, ImagePlane, Measurement, Metric, ModelFacts, Origin, Pose, Real, Receiver, Sampling,
+        Scene, StageTimes, Task, Values,
     };
 
     pub(crate) fn scene(points: &[[Real; 3]]) -> Scene {
@@ -124,7 +124,7 @@ mod fixture {
         Evaluation {
             predictions: &[],
             truths: &[],
-            kind: Kind::Spectrum,
+            task: Task::Spectrum,
             links: &[],
             plane,
             scene,
@@ -133,10 +133,10 @@ mod fixture {
         }
     }
 
-    pub(crate) fn of_kind(metric: &dyn Metric, kind: Kind, prediction: &Image, truth: &Image) -> Vec<Measurement> {
+    pub(crate) fn of_kind(metric: &dyn Metric, kind: Task, prediction: &Image, truth: &Image) -> Vec<Measurement> {
         let (predictions, truths) = (std::slice::from_ref(prediction), std::slice::from_ref(truth));
         let (plane, scene) = (plane(truth.width, truth.height), scene(&[]));
-        metric.evaluate(&Evaluation { kind, predictions, truths, ..spectra(&plane, &scene) }).unwrap()
+        metric.evaluate(&Evaluation { task: kind, predictions, truths, ..spectra(&plane, &scene) }).unwrap()
     }
 
     pub(crate) fn of_model(metric: &dyn Metric, model: Option<ModelFacts<'_>>, scene: &Scene) -> Vec<Measurement> {

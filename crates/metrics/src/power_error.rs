@@ -1,7 +1,7 @@
 //! How far a received power is off.
 
 use crate::{one, per_sample};
-use pwrfgs_core::{Documented, Evaluation, Goal, Kind, Measurement, Metric, Result, Scope};
+use pwrfgs_core::{Documented, Evaluation, Goal, Measurement, Metric, Result, Scope, Task};
 use serde::{Deserialize, Serialize};
 
 /// |predicted − measured| of a received power, dB.
@@ -22,12 +22,12 @@ pub struct PowerError {}
 #[typetag::serde]
 impl Metric for PowerError {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let values = per_sample(evaluation, Kind::Power, |p, t| f64::from((p.pixels[0] - t.pixels[0]).abs() as f32))?;
+        let values = per_sample(evaluation, Task::Power, |p, t| f64::from((p.pixels[0] - t.pixels[0]).abs() as f32))?;
         Ok(one("power_error_db", "dB", Goal::Lower, values))
     }
 
-    fn kind(&self) -> Option<Kind> {
-        Some(Kind::Power)
+    fn task(&self) -> Option<Task> {
+        Some(Task::Power)
     }
 
     fn scope(&self) -> Scope {
@@ -48,9 +48,9 @@ mod tests {
     #[test]
     fn it_is_the_distance_in_decibels() {
         let power = |dbm| Image { width: 1, height: 1, pixels: vec![dbm] };
-        let found = of_kind(&PowerError {}, Kind::Power, &power(-70.5), &power(-60.0));
+        let found = of_kind(&PowerError {}, Task::Power, &power(-70.5), &power(-60.0));
         assert_eq!((value(&found[0]), found[0].unit), (10.5, "dB"));
-        let other = of_kind(&PowerError {}, Kind::Channel, &power(1.0), &power(1.0));
+        let other = of_kind(&PowerError {}, Task::Channel, &power(1.0), &power(1.0));
         assert!(matches!(&other[0].values, Values::NotApplicable(why) if why.contains("channels")));
     }
 }

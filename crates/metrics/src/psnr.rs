@@ -1,7 +1,7 @@
 //! Peak signal-to-noise ratio.
 
 use crate::{one, per_sample};
-use pwrfgs_core::{Documented, Evaluation, Goal, Kind, Measurement, Metric, Result, Scope};
+use pwrfgs_core::{Documented, Evaluation, Goal, Measurement, Metric, Result, Scope, Task};
 use serde::{Deserialize, Serialize};
 
 /// Smallest mean squared error that counts; below the 8-bit rounding of measured spectra (about 1.3e-6).
@@ -25,7 +25,7 @@ pub struct Psnr {}
 #[typetag::serde]
 impl Metric for Psnr {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let values = per_sample(evaluation, Kind::Spectrum, |p, t| {
+        let values = per_sample(evaluation, Task::Spectrum, |p, t| {
             let squares = p.pixels.iter().zip(&t.pixels).map(|(p, t)| ((p.clamp(0.0, 1.0) - t) as f64).powi(2));
             let error = squares.sum::<f64>() / p.pixels.len().max(1) as f64;
             if error < LEAST_ERROR { -10.0 * LEAST_ERROR.log10() } else { -10.0 * error.log10() }
@@ -33,8 +33,8 @@ impl Metric for Psnr {
         Ok(one("psnr", "dB", Goal::Higher, values))
     }
 
-    fn kind(&self) -> Option<Kind> {
-        Some(Kind::Spectrum)
+    fn task(&self) -> Option<Task> {
+        Some(Task::Spectrum)
     }
 
     fn scope(&self) -> Scope {

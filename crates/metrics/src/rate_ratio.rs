@@ -1,7 +1,7 @@
 //! Achievable-rate ratio, eq. (15): what steering by the prediction costs.
 
 use crate::{one, per_sample};
-use pwrfgs_core::{Documented, Evaluation, Goal, Image, Kind, Measurement, Metric, Result, Scope};
+use pwrfgs_core::{Documented, Evaluation, Goal, Image, Measurement, Metric, Result, Scope, Task};
 use serde::{Deserialize, Serialize};
 
 /// Rate reached by steering to the strongest predicted direction, over the rate of the truly strongest one.
@@ -37,13 +37,13 @@ impl RateRatio {
 #[typetag::serde]
 impl Metric for RateRatio {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let values = per_sample(evaluation, Kind::Spectrum, |p, t| self.ratio(p, t))?;
+        let values = per_sample(evaluation, Task::Spectrum, |p, t| self.ratio(p, t))?;
         let snr = self.snr_db + 0.0; // no `-0` in the name
         Ok(one(&format!("eta_{snr}db"), "", Goal::Higher, values))
     }
 
-    fn kind(&self) -> Option<Kind> {
-        Some(Kind::Spectrum)
+    fn task(&self) -> Option<Task> {
+        Some(Task::Spectrum)
     }
 
     fn scope(&self) -> Scope {

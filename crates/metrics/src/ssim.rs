@@ -1,7 +1,7 @@
 //! SSIM as scikit-image computes it: the number that papers of this field print.
 
 use crate::{one, per_sample};
-use pwrfgs_core::{Documented, Evaluation, Goal, Kind, Measurement, Metric, Result, Scope, ssim};
+use pwrfgs_core::{Documented, Evaluation, Goal, Measurement, Metric, Result, Scope, Task, ssim};
 use serde::{Deserialize, Serialize};
 
 /// Structural similarity of predicted and measured spectrum, 1 where they are equal.
@@ -25,12 +25,12 @@ pub struct Ssim {}
 #[typetag::serde]
 impl Metric for Ssim {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let values = per_sample(evaluation, Kind::Spectrum, |p, t| ssim::evaluation(&p.clamped(), t))?;
+        let values = per_sample(evaluation, Task::Spectrum, |p, t| ssim::evaluation(&p.clamped(), t))?;
         Ok(one("ssim", "", Goal::Higher, values))
     }
 
-    fn kind(&self) -> Option<Kind> {
-        Some(Kind::Spectrum)
+    fn task(&self) -> Option<Task> {
+        Some(Task::Spectrum)
     }
 
     fn scope(&self) -> Scope {

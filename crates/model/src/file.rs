@@ -5,8 +5,8 @@ use crate::{Calibration, Ensemble, Model, Readout, Splatting, Stages};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::plugin::{Plugin, PluginKind, ron_options};
 use pwrfgs_core::{
-    COLUMN_NAMES, Error, ExtraColumn, Frame, GaussianCloud, ImagePlane, Kind, Method, Origin, Pose, Real, Receiver,
-    Result,
+    COLUMN_NAMES, Error, ExtraColumn, Frame, GaussianCloud, ImagePlane, Method, Origin, Pose, Real, Receiver, Result,
+    Task,
 };
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -67,7 +67,7 @@ struct Note {
 /// What links are: which observations, and who listens.
 #[derive(Serialize, Deserialize)]
 struct LinksNote {
-    kind: Kind,
+    kind: Task,
     receivers: Vec<ReceiverNote>,
     /// Of the subcarriers, Hz.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -85,7 +85,7 @@ struct ReceiverNote {
 
 /// One antenna in the middle of the only receiver of spectra: what files say without `links`.
 fn is_plain(frame: &Frame) -> bool {
-    frame.kind == Kind::Spectrum && frame.receivers.len() == 1 && frame.receivers[0].antennas == [[0.0; 3]]
+    frame.task == Task::Spectrum && frame.receivers.len() == 1 && frame.receivers[0].antennas == [[0.0; 3]]
 }
 
 const FORMAT: &str = "pwrfgs-model";
@@ -184,7 +184,7 @@ fn note(model: &Model) -> Note {
         ReceiverNote { name, pose: s.origin.world_pose(pose), antennas }
     };
     let links = || LinksNote {
-        kind: s.kind,
+        kind: s.task,
         receivers: s.receivers.iter().map(receiver).collect(),
         frequencies_hz: s.frequencies_hz.clone(),
     };
@@ -314,7 +314,7 @@ fn frame(note: &Note) -> Result<Frame, String> {
         antennas: r.antennas.clone(),
     };
     let receivers = receivers.iter().map(receiver).collect();
-    Ok(Frame { origin, receivers, kind: *kind, plane, frequencies_hz: frequencies_hz.clone() })
+    Ok(Frame { origin, receivers, task: *kind, plane, frequencies_hz: frequencies_hz.clone() })
 }
 
 /// Refuses a file whose constants are not those that its deformation draws here: it would predict something else.

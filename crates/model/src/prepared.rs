@@ -2,8 +2,8 @@
 
 use crate::{Model, Stages};
 use pwrfgs_core::{
-    Asked, Cache, Conditions, GaussianCloud, Image, ImagePlane, Kind, Link, Parameters, Pixels, Predict, Query, Real,
-    Receiver, StageTimes,
+    Asked, Cache, Conditions, GaussianCloud, Image, ImagePlane, Link, Parameters, Pixels, Predict, Query, Real,
+    Receiver, StageTimes, Task,
 };
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -59,8 +59,8 @@ impl<'a> Prepared<'a> {
     }
 
     /// Which of the three tasks it is.
-    pub fn kind(&self) -> Kind {
-        self.members[0].model.stages.kind
+    pub fn task(&self) -> Task {
+        self.members[0].model.stages.task
     }
 
     /// The receivers that it knows, in the order of [`Query::receiver`].
@@ -78,7 +78,7 @@ impl<'a> Prepared<'a> {
     /// clamped to [0, 1].
     pub fn predict_timed<'q>(&self, query: impl Into<Query<'q>>) -> (Image, StageTimes) {
         let (pictures, times) = self.pictures(query.into());
-        (mean(pictures, self.kind()), times)
+        (mean(pictures, self.task()), times)
     }
 
     /// The same, and the standard deviation of the members' pictures at every pixel (n in the denominator): a picture of
@@ -86,10 +86,10 @@ impl<'a> Prepared<'a> {
     pub fn predict_with_deviation<'q>(&self, query: impl Into<Query<'q>>) -> (Image, Image, StageTimes) {
         let (pictures, times) = self.pictures(query.into());
         let count = pictures.len() as Real;
-        let is_picture = self.kind() == Kind::Spectrum;
+        let is_picture = self.task() == Task::Spectrum;
         let clamped: Vec<Image> =
             pictures.iter().map(|own| if is_picture { own.clamped() } else { own.clone() }).collect();
-        let mean = mean(pictures, self.kind());
+        let mean = mean(pictures, self.task());
         let mut deviation = Image::zeros(mean.width, mean.height);
         if clamped.len() > 1 {
             for picture in &clamped {
@@ -121,7 +121,7 @@ impl<'a> Prepared<'a> {
     /// Observations of many links; those of a transmitter next to each other are cheapest.
     pub fn predict_many(&self, queries: &[Query<'_>]) -> Vec<Image> {
         let mut of_each: Vec<_> = self.members.iter().map(|m| m.predict_many(queries).into_iter()).collect();
-        let of_all = |_| mean(of_each.iter_mut().filter_map(Iterator::next).collect(), self.kind());
+        let of_all = |_| mean(of_each.iter_mut().filter_map(Iterator::next).collect(), self.task());
         queries.iter().map(of_all).collect()
     }
 
@@ -243,7 +243,7 @@ fn asked(stages: &Stages, queries: &[Query<'_>]) -> (Vec<Real>, Vec<Link>) {
 }
 
 /// One observation as it is, or the mean of several; pictures each clamped to [0, 1].
-fn mean(pictures: Vec<Image>, kind: Kind) -> Image {
+fn mean(pictures: Vec<Image>, kind: Task) -> Image {
     let share = 1.0 / pictures.len() as Real;
     let mut pictures = pictures.into_iter();
     let mut mean = pictures.next().expect("a model or more");
@@ -251,7 +251,7 @@ fn mean(pictures: Vec<Image>, kind: Kind) -> Image {
         return mean;
     }
     let sum = mean.pixels.as_mut_slice();
-    if kind != Kind::Spectrum {
+    if kind != Task::Spectrum {
         sum.iter_mut().for_each(|v| *v *= share);
         for other in pictures {
             sum.iter_mut().zip(&other.pixels).for_each(|(sum, v)| *sum += v * share);

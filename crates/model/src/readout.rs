@@ -1,6 +1,6 @@
 //! Readout: from blended signals to a spectrum, and back.
 
-use pwrfgs_core::{Documented, Kind, Real};
+use pwrfgs_core::{Documented, Real, Task};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -55,11 +55,11 @@ impl Readout {
     pub const RECEIVED: Self = Self::Received { sky_deg: 10, filter_deg2: 30.0 };
 
     /// What it gives.
-    pub fn kind(self) -> Kind {
+    pub fn task(self) -> Task {
         match self {
-            Self::Received { .. } => Kind::Power,
-            Self::Channel => Kind::Channel,
-            _ => Kind::Spectrum,
+            Self::Received { .. } => Task::Power,
+            Self::Channel => Task::Channel,
+            _ => Task::Spectrum,
         }
     }
 

@@ -18,8 +18,8 @@ use crate::deform::Mlp;
 use crate::{Activation, ActivationVjp, Calibration, Readout};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
-    Cache, Deformation, Deltas, Documented, Elevation, Frame, GaussianCloud, ImagePlane, Kind, Parameters, Pose,
-    Primitives, Projector, Rasterizer, Real, Render, RenderVjp, Splats, sigmoid,
+    Cache, Deformation, Deltas, Documented, Elevation, Frame, GaussianCloud, ImagePlane, Parameters, Pose, Primitives,
+    Projector, Rasterizer, Real, Render, RenderVjp, Splats, Task, sigmoid,
 };
 use pwrfgs_raster::{AlphaBlending, Mercator};
 use serde::{Deserialize, Serialize};
@@ -147,20 +147,20 @@ pub fn check_together(
 ///
 /// # Errors
 /// Which readout would.
-pub fn check_kind(readout: Readout, kind: Kind) -> Result<(), String> {
-    match (readout.kind(), kind) {
+pub fn check_kind(readout: Readout, kind: Task) -> Result<(), String> {
+    match (readout.task(), kind) {
         (own, kind) if own == kind => Ok(()),
-        (own, Kind::Spectrum) => Err(format!(
-            "readout: it gives {}, and the data are spatial spectra; use Magnitude, MinMax, Power or Real",
-            own.plural()
+        (own, Task::Spectrum) => Err(format!(
+            "readout: it gives {}, and the data are spectra; use Magnitude, MinMax, Power or Real",
+            own.plural
         )),
-        (own, Kind::Power) => Err(format!(
+        (own, Task::Power) => Err(format!(
             "readout: it gives {}, and the data are received powers; use Received(sky_deg: 10)",
-            own.plural()
+            own.plural
         )),
-        (own, Kind::Channel) => Err(format!(
+        (own, Task::Channel) => Err(format!(
             "readout: it gives {}, and the data are channels; use `method: VirtualTransmitters()`, or readout: Channel",
-            own.plural()
+            own.plural
         )),
     }
 }

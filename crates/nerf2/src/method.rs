@@ -6,8 +6,8 @@ use crate::path::Law;
 use crate::rays::Rays;
 use crate::walk::{Still, Sums, Trunked, Walk};
 use pwrfgs_core::{
-    Asked, Cache, Documented, Frame, Kind, Method, MethodVjp, Observed, Parameters, Pixels, Real, SPEED_OF_LIGHT,
-    StageTimes, WeightSpec, cached, consts, gain_at, rng::Rng,
+    Asked, Cache, Documented, Frame, Method, MethodVjp, Observed, Parameters, Pixels, Real, SPEED_OF_LIGHT, StageTimes,
+    Task, WeightSpec, cached, consts, gain_at, rng::Rng,
 };
 use pwrfgs_layers::dense::add_in_order;
 use pwrfgs_layers::plan::{Plan, items_per_sum, laid_out, planned};
@@ -118,8 +118,8 @@ type Ready = Vec<Vec<Still>>;
 
 impl Nerf2 {
     /// Directions of powers and channels, ring by ring from the horizon up.
-    pub(crate) fn sky(&self, kind: Kind) -> Vec<[Real; 3]> {
-        let rings = if self.first_ring && kind == Kind::Power { 1 } else { self.elevations };
+    pub(crate) fn sky(&self, kind: Task) -> Vec<[Real; 3]> {
+        let rings = if self.first_ring && kind == Task::Power { 1 } else { self.elevations };
         let direction = |i: usize| {
             let (ring, column) = ((i / self.azimuths + 1) as Real, (i % self.azimuths) as Real);
             let el = consts::PI / 2.0 * ring / self.elevations as Real;
@@ -129,9 +129,9 @@ impl Nerf2 {
         (0..rings * self.azimuths).map(direction).collect()
     }
 
-    fn law(&self, kind: Kind) -> Law {
+    fn law(&self, kind: Task) -> Law {
         match kind {
-            Kind::Spectrum => Law::Spectrum,
+            Task::Spectrum => Law::Spectrum,
             _ => Law::Wave { wavenumber: (2.0 * std::f64::consts::PI * self.carrier_hz / SPEED_OF_LIGHT) as Real },
         }
     }
@@ -147,7 +147,7 @@ impl Nerf2 {
         (receiver, pixels): (usize, &Pixels<'_>),
         told: &'a [Real],
     ) -> Walk<'a> {
-        Walk { network, weights, rays: Rays::of(self, frame, receiver, pixels), law: self.law(frame.kind), told }
+        Walk { network, weights, rays: Rays::of(self, frame, receiver, pixels), law: self.law(frame.task), told }
     }
 
     /// Links asked for, those of a receiver together.
@@ -182,10 +182,10 @@ impl Nerf2 {
 
     /// Sums `[L, pixels or bands]` become observations.
     fn observations(frame: &Frame, totals: &[[Real; 2]]) -> Vec<Real> {
-        match frame.kind {
-            Kind::Spectrum => totals.iter().map(|[re, im]| re.hypot(*im)).collect(),
-            Kind::Power => totals.iter().map(|[re, im]| 100.0 * re.hypot(*im) - 100.0).collect(),
-            Kind::Channel => pwrfgs_core::rows_of(totals, bands(frame)),
+        match frame.task {
+            Task::Spectrum => totals.iter().map(|[re, im]| re.hypot(*im)).collect(),
+            Task::Power => totals.iter().map(|[re, im]| 100.0 * re.hypot(*im) - 100.0).collect(),
+            Task::Channel => pwrfgs_core::rows_of(totals, bands(frame)),
         }
     }
 
@@ -195,10 +195,10 @@ impl Nerf2 {
             let size = re.hypot(*im);
             if size > 0.0 { [d * re / size, d * im / size] } else { [0.0; 2] }
         };
-        match frame.kind {
-            Kind::Spectrum => totals.iter().zip(d).map(along).collect(),
-            Kind::Power => totals.iter().zip(d).map(along).map(|d| d.map(|d| 100.0 * d)).collect(),
-            Kind::Channel => {
+        match frame.task {
+            Task::Spectrum => totals.iter().zip(d).map(along).collect(),
+            Task::Power => totals.iter().zip(d).map(along).map(|d| d.map(|d| 100.0 * d)).collect(),
+            Task::Channel => {
                 let bands = bands(frame);
                 (0..totals.len()).map(|i| gain_at(i / bands, i % bands, bands).map(|at| d[at])).collect()
             }
@@ -212,7 +212,7 @@ impl Nerf2 {
         groups: &[Group<'_>],
         chunks: impl Iterator<Item = (usize, Range<usize>, Passes)>,
     ) -> Vec<[Real; 2]> {
-        let of_link = if frame.kind == Kind::Spectrum { asked.pixels.of_link(frame.numbers()) } else { bands(frame) };
+        let of_link = if frame.task == Task::Spectrum { asked.pixels.of_link(frame.numbers()) } else { bands(frame) };
         let mut totals = vec![[0.0; 2]; asked.links.len() * of_link];
         for (group, rays, passes) in chunks {
             let bands = bands(frame);
@@ -232,16 +232,16 @@ impl Nerf2 {
 /// Where the sum of a ray belongs among all.
 fn place(frame: &Frame, links: &Links, of_link: usize, (pass, ray, band): (usize, usize, usize)) -> usize {
     let link = links.link(pass, ray);
-    match (frame.kind, links) {
-        (Kind::Spectrum, Links::All(_)) => link * of_link + ray,
-        (Kind::Spectrum, Links::Own(_)) => link,
+    match (frame.task, links) {
+        (Task::Spectrum, Links::All(_)) => link * of_link + ray,
+        (Task::Spectrum, Links::Own(_)) => link,
         _ => link * of_link + band,
     }
 }
 
 /// Complex weights of a sample.
 fn bands(frame: &Frame) -> usize {
-    if frame.kind == Kind::Channel { frame.frequencies_hz.len() } else { 1 }
+    if frame.task == Task::Channel { frame.frequencies_hz.len() } else { 1 }
 }
 
 /// What a chunk will hold if it is kept, bytes.
@@ -269,10 +269,10 @@ impl Method for Nerf2 {
     fn step_bytes(&self, frame: &Frame, links: usize, pixels: usize) -> u64 {
         let network = planned(|plan| self.network(frame, plan)).0;
         // Rays that all links see, and the links along each; with a pixel each, as many rays as links.
-        let (rays, passes) = match (frame.kind, pixels) {
-            (Kind::Spectrum, 1) => (links, 1),
-            (Kind::Spectrum, pixels) => (pixels, links),
-            _ => (self.sky(frame.kind).len() * frame.receivers.len(), links.div_ceil(frame.receivers.len().max(1))),
+        let (rays, passes) = match (frame.task, pixels) {
+            (Task::Spectrum, 1) => (links, 1),
+            (Task::Spectrum, pixels) => (pixels, links),
+            _ => (self.sky(frame.task).len() * frame.receivers.len(), links.div_ceil(frame.receivers.len().max(1))),
         };
         bytes_of(&network, self.samples, rays, passes).min(KEPT) as u64
     }
@@ -352,7 +352,7 @@ impl Method for Nerf2 {
 
     fn prepare(&self, frame: &Frame, p: &Parameters<'_>) -> Cache {
         let network = laid_out(p.weights, |plan| self.network(frame, plan));
-        let rays = if frame.kind == Kind::Spectrum { frame.numbers() } else { self.sky(frame.kind).len() };
+        let rays = if frame.task == Task::Spectrum { frame.numbers() } else { self.sky(frame.task).len() };
         let of_sample = network.width() + network.outputs;
         let bytes = frame.receivers.len() * rays * self.samples * of_sample * size_of::<Real>();
         if bytes > self.cache_mb << 20 {
@@ -399,12 +399,12 @@ impl Method for Nerf2 {
     }
 
     fn check_frame(&self, frame: &Frame) -> Result<(), String> {
-        if frame.kind == Kind::Channel && frame.receivers.iter().any(|receiver| receiver.antennas.len() > 1) {
+        if frame.task == Task::Channel && frame.receivers.iter().any(|receiver| receiver.antennas.len() > 1) {
             return Err("method: Nerf2 hears one antenna at a time, and a receiver of these data has more; \
                  make each antenna a receiver, as Nerf2Csi does with together: false"
                 .into());
         }
-        if frame.kind == Kind::Spectrum && frame.plane.direction(0.0, 0.0).is_none() {
+        if frame.task == Task::Spectrum && frame.plane.direction(0.0, 0.0).is_none() {
             return Err("method: Nerf2 wants directions of pixels, and these data do not say them".into());
         }
         Ok(())

@@ -7,7 +7,7 @@ use crate::path::Law;
 use crate::rays::Rays;
 use crate::walk::{Sums, Walk};
 use pwrfgs_core::testing::shared;
-use pwrfgs_core::{Conditions, Kind, Real, SPEED_OF_LIGHT};
+use pwrfgs_core::{Conditions, Real, SPEED_OF_LIGHT, Task};
 use pwrfgs_layers::plan::planned;
 use std::fs::File;
 use std::io::BufReader;
@@ -69,14 +69,14 @@ fn reproduce(mode: &str, bands: usize, law: Law) {
             let all: Vec<[Real; 3]> = directions.as_chunks().0.to_vec();
             let of_link = all.len() / links;
             // The released renderer draws the first ring of powers alone.
-            let used = if mode == "rssi" { method.sky(Kind::Power).len() } else { of_link };
+            let used = if mode == "rssi" { method.sky(Task::Power).len() } else { of_link };
             let rays = Rays {
                 origin: origins[3 * link..3 * link + 3].try_into().unwrap(),
                 directions: all[link * of_link..][..used].to_vec(),
                 samples: (0..samples).map(|i| far_m * i as Real / (samples - 1) as Real).collect(),
             };
             if mode != "spectrum" {
-                let sky = method.sky(if mode == "rssi" { Kind::Power } else { Kind::Channel });
+                let sky = method.sky(if mode == "rssi" { Task::Power } else { Task::Channel });
                 let off =
                     rays.directions.iter().zip(&sky).map(|(a, b)| (0..3).map(|k| (a[k] - b[k]).abs()).sum::<Real>());
                 assert!(off.fold(0.0, Real::max) < 1e-6, "the sky is the released one");

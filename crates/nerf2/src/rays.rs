@@ -1,7 +1,7 @@
 //! `Rays`: from where, in which directions, and where along them samples lie.
 
 use crate::method::Nerf2;
-use pwrfgs_core::{Frame, Kind, Pixels, Pose, Real};
+use pwrfgs_core::{Frame, Pixels, Pose, Real, Task};
 
 /// Rays from one place, with the same samples on each.
 #[derive(Clone, Debug)]
@@ -19,8 +19,8 @@ impl Rays {
     pub(crate) fn of(method: &Nerf2, frame: &Frame, receiver: usize, pixels: &Pixels<'_>) -> Self {
         let pose = &frame.receivers[receiver].pose;
         let turned = |direction: [Real; 3]| pose.turned(direction.map(f64::from)).map(|x| x as Real);
-        let directions = match frame.kind {
-            Kind::Spectrum => {
+        let directions = match frame.task {
+            Task::Spectrum => {
                 let plane = &frame.plane;
                 let at = |p: usize| {
                     let (column, row) = (p % plane.width, p / plane.width);
@@ -31,7 +31,7 @@ impl Rays {
                     Pixels::Same(places) | Pixels::Own(places) => places.iter().map(|&p| at(p)).collect(),
                 }
             }
-            Kind::Power | Kind::Channel => method.sky(frame.kind).into_iter().map(turned).collect(),
+            Task::Power | Task::Channel => method.sky(frame.task).into_iter().map(turned).collect(),
         };
         Self::new(method, pose, directions)
     }

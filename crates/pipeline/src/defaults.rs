@@ -1,6 +1,6 @@
 //! What the fields of a pipeline take if they are left out.
 
-use pwrfgs_core::{Baseline, Deformation, Initializer, Kind, Metric, Plugin, Projector, Rasterizer, Split};
+use pwrfgs_core::{Baseline, Deformation, Initializer, Metric, Plugin, Projector, Rasterizer, Split, Task};
 use pwrfgs_data::{Kriging, LogDistance, MeanSpectrum, NearestNeighbours, Official, Zero};
 use pwrfgs_init::NoGaussians;
 use pwrfgs_metrics::{
@@ -48,34 +48,34 @@ pub fn deformation() -> Plugin<dyn Deformation> {
 }
 
 /// The readout of splats for observations of `kind`.
-pub fn readout(kind: Kind) -> Readout {
+pub fn readout(kind: Task) -> Readout {
     match kind {
-        Kind::Spectrum => Readout::default(),
-        Kind::Power => Readout::RECEIVED,
-        Kind::Channel => Readout::Channel,
+        Task::Spectrum => Readout::default(),
+        Task::Power => Readout::RECEIVED,
+        Task::Channel => Readout::Channel,
     }
 }
 
 /// The baselines of observations of `kind`.
-pub fn baselines(kind: Kind) -> Vec<Plugin<dyn Baseline>> {
+pub fn baselines(kind: Task) -> Vec<Plugin<dyn Baseline>> {
     let nearest = |k: usize| NearestNeighbours { k: k.into() };
     match kind {
-        Kind::Spectrum => plugins![Baseline: MeanSpectrum::default(), nearest(1), nearest(3), nearest(5)],
-        Kind::Power => {
+        Task::Spectrum => plugins![Baseline: MeanSpectrum::default(), nearest(1), nearest(3), nearest(5)],
+        Task::Power => {
             plugins![Baseline: MeanSpectrum::default(), LogDistance::default(), nearest(5), Kriging::default()]
         }
-        Kind::Channel => plugins![Baseline: Zero::default(), nearest(1), nearest(5)],
+        Task::Channel => plugins![Baseline: Zero::default(), nearest(1), nearest(5)],
     }
 }
 
 /// The metrics of observations of `kind`.
-pub fn metrics(kind: Kind) -> Vec<Plugin<dyn Metric>> {
+pub fn metrics(kind: Task) -> Vec<Plugin<dyn Metric>> {
     let mut metrics = match kind {
-        Kind::Spectrum => plugins![
+        Task::Spectrum => plugins![
             Metric: Ssim::default(), L1::default(), Psnr::default(), RateRatio::default(), DirectionError::default(),
         ],
-        Kind::Power => plugins![Metric: PowerError::default()],
-        Kind::Channel => plugins![Metric: ChannelSnr::default()],
+        Task::Power => plugins![Metric: PowerError::default()],
+        Task::Channel => plugins![Metric: ChannelSnr::default()],
     };
     let of_models =
         plugins![Metric: Chamfer::default(), GaussianCount::default(), ModelSize::default(), Latency::default()];
@@ -84,10 +84,10 @@ pub fn metrics(kind: Kind) -> Vec<Plugin<dyn Metric>> {
 }
 
 /// The metrics behind the columns of `validation.csv`.
-pub fn validation(kind: Kind) -> Vec<Plugin<dyn Metric>> {
+pub fn validation(kind: Task) -> Vec<Plugin<dyn Metric>> {
     match kind {
-        Kind::Spectrum => plugins![Metric: Ssim::default(), RateRatio { snr_db: 0.0 }],
-        Kind::Power => plugins![Metric: PowerError::default()],
-        Kind::Channel => plugins![Metric: ChannelSnr::default()],
+        Task::Spectrum => plugins![Metric: Ssim::default(), RateRatio { snr_db: 0.0 }],
+        Task::Power => plugins![Metric: PowerError::default()],
+        Task::Channel => plugins![Metric: ChannelSnr::default()],
     }
 }

@@ -3,7 +3,7 @@
 use crate::Pipeline;
 use crate::ron_tree::Tree;
 use pwrfgs_core::plugin::name_of;
-use pwrfgs_core::{Error, Kind};
+use pwrfgs_core::{Error, Task};
 use pwrfgs_train::Rays;
 use std::path::Path;
 
@@ -17,7 +17,7 @@ pub(crate) fn mixed(pipeline: &Pipeline) -> Option<(&'static str, String)> {
 /// What the method cannot do that the pipeline wants of it.
 fn unable(pipeline: &Pipeline) -> Option<(&'static str, String)> {
     let method = pipeline.method();
-    let chooses = method.chooses_pixels() && pipeline.data.kind().is_none_or(|kind| kind == Kind::Spectrum);
+    let chooses = method.chooses_pixels() && pipeline.data.task().is_none_or(|kind| kind == Task::Spectrum);
     if pipeline.training.rays != Rays::All && !chooses {
         let what = "`rays` wants single pixels of spectra, which Nerf2 draws; leave it out".to_owned();
         return Some(("training", what));
@@ -31,32 +31,32 @@ fn unable(pipeline: &Pipeline) -> Option<(&'static str, String)> {
 }
 
 fn other_kinds(pipeline: &Pipeline) -> Option<(&'static str, String)> {
-    let kind = pipeline.data.kind()?;
+    let kind = pipeline.data.task()?;
     let (method, field) = match &pipeline.method {
-        Some(method) => (method.kind(), "method"),
-        None => (Some(pipeline.readout.kind()), "readout"),
+        Some(method) => (method.task(), "method"),
+        None => (Some(pipeline.readout.task()), "readout"),
     };
     if let Some(own) = method.filter(|own| *own != kind) {
         let advice = match kind {
-            Kind::Spectrum => "readout: Magnitude",
-            Kind::Power => "readout: Received(sky_deg: 10)",
-            Kind::Channel => "method: VirtualTransmitters(), or readout: Channel",
+            Task::Spectrum => "readout: Magnitude",
+            Task::Power => "readout: Received(sky_deg: 10)",
+            Task::Channel => "method: VirtualTransmitters(), or readout: Channel",
         };
-        let what = format!("it gives {}, and the data are {}; use {advice}", own.plural(), kind.plural());
+        let what = format!("it gives {}, and the data are {}; use {advice}", own.plural, kind.plural);
         return Some((field, what));
     }
-    let other = |own: Option<Kind>| own.filter(|own| *own != kind);
-    let what = |name: String, role: &str, own: Kind, advice: &str| {
-        format!("`{name}` {role} {}, and the data are {}; {advice}", own.plural(), kind.plural())
+    let other = |own: Option<Task>| own.filter(|own| *own != kind);
+    let what = |name: String, role: &str, own: Task, advice: &str| {
+        format!("`{name}` {role} {}, and the data are {}; {advice}", own.plural, kind.plural)
     };
-    if let Some(own) = other(pipeline.initializer.kind()) {
+    if let Some(own) = other(pipeline.initializer.task()) {
         let name = name_of(&pipeline.initializer);
         return Some(("initializer", what(name, "searches", own, "use another, such as Random()")));
     }
-    if let Some((baseline, own)) = pipeline.baselines.iter().find_map(|b| Some((b, other(b.kind())?))) {
+    if let Some((baseline, own)) = pipeline.baselines.iter().find_map(|b| Some((b, other(b.task())?))) {
         return Some(("baselines", what(name_of(baseline), "is a floor of", own, "leave it out")));
     }
-    let metric = pipeline.metrics.iter().find_map(|metric| Some((metric, other(metric.kind())?)));
+    let metric = pipeline.metrics.iter().find_map(|metric| Some((metric, other(metric.task())?)));
     metric.map(|(metric, own)| ("metrics", what(name_of(metric), "is a metric of", own, "leave it out")))
 }
 

@@ -16,7 +16,7 @@ use crate::study::one_line;
 use crate::templates::render;
 use minijinja::value::Serde;
 use minijinja::{Value, context};
-use pwrfgs_core::{Image, Kind, Result};
+use pwrfgs_core::{Image, Result, Task};
 use pwrfgs_experiment::{CEILING, Example, Results, ensemble::MEMBERS, folder::REPORT, samples};
 use pwrfgs_model::Model;
 use words::Words;
@@ -40,7 +40,7 @@ pub fn page(results: &Results<'_>) -> Result<String> {
         gaussians => model.gaussians(),
         bytes => [model.gaussian_bytes(), model.network_bytes()],
         samples => [&partition.train, &partition.validation, &partition.test].map(Vec::len),
-        kind => format!("{:?}", data.kind()),
+        kind => format!("{:?}", data.task()),
         words => words(results),
         split => one_line(&pipeline.split),
         bounds => bounds.map(Vec::from),
@@ -54,9 +54,9 @@ pub fn page(results: &Results<'_>) -> Result<String> {
         notes => scores.notes.clone(),
         figures => curves::all(results),
         room => if draws_splats { Some(room::figure(results)?) } else { None },
-        powers => (data.kind() == Kind::Power).then(|| powers::section(results)),
+        powers => (data.task() == Task::Power).then(|| powers::section(results)),
         receivers => receivers::table(results),
-        channels => (data.kind() == Kind::Channel).then(|| channels::section(results)),
+        channels => (data.task() == Task::Channel).then(|| channels::section(results)),
         examples,
         power_bar => Scale::Power.bar().svg("bar", "colours of power"),
         error_bar => Scale::Error(limit).bar().svg("bar", "colours of the error"),
@@ -91,7 +91,7 @@ fn members(results: &Results<'_>) -> Vec<Value> {
 
 /// Best, median and worst test spectrum by SSIM, and the limit of the error scale that they share.
 fn examples(results: &Results<'_>) -> (Vec<Value>, f64) {
-    let chosen: &[Example] = if results.data.kind() == Kind::Spectrum { &results.assessment.examples } else { &[] };
+    let chosen: &[Example] = if results.data.task() == Task::Spectrum { &results.assessment.examples } else { &[] };
     let errors: Vec<Image> = chosen.iter().map(|e| difference(&e.prediction.clamped(), &e.truth)).collect();
     let largest = errors.iter().flat_map(|e| &e.pixels).fold(0.0, |m: f64, e| m.max(e.abs() as f64));
     let limit = ((largest * 10.0).ceil() / 10.0).max(0.1);

@@ -19,7 +19,7 @@ pub use output::{Options, write};
 pub use record::{Record, Score};
 
 use grouping::{listed, named, settings};
-use pwrfgs_core::{Error, Kind, Result, plugin::ron_options};
+use pwrfgs_core::{Error, Result, Task, plugin::ron_options};
 use pwrfgs_experiment::Mark;
 use pwrfgs_experiment::folder::{MODEL_FILE, PIPELINE};
 use pwrfgs_experiment::headline::{Headline, headline};
@@ -80,14 +80,14 @@ impl Setting {
     }
 
     /// What was observed: that whose first metric the runs have.
-    fn kind(&self) -> Kind {
-        let scored = |kind: &Kind| self.runs().any(|run| run.value(MODEL, headline(*kind).key).is_some());
-        Kind::ALL.into_iter().find(scored).unwrap_or(Kind::Spectrum)
+    fn task(&self) -> Task {
+        let scored = |kind: &Task| self.runs().any(|run| run.value(MODEL, headline(*kind).key).is_some());
+        Task::ALL.into_iter().find(scored).unwrap_or(Task::Spectrum)
     }
 
     /// The first metric of what was observed.
     fn headline(&self) -> Headline {
-        headline(self.kind())
+        headline(self.task())
     }
 
     /// The fewest and the most seeds of a variant.

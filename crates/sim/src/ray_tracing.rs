@@ -6,8 +6,8 @@ use crate::scene::Scene;
 use crate::simulator::{HEIGHT, Simulator, WIDTH};
 use glam::DVec3;
 use pwrfgs_core::{
-    Baseline, Channels, Dataset, Documented, Elevation, Error, Image, Kind, Known, Observations, Predict, Query, Real,
-    Result,
+    Baseline, Channels, Dataset, Documented, Elevation, Error, Image, Known, Observations, Predict, Query, Real,
+    Result, Task,
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -49,11 +49,11 @@ pub struct RayTracing {
 
 impl RayTracing {
     /// What the name leaves out.
-    fn note(&self, knows_scene: bool, kind: Kind) -> String {
+    fn note(&self, knows_scene: bool, kind: Task) -> String {
         let things = match kind {
-            Kind::Spectrum => "spectra",
-            Kind::Power => "powers",
-            Kind::Channel => "channels",
+            Task::Spectrum => "spectra",
+            Task::Power => "powers",
+            Task::Channel => "channels",
         };
         let what = match (&self.scene, self.is_exact() && knows_scene) {
             (_, true) => {
@@ -148,7 +148,7 @@ impl Baseline for RayTracing {
         let (scene, knows_scene) = self.scene(data)?;
         let what = wanted(data, &scene)?;
         let listeners = receivers(data, &scene)?;
-        let (simulator, note) = (self.simulator(&scene)?, self.note(knows_scene, data.kind()));
+        let (simulator, note) = (self.simulator(&scene)?, self.note(knows_scene, data.task()));
         Ok(Box::new(Traced { simulator, listeners, what, noise: self.noise, seed: self.seed, note, knows_scene }))
     }
 
@@ -175,7 +175,7 @@ impl Baseline for RayTracing {
 fn wanted(data: &Dataset, scene: &Scene) -> Result<Observe> {
     let refuse = |what: String| Err(Error::Config(format!("RayTracing: {what}; leave it out")));
     let Observations::Channels(channels) = &data.observations else {
-        if data.kind() == Kind::Power {
+        if data.task() == Task::Power {
             return Ok(Observe::Power { noise_db: 0.0 });
         }
         let (width, height) = (data.width, data.height);

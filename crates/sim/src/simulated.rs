@@ -128,11 +128,11 @@ fn of_data(scene: &Scene, receiver: &scene::Receiver) -> Receiver {
 
 #[typetag::serde]
 impl DataSource for Simulated {
-    fn kind(&self) -> Option<pwrfgs_core::Kind> {
+    fn task(&self) -> Option<pwrfgs_core::Task> {
         Some(match self.observe {
-            Observe::Spectrum => pwrfgs_core::Kind::Spectrum,
-            Observe::Power { .. } => pwrfgs_core::Kind::Power,
-            Observe::Channel { .. } => pwrfgs_core::Kind::Channel,
+            Observe::Spectrum => pwrfgs_core::Task::Spectrum,
+            Observe::Power { .. } => pwrfgs_core::Task::Power,
+            Observe::Channel { .. } => pwrfgs_core::Task::Channel,
         })
     }
 

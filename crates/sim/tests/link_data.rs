@@ -1,7 +1,7 @@
 //! `Simulated` and `RayTracing` with several receivers, powers and channels.
 
 use crate::common::{CSI, small_room};
-use pwrfgs_core::{Baseline, DataSource, Dataset, Kind, Known, Link, Observations, Plugin, Real, Split, rng};
+use pwrfgs_core::{Baseline, DataSource, Dataset, Known, Link, Observations, Plugin, Real, Split, Task, rng};
 use pwrfgs_data as _;
 use pwrfgs_sim::Scene;
 use std::fs;
@@ -20,13 +20,13 @@ fn a_data_set_has_a_link_each_transmitter_and_receiver() {
     fs::write(folder.path().join("s.ron"), small_room(CSI)).unwrap();
     let scene = Scene::read(&folder.path().join("s.ron")).unwrap();
     for (observe, kind, size) in [
-        ("", Kind::Spectrum, (360, 90)),
-        (", observe: Power(noise_db: 2)", Kind::Power, (1, 1)),
-        (", observe: Power()", Kind::Power, (1, 1)),
-        (", observe: Channel(snr_db: 30)", Kind::Channel, (6, 16)),
+        ("", Task::Spectrum, (360, 90)),
+        (", observe: Power(noise_db: 2)", Task::Power, (1, 1)),
+        (", observe: Power()", Task::Power, (1, 1)),
+        (", observe: Channel(snr_db: 30)", Task::Channel, (6, 16)),
     ] {
         let data = load(folder.path(), observe).unwrap();
-        assert_eq!((data.kind(), (data.width, data.height), data.len()), (kind, size, 20), "{observe}");
+        assert_eq!((data.task(), (data.width, data.height), data.len()), (kind, size, 20), "{observe}");
         assert_eq!((data.transmitters.len(), data.transmitters[9].id, data.placed), (10, 10, true));
         assert_eq!(data.links[5], Link { transmitter: 2, receiver: 1 });
         let names: Vec<&str> = data.scene.receivers.iter().map(|receiver| &*receiver.name).collect();

@@ -3,7 +3,7 @@
 use crate::TrainingPlan;
 use crate::graph::{Batch, Places};
 use crate::settings::Rays;
-use pwrfgs_core::{Dataset, Error, ImagePlane, Kind, Link, Moment, Needs, Observations, Real, Result, rng};
+use pwrfgs_core::{Dataset, Error, ImagePlane, Link, Moment, Needs, Observations, Real, Result, Task, rng};
 use pwrfgs_model::Stages;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -151,7 +151,7 @@ const AT_ONCE: usize = 64;
 
 /// The plane that `step` draws: every `stride`-th row and column of the whole image, from the first one, or from one that is
 /// drawn for this step.
-pub(crate) fn plane_of_step(whole: &ImagePlane, plan: &TrainingPlan, kind: Kind, step: u64) -> ImagePlane {
+pub(crate) fn plane_of_step(whole: &ImagePlane, plan: &TrainingPlan, kind: Task, step: u64) -> ImagePlane {
     strided(whole, plan, kind, plan.training.moving_stride.then_some(("stride", step)))
 }
 
@@ -160,7 +160,7 @@ pub(crate) fn plane_of_step(whole: &ImagePlane, plan: &TrainingPlan, kind: Kind,
 pub(crate) fn plane_of_pass(
     whole: &ImagePlane,
     plan: &TrainingPlan,
-    kind: Kind,
+    kind: Task,
     (step, part): (u64, u64),
 ) -> ImagePlane {
     strided(whole, plan, kind, Some(("stride of a pass", step << 24 | part)))
@@ -168,9 +168,9 @@ pub(crate) fn plane_of_pass(
 
 /// Every `stride`-th row and column, from a place that the stream of this name and number draws; every pixel of anything but
 /// a spectrum.
-fn strided(whole: &ImagePlane, plan: &TrainingPlan, kind: Kind, stream: Option<(&str, u64)>) -> ImagePlane {
+fn strided(whole: &ImagePlane, plan: &TrainingPlan, kind: Task, stream: Option<(&str, u64)>) -> ImagePlane {
     let stride = plan.training.stride;
-    if stride == 1 || kind != Kind::Spectrum {
+    if stride == 1 || kind != Task::Spectrum {
         return whole.clone();
     }
     let offset = stream.map_or([0, 0], |(name, number)| {
@@ -181,9 +181,9 @@ fn strided(whole: &ImagePlane, plan: &TrainingPlan, kind: Kind, stream: Option<(
 }
 
 /// Whether the stride divides the image.
-pub(crate) fn check_stride(plane: &ImagePlane, plan: &TrainingPlan, kind: Kind) -> Result<()> {
+pub(crate) fn check_stride(plane: &ImagePlane, plan: &TrainingPlan, kind: Task) -> Result<()> {
     let (width, height, stride) = (plane.width, plane.height, plan.training.stride);
-    if kind != Kind::Spectrum || width.is_multiple_of(stride) && height.is_multiple_of(stride) {
+    if kind != Task::Spectrum || width.is_multiple_of(stride) && height.is_multiple_of(stride) {
         return Ok(());
     }
     let fits: Vec<String> = (1..=width.min(height))

@@ -48,6 +48,6 @@ fn of_data(data: &Dataset) -> String {
     };
     let links = digest(format!("{:?}", data.links).as_bytes());
     let size = (data.width, data.height, data.elevation);
-    let frame = format!("{:?} {:?} {:?} {size:?} {frequencies:?} {links}", data.kind(), scene.receivers, scene.origin);
+    let frame = format!("{:?} {:?} {:?} {size:?} {frequencies:?} {links}", data.task(), scene.receivers, scene.origin);
     [frame, digest(&points), parts.join(" ")].join(" ")
 }

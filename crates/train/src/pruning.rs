@@ -146,7 +146,7 @@ impl Trainer<'_> {
             let stages_of = |part: u64| {
                 let mut stages = Stages::clone(&self.stages);
                 let place = (moment.step, part);
-                stages.frame.plane = plane_of_pass(&self.plane, &self.plan, self.data.kind(), place);
+                stages.frame.plane = plane_of_pass(&self.plane, &self.plan, self.data.task(), place);
                 stages
             };
             let batches = self.batches().sample(&needs, moment, self.data, stages_of);

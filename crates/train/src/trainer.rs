@@ -146,9 +146,9 @@ impl<'a> Trainer<'a> {
             )));
         }
         let plane = whole.plane.clone();
-        check_stride(&plane, &plan, data.kind())?;
+        check_stride(&plane, &plan, data.task())?;
         let mut stages = whole.clone();
-        stages.frame.plane = plane_of_step(&plane, &plan, data.kind(), 1);
+        stages.frame.plane = plane_of_step(&plane, &plan, data.task(), 1);
         check_rays(plan.training.rays, &stages)?;
         stages.method.check_frame(&stages.frame).map_err(Error::Config)?;
         whole.check().map_err(Error::Config)?;
@@ -348,7 +348,7 @@ impl<'a> Trainer<'a> {
 
     /// Sets the plane that `step` draws.
     fn set_plane(&mut self, step: u64) {
-        let plane = plane_of_step(&self.plane, &self.plan, self.data.kind(), step);
+        let plane = plane_of_step(&self.plane, &self.plan, self.data.task(), step);
         if plane != self.stages.plane {
             Arc::make_mut(&mut self.stages).frame.plane = plane;
         }

@@ -4,7 +4,7 @@ use crate::side::{Predictor, Side};
 use image::codecs::gif::{GifEncoder, Repeat};
 use image::{Delay, Frame, RgbaImage};
 use pwrfgs_core::files::{check_new_file, write_atomically};
-use pwrfgs_core::{Error, Image, Kind, Query, Real, Result, evenly};
+use pwrfgs_core::{Error, Image, Query, Real, Result, Task, evenly};
 use pwrfgs_experiment::Observer;
 use pwrfgs_report::draw::canvas::{Anchor, Canvas, Colour, Paint, Point};
 use pwrfgs_report::draw::charts::{Axis, Chart, Line, Look};
@@ -115,13 +115,13 @@ fn room(side: &Side, walk: &[[f64; 3]], tx: [f64; 3]) -> Canvas {
 /// What is predicted of a transmitter, as its kind is shown.
 fn part(side: &Side, predictor: &Predictor, tx: [f64; 3]) -> Canvas {
     let heard = |receiver: usize| predictor.predict(Query::at(tx, receiver)).image;
-    let picture = match side.frame.kind {
-        Kind::Spectrum => sky(side, &heard(0)),
-        Kind::Power => {
+    let picture = match side.frame.task {
+        Task::Spectrum => sky(side, &heard(0)),
+        Task::Power => {
             let all = (0..side.frame.receivers.len()).map(|r| (r as f64 + 1.0, f64::from(heard(r).pixels[0] as f32)));
             lines("receiver", "received power, dBm", all.collect(), true)
         }
-        Kind::Channel => {
+        Task::Channel => {
             let image = heard(0);
             let level = |k: usize| {
                 let (re, im) = (image.pixels[k], image.pixels[image.width + k]);

@@ -1,7 +1,7 @@
 //! `Side`: what a page shows in one half: a model, a run under way, or a floor.
 
 use pwrfgs_core::{
-    Baseline, Dataset, Error, Frame, Image, Kind, Partition, Plugin, Predict, Query, Real, Result, files,
+    Baseline, Dataset, Error, Frame, Image, Partition, Plugin, Predict, Query, Real, Result, Task, files,
 };
 use pwrfgs_experiment::folder::{CHECKPOINT, MODEL_FILE, PIPELINE, SCORES};
 use pwrfgs_experiment::headline::headline;
@@ -182,13 +182,12 @@ impl Side {
             let what = "a floor learns from the data of a run, and beside this model is no pipeline that names them";
             return Err(Error::Config(what.into()));
         };
-        let kind = known.data.kind();
+        let kind = known.data.task();
         let name = baseline.name_for(kind);
-        if let Some(own) = baseline.kind().filter(|own| *own != kind) {
+        if let Some(own) = baseline.task().filter(|own| *own != kind) {
             return Err(Error::Config(format!(
                 "{name} is a floor of {}, and the data are {}",
-                own.plural(),
-                kind.plural()
+                own.plural, kind.plural
             )));
         }
         let fitted = Fitted::try_new(Arc::clone(&known.data), |data| baseline.fit(data, known.partition.known()))?;
@@ -223,7 +222,7 @@ impl Side {
         let places = |frame: &Frame| -> Vec<_> {
             frame.receivers.iter().map(|receiver| frame.origin.world_pose(receiver.pose)).collect()
         };
-        if a.kind != b.kind
+        if a.task != b.task
             || (a.plane.width, a.plane.height) != (b.plane.width, b.plane.height)
             || places(a) != places(b)
         {
@@ -263,7 +262,7 @@ impl Known {
 /// The first metric of the model for each link; NaN where it was not scored.
 fn scores(path: &Path, data: &Dataset) -> Vec<f64> {
     let mut scores = vec![f64::NAN; data.len()];
-    let key = headline(data.kind()).key;
+    let key = headline(data.task()).key;
     let text = files::read_string(path).unwrap_or_default();
     let mut of: std::collections::BTreeMap<u32, f64> = std::collections::BTreeMap::new();
     for line in text.lines() {
@@ -286,11 +285,11 @@ pub(crate) fn facts(folder: &Path) -> Option<Facts> {
 }
 
 /// How well a prediction meets what was observed: SSIM, dB of error, or dB of signal over error.
-pub(crate) fn score(kind: Kind, predicted: &Image, truth: &Image) -> f64 {
+pub(crate) fn score(kind: Task, predicted: &Image, truth: &Image) -> f64 {
     match kind {
-        Kind::Spectrum => pwrfgs_core::ssim::evaluation(&predicted.clamped(), truth),
-        Kind::Power => f64::from((predicted.pixels[0] - truth.pixels[0]).abs() as f32),
-        Kind::Channel => {
+        Task::Spectrum => pwrfgs_core::ssim::evaluation(&predicted.clamped(), truth),
+        Task::Power => f64::from((predicted.pixels[0] - truth.pixels[0]).abs() as f32),
+        Task::Channel => {
             let power =
                 |values: &mut dyn Iterator<Item = Real>| values.map(|v| f64::from(v as f32).powi(2)).sum::<f64>();
             let error = power(&mut predicted.pixels.iter().zip(&truth.pixels).map(|(p, t)| p - t));

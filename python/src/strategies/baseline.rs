@@ -4,7 +4,7 @@ use super::Strategy;
 use super::objects::links_object;
 use crate::arrays::{Gain, array, numbers};
 use crate::border::throw;
-use pwrfgs_core::{Baseline, Dataset, Image, Kind, Known, Predict, Query, Real, Result, rows_of};
+use pwrfgs_core::{Baseline, Dataset, Image, Known, Predict, Query, Real, Result, Task, rows_of};
 use pyo3::prelude::*;
 
 impl Baseline for Strategy {
@@ -28,14 +28,14 @@ impl Baseline for Strategy {
             let predictor = own.call_method1("fit", (links_object(py, data, &links)?, seen))?;
             Ok(if predictor.is_none() { own.clone().unbind() } else { predictor.unbind() })
         })?;
-        Ok(Box::new(Predictor { own, kind: data.kind(), size: (data.width, data.height) }))
+        Ok(Box::new(Predictor { own, kind: data.task(), size: (data.width, data.height) }))
     }
 }
 
 /// What a baseline of Python's predicts with.
 struct Predictor {
     own: Py<PyAny>,
-    kind: Kind,
+    kind: Task,
     size: (usize, usize),
 }
 
@@ -47,9 +47,9 @@ impl Predict for Predictor {
             let found = self.own.bind(py).call_method1("predict", (tx, query.receiver))?;
             let what = "what predict gave";
             let pixels = match self.kind {
-                Kind::Spectrum => numbers::<Real>(what, &found, &[Some(height), Some(width)])?,
-                Kind::Power => vec![found.extract::<Real>()?],
-                Kind::Channel => {
+                Task::Spectrum => numbers::<Real>(what, &found, &[Some(height), Some(width)])?,
+                Task::Power => vec![found.extract::<Real>()?],
+                Task::Channel => {
                     let gains = numbers::<Gain>(what, &found, &[Some(height / 2), Some(width)])?;
                     rows_of(&gains.iter().map(|gain| [gain.re, gain.im]).collect::<Vec<_>>(), width)
                 }

@@ -2,7 +2,7 @@
 
 use super::{Strategy, lasting};
 use crate::arrays::{Gain, array, axes, complex, numbers};
-use pwrfgs_core::{Evaluation, Goal, Image, Kind, Measurement, Metric, Real, Result, Values, gains_of};
+use pwrfgs_core::{Evaluation, Goal, Image, Measurement, Metric, Real, Result, Task, Values, gains_of};
 use pyo3::prelude::*;
 
 impl Metric for Strategy {
@@ -14,7 +14,7 @@ impl Metric for Strategy {
 
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
         self.try_with(|py, own| {
-            let stack = |images: &[Image]| stacked(py, images, evaluation.kind);
+            let stack = |images: &[Image]| stacked(py, images, evaluation.task);
             let found = own.call_method1("evaluate", (stack(evaluation.predictions)?, stack(evaluation.truths)?))?;
             let text = |name: &str, none: &str| match own.getattr(name) {
                 Ok(own) => own.extract::<String>(),
@@ -38,13 +38,13 @@ impl Metric for Strategy {
 }
 
 /// Observations as one array.
-fn stacked<'py>(py: Python<'py>, images: &[Image], kind: Kind) -> PyResult<Bound<'py, PyAny>> {
+fn stacked<'py>(py: Python<'py>, images: &[Image], kind: Task) -> PyResult<Bound<'py, PyAny>> {
     let (count, all) = (images.len(), images.iter().flat_map(|image| image.pixels.iter().copied()));
     let (height, width) = images.first().map_or((0, 0), |image| (image.height, image.width));
     match kind {
-        Kind::Spectrum => array(py, all.collect::<Vec<Real>>(), &[count, height, width]).map(Bound::into_any),
-        Kind::Power => array(py, all.collect::<Vec<Real>>(), &[count]).map(Bound::into_any),
-        Kind::Channel => {
+        Task::Spectrum => array(py, all.collect::<Vec<Real>>(), &[count, height, width]).map(Bound::into_any),
+        Task::Power => array(py, all.collect::<Vec<Real>>(), &[count]).map(Bound::into_any),
+        Task::Channel => {
             let gains: Vec<Gain> = images.iter().flat_map(|image| complex(&gains_of(&image.pixels, width))).collect();
             array(py, gains, &[count, height / 2, width]).map(Bound::into_any)
         }

@@ -11,7 +11,7 @@ use pwrfgs::experiment::{Facts, Machine, Recipe, Results, Session, evaluate as s
 use pwrfgs::model::{Ensemble, file};
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs_core::words::clean;
-use pwrfgs_core::{Dataset, Error, Kind, Result, files::refuse_foreign};
+use pwrfgs_core::{Dataset, Error, Result, Task, files::refuse_foreign};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -60,7 +60,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
     let mut progress = Progress::new(verbosity);
     let (data, partition) = load_data(&pipeline, Path::new(""), &mut progress)?;
     if verbosity != Verbosity::Quiet {
-        output::note(&format!("{}: scoring {} test {}", data.title, partition.test.len(), data.kind().counted()));
+        output::note(&format!("{}: scoring {} test {}", data.title, partition.test.len(), data.task().counted[1]));
         warn_of_receivers(&data, &ensemble);
     }
     let assessment = score(&ensemble, &pipeline, &data, &partition, &mut Session::new(&mut progress));
@@ -71,7 +71,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
     let mut text = assessment.scores.table().to_text();
     if let Some(confidence) = &assessment.confidence {
         let members = ensemble.members().len();
-        let what = if data.kind() == Kind::Spectrum { "pictures" } else { "predictions" };
+        let what = if data.task() == Task::Spectrum { "pictures" } else { "predictions" };
         let rank = number(confidence.rank_correlation());
         _ = writeln!(
             text,

@@ -17,7 +17,7 @@ pub(super) use positions::{position, positions};
 use pwrfgs::experiment::Observer as _;
 use pwrfgs::experiment::text::{field, grouped};
 use pwrfgs::model::Prepared;
-use pwrfgs_core::{Error, Image, Kind, Query, Result};
+use pwrfgs_core::{Error, Image, Query, Result, Task};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -119,20 +119,20 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitC
     let model = ensemble.prepare();
     let listening = chosen(model.receivers(), &arguments.receiver)?;
     let count = txs.len() * listening.len();
-    if arguments.stacked && model.kind() == Kind::Power {
+    if arguments.stacked && model.task() == Task::Power {
         let why = "--stacked: a received power is one number, and predictions.csv has them all; leave --stacked out";
         return Err(Error::Config(why.into()));
     }
     let folder = Folder::claim(&arguments.out, count, !arguments.no_png)?;
     let members = ensemble.members().len();
-    let mut writer: Box<dyn Writer + '_> = match model.kind() {
-        Kind::Spectrum => Box::new(spectra::Spectra::begin(&folder, &model, count, members, arguments.stacked)?),
-        Kind::Power => Box::new(powers::Powers { has_spread: members > 1 }),
-        Kind::Channel => Box::new(channels::Channels::begin(&folder, &model, count, members, arguments.stacked)?),
+    let mut writer: Box<dyn Writer + '_> = match model.task() {
+        Task::Spectrum => Box::new(spectra::Spectra::begin(&folder, &model, count, members, arguments.stacked)?),
+        Task::Power => Box::new(powers::Powers { has_spread: members > 1 }),
+        Task::Channel => Box::new(channels::Channels::begin(&folder, &model, count, members, arguments.stacked)?),
     };
     let mut progress = Progress::new(verbosity);
     let mut list = writer.header();
-    let is_named = model.kind() != Kind::Spectrum || model.receivers().len() > 1;
+    let is_named = model.task() != Task::Spectrum || model.receivers().len() > 1;
     let row = |k: usize| {
         let (tx, receiver) = (txs[k / listening.len()], listening[k % listening.len()]);
         Row { number: k + 1, tx, receiver, name: is_named.then(|| model.receivers()[receiver].name.as_str()) }
@@ -147,10 +147,10 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitC
     writer.finish()?;
     folder.finish(&list)?;
     if verbosity != Verbosity::Quiet {
-        let what = match model.kind() {
-            Kind::Spectrum => format!("{count} spectra"),
-            Kind::Power => format!("{} received powers", grouped(count as i64)),
-            Kind::Channel => format!("{} channels", grouped(count as i64)),
+        let what = match model.task() {
+            Task::Spectrum => format!("{count} spectra"),
+            Task::Power => format!("{} received powers", grouped(count as i64)),
+            Task::Channel => format!("{} channels", grouped(count as i64)),
         };
         output::note(&format!("{what} in {}", arguments.out.display()));
     }
@@ -174,15 +174,15 @@ fn draw(model: &Prepared<'_>, rows: &[Row<'_>]) -> Result<Vec<Drawn>> {
     let drawn: Vec<Drawn> = rows.iter().map(one).collect();
     match drawn.iter().position(|drawn| !drawn.image.pixels.iter().all(|p| p.is_finite())) {
         None => Ok(drawn),
-        Some(i) => Err(not_finite(model.kind(), &rows[i])),
+        Some(i) => Err(not_finite(model.task(), &rows[i])),
     }
 }
 
-fn not_finite(kind: Kind, row: &Row<'_>) -> Error {
+fn not_finite(kind: Task, row: &Row<'_>) -> Error {
     let what = match kind {
-        Kind::Spectrum => "spectrum",
-        Kind::Power => "received power",
-        Kind::Channel => "channel",
+        Task::Spectrum => "spectrum",
+        Task::Power => "received power",
+        Task::Channel => "channel",
     };
     Error::Config(format!(
         "row {}: the {what} of a transmitter at {:?} is not finite: numbers of the model overflow there; train it \

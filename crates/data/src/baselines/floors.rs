@@ -22,7 +22,7 @@ fn errors(data: &Dataset, partition: &Partition, baseline: &dyn Baseline) -> [f6
     let mut all: Vec<f64> = partition.test.par_iter().map(error).collect();
     all.sort_by(f64::total_cmp);
     let found = [all[all.len() / 2], all.iter().sum::<f64>() / all.len() as f64];
-    let name = baseline.name_for(data.kind());
+    let name = baseline.name_for(data.task());
     println!("{name}: {:.2} / {:.2} dB, {:.1} s", found[0], found[1], start.elapsed().as_secs_f64());
     fitted.note().into_iter().for_each(|note| println!("    {note}"));
     found

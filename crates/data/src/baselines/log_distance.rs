@@ -3,7 +3,7 @@
 use super::all_of;
 use super::law::{Law, log_distance, points};
 use pwrfgs_core::words::clean;
-use pwrfgs_core::{Baseline, Dataset, Documented, Error, Image, Kind, Known, Predict, Query, Real, Result};
+use pwrfgs_core::{Baseline, Dataset, Documented, Error, Image, Known, Predict, Query, Real, Result, Task};
 use serde::{Deserialize, Serialize};
 
 /// Links that a receiver needs to have a law of its own.
@@ -43,10 +43,10 @@ impl Baseline for LogDistance {
     }
 
     fn check_data(&self, data: &Dataset) -> Result<()> {
-        if data.kind() == Kind::Power && data.placed {
+        if data.task() == Task::Power && data.placed {
             return Ok(());
         }
-        let holds = if data.placed { data.kind().plural() } else { "no places of transmitters" };
+        let holds = if data.placed { data.task().plural } else { "no places of transmitters" };
         let what =
             format!("LogDistance() is a law of received powers at known places, and {} holds {holds}", data.title);
         Err(Error::Config(format!("{what}; remove it from `baselines`")))
@@ -72,8 +72,8 @@ impl Baseline for LogDistance {
         Ok(Box::new(Laws { data, of_each, borrowed }))
     }
 
-    fn kind(&self) -> Option<Kind> {
-        Some(Kind::Power)
+    fn task(&self) -> Option<Task> {
+        Some(Task::Power)
     }
 
     fn about(&self) -> &'static str {

@@ -5,7 +5,7 @@ use super::nearest::Nearest;
 use super::{all_of, choosing, weighted_mean};
 use pwrfgs_core::docs::Kind;
 use pwrfgs_core::{
-    Baseline, Dataset, Documented, Error, Image, Kind as Task, Known, Predict, Query, Real, Result, evenly, ssim,
+    Baseline, Dataset, Documented, Error, Image, Known, Predict, Query, Real, Result, Task, evenly, ssim,
 };
 use rayon::prelude::*;
 use ron::value::RawValue;
@@ -192,7 +192,7 @@ impl<'a> Lookup<'a> {
             taken = until;
             let scale = self.data.observations.full_scale() * total;
             let pixels = sum.iter().map(|s| (s / scale) as Real).collect();
-            likeness(self.data.kind(), &Image { pixels, ..truth }, &truth)
+            likeness(self.data.task(), &Image { pixels, ..truth }, &truth)
         };
         choices.iter().map(score).collect()
     }
@@ -222,7 +222,7 @@ impl Predict for Lookup<'_> {
 impl Fitted for Lookup<'_> {
     fn notes(each: &[(&str, &Self)]) -> Option<String> {
         let (_, first) = each.first().filter(|(_, lookup)| lookup.chosen)?;
-        let what = format!("best on validation {}", first.data.kind().plural().trim_start_matches("spatial "));
+        let what = format!("best on validation {}", first.data.task().plural.trim_start_matches("spatial "));
         if each.iter().all(|(_, lookup)| lookup.k == first.k) {
             return Some(format!("k-NN takes k = {}, which does {what}", first.k));
         }

@@ -1,7 +1,7 @@
 //! `Zero`: no channel at all.
 
 use super::{Constant, all_of};
-use pwrfgs_core::{Baseline, Dataset, Documented, Error, Image, Kind, Known, Predict, Result};
+use pwrfgs_core::{Baseline, Dataset, Documented, Error, Image, Known, Predict, Result, Task};
 use serde::{Deserialize, Serialize};
 
 /// A channel of zeros: an SNR of 0 dB, which a prediction with wrong phases does not reach.
@@ -22,10 +22,10 @@ impl Baseline for Zero {
     }
 
     fn check_data(&self, data: &Dataset) -> Result<()> {
-        if data.kind() == Kind::Channel {
+        if data.task() == Task::Channel {
             return Ok(());
         }
-        let what = format!("Zero() is a floor of channels, and {} holds {}", data.title, data.kind().plural());
+        let what = format!("Zero() is a floor of channels, and {} holds {}", data.title, data.task().plural);
         Err(Error::Config(format!("{what}; use MeanSpectrum()")))
     }
 
@@ -35,8 +35,8 @@ impl Baseline for Zero {
         Ok(Box::new(Constant(Image::zeros(data.width, data.height))))
     }
 
-    fn kind(&self) -> Option<Kind> {
-        Some(Kind::Channel)
+    fn task(&self) -> Option<Task> {
+        Some(Task::Channel)
     }
 
     fn about(&self) -> &'static str {

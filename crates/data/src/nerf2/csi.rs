@@ -79,8 +79,8 @@ impl Default for Nerf2Csi {
 
 #[typetag::serde]
 impl DataSource for Nerf2Csi {
-    fn kind(&self) -> Option<pwrfgs_core::Kind> {
-        Some(pwrfgs_core::Kind::Channel)
+    fn task(&self) -> Option<pwrfgs_core::Task> {
+        Some(pwrfgs_core::Task::Channel)
     }
 
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {

@@ -58,8 +58,8 @@ impl Default for Nerf2Rssi {
 
 #[typetag::serde]
 impl DataSource for Nerf2Rssi {
-    fn kind(&self) -> Option<pwrfgs_core::Kind> {
-        Some(pwrfgs_core::Kind::Power)
+    fn task(&self) -> Option<pwrfgs_core::Task> {
+        Some(pwrfgs_core::Task::Power)
     }
 
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {

@@ -134,7 +134,7 @@ fn baselines_learn_each_receiver_by_itself() {
     );
     assert_eq!(predict("LogDistance()", Known::train(&known), first_of(2)).1, None);
     let mean = Plugin::<dyn Baseline>::parse("MeanSpectrum()").unwrap();
-    let names = [pwrfgs_core::Kind::Spectrum, data.kind()].map(|kind| mean.name_for(kind));
+    let names = [pwrfgs_core::Task::Spectrum, data.task()].map(|kind| mean.name_for(kind));
     assert_eq!(names, ["mean spectrum", "mean of the receiver"]);
 }
 
@@ -160,5 +160,5 @@ fn features_stand_where_positions_do() {
     assert!(fault(&crate::Kriging::default(), &data).contains("use NearestNeighbours()"));
     assert!(fault(&crate::LogDistance::default(), &data).contains("no places of transmitters"));
     assert!(fault(&crate::Zero {}, &data).contains("is a floor of channels"));
-    assert!(fault(&crate::LogDistance::default(), &line_of_samples(30)).contains("holds spatial spectra"));
+    assert!(fault(&crate::LogDistance::default(), &line_of_samples(30)).contains("holds spectra"));
 }

@@ -117,7 +117,7 @@ fn assess(
     let pipeline = team.pipeline();
     let (data, partition) = load(&pipeline, Path::new(""), session.observer)?;
     check_scoring(&pipeline, &data)?;
-    session.observer.on_message(&format!("scoring {} test {}", partition.test.len(), data.kind().counted()));
+    session.observer.on_message(&format!("scoring {} test {}", partition.test.len(), data.task().counted[1]));
     let assessment = evaluate(ensemble, &pipeline, &data, &partition, session)?;
     let scores = assessment.scores.table();
     let members: Vec<PathBuf> = (0..plan.runs.len()).map(|run| plan.folder_of(run)).collect();

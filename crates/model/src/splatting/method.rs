@@ -8,8 +8,8 @@ use super::survey::Question;
 use super::{Drawing, Geometry, Splatting, View, check_kind, check_together};
 use crate::{ActivationVjp, Calibration, Readout};
 use pwrfgs_core::{
-    Asked, Cache, Conditions, Dataset, DeformationInputs, Deltas, Frame, GaussianCloud, Kind, Method, MethodVjp, Needs,
-    Observed, Parameters, Real, StageTimes, Statistics, WeightSpec, cached, rng::Rng,
+    Asked, Cache, Conditions, Dataset, DeformationInputs, Deltas, Frame, GaussianCloud, Method, MethodVjp, Needs,
+    Observed, Parameters, Real, StageTimes, Statistics, Task, WeightSpec, cached, rng::Rng,
 };
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -137,8 +137,8 @@ impl Splatting {
 
 #[typetag::serde]
 impl Method for Splatting {
-    fn kind(&self) -> Option<Kind> {
-        Some(self.readout.kind())
+    fn task(&self) -> Option<Task> {
+        Some(self.readout.task())
     }
 
     fn layout(&self, frame: &Frame) -> Vec<WeightSpec> {
@@ -342,9 +342,9 @@ impl Method for Splatting {
     }
 
     fn check_frame(&self, frame: &Frame) -> Result<(), String> {
-        check_kind(self.readout, frame.kind)?;
-        if frame.kind != Kind::Spectrum && self.calibration == Calibration::AsReleased {
-            let what = frame.kind.plural();
+        check_kind(self.readout, frame.task)?;
+        if frame.task != Task::Spectrum && self.calibration == Calibration::AsReleased {
+            let what = frame.task.plural;
             return Err(format!(
                 "calibration: AsReleased is that of spectra as released, and the data are {what}; use Physical"
             ));

@@ -7,7 +7,7 @@ use crate::draw::charts::{Axis, Chart, Line};
 use crate::draw::marks::{Stroke, Style};
 use crate::draw::steps::{phases, stairs};
 use minijinja::{Value, context};
-use pwrfgs_core::Kind;
+use pwrfgs_core::Task;
 use pwrfgs_experiment::Results;
 use pwrfgs_experiment::folder::{CURVE, VALIDATION};
 use pwrfgs_experiment::scores::quantile;
@@ -95,10 +95,10 @@ fn validation(results: &Results<'_>, rows: &[Vec<Option<f64>>]) -> Option<Figure
     for ((name, floor), colour) in results.floors.iter().zip(FLOOR_COLOURS.into_iter().cycle()) {
         lines.push(Line::level(floor.values[0], Style::line(Colour::hex(colour), 2.0, Stroke::DASHED)).named(name));
     }
-    let title = match results.data.kind() {
-        Kind::Spectrum => "SSIM on validation samples",
-        Kind::Power => "Error on validation links, dB",
-        Kind::Channel => "SNR on validation channels, dB",
+    let title = match results.data.task() {
+        Task::Spectrum => "SSIM on validation samples",
+        Task::Power => "Error on validation links, dB",
+        Task::Channel => "SNR on validation channels, dB",
     };
     figure(title, &over_steps(results, false, lines))
 }

@@ -5,7 +5,7 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use minijinja::{Value, context};
 use pwrfgs_core::files::digest;
-use pwrfgs_core::{Image, Kind, Query, evenly};
+use pwrfgs_core::{Image, Query, Task, evenly};
 use pwrfgs_experiment::Results;
 use pwrfgs_experiment::headline::headline;
 use pwrfgs_experiment::scores::MODEL;
@@ -36,7 +36,7 @@ pub(super) fn section(results: &Results<'_>) -> Value {
     if !results.data.placed || results.partition.test.is_empty() {
         return context! { script, digest };
     }
-    let spectra = results.data.kind() == Kind::Spectrum;
+    let spectra = results.data.task() == Task::Spectrum;
     let model = model_bytes(results);
     let gaussians = shows(results.model).then(|| {
         let origin = origin(&results.model.members()[0].stages.frame, Some(results.data));
@@ -78,7 +78,7 @@ fn model_bytes(results: &Results<'_>) -> Option<Vec<u8>> {
     let splatting = only.stages.splatting()?;
     let name = pwrfgs_core::plugin::to_ron(&splatting.deformation);
     let known = PREDICTED_IN_PAGE.iter().any(|own| name.starts_with(own));
-    let drawn = only.stages.frame.receivers.len() == 1 && results.data.kind() == Kind::Spectrum;
+    let drawn = only.stages.frame.receivers.len() == 1 && results.data.task() == Task::Spectrum;
     let small = only.gaussian_bytes() + only.network_bytes() <= MODEL_BYTES;
     (known && drawn && small).then(|| file::to_bytes(only))
 }
@@ -106,7 +106,7 @@ fn shown(results: &Results<'_>, chosen: &[usize]) -> Vec<usize> {
 
 /// Test links with their score.
 fn scored<'a>(results: &'a Results<'_>) -> impl Iterator<Item = (usize, f64)> + 'a {
-    let key = headline(results.data.kind()).key;
+    let key = headline(results.data.task()).key;
     let values = results.assessment.scores.samples(MODEL, key).unwrap_or_default();
     let score = |k: usize| values.get(k).copied().unwrap_or(f64::NAN);
     results.partition.test.iter().enumerate().map(move |(k, &i)| (i, score(k)))

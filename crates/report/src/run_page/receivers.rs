@@ -13,7 +13,7 @@ const ROWS: usize = 60;
 /// predictor has a number a link.
 pub(super) fn table(results: &Results<'_>) -> Option<Value> {
     let (data, scores) = (results.data, &results.assessment.scores);
-    let headline = headline(data.kind());
+    let headline = headline(data.task());
     let receivers = &data.scene.receivers;
     if receivers.len() < 2 {
         return None;

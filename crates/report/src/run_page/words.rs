@@ -1,6 +1,6 @@
 //! What a page calls the things that were observed.
 
-use pwrfgs_core::{Dataset, Kind};
+use pwrfgs_core::{Dataset, Task};
 
 /// Words of a kind, in the plural and the singular.
 pub(super) struct Words {
@@ -16,12 +16,12 @@ pub(super) struct Words {
 pub(super) fn words(data: &Dataset) -> Words {
     let several = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
     let (width, height) = (data.width, data.height);
-    match data.kind() {
-        Kind::Spectrum => {
+    match data.task() {
+        Task::Spectrum => {
             Words { plural: "spectra", singular: "spectrum", size: Some(format!("{width} × {height} pixels")) }
         }
-        Kind::Power => Words { plural: "links", singular: "link", size: None },
-        Kind::Channel => {
+        Task::Power => Words { plural: "links", singular: "link", size: None },
+        Task::Channel => {
             let size = format!("{} × {}", several(height / 2, "antenna"), several(width, "subcarrier"));
             Words { plural: "channels", singular: "channel", size: Some(size) }
         }

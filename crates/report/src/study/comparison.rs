@@ -216,7 +216,7 @@ impl<'a> Comparison<'a> {
                 metrics.push(metric);
             }
         }
-        for (key, unit, higher_is_better) in [(TRAINED_ON, setting.kind().counted(), true), (TRAINING, "s", false)] {
+        for (key, unit, higher_is_better) in [(TRAINED_ON, setting.task().counted[1], true), (TRAINING, "s", false)] {
             metrics.push(Metric { key: key.into(), unit: unit.into(), higher_is_better, per_sample: false });
         }
         let places = setting.runs().flat_map(|run| run.places.iter().map(|(id, place)| (*id, *place))).collect();

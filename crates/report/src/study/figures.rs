@@ -22,7 +22,7 @@ use crate::templates::sentences;
 use loaded::Loaded;
 use minijinja::{Value, context};
 use pwrfgs_core::files::write_atomically;
-use pwrfgs_core::{Error, Kind, Progress, Result};
+use pwrfgs_core::{Error, Progress, Result, Task};
 use serde::Serialize;
 use std::path::Path;
 
@@ -111,8 +111,8 @@ pub fn all(setting: &Setting, progress: Progress<'_>) -> Drawn {
         distribution::figure,
         distance::figure,
     ];
-    let from_data: &[FromData] = match setting.kind() {
-        Kind::Spectrum => &[room::figure, spectra::figure, rate::figure],
+    let from_data: &[FromData] = match setting.task() {
+        Task::Spectrum => &[room::figure, spectra::figure, rate::figure],
         _ => &[room::figure],
     };
     let count = from_scores.len() + from_data.len();
@@ -130,8 +130,8 @@ pub fn all(setting: &Setting, progress: Progress<'_>) -> Drawn {
         Ok(drawn)
     });
     let left_out = drawn.map(|drawn| figures.extend(drawn)).err();
-    let missing = match setting.kind() {
-        Kind::Spectrum => "are no figures of the room, the spectra and the rate ratio",
+    let missing = match setting.task() {
+        Task::Spectrum => "are no figures of the room, the spectra and the rate ratio",
         _ => "is no figure of the room",
     };
     let left_out = left_out.map(|e| format!("There {missing}: {e}."));

@@ -93,7 +93,7 @@ impl Section {
                 floors => comparison.rows.iter().filter(|row| [Kind::Floor, Kind::Bound].contains(&row.kind)).count(),
                 samples => Vec::from(samples),
                 simulated => setting.simulated,
-                observations => setting.kind().counted(),
+                observations => setting.task().counted[1],
                 machines_differ => !same_machine,
                 machines => distinct(setting.runs().map(machine)),
                 programs => distinct(setting.runs().map(program)),

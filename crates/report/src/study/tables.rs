@@ -76,7 +76,7 @@ pub(super) enum Mark {
 fn title(words: &str, setting: &Setting) -> String {
     format!(
         "{words}{}",
-        if setting.simulated { format!(" (simulated {})", setting.kind().counted()) } else { String::new() }
+        if setting.simulated { format!(" (simulated {})", setting.task().counted[1]) } else { String::new() }
     )
 }
 

@@ -3,7 +3,7 @@
 use super::plane::Grid;
 use clap::ValueEnum;
 use pwrfgs::model::Prepared;
-use pwrfgs_core::{Error, Image, Kind, Query, Real, Result, Vec3};
+use pwrfgs_core::{Error, Image, Query, Real, Result, Task, Vec3};
 use rayon::prelude::*;
 
 /// Queries of one call, and of one step of the progress bar.
@@ -42,19 +42,19 @@ pub(super) struct Layer {
 /// What is mapped of this kind where nothing, or something, is asked for.
 pub(super) fn quantities(model: &Prepared<'_>, of: &[Of]) -> Result<Vec<Of>> {
     let has_angles = model.plane().angles.is_some();
-    let (fitting, word): (&[Of], _) = match model.kind() {
-        Kind::Spectrum if has_angles => {
+    let (fitting, word): (&[Of], _) = match model.task() {
+        Task::Spectrum if has_angles => {
             (&[Of::Direction, Of::Level, Of::Mean], "spatial spectra: give direction, level or mean")
         }
-        Kind::Spectrum => (&[Of::Level, Of::Mean], "spectra whose pixels have no angles: give level or mean"),
-        Kind::Power => (&[Of::Power], "received powers: give power"),
-        Kind::Channel => (&[Of::Power], "channels: give power"),
+        Task::Spectrum => (&[Of::Level, Of::Mean], "spectra whose pixels have no angles: give level or mean"),
+        Task::Power => (&[Of::Power], "received powers: give power"),
+        Task::Channel => (&[Of::Power], "channels: give power"),
     };
     if let Some(wrong) = of.iter().find(|asked| !fitting.contains(asked)) {
         let name = wrong.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
         return Err(Error::Config(format!("--of {name}: this model predicts {word}")));
     }
-    let default = if model.kind() == Kind::Spectrum { &fitting[..fitting.len() - 1] } else { fitting };
+    let default = if model.task() == Task::Spectrum { &fitting[..fitting.len() - 1] } else { fitting };
     Ok(fitting
         .iter()
         .copied()
@@ -71,11 +71,11 @@ struct Summary {
 }
 
 impl Summary {
-    fn of(kind: Kind, image: &Image) -> Self {
+    fn of(kind: Task, image: &Image) -> Self {
         let strongest = image.argmax();
         let count = image.pixels.len().max(1) as f64;
         let level = match kind {
-            Kind::Channel => {
+            Task::Channel => {
                 // Two rows an antenna: half as many gains as numbers.
                 10.0 * (2.0 * image.pixels.iter().map(|v| (*v as f64).powi(2)).sum::<f64>() / count).log10()
             }
@@ -94,7 +94,7 @@ pub(super) fn layers(
     of: &[Of],
     mut progress: impl FnMut(usize),
 ) -> Vec<Layer> {
-    let mut layers: Vec<Layer> = receivers.iter().flat_map(|&r| empty(model.kind(), r, of)).collect();
+    let mut layers: Vec<Layer> = receivers.iter().flat_map(|&r| empty(model.task(), r, of)).collect();
     let per_receiver = layers.len() / receivers.len().max(1);
     let places: Vec<usize> = (0..grid.len()).collect();
     for some in places.chunks((STEP / receivers.len().max(1)).max(1)) {
@@ -104,19 +104,19 @@ pub(super) fn layers(
         let summaries: Vec<Summary> = queries
             .par_chunks(CALL)
             .flat_map_iter(|queries| model.predict_many(queries))
-            .map(|image| Summary::of(model.kind(), &image))
+            .map(|image| Summary::of(model.task(), &image))
             .collect();
         for (k, summary) in summaries.into_iter().enumerate() {
             let slot = k % receivers.len();
             put(model, grid, receivers[slot], summary, &mut layers[slot * per_receiver..][..per_receiver]);
         }
     }
-    layers.extend(strongest(model.kind(), &layers, receivers.len()));
+    layers.extend(strongest(model.task(), &layers, receivers.len()));
     layers
 }
 
 /// Arrays of a receiver without values.
-fn empty(kind: Kind, receiver: usize, of: &[Of]) -> Vec<Layer> {
+fn empty(kind: Task, receiver: usize, of: &[Of]) -> Vec<Layer> {
     let layer = |(name, words, unit)| Layer {
         name,
         words,
@@ -126,7 +126,7 @@ fn empty(kind: Kind, receiver: usize, of: &[Of]) -> Vec<Layer> {
         arrows: Vec::new(),
     };
     let names = |of: &Of| match (of, kind) {
-        (Of::Power, Kind::Channel) => vec![("power", "mean power of the channel", "dB")],
+        (Of::Power, Task::Channel) => vec![("power", "mean power of the channel", "dB")],
         (Of::Power, _) => vec![("power", "received power", "dBm")],
         (Of::Level, _) => vec![("level", "strongest level of the spectrum", "")],
         (Of::Mean, _) => vec![("mean", "mean level of the spectrum", "")],
@@ -161,8 +161,8 @@ fn put(model: &Prepared<'_>, grid: &Grid, receiver: usize, summary: Summary, lay
 }
 
 /// The largest power of all receivers at each place, where there are several.
-fn strongest(kind: Kind, layers: &[Layer], receivers: usize) -> Option<Layer> {
-    let first = layers.first().filter(|_| kind == Kind::Power && receivers > 1)?;
+fn strongest(kind: Task, layers: &[Layer], receivers: usize) -> Option<Layer> {
+    let first = layers.first().filter(|_| kind == Task::Power && receivers > 1)?;
     let largest = |k: usize| layers.iter().map(|layer| layer.values[k]).fold(f32::NAN, f32::max);
     let values = (0..first.values.len()).map(largest).collect();
     Some(Layer { name: "strongest", words: "power at the strongest receiver", receiver: None, values, ..first.clone() })

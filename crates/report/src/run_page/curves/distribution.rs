@@ -3,7 +3,7 @@
 use super::{Chart, FLOOR_COLOURS, Figure, MODEL_COLOUR, figure, line};
 use crate::draw::canvas::Colour;
 use crate::draw::charts::Axis;
-use pwrfgs_core::Kind;
+use pwrfgs_core::Task;
 use pwrfgs_experiment::Results;
 use pwrfgs_experiment::headline::headline;
 use pwrfgs_experiment::scores::{MODEL, quantile};
@@ -16,7 +16,7 @@ const INSIDE: f64 = 0.98;
 /// Which share of the test part stays below each value.
 pub(super) fn figure_of(results: &Results<'_>) -> Option<Figure> {
     let scores = &results.assessment.scores;
-    let kind = results.data.kind();
+    let kind = results.data.task();
     let headline = headline(kind);
     let mut sorted: Vec<(&String, Vec<f64>)> = Vec::new();
     for (name, _) in &scores.predictors {
@@ -33,7 +33,7 @@ pub(super) fn figure_of(results: &Results<'_>) -> Option<Figure> {
         let share = |i: usize| (i + 1) as f64 / sorted.len() as f64;
         let mut points: Vec<_> = (0..sorted.len()).step_by(stride).map(|i| (sorted[i], share(i))).collect();
         points.extend(sorted.last().map(|v| (*v, 1.0)));
-        if kind != Kind::Spectrum {
+        if kind != Task::Spectrum {
             points.retain(|(value, _)| (ends.0..=ends.1).contains(value));
         }
         let own = *name == MODEL;
@@ -43,23 +43,23 @@ pub(super) fn figure_of(results: &Results<'_>) -> Option<Figure> {
     let x = Axis { name: headline.name.into(), ends: Some(ends), log: false };
     let y = Axis { ends: Some((0.0, 1.0)), ..Axis::default() };
     let title = match kind {
-        Kind::Spectrum => "Share of test spectra below an SSIM",
-        Kind::Power => "Share of test links below an error",
-        Kind::Channel => "Share of test channels below an SNR",
+        Task::Spectrum => "Share of test spectra below an SSIM",
+        Task::Power => "Share of test links below an error",
+        Task::Channel => "Share of test channels below an SNR",
     };
     figure(title, &Chart { x, y, lines, ..Chart::default() })
 }
 
 /// Where the axis begins and ends.
-fn ends(kind: Kind, sorted: &[(&String, Vec<f64>)]) -> (f64, f64) {
+fn ends(kind: Task, sorted: &[(&String, Vec<f64>)]) -> (f64, f64) {
     let at = |q: f64| sorted.iter().map(move |(_, values)| quantile(values, q)).filter(|v| v.is_finite());
     match kind {
-        Kind::Spectrum => {
+        Task::Spectrum => {
             let first = sorted.iter().map(|(_, values)| values.first().map_or(1.0, |v| (v * 10.0).floor() / 10.0));
             (first.fold(1.0, |low: f64, own| low.min(own).max(-1.0)), 1.0)
         }
-        Kind::Power => (0.0, at(INSIDE).fold(1.0, f64::max).ceil()),
-        Kind::Channel => {
+        Task::Power => (0.0, at(INSIDE).fold(1.0, f64::max).ceil()),
+        Task::Channel => {
             let low = at(1.0 - INSIDE).fold(f64::INFINITY, f64::min).floor();
             let high = at(1.0).fold(f64::NEG_INFINITY, f64::max).ceil();
             if low < high { (low, high) } else { (-1.0, 1.0) }

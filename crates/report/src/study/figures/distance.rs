@@ -8,7 +8,7 @@ use crate::draw::charts::{Axis, Chart, Line};
 use crate::draw::marks::{Stroke, Style};
 use crate::study::{Record, Setting};
 use minijinja::context;
-use pwrfgs_core::Kind;
+use pwrfgs_core::Task;
 use pwrfgs_experiment::headline::headline;
 use pwrfgs_experiment::scores::{MODEL, quantile};
 
@@ -21,7 +21,7 @@ const MOST_BANDS: usize = 4;
 pub(super) fn figure(setting: &Setting) -> Option<Figure> {
     let mut lines = Vec::new();
     let banded = setting.variants.len() <= MOST_BANDS;
-    let kind = setting.kind();
+    let kind = setting.task();
     for (k, variant) in setting.variants.iter().enumerate() {
         let (style, bins) = (looks::variant(k), bins(&variant.runs, MODEL, kind));
         let quartile = |q: usize| bins.iter().map(move |b| (b.distance, b.quartiles[q]));
@@ -40,7 +40,7 @@ pub(super) fn figure(setting: &Setting) -> Option<Figure> {
         lines.push(Line::new(points, looks::floor(k)).named_at_end(name));
     }
     let x = Axis { name: "distance to the nearest training transmitter [m]".into(), log: true, ends: None };
-    let name = if kind == Kind::Spectrum { "error 1 − SSIM" } else { headline(kind).name };
+    let name = if kind == Task::Spectrum { "error 1 − SSIM" } else { headline(kind).name };
     let chart = Chart { x, y: Axis { name: name.into(), ..Axis::default() }, lines, ..Chart::default() };
     Figure::chart("distance", setting, context! { banded, axis => name }, chart)
 }
@@ -55,8 +55,8 @@ struct Bin {
 }
 
 /// Bins over all `runs` of one predictor; none where it has no first metric.
-fn bins(runs: &[Record], predictor: &str, kind: Kind) -> Vec<Bin> {
-    let drawn = |score: f64| if kind == Kind::Spectrum { 1.0 - score } else { score };
+fn bins(runs: &[Record], predictor: &str, kind: Task) -> Vec<Bin> {
+    let drawn = |score: f64| if kind == Task::Spectrum { 1.0 - score } else { score };
     let pairs = |run: &Record| -> Vec<(f64, f64)> {
         let samples = run.samples(predictor, headline(kind).key).unwrap_or_default();
         samples.iter().filter_map(|(id, score)| Some((*run.nearest_train_m.get(id)?, drawn(*score)))).collect()

@@ -5,7 +5,7 @@ use crate::draw::charts::{Axis, Chart, Line};
 use crate::study::race::Race;
 use crate::study::{Setting, Variant};
 use minijinja::context;
-use pwrfgs_core::Kind;
+use pwrfgs_core::Task;
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::statistics::Spread;
 
@@ -30,10 +30,10 @@ struct Score {
 }
 
 pub(super) fn first_metric(setting: &Setting) -> Option<Figure> {
-    let (name, published): (_, &[_]) = match setting.kind() {
-        Kind::Spectrum => ("ssim-n", &PUBLISHED_SSIM),
-        Kind::Power => ("error-n", &[]),
-        Kind::Channel => ("snr-n", &[]),
+    let (name, published): (_, &[_]) = match setting.task() {
+        Task::Spectrum => ("ssim-n", &PUBLISHED_SSIM),
+        Task::Power => ("error-n", &[]),
+        Task::Channel => ("snr-n", &[]),
     };
     let headline = setting.headline();
     figure(setting, &Score { key: headline.key, name, axis: format!("mean {}", headline.name), published })

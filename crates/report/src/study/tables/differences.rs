@@ -10,7 +10,7 @@ use pwrfgs_experiment::statistics::{CONFIDENCE, Difference, REPLICATES};
 
 /// Every row less the reference, by the metrics that [`is_compared`] selects; by all if it selects none.
 pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &Row<'_>) -> Option<Table> {
-    let shown = |m: &&Metric| m.per_sample && is_compared(&m.key, comparison.setting.kind());
+    let shown = |m: &&Metric| m.per_sample && is_compared(&m.key, comparison.setting.task());
     let mut metrics: Vec<&Metric> = comparison.metrics.iter().filter(shown).collect();
     if metrics.is_empty() {
         metrics = comparison.metrics.iter().filter(|m| m.per_sample).collect();
@@ -41,7 +41,7 @@ pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &Row
     let words = context! {
         name => table.name,
         reference => reference.label,
-        observations => comparison.setting.kind().counted(),
+        observations => comparison.setting.task().counted[1],
         least => seeds.0,
         most => seeds.1,
         percent => (CONFIDENCE * 100.0).round() as u32,

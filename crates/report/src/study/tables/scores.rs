@@ -79,7 +79,7 @@ fn table(
     let (least, most) = comparison.setting.seeds();
     let words = context! {
         name,
-        observations => comparison.setting.kind().counted(),
+        observations => comparison.setting.task().counted[1],
         sampled => comparison.metrics.iter().any(|m| m.per_sample),
         least,
         most,

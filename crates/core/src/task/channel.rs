@@ -1,0 +1,139 @@
+//! Channels `[L, A, F]`: a complex gain per antenna and subcarrier.
+
+use super::{Ceiling, Columns, Description, Headline};
+use crate::{Image, Real};
+
+pub(super) static CHANNEL: Description = Description {
+    name: "channel",
+    singular: "channel",
+    plural: "channels",
+    counted: ["channel", "channels"],
+    headline: Headline {
+        key: "snr_db",
+        name: "SNR [dB]",
+        higher: true,
+        columns: ["snr_db_mean", "snr_db_median", "snr_all_db"],
+    },
+    ceiling: Ceiling { note: "what two measured channels at one place have in common", share: 1.0 },
+    level_name: ["mean power of the channel", "dB"],
+    has_directions: false,
+    is_scalar: false,
+    is_complex: true,
+    // Two rows per antenna: half as many gains as numbers.
+    level: |image| 10.0 * (2.0 * energy(image.pixels.iter().copied()) / image.pixels.len().max(1) as f64).log10(),
+    score: |prediction, truth| {
+        let error = energy(prediction.pixels.iter().zip(&truth.pixels).map(|(p, t)| p - t));
+        10.0 * (energy(truth.pixels.iter().copied()) / error).log10()
+    },
+    shape: |(width, height)| vec![height / 2, width],
+    size_text: |(width, height)| Some(format!("{} antennas x {width} subcarriers", height / 2)),
+};
+
+fn energy(values: impl Iterator<Item = Real>) -> f64 {
+    values.map(|v| (v as f64).powi(2)).sum()
+}
+
+/// Indices of the real and the imaginary part of a gain in an observation of `subcarriers` columns. No other code knows the
+/// layout of a channel in an array, as no other code than [`ImagePlane::direction`](crate::ImagePlane::direction) knows the
+/// direction of a pixel.
+pub fn gain_at(antenna: usize, subcarrier: usize, subcarriers: usize) -> [usize; 2] {
+    let real = 2 * antenna * subcarriers + subcarrier;
+    [real, real + subcarriers]
+}
+
+/// Gains `[.., A, F]` as observations `[.., 2A, F]`.
+pub fn rows_of(gains: &[[Real; 2]], subcarriers: usize) -> Vec<Real> {
+    let mut rows = vec![0.0; 2 * gains.len()];
+    for (i, gain) in gains.iter().enumerate() {
+        let [re, im] = gain_at(i / subcarriers, i % subcarriers, subcarriers);
+        [rows[re], rows[im]] = *gain;
+    }
+    rows
+}
+
+/// The gains `[.., A, F]` of observations `[.., 2A, F]`.
+pub fn gains_of(rows: &[Real], subcarriers: usize) -> Vec<[Real; 2]> {
+    let gain = |i: usize| gain_at(i / subcarriers, i % subcarriers, subcarriers).map(|at| rows[at]);
+    (0..rows.len() / 2).map(gain).collect()
+}
+
+/// Largest part of a gain: sums of its squares stay finite in single precision.
+const MAX_GAIN: f64 = 1e9;
+
+/// What is wrong with a gain, real and imaginary part, and what to do.
+pub fn gain_fault([re, im]: [f64; 2]) -> Option<String> {
+    let advice = if !(re.is_finite() && im.is_finite()) {
+        "give finite numbers".to_owned()
+    } else if re.abs().max(im.abs()) > MAX_GAIN {
+        format!("give at most {MAX_GAIN:e}, such as all channels divided by their largest modulus")
+    } else {
+        return None;
+    };
+    Some(format!("is {:?}; {advice}", (re, im)))
+}
+
+/// Channels `[L, A, F]`, complex, in memory.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Channels {
+    /// A, antennas of a receiver.
+    pub antennas: usize,
+    /// Frequencies of the subcarriers `[F]`, Hz.
+    pub frequencies_hz: Vec<f64>,
+    /// Real and imaginary part of every gain.
+    pub gains: Vec<[Real; 2]>,
+}
+
+impl Channels {
+    /// The gains of link `i`, `[A, F]`.
+    pub fn of(&self, i: usize) -> &[[Real; 2]] {
+        let of_one = self.antennas * self.frequencies_hz.len();
+        &self.gains[i * of_one..][..of_one]
+    }
+}
+
+impl Columns for Channels {
+    fn len(&self) -> usize {
+        self.gains.len() / (self.antennas * self.frequencies_hz.len())
+    }
+
+    /// Subcarriers; real parts of an antenna, then its imaginary parts.
+    fn size(&self) -> (usize, usize) {
+        (self.frequencies_hz.len(), 2 * self.antennas)
+    }
+
+    fn image(&self, i: usize) -> Image {
+        let (width, height) = self.size();
+        Image { width, height, pixels: rows_of(self.of(i), width) }
+    }
+
+    fn bytes_in_memory(&self) -> usize {
+        size_of_val(self.gains.as_slice())
+    }
+
+    fn antennas(&self) -> Option<usize> {
+        Some(self.antennas)
+    }
+
+    fn frequencies_hz(&self) -> &[f64] {
+        &self.frequencies_hz
+    }
+
+    fn fault(&self) -> Option<String> {
+        let Self { antennas, frequencies_hz, gains } = self;
+        let (subcarriers, have) = (frequencies_hz.len(), gains.len());
+        let of_one = antennas * subcarriers;
+        if of_one == 0 || gains.is_empty() || !have.is_multiple_of(of_one) {
+            return Some(format!(
+                "{have} gains are no channels of {antennas} antennas by {subcarriers} subcarriers; give at least one, and \
+                 whole ones"
+            ));
+        }
+        if let Some(f) = frequencies_hz.iter().find(|f| !(f.is_finite() && **f > 0.0)) {
+            return Some(format!("a subcarrier at {f} Hz; give frequencies above 0"));
+        }
+        let mut faults = gains.iter().map(|gain| gain_fault(gain.map(|v| v as f64))).enumerate();
+        let (i, fault) = faults.find_map(|(i, fault)| Some((i, fault?)))?;
+        let [l, a, f] = [i / of_one, i % of_one / subcarriers, i % subcarriers];
+        Some(format!("channels[{l}, {a}, {f}] {fault}"))
+    }
+}

@@ -1,0 +1,340 @@
+//! `Task`: what is observed of a link. `Observations`: the observations of all links, as flat arrays.
+//!
+//! All that is said of a task stands in its file: `spectrum.rs`, `power.rs`, `channel.rs`. Code that works for any task
+//! reads the [`Description`]; it does not match on [`Task`].
+
+mod channel;
+mod power;
+mod spectrum;
+
+use crate::{Axis, Documented, Elevation, Error, Image, ImagePlane, Number, Real, Result, Sampling, Spectra};
+pub use channel::{Channels, gain_at, gain_fault, gains_of, rows_of};
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
+use std::fmt::Debug;
+use std::ops::Deref;
+
+/// Metres a second, in vacuum.
+pub const SPEED_OF_LIGHT: f64 = 299_792_458.0;
+
+/// What is observed of a link. It dereferences to its [`Description`]: `task.plural`, `task.headline.key`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Documented)]
+pub enum Task {
+    /// A spatial spectrum: an image of the receiver's sky.
+    #[default]
+    Spectrum,
+    /// A received power, one number in dBm.
+    Power,
+    /// A channel: a complex number for every antenna and subcarrier.
+    Channel,
+}
+
+impl Task {
+    /// All tasks.
+    pub const ALL: [Self; 3] = [Self::Spectrum, Self::Power, Self::Channel];
+
+    /// The task with this [`Description::name`].
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|task| task.name == name)
+    }
+}
+
+impl Deref for Task {
+    type Target = Description;
+
+    fn deref(&self) -> &Description {
+        match self {
+            Self::Spectrum => &spectrum::SPECTRUM,
+            Self::Power => &power::POWER,
+            Self::Channel => &channel::CHANNEL,
+        }
+    }
+}
+
+/// All that is said of a task.
+#[derive(Debug)]
+pub struct Description {
+    /// Name in files and in Python: `power`.
+    pub name: &'static str,
+    /// One observation in a sentence: `received power`.
+    pub singular: &'static str,
+    /// Several: `received powers`.
+    pub plural: &'static str,
+    /// What tables count, one and several: `link`, `links`.
+    pub counted: [&'static str; 2],
+    /// The first metric, on curves, in examples and during training.
+    pub headline: Headline,
+    /// What two readings at one position tell about the noise ceiling.
+    pub ceiling: Ceiling,
+    /// Name and unit of [`Self::level`].
+    pub level_name: [&'static str; 2],
+    /// Whether the numbers of an observation are pixels of an image, and each pixel a direction.
+    pub has_directions: bool,
+    /// Whether an observation is one number in dB that falls with the logarithm of the distance.
+    pub is_scalar: bool,
+    /// Whether an observation is complex: see [`gain_at`].
+    pub is_complex: bool,
+    level: fn(&Image) -> f64,
+    score: fn(&Image, &Image) -> f64,
+    shape: fn((usize, usize)) -> Vec<usize>,
+    size_text: fn((usize, usize)) -> Option<String>,
+}
+
+/// The first metric of a task.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Headline {
+    /// Its key in tables of scores.
+    pub key: &'static str,
+    /// As an axis or a sentence has it, with its unit.
+    pub name: &'static str,
+    /// Whether larger is better.
+    pub higher: bool,
+    /// Columns of `validation.csv` after the step: its mean, its median, and one number more.
+    pub columns: [&'static str; 3],
+}
+
+/// What two readings at one position tell about the noise ceiling.
+#[derive(Debug)]
+pub struct Ceiling {
+    /// The meaning of the row in a table of scores.
+    pub note: &'static str,
+    /// Score of a perfect predictor of the mean reading, per score between two readings.
+    pub share: f64,
+}
+
+impl Description {
+    /// How strong an observation is, in the unit of [`Self::level_name`].
+    pub fn level(&self, image: &Image) -> f64 {
+        (self.level)(image)
+    }
+
+    /// The first metric of one prediction.
+    pub fn score(&self, prediction: &Image, truth: &Image) -> f64 {
+        (self.score)(prediction, truth)
+    }
+
+    /// Axes of one observation of `size` (columns, rows) as an array: `[H, W]`, `[]` or `[A, F]`.
+    pub fn shape(&self, size: (usize, usize)) -> Vec<usize> {
+        (self.shape)(size)
+    }
+
+    /// The size of one observation in words, `360 x 90 pixels`; `None` for a single number.
+    pub fn size_text(&self, size: (usize, usize)) -> Option<String> {
+        (self.size_text)(size)
+    }
+
+    /// A prediction as it is shown and scored: pixels are clamped to [0, 1].
+    pub fn shown(&self, prediction: Image) -> Image {
+        if self.has_directions { prediction.clamped() } else { prediction }
+    }
+
+    /// The grid of an observation of `size` (columns, rows): columns of pixels go once around, rows are `elevation`.
+    pub fn plane(&self, (width, height): (usize, usize), elevation: Elevation) -> ImagePlane {
+        let azimuth = Axis { first: 0.0, step: 360.0 / width as f64 };
+        let angles = self.has_directions.then(|| (azimuth, elevation.axis(height)));
+        ImagePlane { width, height, wraps: self.has_directions, angles, sampling: Sampling::WHOLE }
+    }
+}
+
+/// The observations of all links, in the order of the links, as flat arrays. It dereferences to its [`Columns`].
+#[derive(Clone, Debug)]
+pub enum Observations {
+    /// Spatial spectra `[L, H, W]`.
+    Pictures(Spectra),
+    /// Received powers `[L]`, dBm.
+    Powers(Vec<Real>),
+    /// Channels `[L, A, F]`.
+    Channels(Channels),
+}
+
+impl From<Spectra> for Observations {
+    fn from(spectra: Spectra) -> Self {
+        Self::Pictures(spectra)
+    }
+}
+
+impl From<Channels> for Observations {
+    fn from(channels: Channels) -> Self {
+        Self::Channels(channels)
+    }
+}
+
+/// Received powers `[L]`, dBm.
+impl From<Vec<Real>> for Observations {
+    fn from(powers: Vec<Real>) -> Self {
+        Self::Powers(powers)
+    }
+}
+
+impl Deref for Observations {
+    type Target = dyn Columns;
+
+    fn deref(&self) -> &(dyn Columns + 'static) {
+        match self {
+            Self::Pictures(spectra) => spectra,
+            Self::Powers(powers) => powers,
+            Self::Channels(channels) => channels,
+        }
+    }
+}
+
+/// What observations of any task can do.
+///
+/// An observation of one link can be had as an array of numbers, an [`Image`]: a spectrum is one, a power has one row and
+/// one column, a channel has two rows per antenna (real parts, imaginary parts) and one column per subcarrier.
+#[allow(clippy::len_without_is_empty)] // a data set has at least one link
+pub trait Columns: Debug + Send + Sync {
+    /// L, links.
+    fn len(&self) -> usize;
+
+    /// Columns and rows of one observation.
+    fn size(&self) -> (usize, usize);
+
+    /// Observation `i` as an array of numbers.
+    fn image(&self, i: usize) -> Image;
+
+    /// The pixels of image `i` that `sampling` selects, row-major; all numbers of an observation without pixels.
+    fn sampled(&self, i: usize, sampling: Sampling, out: &mut [Real]) {
+        let _ = sampling;
+        out.iter_mut().zip(self.image(i).pixels).for_each(|(out, v)| *out = v);
+    }
+
+    /// Adds `weight` times observation `i`, in units of which [`Self::full_scale`] are 1, to `sum`.
+    fn add(&self, i: usize, weight: f64, sum: &mut [f64]) {
+        sum.iter_mut().zip(self.image(i).pixels).for_each(|(sum, v)| *sum += weight * v as f64);
+    }
+
+    /// How a number is stored.
+    fn number(&self) -> Number {
+        if size_of::<Real>() == 8 { Number::F64 } else { Number::F32 }
+    }
+
+    /// The value that stands for 1 in [`Self::add`].
+    fn full_scale(&self) -> f64 {
+        self.number().full_scale()
+    }
+
+    /// Observation `i` as bytes: equal observations have equal bytes.
+    fn raw(&self, i: usize) -> Cow<'_, [u8]> {
+        Cow::Owned(self.image(i).pixels.iter().flat_map(|v| v.to_le_bytes()).collect())
+    }
+
+    /// Bytes held in memory.
+    fn bytes_in_memory(&self) -> usize;
+
+    /// Whether all reads so far succeeded.
+    ///
+    /// # Errors
+    /// [`Error::Read`] of the file of spectra.
+    fn check(&self) -> Result<()> {
+        Ok(())
+    }
+
+    /// Antennas of a receiver; `None` if any number of antennas gives such an observation.
+    fn antennas(&self) -> Option<usize> {
+        None
+    }
+
+    /// Frequencies of the subcarriers, Hz; empty if there are none.
+    fn frequencies_hz(&self) -> &[f64] {
+        &[]
+    }
+
+    /// What is wrong with the values, and what to do.
+    fn fault(&self) -> Option<String> {
+        None
+    }
+}
+
+impl Observations {
+    /// What is observed.
+    pub fn task(&self) -> Task {
+        match self {
+            Self::Pictures(_) => Task::Spectrum,
+            Self::Powers(_) => Task::Power,
+            Self::Channels(_) => Task::Channel,
+        }
+    }
+
+    /// The spectra; `None` if something else is observed.
+    pub fn spectra(&self) -> Option<&Spectra> {
+        if let Self::Pictures(spectra) = self { Some(spectra) } else { None }
+    }
+
+    /// The received powers, dBm; `None` if something else is observed.
+    pub fn powers(&self) -> Option<&[Real]> {
+        if let Self::Powers(powers) = self { Some(powers) } else { None }
+    }
+
+    /// The channels; `None` if something else is observed.
+    pub fn channels(&self) -> Option<&Channels> {
+        if let Self::Channels(channels) = self { Some(channels) } else { None }
+    }
+
+    /// The spectra, for code that supports nothing else.
+    ///
+    /// # Errors
+    /// [`Error::Config`] naming `who` if something else is observed.
+    pub fn pictures(&self, who: &str) -> Result<&Spectra> {
+        let have = self.task().plural;
+        self.spectra().ok_or_else(|| Error::Config(format!("{who} needs spatial spectra, and these data are {have}")))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn two() -> Observations {
+        let gains = (0..12).map(|i| [i as Real, -(i as Real)]).collect();
+        Channels { antennas: 2, frequencies_hz: vec![1e9, 2e9, 3e9], gains }.into()
+    }
+
+    #[test]
+    fn a_channel_is_rows_of_real_and_imaginary_parts() {
+        let all = two();
+        assert_eq!((all.len(), all.size(), all.task()), (2, (3, 4), Task::Channel));
+        let second = all.image(1);
+        assert_eq!(second.pixels, [6.0, 7.0, 8.0, -6.0, -7.0, -8.0, 9.0, 10.0, 11.0, -9.0, -10.0, -11.0]);
+        assert_eq!(gain_at(1, 2, 3).map(|at| second.pixels[at]), [11.0, -11.0]);
+        assert_eq!(gains_of(&second.pixels, 3), all.channels().unwrap().of(1));
+        let mut sum = vec![0.0; 12];
+        all.add(1, 2.0, &mut sum);
+        assert_eq!(sum[3], -12.0);
+    }
+
+    #[test]
+    fn what_cannot_be_is_told_with_its_place() {
+        assert!(Observations::Powers(vec![-3.0, Real::NAN]).fault().unwrap().starts_with("powers[1] is NaN"));
+        let Observations::Channels(mut channels) = two() else { unreachable!() };
+        channels.gains[10] = [0.0, Real::INFINITY];
+        assert!(channels.fault().unwrap().starts_with("channels[1, 1, 1] is"));
+        channels.gains.pop();
+        assert!(channels.fault().unwrap().contains("11 gains are no channels of 2 antennas"));
+        assert!(two().fault().is_none() && two().pictures("`inspect`").is_err());
+    }
+
+    #[test]
+    fn names_and_axes_differ_and_fit_their_observations() {
+        for task in Task::ALL {
+            assert_eq!(Task::named(task.name), Some(task));
+            let size = if task.is_scalar { (1, 1) } else { (5, 4) };
+            let numbers: usize = task.shape(size).iter().product();
+            assert_eq!(numbers * (1 + usize::from(task.is_complex)), size.0 * size.1);
+            assert_eq!(task.size_text(size).is_none(), task.is_scalar);
+        }
+        assert_eq!(Task::named("picture"), None);
+    }
+
+    #[test]
+    fn levels_and_scores_are_in_their_units() {
+        let image = |pixels: &[Real]| Image { width: 1, height: pixels.len(), pixels: pixels.to_vec() };
+        assert_eq!(Task::Spectrum.level(&image(&[0.1, 0.75])), 0.75);
+        assert_eq!(Task::Power.level(&image(&[-61.0])), -61.0);
+        assert!((Task::Channel.level(&image(&[0.0, 0.1])) + 20.0).abs() < 1e-5, "|h|² is 0.01");
+        assert_eq!(Task::Power.score(&image(&[-70.5]), &image(&[-60.0])), 10.5);
+        assert!((Task::Channel.score(&image(&[0.9, 0.0]), &image(&[1.0, 0.0])) - 20.0).abs() < 1e-4);
+        assert_eq!(Task::Spectrum.shown(image(&[1.5])).pixels, [1.0]);
+        assert_eq!(Task::Power.shown(image(&[1.5])).pixels, [1.5]);
+    }
+}

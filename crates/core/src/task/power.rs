@@ -1,0 +1,59 @@
+//! Received powers `[L]`, dBm.
+
+use super::{Ceiling, Columns, Description, Headline};
+use crate::{Image, Real};
+
+pub(super) static POWER: Description = Description {
+    name: "power",
+    singular: "received power",
+    plural: "received powers",
+    counted: ["link", "links"],
+    headline: Headline {
+        key: "power_error_db",
+        name: "error [dB]",
+        higher: false,
+        columns: ["power_error_db_mean", "power_error_db_median", "power_error_db_p90"],
+    },
+    // Both readings are noisy, and independent errors of one size add up to √2 of it.
+    ceiling: Ceiling {
+        note: "the error of a perfect predictor of the mean reading: what two readings at one place differ by, over √2",
+        share: std::f64::consts::FRAC_1_SQRT_2,
+    },
+    level_name: ["received power", "dBm"],
+    has_directions: false,
+    is_scalar: true,
+    is_complex: false,
+    level: |image| image.pixels[0] as f64,
+    score: |prediction, truth| f64::from((prediction.pixels[0] - truth.pixels[0]).abs() as f32),
+    shape: |_| Vec::new(),
+    size_text: |_| None,
+};
+
+impl Columns for Vec<Real> {
+    fn len(&self) -> usize {
+        Vec::len(self)
+    }
+
+    fn size(&self) -> (usize, usize) {
+        (1, 1)
+    }
+
+    fn image(&self, i: usize) -> Image {
+        Image { width: 1, height: 1, pixels: vec![self[i]] }
+    }
+
+    fn bytes_in_memory(&self) -> usize {
+        size_of_val(self.as_slice())
+    }
+
+    fn antennas(&self) -> Option<usize> {
+        Some(1)
+    }
+
+    fn fault(&self) -> Option<String> {
+        if self.is_empty() {
+            return Some("there is no power; give at least one".into());
+        }
+        self.iter().position(|v| !v.is_finite()).map(|i| format!("powers[{i}] is {}; give dBm", self[i]))
+    }
+}

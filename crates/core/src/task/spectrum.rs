@@ -1,0 +1,60 @@
+//! Spatial spectra `[L, H, W]`: images of the receiver's sky, 1 the strongest direction.
+
+use super::{Ceiling, Columns, Description, Headline};
+use crate::{Image, Number, Real, Result, Sampling, Spectra, ssim};
+use std::borrow::Cow;
+
+pub(super) static SPECTRUM: Description = Description {
+    name: "spectrum",
+    singular: "spectrum",
+    plural: "spectra",
+    counted: ["spectrum", "spectra"],
+    headline: Headline { key: "ssim", name: "SSIM", higher: true, columns: ["ssim_mean", "ssim_median", "eta_0db"] },
+    ceiling: Ceiling { note: "what two measured spectra at one place have in common", share: 1.0 },
+    level_name: ["strongest level of the spectrum", ""],
+    has_directions: true,
+    is_scalar: false,
+    is_complex: false,
+    level: |image| image.pixels[image.argmax()] as f64,
+    score: |prediction, truth| ssim::evaluation(&prediction.clamped(), truth),
+    shape: |(width, height)| vec![height, width],
+    size_text: |(width, height)| Some(format!("{width} x {height} pixels")),
+};
+
+impl Columns for Spectra {
+    fn len(&self) -> usize {
+        Spectra::len(self)
+    }
+
+    fn size(&self) -> (usize, usize) {
+        (self.width(), self.height())
+    }
+
+    fn image(&self, i: usize) -> Image {
+        Spectra::image(self, i)
+    }
+
+    fn sampled(&self, i: usize, sampling: Sampling, out: &mut [Real]) {
+        Spectra::sampled(self, i, sampling, out);
+    }
+
+    fn add(&self, i: usize, weight: f64, sum: &mut [f64]) {
+        Spectra::add(self, i, weight, sum);
+    }
+
+    fn number(&self) -> Number {
+        Spectra::number(self)
+    }
+
+    fn raw(&self, i: usize) -> Cow<'_, [u8]> {
+        Spectra::raw(self, i)
+    }
+
+    fn bytes_in_memory(&self) -> usize {
+        Spectra::bytes_in_memory(self)
+    }
+
+    fn check(&self) -> Result<()> {
+        Spectra::check(self)
+    }
+}
