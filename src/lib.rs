@@ -21,8 +21,6 @@ pub use pwrfgs_data as data;
 pub use pwrfgs_experiment as experiment;
 pub use pwrfgs_foreign as foreign;
 pub use pwrfgs_init as init;
-#[cfg(feature = "inspect")]
-pub use pwrfgs_inspect as inspect;
 pub use pwrfgs_metrics as metrics;
 pub use pwrfgs_model as model;
 pub use pwrfgs_nerf2 as nerf2;

@@ -26,7 +26,6 @@ fn crates_depend_on_each_other_as_drawn() {
         ("live", &["core", "experiment", "model"]),
         ("report", &["canvas", "core", "experiment", "live", "model", "pipeline", "train"]),
         ("view", &["canvas", "core", "experiment", "live", "model", "pipeline", "report", "train"]),
-        ("inspect", &["core", "experiment", "pipeline", "report", "train"]),
     ];
     let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
     let output = Command::new(cargo)

@@ -14,6 +14,7 @@ mod examples;
 mod figures;
 mod gates;
 mod gradients;
+mod inspect;
 mod laws;
 mod learning;
 mod links;

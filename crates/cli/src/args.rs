@@ -1,7 +1,6 @@
 //! What can be said on the command line; each verb's own words stand beside what it does, in `commands`. The help texts are
 //! the first documentation that a user meets.
 
-#[cfg(feature = "inspect")]
 use crate::commands::Inspect;
 #[cfg(feature = "sim")]
 use crate::commands::Simulate;
@@ -101,7 +100,6 @@ pub(crate) enum Command {
     Simulate(Simulate),
     /// Show everything that a pipeline may name: plugins, settings, defaults, what each field does
     Plugins(Plugins),
-    #[cfg(feature = "inspect")]
     /// Look at data before training: pictures, positions, splits with floors and ceiling, whether the pose can be right
     Inspect(Inspect),
     /// Write a commented pipeline for the data in a folder

@@ -7,7 +7,6 @@ mod evaluate;
 mod export;
 mod import;
 mod init;
-#[cfg(feature = "inspect")]
 mod inspect;
 #[cfg(feature = "report")]
 mod map;
@@ -29,7 +28,6 @@ pub(crate) use evaluate::{Evaluate, evaluate};
 pub(crate) use export::{Export, export};
 pub(crate) use import::{Import, import};
 pub(crate) use init::{Init, init};
-#[cfg(feature = "inspect")]
 pub(crate) use inspect::{Inspect, inspect};
 #[cfg(feature = "report")]
 pub(crate) use map::{Map, map};

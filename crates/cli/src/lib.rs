@@ -40,7 +40,6 @@ pub fn main() -> ExitCode {
         #[cfg(feature = "sim")]
         Command::Simulate(simulate) => commands::simulate(simulate, arguments.verbosity()),
         Command::Plugins(plugins) => commands::plugins(plugins),
-        #[cfg(feature = "inspect")]
         Command::Inspect(inspect) => commands::inspect(inspect, arguments.verbosity()),
         Command::Init(init) => commands::init(init, arguments.verbosity()),
         Command::Completions(completions) => commands::completions(completions),

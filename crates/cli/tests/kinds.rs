@@ -1,6 +1,6 @@
 //! Every command over every kind of data: it does its work, or says with exit code 2 why it cannot.
 
-#![cfg(all(feature = "inspect", feature = "report", feature = "view"))]
+#![cfg(all(feature = "report", feature = "view"))]
 
 use crate::common::{refuse, succeed, write};
 use pwrfgs::data::{base_station_yaml, npy_header_as, save};
@@ -50,13 +50,13 @@ const NO_POSITION: (&str, &str) = ("uplinks", "in place of a transmitter");
 
 /// Commands in the order of a user, KIND for the kind of data; who cannot do them, and the words that say so.
 const COMMANDS: [(&str, &[(&str, &str)]); 16] = [
-    ("inspect KIND --out looked/KIND", &[]),
+    ("inspect KIND", &[]),
     ("init KIND --out KIND.ron", &[]),
     ("check KIND.ron", &[]),
-    ("inspect KIND.ron --out seen/KIND", &[]),
+    ("inspect KIND.ron", &[]),
     ("run KIND.ron --out run/KIND", &[]),
     ("check run/KIND", &[]),
-    ("inspect run/KIND --out again/KIND", &[]),
+    ("inspect run/KIND", &[]),
     ("evaluate run/KIND/model.safetensors --out scored/KIND", &[]),
     ("predict run/KIND/model.safetensors --tx-csv walk.csv --out heard/KIND", &[NO_POSITION]),
     (

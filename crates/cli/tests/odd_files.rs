@@ -102,7 +102,6 @@ fn rejects_output_paths_that_cannot_be_made() {
         &["map", model, "--plane", "z=1", "--step", "1", "--bounds", "0,1,0,1", "--out"],
         &["evaluate", model, "--out"],
         &["report", "r", "--out"],
-        &["inspect", "p.ron", "--out"],
         &["simulate", "lab.ron", "--samples", "5", "--points", "50", "--out"],
         &[
             "import",

@@ -1,7 +1,5 @@
 //! Data in wrong units or in a wrong order can be read: every command that loads them warns once, with what to do.
 
-#![cfg(feature = "inspect")]
-
 use crate::common::{stderr, succeed, write};
 use pwrfgs::data::{npy_header, save};
 use pwrfgs_core::{Dataset, Number, Observations, Pose, Real, Receiver, Sample};
@@ -59,10 +57,10 @@ fn wrong_units_and_orders_are_warned_of_once() {
     ] {
         powers(here, name, data, is_swapped);
         let (pipeline, written) = (format!("{name}.ron"), format!("{name}-new.ron"));
-        let (page, run) = (format!("looked-{name}"), format!("run-{name}"));
+        let run = format!("run-{name}");
         for arguments in [
             &["init", name, "--out", &written][..],
-            &["inspect", name, "--out", &page],
+            &["inspect", name],
             &["check", &pipeline],
             &["run", &pipeline, "--out", &run],
         ] {

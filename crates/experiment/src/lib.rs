@@ -21,6 +21,7 @@ mod facts;
 pub mod folder;
 pub mod headline;
 mod input;
+pub mod inspect;
 mod journal;
 mod memory;
 mod observed;

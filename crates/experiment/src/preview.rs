@@ -1,5 +1,6 @@
 //! `preview`: what a run will do and take, without doing it; and the refusal of what cannot fit the machine.
 
+use crate::inspect::{DataSummary, test_distance};
 use crate::memory;
 use crate::observed::observed;
 use crate::observer::Observer;
@@ -8,6 +9,9 @@ use pwrfgs_core::{Error, Result};
 use pwrfgs_pipeline::Pipeline;
 use pwrfgs_train::{Estimate, Trainer, network_bytes};
 use std::path::Path;
+
+/// Most spectra that a preview reads for its summary.
+const SUMMARIZED: usize = 1_000;
 
 /// What a run will do and take.
 #[derive(Clone, Debug)]
@@ -28,6 +32,10 @@ pub struct Preview {
     pub warnings: Vec<String>,
     /// What a step takes, with the Gaussians it starts from.
     pub estimate: Estimate,
+    /// Positions, values and pose of the data.
+    pub summary: DataSummary,
+    /// Median distance from a test transmitter to the nearest training transmitter, metres.
+    pub test_distance: f64,
     /// Memory that the process has taken with all data loaded, bytes; 0 where the system does not tell.
     pub loaded_bytes: u64,
     /// Memory that is left beyond that, bytes; `None` where the system does not tell.
@@ -54,6 +62,8 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
         samples: [&partition.train, &partition.validation, &partition.test].map(Vec::len),
         points: data.scene.points.len(),
         weights,
+        summary: DataSummary::of(&data, SUMMARIZED, observer)?,
+        test_distance: test_distance(&data, &partition),
         warnings: trainer.warnings(),
         estimate,
         loaded_bytes,

@@ -6,6 +6,7 @@ use crate::output;
 use crate::progress::Progress;
 use clap::Args;
 use pwrfgs::experiment::clock::duration;
+use pwrfgs::experiment::inspect::length;
 use pwrfgs::experiment::text::{aligned, grouped};
 use pwrfgs::experiment::{Observer as _, Preview, Recipe, preview};
 use pwrfgs::train::Rays;
@@ -16,7 +17,8 @@ use std::process::ExitCode;
 #[derive(Debug, Args)]
 #[command(
     after_long_help = "Reads the pipeline, loads the data, divides them, makes the Gaussians and tries one step; writes \
-    nothing. What it refuses, `pwrfgs run` would refuse. Warns of settings without effect. Memory and time are those of the Gaussians \
+    nothing. Describes the data: extent, units, distance of the test set, and whether the recorded pose can be right; \
+    `pwrfgs inspect` gives the details. What it refuses, `pwrfgs run` would refuse. Warns of settings without effect. Memory and time are those of the Gaussians \
     at the start: densification makes both larger, pruning smaller.\n\nEXAMPLES\n  pwrfgs check pipelines/s23-laptop.ron\n  pwrfgs check \
     pipelines/pwrfgs.ron --scale 0.1"
 )]
@@ -73,9 +75,10 @@ fn text(p: &Preview) -> String {
     ];
     let free = p.free_bytes.map_or_else(String::new, |free| format!(", {} left here", memory(free)));
     let seconds = p.estimate.step_seconds;
-    let rows = [
+    let mut rows = vec![
         ("data", format!("{}: {}", p.title, p.observed)),
         ("samples", format!("{train} training, {validation} validation, {test} test")),
+        ("test distance", format!("{} to the nearest training transmitter (median)", length(p.test_distance))),
         ("point cloud", if p.points > 0 { format!("{} points", n(p.points)) } else { "none".into() }),
         (
             "Gaussians",
@@ -98,7 +101,9 @@ fn text(p: &Preview) -> String {
         ("memory", format!("about {}{free}", memory(p.loaded_bytes + p.estimate.step_bytes))),
         ("time", format!("{} a step, about {} in all", pace(seconds), duration(seconds * t.steps as f64))),
     ];
-    aligned(&rows.map(|(name, value)| vec![name.to_owned(), value]), 2)
+    let pose = p.summary.pose.as_ref().map(|pose| ("pose", pose.verdict.title().to_owned()));
+    rows.splice(1..1, p.summary.facts.iter().cloned().chain(pose));
+    aligned(&rows.into_iter().map(|(name, value)| vec![name.to_owned(), value]).collect::<Vec<_>>(), 2)
 }
 
 /// `LearnableMask` of `LearnableMask(lambda: 0.02, ..)`.

@@ -1,4 +1,4 @@
-//! `pwrfgs inspect`: what to know of data before training.
+//! `pwrfgs inspect`: a summary of data before training.
 
 use super::changes::named;
 use super::init::name_of;
@@ -7,8 +7,8 @@ use crate::output;
 use crate::progress::Progress;
 use clap::Args;
 use pwrfgs::data::source_in;
+use pwrfgs::experiment::inspect as summary;
 use pwrfgs::experiment::{Observer as _, data_warnings, read_pipeline, staged};
-use pwrfgs::inspect as work;
 use pwrfgs::prelude::Pipeline;
 use pwrfgs_core::plugin::{Plugin, try_to_ron};
 use pwrfgs_core::{Error, Result};
@@ -17,25 +17,16 @@ use std::process::ExitCode;
 
 #[derive(Debug, Args)]
 #[command(
-    after_long_help = "Writes inspect.html (one file, nothing outside it) and says the same in short here:\n\n  samples, \
-    extent, steps from an id to the next, receiver and boresight;\n  how pictures are normalised; constant, saturated and \
-    equal ones; positions without a picture;\n  how many numbers the pictures are made of, and whether a planar array of \
-    which spacing heard them;\n  whether the recorded pose can be right: the strongest direction against the line of \
-    sight, and the rotation that fits best;\n  for each split the distance from test to training transmitters, and what \
-    predictors without a model reach;\n  how alike spectra of one place are: what no function of the position can exceed \
-    by much.\n\nA pipeline gives its data, split, baselines, metrics and seed; a folder of data is looked at with all \
-    defaults. Nothing is trained. Of more than 20,000 pictures so many are looked at, evenly chosen, and floors are \
-    scored on up to 300 test spectra a split. An older page in the folder is replaced; a folder that holds anything else \
-    is never touched.\n\nEXAMPLES\n  pwrfgs inspect data/s23\n  pwrfgs inspect pipelines/quickstart.ron --out looked\n  \
-    pwrfgs inspect pipelines/s23-array.ron --set data.root=/where/it/is/s23"
+    after_long_help = "Prints positions, values, unusual spectra, whether the recorded pose can be right, and for each split \
+    the distance from test to training transmitters and the scores of baselines. Trains nothing and writes nothing.\n\n\
+    A pipeline gives its data, split, baselines, metrics and seed; a folder of data is read with all defaults.\n\nEXAMPLES\n  \
+    pwrfgs inspect data/s23\n  pwrfgs inspect pipelines/quickstart.ron\n  pwrfgs inspect pipelines/s23-array.ron \
+    --set data.root=/where/it/is/s23"
 )]
 pub(crate) struct Inspect {
     /// A folder of data (the layouts of NeRF2, arrays as `pwrfgs import` writes them, channels), a pipeline file, or a run folder
     #[arg(value_name = "DATA")]
     pub(crate) data: PathBuf,
-    /// Where to write the page [default: inspect-NAME where you stand, after the folder or the pipeline]
-    #[arg(long, value_name = "DIR")]
-    pub(crate) out: Option<PathBuf>,
     /// Change a setting, such as data.root=data/other or 'split=Random(test: 0.3)'
     #[arg(long = "set", value_name = "FIELD=VALUE")]
     pub(crate) set: Vec<String>,
@@ -43,19 +34,15 @@ pub(crate) struct Inspect {
 
 pub(crate) fn inspect(arguments: &Inspect, verbosity: Verbosity) -> Result<ExitCode> {
     let pipeline = pipeline(&arguments.data, &arguments.set)?;
-    let out = arguments.out.clone().unwrap_or_else(|| PathBuf::from(format!("inspect-{}", pipeline.name)));
-    work::claim(&out)?;
     let mut progress = Progress::new(verbosity);
-    let written = (|| {
+    let text = (|| {
         let data = staged(&mut progress, "spectra", |progress| pipeline.data.load(Path::new(""), progress))?;
         let partition = pipeline.partition(&data).ok().filter(|_| !pipeline.split.is_sparse());
         data_warnings(&data, partition.as_ref()).iter().for_each(|warning| progress.on_warning(warning));
-        let found = work::inspect(&pipeline, &data, &mut progress)?;
-        Ok((work::write(&found, &out)?, found.text()))
+        summary::inspect(&pipeline, &data, &mut progress)
     })();
     progress.finish();
-    let (page, text) = written?;
-    output::result(&format!("{text}\npage: {}\n", page.display()))?;
+    output::result(&text?)?;
     Ok(ExitCode::SUCCESS)
 }
 

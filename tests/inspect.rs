@@ -1,15 +1,15 @@
-//! Poses that are known, one that is wrong, and the measured one.
+//! The pose check on poses that are right, on one that is wrong, and on the measured set.
 
-use super::*;
-use crate::look::Looks;
-use glam::DVec3;
-use pwrfgs_core::{DataSource, Plugin, Sample, Spectra};
-use pwrfgs_data as _;
-use pwrfgs_sim as _;
+use glam::{DQuat, DVec3};
+use pwrfgs::experiment::Silent;
+use pwrfgs::experiment::inspect::{DataSummary, PoseCheck, Verdict};
+use pwrfgs_core::testing::shared;
+use pwrfgs_core::{DataSource, Dataset, Plugin, Pose, Sample, Spectra};
+use pwrfgs_data::Nerf2Spectrum;
 use std::path::Path;
 
-fn found(data: &Dataset) -> Pose {
-    pose(data, &Looks::of(data, &|_, _| {}).unwrap().each).unwrap()
+fn found(data: &Dataset) -> PoseCheck {
+    DataSummary::of(data, 20_000, &mut Silent).unwrap().pose.unwrap()
 }
 
 fn load(source: &str) -> Dataset {
@@ -19,7 +19,7 @@ fn load(source: &str) -> Dataset {
 
 /// The office of the quickstart, a few spectra.
 fn office() -> Dataset {
-    load(r#"Simulated(scene: "../../scenes/office.ron", samples: 160, cache: false)"#)
+    load(r#"Simulated(scene: "scenes/office.ron", samples: 160, cache: false)"#)
 }
 
 /// The same with another recorded orientation.
@@ -51,7 +51,11 @@ fn a_quaternion_in_another_order_is_recognised() {
     let [x, y, z, w] = data.scene.pose().orientation;
     let found = found(&recorded_as(&data, DQuat::from_xyzw(w, x, y, z)));
     assert_eq!(found.verdict, Verdict::Off);
-    assert!(found.sentences().iter().any(|s| s.contains("Taken as w, x, y, z, the")), "{:?}", found.readings);
+    assert!(
+        found.sentences().iter().any(|s| s.contains("If the recorded numbers are w, x, y, z, the")),
+        "{:?}",
+        found.sentences()
+    );
 }
 
 /// The spectra with rows or columns reversed.
@@ -90,6 +94,30 @@ fn spectra_that_run_the_other_way_are_named() {
 fn few_or_constant_pictures_say_nothing() {
     let samples = (1..=30).map(|id| Sample::new(id, [f64::from(id), 1.0, 1.0])).collect();
     let spectra = Spectra::grey((8, 2), vec![7; 30 * 16]).unwrap();
-    let data = Dataset::new("flat", pwrfgs_core::Pose::IDENTITY, vec![], samples, spectra).unwrap();
-    assert!(pose(&data, &Looks::of(&data, &|_, _| {}).unwrap().each).is_none());
+    let data = Dataset::new("flat", Pose::IDENTITY, vec![], samples, spectra).unwrap();
+    assert!(DataSummary::of(&data, 100, &mut Silent).unwrap().pose.is_none());
+}
+
+#[test]
+fn the_pose_of_the_measured_set_cannot_be_told() {
+    let Some(root) = shared("data/s23") else { return };
+    let data = Nerf2Spectrum { root, ..Nerf2Spectrum::default() }.load(Path::new(""), &|_, _| {}).unwrap();
+    let near = |value: f64, expected: f64, by: f64| assert!((value - expected).abs() < by, "{value}, not {expected}");
+    let summary = DataSummary::of(&data, 20_000, &mut Silent).unwrap();
+    let text = summary.facts.iter().map(|(name, words)| format!("{name}: {words}\n")).collect::<String>();
+    for words in [
+        "10.6 mm from an id to the next",
+        "ids follow a trajectory",
+        "each spectrum runs from 0 to 1",
+        "none constant, none equal to another",
+        "1225 positions without a spectrum",
+    ] {
+        assert!(text.contains(words), "`{words}` is not in {text}");
+    }
+    let pose = summary.pose.unwrap();
+    assert_eq!(pose.verdict, Verdict::Unclear, "{pose:?}");
+    near(pose.recorded, 16.0, 0.7);
+    near(pose.turned, 4.4, 0.3);
+    near(pose.constant, 5.0, 0.3);
+    near(pose.turn, 20.0, 5.0);
 }

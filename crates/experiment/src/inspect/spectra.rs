@@ -1,0 +1,163 @@
+//! One pass over the spectra: range, normalisation, strongest direction, and those that are constant or equal.
+
+use glam::DVec3;
+use pwrfgs_core::{Dataset, Image, ImagePlane, Number, Progress, Real, Result, evenly};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::hash::{DefaultHasher, Hasher as _};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Pixels of the largest value this near to the first of them belong to the same direction, degrees.
+const PLATEAU_DEG: f64 = 15.0;
+/// Largest distance from 0 or 1 that rounding explains.
+const ROUNDING: f64 = 1e-6;
+/// Ids that are named one by one.
+const NAMED: usize = 5;
+
+/// What one spectrum contains.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct SpectrumSummary {
+    /// Sample.
+    pub(crate) sample: usize,
+    /// Smallest and largest pixel.
+    range: (f64, f64),
+    /// Strongest direction, a unit vector in the receiver frame; `None` of a constant spectrum.
+    pub(crate) strongest: Option<DVec3>,
+    /// Equal for equal spectra.
+    hash: u64,
+}
+
+/// Summaries of `most` evenly chosen spectra, in the order of samples.
+///
+/// # Errors
+/// If a spectrum cannot be read.
+pub(crate) fn summarize(data: &Dataset, most: usize, progress: Progress<'_>) -> Result<Vec<SpectrumSummary>> {
+    let chosen = evenly(&(0..data.len()).collect::<Vec<_>>(), most);
+    let directions = directions(&data.plane());
+    let done = AtomicUsize::new(0);
+    let summary = |&sample: &usize| {
+        let mut hasher = DefaultHasher::new();
+        hasher.write(&data.observations.raw(sample));
+        let (range, strongest) = strongest(&data.image(sample), &directions);
+        progress(done.fetch_add(1, Ordering::Relaxed) + 1, chosen.len());
+        SpectrumSummary { sample, range, strongest, hash: hasher.finish() }
+    };
+    let all = chosen.par_iter().map(summary).collect();
+    data.observations.check()?;
+    Ok(all)
+}
+
+/// Unit vectors of all pixels.
+fn directions(plane: &ImagePlane) -> Vec<DVec3> {
+    let pixels = (0..plane.height).flat_map(|y| (0..plane.width).map(move |x| (x, y)));
+    let direction = |(x, y)| plane.direction(x as Real, y as Real).unwrap_or_default().map(|v| v as f64);
+    pixels.map(|pixel| DVec3::from_array(direction(pixel)).normalize_or_zero()).collect()
+}
+
+/// Smallest and largest pixel, and the direction of the latter.
+fn strongest(image: &Image, directions: &[DVec3]) -> ((f64, f64), Option<DVec3>) {
+    let ends = |(low, high): (Real, Real), p: &Real| (low.min(*p), high.max(*p));
+    let (low, high) = image.pixels.iter().fold((Real::INFINITY, Real::NEG_INFINITY), ends);
+    // Rounding gives the strongest direction a plateau of equal pixels: its middle is meant, not its first corner.
+    let first = directions[image.argmax()];
+    let cos = PLATEAU_DEG.to_radians().cos();
+    let plateau = image.pixels.iter().zip(directions).filter(|(p, d)| **p == high && d.dot(first) > cos);
+    let middle: DVec3 = plateau.map(|(_, d)| *d * d.x.hypot(d.y)).sum(); // weighted by solid angle
+    ((low as f64, high as f64), (low < high).then(|| middle.try_normalize().unwrap_or(first)))
+}
+
+/// Storage, normalisation and unusual spectra, a name and its text each.
+pub(crate) fn facts(data: &Dataset, all: &[SpectrumSummary]) -> Vec<(&'static str, String)> {
+    let stored = match data.observations.number() {
+        Number::U8 => "8-bit grey",
+        Number::U16 => "16-bit grey",
+        Number::F32 => "32-bit floats",
+        Number::F64 => "64-bit floats",
+    };
+    let low = all.iter().map(|s| s.range.0).fold(f64::INFINITY, f64::min);
+    let high = all.iter().map(|s| s.range.1).fold(f64::NEG_INFINITY, f64::max);
+    let id = |summary: &SpectrumSummary| data.sample(summary.sample).id;
+    let constant: Vec<u32> = all.iter().filter(|s| s.strongest.is_none()).map(id).collect();
+    let mut groups: BTreeMap<u64, Vec<u32>> = BTreeMap::new();
+    all.iter().filter(|s| s.strongest.is_some()).for_each(|s| groups.entry(s.hash).or_default().push(id(s)));
+    let mut equal: Vec<u32> = groups.into_values().filter(|ids| ids.len() > 1).flatten().collect();
+    equal.sort_unstable();
+    vec![
+        ("elevations", format!("{}° to {}°, top row to bottom", data.elevation.first, data.elevation.last)),
+        ("grey values", format!("{stored}, {low:.3} to {high:.3}")),
+        ("normalisation", normalization(all, constant.len()).into()),
+        ("unusual", [listed("constant", &constant), listed("equal to another", &equal)].join(", ")),
+    ]
+}
+
+fn normalization(all: &[SpectrumSummary], constant: usize) -> &'static str {
+    let is_zero = |s: &&SpectrumSummary| s.range.0.abs() < ROUNDING;
+    let is_one = |s: &&SpectrumSummary| (s.range.1 - 1.0).abs() < ROUNDING;
+    if all.iter().filter(is_one).filter(is_zero).count() + constant >= all.len() {
+        "each spectrum runs from 0 to 1: it was shifted and scaled, and absolute power is lost"
+    } else if all.iter().filter(is_one).count() + constant >= all.len() {
+        "the largest value of each spectrum is 1: it was scaled, and absolute power is lost"
+    } else {
+        "spectra share one scale"
+    }
+}
+
+/// `3 constant (ids 4, 7, 9)`.
+fn listed(what: &str, ids: &[u32]) -> String {
+    if ids.is_empty() {
+        return format!("none {what}");
+    }
+    let shown = ids.iter().take(NAMED).map(u32::to_string).collect::<Vec<_>>().join(", ");
+    let more = if ids.len() > NAMED { ", .." } else { "" };
+    format!("{} {what} ({} {shown}{more})", ids.len(), if ids.len() == 1 { "id" } else { "ids" })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pwrfgs_core::{Pose, Sample, Spectra};
+
+    fn data((width, height): (usize, usize), pixels: Vec<u8>) -> Dataset {
+        let count = (pixels.len() / (width * height)) as u32;
+        let samples = (1..=count).map(|id| Sample::new(id, [f64::from(id); 3])).collect();
+        Dataset::new("few", Pose::IDENTITY, vec![], samples, Spectra::grey((width, height), pixels).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn the_strongest_direction_is_the_middle_of_its_plateau_also_over_the_seam() {
+        let (width, height) = (36, 9);
+        let mut pixels = vec![0u8; 2 * width * height];
+        for (row, column) in [(3, 35), (3, 0), (3, 1), (8, 18)] {
+            pixels[row * width + column] = 200; // the last is another peak, equally strong
+        }
+        let all = summarize(&data((width, height), pixels), 2, &|_, _| {}).unwrap();
+        let found = all[0].strongest.unwrap();
+        let expected = DVec3::new(30f64.to_radians().cos(), 0.0, 0.5);
+        assert!(found.angle_between(expected).to_degrees() < 0.5, "{found}");
+        assert!(all[1].strongest.is_none(), "a constant spectrum has no strongest direction");
+        assert_eq!(all[0].range, (0.0, f64::from(200f32 / 255.0)));
+    }
+
+    fn facts_of(pixels: Vec<u8>) -> Vec<String> {
+        let data = data((8, 4), pixels);
+        facts(&data, &summarize(&data, 100, &|_, _| {}).unwrap()).into_iter().map(|(_, text)| text).collect()
+    }
+
+    #[test]
+    fn constant_and_equal_spectra_are_named() {
+        let ramp = |top: u8| (0..32).map(move |k| if k == 31 { top } else { k });
+        let found = facts_of(ramp(255).chain(ramp(200)).chain([9; 32]).chain(ramp(255)).collect());
+        assert_eq!(found[3], "1 constant (id 3), 2 equal to another (ids 1, 4)");
+    }
+
+    #[test]
+    fn the_normalisation_is_named() {
+        let found = |tops: [u8; 3], low: u8| {
+            let spectrum = |t: &u8| (0..32).map(|k| if k == 7 { *t } else { low + k }).collect::<Vec<_>>();
+            facts_of(tops.iter().flat_map(spectrum).collect())[2].clone()
+        };
+        assert!(found([255; 3], 0).starts_with("each spectrum runs from 0 to 1"));
+        assert!(found([255; 3], 3).starts_with("the largest value of each spectrum is 1"));
+        assert_eq!(found([200, 90, 250], 0), "spectra share one scale");
+    }
+}

@@ -1,0 +1,120 @@
+//! The splits on a data set: distance from test to training transmitters, and what baselines reach there.
+
+use crate::observer::Observer;
+use crate::samples::nearest_train;
+use crate::scores::{Summary, quantile};
+use crate::text::{aligned, number};
+use crate::{Bench, CEILING, Session, ceiling};
+use pwrfgs_core::plugin::to_ron;
+use pwrfgs_core::{
+    Dataset, Goal, Measurement, Metric, Partition, Plugin, Result, Scope, Split, Values, evenly, registered, rng,
+};
+use pwrfgs_pipeline::Pipeline;
+use std::fmt::Write as _;
+use std::sync::atomic::AtomicBool;
+
+/// Most test samples that baselines are scored on.
+const TESTED: usize = 300;
+
+/// Median distance from a test transmitter to the nearest training transmitter, metres.
+pub fn test_distance(data: &Dataset, partition: &Partition) -> f64 {
+    let nearest = nearest_train(data, partition);
+    let mut distances: Vec<f64> = partition.test.iter().map(|&i| nearest[i] as f64).collect();
+    distances.sort_by(f64::total_cmp);
+    quantile(&distances, 0.5)
+}
+
+/// A length in the unit that suits it.
+pub fn length(metres: f64) -> String {
+    match metres {
+        m if !m.is_finite() => "n/a".into(),
+        m if m < 0.1 => format!("{:.1} mm", m * 1e3),
+        m if m < 1.0 => format!("{:.0} cm", m * 1e2),
+        m => format!("{m:.2} m"),
+    }
+}
+
+/// The split of `pipeline` if it is not a default one, then all registered splits with their defaults.
+fn splits(pipeline: &Pipeline) -> Vec<(Plugin<dyn Split>, String)> {
+    let standard = registered::<dyn Split>().into_iter().filter_map(|name| {
+        let name = format!("{name}()");
+        let split = Plugin::<dyn Split>::parse(&name).ok()?;
+        split.ready().is_ok().then_some((split, name))
+    });
+    let mut all: Vec<_> = standard.collect();
+    let own = to_ron(&pipeline.split);
+    match all.iter_mut().find(|(split, _)| to_ron(split) == own) {
+        Some((_, name)) => name.push_str(" *"),
+        None => {
+            let name = own.split_whitespace().collect::<Vec<_>>().join(" ").replace("( ", "(").replace(", )", ")");
+            all.insert(0, (pipeline.split.clone(), name + " *"));
+        }
+    }
+    all
+}
+
+/// One line per split: sizes, distance and the mean of the first metric of every baseline, then the noise ceiling.
+///
+/// # Errors
+/// If a baseline or a metric refuses, or a spectrum cannot be read.
+pub(super) fn table(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer) -> Result<String> {
+    let per_sample = |m: &&Plugin<dyn Metric>| m.scope() == Scope::Sample;
+    let metrics: Vec<Plugin<dyn Metric>> = pipeline.metrics.iter().filter(per_sample).take(1).cloned().collect();
+    let names = pipeline.baselines.iter().map(|baseline| baseline.name_for(data.task()));
+    let head = ["split", "train", "test", "nearest training"].map(str::to_owned);
+    let mut lines: Vec<Vec<String>> = vec![head.into_iter().chain(names).chain([CEILING.to_owned()]).collect()];
+    let (mut refused, mut key) = (String::new(), None);
+    let seed = pipeline.split_seed.unwrap_or(pipeline.seed);
+    for (split, name) in splits(pipeline) {
+        let partition = match split.split(data, &mut rng::stream(seed, "split", 0)) {
+            Ok(partition) => partition,
+            Err(why) => {
+                _ = writeln!(refused, "{name}: {why}");
+                continue;
+            }
+        };
+        let mut line = vec![name, partition.train.len().to_string(), partition.test.len().to_string()];
+        line.push(length(test_distance(data, &partition)));
+        let tested = evenly(&partition.test, TESTED);
+        for (name, mean) in means(pipeline, &metrics, data, &partition, &tested, observer)? {
+            key = key.or(name);
+            line.push(number(mean));
+        }
+        let limit = ceiling(data, &partition, &metrics, &AtomicBool::new(false))?;
+        line.push(limit.of.first().map_or_else(|| "n/a".into(), |(_, at_zero)| number(at_zero.mean)));
+        lines.push(line);
+    }
+    let Some(key) = key else { return Ok(refused) };
+    Ok(format!(
+        "{}{refused}note: mean {key} of baselines on up to {TESTED} test {}; nearest training: median distance from a test \
+         transmitter; *: the split of the pipeline\n",
+        aligned(&lines, 1),
+        data.task().counted[1]
+    ))
+}
+
+/// Key of the metric and mean over `tested` of each baseline of `pipeline`; NaN if it has no value per sample.
+fn means(
+    pipeline: &Pipeline,
+    metrics: &[Plugin<dyn Metric>],
+    data: &Dataset,
+    partition: &Partition,
+    tested: &[usize],
+    observer: &mut dyn Observer,
+) -> Result<Vec<(Option<String>, f64)>> {
+    let plane = data.plane();
+    let bench = Bench::new(data, tested, &plane);
+    let mut means = Vec::new();
+    for baseline in &pipeline.baselines {
+        let fitted = baseline.fit(data, partition.known())?;
+        let name = baseline.name_for(data.task()); // the same for all splits, whatever it chooses in each
+        let found = bench.baseline(&name, &*fitted, metrics, &mut Session::new(observer))?;
+        means.push(match found.into_iter().next() {
+            Some(Measurement { key, goal, values: Values::PerSample(values), .. }) => {
+                (Some(key), Summary::of(&values, goal == Goal::Higher).mean)
+            }
+            _ => (None, f64::NAN),
+        });
+    }
+    Ok(means)
+}
