@@ -1,89 +1,81 @@
-//! Every built-in plugin is linked by the facade, has defaults that pass its own check, and survives its own text.
-use crate::common::built_in;
-use pwrfgs::core::Method;
-use pwrfgs::core::plugin::{PluginKind, ron_options};
-use pwrfgs::prelude::*;
+//! Laws of every plugin that the facade links, of whatever kind: defaults, text and doc comment.
+use crate::common::{FOREIGN, OF_TESTS};
+use pwrfgs::core::plugin::{Family, Member, inventory};
+use std::path::Path;
 
-/// Exactly `expected` are linked, and each survives its own text.
-fn linked<T: ?Sized + PluginKind>(expected: &[&str])
-where
-    Box<T>: for<'de> Deserialize<'de>,
-    Plugin<T>: Serialize,
-{
-    let names = built_in::<T>();
-    assert_eq!(names, expected, "{}", T::KIND);
-    for name in names {
-        let plugin = Plugin::<T>::parse(&format!("{name}()")).unwrap_or_else(|e| panic!("{name}: {e}"));
-        let text = |p: &Plugin<T>| {
-            let config = pretty();
-            ron_options().to_string_pretty(p, config).unwrap()
-        };
-        let again = Plugin::<T>::parse(&text(&plugin)).unwrap_or_else(|e| panic!("{name}: {e}: {}", text(&plugin)));
-        assert_eq!(text(&again), text(&plugin));
-        assert!(text(&plugin).starts_with(name));
-        assert!(!plugin.about_plugin().is_empty(), "{name} says nothing about itself");
+/// The first plugin trait and name after each `#[typetag::serde]` of the sources, such as `Pruner TopK`.
+fn in_sources() -> Vec<String> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("crates");
+    let mut found = Vec::new();
+    let mut folders = vec![root];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.file_name().unwrap().to_str().unwrap();
+            if path.is_dir() && !["tests", "target"].contains(&name) {
+                folders.push(path);
+            } else if name.ends_with(".rs") && name != "tests.rs" {
+                let text = std::fs::read_to_string(&path).unwrap();
+                let code = text.split("#[cfg(test)]\nmod tests {").next().unwrap();
+                let plugins = code.split("\n#[typetag::serde]\nimpl ").skip(1);
+                found.extend(plugins.map(|rest| rest.split(" {").next().unwrap().replace(" for ", " ")));
+            }
+        }
     }
+    found.sort();
+    found
 }
 
-fn pretty() -> ron::ser::PrettyConfig {
-    ron::ser::PrettyConfig::new().struct_names(true)
+fn linked() -> Vec<(&'static Family, Member)> {
+    let members = |family: &'static Family| (family.members)().into_iter().map(move |member| (family, member));
+    inventory::iter::<Family>().flat_map(members).filter(|(_, member)| !OF_TESTS.contains(&member.name)).collect()
 }
 
 #[test]
-fn every_built_in_name_is_registered() {
-    linked::<dyn DataSource>(&["Arrays", "Channels", "Nerf2Csi", "Nerf2Rssi", "Nerf2Spectrum", "Simulated", "Teacher"]);
-    linked::<dyn Split>(&["LeaveReceiverOut", "Official", "Random", "RandomLinks", "Sparse", "TimeBlock", "Voxel"]);
-    linked::<dyn Baseline>(&[
-        "Kriging",
-        "LogDistance",
-        "MeanSpectrum",
-        "NearestNeighbours",
-        "RayTracing",
-        "Ridge",
-        "Zero",
-    ]);
-    linked::<dyn Initializer>(&["Grid", "MatchingPursuit", "NoGaussians", "PointCloud", "Random", "Site", "Trained"]);
-    linked::<dyn Projector>(&["Mercator", "WrfgsCompat"]);
-    linked::<dyn Rasterizer>(&["AlphaBlending", "ArrayResponse"]);
-    linked::<dyn Method>(&["Nerf2", "Splatting", "VirtualTransmitters"]);
-    linked::<dyn Deformation>(&["Factored", "Fixed", "Mlp", "Wrfgs"]);
-    linked::<dyn Pruner>(&[
-        "ControlGs",
-        "Eagles",
-        "FastGs",
-        "GaussianSpa",
-        "GreedyElimination",
-        "LearnableMask",
-        "LightGaussian",
-        "Lp3dgs",
-        "MaskGaussian",
-        "Mcmc",
-        "MergeByMoments",
-        "MiniSplatting",
-        "NaturalSelection",
-        "OpacityThreshold",
-        "Pup3dgs",
-        "RadSplat",
-        "RandomReference",
-        "Reduced3dgs",
-        "SafeguardGs",
-        "SignalContribution",
-        "SpeedySplat",
-        "Taming3dgs",
-        "TopK",
-        "TrimmingTheFat",
-    ]);
-    linked::<dyn Metric>(&[
-        "Chamfer",
-        "ChannelSnr",
-        "DirectionError",
-        "GaussianCount",
-        "L1",
-        "Latency",
-        "ModelSize",
-        "PowerError",
-        "Psnr",
-        "RateRatio",
-        "Ssim",
-    ]);
+fn links_every_plugin_of_the_sources() {
+    let mut names: Vec<String> = linked().iter().map(|(family, m)| format!("{} {}", family.kind, m.name)).collect();
+    names.sort();
+    assert_eq!(names, in_sources());
+    assert!(names.len() > 50, "{names:?}");
+}
+
+#[test]
+fn defaults_pass_their_own_check_and_survive_their_own_text() {
+    for (family, member) in linked() {
+        let what = format!("{} {}", family.kind, member.name);
+        let text = member.text.unwrap_or_else(|why| panic!("{what}: {why}"));
+        assert!(text.starts_with(&format!("{}(", member.name)), "{what}: {text}");
+        assert_eq!((family.complete)(&text).as_ref(), Some(&text), "{what}");
+        assert_eq!((family.complete)(&format!("{}(no_such_field: 1)", member.name)), None, "{what}");
+    }
+}
+
+#[test]
+fn every_doc_comment_begins_with_a_sentence_and_has_an_example_that_reads() {
+    let mut faults = Vec::new();
+    for (family, member) in linked() {
+        let what = format!("{} {}", family.kind, member.name);
+        let text = member.docs.map_or("", |docs| docs.text);
+        let first = text.split("\n\n").next().unwrap_or_default();
+        if !first.starts_with(|c: char| !c.is_lowercase()) || !first.ends_with('.') {
+            faults.push(format!("{what} does not begin with a sentence: {first:?}"));
+        }
+        let code: String = text.split("```").skip(1).step_by(2).collect();
+        let example = call(&code.replace("\\\"", "\""), member.name);
+        if member.name != FOREIGN && example.and_then(|example| (family.complete)(&example)).is_none() {
+            faults.push(format!("{what} has no example in a code block of its doc comment"));
+        }
+    }
+    assert!(faults.is_empty(), "{faults:#?}");
+}
+
+/// `Name(..)` with its matching parenthesis, where `code` has it.
+fn call(code: &str, name: &str) -> Option<String> {
+    let start = code.find(&format!("{name}("))?;
+    let mut depth = 0;
+    let end = code[start..].find(|c| {
+        depth += i32::from(c == '(') - i32::from(c == ')');
+        c == ')' && depth == 0
+    })?;
+    Some(code[start..=start + end].to_owned())
 }

@@ -115,7 +115,7 @@ def plugins() -> str:
         for entry in entries:
             for field, words, comment, _ in entry["fields"]:
                 fields.setdefault(python_name(field), (words, comment))
-            whole = f"{entry['kind']}: {entry['about']}.\n\n{entry['doc'] or ''}"
+            whole = f"{entry['kind']}. {entry['doc'] or ''}"
             said += prose(whole, WIDTH - 4, 0 if said else 3) + [""]
         if fields:
             said += listing([(field, *about) for field, about in fields.items()], WIDTH - 4)

@@ -372,9 +372,7 @@ def make_class(name: str, entries: List[Dict[str, Any]]) -> type:
         )
         for field in fields
     ]
-    about = "\n\n".join(
-        "\n".join([f"{entry['kind']}: {entry['about']}.", "", *prose(entry["doc"] or "", WIDTH)]).rstrip() for entry in entries
-    )
+    about = "\n\n".join("\n".join(prose(f"{entry['kind']}. {entry['doc'] or ''}", WIDTH)) for entry in entries)
     listing = "\n".join(f"{python_name(field)} : {words}\n    {doc}" for field, (words, doc) in fields.items())
     body = {
         "__init__": __init__,

@@ -172,7 +172,6 @@ pub(crate) fn registry<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
             let entry = PyDict::new(py);
             entry.set_item("kind", family.kind)?;
             entry.set_item("name", member.name)?;
-            entry.set_item("about", member.about)?;
             entry.set_item("text", member.text.clone().ok())?;
             entry.set_item("doc", member.docs.map(|docs| docs.text))?;
             entry.set_item(

@@ -21,7 +21,7 @@ def test_every_plugin_is_a_class_whose_text_is_its_value():
         if entry["name"] == "Python":
             continue
         made = getattr(pwrfgs, entry["name"])
-        assert entry["about"] in made.__doc__
+        assert f"{entry['kind']}. " in made.__doc__
         if entry["text"] is not None:
             assert to_ron(from_ron(entry["text"])) == to_ron(from_ron(to_ron(from_ron(entry["text"]))))
 

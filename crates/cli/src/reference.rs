@@ -32,8 +32,6 @@ pub(crate) struct Topic {
     pub(crate) name: String,
     /// The fields that lead to it: `loss` for `Loss`.
     pub(crate) fields: Vec<&'static str>,
-    /// In one line, where there is one.
-    pub(crate) about: String,
     pub(crate) docs: Option<&'static Docs>,
     /// How it reads with its defaults, or why there are none.
     pub(crate) value: Result<Value, String>,
@@ -90,13 +88,8 @@ pub(crate) fn chapters() -> Vec<Chapter> {
             _ => {}
         }
     }
-    let topic = |name: &str, kind: &Kind, value| Topic {
-        name: name.into(),
-        fields: Vec::new(),
-        about: String::new(),
-        docs: kind.docs(),
-        value,
-    };
+    let topic =
+        |name: &str, kind: &Kind, value| Topic { name: name.into(), fields: Vec::new(), docs: kind.docs(), value };
     let whole = Chapter {
         name: "Pipeline".into(),
         field: None,
@@ -133,8 +126,7 @@ fn plugin_chapter(family: &'static Family, field: &'static Field) -> Chapter {
         if let Some(docs) = member.docs {
             parts(docs.fields(), value.as_ref().ok(), &mut types);
         }
-        let about = member.about.into();
-        topics.push(Topic { name: member.name.into(), fields: Vec::new(), about, docs: member.docs, value });
+        topics.push(Topic { name: member.name.into(), fields: Vec::new(), docs: member.docs, value });
     }
     topics.extend(types);
     Chapter { name: family.kind.into(), field: Some(field.name), about: prose::line(field.text), topics }
@@ -176,7 +168,6 @@ fn collect(docs: &'static Docs, field: &'static str, value: Option<&Value>, topi
     topics.push(Topic {
         name: docs.name.into(),
         fields: if [EXPERIMENT, ENSEMBLE].contains(&field) { Vec::new() } else { vec![field] },
-        about: String::new(),
         docs: Some(docs),
         value: value.cloned().ok_or_else(|| "it has no defaults".into()),
     });

@@ -123,10 +123,6 @@ impl Initializer for MatchingPursuit {
         Some(Task::Channel)
     }
 
-    fn about(&self) -> &'static str {
-        "virtual transmitters found in the training channels by orthogonal matching pursuit"
-    }
-
     fn check(&self) -> Result<(), String> {
         if !(1..=100).contains(&self.searches) {
             return Err(format!("`searches` is {}; give 1 to 100", self.searches));

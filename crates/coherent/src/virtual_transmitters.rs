@@ -116,8 +116,4 @@ impl Method for VirtualTransmitters {
         }
         Ok(())
     }
-
-    fn about(&self) -> &'static str {
-        "channels as sums of spherical waves from the receiver, its mirror images and scatterers, coherent over the room"
-    }
 }

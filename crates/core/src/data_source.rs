@@ -26,11 +26,6 @@ pub trait DataSource: erased_serde::Serialize + std::any::Any + std::fmt::Debug 
         None
     }
 
-    /// One line for `pwrfgs plugins`.
-    fn about(&self) -> &'static str {
-        ""
-    }
-
     /// Refuses settings that cannot work, when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())
@@ -55,11 +50,6 @@ pub trait Split: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Sen
     /// Why not, and what to do.
     fn ready(&self) -> Result<()> {
         Ok(())
-    }
-
-    /// One line for `pwrfgs plugins`.
-    fn about(&self) -> &'static str {
-        ""
     }
 
     /// Refuses settings that cannot work, when the pipeline is read.
@@ -105,11 +95,6 @@ pub trait Baseline: erased_serde::Serialize + std::any::Any + std::fmt::Debug + 
     fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn Baseline>> {
         let _ = absolute;
         None
-    }
-
-    /// One line for `pwrfgs plugins`.
-    fn about(&self) -> &'static str {
-        ""
     }
 
     /// Refuses settings that cannot work, when the pipeline is read.

@@ -115,11 +115,6 @@ pub trait Deformation: erased_serde::Serialize + std::any::Any + std::fmt::Debug
         let _ = (training, weights);
     }
 
-    /// One line for `pwrfgs plugins`.
-    fn about(&self) -> &'static str {
-        ""
-    }
-
     /// Refuses settings that cannot work, when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())

@@ -73,11 +73,6 @@ pub trait Initializer: erased_serde::Serialize + std::any::Any + std::fmt::Debug
         None
     }
 
-    /// One line for `pwrfgs plugins`.
-    fn about(&self) -> &'static str {
-        ""
-    }
-
     /// Refuses settings that cannot work, when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())

@@ -288,11 +288,6 @@ pub trait Method: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Se
     /// Refuses a frame that it cannot serve: another kind of observation, receivers too many, no subcarriers.
     fn check_frame(&self, frame: &Frame) -> Result<(), String>;
 
-    /// One line for `pwrfgs plugins`.
-    fn about(&self) -> &'static str {
-        ""
-    }
-
     /// Refuses settings that cannot work, when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())

@@ -28,11 +28,6 @@ pub trait Metric: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Se
         Scope::All
     }
 
-    /// One line for `pwrfgs plugins`.
-    fn about(&self) -> &'static str {
-        ""
-    }
-
     /// Refuses settings that cannot work, when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())

@@ -31,13 +31,11 @@ pub trait PluginKind: fmt::Debug + Send + Sync {
     const KIND: &'static str;
     /// The plugin's own `check`.
     fn check_plugin(&self) -> Result<(), String>;
-    /// The plugin's own `about`.
-    fn about_plugin(&self) -> &'static str;
     /// What the plugin's source says, where it derives `Documented`.
     fn plugin_docs(&self) -> Option<&'static Docs>;
 }
 
-/// Makes a trait with `check` and `about` a family of plugins.
+/// Makes a trait with `check` a family of plugins.
 #[macro_export]
 macro_rules! plugin_kind {
     ($name:ident) => {
@@ -45,9 +43,6 @@ macro_rules! plugin_kind {
             const KIND: &'static str = stringify!($name);
             fn check_plugin(&self) -> Result<(), String> {
                 $name::check(self)
-            }
-            fn about_plugin(&self) -> &'static str {
-                $name::about(self)
             }
             fn plugin_docs(&self) -> Option<&'static $crate::docs::Docs> {
                 let plugin: &dyn std::any::Any = self;

@@ -51,11 +51,6 @@ pub trait Projector: erased_serde::Serialize + std::any::Any + std::fmt::Debug +
         d: &Splats,
     ) -> Primitives;
 
-    /// One line for `pwrfgs plugins`.
-    fn about(&self) -> &'static str {
-        ""
-    }
-
     /// Refuses settings that cannot work, when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())

@@ -110,11 +110,6 @@ pub trait Pruner: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Se
         Ok(())
     }
 
-    /// One line for `pwrfgs plugins`.
-    fn about(&self) -> &'static str {
-        ""
-    }
-
     /// Refuses settings that cannot work, when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())

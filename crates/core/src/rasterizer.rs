@@ -67,11 +67,6 @@ pub trait Rasterizer: erased_serde::Serialize + std::any::Any + std::fmt::Debug 
         false
     }
 
-    /// One line for `pwrfgs plugins`.
-    fn about(&self) -> &'static str {
-        ""
-    }
-
     /// Refuses settings that cannot work, when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())

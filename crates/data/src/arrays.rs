@@ -104,10 +104,6 @@ impl DataSource for Arrays {
         }))
     }
 
-    fn about(&self) -> &'static str {
-        "spectra and transmitters as arrays of NumPy, of any number"
-    }
-
     fn check(&self) -> Result<(), String> {
         if self.root.as_os_str().is_empty() {
             return Err("`root` is empty; name the folder of the data set, or `.` for this one".into());

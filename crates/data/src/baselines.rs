@@ -49,10 +49,6 @@ impl Baseline for MeanSpectrum {
             Ok(Constant(weighted_mean(data, &weighted)))
         })
     }
-
-    fn about(&self) -> &'static str {
-        "the mean of all training spectra, or of what each receiver observed"
-    }
 }
 
 /// All known samples, sorted; refuses none.

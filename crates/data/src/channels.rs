@@ -156,10 +156,6 @@ impl DataSource for Channels {
         Some(Box::new(Self { root, points, ..self.clone() }))
     }
 
-    fn about(&self) -> &'static str {
-        "channels at one receiver as an array of NumPy, with a table of places"
-    }
-
     fn check(&self) -> Result<(), String> {
         check_root(&self.root)?;
         for (name, path) in [("file", &self.file), ("positions", &self.positions)] {

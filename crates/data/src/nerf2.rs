@@ -127,10 +127,6 @@ impl DataSource for Nerf2Spectrum {
         Some(Box::new(Self { root, points, ..self.clone() }))
     }
 
-    fn about(&self) -> &'static str {
-        "measured spectra in the NeRF2 folder layout"
-    }
-
     fn check(&self) -> Result<(), String> {
         if self.root.as_os_str().is_empty() {
             return Err("`root` is empty; name the folder of the data set, or `.` for this one".into());

@@ -157,10 +157,6 @@ impl DataSource for Teacher {
         Ok(Dataset { official, simulation: Some(Simulation::default()), ..data })
     }
 
-    fn about(&self) -> &'static str {
-        "simulated spectra of a few random Gaussians, with a known answer"
-    }
-
     fn check(&self) -> Result<(), String> {
         for (name, value) in
             [("gaussians", self.gaussians), ("samples", self.samples), ("width", self.width), ("height", self.height)]

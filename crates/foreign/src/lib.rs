@@ -129,10 +129,6 @@ impl Pruner for Python {
             own.advance(state, n, cloud, moment);
         }
     }
-
-    fn about(&self) -> &'static str {
-        "a class of Python's says which Gaussians stay"
-    }
 }
 
 #[typetag::serde]
@@ -144,10 +140,6 @@ impl Initializer for Python {
     fn search(&self, seen: &Seen<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
         self.host()?.initializer(self)?.search(seen, rng)
     }
-
-    fn about(&self) -> &'static str {
-        "a class of Python's places the Gaussians"
-    }
 }
 
 #[typetag::serde]
@@ -158,10 +150,6 @@ impl Split for Python {
 
     fn ready(&self) -> Result<()> {
         self.host()?.split(self).map(|_| ())
-    }
-
-    fn about(&self) -> &'static str {
-        "a class of Python's divides the data"
     }
 }
 
@@ -183,10 +171,6 @@ impl Baseline for Python {
     fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
         self.host()?.baseline(self)?.fit(data, known)
     }
-
-    fn about(&self) -> &'static str {
-        "a class of Python's predicts, beside the model"
-    }
 }
 
 #[typetag::serde]
@@ -197,9 +181,5 @@ impl Metric for Python {
 
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
         self.host()?.metric(self)?.evaluate(evaluation)
-    }
-
-    fn about(&self) -> &'static str {
-        "a class of Python's scores predictions"
     }
 }

@@ -64,10 +64,6 @@ impl Initializer for Grid {
         Some(self.count)
     }
 
-    fn about(&self) -> &'static str {
-        "evenly spread directions at one distance from the receiver"
-    }
-
     fn check(&self) -> Result<(), String> {
         start::check_count("count", self.count)?;
         start::positive("distance_m", self.distance_m, "metres from the receiver")?;

@@ -59,7 +59,6 @@ mod tests {
         for name in ["Grid", "PointCloud", "Random"] {
             assert!(names.contains(&name), "{name} is missing from {names:?}");
             let plugin = Plugin::<dyn Initializer>::parse(&format!("{name}()")).unwrap();
-            assert!(!plugin.about().is_empty());
             let text = written(&plugin);
             assert_eq!(written(&Plugin::<dyn Initializer>::parse(&text).unwrap()), text);
             for angles in [true, false] {

@@ -24,8 +24,4 @@ impl Initializer for NoGaussians {
     fn count(&self) -> Option<usize> {
         Some(0)
     }
-
-    fn about(&self) -> &'static str {
-        "no Gaussians, for a method that has none"
-    }
 }

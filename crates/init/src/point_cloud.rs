@@ -59,10 +59,6 @@ impl Initializer for PointCloud {
         Ok(start::cloud(means, &scales, self.opacity, self.signal_scale, rng))
     }
 
-    fn about(&self) -> &'static str {
-        "one Gaussian on each point of the scene (the paper's start)"
-    }
-
     fn check(&self) -> Result<(), String> {
         if self.max_points == Some(0) {
             return Err("`max_points` is 0; give at least 1, or leave it out to take every point".to_owned());

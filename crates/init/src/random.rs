@@ -60,10 +60,6 @@ impl Initializer for Random {
         Some(self.count)
     }
 
-    fn about(&self) -> &'static str {
-        "normally distributed about the receiver and in front of it (the released start)"
-    }
-
     fn check(&self) -> Result<(), String> {
         start::check_count("count", self.count)?;
         start::positive("std", self.std, "metres along each axis")?;

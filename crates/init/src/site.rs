@@ -58,10 +58,6 @@ impl Initializer for Site {
         Ok(start::cloud(means, &scales, self.opacity, self.signal_scale, rng))
     }
 
-    fn about(&self) -> &'static str {
-        "about every receiver, and all over the site: one cloud for many receivers"
-    }
-
     fn check(&self) -> Result<(), String> {
         start::check_count("count", self.count)?;
         if !(0.0..=1.0).contains(&self.near) {

@@ -36,10 +36,6 @@ impl Metric for Chamfer {
     fn scope(&self) -> Scope {
         Scope::Model
     }
-
-    fn about(&self) -> &'static str {
-        "distance between Gaussians and point cloud in m²"
-    }
 }
 
 /// Mean squared distance from each of `from` to the nearest of `to`.

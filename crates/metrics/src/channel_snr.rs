@@ -83,10 +83,6 @@ impl Metric for ChannelSnr {
     fn scope(&self) -> Scope {
         Scope::All
     }
-
-    fn about(&self) -> &'static str {
-        "signal-to-noise ratio of channels, a snapshot and over all, dB"
-    }
 }
 
 #[cfg(test)]

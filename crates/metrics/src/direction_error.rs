@@ -45,10 +45,6 @@ impl Metric for DirectionError {
     fn scope(&self) -> Scope {
         Scope::Sample
     }
-
-    fn about(&self) -> &'static str {
-        "great-circle degrees between strongest directions"
-    }
 }
 
 /// Unit vector of the strongest pixel.

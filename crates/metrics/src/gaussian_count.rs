@@ -32,10 +32,6 @@ impl Metric for GaussianCount {
     fn scope(&self) -> Scope {
         Scope::Model
     }
-
-    fn about(&self) -> &'static str {
-        "number of Gaussians"
-    }
 }
 
 #[cfg(test)]

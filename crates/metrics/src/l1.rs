@@ -35,10 +35,6 @@ impl Metric for L1 {
     fn scope(&self) -> Scope {
         Scope::Sample
     }
-
-    fn about(&self) -> &'static str {
-        "mean absolute error of a pixel"
-    }
 }
 
 #[cfg(test)]

@@ -77,10 +77,6 @@ impl Metric for Latency {
         Scope::Model
     }
 
-    fn about(&self) -> &'static str {
-        "median milliseconds of a prediction, stage by stage"
-    }
-
     fn check(&self) -> Result<(), String> {
         if !(1..=10_000).contains(&self.repeats) {
             return Err(format!("`repeats` is {}; time between 1 and 10000 predictions", self.repeats));

@@ -38,10 +38,6 @@ impl Metric for ModelSize {
     fn scope(&self) -> Scope {
         Scope::Model
     }
-
-    fn about(&self) -> &'static str {
-        "bytes of the Gaussians, and with the network"
-    }
 }
 
 #[cfg(test)]

@@ -33,10 +33,6 @@ impl Metric for PowerError {
     fn scope(&self) -> Scope {
         Scope::Sample
     }
-
-    fn about(&self) -> &'static str {
-        "absolute error of a received power, dB"
-    }
 }
 
 #[cfg(test)]

@@ -40,10 +40,6 @@ impl Metric for Psnr {
     fn scope(&self) -> Scope {
         Scope::Sample
     }
-
-    fn about(&self) -> &'static str {
-        "peak signal-to-noise ratio in dB"
-    }
 }
 
 #[cfg(test)]

@@ -50,10 +50,6 @@ impl Metric for RateRatio {
         Scope::Sample
     }
 
-    fn about(&self) -> &'static str {
-        "achievable-rate ratio of the predicted beam direction"
-    }
-
     fn check(&self) -> Result<(), String> {
         if !(-100.0..=100.0).contains(&self.snr_db) {
             return Err(format!("`snr_db` is {}; give a ratio between -100 and 100 dB", self.snr_db));

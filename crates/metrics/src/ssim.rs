@@ -36,10 +36,6 @@ impl Metric for Ssim {
     fn scope(&self) -> Scope {
         Scope::Sample
     }
-
-    fn about(&self) -> &'static str {
-        "structural similarity, equal to scikit-image's"
-    }
 }
 
 #[cfg(test)]

@@ -29,6 +29,10 @@ use std::time::Instant;
 
 /// Gaussians drawn as splats: what the fields `projector`, `rasterizer`, `deformation`, `calibration` and `readout` of a
 /// pipeline say, and what a pipeline does that leaves `method` out.
+///
+/// ```ron
+/// Splatting(calibration: Physical, readout: Magnitude)
+/// ```
 #[derive(Clone, Debug, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
 pub struct Splatting {

@@ -59,8 +59,4 @@ impl Initializer for Trained {
     fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn Initializer>> {
         Some(Box::new(Self { model: absolute(&self.model) }))
     }
-
-    fn about(&self) -> &'static str {
-        "the Gaussians and weights of a trained model"
-    }
 }

@@ -410,10 +410,6 @@ impl Method for Nerf2 {
         Ok(())
     }
 
-    fn about(&self) -> &'static str {
-        "rays through a network, without Gaussians (NeRF2): the baseline that everybody compares with"
-    }
-
     fn check(&self) -> Result<(), String> {
         let counts = [
             ("depth", self.depth, 1),

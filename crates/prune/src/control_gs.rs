@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 /// The column that says whether the pull is on.
 const PULL: &str = "control_pull";
 
-/// Pulls all opacities down a little and drops what has faded, until a prune step takes next to nothing.
+/// Pulls all opacities down a little and drops what has faded, until a prune step takes next to nothing (ControlGS).
 ///
 /// The loss gains lambda · Σ o; what is below `epsilon` goes, at each prune step, as long as the one before took at least the
 /// share `settle` of all (ControlGS, Zhang et al., 2025: 3e-7, and 2,000 of some million a round). Then the pull and the
@@ -86,10 +86,6 @@ impl Pruner for ControlGs {
 
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
-    }
-
-    fn about(&self) -> &'static str {
-        "a pull on all opacities, until a prune step takes next to nothing (ControlGS)"
     }
 
     fn check(&self) -> Result<(), String> {

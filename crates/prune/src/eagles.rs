@@ -4,7 +4,7 @@ use crate::rounds::{asked, check_share, check_target, quantile};
 use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic};
 use serde::{Deserialize, Serialize};
 
-/// Drops what has the least influence on the pictures, a small part at every prune step.
+/// Drops what has the least influence on the pictures, a small part at every prune step (EAGLES).
 ///
 /// Influence is Σ w, the blending weights γ·T over all pixels and training transmitters; what lies at or below a quantile of
 /// it goes (EAGLES, Girish et al., ECCV 2024, section 3.3: 5 % every 3,000 steps). Gaussians that nobody sees share the
@@ -59,10 +59,6 @@ impl Pruner for Eagles {
 
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
-    }
-
-    fn about(&self) -> &'static str {
-        "least influence on the pictures goes, a quantile at a time (EAGLES)"
     }
 
     fn check(&self) -> Result<(), String> {

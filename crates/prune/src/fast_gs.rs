@@ -4,7 +4,7 @@ use crate::rounds::{asked, check_share, check_target};
 use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic};
 use serde::{Deserialize, Serialize};
 
-/// Drops what stands, again and again, where the pictures are wrong.
+/// Drops what stands, again and again, where the pictures are wrong (FastGS).
 ///
 /// For each training transmitter the Gaussian's pixels of high error are counted and multiplied by the picture's mean absolute
 /// error; the sums, stretched from 0 to 1, are its blame, and what has more than `blame` goes (FastGS, Ren et al., 2025,
@@ -64,10 +64,6 @@ impl Pruner for FastGs {
 
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
-    }
-
-    fn about(&self) -> &'static str {
-        "what covers pixels of high error in many pictures goes (FastGS)"
     }
 
     fn check(&self) -> Result<(), String> {

@@ -13,7 +13,7 @@ const SPARSE: &str = "spa_sparse";
 /// The column of u, the scaled dual.
 const DUAL: &str = "spa_dual";
 
-/// Opacities are drawn, a little at every step, towards a vector in which only the best few are not 0.
+/// Opacities are drawn, a little at every step, towards a vector in which only the best few are not 0 (GaussianSpa).
 ///
 /// The alternating direction method of multipliers on the opacities o: every `every` steps of the pruning phase z becomes
 /// o + u with all but the largest k set to 0, and u gains o − z; in between the loss has rho/2 · Σ (o − z + u)², which the
@@ -103,10 +103,6 @@ impl Pruner for GaussianSpa {
 
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::AtLast)
-    }
-
-    fn about(&self) -> &'static str {
-        "opacities are drawn to a sparse vector, then cut to an exact number (GaussianSpa)"
     }
 
     fn check(&self) -> Result<(), String> {

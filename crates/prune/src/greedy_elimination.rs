@@ -64,10 +64,6 @@ impl Pruner for GreedyElimination {
         self.target.map(Budget::Rounds)
     }
 
-    fn about(&self) -> &'static str {
-        "one at a time by the true loss: the reference for small numbers"
-    }
-
     fn check(&self) -> Result<(), String> {
         check_most(self.most, self.transmitters)?;
         check_shares(&self.shares)?;

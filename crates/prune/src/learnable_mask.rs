@@ -114,10 +114,6 @@ impl Pruner for LearnableMask {
         Some(Box::new(Self { learning_rate, ..self.clone() }))
     }
 
-    fn about(&self) -> &'static str {
-        "one learned mask a Gaussian, with a penalty on the mean mask (P-WRFGS)"
-    }
-
     fn check(&self) -> Result<(), String> {
         let Self { lambda, threshold, initial_logit, learning_rate, target, .. } = self;
         check_weight("lambda", *lambda)?;

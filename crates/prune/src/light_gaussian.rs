@@ -4,7 +4,7 @@ use crate::rounds::{asked, check_shares, check_target, check_weight, quantile, s
 use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic};
 use serde::{Deserialize, Serialize};
 
-/// Drops a share of the Gaussians that show least, weighed a little by their volume.
+/// Drops a share of the Gaussians that show least, weighed a little by their volume (LightGaussian).
 ///
 /// The score is Σ w · min(V/V₉₀, 1)^`volume_power`, w = γ·T the blending weights over all pixels and training transmitters, V
 /// the product of the scales and V₉₀ the volume that nine tenths do not reach (LightGaussian, Fan et al., NeurIPS 2024,
@@ -68,10 +68,6 @@ impl Pruner for LightGaussian {
 
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
-    }
-
-    fn about(&self) -> &'static str {
-        "least weight in the pictures goes, times a power of volume (LightGaussian)"
     }
 
     fn check(&self) -> Result<(), String> {

@@ -14,7 +14,8 @@ const COLUMN: &str = "lp_logits";
 /// The column of ln(S/S̃).
 const IMPORTANCE: &str = "lp_importance";
 
-/// A mask is learned whose odds are those of an importance score, so that learning starts from what the pictures say.
+/// A mask is learned whose odds are those of an importance score, so that learning starts from what the pictures
+/// say (LP-3DGS).
 ///
 /// The chance to stay is σ(m + ln(S/S̃)): the importance S of a Gaussian, its largest blending weight in any pixel of any
 /// transmitter as RadSplat has it, over the median S̃, multiplies the odds of a learned logit m. While training, the light
@@ -118,10 +119,6 @@ impl Pruner for Lp3dgs {
 
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::AtLast)
-    }
-
-    fn about(&self) -> &'static str {
-        "a learned Gumbel mask whose odds are an importance score (LP-3DGS)"
     }
 
     fn check(&self) -> Result<(), String> {

@@ -11,7 +11,8 @@ use serde::{Deserialize, Serialize};
 /// The column of logits m.
 const COLUMN: &str = "presence_logits";
 
-/// A Gaussian is there with a probability that is learned, and one that is not there still learns whether it should be.
+/// A Gaussian is there with a probability that is learned, and one that is not there still learns whether it should
+/// be (MaskGaussian).
 ///
 /// At every step M = 1[m + g > 0] with logistic noise g, so that M = 1 with probability σ(m); its derivative is that of the
 /// relaxed throw σ(m + g). M multiplies the light that a Gaussian takes and nothing else, [`Gate::Presence`]: where M = 0 the
@@ -89,10 +90,6 @@ impl Pruner for MaskGaussian {
 
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::AtLast)
-    }
-
-    fn about(&self) -> &'static str {
-        "a coin a Gaussian with a learned probability; who is not there still learns (MaskGaussian)"
     }
 
     fn check(&self) -> Result<(), String> {

@@ -9,7 +9,8 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Moves what has faded onto others, drawn by their opacity, so that the picture stays the same and the work is shared.
+/// Moves what has faded onto others, drawn by their opacity, so that the picture stays the same and the work is
+/// shared (3DGS-MCMC).
 ///
 /// At a prune step each Gaussian of opacity `dead` or less moves onto one drawn in proportion to opacity. Of a place that k
 /// now share, each takes the opacity 1 − (1 − o)^(1/k), so that together they let through what one did, and scales that keep
@@ -129,10 +130,6 @@ impl Pruner for Mcmc {
 
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
-    }
-
-    fn about(&self) -> &'static str {
-        "moves the faint onto the opaque, under a cap on N (3DGS-MCMC)"
     }
 
     fn check(&self) -> Result<(), String> {

@@ -65,10 +65,6 @@ impl Pruner for MergeByMoments {
         self.target.map(Budget::Own)
     }
 
-    fn about(&self) -> &'static str {
-        "the nearest pairs become one of their joint mean and covariance"
-    }
-
     fn check(&self) -> Result<(), String> {
         check_shares(&self.shares)?;
         check_target(self.target)

@@ -20,7 +20,7 @@ impl Rule {
     }
 }
 
-/// Keeps Gaussians by chance, in proportion to their weight, or those that together have nearly all of it.
+/// Keeps Gaussians by chance, in proportion to their weight, or those that together have nearly all of it (Mini-Splatting).
 ///
 /// Weight is Σ w, or per pixel that the Gaussian touches, over the training transmitters. `Sampled` draws without
 /// replacement with that probability, so that a thin cover of the scene remains where the best alone would crowd together;
@@ -99,10 +99,6 @@ impl Pruner for MiniSplatting {
 
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
-    }
-
-    fn about(&self) -> &'static str {
-        "a lottery by weight in the pictures, or a share of all weight (Mini-Splatting)"
     }
 
     fn check(&self) -> Result<(), String> {

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 /// The column of lives: moving averages of opacity.
 const LIFE: &str = "life";
 
-/// All opacities decay alike, and the derivative of the picture holds up those that are needed.
+/// All opacities decay alike, and the derivative of the picture holds up those that are needed (Natural Selection).
 ///
 /// The loss gains `pressure` times the mean opacity logit, so that every logit is pulled by the same amount however opaque its
 /// Gaussian is; what the loss does not hold falls without end. Life is a moving average of opacity, so that a Gaussian is not
@@ -78,10 +78,6 @@ impl Pruner for NaturalSelection {
 
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::AtLast)
-    }
-
-    fn about(&self) -> &'static str {
-        "all opacities decay alike, and die below a threshold (Natural Selection)"
     }
 
     fn check(&self) -> Result<(), String> {

@@ -4,7 +4,7 @@ use crate::rounds::check_target;
 use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Pruner, Real, sigmoid};
 use serde::{Deserialize, Serialize};
 
-/// A Gaussian stays where its opacity o = σ(logit) is at least epsilon.
+/// A Gaussian stays where its opacity o = σ(logit) is at least epsilon (WRF-GS).
 ///
 /// With the paper's 0.005 it takes dead weight away and goes beside [`crate::LearnableMask`] (section IV; a Gaussian
 /// must satisfy both to stay). Alone, with 0.005 to 0.5, it is the WRF-GS baseline of fig. 2b: simple, but opacity is
@@ -44,10 +44,6 @@ impl Pruner for OpacityThreshold {
 
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
-    }
-
-    fn about(&self) -> &'static str {
-        "discards Gaussians below an opacity (WRF-GS)"
     }
 
     fn check(&self) -> Result<(), String> {

@@ -4,7 +4,7 @@ use crate::rounds::{check_shares, check_target, share_at, without_share};
 use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic};
 use serde::{Deserialize, Serialize};
 
-/// Drops the Gaussians whose place and size the pictures say least about.
+/// Drops the Gaussians whose place and size the pictures say least about (PUP-3DGS).
 ///
 /// The score is log det of the 6 × 6 Fisher matrix Σ J Jᵀ, J = ∂P̂/∂(mean, log scale) with signals held, over pixels and
 /// training transmitters (PUP-3DGS, Hanson et al., CVPR 2025, eq. (11), with the scale where we have its logarithm). 80 % go
@@ -64,10 +64,6 @@ impl Pruner for Pup3dgs {
 
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
-    }
-
-    fn about(&self) -> &'static str {
-        "what the pictures say least about, by place and size, goes (PUP-3DGS)"
     }
 
     fn check(&self) -> Result<(), String> {

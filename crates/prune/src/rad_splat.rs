@@ -4,7 +4,7 @@ use crate::rounds::{asked, check_share, check_target};
 use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic};
 use serde::{Deserialize, Serialize};
 
-/// A Gaussian stays where it has at least `threshold` of some pixel for some transmitter.
+/// A Gaussian stays where it has at least `threshold` of some pixel for some transmitter (RadSplat).
 ///
 /// The score is max w, the largest blending weight γ·T over all pixels and training transmitters (RadSplat, Niemeyer et al.,
 /// 3DV 2025, eq. (12); 0.01 there, 0.25 for a light model). A maximum keeps what a single pixel needs, where a sum keeps what
@@ -55,10 +55,6 @@ impl Pruner for RadSplat {
 
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
-    }
-
-    fn about(&self) -> &'static str {
-        "what has no pixel to itself goes: largest weight below a threshold (RadSplat)"
     }
 
     fn check(&self) -> Result<(), String> {

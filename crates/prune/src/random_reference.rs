@@ -50,10 +50,6 @@ impl Pruner for RandomReference {
         self.target.map(Budget::Rounds)
     }
 
-    fn about(&self) -> &'static str {
-        "Gaussians go by chance: the reference that any strategy has to beat"
-    }
-
     fn check(&self) -> Result<(), String> {
         check_shares(&self.shares)?;
         check_target(self.target)

@@ -4,7 +4,7 @@ use crate::rounds::{check_share, check_target, without_share};
 use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Pruner, Real, neighbours, sigmoid};
 use serde::{Deserialize, Serialize};
 
-/// Thins out where Gaussians crowd: of those with many overlaps, the less opaque half goes.
+/// Thins out where Gaussians crowd: of those with many overlaps, the less opaque half goes (Reduced-3DGS).
 ///
 /// Two Gaussians overlap where their centres are nearer than the sum of their largest scales; of each the `neighbours`
 /// nearest are looked at. Whose count lies more than `deviations` standard deviations above the mean is crowded, and of the
@@ -67,10 +67,6 @@ impl Pruner for Reduced3dgs {
 
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
-    }
-
-    fn about(&self) -> &'static str {
-        "the fainter half of the crowded goes (Reduced-3DGS)"
     }
 
     fn check(&self) -> Result<(), String> {

@@ -4,7 +4,7 @@ use crate::rounds::{asked, check_target};
 use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic};
 use serde::{Deserialize, Serialize};
 
-/// Keeps whatever is among the first few of some pixel of some transmitter.
+/// Keeps whatever is among the first few of some pixel of some transmitter (SafeguardGS).
 ///
 /// In each pixel splats are ranked by exp(−|‖s‖ − P|) · w, with the splat's own strength ‖s‖, what was measured there P, and
 /// the blending weight w = γ·T: those that show, and show what is there. The first `of_pixel` are safe (SafeguardGS, Lee et
@@ -60,10 +60,6 @@ impl Pruner for SafeguardGs {
 
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
-    }
-
-    fn about(&self) -> &'static str {
-        "what no pixel needs goes: not among the first of any (SafeguardGS)"
     }
 
     fn check(&self) -> Result<(), String> {

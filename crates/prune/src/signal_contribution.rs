@@ -73,10 +73,6 @@ impl Pruner for SignalContribution {
         self.target.map(Budget::Rounds)
     }
 
-    fn about(&self) -> &'static str {
-        "least signal times weight goes, mean or max over transmitters"
-    }
-
     fn check(&self) -> Result<(), String> {
         check_shares(&self.shares)?;
         check_target(self.target)

@@ -4,7 +4,7 @@ use crate::rounds::{asked, check_shares, check_target, share_at, without_share};
 use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic};
 use serde::{Deserialize, Serialize};
 
-/// Drops what the pictures are least sensitive to.
+/// Drops what the pictures are least sensitive to (Speedy-Splat).
 ///
 /// The score is Σ (∂P̂/∂a)² over pixels and training transmitters, with a factor a on the Gaussian's γ, at 1: one number a
 /// Gaussian, of second order, as it is the diagonal of the Gauss-Newton Hessian along its own strength (Speedy-Splat, Hanson
@@ -58,10 +58,6 @@ impl Pruner for SpeedySplat {
 
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
-    }
-
-    fn about(&self) -> &'static str {
-        "what the pictures are least sensitive to goes (Speedy-Splat)"
     }
 
     fn check(&self) -> Result<(), String> {

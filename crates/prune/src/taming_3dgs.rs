@@ -4,7 +4,7 @@ use crate::rounds::{check_shares, check_target, quantile, share_at, without_shar
 use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic, sigmoid};
 use serde::{Deserialize, Serialize};
 
-/// Drops the least by a weighted sum of what may matter, each number over its own median.
+/// Drops the least by a weighted sum of what may matter, each number over its own median (Taming 3DGS).
 ///
 /// Gradient 25, opacity 100, radius 10, scale 25, loss 10 (weights times errors), count 0.1 (pictures that it is seen in),
 /// blend 50 (blending weights): the score of Taming 3DGS (Mallick et al., SIGGRAPH Asia 2024, section 4.2), which uses it to
@@ -77,10 +77,6 @@ impl Pruner for Taming3dgs {
 
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
-    }
-
-    fn about(&self) -> &'static str {
-        "least by a sum of median-normalised terms goes (Taming 3DGS)"
     }
 
     fn check(&self) -> Result<(), String> {

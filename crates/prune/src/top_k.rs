@@ -69,10 +69,6 @@ impl Pruner for TopK {
         }
     }
 
-    fn about(&self) -> &'static str {
-        "keeps an exact number of Gaussians, the best-scored"
-    }
-
     fn check(&self) -> Result<(), String> {
         if self.keep == 0 {
             return Err("`keep` is 0, which would leave nothing; give at least 1".to_owned());

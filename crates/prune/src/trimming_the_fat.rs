@@ -4,7 +4,7 @@ use crate::rounds::{check_share, check_target, quantile};
 use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Pruner, Real};
 use serde::{Deserialize, Serialize};
 
-/// Drops what is faint and has a small gradient, in rounds with training between them.
+/// Drops what is faint and has a small gradient, in rounds with training between them (Trimming the Fat).
 ///
 /// A Gaussian goes where its opacity is below a quantile of all opacities and its mean positional gradient since the last
 /// densification below a quantile of all gradients: what is still being moved gets its chance (Trimming the Fat, Salman et
@@ -57,10 +57,6 @@ impl Pruner for TrimmingTheFat {
 
     fn budget(&self) -> Option<Budget> {
         self.target.map(Budget::Rounds)
-    }
-
-    fn about(&self) -> &'static str {
-        "faint ones with small gradients go, in rounds (Trimming the Fat)"
     }
 
     fn check(&self) -> Result<(), String> {

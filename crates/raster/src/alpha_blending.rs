@@ -141,10 +141,6 @@ impl Rasterizer for AlphaBlending {
         }
         Ok(())
     }
-
-    fn about(&self) -> &'static str {
-        "front-to-back alpha blending in depth order, as in the paper; exact backward"
-    }
 }
 
 fn tile<'a>(

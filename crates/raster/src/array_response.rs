@@ -160,10 +160,6 @@ impl Rasterizer for ArrayResponse {
         }
     }
 
-    fn about(&self) -> &'static str {
-        "waves that add up on an antenna array, with phase: what the measured spectra are; exact backward"
-    }
-
     fn check(&self) -> Result<(), String> {
         for (field, count) in [("rows", self.rows), ("columns", self.columns)] {
             if !(1..=LARGEST).contains(&count) {

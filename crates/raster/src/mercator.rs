@@ -81,10 +81,6 @@ impl Projector for Mercator {
         ewa::project_vjp(&Hemisphere::new(self, plane), p, pose, splats, d)
     }
 
-    fn about(&self) -> &'static str {
-        "the paper's projection: azimuth and elevation linear in the pixel, hemisphere, true pose, azimuth comes round"
-    }
-
     fn check(&self) -> Result<(), String> {
         let length = |x: Real| x.is_finite() && x >= 0.0;
         if !(self.blur > 0.0 && self.blur.is_finite()) {

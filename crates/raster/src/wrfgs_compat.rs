@@ -39,10 +39,6 @@ impl Projector for WrfgsCompat {
     fn project_vjp(&self, p: &Primitives, pose: &Pose, plane: &ImagePlane, splats: &Splats, d: &Splats) -> Primitives {
         ewa::project_vjp(&FullSphere::new(plane), p, pose, splats, d)
     }
-
-    fn about(&self) -> &'static str {
-        "the projection of the released WRF-GS code: full sphere, wrong centre and axis, no seam; for comparison"
-    }
 }
 
 /// Added to denominators by the released kernel.

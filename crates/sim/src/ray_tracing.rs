@@ -157,10 +157,6 @@ impl Baseline for RayTracing {
         Some(Box::new(Self { scene, ..self.clone() }))
     }
 
-    fn about(&self) -> &'static str {
-        "ray tracing in a known room: the generator of simulated data, or a scene with errors"
-    }
-
     fn check(&self) -> Result<(), String> {
         for (field, value) in [("material_error", self.material_error), ("position_error_m", self.position_error_m)] {
             if !(0.0..=2.0).contains(&value) {

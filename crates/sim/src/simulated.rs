@@ -147,10 +147,6 @@ impl DataSource for Simulated {
         Some(Box::new(Self { scene: absolute(&self.scene), ..self.clone() }))
     }
 
-    fn about(&self) -> &'static str {
-        "simulated spectra, powers or channels of a room known exactly, by ray tracing"
-    }
-
     fn check(&self) -> Result<(), String> {
         recipe::check(self.samples, self.points)?;
         self.observe.check().map_err(|why| format!("observe: {why}"))

@@ -9,7 +9,7 @@ const COLUMN: &str = "gumbel_logits";
 /// Uniform draws keep this distance from 0 and 1: the noise stays within ±13.8.
 const EDGE: Real = 1e-6;
 
-/// One gate a Gaussian that is thrown like a coin at every step: open with probability σ(m), m learned.
+/// One gate a Gaussian that is thrown like a coin at every step: open with probability σ(m), m learned (Gumbel or binary concrete mask).
 ///
 /// The throw is relaxed (the binary concrete distribution of Maddison et al. and Jang et al., ICLR 2017): with u uniform
 /// in (0, 1) and the logistic noise g = ln u − ln(1−u), which is the difference of two Gumbel draws, the gate is
@@ -77,10 +77,6 @@ impl Pruner for GumbelMask {
 
     fn score(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<Real> {
         cloud.extra(COLUMN).map_or_else(|| cloud.opacity_logits.clone(), |c| c.values.clone())
-    }
-
-    fn about(&self) -> &'static str {
-        "a coin a Gaussian, thrown at every step with a learned probability (Gumbel or binary concrete mask)"
     }
 
     fn check(&self) -> Result<(), String> {

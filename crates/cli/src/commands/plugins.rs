@@ -57,11 +57,8 @@ pub(crate) fn plugins(arguments: &Plugins) -> Result<ExitCode> {
 /// A topic; `full` with all of its comment.
 fn write_topic(out: &mut String, topic: &Topic, full: bool) {
     let paragraphs = topic.docs.map_or_else(Vec::new, |docs| prose::paragraphs(docs.text));
-    let about = match &topic.about[..] {
-        "" if full => "",
-        "" => paragraphs.first().map_or("", String::as_str),
-        about => about,
-    };
+    let about =
+        if full { String::new() } else { topic.docs.map_or_else(String::new, |docs| prose::summary(docs.text)) };
     _ = writeln!(out, "  {}{}{about}", markdown::title(topic), if about.is_empty() { "" } else { ": " });
     if full {
         for paragraph in &paragraphs {

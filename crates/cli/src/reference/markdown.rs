@@ -20,7 +20,7 @@ pub(crate) fn page() -> String {
     }
     for chapter in &chapters {
         let field = chapter.field.map_or_else(String::new, |field| format!(": field `{field}`"));
-        _ = writeln!(out, "\n## {}{field}\n\n{}", chapter.name, sentences(&chapter.about));
+        _ = writeln!(out, "\n## {}{field}\n\n{}", chapter.name, prose::sentences(&chapter.about));
         chapter.topics.iter().for_each(|topic| write_topic(&mut out, chapter, topic));
     }
     out
@@ -29,9 +29,6 @@ pub(crate) fn page() -> String {
 fn write_topic(out: &mut String, chapter: &Chapter, topic: &Topic) {
     if chapter.name != topic.name {
         _ = writeln!(out, "\n### {}", title(topic));
-    }
-    if !topic.about.is_empty() {
-        _ = writeln!(out, "\n*{}*", topic.about);
     }
     let Some(docs) = topic.docs else {
         match &topic.value {
@@ -47,7 +44,7 @@ fn write_topic(out: &mut String, chapter: &Chapter, topic: &Topic) {
             out,
             "{}{}",
             if row && table { "" } else { "\n" },
-            if row { paragraph.clone() } else { sentences(&paragraph) }
+            if row { paragraph.clone() } else { prose::sentences(&paragraph) }
         );
         table = row;
     }
@@ -119,23 +116,4 @@ pub(crate) fn meaning(variant: &Variant) -> String {
 fn row(out: &mut String, cells: &[&str]) {
     let cells: Vec<String> = cells.iter().map(|cell| cell.replace('|', "\\|")).collect();
     _ = writeln!(out, "| {} |", cells.join(" | "));
-}
-
-/// One sentence a line, as all pages of this project have it.
-fn sentences(text: &str) -> String {
-    let mut out = String::new();
-    let mut words = text.split(' ').peekable();
-    while let Some(word) = words.next() {
-        out.push_str(word);
-        let begins = words.peek().is_some_and(|next| next.starts_with(|c: char| c.is_uppercase() || c == '`'));
-        let ends = word.ends_with('.') && !["e.g.", "i.e.", "eq.", "eqs.", "al."].contains(&word);
-        out.push_str(if words.peek().is_none() {
-            ""
-        } else if ends && begins {
-            "\n"
-        } else {
-            " "
-        });
-    }
-    out
 }

@@ -27,9 +27,34 @@ pub(crate) fn paragraphs(text: &str) -> Vec<String> {
     all.iter().map(|paragraph| without_links(paragraph)).collect()
 }
 
+/// The first sentence of a doc comment, without its full stop.
+pub(crate) fn summary(text: &str) -> String {
+    let first = paragraphs(text).into_iter().next().unwrap_or_default();
+    sentences(&first).lines().next().unwrap_or_default().trim_end_matches('.').to_owned()
+}
+
 /// A doc comment in one line.
 pub(crate) fn line(text: &str) -> String {
     paragraphs(text).join(" ")
+}
+
+/// One sentence a line, as all pages of this project have it.
+pub(crate) fn sentences(text: &str) -> String {
+    let mut out = String::new();
+    let mut words = text.split(' ').peekable();
+    while let Some(word) = words.next() {
+        out.push_str(word);
+        let begins = words.peek().is_some_and(|next| next.starts_with(|c: char| c.is_uppercase() || c == '`'));
+        let ends = word.ends_with('.') && !["e.g.", "i.e.", "eq.", "eqs.", "al."].contains(&word);
+        out.push_str(if words.peek().is_none() {
+            ""
+        } else if ends && begins {
+            "\n"
+        } else {
+            " "
+        });
+    }
+    out
 }
 
 /// `` [`crate::TopK`](..) `` as `` `TopK` ``.

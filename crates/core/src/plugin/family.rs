@@ -21,8 +21,6 @@ inventory::collect!(Family);
 pub struct Member {
     /// Its name.
     pub name: &'static str,
-    /// What it says about itself.
-    pub about: &'static str,
     /// What its source says.
     pub docs: Option<&'static Docs>,
     /// The plugin with its defaults as RON, or why it has none.
@@ -53,10 +51,8 @@ where
     Box<T>: for<'de> Deserialize<'de>,
 {
     let describe = |name| match Plugin::<T>::parse(&format!("{name}()")) {
-        Ok(plugin) => {
-            Member { name, about: plugin.about_plugin(), docs: plugin.plugin_docs(), text: Ok(to_ron(&plugin)) }
-        }
-        Err(why) => Member { name, about: "", docs: None, text: Err(why) },
+        Ok(plugin) => Member { name, docs: plugin.plugin_docs(), text: Ok(to_ron(&plugin)) },
+        Err(why) => Member { name, docs: None, text: Err(why) },
     };
     registered::<T>().into_iter().map(describe).collect()
 }

@@ -84,10 +84,6 @@ impl Baseline for Kriging {
         })
     }
 
-    fn about(&self) -> &'static str {
-        "a Gaussian process over position, of the nearest spectra; length scales and noise by likelihood"
-    }
-
     fn check(&self) -> Result<(), String> {
         if !(2..=512).contains(&self.neighbours) {
             return Err(format!("`neighbours` is {}; give a number from 2 to 512, such as 48", self.neighbours));

@@ -75,10 +75,6 @@ impl Baseline for LogDistance {
     fn task(&self) -> Option<Task> {
         Some(Task::Power)
     }
-
-    fn about(&self) -> &'static str {
-        "a law of distance for received powers, by least squares"
-    }
 }
 
 struct Laws<'a> {

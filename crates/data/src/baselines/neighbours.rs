@@ -125,10 +125,6 @@ impl Baseline for NearestNeighbours {
         })
     }
 
-    fn about(&self) -> &'static str {
-        "the spectra of the k nearest training transmitters, weighted by inverse distance"
-    }
-
     fn check(&self) -> Result<(), String> {
         if self.k == Neighbours::Number(0) {
             return Err("`k` is 0; use at least 1 neighbour".into());

@@ -49,10 +49,6 @@ impl Baseline for Ridge {
         ByReceiver::fit(data, known, |known| Map::fit(data, &all_of(known)?, self.weight))
     }
 
-    fn about(&self) -> &'static str {
-        "linear regression from features, such as an uplink, to observations"
-    }
-
     fn check(&self) -> Result<(), String> {
         if self.weight > 0.0 && self.weight.is_finite() {
             return Ok(());

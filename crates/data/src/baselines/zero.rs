@@ -38,8 +38,4 @@ impl Baseline for Zero {
     fn task(&self) -> Option<Task> {
         Some(Task::Channel)
     }
-
-    fn about(&self) -> &'static str {
-        "a channel of zeros"
-    }
 }

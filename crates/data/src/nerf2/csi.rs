@@ -121,10 +121,6 @@ impl DataSource for Nerf2Csi {
         Some(Box::new(Self { root: absolute(&self.root), ..self.clone() }))
     }
 
-    fn about(&self) -> &'static str {
-        "uplink and downlink channels of a base station in the NeRF2 folder layout"
-    }
-
     fn check(&self) -> Result<(), String> {
         check_root(&self.root)?;
         check_frequencies(self.carrier_hz, self.spacing_hz)

@@ -92,10 +92,6 @@ impl DataSource for Nerf2Rssi {
         Some(Box::new(Self { root: absolute(&self.root), points: self.points.as_deref().map(absolute) }))
     }
 
-    fn about(&self) -> &'static str {
-        "received powers at many gateways in the NeRF2 folder layout"
-    }
-
     fn check(&self) -> Result<(), String> {
         check_root(&self.root)
     }

@@ -72,10 +72,6 @@ impl Split for LeaveReceiverOut {
         finish_links(train, validation, test)
     }
 
-    fn about(&self) -> &'static str {
-        "what some receivers heard is the test set"
-    }
-
     fn check(&self) -> Result<(), String> {
         let twice = self.receivers.iter().enumerate().find(|(k, name)| self.receivers[..*k].contains(name));
         if let Some((_, name)) = twice {

@@ -45,10 +45,6 @@ impl Split for Official {
         finish_links(train, validation, test)
     }
 
-    fn about(&self) -> &'static str {
-        "the split that comes with the data"
-    }
-
     fn check(&self) -> Result<(), String> {
         check_validation(self.validation)
     }

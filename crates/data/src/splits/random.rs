@@ -42,10 +42,6 @@ impl Split for Random {
         finish(data, train, validation, test)
     }
 
-    fn about(&self) -> &'static str {
-        "a random share of the samples is the test set"
-    }
-
     fn check(&self) -> Result<(), String> {
         check_test("test", self.test)?;
         check_validation(self.validation)

@@ -41,10 +41,6 @@ impl Split for RandomLinks {
         finish_links(train, validation, test)
     }
 
-    fn about(&self) -> &'static str {
-        "a random share of the links is the test set"
-    }
-
     fn check(&self) -> Result<(), String> {
         check_test("test", self.test)?;
         check_validation(self.validation)

@@ -52,10 +52,6 @@ impl Split for Sparse {
         true
     }
 
-    fn about(&self) -> &'static str {
-        "a few random training samples, all others are the test set"
-    }
-
     fn check(&self) -> Result<(), String> {
         if self.train == 0 {
             return Err("`train` is 0; use at least 1 training sample, such as 220".into());

@@ -55,10 +55,6 @@ impl Split for TimeBlock {
         finish(data, train, validation, test.collect())
     }
 
-    fn about(&self) -> &'static str {
-        "a contiguous block of the sorted ids is the test set"
-    }
-
     fn check(&self) -> Result<(), String> {
         if !(0.0..1.0).contains(&self.start) {
             return Err(format!(

@@ -94,10 +94,6 @@ impl Split for Voxel {
         finish(data, cells.concat(), validation, test)
     }
 
-    fn about(&self) -> &'static str {
-        "whole cells of space are the test set"
-    }
-
     fn check(&self) -> Result<(), String> {
         if !(self.size_m.is_finite() && self.size_m > 0.0) {
             return Err(format!("`size_m` is {}; use an edge in metres above 0, such as 0.2", self.size_m));

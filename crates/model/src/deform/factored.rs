@@ -141,10 +141,6 @@ impl Deformation for Factored {
         Some(factors)
     }
 
-    fn about(&self) -> &'static str {
-        "signals as products of features of the transmitter and of the Gaussian: one small network, whatever N is"
-    }
-
     fn check(&self) -> Result<(), String> {
         check_stack(self.depth, self.width, None)?;
         self.tx_encoding.check("tx_encoding")?;

@@ -28,8 +28,4 @@ impl Deformation for Fixed {
     }
 
     fn vjp(&self, _: &DeformationInputs<'_>, _: &Deltas, _: &mut [Real], _: Option<&mut [[Real; 3]]>) {}
-
-    fn about(&self) -> &'static str {
-        "no deformation: the same Gaussians for every transmitter"
-    }
 }

@@ -114,10 +114,6 @@ impl Deformation for Mlp {
         Some(factors)
     }
 
-    fn about(&self) -> &'static str {
-        "the network of P-WRFGS: changes signals, rotations and scales with the transmitter"
-    }
-
     fn check(&self) -> Result<(), String> {
         check_stack(self.depth, self.width, self.skip)?;
         for (name, value) in [("tx_hidden", self.tx_hidden), ("tx_features", self.tx_features)] {

@@ -179,10 +179,6 @@ impl Deformation for Wrfgs {
         Some(factors)
     }
 
-    fn about(&self) -> &'static str {
-        "the network of WRF-GS: gives the signals of each transmitter, geometry stays"
-    }
-
     fn check(&self) -> Result<(), String> {
         check_stack(self.depth, self.width, self.skip)?;
         if self.width < 2 {

@@ -365,10 +365,6 @@ impl Method for Splatting {
         }
         check_together(&*self.rasterizer, self.readout, self.calibration, &self.whole_sky(frame)?)
     }
-
-    fn about(&self) -> &'static str {
-        "Gaussians drawn as splats: what a pipeline does that leaves `method` out"
-    }
 }
 
 fn add(times: &mut StageTimes, [projection, sort, blending]: [f64; 3]) {
