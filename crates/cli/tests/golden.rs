@@ -19,6 +19,8 @@ use std::process::Command;
 
 const RUNS: [&str; 8] = ["array", "channel", "joined", "nerf2", "powers", "quickstart", "uplink", "wrfgs"];
 const TOLERANCE: f64 = 1e-4;
+/// Values below are rounding errors.
+const FLOOR: f64 = 1e-7;
 
 /// One tensor, or one group of numbers of a table.
 #[derive(Debug, PartialEq)]
@@ -57,7 +59,7 @@ impl Content {
 
     /// Whether two machines may differ so.
     fn is_near(&self, other: &Self) -> bool {
-        let near = |a: f64, b: f64| (a - b).abs() <= TOLERANCE * other.rms.max(1e-12);
+        let near = |a: f64, b: f64| (a - b).abs() <= TOLERANCE * other.rms.max(FLOOR);
         self.name == other.name && self.count == other.count && near(self.mean, other.mean) && near(self.rms, other.rms)
     }
 }
