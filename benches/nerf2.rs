@@ -21,7 +21,7 @@ fn main() {
     let bare: Plugin<dyn Method> = Plugin::parse("Nerf2(cache_mb: 0)").expect("a plugin");
     let plane = Plugin::<dyn Projector>::parse("Mercator()").expect("a plugin").plane(360, 90);
     let frame = Frame::spectra(Origin::ZERO, Pose::IDENTITY, plane);
-    let (weights, cloud) = (method.init(&frame, &mut rng::stream(1, "weights", 0)), GaussianCloud::zeros(0));
+    let (weights, cloud) = (method.layout(&frame).init(&mut rng::stream(1, "weights", 0)), GaussianCloud::zeros(0));
     let p = Parameters { cloud: &cloud, gate: None, presence: None, weights: &weights };
     let random = &mut rng::stream(2, "transmitters", 0);
     let conditions: Vec<Real> = (0..3 * RAYS).map(|_| rng::normal(random)).collect();

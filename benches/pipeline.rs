@@ -62,7 +62,7 @@ fn links(criterion: &mut Criterion) {
             frequencies_hz: Vec::new(),
         };
         let stages = Stages::splats(splatting, frame);
-        let weights = stages.method.init(&stages.frame, &mut rng::stream(1, "weights", 0));
+        let weights = stages.layout().init(&mut rng::stream(1, "weights", 0));
         let model = Model { stages, cloud: seeded_cloud(500), weights };
         let (ready, queries) = (model.prepare(), (0..21).map(|r| Query::at(TX, r)).collect::<Vec<_>>());
         group.bench_function(BenchmarkId::new("a position, 21 receivers, sky of degrees", sky_deg), |b| {
@@ -78,13 +78,12 @@ fn network(criterion: &mut Criterion, name: &str, outputs: Outputs) {
         let model = untrained(seeded_cloud(n), outputs);
         let deformation = &model.stages.splatting().expect("it draws splats").deformation;
         let (tx, pose) = ([TX.map(|x| x as Real)], &model.stages.pose());
-        let (weights, means, txs) = (&model.weights, &model.cloud.means, (&tx).into());
-        let deltas = deformation.forward(weights, means, txs, pose);
+        let inputs = DeformationInputs::new(&model.weights, &model.cloud.means, &tx, pose);
+        let deltas = deformation.forward(&inputs, &None);
         group.bench_function(BenchmarkId::new("forward", n), |b| {
-            b.iter(|| deformation.forward(weights, means, txs, pose));
+            b.iter(|| deformation.forward(&inputs, &None));
         });
-        let inputs = DeformationInputs { weights, means, txs, pose };
-        let mut d_weights = vec![0.0; weights.len()];
+        let mut d_weights = vec![0.0; model.weights.len()];
         let mut d_means = vec![[0.0; 3]; n];
         group.bench_function(BenchmarkId::new("backward", n), |b| {
             b.iter(|| deformation.vjp(&inputs, &deltas, &mut d_weights, Some(&mut d_means)));
@@ -100,7 +99,7 @@ fn stages(criterion: &mut Criterion) {
         let splatting = model.stages.splatting().expect("it draws splats");
         let Splatting { deformation, projector, rasterizer, .. } = splatting;
         let (tx, pose, plane) = ([TX.map(|x| x as Real)], &model.stages.pose(), &model.stages.plane);
-        let deltas = deformation.forward(&model.weights, &model.cloud.means, (&tx).into(), pose);
+        let deltas = deformation.forward(&DeformationInputs::new(&model.weights, &model.cloud.means, &tx, pose), &None);
         let activation = splatting.activation();
         let geometry = activation.geometry(&model.cloud, &deltas, 0, None);
         let signals = activation.signals(&model.cloud, &deltas, 0..1);

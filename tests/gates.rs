@@ -1,7 +1,7 @@
 //! Gates and prunes: closed is absent, open is nothing at all, and something always stays.
 
 use crate::common::{MOMENT, batch, cloud, pipeline, plugin, stages, with_column};
-use pwrfgs::core::rng;
+use pwrfgs::core::{DeformationInputs, rng};
 use pwrfgs::model::{Readout, tensors::Tensors};
 use pwrfgs::prelude::*;
 use pwrfgs::train::{RenderingLoss, loss_and_gradients};
@@ -20,7 +20,7 @@ fn a_closed_gate_equals_an_absent_gaussian() {
     ];
     for deformation in deformations {
         let stages = stages(deformation, Readout::Magnitude);
-        let weights = stages.method.init(&stages.frame, &mut rng::stream(2, "network", 0));
+        let weights = stages.layout().init(&mut rng::stream(2, "network", 0));
         let batch = batch(2, &stages);
         let outcome = |cloud: &GaussianCloud| {
             let pruners = [plugin("LearnableMask(lambda: 0)")];
@@ -55,7 +55,7 @@ fn a_closed_gate_equals_an_absent_gaussian() {
 fn what_no_picture_can_show_changes_neither_picture_nor_derivative() {
     for deformation in ["Mlp(depth: 2, width: 8, skip: None, tx_hidden: 8, tx_features: 4)", "Factored(width: 16)"] {
         let stages = stages(deformation, Readout::Magnitude);
-        let weights = Arc::new(stages.method.init(&stages.frame, &mut rng::stream(2, "network", 0)));
+        let weights = Arc::new(stages.layout().init(&mut rng::stream(2, "network", 0)));
         let few = cloud(N, 11);
         let mut more = few.select(&[0, 0, 1, 2, 2, 3, 4, 5, 6, 7]);
         more.means[1] = [0.4, -0.3, -2.0]; // behind the receiver
@@ -70,7 +70,8 @@ fn what_no_picture_can_show_changes_neither_picture_nor_derivative() {
         // The stages themselves, with every Gaussian, agree that those are not seen.
         let splatting = stages.splatting().unwrap();
         let txs = [[0.3, 0.2, 0.9]];
-        let deltas = splatting.deformation.forward(&weights, &more.means, (&txs).into(), &stages.pose());
+        let deltas =
+            splatting.deformation.forward(&DeformationInputs::new(&weights, &more.means, &txs, &stages.pose()), &None);
         let activation = splatting.activation();
         let geometry = activation.geometry(&more, &deltas, 0, None);
         let splats = splatting.projector.project(&geometry, &stages.pose(), &stages.plane);

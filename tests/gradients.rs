@@ -6,8 +6,8 @@
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
-    ColumnSpec, Conditions, DeformationInputs, Frame, GaussianCloud, ImagePlane, Link, Receiver, Sampling, Task, rng,
-    sigmoid,
+    Cache, ColumnSpec, DeformationInputs, DeformationTraits, Frame, GaussianCloud, ImagePlane, Link, Receiver,
+    Sampling, Task, rng, sigmoid,
 };
 use pwrfgs::model::{Readout, Stages};
 use pwrfgs::prelude::*;
@@ -44,12 +44,13 @@ struct Terms {}
 
 #[typetag::serde]
 impl Deformation for Terms {
-    fn varies_geometry(&self) -> bool {
-        true
+    fn traits(&self) -> DeformationTraits {
+        DeformationTraits { varies_geometry: true, ..DeformationTraits::default() }
     }
-    fn forward(&self, weights: &[Real], _: &[[Real; 3]], txs: Conditions<'_>, _: &Pose) -> Deltas {
-        let (scales, rest) = weights.split_at(3 * N * txs.len());
-        let (quats, signals) = rest.split_at(4 * N * txs.len());
+    fn forward(&self, inputs: &DeformationInputs<'_>, _: &Cache) -> Deltas {
+        let terms = N * inputs.txs.len();
+        let (scales, rest) = inputs.weights.split_at(3 * terms);
+        let (quats, signals) = rest.split_at(4 * terms);
         Deltas {
             scales: scales.as_chunks().0.to_vec(),
             quats: quats.as_chunks().0.to_vec(),
@@ -75,7 +76,7 @@ struct Step {
 impl Step {
     fn new(deformation: &str, readout: Readout, transmitters: usize, ssim_weight: Real, seed: u64) -> Self {
         let stages = stages(deformation, readout);
-        let weights = stages.method.init(&stages.frame, &mut rng::stream(seed, "network", 0));
+        let weights = stages.layout().init(&mut rng::stream(seed, "network", 0));
         let cloud = with_column(cloud(N, seed), "factor", (0..N).map(|i| 0.7 + 0.1 * i as Real).collect());
         let batch = batch(transmitters, &stages);
         let objective = Box::new(RenderingLoss::new(ssim_weight));
@@ -192,7 +193,7 @@ fn links(deformation: &str, readout: Readout, size: (usize, usize), objective: B
     let frequencies_hz = if kind == Task::Channel { vec![9e7, 1e8, 1.1e8] } else { vec![] };
     let frame = Frame { receivers: receivers(), task: kind, plane, frequencies_hz, ..base.frame.clone() };
     let stages = Stages { frame, ..base };
-    step.weights = stages.method.init(&stages.frame, &mut rng::stream(12, "network", 0));
+    step.weights = stages.layout().init(&mut rng::stream(12, "network", 0));
     let (width, random) = (stages.method.inputs(), &mut rng::stream(13, "links", 0));
     let conditions = (0..3 * width).map(|_| rng::normal(random)).collect();
     let numbers = LINKS.len() * stages.frame.numbers();

@@ -3,7 +3,7 @@
 use crate::common::{MOMENT, built_in, cloud, plugin, stages, with_column};
 use pwrfgs::core::plugin::PluginKind;
 use pwrfgs::core::tape::values;
-use pwrfgs::core::{DeformationInputs, WeightSpec, rng};
+use pwrfgs::core::{DeformationInputs, rng};
 use pwrfgs::model::Readout;
 use pwrfgs::prelude::*;
 use std::path::Path;
@@ -90,26 +90,24 @@ fn pruners_answer_and_score_every_gaussian() {
 #[test]
 fn deformations_keep_their_own_shapes() {
     for (name, deformation) in all::<dyn Deformation>() {
-        let weights = deformation.init(&mut rng::stream(1, "network", 0));
-        assert_eq!(weights, deformation.init(&mut rng::stream(1, "network", 0)), "{name}");
-        assert_eq!(weights.len(), deformation.layout().iter().map(WeightSpec::len).sum::<usize>(), "{name}");
+        let weights = deformation.layout().init(&mut rng::stream(1, "network", 0));
+        assert_eq!(weights, deformation.layout().init(&mut rng::stream(1, "network", 0)), "{name}");
         let txs = [[0.1, 0.2, 1.0], [-0.5, 0.3, 0.8]];
         for n in [0, 1, 5] {
             let means = cloud(n, 4).means;
-            let deltas = deformation.forward(&weights, &means, (&txs).into(), &Pose::IDENTITY);
+            let inputs = DeformationInputs::new(&weights, &means, &txs, &Pose::IDENTITY);
+            let deltas = deformation.forward(&inputs, &None);
             let rows = [deltas.scales.len(), deltas.quats.len(), deltas.signals.len()];
             assert!(rows.iter().all(|rows| [0, 2 * n].contains(rows)), "{name}: {rows:?} rows");
-            assert!(deformation.varies_geometry() || rows[..2] == [0, 0], "{name} varies geometry and does not say so");
+            let varies = deformation.traits().varies_geometry;
+            assert!(varies || rows[..2] == [0, 0], "{name} varies geometry and does not say so");
             let flat = [deltas.scales.as_flattened(), deltas.quats.as_flattened(), deltas.signals.as_flattened()];
             assert!(flat.into_iter().all(finite), "{name}");
             let prepared = deformation.prepare(&weights, &means, &Pose::IDENTITY);
             for _ in 0..2 {
-                let again = deformation.forward_prepared(&weights, &means, (&txs).into(), &Pose::IDENTITY, &prepared);
-                assert_eq!(again, deltas, "{name}, prepared");
+                assert_eq!(deformation.forward(&inputs, &prepared), deltas, "{name}, prepared");
             }
             let (mut d_weights, mut d_means) = (vec![0.0; weights.len()], vec![[0.0; 3]; n]);
-            let inputs =
-                DeformationInputs { weights: &weights, means: &means, txs: (&txs).into(), pose: &Pose::IDENTITY };
             deformation.vjp(&inputs, &deltas, &mut d_weights, Some(&mut d_means));
             assert!(finite(&d_weights) && finite(d_means.as_flattened()), "{name}");
         }

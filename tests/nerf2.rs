@@ -45,7 +45,7 @@ impl Room {
         };
         let frame =
             Frame { receivers, task: kind, frequencies_hz, ..Frame::spectra(Origin::ZERO, Pose::IDENTITY, plane) };
-        let weights = method.init(&frame, &mut rng::stream(3, "network", 0));
+        let weights = method.layout(&frame).init(&mut rng::stream(3, "network", 0));
         let random = &mut rng::stream(4, "transmitters", 0);
         let conditions = (0..3 * method.inputs()).map(|_| rng::normal(random)).collect();
         Self { method, frame, weights, conditions }
@@ -132,7 +132,7 @@ fn what_is_kept_changes_no_bit_of_a_prediction() {
 fn darker(room: &Room, factor: Real) -> Vec<Real> {
     let mut weights = room.weights.clone();
     let mut from = 0;
-    for spec in room.method.layout(&room.frame) {
+    for spec in room.method.layout(&room.frame).weights {
         let own = &mut weights[from..from + spec.len()];
         from += spec.len();
         if spec.name.starts_with("attenuation.") {

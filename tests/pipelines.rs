@@ -87,7 +87,7 @@ fn shrink(pipeline: &mut Pipeline) {
 fn every_pipeline_runs_some_steps() {
     for path in shipped(false) {
         let mut pipeline = read(&path);
-        let count = if pipeline.deformation.varies_geometry() { 30 } else { 60 };
+        let count = if pipeline.deformation.traits().varies_geometry { 30 } else { 60 };
         let folder = tempfile::tempdir().unwrap();
         for change in [
             "training.target=0".to_owned(), // more than there will be

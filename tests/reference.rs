@@ -10,7 +10,7 @@ mod npy;
 
 use crate::common::{MOMENT, plugin};
 use npy::Reference;
-use pwrfgs::core::{Conditions, ExtraColumn, Frame, Mat3, Origin, Vec3};
+use pwrfgs::core::{Conditions, DeformationInputs, ExtraColumn, Frame, Mat3, Origin, Vec3};
 use pwrfgs::model::{Calibration, Readout, Splatting};
 use pwrfgs::prelude::*;
 use pwrfgs::raster::{self, CameraModel, FullSphere, View};
@@ -98,8 +98,12 @@ struct Start {
 impl Start {
     fn of(reference: &Reference, projector: Plugin<dyn Projector>) -> Self {
         let deformation = plugin::<dyn Deformation>("Wrfgs()");
-        let weights =
-            deformation.layout().iter().flat_map(|spec| reference.array(&format!("net_{}", spec.name))).collect();
+        let weights = deformation
+            .layout()
+            .weights
+            .iter()
+            .flat_map(|spec| reference.array(&format!("net_{}", spec.name)))
+            .collect();
         let plane = projector.plane(360, 90);
         let splatting = Splatting {
             deformation,
@@ -140,7 +144,7 @@ impl Start {
             self.pruners.first().and_then(|p| p.gate(&Traced::new(&self.cloud), &MOMENT)).map(|g| g.factor().as_vec());
         let activation = splatting.activation();
         let txs = Conditions::new(self.batch.width, &self.batch.conditions);
-        let deltas = deformation.forward(&self.weights, &self.cloud.means, txs, pose);
+        let deltas = deformation.forward(&DeformationInputs::new(&self.weights, &self.cloud.means, txs, pose), &None);
         let geometry = activation.geometry(&self.cloud, &deltas, 0, gate.as_deref());
         let splats = projector.project(&geometry, pose, plane);
         let render = rasterizer.forward(&splats, &activation.signals(&self.cloud, &deltas, 0..1), 1, plane);
@@ -258,7 +262,7 @@ fn the_loss_and_every_derivative_are_those_of_the_reference() {
         assert_eq!(outcome.seen.visible, reference.integers("geo_visible"), "{name}");
         assert!(d.signals.as_flattened().iter().all(|d| *d == 0.0), "the network replaces the cloud's signals");
         let mut rest = outcome.d_weights.as_slice();
-        for spec in start.stages.layout() {
+        for spec in start.stages.layout().weights {
             let (these, after) = rest.split_at(spec.len());
             rest = after;
             check(&format!("gradnet_{}", spec.name), these);

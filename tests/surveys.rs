@@ -4,10 +4,10 @@
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use pwrfgs::core::testing::check_vjp;
 use pwrfgs::core::{
-    Asked, ColumnSpec, Conditions, Frame, ImagePlane, Parameters, Pixels, Receiver, Sampling, Statistic, Statistics,
-    Task, rng,
+    Asked, ColumnSpec, Conditions, DeformationInputs, Frame, ImagePlane, Parameters, Pixels, Receiver, Sampling,
+    Statistic, Statistics, Task, rng,
 };
-use pwrfgs::model::{Gates, Readout, Stages};
+use pwrfgs::model::{Gates, Readout, Splatting, Stages};
 use pwrfgs::prelude::*;
 use pwrfgs::train::{Batch, RenderingLoss, loss_and_gradients};
 use std::sync::Arc;
@@ -36,7 +36,7 @@ struct Sight {
 impl Sight {
     fn new(deformation: &str, readout: Readout) -> Self {
         let stages = stages(deformation, readout);
-        let weights = stages.method.init(&stages.frame, &mut rng::stream(4, "network", 0));
+        let weights = stages.layout().init(&mut rng::stream(4, "network", 0));
         let batch = batch(2, &stages);
         Self { stages, cloud: cloud(N, 8), weights, batch }
     }
@@ -61,16 +61,19 @@ impl Sight {
         method.forward(frame, &parameters, &self.asked()).numbers
     }
 
+    fn deltas(&self, splatting: &Splatting) -> Deltas {
+        let conditions = Conditions::new(3, &self.batch.conditions);
+        let pose = self.stages.frame.pose();
+        splatting
+            .deformation
+            .forward(&DeformationInputs::new(&self.weights, &self.cloud.means, conditions, &pose), &None)
+    }
+
     /// Blending weights of each Gaussian, `[N][pixels]`, of link `b`: each draws a channel of its own.
     fn one_hot(&self, b: usize) -> Vec<Vec<Real>> {
         let splatting = self.stages.splatting().unwrap();
         let view = &splatting.views(&self.stages.frame)[0];
-        let deltas = splatting.deformation.forward(
-            &self.weights,
-            &self.cloud.means,
-            Conditions::new(3, &self.batch.conditions),
-            &self.stages.frame.pose(),
-        );
+        let deltas = self.deltas(splatting);
         let splats = splatting.geometry(view, &self.cloud, &deltas, b, Gates::default()).splats;
         let signals: Vec<Real> = (0..N * N).map(|k| Real::from(u8::from(k / N == k % N))).collect();
         let pixels = splatting.rasterizer.forward(&splats, &signals, N, &view.plane).pixels;
@@ -80,9 +83,7 @@ impl Sight {
     /// ‖s‖ of each Gaussian for link `b`.
     fn strengths(&self, b: usize) -> Vec<Real> {
         let splatting = self.stages.splatting().unwrap();
-        let conditions = Conditions::new(3, &self.batch.conditions);
-        let deltas =
-            splatting.deformation.forward(&self.weights, &self.cloud.means, conditions, &self.stages.frame.pose());
+        let deltas = self.deltas(splatting);
         let signals = splatting.activation().signals(&self.cloud, &deltas, b..b + 1);
         signals.chunks_exact(2).map(|s| s[0].hypot(s[1])).collect()
     }
@@ -183,7 +184,7 @@ fn sensitivity_and_fisher_agree_with_central_differences() {
             let receivers = vec![Receiver::new("a", stages.frame.receivers[0].pose)];
             let plane = ImagePlane { width: 1, height: 1, wraps: false, angles: None, sampling: Sampling::WHOLE };
             stages.frame = Frame { task: Task::Power, plane, receivers, ..stages.frame.clone() };
-            sight.weights = stages.method.init(&stages.frame, &mut rng::stream(4, "network", 0));
+            sight.weights = stages.layout().init(&mut rng::stream(4, "network", 0));
             sight.batch.truths.truncate(2);
         }
         let found = sight.survey(&[Statistic::Sensitivity, Statistic::Fisher]);

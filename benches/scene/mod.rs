@@ -52,7 +52,7 @@ pub(crate) fn seeded_cloud(n: usize) -> GaussianCloud {
 /// A model of `cloud` with an untrained 8x256 network whose outputs are small: the geometry stays what the cloud says.
 pub(crate) fn untrained(cloud: GaussianCloud, outputs: Outputs) -> Model {
     let network = Mlp { head_init: 1e-3, outputs, ..Mlp::default() };
-    let weights = network.init(&mut pwrfgs::core::rng::stream(0, "network", 0));
+    let weights = network.layout().init(&mut pwrfgs::core::rng::stream(0, "network", 0));
     let projector = Mercator::default();
     let plane = projector.plane(PICTURE.0, PICTURE.1);
     let splatting = Splatting {
@@ -70,7 +70,7 @@ pub(crate) fn untrained(cloud: GaussianCloud, outputs: Outputs) -> Model {
 pub(crate) fn wrfgs(cloud: GaussianCloud) -> Model {
     let network = Wrfgs { gain: Some(1.0), ..Wrfgs::default() };
     let mut model = untrained(cloud, Outputs::Signals);
-    model.weights = network.init(&mut pwrfgs::core::rng::stream(0, "network", 0));
+    model.weights = network.layout().init(&mut pwrfgs::core::rng::stream(0, "network", 0));
     model.stages = model.stages.with(|s| {
         s.deformation = boxed(network);
         s.readout = pwrfgs::model::Readout::Real;
@@ -83,7 +83,7 @@ pub(crate) fn waves(n: usize) -> Model {
     let network =
         Factored { width: 240, tx_encoding: Encoding::Waves { count: 64, reach: 24.0, seed: 0 }, ..Default::default() };
     let mut model = on_array(untrained(seeded_cloud(n), Outputs::Signals));
-    model.weights = network.init(&mut pwrfgs::core::rng::stream(0, "network", 0));
+    model.weights = network.layout().init(&mut pwrfgs::core::rng::stream(0, "network", 0));
     model.stages = model.stages.with(|s| s.deformation = boxed(network));
     model
 }

@@ -2,7 +2,7 @@
 use crate::common::{SMALL, refuse, succeed, write};
 use pwrfgs::data::read_points;
 use pwrfgs::model::{Model, file};
-use pwrfgs_core::{Deltas, Real, sigmoid};
+use pwrfgs_core::{DeformationInputs, Real, sigmoid};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -88,7 +88,9 @@ fn a_ply_file_shows_the_base_or_what_a_transmitter_makes_of_it() {
     let stages = &model.stages;
     let deformation = &stages.splatting().unwrap().deformation;
     let txs = [TX.map(|x| x as Real)];
-    let deltas: Deltas = deformation.forward(&model.weights, &model.cloud.means, (&txs).into(), &stages.pose());
+    let pose = stages.pose();
+    let inputs = DeformationInputs::new(&model.weights, &model.cloud.means, &txs, &pose);
+    let deltas = deformation.forward(&inputs, &None);
     assert!(deltas.scales.iter().flatten().any(|d| d.abs() > 1e-4), "the network must move something");
     let sum = |a: &[Real; 3], b: &[Real; 3]| [0, 1, 2].map(|k| (a[k] + b[k]).max(1e-4));
     let scales: Vec<_> = scales.iter().zip(&deltas.scales).map(|(a, b)| sum(a, b)).collect();
@@ -163,7 +165,7 @@ fn an_npz_file_holds_every_number_of_the_model() {
         assert_eq!(base[name], (shape, values.iter().map(|v| *v as f64).collect()), "{name}");
     }
     let mut weights = Vec::new();
-    for spec in model.stages.layout() {
+    for spec in model.stages.layout().weights {
         let (shape, values) = &base[&format!("network.{}", spec.name)];
         assert_eq!(*shape, spec.shape.iter().map(|n| *n as u64).collect::<Vec<_>>());
         weights.extend(values.iter().map(|v| *v as Real));

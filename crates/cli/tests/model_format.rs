@@ -104,7 +104,7 @@ fn model(
         readout,
     };
     let stages = Stages::splats(splatting, frame);
-    let weights: Vec<Real> = stages.method.init(&stages.frame, &mut rng::stream(1, "weights", 0));
+    let weights: Vec<Real> = stages.layout().init(&mut rng::stream(1, "weights", 0));
     Model { stages, cloud: cloud(), weights }
 }
 

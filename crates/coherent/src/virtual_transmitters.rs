@@ -5,8 +5,7 @@ use crate::harmonics::{HIGHEST, terms};
 use crate::links::Links;
 use crate::options::Pursuit;
 use pwrfgs_core::{
-    Asked, Cache, Documented, Frame, Method, MethodVjp, Observed, Parameters, Real, Receiver, Task, WeightSpec,
-    gains_of, rng::Rng, rows_of,
+    Asked, Cache, Documented, Frame, Method, MethodVjp, Observed, Parameters, Real, Receiver, Task, gains_of, rows_of,
 };
 use serde::{Deserialize, Serialize};
 
@@ -69,14 +68,6 @@ impl Method for VirtualTransmitters {
 
     fn check(&self) -> Result<(), String> {
         Pursuit { order: self.order, ..Pursuit::default() }.check()
-    }
-
-    fn layout(&self, _: &Frame) -> Vec<WeightSpec> {
-        Vec::new()
-    }
-
-    fn init(&self, _: &Frame, _: &mut Rng) -> Vec<Real> {
-        Vec::new()
     }
 
     fn forward(&self, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>) -> Observed {

@@ -44,7 +44,7 @@ impl<'a> Conditions<'a> {
     }
 
     /// The positions `[B,3]`; nothing where they are something else. A deformation that asks for positions says so by
-    /// [`Deformation::inputs`](crate::Deformation::inputs), and is given nothing else.
+    /// [`DeformationTraits::inputs`](crate::DeformationTraits::inputs), and is given nothing else.
     pub fn positions(&self) -> &'a [[Real; 3]] {
         if self.width == 3 { self.values.as_chunks().0 } else { &[] }
     }

@@ -1,75 +1,29 @@
 //! `Deformation`: what the transmitter's position changes, `D_Θ` of eq. (5).
 
-use crate::{Cache, Conditions, Pose, Real, plugin_kind, rng::Rng};
+use crate::{Cache, Conditions, Layout, Pose, Real, plugin_kind};
 
 /// The calibration terms ΔS, ΔR, Δs as functions of centre and transmitter. The weights Θ live outside the plugin.
 ///
 /// A batch of B transmitters is one call. All outputs are `[B, N, ·]`: transmitter by transmitter.
 #[typetag::serde]
 pub trait Deformation: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
-    /// Names and shapes of the weight tensors, in the order in which they lie in the flat vector Θ.
-    fn layout(&self) -> Vec<WeightSpec> {
-        Vec::new()
+    /// What does not depend on weights.
+    fn traits(&self) -> DeformationTraits;
+
+    /// Names, shapes and initial values of the weights Θ.
+    fn layout(&self) -> Layout {
+        Layout::default()
     }
 
-    /// Fresh weights, as long as [`Self::layout`] says.
-    fn init(&self, rng: &mut Rng) -> Vec<Real> {
-        let _ = rng;
-        Vec::new()
-    }
-
-    /// Numbers that the network reads besides settings and weights: drawn from a seed and never learned. A model file
-    /// holds them, because its other readers cannot draw them again.
-    fn constants(&self) -> Vec<(WeightSpec, Vec<Real>)> {
-        Vec::new()
-    }
-
-    /// Whether scales or rotations depend on the transmitter. If not, a batch shares one projection and one sorting.
-    fn varies_geometry(&self) -> bool;
-
-    /// Whether the signals it gives replace the cloud's own (WRF-GS) instead of being added (P-WRFGS).
-    fn replaces_signals(&self) -> bool {
-        false
-    }
-
-    /// Numbers that it wants to know of a transmitter: 3, its position, or the width of the features of the data
-    /// ([`Features`](crate::Features)).
-    fn inputs(&self) -> usize {
-        3
-    }
-
-    /// Whether its terms depend on where the receiver is, so that it can serve only one.
-    fn reads_receiver(&self) -> bool {
-        false
-    }
-
-    /// Whether a Gaussian's terms depend on the centres of all (the released gain of WRF-GS does). Gaussians whose gate
-    /// is closed then stay among the inputs; otherwise they are left out.
-    fn couples_gaussians(&self) -> bool {
-        false
-    }
-
-    /// Calibration terms for `means` `[N,3]` and the B transmitters `txs`: `txs.positions()` gives `[B,3]`.
-    fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: Conditions<'_>, pose: &Pose) -> Deltas;
+    /// Calibration terms of all Gaussians and transmitters. `prepared` is what [`Self::prepare`] made of the same weights,
+    /// centres and pose, or `None`; the result has the same bits.
+    fn forward(&self, inputs: &DeformationInputs<'_>, prepared: &Cache) -> Deltas;
 
     /// What [`Self::forward`] makes of weights and centres without knowing the transmitter, for a trained model to
     /// work out once and not at every prediction. `None` where everything waits for the transmitter.
     fn prepare(&self, weights: &[Real], means: &[[Real; 3]], pose: &Pose) -> Cache {
         let _ = (weights, means, pose);
         None
-    }
-
-    /// [`Self::forward`], bit for bit, given what [`Self::prepare`] made of the same weights, centres and pose.
-    fn forward_prepared(
-        &self,
-        weights: &[Real],
-        means: &[[Real; 3]],
-        txs: Conditions<'_>,
-        pose: &Pose,
-        prepared: &Cache,
-    ) -> Deltas {
-        let _ = prepared;
-        self.forward(weights, means, txs, pose)
     }
 
     /// Adds to `d_weights` (as long as `weights`), and to `d_means` where given, given the cotangents `d` of the output.
@@ -81,25 +35,11 @@ pub trait Deformation: erased_serde::Serialize + std::any::Any + std::fmt::Debug
         d_means: Option<&mut [[Real; 3]]>,
     );
 
-    /// Numbers that [`Self::forward`] and its derivative keep for each Gaussian, whatever the number of transmitters,
-    /// beside the terms themselves: for an estimate of memory before training starts. 0 where they work in small pieces.
-    fn kept_per_gaussian(&self) -> usize {
-        0
-    }
-
     /// Factors `[as many as weights]` that let the lowest frequencies of positional encodings through, when a `share` of
     /// the annealing, 0 to 1, is done: what multiplies an input may as well multiply the weights that read it. `None`
     /// where nothing is encoded.
     fn frequency_window(&self, share: f64) -> Option<Vec<Real>> {
         let _ = share;
-        None
-    }
-
-    /// Factors `[as many as weights]` that silence a share `rate` of the hidden units, drawn anew each step, and make the
-    /// others louder by as much: dropout, with one draw for all transmitters of the step. `None` where it has no hidden
-    /// units that could do without each other.
-    fn dropout(&self, rate: Real, rng: &mut Rng) -> Option<Vec<Real>> {
-        let _ = (rate, rng);
         None
     }
 
@@ -121,6 +61,40 @@ pub trait Deformation: erased_serde::Serialize + std::any::Any + std::fmt::Debug
     }
 }
 plugin_kind!(Deformation);
+
+/// What a [`Deformation`] depends on, and what it gives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DeformationTraits {
+    /// Numbers that it reads of a transmitter: 3, its position, or the width of the features of the data
+    /// ([`Features`](crate::Features)).
+    pub inputs: usize,
+    /// Whether scales or rotations depend on the transmitter. If not, a batch shares one projection and one sorting.
+    pub varies_geometry: bool,
+    /// Whether the signals it gives replace the cloud's own (WRF-GS) instead of being added (P-WRFGS).
+    pub replaces_signals: bool,
+    /// Whether its terms depend on where the receiver is, so that it can serve only one.
+    pub reads_receiver: bool,
+    /// Whether a Gaussian's terms depend on the centres of all (the released gain of WRF-GS does). Gaussians whose gate
+    /// is closed then stay among the inputs; otherwise they are left out.
+    pub couples_gaussians: bool,
+    /// Numbers that [`Deformation::forward`] and its derivative keep for each Gaussian, whatever the number of transmitters,
+    /// beside the terms themselves: for an estimate of memory before training starts. 0 where they work in small pieces.
+    pub kept_per_gaussian: usize,
+}
+
+impl Default for DeformationTraits {
+    /// Those of a network that reads positions and adds signals.
+    fn default() -> Self {
+        Self {
+            inputs: 3,
+            varies_geometry: false,
+            replaces_signals: false,
+            reads_receiver: false,
+            couples_gaussians: false,
+            kept_per_gaussian: 0,
+        }
+    }
+}
 
 /// Signals s of channel c that are linear in D numbers x of the transmitter and in J functions φ of the centre:
 /// s(c) = Σ φⱼ B(c, k, j) xₖ.
@@ -147,37 +121,23 @@ impl LinearPart {
     }
 }
 
-/// The arguments of [`Deformation::forward`], once more for its derivative.
+/// What [`Deformation::forward`] and its derivative read.
 #[derive(Clone, Copy, Debug)]
 pub struct DeformationInputs<'a> {
     /// Θ.
     pub weights: &'a [Real],
     /// Centres `[N,3]`, metres.
     pub means: &'a [[Real; 3]],
-    /// Transmitters: positions `[B,3]` in metres, or as many numbers each as [`Deformation::inputs`] says.
+    /// Transmitters: positions `[B,3]` in metres, or as many numbers each as [`DeformationTraits::inputs`] says.
     pub txs: Conditions<'a>,
     /// Receiver.
     pub pose: &'a Pose,
 }
 
-/// Name and shape of a tensor, such as those inside the flat weight vector.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct WeightSpec {
-    /// Such as `trunk.0.weight`.
-    pub name: String,
-    /// Shape, row-major; a linear layer's weight is `[out, in]`.
-    pub shape: Vec<usize>,
-}
-
-impl WeightSpec {
-    /// Numbers in it.
-    pub fn len(&self) -> usize {
-        self.shape.iter().product()
-    }
-
-    /// Whether it holds no number.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
+impl<'a> DeformationInputs<'a> {
+    /// The inputs of these transmitters.
+    pub fn new(weights: &'a [Real], means: &'a [[Real; 3]], txs: impl Into<Conditions<'a>>, pose: &'a Pose) -> Self {
+        Self { weights, means, txs: txs.into(), pose }
     }
 }
 

@@ -1,8 +1,8 @@
 //! `Method`: the one seam between training and what is trained. From parameters and links to observations, and back.
 
 use crate::{
-    Cache, CloudStats, Conditions, Dataset, Elevation, GaussianCloud, ImagePlane, Link, Needs, Origin, Pose, Real,
-    Receiver, StageTimes, Statistics, Task, WeightSpec, plugin_kind, rng::Rng,
+    Cache, CloudStats, Conditions, Dataset, Elevation, GaussianCloud, ImagePlane, Layout, Link, Needs, Origin, Pose,
+    Real, Receiver, StageTimes, Statistics, Task, plugin_kind,
 };
 
 /// Where observations are made, and what they are: all of a data set that a trained model has to know.
@@ -181,15 +181,10 @@ pub trait Method: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Se
         Vec::new()
     }
 
-    /// Names and shapes of the weights, in the order in which they lie in the flat vector.
-    fn layout(&self, frame: &Frame) -> Vec<WeightSpec>;
-
-    /// Fresh weights, as long as [`Self::layout`] says.
-    fn init(&self, frame: &Frame, rng: &mut Rng) -> Vec<Real>;
-
-    /// Numbers read besides settings and weights: drawn from a seed and never learned.
-    fn constants(&self) -> Vec<(WeightSpec, Vec<Real>)> {
-        Vec::new()
+    /// Names, shapes and initial values of the weights.
+    fn layout(&self, frame: &Frame) -> Layout {
+        let _ = frame;
+        Layout::default()
     }
 
     /// The rows of the cloud that can count, whatever the weights say; [`Self::forward`] gets these alone.
@@ -260,12 +255,6 @@ pub trait Method: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Se
     /// As [`Deformation::frequency_window`](crate::Deformation::frequency_window), for all weights.
     fn frequency_window(&self, frame: &Frame, share: f64) -> Option<Vec<Real>> {
         let _ = (frame, share);
-        None
-    }
-
-    /// As [`Deformation::dropout`](crate::Deformation::dropout), for all weights.
-    fn dropout(&self, frame: &Frame, rate: Real, rng: &mut Rng) -> Option<Vec<Real>> {
-        let _ = (frame, rate, rng);
         None
     }
 

@@ -55,14 +55,6 @@ impl Linear {
         }
     }
 
-    /// Multiplies the factors of all rows and biases by those of the layer's outputs: what a ReLU lets through is then
-    /// multiplied by as much, since factors are not negative.
-    pub fn scale_outputs(&self, factors: &mut [Real], outputs: &[Real]) {
-        let rows = factors[self.weight..][..self.outputs * self.inputs].chunks_exact_mut(self.inputs);
-        rows.zip(outputs).for_each(|(row, f)| row.iter_mut().for_each(|factor| *factor *= f));
-        self.bias_mut(factors).iter_mut().zip(outputs).for_each(|(factor, f)| *factor *= f);
-    }
-
     /// The columns of W that see one of several inputs.
     pub fn part(&self, columns: Range<usize>) -> Part {
         Part { layer: *self, columns }

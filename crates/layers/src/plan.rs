@@ -1,22 +1,22 @@
 //! Where the layers lie in the flat weight vector, and how the vector is divided over chunks and threads.
 
 use crate::linear::Linear;
-use pwrfgs_core::{Real, WeightSpec, rng};
+use pwrfgs_core::{Layout, Real, WeightSpec};
 use std::ops::Range;
 
-/// The tensors of a network, in order, each with the bound of its uniform initial values.
+/// The tensors of a network, in order, while its layers are laid out.
 #[derive(Debug, Default)]
 pub struct Plan {
-    tensors: Vec<(WeightSpec, f64)>,
+    tensors: Vec<WeightSpec>,
     len: usize,
 }
 
 impl Plan {
     fn push(&mut self, name: String, shape: Vec<usize>, bound: f64) -> usize {
         let start = self.len;
-        let spec = WeightSpec { name, shape };
+        let spec = WeightSpec::uniform(name, shape, bound);
         self.len += spec.len();
-        self.tensors.push((spec, bound));
+        self.tensors.push(spec);
         start
     }
 
@@ -26,9 +26,11 @@ impl Plan {
     }
 
     /// A layer before a ReLU with He's initial values: weights uniform within ±√(6/inputs), biases 0. What goes in and
-    /// what comes out are then of one size, however deep the stack.
+    /// what comes out are then of one size, however deep the stack. Dropout may silence its outputs.
     pub fn relu(&mut self, name: &str, inputs: usize, outputs: usize) -> Linear {
-        self.unbiased(name, inputs, outputs, (6.0 / inputs as f64).sqrt())
+        let layer = self.unbiased(name, inputs, outputs, (6.0 / inputs as f64).sqrt());
+        self.tensors.iter_mut().rev().take(2).for_each(|spec| spec.hidden = true);
+        layer
     }
 
     /// A layer with weights uniform within ±`bound` and biases 0.
@@ -58,18 +60,9 @@ impl Plan {
         self.len
     }
 
-    /// Names and shapes.
-    pub fn layout(self) -> Vec<WeightSpec> {
-        self.tensors.into_iter().map(|(spec, _)| spec).collect()
-    }
-
-    /// Fresh weights.
-    pub fn init(&self, rng: &mut rng::Rng) -> Vec<Real> {
-        let mut flat = Vec::with_capacity(self.len);
-        for (spec, bound) in &self.tensors {
-            flat.extend((0..spec.len()).map(|_| (2.0 * rng::uniform(rng) - 1.0) * *bound as Real));
-        }
-        flat
+    /// All tensors.
+    pub fn layout(self) -> Layout {
+        Layout { weights: self.tensors, constants: Vec::new() }
     }
 }
 

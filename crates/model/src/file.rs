@@ -210,7 +210,7 @@ fn note(model: &Model) -> Note {
 fn put_model(file: &mut Tensors, prefix: &str, model: &Model) {
     put_cloud(file, &format!("{prefix}gaussians."), &model.cloud);
     put_weights(file, &format!("{prefix}{NETWORK}"), &model.weights, &model.stages);
-    for (spec, values) in model.stages.method.constants() {
+    for (spec, values) in model.stages.layout().constants {
         file.put(format!("{prefix}{CONSTANTS}{}", spec.name), spec.shape, values);
     }
 }
@@ -319,7 +319,7 @@ fn frame(note: &Note) -> Result<Frame, String> {
 
 /// Refuses a file whose constants are not those that its deformation draws here: it would predict something else.
 fn check_constants(file: &mut Tensors, prefix: &str, stages: &Stages) -> Result<(), String> {
-    for (spec, drawn) in stages.method.constants() {
+    for (spec, drawn) in stages.layout().constants {
         let name = format!("{prefix}{CONSTANTS}{}", spec.name);
         if file.shape(&name).is_none() {
             continue; // written when files did not hold them
@@ -379,7 +379,7 @@ pub fn take_columns(
 /// Puts the network's tensors under `prefix`, one a layer.
 pub fn put_weights(file: &mut Tensors, prefix: &str, weights: &[Real], stages: &Stages) {
     let mut rest = weights;
-    for spec in stages.layout() {
+    for spec in stages.layout().weights {
         let (own, tail) = rest.split_at(spec.len());
         file.put(format!("{prefix}{}", spec.name), spec.shape.clone(), own.to_vec());
         rest = tail;
@@ -393,7 +393,7 @@ pub fn put_weights(file: &mut Tensors, prefix: &str, weights: &[Real], stages: &
 /// What is missing.
 pub fn take_weights(file: &mut Tensors, prefix: &str, stages: &Stages) -> Result<Vec<Real>, String> {
     let mut weights = Vec::new();
-    for spec in stages.layout() {
+    for spec in stages.layout().weights {
         weights.extend(file.take(&format!("{prefix}{}", spec.name), &spec.shape)?);
     }
     Ok(weights)

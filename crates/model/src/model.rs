@@ -1,7 +1,7 @@
 //! `Model`: what is saved and predicts.
 
 use crate::{Activation, Calibration, Stages};
-use pwrfgs_core::{Deltas, GaussianCloud, Origin, Primitives, Real, WeightSpec};
+use pwrfgs_core::{DeformationInputs, Deltas, GaussianCloud, Origin, Primitives, Real};
 
 /// A trained model: predicts, and needs nothing else to do so.
 #[derive(Clone, Debug)]
@@ -23,10 +23,10 @@ impl Model {
             let none = Deltas::default();
             return (activation.geometry(&self.cloud, &none, 0, None), activation.signals(&self.cloud, &none, 0..1));
         };
-        let network = &self.weights[..splatting.deformation.layout().iter().map(WeightSpec::len).sum()];
+        let network = &self.weights[..splatting.deformation.layout().numbers()];
         let deform = |tx: [Real; 3]| {
             let (means, pose) = (&self.cloud.means, self.stages.pose());
-            splatting.deformation.forward(network, means, (&[tx]).into(), &pose)
+            splatting.deformation.forward(&DeformationInputs::new(network, means, &[tx], &pose), &None)
         };
         let deltas = tx.map(|tx| self.stages.origin.local(tx)).map_or_else(Deltas::default, deform);
         let activation = splatting.activation();

@@ -195,7 +195,7 @@ impl Splatting {
     pub fn activation(&self) -> Activation {
         Activation {
             calibration: self.calibration,
-            replaces_signals: self.deformation.replaces_signals(),
+            replaces_signals: self.deformation.traits().replaces_signals,
             channels: self.readout.channels(),
         }
     }
@@ -209,7 +209,7 @@ impl Splatting {
     /// The rows of `cloud` that can show in a picture, whatever the network says: gate open, not too faint for the
     /// rasterizer, seen by the projector. Only they need to pass the network; all, where it couples them.
     pub fn drawable(&self, frame: &Frame, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
-        if self.deformation.couples_gaussians() {
+        if self.deformation.traits().couples_gaussians {
             return (0..cloud.len()).collect();
         }
         let mut seen = vec![self.readout == Readout::Channel; cloud.len()];

@@ -3,7 +3,7 @@
 use crate::Splatting;
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
-    Axis, Dataset, Error, Frame, GaussianCloud, ImagePlane, Method, Real, Receiver, Result, Task, WeightSpec,
+    Axis, Dataset, Error, Frame, GaussianCloud, ImagePlane, Layout, Method, Real, Receiver, Result, Task, WeightSpec,
 };
 use std::any::Any;
 use std::ops::{Deref, DerefMut};
@@ -110,14 +110,14 @@ impl Stages {
         self.method.check_frame(&self.frame)
     }
 
-    /// Names and shapes of the weights.
-    pub fn layout(&self) -> Vec<WeightSpec> {
+    /// Names, shapes and initial values of the weights.
+    pub fn layout(&self) -> Layout {
         self.method.layout(&self.frame)
     }
 
     /// How many of the weights are a network's: what is learned of receivers comes behind them.
     pub fn network_weights(&self) -> usize {
-        self.layout().iter().take_while(|spec| !spec.name.starts_with(RECEIVERS)).map(WeightSpec::len).sum()
+        self.layout().weights.iter().take_while(|spec| !spec.name.starts_with(RECEIVERS)).map(WeightSpec::len).sum()
     }
 
     /// The rows of `cloud` that can count in an observation.

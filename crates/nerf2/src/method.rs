@@ -6,8 +6,8 @@ use crate::path::Law;
 use crate::rays::Rays;
 use crate::walk::{Still, Sums, Trunked, Walk};
 use pwrfgs_core::{
-    Asked, Cache, Documented, Frame, Method, MethodVjp, Observed, Parameters, Pixels, Real, SPEED_OF_LIGHT, StageTimes,
-    Task, WeightSpec, cached, consts, gain_at, rng::Rng,
+    Asked, Cache, Documented, Frame, Layout, Method, MethodVjp, Observed, Parameters, Pixels, Real, SPEED_OF_LIGHT,
+    StageTimes, Task, cached, consts, gain_at,
 };
 use pwrfgs_layers::dense::add_in_order;
 use pwrfgs_layers::plan::{Plan, items_per_sum, laid_out, planned};
@@ -277,12 +277,8 @@ impl Method for Nerf2 {
         bytes_of(&network, self.samples, rays, passes).min(KEPT) as u64
     }
 
-    fn layout(&self, frame: &Frame) -> Vec<WeightSpec> {
+    fn layout(&self, frame: &Frame) -> Layout {
         planned(|plan| self.network(frame, plan)).1.layout()
-    }
-
-    fn init(&self, frame: &Frame, rng: &mut Rng) -> Vec<Real> {
-        planned(|plan| self.network(frame, plan)).1.init(rng)
     }
 
     fn forward(&self, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>) -> Observed {

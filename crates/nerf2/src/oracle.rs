@@ -60,7 +60,7 @@ fn reproduce(mode: &str, bands: usize, law: Law) {
     let far_m = if mode == "rssi" { 1.0 } else { 5.0 };
     let method = Nerf2 { width: 32, samples, far_m, features, first_ring: mode == "rssi", ..Nerf2::default() };
     let (network, plan) = planned(|plan| Network::new(&method, bands, plan));
-    let names: Vec<String> = plan.layout().into_iter().map(|spec| spec.name).collect();
+    let names: Vec<String> = plan.layout().weights.into_iter().map(|spec| spec.name).collect();
     let weights = oracle.weights("w", &names);
     let conditions = Conditions::new(method_inputs(&method), &tx);
     let told = network.tell(&weights, &conditions, 1.0);

@@ -37,7 +37,7 @@ const PER_WAVE: usize = 4;
 
 /// Bytes that the network of `deformation` takes in training; known before anything is made.
 pub fn network_bytes(deformation: &dyn Deformation) -> u64 {
-    let weights = deformation.layout().iter().map(|spec| spec.len() as u64).sum::<u64>();
+    let weights = deformation.layout().numbers() as u64;
     weights * (PER_WEIGHT * size_of::<Real>()) as u64
 }
 
@@ -65,7 +65,7 @@ impl Trainer<'_> {
             Some(splatting) => {
                 let sky = splatting.sky(frame);
                 let waves = if frame.task == Task::Channel { PER_WAVE * frame.numbers() / 2 } else { 0 };
-                (PER_GAUSSIAN + splatting.deformation.kept_per_gaussian() + waves, sky.width * sky.height)
+                (PER_GAUSSIAN + splatting.deformation.traits().kept_per_gaussian + waves, sky.width * sky.height)
             }
             None => (PER_GAUSSIAN, chosen),
         };

@@ -194,7 +194,7 @@ impl<'a> Trainer<'a> {
             let values = vec![spec.init; cloud.len() * spec.width];
             cloud.extra.push(ExtraColumn { name: spec.name.into(), width: spec.width, values });
         }
-        let mut weights = method.init(frame, &mut rng::stream(self.plan.seed, "network", 0));
+        let mut weights = method.layout(frame).init(&mut rng::stream(self.plan.seed, "network", 0));
         match trained {
             Some(trained) if trained.len() == weights.len() => weights = trained,
             Some(trained) => {
@@ -390,7 +390,7 @@ impl<'a> Trainer<'a> {
             return window;
         }
         let mut random = rng::stream(self.plan.seed, "dropout", step);
-        let dropout = self.stages.method.dropout(&self.stages.frame, rate, &mut random);
+        let dropout = self.stages.layout().dropout(rate, &mut random);
         match (window, dropout) {
             (Some(window), Some(dropout)) => Some(through(&window, &dropout)),
             (window, dropout) => window.or(dropout),

@@ -54,12 +54,12 @@ impl Npz {
             }
         }
         let mut rest = model.weights.as_slice();
-        for spec in model.stages.layout() {
+        for spec in model.stages.layout().weights {
             let (own, tail) = rest.split_at(spec.len());
             self.put(&format!("network.{}", spec.name), &spec.shape, own)?;
             rest = tail;
         }
-        for (spec, values) in model.stages.method.constants() {
+        for (spec, values) in model.stages.layout().constants {
             self.put(&format!("constants.{}", spec.name), &spec.shape, &values)?;
         }
         let (pose, plane) = (&model.stages.receiver(), &model.stages.plane);

@@ -37,7 +37,8 @@ pub fn ply(model: &Ensemble, tx: Option<[f64; 3]>) -> Result<Vec<u8>> {
 /// The rows of one model, each with the number of the member at its end where there are several.
 fn put_rows(out: &mut Vec<u8>, model: &Model, tx: Option<[f64; 3]>, member: Option<f32>) -> Result<()> {
     let (primitives, signals) = model.gaussians(tx);
-    let known = tx.is_some() || !model.stages.splatting().is_some_and(|splats| splats.deformation.replaces_signals());
+    let known =
+        tx.is_some() || !model.stages.splatting().is_some_and(|splats| splats.deformation.traits().replaces_signals);
     let strengths = known.then(|| strengths(model, &signals));
     for i in 0..primitives.len() {
         let colour = strengths.as_ref().map_or([0.0; 3], |strengths| colour(strengths[i]));

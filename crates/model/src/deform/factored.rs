@@ -5,8 +5,8 @@ use super::mlp::check_stack;
 use super::waves::Encoding;
 use super::whiten::whitening;
 use pwrfgs_core::{
-    Cache, Conditions, Deformation, DeformationInputs, Deltas, Documented, LinearPart, Pose, Real, WeightSpec, cached,
-    rng, rng::Rng,
+    Cache, Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, Documented, Layout, LinearPart, Pose,
+    Real, cached,
 };
 use pwrfgs_layers::plan::{laid_out, planned};
 use serde::{Deserialize, Serialize};
@@ -24,10 +24,10 @@ use std::sync::Arc;
 /// Centres are differentiated through the network.
 ///
 /// ```
-/// use pwrfgs_core::{Cache, Deformation, Plugin};
+/// use pwrfgs_core::{Deformation, Plugin};
 /// # use pwrfgs_model as _;
 /// let small = Plugin::<dyn Deformation>::parse("Factored(depth: 3, width: 128, tx_encoding: Waves(count: 64, reach: 24.0))").unwrap();
-/// assert!(!small.varies_geometry());
+/// assert!(!small.traits().varies_geometry);
 /// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
@@ -52,51 +52,31 @@ impl Default for Factored {
 
 #[typetag::serde]
 impl Deformation for Factored {
-    fn layout(&self) -> Vec<WeightSpec> {
-        planned(|plan| Network::new(self, plan)).1.layout()
+    fn traits(&self) -> DeformationTraits {
+        DeformationTraits {
+            inputs: self.tx_encoding.inputs(),
+            kept_per_gaussian: 2 * (self.position_encoding.width() - 3), // its waves and their derivative
+            ..DeformationTraits::default()
+        }
     }
 
-    fn inputs(&self) -> usize {
-        self.tx_encoding.inputs()
-    }
-
-    fn kept_per_gaussian(&self) -> usize {
-        2 * (self.position_encoding.width() - 3) // its waves and their derivative
-    }
-
-    fn init(&self, rng: &mut Rng) -> Vec<Real> {
-        planned(|plan| Network::new(self, plan)).1.init(rng)
-    }
-
-    fn constants(&self) -> Vec<(WeightSpec, Vec<Real>)> {
+    fn layout(&self) -> Layout {
         let encodings = [("tx_encoding", &self.tx_encoding), ("position_encoding", &self.position_encoding)];
-        encodings.into_iter().filter_map(|(field, encoding)| encoding.constants(field)).collect()
+        let constants = encodings.into_iter().filter_map(|(field, encoding)| encoding.constants(field)).collect();
+        Layout { constants, ..planned(|plan| Network::new(self, plan)).1.layout() }
     }
 
-    fn varies_geometry(&self) -> bool {
-        false
-    }
-
-    fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: Conditions<'_>, pose: &Pose) -> Deltas {
-        self.forward_prepared(weights, means, txs, pose, &self.prepare(weights, means, pose))
+    fn forward(&self, inputs: &DeformationInputs<'_>, prepared: &Cache) -> Deltas {
+        let fresh = || self.prepare(inputs.weights, inputs.means, inputs.pose);
+        let prepared = prepared.clone().or_else(fresh);
+        let (network, basis): &(Network, Basis) = cached(&prepared);
+        network.forward(inputs.weights, basis, inputs.txs)
     }
 
     fn prepare(&self, weights: &[Real], means: &[[Real; 3]], _: &Pose) -> Cache {
         let network = laid_out(weights, |plan| Network::new(self, plan));
         let basis = network.basis(means);
         Some(Arc::new((network, basis)))
-    }
-
-    fn forward_prepared(
-        &self,
-        weights: &[Real],
-        _: &[[Real; 3]],
-        txs: Conditions<'_>,
-        _: &Pose,
-        prepared: &Cache,
-    ) -> Deltas {
-        let (network, basis): &(Network, Basis) = cached(prepared);
-        network.forward(weights, basis, txs)
     }
 
     fn vjp(
@@ -128,17 +108,6 @@ impl Deformation for Factored {
             weights[white.weight..][..matrix.len()].copy_from_slice(&matrix);
             white.bias_mut(weights).copy_from_slice(&bias);
         }
-    }
-
-    fn dropout(&self, rate: Real, rng: &mut Rng) -> Option<Vec<Real>> {
-        let (network, plan) = planned(|plan| Network::new(self, plan));
-        let mut factors = vec![1.0; plan.numbers()];
-        for layer in &network.stack {
-            let kept = |_| if rng::uniform(rng) < rate { 0.0 } else { 1.0 / (1.0 - rate) };
-            let outputs: Vec<Real> = (0..layer.outputs).map(kept).collect();
-            layer.scale_outputs(&mut factors, &outputs);
-        }
-        Some(factors)
     }
 
     fn check(&self) -> Result<(), String> {

@@ -1,6 +1,6 @@
 //! `Fixed`: no deformation at all.
 
-use pwrfgs_core::{Conditions, Deformation, DeformationInputs, Deltas, Documented, Pose, Real};
+use pwrfgs_core::{Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, Documented, Real};
 use serde::{Deserialize, Serialize};
 
 /// No deformation: every transmitter sees the same Gaussians and the same signals. No weights, no settings.
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 /// use pwrfgs_core::{Deformation, Plugin};
 /// # use pwrfgs_model as _;
 /// let none = Plugin::<dyn Deformation>::parse("Fixed()").unwrap();
-/// assert!(none.layout().is_empty());
+/// assert!(none.layout().weights.is_empty());
 /// ```
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
@@ -19,11 +19,11 @@ pub struct Fixed {}
 
 #[typetag::serde]
 impl Deformation for Fixed {
-    fn varies_geometry(&self) -> bool {
-        false
+    fn traits(&self) -> DeformationTraits {
+        DeformationTraits::default()
     }
 
-    fn forward(&self, _: &[Real], _: &[[Real; 3]], _: Conditions<'_>, _: &Pose) -> Deltas {
+    fn forward(&self, _: &DeformationInputs<'_>, _: &Cache) -> Deltas {
         Deltas::default()
     }
 

@@ -1,7 +1,7 @@
 //! `Mlp`: the deformation network of P-WRFGS, `(Δs, ΔR, ΔS) = D_Θ(γ(μ), γ(p_tx))` of eq. (5).
 
 use super::mlp_network::{Network, Outputs};
-use pwrfgs_core::{Conditions, Deformation, DeformationInputs, Deltas, Documented, Pose, Real, WeightSpec, rng::Rng};
+use pwrfgs_core::{Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, Documented, Layout, Real};
 use pwrfgs_layers::encoding::{self, MOST_FREQUENCIES};
 use pwrfgs_layers::plan::{Plan, laid_out, planned};
 use pwrfgs_layers::trunk::{Trunk, TrunkShape};
@@ -24,7 +24,7 @@ use serde::{Deserialize, Serialize};
 /// # use pwrfgs_model as _;
 /// let small = "Mlp(depth: 4, width: 64, skip: None, outputs: Signals, head_init: 0.1)";
 /// let small = Plugin::<dyn Deformation>::parse(small).unwrap();
-/// assert!(!small.varies_geometry());
+/// assert!(!small.traits().varies_geometry);
 /// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Documented)]
 #[serde(default, deny_unknown_fields)]
@@ -86,20 +86,17 @@ impl Mlp {
 
 #[typetag::serde]
 impl Deformation for Mlp {
-    fn layout(&self) -> Vec<WeightSpec> {
+    fn traits(&self) -> DeformationTraits {
+        DeformationTraits { varies_geometry: self.outputs == Outputs::All, ..DeformationTraits::default() }
+    }
+
+    fn layout(&self) -> Layout {
         planned(|plan| self.network(plan)).1.layout()
     }
 
-    fn init(&self, rng: &mut Rng) -> Vec<Real> {
-        planned(|plan| self.network(plan)).1.init(rng)
-    }
-
-    fn varies_geometry(&self) -> bool {
-        self.outputs == Outputs::All
-    }
-
-    fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: Conditions<'_>, _: &Pose) -> Deltas {
-        laid_out(weights, |plan| self.network(plan)).forward(weights, means, txs.positions())
+    fn forward(&self, inputs: &DeformationInputs<'_>, _: &Cache) -> Deltas {
+        let network = laid_out(inputs.weights, |plan| self.network(plan));
+        network.forward(inputs.weights, inputs.means, inputs.txs.positions())
     }
 
     fn vjp(&self, inputs: &DeformationInputs<'_>, d: &Deltas, d_weights: &mut [Real], _: Option<&mut [[Real; 3]]>) {

@@ -36,7 +36,7 @@ fn cotangent(like: &Deltas) -> Deltas {
 /// Central differences along every weight, and along every centre where the deformation differentiates them.
 fn check_derivative(name: &str, deformation: &dyn Deformation, n: usize, batch: usize, along_means: bool) {
     deformation.check().unwrap();
-    let weights = deformation.init(&mut rng::stream(2, name, 0));
+    let weights = deformation.layout().init(&mut rng::stream(2, name, 0));
     let (means, txs) = (points(n, "means"), points(batch, "txs"));
     let moved = if along_means { means.as_flattened() } else { &[] };
     let x = [weights.as_slice(), moved].concat();
@@ -46,12 +46,12 @@ fn check_derivative(name: &str, deformation: &dyn Deformation, n: usize, batch: 
     };
     let f = |x: &[Real]| {
         let (w, means) = split(x);
-        flat(&deformation.forward(&w, &means, (&txs).into(), &POSE))
+        flat(&deformation.forward(&DeformationInputs::new(&w, &means, &txs, &POSE), &None))
     };
     let vjp = |x: &[Real], d: &[Real]| {
         let (w, means) = split(x);
-        let inputs = DeformationInputs { weights: &w, means: &means, txs: (&txs).into(), pose: &POSE };
-        let d = deltas_like(&deformation.forward(&w, &means, (&txs).into(), &POSE), d);
+        let inputs = DeformationInputs::new(&w, &means, &txs, &POSE);
+        let d = deltas_like(&deformation.forward(&inputs, &None), d);
         // Starting from ones shows that derivatives are added.
         let (mut d_weights, mut d_means) = (vec![1.0; w.len()], vec![[1.0; 3]; n]);
         deformation.vjp(&inputs, &d, &mut d_weights, along_means.then_some(&mut d_means));
@@ -118,23 +118,23 @@ fn factored_derivatives_agree_with_central_differences() {
 
 #[test]
 fn networks_have_the_published_sizes() {
-    let count = |d: &dyn Deformation| d.layout().iter().map(pwrfgs_core::WeightSpec::len).sum::<usize>();
+    let count = |d: &dyn Deformation| d.layout().numbers();
     assert_eq!(count(&Mlp::default()), 574_819);
     assert_eq!(count(&Wrfgs::default()), 189_636);
     assert_eq!(count(&Fixed::default()), 0);
-    let mut names: Vec<String> = Mlp::default().layout().into_iter().map(|spec| spec.name).collect();
+    let mut names: Vec<String> = Mlp::default().layout().weights.into_iter().map(|spec| spec.name).collect();
     names.sort();
     names.dedup();
-    assert_eq!(names.len(), Mlp::default().layout().len());
+    assert_eq!(names.len(), Mlp::default().layout().weights.len());
 }
 
 #[test]
 fn initial_weights_are_uniform_within_one_over_root_inputs() {
     let mlp = Mlp { head_init: 0.01, ..Mlp::default() };
-    let weights = mlp.init(&mut rng::stream(0, "init", 0));
+    let weights = mlp.layout().init(&mut rng::stream(0, "init", 0));
     let mut rest = weights.as_slice();
     let mut inputs = std::collections::BTreeMap::new();
-    for spec in mlp.layout() {
+    for spec in mlp.layout().weights {
         let (these, after) = rest.split_at(spec.len());
         rest = after;
         let layer = spec.name.rsplit_once('.').unwrap().0.to_owned();
@@ -149,11 +149,11 @@ fn initial_weights_are_uniform_within_one_over_root_inputs() {
 /// Deltas and weight derivative on a pool of so many threads.
 fn on_threads(threads: usize, deformation: &dyn Deformation, n: usize, batch: usize) -> (Deltas, Vec<Real>) {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-    let weights = deformation.init(&mut rng::stream(1, "init", 0));
+    let weights = deformation.layout().init(&mut rng::stream(1, "init", 0));
     let (means, txs) = (points(n, "means"), points(batch, "txs"));
     pool.install(|| {
-        let deltas = deformation.forward(&weights, &means, (&txs).into(), &POSE);
-        let inputs = DeformationInputs { weights: &weights, means: &means, txs: (&txs).into(), pose: &POSE };
+        let inputs = DeformationInputs::new(&weights, &means, &txs, &POSE);
+        let deltas = deformation.forward(&inputs, &None);
         let (mut d_weights, mut d_means) = (vec![0.0; weights.len()], vec![[0.0; 3]; n]);
         deformation.vjp(&inputs, &cotangent(&deltas), &mut d_weights, Some(&mut d_means));
         d_weights.extend_from_slice(d_means.as_flattened());
@@ -180,15 +180,15 @@ fn a_batch_gives_the_bits_of_single_calls() {
     let deformations: [&dyn Deformation; 3] = [&mlp, &Wrfgs { width: 32, ..Wrfgs::default() }, &factored];
     let (means, txs) = (points(300, "means"), points(5, "txs"));
     for deformation in deformations {
-        let weights = deformation.init(&mut rng::stream(1, "init", 0));
+        let weights = deformation.layout().init(&mut rng::stream(1, "init", 0));
         let inputs = |txs| DeformationInputs { weights: &weights, means: &means, txs, pose: &POSE };
-        let batch = deformation.forward(&weights, &means, (&txs).into(), &POSE);
+        let batch = deformation.forward(&inputs((&txs).into()), &None);
         let d = cotangent(&batch);
         let mut d_batch = vec![0.0; weights.len()];
         deformation.vjp(&inputs((&txs).into()), &d, &mut d_batch, None);
         let mut d_singles = vec![0.0; weights.len()];
         for (b, tx) in txs.chunks(1).enumerate() {
-            let single = deformation.forward(&weights, &means, tx.into(), &POSE);
+            let single = deformation.forward(&inputs(tx.into()), &None);
             let rows = b * means.len()..(b + 1) * means.len();
             let part = |d: &Deltas| Deltas {
                 scales: d.scales.get(rows.clone()).unwrap_or_default().to_vec(),
@@ -257,14 +257,15 @@ fn a_frequency_window_lets_the_encodings_in() {
     let wrfgs = Wrfgs { depth: 4, width: 8, frequencies: 2, skip: Some(1), gain: None };
     let deformations: [&dyn Deformation; 3] = [&small_mlp(), &wrfgs, &factored];
     for deformation in deformations {
-        let weights = deformation.init(&mut rng::stream(1, "init", 0));
+        let weights = deformation.layout().init(&mut rng::stream(1, "init", 0));
         assert!(deformation.frequency_window(1.0).unwrap().iter().all(|f| *f == 1.0));
         let closed = deformation.frequency_window(0.0).unwrap();
         assert_eq!(closed.len(), weights.len());
         // Only plain coordinates are left: positions that differ by a period of every wave then look alike but for them.
         let dimmed: Vec<Real> = weights.iter().zip(&closed).map(|(w, f)| w * f).collect();
-        let bare =
-            |points: &[[Real; 3]]| flat(&deformation.forward(&dimmed, points, (&[[0.1, 0.2, 0.3]]).into(), &POSE));
+        let bare = |points: &[[Real; 3]]| {
+            flat(&deformation.forward(&DeformationInputs::new(&dimmed, points, &[[0.1, 0.2, 0.3]], &POSE), &None))
+        };
         let (low, mid, high) = (bare(&[[0.10; 3]]), bare(&[[0.1001; 3]]), bare(&[[0.1002; 3]]));
         let bend = low.iter().zip(&mid).zip(&high).map(|((a, b), c)| (a - 2.0 * b + c).abs()).fold(0.0, Real::max);
         assert!(bend < 1e-5, "piecewise linear in the coordinates without waves: {bend}");

@@ -140,7 +140,7 @@ impl Encoding {
     /// The wave vectors `[count, 3]`, rad/m, as the model file holds them: nobody else can draw them from the seed.
     pub(super) fn constants(&self, field: &str) -> Option<(WeightSpec, Vec<Real>)> {
         let Encoder::Waves(vectors, _) = self.encoder() else { return None };
-        let spec = WeightSpec { name: field.into(), shape: vec![vectors.len(), 3] };
+        let spec = WeightSpec::zeros(field, vec![vectors.len(), 3]);
         Some((spec, vectors.into_flattened().into_iter().map(|k| k as Real).collect()))
     }
 

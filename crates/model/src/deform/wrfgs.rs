@@ -4,7 +4,7 @@ use super::mlp::{check_frequencies, check_stack};
 use super::wrfgs_branch::Branch;
 use super::wrfgs_network::{Ahead, Network};
 use pwrfgs_core::{
-    Cache, Conditions, Deformation, DeformationInputs, Deltas, Documented, Pose, Real, WeightSpec, cached, rng::Rng,
+    Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, Documented, Layout, Pose, Real, cached,
 };
 use pwrfgs_layers::encoding;
 use pwrfgs_layers::plan::{Plan, laid_out, planned};
@@ -27,7 +27,7 @@ use std::sync::Arc;
 /// use pwrfgs_core::{Deformation, Plugin};
 /// # use pwrfgs_model as _;
 /// let released = Plugin::<dyn Deformation>::parse("Wrfgs()").unwrap();
-/// assert!(released.replaces_signals());
+/// assert!(released.traits().replaces_signals);
 /// let usable = Plugin::<dyn Deformation>::parse("Wrfgs(width: 64, gain: 100)").unwrap();
 /// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Documented)]
@@ -81,64 +81,36 @@ impl Wrfgs {
     fn network_of(&self, weights: &[Real]) -> Network {
         laid_out(weights, |plan| self.network(plan))
     }
-
-    fn deltas(
-        &self,
-        network: &Network,
-        weights: &[Real],
-        means: &[[Real; 3]],
-        txs: Conditions<'_>,
-        pose: &Pose,
-        ahead: Option<&[Ahead]>,
-    ) -> Deltas {
-        let gain = self.gain(means, pose) as Real;
-        let products = network.forward(weights, means, txs.positions(), ahead);
-        Deltas { signals: products.into_iter().map(|sa| [gain * sa, 0.0]).collect(), ..Deltas::default() }
-    }
 }
 
 #[typetag::serde]
 impl Deformation for Wrfgs {
-    fn layout(&self) -> Vec<WeightSpec> {
+    fn traits(&self) -> DeformationTraits {
+        let couples_gaussians = self.gain.is_none();
+        DeformationTraits { replaces_signals: true, couples_gaussians, ..DeformationTraits::default() }
+    }
+
+    fn layout(&self) -> Layout {
         planned(|plan| self.network(plan)).1.layout()
     }
 
-    fn init(&self, rng: &mut Rng) -> Vec<Real> {
-        planned(|plan| self.network(plan)).1.init(rng)
-    }
-
-    fn varies_geometry(&self) -> bool {
-        false
-    }
-
-    fn replaces_signals(&self) -> bool {
-        true
-    }
-
-    fn couples_gaussians(&self) -> bool {
-        self.gain.is_none()
-    }
-
-    fn forward(&self, weights: &[Real], means: &[[Real; 3]], txs: Conditions<'_>, pose: &Pose) -> Deltas {
-        self.deltas(&self.network_of(weights), weights, means, txs, pose, None)
+    fn forward(&self, inputs: &DeformationInputs<'_>, prepared: &Cache) -> Deltas {
+        let &DeformationInputs { weights, means, txs, pose } = inputs;
+        let gain = self.gain(means, pose) as Real;
+        let txs = txs.positions();
+        let products = if prepared.is_some() {
+            let (network, ahead): &(Network, Vec<Ahead>) = cached(prepared);
+            network.forward(weights, means, txs, Some(ahead.as_slice()))
+        } else {
+            self.network_of(weights).forward(weights, means, txs, None)
+        };
+        Deltas { signals: products.into_iter().map(|sa| [gain * sa, 0.0]).collect(), ..Deltas::default() }
     }
 
     fn prepare(&self, weights: &[Real], means: &[[Real; 3]], _: &Pose) -> Cache {
         let network = self.network_of(weights);
         let ahead = network.ahead(weights, means);
         Some(Arc::new((network, ahead)))
-    }
-
-    fn forward_prepared(
-        &self,
-        weights: &[Real],
-        means: &[[Real; 3]],
-        txs: Conditions<'_>,
-        pose: &Pose,
-        prepared: &Cache,
-    ) -> Deltas {
-        let (network, ahead): &(Network, Vec<Ahead>) = cached(prepared);
-        self.deltas(network, weights, means, txs, pose, Some(ahead.as_slice()))
     }
 
     fn vjp(

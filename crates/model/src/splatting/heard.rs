@@ -5,8 +5,8 @@ use super::channel::Waves;
 use super::groups::Group;
 use crate::ActivationVjp;
 use pwrfgs_core::{
-    Asked, Cache, Conditions, Dataset, Deltas, Frame, GaussianCloud, Link, Method, MethodVjp, Observed, Parameters,
-    Pixels, Real, StageTimes, cached, consts, evenly,
+    Asked, Cache, Conditions, Dataset, DeformationInputs, Deltas, Frame, GaussianCloud, Link, Method, MethodVjp,
+    Observed, Parameters, Pixels, Real, StageTimes, cached, consts, evenly,
 };
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -145,8 +145,9 @@ impl Splatting {
         start: Instant,
     ) -> (Vec<Real>, StageTimes) {
         let (network, laws) = self.parts(frame, p.weights);
-        let (means, pose) = (&p.cloud.means, frame.pose());
-        let deltas = self.deformation.forward_prepared(network, means, asked.conditions, &pose, &ready.deformation);
+        let pose = frame.pose();
+        let inputs = DeformationInputs::new(network, &p.cloud.means, asked.conditions, &pose);
+        let deltas = self.deformation.forward(&inputs, &ready.deformation);
         let network = start.elapsed().as_secs_f64();
         let mut numbers = vec![0.0; asked.links.len() * frame.numbers()];
         for group in Group::all(asked.links, frame.receivers.len(), true) {

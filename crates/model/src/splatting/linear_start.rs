@@ -26,7 +26,7 @@ impl Splatting {
         let part = pwrfgs_core::evenly(train, MOST);
         let all: Vec<Real> = part.iter().flat_map(|&i| data.query(i).features).copied().collect();
         let network = self.parts(frame, weights).0.len();
-        let conditions = Conditions::new(self.deformation.inputs(), &all);
+        let conditions = Conditions::new(self.deformation.traits().inputs, &all);
         let linear = self.deformation.linear_part(&weights[..network], &cloud.means, conditions);
         let (Some(linear), [receiver]) = (linear, frame.receivers.as_slice()) else { return false };
         let waves = Waves::new(frame, receiver, cloud, None);

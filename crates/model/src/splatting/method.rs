@@ -8,8 +8,8 @@ use super::survey::Question;
 use super::{Drawing, Geometry, Splatting, View, check_kind, check_together};
 use crate::{ActivationVjp, Calibration, Readout};
 use pwrfgs_core::{
-    Asked, Cache, Conditions, Dataset, DeformationInputs, Deltas, Frame, GaussianCloud, Method, MethodVjp, Needs,
-    Observed, Parameters, Real, StageTimes, Statistics, Task, WeightSpec, cached, rng::Rng,
+    Asked, Cache, Conditions, Dataset, DeformationInputs, Deltas, Frame, GaussianCloud, Layout, Method, MethodVjp,
+    Needs, Observed, Parameters, Real, StageTimes, Statistics, Task, WeightSpec, cached,
 };
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -90,12 +90,8 @@ impl Splatting {
         let network = self.parts(frame, p.weights).0;
         let mut d_means = vec![[0.0; 3]; p.cloud.len()];
         if own.deltas.to_columns().next().is_some() {
-            let inputs = DeformationInputs {
-                weights: network,
-                means: &p.cloud.means,
-                txs: asked.conditions,
-                pose: &frame.pose(),
-            };
+            let pose = frame.pose();
+            let inputs = DeformationInputs::new(network, &p.cloud.means, asked.conditions, &pose);
             let d_network = &mut sums.weights[..network.len()];
             self.deformation.vjp(&inputs, &own.deltas, d_network, Some(&mut d_means));
         }
@@ -131,7 +127,8 @@ impl Splatting {
     }
 
     pub(super) fn terms(&self, frame: &Frame, p: &Parameters<'_>, conditions: Conditions<'_>) -> Deltas {
-        self.deformation.forward(self.parts(frame, p.weights).0, &p.cloud.means, conditions, &frame.pose())
+        let network = self.parts(frame, p.weights).0;
+        self.deformation.forward(&DeformationInputs::new(network, &p.cloud.means, conditions, &frame.pose()), &None)
     }
 }
 
@@ -141,24 +138,14 @@ impl Method for Splatting {
         Some(self.readout.task())
     }
 
-    fn layout(&self, frame: &Frame) -> Vec<WeightSpec> {
+    fn layout(&self, frame: &Frame) -> Layout {
         let mut layout = self.deformation.layout();
         if self.laws(frame) > 0 {
             let receivers = frame.receivers.len();
             let names = LAW.into_iter().take(self.laws(frame) / receivers);
-            layout.extend(names.map(|name| WeightSpec { name: name.into(), shape: vec![receivers] }));
+            layout.weights.extend(names.map(|name| WeightSpec::zeros(name, vec![receivers])));
         }
         layout
-    }
-
-    fn init(&self, frame: &Frame, rng: &mut Rng) -> Vec<Real> {
-        let mut weights = self.deformation.init(rng);
-        weights.resize(weights.len() + self.laws(frame), 0.0);
-        weights
-    }
-
-    fn constants(&self) -> Vec<(WeightSpec, Vec<Real>)> {
-        self.deformation.constants()
     }
 
     fn drawable(&self, frame: &Frame, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
@@ -174,7 +161,7 @@ impl Method for Splatting {
         let numbers = frame.numbers();
         let mut observed = Vec::new();
         let mut drawings = Vec::new();
-        let groups = Group::all(asked.links, views.len(), !self.deformation.varies_geometry());
+        let groups = Group::all(asked.links, views.len(), !self.deformation.traits().varies_geometry);
         let in_order = groups.iter().flat_map(|group| &group.links).copied().eq(0..asked.links.len());
         if !in_order {
             observed.resize(asked.links.len() * numbers, 0.0);
@@ -261,7 +248,7 @@ impl Method for Splatting {
         let still = |view: &View| Arc::new(self.geometry(view, p.cloud, &Deltas::default(), 0, p.into()));
         Some(Arc::new(Ready {
             deformation: self.deformation.prepare(network, &p.cloud.means, &frame.pose()),
-            still: if self.deformation.varies_geometry() {
+            still: if self.deformation.traits().varies_geometry {
                 Vec::new()
             } else {
                 self.views(frame).iter().map(still).collect()
@@ -282,8 +269,9 @@ impl Method for Splatting {
         }
         let Ready { deformation, still } = cached(prepared);
         let (network, laws) = self.parts(frame, p.weights);
-        let deltas =
-            self.deformation.forward_prepared(network, &p.cloud.means, asked.conditions, &frame.pose(), deformation);
+        let pose = frame.pose();
+        let inputs = DeformationInputs::new(network, &p.cloud.means, asked.conditions, &pose);
+        let deltas = self.deformation.forward(&inputs, deformation);
         let mut times = StageTimes { network: start.elapsed().as_secs_f64(), ..StageTimes::default() };
         let (views, numbers) = (self.views(frame), frame.numbers());
         let one = |group: &Group| {
@@ -296,7 +284,7 @@ impl Method for Splatting {
             let blending = start.elapsed().as_secs_f64() - projection - sort;
             (own, [projection, sort, blending])
         };
-        let groups = Group::all(asked.links, views.len(), !self.deformation.varies_geometry());
+        let groups = Group::all(asked.links, views.len(), !self.deformation.traits().varies_geometry);
         if let [group] = groups.as_slice() {
             let (own, seconds) = one(group);
             add(&mut times, seconds);
@@ -315,10 +303,6 @@ impl Method for Splatting {
         self.deformation.frequency_window(share).map(|window| self.padded(frame, window))
     }
 
-    fn dropout(&self, frame: &Frame, rate: Real, rng: &mut Rng) -> Option<Vec<Real>> {
-        self.deformation.dropout(rate, rng).map(|factors| self.padded(frame, factors))
-    }
-
     fn start(&self, frame: &Frame, data: &Dataset, train: &[usize], cloud: &mut GaussianCloud, weights: &mut [Real]) {
         if self.inputs() != 3 {
             let all: Vec<Real> = train.iter().flat_map(|&i| data.query(i).features).copied().collect();
@@ -334,7 +318,7 @@ impl Method for Splatting {
     }
 
     fn inputs(&self) -> usize {
-        self.deformation.inputs()
+        self.deformation.traits().inputs
     }
 
     fn restrict(&self, numbers: &mut [Real]) {
@@ -349,7 +333,7 @@ impl Method for Splatting {
                 "calibration: AsReleased is that of spectra as released, and the data are {what}; use Physical"
             ));
         }
-        if frame.receivers.len() > 1 && self.deformation.reads_receiver() {
+        if frame.receivers.len() > 1 && self.deformation.traits().reads_receiver {
             return Err(format!(
                 "the deformation looks at where the receiver is, and these data have {} receivers; use Factored() or Mlp()",
                 frame.receivers.len()

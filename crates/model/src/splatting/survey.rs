@@ -28,7 +28,7 @@ impl Splatting {
     pub(super) fn look(&self, question: &Question<'_>) -> Statistics {
         let Question { frame, p, asked, needs, .. } = *question;
         let (views, n) = (self.views(frame), p.cloud.len());
-        let still = !self.deformation.varies_geometry();
+        let still = !self.deformation.traits().varies_geometry;
         // Weights are then those of the geometry, whatever the network says of each transmitter.
         let blind = still && !question.any(reads_signals);
         let deltas = if blind { Deltas::default() } else { self.terms(frame, p, asked.conditions) };
