@@ -130,12 +130,12 @@ pub enum Goal {
 }
 
 /// One result.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Measurement {
     /// Column name in `scores.csv`, such as `ssim` or `eta_0db`.
     pub key: String,
     /// Unit, empty for a pure number.
-    pub unit: &'static str,
+    pub unit: String,
     /// Which way is better.
     pub goal: Goal,
     /// The numbers.

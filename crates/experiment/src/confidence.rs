@@ -2,10 +2,11 @@
 
 use crate::observer::staged;
 use crate::session::{Session, check_stopped};
-use crate::text::Lines;
+use crate::text::{Lines, csv_rows};
 use pwrfgs_core::{Dataset, Image, Result, Task};
 use pwrfgs_model::Prepared;
 use rayon::prelude::*;
+use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Test spectra that are predicted together.
@@ -67,6 +68,20 @@ impl Confidence {
             (rows.iter().map(|&i| self.spreads[i]).sum::<f64>() / rows.len() as f64, errors)
         };
         (0..count).map(group).filter(|(_, errors)| !errors.is_empty()).collect()
+    }
+
+    /// Reads `confidence.csv`.
+    ///
+    /// # Errors
+    /// [`pwrfgs_core::Error::Read`], or [`pwrfgs_core::Error::Input`] with the line if the file is damaged.
+    pub fn read(path: &Path) -> Result<Self> {
+        let mut all = Self::default();
+        for (id, spread, error) in csv_rows(path)? {
+            all.ids.push(id);
+            all.spreads.push(spread);
+            all.errors.push(error);
+        }
+        Ok(all)
     }
 
     /// The text of `confidence.csv`: a test id, spread and error.

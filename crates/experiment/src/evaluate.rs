@@ -3,32 +3,17 @@
 //! Baselines are fitted on training and validation together, after what few choices they make: the stronger floor.
 
 use crate::bench::Bench;
-use crate::ceiling::{Ceiling, ceiling};
+use crate::ceiling::ceiling;
 use crate::confidence::Confidence;
-use crate::examples::{self, Example};
-use crate::headline::headline;
-use crate::observer::Silent;
 use crate::paired::Paired;
-use crate::scores::{MODEL, Scores};
+use crate::scores::{MODEL, ScoreTable, Scores};
 use crate::session::Session;
-use pwrfgs_core::{
-    Dataset, Error, Measurement, ModelFacts, Observations, Partition, Result, Task, Values, words::clean,
-};
+use pwrfgs_core::{Dataset, Error, ModelFacts, Observations, Partition, Result, Task, words::clean};
 use pwrfgs_model::{Ensemble, Prepared};
-use pwrfgs_pipeline::{Pipeline, defaults};
+use pwrfgs_pipeline::Pipeline;
 
-/// Scores, and a few of the predictions that they were computed from.
-#[derive(Debug)]
-pub struct Assessment {
-    /// All measurements.
-    pub scores: Scores,
-    /// The best, the median and the worst by the first metric of the kind (SSIM of spectra), as far as these are different.
-    pub examples: Vec<Example>,
-    /// Of an ensemble: whether its members differ where it is wrong.
-    pub confidence: Option<Confidence>,
-}
-
-/// Scores `model`, or an ensemble and each of its members, and the pipeline's baselines on the test part of `data`.
+/// Scores `model`, or an ensemble and each of its members, and the pipeline's baselines on the test set of `data`. Of an
+/// ensemble also measures whether its members differ where it is wrong.
 ///
 /// # Errors
 /// Where the model draws pictures of another size than the data hold, or a metric or baseline refuses;
@@ -39,7 +24,7 @@ pub fn evaluate(
     data: &Dataset,
     partition: &Partition,
     session: &mut Session<'_>,
-) -> Result<Assessment> {
+) -> Result<(Scores, Option<Confidence>)> {
     let (ensemble, model, plane) = (model, &model.prepare(), model.plane());
     check_alike(model, data)?;
     if let Some(drawn) = plane.elevation().filter(|drawn| *drawn != data.elevation) {
@@ -58,25 +43,7 @@ pub fn evaluate(
         };
         test.model(name, ready, Some(facts), &pipeline.metrics, session)
     };
-    let own = score(ensemble, model, "the model", session)?;
-    let headline = headline(data.task());
-    let of_each = |measured: &[Measurement]| first(measured, headline.key).map(<[f64]>::to_vec);
-    let values = if let Some(values) = of_each(&own) {
-        values
-    } else {
-        // The pipeline does not ask for it, but a report shows examples by it.
-        let metrics = defaults::validation(data.task());
-        of_each(&test.model(
-            "the model",
-            model,
-            None,
-            &metrics,
-            &mut Session { stop: session.stop, ..Session::new(&mut Silent) },
-        )?)
-        .unwrap_or_default()
-    };
-    let examples = examples::choose(model, data, &partition.test, &values, headline.higher)?;
-    let mut predictors = vec![(MODEL.to_owned(), own)];
+    let mut predictors = vec![(MODEL.to_owned(), score(ensemble, model, "the model", session)?)];
     let (mut members, mut confidence) = (Vec::new(), None);
     if ensemble.members().len() > 1 {
         for (name, member) in ensemble.names().iter().zip(ensemble.members()) {
@@ -98,15 +65,16 @@ pub fn evaluate(
         predictors.push((name, measured));
         notes.extend(fitted.note().filter(|note| !notes.contains(note)));
     }
-    let Ceiling { of: ceiling, notes: said } = ceiling(data, partition, &pipeline.metrics, session.stop)?;
-    notes.extend(said);
-    let ids = partition.test.iter().map(|&i| data.label(i)).collect();
-    let trained_on = [partition.train.len(), partition.known().all().len()];
-    let kind = data.task();
-    let mut scores = Scores { kind, ids, predictors, bounds, members, ceiling, trained_on, notes, ..Scores::default() };
+    let ceiling = ceiling(data, partition, &pipeline.metrics, session.stop)?;
+    notes.extend(ceiling.notes);
+    let ids: Vec<u32> = partition.test.iter().map(|&i| data.label(i)).collect();
+    let samples = [partition.train.len(), partition.known().all().len(), ids.len()];
+    let known = ScoreTable { kind: data.task(), bounds, members, samples, notes, ..ScoreTable::default() };
+    let mut scores = Scores::new(ids, predictors, known);
+    scores.table.add_ceiling(&ceiling.of);
     let position = |&i: &usize| (data.label(i), data.placed.then(|| data.sample(i).tx));
-    scores.paired = Paired::of(&scores, &partition.test.iter().map(position).collect());
-    Ok(Assessment { scores, examples, confidence })
+    scores.table.paired = Paired::of(&scores, &partition.test.iter().map(position).collect());
+    Ok((scores, confidence))
 }
 
 /// Refuses data of another kind, another size, other receivers or other frequencies than the model knows.
@@ -156,12 +124,4 @@ pub fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
         }
     }
     Ok(())
-}
-
-/// A metric of every sample, where it was measured.
-fn first<'a>(measured: &'a [Measurement], key: &str) -> Option<&'a [f64]> {
-    measured.iter().find(|m| m.key == key).and_then(|m| match &m.values {
-        Values::PerSample(values) => Some(values.as_slice()),
-        _ => None,
-    })
 }

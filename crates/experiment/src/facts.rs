@@ -54,6 +54,10 @@ pub struct Facts {
     pub finished: Option<String>,
     /// Whether there is a report.
     pub report: bool,
+    /// Mean of the first validation metric that each baseline, fitted on the training set alone, reaches on the samples
+    /// of `validation.csv`; finite ones.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub validation_baselines: Vec<(String, f64)>,
     /// Summaries of `scores.csv`.
     pub scores: Option<ScoreTable>,
     /// The finished files of the folder by name: whoever reads them can tell whether they are whole.
@@ -71,7 +75,7 @@ pub struct Mark {
 }
 
 impl Mark {
-    fn of(bytes: &[u8]) -> Self {
+    pub(crate) fn of(bytes: &[u8]) -> Self {
         Self { bytes: bytes.len() as u64, sha256: digest(bytes) }
     }
 }

@@ -1,7 +1,7 @@
 //! A run from pipeline to scores: the training loop, the run folder, evaluation, sweeps and exports.
 //!
 //! This crate knows traits, not plugins; a program links the plugins it wants (`pwrfgs` links the built-in ones). It draws
-//! nothing: what a run has found goes as [`Results`] to the [`Page`] that it is given.
+//! nothing: the [`Page`] that it is given makes the page of a run from its folder.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
@@ -15,7 +15,6 @@ mod data_warnings;
 pub mod ensemble;
 mod evaluate;
 mod events;
-mod examples;
 pub mod export;
 mod facts;
 pub mod folder;
@@ -29,8 +28,8 @@ mod observer;
 pub mod paired;
 mod preview;
 mod recipe;
+mod record;
 pub mod repeatability;
-mod results;
 mod runner;
 pub mod samples;
 mod score_text;
@@ -46,8 +45,7 @@ mod validation;
 pub use bench::Bench;
 pub use ceiling::{CEILING, Ceiling, ceiling, lapse_of};
 pub use data_warnings::{data_warnings, equality_warning, position_warning};
-pub use evaluate::{Assessment, check_alike, evaluate};
-pub use examples::Example;
+pub use evaluate::{check_alike, evaluate};
 pub use facts::{Facts, Machine, Mark};
 pub use folder::RunFolder;
 pub use input::read_pipeline;
@@ -56,8 +54,8 @@ pub use observer::{Observer, Silent, Start, Validation, staged};
 pub use paired::Paired;
 pub use preview::{Preview, preview};
 pub use recipe::Recipe;
+pub use record::{LoadedRun, Page, Record, rebuild_page, write_page, write_scores};
 pub use repeatability::{Repeatability, repeatability};
-pub use results::{Page, Results};
 pub use runner::{Outcome, load, rebase, run};
 pub use scores::{ScoreTable, Scores, Summary};
 pub use session::Session;

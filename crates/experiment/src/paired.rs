@@ -50,8 +50,7 @@ impl Paired {
     pub(crate) fn of(scores: &Scores, positions: &BTreeMap<u32, Option<[f64; 3]>>) -> Option<Self> {
         let blocks = Blocks::new(positions);
         let (_, own) = scores.predictors.first()?;
-        let wanted = own.iter().filter(|m| is_compared(&m.key, scores.kind));
-        let baselines = scores.predictors.iter().filter(|(name, _)| name != MODEL && !scores.members.contains(name));
+        let wanted = own.iter().filter(|m| is_compared(&m.key, scores.table.kind));
         let row = |baseline: &str, key: &str, goal: Goal| {
             let pairs = scores.samples(MODEL, key)?.iter().zip(scores.samples(baseline, key)?);
             let differences = scores.ids.iter().zip(pairs).map(|(id, (model, floor))| (*id, model - floor));
@@ -59,8 +58,11 @@ impl Paired {
             let (baseline, metric, higher_is_better) = (baseline.to_owned(), key.to_owned(), goal == Goal::Higher);
             Some(PairedRow { baseline, metric, higher_is_better, mean, interval: interval.map(|(a, b)| [a, b]) })
         };
-        let rows: Vec<PairedRow> =
-            baselines.flat_map(|(name, _)| wanted.clone().filter_map(move |m| row(name, &m.key, m.goal))).collect();
+        let rows: Vec<PairedRow> = scores
+            .table
+            .baselines()
+            .flat_map(|name| wanted.clone().filter_map(move |m| row(name, &m.key, m.goal)))
+            .collect();
         (!rows.is_empty()).then_some(Self { edge_m: blocks.edge_m, cubes: blocks.count, rows })
     }
 
@@ -148,18 +150,14 @@ mod tests {
     fn paired(ahead: f64, noise: f64, goal: Goal) -> PairedRow {
         let values = |of: &dyn Fn(u32) -> f64| {
             let (key, values) = ("ssim".to_owned(), Values::PerSample((0..64).map(of).collect()));
-            vec![Measurement { key, unit: "", goal, values }]
+            vec![Measurement { key, unit: String::new(), goal, values }]
         };
         let place = |id: u32| f64::from(id * 37 % 64) / 64.0;
-        let scores = Scores {
-            kind: Task::Spectrum,
-            ids: (0..64).collect(),
-            predictors: vec![
-                (MODEL.into(), values(&|id| place(id) + ahead + noise * (f64::from(id % 3) - 1.0))),
-                ("1-NN".into(), values(&place)),
-            ],
-            ..Scores::default()
-        };
+        let predictors = vec![
+            (MODEL.into(), values(&|id| place(id) + ahead + noise * (f64::from(id % 3) - 1.0))),
+            ("1-NN".into(), values(&place)),
+        ];
+        let scores = Scores::new((0..64).collect(), predictors, crate::scores::ScoreTable::default());
         let places = (0..64).map(|id| (id, Some([f64::from(id % 8), f64::from(id / 8), 0.0]))).collect();
         let mut found = Paired::of(&scores, &places).unwrap();
         assert!(found.cubes >= 30 && found.note(Task::Spectrum).contains("95 %"), "{found:?}");

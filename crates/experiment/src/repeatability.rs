@@ -78,7 +78,7 @@ pub struct Similarity {
     /// Name, such as `ssim`.
     pub key: String,
     /// Unit, or empty.
-    pub unit: &'static str,
+    pub unit: String,
     /// Which way is better.
     pub goal: Goal,
     /// By distance, from small to large; ranges without pairs are left out.

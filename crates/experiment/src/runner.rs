@@ -12,7 +12,7 @@ use crate::journal::{Journal, note_scores};
 use crate::observer::{Observer, Start, staged};
 use crate::preview::{fitting, fitting_network};
 use crate::recipe::Recipe;
-use crate::results::Results;
+use crate::record::{LoadedRun, Record, write_page, write_scores};
 use crate::scores::ScoreTable;
 use crate::session::Session;
 use crate::snapshot::Snapshot;
@@ -361,29 +361,23 @@ impl<'a> Run<'a, '_> {
             self.data.task().counted[1]
         ));
         let ensemble = Ensemble::of(model.clone());
-        let assessment = evaluate(&ensemble, self.pipeline, self.data, self.partition, self.session)?;
+        let (scores, confidence) = evaluate(&ensemble, self.pipeline, self.data, self.partition, self.session)?;
         let plane = &model.stages.plane;
-        let floors = validation::floors(self.pipeline, plane, self.data, self.partition, self.session)?;
-        let scores = assessment.scores.table();
+        facts.validation_baselines = validation::floors(self.pipeline, plane, self.data, self.partition, self.session)?;
         facts.steps = self.pipeline.training.steps;
         facts.gaussians = model.cloud.len();
-        facts.scores = Some(scores.clone());
+        facts.scores = Some(scores.table.clone());
         facts.wall_seconds = earlier + begun.elapsed().as_secs_f64();
         facts.finished = Some(clock::now());
         facts.report = self.session.page.is_some();
         facts.note_memory(); // here, so that the report tells what run.json tells
-        let results = Results {
-            pipeline: self.pipeline,
-            settings: self.pipeline.to_ron(),
-            model: &ensemble,
-            data: self.data,
-            partition: self.partition,
-            assessment: &assessment,
-            facts,
-            training: Some(folder.path()),
-            floors,
-        };
-        results.write(folder.path(), self.session.page)?;
+        write_scores(folder.path(), (&scores, confidence.as_ref()), self.data, self.partition)?;
+        if let Some(page) = self.session.page {
+            let record = Record::of(folder.path(), &Recipe::Pipeline(Box::new(self.pipeline.clone())), facts.clone())?;
+            let (data, partition) = (self.data, self.partition);
+            write_page(&LoadedRun { record: &record, data, partition, model: &ensemble }, page)?;
+        }
+        let scores = scores.table;
         note_scores(folder, self.pipeline, &scores)?;
         facts.seal(folder.path())?;
         facts.write(folder.path())?;

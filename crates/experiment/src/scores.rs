@@ -1,41 +1,32 @@
-//! `Scores`: what every predictor reached, as numbers a sample, as summaries and as text.
+//! `Scores`: what every predictor reached, per sample and in summary, as measured and as read back.
 //!
 //! Columns of `scores.csv`: predictor, metric, sample (a test id, or empty for a number about the whole model), value.
 
 use crate::ceiling::CEILING;
 use crate::paired::Paired;
 use crate::repeatability::AtZero;
-use crate::text::Lines;
-use pwrfgs_core::{Goal, Measurement, Task, Values};
-use serde::{Deserialize, Serialize};
+use crate::text::{Lines, csv_rows, damaged};
+use pwrfgs_core::words::text_of;
+use pwrfgs_core::{Goal, Measurement, Result, Task, Values};
+use serde::{Deserialize, Deserializer, Serialize};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::str::FromStr;
 
 /// The name of the trained model in every table.
 pub const MODEL: &str = "model";
 
-/// All measurements of all predictors on the test part.
-#[derive(Clone, Debug, Default)]
+/// What every predictor reached on the test set: each value and its summary.
+///
+/// `scores.csv` holds the values, `run.json` the summary; [`Self::read`] returns what was measured.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scores {
-    /// What was predicted.
-    pub kind: Task,
-    /// Ids of the test samples, in the order of per-sample values.
+    /// Summary of all measurements.
+    pub table: ScoreTable,
+    /// Labels of the test samples, in the order of per-sample values.
     pub ids: Vec<u32>,
     /// Predictors with their measurements; the model comes first.
     pub predictors: Vec<(String, Vec<Measurement>)>,
-    /// Those of them that know the scene which made the data: bounds, and in no ranking.
-    pub bounds: Vec<String>,
-    /// Those of them that are members of the model, where it is an ensemble.
-    pub members: Vec<String>,
-    /// What two measured spectra at one place have in common, by key of a metric: it has no number a test sample. Nothing
-    /// where nobody can tell.
-    pub ceiling: Vec<(String, AtZero)>,
-    /// Samples that the model is trained on (0 if not known), and samples that baselines are trained on.
-    pub trained_on: [usize; 2],
-    /// Whether the model may be trained on other data or another split than the baselines.
-    pub trained_elsewhere: bool,
-    /// The model less each baseline, in pairs of test samples.
-    pub paired: Option<Paired>,
-    /// What a reader of the numbers must know, one sentence each.
-    pub notes: Vec<String>,
 }
 
 /// Mean, median and bad tail of numbers a sample.
@@ -70,7 +61,7 @@ pub fn quantile(sorted: &[f64], q: f64) -> f64 {
     if part == 0.0 { sorted[low] } else { sorted[low] * (1.0 - part) + sorted[low + 1] * part }
 }
 
-/// Scores without the single samples, as `run.json` keeps them.
+/// Scores without per-sample values, as `run.json` holds them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScoreTable {
     /// Predictors, the model first; after them [`CEILING`], where there is one.
@@ -137,8 +128,14 @@ pub enum Cell {
     NotApplicable(String),
 }
 
-fn null_is_infinite<'de, D: serde::Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
+fn null_is_infinite<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
     Ok(Option::<f64>::deserialize(d)?.unwrap_or(f64::INFINITY))
+}
+
+impl From<Summary> for Cell {
+    fn from(Summary { mean, median, p10 }: Summary) -> Self {
+        Self::Samples { mean, median, p10 }
+    }
 }
 
 impl Cell {
@@ -160,57 +157,58 @@ impl MetricRow {
 }
 
 impl Scores {
-    /// The values of one per-sample metric of one predictor.
-    pub fn samples(&self, predictor: &str, key: &str) -> Option<&[f64]> {
-        let (_, measurements) = self.predictors.iter().find(|(name, _)| name == predictor)?;
-        measurements.iter().find(|m| m.key == key).and_then(|m| match &m.values {
-            Values::PerSample(values) => Some(values.as_slice()),
-            _ => None,
-        })
-    }
-
-    /// The summaries.
-    pub fn table(&self) -> ScoreTable {
+    /// Summarises the measurements of all predictors on the test samples `ids`; `table` holds what else is known of them.
+    pub fn new(ids: Vec<u32>, predictors: Vec<(String, Vec<Measurement>)>, table: ScoreTable) -> Self {
         let mut metrics: Vec<MetricRow> = Vec::new();
-        for (p, (_, measurements)) in self.predictors.iter().enumerate() {
+        for (p, (_, measurements)) in predictors.iter().enumerate() {
             for m in measurements {
                 let place = metrics.iter().position(|row| row.key == m.key).unwrap_or_else(|| {
                     metrics.push(MetricRow {
                         key: m.key.clone(),
-                        unit: m.unit.to_owned(),
+                        unit: m.unit.clone(),
                         higher_is_better: m.goal == Goal::Higher,
-                        cells: vec![Cell::NotApplicable("not measured".into()); self.predictors.len()],
+                        cells: vec![Cell::NotApplicable("not measured".into()); predictors.len()],
                     });
                     metrics.len() - 1
                 });
                 metrics[place].cells[p] = match &m.values {
-                    Values::PerSample(values) => {
-                        let Summary { mean, median, p10 } = Summary::of(values, m.goal == Goal::Higher);
-                        Cell::Samples { mean, median, p10 }
-                    }
+                    Values::PerSample(values) => Summary::of(values, m.goal == Goal::Higher).into(),
                     Values::Whole(value) => Cell::Whole(*value),
                     Values::NotApplicable(why) => Cell::NotApplicable(why.clone()),
                 };
             }
         }
-        let mut predictors: Vec<String> = self.predictors.iter().map(|(name, _)| name.clone()).collect();
-        if !self.ceiling.is_empty() {
-            predictors.push(CEILING.into());
-            for row in &mut metrics {
-                let found = self.ceiling.iter().find(|(key, _)| *key == row.key);
-                let cell = |(_, at_zero): &(String, AtZero)| {
-                    let AtZero { mean, median, p10, .. } = *at_zero;
-                    Cell::Samples { mean, median, p10 }
-                };
-                row.cells.push(found.map_or_else(|| Cell::NotApplicable("no estimate".into()), cell));
-            }
+        let names = predictors.iter().map(|(name, _)| name.clone()).collect();
+        Self { table: ScoreTable { predictors: names, metrics, ..table }, ids, predictors }
+    }
+
+    /// One metric of one predictor.
+    pub fn values(&self, predictor: &str, key: &str) -> Option<&Values> {
+        let (_, measurements) = self.predictors.iter().find(|(name, _)| name == predictor)?;
+        measurements.iter().find(|m| m.key == key).map(|m| &m.values)
+    }
+
+    /// The values of one per-sample metric of one predictor.
+    pub fn samples(&self, predictor: &str, key: &str) -> Option<&[f64]> {
+        match self.values(predictor, key)? {
+            Values::PerSample(values) => Some(values),
+            _ => None,
         }
-        let (bounds, members) = (self.bounds.clone(), self.members.clone());
-        let [model, baselines] = self.trained_on;
-        let samples = [model, baselines, self.ids.len()];
-        let (paired, notes) = (self.paired.clone(), self.notes.clone());
-        let (kind, trained_elsewhere) = (self.kind, self.trained_elsewhere);
-        ScoreTable { predictors, metrics, bounds, members, samples, trained_elsewhere, paired, notes, kind }
+    }
+
+    /// The values of one per-sample metric of one predictor, by label of the test sample.
+    pub fn by_id(&self, predictor: &str, key: &str) -> Option<BTreeMap<u32, f64>> {
+        Some(self.ids.iter().copied().zip(self.samples(predictor, key)?.iter().copied()).collect())
+    }
+
+    /// One metric of one predictor as one number: that of the whole model, or the mean over test samples.
+    pub fn value(&self, predictor: &str, key: &str) -> Option<f64> {
+        match self.values(predictor, key)? {
+            Values::PerSample(values) if values.is_empty() => None,
+            Values::PerSample(values) => Some(values.iter().sum::<f64>() / values.len() as f64),
+            Values::Whole(value) => Some(*value),
+            Values::NotApplicable(_) => None,
+        }
     }
 
     /// The text of `scores.csv`.
@@ -231,9 +229,114 @@ impl Scores {
         }
         lines.text()
     }
+
+    /// Reads `scores.csv` in `path`, of which `table` is the summary.
+    ///
+    /// # Errors
+    /// [`Error::Input`](pwrfgs_core::Error::Input) with the line if the file is damaged, or `table` is of other scores.
+    pub fn read(path: &Path, table: ScoreTable) -> Result<Self> {
+        let mut found = Self { table, ..Self::default() };
+        let (rows, mut line) = (csv_rows::<ScoreRow>(path)?, 2);
+        for group in rows.chunk_by(|a, b| (&a.predictor, &a.metric) == (&b.predictor, &b.metric)) {
+            // A metric that is listed twice has its samples twice.
+            let again = group[1..].iter().position(|row| row.sample == group[0].sample);
+            for rows in group.chunks(again.map_or(group.len(), |k| k + 1)) {
+                found.take(rows).map_err(|what| damaged(path, line, &what))?;
+                line += rows.len();
+            }
+        }
+        Ok(found)
+    }
+
+    /// Adds the rows of one metric of one predictor.
+    fn take(&mut self, rows: &[ScoreRow]) -> Result<(), String> {
+        let ScoreRow { predictor, metric, sample, value } = &rows[0];
+        let (predictor, key) = (text_of(predictor), text_of(metric));
+        let place = self.table.predictors.iter().position(|name| name == predictor);
+        let row = self.table.metrics.iter().find(|row| row.key == key);
+        let (Some(place), Some(row)) = (place, row) else {
+            return Err(format!("run.json has no {key} of {predictor}"));
+        };
+        let values = match (sample, value, row.cells.get(place)) {
+            (Some(_), Some(_), _) => {
+                let ids: Vec<u32> = rows.iter().filter_map(|row| row.sample).collect();
+                if self.ids.is_empty() {
+                    self.ids.clone_from(&ids);
+                }
+                let values: Vec<f64> = rows.iter().filter_map(|row| row.value).collect();
+                if ids != self.ids || values.len() != ids.len() {
+                    return Err(format!("{key} of {predictor} is of other samples than the first metric"));
+                }
+                Values::PerSample(values)
+            }
+            (None, Some(value), _) => Values::Whole(*value),
+            (_, None, Some(Cell::NotApplicable(why))) => Values::NotApplicable(why.clone()),
+            (_, None, _) => return Err(format!("run.json has a value of {key} of {predictor}")),
+        };
+        let goal = if row.higher_is_better { Goal::Higher } else { Goal::Lower };
+        let measurement = Measurement { key: key.to_owned(), unit: row.unit.clone(), goal, values };
+        match self.predictors.last_mut().filter(|(name, _)| name == predictor) {
+            Some((_, measured)) => measured.push(measurement),
+            None => self.predictors.push((predictor.to_owned(), vec![measurement])),
+        }
+        Ok(())
+    }
+}
+
+/// A row of `scores.csv`.
+#[derive(Deserialize)]
+struct ScoreRow {
+    predictor: String,
+    metric: String,
+    #[serde(deserialize_with = "unless_empty")]
+    sample: Option<u32>,
+    /// `None` where the metric does not apply.
+    #[serde(deserialize_with = "unless_not_applicable")]
+    value: Option<f64>,
+}
+
+fn unless_empty<'de, D: Deserializer<'de>>(field: D) -> Result<Option<u32>, D::Error> {
+    number_unless("", &String::deserialize(field)?)
+}
+
+fn unless_not_applicable<'de, D: Deserializer<'de>>(field: D) -> Result<Option<f64>, D::Error> {
+    number_unless("n/a", &String::deserialize(field)?)
+}
+
+fn number_unless<T: FromStr, E: serde::de::Error>(none: &str, text: &str) -> Result<Option<T>, E> {
+    (text != none).then(|| text.parse().ok().ok_or_else(|| E::custom(format!("`{text}` is no number")))).transpose()
 }
 
 impl ScoreTable {
+    /// Adds the noise ceiling of each metric that has one, as the last predictor.
+    pub(crate) fn add_ceiling(&mut self, of: &[(String, AtZero)]) {
+        if of.is_empty() {
+            return;
+        }
+        self.predictors.push(CEILING.into());
+        for row in &mut self.metrics {
+            let found = of.iter().find(|(key, _)| *key == row.key);
+            let cell = |(_, AtZero { mean, median, p10, .. }): &(String, AtZero)| Cell::Samples {
+                mean: *mean,
+                median: *median,
+                p10: *p10,
+            };
+            row.cells.push(found.map_or_else(|| Cell::NotApplicable("no estimate".into()), cell));
+        }
+    }
+
+    /// Mean, median and bad tail of the noise ceiling by one metric.
+    pub fn ceiling(&self, key: &str) -> Option<Vec<f64>> {
+        let place = self.predictors.iter().position(|name| name == CEILING)?;
+        Some(self.metrics.iter().find(|row| row.key == key)?.cells.get(place)?.numbers())
+    }
+
+    /// Baselines in the order of the pipeline; members of an ensemble and the ceiling are none.
+    pub fn baselines(&self) -> impl Iterator<Item = &str> {
+        let is_baseline = |name: &&String| *name != MODEL && *name != CEILING && !self.members.contains(name);
+        self.predictors.iter().filter(is_baseline).map(String::as_str)
+    }
+
     /// What the model reached by one metric: the mean over test samples, or the one number.
     pub fn of_model(&self, key: &str) -> Option<f64> {
         self.metrics.iter().find(|row| row.key == key)?.cells.first()?.numbers().first().copied()
@@ -262,11 +365,11 @@ mod tests {
     use super::*;
 
     fn scores() -> Scores {
-        let measure = |key: &str, goal, values| Measurement { key: key.into(), unit: "", goal, values };
-        Scores {
-            kind: Task::Spectrum,
-            ids: vec![3, 7],
-            predictors: vec![
+        let measure = |key: &str, goal, values| Measurement { key: key.into(), unit: String::new(), goal, values };
+        let notes = vec!["k, far has seen the test spectra".into()];
+        Scores::new(
+            vec![3, 7],
+            vec![
                 (
                     MODEL.into(),
                     vec![
@@ -282,10 +385,8 @@ mod tests {
                     ],
                 ),
             ],
-            notes: vec!["k, far has seen the test spectra".into()],
-            trained_on: [9, 12],
-            ..Scores::default()
-        }
+            ScoreTable { notes, samples: [9, 12, 2], ..ScoreTable::default() },
+        )
     }
 
     #[test]
@@ -302,7 +403,7 @@ mod tests {
 
     #[test]
     fn a_bound_is_in_no_ranking() {
-        let table = Scores { bounds: vec![MODEL.into()], ..scores() }.table();
+        let table = ScoreTable { bounds: vec![MODEL.into()], ..scores().table };
         assert_eq!(table.ranks(&table.metrics[0], 0), vec![None, Some(0)]);
         let text = table.to_text();
         assert!(text.contains("model †") && !text.contains('*') && text.contains("note: † knows the scene"), "{text}");
@@ -311,8 +412,9 @@ mod tests {
     #[test]
     fn the_ceiling_stands_last_and_in_no_ranking() {
         let at_zero = AtZero { mean: 0.9, median: 0.95, p10: 0.8, interval: [0.85, 0.95] };
-        let scores = Scores { ceiling: vec![("ssim".into(), at_zero)], ..scores() };
-        let table = scores.table();
+        let mut scores = scores();
+        scores.table.add_ceiling(&[("ssim".into(), at_zero)]);
+        let table = &scores.table;
         assert_eq!(table.predictors, [MODEL, "k, far", CEILING]);
         assert_eq!(table.metrics[0].cells[2].numbers(), [0.9, 0.95, 0.8]);
         assert_eq!(table.metrics[1].cells[2], Cell::NotApplicable("no estimate".into()));
@@ -330,7 +432,7 @@ mod tests {
 
     #[test]
     fn the_table_marks_the_best_and_survives_json() {
-        let table = scores().table();
+        let table = scores().table;
         let text = table.to_text();
         assert!(text.contains("0.6000*") && text.contains("2,613") && text.contains("n/a"), "{text}");
         let links = ScoreTable { kind: Task::Power, ..table.clone() }.to_text();
@@ -341,7 +443,7 @@ mod tests {
         let heading =
             "2 test spectra; the model is trained on 9; the baselines are trained on 12 (training and validation)";
         assert_eq!(text.lines().next(), Some(heading), "{text}");
-        let same = Scores { trained_on: [12; 2], ..scores() }.table();
+        let same = ScoreTable { samples: [12, 12, 2], ..scores().table };
         assert_eq!(same.heading(), "2 test spectra; model and baselines are trained on the same 12");
         assert_eq!((table.of_model("ssim"), table.of_model("gaussians")), (Some(0.6), Some(2613.0)));
         assert_eq!(table.of_model("eta_0db"), None);
@@ -349,5 +451,37 @@ mod tests {
         assert_eq!(table.ranks(&table.metrics[1], 0), vec![Some(0), None]);
         let json = serde_json::to_string(&table).unwrap();
         assert_eq!(serde_json::from_str::<ScoreTable>(&json).unwrap(), table);
+    }
+    #[test]
+    fn scores_are_read_as_they_were_measured() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scores.csv");
+        let mut measured = scores();
+        // As a metric that is listed twice.
+        let twice = measured.predictors[1].1[0].clone();
+        measured.predictors[1].1.insert(1, twice);
+        let read = |text: &str| {
+            std::fs::write(&path, text).unwrap();
+            Scores::read(&path, measured.table.clone())
+        };
+        assert_eq!(read(&measured.to_csv()).unwrap(), measured);
+        let wrong = [
+            ("model,ssim,3\n", ":2:1: the row has another number of fields than the first line;"),
+            ("model,ssim,x,1\n", ":2:1: `x` is no number;"),
+            ("model,ssim,3,\n", ":2:1: `` is no number;"),
+            ("model,ssim,3,1", ":2:1: the file ends before the end of a row;"),
+            ("model,ssim,3,1\nmodel,psnr,3,1\n", ":3:1: run.json has no psnr of model;"),
+            ("model,ssim,3,1\n1-NN,ssim,3,1\n", ":3:1: run.json has no ssim of 1-NN;"),
+            (
+                "model,ssim,3,1\n\"k, far\",ssim,4,1\n",
+                ":3:1: ssim of k, far is of other samples than the first metric;",
+            ),
+            ("model,ssim,,n/a\n", ":2:1: run.json has a value of ssim of model;"),
+        ];
+        for (row, why) in wrong {
+            let message = read(&format!("predictor,metric,sample,value\n{row}")).unwrap_err();
+            assert!(message.is_input() && message.to_string().contains(why), "{message}");
+        }
+        assert!(read("").unwrap_err().to_string().contains("scores.csv:1:1: the file ends"));
     }
 }

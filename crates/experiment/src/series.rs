@@ -1,5 +1,6 @@
 //! `Series`: a CSV file that grows with the training and is cut back to the checkpoint when a run goes on.
 
+use crate::text::damaged;
 use pwrfgs_core::files::{self, read_text, write_atomically};
 use pwrfgs_core::{Error, Result};
 use std::fs::{File, OpenOptions};
@@ -69,8 +70,7 @@ impl Series {
 /// [`Error::Read`], or [`Error::Input`] with the place where it is not as it was written.
 pub fn whole(path: &Path, last: u64) -> Result<Vec<Vec<Option<f64>>>> {
     let text = read_text(path)?;
-    let advice = "the run's own files must stay as it wrote them; restore it, or repeat the run in another folder";
-    let wrong = |line: usize, what: &str| Err(Error::at(path, line, 1, format!("{what}; {advice}")));
+    let wrong = |line: usize, what: &str| Err(damaged(path, line, what));
     let names: Vec<&str> = text.lines().next().unwrap_or_default().split(',').collect();
     if !text.ends_with('\n') || names[0] != "step" {
         return wrong(text.lines().count().max(1), "the file ends before the end of a row, or begins without names");

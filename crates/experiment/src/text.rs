@@ -1,6 +1,10 @@
 //! Numbers, tables and CSV as text: one way for all of them.
 
+use pwrfgs_core::files::read_text;
 use pwrfgs_core::words::cell;
+use pwrfgs_core::{Error, Result};
+use serde::de::DeserializeOwned;
+use std::path::Path;
 
 /// Four significant digits or so, no exponent in the usual range, whole numbers as such.
 pub fn number(value: f64) -> String {
@@ -114,6 +118,31 @@ impl<const K: usize> Lines<K> {
     pub fn text(self) -> String {
         String::from_utf8(self.0.into_inner().unwrap_or_default()).unwrap_or_default()
     }
+}
+
+/// Rows of a CSV file that a run wrote.
+///
+/// # Errors
+/// [`Error::Read`], or [`Error::Input`] with the line if a row is damaged or the last one not whole.
+pub(crate) fn csv_rows<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>> {
+    let text = read_text(path)?;
+    if !text.ends_with('\n') {
+        return Err(damaged(path, text.lines().count().max(1), "the file ends before the end of a row"));
+    }
+    let placed = |e: csv::Error| {
+        let what = match e.kind() {
+            csv::ErrorKind::Deserialize { err, .. } => err.kind().to_string(),
+            _ => "the row has another number of fields than the first line".into(),
+        };
+        damaged(path, e.position().map_or(1, |p| p.line() as usize), &what)
+    };
+    csv::Reader::from_reader(text.as_bytes()).into_deserialize().map(|row| row.map_err(placed)).collect()
+}
+
+/// The error of a line that is not as the run wrote it.
+pub(crate) fn damaged(path: &Path, line: usize, what: &str) -> Error {
+    let advice = "the run's own files must stay as it wrote them; restore it, or repeat the run in another folder";
+    Error::at(path, line, 1, format!("{what}; {advice}"))
 }
 
 #[cfg(test)]

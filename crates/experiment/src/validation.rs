@@ -45,7 +45,8 @@ pub(crate) fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize])
     ))
 }
 
-/// What each baseline, having seen the training part alone, reaches on the samples that validation looks at.
+/// Mean of the first metric that each baseline, fitted on the training set alone, reaches on the samples that validation
+/// looks at.
 ///
 /// # Errors
 /// Where a baseline or a metric refuses; [`pwrfgs_core::Error::Stopped`] once the session is.
@@ -55,7 +56,7 @@ pub(crate) fn floors(
     data: &Dataset,
     partition: &Partition,
     session: &mut Session<'_>,
-) -> Result<Vec<(String, Validation)>> {
+) -> Result<Vec<(String, f64)>> {
     let part = evenly(&partition.validation, pipeline.training.validation_samples);
     if part.is_empty() || pipeline.training.validate_every == 0 {
         return Ok(Vec::new());
@@ -67,7 +68,8 @@ pub(crate) fn floors(
         let fitted = b.fit(data, Known::train(&partition.train))?;
         let name = b.name_for(data.task());
         let measured = bench.baseline(&name, &*fitted, &metrics, session)?;
-        Ok((name, row(0, data.task(), &measured)))
+        Ok((name, row(0, data.task(), &measured).values[0]))
     };
-    pipeline.baselines.iter().map(floor).collect()
+    let all = pipeline.baselines.iter().map(floor).collect::<Result<Vec<_>>>()?;
+    Ok(all.into_iter().filter(|(_, mean)| mean.is_finite()).collect())
 }

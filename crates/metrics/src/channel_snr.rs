@@ -56,7 +56,8 @@ impl Energies {
 #[typetag::serde]
 impl Metric for ChannelSnr {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let measured = |key: &str, values| Measurement { key: key.to_owned(), unit: "dB", goal: Goal::Higher, values };
+        let measured =
+            |key: &str, values| Measurement { key: key.to_owned(), unit: "dB".to_owned(), goal: Goal::Higher, values };
         if let Some(values) = not_of(evaluation, Task::Channel) {
             return Ok(vec![measured("snr_db", values.clone()), measured("snr_all_db", values)]);
         }

@@ -66,7 +66,7 @@ impl Metric for Latency {
         };
         let measurement = |stage: Stage| Measurement {
             key: stage.0.to_owned(),
-            unit: "ms",
+            unit: "ms".to_owned(),
             goal: Goal::Lower,
             values: values(stage),
         };

@@ -62,8 +62,8 @@ fn paired(evaluation: &Evaluation<'_>) -> Result<()> {
 }
 
 /// One measurement, as [`pwrfgs_core::Metric::evaluate`] returns it.
-fn one(key: &str, unit: &'static str, goal: Goal, values: Values) -> Vec<Measurement> {
-    vec![Measurement { key: key.to_owned(), unit, goal, values }]
+fn one(key: &str, unit: &str, goal: Goal, values: Values) -> Vec<Measurement> {
+    vec![Measurement { key: key.to_owned(), unit: unit.to_owned(), goal, values }]
 }
 
 /// Why a metric of the model does not apply to a baseline.

@@ -30,7 +30,7 @@ impl Metric for ModelSize {
                 Some(0) => no_gaussians(),
                 Some(bytes) => Values::Whole(bytes as f64),
             };
-            Measurement { key: key.to_owned(), unit: "B", goal: Goal::Lower, values }
+            Measurement { key: key.to_owned(), unit: "B".to_owned(), goal: Goal::Lower, values }
         };
         Ok(vec![measurement("gaussian_bytes", bytes.map(|b| b.0)), measurement("model_bytes", bytes.map(|b| b.1))])
     }

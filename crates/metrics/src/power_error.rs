@@ -45,7 +45,7 @@ mod tests {
     fn it_is_the_distance_in_decibels() {
         let power = |dbm| Image { width: 1, height: 1, pixels: vec![dbm] };
         let found = of_kind(&PowerError {}, Task::Power, &power(-70.5), &power(-60.0));
-        assert_eq!((value(&found[0]), found[0].unit), (10.5, "dB"));
+        assert_eq!((value(&found[0]), found[0].unit.as_str()), (10.5, "dB"));
         let other = of_kind(&PowerError {}, Task::Channel, &power(1.0), &power(1.0));
         assert!(matches!(&other[0].values, Values::NotApplicable(why) if why.contains("channels")));
     }

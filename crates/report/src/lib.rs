@@ -1,7 +1,7 @@
 //! What people look at: the page of one run, and tables and figures that compare many.
 //!
-//! [`page()`] is the hook that a run calls with its [`Results`](pwrfgs_experiment::Results); [`Study`] reads finished runs
-//! back from their folders and [`write()`] puts them side by side. Both draw with `draw`.
+//! [`page()`] makes the page of a run from its [`Record`](pwrfgs_experiment::Record), [`write()`] compares the records of a
+//! [`Study`]. Both draw with `draw`.
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
 pub mod draw;
@@ -10,5 +10,5 @@ mod study;
 mod templates;
 
 pub use run_page::page;
-pub use study::{Options, Record, Score, Setting, Study, Variant, figures, write};
+pub use study::{Options, Setting, Study, Variant, figures, write};
 pub use templates::fill;

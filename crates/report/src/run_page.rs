@@ -3,6 +3,7 @@
 
 mod channels;
 mod curves;
+mod examples;
 mod live;
 mod powers;
 mod predicted;
@@ -14,21 +15,23 @@ mod words;
 use crate::draw::spectra::{self, Mark, Scale};
 use crate::study::one_line;
 use crate::templates::render;
+use examples::Example;
 use minijinja::value::Serde;
 use minijinja::{Value, context};
 use pwrfgs_core::{Image, Result, Task};
-use pwrfgs_experiment::{CEILING, Example, Results, ensemble::MEMBERS, folder::REPORT, samples};
+use pwrfgs_experiment::{CEILING, LoadedRun, ensemble::MEMBERS, folder::REPORT};
 use pwrfgs_model::Model;
 use words::Words;
 
-/// The page of an evaluated model.
+/// The page of a run, from what lies in its folder.
 ///
 /// # Errors
-/// Where a snapshot of the training is damaged.
-pub fn page(results: &Results<'_>) -> Result<String> {
-    let scores = results.assessment.scores.table();
-    let (examples, limit) = examples(results);
-    let Results { pipeline, model, data, partition, facts, .. } = results;
+/// A snapshot of the training is damaged, or an observation cannot be read.
+pub fn page(run: &LoadedRun<'_>) -> Result<String> {
+    let LoadedRun { record, model, data, partition } = run;
+    let (scores, facts, pipeline) = (&record.scores.table, &record.facts, &record.pipeline);
+    let chosen = examples::examples(run)?;
+    let (examples, limit) = spectra_of(run, &chosen);
     let bounds = [data.scene.bounds.0, data.scene.bounds.1]
         .map(|p| data.scene.origin.world(p).map(|v| (v * 10.0).round() / 10.0));
     let draws_splats = model.members().iter().all(|model| model.stages.splatting().is_some());
@@ -41,7 +44,7 @@ pub fn page(results: &Results<'_>) -> Result<String> {
         bytes => [model.gaussian_bytes(), model.network_bytes()],
         samples => [&partition.train, &partition.validation, &partition.test].map(Vec::len),
         kind => format!("{:?}", data.task()),
-        words => words(results),
+        words => words(run),
         split => one_line(&pipeline.split),
         bounds => bounds.map(Vec::from),
         seed => pipeline.seed,
@@ -49,39 +52,39 @@ pub fn page(results: &Results<'_>) -> Result<String> {
         paired => scores.paired.as_ref().map(|pairs| (pairs.lines(&scores.bounds), pairs.note(scores.kind))),
         predictors => scores.predictors.clone(),
         ceiling => CEILING,
-        groups => tables::groups(&scores),
+        groups => tables::groups(scores),
         bounds_known => scores.bounds.clone(),
         notes => scores.notes.clone(),
-        figures => curves::all(results),
-        room => if draws_splats { Some(room::figure(results)?) } else { None },
-        powers => (data.task() == Task::Power).then(|| powers::section(results)),
-        receivers => receivers::table(results),
-        channels => (data.task() == Task::Channel).then(|| channels::section(results)),
+        figures => curves::all(run),
+        room => if draws_splats { Some(room::figure(run)?) } else { None },
+        powers => (data.task() == Task::Power).then(|| powers::section(run, &chosen)),
+        receivers => receivers::table(run),
+        channels => (data.task() == Task::Channel).then(|| channels::section(run, &chosen)),
         examples,
         power_bar => Scale::Power.bar().svg("bar", "colours of power"),
         error_bar => Scale::Error(limit).bar().svg("bar", "colours of the error"),
-        live => live::section(results),
+        live => live::section(run),
         angles => model.plane().angles.is_some(),
-        pipeline => results.settings.clone(),
-        members => members(results),
-        confidence => curves::confidence(results),
+        pipeline => run.record.settings.clone(),
+        members => members(run),
+        confidence => curves::confidence(run),
     };
     render("run.html", page)
 }
 
 /// What things are called.
-fn words(results: &Results<'_>) -> Value {
-    let Words { plural, singular, size } = words::words(results.data);
+fn words(run: &LoadedRun<'_>) -> Value {
+    let Words { plural, singular, size } = words::words(run.data);
     let (first, rest) = plural.split_at(1);
-    let splats = results.model.members().iter().all(|model| model.stages.splatting().is_some());
-    let none = results.model.gaussians() == 0;
+    let splats = run.model.members().iter().all(|model| model.stages.splatting().is_some());
+    let none = run.model.gaussians() == 0;
     let parts = if splats || none { "Gaussians" } else { "Virtual transmitters" };
     context! { plural, singular, size, title => first.to_uppercase() + rest, parts, none }
 }
 
 /// Name, seed, Gaussians and page of each member of an ensemble.
-fn members(results: &Results<'_>) -> Vec<Value> {
-    let names = results.facts.members.iter().zip(results.model.members());
+fn members(run: &LoadedRun<'_>) -> Vec<Value> {
+    let names = run.record.facts.members.iter().zip(run.model.members());
     let member = |(name, model): (&String, &Model)| {
         let page = format!("{MEMBERS}/{name}/{REPORT}");
         context! { name, page, gaussians => model.cloud.len() }
@@ -90,17 +93,16 @@ fn members(results: &Results<'_>) -> Vec<Value> {
 }
 
 /// Best, median and worst test spectrum by SSIM, and the limit of the error scale that they share.
-fn examples(results: &Results<'_>) -> (Vec<Value>, f64) {
-    let chosen: &[Example] = if results.data.task() == Task::Spectrum { &results.assessment.examples } else { &[] };
+fn spectra_of(run: &LoadedRun<'_>, chosen: &[Example]) -> (Vec<Value>, f64) {
+    let chosen = if run.data.task() == Task::Spectrum { chosen } else { &[] };
     let errors: Vec<Image> = chosen.iter().map(|e| difference(&e.prediction.clamped(), &e.truth)).collect();
     let largest = errors.iter().flat_map(|e| &e.pixels).fold(0.0, |m: f64, e| m.max(e.abs() as f64));
     let limit = ((largest * 10.0).ceil() / 10.0).max(0.1);
-    let distances = samples::nearest_train(results.data, results.partition);
     let example = |(example, error): (&Example, &Image)| {
-        let Example { which, sample: index, score, truth, prediction } = example;
-        let sample = &results.data.sample(*index);
+        let Example { which, sample: index, score, nearest_m, truth, prediction } = example;
+        let sample = &run.data.sample(*index);
         let marks = [Mark::Measured(truth.argmax()), Mark::Predicted(prediction.argmax())];
-        let plane = results.model.plane();
+        let plane = run.model.plane();
         let panel = |name: &str, image: &Image, scale, marks: &[Mark]| {
             let map = spectra::map(image, plane, scale, marks).svg("map", name);
             let sky = spectra::sky(image, plane, scale, marks).map(|canvas| canvas.svg("sky", name));
@@ -111,8 +113,8 @@ fn examples(results: &Results<'_>) -> (Vec<Value>, f64) {
             id => sample.id,
             ssim => format!("{score:.3}"),
             tx => sample.tx.map(|v| format!("{v:.2}")).join(", "),
-            nearest => if distances[*index].is_finite() { format!("{:.2} m", distances[*index]) } else { "n/a".into() },
-            peaks => peaks(results, truth, prediction),
+            nearest => nearest_m.map_or("n/a".into(), |distance| format!("{distance:.2} m")),
+            peaks => peaks(run, truth, prediction),
             panels => vec![
                 panel("Ground truth", truth, Scale::Power, &marks[..1]),
                 panel("Predicted", &prediction.clamped(), Scale::Power, &marks),
@@ -129,8 +131,8 @@ fn difference(a: &Image, b: &Image) -> Image {
 }
 
 /// The strongest directions in words; nothing where the plane has no angles.
-fn peaks(results: &Results<'_>, truth: &Image, prediction: &Image) -> String {
-    let plane = results.model.plane();
+fn peaks(run: &LoadedRun<'_>, truth: &Image, prediction: &Image) -> String {
+    let plane = run.model.plane();
     let direction = |image: &Image| {
         let i = image.argmax();
         plane.azimuth_elevation_deg((i % image.width) as _, (i / image.width) as _)

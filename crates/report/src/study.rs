@@ -12,19 +12,17 @@ mod grouping;
 mod output;
 mod page;
 mod race;
-mod record;
 mod tables;
 
 pub use output::{Options, write};
-pub use record::{Record, Score};
 
-use grouping::{listed, named, settings};
+use grouping::{listed, named, setting_key, settings};
 use pwrfgs_core::{Error, Result, Task, plugin::ron_options};
-use pwrfgs_experiment::Mark;
 use pwrfgs_experiment::folder::{MODEL_FILE, PIPELINE};
 use pwrfgs_experiment::headline::{Headline, headline};
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::sweep::{LISTING, Listing};
+use pwrfgs_experiment::{Mark, Record};
 use std::path::{Path, PathBuf};
 
 /// Runs to compare.
@@ -69,7 +67,7 @@ impl Setting {
 
     /// Names of the baselines, each once.
     fn floors(&self) -> Vec<&str> {
-        distinct(self.runs().flat_map(Record::floors))
+        distinct(self.runs().flat_map(|run| run.scores.table.baselines()))
     }
 
     /// The first variant before number `k` whose models have the same bytes, seed by seed: what the two differ in changed
@@ -81,7 +79,7 @@ impl Setting {
 
     /// What was observed: that whose first metric the runs have.
     fn task(&self) -> Task {
-        let scored = |kind: &Task| self.runs().any(|run| run.value(MODEL, headline(*kind).key).is_some());
+        let scored = |kind: &Task| self.runs().any(|run| run.scores.value(MODEL, headline(*kind).key).is_some());
         Task::ALL.into_iter().find(scored).unwrap_or(Task::Spectrum)
     }
 
@@ -169,7 +167,7 @@ impl Study {
     fn without_twins(&mut self, runs: Vec<Record>) -> Result<Vec<Record>> {
         let (mut kept, mut keys) = (Vec::new(), Vec::new());
         for run in runs {
-            let key = (run.setting_key()?, run.variant_key(), run.seeds.clone());
+            let key = (setting_key(&run)?, run.variant_key.clone(), run.seeds.clone());
             if keys.contains(&key) {
                 self.repeated.push(run.folder);
             } else {

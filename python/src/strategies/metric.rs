@@ -1,6 +1,6 @@
 //! A class of Python's as a metric.
 
-use super::{Strategy, lasting};
+use super::Strategy;
 use crate::arrays::{Gain, array, axes, complex, numbers};
 use pwrfgs_core::{Evaluation, Goal, Image, Measurement, Metric, Real, Result, Task, Values, gains_of};
 use pyo3::prelude::*;
@@ -26,10 +26,9 @@ impl Metric for Strategy {
             } else {
                 Values::PerSample(numbers::<f64>("what evaluate gave", &found, &[Some(evaluation.truths.len())])?)
             };
-            let unit = text("unit", "")?;
             Ok(vec![Measurement {
                 key: text("name", &self.named.class)?,
-                unit: if unit.is_empty() { "" } else { lasting(unit) },
+                unit: text("unit", "")?,
                 goal: if higher { Goal::Higher } else { Goal::Lower },
                 values,
             }])

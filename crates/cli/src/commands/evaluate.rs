@@ -7,7 +7,9 @@ use clap::Args;
 use pwrfgs::experiment::folder::{PIPELINE, REPORT};
 use pwrfgs::experiment::samples::data_key;
 use pwrfgs::experiment::text::number;
-use pwrfgs::experiment::{Facts, Machine, Recipe, Results, Session, evaluate as score, load as load_data};
+use pwrfgs::experiment::{
+    Facts, LoadedRun, Machine, Recipe, Record, Session, evaluate as score, load as load_data, write_page, write_scores,
+};
 use pwrfgs::model::{Ensemble, file};
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs_core::words::clean;
@@ -63,13 +65,13 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
         output::note(&format!("{}: scoring {} test {}", data.title, partition.test.len(), data.task().counted[1]));
         warn_of_receivers(&data, &ensemble);
     }
-    let assessment = score(&ensemble, &pipeline, &data, &partition, &mut Session::new(&mut progress));
+    let scored = score(&ensemble, &pipeline, &data, &partition, &mut Session::new(&mut progress));
     progress.finish();
-    let mut assessment = assessment?;
-    assessment.scores.trained_on[0] = trained_on(&arguments.models);
-    assessment.scores.trained_elsewhere = !arguments.models.iter().all(|model| is_trained_by(model, &pipeline));
-    let mut text = assessment.scores.table().to_text();
-    if let Some(confidence) = &assessment.confidence {
+    let (mut scores, confidence) = scored?;
+    scores.table.samples[0] = trained_on(&arguments.models);
+    scores.table.trained_elsewhere = !arguments.models.iter().all(|model| is_trained_by(model, &pipeline));
+    let mut text = scores.table.to_text();
+    if let Some(confidence) = &confidence {
         let members = ensemble.members().len();
         let what = if data.task() == Task::Spectrum { "pictures" } else { "predictions" };
         let rank = number(confidence.rank_correlation());
@@ -84,26 +86,18 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
             version: env!("CARGO_PKG_VERSION").into(),
             machine: Machine::here(),
             gaussians: ensemble.gaussians(),
+            scores: Some(scores.table.clone()),
             ..Facts::default()
         };
-        let results = Results {
-            pipeline: &pipeline,
-            settings: match &arguments.models[..] {
-                [_] => recipe.to_ron(),
-                several => {
-                    format!("// the mean of {} models, scored by this pipeline:\n{}", several.len(), pipeline.to_ron())
-                }
-            },
-            model: &ensemble,
-            data: &data,
-            partition: &partition,
-            assessment: &assessment,
-            facts: &facts,
-            training: None,
-            floors: Vec::new(),
-        };
-        results.write(out, pwrfgs::PAGE)?;
-        if pwrfgs::PAGE.is_some() {
+        write_scores(out, (&scores, confidence.as_ref()), &data, &partition)?;
+        if let Some(page) = pwrfgs::PAGE {
+            let mut record = Record::of(out, &recipe, facts)?;
+            if arguments.models.len() > 1 {
+                let count = arguments.models.len();
+                record.settings =
+                    format!("// the mean of {count} models, scored by this pipeline:\n{}", pipeline.to_ron());
+            }
+            write_page(&LoadedRun { record: &record, data: &data, partition: &partition, model: &ensemble }, page)?;
             _ = writeln!(text, "\nreport: {}", out.join(REPORT).display());
         }
     }

@@ -4,6 +4,8 @@ use crate::args::Verbosity;
 use crate::output;
 use crate::progress::Progress;
 use clap::Args;
+use pwrfgs::experiment::folder::{PIPELINE, REPORT};
+use pwrfgs::experiment::rebuild_page;
 use pwrfgs::report::{Options, Study, write};
 use pwrfgs_core::Result;
 use std::path::{Path, PathBuf};
@@ -15,7 +17,8 @@ const FOLDER: &str = "report";
 #[derive(Debug, Args)]
 #[command(
     after_long_help = "Runs on the same data and split form a setting, and are compared within it; those that differ in \
-    their seed alone form a variant, and give a mean and a standard deviation. Writes report.html (one file), report.md, \
+    their seed alone form a variant, and give a mean and a standard deviation. A single run's own page, report.html in its \
+    folder, is made again too, unless --out is given.\n\nWrites report.html (one file), report.md, \
     report.csv (every number), report.tex with a file for each table (booktabs), and the figures as SVG, PDF and PNG. An \
     older report in the folder is replaced; a folder that holds anything else is never touched. Runs that have not \
     finished are named and left out.\n\nPaired differences from the reference carry a 95 % bootstrap interval over seeds \
@@ -37,19 +40,38 @@ pub(crate) struct Report {
 
 pub(crate) fn report(arguments: &Report, verbosity: Verbosity) -> Result<ExitCode> {
     let out = arguments.out.clone().unwrap_or_else(|| arguments.runs[0].join(FOLDER));
-    compare(&arguments.runs, &Options { reference: arguments.reference.clone() }, &out, verbosity)?;
+    let study = Study::read(&arguments.runs)?;
+    if let ([run], None) = (&arguments.runs[..], &arguments.out)
+        && run.join(PIPELINE).is_file()
+    {
+        rebuild(run, verbosity)?;
+    }
+    compare(&study, &Options { reference: arguments.reference.clone() }, &out, verbosity)?;
     Ok(ExitCode::SUCCESS)
 }
 
 /// The report of a whole sweep, as it is written when its last run has ended.
 pub(super) fn of_sweep(folder: &Path, verbosity: Verbosity) -> Result<()> {
-    compare(&[folder.into()], &Options::default(), &folder.join(FOLDER), verbosity)
+    compare(&Study::read(&[folder.into()])?, &Options::default(), &folder.join(FOLDER), verbosity)
 }
 
-fn compare(runs: &[PathBuf], options: &Options, out: &Path, verbosity: Verbosity) -> Result<()> {
-    let study = Study::read(runs)?;
+/// Makes the page of a run again; without its data the tables are worth having still.
+fn rebuild(run: &Path, verbosity: Verbosity) -> Result<()> {
     let mut progress = Progress::new(verbosity);
-    let written = write(&study, options, out, &mut progress);
+    let rebuilt = rebuild_page(run, pwrfgs::report::page, &mut progress);
+    progress.finish();
+    match rebuilt {
+        Err(error) if error.is_input() => {
+            output::note(&format!("warning: {} is kept as it is: {error}", run.join(REPORT).display()));
+            Ok(())
+        }
+        rebuilt => rebuilt,
+    }
+}
+
+fn compare(study: &Study, options: &Options, out: &Path, verbosity: Verbosity) -> Result<()> {
+    let mut progress = Progress::new(verbosity);
+    let written = write(study, options, out, &mut progress);
     progress.finish();
     output::result(&format!("{}\nreport: {}\n", written?, out.join("report.html").display()))?;
     Ok(())

@@ -6,7 +6,7 @@ use crate::evaluate::evaluate;
 use crate::facts::Facts;
 use crate::folder::{MODEL_FILE, RunFolder};
 use crate::recipe::Recipe;
-use crate::results::Results;
+use crate::record::{LoadedRun, Record, write_page, write_scores};
 use crate::runner::{Outcome, check_scoring, ended, load};
 use crate::scores::ScoreTable;
 use crate::session::Session;
@@ -118,8 +118,7 @@ fn assess(
     let (data, partition) = load(&pipeline, Path::new(""), session.observer)?;
     check_scoring(&pipeline, &data)?;
     session.observer.on_message(&format!("scoring {} test {}", partition.test.len(), data.task().counted[1]));
-    let assessment = evaluate(ensemble, &pipeline, &data, &partition, session)?;
-    let scores = assessment.scores.table();
+    let (scores, confidence) = evaluate(ensemble, &pipeline, &data, &partition, session)?;
     let members: Vec<PathBuf> = (0..plan.runs.len()).map(|run| plan.folder_of(run)).collect();
     facts.data.clone_from(&data.title);
     facts.simulated = data.is_simulated();
@@ -133,23 +132,17 @@ fn assess(
     }
     facts.members = ensemble.names().to_vec();
     facts.gaussians = ensemble.gaussians();
-    facts.scores = Some(scores.clone());
+    facts.scores = Some(scores.table.clone());
     facts.wall_seconds += begun.elapsed().as_secs_f64();
     facts.finished = Some(clock::now());
     facts.report = session.page.is_some();
     facts.note_memory();
-    let results = Results {
-        pipeline: &pipeline,
-        settings: Recipe::Ensemble(team.clone()).to_ron(),
-        model: ensemble,
-        data: &data,
-        partition: &partition,
-        assessment: &assessment,
-        facts,
-        training: None,
-        floors: Vec::new(),
-    };
-    results.write(folder.path(), session.page)?;
+    write_scores(folder.path(), (&scores, confidence.as_ref()), &data, &partition)?;
+    if let Some(page) = session.page {
+        let record = Record::of(folder.path(), &Recipe::Ensemble(team.clone()), facts.clone())?;
+        write_page(&LoadedRun { record: &record, data: &data, partition: &partition, model: ensemble }, page)?;
+    }
+    let scores = scores.table;
     facts.seal(folder.path())?;
     facts.write(folder.path())?;
     session.observer.on_evaluation(&scores);

@@ -13,7 +13,7 @@ const PIXELS: usize = 1 << 21;
 /// One metric of all pairs, in their order.
 pub(super) struct Measured {
     pub(super) key: String,
-    pub(super) unit: &'static str,
+    pub(super) unit: String,
     pub(super) goal: Goal,
     /// What a spectrum scores as a prediction of itself.
     pub(super) best: f64,

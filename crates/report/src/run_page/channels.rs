@@ -5,14 +5,15 @@ mod curves;
 mod profile;
 mod virtual_map;
 
+use super::examples::Example;
 use crate::draw::canvas::Colour;
 use crate::draw::charts::{Axis, Chart, Line, Look};
 use crate::draw::marks::{Marker, Stroke, Style};
 use curves::Gains;
 use minijinja::{Value, context};
 use pwrfgs_core::{Image, Observations, evenly};
+use pwrfgs_experiment::LoadedRun;
 use pwrfgs_experiment::text::number;
-use pwrfgs_experiment::{Example, Results, samples};
 
 /// Links on the plane of complex numbers.
 const DOTS: usize = 150;
@@ -22,21 +23,21 @@ const PREDICTED: Colour = Colour::hex(0xd5_5e00);
 const LOOK: Look = Look { size: [380.0, 250.0], margins: [56.0, 10.0, 16.0, 38.0] };
 
 /// Examples, and the map of virtual transmitters.
-pub(super) fn section(results: &Results<'_>) -> Value {
-    let data = results.data;
+pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
+    let data = run.data;
     let single = data.width == 1 && data.height == 2;
     context! {
-        examples => if single { Vec::new() } else { examples(results) },
-        plane => if single { plane(results) } else { None },
+        examples => if single { Vec::new() } else { examples(run, chosen) },
+        plane => if single { plane(run) } else { None },
         over => if data.width > 1 { "subcarriers" } else { "antennas" },
-        delays => profile::spacing(frequencies(results)).is_some(),
-        transmitters => virtual_map::map(results),
+        delays => profile::spacing(frequencies(run)).is_some(),
+        transmitters => virtual_map::map(run),
     }
 }
 
 /// Subcarriers, Hz.
-fn frequencies<'a>(results: &Results<'a>) -> &'a [f64] {
-    match &results.data.observations {
+fn frequencies<'a>(run: &LoadedRun<'a>) -> &'a [f64] {
+    match &run.data.observations {
         Observations::Channels(channels) => &channels.frequencies_hz,
         _ => &[],
     }
@@ -66,12 +67,11 @@ fn chart(title: &str, x: &str, y: &str, lines: Vec<Line>) -> Option<Value> {
 }
 
 /// The best, the median and the worst test link.
-fn examples(results: &Results<'_>) -> Vec<Value> {
-    let distances = samples::nearest_train(results.data, results.partition);
-    let example = |Example { which, sample, score, truth, prediction }: &Example| {
-        let own = results.data.sample(*sample);
-        let receivers = &results.data.scene.receivers;
-        let frequencies = frequencies(results);
+fn examples(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
+    let example = |Example { which, sample, score, nearest_m, truth, prediction }: &Example| {
+        let own = run.data.sample(*sample);
+        let receivers = &run.data.scene.receivers;
+        let frequencies = frequencies(run);
         let (measured, predicted) = (Gains::of(truth), Gains::of(prediction));
         let (lines, along, antenna) = curves::lines(&measured, &predicted, frequencies);
         let of = antenna.map(|k| format!("antenna {} of {}, the strongest", k + 1, measured.antennas));
@@ -86,20 +86,20 @@ fn examples(results: &Results<'_>) -> Vec<Value> {
             which => *which,
             id => own.id,
             receiver => (receivers.len() > 1).then(|| receivers[own.receiver].name.clone()),
-            tx => results.data.placed.then(|| own.tx.map(|v| format!("{v:.2}")).join(", ")),
-            nearest => (results.data.placed && distances[*sample].is_finite()).then(|| format!("{:.2} m", distances[*sample])),
+            tx => run.data.placed.then(|| own.tx.map(|v| format!("{v:.2}")).join(", ")),
+            nearest => nearest_m.map(|distance| format!("{distance:.2} m")),
             score => number(*score),
             antenna => of,
             charts => charts.into_iter().flatten().collect::<Vec<_>>(),
         }
     };
-    results.assessment.examples.iter().map(example).collect()
+    chosen.iter().map(example).collect()
 }
 
 /// Channels of one number each, as dots on the plane of complex numbers; measured and predicted are joined.
-fn plane(results: &Results<'_>) -> Option<Value> {
+fn plane(run: &LoadedRun<'_>) -> Option<Value> {
     let (mut measured, mut predicted) = (Vec::new(), Vec::new());
-    super::predicted::each(results, &evenly(&results.partition.test, DOTS), |_, truth, prediction| {
+    super::predicted::each(run, &evenly(&run.partition.test, DOTS), |_, truth, prediction| {
         let place = |image: &Image| (image.pixels[0] as f64, image.pixels[1] as f64);
         measured.push(place(truth));
         predicted.push(place(prediction));

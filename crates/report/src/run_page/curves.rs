@@ -8,10 +8,8 @@ use crate::draw::marks::{Stroke, Style};
 use crate::draw::steps::{phases, stairs};
 use minijinja::{Value, context};
 use pwrfgs_core::Task;
-use pwrfgs_experiment::Results;
-use pwrfgs_experiment::folder::{CURVE, VALIDATION};
+use pwrfgs_experiment::LoadedRun;
 use pwrfgs_experiment::scores::quantile;
-use pwrfgs_experiment::series;
 
 /// At most this many stretches of the loss are averaged.
 const STRETCHES: usize = 150;
@@ -27,24 +25,20 @@ const LIGHT: Colour = Colour::hex(0x6e_a0dc);
 type Figure = (&'static str, String);
 
 /// Every figure there are numbers for.
-pub(super) fn all(results: &Results<'_>) -> Vec<Figure> {
+pub(super) fn all(run: &LoadedRun<'_>) -> Vec<Figure> {
     let mut figures = Vec::new();
-    if let Some(folder) = results.training {
-        let rows = series::read(&folder.join(CURVE));
-        let column = |k: usize| -> Vec<(f64, f64)> {
-            rows.iter().filter_map(|row| Some(((*row.first()?)?, (*row.get(k)?)?))).collect()
-        };
-        figures.extend(loss(results, &column(2)));
-        figures.extend(gaussians(results, &column(4)));
-        figures.extend(validation(results, &series::read(&folder.join(VALIDATION))));
+    if !run.record.curve.is_empty() {
+        figures.extend(loss(run, &run.record.curve_of(2)));
+        figures.extend(gaussians(run, &run.record.curve_of(4)));
+        figures.extend(validation(run));
     }
-    figures.extend(distribution::figure_of(results));
+    figures.extend(distribution::figure_of(run));
     figures
 }
 
 /// A chart over the steps, with the three phases of algorithm 1 shaded.
-fn over_steps(results: &Results<'_>, log: bool, lines: Vec<Line>) -> Chart {
-    let training = &results.pipeline.training;
+fn over_steps(run: &LoadedRun<'_>, log: bool, lines: Vec<Line>) -> Chart {
+    let training = &run.record.pipeline.training;
     let x = Axis { name: "step".into(), ends: Some((0.0, training.steps as f64)), log: false };
     Chart { x, y: Axis { log, ..Axis::default() }, bands: phases(training), lines, ..Chart::default() }
 }
@@ -58,7 +52,7 @@ fn figure(title: &'static str, chart: &Chart) -> Option<Figure> {
 }
 
 /// The loss on a logarithmic axis: its mean over short stretches, and the range within each.
-fn loss(results: &Results<'_>, points: &[(f64, f64)]) -> Option<Figure> {
+fn loss(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
     let stretches: Vec<&[(f64, f64)]> = points.chunks(points.len().div_ceil(STRETCHES).max(1)).collect();
     let middle = |s: &[(f64, f64)], y: f64| (s[s.len() / 2].0, y);
     let fold =
@@ -71,19 +65,20 @@ fn loss(results: &Results<'_>, points: &[(f64, f64)]) -> Option<Figure> {
     if points.len() > stretches.len() {
         lines.push(Line::new(range, Style::line(MODEL_COLOUR, 1.0, Stroke::Area)));
     }
-    figure("Training loss", &over_steps(results, true, lines))
+    figure("Training loss", &over_steps(run, true, lines))
 }
 
 /// N on a logarithmic axis.
-fn gaussians(results: &Results<'_>, points: &[(f64, f64)]) -> Option<Figure> {
+fn gaussians(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
     let lines = vec![line(stairs(points), MODEL_COLOUR, 2.0)];
-    let splats = results.model.members().iter().all(|model| model.stages.splatting().is_some());
+    let splats = run.model.members().iter().all(|model| model.stages.splatting().is_some());
     let title = if splats { "Number of Gaussians" } else { "Number of virtual transmitters" };
-    figure(title, &over_steps(results, true, lines))
+    figure(title, &over_steps(run, true, lines))
 }
 
 /// SSIM on the validation samples, with the floors on the very same samples.
-fn validation(results: &Results<'_>, rows: &[Vec<Option<f64>>]) -> Option<Figure> {
+fn validation(run: &LoadedRun<'_>) -> Option<Figure> {
+    let rows = &run.record.validation;
     let column = |k: usize| rows.iter().filter_map(|r| Some(((*r.first()?)?, (*r.get(k)?)?))).collect::<Vec<_>>();
     if rows.is_empty() {
         return None;
@@ -92,15 +87,15 @@ fn validation(results: &Results<'_>, rows: &[Vec<Option<f64>>]) -> Option<Figure
         line(column(1), MODEL_COLOUR, 3.0).named("model, mean"),
         line(column(2), LIGHT, 2.0).named("model, median"),
     ];
-    for ((name, floor), colour) in results.floors.iter().zip(FLOOR_COLOURS.into_iter().cycle()) {
-        lines.push(Line::level(floor.values[0], Style::line(Colour::hex(colour), 2.0, Stroke::DASHED)).named(name));
+    for ((name, mean), colour) in run.record.facts.validation_baselines.iter().zip(FLOOR_COLOURS.into_iter().cycle()) {
+        lines.push(Line::level(*mean, Style::line(Colour::hex(colour), 2.0, Stroke::DASHED)).named(name));
     }
-    let title = match results.data.task() {
+    let title = match run.data.task() {
         Task::Spectrum => "SSIM on validation samples",
         Task::Power => "Error on validation links, dB",
         Task::Channel => "SNR on validation channels, dB",
     };
-    figure(title, &over_steps(results, false, lines))
+    figure(title, &over_steps(run, false, lines))
 }
 
 /// Groups of test spectra by the spread of the members.
@@ -108,8 +103,8 @@ const GROUPS: usize = 10;
 
 /// Error against the spread of an ensemble's members: median and the range from the 10th to the 90th percentile of groups
 /// of equally many test spectra. With the rank correlation of the two; `None` where there is one model alone.
-pub(super) fn confidence(results: &Results<'_>) -> Option<Value> {
-    let measured = results.assessment.confidence.as_ref()?;
+pub(super) fn confidence(run: &LoadedRun<'_>) -> Option<Value> {
+    let measured = run.record.confidence.as_ref()?;
     let groups = measured.groups(GROUPS);
     let at = |q: f64| move |(spread, errors): &(f64, Vec<f64>)| (*spread, quantile(errors, q));
     let range: Vec<_> = groups.iter().map(at(0.9)).chain(groups.iter().rev().map(at(0.1))).collect();

@@ -6,7 +6,7 @@ use base64::engine::general_purpose::STANDARD;
 use minijinja::{Value, context};
 use pwrfgs_core::files::digest;
 use pwrfgs_core::{Image, Query, Task, evenly};
-use pwrfgs_experiment::Results;
+use pwrfgs_experiment::LoadedRun;
 use pwrfgs_experiment::headline::headline;
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_live::{Known, Pack, STAGE, STYLE, bundle, gaussians, origin, room};
@@ -30,28 +30,28 @@ const PREDICTED_IN_PAGE: [&str; 3] = ["Fixed", "Mlp", "Factored"];
 const START: &str = "startReport();\n";
 
 /// What the template needs: the script always, for tables are sorted too; the stage where positions are known.
-pub(super) fn section(results: &Results<'_>) -> Value {
+pub(super) fn section(run: &LoadedRun<'_>) -> Value {
     let script = bundle(START);
     let digest = hash(&script);
-    if !results.data.placed || results.partition.test.is_empty() {
+    if !run.data.placed || run.partition.test.is_empty() {
         return context! { script, digest };
     }
-    let spectra = results.data.task() == Task::Spectrum;
-    let model = model_bytes(results);
-    let gaussians = shows(results.model).then(|| {
-        let origin = origin(&results.model.members()[0].stages.frame, Some(results.data));
-        gaussians(results.model, origin, None).to_bytes()
+    let spectra = run.data.task() == Task::Spectrum;
+    let model = model_bytes(run);
+    let gaussians = shows(run.model).then(|| {
+        let origin = origin(&run.model.members()[0].stages.frame, Some(run.data));
+        gaussians(run.model, origin, None).to_bytes()
     });
-    let chosen = if spectra { chosen(results, model.is_some()) } else { Vec::new() };
-    let links = shown(results, &chosen);
+    let chosen = if spectra { chosen(run, model.is_some()) } else { Vec::new() };
+    let links = shown(run, &chosen);
     context! {
         script,
         digest,
         stage => STAGE,
         style => STYLE,
-        room => base64(&room_pack(results, &links).to_bytes()),
+        room => base64(&room_pack(run, &links).to_bytes()),
         gaussians => gaussians.as_deref().map(base64),
-        spectra => spectra.then(|| base64(&spectra_pack(results, &links, &chosen, model.is_none()).to_bytes())),
+        spectra => spectra.then(|| base64(&spectra_pack(run, &links, &chosen, model.is_none()).to_bytes())),
         model => model.as_deref().map(base64),
     }
 }
@@ -73,21 +73,21 @@ fn shows(model: &Ensemble) -> bool {
 }
 
 /// The model file, where it is one model that the page can predict.
-fn model_bytes(results: &Results<'_>) -> Option<Vec<u8>> {
-    let [only] = results.model.members() else { return None };
+fn model_bytes(run: &LoadedRun<'_>) -> Option<Vec<u8>> {
+    let [only] = run.model.members() else { return None };
     let splatting = only.stages.splatting()?;
     let name = pwrfgs_core::plugin::to_ron(&splatting.deformation);
     let known = PREDICTED_IN_PAGE.iter().any(|own| name.starts_with(own));
-    let drawn = only.stages.frame.receivers.len() == 1 && results.data.task() == Task::Spectrum;
+    let drawn = only.stages.frame.receivers.len() == 1 && run.data.task() == Task::Spectrum;
     let small = only.gaussian_bytes() + only.network_bytes() <= MODEL_BYTES;
     (known && drawn && small).then(|| file::to_bytes(only))
 }
 
 /// Test links whose spectra lie in the page: evenly from the best to the worst, as many as there is room for.
-fn chosen(results: &Results<'_>, alone: bool) -> Vec<usize> {
-    let of_one = results.data.width * results.data.height * if alone { 1 } else { 2 };
+fn chosen(run: &LoadedRun<'_>, alone: bool) -> Vec<usize> {
+    let of_one = run.data.width * run.data.height * if alone { 1 } else { 2 };
     let most = SPECTRA.min(BYTES / of_one.max(1)).max(1);
-    let mut test: Vec<(usize, f64)> = scored(results).collect();
+    let mut test: Vec<(usize, f64)> = scored(run).collect();
     test.sort_by(|a, b| a.1.total_cmp(&b.1));
     let all: Vec<usize> = test.into_iter().map(|(i, _)| i).collect();
     let mut chosen = evenly(&all, most);
@@ -96,8 +96,8 @@ fn chosen(results: &Results<'_>, alone: bool) -> Vec<usize> {
 }
 
 /// The links that the page knows, sorted: the chosen ones, and others evenly.
-fn shown(results: &Results<'_>, chosen: &[usize]) -> Vec<usize> {
-    let all: Vec<usize> = (0..results.data.len()).collect();
+fn shown(run: &LoadedRun<'_>, chosen: &[usize]) -> Vec<usize> {
+    let all: Vec<usize> = (0..run.data.len()).collect();
     let mut shown = [&evenly(&all, LINKS)[..], chosen].concat();
     shown.sort_unstable();
     shown.dedup();
@@ -105,23 +105,23 @@ fn shown(results: &Results<'_>, chosen: &[usize]) -> Vec<usize> {
 }
 
 /// Test links with their score.
-fn scored<'a>(results: &'a Results<'_>) -> impl Iterator<Item = (usize, f64)> + 'a {
-    let key = headline(results.data.task()).key;
-    let values = results.assessment.scores.samples(MODEL, key).unwrap_or_default();
+fn scored<'a>(run: &'a LoadedRun<'_>) -> impl Iterator<Item = (usize, f64)> + 'a {
+    let key = headline(run.data.task()).key;
+    let values = run.record.scores.samples(MODEL, key).unwrap_or_default();
     let score = |k: usize| values.get(k).copied().unwrap_or(f64::NAN);
-    results.partition.test.iter().enumerate().map(move |(k, &i)| (i, score(k)))
+    run.partition.test.iter().enumerate().map(move |(k, &i)| (i, score(k)))
 }
 
-fn room_pack(results: &Results<'_>, links: &[usize]) -> Pack {
-    let mut scores = vec![f64::NAN; results.data.len()];
-    scored(results).for_each(|(i, score)| scores[i] = score);
-    let known = Known { data: results.data, partition: results.partition, scores: &scores, links };
-    let mut pack = room(&results.model.members()[0].stages.frame, Some(known), &[], POINTS);
-    let ellipsoids = results.model.members().iter().all(|model| model.stages.splatting().is_some());
+fn room_pack(run: &LoadedRun<'_>, links: &[usize]) -> Pack {
+    let mut scores = vec![f64::NAN; run.data.len()];
+    scored(run).for_each(|(i, score)| scores[i] = score);
+    let known = Known { data: run.data, partition: run.partition, scores: &scores, links };
+    let mut pack = room(&run.model.members()[0].stages.frame, Some(known), &[], POINTS);
+    let ellipsoids = run.model.members().iter().all(|model| model.stages.splatting().is_some());
     pack.note["sides"] = json!([{
-        "name": results.pipeline.name,
-        "gaussians": shows(results.model).then(|| results.model.gaussians()),
-        "members": results.model.members().len(),
+        "name": run.record.pipeline.name,
+        "gaussians": shows(run.model).then(|| run.model.gaussians()),
+        "members": run.model.members().len(),
         "ellipsoids": ellipsoids,
         "moments": [],
     }]);
@@ -130,16 +130,16 @@ fn room_pack(results: &Results<'_>, links: &[usize]) -> Pack {
 
 /// What was observed of each chosen link and, where the page does not predict, what was predicted; 8 bits a pixel. Called by
 /// their places among `links`.
-fn spectra_pack(results: &Results<'_>, links: &[usize], chosen: &[usize], predicted: bool) -> Pack {
+fn spectra_pack(run: &LoadedRun<'_>, links: &[usize], chosen: &[usize], predicted: bool) -> Pack {
     let places: Vec<usize> = chosen.iter().filter_map(|link| links.binary_search(link).ok()).collect();
     let mut pack = Pack::new(json!({ "links": places }));
     let put = |pack: &mut Pack, name: String, image: &Image| {
         pack.put_bytes(&name, &[image.height, image.width], image.to_bytes());
     };
-    let queries: Vec<Query<'_>> = chosen.iter().map(|&i| results.data.query(i)).collect();
-    let pictures = if predicted { results.model.prepare().predict_many(&queries) } else { Vec::new() };
+    let queries: Vec<Query<'_>> = chosen.iter().map(|&i| run.data.query(i)).collect();
+    let pictures = if predicted { run.model.prepare().predict_many(&queries) } else { Vec::new() };
     for (k, (place, &i)) in places.iter().zip(chosen).enumerate() {
-        put(&mut pack, format!("truth.{place}"), &results.data.image(i));
+        put(&mut pack, format!("truth.{place}"), &run.data.image(i));
         if let Some(picture) = pictures.get(k) {
             put(&mut pack, format!("predicted.{place}"), picture);
         }

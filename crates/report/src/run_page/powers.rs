@@ -2,14 +2,15 @@
 
 mod maps;
 
+use super::examples::Example;
 use super::predicted;
 use crate::draw::canvas::Colour;
 use crate::draw::charts::{Axis, Chart, Line};
 use crate::draw::marks::{Stroke, Style};
 use minijinja::{Value, context};
 use pwrfgs_core::evenly;
+use pwrfgs_experiment::LoadedRun;
 use pwrfgs_experiment::scores::quantile;
-use pwrfgs_experiment::{Example, Results, samples};
 
 /// At most so many dots of the scatter.
 const DOTS: usize = 3_000;
@@ -34,9 +35,9 @@ impl Heard {
 }
 
 /// Figures, maps and examples.
-pub(super) fn section(results: &Results<'_>) -> Value {
-    let mut heard = Vec::with_capacity(results.partition.test.len());
-    predicted::each(results, &results.partition.test, |link, truth, prediction| {
+pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
+    let mut heard = Vec::with_capacity(run.partition.test.len());
+    predicted::each(run, &run.partition.test, |link, truth, prediction| {
         heard.push(Heard { link, measured: truth.pixels[0] as f64, predicted: prediction.pixels[0] as f64 });
     });
     heard.retain(|own| own.error().is_finite());
@@ -49,8 +50,8 @@ pub(super) fn section(results: &Results<'_>) -> Value {
         mean => signed(errors.iter().sum::<f64>() / errors.len().max(1) as f64),
         dots => heard.len().min(DOTS),
         links => heard.len(),
-        maps => maps::maps(results, &heard),
-        examples => examples(results),
+        maps => maps::maps(run, &heard),
+        examples => examples(run, chosen),
     }
 }
 
@@ -112,22 +113,21 @@ fn scatter(heard: &[Heard]) -> Option<(&'static str, String)> {
 }
 
 /// The best, the median and the worst link as rows.
-fn examples(results: &Results<'_>) -> Vec<Value> {
-    let distances = samples::nearest_train(results.data, results.partition);
-    let row = |Example { which, sample, score, truth, prediction }: &Example| {
-        let own = results.data.sample(*sample);
+fn examples(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
+    let row = |Example { which, sample, score, nearest_m, truth, prediction }: &Example| {
+        let own = run.data.sample(*sample);
         context! {
             which => *which,
             id => own.id,
-            receiver => results.data.scene.receivers[own.receiver].name.clone(),
-            tx => results.data.placed.then(|| own.tx.map(|v| format!("{v:.2}")).join(", ")),
-            nearest => distances[*sample].is_finite().then(|| format!("{:.2} m", distances[*sample])),
+            receiver => run.data.scene.receivers[own.receiver].name.clone(),
+            tx => run.data.placed.then(|| own.tx.map(|v| format!("{v:.2}")).join(", ")),
+            nearest => nearest_m.map(|distance| format!("{distance:.2} m")),
             measured => format!("{:.1}", truth.pixels[0]).replace('-', "−"),
             predicted => format!("{:.1}", prediction.pixels[0]).replace('-', "−"),
             error => format!("{score:.2}"),
         }
     };
-    results.assessment.examples.iter().map(row).collect()
+    chosen.iter().map(row).collect()
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! A table with a row a receiver: how well each is predicted, by the model and by every baseline.
 
 use minijinja::{Value, context};
-use pwrfgs_experiment::Results;
+use pwrfgs_experiment::LoadedRun;
 use pwrfgs_experiment::headline::headline;
 use pwrfgs_experiment::scores::Summary;
 use pwrfgs_experiment::text::number;
@@ -11,15 +11,15 @@ const ROWS: usize = 60;
 
 /// Mean and median of the first metric over the test links of each receiver; nothing where there is one receiver, or no
 /// predictor has a number a link.
-pub(super) fn table(results: &Results<'_>) -> Option<Value> {
-    let (data, scores) = (results.data, &results.assessment.scores);
+pub(super) fn table(run: &LoadedRun<'_>) -> Option<Value> {
+    let (data, scores) = (run.data, &run.record.scores);
     let headline = headline(data.task());
     let receivers = &data.scene.receivers;
     if receivers.len() < 2 {
         return None;
     }
     let mut of_each: Vec<Vec<usize>> = vec![Vec::new(); receivers.len()];
-    for (place, &i) in results.partition.test.iter().enumerate() {
+    for (place, &i) in run.partition.test.iter().enumerate() {
         of_each[data.links[i].receiver].push(place);
     }
     let predictors: Vec<(&String, &[f64])> =

@@ -1,10 +1,10 @@
 //! `Comparison`: the rows of a setting (variants, then floors) and every number of theirs.
 
-use super::{Record, Setting, Variant, distinct};
-use pwrfgs_experiment::CEILING;
+use super::{Setting, Variant, distinct};
 use pwrfgs_experiment::blocks::Blocks;
-use pwrfgs_experiment::scores::{MODEL, Summary};
+use pwrfgs_experiment::scores::{MODEL, MetricRow, Summary};
 use pwrfgs_experiment::statistics::{Difference, Spread};
+use pwrfgs_experiment::{CEILING, Record};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -52,16 +52,6 @@ pub(super) struct Row<'a> {
     pub(super) runs: Vec<&'a Record>,
 }
 
-/// What was measured.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Metric {
-    pub(super) key: String,
-    pub(super) unit: String,
-    pub(super) higher_is_better: bool,
-    /// One number a test sample, as against one a model.
-    pub(super) per_sample: bool,
-}
-
 /// What is told of the numbers of one run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Statistic {
@@ -92,26 +82,24 @@ impl Statistic {
     }
 }
 
-impl Metric {
-    /// What there is to tell.
-    pub(super) fn statistics(&self) -> &'static [Statistic] {
-        if self.per_sample { &[Statistic::Mean, Statistic::Median, Statistic::P10] } else { &[Statistic::Whole] }
-    }
+/// What there is to tell of a metric.
+pub(super) fn statistics(metric: &MetricRow) -> &'static [Statistic] {
+    if metric.is_per_sample() { &[Statistic::Mean, Statistic::Median, Statistic::P10] } else { &[Statistic::Whole] }
+}
 
-    /// Whether its best is marked: times of several machines are not comparable, and a training set is no score.
-    pub(super) fn is_ranked(&self, same_machine: bool) -> bool {
-        self.key != TRAINED_ON && (same_machine || !self.is_time())
-    }
+/// Whether the best of a metric is marked: times of several machines are not comparable, and a training set is no score.
+pub(super) fn is_ranked(metric: &MetricRow, same_machine: bool) -> bool {
+    metric.key != TRAINED_ON && (same_machine || !is_time(metric))
+}
 
-    /// Whether it is a time, which depends on the machine.
-    pub(super) fn is_time(&self) -> bool {
-        self.key.starts_with("latency") || self.key == TRAINING
-    }
+/// Whether a metric is a time, which depends on the machine.
+pub(super) fn is_time(metric: &MetricRow) -> bool {
+    metric.key.starts_with("latency") || metric.key == TRAINING
 }
 
 impl Row<'_> {
     /// One number a run, where it has it.
-    pub(super) fn values(&self, metric: &Metric, statistic: Statistic) -> Vec<f64> {
+    pub(super) fn values(&self, metric: &MetricRow, statistic: Statistic) -> Vec<f64> {
         let of_run = |run: &&Record| match statistic {
             Statistic::Whole if metric.key == TRAINING => {
                 (self.kind == Kind::Variant).then_some(run.facts.training_seconds)
@@ -124,14 +112,14 @@ impl Row<'_> {
                     Kind::Bound | Kind::Ceiling => None,
                 }
             }
-            Statistic::Whole => run.value(self.predictor, &metric.key),
+            Statistic::Whole => run.scores.value(self.predictor, &metric.key),
             _ if self.kind == Kind::Ceiling => {
                 let place =
                     [Statistic::Mean, Statistic::Median, Statistic::P10].iter().position(|s| *s == statistic)?;
-                run.ceiling(&metric.key)?.get(place).copied()
+                run.scores.table.ceiling(&metric.key)?.get(place).copied()
             }
             _ => {
-                let values: Vec<f64> = run.samples(self.predictor, &metric.key)?.into_values().collect();
+                let values: Vec<f64> = run.scores.by_id(self.predictor, &metric.key)?.into_values().collect();
                 let summary = Summary::of(&values, metric.higher_is_better);
                 Some(match statistic {
                     Statistic::Median => summary.median,
@@ -144,18 +132,18 @@ impl Row<'_> {
     }
 
     /// Mean and deviation over seeds. A floor on a split that is the same for all seeds has no deviation to speak of.
-    pub(super) fn spread(&self, metric: &Metric, statistic: Statistic) -> Option<Spread> {
+    pub(super) fn spread(&self, metric: &MetricRow, statistic: Statistic) -> Option<Spread> {
         let spread = Spread::of(&self.values(metric, statistic))?;
         let same = self.kind != Kind::Variant && spread.deviation == Some(0.0);
         Some(if same { Spread { deviation: None, ..spread } } else { spread })
     }
 
-    fn samples(&self, seed: u64, metric: &Metric) -> Option<BTreeMap<u32, f64>> {
-        self.runs.iter().find(|run| run.facts.seed == seed)?.samples(self.predictor, &metric.key)
+    fn samples(&self, seed: u64, metric: &MetricRow) -> Option<BTreeMap<u32, f64>> {
+        self.runs.iter().find(|run| run.facts.seed == seed)?.scores.by_id(self.predictor, &metric.key)
     }
 
     /// This row less `reference`, paired by seed and test spectrum; pairs without a finite difference are left out.
-    pub(super) fn less(&self, reference: &Row<'_>, metric: &Metric, blocks: &Blocks) -> Option<Difference> {
+    pub(super) fn less(&self, reference: &Row<'_>, metric: &MetricRow, blocks: &Blocks) -> Option<Difference> {
         let of_seed = |run: &&Record| {
             let own = self.samples(run.facts.seed, metric)?;
             let other = reference.samples(run.facts.seed, metric)?;
@@ -171,7 +159,7 @@ pub(super) struct Comparison<'a> {
     pub(super) setting: &'a Setting,
     pub(super) rows: Vec<Row<'a>>,
     /// In the order of the runs; training set and training time come last.
-    pub(super) metrics: Vec<Metric>,
+    pub(super) metrics: Vec<MetricRow>,
     pub(super) blocks: Blocks,
 }
 
@@ -184,14 +172,13 @@ impl<'a> Comparison<'a> {
         let mut rows: Vec<Row<'a>> = setting.variants.iter().enumerate().map(variant).collect();
         let variants = rows.len();
         for run in setting.runs() {
-            for name in run.floors() {
+            for name in run.scores.table.baselines() {
                 // The same floor in another variant of this seed has the same numbers.
                 match rows[variants..].iter_mut().find(|row| row.label == name) {
                     Some(row) if row.runs.iter().any(|r| r.facts.seed == run.facts.seed) => {}
                     Some(row) => row.runs.push(run),
                     None => {
-                        let scores = run.facts.scores.as_ref();
-                        let bound = scores.is_some_and(|table| table.bounds.iter().any(|bound| bound == name));
+                        let bound = run.scores.table.bounds.iter().any(|bound| bound == name);
                         let kind = if bound { Kind::Bound } else { Kind::Floor };
                         rows.push(Row { label: name, kind, twin: None, predictor: name, runs: vec![run] });
                     }
@@ -200,7 +187,7 @@ impl<'a> Comparison<'a> {
         }
         rows[variants..].sort_by_key(|row| row.kind == Kind::Bound);
         let mut ceiling: Vec<&Record> = Vec::new();
-        for run in setting.runs().filter(|run| run.has_ceiling()) {
+        for run in setting.runs().filter(|run| run.scores.table.predictors.iter().any(|name| name == CEILING)) {
             if !ceiling.iter().any(|other| other.facts.seed == run.facts.seed) {
                 ceiling.push(run);
             }
@@ -208,18 +195,17 @@ impl<'a> Comparison<'a> {
         if !ceiling.is_empty() {
             rows.push(Row { label: CEILING, kind: Kind::Ceiling, twin: None, predictor: CEILING, runs: ceiling });
         }
-        let mut metrics: Vec<Metric> = Vec::new();
-        for row in setting.runs().filter_map(|run| run.facts.scores.as_ref()).flat_map(|table| &table.metrics) {
-            let (key, unit) = (row.key.clone(), row.unit.clone());
-            let metric = Metric { key, unit, higher_is_better: row.higher_is_better, per_sample: row.is_per_sample() };
+        let mut metrics: Vec<MetricRow> = Vec::new();
+        for metric in setting.runs().flat_map(|run| &run.scores.table.metrics) {
             if !metrics.iter().any(|m| m.key == metric.key) {
-                metrics.push(metric);
+                metrics.push(metric.clone());
             }
         }
         for (key, unit, higher_is_better) in [(TRAINED_ON, setting.task().counted[1], true), (TRAINING, "s", false)] {
-            metrics.push(Metric { key: key.into(), unit: unit.into(), higher_is_better, per_sample: false });
+            metrics.push(MetricRow { key: key.into(), unit: unit.into(), higher_is_better, cells: Vec::new() });
         }
-        let places = setting.runs().flat_map(|run| run.places.iter().map(|(id, place)| (*id, *place))).collect();
+        let places =
+            setting.runs().flat_map(|run| run.test.positions.iter().map(|(id, place)| (*id, *place))).collect();
         Self { setting, rows, metrics, blocks: Blocks::new(&places) }
     }
 
@@ -227,7 +213,7 @@ impl<'a> Comparison<'a> {
         self.rows.iter().find(|row| row.label == label)
     }
 
-    pub(super) fn metric(&self, key: &str) -> Option<&Metric> {
+    pub(super) fn metric(&self, key: &str) -> Option<&MetricRow> {
         self.metrics.iter().find(|m| m.key == key)
     }
 
@@ -235,7 +221,7 @@ impl<'a> Comparison<'a> {
     pub(super) fn holes(&self) -> Vec<String> {
         let mut all = Vec::new();
         for (row, metric) in self.rows.iter().flat_map(|row| self.metrics.iter().map(move |metric| (row, metric))) {
-            let without = |run: &&&Record| run.value(row.predictor, &metric.key).is_some_and(f64::is_nan);
+            let without = |run: &&&Record| run.scores.value(row.predictor, &metric.key).is_some_and(f64::is_nan);
             let count = row.runs.iter().filter(without).count();
             if count > 0 {
                 let (key, label, runs) = (&metric.key, row.label, row.runs.len());
@@ -254,7 +240,7 @@ impl<'a> Comparison<'a> {
         for row in self.rows.iter().filter(|row| [Kind::Floor, Kind::Bound].contains(&row.kind)) {
             let differs = |run: &&Record| {
                 let shown = row.runs.iter().find(|shown| shown.facts.seed == run.facts.seed)?;
-                let [a, b] = [run, shown].map(|run| run.value(row.predictor, key));
+                let [a, b] = [run, shown].map(|run| run.scores.value(row.predictor, key));
                 ((a? - b?).abs() > 1e-6).then_some((run.facts.seed, shown.folder.display()))
             };
             if let Some((seed, folder)) = self.setting.runs().find_map(|run| differs(&run)) {
@@ -279,7 +265,6 @@ impl<'a> Comparison<'a> {
 
     /// What every predictor of the setting has to say beside its numbers.
     pub(super) fn notes(&self) -> Vec<String> {
-        let tables = self.setting.runs().filter_map(|run| run.facts.scores.as_ref());
-        distinct(tables.flat_map(|table| &table.notes).cloned())
+        distinct(self.setting.runs().flat_map(|run| &run.scores.table.notes).cloned())
     }
 }

@@ -7,7 +7,6 @@ mod distance;
 mod distribution;
 mod gaussians;
 mod latency;
-mod loaded;
 mod looks;
 mod pareto;
 mod rate;
@@ -19,10 +18,10 @@ use super::Setting;
 use crate::draw::canvas::Canvas;
 use crate::draw::charts::{Chart, Look};
 use crate::templates::sentences;
-use loaded::Loaded;
 use minijinja::{Value, context};
 use pwrfgs_core::files::write_atomically;
-use pwrfgs_core::{Error, Progress, Result, Task};
+use pwrfgs_core::{Dataset, Error, Progress, Result, Task};
+use pwrfgs_experiment::Silent;
 use serde::Serialize;
 use std::path::Path;
 
@@ -96,7 +95,7 @@ pub struct Drawn {
 }
 
 /// A figure that needs the data and the models.
-type FromData = fn(&Setting, &Loaded) -> Result<Option<Figure>>;
+type FromData = fn(&Setting, &Dataset) -> Result<Option<Figure>>;
 
 /// Every figure there are numbers for. `progress` counts figures.
 pub fn all(setting: &Setting, progress: Progress<'_>) -> Drawn {
@@ -121,10 +120,10 @@ pub fn all(setting: &Setting, progress: Progress<'_>) -> Drawn {
         figures.extend(make(setting));
         progress(done + 1, count);
     }
-    let drawn = Loaded::of(setting).and_then(|loaded| {
+    let drawn = setting.variants[0].runs[0].load_data(&mut Silent).and_then(|data| {
         let mut drawn = Vec::new();
         for (done, make) in from_data.iter().enumerate() {
-            drawn.extend(make(setting, &loaded)?);
+            drawn.extend(make(setting, &data)?);
             progress(from_scores.len() + done + 1, count);
         }
         Ok(drawn)

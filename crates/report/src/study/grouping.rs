@@ -1,7 +1,10 @@
 //! Puts runs in settings and variants, and gives both their names.
 
-use super::{Record, Setting, Variant, distinct};
-use pwrfgs_core::Result;
+use super::{Setting, Variant, distinct, one_line};
+use pwrfgs_core::{Error, Result};
+use pwrfgs_experiment::Record;
+use pwrfgs_pipeline::Pipeline;
+use serde::Serialize;
 use serde_json::Value;
 
 /// Names that a title has room for.
@@ -19,7 +22,7 @@ pub(super) fn listed(names: Vec<String>) -> String {
 
 /// Gives runs that were named one by one the names of their variants: what the folders of all seeds begin with.
 pub(super) fn named(alone: Vec<Record>) -> Vec<(String, Record)> {
-    let keys: Vec<String> = alone.iter().map(Record::variant_key).collect();
+    let keys: Vec<String> = alone.iter().map(|record| record.variant_key.clone()).collect();
     let folder = |record: &Record| {
         let whole = record.folder.canonicalize().unwrap_or_else(|_| record.folder.clone());
         whole.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned())
@@ -62,12 +65,31 @@ fn common_start(names: &[String]) -> String {
     start.strip_suffix("seed").unwrap_or(start).trim_end_matches(is_separator).to_owned()
 }
 
+/// Data and split: equal for runs whose scores are comparable. What a split holds out for validation leaves the test set as
+/// it is.
+pub(super) fn setting_key(record: &Record) -> Result<Value> {
+    let failed = |e| Error::input(&record.folder, format!("data and split cannot be compared: {e}"));
+    let Pipeline { data, split, .. } = &record.pipeline;
+    let [data, mut split] = [named_fields(data).map_err(failed)?, named_fields(split).map_err(failed)?];
+    if let Some(fields) = split.1.as_object_mut() {
+        fields.remove("validation");
+    }
+    Ok([data, split].into_iter().map(|(name, fields)| Value::from_iter([(name, fields)])).collect())
+}
+
+/// Name and fields of a plugin; JSON has the fields alone.
+fn named_fields(plugin: &impl Serialize) -> serde_json::Result<(String, Value)> {
+    let name = one_line(plugin).split('(').next().unwrap_or_default().to_owned();
+    // Through text: there a number of single precision has the digits that a person gave it.
+    Ok((name, serde_json::from_str(&serde_json::to_string(plugin)?)?))
+}
+
 /// Puts runs in settings and variants.
 pub(super) fn settings(records: Vec<(Labels, Record)>) -> Result<Vec<Setting>> {
     let mut found: Vec<(Value, Setting)> = Vec::new();
     let mut groups: Vec<Vec<(Labels, Record)>> = Vec::new();
     for (labels, record) in records {
-        let key = record.setting_key()?;
+        let key = setting_key(&record)?;
         let place = found.iter().position(|(k, _)| *k == key).unwrap_or_else(|| {
             let (title, simulated) = (record.facts.data.clone(), record.facts.simulated);
             found.push((key, Setting { title, simulated, variants: Vec::new() }));
@@ -77,7 +99,7 @@ pub(super) fn settings(records: Vec<(Labels, Record)>) -> Result<Vec<Setting>> {
         groups[place].push((labels, record));
     }
     for ((_, setting), group) in found.iter_mut().zip(groups) {
-        let splits = distinct(group.iter().map(|(_, record)| record.split()));
+        let splits = distinct(group.iter().map(|(_, record)| one_line(&record.pipeline.split)));
         setting.title = format!("{}; {}", setting.title, splits.join(" and "));
         setting.variants = variants(group);
     }
@@ -115,7 +137,7 @@ fn fields(value: &Value) -> Vec<String> {
 fn variants(group: Vec<(Labels, Record)>) -> Vec<Variant> {
     let mut all: Vec<(String, Labels, Vec<Record>)> = Vec::new();
     for (labels, record) in group {
-        let key = record.variant_key();
+        let key = record.variant_key.clone();
         match all.iter_mut().find(|(known, ..)| *known == key) {
             Some((.., runs)) if runs.iter().any(|r| r.seeds == record.seeds) => {}
             Some((.., runs)) => runs.push(record),

@@ -3,13 +3,13 @@
 use super::comparison::{Comparison, Kind, Row};
 use super::figures::{self, Drawn, Figure};
 use super::tables::{self, Table};
-use super::{Record, Setting, Study, distinct};
+use super::{Setting, Study, distinct};
 use crate::templates::sentences;
 use minijinja::{Value, context};
 use pwrfgs_core::{Error, Result, did_you_mean};
 use pwrfgs_experiment::clock::duration;
 use pwrfgs_experiment::text::grouped;
-use pwrfgs_experiment::{Observer, staged};
+use pwrfgs_experiment::{Observer, Record, staged};
 use serde::Serialize;
 
 /// The report of a study.

@@ -1,6 +1,7 @@
 //! `Race`: variants of a setting that come to the same numbers of Gaussians in different ways.
 
-use super::{Record, Setting, Variant};
+use super::{Setting, Variant};
+use pwrfgs_experiment::Record;
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::statistics::Spread;
 
@@ -72,7 +73,7 @@ impl<'a> Race<'a> {
         if ways.len() < LEAST[0] || numbers.len() < LEAST[1] {
             return None;
         }
-        let score = |variant: &Variant| spread(variant, |run| run.value(MODEL, headline.key));
+        let score = |variant: &Variant| spread(variant, |run| run.scores.value(MODEL, headline.key));
         for &n in &numbers {
             let at = |way: &Way<'_>| way.variants.iter().find(|v| number(v) == Some(n)).and_then(|v| score(v));
             let scores: Vec<Option<Spread>> = ways.iter().map(at).collect();

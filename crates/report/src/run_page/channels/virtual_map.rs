@@ -5,7 +5,7 @@ use crate::draw::font::text_width;
 use crate::draw::plan::{Plan, draw_receiver};
 use minijinja::{Value, context};
 use pwrfgs_core::evenly;
-use pwrfgs_experiment::Results;
+use pwrfgs_experiment::LoadedRun;
 use pwrfgs_experiment::scores::quantile;
 use pwrfgs_experiment::text::grouped;
 
@@ -28,23 +28,23 @@ struct Found {
 }
 
 /// Both views, and what is not drawn; nothing of a model that draws splats.
-pub(super) fn map(results: &Results<'_>) -> Option<Value> {
-    let members = results.model.members();
+pub(super) fn map(run: &LoadedRun<'_>) -> Option<Value> {
+    let members = run.model.members();
     if members.iter().any(|model| model.stages.splatting().is_some()) {
         return None;
     }
-    let mut found = found(results);
+    let mut found = found(run);
     if found.is_empty() {
         return None;
     }
     let all = found.len();
     found.truncate(SHOWN);
-    let view = |names, axes: [usize; 2]| draw(results, &found, names, axes);
+    let view = |names, axes: [usize; 2]| draw(run, &found, names, axes);
     let ((plan, outside), (side, hidden)) = (view(["x", "y"], [0, 1]), view(["x", "z"], [0, 2]));
     Some(context! {
         plan => plan.svg("map", "the room from above"),
         side => side.svg("map", "the room from the side"),
-        legend => legend(!results.data.scene.points.is_empty()).svg("legend", "what the marks mean"),
+        legend => legend(!run.data.scene.points.is_empty()).svg("legend", "what the marks mean"),
         count => grouped(all as i64),
         shown => (all > found.len()).then(|| grouped(found.len() as i64)),
         outside => outside.max(hidden),
@@ -52,8 +52,8 @@ pub(super) fn map(results: &Results<'_>) -> Option<Value> {
 }
 
 /// All of them in the user's frame, the strongest first.
-fn found(results: &Results<'_>) -> Vec<Found> {
-    let members = results.model.members();
+fn found(run: &LoadedRun<'_>) -> Vec<Found> {
+    let members = run.model.members();
     let mut all: Vec<([f64; 3], f64)> = members
         .iter()
         .flat_map(|model| {
@@ -70,8 +70,8 @@ fn found(results: &Results<'_>) -> Vec<Found> {
 }
 
 /// One view along an axis, and how many lie outside its frame.
-fn draw(results: &Results<'_>, found: &[Found], names: [&'static str; 2], axes: [usize; 2]) -> (Canvas, usize) {
-    let scene = &results.data.scene;
+fn draw(run: &LoadedRun<'_>, found: &[Found], names: [&'static str; 2], axes: [usize; 2]) -> (Canvas, usize) {
+    let scene = &run.data.scene;
     let flat = |p: [f64; 3]| axes.map(|k| p[k]);
     let walls = [scene.bounds.0, scene.bounds.1].map(|corner| flat(scene.origin.world(corner)));
     let places: Vec<[f64; 2]> = found.iter().map(|own| flat(own.place)).collect();

@@ -4,7 +4,7 @@ use super::{Chart, FLOOR_COLOURS, Figure, MODEL_COLOUR, figure, line};
 use crate::draw::canvas::Colour;
 use crate::draw::charts::Axis;
 use pwrfgs_core::Task;
-use pwrfgs_experiment::Results;
+use pwrfgs_experiment::LoadedRun;
 use pwrfgs_experiment::headline::headline;
 use pwrfgs_experiment::scores::{MODEL, quantile};
 
@@ -14,9 +14,9 @@ const PLACES: usize = 400;
 const INSIDE: f64 = 0.98;
 
 /// Which share of the test part stays below each value.
-pub(super) fn figure_of(results: &Results<'_>) -> Option<Figure> {
-    let scores = &results.assessment.scores;
-    let kind = results.data.task();
+pub(super) fn figure_of(run: &LoadedRun<'_>) -> Option<Figure> {
+    let scores = &run.record.scores;
+    let kind = run.data.task();
     let headline = headline(kind);
     let mut sorted: Vec<(&String, Vec<f64>)> = Vec::new();
     for (name, _) in &scores.predictors {

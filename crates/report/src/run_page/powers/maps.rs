@@ -6,7 +6,7 @@ use crate::draw::plan::{Plan, draw_receiver};
 use crate::draw::spectra::Scale;
 use minijinja::{Value, context};
 use pwrfgs_core::evenly;
-use pwrfgs_experiment::Results;
+use pwrfgs_experiment::LoadedRun;
 use pwrfgs_experiment::colour::diverging;
 use pwrfgs_experiment::scores::quantile;
 
@@ -20,8 +20,8 @@ const WIDTH: f64 = 290.0;
 const MOST_HEIGHT: f64 = 250.0;
 
 /// Maps of as many receivers as are shown; nothing where no place is known.
-pub(super) fn maps(results: &Results<'_>, heard: &[Heard]) -> Option<Value> {
-    let data = results.data;
+pub(super) fn maps(run: &LoadedRun<'_>, heard: &[Heard]) -> Option<Value> {
+    let data = run.data;
     if !data.placed || heard.is_empty() {
         return None;
     }
@@ -35,7 +35,7 @@ pub(super) fn maps(results: &Results<'_>, heard: &[Heard]) -> Option<Value> {
     let limit = quantile(&sizes, 0.95).ceil().max(1.0);
     let map = |&r: &usize| {
         let name = receivers[r].name.clone();
-        let svg = draw(results, r, &of_each[r], limit).svg("map", &format!("errors at {name}"));
+        let svg = draw(run, r, &of_each[r], limit).svg("map", &format!("errors at {name}"));
         context! { name, svg, links => of_each[r].len() }
     };
     let scale = Scale::Error(limit);
@@ -50,8 +50,8 @@ pub(super) fn maps(results: &Results<'_>, heard: &[Heard]) -> Option<Value> {
 }
 
 /// The map of one receiver, in the frame of all transmitters that it has heard.
-fn draw(results: &Results<'_>, receiver: usize, heard: &[Heard], limit: f64) -> Canvas {
-    let data = results.data;
+fn draw(run: &LoadedRun<'_>, receiver: usize, heard: &[Heard], limit: f64) -> Canvas {
+    let data = run.data;
     let flat = |[x, y, _]: [f64; 3]| [x, y];
     let own = data.scene.origin.world_pose(data.scene.receivers[receiver].pose).position;
     let links = || data.samples().filter(|sample| sample.receiver == receiver).map(|sample| flat(sample.tx));

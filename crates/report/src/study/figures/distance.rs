@@ -6,9 +6,10 @@
 use super::{Figure, looks};
 use crate::draw::charts::{Axis, Chart, Line};
 use crate::draw::marks::{Stroke, Style};
-use crate::study::{Record, Setting};
+use crate::study::Setting;
 use minijinja::context;
 use pwrfgs_core::Task;
+use pwrfgs_experiment::Record;
 use pwrfgs_experiment::headline::headline;
 use pwrfgs_experiment::scores::{MODEL, quantile};
 
@@ -58,8 +59,8 @@ struct Bin {
 fn bins(runs: &[Record], predictor: &str, kind: Task) -> Vec<Bin> {
     let drawn = |score: f64| if kind == Task::Spectrum { 1.0 - score } else { score };
     let pairs = |run: &Record| -> Vec<(f64, f64)> {
-        let samples = run.samples(predictor, headline(kind).key).unwrap_or_default();
-        samples.iter().filter_map(|(id, score)| Some((*run.nearest_train_m.get(id)?, drawn(*score)))).collect()
+        let samples = run.scores.by_id(predictor, headline(kind).key).unwrap_or_default();
+        samples.iter().filter_map(|(id, score)| Some((*run.test.nearest_train_m.get(id)?, drawn(*score)))).collect()
     };
     let samples = runs.first().map_or(0, |r| pairs(r).len());
     binned(runs.iter().flat_map(pairs).collect(), samples / PER_BIN)

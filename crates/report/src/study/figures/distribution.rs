@@ -2,9 +2,10 @@
 
 use super::{Figure, looks};
 use crate::draw::charts::{Axis, Chart, Line};
-use crate::study::{Record, Setting};
+use crate::study::Setting;
 use minijinja::context;
 use pwrfgs_core::Task;
+use pwrfgs_experiment::Record;
 use pwrfgs_experiment::scores::{MODEL, quantile};
 use std::collections::BTreeMap;
 
@@ -21,7 +22,7 @@ pub(super) fn figure(setting: &Setting) -> Option<Figure> {
     let headline = setting.headline();
     let tail = if headline.higher { 1.0 - INSIDE..=1.0 } else { 0.0..=INSIDE };
     let points = |runs: &[Record], predictor: &str| -> Vec<(f64, f64)> {
-        let samples = runs.iter().filter_map(|run| run.samples(predictor, headline.key));
+        let samples = runs.iter().filter_map(|run| run.scores.by_id(predictor, headline.key));
         let mut values: Vec<f64> = samples.flat_map(BTreeMap::into_values).filter(|v| v.is_finite()).collect();
         values.sort_by(f64::total_cmp);
         let shares = (0..=PLACES).map(|k| k as f64 / PLACES as f64).filter(|share| tail.contains(share));

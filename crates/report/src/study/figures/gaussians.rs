@@ -52,8 +52,8 @@ fn shared_phases(setting: &Setting) -> Vec<Band> {
 /// Least, mean and largest N at each step that all runs of the variant have noted.
 fn curves(variant: &Variant) -> [Vec<(f64, f64)>; 3] {
     let mut at: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
-    for (step, n) in variant.runs.iter().flat_map(|r| &r.gaussians) {
-        at.entry(*step as u64).or_default().push(*n);
+    for (step, n) in variant.runs.iter().flat_map(|r| r.curve_of(4)) {
+        at.entry(step as u64).or_default().push(n);
     }
     at.retain(|_, all| all.len() == variant.runs.len());
     let fold = |f: &dyn Fn(&[f64]) -> f64| at.iter().map(|(step, all)| (*step as f64, f(all))).collect();

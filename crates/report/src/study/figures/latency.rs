@@ -39,7 +39,7 @@ impl<'a> Bar<'a> {
     /// Of a variant; nothing where it was not timed.
     fn of(variant: &'a Variant) -> Option<Self> {
         let spread = |key: &str| {
-            let values: Vec<f64> = variant.runs.iter().filter_map(|r| r.value(MODEL, key)).collect();
+            let values: Vec<f64> = variant.runs.iter().filter_map(|r| r.scores.value(MODEL, key)).collect();
             Spread::of(&values)
         };
         let stages: Option<Vec<f64>> = STAGES.iter().map(|(_, key)| Some(spread(key)?.mean)).collect();

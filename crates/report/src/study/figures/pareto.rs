@@ -3,9 +3,10 @@
 use super::tradeoff::floors;
 use super::{Figure, looks};
 use crate::draw::charts::{Axis, Chart, Line};
+use crate::study::Setting;
 use crate::study::race::{Race, Way, spread};
-use crate::study::{Record, Setting};
 use minijinja::context;
+use pwrfgs_experiment::Record;
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::statistics::Spread;
 
@@ -21,8 +22,8 @@ struct Price {
 
 const PRICES: [Price; 3] = [
     Price { name: "pareto-n", axis: "number of Gaussians N", of: |run| Some(run.facts.gaussians as f64) },
-    Price { name: "pareto-bytes", axis: "size of the model [bytes]", of: |run| run.value(MODEL, "model_bytes") },
-    Price { name: "pareto-ms", axis: "one prediction [ms]", of: |run| run.value(MODEL, "latency_total_ms") },
+    Price { name: "pareto-bytes", axis: "size of the model [bytes]", of: |run| run.scores.value(MODEL, "model_bytes") },
+    Price { name: "pareto-ms", axis: "one prediction [ms]", of: |run| run.scores.value(MODEL, "latency_total_ms") },
 ];
 
 pub(super) fn by_number(setting: &Setting) -> Option<Figure> {
@@ -79,7 +80,7 @@ fn figure(setting: &Setting, price: &Price) -> Option<Figure> {
 fn worst_floor(setting: &Setting) -> Option<f64> {
     let headline = setting.headline();
     let of = |name: &str| {
-        let values: Vec<f64> = setting.runs().filter_map(|run| run.value(name, headline.key)).collect();
+        let values: Vec<f64> = setting.runs().filter_map(|run| run.scores.value(name, headline.key)).collect();
         Some(Spread::of(&values)?.mean)
     };
     setting.floors().into_iter().filter_map(of).reduce(if headline.higher { f64::min } else { f64::max })
@@ -88,7 +89,7 @@ fn worst_floor(setting: &Setting) -> Option<f64> {
 /// A way through its variants, with bars over seeds.
 fn line(way: &Way<'_>, k: usize, price: &Price, key: &str, shown: bool) -> Option<Line> {
     let place = |variant: &&crate::study::Variant| {
-        let (paid, score) = (spread(variant, price.of)?, spread(variant, |run| run.value(MODEL, key))?);
+        let (paid, score) = (spread(variant, price.of)?, spread(variant, |run| run.scores.value(MODEL, key))?);
         (paid.mean > 0.0).then_some((paid.mean, score))
     };
     let mut places: Vec<_> = way.variants.iter().filter_map(place).collect();

@@ -1,10 +1,10 @@
 //! Rate ratio against signal-to-noise ratio: what steering by the prediction costs a weak and a strong transmitter.
 
-use super::loaded::Loaded;
 use super::{Figure, looks};
 use crate::draw::charts::{Axis, Chart, Line};
 use crate::study::Setting;
 use minijinja::context;
+use pwrfgs_core::Dataset;
 use pwrfgs_core::{Error, Measurement, Metric, Plugin, Result, Values, evenly};
 use pwrfgs_experiment::{Bench, Session, Silent};
 
@@ -15,7 +15,7 @@ const STEPS: usize = 20;
 /// At most so many test spectra of a run are predicted.
 const SAMPLES: usize = 200;
 
-pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure>> {
+pub(super) fn figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
     let metric = |snr: f64| Plugin::parse(&format!("RateRatio(snr_db: {snr:.1})")).map_err(Error::Config);
     let metrics: Vec<Plugin<dyn Metric>> = snrs().map(metric).collect::<Result<_>>()?;
     let mut lines = Vec::new();
@@ -23,11 +23,11 @@ pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure
     for (k, variant) in setting.variants.iter().enumerate() {
         let mut curves = Vec::new();
         for run in &variant.runs {
-            let test = loaded.partition(run)?.test;
+            let test = run.partition(data)?.test;
             let part = evenly(&test, SAMPLES);
             fewer |= part.len() < test.len();
-            let model = loaded.model(run)?;
-            let bench = Bench::new(&loaded.data, &part, model.plane());
+            let model = run.model(data)?;
+            let bench = Bench::new(data, &part, model.plane());
             let model = &model.prepare();
             curves.push(curve(&bench.model("the model", model, None, &metrics, &mut Session::new(&mut Silent))?));
         }
@@ -36,7 +36,7 @@ pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure
         line.marks = line.points.iter().skip(k % 4).step_by(4).copied().collect();
         lines.push(line);
     }
-    lines.extend(baselines(setting, loaded, &metrics)?);
+    lines.extend(baselines(setting, data, &metrics)?);
     let x = Axis { name: "transmit signal-to-noise ratio ρ [dB]".into(), ends: Some((LOW_DB, HIGH_DB)), log: false };
     let chart = Chart { x, y: Axis { name: "rate ratio η".into(), ..Axis::default() }, lines, ..Chart::default() };
     let words = context! { part => fewer.then_some(SAMPLES) };
@@ -44,12 +44,12 @@ pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure
 }
 
 /// The baselines, having seen training and validation, on the test part of the first run.
-fn baselines(setting: &Setting, loaded: &Loaded, metrics: &[Plugin<dyn Metric>]) -> Result<Vec<Line>> {
+fn baselines(setting: &Setting, data: &Dataset, metrics: &[Plugin<dyn Metric>]) -> Result<Vec<Line>> {
     let run = &setting.variants[0].runs[0];
-    let (partition, model) = (loaded.partition(run)?, loaded.model(run)?);
-    let bench = Bench::new(&loaded.data, &evenly(&partition.test, SAMPLES), model.plane());
+    let (partition, model) = (run.partition(data)?, run.model(data)?);
+    let bench = Bench::new(data, &evenly(&partition.test, SAMPLES), model.plane());
     let line = |(k, baseline): (usize, &Plugin<dyn pwrfgs_core::Baseline>)| {
-        let fitted = baseline.fit(&loaded.data, partition.known())?;
+        let fitted = baseline.fit(data, partition.known())?;
         let name = baseline.name();
         let measured = bench.baseline(&name, &*fitted, metrics, &mut Session::new(&mut Silent))?;
         Ok(Line::new(curve(&measured), looks::floor(k)).named_at_end(&name))

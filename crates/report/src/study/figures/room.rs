@@ -1,6 +1,5 @@
 //! Gaussians over the scene's point cloud with their Chamfer distances: figure 3 of the paper.
 
-use super::loaded::Loaded;
 use super::{COLUMN, Figure, PAGE};
 use crate::draw::canvas::{Anchor, Canvas};
 use crate::draw::font::{LINE, TEXT, wrapped};
@@ -8,13 +7,14 @@ use crate::draw::legend::Legend;
 use crate::draw::room::{Panel, Room};
 use crate::study::{Setting, Variant};
 use minijinja::context;
+use pwrfgs_core::Dataset;
 use pwrfgs_core::Result;
 use pwrfgs_experiment::Snapshot;
 
 /// At most so many variants are shown.
 const MOST: usize = 6;
 
-pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure>> {
+pub(super) fn figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
     let with = || setting.variants.iter().filter(|v| v.runs[0].facts.gaussians > 0);
     let shown: Vec<&Variant> = with().take(MOST).collect();
     if shown.is_empty() {
@@ -22,7 +22,7 @@ pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure
     }
     let snapshot = |v: &&Variant| {
         let run = &v.runs[0];
-        Ok(Snapshot::of_ensemble(run.facts.steps, &loaded.model(run)?))
+        Ok(Snapshot::of_ensemble(run.facts.steps, &run.model(data)?))
     };
     let clouds: Vec<Snapshot> = shown.iter().map(snapshot).collect::<Result<_>>()?;
     let mut canvas = Canvas::new(if shown.len() == 1 { COLUMN } else { PAGE }, 0.0);
@@ -32,11 +32,10 @@ pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure
         _ => 3,
     };
     let width = canvas.width / columns as f64;
-    let partition = loaded.partition(&setting.variants[0].runs[0])?;
+    let partition = setting.variants[0].runs[0].partition(data)?;
     let all: Vec<&Snapshot> = clouds.iter().collect();
-    let room = Room::new(&loaded.data, &partition, &all, TEXT * COLUMN / width);
-    let panels: Vec<Panel> =
-        shown.iter().zip(&clouds).map(|(v, cloud)| room.panel(&v.label, cloud, &loaded.data)).collect();
+    let room = Room::new(data, &partition, &all, TEXT * COLUMN / width);
+    let panels: Vec<Panel> = shown.iter().zip(&clouds).map(|(v, cloud)| room.panel(&v.label, cloud, data)).collect();
     let mut top = 0.0;
     for row in panels.chunks(columns) {
         top = draw_row(&mut canvas, row, width, top);
@@ -44,7 +43,7 @@ pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure
     let legend = Legend::new(room.legend(), canvas.width);
     legend.draw(&mut canvas, top);
     canvas.height = top + legend.height();
-    let words = context! { more => with().count() - shown.len(), note => room.note(&loaded.data) };
+    let words = context! { more => with().count() - shown.len(), note => room.note(data) };
     Ok(Some(Figure::new("room", setting, words, &canvas)))
 }
 

@@ -1,6 +1,5 @@
 //! Spectra side by side, as measured and as each variant predicts them: figure 4 of the paper.
 
-use super::loaded::Loaded;
 use super::{COLUMN, Figure, PAGE};
 use crate::draw::canvas::{Anchor, Canvas};
 use crate::draw::font::{LINE, wrapped};
@@ -8,6 +7,7 @@ use crate::draw::ruler::{draw_azimuth, draw_elevation, names};
 use crate::draw::spectra::{Scale, pixels};
 use crate::study::{Setting, Variant};
 use minijinja::context;
+use pwrfgs_core::Dataset;
 use pwrfgs_core::{Image, ImagePlane, Result};
 use pwrfgs_experiment::scores::MODEL;
 use std::collections::BTreeMap;
@@ -32,12 +32,11 @@ struct Row {
     predicted: Vec<(Image, f64)>,
 }
 
-pub(super) fn figure(setting: &Setting, loaded: &Loaded) -> Result<Option<Figure>> {
+pub(super) fn figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
     let shown = &setting.variants[..setting.variants.len().min(MOST)];
-    let scores: Option<Vec<BTreeMap<u32, f64>>> = shown.iter().map(|v| v.runs[0].samples(MODEL, "ssim")).collect();
+    let scores: Option<Vec<BTreeMap<u32, f64>>> = shown.iter().map(|v| v.runs[0].scores.by_id(MODEL, "ssim")).collect();
     let Some(scores) = scores else { return Ok(None) };
-    let models = shown.iter().map(|v| loaded.model(&v.runs[0])).collect::<Result<Vec<_>>>()?;
-    let data = &loaded.data;
+    let models = shown.iter().map(|v| v.runs[0].model(data)).collect::<Result<Vec<_>>>()?;
     let row = |(name, id): (&'static str, u32)| {
         let index = (0..data.len()).find(|&i| data.label(i) == id)?;
         let predicted = models

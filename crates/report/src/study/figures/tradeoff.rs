@@ -66,7 +66,7 @@ fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
 
 /// N and score over the seeds of a variant; nothing where no run has the score, or the method no Gaussians.
 fn spreads(variant: &Variant, key: &str) -> Option<(Spread, Spread)> {
-    let scored = variant.runs.iter().filter_map(|r| Some((r.facts.gaussians as f64, r.value(MODEL, key)?)));
+    let scored = variant.runs.iter().filter_map(|r| Some((r.facts.gaussians as f64, r.scores.value(MODEL, key)?)));
     let (n, score): (Vec<f64>, Vec<f64>) = scored.unzip();
     let n = Spread::of(&n)?;
     // Without Gaussians there is no place on the axis.
@@ -109,7 +109,7 @@ fn without_digits(label: &str) -> String {
 /// Level lines over the whole width, with their names at the right.
 pub(super) fn floors(setting: &Setting, key: &str) -> Vec<Line> {
     let line = |(k, name): (usize, &str)| {
-        let values: Vec<f64> = setting.runs().filter_map(|r| r.value(name, key)).collect();
+        let values: Vec<f64> = setting.runs().filter_map(|r| r.scores.value(name, key)).collect();
         Some(Line::level(Spread::of(&values)?.mean, looks::floor(k)).named_at_end(name))
     };
     setting.floors().into_iter().enumerate().filter_map(line).collect()

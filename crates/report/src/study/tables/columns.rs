@@ -1,15 +1,16 @@
 //! Columns of scores: names, units, digits and marks.
 
-use super::super::comparison::{Comparison, Kind, Metric, Row, Statistic, TRAINED_ON, TRAINING};
+use super::super::comparison::{Comparison, Kind, Row, Statistic, TRAINED_ON, TRAINING};
 use super::{Column, Line, Mark, Shown};
+use pwrfgs_experiment::scores::MetricRow;
 use pwrfgs_experiment::statistics::Spread;
 use pwrfgs_experiment::text::{fixed, grouped};
 
 /// A column to be.
-pub(super) type Wanted<'a> = (&'a Metric, Statistic);
+pub(super) type Wanted<'a> = (&'a MetricRow, Statistic);
 
 /// A metric in words, and its unit.
-pub(super) fn words(metric: &Metric) -> (String, String) {
+pub(super) fn words(metric: &MetricRow) -> (String, String) {
     let key = metric.key.as_str();
     let words = match key {
         "ssim" | "psnr" | "l1" => key.to_uppercase(),
@@ -40,7 +41,7 @@ fn scale(unit: &str, largest: f64) -> (&str, f64) {
 }
 
 /// Decimals of a column: three digits of the largest number, at most three decimals; whole numbers of Gaussians.
-fn decimals(metric: &Metric, largest: f64) -> usize {
+fn decimals(metric: &MetricRow, largest: f64) -> usize {
     if ["gaussians", TRAINED_ON].contains(&metric.key.as_str()) || largest >= 100.0 {
         0
     } else if largest >= 10.0 {
@@ -112,7 +113,7 @@ pub(super) fn mark(cells: &mut [Shown], spreads: &[Option<Spread>], competes: &[
 pub(super) fn filled(
     comparison: &Comparison<'_>,
     wanted: &[Wanted<'_>],
-    is_ranked: impl Fn(&Metric) -> bool,
+    is_ranked: impl Fn(&MetricRow) -> bool,
 ) -> (Vec<Column>, Vec<Line>) {
     let rows = &comparison.rows;
     let columns: Vec<(Column, Vec<Shown>)> = wanted.iter().filter_map(|w| column(rows, *w, is_ranked(w.0))).collect();

@@ -1,19 +1,20 @@
 //! The table of paired differences against a reference.
 
-use super::super::comparison::{Comparison, Kind, Metric, Row};
+use super::super::comparison::{Comparison, Kind, Row};
 use super::columns::words;
 use super::{Column, Line, Mark, Shown, Table, title};
 use crate::templates::sentences;
 use minijinja::context;
 use pwrfgs_experiment::paired::{is_compared, signed};
+use pwrfgs_experiment::scores::MetricRow;
 use pwrfgs_experiment::statistics::{CONFIDENCE, Difference, REPLICATES};
 
 /// Every row less the reference, by the metrics that [`is_compared`] selects; by all if it selects none.
 pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &Row<'_>) -> Option<Table> {
-    let shown = |m: &&Metric| m.per_sample && is_compared(&m.key, comparison.setting.task());
-    let mut metrics: Vec<&Metric> = comparison.metrics.iter().filter(shown).collect();
+    let shown = |m: &&MetricRow| m.is_per_sample() && is_compared(&m.key, comparison.setting.task());
+    let mut metrics: Vec<&MetricRow> = comparison.metrics.iter().filter(shown).collect();
     if metrics.is_empty() {
-        metrics = comparison.metrics.iter().filter(|m| m.per_sample).collect();
+        metrics = comparison.metrics.iter().filter(|m| m.is_per_sample()).collect();
     }
     let others = comparison.rows.iter().filter(|row| row.label != reference.label);
     let lines: Vec<(Line, usize)> = others
@@ -26,7 +27,7 @@ pub(in super::super) fn differences(comparison: &Comparison<'_>, reference: &Row
         })
         .collect();
     let seeds = (lines.iter().map(|l| l.1).min()?, lines.iter().map(|l| l.1).max()?);
-    let column = |m: &&Metric| {
+    let column = |m: &&MetricRow| {
         let (title, unit) = words(m);
         let detail = if unit.is_empty() { String::new() } else { format!("[{unit}]") };
         Column { title: format!("Δ {title}"), detail, arrow: if m.higher_is_better { "↑" } else { "↓" } }

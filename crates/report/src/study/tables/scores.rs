@@ -1,16 +1,17 @@
 //! The table of scores, that of all other metrics, and table I: latency by stage.
 
-use super::super::comparison::{Comparison, Kind, Metric, TRAINED_ON, TRAINING};
+use super::super::comparison::{Comparison, Kind, TRAINED_ON, TRAINING, is_ranked, is_time, statistics};
 use super::columns::{Wanted, filled};
 use super::{Table, title};
 use crate::templates::sentences;
 use minijinja::context;
+use pwrfgs_experiment::scores::MetricRow;
 
 /// Numbers of a whole model that are shown first.
 const WHOLE: [&str; 3] = [TRAINED_ON, "gaussians", "model_bytes"];
 
 /// Whether a metric stands beside the first of its kind.
-fn is_beside(metric: &Metric) -> bool {
+fn is_beside(metric: &MetricRow) -> bool {
     metric.key.starts_with("eta_") || metric.key == "snr_all_db"
 }
 
@@ -37,7 +38,7 @@ pub(in super::super) fn scores(comparison: &Comparison<'_>, same_machine: bool) 
 /// Metrics that the table of scores leaves out.
 pub(in super::super) fn further(comparison: &Comparison<'_>, same_machine: bool) -> Option<Table> {
     let first = comparison.setting.headline().key;
-    let shown = |m: &&Metric| m.key == first || is_beside(m) || m.is_time() || WHOLE.contains(&&*m.key);
+    let shown = |m: &&MetricRow| m.key == first || is_beside(m) || is_time(m) || WHOLE.contains(&&*m.key);
     let left = comparison.metrics.iter().filter(|m| !shown(m));
     let wanted: Vec<Wanted<'_>> = left.map(first_statistic).collect();
     table("further", "Further metrics", comparison, &wanted, same_machine)
@@ -55,13 +56,13 @@ pub(in super::super) fn latency(comparison: &Comparison<'_>, same_machine: bool)
     Some(table)
 }
 
-fn all_statistics(metric: &Metric) -> impl Iterator<Item = Wanted<'_>> {
-    metric.statistics().iter().map(move |statistic| (metric, *statistic))
+fn all_statistics(metric: &MetricRow) -> impl Iterator<Item = Wanted<'_>> {
+    statistics(metric).iter().map(move |statistic| (metric, *statistic))
 }
 
 /// The mean over test samples, or the number of the whole model.
-fn first_statistic(metric: &Metric) -> Wanted<'_> {
-    (metric, metric.statistics()[0])
+fn first_statistic(metric: &MetricRow) -> Wanted<'_> {
+    (metric, statistics(metric)[0])
 }
 
 fn table(
@@ -71,7 +72,7 @@ fn table(
     wanted: &[Wanted<'_>],
     same_machine: bool,
 ) -> Option<Table> {
-    let (columns, lines) = filled(comparison, wanted, |metric| metric.is_ranked(same_machine));
+    let (columns, lines) = filled(comparison, wanted, |metric| is_ranked(metric, same_machine));
     if columns.is_empty() {
         return None;
     }
@@ -80,7 +81,7 @@ fn table(
     let words = context! {
         name,
         observations => comparison.setting.task().counted[1],
-        sampled => comparison.metrics.iter().any(|m| m.per_sample),
+        sampled => comparison.metrics.iter().any(|m| m.is_per_sample()),
         least,
         most,
         floors => table.has(Kind::Floor),
@@ -88,7 +89,7 @@ fn table(
         bounds => table.has(Kind::Bound),
         twins => !comparison.twins().is_empty(),
         ceiling => table.has(Kind::Ceiling),
-        machines_differ => !same_machine && wanted.iter().any(|w| w.0.is_time()),
+        machines_differ => !same_machine && wanted.iter().any(|w| is_time(w.0)),
     };
     table.legend = sentences("legend.txt", words);
     Some(table)
