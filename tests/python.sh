@@ -36,6 +36,7 @@ together() {
     for name in lib_pwrfgs.so lib_pwrfgs.dylib; do
         if [ -f "$target/debug/$name" ]; then cp "$target/debug/$name" "$folder/pwrfgs/_pwrfgs.abi3.so"; fi
     done
+    PYTHONPATH=$folder "$env/bin/python" -B -m pwrfgs._stubs
 }
 
 test_package() {
@@ -55,12 +56,22 @@ test_torch() {
     fi
 }
 
+# A wheel that pip builds from the sources contains the type stubs. Not optimised, so that little is compiled anew.
+test_wheel() {
+    rm -rf "$target/python-package/wheel"
+    MATURIN_PEP517_ARGS="--profile dev" "$env/bin/pip" install -q --disable-pip-version-check --no-deps \
+        --target "$target/python-package/wheel" ./python
+    test_package wheel python/tests/test_types.py
+}
+
 # Targets are those of the other tests, tests too, so that features are the same and nothing is compiled twice.
 echo "== Python, f32"
 cargo build "$@" --workspace --lib --bins --tests
 together f32
 test_package f32 python/tests
 test_torch f32
+echo "== Python, from a wheel"
+test_wheel
 echo "== Python, f64: derivatives against central differences"
 # shellcheck disable=SC2086 # a word a package
 cargo build "$@" ${PWRFGS_FORMULAS:--p pwrfgs -p pwrfgs-cli} -p pwrfgs-python --features pwrfgs/f64 --lib --bins --test all

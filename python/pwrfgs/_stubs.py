@@ -1,8 +1,7 @@
 """Writes ``_plugins.pyi`` and ``settings.pyi``: what editors and type checkers know of the classes that are made of the
 program's plugins and settings.
 
-``python -m pwrfgs._stubs`` writes both beside itself; with ``--check`` it writes nothing, and exits 1 where they are
-not current.
+``python -m pwrfgs._stubs`` writes both beside itself; a wheel is built with them (``backend.py``).
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ import json
 import math
 import os
 import re
-import sys
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 from . import _pwrfgs
@@ -20,7 +18,7 @@ from ._prose import prose, wrap
 from ._values import CLASSES, python_name
 
 WIDTH = 120
-HEAD = "# Written by `python -m pwrfgs._stubs` from what the program says of itself; changes belong there.\n\n"
+HEAD = "# Written by `python -m pwrfgs._stubs` from the doc comments of the program.\n\n"
 PATH = "_Path: TypeAlias = Union[str, os.PathLike[str]]\n"
 TYPING = ("Any", "ClassVar", "List", "Optional", "Sequence", "Tuple", "Union")
 PLAIN = {
@@ -175,31 +173,13 @@ def exports(names: Sequence[str]) -> str:
     return "__all__: List[str] = [\n" + "".join(f"    {line}\n" for line in lines) + "]\n"
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Writes the stubs, or looks whether they are current."""
-    if list(arguments) not in ([], ["--check"]):
-        print("usage: python -m pwrfgs._stubs [--check]", file=sys.stderr)
-        return 2
+def main() -> None:
+    """Writes the stubs."""
     here = os.path.dirname(os.path.abspath(__file__))
-    stale = []
     for name, text in (("_plugins.pyi", plugins()), ("settings.pyi", settings())):
-        path = os.path.join(here, name)
-        try:
-            with open(path, encoding="utf-8", newline="") as file:
-                current = file.read() == text
-        except FileNotFoundError:
-            current = False
-        if current:
-            continue
-        stale.append(name)
-        if not arguments:
-            with open(path, "w", encoding="utf-8", newline="\n") as file:
-                file.write(text)
-    if arguments and stale:
-        print(f"not current: {', '.join(stale)}; run python -m pwrfgs._stubs", file=sys.stderr)
-        return 1
-    return 0
+        with open(os.path.join(here, name), "w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    main()

@@ -1,5 +1,5 @@
 //! Everything that can stand in a pipeline or an experiment, from the comments and defaults in the source: what
-//! `pwrfgs plugins` tells, `docs/reference.md` says and `pwrfgs init` writes as comments.
+//! `pwrfgs plugins` prints and `pwrfgs init` writes as comments.
 
 pub(crate) mod commented;
 pub(crate) mod markdown;

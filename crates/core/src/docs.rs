@@ -1,5 +1,5 @@
-//! What the comments in the source say, at hand while the program runs: the one origin of `pwrfgs plugins`, of
-//! `docs/reference.md` and of the comments in a pipeline that `pwrfgs init` writes.
+//! What the comments in the source say, at hand while the program runs: the one origin of `pwrfgs plugins`
+//! and of the comments in a pipeline that `pwrfgs init` writes.
 //!
 //! A type that derives [`Documented`] hands over its doc comments. That is all it takes: a plugin is then found by its
 //! [`TypeId`], and what its fields are made of by their types.

@@ -13,8 +13,7 @@ use std::process::ExitCode;
 #[command(
     after_long_help = "NAME is a plugin (LearnableMask), all of a kind (Pruner, or its field pruners), settings \
     (training, optimizer, densify, loss), a type (Readout, Schedule), or Pipeline and Experiment for their own fields. Every \
-    field is shown with its default, what it takes and what it does; these are the comments of the source. The same as a \
-    page: docs/reference.md.\n\nEXAMPLES\n  pwrfgs plugins LearnableMask\n  pwrfgs plugins training\n  pwrfgs plugins \
+    field is shown with its default, what it takes and what it does; these are the comments of the source.\n\nEXAMPLES\n  pwrfgs plugins LearnableMask\n  pwrfgs plugins training\n  pwrfgs plugins \
     readout"
 )]
 pub(crate) struct Plugins {

@@ -1,4 +1,4 @@
-//! The reference as a page of Markdown, `docs/reference.md`.
+//! The reference as a page of Markdown.
 
 use super::{Chapter, Topic, Value, chapters, prose, takes};
 use pwrfgs::prelude::Pipeline;
@@ -9,8 +9,8 @@ use std::fmt::Write as _;
 pub(crate) fn page() -> String {
     let mut out = String::from(
         "# Reference\n\nEverything that a pipeline or an experiment can name, with defaults.\nThis page is \
-         written by `pwrfgs plugins --markdown` from the comments in the source, and a test holds it to them; \
-         `pwrfgs plugins NAME` shows a part of it in the terminal.\n\n",
+         printed by `pwrfgs plugins --markdown` from the comments in the source; `pwrfgs plugins NAME` prints a part of \
+         it.\n\n",
     );
     let chapters = chapters();
     for chapter in &chapters {
