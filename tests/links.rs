@@ -178,12 +178,20 @@ fn parts_of_different_kinds_are_refused_at_their_place() {
         "Pipeline(\n    name: \"a\",\n    data: Nerf2Rssi(),\n    initializer: Site(),\n    readout: Magnitude,\n)";
     assert!(said(mixed).starts_with("a.ron:5:14: readout: it gives spectra, and the data are received powers"));
     let metric = mixed.replace("readout: Magnitude", "metrics: [PowerError(), Ssim()]");
-    assert!(said(&metric).starts_with("a.ron:5:14: metrics: `Ssim` is a metric of spectra"), "{}", said(&metric));
+    assert!(
+        said(&metric).starts_with("a.ron:5:14: metrics: `Ssim` is no metric of received powers"),
+        "{}",
+        said(&metric)
+    );
     let floor = mixed.replace("readout: Magnitude", "baselines: [MeanSpectrum(), Zero()]");
-    assert!(said(&floor).starts_with("a.ron:5:16: baselines: `Zero` is a floor of channels"), "{}", said(&floor));
+    assert!(
+        said(&floor).starts_with("a.ron:5:16: baselines: `Zero` is no baseline of received powers"),
+        "{}",
+        said(&floor)
+    );
     let search = mixed.replace("Site()", "MatchingPursuit()").replace("    readout: Magnitude,\n", "");
     assert!(
-        said(&search).starts_with("a.ron:4:18: initializer: `MatchingPursuit` searches channels"),
+        said(&search).starts_with("a.ron:4:18: initializer: `MatchingPursuit` does not search received powers"),
         "{}",
         said(&search)
     );

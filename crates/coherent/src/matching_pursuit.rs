@@ -5,8 +5,7 @@ use crate::options::{Progress as Told, Pursuit};
 use crate::pursuit::pursue;
 use crate::virtual_transmitters::{VirtualTransmitters, array, order_of};
 use pwrfgs_core::{
-    Documented, Error, GaussianCloud, ImagePlane, Initializer, Observations, Real, Result, Scene, Seen, Task, rng,
-    rng::Rng,
+    Documented, Error, GaussianCloud, ImagePlane, Initializer, Real, Result, Scene, Seen, Task, rng, rng::Rng,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::Ordering;
@@ -78,7 +77,7 @@ impl Initializer for MatchingPursuit {
     }
 
     fn search(&self, seen: &Seen<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
-        let Observations::Channels(channels) = &seen.data.observations else {
+        let Some(channels) = seen.data.observations.channels() else {
             let what = seen.data.task().plural;
             return Err(Error::Config(format!(
                 "initializer: MatchingPursuit searches channels, and the data are {what}"
@@ -119,8 +118,8 @@ impl Initializer for MatchingPursuit {
         Ok(all.to_cloud())
     }
 
-    fn task(&self) -> Option<Task> {
-        Some(Task::Channel)
+    fn supports(&self, task: Task) -> bool {
+        task.is_complex
     }
 
     fn check(&self) -> Result<(), String> {

@@ -96,7 +96,7 @@ impl Method for VirtualTransmitters {
     }
 
     fn check_frame(&self, frame: &Frame) -> Result<(), String> {
-        if frame.task != Task::Channel {
+        if !frame.task.is_complex {
             return Err(format!("method: VirtualTransmitters gives channels, and the data are {}", frame.task.plural));
         }
         if frame.receivers.len() != 1 {

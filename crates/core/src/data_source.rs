@@ -13,8 +13,8 @@ pub trait DataSource: erased_serde::Serialize + std::any::Any + std::fmt::Debug 
     /// links; `&|_, _| {}` where nobody wants to know.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset>;
 
-    /// Which kind of observation it gives, where that is known before it is loaded: a pipeline that does not fit is then
-    /// refused when it is read, at its place.
+    /// What it observes, if that is known before it is loaded: a pipeline that does not fit is then refused when it is read,
+    /// at its place.
     fn task(&self) -> Option<Task> {
         None
     }
@@ -66,14 +66,15 @@ pub trait Baseline: erased_serde::Serialize + std::any::Any + std::fmt::Debug + 
     fn name(&self) -> String;
 
     /// The same where it depends on what is observed.
-    fn name_for(&self, kind: Task) -> String {
-        let _ = kind;
+    fn name_for(&self, task: Task) -> String {
+        let _ = task;
         self.name()
     }
 
-    /// The kind of observation that it predicts alone; `None` for any.
-    fn task(&self) -> Option<Task> {
-        None
+    /// Whether it predicts observations of `task`.
+    fn supports(&self, task: Task) -> bool {
+        let _ = task;
+        true
     }
 
     /// Checks whether the baseline supports the observations of `data`. Commands call this before the first training step.

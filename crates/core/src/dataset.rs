@@ -174,7 +174,7 @@ impl Dataset {
         Query { tx, receiver, features: self.features.as_ref().map_or(&[], |features| features.of(i)) }
     }
 
-    /// Which of the three tasks it is.
+    /// What is observed.
     pub fn task(&self) -> Task {
         self.observations.task()
     }

@@ -68,9 +68,10 @@ pub trait Initializer: erased_serde::Serialize + std::any::Any + std::fmt::Debug
         None
     }
 
-    /// The kind of observation that it searches; `None` where it reads none, or any.
-    fn task(&self) -> Option<Task> {
-        None
+    /// Whether it searches observations of `task`. An initializer that reads no observations supports every task.
+    fn supports(&self, task: Task) -> bool {
+        let _ = task;
+        true
     }
 
     /// Refuses settings that cannot work, when the pipeline is read.

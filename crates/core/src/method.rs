@@ -12,7 +12,7 @@ pub struct Frame {
     pub origin: Origin,
     /// Who listens, from the origin.
     pub receivers: Vec<Receiver>,
-    /// Which of the three tasks it is.
+    /// What is observed.
     pub task: Task,
     /// The numbers of one observation: of a spectrum, its picture.
     pub plane: ImagePlane,

@@ -18,9 +18,10 @@ pub trait Metric: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Se
         Ok(())
     }
 
-    /// The kind of observation that it is a metric of; `None` for one of the model itself, or of any.
-    fn task(&self) -> Option<Task> {
-        None
+    /// Whether it scores observations of `task`. Metrics of the model itself support every task.
+    fn supports(&self, task: Task) -> bool {
+        let _ = task;
+        true
     }
 
     /// What of the test part it has to see at once. What is said here decides how much memory an evaluation takes.
@@ -54,7 +55,7 @@ pub struct Evaluation<'a> {
     pub predictions: &'a [Image],
     /// What was observed, in the same order.
     pub truths: &'a [Image],
-    /// Which of the three tasks it is.
+    /// What is observed.
     pub task: Task,
     /// Which links they are of, in the same order; empty where nobody can say.
     pub links: &'a [Link],

@@ -39,8 +39,8 @@ impl Baseline for MeanSpectrum {
         "mean spectrum".into()
     }
 
-    fn name_for(&self, kind: Task) -> String {
-        if kind == Task::Spectrum { self.name() } else { "mean of the receiver".into() }
+    fn name_for(&self, task: Task) -> String {
+        if task.has_pixels { self.name() } else { "mean of the receiver".into() }
     }
 
     fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {

@@ -8,8 +8,8 @@ use crate::nerf2::{check_root, folder_name, index, read_transmitters, simulation
 use crate::npy::read_complex;
 use crate::points::read_points;
 use pwrfgs_core::{
-    Channels as Observed, DataSource, Dataset, Documented, Error, Observations, Pose, Progress, Real, Receiver, Result,
-    Sample, Simulation,
+    Channels as Observed, DataSource, Dataset, Documented, Error, Pose, Progress, Real, Receiver, Result, Sample,
+    Simulation,
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -141,12 +141,12 @@ impl DataSource for Channels {
         let rows = index::read(&root, &|word| index::row(word, &table.display().to_string(), count))?;
         let samples: Vec<Sample> = (0..).zip(positions).map(|(id, tx)| Sample::new(id, tx)).collect();
         let gains = array.values.into_iter().map(|gain| gain.map(|v| v as Real)).collect();
-        let channels = Observations::Channels(Observed { antennas, frequencies_hz, gains });
+        let channels = Observed { antennas, frequencies_hz, gains };
         let name = folder_name(&root);
         let simulation = simulation(&root, &name).or_else(|| self.simulated.then(Simulation::default));
         let title = format!("{name} ({}channels)", if simulation.is_some() { "" } else { "measured, " });
         let points = self.points.as_ref().map_or(Ok(Vec::new()), |points| read_points(&base.join(points)))?;
-        let data = Dataset::of_links(title, vec![receiver], points, &samples, channels)?;
+        let data = Dataset::of_links(title, vec![receiver], points, &samples, channels.into())?;
         progress(data.len(), data.len());
         Ok(Dataset { simulation, official: rows, ..data })
     }

@@ -2,7 +2,7 @@
 //! saved, and is read back as it was.
 
 use pwrfgs_core::words::{clean, quoted};
-use pwrfgs_core::{Dataset, Elevation, Error, Observations, Real, Receiver, Result, Spectra, Task};
+use pwrfgs_core::{Dataset, Elevation, Error, Real, Receiver, Result, Spectra};
 use rayon::prelude::*;
 
 /// How far a value of a spectrum may be outside 0 to 1, by rounding.
@@ -25,17 +25,13 @@ pub fn check(data: &Dataset) -> Result<()> {
 fn fault(data: &Dataset) -> Option<String> {
     let receivers = &data.scene.receivers;
     let links = data.links.iter().map(|link| (link.transmitter, link.receiver));
-    let of_kind = match &data.observations {
-        Observations::Pictures(spectra) => elevation_fault(data).or_else(|| first_value_fault(spectra)),
-        Observations::Powers(powers) => {
-            let fault = |(i, dbm): (usize, &Real)| Some(format!("powers[{i}] {}", power_fault(*dbm as f64)?));
-            powers.iter().enumerate().find_map(fault)
-        }
-        Observations::Channels(_) => None,
-    };
+    let spectra = data.observations.spectra();
+    let of_spectra = spectra.and_then(|spectra| elevation_fault(data).or_else(|| first_value_fault(spectra)));
+    let fault = |(i, dbm): (usize, &Real)| Some(format!("powers[{i}] {}", power_fault(*dbm as f64)?));
+    let of_powers = || data.observations.powers()?.iter().enumerate().find_map(fault);
     let name = receivers.iter().find_map(|receiver| name_fault(&receiver.name));
     let silent = || Some(unheard(data.transmitters.len(), receivers.len(), links)?.words(receivers));
-    of_kind.or(name).or_else(|| antennas_fault(data)).or_else(silent)
+    of_spectra.or_else(of_powers).or(name).or_else(|| antennas_fault(data)).or_else(silent)
 }
 
 /// Who has no link.
@@ -132,15 +128,14 @@ pub(crate) fn name_fault(name: &str) -> Option<String> {
 
 /// Antennas that are not those of the observations: what is learned rests on where they are.
 fn antennas_fault(data: &Dataset) -> Option<String> {
-    let (given, what) = match &data.observations {
-        Observations::Pictures(_) => return None,
-        Observations::Powers(_) => (1, "a power is received by one antenna at the position of the receiver"),
-        Observations::Channels(channels) => {
-            (channels.antennas, "give the position of each in the receiver's frame, metres")
-        }
+    let (given, is_scalar) = (data.observations.antennas()?, data.task().is_scalar);
+    let what = if is_scalar {
+        "a power is received by one antenna at the position of the receiver"
+    } else {
+        "give the position of each in the receiver's frame, metres"
     };
     let receiver = data.scene.receivers.iter().find(|receiver| {
-        let is_elsewhere = data.task() == Task::Power && receiver.antennas.iter().any(|place| *place != [0.0; 3]);
+        let is_elsewhere = is_scalar && receiver.antennas.iter().any(|place| *place != [0.0; 3]);
         receiver.antennas.len() != given || is_elsewhere
     })?;
     let (name, placed) = (quoted(&receiver.name), receiver.antennas.len());

@@ -180,7 +180,7 @@ impl Folder<'_> {
     /// The split that the data bring, as index files.
     fn official(&self) -> Result<()> {
         let Some((train, test)) = &self.data.official else { return Ok(()) };
-        let first = usize::from(self.data.task() == pwrfgs_core::Task::Spectrum);
+        let first = usize::from(self.data.task().has_pixels);
         for (name, links) in [("train_index.txt", train), ("test_index.txt", test)] {
             let mut rows: Vec<usize> = links.iter().map(|&link| self.data.links[link].transmitter + first).collect();
             rows.dedup();

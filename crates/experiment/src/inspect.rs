@@ -44,7 +44,7 @@ impl DataSummary {
             summary.facts.extend(positions(data));
         }
         summary.facts.push(("receiver", receivers(data)));
-        if !data.task().has_directions {
+        if !data.task().has_pixels {
             summary.facts.push(levels(data));
             return Ok(summary);
         }

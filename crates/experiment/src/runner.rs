@@ -160,16 +160,16 @@ pub(crate) fn check_scoring(pipeline: &Pipeline, data: &Dataset) -> Result<()> {
         Error::Config(_) | Error::Input { .. } | Error::Read { .. } => Error::Config(format!("{field}: {error}")),
         other => other, // an exception of Python's stays one
     };
-    let baselines = pipeline.baselines.iter().map(|baseline| ("baselines", baseline.task(), baseline.check_data(data)));
-    let metrics = pipeline.metrics.iter().map(|metric| ("metrics", metric.task(), metric.check_data(data)));
-    for (field, kind, answer) in baselines.chain(metrics) {
-        answer.map_err(|error| named(field, error))?;
-        if let Some(kind) = kind.filter(|kind| *kind != data.task()) {
-            let (own, has) = (kind.plural, data.task().plural);
-            return Err(Error::Config(format!("{field}: one is of {own}, and the data are {has}; leave it out")));
-        }
+    for baseline in &pipeline.baselines {
+        baseline.check_data(data).map_err(|error| named("baselines", error))?;
     }
-    Ok(())
+    for metric in &pipeline.metrics {
+        metric.check_data(data).map_err(|error| named("metrics", error))?;
+    }
+    match pipeline.unsupported(data.task()) {
+        Some((field, what)) => Err(Error::Config(format!("{field}: {what}"))),
+        None => Ok(()),
+    }
 }
 
 /// Takes every relative path of the pipeline from `base` and makes it absolute.

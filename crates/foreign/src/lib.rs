@@ -159,9 +159,9 @@ impl Baseline for Python {
         self.class.clone()
     }
 
-    fn name_for(&self, kind: Task) -> String {
+    fn name_for(&self, task: Task) -> String {
         let own = self.host().and_then(|host| host.baseline(self));
-        own.map_or_else(|_| self.class.clone(), |own| own.name_for(kind))
+        own.map_or_else(|_| self.class.clone(), |own| own.name_for(task))
     }
 
     fn check_data(&self, data: &Dataset) -> Result<()> {

@@ -1,9 +1,8 @@
 //! What a page knows of data and split: the room, who sends and who listens.
 
 use crate::Pack;
-use pwrfgs_core::{Dataset, Frame, Origin, Partition, Pose, Real, Task, evenly};
+use pwrfgs_core::{Dataset, Frame, Origin, Partition, Pose, Real, evenly};
 use pwrfgs_experiment::colour::{diverging, sequential};
-use pwrfgs_experiment::headline::headline;
 use serde_json::{Value, json};
 
 /// Data and how they are divided.
@@ -29,8 +28,8 @@ pub fn room(frame: &Frame, known: Option<Known<'_>>, means: &[[Real; 3]], points
     let plane = &frame.plane;
     let mut note = json!({
         "format": "pwrfgs-room",
-        "kind": kind_name(frame.task),
-        "score": { "name": headline(frame.task).name, "higher": headline(frame.task).higher },
+        "kind": frame.task.name,
+        "score": { "name": frame.task.headline.name, "higher": frame.task.headline.higher },
         "origin": origin.0,
         "plane": { "width": plane.width, "height": plane.height, "wraps": plane.wraps, "angles": plane.angles },
         "receivers": poses.iter().map(|(name, pose)| receiver(name, pose, origin)).collect::<Vec<_>>(),
@@ -84,12 +83,4 @@ fn bounds(places: impl Iterator<Item = [Real; 3]>) -> Value {
         (std::array::from_fn(|k| low[k].min(p[k])), std::array::from_fn(|k| high[k].max(p[k])))
     });
     if low[0] > high[0] { json!([[-1, -1, -1], [1, 1, 1]]) } else { json!([low, high]) }
-}
-
-fn kind_name(kind: Task) -> &'static str {
-    match kind {
-        Task::Spectrum => "spectrum",
-        Task::Power => "power",
-        Task::Channel => "channel",
-    }
 }

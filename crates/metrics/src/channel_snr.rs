@@ -1,6 +1,6 @@
 //! How well a channel is predicted.
 
-use crate::{not_of, paired};
+use crate::{not_for, paired};
 use pwrfgs_core::{Documented, Evaluation, Goal, Image, Measurement, Metric, Result, Scope, Task, Values};
 use serde::{Deserialize, Serialize};
 
@@ -58,7 +58,7 @@ impl Metric for ChannelSnr {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
         let measured =
             |key: &str, values| Measurement { key: key.to_owned(), unit: "dB".to_owned(), goal: Goal::Higher, values };
-        if let Some(values) = not_of(evaluation, Task::Channel) {
+        if let Some(values) = not_for(self, evaluation) {
             return Ok(vec![measured("snr_db", values.clone()), measured("snr_all_db", values)]);
         }
         paired(evaluation)?;
@@ -77,8 +77,8 @@ impl Metric for ChannelSnr {
         Ok(vec![measured("snr_db", Values::PerSample(snapshots)), measured("snr_all_db", over_all)])
     }
 
-    fn task(&self) -> Option<Task> {
-        Some(Task::Channel)
+    fn supports(&self, task: Task) -> bool {
+        task.is_complex
     }
 
     fn scope(&self) -> Scope {

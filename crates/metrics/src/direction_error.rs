@@ -28,7 +28,7 @@ impl Metric for DirectionError {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
         let plane = evaluation.plane;
         let values = if plane.angles.is_some() {
-            per_sample(evaluation, Task::Spectrum, |p, t| match (strongest(plane, p), strongest(plane, t)) {
+            per_sample(self, evaluation, |p, t| match (strongest(plane, p), strongest(plane, t)) {
                 (Some(a), Some(b)) => angle_deg(a, b),
                 _ => f64::NAN,
             })?
@@ -38,8 +38,8 @@ impl Metric for DirectionError {
         Ok(one("direction_error", "deg", Goal::Lower, values))
     }
 
-    fn task(&self) -> Option<Task> {
-        Some(Task::Spectrum)
+    fn supports(&self, task: Task) -> bool {
+        task.has_pixels
     }
 
     fn scope(&self) -> Scope {

@@ -21,15 +21,15 @@ pub struct L1 {}
 #[typetag::serde]
 impl Metric for L1 {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let values = per_sample(evaluation, Task::Spectrum, |p, t| {
+        let values = per_sample(self, evaluation, |p, t| {
             let differences = p.pixels.iter().zip(&t.pixels).map(|(p, t)| (p.clamp(0.0, 1.0) - t).abs() as f64);
             differences.sum::<f64>() / p.pixels.len().max(1) as f64
         })?;
         Ok(one("l1", "", Goal::Lower, values))
     }
 
-    fn task(&self) -> Option<Task> {
-        Some(Task::Spectrum)
+    fn supports(&self, task: Task) -> bool {
+        task.has_pixels
     }
 
     fn scope(&self) -> Scope {

@@ -29,18 +29,22 @@ pub use psnr::Psnr;
 pub use rate_ratio::RateRatio;
 pub use ssim::Ssim;
 
-use pwrfgs_core::{Error, Evaluation, Goal, Image, Measurement, Result, Task, Values};
+use pwrfgs_core::{Error, Evaluation, Goal, Image, Measurement, Metric, Result, Values};
 use rayon::prelude::*;
 
-/// Why a metric of observations of one kind does not apply to those of another.
-fn not_of(evaluation: &Evaluation<'_>, kind: Task) -> Option<Values> {
-    let why = || format!("it is a metric of {}, and these are {}", kind.plural, evaluation.task.plural);
-    (evaluation.task != kind).then(|| Values::NotApplicable(why()))
+/// Why `metric` does not apply to these observations.
+fn not_for(metric: &dyn Metric, evaluation: &Evaluation<'_>) -> Option<Values> {
+    let why = || format!("it is no metric of {}", evaluation.task.plural);
+    (!metric.supports(evaluation.task)).then(|| Values::NotApplicable(why()))
 }
 
-/// `score(prediction, truth)` of every sample, in order, where these are of that kind; the prediction is not clamped.
-fn per_sample(evaluation: &Evaluation<'_>, kind: Task, score: impl Fn(&Image, &Image) -> f64 + Sync) -> Result<Values> {
-    if let Some(other) = not_of(evaluation, kind) {
+/// `score(prediction, truth)` of every sample, in order, if `metric` supports them; the prediction is not clamped.
+fn per_sample(
+    metric: &dyn Metric,
+    evaluation: &Evaluation<'_>,
+    score: impl Fn(&Image, &Image) -> f64 + Sync,
+) -> Result<Values> {
+    if let Some(other) = not_for(metric, evaluation) {
         return Ok(other);
     }
     paired(evaluation)?;

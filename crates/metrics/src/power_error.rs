@@ -22,12 +22,12 @@ pub struct PowerError {}
 #[typetag::serde]
 impl Metric for PowerError {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let values = per_sample(evaluation, Task::Power, |p, t| f64::from((p.pixels[0] - t.pixels[0]).abs() as f32))?;
+        let values = per_sample(self, evaluation, |p, t| f64::from((p.pixels[0] - t.pixels[0]).abs() as f32))?;
         Ok(one("power_error_db", "dB", Goal::Lower, values))
     }
 
-    fn task(&self) -> Option<Task> {
-        Some(Task::Power)
+    fn supports(&self, task: Task) -> bool {
+        task.is_scalar
     }
 
     fn scope(&self) -> Scope {

@@ -25,7 +25,7 @@ pub struct Psnr {}
 #[typetag::serde]
 impl Metric for Psnr {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let values = per_sample(evaluation, Task::Spectrum, |p, t| {
+        let values = per_sample(self, evaluation, |p, t| {
             let squares = p.pixels.iter().zip(&t.pixels).map(|(p, t)| ((p.clamp(0.0, 1.0) - t) as f64).powi(2));
             let error = squares.sum::<f64>() / p.pixels.len().max(1) as f64;
             if error < LEAST_ERROR { -10.0 * LEAST_ERROR.log10() } else { -10.0 * error.log10() }
@@ -33,8 +33,8 @@ impl Metric for Psnr {
         Ok(one("psnr", "dB", Goal::Higher, values))
     }
 
-    fn task(&self) -> Option<Task> {
-        Some(Task::Spectrum)
+    fn supports(&self, task: Task) -> bool {
+        task.has_pixels
     }
 
     fn scope(&self) -> Scope {

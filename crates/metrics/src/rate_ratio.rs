@@ -37,13 +37,13 @@ impl RateRatio {
 #[typetag::serde]
 impl Metric for RateRatio {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let values = per_sample(evaluation, Task::Spectrum, |p, t| self.ratio(p, t))?;
+        let values = per_sample(self, evaluation, |p, t| self.ratio(p, t))?;
         let snr = self.snr_db + 0.0; // no `-0` in the name
         Ok(one(&format!("eta_{snr}db"), "", Goal::Higher, values))
     }
 
-    fn task(&self) -> Option<Task> {
-        Some(Task::Spectrum)
+    fn supports(&self, task: Task) -> bool {
+        task.has_pixels
     }
 
     fn scope(&self) -> Scope {

@@ -25,12 +25,12 @@ pub struct Ssim {}
 #[typetag::serde]
 impl Metric for Ssim {
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        let values = per_sample(evaluation, Task::Spectrum, |p, t| ssim::evaluation(&p.clamped(), t))?;
+        let values = per_sample(self, evaluation, |p, t| ssim::evaluation(&p.clamped(), t))?;
         Ok(one("ssim", "", Goal::Higher, values))
     }
 
-    fn task(&self) -> Option<Task> {
-        Some(Task::Spectrum)
+    fn supports(&self, task: Task) -> bool {
+        task.has_pixels
     }
 
     fn scope(&self) -> Scope {

@@ -58,7 +58,7 @@ impl<'a> Prepared<'a> {
         &self.members[0].model.stages.plane
     }
 
-    /// Which of the three tasks it is.
+    /// What is observed.
     pub fn task(&self) -> Task {
         self.members[0].model.stages.task
     }

@@ -151,22 +151,12 @@ pub fn check_together(
 ///
 /// # Errors
 /// Which readout would.
-pub fn check_kind(readout: Readout, kind: Task) -> Result<(), String> {
-    match (readout.task(), kind) {
-        (own, kind) if own == kind => Ok(()),
-        (own, Task::Spectrum) => Err(format!(
-            "readout: it gives {}, and the data are spectra; use Magnitude, MinMax, Power or Real",
-            own.plural
-        )),
-        (own, Task::Power) => Err(format!(
-            "readout: it gives {}, and the data are received powers; use Received(sky_deg: 10)",
-            own.plural
-        )),
-        (own, Task::Channel) => Err(format!(
-            "readout: it gives {}, and the data are channels; use `method: VirtualTransmitters()`, or readout: Channel",
-            own.plural
-        )),
+pub fn check_kind(readout: Readout, task: Task) -> Result<(), String> {
+    let own = readout.task();
+    if own == task {
+        return Ok(());
     }
+    Err(format!("readout: it gives {}, and the data are {}; use {}", own.plural, task.plural, task.method))
 }
 
 impl Splatting {

@@ -118,8 +118,8 @@ type Ready = Vec<Vec<Still>>;
 
 impl Nerf2 {
     /// Directions of powers and channels, ring by ring from the horizon up.
-    pub(crate) fn sky(&self, kind: Task) -> Vec<[Real; 3]> {
-        let rings = if self.first_ring && kind == Task::Power { 1 } else { self.elevations };
+    pub(crate) fn sky(&self, task: Task) -> Vec<[Real; 3]> {
+        let rings = if self.first_ring && task.is_scalar { 1 } else { self.elevations };
         let direction = |i: usize| {
             let (ring, column) = ((i / self.azimuths + 1) as Real, (i % self.azimuths) as Real);
             let el = consts::PI / 2.0 * ring / self.elevations as Real;
@@ -129,11 +129,11 @@ impl Nerf2 {
         (0..rings * self.azimuths).map(direction).collect()
     }
 
-    fn law(&self, kind: Task) -> Law {
-        match kind {
-            Task::Spectrum => Law::Spectrum,
-            _ => Law::Wave { wavenumber: (2.0 * std::f64::consts::PI * self.carrier_hz / SPEED_OF_LIGHT) as Real },
+    fn law(&self, task: Task) -> Law {
+        if task.has_pixels {
+            return Law::Spectrum;
         }
+        Law::Wave { wavenumber: (2.0 * std::f64::consts::PI * self.carrier_hz / SPEED_OF_LIGHT) as Real }
     }
 
     fn network(&self, frame: &Frame, plan: &mut Plan) -> Network {
@@ -212,7 +212,7 @@ impl Nerf2 {
         groups: &[Group<'_>],
         chunks: impl Iterator<Item = (usize, Range<usize>, Passes)>,
     ) -> Vec<[Real; 2]> {
-        let of_link = if frame.task == Task::Spectrum { asked.pixels.of_link(frame.numbers()) } else { bands(frame) };
+        let of_link = if frame.task.has_pixels { asked.pixels.of_link(frame.numbers()) } else { bands(frame) };
         let mut totals = vec![[0.0; 2]; asked.links.len() * of_link];
         for (group, rays, passes) in chunks {
             let bands = bands(frame);
@@ -232,16 +232,16 @@ impl Nerf2 {
 /// Where the sum of a ray belongs among all.
 fn place(frame: &Frame, links: &Links, of_link: usize, (pass, ray, band): (usize, usize, usize)) -> usize {
     let link = links.link(pass, ray);
-    match (frame.task, links) {
-        (Task::Spectrum, Links::All(_)) => link * of_link + ray,
-        (Task::Spectrum, Links::Own(_)) => link,
+    match (frame.task.has_pixels, links) {
+        (true, Links::All(_)) => link * of_link + ray,
+        (true, Links::Own(_)) => link,
         _ => link * of_link + band,
     }
 }
 
 /// Complex weights of a sample.
 fn bands(frame: &Frame) -> usize {
-    if frame.task == Task::Channel { frame.frequencies_hz.len() } else { 1 }
+    frame.frequencies_hz.len().max(1)
 }
 
 /// What a chunk will hold if it is kept, bytes.
@@ -269,9 +269,9 @@ impl Method for Nerf2 {
     fn step_bytes(&self, frame: &Frame, links: usize, pixels: usize) -> u64 {
         let network = planned(|plan| self.network(frame, plan)).0;
         // Rays that all links see, and the links along each; with a pixel each, as many rays as links.
-        let (rays, passes) = match (frame.task, pixels) {
-            (Task::Spectrum, 1) => (links, 1),
-            (Task::Spectrum, pixels) => (pixels, links),
+        let (rays, passes) = match (frame.task.has_pixels, pixels) {
+            (true, 1) => (links, 1),
+            (true, pixels) => (pixels, links),
             _ => (self.sky(frame.task).len() * frame.receivers.len(), links.div_ceil(frame.receivers.len().max(1))),
         };
         bytes_of(&network, self.samples, rays, passes).min(KEPT) as u64
@@ -348,7 +348,7 @@ impl Method for Nerf2 {
 
     fn prepare(&self, frame: &Frame, p: &Parameters<'_>) -> Cache {
         let network = laid_out(p.weights, |plan| self.network(frame, plan));
-        let rays = if frame.task == Task::Spectrum { frame.numbers() } else { self.sky(frame.task).len() };
+        let rays = if frame.task.has_pixels { frame.numbers() } else { self.sky(frame.task).len() };
         let of_sample = network.width() + network.outputs;
         let bytes = frame.receivers.len() * rays * self.samples * of_sample * size_of::<Real>();
         if bytes > self.cache_mb << 20 {
@@ -395,12 +395,12 @@ impl Method for Nerf2 {
     }
 
     fn check_frame(&self, frame: &Frame) -> Result<(), String> {
-        if frame.task == Task::Channel && frame.receivers.iter().any(|receiver| receiver.antennas.len() > 1) {
+        if frame.task.is_complex && frame.receivers.iter().any(|receiver| receiver.antennas.len() > 1) {
             return Err("method: Nerf2 hears one antenna at a time, and a receiver of these data has more; \
                  make each antenna a receiver, as Nerf2Csi does with together: false"
                 .into());
         }
-        if frame.task == Task::Spectrum && frame.plane.direction(0.0, 0.0).is_none() {
+        if frame.task.has_pixels && frame.plane.direction(0.0, 0.0).is_none() {
             return Err("method: Nerf2 wants directions of pixels, and these data do not say them".into());
         }
         Ok(())

@@ -1,7 +1,7 @@
 //! `Rays`: from where, in which directions, and where along them samples lie.
 
 use crate::method::Nerf2;
-use pwrfgs_core::{Frame, Pixels, Pose, Real, Task};
+use pwrfgs_core::{Frame, Pixels, Pose, Real};
 
 /// Rays from one place, with the same samples on each.
 #[derive(Clone, Debug)]
@@ -19,19 +19,18 @@ impl Rays {
     pub(crate) fn of(method: &Nerf2, frame: &Frame, receiver: usize, pixels: &Pixels<'_>) -> Self {
         let pose = &frame.receivers[receiver].pose;
         let turned = |direction: [Real; 3]| pose.turned(direction.map(f64::from)).map(|x| x as Real);
-        let directions = match frame.task {
-            Task::Spectrum => {
-                let plane = &frame.plane;
-                let at = |p: usize| {
-                    let (column, row) = (p % plane.width, p / plane.width);
-                    turned(plane.direction(column as Real, row as Real).unwrap_or([0.0, 0.0, 1.0]))
-                };
-                match pixels {
-                    Pixels::All => (0..frame.numbers()).map(at).collect(),
-                    Pixels::Same(places) | Pixels::Own(places) => places.iter().map(|&p| at(p)).collect(),
-                }
+        let directions = if frame.task.has_pixels {
+            let plane = &frame.plane;
+            let at = |p: usize| {
+                let (column, row) = (p % plane.width, p / plane.width);
+                turned(plane.direction(column as Real, row as Real).unwrap_or([0.0, 0.0, 1.0]))
+            };
+            match pixels {
+                Pixels::All => (0..frame.numbers()).map(at).collect(),
+                Pixels::Same(places) | Pixels::Own(places) => places.iter().map(|&p| at(p)).collect(),
             }
-            Task::Power | Task::Channel => method.sky(frame.task).into_iter().map(turned).collect(),
+        } else {
+            method.sky(frame.task).into_iter().map(turned).collect()
         };
         Self::new(method, pose, directions)
     }

@@ -1,4 +1,4 @@
-//! Whether the parts of a pipeline go together: data, method and metrics of one kind of observation, and pruners.
+//! Whether the parts of a pipeline go together: data, method and metrics of one task, and pruners.
 
 use crate::Pipeline;
 use crate::ron_tree::Tree;
@@ -7,7 +7,7 @@ use pwrfgs_core::{Error, Task};
 use pwrfgs_train::Rays;
 use std::path::Path;
 
-/// The first field that is of another kind than the data, and what to do about it; nothing where the source does not know
+/// The first field that does not support the data, and what to do about it; nothing where the source does not know
 /// before it loads.
 pub(crate) fn mixed(pipeline: &Pipeline) -> Option<(&'static str, String)> {
     let pruners = || pipeline.as_plan().check().err().map(|what| ("pruners", what));
@@ -17,7 +17,7 @@ pub(crate) fn mixed(pipeline: &Pipeline) -> Option<(&'static str, String)> {
 /// What the method cannot do that the pipeline wants of it.
 fn unable(pipeline: &Pipeline) -> Option<(&'static str, String)> {
     let method = pipeline.method();
-    let chooses = method.chooses_pixels() && pipeline.data.task().is_none_or(|kind| kind == Task::Spectrum);
+    let chooses = method.chooses_pixels() && pipeline.data.task().is_none_or(|task| task.has_pixels);
     if pipeline.training.rays != Rays::All && !chooses {
         let what = "`rays` wants single pixels of spectra, which Nerf2 draws; leave it out".to_owned();
         return Some(("training", what));
@@ -31,33 +31,32 @@ fn unable(pipeline: &Pipeline) -> Option<(&'static str, String)> {
 }
 
 fn other_kinds(pipeline: &Pipeline) -> Option<(&'static str, String)> {
-    let kind = pipeline.data.task()?;
+    let task = pipeline.data.task()?;
     let (method, field) = match &pipeline.method {
         Some(method) => (method.task(), "method"),
         None => (Some(pipeline.readout.task()), "readout"),
     };
-    if let Some(own) = method.filter(|own| *own != kind) {
-        let advice = match kind {
-            Task::Spectrum => "readout: Magnitude",
-            Task::Power => "readout: Received(sky_deg: 10)",
-            Task::Channel => "method: VirtualTransmitters(), or readout: Channel",
-        };
-        let what = format!("it gives {}, and the data are {}; use {advice}", own.plural, kind.plural);
+    if let Some(own) = method.filter(|own| *own != task) {
+        let what = format!("it gives {}, and the data are {}; use {}", own.plural, task.plural, task.method);
         return Some((field, what));
     }
-    let other = |own: Option<Task>| own.filter(|own| *own != kind);
-    let what = |name: String, role: &str, own: Task, advice: &str| {
-        format!("`{name}` {role} {}, and the data are {}; {advice}", own.plural, kind.plural)
-    };
-    if let Some(own) = other(pipeline.initializer.task()) {
+    if !pipeline.initializer.supports(task) {
         let name = name_of(&pipeline.initializer);
-        return Some(("initializer", what(name, "searches", own, "use another, such as Random()")));
+        let what = format!("`{name}` does not search {}; use another, such as Random()", task.plural);
+        return Some(("initializer", what));
     }
-    if let Some((baseline, own)) = pipeline.baselines.iter().find_map(|b| Some((b, other(b.task())?))) {
-        return Some(("baselines", what(name_of(baseline), "is a floor of", own, "leave it out")));
+    pipeline.unsupported(task)
+}
+
+impl Pipeline {
+    /// The first baseline or metric that does not support observations of `task`: its field, and what to do.
+    pub fn unsupported(&self, task: Task) -> Option<(&'static str, String)> {
+        let what = |name: String, role: &str| format!("`{name}` is no {role} of {}; leave it out", task.plural);
+        let baseline = self.baselines.iter().find(|baseline| !baseline.supports(task));
+        let metric = || self.metrics.iter().find(|metric| !metric.supports(task));
+        let of_baseline = baseline.map(|baseline| ("baselines", what(name_of(baseline), "baseline")));
+        of_baseline.or_else(|| Some(("metrics", what(name_of(metric()?), "metric"))))
     }
-    let metric = pipeline.metrics.iter().find_map(|metric| Some((metric, other(metric.task())?)));
-    metric.map(|(metric, own)| ("metrics", what(name_of(metric), "is a metric of", own, "leave it out")))
 }
 
 /// The same as an error at the field's place in `text`, or at that of the data where the field was left out.

@@ -123,7 +123,7 @@ impl TryFrom<PipelineFields<Checked<Training>>> for Pipeline {
             return Err("only a sweep has `set`; give the values in their places".into());
         }
         let data: Plugin<dyn DataSource> = given.data.ok_or_else(|| missing("data"))?;
-        let kind = data.task().unwrap_or(pwrfgs_core::Task::Spectrum);
+        let kind = data.task().unwrap_or_default();
         let has_gaussians = given.method.as_ref().is_none_or(|method| method.has_gaussians());
         Ok(Self {
             name: given.name.ok_or_else(|| missing("name"))?,

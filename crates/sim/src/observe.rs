@@ -5,7 +5,7 @@ use crate::path::Path;
 use crate::random::normal;
 use crate::spectrum::Spectrum;
 use crate::wave::Complex;
-use pwrfgs_core::Documented;
+use pwrfgs_core::{Documented, Task};
 use serde::{Deserialize, Serialize};
 
 /// What is not heard has this, dBm, as in the files of NeRF2; nothing weaker is heard.
@@ -39,6 +39,15 @@ pub enum Observe {
 }
 
 impl Observe {
+    /// What the data set observes.
+    pub fn task(&self) -> Task {
+        match self {
+            Self::Spectrum => Task::Spectrum,
+            Self::Power { .. } => Task::Power,
+            Self::Channel { .. } => Task::Channel,
+        }
+    }
+
     /// Whether it can be drawn; says what is wrong and what to do otherwise.
     ///
     /// # Errors

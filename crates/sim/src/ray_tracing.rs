@@ -49,12 +49,8 @@ pub struct RayTracing {
 
 impl RayTracing {
     /// What the name leaves out.
-    fn note(&self, knows_scene: bool, kind: Task) -> String {
-        let things = match kind {
-            Task::Spectrum => "spectra",
-            Task::Power => "powers",
-            Task::Channel => "channels",
-        };
+    fn note(&self, knows_scene: bool, task: Task) -> String {
+        let things = task.plural;
         let what = match (&self.scene, self.is_exact() && knows_scene) {
             (_, true) => {
                 let errors = if self.noise {
@@ -170,8 +166,8 @@ impl Baseline for RayTracing {
 /// What the data observe; refuses what this scene cannot give.
 fn wanted(data: &Dataset, scene: &Scene) -> Result<Observe> {
     let refuse = |what: String| Err(Error::Config(format!("RayTracing: {what}; leave it out")));
-    let Observations::Channels(channels) = &data.observations else {
-        if data.task() == Task::Power {
+    let Some(channels) = data.observations.channels() else {
+        if data.task().is_scalar {
             return Ok(Observe::Power { noise_db: 0.0 });
         }
         let (width, height) = (data.width, data.height);
@@ -237,7 +233,7 @@ impl Predict for Traced {
                 let gains = channel.iter().map(|h| [h.re as Real, h.im as Real]).collect();
                 let frequencies_hz = self.simulator.scene().frequencies();
                 let antennas = listener.receiver().array.elements();
-                Observations::Channels(Channels { antennas, frequencies_hz, gains }).image(0)
+                Observations::from(Channels { antennas, frequencies_hz, gains }).image(0)
             }
         }
     }

@@ -97,17 +97,19 @@ fn links(recipe: &Recipe, folder: &Path, points: Option<PathBuf>) -> Result<Data
     let Kept { transmitters, values } = Kept::read(recipe, folder)?;
     let pairs = transmitters.iter().enumerate().flat_map(|(t, tx)| (0..receivers.len()).map(move |r| (t, *tx, r)));
     let mut samples: Vec<Sample> = pairs.map(|(t, tx, receiver)| Sample { id: t as u32 + 1, tx, receiver }).collect();
-    let observations = match values {
-        Values::Spectra(spectra) => Observations::Pictures(spectra),
-        Values::Channels(gains) => Observations::Channels(Channels {
+    let observations: Observations = match values {
+        Values::Spectra(spectra) => spectra.into(),
+        Values::Channels(gains) => Channels {
             antennas: scene.receiver.array.elements(),
             frequencies_hz: scene.frequencies(),
             gains: gains.into_iter().map(|gain| gain.map(Real::from)).collect(),
-        }),
+        }
+        .into(),
         Values::Powers(all) => {
             let mut heard = all.iter().map(|dbm| *dbm > SILENT_DBM);
             samples.retain(|_| heard.next().unwrap_or(false));
-            Observations::Powers(all.into_iter().filter(|dbm| *dbm > SILENT_DBM).map(|dbm| dbm as Real).collect())
+            let heard = all.into_iter().filter(|dbm| *dbm > SILENT_DBM);
+            heard.map(|dbm| dbm as Real).collect::<Vec<Real>>().into()
         }
     };
     if samples.is_empty() {
@@ -129,11 +131,7 @@ fn of_data(scene: &Scene, receiver: &scene::Receiver) -> Receiver {
 #[typetag::serde]
 impl DataSource for Simulated {
     fn task(&self) -> Option<pwrfgs_core::Task> {
-        Some(match self.observe {
-            Observe::Spectrum => pwrfgs_core::Task::Spectrum,
-            Observe::Power { .. } => pwrfgs_core::Task::Power,
-            Observe::Channel { .. } => pwrfgs_core::Task::Channel,
-        })
+        Some(self.observe.task())
     }
 
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {

@@ -74,7 +74,9 @@ fn ray_tracing_is_the_generator_of_every_kind() {
         let predicted: Vec<_> = (0..data.len()).map(|i| predictor.predict(data.query(i))).collect();
         Ok((predicted, predictor.note().unwrap()))
     };
-    for (observe, things) in [("", "spectra"), (", observe: Power()", "powers"), (", observe: Channel()", "channels")] {
+    for (observe, things) in
+        [("", "spectra"), (", observe: Power()", "received powers"), (", observe: Channel()", "channels")]
+    {
         let data = load(folder.path(), observe).unwrap();
         let (exact, note) = fit(&data, "RayTracing()").unwrap();
         assert!(note.contains(&format!("the generator of these simulated {things} itself")), "{note}");

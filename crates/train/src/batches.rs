@@ -3,7 +3,7 @@
 use crate::TrainingPlan;
 use crate::graph::{Batch, Places};
 use crate::settings::Rays;
-use pwrfgs_core::{Dataset, Error, ImagePlane, Link, Moment, Needs, Observations, Real, Result, Task, rng};
+use pwrfgs_core::{Dataset, Error, ImagePlane, Link, Moment, Needs, Real, Result, Task, rng};
 use pwrfgs_model::Stages;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -130,13 +130,13 @@ fn observed(
     let sampling = stages.plane.sampling;
     batch.truths.resize(links.len() * of_link, 0.0);
     let truths = batch.truths.par_chunks_exact_mut(of_link).zip(links).enumerate();
-    truths.for_each(|(k, (truth, &i))| match (&batch.places, &data.observations) {
-        (Places::Same(places), Observations::Pictures(spectra)) => spectra.sampled_at(i, sampling, places, truth),
-        (Places::Own(places), Observations::Pictures(spectra)) => {
+    truths.for_each(|(k, (truth, &i))| match (&batch.places, data.observations.spectra()) {
+        (Places::Same(places), Some(spectra)) => spectra.sampled_at(i, sampling, places, truth),
+        (Places::Own(places), Some(spectra)) => {
             spectra.sampled_at(i, sampling, &places[k..=k], truth);
         }
-        (_, observations) => {
-            observations.sampled(i, sampling, truth);
+        _ => {
+            data.observations.sampled(i, sampling, truth);
             if sampling.stride > 1 {
                 stages.method.restrict(truth);
             }
@@ -151,8 +151,8 @@ const AT_ONCE: usize = 64;
 
 /// The plane that `step` draws: every `stride`-th row and column of the whole image, from the first one, or from one that is
 /// drawn for this step.
-pub(crate) fn plane_of_step(whole: &ImagePlane, plan: &TrainingPlan, kind: Task, step: u64) -> ImagePlane {
-    strided(whole, plan, kind, plan.training.moving_stride.then_some(("stride", step)))
+pub(crate) fn plane_of_step(whole: &ImagePlane, plan: &TrainingPlan, task: Task, step: u64) -> ImagePlane {
+    strided(whole, plan, task, plan.training.moving_stride.then_some(("stride", step)))
 }
 
 /// The plane that a part of the pass of a prune step draws, from a row and a column on that are drawn for this part: the
@@ -160,17 +160,17 @@ pub(crate) fn plane_of_step(whole: &ImagePlane, plan: &TrainingPlan, kind: Task,
 pub(crate) fn plane_of_pass(
     whole: &ImagePlane,
     plan: &TrainingPlan,
-    kind: Task,
+    task: Task,
     (step, part): (u64, u64),
 ) -> ImagePlane {
-    strided(whole, plan, kind, Some(("stride of a pass", step << 24 | part)))
+    strided(whole, plan, task, Some(("stride of a pass", step << 24 | part)))
 }
 
 /// Every `stride`-th row and column, from a place that the stream of this name and number draws; every pixel of anything but
 /// a spectrum.
-fn strided(whole: &ImagePlane, plan: &TrainingPlan, kind: Task, stream: Option<(&str, u64)>) -> ImagePlane {
+fn strided(whole: &ImagePlane, plan: &TrainingPlan, task: Task, stream: Option<(&str, u64)>) -> ImagePlane {
     let stride = plan.training.stride;
-    if stride == 1 || kind != Task::Spectrum {
+    if stride == 1 || !task.has_pixels {
         return whole.clone();
     }
     let offset = stream.map_or([0, 0], |(name, number)| {
@@ -181,9 +181,9 @@ fn strided(whole: &ImagePlane, plan: &TrainingPlan, kind: Task, stream: Option<(
 }
 
 /// Whether the stride divides the image.
-pub(crate) fn check_stride(plane: &ImagePlane, plan: &TrainingPlan, kind: Task) -> Result<()> {
+pub(crate) fn check_stride(plane: &ImagePlane, plan: &TrainingPlan, task: Task) -> Result<()> {
     let (width, height, stride) = (plane.width, plane.height, plan.training.stride);
-    if kind != Task::Spectrum || width.is_multiple_of(stride) && height.is_multiple_of(stride) {
+    if !task.has_pixels || width.is_multiple_of(stride) && height.is_multiple_of(stride) {
         return Ok(());
     }
     let fits: Vec<String> = (1..=width.min(height))

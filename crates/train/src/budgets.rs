@@ -2,7 +2,7 @@
 
 use crate::TrainingPlan;
 use pwrfgs_core::plugin::{Plugin, name_of, to_ron};
-use pwrfgs_core::{Budget, GaussianCloud, Moment, Phase, Pruner, Statistic, Task};
+use pwrfgs_core::{Budget, GaussianCloud, Moment, Phase, Pruner, Statistic};
 
 /// The pruners, and `training.target` given to the first that takes one.
 ///
@@ -94,11 +94,11 @@ pub(crate) fn contradiction(plan: &TrainingPlan) -> Option<String> {
                 "`{}` goes by blending weights, and nothing is blended here; use {}a pruner that needs none, such as \
                  LearnableMask()",
                 name(k),
-                if method.task() == Some(Task::Channel) { "" } else { "rasterizer: AlphaBlending(), or " }
+                if method.task().is_some_and(|task| task.is_complex) { "" } else { "rasterizer: AlphaBlending(), or " }
             ));
         }
         let wants_pictures = |s: &Statistic| matches!(s, Statistic::Error { .. } | Statistic::Top { .. });
-        if method.task().is_some_and(|kind| kind != Task::Spectrum) && needs.statistics.iter().any(wants_pictures) {
+        if method.task().is_some_and(|task| !task.has_pixels) && needs.statistics.iter().any(wants_pictures) {
             return Some(format!(
                 "`{}` looks at the errors of pixels, and these data have none; leave it out",
                 name(k)

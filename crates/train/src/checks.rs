@@ -1,7 +1,7 @@
 //! What a plan and its data must have in common before a training begins.
 
 use crate::settings::Rays;
-use pwrfgs_core::{Dataset, Error, Result, Task};
+use pwrfgs_core::{Dataset, Error, Result};
 use pwrfgs_model::Stages;
 
 /// Refuses rays where there are no pixels to choose, and more than a step can be meant to have.
@@ -11,7 +11,7 @@ pub(crate) fn check_rays(rays: Rays, stages: &Stages) -> Result<()> {
         Rays::Same(_) => stages.frame.numbers(),
         Rays::Each(_) => MOST_PAIRS,
     };
-    if stages.frame.task != Task::Spectrum {
+    if !stages.frame.task.has_pixels {
         let what = stages.frame.task.plural;
         return Err(Error::Config(format!(
             "training.rays chooses pixels of spectra, and the data are {what}; leave it out"

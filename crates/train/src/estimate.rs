@@ -4,7 +4,7 @@ use crate::batches::Batches;
 use crate::graph::loss_and_gradients;
 use crate::settings::Rays;
 use crate::trainer::Trainer;
-use pwrfgs_core::{Deformation, GaussianCloud, Real, Result, Task};
+use pwrfgs_core::{Deformation, GaussianCloud, Real, Result};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -64,7 +64,7 @@ impl Trainer<'_> {
         let (kept, pixels) = match self.stages.splatting() {
             Some(splatting) => {
                 let sky = splatting.sky(frame);
-                let waves = if frame.task == Task::Channel { PER_WAVE * frame.numbers() / 2 } else { 0 };
+                let waves = if frame.task.is_complex { PER_WAVE * frame.numbers() / 2 } else { 0 };
                 (PER_GAUSSIAN + splatting.deformation.traits().kept_per_gaussian + waves, sky.width * sky.height)
             }
             None => (PER_GAUSSIAN, chosen),

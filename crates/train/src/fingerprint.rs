@@ -5,7 +5,7 @@ use crate::settings::Training;
 use crate::trainer::specs_of;
 use pwrfgs_core::files::digest;
 use pwrfgs_core::plugin::to_ron;
-use pwrfgs_core::{Dataset, Observations, Real, Sample};
+use pwrfgs_core::{Dataset, Real, Sample};
 use rayon::prelude::*;
 
 /// Samples whose digests are taken together.
@@ -42,10 +42,7 @@ fn of_data(data: &Dataset) -> String {
     let parts: Vec<String> = samples.par_chunks(CHUNK).map(part).collect();
     let points: Vec<u8> = data.scene.points.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
     let scene = &data.scene;
-    let frequencies = match &data.observations {
-        Observations::Channels(channels) => channels.frequencies_hz.as_slice(),
-        _ => &[],
-    };
+    let frequencies = data.observations.frequencies_hz();
     let links = digest(format!("{:?}", data.links).as_bytes());
     let size = (data.width, data.height, data.elevation);
     let frame = format!("{:?} {:?} {:?} {size:?} {frequencies:?} {links}", data.task(), scene.receivers, scene.origin);

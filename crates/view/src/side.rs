@@ -182,13 +182,10 @@ impl Side {
             let what = "a floor learns from the data of a run, and beside this model is no pipeline that names them";
             return Err(Error::Config(what.into()));
         };
-        let kind = known.data.task();
-        let name = baseline.name_for(kind);
-        if let Some(own) = baseline.task().filter(|own| *own != kind) {
-            return Err(Error::Config(format!(
-                "{name} is a floor of {}, and the data are {}",
-                own.plural, kind.plural
-            )));
+        let task = known.data.task();
+        let name = baseline.name_for(task);
+        if !baseline.supports(task) {
+            return Err(Error::Config(format!("{name} is no baseline of {}", task.plural)));
         }
         let fitted = Fitted::try_new(Arc::clone(&known.data), |data| baseline.fit(data, known.partition.known()))?;
         Ok(Self {

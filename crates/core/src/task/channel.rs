@@ -15,8 +15,9 @@ pub(super) static CHANNEL: Description = Description {
         columns: ["snr_db_mean", "snr_db_median", "snr_all_db"],
     },
     ceiling: Ceiling { note: "what two measured channels at one place have in common", share: 1.0 },
+    method: "method: VirtualTransmitters(), or readout: Channel",
     level_name: ["mean power of the channel", "dB"],
-    has_directions: false,
+    has_pixels: false,
     is_scalar: false,
     is_complex: true,
     // Two rows per antenna: half as many gains as numbers.

@@ -66,10 +66,12 @@ pub struct Description {
     pub headline: Headline,
     /// What two readings at one position tell about the noise ceiling.
     pub ceiling: Ceiling,
+    /// The field of a pipeline that selects a method for it, as advice.
+    pub method: &'static str,
     /// Name and unit of [`Self::level`].
     pub level_name: [&'static str; 2],
-    /// Whether the numbers of an observation are pixels of an image, and each pixel a direction.
-    pub has_directions: bool,
+    /// Whether the numbers of an observation are pixels of an image of the sky, from 0 to 1.
+    pub has_pixels: bool,
     /// Whether an observation is one number in dB that falls with the logarithm of the distance.
     pub is_scalar: bool,
     /// Whether an observation is complex: see [`gain_at`].
@@ -125,14 +127,14 @@ impl Description {
 
     /// A prediction as it is shown and scored: pixels are clamped to [0, 1].
     pub fn shown(&self, prediction: Image) -> Image {
-        if self.has_directions { prediction.clamped() } else { prediction }
+        if self.has_pixels { prediction.clamped() } else { prediction }
     }
 
     /// The grid of an observation of `size` (columns, rows): columns of pixels go once around, rows are `elevation`.
     pub fn plane(&self, (width, height): (usize, usize), elevation: Elevation) -> ImagePlane {
         let azimuth = Axis { first: 0.0, step: 360.0 / width as f64 };
-        let angles = self.has_directions.then(|| (azimuth, elevation.axis(height)));
-        ImagePlane { width, height, wraps: self.has_directions, angles, sampling: Sampling::WHOLE }
+        let angles = self.has_pixels.then(|| (azimuth, elevation.axis(height)));
+        ImagePlane { width, height, wraps: self.has_pixels, angles, sampling: Sampling::WHOLE }
     }
 }
 

@@ -43,7 +43,7 @@ impl Baseline for LogDistance {
     }
 
     fn check_data(&self, data: &Dataset) -> Result<()> {
-        if data.task() == Task::Power && data.placed {
+        if data.task().is_scalar && data.placed {
             return Ok(());
         }
         let holds = if data.placed { data.task().plural } else { "no places of transmitters" };
@@ -72,8 +72,8 @@ impl Baseline for LogDistance {
         Ok(Box::new(Laws { data, of_each, borrowed }))
     }
 
-    fn task(&self) -> Option<Task> {
-        Some(Task::Power)
+    fn supports(&self, task: Task) -> bool {
+        task.is_scalar
     }
 }
 

@@ -202,11 +202,11 @@ fn place(query: Query<'_>) -> Vec<f64> {
 /// How alike a prediction is to what was observed; more is better.
 fn likeness(task: Task, predicted: &Image, truth: &Image) -> f64 {
     let errors = || predicted.pixels.iter().zip(&truth.pixels).map(|(p, t)| *p as f64 - *t as f64);
-    match task {
-        Task::Spectrum => ssim::evaluation(&predicted.clamped(), truth),
-        Task::Power => -errors().map(f64::abs).sum::<f64>(),
-        Task::Channel => -errors().map(|e| e * e).sum::<f64>(),
+    if task.has_pixels {
+        return ssim::evaluation(&predicted.clamped(), truth);
     }
+    let size = |e: f64| if task.is_complex { e * e } else { e.abs() };
+    -errors().map(size).sum::<f64>()
 }
 
 impl Predict for Lookup<'_> {

@@ -22,7 +22,7 @@ impl Baseline for Zero {
     }
 
     fn check_data(&self, data: &Dataset) -> Result<()> {
-        if data.task() == Task::Channel {
+        if self.supports(data.task()) {
             return Ok(());
         }
         let what = format!("Zero() is a floor of channels, and {} holds {}", data.title, data.task().plural);
@@ -35,7 +35,7 @@ impl Baseline for Zero {
         Ok(Box::new(Constant(Image::zeros(data.width, data.height))))
     }
 
-    fn task(&self) -> Option<Task> {
-        Some(Task::Channel)
+    fn supports(&self, task: Task) -> bool {
+        task.is_complex
     }
 }

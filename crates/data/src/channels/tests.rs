@@ -43,7 +43,7 @@ fn channels_are_read_with_their_antennas_and_frequencies() {
     assert_eq!((data.len(), data.width, data.height), (2, 3, 4));
     assert_eq!(data.image(1).pixels[..6], [12.0, 14.0, 16.0, 13.0, 15.0, 17.0]);
     assert_eq!((data.sample(1).id, data.sample(1).tx), (1, [4.0, 5.0, 6.0]));
-    let Observations::Channels(channels) = &data.observations else { unreachable!() };
+    let pwrfgs_core::Observations::Channels(channels) = &data.observations else { unreachable!() };
     assert_eq!(channels.frequencies_hz, [1e9 - 1e6, 1e9, 1e9 + 1e6]);
     assert_eq!(data.scene.receivers[0].antennas.len(), 2);
     assert!(!data.is_simulated() && data.title.contains("measured"), "{}", data.title);
@@ -71,11 +71,11 @@ fn what_settings_leave_out_stands_in_a_file_beside() {
     let tower = &data.scene.receivers[0];
     assert_eq!((&*tower.name, tower.pose.position), ("tower", [1.0, 2.0, 3.0]));
     assert!((tower.antennas[1][0] + 0.1).abs() < 1e-12 && tower.antennas[0] == [0.0; 3], "{:?}", tower.antennas);
-    let Observations::Channels(channels) = &data.observations else { unreachable!() };
+    let pwrfgs_core::Observations::Channels(channels) = &data.observations else { unreachable!() };
     assert_eq!(channels.frequencies_hz, [2e9 - 1e6, 2e9, 2e9 + 1e6]);
     assert_eq!(data.official, Some((vec![1], vec![0])));
     let mine = load(&Channels { spacing_hz: Some(5e5), ..bare.clone() }).unwrap();
-    let Observations::Channels(channels) = &mine.observations else { unreachable!() };
+    let pwrfgs_core::Observations::Channels(channels) = &mine.observations else { unreachable!() };
     assert_eq!(channels.frequencies_hz[2], 2e9 + 5e5);
     for (from, to, word) in [
         ("0, 0, 1, 0", "0, 0, 0, 0", ":3:1: the quaternion is zero"),

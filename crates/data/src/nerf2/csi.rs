@@ -8,8 +8,7 @@ use super::{index, places, read_transmitters, simulation};
 use crate::channels::{check_frequencies, subcarriers};
 use crate::npy::{Complex, read_complex};
 use pwrfgs_core::{
-    Channels, DataSource, Dataset, Documented, Error, Features, Observations, Pose, Progress, Real, Receiver, Result,
-    Sample,
+    Channels, DataSource, Dataset, Documented, Error, Features, Pose, Progress, Real, Receiver, Result, Sample,
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -106,11 +105,11 @@ impl DataSource for Nerf2Csi {
         let links = (0..snapshots).flat_map(|i| (0..receivers.len()).map(move |receiver| (i, receiver)));
         let samples: Vec<Sample> = links.map(|(i, receiver)| Sample { id: i as u32, tx: at(i), receiver }).collect();
         let (of_each, width) = (antennas.len() / receivers.len(), both * antennas.len() / receivers.len());
-        let channels = Observations::Channels(Channels { antennas: of_each, frequencies_hz, gains });
+        let channels = Channels { antennas: of_each, frequencies_hz, gains };
         let name = folder_name(&root);
         let simulation = simulation(&root, &name);
         let title = format!("{name} ({}NeRF2 layout)", if simulation.is_some() { "" } else { "measured, " });
-        let data = Dataset::of_links(title, receivers, vec![], &samples, channels)?;
+        let data = Dataset::of_links(title, receivers, vec![], &samples, channels.into())?;
         let official = rows.map(|(train, test)| (data.links_of(&train), data.links_of(&test)));
         progress(data.len(), data.len());
         let features = Some(Features { width, values: features });

@@ -7,7 +7,7 @@ mod tests;
 use super::{index, places, read_transmitters, simulation};
 use crate::points::read_points;
 use pwrfgs_core::words::clean;
-use pwrfgs_core::{DataSource, Dataset, Documented, Error, Observations, Progress, Real, Receiver, Result, Sample};
+use pwrfgs_core::{DataSource, Dataset, Documented, Error, Progress, Real, Receiver, Result, Sample};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -77,12 +77,12 @@ impl DataSource for Nerf2Rssi {
             .iter()
             .map(|link| Sample { id: link.row as u32, tx: positions[link.row], receiver: link.gateway })
             .collect();
-        let powers = heard.iter().map(|link| link.dbm as Real).collect();
+        let powers: Vec<Real> = heard.iter().map(|link| link.dbm as Real).collect();
         let receivers = gateways.into_iter().map(|(name, pose)| Receiver::new(name, pose)).collect();
         let name = folder_name(&root);
         let simulation = simulation(&root, &name);
         let title = format!("{name} ({}NeRF2 layout)", if simulation.is_some() { "" } else { "measured, " });
-        let data = Dataset::of_links(title, receivers, points, &samples, Observations::Powers(powers))?;
+        let data = Dataset::of_links(title, receivers, points, &samples, powers.into())?;
         let official = rows.map(|(train, test)| (data.links_of(&train), data.links_of(&test)));
         progress(data.len(), data.len());
         Ok(Dataset { official, simulation, ..data })

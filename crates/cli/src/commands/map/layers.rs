@@ -42,19 +42,17 @@ pub(super) struct Layer {
 /// What is mapped of this kind where nothing, or something, is asked for.
 pub(super) fn quantities(model: &Prepared<'_>, of: &[Of]) -> Result<Vec<Of>> {
     let has_angles = model.plane().angles.is_some();
-    let (fitting, word): (&[Of], _) = match model.task() {
-        Task::Spectrum if has_angles => {
-            (&[Of::Direction, Of::Level, Of::Mean], "spatial spectra: give direction, level or mean")
-        }
-        Task::Spectrum => (&[Of::Level, Of::Mean], "spectra whose pixels have no angles: give level or mean"),
-        Task::Power => (&[Of::Power], "received powers: give power"),
-        Task::Channel => (&[Of::Power], "channels: give power"),
+    let task = model.task();
+    let (fitting, names): (&[Of], _) = match (task.has_pixels, has_angles) {
+        (true, true) => (&[Of::Direction, Of::Level, Of::Mean], "direction, level or mean"),
+        (true, false) => (&[Of::Level, Of::Mean], "level or mean, because its pixels have no angles"),
+        (false, _) => (&[Of::Power], "power"),
     };
     if let Some(wrong) = of.iter().find(|asked| !fitting.contains(asked)) {
         let name = wrong.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
-        return Err(Error::Config(format!("--of {name}: this model predicts {word}")));
+        return Err(Error::Config(format!("--of {name}: this model predicts {}: give {names}", task.plural)));
     }
-    let default = if model.task() == Task::Spectrum { &fitting[..fitting.len() - 1] } else { fitting };
+    let default = if task.has_pixels { &fitting[..fitting.len() - 1] } else { fitting };
     Ok(fitting
         .iter()
         .copied()
@@ -71,18 +69,11 @@ struct Summary {
 }
 
 impl Summary {
-    fn of(kind: Task, image: &Image) -> Self {
+    fn of(task: Task, image: &Image) -> Self {
         let strongest = image.argmax();
         let count = image.pixels.len().max(1) as f64;
-        let level = match kind {
-            Task::Channel => {
-                // Two rows an antenna: half as many gains as numbers.
-                10.0 * (2.0 * image.pixels.iter().map(|v| (*v as f64).powi(2)).sum::<f64>() / count).log10()
-            }
-            _ => image.pixels[strongest] as f64,
-        };
         let mean = image.pixels.iter().map(|v| *v as f64).sum::<f64>() / count;
-        Self { level, mean, strongest }
+        Self { level: task.level(image), mean, strongest }
     }
 }
 
@@ -116,7 +107,7 @@ pub(super) fn layers(
 }
 
 /// Arrays of a receiver without values.
-fn empty(kind: Task, receiver: usize, of: &[Of]) -> Vec<Layer> {
+fn empty(task: Task, receiver: usize, of: &[Of]) -> Vec<Layer> {
     let layer = |(name, words, unit)| Layer {
         name,
         words,
@@ -125,12 +116,12 @@ fn empty(kind: Task, receiver: usize, of: &[Of]) -> Vec<Layer> {
         values: Vec::new(),
         arrows: Vec::new(),
     };
-    let names = |of: &Of| match (of, kind) {
-        (Of::Power, Task::Channel) => vec![("power", "mean power of the channel", "dB")],
-        (Of::Power, _) => vec![("power", "received power", "dBm")],
-        (Of::Level, _) => vec![("level", "strongest level of the spectrum", "")],
-        (Of::Mean, _) => vec![("mean", "mean level of the spectrum", "")],
-        (Of::Direction, _) => vec![
+    let [level, unit] = task.level_name;
+    let names = |of: &Of| match of {
+        Of::Power => vec![("power", level, unit)],
+        Of::Level => vec![("level", level, unit)],
+        Of::Mean => vec![("mean", "mean level of the spectrum", "")],
+        Of::Direction => vec![
             ("azimuth", "azimuth of the strongest direction", "degrees"),
             ("elevation", "elevation of the strongest direction", "degrees"),
         ],
@@ -161,8 +152,8 @@ fn put(model: &Prepared<'_>, grid: &Grid, receiver: usize, summary: Summary, lay
 }
 
 /// The largest power of all receivers at each place, where there are several.
-fn strongest(kind: Task, layers: &[Layer], receivers: usize) -> Option<Layer> {
-    let first = layers.first().filter(|_| kind == Task::Power && receivers > 1)?;
+fn strongest(task: Task, layers: &[Layer], receivers: usize) -> Option<Layer> {
+    let first = layers.first().filter(|_| task.is_scalar && receivers > 1)?;
     let largest = |k: usize| layers.iter().map(|layer| layer.values[k]).fold(f32::NAN, f32::max);
     let values = (0..first.values.len()).map(largest).collect();
     Some(Layer { name: "strongest", words: "power at the strongest receiver", receiver: None, values, ..first.clone() })

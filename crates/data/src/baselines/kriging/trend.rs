@@ -1,7 +1,7 @@
 //! What a process is about: nothing for pictures and channels, a law of distance for powers.
 
 use super::super::law::{Law, log_distance, points};
-use pwrfgs_core::{Dataset, Query, Real, Sampling, Task};
+use pwrfgs_core::{Dataset, Query, Real, Sampling};
 
 /// What is taken off every observation first.
 pub(super) struct Trend<'a> {
@@ -12,7 +12,7 @@ pub(super) struct Trend<'a> {
 impl<'a> Trend<'a> {
     /// By least squares of these links.
     pub(super) fn of(data: &'a Dataset, links: &[usize]) -> Self {
-        Self { data, law: (data.task() == Task::Power).then(|| Law::fit(&points(data, links))) }
+        Self { data, law: data.task().is_scalar.then(|| Law::fit(&points(data, links))) }
     }
 
     /// dBm that the law gives a link; 0 without one.

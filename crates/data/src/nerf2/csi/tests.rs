@@ -56,7 +56,7 @@ fn uplinks_are_features_and_downlinks_observations() {
     assert_eq!(data.query(3).features, [24.0, 26.0, 25.0, 27.0]);
     assert_eq!(data.image(3).pixels, [28.0, 30.0, 29.0, 31.0]);
     assert_eq!(data.official, Some((vec![0, 1, 4, 5], vec![2, 3])));
-    let Observations::Channels(channels) = &data.observations else { unreachable!() };
+    let pwrfgs_core::Observations::Channels(channels) = &data.observations else { unreachable!() };
     assert_eq!(channels.frequencies_hz, [1e9 + 1e6, 1e9 + 3e6]);
     // By the largest modulus of the training part: snapshots 0 and 2.
     let scaled = folder.load(true).unwrap().image(5).pixels[3] as f64;
