@@ -89,7 +89,7 @@ pub(crate) enum Command {
     /// Score a trained model, and the baselines beside it, on data of your choice
     Evaluate(Evaluate),
     #[cfg(feature = "report")]
-    /// Compare finished runs: tables and figures as Markdown, CSV, LaTeX and HTML
+    /// Compare finished runs: tables and figures as HTML, CSV and LaTeX
     Report(Report),
     /// Write a trained model for other programs: splat viewers, Python
     Export(Export),

@@ -82,8 +82,6 @@ fn runs_become_a_report() {
         assert!(!html.contains(outside), "the page needs {outside}");
     }
     assert!(html.contains("simulated") && html.contains("<b>") && html.contains("half_grid-1</td>"));
-    let markdown = text("report.md");
-    assert!(markdown.contains("half\\_grid") && markdown.contains("**0."), "{markdown}");
     let latex = text("report.tex");
     for table in ["scores", "differences", "latency"] {
         assert!(latex.contains(&format!("\\input{{tables/1-{table}}}")), "{latex}");

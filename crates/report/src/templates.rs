@@ -13,7 +13,7 @@ use pwrfgs_experiment::clock::duration;
 use pwrfgs_experiment::text::grouped;
 use std::sync::LazyLock;
 
-const TEMPLATES: [(&str, &str); 13] = [
+const TEMPLATES: [(&str, &str); 12] = [
     ("style.css", include_str!("templates/style.css")),
     ("head.html", include_str!("templates/head.html")),
     ("run.html", include_str!("templates/run.html")),
@@ -21,7 +21,6 @@ const TEMPLATES: [(&str, &str); 13] = [
     ("channels.html", include_str!("templates/channels.html")),
     ("receivers.html", include_str!("templates/receivers.html")),
     ("report.html", include_str!("templates/report.html")),
-    ("report.md", include_str!("templates/report.md")),
     ("report.tex", include_str!("templates/report.tex")),
     ("table.tex", include_str!("templates/table.tex")),
     ("figures.txt", include_str!("templates/figures.txt")),
@@ -44,7 +43,6 @@ static ENVIRONMENT: LazyLock<Environment<'static>> = LazyLock::new(|| {
         let text = match state.auto_escape() {
             _ if value.is_safe() => text,
             AutoEscape::Html => xml(&text),
-            AutoEscape::Custom(kind) if kind == "md" => markdown(&text),
             AutoEscape::Custom(kind) if kind == "tex" => latex::escaped(&text),
             _ => plain(&text),
         };
@@ -85,28 +83,10 @@ pub(crate) fn sentences(name: &str, context: Value) -> Vec<String> {
     text.lines().map(str::to_owned).collect()
 }
 
-/// Text that Markdown takes as it is, in a table too.
-fn markdown(text: &str) -> String {
-    let mut out = String::new();
-    for c in plain(text).chars() {
-        match c {
-            '\\' | '`' | '*' | '_' | '[' | ']' | '<' | '>' | '|' | '#' | '&' | '~' | '$' => out.extend(['\\', c]),
-            _ => out.push(c),
-        }
-    }
-    out
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use minijinja::context;
-
-    #[test]
-    fn nothing_in_a_label_is_markup() {
-        assert_eq!(markdown("a_b|c*d <i> [x](y)\n#1"), "a\\_b\\|c\\*d \\<i\\> \\[x\\](y) \\#1");
-        assert_eq!(markdown("`x` & \u{1b}[2J"), "\\`x\\` \\& \u{fffd}\\[2J");
-    }
 
     #[test]
     fn a_label_adds_no_sentence() {

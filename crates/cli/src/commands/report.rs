@@ -18,7 +18,7 @@ const FOLDER: &str = "report";
 #[command(
     after_long_help = "Runs on the same data and split form a setting, and are compared within it; those that differ in \
     their seed alone form a variant, and give a mean and a standard deviation. A single run's own page, report.html in its \
-    folder, is made again too, unless --out is given.\n\nWrites report.html (one file), report.md, \
+    folder, is made again too, unless --out is given.\n\nWrites report.html (one file), \
     report.csv (every number), report.tex with a file for each table (booktabs), and the figures as SVG, PDF and PNG. An \
     older report in the folder is replaced; a folder that holds anything else is never touched. Runs that have not \
     finished are named and left out.\n\nPaired differences from the reference carry a 95 % bootstrap interval over seeds \

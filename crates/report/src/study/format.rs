@@ -13,7 +13,7 @@ use minijinja::value::Serde;
 use minijinja::{Value, context};
 use pwrfgs_core::Result;
 
-/// Names and texts of all documents: `report.md`, `report.html`, `report.tex` with a file for each table.
+/// Names and texts of all documents: `report.html`, `report.tex` with a file for each table.
 pub(super) fn documents(page: &Page) -> Result<Vec<(String, String)>> {
     let (mut all, mut sections) = (Vec::new(), Vec::new());
     for section in &page.sections {
@@ -32,7 +32,7 @@ pub(super) fn documents(page: &Page) -> Result<Vec<(String, String)>> {
         left_out => page.left_out.clone(),
         version => env!("CARGO_PKG_VERSION"),
     };
-    for name in ["report.md", "report.tex", "report.html"] {
+    for name in ["report.tex", "report.html"] {
         all.push((name.to_owned(), render(name, context.clone())?));
     }
     Ok(all)
@@ -98,24 +98,6 @@ mod tests {
         ] {
             assert!(table.contains(part), "`{part}` is not in\n{table}");
         }
-    }
-
-    #[test]
-    fn marks_are_bold_and_italic_in_markdown() {
-        let interval = Some(("−0.1".to_owned(), "+0.3".to_owned()));
-        let cells = vec![
-            shown("0.75", "0.01", Mark::Best),
-            shown("0.50", "", Mark::Second),
-            Shown { interval, ..shown("+0.1", "", Mark::None) },
-            Shown::default(),
-        ];
-        let columns = ["SSIM", "η", "Δ", "N"].map(|title| Column { title: title.into(), ..Column::default() }).into();
-        let text =
-            document(&page(columns, vec![Line { label: "a|b".into(), kind: Kind::Variant, cells }]), "report.md");
-        let table = "\n### 50 % of a\\_b\n\n| | SSIM | η | Δ | N |\n|---|---:|---:|---:|---:|\n\
-                     | a\\|b | **0.75** ± 0.01 | *0.50* | +0.1 \\[−0.1, +0.3\\] | n/a |\n\na\\<b\n";
-        assert!(text.contains(table), "{text}");
-        assert!(text.starts_with("# a \\& b\n\n## office (simulated)\n"), "{text}");
     }
 
     #[test]

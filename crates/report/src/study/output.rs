@@ -35,7 +35,7 @@ struct Owned {
     files: BTreeSet<String>,
 }
 
-/// Writes the report of a study into `out`: `report.md`, `report.csv`, `report.tex` with `tables/`, `report.html` and
+/// Writes the report of a study into `out`: `report.csv`, `report.tex` with `tables/`, `report.html` and
 /// `figures/`. Gives the tables as text for a terminal.
 ///
 /// The same runs give the same bytes.
@@ -121,7 +121,7 @@ fn is_ours(name: &str) -> bool {
     let below = |folder: &str, ends: &[&str]| {
         name.strip_prefix(folder).is_some_and(|n| !n.contains(['/', '\\']) && ends.iter().any(|end| n.ends_with(end)))
     };
-    ["report.md", "report.csv", "report.tex", "report.html"].contains(&name)
+    ["report.csv", "report.tex", "report.html"].contains(&name)
         || below("tables/", &[".tex"])
         || below("figures/", &[".svg", ".pdf", ".png"])
 }
@@ -145,7 +145,7 @@ mod tests {
         let said = owned(folder.path()).unwrap_err();
         assert!(said.is_input() && said.to_string().contains("`thesis.tex`"), "{said}");
         assert!(owned(&folder.path().join("thesis.tex")).unwrap_err().is_input());
-        own(folder.path(), BTreeSet::from(["report.md".into()])).unwrap();
+        own(folder.path(), BTreeSet::from(["report.csv".into()])).unwrap();
         owned(folder.path()).unwrap();
     }
 
@@ -172,11 +172,11 @@ mod tests {
         assert!(write(&whole("report")).unwrap_err().is_input());
         assert_eq!(std::fs::read_to_string(&precious).unwrap(), "mine");
         // A link in place of a file is refused where it is not ours, and is replaced, not followed, where it is.
-        std::os::unix::fs::symlink(&precious, folder.path().join("report.md")).unwrap();
-        assert!(write(folder.path()).unwrap_err().to_string().contains("report.md is not the report's"));
-        own(folder.path(), BTreeSet::from(["report.md".to_owned()])).unwrap();
+        std::os::unix::fs::symlink(&precious, folder.path().join("report.csv")).unwrap();
+        assert!(write(folder.path()).unwrap_err().to_string().contains("report.csv is not the report's"));
+        own(folder.path(), BTreeSet::from(["report.csv".to_owned()])).unwrap();
         write(folder.path()).unwrap();
-        assert!(!folder.path().join("report.md").is_symlink());
+        assert!(!folder.path().join("report.csv").is_symlink());
         assert_eq!(std::fs::read_to_string(&precious).unwrap(), "mine");
     }
 
