@@ -8,9 +8,11 @@ use crate::confidence::Confidence;
 use crate::paired::Paired;
 use crate::scores::{MODEL, ScoreTable, Scores};
 use crate::session::Session;
-use pwrfgs_core::{Dataset, Error, ModelFacts, Observations, Partition, Result, Task, words::clean};
+use pwrfgs_core::{
+    Dataset, Error, ImagePlane, Known, ModelFacts, Observations, Partition, Result, Task, Values, evenly, words::clean,
+};
 use pwrfgs_model::{Ensemble, Prepared};
-use pwrfgs_pipeline::Pipeline;
+use pwrfgs_pipeline::{Pipeline, defaults};
 
 /// Scores `model`, or an ensemble and each of its members, and the pipeline's baselines on the test set of `data`. Of an
 /// ensemble also measures whether its members differ where it is wrong.
@@ -75,6 +77,39 @@ pub fn evaluate(
     let position = |&i: &usize| (data.label(i), data.placed.then(|| data.sample(i).tx));
     scores.table.paired = Paired::of(&scores, &partition.test.iter().map(position).collect());
     Ok((scores, confidence))
+}
+
+/// Mean of the first validation metric that each baseline, fitted on the training set alone, reaches on the samples of
+/// `validation.csv`; finite ones.
+///
+/// # Errors
+/// A baseline or a metric refuses; [`Error::Stopped`] once the session is.
+pub(crate) fn validation_baselines(
+    plane: &ImagePlane,
+    pipeline: &Pipeline,
+    data: &Dataset,
+    partition: &Partition,
+    session: &mut Session<'_>,
+) -> Result<Vec<(String, f64)>> {
+    let part = evenly(&partition.validation, pipeline.training.validation_samples);
+    if part.is_empty() || pipeline.training.validate_every == 0 {
+        return Ok(Vec::new());
+    }
+    let (bench, metrics) = (Bench::new(data, &part, plane), defaults::validation(data.task()));
+    let mut all = Vec::new();
+    for baseline in &pipeline.baselines {
+        session.check_stopped()?;
+        let fitted = baseline.fit(data, Known::train(&partition.train))?;
+        let name = baseline.name_for(data.task());
+        let measured = bench.baseline(&name, &*fitted, &metrics, session)?;
+        let mean = match measured.first().map(|m| &m.values) {
+            Some(Values::PerSample(values)) => values.iter().sum::<f64>() / values.len() as f64,
+            Some(Values::Whole(value)) => *value,
+            _ => f64::NAN,
+        };
+        all.extend(mean.is_finite().then_some((name, mean)));
+    }
+    Ok(all)
 }
 
 /// Refuses data of another kind, another size, other receivers or other frequencies than the model knows.

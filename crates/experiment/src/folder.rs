@@ -1,6 +1,8 @@
 //! `RunFolder`: one folder a run, claimed by its pipeline and never taken from another.
 
+use crate::facts::Facts;
 use crate::recipe::Recipe;
+use crate::scores::ScoreTable;
 use pwrfgs_core::files::{self, HeldFolder, refuse_foreign, write_new};
 use pwrfgs_core::words::clean;
 use pwrfgs_core::{Error, Result};
@@ -64,6 +66,37 @@ pub(crate) fn pruned_snapshot((round, rounds): (u64, u64)) -> Option<&'static st
     is_next.then(|| PRUNED_SNAPSHOTS[place(round) as usize - 1])
 }
 
+/// What a folder holds of the run of a recipe.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RunState {
+    /// Nothing: the run may begin there.
+    New,
+    /// The run, begun or finished.
+    Begun,
+    /// The run with other baselines or metrics, which score it again.
+    ScoredOtherwise,
+}
+
+impl RunState {
+    /// Scores and facts of the run in `path` if nothing is left to do, its page included if it shall be `reported`.
+    ///
+    /// # Errors
+    /// As [`Facts::read`].
+    pub(crate) fn finished(self, path: &Path, reported: bool) -> Result<Option<(ScoreTable, Facts)>> {
+        let end = if self == Self::Begun { Facts::finished(path)? } else { None };
+        Ok(end.filter(|(_, facts)| facts.report || !reported))
+    }
+
+    /// The same for a run whose files are as its seals say.
+    ///
+    /// # Errors
+    /// A file that is damaged or missing.
+    pub(crate) fn verified(self, path: &Path, reported: bool) -> Result<Option<ScoreTable>> {
+        let Some((scores, facts)) = self.finished(path, reported)? else { return Ok(None) };
+        facts.verify(path).map(|()| Some(scores))
+    }
+}
+
 /// A run folder that this process holds.
 #[derive(Debug)]
 pub struct RunFolder {
@@ -72,26 +105,28 @@ pub struct RunFolder {
     /// process ends.
     lock: File,
     is_new: bool,
+    state: RunState,
 }
 
 impl RunFolder {
-    /// Whether `path` may hold the run of this recipe; reads only.
+    /// What `path` holds of the run of this recipe; reads only.
     ///
     /// # Errors
     /// Where it is no folder, or holds something else, or a run of another recipe.
-    pub fn inspect(path: &Path, recipe: &Recipe) -> Result<()> {
+    pub fn inspect(path: &Path, recipe: &Recipe) -> Result<RunState> {
         let own = path.join(PIPELINE);
-        match files::read_string(&own) {
-            Ok(text) => same_recipe(path, &own, &text, recipe),
+        let text = match files::read_string(&own) {
+            Ok(text) => text,
             Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => {
-                match refuse_foreign(path, "a run folder") {
+                return match refuse_foreign(path, "a run folder") {
                     // Another process has made the run since.
                     Err(_) if own.is_file() => Self::inspect(path, recipe),
-                    foreign => foreign,
-                }
+                    foreign => foreign.map(|()| RunState::New),
+                };
             }
-            Err(e) => Err(Error::read(&own, e)),
-        }
+            Err(e) => return Err(Error::read(&own, e)),
+        };
+        compare(path, &own, &text, recipe)
     }
 
     /// Makes the folder where it is missing, writes `pipeline.ron` into it and locks it. Of several processes that claim
@@ -103,16 +138,9 @@ impl RunFolder {
         Self::inspect(path, recipe)?;
         std::fs::create_dir_all(path).map_err(|e| Error::write(path, e))?;
         let folder = HeldFolder::open(path)?;
-        let (lock, is_new) = locked(folder.path(), recipe).map_err(|e| folder.named(e))?;
+        let (lock, is_new, state) = locked(folder.path(), recipe).map_err(|e| folder.named(e))?;
         remove_leftovers(folder.path());
-        Ok(Self { folder, lock, is_new })
-    }
-
-    /// Whether the run in `path` was scored by the baselines and metrics of this recipe, whose run it is.
-    pub(crate) fn is_scored_as(path: &Path, recipe: &Recipe) -> bool {
-        let own = path.join(PIPELINE);
-        let theirs = files::read_string(&own).ok().and_then(|text| Recipe::parse(&text, &own, &[]).ok());
-        theirs.is_none_or(|theirs| recipe.scored_as(&theirs).to_ron() == recipe.to_ron())
+        Ok(Self { folder, lock, is_new, state })
     }
 
     /// Replaces `pipeline.ron` where its baselines or metrics are not those of the recipe. The new file is locked before
@@ -121,7 +149,7 @@ impl RunFolder {
     /// # Errors
     /// Where it cannot be written; the old file is then untouched.
     pub(crate) fn renew(&mut self, recipe: &Recipe) -> Result<()> {
-        if !Self::is_scored_as(self.path(), recipe) {
+        if self.state == RunState::ScoredOtherwise {
             self.lock = files::replace(&self.file(PIPELINE), recipe.to_ron().as_bytes(), |file| {
                 // A file system without locks is no reason to refuse.
                 _ = file.try_lock();
@@ -138,6 +166,11 @@ impl RunFolder {
     /// Whether this claim has made the run: nothing but `pipeline.ron` lies in the folder.
     pub fn is_new(&self) -> bool {
         self.is_new
+    }
+
+    /// What the folder held when it was claimed.
+    pub(crate) fn state(&self) -> RunState {
+        self.state
     }
 
     /// The path through which its files are reached, whatever takes the name of the folder meanwhile.
@@ -165,28 +198,35 @@ impl RunFolder {
     }
 }
 
-/// Locks `pipeline.ron` of `recipe`, which is written where there is none; also whether it was.
-fn locked(folder: &Path, recipe: &Recipe) -> Result<(File, bool)> {
+/// Locks `pipeline.ron` of `recipe`, which is written where there is none; also whether it was, and what there is.
+fn locked(folder: &Path, recipe: &Recipe) -> Result<(File, bool, RunState)> {
     let own = folder.join(PIPELINE);
     loop {
         let is_new = write_new(&own, recipe.to_ron().as_bytes())?;
         match files::try_lock(&own) {
             Ok(None) => return Err(Error::Busy(folder.into())),
             // What is locked may be what another process wrote meanwhile.
-            Ok(Some(lock)) => return RunFolder::inspect(folder, recipe).map(|()| (lock, is_new)),
+            Ok(Some(lock)) => return RunFolder::inspect(folder, recipe).map(|state| (lock, is_new, state)),
             Err(e) if e.kind() == ErrorKind::NotFound => {} // removed since it was written
             Err(e) => return Err(Error::read(&own, e)),
         }
     }
 }
 
-/// Refuses a folder that holds a run of another pipeline, naming the first difference. A run is what is trained: other
-/// baselines and metrics are no difference.
-fn same_recipe(folder: &Path, file: &Path, theirs: &str, ours: &Recipe) -> Result<()> {
+/// Compares the recipe `theirs` that `file` in `folder` holds with `ours`. A run is what is trained: of another one, the error
+/// names the first difference.
+fn compare(folder: &Path, file: &Path, theirs: &str, ours: &Recipe) -> Result<RunState> {
+    let text = ours.to_ron();
+    if theirs == text {
+        return Ok(RunState::Begun);
+    }
     // Read and written again, so that fields added since with their defaults, or a comment, are no difference.
-    let (theirs, ours) = match Recipe::parse(theirs, file, &[]) {
-        Ok(recipe) => (recipe.essential().to_ron(), ours.scored_as(&recipe).essential().to_ron()),
-        Err(_) => (theirs.to_owned(), ours.essential().to_ron()),
+    let (theirs, ours, alike) = match Recipe::parse(theirs, file, &[]) {
+        Ok(recipe) => {
+            let ours = ours.scored_as(&recipe);
+            (recipe.essential().to_ron(), ours.essential().to_ron(), ours.to_ron() == text)
+        }
+        Err(_) => (theirs.to_owned(), ours.essential().to_ron(), true),
     };
     let differ = theirs.lines().zip(ours.lines()).enumerate().find(|(_, (a, b))| a != b);
     match differ {
@@ -198,7 +238,9 @@ fn same_recipe(folder: &Path, file: &Path, theirs: &str, ours: &Recipe) -> Resul
             clean(there).trim_end_matches(','),
             clean(here).trim_end_matches(',')
         ))),
-        None if theirs.lines().count() == ours.lines().count() => Ok(()),
+        None if theirs.lines().count() == ours.lines().count() => {
+            Ok(if alike { RunState::Begun } else { RunState::ScoredOtherwise })
+        }
         None => Err(Error::Config(format!(
             "{} holds a run of another pipeline; choose another --out or remove the folder",
             folder.display()

@@ -1,10 +1,9 @@
 //! From files and `--set` arguments to pipelines whose paths hold everywhere.
 
 use crate::recipe::Recipe;
-use crate::runner::rebase;
 use pwrfgs_core::{Result, files::read_text};
 use pwrfgs_pipeline::Pipeline;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// The pipeline in `path`, or what the ensemble there is scored by, as [`Recipe::read`] gives it.
 ///
@@ -37,4 +36,25 @@ pub(crate) fn set_all(pipeline: &mut Pipeline, set: &[String]) -> Result<()> {
     pipeline.set_all(set)?;
     rebase(pipeline, Path::new(""));
     Ok(())
+}
+
+/// Takes every relative path of the pipeline from `base` and makes it absolute.
+pub fn rebase(pipeline: &mut Pipeline, base: &Path) {
+    if let Some(rebased) = pipeline.data.rebased(&|path| absolute(base, path)) {
+        pipeline.data = rebased.into();
+    }
+    if let Some(rebased) = pipeline.initializer.rebased(&|path| absolute(base, path)) {
+        pipeline.initializer = rebased.into();
+    }
+    for baseline in &mut pipeline.baselines {
+        if let Some(rebased) = baseline.rebased(&|path| absolute(base, path)) {
+            *baseline = rebased.into();
+        }
+    }
+}
+
+/// `path`, relative to `base`, as one that holds everywhere.
+pub(crate) fn absolute(base: &Path, path: &Path) -> PathBuf {
+    let joined = base.join(path);
+    joined.canonicalize().or_else(|_| std::path::absolute(&joined)).unwrap_or(joined)
 }

@@ -2,11 +2,9 @@
 
 use crate::events::{Events, TEST};
 use crate::folder::{CURVE, EVENTS, RunFolder, VALIDATION};
-use crate::headline::headline;
 use crate::observer::Validation;
 use crate::scores::ScoreTable;
 use crate::series::Series;
-use crate::validation;
 use pwrfgs_core::{Result, Task};
 use pwrfgs_pipeline::Pipeline;
 use pwrfgs_train::StepReport;
@@ -30,7 +28,8 @@ impl Journal {
     /// Opens the files, cut back to step `done`.
     pub(crate) fn open(folder: &RunFolder, pipeline: &Pipeline, kind: Task, done: u64) -> Result<Self> {
         let (curve, last) = Series::open(&folder.file(CURVE), CURVE_HEADER, done)?;
-        let (looks, _) = Series::open(&folder.file(VALIDATION), &validation::header(kind), done)?;
+        let (looks, _) =
+            Series::open(&folder.file(VALIDATION), &format!("step,{}", kind.headline.columns.join(",")), done)?;
         let events = pipeline.tensorboard.then(|| Events::open(&folder.file(EVENTS), done)).transpose()?;
         let seconds = last.and_then(|row| row.rsplit(',').next().and_then(|s| s.parse().ok())).unwrap_or_default();
         Ok(Self { curve, looks, events, steps: pipeline.training.steps, seconds })
@@ -54,8 +53,9 @@ impl Journal {
 
     /// Notes a look at the validation part.
     pub(crate) fn validation(&mut self, seen: &Validation) -> Result<()> {
-        self.looks.push(&seen.row())?;
-        let names = headline(seen.kind).columns.map(|column| format!("validation/{column}"));
+        let Validation { step, values: [mean, median, third], .. } = seen;
+        self.looks.push(&format!("{step},{mean},{median},{third}"))?;
+        let names = seen.kind.headline.columns.map(|column| format!("validation/{column}"));
         let scalars: Vec<(&str, f64)> = names.iter().map(String::as_str).zip(seen.values).collect();
         self.scalars(seen.step, &scalars)
     }

@@ -1,10 +1,11 @@
 //! `preview`: what a run will do and take, without doing it; and the refusal of what cannot fit the machine.
 
+use crate::input::rebase;
 use crate::inspect::{DataSummary, test_distance};
+use crate::load::{check_scoring, load};
 use crate::memory;
 use crate::observed::observed;
 use crate::observer::Observer;
-use crate::runner::{check_scoring, load, rebase};
 use pwrfgs_core::{Error, Result};
 use pwrfgs_pipeline::Pipeline;
 use pwrfgs_train::{Estimate, Trainer, network_bytes};

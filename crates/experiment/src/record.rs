@@ -3,12 +3,13 @@
 use crate::confidence::Confidence;
 use crate::facts::{Facts, Mark};
 use crate::folder::{CONFIDENCE, CURVE, MODEL_FILE, PIPELINE, REPORT, RunFolder, SAMPLES, SCORES, VALIDATION};
+use crate::load::load;
 use crate::observer::Observer;
 use crate::recipe::Recipe;
-use crate::runner::load;
 use crate::samples::{TestSamples, to_csv};
-use crate::scores::Scores;
-use crate::series;
+use crate::scores::{ScoreTable, Scores};
+use crate::session::Session;
+use crate::{clock, series};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_model::{Ensemble, file};
@@ -157,6 +158,36 @@ pub fn write_scores(
 /// A damaged snapshot; [`Error::Write`].
 pub fn write_page(run: &LoadedRun<'_>, page: Page) -> Result<()> {
     write_atomically(&run.record.folder.join(REPORT), page(run)?.as_bytes())
+}
+
+/// Ends the run of `recipe` in `folder` with what its evaluation found: writes the scores, makes the page if the session asks
+/// for one, seals the files and writes `run.json`.
+///
+/// # Errors
+/// [`Error::Write`]; a damaged file of the training.
+pub(crate) fn conclude(
+    folder: &RunFolder,
+    recipe: &Recipe,
+    facts: &mut Facts,
+    (data, partition, model): (&Dataset, &Partition, &Ensemble),
+    (scores, confidence): (Scores, Option<Confidence>),
+    session: &mut Session<'_>,
+) -> Result<ScoreTable> {
+    let path = folder.path();
+    facts.gaussians = model.gaussians();
+    facts.scores = Some(scores.table.clone());
+    facts.finished = Some(clock::now());
+    facts.report = session.page.is_some();
+    facts.note_memory(); // here, so that the page says what run.json says
+    write_scores(path, (&scores, confidence.as_ref()), data, partition)?;
+    if let Some(page) = session.page {
+        let record = Record::of(path, recipe, facts.clone())?;
+        write_page(&LoadedRun { record: &record, data, partition, model }, page)?;
+    }
+    facts.seal(path)?;
+    facts.write(path)?;
+    session.observer.on_evaluation(&scores.table);
+    Ok(scores.table)
 }
 
 /// Makes `report.html` of the finished run in `folder` again, from its folder and its data.

@@ -1,8 +1,7 @@
 //! `EnsembleFile`: several pipelines whose models predict together, as one RON file.
 
 use super::Team;
-use crate::input::{read_base, set_all};
-use crate::runner::{absolute, rebase};
+use crate::input::{absolute, read_base, rebase, set_all};
 use crate::sweep::{check_name, check_seeds};
 use pwrfgs_core::docs::Kind;
 use pwrfgs_core::plugin::{Check, Checked, ron_options};

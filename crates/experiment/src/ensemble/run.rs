@@ -1,13 +1,13 @@
 //! Trains the members of an ensemble, each in a folder of its own, and makes one model of theirs.
 
 use super::Team;
-use crate::clock;
 use crate::evaluate::evaluate;
 use crate::facts::Facts;
 use crate::folder::{MODEL_FILE, RunFolder};
+use crate::load::{check_scoring, load};
 use crate::recipe::Recipe;
-use crate::record::{LoadedRun, Record, write_page, write_scores};
-use crate::runner::{Outcome, check_scoring, ended, load};
+use crate::record::conclude;
+use crate::runner::Outcome;
 use crate::scores::ScoreTable;
 use crate::session::Session;
 use crate::sweep::{Board, Fate, Plan, State, check, execute};
@@ -28,10 +28,12 @@ pub fn run_team(team: &Team, out: &Path, jobs: usize, board: &dyn Board, session
     let begun = Instant::now();
     team.check_text()?;
     let recipe = Recipe::Ensemble(team.clone());
-    RunFolder::inspect(out, &recipe)?;
-    if let Some(end) = ended(out, &recipe, session.page.is_some())? {
+    let state = RunFolder::inspect(out, &recipe)?;
+    let reported = session.page.is_some();
+    let already = |scores| Outcome::Finished { scores, already: true };
+    if let Some(scores) = state.verified(out, reported)? {
         // What has ended may have been begun since, by another process with another recipe.
-        return RunFolder::inspect(out, &recipe).map(|()| end);
+        return RunFolder::inspect(out, &recipe).map(|_| already(scores));
     }
     let plan = team.plan(&out.join(MEMBERS));
     let all: Vec<usize> = (0..plan.runs.len()).collect();
@@ -43,8 +45,8 @@ pub fn run_team(team: &Team, out: &Path, jobs: usize, board: &dyn Board, session
     let open = check(&asked, &all, session.observer)?;
     let mut folder = RunFolder::claim(out, &recipe)?;
     // Another process may have ended it since.
-    if let Some(end) = folder.settle(ended(folder.path(), &recipe, session.page.is_some()))? {
-        return Ok(end);
+    if let Some(scores) = folder.settle(folder.state().verified(folder.path(), reported))? {
+        return Ok(already(scores));
     }
     let mut work = || {
         let (mut facts, _) = Facts::open(folder.path(), team.members()[0].seed)?;
@@ -131,20 +133,7 @@ fn assess(
         facts.peak_memory_bytes = facts.peak_memory_bytes.max(own.peak_memory_bytes);
     }
     facts.members = ensemble.names().to_vec();
-    facts.gaussians = ensemble.gaussians();
-    facts.scores = Some(scores.table.clone());
     facts.wall_seconds += begun.elapsed().as_secs_f64();
-    facts.finished = Some(clock::now());
-    facts.report = session.page.is_some();
-    facts.note_memory();
-    write_scores(folder.path(), (&scores, confidence.as_ref()), &data, &partition)?;
-    if let Some(page) = session.page {
-        let record = Record::of(folder.path(), &Recipe::Ensemble(team.clone()), facts.clone())?;
-        write_page(&LoadedRun { record: &record, data: &data, partition: &partition, model: ensemble }, page)?;
-    }
-    let scores = scores.table;
-    facts.seal(folder.path())?;
-    facts.write(folder.path())?;
-    session.observer.on_evaluation(&scores);
-    Ok(scores)
+    let recipe = Recipe::Ensemble(team.clone());
+    conclude(folder, &recipe, facts, (&data, &partition, ensemble), (scores, confidence), session)
 }

@@ -3,10 +3,10 @@
 use super::plan::{Plan, PlannedRun};
 use super::status::State;
 use crate::folder::RunFolder;
+use crate::load::{check_scoring, load};
 use crate::observer::Observer;
 use crate::preview::{fitting, fitting_network};
 use crate::recipe::Recipe;
-use crate::runner::{check_scoring, load};
 use crate::samples::data_key;
 use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_train::Trainer;

@@ -2,8 +2,8 @@
 
 use super::experiment::{Axis, Experiment, Slurm, slug};
 use super::listing::{ListedRun, Listing};
+use crate::input::absolute;
 use crate::input::{read_base, set_all};
-use crate::runner::absolute;
 use pwrfgs_core::{Error, Result, did_you_mean, files::read_text};
 use pwrfgs_pipeline::{Draft, Pipeline, PipelinePatch};
 use std::collections::BTreeMap;

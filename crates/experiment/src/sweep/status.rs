@@ -4,7 +4,6 @@ use super::plan::Plan;
 use crate::facts::Facts;
 use crate::folder::{CURVE, PIPELINE, RunFolder};
 use crate::recipe::Recipe;
-use crate::runner::finished;
 use crate::scores::ScoreTable;
 use crate::series;
 use pwrfgs_core::files::{self, write_atomically};
@@ -44,10 +43,11 @@ impl Plan {
     /// How far one run is.
     pub fn state(&self, run: usize) -> State {
         let folder = self.folder_of(run);
-        match finished(&folder, &Recipe::Pipeline(Box::new(self.runs[run].pipeline.clone())), false) {
+        let recipe = Recipe::Pipeline(Box::new(self.runs[run].pipeline.clone()));
+        match RunFolder::inspect(&folder, &recipe).and_then(|state| state.finished(&folder, false)) {
             Ok(Some(end)) => return State::Finished(Box::new(end)),
             Ok(None) => {}
-            Err(damage) => return State::Failed(damage.to_string()),
+            Err(error) => return State::Failed(error.to_string()),
         }
         let curve = series::read(&folder.join(CURVE));
         let step = curve.last().and_then(|row| *row.first()?).map_or(0, |step| step as u64);
