@@ -1,7 +1,7 @@
 //! `pwrfgs view` and the part of a report that moves: in a real browser where there is one, and against whoever means ill.
 
 use crate::common::browser::Browser;
-use crate::common::{SMALL, call, pwrfgs, refuse, stderr, succeed, write};
+use crate::common::{SMALL, pwrfgs, refuse, succeed, write};
 use crate::links::hall;
 use crate::model_format::models;
 use pwrfgs::model::file;
@@ -413,22 +413,6 @@ fn silent_connections_do_not_block_the_page() {
 }
 
 #[test]
-fn a_walk_is_recorded_without_a_browser() {
-    let folder = small_run();
-    write(&folder.path().join("walk.csv"), "x,y,z\n1,0,1\n1.2,0.1,1\n1.4,0.2,1\n");
-    let output = succeed(folder.path(), &["view", "run", "--record", "walk.csv", "walk.gif"]);
-    assert!(stderr(&output).contains("3 frames in walk.gif"));
-    let gif = std::fs::read(folder.path().join("walk.gif")).unwrap();
-    assert!(gif.starts_with(b"GIF89a"));
-    assert_eq!(gif.windows(3).filter(|w| *w == [0x21, 0xf9, 0x04]).count(), 3, "three frames");
-    refuse(folder.path(), &["view", "run", "--record", "walk.csv", "walk.gif"], 2, &["walk.gif exists"]);
-    assert_eq!(std::fs::read(folder.path().join("walk.gif")).unwrap(), gif);
-    let again = call(folder.path(), &["view", "run", "--record", "walk.csv", "again.gif"]);
-    assert!(again.status.success());
-    assert_eq!(std::fs::read(folder.path().join("again.gif")).unwrap(), gif, "the same walk gives the same bytes");
-}
-
-#[test]
 fn what_cannot_be_viewed_is_told() {
     let folder = small_run();
     let path = folder.path();
@@ -439,21 +423,23 @@ fn what_cannot_be_viewed_is_told() {
     refuse(path, &["view", "broken.safetensors"], 2, &["broken.safetensors"]);
     refuse(path, &["view", "run", "NearestNeighbour"], 2, &["NearestNeighbours"]);
     refuse(path, &["view", "run", "LogDistance()"], 2, &["floor of"]);
-    refuse(path, &["view", "run", "--record", "none.csv", "a.gif"], 2, &["none.csv"]);
 }
 
 #[test]
-#[ignore = "draws docs/images/view.png, of runs/quickstart"]
-fn the_picture_of_the_docs() {
+#[ignore = "draws docs/images/view.png, walk-start.png and walk-end.png, of runs/quickstart"]
+fn the_images_of_the_docs() {
     let checkout = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let served = Served::start(&checkout, &["runs/quickstart"]);
     let page = Browser::open(&served.address, [1360, 860]).expect("there is a Chromium");
     page.wait("document.querySelector('[data-ready]')");
     page.eval(
-        "(() => { const stage = document.querySelector('main').stage; const { room } = stage.sides[0]; \
-         room.turn(0.9, 0.12); room.zoom(0.78); stage.moveTo([3.2, 2.4, 1.2]); stage.colourBy('strength'); \
+        "(() => { const { room } = document.querySelector('main').stage.sides[0]; room.turn(0.9, 0.12); room.zoom(0.78); \
+         document.querySelector('main').stage.colourBy('strength'); \
          document.querySelector('[data-colour]').value = 'strength'; })()",
     );
-    std::thread::sleep(Duration::from_secs(3));
-    write(&checkout.join("docs/images/view.png"), page.screenshot(false));
+    for (name, at) in [("view", [3.2, 2.4, 1.2]), ("walk-start", [2.4, 3.6, 1.2]), ("walk-end", [4.6, 4.2, 1.2])] {
+        page.eval(&format!("document.querySelector('main').stage.moveTo({at:?})"));
+        std::thread::sleep(Duration::from_secs(3));
+        write(&checkout.join(format!("docs/images/{name}.png")), page.screenshot(false));
+    }
 }

@@ -2,14 +2,14 @@
 
 mod axes;
 mod backend;
-pub mod charts;
+pub(crate) mod charts;
 pub mod heat;
 pub(crate) mod legend;
-pub mod marks;
-pub mod plan;
+pub(crate) mod marks;
+pub(crate) mod plan;
 pub(crate) mod room;
 pub(crate) mod ruler;
-pub mod spectra;
+pub(crate) mod spectra;
 pub(crate) mod steps;
 pub(crate) mod ticks;
 

@@ -11,4 +11,3 @@ mod templates;
 
 pub use run_page::page;
 pub use study::{Options, Setting, Study, Variant, figures, write};
-pub use templates::fill;

@@ -64,19 +64,6 @@ pub(crate) fn render(name: &str, context: Value) -> Result<String> {
     filled.map_err(|e| Error::Config(format!("the template {name}: {e:#}")))
 }
 
-/// Fills in the text of a page that is not one of ours. It is HTML, and may include `head.html` and `style.css`, which
-/// all pages share.
-///
-/// # Errors
-/// [`Error::Config`] where the template is wrong.
-pub fn fill(page: &'static str, context: Value) -> Result<String> {
-    let mut environment = ENVIRONMENT.clone();
-    let filled = environment
-        .add_template("page.html", page)
-        .and_then(|()| environment.get_template("page.html")?.render(context));
-    filled.map_err(|e| Error::Config(format!("the template of the page: {e:#}")))
-}
-
 /// Sentences of a template of ours, one a line.
 pub(crate) fn sentences(name: &str, context: Value) -> Vec<String> {
     let text = render(name, context).expect("its context is complete, as tests check");

@@ -8,14 +8,12 @@ mod guard;
 mod house;
 mod moments;
 mod page;
-mod record;
 mod routes;
 mod server;
 mod side;
 
 use house::House;
 use pwrfgs_core::Result;
-pub use record::record;
 pub use side::Side;
 use std::sync::atomic::AtomicBool;
 

@@ -5,11 +5,11 @@ use crate::interrupt::stop_flag;
 use crate::output;
 use crate::progress::Progress;
 use clap::Args;
-use pwrfgs::view::{Side, record, view as show};
+use pwrfgs::view::{Side, view as show};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::words::clean;
 use pwrfgs_core::{Baseline, Error, Result};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, ExitCode, Stdio};
 
 #[derive(Debug, Args)]
@@ -20,21 +20,16 @@ use std::process::{Command, ExitCode, Stdio};
     lift it; click a measured one to go there. Drag the room to turn it, scroll to zoom. The slider goes through the training, \
     from its start over every prune step to the end; a run that is still at work is followed.\n\nCOMPARE\n  Two models, or a \
     model and a floor that learns from the same data, move together. A floor is written as in a pipeline, such as \
-    NearestNeighbours(k: 5), or by its name alone.\n\nRECORDING\n  --record draws an animated GIF without a browser: a frame \
-    for each position of a CSV file with columns x, y, z in metres, ten a second.\n\nEXAMPLES\n  pwrfgs view \
-    runs/quickstart\n  pwrfgs view runs/s23-best runs/s23-laptop\n  pwrfgs view runs/quickstart 'NearestNeighbours(k: 5)'\n  \
-    pwrfgs view runs/quickstart --record walk.csv walk.gif"
+    NearestNeighbours(k: 5), or by its name alone.\n\nEXAMPLES\n  pwrfgs view \
+    runs/quickstart\n  pwrfgs view runs/s23-best runs/s23-laptop\n  pwrfgs view runs/quickstart 'NearestNeighbours(k: 5)'"
 )]
 pub(crate) struct View {
     /// A run folder or a model file; the second may be a floor, such as Kriging
     #[arg(value_name = "MODEL_OR_RUN", required = true, num_args = 1..=2)]
     pub(crate) sides: Vec<String>,
     /// Open the page in the browser of this desktop. The address is then seen by who may list processes of this machine
-    #[arg(long, conflicts_with = "record")]
+    #[arg(long)]
     pub(crate) open: bool,
-    /// Draw a frame for each position of a CSV file into a new GIF, and serve nothing
-    #[arg(long, num_args = 2, value_names = ["POSITIONS.CSV", "OUT.GIF"])]
-    pub(crate) record: Option<Vec<PathBuf>>,
 }
 
 pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<ExitCode> {
@@ -42,14 +37,6 @@ pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<ExitCode> {
     let sides = open(&arguments.sides, &mut progress);
     progress.finish();
     let sides = sides?;
-    if let Some([positions, out]) = arguments.record.as_deref() {
-        let path = super::predict::positions(positions)?;
-        let frames = record(&sides, &path, out, &mut progress);
-        progress.finish();
-        let frames = frames?;
-        output::note(&format!("{frames} frames in {}", out.display()));
-        return Ok(ExitCode::SUCCESS);
-    }
     let stop = stop_flag();
     let ready = |address: &str| {
         // Whoever pipes it wants the address alone.

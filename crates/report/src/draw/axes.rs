@@ -8,7 +8,7 @@ use plotters::prelude::*;
 
 /// One axis.
 #[derive(Clone, Debug, Default)]
-pub struct Axis {
+pub(crate) struct Axis {
     /// Empty where the heading says it.
     pub name: String,
     /// Those of what is drawn, with some air, where nothing is said.

@@ -3,7 +3,7 @@
 //! plotters lays out the axes (`axes.rs`); lines, marks and names are ours, because it knows neither dashes
 //! and dots in turn nor names that keep apart.
 
-pub use super::axes::Axis;
+pub(crate) use super::axes::Axis;
 use super::axes::{Frame, Scale};
 use super::canvas::{Anchor, Canvas, Colour, INK, Paint, Point};
 use super::font::{TEXT, cut, text_width};
@@ -12,18 +12,18 @@ use super::marks::Style;
 
 /// How large a chart and its parts are.
 #[derive(Clone, Copy, Debug)]
-pub struct Look {
+pub(crate) struct Look {
     /// Width, and height without the legend.
-    pub size: Point,
+    pub(crate) size: Point,
     /// Room for axes and names: left, top, right, bottom.
-    pub margins: [f64; 4],
+    pub(crate) margins: [f64; 4],
 }
 
 impl Look {
     /// For a page on a screen, which scales it.
-    pub const SCREEN: Self = Self { size: [560.0, 330.0], margins: [58.0, 40.0, 18.0, 38.0] };
+    pub(crate) const SCREEN: Self = Self { size: [560.0, 330.0], margins: [58.0, 40.0, 18.0, 38.0] };
     /// For a column of print.
-    pub const COLUMN: Self = Self { size: [380.0, 262.0], margins: [54.0, 10.0, 20.0, 38.0] };
+    pub(crate) const COLUMN: Self = Self { size: [380.0, 262.0], margins: [54.0, 10.0, 20.0, 38.0] };
 }
 
 impl Default for Look {
@@ -34,48 +34,48 @@ impl Default for Look {
 
 /// A chart.
 #[derive(Clone, Debug, Default)]
-pub struct Chart {
+pub(crate) struct Chart {
     /// How large it is.
-    pub look: Look,
+    pub(crate) look: Look,
     /// Across.
-    pub x: Axis,
+    pub(crate) x: Axis,
     /// Upwards.
-    pub y: Axis,
+    pub(crate) y: Axis,
     /// Shaded stretches of the horizontal axis.
-    pub bands: Vec<Band>,
+    pub(crate) bands: Vec<Band>,
     /// The first on top.
-    pub lines: Vec<Line>,
+    pub(crate) lines: Vec<Line>,
 }
 
 /// A shaded stretch, its name above it.
 #[derive(Clone, Debug)]
-pub struct Band {
+pub(crate) struct Band {
     /// Above it.
-    pub name: &'static str,
+    pub(crate) name: &'static str,
     /// Its ends.
-    pub x: (f64, f64),
+    pub(crate) x: (f64, f64),
     /// Its shade.
-    pub colour: Colour,
+    pub(crate) colour: Colour,
 }
 
 /// A line with marks on it.
 #[derive(Clone, Debug)]
-pub struct Line {
+pub(crate) struct Line {
     /// Its name.
-    pub name: Name,
+    pub(crate) name: Name,
     /// How it looks.
-    pub style: Style,
+    pub(crate) style: Style,
     /// From left to right, or round an area. Infinitely far is as far as the axis goes; what has no place is left out.
-    pub points: Vec<(f64, f64)>,
+    pub(crate) points: Vec<(f64, f64)>,
     /// Where marks stand.
-    pub marks: Vec<(f64, f64)>,
+    pub(crate) marks: Vec<(f64, f64)>,
     /// Bars from one place to another, across or upright.
-    pub bars: Vec<[(f64, f64); 2]>,
+    pub(crate) bars: Vec<[(f64, f64); 2]>,
 }
 
 /// The name of a line, and where it stands.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Name {
+pub(crate) enum Name {
     /// Nowhere in the chart.
     Hidden,
     /// Below the chart.
@@ -86,22 +86,22 @@ pub enum Name {
 
 impl Line {
     /// Without name, marks and bars.
-    pub fn new(points: Vec<(f64, f64)>, style: Style) -> Self {
+    pub(crate) fn new(points: Vec<(f64, f64)>, style: Style) -> Self {
         Self { name: Name::Hidden, style, points, marks: Vec::new(), bars: Vec::new() }
     }
 
     /// At one height from end to end.
-    pub fn level(y: f64, style: Style) -> Self {
+    pub(crate) fn level(y: f64, style: Style) -> Self {
         Self::new(vec![(f64::NEG_INFINITY, y), (f64::INFINITY, y)], style)
     }
 
     /// With a name in the legend.
-    pub fn named(self, name: &str) -> Self {
+    pub(crate) fn named(self, name: &str) -> Self {
         Self { name: Name::Legend(name.into()), ..self }
     }
 
     /// With a name at its end.
-    pub fn named_at_end(self, name: &str) -> Self {
+    pub(crate) fn named_at_end(self, name: &str) -> Self {
         Self { name: Name::AtEnd(name.into()), ..self }
     }
 
@@ -122,7 +122,7 @@ impl Line {
 
 impl Chart {
     /// The picture, or nothing where there is nothing to draw.
-    pub fn draw(&self) -> Option<Canvas> {
+    pub(crate) fn draw(&self) -> Option<Canvas> {
         let places = || self.lines.iter().flat_map(Line::places);
         let x = Scale::new(&self.x, places().map(|p| p.0))?;
         let y = Scale::new(&self.y, places().map(|p| p.1))?;

@@ -7,7 +7,7 @@ const RADIUS: f64 = 3.6;
 
 /// How a line is stroked.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Stroke {
+pub(crate) enum Stroke {
     /// With strokes and gaps of these lengths in turn.
     Dashes(&'static [f64]),
     /// Not at all: its points enclose a shaded area.
@@ -20,18 +20,18 @@ pub enum Stroke {
 
 impl Stroke {
     /// Without gaps.
-    pub const FULL: Self = Self::Dashes(&[]);
+    pub(crate) const FULL: Self = Self::Dashes(&[]);
     /// Dashes.
-    pub const DASHED: Self = Self::Dashes(&[6.0, 4.0]);
+    pub(crate) const DASHED: Self = Self::Dashes(&[6.0, 4.0]);
     /// Dots.
-    pub const DOTTED: Self = Self::Dashes(&[1.6, 2.6]);
+    pub(crate) const DOTTED: Self = Self::Dashes(&[1.6, 2.6]);
     /// Dashes and dots in turn.
-    pub const DASH_DOTTED: Self = Self::Dashes(&[8.0, 3.0, 1.6, 3.0]);
+    pub(crate) const DASH_DOTTED: Self = Self::Dashes(&[8.0, 3.0, 1.6, 3.0]);
 }
 
 /// The shape of a mark.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Marker {
+pub(crate) enum Marker {
     /// A disc.
     Circle,
     /// A square.
@@ -52,7 +52,7 @@ pub enum Marker {
 
 impl Marker {
     /// All of them.
-    pub const ALL: [Self; 8] =
+    pub(crate) const ALL: [Self; 8] =
         [Self::Circle, Self::Square, Self::Triangle, Self::Diamond, Self::Wedge, Self::Plus, Self::Star, Self::Cross];
 
     /// Corners about the middle, radius about 1, y downwards.
@@ -87,27 +87,27 @@ impl Marker {
 
 /// How a line and its marks look.
 #[derive(Clone, Copy, Debug)]
-pub struct Style {
+pub(crate) struct Style {
     /// Of stroke and marks.
-    pub colour: Colour,
+    pub(crate) colour: Colour,
     /// Of the stroke.
-    pub width: f64,
+    pub(crate) width: f64,
     /// How its line is drawn.
-    pub stroke: Stroke,
+    pub(crate) stroke: Stroke,
     /// What stands at its marks.
-    pub marker: Option<Marker>,
+    pub(crate) marker: Option<Marker>,
     /// Whether marks are empty.
-    pub hollow: bool,
+    pub(crate) hollow: bool,
 }
 
 impl Style {
     /// A line without marks.
-    pub fn line(colour: Colour, width: f64, stroke: Stroke) -> Self {
+    pub(crate) fn line(colour: Colour, width: f64, stroke: Stroke) -> Self {
         Self { colour, width, stroke, marker: None, hollow: false }
     }
 
     /// Draws the line through `points`, or the area within them.
-    pub fn draw_line(&self, canvas: &mut Canvas, points: &[Point]) {
+    pub(crate) fn draw_line(&self, canvas: &mut Canvas, points: &[Point]) {
         match self.stroke {
             Stroke::None => {}
             Stroke::Dots => {
@@ -121,7 +121,7 @@ impl Style {
     }
 
     /// Draws a mark at `at`.
-    pub fn draw_mark(&self, canvas: &mut Canvas, at: Point) {
+    pub(crate) fn draw_mark(&self, canvas: &mut Canvas, at: Point) {
         let Some(marker) = self.marker else { return };
         let corners: Vec<Point> =
             marker.corners().into_iter().map(|(x, y)| [at[0] + RADIUS * x, at[1] + RADIUS * y]).collect();
@@ -134,7 +134,7 @@ impl Style {
     }
 
     /// Draws a bar from `a` to `b` with a cap at each end.
-    pub fn draw_bar(&self, canvas: &mut Canvas, [a, b]: [Point; 2]) {
+    pub(crate) fn draw_bar(&self, canvas: &mut Canvas, [a, b]: [Point; 2]) {
         let [dx, dy] = if a[1] == b[1] { [0.0, 3.0] } else { [3.0, 0.0] };
         let mut bar = Path::of(&[a, b]);
         for [x, y] in [a, b] {

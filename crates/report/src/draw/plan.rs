@@ -13,7 +13,7 @@ const RECEIVER: f64 = 5.4;
 
 /// Where places lie on the picture.
 #[derive(Clone, Debug)]
-pub struct Plan {
+pub(crate) struct Plan {
     low: Point,
     high: Point,
     /// Names of the axes, such as x and y.
@@ -21,12 +21,12 @@ pub struct Plan {
     /// Units of the picture a metre.
     scale: f64,
     /// Width and height of the whole picture.
-    pub size: Point,
+    pub(crate) size: Point,
 }
 
 impl Plan {
     /// Of what lies between two corners, in metres, within a picture so wide and a map so high at most.
-    pub fn new([low, high]: [Point; 2], names: [&'static str; 2], width: f64, most_height: f64) -> Self {
+    pub(crate) fn new([low, high]: [Point; 2], names: [&'static str; 2], width: f64, most_height: f64) -> Self {
         let [low, high] = no_line(low, high);
         let [left, top, right, bottom] = MARGINS;
         let [across, up] = [high[0] - low[0], high[1] - low[1]];
@@ -35,7 +35,7 @@ impl Plan {
     }
 
     /// The smallest frame with some air around `places`; of nothing a square metre.
-    pub fn corners(places: impl IntoIterator<Item = Point>) -> [Point; 2] {
+    pub(crate) fn corners(places: impl IntoIterator<Item = Point>) -> [Point; 2] {
         let (mut low, mut high) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         for place in places.into_iter().filter(|place| place.iter().all(|v| v.is_finite())) {
             for k in 0..2 {
@@ -50,24 +50,24 @@ impl Plan {
     }
 
     /// Where a place lies on the picture.
-    pub fn place(&self, [x, y]: Point) -> Point {
+    pub(crate) fn place(&self, [x, y]: Point) -> Point {
         let [left, top, ..] = MARGINS;
         [left + self.scale * (x - self.low[0]), top + self.scale * (self.high[1] - y)]
     }
 
     /// Whether a place is on the map.
-    pub fn holds(&self, place: Point) -> bool {
+    pub(crate) fn holds(&self, place: Point) -> bool {
         (0..2).all(|k| (self.low[k]..=self.high[k]).contains(&place[k]))
     }
 
     /// Corner, width and height of the map on the picture.
-    pub fn area(&self) -> (Point, Point) {
+    pub(crate) fn area(&self) -> (Point, Point) {
         let [a, b] = [self.place([self.low[0], self.high[1]]), self.place([self.high[0], self.low[1]])];
         (a, [b[0] - a[0], b[1] - a[1]])
     }
 
     /// An empty map.
-    pub fn canvas(&self) -> Canvas {
+    pub(crate) fn canvas(&self) -> Canvas {
         let mut canvas = Canvas::new(self.size[0], self.size[1]);
         canvas.letters.size = 10.0;
         let (at, size) = self.area();
@@ -77,7 +77,7 @@ impl Plan {
 
     /// The frame with numbers in metres, drawn last: it lies on what is mapped. Map coordinates, which are too long for an
     /// axis, count from a round number that its name says.
-    pub fn axes(&self, canvas: &mut Canvas) {
+    pub(crate) fn axes(&self, canvas: &mut Canvas) {
         let (at, size) = self.area();
         canvas.rect(at, size, Paint::stroke(INK, 0.7));
         let [left, bottom] = [at[0], at[1] + size[1]];
@@ -97,21 +97,21 @@ impl Plan {
     }
 
     /// The picture in the middle of one so wide: a page then scales maps of any shape alike.
-    pub fn widened(&self, canvas: &Canvas, width: f64) -> Canvas {
+    pub(crate) fn widened(&self, canvas: &Canvas, width: f64) -> Canvas {
         let mut wide = Canvas::new(width.max(canvas.width), canvas.height);
         wide.put([(wide.width - canvas.width) / 2.0, 0.0], 1.0, canvas);
         wide
     }
 
     /// A receiver: a square with a dot, told from all round marks.
-    pub fn receiver(&self, canvas: &mut Canvas, place: Point) {
+    pub(crate) fn receiver(&self, canvas: &mut Canvas, place: Point) {
         if self.holds(place) {
             draw_receiver(canvas, self.place(place));
         }
     }
 
     /// Surface points, faint.
-    pub fn points(&self, canvas: &mut Canvas, points: impl IntoIterator<Item = Point>) {
+    pub(crate) fn points(&self, canvas: &mut Canvas, points: impl IntoIterator<Item = Point>) {
         let mut path = Path::default();
         points.into_iter().filter(|p| self.holds(*p)).for_each(|p| path.add(&[self.place(p); 2]));
         canvas.path(path, Paint { round: true, ..Paint::stroke(Colour::hex(0x8d_94a1).faint(0.6), 1.5) });

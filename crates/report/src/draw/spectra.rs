@@ -15,7 +15,7 @@ const TEXT: Letters = Letters { size: 10.5, colour: INK };
 
 /// What colours mean.
 #[derive(Clone, Copy, Debug)]
-pub enum Scale {
+pub(crate) enum Scale {
     /// Power from 0 to 1.
     Power,
     /// A signed error up to this size.
@@ -38,7 +38,7 @@ impl Scale {
     }
 
     /// A horizontal colour bar with its two ends and middle.
-    pub fn draw(self, canvas: &mut Canvas, [left, top]: Point, width: f64) {
+    pub(crate) fn draw(self, canvas: &mut Canvas, [left, top]: Point, width: f64) {
         let (low, high) = self.range();
         let colours = (0..256).map(|i| self.colour(low + (high - low) * f64::from(i) / 255.0));
         let rgba = colours.flat_map(|[r, g, b]| [r, g, b, 255]).collect();
@@ -53,7 +53,7 @@ impl Scale {
     }
 
     /// The colour bar as a picture.
-    pub fn bar(self) -> Canvas {
+    pub(crate) fn bar(self) -> Canvas {
         let mut canvas = Canvas::new(404.0, 28.0);
         canvas.letters = TEXT;
         self.draw(&mut canvas, [102.0, 2.0], 200.0);
@@ -71,7 +71,7 @@ impl Scale {
 
 /// A marked pixel.
 #[derive(Clone, Copy, Debug)]
-pub enum Mark {
+pub(crate) enum Mark {
     /// Where the measured spectrum is strongest.
     Measured(usize),
     /// Where the predicted one is.
@@ -101,7 +101,7 @@ impl Mark {
 }
 
 /// The spectrum as a picture, elevation upwards.
-pub fn pixels(image: &Image, plane: &ImagePlane, scale: Scale) -> Pixels {
+pub(crate) fn pixels(image: &Image, plane: &ImagePlane, scale: Scale) -> Pixels {
     let (width, height) = (image.width, image.height);
     let upwards = plane.angles.is_none_or(|(_, elevation)| elevation.step > 0.0);
     let row = |row: usize| if upwards { height - 1 - row } else { row };
@@ -111,7 +111,7 @@ pub fn pixels(image: &Image, plane: &ImagePlane, scale: Scale) -> Pixels {
 }
 
 /// The map: azimuth to the right, elevation upwards, in degrees; pixels where the plane has no angles.
-pub fn map(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark]) -> Canvas {
+pub(crate) fn map(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark]) -> Canvas {
     let height = MAP * image.height as f64 / image.width as f64;
     let (left, top) = (44.0, 8.0);
     let mut canvas = Canvas::new(418.0, top + height + 34.0);
@@ -134,7 +134,7 @@ pub fn map(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark]) -> C
 
 /// The sky: zenith (boresight) in the middle, horizon at the rim, azimuth counter-clockwise from the receiver's x axis
 /// on the right. `None` where the plane has no angles.
-pub fn sky(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark]) -> Option<Canvas> {
+pub(crate) fn sky(image: &Image, plane: &ImagePlane, scale: Scale, marks: &[Mark]) -> Option<Canvas> {
     let (azimuth, elevation) = plane.angles?;
     let middle @ [cx, cy] = [125.0, 114.0];
     let mut canvas = Canvas::new(250.0, 228.0);
