@@ -74,7 +74,6 @@ pub const TARGETS: &[Target] = &[
     of(24, "cloud/points.xyz", &[], Plain, cloud),
     of(24, "cloud/points.csv", &[], Plain, cloud),
     of(24, "cloud/mesh.obj", &[], Plain, surface::<false>),
-    of(24, "cloud/mesh.stl", &["cloud/binary/mesh.stl"], Plain, surface::<false>),
     of(64, MODEL, &["models"], Tensors, model),
     of(32, "half/checkpoint.safetensors", &[], Tensors, checkpoint),
     of(4, "half/checkpoint.safetensors", &[], Tensors, resumed),
@@ -194,7 +193,7 @@ fn cloud(bench: &Path) -> Result<()> {
 
 /// All meshes: the one at hand is broken; one of them is a cloud as well.
 fn surface<const CLOUD: bool>(bench: &Path) -> Result<()> {
-    for name in ["mesh.ply", "mesh.obj", "mesh.stl"] {
+    for name in ["mesh.ply", "mesh.obj"] {
         pwrfgs::data::read_mesh(&bench.join("cloud").join(name))?;
     }
     if CLOUD {

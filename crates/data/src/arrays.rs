@@ -41,10 +41,8 @@ const IN_MEMORY: u64 = 1 << 29;
 #[serde(default, deny_unknown_fields)]
 pub struct Arrays {
     /// The folder, relative to the pipeline file.
-    #[serde(with = "pwrfgs_core::paths")]
     pub root: PathBuf,
     /// Point cloud of the room (PLY, XYZ or CSV, metres, world frame), relative to the pipeline file.
-    #[serde(with = "pwrfgs_core::paths::optional")]
     pub points: Option<PathBuf>,
     /// Elevations where the top row of the spectra begins and the bottom row ends, degrees; what `gateway_info.yml` says
     /// where it is left out, else 0 and 90.

@@ -46,16 +46,12 @@ const SHAPE: &str = "channels are [M, A, F]: M transmitters, A antennas of the r
 #[serde(default, deny_unknown_fields)]
 pub struct Channels {
     /// The folder, relative to the pipeline file.
-    #[serde(with = "pwrfgs_core::paths")]
     pub root: PathBuf,
     /// The array, relative to `root`.
-    #[serde(with = "pwrfgs_core::paths")]
     pub file: PathBuf,
     /// The table of places, relative to `root`.
-    #[serde(with = "pwrfgs_core::paths")]
     pub positions: PathBuf,
     /// Point cloud of the room (PLY, XYZ or CSV, metres, world frame), relative to the pipeline file.
-    #[serde(with = "pwrfgs_core::paths::optional")]
     pub points: Option<PathBuf>,
     /// Frequency in the middle of the subcarriers, Hz.
     pub carrier_hz: Option<f64>,

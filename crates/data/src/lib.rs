@@ -4,7 +4,7 @@
 //!   with a known answer.
 //! * [`Nerf2Rssi`] reads received powers at many gateways, [`Nerf2Csi`] uplinks and downlinks of a base station, both in the
 //!   NeRF2 layout; [`Channels`] channels as an array of NumPy.
-//! * [`read_points`] reads a point cloud from PLY, XYZ or CSV, [`read_mesh`] triangles from OBJ, STL or PLY.
+//! * [`read_points`] reads a point cloud from PLY, XYZ or CSV, [`read_mesh`] triangles from OBJ or PLY.
 //! * [`Official`], [`Random`], [`TimeBlock`], [`Voxel`] and [`Sparse`] divide transmitters, [`RandomLinks`] links,
 //!   [`LeaveReceiverOut`] receivers.
 //! * [`MeanSpectrum`], [`NearestNeighbours`], [`Kriging`], [`LogDistance`] and [`Zero`] are scored beside every model.

@@ -1,13 +1,11 @@
-//! Triangle meshes: OBJ, STL and PLY; coordinates in metres unless the reader's caller scales them.
+//! Triangle meshes: OBJ and PLY; coordinates in metres unless the reader's caller scales them.
 //!
 //! Read here rather than with a crate, because a mesh that is read wrongly is a wrong room. What was tried: `tobj` 4.0.5
 //! panics on a texture index out of range, makes a triangle of two corners and takes a web page for an empty mesh;
-//! `mesh-loader` 0.1.13 refuses an OBJ file in which only some objects have textures and accepts a binary STL file that
-//! is cut short after a triangle; `stl_io` 0.11 reads a binary STL file as text if its header begins with `solid`, as
-//! some programs write it. None of them says line and column of every mistake.
+//! `mesh-loader` 0.1.13 refuses an OBJ file in which only some objects have textures. Neither reports line and column of
+//! every error.
 
 mod obj;
-mod stl;
 
 use crate::ply;
 use crate::polygons::Triangles;
@@ -21,7 +19,6 @@ const ADVICE: &str = "check the path of the mesh";
 ///
 /// * `.obj`: `v` and `f`, with positive and negative indices; groups, normals, textures, materials, lines and points are
 ///   left out, and free-form surfaces are an error.
-/// * `.stl`: ascii or binary; each triangle has three vertices of its own.
 /// * `.ply`: ascii or binary of either byte order, with an element `face` and its list `vertex_indices`.
 ///
 /// # Errors
@@ -31,9 +28,8 @@ pub fn read_mesh(path: &Path) -> Result<Triangles> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     let parse = match extension.as_str() {
         "obj" => obj::parse,
-        "stl" => stl::parse,
         "ply" => ply::parse_mesh,
-        _ => return Err(Error::input(path, "is no mesh by its extension; use .obj, .stl or .ply")),
+        _ => return Err(Error::input(path, "unsupported mesh format; export it as .obj or .ply")),
     };
     parse(path, &read_bytes(path, MAX_NUMBERS, ADVICE)?)
 }
@@ -50,11 +46,6 @@ mod tests {
         let files = [
             ("a.OBJ", "v 0 0 0\nv 1 0 0\nv 0 .1 0\nf 1 2 3\n"),
             (
-                "a.stl",
-                "solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 .1 0\nendloop\nendfacet\n\
-                 endsolid\n",
-            ),
-            (
                 "a.ply",
                 "ply\nformat ascii 1.0\nelement vertex 3\nproperty double x\nproperty double y\nproperty double z\n\
                  element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 .1 0\n3 0 1 2\n",
@@ -66,7 +57,7 @@ mod tests {
             assert_eq!(read_mesh(&path).unwrap(), triangle, "{name}");
         }
         let message = |name: &str| read_mesh(Path::new(name)).unwrap_err().to_string();
-        assert_eq!(message("a.step"), "a.step: is no mesh by its extension; use .obj, .stl or .ply");
+        assert_eq!(message("a.step"), "a.step: unsupported mesh format; export it as .obj or .ply");
         assert_eq!(message("no/a.obj"), "cannot read no/a.obj: no such file; check the path of the mesh");
     }
 
@@ -75,15 +66,15 @@ mod tests {
         #[test]
         fn noise_never_panics(
             noise in prop::collection::vec(any::<u8>(), 0..300),
-            words in "(v |f |-?[0-9]{1,20} |[0-9]/|solid |facet |normal |vertex |nan |\\.|\n){0,60}",
-            header in 0..3usize,
+            words in "(v |f |-?[0-9]{1,20} |[0-9]/|nan |\\.|\n){0,60}",
+            header in 0..2usize,
         ) {
             let ply = "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty char x\nproperty char y\n\
                        property char z\nelement face 9\nproperty list char char vertex_indices\nend_header\n";
-            let head = ["", ply, "solid\n"][header];
+            let head = ["", ply][header];
             for body in [&noise[..], words.as_bytes()] {
                 let bytes = [head.as_bytes(), body].concat();
-                for parse in [obj::parse, stl::parse, ply::parse_mesh] {
+                for parse in [obj::parse, ply::parse_mesh] {
                     if let Ok((vertices, triangles)) = parse(Path::new("a"), &bytes) {
                         prop_assert!(triangles.iter().flatten().all(|&v| (v as usize) < vertices.len()));
                     }

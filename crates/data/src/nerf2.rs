@@ -57,10 +57,8 @@ const LAYOUT: &str = "a NeRF2 folder holds gateway_info.yml, tx_pos.csv and spec
 #[serde(default, deny_unknown_fields)]
 pub struct Nerf2Spectrum {
     /// The folder, relative to the pipeline file.
-    #[serde(with = "pwrfgs_core::paths")]
     pub root: PathBuf,
     /// Point cloud of the room (PLY, XYZ or CSV, metres, world frame), relative to the pipeline file.
-    #[serde(with = "pwrfgs_core::paths::optional")]
     pub points: Option<PathBuf>,
     /// Which receiver, where `gateway_info.yml` has more than `gateway1`; a file with several is refused unless one is
     /// named. Keys that hold no `position` and are not called gateway are left alone.

@@ -1,4 +1,4 @@
-//! Triangle meshes: read from OBJ, STL or PLY, checked, and put in their place.
+//! Triangle meshes: read from OBJ or PLY, checked, and put in their place.
 
 #[cfg(test)]
 mod tests;
@@ -26,7 +26,7 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// Reads a mesh, by the extension `.obj`, `.stl` (ascii or binary) or `.ply`; it is welded and checked.
+/// Reads a mesh, by the extension `.obj` or `.ply`; it is welded and checked.
 ///
 /// # Errors
 /// Those of [`pwrfgs_data::read_mesh`] and of [`Mesh::check`].
@@ -83,7 +83,7 @@ impl Mesh {
         }
     }
 
-    /// Merges vertices that are equal, as the three of each triangle of an STL file are, and drops those that no
+    /// Merges vertices that are equal, as many programs write one per triangle and corner, and drops those that no
     /// triangle names. Vertices come in the order in which the triangles name them; indices out of range are kept.
     pub fn welded(self) -> Self {
         let mut merged = HashMap::new();

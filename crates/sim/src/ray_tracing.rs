@@ -34,7 +34,6 @@ const SAME_FREQUENCY: f64 = 1e-7;
 pub struct RayTracing {
     /// A scene file, relative to the pipeline file; `None` for the scene of the data, which must be `Simulated` or a folder
     /// that `pwrfgs simulate` wrote. A scene with meshes has to be named for such a folder, which does not hold them.
-    #[serde(with = "pwrfgs_core::paths::optional")]
     pub scene: Option<PathBuf>,
     /// Whether the scene's receiver errors are drawn, anew.
     pub noise: bool,

@@ -37,7 +37,6 @@ use std::path::{Path, PathBuf};
 #[serde(default, deny_unknown_fields)]
 pub struct Simulated {
     /// The scene file, relative to the pipeline file.
-    #[serde(with = "pwrfgs_core::paths")]
     pub scene: PathBuf,
     /// Transmitters; with one receiver, spectra.
     pub samples: usize,

@@ -124,9 +124,9 @@ fn meshes_that_nobody_can_trace_are_named() {
     let many = "f 1 2 3\n".repeat(300_001);
     fs::write(folder.path().join("many.obj"), format!("{vertices}v 1 2 1\n{many}")).unwrap();
     assert!(mesh("many.obj").contains("has 300001 triangles; simplify it"));
-    let huge = fs::File::create(folder.path().join("huge.stl")).unwrap();
+    let huge = fs::File::create(folder.path().join("huge.obj")).unwrap();
     huge.set_len(300 << 20).unwrap();
-    assert!(mesh("huge.stl").contains("has 300 MB, and at most 128 can be read"));
+    assert!(mesh("huge.obj").contains("has 300 MB, and at most 128 can be read"));
     assert!(mesh(".").contains("is no file"));
     let made = std::process::Command::new("mkfifo").arg(folder.path().join("pipe.obj")).status();
     if made.is_ok_and(|status| status.success()) {

@@ -48,7 +48,6 @@ const SHAPE: &str =
 #[serde(default, deny_unknown_fields)]
 pub struct Nerf2Csi {
     /// The folder, relative to the pipeline file.
-    #[serde(with = "pwrfgs_core::paths")]
     pub root: PathBuf,
     /// Frequency in the middle of all subcarriers, between uplink and downlink, Hz.
     pub carrier_hz: f64,

@@ -43,10 +43,8 @@ const LAYOUT: &str = "a NeRF2 folder of powers holds gateway_position.yml, gatew
 #[serde(default, deny_unknown_fields)]
 pub struct Nerf2Rssi {
     /// The folder, relative to the pipeline file.
-    #[serde(with = "pwrfgs_core::paths")]
     pub root: PathBuf,
     /// Point cloud of the rooms (PLY, XYZ or CSV, metres, world frame), relative to the pipeline file.
-    #[serde(with = "pwrfgs_core::paths::optional")]
     pub points: Option<PathBuf>,
 }
 

@@ -40,17 +40,19 @@ fn area(mesh: &Mesh) -> f64 {
     mesh.soup().iter().map(|[a, b, c]| (b - a).cross(c - a).length() / 2.0).sum()
 }
 
-/// Every triangle by itself.
-fn ascii_stl(mesh: &Mesh) -> String {
-    let vertices = |t: &[DVec3; 3]| t.map(|v| format!("vertex {} {} {}\n", v.x, v.y, v.z)).concat();
-    let facet = |t: &[DVec3; 3]| format!("facet normal 0 0 0\nouter loop\n{}endloop\nendfacet\n", vertices(t));
-    format!("solid cube\n{}endsolid cube\n", mesh.soup().iter().map(facet).collect::<String>())
+/// An OBJ file in which every triangle has vertices of its own.
+fn separate_triangles(mesh: &Mesh) -> String {
+    let facet = |(k, t): (usize, &[DVec3; 3])| {
+        let vertices = t.map(|v| format!("v {} {} {}\n", v.x, v.y, v.z)).concat();
+        format!("{vertices}f {} {} {}\n", 3 * k + 1, 3 * k + 2, 3 * k + 3)
+    };
+    mesh.soup().iter().enumerate().map(facet).collect()
 }
 
 #[test]
 fn a_cube_is_closed_in_every_format_and_has_its_volume() {
     let cube = cube();
-    let stl = read_text("cube.stl", ascii_stl(&cube).as_bytes()).unwrap();
+    let separate = read_text("separate.obj", separate_triangles(&cube).as_bytes()).unwrap();
     let mut ply = "ply\nformat ascii 1.0\nelement vertex 8\nproperty float x\nproperty float y\nproperty float z\n\
         element face 6\nproperty list uchar int vertex_indices\nend_header\n"
         .to_owned();
@@ -63,7 +65,7 @@ fn a_cube_is_closed_in_every_format_and_has_its_volume() {
     };
     ply.extend(CUBE.lines().map(row));
     let ply = read_text("cube.ply", ply.as_bytes()).unwrap();
-    for mesh in [&cube, &stl, &ply] {
+    for mesh in [&cube, &separate, &ply] {
         assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (8, 12));
         assert_eq!((mesh.boundary_edges(), mesh.crowded_edges()), (0, 0));
         assert!(mesh.is_closed());
@@ -71,7 +73,7 @@ fn a_cube_is_closed_in_every_format_and_has_its_volume() {
         assert!((volume(mesh) - 1.0).abs() < 1e-15);
         assert_eq!(mesh.soup(), cube.soup());
     }
-    assert_eq!(stl, cube, "welding numbers the vertices by first use, whatever the file");
+    assert_eq!(separate, cube, "welding numbers the vertices by first use, whatever the file");
 }
 
 #[test]

@@ -68,8 +68,7 @@ pub enum Object {
     Mesh {
         /// What it is called.
         name: String,
-        /// OBJ, STL or PLY; relative to the scene file.
-        #[serde(with = "pwrfgs_core::paths")]
+        /// OBJ or PLY; relative to the scene file.
         file: PathBuf,
         /// Metres a unit of the file; default 1.
         #[serde(default = "one")]
@@ -133,7 +132,7 @@ impl Object {
             Self::Opening { from, to, heights, .. } => check_upright("opening", from, to, heights),
             Self::Mesh { file, scale, yaw_deg, shift, .. } => {
                 if file.as_os_str().is_empty() {
-                    return Err("`file` is empty; name an OBJ, STL or PLY file".into());
+                    return Err("`file` is empty; name an OBJ or PLY file".into());
                 }
                 let finite = yaw_deg.is_finite() && shift.iter().all(|v| v.is_finite());
                 if finite && (1e-9..=1e9).contains(scale) {
