@@ -20,6 +20,10 @@ use std::process::ExitCode;
 /// Reads the command line and does what it says; prints one message on failure.
 pub fn main() -> ExitCode {
     memory::keep();
+    if let Err(error) = check_utf8() {
+        output::error(&error);
+        return ExitCode::from(2);
+    }
     interrupt::survive_file_limit();
     let arguments = Arguments::parse();
     output::start_logging(arguments.verbosity());
@@ -49,6 +53,16 @@ pub fn main() -> ExitCode {
     done.unwrap_or_else(|error| {
         output::error(&error);
         ExitCode::from(if error.is_input() { 2 } else { 1 })
+    })
+}
+
+/// Refuses arguments and a current directory that are not UTF-8: pipelines and run folders store paths as text.
+fn check_utf8() -> pwrfgs_core::Result<()> {
+    let here = std::env::current_dir().unwrap_or_default().into_os_string();
+    let mut all = std::env::args_os().skip(1).chain([here]);
+    all.find(|text| text.to_str().is_none()).map_or(Ok(()), |text| {
+        let text = text.to_string_lossy().into_owned();
+        Err(pwrfgs_core::Error::Config(format!("{text}: not UTF-8; rename the file or folder")))
     })
 }
 

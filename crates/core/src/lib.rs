@@ -33,7 +33,6 @@ mod metric;
 pub mod neighbours;
 pub mod origin;
 mod partition;
-pub mod paths;
 pub mod plugin;
 mod pose;
 mod projector;

@@ -21,7 +21,6 @@ use std::path::{Path, PathBuf};
 #[serde(default, deny_unknown_fields)]
 pub struct Trained {
     /// The `model.safetensors` of a finished run, relative to the pipeline.
-    #[serde(with = "pwrfgs_core::paths")]
     pub model: PathBuf,
 }
 

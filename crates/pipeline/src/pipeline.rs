@@ -182,7 +182,7 @@ impl Pipeline {
     }
 
     fn text(&self) -> Result<String, String> {
-        let why = "this pipeline cannot be written (paths of plugins need `serde(with = \"pwrfgs_core::paths\")`)";
+        let why = "this pipeline cannot be written as text";
         try_to_ron(self).map_err(|e| format!("{why}: {e}"))
     }
 

@@ -104,7 +104,7 @@ fn pipeline(survey: &Survey, folder: &Path, out: &Path) -> Result<Pipeline> {
         if beside { folder.to_owned() } else { std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned()) };
     let path = |path: &Path| {
         let text = path.to_str().map(|text| format!("{text:?}"));
-        text.ok_or_else(|| Error::input(path, "has a name that is not UTF-8 and cannot stand in a pipeline; rename it"))
+        text.ok_or_else(|| Error::input(path, "not UTF-8; rename the folder"))
     };
     let (source, settings) = survey.source;
     let mut set = vec![

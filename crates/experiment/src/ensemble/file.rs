@@ -57,7 +57,6 @@ pub enum MemberFile {
 #[serde(deny_unknown_fields)]
 pub struct Member {
     /// The pipeline file, relative to that of the ensemble.
-    #[serde(deserialize_with = "pwrfgs_core::paths::deserialize")]
     pub base: PathBuf,
     /// What it is called; left out, as its pipeline is.
     #[serde(default)]

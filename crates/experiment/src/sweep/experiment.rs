@@ -37,7 +37,6 @@ pub struct Experiment {
     /// Names the sweep folder: letters, digits, `.`, `-` and `_`.
     pub name: String,
     /// The pipeline that all runs start from, relative to the experiment file.
-    #[serde(deserialize_with = "pwrfgs_core::paths::deserialize")]
     pub base: PathBuf,
     /// Every combination is run with each of these.
     #[serde(default = "zero")]
