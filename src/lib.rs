@@ -60,22 +60,6 @@ pub fn run(
     experiment::run(pipeline, base, out, &mut experiment::Session { observer, stop, page: PAGE })
 }
 
-/// [`experiment::ensemble::run_team`] with the report that this build has.
-///
-/// # Errors
-/// As there.
-pub fn run_team(
-    team: &experiment::ensemble::Team,
-    out: &Path,
-    jobs: usize,
-    board: &dyn experiment::sweep::Board,
-    observer: &mut dyn Observer,
-    stop: &AtomicBool,
-) -> Result<experiment::Outcome> {
-    let session = &mut experiment::Session { observer, stop, page: PAGE };
-    experiment::ensemble::run_team(team, out, jobs, board, session)
-}
-
 /// What a plugin or a small program needs.
 pub mod prelude {
     pub use pwrfgs_core::tape::{Trace, TraceScalar, Traced};

@@ -1,16 +1,10 @@
 //! Every shipped pipeline parses, survives its own text, and trains some steps on a small teacher.
-use pwrfgs::experiment::Recipe;
-use pwrfgs::experiment::sweep::{Board, Fate, Plan};
+use pwrfgs::experiment::Session;
+use pwrfgs::experiment::sweep::{Board, Fate, JOINED, Plan, execute};
 use pwrfgs::prelude::*;
 use pwrfgs::train::Rays;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
-
-/// The pipelines, or the ensembles.
-fn shipped(ensembles: bool) -> Vec<PathBuf> {
-    let is_ensemble = |path: &PathBuf| matches!(Recipe::read(path, &[]), Ok(Recipe::Ensemble(_)));
-    files("pipelines").into_iter().filter(|path| is_ensemble(path) == ensembles).collect()
-}
 
 /// The RON files of a folder of the project.
 fn files(folder: &str) -> Vec<PathBuf> {
@@ -28,7 +22,7 @@ fn read(path: &Path) -> Pipeline {
 #[test]
 fn the_shipped_pipelines_are_there() {
     let names: Vec<String> =
-        shipped(false).iter().map(|p| p.file_stem().unwrap().to_string_lossy().into_owned()).collect();
+        files("pipelines").iter().map(|p| p.file_stem().unwrap().to_string_lossy().into_owned()).collect();
     for name in ["office-init", "pwrfgs", "quickstart", "s23-array", "s23-laptop", "wrfgs"] {
         assert!(names.iter().any(|n| n == name), "{name} is not among {names:?}");
     }
@@ -36,7 +30,7 @@ fn the_shipped_pipelines_are_there() {
 
 #[test]
 fn every_pipeline_survives_its_own_text() {
-    for path in shipped(false) {
+    for path in files("pipelines") {
         let text = read(&path).to_ron();
         let again = Pipeline::parse(&text, &path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
         assert_eq!(again.to_ron(), text, "{}", path.display());
@@ -85,7 +79,7 @@ fn shrink(pipeline: &mut Pipeline) {
 
 #[test]
 fn every_pipeline_runs_some_steps() {
-    for path in shipped(false) {
+    for path in files("pipelines") {
         let mut pipeline = read(&path);
         let count = if pipeline.deformation.traits().varies_geometry { 30 } else { 60 };
         let folder = tempfile::tempdir().unwrap();
@@ -113,7 +107,7 @@ fn every_pipeline_runs_some_steps() {
     }
 }
 
-/// Nobody listens to the members.
+/// Board that observes no run.
 struct Quiet;
 
 impl Board for Quiet {
@@ -127,28 +121,33 @@ impl Board for Quiet {
 }
 
 #[test]
-fn every_ensemble_trains_its_members_and_scores_their_mean() {
-    let ensembles = shipped(true);
-    assert!(!ensembles.is_empty());
-    for path in ensembles {
-        let small = [
-            "data=Teacher(gaussians: 4, samples: 30, width: 72, height: 18)",
-            "split=Random()",
-            "baselines=[MeanSpectrum()]",
-            "training=(steps: 6, densify_until: 0, prune_until: 4, prune_every: 2, batch: 4)",
-        ];
-        let Recipe::Ensemble(team) = Recipe::read(&path, &small.map(str::to_owned)).unwrap_or_else(|e| panic!("{e}"))
-        else {
-            panic!("{} is an ensemble", path.display())
-        };
+fn every_joined_sweep_scores_the_mean_of_its_models() {
+    let set = [
+        "data=Teacher(gaussians: 4, samples: 30, width: 72, height: 18)",
+        "split=Random()",
+        "baselines=[MeanSpectrum()]",
+    ];
+    let mut joined = 0;
+    for path in files("experiments") {
         let folder = tempfile::tempdir().unwrap();
-        let (out, stop) = (folder.path().join("run"), AtomicBool::new(false));
-        let outcome = pwrfgs::run_team(&team, &out, 2, &Quiet, &mut Silent, &stop);
-        outcome.unwrap_or_else(|e| panic!("{}: {e}", path.display()));
-        let ensemble = pwrfgs::model::file::read_ensemble(&out.join("model.safetensors")).unwrap();
-        assert_eq!(ensemble.members().len(), team.members().len());
-        assert!(std::fs::read_to_string(out.join("scores.csv")).unwrap().contains("mean spectrum"));
+        let mut plan =
+            Plan::read(&path, &set.map(str::to_owned), Some(folder.path())).unwrap_or_else(|e| panic!("{e}"));
+        if plan.joined.is_none() {
+            continue;
+        }
+        joined += 1;
+        for run in &mut plan.runs {
+            let short = "training=(steps: 6, densify_until: 0, prune_until: 4, prune_every: 2, batch: 4)";
+            run.pipeline.set(short).unwrap();
+        }
+        let runs: Vec<usize> = (0..plan.runs.len()).collect();
+        execute(&plan, &runs, 2, &Quiet, &mut Session::new(&mut Silent)).unwrap_or_else(|e| panic!("{e}"));
+        let model = pwrfgs::model::file::read_ensemble(&folder.path().join(JOINED).join("model.safetensors")).unwrap();
+        assert_eq!(model.names(), ["blended-0", "blended-1", "waves-0", "waves-1"]);
+        let scores = std::fs::read_to_string(folder.path().join(JOINED).join("scores.csv")).unwrap();
+        assert!(scores.contains("mean spectrum") && scores.contains("member waves-1"));
     }
+    assert!(joined > 0);
 }
 
 #[test]
@@ -166,7 +165,7 @@ fn every_experiment_resolves_and_its_variants_train() {
         let plan = Plan::read(&path, &small.map(str::to_owned), None).unwrap_or_else(|e| panic!("{e}"));
         assert_eq!(plan.runs.len(), whole.runs.len());
         let combinations = plan.runs.last().unwrap().combination + 1;
-        assert!(plan.runs.len() >= 3 * combinations, "three seeds or more");
+        assert!(plan.joined.is_some() || plan.runs.len() >= 3 * combinations, "three seeds or more");
         // One run a combination for some steps; two of the experiments ask for other schedules than twelve steps have.
         for run in plan.runs.iter().filter(|r| r.pipeline.seed == 0) {
             if run.folder.contains("target=") && !run.folder.contains("target=24,") {

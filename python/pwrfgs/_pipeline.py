@@ -17,7 +17,7 @@ def is_text(source: Any) -> bool:
     """Whether a user gave RON, and not the path of a file or of a folder."""
     if not isinstance(source, str) or (len(source) < 4096 and os.path.exists(source)):
         return False
-    return re.match(r"(?:Pipeline|Ensemble)?\s*\(", without_comments(source)) is not None
+    return re.match(r"(?:Pipeline)?\s*\(", without_comments(source)) is not None
 
 
 def without_comments(text: str) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 
 from . import _pwrfgs, _strategies
 from ._errors import InputError
-from ._pipeline import Pipeline, is_text, without_comments
+from ._pipeline import Pipeline, is_text
 from ._types import Array, Cloud, Stats
 from ._values import KINDS, from_ron, plugin_text, to_ron
 
@@ -92,7 +92,7 @@ class Run:
 
     @property
     def pipeline(self) -> Pipeline:
-        """What was run. An ensemble has one for each of its members: ``Run(folder_of_the_member).pipeline``."""
+        """What was run. Of a joined model, what it is scored by: its runs have their own."""
         return Pipeline(self._file("pipeline.ron"))
 
     @property
@@ -183,14 +183,6 @@ def _arguments(values: Optional[Mapping[str, Any]]) -> List[str]:
     return [f"{path}={value if isinstance(value, str) else to_ron(value)}" for path, value in (values or {}).items()]
 
 
-def _is_ensemble(path: str) -> bool:
-    try:
-        with open(path, encoding="utf-8") as file:
-            return without_comments(file.read()).startswith("Ensemble")
-    except (OSError, UnicodeDecodeError):
-        return False
-
-
 def run(
     pipeline: Any,
     set: Optional[Mapping[str, Any]] = None,
@@ -209,7 +201,7 @@ def run(
     Parameters
     ----------
     pipeline
-        A ``Pipeline``, the path of a file (a pipeline or an ensemble), or a run folder, whose run goes on.
+        A ``Pipeline``, the path of a pipeline file, or a run folder, whose run goes on.
     set
         Settings by path, as ``--set`` has them: ``{"training.steps": 2000, "split": "Voxel()"}``.
     out
@@ -236,15 +228,6 @@ def run(
         if os.path.isdir(path):
             out = path if out is None else out
             path = os.path.join(path, "pipeline.ron")
-        if _is_ensemble(path):
-            if pruners or initializer is not None or split is not None or baselines or metrics:
-                raise InputError(f"{path} is an ensemble, whose strategies are those of its pipeline; change them there")
-            bar = _Progress(progress)
-            try:
-                made, _ = _pwrfgs.run_file(path, _arguments(set), out, _listener(bar, callback))
-            finally:
-                bar.close()
-            return Run(made)
         chosen = Pipeline(path)
     else:
         chosen = Pipeline(pipeline)
@@ -396,7 +379,8 @@ class SweepError(InputError):
 def sweep(
     experiment: PathLike, set: Optional[Mapping[str, Any]] = None, out: Optional[PathLike] = None, jobs: int = 1
 ) -> List[Run]:
-    """Does every run of an experiment file that is left to do, and its report; gives the runs in their order.
+    """Does every run of an experiment file that is left to do, and its report; gives the runs in their order, and after them,
+    if the file says ``join: true``, the joined model.
 
     The same call goes on after Ctrl-C. Raises ``SweepError`` when runs failed, after all others are done.
     """

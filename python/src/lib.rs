@@ -35,7 +35,7 @@ mod _pwrfgs {
     #[pymodule_export]
     use super::model::Model;
     #[pymodule_export]
-    use super::run::{facts, run, run_file};
+    use super::run::{facts, run};
     #[pymodule_export]
     use super::scores::{chamfer, measure, predict_baseline, repeatability};
     #[pymodule_export]

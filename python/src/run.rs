@@ -2,12 +2,12 @@
 
 use crate::border::{raised, waited};
 use crate::settings::Pipeline;
-use pwrfgs::experiment::{Observer, Outcome, Recipe, ScoreTable, Start, Validation};
+use pwrfgs::experiment::{Observer, Outcome, ScoreTable, Start, Validation};
 use pwrfgs::prelude::{Silent, StepReport};
 use pwrfgs_core::{Error, Result};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::mpsc::SyncSender;
 
 /// What happens in a run.
@@ -104,42 +104,13 @@ pub(crate) fn run(py: Python<'_>, pipeline: &Pipeline, out: PathBuf, hear: &Boun
     let base = pipeline.base().to_owned();
     let hear = |event| hear.call1((told(py, event)?,)).map(|_| ());
     let outcome = waited(py, |events, stop| pwrfgs::run(&inner, &base, &out, &mut Teller(events), stop), hear)?;
-    settled(py, &outcome)
-}
-
-/// Runs a file, which may be an ensemble, with arguments of `--set`.
-#[pyfunction]
-pub(crate) fn run_file(
-    py: Python<'_>,
-    path: PathBuf,
-    arguments: Vec<String>,
-    out: Option<PathBuf>,
-    hear: &Bound<'_, PyAny>,
-) -> PyResult<(PathBuf, bool)> {
-    let recipe = Recipe::read(&path, &arguments).map_err(|error| raised(py, error))?;
-    let out = out.unwrap_or_else(|| Path::new("runs").join(&recipe.pipeline().name));
-    let hear = |event| hear.call1((told(py, event)?,)).map(|_| ());
-    let outcome = match &recipe {
-        Recipe::Pipeline(pipeline) => {
-            waited(py, |events, stop| pwrfgs::run(pipeline, Path::new(""), &out, &mut Teller(events), stop), hear)?
-        }
-        Recipe::Ensemble(team) => {
-            let jobs = rayon::current_num_threads();
-            let work = |events, stop: &_| pwrfgs::run_team(team, &out, jobs, &Nobody, &mut Teller(events), stop);
-            waited(py, work, hear)?
-        }
-    };
-    Ok((out, settled(py, &outcome)?))
-}
-
-fn settled(py: Python<'_>, outcome: &Outcome) -> PyResult<bool> {
     match outcome {
         Outcome::Finished { already, .. } => Ok(!already),
         Outcome::Interrupted { .. } | Outcome::Unscored => Err(raised(py, Error::Stopped)),
     }
 }
 
-/// Runs of a sweep or an ensemble that nobody watches one by one.
+/// Runs of a sweep that nobody watches one by one.
 pub(crate) struct Nobody;
 
 impl pwrfgs::experiment::sweep::Board for Nobody {

@@ -2,8 +2,8 @@
 
 use crate::border::{raised, waited, wrong};
 use crate::run::Nobody;
-use pwrfgs::experiment::Session;
-use pwrfgs::experiment::sweep::{Fate, Plan, check, execute};
+use pwrfgs::experiment::sweep::{Fate, JOINED, Plan, SweepEnd, check, execute};
+use pwrfgs::experiment::{Outcome, Session};
 use pwrfgs::prelude::Silent;
 use pwrfgs::report::{Options, Study, write};
 use pwrfgs::sim::output::{self as folder, Layout};
@@ -55,7 +55,7 @@ pub(crate) fn simulate(
     waited(py, work, |(done, total)| hear.call1((done, total)).map(|_| ()))
 }
 
-/// Of every run its folder, and why it failed, if it did.
+/// Of every run, and last of the joined model, its folder, and why it failed, if it did.
 type Ends = Vec<(PathBuf, Option<String>)>;
 
 /// See `pwrfgs.sweep`: the sweep folder, and of every run its folder and why it failed, if it did.
@@ -71,25 +71,29 @@ pub(crate) fn sweep(
     let runs: Vec<usize> = (0..plan.runs.len()).collect();
     let work = |_: std::sync::mpsc::SyncSender<()>, stop: &std::sync::atomic::AtomicBool| {
         check(&plan, &runs, &mut Silent)?;
-        let ends = execute(&plan, &runs, jobs, &Nobody, &Session { observer: &mut Silent, stop, page: pwrfgs::PAGE })?;
+        let mut session = Session { observer: &mut Silent, stop, page: pwrfgs::PAGE };
+        let SweepEnd { runs: ends, joined } = execute(&plan, &runs, jobs, &Nobody, &mut session)?;
         let whole = ends.len() == runs.len() && ends.iter().all(|(_, fate)| matches!(fate, Fate::Finished { .. }));
         if whole {
             let _held = plan.claim()?;
             let study = Study::read(std::slice::from_ref(&plan.folder))?;
             write(&study, &Options::default(), &plan.folder.join("report"), &mut Silent)?;
         }
-        Ok(ends)
+        Ok((ends, joined))
     };
-    let mut ends = waited(py, work, |()| Ok(()))?;
-    ends.sort_by_key(|(run, _)| *run);
+    let (ends, joined) = waited(py, work, |()| Ok(()))?;
     let failed = |fate: &Fate| match fate {
         Fate::Failed(error) => Some(error.to_string()),
         Fate::Finished { .. } => None,
         Fate::Busy => Some("another process is at work in its folder".into()),
         Fate::Interrupted { .. } | Fate::Unscored => Some("stopped; the same call goes on".into()),
     };
-    let ends = ends.iter().map(|(run, fate)| (plan.folder_of(*run), failed(fate))).collect();
-    Ok((plan.folder.clone(), ends))
+    let runs = ends.iter().map(|(run, fate)| (plan.folder_of(*run), failed(fate)));
+    let joined = joined.map(|outcome| {
+        let finished = matches!(outcome, Outcome::Finished { .. });
+        (plan.folder.join(JOINED), (!finished).then(|| "stopped; the same call goes on".to_owned()))
+    });
+    Ok((plan.folder.clone(), runs.chain(joined).collect()))
 }
 
 /// See `pwrfgs.report`: the tables as text.

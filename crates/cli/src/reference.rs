@@ -13,8 +13,6 @@ use std::path::Path;
 
 /// Not a field: the file itself.
 const EXPERIMENT: &str = "experiment";
-/// The other.
-const ENSEMBLE: &str = "ensemble";
 
 /// Some topics under a heading.
 pub(crate) struct Chapter {
@@ -104,7 +102,6 @@ pub(crate) fn chapters() -> Vec<Chapter> {
     };
     let mut all = vec![whole, settings];
     all.extend(plugins);
-    all.push(ensemble());
     all.push(experiment());
     all
 }
@@ -146,17 +143,6 @@ fn experiment() -> Chapter {
     Chapter { name: "Experiment".into(), field: None, about, topics }
 }
 
-/// The file of an ensemble.
-fn ensemble() -> Chapter {
-    use pwrfgs::experiment::ensemble::{EnsembleFile, Member};
-    let mut topics = Vec::new();
-    for docs in [EnsembleFile::kind(), Member::kind()].iter().filter_map(Kind::docs) {
-        collect(docs, ENSEMBLE, None, &mut topics);
-    }
-    let about = "Several models that predict together, as `pwrfgs run` reads them.".into();
-    Chapter { name: "Ensemble".into(), field: None, about, topics }
-}
-
 /// A type that `field` leads to, and all types that it leads to, each once.
 fn collect(docs: &'static Docs, field: &'static str, value: Option<&Value>, topics: &mut Vec<Topic>) {
     if let Some(known) = topics.iter_mut().find(|t| t.docs.is_some_and(|d| std::ptr::eq(d, docs))) {
@@ -167,7 +153,7 @@ fn collect(docs: &'static Docs, field: &'static str, value: Option<&Value>, topi
     }
     topics.push(Topic {
         name: docs.name.into(),
-        fields: if [EXPERIMENT, ENSEMBLE].contains(&field) { Vec::new() } else { vec![field] },
+        fields: if field == EXPERIMENT { Vec::new() } else { vec![field] },
         docs: Some(docs),
         value: value.cloned().ok_or_else(|| "it has no defaults".into()),
     });

@@ -88,20 +88,20 @@ fn a_model_in_sixteen_bits_is_half_as_large_and_predicts_nearly_the_same() {
     refuse(here, &["export", "r/model.safetensors", "--half", "half.safetensors"], 2, &["half.safetensors exists"]);
 }
 
-/// Two kinds of member with two seeds, on a split that follows the seed.
-fn write_ensemble(here: &Path) {
-    write(&here.join("p.ron"), SMALL.replace("Official(validation: 0.2)", "Random(test: 0.3, validation: 0.2)"));
-    let ensemble = "// Four models.
-        Ensemble(
-            name: \"both\",
-            seeds: [0, 1],
-            set: (training: (scale: 0.5)),
-            members: [
-                Member(base: \"p.ron\"),
-                Member(base: \"p.ron\", label: \"wide\", set: (deformation: Mlp(depth: 2, width: 24, skip: None))),
-            ],
-        )";
-    write(&here.join("e.ron"), ensemble);
+/// Two kinds of model with two seeds, on a split that follows the seed.
+fn write_joined(here: &Path) {
+    let base = SMALL.replace("Official(validation: 0.2)", "Random(test: 0.3, validation: 0.2)");
+    write(&here.join("wide.ron"), base.replace("width: 16", "width: 24"));
+    write(&here.join("p.ron"), base);
+    write(&here.join("e.ron"), experiment("base: \"wide.ron\"", "seeds: [0, 1],"));
+}
+
+/// A joined sweep of `p.ron` as it is and with a change.
+fn experiment(change: &str, more: &str) -> String {
+    format!(
+        "Experiment(name: \"both\", join: true, base: \"p.ron\", {more} set: (training: (scale: 0.5)),
+        axes: [Axis(name: \"net\", variants: [(label: \"small\"), (label: \"wide\", {change})])])"
+    )
 }
 
 /// `scores.csv` without what a clock measured.
@@ -111,62 +111,75 @@ fn scores(folder: &Path) -> String {
 }
 
 #[test]
-fn an_ensemble_is_trained_scored_and_saved_as_one() {
+fn a_joined_sweep_is_scored_and_saved_as_one_model() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    write_ensemble(here);
-    let table = stdout(&succeed(here, &["run", "e.ron", "-q"]));
+    write_joined(here);
+    let table = stdout(&succeed(here, &["sweep", "e.ron", "-q"]));
     let names = ["small-0", "small-1", "wide-0", "wide-1"];
     assert!(names.iter().all(|name| table.contains(&format!("member {name}"))), "{table}");
-    assert!(table.contains("5-NN"), "baselines stand beside the ensemble: {table}");
+    assert!(table.contains("5-NN"), "baselines stand beside the joined model: {table}");
 
-    let own = here.join("runs/both");
-    let members = names.map(|name| format!("runs/both/members/{name}/model.safetensors"));
+    let own = here.join("runs/both/joined");
+    let runs = ["net=small,seed=0", "net=small,seed=1", "net=wide,seed=0", "net=wide,seed=1"];
+    let models = runs.map(|run| format!("runs/both/{run}/model.safetensors"));
     let predict = |which: &[&str], out: &str| {
         succeed(here, &[&["predict", "--tx", "0.3,0.1,0.9", "--out", out][..], which].concat());
         (npy(&here.join(out).join("00001.npy")), npy(&here.join(out).join("00001-spread.npy")))
     };
-    let together = predict(&["runs/both/model.safetensors"], "one");
-    assert_eq!(together, predict(&members.each_ref().map(String::as_str), "four"), "one file, the same bits");
+    let together = predict(&["runs/both/joined/model.safetensors"], "one");
+    assert_eq!(together, predict(&models.each_ref().map(String::as_str), "four"), "one file, the same bits");
 
-    // Members that differ in their seed are tested on the same transmitters.
+    // Runs that differ in their seed are tested on the same transmitters.
     let tested = |path: &str| {
         let text = std::fs::read_to_string(here.join(path)).unwrap();
         text.lines().filter(|line| line.contains(",test,")).map(str::to_owned).collect::<Vec<_>>()
     };
-    assert_eq!(tested("runs/both/samples.csv"), tested("runs/both/members/wide-1/samples.csv"));
+    assert_eq!(tested("runs/both/joined/samples.csv"), tested("runs/both/net=wide,seed=1/samples.csv"));
 
     let confidence = std::fs::read_to_string(own.join("confidence.csv")).unwrap();
-    assert_eq!(confidence.lines().count(), 1 + tested("runs/both/samples.csv").len());
+    assert_eq!(confidence.lines().count(), 1 + tested("runs/both/joined/samples.csv").len());
     let page = std::fs::read_to_string(own.join("report.html")).unwrap();
-    assert!(page.contains("members/wide-1/report.html") && page.contains("Does a large spread mean a large error?"));
+    let link = "../net=wide,seed=1/report.html";
+    assert!(
+        page.contains(link) && own.join(link).is_file() && page.contains("Does a large spread mean a large error?")
+    );
 
     // What is lost is made again, to the same bytes.
     let (model, before) = (std::fs::read(own.join("model.safetensors")).unwrap(), scores(&own));
     std::fs::remove_file(own.join("model.safetensors")).unwrap();
-    std::fs::remove_dir_all(own.join("members/wide-0")).unwrap();
-    succeed(here, &["run", "runs/both", "-q"]);
+    std::fs::remove_dir_all(here.join("runs/both").join(runs[2])).unwrap();
+    succeed(here, &["sweep", "e.ron", "-q"]);
     std::fs::remove_file(own.join("confidence.csv")).unwrap();
-    succeed(here, &["run", "runs/both", "-q"]);
+    succeed(here, &["sweep", "e.ron", "-q"]);
     assert_eq!((std::fs::read(own.join("model.safetensors")).unwrap(), scores(&own)), (model, before));
-    assert!(stdout(&succeed(here, &["run", "e.ron"])).contains("ssim"), "nothing is left to do");
+    let written = || own.join("scores.csv").metadata().unwrap().modified().unwrap();
+    let before = written();
+    assert!(stdout(&succeed(here, &["sweep", "e.ron"])).contains("member wide-0"));
+    assert_eq!(written(), before, "nothing is left to do");
 
-    assert!(stdout(&succeed(here, &["evaluate", "runs/both/model.safetensors"])).contains("member wide-0"));
-    let study = stdout(&succeed(here, &["report", "runs/both", "runs/both/members", "--out", "compared"]));
+    assert!(stdout(&succeed(here, &["evaluate", "runs/both/joined/model.safetensors"])).contains("member wide-0"));
+    let study = stdout(&succeed(here, &["report", "runs/both", "--out", "compared"]));
     assert!(study.contains("5-NN (floor)") && !study.contains("small-0 (floor)"), "members are no floors: {study}");
-    assert!(stdout(&succeed(here, &["check", "e.ron"])).contains("4 members"));
+    assert!(study.contains("joined") && study.contains("net wide"), "{study}");
+
+    // One more seed changes the joined model.
+    write(&here.join("e.ron"), experiment("base: \"wide.ron\"", "seeds: [0, 1, 2],"));
+    assert!(stdout(&succeed(here, &["sweep", "e.ron", "-q"])).contains("member wide-2"));
+    assert_eq!(file::read_ensemble(&own.join("model.safetensors")).unwrap().members().len(), 6);
 }
 
 #[test]
 fn an_ensemble_is_exported_whole() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    write_ensemble(here);
-    succeed(here, &["run", "e.ron", "-q", "--set", "seeds=[3]", "--out", "r"]);
-    let model = "r/model.safetensors";
+    write_joined(here);
+    write(&here.join("e.ron"), experiment("base: \"wide.ron\"", "seeds: [3],"));
+    succeed(here, &["sweep", "e.ron", "-q", "--out", "r"]);
+    let model = "r/joined/model.safetensors";
     succeed(here, &["export", model, "--ply", "a.ply", "--npz", "a.npz", "--half", "half.safetensors"]);
     let ensemble = file::read_ensemble(&here.join(model)).unwrap();
-    assert_eq!(ensemble.names(), ["small", "wide"]);
+    assert_eq!(ensemble.names(), ["small-3", "wide-3"]);
     let ply = std::fs::read(here.join("a.ply")).unwrap();
     let header = String::from_utf8_lossy(&ply[..600]).into_owned();
     assert!(header.contains(&format!("element vertex {}\n", ensemble.gaussians())), "{header}");
@@ -182,26 +195,40 @@ fn an_ensemble_is_exported_whole() {
 }
 
 #[test]
-fn an_ensemble_that_cannot_be_one_is_refused() {
+fn runs_that_cannot_be_joined_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    write_ensemble(here);
-    let say = |members: &str| write(&here.join("x.ron"), format!("Ensemble(name: \"x\", members: [{members}])"));
-    let refused = |members: &str, why: &[&str]| {
-        say(members);
-        refuse(here, &["run", "x.ron"], 2, why);
+    write_joined(here);
+    let refused = |change: &str, more: &str, why: &[&str]| {
+        write(&here.join("x.ron"), experiment(change, more));
+        refuse(here, &["sweep", "x.ron"], 2, why);
     };
-    refused("Member(base: \"p.ron\")", &["x.ron", "1 members", "2 to 100"]);
-    refused("Member(base: \"p.ron\"), Member(base: \"p.ron\")", &["two members are called `small`", "label"]);
-    let other = |set: &str| format!("Member(base: \"p.ron\"), Member(base: \"p.ron\", label: \"b\", set: ({set}))");
-    refused(&other("split: Sparse(train: 10)"), &["another `split`", "tested on"]);
-    refused(&other("data: Teacher(samples: 50)"), &["another `data`"]);
-    refused(&other("tensorboard: true"), &["`small` and `b` are trained alike", "`seed`"]);
-    refused(&other("seed: 3"), &["`set` cannot give", "seeds"]);
-    refused(&other("training: (steps: 10)"), &["member `b`", "pruners"]);
-    refused("Membre(base: \"p.ron\")", &["x.ron:1:", "Member"]);
-    refused("Member(base: \"none.ron\"), Member(base: \"p.ron\")", &["none.ron"]);
-    refuse(here, &["run", "e.ron", "--set", "seed=3"], 2, &["--set", "seeds="]);
-    refuse(here, &["run", "e.ron", "--set", "seeds=3"], 2, &["--set seeds=3", "[0, 1]"]);
+    refused("split: Sparse(train: 10)", "", &["x.ron: join: ", "`net=wide,seed=0` differ in `split`"]);
+    refused("data: Teacher(samples: 50)", "", &["differ in `data`", "`set`"]);
+    refused("tensorboard: true", "", &["train the same model", "net=small,seed=0"]);
+    refused("split_seed: 3", "", &["train the same model"]);
+    refused("training: (steps: 10)", "", &["variant `wide`", "pruners"]);
+    refused("base: \"none.ron\"", "", &["variant `wide`", "none.ron"]);
+    write(&here.join("x.ron"), "Experiment(name: \"x\", join: true, base: \"p.ron\")");
+    refuse(here, &["sweep", "x.ron"], 2, &["x.ron: join: there are 1 runs", "2 to 100"]);
+    let second = "axes: [Axis(name: \"a\", variants: [(label: \"1\")]), Axis(name: \"b\", variants: [(label: \"2\", base: \"p.ron\")])]";
+    write(&here.join("x.ron"), format!("Experiment(name: \"x\", base: \"p.ron\", {second})"));
+    refuse(here, &["sweep", "x.ron"], 2, &["axis `b`", "first axis", "`base`"]);
     assert!(!here.join("runs").exists(), "nothing was written");
+}
+
+#[test]
+fn a_file_for_another_command_is_refused_with_that_command() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    write_joined(here);
+    write(
+        &here.join("p.ron"),
+        format!("/* Experiment( */ // Ensemble(\n{}", std::fs::read_to_string(here.join("p.ron")).unwrap()),
+    );
+    for command in ["run", "check"] {
+        refuse(here, &[command, "e.ron"], 2, &["e.ron:1:", "`Experiment`", "`pwrfgs sweep` takes this file"]);
+    }
+    refuse(here, &["sweep", "p.ron"], 2, &["p.ron:2:", "`Pipeline`", "`pwrfgs run` takes this file"]);
+    succeed(here, &["run", "p.ron", "-q", "--scale", "0.05"]);
 }

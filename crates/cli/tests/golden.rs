@@ -144,14 +144,16 @@ fn run_all(here: &Path) -> Vec<Content> {
     write_channels(&here.join("csi"));
     let mut all = Vec::new();
     for name in RUNS {
-        succeed(here, &["run", &format!("{name}.ron"), "--out", name, "-q"]);
+        let command = if name == "joined" { "sweep" } else { "run" };
+        succeed(here, &[command, &format!("{name}.ron"), "--out", name, "-q"]);
         let folder = here.join(name);
-        all.extend(tensors(&folder.join("model.safetensors"), &format!("{name}/model")));
+        let scored = if name == "joined" { folder.join("joined") } else { folder.clone() };
+        all.extend(tensors(&scored.join("model.safetensors"), &format!("{name}/model")));
         for (k, path) in files_below(&folder, "checkpoint.safetensors").iter().enumerate() {
             all.extend(tensors(path, &format!("{name}/checkpoint-{k}")));
         }
-        all.extend(numbers(&folder.join("scores.csv"), &format!("{name}/scores")));
-        all.extend(numbers(&folder.join("samples.csv"), &format!("{name}/samples")));
+        all.extend(numbers(&scored.join("scores.csv"), &format!("{name}/scores")));
+        all.extend(numbers(&scored.join("samples.csv"), &format!("{name}/samples")));
     }
     all
 }

@@ -36,9 +36,9 @@ fn a_target_that_is_reached_from_the_start_is_reported_and_equal_models_are_mark
     let said = |command: &str, target: &str| stderr(&succeed(here, &[&[command][..], &one, &[target]].concat()));
     assert!(said("check", "training.target=8").contains(&format!("warning: pruners: {idle}")));
     assert!(!said("check", "training.target=7").contains("warning"));
-    write(&here.join("both.ron"), "Ensemble(name: \"both\", seeds: [0, 1], members: [Member(base: \"p.ron\")])");
+    write(&here.join("both.ron"), "Experiment(name: \"both\", join: true, base: \"p.ron\", seeds: [0, 1])");
     let set = ["--set", "pruners=[LightGaussian()]", "--set", "training.target=8"];
-    let both = |more: &[&str]| stderr(&succeed(here, &[&["check", "both.ron"][..], &set, more].concat()));
+    let both = |more: &[&str]| stderr(&succeed(here, &[&["sweep", "both.ron", "--dry-run"][..], &set, more].concat()));
     assert_eq!((both(&[]).matches(idle).count(), both(&["-q"]).matches(idle).count()), (1, 0));
     let run = said("run", "training.target=8");
     assert!(run.contains(idle) && run.contains("nothing was pruned: 8 Gaussians remain"), "{run}");

@@ -4,17 +4,17 @@ use std::path::Path;
 use std::process::Stdio;
 use std::time::SystemTime;
 
-const ENSEMBLE: &str = "Ensemble(name: \"both\", seeds: [0, 1], members: [Member(base: \"p.ron\")])";
+const JOINED: &str = "Experiment(name: \"both\", join: true, base: \"p.ron\", seeds: [0, 1])";
 const EXPERIMENT: &str = "Experiment(
     name: \"tiny\", base: \"p.ron\", seeds: [0],
     axes: [Axis(name: \"batch\", variants: [(label: \"1\", training: (batch: 1)), (label: \"2\")])],
 )";
 
-/// `SMALL`, alone and as an ensemble and an experiment of it.
+/// `SMALL`, alone, with two seeds joined, and as an experiment.
 fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     write(&folder.path().join("p.ron"), SMALL);
-    write(&folder.path().join("both.ron"), ENSEMBLE);
+    write(&folder.path().join("both.ron"), JOINED);
     write(&folder.path().join("e.ron"), EXPERIMENT);
     folder
 }
@@ -41,12 +41,13 @@ fn unsuitable_baselines_are_refused_before_the_first_step() {
     ];
     for (baseline, words) in unsuitable {
         let set = format!("baselines=[{baseline}]");
-        for file in ["p.ron", "both.ron"] {
-            refuse(here, &["check", file, "--set", &set], 2, words);
-            refuse(here, &["run", file, "--set", &set], 2, words);
+        for command in ["check", "run"] {
+            refuse(here, &[command, "p.ron", "--set", &set], 2, words);
         }
-        refuse(here, &["sweep", "e.ron", "--set", &set], 2, words);
-        refuse(here, &["sweep", "e.ron", "--dry-run", "--set", &set], 2, words);
+        for file in ["both.ron", "e.ron"] {
+            refuse(here, &["sweep", file, "--set", &set], 2, words);
+            refuse(here, &["sweep", file, "--dry-run", "--set", &set], 2, words);
+        }
         assert!(!here.join("runs").exists(), "nothing is written for {baseline}");
     }
 }
@@ -122,11 +123,11 @@ fn a_stopped_run_goes_on_with_other_metrics() {
 }
 
 #[test]
-fn ensembles_and_sweeps_are_scored_anew_too() {
+fn sweeps_and_joined_models_are_scored_anew_too() {
     let folder = folder();
     let here = folder.path();
     let runs = [
-        ("runs/both/members/small-0", ["run", "both.ron"], "runs/both"),
+        ("runs/both/seed=0", ["sweep", "both.ron"], "runs/both/joined"),
         ("runs/tiny/batch=1,seed=0", ["sweep", "e.ron"], "runs/tiny/batch=1,seed=0"),
     ];
     for (trains, command, scored) in runs {

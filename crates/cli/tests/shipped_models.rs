@@ -4,7 +4,7 @@
 use crate::common::{python, succeed, write};
 use crate::model_format::{NOBODY, predict, predicted_again};
 use pwrfgs::data::{npy_header, npy_header_as};
-use pwrfgs::experiment::{Recipe, Silent, load};
+use pwrfgs::experiment::{Silent, load, read_pipeline};
 use pwrfgs::model::{Ensemble, Model, file};
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs_core::plugin::to_ron;
@@ -61,17 +61,12 @@ fn trained(pipeline: &Pipeline) -> Model {
     trainer.model()
 }
 
-/// The model or the models that the pipeline in `path` makes with one more change.
+/// The model that the pipeline in `path` makes with one more change.
 fn model_of(path: &Path, uplinks: &Path, more: Option<&str>) -> Ensemble {
-    let read = |changes: &[String]| Recipe::read(path, changes).unwrap_or_else(|e| panic!("{e}"));
-    let of = |recipe: &Recipe| match recipe {
-        Recipe::Pipeline(pipeline) => vec![Pipeline::clone(pipeline)],
-        Recipe::Ensemble(team) => team.members().to_vec(),
-    };
-    let mut small = changes(&of(&read(&[]))[0], uplinks);
+    let read = |changes: &[String]| read_pipeline(path, changes).unwrap_or_else(|e| panic!("{e}"));
+    let mut small = changes(&read(&[]), uplinks);
     small.extend(more.map(String::from));
-    let small = read(&small);
-    Ensemble::new(of(&small).iter().map(trained).collect()).unwrap()
+    Ensemble::of(trained(&read(&small)))
 }
 
 /// What `pwrfgs predict` writes, of a model that it refuses because it reads features.

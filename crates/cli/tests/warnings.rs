@@ -73,10 +73,10 @@ fn wrong_units_and_orders_are_warned_of_once() {
     assert!(warned(here, &["check", "right.ron", "--set", "split=Sparse(train: 20)"]).is_empty());
     assert_eq!(warned(here, &["check", "right.ron", "--set", "split=Random(test: 0.8)"]).len(), 1);
     assert!(warned(here, &["check", "swapped.ron", "-q"]).is_empty());
-    // The members of an ensemble load the same data.
-    write(&here.join("e.ron"), "Ensemble(name: \"e\", seeds: [0, 1], members: [Member(base: \"swapped.ron\")])");
-    assert_eq!(warned(here, &["check", "e.ron"]).len(), 1);
-    assert_eq!(warned(here, &["run", "e.ron"]).len(), 1);
+    // The runs of a sweep load the same data.
+    write(&here.join("e.ron"), "Experiment(name: \"e\", join: true, base: \"swapped.ron\", seeds: [0, 1])");
+    assert_eq!(warned(here, &["sweep", "e.ron", "--dry-run"]).len(), 1);
+    assert_eq!(warned(here, &["sweep", "e.ron"]).len(), 1);
 }
 
 #[test]

@@ -107,11 +107,15 @@ pub fn name_of(plugin: &impl Serialize) -> String {
 /// # Errors
 /// [`Error::Input`](crate::Error::Input) with line and column.
 pub fn read_ron<T: de::DeserializeOwned>(text: &str, path: &Path) -> crate::Result<T> {
-    use ron::Error::{NoSuchEnumVariant, NoSuchStructField, SuggestRawIdentifier};
+    use ron::Error::{ExpectedDifferentStructName, NoSuchEnumVariant, NoSuchStructField, SuggestRawIdentifier};
     ron_options().from_str(text).map_err(|e| {
         let hint = match &e.code {
             NoSuchEnumVariant { expected, found, .. } | NoSuchStructField { expected, found, .. } => {
                 did_you_mean(found, expected.iter().copied())
+            }
+            ExpectedDifferentStructName { found, .. } if found == "Pipeline" => "; `pwrfgs run` takes this file".into(),
+            ExpectedDifferentStructName { found, .. } if found == "Experiment" => {
+                "; `pwrfgs sweep` takes this file".into()
             }
             _ => String::new(),
         };

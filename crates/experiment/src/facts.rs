@@ -37,7 +37,8 @@ pub struct Facts {
     pub steps: u64,
     /// Gaussians.
     pub gaussians: usize,
-    /// Of an ensemble, what its members are called: steps, seconds of training and Gaussians are then those of all.
+    /// Folders of the runs whose models were joined, below the sweep folder: steps, seconds of training and Gaussians are then
+    /// those of all.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub members: Vec<String>,
     /// Seconds of training and evaluation, all starts together.

@@ -1,11 +1,12 @@
 //! `RunFolder`: one folder a run, claimed by its pipeline and never taken from another.
 
 use crate::facts::Facts;
-use crate::recipe::Recipe;
+use crate::input;
 use crate::scores::ScoreTable;
 use pwrfgs_core::files::{self, HeldFolder, refuse_foreign, write_new};
 use pwrfgs_core::words::clean;
 use pwrfgs_core::{Error, Result};
+use pwrfgs_pipeline::Pipeline;
 use std::fs::{File, TryLockError};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -66,7 +67,7 @@ pub(crate) fn pruned_snapshot((round, rounds): (u64, u64)) -> Option<&'static st
     is_next.then(|| PRUNED_SNAPSHOTS[place(round) as usize - 1])
 }
 
-/// What a folder holds of the run of a recipe.
+/// What a folder holds of the run of a pipeline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RunState {
     /// Nothing: the run may begin there.
@@ -109,24 +110,24 @@ pub struct RunFolder {
 }
 
 impl RunFolder {
-    /// What `path` holds of the run of this recipe; reads only.
+    /// What `path` holds of the run of this pipeline; reads only.
     ///
     /// # Errors
-    /// Where it is no folder, or holds something else, or a run of another recipe.
-    pub fn inspect(path: &Path, recipe: &Recipe) -> Result<RunState> {
+    /// Where it is no folder, or holds something else, or a run of another pipeline.
+    pub fn inspect(path: &Path, pipeline: &Pipeline) -> Result<RunState> {
         let own = path.join(PIPELINE);
         let text = match files::read_string(&own) {
             Ok(text) => text,
             Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => {
                 return match refuse_foreign(path, "a run folder") {
                     // Another process has made the run since.
-                    Err(_) if own.is_file() => Self::inspect(path, recipe),
+                    Err(_) if own.is_file() => Self::inspect(path, pipeline),
                     foreign => foreign.map(|()| RunState::New),
                 };
             }
             Err(e) => return Err(Error::read(&own, e)),
         };
-        compare(path, &own, &text, recipe)
+        compare(path, &own, &text, pipeline)
     }
 
     /// Makes the folder where it is missing, writes `pipeline.ron` into it and locks it. Of several processes that claim
@@ -134,23 +135,23 @@ impl RunFolder {
     ///
     /// # Errors
     /// As [`Self::inspect`]; [`Error::Busy`] if another process is at work in it; [`Error::Write`].
-    pub fn claim(path: &Path, recipe: &Recipe) -> Result<Self> {
-        Self::inspect(path, recipe)?;
+    pub fn claim(path: &Path, pipeline: &Pipeline) -> Result<Self> {
+        Self::inspect(path, pipeline)?;
         std::fs::create_dir_all(path).map_err(|e| Error::write(path, e))?;
         let folder = HeldFolder::open(path)?;
-        let (lock, is_new, state) = locked(folder.path(), recipe).map_err(|e| folder.named(e))?;
+        let (lock, is_new, state) = locked(folder.path(), pipeline).map_err(|e| folder.named(e))?;
         remove_leftovers(folder.path());
         Ok(Self { folder, lock, is_new, state })
     }
 
-    /// Replaces `pipeline.ron` where its baselines or metrics are not those of the recipe. The new file is locked before
+    /// Replaces `pipeline.ron` where its baselines or metrics are not those of `pipeline`. The new file is locked before
     /// it takes the name, so that at no instant another process can hold the folder.
     ///
     /// # Errors
     /// Where it cannot be written; the old file is then untouched.
-    pub(crate) fn renew(&mut self, recipe: &Recipe) -> Result<()> {
+    pub(crate) fn renew(&mut self, pipeline: &Pipeline) -> Result<()> {
         if self.state == RunState::ScoredOtherwise {
-            self.lock = files::replace(&self.file(PIPELINE), recipe.to_ron().as_bytes(), |file| {
+            self.lock = files::replace(&self.file(PIPELINE), pipeline.to_ron().as_bytes(), |file| {
                 // A file system without locks is no reason to refuse.
                 _ = file.try_lock();
             })?;
@@ -198,33 +199,33 @@ impl RunFolder {
     }
 }
 
-/// Locks `pipeline.ron` of `recipe`, which is written where there is none; also whether it was, and what there is.
-fn locked(folder: &Path, recipe: &Recipe) -> Result<(File, bool, RunState)> {
+/// Locks `pipeline.ron` of `pipeline`, which is written where there is none; also whether it was, and what there is.
+fn locked(folder: &Path, pipeline: &Pipeline) -> Result<(File, bool, RunState)> {
     let own = folder.join(PIPELINE);
     loop {
-        let is_new = write_new(&own, recipe.to_ron().as_bytes())?;
+        let is_new = write_new(&own, pipeline.to_ron().as_bytes())?;
         match files::try_lock(&own) {
             Ok(None) => return Err(Error::Busy(folder.into())),
             // What is locked may be what another process wrote meanwhile.
-            Ok(Some(lock)) => return RunFolder::inspect(folder, recipe).map(|state| (lock, is_new, state)),
+            Ok(Some(lock)) => return RunFolder::inspect(folder, pipeline).map(|state| (lock, is_new, state)),
             Err(e) if e.kind() == ErrorKind::NotFound => {} // removed since it was written
             Err(e) => return Err(Error::read(&own, e)),
         }
     }
 }
 
-/// Compares the recipe `theirs` that `file` in `folder` holds with `ours`. A run is what is trained: of another one, the error
+/// Compares the pipeline `theirs` that `file` in `folder` holds with `ours`. A run is what is trained: of another one, the error
 /// names the first difference.
-fn compare(folder: &Path, file: &Path, theirs: &str, ours: &Recipe) -> Result<RunState> {
+fn compare(folder: &Path, file: &Path, theirs: &str, ours: &Pipeline) -> Result<RunState> {
     let text = ours.to_ron();
     if theirs == text {
         return Ok(RunState::Begun);
     }
     // Read and written again, so that fields added since with their defaults, or a comment, are no difference.
-    let (theirs, ours, alike) = match Recipe::parse(theirs, file, &[]) {
-        Ok(recipe) => {
-            let ours = ours.scored_as(&recipe);
-            (recipe.essential().to_ron(), ours.essential().to_ron(), ours.to_ron() == text)
+    let (theirs, ours, alike) = match input::parse(theirs, file, &[]) {
+        Ok(theirs) => {
+            let ours = scored_as(ours, &theirs);
+            (theirs.essential().to_ron(), ours.essential().to_ron(), ours.to_ron() == text)
         }
         Err(_) => (theirs.to_owned(), ours.essential().to_ron(), true),
     };
@@ -246,6 +247,11 @@ fn compare(folder: &Path, file: &Path, theirs: &str, ours: &Recipe) -> Result<Ru
             folder.display()
         ))),
     }
+}
+
+/// `pipeline` with the baselines and metrics of `other`: these are not part of what is trained.
+fn scored_as(pipeline: &Pipeline, other: &Pipeline) -> Pipeline {
+    Pipeline { baselines: other.baselines.clone(), metrics: other.metrics.clone(), ..pipeline.clone() }
 }
 
 /// Removes the temporary files of starts that were killed while writing, `.checkpoint.safetensors.123.tmp` say; the lock

@@ -1,16 +1,23 @@
 //! From files and `--set` arguments to pipelines whose paths hold everywhere.
 
-use crate::recipe::Recipe;
 use pwrfgs_core::{Result, files::read_text};
 use pwrfgs_pipeline::Pipeline;
 use std::path::{Path, PathBuf};
 
-/// The pipeline in `path`, or what the ensemble there is scored by, as [`Recipe::read`] gives it.
+/// Reads the pipeline in `path`, applies `--set` arguments and then `training.scale`. Paths in the file are relative to the
+/// file.
 ///
 /// # Errors
-/// As there.
+/// [`Error::Input`](pwrfgs_core::Error::Input) with line and column, or what is wrong with an argument.
 pub fn read_pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
-    Recipe::read(path, set).map(|recipe| recipe.pipeline())
+    parse(&read_text(path)?, path, set)
+}
+
+/// [`read_pipeline`] of text that was read from `path`.
+pub(crate) fn parse(text: &str, path: &Path, set: &[String]) -> Result<Pipeline> {
+    let mut pipeline = parse_base(text, path)?;
+    set_all(&mut pipeline, set)?;
+    pipeline.resolved()
 }
 
 /// The pipeline in `path` as it stands there, with `training.scale` still to be multiplied in.
@@ -18,8 +25,7 @@ pub(crate) fn read_base(path: &Path) -> Result<Pipeline> {
     parse_base(&read_text(path)?, path)
 }
 
-/// [`read_base`] of text that was read from `path`.
-pub(crate) fn parse_base(text: &str, path: &Path) -> Result<Pipeline> {
+fn parse_base(text: &str, path: &Path) -> Result<Pipeline> {
     let mut pipeline = Pipeline::parse(text, path)?;
     rebase(&mut pipeline, path.parent().unwrap_or(Path::new("")));
     Ok(pipeline)

@@ -3,9 +3,9 @@
 use crate::confidence::Confidence;
 use crate::facts::{Facts, Mark};
 use crate::folder::{CONFIDENCE, CURVE, MODEL_FILE, PIPELINE, REPORT, RunFolder, SAMPLES, SCORES, VALIDATION};
+use crate::input::read_pipeline;
 use crate::load::load;
 use crate::observer::Observer;
-use crate::recipe::Recipe;
 use crate::samples::{TestSamples, to_csv};
 use crate::scores::{ScoreTable, Scores};
 use crate::session::Session;
@@ -21,14 +21,10 @@ use std::path::{Path, PathBuf};
 pub struct Record {
     /// Its folder.
     pub folder: PathBuf,
-    /// What was run, every default written out; paths are absolute. Of an ensemble, what it is scored by.
+    /// What was run, every default written out; paths are absolute. Of a joined model, what it is scored by.
     pub pipeline: Pipeline,
     /// How the model was made, every setting as RON text.
     pub settings: String,
-    /// Equal for runs that differ in names and in the seeds of training alone.
-    pub variant_key: String,
-    /// The seed, or those of all members of an ensemble.
-    pub seeds: Vec<u64>,
     /// Circumstances.
     pub facts: Facts,
     /// Every score.
@@ -59,6 +55,9 @@ pub struct LoadedRun<'a> {
 /// Makes the page of a run, HTML in one file.
 pub type Page = fn(&LoadedRun<'_>) -> Result<String>;
 
+/// What stands above the pipeline of a joined model.
+const JOINED_SETTINGS: &str = "// each run has its own pipeline; this one scores the mean of their predictions:\n";
+
 impl Record {
     /// Reads the folder of a finished run; `None` if the run has not finished, or not begun.
     ///
@@ -68,23 +67,22 @@ impl Record {
         let Some(facts) = Facts::read(folder)?.filter(|facts| facts.finished.is_some()) else { return Ok(None) };
         let sources = facts.files.keys().filter(|name| *name != REPORT);
         sources.clone().try_for_each(|name| facts.verify_file(folder, name))?;
-        Self::of(folder, &Recipe::read(&folder.join(PIPELINE), &[])?, facts).map(Some)
+        Self::of(folder, &read_pipeline(&folder.join(PIPELINE), &[])?, facts).map(Some)
     }
 
-    /// Reads what the evaluation of `recipe` under the circumstances `facts` has left in `folder`.
+    /// Reads what the evaluation by `pipeline` under the circumstances `facts` has left in `folder`.
     ///
     /// # Errors
     /// A file is damaged or missing.
-    pub fn of(folder: &Path, recipe: &Recipe, facts: Facts) -> Result<Self> {
+    pub fn of(folder: &Path, pipeline: &Pipeline, facts: Facts) -> Result<Self> {
         let path = |name: &str| folder.join(name);
         let trained = facts.members.is_empty() && facts.steps > 0;
         let confidence = path(CONFIDENCE);
         Ok(Self {
             folder: folder.into(),
-            pipeline: recipe.pipeline(),
-            settings: recipe.to_ron(),
-            variant_key: recipe.variant_key(),
-            seeds: recipe.seeds(),
+            pipeline: pipeline.clone(),
+            settings: if facts.members.is_empty() { String::new() } else { JOINED_SETTINGS.into() }
+                + &pipeline.to_ron(),
             scores: Scores::read(&path(SCORES), facts.scores.clone().unwrap_or_default())?,
             test: TestSamples::read(&path(SAMPLES))?,
             curve: if trained { series::whole(&path(CURVE), facts.steps)? } else { Vec::new() },
@@ -92,6 +90,13 @@ impl Record {
             confidence: confidence.is_file().then(|| Confidence::read(&confidence)).transpose()?,
             facts,
         })
+    }
+
+    /// Equal for runs that differ in names and in the seed of training alone, and for copies of one joined model.
+    pub fn variant_key(&self) -> String {
+        let nameless = Pipeline { name: String::new(), seed: 0, ..self.pipeline.clone() };
+        let joined = self.facts.files.get(MODEL_FILE).filter(|_| !self.facts.members.is_empty());
+        nameless.to_ron() + joined.map_or("", |mark| &mark.sha256)
     }
 
     /// Step and another column of `curve.csv` along the training, such as 2, the loss, or 4, the number of Gaussians.
@@ -160,14 +165,14 @@ pub fn write_page(run: &LoadedRun<'_>, page: Page) -> Result<()> {
     write_atomically(&run.record.folder.join(REPORT), page(run)?.as_bytes())
 }
 
-/// Ends the run of `recipe` in `folder` with what its evaluation found: writes the scores, makes the page if the session asks
+/// Ends the run of `pipeline` in `folder` with what its evaluation found: writes the scores, makes the page if the session asks
 /// for one, seals the files and writes `run.json`.
 ///
 /// # Errors
 /// [`Error::Write`]; a damaged file of the training.
 pub(crate) fn conclude(
     folder: &RunFolder,
-    recipe: &Recipe,
+    pipeline: &Pipeline,
     facts: &mut Facts,
     (data, partition, model): (&Dataset, &Partition, &Ensemble),
     (scores, confidence): (Scores, Option<Confidence>),
@@ -181,7 +186,7 @@ pub(crate) fn conclude(
     facts.note_memory(); // here, so that the page says what run.json says
     write_scores(path, (&scores, confidence.as_ref()), data, partition)?;
     if let Some(page) = session.page {
-        let record = Record::of(path, recipe, facts.clone())?;
+        let record = Record::of(path, pipeline, facts.clone())?;
         write_page(&LoadedRun { record: &record, data, partition, model }, page)?;
     }
     facts.seal(path)?;
@@ -195,7 +200,7 @@ pub(crate) fn conclude(
 /// # Errors
 /// The run has not finished, another process is at work in it, a file is damaged, or the data have changed since.
 pub fn rebuild_page(folder: &Path, page: Page, observer: &mut dyn Observer) -> Result<()> {
-    let held = RunFolder::claim(folder, &Recipe::read(&folder.join(PIPELINE), &[])?)?;
+    let held = RunFolder::claim(folder, &read_pipeline(&folder.join(PIPELINE), &[])?)?;
     let mut rebuild = || {
         let unfinished = || Error::Config(format!("{} has not finished; run it first", held.name().display()));
         let record = Record::read(held.path())?.ok_or_else(unfinished)?;

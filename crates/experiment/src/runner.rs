@@ -6,7 +6,6 @@ use crate::folder::{MODEL_FILE, RunFolder, RunState};
 use crate::input::rebase;
 use crate::journal::note_scores;
 use crate::load::{check_scoring, load};
-use crate::recipe::Recipe;
 use crate::record::conclude;
 use crate::scores::ScoreTable;
 use crate::session::Session;
@@ -50,9 +49,8 @@ pub fn run(pipeline: &Pipeline, base: &Path, out: &Path, session: &mut Session<'
     rebase(&mut pipeline, base);
     let pipeline = pipeline.resolved()?;
     pipeline.check_text()?;
-    let recipe = Recipe::Pipeline(Box::new(pipeline.clone()));
     loop {
-        if let Some(end) = attempt(&pipeline, &recipe, (base, out), session, begun)? {
+        if let Some(end) = attempt(&pipeline, (base, out), session, begun)? {
             return Ok(end);
         }
     }
@@ -61,19 +59,18 @@ pub fn run(pipeline: &Pipeline, base: &Path, out: &Path, session: &mut Session<'
 /// The end of the run; nothing if another process has begun it meanwhile: then what it left counts.
 fn attempt(
     pipeline: &Pipeline,
-    recipe: &Recipe,
     (base, out): (&Path, &Path),
     session: &mut Session<'_>,
     begun: Instant,
 ) -> Result<Option<Outcome>> {
     let already = |scores| Some(Outcome::Finished { scores, already: true });
-    let (state, reported) = (RunFolder::inspect(out, recipe)?, session.page.is_some());
+    let (state, reported) = (RunFolder::inspect(out, pipeline)?, session.page.is_some());
     if let Some(scores) = state.verified(out, reported)? {
         // What has ended may have been begun since, by another process with another pipeline.
-        return RunFolder::inspect(out, recipe).map(|_| already(scores));
+        return RunFolder::inspect(out, pipeline).map(|_| already(scores));
     }
     // What earlier starts left is read by the process that holds it: another one would write on.
-    let held = (state != RunState::New).then(|| RunFolder::claim(out, recipe)).transpose()?;
+    let held = (state != RunState::New).then(|| RunFolder::claim(out, pipeline)).transpose()?;
     if let Some(folder) = &held
         && let Some(scores) = folder.settle(folder.state().verified(folder.path(), reported))?
     {
@@ -92,12 +89,12 @@ fn attempt(
     };
     let mut folder = match held {
         Some(folder) => folder,
-        None => match RunFolder::claim(out, recipe)? {
+        None => match RunFolder::claim(out, pipeline)? {
             folder if folder.is_new() => folder,
             _ => return Ok(None), // another process has begun this run since, and may have ended it
         },
     };
-    let ended = complete(training, trainer, &mut folder, recipe);
+    let ended = complete(training, trainer, &mut folder);
     folder.settle(ended).map(Some)
 }
 
@@ -106,7 +103,6 @@ fn complete<'a>(
     mut training: Training<'a, '_>,
     trainer: Option<(Trainer<'a>, Estimate)>,
     folder: &mut RunFolder,
-    recipe: &Recipe,
 ) -> Result<Outcome> {
     let Training { pipeline, data, partition, .. } = training;
     let (mut facts, earlier) = Facts::open(folder.path(), pipeline.seed)?;
@@ -118,7 +114,7 @@ fn complete<'a>(
     }
     // It is not finished any more: what an earlier end says of files, and of baselines, is about to be wrong.
     facts.write(folder.path())?;
-    folder.renew(recipe)?;
+    folder.renew(pipeline)?;
     let model = match trainer {
         None => file::read(&folder.file(MODEL_FILE))?,
         Some((mut trainer, estimate)) => match training.train(&mut trainer, estimate, folder, &mut facts)? {
@@ -138,6 +134,6 @@ fn complete<'a>(
     facts.steps = pipeline.training.steps;
     facts.wall_seconds += begun.elapsed().as_secs_f64();
     note_scores(folder, pipeline, &found.0.table)?;
-    let scores = conclude(folder, recipe, &mut facts, (data, partition, &model), found, session)?;
+    let scores = conclude(folder, pipeline, &mut facts, (data, partition, &model), found, session)?;
     Ok(Outcome::Finished { scores, already: false })
 }

@@ -92,7 +92,7 @@ const FORMAT: &str = "pwrfgs-model";
 const ENSEMBLE_FORMAT: &str = "pwrfgs-ensemble";
 const ENSEMBLE_VERSION: u32 = 1;
 /// The most members that a file is believed to have, and the longest of their names.
-const MOST_MEMBERS: usize = 100;
+pub const MOST_MEMBERS: usize = 100;
 const LONGEST_NAME: usize = 255;
 /// Of a file without an origin, and of one with: who knows of none would predict something else from it.
 const VERSION: u32 = 1;
@@ -134,7 +134,12 @@ pub fn to_bytes(model: &Model) -> Vec<u8> {
 /// # Errors
 /// [`Error::Write`].
 pub fn write_ensemble(path: &Path, ensemble: &Ensemble) -> Result<()> {
-    write_atomically(path, &ensemble_tensors(ensemble).to_bytes())
+    write_atomically(path, &ensemble_to_bytes(ensemble))
+}
+
+/// The bytes that [`write_ensemble`] writes.
+pub fn ensemble_to_bytes(ensemble: &Ensemble) -> Vec<u8> {
+    ensemble_tensors(ensemble).to_bytes()
 }
 
 /// The bytes of the file with the networks in 16-bit numbers: about half as long. What is read from it predicts a little

@@ -15,7 +15,7 @@ use pwrfgs_train::{Trainer, Training, TrainingPatch, TrainingPlan};
 use ron::value::RawValue;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Everything a run needs to know. Plugins are named in the words of the registry; plain settings are nested structs. A
 /// field that is left out takes what [`defaults`] says; name, data and initializer have no default.
@@ -67,6 +67,9 @@ pub struct PipelineFields<T> {
     /// What a sweep calls this patch; changes nothing.
     #[serde(skip_serializing)]
     pub label: Option<String>,
+    /// The pipeline file that a variant starts from.
+    #[serde(skip_serializing)]
+    pub base: Option<PathBuf>,
     /// Single values by their path, such as `{"pruners.LearnableMask.lambda": 0.05}`; in a patch only.
     #[serde(skip_serializing)]
     pub set: Option<BTreeMap<String, Box<RawValue>>>,
@@ -118,6 +121,9 @@ impl TryFrom<PipelineFields<Checked<Training>>> for Pipeline {
         let missing = |field: &str| format!("the field `{field}` is missing");
         if given.label.is_some() {
             return Err("only a variant of a sweep has a `label`".into());
+        }
+        if given.base.is_some() {
+            return Err("only a variant of a sweep has a `base`".into());
         }
         if given.set.is_some() {
             return Err("only a sweep has `set`; give the values in their places".into());

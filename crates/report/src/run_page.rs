@@ -19,7 +19,7 @@ use examples::Example;
 use minijinja::value::Serde;
 use minijinja::{Value, context};
 use pwrfgs_core::{Image, Result, Task};
-use pwrfgs_experiment::{CEILING, LoadedRun, ensemble::MEMBERS, folder::REPORT};
+use pwrfgs_experiment::{CEILING, LoadedRun, folder::REPORT};
 use pwrfgs_model::Model;
 use words::Words;
 
@@ -82,14 +82,14 @@ fn words(run: &LoadedRun<'_>) -> Value {
     context! { plural, singular, size, title => first.to_uppercase() + rest, parts, none }
 }
 
-/// Name, seed, Gaussians and page of each member of an ensemble.
+/// Name, Gaussians and page of each model of a joined model.
 fn members(run: &LoadedRun<'_>) -> Vec<Value> {
-    let names = run.record.facts.members.iter().zip(run.model.members());
-    let member = |(name, model): (&String, &Model)| {
-        let page = format!("{MEMBERS}/{name}/{REPORT}");
+    let models = run.model.names().iter().zip(run.model.members());
+    let member = |(folder, (name, model)): (&String, (&String, &Model))| {
+        let page = format!("../{folder}/{REPORT}");
         context! { name, page, gaussians => model.cloud.len() }
     };
-    names.map(member).collect()
+    run.record.facts.members.iter().zip(models).map(member).collect()
 }
 
 /// Best, median and worst test spectrum by SSIM, and the limit of the error scale that they share.

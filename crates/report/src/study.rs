@@ -16,12 +16,12 @@ mod tables;
 
 pub use output::{Options, write};
 
-use grouping::{listed, named, setting_key, settings};
+use grouping::{Labels, listed, named, setting_key, settings};
 use pwrfgs_core::{Error, Result, Task, plugin::ron_options};
 use pwrfgs_experiment::folder::{MODEL_FILE, PIPELINE};
 use pwrfgs_experiment::headline::{Headline, headline};
 use pwrfgs_experiment::scores::MODEL;
-use pwrfgs_experiment::sweep::{LISTING, Listing};
+use pwrfgs_experiment::sweep::{JOINED, LISTING, Listing};
 use pwrfgs_experiment::{Mark, Record};
 use std::path::{Path, PathBuf};
 
@@ -97,8 +97,8 @@ impl Setting {
 
 impl Variant {
     /// Seeds and model file of each run; `None` where a run folder of an earlier version does not say.
-    fn models(&self) -> Option<Vec<(&[u64], &Mark)>> {
-        self.runs.iter().map(|run| Some((run.seeds.as_slice(), run.facts.files.get(MODEL_FILE)?))).collect()
+    fn models(&self) -> Option<Vec<(u64, &Mark)>> {
+        self.runs.iter().map(|run| Some((run.pipeline.seed, run.facts.files.get(MODEL_FILE)?))).collect()
     }
 }
 
@@ -117,12 +117,17 @@ impl Study {
                 // Two sweeps of one name, on two days say, are two things.
                 let taken = titles.contains(&listing.name);
                 let name = if taken { folder.display().to_string() } else { listing.name };
-                for run in &listing.runs {
-                    let mut labels = run.labels.clone();
+                let mut runs: Vec<(PathBuf, Labels)> =
+                    listing.runs.into_iter().map(|run| (folder.join(run.folder), run.labels)).collect();
+                let joined = folder.join(JOINED);
+                if joined.join(PIPELINE).is_file() {
+                    runs.push((joined, vec![(String::new(), JOINED.to_owned())]));
+                }
+                for (place, mut labels) in runs {
                     if folders.len() > 1 {
                         labels.insert(0, (String::new(), name.clone()));
                     }
-                    records.extend(study.take(&folder.join(&run.folder), &mut seen)?.map(|record| (labels, record)));
+                    records.extend(study.take(&place, &mut seen)?.map(|record| (labels, record)));
                 }
                 titles.push(name);
             } else if folder.join(PIPELINE).is_file() {
@@ -167,7 +172,7 @@ impl Study {
     fn without_twins(&mut self, runs: Vec<Record>) -> Result<Vec<Record>> {
         let (mut kept, mut keys) = (Vec::new(), Vec::new());
         for run in runs {
-            let key = (setting_key(&run)?, run.variant_key.clone(), run.seeds.clone());
+            let key = (setting_key(&run)?, run.variant_key(), run.pipeline.seed);
             if keys.contains(&key) {
                 self.repeated.push(run.folder);
             } else {

@@ -5,7 +5,7 @@ use pwrfgs_core::{
 };
 use pwrfgs_experiment::folder::{CHECKPOINT, MODEL_FILE, PIPELINE, SCORES};
 use pwrfgs_experiment::headline::headline;
-use pwrfgs_experiment::{Facts, Observer, Recipe, check_alike, load};
+use pwrfgs_experiment::{Facts, Observer, check_alike, load, read_pipeline};
 use pwrfgs_model::{Ensemble, Prepared, file};
 use pwrfgs_pipeline::Pipeline;
 use pwrfgs_train::Trainer;
@@ -133,10 +133,10 @@ impl Side {
         } else {
             (path.parent().unwrap_or(Path::new("")).to_owned(), path.to_owned())
         };
-        let recipe = folder.join(PIPELINE);
+        let pipeline = folder.join(PIPELINE);
         let finished = model.is_file() || !path.is_dir();
         let ensemble = finished.then(|| file::read_ensemble(&model)).transpose()?;
-        let known = recipe.is_file().then(|| Known::load(&recipe, &folder, observer)).transpose()?.map(Arc::new);
+        let known = pipeline.is_file().then(|| Known::load(&pipeline, &folder, observer)).transpose()?.map(Arc::new);
         if let (Some(ensemble), Some(known)) = (&ensemble, &known) {
             check_alike(&ensemble.prepare(), &known.data)?;
         }
@@ -235,8 +235,8 @@ fn ready(ensemble: Ensemble) -> Predictor {
 }
 
 impl Known {
-    fn load(recipe: &Path, folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
-        let pipeline = Recipe::read(recipe, &[])?.pipeline();
+    fn load(file: &Path, folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
+        let pipeline = read_pipeline(file, &[])?;
         let (data, partition) = load(&pipeline, Path::new(""), observer)?;
         let scores = scores(&folder.join(SCORES), &data);
         Ok(Self { pipeline, data: Arc::new(data), partition, scores })

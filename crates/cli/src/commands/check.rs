@@ -8,7 +8,7 @@ use clap::Args;
 use pwrfgs::experiment::clock::duration;
 use pwrfgs::experiment::inspect::length;
 use pwrfgs::experiment::text::{aligned, grouped};
-use pwrfgs::experiment::{Observer as _, Preview, Recipe, preview};
+use pwrfgs::experiment::{Observer as _, Preview, preview, read_pipeline};
 use pwrfgs::train::Rays;
 use pwrfgs_core::Result;
 use std::path::{Path, PathBuf};
@@ -23,7 +23,7 @@ use std::process::ExitCode;
     pipelines/pwrfgs.ron --scale 0.1"
 )]
 pub(crate) struct Check {
-    /// The file of a pipeline or an ensemble, or a run folder
+    /// The file of a pipeline, or a run folder
     #[arg(value_name = "PIPELINE")]
     pub(crate) pipeline: PathBuf,
     #[command(flatten)]
@@ -32,31 +32,14 @@ pub(crate) struct Check {
 
 pub(crate) fn check(arguments: &Check, verbosity: Verbosity) -> Result<ExitCode> {
     let (file, _) = named(&arguments.pipeline)?;
-    let recipe = Recipe::read(&file, &arguments.changes.all())?;
-    let members = match &recipe {
-        Recipe::Pipeline(pipeline) => std::slice::from_ref(&**pipeline),
-        Recipe::Ensemble(team) => team.members(),
-    };
+    let pipeline = read_pipeline(&file, &arguments.changes.all())?;
     let mut progress = Progress::new(verbosity);
-    let found: Result<Vec<Preview>> = members.iter().map(|m| preview(m, Path::new(""), &mut progress)).collect();
+    let found = preview(&pipeline, Path::new(""), &mut progress);
     progress.finish();
     let found = found?;
-    for preview in &found {
-        preview.warnings.iter().for_each(|warning| progress.on_warning(warning));
-    }
-    output::result(&match &recipe {
-        Recipe::Pipeline(_) => text(&found[0]),
-        Recipe::Ensemble(_) => text_of_all(&found),
-    })?;
+    found.warnings.iter().for_each(|warning| progress.on_warning(warning));
+    output::result(&text(&found))?;
     Ok(ExitCode::SUCCESS)
-}
-
-/// The members of an ensemble one after the other.
-fn text_of_all(found: &[Preview]) -> String {
-    let one = |p: &Preview| format!("member {}\n{}\n", p.pipeline.name, text(p));
-    let seconds: f64 = found.iter().map(|p| p.estimate.step_seconds * p.pipeline.training.steps as f64).sum();
-    let all: String = found.iter().map(one).collect();
-    format!("{all}{} members, about {} in all, one after the other\n", found.len(), duration(seconds))
 }
 
 /// The plan as a table.

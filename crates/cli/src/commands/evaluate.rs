@@ -8,7 +8,8 @@ use pwrfgs::experiment::folder::{PIPELINE, REPORT};
 use pwrfgs::experiment::samples::data_key;
 use pwrfgs::experiment::text::number;
 use pwrfgs::experiment::{
-    Facts, LoadedRun, Machine, Recipe, Record, Session, evaluate as score, load as load_data, write_page, write_scores,
+    Facts, LoadedRun, Machine, Record, Session, evaluate as score, load as load_data, read_pipeline, write_page,
+    write_scores,
 };
 use pwrfgs::model::{Ensemble, file};
 use pwrfgs::pipeline::Pipeline;
@@ -54,8 +55,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
             format!("there is no {PIPELINE} beside this model; name one with --pipeline FILE"),
         ));
     }
-    let recipe = Recipe::read(path, &arguments.set)?;
-    let pipeline = recipe.pipeline();
+    let pipeline = read_pipeline(path, &arguments.set)?;
     if let Some(out) = &arguments.out {
         refuse_foreign(out, "a new folder")?;
     }
@@ -91,7 +91,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
         };
         write_scores(out, (&scores, confidence.as_ref()), &data, &partition)?;
         if let Some(page) = pwrfgs::PAGE {
-            let mut record = Record::of(out, &recipe, facts)?;
+            let mut record = Record::of(out, &pipeline, facts)?;
             if arguments.models.len() > 1 {
                 let count = arguments.models.len();
                 record.settings =
@@ -117,8 +117,8 @@ fn trained_on(models: &[PathBuf]) -> usize {
 
 /// Whether the pipeline beside a model has the data and the split of `pipeline`.
 fn is_trained_by(model: &Path, pipeline: &Pipeline) -> bool {
-    let own = Recipe::read(&model.with_file_name(PIPELINE), &[]);
-    own.is_ok_and(|own| data_key(&own.pipeline()) == data_key(pipeline))
+    let own = read_pipeline(&model.with_file_name(PIPELINE), &[]);
+    own.is_ok_and(|own| data_key(&own) == data_key(pipeline))
 }
 
 /// Says which receivers stand elsewhere than the model was trained with, look elsewhere or have other names.

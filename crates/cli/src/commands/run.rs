@@ -1,19 +1,16 @@
 //! `pwrfgs run`: a pipeline becomes a run folder.
 
 use super::changes::{Changes, named};
-use super::sweep::Table;
 use crate::args::Verbosity;
 use crate::interrupt::{INTERRUPTED, stop_flag};
 use crate::output;
 use crate::progress::Progress;
 use clap::Args;
-use pwrfgs::experiment::ensemble::{MEMBERS, Team};
 use pwrfgs::experiment::folder::REPORT;
-use pwrfgs::experiment::{Outcome, Recipe};
+use pwrfgs::experiment::{Outcome, read_pipeline};
 use pwrfgs_core::Result;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::atomic::AtomicBool;
 
 #[derive(Debug, Args)]
 #[command(
@@ -22,17 +19,13 @@ use std::sync::atomic::AtomicBool;
     an event file, which `tensorboard --logdir runs` shows while the run goes on. The same command resumes a run that \
     was stopped or killed, and ends in the same files; with other baselines or metrics it scores the trained model anew, \
     without training. A folder that holds anything else is never touched.\n\nPaths in \
-    a pipeline are relative to its file; on the command line, to where you stand.\n\nA file that says Ensemble(..) names \
-    several pipelines. Each is trained in its own folder below DIR/members, as many at a time as there are threads, and \
-    the mean of their pictures is scored and saved as one model, with confidence.csv: how far the members differ, and how \
-    wrong their mean is. --set and --scale change every member; --set 'seeds=[2, 3]' trains others.\n\nEXAMPLES\n  pwrfgs run \
+    a pipeline are relative to its file; on the command line, to where you stand.\n\nEXAMPLES\n  pwrfgs run \
     pipelines/s23-laptop.ron --set data.root=../shared/data/s23\n  pwrfgs run \
     pipelines/pwrfgs.ron --set 'initializer=Random(count: 20_000, std: 10.0)' --out runs/fewer\n  pwrfgs run \
-    runs/fewer --set seed=1 --out runs/fewer-1\n  pwrfgs run pipelines/quickstart.ron --scale 0.25 --out runs/short\
-    \n  pwrfgs run pipelines/s23-best.ron"
+    runs/fewer --set seed=1 --out runs/fewer-1\n  pwrfgs run pipelines/quickstart.ron --scale 0.25 --out runs/short"
 )]
 pub(crate) struct Run {
-    /// The file of a pipeline or an ensemble; or a run folder, whose run is resumed, or repeated where --out says
+    /// The file of a pipeline; or a run folder, whose run is resumed, or repeated where --out says
     #[arg(value_name = "PIPELINE")]
     pub(crate) pipeline: PathBuf,
     #[command(flatten)]
@@ -44,15 +37,11 @@ pub(crate) struct Run {
 
 pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
     let (file, folder) = named(&arguments.pipeline)?;
-    let recipe = Recipe::read(&file, &arguments.changes.all())?;
-    let pipeline = recipe.pipeline();
+    let pipeline = read_pipeline(&file, &arguments.changes.all())?;
     let out = arguments.out.clone().or(folder).unwrap_or_else(|| Path::new("runs").join(&pipeline.name));
     let stop = stop_flag();
     let mut progress = Progress::new(verbosity);
-    let outcome = match &recipe {
-        Recipe::Pipeline(pipeline) => pwrfgs::run(pipeline, Path::new(""), &out, &mut progress, &stop),
-        Recipe::Ensemble(team) => together(team, &out, verbosity, &mut progress, &stop),
-    };
+    let outcome = pwrfgs::run(&pipeline, Path::new(""), &out, &mut progress, &stop);
     progress.finish();
     match outcome? {
         Outcome::Unscored => {
@@ -60,11 +49,6 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
                 "stopped before the scores were complete; the trained model lies in {}, and the same command scores it",
                 out.display()
             ));
-            Ok(ExitCode::from(INTERRUPTED))
-        }
-        Outcome::Interrupted { .. } if matches!(recipe, Recipe::Ensemble(_)) => {
-            let members = out.join(MEMBERS);
-            output::note(&format!("stopped; the members lie in {}, and the same command goes on", members.display()));
             Ok(ExitCode::from(INTERRUPTED))
         }
         Outcome::Interrupted { step: 0 } => {
@@ -88,20 +72,4 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
             Ok(ExitCode::SUCCESS)
         }
     }
-}
-
-/// The members of an ensemble, as many at a time as there are threads, and then their mean.
-fn together(
-    team: &Team,
-    out: &Path,
-    verbosity: Verbosity,
-    progress: &mut Progress,
-    stop: &AtomicBool,
-) -> Result<Outcome> {
-    let plan = team.plan(&out.join(MEMBERS));
-    let jobs = plan.runs.len().min(rayon::current_num_threads());
-    let board = Table::new(&plan, plan.runs.len(), verbosity);
-    let outcome = pwrfgs::run_team(team, out, jobs, &board, progress, stop);
-    board.finish();
-    outcome
 }

@@ -8,10 +8,11 @@ use crate::args::{Verbosity, count};
 use crate::interrupt::{INTERRUPTED, stop_flag};
 use crate::output;
 use crate::progress::Progress;
-pub(super) use board::Table;
+use board::Table;
 use clap::Args;
-use pwrfgs::experiment::Session;
-use pwrfgs::experiment::sweep::{Fate, Plan, State, check, estimate, execute, slurm};
+use pwrfgs::experiment::folder::REPORT;
+use pwrfgs::experiment::sweep::{Fate, JOINED, Plan, State, SweepEnd, check, estimate, execute, slurm};
+use pwrfgs::experiment::{Outcome, Session};
 use pwrfgs_core::{Error, Result};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -26,7 +27,8 @@ use std::sync::atomic::Ordering;
     \"0.02\", pruners: [LearnableMask(lambda: 0.02)]),\n      ])],\n  )\n\nAll combinations are tried before the first \
     starts. Every run has its own folder, as `pwrfgs run` makes it. The same command does what is left: finished runs \
     are skipped, stopped and killed ones go on from their checkpoints, failed ones are tried again. In the end it \
-    writes tables and figures into DIR/report.\n\nON A CLUSTER\n  --launcher slurm submits a job array, one task a run, with \
+    writes tables and figures into DIR/report.\n\nWith `join: true` in the file the models of all runs become one in DIR/joined, an \
+    ensemble: it predicts their mean, and confidence.csv says how far they differ and how wrong their mean is.\n\nON A CLUSTER\n  --launcher slurm submits a job array, one task a run, with \
     the resources of `slurm: (cpus: 4, memory: \"8G\", time: \"02:00:00\")` in the file; --status says how far they are. \
     With any other scheduler start the same command n times on a shared disk, with --shard 1/n to --shard n/n.\n\nEXAMPLES\n  \
     pwrfgs sweep experiments/lambda.ron --dry-run\n  pwrfgs sweep experiments/lambda.ron --jobs 2\n  pwrfgs sweep \
@@ -133,9 +135,11 @@ fn here(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Resul
     let stop = stop_flag();
     let board = Table::new(plan, runs.len(), verbosity);
     let mut progress = Progress::new(verbosity);
-    let session = Session { observer: &mut progress, stop: &stop, page: pwrfgs::PAGE };
-    let ends = execute(plan, runs, jobs, &board, &session)?;
+    let mut session = Session { observer: &mut progress, stop: &stop, page: pwrfgs::PAGE };
+    let end = execute(plan, runs, jobs, &board, &mut session);
     board.finish();
+    progress.finish();
+    let SweepEnd { runs: ends, joined } = end?;
     #[cfg(feature = "report")]
     if plan.states().iter().all(|state| matches!(state, State::Finished(_))) {
         let _held = plan.claim()?; // of two processes whose last runs end at once, one writes after the other
@@ -143,6 +147,12 @@ fn here(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Resul
     }
     let failed = ends.iter().filter(|(_, fate)| matches!(fate, Fate::Failed(_))).count();
     output::result(&table::status(plan, runs, &queued_or_note(plan)))?;
+    if let Some(Outcome::Finished { scores, .. }) = joined {
+        let folder = plan.folder.join(JOINED);
+        let report = pwrfgs::PAGE.map(|_| format!("\nreport: {}\n", folder.join(REPORT).display()));
+        let head = format!("\njoined model of {} runs, in {}\n", plan.runs.len(), folder.display());
+        output::result(&(head + &scores.to_text() + &report.unwrap_or_default()))?;
+    }
     if failed > 0 {
         output::note(&format!(
             "{failed} of {} runs failed; the reasons stand above and in {}; the same command tries them again",

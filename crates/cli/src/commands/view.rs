@@ -21,7 +21,7 @@ use std::process::{Command, ExitCode, Stdio};
     from its start over every prune step to the end; a run that is still at work is followed.\n\nCOMPARE\n  Two models, or a \
     model and a floor that learns from the same data, move together. A floor is written as in a pipeline, such as \
     NearestNeighbours(k: 5), or by its name alone.\n\nEXAMPLES\n  pwrfgs view \
-    runs/quickstart\n  pwrfgs view runs/s23-best runs/s23-laptop\n  pwrfgs view runs/quickstart 'NearestNeighbours(k: 5)'"
+    runs/quickstart\n  pwrfgs view runs/s23-best/joined runs/s23-laptop\n  pwrfgs view runs/quickstart 'NearestNeighbours(k: 5)'"
 )]
 pub(crate) struct View {
     /// A run folder or a model file; the second may be a floor, such as Kriging

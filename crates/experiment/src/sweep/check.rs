@@ -1,12 +1,12 @@
 //! Trying the runs of a sweep before the first starts: load their data, initialise, and time a few steps if asked.
 
+use super::join::JOINED;
 use super::plan::{Plan, PlannedRun};
 use super::status::State;
 use crate::folder::RunFolder;
 use crate::load::{check_scoring, load};
 use crate::observer::Observer;
 use crate::preview::{fitting, fitting_network};
-use crate::recipe::Recipe;
 use crate::samples::data_key;
 use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_train::Trainer;
@@ -26,7 +26,10 @@ pub fn check(plan: &Plan, runs: &[usize], observer: &mut dyn Observer) -> Result
     runs.iter().try_for_each(|&run| plan.runs[run].pipeline.check_text())?;
     // All of them, those of other shards too: runs of one folder are compared.
     for (run, planned) in plan.runs.iter().enumerate() {
-        RunFolder::inspect(&plan.folder_of(run), &Recipe::Pipeline(Box::new(planned.pipeline.clone())))?;
+        RunFolder::inspect(&plan.folder_of(run), &planned.pipeline)?;
+    }
+    if let Some(joined) = &plan.joined {
+        RunFolder::inspect(&plan.folder.join(JOINED), joined)?;
     }
     plan.listing().inspect(&plan.folder)?;
     let open: Vec<usize> = runs.iter().copied().filter(|&r| !matches!(plan.state(r), State::Finished(_))).collect();
@@ -101,6 +104,7 @@ fn try_each<R>(
         }
         if let Some((_, data, partition)) = &loaded {
             check_scoring(pipeline, data).map_err(named)?;
+            plan.joined.as_ref().map_or(Ok(()), |joined| check_scoring(joined, data)).map_err(named)?;
             fitting_network(pipeline).map_err(named)?;
             let mut trainer =
                 pipeline.plan().and_then(|plan| Trainer::sketch(&plan, data, partition)).map_err(named)?;

@@ -1,5 +1,6 @@
 //! `execute`: several runs at once, each with its own threads.
 
+use super::join::join;
 use super::plan::Plan;
 use crate::folder::RunFolder;
 use crate::observer::Observer;
@@ -35,6 +36,15 @@ pub enum Fate {
     Failed(Error),
 }
 
+/// How a sweep ended, as far as this process did it.
+#[derive(Debug)]
+pub struct SweepEnd {
+    /// Each run, by its place in the plan.
+    pub runs: Vec<(usize, Fate)>,
+    /// The joined model, if the plan joins models and all runs have finished.
+    pub joined: Option<Outcome>,
+}
+
 /// Hears of all runs at once.
 pub trait Board: Sync {
     /// A run, a place in the plan, starts; what it gets hears of its steps.
@@ -46,17 +56,17 @@ pub trait Board: Sync {
 
 /// Does the runs `runs` of the plan, `jobs` at a time, in their order. They share the threads of the calling pool. A run
 /// that fails does not stop the others; the session stops all at their next step, or where they are scored. `board` observes
-/// the runs, not the session.
+/// the runs, the observer of the session what follows: joining their models.
 ///
 /// # Errors
-/// As [`Plan::claim`], or where threads cannot be started.
+/// As [`Plan::claim`], or where threads cannot be started, or models cannot be joined.
 pub fn execute(
     plan: &Plan,
     runs: &[usize],
     jobs: usize,
     board: &dyn Board,
-    session: &Session<'_>,
-) -> Result<Vec<(usize, Fate)>> {
+    session: &mut Session<'_>,
+) -> Result<SweepEnd> {
     drop(plan.claim()?);
     let jobs = jobs.clamp(1, runs.len().max(1));
     let threads = (rayon::current_num_threads() / jobs).max(1);
@@ -88,7 +98,7 @@ pub fn execute(
     });
     let mut ends = ends.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
     ends.sort_by_key(|(run, _)| *run);
-    Ok(ends)
+    Ok(SweepEnd { runs: ends, joined: join(plan, session)? })
 }
 
 /// Does one run.

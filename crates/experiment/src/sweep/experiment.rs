@@ -41,10 +41,15 @@ pub struct Experiment {
     /// Every combination is run with each of these.
     #[serde(default = "zero")]
     pub seeds: Vec<u64>,
+    /// Joins the models of all runs into one, which predicts their mean: an ensemble. Runs then have the same data, split and
+    /// projector.
+    #[serde(default)]
+    pub join: bool,
     /// Fields of a pipeline for all runs; `set: {"pruners.LearnableMask.lambda": 0.05}` among them gives values by their path.
     #[serde(default)]
     pub set: PipelinePatch,
-    /// What varies. Later axes win where two patch the same field.
+    /// What varies; left out, the seeds alone. Later axes win where two patch the same field.
+    #[serde(default)]
     pub axes: Vec<Checked<Axis>>,
     /// What a run may ask of a cluster.
     #[serde(default)]
@@ -58,7 +63,8 @@ pub struct Axis {
     /// What it is called in folders, tables and figures.
     pub name: String,
     /// The choices, each a label with what it changes: `(label: "0.05", set: {"pruners.LearnableMask.lambda": 0.05})` or
-    /// `(label: "long", training: (steps: 2_000))`.
+    /// `(label: "long", training: (steps: 2_000))`. A variant of the first axis may start from another pipeline file:
+    /// `(label: "waves", base: "../pipelines/s23-array.ron")`.
     pub variants: Vec<Variant>,
 }
 
@@ -146,6 +152,11 @@ impl Variant {
     pub fn label(&self) -> &str {
         self.0.label.as_deref().unwrap_or_default()
     }
+
+    /// The pipeline that it starts from, if that is not the experiment's, relative to the experiment file.
+    pub(super) fn base(&self) -> Option<&Path> {
+        self.0.base.as_deref()
+    }
 }
 
 /// `text` as part of a folder's name: other signs than letters, digits, `.`, `-`, `_` and `+` become `-`.
@@ -160,7 +171,7 @@ pub(super) fn slug(text: &str) -> String {
 }
 
 /// Refuses a name that cannot be that of a folder.
-pub(crate) fn check_name(name: &str) -> Result<(), String> {
+fn check_name(name: &str) -> Result<(), String> {
     if slug(name) != *name || name.is_empty() || name.starts_with('.') || name.contains('+') {
         return Err(format!("name: `{name}` cannot name a folder; use letters, digits, `.`, `-` and `_`"));
     }
@@ -168,7 +179,7 @@ pub(crate) fn check_name(name: &str) -> Result<(), String> {
 }
 
 /// Refuses a list without seeds, or with one twice.
-pub(crate) fn check_seeds(seeds: &[u64]) -> Result<(), String> {
+fn check_seeds(seeds: &[u64]) -> Result<(), String> {
     if seeds.is_empty() {
         return Err("`seeds` is empty; give at least one, such as [0]".into());
     }
@@ -209,6 +220,9 @@ impl Check for Experiment {
         check_seeds(seeds)?;
         if ["label", "name", "seed"].iter().any(|field| set.gives(field)) {
             return Err("`set` is for all runs: it cannot give `label`, `name` or `seed`".into());
+        }
+        if let Some(axis) = axes.iter().skip(1).find(|axis| axis.variants.iter().any(|v| v.base().is_some())) {
+            return Err(format!("axis `{}`: only variants of the first axis may have a `base`", axis.name));
         }
         match repeated(axes.iter().map(|a| a.name.to_lowercase())) {
             Some(twice) => Err(format!("two axes are called `{twice}`; change one")),

@@ -1,6 +1,7 @@
 //! `Plan`: every run of an experiment as a resolved pipeline with a folder of its own.
 
-use super::experiment::{Axis, Experiment, Slurm, slug};
+use super::experiment::{Axis, Experiment, Slurm, Variant, slug};
+use super::join::align;
 use super::listing::{ListedRun, Listing};
 use crate::input::absolute;
 use crate::input::{read_base, set_all};
@@ -25,6 +26,8 @@ pub struct Plan {
     pub folder: PathBuf,
     /// All combinations times seeds; those of one combination stand together.
     pub runs: Vec<PlannedRun>,
+    /// By what the joined model is scored, if the runs are joined; its name is that of the experiment.
+    pub joined: Option<Pipeline>,
     /// Resources of a run on a cluster.
     pub slurm: Slurm,
     /// The experiment file, for messages.
@@ -56,15 +59,8 @@ impl Plan {
         let text = read_text(path)?;
         let experiment = Experiment::parse(&text, path)?;
         let here = path.parent().unwrap_or(Path::new(""));
-        let mut base = read_base(&here.join(&experiment.base))?;
-        let (name, seed) = (base.name.clone(), base.seed);
-        let common = patched(&Draft::of(&base), &experiment.set, here).and_then(|draft| draft.finish());
-        base = common.map_err(|e| Error::input(path, format!("set: {e}")))?;
-        set_all(&mut base, set)?;
-        if (&name, seed) != (&base.name, base.seed) {
-            return Err(Error::Config("--set: a sweep gives names and seeds itself; change them in its file".into()));
-        }
-        let source = Source { path, here, experiment: &experiment };
+        let source = Source { path, here, experiment: &experiment, set };
+        let base = source.base(&experiment.base)?;
         source.refuse_too_many()?;
         let mut combinations = vec![Combination { labels: Vec::new(), start: None, draft: Draft::of(&base) }];
         for axis in 0..experiment.axes.len() {
@@ -78,18 +74,15 @@ impl Plan {
                 runs.push(source.run(k, combination, pipeline, seed)?);
             }
         }
+        let joined = experiment.join.then(|| align(&experiment.name, &mut runs)).transpose();
         Ok(Self {
+            joined: joined.map_err(|why| Error::input(path, format!("join: {why}")))?,
             folder: out.map_or_else(|| Path::new("runs").join(&experiment.name), Path::to_path_buf),
             name: experiment.name.clone(),
             runs,
             slurm: Slurm::clone(&experiment.slurm),
             source: path.to_owned(),
         })
-    }
-
-    /// These runs in `folder`.
-    pub(crate) fn of(name: String, folder: &Path, runs: Vec<PlannedRun>) -> Self {
-        Self { source: PathBuf::from(&name), name, folder: folder.to_owned(), runs, slurm: Slurm::default() }
     }
 
     /// The error of a run that cannot start, at the variant that made it so.
@@ -131,12 +124,6 @@ impl Plan {
     }
 }
 
-impl PlannedRun {
-    pub(crate) fn new(folder: String, labels: Vec<(String, String)>, combination: usize, pipeline: Pipeline) -> Self {
-        Self { folder, labels, combination, pipeline, start: None }
-    }
-}
-
 /// Some axes applied.
 struct Combination {
     /// Axis and label, for each axis applied.
@@ -151,9 +138,31 @@ struct Source<'a> {
     path: &'a Path,
     here: &'a Path,
     experiment: &'a Experiment,
+    /// `--set` arguments.
+    set: &'a [String],
 }
 
 impl Source<'_> {
+    /// The pipeline in `file`, relative to the experiment file, with what is set for all runs.
+    fn base(&self, file: &Path) -> Result<Pipeline> {
+        let base = read_base(&self.here.join(file))?;
+        let common = patched(&Draft::of(&base), &self.experiment.set, self.here).and_then(|draft| draft.finish());
+        let mut common = common.map_err(|e| Error::input(self.path, format!("set: {e}")))?;
+        set_all(&mut common, self.set)?;
+        if (&base.name, base.seed) != (&common.name, common.seed) {
+            return Err(Error::Config("--set: a sweep gives names and seeds itself; change them in its file".into()));
+        }
+        Ok(common)
+    }
+
+    /// `draft`, or the base of the variant, with what the variant changes.
+    fn changed(&self, draft: &Draft, variant: &Variant) -> Result<Draft> {
+        match variant.base() {
+            Some(file) => patched(&Draft::of(&self.base(file)?), &variant.0, self.here),
+            None => patched(draft, &variant.0, self.here),
+        }
+    }
+
     /// Each of `combinations` with each variant of `axis`.
     fn cross(&self, axis: usize, combinations: &[Combination]) -> Result<Vec<Combination>> {
         let Axis { name, variants } = &*self.experiment.axes[axis];
@@ -161,9 +170,9 @@ impl Source<'_> {
         for combination in combinations {
             for variant in variants {
                 let own = (name.clone(), variant.label().to_owned());
-                let draft =
-                    patched(&combination.draft, &variant.0, self.here).map_err(|e| refuse(self.path, Some(&own), e))?;
-                let starts = ["data", "split", "initializer"].iter().any(|field| variant.0.gives(field));
+                let draft = self.changed(&combination.draft, variant).map_err(|e| refuse(self.path, Some(&own), e))?;
+                let starts = variant.base().is_some()
+                    || ["data", "split", "initializer"].iter().any(|field| variant.0.gives(field));
                 let start = if starts { Some(own.clone()) } else { combination.start.clone() };
                 let labels = combination.labels.iter().cloned().chain([own]).collect();
                 all.push(Combination { labels, start, draft });
@@ -194,7 +203,7 @@ impl Source<'_> {
             let mut draft = Draft::of(base);
             let spoilt = combination.labels.iter().zip(&self.experiment.axes).find(|((_, label), axis)| {
                 let variant = axis.variants.iter().find(|v| v.label() == label);
-                let next = variant.and_then(|v| patched(&draft, &v.0, self.here).ok());
+                let next = variant.and_then(|variant| self.changed(&draft, variant).ok());
                 next.is_none_or(|next| {
                     draft = next;
                     finish(&draft).is_err_and(|e| e.to_string() == error.to_string())

@@ -3,7 +3,6 @@
 use super::plan::Plan;
 use crate::facts::Facts;
 use crate::folder::{CURVE, PIPELINE, RunFolder};
-use crate::recipe::Recipe;
 use crate::scores::ScoreTable;
 use crate::series;
 use pwrfgs_core::files::{self, write_atomically};
@@ -43,8 +42,7 @@ impl Plan {
     /// How far one run is.
     pub fn state(&self, run: usize) -> State {
         let folder = self.folder_of(run);
-        let recipe = Recipe::Pipeline(Box::new(self.runs[run].pipeline.clone()));
-        match RunFolder::inspect(&folder, &recipe).and_then(|state| state.finished(&folder, false)) {
+        match RunFolder::inspect(&folder, &self.runs[run].pipeline).and_then(|state| state.finished(&folder, false)) {
             Ok(Some(end)) => return State::Finished(Box::new(end)),
             Ok(None) => {}
             Err(error) => return State::Failed(error.to_string()),

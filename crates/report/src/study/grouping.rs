@@ -22,7 +22,7 @@ pub(super) fn listed(names: Vec<String>) -> String {
 
 /// Gives runs that were named one by one the names of their variants: what the folders of all seeds begin with.
 pub(super) fn named(alone: Vec<Record>) -> Vec<(String, Record)> {
-    let keys: Vec<String> = alone.iter().map(|record| record.variant_key.clone()).collect();
+    let keys: Vec<String> = alone.iter().map(Record::variant_key).collect();
     let folder = |record: &Record| {
         let whole = record.folder.canonicalize().unwrap_or_else(|_| record.folder.clone());
         whole.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned())
@@ -137,9 +137,9 @@ fn fields(value: &Value) -> Vec<String> {
 fn variants(group: Vec<(Labels, Record)>) -> Vec<Variant> {
     let mut all: Vec<(String, Labels, Vec<Record>)> = Vec::new();
     for (labels, record) in group {
-        let key = record.variant_key.clone();
+        let key = record.variant_key();
         match all.iter_mut().find(|(known, ..)| *known == key) {
-            Some((.., runs)) if runs.iter().any(|r| r.seeds == record.seeds) => {}
+            Some((.., runs)) if runs.iter().any(|r| r.pipeline.seed == record.pipeline.seed) => {}
             Some((.., runs)) => runs.push(record),
             None => all.push((key, labels, vec![record])),
         }
