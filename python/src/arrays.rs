@@ -6,7 +6,7 @@ use numpy::{
     Element, IntoPyArray as _, PyArrayDyn, PyArrayMethods as _, PyReadonlyArrayDyn, PyUntypedArrayMethods as _,
 };
 use numpy::{PyArrayDescrMethods as _, dtype};
-use pwrfgs_core::Real;
+use pwrfgs_core::{Real, Task, gains_of};
 use pyo3::exceptions::PyMemoryError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -127,7 +127,23 @@ pub(crate) fn room<T>(shape: &[usize]) -> PyResult<()> {
     Err(PyMemoryError::new_err(format!("there is no memory for numbers of shape {shape:?}; ask for fewer at a time")))
 }
 
+/// Observations of `task` as an array `[lead.., axes of one]`, complex where they are: `rows` holds one after the other, each
+/// of `size` (columns, rows).
+pub(crate) fn observations<'py>(
+    py: Python<'py>,
+    task: Task,
+    size: (usize, usize),
+    lead: &[usize],
+    rows: Vec<Real>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let shape = [lead, &task.shape(size)].concat();
+    if task.is_complex {
+        return array(py, complex(&gains_of(&rows, size.0.max(1))), &shape).map(Bound::into_any);
+    }
+    array(py, rows, &shape).map(Bound::into_any)
+}
+
 /// Pairs of real numbers as complex ones.
-pub(crate) fn complex(pairs: &[[Real; 2]]) -> Vec<Gain> {
+fn complex(pairs: &[[Real; 2]]) -> Vec<Gain> {
     pairs.iter().map(|[re, im]| Gain::new(*re, *im)).collect()
 }

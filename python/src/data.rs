@@ -2,14 +2,14 @@
 
 mod given;
 
-use crate::arrays::{Gain, array, complex, numbers, places};
+use crate::arrays::{array, numbers, observations, places};
 use crate::border::{free, wrong};
 use crate::settings::{plugin, text_of};
 use numpy::PyArrayDyn;
 use pwrfgs::data::{check, save, shape_fault, source_in};
 use pwrfgs_core::{
     DataSource, Dataset as Data, Elevation, Error, Observations, Partition, Plugin, Pose, Real, Receiver, Sample,
-    Simulation, Split, Task, rng,
+    Simulation, Split, rng,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyTuple};
@@ -29,21 +29,8 @@ pub(crate) struct Dataset {
 
 /// Takes data apart into NumPy's arrays, link by link.
 pub(crate) fn observed<'py>(py: Python<'py>, data: &Data, links: &[usize]) -> PyResult<Bound<'py, PyAny>> {
-    let count = links.len();
-    match &data.observations {
-        Observations::Pictures(spectra) => {
-            let shape = [count, spectra.height(), spectra.width()];
-            let all = free(py, || Ok(links.iter().flat_map(|&i| data.image(i).pixels).collect::<Vec<Real>>()))?;
-            array(py, all, &shape).map(Bound::into_any)
-        }
-        Observations::Powers(powers) => {
-            array(py, links.iter().map(|&i| powers[i]).collect::<Vec<Real>>(), &[count]).map(Bound::into_any)
-        }
-        Observations::Channels(channels) => {
-            let gains: Vec<Gain> = links.iter().flat_map(|&i| complex(channels.of(i))).collect();
-            array(py, gains, &[count, channels.antennas, channels.frequencies_hz.len()]).map(Bound::into_any)
-        }
-    }
+    let rows = free(py, || Ok(links.iter().flat_map(|&i| data.image(i).pixels).collect()))?;
+    observations(py, data.task(), (data.width, data.height), &[links.len()], rows)
 }
 
 impl Dataset {
@@ -51,11 +38,10 @@ impl Dataset {
         Self { data: Arc::new(data), source: Mutex::new(source) }
     }
 
-    fn all_of<'py>(&self, py: Python<'py>, kind: Task) -> PyResult<Option<Bound<'py, PyAny>>> {
-        if self.data.task() != kind {
-            return Ok(None);
-        }
-        observed(py, &self.data, &(0..self.data.len()).collect::<Vec<_>>()).map(Some)
+    /// All observations, if there are any of the task that a getter asks for.
+    fn all_if<'py>(&self, py: Python<'py>, is_there: bool) -> PyResult<Option<Bound<'py, PyAny>>> {
+        let all = || observed(py, &self.data, &(0..self.data.len()).collect::<Vec<_>>());
+        is_there.then(all).transpose()
     }
 }
 
@@ -145,7 +131,7 @@ impl Dataset {
         if let Some(fault) = elevation.fault() {
             return Err(wrong(py, &format!("elevation_deg {fault}")));
         }
-        if let Observations::Pictures(spectra) = &observations {
+        if let Some(spectra) = observations.spectra() {
             let (size, say) = ((spectra.width(), spectra.height()), "elevation_deg=(-90, 90) for a full sphere");
             if let Some(fault) = shape_fault(elevation, elevation_deg.is_some(), size, say) {
                 return Err(wrong(py, &format!("a spectrum {fault}")));
@@ -202,7 +188,7 @@ impl Dataset {
     /// "spectrum", "power" or "channel".
     #[getter]
     fn kind(&self) -> &'static str {
-        kind_name(self.data.task())
+        self.data.task().name
     }
 
     /// Whether they were computed, not measured.
@@ -244,25 +230,25 @@ impl Dataset {
     /// Spatial spectra [L, H, W], float32 from 0 to 1; None where something else was observed.
     #[getter]
     fn spectra<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
-        self.all_of(py, Task::Spectrum)
+        self.all_if(py, self.data.observations.spectra().is_some())
     }
 
     /// Received powers [L], dBm; None where something else was observed.
     #[getter]
     fn rssi<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
-        self.all_of(py, Task::Power)
+        self.all_if(py, self.data.observations.powers().is_some())
     }
 
     /// Channels [L, A, F], complex64; None where something else was observed.
     #[getter]
     fn csi<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
-        self.all_of(py, Task::Channel)
+        self.all_if(py, self.data.observations.channels().is_some())
     }
 
     /// Frequencies of the subcarriers of channels [F], Hz; None where something else was observed.
     #[getter]
     fn frequencies_hz<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArrayDyn<f64>>>> {
-        let Observations::Channels(channels) = &self.data.observations else { return Ok(None) };
+        let Some(channels) = self.data.observations.channels() else { return Ok(None) };
         let all = channels.frequencies_hz.clone();
         let count = all.len();
         array(py, all, &[count]).map(Some)
@@ -341,15 +327,6 @@ fn parts<'py>(py: Python<'py>, partition: &Partition) -> PyResult<Bound<'py, PyA
     let list = |part: &[usize]| array(py, part.iter().map(|i| *i as i64).collect::<Vec<i64>>(), &[part.len()]);
     let all = (list(&partition.train)?, list(&partition.validation)?, list(&partition.test)?);
     py.import("pwrfgs._types")?.getattr("Partition")?.call1(all)
-}
-
-/// As Python calls a kind.
-pub(crate) fn kind_name(kind: Task) -> &'static str {
-    match kind {
-        Task::Spectrum => "spectrum",
-        Task::Power => "power",
-        Task::Channel => "channel",
-    }
 }
 
 /// Degrees of rows and columns.

@@ -1,13 +1,13 @@
 //! `Model`: a trained model, or several that predict together.
 
-use crate::arrays::{Gain, array, axes, complex, numbers, places, room};
+use crate::arrays::{Gain, array, axes, numbers, observations, places, room};
 use crate::border::{LOOK, carried, free, wrong};
-use crate::data::{angles, kind_name};
+use crate::data::angles;
 use numpy::PyArrayDyn;
 use pwrfgs::experiment::export;
 use pwrfgs::model::{Ensemble, Prepared, Stages, file};
 use pwrfgs_core::files::{check_file_place, write_atomically};
-use pwrfgs_core::{Error, Frame, Query, Real, Result, Task, gains_of};
+use pwrfgs_core::{Error, Frame, Query, Real, Result};
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyTuple};
 use rayon::prelude::*;
@@ -142,24 +142,16 @@ impl Model {
         work: impl Fn(&[Query<'_>], &mut [Real]) + Send,
     ) -> PyResult<Bound<'py, PyAny>> {
         let Frame { plane, task, .. } = &self.stages().frame;
-        let (of_each, mut shape) = (plane.width * plane.height, links.lead.clone());
-        room::<Real>(&[&shape[..], &[of_each]].concat())?;
+        let (size, lead) = ((plane.width, plane.height), &links.lead);
+        room::<Real>(&[&lead[..], &[size.0 * size.1]].concat())?;
         let all = free(py, || {
-            let mut all = vec![0.0; shape.iter().product::<usize>() * of_each];
+            let mut all = vec![0.0; lead.iter().product::<usize>() * size.0 * size.1];
             self.fill(links, &mut all, work).map(|()| all)
         })?;
-        match task {
-            Task::Power if shape.is_empty() => return Ok(all[0].into_pyobject(py)?.into_any()),
-            Task::Power => {}
-            Task::Spectrum => shape.extend([plane.height, plane.width]),
-            Task::Channel => {
-                shape.extend([plane.height / 2, plane.width]);
-                let gains = |rows: &[Real]| complex(&gains_of(rows, plane.width));
-                let all: Vec<Gain> = all.chunks_exact(of_each).flat_map(gains).collect();
-                return array(py, all, &shape).map(Bound::into_any);
-            }
+        if lead.is_empty() && task.is_scalar {
+            return Ok(all[0].into_pyobject(py)?.into_any());
         }
-        array(py, all, &shape).map(Bound::into_any)
+        observations(py, *task, size, lead, all)
     }
 
     /// `all` in chunks, and what is not finite refused.
@@ -321,7 +313,7 @@ impl Model {
     /// "spectrum", "power" or "channel".
     #[getter]
     fn kind(&self) -> &'static str {
-        kind_name(self.stages().task)
+        self.stages().task.name
     }
 
     /// Gaussians, of all members together.

@@ -1,6 +1,6 @@
 //! Metrics, baselines and repeatability of any arrays.
 
-use crate::arrays::{Gain, array, axes, given, places};
+use crate::arrays::{Gain, array, axes, given, observations, places};
 use crate::border::{free, waited, wrong};
 use crate::data::Dataset;
 use crate::settings::{plugin, text_of};
@@ -14,45 +14,32 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::ops::RangeInclusive;
 
-/// Observations of one kind as the library has them: (kind, images).
-fn images(what: &str, value: &Bound<'_, PyAny>, kind: &str) -> PyResult<(Task, Vec<Image>)> {
-    let py = value.py();
-    match kind {
-        "spectrum" => {
-            let one = axes(value)? == 2;
-            let shape: &[Option<usize>] = if one { &[None, None] } else { &[None, None, None] };
-            let all = given::<Real>(what, value, shape)?;
-            let (height, width) = (all.shape()[all.ndim() - 2], all.shape()[all.ndim() - 1]);
-            let all = all.as_slice().map_err(|e| wrong(py, &e.to_string()))?;
-            if width * height == 0 {
-                return Err(wrong(py, &format!("{what} has no pixels")));
-            }
-            let image = |pixels: &[Real]| Image { width, height, pixels: pixels.to_vec() };
-            Ok((Task::Spectrum, all.chunks_exact(width * height).map(image).collect()))
-        }
-        "power" => {
-            let all = given::<Real>(what, value, &vec![None; axes(value)?.max(1)])?; // a number is an array of one
-            let all = all.as_slice().map_err(|e| wrong(py, &e.to_string()))?;
-            Ok((Task::Power, all.iter().map(|dbm| Image { width: 1, height: 1, pixels: vec![*dbm] }).collect()))
-        }
-        _ => {
-            let lead = axes(value)?;
-            if lead < 2 {
-                return Err(wrong(py, &format!("{what} has {lead} axes, and [.., A, F] is wanted")));
-            }
-            let all = given::<Gain>(what, value, &vec![None; lead])?;
-            let (antennas, width) = (all.shape()[lead - 2], all.shape()[lead - 1]);
-            let all = all.as_slice().map_err(|e| wrong(py, &e.to_string()))?;
-            if antennas * width == 0 {
-                return Err(wrong(py, &format!("{what} holds no gains")));
-            }
-            let image = |gains: &[Gain]| {
-                let pairs: Vec<[Real; 2]> = gains.iter().map(|gain| [gain.re, gain.im]).collect();
-                Image { width, height: 2 * antennas, pixels: rows_of(&pairs, width) }
-            };
-            Ok((Task::Channel, all.chunks_exact(antennas * width).map(image).collect()))
-        }
+/// Observations of `task` as the library has them.
+fn images(what: &str, value: &Bound<'_, PyAny>, task: Task) -> PyResult<Vec<Image>> {
+    let (py, axes, of_one) = (value.py(), axes(value)?, task.shape((1, 2)).len());
+    if axes < of_one {
+        let what = format!("{what} has {axes} axes, and a {} has {of_one}", task.singular);
+        return Err(wrong(py, &what));
     }
+    let any = vec![None; axes.max(1)]; // a number is an array of one
+    let (ends, rows) = if task.is_complex {
+        let all = given::<Gain>(what, value, &any)?;
+        let gains = all.as_slice().map_err(|e| wrong(py, &e.to_string()))?;
+        let pairs: Vec<[Real; 2]> = gains.iter().map(|gain| [gain.re, gain.im]).collect();
+        (all.shape()[axes - of_one..].to_vec(), rows_of(&pairs, all.shape()[axes - 1].max(1)))
+    } else {
+        let all = given::<Real>(what, value, &any)?;
+        let rows = all.as_slice().map_err(|e| wrong(py, &e.to_string()))?.to_vec();
+        (all.shape()[axes - of_one..].to_vec(), rows)
+    };
+    let [height, width] = *ends else {
+        return Ok(rows.into_iter().map(|v| Image { width: 1, height: 1, pixels: vec![v] }).collect());
+    };
+    if height * width == 0 {
+        return Err(wrong(py, &format!("{what} has no numbers")));
+    }
+    let height = if task.is_complex { 2 * height } else { height };
+    Ok(rows.chunks_exact(width * height).map(|rows| Image { width, height, pixels: rows.to_vec() }).collect())
 }
 
 /// What pixels of a truth may be, but for rounding.
@@ -70,8 +57,8 @@ pub(crate) fn measure<'py>(
 ) -> PyResult<Bound<'py, PyList>> {
     crate::strategies::forget();
     let metric = plugin::<dyn Metric>(py, &text_of("Metric", metric, None)?)?;
-    let (kind, predictions) = images("prediction", predictions, kind)?;
-    let (_, truths) = images("truth", truths, crate::data::kind_name(kind))?;
+    let task = Task::named(kind).ok_or_else(|| wrong(py, &format!("there is no task `{kind}`")))?;
+    let (predictions, truths) = (images("prediction", predictions, task)?, images("truth", truths, task)?);
     let size = |images: &[Image]| images.first().map(|image| (image.height, image.width));
     if (predictions.len(), size(&predictions)) != (truths.len(), size(&truths)) {
         let said =
@@ -80,18 +67,15 @@ pub(crate) fn measure<'py>(
         return Err(wrong(py, &what));
     }
     let Some((height, width)) = size(&truths) else { return Err(wrong(py, "there is nothing to compare")) };
-    let is_picture = kind == Task::Spectrum;
-    let azimuth = pwrfgs_core::Axis { first: 0.0, step: 360.0 / width as f64 };
-    let elevation = Elevation { first: elevation_deg[0], last: elevation_deg[1] };
-    let angles = is_picture.then(|| (azimuth, elevation.axis(height)));
-    let plane = ImagePlane { width, height, wraps: is_picture, angles, sampling: Sampling::WHOLE };
-    if let Some(bad) = truths.iter().flat_map(|truth| &truth.pixels).find(|v| is_picture && !AMPLITUDES.contains(*v)) {
+    let plane = task.plane((width, height), Elevation { first: elevation_deg[0], last: elevation_deg[1] });
+    let mut pixels = truths.iter().flat_map(|truth| &truth.pixels);
+    if let Some(bad) = pixels.find(|v| task.has_pixels && !AMPLITUDES.contains(*v)) {
         return Err(wrong(py, &format!("truth holds {bad}; spectra go from 0 to 1 (divide bytes by 255)")));
     }
     let scene = empty_scene(vec![]);
     let found = free(py, || {
         let given = (predictions.as_slice(), truths.as_slice());
-        metric.evaluate(&Evaluation { task: kind, ..evaluation(given, &plane, &scene) })
+        metric.evaluate(&Evaluation { task, ..evaluation(given, &plane, &scene) })
     })?;
     measurements(py, found)
 }
@@ -102,8 +86,8 @@ fn evaluation<'a>(
     plane: &'a ImagePlane,
     scene: &'a Scene,
 ) -> Evaluation<'a> {
-    let kind = Task::Spectrum;
-    Evaluation { predictions, truths, task: kind, links: &[], plane, scene, model: None, timed_prediction: None }
+    let task = Task::default();
+    Evaluation { predictions, truths, task, links: &[], plane, scene, model: None, timed_prediction: None }
 }
 
 fn empty_scene(points: Vec<[Real; 3]>) -> Scene {
@@ -181,19 +165,9 @@ pub(crate) fn predict_baseline<'py>(
         let predictor = baseline.fit(data, Known::train(&train))?;
         Ok(txs.iter().map(|tx| predictor.predict(Query::at(*tx, receiver))).collect())
     })?;
-    let (count, width, height) = (found.len(), data.width, data.height);
-    let all: Vec<Real> = found.into_iter().flat_map(|image| image.pixels).collect();
-    match data.task() {
-        Task::Spectrum => array(py, all, &[count, height, width]).map(Bound::into_any),
-        Task::Power => array(py, all, &[count]).map(Bound::into_any),
-        Task::Channel => {
-            let gains: Vec<Gain> = all
-                .chunks_exact(width * height)
-                .flat_map(|rows| crate::arrays::complex(&pwrfgs_core::gains_of(rows, width)))
-                .collect();
-            array(py, gains, &[count, height / 2, width]).map(Bound::into_any)
-        }
-    }
+    let count = found.len();
+    let rows = found.into_iter().flat_map(|image| image.pixels).collect();
+    observations(py, data.task(), (data.width, data.height), &[count], rows)
 }
 
 /// See `pwrfgs.repeatability`.

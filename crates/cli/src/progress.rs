@@ -6,7 +6,6 @@ use crate::interrupt::Training;
 use crate::output::{self, bars, note};
 use indicatif::{ProgressBar, ProgressStyle};
 use pwrfgs::experiment::clock::duration;
-use pwrfgs::experiment::headline::headline;
 use pwrfgs::experiment::text::grouped;
 use pwrfgs::experiment::{Observer, Start, Validation};
 use pwrfgs::train::{Estimate, StepReport};
@@ -117,7 +116,7 @@ impl Progress {
             _ = write!(words, "  N {}", grouped(report.gaussians as i64));
         }
         if let Some(v) = self.validation {
-            _ = write!(words, "  validation {} {:.3}", headline(v.kind).name, v.values[0]);
+            _ = write!(words, "  validation {} {:.3}", v.kind.headline.name, v.values[0]);
         }
         if let Some(speed) = self.speed() {
             let left = duration((self.steps - report.step) as f64 / speed);
@@ -224,7 +223,7 @@ impl Observer for Progress {
         self.validation = Some(*validation);
         if self.verbosity == Verbosity::Verbose {
             let [mean, median, third] = validation.values;
-            let headline = headline(validation.kind);
+            let headline = validation.kind.headline;
             self.say(&format!(
                 "step {}: validation {} {mean:.4} (median {median:.4}), {} {third:.4}",
                 validation.step, headline.name, headline.columns[2]

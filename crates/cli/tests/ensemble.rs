@@ -36,7 +36,7 @@ fn several_models_predict_as_one_and_show_where_they_differ() {
     assert_eq!((npy(&here.join("stack/spectra.npy")), npy(&here.join("stack/spread.npy"))), (both, spread));
 
     let table = stdout(&succeed(here, &["evaluate", models[0], models[1]]));
-    assert!(table.contains("ssim") && table.contains("2 models, the mean of their pictures"), "{table}");
+    assert!(table.contains("ssim") && table.contains("2 models, the mean of their predictions"), "{table}");
     assert!(table.contains("member 1") && table.contains("member 2") && table.contains("rank correlation"), "{table}");
     succeed(here, &["evaluate", models[0], models[1], "--out", "x"]);
     let page = std::fs::read_to_string(here.join("x/report.html")).unwrap();

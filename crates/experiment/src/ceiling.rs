@@ -81,16 +81,10 @@ fn lapse(data: &Dataset, lags: &[u32]) -> (Lapse, String) {
     }
 }
 
-fn notes(kind: Task, found: &Likeness, lapse: Lapse, why: &str, of: &[(String, AtZero)]) -> Vec<String> {
-    let what = match kind {
-        Task::Power => {
-            "the error of a perfect predictor of the mean reading: what two readings at one place differ by, over √2"
-        }
-        Task::Spectrum => "what two measured spectra at one place have in common",
-        Task::Channel => "what two measured channels at one place have in common",
-    };
-    // Of powers the row is the perfect predictor's already.
-    let more = if kind == Task::Power { "" } else { "; a perfect predictor of the mean could reach a little more" };
+fn notes(task: Task, found: &Likeness, lapse: Lapse, why: &str, of: &[(String, AtZero)]) -> Vec<String> {
+    let what = task.ceiling.note;
+    let is_perfect = task.ceiling.share < 1.0; // the row is that of the perfect predictor already
+    let more = if is_perfect { "" } else { "; a perfect predictor of the mean could reach a little more" };
     let (pairs, words) = (grouped(found.closest as i64), lapse.words());
     let interval = |(key, at_zero): &(String, AtZero)| {
         let [low, high] = at_zero.interval.map(number);

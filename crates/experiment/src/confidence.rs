@@ -3,7 +3,7 @@
 use crate::observer::staged;
 use crate::session::{Session, check_stopped};
 use crate::text::{Lines, csv_rows};
-use pwrfgs_core::{Dataset, Image, Result, Task};
+use pwrfgs_core::{Dataset, Image, Result};
 use pwrfgs_model::Prepared;
 use rayon::prelude::*;
 use std::path::Path;
@@ -35,8 +35,7 @@ impl Confidence {
             let done = AtomicUsize::new(0);
             let of = |&i: &usize| {
                 let (mean, deviation, _) = model.predict_with_deviation(data.query(i));
-                let shown = if data.task() == Task::Spectrum { mean.clamped() } else { mean };
-                let pair = (size(&deviation), distance(&shown, &data.image(i)));
+                let pair = (size(&deviation), distance(&data.task().shown(mean), &data.image(i)));
                 progress(done.fetch_add(1, Ordering::Relaxed) + 1, part.len());
                 pair
             };

@@ -1,7 +1,7 @@
 //! Warnings of data in wrong units or in a wrong order, which every reader accepts.
 
 use pwrfgs_core::neighbours::nearest_other_squared;
-use pwrfgs_core::{Dataset, Observations, Partition, Real, Task};
+use pwrfgs_core::{Dataset, Partition, Real};
 
 /// Longest site and widest spacing of transmitters in metres; positions beyond both are likely in another unit.
 const SITE_M: f64 = 100.0;
@@ -20,11 +20,11 @@ pub fn data_warnings(data: &Dataset, partition: Option<&Partition>) -> Vec<Strin
     if data.placed {
         all.extend(position_warning(&positions));
     }
-    if let Observations::Powers(powers) = &data.observations {
+    if let Some(powers) = data.observations.powers() {
         all.extend(power_warning(powers));
     }
     all.extend(partition.and_then(|partition| split_warning(data, partition)));
-    all.extend(equality_warning(data.task(), data.len(), are_equal));
+    all.extend(equality_warning(data.task().plural, data.len(), are_equal));
     all
 }
 
@@ -85,8 +85,7 @@ fn split_warning(data: &Dataset, partition: &Partition) -> Option<String> {
 }
 
 /// Observations that are all the same.
-pub fn equality_warning(kind: Task, count: usize, are_equal: bool) -> Option<String> {
-    let things = kind.plural;
+pub fn equality_warning(things: &str, count: usize, are_equal: bool) -> Option<String> {
     (count > 1 && are_equal).then(|| {
         format!(
             "{things}: all {count} are equal, so nothing depends on the transmitter; check the files they came from"

@@ -8,9 +8,7 @@ use crate::confidence::Confidence;
 use crate::paired::Paired;
 use crate::scores::{MODEL, ScoreTable, Scores};
 use crate::session::Session;
-use pwrfgs_core::{
-    Dataset, Error, ImagePlane, Known, ModelFacts, Observations, Partition, Result, Task, Values, evenly, words::clean,
-};
+use pwrfgs_core::{Dataset, Error, ImagePlane, Known, ModelFacts, Partition, Result, Values, evenly, words::clean};
 use pwrfgs_model::{Ensemble, Prepared};
 use pwrfgs_pipeline::{Pipeline, defaults};
 
@@ -118,20 +116,15 @@ pub(crate) fn validation_baselines(
 /// The first difference.
 pub fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
     let refuse = |what: String| Err(Error::Config(what + "; evaluate it on data like those it was trained on"));
-    let (plane, kind) = (model.plane(), data.task());
-    if model.task() != kind {
-        return refuse(format!("the model predicts {} and the data are {}", model.task().plural, kind.plural));
+    let (plane, task) = (model.plane(), data.task());
+    if model.task() != task {
+        return refuse(format!("the model predicts {} and the data are {}", model.task().plural, task.plural));
     }
     let (drawn, have) = ((plane.width, plane.height), (data.width, data.height));
-    if drawn != have && kind == Task::Channel {
-        let size = |(width, height): (usize, usize)| format!("{} antennas and {width} subcarriers", height / 2);
-        return refuse(format!("the model predicts channels of {} and the data have {}", size(drawn), size(have)));
-    }
     if drawn != have {
-        return refuse(format!(
-            "the model draws {}x{} pixels and the spectra of the data have {}x{}",
-            drawn.0, drawn.1, have.0, have.1
-        ));
+        let size = |size| task.size_text(size).unwrap_or_default();
+        let what = format!("the model predicts {} of {} and the data have {}", task.plural, size(drawn), size(have));
+        return refuse(what);
     }
     let (known, listening) = (model.receivers().len(), data.scene.receivers.len());
     if known != listening {
@@ -139,7 +132,7 @@ pub fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
     }
     for (known, heard) in model.receivers().iter().zip(&data.scene.receivers) {
         // Of a single receiver the name says nothing: nobody gave it one.
-        if known.name != heard.name && kind != Task::Spectrum && listening > 1 {
+        if known.name != heard.name && !task.has_pixels && listening > 1 {
             return refuse(format!(
                 "receiver `{}` of the model is `{}` in the data",
                 clean(&known.name),
@@ -148,15 +141,13 @@ pub fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
         }
     }
     let near = |a: &f64, b: &f64| (a - b).abs() <= 1e-6 * a.abs();
-    if let Observations::Channels(channels) = &data.observations {
-        let (known, heard) = (model.frequencies(), &channels.frequencies_hz);
-        if !(known.len() == heard.len() && known.iter().zip(heard).all(|(a, b)| near(a, b))) {
-            let first = |all: &[f64]| all.first().copied().unwrap_or_default();
-            let (known, heard) = (first(known), first(heard));
-            return refuse(format!(
-                "the model knows subcarriers from {known} Hz on, and those of the data begin at {heard} Hz"
-            ));
-        }
+    let (known, heard) = (model.frequencies(), data.observations.frequencies_hz());
+    if !(known.len() == heard.len() && known.iter().zip(heard).all(|(a, b)| near(a, b))) {
+        let first = |all: &[f64]| all.first().copied().unwrap_or_default();
+        let (known, heard) = (first(known), first(heard));
+        return refuse(format!(
+            "the model knows subcarriers from {known} Hz on, and those of the data begin at {heard} Hz"
+        ));
     }
     Ok(())
 }

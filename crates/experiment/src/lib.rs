@@ -17,7 +17,6 @@ mod events;
 pub mod export;
 mod facts;
 pub mod folder;
-pub mod headline;
 mod input;
 pub mod inspect;
 mod journal;

@@ -32,7 +32,7 @@ pub struct Validation {
     pub step: u64,
     /// What was looked at.
     pub kind: Task,
-    /// The columns of [`headline`](crate::headline::headline): mean and median, and one number more.
+    /// The columns of [`Headline`](pwrfgs_core::Headline): mean and median, and one number more.
     pub values: [f64; 3],
 }
 

@@ -4,7 +4,6 @@
 //! cancel, and far smaller differences can be told from nothing.
 
 use crate::blocks::Blocks;
-use crate::headline::headline;
 use crate::scores::{MODEL, Scores};
 use crate::statistics::{CONFIDENCE, Difference};
 use crate::text::fixed;
@@ -131,7 +130,7 @@ impl PairedRow {
 
 /// Whether tables of differences show a metric: the first one of the kind and every rate ratio.
 pub fn is_compared(key: &str, kind: Task) -> bool {
-    key == headline(kind).key || key.starts_with("eta_")
+    key == kind.headline.key || key.starts_with("eta_")
 }
 
 /// A difference with its sign; what is rounded to 0 has none.

@@ -156,11 +156,9 @@ pub(crate) fn likeness(
     Ok(Likeness { closest, reach_m, metrics })
 }
 
-/// What one reading is off from the mean of all, of what two are off from each other: two readings of a power are both
-/// noisy, and independent errors of one size add up to √2 of it. Of anything else, the values as they are.
-fn single(kind: Task, values: &[f64]) -> Vec<f64> {
-    let share = if kind == Task::Power { std::f64::consts::FRAC_1_SQRT_2 } else { 1.0 };
-    values.iter().map(|v| share * v).collect()
+/// Scores of a perfect predictor of the mean reading, given `values` between two readings.
+fn single(task: Task, values: &[f64]) -> Vec<f64> {
+    values.iter().map(|v| task.ceiling.share * v).collect()
 }
 
 /// The pairs that are followed to distance zero, out of `pairs` of ascending distances. Where the closest are about equally

@@ -85,12 +85,12 @@ pub struct ScoreTable {
     /// Sentences printed under the table.
     pub notes: Vec<String>,
     /// What was predicted.
-    #[serde(default, skip_serializing_if = "is_spectra")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub kind: Task,
 }
 
-fn is_spectra(kind: &Task) -> bool {
-    *kind == Task::Spectrum
+fn is_default(kind: &Task) -> bool {
+    *kind == Task::default()
 }
 
 /// One metric of all predictors.

@@ -4,12 +4,12 @@ use crate::bench::Bench;
 use crate::observer::{Silent, Validation};
 use crate::scores::Summary;
 use crate::session::Session;
-use pwrfgs_core::{Dataset, Result, Task, Values};
+use pwrfgs_core::{Dataset, Result, Values};
 use pwrfgs_model::Model;
 use pwrfgs_pipeline::defaults;
 
-/// Scores the samples `part`: mean and median of the first metric; of spectra the mean of the second, of powers the bad tail
-/// of the first, of channels the ratio over all.
+/// Scores the samples `part`: mean and median of the first metric, then the mean of the second, or the bad tail of the first if
+/// there is no second.
 pub(crate) fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize]) -> Result<Validation> {
     let bench = Bench::new(data, part, &model.stages.plane);
     let (kind, model, metrics) = (data.task(), &model.prepare(), defaults::validation(data.task()));
@@ -20,6 +20,6 @@ pub(crate) fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize])
         _ => Summary { mean: f64::NAN, median: f64::NAN, p10: f64::NAN },
     };
     let first = of(0);
-    let third = if kind == Task::Power { first.p10 } else { of(1).mean };
+    let third = if measured.len() > 1 { of(1).mean } else { first.p10 };
     Ok(Validation { step, kind, values: [first.mean, first.median, third] })
 }

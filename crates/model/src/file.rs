@@ -85,7 +85,7 @@ struct ReceiverNote {
 
 /// One antenna in the middle of the only receiver of spectra: what files say without `links`.
 fn is_plain(frame: &Frame) -> bool {
-    frame.task == Task::Spectrum && frame.receivers.len() == 1 && frame.receivers[0].antennas == [[0.0; 3]]
+    frame.task.has_pixels && frame.receivers.len() == 1 && frame.receivers[0].antennas == [[0.0; 3]]
 }
 
 const FORMAT: &str = "pwrfgs-model";

@@ -86,9 +86,7 @@ impl<'a> Prepared<'a> {
     pub fn predict_with_deviation<'q>(&self, query: impl Into<Query<'q>>) -> (Image, Image, StageTimes) {
         let (pictures, times) = self.pictures(query.into());
         let count = pictures.len() as Real;
-        let is_picture = self.task() == Task::Spectrum;
-        let clamped: Vec<Image> =
-            pictures.iter().map(|own| if is_picture { own.clamped() } else { own.clone() }).collect();
+        let clamped: Vec<Image> = pictures.iter().map(|own| self.task().shown(own.clone())).collect();
         let mean = mean(pictures, self.task());
         let mut deviation = Image::zeros(mean.width, mean.height);
         if clamped.len() > 1 {
@@ -243,7 +241,7 @@ fn asked(stages: &Stages, queries: &[Query<'_>]) -> (Vec<Real>, Vec<Link>) {
 }
 
 /// One observation as it is, or the mean of several; pictures each clamped to [0, 1].
-fn mean(pictures: Vec<Image>, kind: Task) -> Image {
+fn mean(pictures: Vec<Image>, task: Task) -> Image {
     let share = 1.0 / pictures.len() as Real;
     let mut pictures = pictures.into_iter();
     let mut mean = pictures.next().expect("a model or more");
@@ -251,7 +249,7 @@ fn mean(pictures: Vec<Image>, kind: Task) -> Image {
         return mean;
     }
     let sum = mean.pixels.as_mut_slice();
-    if kind != Task::Spectrum {
+    if !task.has_pixels {
         sum.iter_mut().for_each(|v| *v *= share);
         for other in pictures {
             sum.iter_mut().zip(&other.pixels).for_each(|(sum, v)| *sum += v * share);

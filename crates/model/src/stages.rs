@@ -3,7 +3,7 @@
 use crate::Splatting;
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
-    Axis, Dataset, Error, Frame, GaussianCloud, ImagePlane, Layout, Method, Real, Receiver, Result, Task, WeightSpec,
+    Axis, Dataset, Error, Frame, GaussianCloud, ImagePlane, Layout, Method, Real, Receiver, Result, WeightSpec,
 };
 use std::any::Any;
 use std::ops::{Deref, DerefMut};
@@ -50,7 +50,7 @@ impl Stages {
     /// [`Error::Config`] where splats cannot be drawn on an image of this size.
     pub fn of(method: Plugin<dyn Method>, data: &Dataset) -> Result<Self> {
         let mut stages = Self { method, frame: Frame::of(data, data.plane()) };
-        if let (Task::Spectrum, Some(splatting)) = (data.task(), stages.splatting()) {
+        if let (true, Some(splatting)) = (data.task().has_pixels, stages.splatting()) {
             let plane = splatting.projector.plane_of(data.width, data.height, data.elevation);
             let plane = plane.map_err(|why| Error::Config(format!("the projector {why}")))?;
             let fits = splatting.rasterizer.check_plane(&plane);
@@ -87,7 +87,7 @@ impl Stages {
         if pixels.is_none() {
             return Err(format!("plane: {width} x {height} pixels; there are 1 to {MAX_PIXELS}"));
         }
-        if let (Task::Spectrum, Some(splatting)) = (self.task, self.splatting()) {
+        if let (true, Some(splatting)) = (self.task.has_pixels, self.splatting()) {
             check_plane(&self.frame.plane, splatting)?;
         }
         if !(1..=MAX_RECEIVERS).contains(&self.receivers.len()) {
@@ -99,13 +99,10 @@ impl Stages {
                 return Err("a receiver without antennas, or with one that is nowhere".into());
             }
         }
-        let expected = match self.task {
-            Task::Spectrum => (width, height),
-            Task::Power => (1, 1),
-            Task::Channel => (self.frequencies_hz.len(), 2 * self.receivers[0].antennas.len()),
-        };
-        if (width, height) != expected {
-            return Err(format!("plane: {width} x {height} numbers are no observation of its kind"));
+        let gains = (self.frequencies_hz.len(), 2 * self.receivers[0].antennas.len());
+        let expected = if self.task.is_complex { gains } else { (1, 1) };
+        if !self.task.has_pixels && (width, height) != expected {
+            return Err(format!("plane: {width} x {height} numbers are no {}", self.task.singular));
         }
         self.method.check_frame(&self.frame)
     }

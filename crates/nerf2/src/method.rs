@@ -7,7 +7,7 @@ use crate::rays::Rays;
 use crate::walk::{Still, Sums, Trunked, Walk};
 use pwrfgs_core::{
     Asked, Cache, Documented, Frame, Layout, Method, MethodVjp, Observed, Parameters, Pixels, Real, SPEED_OF_LIGHT,
-    StageTimes, Task, cached, consts, gain_at,
+    StageTimes, Task, cached, consts,
 };
 use pwrfgs_layers::dense::add_in_order;
 use pwrfgs_layers::plan::{Plan, items_per_sum, laid_out, planned};
@@ -182,11 +182,11 @@ impl Nerf2 {
 
     /// Sums `[L, pixels or bands]` become observations.
     fn observations(frame: &Frame, totals: &[[Real; 2]]) -> Vec<Real> {
-        match frame.task {
-            Task::Spectrum => totals.iter().map(|[re, im]| re.hypot(*im)).collect(),
-            Task::Power => totals.iter().map(|[re, im]| 100.0 * re.hypot(*im) - 100.0).collect(),
-            Task::Channel => pwrfgs_core::rows_of(totals, bands(frame)),
+        if frame.task.is_complex {
+            return pwrfgs_core::rows_of(totals, bands(frame));
         }
+        let size = totals.iter().map(|[re, im]| re.hypot(*im));
+        if frame.task.is_scalar { size.map(|size| 100.0 * size - 100.0).collect() } else { size.collect() }
     }
 
     /// The cotangents of sums, given those of the observations.
@@ -195,14 +195,11 @@ impl Nerf2 {
             let size = re.hypot(*im);
             if size > 0.0 { [d * re / size, d * im / size] } else { [0.0; 2] }
         };
-        match frame.task {
-            Task::Spectrum => totals.iter().zip(d).map(along).collect(),
-            Task::Power => totals.iter().zip(d).map(along).map(|d| d.map(|d| 100.0 * d)).collect(),
-            Task::Channel => {
-                let bands = bands(frame);
-                (0..totals.len()).map(|i| gain_at(i / bands, i % bands, bands).map(|at| d[at])).collect()
-            }
+        if frame.task.is_complex {
+            return pwrfgs_core::gains_of(d, bands(frame));
         }
+        let each = totals.iter().zip(d).map(along);
+        if frame.task.is_scalar { each.map(|d| d.map(|d| 100.0 * d)).collect() } else { each.collect() }
     }
 
     /// Sums `[L, pixels or bands]` of chunks, in their order.

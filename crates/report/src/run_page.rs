@@ -10,7 +10,6 @@ mod predicted;
 mod receivers;
 mod room;
 mod tables;
-mod words;
 
 use crate::draw::spectra::{self, Mark, Scale};
 use crate::study::one_line;
@@ -18,10 +17,9 @@ use crate::templates::render;
 use examples::Example;
 use minijinja::value::Serde;
 use minijinja::{Value, context};
-use pwrfgs_core::{Image, Result, Task};
+use pwrfgs_core::{Image, Result};
 use pwrfgs_experiment::{CEILING, LoadedRun, folder::REPORT};
 use pwrfgs_model::Model;
-use words::Words;
 
 /// The page of a run, from what lies in its folder.
 ///
@@ -57,9 +55,9 @@ pub fn page(run: &LoadedRun<'_>) -> Result<String> {
         notes => scores.notes.clone(),
         figures => curves::all(run),
         room => if draws_splats { Some(room::figure(run)?) } else { None },
-        powers => (data.task() == Task::Power).then(|| powers::section(run, &chosen)),
+        powers => data.task().is_scalar.then(|| powers::section(run, &chosen)),
         receivers => receivers::table(run),
-        channels => (data.task() == Task::Channel).then(|| channels::section(run, &chosen)),
+        channels => data.task().is_complex.then(|| channels::section(run, &chosen)),
         examples,
         power_bar => Scale::Power.bar().svg("bar", "colours of power"),
         error_bar => Scale::Error(limit).bar().svg("bar", "colours of the error"),
@@ -74,7 +72,9 @@ pub fn page(run: &LoadedRun<'_>) -> Result<String> {
 
 /// What things are called.
 fn words(run: &LoadedRun<'_>) -> Value {
-    let Words { plural, singular, size } = words::words(run.data);
+    let task = run.data.task();
+    let [singular, plural] = task.counted;
+    let size = task.size_text((run.data.width, run.data.height)).map(|size| size.replace(" x ", " × "));
     let (first, rest) = plural.split_at(1);
     let splats = run.model.members().iter().all(|model| model.stages.splatting().is_some());
     let none = run.model.gaussians() == 0;
@@ -94,7 +94,7 @@ fn members(run: &LoadedRun<'_>) -> Vec<Value> {
 
 /// Best, median and worst test spectrum by SSIM, and the limit of the error scale that they share.
 fn spectra_of(run: &LoadedRun<'_>, chosen: &[Example]) -> (Vec<Value>, f64) {
-    let chosen = if run.data.task() == Task::Spectrum { chosen } else { &[] };
+    let chosen = if run.data.task().has_pixels { chosen } else { &[] };
     let errors: Vec<Image> = chosen.iter().map(|e| difference(&e.prediction.clamped(), &e.truth)).collect();
     let largest = errors.iter().flat_map(|e| &e.pixels).fold(0.0, |m: f64, e| m.max(e.abs() as f64));
     let limit = ((largest * 10.0).ceil() / 10.0).max(0.1);

@@ -17,9 +17,8 @@ mod tables;
 pub use output::{Options, write};
 
 use grouping::{Labels, listed, named, setting_key, settings};
-use pwrfgs_core::{Error, Result, Task, plugin::ron_options};
+use pwrfgs_core::{Error, Headline, Result, Task, plugin::ron_options};
 use pwrfgs_experiment::folder::{MODEL_FILE, PIPELINE};
-use pwrfgs_experiment::headline::{Headline, headline};
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::sweep::{JOINED, LISTING, Listing};
 use pwrfgs_experiment::{Mark, Record};
@@ -79,13 +78,13 @@ impl Setting {
 
     /// What was observed: that whose first metric the runs have.
     fn task(&self) -> Task {
-        let scored = |kind: &Task| self.runs().any(|run| run.scores.value(MODEL, headline(*kind).key).is_some());
-        Task::ALL.into_iter().find(scored).unwrap_or(Task::Spectrum)
+        let scored = |task: &Task| self.runs().any(|run| run.scores.value(MODEL, task.headline.key).is_some());
+        Task::ALL.into_iter().find(scored).unwrap_or_default()
     }
 
     /// The first metric of what was observed.
     fn headline(&self) -> Headline {
-        headline(self.task())
+        self.task().headline
     }
 
     /// The fewest and the most seeds of a variant.

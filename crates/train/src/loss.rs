@@ -2,7 +2,7 @@
 
 use crate::settings::{Errors, Training};
 use pwrfgs_core::ssim::{self, Window};
-use pwrfgs_core::{Dataset, Real, Task};
+use pwrfgs_core::{Dataset, Real};
 use rayon::prelude::*;
 
 /// A loss of predictions against truths.
@@ -14,13 +14,14 @@ pub trait Objective: std::fmt::Debug + Send + Sync {
 
 /// The objective that `settings` give for `data`, of which `train` is learned.
 pub(crate) fn objective(settings: &Training, data: &Dataset, train: &[usize]) -> Box<dyn Objective> {
-    match data.task() {
-        Task::Spectrum => Box::new(RenderingLoss {
-            errors: settings.loss.pixel,
-            ..RenderingLoss::strided(settings.loss.ssim_weight, settings.stride)
-        }),
-        Task::Power => Box::new(LinkLoss { power: settings.loss.power }),
-        Task::Channel => Box::new(ChannelLoss::of(data, train)),
+    let task = data.task();
+    if task.has_pixels {
+        let loss = RenderingLoss::strided(settings.loss.ssim_weight, settings.stride);
+        Box::new(RenderingLoss { errors: settings.loss.pixel, ..loss })
+    } else if task.is_complex {
+        Box::new(ChannelLoss::of(data, train))
+    } else {
+        Box::new(LinkLoss { power: settings.loss.power })
     }
 }
 

@@ -1,10 +1,7 @@
 //! `Side`: what a page shows in one half: a model, a run under way, or a floor.
 
-use pwrfgs_core::{
-    Baseline, Dataset, Error, Frame, Image, Partition, Plugin, Predict, Query, Real, Result, Task, files,
-};
+use pwrfgs_core::{Baseline, Dataset, Error, Frame, Image, Partition, Plugin, Predict, Query, Result, files};
 use pwrfgs_experiment::folder::{CHECKPOINT, MODEL_FILE, PIPELINE, SCORES};
-use pwrfgs_experiment::headline::headline;
 use pwrfgs_experiment::{Facts, Observer, check_alike, load, read_pipeline};
 use pwrfgs_model::{Ensemble, Prepared, file};
 use pwrfgs_pipeline::Pipeline;
@@ -259,7 +256,7 @@ impl Known {
 /// The first metric of the model for each link; NaN where it was not scored.
 fn scores(path: &Path, data: &Dataset) -> Vec<f64> {
     let mut scores = vec![f64::NAN; data.len()];
-    let key = headline(data.task()).key;
+    let key = data.task().headline.key;
     let text = files::read_string(path).unwrap_or_default();
     let mut of: std::collections::BTreeMap<u32, f64> = std::collections::BTreeMap::new();
     for line in text.lines() {
@@ -279,18 +276,4 @@ fn scores(path: &Path, data: &Dataset) -> Vec<f64> {
 /// Steps, and whether it has ended, of a run folder.
 pub(crate) fn facts(folder: &Path) -> Option<Facts> {
     Facts::read(folder).ok().flatten()
-}
-
-/// How well a prediction meets what was observed: SSIM, dB of error, or dB of signal over error.
-pub(crate) fn score(kind: Task, predicted: &Image, truth: &Image) -> f64 {
-    match kind {
-        Task::Spectrum => pwrfgs_core::ssim::evaluation(&predicted.clamped(), truth),
-        Task::Power => f64::from((predicted.pixels[0] - truth.pixels[0]).abs() as f32),
-        Task::Channel => {
-            let power =
-                |values: &mut dyn Iterator<Item = Real>| values.map(|v| f64::from(v as f32).powi(2)).sum::<f64>();
-            let error = power(&mut predicted.pixels.iter().zip(&truth.pixels).map(|(p, t)| p - t));
-            10.0 * (power(&mut truth.pixels.iter().copied()) / error).log10()
-        }
-    }
 }

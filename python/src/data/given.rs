@@ -101,7 +101,7 @@ pub(super) fn heard(
     }
     let links = samples.iter().map(|sample| (sample.id as usize, sample.receiver));
     let silent = match unheard(txs.len(), receivers, links) {
-        None => return Ok((samples, Observations::Powers(powers))),
+        None => return Ok((samples, powers.into())),
         Some(Unheard::Transmitter(i)) => format!("rssi[{i}] is NaN throughout: leave the transmitter out, in tx too"),
         Some(Unheard::Receiver(r)) => {
             format!("rssi[:, {r}] is NaN throughout: leave the receiver out, in receivers too")
@@ -129,9 +129,5 @@ pub(super) fn gains(
         all.shape()[1]
     };
     let gains = all.as_slice().map_err(|e| wrong(py, &e.to_string()))?;
-    Ok(Observations::Channels(Channels {
-        antennas,
-        frequencies_hz,
-        gains: gains.iter().map(|gain| [gain.re, gain.im]).collect(),
-    }))
+    Ok(Channels { antennas, frequencies_hz, gains: gains.iter().map(|gain| [gain.re, gain.im]).collect() }.into())
 }

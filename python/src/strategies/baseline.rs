@@ -28,14 +28,14 @@ impl Baseline for Strategy {
             let predictor = own.call_method1("fit", (links_object(py, data, &links)?, seen))?;
             Ok(if predictor.is_none() { own.clone().unbind() } else { predictor.unbind() })
         })?;
-        Ok(Box::new(Predictor { own, kind: data.task(), size: (data.width, data.height) }))
+        Ok(Box::new(Predictor { own, task: data.task(), size: (data.width, data.height) }))
     }
 }
 
 /// What a baseline of Python's predicts with.
 struct Predictor {
     own: Py<PyAny>,
-    kind: Task,
+    task: Task,
     size: (usize, usize),
 }
 
@@ -46,13 +46,14 @@ impl Predict for Predictor {
             let tx = array(py, query.tx.to_vec(), &[3])?;
             let found = self.own.bind(py).call_method1("predict", (tx, query.receiver))?;
             let what = "what predict gave";
-            let pixels = match self.kind {
-                Task::Spectrum => numbers::<Real>(what, &found, &[Some(height), Some(width)])?,
-                Task::Power => vec![found.extract::<Real>()?],
-                Task::Channel => {
-                    let gains = numbers::<Gain>(what, &found, &[Some(height / 2), Some(width)])?;
-                    rows_of(&gains.iter().map(|gain| [gain.re, gain.im]).collect::<Vec<_>>(), width)
-                }
+            let shape: Vec<Option<usize>> = self.task.shape(self.size).into_iter().map(Some).collect();
+            let pixels = if self.task.is_complex {
+                let gains = numbers::<Gain>(what, &found, &shape)?;
+                rows_of(&gains.iter().map(|gain| [gain.re, gain.im]).collect::<Vec<_>>(), width)
+            } else if shape.is_empty() {
+                vec![found.extract::<Real>()?]
+            } else {
+                numbers::<Real>(what, &found, &shape)?
             };
             Ok(Image { width, height, pixels })
         };

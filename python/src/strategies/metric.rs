@@ -1,8 +1,8 @@
 //! A class of Python's as a metric.
 
 use super::Strategy;
-use crate::arrays::{Gain, array, axes, complex, numbers};
-use pwrfgs_core::{Evaluation, Goal, Image, Measurement, Metric, Real, Result, Task, Values, gains_of};
+use crate::arrays::{axes, numbers, observations};
+use pwrfgs_core::{Evaluation, Goal, Image, Measurement, Metric, Result, Task, Values};
 use pyo3::prelude::*;
 
 impl Metric for Strategy {
@@ -37,15 +37,8 @@ impl Metric for Strategy {
 }
 
 /// Observations as one array.
-fn stacked<'py>(py: Python<'py>, images: &[Image], kind: Task) -> PyResult<Bound<'py, PyAny>> {
-    let (count, all) = (images.len(), images.iter().flat_map(|image| image.pixels.iter().copied()));
-    let (height, width) = images.first().map_or((0, 0), |image| (image.height, image.width));
-    match kind {
-        Task::Spectrum => array(py, all.collect::<Vec<Real>>(), &[count, height, width]).map(Bound::into_any),
-        Task::Power => array(py, all.collect::<Vec<Real>>(), &[count]).map(Bound::into_any),
-        Task::Channel => {
-            let gains: Vec<Gain> = images.iter().flat_map(|image| complex(&gains_of(&image.pixels, width))).collect();
-            array(py, gains, &[count, height / 2, width]).map(Bound::into_any)
-        }
-    }
+fn stacked<'py>(py: Python<'py>, images: &[Image], task: Task) -> PyResult<Bound<'py, PyAny>> {
+    let rows = images.iter().flat_map(|image| image.pixels.iter().copied()).collect();
+    let size = images.first().map_or((0, 0), |image| (image.width, image.height));
+    observations(py, task, size, &[images.len()], rows)
 }

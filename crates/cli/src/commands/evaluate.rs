@@ -14,7 +14,7 @@ use pwrfgs::experiment::{
 use pwrfgs::model::{Ensemble, file};
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs_core::words::clean;
-use pwrfgs_core::{Dataset, Error, Result, Task, files::refuse_foreign};
+use pwrfgs_core::{Dataset, Error, Result, files::refuse_foreign};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -73,11 +73,10 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
     let mut text = scores.table.to_text();
     if let Some(confidence) = &confidence {
         let members = ensemble.members().len();
-        let what = if data.task() == Task::Spectrum { "pictures" } else { "predictions" };
         let rank = number(confidence.rank_correlation());
         _ = writeln!(
             text,
-            "\nmodel: {members} models, the mean of their {what}; rank correlation of their spread and its error {rank}"
+            "\nmodel: {members} models, the mean of their predictions; rank correlation of their spread and its error {rank}"
         );
     }
     if let Some(out) = &arguments.out {

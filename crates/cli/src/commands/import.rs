@@ -7,7 +7,7 @@ use crate::progress::Progress;
 use clap::Args;
 use pwrfgs::data::import::Import as Work;
 use pwrfgs::experiment::{Observer as _, equality_warning, position_warning};
-use pwrfgs_core::{Elevation, Error, Number, Pose, Result, Task};
+use pwrfgs_core::{Elevation, Error, Number, Pose, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::{Mutex, PoisonError};
@@ -77,7 +77,7 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<ExitCod
     bar.lock().unwrap_or_else(PoisonError::into_inner).finish();
     let imported = imported?;
     if verbosity != Verbosity::Quiet {
-        let equality = equality_warning(Task::Spectrum, imported.tx.len(), imported.are_equal);
+        let equality = equality_warning("spectra", imported.tx.len(), imported.are_equal);
         position_warning(&imported.tx).iter().chain(&equality).for_each(|warning| output::warning(warning));
         let ([m, h, w], (low, high)) = (imported.shape, imported.range);
         let kind = match imported.number {

@@ -12,7 +12,7 @@ use pwrfgs::prelude::Pipeline;
 use pwrfgs_core::docs::Documented as _;
 use pwrfgs_core::files::check_place;
 use pwrfgs_core::plugin::to_ron;
-use pwrfgs_core::{Error, Result, Task};
+use pwrfgs_core::{Error, Result};
 use std::fs::OpenOptions;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -113,8 +113,8 @@ fn pipeline(survey: &Survey, folder: &Path, out: &Path) -> Result<Pipeline> {
         format!("split={}", survey.split),
     ];
     let example = example().map_err(Error::Config)?;
-    let start = match (survey.kind, survey.features) {
-        (Task::Spectrum, _) => {
+    let start = match survey.features {
+        _ if survey.task.has_pixels => {
             let detail = if survey.nearest < CLOSE_M { FINE } else { COARSE };
             set.extend(LAPTOP.iter().chain(&detail).copied().map(str::to_owned));
             set.push(format!("training.stride={}", survey.stride()));
@@ -128,7 +128,7 @@ fn pipeline(survey: &Survey, folder: &Path, out: &Path) -> Result<Pipeline> {
             }
             example.text()
         }
-        (Task::Power, _) => {
+        _ if survey.task.is_scalar => {
             // Waves from the size of the site to 2 m, or to an eighth of a small one.
             let longest = survey.extent.max(1.0).ceil();
             set.push(format!("deformation.tx_encoding.longest_m={longest:?}"));
@@ -136,12 +136,12 @@ fn pipeline(survey: &Survey, folder: &Path, out: &Path) -> Result<Pipeline> {
             set.push(format!("training.batch={}", survey.transmitters.clamp(1, 128)));
             POWERS
         }
-        (Task::Channel, Some(width)) => {
+        Some(width) => {
             set.push(format!("deformation.tx_encoding=Features(width: {width})"));
             set.push(format!("training.batch={}", survey.transmitters.clamp(1, 128)));
             UPLINKS
         }
-        (Task::Channel, None) => {
+        None => {
             set.push(format!("training.batch={}", survey.transmitters.clamp(1, 256)));
             CHANNELS
         }

@@ -117,22 +117,25 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitC
     let ensemble = read_models(&arguments.models)?;
     check_positions(&ensemble)?;
     let model = ensemble.prepare();
+    let task = model.task();
     let listening = chosen(model.receivers(), &arguments.receiver)?;
     let count = txs.len() * listening.len();
-    if arguments.stacked && model.task() == Task::Power {
+    if arguments.stacked && task.is_scalar {
         let why = "--stacked: a received power is one number, and predictions.csv has them all; leave --stacked out";
         return Err(Error::Config(why.into()));
     }
     let folder = Folder::claim(&arguments.out, count, !arguments.no_png)?;
     let members = ensemble.members().len();
-    let mut writer: Box<dyn Writer + '_> = match model.task() {
-        Task::Spectrum => Box::new(spectra::Spectra::begin(&folder, &model, count, members, arguments.stacked)?),
-        Task::Power => Box::new(powers::Powers { has_spread: members > 1 }),
-        Task::Channel => Box::new(channels::Channels::begin(&folder, &model, count, members, arguments.stacked)?),
+    let mut writer: Box<dyn Writer + '_> = if task.has_pixels {
+        Box::new(spectra::Spectra::begin(&folder, &model, count, members, arguments.stacked)?)
+    } else if task.is_complex {
+        Box::new(channels::Channels::begin(&folder, &model, count, members, arguments.stacked)?)
+    } else {
+        Box::new(powers::Powers { has_spread: members > 1 })
     };
     let mut progress = Progress::new(verbosity);
     let mut list = writer.header();
-    let is_named = model.task() != Task::Spectrum || model.receivers().len() > 1;
+    let is_named = !task.has_pixels || model.receivers().len() > 1;
     let row = |k: usize| {
         let (tx, receiver) = (txs[k / listening.len()], listening[k % listening.len()]);
         Row { number: k + 1, tx, receiver, name: is_named.then(|| model.receivers()[receiver].name.as_str()) }
@@ -147,12 +150,8 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitC
     writer.finish()?;
     folder.finish(&list)?;
     if verbosity != Verbosity::Quiet {
-        let what = match model.task() {
-            Task::Spectrum => format!("{count} spectra"),
-            Task::Power => format!("{} received powers", grouped(count as i64)),
-            Task::Channel => format!("{} channels", grouped(count as i64)),
-        };
-        output::note(&format!("{what} in {}", arguments.out.display()));
+        let (count, things) = (grouped(count as i64), task.plural);
+        output::note(&format!("{count} {things} in {}", arguments.out.display()));
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -178,12 +177,8 @@ fn draw(model: &Prepared<'_>, rows: &[Row<'_>]) -> Result<Vec<Drawn>> {
     }
 }
 
-fn not_finite(kind: Task, row: &Row<'_>) -> Error {
-    let what = match kind {
-        Task::Spectrum => "spectrum",
-        Task::Power => "received power",
-        Task::Channel => "channel",
-    };
+fn not_finite(task: Task, row: &Row<'_>) -> Error {
+    let what = task.singular;
     Error::Config(format!(
         "row {}: the {what} of a transmitter at {:?} is not finite: numbers of the model overflow there; train it \
          anew with lower rates, or leave the position out if it is far from all that the model has seen",

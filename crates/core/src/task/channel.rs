@@ -10,8 +10,10 @@ pub(super) static CHANNEL: Description = Description {
     counted: ["channel", "channels"],
     headline: Headline {
         key: "snr_db",
+        short: "SNR",
         name: "SNR [dB]",
         higher: true,
+        best: None,
         columns: ["snr_db_mean", "snr_db_median", "snr_all_db"],
     },
     ceiling: Ceiling { note: "what two measured channels at one place have in common", share: 1.0 },
@@ -27,7 +29,10 @@ pub(super) static CHANNEL: Description = Description {
         10.0 * (energy(truth.pixels.iter().copied()) / error).log10()
     },
     shape: |(width, height)| vec![height / 2, width],
-    size_text: |(width, height)| Some(format!("{} antennas x {width} subcarriers", height / 2)),
+    size_text: |(width, height)| {
+        let several = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
+        Some(format!("{} x {}", several(height / 2, "antenna"), several(width, "subcarrier")))
+    },
 };
 
 fn energy(values: impl Iterator<Item = Real>) -> f64 {

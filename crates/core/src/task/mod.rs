@@ -83,14 +83,18 @@ pub struct Description {
 }
 
 /// The first metric of a task.
-#[derive(Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Headline {
     /// Its key in tables of scores.
     pub key: &'static str,
-    /// As an axis or a sentence has it, with its unit.
+    /// As a title or a sentence has it.
+    pub short: &'static str,
+    /// As an axis has it, with its unit.
     pub name: &'static str,
     /// Whether larger is better.
     pub higher: bool,
+    /// The value of a perfect prediction; `None` if it has no limit.
+    pub best: Option<f64>,
     /// Columns of `validation.csv` after the step: its mean, its median, and one number more.
     pub columns: [&'static str; 3],
 }

@@ -10,8 +10,10 @@ pub(super) static POWER: Description = Description {
     counted: ["link", "links"],
     headline: Headline {
         key: "power_error_db",
+        short: "error",
         name: "error [dB]",
         higher: false,
+        best: Some(0.0),
         columns: ["power_error_db_mean", "power_error_db_median", "power_error_db_p90"],
     },
     // Both readings are noisy, and independent errors of one size add up to √2 of it.

@@ -1,7 +1,7 @@
 //! The numbers of a model as an NPZ file, which `numpy.load` opens.
 
 use npyz::{AutoSerialize, WriterBuilder as _};
-use pwrfgs_core::{Error, Pose, Real, Result, Task};
+use pwrfgs_core::{Error, Pose, Real, Result};
 use pwrfgs_model::{Ensemble, Model};
 use std::io::{self, Cursor};
 use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
@@ -65,7 +65,7 @@ impl Npz {
         let (pose, plane) = (&model.stages.receiver(), &model.stages.plane);
         self.put("pose.position", &[3], &pose.position)?;
         self.put("pose.orientation", &[4], &pose.orientation)?;
-        if model.stages.task != Task::Spectrum || model.stages.receivers.len() > 1 {
+        if !model.stages.task.has_pixels || model.stages.receivers.len() > 1 {
             self.links(model)?;
         }
         self.put("plane.size", &[2], &[plane.width as u64, plane.height as u64])?;
@@ -79,12 +79,7 @@ impl Npz {
     fn links(&mut self, model: &Model) -> io::Result<()> {
         let frame = &model.stages.frame;
         let text = |file: &mut Self, name: &str, text: &str| file.put(name, &[text.len()], text.as_bytes());
-        let kind = match frame.task {
-            Task::Spectrum => "spectrum",
-            Task::Power => "power",
-            Task::Channel => "channel",
-        };
-        text(self, "kind", kind)?;
+        text(self, "kind", frame.task.name)?;
         let names = frame.receivers.iter().map(|receiver| receiver.name.as_str()).collect::<Vec<_>>().join("\n");
         text(self, "receivers.names", &names)?;
         let poses: Vec<Pose> = frame.receivers.iter().map(|receiver| frame.origin.world_pose(receiver.pose)).collect();

@@ -5,7 +5,7 @@
 
 use super::Splatting;
 use super::channel::Waves;
-use pwrfgs_core::{Cholesky, Conditions, Dataset, Frame, GaussianCloud, LinearPart, Observations, Real};
+use pwrfgs_core::{Cholesky, Conditions, Dataset, Frame, GaussianCloud, LinearPart, Real};
 use rayon::prelude::*;
 
 /// Weight of both ridges, in the mean of the diagonal.
@@ -30,7 +30,7 @@ impl Splatting {
         let linear = self.deformation.linear_part(&weights[..network], &cloud.means, conditions);
         let (Some(linear), [receiver]) = (linear, frame.receivers.as_slice()) else { return false };
         let waves = Waves::new(frame, receiver, cloud, None);
-        let Observations::Channels(all) = &data.observations else { return false };
+        let Some(all) = data.observations.channels() else { return false };
         let channels: Vec<&[[Real; 2]]> = part.iter().map(|&i| all.of(i)).collect();
         let Some(map) = ridge(&linear, &channels) else { return false };
         let seen = waves.of_basis(&linear.basis, linear.functions);

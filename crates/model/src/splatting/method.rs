@@ -327,7 +327,7 @@ impl Method for Splatting {
 
     fn check_frame(&self, frame: &Frame) -> Result<(), String> {
         check_kind(self.readout, frame.task)?;
-        if frame.task != Task::Spectrum && self.calibration == Calibration::AsReleased {
+        if !frame.task.has_pixels && self.calibration == Calibration::AsReleased {
             let what = frame.task.plural;
             return Err(format!(
                 "calibration: AsReleased is that of spectra as released, and the data are {what}; use Physical"

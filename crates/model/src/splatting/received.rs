@@ -7,8 +7,8 @@
 
 use super::Splatting;
 use pwrfgs_core::{
-    Asked, Conditions, Dataset, Frame, GaussianCloud, ImagePlane, Link, Method, Observations, Parameters, Pixels, Real,
-    consts, evenly,
+    Asked, Conditions, Dataset, Frame, GaussianCloud, ImagePlane, Link, Method, Parameters, Pixels, Real, consts,
+    evenly,
 };
 
 /// What is left of a sky without any signal: -120 dB.
@@ -102,7 +102,7 @@ impl Splatting {
         weights: &mut [Real],
     ) {
         cloud.signals.iter_mut().for_each(|signal| *signal = [1.0, 0.0]);
-        let Observations::Powers(powers) = &data.observations else { return };
+        let Some(powers) = data.observations.powers() else { return };
         let Some(last) = weights.len().checked_sub(2 * frame.receivers.len()) else { return };
         let part = evenly(train, FITTED);
         let (conditions, links) = Self::asked_of(frame, data, &part);

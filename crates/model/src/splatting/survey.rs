@@ -3,7 +3,7 @@
 use super::groups::Group;
 use super::{Drawing, Geometry, Splatting, View};
 use crate::Calibration;
-use pwrfgs_core::{Asked, Deltas, Frame, Looked, Needs, Parameters, Real, Splats, Statistic, Statistics, Survey, Task};
+use pwrfgs_core::{Asked, Deltas, Frame, Looked, Needs, Parameters, Real, Splats, Statistic, Statistics, Survey};
 use std::sync::Arc;
 
 /// Derivatives of (mean2d, conic) by (mean, log scale) of one Gaussian.
@@ -56,7 +56,7 @@ impl Splatting {
     /// ∂observation/∂blended, summed over the numbers of an observation.
     fn slopes(&self, question: &Question<'_>, view: &View, link: &Group, blended: &[Real]) -> Vec<Real> {
         let Question { frame, p, asked, .. } = *question;
-        if frame.task == Task::Spectrum && self.calibration == Calibration::Physical {
+        if frame.task.has_pixels && self.calibration == Calibration::Physical {
             return self.readout.slopes(blended, view.plane.width * view.plane.height);
         }
         let [offset, exponent] = &mut [0.0; 2];
@@ -118,7 +118,7 @@ impl Splatting {
         let strengths: Vec<Real> = signals.chunks_exact(channels).map(norm).collect();
         let errors: Vec<Real> = made.iter().zip(truth).map(|(a, b)| (a - b).abs()).collect();
         let (mut survey, high) = (Survey::default(), high_errors(&errors, needs));
-        if frame.task == Task::Spectrum {
+        if frame.task.has_pixels {
             if question.any(|s| matches!(s, Statistic::Error { .. })) {
                 (survey.errors, survey.high) = (&errors, &high);
             }
@@ -131,7 +131,7 @@ impl Splatting {
             }
         }
         let mut looked = self.rasterizer.survey(splats, &view.plane, render, &survey);
-        if frame.task == Task::Power {
+        if frame.task.is_scalar {
             self.as_one_number(view, drawing, &slopes, &mut looked);
         }
         let mut found = Statistics::zeros(needs, splats.len());

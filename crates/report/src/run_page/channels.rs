@@ -11,7 +11,7 @@ use crate::draw::charts::{Axis, Chart, Line, Look};
 use crate::draw::marks::{Marker, Stroke, Style};
 use curves::Gains;
 use minijinja::{Value, context};
-use pwrfgs_core::{Image, Observations, evenly};
+use pwrfgs_core::{Image, evenly};
 use pwrfgs_experiment::LoadedRun;
 use pwrfgs_experiment::text::number;
 
@@ -37,10 +37,7 @@ pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
 
 /// Subcarriers, Hz.
 fn frequencies<'a>(run: &LoadedRun<'a>) -> &'a [f64] {
-    match &run.data.observations {
-        Observations::Channels(channels) => &channels.frequencies_hz,
-        _ => &[],
-    }
+    run.data.observations.frequencies_hz()
 }
 
 /// Measured as a full dark line with dots, predicted dashed with crosses: print needs no colour.

@@ -7,7 +7,6 @@ use crate::draw::charts::{Axis, Chart, Line};
 use crate::draw::marks::{Stroke, Style};
 use crate::draw::steps::{phases, stairs};
 use minijinja::{Value, context};
-use pwrfgs_core::Task;
 use pwrfgs_experiment::LoadedRun;
 use pwrfgs_experiment::scores::quantile;
 
@@ -22,7 +21,7 @@ const FLOOR_COLOURS: [u32; 8] =
 const LIGHT: Colour = Colour::hex(0x6e_a0dc);
 
 /// Heading and chart.
-type Figure = (&'static str, String);
+type Figure = (String, String);
 
 /// Every figure there are numbers for.
 pub(super) fn all(run: &LoadedRun<'_>) -> Vec<Figure> {
@@ -47,8 +46,9 @@ fn line(points: Vec<(f64, f64)>, colour: Colour, width: f64) -> Line {
     Line::new(points, Style::line(colour, width, Stroke::FULL))
 }
 
-fn figure(title: &'static str, chart: &Chart) -> Option<Figure> {
-    chart.draw().map(|canvas| (title, canvas.svg("chart", title)))
+fn figure(title: impl Into<String>, chart: &Chart) -> Option<Figure> {
+    let title = title.into();
+    chart.draw().map(|canvas| (title.clone(), canvas.svg("chart", &title)))
 }
 
 /// The loss on a logarithmic axis: its mean over short stretches, and the range within each.
@@ -90,11 +90,8 @@ fn validation(run: &LoadedRun<'_>) -> Option<Figure> {
     for ((name, mean), colour) in run.record.facts.validation_baselines.iter().zip(FLOOR_COLOURS.into_iter().cycle()) {
         lines.push(Line::level(*mean, Style::line(Colour::hex(colour), 2.0, Stroke::DASHED)).named(name));
     }
-    let title = match run.data.task() {
-        Task::Spectrum => "SSIM on validation samples",
-        Task::Power => "Error on validation links, dB",
-        Task::Channel => "SNR on validation channels, dB",
-    };
+    let task = run.data.task();
+    let title = format!("Validation {}: {}", task.counted[1], task.headline.name);
     figure(title, &over_steps(run, false, lines))
 }
 

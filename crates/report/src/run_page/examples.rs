@@ -3,7 +3,6 @@
 use super::predicted::each;
 use pwrfgs_core::{Image, Result};
 use pwrfgs_experiment::LoadedRun;
-use pwrfgs_experiment::headline::headline;
 use pwrfgs_experiment::scores::MODEL;
 
 /// A test link and what the model predicts of it.
@@ -26,7 +25,7 @@ pub(super) struct Example {
 /// same bits.
 pub(super) fn examples(run: &LoadedRun<'_>) -> Result<Vec<Example>> {
     let (data, part, model) = (run.data, &run.partition.test, run.model.prepare());
-    let headline = headline(data.task());
+    let headline = data.task().headline;
     let scores = match run.record.scores.samples(MODEL, headline.key) {
         Some(scores) => scores.to_vec(),
         // The pipeline does not ask for it.

@@ -5,9 +5,8 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use minijinja::{Value, context};
 use pwrfgs_core::files::digest;
-use pwrfgs_core::{Image, Query, Task, evenly};
+use pwrfgs_core::{Image, Query, evenly};
 use pwrfgs_experiment::LoadedRun;
-use pwrfgs_experiment::headline::headline;
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_live::{Known, Pack, STAGE, STYLE, bundle, gaussians, origin, room};
 use pwrfgs_model::{Ensemble, file};
@@ -36,7 +35,7 @@ pub(super) fn section(run: &LoadedRun<'_>) -> Value {
     if !run.data.placed || run.partition.test.is_empty() {
         return context! { script, digest };
     }
-    let spectra = run.data.task() == Task::Spectrum;
+    let spectra = run.data.task().has_pixels;
     let model = model_bytes(run);
     let gaussians = shows(run.model).then(|| {
         let origin = origin(&run.model.members()[0].stages.frame, Some(run.data));
@@ -78,7 +77,7 @@ fn model_bytes(run: &LoadedRun<'_>) -> Option<Vec<u8>> {
     let splatting = only.stages.splatting()?;
     let name = pwrfgs_core::plugin::to_ron(&splatting.deformation);
     let known = PREDICTED_IN_PAGE.iter().any(|own| name.starts_with(own));
-    let drawn = only.stages.frame.receivers.len() == 1 && run.data.task() == Task::Spectrum;
+    let drawn = only.stages.frame.receivers.len() == 1 && run.data.task().has_pixels;
     let small = only.gaussian_bytes() + only.network_bytes() <= MODEL_BYTES;
     (known && drawn && small).then(|| file::to_bytes(only))
 }
@@ -106,7 +105,7 @@ fn shown(run: &LoadedRun<'_>, chosen: &[usize]) -> Vec<usize> {
 
 /// Test links with their score.
 fn scored<'a>(run: &'a LoadedRun<'_>) -> impl Iterator<Item = (usize, f64)> + 'a {
-    let key = headline(run.data.task()).key;
+    let key = run.data.task().headline.key;
     let values = run.record.scores.samples(MODEL, key).unwrap_or_default();
     let score = |k: usize| values.get(k).copied().unwrap_or(f64::NAN);
     run.partition.test.iter().enumerate().map(move |(k, &i)| (i, score(k)))

@@ -2,7 +2,6 @@
 
 use minijinja::{Value, context};
 use pwrfgs_experiment::LoadedRun;
-use pwrfgs_experiment::headline::headline;
 use pwrfgs_experiment::scores::Summary;
 use pwrfgs_experiment::text::number;
 
@@ -13,7 +12,7 @@ const ROWS: usize = 60;
 /// predictor has a number a link.
 pub(super) fn table(run: &LoadedRun<'_>) -> Option<Value> {
     let (data, scores) = (run.data, &run.record.scores);
-    let headline = headline(data.task());
+    let headline = data.task().headline;
     let receivers = &data.scene.receivers;
     if receivers.len() < 2 {
         return None;

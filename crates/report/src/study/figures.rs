@@ -20,7 +20,7 @@ use crate::draw::charts::{Chart, Look};
 use crate::templates::sentences;
 use minijinja::{Value, context};
 use pwrfgs_core::files::write_atomically;
-use pwrfgs_core::{Dataset, Error, Progress, Result, Task};
+use pwrfgs_core::{Dataset, Error, Progress, Result};
 use pwrfgs_experiment::Silent;
 use serde::Serialize;
 use std::path::Path;
@@ -110,9 +110,9 @@ pub fn all(setting: &Setting, progress: Progress<'_>) -> Drawn {
         distribution::figure,
         distance::figure,
     ];
-    let from_data: &[FromData] = match setting.task() {
-        Task::Spectrum => &[room::figure, spectra::figure, rate::figure],
-        _ => &[room::figure],
+    let from_data: &[FromData] = match setting.task().has_pixels {
+        true => &[room::figure, spectra::figure, rate::figure],
+        false => &[room::figure],
     };
     let count = from_scores.len() + from_data.len();
     let mut figures = Vec::new();
@@ -129,9 +129,9 @@ pub fn all(setting: &Setting, progress: Progress<'_>) -> Drawn {
         Ok(drawn)
     });
     let left_out = drawn.map(|drawn| figures.extend(drawn)).err();
-    let missing = match setting.task() {
-        Task::Spectrum => "are no figures of the room, the spectra and the rate ratio",
-        _ => "is no figure of the room",
+    let missing = match setting.task().has_pixels {
+        true => "are no figures of the room, the spectra and the rate ratio",
+        false => "is no figure of the room",
     };
     let left_out = left_out.map(|e| format!("There {missing}: {e}."));
     Drawn { figures, left_out }

@@ -4,9 +4,9 @@ use super::Refusal;
 use super::asked::Asked;
 use crate::house::House;
 use crate::moments::moments;
-use crate::side::{Known, Predictor, Side, score};
+use crate::side::{Known, Predictor, Side};
 use hyper::StatusCode;
-use pwrfgs_core::{Image, LinkSet, Query, Real, Task, neighbours};
+use pwrfgs_core::{Image, LinkSet, Query, Real, neighbours};
 use pwrfgs_experiment::folder::CURVE;
 use pwrfgs_experiment::{Snapshot, series};
 use pwrfgs_live::{self as live, Pack};
@@ -134,11 +134,11 @@ fn predict(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
         let set = known.partition.set_of(i);
         // A baseline stores what it learned from: against that it would be perfect.
         let learned = predictor.is_fitted() && matches!(set, LinkSet::Training | LinkSet::Validation);
-        let value = (!learned).then(|| score(kind, &found.image, &known.data.image(i)));
+        let value = (!learned).then(|| kind.score(&found.image, &known.data.image(i)));
         pack.note["nearest"] =
             json!({ "link": i, "metres": metres, "score": value, "part": set as u8, "learned": learned });
     }
-    if kind == Task::Power {
+    if kind.is_scalar {
         let all: Vec<Query<'_>> = (0..side.frame.receivers.len()).map(|r| Query { receiver: r, ..query }).collect();
         let powers = predictor.predict_many(&all);
         pack.put("powers", &[powers.len()], powers.iter().map(|image| image.pixels[0]));
@@ -171,7 +171,7 @@ fn link(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
     let i = asked.link.filter(|i| *i < known.data.len()).ok_or_else(|| wrong("there is no such link"))?;
     let image = known.data.image(i);
     let mut pack = Pack::new(json!({ "strongest": strongest(side, &image) }));
-    if side.frame.task == Task::Power {
+    if side.frame.task.is_scalar {
         let mut all = vec![Real::NAN; side.frame.receivers.len()];
         for other in known.data.links_of(&[known.data.links[i].transmitter]) {
             all[known.data.links[other].receiver] = known.data.image(other).pixels[0];
@@ -186,7 +186,7 @@ fn link(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
 fn map(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
     let (predictor, receiver) = (predictor(side)?, receiver(side, asked)?);
     let z = asked.z.ok_or_else(|| wrong("say the height: z=1.2"))?;
-    if side.frame.task == Task::Spectrum {
+    if side.frame.task.has_pixels {
         return Err(wrong("a map is of powers or channels"));
     }
     let data = &known(side)?.data;
@@ -199,13 +199,7 @@ fn map(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
         Query::at([at(k % columns, 0), at(k / columns, 1), z], receiver)
     };
     let queries: Vec<Query<'_>> = (0..rows * columns).map(place).collect();
-    let level = |image: &Image| match side.frame.task {
-        Task::Channel => {
-            let gains = image.pixels.len() as Real / 2.0;
-            10.0 * (image.pixels.iter().map(|v| v * v).sum::<Real>() / gains).log10()
-        }
-        Task::Spectrum | Task::Power => image.pixels[0],
-    };
+    let level = |image: &Image| side.frame.task.level(image) as Real;
     let first = data.scene.origin.local([corners[0][0] + step / 2.0, corners[0][1] + step / 2.0, z]);
     let mut pack = Pack::new(json!({ "first": first, "step": step }));
     pack.put("map", &[rows, columns], predictor.predict_many(&queries).iter().map(level));

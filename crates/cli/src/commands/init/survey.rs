@@ -20,7 +20,7 @@ pub(super) struct Survey {
     pub(super) name: String,
     title: String,
     /// What was observed.
-    pub(super) kind: Task,
+    pub(super) task: Task,
     /// The plugin that reads the folder, and its settings besides `root`.
     pub(super) source: (&'static str, &'static str),
     /// Numbers that describe a transmitter in place of its position.
@@ -67,7 +67,7 @@ impl Survey {
         distances.sort_by(f64::total_cmp);
         Ok(Self {
             name: name_of(folder),
-            kind: data.task(),
+            task: data.task(),
             source: (source, settings),
             features: data.features.as_ref().map(|features| features.width),
             extent: extent(&data),
@@ -111,7 +111,7 @@ impl Survey {
                 "The files do not say the frequencies: correct `carrier_hz` and `spacing_hz` of the data.".into(),
             );
         }
-        notes.extend((self.kind == Task::Spectrum).then(|| match &self.clouds[..] {
+        notes.extend(self.task.has_pixels.then(|| match &self.clouds[..] {
             [] => "There is no point cloud of the room in the folder: Gaussians start on a grid over the sky.".into(),
             [(name, points), others @ ..] => {
                 let others: Vec<String> = others.iter().map(|(name, _)| name.display().to_string()).collect();

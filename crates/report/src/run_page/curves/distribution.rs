@@ -3,9 +3,8 @@
 use super::{Chart, FLOOR_COLOURS, Figure, MODEL_COLOUR, figure, line};
 use crate::draw::canvas::Colour;
 use crate::draw::charts::Axis;
-use pwrfgs_core::Task;
+use pwrfgs_core::Headline;
 use pwrfgs_experiment::LoadedRun;
-use pwrfgs_experiment::headline::headline;
 use pwrfgs_experiment::scores::{MODEL, quantile};
 
 /// At most this many places along a curve are drawn.
@@ -16,8 +15,8 @@ const INSIDE: f64 = 0.98;
 /// Which share of the test part stays below each value.
 pub(super) fn figure_of(run: &LoadedRun<'_>) -> Option<Figure> {
     let scores = &run.record.scores;
-    let kind = run.data.task();
-    let headline = headline(kind);
+    let task = run.data.task();
+    let headline = task.headline;
     let mut sorted: Vec<(&String, Vec<f64>)> = Vec::new();
     for (name, _) in &scores.predictors {
         let Some(values) = scores.samples(name, headline.key) else { continue };
@@ -25,7 +24,7 @@ pub(super) fn figure_of(run: &LoadedRun<'_>) -> Option<Figure> {
         values.sort_by(f64::total_cmp);
         sorted.push((name, values));
     }
-    let ends = ends(kind, &sorted);
+    let ends = ends(&headline, &sorted);
     let mut floors = FLOOR_COLOURS.into_iter().map(Colour::hex).cycle();
     let mut lines = Vec::new();
     for (name, sorted) in &sorted {
@@ -33,33 +32,27 @@ pub(super) fn figure_of(run: &LoadedRun<'_>) -> Option<Figure> {
         let share = |i: usize| (i + 1) as f64 / sorted.len() as f64;
         let mut points: Vec<_> = (0..sorted.len()).step_by(stride).map(|i| (sorted[i], share(i))).collect();
         points.extend(sorted.last().map(|v| (*v, 1.0)));
-        if kind != Task::Spectrum {
-            points.retain(|(value, _)| (ends.0..=ends.1).contains(value));
-        }
+        points.retain(|(value, _)| (ends.0..=ends.1).contains(value));
         let own = *name == MODEL;
         let colour = if own { MODEL_COLOUR } else { floors.next().unwrap_or(MODEL_COLOUR) };
         lines.push(line(points, colour, if own { 3.0 } else { 2.0 }).named(name));
     }
     let x = Axis { name: headline.name.into(), ends: Some(ends), log: false };
     let y = Axis { ends: Some((0.0, 1.0)), ..Axis::default() };
-    let title = match kind {
-        Task::Spectrum => "Share of test spectra below an SSIM",
-        Task::Power => "Share of test links below an error",
-        Task::Channel => "Share of test channels below an SNR",
-    };
+    let title = format!("Share of test {} below an {}", task.counted[1], headline.short);
     figure(title, &Chart { x, y, lines, ..Chart::default() })
 }
 
 /// Where the axis begins and ends.
-fn ends(kind: Task, sorted: &[(&String, Vec<f64>)]) -> (f64, f64) {
+fn ends(headline: &Headline, sorted: &[(&String, Vec<f64>)]) -> (f64, f64) {
     let at = |q: f64| sorted.iter().map(move |(_, values)| quantile(values, q)).filter(|v| v.is_finite());
-    match kind {
-        Task::Spectrum => {
-            let first = sorted.iter().map(|(_, values)| values.first().map_or(1.0, |v| (v * 10.0).floor() / 10.0));
-            (first.fold(1.0, |low: f64, own| low.min(own).max(-1.0)), 1.0)
+    match (headline.best, headline.higher) {
+        (Some(best), true) => {
+            let first = sorted.iter().map(|(_, values)| values.first().map_or(best, |v| (v * 10.0).floor() / 10.0));
+            (first.fold(best, |low: f64, own| low.min(own).max(-best)), best)
         }
-        Task::Power => (0.0, at(INSIDE).fold(1.0, f64::max).ceil()),
-        Task::Channel => {
+        (Some(best), false) => (best, at(INSIDE).fold(1.0, f64::max).ceil()),
+        (None, _) => {
             let low = at(1.0 - INSIDE).fold(f64::INFINITY, f64::min).floor();
             let high = at(1.0).fold(f64::NEG_INFINITY, f64::max).ceil();
             if low < high { (low, high) } else { (-1.0, 1.0) }

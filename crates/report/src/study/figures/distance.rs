@@ -8,9 +8,8 @@ use crate::draw::charts::{Axis, Chart, Line};
 use crate::draw::marks::{Stroke, Style};
 use crate::study::Setting;
 use minijinja::context;
-use pwrfgs_core::Task;
+use pwrfgs_core::{Headline, Task};
 use pwrfgs_experiment::Record;
-use pwrfgs_experiment::headline::headline;
 use pwrfgs_experiment::scores::{MODEL, quantile};
 
 /// Test samples in a bin, and bins at most.
@@ -22,9 +21,9 @@ const MOST_BANDS: usize = 4;
 pub(super) fn figure(setting: &Setting) -> Option<Figure> {
     let mut lines = Vec::new();
     let banded = setting.variants.len() <= MOST_BANDS;
-    let kind = setting.task();
+    let task = setting.task();
     for (k, variant) in setting.variants.iter().enumerate() {
-        let (style, bins) = (looks::variant(k), bins(&variant.runs, MODEL, kind));
+        let (style, bins) = (looks::variant(k), bins(&variant.runs, MODEL, task));
         let quartile = |q: usize| bins.iter().map(move |b| (b.distance, b.quartiles[q]));
         let mut line = Line::new(quartile(1).collect(), style).named(&variant.label);
         line.marks.clone_from(&line.points);
@@ -36,13 +35,14 @@ pub(super) fn figure(setting: &Setting) -> Option<Figure> {
     }
     for (k, name) in setting.floors().into_iter().enumerate() {
         // The same in every variant, up to splits that depend on the seed.
-        let bins = bins(&setting.variants[0].runs, name, kind);
+        let bins = bins(&setting.variants[0].runs, name, task);
         let points = bins.iter().map(|b| (b.distance, b.quartiles[1])).collect();
         lines.push(Line::new(points, looks::floor(k)).named_at_end(name));
     }
     let x = Axis { name: "distance to the nearest training transmitter [m]".into(), log: true, ends: None };
-    let name = if kind == Task::Spectrum { "error 1 − SSIM" } else { headline(kind).name };
-    let chart = Chart { x, y: Axis { name: name.into(), ..Axis::default() }, lines, ..Chart::default() };
+    let Headline { name, higher, best, .. } = task.headline;
+    let name = best.filter(|_| higher).map_or_else(|| name.to_owned(), |best| format!("error {best} − {name}"));
+    let chart = Chart { x, y: Axis { name: name.clone(), ..Axis::default() }, lines, ..Chart::default() };
     Figure::chart("distance", setting, context! { banded, axis => name }, chart)
 }
 
@@ -56,10 +56,11 @@ struct Bin {
 }
 
 /// Bins over all `runs` of one predictor; none where it has no first metric.
-fn bins(runs: &[Record], predictor: &str, kind: Task) -> Vec<Bin> {
-    let drawn = |score: f64| if kind == Task::Spectrum { 1.0 - score } else { score };
+fn bins(runs: &[Record], predictor: &str, task: Task) -> Vec<Bin> {
+    let Headline { key, higher, best, .. } = task.headline;
+    let drawn = |score: f64| best.filter(|_| higher).map_or(score, |best| best - score);
     let pairs = |run: &Record| -> Vec<(f64, f64)> {
-        let samples = run.scores.by_id(predictor, headline(kind).key).unwrap_or_default();
+        let samples = run.scores.by_id(predictor, key).unwrap_or_default();
         samples.iter().filter_map(|(id, score)| Some((*run.test.nearest_train_m.get(id)?, drawn(*score)))).collect()
     };
     let samples = runs.first().map_or(0, |r| pairs(r).len());

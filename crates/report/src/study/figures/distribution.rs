@@ -4,7 +4,6 @@ use super::{Figure, looks};
 use crate::draw::charts::{Axis, Chart, Line};
 use crate::study::Setting;
 use minijinja::context;
-use pwrfgs_core::Task;
 use pwrfgs_experiment::Record;
 use pwrfgs_experiment::scores::{MODEL, quantile};
 use std::collections::BTreeMap;
@@ -16,7 +15,7 @@ const INSIDE: f64 = 0.98;
 
 /// The share of the test part below each value of the first metric; nothing of spectra, whose SSIM has a figure of its own.
 pub(super) fn figure(setting: &Setting) -> Option<Figure> {
-    if setting.task() == Task::Spectrum {
+    if setting.task().has_pixels {
         return None;
     }
     let headline = setting.headline();

@@ -5,7 +5,7 @@ use crate::draw::charts::{Axis, Chart, Line};
 use crate::study::race::Race;
 use crate::study::{Setting, Variant};
 use minijinja::context;
-use pwrfgs_core::Task;
+use pwrfgs_core::Headline;
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::statistics::Spread;
 
@@ -22,7 +22,7 @@ struct Score {
     /// Key in `scores.csv`.
     key: &'static str,
     /// Stem of the files.
-    name: &'static str,
+    name: String,
     /// Name of the axis.
     axis: String,
     /// N and score that the paper publishes.
@@ -30,19 +30,18 @@ struct Score {
 }
 
 pub(super) fn first_metric(setting: &Setting) -> Option<Figure> {
-    let (name, published): (_, &[_]) = match setting.task() {
-        Task::Spectrum => ("ssim-n", &PUBLISHED_SSIM),
-        Task::Power => ("error-n", &[]),
-        Task::Channel => ("snr-n", &[]),
-    };
-    let headline = setting.headline();
-    figure(setting, &Score { key: headline.key, name, axis: format!("mean {}", headline.name), published })
+    let Headline { key, short, name, .. } = setting.headline();
+    let published: &[_] = if key == "ssim" { &PUBLISHED_SSIM } else { &[] };
+    let stem = format!("{}-n", short.to_lowercase());
+    figure(setting, &Score { key, name: stem, axis: format!("mean {name}"), published })
 }
 
 pub(super) fn rate_ratio(setting: &Setting) -> Option<Figure> {
     figure(
         setting,
-        &Score { key: "eta_0db", name: "eta-n", axis: "rate ratio η at 0 dB".into(), published: &PUBLISHED_ETA },
+        &Score {
+            key: "eta_0db", name: "eta-n".into(), axis: "rate ratio η at 0 dB".into(), published: &PUBLISHED_ETA
+        },
     )
 }
 
@@ -61,7 +60,7 @@ fn figure(setting: &Setting, score: &Score) -> Option<Figure> {
     lines.extend(floors(setting, score.key));
     let x = Axis { name: "number of Gaussians N".into(), log: true, ends: None };
     let chart = Chart { x, y: Axis { name: score.axis.clone(), ..Axis::default() }, lines, ..Chart::default() };
-    Figure::chart(score.name, setting, context! { axis => &score.axis, published }, chart)
+    Figure::chart(&score.name, setting, context! { axis => &score.axis, published }, chart)
 }
 
 /// N and score over the seeds of a variant; nothing where no run has the score, or the method no Gaussians.
