@@ -16,7 +16,7 @@ const PIPELINE: &str = "Pipeline(
 )";
 
 /// A data source that makes its arrays itself. *Simulated*: one blob, where the transmitter is.
-#[derive(Debug, Serialize, Deserialize)]
+#[derive(Debug, Serialize, Deserialize, JsonSchema)]
 struct Lobes {}
 
 #[typetag::serde]

@@ -62,10 +62,11 @@ pub fn run(
 
 /// What a plugin or a small program needs.
 pub mod prelude {
+    pub use pwrfgs_core::schemars;
     pub use pwrfgs_core::tape::{Trace, TraceScalar, Traced};
     pub use pwrfgs_core::{
-        Baseline, Budget, CloudStats, ColumnSpec, DataSource, Dataset, Deformation, Deltas, Documented, Edit,
-        Elevation, Error, Evaluation, Frame, Gate, GaussianCloud, Goal, Image, ImagePlane, Initializer, Known, Link,
+        Baseline, Budget, CloudStats, ColumnSpec, DataSource, Dataset, Deformation, Deltas, Edit, Elevation, Error,
+        Evaluation, Frame, Gate, GaussianCloud, Goal, Image, ImagePlane, Initializer, JsonSchema, Known, Link,
         Measurement, Method, Metric, Moment, Needs, Observations, Origin, Partition, Phase, Plugin, Pose, Predict,
         Primitives, Progress, Projector, Pruner, Query, Rasterizer, Real, Receiver, Render, Result, Row, Sample,
         Sampling, Scene, Scope, Simulation, Spectra, Splats, Split, Statistic, Statistics, Task, Values, rng,

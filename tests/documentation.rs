@@ -1,6 +1,6 @@
 //! What the program says of itself comes from the source: every plugin, setting and field has its words there.
 use crate::common::OF_TESTS;
-use pwrfgs::core::docs::{Body, Docs, Documented, Field, Kind};
+use pwrfgs::core::docs::{Body, Docs, Field, Kind, Variant};
 use pwrfgs::core::plugin::Family;
 use pwrfgs::experiment::sweep::Experiment;
 use pwrfgs::prelude::*;
@@ -44,7 +44,7 @@ fn look_at_field(owner: &str, field: &Field, seen: &mut BTreeSet<&'static str>, 
             faults.push(format!("{place} does not name its unit ({unit})"));
         }
     }
-    kind(&place, &(field.kind)(), seen, faults);
+    kind(&place, &field.kind, seen, faults);
 }
 
 fn kind(place: &str, it: &Kind, seen: &mut BTreeSet<&'static str>, faults: &mut Vec<String>) {
@@ -52,10 +52,7 @@ fn kind(place: &str, it: &Kind, seen: &mut BTreeSet<&'static str>, faults: &mut 
         Kind::Of(docs) => look(docs, seen, faults),
         Kind::Optional(inner) | Kind::List(inner) | Kind::Map(inner) => kind(place, inner, seen, faults),
         Kind::Tuple(parts) => parts.iter().for_each(|part| kind(place, part, seen, faults)),
-        // A type that does not derive `Documented` is told by its name in the source.
-        Kind::Plain(words) if words.contains('<') || !(words.contains(' ') || words.to_lowercase() == **words) => {
-            faults.push(format!("{place} is a {words}, which does not derive Documented"));
-        }
+        Kind::Plain("value") => faults.push(format!("{place} takes a value whose type its schema does not say")),
         Kind::Plain(_) => {}
         Kind::Plugin(name) => {
             if !seen.insert(name) {
@@ -66,7 +63,7 @@ fn kind(place: &str, it: &Kind, seen: &mut BTreeSet<&'static str>, faults: &mut 
                 match member.docs {
                     // Two plugins of different kinds may share a name.
                     Some(docs) => look(docs, &mut BTreeSet::new(), faults),
-                    None => faults.push(format!("{name} {} does not derive Documented", member.name)),
+                    None => faults.push(format!("{name} {} has no defaults", member.name)),
                 }
             }
         }
@@ -76,45 +73,82 @@ fn kind(place: &str, it: &Kind, seen: &mut BTreeSet<&'static str>, faults: &mut 
 #[test]
 fn every_field_of_every_plugin_and_setting_says_what_it_is() {
     let (mut seen, mut faults) = (BTreeSet::new(), Vec::new());
-    kind("a pipeline", &Pipeline::kind(), &mut seen, &mut faults);
-    kind("an experiment", &Experiment::kind(), &mut seen, &mut faults);
+    kind("a pipeline", &Kind::Of(Docs::of::<Pipeline>()), &mut seen, &mut faults);
+    kind("an experiment", &Kind::Of(Docs::of::<Experiment>()), &mut seen, &mut faults);
     assert!(faults.is_empty(), "{faults:#?}");
     let found = ["Training", "Optimizer", "Densify", "Loss", "Schedule", "Readout", "Calibration", "Pruner", "Slurm"];
     assert!(found.iter().all(|name| seen.contains(name)), "{seen:?}");
 }
 
-/// A plugin of somebody who derives nothing, and one with a field of a foreign type.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+/// Fields of every sort.
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-struct Literal {}
-
-#[typetag::serde]
-impl Metric for Literal {
-    fn evaluate(&self, _: &Evaluation<'_>) -> Result<Vec<Measurement>> {
-        Ok(Vec::new())
-    }
-}
-
-/// Has a field of a type that says nothing.
-#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
-#[serde(default, deny_unknown_fields)]
-struct Foreign {
-    /// How long.
-    wait: std::time::Duration,
+struct Sorts {
     /// How often.
     #[serde(skip)]
     hidden: u64,
     /// How many.
     counts: Vec<Option<u8>>,
+    /// Where.
+    #[schemars(extend("format" = "path"))]
+    folder: Option<std::path::PathBuf>,
+    /// Which.
+    choice: Choice,
+    /// Pairs by name.
+    pairs: std::collections::BTreeMap<String, (Real, [bool; 2])>,
+    /// Who decides.
+    pruner: Option<Plugin<dyn Pruner>>,
+}
+
+/// Variants of every sort.
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+enum Choice {
+    /// The first.
+    #[default]
+    Alone,
+    Silent,
+    /// Two numbers.
+    Pair(u8, Real),
+    /// A name.
+    Named {
+        /// Its text.
+        text: String,
+        /// Its count.
+        #[serde(default)]
+        count: u8,
+    },
 }
 
 #[test]
-fn a_plugin_without_the_derive_is_listed_all_the_same() {
-    let members = (Family::find("Metric").unwrap().members)();
-    let literal = members.iter().find(|m| m.name == "Literal").unwrap();
-    assert!(literal.docs.is_none() && literal.text.as_deref() == Ok("Literal()"));
-    let fields = Foreign::kind().docs().unwrap().fields();
-    let told: Vec<String> = fields.iter().map(|f| format!("{}: {}", f.name, (f.kind)().words())).collect();
-    assert_eq!(told, ["wait: std::time::Duration", "counts: list of whole number or None"]);
-    assert!(fields.iter().all(|f| f.optional) && Foreign::default().hidden == 0);
+fn reads_every_sort_of_field_and_variant_from_a_schema() {
+    let docs = Docs::of::<Sorts>();
+    let told: Vec<String> = docs.fields().iter().map(|f| format!("{}: {}", f.name, f.kind.words())).collect();
+    assert_eq!(
+        told,
+        [
+            "counts: list of whole number or None",
+            "folder: path or None",
+            "choice: Choice",
+            "pairs: (number, (true or false, true or false)) by name",
+            "pruner: Pruner or None",
+        ]
+    );
+    assert!(docs.text == "Fields of every sort." && docs.fields().iter().all(|f| f.optional));
+    let Body::Variants(variants) = &docs.fields()[2].kind.docs().unwrap().body else { panic!("{docs:?}") };
+    let told = |v: &Variant| {
+        let fields: Vec<String> =
+            v.fields.iter().map(|f| format!("{} {} {}", f.name, f.kind.words(), f.optional)).collect();
+        format!("{} {:?} {} {}", v.name, v.text, v.named, fields.join(", "))
+    };
+    let mut told: Vec<String> = variants.iter().map(told).collect();
+    told.sort();
+    assert_eq!(
+        told,
+        [
+            "Alone \"The first.\" false ",
+            "Named \"A name.\" true text text false, count whole number true",
+            "Pair \"Two numbers.\" false _0 whole number false, _1 number false",
+            "Silent \"\" false ",
+        ]
+    );
 }

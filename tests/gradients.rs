@@ -22,7 +22,7 @@ const N: usize = 6;
 const WEIGHTS: usize = 60;
 
 /// A gate that is a column itself: what a learned gate multiplies, open to differences.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 struct Factor {}
 
 #[typetag::serde]
@@ -39,7 +39,7 @@ impl Pruner for Factor {
 }
 
 /// A deformation whose weights are its terms: each Gaussian's nine, for each of two transmitters.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 struct Terms {}
 
 #[typetag::serde]

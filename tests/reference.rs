@@ -23,7 +23,7 @@ const NAMES: [&str; 3] = ["n8", "n64", "n64_mask"];
 const MASK: &str = "LearnableMask(lambda: 0)";
 
 /// The released projection with a world-to-camera matrix taken as it is.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 struct Literal {
     /// First nine of a row-major 4 × 4 matrix and its translation.
     rows: [[Real; 4]; 3],

@@ -9,7 +9,7 @@ use pwrfgs::prelude::*;
 use std::path::Path;
 
 /// How many predictions it is shown: one number a sample, or one in all.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 struct Counted {
     scope: String,

@@ -214,7 +214,7 @@ fn sensitivity_and_fisher_agree_with_central_differences() {
 }
 
 /// A gate of presence that is a column itself.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 struct There {}
 
 #[typetag::serde]

@@ -133,7 +133,7 @@ pub(crate) fn pipeline(initializer: &str, rest: &str) -> Pipeline {
 }
 
 /// An initializer that gives [`seeded_cloud`], so that a trainer can start from it.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 struct Seeded {
     count: usize,

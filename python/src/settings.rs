@@ -3,7 +3,7 @@
 use crate::border::{free, wrong};
 use pwrfgs::pipeline::ron_tree::{Body as Parts, Tree};
 use pwrfgs::prelude::Pipeline as Inner;
-use pwrfgs_core::docs::{Body, Docs, Documented as _, Kind};
+use pwrfgs_core::docs::{Body, Docs, Kind};
 use pwrfgs_core::files::{check_new_file, write_atomically};
 use pwrfgs_core::plugin::{Family, PluginKind, inventory, ron_options};
 use pwrfgs_core::{Error, Plugin, Result};
@@ -25,13 +25,15 @@ pub(crate) fn plugin<T: ?Sized + PluginKind>(py: Python<'_>, text: &str) -> PyRe
 where
     Box<T>: for<'de> pwrfgs::prelude::Deserialize<'de>,
 {
-    free(py, || {
-        pwrfgs_core::plugin::read_ron(text, Path::new(T::KIND)).map_err(|error| match error {
-            // The position would count in a text that nobody has seen.
-            Error::Input { message, .. } => Error::Config(message),
-            other => other,
-        })
-    })
+    free(py, || pwrfgs_core::plugin::read_ron(text, Path::new(T::KIND)).map_err(unplaced))
+}
+
+/// Without the position, which would count in a text that nobody has seen.
+fn unplaced(error: Error) -> Error {
+    match error {
+        Error::Input { message, .. } => Error::Config(message),
+        other => other,
+    }
 }
 
 /// A pipeline and its text; what the Python class `Pipeline` is about.
@@ -144,21 +146,10 @@ fn parts<'py>(py: Python<'py>, tree: &Tree, text: &str) -> PyResult<Bound<'py, P
 /// A plugin of this kind with every default written out.
 #[pyfunction]
 pub(crate) fn complete(py: Python<'_>, kind: &str, text: &str) -> PyResult<String> {
-    fn whole<T: ?Sized + PluginKind + erased_serde::Serialize>(py: Python<'_>, text: &str) -> PyResult<String>
-    where
-        Box<T>: for<'de> pwrfgs::prelude::Deserialize<'de>,
-    {
-        plugin::<T>(py, text).map(|plugin| pwrfgs_core::plugin::to_ron(&plugin))
-    }
-    macro_rules! of_kinds {
-        ($($name:ident),+) => {
-            match kind {
-                $(stringify!($name) => whole::<dyn pwrfgs_core::$name>(py, text),)+
-                other => Err(wrong(py, &format!("there is no kind of plugins called `{other}`"))),
-            }
-        };
-    }
-    of_kinds!(Baseline, DataSource, Deformation, Initializer, Method, Metric, Projector, Pruner, Rasterizer, Split)
+    let Some(family) = Family::find(kind) else {
+        return Err(wrong(py, &format!("there is no kind of plugins called `{kind}`")));
+    };
+    free(py, || (family.complete)(text).map_err(unplaced))
 }
 
 /// Every plugin that is linked, kind by kind.
@@ -187,7 +178,7 @@ pub(crate) fn registry<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
 fn fields<'py>(py: Python<'py>, fields: &[pwrfgs_core::docs::Field]) -> PyResult<Bound<'py, PyList>> {
     let list = PyList::empty(py);
     for field in fields {
-        list.append((field.name, (field.kind)().words(), field.text, field.optional))?;
+        list.append((field.name, field.kind.words(), field.text, field.optional))?;
     }
     Ok(list)
 }
@@ -196,10 +187,10 @@ fn fields<'py>(py: Python<'py>, fields: &[pwrfgs_core::docs::Field]) -> PyResult
 #[pyfunction]
 pub(crate) fn types<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
     let mut found: BTreeMap<&'static str, &'static Docs> = BTreeMap::new();
-    gather(&Inner::kind(), &mut found);
+    gather(&Kind::Of(Docs::of::<Inner>()), &mut found);
     for family in inventory::iter::<Family>() {
         for docs in (family.members)().iter().filter_map(|member| member.docs) {
-            docs.fields().iter().for_each(|field| gather(&(field.kind)(), &mut found));
+            docs.fields().iter().for_each(|field| gather(&field.kind, &mut found));
         }
     }
     let all = PyList::empty(py);
@@ -227,9 +218,9 @@ fn gather(kind: &Kind, found: &mut BTreeMap<&'static str, &'static Docs>) {
         Kind::Of(docs) => {
             if found.insert(docs.name, docs).is_none() {
                 match docs.body {
-                    Body::Fields(fields) => fields.iter().for_each(|field| gather(&(field.kind)(), found)),
+                    Body::Fields(fields) => fields.iter().for_each(|field| gather(&field.kind, found)),
                     Body::Variants(variants) => {
-                        variants.iter().flat_map(|v| v.fields).for_each(|field| gather(&(field.kind)(), found));
+                        variants.iter().flat_map(|v| v.fields).for_each(|field| gather(&field.kind, found));
                     }
                 }
             }

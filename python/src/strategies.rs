@@ -13,7 +13,9 @@ mod split;
 use crate::border::{carried, throw, wrong};
 pub(crate) use objects::{cloud_object, stats_object};
 use pwrfgs::foreign::{Host, Python as Named, set_host};
-use pwrfgs_core::{Baseline, ColumnSpec, GaussianCloud, Initializer, Metric, Pruner, Real, Result, Split};
+use pwrfgs_core::{
+    Baseline, ColumnSpec, GaussianCloud, Initializer, JsonSchema, Metric, Pruner, Real, Result, Split, schemars,
+};
 use pyo3::prelude::*;
 use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet};
@@ -166,7 +168,8 @@ fn lasting(name: String) -> &'static str {
 }
 
 /// A strategy in use. It is never written as text: what a pipeline holds is [`Named`].
-#[derive(Debug)]
+#[derive(Debug, JsonSchema)]
+#[schemars(with = "Named")]
 struct Strategy {
     object: Arc<Object>,
     named: Named,

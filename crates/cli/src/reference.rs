@@ -4,10 +4,11 @@
 pub(crate) mod commented;
 pub(crate) mod markdown;
 pub(crate) mod prose;
+pub(crate) mod schema;
 
 use pwrfgs::pipeline::ron_tree::Tree;
 use pwrfgs::prelude::Pipeline;
-use pwrfgs_core::docs::{Body, Docs, Documented, Field, Kind};
+use pwrfgs_core::docs::{Body, Docs, Field, Kind};
 use pwrfgs_core::plugin::{Family, to_ron};
 use std::path::Path;
 
@@ -61,7 +62,7 @@ impl Value {
 
     /// One of its fields, in one line.
     fn field(&self, field: &Field) -> Option<String> {
-        self.tree.field(field.name).map(|tree| commented::short(Some(&(field.kind)()), tree, &self.text))
+        self.tree.field(field.name).map(|tree| commented::short(Some(&field.kind), tree, &self.text))
     }
 
     /// One of its fields as a value of its own.
@@ -75,9 +76,9 @@ pub(crate) fn chapters() -> Vec<Chapter> {
     let pipeline = example();
     let mut settings = Vec::new();
     let mut plugins = Vec::new();
-    let fields = Pipeline::kind().docs().map_or(&[][..], Docs::fields);
+    let fields = Some(Docs::of::<Pipeline>()).map_or(&[][..], Docs::fields);
     for field in fields {
-        match inner(&(field.kind)()) {
+        match inner(&field.kind) {
             Kind::Plugin(kind) => plugins.extend(Family::find(kind).map(|family| plugin_chapter(family, field))),
             Kind::Of(docs) => {
                 let value = pipeline.as_ref().ok().and_then(|p| p.part(field.name));
@@ -92,7 +93,7 @@ pub(crate) fn chapters() -> Vec<Chapter> {
         name: "Pipeline".into(),
         field: None,
         about: "A run, as `pwrfgs run` reads it.".into(),
-        topics: vec![topic("Pipeline", &Pipeline::kind(), pipeline)],
+        topics: vec![topic("Pipeline", &Kind::Of(Docs::of::<Pipeline>()), pipeline)],
     };
     let settings = Chapter {
         name: "Settings".into(),
@@ -133,7 +134,7 @@ fn plugin_chapter(family: &'static Family, field: &'static Field) -> Chapter {
 fn experiment() -> Chapter {
     use pwrfgs::experiment::sweep::{Experiment, Slurm};
     let mut topics = Vec::new();
-    if let Some(docs) = Experiment::kind().docs() {
+    if let Some(docs) = Kind::Of(Docs::of::<Experiment>()).docs() {
         collect(docs, EXPERIMENT, None, &mut topics);
     }
     if let Some(slurm) = topics.iter_mut().find(|topic| topic.name == "Slurm") {
@@ -145,7 +146,7 @@ fn experiment() -> Chapter {
 
 /// A type that `field` leads to, and all types that it leads to, each once.
 fn collect(docs: &'static Docs, field: &'static str, value: Option<&Value>, topics: &mut Vec<Topic>) {
-    if let Some(known) = topics.iter_mut().find(|t| t.docs.is_some_and(|d| std::ptr::eq(d, docs))) {
+    if let Some(known) = topics.iter_mut().find(|t| t.docs.is_some_and(|d| d.name == docs.name)) {
         if !known.fields.contains(&field) {
             known.fields.push(field);
         }
@@ -165,7 +166,7 @@ fn collect(docs: &'static Docs, field: &'static str, value: Option<&Value>, topi
 
 fn parts(fields: &'static [Field], value: Option<&Value>, topics: &mut Vec<Topic>) {
     for field in fields {
-        if let Kind::Of(docs) = inner(&(field.kind)()) {
+        if let Kind::Of(docs) = inner(&field.kind) {
             let inside = value.and_then(|v| v.part(field.name));
             collect(docs, field.name, inside.as_ref(), topics);
         }

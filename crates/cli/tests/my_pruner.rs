@@ -34,7 +34,7 @@ fn cargo(example: &Path, command: &str) -> Output {
 }
 
 /// The crates of pwrfgs.
-const CRATES: [&str; 16] = [
+const CRATES: [&str; 15] = [
     "pwrfgs",
     "pwrfgs-canvas",
     "pwrfgs-cli",
@@ -42,7 +42,6 @@ const CRATES: [&str; 16] = [
     "pwrfgs-data",
     "pwrfgs-experiment",
     "pwrfgs-init",
-    "pwrfgs-macros",
     "pwrfgs-metrics",
     "pwrfgs-model",
     "pwrfgs-prune",

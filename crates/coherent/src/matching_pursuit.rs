@@ -5,7 +5,7 @@ use crate::options::{Progress as Told, Pursuit};
 use crate::pursuit::pursue;
 use crate::virtual_transmitters::{VirtualTransmitters, array, order_of};
 use pwrfgs_core::{
-    Documented, Error, GaussianCloud, ImagePlane, Initializer, Real, Result, Scene, Seen, Task, rng, rng::Rng,
+    Error, GaussianCloud, ImagePlane, Initializer, JsonSchema, Real, Result, Scene, Seen, Task, rng, rng::Rng,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::Ordering;
@@ -23,7 +23,7 @@ use std::sync::atomic::Ordering;
 /// assert!(Plugin::<dyn Initializer>::parse("MatchingPursuit(most: 32, reach: 2.0)").is_ok());
 /// assert!(Plugin::<dyn Initializer>::parse("MatchingPursuit(step: 2.0)").is_err());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MatchingPursuit {
     /// Virtual transmitters at most, of each search.

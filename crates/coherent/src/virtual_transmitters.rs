@@ -5,7 +5,7 @@ use crate::harmonics::{HIGHEST, terms};
 use crate::links::Links;
 use crate::options::Pursuit;
 use pwrfgs_core::{
-    Asked, Cache, Documented, Frame, Method, MethodVjp, Observed, Parameters, Real, Receiver, Task, gains_of, rows_of,
+    Asked, Cache, Frame, JsonSchema, Method, MethodVjp, Observed, Parameters, Real, Receiver, Task, gains_of, rows_of,
 };
 use serde::{Deserialize, Serialize};
 
@@ -31,7 +31,7 @@ use serde::{Deserialize, Serialize};
 /// assert_eq!(method.columns(), [("harmonics", 16)]);
 /// assert!(Plugin::<dyn Method>::parse("VirtualTransmitters(order: 4)").is_err());
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct VirtualTransmitters {
     /// Order of the harmonics of a gain over direction, at most 3; 0: the same in all directions.

@@ -8,7 +8,9 @@ pub type Progress<'a> = &'a (dyn Fn(usize, usize) + Sync);
 
 /// Loads or makes a data set.
 #[typetag::serde]
-pub trait DataSource: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
+pub trait DataSource:
+    erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
+{
     /// Everything, in memory. Relative paths are relative to `base`, the folder of the pipeline file. `progress` counts
     /// links; `&|_, _| {}` where nobody wants to know.
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset>;
@@ -35,7 +37,9 @@ plugin_kind!(DataSource);
 
 /// Divides links into training, validation and test.
 #[typetag::serde]
-pub trait Split: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
+pub trait Split:
+    erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
+{
     /// Three disjoint sorted lists; train and test are not empty.
     fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition>;
 
@@ -61,7 +65,9 @@ plugin_kind!(Split);
 
 /// A predictor without Gaussians, scored beside the model in every table.
 #[typetag::serde]
-pub trait Baseline: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
+pub trait Baseline:
+    erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
+{
     /// Its name in tables, such as `3-NN`.
     fn name(&self) -> String;
 

@@ -6,7 +6,9 @@ use crate::{Cache, Conditions, Layout, Pose, Real, plugin_kind};
 ///
 /// A batch of B transmitters is one call. All outputs are `[B, N, ·]`: transmitter by transmitter.
 #[typetag::serde]
-pub trait Deformation: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
+pub trait Deformation:
+    erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
+{
     /// What does not depend on weights.
     fn traits(&self) -> DeformationTraits;
 

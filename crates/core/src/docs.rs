@@ -1,20 +1,32 @@
-//! What the comments in the source say, at hand while the program runs: the one origin of `pwrfgs plugins`
-//! and of the comments in a pipeline that `pwrfgs init` writes.
+//! What the comments in the source say, at hand while the program runs: the one origin of `pwrfgs plugins`, of the comments
+//! in a pipeline that `pwrfgs init` writes, of Python's classes and of the schema for editors.
 //!
-//! A type that derives [`Documented`] hands over its doc comments. That is all it takes: a plugin is then found by its
-//! [`TypeId`], and what its fields are made of by their types.
+//! A type that derives [`JsonSchema`] has a JSON schema with its doc comments, types and defaults. [`Docs`] is a schema as a
+//! table of fields or variants, in the words of a pipeline file.
 
-use crate::plugin::{Checked, Plugin, PluginKind};
-pub use pwrfgs_macros::Documented;
-use std::any::TypeId;
+pub use schemars::{self, JsonSchema};
+use schemars::{Schema, SchemaGenerator};
+use serde_json::{Map, Value};
+use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::marker::PhantomData;
-use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
 
-/// A type that can say what it is. `#[derive(Documented)]` does it for a struct or enum with serde's derives.
+/// Every type that derives [`JsonSchema`], behind a trait object too.
 pub trait Documented {
-    /// What values of this type are.
-    fn kind() -> Kind;
+    /// Its doc comments.
+    fn docs(&self) -> &'static Docs;
+    /// Its schema, or a reference to one among those of `generator`.
+    fn schema(&self, generator: &mut SchemaGenerator) -> Schema;
+}
+
+impl<T: JsonSchema> Documented for T {
+    fn docs(&self) -> &'static Docs {
+        Docs::of::<T>()
+    }
+
+    fn schema(&self, generator: &mut SchemaGenerator) -> Schema {
+        generator.subschema_for::<T>()
+    }
 }
 
 /// What may stand in a place.
@@ -22,7 +34,7 @@ pub trait Documented {
 pub enum Kind {
     /// A plain value, in words, such as `number`.
     Plain(&'static str),
-    /// A struct or enum that is documented.
+    /// A struct or enum.
     Of(&'static Docs),
     /// A plugin of this kind.
     Plugin(&'static str),
@@ -66,7 +78,7 @@ pub struct Field {
     /// Whether it may be left out.
     pub optional: bool,
     /// What it takes.
-    pub kind: fn() -> Kind,
+    pub kind: Kind,
 }
 
 /// A variant of an enum.
@@ -80,21 +92,6 @@ pub struct Variant {
     pub named: bool,
     /// Its fields.
     pub fields: &'static [Field],
-}
-
-/// A documented type by its [`TypeId`]; the derive submits it.
-#[derive(Debug)]
-pub struct Entry {
-    /// Which type.
-    pub of: TypeId,
-    /// What it says.
-    pub kind: fn() -> Kind,
-}
-inventory::collect!(Entry);
-
-/// What a type says, where it derives [`Documented`].
-pub fn docs_of(of: TypeId) -> Option<&'static Docs> {
-    inventory::iter::<Entry>().find(|entry| entry.of == of).and_then(|entry| (entry.kind)().docs())
 }
 
 impl Kind {
@@ -125,6 +122,21 @@ impl Kind {
 }
 
 impl Docs {
+    /// What the schema of a type says. A type is read once and stays in memory.
+    pub fn of<T: JsonSchema>() -> &'static Self {
+        static READ: Mutex<BTreeMap<Cow<'static, str>, &'static Docs>> = Mutex::new(BTreeMap::new());
+        let read = || READ.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(docs) = read().get(&T::schema_id()) {
+            return docs;
+        }
+        let schema = SchemaGenerator::default().into_root_schema_for::<T>().to_value();
+        let none = Map::new();
+        let types = schema.get("$defs").and_then(Value::as_object).unwrap_or(&none);
+        let docs = Reader { types }.docs(&T::schema_name(), &schema);
+        read().insert(T::schema_id(), docs);
+        docs
+    }
+
     /// The fields of a struct.
     pub fn fields(&self) -> &'static [Field] {
         match self.body {
@@ -143,89 +155,105 @@ impl Docs {
     }
 }
 
-macro_rules! plain {
-    ($($words:literal: $($type:ty),+;)+) => {
-        $($(impl Documented for $type { fn kind() -> Kind { Kind::Plain($words) } })+)+
-    };
-}
-plain! {
-    "true or false": bool;
-    "number": f32, f64;
-    "whole number": i8, i16, i32, i64, isize, u8, u16, u32, u64, usize;
-    "text": String;
-    "path": PathBuf;
-    "two numbers": crate::Elevation;
+/// Reads schemas that refer to `types` by name.
+struct Reader<'a> {
+    types: &'a Map<String, Value>,
 }
 
-impl<T: ?Sized + PluginKind> Documented for Plugin<T> {
-    fn kind() -> Kind {
-        Kind::Plugin(T::KIND)
+impl Reader<'_> {
+    fn docs(&self, name: &str, schema: &Value) -> &'static Docs {
+        let variants = match schema.get("oneOf").and_then(Value::as_array) {
+            Some(all) => Some(all.iter().flat_map(|one| self.variants(one)).collect()),
+            None => schema.get("enum").is_some().then(|| self.variants(schema)),
+        };
+        let body = match variants {
+            Some(variants) => Body::Variants(variants.leak()),
+            None => Body::Fields(self.fields(schema)),
+        };
+        Box::leak(Box::new(Docs { name: kept(name), text: description(schema), body }))
+    }
+
+    /// The variants of an enum that one of its schemas stands for.
+    fn variants(&self, schema: &Value) -> Vec<Variant> {
+        let text = description(schema);
+        let plain = |name: &str| Variant { name: kept(name), text, named: false, fields: &[] };
+        if let Some(names) = schema.get("enum").and_then(Value::as_array) {
+            return names.iter().filter_map(Value::as_str).map(plain).collect();
+        }
+        if let Some(name) = schema.get("const").and_then(Value::as_str) {
+            return vec![plain(name)];
+        }
+        let holds = schema.get("properties").and_then(Value::as_object);
+        let with_fields = |(name, inside): (&String, &Value)| {
+            let named = inside.get("properties").is_some();
+            let unnamed = match inside.get("prefixItems").and_then(Value::as_array) {
+                Some(items) => &items[..],
+                None => std::slice::from_ref(inside),
+            };
+            let field = |(i, item)| self.field(&format!("_{i}"), item, false);
+            let fields = if named {
+                self.fields(inside)
+            } else {
+                unnamed.iter().enumerate().map(field).collect::<Vec<_>>().leak()
+            };
+            Variant { name: kept(name), text, named, fields }
+        };
+        holds.into_iter().flatten().map(with_fields).collect()
+    }
+
+    /// The fields of a struct, or of a variant with names.
+    fn fields(&self, schema: &Value) -> &'static [Field] {
+        let required: Vec<&str> =
+            schema.get("required").and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_str).collect();
+        let all = schema.get("properties").and_then(Value::as_object).into_iter().flatten();
+        let field = |(name, of): (&String, &Value)| self.field(name, of, !required.contains(&&name[..]));
+        all.map(field).collect::<Vec<_>>().leak()
+    }
+
+    fn field(&self, name: &str, schema: &Value, optional: bool) -> Field {
+        Field { name: kept(name), text: description(schema), optional, kind: self.kind(schema) }
+    }
+
+    fn kind(&self, schema: &Value) -> Kind {
+        if let Some(words) = schema.get("title").and_then(Value::as_str) {
+            return Kind::Plain(kept(words));
+        }
+        if let Some(name) = schema.get("$ref").and_then(Value::as_str) {
+            let name = name.rsplit('/').next().unwrap_or_default();
+            let of = &self.types[name];
+            return if of.get(PLUGINS).is_some() { Kind::Plugin(kept(name)) } else { Kind::Of(self.docs(name, of)) };
+        }
+        if let Some([inner, _null]) = schema.get("anyOf").and_then(Value::as_array).map(Vec::as_slice) {
+            return Kind::Optional(Box::new(self.kind(inner)));
+        }
+        let kind = match &schema["type"] {
+            Value::Array(types) => &types[0],
+            kind => kind,
+        };
+        let inside = |key: &str| self.kind(&schema[key]);
+        let plain = match (kind.as_str().unwrap_or_default(), schema.get("prefixItems"), schema.get("minItems")) {
+            ("array", Some(Value::Array(items)), _) => Kind::Tuple(items.iter().map(|item| self.kind(item)).collect()),
+            ("array", _, Some(length)) => Kind::Tuple(vec![inside("items"); length.as_u64().unwrap_or(1) as usize]),
+            ("array", ..) => Kind::List(Box::new(inside("items"))),
+            ("object", ..) => Kind::Map(Box::new(inside("additionalProperties"))),
+            ("boolean", ..) => Kind::Plain("true or false"),
+            ("integer", ..) => Kind::Plain("whole number"),
+            ("number", ..) => Kind::Plain("number"),
+            ("string", ..) if schema["format"] == "path" => Kind::Plain("path"),
+            ("string", ..) => Kind::Plain("text"),
+            _ => Kind::Plain("value"),
+        };
+        if schema["type"].is_array() { Kind::Optional(Box::new(plain)) } else { plain }
     }
 }
 
-impl<T: Documented> Documented for Checked<T> {
-    fn kind() -> Kind {
-        T::kind()
-    }
+/// The keyword of a schema whose variants are all plugins of a kind.
+pub(crate) const PLUGINS: &str = "x-plugins";
+
+fn description(schema: &Value) -> &'static str {
+    kept(schema.get("description").and_then(Value::as_str).unwrap_or_default().trim())
 }
 
-impl<T: Documented> Documented for Option<T> {
-    fn kind() -> Kind {
-        Kind::Optional(Box::new(T::kind()))
-    }
-}
-
-impl<T: Documented> Documented for Vec<T> {
-    fn kind() -> Kind {
-        Kind::List(Box::new(T::kind()))
-    }
-}
-
-impl<T: Documented, const N: usize> Documented for [T; N] {
-    fn kind() -> Kind {
-        Kind::Tuple(vec![T::kind(); N])
-    }
-}
-
-impl<A: Documented, B: Documented> Documented for (A, B) {
-    fn kind() -> Kind {
-        Kind::Tuple(vec![A::kind(), B::kind()])
-    }
-}
-
-impl<T: Documented> Documented for BTreeMap<String, T> {
-    fn kind() -> Kind {
-        Kind::Map(Box::new(T::kind()))
-    }
-}
-
-/// The type of a field, for the derive: its own [`Kind`] where it is documented, else its name. An inherent method wins over
-/// that of a trait, and exists for documented types only.
-#[derive(Debug)]
-pub struct Of<T>(&'static str, PhantomData<T>);
-
-impl<T> Of<T> {
-    /// The type that the source calls `words`.
-    pub fn new(words: &'static str) -> Self {
-        Self(words, PhantomData)
-    }
-}
-
-impl<T: Documented> Of<T> {
-    /// What values of this type are.
-    pub fn kind(&self) -> Kind {
-        T::kind()
-    }
-}
-
-/// See [`Of`].
-pub trait Undocumented {
-    /// The name of a type that is not documented.
-    fn kind(&self) -> Kind;
-}
-
-impl<T> Undocumented for Of<T> {
-    fn kind(&self) -> Kind {
-        Kind::Plain(self.0)
-    }
+fn kept(text: &str) -> &'static str {
+    Box::leak(text.into())
 }

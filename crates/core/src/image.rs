@@ -1,6 +1,6 @@
 //! `Image` and `ImagePlane`: pixels, and what a pixel means as an angle.
 
-use crate::{Real, consts};
+use crate::{JsonSchema, Real, consts};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
@@ -60,7 +60,8 @@ pub struct Axis {
 
 /// Which elevations the rows of a picture are, degrees in the receiver frame. Row r of H lies at
 /// first + r · (last − first)/H: the bottom row is one step short of `last`, as the last column is of 360° of azimuth.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[schemars(inline, with = "(f64, f64)", title = "two numbers")]
 #[serde(from = "(f64, f64)", into = "(f64, f64)")]
 pub struct Elevation {
     /// Of the top row.

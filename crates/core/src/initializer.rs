@@ -30,7 +30,9 @@ impl std::fmt::Debug for Seen<'_> {
 ///
 /// Worked example: `pwrfgs_init::Random` in `crates/init/src/random.rs`; the page on writing one is `docs/plugins.md`.
 #[typetag::serde]
-pub trait Initializer: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
+pub trait Initializer:
+    erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
+{
     /// The cloud to start from, with at least one Gaussian. `plane` tells whether pixels are angles of the true
     /// receiver pose (`plane.angles`), for initialisers that place Gaussians where they can be seen.
     ///

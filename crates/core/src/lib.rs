@@ -9,9 +9,6 @@
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
-#[allow(unused_extern_crates)] // the derive `Documented` names this crate so, here too
-extern crate self as pwrfgs_core;
-
 mod cholesky;
 mod cloud;
 mod conditions;
@@ -59,7 +56,7 @@ pub use conditions::Conditions;
 pub use data_source::{Baseline, DataSource, Predict, Progress, Split};
 pub use dataset::{Dataset, Simulation, Unmatched};
 pub use deformation::{Deformation, DeformationInputs, DeformationTraits, Deltas, LinearPart};
-pub use docs::Documented;
+pub use docs::{JsonSchema, schemars};
 pub use edit::{Edit, Row};
 pub use error::{Error, Result, did_you_mean};
 pub use evenly::evenly;

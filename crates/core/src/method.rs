@@ -145,7 +145,9 @@ impl MethodVjp {
 /// change, and a flat vector of weights with names; settings live in the plugin. Trainer, checkpoint, evaluation and model
 /// file know no more of a model than this.
 #[typetag::serde]
-pub trait Method: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
+pub trait Method:
+    erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
+{
     /// What it gives, where that does not depend on the frame.
     fn task(&self) -> Option<Task> {
         None

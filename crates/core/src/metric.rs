@@ -4,7 +4,9 @@ use crate::{Dataset, Image, ImagePlane, Link, Real, Result, Scene, Task, plugin_
 
 /// Scores predictions or a whole model.
 #[typetag::serde]
-pub trait Metric: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
+pub trait Metric:
+    erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
+{
     /// One or more measurements.
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>>;
 

@@ -7,13 +7,15 @@ mod adapter;
 mod family;
 
 use crate::did_you_mean;
-use crate::docs::Docs;
+use crate::docs::{Documented, JsonSchema, PLUGINS};
 use adapter::{Name, Tagged};
 pub use family::{Family, Member};
 pub use inventory;
+use schemars::{Schema, SchemaGenerator, json_schema};
 use serde::de::{self, Deserializer, EnumAccess, Visitor};
 use serde::{Deserialize, Serialize, Serializer};
-use std::{any::Any, fmt, marker::PhantomData, ops::Deref, path::Path, sync::Arc};
+use serde_json::{Map, json};
+use std::{any::Any, borrow::Cow, fmt, marker::PhantomData, ops::Deref, path::Path, sync::Arc};
 
 /// A plugin of kind `T = dyn Trait`: immutable, shared, cheap to clone.
 #[derive(Debug)]
@@ -26,13 +28,11 @@ impl<T: ?Sized> Clone for Plugin<T> {
 }
 
 /// A family of plugins: `dyn Trait` for each plugin trait. Implemented by `plugin_kind!`.
-pub trait PluginKind: fmt::Debug + Send + Sync {
+pub trait PluginKind: Documented + fmt::Debug + Send + Sync {
     /// The trait's name, such as `Pruner`.
     const KIND: &'static str;
     /// The plugin's own `check`.
     fn check_plugin(&self) -> Result<(), String>;
-    /// What the plugin's source says, where it derives `Documented`.
-    fn plugin_docs(&self) -> Option<&'static Docs>;
 }
 
 /// Makes a trait with `check` a family of plugins.
@@ -43,10 +43,6 @@ macro_rules! plugin_kind {
             const KIND: &'static str = stringify!($name);
             fn check_plugin(&self) -> Result<(), String> {
                 $name::check(self)
-            }
-            fn plugin_docs(&self) -> Option<&'static $crate::docs::Docs> {
-                let plugin: &dyn std::any::Any = self;
-                $crate::docs::docs_of(plugin.type_id())
             }
         }
         $crate::plugin::inventory::submit! { $crate::plugin::Family::of::<dyn $name>() }
@@ -70,6 +66,26 @@ where
     /// The parser's words.
     pub fn parse(text: &str) -> Result<Self, String> {
         ron_options().from_str(text).map_err(|e| e.to_string())
+    }
+}
+
+/// One of the plugins that are linked, under its name.
+impl<T: ?Sized + PluginKind> JsonSchema for Plugin<T>
+where
+    Box<T>: for<'de> Deserialize<'de>,
+{
+    fn schema_name() -> Cow<'static, str> {
+        T::KIND.into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        let linked = registered::<T>().into_iter();
+        let plugins = linked.filter_map(|name| Some((name, Self::parse(&format!("{name}()")).ok()?)));
+        let one = |(name, plugin): (&str, Self)| {
+            let properties = Map::from_iter([(name.to_owned(), plugin.schema(generator).to_value())]);
+            json!({ "type": "object", "properties": properties, "required": [name], "additionalProperties": false })
+        };
+        json_schema!({ "oneOf": plugins.map(one).collect::<Vec<_>>(), PLUGINS: true })
     }
 }
 
@@ -139,6 +155,20 @@ pub trait Check {
     /// # Errors
     /// That sentence.
     fn check(&self) -> Result<(), String>;
+}
+
+impl<S: JsonSchema> JsonSchema for Checked<S> {
+    fn schema_name() -> Cow<'static, str> {
+        S::schema_name()
+    }
+
+    fn schema_id() -> Cow<'static, str> {
+        S::schema_id()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        S::json_schema(generator)
+    }
 }
 
 impl<S> Deref for Checked<S> {

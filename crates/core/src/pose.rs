@@ -1,11 +1,11 @@
 //! `Pose`: where a receiver is and how it is turned.
 
 use crate::origin::place_fault;
-use crate::{Documented, Mat3, Real, Vec3};
+use crate::{JsonSchema, Mat3, Real, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// Position and orientation of the receiver.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Documented)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Pose {
     /// Metres, world frame.
     pub position: [f64; 3],

@@ -6,7 +6,9 @@ use crate::{Elevation, ImagePlane, Pose, Primitives, Real, Splats, plugin_kind};
 ///
 /// A new projection needs no covariance algebra: see `pwrfgs_raster::CameraModel`.
 #[typetag::serde]
-pub trait Projector: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
+pub trait Projector:
+    erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
+{
     /// The grid it draws on, for spectra of `width` by `height` pixels.
     fn plane(&self, width: usize, height: usize) -> ImagePlane;
 

@@ -11,7 +11,9 @@ use crate::{
 /// Only [`Pruner::keep`] is required. A learned strategy adds columns, a gate and a penalty, written forward-only on the
 /// step's tape. Worked example: `pwrfgs_prune::LearnableMask`.
 #[typetag::serde]
-pub trait Pruner: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
+pub trait Pruner:
+    erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
+{
     /// True for each Gaussian that stays, `[N]`; asked at the prune steps of algorithm 1. Several pruners: all must agree.
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool>;
 

@@ -4,7 +4,9 @@ use crate::{Cache, ImagePlane, Real, Splats, plugin_kind};
 
 /// Draws splats. One geometry may carry the signals of many transmitters: `channels` numbers a splat.
 #[typetag::serde]
-pub trait Rasterizer: erased_serde::Serialize + std::any::Any + std::fmt::Debug + Send + Sync {
+pub trait Rasterizer:
+    erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
+{
     /// Draws `signals`, row-major `[N, channels]`.
     fn forward(&self, splats: &Splats, signals: &[Real], channels: usize, plane: &ImagePlane) -> Render;
 

@@ -7,7 +7,7 @@ use crate::checks::value_fault;
 use crate::nerf2::{check_shape, gateway, index, read_transmitters, simulation};
 use crate::npy;
 use crate::points::read_points;
-use pwrfgs_core::{DataSource, Dataset, Documented, Elevation, Error, Progress, Result, Sample, Spectra};
+use pwrfgs_core::{DataSource, Dataset, Elevation, Error, JsonSchema, Progress, Result, Sample, Spectra};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -37,12 +37,14 @@ const IN_MEMORY: u64 = 1 << 29;
 /// # use pwrfgs_data as _;
 /// assert!(Plugin::<dyn DataSource>::parse(r#"Arrays(root: "data/mine")"#).is_ok());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Arrays {
     /// The folder, relative to the pipeline file.
+    #[schemars(extend("format" = "path"))]
     pub root: PathBuf,
     /// Point cloud of the room (PLY, XYZ or CSV, metres, world frame), relative to the pipeline file.
+    #[schemars(extend("format" = "path"))]
     pub points: Option<PathBuf>,
     /// Elevations where the top row of the spectra begins and the bottom row ends, degrees; what `gateway_info.yml` says
     /// where it is left out, else 0 and 90.

@@ -18,7 +18,7 @@ pub use ridge::Ridge;
 pub use zero::Zero;
 
 use by_receiver::{ByReceiver, Fitted};
-use pwrfgs_core::{Baseline, Dataset, Documented, Error, Image, Known, Predict, Query, Real, Result, Task};
+use pwrfgs_core::{Baseline, Dataset, Error, Image, JsonSchema, Known, Predict, Query, Real, Result, Task};
 use serde::{Deserialize, Serialize};
 
 /// The mean of all training spectra, whatever the transmitter: the floor of every score. Of powers and channels it is the
@@ -29,7 +29,7 @@ use serde::{Deserialize, Serialize};
 /// # use pwrfgs_data as _;
 /// assert_eq!(Plugin::<dyn Baseline>::parse("MeanSpectrum()").unwrap().name(), "mean spectrum");
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MeanSpectrum {}
 

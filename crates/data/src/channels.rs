@@ -8,7 +8,7 @@ use crate::nerf2::{check_root, folder_name, index, read_transmitters, simulation
 use crate::npy::read_complex;
 use crate::points::read_points;
 use pwrfgs_core::{
-    Channels as Observed, DataSource, Dataset, Documented, Error, Pose, Progress, Real, Receiver, Result, Sample,
+    Channels as Observed, DataSource, Dataset, Error, JsonSchema, Pose, Progress, Real, Receiver, Result, Sample,
     Simulation,
 };
 use serde::{Deserialize, Serialize};
@@ -42,16 +42,20 @@ const SHAPE: &str = "channels are [M, A, F]: M transmitters, A antennas of the r
 /// assert!(Plugin::<dyn DataSource>::parse(text).is_ok());
 /// assert!(Plugin::<dyn DataSource>::parse("Channels(spacing_hz: -1)").is_err());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Channels {
     /// The folder, relative to the pipeline file.
+    #[schemars(extend("format" = "path"))]
     pub root: PathBuf,
     /// The array, relative to `root`.
+    #[schemars(extend("format" = "path"))]
     pub file: PathBuf,
     /// The table of places, relative to `root`.
+    #[schemars(extend("format" = "path"))]
     pub positions: PathBuf,
     /// Point cloud of the room (PLY, XYZ or CSV, metres, world frame), relative to the pipeline file.
+    #[schemars(extend("format" = "path"))]
     pub points: Option<PathBuf>,
     /// Frequency in the middle of the subcarriers, Hz.
     pub carrier_hz: Option<f64>,
@@ -64,7 +68,7 @@ pub struct Channels {
 }
 
 /// Where a receiver is, how it is turned, and where its antennas are.
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ReceiverPlace {
     /// Metres, world frame.

@@ -18,7 +18,7 @@ use crate::checks::shape_fault;
 use crate::points::read_points;
 use crate::text::{XyzColumns, lines, no_longer, read_text, split_commas};
 use pwrfgs_core::{
-    DataSource, Dataset, Documented, Elevation, Error, Progress, Result, Sample, Simulation, Unmatched, files,
+    DataSource, Dataset, Elevation, Error, JsonSchema, Progress, Result, Sample, Simulation, Unmatched, files,
     words::clean,
 };
 use serde::{Deserialize, Serialize};
@@ -53,12 +53,14 @@ const LAYOUT: &str = "a NeRF2 folder holds gateway_info.yml, tx_pos.csv and spec
 /// let data = Plugin::<dyn DataSource>::parse(r#"Nerf2Spectrum(root: "data/s23", points: "room.ply")"#);
 /// assert!(data.is_ok());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Nerf2Spectrum {
     /// The folder, relative to the pipeline file.
+    #[schemars(extend("format" = "path"))]
     pub root: PathBuf,
     /// Point cloud of the room (PLY, XYZ or CSV, metres, world frame), relative to the pipeline file.
+    #[schemars(extend("format" = "path"))]
     pub points: Option<PathBuf>,
     /// Which receiver, where `gateway_info.yml` has more than `gateway1`; a file with several is refused unless one is
     /// named. Keys that hold no `position` and are not called gateway are left alone.

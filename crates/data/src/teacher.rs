@@ -5,7 +5,7 @@ mod tests;
 mod truth;
 
 use pwrfgs_core::{
-    DataSource, Dataset, Documented, Error, GaussianCloud, ImagePlane, Origin, Plugin, Pose, Primitives, Progress,
+    DataSource, Dataset, Error, GaussianCloud, ImagePlane, JsonSchema, Origin, Plugin, Pose, Primitives, Progress,
     Projector, Rasterizer, Real, Result, Sample, Simulation, Spectra, origin::place_fault, rng, sigmoid,
 };
 use serde::{Deserialize, Serialize};
@@ -37,7 +37,7 @@ const MAX_PIXELS: usize = 1 << 32;
 /// let teacher = Plugin::<dyn DataSource>::parse("Teacher(gaussians: 12, samples: 200, width: 90, height: 24)");
 /// assert!(teacher.is_ok());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Teacher {
     /// Gaussians of the answer.

@@ -7,8 +7,8 @@
 
 use pwrfgs_core::tape::{TraceScalar, Traced};
 use pwrfgs_core::{
-    Baseline, CloudStats, ColumnSpec, Dataset, Documented, Error, Evaluation, Gate, GaussianCloud, ImagePlane,
-    Initializer, Known, Measurement, Metric, Moment, Needs, Partition, Predict, Pruner, Real, Result, Scene, Seen,
+    Baseline, CloudStats, ColumnSpec, Dataset, Error, Evaluation, Gate, GaussianCloud, ImagePlane, Initializer,
+    JsonSchema, Known, Measurement, Metric, Moment, Needs, Partition, Predict, Pruner, Real, Result, Scene, Seen,
     Split, Task, rng::Rng,
 };
 use serde::{Deserialize, Serialize};
@@ -27,7 +27,7 @@ use std::sync::{Arc, OnceLock};
 /// let pruner = Plugin::<dyn Pruner>::parse(text).unwrap();
 /// assert!(pruner.ready().unwrap_err().to_string().contains("Thin"));
 /// ```
-#[derive(Clone, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Python {
     /// The module that it is imported from.

@@ -1,7 +1,7 @@
 //! Gaussians in evenly spread directions: a start in which every one can be seen.
 
 use crate::start;
-use pwrfgs_core::{Documented, GaussianCloud, ImagePlane, Initializer, Real, Result, Scene, Vec3, consts, rng::Rng};
+use pwrfgs_core::{GaussianCloud, ImagePlane, Initializer, JsonSchema, Real, Result, Scene, Vec3, consts, rng::Rng};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
@@ -19,7 +19,7 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 /// Plugin::<dyn Initializer>::parse("Grid(count: 800, distance_m: 4.0)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Grid {
     /// Number of Gaussians.

@@ -1,6 +1,6 @@
 //! `NoGaussians`: nothing to start with.
 
-use pwrfgs_core::{Documented, GaussianCloud, ImagePlane, Initializer, Result, Scene, rng::Rng};
+use pwrfgs_core::{GaussianCloud, ImagePlane, Initializer, JsonSchema, Result, Scene, rng::Rng};
 use serde::{Deserialize, Serialize};
 
 /// No Gaussians, for a method that has none, such as `Nerf2`; it is what such a pipeline takes that leaves `initializer` out.
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Initializer>::parse("NoGaussians()")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct NoGaussians {}
 

@@ -2,7 +2,7 @@
 
 use crate::start;
 use pwrfgs_core::{
-    Documented, Error, GaussianCloud, ImagePlane, Initializer, Real, Result, Scene,
+    Error, GaussianCloud, ImagePlane, Initializer, JsonSchema, Real, Result, Scene,
     rng::{self, Rng},
 };
 use serde::{Deserialize, Serialize};
@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Initializer>::parse("PointCloud(max_points: 5000, nearest: 3)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PointCloud {
     /// Most Gaussians to start with; `None` takes every point.

@@ -2,7 +2,7 @@
 
 use crate::start;
 use pwrfgs_core::{
-    Documented, GaussianCloud, ImagePlane, Initializer, Real, Result, Scene, Vec3,
+    GaussianCloud, ImagePlane, Initializer, JsonSchema, Real, Result, Scene, Vec3,
     rng::{self, Rng},
 };
 use serde::{Deserialize, Serialize};
@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Initializer>::parse("Random(count: 2000, std: 5.0)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Random {
     /// Number of Gaussians.

@@ -1,7 +1,7 @@
 //! Gaussians about every receiver and all over the site.
 
 use crate::start;
-use pwrfgs_core::{Documented, GaussianCloud, ImagePlane, Initializer, Real, Result, Scene, rng, rng::Rng};
+use pwrfgs_core::{GaussianCloud, ImagePlane, Initializer, JsonSchema, Real, Result, Scene, rng, rng::Rng};
 use serde::{Deserialize, Serialize};
 
 /// Some Gaussians about each receiver, the others all over the box that holds receivers, transmitters and points.
@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Initializer>::parse("Site(count: 900, near: 0.5, spread_m: 2.5, scale_m: 0.8)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Site {
     /// Number of Gaussians.

@@ -1,7 +1,7 @@
 //! Chamfer distance between the Gaussians and the point cloud, eq. (16).
 
 use crate::{no_gaussians, not_a_model, one};
-use pwrfgs_core::{Documented, Evaluation, Goal, Measurement, Metric, Real, Result, Scope, Values, neighbours};
+use pwrfgs_core::{Evaluation, Goal, JsonSchema, Measurement, Metric, Real, Result, Scope, Values, neighbours};
 use serde::{Deserialize, Serialize};
 
 /// Whether the Gaussians lie on the surfaces of the scene: the sum of the two mean squared distances, in m².
@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Metric>::parse("Chamfer()")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Chamfer {}
 

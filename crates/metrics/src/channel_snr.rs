@@ -1,7 +1,7 @@
 //! How well a channel is predicted.
 
 use crate::{not_for, paired};
-use pwrfgs_core::{Documented, Evaluation, Goal, Image, Measurement, Metric, Result, Scope, Task, Values};
+use pwrfgs_core::{Evaluation, Goal, Image, JsonSchema, Measurement, Metric, Result, Scope, Task, Values};
 use serde::{Deserialize, Serialize};
 
 /// Signal-to-noise ratio of predicted channels, dB: −10 log₁₀(Σ|h′ − h|² / Σ|h|²).
@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Metric>::parse("ChannelSnr()")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ChannelSnr {}
 

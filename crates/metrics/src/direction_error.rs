@@ -2,7 +2,7 @@
 
 use crate::{one, per_sample};
 use pwrfgs_core::{
-    Documented, Evaluation, Goal, Image, ImagePlane, Measurement, Metric, Real, Result, Scope, Task, Values,
+    Evaluation, Goal, Image, ImagePlane, JsonSchema, Measurement, Metric, Real, Result, Scope, Task, Values,
 };
 use serde::{Deserialize, Serialize};
 
@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Metric>::parse("DirectionError()")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DirectionError {}
 

@@ -1,7 +1,7 @@
 //! N, the number of Gaussians.
 
 use crate::{no_gaussians, not_a_model, one};
-use pwrfgs_core::{Documented, Evaluation, Goal, Measurement, Metric, Result, Scope, Values};
+use pwrfgs_core::{Evaluation, Goal, JsonSchema, Measurement, Metric, Result, Scope, Values};
 use serde::{Deserialize, Serialize};
 
 /// Number of Gaussians of the model: the horizontal axis of the paper's trade-off (fig. 2b).
@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Metric>::parse("GaussianCount()")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GaussianCount {}
 

@@ -1,7 +1,7 @@
 //! Mean absolute error of a pixel.
 
 use crate::{one, per_sample};
-use pwrfgs_core::{Documented, Evaluation, Goal, Measurement, Metric, Result, Scope, Task};
+use pwrfgs_core::{Evaluation, Goal, JsonSchema, Measurement, Metric, Result, Scope, Task};
 use serde::{Deserialize, Serialize};
 
 /// Mean absolute difference of predicted and measured pixels; the L₁ of eq. (9) with the prediction clamped to [0, 1].
@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Metric>::parse("L1()")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct L1 {}
 

@@ -1,6 +1,6 @@
 //! How long one prediction takes, stage by stage.
 
-use pwrfgs_core::{Documented, Evaluation, Goal, Measurement, Metric, Result, Scope, StageTimes, Values};
+use pwrfgs_core::{Evaluation, Goal, JsonSchema, Measurement, Metric, Result, Scope, StageTimes, Values};
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
@@ -21,7 +21,7 @@ use std::time::Instant;
 /// Plugin::<dyn Metric>::parse("Latency(repeats: 50)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Latency {
     /// Predictions timed, 1 to 10,000.

@@ -1,7 +1,7 @@
 //! Bytes of the model file.
 
 use crate::{no_gaussians, not_a_model};
-use pwrfgs_core::{Documented, Evaluation, Goal, Measurement, Metric, Result, Scope, Values};
+use pwrfgs_core::{Evaluation, Goal, JsonSchema, Measurement, Metric, Result, Scope, Values};
 use serde::{Deserialize, Serialize};
 
 /// Bytes of the Gaussians alone, and of Gaussians and network together.
@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Metric>::parse("ModelSize()")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ModelSize {}
 

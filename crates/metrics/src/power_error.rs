@@ -1,7 +1,7 @@
 //! How far a received power is off.
 
 use crate::{one, per_sample};
-use pwrfgs_core::{Documented, Evaluation, Goal, Measurement, Metric, Result, Scope, Task};
+use pwrfgs_core::{Evaluation, Goal, JsonSchema, Measurement, Metric, Result, Scope, Task};
 use serde::{Deserialize, Serialize};
 
 /// |predicted − measured| of a received power, dB.
@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Metric>::parse("PowerError()")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PowerError {}
 

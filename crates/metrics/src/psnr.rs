@@ -1,7 +1,7 @@
 //! Peak signal-to-noise ratio.
 
 use crate::{one, per_sample};
-use pwrfgs_core::{Documented, Evaluation, Goal, Measurement, Metric, Result, Scope, Task};
+use pwrfgs_core::{Evaluation, Goal, JsonSchema, Measurement, Metric, Result, Scope, Task};
 use serde::{Deserialize, Serialize};
 
 /// Smallest mean squared error that counts; below the 8-bit rounding of measured spectra (about 1.3e-6).
@@ -18,7 +18,7 @@ const LEAST_ERROR: f64 = 1e-10;
 /// Plugin::<dyn Metric>::parse("Psnr()")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Psnr {}
 

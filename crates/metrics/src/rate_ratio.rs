@@ -1,7 +1,7 @@
 //! Achievable-rate ratio, eq. (15): what steering by the prediction costs.
 
 use crate::{one, per_sample};
-use pwrfgs_core::{Documented, Evaluation, Goal, Image, Measurement, Metric, Result, Scope, Task};
+use pwrfgs_core::{Evaluation, Goal, Image, JsonSchema, Measurement, Metric, Result, Scope, Task};
 use serde::{Deserialize, Serialize};
 
 /// Rate reached by steering to the strongest predicted direction, over the rate of the truly strongest one.
@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Metric>::parse("RateRatio(snr_db: 10.0)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RateRatio {
     /// Transmit signal-to-noise ratio ρ in dB, −100 to 100; the paper reports 0.

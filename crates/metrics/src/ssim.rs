@@ -1,7 +1,7 @@
 //! SSIM as scikit-image computes it: the number that papers of this field print.
 
 use crate::{one, per_sample};
-use pwrfgs_core::{Documented, Evaluation, Goal, Measurement, Metric, Result, Scope, Task, ssim};
+use pwrfgs_core::{Evaluation, Goal, JsonSchema, Measurement, Metric, Result, Scope, Task, ssim};
 use serde::{Deserialize, Serialize};
 
 /// Structural similarity of predicted and measured spectrum, 1 where they are equal.
@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Metric>::parse("Ssim()")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Ssim {}
 

@@ -3,11 +3,11 @@
 //! Base parameters are unconstrained; here they become scales, unit quaternions and opacities, meet the deformation's
 //! terms, and are multiplied by the pruners' gate M (opacity and scale alike, as in Compact-3DGS).
 
-use pwrfgs_core::{Deltas, Documented, GaussianCloud, Primitives, Real, sigmoid};
+use pwrfgs_core::{Deltas, GaussianCloud, JsonSchema, Primitives, Real, sigmoid};
 use serde::{Deserialize, Serialize};
 
 /// How calibration terms meet the base parameters.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Documented)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Calibration {
     /// Scales exp(log s) + Δ, not below 0.1 mm; rotations normalise(q/|q| + Δ); signals s + Δ, signed.
     #[default]

@@ -1,11 +1,11 @@
 //! Readout: from blended signals to a spectrum, and back.
 
-use pwrfgs_core::{Documented, Real, Task};
+use pwrfgs_core::{JsonSchema, Real, Task};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// How the two real channels of a blended signal become one grey value.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Documented)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub enum Readout {
     /// The first channel alone: WRF-GS.
     Real,

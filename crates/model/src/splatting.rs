@@ -18,7 +18,7 @@ use crate::deform::Mlp;
 use crate::{Activation, ActivationVjp, Calibration, Readout};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
-    Cache, Deformation, Deltas, Documented, Elevation, Frame, GaussianCloud, ImagePlane, Parameters, Pose, Primitives,
+    Cache, Deformation, Deltas, Elevation, Frame, GaussianCloud, ImagePlane, JsonSchema, Parameters, Pose, Primitives,
     Projector, Rasterizer, Real, Render, RenderVjp, Splats, Task, sigmoid,
 };
 use pwrfgs_raster::{AlphaBlending, Mercator};
@@ -33,7 +33,7 @@ use std::time::Instant;
 /// ```ron
 /// Splatting(calibration: Physical, readout: Magnitude)
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Splatting {
     /// What the transmitter changes.

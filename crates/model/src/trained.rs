@@ -1,7 +1,7 @@
 //! `Trained`: a model as the start of another training.
 
 use crate::file;
-use pwrfgs_core::{Documented, Error, GaussianCloud, ImagePlane, Initializer, Real, Result, Scene, Seen, rng::Rng};
+use pwrfgs_core::{Error, GaussianCloud, ImagePlane, Initializer, JsonSchema, Real, Result, Scene, Seen, rng::Rng};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -17,10 +17,11 @@ use std::path::{Path, PathBuf};
 /// Plugin::<dyn Initializer>::parse("Trained(model: \"runs/dense/model.safetensors\")")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Trained {
     /// The `model.safetensors` of a finished run, relative to the pipeline.
+    #[schemars(extend("format" = "path"))]
     pub model: PathBuf,
 }
 

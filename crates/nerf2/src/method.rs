@@ -6,7 +6,7 @@ use crate::path::Law;
 use crate::rays::Rays;
 use crate::walk::{Still, Sums, Trunked, Walk};
 use pwrfgs_core::{
-    Asked, Cache, Documented, Frame, Layout, Method, MethodVjp, Observed, Parameters, Pixels, Real, SPEED_OF_LIGHT,
+    Asked, Cache, Frame, JsonSchema, Layout, Method, MethodVjp, Observed, Parameters, Pixels, Real, SPEED_OF_LIGHT,
     StageTimes, Task, cached, consts,
 };
 use pwrfgs_layers::dense::add_in_order;
@@ -45,7 +45,7 @@ use std::time::Instant;
 /// assert!(Plugin::<dyn Method>::parse("Nerf2(samples: 1)").is_err());
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Nerf2 {
     /// Layers of the trunk; from 6 on the place comes in once more at the sixth.

@@ -4,7 +4,7 @@
 
 use crate::pipeline::{Pipeline, PipelinePatch};
 use crate::ron_tree::{Body, Tree};
-use pwrfgs_core::docs::{Body as Parts, Docs, Documented as _, Field, Kind};
+use pwrfgs_core::docs::{Body as Parts, Docs, Field, Kind};
 use pwrfgs_core::plugin::{Family, ron_options, to_ron};
 use pwrfgs_core::{Baseline, DataSource, Error, Initializer, Plugin, Result, did_you_mean};
 use std::ops::Range;
@@ -79,7 +79,7 @@ impl Draft {
         let new = Tree::parse(&text).map_err(Error::Config)?;
         let tree = self.tree();
         let mut edits = Vec::new();
-        let whole = Place { name: String::new(), tree: &tree, kind: Some(Pipeline::kind()) };
+        let whole = Place { name: String::new(), tree: &tree, kind: Some(Kind::Of(Docs::of::<Pipeline>())) };
         whole.put(&new, &text, true, &mut edits).map_err(Error::Config)?;
         self.change(edits);
         for (path, value) in patch.set.iter().flatten() {
@@ -146,7 +146,7 @@ impl Draft {
 impl<'a> Place<'a> {
     /// The place that `path` names.
     fn at(path: &str, tree: &'a Tree) -> Result<Self, String> {
-        let mut place = Self { name: String::new(), tree, kind: Some(Pipeline::kind()) };
+        let mut place = Self { name: String::new(), tree, kind: Some(Kind::Of(Docs::of::<Pipeline>())) };
         for step in path.trim().split('.') {
             place = place.step(step.trim())?;
         }
@@ -159,7 +159,11 @@ impl<'a> Place<'a> {
         let path = if name.is_empty() { step.to_owned() } else { format!("{name}.{step}") };
         let here = if name.is_empty() { "a pipeline".to_owned() } else { format!("`{name}`") };
         if let Some(inner) = tree.field(step) {
-            return Ok(Self { name: path, tree: inner, kind: field(kind.as_ref(), tree, step).map(|f| (f.kind)()) });
+            return Ok(Self {
+                name: path,
+                tree: inner,
+                kind: field(kind.as_ref(), tree, step).map(|f| f.kind.clone()),
+            });
         }
         if let (Some("Some"), [inner]) = (tree.name.as_deref(), tree.items()) {
             return Self { name, tree: inner, kind }.step(step);
@@ -240,7 +244,7 @@ fn written_out(kind: Option<&Kind>, new: &Tree, text: &str) -> String {
     let own = new.of(text);
     match kind.map(inside) {
         Some(Kind::Plugin(kind)) => {
-            Family::find(kind).and_then(|family| (family.complete)(own)).unwrap_or_else(|| own.to_owned())
+            Family::find(kind).and_then(|family| (family.complete)(own).ok()).unwrap_or_else(|| own.to_owned())
         }
         Some(Kind::List(kind)) if !new.items().is_empty() => {
             let items: Vec<String> = new.items().iter().map(|item| written_out(Some(kind), item, text)).collect();

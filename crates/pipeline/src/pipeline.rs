@@ -4,23 +4,25 @@ use crate::defaults;
 use crate::draft::{Draft, shortened};
 use crate::kinds::{mixed, refuse_mixed};
 use crate::ron_tree::Tree;
-use pwrfgs_core::docs::Kind;
 use pwrfgs_core::plugin::{Checked, Plugin, read_ron, try_to_ron};
 use pwrfgs_core::{
-    Baseline, DataSource, Dataset, Deformation, Documented, Error, ImagePlane, Initializer, Method, Metric, Partition,
+    Baseline, DataSource, Dataset, Deformation, Error, ImagePlane, Initializer, JsonSchema, Method, Metric, Partition,
     Projector, Pruner, Rasterizer, Result, Split, rng,
 };
 use pwrfgs_model::{Calibration, Readout, Splatting, Stages, check_together};
 use pwrfgs_train::{Trainer, Training, TrainingPatch, TrainingPlan};
 use ron::value::RawValue;
+use schemars::{Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Everything a run needs to know. Plugins are named in the words of the registry; plain settings are nested structs. A
 /// field that is left out takes what [`defaults`] says; name, data and initializer have no default.
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(try_from = "PipelineFields<Checked<Training>>")]
+#[schemars(!try_from, extend("required" = ["name", "data"]))]
 pub struct Pipeline {
     /// Names the run folder: letters, digits, `.`, `-` and `_`.
     pub name: String,
@@ -108,9 +110,17 @@ impl PipelinePatch {
 }
 
 /// What a patch is, in a list of what may stand in an experiment.
-impl Documented for PipelinePatch {
-    fn kind() -> Kind {
-        Kind::Plain("fields of a Pipeline")
+impl JsonSchema for PipelinePatch {
+    fn inline_schema() -> bool {
+        true
+    }
+
+    fn schema_name() -> Cow<'static, str> {
+        "fields of a Pipeline".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "title": Self::schema_name(), "type": "object" })
     }
 }
 

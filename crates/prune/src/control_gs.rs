@@ -3,7 +3,7 @@
 use crate::rounds::{check_below_one, check_share, check_target, check_weight};
 use dfdx::prelude::{Rank0, SumTo};
 use pwrfgs_core::{
-    Budget, CloudStats, ColumnSpec, Documented, GaussianCloud, Moment, Phase, Pruner, Real, sigmoid,
+    Budget, CloudStats, ColumnSpec, GaussianCloud, JsonSchema, Moment, Phase, Pruner, Real, sigmoid,
     tape::{TraceScalar, Traced},
 };
 use serde::{Deserialize, Serialize};
@@ -24,7 +24,7 @@ const PULL: &str = "control_pull";
 /// Plugin::<dyn Pruner>::parse("ControlGs(lambda: 1e-5)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ControlGs {
     /// Weight λ of the sum of opacities, 0 or more.

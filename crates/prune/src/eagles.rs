@@ -1,7 +1,7 @@
 //! Influence on the pictures: a quantile of it goes.
 
 use crate::rounds::{asked, check_share, check_target, quantile};
-use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic};
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, Real, Statistic};
 use serde::{Deserialize, Serialize};
 
 /// Drops what has the least influence on the pictures, a small part at every prune step (EAGLES).
@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Pruner>::parse("Eagles(quantile: 0.05)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Eagles {
     /// What lies at or below this quantile goes, from 0 to 1.

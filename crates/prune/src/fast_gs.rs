@@ -1,7 +1,7 @@
 //! What stands where the pictures are wrong.
 
 use crate::rounds::{asked, check_share, check_target};
-use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic};
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, Real, Statistic};
 use serde::{Deserialize, Serialize};
 
 /// Drops what stands, again and again, where the pictures are wrong (FastGS).
@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Pruner>::parse("FastGs(blame: 0.9)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct FastGs {
     /// Blame above which a Gaussian goes, from 0 to 1.

@@ -3,7 +3,7 @@
 use crate::rounds::{check_target, share_of};
 use dfdx::prelude::{Rank0, SumTo};
 use pwrfgs_core::{
-    Budget, CloudStats, ColumnSpec, Documented, GaussianCloud, Moment, Phase, Pruner, Real, best, sigmoid,
+    Budget, CloudStats, ColumnSpec, GaussianCloud, JsonSchema, Moment, Phase, Pruner, Real, best, sigmoid,
     tape::{TraceScalar, Traced, values},
 };
 use serde::{Deserialize, Serialize};
@@ -27,7 +27,7 @@ const DUAL: &str = "spa_dual";
 /// Plugin::<dyn Pruner>::parse("GaussianSpa(target: 157)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GaussianSpa {
     /// Weight ρ of the distance, above 0.

@@ -1,7 +1,7 @@
 //! One at a time, by the true loss.
 
 use crate::rounds::{asked, check_shares, check_target, share_at, without_share};
-use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic, Statistics};
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, Real, Statistic, Statistics};
 use serde::{Deserialize, Serialize};
 
 /// Takes one Gaussian at a time: always that one without which the training loss is smallest.
@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Pruner>::parse("GreedyElimination(target: 24)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GreedyElimination {
     /// Gaussians from which on the true loss decides, from 2 to 1,000.

@@ -6,7 +6,7 @@
 use crate::rounds::{check_rate, check_target, check_weight, learned, shortened_rate};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
-    Budget, CloudStats, ColumnSpec, Documented, Gate, GaussianCloud, Moment, Phase, Pruner, Real, sigmoid,
+    Budget, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, Moment, Phase, Pruner, Real, sigmoid,
     tape::{TraceScalar, Traced},
 };
 use serde::{Deserialize, Serialize};
@@ -43,7 +43,7 @@ const MOST_STEPS: u64 = 1_000_000;
 /// Plugin::<dyn Pruner>::parse("LearnableMask(lambda: 0.02)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LearnableMask {
     /// Weight λ of the penalty, 0 or more.

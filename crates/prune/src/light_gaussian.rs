@@ -1,7 +1,7 @@
 //! Weight in the pictures, and a little of the volume.
 
 use crate::rounds::{asked, check_shares, check_target, check_weight, quantile, share_at, without_share};
-use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic};
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, Real, Statistic};
 use serde::{Deserialize, Serialize};
 
 /// Drops a share of the Gaussians that show least, weighed a little by their volume (LightGaussian).
@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Pruner>::parse("LightGaussian(target: 157)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LightGaussian {
     /// The share that goes at each prune step, from the first on; after the last of them nothing goes.

@@ -3,7 +3,7 @@
 use crate::rounds::{check_rate, check_target, check_weight, logistic_noise, quantile, shortened_rate};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
-    Budget, CloudStats, ColumnSpec, Documented, Edit, Gate, GaussianCloud, Moment, Needs, Phase, Pruner, Real, Row,
+    Budget, CloudStats, ColumnSpec, Edit, Gate, GaussianCloud, JsonSchema, Moment, Needs, Phase, Pruner, Real, Row,
     Statistic, rng,
     tape::{Trace, TraceScalar, Traced},
 };
@@ -30,7 +30,7 @@ const IMPORTANCE: &str = "lp_importance";
 /// Plugin::<dyn Pruner>::parse("Lp3dgs(lambda: 0.02)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Lp3dgs {
     /// Weight λ of the penalty, 0 or more.

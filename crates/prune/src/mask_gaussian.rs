@@ -3,7 +3,7 @@
 use crate::rounds::{check_rate, check_target, check_weight, learned, logistic_noise, shortened_rate};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
-    Budget, CloudStats, ColumnSpec, Documented, Gate, GaussianCloud, Moment, Phase, Pruner, Real, rng,
+    Budget, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, Moment, Phase, Pruner, Real, rng,
     tape::{Trace, TraceScalar, Traced},
 };
 use serde::{Deserialize, Serialize};
@@ -29,7 +29,7 @@ const COLUMN: &str = "presence_logits";
 /// Plugin::<dyn Pruner>::parse("MaskGaussian(lambda: 0.1)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MaskGaussian {
     /// Weight λ of the penalty, 0 or more.

@@ -4,7 +4,7 @@ use crate::covariance::Covariance;
 use crate::rounds::{check_below_one, check_share, check_target, check_weight};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
-    Budget, CloudStats, Documented, Edit, GaussianCloud, Moment, Phase, Pruner, Real, Row, logit, rng, sigmoid,
+    Budget, CloudStats, Edit, GaussianCloud, JsonSchema, Moment, Phase, Pruner, Real, Row, logit, rng, sigmoid,
     tape::{TraceScalar, Traced},
 };
 use serde::{Deserialize, Serialize};
@@ -28,7 +28,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Pruner>::parse("Mcmc(target: 500)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Mcmc {
     /// Opacity up to which a Gaussian is dead, from 0 to below 1.

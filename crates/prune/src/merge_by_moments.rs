@@ -3,7 +3,7 @@
 use crate::covariance::Covariance;
 use crate::rounds::{check_shares, check_target, share_at, share_of};
 use pwrfgs_core::{
-    Budget, CloudStats, Documented, Edit, GaussianCloud, Moment, Pruner, Real, Row, logit, neighbours, sigmoid,
+    Budget, CloudStats, Edit, GaussianCloud, JsonSchema, Moment, Pruner, Real, Row, logit, neighbours, sigmoid,
 };
 use serde::{Deserialize, Serialize};
 
@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Pruner>::parse("MergeByMoments(target: 500)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MergeByMoments {
     /// The share of Gaussians that are merged away at each prune step, from the first on.

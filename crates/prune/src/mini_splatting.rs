@@ -1,11 +1,11 @@
 //! A lottery by weight, or the few that have nearly all of it.
 
 use crate::rounds::{asked, check_share, check_target, without_share};
-use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic, rng};
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, Real, Statistic, rng};
 use serde::{Deserialize, Serialize};
 
 /// Who stays, by weight.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Documented)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub enum Rule {
     /// This share of all Gaussians, drawn with probabilities in proportion to weight.
     Sampled(Real),
@@ -33,7 +33,7 @@ impl Rule {
 /// Plugin::<dyn Pruner>::parse("MiniSplatting(rule: Cumulated(0.99), per_area: true)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MiniSplatting {
     /// Who stays.

@@ -3,7 +3,7 @@
 use crate::rounds::{check_below_one, check_target, check_weight};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
-    Budget, CloudStats, ColumnSpec, Documented, GaussianCloud, Moment, Phase, Pruner, Real, sigmoid,
+    Budget, CloudStats, ColumnSpec, GaussianCloud, JsonSchema, Moment, Phase, Pruner, Real, sigmoid,
     tape::{TraceScalar, Traced},
 };
 use serde::{Deserialize, Serialize};
@@ -24,7 +24,7 @@ const LIFE: &str = "life";
 /// Plugin::<dyn Pruner>::parse("NaturalSelection(pressure: 0.05, target: 157)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct NaturalSelection {
     /// Weight of the mean logit, 0 or more.

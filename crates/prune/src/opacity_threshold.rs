@@ -1,7 +1,7 @@
 //! Discards what is nearly transparent.
 
 use crate::rounds::check_target;
-use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Pruner, Real, sigmoid};
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, Real, sigmoid};
 use serde::{Deserialize, Serialize};
 
 /// A Gaussian stays where its opacity o = σ(logit) is at least epsilon (WRF-GS).
@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Pruner>::parse("OpacityThreshold(epsilon: 0.1)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct OpacityThreshold {
     /// Smallest opacity ε that stays, from 0 (keeps all) to below 1.

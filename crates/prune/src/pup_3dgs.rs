@@ -1,7 +1,7 @@
 //! How well the pictures fix mean and scale.
 
 use crate::rounds::{check_shares, check_target, share_at, without_share};
-use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic};
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, Real, Statistic};
 use serde::{Deserialize, Serialize};
 
 /// Drops the Gaussians whose place and size the pictures say least about (PUP-3DGS).
@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Pruner>::parse("Pup3dgs(shares: [0.8, 0.5])")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Pup3dgs {
     /// The share that goes at each prune step, from the first on; after the last of them nothing goes.

@@ -1,7 +1,7 @@
 //! The largest weight in any pixel.
 
 use crate::rounds::{asked, check_share, check_target};
-use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic};
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, Real, Statistic};
 use serde::{Deserialize, Serialize};
 
 /// A Gaussian stays where it has at least `threshold` of some pixel for some transmitter (RadSplat).
@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Pruner>::parse("RadSplat(threshold: 0.01)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RadSplat {
     /// Smallest weight that counts, from 0 to 1.

@@ -1,7 +1,7 @@
 //! Chance: what every strategy has to beat.
 
 use crate::rounds::{check_shares, check_target, share_at, without_share};
-use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Pruner, Real, rng};
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, Real, rng};
 use serde::{Deserialize, Serialize};
 
 /// Drops Gaussians by chance: the reference from below that every strategy has to beat.
@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Pruner>::parse("RandomReference(target: 157)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RandomReference {
     /// The share that goes at each prune step, from the first on; after the last of them nothing goes.

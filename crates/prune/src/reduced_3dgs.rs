@@ -1,7 +1,7 @@
 //! Too many in one place.
 
 use crate::rounds::{check_share, check_target, without_share};
-use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Pruner, Real, neighbours, sigmoid};
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, Real, neighbours, sigmoid};
 use serde::{Deserialize, Serialize};
 
 /// Thins out where Gaussians crowd: of those with many overlaps, the less opaque half goes (Reduced-3DGS).
@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Pruner>::parse("Reduced3dgs(deviations: 1.0)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Reduced3dgs {
     /// Neighbours that are looked at, 1 or more.

@@ -1,7 +1,7 @@
 //! Whatever some pixel needs.
 
 use crate::rounds::{asked, check_target};
-use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic};
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, Real, Statistic};
 use serde::{Deserialize, Serialize};
 
 /// Keeps whatever is among the first few of some pixel of some transmitter (SafeguardGS).
@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Pruner>::parse("SafeguardGs(of_pixel: 1)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SafeguardGs {
     /// How many of each pixel are safe, from 1 to 64.

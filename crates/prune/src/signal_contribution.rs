@@ -1,11 +1,11 @@
 //! What a Gaussian sends into the picture, over transmitters.
 
 use crate::rounds::{asked, check_shares, check_target, share_at, without_share};
-use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic};
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, Real, Statistic};
 use serde::{Deserialize, Serialize};
 
 /// How the numbers of all transmitters become one.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Documented)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Over {
     /// Their mean.
     #[default]
@@ -28,7 +28,7 @@ pub enum Over {
 /// Plugin::<dyn Pruner>::parse("SignalContribution(over: Max, target: 157)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SignalContribution {
     /// How transmitters are put together.

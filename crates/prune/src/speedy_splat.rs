@@ -1,7 +1,7 @@
 //! How much the picture changes with the Gaussian's own strength.
 
 use crate::rounds::{asked, check_shares, check_target, share_at, without_share};
-use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic};
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, Real, Statistic};
 use serde::{Deserialize, Serialize};
 
 /// Drops what the pictures are least sensitive to (Speedy-Splat).
@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Pruner>::parse("SpeedySplat(target: 157)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SpeedySplat {
     /// The share that goes at each prune step, from the first on; after the last of them nothing goes.

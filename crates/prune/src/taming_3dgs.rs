@@ -1,7 +1,7 @@
 //! A sum of everything that may matter, each over its median.
 
 use crate::rounds::{check_shares, check_target, quantile, share_at, without_share};
-use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Needs, Pruner, Real, Statistic, sigmoid};
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, Real, Statistic, sigmoid};
 use serde::{Deserialize, Serialize};
 
 /// Drops the least by a weighted sum of what may matter, each number over its own median (Taming 3DGS).
@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Pruner>::parse("Taming3dgs(target: 500)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Taming3dgs {
     /// The share that goes at each prune step, from the first on; after the last of them nothing goes.

@@ -1,6 +1,6 @@
 //! An exact budget: the best `keep` Gaussians stay.
 
-use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Pruner, Real, best, sigmoid};
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, Real, best, sigmoid};
 use serde::{Deserialize, Serialize};
 
 /// Keeps the best-scored Gaussians, exactly as many as asked for.
@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Pruner>::parse("TopK(keep: 500, score: Weight)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TopK {
     /// Number of Gaussians that stay, 1 or more.
@@ -26,7 +26,7 @@ pub struct TopK {
 }
 
 /// How much a Gaussian matters.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Documented)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Score {
     /// Its part in the pictures: the sum of its blending weights γ·T over pixels and renders since the last
     /// densification. Opacity where no picture has been drawn since.

@@ -1,7 +1,7 @@
 //! Faint, and not about to change.
 
 use crate::rounds::{check_share, check_target, quantile};
-use pwrfgs_core::{Budget, CloudStats, Documented, GaussianCloud, Moment, Pruner, Real};
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, Real};
 use serde::{Deserialize, Serialize};
 
 /// Drops what is faint and has a small gradient, in rounds with training between them (Trimming the Fat).
@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 /// Plugin::<dyn Pruner>::parse("TrimmingTheFat(opacity_quantile: 0.1)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrimmingTheFat {
     /// Opacities below this quantile, from 0 to 1, are faint.

@@ -5,7 +5,7 @@ use crate::canvas::{gather, patches};
 use crate::survey::Look;
 use crate::tiles::{Support, TileLists};
 use pwrfgs_core::simd::widest;
-use pwrfgs_core::{Cache, Documented, ImagePlane, Looked, Rasterizer, Real, Render, RenderVjp, Splats, Survey, cached};
+use pwrfgs_core::{Cache, ImagePlane, JsonSchema, Looked, Rasterizer, Real, Render, RenderVjp, Splats, Survey, cached};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -24,7 +24,7 @@ use std::sync::Arc;
 /// # use pwrfgs_raster as _;
 /// Plugin::<dyn Rasterizer>::parse("AlphaBlending(support: Exact)").unwrap();
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct AlphaBlending {
     /// Which pixels a Gaussian can reach.

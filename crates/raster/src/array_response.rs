@@ -4,7 +4,7 @@ mod beams;
 mod wave;
 
 use beams::Beams;
-use pwrfgs_core::{Cache, Documented, ImagePlane, Rasterizer, Real, Render, RenderVjp, Splats, cached};
+use pwrfgs_core::{Cache, ImagePlane, JsonSchema, Rasterizer, Real, Render, RenderVjp, Splats, cached};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, PoisonError, RwLock};
@@ -40,7 +40,7 @@ pub use wave::Wavefront;
 /// Plugin::<dyn Rasterizer>::parse("ArrayResponse(rows: 4, columns: 4, spacing_wavelengths: 0.491)").unwrap();
 /// Plugin::<dyn Rasterizer>::parse("ArrayResponse(widened: false, wavefront: Spherical(wavelength_m: 0.326))").unwrap();
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ArrayResponse {
     /// Antennas along y of the receiver.

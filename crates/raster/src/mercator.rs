@@ -2,7 +2,7 @@
 
 use crate::ewa::{self, CameraModel};
 use pwrfgs_core::{
-    Axis, Documented, Elevation, ImagePlane, Pose, Primitives, Projector, Real, Sampling, Splats, Vec3, consts::DEG,
+    Axis, Elevation, ImagePlane, JsonSchema, Pose, Primitives, Projector, Real, Sampling, Splats, Vec3, consts::DEG,
 };
 use serde::{Deserialize, Serialize};
 
@@ -41,7 +41,7 @@ const ON_AXIS: Real = 1e-6;
 /// # use pwrfgs_raster as _;
 /// Plugin::<dyn Projector>::parse("Mercator(blur: 0.3, near_m: 0.2, margin_deg: 15)").unwrap();
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Mercator {
     /// Added to both diagonal entries of the 2-D covariance, px² of the whole spectrum, whatever `training.stride` is.

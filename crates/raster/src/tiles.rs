@@ -4,13 +4,13 @@
 
 use crate::blend::{ALPHA_MIN, TILE, nearest_image};
 use pwrfgs_core::simd::widest;
-use pwrfgs_core::{Documented, ImagePlane, Real, Splats};
+use pwrfgs_core::{ImagePlane, JsonSchema, Real, Splats};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
 /// Which pixels a Gaussian can reach.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Documented)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Support {
     /// Those where γ ≥ 1/255.
     #[default]

@@ -2,7 +2,7 @@
 
 use crate::ewa::{self, CameraModel, View};
 use crate::tiles::square;
-use pwrfgs_core::{Documented, ImagePlane, Pose, Primitives, Projector, Real, Sampling, Splats, Vec3, consts::PI};
+use pwrfgs_core::{ImagePlane, JsonSchema, Pose, Primitives, Projector, Real, Sampling, Splats, Vec3, consts::PI};
 use serde::{Deserialize, Serialize};
 
 /// The released WRF-GS projection, for comparison with published code only.
@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 /// # use pwrfgs_raster as _;
 /// Plugin::<dyn Projector>::parse("WrfgsCompat()").unwrap();
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct WrfgsCompat {}
 

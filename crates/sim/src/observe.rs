@@ -5,7 +5,7 @@ use crate::path::Path;
 use crate::random::normal;
 use crate::spectrum::Spectrum;
 use crate::wave::Complex;
-use pwrfgs_core::{Documented, Task};
+use pwrfgs_core::{JsonSchema, Task};
 use serde::{Deserialize, Serialize};
 
 /// What is not heard has this, dBm, as in the files of NeRF2; nothing weaker is heard.
@@ -14,7 +14,7 @@ pub const SILENT_DBM: f64 = -100.0;
 const GRAINS: f64 = 1e3;
 
 /// What is observed of every pair of a transmitter and a receiver.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Documented)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub enum Observe {
     /// The spatial spectrum, a picture of 360 x 90 pixels, at the carrier.

@@ -6,7 +6,7 @@ use crate::scene::Scene;
 use crate::simulator::{HEIGHT, Simulator, WIDTH};
 use glam::DVec3;
 use pwrfgs_core::{
-    Baseline, Channels, Dataset, Documented, Elevation, Error, Image, Known, Observations, Predict, Query, Real,
+    Baseline, Channels, Dataset, Elevation, Error, Image, JsonSchema, Known, Observations, Predict, Query, Real,
     Result, Task,
 };
 use serde::{Deserialize, Serialize};
@@ -29,11 +29,12 @@ const SAME_FREQUENCY: f64 = 1e-7;
 /// Plugin::<dyn Baseline>::parse("RayTracing(material_error: 0.2, position_error_m: 0.05)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RayTracing {
     /// A scene file, relative to the pipeline file; `None` for the scene of the data, which must be `Simulated` or a folder
     /// that `pwrfgs simulate` wrote. A scene with meshes has to be named for such a folder, which does not hold them.
+    #[schemars(extend("format" = "path"))]
     pub scene: Option<PathBuf>,
     /// Whether the scene's receiver errors are drawn, anew.
     pub noise: bool,

@@ -7,7 +7,7 @@ use crate::output::{PICTURES, POINTS, is_test};
 use crate::recipe::{self, Recipe};
 use crate::scene::{self, Scene};
 use pwrfgs_core::{
-    Channels, DataSource, Dataset, Documented, Error, Observations, Progress, Real, Receiver, Result, Sample,
+    Channels, DataSource, Dataset, Error, JsonSchema, Observations, Progress, Real, Receiver, Result, Sample,
     Simulation, words::clean,
 };
 use pwrfgs_data::{Arrays, Nerf2Spectrum, read_points};
@@ -33,10 +33,11 @@ use std::path::{Path, PathBuf};
 /// Plugin::<dyn DataSource>::parse(r#"Simulated(scene: "../scenes/office.ron", samples: 200)"#)?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Simulated {
     /// The scene file, relative to the pipeline file.
+    #[schemars(extend("format" = "path"))]
     pub scene: PathBuf,
     /// Transmitters; with one receiver, spectra.
     pub samples: usize,

@@ -3,11 +3,11 @@
 //! A patch is the same struct with every field optional at every depth; what it does not name keeps its value. The
 //! variants of a sweep are patches.
 
-use pwrfgs_core::{Documented, Real, plugin::Check};
+use pwrfgs_core::{JsonSchema, Real, plugin::Check};
 use serde::{Deserialize, Serialize};
 
 /// How errors count.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Documented)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Errors {
     /// |Δ|: deaf to outliers.
     #[default]
@@ -17,7 +17,7 @@ pub enum Errors {
 }
 
 /// Which pixels of the spectra a step looks at, for a method that can draw some alone.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Documented)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Rays {
     /// All that `stride` leaves.
     #[default]
@@ -36,7 +36,7 @@ macro_rules! settings {
         $(; $($(#[$ndoc:meta])* $nested:ident : $nty:ident / $npatch:ident,)*)?
     }) => {
         $(#[$meta])*
-        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Documented)]
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
         #[serde(default, deny_unknown_fields)]
         pub struct $name {
             $($(#[$doc])* pub $field: $ty,)*
@@ -58,7 +58,7 @@ macro_rules! settings {
 }
 
 /// A learning rate as a function of the step.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Documented)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub enum Schedule {
     /// The same at every step.
     Constant(Real),

@@ -28,7 +28,7 @@ const EDGE: Real = 1e-6;
 /// Plugin::<dyn Pruner>::parse("GumbelMask(lambda: 0.02, temperature: 0.5)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GumbelMask {
     /// Weight λ of the penalty, 0 or more.

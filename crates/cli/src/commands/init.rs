@@ -9,7 +9,7 @@ use crate::reference::commented::Style;
 use crate::reference::{Value, example, prose};
 use clap::Args;
 use pwrfgs::prelude::Pipeline;
-use pwrfgs_core::docs::Documented as _;
+use pwrfgs_core::docs::Docs;
 use pwrfgs_core::files::check_place;
 use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{Error, Result};
@@ -164,7 +164,7 @@ fn written(survey: &Survey, pipeline: &Pipeline) -> Result<String> {
         _ => true,
     };
     let style = Style { opens: &|field| field != "receiver", shows: &shows };
-    let body = style.write(&value, Pipeline::kind().docs(), "");
+    let body = style.write(&value, Some(Docs::of::<Pipeline>()), "");
     let mut text = String::new();
     for line in survey.notes() {
         text += &prose::wrapped(&line, "// ", 100);

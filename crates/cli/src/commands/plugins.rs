@@ -2,7 +2,7 @@
 
 use crate::output;
 use crate::reference::commented::Style;
-use crate::reference::{Chapter, Topic, chapters, markdown, prose};
+use crate::reference::{Chapter, Topic, chapters, markdown, prose, schema};
 use clap::Args;
 use pwrfgs_core::docs::{Body, Docs};
 use pwrfgs_core::{Error, Result, did_you_mean};
@@ -23,14 +23,17 @@ pub(crate) struct Plugins {
     /// Everything as one page of Markdown
     #[arg(long, conflicts_with = "name")]
     pub(crate) markdown: bool,
+    /// Print the JSON schema of pipeline and experiment files
+    #[arg(long, conflicts_with_all = ["name", "markdown"])]
+    pub(crate) schema: bool,
 }
 
 /// Signs a line.
 const WIDTH: usize = 110;
 
 pub(crate) fn plugins(arguments: &Plugins) -> Result<ExitCode> {
-    if arguments.markdown {
-        output::result(&markdown::page())?;
+    if arguments.markdown || arguments.schema {
+        output::result(&if arguments.schema { schema::text() } else { markdown::page() })?;
         return Ok(ExitCode::SUCCESS);
     }
     let chapters = chapters();
@@ -77,7 +80,7 @@ fn write_topic(out: &mut String, topic: &Topic, full: bool) {
         }
         (Some(docs), Err(_)) => {
             for field in docs.fields() {
-                let takes = crate::reference::takes(&(field.kind)());
+                let takes = crate::reference::takes(&field.kind);
                 let words = format!("{}: {} [{takes}]", field.name, prose::line(field.text));
                 out.push_str(&prose::wrapped(&words, "      ", WIDTH));
             }

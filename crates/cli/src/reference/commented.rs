@@ -42,20 +42,20 @@ impl Style<'_> {
                 out.push_str(&comment(field, &inside));
             }
             _ = write!(out, "{inside}{name}: ");
-            let kind = field.map(|f| (f.kind)());
+            let kind = field.map(|f| &f.kind);
             match (&value.body, (self.opens)(name)) {
-                (Body::Fields(_), true) => self.tree(value, text, docs_at(kind.as_ref(), value), &inside, out),
+                (Body::Fields(_), true) => self.tree(value, text, docs_at(kind, value), &inside, out),
                 (Body::Items(items), true) if !items.is_empty() && value.of(text).starts_with('[') => {
                     out.push_str("[\n");
                     for item in items {
                         let deeper = format!("{inside}    ");
                         out.push_str(&deeper);
-                        self.tree(item, text, docs_at(kind.as_ref(), item), &deeper, out);
+                        self.tree(item, text, docs_at(kind, item), &deeper, out);
                         out.push_str(",\n");
                     }
                     _ = write!(out, "{inside}]");
                 }
-                _ => out.push_str(&short(kind.as_ref(), value, text)),
+                _ => out.push_str(&short(kind, value, text)),
             }
             out.push_str(",\n");
         }
@@ -65,7 +65,7 @@ impl Style<'_> {
 
 /// A field's comment, with what it takes.
 fn comment(field: &Field, indent: &str) -> String {
-    let words = format!("{} [{}]", prose::line(field.text), takes(&(field.kind)()));
+    let words = format!("{} [{}]", prose::line(field.text), takes(&field.kind));
     prose::wrapped(&words, &format!("{indent}// "), WIDTH)
 }
 

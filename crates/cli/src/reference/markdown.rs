@@ -72,7 +72,7 @@ fn write_body(out: &mut String, docs: &Docs, value: Option<&Value>) {
                     } else {
                         default(field, value)
                     };
-                row(out, &[&format!("`{}`", field.name), &takes(&(field.kind)()), &default, &prose::line(field.text)]);
+                row(out, &[&format!("`{}`", field.name), &takes(&field.kind), &default, &prose::line(field.text)]);
             }
         }
         Body::Variants(variants) => {
@@ -96,7 +96,7 @@ fn default(field: &Field, value: Option<&Value>) -> String {
 /// `LogLinear(first: number, last: number, steps: whole number)`.
 pub(crate) fn form(variant: &Variant) -> String {
     let field = |f: &Field| {
-        let words = (f.kind)().words();
+        let words = f.kind.words();
         if variant.named { format!("{}: {words}", f.name) } else { words }
     };
     let fields: Vec<String> = variant.fields.iter().map(field).collect();

@@ -1,8 +1,10 @@
 //! What is linked into this program, kind by kind.
 
-use super::{Plugin, PluginKind, registered, to_ron};
+use super::{Plugin, PluginKind, read_ron, registered, to_ron};
+use crate::Result;
 use crate::docs::Docs;
 use serde::Deserialize;
+use std::path::Path;
 
 /// A family of plugins, whatever its trait.
 #[derive(Debug)]
@@ -11,8 +13,11 @@ pub struct Family {
     pub kind: &'static str,
     /// All of it that are linked into this program, sorted by name.
     pub members: fn() -> Vec<Member>,
-    /// A plugin of this kind with every default written out; nothing where the text is none.
-    pub complete: fn(&str) -> Option<String>,
+    /// A plugin of this kind with every default written out.
+    ///
+    /// # Errors
+    /// As [`read_ron`], with the position in the text.
+    pub complete: fn(&str) -> Result<String>,
 }
 inventory::collect!(Family);
 
@@ -21,10 +26,10 @@ inventory::collect!(Family);
 pub struct Member {
     /// Its name.
     pub name: &'static str,
-    /// What its source says.
+    /// What its source says; nothing where it has no defaults.
     pub docs: Option<&'static Docs>,
     /// The plugin with its defaults as RON, or why it has none.
-    pub text: Result<String, String>,
+    pub text: std::result::Result<String, String>,
 }
 
 impl Family {
@@ -36,7 +41,7 @@ impl Family {
         Self {
             kind: T::KIND,
             members: members::<T>,
-            complete: |text| Plugin::<T>::parse(text).ok().map(|p| to_ron(&p)),
+            complete: |text| read_ron::<Plugin<T>>(text, Path::new(T::KIND)).map(|p| to_ron(&p)),
         }
     }
 
@@ -51,7 +56,7 @@ where
     Box<T>: for<'de> Deserialize<'de>,
 {
     let describe = |name| match Plugin::<T>::parse(&format!("{name}()")) {
-        Ok(plugin) => Member { name, docs: plugin.plugin_docs(), text: Ok(to_ron(&plugin)) },
+        Ok(plugin) => Member { name, docs: Some(plugin.docs()), text: Ok(to_ron(&plugin)) },
         Err(why) => Member { name, docs: None, text: Err(why) },
     };
     registered::<T>().into_iter().map(describe).collect()

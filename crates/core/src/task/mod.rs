@@ -7,7 +7,7 @@ mod channel;
 mod power;
 mod spectrum;
 
-use crate::{Axis, Documented, Elevation, Error, Image, ImagePlane, Number, Real, Result, Sampling, Spectra};
+use crate::{Axis, Elevation, Error, Image, ImagePlane, JsonSchema, Number, Real, Result, Sampling, Spectra};
 pub use channel::{Channels, gain_at, gain_fault, gains_of, rows_of};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
@@ -18,7 +18,7 @@ use std::ops::Deref;
 pub const SPEED_OF_LIGHT: f64 = 299_792_458.0;
 
 /// What is observed of a link. It dereferences to its [`Description`]: `task.plural`, `task.headline.key`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Documented)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Task {
     /// A spatial spectrum: an image of the receiver's sky.
     #[default]

@@ -10,7 +10,7 @@ use super::nearest::Nearest;
 use super::{all_of, choosing, weighted_mean};
 use correlation::Correlation;
 use likelihood::Cases;
-use pwrfgs_core::{Baseline, Dataset, Documented, Error, Image, Known, Predict, Query, Real, Result};
+use pwrfgs_core::{Baseline, Dataset, Error, Image, JsonSchema, Known, Predict, Query, Real, Result};
 use serde::{Deserialize, Serialize};
 use trend::Trend;
 
@@ -39,7 +39,7 @@ use trend::Trend;
 /// assert_eq!(Plugin::<dyn Baseline>::parse("Kriging()").unwrap().name(), "Kriging");
 /// assert!(Plugin::<dyn Baseline>::parse("Kriging(neighbours: 1)").is_err());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Kriging {
     /// Spectra that a prediction is made of, 2 to 512: its time grows with the third power.

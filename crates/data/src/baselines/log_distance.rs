@@ -3,7 +3,7 @@
 use super::all_of;
 use super::law::{Law, log_distance, points};
 use pwrfgs_core::words::clean;
-use pwrfgs_core::{Baseline, Dataset, Documented, Error, Image, Known, Predict, Query, Real, Result, Task};
+use pwrfgs_core::{Baseline, Dataset, Error, Image, JsonSchema, Known, Predict, Query, Real, Result, Task};
 use serde::{Deserialize, Serialize};
 
 /// Links that a receiver needs to have a law of its own.
@@ -23,7 +23,7 @@ const FEW: usize = 3;
 /// let text = "LogDistance(per_receiver: true)";
 /// assert_eq!(Plugin::<dyn Baseline>::parse(text).unwrap().name(), "log-distance, per receiver");
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LogDistance {
     /// Whether T and gamma are fitted for each receiver.

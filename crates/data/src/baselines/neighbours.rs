@@ -3,9 +3,8 @@
 use super::by_receiver::{ByReceiver, Fitted};
 use super::nearest::Nearest;
 use super::{all_of, choosing, weighted_mean};
-use pwrfgs_core::docs::Kind;
 use pwrfgs_core::{
-    Baseline, Dataset, Documented, Error, Image, Known, Predict, Query, Real, Result, Task, evenly, ssim,
+    Baseline, Dataset, Error, Image, JsonSchema, Known, Predict, Query, Real, Result, Task, evenly, ssim,
 };
 use rayon::prelude::*;
 use ron::value::RawValue;
@@ -35,7 +34,7 @@ const CHOSEN_ON: usize = 240;
 /// assert_eq!(Plugin::<dyn Baseline>::parse("NearestNeighbours(k: Auto)").unwrap().name(), "k-NN");
 /// assert!(Plugin::<dyn Baseline>::parse("NearestNeighbours(k: 0)").is_err());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct NearestNeighbours {
     /// Neighbours that are averaged, at least 1, or `Auto`; more than there are training samples means all of them.
@@ -43,18 +42,13 @@ pub struct NearestNeighbours {
 }
 
 /// How many neighbours: a number, or `Auto`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema)]
+#[schemars(inline, with = "usize", title = "whole number or Auto", extend("type" = ["integer", "string"]))]
 pub enum Neighbours {
     /// As many as predict the validation part best.
     Auto,
     /// So many.
     Number(usize),
-}
-
-impl Documented for Neighbours {
-    fn kind() -> Kind {
-        Kind::Plain("whole number or Auto")
-    }
 }
 
 impl From<usize> for Neighbours {

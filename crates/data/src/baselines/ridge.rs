@@ -1,7 +1,7 @@
 //! `Ridge`: the best linear map from features to observations.
 
 use super::{ByReceiver, Fitted, all_of};
-use pwrfgs_core::{Baseline, Cholesky, Dataset, Documented, Error, Image, Known, Predict, Query, Real, Result};
+use pwrfgs_core::{Baseline, Cholesky, Dataset, Error, Image, JsonSchema, Known, Predict, Query, Real, Result};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 /// assert_eq!(Plugin::<dyn Baseline>::parse("Ridge()").unwrap().name(), "ridge");
 /// assert!(Plugin::<dyn Baseline>::parse("Ridge(weight: 0)").is_err());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Ridge {
     /// Weight of the ridge, in the mean square of the features.

@@ -1,7 +1,7 @@
 //! `Zero`: no channel at all.
 
 use super::{Constant, all_of};
-use pwrfgs_core::{Baseline, Dataset, Documented, Error, Image, Known, Predict, Result, Task};
+use pwrfgs_core::{Baseline, Dataset, Error, Image, JsonSchema, Known, Predict, Result, Task};
 use serde::{Deserialize, Serialize};
 
 /// A channel of zeros: an SNR of 0 dB, which a prediction with wrong phases does not reach.
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 /// # use pwrfgs_data as _;
 /// assert_eq!(Plugin::<dyn Baseline>::parse("Zero()").unwrap().name(), "zero");
 /// ```
-#[derive(Clone, Debug, Default, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Zero {}
 

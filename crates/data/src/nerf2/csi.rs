@@ -8,7 +8,7 @@ use super::{index, places, read_transmitters, simulation};
 use crate::channels::{check_frequencies, subcarriers};
 use crate::npy::{Complex, read_complex};
 use pwrfgs_core::{
-    Channels, DataSource, Dataset, Documented, Error, Features, Pose, Progress, Real, Receiver, Result, Sample,
+    Channels, DataSource, Dataset, Error, Features, JsonSchema, Pose, Progress, Real, Receiver, Result, Sample,
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -44,10 +44,11 @@ const SHAPE: &str =
 /// assert!(Plugin::<dyn DataSource>::parse(text).is_ok());
 /// assert!(Plugin::<dyn DataSource>::parse("Nerf2Csi(carrier_hz: 0)").is_err());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Nerf2Csi {
     /// The folder, relative to the pipeline file.
+    #[schemars(extend("format" = "path"))]
     pub root: PathBuf,
     /// Frequency in the middle of all subcarriers, between uplink and downlink, Hz.
     pub carrier_hz: f64,

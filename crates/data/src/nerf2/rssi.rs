@@ -7,7 +7,7 @@ mod tests;
 use super::{index, places, read_transmitters, simulation};
 use crate::points::read_points;
 use pwrfgs_core::words::clean;
-use pwrfgs_core::{DataSource, Dataset, Documented, Error, Progress, Real, Receiver, Result, Sample};
+use pwrfgs_core::{DataSource, Dataset, Error, JsonSchema, Progress, Real, Receiver, Result, Sample};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -39,12 +39,14 @@ const LAYOUT: &str = "a NeRF2 folder of powers holds gateway_position.yml, gatew
 /// # use pwrfgs_data as _;
 /// assert!(Plugin::<dyn DataSource>::parse(r#"Nerf2Rssi(root: "data/ble")"#).is_ok());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Nerf2Rssi {
     /// The folder, relative to the pipeline file.
+    #[schemars(extend("format" = "path"))]
     pub root: PathBuf,
     /// Point cloud of the rooms (PLY, XYZ or CSV, metres, world frame), relative to the pipeline file.
+    #[schemars(extend("format" = "path"))]
     pub points: Option<PathBuf>,
 }
 

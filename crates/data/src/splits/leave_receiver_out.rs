@@ -2,7 +2,7 @@
 
 use super::{DEFAULT_VALIDATION, check_validation, finish_links, hold_out, transmitters};
 use pwrfgs_core::{
-    Dataset, Documented, Error, Partition, Result, Split, did_you_mean,
+    Dataset, Error, JsonSchema, Partition, Result, Split, did_you_mean,
     rng::{self, Rng},
     words::quoted,
 };
@@ -25,7 +25,7 @@ use std::collections::BTreeSet;
 /// assert!(Plugin::<dyn Split>::parse(text).is_ok());
 /// assert!(Plugin::<dyn Split>::parse(r#"LeaveReceiverOut(receivers: ["g08", "g08"])"#).is_err());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LeaveReceiverOut {
     /// Names of the receivers that are left out.

@@ -1,7 +1,7 @@
 //! `Official`: the split that comes with the data.
 
 use super::{DEFAULT_VALIDATION, check_validation, finish_links, hold_out, transmitters};
-use pwrfgs_core::{Dataset, Documented, Error, Partition, Result, Split, rng::Rng};
+use pwrfgs_core::{Dataset, Error, JsonSchema, Partition, Result, Split, rng::Rng};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
@@ -16,7 +16,7 @@ use std::collections::BTreeSet;
 /// # use pwrfgs_data as _;
 /// assert!(Plugin::<dyn Split>::parse("Official(validation: 0.1)").is_ok());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Official {
     /// Share of the training list held out at random, in [0, 1); 0 for none.

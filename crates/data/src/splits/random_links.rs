@@ -2,7 +2,7 @@
 
 use super::{DEFAULT_VALIDATION, check_test, check_validation, finish_links, hold_out, part};
 use pwrfgs_core::{
-    Dataset, Documented, Partition, Result, Split,
+    Dataset, JsonSchema, Partition, Result, Split,
     rng::{self, Rng},
 };
 use serde::{Deserialize, Serialize};
@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 /// # use pwrfgs_data as _;
 /// assert!(Plugin::<dyn Split>::parse("RandomLinks(test: 0.2, validation: 0.1)").is_ok());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RandomLinks {
     /// Share of all links in the test set, in (0, 1).

@@ -2,7 +2,7 @@
 
 use super::{DEFAULT_VALIDATION, check_validation, finish, hold_out};
 use pwrfgs_core::{
-    Dataset, Documented, Error, Partition, Result, Split,
+    Dataset, Error, JsonSchema, Partition, Result, Split,
     rng::{self, Rng},
 };
 use serde::{Deserialize, Serialize};
@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 /// # use pwrfgs_data as _;
 /// assert!(Plugin::<dyn Split>::parse("Sparse(train: 220)").is_ok());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Sparse {
     /// Training samples, those held out included.

@@ -1,7 +1,7 @@
 //! `TimeBlock`: a stretch of the trajectory is the test set.
 
 use super::{DEFAULT_VALIDATION, check_test, check_validation, finish, part};
-use pwrfgs_core::{Dataset, Documented, Partition, Result, Split, rng::Rng};
+use pwrfgs_core::{Dataset, JsonSchema, Partition, Result, Split, rng::Rng};
 use serde::{Deserialize, Serialize};
 
 /// A contiguous block of the sorted ids of transmitters is the test set, with all links of each.
@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 /// assert!(Plugin::<dyn Split>::parse("TimeBlock(start: 0.4, length: 0.2, gap: 30)").is_ok());
 /// assert!(Plugin::<dyn Split>::parse("TimeBlock(start: 0.9, length: 0.2)").is_err());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TimeBlock {
     /// Where the test block begins, a fraction of the sorted ids in [0, 1).

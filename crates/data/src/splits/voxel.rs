@@ -2,7 +2,7 @@
 
 use super::{DEFAULT_VALIDATION, check_test, check_validation, finish, part};
 use pwrfgs_core::{
-    Dataset, Documented, Error, Partition, Result, Split,
+    Dataset, Error, JsonSchema, Partition, Result, Split,
     rng::{self, Rng},
 };
 use serde::{Deserialize, Serialize};
@@ -22,7 +22,7 @@ use std::collections::BTreeMap;
 /// # use pwrfgs_data as _;
 /// assert!(Plugin::<dyn Split>::parse("Voxel(size_m: 0.2, test: 0.2)").is_ok());
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Voxel {
     /// Edge of a cell, metres, above 0.

@@ -1,8 +1,7 @@
 //! `Experiment`: an ablation as one RON file, axes of patches over a base pipeline times seeds.
 
-use pwrfgs_core::docs::Kind;
 use pwrfgs_core::plugin::{Check, Checked, read_ron};
-use pwrfgs_core::{Documented, Result};
+use pwrfgs_core::{JsonSchema, Result};
 use pwrfgs_pipeline::PipelinePatch;
 use serde::{Deserialize, Deserializer, Serialize, de};
 use std::path::{Path, PathBuf};
@@ -31,12 +30,13 @@ use std::path::{Path, PathBuf};
 /// let experiment = Experiment::parse(text, "short-or-long.ron".as_ref()).unwrap();
 /// assert_eq!(experiment.axes[0].variants[1].label(), "long");
 /// ```
-#[derive(Clone, Debug, Deserialize, Documented)]
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Experiment {
     /// Names the sweep folder: letters, digits, `.`, `-` and `_`.
     pub name: String,
     /// The pipeline that all runs start from, relative to the experiment file.
+    #[schemars(extend("format" = "path"))]
     pub base: PathBuf,
     /// Every combination is run with each of these.
     #[serde(default = "zero")]
@@ -57,7 +57,7 @@ pub struct Experiment {
 }
 
 /// One thing that varies.
-#[derive(Clone, Debug, Deserialize, Documented)]
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Axis {
     /// What it is called in folders, tables and figures.
@@ -69,11 +69,12 @@ pub struct Axis {
 }
 
 /// One choice: a patch with a label.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, JsonSchema)]
+#[schemars(inline, with = "serde_json::Value", title = "a label with fields of a Pipeline")]
 pub struct Variant(pub(super) PipelinePatch);
 
 /// Resources of one run on a cluster, as `sbatch` names them.
-#[derive(Clone, Debug, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Slurm {
     /// Processors of a run, `--cpus-per-task`; the run uses as many threads.
@@ -138,12 +139,6 @@ impl<'de> Deserialize<'de> for Variant {
                 Err(de::Error::custom("a variant without a name; give it a `label`, such as (label: \"small\", ..)"))
             }
         }
-    }
-}
-
-impl Documented for Variant {
-    fn kind() -> Kind {
-        Kind::Plain("a label with fields of a Pipeline")
     }
 }
 

@@ -5,7 +5,7 @@ use super::mlp::check_stack;
 use super::waves::Encoding;
 use super::whiten::whitening;
 use pwrfgs_core::{
-    Cache, Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, Documented, Layout, LinearPart, Pose,
+    Cache, Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout, LinearPart, Pose,
     Real, cached,
 };
 use pwrfgs_layers::plan::{laid_out, planned};
@@ -29,7 +29,7 @@ use std::sync::Arc;
 /// let small = Plugin::<dyn Deformation>::parse("Factored(depth: 3, width: 128, tx_encoding: Waves(count: 64, reach: 24.0))").unwrap();
 /// assert!(!small.traits().varies_geometry);
 /// ```
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Factored {
     /// ReLU layers of the transmitter's stack, 1 or more.

@@ -1,6 +1,6 @@
 //! `Fixed`: no deformation at all.
 
-use pwrfgs_core::{Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, Documented, Real};
+use pwrfgs_core::{Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Real};
 use serde::{Deserialize, Serialize};
 
 /// No deformation: every transmitter sees the same Gaussians and the same signals. No weights, no settings.
@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 /// let none = Plugin::<dyn Deformation>::parse("Fixed()").unwrap();
 /// assert!(none.layout().weights.is_empty());
 /// ```
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Fixed {}
 

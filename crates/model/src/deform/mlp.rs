@@ -1,7 +1,7 @@
 //! `Mlp`: the deformation network of P-WRFGS, `(Δs, ΔR, ΔS) = D_Θ(γ(μ), γ(p_tx))` of eq. (5).
 
 use super::mlp_network::{Network, Outputs};
-use pwrfgs_core::{Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, Documented, Layout, Real};
+use pwrfgs_core::{Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout, Real};
 use pwrfgs_layers::encoding::{self, MOST_FREQUENCIES};
 use pwrfgs_layers::plan::{Plan, laid_out, planned};
 use pwrfgs_layers::trunk::{Trunk, TrunkShape};
@@ -26,7 +26,7 @@ use serde::{Deserialize, Serialize};
 /// let small = Plugin::<dyn Deformation>::parse(small).unwrap();
 /// assert!(!small.traits().varies_geometry);
 /// ```
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Mlp {
     /// Number of ReLU layers, 1 or more.

@@ -5,7 +5,7 @@
 //! γ(μ) ─────────────────────────────┴→ trunk.0 … trunk.{depth-1} → heads: rotation 4, scaling 3, signal 2
 //! ```
 
-use pwrfgs_core::{DeformationInputs, Deltas, Documented, Real};
+use pwrfgs_core::{DeformationInputs, Deltas, JsonSchema, Real};
 use pwrfgs_layers::dense::{self, Matrix, MatrixMut, Store, product};
 use pwrfgs_layers::encoding::{self, encode};
 use pwrfgs_layers::linear::Linear;
@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// What an [`Mlp`](super::Mlp) changes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Documented)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Outputs {
     /// Rotations (4), scales (3) and signals (2).
     #[default]

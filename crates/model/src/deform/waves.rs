@@ -1,12 +1,12 @@
 //! `Encoding`: what a network sees of a position.
 
 use super::mlp::{WIDEST, check_frequencies};
-use pwrfgs_core::{Conditions, Documented, Real, WeightSpec, rng};
+use pwrfgs_core::{Conditions, JsonSchema, Real, WeightSpec, rng};
 use pwrfgs_layers::encoding::{self, encode, encode_vjp, let_in};
 use serde::{Deserialize, Serialize};
 
 /// The encoding γ(p) of a position: the coordinates, and waves over the room.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Documented)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub enum Encoding {
     /// Sine and cosine of 2⁰…2^(L-1) rad/m along each axis (`NeRF`). 5 ends at 16 rad/m, near 2π/λ at 920 MHz, beyond
     /// which no wave from a transmitter varies.

@@ -4,7 +4,7 @@ use super::mlp::{check_frequencies, check_stack};
 use super::wrfgs_branch::Branch;
 use super::wrfgs_network::{Ahead, Network};
 use pwrfgs_core::{
-    Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, Documented, Layout, Pose, Real, cached,
+    Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout, Pose, Real, cached,
 };
 use pwrfgs_layers::encoding;
 use pwrfgs_layers::plan::{Plan, laid_out, planned};
@@ -30,7 +30,7 @@ use std::sync::Arc;
 /// assert!(released.traits().replaces_signals);
 /// let usable = Plugin::<dyn Deformation>::parse("Wrfgs(width: 64, gain: 100)").unwrap();
 /// ```
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Documented)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Wrfgs {
     /// Number of ReLU layers before attenuation and feature, 1 or more.

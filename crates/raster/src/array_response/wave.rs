@@ -2,7 +2,7 @@
 
 use crate::ewa::inverse_vjp;
 use pwrfgs_core::{
-    Documented, ImagePlane, Real, Splats, Vec3,
+    ImagePlane, JsonSchema, Real, Splats, Vec3,
     consts::{DEG, TAU},
 };
 use rayon::prelude::*;
@@ -14,7 +14,7 @@ const BOUNDLESS: Real = 1e9;
 const CLOSEST: Real = 1e-3;
 
 /// How the phase at an antenna follows from a Gaussian.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, Documented)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub enum Wavefront {
     /// From its direction, as if it were infinitely far away.
     #[default]
