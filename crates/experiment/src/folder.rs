@@ -144,19 +144,29 @@ impl RunFolder {
         Ok(Self { folder, lock, is_new, state })
     }
 
-    /// Replaces `pipeline.ron` where its baselines or metrics are not those of `pipeline`. The new file is locked before
-    /// it takes the name, so that at no instant another process can hold the folder.
+    /// Opens `run.json` for another start, as `describe` completes it from what earlier starts left, and replaces
+    /// `pipeline.ron` where its baselines or metrics are not those of `pipeline`. From here on the run is not finished: what
+    /// an earlier end says of files, and of baselines, is about to be wrong.
+    ///
+    /// The new `pipeline.ron` is locked before it takes the name, so that at no instant another process can hold the folder.
     ///
     /// # Errors
-    /// Where it cannot be written; the old file is then untouched.
-    pub(crate) fn renew(&mut self, pipeline: &Pipeline) -> Result<()> {
+    /// A damaged `run.json`; what `describe` refuses; [`Error::Write`], the old file is then untouched.
+    pub(crate) fn begin(
+        &mut self,
+        pipeline: &Pipeline,
+        describe: impl FnOnce(&mut Facts, &Facts) -> Result<()>,
+    ) -> Result<Facts> {
+        let (mut facts, earlier) = Facts::open(self.path(), pipeline.seed)?;
+        describe(&mut facts, &earlier)?;
+        facts.write(self.path())?;
         if self.state == RunState::ScoredOtherwise {
             self.lock = files::replace(&self.file(PIPELINE), pipeline.to_ron().as_bytes(), |file| {
                 // A file system without locks is no reason to refuse.
                 _ = file.try_lock();
             })?;
         }
-        Ok(())
+        Ok(facts)
     }
 
     /// Whether a process is at work in `path`.

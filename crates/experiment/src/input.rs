@@ -44,6 +44,18 @@ pub(crate) fn set_all(pipeline: &mut Pipeline, set: &[String]) -> Result<()> {
     Ok(())
 }
 
+/// The pipeline as it is run: paths from `base` on, the scale multiplied in, and fit to be written down.
+///
+/// # Errors
+/// As [`Pipeline::resolved`] and [`Pipeline::check_text`].
+pub(crate) fn prepared(pipeline: &Pipeline, base: &Path) -> Result<Pipeline> {
+    let mut pipeline = pipeline.clone();
+    rebase(&mut pipeline, base);
+    let pipeline = pipeline.resolved()?;
+    pipeline.check_text()?;
+    Ok(pipeline)
+}
+
 /// Takes every relative path of the pipeline from `base` and makes it absolute.
 pub fn rebase(pipeline: &mut Pipeline, base: &Path) {
     if let Some(rebased) = pipeline.data.rebased(&|path| absolute(base, path)) {

@@ -73,11 +73,7 @@ impl Journal {
 }
 
 /// Adds what the model reached on the test part to the events: the mean of each metric, at the last step.
-pub(crate) fn note_scores(folder: &RunFolder, pipeline: &Pipeline, scores: &ScoreTable) -> Result<()> {
-    if !pipeline.tensorboard {
-        return Ok(());
-    }
-    let steps = pipeline.training.steps;
+pub(crate) fn note_scores(folder: &RunFolder, steps: u64, scores: &ScoreTable) -> Result<()> {
     let mean = |row: &crate::scores::MetricRow| {
         let value = row.cells.first()?.numbers().first().copied()?;
         Some((format!("{TEST}{}", row.key), value))

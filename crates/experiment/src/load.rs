@@ -1,4 +1,4 @@
-//! The data of a pipeline, loaded, split and checked against its baselines and metrics.
+//! The data of a pipeline, loaded and split.
 
 use crate::data_warnings::data_warnings;
 use crate::observer::{Observer, staged};
@@ -21,25 +21,4 @@ pub fn load(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Re
     let judged = (!pipeline.split.is_sparse()).then_some(&partition);
     data_warnings(&data, judged).iter().for_each(|warning| observer.on_warning(warning));
     Ok((data, partition))
-}
-
-/// Refuses baselines and metrics that cannot work on `data`, before a model is trained for their table.
-///
-/// # Errors
-/// The first that refuses, by the name of its field.
-pub(crate) fn check_scoring(pipeline: &Pipeline, data: &Dataset) -> Result<()> {
-    let named = |field: &str, error: Error| match error {
-        Error::Config(_) | Error::Input { .. } | Error::Read { .. } => Error::Config(format!("{field}: {error}")),
-        other => other, // an exception of Python's stays one
-    };
-    for baseline in &pipeline.baselines {
-        baseline.check_data(data).map_err(|error| named("baselines", error))?;
-    }
-    for metric in &pipeline.metrics {
-        metric.check_data(data).map_err(|error| named("metrics", error))?;
-    }
-    match pipeline.unsupported(data.task()) {
-        Some((field, what)) => Err(Error::Config(format!("{field}: {what}"))),
-        None => Ok(()),
-    }
 }

@@ -2,7 +2,7 @@
 
 use crate::input::rebase;
 use crate::inspect::{DataSummary, test_distance};
-use crate::load::{check_scoring, load};
+use crate::load::load;
 use crate::memory;
 use crate::observed::observed;
 use crate::observer::Observer;
@@ -51,11 +51,13 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
     let mut pipeline = pipeline.resolved()?;
     rebase(&mut pipeline, base);
     let (data, partition) = load(&pipeline, base, observer)?;
-    check_scoring(&pipeline, &data)?;
-    fitting_network(&pipeline)?;
-    let trainer = Trainer::sketch(&pipeline.plan()?, &data, &partition)?;
-    let loaded_bytes = memory::peak(); // before a step is tried, which is counted by itself
-    let estimate = fitting(&trainer)?;
+    pipeline.check_data(&data)?;
+    let mut loaded_bytes = 0;
+    let (trainer, estimate) = fitting(&pipeline, || {
+        let trainer = Trainer::sketch(&pipeline.plan()?, &data, &partition)?;
+        loaded_bytes = memory::peak(); // before a step is tried, which is counted by itself
+        Ok(trainer)
+    })?;
     let weights = trainer.weights();
     Ok(Preview {
         title: data.title.clone(),
@@ -73,19 +75,23 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
     })
 }
 
-/// Refuses a network that does not fit the machine, before it is made.
-pub(crate) fn fitting_network(pipeline: &Pipeline) -> Result<()> {
+/// The trainer that `make` gives, and what its next step takes. Refuses what does not fit the machine: the network before it is
+/// made, then the step.
+///
+/// # Errors
+/// What does not fit; those of `make`.
+pub(crate) fn fitting<'a>(
+    pipeline: &Pipeline,
+    make: impl FnOnce() -> Result<Trainer<'a>>,
+) -> Result<(Trainer<'a>, Estimate)> {
     let needed = if pipeline.method.is_some() { 0 } else { network_bytes(&*pipeline.deformation) };
-    refuse_beyond_memory(needed, "the network", "a smaller `width` or `depth` of the deformation")
-}
-
-/// What the next step takes, refused where that does not fit the machine.
-pub(crate) fn fitting(trainer: &Trainer<'_>) -> Result<Estimate> {
+    refuse_beyond_memory(needed, "the network", "a smaller `width` or `depth` of the deformation")?;
+    let trainer = make()?;
     let estimate = trainer.estimate()?;
     let what = format!("a training step with N = {}", estimate.gaussians);
     let advice = "fewer Gaussians (`max_points` of PointCloud, `count` of the others) or a smaller `training.batch`";
     refuse_beyond_memory(estimate.step_bytes, &what, advice)?;
-    Ok(estimate)
+    Ok((trainer, estimate))
 }
 
 fn refuse_beyond_memory(needed: u64, what: &str, advice: &str) -> Result<()> {

@@ -1,20 +1,24 @@
-//! `Record`: a run read back from its folder, and the data and the model behind it.
+//! `Record`: a run read back from its folder, as it was measured; `scores.csv` and `samples.csv` both ways.
 
 use crate::confidence::Confidence;
-use crate::facts::{Facts, Mark};
-use crate::folder::{CONFIDENCE, CURVE, MODEL_FILE, PIPELINE, REPORT, RunFolder, SAMPLES, SCORES, VALIDATION};
+use crate::facts::Facts;
+use crate::folder::{CONFIDENCE, CURVE, MODEL_FILE, PIPELINE, REPORT, SAMPLES, SCORES, VALIDATION};
 use crate::input::read_pipeline;
 use crate::load::load;
 use crate::observer::Observer;
-use crate::samples::{TestSamples, to_csv};
-use crate::scores::{ScoreTable, Scores};
-use crate::session::Session;
-use crate::{clock, series};
-use pwrfgs_core::files::{self, write_atomically};
-use pwrfgs_core::{Dataset, Error, Partition, Result};
+use crate::samples::to_csv;
+use crate::scores::{Cell, ScoreTable, Scores};
+use crate::series;
+use crate::text::{Lines, csv_rows, damaged};
+use pwrfgs_core::files::write_atomically;
+use pwrfgs_core::words::text_of;
+use pwrfgs_core::{Dataset, Error, Goal, Measurement, Partition, Result, Values};
 use pwrfgs_model::{Ensemble, file};
 use pwrfgs_pipeline::Pipeline;
+use serde::{Deserialize, Deserializer};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 /// What lies in the folder of an evaluated model, as it was measured.
 #[derive(Clone, Debug)]
@@ -38,22 +42,6 @@ pub struct Record {
     /// Spread and error of an ensemble.
     pub confidence: Option<Confidence>,
 }
-
-/// A record with the data and the model behind it: what a page is made of.
-#[derive(Clone, Copy, Debug)]
-pub struct LoadedRun<'a> {
-    /// What lies in the folder.
-    pub record: &'a Record,
-    /// The data it was scored on.
-    pub data: &'a Dataset,
-    /// Their split.
-    pub partition: &'a Partition,
-    /// The model, or several that predict together.
-    pub model: &'a Ensemble,
-}
-
-/// Makes the page of a run, HTML in one file.
-pub type Page = fn(&LoadedRun<'_>) -> Result<String>;
 
 /// What stands above the pipeline of a joined model.
 const JOINED_SETTINGS: &str = "// each run has its own pipeline; this one scores the mean of their predictions:\n";
@@ -157,69 +145,155 @@ pub fn write_scores(
     confidence.map_or(Ok(()), |confidence| put(CONFIDENCE, confidence.to_csv()))
 }
 
-/// Makes `report.html` from what lies in the folder of `run`, and writes it there.
-///
-/// # Errors
-/// A damaged snapshot; [`Error::Write`].
-pub fn write_page(run: &LoadedRun<'_>, page: Page) -> Result<()> {
-    write_atomically(&run.record.folder.join(REPORT), page(run)?.as_bytes())
-}
-
-/// Ends the run of `pipeline` in `folder` with what its evaluation found: writes the scores, makes the page if the session asks
-/// for one, seals the files and writes `run.json`.
-///
-/// # Errors
-/// [`Error::Write`]; a damaged file of the training.
-pub(crate) fn conclude(
-    folder: &RunFolder,
-    pipeline: &Pipeline,
-    facts: &mut Facts,
-    (data, partition, model): (&Dataset, &Partition, &Ensemble),
-    (scores, confidence): (Scores, Option<Confidence>),
-    session: &mut Session<'_>,
-) -> Result<ScoreTable> {
-    let path = folder.path();
-    facts.gaussians = model.gaussians();
-    facts.scores = Some(scores.table.clone());
-    facts.finished = Some(clock::now());
-    facts.report = session.page.is_some();
-    facts.note_memory(); // here, so that the page says what run.json says
-    write_scores(path, (&scores, confidence.as_ref()), data, partition)?;
-    if let Some(page) = session.page {
-        let record = Record::of(path, pipeline, facts.clone())?;
-        write_page(&LoadedRun { record: &record, data, partition, model }, page)?;
-    }
-    facts.seal(path)?;
-    facts.write(path)?;
-    session.observer.on_evaluation(&scores.table);
-    Ok(scores.table)
-}
-
-/// Makes `report.html` of the finished run in `folder` again, from its folder and its data.
-///
-/// # Errors
-/// The run has not finished, another process is at work in it, a file is damaged, or the data have changed since.
-pub fn rebuild_page(folder: &Path, page: Page, observer: &mut dyn Observer) -> Result<()> {
-    let held = RunFolder::claim(folder, &read_pipeline(&folder.join(PIPELINE), &[])?)?;
-    let mut rebuild = || {
-        let unfinished = || Error::Config(format!("{} has not finished; run it first", held.name().display()));
-        let record = Record::read(held.path())?.ok_or_else(unfinished)?;
-        let data = record.load_data(observer)?;
-        let (partition, model) = (record.partition(&data)?, record.model(&data)?);
-        let text = page(&LoadedRun { record: &record, data: &data, partition: &partition, model: &model })?;
-        let path = held.file(REPORT);
-        let mark = Mark::of(text.as_bytes());
-        if record.facts.files.get(REPORT) == Some(&mark) && files::read(&path).is_ok_and(|own| Mark::of(&own) == mark) {
-            return Ok(());
+impl Scores {
+    /// The text of `scores.csv`.
+    pub fn to_csv(&self) -> String {
+        let mut lines = Lines::new(["predictor", "metric", "sample", "value"]);
+        for (predictor, measurements) in &self.predictors {
+            for m in measurements {
+                let mut line = |sample: &str, value: &str| lines.put([predictor, &m.key, sample, value]);
+                match &m.values {
+                    Values::PerSample(values) => {
+                        let rows = self.ids.iter().zip(values);
+                        rows.for_each(|(id, value)| line(&id.to_string(), &value.to_string()));
+                    }
+                    Values::Whole(value) => line("", &value.to_string()),
+                    Values::NotApplicable(_) => line("", "n/a"),
+                }
+            }
         }
-        // A mark is never of another page than the one that lies there.
-        let mut facts = Facts { report: true, ..record.facts };
-        facts.files.remove(REPORT);
-        facts.write(held.path())?;
-        write_atomically(&path, text.as_bytes())?;
-        facts.files.insert(REPORT.into(), mark);
-        facts.write(held.path())
-    };
-    let rebuilt = rebuild();
-    held.settle(rebuilt)
+        lines.text()
+    }
+
+    /// Reads `scores.csv` in `path`, of which `table` is the summary.
+    ///
+    /// # Errors
+    /// [`Error::Input`](pwrfgs_core::Error::Input) with the line if the file is damaged, or `table` is of other scores.
+    pub fn read(path: &Path, table: ScoreTable) -> Result<Self> {
+        let mut found = Self { table, ..Self::default() };
+        let (rows, mut line) = (csv_rows::<ScoreRow>(path)?, 2);
+        for group in rows.chunk_by(|a, b| (&a.predictor, &a.metric) == (&b.predictor, &b.metric)) {
+            // A metric that is listed twice has its samples twice.
+            let again = group[1..].iter().position(|row| row.sample == group[0].sample);
+            for rows in group.chunks(again.map_or(group.len(), |k| k + 1)) {
+                found.take(rows).map_err(|what| damaged(path, line, &what))?;
+                line += rows.len();
+            }
+        }
+        Ok(found)
+    }
+
+    /// Adds the rows of one metric of one predictor.
+    fn take(&mut self, rows: &[ScoreRow]) -> Result<(), String> {
+        let ScoreRow { predictor, metric, sample, value } = &rows[0];
+        let (predictor, key) = (text_of(predictor), text_of(metric));
+        let place = self.table.predictors.iter().position(|name| name == predictor);
+        let row = self.table.metrics.iter().find(|row| row.key == key);
+        let (Some(place), Some(row)) = (place, row) else {
+            return Err(format!("run.json has no {key} of {predictor}"));
+        };
+        let values = match (sample, value, row.cells.get(place)) {
+            (Some(_), Some(_), _) => {
+                let ids: Vec<u32> = rows.iter().filter_map(|row| row.sample).collect();
+                if self.ids.is_empty() {
+                    self.ids.clone_from(&ids);
+                }
+                let values: Vec<f64> = rows.iter().filter_map(|row| row.value).collect();
+                if ids != self.ids || values.len() != ids.len() {
+                    return Err(format!("{key} of {predictor} is of other samples than the first metric"));
+                }
+                Values::PerSample(values)
+            }
+            (None, Some(value), _) => Values::Whole(*value),
+            (_, None, Some(Cell::NotApplicable(why))) => Values::NotApplicable(why.clone()),
+            (_, None, _) => return Err(format!("run.json has a value of {key} of {predictor}")),
+        };
+        let goal = if row.higher_is_better { Goal::Higher } else { Goal::Lower };
+        let measurement = Measurement { key: key.to_owned(), unit: row.unit.clone(), goal, values };
+        match self.predictors.last_mut().filter(|(name, _)| name == predictor) {
+            Some((_, measured)) => measured.push(measurement),
+            None => self.predictors.push((predictor.to_owned(), vec![measurement])),
+        }
+        Ok(())
+    }
+}
+
+/// A row of `scores.csv`.
+#[derive(Deserialize)]
+struct ScoreRow {
+    predictor: String,
+    metric: String,
+    #[serde(deserialize_with = "unless_empty")]
+    sample: Option<u32>,
+    /// `None` where the metric does not apply.
+    #[serde(deserialize_with = "unless_not_applicable")]
+    value: Option<f64>,
+}
+
+fn unless_empty<'de, D: Deserializer<'de>>(field: D) -> Result<Option<u32>, D::Error> {
+    number_unless("", &String::deserialize(field)?)
+}
+
+fn unless_not_applicable<'de, D: Deserializer<'de>>(field: D) -> Result<Option<f64>, D::Error> {
+    number_unless("n/a", &String::deserialize(field)?)
+}
+
+fn number_unless<T: FromStr, E: serde::de::Error>(none: &str, text: &str) -> Result<Option<T>, E> {
+    (text != none).then(|| text.parse().ok().ok_or_else(|| E::custom(format!("`{text}` is no number")))).transpose()
+}
+
+/// The test samples, by label as in `scores.csv`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TestSamples {
+    /// Distance to the nearest training transmitter, metres; infinity if there is none.
+    pub nearest_train_m: BTreeMap<u32, f64>,
+    /// Transmitter position, metres; `None` if unknown.
+    pub positions: BTreeMap<u32, Option<[f64; 3]>>,
+}
+
+/// A row of `samples.csv`.
+#[derive(Deserialize)]
+struct SampleRow {
+    /// Label in `scores.csv` if there are several receivers, else `id` is.
+    link: Option<u32>,
+    id: u32,
+    x: Option<f64>,
+    y: Option<f64>,
+    z: Option<f64>,
+    split: String,
+    nearest_train_m: Option<f64>,
+}
+
+impl TestSamples {
+    /// Reads `samples.csv`.
+    ///
+    /// # Errors
+    /// [`pwrfgs_core::Error::Read`], or [`pwrfgs_core::Error::Input`] with the line if the file is damaged.
+    pub fn read(path: &Path) -> Result<Self> {
+        let mut found = Self::default();
+        for SampleRow { link, id, x, y, z, split, nearest_train_m } in csv_rows(path)? {
+            if split == "test" {
+                let label = link.unwrap_or(id);
+                found.nearest_train_m.insert(label, nearest_train_m.unwrap_or(f64::INFINITY));
+                found.positions.insert(label, x.zip(y).zip(z).map(|((x, y), z)| [x, y, z]));
+            }
+        }
+        Ok(found)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn test_samples_have_distances_and_positions() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("samples.csv");
+        let text = "id,x,y,z,split,nearest_train_m\n1,0,0,0,train,2\n5,2.5,0,1,test,0.5\n6,,,,test,\n";
+        std::fs::write(&path, text).unwrap();
+        let found = TestSamples::read(&path).unwrap();
+        assert_eq!(found.nearest_train_m, BTreeMap::from([(5, 0.5), (6, f64::INFINITY)]));
+        assert_eq!(found.positions, BTreeMap::from([(5, Some([2.5, 0.0, 1.0])), (6, None)]));
+    }
 }

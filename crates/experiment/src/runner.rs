@@ -3,10 +3,10 @@
 use crate::evaluate::{evaluate, validation_baselines};
 use crate::facts::Facts;
 use crate::folder::{MODEL_FILE, RunFolder, RunState};
-use crate::input::rebase;
+use crate::input::prepared;
 use crate::journal::note_scores;
-use crate::load::{check_scoring, load};
-use crate::record::conclude;
+use crate::load::load;
+use crate::page::conclude;
 use crate::scores::ScoreTable;
 use crate::session::Session;
 use crate::training::Training;
@@ -45,12 +45,8 @@ pub enum Outcome {
 /// written so far stay intact.
 pub fn run(pipeline: &Pipeline, base: &Path, out: &Path, session: &mut Session<'_>) -> Result<Outcome> {
     let begun = Instant::now();
-    let mut pipeline = pipeline.clone();
-    rebase(&mut pipeline, base);
-    let pipeline = pipeline.resolved()?;
-    pipeline.check_text()?;
     loop {
-        if let Some(end) = attempt(&pipeline, (base, out), session, begun)? {
+        if let Some(end) = attempt(pipeline, (base, out), session, begun)? {
             return Ok(end);
         }
     }
@@ -63,6 +59,7 @@ fn attempt(
     session: &mut Session<'_>,
     begun: Instant,
 ) -> Result<Option<Outcome>> {
+    let pipeline = &prepared(pipeline, base)?;
     let already = |scores| Some(Outcome::Finished { scores, already: true });
     let (state, reported) = (RunFolder::inspect(out, pipeline)?, session.page.is_some());
     if let Some(scores) = state.verified(out, reported)? {
@@ -77,7 +74,7 @@ fn attempt(
         return Ok(already(scores));
     }
     let (data, partition) = load(pipeline, base, session.observer)?;
-    check_scoring(pipeline, &data)?;
+    pipeline.check_data(&data)?;
     let mut training = Training { pipeline, data: &data, partition: &partition, session, begun };
     // Made before a new folder is claimed: settings that cannot work must leave nothing behind.
     let trainer = match &held {
@@ -94,7 +91,15 @@ fn attempt(
             _ => return Ok(None), // another process has begun this run since, and may have ended it
         },
     };
-    let ended = complete(training, trainer, &mut folder);
+    let path = folder.path().to_owned();
+    let facts = folder.begin(pipeline, |facts, earlier| {
+        facts.data.clone_from(&data.title);
+        facts.simulated = data.is_simulated();
+        facts.samples = [&partition.train, &partition.validation, &partition.test].map(Vec::len);
+        if trainer.is_none() { earlier.verify_file(&path, MODEL_FILE) } else { Ok(()) }
+    });
+    let facts = folder.settle(facts)?;
+    let ended = complete(training, trainer, (&folder, facts));
     folder.settle(ended).map(Some)
 }
 
@@ -102,19 +107,9 @@ fn attempt(
 fn complete<'a>(
     mut training: Training<'a, '_>,
     trainer: Option<(Trainer<'a>, Estimate)>,
-    folder: &mut RunFolder,
+    (folder, mut facts): (&RunFolder, Facts),
 ) -> Result<Outcome> {
     let Training { pipeline, data, partition, .. } = training;
-    let (mut facts, earlier) = Facts::open(folder.path(), pipeline.seed)?;
-    facts.data.clone_from(&data.title);
-    facts.simulated = data.is_simulated();
-    facts.samples = [&partition.train, &partition.validation, &partition.test].map(Vec::len);
-    if trainer.is_none() {
-        earlier.verify_file(folder.path(), MODEL_FILE)?;
-    }
-    // It is not finished any more: what an earlier end says of files, and of baselines, is about to be wrong.
-    facts.write(folder.path())?;
-    folder.renew(pipeline)?;
     let model = match trainer {
         None => file::read(&folder.file(MODEL_FILE))?,
         Some((mut trainer, estimate)) => match training.train(&mut trainer, estimate, folder, &mut facts)? {
@@ -133,7 +128,9 @@ fn complete<'a>(
     facts.validation_baselines = baselines;
     facts.steps = pipeline.training.steps;
     facts.wall_seconds += begun.elapsed().as_secs_f64();
-    note_scores(folder, pipeline, &found.0.table)?;
+    if pipeline.tensorboard {
+        note_scores(folder, pipeline.training.steps, &found.0.table)?;
+    }
     let scores = conclude(folder, pipeline, &mut facts, (data, partition, &model), found, session)?;
     Ok(Outcome::Finished { scores, already: false })
 }

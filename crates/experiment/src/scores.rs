@@ -5,13 +5,9 @@
 use crate::ceiling::CEILING;
 use crate::paired::Paired;
 use crate::repeatability::AtZero;
-use crate::text::{Lines, csv_rows, damaged};
-use pwrfgs_core::words::text_of;
-use pwrfgs_core::{Goal, Measurement, Result, Task, Values};
+use pwrfgs_core::{Goal, Measurement, Task, Values};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::collections::BTreeMap;
-use std::path::Path;
-use std::str::FromStr;
 
 /// The name of the trained model in every table.
 pub const MODEL: &str = "model";
@@ -210,101 +206,6 @@ impl Scores {
             Values::NotApplicable(_) => None,
         }
     }
-
-    /// The text of `scores.csv`.
-    pub fn to_csv(&self) -> String {
-        let mut lines = Lines::new(["predictor", "metric", "sample", "value"]);
-        for (predictor, measurements) in &self.predictors {
-            for m in measurements {
-                let mut line = |sample: &str, value: &str| lines.put([predictor, &m.key, sample, value]);
-                match &m.values {
-                    Values::PerSample(values) => {
-                        let rows = self.ids.iter().zip(values);
-                        rows.for_each(|(id, value)| line(&id.to_string(), &value.to_string()));
-                    }
-                    Values::Whole(value) => line("", &value.to_string()),
-                    Values::NotApplicable(_) => line("", "n/a"),
-                }
-            }
-        }
-        lines.text()
-    }
-
-    /// Reads `scores.csv` in `path`, of which `table` is the summary.
-    ///
-    /// # Errors
-    /// [`Error::Input`](pwrfgs_core::Error::Input) with the line if the file is damaged, or `table` is of other scores.
-    pub fn read(path: &Path, table: ScoreTable) -> Result<Self> {
-        let mut found = Self { table, ..Self::default() };
-        let (rows, mut line) = (csv_rows::<ScoreRow>(path)?, 2);
-        for group in rows.chunk_by(|a, b| (&a.predictor, &a.metric) == (&b.predictor, &b.metric)) {
-            // A metric that is listed twice has its samples twice.
-            let again = group[1..].iter().position(|row| row.sample == group[0].sample);
-            for rows in group.chunks(again.map_or(group.len(), |k| k + 1)) {
-                found.take(rows).map_err(|what| damaged(path, line, &what))?;
-                line += rows.len();
-            }
-        }
-        Ok(found)
-    }
-
-    /// Adds the rows of one metric of one predictor.
-    fn take(&mut self, rows: &[ScoreRow]) -> Result<(), String> {
-        let ScoreRow { predictor, metric, sample, value } = &rows[0];
-        let (predictor, key) = (text_of(predictor), text_of(metric));
-        let place = self.table.predictors.iter().position(|name| name == predictor);
-        let row = self.table.metrics.iter().find(|row| row.key == key);
-        let (Some(place), Some(row)) = (place, row) else {
-            return Err(format!("run.json has no {key} of {predictor}"));
-        };
-        let values = match (sample, value, row.cells.get(place)) {
-            (Some(_), Some(_), _) => {
-                let ids: Vec<u32> = rows.iter().filter_map(|row| row.sample).collect();
-                if self.ids.is_empty() {
-                    self.ids.clone_from(&ids);
-                }
-                let values: Vec<f64> = rows.iter().filter_map(|row| row.value).collect();
-                if ids != self.ids || values.len() != ids.len() {
-                    return Err(format!("{key} of {predictor} is of other samples than the first metric"));
-                }
-                Values::PerSample(values)
-            }
-            (None, Some(value), _) => Values::Whole(*value),
-            (_, None, Some(Cell::NotApplicable(why))) => Values::NotApplicable(why.clone()),
-            (_, None, _) => return Err(format!("run.json has a value of {key} of {predictor}")),
-        };
-        let goal = if row.higher_is_better { Goal::Higher } else { Goal::Lower };
-        let measurement = Measurement { key: key.to_owned(), unit: row.unit.clone(), goal, values };
-        match self.predictors.last_mut().filter(|(name, _)| name == predictor) {
-            Some((_, measured)) => measured.push(measurement),
-            None => self.predictors.push((predictor.to_owned(), vec![measurement])),
-        }
-        Ok(())
-    }
-}
-
-/// A row of `scores.csv`.
-#[derive(Deserialize)]
-struct ScoreRow {
-    predictor: String,
-    metric: String,
-    #[serde(deserialize_with = "unless_empty")]
-    sample: Option<u32>,
-    /// `None` where the metric does not apply.
-    #[serde(deserialize_with = "unless_not_applicable")]
-    value: Option<f64>,
-}
-
-fn unless_empty<'de, D: Deserializer<'de>>(field: D) -> Result<Option<u32>, D::Error> {
-    number_unless("", &String::deserialize(field)?)
-}
-
-fn unless_not_applicable<'de, D: Deserializer<'de>>(field: D) -> Result<Option<f64>, D::Error> {
-    number_unless("n/a", &String::deserialize(field)?)
-}
-
-fn number_unless<T: FromStr, E: serde::de::Error>(none: &str, text: &str) -> Result<Option<T>, E> {
-    (text != none).then(|| text.parse().ok().ok_or_else(|| E::custom(format!("`{text}` is no number")))).transpose()
 }
 
 impl ScoreTable {
@@ -452,6 +353,7 @@ mod tests {
         let json = serde_json::to_string(&table).unwrap();
         assert_eq!(serde_json::from_str::<ScoreTable>(&json).unwrap(), table);
     }
+
     #[test]
     fn scores_are_read_as_they_were_measured() {
         let folder = tempfile::tempdir().unwrap();

@@ -1,7 +1,7 @@
 //! `Session`: what accompanies a run from outside, in one argument.
 
 use crate::observer::Observer;
-use crate::record::Page;
+use crate::page::Page;
 use pwrfgs_core::{Error, Result};
 use std::sync::atomic::{AtomicBool, Ordering};
 

@@ -9,12 +9,12 @@ use crate::facts::Facts;
 use crate::folder::{CHECKPOINT, MODEL_FILE, RunFolder, START_SNAPSHOT, UNPRUNED_SNAPSHOT, pruned_snapshot};
 use crate::journal::Journal;
 use crate::observer::{Start, staged};
-use crate::preview::{fitting, fitting_network};
+use crate::preview::fitting;
 use crate::session::Session;
 use crate::snapshot::Snapshot;
 use crate::validation::validate;
 use pwrfgs_core::files::{self, write_atomically};
-use pwrfgs_core::{Dataset, Error, GaussianCloud, Partition, Result, evenly};
+use pwrfgs_core::{Dataset, Error, GaussianCloud, Partition, Progress, Result, evenly};
 use pwrfgs_model::{Model, file};
 use pwrfgs_pipeline::Pipeline;
 use pwrfgs_train::{Estimate, Pruned, Trainer};
@@ -37,19 +37,16 @@ impl<'a> Training<'a, '_> {
     pub(crate) fn trainer(&mut self, held: Option<&RunFolder>) -> Result<(Trainer<'a>, Estimate)> {
         // A strategy that cannot be asked is refused before a checkpoint is blamed for it.
         self.pipeline.pruners.iter().try_for_each(|pruner| pruner.ready())?;
-        fitting_network(self.pipeline)?;
-        let restored = match held {
-            Some(folder) => folder.settle(self.restored(&folder.file(CHECKPOINT)))?,
-            None => None,
-        };
-        let trainer = match restored {
-            Some(trainer) => trainer,
-            None => staged(self.session.observer, "initialising", |progress| {
-                Trainer::begin(&self.pipeline.plan()?, self.data, self.partition, progress, self.session.stop)
-            })?,
-        };
-        let estimate = fitting(&trainer)?;
-        Ok((trainer, estimate))
+        let (pipeline, data, partition) = (self.pipeline, self.data, self.partition);
+        fitting(pipeline, || {
+            let restored = match held {
+                Some(folder) => folder.settle(self.restored(&folder.file(CHECKPOINT)))?,
+                None => None,
+            };
+            let stop = self.session.stop;
+            let begin = |progress: Progress<'_>| Trainer::begin(&pipeline.plan()?, data, partition, progress, stop);
+            restored.map_or_else(|| staged(self.session.observer, "initialising", begin), Ok)
+        })
     }
 
     /// The trainer of the checkpoint at `path`, if there is one.

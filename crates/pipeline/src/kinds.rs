@@ -3,7 +3,7 @@
 use crate::Pipeline;
 use crate::ron_tree::Tree;
 use pwrfgs_core::plugin::name_of;
-use pwrfgs_core::{Error, Task};
+use pwrfgs_core::{Dataset, Error, Task};
 use pwrfgs_train::Rays;
 use std::path::Path;
 
@@ -56,6 +56,27 @@ impl Pipeline {
         let metric = || self.metrics.iter().find(|metric| !metric.supports(task));
         let of_baseline = baseline.map(|baseline| ("baselines", what(name_of(baseline), "baseline")));
         of_baseline.or_else(|| Some(("metrics", what(name_of(metric()?), "metric"))))
+    }
+
+    /// Refuses baselines and metrics that cannot work on `data`, before a model is trained for their table.
+    ///
+    /// # Errors
+    /// The first that refuses, by the name of its field.
+    pub fn check_data(&self, data: &Dataset) -> Result<(), Error> {
+        let named = |field: &str, error: Error| match error {
+            Error::Config(_) | Error::Input { .. } | Error::Read { .. } => Error::Config(format!("{field}: {error}")),
+            other => other, // an exception of Python's stays one
+        };
+        for baseline in &self.baselines {
+            baseline.check_data(data).map_err(|error| named("baselines", error))?;
+        }
+        for metric in &self.metrics {
+            metric.check_data(data).map_err(|error| named("metrics", error))?;
+        }
+        match self.unsupported(data.task()) {
+            Some((field, what)) => Err(Error::Config(format!("{field}: {what}"))),
+            None => Ok(()),
+        }
     }
 }
 

@@ -4,9 +4,9 @@ use super::join::JOINED;
 use super::plan::{Plan, PlannedRun};
 use super::status::State;
 use crate::folder::RunFolder;
-use crate::load::{check_scoring, load};
+use crate::load::load;
 use crate::observer::Observer;
-use crate::preview::{fitting, fitting_network};
+use crate::preview::fitting;
 use crate::samples::data_key;
 use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_train::Trainer;
@@ -103,12 +103,9 @@ fn try_each<R>(
             loaded = Some((key, data, partition));
         }
         if let Some((_, data, partition)) = &loaded {
-            check_scoring(pipeline, data).map_err(named)?;
-            plan.joined.as_ref().map_or(Ok(()), |joined| check_scoring(joined, data)).map_err(named)?;
-            fitting_network(pipeline).map_err(named)?;
-            let mut trainer =
-                pipeline.plan().and_then(|plan| Trainer::sketch(&plan, data, partition)).map_err(named)?;
-            fitting(&trainer).map_err(named)?;
+            pipeline.check_data(data).map_err(named)?;
+            let sketch = || Trainer::sketch(&pipeline.plan()?, data, partition);
+            let (mut trainer, _) = fitting(pipeline, sketch).map_err(named)?;
             all.push(then(run, &mut trainer).map_err(named)?);
         }
     }

@@ -6,8 +6,8 @@ use super::status::State;
 use crate::evaluate::evaluate;
 use crate::facts::{Facts, Mark};
 use crate::folder::{MODEL_FILE, RunFolder};
-use crate::load::{check_scoring, load};
-use crate::record::conclude;
+use crate::load::load;
+use crate::page::conclude;
 use crate::runner::Outcome;
 use crate::scores::ScoreTable;
 use crate::session::Session;
@@ -116,15 +116,16 @@ impl Join<'_, '_> {
     fn end(&mut self, folder: &mut RunFolder) -> Result<Outcome> {
         let ensemble = self.assemble()?;
         let bytes = file::ensemble_to_bytes(&ensemble);
-        let (mut facts, earlier) = Facts::open(folder.path(), self.pipeline.seed)?;
-        if earlier.files.get(MODEL_FILE) == Some(&Mark::of(&bytes))
+        let is_joined = |earlier: Facts| earlier.files.get(MODEL_FILE) == Some(&Mark::of(&bytes));
+        if Facts::read(folder.path())?.is_some_and(is_joined)
             && let Some(scores) = folder.state().verified(folder.path(), self.session.page.is_some())?
         {
             return Ok(Outcome::Finished { scores, already: true });
         }
-        facts.members = self.plan.runs.iter().map(|run| run.folder.clone()).collect();
-        facts.write(folder.path())?;
-        folder.renew(self.pipeline)?;
+        let mut facts = folder.begin(self.pipeline, |facts, _| {
+            facts.members = self.plan.runs.iter().map(|run| run.folder.clone()).collect();
+            Ok(())
+        })?;
         write_atomically(&folder.file(MODEL_FILE), &bytes)?;
         match self.assess(&ensemble, folder, &mut facts) {
             Ok(scores) => Ok(Outcome::Finished { scores, already: false }),
@@ -149,7 +150,7 @@ impl Join<'_, '_> {
     /// Scores the model on the test set and writes scores, samples, report and facts.
     fn assess(&mut self, ensemble: &Ensemble, folder: &RunFolder, facts: &mut Facts) -> Result<ScoreTable> {
         let (data, partition) = load(self.pipeline, Path::new(""), self.session.observer)?;
-        check_scoring(self.pipeline, &data)?;
+        self.pipeline.check_data(&data)?;
         let counted = data.task().counted[1];
         self.session.observer.on_message(&format!("scoring {} test {counted}", partition.test.len()));
         let (scores, confidence) = evaluate(ensemble, self.pipeline, &data, &partition, self.session)?;

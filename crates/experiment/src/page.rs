@@ -1,0 +1,99 @@
+//! The page of a run, made from its folder: at the end of a run, and again by `pwrfgs report`.
+
+use crate::clock;
+use crate::confidence::Confidence;
+use crate::facts::{Facts, Mark};
+use crate::folder::{PIPELINE, REPORT, RunFolder};
+use crate::input::read_pipeline;
+use crate::observer::Observer;
+use crate::record::{Record, write_scores};
+use crate::scores::{ScoreTable, Scores};
+use crate::session::Session;
+use pwrfgs_core::files::{self, write_atomically};
+use pwrfgs_core::{Dataset, Error, Partition, Result};
+use pwrfgs_model::Ensemble;
+use pwrfgs_pipeline::Pipeline;
+use std::path::Path;
+
+/// A record with the data and the model behind it: what a page is made of.
+#[derive(Clone, Copy, Debug)]
+pub struct LoadedRun<'a> {
+    /// What lies in the folder.
+    pub record: &'a Record,
+    /// The data it was scored on.
+    pub data: &'a Dataset,
+    /// Their split.
+    pub partition: &'a Partition,
+    /// The model, or several that predict together.
+    pub model: &'a Ensemble,
+}
+
+/// Makes the page of a run, HTML in one file.
+pub type Page = fn(&LoadedRun<'_>) -> Result<String>;
+
+/// Makes `report.html` from what lies in the folder of `run`, and writes it there.
+///
+/// # Errors
+/// A damaged snapshot; [`Error::Write`].
+pub fn write_page(run: &LoadedRun<'_>, page: Page) -> Result<()> {
+    write_atomically(&run.record.folder.join(REPORT), page(run)?.as_bytes())
+}
+
+/// Ends the run of `pipeline` in `folder` with what its evaluation found: writes the scores, makes the page if the session asks
+/// for one, seals the files and writes `run.json`.
+///
+/// # Errors
+/// [`Error::Write`]; a damaged file of the training.
+pub(crate) fn conclude(
+    folder: &RunFolder,
+    pipeline: &Pipeline,
+    facts: &mut Facts,
+    (data, partition, model): (&Dataset, &Partition, &Ensemble),
+    (scores, confidence): (Scores, Option<Confidence>),
+    session: &mut Session<'_>,
+) -> Result<ScoreTable> {
+    let path = folder.path();
+    facts.gaussians = model.gaussians();
+    facts.scores = Some(scores.table.clone());
+    facts.finished = Some(clock::now());
+    facts.report = session.page.is_some();
+    facts.note_memory(); // here, so that the page says what run.json says
+    write_scores(path, (&scores, confidence.as_ref()), data, partition)?;
+    if let Some(page) = session.page {
+        let record = Record::of(path, pipeline, facts.clone())?;
+        write_page(&LoadedRun { record: &record, data, partition, model }, page)?;
+    }
+    facts.seal(path)?;
+    facts.write(path)?;
+    session.observer.on_evaluation(&scores.table);
+    Ok(scores.table)
+}
+
+/// Makes `report.html` of the finished run in `folder` again, from its folder and its data.
+///
+/// # Errors
+/// The run has not finished, another process is at work in it, a file is damaged, or the data have changed since.
+pub fn rebuild_page(folder: &Path, page: Page, observer: &mut dyn Observer) -> Result<()> {
+    let held = RunFolder::claim(folder, &read_pipeline(&folder.join(PIPELINE), &[])?)?;
+    let mut rebuild = || {
+        let unfinished = || Error::Config(format!("{} has not finished; run it first", held.name().display()));
+        let record = Record::read(held.path())?.ok_or_else(unfinished)?;
+        let data = record.load_data(observer)?;
+        let (partition, model) = (record.partition(&data)?, record.model(&data)?);
+        let text = page(&LoadedRun { record: &record, data: &data, partition: &partition, model: &model })?;
+        let path = held.file(REPORT);
+        let mark = Mark::of(text.as_bytes());
+        if record.facts.files.get(REPORT) == Some(&mark) && files::read(&path).is_ok_and(|own| Mark::of(&own) == mark) {
+            return Ok(());
+        }
+        // A mark is never of another page than the one that lies there.
+        let mut facts = Facts { report: true, ..record.facts };
+        facts.files.remove(REPORT);
+        facts.write(held.path())?;
+        write_atomically(&path, text.as_bytes())?;
+        facts.files.insert(REPORT.into(), mark);
+        facts.write(held.path())
+    };
+    let rebuilt = rebuild();
+    held.settle(rebuilt)
+}
