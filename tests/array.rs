@@ -248,14 +248,6 @@ fn a_stride_that_does_not_fit_is_refused_with_those_that_do() {
 }
 
 #[test]
-fn annealed_frequencies_reach_the_model_when_all_are_in() {
-    let (early, late) = (train("anneal_frequencies: 100", 10), train("anneal_frequencies: 10", 10));
-    // tx.0 is [16, 3 + 6·5]: of the highest octave nothing is in after a tenth of the way.
-    let highest = |model: &Model| -> Real { model.weights[..16 * 33].chunks(33).map(|row| row[32].abs()).sum() };
-    assert!(highest(&early) == 0.0 && highest(&late) > 0.0);
-}
-
-#[test]
 fn waves_need_two_channels_and_a_plane_with_angles() {
     let refused = |fields: &str| {
         let text = format!("Pipeline(name: \"x\", data: Teacher(), initializer: Grid(), {fields})");

@@ -17,7 +17,7 @@ fn busy() -> Pipeline {
          pruners: [LearnableMask(lambda: 0.1, learning_rate: 0.6), OpacityThreshold(epsilon: 0.02), TopK(keep: 70)],
          training: (steps: 30, batch: 3, tx_jitter_m: 0.02, densify_until: 15, prune_until: 25, prune_every: 4,
              densify: (from: 2, every: 4, gradient_threshold: 0, clone_below: 0.2, large_above: 0.6,
-                       large_after: 8, reset_every: 9, reset_opacity: 0.05, prune_masked: true))",
+                       large_after: 8, reset_every: 9, reset_opacity: 0.05))",
     )
 }
 

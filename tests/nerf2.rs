@@ -91,7 +91,6 @@ fn spectra_powers_and_channels_differentiate_in_every_layer() {
     spectrum.differentiates("the same pixels", Pixels::Same(&[5, 0, 5, 23]));
     spectrum.differentiates("a pixel each", Pixels::Own(&[5, 0, 5, 23, 7]));
     Room::new(Task::Power, "unit_m: 2").differentiates("powers", Pixels::All);
-    Room::new(Task::Power, "first_ring: true").differentiates("powers of one ring", Pixels::All);
     Room::new(Task::Channel, "features: 5").differentiates("channels", Pixels::All);
 }
 

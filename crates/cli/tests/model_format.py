@@ -447,8 +447,7 @@ def rays(settings, note, receiver):
         own = directions_of(note["plane"])
     else:
         rings, around = int(settings["elevations"]), int(settings["azimuths"])
-        used = 1 if settings["first_ring"] and note["links"]["kind"] == "Power" else rings
-        el = np.pi / 2 * np.arange(1, used + 1)[:, None] / rings
+        el = np.pi / 2 * np.arange(1, rings + 1)[:, None] / rings
         az = 2 * np.pi * np.arange(around) / around
         own = np.stack([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el) + 0 * az], axis=-1)
     return own.reshape(-1, 3) @ to_world(note["links"]["receivers"][receiver]["pose"]).T

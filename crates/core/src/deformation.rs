@@ -37,14 +37,6 @@ pub trait Deformation:
         d_means: Option<&mut [[Real; 3]]>,
     );
 
-    /// Factors `[as many as weights]` that let the lowest frequencies of positional encodings through, when a `share` of
-    /// the annealing, 0 to 1, is done: what multiplies an input may as well multiply the weights that read it. `None`
-    /// where nothing is encoded.
-    fn frequency_window(&self, share: f64) -> Option<Vec<Real>> {
-        let _ = share;
-        None
-    }
-
     /// The part of the signals that is linear in the transmitter's numbers, for a start in closed form; `None` where there
     /// is none.
     fn linear_part(&self, weights: &[Real], means: &[[Real; 3]], training: Conditions<'_>) -> Option<LinearPart> {

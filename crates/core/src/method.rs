@@ -254,12 +254,6 @@ pub trait Method:
         (numbers, StageTimes { total: start.elapsed().as_secs_f64(), ..StageTimes::default() })
     }
 
-    /// As [`Deformation::frequency_window`](crate::Deformation::frequency_window), for all weights.
-    fn frequency_window(&self, frame: &Frame, share: f64) -> Option<Vec<Real>> {
-        let _ = (frame, share);
-        None
-    }
-
     /// Sets what can be told from the links `train` of `data` before the first step, such as the receivers' offsets.
     fn start(&self, frame: &Frame, data: &Dataset, train: &[usize], cloud: &mut GaussianCloud, weights: &mut [Real]) {
         let _ = (frame, data, train, cloud, weights);

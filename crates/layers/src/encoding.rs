@@ -73,31 +73,10 @@ pub fn encode_vjp(encoded: &[Real], d: &[Real], frequencies: usize, d_points: &m
     }
 }
 
-/// Factors on γ's rows `[3 + 6L]` when a `share` of the annealing, 0 to 1, is done: one frequency after the other is let
-/// in along half a cosine (Nerfies, eq. 8). The point itself is always in.
-pub fn window(frequencies: usize, share: f64) -> Vec<Real> {
-    let band = |f: usize| let_in(share * frequencies as f64 - f as f64);
-    [1.0; 3].into_iter().chain((0..frequencies).flat_map(|f| [band(f); 6])).collect()
-}
-
-/// Half a cosine from 0 at 0 to 1 at 1.
-pub fn let_in(t: f64) -> Real {
-    (0.5 * (1.0 - (std::f64::consts::PI * t.clamp(0.0, 1.0)).cos())) as Real
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use pwrfgs_core::{rng, testing::check_vjp};
-
-    #[test]
-    fn frequencies_come_in_one_after_the_other() {
-        assert_eq!(window(2, 0.0), [[1.0; 3].as_slice(), &[0.0; 12]].concat());
-        assert_eq!(window(2, 0.5), [[1.0; 9].as_slice(), &[0.0; 6]].concat());
-        let late = window(2, 0.75);
-        assert!(late[..9].iter().all(|w| *w == 1.0) && late[9..].iter().all(|w| (*w - 0.5).abs() < 1e-6));
-        assert_eq!(window(3, 1.0), vec![1.0; 21]);
-    }
 
     fn points(n: usize, size: Real) -> Vec<[Real; 3]> {
         let mut random = rng::stream(3, "encoding", 0);

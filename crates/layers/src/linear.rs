@@ -48,13 +48,6 @@ impl Linear {
         &mut flat[self.bias..][..self.outputs]
     }
 
-    /// Multiplies the factors of the columns from `first` on by `window`, one factor a column.
-    pub fn dim(&self, factors: &mut [Real], first: usize, window: &[Real]) {
-        for row in factors[self.weight..][..self.outputs * self.inputs].chunks_exact_mut(self.inputs) {
-            row[first..].iter_mut().zip(window).for_each(|(factor, w)| *factor *= w);
-        }
-    }
-
     /// The columns of W that see one of several inputs.
     pub fn part(&self, columns: Range<usize>) -> Part {
         Part { layer: *self, columns }

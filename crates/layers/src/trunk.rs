@@ -92,11 +92,6 @@ impl Trunk {
         self.layers.first().into_iter().chain(self.joined.map(|l| &self.layers[l]))
     }
 
-    /// Multiplies the factors of all columns that see γ by `window`.
-    pub fn dim(&self, factors: &mut [Real], window: &[Real]) {
-        self.joints().for_each(|layer| layer.dim(factors, 0, window));
-    }
-
     fn e_columns(&self) -> Range<usize> {
         self.gamma..self.gamma + self.side
     }

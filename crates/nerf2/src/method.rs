@@ -28,11 +28,11 @@ use std::time::Instant;
 /// at, and projector, rasterizer, deformation, calibration and readout do not count.
 ///
 /// As released, but for this: the sky of powers and channels is that of `azimuths` and `elevations`, of which the released
-/// code draws only the first ring for powers (`first_ring` has it so); directions of pixels are those of the data, which are
+/// code draws only the first ring for powers; directions of pixels are those of the data, which are
 /// one degree from the released ones; behind a trillionth of the amplitude, and at the endless last sample of powers and
 /// channels, nothing counts; losses are those of this program, in dB² of powers (10⁴ times the released one) and relative of
 /// channels. The rate that falls and rises again is `Cosine` with its `steps`
-/// below those of the training; normalisation by test data is `by_test_data` of `Nerf2Csi`.
+/// below those of the training; channels are normalised by training data alone.
 ///
 /// The trunk does not know the transmitter: it is worked out once for all that are asked for together, and kept between
 /// predictions where all of it fits in `cache_mb`. Training at full size wants some 10¹² multiply-adds a step; `nerf2-laptop.ron` is
@@ -62,8 +62,10 @@ pub struct Nerf2 {
     pub azimuths: usize,
     /// Rings above the horizon, up to the zenith.
     pub elevations: usize,
-    /// Whether powers see the lowest ring alone, as the released renderer does by a slip in its number of chunks.
-    pub first_ring: bool,
+    /// Whether powers see the lowest ring alone, as the released renderer does by a slip in its number of chunks; for the
+    /// comparison with it in `oracle.rs`.
+    #[serde(skip)]
+    pub(crate) first_ring: bool,
     /// Frequency whose phase turns along a ray of powers and channels, Hz; the distance counts in the network's unit, as
     /// released.
     pub carrier_hz: f64,

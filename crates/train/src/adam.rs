@@ -4,6 +4,9 @@ use crate::settings::{Optimizer, Training};
 use pwrfgs_core::{ColumnSpec, GaussianCloud, Real};
 use rayon::prelude::*;
 
+/// Decays of the first and the second moment: Adam's own (Kingma and Ba, 2015), which all methods here were tuned with.
+pub(crate) const BETAS: [Real; 2] = [0.9, 0.999];
+
 /// First and second moments of everything that is learned.
 #[derive(Clone, Debug)]
 pub(crate) struct Adam {
@@ -45,10 +48,10 @@ impl Adam {
         let rate = |schedule: crate::Schedule| schedule.rate(step, settings.steps);
         let update = Update {
             rate: 0.0,
-            beta1: o.beta1,
-            beta2: o.beta2,
+            beta1: BETAS[0],
+            beta2: BETAS[1],
             eps: o.eps,
-            unbias: [o.beta1, o.beta2].map(|b| 1.0 - b.powi(step.min(i32::MAX as u64) as i32)),
+            unbias: BETAS.map(|b| 1.0 - b.powi(step.min(i32::MAX as u64) as i32)),
             l2: 0.0,
             decay: 0.0,
         };

@@ -5,6 +5,9 @@ use crate::edit::{self, Beside};
 use crate::settings::Densify;
 use pwrfgs_core::{CloudStats, GaussianCloud, Real, Row, Vec3, logit, rng, sigmoid};
 
+/// Scales of the two children of a split are the parent's divided by this, as in 3DGS: 0.8 times the two children.
+const SPLIT_SHRINK: Real = 1.6;
+
 /// Whether densification is due after `step`.
 pub(crate) fn due(settings: &Densify, step: u64) -> bool {
     settings.every > 0 && step > settings.from && step.is_multiple_of(settings.every)
@@ -49,7 +52,7 @@ pub(crate) fn densify(
     edit::rewrite(&rows, cloud, beside);
     for (row, mean) in children {
         cloud.means[row] = mean;
-        cloud.log_scales[row].iter_mut().for_each(|s| *s -= settings.split_shrink.ln());
+        cloud.log_scales[row].iter_mut().for_each(|s| *s -= SPLIT_SHRINK.ln());
     }
     let before = cloud.len();
     (before, remove(settings, extent, step, cloud, beside))

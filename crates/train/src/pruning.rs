@@ -150,8 +150,7 @@ impl Trainer<'_> {
                 stages
             };
             let batches = self.batches().sample(&needs, moment, self.data, stages_of);
-            let weights = self.weights_at(moment.step);
-            let scene = survey::Scene { stages: &self.stages, weights: &weights, objective: &*self.objective };
+            let scene = survey::Scene { stages: &self.stages, weights: &self.weights, objective: &*self.objective };
             stats.asked = survey::survey(&scene, &self.cloud, gate.as_deref(), &needs, batches)?;
         }
         Ok(stats)

@@ -155,10 +155,6 @@ settings! {
         network: Schedule = Schedule::LogLinear { first: 8e-4, last: 1.6e-6, steps: 0 },
         /// Steps over which the network's rate rises from 0 to what its schedule says.
         network_warmup: u64 = 0,
-        /// Decay of the first moment.
-        beta1: Real = 0.9,
-        /// Decay of the second moment.
-        beta2: Real = 0.999,
         /// Floor of the denominator, Gaussians.
         eps: Real = 1e-15,
         /// Floor of the denominator, network.
@@ -183,8 +179,6 @@ settings! {
         extent_m: Real = 0.0,
         /// Up to this share of the extent a Gaussian is cloned, above it is split.
         clone_below: Real = 0.01,
-        /// Scales of the two children of a split are the parent's divided by this.
-        split_shrink: Real = 1.6,
         /// A Gaussian less opaque than this is removed while densifying.
         opacity_floor: Real = 0.005,
         /// After `large_after` steps, a Gaussian larger than this share of the extent is removed; 0 for never.
@@ -197,8 +191,6 @@ settings! {
         reset_opacity: Real = 0.01,
         /// No densification beyond this many Gaussians (the largest gradients go first); 0 for no limit.
         max_gaussians: usize = 0,
-        /// Whether the pruners are asked while densifying too, as Compact-3DGS does.
-        prune_masked: bool = false,
     }
 }
 
@@ -237,9 +229,6 @@ settings! {
         /// Share of the network's hidden units that a step does without, drawn anew each step; 0 for none. Against
         /// memorising, where few transmitters are noisy; of `Factored`.
         dropout: Real = 0.0,
-        /// Steps over which the frequencies of the network's positional encodings are let in, the lowest first, each
-        /// along half a cosine; 0 for all from the start. Against memorising.
-        anneal_frequencies: u64 = 0,
         /// Steps between two looks at the validation part; 0 for none.
         validate_every: u64 = 1_000,
         /// Validation samples looked at, spread evenly over the part.
@@ -274,7 +263,6 @@ impl Training {
             &mut own.densify_until,
             &mut own.prune_until,
             &mut own.prune_every,
-            &mut own.anneal_frequencies,
             &mut own.validate_every,
             &mut own.checkpoint_every,
             &mut densify.from,
@@ -330,8 +318,6 @@ impl Optimizer {
         self.opacity_logits.check("opacity_logits")?;
         self.signals.check("signals")?;
         self.network.check("network")?;
-        let share = |x: Real| (0.0..1.0).contains(&x);
-        need(share(self.beta1) && share(self.beta2), "`beta1` and `beta2` must lie in [0, 1)")?;
         need(self.eps > 0.0 && self.network_eps > 0.0, "`eps` and `network_eps` must be positive")?;
         let decay = |x: Real| x >= 0.0 && x.is_finite();
         need(decay(self.network_l2) && decay(self.network_decay), "weight decay must not be negative")
@@ -347,7 +333,6 @@ impl Densify {
             known(self.clone_below) && known(self.large_above),
             "`clone_below` and `large_above` must not be negative",
         )?;
-        need(self.split_shrink > 0.0 && self.split_shrink.is_finite(), "`split_shrink` must be positive")?;
         need((0.0..1.0).contains(&self.opacity_floor), "`opacity_floor` must lie in [0, 1)")?;
         need(self.reset_opacity > 0.0 && self.reset_opacity < 1.0, "`reset_opacity` must lie between 0 and 1")
     }

@@ -312,16 +312,16 @@ impl<'a> Trainer<'a> {
         self.set_plane(step);
         let batch = self.batches.of_step(step, &self.plan, self.data, &self.stages)?;
         let pruners = if moment.phase == Phase::Finetune { Vec::new() } else { self.plan.pruners.clone() };
-        let window = self.factors(step);
-        let weights = match &window {
-            Some(window) => Arc::new(through(window, &self.weights)),
+        let dropout = self.dropout(step);
+        let weights = match &dropout {
+            Some(factors) => Arc::new(times(factors, &self.weights)),
             None => Arc::clone(&self.weights),
         };
         let mut found =
             loss_and_gradients(&self.stages, &self.cloud, &weights, &batch, &*self.objective, &pruners, &moment)?;
         drop(weights); // the optimiser then changes them where they are
-        if let Some(window) = &window {
-            found.d_weights = through(window, &found.d_weights);
+        if let Some(factors) = &dropout {
+            found.d_weights = times(factors, &found.d_weights);
         }
         self.stats.add(&found.seen);
         self.adam
@@ -365,36 +365,14 @@ impl<'a> Trainer<'a> {
         edit::drop_state(&mut cloud, &self.stages.method.columns());
         let mut stages = Stages::clone(&self.stages);
         stages.frame.plane = self.plane.clone();
-        Model { stages, cloud, weights: self.weights_at(self.done) }
+        Model { stages, cloud, weights: self.weights.to_vec() }
     }
 
-    /// The weights as a model of `step` has them: without dropout, and with the frequencies that are in.
-    pub(crate) fn weights_at(&self, step: u64) -> Vec<Real> {
-        match self.window(step) {
-            Some(window) => through(&window, &self.weights),
-            None => self.weights.to_vec(),
-        }
-    }
-
-    /// Factors on the network's weights while frequencies are let in; `None` where all are in.
-    fn window(&self, step: u64) -> Option<Vec<Real>> {
-        let steps = self.plan.training.anneal_frequencies;
-        let share = step as f64 / steps.max(1) as f64;
-        if steps == 0 || share >= 1.0 { None } else { self.stages.method.frequency_window(&self.stages.frame, share) }
-    }
-
-    /// Factors on the weights in this step: the window, and dropout.
-    fn factors(&self, step: u64) -> Option<Vec<Real>> {
-        let (rate, window) = (self.plan.training.dropout, self.window(step));
-        if rate == 0.0 {
-            return window;
-        }
-        let mut random = rng::stream(self.plan.seed, "dropout", step);
-        let dropout = self.stages.layout().dropout(rate, &mut random);
-        match (window, dropout) {
-            (Some(window), Some(dropout)) => Some(through(&window, &dropout)),
-            (window, dropout) => window.or(dropout),
-        }
+    /// Factors of dropout on the weights in this step; `None` without dropout.
+    fn dropout(&self, step: u64) -> Option<Vec<Real>> {
+        let rate = self.plan.training.dropout;
+        let random = &mut rng::stream(self.plan.seed, "dropout", step);
+        if rate == 0.0 { None } else { self.stages.layout().dropout(rate, random) }
     }
 
     /// Changes N where algorithm 1 says so; gives the Gaussians as they were where pruners take some.
@@ -410,9 +388,6 @@ impl<'a> Trainer<'a> {
                     let (cloud, mut beside) = self.rows();
                     let (before, rules) = densify::densify(settings, extent, (seed, step), cloud, &mut beside);
                     self.report_removal(step, before, &rules)?;
-                    if settings.prune_masked {
-                        unpruned = self.prune(moment)?;
-                    }
                 }
                 if densify::reset_due(settings, step) && step < training.densify_until {
                     densify::reset_opacities(settings.reset_opacity, &mut self.cloud, &mut self.adam);
@@ -454,9 +429,9 @@ impl<'a> Trainer<'a> {
     }
 }
 
-/// Weights, or their derivatives, as far as the window lets them in.
-fn through(window: &[Real], weights: &[Real]) -> Vec<Real> {
-    weights.iter().zip(window).map(|(w, factor)| w * factor).collect()
+/// Weights, or their derivatives, times the factors of dropout.
+fn times(factors: &[Real], weights: &[Real]) -> Vec<Real> {
+    weights.iter().zip(factors).map(|(w, factor)| w * factor).collect()
 }
 
 /// The columns that the pruners ask for, each once; none where there is no phase in which they count.

@@ -1,5 +1,6 @@
 //! What a training will not do although its pipeline asks for it, said before its first step; and what a step removed.
 
+use crate::adam::BETAS;
 use crate::budgets::{idle_target, is_exact};
 use crate::densify::{self, extent_of, largest};
 use crate::settings::Densify;
@@ -27,8 +28,7 @@ impl Trainer<'_> {
     /// A mask that cannot fall from its initial value to its threshold before pruning ends.
     fn slow_mask(&self, k: usize) -> Option<String> {
         let (training, pruner) = (&self.plan.training, &self.plan.pruners[k]);
-        let decays = [training.optimizer.beta1, training.optimizer.beta2];
-        let (needed, until) = (pruner.steps_to_remove(decays)?, training.prune_until);
+        let (needed, until) = (pruner.steps_to_remove(BETAS)?, training.prune_until);
         (needed > until && !is_exact(pruner)).then(|| {
             format!(
                 "pruners: a mask of `{}` needs about {needed} steps to close and pruning ends after step {until}, so it \

@@ -35,7 +35,7 @@ const SHAPE: &str =
 /// places, such as the split `Voxel`, is refused.
 ///
 /// The whole array is divided by its largest modulus, which is looked for in the training part of the index files, and in
-/// all snapshots where there are none. NeRF2 looks for it in training and test data alike: `by_test_data: true` does so.
+/// all snapshots where there are none. NeRF2 looks for it in training and test data alike; no score depends on the factor.
 ///
 /// ```
 /// # use pwrfgs_core::{DataSource, Plugin};
@@ -54,10 +54,6 @@ pub struct Nerf2Csi {
     pub carrier_hz: f64,
     /// From one subcarrier to the next, Hz.
     pub spacing_hz: f64,
-    /// Whether all channels are divided by one number, the largest modulus of the training part.
-    pub normalise: bool,
-    /// Whether the largest modulus may be one of the test part, as NeRF2 has it; a factor that no score sees.
-    pub by_test_data: bool,
     /// Whether the antennas are one receiver's: a link is then a snapshot, its features are the uplinks of all antennas one
     /// after the other, and what was observed of it is the downlink at all of them.
     pub together: bool,
@@ -65,14 +61,7 @@ pub struct Nerf2Csi {
 
 impl Default for Nerf2Csi {
     fn default() -> Self {
-        Self {
-            root: "data/mimo".into(),
-            carrier_hz: 2.4e9,
-            spacing_hz: 312.5e3,
-            normalise: true,
-            by_test_data: false,
-            together: false,
-        }
+        Self { root: "data/mimo".into(), carrier_hz: 2.4e9, spacing_hz: 312.5e3, together: false }
     }
 }
 
@@ -94,11 +83,8 @@ impl DataSource for Nerf2Csi {
         let frequencies_hz = subcarriers(&path, self.carrier_hz, self.spacing_hz, both)?.split_off(both / 2);
         let positions = positions(&root, snapshots)?;
         let rows = index::read(&root, &|word| index::row(word, "csidata.npy", snapshots))?;
-        if self.normalise {
-            let seen = rows.as_ref().filter(|_| !self.by_test_data).map(|(train, _)| train.as_slice());
-            all.normalise(&path, seen)?;
-        }
-        all.check_size(&path)?; // normalised too: the test part is divided by the largest modulus of the training part
+        all.normalise(&path, rows.as_ref().map(|(train, _)| train.as_slice()))?;
+        all.check_size(&path)?; // after that: the test part is divided by the largest modulus of the training part
         let (features, gains) = halves(&mut all);
         let at = |i: usize| positions.as_ref().map_or([0.0; 3], |positions| positions[i]);
         let receivers = if self.together { vec![station(&antennas)] } else { receivers(&antennas) };

@@ -89,14 +89,6 @@ impl Deformation for Factored {
         laid_out(inputs.weights, |plan| Network::new(self, plan)).vjp(inputs, d, d_weights, d_means);
     }
 
-    fn frequency_window(&self, share: f64) -> Option<Vec<Real>> {
-        let (network, plan) = planned(|plan| Network::new(self, plan));
-        let mut factors = vec![1.0; plan.numbers()];
-        network.stack[0].dim(&mut factors, 0, &self.tx_encoding.window(share));
-        network.branch.dim(&mut factors, 0, &self.position_encoding.window(share)[3..]);
-        Some(factors)
-    }
-
     fn linear_part(&self, weights: &[Real], means: &[[Real; 3]], training: Conditions<'_>) -> Option<LinearPart> {
         laid_out(weights, |plan| Network::new(self, plan)).linear_part(weights, means, training)
     }

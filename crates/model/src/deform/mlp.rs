@@ -104,13 +104,6 @@ impl Deformation for Mlp {
         laid_out(inputs.weights, |plan| self.network(plan)).vjp(inputs, d, d_weights);
     }
 
-    fn frequency_window(&self, share: f64) -> Option<Vec<Real>> {
-        let (network, plan) = planned(|plan| self.network(plan));
-        let mut factors = vec![1.0; plan.numbers()];
-        network.dim(&mut factors, share);
-        Some(factors)
-    }
-
     fn check(&self) -> Result<(), String> {
         check_stack(self.depth, self.width, self.skip)?;
         for (name, value) in [("tx_hidden", self.tx_hidden), ("tx_features", self.tx_features)] {

@@ -66,12 +66,6 @@ struct Sum {
 }
 
 impl Network {
-    /// Multiplies the factors of the weights that see encodings by how far each frequency is let in.
-    pub(super) fn dim(&self, factors: &mut [Real], share: f64) {
-        self.tx[0].dim(factors, 0, &encoding::window(self.tx_frequencies, share));
-        self.trunk.dim(factors, &encoding::window(self.position_frequencies, share));
-    }
-
     /// The transmitter's branch. One transmitter at a time: a batch then gives the bits of single calls.
     fn tx_side(&self, weights: &[Real], tx: [Real; 3]) -> TxSide {
         let mut gamma = vec![0.0; self.tx[0].inputs];

@@ -249,26 +249,3 @@ fn nonsense_is_refused_with_advice_and_defaults_round_trip() {
         assert!(refusal.contains(words), "{text}: {refusal}");
     }
 }
-
-#[test]
-fn a_frequency_window_lets_the_encodings_in() {
-    let waves = Encoding::Waves { count: 8, reach: 9.0, seed: 0 };
-    let factored = Factored { tx_encoding: waves, ..small_factored() };
-    let wrfgs = Wrfgs { depth: 4, width: 8, frequencies: 2, skip: Some(1), gain: None };
-    let deformations: [&dyn Deformation; 3] = [&small_mlp(), &wrfgs, &factored];
-    for deformation in deformations {
-        let weights = deformation.layout().init(&mut rng::stream(1, "init", 0));
-        assert!(deformation.frequency_window(1.0).unwrap().iter().all(|f| *f == 1.0));
-        let closed = deformation.frequency_window(0.0).unwrap();
-        assert_eq!(closed.len(), weights.len());
-        // Only plain coordinates are left: positions that differ by a period of every wave then look alike but for them.
-        let dimmed: Vec<Real> = weights.iter().zip(&closed).map(|(w, f)| w * f).collect();
-        let bare = |points: &[[Real; 3]]| {
-            flat(&deformation.forward(&DeformationInputs::new(&dimmed, points, &[[0.1, 0.2, 0.3]], &POSE), &None))
-        };
-        let (low, mid, high) = (bare(&[[0.10; 3]]), bare(&[[0.1001; 3]]), bare(&[[0.1002; 3]]));
-        let bend = low.iter().zip(&mid).zip(&high).map(|((a, b), c)| (a - 2.0 * b + c).abs()).fold(0.0, Real::max);
-        assert!(bend < 1e-5, "piecewise linear in the coordinates without waves: {bend}");
-        assert!(closed.contains(&0.0) && closed.contains(&1.0));
-    }
-}

@@ -2,7 +2,7 @@
 
 use super::mlp::{WIDEST, check_frequencies};
 use pwrfgs_core::{Conditions, JsonSchema, Real, WeightSpec, rng};
-use pwrfgs_layers::encoding::{self, encode, encode_vjp, let_in};
+use pwrfgs_layers::encoding::{self, encode, encode_vjp};
 use serde::{Deserialize, Serialize};
 
 /// The encoding γ(p) of a position: the coordinates, and waves over the room.
@@ -115,25 +115,6 @@ impl Encoding {
                 Ok(())
             }
             Self::Waves { .. } => Ok(()),
-        }
-    }
-
-    /// Factors on γ's rows when a `share` of the annealing is done: the longest waves over the room first.
-    pub(super) fn window(&self, share: f64) -> Vec<Real> {
-        match *self {
-            Self::Octaves(frequencies) => encoding::window(frequencies, share),
-            Self::Waves { count, .. } => {
-                // A sixth of the waves is being let in at a time.
-                let (front, band) = (share * (1.0 + 1.0 / 6.0), 1.0 / 6.0);
-                let wave = |i: usize| let_in((front - length(i, count)) / band);
-                [1.0; 3].into_iter().chain((0..count).flat_map(|i| [wave(i); 2])).collect()
-            }
-            Self::Wavelengths { count, .. } => {
-                let wave = |i: usize| let_in(share * (count + 1) as f64 - i as f64);
-                [1.0; 3].into_iter().chain((0..count).flat_map(|i| [wave(i); 6])).collect()
-            }
-            Self::Features { width, .. } => vec![1.0; width],
-            Self::PseudoPosition { octaves, .. } => encoding::window(octaves, share),
         }
     }
 
@@ -250,14 +231,5 @@ mod tests {
         assert!(lengths.iter().enumerate().all(|(i, l)| (l - 0.5 * (i as f64 + 0.5)).abs() < 1e-6));
         assert_eq!(vectors(0), vectors(0));
         assert_ne!(vectors(0), vectors(1));
-    }
-
-    #[test]
-    fn long_waves_are_let_in_first() {
-        let waves = Encoding::Waves { count: 12, reach: 20.0, seed: 0 };
-        assert_eq!(waves.window(0.0)[3..], [0.0; 24]);
-        assert_eq!(waves.window(1.0), vec![1.0; waves.width()]);
-        let half = waves.window(0.5);
-        assert!(half.windows(2).all(|w| w[0] >= w[1]) && half[3] == 1.0 && half[26] == 0.0);
     }
 }

@@ -144,13 +144,6 @@ impl Deformation for Wrfgs {
         }
     }
 
-    fn frequency_window(&self, share: f64) -> Option<Vec<Real>> {
-        let (network, plan) = planned(|plan| self.network(plan));
-        let mut factors = vec![1.0; plan.numbers()];
-        network.dim(&mut factors, share);
-        Some(factors)
-    }
-
     fn check(&self) -> Result<(), String> {
         check_stack(self.depth, self.width, self.skip)?;
         if self.width < 2 {

@@ -56,11 +56,6 @@ pub(super) fn amplitude_slope(z: Real) -> Real {
 }
 
 impl Branch {
-    /// Multiplies the factors of the weights that see encodings by how far each frequency is let in.
-    pub(super) fn dim(&self, factors: &mut [Real], window: &[Real]) {
-        self.signal[0].dim(factors, self.signal[0].outputs, &[window, window].concat());
-    }
-
     /// The columns of `sig.0` that see the feature, γ(p) and γ(X - p).
     pub(super) fn parts(&self) -> [Part; 3] {
         let (first, gamma) = (&self.signal[0], encoding::width(self.frequencies));

@@ -61,13 +61,6 @@ struct Sum {
 }
 
 impl Network {
-    /// Multiplies the factors of the weights that see encodings by how far each frequency is let in.
-    pub(super) fn dim(&self, factors: &mut [Real], share: f64) {
-        let window = encoding::window(self.branch.frequencies, share);
-        self.trunk.dim(factors, &window);
-        self.branch.dim(factors, &window);
-    }
-
     /// What the Gaussians of a chunk give without knowing the transmitter.
     fn begin(&self, weights: &[Real], means: &[[Real; 3]], slots: usize, scratch: &mut Scratch) -> Ahead {
         let Scratch { gamma, shared, feature, .. } = scratch;

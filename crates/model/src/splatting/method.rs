@@ -49,12 +49,6 @@ impl Splatting {
         }
     }
 
-    /// Factors on the network's weights, and 1 for the others.
-    fn padded(&self, frame: &Frame, mut factors: Vec<Real>) -> Vec<Real> {
-        factors.resize(factors.len() + self.laws(frame), 1.0);
-        factors
-    }
-
     /// What is read out in training: blended signals as they are, or clamped to [0, 1] as released.
     pub(super) fn shown<'a>(&self, blended: &'a [Real]) -> Cow<'a, [Real]> {
         match self.calibration {
@@ -297,10 +291,6 @@ impl Method for Splatting {
             add(&mut times, seconds);
         }
         (all, times)
-    }
-
-    fn frequency_window(&self, frame: &Frame, share: f64) -> Option<Vec<Real>> {
-        self.deformation.frequency_window(share).map(|window| self.padded(frame, window))
     }
 
     fn start(&self, frame: &Frame, data: &Dataset, train: &[usize], cloud: &mut GaussianCloud, weights: &mut [Real]) {

@@ -28,17 +28,13 @@ impl Folder {
         fs::write(self.0.path().join(name), bytes).unwrap();
     }
 
-    fn load(&self, normalise: bool) -> Result<Dataset> {
-        self.load_as(&Nerf2Csi { normalise, ..Nerf2Csi::default() })
-    }
-
-    fn load_as(&self, source: &Nerf2Csi) -> Result<Dataset> {
-        Nerf2Csi { root: ".".into(), carrier_hz: 1e9, spacing_hz: 2e6, ..source.clone() }
-            .load(self.0.path(), &|_, _| {})
+    fn load(&self) -> Result<Dataset> {
+        let source = Nerf2Csi { root: ".".into(), carrier_hz: 1e9, spacing_hz: 2e6, ..Nerf2Csi::default() };
+        source.load(self.0.path(), &|_, _| {})
     }
 
     fn fault(&self) -> String {
-        let error = self.load(true).unwrap_err();
+        let error = self.load().unwrap_err();
         assert!(error.is_input());
         error.to_string().replace(&self.0.path().join(".").display().to_string(), "DIR")
     }
@@ -47,33 +43,33 @@ impl Folder {
 #[test]
 fn uplinks_are_features_and_downlinks_observations() {
     let folder = Folder::new();
-    let data = folder.load(false).unwrap();
+    let data = folder.load().unwrap();
     assert_eq!((data.len(), data.width, data.height, data.placed), (6, 2, 2, false));
     assert_eq!((data.sample(3).id, data.sample(3).receiver), (1, 1));
     assert_eq!(data.scene.receivers[1].name, "antenna 2");
     assert_eq!(data.scene.receivers[1].pose.position, [0.0625, 0.0, 1.0]);
     // Snapshot 1 at antenna 2 begins at the number 24 of 48.
-    assert_eq!(data.query(3).features, [24.0, 26.0, 25.0, 27.0]);
-    assert_eq!(data.image(3).pixels, [28.0, 30.0, 29.0, 31.0]);
+    // All are divided by the largest modulus of the training part: snapshots 0 and 2.
+    let largest = 46f64.hypot(47.0);
+    let close = |found: &[Real], numbers: [f64; 4]| {
+        assert!(found.iter().zip(numbers).all(|(v, n)| (*v as f64 - n / largest).abs() < 1e-6), "{found:?}");
+    };
+    close(data.query(3).features, [24.0, 26.0, 25.0, 27.0]);
+    close(&data.image(3).pixels, [28.0, 30.0, 29.0, 31.0]);
     assert_eq!(data.official, Some((vec![0, 1, 4, 5], vec![2, 3])));
     let pwrfgs_core::Observations::Channels(channels) = &data.observations else { unreachable!() };
     assert_eq!(channels.frequencies_hz, [1e9 + 1e6, 1e9 + 3e6]);
-    // By the largest modulus of the training part: snapshots 0 and 2.
-    let scaled = folder.load(true).unwrap().image(5).pixels[3] as f64;
-    assert!((scaled - 47.0 / 46f64.hypot(47.0)).abs() < 1e-6);
     // That is also the largest of all, until the last snapshot is the test.
-    for (by_test_data, largest) in [(false, 30f64.hypot(31.0)), (true, 46f64.hypot(47.0))] {
-        folder.write("train_index.txt", "0\n1\n");
-        folder.write("test_index.txt", "2\n");
-        let data = folder.load_as(&Nerf2Csi { by_test_data, ..Nerf2Csi::default() }).unwrap();
-        assert!((data.image(5).pixels[3] as f64 - 47.0 / largest).abs() < 1e-6);
-    }
+    folder.write("train_index.txt", "0\n1\n");
+    folder.write("test_index.txt", "2\n");
+    let scaled = folder.load().unwrap().image(5).pixels[3] as f64;
+    assert!((scaled - 47.0 / 30f64.hypot(31.0)).abs() < 1e-6);
     folder.write("train_index.txt", "0\n2\n");
     folder.write("test_index.txt", "1\n");
     let said = Voxel::default().split(&data, &mut rng::stream(0, "split", 0)).unwrap_err();
     assert!(said.to_string().contains("does not say where the transmitters are"), "{said}");
     folder.write("tx_pos.csv", "x,y,z\n1,2,3\n4,5,6\n7,8,9\n");
-    let placed = folder.load(true).unwrap();
+    let placed = folder.load().unwrap();
     assert!(placed.placed && placed.sample(3).tx == [4.0, 5.0, 6.0]);
     // In double precision it is the same.
     let mut double =
@@ -82,7 +78,7 @@ fn uplinks_are_features_and_downlinks_observations() {
     double.remove(space);
     let numbers: Vec<u8> = (0..48).flat_map(|v| f64::from(v).to_le_bytes()).collect();
     folder.write("csidata.npy", [b"\x93NUMPY", double.as_slice(), &numbers].concat());
-    assert_eq!(folder.load(true).unwrap().image(5), placed.image(5));
+    assert_eq!(folder.load().unwrap().image(5), placed.image(5));
 }
 
 #[test]
