@@ -1,6 +1,6 @@
 //! Every shipped pipeline parses, survives its own text, and trains some steps on a small teacher.
-use pwrfgs::experiment::Session;
-use pwrfgs::experiment::sweep::{Board, Fate, JOINED, Plan, execute};
+use pwrfgs::experiment::sweep::{JOINED, Plan, execute};
+use pwrfgs::experiment::{Outcome, Session};
 use pwrfgs::prelude::*;
 use pwrfgs::train::Rays;
 use std::path::{Path, PathBuf};
@@ -107,19 +107,6 @@ fn every_pipeline_runs_some_steps() {
     }
 }
 
-/// Board that observes no run.
-struct Quiet;
-
-impl Board for Quiet {
-    fn starts(&self, _: usize) -> Box<dyn Observer> {
-        Box::new(Silent)
-    }
-
-    fn ends(&self, _: usize, fate: &Fate) {
-        assert!(matches!(fate, Fate::Finished { .. }), "{fate:?}");
-    }
-}
-
 #[test]
 fn every_joined_sweep_scores_the_mean_of_its_models() {
     let set = [
@@ -141,7 +128,8 @@ fn every_joined_sweep_scores_the_mean_of_its_models() {
             run.pipeline.set(short).unwrap();
         }
         let runs: Vec<usize> = (0..plan.runs.len()).collect();
-        execute(&plan, &runs, 2, &Quiet, &mut Session::new(&mut Silent)).unwrap_or_else(|e| panic!("{e}"));
+        let end = execute(&plan, &runs, 2, &Silent, &mut Session::new(&mut Silent)).unwrap_or_else(|e| panic!("{e}"));
+        assert!(matches!(end.joined, Some(Outcome::Finished { already: false, .. })), "{end:?}");
         let model = pwrfgs::model::file::read_ensemble(&folder.path().join(JOINED).join("model.safetensors")).unwrap();
         assert_eq!(model.names(), ["blended-0", "blended-1", "waves-0", "waves-1"]);
         let scores = std::fs::read_to_string(folder.path().join(JOINED).join("scores.csv")).unwrap();

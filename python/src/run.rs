@@ -3,7 +3,7 @@
 use crate::border::{raised, waited};
 use crate::settings::Pipeline;
 use pwrfgs::experiment::{Observer, Outcome, ScoreTable, Start, Validation};
-use pwrfgs::prelude::{Silent, StepReport};
+use pwrfgs::prelude::StepReport;
 use pwrfgs_core::{Error, Result};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -108,17 +108,6 @@ pub(crate) fn run(py: Python<'_>, pipeline: &Pipeline, out: PathBuf, hear: &Boun
         Outcome::Finished { already, .. } => Ok(!already),
         Outcome::Interrupted { .. } | Outcome::Unscored => Err(raised(py, Error::Stopped)),
     }
-}
-
-/// Runs of a sweep that nobody watches one by one.
-pub(crate) struct Nobody;
-
-impl pwrfgs::experiment::sweep::Board for Nobody {
-    fn starts(&self, _: usize) -> Box<dyn Observer> {
-        Box::new(Silent)
-    }
-
-    fn ends(&self, _: usize, _: &pwrfgs::experiment::sweep::Fate) {}
 }
 
 /// A table of scores as Python has it: `{predictor: {metric: {statistic: number}}}`.

@@ -1,8 +1,7 @@
 //! `simulate`, `sweep` and `report`, as the command line has them.
 
 use crate::border::{raised, waited, wrong};
-use crate::run::Nobody;
-use pwrfgs::experiment::sweep::{Fate, JOINED, Plan, SweepEnd, check, execute};
+use pwrfgs::experiment::sweep::{JOINED, Plan, SweepEnd, check, execute};
 use pwrfgs::experiment::{Outcome, Session};
 use pwrfgs::prelude::Silent;
 use pwrfgs::report::{Options, Study, write};
@@ -72,8 +71,8 @@ pub(crate) fn sweep(
     let work = |_: std::sync::mpsc::SyncSender<()>, stop: &std::sync::atomic::AtomicBool| {
         check(&plan, &runs, &mut Silent)?;
         let mut session = Session { observer: &mut Silent, stop, page: pwrfgs::PAGE };
-        let SweepEnd { runs: ends, joined } = execute(&plan, &runs, jobs, &Nobody, &mut session)?;
-        let whole = ends.len() == runs.len() && ends.iter().all(|(_, fate)| matches!(fate, Fate::Finished { .. }));
+        let SweepEnd { runs: ends, joined } = execute(&plan, &runs, jobs, &Silent, &mut session)?;
+        let whole = ends.len() == runs.len() && ends.iter().all(|(_, end)| matches!(end, Ok(Outcome::Finished { .. })));
         if whole {
             let _held = plan.claim()?;
             let study = Study::read(std::slice::from_ref(&plan.folder))?;
@@ -82,17 +81,13 @@ pub(crate) fn sweep(
         Ok((ends, joined))
     };
     let (ends, joined) = waited(py, work, |()| Ok(()))?;
-    let failed = |fate: &Fate| match fate {
-        Fate::Failed(error) => Some(error.to_string()),
-        Fate::Finished { .. } => None,
-        Fate::Busy => Some("another process is at work in its folder".into()),
-        Fate::Interrupted { .. } | Fate::Unscored => Some("stopped; the same call goes on".into()),
+    let failed = |end: pwrfgs_core::Result<Outcome>| match end {
+        Err(error) => Some(error.to_string()),
+        Ok(Outcome::Finished { .. }) => None,
+        Ok(Outcome::Interrupted { .. } | Outcome::Unscored) => Some("stopped; the same call goes on".into()),
     };
-    let runs = ends.iter().map(|(run, fate)| (plan.folder_of(*run), failed(fate)));
-    let joined = joined.map(|outcome| {
-        let finished = matches!(outcome, Outcome::Finished { .. });
-        (plan.folder.join(JOINED), (!finished).then(|| "stopped; the same call goes on".to_owned()))
-    });
+    let runs = ends.into_iter().map(|(run, end)| (plan.folder_of(run), failed(end)));
+    let joined = joined.map(|end| (plan.folder.join(JOINED), failed(Ok(end))));
     Ok((plan.folder.clone(), runs.chain(joined).collect()))
 }
 

@@ -54,14 +54,6 @@ pub enum Error {
         /// What the pipeline can do about it.
         advice: &'static str,
     },
-    /// A member of an ensemble failed.
-    #[error("member `{}`: {source}", clean(name))]
-    Member {
-        /// The member.
-        name: String,
-        /// Why.
-        source: Box<Self>,
-    },
     /// Another process is at work in a folder.
     #[error("another pwrfgs is at work in {}; wait until it ends, or choose another --out", shown(.0))]
     Busy(PathBuf),
@@ -99,9 +91,6 @@ impl Error {
 
     /// Whether what the user gave is at fault, as against the machine or the arithmetic.
     pub fn is_input(&self) -> bool {
-        if let Self::Member { source, .. } = self {
-            return source.is_input();
-        }
         matches!(self, Self::Read { .. } | Self::Input { .. } | Self::Config(_) | Self::Busy(_) | Self::Plugin(_))
     }
 }
@@ -134,14 +123,6 @@ mod tests {
         let path = Path::new("a.ron");
         assert_eq!(Error::at(path, 3, 7, "no").to_string(), "a.ron:3:7: no");
         assert_eq!(Error::input(path, "no").to_string(), "a.ron: no");
-    }
-
-    #[test]
-    fn a_member_fails_as_its_run_does() {
-        let of = |error: Error| Error::Member { name: "waves-0".into(), source: Box::new(error) };
-        assert!(of(Error::Config("no".into())).is_input());
-        let full = of(Error::write(Path::new("model"), std::io::ErrorKind::StorageFull.into()));
-        assert!(!full.is_input() && full.to_string().starts_with("member `waves-0`: cannot write model: "), "{full}");
     }
 
     #[test]

@@ -75,7 +75,7 @@ pub trait Observer: Send {
     }
 }
 
-/// Nobody.
+/// Observer that ignores all events, and board that ignores all runs.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Silent;
 

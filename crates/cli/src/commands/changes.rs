@@ -2,6 +2,7 @@
 
 use clap::Args;
 use pwrfgs::experiment::folder::PIPELINE;
+use pwrfgs::experiment::sweep::LISTING;
 use pwrfgs_core::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -33,6 +34,12 @@ pub(super) fn named(path: &Path) -> Result<(PathBuf, Option<PathBuf>)> {
     let own = path.join(PIPELINE);
     if own.is_file() {
         return Ok((own, Some(path.into())));
+    }
+    if path.join(LISTING).is_file() {
+        return Err(Error::input(
+            path,
+            "is the folder of a sweep; repeat `pwrfgs sweep` with its file, or give the folder of a run in it",
+        ));
     }
     let why = format!("is a folder without {PIPELINE}, so no run folder; give a pipeline file, or the folder of a run");
     Err(Error::input(path, why))

@@ -11,7 +11,7 @@ use crate::progress::Progress;
 use board::Table;
 use clap::Args;
 use pwrfgs::experiment::folder::REPORT;
-use pwrfgs::experiment::sweep::{Fate, JOINED, Plan, State, SweepEnd, check, estimate, execute, slurm};
+use pwrfgs::experiment::sweep::{JOINED, Plan, State, SweepEnd, check, estimate, execute, slurm};
 use pwrfgs::experiment::{Outcome, Session};
 use pwrfgs_core::{Error, Result};
 use std::collections::BTreeSet;
@@ -145,7 +145,7 @@ fn here(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Resul
         let _held = plan.claim()?; // of two processes whose last runs end at once, one writes after the other
         super::report::of_sweep(&plan.folder, verbosity)?;
     }
-    let failed = ends.iter().filter(|(_, fate)| matches!(fate, Fate::Failed(_))).count();
+    let failed = ends.iter().filter(|(_, end)| end.as_ref().is_err_and(|e| !matches!(e, Error::Busy(_)))).count();
     output::result(&table::status(plan, runs, &queued_or_note(plan)))?;
     if let Some(Outcome::Finished { scores, .. }) = joined {
         let folder = plan.folder.join(JOINED);

@@ -3,9 +3,8 @@
 use super::join::join;
 use super::plan::Plan;
 use crate::folder::RunFolder;
-use crate::observer::Observer;
+use crate::observer::{Observer, Silent};
 use crate::runner::{Outcome, run};
-use crate::scores::ScoreTable;
 use crate::session::Session;
 use pwrfgs_core::{Error, Result};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -13,34 +12,12 @@ use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// How a run of a sweep ended.
-#[derive(Debug)]
-pub enum Fate {
-    /// Everything is written.
-    Finished {
-        /// Its scores.
-        scores: ScoreTable,
-        /// Whether it had finished before.
-        already: bool,
-    },
-    /// The sweep was asked to stop while this one trained.
-    Interrupted {
-        /// Steps done.
-        step: u64,
-    },
-    /// Or while its model was scored.
-    Unscored,
-    /// Another process is at work in its folder.
-    Busy,
-    /// It could not be done; the reason is kept in the sweep folder.
-    Failed(Error),
-}
-
 /// How a sweep ended, as far as this process did it.
 #[derive(Debug)]
 pub struct SweepEnd {
-    /// Each run, by its place in the plan.
-    pub runs: Vec<(usize, Fate)>,
+    /// Each run, by its place in the plan: [`Error::Busy`] if another process is at work in its folder; why another one
+    /// failed is kept in the sweep folder too.
+    pub runs: Vec<(usize, Result<Outcome>)>,
     /// The joined model, if the plan joins models and all runs have finished.
     pub joined: Option<Outcome>,
 }
@@ -51,7 +28,15 @@ pub trait Board: Sync {
     fn starts(&self, run: usize) -> Box<dyn Observer>;
 
     /// It ended.
-    fn ends(&self, run: usize, fate: &Fate);
+    fn ends(&self, run: usize, end: &Result<Outcome>);
+}
+
+impl Board for Silent {
+    fn starts(&self, _: usize) -> Box<dyn Observer> {
+        Box::new(Self)
+    }
+
+    fn ends(&self, _: usize, _: &Result<Outcome>) {}
 }
 
 /// Does the runs `runs` of the plan, `jobs` at a time, in their order. They share the threads of the calling pool. A run
@@ -84,14 +69,15 @@ pub fn execute(
                     if stop.load(Ordering::Relaxed) {
                         break;
                     }
-                    let fate = if RunFolder::is_busy(&plan.folder_of(run)) {
-                        Fate::Busy
+                    let folder = plan.folder_of(run);
+                    let end = if RunFolder::is_busy(&folder) {
+                        Err(Error::Busy(folder))
                     } else {
                         let mut observer = board.starts(run);
                         pool.install(|| one(plan, run, &mut Session { observer: &mut *observer, stop, page }))
                     };
-                    board.ends(run, &fate);
-                    ends.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push((run, fate));
+                    board.ends(run, &end);
+                    ends.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push((run, end));
                 }
             });
         }
@@ -102,7 +88,7 @@ pub fn execute(
 }
 
 /// Does one run.
-fn one(plan: &Plan, place: usize, session: &mut Session<'_>) -> Fate {
+fn one(plan: &Plan, place: usize, session: &mut Session<'_>) -> Result<Outcome> {
     let (folder, pipeline) = (plan.folder_of(place), &plan.runs[place].pipeline);
     plan.forget_failure(place);
     // A panic is a broken invariant of one run, a plugin's say; the others have none of it.
@@ -111,16 +97,12 @@ fn one(plan: &Plan, place: usize, session: &mut Session<'_>) -> Fate {
         let said = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
         Err(Error::Config(format!("the program panicked: {}", said.unwrap_or("no message"))))
     });
-    match outcome {
-        Ok(Outcome::Finished { scores, already }) => Fate::Finished { scores, already },
-        Ok(Outcome::Interrupted { step }) => Fate::Interrupted { step },
-        Ok(Outcome::Unscored) => Fate::Unscored,
-        // Another process has claimed it since it was looked at.
-        Err(Error::Busy(_)) => Fate::Busy,
-        Err(error) => {
-            // The failure itself is reported in any case.
-            _ = plan.note_failure(place, &error);
-            Fate::Failed(error)
-        }
+    // Another process may have claimed it since it was looked at.
+    if let Err(error) = &outcome
+        && !matches!(error, Error::Busy(_))
+    {
+        // The failure itself is reported in any case.
+        _ = plan.note_failure(place, error);
     }
+    outcome
 }

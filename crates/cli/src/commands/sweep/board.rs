@@ -4,10 +4,11 @@ use crate::args::Verbosity;
 use crate::output::{bars, note};
 use crate::progress::Progress;
 use indicatif::{ProgressBar, ProgressStyle};
-use pwrfgs::experiment::Observer;
 use pwrfgs::experiment::clock::duration;
-use pwrfgs::experiment::sweep::{Board, Fate, Plan, State};
+use pwrfgs::experiment::sweep::{Board, Plan, State};
 use pwrfgs::experiment::text::number;
+use pwrfgs::experiment::{Observer, Outcome};
+use pwrfgs_core::{Error, Result};
 use std::time::Instant;
 
 /// Draws what the runs of a plan report.
@@ -36,11 +37,11 @@ impl<'a> Table<'a> {
     }
 
     /// One line about the end of a run.
-    fn line(&self, run: usize, fate: &Fate) -> String {
+    fn line(&self, run: usize, end: &Result<Outcome>) -> String {
         let name = &self.plan.runs[run].folder;
-        match fate {
-            Fate::Finished { already: true, .. } => format!("{name}: finished before"),
-            Fate::Finished { scores, .. } => {
+        match end {
+            Ok(Outcome::Finished { already: true, .. }) => format!("{name}: finished before"),
+            Ok(Outcome::Finished { scores, .. }) => {
                 let score = |key| scores.of_model(key).map(|value| format!("  {key} {}", number(value)));
                 let time = match self.plan.state(run) {
                     State::Finished(end) => format!("  {}", duration(end.1.wall_seconds)),
@@ -49,10 +50,10 @@ impl<'a> Table<'a> {
                 let words = ["ssim", "eta_0db", "gaussians"].into_iter().filter_map(score).collect::<String>();
                 format!("{name}: done{words}{time}")
             }
-            Fate::Interrupted { step } => format!("{name}: stopped after step {step}"),
-            Fate::Unscored => format!("{name}: stopped before it was scored"),
-            Fate::Busy => format!("{name}: another process is at work on it; left to that one"),
-            Fate::Failed(error) => format!("{name}: failed: {error}"),
+            Ok(Outcome::Interrupted { step }) => format!("{name}: stopped after step {step}"),
+            Ok(Outcome::Unscored) => format!("{name}: stopped before it was scored"),
+            Err(Error::Busy(_)) => format!("{name}: another process is at work on it; left to that one"),
+            Err(error) => format!("{name}: failed: {error}"),
         }
     }
 }
@@ -62,13 +63,14 @@ impl Board for Table<'_> {
         Box::new(Progress::of_run(&self.plan.runs[run].folder, self.verbosity))
     }
 
-    fn ends(&self, run: usize, fate: &Fate) {
+    fn ends(&self, run: usize, end: &Result<Outcome>) {
         self.bar.inc(1);
         let (done, all) = (self.bar.position(), self.bar.length().unwrap_or(0));
         let left = self.begun.elapsed().as_secs_f64() / done.max(1) as f64 * all.saturating_sub(done) as f64;
         self.bar.set_message(format!("about {} left", duration(left)));
-        if self.verbosity != Verbosity::Quiet || matches!(fate, Fate::Failed(_)) {
-            note(&self.line(run, fate));
+        let failed = end.as_ref().is_err_and(|error| !matches!(error, Error::Busy(_)));
+        if self.verbosity != Verbosity::Quiet || failed {
+            note(&self.line(run, end));
         }
     }
 }

@@ -1,7 +1,8 @@
 //! The runs of a sweep as aligned text.
 
+use pwrfgs::experiment::Facts;
 use pwrfgs::experiment::clock::duration;
-use pwrfgs::experiment::sweep::{Plan, State};
+use pwrfgs::experiment::sweep::{JOINED, Plan, State};
 use pwrfgs::experiment::text::{aligned, grouped, number};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -35,7 +36,11 @@ pub(super) fn status(plan: &Plan, runs: &[usize], queued: &BTreeSet<String>) -> 
         lines.push(line);
     }
     let head = format!("{}: {finished} of {} runs finished, in {}\n", plan.name, runs.len(), plan.folder.display());
-    head + &aligned(&lines, 2)
+    let joined = plan.joined.as_ref().map_or("", |_| match Facts::finished(&plan.folder.join(JOINED)) {
+        Ok(Some(_)) => "their joined model is finished, in joined\n",
+        _ => "their models are joined after the last run\n",
+    });
+    head + joined + &aligned(&lines, 2)
 }
 
 /// All runs with the seconds each would take.
