@@ -21,7 +21,10 @@ fn main() {
     let bare: Plugin<dyn Method> = Plugin::parse("Nerf2(cache_mb: 0)").expect("a plugin");
     let plane = Plugin::<dyn Projector>::parse("Mercator()").expect("a plugin").plane(360, 90);
     let frame = Frame::spectra(Origin::ZERO, Pose::IDENTITY, plane);
-    let (weights, cloud) = (method.layout(&frame).init(&mut rng::stream(1, "weights", 0)), GaussianCloud::zeros(0));
+    let (weights, cloud) = (
+        method.layout(&frame).expect("a frame of spectra").init(&mut rng::stream(1, "weights", 0)),
+        GaussianCloud::zeros(0),
+    );
     let p = Parameters { cloud: &cloud, gate: None, presence: None, weights: &weights };
     let random = &mut rng::stream(2, "transmitters", 0);
     let conditions: Vec<Real> = (0..3 * RAYS).map(|_| rng::normal(random)).collect();
@@ -53,7 +56,7 @@ fn main() {
 /// Forward and back over random rays of as many spectra.
 fn step(method: &Plugin<dyn Method>, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>, random: &mut rng::Rng) {
     let places: Vec<usize> = (0..RAYS).map(|_| rng::below(random, frame.numbers())).collect();
-    let most = method.links_at_once(frame);
+    let most = method.cost(frame, RAYS, 1).links_at_once;
     let (_, seconds) = timed(3, || {
         let mut sums = MethodVjp::zeros(p);
         for (links, places) in asked.links.chunks(most).zip(places.chunks(most)) {

@@ -178,13 +178,11 @@ const fn link(transmitter: usize, receiver: usize) -> Link {
 }
 
 /// A step over these links: `size` is columns and rows of an observation.
-fn links(deformation: &str, readout: Readout, size: (usize, usize), objective: Box<dyn Objective>) -> Step {
+fn links(method: &str, size: (usize, usize), objective: Box<dyn Objective>) -> Step {
     let mut step = Step::new("Fixed()", Readout::Magnitude, 1, 0.0, 11);
-    let kind = readout.task();
-    let base = step.stages.with(|splatting| {
-        splatting.deformation = plugin(deformation);
-        splatting.readout = readout;
-    });
+    let method: Plugin<dyn Method> = plugin(method);
+    let kind = method.traits().task.unwrap();
+    let base = Stages { method, frame: step.stages.frame.clone() };
     let plane = if kind == Task::Spectrum {
         base.frame.plane.clone()
     } else {
@@ -194,7 +192,7 @@ fn links(deformation: &str, readout: Readout, size: (usize, usize), objective: B
     let frame = Frame { receivers: receivers(), task: kind, plane, frequencies_hz, ..base.frame.clone() };
     let stages = Stages { frame, ..base };
     step.weights = stages.layout().init(&mut rng::stream(12, "network", 0));
-    let (width, random) = (stages.method.inputs(), &mut rng::stream(13, "links", 0));
+    let (width, random) = (stages.method.traits().inputs, &mut rng::stream(13, "links", 0));
     let conditions = (0..3 * width).map(|_| rng::normal(random)).collect();
     let numbers = LINKS.len() * stages.frame.numbers();
     let truths = (0..numbers).map(|_| rng::normal(random)).collect();
@@ -202,6 +200,14 @@ fn links(deformation: &str, readout: Readout, size: (usize, usize), objective: B
     step.stages = Arc::new(stages);
     step.objective = objective;
     step
+}
+
+fn splats(deformation: &str, readout: &str) -> String {
+    format!("Splatting(deformation: {deformation}, readout: {readout})")
+}
+
+fn splatted_channel(deformation: &str) -> String {
+    format!("SplattedChannel(deformation: {deformation})")
 }
 
 const NETWORK: &str = "Factored(depth: 2, width: 8, tx_encoding: Wavelengths(count: 2, longest_m: 9.0, shortest_m: 4.0), \
@@ -213,7 +219,7 @@ const NETWORK: &str = "Factored(depth: 2, width: 8, tx_encoding: Wavelengths(cou
 fn powers_at_two_receivers_differentiate_in_every_column_and_law() {
     for power in [Errors::Absolute, Errors::Squared] {
         let mut step =
-            links(NETWORK, Readout::Received { sky_deg: 20, filter_deg2: 120.0 }, (1, 1), Box::new(LinkLoss { power }));
+            links(&splats(NETWORK, "Received(sky_deg: 20, filter_deg2: 120.0)"), (1, 1), Box::new(LinkLoss { power }));
         let offsets = step.weights.len() - 4;
         step.weights[offsets..].copy_from_slice(&[0.3, -0.2, 1.8, 2.2]);
         step.check(&format!("Received, {power:?}"), None);
@@ -224,10 +230,11 @@ fn powers_at_two_receivers_differentiate_in_every_column_and_law() {
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn spectra_at_two_receivers_differentiate() {
     let objective = || Box::new(RenderingLoss::new(0.2));
-    links(NETWORK, Readout::Magnitude, (90, 24), objective()).check("spectra at two receivers", None);
+    links(&splats(NETWORK, "Magnitude"), (90, 24), objective()).check("spectra at two receivers", None);
     let moving = "Mlp(depth: 2, width: 8, skip: None, tx_hidden: 8, tx_features: 4, position_frequencies: 1, \
                   tx_frequencies: 1, head_init: 0.3)";
-    links(moving, Readout::Magnitude, (90, 24), objective()).check("geometry of its own for each link", Some("means"));
+    links(&splats(moving, "Magnitude"), (90, 24), objective())
+        .check("geometry of its own for each link", Some("means"));
 }
 
 /// Gaussians as waves on the antennas, their signals decided by features of the data.
@@ -237,8 +244,8 @@ fn channels_of_features_differentiate() {
     let of = |encoding| format!("Factored(depth: 2, width: 6, tx_encoding: {encoding}, position_encoding: Octaves(1))");
     let features = [of("Features(width: 5, gain: 0.7)"), of("PseudoPosition(width: 5, gain: 0.5, octaves: 2)")];
     for network in [NETWORK, &features[0], &features[1]] {
-        let step = links(network, Readout::Channel, (3, 4), Box::new(ChannelLoss { mean_energy: 1.7 }));
-        step.check(&format!("Channel, {network}"), None);
+        let step = links(&splatted_channel(network), (3, 4), Box::new(ChannelLoss { mean_energy: 1.7 }));
+        step.check(&format!("SplattedChannel, {network}"), None);
     }
 }
 
@@ -246,14 +253,14 @@ fn channels_of_features_differentiate() {
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn virtual_transmitters_differentiate() {
     for order in [0, 2] {
-        let mut step = links(NETWORK, Readout::Channel, (3, 4), Box::new(ChannelLoss { mean_energy: 1.7 }));
+        let mut step = links(&splatted_channel(NETWORK), (3, 4), Box::new(ChannelLoss { mean_energy: 1.7 }));
         let mut stages = Stages::clone(&step.stages);
         stages.method = plugin(&format!("VirtualTransmitters(order: {order})"));
         stages.frame.receivers.truncate(1);
         step.weights = Vec::new();
         step.batch.links = (0..3).map(|transmitter| Link { transmitter, receiver: 0 }).collect();
         step.batch.truths.truncate(3 * stages.frame.numbers());
-        step.cloud.complete(&stages.method.columns()).unwrap();
+        step.cloud.complete(&stages.method.traits().columns).unwrap();
         let random = &mut rng::stream(3, "harmonics", 0);
         let own = step.cloud.extra.iter_mut().filter(|column| column.name == "harmonics");
         own.for_each(|column| column.values.fill_with(|| 0.2 * rng::normal(random)));

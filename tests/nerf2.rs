@@ -45,14 +45,14 @@ impl Room {
         };
         let frame =
             Frame { receivers, task: kind, frequencies_hz, ..Frame::spectra(Origin::ZERO, Pose::IDENTITY, plane) };
-        let weights = method.layout(&frame).init(&mut rng::stream(3, "network", 0));
+        let weights = method.layout(&frame).unwrap().init(&mut rng::stream(3, "network", 0));
         let random = &mut rng::stream(4, "transmitters", 0);
-        let conditions = (0..3 * method.inputs()).map(|_| rng::normal(random)).collect();
+        let conditions = (0..3 * method.traits().inputs).map(|_| rng::normal(random)).collect();
         Self { method, frame, weights, conditions }
     }
 
     fn asked<'a>(&'a self, links: &'a [Link], pixels: Pixels<'a>) -> Asked<'a> {
-        Asked { conditions: Conditions::new(self.method.inputs(), &self.conditions), links, pixels }
+        Asked { conditions: Conditions::new(self.method.traits().inputs, &self.conditions), links, pixels }
     }
 
     fn numbers(&self, weights: &[Real], links: &[Link], pixels: Pixels<'_>) -> Vec<Real> {
@@ -131,7 +131,7 @@ fn what_is_kept_changes_no_bit_of_a_prediction() {
 fn darker(room: &Room, factor: Real) -> Vec<Real> {
     let mut weights = room.weights.clone();
     let mut from = 0;
-    for spec in room.method.layout(&room.frame).weights {
+    for spec in room.method.layout(&room.frame).unwrap().weights {
         let own = &mut weights[from..from + spec.len()];
         from += spec.len();
         if spec.name.starts_with("attenuation.") {

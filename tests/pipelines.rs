@@ -65,7 +65,7 @@ fn small(kind: Option<Task>, inputs: usize, folder: &Path) -> String {
 
 /// A network of rays that a test has time for.
 fn shrink(pipeline: &mut Pipeline) {
-    if pipeline.method.as_ref().is_some_and(|method| !method.has_gaussians()) {
+    if pipeline.method.as_ref().is_some_and(|method| !method.traits().has_gaussians()) {
         for (field, value) in [("depth", "2"), ("width", "8"), ("samples", "4")] {
             pipeline.set(&format!("method.Nerf2.{field}={value}")).unwrap();
         }
@@ -85,7 +85,7 @@ fn every_pipeline_runs_some_steps() {
         let folder = tempfile::tempdir().unwrap();
         for change in [
             "training.target=0".to_owned(), // more than there will be
-            small(pipeline.data.task(), pipeline.method().inputs(), folder.path()),
+            small(pipeline.data.task(), pipeline.method().traits().inputs, folder.path()),
             format!("initializer=Random(count: {count}, std: 5.0)"),
             "baselines=[MeanSpectrum()]".to_owned(), // ray tracing needs a scene
             "training=(densify_until: 6, prune_until: 9)".to_owned(),

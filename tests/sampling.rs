@@ -25,7 +25,7 @@ fn every_way(mut check: impl FnMut(&str, &Stages)) {
             whole.frame.plane = whole.splatting().unwrap().projector.plane(90, 24);
             let coarse = whole.frame.plane.strided(STRIDE, [0, 0]);
             let frame = Frame { plane: coarse, ..whole.frame.clone() };
-            if whole.method.check_frame(&frame).is_ok() {
+            if whole.method.layout(&frame).is_ok() {
                 check(&way, &whole);
                 checked.push(way);
             }
@@ -167,9 +167,9 @@ fn whole_tiles_refuse_a_stride() {
         splatting.rasterizer = plugin("AlphaBlending(support: TileSquares)");
     });
     whole.frame.plane = ImagePlane { wraps: false, angles: None, ..whole.frame.plane.clone() };
-    assert_eq!(whole.method.check_frame(&whole.frame), Ok(()));
+    assert!(whole.method.layout(&whole.frame).is_ok());
     whole.frame.plane = whole.frame.plane.strided(STRIDE, [0, 0]);
-    assert!(whole.method.check_frame(&whole.frame).unwrap_err().contains("training.stride: 1"));
+    assert!(whole.method.layout(&whole.frame).unwrap_err().contains("training.stride: 1"));
 }
 
 #[test]

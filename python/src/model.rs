@@ -7,7 +7,7 @@ use numpy::PyArrayDyn;
 use pwrfgs::experiment::export;
 use pwrfgs::model::{Ensemble, Prepared, Stages, file};
 use pwrfgs_core::files::{check_file_place, write_atomically};
-use pwrfgs_core::{Error, Frame, Query, Real, Result};
+use pwrfgs_core::{Activated, Error, Frame, Query, Real, Result};
 use pyo3::prelude::*;
 use pyo3::types::{PyList, PyTuple};
 use rayon::prelude::*;
@@ -77,7 +77,7 @@ impl Model {
         features: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Links> {
         let (stages, there) = (self.stages(), &self.stages().frame.receivers);
-        let inputs = stages.method.inputs();
+        let inputs = stages.method.traits().inputs;
         let (txs, features, one) = match (tx, features) {
             (Some(tx), None) if inputs == 3 => {
                 let one = axes(tx)? == 1;
@@ -272,7 +272,7 @@ impl Model {
                 Some([place[0], place[1], place[2]])
             }
         };
-        let (primitives, signals) = free(py, || Ok(model.gaussians(tx)))?;
+        let Activated { primitives, signals, .. } = free(py, || Ok(model.gaussians(tx)))?;
         let (n, origin) = (primitives.len(), model.stages.origin);
         let channels = signals.len().checked_div(n).unwrap_or(2);
         let signal = |own: &[Real]| Gain::new(own[0], own.get(1).copied().unwrap_or(0.0));

@@ -2,7 +2,7 @@
 use crate::common::{SMALL, refuse, succeed, write};
 use pwrfgs::data::read_points;
 use pwrfgs::model::{Model, file};
-use pwrfgs_core::{DeformationInputs, Real, sigmoid};
+use pwrfgs_core::{Activated, DeformationInputs, Real, sigmoid};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -181,7 +181,7 @@ fn an_npz_file_holds_every_number_of_the_model() {
 
     // The transmitter adds what is drawn, and changes nothing else.
     assert!(base.iter().all(|(name, array)| at[name] == *array));
-    let (primitives, signals) = model.gaussians(Some(TX));
+    let Activated { primitives, signals, .. } = model.gaussians(Some(TX));
     let same = |name: &str, values: &[Real]| {
         assert_eq!(at[name].1, values.iter().map(|v| *v as f64).collect::<Vec<_>>(), "{name}");
     };

@@ -300,7 +300,7 @@ fn channels_are_reported_predicted_and_mapped() {
     let text = format!(
         "Pipeline(name: \"office\", data: Simulated(scene: \"{scene}\", samples: 24, points: 200, observe: \
          Channel(snr_db: 30), cache: false), split: Random(test: 0.25), initializer: PointCloud(max_points: 10), \
-         deformation: Factored(depth: 1, width: 8, tx_encoding: Octaves(1)), readout: Channel, training: (steps: 6, batch: \
+         method: SplattedChannel(deformation: Factored(depth: 1, width: 8, tx_encoding: Octaves(1))), training: (steps: 6, batch: \
          2, densify_until: 2, prune_until: 4, prune_every: 2, validate_every: 0, densify: (every: 0)), baselines: \
          [NearestNeighbours(k: 1)], metrics: [ChannelSnr()])"
     );

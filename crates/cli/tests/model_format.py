@@ -51,10 +51,12 @@ def read_safetensors(path):
 
 
 def local(note):
-    """The note with everything counted from the origin, and `links` in every one."""
+    """The note with everything counted from the origin, RON text read, and `links` in every one."""
     note["origin"] = np.array(note.get("origin", [0, 0, 0]), dtype=float)
     if "links" not in note:
         note["links"] = {"kind": "Spectrum", "receivers": [{"name": "", "pose": note["pose"], "antennas": [[0, 0, 0]]}]}
+    for key in {"deformation", "method"} & note.keys():
+        note[key] = read_ron(note[key])
     for receiver in note["links"]["receivers"]:
         receiver["pose"]["position"] = receiver["pose"]["position"] - note["origin"]
     return note
@@ -171,7 +173,7 @@ def wrfgs(tensors, settings, means, tx, position):
 
 def deform(tensors, note, told):
     """What is added to rotations, scales and signals, each absent where the transmitter leaves it alone."""
-    settings, means = read_ron(note["deformation"]), tensors["gaussians.means"]
+    settings, means = note["deformation"], tensors["gaussians.means"]
     if settings[""] == "Mlp":
         return mlp(tensors, settings, means, told)
     if settings[""] == "Factored":
@@ -194,7 +196,7 @@ def activate(tensors, note, added):
     if physical:
         scales, quats = np.maximum(scales, 1e-4), unit(quats)
     opacities = 1 / (1 + np.exp(-tensors["gaussians.opacity_logits"][:, 0]))
-    replaces = note["deformation"].startswith("Wrfgs")
+    replaces = note["deformation"][""] == "Wrfgs"
     signals = added["signal"] if replaces else tensors["gaussians.signals"] + added.get("signal", 0)
     if not physical:
         signals = np.maximum(0.28209479177387814 * signals + 0.5, 0)
@@ -402,7 +404,8 @@ def received(tensors, note, told, receiver):
 
 
 def spherical(tensors, note, told, receiver):
-    """`readout: Channel`: [A, F]."""
+    """`SplattedChannel`: [A, F]."""
+    note = note | {"deformation": note["method"]["deformation"], "calibration": "Physical", "readout": None}
     own, f = note["links"]["receivers"][receiver], np.array(note["links"]["frequencies_hz"])
     antennas = own["pose"]["position"] + np.array(own["antennas"]) @ to_world(own["pose"]).T
     signals = activate(tensors, note, deform(tensors, note, told))[3]
@@ -499,13 +502,11 @@ def predict(tensors, note, tx, features, receiver):
     """A spectrum [H, W], a power in dBm, or a channel [A, F] of a transmitter at `tx` (metres), or of `features`."""
     told = (np.array(tx) - note["origin"]).astype("f4").astype(float) if features is None else features
     if "method" in note:
-        settings = read_ron(note["method"])
+        settings = note["method"]
         if settings[""] == "Nerf2":
             return nerf2(tensors, settings, note, told, receiver)
-        assert settings[""] == "VirtualTransmitters"
-        return virtual_transmitters(tensors, note, told, receiver)
-    if note["readout"] == "Channel":
-        return spherical(tensors, note, told, receiver)
+        own = {"VirtualTransmitters": virtual_transmitters, "SplattedChannel": spherical}[settings[""]]
+        return own(tensors, note, told, receiver)
     if "Received" in note["readout"]:
         return received(tensors, note, told, receiver)
     pose = note["links"]["receivers"][receiver]["pose"]

@@ -133,7 +133,7 @@ fn virtual_transmitters(order: usize) -> Model {
     let frame = Frame { origin: Origin([10.0, 0.0, -3.0]), receivers, task: Task::Channel, plane, frequencies_hz };
     let method: Plugin<dyn Method> = Plugin::parse(&format!("VirtualTransmitters(order: {order})")).unwrap();
     let mut cloud = cloud();
-    cloud.complete(&method.columns()).unwrap();
+    cloud.complete(&method.traits().columns).unwrap();
     let mut random = rng::stream(6, "harmonics", 0);
     cloud.extra.iter_mut().for_each(|column| column.values.fill_with(|| rng::normal(&mut random)));
     Model { stages: Stages { method, frame }, cloud, weights: Vec::new() }

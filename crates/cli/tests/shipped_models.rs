@@ -27,7 +27,7 @@ fn small_data(pipeline: &Pipeline, uplinks: &Path) -> String {
     };
     match pipeline.data.task() {
         Some(Task::Power) => simulated("office-links.ron", ", observe: Power()"),
-        Some(Task::Channel) if pipeline.method().inputs() != 3 => {
+        Some(Task::Channel) if pipeline.method().traits().inputs != 3 => {
             format!("data.root={:?}", uplinks.display().to_string())
         }
         Some(Task::Channel) => simulated("office-channel.ron", ", observe: Channel()"),
@@ -40,13 +40,13 @@ fn small_data(pipeline: &Pipeline, uplinks: &Path) -> String {
 fn changes(pipeline: &Pipeline, uplinks: &Path) -> Vec<String> {
     let mut changes = vec![small_data(pipeline, uplinks), "split=Random(validation: 0)".into()];
     changes.push("training=(steps: 4, batch: 4, densify_until: 0, prune_until: 0, target: 0)".into());
-    if pipeline.method().has_gaussians() {
+    if pipeline.method().traits().has_gaussians() {
         changes.extend(["pruners=[]", "training.densify=(every: 0)"].map(String::from));
     } else {
         changes.extend(["width=8", "samples=6"].map(|field| format!("method.Nerf2.{field}")));
         changes.push("training.rays=All".into());
     }
-    if !to_ron(&pipeline.initializer).starts_with("Grid") && pipeline.method().has_gaussians() {
+    if !to_ron(&pipeline.initializer).starts_with("Grid") && pipeline.method().traits().has_gaussians() {
         changes.push("initializer=Random(count: 50, std: 3.0)".into());
     }
     changes
@@ -72,7 +72,7 @@ fn model_of(path: &Path, uplinks: &Path, more: Option<&str>) -> Ensemble {
 /// What `pwrfgs predict` writes, of a model that it refuses because it reads features.
 fn predict_from_features(ensemble: &Ensemble, out: &Path) {
     let prepared = ensemble.prepare();
-    let width = ensemble.members()[0].stages.method.inputs();
+    let width = ensemble.members()[0].stages.method.traits().inputs;
     let features: Vec<Real> = (0..ASKED * width).map(|k| (0.7 * k as Real).sin()).collect();
     let floats = |values: &[Real]| values.iter().flat_map(|v| (*v as f32).to_le_bytes()).collect::<Vec<u8>>();
     write(&out.join("features.npy"), [npy_header(Number::F32, &[ASKED, width]), floats(&features)].concat());
@@ -101,13 +101,13 @@ fn numpy_alone_predicts_what_every_shipped_pipeline_makes() {
     let mut cases: Vec<_> =
         files.map(|path| (path.file_stem().unwrap().to_str().unwrap().to_owned(), path, None)).collect();
     cases.sort();
-    let pseudo = "deformation.tx_encoding=PseudoPosition(width: 416, gain: 0.5, octaves: 3)";
+    let pseudo = "method.deformation.tx_encoding=PseudoPosition(width: 416, gain: 0.5, octaves: 3)";
     cases.push(("pseudo".into(), project("pipelines/uplink.ron"), Some(pseudo)));
     let (mut pairs, mut expected) = (Vec::new(), 0);
     for (name, path, more) in cases {
         let (ensemble, saved) = (model_of(&path, &uplinks, more), format!("{name}.safetensors"));
         file::write_ensemble(&here.join(&saved), &ensemble).unwrap();
-        if ensemble.members()[0].stages.method.inputs() == 3 {
+        if ensemble.members()[0].stages.method.traits().inputs == 3 {
             predict(here, &saved, &name);
             expected += 2 * ensemble.prepare().receivers().len();
         } else {

@@ -101,7 +101,7 @@ impl Initializer for MatchingPursuit {
         let links = Links { positions: &positions, antennas: &antennas, frequencies: &channels.frequencies_hz };
         let channel: Vec<[Real; 2]> = seen.train.iter().flat_map(|&i| channels.of(i)).copied().collect();
         let node = Some(scene.receivers[0].pose.position);
-        let order = order_of(&seen.method.columns());
+        let order = order_of(&seen.method.traits().columns);
         let mut all = Sources::new(order);
         for search in 0..self.searches {
             let seed = (0..4).fold(0, |seed, _| seed << 16 | rng::below(rng, 1 << 16) as u64);

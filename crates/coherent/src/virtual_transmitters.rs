@@ -5,7 +5,8 @@ use crate::harmonics::{HIGHEST, terms};
 use crate::links::Links;
 use crate::options::Pursuit;
 use pwrfgs_core::{
-    Asked, Cache, Frame, JsonSchema, Method, MethodVjp, Observed, Parameters, Real, Receiver, Task, gains_of, rows_of,
+    Asked, Cache, Frame, JsonSchema, Layout, Method, MethodTraits, MethodVjp, Observed, Parameters, Real, Receiver,
+    Task, gains_of, rows_of,
 };
 use serde::{Deserialize, Serialize};
 
@@ -28,7 +29,7 @@ use serde::{Deserialize, Serialize};
 /// # use pwrfgs_core::{Method, Plugin};
 /// # use pwrfgs_coherent as _;
 /// let method = Plugin::<dyn Method>::parse("VirtualTransmitters(order: 2)").unwrap();
-/// assert_eq!(method.columns(), [("harmonics", 16)]);
+/// assert_eq!(method.traits().columns, [("harmonics", 16)]);
 /// assert!(Plugin::<dyn Method>::parse("VirtualTransmitters(order: 4)").is_err());
 /// ```
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
@@ -57,13 +58,10 @@ fn positions(asked: &Asked<'_>) -> Vec<[Real; 3]> {
 
 #[typetag::serde]
 impl Method for VirtualTransmitters {
-    fn task(&self) -> Option<Task> {
-        Some(Task::Channel)
-    }
-
-    fn columns(&self) -> Vec<(&'static str, usize)> {
+    fn traits(&self) -> MethodTraits {
         let more = 2 * (terms(self.order.min(HIGHEST)) - 1);
-        if more == 0 { Vec::new() } else { vec![(HARMONICS, more)] }
+        let columns = if more == 0 { Vec::new() } else { vec![(HARMONICS, more)] };
+        MethodTraits { task: Some(Task::Channel), columns, ..MethodTraits::default() }
     }
 
     fn check(&self) -> Result<(), String> {
@@ -95,7 +93,7 @@ impl Method for VirtualTransmitters {
         }
     }
 
-    fn check_frame(&self, frame: &Frame) -> Result<(), String> {
+    fn layout(&self, frame: &Frame) -> Result<Layout, String> {
         if !frame.task.is_complex {
             return Err(format!("method: VirtualTransmitters gives channels, and the data are {}", frame.task.plural));
         }
@@ -105,6 +103,6 @@ impl Method for VirtualTransmitters {
                 frame.receivers.len()
             ));
         }
-        Ok(())
+        Ok(Layout::default())
     }
 }

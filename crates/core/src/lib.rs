@@ -65,7 +65,9 @@ pub use image::{Axis, Elevation, Image, ImagePlane, Sampling};
 pub use initializer::{Initializer, Seen};
 pub use layout::{Layout, WeightSpec};
 pub use link::{Features, Link, Query, Receiver, Sample, Transmitter};
-pub use method::{Asked, Frame, Method, MethodVjp, Observed, Parameters, Pixels};
+pub use method::{
+    Activated, Appearance, Asked, Cost, Frame, Method, MethodTraits, MethodVjp, Observed, Parameters, Pixels,
+};
 pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, Scope, StageTimes, Values};
 pub use origin::Origin;
 pub use partition::{Known, LinkSet, Partition};

@@ -2,7 +2,7 @@
 
 use crate::{
     Cache, CloudStats, Conditions, Dataset, Elevation, GaussianCloud, ImagePlane, Layout, Link, Needs, Origin, Pose,
-    Real, Receiver, StageTimes, Statistics, Task, plugin_kind,
+    Primitives, Real, Receiver, StageTimes, Statistics, Task, plugin_kind,
 };
 
 /// Where observations are made, and what they are: all of a data set that a trained model has to know.
@@ -63,7 +63,7 @@ pub struct Parameters<'a> {
     /// What pruners multiply each Gaussian by, opacity and scale alike, `[N]`; `None`: all open.
     pub gate: Option<&'a [Real]>,
     /// What they multiply its part in the picture by, and nothing else, `[N]`; `None` without such a gate, and for a method
-    /// that does not [know](Method::knows_presence) the difference.
+    /// that does not [know](MethodTraits::knows_presence) the difference.
     pub presence: Option<&'a [Real]>,
     /// Everything else, as [`Method::layout`] names it.
     pub weights: &'a [Real],
@@ -76,7 +76,7 @@ pub struct Asked<'a> {
     pub conditions: Conditions<'a>,
     /// Rows of `conditions` and receivers of the frame. Links of a transmitter are next to each other.
     pub links: &'a [Link],
-    /// Which numbers of each observation; a method that does not [choose](Method::chooses_pixels) is asked for all.
+    /// Which numbers of each observation; a method that does not [choose](MethodTraits::chooses_pixels) is asked for all.
     pub pixels: Pixels<'a>,
 }
 
@@ -148,46 +148,22 @@ impl MethodVjp {
 pub trait Method:
     erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
 {
-    /// What it gives, where that does not depend on the frame.
-    fn task(&self) -> Option<Task> {
-        None
+    /// What does not depend on the frame.
+    fn traits(&self) -> MethodTraits {
+        MethodTraits::default()
     }
 
-    /// Whether it has Gaussians at all. Where not, there is no initializer, nothing is pruned, and clouds are empty.
-    fn has_gaussians(&self) -> bool {
-        true
-    }
-
-    /// Whether it can be asked for some [pixels](Asked::pixels) alone.
-    fn chooses_pixels(&self) -> bool {
-        false
-    }
-
-    /// How many links of [a pixel each](Pixels::Own) it had better be asked for at a time: what it keeps for the way back
-    /// then fits in memory. A step of more is taken in parts.
-    fn links_at_once(&self, frame: &Frame) -> usize {
-        let _ = frame;
-        usize::MAX
-    }
-
-    /// Bytes that a step over so many links, and so many numbers of each, keeps for its way back; 0 where what is kept goes
-    /// with the Gaussians.
-    fn step_bytes(&self, frame: &Frame, links: usize, pixels: usize) -> u64 {
-        let _ = (frame, links, pixels);
-        0
-    }
-
-    /// More columns of the cloud that it reads, by name and width: zero until something sets them, learned at the rate of
-    /// `signals`, and saved with the model.
-    fn columns(&self) -> Vec<(&'static str, usize)> {
-        Vec::new()
+    /// Memory that a step over `links`, and `pixels` numbers of each, takes.
+    fn cost(&self, frame: &Frame, links: usize, pixels: usize) -> Cost {
+        let _ = (frame, links);
+        Cost { pixels, ..Cost::default() }
     }
 
     /// Names, shapes and initial values of the weights.
-    fn layout(&self, frame: &Frame) -> Layout {
-        let _ = frame;
-        Layout::default()
-    }
+    ///
+    /// # Errors
+    /// Why it cannot serve the frame: another task, receivers too many, no subcarriers.
+    fn layout(&self, frame: &Frame) -> Result<Layout, String>;
 
     /// The rows of the cloud that can count, whatever the weights say; [`Self::forward`] gets these alone.
     fn drawable(&self, frame: &Frame, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
@@ -208,16 +184,6 @@ pub trait Method:
         d: &[Real],
         sums: &mut MethodVjp,
     );
-
-    /// Whether it reads [`Parameters::presence`]; where not, such gates are multiplied into the other.
-    fn knows_presence(&self) -> bool {
-        false
-    }
-
-    /// Whether it can tell what [wants blending](crate::Statistic::wants_blending) of its Gaussians.
-    fn blends(&self) -> bool {
-        false
-    }
 
     /// What each of its Gaussians has to do with the observations asked for, whose true values are `truths`
     /// `[L, numbers]`.
@@ -259,19 +225,12 @@ pub trait Method:
         let _ = (frame, data, train, cloud, weights);
     }
 
-    /// Numbers a transmitter is described by: 3 for its position.
-    fn inputs(&self) -> usize {
-        3
+    /// The Gaussians as they are drawn for a transmitter at `tx` (metres from the origin), or without any. `None`: as the
+    /// cloud says, whatever the transmitter.
+    fn gaussians(&self, frame: &Frame, parameters: &Parameters<'_>, tx: Option<[Real; 3]>) -> Option<Activated> {
+        let _ = (frame, parameters, tx);
+        None
     }
-
-    /// Brings a part of the pixels of an observation, which a stride leaves, into the form that the method gives them: a
-    /// stretched spectrum is stretched over these alone.
-    fn restrict(&self, numbers: &mut [Real]) {
-        let _ = numbers;
-    }
-
-    /// Refuses a frame that it cannot serve: another kind of observation, receivers too many, no subcarriers.
-    fn check_frame(&self, frame: &Frame) -> Result<(), String>;
 
     /// Refuses settings that cannot work, when the pipeline is read.
     fn check(&self) -> Result<(), String> {
@@ -279,3 +238,91 @@ pub trait Method:
     }
 }
 plugin_kind!(Method);
+
+/// What a [`Method`] gives, and what it can be asked for.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MethodTraits {
+    /// What it gives, where that does not depend on the frame.
+    pub task: Option<Task>,
+    /// Numbers that it reads of a transmitter: 3 for its position.
+    pub inputs: usize,
+    /// What its parameters look like in a room.
+    pub appearance: Appearance,
+    /// More columns of the cloud that it reads, by name and width: zero until something sets them, learned at the rate of
+    /// `signals`, and saved with the model.
+    pub columns: Vec<(&'static str, usize)>,
+    /// Whether it can be asked for some [pixels](Asked::pixels) alone.
+    pub chooses_pixels: bool,
+    /// Whether it reads [`Parameters::presence`]; if not, such gates are multiplied into the other.
+    pub knows_presence: bool,
+    /// Whether it can tell what [wants blending](crate::Statistic::wants_blending) of its Gaussians.
+    pub blends: bool,
+    /// Whether its spectra reach from 0 to 1 over the pixels that are drawn, so that a part of a measured spectrum has to be
+    /// stretched over these alone.
+    pub stretches: bool,
+}
+
+impl MethodTraits {
+    /// Whether there are Gaussians. If not, there is no initializer, nothing is pruned, and clouds are empty.
+    pub fn has_gaussians(&self) -> bool {
+        self.appearance != Appearance::Nothing
+    }
+}
+
+impl Default for MethodTraits {
+    /// Those of a method that reads positions and whose Gaussians are points.
+    fn default() -> Self {
+        Self {
+            task: None,
+            inputs: 3,
+            appearance: Appearance::Points,
+            columns: Vec::new(),
+            chooses_pixels: false,
+            knows_presence: false,
+            blends: false,
+            stretches: false,
+        }
+    }
+}
+
+/// What a model looks like in a room.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Appearance {
+    /// Gaussians as ellipsoids, with scales, rotations and opacities.
+    Ellipsoids,
+    /// Places without a size: sources of waves.
+    Points,
+    /// Nothing, because there are no Gaussians.
+    Nothing,
+}
+
+/// Gaussians as they are drawn.
+#[derive(Clone, Debug)]
+pub struct Activated {
+    /// In space.
+    pub primitives: Primitives,
+    /// Signals `[N, channels]`.
+    pub signals: Vec<Real>,
+    /// The grey value that each would give alone, were it opaque, `[N]`; `None` where signals exist for a transmitter only.
+    pub strengths: Option<Vec<Real>>,
+}
+
+/// Memory of a training step, beside what every method takes for its Gaussians and weights.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Cost {
+    /// Numbers kept of each Gaussian.
+    pub per_gaussian: usize,
+    /// Numbers drawn for each link.
+    pub pixels: usize,
+    /// Bytes kept for the way back that do not go with the Gaussians.
+    pub bytes: u64,
+    /// How many links of [a pixel each](Pixels::Own) it had better be asked for at a time: what it keeps for the way back
+    /// then fits in memory. A step of more is taken in parts.
+    pub links_at_once: usize,
+}
+
+impl Default for Cost {
+    fn default() -> Self {
+        Self { per_gaussian: 0, pixels: 0, bytes: 0, links_at_once: usize::MAX }
+    }
+}

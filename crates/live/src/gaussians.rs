@@ -1,9 +1,11 @@
 //! The Gaussians of a model on their way to a page: as they are, or as a transmitter makes them.
 
 use crate::Pack;
-use pwrfgs_core::{Asked, Conditions, Link, Needs, Origin, Parameters, Pixels, Real, Statistic};
+use pwrfgs_core::{
+    Activated, Asked, Conditions, Link, MethodTraits, Needs, Origin, Parameters, Pixels, Real, Statistic,
+};
 use pwrfgs_experiment::Snapshot;
-use pwrfgs_model::{Ensemble, Model, Readout};
+use pwrfgs_model::{Ensemble, Model};
 use serde_json::json;
 
 /// Means, scales, rotations, opacities and strengths `[N]` of all members, metres from `origin`; with `tx` (metres, world
@@ -12,13 +14,13 @@ use serde_json::json;
 pub fn gaussians(ensemble: &Ensemble, origin: Origin, tx: Option<[f64; 3]>) -> Pack {
     let mut pack = Pack::new(json!({ "gaussians": ensemble.gaussians() }));
     let n = ensemble.gaussians();
-    let all: Vec<_> = ensemble.members().iter().map(|model| (model, model.gaussians(tx))).collect();
+    let all: Vec<_> = ensemble.members().iter().map(|model| model.gaussians(tx)).collect();
     let put = |pack: &mut Pack, name: &str, width: usize, values: Vec<Real>| pack.put(name, &[n, width], values);
     put(&mut pack, "means", 3, ensemble.means_from(origin).into_flattened());
-    put(&mut pack, "scales", 3, all.iter().flat_map(|(_, (p, _))| p.scales.as_flattened().to_vec()).collect());
-    put(&mut pack, "quats", 4, all.iter().flat_map(|(_, (p, _))| p.quats.as_flattened().to_vec()).collect());
-    put(&mut pack, "opacities", 1, all.iter().flat_map(|(_, (p, _))| p.opacities.clone()).collect());
-    put(&mut pack, "strengths", 1, all.iter().flat_map(|(model, (_, signals))| strengths(model, signals)).collect());
+    put(&mut pack, "scales", 3, all.iter().flat_map(|own| own.primitives.scales.as_flattened().to_vec()).collect());
+    put(&mut pack, "quats", 4, all.iter().flat_map(|own| own.primitives.quats.as_flattened().to_vec()).collect());
+    put(&mut pack, "opacities", 1, all.iter().flat_map(|own| own.primitives.opacities.clone()).collect());
+    put(&mut pack, "strengths", 1, all.iter().flat_map(strengths).collect());
     pack
 }
 
@@ -29,15 +31,16 @@ pub fn contributions(ensemble: &Ensemble, tx: [f64; 3], receiver: usize) -> Vec<
 }
 
 fn contributions_of(model: &Model, tx: [f64; 3], receiver: usize) -> Vec<Real> {
-    let (primitives, signals) = model.gaussians(Some(tx));
-    let strengths = strengths(model, &signals);
+    let own = model.gaussians(Some(tx));
+    let (primitives, strengths) = (&own.primitives, strengths(&own));
     let stages = &model.stages;
-    if !stages.method.blends() {
+    let MethodTraits { blends, inputs, .. } = stages.method.traits();
+    if !blends {
         return strengths.iter().zip(&primitives.opacities).map(|(s, o)| s * o).collect();
     }
     let condition = stages.origin.local(tx);
     let asked = Asked {
-        conditions: Conditions::new(stages.method.inputs(), &condition),
+        conditions: Conditions::new(inputs, &condition),
         links: &[Link { transmitter: 0, receiver }],
         pixels: Pixels::All,
     };
@@ -48,11 +51,8 @@ fn contributions_of(model: &Model, tx: [f64; 3], receiver: usize) -> Vec<Real> {
     strengths.iter().zip(&seen.weight).map(|(s, w)| s * w).collect()
 }
 
-fn strengths(model: &Model, signals: &[Real]) -> Vec<Real> {
-    let readout = model.stages.splatting().map_or(Readout::Magnitude, |splats| splats.readout);
-    let (n, channels) = (model.cloud.len(), readout.channels());
-    let planar: Vec<Real> = (0..channels).flat_map(|c| (0..n).map(move |i| signals[i * channels + c])).collect();
-    if n == 0 { planar } else { readout.forward(&planar, n) }
+fn strengths(own: &Activated) -> Vec<Real> {
+    own.strengths.clone().unwrap_or_else(|| vec![0.0; own.primitives.len()])
 }
 
 /// The Gaussians of a snapshot, metres from `origin`: means and opacities, and where the file knows them scales, rotations,

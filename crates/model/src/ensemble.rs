@@ -1,7 +1,7 @@
 //! `Ensemble`: several models of one scene that predict together.
 
 use crate::{Model, Prepared};
-use pwrfgs_core::{ImagePlane, Origin, Real};
+use pwrfgs_core::{Appearance, ImagePlane, Origin, Real};
 
 /// Models of one scene, such as runs that differ in their seed. Its picture is the mean of theirs, each clamped to
 /// [0, 1] (one alone predicts as it is); where they disagree, nobody should trust it: see [`Prepared::predict_with_deviation`].
@@ -67,6 +67,11 @@ impl Ensemble {
     /// The models that take part, one or more.
     pub fn members(&self) -> &[Model] {
         &self.members
+    }
+
+    /// Whether all of them look like this in a room.
+    pub fn is_drawn_as(&self, appearance: Appearance) -> bool {
+        self.members.iter().all(|model| model.stages.method.traits().appearance == appearance)
     }
 
     /// What they are called.

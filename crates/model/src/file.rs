@@ -285,7 +285,8 @@ fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, St
     }
     let stages = Stages { method: method(note)?, frame: frame(note)? };
     stages.check()?;
-    let columns: Vec<_> = stages.method.columns().into_iter().map(|(name, width)| (name.to_owned(), width)).collect();
+    let columns: Vec<_> =
+        stages.method.traits().columns.into_iter().map(|(name, width)| (name.to_owned(), width)).collect();
     let cloud = take_columns(file, &format!("{prefix}gaussians."), note.gaussians, &columns)?;
     let weights = take_weights(file, &format!("{prefix}{NETWORK}"), &stages)?;
     check_constants(file, prefix, &stages)?;

@@ -7,11 +7,14 @@
 
 mod activate;
 pub mod deform;
+mod deformed;
 mod ensemble;
 pub mod file;
+mod groups;
 mod model;
 mod prepared;
 mod readout;
+mod splatted_channel;
 mod splatting;
 mod stages;
 pub mod tensors;
@@ -21,7 +24,8 @@ pub use activate::{Activation, ActivationVjp, Calibration};
 pub use ensemble::Ensemble;
 pub use model::Model;
 pub use prepared::Prepared;
-pub use readout::Readout;
+pub use readout::{Readout, stretch};
+pub use splatted_channel::SplattedChannel;
 pub use splatting::{Drawing, Gates, Geometry, Splatting, View, check_kind, check_together};
 pub use stages::Stages;
 pub use trained::Trained;

@@ -1,7 +1,8 @@
 //! `Model`: what is saved and predicts.
 
+use crate::readout::magnitudes;
 use crate::{Activation, Calibration, Stages};
-use pwrfgs_core::{DeformationInputs, Deltas, GaussianCloud, Origin, Primitives, Real};
+use pwrfgs_core::{Activated, Deltas, GaussianCloud, Origin, Parameters, Real};
 
 /// A trained model: predicts, and needs nothing else to do so.
 #[derive(Clone, Debug)]
@@ -15,22 +16,18 @@ pub struct Model {
 }
 
 impl Model {
-    /// What is drawn for a transmitter at `tx`, or of the base parameters alone: the Gaussians in space, and their
-    /// signals `[N, channels]`.
-    pub fn gaussians(&self, tx: Option<[f64; 3]>) -> (Primitives, Vec<Real>) {
-        let Some(splatting) = self.stages.splatting() else {
+    /// What is drawn for a transmitter at `tx` (metres, world frame), or of the base parameters alone.
+    pub fn gaussians(&self, tx: Option<[f64; 3]>) -> Activated {
+        let Stages { method, frame } = &self.stages;
+        let parameters = Parameters { cloud: &self.cloud, gate: None, presence: None, weights: &self.weights };
+        let local = tx.map(|tx| frame.origin.local(tx));
+        method.gaussians(frame, &parameters, local).unwrap_or_else(|| {
             let activation = Activation { calibration: Calibration::Physical, replaces_signals: false, channels: 2 };
             let none = Deltas::default();
-            return (activation.geometry(&self.cloud, &none, 0, None), activation.signals(&self.cloud, &none, 0..1));
-        };
-        let network = &self.weights[..splatting.deformation.layout().numbers()];
-        let deform = |tx: [Real; 3]| {
-            let (means, pose) = (&self.cloud.means, self.stages.pose());
-            splatting.deformation.forward(&DeformationInputs::new(network, means, &[tx], &pose), &None)
-        };
-        let deltas = tx.map(|tx| self.stages.origin.local(tx)).map_or_else(Deltas::default, deform);
-        let activation = splatting.activation();
-        (activation.geometry(&self.cloud, &deltas, 0, None), activation.signals(&self.cloud, &deltas, 0..1))
+            let signals = activation.signals(&self.cloud, &none, 0..1);
+            let strengths = Some(magnitudes(&signals));
+            Activated { primitives: activation.geometry(&self.cloud, &none, 0, None), signals, strengths }
+        })
     }
 
     /// The centres `[N,3]`, metres from `origin`.

@@ -211,7 +211,7 @@ impl<'a> Member<'a> {
         let Model { stages, weights, .. } = self.model;
         let (conditions, links) = asked(stages, queries);
         let asked = Asked {
-            conditions: Conditions::new(stages.method.inputs(), &conditions),
+            conditions: Conditions::new(stages.method.traits().inputs, &conditions),
             links: &links,
             pixels: Pixels::All,
         };
@@ -233,7 +233,7 @@ fn asked(stages: &Stages, queries: &[Query<'_>]) -> (Vec<Real>, Vec<Link>) {
                 conditions.extend_from_slice(query.features);
             }
         }
-        let transmitter = conditions.len() / stages.method.inputs().max(1) - 1;
+        let transmitter = conditions.len() / stages.method.traits().inputs.max(1) - 1;
         links.push(Link { transmitter, receiver: query.receiver.min(stages.receivers.len() - 1) });
         last = Some(query);
     }

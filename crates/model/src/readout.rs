@@ -31,10 +31,6 @@ pub enum Readout {
         #[serde(default = "filter_deg2")]
         filter_deg2: Real,
     },
-    /// A channel: c₀ + j·c₁ of each Gaussian as a spherical wave, summed on the antennas of the receiver for every subcarrier,
-    /// times a level that is learned for each receiver.
-    /// Nothing is projected: scales, rotations and opacities do not count, the projector and the rasterizer neither.
-    Channel,
 }
 
 /// A power needs no finer sky.
@@ -58,7 +54,6 @@ impl Readout {
     pub fn task(self) -> Task {
         match self {
             Self::Received { .. } => Task::Power,
-            Self::Channel => Task::Channel,
             _ => Task::Spectrum,
         }
     }
@@ -103,14 +98,6 @@ impl Readout {
             }
         });
         image
-    }
-
-    /// A part of the pixels of a measured picture as this readout would give it. A stretched picture that is looked at in
-    /// few places has to be stretched again: between them lie its darkest and its brightest.
-    pub fn restrict(self, image: &mut [Real]) {
-        if self == Self::MinMax {
-            stretch(image);
-        }
     }
 
     /// For each pixel the derivative of its grey value in its own channels, `[channels, H·W]`; [`Self::MinMax`] with its
@@ -161,6 +148,11 @@ impl Readout {
         );
         d
     }
+}
+
+/// Magnitudes `[N]` of signals `[N, 2]`.
+pub(crate) fn magnitudes(signals: &[Real]) -> Vec<Real> {
+    signals.as_chunks::<2>().0.iter().map(|[a, b]| (a * a + b * b).sqrt()).collect()
 }
 
 /// The squared magnitude of every pixel.
@@ -223,8 +215,9 @@ fn gain(low: Real, high: Real) -> Real {
     if high - low > NO_CONTRAST * high { 1.0 / (high - low) } else { 0.0 }
 }
 
-/// From the smallest value to the largest.
-fn stretch(image: &mut [Real]) {
+/// Stretches a picture from its smallest value to its largest, as [`Readout::MinMax`] does: one that is looked at in few
+/// places has to be stretched again, because between them lie its darkest and its brightest.
+pub fn stretch(image: &mut [Real]) {
     let (low, high) = range(image);
     let gain = gain(low, high);
     image.iter_mut().for_each(|v| *v = (*v - low) * gain);

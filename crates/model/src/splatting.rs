@@ -6,15 +6,12 @@
 //!                 signals ─► rasterize                              (Drawing) ─► read out ─► P̂
 //! ```
 
-mod channel;
-mod groups;
-mod heard;
-mod linear_start;
 mod method;
 mod received;
 mod survey;
 
 use crate::deform::Mlp;
+use crate::deformed;
 use crate::{Activation, ActivationVjp, Calibration, Readout};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
@@ -162,7 +159,7 @@ pub fn check_kind(readout: Readout, task: Task) -> Result<(), String> {
 impl Splatting {
     /// What is drawn of a receiver's sky: the spectrum itself, or a coarse sky that is summed up to a power.
     pub fn sky(&self, frame: &Frame) -> ImagePlane {
-        self.whole_sky(frame).expect("`check_frame` refuses what draws no whole sky")
+        self.whole_sky(frame).expect("`layout` refuses what draws no whole sky")
     }
 
     /// The same.
@@ -199,21 +196,21 @@ impl Splatting {
     /// The rows of `cloud` that can show in a picture, whatever the network says: gate open, not too faint for the
     /// rasterizer, seen by the projector. Only they need to pass the network; all, where it couples them.
     pub fn drawable(&self, frame: &Frame, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
+        let open = deformed::rows(&*self.deformation, cloud, gate);
         if self.deformation.traits().couples_gaussians {
-            return (0..cloud.len()).collect();
+            return open;
         }
-        let mut seen = vec![self.readout == Readout::Channel; cloud.len()];
-        let heard = self.readout == Readout::Channel; // nothing is projected, and nothing is faint
-        for View { pose, plane } in self.views(frame).into_iter().filter(|_| !heard) {
+        let mut seen = vec![false; cloud.len()];
+        for View { pose, plane } in self.views(frame) {
             let own = self.projector.sees(&cloud.means, &pose, &plane.whole());
             seen.iter_mut().zip(own).for_each(|(any, own)| *any |= own);
         }
         let faintest = self.rasterizer.faintest();
         let drawn = |i: &usize| {
             let gate = gate.map_or(1.0, |g| g[*i]);
-            gate != 0.0 && seen[*i] && (heard || gate * sigmoid(cloud.opacity_logits[*i]) >= faintest)
+            seen[*i] && gate * sigmoid(cloud.opacity_logits[*i]) >= faintest
         };
-        (0..cloud.len()).filter(drawn).collect()
+        open.into_iter().filter(drawn).collect()
     }
 
     /// The geometry of transmitter `b` of the batch in `deltas`, gated, in a view.

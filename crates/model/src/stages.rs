@@ -1,9 +1,10 @@
 //! `Stages`: a method and its frame, the whole way from parameters to observations.
 
-use crate::Splatting;
+use crate::{SplattedChannel, Splatting};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
-    Axis, Dataset, Error, Frame, GaussianCloud, ImagePlane, Layout, Method, Real, Receiver, Result, WeightSpec,
+    Axis, Dataset, Deformation, Error, Frame, GaussianCloud, ImagePlane, Layout, Method, Real, Receiver, Result,
+    WeightSpec,
 };
 use std::any::Any;
 use std::ops::{Deref, DerefMut};
@@ -66,6 +67,13 @@ impl Stages {
         method.downcast_ref()
     }
 
+    /// What the transmitter changes, where the method has Gaussians that a network changes.
+    pub fn deformation(&self) -> Option<&Plugin<dyn Deformation>> {
+        let method: &dyn Any = self.method.get();
+        let of_channel = || method.downcast_ref::<SplattedChannel>().map(|own| &own.deformation);
+        self.splatting().map(|own| &own.deformation).or_else(of_channel)
+    }
+
     /// The same with other settings of splatting.
     ///
     /// # Panics
@@ -104,12 +112,15 @@ impl Stages {
         if !self.task.has_pixels && (width, height) != expected {
             return Err(format!("plane: {width} x {height} numbers are no {}", self.task.singular));
         }
-        self.method.check_frame(&self.frame)
+        self.method.layout(&self.frame).map(drop)
     }
 
     /// Names, shapes and initial values of the weights.
+    ///
+    /// # Panics
+    /// Where the method cannot serve the frame, which [`Self::check`] refuses.
     pub fn layout(&self) -> Layout {
-        self.method.layout(&self.frame)
+        self.method.layout(&self.frame).unwrap_or_else(|why| panic!("{why}"))
     }
 
     /// How many of the weights are a network's: what is learned of receivers comes behind them.

@@ -6,8 +6,8 @@ use crate::path::Law;
 use crate::rays::Rays;
 use crate::walk::{Still, Sums, Trunked, Walk};
 use pwrfgs_core::{
-    Asked, Cache, Frame, JsonSchema, Layout, Method, MethodVjp, Observed, Parameters, Pixels, Real, SPEED_OF_LIGHT,
-    StageTimes, Task, cached, consts,
+    Appearance, Asked, Cache, Cost, Frame, JsonSchema, Layout, Method, MethodTraits, MethodVjp, Observed, Parameters,
+    Pixels, Real, SPEED_OF_LIGHT, StageTimes, Task, cached, consts,
 };
 use pwrfgs_layers::dense::add_in_order;
 use pwrfgs_layers::plan::{Plan, items_per_sum, laid_out, planned};
@@ -252,20 +252,16 @@ fn bytes_of(network: &Network, samples: usize, rays: usize, passes: usize) -> us
 
 #[typetag::serde]
 impl Method for Nerf2 {
-    fn has_gaussians(&self) -> bool {
-        false
+    fn traits(&self) -> MethodTraits {
+        MethodTraits {
+            inputs: if self.features == 0 { 3 } else { self.features },
+            appearance: Appearance::Nothing,
+            chooses_pixels: true,
+            ..MethodTraits::default()
+        }
     }
 
-    fn chooses_pixels(&self) -> bool {
-        true
-    }
-
-    fn links_at_once(&self, frame: &Frame) -> usize {
-        let network = planned(|plan| self.network(frame, plan)).0;
-        (KEPT / bytes_of(&network, self.samples, 1, 1)).max(1)
-    }
-
-    fn step_bytes(&self, frame: &Frame, links: usize, pixels: usize) -> u64 {
+    fn cost(&self, frame: &Frame, links: usize, pixels: usize) -> Cost {
         let network = planned(|plan| self.network(frame, plan)).0;
         // Rays that all links see, and the links along each; with a pixel each, as many rays as links.
         let (rays, passes) = match (frame.task.has_pixels, pixels) {
@@ -273,11 +269,24 @@ impl Method for Nerf2 {
             (true, pixels) => (pixels, links),
             _ => (self.sky(frame.task).len() * frame.receivers.len(), links.div_ceil(frame.receivers.len().max(1))),
         };
-        bytes_of(&network, self.samples, rays, passes).min(KEPT) as u64
+        Cost {
+            pixels,
+            bytes: bytes_of(&network, self.samples, rays, passes).min(KEPT) as u64,
+            links_at_once: (KEPT / bytes_of(&network, self.samples, 1, 1)).max(1),
+            ..Cost::default()
+        }
     }
 
-    fn layout(&self, frame: &Frame) -> Layout {
-        planned(|plan| self.network(frame, plan)).1.layout()
+    fn layout(&self, frame: &Frame) -> Result<Layout, String> {
+        if frame.task.is_complex && frame.receivers.iter().any(|receiver| receiver.antennas.len() > 1) {
+            return Err("method: Nerf2 hears one antenna at a time, and a receiver of these data has more; \
+                 make each antenna a receiver, as Nerf2Csi does with together: false"
+                .into());
+        }
+        if frame.task.has_pixels && frame.plane.direction(0.0, 0.0).is_none() {
+            return Err("method: Nerf2 wants directions of pixels, and these data do not say them".into());
+        }
+        Ok(planned(|plan| self.network(frame, plan)).1.layout())
     }
 
     fn forward(&self, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>) -> Observed {
@@ -387,22 +396,6 @@ impl Method for Nerf2 {
         let numbers = Self::observations(frame, &totals);
         let total = start.elapsed().as_secs_f64();
         (numbers, StageTimes { network: total, total, ..StageTimes::default() })
-    }
-
-    fn inputs(&self) -> usize {
-        if self.features == 0 { 3 } else { self.features }
-    }
-
-    fn check_frame(&self, frame: &Frame) -> Result<(), String> {
-        if frame.task.is_complex && frame.receivers.iter().any(|receiver| receiver.antennas.len() > 1) {
-            return Err("method: Nerf2 hears one antenna at a time, and a receiver of these data has more; \
-                 make each antenna a receiver, as Nerf2Csi does with together: false"
-                .into());
-        }
-        if frame.task.has_pixels && frame.plane.direction(0.0, 0.0).is_none() {
-            return Err("method: Nerf2 wants directions of pixels, and these data do not say them".into());
-        }
-        Ok(())
     }
 
     fn check(&self) -> Result<(), String> {

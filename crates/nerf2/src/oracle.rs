@@ -139,7 +139,7 @@ fn reproduce(mode: &str, bands: usize, law: Law) {
 }
 
 fn method_inputs(method: &Nerf2) -> usize {
-    pwrfgs_core::Method::inputs(method)
+    pwrfgs_core::Method::traits(method).inputs
 }
 
 #[test]

@@ -50,9 +50,8 @@ pub fn deformation() -> Plugin<dyn Deformation> {
 /// The readout of splats for observations of `kind`.
 pub fn readout(kind: Task) -> Readout {
     match kind {
-        Task::Spectrum => Readout::default(),
         Task::Power => Readout::RECEIVED,
-        Task::Channel => Readout::Channel,
+        Task::Spectrum | Task::Channel => Readout::default(),
     }
 }
 

@@ -17,13 +17,14 @@ pub(crate) fn mixed(pipeline: &Pipeline) -> Option<(&'static str, String)> {
 /// What the method cannot do that the pipeline wants of it.
 fn unable(pipeline: &Pipeline) -> Option<(&'static str, String)> {
     let method = pipeline.method();
-    let chooses = method.chooses_pixels() && pipeline.data.task().is_none_or(|task| task.has_pixels);
+    let traits = method.traits();
+    let chooses = traits.chooses_pixels && pipeline.data.task().is_none_or(|task| task.has_pixels);
     if pipeline.training.rays != Rays::All && !chooses {
         let what = "`rays` wants single pixels of spectra, which Nerf2 draws; leave it out".to_owned();
         return Some(("training", what));
     }
     let nobody_prunes = pipeline.pruners.is_empty() && pipeline.training.target == 0;
-    if !method.has_gaussians() && !nobody_prunes {
+    if !traits.has_gaussians() && !nobody_prunes {
         let what = format!("{} has no Gaussians, so there is nothing to prune; leave them out", name_of(&method));
         return Some(("pruners", what));
     }
@@ -32,11 +33,8 @@ fn unable(pipeline: &Pipeline) -> Option<(&'static str, String)> {
 
 fn other_kinds(pipeline: &Pipeline) -> Option<(&'static str, String)> {
     let task = pipeline.data.task()?;
-    let (method, field) = match &pipeline.method {
-        Some(method) => (method.task(), "method"),
-        None => (Some(pipeline.readout.task()), "readout"),
-    };
-    if let Some(own) = method.filter(|own| *own != task) {
+    let field = if pipeline.method.is_some() { "method" } else { "readout" };
+    if let Some(own) = pipeline.method().traits().task.filter(|own| *own != task) {
         let what = format!("it gives {}, and the data are {}; use {}", own.plural, task.plural, task.method);
         return Some((field, what));
     }

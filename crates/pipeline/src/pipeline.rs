@@ -7,9 +7,9 @@ use crate::ron_tree::Tree;
 use pwrfgs_core::plugin::{Checked, Plugin, read_ron, try_to_ron};
 use pwrfgs_core::{
     Baseline, DataSource, Dataset, Deformation, Error, ImagePlane, Initializer, JsonSchema, Method, Metric, Partition,
-    Projector, Pruner, Rasterizer, Result, Split, rng,
+    Projector, Pruner, Rasterizer, Result, Split, plugin::name_of, rng,
 };
-use pwrfgs_model::{Calibration, Readout, Splatting, Stages, check_together};
+use pwrfgs_model::{Calibration, Readout, SplattedChannel, Splatting, Stages, check_together};
 use pwrfgs_train::{Trainer, Training, TrainingPatch, TrainingPlan};
 use ron::value::RawValue;
 use schemars::{Schema, SchemaGenerator, json_schema};
@@ -140,7 +140,7 @@ impl TryFrom<PipelineFields<Checked<Training>>> for Pipeline {
         }
         let data: Plugin<dyn DataSource> = given.data.ok_or_else(|| missing("data"))?;
         let kind = data.task().unwrap_or_default();
-        let has_gaussians = given.method.as_ref().is_none_or(|method| method.has_gaussians());
+        let has_gaussians = given.method.as_ref().is_none_or(|method| method.traits().has_gaussians());
         Ok(Self {
             name: given.name.ok_or_else(|| missing("name"))?,
             seed: given.seed.unwrap_or_default(),
@@ -271,14 +271,21 @@ impl Pipeline {
 
     /// The way from Gaussians to observations.
     pub fn method(&self) -> Plugin<dyn Method> {
-        let splatting = || Splatting {
-            deformation: self.deformation.clone(),
-            projector: self.projector.clone(),
-            rasterizer: self.rasterizer.clone(),
-            calibration: self.calibration,
-            readout: self.readout,
+        if let Some(method) = &self.method {
+            return method.clone();
+        }
+        let deformation = self.deformation.clone();
+        let method: Box<dyn Method> = match self.data.task() {
+            Some(task) if task.is_complex => Box::new(SplattedChannel { deformation }),
+            _ => Box::new(Splatting {
+                deformation,
+                projector: self.projector.clone(),
+                rasterizer: self.rasterizer.clone(),
+                calibration: self.calibration,
+                readout: self.readout,
+            }),
         };
-        self.method.clone().unwrap_or_else(|| Plugin::from(Box::new(splatting()) as Box<dyn Method>))
+        method.into()
     }
 
     /// The numbers of one observation of `data`: of spectra, the picture as the projector draws it.
@@ -368,7 +375,7 @@ impl Pipeline {
         if let Some((field, what)) = mixed(self) {
             return Err(format!("{field}: {what}"));
         }
-        if self.method.as_ref().is_some_and(|method| is_splatting(&**method)) {
+        if self.method.as_ref().is_some_and(|method| name_of(method) == "Splatting") {
             return Err(
                 "method: `Splatting` is what the fields projector, rasterizer, deformation, calibration and readout \
                         say; leave `method` out"
@@ -378,9 +385,4 @@ impl Pipeline {
         let plane = self.projector.plane(360, 90);
         check_together(&*self.rasterizer, self.readout, self.calibration, &plane)
     }
-}
-
-fn is_splatting(method: &dyn Method) -> bool {
-    let method: &dyn std::any::Any = method;
-    method.is::<Splatting>()
 }

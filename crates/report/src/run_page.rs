@@ -17,7 +17,7 @@ use crate::templates::render;
 use examples::Example;
 use minijinja::value::Serde;
 use minijinja::{Value, context};
-use pwrfgs_core::{Image, Result};
+use pwrfgs_core::{Appearance, Image, Result};
 use pwrfgs_experiment::{CEILING, LoadedRun, folder::REPORT};
 use pwrfgs_model::Model;
 
@@ -32,7 +32,7 @@ pub fn page(run: &LoadedRun<'_>) -> Result<String> {
     let (examples, limit) = spectra_of(run, &chosen);
     let bounds = [data.scene.bounds.0, data.scene.bounds.1]
         .map(|p| data.scene.origin.world(p).map(|v| (v * 10.0).round() / 10.0));
-    let draws_splats = model.members().iter().all(|model| model.stages.splatting().is_some());
+    let draws_splats = model.is_drawn_as(Appearance::Ellipsoids);
     let page = context! {
         name => pipeline.name.clone(),
         title => data.title.clone(),
@@ -76,7 +76,7 @@ fn words(run: &LoadedRun<'_>) -> Value {
     let [singular, plural] = task.counted;
     let size = task.size_text((run.data.width, run.data.height)).map(|size| size.replace(" x ", " × "));
     let (first, rest) = plural.split_at(1);
-    let splats = run.model.members().iter().all(|model| model.stages.splatting().is_some());
+    let splats = run.model.is_drawn_as(Appearance::Ellipsoids);
     let none = run.model.gaussians() == 0;
     let parts = if splats || none { "Gaussians" } else { "Virtual transmitters" };
     context! { plural, singular, size, title => first.to_uppercase() + rest, parts, none }

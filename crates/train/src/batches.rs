@@ -4,7 +4,7 @@ use crate::TrainingPlan;
 use crate::graph::{Batch, Places};
 use crate::settings::Rays;
 use pwrfgs_core::{Dataset, Error, ImagePlane, Link, Moment, Needs, Real, Result, Task, rng};
-use pwrfgs_model::Stages;
+use pwrfgs_model::{Stages, stretch};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -113,7 +113,7 @@ fn observed(
     places: Places,
     moved: &mut dyn FnMut(Real) -> Real,
 ) -> Result<Batch> {
-    let mut batch = Batch { width: stages.method.inputs(), places, ..Batch::default() };
+    let mut batch = Batch { width: stages.method.traits().inputs, places, ..Batch::default() };
     let (mut before, own) = (None, matches!(batch.places, Places::Own(_)));
     for &i in links {
         let (query, transmitter) = (data.query(i), data.links[i].transmitter);
@@ -128,6 +128,7 @@ fn observed(
     }
     let of_link = batch.places.pixels().of_link(stages.numbers());
     let sampling = stages.plane.sampling;
+    let stretches = sampling.stride > 1 && stages.method.traits().stretches;
     batch.truths.resize(links.len() * of_link, 0.0);
     let truths = batch.truths.par_chunks_exact_mut(of_link).zip(links).enumerate();
     truths.for_each(|(k, (truth, &i))| match (&batch.places, data.observations.spectra()) {
@@ -137,8 +138,8 @@ fn observed(
         }
         _ => {
             data.observations.sampled(i, sampling, truth);
-            if sampling.stride > 1 {
-                stages.method.restrict(truth);
+            if stretches {
+                stretch(truth);
             }
         }
     });

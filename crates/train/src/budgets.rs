@@ -2,7 +2,7 @@
 
 use crate::TrainingPlan;
 use pwrfgs_core::plugin::{Plugin, name_of, to_ron};
-use pwrfgs_core::{Budget, GaussianCloud, Moment, Phase, Pruner, Statistic};
+use pwrfgs_core::{Budget, GaussianCloud, MethodTraits, Moment, Phase, Pruner, Statistic};
 
 /// The pruners, and `training.target` given to the first that takes one.
 ///
@@ -85,20 +85,20 @@ pub(crate) fn contradiction(plan: &TrainingPlan) -> Option<String> {
     if let Some(what) = plan.initializer.count().and_then(|n| too_many(plan, n)) {
         return Some(what);
     }
-    let method = &plan.method;
+    let MethodTraits { task, blends, .. } = plan.method.traits();
     for (k, pruner) in plan.pruners.iter().enumerate() {
         let moment = Moment { round: 1, rounds: 1, ..Moment::new(1, Phase::Prune, 0) };
         let needs = pruner.needs(&GaussianCloud::zeros(0), &moment);
-        if !method.blends() && needs.statistics.iter().any(|statistic| statistic.wants_blending()) {
+        if !blends && needs.statistics.iter().any(|statistic| statistic.wants_blending()) {
             return Some(format!(
                 "`{}` goes by blending weights, and nothing is blended here; use {}a pruner that needs none, such as \
                  LearnableMask()",
                 name(k),
-                if method.task().is_some_and(|task| task.is_complex) { "" } else { "rasterizer: AlphaBlending(), or " }
+                if task.is_some_and(|task| task.is_complex) { "" } else { "rasterizer: AlphaBlending(), or " }
             ));
         }
         let wants_pictures = |s: &Statistic| matches!(s, Statistic::Error { .. } | Statistic::Top { .. });
-        if method.task().is_some_and(|task| !task.has_pixels) && needs.statistics.iter().any(wants_pictures) {
+        if task.is_some_and(|task| !task.has_pixels) && needs.statistics.iter().any(wants_pictures) {
             return Some(format!(
                 "`{}` looks at the errors of pixels, and these data have none; leave it out",
                 name(k)

@@ -30,8 +30,8 @@ const MOST_PAIRS: usize = 1 << 22;
 
 /// Refuses data that describe a transmitter by other numbers than the method wants.
 pub(crate) fn check_inputs(stages: &Stages, data: &Dataset) -> Result<()> {
-    let own = stages.splatting().is_none();
-    let (wants, has) = (stages.method.inputs(), data.features.as_ref().map_or(3, |features| features.width));
+    let own = stages.deformation().is_none();
+    let (wants, has) = (stages.method.traits().inputs, data.features.as_ref().map_or(3, |features| features.width));
     if data.features.is_none() && !data.placed {
         return Err(Error::Config("the data have neither positions nor features of the transmitters".into()));
     }

@@ -32,9 +32,6 @@ const PER_PIXEL: usize = 20;
 /// Gaussians times transmitters of a trial.
 const TRIAL: usize = 4_000;
 
-/// Numbers a Gaussian and number of a channel: waves and their derivatives, real and imaginary.
-const PER_WAVE: usize = 4;
-
 /// Bytes that the network of `deformation` takes in training; known before anything is made.
 pub fn network_bytes(deformation: &dyn Deformation) -> u64 {
     let weights = deformation.layout().numbers() as u64;
@@ -61,18 +58,10 @@ impl Trainer<'_> {
             Rays::Same(rays) => (batch * of_each, rays),
             Rays::Each(pairs) => (pairs, 1),
         };
-        let (kept, pixels) = match self.stages.splatting() {
-            Some(splatting) => {
-                let sky = splatting.sky(frame);
-                let waves = if frame.task.is_complex { PER_WAVE * frame.numbers() / 2 } else { 0 };
-                (PER_GAUSSIAN + splatting.deformation.traits().kept_per_gaussian + waves, sky.width * sky.height)
-            }
-            None => (PER_GAUSSIAN, chosen),
-        };
-        let numbers = n * (kept + batch * PER_TERM) + links * pixels * PER_PIXEL;
+        let cost = self.stages.method.cost(frame, links, chosen);
+        let numbers = n * (PER_GAUSSIAN + cost.per_gaussian + batch * PER_TERM) + links * cost.pixels * PER_PIXEL;
         let weights = (self.weights() * PER_WEIGHT * size_of::<Real>()) as u64;
-        let of_method = self.stages.method.step_bytes(frame, links, chosen);
-        let step_bytes = (numbers * size_of::<Real>()) as u64 + weights + of_method;
+        let step_bytes = (numbers * size_of::<Real>()) as u64 + weights + cost.bytes;
         Ok(Estimate { gaussians: n, step_bytes, step_seconds })
     }
 

@@ -14,8 +14,8 @@ use dfdx::tensor_ops::{Backward, SumTo};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::tape::{Trace, TraceScalar, Traced, op, values};
 use pwrfgs_core::{
-    Asked, CloudStats, Conditions, Error, Gate, GaussianCloud, Link, MethodVjp, Moment, Parameters, Pixels, Pruner,
-    Real, Result,
+    Asked, CloudStats, Conditions, Error, Gate, GaussianCloud, Link, MethodTraits, MethodVjp, Moment, Parameters,
+    Pixels, Pruner, Real, Result,
 };
 use pwrfgs_model::Stages;
 use std::cell::RefCell;
@@ -152,7 +152,7 @@ fn whole(
 }
 
 /// Runs the graph forward and backward, part by part where a method had better not be asked for
-/// [all links at once](pwrfgs_core::Method::links_at_once): the loss is a mean over links.
+/// [all links at once](pwrfgs_core::Cost::links_at_once): the loss is a mean over links.
 ///
 /// # Errors
 /// [`Error::NonFinite`] where the loss is not a number.
@@ -166,7 +166,9 @@ pub fn loss_and_gradients(
     moment: &Moment,
 ) -> Result<LossAndGradients> {
     let of = |part: &Batch| whole(stages, cloud, weights, part, objective, pruners, moment);
-    let Some(parts) = batch.parts(stages.method.links_at_once(&stages.frame)) else { return of(batch) };
+    let pixels = batch.places.pixels().of_link(stages.numbers());
+    let at_once = stages.method.cost(&stages.frame, batch.links.len(), pixels).links_at_once;
+    let Some(parts) = batch.parts(at_once) else { return of(batch) };
     let mut sum = LossAndGradients {
         loss: 0.0,
         penalty: 0.0,
@@ -239,7 +241,7 @@ impl Open {
     fn of(stages: &Stages, cloud: &GaussianCloud, gates: &Gates) -> Self {
         let [mut gate, mut presence] = [&gates.whole, &gates.presence].map(|gate| gate.as_ref().map(values));
         let rows = stages.drawable(cloud, gate.as_deref());
-        if !stages.method.knows_presence()
+        if !stages.method.traits().knows_presence
             && let Some(presence) = presence.take()
         {
             let gate = gate.get_or_insert_with(|| vec![1.0; cloud.len()]);
@@ -279,12 +281,11 @@ impl Graph {
     /// The method as an op: columns of the cloud, gate (and Θ, beside the tape) → observations `[L, numbers]`.
     fn observe(&self, traced: &Traced, mut gates: Gates) -> Trace {
         // Those that every cloud has, and the method's own; columns of pruners reach it through the gate.
-        let own = self.stages.method.columns().into_iter().map(|(name, _)| name);
+        let MethodTraits { columns, knows_presence, .. } = self.stages.method.traits();
+        let own = columns.into_iter().map(|(name, _)| name);
         let names: Vec<&str> = pwrfgs_core::COLUMN_NAMES.into_iter().chain(own).collect();
         let columns = names.iter().map(|name| traced.column(name));
-        if !self.stages.method.knows_presence()
-            && let Some(presence) = gates.presence.take()
-        {
+        if !knows_presence && let Some(presence) = gates.presence.take() {
             gates.whole = Some(match gates.whole.take() {
                 Some(whole) => whole * presence,
                 None => presence,

@@ -140,7 +140,8 @@ impl Trainer<'_> {
 
     /// The same, and what it asked for.
     fn stats_for(&self, k: usize, pruner: &Plugin<dyn Pruner>, moment: &Moment) -> Result<CloudStats> {
-        let (needs, mut stats) = (pruner.needs(&self.cloud, moment).settled(self.stages.method.blends()), self.told(k));
+        let (needs, mut stats) =
+            (pruner.needs(&self.cloud, moment).settled(self.stages.method.traits().blends), self.told(k));
         if !needs.is_nothing() && moment.round > 0 {
             let gate = open_gates(&self.cloud, &self.plan.pruners, moment);
             let stages_of = |part: u64| {

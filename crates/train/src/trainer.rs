@@ -101,8 +101,11 @@ impl<'a> Trainer<'a> {
         let random = &mut rng::stream(plan.seed, "init", 0);
         let method = &*blank.stages.method;
         let seen = Seen { data, train: &partition.train, plane: &blank.plane, method, progress, stop };
-        let cloud =
-            if method.has_gaussians() { plan.initializer.search(&seen, random)? } else { GaussianCloud::zeros(0) };
+        let cloud = if method.traits().has_gaussians() {
+            plan.initializer.search(&seen, random)?
+        } else {
+            GaussianCloud::zeros(0)
+        };
         let weights = plan.initializer.weights(&seen)?;
         blank.fill(cloud, weights)?;
         Ok(blank)
@@ -116,7 +119,7 @@ impl<'a> Trainer<'a> {
         let mut blank = Self::blank(plan, data, partition)?;
         let random = &mut rng::stream(plan.seed, "init", 0);
         let (method, stop) = (&*blank.stages.method, &AtomicBool::new(false));
-        let cloud = if method.has_gaussians() {
+        let cloud = if method.traits().has_gaussians() {
             plan.initializer.initialize(&data.scene, &blank.plane, random)?
         } else {
             GaussianCloud::zeros(0)
@@ -150,7 +153,7 @@ impl<'a> Trainer<'a> {
         let mut stages = whole.clone();
         stages.frame.plane = plane_of_step(&plane, &plan, data.task(), 1);
         check_rays(plan.training.rays, &stages)?;
-        stages.method.check_frame(&stages.frame).map_err(Error::Config)?;
+        stages.method.layout(&stages.frame).map_err(Error::Config)?;
         whole.check().map_err(Error::Config)?;
         let cloud = GaussianCloud::zeros(0);
         let blank = Self {
@@ -182,19 +185,19 @@ impl<'a> Trainer<'a> {
 
     /// The parameters before the first step; where the initializer has weights, as it has them.
     fn fill(&mut self, mut cloud: GaussianCloud, trained: Option<Vec<Real>>) -> Result<()> {
-        if cloud.is_empty() && self.stages.method.has_gaussians() {
+        if cloud.is_empty() && self.stages.method.traits().has_gaussians() {
             return Err(Error::Config("the initializer made no Gaussian; raise its count, or take Random()".into()));
         }
         if let Some(what) = too_many(&self.plan, cloud.len()) {
             return Err(Error::Config(format!("pruners: {what}")));
         }
         let Stages { method, frame } = &*self.stages;
-        cloud.complete(&method.columns()).map_err(Error::Config)?;
+        cloud.complete(&method.traits().columns).map_err(Error::Config)?;
         for spec in &self.specs {
             let values = vec![spec.init; cloud.len() * spec.width];
             cloud.extra.push(ExtraColumn { name: spec.name.into(), width: spec.width, values });
         }
-        let mut weights = method.layout(frame).init(&mut rng::stream(self.plan.seed, "network", 0));
+        let mut weights = self.stages.layout().init(&mut rng::stream(self.plan.seed, "network", 0));
         match trained {
             Some(trained) if trained.len() == weights.len() => weights = trained,
             Some(trained) => {
@@ -250,7 +253,7 @@ impl<'a> Trainer<'a> {
     }
 
     fn gates_of(&self, cloud: &GaussianCloud, moment: &Moment) -> Option<Vec<Real>> {
-        let has_state = cloud.extra.len() > self.stages.method.columns().len();
+        let has_state = cloud.extra.len() > self.stages.method.traits().columns.len();
         has_state.then(|| open_gates(cloud, &self.plan.pruners, moment)).flatten()
     }
 
@@ -362,7 +365,7 @@ impl<'a> Trainer<'a> {
             let rows: Vec<usize> = (0..open.len()).filter(|&i| open[i]).collect();
             cloud = cloud.select(&rows);
         }
-        edit::drop_state(&mut cloud, &self.stages.method.columns());
+        edit::drop_state(&mut cloud, &self.stages.method.traits().columns);
         let mut stages = Stages::clone(&self.stages);
         stages.frame.plane = self.plane.clone();
         Model { stages, cloud, weights: self.weights.to_vec() }
@@ -407,7 +410,7 @@ impl<'a> Trainer<'a> {
                 self.report_removal(step, open.len(), &[("closed gates".into(), open.len() - self.cloud.len())])?;
                 unpruned = unpruned.or(closed);
             }
-            let lasting = self.stages.method.columns();
+            let lasting = self.stages.method.traits().columns;
             edit::drop_state(&mut self.cloud, &lasting);
             self.adam.cloud.iter_mut().for_each(|moments| edit::drop_state(moments, &lasting));
         }
@@ -416,7 +419,7 @@ impl<'a> Trainer<'a> {
 
     /// Whether columns of pruners are there still.
     fn has_state(&self) -> bool {
-        self.cloud.extra.len() > self.stages.method.columns().len()
+        self.cloud.extra.len() > self.stages.method.traits().columns.len()
     }
 
     /// Which gates are open; `None` where no pruner has one any more.

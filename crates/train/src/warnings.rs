@@ -42,7 +42,7 @@ impl Trainer<'_> {
     fn oversized(&self) -> Option<String> {
         let (training, settings) = (&self.plan.training, &self.plan.training.densify);
         let step = first_size_step(settings).filter(|step| *step <= training.densify_until)?;
-        if !self.stages.method.blends() {
+        if !self.stages.method.traits().blends {
             return None; // what is not drawn has no size
         }
         let (n, limit) = (self.cloud.len(), settings.large_above * self.extent());

@@ -59,7 +59,7 @@ impl Predictor {
 
     /// Whether it is asked by the transmitter's position, and not by what stands in its place.
     pub(crate) fn by_position(&self) -> bool {
-        self.ensemble().is_none_or(|own| own.members().iter().all(|model| model.stages.method.inputs() == 3))
+        self.ensemble().is_none_or(|own| own.members().iter().all(|model| model.stages.method.traits().inputs == 3))
     }
 
     /// Whether it is a baseline that learned from training and validation samples, which it may store.

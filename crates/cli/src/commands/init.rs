@@ -137,7 +137,7 @@ fn pipeline(survey: &Survey, folder: &Path, out: &Path) -> Result<Pipeline> {
             POWERS
         }
         Some(width) => {
-            set.push(format!("deformation.tx_encoding=Features(width: {width})"));
+            set.push(format!("method.deformation.tx_encoding=Features(width: {width})"));
             set.push(format!("training.batch={}", survey.transmitters.clamp(1, 128)));
             UPLINKS
         }

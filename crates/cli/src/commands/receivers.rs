@@ -35,7 +35,7 @@ fn unknown(known: &[Receiver], name: &str) -> Error {
 
 /// Refuses models that are not asked by position.
 pub(super) fn check_positions(model: &Ensemble) -> Result<()> {
-    match model.members().iter().map(|member| member.stages.method.inputs()).find(|inputs| *inputs != 3) {
+    match model.members().iter().map(|member| member.stages.method.traits().inputs).find(|inputs| *inputs != 3) {
         None => Ok(()),
         Some(inputs) => Err(Error::Config(format!(
             "this model is told {inputs} numbers in place of a transmitter's position, so that there is nothing to ask of \

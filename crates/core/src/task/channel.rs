@@ -17,7 +17,7 @@ pub(super) static CHANNEL: Description = Description {
         columns: ["snr_db_mean", "snr_db_median", "snr_all_db"],
     },
     ceiling: Ceiling { note: "what two measured channels at one place have in common", share: 1.0 },
-    method: "method: VirtualTransmitters(), or readout: Channel",
+    method: "method: VirtualTransmitters() or SplattedChannel()",
     level_name: ["mean power of the channel", "dB"],
     has_pixels: false,
     is_scalar: false,

@@ -1,7 +1,7 @@
 //! The numbers of a model as an NPZ file, which `numpy.load` opens.
 
 use npyz::{AutoSerialize, WriterBuilder as _};
-use pwrfgs_core::{Error, Pose, Real, Result};
+use pwrfgs_core::{Activated, Error, Pose, Real, Result};
 use pwrfgs_model::{Ensemble, Model};
 use std::io::{self, Cursor};
 use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
@@ -102,7 +102,7 @@ impl Npz {
 
     /// What is drawn for a transmitter.
     fn transmitter(&mut self, model: &Model, tx: [f64; 3]) -> io::Result<()> {
-        let (p, signals) = model.gaussians(Some(tx));
+        let Activated { primitives: p, signals, .. } = model.gaussians(Some(tx));
         let n = p.len();
         if model.stages.origin.is_zero() {
             self.put("tx.position", &[3], &tx.map(|v| v as Real))?;

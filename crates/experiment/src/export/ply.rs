@@ -1,8 +1,8 @@
 //! The Gaussians as a PLY file in the layout of 3D Gaussian splatting, which viewers of splats open.
 
 use crate::colour::sequential;
-use pwrfgs_core::{Error, Origin, Primitives, Real, Result};
-use pwrfgs_model::{Ensemble, Model, Readout};
+use pwrfgs_core::{Activated, Error, Origin, Primitives, Real, Result};
+use pwrfgs_model::{Ensemble, Model};
 
 /// Properties in the order in which viewers expect them, all of them `float`. Normals are there for the layout, and 0.
 const PROPERTIES: [&str; 17] = [
@@ -36,10 +36,7 @@ pub fn ply(model: &Ensemble, tx: Option<[f64; 3]>) -> Result<Vec<u8>> {
 
 /// The rows of one model, each with the number of the member at its end where there are several.
 fn put_rows(out: &mut Vec<u8>, model: &Model, tx: Option<[f64; 3]>, member: Option<f32>) -> Result<()> {
-    let (primitives, signals) = model.gaussians(tx);
-    let known =
-        tx.is_some() || !model.stages.splatting().is_some_and(|splats| splats.deformation.traits().replaces_signals);
-    let strengths = known.then(|| strengths(model, &signals));
+    let Activated { primitives, strengths, .. } = model.gaussians(tx);
     for i in 0..primitives.len() {
         let colour = strengths.as_ref().map_or([0.0; 3], |strengths| colour(strengths[i]));
         let row = row(&primitives, i, model.cloud.opacity_logits[i], colour);
@@ -61,18 +58,6 @@ fn header(n: usize, origin: Origin, several: bool) -> String {
     let properties = PROPERTIES.into_iter().chain(several.then_some("member"));
     let properties = properties.map(|name| format!("property float {name}\n")).collect::<Vec<_>>().concat();
     format!("ply\nformat binary_little_endian 1.0\n{comment}element vertex {n}\n{properties}end_header\n")
-}
-
-/// The grey value that each Gaussian would give alone, were it opaque.
-fn strengths(model: &Model, signals: &[Real]) -> Vec<Real> {
-    let readout = model.stages.splatting().map_or(Readout::Magnitude, |splats| splats.readout);
-    let n = model.cloud.len();
-    if n == 0 {
-        return Vec::new();
-    }
-    let channels = readout.channels();
-    let planar: Vec<Real> = (0..channels).flat_map(|c| (0..n).map(move |i| signals[i * channels + c])).collect();
-    readout.forward(&planar, n)
 }
 
 /// `f_dc` of a strength.

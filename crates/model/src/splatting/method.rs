@@ -1,23 +1,23 @@
 //! Splatting as a [`Method`]: links in, observations out, and back.
 
-use super::channel::Waves;
-use super::groups::Group;
-use super::heard::ReadyWaves;
 use super::received::{self, Laws};
 use super::survey::Question;
 use super::{Drawing, Geometry, Splatting, View, check_kind, check_together};
+use crate::deformed::{self, OFFSETS};
+use crate::groups::Group;
 use crate::{ActivationVjp, Calibration, Readout};
 use pwrfgs_core::{
-    Asked, Cache, Conditions, Dataset, DeformationInputs, Deltas, Frame, GaussianCloud, Layout, Method, MethodVjp,
-    Needs, Observed, Parameters, Real, StageTimes, Statistics, Task, WeightSpec, cached,
+    Activated, Appearance, Asked, Cache, Conditions, Cost, Dataset, DeformationInputs, Deltas, Frame, GaussianCloud,
+    Layout, Method, MethodTraits, MethodVjp, Needs, Observed, Parameters, Real, StageTimes, Statistics, WeightSpec,
+    cached,
 };
 use rayon::prelude::*;
 use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// The names of what is learned of receivers: of powers both, of channels the first.
-const LAW: [&str; 2] = ["receiver.offsets", "receiver.exponents"];
+/// The names of what is learned of receivers of powers.
+const LAW: [&str; 2] = [OFFSETS, "receiver.exponents"];
 
 /// What [`Method::vjp`] finds again.
 struct Kept {
@@ -42,11 +42,7 @@ impl Splatting {
 
     /// Numbers that are learned of the receivers.
     fn laws(&self, frame: &Frame) -> usize {
-        match self.readout {
-            Readout::Received { .. } => 2 * frame.receivers.len(),
-            Readout::Channel => frame.receivers.len(),
-            _ => 0,
-        }
+        if matches!(self.readout, Readout::Received { .. }) { LAW.len() * frame.receivers.len() } else { 0 }
     }
 
     /// What is read out in training: blended signals as they are, or clamped to [0, 1] as released.
@@ -67,34 +63,9 @@ impl Splatting {
         blended: &[Real],
     ) -> Vec<Real> {
         match laws.of(group.receiver) {
-            Some(law) => received::forward(&view.plane, law, &group.distances(view, asked), blended),
+            Some(law) => received::forward(&view.plane, law, &group.distances(&view.pose, asked), blended),
             None => self.readout.forward(blended, view.plane.width * view.plane.height),
         }
-    }
-
-    /// Adds what the drawings gave, and what the network gives for it.
-    pub(super) fn finish(
-        &self,
-        frame: &Frame,
-        p: &Parameters<'_>,
-        asked: &Asked<'_>,
-        own: &ActivationVjp,
-        sums: &mut MethodVjp,
-    ) {
-        let network = self.parts(frame, p.weights).0;
-        let mut d_means = vec![[0.0; 3]; p.cloud.len()];
-        if own.deltas.to_columns().next().is_some() {
-            let pose = frame.pose();
-            let inputs = DeformationInputs::new(network, &p.cloud.means, asked.conditions, &pose);
-            let d_network = &mut sums.weights[..network.len()];
-            self.deformation.vjp(&inputs, &own.deltas, d_network, Some(&mut d_means));
-        }
-        for ((_, _, sum), (_, _, own)) in sums.cloud.columns_mut().zip(own.cloud.columns()) {
-            sum.iter_mut().zip(own).for_each(|(sum, d)| *sum += d);
-        }
-        sums.cloud.means.as_flattened_mut().iter_mut().zip(d_means.as_flattened()).for_each(|(sum, d)| *sum += d);
-        sums.gate.iter_mut().zip(&own.gate).for_each(|(sum, d)| *sum += d);
-        sums.presence.iter_mut().zip(&own.presence).for_each(|(sum, d)| *sum += d);
     }
 
     /// Cotangents of the blended signals, given those `d` of the observations; adds to those of the law.
@@ -120,6 +91,18 @@ impl Splatting {
         d_blended
     }
 
+    fn check_frame(&self, frame: &Frame) -> Result<(), String> {
+        check_kind(self.readout, frame.task)?;
+        if !frame.task.has_pixels && self.calibration == Calibration::AsReleased {
+            let what = frame.task.plural;
+            return Err(format!(
+                "calibration: AsReleased is that of spectra as released, and the data are {what}; use Physical"
+            ));
+        }
+        deformed::check_receivers(&*self.deformation, frame)?;
+        check_together(&*self.rasterizer, self.readout, self.calibration, &self.whole_sky(frame)?)
+    }
+
     pub(super) fn terms(&self, frame: &Frame, p: &Parameters<'_>, conditions: Conditions<'_>) -> Deltas {
         let network = self.parts(frame, p.weights).0;
         self.deformation.forward(&DeformationInputs::new(network, &p.cloud.means, conditions, &frame.pose()), &None)
@@ -128,18 +111,32 @@ impl Splatting {
 
 #[typetag::serde]
 impl Method for Splatting {
-    fn task(&self) -> Option<Task> {
-        Some(self.readout.task())
+    fn traits(&self) -> MethodTraits {
+        MethodTraits {
+            task: Some(self.readout.task()),
+            inputs: self.deformation.traits().inputs,
+            appearance: Appearance::Ellipsoids,
+            knows_presence: true,
+            blends: self.rasterizer.blends(),
+            stretches: self.readout == Readout::MinMax,
+            ..MethodTraits::default()
+        }
     }
 
-    fn layout(&self, frame: &Frame) -> Layout {
+    fn cost(&self, frame: &Frame, _: usize, _: usize) -> Cost {
+        let sky = self.sky(frame);
+        let per_gaussian = self.deformation.traits().kept_per_gaussian;
+        Cost { per_gaussian, pixels: sky.width * sky.height, ..Cost::default() }
+    }
+
+    fn layout(&self, frame: &Frame) -> Result<Layout, String> {
+        self.check_frame(frame)?;
         let mut layout = self.deformation.layout();
         if self.laws(frame) > 0 {
             let receivers = frame.receivers.len();
-            let names = LAW.into_iter().take(self.laws(frame) / receivers);
-            layout.weights.extend(names.map(|name| WeightSpec::zeros(name, vec![receivers])));
+            layout.weights.extend(LAW.map(|name| WeightSpec::zeros(name, vec![receivers])));
         }
-        layout
+        Ok(layout)
     }
 
     fn drawable(&self, frame: &Frame, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
@@ -147,9 +144,6 @@ impl Method for Splatting {
     }
 
     fn forward(&self, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>) -> Observed {
-        if self.readout == Readout::Channel {
-            return self.heard(frame, p, asked);
-        }
         let deltas = self.terms(frame, p, asked.conditions);
         let (views, laws, n) = (self.views(frame), self.parts(frame, p.weights).1, p.cloud.len());
         let numbers = frame.numbers();
@@ -184,9 +178,6 @@ impl Method for Splatting {
         d: &[Real],
         sums: &mut MethodVjp,
     ) {
-        if self.readout == Readout::Channel {
-            return self.heard_vjp(frame, p, asked, &observed, d, sums);
-        }
         let Kept { deltas, drawings } = cached(&observed.cache);
         let (numbers, n) = (frame.numbers(), p.cloud.len());
         let network = self.parts(frame, p.weights).0;
@@ -197,28 +188,16 @@ impl Method for Splatting {
         for (group, view, drawing) in drawings {
             let d = group.gather(d, numbers);
             let d_law = d_offsets.get_mut(group.receiver).zip(d_exponents.get_mut(group.receiver)).map(|(a, b)| [a, b]);
-            let distances = group.distances(view, asked);
+            let distances = group.distances(&view.pose, asked);
             let d_blended = self.read_out_vjp(view, d_law, &distances, &drawing.render.pixels, &d);
-            let (terms, _) = group.terms(deltas, n);
-            // Copied terms have a derivative of their own, which is then added where they came from.
-            let copied = matches!(terms, Cow::Owned(_));
-            let all = copied.then(|| std::mem::replace(&mut own.deltas, terms.zeros_like()));
-            let d = self.draw_vjp(view, drawing, p.cloud, &terms, p.into(), &d_blended, &mut own);
-            if let Some(all) = all {
-                let part = std::mem::replace(&mut own.deltas, all);
-                group.add_back(&part, &mut own.deltas, n);
-            }
+            let d = group.terms_vjp(deltas, n, &mut own, |terms, _, own| {
+                self.draw_vjp(view, drawing, p.cloud, terms, p.into(), &d_blended, own)
+            });
             sums.seen.observe(&rows, &drawing.geometry.splats, &d, &view.plane, drawings.len());
         }
-        self.finish(frame, p, asked, &own, sums);
-    }
-
-    fn knows_presence(&self) -> bool {
-        self.readout != Readout::Channel
-    }
-
-    fn blends(&self) -> bool {
-        self.readout != Readout::Channel && self.rasterizer.blends()
+        let pose = frame.pose();
+        let inputs = DeformationInputs::new(network, &p.cloud.means, asked.conditions, &pose);
+        deformed::vjp(&*self.deformation, &inputs, &own, sums);
     }
 
     fn survey(
@@ -234,11 +213,6 @@ impl Method for Splatting {
 
     fn prepare(&self, frame: &Frame, p: &Parameters<'_>) -> Cache {
         let network = self.parts(frame, p.weights).0;
-        if self.readout == Readout::Channel {
-            let deformation = self.deformation.prepare(network, &p.cloud.means, &frame.pose());
-            let waves = frame.receivers.iter().map(|receiver| Waves::new(frame, receiver, p.cloud, p.gate)).collect();
-            return Some(Arc::new(ReadyWaves { deformation, waves }));
-        }
         let still = |view: &View| Arc::new(self.geometry(view, p.cloud, &Deltas::default(), 0, p.into()));
         Some(Arc::new(Ready {
             deformation: self.deformation.prepare(network, &p.cloud.means, &frame.pose()),
@@ -258,9 +232,6 @@ impl Method for Splatting {
         prepared: &Cache,
     ) -> (Vec<Real>, StageTimes) {
         let start = Instant::now();
-        if self.readout == Readout::Channel {
-            return self.heard_prepared(frame, p, asked, cached(prepared), start);
-        }
         let Ready { deformation, still } = cached(prepared);
         let (network, laws) = self.parts(frame, p.weights);
         let pose = frame.pose();
@@ -294,50 +265,21 @@ impl Method for Splatting {
     }
 
     fn start(&self, frame: &Frame, data: &Dataset, train: &[usize], cloud: &mut GaussianCloud, weights: &mut [Real]) {
-        if self.inputs() != 3 {
-            let all: Vec<Real> = train.iter().flat_map(|&i| data.query(i).features).copied().collect();
-            let network = self.parts(frame, weights).0.len();
-            self.deformation.start(Conditions::new(self.inputs(), &all), &mut weights[..network]);
-        }
+        let network = self.parts(frame, weights).0.len();
+        deformed::start(&*self.deformation, data, train, &mut weights[..network]);
         if matches!(self.readout, Readout::Received { .. }) {
             self.start_law(frame, data, train, cloud, weights);
         }
-        if self.readout == Readout::Channel && !self.start_linear(frame, data, train, cloud, weights) {
-            self.start_level(frame, data, train, cloud, weights);
-        }
     }
 
-    fn inputs(&self) -> usize {
-        self.deformation.traits().inputs
-    }
-
-    fn restrict(&self, numbers: &mut [Real]) {
-        self.readout.restrict(numbers);
-    }
-
-    fn check_frame(&self, frame: &Frame) -> Result<(), String> {
-        check_kind(self.readout, frame.task)?;
-        if !frame.task.has_pixels && self.calibration == Calibration::AsReleased {
-            let what = frame.task.plural;
-            return Err(format!(
-                "calibration: AsReleased is that of spectra as released, and the data are {what}; use Physical"
-            ));
-        }
-        if frame.receivers.len() > 1 && self.deformation.traits().reads_receiver {
-            return Err(format!(
-                "the deformation looks at where the receiver is, and these data have {} receivers; use Factored() or Mlp()",
-                frame.receivers.len()
-            ));
-        }
-        if self.readout == Readout::Channel {
-            let even = frame.receivers.iter().all(|own| own.antennas.len() == frame.receivers[0].antennas.len());
-            return if even {
-                Ok(())
-            } else {
-                Err("receivers with different numbers of antennas; give all the same".into())
-            };
-        }
-        check_together(&*self.rasterizer, self.readout, self.calibration, &self.whole_sky(frame)?)
+    fn gaussians(&self, frame: &Frame, p: &Parameters<'_>, tx: Option<[Real; 3]>) -> Option<Activated> {
+        let (primitives, signals) = deformed::gaussians(&*self.deformation, self.activation(), frame, p, tx);
+        let known = tx.is_some() || !self.deformation.traits().replaces_signals;
+        let (n, channels) = (p.cloud.len(), self.readout.channels());
+        let planar = || (0..channels).flat_map(|c| signals.iter().skip(c).step_by(channels).copied()).collect();
+        let strengths = |planar: Vec<Real>| if n == 0 { planar } else { self.readout.forward(&planar, n) };
+        let strengths = known.then(|| strengths(planar()));
+        Some(Activated { primitives, signals, strengths })
     }
 }
 

@@ -6,6 +6,7 @@
 //! differs from that. d is the distance in metres, at least half a metre; without positions the law is β alone.
 
 use super::Splatting;
+use crate::deformed::asked_of;
 use pwrfgs_core::{
     Asked, Conditions, Dataset, Frame, GaussianCloud, ImagePlane, Link, Method, Parameters, Pixels, Real, consts,
     evenly,
@@ -105,12 +106,13 @@ impl Splatting {
         let Some(powers) = data.observations.powers() else { return };
         let Some(last) = weights.len().checked_sub(2 * frame.receivers.len()) else { return };
         let part = evenly(train, FITTED);
-        let (conditions, links) = Self::asked_of(frame, data, &part);
-        let conditions = Conditions::new(self.inputs(), &conditions);
+        let (conditions, links) = asked_of(frame, data, &part);
+        let inputs = self.deformation.traits().inputs;
+        let conditions = Conditions::new(inputs, &conditions);
         let parameters = Parameters { cloud, gate: None, presence: None, weights };
         let sky = self.forward(frame, &parameters, &Asked { conditions, links: &links, pixels: Pixels::All }).numbers;
         let receivers = &frame.receivers;
-        let txs = if self.inputs() == 3 { conditions.positions() } else { &[] };
+        let txs = if inputs == 3 { conditions.positions() } else { &[] };
         // Without positions the law is the offset alone.
         let log = |k: usize| {
             let Some(tx) = txs.get(k) else { return 0.0 };

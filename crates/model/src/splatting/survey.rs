@@ -1,8 +1,8 @@
 //! What each Gaussian has to do with the observations, for pruners that ask.
 
-use super::groups::Group;
 use super::{Drawing, Geometry, Splatting, View};
 use crate::Calibration;
+use crate::groups::Group;
 use pwrfgs_core::{Asked, Deltas, Frame, Looked, Needs, Parameters, Real, Splats, Statistic, Statistics, Survey};
 use std::sync::Arc;
 
@@ -61,7 +61,7 @@ impl Splatting {
         }
         let [offset, exponent] = &mut [0.0; 2];
         let d_law = self.parts(frame, p.weights).1.of(link.receiver).map(|_| [offset, exponent]);
-        self.read_out_vjp(view, d_law, &link.distances(view, asked), blended, &vec![1.0; frame.numbers()])
+        self.read_out_vjp(view, d_law, &link.distances(&view.pose, asked), blended, &vec![1.0; frame.numbers()])
     }
 
     /// All links of a geometry, whose weights are the same: `signals` `[N, links · channels]` alone differ.

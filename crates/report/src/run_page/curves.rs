@@ -7,6 +7,7 @@ use crate::draw::charts::{Axis, Chart, Line};
 use crate::draw::marks::{Stroke, Style};
 use crate::draw::steps::{phases, stairs};
 use minijinja::{Value, context};
+use pwrfgs_core::Appearance;
 use pwrfgs_experiment::LoadedRun;
 use pwrfgs_experiment::scores::quantile;
 
@@ -71,7 +72,7 @@ fn loss(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
 /// N on a logarithmic axis.
 fn gaussians(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
     let lines = vec![line(stairs(points), MODEL_COLOUR, 2.0)];
-    let splats = run.model.members().iter().all(|model| model.stages.splatting().is_some());
+    let splats = run.model.is_drawn_as(Appearance::Ellipsoids);
     let title = if splats { "Number of Gaussians" } else { "Number of virtual transmitters" };
     figure(title, &over_steps(run, true, lines))
 }

@@ -5,7 +5,7 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use minijinja::{Value, context};
 use pwrfgs_core::files::digest;
-use pwrfgs_core::{Image, Query, evenly};
+use pwrfgs_core::{Appearance, Image, Query, evenly, plugin::name_of};
 use pwrfgs_experiment::LoadedRun;
 use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_live::{Known, Pack, STAGE, STYLE, bundle, gaussians, origin, room};
@@ -74,8 +74,7 @@ fn shows(model: &Ensemble) -> bool {
 /// The model file, where it is one model that the page can predict.
 fn model_bytes(run: &LoadedRun<'_>) -> Option<Vec<u8>> {
     let [only] = run.model.members() else { return None };
-    let splatting = only.stages.splatting()?;
-    let name = pwrfgs_core::plugin::to_ron(&splatting.deformation);
+    let name = name_of(only.stages.deformation()?);
     let known = PREDICTED_IN_PAGE.iter().any(|own| name.starts_with(own));
     let drawn = only.stages.frame.receivers.len() == 1 && run.data.task().has_pixels;
     let small = only.gaussian_bytes() + only.network_bytes() <= MODEL_BYTES;
@@ -116,7 +115,7 @@ fn room_pack(run: &LoadedRun<'_>, links: &[usize]) -> Pack {
     scored(run).for_each(|(i, score)| scores[i] = score);
     let known = Known { data: run.data, partition: run.partition, scores: &scores, links };
     let mut pack = room(&run.model.members()[0].stages.frame, Some(known), &[], POINTS);
-    let ellipsoids = run.model.members().iter().all(|model| model.stages.splatting().is_some());
+    let ellipsoids = run.model.is_drawn_as(Appearance::Ellipsoids);
     pack.note["sides"] = json!([{
         "name": run.record.pipeline.name,
         "gaussians": shows(run.model).then(|| run.model.gaussians()),

@@ -6,7 +6,7 @@ use crate::house::House;
 use crate::moments::moments;
 use crate::side::{Known, Predictor, Side};
 use hyper::StatusCode;
-use pwrfgs_core::{Image, LinkSet, Query, Real, neighbours};
+use pwrfgs_core::{Appearance, Image, LinkSet, Query, Real, neighbours};
 use pwrfgs_experiment::folder::CURVE;
 use pwrfgs_experiment::{Snapshot, series};
 use pwrfgs_live::{self as live, Pack};
@@ -67,7 +67,7 @@ fn room(side: &Side, house: &House) -> Pack {
 fn about(side: &Side) -> Value {
     let predictor = side.predictor();
     let ensemble = predictor.as_ref().and_then(|predictor| predictor.ensemble());
-    let splats = ensemble.is_some_and(|e| e.members().iter().all(|m| m.stages.splatting().is_some()));
+    let splats = ensemble.is_some_and(|e| e.is_drawn_as(Appearance::Ellipsoids));
     json!({
         "name": side.name,
         "gaussians": ensemble.map(|ensemble| ensemble.gaussians()),

@@ -4,6 +4,7 @@ use crate::draw::canvas::{Anchor, Canvas, Colour, Paint, WHITE};
 use crate::draw::font::text_width;
 use crate::draw::plan::{Plan, draw_receiver};
 use minijinja::{Value, context};
+use pwrfgs_core::Appearance;
 use pwrfgs_core::evenly;
 use pwrfgs_experiment::LoadedRun;
 use pwrfgs_experiment::scores::quantile;
@@ -29,8 +30,7 @@ struct Found {
 
 /// Both views, and what is not drawn; nothing of a model that draws splats.
 pub(super) fn map(run: &LoadedRun<'_>) -> Option<Value> {
-    let members = run.model.members();
-    if members.iter().any(|model| model.stages.splatting().is_some()) {
+    if !run.model.is_drawn_as(Appearance::Points) {
         return None;
     }
     let mut found = found(run);

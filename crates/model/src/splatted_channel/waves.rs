@@ -53,7 +53,7 @@ impl Waves {
     }
 
     /// Observations `[L, 2A, F]` of signals `[N, L, 2]`.
-    pub(super) fn heard(&self, signals: &[Real], links: usize) -> Vec<Real> {
+    pub(super) fn sum(&self, signals: &[Real], links: usize) -> Vec<Real> {
         let numbers = 2 * self.re.len() / self.n.max(1);
         let mut out = vec![0.0; links * numbers];
         out.par_chunks_exact_mut(numbers.max(1)).enumerate().for_each(|(l, out)| {
@@ -94,7 +94,7 @@ impl Waves {
 
     /// Cotangents of the signals `[N, L, 2]` and of the waves (real, imaginary, as [`Waves`] has them), given those `d` of
     /// the observations.
-    pub(super) fn heard_vjp(&self, signals: &[Real], links: usize, d: &[Real]) -> (Vec<Real>, Vec<[Real; 2]>) {
+    pub(super) fn sum_vjp(&self, signals: &[Real], links: usize, d: &[Real]) -> (Vec<Real>, Vec<[Real; 2]>) {
         let (n, numbers) = (self.n, 2 * self.re.len() / self.n.max(1));
         let mut d_signals = vec![0.0; signals.len()];
         d_signals.par_chunks_exact_mut((2 * links).max(1)).enumerate().for_each(|(i, d_own)| {

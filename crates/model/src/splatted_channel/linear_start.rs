@@ -3,8 +3,8 @@
 //! With waves W `[AF, N]`, basis Φ `[N, J]` of the Gaussians and features x `[D]` a channel is h = L·W·Φ·B·x. Ridge regression
 //! of the training part gives the map R from x to h; B is then (WΦ)⁺·R/L, regularised. All in double precision.
 
-use super::Splatting;
-use super::channel::Waves;
+use super::waves::Waves;
+use super::{SplattedChannel, offsets_mut, parts};
 use pwrfgs_core::{Cholesky, Conditions, Dataset, Frame, GaussianCloud, LinearPart, Real};
 use rayon::prelude::*;
 
@@ -13,7 +13,7 @@ const RIDGE: f64 = 1e-4;
 /// Links that it is fitted to, at most.
 const MOST: usize = 8_000;
 
-impl Splatting {
+impl SplattedChannel {
     /// Sets the linear part of the deformation, where it has one and there is one receiver; else nothing.
     pub(super) fn start_linear(
         &self,
@@ -25,7 +25,7 @@ impl Splatting {
     ) -> bool {
         let part = pwrfgs_core::evenly(train, MOST);
         let all: Vec<Real> = part.iter().flat_map(|&i| data.query(i).features).copied().collect();
-        let network = self.parts(frame, weights).0.len();
+        let network = parts(frame, weights).0.len();
         let conditions = Conditions::new(self.deformation.traits().inputs, &all);
         let linear = self.deformation.linear_part(&weights[..network], &cloud.means, conditions);
         let (Some(linear), [receiver]) = (linear, frame.receivers.as_slice()) else { return false };
@@ -44,7 +44,7 @@ impl Splatting {
             let (k, j) = (i / linear.functions, i % linear.functions);
             (0..2).for_each(|c| weights[linear.place(c, k, j)] = (gain[c] / level) as Real);
         }
-        weights[network..].fill(level.log10() as Real);
+        offsets_mut(frame, weights).fill(level.log10() as Real);
         true
     }
 }

@@ -1,0 +1,245 @@
+//! `SplattedChannel`: Gaussians as sources of spherical waves, and the derivative.
+//!
+//! ```text
+//! means, p_tx ─► deform ─► Δs ─► signals of every link ─┐
+//! means, gate ─► Waves (once a receiver) ───────────────┴─► Σ ─► level of the receiver ─► h
+//! ```
+
+mod linear_start;
+mod waves;
+
+use crate::deform::Mlp;
+use crate::deformed::{self, OFFSETS};
+use crate::groups::Group;
+use crate::readout::magnitudes;
+use crate::{Activation, ActivationVjp, Calibration};
+use pwrfgs_core::{
+    Activated, Appearance, Asked, Cache, Conditions, Cost, Dataset, Deformation, DeformationInputs, Deltas, Frame,
+    GaussianCloud, JsonSchema, Layout, Method, MethodTraits, MethodVjp, Observed, Parameters, Pixels, Plugin, Real,
+    StageTimes, Task, WeightSpec, cached, consts, evenly,
+};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+use std::time::Instant;
+use waves::Waves;
+
+/// Channels as sums over Gaussians: each sends a spherical wave with its complex signal, summed on the antennas of the
+/// receiver for every subcarrier, times a level that is learned for each receiver.
+///
+/// Nothing is projected: scales, rotations and opacities do not count. A pipeline for channels that leaves `method` out
+/// has it with its `deformation`.
+///
+/// ```
+/// use pwrfgs_core::{Method, Plugin};
+/// # use pwrfgs_model as _;
+/// let method = "SplattedChannel(deformation: Factored(tx_encoding: Features(width: 416)))";
+/// let method = Plugin::<dyn Method>::parse(method).unwrap();
+/// assert_eq!(method.traits().inputs, 416);
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct SplattedChannel {
+    /// What the transmitter changes.
+    pub deformation: Plugin<dyn Deformation>,
+}
+
+impl Default for SplattedChannel {
+    fn default() -> Self {
+        let deformation: Box<dyn Deformation> = Box::new(Mlp::default());
+        Self { deformation: deformation.into() }
+    }
+}
+
+/// What no transmitter changes.
+struct Ready {
+    deformation: Cache,
+    /// Of each receiver.
+    waves: Vec<Waves>,
+}
+
+/// What the derivative finds again.
+struct Kept {
+    deltas: Deltas,
+    /// Of each group: its waves, and signals `[N, links, 2]`.
+    received: Vec<(Group, Waves, Vec<Real>)>,
+}
+
+/// Links that the level is set by, at most.
+const LEVEL_LINKS: usize = 256;
+
+/// Numbers a Gaussian and complex number of a channel: waves and their derivatives.
+const PER_WAVE: usize = 4;
+
+/// What a receiver multiplies every channel by: its offset is a decimal logarithm.
+fn level(offsets: &[Real], receiver: usize) -> Real {
+    offsets.get(receiver).map_or(1.0, |offset| (offset * consts::LN_10).exp())
+}
+
+impl SplattedChannel {
+    fn activation(&self) -> Activation {
+        let replaces_signals = self.deformation.traits().replaces_signals;
+        Activation { calibration: Calibration::Physical, replaces_signals, channels: 2 }
+    }
+
+    fn signals(&self, p: &Parameters<'_>, deltas: &Deltas, group: &Group) -> Vec<Real> {
+        let (terms, batch) = group.terms(deltas, p.cloud.len());
+        self.activation().signals(p.cloud, &terms, batch)
+    }
+
+    /// Begins with channels as strong as the measured ones, whatever unit these have.
+    fn start_level(&self, frame: &Frame, data: &Dataset, train: &[usize], cloud: &GaussianCloud, weights: &mut [Real]) {
+        let part = evenly(train, LEVEL_LINKS);
+        let (conditions, links) = deformed::asked_of(frame, data, &part);
+        let conditions = Conditions::new(self.deformation.traits().inputs, &conditions);
+        let asked = Asked { conditions, links: &links, pixels: Pixels::All };
+        let numbers = self.forward(frame, &Parameters { cloud, gate: None, presence: None, weights }, &asked).numbers;
+        let energy = |values: &[Real]| values.iter().map(|v| (*v as f64).powi(2)).sum::<f64>();
+        let measured: f64 = part.iter().map(|&i| energy(&data.image(i).pixels)).sum();
+        let ratio = measured / energy(&numbers);
+        if ratio.is_finite() && ratio > 0.0 {
+            offsets_mut(frame, weights).iter_mut().for_each(|level| *level += (0.5 * ratio.log10()) as Real);
+        }
+    }
+}
+
+/// The network's weights, and the receivers' offsets behind them.
+fn parts<'a>(frame: &Frame, weights: &'a [Real]) -> (&'a [Real], &'a [Real]) {
+    weights.split_at(weights.len() - frame.receivers.len())
+}
+
+fn offsets_mut<'a>(frame: &Frame, weights: &'a mut [Real]) -> &'a mut [Real] {
+    let network = weights.len() - frame.receivers.len();
+    &mut weights[network..]
+}
+
+#[typetag::serde]
+impl Method for SplattedChannel {
+    fn traits(&self) -> MethodTraits {
+        let (task, inputs) = (Some(Task::Channel), self.deformation.traits().inputs);
+        MethodTraits { task, inputs, appearance: Appearance::Ellipsoids, ..MethodTraits::default() }
+    }
+
+    fn cost(&self, frame: &Frame, _: usize, _: usize) -> Cost {
+        let per_gaussian = self.deformation.traits().kept_per_gaussian + PER_WAVE * frame.numbers() / 2;
+        Cost { per_gaussian, pixels: frame.numbers(), ..Cost::default() }
+    }
+
+    fn layout(&self, frame: &Frame) -> Result<Layout, String> {
+        if !frame.task.is_complex {
+            return Err(format!("method: SplattedChannel gives channels, and the data are {}", frame.task.plural));
+        }
+        deformed::check_receivers(&*self.deformation, frame)?;
+        if frame.receivers.iter().any(|own| own.antennas.len() != frame.receivers[0].antennas.len()) {
+            return Err("receivers with different numbers of antennas; give all the same".into());
+        }
+        let mut layout = self.deformation.layout();
+        layout.weights.push(WeightSpec::zeros(OFFSETS, vec![frame.receivers.len()]));
+        Ok(layout)
+    }
+
+    fn drawable(&self, _: &Frame, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
+        deformed::rows(&*self.deformation, cloud, gate)
+    }
+
+    fn forward(&self, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>) -> Observed {
+        let (network, offsets) = parts(frame, p.weights);
+        let pose = frame.pose();
+        let inputs = DeformationInputs::new(network, &p.cloud.means, asked.conditions, &pose);
+        let deltas = self.deformation.forward(&inputs, &None);
+        let mut numbers = vec![0.0; asked.links.len() * frame.numbers()];
+        let mut received = Vec::new();
+        for group in Group::all(asked.links, frame.receivers.len(), true) {
+            let waves = Waves::new(frame, &frame.receivers[group.receiver], p.cloud, p.gate);
+            let signals = self.signals(p, &deltas, &group);
+            let mut own = waves.sum(&signals, group.links.len());
+            let level = level(offsets, group.receiver);
+            own.iter_mut().for_each(|v| *v *= level);
+            group.scatter(&own, frame.numbers(), &mut numbers);
+            received.push((group, waves, signals));
+        }
+        Observed { numbers, cache: Some(Arc::new(Kept { deltas, received })) }
+    }
+
+    fn vjp(
+        &self,
+        frame: &Frame,
+        p: &Parameters<'_>,
+        asked: &Asked<'_>,
+        observed: Observed,
+        d: &[Real],
+        sums: &mut MethodVjp,
+    ) {
+        let Kept { deltas, received } = cached(&observed.cache);
+        let (n, activation) = (p.cloud.len(), self.activation());
+        let mut own = ActivationVjp::zeros(p.cloud, deltas);
+        let (network, offsets) = parts(frame, p.weights);
+        for (group, waves, signals) in received {
+            let links = group.links.len();
+            let level = level(offsets, group.receiver);
+            let d: Vec<Real> = group.gather(d, frame.numbers()).iter().map(|d| level * d).collect();
+            let along: Real = waves.sum(signals, links).iter().zip(&d).map(|(v, d)| v * d).sum();
+            sums.weights[network.len() + group.receiver] += consts::LN_10 * along;
+            let (d_signals, d_waves) = waves.sum_vjp(signals, links, &d);
+            let receiver = &frame.receivers[group.receiver];
+            Waves::vjp(frame, receiver, p.cloud, p.gate, &d_waves, (&mut own.cloud.means, &mut own.gate));
+            group.terms_vjp(deltas, n, &mut own, |terms, batch, own| {
+                activation.signals_vjp(p.cloud, terms, batch, &d_signals, own);
+            });
+            for (i, signals) in signals.chunks_exact((2 * links).max(1)).enumerate() {
+                let mean = signals.iter().map(|s| s * s).sum::<Real>() / links.max(1) as Real;
+                sums.seen.visible[i] += 1.0;
+                sums.seen.weight[i] += p.gate.map_or(1.0, |gate| gate[i]) * mean.sqrt();
+            }
+        }
+        let pose = frame.pose();
+        let inputs = DeformationInputs::new(network, &p.cloud.means, asked.conditions, &pose);
+        deformed::vjp(&*self.deformation, &inputs, &own, sums);
+    }
+
+    fn prepare(&self, frame: &Frame, p: &Parameters<'_>) -> Cache {
+        let deformation = self.deformation.prepare(parts(frame, p.weights).0, &p.cloud.means, &frame.pose());
+        let waves = frame.receivers.iter().map(|receiver| Waves::new(frame, receiver, p.cloud, p.gate)).collect();
+        Some(Arc::new(Ready { deformation, waves }))
+    }
+
+    fn predict(
+        &self,
+        frame: &Frame,
+        p: &Parameters<'_>,
+        asked: &Asked<'_>,
+        prepared: &Cache,
+    ) -> (Vec<Real>, StageTimes) {
+        let start = Instant::now();
+        let Ready { deformation, waves } = cached(prepared);
+        let (network, offsets) = parts(frame, p.weights);
+        let pose = frame.pose();
+        let inputs = DeformationInputs::new(network, &p.cloud.means, asked.conditions, &pose);
+        let deltas = self.deformation.forward(&inputs, deformation);
+        let network = start.elapsed().as_secs_f64();
+        let mut numbers = vec![0.0; asked.links.len() * frame.numbers()];
+        for group in Group::all(asked.links, frame.receivers.len(), true) {
+            let signals = self.signals(p, &deltas, &group);
+            let level = level(offsets, group.receiver);
+            let mut own = waves[group.receiver].sum(&signals, group.links.len());
+            own.iter_mut().for_each(|v| *v *= level);
+            group.scatter(&own, frame.numbers(), &mut numbers);
+        }
+        let blending = start.elapsed().as_secs_f64() - network;
+        (numbers, StageTimes { network, blending, ..StageTimes::default() })
+    }
+
+    fn start(&self, frame: &Frame, data: &Dataset, train: &[usize], cloud: &mut GaussianCloud, weights: &mut [Real]) {
+        let network = parts(frame, weights).0.len();
+        deformed::start(&*self.deformation, data, train, &mut weights[..network]);
+        if !self.start_linear(frame, data, train, cloud, weights) {
+            self.start_level(frame, data, train, cloud, weights);
+        }
+    }
+
+    fn gaussians(&self, frame: &Frame, p: &Parameters<'_>, tx: Option<[Real; 3]>) -> Option<Activated> {
+        let (primitives, signals) = deformed::gaussians(&*self.deformation, self.activation(), frame, p, tx);
+        let known = tx.is_some() || !self.deformation.traits().replaces_signals;
+        let strengths = known.then(|| magnitudes(&signals));
+        Some(Activated { primitives, signals, strengths })
+    }
+}
