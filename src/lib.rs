@@ -68,8 +68,8 @@ pub mod prelude {
         Baseline, Budget, CloudStats, ColumnSpec, DataSource, Dataset, Deformation, Deltas, Edit, Elevation, Error,
         Evaluation, Frame, Gate, GaussianCloud, Goal, Image, ImagePlane, Initializer, JsonSchema, Known, Link,
         Measurement, Method, Metric, Moment, Needs, Observations, Origin, Partition, Phase, Plugin, Pose, Predict,
-        Primitives, Progress, Projector, Pruner, Query, Rasterizer, Real, Receiver, Render, Result, Row, Sample,
-        Sampling, Scene, Scope, Simulation, Spectra, Splats, Split, Statistic, Statistics, Task, Values, rng,
+        Primitives, Progress, Projector, Pruner, PrunerTraits, Query, Rasterizer, Real, Receiver, Render, Result, Row,
+        Sample, Sampling, Scene, Scope, Simulation, Spectra, Splats, Split, Statistic, Statistics, Task, Values, rng,
     };
     pub use pwrfgs_experiment::{Observer, Silent};
     pub use pwrfgs_model::{Ensemble, Model, Prepared, Readout, Stages};

@@ -30,8 +30,8 @@ impl Pruner for Factor {
     fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
         vec![true; cloud.len()]
     }
-    fn columns(&self) -> Vec<ColumnSpec> {
-        vec![ColumnSpec::learned("factor", 1.0, 0.01)]
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { columns: vec![ColumnSpec::learned("factor", 1.0, 0.01)], ..PrunerTraits::default() }
     }
     fn gate(&self, cloud: &Traced, _: &Moment) -> Option<Gate> {
         Some(cloud.column("factor").into())

@@ -70,7 +70,7 @@ fn pruners_answer_and_score_every_gaussian() {
     for (name, pruner) in all::<dyn Pruner>() {
         for n in [0, 1, 9] {
             let mut cloud = cloud(n, 3);
-            for spec in pruner.columns() {
+            for spec in pruner.traits().columns {
                 assert_eq!(spec.width, 1, "{name}: this test makes columns of one number");
                 cloud = with_column(cloud, spec.name, vec![spec.init; n]);
             }

@@ -151,7 +151,7 @@ fn strategies_that_draw_no_lots_do_not_care_for_the_order_of_gaussians() {
     for (name, settings) in ALL.into_iter().filter(|(name, _)| !["RandomReference", "MiniSplatting"].contains(name)) {
         let pruner: Plugin<dyn Pruner> = plugin(&format!("{name}({settings})"));
         let mut cloud = cloud(n, 3);
-        for spec in pruner.columns() {
+        for spec in pruner.traits().columns {
             cloud = with_column(cloud, spec.name, column.iter().map(|v| spec.init * (0.5 + v)).collect());
         }
         let straight = scores(&pruner, &cloud, &column);

@@ -222,8 +222,8 @@ impl Pruner for There {
     fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
         vec![true; cloud.len()]
     }
-    fn columns(&self) -> Vec<ColumnSpec> {
-        vec![ColumnSpec::learned("there", 1.0, 0.01)]
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { columns: vec![ColumnSpec::learned("there", 1.0, 0.01)], ..PrunerTraits::default() }
     }
     fn gate(&self, cloud: &Traced, _: &Moment) -> Option<Gate> {
         Some(Gate::Presence(cloud.column("there")))

@@ -33,8 +33,8 @@ class Pruner(Strategy):
     """Decides which Gaussians stay. Only ``keep`` is required.
 
     An object is recorded by its class and the arguments of ``__init__``, each of which must be an attribute of the same
-    name (a dataclass has it so); from these it is made anew when a run is resumed. What it must remember lies in columns or
-    in ``state``; anything else is lost.
+    name (a dataclass has it so); from these it is made anew when a run is resumed. What it must remember lies in columns;
+    anything else is lost.
     """
 
     def keep(self, cloud: Cloud, stats: Stats, moment: Moment) -> Array:
@@ -83,14 +83,6 @@ class Pruner(Strategy):
 
     def update(self, cloud: Cloud, stats: Stats, moment: Moment) -> None:
         """Changes columns in place, once after each step: ``cloud.columns["age"] += 1``."""
-
-    def state(self) -> Array:
-        """Numbers to remember of the whole training, as they are at the start."""
-        raise NotImplementedError
-
-    def advance(self, state: Array, n: int, cloud: Cloud, moment: Moment) -> Array:
-        """New values of the ``state`` after a prune step; ``n`` Gaussians were there before it."""
-        return state
 
 
 class Initializer(Strategy):

@@ -165,7 +165,6 @@ class Stats(NamedTuple):
     radius : Largest radius, px.
     weight : Sum of its blending weights.
     asked : What ``needs`` named, fresh at this prune step; empty at any other.
-    state : The numbers that the strategy remembers of the whole training.
     """
 
     visible: Array
@@ -173,7 +172,6 @@ class Stats(NamedTuple):
     radius: Array
     weight: Array
     asked: Dict[str, Array]
-    state: Array
 
 
 @_told

@@ -54,16 +54,9 @@ class Mask(pwrfgs.Pruner):
     def score(self, cloud, stats, moment):
         return cloud["logit"]
 
-    def state(self):
-        return np.zeros(2)
-
-    def advance(self, state, n, cloud, moment):
-        return state + [n, 1]
-
     def keep(self, cloud, stats, moment):
         assert stats.asked["weight"].shape == (len(cloud),) and "elimination" not in stats.asked
         assert (cloud["age"] == moment.step).all() and cloud["age"].shape == (len(cloud), 2)
-        assert stats.state[1] == moment.round - 1
         assert not cloud.means.flags.writeable
         return cloud["logit"] >= np.log(0.01 / 0.99)
 

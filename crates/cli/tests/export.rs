@@ -86,7 +86,7 @@ fn a_ply_file_shows_the_base_or_what_a_transmitter_makes_of_it() {
     same_geometry(&base, &model, &scales, &quats);
 
     let stages = &model.stages;
-    let deformation = &stages.splatting().unwrap().deformation;
+    let deformation = stages.deformation().unwrap();
     let txs = [TX.map(|x| x as Real)];
     let pose = stages.pose();
     let inputs = DeformationInputs::new(&model.weights, &model.cloud.means, &txs, &pose);

@@ -74,7 +74,7 @@ pub use partition::{Known, LinkSet, Partition};
 pub use plugin::{Cache, Checked, Plugin, cached, registered};
 pub use pose::Pose;
 pub use projector::Projector;
-pub use pruner::{Budget, ColumnSpec, Pruner, best};
+pub use pruner::{Budget, ColumnSpec, MaskFall, MaskRate, Pruner, PrunerTraits, best};
 pub use rasterizer::{Looked, Rasterizer, Render, RenderVjp, Survey};
 pub use real::{Mat3, Real, Vec3, consts, logit, sigmoid};
 pub use scene::Scene;

@@ -1,12 +1,12 @@
 //! `Pruner`: which Gaussians stay.
 
 use crate::{
-    CloudStats, Edit, Gate, GaussianCloud, Moment, Needs, Real, Result, plugin_kind,
+    CloudStats, Edit, Gate, GaussianCloud, Moment, Needs, Real, plugin_kind,
     tape::{TraceScalar, Traced},
 };
 
-/// Decides which Gaussians stay. An immutable value: whatever it must remember lies in columns it asks for, or in its
-/// [`Pruner::state`].
+/// Decides which Gaussians stay. An immutable value: whatever it must remember lies in columns that it asks for; a number
+/// of the whole pipeline is a column of one value.
 ///
 /// Only [`Pruner::keep`] is required. A learned strategy adds columns, a gate and a penalty, written forward-only on the
 /// step's tape. Worked example: `pwrfgs_prune::LearnableMask`.
@@ -22,11 +22,6 @@ pub trait Pruner:
     fn needs(&self, cloud: &GaussianCloud, moment: &Moment) -> Needs {
         let _ = (cloud, moment);
         Needs::nothing()
-    }
-
-    /// Columns to add to the cloud. They survive clone, split, prune and checkpoints.
-    fn columns(&self) -> Vec<ColumnSpec> {
-        Vec::new()
     }
 
     /// A factor `[N]` on each Gaussian while training; several gates multiply. [`Gate`] says what it multiplies, and
@@ -55,16 +50,16 @@ pub trait Pruner:
         None
     }
 
-    /// How much each Gaussian matters, `[N]`, larger is better: who stays under a [`Pruner::budget`], and who survives when
+    /// How much each Gaussian matters, `[N]`, larger is better: who stays under a [`PrunerTraits::budget`], and who survives when
     /// all pruners together would leave nothing. Opacity by default.
     fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<Real> {
         let _ = (stats, moment);
         cloud.opacity_logits.clone()
     }
 
-    /// The exact number of Gaussians at the end of pruning, where one is set.
-    fn budget(&self) -> Option<Budget> {
-        None
+    /// What it asks for before the first step, and how it comes to a number of Gaussians.
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits::default()
     }
 
     /// The same, asked for an exact number; `None` where it takes none.
@@ -73,51 +68,90 @@ pub trait Pruner:
         None
     }
 
-    /// Whether it may add Gaussians until its [`Pruner::budget`] is reached.
-    fn grows(&self) -> bool {
-        false
-    }
-
-    /// Training steps after which it removes a Gaussian that the data do not need: what it learns has to fall from its
-    /// initial value to a threshold. `decays` are those of Adam's two moments. `None` if it does not depend on that.
-    fn steps_to_remove(&self, decays: [Real; 2]) -> Option<u64> {
-        let _ = decays;
-        None
-    }
-
-    /// The same for a training of `scale` times the steps, below 1: what it learns falls as far in fewer steps. `None` if
-    /// nothing changes.
-    fn shortened(&self, scale: f64) -> Option<Box<dyn Pruner>> {
-        let _ = scale;
-        None
-    }
-
-    /// Numbers that it remembers of the pipeline, as they are at the start; `None`: nothing. They are kept in checkpoints
-    /// and shown as [`CloudStats::state`].
-    fn state(&self) -> Option<Vec<Real>> {
-        None
-    }
-
-    /// New values of its [`Pruner::state`], once after each prune step: `n` Gaussians were there before, `cloud` is left.
-    fn advance(&self, state: &mut [Real], n: usize, cloud: &GaussianCloud, moment: &Moment) {
-        let _ = (state, n, cloud, moment);
-    }
-
-    /// Whether it can be asked at all: one that is written in another language wants a program that runs it. A training
-    /// asks before anything else.
-    ///
-    /// # Errors
-    /// Why not, and what to do.
-    fn ready(&self) -> Result<()> {
-        Ok(())
-    }
-
     /// Refuses settings that cannot work, when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())
     }
 }
 plugin_kind!(Pruner);
+
+/// What a [`Pruner`] asks for, and how it comes to a number of Gaussians.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PrunerTraits {
+    /// Columns to add to the cloud. They survive clone, split, prune and checkpoints.
+    pub columns: Vec<ColumnSpec>,
+    /// The exact number of Gaussians at the end of pruning, where one is set.
+    pub budget: Option<Budget>,
+    /// Whether it may add Gaussians until its budget is reached.
+    pub grows: bool,
+    /// The setting that a shorter training raises; `None` if nothing depends on the length.
+    pub mask_rate: Option<MaskRate>,
+    /// How a mask of a Gaussian that the data do not need closes; `None` if it has no such masks.
+    pub mask_fall: Option<MaskFall>,
+    /// Why it cannot be asked at all, and what to do: one that is written in another language wants a program that runs it.
+    pub unavailable: Option<String>,
+}
+
+/// A learning rate of masks among the settings of a pruner. A training of `scale` times the steps, below 1, divides it by
+/// `scale`, so that masks fall as far in fewer steps.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MaskRate {
+    /// Name of the setting.
+    pub field: &'static str,
+    /// Its value.
+    pub value: Real,
+    /// The largest value that a shorter training gives it: a faster mask closes by chance.
+    pub most: Real,
+}
+
+impl MaskRate {
+    /// The setting `learning_rate` of masks that Adam moves.
+    pub fn adam(value: Real) -> Self {
+        Self { field: "learning_rate", value, most: value.max(0.1) }
+    }
+
+    /// The value in a training of `scale` times the steps.
+    pub fn shortened(&self, scale: f64) -> Real {
+        ((f64::from(self.value) / scale) as Real).min(self.most)
+    }
+}
+
+/// A mask logit m under the pressure of a penalty on σ(m) alone: its derivative is σ(m)·(1 − σ(m)) times a positive number.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MaskFall {
+    /// m at the start.
+    pub from: Real,
+    /// σ(m) at which the mask closes.
+    pub to: Real,
+    /// Learning rate.
+    pub rate: Real,
+    /// That number if m moves by its derivative; `None` if Adam moves it, whose steps do not depend on it.
+    pub pressure: Option<Real>,
+}
+
+/// Most steps that are counted until a mask closes.
+const MOST_STEPS: u64 = 1_000_000;
+
+impl MaskFall {
+    /// Training steps until the mask closes, by the update of the optimiser in double precision; `decays` are those of Adam's
+    /// two moments.
+    pub fn steps(&self, decays: [Real; 2]) -> u64 {
+        let [beta1, beta2] = decays.map(f64::from);
+        let [rate, threshold] = [self.rate, self.to].map(f64::from);
+        let (mut m, mut first, mut second) = (f64::from(self.from), 0.0, 0.0);
+        let mut step = |k: u64| {
+            let open = 1.0 / (1.0 + (-m).exp());
+            let slope = open * (1.0 - open);
+            first = beta1 * first + (1.0 - beta1) * slope;
+            second = beta2 * second + (1.0 - beta2) * slope * slope;
+            let unbias = |beta: f64| 1.0 - beta.powf(k as f64);
+            let adam = first / unbias(beta1) / (second / unbias(beta2)).sqrt();
+            m -= rate * self.pressure.map_or(adam, |pressure| f64::from(pressure) * slope);
+            1.0 / (1.0 + (-m).exp()) < threshold
+        };
+        (1..MOST_STEPS).find(|k| step(*k)).unwrap_or(MOST_STEPS)
+    }
+}
 
 /// An exact number of Gaussians at the end of pruning, and how it is come to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -73,8 +73,6 @@ pub struct CloudStats {
     pub weight: Vec<Real>,
     /// What [`crate::Pruner::needs`] names, fresh from a pass at this prune step; empty at any other.
     pub asked: Statistics,
-    /// What the pruner remembers of the pipeline, as [`crate::Pruner::state`] began it; empty for others.
-    pub state: Vec<Real>,
 }
 
 impl CloudStats {

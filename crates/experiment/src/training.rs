@@ -17,7 +17,7 @@ use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Dataset, Error, GaussianCloud, Partition, Progress, Result, evenly};
 use pwrfgs_model::{Model, file};
 use pwrfgs_pipeline::Pipeline;
-use pwrfgs_train::{Estimate, Pruned, Trainer};
+use pwrfgs_train::{Estimate, Pruned, Trainer, check_available};
 use std::path::Path;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
@@ -36,7 +36,7 @@ impl<'a> Training<'a, '_> {
     /// A trainer at the start, or where the checkpoint in the folder left it, and what a step will take.
     pub(crate) fn trainer(&mut self, held: Option<&RunFolder>) -> Result<(Trainer<'a>, Estimate)> {
         // A strategy that cannot be asked is refused before a checkpoint is blamed for it.
-        self.pipeline.pruners.iter().try_for_each(|pruner| pruner.ready())?;
+        check_available(&self.pipeline.pruners)?;
         let (pipeline, data, partition) = (self.pipeline, self.data, self.partition);
         fitting(pipeline, || {
             let restored = match held {
@@ -135,7 +135,8 @@ impl<'a> Training<'a, '_> {
             }
         }
         let model = trainer.model();
-        let prunes = !self.pipeline.pruners.is_empty() && !self.pipeline.pruners.iter().any(|pruner| pruner.grows());
+        let prunes =
+            !self.pipeline.pruners.is_empty() && !self.pipeline.pruners.iter().any(|pruner| pruner.traits().grows);
         if prunes && fullest == 0 && !model.cloud.is_empty() {
             let (folder, n) = (folder.name().display(), model.cloud.len());
             let what = format!("{folder}: nothing was pruned: {n} Gaussians remain, and no pruner has removed any");

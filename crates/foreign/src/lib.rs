@@ -7,9 +7,9 @@
 
 use pwrfgs_core::tape::{TraceScalar, Traced};
 use pwrfgs_core::{
-    Baseline, CloudStats, ColumnSpec, Dataset, Error, Evaluation, Gate, GaussianCloud, ImagePlane, Initializer,
-    JsonSchema, Known, Measurement, Metric, Moment, Needs, Partition, Predict, Pruner, Real, Result, Scene, Seen,
-    Split, Task, rng::Rng,
+    Baseline, CloudStats, Dataset, Error, Evaluation, Gate, GaussianCloud, ImagePlane, Initializer, JsonSchema, Known,
+    Measurement, Metric, Moment, Needs, Partition, Predict, Pruner, PrunerTraits, Real, Result, Scene, Seen, Split,
+    Task, rng::Rng,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, OnceLock};
@@ -25,7 +25,7 @@ use std::sync::{Arc, OnceLock};
 /// # use pwrfgs_foreign as _;
 /// let text = r#"Python(module: "strategies", class: "Thin", settings: "{\"share\": 0.1}", source: "5f1c")"#;
 /// let pruner = Plugin::<dyn Pruner>::parse(text).unwrap();
-/// assert!(pruner.ready().unwrap_err().to_string().contains("Thin"));
+/// assert!(pruner.traits().unavailable.unwrap().contains("Thin"));
 /// ```
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -83,11 +83,12 @@ impl Python {
     }
 }
 
-/// The trainer asks [`Pruner::ready`] first, so there is a strategy whenever one is asked anything that counts.
+/// The trainer looks at [`PrunerTraits::unavailable`] first, so there is a strategy whenever one is asked anything that counts.
 #[typetag::serde]
 impl Pruner for Python {
-    fn ready(&self) -> Result<()> {
-        self.host()?.pruner(self).map(|_| ())
+    fn traits(&self) -> PrunerTraits {
+        let unavailable = |why: Error| PrunerTraits { unavailable: Some(why.to_string()), ..PrunerTraits::default() };
+        self.host().and_then(|host| host.pruner(self)).map_or_else(unavailable, |own| own.traits())
     }
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
@@ -96,10 +97,6 @@ impl Pruner for Python {
 
     fn needs(&self, cloud: &GaussianCloud, moment: &Moment) -> Needs {
         self.as_pruner().map_or_else(Needs::nothing, |own| own.needs(cloud, moment))
-    }
-
-    fn columns(&self) -> Vec<ColumnSpec> {
-        self.as_pruner().map_or_else(Vec::new, |own| own.columns())
     }
 
     fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Gate> {
@@ -118,16 +115,6 @@ impl Pruner for Python {
 
     fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<Real> {
         self.as_pruner().map_or_else(|| cloud.opacity_logits.clone(), |own| own.score(cloud, stats, moment))
-    }
-
-    fn state(&self) -> Option<Vec<Real>> {
-        self.as_pruner()?.state()
-    }
-
-    fn advance(&self, state: &mut [Real], n: usize, cloud: &GaussianCloud, moment: &Moment) {
-        if let Some(own) = self.as_pruner() {
-            own.advance(state, n, cloud, moment);
-        }
     }
 }
 

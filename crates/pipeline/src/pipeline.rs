@@ -4,10 +4,10 @@ use crate::defaults;
 use crate::draft::{Draft, shortened};
 use crate::kinds::{mixed, refuse_mixed};
 use crate::ron_tree::Tree;
-use pwrfgs_core::plugin::{Checked, Plugin, read_ron, try_to_ron};
+use pwrfgs_core::plugin::{Checked, Plugin, read_ron, to_ron, try_to_ron};
 use pwrfgs_core::{
-    Baseline, DataSource, Dataset, Deformation, Error, ImagePlane, Initializer, JsonSchema, Method, Metric, Partition,
-    Projector, Pruner, Rasterizer, Result, Split, plugin::name_of, rng,
+    Baseline, DataSource, Dataset, Deformation, Error, ImagePlane, Initializer, JsonSchema, MaskRate, Method, Metric,
+    Partition, Projector, Pruner, Rasterizer, Result, Split, plugin::name_of, rng,
 };
 use pwrfgs_model::{Calibration, Readout, SplattedChannel, Splatting, Stages, check_together};
 use pwrfgs_train::{Trainer, Training, TrainingPatch, TrainingPlan};
@@ -348,10 +348,17 @@ impl Pipeline {
             )));
         }
         let training = Checked::new(training).map_err(|why| Error::Config(format!("training: {why}")))?;
-        let scale = self.training.scale;
-        let shortened = |own: &Plugin<dyn Pruner>| own.shortened(scale).map_or_else(|| own.clone(), Plugin::from);
-        let pruners = if scale < 1.0 { self.pruners.iter().map(shortened).collect() } else { self.pruners.clone() };
-        Ok(Self { pruners, training, ..self.clone() })
+        let (scale, resolved) = (self.training.scale, Self { training, ..self.clone() });
+        let rates = self.pruners.iter().enumerate().filter_map(|(k, pruner)| Some((k, pruner.traits().mask_rate?)));
+        let rates: Vec<(usize, MaskRate)> = rates.filter(|_| scale < 1.0).collect();
+        if rates.is_empty() {
+            return Ok(resolved);
+        }
+        let mut draft = Draft::of(&resolved);
+        for (k, rate) in rates {
+            draft.set(&format!("pruners.{k}.{}", rate.field), &to_ron(&rate.shortened(scale)))?;
+        }
+        draft.finish()
     }
 
     /// The same without what changes nothing of the result: TensorBoard, and how often a checkpoint is written.

@@ -3,24 +3,28 @@
 use crate::rounds::{check_below_one, check_share, check_target, check_weight};
 use dfdx::prelude::{Rank0, SumTo};
 use pwrfgs_core::{
-    Budget, CloudStats, ColumnSpec, GaussianCloud, JsonSchema, Moment, Phase, Pruner, Real, sigmoid,
+    Budget, CloudStats, ColumnSpec, GaussianCloud, JsonSchema, Moment, Phase, Pruner, PrunerTraits, Real, sigmoid,
     tape::{TraceScalar, Traced},
 };
 use serde::{Deserialize, Serialize};
 
 /// The column that says whether the pull is on.
 const PULL: &str = "control_pull";
+/// The column of the number of Gaussians before the prune step that was taken last; 0 once it is counted.
+const COUNT: &str = "control_count";
+/// The column that says how pruning goes: 0, not many are gone yet; −1, they are going; 1, it has settled.
+const TREND: &str = "control_trend";
 
 /// Pulls all opacities down a little and drops what has faded, until a prune step takes next to nothing (ControlGS).
 ///
 /// The loss gains lambda · Σ o; what is below `epsilon` goes, at each prune step, as long as the one before took at least the
 /// share `settle` of all (ControlGS, Zhang et al., 2025: 3e-7, and 2,000 of some million a round). Then the pull and the
-/// pruning stop: the number of Gaussians follows from lambda alone and not from how long one waits. That it has stopped is a
-/// number which the pipeline remembers, checkpoints included.
+/// pruning stop: the number of Gaussians follows from lambda alone and not from how long one waits. That it has stopped is
+/// kept in a column, checkpoints included.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner};
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
 /// Plugin::<dyn Pruner>::parse("ControlGs(lambda: 1e-5)")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -46,14 +50,15 @@ impl Default for ControlGs {
 
 #[typetag::serde]
 impl Pruner for ControlGs {
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<bool> {
-        let settled = settled(&stats.state);
-        cloud.opacity_logits.iter().map(|logit| settled || sigmoid(*logit) >= self.epsilon).collect()
+    fn traits(&self) -> PrunerTraits {
+        // Of all Gaussians the same: what is remembered of the pipeline.
+        let columns = vec![ColumnSpec::state(PULL, 1.0), ColumnSpec::state(COUNT, 0.0), ColumnSpec::state(TREND, 0.0)];
+        PrunerTraits { columns, budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
     }
 
-    fn columns(&self) -> Vec<ColumnSpec> {
-        // Of all Gaussians the same: the tape sees columns, and no memory of the pipeline.
-        vec![ColumnSpec::state(PULL, 1.0)]
+    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
+        let settled = number(cloud, TREND) > 0.0;
+        cloud.opacity_logits.iter().map(|logit| settled || sigmoid(*logit) >= self.epsilon).collect()
     }
 
     fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
@@ -61,31 +66,31 @@ impl Pruner for ControlGs {
             .then(|| (cloud.opacities() * cloud.leaf(PULL).clone()).sum::<Rank0, _>() * self.lambda)
     }
 
-    fn update(&self, cloud: &mut GaussianCloud, stats: &CloudStats, _: &Moment) {
-        let pull = if settled(&stats.state) { 0.0 } else { 1.0 };
-        cloud.extra.iter_mut().filter(|column| column.name == PULL).for_each(|column| column.values.fill(pull));
-    }
-
-    fn state(&self) -> Option<Vec<Real>> {
-        Some(vec![0.0])
-    }
-
-    fn advance(&self, state: &mut [Real], n: usize, cloud: &GaussianCloud, _: &Moment) {
-        let many = n.saturating_sub(cloud.len()) as Real >= self.settle * n as Real;
-        // Before many have faded, few that go are no sign that it has settled.
-        state[0] = match (many, state[0] < 0.0) {
-            (true, _) => -1.0,
-            (false, true) => 1.0,
-            (false, false) => state[0],
-        };
+    fn update(&self, cloud: &mut GaussianCloud, _: &CloudStats, moment: &Moment) {
+        let (n, before, mut trend) = (cloud.len(), number(cloud, COUNT), number(cloud, TREND));
+        if before > 0.0 {
+            // Before many have faded, few that go are no sign that it has settled.
+            let many = (before - n as Real).max(0.0) >= self.settle * before;
+            trend = match (many, trend < 0.0) {
+                (true, _) => -1.0,
+                (false, true) => 1.0,
+                (false, false) => trend,
+            };
+        }
+        let pull = if trend > 0.0 { 0.0 } else { 1.0 };
+        let count = if moment.round > 0 { n as Real } else { 0.0 };
+        for column in &mut cloud.extra {
+            match column.name.as_str() {
+                PULL => column.values.fill(pull),
+                COUNT => column.values.fill(count),
+                TREND => column.values.fill(trend),
+                _ => {}
+            }
+        }
     }
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
-    fn budget(&self) -> Option<Budget> {
-        self.target.map(Budget::Rounds)
     }
 
     fn check(&self) -> Result<(), String> {
@@ -96,7 +101,7 @@ impl Pruner for ControlGs {
     }
 }
 
-/// 0: not many have gone yet; −1: they are going; 1: it has settled.
-fn settled(state: &[Real]) -> bool {
-    state.first().is_some_and(|state| *state > 0.0)
+/// The value of a column that all Gaussians have; 0 without it.
+fn number(cloud: &GaussianCloud, column: &str) -> Real {
+    cloud.extra(column).and_then(|column| column.values.first()).copied().unwrap_or(0.0)
 }

@@ -1,7 +1,9 @@
 //! Influence on the pictures: a quantile of it goes.
 
 use crate::rounds::{asked, check_share, check_target, quantile};
-use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, Real, Statistic};
+use pwrfgs_core::{
+    Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic,
+};
 use serde::{Deserialize, Serialize};
 
 /// Drops what has the least influence on the pictures, a small part at every prune step (EAGLES).
@@ -12,7 +14,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// ```
 /// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner};
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
 /// Plugin::<dyn Pruner>::parse("Eagles(quantile: 0.05)")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -36,6 +38,10 @@ impl Default for Eagles {
 
 #[typetag::serde]
 impl Pruner for Eagles {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+    }
+
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
         let scores = self.score(cloud, stats, moment);
         if moment.round == 0 || self.quantile == 0.0 {
@@ -55,10 +61,6 @@ impl Pruner for Eagles {
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
-    fn budget(&self) -> Option<Budget> {
-        self.target.map(Budget::Rounds)
     }
 
     fn check(&self) -> Result<(), String> {

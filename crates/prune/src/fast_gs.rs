@@ -1,7 +1,9 @@
 //! What stands where the pictures are wrong.
 
 use crate::rounds::{asked, check_share, check_target};
-use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, Real, Statistic};
+use pwrfgs_core::{
+    Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic,
+};
 use serde::{Deserialize, Serialize};
 
 /// Drops what stands, again and again, where the pictures are wrong (FastGS).
@@ -13,7 +15,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// ```
 /// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner};
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
 /// Plugin::<dyn Pruner>::parse("FastGs(blame: 0.9)")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -39,6 +41,10 @@ impl Default for FastGs {
 
 #[typetag::serde]
 impl Pruner for FastGs {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+    }
+
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
         let known = stats.asked.high_error.len() == cloud.len();
         self.score(cloud, stats, moment).iter().map(|score| !known || *score >= 1.0 - self.blame).collect()
@@ -60,10 +66,6 @@ impl Pruner for FastGs {
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
-    fn budget(&self) -> Option<Budget> {
-        self.target.map(Budget::Rounds)
     }
 
     fn check(&self) -> Result<(), String> {

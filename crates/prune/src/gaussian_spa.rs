@@ -3,7 +3,8 @@
 use crate::rounds::{check_target, share_of};
 use dfdx::prelude::{Rank0, SumTo};
 use pwrfgs_core::{
-    Budget, CloudStats, ColumnSpec, GaussianCloud, JsonSchema, Moment, Phase, Pruner, Real, best, sigmoid,
+    Budget, CloudStats, ColumnSpec, GaussianCloud, JsonSchema, Moment, Phase, Pruner, PrunerTraits, Real, best,
+    sigmoid,
     tape::{TraceScalar, Traced, values},
 };
 use serde::{Deserialize, Serialize};
@@ -23,7 +24,7 @@ const DUAL: &str = "spa_dual";
 ///
 /// ```
 /// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner};
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
 /// Plugin::<dyn Pruner>::parse("GaussianSpa(target: 157)")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -48,15 +49,19 @@ impl Default for GaussianSpa {
 
 #[typetag::serde]
 impl Pruner for GaussianSpa {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits {
+            // No opacity is negative: until the first projection there is nothing to be drawn to.
+            columns: vec![ColumnSpec::state(SPARSE, -1.0), ColumnSpec::state(DUAL, 0.0)],
+            budget: self.target.map(Budget::AtLast),
+            ..PrunerTraits::default()
+        }
+    }
+
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
         let last = moment.round > 0 && moment.round == moment.rounds;
         let count = if last { self.count(cloud.len()) } else { cloud.len() };
         best(count, &self.score(cloud, stats, moment), |_| true)
-    }
-
-    fn columns(&self) -> Vec<ColumnSpec> {
-        // No opacity is negative: until the first projection there is nothing to be drawn to.
-        vec![ColumnSpec::state(SPARSE, -1.0), ColumnSpec::state(DUAL, 0.0)]
     }
 
     fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
@@ -99,10 +104,6 @@ impl Pruner for GaussianSpa {
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
-    fn budget(&self) -> Option<Budget> {
-        self.target.map(Budget::AtLast)
     }
 
     fn check(&self) -> Result<(), String> {

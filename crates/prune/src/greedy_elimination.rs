@@ -1,7 +1,9 @@
 //! One at a time, by the true loss.
 
 use crate::rounds::{asked, check_shares, check_target, share_at, without_share};
-use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, Real, Statistic, Statistics};
+use pwrfgs_core::{
+    Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic, Statistics,
+};
 use serde::{Deserialize, Serialize};
 
 /// Takes one Gaussian at a time: always that one without which the training loss is smallest.
@@ -14,7 +16,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// ```
 /// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner};
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
 /// Plugin::<dyn Pruner>::parse("GreedyElimination(target: 24)")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -40,6 +42,10 @@ impl Default for GreedyElimination {
 
 #[typetag::serde]
 impl Pruner for GreedyElimination {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+    }
+
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
         without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
     }
@@ -58,10 +64,6 @@ impl Pruner for GreedyElimination {
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
-    fn budget(&self) -> Option<Budget> {
-        self.target.map(Budget::Rounds)
     }
 
     fn check(&self) -> Result<(), String> {

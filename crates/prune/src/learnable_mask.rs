@@ -3,18 +3,17 @@
 //! The worked example of a pruner that learns: a column, a gate and a penalty, written forward-only on the step's tape,
 //! and a decision. dfdx differentiates; nothing is derived by hand here.
 
-use crate::rounds::{check_rate, check_target, check_weight, learned, shortened_rate};
+use crate::rounds::{check_rate, check_target, check_weight, learned};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
-    Budget, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, Moment, Phase, Pruner, Real, sigmoid,
+    Budget, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, MaskFall, MaskRate, Moment, Phase, Pruner,
+    PrunerTraits, Real, sigmoid,
     tape::{TraceScalar, Traced},
 };
 use serde::{Deserialize, Serialize};
 
 /// The column of mask logits m.
 const COLUMN: &str = "mask_logits";
-/// Most steps that are counted until a mask closes.
-const MOST_STEPS: u64 = 1_000_000;
 
 /// One learned mask a Gaussian, under pressure from a penalty: the pruning of P-WRFGS.
 ///
@@ -39,7 +38,7 @@ const MOST_STEPS: u64 = 1_000_000;
 ///
 /// ```
 /// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner};
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
 /// Plugin::<dyn Pruner>::parse("LearnableMask(lambda: 0.02)")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -69,15 +68,27 @@ impl Default for LearnableMask {
 
 #[typetag::serde]
 impl Pruner for LearnableMask {
+    fn traits(&self) -> PrunerTraits {
+        let &Self { initial_logit: from, threshold: to, learning_rate: rate, lambda, adam, .. } = self;
+        let mut mask_rate = MaskRate::adam(rate);
+        if !adam {
+            // Without Adam a mask moves by its derivative, whose size is not known here.
+            mask_rate.most = 10.0 * rate;
+        }
+        let pressure = if adam { None } else { Some(lambda) };
+        PrunerTraits {
+            columns: vec![ColumnSpec { adam, ..ColumnSpec::learned(COLUMN, from, rate) }],
+            budget: self.target.map(Budget::AtLast),
+            mask_rate: Some(mask_rate),
+            mask_fall: (lambda > 0.0).then_some(MaskFall { from, to, rate, pressure }),
+            ..PrunerTraits::default()
+        }
+    }
+
     fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
         // The same formula as the tape's sigmoid, so that exactly what was drawn is kept.
         let open = |m: &Real| 1.0 / (1.0 + (-m).exp()) >= self.threshold;
         cloud.extra(COLUMN).map_or_else(|| vec![true; cloud.len()], |c| c.values.iter().map(open).collect())
-    }
-
-    fn columns(&self) -> Vec<ColumnSpec> {
-        let column = ColumnSpec::learned(COLUMN, self.initial_logit, self.learning_rate);
-        vec![ColumnSpec { adam: self.adam, ..column }]
     }
 
     fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Gate> {
@@ -98,22 +109,6 @@ impl Pruner for LearnableMask {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
     }
 
-    fn budget(&self) -> Option<Budget> {
-        self.target.map(Budget::AtLast)
-    }
-
-    fn steps_to_remove(&self, decays: [Real; 2]) -> Option<u64> {
-        (self.lambda > 0.0).then(|| self.steps_to_close(decays.map(f64::from)))
-    }
-
-    fn shortened(&self, scale: f64) -> Option<Box<dyn Pruner>> {
-        let rate = self.learning_rate;
-        // Without Adam a mask moves by its derivative, whose size is not known here: ten times the rate at most.
-        let plain = ((f64::from(rate) / scale) as Real).min(10.0 * rate);
-        let learning_rate = if self.adam { shortened_rate(rate, scale) } else { plain };
-        Some(Box::new(Self { learning_rate, ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
         let Self { lambda, threshold, initial_logit, learning_rate, target, .. } = self;
         check_weight("lambda", *lambda)?;
@@ -130,26 +125,6 @@ impl Pruner for LearnableMask {
     }
 }
 
-impl LearnableMask {
-    /// Steps until a mask closes that the penalty alone moves, by the update of the optimiser in double precision. The
-    /// size of its derivative, lambda/N, cancels.
-    fn steps_to_close(&self, [beta1, beta2]: [f64; 2]) -> u64 {
-        let [rate, threshold, lambda] = [self.learning_rate, self.threshold, self.lambda].map(f64::from);
-        let (mut m, mut first, mut second) = (f64::from(self.initial_logit), 0.0, 0.0);
-        let mut step = |k: u64| {
-            let open = 1.0 / (1.0 + (-m).exp());
-            let slope = open * (1.0 - open);
-            first = beta1 * first + (1.0 - beta1) * slope;
-            second = beta2 * second + (1.0 - beta2) * slope * slope;
-            let unbias = |beta: f64| 1.0 - beta.powf(k as f64);
-            let adam = first / unbias(beta1) / (second / unbias(beta2)).sqrt();
-            m -= rate * if self.adam { adam } else { lambda * slope };
-            1.0 / (1.0 + (-m).exp()) < threshold
-        };
-        (1..MOST_STEPS).find(|k| step(*k)).unwrap_or(MOST_STEPS)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -160,7 +135,7 @@ mod tests {
     const LOGITS: [Real; 7] = [1.0, -4.0, -4.594, -4.596, -9.0, 3.0, 0.0];
 
     fn masked(logits: &[Real]) -> GaussianCloud {
-        let column = &LearnableMask::default().columns()[0];
+        let column = &LearnableMask::default().traits().columns[0];
         with_column(cloud(&vec![0.0; logits.len()]), column, logits)
     }
 
@@ -215,7 +190,7 @@ mod tests {
         // The paper's rate, the quickstart's, and both without Adam's division: by a simulation in another language.
         let steps = |rate, adam| {
             let mask = LearnableMask { learning_rate: rate, adam, ..LearnableMask::default() };
-            mask.steps_to_remove([0.9, 0.999])
+            mask.traits().mask_fall.map(|fall| fall.steps([0.9, 0.999]))
         };
         assert_eq!([steps(0.01, true), steps(0.02, true)], [Some(1_410), Some(730)]);
         // dm/dt = −rate·lambda·σ(1−σ), so that t = (eᵐ − e⁻ᵐ + 2m)/(rate·lambda) between the ends.
@@ -223,14 +198,14 @@ mod tests {
         let expected = (integral(1.0) - integral((0.01_f64 / 0.99).ln())) / (5.0 * 0.01);
         let found = steps(5.0, false).unwrap() as f64;
         assert!((found / expected - 1.0).abs() < 0.01, "{found} against {expected}");
-        assert_eq!(LearnableMask { lambda: 0.0, ..LearnableMask::default() }.steps_to_remove([0.9, 0.999]), None);
+        assert_eq!(LearnableMask { lambda: 0.0, ..LearnableMask::default() }.traits().mask_fall, None);
     }
 
     #[test]
     fn a_shorter_training_moves_masks_faster_within_bounds() {
         let of = |text: &str, scale| {
             let pruner = pwrfgs_core::Plugin::<dyn Pruner>::parse(text).unwrap();
-            pruner.shortened(scale).unwrap().columns()[0].learning_rate.unwrap()
+            pruner.traits().mask_rate.unwrap().shortened(scale)
         };
         let near = |a: Real, b: Real| assert!((a - b).abs() < 1e-6, "{a} against {b}");
         for name in ["LearnableMask", "MaskGaussian", "Lp3dgs"] {

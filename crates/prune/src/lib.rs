@@ -108,7 +108,7 @@ mod tests {
             assert_eq!(written(&Plugin::<dyn Pruner>::parse(&text).unwrap()), text);
             for n in [0, 1, 7] {
                 let mut cloud = cloud(&vec![0.0; n]);
-                for column in plugin.columns() {
+                for column in plugin.traits().columns {
                     cloud = with_column(cloud, &column, &vec![column.init; n * column.width]);
                 }
                 let stats = CloudStats::zeros(n);

@@ -1,10 +1,10 @@
 //! A learned mask on top of an importance.
 
-use crate::rounds::{check_rate, check_target, check_weight, logistic_noise, quantile, shortened_rate};
+use crate::rounds::{check_rate, check_target, check_weight, logistic_noise, quantile};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
-    Budget, CloudStats, ColumnSpec, Edit, Gate, GaussianCloud, JsonSchema, Moment, Needs, Phase, Pruner, Real, Row,
-    Statistic, rng,
+    Budget, CloudStats, ColumnSpec, Edit, Gate, GaussianCloud, JsonSchema, MaskRate, Moment, Needs, Phase, Pruner,
+    PrunerTraits, Real, Row, Statistic, rng,
     tape::{Trace, TraceScalar, Traced},
 };
 use serde::{Deserialize, Serialize};
@@ -26,7 +26,7 @@ const IMPORTANCE: &str = "lp_importance";
 ///
 /// ```
 /// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner};
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
 /// Plugin::<dyn Pruner>::parse("Lp3dgs(lambda: 0.02)")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -62,16 +62,24 @@ impl Default for Lp3dgs {
 
 #[typetag::serde]
 impl Pruner for Lp3dgs {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits {
+            columns: vec![
+                ColumnSpec::learned(COLUMN, self.initial_logit, self.learning_rate),
+                ColumnSpec::state(IMPORTANCE, 0.0),
+            ],
+            budget: self.target.map(Budget::AtLast),
+            mask_rate: Some(MaskRate::adam(self.learning_rate)),
+            ..PrunerTraits::default()
+        }
+    }
+
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
         self.score(cloud, stats, moment).iter().map(|odds| *odds >= 0.0).collect()
     }
 
     fn needs(&self, _: &GaussianCloud, _: &Moment) -> Needs {
         Needs::of(&[Statistic::LargestWeight], self.transmitters)
-    }
-
-    fn columns(&self) -> Vec<ColumnSpec> {
-        vec![ColumnSpec::learned(COLUMN, self.initial_logit, self.learning_rate), ColumnSpec::state(IMPORTANCE, 0.0)]
     }
 
     fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Gate> {
@@ -111,14 +119,6 @@ impl Pruner for Lp3dgs {
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
-    fn shortened(&self, scale: f64) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { learning_rate: shortened_rate(self.learning_rate, scale), ..self.clone() }))
-    }
-
-    fn budget(&self) -> Option<Budget> {
-        self.target.map(Budget::AtLast)
     }
 
     fn check(&self) -> Result<(), String> {

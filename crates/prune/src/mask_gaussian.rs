@@ -1,9 +1,10 @@
 //! A coin a Gaussian, thrown at every step; who loses still learns.
 
-use crate::rounds::{check_rate, check_target, check_weight, learned, logistic_noise, shortened_rate};
+use crate::rounds::{check_rate, check_target, check_weight, learned, logistic_noise};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
-    Budget, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, Moment, Phase, Pruner, Real, rng,
+    Budget, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, MaskRate, Moment, Phase, Pruner, PrunerTraits,
+    Real, rng,
     tape::{Trace, TraceScalar, Traced},
 };
 use serde::{Deserialize, Serialize};
@@ -25,7 +26,7 @@ const COLUMN: &str = "presence_logits";
 ///
 /// ```
 /// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner};
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
 /// Plugin::<dyn Pruner>::parse("MaskGaussian(lambda: 0.1)")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -52,6 +53,15 @@ impl Default for MaskGaussian {
 
 #[typetag::serde]
 impl Pruner for MaskGaussian {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits {
+            columns: vec![ColumnSpec::learned(COLUMN, self.initial_logit, self.learning_rate)],
+            budget: self.target.map(Budget::AtLast),
+            mask_rate: Some(MaskRate::adam(self.learning_rate)),
+            ..PrunerTraits::default()
+        }
+    }
+
     fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, moment: &Moment) -> Vec<bool> {
         let Some(column) = cloud.extra(COLUMN) else { return vec![true; cloud.len()] };
         let mut random = rng::stream(moment.seed, "pruner MaskGaussian prune", moment.step);
@@ -61,10 +71,6 @@ impl Pruner for MaskGaussian {
             keep.iter_mut().zip(column.values.iter().zip(noise)).for_each(|(keep, (m, g))| *keep |= m + g > 0.0);
         }
         keep
-    }
-
-    fn columns(&self) -> Vec<ColumnSpec> {
-        vec![ColumnSpec::learned(COLUMN, self.initial_logit, self.learning_rate)]
     }
 
     fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Gate> {
@@ -82,14 +88,6 @@ impl Pruner for MaskGaussian {
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
-    fn shortened(&self, scale: f64) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { learning_rate: shortened_rate(self.learning_rate, scale), ..self.clone() }))
-    }
-
-    fn budget(&self) -> Option<Budget> {
-        self.target.map(Budget::AtLast)
     }
 
     fn check(&self) -> Result<(), String> {

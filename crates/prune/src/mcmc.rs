@@ -4,7 +4,8 @@ use crate::covariance::Covariance;
 use crate::rounds::{check_below_one, check_share, check_target, check_weight};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
-    Budget, CloudStats, Edit, GaussianCloud, JsonSchema, Moment, Phase, Pruner, Real, Row, logit, rng, sigmoid,
+    Budget, CloudStats, Edit, GaussianCloud, JsonSchema, Moment, Phase, Pruner, PrunerTraits, Real, Row, logit, rng,
+    sigmoid,
     tape::{TraceScalar, Traced},
 };
 use serde::{Deserialize, Serialize};
@@ -24,7 +25,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// ```
 /// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner};
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
 /// Plugin::<dyn Pruner>::parse("Mcmc(target: 500)")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -54,6 +55,14 @@ impl Default for Mcmc {
 
 #[typetag::serde]
 impl Pruner for Mcmc {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits {
+            budget: self.target.map(Budget::Rounds),
+            grows: self.target.is_some(),
+            ..PrunerTraits::default()
+        }
+    }
+
     fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
         vec![true; cloud.len()]
     }
@@ -120,16 +129,8 @@ impl Pruner for Mcmc {
         Some(Edit { cloud: moved, rows })
     }
 
-    fn grows(&self) -> bool {
-        self.target.is_some()
-    }
-
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
-    fn budget(&self) -> Option<Budget> {
-        self.target.map(Budget::Rounds)
     }
 
     fn check(&self) -> Result<(), String> {

@@ -3,7 +3,8 @@
 use crate::covariance::Covariance;
 use crate::rounds::{check_shares, check_target, share_at, share_of};
 use pwrfgs_core::{
-    Budget, CloudStats, Edit, GaussianCloud, JsonSchema, Moment, Pruner, Real, Row, logit, neighbours, sigmoid,
+    Budget, CloudStats, Edit, GaussianCloud, JsonSchema, Moment, Pruner, PrunerTraits, Real, Row, logit, neighbours,
+    sigmoid,
 };
 use serde::{Deserialize, Serialize};
 
@@ -17,7 +18,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// ```
 /// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner};
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
 /// Plugin::<dyn Pruner>::parse("MergeByMoments(target: 500)")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -39,6 +40,10 @@ impl Default for MergeByMoments {
 
 #[typetag::serde]
 impl Pruner for MergeByMoments {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: self.target.map(Budget::Own), ..PrunerTraits::default() }
+    }
+
     fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
         vec![true; cloud.len()]
     }
@@ -59,10 +64,6 @@ impl Pruner for MergeByMoments {
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
-    fn budget(&self) -> Option<Budget> {
-        self.target.map(Budget::Own)
     }
 
     fn check(&self) -> Result<(), String> {

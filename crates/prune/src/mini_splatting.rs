@@ -1,7 +1,9 @@
 //! A lottery by weight, or the few that have nearly all of it.
 
 use crate::rounds::{asked, check_share, check_target, without_share};
-use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, Real, Statistic, rng};
+use pwrfgs_core::{
+    Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic, rng,
+};
 use serde::{Deserialize, Serialize};
 
 /// Who stays, by weight.
@@ -29,7 +31,7 @@ impl Rule {
 ///
 /// ```
 /// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner};
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
 /// Plugin::<dyn Pruner>::parse("MiniSplatting(rule: Cumulated(0.99), per_area: true)")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -55,6 +57,10 @@ impl Default for MiniSplatting {
 
 #[typetag::serde]
 impl Pruner for MiniSplatting {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+    }
+
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
         if moment.round == 0 {
             return vec![true; cloud.len()];
@@ -95,10 +101,6 @@ impl Pruner for MiniSplatting {
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
-    fn budget(&self) -> Option<Budget> {
-        self.target.map(Budget::Rounds)
     }
 
     fn check(&self) -> Result<(), String> {

@@ -3,7 +3,7 @@
 use crate::rounds::{check_below_one, check_target, check_weight};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
-    Budget, CloudStats, ColumnSpec, GaussianCloud, JsonSchema, Moment, Phase, Pruner, Real, sigmoid,
+    Budget, CloudStats, ColumnSpec, GaussianCloud, JsonSchema, Moment, Phase, Pruner, PrunerTraits, Real, sigmoid,
     tape::{TraceScalar, Traced},
 };
 use serde::{Deserialize, Serialize};
@@ -20,7 +20,7 @@ const LIFE: &str = "life";
 ///
 /// ```
 /// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner};
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
 /// Plugin::<dyn Pruner>::parse("NaturalSelection(pressure: 0.05, target: 157)")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -45,13 +45,17 @@ impl Default for NaturalSelection {
 
 #[typetag::serde]
 impl Pruner for NaturalSelection {
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
-        self.score(cloud, stats, moment).iter().map(|life| *life >= self.epsilon).collect()
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits {
+            // Born with a full life: the average then forgets it.
+            columns: vec![ColumnSpec::state(LIFE, 1.0)],
+            budget: self.target.map(Budget::AtLast),
+            ..PrunerTraits::default()
+        }
     }
 
-    fn columns(&self) -> Vec<ColumnSpec> {
-        // Born with a full life: the average then forgets it.
-        vec![ColumnSpec::state(LIFE, 1.0)]
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
+        self.score(cloud, stats, moment).iter().map(|life| *life >= self.epsilon).collect()
     }
 
     fn penalty(&self, cloud: &Traced, moment: &Moment) -> Option<TraceScalar> {
@@ -74,10 +78,6 @@ impl Pruner for NaturalSelection {
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
-    fn budget(&self) -> Option<Budget> {
-        self.target.map(Budget::AtLast)
     }
 
     fn check(&self) -> Result<(), String> {

@@ -1,7 +1,7 @@
 //! Discards what is nearly transparent.
 
 use crate::rounds::check_target;
-use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, Real, sigmoid};
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, PrunerTraits, Real, sigmoid};
 use serde::{Deserialize, Serialize};
 
 /// A Gaussian stays where its opacity o = σ(logit) is at least epsilon (WRF-GS).
@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// ```
 /// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner};
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
 /// Plugin::<dyn Pruner>::parse("OpacityThreshold(epsilon: 0.1)")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -34,16 +34,16 @@ impl Default for OpacityThreshold {
 
 #[typetag::serde]
 impl Pruner for OpacityThreshold {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+    }
+
     fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
         cloud.opacity_logits.iter().map(|logit| sigmoid(*logit) >= self.epsilon).collect()
     }
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
-    fn budget(&self) -> Option<Budget> {
-        self.target.map(Budget::Rounds)
     }
 
     fn check(&self) -> Result<(), String> {

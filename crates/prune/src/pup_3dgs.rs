@@ -1,7 +1,9 @@
 //! How well the pictures fix mean and scale.
 
 use crate::rounds::{check_shares, check_target, share_at, without_share};
-use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, Real, Statistic};
+use pwrfgs_core::{
+    Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic,
+};
 use serde::{Deserialize, Serialize};
 
 /// Drops the Gaussians whose place and size the pictures say least about (PUP-3DGS).
@@ -14,7 +16,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// ```
 /// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner};
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
 /// Plugin::<dyn Pruner>::parse("Pup3dgs(shares: [0.8, 0.5])")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -40,6 +42,10 @@ impl Default for Pup3dgs {
 
 #[typetag::serde]
 impl Pruner for Pup3dgs {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+    }
+
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
         without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
     }
@@ -60,10 +66,6 @@ impl Pruner for Pup3dgs {
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
-    fn budget(&self) -> Option<Budget> {
-        self.target.map(Budget::Rounds)
     }
 
     fn check(&self) -> Result<(), String> {

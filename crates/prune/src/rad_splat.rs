@@ -1,7 +1,9 @@
 //! The largest weight in any pixel.
 
 use crate::rounds::{asked, check_share, check_target};
-use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, Real, Statistic};
+use pwrfgs_core::{
+    Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic,
+};
 use serde::{Deserialize, Serialize};
 
 /// A Gaussian stays where it has at least `threshold` of some pixel for some transmitter (RadSplat).
@@ -12,7 +14,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// ```
 /// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner};
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
 /// Plugin::<dyn Pruner>::parse("RadSplat(threshold: 0.01)")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -36,6 +38,10 @@ impl Default for RadSplat {
 
 #[typetag::serde]
 impl Pruner for RadSplat {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+    }
+
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<bool> {
         let known = stats.asked.largest_weight.len() == cloud.len();
         (0..cloud.len()).map(|i| !known || stats.asked.largest_weight[i] >= self.threshold).collect()
@@ -51,10 +57,6 @@ impl Pruner for RadSplat {
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
-    fn budget(&self) -> Option<Budget> {
-        self.target.map(Budget::Rounds)
     }
 
     fn check(&self) -> Result<(), String> {

@@ -1,7 +1,7 @@
 //! Chance: what every strategy has to beat.
 
 use crate::rounds::{check_shares, check_target, share_at, without_share};
-use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, Real, rng};
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, PrunerTraits, Real, rng};
 use serde::{Deserialize, Serialize};
 
 /// Drops Gaussians by chance: the reference from below that every strategy has to beat.
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// ```
 /// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner};
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
 /// Plugin::<dyn Pruner>::parse("RandomReference(target: 157)")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -33,6 +33,10 @@ impl Default for RandomReference {
 
 #[typetag::serde]
 impl Pruner for RandomReference {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+    }
+
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
         without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
     }
@@ -44,10 +48,6 @@ impl Pruner for RandomReference {
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
-    fn budget(&self) -> Option<Budget> {
-        self.target.map(Budget::Rounds)
     }
 
     fn check(&self) -> Result<(), String> {

@@ -1,7 +1,9 @@
 //! Too many in one place.
 
 use crate::rounds::{check_share, check_target, without_share};
-use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, Real, neighbours, sigmoid};
+use pwrfgs_core::{
+    Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, PrunerTraits, Real, neighbours, sigmoid,
+};
 use serde::{Deserialize, Serialize};
 
 /// Thins out where Gaussians crowd: of those with many overlaps, the less opaque half goes (Reduced-3DGS).
@@ -14,7 +16,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// ```
 /// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner};
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
 /// Plugin::<dyn Pruner>::parse("Reduced3dgs(deviations: 1.0)")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -40,6 +42,10 @@ impl Default for Reduced3dgs {
 
 #[typetag::serde]
 impl Pruner for Reduced3dgs {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+    }
+
     fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, moment: &Moment) -> Vec<bool> {
         let mut keep = vec![true; cloud.len()];
         if moment.round == 0 {
@@ -63,10 +69,6 @@ impl Pruner for Reduced3dgs {
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
-    fn budget(&self) -> Option<Budget> {
-        self.target.map(Budget::Rounds)
     }
 
     fn check(&self) -> Result<(), String> {

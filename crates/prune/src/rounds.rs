@@ -72,14 +72,6 @@ pub(crate) fn check_weight(field: &str, value: Real) -> Result<(), String> {
     if value.is_finite() && value >= 0.0 { Ok(()) } else { Err(format!("`{field}` is {value}; give 0 or more")) }
 }
 
-/// Largest rate that a shorter training gives a mask: a faster one closes by chance.
-const FASTEST: Real = 0.1;
-
-/// The rate of a mask that Adam moves, for a training of `scale` times the steps.
-pub(crate) fn shortened_rate(rate: Real, scale: f64) -> Real {
-    ((f64::from(rate) / scale) as Real).min(rate.max(FASTEST))
-}
-
 /// A rate of Adam.
 pub(crate) fn check_rate(value: Real) -> Result<(), String> {
     if value.is_finite() && value > 0.0 {

@@ -1,7 +1,9 @@
 //! Whatever some pixel needs.
 
 use crate::rounds::{asked, check_target};
-use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, Real, Statistic};
+use pwrfgs_core::{
+    Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic,
+};
 use serde::{Deserialize, Serialize};
 
 /// Keeps whatever is among the first few of some pixel of some transmitter (SafeguardGS).
@@ -13,7 +15,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// ```
 /// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner};
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
 /// Plugin::<dyn Pruner>::parse("SafeguardGs(of_pixel: 1)")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -37,6 +39,10 @@ impl Default for SafeguardGs {
 
 #[typetag::serde]
 impl Pruner for SafeguardGs {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+    }
+
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<bool> {
         if stats.asked.top.len() == cloud.len() { stats.asked.top.clone() } else { vec![true; cloud.len()] }
     }
@@ -56,10 +62,6 @@ impl Pruner for SafeguardGs {
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
-    fn budget(&self) -> Option<Budget> {
-        self.target.map(Budget::Rounds)
     }
 
     fn check(&self) -> Result<(), String> {

@@ -1,7 +1,9 @@
 //! What a Gaussian sends into the picture, over transmitters.
 
 use crate::rounds::{asked, check_shares, check_target, share_at, without_share};
-use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, Real, Statistic};
+use pwrfgs_core::{
+    Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic,
+};
 use serde::{Deserialize, Serialize};
 
 /// How the numbers of all transmitters become one.
@@ -24,7 +26,7 @@ pub enum Over {
 ///
 /// ```
 /// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner};
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
 /// Plugin::<dyn Pruner>::parse("SignalContribution(over: Max, target: 157)")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -50,6 +52,10 @@ impl Default for SignalContribution {
 
 #[typetag::serde]
 impl Pruner for SignalContribution {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+    }
+
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
         without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
     }
@@ -67,10 +73,6 @@ impl Pruner for SignalContribution {
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
-    fn budget(&self) -> Option<Budget> {
-        self.target.map(Budget::Rounds)
     }
 
     fn check(&self) -> Result<(), String> {

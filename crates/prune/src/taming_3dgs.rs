@@ -1,7 +1,9 @@
 //! A sum of everything that may matter, each over its median.
 
 use crate::rounds::{check_shares, check_target, quantile, share_at, without_share};
-use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, Real, Statistic, sigmoid};
+use pwrfgs_core::{
+    Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic, sigmoid,
+};
 use serde::{Deserialize, Serialize};
 
 /// Drops the least by a weighted sum of what may matter, each number over its own median (Taming 3DGS).
@@ -13,7 +15,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// ```
 /// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner};
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
 /// Plugin::<dyn Pruner>::parse("Taming3dgs(target: 500)")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -37,6 +39,10 @@ impl Default for Taming3dgs {
 
 #[typetag::serde]
 impl Pruner for Taming3dgs {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+    }
+
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
         without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
     }
@@ -73,10 +79,6 @@ impl Pruner for Taming3dgs {
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
-    fn budget(&self) -> Option<Budget> {
-        self.target.map(Budget::Rounds)
     }
 
     fn check(&self) -> Result<(), String> {

@@ -1,6 +1,6 @@
 //! An exact budget: the best `keep` Gaussians stay.
 
-use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, Real, best, sigmoid};
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, PrunerTraits, Real, best, sigmoid};
 use serde::{Deserialize, Serialize};
 
 /// Keeps the best-scored Gaussians, exactly as many as asked for.
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// ```
 /// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner};
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
 /// Plugin::<dyn Pruner>::parse("TopK(keep: 500, score: Weight)")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -46,12 +46,12 @@ impl Default for TopK {
 
 #[typetag::serde]
 impl Pruner for TopK {
-    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
-        best(self.keep, &self.score(cloud, stats, moment), |_| true)
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: Some(Budget::AtMost(self.keep)), ..PrunerTraits::default() }
     }
 
-    fn budget(&self) -> Option<Budget> {
-        Some(Budget::AtMost(self.keep))
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
+        best(self.keep, &self.score(cloud, stats, moment), |_| true)
     }
 
     fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {

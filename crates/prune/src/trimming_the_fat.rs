@@ -1,7 +1,7 @@
 //! Faint, and not about to change.
 
 use crate::rounds::{check_share, check_target, quantile};
-use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, Real};
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, PrunerTraits, Real};
 use serde::{Deserialize, Serialize};
 
 /// Drops what is faint and has a small gradient, in rounds with training between them (Trimming the Fat).
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// ```
 /// # use pwrfgs_prune as _;
-/// # use pwrfgs_core::{Plugin, Pruner};
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
 /// Plugin::<dyn Pruner>::parse("TrimmingTheFat(opacity_quantile: 0.1)")?;
 /// # Ok::<(), String>(())
 /// ```
@@ -36,6 +36,10 @@ impl Default for TrimmingTheFat {
 
 #[typetag::serde]
 impl Pruner for TrimmingTheFat {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+    }
+
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
         if moment.round == 0 {
             return vec![true; cloud.len()];
@@ -53,10 +57,6 @@ impl Pruner for TrimmingTheFat {
 
     fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
         Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
-    fn budget(&self) -> Option<Budget> {
-        self.target.map(Budget::Rounds)
     }
 
     fn check(&self) -> Result<(), String> {

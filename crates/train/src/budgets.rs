@@ -2,16 +2,18 @@
 
 use crate::TrainingPlan;
 use pwrfgs_core::plugin::{Plugin, name_of, to_ron};
-use pwrfgs_core::{Budget, GaussianCloud, MethodTraits, Moment, Phase, Pruner, Statistic};
+use pwrfgs_core::{Budget, Error, GaussianCloud, MethodTraits, Moment, Phase, Pruner, Result, Statistic};
 
 /// The pruners, and `training.target` given to the first that takes one.
 ///
 /// # Errors
 /// Where none does.
-pub(crate) fn targeted(plan: &TrainingPlan) -> Result<Vec<Plugin<dyn Pruner>>, String> {
+pub(crate) fn targeted(plan: &TrainingPlan) -> std::result::Result<Vec<Plugin<dyn Pruner>>, String> {
     let (mut pruners, target) = (plan.pruners.clone(), plan.training.target);
     if target == 0
-        || pruners.iter().any(|pruner| is_exact(pruner) && pruner.budget().is_some_and(|own| own.target() == target))
+        || pruners
+            .iter()
+            .any(|pruner| is_exact(pruner) && pruner.traits().budget.is_some_and(|own| own.target() == target))
     {
         return Ok(pruners);
     }
@@ -22,11 +24,20 @@ pub(crate) fn targeted(plan: &TrainingPlan) -> Result<Vec<Plugin<dyn Pruner>>, S
              SignalContribution()"
         ));
     };
-    if let Some(own) = pruner.budget() {
+    if let Some(own) = pruner.traits().budget {
         return Err(format!("training.target is {target}, and a pruner's own is {}; give one number", own.target()));
     }
     *pruner = Plugin::from(asked);
     Ok(pruners)
+}
+
+/// Refuses pruners that this program cannot run.
+///
+/// # Errors
+/// [`Error::Config`] with what to do.
+pub fn check_available(pruners: &[Plugin<dyn Pruner>]) -> Result<()> {
+    let why = pruners.iter().find_map(|pruner| pruner.traits().unavailable);
+    why.map_or(Ok(()), |why| Err(Error::Config(why)))
 }
 
 /// A pruner with a column of its own that is given twice: the settings of the second would change nothing, and both would
@@ -38,14 +49,14 @@ fn given_twice(pruners: &[Plugin<dyn Pruner>]) -> Option<String> {
         name => name,
     };
     let twice = pruners.iter().enumerate().find(|(k, pruner)| {
-        !pruner.columns().is_empty() && pruners[..*k].iter().any(|other| kind(other) == kind(pruner))
+        !pruner.traits().columns.is_empty() && pruners[..*k].iter().any(|other| kind(other) == kind(pruner))
     });
     twice.map(|(_, pruner)| format!("`{}` is given twice; give it once", name_of(pruner)))
 }
 
 /// Whether a pruner comes to an exact number.
 pub(crate) fn is_exact(pruner: &Plugin<dyn Pruner>) -> bool {
-    pruner.budget().is_some_and(|budget| !matches!(budget, Budget::AtMost(_)))
+    pruner.traits().budget.is_some_and(|budget| !matches!(budget, Budget::AtMost(_)))
 }
 
 /// What is wrong with the list of pruners.
@@ -60,7 +71,7 @@ pub(crate) fn contradiction(plan: &TrainingPlan) -> Option<String> {
     let plan = &TrainingPlan { pruners, ..plan.clone() };
     let name = |k: usize| name_of(&plan.pruners[k]);
     let exact: Vec<usize> = (0..plan.pruners.len()).filter(|&k| is_exact(&plan.pruners[k])).collect();
-    let mut budgets = plan.pruners.iter().enumerate().filter_map(|(k, p)| Some((k, p.budget()?.target())));
+    let mut budgets = plan.pruners.iter().enumerate().filter_map(|(k, p)| Some((k, p.traits().budget?.target())));
     if let Some((first, target)) = budgets.next() {
         if let Some((other, another)) = budgets.find(|(_, another)| *another != target) {
             return Some(format!(
@@ -113,18 +124,18 @@ fn grows(plan: &TrainingPlan, n: usize) -> bool {
     let densify = &plan.training.densify;
     let room = densify.max_gaussians == 0 || densify.max_gaussians >= n;
     (densify.every > 0 && densify.from < plan.training.densify_until && room)
-        || plan.pruners.iter().any(|pruner| pruner.grows())
+        || plan.pruners.iter().any(|pruner| pruner.traits().grows)
 }
 
 /// The target that removes none of the `n` Gaussians at the start, if none are added.
 pub(crate) fn idle_target(plan: &TrainingPlan, n: usize) -> Option<usize> {
-    let target = plan.pruners.iter().find_map(|pruner| pruner.budget())?.target();
+    let target = plan.pruners.iter().find_map(|pruner| pruner.traits().budget)?.target();
     (target >= n && !grows(plan, n + 1)).then_some(target)
 }
 
 /// The exact number that is asked for, where it is above the `n` Gaussians at the start and none are added.
 pub(crate) fn too_many(plan: &TrainingPlan, n: usize) -> Option<String> {
-    let target = plan.pruners.iter().find(|pruner| is_exact(pruner))?.budget()?.target();
+    let target = plan.pruners.iter().find(|pruner| is_exact(pruner))?.traits().budget?.target();
     (target > n && !grows(plan, target)).then(|| {
         format!("{target} Gaussians are wanted at the end, and there are {n} at the start; start with more, or ask for fewer")
     })

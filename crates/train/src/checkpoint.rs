@@ -27,14 +27,12 @@ struct Note {
     gaussians: usize,
     /// Extra columns and their widths.
     extra: Vec<(String, usize)>,
-    /// How many numbers each pruner remembers.
-    memories: Vec<usize>,
     /// How many Gaussians there have been.
     born: u32,
 }
 
 const FORMAT: &str = "pwrfgs-checkpoint";
-const VERSION: u32 = 5;
+const VERSION: u32 = 6;
 
 impl<'a> Trainer<'a> {
     /// Everything needed to go on, as bytes.
@@ -46,7 +44,6 @@ impl<'a> Trainer<'a> {
             done: self.done,
             gaussians: self.cloud.len(),
             extra: self.cloud.extra.iter().map(|c| (c.name.clone(), c.width)).collect(),
-            memories: self.memories.0.iter().map(Vec::len).collect(),
             born: self.births.next,
         };
         let mut file = Tensors::new(json(&note));
@@ -65,9 +62,6 @@ impl<'a> Trainer<'a> {
         }
         let births = self.births.of.iter().map(|birth| *birth as Real).collect();
         file.put("births", vec![self.cloud.len()], births);
-        for (k, memory) in self.memories.0.iter().enumerate().filter(|(_, memory)| !memory.is_empty()) {
-            file.put(format!("pruner.{k}"), vec![memory.len()], memory.clone());
-        }
         file.note = json(&Sealed { digest: file.digest(), note });
         file.to_bytes()
     }
@@ -108,9 +102,6 @@ impl<'a> Trainer<'a> {
         self.stats = CloudStats::zeros(n);
         for (name, values) in self.stats.columns_mut() {
             *values = file.take(&format!("stats.{name}"), &[n])?;
-        }
-        for (k, (memory, len)) in self.memories.0.iter_mut().zip(&note.memories).enumerate().filter(|(_, m)| *m.1 > 0) {
-            *memory = file.take(&format!("pruner.{k}"), &[*len])?;
         }
         let births = file.take("births", &[n])?;
         self.births = Births { of: births.into_iter().map(|birth| birth as u32).collect(), next: note.born };

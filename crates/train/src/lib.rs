@@ -24,6 +24,7 @@ mod survey;
 mod trainer;
 mod warnings;
 
+pub use budgets::check_available;
 pub use estimate::{Estimate, network_bytes};
 pub use graph::{Batch, LossAndGradients, Places, loss_and_gradients};
 pub use loss::{ChannelLoss, LinkLoss, Objective, RenderingLoss};

@@ -7,18 +7,8 @@ use crate::graph::open_gates;
 use crate::survey;
 use crate::trainer::{Before, Trainer};
 use pwrfgs_core::plugin::{Plugin, name_of};
-use pwrfgs_core::{Budget, CloudStats, GaussianCloud, Moment, Phase, Pruner, Real, Result, Row};
+use pwrfgs_core::{Budget, CloudStats, GaussianCloud, Moment, Phase, Pruner, Result, Row};
 use pwrfgs_model::Stages;
-
-/// What every pruner of the pipeline remembers of it.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Memories(pub(crate) Vec<Vec<Real>>);
-
-impl Memories {
-    pub(crate) fn of(pruners: &[Plugin<dyn Pruner>]) -> Self {
-        Self(pruners.iter().map(|pruner| pruner.state().unwrap_or_default()).collect())
-    }
-}
 
 /// How many prune steps there are up to `step` in the pruning phase.
 fn rounds_until(step: u64, (first, last, every): (u64, u64, u64)) -> u64 {
@@ -42,7 +32,7 @@ fn votes(
     let mut keep = vec![true; cloud.len()];
     let mut exact = None;
     for (pruner, stats) in pruners.iter().zip(known) {
-        let budget = pruner.budget();
+        let budget = pruner.traits().budget;
         let settles = match budget {
             Some(Budget::Rounds(_) | Budget::Own(_)) => moment.round > 0,
             Some(Budget::AtLast(_)) => true,
@@ -89,10 +79,7 @@ impl Trainer<'_> {
         crate::densify::ensure_one(&mut keep, &first.score(&self.cloud, &known[0], moment), "pruning");
         self.take_away(&keep);
         self.report_removal(moment.step, keep.len(), &rules)?;
-        for (k, pruner) in pruners.iter().enumerate().filter(|_| moment.round > 0) {
-            pruner.advance(&mut self.memories.0[k], n, &self.cloud, moment);
-        }
-        let exact = pruners.iter().find(|pruner| is_exact(pruner)).and_then(|pruner| pruner.budget());
+        let exact = pruners.iter().find(|pruner| is_exact(pruner)).and_then(|pruner| pruner.traits().budget);
         if let Some(target) = exact.map(Budget::target) {
             let n = self.cloud.len();
             if moment.round > 0 && moment.round == moment.rounds && n != target {
@@ -106,7 +93,7 @@ impl Trainer<'_> {
     fn edits(&mut self, pruners: &[Plugin<dyn Pruner>], moment: &Moment) -> Result<Vec<CloudStats>> {
         let mut known = vec![None; pruners.len()];
         for (k, pruner) in pruners.iter().enumerate() {
-            let stats = self.stats_for(k, pruner, moment)?;
+            let stats = self.stats_for(pruner, moment)?;
             match pruner.edit(&self.cloud, &stats, moment) {
                 Some(edit) => {
                     // Where only columns are new, what is known of Gaussians stays true.
@@ -123,8 +110,8 @@ impl Trainer<'_> {
                 None => known[k] = Some(stats),
             }
         }
-        let known = known.into_iter().zip(pruners).enumerate();
-        known.map(|(k, (known, pruner))| known.map_or_else(|| self.stats_for(k, pruner, moment), Ok)).collect()
+        let known = known.into_iter().zip(pruners);
+        known.map(|(known, pruner)| known.map_or_else(|| self.stats_for(pruner, moment), Ok)).collect()
     }
 
     /// Keeps the rows that are true.
@@ -133,15 +120,10 @@ impl Trainer<'_> {
         edit::keep(keep, cloud, &mut beside);
     }
 
-    /// What pruner `k` is told of the Gaussians.
-    pub(crate) fn told(&self, k: usize) -> CloudStats {
-        CloudStats { state: self.memories.0[k].clone(), ..self.stats.clone() }
-    }
-
-    /// The same, and what it asked for.
-    fn stats_for(&self, k: usize, pruner: &Plugin<dyn Pruner>, moment: &Moment) -> Result<CloudStats> {
-        let (needs, mut stats) =
-            (pruner.needs(&self.cloud, moment).settled(self.stages.method.traits().blends), self.told(k));
+    /// What a pruner is told of the Gaussians, and what it asked for.
+    fn stats_for(&self, pruner: &Plugin<dyn Pruner>, moment: &Moment) -> Result<CloudStats> {
+        let needs = pruner.needs(&self.cloud, moment).settled(self.stages.method.traits().blends);
+        let mut stats = self.stats.clone();
         if !needs.is_nothing() && moment.round > 0 {
             let gate = open_gates(&self.cloud, &self.plan.pruners, moment);
             let stages_of = |part: u64| {

@@ -4,14 +4,13 @@ use crate::TrainingPlan;
 use crate::adam::Adam;
 use crate::batches::{Batches, check_stride, plane_of_step};
 use crate::births::Births;
-use crate::budgets::{is_exact, targeted, too_many};
+use crate::budgets::{check_available, is_exact, targeted, too_many};
 use crate::checks::{check_inputs, check_rays};
 use crate::densify;
 use crate::edit::{self, Beside};
 use crate::fingerprint::fingerprint;
 use crate::graph::{drawn_gates, loss_and_gradients, open_gates};
 use crate::loss::{Objective, objective};
-use crate::pruning::Memories;
 use pwrfgs_core::{
     CloudStats, ColumnSpec, Dataset, Error, ExtraColumn, GaussianCloud, ImagePlane, Moment, Partition, Phase, Progress,
     Real, Result, Seen, rng,
@@ -71,7 +70,6 @@ pub struct Trainer<'a> {
     pub(crate) stats: CloudStats,
     pub(crate) births: Births,
     /// Of each pruner.
-    pub(crate) memories: Memories,
     pub(crate) done: u64,
     /// See [`fingerprint`]; worked out when the first checkpoint is written or read.
     fingerprint: OnceLock<String>,
@@ -133,7 +131,7 @@ impl<'a> Trainer<'a> {
     /// Everything but parameters.
     pub(crate) fn blank(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition) -> Result<Self> {
         let mut plan = plan.clone();
-        plan.pruners.iter().try_for_each(|pruner| pruner.ready())?;
+        check_available(&plan.pruners)?;
         plan.pruners = targeted(&plan).map_err(Error::Config)?;
         let whole = Stages::of(plan.method.clone(), data)?;
         check_inputs(&whole, data)?;
@@ -160,7 +158,6 @@ impl<'a> Trainer<'a> {
             adam: Adam::new(&cloud, &[]),
             stats: CloudStats::zeros(0),
             births: Births::default(),
-            memories: Memories::of(&plan.pruners),
             data,
             objective: objective(&plan.training, data, &partition.train),
             batches,
@@ -336,9 +333,8 @@ impl<'a> Trainer<'a> {
                 (Arc::make_mut(&mut self.weights).as_mut_slice(), &found.d_weights, self.stages.network_weights()),
             )
             .map_err(|what| Error::NonFinite { what, step })?;
-        for (k, pruner) in pruners.iter().enumerate() {
-            let told = (!self.memories.0[k].is_empty()).then(|| self.told(k));
-            pruner.update(&mut self.cloud, told.as_ref().unwrap_or(&self.stats), &moment);
+        for pruner in &pruners {
+            pruner.update(&mut self.cloud, &self.stats, &moment);
         }
         let pruned = self.edit(&moment)?.map(|(cloud, births)| {
             let gates = self.gates_of(&cloud, &moment);
@@ -441,7 +437,7 @@ fn times(factors: &[Real], weights: &[Real]) -> Vec<Real> {
 pub(crate) fn specs_of(plan: &TrainingPlan) -> Vec<ColumnSpec> {
     let mut specs: Vec<ColumnSpec> = Vec::new();
     if plan.training.prune_until > 0 {
-        for spec in plan.pruners.iter().flat_map(|p| p.columns()) {
+        for spec in plan.pruners.iter().flat_map(|pruner| pruner.traits().columns) {
             if specs.iter().all(|s| s.name != spec.name) {
                 specs.push(spec);
             }

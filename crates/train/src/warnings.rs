@@ -28,7 +28,7 @@ impl Trainer<'_> {
     /// A mask that cannot fall from its initial value to its threshold before pruning ends.
     fn slow_mask(&self, k: usize) -> Option<String> {
         let (training, pruner) = (&self.plan.training, &self.plan.pruners[k]);
-        let (needed, until) = (pruner.steps_to_remove(BETAS)?, training.prune_until);
+        let (needed, until) = (pruner.traits().mask_fall?.steps(BETAS), training.prune_until);
         (needed > until && !is_exact(pruner)).then(|| {
             format!(
                 "pruners: a mask of `{}` needs about {needed} steps to close and pruning ends after step {until}, so it \
@@ -97,7 +97,7 @@ impl Trainer<'_> {
 
     /// Whether the pipeline asks for a single Gaussian.
     fn wants_one(&self) -> bool {
-        let mut budgets = self.plan.pruners.iter().filter_map(|pruner| pruner.budget());
+        let mut budgets = self.plan.pruners.iter().filter_map(|pruner| pruner.traits().budget);
         budgets.any(|budget| budget.target() == 1) || self.plan.initializer.count() == Some(1)
     }
 }

@@ -53,8 +53,9 @@ impl Pruner for GumbelMask {
         cloud.extra(COLUMN).map_or_else(|| vec![true; cloud.len()], |c| c.values.iter().map(|m| *m >= 0.0).collect())
     }
 
-    fn columns(&self) -> Vec<ColumnSpec> {
-        vec![ColumnSpec::learned(COLUMN, self.initial_logit, self.learning_rate)]
+    fn traits(&self) -> PrunerTraits {
+        let columns = vec![ColumnSpec::learned(COLUMN, self.initial_logit, self.learning_rate)];
+        PrunerTraits { columns, ..PrunerTraits::default() }
     }
 
     fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Gate> {

@@ -66,14 +66,8 @@ pub(crate) fn stats_object<'py>(py: Python<'py>, stats: &CloudStats) -> PyResult
         let all: Vec<Real> = asked.fisher.as_flattened().to_vec();
         found.set_item("fisher", array(py, all, &[asked.fisher.len(), 21])?)?;
     }
-    let fields = (
-        column(&stats.visible)?,
-        column(&stats.gradient)?,
-        column(&stats.radius)?,
-        column(&stats.weight)?,
-        found,
-        column(&stats.state)?,
-    );
+    let fields =
+        (column(&stats.visible)?, column(&stats.gradient)?, column(&stats.radius)?, column(&stats.weight)?, found);
     py.import("pwrfgs._types")?.getattr("Stats")?.call1(fields)
 }
 

@@ -2,11 +2,11 @@
 
 use super::Strategy;
 use super::objects::{cloud_object, given_flat, moment_object, stats_object, traced_object};
-use crate::arrays::{array, numbers};
+use crate::arrays::numbers;
 use crate::border::wrong;
 use dfdx::tensor_ops::SumTo as _;
 use pwrfgs_core::tape::{Trace, TraceScalar, Traced, op};
-use pwrfgs_core::{CloudStats, ColumnSpec, Gate, GaussianCloud, Moment, Needs, Pruner, Real, Statistic};
+use pwrfgs_core::{CloudStats, Gate, GaussianCloud, Moment, Needs, Pruner, PrunerTraits, Real, Statistic};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 
@@ -134,8 +134,8 @@ impl Pruner for Strategy {
         })
     }
 
-    fn columns(&self) -> Vec<ColumnSpec> {
-        self.object.columns.clone()
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { columns: self.object.columns.clone(), ..PrunerTraits::default() }
     }
 
     fn gate(&self, cloud: &Traced, moment: &Moment) -> Option<Gate> {
@@ -199,23 +199,5 @@ impl Pruner for Strategy {
             let arguments = (cloud_object(py, cloud, false)?, stats_object(py, stats)?, moment_object(py, moment)?);
             given_flat("the score", &own.call_method1("score", arguments)?, cloud.len())
         })
-    }
-
-    fn state(&self) -> Option<Vec<Real>> {
-        let has = self.object.has("state");
-        has.then(|| self.with(|_, own| numbers::<Real>("state", &own.call_method0("state")?, &[None])))
-    }
-
-    fn advance(&self, state: &mut [Real], n: usize, cloud: &GaussianCloud, moment: &Moment) {
-        if !self.object.has("advance") {
-            return;
-        }
-        self.with(|py, own| {
-            let before = array(py, state.to_vec(), &[state.len()])?;
-            let arguments = (before, n, cloud_object(py, cloud, false)?, moment_object(py, moment)?);
-            let after = own.call_method1("advance", arguments)?;
-            state.copy_from_slice(&numbers::<Real>("what advance gave", &after, &[Some(state.len())])?);
-            Ok(())
-        });
     }
 }

@@ -10,7 +10,7 @@ fn moment(step: u64, phase: Phase) -> Moment {
 
 /// Gaussians with these gate logits.
 fn gated(logits: &[Real]) -> GaussianCloud {
-    let column = &GumbelMask::default().columns()[0];
+    let column = &GumbelMask::default().traits().columns[0];
     let mut cloud = GaussianCloud::zeros(logits.len());
     cloud.extra.push(ExtraColumn { name: column.name.into(), width: column.width, values: logits.to_vec() });
     cloud
