@@ -14,6 +14,25 @@ fn the_page_of_the_reference_has_fields_and_settings_and_every_plugin() {
 }
 
 #[test]
+fn the_schema_has_every_plugin_with_its_fields_and_defaults() {
+    let text = stdout(&succeed(Path::new("."), &["plugins", "--schema"]));
+    let schema: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let types = &schema["$defs"];
+    for family in pwrfgs_core::plugin::inventory::iter::<pwrfgs_core::plugin::Family>() {
+        let all = types[family.kind]["oneOf"].as_array().unwrap();
+        for plugin in (family.members)() {
+            let found = all.iter().any(|one| one["properties"][plugin.name]["$ref"].is_string());
+            assert!(found, "{} {}", family.kind, plugin.name);
+        }
+    }
+    let lambda = &types["LearnableMask"]["properties"]["lambda"];
+    assert_eq!(lambda["default"].to_string(), "0.01", "the digits of single precision");
+    assert!(lambda["description"].as_str().unwrap().starts_with("Weight λ of the penalty"), "{lambda}");
+    assert_eq!(types["Pipeline"]["required"], serde_json::json!(["name", "data"]));
+    assert_eq!(types["Experiment"]["properties"]["base"]["format"], "path");
+}
+
+#[test]
 fn everything_that_a_pipeline_may_name_can_be_asked_for() {
     let here = Path::new(".");
     let said = |name: &str| stdout(&succeed(here, &["plugins", name]));

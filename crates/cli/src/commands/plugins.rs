@@ -14,7 +14,7 @@ use std::process::ExitCode;
     after_long_help = "NAME is a plugin (LearnableMask), all of a kind (Pruner, or its field pruners), settings \
     (training, optimizer, densify, loss), a type (Readout, Schedule), or Pipeline and Experiment for their own fields. Every \
     field is shown with its default, what it takes and what it does; these are the comments of the source.\n\nEXAMPLES\n  pwrfgs plugins LearnableMask\n  pwrfgs plugins training\n  pwrfgs plugins \
-    readout"
+    readout\n  pwrfgs plugins --schema > pwrfgs.schema.json"
 )]
 pub(crate) struct Plugins {
     /// Only this: a plugin, a kind of plugins, settings or a type
