@@ -96,6 +96,8 @@ struct Sorts {
     choice: Choice,
     /// Pairs by name.
     pairs: std::collections::BTreeMap<String, (Real, [bool; 2])>,
+    /// Degrees.
+    elevation: Option<Elevation>,
     /// Who decides.
     pruner: Option<Plugin<dyn Pruner>>,
 }
@@ -130,6 +132,7 @@ fn reads_every_sort_of_field_and_variant_from_a_schema() {
             "folder: path or None",
             "choice: Choice",
             "pairs: (number, (true or false, true or false)) by name",
+            "elevation: two numbers or None",
             "pruner: Pruner or None",
         ]
     );

@@ -21,8 +21,9 @@ fn the_schema_has_every_plugin_with_its_fields_and_defaults() {
     for family in pwrfgs_core::plugin::inventory::iter::<pwrfgs_core::plugin::Family>() {
         let all = types[family.kind]["oneOf"].as_array().unwrap();
         for plugin in (family.members)() {
-            let found = all.iter().any(|one| one["properties"][plugin.name]["$ref"].is_string());
-            assert!(found, "{} {}", family.kind, plugin.name);
+            let name = |one: &serde_json::Value| one["properties"][plugin.name]["$ref"].as_str().map(str::to_owned);
+            let found = all.iter().find_map(name).unwrap_or_else(|| panic!("{} {}", family.kind, plugin.name));
+            assert!(types[&found["#/$defs/".len()..]]["description"].is_string(), "{found}");
         }
     }
     let lambda = &types["LearnableMask"]["properties"]["lambda"];

@@ -215,6 +215,12 @@ impl Reader<'_> {
     }
 
     fn kind(&self, schema: &Value) -> Kind {
+        let nullable = schema["type"].as_array().is_some_and(|types| types.contains(&"null".into()));
+        if nullable { Kind::Optional(Box::new(self.inner_kind(schema))) } else { self.inner_kind(schema) }
+    }
+
+    /// The same without `None`.
+    fn inner_kind(&self, schema: &Value) -> Kind {
         if let Some(words) = schema.get("title").and_then(Value::as_str) {
             return Kind::Plain(kept(words));
         }
@@ -231,7 +237,7 @@ impl Reader<'_> {
             kind => kind,
         };
         let inside = |key: &str| self.kind(&schema[key]);
-        let plain = match (kind.as_str().unwrap_or_default(), schema.get("prefixItems"), schema.get("minItems")) {
+        match (kind.as_str().unwrap_or_default(), schema.get("prefixItems"), schema.get("minItems")) {
             ("array", Some(Value::Array(items)), _) => Kind::Tuple(items.iter().map(|item| self.kind(item)).collect()),
             ("array", _, Some(length)) => Kind::Tuple(vec![inside("items"); length.as_u64().unwrap_or(1) as usize]),
             ("array", ..) => Kind::List(Box::new(inside("items"))),
@@ -242,8 +248,7 @@ impl Reader<'_> {
             ("string", ..) if schema["format"] == "path" => Kind::Plain("path"),
             ("string", ..) => Kind::Plain("text"),
             _ => Kind::Plain("value"),
-        };
-        if schema["type"].is_array() { Kind::Optional(Box::new(plain)) } else { plain }
+        }
     }
 }
 

@@ -82,7 +82,7 @@ where
         let linked = registered::<T>().into_iter();
         let plugins = linked.filter_map(|name| Some((name, Self::parse(&format!("{name}()")).ok()?)));
         let one = |(name, plugin): (&str, Self)| {
-            let properties = Map::from_iter([(name.to_owned(), plugin.schema(generator).to_value())]);
+            let properties = Map::from_iter([(name.to_owned(), plugin.get().schema(generator).to_value())]);
             json!({ "type": "object", "properties": properties, "required": [name], "additionalProperties": false })
         };
         json_schema!({ "oneOf": plugins.map(one).collect::<Vec<_>>(), PLUGINS: true })

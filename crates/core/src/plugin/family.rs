@@ -56,7 +56,7 @@ where
     Box<T>: for<'de> Deserialize<'de>,
 {
     let describe = |name| match Plugin::<T>::parse(&format!("{name}()")) {
-        Ok(plugin) => Member { name, docs: Some(plugin.docs()), text: Ok(to_ron(&plugin)) },
+        Ok(plugin) => Member { name, docs: Some(plugin.get().docs()), text: Ok(to_ron(&plugin)) },
         Err(why) => Member { name, docs: None, text: Err(why) },
     };
     registered::<T>().into_iter().map(describe).collect()
