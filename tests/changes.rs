@@ -27,7 +27,7 @@ fn refused(arguments: &[&str]) -> String {
     let mut pipeline = base();
     let said = pipeline.set_all(arguments).unwrap_err().to_string();
     assert_eq!(pipeline.to_ron(), base().to_ron(), "a refused change changes nothing");
-    for internal in ["Patch", "PipelineFields", "Checked"] {
+    for internal in ["Misfit", "Checked"] {
         assert!(!said.contains(internal), "{said}");
     }
     said
@@ -40,9 +40,12 @@ fn changes_are_checked_once_after_all_of_them() {
     assert_eq!(changed(&both), lines);
     assert_eq!(changed(&[both[1], both[0]]), lines);
     let said = refused(&["training.batch=3", "training.densify_until=500"]);
-    assert!(said.starts_with("--set training.densify_until=500: `prune_until` comes before"), "{said}");
+    assert!(
+        said.starts_with("--set training.batch=3 and --set training.densify_until=500: `prune_until` comes before"),
+        "{said}"
+    );
     let said = refused(&["training.prune_until=30", "training.densify_until=35"]);
-    assert!(said.starts_with("--set training.prune_until=30 --set training.densify_until=35: "), "{said}");
+    assert!(said.starts_with("--set training.prune_until=30 and --set training.densify_until=35: "), "{said}");
 }
 
 #[test]

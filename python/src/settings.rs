@@ -1,6 +1,7 @@
 //! Plugins, pipelines and their text.
 
 use crate::border::{free, wrong};
+use pwrfgs::pipeline::Change;
 use pwrfgs::pipeline::ron_tree::{Body as Parts, Tree};
 use pwrfgs::prelude::Pipeline as Inner;
 use pwrfgs_core::docs::{Body, Docs, Kind};
@@ -83,7 +84,8 @@ impl Pipeline {
 
     /// Sets values by their path, RON text each; all or none.
     fn set(&self, py: Python<'_>, values: Vec<(String, String)>) -> PyResult<()> {
-        self.change(py, |inner| inner.set_values(&values))
+        let changes: Vec<Change> = values.iter().map(|(path, value)| Change::new(path, value)).collect();
+        self.change(py, |inner| inner.change(&changes))
     }
 
     /// The same with arguments of `--set`.

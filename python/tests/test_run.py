@@ -123,7 +123,7 @@ def test_sweeps_reports_and_simulations(tmp_path):
     (tmp_path / "small.ron").write_text(SMALL.replace("steps: 60", "steps: 40"))
     (tmp_path / "e.ron").write_text(
         'Experiment(name: "e", base: "small.ron", seeds: [0, 1], axes: [Axis(name: "n", variants: [(label: "20", '
-        "pruners: [TopK(keep: 20)]), (label: \"40\", pruners: [TopK(keep: 40)])])])"
+        "set: {\"pruners\": [TopK(keep: 20)]}), (label: \"40\", set: {\"pruners\": [TopK(keep: 40)]})])])"
     )
     runs = pwrfgs.sweep(tmp_path / "e.ron", out=tmp_path / "sweep", jobs=1)
     assert len(runs) == 4 and all(run.finished for run in runs) and (tmp_path / "sweep/report/report.html").is_file()

@@ -59,11 +59,11 @@ Experiment(
     name: "$1",
     base: "base.ron",
     seeds: [0, 1],
-    set: (training: $2),
+    set: {"training": $2},
     axes: [
         Axis(name: "lambda", variants: [
-            (label: "0.01", pruners: [LearnableMask(lambda: 0.01), OpacityThreshold()]),
-            (label: "0.02", pruners: [LearnableMask(lambda: 0.02), OpacityThreshold()]),
+            (label: "0.01", set: {"pruners": [LearnableMask(lambda: 0.01), OpacityThreshold()]}),
+            (label: "0.02", set: {"pruners": [LearnableMask(lambda: 0.02), OpacityThreshold()]}),
         ]),
     ],
     slurm: (cpus: 1, memory: "500M", time: "00:10:00"),

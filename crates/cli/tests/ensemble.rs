@@ -99,7 +99,7 @@ fn write_joined(here: &Path) {
 /// A joined sweep of `p.ron` as it is and with a change.
 fn experiment(change: &str, more: &str) -> String {
     format!(
-        "Experiment(name: \"both\", join: true, base: \"p.ron\", {more} set: (training: (scale: 0.5)),
+        "Experiment(name: \"both\", join: true, base: \"p.ron\", {more} set: {{\"training.scale\": 0.5}},
         axes: [Axis(name: \"net\", variants: [(label: \"small\"), (label: \"wide\", {change})])])"
     )
 }
@@ -203,11 +203,11 @@ fn runs_that_cannot_be_joined_are_refused() {
         write(&here.join("x.ron"), experiment(change, more));
         refuse(here, &["sweep", "x.ron"], 2, why);
     };
-    refused("split: Sparse(train: 10)", "", &["x.ron: join: ", "`net=wide,seed=0` differ in `split`"]);
-    refused("data: Teacher(samples: 50)", "", &["differ in `data`", "`set`"]);
-    refused("tensorboard: true", "", &["train the same model", "net=small,seed=0"]);
-    refused("split_seed: 3", "", &["train the same model"]);
-    refused("training: (steps: 10)", "", &["variant `wide`", "pruners"]);
+    refused("set: {\"split\": Sparse(train: 10)}", "", &["x.ron: join: ", "`net=wide,seed=0` differ in `split`"]);
+    refused("set: {\"data\": Teacher(samples: 50)}", "", &["differ in `data`", "`set`"]);
+    refused("set: {\"tensorboard\": true}", "", &["train the same model", "net=small,seed=0"]);
+    refused("set: {\"split_seed\": 3}", "", &["train the same model"]);
+    refused("set: {\"training.steps\": 10}", "", &["variant `wide`", "pruners"]);
     refused("base: \"none.ron\"", "", &["variant `wide`", "none.ron"]);
     write(&here.join("x.ron"), "Experiment(name: \"x\", join: true, base: \"p.ron\")");
     refuse(here, &["sweep", "x.ron"], 2, &["x.ron: join: there are 1 runs", "2 to 100"]);

@@ -176,7 +176,7 @@ fn sweeps_of_powers_are_compared_by_their_error() {
     let here = folder.path();
     hall(here);
     let experiment = "Experiment(name: \"count\", base: \"p.ron\", seeds: [0, 1], axes: [Axis(name: \"N\", variants: [\
-                      (label: \"6\", initializer: Grid(count: 6)), (label: \"12\")])])";
+                      (label: \"6\", set: {\"initializer\": Grid(count: 6)}), (label: \"12\")])])";
     write(&here.join("e.ron"), experiment);
     succeed(here, &["sweep", "e.ron"]);
     let report = here.join("runs/count/report");

@@ -79,7 +79,7 @@ fn rejects_output_paths_that_cannot_be_made() {
     std::fs::copy(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenes/lab-s23.ron"), here.join("lab.ron"))
         .unwrap();
     write(&here.join("walk.csv"), "x,y,z\n1,0,1\n");
-    let axes = "axes: [(name: \"steps\", variants: [(label: \"a\"), (label: \"b\", training: (stride: 2))])]";
+    let axes = "axes: [(name: \"steps\", variants: [(label: \"a\"), (label: \"b\", set: {\"training.stride\": 2})])]";
     write(&here.join("e.ron"), format!("Experiment(name: \"e\", base: \"p.ron\", {axes})"));
     std::os::unix::fs::symlink("nowhere", here.join("link")).unwrap();
     let model = "r/model.safetensors";

@@ -5,11 +5,11 @@ use std::path::Path;
 /// Three strategies to as many Gaussians as there are at the start.
 const IDLE: &str = "Experiment(
     name: \"idle\", base: \"p.ron\", seeds: [0],
-    set: (training: (target: 8)),
+    set: {\"training.target\": 8},
     axes: [Axis(name: \"by\", variants: [
-        (label: \"chance\", pruners: [RandomReference()]),
-        (label: \"light\", pruners: [LightGaussian()]),
-        (label: \"signal\", pruners: [SignalContribution()]),
+        (label: \"chance\", set: {\"pruners\": [RandomReference()]}),
+        (label: \"light\", set: {\"pruners\": [LightGaussian()]}),
+        (label: \"signal\", set: {\"pruners\": [SignalContribution()]}),
     ])],
 )";
 

@@ -7,7 +7,7 @@ use std::time::SystemTime;
 const JOINED: &str = "Experiment(name: \"both\", join: true, base: \"p.ron\", seeds: [0, 1])";
 const EXPERIMENT: &str = "Experiment(
     name: \"tiny\", base: \"p.ron\", seeds: [0],
-    axes: [Axis(name: \"batch\", variants: [(label: \"1\", training: (batch: 1)), (label: \"2\")])],
+    axes: [Axis(name: \"batch\", variants: [(label: \"1\", set: {\"training.batch\": 1}), (label: \"2\")])],
 )";
 
 /// `SMALL`, alone, with two seeds joined, and as an experiment.

@@ -8,14 +8,14 @@ const EXPERIMENT: &str = "Experiment(
     name: \"tiny\",
     base: \"base/p.ron\",
     seeds: [4],
-    set: (training: (batch: 1)),
+    set: {\"training.batch\": 1},
     axes: [
         Axis(name: \"lambda\", variants: [
-            (label: \"0\", pruners: [OpacityThreshold()]),
-            (label: \"0.02\", pruners: [LearnableMask(lambda: 0.02, learning_rate: 0.2), OpacityThreshold()]),
+            (label: \"0\", set: {\"pruners\": [OpacityThreshold()]}),
+            (label: \"0.02\", set: {\"pruners\": [LearnableMask(lambda: 0.02, learning_rate: 0.2), OpacityThreshold()]}),
         ]),
         Axis(name: \"start\", variants: [
-            (label: \"few\", initializer: Grid(count: 6)),
+            (label: \"few\", set: {\"initializer\": Grid(count: 6)}),
             (label: \"more (8)\"),
         ]),
     ],
@@ -100,8 +100,8 @@ fn a_killed_sweep_goes_on_and_ends_as_one_never_stopped() {
 #[test]
 fn a_run_that_fails_does_not_stop_the_others() {
     // Far too fast: its numbers leave the finite range.
-    let wild = "(label: \"few\", training: (optimizer: (network: Constant(1e30), log_scales: Constant(1e30))))";
-    let folder = folder(&EXPERIMENT.replace("(label: \"few\", initializer: Grid(count: 6))", wild), SMALL);
+    let wild = "(label: \"few\", set: {\"training.optimizer\": (network: Constant(1e30), log_scales: Constant(1e30))})";
+    let folder = folder(&EXPERIMENT.replace("(label: \"few\", set: {\"initializer\": Grid(count: 6)})", wild), SMALL);
     let here = folder.path();
     for _ in 0..2 {
         let output = call(here, &["sweep", "e.ron"]);
@@ -163,29 +163,29 @@ fn mistakes_are_refused_where_they_stand_before_anything_runs() {
         ("LearnableMask", "LearnedMask", &["e.ron:9:", "did you mean `LearnableMask`"]),
         (
             "(label: \"more (8)\")",
-            "(label: \"more\", training: (prune_until: 5))",
-            &["e.ron: axis `start`, variant `more`: ", "densify_until"],
+            "(label: \"more\", set: {\"training.prune_until\": 5})",
+            &["e.ron:13:30: axis `start`, variant `more`: ", "densify_until"],
         ),
         ("(label: \"more (8)\")", "(label: \"Few\")", &["e.ron:14:", "two labels", "`few`"]),
         ("(label: \"more (8)\")", "(label: \"()\")", &["e.ron:13:", "cannot name a folder"]),
-        ("(label: \"more (8)\")", "()", &["e.ron:13:", "give it a `label`"]),
-        ("(label: \"more (8)\")", "(label: \"b\", seed: 3)", &["e.ron:13:", "`seeds`"]),
+        ("(label: \"more (8)\")", "()", &["e.ron:13:", "the field `label` is missing"]),
+        ("(label: \"more (8)\")", "(label: \"b\", set: {\"seed\": 3})", &["e.ron:13:", "`seeds`"]),
         (
             "(label: \"more (8)\")",
-            "(label: \"b\", initializer: Grid(count: 6))",
+            "(label: \"b\", set: {\"initializer\": Grid(count: 6)})",
             &["e.ron: axis `start`, variant `b`: ", "the same pipeline as"],
         ),
         (
             "(label: \"more (8)\")",
-            "(label: \"b\", data: Nerf2Spectrum(root: \"nowhere\"))",
-            &["e.ron: axis `start`, variant `b`: ", "start=b", "nowhere", "no such folder"],
+            "(label: \"b\", set: {\"data\": Nerf2Spectrum(root: \"nowhere\")})",
+            &["e.ron:13:27: axis `start`, variant `b`: ", "start=b", "nowhere", "no such folder"],
         ),
         ("seeds: [4]", "seeds: []", &["e.ron:", "`seeds` is empty"]),
         ("seeds: [4]", "seeds: [4, 4]", &["the seed 4 comes twice"]),
         ("name: \"lambda\"", "name: \"seed\"", &["e.ron:", "cannot name a folder"]),
         ("name: \"lambda\"", "name: \"start\"", &["two axes are called `start`"]),
         ("base/p.ron", "base/q.ron", &["cannot read base/q.ron"]),
-        ("set: (training", "set: (traning", &["e.ron:5:", "did you mean `training`"]),
+        ("{\"training.", "{\"traning.", &["e.ron:5:11: set: ", "did you mean `training`"]),
     ];
     for (from, to, words) in cases {
         write(&here.join("e.ron"), EXPERIMENT.replacen(from, to, 1));
@@ -256,7 +256,7 @@ fn another_experiment_of_the_same_name_leaves_the_listing_of_the_first() {
     let others = [
         EXPERIMENT.replace("(label: \"0\",", "(label: \"none\","),
         EXPERIMENT.replace("seeds: [4]", "seeds: [5]"),
-        EXPERIMENT.replace("batch: 1", "batch: 1, steps: 50"),
+        EXPERIMENT.replace("batch\": 1", "batch\": 1, \"training.steps\": 50"),
     ];
     for (other, words) in
         others.iter().zip([["lambda=0,", "`lambda=none,"], ["seed=4`", "seed=5`"], ["another pipeline", RUNS[0]]])

@@ -123,24 +123,28 @@ pub fn name_of(plugin: &impl Serialize) -> String {
 /// # Errors
 /// [`Error::Input`](crate::Error::Input) with line and column.
 pub fn read_ron<T: de::DeserializeOwned>(text: &str, path: &Path) -> crate::Result<T> {
-    use ron::Error::{ExpectedDifferentStructName, NoSuchEnumVariant, NoSuchStructField, SuggestRawIdentifier};
-    ron_options().from_str(text).map_err(|e| {
-        let hint = match &e.code {
-            NoSuchEnumVariant { expected, found, .. } | NoSuchStructField { expected, found, .. } => {
-                did_you_mean(found, expected.iter().copied())
-            }
-            ExpectedDifferentStructName { found, .. } if found == "Pipeline" => "; `pwrfgs run` takes this file".into(),
-            ExpectedDifferentStructName { found, .. } if found == "Experiment" => {
-                "; `pwrfgs sweep` takes this file".into()
-            }
-            _ => String::new(),
-        };
-        let what = match &e.code {
-            SuggestRawIdentifier(found) => format!("`{found}` stands where a name is expected"),
-            code => code.to_string(),
-        };
-        crate::Error::at(path, e.span.end.line, e.span.end.col, what + &hint)
-    })
+    ron_options().from_str(text).map_err(|e| crate::Error::at(path, e.span.end.line, e.span.end.col, explain(&e)))
+}
+
+/// What is wrong with a text in RON, with the nearest known name for a misspelt one.
+pub fn explain(error: &ron::error::SpannedError) -> String {
+    use ron::Error::{
+        ExpectedDifferentStructName, MissingStructField, NoSuchEnumVariant, NoSuchStructField, SuggestRawIdentifier,
+    };
+    let hint = match &error.code {
+        NoSuchEnumVariant { expected, found, .. } | NoSuchStructField { expected, found, .. } => {
+            did_you_mean(found, expected.iter().copied())
+        }
+        ExpectedDifferentStructName { found, .. } if found == "Pipeline" => "; `pwrfgs run` takes this file".into(),
+        ExpectedDifferentStructName { found, .. } if found == "Experiment" => "; `pwrfgs sweep` takes this file".into(),
+        _ => String::new(),
+    };
+    let what = match &error.code {
+        SuggestRawIdentifier(found) => format!("`{found}` stands where a name is expected"),
+        MissingStructField { field, .. } => format!("the field `{field}` is missing"),
+        code => code.to_string(),
+    };
+    what + &hint
 }
 
 /// Plain settings that check themselves while they are read, so that the message carries a position.

@@ -1,7 +1,7 @@
 //! From files and `--set` arguments to pipelines whose paths hold everywhere.
 
 use pwrfgs_core::{Result, files::read_text};
-use pwrfgs_pipeline::Pipeline;
+use pwrfgs_pipeline::{Changes, Draft, Fault, Pipeline};
 use std::path::{Path, PathBuf};
 
 /// Reads the pipeline in `path`, applies `--set` arguments and then `training.scale`. Paths in the file are relative to the
@@ -29,6 +29,18 @@ fn parse_base(text: &str, path: &Path) -> Result<Pipeline> {
     let mut pipeline = Pipeline::parse(text, path)?;
     rebase(&mut pipeline, path.parent().unwrap_or(Path::new("")));
     Ok(pipeline)
+}
+
+/// Makes the changes of a file in `here` in a draft whose own paths are absolute.
+///
+/// # Errors
+/// What is wrong with a change by itself.
+pub(crate) fn change(draft: &mut Draft, changes: &Changes, here: &Path) -> Result<(), Fault> {
+    changes.0.iter().try_for_each(|change| draft.set(change))?;
+    if ["data", "initializer", "baselines"].iter().any(|field| changes.change(field)) {
+        draft.rebase(&|path| absolute(here, path))?;
+    }
+    Ok(())
 }
 
 /// Applies `--set` arguments to a pipeline whose own paths are absolute; theirs are relative to where one stands.

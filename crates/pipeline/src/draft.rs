@@ -2,11 +2,12 @@
 //! written can be set, at any depth, without loss; what comes out passes the same parser and the same checks as a file,
 //! once, after all changes.
 
-use crate::pipeline::{Pipeline, PipelinePatch};
-use crate::ron_tree::{Body, Tree};
-use pwrfgs_core::docs::{Body as Parts, Docs, Field, Kind};
-use pwrfgs_core::plugin::{Family, ron_options, to_ron};
-use pwrfgs_core::{Baseline, DataSource, Error, Initializer, Plugin, Result, did_you_mean};
+use crate::changes::Change;
+use crate::pipeline::{Misfit, Pipeline, TypeHint};
+use crate::place::{Edit, Place, quoted};
+use crate::ron_tree::Tree;
+use pwrfgs_core::plugin::{ron_options, to_ron};
+use pwrfgs_core::{Baseline, DataSource, Error, Initializer, Plugin, Result};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -14,78 +15,32 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug)]
 pub struct Draft {
     text: String,
+    changes: Vec<Change>,
 }
 
-/// A place in a draft: the value there, and what may stand there as far as that is known.
-struct Place<'a> {
-    /// How it was reached, for messages.
-    name: String,
-    tree: &'a Tree,
-    kind: Option<Kind>,
+/// What is wrong with a draft, and the changes that made it so.
+#[derive(Debug)]
+pub struct Fault {
+    message: String,
+    blamed: Vec<Change>,
 }
-
-/// Characters of an argument that a message repeats.
-const LONGEST: usize = 200;
-
-/// New text for old.
-type Edit = (Range<usize>, String);
 
 impl Draft {
     /// The pipeline as it is.
     pub fn of(pipeline: &Pipeline) -> Self {
-        Self { text: pipeline.to_ron() }
+        Self { text: pipeline.to_ron(), changes: Vec::new() }
     }
 
-    /// Changes what `path`, such as `training.steps` or `pruners.LearnableMask.lambda`, names. Settings, and what stands in
-    /// parentheses without a name, `(steps: 500, batch: 2)`, change what they name; every other value takes the place of the
-    /// old one.
+    /// Makes a change. Settings, and what stands in parentheses without a name, `(steps: 500, batch: 2)`, change what they
+    /// name; every other value takes the place of the old one.
     ///
     /// # Errors
-    /// [`Error::Config`] where there is no such place, or the value is none. Whether it fits is told at the end.
-    pub fn set(&mut self, path: &str, value: &str) -> Result<()> {
+    /// Where there is no such place, or the value is none. Whether it fits is told by [`Self::finish`].
+    pub fn set(&mut self, change: &Change) -> Result<(), Fault> {
         let tree = self.tree();
-        let place = Place::at(path, &tree).map_err(Error::Config)?;
-        let value = place.complete(value.trim());
-        let new =
-            Tree::parse(&value).map_err(|why| Error::Config(format!("{} is no value: {why}", quoted(value.trim()))))?;
-        let mut edits = Vec::new();
-        place.put(&new, &value, false, &mut edits).map_err(Error::Config)?;
-        self.change(edits);
-        Ok(())
-    }
-
-    /// What can stand at `path`, in a word or two.
-    pub(crate) fn takes(&self, path: &str) -> Option<String> {
-        let tree = self.tree();
-        Place::at(path, &tree).ok()?.kind.map(|kind| kind.words())
-    }
-
-    /// [`Self::set`] with `path=value`.
-    ///
-    /// # Errors
-    /// As there, naming the argument.
-    pub fn set_argument(&mut self, argument: &str) -> Result<()> {
-        let said = |why: String| Error::Config(format!("--set {}: {why}", shortened(argument)));
-        let (path, value) = argument.split_once('=').ok_or_else(|| said("write it as path.to.field=value".into()))?;
-        self.set(path, value).map_err(|e| said(e.to_string()))
-    }
-
-    /// Takes over what a patch names, its `set` last. Plugins and lists are replaced whole.
-    ///
-    /// # Errors
-    /// As [`Self::set`].
-    pub fn merge(&mut self, patch: &PipelinePatch) -> Result<()> {
-        let text = to_ron(patch);
-        let new = Tree::parse(&text).map_err(Error::Config)?;
-        let tree = self.tree();
-        let mut edits = Vec::new();
-        let whole = Place { name: String::new(), tree: &tree, kind: Some(Kind::Of(Docs::of::<Pipeline>())) };
-        whole.put(&new, &text, true, &mut edits).map_err(Error::Config)?;
-        self.change(edits);
-        for (path, value) in patch.set.iter().flatten() {
-            let said = |e| Error::Config(format!("set {path:?}: {e}"));
-            self.set(path, value.get_ron()).map_err(said)?;
-        }
+        let edits = edits(&tree, change).map_err(|message| Fault { message, blamed: vec![change.clone()] })?;
+        self.edit(edits);
+        self.changes.push(change.clone());
         Ok(())
     }
 
@@ -93,10 +48,10 @@ impl Draft {
     ///
     /// # Errors
     /// Where these plugins do not pass their own checks.
-    pub fn rebase(&mut self, absolute: &dyn Fn(&Path) -> PathBuf) -> Result<()> {
+    pub fn rebase(&mut self, absolute: &dyn Fn(&Path) -> PathBuf) -> Result<(), Fault> {
         let tree = self.tree();
         let text = |field: &str| tree.field(field).map_or("", |t| t.of(&self.text));
-        let wrong = |field: &str, e| Error::Config(format!("{field}: {e}"));
+        let wrong = |field: &str, e| self.fault(field, format!("{field}: {e}"));
         let mut edits = Vec::new();
         let data = Plugin::<dyn DataSource>::parse(text("data")).map_err(|e| wrong("data", e))?;
         if let (Some(rebased), Some(old)) = (data.rebased(absolute), tree.field("data")) {
@@ -117,211 +72,88 @@ impl Draft {
                 edits.push((old.span.clone(), to_ron(&Plugin::from(rebased))));
             }
         }
-        self.change(edits);
+        self.edit(edits);
         Ok(())
     }
 
     /// The pipeline, checked.
     ///
     /// # Errors
-    /// [`Error::Config`]: what does not fit.
-    pub fn finish(&self) -> Result<Pipeline> {
-        Pipeline::parse(&self.text, Path::new("--set")).map_err(|e| match e {
-            // The position would count in a text that nobody has seen.
-            Error::Input { message, .. } => Error::Config(message),
-            other => other,
-        })
+    /// What does not fit, with the changes that concern it.
+    pub fn finish(&self) -> Result<Pipeline, Fault> {
+        Pipeline::read(&self.text).map_err(|misfit| self.blame(misfit))
+    }
+
+    /// What is wrong with `field`, with the changes that concern it.
+    pub fn fault(&self, field: &str, message: String) -> Fault {
+        self.blame(Misfit::of(field, message, &self.tree()))
+    }
+
+    /// The fault behind `misfit`: of the changes in the smallest value that holds its place.
+    fn blame(&self, misfit: Misfit) -> Fault {
+        let Misfit { mut message, at, hint } = misfit;
+        let tree = self.tree();
+        let places: Vec<Option<Place<'_>>> = self.changes.iter().map(|c| Place::at(&c.path, &tree).ok()).collect();
+        let spans: Vec<Option<Range<usize>>> = places.iter().map(|p| Some(p.as_ref()?.tree.span.clone())).collect();
+        let inside = |outer: &Range<usize>| -> Vec<usize> {
+            let is_inside = |span: &Range<usize>| outer.start <= span.start && span.end <= outer.end;
+            // Of two changes of one place the later made it what it is.
+            let is_last = |k: usize| !spans[k + 1..].contains(&spans[k]);
+            (0..spans.len()).filter(|&k| spans[k].as_ref().is_some_and(is_inside) && is_last(k)).collect()
+        };
+        let around = at.map_or_else(|| vec![tree.span.clone()], |at| tree.around(at));
+        let blamed = around.iter().map(inside).find(|blamed| !blamed.is_empty()).unwrap_or_default();
+        if let [only] = blamed[..]
+            && let Some(Place { tree, kind: Some(kind), .. }) = &places[only]
+            && at.is_some_and(|at| (tree.span.start..=tree.span.end).contains(&at))
+            && (hint == TypeHint::Always
+                || hint == TypeHint::AtLeaf && tree.fields().is_empty() && tree.items().is_empty())
+        {
+            message = format!("{message}; it takes a {}", kind.words());
+        }
+        Fault { message, blamed: blamed.into_iter().map(|k| self.changes[k].clone()).collect() }
     }
 
     fn tree(&self) -> Tree {
         Tree::parse(&self.text).expect("what was written by the program, and edits that were parsed, are values")
     }
 
-    fn change(&mut self, mut edits: Vec<Edit>) {
+    fn edit(&mut self, mut edits: Vec<Edit>) {
         edits.sort_by_key(|(span, _)| std::cmp::Reverse(span.start));
         edits.into_iter().for_each(|(span, text)| self.text.replace_range(span, &text));
     }
 }
 
-impl<'a> Place<'a> {
-    /// The place that `path` names.
-    fn at(path: &str, tree: &'a Tree) -> Result<Self, String> {
-        let mut place = Self { name: String::new(), tree, kind: Some(Kind::Of(Docs::of::<Pipeline>())) };
-        for step in path.trim().split('.') {
-            place = place.step(step.trim())?;
-        }
-        Ok(place)
+/// What `change` does to the text of `tree`.
+fn edits(tree: &Tree, change: &Change) -> Result<Vec<Edit>, String> {
+    let place = Place::at(&change.path, tree)?;
+    let value = place.complete(change.value.trim());
+    let new = Tree::parse(&value).map_err(|why| format!("{} is no value: {why}", quoted(change.value.trim())))?;
+    let mut edits = Vec::new();
+    place.put(&new, &value, &mut edits)?;
+    Ok(edits)
+}
+
+impl Fault {
+    /// The same as an error of changes that stand in no file.
+    pub fn in_arguments(self) -> Error {
+        Error::Config(self.to_string())
     }
 
-    /// The place called `step` inside this one.
-    fn step(self, step: &str) -> Result<Self, String> {
-        let Self { name, tree, kind } = self;
-        let path = if name.is_empty() { step.to_owned() } else { format!("{name}.{step}") };
-        let here = if name.is_empty() { "a pipeline".to_owned() } else { format!("`{name}`") };
-        if let Some(inner) = tree.field(step) {
-            return Ok(Self {
-                name: path,
-                tree: inner,
-                kind: field(kind.as_ref(), tree, step).map(|f| f.kind.clone()),
-            });
-        }
-        if let (Some("Some"), [inner]) = (tree.name.as_deref(), tree.items()) {
-            return Self { name, tree: inner, kind }.step(step);
-        }
-        if tree.name.as_deref() == Some(step) && !tree.fields().is_empty() {
-            return Ok(Self { name: path, tree, kind });
-        }
-        let plugin = match kind.as_ref().map(inside) {
-            Some(Kind::Plugin(kind)) => Some(*kind),
-            _ => None,
-        };
-        if let (false, Body::Items(items)) = (tree.name.is_some(), &tree.body) {
-            let item = |tree| Self { name: path, tree, kind: kind.map(|k| part(&k, step)) };
-            return listed(&here, &name, items, step).map(item);
-        }
-        let names = || tree.fields().iter().map(|(field, _)| field.as_str());
-        let who = match (plugin, &tree.name) {
-            (Some(_), Some(plugin)) => format!("{here} is {plugin}, which"),
-            _ => here,
-        };
-        if names().next().is_none() {
-            return Err(format!("{who} has no fields, and so no `{step}`{}", whole(plugin, &name, step)));
-        }
-        let hint = did_you_mean(step, names());
-        let whole = whole(plugin, &name, step);
-        Err(format!(
-            "{who} has no field {}{hint} (there are `{}`){whole}",
-            quoted(step),
-            names().collect::<Vec<_>>().join("`, `")
-        ))
-    }
-
-    /// What a person leaves out: quotes around a text or path, parentheses after a plugin.
-    fn complete(&self, value: &str) -> String {
-        let (optional, kind) = match &self.kind {
-            Some(Kind::Optional(inner)) => (true, Some(&**inner)),
-            other => (false, other.as_ref()),
-        };
-        let text = matches!(kind, Some(Kind::Plain("text" | "path")))
-            || (kind.is_none_or(|k| matches!(k, Kind::Plain(_))) && self.old_text());
-        if text {
-            let given = value.starts_with('"') || value.starts_with("r\"") || value.starts_with("r#");
-            let absent = optional && (value == "None" || value.starts_with("Some("));
-            return if given || absent { value.to_owned() } else { format!("{value:?}") };
-        }
-        let bare = value.starts_with(char::is_alphabetic) && value.chars().all(|c| c.is_alphanumeric() || c == '_');
-        let absent = value == "None" && optional;
-        let plugin = matches!(kind, Some(Kind::Plugin(_)));
-        if bare && plugin && !absent { format!("{value}()") } else { value.to_owned() }
-    }
-
-    /// Whether the value that stands here is a text.
-    fn old_text(&self) -> bool {
-        self.tree.name.is_none() && self.tree.body == Body::Plain && self.tree.quoted
-    }
-
-    /// Puts `new`, which stands in `text`, here. In a `patch`, which was serialised, only plugins and enums are whole, and
-    /// what it does not name reads `None`.
-    fn put(self, new: &Tree, text: &str, patch: bool, edits: &mut Vec<Edit>) -> Result<(), String> {
-        let settings = matches!(self.kind, Some(Kind::Of(Docs { body: Parts::Fields(_), .. })));
-        let merges = settings || (!patch && new.name.is_none());
-        if !merges || new.fields().is_empty() || self.tree.fields().is_empty() {
-            edits.push((self.tree.span.clone(), written_out(self.kind.as_ref(), new, text)));
-            return Ok(());
-        }
-        for (field, value) in new.fields() {
-            if !(patch && value.of(text) == "None") {
-                let here = Place { name: self.name.clone(), tree: self.tree, kind: self.kind.clone() };
-                here.step(field)?.put(value, text, patch, edits)?;
-            }
-        }
-        Ok(())
+    /// The same as an error of the file at `path`, which holds the changes.
+    pub fn in_file(self, path: &Path) -> Error {
+        let at = self.blamed.iter().rev().find_map(|change| change.at);
+        let message = self.to_string();
+        Error::Input { path: path.into(), at, message }
     }
 }
 
-/// A value with the defaults of its plugins, so that the next change finds their fields.
-fn written_out(kind: Option<&Kind>, new: &Tree, text: &str) -> String {
-    let own = new.of(text);
-    match kind.map(inside) {
-        Some(Kind::Plugin(kind)) => {
-            Family::find(kind).and_then(|family| (family.complete)(own).ok()).unwrap_or_else(|| own.to_owned())
-        }
-        Some(Kind::List(kind)) if !new.items().is_empty() => {
-            let items: Vec<String> = new.items().iter().map(|item| written_out(Some(kind), item, text)).collect();
-            format!("[{}]", items.join(", "))
-        }
-        _ => own.to_owned(),
+/// The names of the blamed changes, each once, and what is wrong.
+impl std::fmt::Display for Fault {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let mut names: Vec<&str> = self.blamed.iter().map(|change| change.name.as_str()).collect();
+        names.dedup();
+        let colon = if names.is_empty() { "" } else { ": " };
+        write!(f, "{}{colon}{}", names.join(" and "), self.message)
     }
-}
-
-/// What the source says about a field of the value `tree`.
-fn field(kind: Option<&Kind>, tree: &Tree, name: &str) -> Option<&'static Field> {
-    match kind? {
-        Kind::Of(docs) => docs.field(tree.name.as_deref(), name),
-        Kind::Optional(inner) => field(Some(inner), tree, name),
-        Kind::Plugin(kind) => {
-            let members = (Family::find(kind)?.members)();
-            members.iter().find(|m| Some(m.name) == tree.name.as_deref())?.docs?.field(None, name)
-        }
-        _ => None,
-    }
-}
-
-/// Through `Option`.
-fn inside(kind: &Kind) -> &Kind {
-    if let Kind::Optional(inner) = kind { inside(inner) } else { kind }
-}
-
-/// What stands at one place of a list.
-fn part(kind: &Kind, step: &str) -> Kind {
-    match inside(kind) {
-        Kind::List(inner) => (**inner).clone(),
-        Kind::Tuple(parts) => step.parse().ok().and_then(|i: usize| parts.get(i)).unwrap_or(kind).clone(),
-        other => other.clone(),
-    }
-}
-
-/// The place `step` of a list: a number, counted from 0, or a name that comes once.
-fn listed<'a>(here: &str, path: &str, items: &'a [Tree], step: &str) -> Result<&'a Tree, String> {
-    if let Ok(index) = step.parse::<usize>() {
-        let count = items.len();
-        let none = || format!("{here} has {count} entries, counted from 0, and none numbered {step}");
-        return items.get(index).ok_or_else(none);
-    }
-    let named: Vec<usize> = (0..items.len()).filter(|&i| items[i].name.as_deref() == Some(step)).collect();
-    match named[..] {
-        [only] => Ok(&items[only]),
-        [] => {
-            let names: Vec<&str> = items.iter().filter_map(|item| item.name.as_deref()).collect();
-            let hint = did_you_mean(step, names.iter().copied());
-            let there =
-                if names.is_empty() { "it is empty".into() } else { format!("there are `{}`", names.join("`, `")) };
-            Err(format!("{here} has no entry {}{hint} ({there}); to add one, give the list whole", quoted(step)))
-        }
-        _ => {
-            let places: Vec<String> = named.iter().map(|i| format!("`{path}.{i}`")).collect();
-            Err(format!("{here} has {} entries `{step}`; say which: {}", named.len(), places.join(", ")))
-        }
-    }
-}
-
-/// Where another plugin of this kind has the field: give that whole.
-fn whole(kind: Option<&'static str>, path: &str, step: &str) -> String {
-    let members = kind.and_then(Family::find).map(|family| (family.members)()).unwrap_or_default();
-    let other = members.iter().find(|m| m.docs.is_some_and(|docs| docs.field(None, step).is_some()));
-    other.map_or_else(String::new, |m| {
-        format!("; for another plugin give it whole, such as '{path}={}({step}: ..)'", m.name)
-    })
-}
-
-/// In quotes, as [`shortened`].
-fn quoted(text: &str) -> String {
-    format!("`{}`", shortened(text))
-}
-
-/// Cut where it is long, without control characters: an argument can be a whole file.
-pub(crate) fn shortened(text: &str) -> String {
-    let plain = |c: char| if c.is_control() { char::REPLACEMENT_CHARACTER } else { c };
-    let short: String = text.chars().take(LONGEST).map(plain).collect();
-    if text.chars().nth(LONGEST).is_some() { short + ".." } else { short }
 }

@@ -1,11 +1,9 @@
 //! Whether the parts of a pipeline go together: data, method and metrics of one task, and pruners.
 
 use crate::Pipeline;
-use crate::ron_tree::Tree;
 use pwrfgs_core::plugin::name_of;
 use pwrfgs_core::{Dataset, Error, Task};
 use pwrfgs_train::Rays;
-use std::path::Path;
 
 /// The first field that does not support the data, and what to do about it; nothing where the source does not know
 /// before it loads.
@@ -76,16 +74,4 @@ impl Pipeline {
             None => Ok(()),
         }
     }
-}
-
-/// The same as an error at the field's place in `text`, or at that of the data where the field was left out.
-pub(crate) fn refuse_mixed(pipeline: &Pipeline, text: &str, path: &Path) -> Result<(), Error> {
-    let Some((field, what)) = mixed(pipeline) else { return Ok(()) };
-    let tree = Tree::parse(text).ok();
-    let place = tree.as_ref().and_then(|tree| tree.field(field).or_else(|| tree.field("data")));
-    let Some(place) = place else { return Err(Error::input(path, format!("{field}: {what}"))) };
-    let before = &text[..place.span.start];
-    let line = before.matches('\n').count() + 1;
-    let column = before.chars().rev().take_while(|c| *c != '\n').count() + 1;
-    Err(Error::at(path, line, column, format!("{field}: {what}")))
 }

@@ -6,11 +6,14 @@
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
+mod changes;
 pub mod defaults;
 mod draft;
 mod kinds;
 mod pipeline;
+mod place;
 pub mod ron_tree;
 
-pub use draft::Draft;
-pub use pipeline::{Pipeline, PipelineFields, PipelinePatch};
+pub use changes::{Change, Changes};
+pub use draft::{Draft, Fault};
+pub use pipeline::Pipeline;

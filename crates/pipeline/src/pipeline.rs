@@ -1,168 +1,117 @@
-//! `Pipeline`: a whole experiment as one RON value, and the patches that change it.
+//! `Pipeline`: a whole run as one RON value.
 
+use crate::changes::{Change, line_and_column, shortened};
 use crate::defaults;
-use crate::draft::{Draft, shortened};
-use crate::kinds::{mixed, refuse_mixed};
+use crate::draft::{Draft, Fault};
+use crate::kinds::mixed;
 use crate::ron_tree::Tree;
-use pwrfgs_core::plugin::{Checked, Plugin, read_ron, to_ron, try_to_ron};
+use pwrfgs_core::plugin::{Checked, Plugin, explain, ron_options, to_ron, try_to_ron};
 use pwrfgs_core::{
     Baseline, DataSource, Dataset, Deformation, Error, ImagePlane, Initializer, JsonSchema, MaskRate, Method, Metric,
     Partition, Projector, Pruner, Rasterizer, Result, Split, plugin::name_of, rng,
 };
 use pwrfgs_model::{Calibration, Readout, SplattedChannel, Splatting, Stages, check_together};
-use pwrfgs_train::{Trainer, Training, TrainingPatch, TrainingPlan};
-use ron::value::RawValue;
-use schemars::{Schema, SchemaGenerator, json_schema};
+use pwrfgs_train::{Trainer, Training, TrainingPlan};
+use ron::error::SpannedError;
 use serde::{Deserialize, Serialize};
-use std::borrow::Cow;
-use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Everything a run needs to know. Plugins are named in the words of the registry; plain settings are nested structs. A
-/// field that is left out takes what [`defaults`] says; name, data and initializer have no default.
+/// field that is left out takes what [`defaults`] says; name, data and initializer have no default. Read it with
+/// [`Pipeline::parse`]: defaults of readout, baselines and metrics depend on the data.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-#[serde(try_from = "PipelineFields<Checked<Training>>")]
-#[schemars(!try_from, extend("required" = ["name", "data"]))]
+#[serde(deny_unknown_fields)]
 pub struct Pipeline {
     /// Names the run folder: letters, digits, `.`, `-` and `_`.
     pub name: String,
     /// The one seed that decides everything.
+    #[serde(default)]
     pub seed: u64,
     /// Seed of the split alone; left out, the one seed. Members of an ensemble are divided alike by it.
     pub split_seed: Option<u64>,
     /// Where the observations come from.
     pub data: Plugin<dyn DataSource>,
     /// Training, validation and test.
+    #[serde(default = "defaults::split")]
     pub split: Plugin<dyn Split>,
     /// The way from Gaussians to observations; left out, they are drawn as splats by the five fields that follow the
     /// initializer.
     pub method: Option<Plugin<dyn Method>>,
     /// Where the Gaussians start; a method without Gaussians needs none.
+    #[serde(default = "defaults::initializer")]
     pub initializer: Plugin<dyn Initializer>,
     /// From space to the picture.
+    #[serde(default = "defaults::projector")]
     pub projector: Plugin<dyn Projector>,
     /// From splats to pixels.
+    #[serde(default = "defaults::rasterizer")]
     pub rasterizer: Plugin<dyn Rasterizer>,
     /// What the transmitter changes.
+    #[serde(default = "defaults::deformation")]
     pub deformation: Plugin<dyn Deformation>,
     /// How calibration terms meet the base parameters.
+    #[serde(default)]
     pub calibration: Calibration,
     /// From blended signals to a spectrum.
+    #[serde(default)]
     pub readout: Readout,
     /// Who decides which Gaussians stay; all must agree.
+    #[serde(default)]
     pub pruners: Vec<Plugin<dyn Pruner>>,
     /// Algorithm 1.
+    #[serde(default)]
     pub training: Checked<Training>,
     /// Scored beside the model.
+    #[serde(default)]
     pub baselines: Vec<Plugin<dyn Baseline>>,
     /// How all are scored.
+    #[serde(default)]
     pub metrics: Vec<Plugin<dyn Metric>>,
     /// Whether the run folder gets an event file that TensorBoard opens.
+    #[serde(default)]
     pub tensorboard: bool,
 }
 
-/// The fields of a [`Pipeline`], each of which may be left out.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
-#[serde(rename = "Pipeline", deny_unknown_fields)]
-#[allow(missing_docs)] // each field means what it means in `Pipeline`
-pub struct PipelineFields<T> {
-    /// What a sweep calls this patch; changes nothing.
-    #[serde(skip_serializing)]
-    pub label: Option<String>,
-    /// The pipeline file that a variant starts from.
-    #[serde(skip_serializing)]
-    pub base: Option<PathBuf>,
-    /// Single values by their path, such as `{"pruners.LearnableMask.lambda": 0.05}`; in a patch only.
-    #[serde(skip_serializing)]
-    pub set: Option<BTreeMap<String, Box<RawValue>>>,
-    pub name: Option<String>,
-    pub seed: Option<u64>,
-    pub split_seed: Option<u64>,
-    pub data: Option<Plugin<dyn DataSource>>,
-    pub split: Option<Plugin<dyn Split>>,
-    pub method: Option<Plugin<dyn Method>>,
-    pub initializer: Option<Plugin<dyn Initializer>>,
-    pub projector: Option<Plugin<dyn Projector>>,
-    pub rasterizer: Option<Plugin<dyn Rasterizer>>,
-    pub deformation: Option<Plugin<dyn Deformation>>,
-    pub calibration: Option<Calibration>,
-    pub readout: Option<Readout>,
-    pub pruners: Option<Vec<Plugin<dyn Pruner>>>,
-    pub training: Option<T>,
-    pub baselines: Option<Vec<Plugin<dyn Baseline>>>,
-    pub metrics: Option<Vec<Plugin<dyn Metric>>>,
-    pub tensorboard: Option<bool>,
+/// Why a text is no pipeline.
+#[derive(Debug)]
+pub(crate) struct Misfit {
+    pub(crate) message: String,
+    /// Where, as a byte of the text.
+    pub(crate) at: Option<usize>,
+    pub(crate) hint: TypeHint,
 }
 
-/// A patch over a [`Pipeline`]: fields left out keep their value, plugins are replaced whole.
-pub type PipelinePatch = PipelineFields<TrainingPatch>;
-
-impl PipelinePatch {
-    /// Whether the patch says something about this field of a pipeline, or about a part of it.
-    pub fn gives(&self, field: &str) -> bool {
-        let by_path = |path: &String| path.split('.').next().is_some_and(|first| first.trim() == field);
-        let Ok(text) = try_to_ron(self) else { return true };
-        let said = |tree: Tree| tree.field(field).is_some_and(|value| value.of(&text) != "None");
-        self.set.iter().flatten().any(|(path, _)| by_path(path))
-            || (field == "label" && self.label.is_some())
-            || Tree::parse(&text).is_ok_and(said)
-    }
+/// Whether a message should add what a value may be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum TypeHint {
+    /// The message says it.
+    Never,
+    /// If the value has no parts.
+    AtLeaf,
+    /// The value is of another type.
+    Always,
 }
 
-/// What a patch is, in a list of what may stand in an experiment.
-impl JsonSchema for PipelinePatch {
-    fn inline_schema() -> bool {
-        true
+impl Misfit {
+    /// Of a text that is no pipeline by its grammar or the types of its values.
+    fn reading(error: &SpannedError, text: &str) -> Self {
+        let hint = match error.code {
+            ron::Error::Message(_) => TypeHint::AtLeaf,
+            ron::Error::NoSuchEnumVariant { .. }
+            | ron::Error::NoSuchStructField { .. }
+            | ron::Error::MissingStructField { .. } => TypeHint::Never,
+            _ => TypeHint::Always,
+        };
+        let end = error.span.end;
+        let line = text.split_inclusive('\n').take(end.line - 1).map(str::len).sum::<usize>();
+        let column = text[line..].char_indices().nth(end.col - 1).map_or(text.len() - line, |(i, _)| i);
+        Self { message: explain(error), at: Some(line + column), hint }
     }
 
-    fn schema_name() -> Cow<'static, str> {
-        "fields of a Pipeline".into()
-    }
-
-    fn json_schema(_: &mut SchemaGenerator) -> Schema {
-        json_schema!({ "title": Self::schema_name(), "type": "object" })
-    }
-}
-
-impl TryFrom<PipelineFields<Checked<Training>>> for Pipeline {
-    type Error = String;
-
-    fn try_from(given: PipelineFields<Checked<Training>>) -> Result<Self, String> {
-        let missing = |field: &str| format!("the field `{field}` is missing");
-        if given.label.is_some() {
-            return Err("only a variant of a sweep has a `label`".into());
-        }
-        if given.base.is_some() {
-            return Err("only a variant of a sweep has a `base`".into());
-        }
-        if given.set.is_some() {
-            return Err("only a sweep has `set`; give the values in their places".into());
-        }
-        let data: Plugin<dyn DataSource> = given.data.ok_or_else(|| missing("data"))?;
-        let kind = data.task().unwrap_or_default();
-        let has_gaussians = given.method.as_ref().is_none_or(|method| method.traits().has_gaussians());
-        Ok(Self {
-            name: given.name.ok_or_else(|| missing("name"))?,
-            seed: given.seed.unwrap_or_default(),
-            split_seed: given.split_seed,
-            data,
-            split: given.split.unwrap_or_else(defaults::split),
-            initializer: match given.initializer {
-                None if !has_gaussians => defaults::initializer(),
-                initializer => initializer.ok_or_else(|| missing("initializer"))?,
-            },
-            method: given.method,
-            projector: given.projector.unwrap_or_else(defaults::projector),
-            rasterizer: given.rasterizer.unwrap_or_else(defaults::rasterizer),
-            deformation: given.deformation.unwrap_or_else(defaults::deformation),
-            calibration: given.calibration.unwrap_or_default(),
-            readout: given.readout.unwrap_or_else(|| defaults::readout(kind)),
-            pruners: given.pruners.unwrap_or_default(),
-            training: given.training.unwrap_or_default(),
-            baselines: given.baselines.unwrap_or_else(|| defaults::baselines(kind)),
-            metrics: given.metrics.unwrap_or_else(|| defaults::metrics(kind)),
-            tensorboard: given.tensorboard.unwrap_or_default(),
-        })
+    /// Of a `field` that does not fit the others; it stands at the data if the field was left out.
+    pub(crate) fn of(field: &str, message: String, tree: &Tree) -> Self {
+        let place = tree.field(field).or_else(|| tree.field("data"));
+        Self { message, at: place.map(|place| place.span.start), hint: TypeHint::Never }
     }
 }
 
@@ -176,10 +125,42 @@ impl Pipeline {
     /// # Errors
     /// [`Error::Input`] with line and column.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
-        let pipeline: Self = read_ron(text, path)?;
-        refuse_mixed(&pipeline, text, path)?;
-        pipeline.check().map_err(|why| Error::input(path, why))?;
+        Self::read(text).map_err(|Misfit { message, at, .. }| Error::Input {
+            path: path.into(),
+            at: at.map(|at| line_and_column(text, at)),
+            message,
+        })
+    }
+
+    /// [`Self::parse`] with the place in bytes.
+    pub(crate) fn read(text: &str) -> Result<Self, Misfit> {
+        let mut pipeline: Self = ron_options().from_str(text).map_err(|e| Misfit::reading(&e, text))?;
+        let tree = Tree::parse(text).map_err(|message| Misfit { message, at: None, hint: TypeHint::Never })?;
+        pipeline.complete(&|field| tree.field(field).is_none()).map_err(|message| Misfit {
+            message,
+            at: Some(tree.span.end),
+            hint: TypeHint::Never,
+        })?;
+        pipeline.check().map_err(|(field, message)| Misfit::of(field, message, &tree))?;
         Ok(pipeline)
+    }
+
+    /// Fills in the fields that were `left_out` and whose default depends on others.
+    fn complete(&mut self, left_out: &dyn Fn(&str) -> bool) -> Result<(), String> {
+        if left_out("initializer") && self.method.as_ref().is_none_or(|method| method.traits().has_gaussians()) {
+            return Err("the field `initializer` is missing".into());
+        }
+        let kind = self.data.task().unwrap_or_default();
+        if left_out("readout") {
+            self.readout = defaults::readout(kind);
+        }
+        if left_out("baselines") {
+            self.baselines = defaults::baselines(kind);
+        }
+        if left_out("metrics") {
+            self.metrics = defaults::metrics(kind);
+        }
+        Ok(())
     }
 
     /// The pipeline as RON text, every default written out; [`Self::parse`] gives the same pipeline back.
@@ -202,63 +183,24 @@ impl Pipeline {
         try_to_ron(self).map_err(|e| format!("{why}: {e}"))
     }
 
-    /// Applies `--set` arguments, such as `training.steps=1000` or `pruners.LearnableMask.lambda=0.05`, and checks the
-    /// outcome once.
+    /// Makes all of `changes`, or none of them, and checks the outcome once.
     ///
     /// # Errors
-    /// [`Error::Config`] naming the argument.
-    pub fn set_all<S: AsRef<str>>(&mut self, arguments: &[S]) -> Result<()> {
-        self.apply(
-            arguments,
-            |draft, argument| draft.set_argument(argument.as_ref()),
-            |argument| {
-                let argument = argument.as_ref();
-                (format!("--set {}", shortened(argument)), argument.split('=').next().unwrap_or_default())
-            },
-        )
-    }
-
-    /// The same with paths and the RON text of values.
-    ///
-    /// # Errors
-    /// As there, naming path and value.
-    pub fn set_values(&mut self, values: &[(String, String)]) -> Result<()> {
-        self.apply(
-            values,
-            |draft, (path, value)| draft.set(path, value),
-            |(path, value)| (format!("{path} = {}", shortened(value)), path),
-        )
-    }
-
-    /// Does all of `changes`, or none of them. `named` is what messages call one, and its path.
-    fn apply<C>(
-        &mut self,
-        changes: &[C],
-        change: impl Fn(&mut Draft, &C) -> Result<()>,
-        named: impl Fn(&C) -> (String, &str),
-    ) -> Result<()> {
+    /// [`Error::Config`] naming the changes that do not fit.
+    pub fn change(&mut self, changes: &[Change]) -> Result<()> {
         let mut draft = Draft::of(self);
-        changes.iter().try_for_each(|one| change(&mut draft, one))?;
-        let alone = |one: &&C| {
-            let mut draft = Draft::of(self);
-            change(&mut draft, one).and_then(|()| draft.finish()).map_err(|e| e.to_string()).err()
-        };
-        let made = draft.finish().map_err(|error| {
-            // Whoever makes the same mistake alone is to blame, else all together.
-            let mut said = error.to_string();
-            let one = changes.iter().find(|one| alone(one).as_ref() == Some(&said));
-            // What only says that a value cannot be read says nothing of what can.
-            let misread = ["Expected ", "Integer is "].iter().any(|begin| said.starts_with(begin))
-                || said.ends_with("where a name is expected");
-            if let Some(wanted) = one.filter(|_| misread).and_then(|one| draft.takes(named(one).1)) {
-                said = format!("{said}; it takes a {wanted}");
-            }
-            let blamed = one.map_or(changes, std::slice::from_ref);
-            let names: Vec<String> = blamed.iter().map(|one| named(one).0).collect();
-            Error::Config(format!("{}: {said}", names.join(" ")))
-        })?;
-        *self = made;
+        let made = changes.iter().try_for_each(|change| draft.set(change)).and_then(|()| draft.finish());
+        *self = made.map_err(Fault::in_arguments)?;
         Ok(())
+    }
+
+    /// Applies `--set` arguments, such as `training.steps=1000` or `pruners.LearnableMask.lambda=0.05`.
+    ///
+    /// # Errors
+    /// As [`Self::change`].
+    pub fn set_all<S: AsRef<str>>(&mut self, arguments: &[S]) -> Result<()> {
+        let changes: Result<Vec<Change>> = arguments.iter().map(|one| Change::argument(one.as_ref())).collect();
+        self.change(&changes?)
     }
 
     /// [`Self::set_all`] with one argument.
@@ -348,17 +290,18 @@ impl Pipeline {
             )));
         }
         let training = Checked::new(training).map_err(|why| Error::Config(format!("training: {why}")))?;
-        let (scale, resolved) = (self.training.scale, Self { training, ..self.clone() });
+        let (scale, mut resolved) = (self.training.scale, Self { training, ..self.clone() });
         let rates = self.pruners.iter().enumerate().filter_map(|(k, pruner)| Some((k, pruner.traits().mask_rate?)));
         let rates: Vec<(usize, MaskRate)> = rates.filter(|_| scale < 1.0).collect();
         if rates.is_empty() {
             return Ok(resolved);
         }
-        let mut draft = Draft::of(&resolved);
-        for (k, rate) in rates {
-            draft.set(&format!("pruners.{k}.{}", rate.field), &to_ron(&rate.shortened(scale)))?;
-        }
-        draft.finish()
+        let change = |(k, rate): (usize, MaskRate)| {
+            Change::new(&format!("pruners.{k}.{}", rate.field), &to_ron(&rate.shortened(scale)))
+        };
+        let changes: Vec<Change> = rates.into_iter().map(change).collect();
+        resolved.change(&changes)?;
+        Ok(resolved)
     }
 
     /// The same without what changes nothing of the result: TensorBoard, and how often a checkpoint is written.
@@ -369,27 +312,25 @@ impl Pipeline {
         Self { tensorboard: false, training, ..self.clone() }
     }
 
-    /// What plugins cannot see of each other.
-    fn check(&self) -> Result<(), String> {
+    /// What plugins cannot see of each other: the field and what is wrong.
+    fn check(&self) -> Result<(), (&'static str, String)> {
+        if let Some((field, what)) = mixed(self) {
+            return Err((field, format!("{field}: {what}")));
+        }
         let good = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
         if self.name.is_empty() || self.name.starts_with('.') || !self.name.chars().all(good) {
-            return Err(format!(
-                "name: `{}` cannot name a folder; use letters, digits, `.`, `-` and `_`",
-                shortened(&self.name)
-            ));
+            let name = shortened(&self.name);
+            let what = format!("name: `{name}` cannot name a folder; use letters, digits, `.`, `-` and `_`");
+            return Err(("name", what));
         }
-        self.readout.check()?;
-        if let Some((field, what)) = mixed(self) {
-            return Err(format!("{field}: {what}"));
-        }
+        self.readout.check().map_err(|what| ("readout", what))?;
         if self.method.as_ref().is_some_and(|method| name_of(method) == "Splatting") {
-            return Err(
-                "method: `Splatting` is what the fields projector, rasterizer, deformation, calibration and readout \
-                        say; leave `method` out"
-                    .into(),
-            );
+            let what = "method: `Splatting` is what the fields projector, rasterizer, deformation, calibration and readout \
+                        say; leave `method` out";
+            return Err(("method", what.into()));
         }
         let plane = self.projector.plane(360, 90);
-        check_together(&*self.rasterizer, self.readout, self.calibration, &plane)
+        let fits = check_together(&*self.rasterizer, self.readout, self.calibration, &plane);
+        fits.map_err(|what| ("rasterizer", what))
     }
 }

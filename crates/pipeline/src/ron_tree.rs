@@ -37,6 +37,7 @@ impl Tree {
     /// What is wrong, with the byte where it is.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut reader = Reader { text, at: 0 };
+        reader.attributes()?;
         let tree = reader.value(0)?;
         reader.space()?;
         if reader.at < text.len() { Err(reader.unexpected("the end")) } else { Ok(tree) }
@@ -55,6 +56,23 @@ impl Tree {
     /// All values without names; none where there are fields.
     pub fn items(&self) -> &[Self] {
         if let Body::Items(items) = &self.body { items } else { &[] }
+    }
+
+    /// Where the keys of a map stand, in bytes of `text`; none of any other value.
+    pub fn keys(&self, text: &str) -> Vec<Range<usize>> {
+        let mut reader = Reader { text, at: self.span.start };
+        if reader.peek() == Some('{') { reader.map(0).unwrap_or_default() } else { Vec::new() }
+    }
+
+    /// Where the values that hold the byte `at` stand, the smallest first; both ends count.
+    pub fn around(&self, at: usize) -> Vec<Range<usize>> {
+        if !(self.span.start..=self.span.end).contains(&at) {
+            return Vec::new();
+        }
+        let parts = self.fields().iter().map(|(_, tree)| tree).chain(self.items());
+        let mut around = parts.map(|part| part.around(at)).find(|found| !found.is_empty()).unwrap_or_default();
+        around.push(self.span.clone());
+        around
     }
 
     /// Its own text in that of the whole.
@@ -98,6 +116,16 @@ impl Reader<'_> {
         }
     }
 
+    /// `#![enable(..)]` at the begin of a file.
+    fn attributes(&mut self) -> Result<(), String> {
+        self.space()?;
+        while self.rest().starts_with("#!") {
+            self.at += self.rest().find(']').ok_or("an attribute `#![` does not end")? + 1;
+            self.space()?;
+        }
+        Ok(())
+    }
+
     fn take(&mut self, sign: char) -> bool {
         let found = self.rest().starts_with(sign);
         self.at += if found { sign.len_utf8() } else { 0 };
@@ -106,6 +134,8 @@ impl Reader<'_> {
 
     /// Letters, digits and `_` from here on; for a number also what signs and points it has.
     fn word(&mut self, more: &str) -> &str {
+        let raw = self.rest().strip_prefix("r#").is_some_and(|rest| rest.starts_with(char::is_alphabetic));
+        self.at += if raw { 2 } else { 0 };
         let end = self.rest().find(|c: char| !(c.is_alphanumeric() || c == '_' || more.contains(c)));
         let (from, length) = (self.at, end.unwrap_or(self.rest().len()));
         self.at += length;
@@ -128,7 +158,7 @@ impl Reader<'_> {
             }
             Some('r') if self.rest()[1..].trim_start_matches('#').starts_with('"') => self.raw()?,
             Some('[') => body = Body::Items(self.items('[', ']', depth)?),
-            Some('{') => self.map(depth)?,
+            Some('{') => _ = self.map(depth)?,
             Some('(') => body = self.structure(depth)?,
             Some(c) if c.is_alphabetic() || c == '_' => {
                 name = Some(self.word("").to_owned());
@@ -220,14 +250,16 @@ impl Reader<'_> {
         }
     }
 
-    fn map(&mut self, depth: usize) -> Result<(), String> {
+    /// `{key: value, ..}`: where the keys stand.
+    fn map(&mut self, depth: usize) -> Result<Vec<Range<usize>>, String> {
+        let mut keys = Vec::new();
         self.take('{');
         loop {
             self.space()?;
             if self.take('}') {
-                return Ok(());
+                return Ok(keys);
             }
-            self.value(depth + 1)?;
+            keys.push(self.value(depth + 1)?.span);
             self.space()?;
             if !self.take(':') {
                 return Err(self.unexpected("`:`"));

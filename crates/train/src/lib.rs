@@ -29,7 +29,5 @@ pub use estimate::{Estimate, network_bytes};
 pub use graph::{Batch, LossAndGradients, Places, loss_and_gradients};
 pub use loss::{ChannelLoss, LinkLoss, Objective, RenderingLoss};
 pub use plan::TrainingPlan;
-pub use settings::{
-    Densify, DensifyPatch, Errors, Loss, LossPatch, Optimizer, OptimizerPatch, Rays, Schedule, Training, TrainingPatch,
-};
+pub use settings::{Densify, Errors, Loss, Optimizer, Rays, Schedule, Training};
 pub use trainer::{Pruned, StepReport, Trainer};

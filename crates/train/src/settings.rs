@@ -1,7 +1,4 @@
-//! The plain settings of a pipeline: every constant of the method with the paper's value, and patches over them.
-//!
-//! A patch is the same struct with every field optional at every depth; what it does not name keeps its value. The
-//! variants of a sweep are patches.
+//! The plain settings of a training: every constant of the method with the paper's value.
 
 use pwrfgs_core::{JsonSchema, Real, plugin::Check};
 use serde::{Deserialize, Serialize};
@@ -29,30 +26,21 @@ pub enum Rays {
     Each(usize),
 }
 
-/// Declares settings with their defaults, and the patch over them: plain fields first, nested settings after.
+/// Declares settings with their defaults.
 macro_rules! settings {
-    ($(#[$meta:meta])* $name:ident / $patch:ident = $called:literal {
+    ($(#[$meta:meta])* $name:ident {
         $($(#[$doc:meta])* $field:ident : $ty:ty = $default:expr,)*
-        $(; $($(#[$ndoc:meta])* $nested:ident : $nty:ident / $npatch:ident,)*)?
     }) => {
         $(#[$meta])*
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
         #[serde(default, deny_unknown_fields)]
         pub struct $name {
             $($(#[$doc])* pub $field: $ty,)*
-            $($($(#[$ndoc])* pub $nested: $nty,)*)?
         }
         impl Default for $name {
             fn default() -> Self {
-                Self { $($field: $default,)* $($($nested: <$nty>::default(),)*)? }
+                Self { $($field: $default,)* }
             }
-        }
-        #[doc = concat!("A patch over [`", stringify!($name), "`]: fields left out keep their value.")]
-        #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-        #[serde(default, deny_unknown_fields, rename = $called)]
-        pub struct $patch {
-            $(#[doc = concat!("See [`", stringify!($name), "::", stringify!($field), "`].")] pub $field: Option<$ty>,)*
-            $($(#[doc = concat!("See [`", stringify!($name), "::", stringify!($nested), "`].")] pub $nested: Option<$npatch>,)*)?
         }
     };
 }
@@ -128,7 +116,7 @@ impl Schedule {
 settings! {
     /// What training makes small: of spectra the rendering loss (1-w)·L1 + w·(1-SSIM), of powers an error in dB, of channels
     /// the squared error over the mean squared channel of the training part.
-    Loss / LossPatch = "Loss" {
+    Loss {
         /// w of eq. (9), between 0 and 1; spectra only, and 0 with `rays` other than `All`.
         ssim_weight: Real = 0.2,
         /// How errors of a pixel count, beside SSIM.
@@ -140,7 +128,7 @@ settings! {
 
 settings! {
     /// Adam with a rate for each column.
-    Optimizer / OptimizerPatch = "Optimizer" {
+    Optimizer {
         /// Rate of the centres, metres a step, as WRF-GS+ has it.
         means: Schedule = Schedule::LogLinear { first: 8e-4, last: 8e-6, steps: 30_000 },
         /// Rate of the logarithmic scales.
@@ -168,7 +156,7 @@ settings! {
 
 settings! {
     /// Densification of 3DGS, algorithm 1 line 9.
-    Densify / DensifyPatch = "Densify" {
+    Densify {
         /// First step after which Gaussians may be cloned or split.
         from: u64 = 500,
         /// Steps between two densifications; 0 for none at all.
@@ -196,7 +184,7 @@ settings! {
 
 settings! {
     /// Algorithm 1 with every constant a field.
-    Training / TrainingPatch = "Training" {
+    Training {
         /// M, the number of steps.
         steps: u64 = 200_000,
         /// Multiplies every count of steps here, in `densify` and in the schedules of `optimizer`, as the last thing that
@@ -235,13 +223,12 @@ settings! {
         validation_samples: usize = 100,
         /// Steps between two checkpoints.
         checkpoint_every: u64 = 1_000,
-        ;
         /// What is made small.
-        loss: Loss / LossPatch,
+        loss: Loss = Loss::default(),
         /// Learning rates.
-        optimizer: Optimizer / OptimizerPatch,
+        optimizer: Optimizer = Optimizer::default(),
         /// Clone, split, remove.
-        densify: Densify / DensifyPatch,
+        densify: Densify = Densify::default(),
     }
 }
 

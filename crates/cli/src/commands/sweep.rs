@@ -21,10 +21,10 @@ use std::sync::atomic::Ordering;
 
 #[derive(Debug, Args)]
 #[command(
-    after_long_help = "An experiment names a base pipeline, seeds, and axes whose variants change some of its fields:\n\n  \
+    after_long_help = "An experiment names a base pipeline, seeds, and axes whose variants change some of its values by their path:\n\n  \
     Experiment(\n      name: \"lambda\", base: \"../pipelines/quickstart.ron\", seeds: [0, 1, 2],\n      axes: [Axis(name: \
-    \"lambda\", variants: [\n          (label: \"0.01\", pruners: [LearnableMask(lambda: 0.01)]),\n          (label: \
-    \"0.02\", pruners: [LearnableMask(lambda: 0.02)]),\n      ])],\n  )\n\nAll combinations are tried before the first \
+    \"lambda\", variants: [\n          (label: \"0.01\", set: {\"pruners\": [LearnableMask(lambda: 0.01)]}),\n          (label: \
+    \"0.02\", set: {\"pruners\": [LearnableMask(lambda: 0.02)]}),\n      ])],\n  )\n\nAll combinations are tried before the first \
     starts. Every run has its own folder, as `pwrfgs run` makes it. The same command does what is left: finished runs \
     are skipped, stopped and killed ones go on from their checkpoints, failed ones are tried again. In the end it \
     writes tables and figures into DIR/report.\n\nWith `join: true` in the file the models of all runs become one in DIR/joined, an \

@@ -1,9 +1,9 @@
-//! `Experiment`: an ablation as one RON file, axes of patches over a base pipeline times seeds.
+//! `Experiment`: an ablation as one RON file, axes of changes over a base pipeline times seeds.
 
 use pwrfgs_core::plugin::{Check, Checked, read_ron};
 use pwrfgs_core::{JsonSchema, Result};
-use pwrfgs_pipeline::PipelinePatch;
-use serde::{Deserialize, Deserializer, Serialize, de};
+use pwrfgs_pipeline::Changes;
+use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// What a sweep runs: every combination of one variant an axis, with every seed.
@@ -14,21 +14,21 @@ use std::path::{Path, PathBuf};
 ///     name: "short-or-long",
 ///     base: "../pipelines/quickstart.ron", // relative to this file
 ///     seeds: [0, 1, 2],
-///     set: (training: (batch: 4)),         // for all runs; what is not named keeps the value of the base
+///     set: {"training.batch": 4},          // for all runs; what is not named keeps the value of the base
 ///     axes: [
 ///         Axis(name: "steps", variants: [
-///             (label: "short", training: (steps: 500)),
-///             (label: "long", training: (steps: 2_000)),
+///             (label: "short", set: {"training.steps": 500}),
+///             (label: "long", set: {"training.steps": 2_000}),
 ///         ]),
 ///         Axis(name: "width", variants: [
-///             (label: "64", set: {"deformation.Mlp.width": 64}), // one field of a plugin, by its path
+///             (label: "64", set: {"deformation.Mlp.width": 64}), // one field of a plugin
 ///             (label: "128", set: {"deformation.Mlp.width": 128}),
 ///         ]),
 ///     ],
 ///     slurm: (cpus: 4, memory: "8G", time: "02:00:00"), // only with --launcher slurm
 /// )"#;
 /// let experiment = Experiment::parse(text, "short-or-long.ron".as_ref()).unwrap();
-/// assert_eq!(experiment.axes[0].variants[1].label(), "long");
+/// assert_eq!(experiment.axes[0].variants[1].label, "long");
 /// ```
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -45,10 +45,10 @@ pub struct Experiment {
     /// projector.
     #[serde(default)]
     pub join: bool,
-    /// Fields of a pipeline for all runs; `set: {"pruners.LearnableMask.lambda": 0.05}` among them gives values by their path.
+    /// Values for all runs by their path, as `--set` takes them: `{"training.steps": 500, "split": Voxel(size_m: 0.2)}`.
     #[serde(default)]
-    pub set: PipelinePatch,
-    /// What varies; left out, the seeds alone. Later axes win where two patch the same field.
+    pub set: Changes,
+    /// What varies; left out, the seeds alone. Later axes win where two set the same path.
     #[serde(default)]
     pub axes: Vec<Checked<Axis>>,
     /// What a run may ask of a cluster.
@@ -62,16 +62,24 @@ pub struct Experiment {
 pub struct Axis {
     /// What it is called in folders, tables and figures.
     pub name: String,
-    /// The choices, each a label with what it changes: `(label: "0.05", set: {"pruners.LearnableMask.lambda": 0.05})` or
-    /// `(label: "long", training: (steps: 2_000))`. A variant of the first axis may start from another pipeline file:
-    /// `(label: "waves", base: "../pipelines/s23-array.ron")`.
-    pub variants: Vec<Variant>,
+    /// The choices, each a label with what it changes: `(label: "0.05", set: {"pruners.LearnableMask.lambda": 0.05})`.
+    pub variants: Vec<Checked<Variant>>,
 }
 
-/// One choice: a patch with a label.
-#[derive(Clone, Debug, JsonSchema)]
-#[schemars(inline, with = "serde_json::Value", title = "a label with fields of a Pipeline")]
-pub struct Variant(pub(super) PipelinePatch);
+/// One choice of an axis; with nothing but a label it is the base itself.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Variant {
+    /// Name in folders, tables and figures.
+    pub label: String,
+    /// The pipeline that it starts from in place of the experiment's, relative to the experiment file; in the first axis only.
+    #[serde(default)]
+    #[schemars(extend("format" = "path"))]
+    pub base: Option<PathBuf>,
+    /// Values by their path, applied in this order.
+    #[serde(default)]
+    pub set: Changes,
+}
 
 /// Resources of one run on a cluster, as `sbatch` names them.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -124,33 +132,16 @@ impl Experiment {
     }
 }
 
-impl<'de> Deserialize<'de> for Variant {
-    fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Self, D::Error> {
-        let patch = PipelinePatch::deserialize(d)?;
-        if patch.gives("name") || patch.gives("seed") {
-            return Err(de::Error::custom("a variant gives neither `name` nor `seed`: seeds stand in `seeds`"));
+impl Check for Variant {
+    fn check(&self) -> Result<(), String> {
+        let Self { label, set, .. } = self;
+        if slug(label).is_empty() {
+            return Err(format!("the label `{label}` cannot name a folder; use some letters"));
         }
-        match &patch.label {
-            Some(label) if !slug(label).is_empty() => Ok(Self(patch)),
-            Some(label) => {
-                Err(de::Error::custom(format!("the label `{label}` cannot name a folder; use some letters")))
-            }
-            None => {
-                Err(de::Error::custom("a variant without a name; give it a `label`, such as (label: \"small\", ..)"))
-            }
+        if set.change("name") || set.change("seed") {
+            return Err("a variant gives neither `name` nor `seed`: seeds stand in `seeds`".into());
         }
-    }
-}
-
-impl Variant {
-    /// What it is called in tables and figures.
-    pub fn label(&self) -> &str {
-        self.0.label.as_deref().unwrap_or_default()
-    }
-
-    /// The pipeline that it starts from, if that is not the experiment's, relative to the experiment file.
-    pub(super) fn base(&self) -> Option<&Path> {
-        self.0.base.as_deref()
+        Ok(())
     }
 }
 
@@ -201,7 +192,7 @@ impl Check for Axis {
         if variants.is_empty() {
             return Err(format!("the axis `{name}` has no variant; give it at least one"));
         }
-        match repeated(variants.iter().map(|v| slug(v.label()).to_lowercase())) {
+        match repeated(variants.iter().map(|v| slug(&v.label).to_lowercase())) {
             Some(twice) => Err(format!("two labels of the axis `{name}` name the folder `{twice}`; change one")),
             None => Ok(()),
         }
@@ -213,10 +204,10 @@ impl Check for Experiment {
         let Self { name, seeds, set, axes, .. } = self;
         check_name(name)?;
         check_seeds(seeds)?;
-        if ["label", "name", "seed"].iter().any(|field| set.gives(field)) {
-            return Err("`set` is for all runs: it cannot give `label`, `name` or `seed`".into());
+        if set.change("name") || set.change("seed") {
+            return Err("`set` is for all runs: it cannot give `name` or `seed`".into());
         }
-        if let Some(axis) = axes.iter().skip(1).find(|axis| axis.variants.iter().any(|v| v.base().is_some())) {
+        if let Some(axis) = axes.iter().skip(1).find(|axis| axis.variants.iter().any(|v| v.base.is_some())) {
             return Err(format!("axis `{}`: only variants of the first axis may have a `base`", axis.name));
         }
         match repeated(axes.iter().map(|a| a.name.to_lowercase())) {

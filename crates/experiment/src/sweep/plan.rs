@@ -1,12 +1,12 @@
 //! `Plan`: every run of an experiment as a resolved pipeline with a folder of its own.
 
-use super::experiment::{Axis, Experiment, Slurm, Variant, slug};
+use super::experiment::{Axis, Experiment, Slurm, slug};
 use super::join::align;
 use super::listing::{ListedRun, Listing};
-use crate::input::absolute;
-use crate::input::{read_base, set_all};
+use crate::input::{change, read_base, set_all};
 use pwrfgs_core::{Error, Result, did_you_mean, files::read_text};
-use pwrfgs_pipeline::{Draft, Pipeline, PipelinePatch};
+use pwrfgs_pipeline::ron_tree::Tree;
+use pwrfgs_pipeline::{Change, Draft, Pipeline};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -45,8 +45,17 @@ pub struct PlannedRun {
     pub combination: usize,
     /// What is run; its paths are absolute.
     pub pipeline: Pipeline,
-    /// Axis and label that say with what it starts: data, split or initialiser.
-    start: Option<(String, String)>,
+    /// The variant of the last axis that says with what it starts: base, data, split or initialiser.
+    start: Option<Start>,
+}
+
+/// A variant that says with what a run starts.
+#[derive(Clone, Debug)]
+struct Start {
+    /// Axis and label, for messages.
+    title: String,
+    /// Line and column in the experiment file.
+    at: Option<(usize, usize)>,
 }
 
 impl Plan {
@@ -59,14 +68,15 @@ impl Plan {
         let text = read_text(path)?;
         let experiment = Experiment::parse(&text, path)?;
         let here = path.parent().unwrap_or(Path::new(""));
-        let source = Source { path, here, experiment: &experiment, set };
+        let tree = Tree::parse(&text).map_err(|why| Error::input(path, why))?;
+        let source = Source { path, here, experiment: &experiment, text: &text, tree: &tree, set };
         let base = source.base(&experiment.base)?;
         source.refuse_too_many()?;
         let mut combinations = vec![Combination { labels: Vec::new(), start: None, draft: Draft::of(&base) }];
         for axis in 0..experiment.axes.len() {
             combinations = source.cross(axis, &combinations)?;
         }
-        let pipelines: Vec<Pipeline> = combinations.iter().map(|c| source.finish(&base, c)).collect::<Result<_>>()?;
+        let pipelines: Vec<Pipeline> = combinations.iter().map(|c| source.finish(c)).collect::<Result<_>>()?;
         source.refuse_equal(&combinations, &pipelines)?;
         let mut runs = Vec::new();
         for (k, (combination, pipeline)) in combinations.iter().zip(&pipelines).enumerate() {
@@ -88,7 +98,9 @@ impl Plan {
     /// The error of a run that cannot start, at the variant that made it so.
     pub(super) fn refuse(&self, run: usize, error: &Error) -> Error {
         let PlannedRun { folder, start, .. } = &self.runs[run];
-        refuse(&self.source, start.as_ref(), format!("{folder}: {error}"))
+        let message = format!("{folder}: {error}");
+        let Some(Start { title, at }) = start else { return Error::input(&self.source, message) };
+        Error::Input { path: self.source.clone(), at: *at, message: format!("{title}: {message}") }
     }
 
     /// The folder of a run.
@@ -128,8 +140,8 @@ impl Plan {
 struct Combination {
     /// Axis and label, for each axis applied.
     labels: Vec<(String, String)>,
-    /// Those that said last with what a run starts.
-    start: Option<(String, String)>,
+    /// The last that says with what a run starts.
+    start: Option<Start>,
     draft: Draft,
 }
 
@@ -138,6 +150,8 @@ struct Source<'a> {
     path: &'a Path,
     here: &'a Path,
     experiment: &'a Experiment,
+    text: &'a str,
+    tree: &'a Tree,
     /// `--set` arguments.
     set: &'a [String],
 }
@@ -146,8 +160,10 @@ impl Source<'_> {
     /// The pipeline in `file`, relative to the experiment file, with what is set for all runs.
     fn base(&self, file: &Path) -> Result<Pipeline> {
         let base = read_base(&self.here.join(file))?;
-        let common = patched(&Draft::of(&base), &self.experiment.set, self.here).and_then(|draft| draft.finish());
-        let mut common = common.map_err(|e| Error::input(self.path, format!("set: {e}")))?;
+        let mut draft = Draft::of(&base);
+        let set = self.experiment.set.located("set", self.tree.field("set"), self.text);
+        let common = change(&mut draft, &set, self.here).and_then(|()| draft.finish());
+        let mut common = common.map_err(|fault| fault.in_file(self.path))?;
         set_all(&mut common, self.set)?;
         if (&base.name, base.seed) != (&common.name, common.seed) {
             return Err(Error::Config("--set: a sweep gives names and seeds itself; change them in its file".into()));
@@ -155,25 +171,32 @@ impl Source<'_> {
         Ok(common)
     }
 
-    /// `draft`, or the base of the variant, with what the variant changes.
-    fn changed(&self, draft: &Draft, variant: &Variant) -> Result<Draft> {
-        match variant.base() {
-            Some(file) => patched(&Draft::of(&self.base(file)?), &variant.0, self.here),
-            None => patched(draft, &variant.0, self.here),
-        }
-    }
-
     /// Each of `combinations` with each variant of `axis`.
     fn cross(&self, axis: usize, combinations: &[Combination]) -> Result<Vec<Combination>> {
         let Axis { name, variants } = &*self.experiment.axes[axis];
+        let item = |tree: &Tree, field: &str, k: usize| Some(tree.field(field)?.items().get(k)?.clone());
+        let axis = item(self.tree, "axes", axis);
         let mut all = Vec::new();
         for combination in combinations {
-            for variant in variants {
-                let own = (name.clone(), variant.label().to_owned());
-                let draft = self.changed(&combination.draft, variant).map_err(|e| refuse(self.path, Some(&own), e))?;
-                let starts = variant.base().is_some()
-                    || ["data", "split", "initializer"].iter().any(|field| variant.0.gives(field));
-                let start = if starts { Some(own.clone()) } else { combination.start.clone() };
+            for (k, variant) in variants.iter().enumerate() {
+                let title = title(name, &variant.label);
+                let tree = axis.as_ref().and_then(|axis| item(axis, "variants", k));
+                let set = variant.set.located(&title, tree.as_ref().and_then(|tree| tree.field("set")), self.text);
+                let mut draft = match &variant.base {
+                    Some(file) => {
+                        let base = self.base(file).map_err(|e| Error::input(self.path, format!("{title}: {e}")))?;
+                        Draft::of(&base)
+                    }
+                    None => combination.draft.clone(),
+                };
+                change(&mut draft, &set, self.here).map_err(|fault| fault.in_file(self.path))?;
+                let starts = |change: &&Change| ["data", "split", "initializer"].contains(&change.field());
+                let start = match set.0.iter().rfind(starts) {
+                    Some(change) => Some(Start { title, at: change.at }),
+                    None if variant.base.is_some() => Some(Start { title, at: None }),
+                    None => combination.start.clone(),
+                };
+                let own = (name.clone(), variant.label.clone());
                 let labels = combination.labels.iter().cloned().chain([own]).collect();
                 all.push(Combination { labels, start, draft });
             }
@@ -195,22 +218,11 @@ impl Source<'_> {
         Err(Error::input(self.path, why))
     }
 
-    /// The pipeline of a combination, scaled and checked now that all axes have spoken. What does not fit is told of the
-    /// first variant after which it did not.
-    fn finish(&self, base: &Pipeline, combination: &Combination) -> Result<Pipeline> {
-        let finish = |draft: &Draft| draft.finish().and_then(|pipeline| pipeline.resolved());
-        finish(&combination.draft).map_err(|error| {
-            let mut draft = Draft::of(base);
-            let spoilt = combination.labels.iter().zip(&self.experiment.axes).find(|((_, label), axis)| {
-                let variant = axis.variants.iter().find(|v| v.label() == label);
-                let next = variant.and_then(|variant| self.changed(&draft, variant).ok());
-                next.is_none_or(|next| {
-                    draft = next;
-                    finish(&draft).is_err_and(|e| e.to_string() == error.to_string())
-                })
-            });
-            refuse(self.path, spoilt.map(|(place, _)| place).or(combination.labels.last()), error)
-        })
+    /// The pipeline of a combination, scaled and checked now that all axes have spoken.
+    fn finish(&self, combination: &Combination) -> Result<Pipeline> {
+        let pipeline = combination.draft.finish().map_err(|fault| fault.in_file(self.path))?;
+        let unscaled = |e: Error| combination.draft.fault("training", e.to_string()).in_file(self.path);
+        pipeline.resolved().map_err(unscaled)
     }
 
     /// Two combinations that are the same pipeline would be compared with each other as if they differed.
@@ -223,7 +235,8 @@ impl Source<'_> {
                     named(&combination.labels),
                     named(&earlier.labels)
                 );
-                return Err(refuse(self.path, combination.labels.last(), why));
+                let title = combination.labels.last().map(|(axis, label)| title(axis, label) + ": ");
+                return Err(Error::input(self.path, title.unwrap_or_default() + &why));
             }
         }
         Ok(())
@@ -256,22 +269,9 @@ impl Source<'_> {
     }
 }
 
-/// `draft` with what a patch of the experiment file in `here` says.
-fn patched(draft: &Draft, patch: &PipelinePatch, here: &Path) -> Result<Draft> {
-    let mut draft = draft.clone();
-    draft.merge(patch)?;
-    if patch.gives("data") || patch.gives("baselines") {
-        draft.rebase(&|path| absolute(here, path))?;
-    }
-    Ok(draft)
-}
-
-/// The error `why` in an experiment file, at an axis and one of its labels where they are known.
-fn refuse(path: &Path, place: Option<&(String, String)>, why: impl std::fmt::Display) -> Error {
-    match place {
-        Some((axis, label)) => Error::input(path, format!("axis `{axis}`, variant `{label}`: {why}")),
-        None => Error::input(path, why),
-    }
+/// What messages call a variant.
+fn title(axis: &str, label: &str) -> String {
+    format!("axis `{axis}`, variant `{label}`")
 }
 
 /// `lambda 0.02, init random`.

@@ -1,0 +1,193 @@
+//! `Place`: a value in the text of a pipeline, reached by its path, and what may stand there.
+
+use crate::Pipeline;
+use crate::changes::shortened;
+use crate::ron_tree::{Body, Tree};
+use pwrfgs_core::did_you_mean;
+use pwrfgs_core::docs::{Body as Parts, Docs, Field, Kind};
+use pwrfgs_core::plugin::Family;
+use std::ops::Range;
+
+/// A place in a pipeline: the value there, and what may stand there as far as that is known.
+pub(crate) struct Place<'a> {
+    /// How it was reached, for messages.
+    name: String,
+    pub(crate) tree: &'a Tree,
+    pub(crate) kind: Option<Kind>,
+}
+
+/// New text for old.
+pub(crate) type Edit = (Range<usize>, String);
+
+impl<'a> Place<'a> {
+    /// The place that `path` names.
+    pub(crate) fn at(path: &str, tree: &'a Tree) -> Result<Self, String> {
+        let mut place = Self { name: String::new(), tree, kind: Some(Kind::Of(Docs::of::<Pipeline>())) };
+        for step in path.trim().split('.') {
+            place = place.step(step.trim())?;
+        }
+        Ok(place)
+    }
+
+    /// The place called `step` inside this one.
+    fn step(self, step: &str) -> Result<Self, String> {
+        let Self { name, tree, kind } = self;
+        let path = if name.is_empty() { step.to_owned() } else { format!("{name}.{step}") };
+        let here = if name.is_empty() { "a pipeline".to_owned() } else { format!("`{name}`") };
+        if let Some(inner) = tree.field(step) {
+            return Ok(Self {
+                name: path,
+                tree: inner,
+                kind: field(kind.as_ref(), tree, step).map(|f| f.kind.clone()),
+            });
+        }
+        if let (Some("Some"), [inner]) = (tree.name.as_deref(), tree.items()) {
+            return Self { name, tree: inner, kind }.step(step);
+        }
+        if tree.name.as_deref() == Some(step) && !tree.fields().is_empty() {
+            return Ok(Self { name: path, tree, kind });
+        }
+        let plugin = match kind.as_ref().map(inside) {
+            Some(Kind::Plugin(kind)) => Some(*kind),
+            _ => None,
+        };
+        if let (false, Body::Items(items)) = (tree.name.is_some(), &tree.body) {
+            let item = |tree| Self { name: path, tree, kind: kind.map(|k| part(&k, step)) };
+            return listed(&here, &name, items, step).map(item);
+        }
+        let names = || tree.fields().iter().map(|(field, _)| field.as_str());
+        let who = match (plugin, &tree.name) {
+            (Some(_), Some(plugin)) => format!("{here} is {plugin}, which"),
+            _ => here,
+        };
+        if names().next().is_none() {
+            return Err(format!("{who} has no fields, and so no `{step}`{}", whole(plugin, &name, step)));
+        }
+        let hint = did_you_mean(step, names());
+        let whole = whole(plugin, &name, step);
+        Err(format!(
+            "{who} has no field {}{hint} (there are `{}`){whole}",
+            quoted(step),
+            names().collect::<Vec<_>>().join("`, `")
+        ))
+    }
+
+    /// What a person leaves out: quotes around a text or path, parentheses after a plugin.
+    pub(crate) fn complete(&self, value: &str) -> String {
+        let (optional, kind) = match &self.kind {
+            Some(Kind::Optional(inner)) => (true, Some(&**inner)),
+            other => (false, other.as_ref()),
+        };
+        let text = matches!(kind, Some(Kind::Plain("text" | "path")))
+            || (kind.is_none_or(|k| matches!(k, Kind::Plain(_))) && self.old_text());
+        if text {
+            let given = value.starts_with('"') || value.starts_with("r\"") || value.starts_with("r#");
+            let absent = optional && (value == "None" || value.starts_with("Some("));
+            return if given || absent { value.to_owned() } else { format!("{value:?}") };
+        }
+        let bare = value.starts_with(char::is_alphabetic) && value.chars().all(|c| c.is_alphanumeric() || c == '_');
+        let absent = value == "None" && optional;
+        let plugin = matches!(kind, Some(Kind::Plugin(_)));
+        if bare && plugin && !absent { format!("{value}()") } else { value.to_owned() }
+    }
+
+    /// Whether the value that stands here is a text.
+    fn old_text(&self) -> bool {
+        self.tree.name.is_none() && self.tree.body == Body::Plain && self.tree.quoted
+    }
+
+    /// Puts `new`, which stands in `text`, here.
+    pub(crate) fn put(self, new: &Tree, text: &str, edits: &mut Vec<Edit>) -> Result<(), String> {
+        let settings = matches!(self.kind, Some(Kind::Of(Docs { body: Parts::Fields(_), .. })));
+        let merges = settings || new.name.is_none();
+        if !merges || new.fields().is_empty() || self.tree.fields().is_empty() {
+            edits.push((self.tree.span.clone(), written_out(self.kind.as_ref(), new, text)));
+            return Ok(());
+        }
+        for (field, value) in new.fields() {
+            let here = Place { name: self.name.clone(), tree: self.tree, kind: self.kind.clone() };
+            here.step(field)?.put(value, text, edits)?;
+        }
+        Ok(())
+    }
+}
+
+/// A value with the defaults of its plugins, so that the next change finds their fields.
+fn written_out(kind: Option<&Kind>, new: &Tree, text: &str) -> String {
+    let own = new.of(text);
+    match kind.map(inside) {
+        Some(Kind::Plugin(kind)) => {
+            Family::find(kind).and_then(|family| (family.complete)(own).ok()).unwrap_or_else(|| own.to_owned())
+        }
+        Some(Kind::List(kind)) if !new.items().is_empty() => {
+            let items: Vec<String> = new.items().iter().map(|item| written_out(Some(kind), item, text)).collect();
+            format!("[{}]", items.join(", "))
+        }
+        _ => own.to_owned(),
+    }
+}
+
+/// What the source says about a field of the value `tree`.
+fn field(kind: Option<&Kind>, tree: &Tree, name: &str) -> Option<&'static Field> {
+    match kind? {
+        Kind::Of(docs) => docs.field(tree.name.as_deref(), name),
+        Kind::Optional(inner) => field(Some(inner), tree, name),
+        Kind::Plugin(kind) => {
+            let members = (Family::find(kind)?.members)();
+            members.iter().find(|m| Some(m.name) == tree.name.as_deref())?.docs?.field(None, name)
+        }
+        _ => None,
+    }
+}
+
+/// Through `Option`.
+fn inside(kind: &Kind) -> &Kind {
+    if let Kind::Optional(inner) = kind { inside(inner) } else { kind }
+}
+
+/// What stands at one place of a list.
+fn part(kind: &Kind, step: &str) -> Kind {
+    match inside(kind) {
+        Kind::List(inner) => (**inner).clone(),
+        Kind::Tuple(parts) => step.parse().ok().and_then(|i: usize| parts.get(i)).unwrap_or(kind).clone(),
+        other => other.clone(),
+    }
+}
+
+/// The place `step` of a list: a number, counted from 0, or a name that comes once.
+fn listed<'a>(here: &str, path: &str, items: &'a [Tree], step: &str) -> Result<&'a Tree, String> {
+    if let Ok(index) = step.parse::<usize>() {
+        let count = items.len();
+        let none = || format!("{here} has {count} entries, counted from 0, and none numbered {step}");
+        return items.get(index).ok_or_else(none);
+    }
+    let named: Vec<usize> = (0..items.len()).filter(|&i| items[i].name.as_deref() == Some(step)).collect();
+    match named[..] {
+        [only] => Ok(&items[only]),
+        [] => {
+            let names: Vec<&str> = items.iter().filter_map(|item| item.name.as_deref()).collect();
+            let hint = did_you_mean(step, names.iter().copied());
+            let there =
+                if names.is_empty() { "it is empty".into() } else { format!("there are `{}`", names.join("`, `")) };
+            Err(format!("{here} has no entry {}{hint} ({there}); to add one, give the list whole", quoted(step)))
+        }
+        _ => {
+            let places: Vec<String> = named.iter().map(|i| format!("`{path}.{i}`")).collect();
+            Err(format!("{here} has {} entries `{step}`; say which: {}", named.len(), places.join(", ")))
+        }
+    }
+}
+
+/// Where another plugin of this kind has the field: give that whole.
+fn whole(kind: Option<&'static str>, path: &str, step: &str) -> String {
+    let members = kind.and_then(Family::find).map(|family| (family.members)()).unwrap_or_default();
+    let other = members.iter().find(|m| m.docs.is_some_and(|docs| docs.field(None, step).is_some()));
+    other.map_or_else(String::new, |m| {
+        format!("; for another plugin give it whole, such as '{path}={}({step}: ..)'", m.name)
+    })
+}
+
+/// In quotes, as [`shortened`].
+pub(crate) fn quoted(text: &str) -> String {
+    format!("`{}`", shortened(text))
+}
