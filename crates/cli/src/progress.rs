@@ -116,7 +116,7 @@ impl Progress {
             _ = write!(words, "  N {}", grouped(report.gaussians as i64));
         }
         if let Some(v) = self.validation {
-            _ = write!(words, "  validation {} {:.3}", v.kind.headline.name, v.values[0]);
+            _ = write!(words, "  validation {} {:.3}", v.task.headline.name, v.values[0]);
         }
         if let Some(speed) = self.speed() {
             let left = duration((self.steps - report.step) as f64 / speed);
@@ -166,7 +166,7 @@ impl Observer for Progress {
         }
         let [train, validation, test] = start.samples.map(|n| grouped(n as i64));
         if self.name.is_none() {
-            let things = start.kind.counted[1];
+            let things = start.task.counted[1];
             note(&format!("{}: {train} training, {validation} validation, {test} test {things}", start.title));
         }
         let on = if start.done > 0 {
@@ -223,7 +223,7 @@ impl Observer for Progress {
         self.validation = Some(*validation);
         if self.verbosity == Verbosity::Verbose {
             let [mean, median, third] = validation.values;
-            let headline = validation.kind.headline;
+            let headline = validation.task.headline;
             self.say(&format!(
                 "step {}: validation {} {mean:.4} (median {median:.4}), {} {third:.4}",
                 validation.step, headline.name, headline.columns[2]

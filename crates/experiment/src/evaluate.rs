@@ -69,7 +69,7 @@ pub fn evaluate(
     notes.extend(ceiling.notes);
     let ids: Vec<u32> = partition.test.iter().map(|&i| data.label(i)).collect();
     let samples = [partition.train.len(), partition.known().all().len(), ids.len()];
-    let known = ScoreTable { kind: data.task(), bounds, members, samples, notes, ..ScoreTable::default() };
+    let known = ScoreTable { task: data.task(), bounds, members, samples, notes, ..ScoreTable::default() };
     let mut scores = Scores::new(ids, predictors, known);
     scores.table.add_ceiling(&ceiling.of);
     let position = |&i: &usize| (data.label(i), data.placed.then(|| data.sample(i).tx));

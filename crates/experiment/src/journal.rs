@@ -26,10 +26,10 @@ pub(crate) struct Journal {
 
 impl Journal {
     /// Opens the files, cut back to step `done`.
-    pub(crate) fn open(folder: &RunFolder, pipeline: &Pipeline, kind: Task, done: u64) -> Result<Self> {
+    pub(crate) fn open(folder: &RunFolder, pipeline: &Pipeline, task: Task, done: u64) -> Result<Self> {
         let (curve, last) = Series::open(&folder.file(CURVE), CURVE_HEADER, done)?;
         let (looks, _) =
-            Series::open(&folder.file(VALIDATION), &format!("step,{}", kind.headline.columns.join(",")), done)?;
+            Series::open(&folder.file(VALIDATION), &format!("step,{}", task.headline.columns.join(",")), done)?;
         let events = pipeline.tensorboard.then(|| Events::open(&folder.file(EVENTS), done)).transpose()?;
         let seconds = last.and_then(|row| row.rsplit(',').next().and_then(|s| s.parse().ok())).unwrap_or_default();
         Ok(Self { curve, looks, events, steps: pipeline.training.steps, seconds })
@@ -55,7 +55,7 @@ impl Journal {
     pub(crate) fn validation(&mut self, seen: &Validation) -> Result<()> {
         let Validation { step, values: [mean, median, third], .. } = seen;
         self.looks.push(&format!("{step},{mean},{median},{third}"))?;
-        let names = seen.kind.headline.columns.map(|column| format!("validation/{column}"));
+        let names = seen.task.headline.columns.map(|column| format!("validation/{column}"));
         let scalars: Vec<(&str, f64)> = names.iter().map(String::as_str).zip(seen.values).collect();
         self.scalars(seen.step, &scalars)
     }

@@ -14,7 +14,7 @@ pub struct Start<'a> {
     /// What the data call themselves.
     pub title: &'a str,
     /// What they hold.
-    pub kind: Task,
+    pub task: Task,
     /// Samples for training, validation, test.
     pub samples: [usize; 3],
     /// Steps that an earlier start has done.
@@ -31,7 +31,7 @@ pub struct Validation {
     /// Training step.
     pub step: u64,
     /// What was looked at.
-    pub kind: Task,
+    pub task: Task,
     /// The columns of [`Headline`](pwrfgs_core::Headline): mean and median, and one number more.
     pub values: [f64; 3],
 }

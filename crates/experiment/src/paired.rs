@@ -49,7 +49,7 @@ impl Paired {
     pub(crate) fn of(scores: &Scores, positions: &BTreeMap<u32, Option<[f64; 3]>>) -> Option<Self> {
         let blocks = Blocks::new(positions);
         let (_, own) = scores.predictors.first()?;
-        let wanted = own.iter().filter(|m| is_compared(&m.key, scores.table.kind));
+        let wanted = own.iter().filter(|m| is_compared(&m.key, scores.table.task));
         let row = |baseline: &str, key: &str, goal: Goal| {
             let pairs = scores.samples(MODEL, key)?.iter().zip(scores.samples(baseline, key)?);
             let differences = scores.ids.iter().zip(pairs).map(|(id, (model, floor))| (*id, model - floor));
@@ -93,8 +93,8 @@ impl Paired {
     }
 
     /// How to read it, in one sentence.
-    pub fn note(&self, kind: Task) -> String {
-        let (count, things) = (self.cubes, kind.counted[1]);
+    pub fn note(&self, task: Task) -> String {
+        let (count, things) = (self.cubes, task.counted[1]);
         let (drawn, blocks) = match self.edge_m {
             Some(edge) => (format!("{count} cubes of {edge:.2} m"), "cubes"),
             None => (format!("{count} single {things}, whose positions are unknown"), things),
@@ -129,8 +129,8 @@ impl PairedRow {
 }
 
 /// Whether tables of differences show a metric: the first one of the kind and every rate ratio.
-pub fn is_compared(key: &str, kind: Task) -> bool {
-    key == kind.headline.key || key.starts_with("eta_")
+pub fn is_compared(key: &str, task: Task) -> bool {
+    key == task.headline.key || key.starts_with("eta_")
 }
 
 /// A difference with its sign; what is rounded to 0 has none.

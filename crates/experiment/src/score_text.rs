@@ -20,7 +20,7 @@ impl ScoreTable {
             let theirs = format!("the baselines are trained on {theirs} (training and validation)");
             own.into_iter().chain(has_baselines.then_some(theirs)).collect()
         };
-        [vec![format!("{tested} test {}", self.kind.counted[1])], own].concat().join("; ")
+        [vec![format!("{tested} test {}", self.task.counted[1])], own].concat().join("; ")
     }
 
     /// Aligned text for a terminal: the heading, a line for each metric and statistic, a column for each predictor; the
@@ -45,14 +45,14 @@ impl ScoreTable {
                 lines.push([name, (*statistic).to_owned()].into_iter().chain(cells).collect());
             }
         }
-        let things = self.kind.counted[1];
+        let things = self.task.counted[1];
         let tail = format!("bad tail: a tenth of the {things} are this bad or worse");
         let bound = format!("† knows the scene that made the simulated {things}: in no ranking");
         let own = [
             self.metrics.iter().any(MetricRow::is_per_sample).then_some(tail),
             (!self.bounds.is_empty()).then_some(bound),
         ];
-        let pairs = self.paired.as_ref().map(|paired| paired.note(self.kind));
+        let pairs = self.paired.as_ref().map(|paired| paired.note(self.task));
         let notes = own.iter().flatten().chain(&pairs).chain(&self.notes);
         let heading = Some(self.heading() + "\n").filter(|text| text.len() > 1).unwrap_or_default();
         let differences =

@@ -82,11 +82,11 @@ pub struct ScoreTable {
     pub notes: Vec<String>,
     /// What was predicted.
     #[serde(default, skip_serializing_if = "is_default")]
-    pub kind: Task,
+    pub task: Task,
 }
 
-fn is_default(kind: &Task) -> bool {
-    *kind == Task::default()
+fn is_default(task: &Task) -> bool {
+    *task == Task::default()
 }
 
 /// One metric of all predictors.
@@ -336,7 +336,7 @@ mod tests {
         let table = scores().table;
         let text = table.to_text();
         assert!(text.contains("0.6000*") && text.contains("2,613") && text.contains("n/a"), "{text}");
-        let links = ScoreTable { kind: Task::Power, ..table.clone() }.to_text();
+        let links = ScoreTable { task: Task::Power, ..table.clone() }.to_text();
         assert!(links.contains("a tenth of the links are") && !links.contains("validation spectra"), "{links}");
         let notes: Vec<&str> = text.lines().filter(|line| line.starts_with("note: ")).collect();
         assert_eq!(notes[0], "note: bad tail: a tenth of the spectra are this bad or worse", "{text}");

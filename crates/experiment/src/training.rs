@@ -75,7 +75,7 @@ impl<'a> Training<'a, '_> {
         self.session.observer.on_start(&Start {
             folder: folder.name(),
             title: &self.data.title,
-            kind: self.data.task(),
+            task: self.data.task(),
             samples: facts.samples,
             done: trainer.done(),
             steps,

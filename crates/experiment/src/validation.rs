@@ -12,14 +12,14 @@ use pwrfgs_pipeline::defaults;
 /// there is no second.
 pub(crate) fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize]) -> Result<Validation> {
     let bench = Bench::new(data, part, &model.stages.plane);
-    let (kind, model, metrics) = (data.task(), &model.prepare(), defaults::validation(data.task()));
+    let (task, model, metrics) = (data.task(), &model.prepare(), defaults::validation(data.task()));
     let measured = bench.model("the model", model, None, &metrics, &mut Session::new(&mut Silent))?;
     let of = |k: usize| match measured.get(k).map(|m| &m.values) {
-        Some(Values::PerSample(values)) => Summary::of(values, kind.headline.higher),
+        Some(Values::PerSample(values)) => Summary::of(values, task.headline.higher),
         Some(Values::Whole(value)) => Summary { mean: *value, median: *value, p10: *value },
         _ => Summary { mean: f64::NAN, median: f64::NAN, p10: f64::NAN },
     };
     let first = of(0);
     let third = if measured.len() > 1 { of(1).mean } else { first.p10 };
-    Ok(Validation { step, kind, values: [first.mean, first.median, third] })
+    Ok(Validation { step, task, values: [first.mean, first.median, third] })
 }

@@ -137,10 +137,10 @@ mod fixture {
         }
     }
 
-    pub(crate) fn of_kind(metric: &dyn Metric, kind: Task, prediction: &Image, truth: &Image) -> Vec<Measurement> {
+    pub(crate) fn of_kind(metric: &dyn Metric, task: Task, prediction: &Image, truth: &Image) -> Vec<Measurement> {
         let (predictions, truths) = (std::slice::from_ref(prediction), std::slice::from_ref(truth));
         let (plane, scene) = (plane(truth.width, truth.height), scene(&[]));
-        metric.evaluate(&Evaluation { task: kind, predictions, truths, ..spectra(&plane, &scene) }).unwrap()
+        metric.evaluate(&Evaluation { task, predictions, truths, ..spectra(&plane, &scene) }).unwrap()
     }
 
     pub(crate) fn of_model(metric: &dyn Metric, model: Option<ModelFacts<'_>>, scene: &Scene) -> Vec<Measurement> {

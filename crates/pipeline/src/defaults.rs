@@ -47,18 +47,18 @@ pub fn deformation() -> Plugin<dyn Deformation> {
     deformation.into()
 }
 
-/// The readout of splats for observations of `kind`.
-pub fn readout(kind: Task) -> Readout {
-    match kind {
+/// The readout of splats for observations of `task`.
+pub fn readout(task: Task) -> Readout {
+    match task {
         Task::Power => Readout::RECEIVED,
         Task::Spectrum | Task::Channel => Readout::default(),
     }
 }
 
-/// The baselines of observations of `kind`.
-pub fn baselines(kind: Task) -> Vec<Plugin<dyn Baseline>> {
+/// The baselines of observations of `task`.
+pub fn baselines(task: Task) -> Vec<Plugin<dyn Baseline>> {
     let nearest = |k: usize| NearestNeighbours { k: k.into() };
-    match kind {
+    match task {
         Task::Spectrum => plugins![Baseline: MeanSpectrum::default(), nearest(1), nearest(3), nearest(5)],
         Task::Power => {
             plugins![Baseline: MeanSpectrum::default(), LogDistance::default(), nearest(5), Kriging::default()]
@@ -67,9 +67,9 @@ pub fn baselines(kind: Task) -> Vec<Plugin<dyn Baseline>> {
     }
 }
 
-/// The metrics of observations of `kind`.
-pub fn metrics(kind: Task) -> Vec<Plugin<dyn Metric>> {
-    let mut metrics = match kind {
+/// The metrics of observations of `task`.
+pub fn metrics(task: Task) -> Vec<Plugin<dyn Metric>> {
+    let mut metrics = match task {
         Task::Spectrum => plugins![
             Metric: Ssim::default(), L1::default(), Psnr::default(), RateRatio::default(), DirectionError::default(),
         ],
@@ -83,8 +83,8 @@ pub fn metrics(kind: Task) -> Vec<Plugin<dyn Metric>> {
 }
 
 /// The metrics behind the columns of `validation.csv`.
-pub fn validation(kind: Task) -> Vec<Plugin<dyn Metric>> {
-    match kind {
+pub fn validation(task: Task) -> Vec<Plugin<dyn Metric>> {
+    match task {
         Task::Spectrum => plugins![Metric: Ssim::default(), RateRatio { snr_db: 0.0 }],
         Task::Power => plugins![Metric: PowerError::default()],
         Task::Channel => plugins![Metric: ChannelSnr::default()],

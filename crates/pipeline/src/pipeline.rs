@@ -152,13 +152,13 @@ impl Pipeline {
         }
         let kind = self.data.task().unwrap_or_default();
         if left_out("readout") {
-            self.readout = defaults::readout(kind);
+            self.readout = defaults::readout(task);
         }
         if left_out("baselines") {
-            self.baselines = defaults::baselines(kind);
+            self.baselines = defaults::baselines(task);
         }
         if left_out("metrics") {
-            self.metrics = defaults::metrics(kind);
+            self.metrics = defaults::metrics(task);
         }
         Ok(())
     }

@@ -109,7 +109,7 @@ fn receiver(side: &Side, asked: &Asked) -> Result<usize, Refusal> {
 /// What is observed of a transmitter: at the receiver asked for, of powers at all of them; and how far that is from what was
 /// observed of the nearest one.
 fn predict(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
-    let (predictor, receiver, kind) = (predictor(side)?, receiver(side, asked)?, side.frame.task);
+    let (predictor, receiver, task) = (predictor(side)?, receiver(side, asked)?, side.frame.task);
     let known = side.known.as_deref();
     let by_position = predictor.by_position();
     let query = match (asked.tx, asked.link, known) {
@@ -134,11 +134,11 @@ fn predict(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
         let set = known.partition.set_of(i);
         // A baseline stores what it learned from: against that it would be perfect.
         let learned = predictor.is_fitted() && matches!(set, LinkSet::Training | LinkSet::Validation);
-        let value = (!learned).then(|| kind.score(&found.image, &known.data.image(i)));
+        let value = (!learned).then(|| task.score(&found.image, &known.data.image(i)));
         pack.note["nearest"] =
             json!({ "link": i, "metres": metres, "score": value, "part": set as u8, "learned": learned });
     }
-    if kind.is_scalar {
+    if task.is_scalar {
         let all: Vec<Query<'_>> = (0..side.frame.receivers.len()).map(|r| Query { receiver: r, ..query }).collect();
         let powers = predictor.predict_many(&all);
         pack.put("powers", &[powers.len()], powers.iter().map(|image| image.pixels[0]));
