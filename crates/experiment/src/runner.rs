@@ -68,10 +68,13 @@ fn attempt(
     }
     // What earlier starts left is read by the process that holds it: another one would write on.
     let held = (state != RunState::New).then(|| RunFolder::claim(out, pipeline)).transpose()?;
-    if let Some(folder) = &held
-        && let Some(scores) = folder.settle(folder.state().verified(folder.path(), reported))?
-    {
-        return Ok(already(scores));
+    if let Some(folder) = &held {
+        if let Some(scores) = folder.settle(folder.state().verified(folder.path(), reported))? {
+            return Ok(already(scores));
+        }
+        if Facts::read(folder.path())?.is_some_and(|facts| !facts.members.is_empty()) {
+            return Err(Error::input(out, "holds the joined model of a sweep; repeat `pwrfgs sweep` with its file"));
+        }
     }
     let (data, partition) = load(pipeline, base, session.observer)?;
     pipeline.check_data(&data)?;
