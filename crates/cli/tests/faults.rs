@@ -48,7 +48,7 @@ pub(crate) fn faulty(here: &Path, shim: &Path, out: &str, (mode, at): (&str, u64
 }
 
 /// Every file of a run, without what tells the time: seconds in `curve.csv`, times in the events, times, memory and the
-/// number of starts in `run.json`, two lines of the report.
+/// number of starts in `run.json`, three lines of the report.
 pub(crate) fn end_of(run: &Path) -> BTreeMap<String, Vec<u8>> {
     let names = std::fs::read_dir(run).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
     let content = |name: &str| {
@@ -72,8 +72,10 @@ pub(crate) fn end_of(run: &Path) -> BTreeMap<String, Vec<u8>> {
             }
             "report.html" => {
                 let text = String::from_utf8(bytes).unwrap();
-                let timed = |line: &&str| line.contains("<td>In all</td>") || line.contains("<footer>");
-                assert_eq!(text.lines().filter(timed).count(), 2);
+                let timed = |line: &&str| {
+                    ["<td>Training</td>", "<td>In all</td>", "<footer>"].iter().any(|mark| line.contains(mark))
+                };
+                assert_eq!(text.lines().filter(timed).count(), 3);
                 text.lines().filter(|line| !timed(line)).collect::<Vec<_>>().join("\n").into()
             }
             _ => bytes,

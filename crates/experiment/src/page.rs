@@ -3,10 +3,11 @@
 use crate::clock;
 use crate::confidence::Confidence;
 use crate::facts::{Facts, Mark};
-use crate::folder::{PIPELINE, REPORT, RunFolder};
+use crate::folder::{CONFIDENCE, PIPELINE, REPORT, RunFolder, SAMPLES, SCORES};
 use crate::input::read_pipeline;
 use crate::observer::Observer;
-use crate::record::{Record, write_scores};
+use crate::record::Record;
+use crate::samples::to_csv;
 use crate::scores::{ScoreTable, Scores};
 use crate::session::Session;
 use pwrfgs_core::files::{self, write_atomically};
@@ -30,6 +31,22 @@ pub struct LoadedRun<'a> {
 
 /// Makes the page of a run, HTML in one file.
 pub type Page = fn(&LoadedRun<'_>) -> Result<String>;
+
+/// Writes what an evaluation found: `samples.csv`, `scores.csv`, of an ensemble `confidence.csv`.
+///
+/// # Errors
+/// [`Error::Write`].
+pub fn write_scores(
+    folder: &Path,
+    (scores, confidence): (&Scores, Option<&Confidence>),
+    data: &Dataset,
+    partition: &Partition,
+) -> Result<()> {
+    let put = |name: &str, text: String| write_atomically(&folder.join(name), text.as_bytes());
+    put(SAMPLES, to_csv(data, partition))?;
+    put(SCORES, scores.to_csv())?;
+    confidence.map_or(Ok(()), |confidence| put(CONFIDENCE, confidence.to_csv()))
+}
 
 /// Makes `report.html` from what lies in the folder of `run`, and writes it there.
 ///

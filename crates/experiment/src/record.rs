@@ -6,11 +6,9 @@ use crate::folder::{CONFIDENCE, CURVE, MODEL_FILE, PIPELINE, REPORT, SAMPLES, SC
 use crate::input::read_pipeline;
 use crate::load::load;
 use crate::observer::Observer;
-use crate::samples::to_csv;
 use crate::scores::{Cell, ScoreTable, Scores};
 use crate::series;
 use crate::text::{Lines, csv_rows, damaged};
-use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::words::text_of;
 use pwrfgs_core::{Dataset, Error, Goal, Measurement, Partition, Result, Values};
 use pwrfgs_model::{Ensemble, file};
@@ -127,22 +125,6 @@ impl Record {
         }
         Ok(model)
     }
-}
-
-/// Writes what an evaluation found: `scores.csv`, `samples.csv`, of an ensemble `confidence.csv`.
-///
-/// # Errors
-/// [`Error::Write`].
-pub fn write_scores(
-    folder: &Path,
-    (scores, confidence): (&Scores, Option<&Confidence>),
-    data: &Dataset,
-    partition: &Partition,
-) -> Result<()> {
-    let put = |name: &str, text: String| write_atomically(&folder.join(name), text.as_bytes());
-    put(SCORES, scores.to_csv())?;
-    put(SAMPLES, to_csv(data, partition))?;
-    confidence.map_or(Ok(()), |confidence| put(CONFIDENCE, confidence.to_csv()))
 }
 
 impl Scores {
