@@ -170,7 +170,7 @@ impl Scores {
         let ScoreRow { predictor, metric, sample, value } = &rows[0];
         let (predictor, key) = (text_of(predictor), text_of(metric));
         let place = self.table.predictors.iter().position(|name| name == predictor);
-        let row = self.table.metrics.iter().find(|row| row.key == key);
+        let row = self.table.metrics.iter_mut().find(|row| row.key == key);
         let (Some(place), Some(row)) = (place, row) else {
             return Err(format!("run.json has no {key} of {predictor}"));
         };
@@ -192,6 +192,10 @@ impl Scores {
         };
         let goal = if row.higher_is_better { Goal::Higher } else { Goal::Lower };
         let measurement = Measurement { key: key.to_owned(), unit: row.unit.clone(), goal, values };
+        // JSON has neither infinity nor NaN: the summary is that of the values.
+        if let Some(cell) = row.cells.get_mut(place) {
+            *cell = Cell::of(&measurement);
+        }
         match self.predictors.last_mut().filter(|(name, _)| name == predictor) {
             Some((_, measured)) => measured.push(measurement),
             None => self.predictors.push((predictor.to_owned(), vec![measurement])),

@@ -128,13 +128,19 @@ fn null_is_infinite<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
     Ok(Option::<f64>::deserialize(d)?.unwrap_or(f64::INFINITY))
 }
 
-impl From<Summary> for Cell {
-    fn from(Summary { mean, median, p10 }: Summary) -> Self {
-        Self::Samples { mean, median, p10 }
-    }
-}
-
 impl Cell {
+    /// The summary of a measurement.
+    pub(crate) fn of(measurement: &Measurement) -> Self {
+        match &measurement.values {
+            Values::PerSample(values) => {
+                let Summary { mean, median, p10 } = Summary::of(values, measurement.goal == Goal::Higher);
+                Self::Samples { mean, median, p10 }
+            }
+            Values::Whole(value) => Self::Whole(*value),
+            Values::NotApplicable(why) => Self::NotApplicable(why.clone()),
+        }
+    }
+
     /// Mean, median, bad tail of numbers a sample; the one number of a whole model; nothing.
     pub fn numbers(&self) -> Vec<f64> {
         match self {
@@ -167,26 +173,17 @@ impl Scores {
                     });
                     metrics.len() - 1
                 });
-                metrics[place].cells[p] = match &m.values {
-                    Values::PerSample(values) => Summary::of(values, m.goal == Goal::Higher).into(),
-                    Values::Whole(value) => Cell::Whole(*value),
-                    Values::NotApplicable(why) => Cell::NotApplicable(why.clone()),
-                };
+                metrics[place].cells[p] = Cell::of(m);
             }
         }
         let names = predictors.iter().map(|(name, _)| name.clone()).collect();
         Self { table: ScoreTable { predictors: names, metrics, ..table }, ids, predictors }
     }
 
-    /// One metric of one predictor.
-    pub fn values(&self, predictor: &str, key: &str) -> Option<&Values> {
-        let (_, measurements) = self.predictors.iter().find(|(name, _)| name == predictor)?;
-        measurements.iter().find(|m| m.key == key).map(|m| &m.values)
-    }
-
     /// The values of one per-sample metric of one predictor.
     pub fn samples(&self, predictor: &str, key: &str) -> Option<&[f64]> {
-        match self.values(predictor, key)? {
+        let (_, measurements) = self.predictors.iter().find(|(name, _)| name == predictor)?;
+        match &measurements.iter().find(|m| m.key == key)?.values {
             Values::PerSample(values) => Some(values),
             _ => None,
         }
@@ -199,12 +196,7 @@ impl Scores {
 
     /// One metric of one predictor as one number: that of the whole model, or the mean over test samples.
     pub fn value(&self, predictor: &str, key: &str) -> Option<f64> {
-        match self.values(predictor, key)? {
-            Values::PerSample(values) if values.is_empty() => None,
-            Values::PerSample(values) => Some(values.iter().sum::<f64>() / values.len() as f64),
-            Values::Whole(value) => Some(*value),
-            Values::NotApplicable(_) => None,
-        }
+        self.table.numbers(predictor, key)?.first().copied()
     }
 }
 
@@ -226,9 +218,9 @@ impl ScoreTable {
         }
     }
 
-    /// Mean, median and bad tail of the noise ceiling by one metric.
-    pub fn ceiling(&self, key: &str) -> Option<Vec<f64>> {
-        let place = self.predictors.iter().position(|name| name == CEILING)?;
+    /// [`Cell::numbers`] of one metric of one predictor, the noise ceiling among them.
+    pub fn numbers(&self, predictor: &str, key: &str) -> Option<Vec<f64>> {
+        let place = self.predictors.iter().position(|name| name == predictor)?;
         Some(self.metrics.iter().find(|row| row.key == key)?.cells.get(place)?.numbers())
     }
 
@@ -240,7 +232,7 @@ impl ScoreTable {
 
     /// What the model reached by one metric: the mean over test samples, or the one number.
     pub fn of_model(&self, key: &str) -> Option<f64> {
-        self.metrics.iter().find(|row| row.key == key)?.cells.first()?.numbers().first().copied()
+        self.numbers(MODEL, key)?.first().copied()
     }
 
     /// The rank (0 is best) of each predictor by statistic `k` of a metric (0 mean, 1 median, 2 bad tail); `None` for

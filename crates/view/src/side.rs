@@ -2,7 +2,8 @@
 
 use pwrfgs_core::{Baseline, Dataset, Error, Frame, Image, Partition, Plugin, Predict, Query, Result, files};
 use pwrfgs_experiment::folder::{CHECKPOINT, MODEL_FILE, PIPELINE, SCORES};
-use pwrfgs_experiment::{Facts, Observer, check_alike, load, read_pipeline};
+use pwrfgs_experiment::scores::MODEL;
+use pwrfgs_experiment::{Facts, Observer, Scores, check_alike, load, read_pipeline};
 use pwrfgs_model::{Ensemble, Prepared, file};
 use pwrfgs_pipeline::Pipeline;
 use pwrfgs_train::Trainer;
@@ -235,7 +236,7 @@ impl Known {
     fn load(file: &Path, folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
         let pipeline = read_pipeline(file, &[])?;
         let (data, partition) = load(&pipeline, Path::new(""), observer)?;
-        let scores = scores(&folder.join(SCORES), &data);
+        let scores = scores(folder, &data);
         Ok(Self { pipeline, data: Arc::new(data), partition, scores })
     }
 
@@ -254,23 +255,11 @@ impl Known {
 }
 
 /// The first metric of the model for each link; NaN where it was not scored.
-fn scores(path: &Path, data: &Dataset) -> Vec<f64> {
-    let mut scores = vec![f64::NAN; data.len()];
-    let key = data.task().headline.key;
-    let text = files::read_string(path).unwrap_or_default();
-    let mut of: std::collections::BTreeMap<u32, f64> = std::collections::BTreeMap::new();
-    for line in text.lines() {
-        let fields: Vec<&str> = line.split(',').collect();
-        if let ["model", metric, label, value] = fields[..]
-            && metric == key
-        {
-            of.extend(label.parse::<u32>().ok().zip(value.parse::<f64>().ok()));
-        }
-    }
-    for (i, score) in scores.iter_mut().enumerate() {
-        *score = of.get(&data.label(i)).copied().unwrap_or(f64::NAN);
-    }
-    scores
+fn scores(folder: &Path, data: &Dataset) -> Vec<f64> {
+    let table = Facts::read(folder).ok().flatten().and_then(|facts| facts.scores);
+    let read = table.and_then(|table| Scores::read(&folder.join(SCORES), table).ok());
+    let of = read.and_then(|scores| scores.by_id(MODEL, data.task().headline.key)).unwrap_or_default();
+    (0..data.len()).map(|i| of.get(&data.label(i)).copied().unwrap_or(f64::NAN)).collect()
 }
 
 /// Steps, and whether it has ended, of a run folder.

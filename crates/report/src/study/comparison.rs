@@ -2,7 +2,7 @@
 
 use super::{Setting, Variant, distinct};
 use pwrfgs_experiment::blocks::Blocks;
-use pwrfgs_experiment::scores::{MODEL, MetricRow, Summary};
+use pwrfgs_experiment::scores::{MODEL, MetricRow};
 use pwrfgs_experiment::statistics::{Difference, Spread};
 use pwrfgs_experiment::{CEILING, Record};
 use serde::Serialize;
@@ -76,6 +76,15 @@ impl Statistic {
         }
     }
 
+    /// Its place among the numbers of a cell.
+    fn place(self) -> usize {
+        match self {
+            Self::Mean | Self::Whole => 0,
+            Self::Median => 1,
+            Self::P10 => 2,
+        }
+    }
+
     /// Above a column.
     pub(super) fn words(self) -> &'static str {
         if self == Self::P10 { "bad tail" } else { self.name() }
@@ -112,21 +121,7 @@ impl Row<'_> {
                     Kind::Bound | Kind::Ceiling => None,
                 }
             }
-            Statistic::Whole => run.scores.value(self.predictor, &metric.key),
-            _ if self.kind == Kind::Ceiling => {
-                let place =
-                    [Statistic::Mean, Statistic::Median, Statistic::P10].iter().position(|s| *s == statistic)?;
-                run.scores.table.ceiling(&metric.key)?.get(place).copied()
-            }
-            _ => {
-                let values: Vec<f64> = run.scores.by_id(self.predictor, &metric.key)?.into_values().collect();
-                let summary = Summary::of(&values, metric.higher_is_better);
-                Some(match statistic {
-                    Statistic::Median => summary.median,
-                    Statistic::P10 => summary.p10,
-                    _ => summary.mean,
-                })
-            }
+            _ => run.scores.table.numbers(self.predictor, &metric.key)?.get(statistic.place()).copied(),
         };
         self.runs.iter().filter_map(of_run).filter(|v| !v.is_nan()).collect()
     }
