@@ -150,7 +150,7 @@ impl Pipeline {
         if left_out("initializer") && self.method.as_ref().is_none_or(|method| method.traits().has_gaussians()) {
             return Err("the field `initializer` is missing".into());
         }
-        let kind = self.data.task().unwrap_or_default();
+        let task = self.data.task().unwrap_or_default();
         if left_out("readout") {
             self.readout = defaults::readout(task);
         }
