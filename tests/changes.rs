@@ -72,7 +72,7 @@ fn what_a_shell_would_eat_may_be_left_out() {
     assert_eq!(changed(&["name=b-1"]), ["name: \"b-1\","]);
     assert_eq!(changed(&["split=Random", "split.test=0.3"]), ["split: Random(", "test: 0.3,"]);
     assert_eq!(changed(&["split=Random()"]), ["split: Random(", "test: 0.2,"]);
-    assert_eq!(changed(&["pruners=[TopK(keep: 5)]", "pruners.TopK.score=Opacity"]).len(), 3);
+    assert_eq!(changed(&["pruners=[TopK()]", "training.target=5", "pruners.TopK.score=Opacity"]).len(), 3);
 }
 
 #[test]
@@ -95,7 +95,7 @@ fn what_cannot_be_is_told_with_what_can() {
         ("training.steps=many", &["integer", "it takes a whole number"]),
         ("initializer.count=-5", &["it takes a whole number"]),
         ("training.optimizer.network=0.001", &["`0.001` stands where a name is expected; it takes a Schedule"]),
-        ("pruners=TopK(keep: 5)", &["it takes a list of Pruner"]),
+        ("pruners=TopK()", &["it takes a list of Pruner"]),
         ("pruners.0.lambda=-1", &["`lambda` is -1"]),
     ];
     for (argument, words) in cases {

@@ -14,8 +14,8 @@ fn busy() -> Pipeline {
         "seed: 5, data: Teacher(gaussians: 6, samples: 20, width: 90, height: 24),
          initializer: Random(count: 60, std: 3),
          deformation: Mlp(depth: 3, width: 16, skip: Some(0), tx_hidden: 8, tx_features: 4),
-         pruners: [LearnableMask(lambda: 0.1, learning_rate: 0.6), OpacityThreshold(epsilon: 0.02), TopK(keep: 70)],
-         training: (steps: 30, batch: 3, tx_jitter_m: 0.02, densify_until: 15, prune_until: 25, prune_every: 4,
+         pruners: [TopK(), LearnableMask(lambda: 0.1, learning_rate: 0.6), OpacityThreshold(epsilon: 0.02)],
+         training: (steps: 30, batch: 3, target: 70, tx_jitter_m: 0.02, densify_until: 15, prune_until: 25, prune_every: 4,
              densify: (from: 2, every: 4, gradient_threshold: 0, clone_below: 0.2, large_above: 0.6,
                        large_after: 8, reset_every: 9, reset_opacity: 0.05))",
     )
@@ -87,11 +87,11 @@ fn refuses_a_checkpoint_of_another_version() {
     let (data, partition) = data_of(&pipeline);
     let mut file = Tensors::from_bytes(&pipeline.trainer(&data, &partition).unwrap().checkpoint()).unwrap();
     let (_, note) = file.note.split_once("\"note\":").unwrap();
-    file.note = note.strip_suffix('}').unwrap().replace("\"version\":5", "\"version\":4");
+    file.note = note.strip_suffix('}').unwrap().replace("\"version\":6", "\"version\":4");
     file.note = format!("{{\"digest\":\"{}\",\"note\":{}}}", file.digest(), file.note);
     let refused =
         Trainer::restore(&pipeline.plan().unwrap(), &data, &partition, &file.to_bytes()).unwrap_err().to_string();
-    assert!(refused.contains("of version 4, expected 5; remove it"), "{refused}");
+    assert!(refused.contains("of version 4, expected 6; remove it"), "{refused}");
 }
 
 #[test]

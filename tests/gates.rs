@@ -137,7 +137,7 @@ fn a_prune_that_would_leave_nothing_stops_unless_one_is_asked_for() {
         let failed = (0..12).find_map(|_| trainer.step().err());
         assert!(matches!(failed, Some(Error::Collapsed { step: 12, .. })), "{pruners}: {failed:?}");
 
-        let pipeline = training(&format!("{pruners}, TopK(keep: 1)"), "prune_every: 6");
+        let pipeline = training(&format!("TopK(), {pruners}"), "prune_every: 6, target: 1");
         let mut trainer = pipeline.trainer(&data, &partition).unwrap();
         let mut counts = Vec::new();
         while !trainer.finished() {
@@ -153,7 +153,7 @@ fn a_prune_that_would_leave_nothing_stops_unless_one_is_asked_for() {
 
 #[test]
 fn the_best_is_the_one_its_pruner_scores_highest() {
-    let pipeline = training("OpacityThreshold(epsilon: 0.99), TopK(keep: 1)", "prune_every: 6");
+    let pipeline = training("TopK(score: Opacity), OpacityThreshold(epsilon: 0.99)", "prune_every: 6, target: 1");
     let (data, partition) = data_of(&pipeline);
     let mut trainer = pipeline.trainer(&data, &partition).unwrap();
     let mut before = trainer.model().cloud;

@@ -6,9 +6,8 @@ use pwrfgs::prelude::*;
 use std::path::Path;
 
 /// The settings that make each strategy do something within a few steps, without a number to come to.
-const ALL: [(&str, &str); 24] = [
+const ALL: [(&str, &str); 23] = [
     ("ControlGs", "lambda: 0.03, epsilon: 0.05"),
-    ("Eagles", "quantile: 0.2"),
     ("FastGs", ""),
     ("GaussianSpa", "every: 2, share: 0.5"),
     ("GreedyElimination", "most: 20, transmitters: 4"),
@@ -18,7 +17,7 @@ const ALL: [(&str, &str); 24] = [
     ("MaskGaussian", "lambda: 0.1, learning_rate: 0.4"),
     ("Mcmc", "noise: 0.1, dead: 0.1"),
     ("MergeByMoments", ""),
-    ("MiniSplatting", ""),
+    ("MiniSplatting", "rule: Above(0.2)"),
     ("NaturalSelection", "pressure: 0.05, epsilon: 0.2"),
     ("OpacityThreshold", "epsilon: 0.1"),
     ("Pup3dgs", ""),
@@ -29,17 +28,21 @@ const ALL: [(&str, &str); 24] = [
     ("SignalContribution", ""),
     ("SpeedySplat", ""),
     ("Taming3dgs", ""),
-    ("TopK", "keep: 9"),
+    ("TopK", ""),
     ("TrimmingTheFat", "opacity_quantile: 0.5, gradient_quantile: 0.9"),
 ];
 
 fn small(pruner: &str) -> Pipeline {
+    targeted(pruner, if pruner.starts_with("TopK") { 9 } else { 0 })
+}
+
+fn targeted(pruner: &str, target: usize) -> Pipeline {
     pipeline(&format!(
         "seed: 5, data: Teacher(gaussians: 6, samples: 20, width: 60, height: 15),
          initializer: Random(count: 40, std: 3),
          deformation: Factored(depth: 2, width: 8),
          pruners: [{pruner}],
-         training: (steps: 24, batch: 3, densify_until: 3, prune_until: 20, prune_every: 4, densify: (every: 0),
+         training: (steps: 24, batch: 3, target: {target}, densify_until: 3, prune_until: 20, prune_every: 4, densify: (every: 0),
              optimizer: (opacity_logits: Constant(0.1)))"
     ))
 }
@@ -92,19 +95,33 @@ fn every_strategy_takes_some_and_resumes_to_the_same_bytes_at_any_thread_count()
 #[test]
 fn an_exact_number_is_what_is_left() {
     for (name, settings) in ALL.into_iter().filter(|(name, _)| *name != "TopK") {
-        let comma = if settings.is_empty() { "" } else { ", " };
-        let (_, _, counts) = train(&small(&format!("{name}({settings}{comma}target: 7)")));
+        let (_, _, counts) = train(&targeted(&format!("{name}({settings})"), 7));
         assert_eq!(counts[23], 7, "{name}: {counts:?}");
         // Beside others too, which take more or less.
-        let both = format!("{name}({settings}{comma}target: 7), OpacityThreshold(epsilon: 0.3)");
-        let counts = train(&small(&both)).2;
+        let both = format!("{name}({settings}), OpacityThreshold(epsilon: 0.3)");
+        let counts = train(&targeted(&both, 7)).2;
         assert_eq!(counts[23], 7, "{both}: {counts:?}");
     }
 }
 
 #[test]
+fn rules_by_weight_are_the_same_with_a_target() {
+    let births = |rule: &str| {
+        let pipeline = targeted(&format!("MiniSplatting(rule: {rule})"), 7);
+        let (data, partition) = data_of(&pipeline);
+        let mut trainer = pipeline.trainer(&data, &partition).unwrap();
+        while !trainer.finished() {
+            trainer.step().unwrap();
+        }
+        trainer.births().to_vec()
+    };
+    assert_eq!(births("Above(0.05)"), births("Cumulated(0.99)"));
+    assert_ne!(births("Above(0.05)"), births("Sampled(0.5)"));
+}
+
+#[test]
 fn rounds_take_the_same_share_each() {
-    let (_, _, counts) = train(&small("RandomReference(target: 5)"));
+    let (_, _, counts) = train(&targeted("RandomReference()", 5));
     // Five prune steps from 40 to 5: 8^(1/5) each.
     assert_eq!([4, 8, 12, 16, 20].map(|step: usize| counts[step - 1]), [26, 17, 11, 7, 5]);
 }
@@ -165,7 +182,6 @@ fn strategies_that_draw_no_lots_do_not_care_for_the_order_of_gaussians() {
 #[test]
 fn what_has_nothing_to_do_with_pictures_goes_first() {
     let by_pictures = [
-        "Eagles",
         "GreedyElimination",
         "LightGaussian",
         "MiniSplatting",
@@ -185,7 +201,7 @@ fn what_has_nothing_to_do_with_pictures_goes_first() {
 
 #[test]
 fn equals_stay_in_order() {
-    for (name, settings) in [("OpacityThreshold", ""), ("TopK", "keep: 2"), ("SignalContribution", "shares: [0.5]")] {
+    for (name, settings) in [("OpacityThreshold", ""), ("TopK", ""), ("SignalContribution", "shares: [0.5]")] {
         let pruner: Plugin<dyn Pruner> = plugin(&format!("{name}({settings})"));
         let same = cloud(1, 1).select(&[0, 0, 0, 0]);
         assert_eq!(best(2, &scores(&pruner, &same, &[0.3; 4]), |_| true), [true, true, false, false], "{name}");
@@ -195,21 +211,24 @@ fn equals_stay_in_order() {
 #[test]
 fn numbers_that_cannot_be_are_refused_with_their_place() {
     let written = |start: usize, rest: &str| {
+        let target = rest.split_once(" to ").map_or("0", |(_, target)| target);
+        let pruners = rest.split(" to ").next().unwrap_or_default();
         let text = format!(
-            "Pipeline(name: \"a\", data: Teacher(),\n initializer: Random(count: {start}),\n {rest},\n \
-             training: (steps: 9, densify_until: 2, prune_until: 6, densify: (every: 0)))"
+            "Pipeline(name: \"a\", data: Teacher(),\n initializer: Random(count: {start}),\n {pruners},\n \
+             training: (steps: 9, target: {target}, densify_until: 2, prune_until: 6, densify: (every: 0)))"
         );
         Pipeline::parse(&text, Path::new("a.ron")).map_err(|e| e.to_string())
     };
-    assert!(written(50, "pruners: [SpeedySplat(target: 50)]").is_ok());
+    assert!(written(50, "pruners: [SpeedySplat()] to 50").is_ok());
+    assert!(written(50, "pruners: [TopK(), RadSplat()] to 8").is_ok());
     for (start, pruners, line, words) in [
-        (50, "pruners: [SpeedySplat(target: 51)]", "a.ron:3:", "51 Gaussians are wanted"),
-        (50, "pruners: [Eagles(target: 9), RadSplat(target: 8)]", "a.ron:3:", "give one number"),
-        (50, "pruners: [Eagles(target: 9), TopK(keep: 8)]", "a.ron:3:", "give one number"),
-        (50, "pruners: [Eagles(target: 9), RadSplat(target: 9)]", "a.ron:3:", "both come to an exact number"),
+        (50, "pruners: [SpeedySplat()] to 51", "a.ron:", "training.target is 51, but training starts with 50"),
+        (50, "pruners: [RadSplat(), TopK()] to 8", "a.ron:", "put `TopK` first"),
+        (50, "pruners: [TopK()]", "a.ron:", "set it, such as to 157"),
+        (50, "pruners: [] to 8", "a.ron:", "no pruner takes an exact number"),
+        (50, "pruners: [RadSplat(target: 9)]", "a.ron:3:", "target"),
         (50, "pruners: [LightGaussian(shares: [0.5, 1.5])]", "a.ron:3:", "`shares` has 1.5"),
         (50, "pruners: [RadSplat(threshold: 1.5)]", "a.ron:3:", "`threshold` is 1.5"),
-        (50, "pruners: [Eagles(target: 0)]", "a.ron:3:", "`target` is 0"),
         (50, "rasterizer: ArrayResponse(), pruners: [RadSplat()]", "a.ron:3:", "nothing is blended here"),
     ] {
         let said = written(start, pruners).unwrap_err();
@@ -222,8 +241,6 @@ fn numbers_that_cannot_be_are_refused_with_their_place() {
     let mut pipeline = small("LightGaussian()");
     pipeline.set("training.target=5").unwrap();
     assert_eq!(train(&pipeline).2[23], 5, "one word in the pipeline");
-    let said = small("Eagles(target: 7)").set("training.target=5").unwrap_err().to_string();
-    assert!(said.contains("training.target is 5") && said.contains('7'), "{said}");
     let said = small("RadSplat(threshold: 0.1)").set_all(&["pruners=[]", "training.target=5"]).unwrap_err().to_string();
     assert!(said.contains("no pruner takes an exact number"), "{said}");
 }

@@ -229,7 +229,7 @@ def described(value: Any) -> str:
     if not any(callable(getattr(value, method, None)) for method in REQUIRED.values()) and not hasattr(value, "fit"):
         raise InputError(
             f"{value!r} is nothing that a pipeline holds; give a number, a text, a list, a plugin such as "
-            "pwrfgs.TopK(keep=100), or an object with one of the methods " + ", ".join(REQUIRED.values())
+            "pwrfgs.LightGaussian(), or an object with one of the methods " + ", ".join(REQUIRED.values())
         )
     if "<locals>" in cls.__qualname__:
         raise InputError(f"{cls.__qualname__} is defined inside a function, where nobody finds it again; move it out")

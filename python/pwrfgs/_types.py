@@ -183,6 +183,7 @@ class Moment(NamedTuple):
     seed : The pipeline's.
     round : Which prune step it is, from 1; 0 at any other step.
     rounds : How many there are.
+    target : `training.target`, for the pruner that has to reach it; None for others.
     """
 
     step: int
@@ -190,6 +191,7 @@ class Moment(NamedTuple):
     seed: int
     round: int
     rounds: int
+    target: Optional[int]
 
 
 @_told

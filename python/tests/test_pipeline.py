@@ -124,8 +124,8 @@ def test_lists_of_a_pipeline_change_it(pipeline):
     pruners = pipeline.pruners
     del pruners[0]
     pruners[0].lambda_ = 0.25
-    pruners += [pwrfgs.TopK(keep=7)]
-    assert pipeline.pruners[0].lambda_ == 0.25 and pipeline.pruners[1].keep == 7 and pruners == pipeline.pruners
+    pruners += [pwrfgs.RadSplat(threshold=0.5)]
+    assert pipeline.pruners[0].lambda_ == 0.25 and pipeline.pruners[1].threshold == 0.5 and pruners == pipeline.pruners
     with pytest.raises(pwrfgs.InputError):
         pruners.append(pwrfgs.Ssim())
     assert len(pruners) == len(pipeline.pruners) == 2

@@ -387,7 +387,7 @@ def test_pruners_stand_beside_those_of_the_pipeline(pipeline, tmp_path, caplog):
     with pytest.raises(pwrfgs.InputError, match="Thin is a class; give an object of it"):
         pwrfgs.run(pipeline, pruners=[Thin], **out)
     with pytest.raises(pwrfgs.InputError, match="TopK is a Pruner, and a Metric is wanted"):
-        pwrfgs.run(pipeline, metrics=[pwrfgs.TopK(keep=5)], **out)
+        pwrfgs.run(pipeline, metrics=[pwrfgs.TopK()], **out)
     with pytest.raises(pwrfgs.InputError, match="no method `keep` of its own"):
         pwrfgs.run(pipeline, pruners=[NoKeep()], **out)
     with pytest.raises(pwrfgs.Error, match="one Gaussian is left at step 30"):

@@ -50,12 +50,12 @@ class Bias(pwrfgs.Metric):
         return float(np.mean(predictions - truths))
 
 
-mask = pwrfgs.LearnableMask(lambda_=0.02, target=200)
+mask = pwrfgs.LearnableMask(lambda_=0.02, adam=True)
 mask.lambda_ = mask.threshold / 2
 pwrfgs.LearnableMask(lamda=1)  # error
 pwrfgs.LearnableMask(0.02)  # error
 pwrfgs.LearnableMask(lambda_="0.02")  # error
-pwrfgs.LearnableMask(target=None)
+pwrfgs.LearnableMask(target=200)  # error
 pwrfgs.LernableMask()  # error
 pwrfgs.Ssim(window=7)  # error
 

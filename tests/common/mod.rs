@@ -11,7 +11,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// A step of the densification phase.
-pub(crate) const MOMENT: Moment = Moment { step: 1, phase: Phase::Densify, seed: 0, round: 0, rounds: 0 };
+pub(crate) const MOMENT: Moment = Moment { step: 1, phase: Phase::Densify, seed: 0, round: 0, rounds: 0, target: None };
 
 /// A plugin from its text.
 pub(crate) fn plugin<T: ?Sized + PluginKind>(text: &str) -> Plugin<T>

@@ -156,7 +156,10 @@ fn a_variant_may_give_a_field_by_its_path() {
         sweep("{}", variant);
         refuse(here, &["sweep", "e.ron", "--out", "x"], 2, words);
     };
-    refused("(label: \"c\", set: {\"pruners.TopK.keep\": 3})", &["axis `start`, variant `c`", "no entry `TopK`"]);
+    refused(
+        "(label: \"c\", set: {\"pruners.TopK.score\": Opacity})",
+        &["axis `start`, variant `c`", "no entry `TopK`"],
+    );
     refused("(label: \"c\", set: {\"pruners.0.lambda\": -3})", &["axis `start`, variant `c`", "`lambda` is -3"]);
     refused("(label: \"c\", set: {\"seed\": 3})", &["e.ron:", "`seeds`"]);
     refused("(label: \"c\", set: {\"training.stepz\": 3})", &["e.ron:2:", "did you mean `steps`"]);

@@ -16,11 +16,11 @@ pub(crate) const TINY: &str = "Pipeline(
     split: Official(validation: 0.2),
     initializer: Grid(count: 8),
     deformation: Mlp(depth: 2, width: 8, skip: None),
-    pruners: [LearnableMask(lambda: 0.02, learning_rate: 0.1), TopK(keep: 6)],
+    pruners: [TopK(), LearnableMask(lambda: 0.02, learning_rate: 0.1)],
     baselines: [MeanSpectrum()],
     metrics: [Ssim(), GaussianCount()],
     training: (
-        steps: 12, batch: 2, densify_until: 4, prune_until: 9, prune_every: 2, validate_every: 4, checkpoint_every: 3,
+        steps: 12, batch: 2, target: 6, densify_until: 4, prune_until: 9, prune_every: 2, validate_every: 4, checkpoint_every: 3,
         densify: (every: 2, from: 2),
     ),
 )

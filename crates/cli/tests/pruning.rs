@@ -68,7 +68,7 @@ fn a_target_that_is_reached_from_the_start_is_reported_and_equal_models_are_mark
 fn variants_that_differ_are_not_marked() {
     let folder = folder();
     let here = folder.path();
-    write(&here.join("e.ron"), IDLE.replace("target: 8", "target: 3"));
+    write(&here.join("e.ron"), IDLE.replace("target\": 8", "target\": 3"));
     let said = succeed(here, &["sweep", "e.ron", "--dry-run"]);
     assert!(!stderr(&said).contains("warning"), "{}", stderr(&said));
     let table = stdout(&succeed(here, &["sweep", "e.ron", "-q"]));
@@ -85,8 +85,10 @@ fn a_mask_that_cannot_close_in_time_is_reported() {
     assert!(said.contains(words), "{said}");
     let said = stderr(&succeed(here, &[&["run"][..], &slow].concat()));
     assert!(said.contains(words) && said.contains("nothing was pruned: 8 Gaussians remain"), "{said}");
-    for fast in ["LearnableMask(learning_rate: 1.0)", "LearnableMask(target: 3)", "OpacityThreshold()"] {
-        let said = stderr(&succeed(here, &["check", "p.ron", "--set", &format!("pruners=[{fast}]")]));
+    for (fast, target) in [("LearnableMask(learning_rate: 1.0)", 0), ("LearnableMask()", 3), ("OpacityThreshold()", 0)]
+    {
+        let set = [format!("pruners=[{fast}]"), format!("training.target={target}")];
+        let said = stderr(&succeed(here, &["check", "p.ron", "--set", &set[0], "--set", &set[1]]));
         assert!(!said.contains("warning"), "{fast}: {said}");
     }
 }
@@ -115,7 +117,8 @@ fn a_shorter_training_still_prunes() {
 fn a_step_that_removes_more_than_half_names_its_rule() {
     let folder = folder();
     let here = folder.path();
-    let said = stderr(&succeed(here, &["run", "p.ron", "-q", "--set", "pruners=[TopK(keep: 3)]"]));
+    let said =
+        stderr(&succeed(here, &["run", "p.ron", "-q", "--set", "pruners=[TopK()]", "--set", "training.target=3"]));
     assert!(said.contains("step 30 removed 5 of 8 Gaussians (`TopK`: 5)"), "{said}");
 }
 

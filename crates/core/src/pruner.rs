@@ -62,12 +62,6 @@ pub trait Pruner:
         PrunerTraits::default()
     }
 
-    /// The same, asked for an exact number; `None` where it takes none.
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        let _ = target;
-        None
-    }
-
     /// Refuses settings that cannot work, when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())
@@ -80,9 +74,9 @@ plugin_kind!(Pruner);
 pub struct PrunerTraits {
     /// Columns to add to the cloud. They survive clone, split, prune and checkpoints.
     pub columns: Vec<ColumnSpec>,
-    /// The exact number of Gaussians at the end of pruning, where one is set.
+    /// How it reaches `training.target`; `None` if it cannot.
     pub budget: Option<Budget>,
-    /// Whether it may add Gaussians until its budget is reached.
+    /// Whether it may add Gaussians until that number is reached.
     pub grows: bool,
     /// The setting that a shorter training raises; `None` if nothing depends on the length.
     pub mask_rate: Option<MaskRate>,
@@ -153,37 +147,30 @@ impl MaskFall {
     }
 }
 
-/// An exact number of Gaussians at the end of pruning, and how it is come to.
+/// How a pruner reaches [`Moment::target`], the number of Gaussians at the end of pruning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Budget {
     /// The best by [`Pruner::score`], fewer at each prune step by the same share; [`Pruner::keep`] is not asked.
-    Rounds(usize),
+    Rounds,
     /// Whatever [`Pruner::keep`] says, but never fewer, and at the last prune step exactly so many, by [`Pruner::score`].
-    AtLast(usize),
+    AtLast,
     /// [`Pruner::edit`] sees to it, and nobody else takes any.
-    Own(usize),
+    Own,
     /// [`Pruner::keep`] leaves no more at any prune step; fewer will do.
-    AtMost(usize),
+    AtMost,
 }
 
 impl Budget {
-    /// The number.
-    pub fn target(self) -> usize {
-        match self {
-            Self::Rounds(n) | Self::AtLast(n) | Self::Own(n) | Self::AtMost(n) => n,
-        }
-    }
-
-    /// What stays of those that all pruners `agreed` on, given the `scores` of the pruner whose budget it is: the best, ties
-    /// by index. Who was refused by somebody comes after all others.
-    pub fn settle(self, agreed: &[bool], scores: &[Real], moment: &Moment) -> Vec<bool> {
+    /// What stays of those that all pruners `agreed` on, given the `scores` of the pruner that has to reach `target`: the
+    /// best, ties by index. Who was refused by somebody comes after all others.
+    pub fn settle(self, target: usize, agreed: &[bool], scores: &[Real], moment: &Moment) -> Vec<bool> {
         let open = agreed.iter().filter(|own| **own).count();
         let count = match self {
-            Self::Own(_) => return vec![true; agreed.len()],
-            Self::AtMost(_) => return agreed.to_vec(),
-            Self::Rounds(target) => moment.quota(agreed.len(), target),
-            Self::AtLast(target) if moment.round > 0 && moment.round == moment.rounds => target,
-            Self::AtLast(target) => open.max(target),
+            Self::Own => return vec![true; agreed.len()],
+            Self::AtMost => return agreed.to_vec(),
+            Self::Rounds => moment.quota(agreed.len(), target),
+            Self::AtLast if moment.round > 0 && moment.round == moment.rounds => target,
+            Self::AtLast => open.max(target),
         };
         best(count, scores, |i| agreed[i])
     }

@@ -39,12 +39,14 @@ pub struct Moment {
     pub round: u64,
     /// How many there are.
     pub rounds: u64,
+    /// `training.target`, the number of Gaussians at the end of pruning; of all pruners only that which has to reach it has it.
+    pub target: Option<usize>,
 }
 
 impl Moment {
     /// A step that is no prune step.
     pub fn new(step: u64, phase: Phase, seed: u64) -> Self {
-        Self { step, phase, seed, round: 0, rounds: 0 }
+        Self { step, phase, seed, round: 0, rounds: 0, target: None }
     }
 
     /// How many of `n` Gaussians stay at this prune step, so that at the last one `target` do, and each takes the same

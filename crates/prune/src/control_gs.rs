@@ -1,6 +1,6 @@
 //! A pull on all opacities until nothing more goes.
 
-use crate::rounds::{check_below_one, check_share, check_target, check_weight};
+use crate::rounds::{check_below_one, check_share, check_weight};
 use dfdx::prelude::{Rank0, SumTo};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, GaussianCloud, JsonSchema, Moment, Phase, Pruner, PrunerTraits, Real, sigmoid,
@@ -37,14 +37,11 @@ pub struct ControlGs {
     pub epsilon: Real,
     /// A prune step that takes less than this share of all is the last, from 0 to 1.
     pub settle: Real,
-    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
-    /// `epsilon`.
-    pub target: Option<usize>,
 }
 
 impl Default for ControlGs {
     fn default() -> Self {
-        Self { lambda: 0.00001, epsilon: 0.005, settle: 0.01, target: None }
+        Self { lambda: 0.00001, epsilon: 0.005, settle: 0.01 }
     }
 }
 
@@ -53,7 +50,7 @@ impl Pruner for ControlGs {
     fn traits(&self) -> PrunerTraits {
         // Of all Gaussians the same: what is remembered of the pipeline.
         let columns = vec![ColumnSpec::state(PULL, 1.0), ColumnSpec::state(COUNT, 0.0), ColumnSpec::state(TREND, 0.0)];
-        PrunerTraits { columns, budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { columns, budget: Some(Budget::Rounds), ..PrunerTraits::default() }
     }
 
     fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
@@ -89,15 +86,10 @@ impl Pruner for ControlGs {
         }
     }
 
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
         check_weight("lambda", self.lambda)?;
         check_share("settle", self.settle)?;
-        check_below_one("epsilon", self.epsilon)?;
-        check_target(self.target)
+        check_below_one("epsilon", self.epsilon)
     }
 }
 

@@ -1,6 +1,6 @@
 //! What stands where the pictures are wrong.
 
-use crate::rounds::{asked, check_share, check_target};
+use crate::rounds::{asked, check_share};
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic,
 };
@@ -28,21 +28,18 @@ pub struct FastGs {
     pub high: Real,
     /// Training transmitters that a pass looks at; 0: all.
     pub transmitters: usize,
-    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
-    /// `blame`.
-    pub target: Option<usize>,
 }
 
 impl Default for FastGs {
     fn default() -> Self {
-        Self { blame: 0.9, high: 0.1, transmitters: 64, target: None }
+        Self { blame: 0.9, high: 0.1, transmitters: 64 }
     }
 }
 
 #[typetag::serde]
 impl Pruner for FastGs {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
     }
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
@@ -64,13 +61,8 @@ impl Pruner for FastGs {
         blame.iter().map(|v| 1.0 - (v - low) / width).collect()
     }
 
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
         check_share("blame", self.blame)?;
-        check_share("high", self.high)?;
-        check_target(self.target)
+        check_share("high", self.high)
     }
 }

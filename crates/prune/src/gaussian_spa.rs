@@ -1,6 +1,6 @@
 //! Opacities drawn towards their own best few.
 
-use crate::rounds::{check_target, share_of};
+use crate::rounds::share_of;
 use dfdx::prelude::{Rank0, SumTo};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, GaussianCloud, JsonSchema, Moment, Phase, Pruner, PrunerTraits, Real, best,
@@ -25,7 +25,7 @@ const DUAL: &str = "spa_dual";
 /// ```
 /// # use pwrfgs_prune as _;
 /// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
-/// Plugin::<dyn Pruner>::parse("GaussianSpa(target: 157)")?;
+/// Plugin::<dyn Pruner>::parse("GaussianSpa(every: 25)")?;
 /// # Ok::<(), String>(())
 /// ```
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -35,15 +35,13 @@ pub struct GaussianSpa {
     pub rho: Real,
     /// Steps between two projections, 1 or more.
     pub every: u64,
-    /// The share that goes, where no target is set, from 0 to below 1.
+    /// The share that goes, without `training.target`, from 0 to below 1.
     pub share: Real,
-    /// How many Gaussians there shall be at the end of pruning.
-    pub target: Option<usize>,
 }
 
 impl Default for GaussianSpa {
     fn default() -> Self {
-        Self { rho: 0.0005, every: 50, share: 0.8, target: None }
+        Self { rho: 0.0005, every: 50, share: 0.8 }
     }
 }
 
@@ -53,14 +51,14 @@ impl Pruner for GaussianSpa {
         PrunerTraits {
             // No opacity is negative: until the first projection there is nothing to be drawn to.
             columns: vec![ColumnSpec::state(SPARSE, -1.0), ColumnSpec::state(DUAL, 0.0)],
-            budget: self.target.map(Budget::AtLast),
+            budget: Some(Budget::AtLast),
             ..PrunerTraits::default()
         }
     }
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
         let last = moment.round > 0 && moment.round == moment.rounds;
-        let count = if last { self.count(cloud.len()) } else { cloud.len() };
+        let count = if last { self.count(cloud.len(), moment) } else { cloud.len() };
         best(count, &self.score(cloud, stats, moment), |_| true)
     }
 
@@ -80,7 +78,7 @@ impl Pruner for GaussianSpa {
         let opacities: Vec<Real> = cloud.opacity_logits.iter().map(|o| sigmoid(*o)).collect();
         let Some(dual) = cloud.extra(DUAL).map(|column| column.values.clone()) else { return };
         let wanted: Vec<Real> = opacities.iter().zip(&dual).map(|(o, u)| o + u).collect();
-        let open = best(self.count(cloud.len()), &wanted, |_| true);
+        let open = best(self.count(cloud.len(), moment), &wanted, |_| true);
         let sparse: Vec<Real> = wanted.iter().zip(open).map(|(w, open)| if open { w.max(0.0) } else { 0.0 }).collect();
         for column in &mut cloud.extra {
             match column.name.as_str() {
@@ -102,21 +100,16 @@ impl Pruner for GaussianSpa {
         }
     }
 
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
-        check_admm(self)?;
-        check_target(self.target)
+        check_admm(self)
     }
 }
 
 impl GaussianSpa {
     /// k, of `n`.
-    fn count(&self, n: usize) -> usize {
+    fn count(&self, n: usize, moment: &Moment) -> usize {
         let by_share = || n - share_of(n, self.share).floor() as usize;
-        self.target.unwrap_or_else(by_share).clamp(1, n.max(1))
+        moment.target.unwrap_or_else(by_share).clamp(1, n.max(1))
     }
 }
 

@@ -1,6 +1,6 @@
 //! One at a time, by the true loss.
 
-use crate::rounds::{asked, check_shares, check_target, share_at, without_share};
+use crate::rounds::{asked, check_shares, share_at, without_share};
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic, Statistics,
 };
@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 /// ```
 /// # use pwrfgs_prune as _;
 /// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
-/// Plugin::<dyn Pruner>::parse("GreedyElimination(target: 24)")?;
+/// Plugin::<dyn Pruner>::parse("GreedyElimination(most: 50)")?;
 /// # Ok::<(), String>(())
 /// ```
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -29,21 +29,18 @@ pub struct GreedyElimination {
     pub shares: Vec<Real>,
     /// Training transmitters whose loss it is, from 1 to 1,000: they are held in memory.
     pub transmitters: usize,
-    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
-    /// `shares`.
-    pub target: Option<usize>,
 }
 
 impl Default for GreedyElimination {
     fn default() -> Self {
-        Self { most: 100, shares: vec![0.5], transmitters: 64, target: None }
+        Self { most: 100, shares: vec![0.5], transmitters: 64 }
     }
 }
 
 #[typetag::serde]
 impl Pruner for GreedyElimination {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
     }
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
@@ -62,14 +59,9 @@ impl Pruner for GreedyElimination {
         asked(if elimination.len() == cloud.len() { elimination } else { sensitivity }, cloud)
     }
 
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
         check_most(self.most, self.transmitters)?;
-        check_shares(&self.shares)?;
-        check_target(self.target)
+        check_shares(&self.shares)
     }
 }
 

@@ -3,7 +3,7 @@
 //! The worked example of a pruner that learns: a column, a gate and a penalty, written forward-only on the step's tape,
 //! and a decision. dfdx differentiates; nothing is derived by hand here.
 
-use crate::rounds::{check_rate, check_target, check_weight, learned};
+use crate::rounds::{check_rate, check_weight, learned};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, MaskFall, MaskRate, Moment, Phase, Pruner,
@@ -25,7 +25,7 @@ const COLUMN: &str = "mask_logits";
 /// reach the threshold about 1,410 steps after the start at a rate of 0.01, for any lambda above 0 (730 steps at 0.02).
 ///
 /// Use it to let training find how many Gaussians a quality is worth; a larger lambda leaves fewer (the paper: 2,613 at
-/// 0.01, 157 at 0.02, 8 at 0.04). For a number given beforehand say `target`; [`crate::LightGaussian`] and others come to
+/// 0.01, 157 at 0.02, 8 at 0.04). For a number given beforehand set `training.target`; [`crate::LightGaussian`] and others come to
 /// one with less loss. Threshold and initial logit are those of Compact-3DGS, where the paper is silent.
 ///
 /// With tens of thousands of Gaussians lambda/N is small against the noise of the picture's derivative, and Adam divides
@@ -55,14 +55,11 @@ pub struct LearnableMask {
     pub learning_rate: Real,
     /// Whether Adam moves m; without it m −= rate · N · derivative.
     pub adam: bool,
-    /// How many Gaussians there shall be at the end of pruning: at the last prune step those of the largest m stay, closed
-    /// or not. Left out, the penalty decides.
-    pub target: Option<usize>,
 }
 
 impl Default for LearnableMask {
     fn default() -> Self {
-        Self { lambda: 0.01, threshold: 0.01, initial_logit: 1.0, learning_rate: 0.01, adam: true, target: None }
+        Self { lambda: 0.01, threshold: 0.01, initial_logit: 1.0, learning_rate: 0.01, adam: true }
     }
 }
 
@@ -78,7 +75,7 @@ impl Pruner for LearnableMask {
         let pressure = if adam { None } else { Some(lambda) };
         PrunerTraits {
             columns: vec![ColumnSpec { adam, ..ColumnSpec::learned(COLUMN, from, rate) }],
-            budget: self.target.map(Budget::AtLast),
+            budget: Some(Budget::AtLast),
             mask_rate: Some(mask_rate),
             mask_fall: (lambda > 0.0).then_some(MaskFall { from, to, rate, pressure }),
             ..PrunerTraits::default()
@@ -105,12 +102,8 @@ impl Pruner for LearnableMask {
         learned(cloud, COLUMN)
     }
 
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
-        let Self { lambda, threshold, initial_logit, learning_rate, target, .. } = self;
+        let Self { lambda, threshold, initial_logit, learning_rate, .. } = self;
         check_weight("lambda", *lambda)?;
         if !(*threshold > 0.0 && *threshold < 1.0) {
             return Err(format!("`threshold` is {threshold}; give a number above 0 and below 1, such as 0.01"));
@@ -120,8 +113,7 @@ impl Pruner for LearnableMask {
                 "`initial_logit` is {initial_logit}, which closes every gate from the start; raise it, such as to 1.0"
             ));
         }
-        check_rate(*learning_rate)?;
-        check_target(*target)
+        check_rate(*learning_rate)
     }
 }
 

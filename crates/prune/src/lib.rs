@@ -1,4 +1,4 @@
-//! Which Gaussians stay: the paper's learnable mask, a floor on opacity, an exact budget.
+//! Which Gaussians stay: the paper's learnable mask, a floor on opacity, a budget, and strategies of others.
 //!
 //! A pruner decides; the trainer asks it at the prune steps of algorithm 1, removes what any pruner of the list gives
 //! up, and keeps the best-scored Gaussian where all together would leave none.
@@ -7,7 +7,6 @@
 
 mod control_gs;
 mod covariance;
-mod eagles;
 mod fast_gs;
 mod gaussian_spa;
 mod greedy_elimination;
@@ -33,7 +32,6 @@ mod top_k;
 mod trimming_the_fat;
 
 pub use control_gs::ControlGs;
-pub use eagles::Eagles;
 pub use fast_gs::FastGs;
 pub use gaussian_spa::GaussianSpa;
 pub use greedy_elimination::GreedyElimination;
@@ -121,7 +119,7 @@ mod tests {
     #[test]
     fn what_is_not_a_number_does_not_panic() {
         let cloud = cloud(&[Real::NAN, 0.0, Real::INFINITY, Real::NEG_INFINITY]);
-        for text in ["LearnableMask()", "OpacityThreshold()", "TopK(keep: 2)", "TopK(keep: 2, score: OpacityVolume)"] {
+        for text in ["LearnableMask()", "OpacityThreshold()", "TopK()", "TopK(score: OpacityVolume)"] {
             let plugin = Plugin::<dyn Pruner>::parse(text).unwrap();
             assert_eq!(plugin.keep(&cloud, &CloudStats::zeros(4), &moment(Phase::Prune)).len(), 4);
         }
@@ -140,7 +138,6 @@ mod tests {
             ("OpacityThreshold(epsilon: 1.0)", "epsilon"),
             ("OpacityThreshold(epsilon: NaN)", "epsilon"),
             ("OpacityThreshold(epsilon: -0.1)", "epsilon"),
-            ("TopK(keep: 0)", "keep"),
         ] {
             let why = Plugin::<dyn Pruner>::parse(text).unwrap_err();
             assert!(why.contains(&format!("`{field}`")), "{text}: {why}");

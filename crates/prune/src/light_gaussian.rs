@@ -1,6 +1,6 @@
 //! Weight in the pictures, and a little of the volume.
 
-use crate::rounds::{asked, check_shares, check_target, check_weight, quantile, share_at, without_share};
+use crate::rounds::{asked, check_shares, check_weight, quantile, share_at, without_share};
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic,
 };
@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 /// ```
 /// # use pwrfgs_prune as _;
 /// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
-/// Plugin::<dyn Pruner>::parse("LightGaussian(target: 157)")?;
+/// Plugin::<dyn Pruner>::parse("LightGaussian(volume_power: 0.1)")?;
 /// # Ok::<(), String>(())
 /// ```
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -29,21 +29,18 @@ pub struct LightGaussian {
     pub volume_power: Real,
     /// Training transmitters that a pass looks at; 0: all.
     pub transmitters: usize,
-    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
-    /// `shares`.
-    pub target: Option<usize>,
 }
 
 impl Default for LightGaussian {
     fn default() -> Self {
-        Self { shares: vec![0.66, 0.4, 0.24], volume_power: 0.1, transmitters: 0, target: None }
+        Self { shares: vec![0.66, 0.4, 0.24], volume_power: 0.1, transmitters: 0 }
     }
 }
 
 #[typetag::serde]
 impl Pruner for LightGaussian {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
     }
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
@@ -51,7 +48,7 @@ impl Pruner for LightGaussian {
     }
 
     fn needs(&self, _: &GaussianCloud, moment: &Moment) -> Needs {
-        if self.target.is_none() && share_at(&self.shares, moment) == 0.0 {
+        if moment.target.is_none() && share_at(&self.shares, moment) == 0.0 {
             return Needs::nothing();
         }
         Needs::of(&[Statistic::Weight], self.transmitters)
@@ -68,13 +65,8 @@ impl Pruner for LightGaussian {
         weight.iter().zip(volumes).map(|(w, v)| w * factor(v)).collect()
     }
 
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
         check_shares(&self.shares)?;
-        check_weight("volume_power", self.volume_power)?;
-        check_target(self.target)
+        check_weight("volume_power", self.volume_power)
     }
 }

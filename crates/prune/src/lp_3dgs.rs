@@ -1,6 +1,6 @@
 //! A learned mask on top of an importance.
 
-use crate::rounds::{check_rate, check_target, check_weight, logistic_noise, quantile};
+use crate::rounds::{check_rate, check_weight, logistic_noise, quantile};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, Edit, Gate, GaussianCloud, JsonSchema, MaskRate, Moment, Needs, Phase, Pruner,
@@ -43,20 +43,11 @@ pub struct Lp3dgs {
     pub learning_rate: Real,
     /// Training transmitters that a pass looks at; 0: all.
     pub transmitters: usize,
-    /// How many Gaussians there shall be at the end of pruning. Left out, the penalty decides.
-    pub target: Option<usize>,
 }
 
 impl Default for Lp3dgs {
     fn default() -> Self {
-        Self {
-            lambda: 0.01,
-            temperature: 0.5,
-            initial_logit: 3.0,
-            learning_rate: 0.01,
-            transmitters: 256,
-            target: None,
-        }
+        Self { lambda: 0.01, temperature: 0.5, initial_logit: 3.0, learning_rate: 0.01, transmitters: 256 }
     }
 }
 
@@ -68,7 +59,7 @@ impl Pruner for Lp3dgs {
                 ColumnSpec::learned(COLUMN, self.initial_logit, self.learning_rate),
                 ColumnSpec::state(IMPORTANCE, 0.0),
             ],
-            budget: self.target.map(Budget::AtLast),
+            budget: Some(Budget::AtLast),
             mask_rate: Some(MaskRate::adam(self.learning_rate)),
             ..PrunerTraits::default()
         }
@@ -117,15 +108,10 @@ impl Pruner for Lp3dgs {
         }
     }
 
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
         check_weight("lambda", self.lambda)?;
         check_rate(self.learning_rate)?;
-        check_mask(self)?;
-        check_target(self.target)
+        check_mask(self)
     }
 }
 

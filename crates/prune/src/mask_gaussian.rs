@@ -1,6 +1,6 @@
 //! A coin a Gaussian, thrown at every step; who loses still learns.
 
-use crate::rounds::{check_rate, check_target, check_weight, learned, logistic_noise};
+use crate::rounds::{check_rate, check_weight, learned, logistic_noise};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, Gate, GaussianCloud, JsonSchema, MaskRate, Moment, Phase, Pruner, PrunerTraits,
@@ -22,7 +22,7 @@ const COLUMN: &str = "presence_logits";
 /// open (MaskGaussian, Liu et al., CVPR 2025, section 3.2, where the two logits of each Gaussian are one here). The fair
 /// upgrade of [`crate::LearnableMask`], whose closed masks cannot come back; it costs more, as nothing is left out of a step.
 ///
-/// In fine-tuning all that are left are there. Under a `target` the largest m stay at the last prune step.
+/// In fine-tuning all that are left are there. Under `training.target` the largest m stay at the last prune step.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -41,13 +41,11 @@ pub struct MaskGaussian {
     pub learning_rate: Real,
     /// Throws at a prune step, 1 or more.
     pub draws: usize,
-    /// How many Gaussians there shall be at the end of pruning. Left out, the penalty decides.
-    pub target: Option<usize>,
 }
 
 impl Default for MaskGaussian {
     fn default() -> Self {
-        Self { lambda: 0.1, initial_logit: 1.0, learning_rate: 0.01, draws: 10, target: None }
+        Self { lambda: 0.1, initial_logit: 1.0, learning_rate: 0.01, draws: 10 }
     }
 }
 
@@ -56,7 +54,7 @@ impl Pruner for MaskGaussian {
     fn traits(&self) -> PrunerTraits {
         PrunerTraits {
             columns: vec![ColumnSpec::learned(COLUMN, self.initial_logit, self.learning_rate)],
-            budget: self.target.map(Budget::AtLast),
+            budget: Some(Budget::AtLast),
             mask_rate: Some(MaskRate::adam(self.learning_rate)),
             ..PrunerTraits::default()
         }
@@ -86,15 +84,10 @@ impl Pruner for MaskGaussian {
         learned(cloud, COLUMN)
     }
 
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
         check_weight("lambda", self.lambda)?;
         check_rate(self.learning_rate)?;
-        check_throws(self)?;
-        check_target(self.target)
+        check_throws(self)
     }
 }
 

@@ -1,7 +1,7 @@
 //! Nothing dies: what has faded is moved onto what has not.
 
 use crate::covariance::Covariance;
-use crate::rounds::{check_below_one, check_share, check_target, check_weight};
+use crate::rounds::{check_below_one, check_share, check_weight};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
     Budget, CloudStats, Edit, GaussianCloud, JsonSchema, Moment, Phase, Pruner, PrunerTraits, Real, Row, logit, rng,
@@ -20,13 +20,13 @@ use serde::{Deserialize, Serialize};
 /// opacity and `scale_weight` times the mean scale, and centres are stirred, the faint ones more:
 /// noise · σ(100 (0.005 − o)) · Σ · N(0, 1).
 ///
-/// A `target` is the cap on N: with more, the least opaque go by rounds; with fewer, at most `grow` of N are added at a prune
+/// `training.target` is the cap on N: with more, the least opaque go by rounds; with fewer, at most `grow` of N are added at a prune
 /// step, in the same way as the dead are moved. Without one N stays as it is.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
 /// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
-/// Plugin::<dyn Pruner>::parse("Mcmc(target: 500)")?;
+/// Plugin::<dyn Pruner>::parse("Mcmc(grow: 0.05)")?;
 /// # Ok::<(), String>(())
 /// ```
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -43,24 +43,18 @@ pub struct Mcmc {
     /// How much faint centres are stirred at each step, 1/m, 0 or more. The paper lets it fall with the rate of the means,
     /// from 80 to 0.8; here it stays, as the pruning phase is short.
     pub noise: Real,
-    /// The cap on N, and the number of Gaussians at the end of pruning.
-    pub target: Option<usize>,
 }
 
 impl Default for Mcmc {
     fn default() -> Self {
-        Self { dead: 0.005, grow: 0.05, opacity_weight: 0.01, scale_weight: 0.01, noise: 1.0, target: None }
+        Self { dead: 0.005, grow: 0.05, opacity_weight: 0.01, scale_weight: 0.01, noise: 1.0 }
     }
 }
 
 #[typetag::serde]
 impl Pruner for Mcmc {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits {
-            budget: self.target.map(Budget::Rounds),
-            grows: self.target.is_some(),
-            ..PrunerTraits::default()
-        }
+        PrunerTraits { budget: Some(Budget::Rounds), grows: true, ..PrunerTraits::default() }
     }
 
     fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
@@ -99,7 +93,7 @@ impl Pruner for Mcmc {
         if alive.is_empty() {
             alive = (0..n).collect(); // where all are faint, nobody is
         }
-        let room = self.target.map_or(0, |target| target.saturating_sub(n));
+        let room = moment.target.map_or(0, |target| target.saturating_sub(n));
         let last = moment.round == moment.rounds;
         let added = if last { room } else { room.min((f64::from(self.grow) * n as f64) as usize) };
         if alive.is_empty() || (alive.len() == n && added == 0) {
@@ -129,17 +123,12 @@ impl Pruner for Mcmc {
         Some(Edit { cloud: moved, rows })
     }
 
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
         check_below_one("dead", self.dead)?;
         check_share("grow", self.grow)?;
         check_weight("opacity_weight", self.opacity_weight)?;
         check_weight("scale_weight", self.scale_weight)?;
-        check_weight("noise", self.noise)?;
-        check_target(self.target)
+        check_weight("noise", self.noise)
     }
 }
 

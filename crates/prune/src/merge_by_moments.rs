@@ -1,7 +1,7 @@
 //! Two near ones become one of their joint mean and covariance.
 
 use crate::covariance::Covariance;
-use crate::rounds::{check_shares, check_target, share_at, share_of};
+use crate::rounds::{check_shares, share_at, share_of};
 use pwrfgs_core::{
     Budget, CloudStats, Edit, GaussianCloud, JsonSchema, Moment, Pruner, PrunerTraits, Real, Row, logit, neighbours,
     sigmoid,
@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 /// ```
 /// # use pwrfgs_prune as _;
 /// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
-/// Plugin::<dyn Pruner>::parse("MergeByMoments(target: 500)")?;
+/// Plugin::<dyn Pruner>::parse("MergeByMoments(shares: [0.5])")?;
 /// # Ok::<(), String>(())
 /// ```
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -27,21 +27,18 @@ use serde::{Deserialize, Serialize};
 pub struct MergeByMoments {
     /// The share of Gaussians that are merged away at each prune step, from the first on.
     pub shares: Vec<Real>,
-    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
-    /// `shares`.
-    pub target: Option<usize>,
 }
 
 impl Default for MergeByMoments {
     fn default() -> Self {
-        Self { shares: vec![0.5, 0.5, 0.5], target: None }
+        Self { shares: vec![0.5, 0.5, 0.5] }
     }
 }
 
 #[typetag::serde]
 impl Pruner for MergeByMoments {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: self.target.map(Budget::Own), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Own), ..PrunerTraits::default() }
     }
 
     fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
@@ -51,7 +48,7 @@ impl Pruner for MergeByMoments {
     fn edit(&self, cloud: &GaussianCloud, _: &CloudStats, moment: &Moment) -> Option<Edit> {
         let n = cloud.len();
         let by_share = || n - share_of(n, share_at(&self.shares, moment)).floor() as usize;
-        let count = self.target.map_or_else(by_share, |target| moment.quota(n, target)).max(1);
+        let count = moment.target.map_or_else(by_share, |target| moment.quota(n, target)).max(1);
         if count >= n || cloud.means.as_flattened().iter().any(|v| !v.is_finite()) {
             return None;
         }
@@ -62,13 +59,8 @@ impl Pruner for MergeByMoments {
         Some(edit)
     }
 
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
-        check_shares(&self.shares)?;
-        check_target(self.target)
+        check_shares(&self.shares)
     }
 }
 

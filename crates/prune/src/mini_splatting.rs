@@ -1,6 +1,6 @@
 //! A lottery by weight, or the few that have nearly all of it.
 
-use crate::rounds::{asked, check_share, check_target, without_share};
+use crate::rounds::{asked, check_share, quantile, without_share};
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic, rng,
 };
@@ -13,11 +13,13 @@ pub enum Rule {
     Sampled(Real),
     /// The best, until they have this share of the weight of all.
     Cumulated(Real),
+    /// All above this quantile of the weight.
+    Above(Real),
 }
 
 impl Rule {
     fn share(self) -> Real {
-        let (Self::Sampled(share) | Self::Cumulated(share)) = self;
+        let (Self::Sampled(share) | Self::Cumulated(share) | Self::Above(share)) = self;
         share
     }
 }
@@ -28,6 +30,8 @@ impl Rule {
 /// replacement with that probability, so that a thin cover of the scene remains where the best alone would crowd together;
 /// `Cumulated` keeps the best until they have that share of all weight (Mini-Splatting, Fang and Wang, ECCV 2024,
 /// section 3.3: half drawn at step 15,000, 0.99 of the weight kept at 20,000). Draws come from the pipeline's seed.
+/// `Above(0.05)` is the rule of EAGLES (Girish et al., ECCV 2024, section 3.3: 5 % every 3,000 steps), in which Gaussians
+/// that nobody sees go together. With `training.target`, `Cumulated` and `Above` are the same: the largest weights stay.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -44,21 +48,18 @@ pub struct MiniSplatting {
     pub per_area: bool,
     /// Training transmitters that a pass looks at; 0: all.
     pub transmitters: usize,
-    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
-    /// `rule`.
-    pub target: Option<usize>,
 }
 
 impl Default for MiniSplatting {
     fn default() -> Self {
-        Self { rule: Rule::Sampled(0.5), per_area: false, transmitters: 0, target: None }
+        Self { rule: Rule::Sampled(0.5), per_area: false, transmitters: 0 }
     }
 }
 
 #[typetag::serde]
 impl Pruner for MiniSplatting {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
     }
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
@@ -67,6 +68,11 @@ impl Pruner for MiniSplatting {
         }
         let scores = self.score(cloud, stats, moment);
         match self.rule {
+            Rule::Above(0.0) => vec![true; scores.len()],
+            Rule::Above(share) => {
+                let limit = quantile(&scores, share);
+                scores.iter().map(|score| *score > limit).collect()
+            }
             Rule::Sampled(share) => without_share(&scores, 1.0 - share),
             Rule::Cumulated(share) => {
                 let whole: f64 = scores.iter().map(|s| f64::from(*s)).sum();
@@ -90,7 +96,7 @@ impl Pruner for MiniSplatting {
     fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<Real> {
         let weights = asked(if self.per_area { &stats.asked.weight_per_area } else { &stats.asked.weight }, cloud);
         match self.rule {
-            Rule::Cumulated(_) => weights,
+            Rule::Cumulated(_) | Rule::Above(_) => weights,
             // The largest of these keys are a draw without replacement (Efraimidis and Spirakis, 2006).
             Rule::Sampled(_) => {
                 let mut random = rng::stream(moment.seed, "pruner MiniSplatting", moment.step);
@@ -99,12 +105,7 @@ impl Pruner for MiniSplatting {
         }
     }
 
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
-        check_share("rule", self.rule.share())?;
-        check_target(self.target)
+        check_share("rule", self.rule.share())
     }
 }

@@ -1,6 +1,6 @@
 //! All opacities decay, and what the pictures need resists.
 
-use crate::rounds::{check_below_one, check_target, check_weight};
+use crate::rounds::{check_below_one, check_weight};
 use dfdx::prelude::{MeanTo, Rank0};
 use pwrfgs_core::{
     Budget, CloudStats, ColumnSpec, GaussianCloud, JsonSchema, Moment, Phase, Pruner, PrunerTraits, Real, sigmoid,
@@ -16,12 +16,12 @@ const LIFE: &str = "life";
 /// The loss gains `pressure` times the mean opacity logit, so that every logit is pulled by the same amount however opaque its
 /// Gaussian is; what the loss does not hold falls without end. Life is a moving average of opacity, so that a Gaussian is not
 /// lost to one bad batch; it dies where life is below `epsilon` (Gaussian Natural Selection, 2025, whose field of decay is this
-/// pull, and whose count is set by a final cut to a budget: `target`).
+/// pull, and whose count is set by a final cut to a budget: `training.target`).
 ///
 /// ```
 /// # use pwrfgs_prune as _;
 /// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
-/// Plugin::<dyn Pruner>::parse("NaturalSelection(pressure: 0.05, target: 157)")?;
+/// Plugin::<dyn Pruner>::parse("NaturalSelection(pressure: 0.05)")?;
 /// # Ok::<(), String>(())
 /// ```
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -33,13 +33,11 @@ pub struct NaturalSelection {
     pub epsilon: Real,
     /// What is left of life after a step, from 0 to below 1; the rest is the opacity of that step.
     pub memory: Real,
-    /// How many Gaussians there shall be at the end of pruning, those of the longest life. Left out, the pressure decides.
-    pub target: Option<usize>,
 }
 
 impl Default for NaturalSelection {
     fn default() -> Self {
-        Self { pressure: 0.05, epsilon: 0.005, memory: 0.9, target: None }
+        Self { pressure: 0.05, epsilon: 0.005, memory: 0.9 }
     }
 }
 
@@ -49,7 +47,7 @@ impl Pruner for NaturalSelection {
         PrunerTraits {
             // Born with a full life: the average then forgets it.
             columns: vec![ColumnSpec::state(LIFE, 1.0)],
-            budget: self.target.map(Budget::AtLast),
+            budget: Some(Budget::AtLast),
             ..PrunerTraits::default()
         }
     }
@@ -76,14 +74,9 @@ impl Pruner for NaturalSelection {
         cloud.extra(LIFE).map_or_else(opacities, |column| column.values.clone())
     }
 
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
         check_weight("pressure", self.pressure)?;
         check_below_one("epsilon", self.epsilon)?;
-        check_below_one("memory", self.memory)?;
-        check_target(self.target)
+        check_below_one("memory", self.memory)
     }
 }

@@ -1,6 +1,5 @@
 //! Discards what is nearly transparent.
 
-use crate::rounds::check_target;
 use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, PrunerTraits, Real, sigmoid};
 use serde::{Deserialize, Serialize};
 
@@ -22,35 +21,29 @@ use serde::{Deserialize, Serialize};
 pub struct OpacityThreshold {
     /// Smallest opacity ε that stays, from 0 (keeps all) to below 1.
     pub epsilon: Real,
-    /// How many Gaussians there shall be at the end of pruning, the most opaque ones; in place of epsilon.
-    pub target: Option<usize>,
 }
 
 impl Default for OpacityThreshold {
     fn default() -> Self {
-        Self { epsilon: 0.005, target: None }
+        Self { epsilon: 0.005 }
     }
 }
 
 #[typetag::serde]
 impl Pruner for OpacityThreshold {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
     }
 
     fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
         cloud.opacity_logits.iter().map(|logit| sigmoid(*logit) >= self.epsilon).collect()
     }
 
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
-        if !(0.0..1.0).contains(&self.epsilon) {
-            return Err(format!("`epsilon` is {}; give an opacity from 0 to below 1, such as 0.005", self.epsilon));
+        if (0.0..1.0).contains(&self.epsilon) {
+            return Ok(());
         }
-        check_target(self.target)
+        Err(format!("`epsilon` is {}; give an opacity from 0 to below 1, such as 0.005", self.epsilon))
     }
 }
 
@@ -63,9 +56,7 @@ mod tests {
     #[test]
     fn opacities_from_epsilon_on_stay() {
         let cloud = cloud(&[logit(0.0049), logit(0.0051), 0.0, 40.0, -40.0]);
-        let keep = |epsilon| {
-            OpacityThreshold { epsilon, target: None }.keep(&cloud, &CloudStats::zeros(5), &moment(Phase::Prune))
-        };
+        let keep = |epsilon| OpacityThreshold { epsilon }.keep(&cloud, &CloudStats::zeros(5), &moment(Phase::Prune));
         assert_eq!(keep(0.005), [false, true, true, true, false]);
         assert_eq!(keep(0.5), [false, false, true, true, false]);
         assert_eq!(keep(0.0), [true; 5]);

@@ -1,6 +1,6 @@
 //! How well the pictures fix mean and scale.
 
-use crate::rounds::{check_shares, check_target, share_at, without_share};
+use crate::rounds::{check_shares, share_at, without_share};
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic,
 };
@@ -29,21 +29,18 @@ pub struct Pup3dgs {
     pub ridge: Real,
     /// Training transmitters that a pass looks at; 0: all.
     pub transmitters: usize,
-    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
-    /// `shares`.
-    pub target: Option<usize>,
 }
 
 impl Default for Pup3dgs {
     fn default() -> Self {
-        Self { shares: vec![0.8, 0.5], ridge: 1e-6, transmitters: 256, target: None }
+        Self { shares: vec![0.8, 0.5], ridge: 1e-6, transmitters: 256 }
     }
 }
 
 #[typetag::serde]
 impl Pruner for Pup3dgs {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
     }
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
@@ -51,7 +48,7 @@ impl Pruner for Pup3dgs {
     }
 
     fn needs(&self, _: &GaussianCloud, moment: &Moment) -> Needs {
-        if self.target.is_none() && share_at(&self.shares, moment) == 0.0 {
+        if moment.target.is_none() && share_at(&self.shares, moment) == 0.0 {
             return Needs::nothing();
         }
         Needs::of(&[Statistic::Fisher], self.transmitters)
@@ -64,14 +61,9 @@ impl Pruner for Pup3dgs {
         stats.asked.fisher.iter().map(|fisher| log_det(fisher, f64::from(self.ridge)) as Real).collect()
     }
 
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
         check_shares(&self.shares)?;
-        check_ridge(self.ridge)?;
-        check_target(self.target)
+        check_ridge(self.ridge)
     }
 }
 

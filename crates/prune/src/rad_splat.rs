@@ -1,6 +1,6 @@
 //! The largest weight in any pixel.
 
-use crate::rounds::{asked, check_share, check_target};
+use crate::rounds::{asked, check_share};
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic,
 };
@@ -25,21 +25,18 @@ pub struct RadSplat {
     pub threshold: Real,
     /// Training transmitters that a pass looks at; 0: all.
     pub transmitters: usize,
-    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
-    /// `threshold`.
-    pub target: Option<usize>,
 }
 
 impl Default for RadSplat {
     fn default() -> Self {
-        Self { threshold: 0.01, transmitters: 0, target: None }
+        Self { threshold: 0.01, transmitters: 0 }
     }
 }
 
 #[typetag::serde]
 impl Pruner for RadSplat {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
     }
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<bool> {
@@ -55,12 +52,7 @@ impl Pruner for RadSplat {
         asked(&stats.asked.largest_weight, cloud)
     }
 
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
-        check_share("threshold", self.threshold)?;
-        check_target(self.target)
+        check_share("threshold", self.threshold)
     }
 }

@@ -1,6 +1,6 @@
 //! Chance: what every strategy has to beat.
 
-use crate::rounds::{check_shares, check_target, share_at, without_share};
+use crate::rounds::{check_shares, share_at, without_share};
 use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, PrunerTraits, Real, rng};
 use serde::{Deserialize, Serialize};
 
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 /// ```
 /// # use pwrfgs_prune as _;
 /// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
-/// Plugin::<dyn Pruner>::parse("RandomReference(target: 157)")?;
+/// Plugin::<dyn Pruner>::parse("RandomReference(shares: [0.5])")?;
 /// # Ok::<(), String>(())
 /// ```
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -20,21 +20,18 @@ use serde::{Deserialize, Serialize};
 pub struct RandomReference {
     /// The share that goes at each prune step, from the first on; after the last of them nothing goes.
     pub shares: Vec<Real>,
-    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
-    /// `shares`.
-    pub target: Option<usize>,
 }
 
 impl Default for RandomReference {
     fn default() -> Self {
-        Self { shares: vec![0.5, 0.5, 0.5], target: None }
+        Self { shares: vec![0.5, 0.5, 0.5] }
     }
 }
 
 #[typetag::serde]
 impl Pruner for RandomReference {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
     }
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
@@ -46,12 +43,7 @@ impl Pruner for RandomReference {
         (0..cloud.len()).map(|_| rng::uniform(&mut random)).collect()
     }
 
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
-        check_shares(&self.shares)?;
-        check_target(self.target)
+        check_shares(&self.shares)
     }
 }

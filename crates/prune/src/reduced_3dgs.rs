@@ -1,6 +1,6 @@
 //! Too many in one place.
 
-use crate::rounds::{check_share, check_target, without_share};
+use crate::rounds::{check_share, without_share};
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, PrunerTraits, Real, neighbours, sigmoid,
 };
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 /// Two Gaussians overlap where their centres are nearer than the sum of their largest scales; of each the `neighbours`
 /// nearest are looked at. Whose count lies more than `deviations` standard deviations above the mean is crowded, and of the
 /// crowded the `share` that is least opaque goes (Reducing the memory footprint of 3DGS, Papantonakis et al., I3D 2024, with
-/// spheres for its ray test). It looks at the cloud alone, so that it works for any method. Under a `target` the most crowded
+/// spheres for its ray test). It looks at the cloud alone, so that it works for any method. Under `training.target` the most crowded
 /// go first, then the least opaque.
 ///
 /// ```
@@ -29,21 +29,18 @@ pub struct Reduced3dgs {
     pub deviations: Real,
     /// Share of the crowded that goes, from 0 to 1.
     pub share: Real,
-    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
-    /// the share.
-    pub target: Option<usize>,
 }
 
 impl Default for Reduced3dgs {
     fn default() -> Self {
-        Self { neighbours: 30, deviations: 1.0, share: 0.5, target: None }
+        Self { neighbours: 30, deviations: 1.0, share: 0.5 }
     }
 }
 
 #[typetag::serde]
 impl Pruner for Reduced3dgs {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
     }
 
     fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, moment: &Moment) -> Vec<bool> {
@@ -67,14 +64,9 @@ impl Pruner for Reduced3dgs {
         cloud.opacity_logits.iter().zip(counts).map(|(o, count)| sigmoid(*o) - count).collect()
     }
 
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
         check_share("share", self.share)?;
-        check_neighbours(self)?;
-        check_target(self.target)
+        check_neighbours(self)
     }
 }
 

@@ -79,10 +79,3 @@ pub(crate) fn check_rate(value: Real) -> Result<(), String> {
     }
     Err(format!("`learning_rate` is {value}; give a positive number, such as 0.01"))
 }
-
-pub(crate) fn check_target(target: Option<usize>) -> Result<(), String> {
-    if target == Some(0) {
-        return Err("`target` is 0, which would leave nothing; give at least 1".to_owned());
-    }
-    Ok(())
-}

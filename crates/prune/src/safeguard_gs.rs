@@ -1,6 +1,6 @@
 //! Whatever some pixel needs.
 
-use crate::rounds::{asked, check_target};
+use crate::rounds::asked;
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic,
 };
@@ -10,8 +10,8 @@ use serde::{Deserialize, Serialize};
 ///
 /// In each pixel splats are ranked by exp(−|‖s‖ − P|) · w, with the splat's own strength ‖s‖, what was measured there P, and
 /// the blending weight w = γ·T: those that show, and show what is there. The first `of_pixel` are safe (SafeguardGS, Lee et
-/// al., 2024, with amplitudes in place of colours). No pixel is left empty, which matters most when few are left. Under a
-/// `target` those that are safe come first, by weight.
+/// al., 2024, with amplitudes in place of colours). No pixel is left empty, which matters most when few are left. With
+/// `training.target` those that are safe come first, by weight.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -26,21 +26,18 @@ pub struct SafeguardGs {
     pub of_pixel: usize,
     /// Training transmitters that a pass looks at; 0: all.
     pub transmitters: usize,
-    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
-    /// `of_pixel`.
-    pub target: Option<usize>,
 }
 
 impl Default for SafeguardGs {
     fn default() -> Self {
-        Self { of_pixel: 1, transmitters: 256, target: None }
+        Self { of_pixel: 1, transmitters: 256 }
     }
 }
 
 #[typetag::serde]
 impl Pruner for SafeguardGs {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
     }
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<bool> {
@@ -60,13 +57,8 @@ impl Pruner for SafeguardGs {
         weight.iter().enumerate().map(|(i, w)| (rank(w) + if safe(i) { n } else { 0 }) as Real).collect()
     }
 
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
-        check_places(self.of_pixel)?;
-        check_target(self.target)
+        check_places(self.of_pixel)
     }
 }
 

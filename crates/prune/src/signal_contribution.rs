@@ -1,6 +1,6 @@
 //! What a Gaussian sends into the picture, over transmitters.
 
-use crate::rounds::{asked, check_shares, check_target, share_at, without_share};
+use crate::rounds::{asked, check_shares, share_at, without_share};
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic,
 };
@@ -27,7 +27,7 @@ pub enum Over {
 /// ```
 /// # use pwrfgs_prune as _;
 /// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
-/// Plugin::<dyn Pruner>::parse("SignalContribution(over: Max, target: 157)")?;
+/// Plugin::<dyn Pruner>::parse("SignalContribution(over: Max)")?;
 /// # Ok::<(), String>(())
 /// ```
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -39,21 +39,18 @@ pub struct SignalContribution {
     pub shares: Vec<Real>,
     /// Training transmitters that a pass looks at; 0: all.
     pub transmitters: usize,
-    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
-    /// `shares`.
-    pub target: Option<usize>,
 }
 
 impl Default for SignalContribution {
     fn default() -> Self {
-        Self { over: Over::Mean, shares: vec![0.5, 0.5, 0.5], transmitters: 0, target: None }
+        Self { over: Over::Mean, shares: vec![0.5, 0.5, 0.5], transmitters: 0 }
     }
 }
 
 #[typetag::serde]
 impl Pruner for SignalContribution {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
     }
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
@@ -61,7 +58,7 @@ impl Pruner for SignalContribution {
     }
 
     fn needs(&self, _: &GaussianCloud, moment: &Moment) -> Needs {
-        if self.target.is_none() && share_at(&self.shares, moment) == 0.0 {
+        if moment.target.is_none() && share_at(&self.shares, moment) == 0.0 {
             return Needs::nothing();
         }
         Needs::of(&[Statistic::SignalWeight], self.transmitters)
@@ -71,12 +68,7 @@ impl Pruner for SignalContribution {
         asked(if self.over == Over::Max { &stats.asked.signal_max } else { &stats.asked.signal_mean }, cloud)
     }
 
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
-        check_shares(&self.shares)?;
-        check_target(self.target)
+        check_shares(&self.shares)
     }
 }

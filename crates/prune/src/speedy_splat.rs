@@ -1,6 +1,6 @@
 //! How much the picture changes with the Gaussian's own strength.
 
-use crate::rounds::{asked, check_shares, check_target, share_at, without_share};
+use crate::rounds::{asked, check_shares, share_at, without_share};
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic,
 };
@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 /// ```
 /// # use pwrfgs_prune as _;
 /// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
-/// Plugin::<dyn Pruner>::parse("SpeedySplat(target: 157)")?;
+/// Plugin::<dyn Pruner>::parse("SpeedySplat(shares: [0.8])")?;
 /// # Ok::<(), String>(())
 /// ```
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -26,21 +26,18 @@ pub struct SpeedySplat {
     pub shares: Vec<Real>,
     /// Training transmitters that a pass looks at; 0: all.
     pub transmitters: usize,
-    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
-    /// `shares`.
-    pub target: Option<usize>,
 }
 
 impl Default for SpeedySplat {
     fn default() -> Self {
-        Self { shares: vec![0.8, 0.3, 0.3, 0.3], transmitters: 256, target: None }
+        Self { shares: vec![0.8, 0.3, 0.3, 0.3], transmitters: 256 }
     }
 }
 
 #[typetag::serde]
 impl Pruner for SpeedySplat {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
     }
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
@@ -48,7 +45,7 @@ impl Pruner for SpeedySplat {
     }
 
     fn needs(&self, _: &GaussianCloud, moment: &Moment) -> Needs {
-        if self.target.is_none() && share_at(&self.shares, moment) == 0.0 {
+        if moment.target.is_none() && share_at(&self.shares, moment) == 0.0 {
             return Needs::nothing();
         }
         Needs::of(&[Statistic::Sensitivity], self.transmitters)
@@ -58,12 +55,7 @@ impl Pruner for SpeedySplat {
         asked(&stats.asked.sensitivity, cloud)
     }
 
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
-        check_shares(&self.shares)?;
-        check_target(self.target)
+        check_shares(&self.shares)
     }
 }

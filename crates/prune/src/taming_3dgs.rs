@@ -1,6 +1,6 @@
 //! A sum of everything that may matter, each over its median.
 
-use crate::rounds::{check_shares, check_target, quantile, share_at, without_share};
+use crate::rounds::{check_shares, quantile, share_at, without_share};
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic, sigmoid,
 };
@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 /// ```
 /// # use pwrfgs_prune as _;
 /// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
-/// Plugin::<dyn Pruner>::parse("Taming3dgs(target: 500)")?;
+/// Plugin::<dyn Pruner>::parse("Taming3dgs(shares: [0.5])")?;
 /// # Ok::<(), String>(())
 /// ```
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -26,21 +26,18 @@ pub struct Taming3dgs {
     pub shares: Vec<Real>,
     /// Training transmitters that a pass looks at; 0: all.
     pub transmitters: usize,
-    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
-    /// `shares`.
-    pub target: Option<usize>,
 }
 
 impl Default for Taming3dgs {
     fn default() -> Self {
-        Self { shares: vec![0.5], transmitters: 256, target: None }
+        Self { shares: vec![0.5], transmitters: 256 }
     }
 }
 
 #[typetag::serde]
 impl Pruner for Taming3dgs {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
     }
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
@@ -48,7 +45,7 @@ impl Pruner for Taming3dgs {
     }
 
     fn needs(&self, _: &GaussianCloud, moment: &Moment) -> Needs {
-        if self.target.is_none() && share_at(&self.shares, moment) == 0.0 {
+        if moment.target.is_none() && share_at(&self.shares, moment) == 0.0 {
             return Needs::nothing();
         }
         Needs::of(&[Statistic::Weight, Statistic::Error { high: 1.0 }], self.transmitters)
@@ -77,13 +74,8 @@ impl Pruner for Taming3dgs {
         sums
     }
 
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
-        check_shares(&self.shares)?;
-        check_target(self.target)
+        check_shares(&self.shares)
     }
 }
 

@@ -1,26 +1,23 @@
-//! An exact budget: the best `keep` Gaussians stay.
+//! A budget at once: the best Gaussians stay.
 
 use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, PrunerTraits, Real, best, sigmoid};
 use serde::{Deserialize, Serialize};
 
-/// Keeps the best-scored Gaussians, exactly as many as asked for.
+/// Keeps the best-scored Gaussians at each prune step, at most `training.target`.
 ///
-/// Use it where memory or time is given and quality is to be found; `densify.max_gaussians` is its companion, which
-/// keeps densification from growing far beyond. Equal scores are taken in the order of the Gaussians. At the default of
-/// 2,613 it can be compared with the paper's model at lambda 0.01. `Weight`, the part in the picture that
-/// importance-based pruning of visual splatting uses, is the best guide; `Opacity` and `OpacityVolume` need no picture.
+/// Use it where memory or time is given; `densify.max_gaussians` is its companion, which keeps densification from growing
+/// far beyond. Equal scores are taken in the order of the Gaussians. `Weight`, the part in the image that importance-based
+/// pruning of visual splatting uses, is the best guide; `Opacity` and `OpacityVolume` need no image.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
 /// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
-/// Plugin::<dyn Pruner>::parse("TopK(keep: 500, score: Weight)")?;
+/// Plugin::<dyn Pruner>::parse("TopK(score: Weight)")?;
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TopK {
-    /// Number of Gaussians that stay, 1 or more.
-    pub keep: usize,
     /// What makes one Gaussian better than another.
     pub score: Score,
 }
@@ -38,20 +35,14 @@ pub enum Score {
     OpacityVolume,
 }
 
-impl Default for TopK {
-    fn default() -> Self {
-        Self { keep: 2613, score: Score::Weight }
-    }
-}
-
 #[typetag::serde]
 impl Pruner for TopK {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: Some(Budget::AtMost(self.keep)), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::AtMost), ..PrunerTraits::default() }
     }
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
-        best(self.keep, &self.score(cloud, stats, moment), |_| true)
+        best(moment.target.unwrap_or(cloud.len()), &self.score(cloud, stats, moment), |_| true)
     }
 
     fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
@@ -68,13 +59,6 @@ impl Pruner for TopK {
             }
         }
     }
-
-    fn check(&self) -> Result<(), String> {
-        if self.keep == 0 {
-            return Err("`keep` is 0, which would leave nothing; give at least 1".to_owned());
-        }
-        Ok(())
-    }
 }
 
 #[cfg(test)]
@@ -85,7 +69,8 @@ mod tests {
 
     fn kept(keep: usize, score: Score, cloud: &GaussianCloud, weight: &[Real]) -> Vec<usize> {
         let stats = CloudStats { weight: weight.to_vec(), ..CloudStats::zeros(cloud.len()) };
-        let kept = TopK { keep, score }.keep(cloud, &stats, &moment(Phase::Prune));
+        let moment = Moment { target: Some(keep), ..moment(Phase::Prune) };
+        let kept = TopK { score }.keep(cloud, &stats, &moment);
         (0..cloud.len()).filter(|&i| kept[i]).collect()
     }
 

@@ -1,6 +1,6 @@
 //! Faint, and not about to change.
 
-use crate::rounds::{check_share, check_target, quantile};
+use crate::rounds::{check_share, quantile};
 use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, PrunerTraits, Real};
 use serde::{Deserialize, Serialize};
 
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// A Gaussian goes where its opacity is below a quantile of all opacities and its mean positional gradient since the last
 /// densification below a quantile of all gradients: what is still being moved gets its chance (Trimming the Fat, Salman et
-/// al., BMVC 2024). Under a `target` the score is the larger of its two ranks. Needs no pass.
+/// al., BMVC 2024). Under `training.target` the score is the larger of its two ranks. Needs no pass.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -23,21 +23,18 @@ pub struct TrimmingTheFat {
     pub opacity_quantile: Real,
     /// Gradients below this quantile, from 0 to 1, are small.
     pub gradient_quantile: Real,
-    /// How many Gaussians there shall be at the end of pruning, in equal ratios from prune step to prune step; in place of
-    /// the quantiles.
-    pub target: Option<usize>,
 }
 
 impl Default for TrimmingTheFat {
     fn default() -> Self {
-        Self { opacity_quantile: 0.1, gradient_quantile: 0.5, target: None }
+        Self { opacity_quantile: 0.1, gradient_quantile: 0.5 }
     }
 }
 
 #[typetag::serde]
 impl Pruner for TrimmingTheFat {
     fn traits(&self) -> PrunerTraits {
-        PrunerTraits { budget: self.target.map(Budget::Rounds), ..PrunerTraits::default() }
+        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
     }
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
@@ -55,14 +52,9 @@ impl Pruner for TrimmingTheFat {
         ranks[0].iter().zip(&ranks[1]).map(|(a, b)| a.max(*b)).collect()
     }
 
-    fn with_target(&self, target: usize) -> Option<Box<dyn Pruner>> {
-        Some(Box::new(Self { target: Some(target), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
         check_share("opacity_quantile", self.opacity_quantile)?;
-        check_share("gradient_quantile", self.gradient_quantile)?;
-        check_target(self.target)
+        check_share("gradient_quantile", self.gradient_quantile)
     }
 }
 

@@ -1,7 +1,7 @@
 //! A prune step: passes for whoever asks, edits, votes, and the exact budget.
 
 use crate::batches::plane_of_pass;
-use crate::budgets::is_exact;
+use crate::budgets::Goal;
 use crate::edit;
 use crate::graph::open_gates;
 use crate::survey;
@@ -20,42 +20,35 @@ fn rounds_until(step: u64, (first, last, every): (u64, u64, u64)) -> u64 {
 /// How many Gaussians each rule removes.
 pub(crate) type Rules = Vec<(String, usize)>;
 
-/// Whom the pruners of a pipeline keep together: a Gaussian stays where all agree, or where a budget says so. Beside it, how
-/// many each pruner removes.
+/// Whom the pruners of a pipeline keep together: a Gaussian stays where all agree, or where the target says so. Beside it,
+/// how many each pruner removes.
 fn votes(
-    pruners: &[Plugin<dyn Pruner>],
+    (pruners, goal): (&[Plugin<dyn Pruner>], Option<Goal>),
     cloud: &GaussianCloud,
     known: &[CloudStats],
     moment: &Moment,
 ) -> (Vec<bool>, Rules) {
     let mut rules = Rules::new();
     let mut keep = vec![true; cloud.len()];
-    let mut exact = None;
-    for (pruner, stats) in pruners.iter().zip(known) {
-        let budget = pruner.traits().budget;
-        let settles = match budget {
-            Some(Budget::Rounds(_) | Budget::Own(_)) => moment.round > 0,
-            Some(Budget::AtLast(_)) => true,
-            Some(Budget::AtMost(_)) | None => false,
-        };
-        if let Some(budget) = budget.filter(|_| settles && exact.is_none()) {
-            exact = Some((budget, pruner.score(cloud, stats, moment)));
+    for (k, (pruner, stats)) in pruners.iter().zip(known).enumerate() {
+        if goal.is_some_and(|goal| goal.pruner == k && goal.budget == Budget::Rounds) {
+            continue;
         }
-        if !matches!(budget, Some(Budget::Rounds(_))) {
-            let own = pruner.keep(cloud, stats, moment);
-            assert_eq!(own.len(), keep.len(), "a pruner answers for every Gaussian");
-            rules.push((format!("`{}`", name_of(pruner)), own.iter().filter(|keep| !**keep).count()));
-            keep.iter_mut().zip(own).for_each(|(all, own)| *all &= own);
-        }
+        let own = pruner.keep(cloud, stats, &Goal::moment(goal, k, moment));
+        assert_eq!(own.len(), keep.len(), "a pruner answers for every Gaussian");
+        rules.push((format!("`{}`", name_of(pruner)), own.iter().filter(|keep| !**keep).count()));
+        keep.iter_mut().zip(own).for_each(|(all, own)| *all &= own);
     }
-    match exact {
-        Some((budget, scores)) => {
-            let kept = budget.settle(&keep, &scores, moment);
-            let removed = kept.iter().filter(|keep| !**keep).count();
-            (kept, vec![(format!("the target of {}", budget.target()), removed)])
-        }
-        None => (keep, rules),
-    }
+    let settles = |goal: &Goal| match goal.budget {
+        Budget::Rounds | Budget::Own => moment.round > 0,
+        Budget::AtLast => true,
+        Budget::AtMost => false,
+    };
+    let Some(goal) = goal.filter(settles) else { return (keep, rules) };
+    let scores = pruners[goal.pruner].score(cloud, &known[goal.pruner], moment);
+    let kept = goal.budget.settle(goal.target, &keep, &scores, moment);
+    let removed = kept.iter().filter(|keep| !**keep).count();
+    (kept, vec![(format!("the target of {}", goal.target), removed)])
 }
 
 impl Trainer<'_> {
@@ -74,13 +67,13 @@ impl Trainer<'_> {
         let pruners = self.plan.pruners.clone();
         let Some(first) = pruners.first() else { return Ok(None) };
         let (before, n) = (self.before(), self.cloud.len());
-        let known = self.edits(&pruners, moment)?;
-        let (mut keep, rules) = votes(&pruners, &self.cloud, &known, moment);
+        let goal = Goal::of(&self.plan);
+        let known = self.edits((&pruners, goal), moment)?;
+        let (mut keep, rules) = votes((&pruners, goal), &self.cloud, &known, moment);
         crate::densify::ensure_one(&mut keep, &first.score(&self.cloud, &known[0], moment), "pruning");
         self.take_away(&keep);
         self.report_removal(moment.step, keep.len(), &rules)?;
-        let exact = pruners.iter().find(|pruner| is_exact(pruner)).and_then(|pruner| pruner.traits().budget);
-        if let Some(target) = exact.map(Budget::target) {
+        if let Some(Goal { target, .. }) = goal.filter(Goal::is_exact) {
             let n = self.cloud.len();
             if moment.round > 0 && moment.round == moment.rounds && n != target {
                 tracing::warn!("{target} Gaussians were wanted at the end of pruning, and there are {n}");
@@ -90,11 +83,16 @@ impl Trainer<'_> {
     }
 
     /// Lets every pruner change rows, and gives what each knows of the Gaussians after that.
-    fn edits(&mut self, pruners: &[Plugin<dyn Pruner>], moment: &Moment) -> Result<Vec<CloudStats>> {
+    fn edits(
+        &mut self,
+        (pruners, goal): (&[Plugin<dyn Pruner>], Option<Goal>),
+        moment: &Moment,
+    ) -> Result<Vec<CloudStats>> {
         let mut known = vec![None; pruners.len()];
         for (k, pruner) in pruners.iter().enumerate() {
-            let stats = self.stats_for(pruner, moment)?;
-            match pruner.edit(&self.cloud, &stats, moment) {
+            let moment = Goal::moment(goal, k, moment);
+            let stats = self.stats_for(pruner, &moment)?;
+            match pruner.edit(&self.cloud, &stats, &moment) {
                 Some(edit) => {
                     // Where only columns are new, what is known of Gaussians stays true.
                     let same = edit.rows.iter().enumerate().all(|(i, row)| *row == Row::Kept(i))
@@ -110,8 +108,11 @@ impl Trainer<'_> {
                 None => known[k] = Some(stats),
             }
         }
-        let known = known.into_iter().zip(pruners);
-        known.map(|(known, pruner)| known.map_or_else(|| self.stats_for(pruner, moment), Ok)).collect()
+        let known = known.into_iter().zip(pruners).enumerate();
+        let of = |(k, (known, pruner)): (usize, (Option<CloudStats>, _))| {
+            known.map_or_else(|| self.stats_for(pruner, &Goal::moment(goal, k, moment)), Ok)
+        };
+        known.map(of).collect()
     }
 
     /// Keeps the rows that are true.

@@ -4,7 +4,7 @@ use crate::TrainingPlan;
 use crate::adam::Adam;
 use crate::batches::{Batches, check_stride, plane_of_step};
 use crate::births::Births;
-use crate::budgets::{check_available, is_exact, targeted, too_many};
+use crate::budgets::{Goal, check_available, is_exact, target_fault, too_many};
 use crate::checks::{check_inputs, check_rays};
 use crate::densify;
 use crate::edit::{self, Beside};
@@ -130,9 +130,11 @@ impl<'a> Trainer<'a> {
 
     /// Everything but parameters.
     pub(crate) fn blank(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition) -> Result<Self> {
-        let mut plan = plan.clone();
+        let plan = plan.clone();
         check_available(&plan.pruners)?;
-        plan.pruners = targeted(&plan).map_err(Error::Config)?;
+        if let Some(why) = target_fault(&plan) {
+            return Err(Error::Config(why));
+        }
         let whole = Stages::of(plan.method.clone(), data)?;
         check_inputs(&whole, data)?;
         if partition.train.is_empty() {
@@ -170,7 +172,7 @@ impl<'a> Trainer<'a> {
             done: 0,
             fingerprint: OnceLock::new(),
         };
-        if blank.plan.pruners.iter().any(is_exact) && blank.moment(1).rounds == 0 {
+        if is_exact(&blank.plan) && blank.moment(1).rounds == 0 {
             return Err(Error::Config(
                 "an exact number of Gaussians is wanted, and there is no prune step; set training.prune_until above \
                  densify_until, or a larger scale"
@@ -333,8 +335,9 @@ impl<'a> Trainer<'a> {
                 (Arc::make_mut(&mut self.weights).as_mut_slice(), &found.d_weights, self.stages.network_weights()),
             )
             .map_err(|what| Error::NonFinite { what, step })?;
-        for pruner in &pruners {
-            pruner.update(&mut self.cloud, &self.stats, &moment);
+        let goal = Goal::of(&self.plan);
+        for (k, pruner) in pruners.iter().enumerate() {
+            pruner.update(&mut self.cloud, &self.stats, &Goal::moment(goal, k, &moment));
         }
         let pruned = self.edit(&moment)?.map(|(cloud, births)| {
             let gates = self.gates_of(&cloud, &moment);
@@ -398,7 +401,7 @@ impl<'a> Trainer<'a> {
         if step == training.prune_until {
             // Fine-tuning starts with M = 1 everywhere: closed gates go, but for those that an exact number needs, and then
             // the masks.
-            let exact = self.plan.pruners.iter().any(is_exact);
+            let exact = is_exact(&self.plan);
             if let Some(mut open) = self.open_gates(moment).filter(|_| !exact) {
                 densify::ensure_one(&mut open, &self.cloud.opacity_logits, "closing the gates");
                 let closed = open.contains(&false).then(|| self.before());

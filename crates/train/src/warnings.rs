@@ -1,7 +1,7 @@
 //! What a training will not do although its pipeline asks for it, said before its first step; and what a step removed.
 
 use crate::adam::BETAS;
-use crate::budgets::{idle_target, is_exact};
+use crate::budgets::{Goal, idle_target, is_exact};
 use crate::densify::{self, extent_of, largest};
 use crate::settings::Densify;
 use crate::trainer::Trainer;
@@ -29,7 +29,7 @@ impl Trainer<'_> {
     fn slow_mask(&self, k: usize) -> Option<String> {
         let (training, pruner) = (&self.plan.training, &self.plan.pruners[k]);
         let (needed, until) = (pruner.traits().mask_fall?.steps(BETAS), training.prune_until);
-        (needed > until && !is_exact(pruner)).then(|| {
+        (needed > until && Goal::of(&self.plan).is_none_or(|goal| goal.pruner != k)).then(|| {
             format!(
                 "pruners: a mask of `{}` needs about {needed} steps to close and pruning ends after step {until}, so it \
                  removes none; raise its `learning_rate`, or training.prune_until",
@@ -75,7 +75,7 @@ impl Trainer<'_> {
         let rules = rules.iter().filter(|(_, count)| *count > 0).map(rule).collect::<Vec<_>>().join("; ");
         if left == 1 && before > 1 && !self.wants_one() {
             let removed = if rules.is_empty() { rules } else { format!(", removed by {rules}") };
-            let takes_target = self.plan.pruners.iter().any(|pruner| pruner.with_target(1).is_some());
+            let takes_target = self.plan.pruners.iter().any(|pruner| pruner.traits().budget.is_some());
             let advice = if takes_target {
                 "relax that rule, or ask for one Gaussian with training.target: 1"
             } else {
@@ -86,7 +86,7 @@ impl Trainer<'_> {
         if 2 * left < before {
             let (name, removed) = (&self.plan.name, before - left);
             let said = format!("{name}: step {step} removed {removed} of {before} Gaussians ({rules})");
-            if self.plan.pruners.iter().any(is_exact) && step > self.plan.training.densify_until {
+            if is_exact(&self.plan) && step > self.plan.training.densify_until {
                 tracing::info!("{said}"); // as was asked for
             } else {
                 tracing::warn!("{said}");
@@ -97,8 +97,7 @@ impl Trainer<'_> {
 
     /// Whether the pipeline asks for a single Gaussian.
     fn wants_one(&self) -> bool {
-        let mut budgets = self.plan.pruners.iter().filter_map(|pruner| pruner.traits().budget);
-        budgets.any(|budget| budget.target() == 1) || self.plan.initializer.count() == Some(1)
+        self.plan.training.target == 1 || self.plan.initializer.count() == Some(1)
     }
 }
 

@@ -72,8 +72,8 @@ pub(crate) fn stats_object<'py>(py: Python<'py>, stats: &CloudStats) -> PyResult
 }
 
 pub(super) fn moment_object<'py>(py: Python<'py>, moment: &Moment) -> PyResult<Bound<'py, PyAny>> {
-    let Moment { step, phase, seed, round, rounds } = *moment;
-    py.import("pwrfgs._types")?.getattr("Moment")?.call1((step, phase.name(), seed, round, rounds))
+    let Moment { step, phase, seed, round, rounds, target } = *moment;
+    py.import("pwrfgs._types")?.getattr("Moment")?.call1((step, phase.name(), seed, round, rounds, target))
 }
 
 /// Links without what was observed of them, as the Python class `Links`.

@@ -58,8 +58,8 @@ fn splits(pipeline: &Pipeline) -> Vec<(Plugin<dyn Split>, String)> {
 /// # Errors
 /// If a baseline or a metric refuses, or a spectrum cannot be read.
 pub(super) fn table(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer) -> Result<String> {
-    let per_sample = |m: &&Plugin<dyn Metric>| m.scope() == Scope::Sample;
-    let metrics: Vec<Plugin<dyn Metric>> = pipeline.metrics.iter().filter(per_sample).take(1).cloned().collect();
+    let of_predictions = |m: &&Plugin<dyn Metric>| m.scope() != Scope::Model;
+    let metrics: Vec<Plugin<dyn Metric>> = pipeline.metrics.iter().filter(of_predictions).take(1).cloned().collect();
     let names = pipeline.baselines.iter().map(|baseline| baseline.name_for(data.task()));
     let head = ["split", "train", "test", "nearest training"].map(str::to_owned);
     let mut lines: Vec<Vec<String>> = vec![head.into_iter().chain(names).chain([CEILING.to_owned()]).collect()];
