@@ -167,5 +167,5 @@ fn a_variant_may_give_a_field_by_its_path() {
     refused("(label: \"c\", set: {\"seed\": 3, \"seed\": 4})", &["e.ron:2:", "`seed` is given twice"]);
     // In a pipeline itself there is nothing to change.
     write(&here.join("q.ron"), SMALL.replacen("name:", "set: {}, name:", 1));
-    refuse(here, &["run", "q.ron"], 2, &["q.ron:2:", "no field named `set`"]);
+    refuse(here, &["run", "q.ron"], 2, &["q.ron:2:", "field named `set`"]);
 }

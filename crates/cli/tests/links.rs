@@ -313,7 +313,10 @@ fn channels_are_reported_predicted_and_mapped() {
     assert!(!page.contains("test spectra") && !page.contains("NaN"));
     let said = succeed(here, &["inspect", "p.ron"]);
     let said = String::from_utf8_lossy(&said.stdout);
-    assert!(said.contains("24 channels of 16 antennas x 16 subcarriers") && said.contains("mean power of the channel"), "{said}");
+    assert!(
+        said.contains("24 channels of 16 antennas x 16 subcarriers") && said.contains("mean power of the channel"),
+        "{said}"
+    );
     write(&here.join("tx.csv"), "x,y,z\n3,2,1\n4,4,1\n");
     succeed(here, &["predict", MODEL, "--tx-csv", "tx.csv", "--out", "each"]);
     succeed(here, &["predict", MODEL, "--tx-csv", "tx.csv", "--stacked", "--out", "stack"]);

@@ -334,3 +334,64 @@ impl Pipeline {
         fits.map_err(|what| ("rasterizer", what))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::Pipeline;
+    use pwrfgs_core::plugin::{ron_options, to_ron};
+    use pwrfgs_core::{Baseline, Metric, Plugin};
+    use std::path::Path;
+
+    fn parse(fields: &str) -> Result<Pipeline, String> {
+        Pipeline::parse(&format!("Pipeline(\n{fields})"), Path::new("a.ron")).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn fields_left_out_take_the_defaults_of_the_task() {
+        let cases = [
+            (
+                "Teacher()",
+                "[MeanSpectrum(), NearestNeighbours(k: 1), NearestNeighbours(k: 3), NearestNeighbours(k: 5)]",
+                "[Ssim(), L1(), Psnr(), RateRatio(), DirectionError(), Chamfer(), GaussianCount(), ModelSize(), Latency()]",
+                "Magnitude",
+            ),
+            (
+                "Nerf2Rssi(root: \"x\")",
+                "[MeanSpectrum(), LogDistance(), NearestNeighbours(k: 5), Kriging()]",
+                "[PowerError(), Chamfer(), GaussianCount(), ModelSize(), Latency()]",
+                "Received(",
+            ),
+            (
+                "Channels(root: \"x\", carrier_hz: 3e8, spacing_hz: 1e7, receiver: ())",
+                "[Zero(), NearestNeighbours(k: 1), NearestNeighbours(k: 5)]",
+                "[ChannelSnr(), Chamfer(), GaussianCount(), ModelSize(), Latency()]",
+                "",
+            ),
+        ];
+        for (data, baselines, metrics, readout) in cases {
+            let pipeline = parse(&format!("name: \"a\", data: {data}, initializer: Random()")).unwrap();
+            let baselines: Vec<Plugin<dyn Baseline>> = ron_options().from_str(baselines).unwrap();
+            let metrics: Vec<Plugin<dyn Metric>> = ron_options().from_str(metrics).unwrap();
+            assert_eq!(to_ron(&pipeline.baselines), to_ron(&baselines), "{data}");
+            assert_eq!(to_ron(&pipeline.metrics), to_ron(&metrics), "{data}");
+            assert!(to_ron(&pipeline.readout).starts_with(readout), "{data}");
+            let parts = (&pipeline.split, &pipeline.projector, &pipeline.rasterizer, &pipeline.deformation);
+            let text = to_ron(&parts);
+            for name in ["Official(", "Mercator(", "AlphaBlending(", "Mlp("] {
+                assert!(text.contains(name), "{data}: {text}");
+            }
+            let given = parse(&format!("name: \"a\", data: {data}, initializer: Random(), baselines: [], metrics: []"));
+            assert!(given.is_ok_and(|own| own.baselines.is_empty() && own.metrics.is_empty()), "{data}");
+        }
+    }
+
+    #[test]
+    fn missing_and_unsupported_fields_have_a_place() {
+        let refused = |fields: &str| parse(fields).unwrap_err();
+        assert_eq!(refused("name: \"a\", initializer: Random()"), "a.ron:2:33: the field `data` is missing");
+        assert!(refused("name: \"a\", data: Teacher()").ends_with("the field `initializer` is missing"));
+        let said = refused("name: \"a\",\n data: Teacher(),\n initializer: Random(),\n metrics: [PowerError()]");
+        assert!(said.starts_with("a.ron:5:11: metrics: "), "{said}");
+        assert!(refused("name: \"a/b\", data: Teacher(), initializer: Random()").starts_with("a.ron:2:7: name: "));
+    }
+}
