@@ -114,7 +114,7 @@ fn what_a_model_file_says_passes_the_checks_of_a_pipeline() {
     );
     said("width: 16", "width: 0", &["width is 0"]);
     let drawn = |rasterizer: &str, readout: &str| {
-        format!("\"rasterizer\":\"{rasterizer}\",\"calibration\":\"Physical\",\"readout\":\"{readout}\"")
+        format!("rasterizer: {rasterizer}, calibration: Physical, readout: {readout}")
     };
     let waves = drawn("ArrayResponse()", "Real");
     said(&drawn("AlphaBlending(support: Exact)", "Magnitude"), &waves, &["Real takes one channel"]);

@@ -51,12 +51,11 @@ def read_safetensors(path):
 
 
 def local(note):
-    """The note with everything counted from the origin, RON text read, and `links` in every one."""
+    """The note with everything counted from the origin, and the settings of the method as its own keys."""
     note["origin"] = np.array(note.get("origin", [0, 0, 0]), dtype=float)
-    if "links" not in note:
-        note["links"] = {"kind": "Spectrum", "receivers": [{"name": "", "pose": note["pose"], "antennas": [[0, 0, 0]]}]}
-    for key in {"deformation", "method"} & note.keys():
-        note[key] = read_ron(note[key])
+    settings = read_ron(note["method"])
+    note |= {"calibration": {"": "Physical"}, "readout": {"": "Magnitude"}} | settings | {"method": settings[""]}
+    note["settings"] = settings
     for receiver in note["links"]["receivers"]:
         receiver["pose"]["position"] = receiver["pose"]["position"] - note["origin"]
     return note
@@ -189,7 +188,7 @@ def deform(tensors, note, told):
 
 def activate(tensors, note, added):
     """Scales, quaternions, opacities, and signals with one or two channels."""
-    physical = note["calibration"] == "Physical"
+    physical = note["calibration"][""] == "Physical"
     unit = lambda q: q / np.linalg.norm(q, axis=1, keepdims=True)
     scales = np.exp(tensors["gaussians.log_scales"]) + added.get("scaling", 0)
     quats = unit(tensors["gaussians.quats"]) + added.get("rotation", 0)
@@ -200,7 +199,7 @@ def activate(tensors, note, added):
     signals = added["signal"] if replaces else tensors["gaussians.signals"] + added.get("signal", 0)
     if not physical:
         signals = np.maximum(0.28209479177387814 * signals + 0.5, 0)
-    return scales, quats, opacities, signals[:, : 1 if note["readout"] == "Real" else 2]
+    return scales, quats, opacities, signals[:, : 1 if note["readout"][""] == "Real" else 2]
 
 
 def matrix(q):
@@ -375,8 +374,8 @@ def read_out(readout, picture):
 def drawn(tensors, note, told, pose, plane):
     """Blended signals or waves of all Gaussians at a receiver, [channels, H, W]."""
     scales, quats, opacities, signals = activate(tensors, note, deform(tensors, note, told))
-    splats = project(read_ron(note["projector"]), pose, plane, tensors["gaussians.means"], scales, quats)
-    rasterizer = read_ron(note["rasterizer"])
+    splats = project(note["projector"], pose, plane, tensors["gaussians.means"], scales, quats)
+    rasterizer = note["rasterizer"]
     draw = {"AlphaBlending": blend, "ArrayResponse": array}[rasterizer[""]]
     return draw(rasterizer, plane, splats, opacities, signals)
 
@@ -386,7 +385,7 @@ def drawn(tensors, note, told, pose, plane):
 
 def received(tensors, note, told, receiver):
     """`readout: Received`: dBm."""
-    readout, pose = note["readout"]["Received"], note["links"]["receivers"][receiver]["pose"]
+    readout, pose = note["readout"], note["links"]["receivers"][receiver]["pose"]
     step = readout["sky_deg"]
     elevations = np.arange(-90, 91, step)
     angles = [{"first": 0, "step": step}, {"first": -90, "step": step}]
@@ -405,7 +404,6 @@ def received(tensors, note, told, receiver):
 
 def spherical(tensors, note, told, receiver):
     """`SplattedChannel`: [A, F]."""
-    note = note | {"deformation": note["method"]["deformation"], "calibration": "Physical", "readout": None}
     own, f = note["links"]["receivers"][receiver], np.array(note["links"]["frequencies_hz"])
     antennas = own["pose"]["position"] + np.array(own["antennas"]) @ to_world(own["pose"]).T
     signals = activate(tensors, note, deform(tensors, note, told))[3]
@@ -501,16 +499,16 @@ def nerf2(tensors, settings, note, told, receiver):
 def predict(tensors, note, tx, features, receiver):
     """A spectrum [H, W], a power in dBm, or a channel [A, F] of a transmitter at `tx` (metres), or of `features`."""
     told = (np.array(tx) - note["origin"]).astype("f4").astype(float) if features is None else features
-    if "method" in note:
-        settings = note["method"]
-        if settings[""] == "Nerf2":
-            return nerf2(tensors, settings, note, told, receiver)
-        own = {"VirtualTransmitters": virtual_transmitters, "SplattedChannel": spherical}[settings[""]]
-        return own(tensors, note, told, receiver)
-    if "Received" in note["readout"]:
+    if note["method"] == "Nerf2":
+        return nerf2(tensors, note["settings"], note, told, receiver)
+    if note["method"] == "VirtualTransmitters":
+        return virtual_transmitters(tensors, note, told, receiver)
+    if note["method"] == "SplattedChannel":
+        return spherical(tensors, note, told, receiver)
+    if note["readout"][""] == "Received":
         return received(tensors, note, told, receiver)
     pose = note["links"]["receivers"][receiver]["pose"]
-    return read_out(note["readout"], drawn(tensors, note, told, pose, note["plane"]))
+    return read_out(note["readout"][""], drawn(tensors, note, told, pose, note["plane"]))
 
 
 def is_same(note, found, expected):
@@ -518,10 +516,10 @@ def is_same(note, found, expected):
     kind, error = note["links"]["kind"], np.abs(found - expected)
     assert found.shape == np.shape(expected)
     if kind == "Power":
-        return error < (TURNED * abs(expected + 100) if "method" in note else DECIBELS), f"{error:.1e} dB"
+        return error < (TURNED * abs(expected + 100) if note["method"] == "Nerf2" else DECIBELS), f"{error:.1e} dB"
     assert np.abs(expected).max() > (np.abs(expected).min() if kind == "Spectrum" else 0), "something on it"
     error = error / np.abs(expected).max()
-    if "method" in note or kind == "Channel":
+    if note["method"] != "Splatting":
         return error.max() < TURNED, f"largest {error.max():.1e}"
     many = np.sum(error > CLOSE)
     return error.max() <= EDGE and many <= FEW * error.size + 2, f"largest {error.max():.1e}, {many} beyond"

@@ -198,10 +198,10 @@ function releasedPoint(settings, [x, y, z], { width, height }) {
 
 /** Gaussians on the picture: those that are drawn, with pixel, covariance, distance, radius and direction. */
 function projectGaussians(model, scales, quats) {
-  const { note, means, n, plane, projector } = model;
-  const [x, y, z, w] = note.pose.orientation.map((v) => v / Math.hypot(...note.pose.orientation));
+  const { pose, means, n, plane, projector } = model;
+  const [x, y, z, w] = pose.orientation.map((v) => v / Math.hypot(...pose.orientation));
   const frame = rotationOf(w, x, y, z); // its columns are the receiver's axes
-  const place = note.pose.position.map((v, k) => v - model.origin[k]);
+  const place = pose.position.map((v, k) => v - model.origin[k]);
   const mercator = projector[""] === "Mercator";
   const splats = [];
   for (let i = 0; i < n; i++) {
@@ -345,11 +345,13 @@ function steeringOf(antennas, { width, height, angles }) {
 export class Predictor {
   /** Why a file cannot be predicted here; null where it can. */
   static refuses({ note }) {
-    const name = (text) => (text ?? "").split("(")[0];
-    if (note?.format !== "pwrfgs-model" || note.links || note.method) return "it is no single model of spectra";
-    if (!DEFORMATIONS[name(note.deformation)]) return `its deformation is ${name(note.deformation)}`;
-    if (!["Mercator", "WrfgsCompat"].includes(name(note.projector))) return `its projector is ${name(note.projector)}`;
-    if (!["AlphaBlending", "ArrayResponse"].includes(name(note.rasterizer))) return `its rasterizer is ${name(note.rasterizer)}`;
+    const { kind, receivers } = note?.links ?? {};
+    const plain = note?.format === "pwrfgs-model" && kind === "Spectrum" && receivers.length === 1;
+    if (!plain || !note.method.startsWith("Splatting(")) return "it is no single model of splatted spectra";
+    const { deformation, projector, rasterizer } = parseRon(note.method);
+    if (!DEFORMATIONS[deformation[""]]) return `its deformation is ${deformation[""]}`;
+    if (!["Mercator", "WrfgsCompat"].includes(projector[""])) return `its projector is ${projector[""]}`;
+    if (!["AlphaBlending", "ArrayResponse"].includes(rasterizer[""])) return `its rasterizer is ${rasterizer[""]}`;
     return null;
   }
 
@@ -359,14 +361,13 @@ export class Predictor {
     if (why) throw new Error(`this model cannot be predicted in the page: ${why}`);
     const { note } = file;
     const column = (name) => file.get(`gaussians.${name}`);
-    Object.assign(this, { note, plane: note.plane, means: column("means"), origin: note.origin ?? [0, 0, 0] });
+    const { deformation: settings, projector, rasterizer, calibration, readout } = parseRon(note.method);
+    Object.assign(this, { projector, rasterizer, physical: calibration[""] === "Physical", readout: readout[""] });
+    Object.assign(this, { pose: note.links.receivers[0].pose, plane: note.plane, means: column("means"), origin: note.origin ?? [0, 0, 0] });
     this.n = this.means.length / 3;
-    this.projector = parseRon(note.projector);
-    this.rasterizer = parseRon(note.rasterizer);
     const scales = Float64Array.from(column("log_scales"), Math.exp);
     this.base = { scales, quats: column("quats"), signals: column("signals") };
     this.opacities = Float64Array.from(column("opacity_logits"), (logit) => 1 / (1 + Math.exp(-logit)));
-    const settings = parseRon(note.deformation);
     this.deformation = new DEFORMATIONS[settings[""]](file, settings, this.means);
     this.blends = this.rasterizer[""] === "AlphaBlending";
     if (!this.blends) {
@@ -400,7 +401,7 @@ export class Predictor {
 
   /** Scales and rotations with what the transmitter adds. */
   geometry({ scaling, rotation }) {
-    const physical = this.note.calibration === "Physical";
+    const { physical } = this;
     const scales = this.base.scales.map((v, k) => v + (scaling ? scaling[k] : 0));
     const quats = new Float64Array(4 * this.n);
     for (let i = 0; i < this.n; i++) {
@@ -416,7 +417,7 @@ export class Predictor {
 
   /** [N, 2]. */
   signals({ signal }) {
-    const physical = this.note.calibration === "Physical";
+    const { physical } = this;
     return Float64Array.from(this.base.signals, (v, k) => {
       const sum = v + (signal ? signal[k] : 0);
       return physical ? sum : Math.max(0, 0.28209479177387814 * sum + 0.5);
@@ -467,7 +468,7 @@ export class Predictor {
   }
 
   readOut([re, im], out) {
-    const { readout } = this.note;
+    const { readout } = this;
     for (let at = 0; at < out.length; at++) {
       const power = re[at] * re[at] + im[at] * im[at];
       out[at] = readout === "Real" ? re[at] : readout === "Power" ? power : Math.sqrt(power);
@@ -479,7 +480,7 @@ export class Predictor {
   }
 
   weigh(signals) {
-    const { readout } = this.note;
+    const { readout } = this;
     for (let i = 0; i < this.n; i++) {
       const [a, b] = [signals[2 * i], signals[2 * i + 1]];
       const power = a * a + b * b;

@@ -1,9 +1,9 @@
 //! The model file: `docs/model-format.md` is its description.
 
 use crate::tensors::Tensors;
-use crate::{Calibration, Ensemble, Model, Readout, Splatting, Stages};
+use crate::{Ensemble, Model, Stages};
 use pwrfgs_core::files::{self, write_atomically};
-use pwrfgs_core::plugin::{Plugin, PluginKind, ron_options};
+use pwrfgs_core::plugin::{Plugin, ron_options};
 use pwrfgs_core::{
     COLUMN_NAMES, Error, ExtraColumn, Frame, GaussianCloud, ImagePlane, Method, Origin, Pose, Real, Receiver, Result,
     Task,
@@ -38,26 +38,9 @@ struct Note {
     format: String,
     version: u32,
     gaussians: usize,
-    /// These five of splats.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    deformation: Option<String>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    projector: Option<String>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    rasterizer: Option<String>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    calibration: Option<Calibration>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    readout: Option<Readout>,
-    /// Any other method.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    method: Option<String>,
-    /// The only receiver of spectra, in the user's frame.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pose: Option<Pose>,
-    /// Anything else than spectra at one receiver.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    links: Option<LinksNote>,
+    /// As in a pipeline, every field written out.
+    method: String,
+    links: LinksNote,
     /// What the tensors count from; absent where zero.
     #[serde(default, skip_serializing_if = "Origin::is_zero")]
     origin: Origin,
@@ -83,38 +66,17 @@ struct ReceiverNote {
     antennas: Vec<[f64; 3]>,
 }
 
-/// One antenna in the middle of the only receiver of spectra: what files say without `links`.
-fn is_plain(frame: &Frame) -> bool {
-    frame.task.has_pixels && frame.receivers.len() == 1 && frame.receivers[0].antennas == [[0.0; 3]]
-}
-
 const FORMAT: &str = "pwrfgs-model";
 const ENSEMBLE_FORMAT: &str = "pwrfgs-ensemble";
-const ENSEMBLE_VERSION: u32 = 1;
+const ENSEMBLE_VERSION: u32 = 2;
 /// The most members that a file is believed to have, and the longest of their names.
 pub const MOST_MEMBERS: usize = 100;
 const LONGEST_NAME: usize = 255;
-/// Of a file without an origin, and of one with: who knows of none would predict something else from it.
-const VERSION: u32 = 1;
-const VERSION_WITH_ORIGIN: u32 = 2;
-/// Of a file that is anything else than splats seen as spectra by one receiver.
-const VERSION_WITH_LINKS: u32 = 3;
-/// Of a file of received powers, whose sky has a filter of its own and rows at both poles.
-const VERSION_WITH_SKY: u32 = 4;
+const VERSION: u32 = 5;
 /// What the names of the network's tensors begin with.
 const NETWORK: &str = "network.";
 /// What the names of the numbers begin with that the network has from a seed.
 const CONSTANTS: &str = "constants.";
-
-/// A file is of the lowest version that says all of it.
-fn version(note: &Note) -> u32 {
-    match note {
-        Note { readout: Some(Readout::Received { .. }), .. } => VERSION_WITH_SKY,
-        Note { links: Some(_), .. } | Note { method: Some(_), .. } => VERSION_WITH_LINKS,
-        note if note.origin.is_zero() => VERSION,
-        _ => VERSION_WITH_ORIGIN,
-    }
-}
 
 /// Writes `model` to `path`, whole or not at all.
 ///
@@ -182,34 +144,23 @@ fn json(note: &impl Serialize) -> String {
 
 fn note(model: &Model) -> Note {
     let s = &model.stages;
-    let splats = s.splatting();
-    let plain = is_plain(&s.frame);
     let receiver = |r: &Receiver| {
         let Receiver { name, pose, antennas } = r.clone();
         ReceiverNote { name, pose: s.origin.world_pose(pose), antennas }
     };
-    let links = || LinksNote {
-        kind: s.task,
-        receivers: s.receivers.iter().map(receiver).collect(),
-        frequencies_hz: s.frequencies_hz.clone(),
-    };
-    let mut note = Note {
+    Note {
         format: FORMAT.into(),
         version: VERSION,
         gaussians: model.cloud.len(),
-        deformation: splats.map(|splats| plugin_text(&splats.deformation)),
-        projector: splats.map(|splats| plugin_text(&splats.projector)),
-        rasterizer: splats.map(|splats| plugin_text(&splats.rasterizer)),
-        calibration: splats.map(|splats| splats.calibration),
-        readout: splats.map(|splats| splats.readout),
-        method: splats.is_none().then(|| plugin_text(&s.method)),
-        pose: plain.then(|| s.receiver()),
-        links: (!plain).then(links),
+        method: plugin_text(&s.method),
+        links: LinksNote {
+            kind: s.task,
+            receivers: s.receivers.iter().map(receiver).collect(),
+            frequencies_hz: s.frequencies_hz.clone(),
+        },
         origin: s.origin,
         plane: s.plane.clone(),
-    };
-    note.version = version(&note);
-    note
+    }
 }
 
 fn put_model(file: &mut Tensors, prefix: &str, model: &Model) {
@@ -246,6 +197,7 @@ fn from_bytes(bytes: &[u8]) -> Result<Ensemble, String> {
     let unreadable = |e: serde_json::Error| format!("not a pwrfgs model ({e})");
     let Head { format, version } = serde_json::from_str(&file.note).map_err(unreadable)?;
     if format != ENSEMBLE_FORMAT {
+        check_version(&format, version)?;
         let note = serde_json::from_str(&file.note).map_err(unreadable)?;
         return Ok(Ensemble::of(take_model(&mut file, "", &note)?));
     }
@@ -271,19 +223,19 @@ fn from_bytes(bytes: &[u8]) -> Result<Ensemble, String> {
     Ensemble::named(models)
 }
 
-fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, String> {
-    if note.format != FORMAT || note.version != version(note) {
-        return Err(format!(
-            "a `{}` of version {}, expected `{FORMAT}` of version {}",
-            note.format,
-            note.version,
-            version(note)
-        ));
+fn check_version(format: &str, version: u32) -> Result<(), String> {
+    if (format, version) == (FORMAT, VERSION) {
+        return Ok(());
     }
+    Err(format!("a `{format}` of version {version}, expected `{FORMAT}` of version {VERSION}"))
+}
+
+fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, String> {
+    check_version(&note.format, note.version)?;
     if let Some(fault) = note.origin.fault() {
         return Err(fault);
     }
-    let stages = Stages { method: method(note)?, frame: frame(note)? };
+    let stages = Stages { method: parse(&note.method)?, frame: frame(note) };
     stages.check()?;
     let columns: Vec<_> =
         stages.method.traits().columns.into_iter().map(|(name, width)| (name.to_owned(), width)).collect();
@@ -293,34 +245,16 @@ fn take_model(file: &mut Tensors, prefix: &str, note: &Note) -> Result<Model, St
     Ok(Model { stages, cloud, weights })
 }
 
-fn method(note: &Note) -> Result<Plugin<dyn Method>, String> {
-    if let Some(method) = &note.method {
-        return parse(method);
-    }
-    let said = |what: &str, text: &Option<String>| text.clone().ok_or(format!("its note does not say `{what}`"));
-    let splatting = Splatting {
-        deformation: parse(&said("deformation", &note.deformation)?)?,
-        projector: parse(&said("projector", &note.projector)?)?,
-        rasterizer: parse(&said("rasterizer", &note.rasterizer)?)?,
-        calibration: note.calibration.ok_or("its note does not say `calibration`")?,
-        readout: note.readout.ok_or("its note does not say `readout`")?,
-    };
-    Ok(Plugin::from(Box::new(splatting) as Box<dyn Method>))
-}
-
-fn frame(note: &Note) -> Result<Frame, String> {
+fn frame(note: &Note) -> Frame {
     let (origin, plane) = (note.origin, note.plane.clone());
-    let Some(LinksNote { kind, receivers, frequencies_hz }) = &note.links else {
-        let pose = note.pose.ok_or("its note does not say `pose`")?;
-        return Ok(Frame::spectra(origin, origin.local_pose(pose), plane));
-    };
+    let LinksNote { kind, receivers, frequencies_hz } = &note.links;
     let receiver = |r: &ReceiverNote| Receiver {
         name: r.name.clone(),
         pose: origin.local_pose(r.pose),
         antennas: r.antennas.clone(),
     };
     let receivers = receivers.iter().map(receiver).collect();
-    Ok(Frame { origin, receivers, task: *kind, plane, frequencies_hz: frequencies_hz.clone() })
+    Frame { origin, receivers, task: *kind, plane, frequencies_hz: frequencies_hz.clone() }
 }
 
 /// Refuses a file whose constants are not those that its deformation draws here: it would predict something else.
@@ -344,10 +278,7 @@ fn plugin_text<T: ?Sized + erased_serde::Serialize>(plugin: &Plugin<T>) -> Strin
     ron_options().to_string_pretty(plugin, config).expect("a plugin is plain data")
 }
 
-fn parse<T: ?Sized + PluginKind>(text: &str) -> Result<Plugin<T>, String>
-where
-    Box<T>: for<'de> Deserialize<'de>,
-{
+fn parse(text: &str) -> Result<Plugin<dyn Method>, String> {
     Plugin::parse(text).map_err(|e| format!("cannot make `{text}`: {e}; use the program that has this plugin"))
 }
 
