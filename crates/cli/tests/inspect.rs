@@ -30,7 +30,7 @@ fn a_simulated_office_is_looked_at_as_folder_and_as_pipeline() {
         "1 positions without a spectrum, 0 spectra without a position",
         "each spectrum runs from 0 to 1",
         "The recorded orientation fits the spectra.",
-        "Official() *: ",
+        "Official(",
         "TimeBlock()",
         "ceiling",
     ] {

@@ -18,8 +18,6 @@ use std::fmt::Write as _;
 
 /// Most spectra that `inspect` reads.
 const INSPECTED: usize = 20_000;
-/// Names of receivers that are listed.
-const NAMED: usize = 5;
 /// Width of lines of prose, and of the names before them.
 const WIDTH: usize = 100;
 const INDENT: usize = 15;
@@ -56,8 +54,7 @@ impl DataSummary {
             summary.facts.push(("left out", text));
         }
         if spectra.len() < data.len() {
-            let [some, all] = [spectra.len(), data.len()].map(|n| grouped(n as i64));
-            summary.facts.push(("read", format!("{some} of {all} spectra, evenly chosen")));
+            summary.facts.push(("read", format!("{} of {} spectra, evenly chosen", spectra.len(), data.len())));
         }
         summary.pose = pose::check_pose(data, &spectra);
         Ok(summary)
@@ -79,8 +76,7 @@ pub fn inspect(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer)
         text += &wrapped("pose", pose.verdict.title());
         pose.sentences().iter().for_each(|sentence| text += &wrapped("", sentence));
     }
-    _ = writeln!(text);
-    Ok(text + &splits::table(pipeline, data, observer)?)
+    Ok(text + "\n" + &splits::table(pipeline, data, observer)?)
 }
 
 /// Extent, steps from an id to the next, and positions that occur twice.
@@ -112,10 +108,9 @@ fn positions(data: &Dataset) -> Vec<(&'static str, String)> {
 }
 
 fn receivers(data: &Dataset) -> String {
-    let all = &data.scene.receivers;
-    if all.len() > 1 {
-        let names: Vec<&str> = all.iter().take(NAMED).map(|receiver| receiver.name.as_str()).collect();
-        return format!("{}: {}{}", all.len(), names.join(", "), if all.len() > NAMED { ", .." } else { "" });
+    let names: Vec<&str> = data.scene.receivers.iter().map(|receiver| receiver.name.as_str()).collect();
+    if let [first, second, rest @ ..] = &names[..] {
+        return format!("{}: {first}, {second}{}", names.len(), if rest.is_empty() { "" } else { ", .." });
     }
     let list = |numbers: [f64; 3]| numbers.map(|v| format!("{}", v + 0.0)).join(", ");
     let pose = data.scene.origin.world_pose(data.scene.pose());

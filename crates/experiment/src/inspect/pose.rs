@@ -10,21 +10,15 @@ mod verdict;
 use super::spectra::SpectrumSummary;
 use crate::scores::quantile;
 use glam::{DQuat, DVec3};
-use pwrfgs_core::{Axis, Dataset, ImagePlane, evenly, rng};
-use rayon::prelude::*;
+use pwrfgs_core::{Axis, Dataset, ImagePlane, evenly};
 use rotation::{Pair, angle, best, middle};
 pub use verdict::Verdict;
+use verdict::{COLUMNS, Flip, ROWS};
 
 /// Most pairs that are compared.
 const PAIRS: usize = 4_000;
 /// Fewest pairs that decide anything.
 const FEWEST: usize = 20;
-/// Blocks of the trajectory that are drawn with replacement, and how often: errors of neighbours are alike.
-const BLOCKS: usize = 20;
-const REPLICATES: usize = 60;
-/// Pairs in such a draw.
-const DRAWN: usize = 1_000;
-
 /// Comparison of lines of sight with strongest directions; angles in degrees, medians over spectra.
 #[derive(Clone, Debug)]
 pub struct PoseCheck {
@@ -38,26 +32,16 @@ pub struct PoseCheck {
     pub constant: f64,
     /// Angle of the best rotation.
     pub turn: f64,
-    /// Radius around the best rotation that holds 95 % of rotations from redrawn blocks of the trajectory.
-    pub turn_within: f64,
     /// The orientation x, y, z, w that the best rotation makes of the recorded one.
     pub orientation: [f64; 4],
     /// Angle of lines of sight from their middle.
     pub spread: f64,
     /// Other meanings of the recorded numbers, with the angle.
     readings: Vec<(&'static str, f64)>,
-    /// Spectra with reversed rows or columns, with the angle.
-    flips: Vec<Flip>,
+    /// Spectra with reversed columns, and rows, with the angle after the rotation that then fits best.
+    flips: Vec<(Flip, f64)>,
     /// Conclusion.
     pub verdict: Verdict,
-}
-
-/// Spectra with reversed columns, or rows, by the recorded pose or after the rotation that then fits best.
-#[derive(Clone, Copy, Debug)]
-struct Flip {
-    is_rows: bool,
-    is_turned: bool,
-    angle: f64,
 }
 
 /// Checks the recorded pose; `None` if fewer than twenty spectra have a strongest direction.
@@ -88,7 +72,7 @@ pub(super) fn check_pose(data: &Dataset, spectra: &[SpectrumSummary]) -> Option<
         ("w, x, y, z, turned the other way", other_order.inverse()),
     ];
     let pairs = with(recorded);
-    let correction = best(&pairs, &vec![1.0; pairs.len()]);
+    let correction = best(&pairs);
     let (sights, strongest): (Vec<DVec3>, Vec<DVec3>) = pairs.iter().copied().unzip();
     let spread = |directions: &[DVec3]| {
         let middle = middle(directions);
@@ -100,7 +84,6 @@ pub(super) fn check_pose(data: &Dataset, spectra: &[SpectrumSummary]) -> Option<
         turned: median(&pairs, correction),
         constant: spread(&strongest),
         turn: correction.angle_between(DQuat::IDENTITY).to_degrees(),
-        turn_within: within(&pairs, correction),
         orientation: (recorded * correction.inverse()).normalize().to_array(),
         spread: spread(&sights),
         readings: readings.map(|(name, taken)| (name, median(&with(taken), DQuat::IDENTITY))).into(),
@@ -111,8 +94,8 @@ pub(super) fn check_pose(data: &Dataset, spectra: &[SpectrumSummary]) -> Option<
     Some(found)
 }
 
-/// Columns and rows reversed, with the recorded orientation and with the one that fits best.
-fn flips(plane: &ImagePlane, pairs: &[Pair]) -> Vec<Flip> {
+/// Columns and rows reversed, with the orientation that fits best.
+fn flips(plane: &ImagePlane, pairs: &[Pair]) -> Vec<(Flip, f64)> {
     let Some((azimuth, elevation)) = plane.angles else { return Vec::new() };
     // The last pixel takes the place of the first.
     let ends = |axis: Axis, count: usize| (2.0 * axis.first + axis.step * (count as f64 - 1.0)).to_radians();
@@ -122,28 +105,11 @@ fn flips(plane: &ImagePlane, pairs: &[Pair]) -> Vec<Flip> {
         let (a, e) = if is_rows { (a, up - e) } else { (across - a, e) };
         DVec3::new(e.cos() * a.cos(), e.cos() * a.sin(), e.sin())
     };
-    let angles = |is_rows: bool| {
+    let angle = |which: Flip, is_rows: bool| {
         let pairs: Vec<Pair> = pairs.iter().map(|(sight, strongest)| (*sight, flip(*strongest, is_rows))).collect();
-        let turn = best(&pairs, &vec![1.0; pairs.len()]);
-        let angle = |turn: DQuat, is_turned| Flip { is_rows, is_turned, angle: median(&pairs, turn) };
-        [angle(DQuat::IDENTITY, false), angle(turn, true)]
+        (which, median(&pairs, best(&pairs)))
     };
-    [angles(false), angles(true)].concat()
-}
-
-/// Degrees within which 95 % of the rotations lie that blocks of the trajectory, drawn with replacement, give.
-fn within(pairs: &[Pair], found: DQuat) -> f64 {
-    let pairs = evenly(pairs, DRAWN);
-    let replicate = |k: usize| {
-        let random = &mut rng::stream(0, "inspect pose", k as u64);
-        let mut counts = [0.0; BLOCKS];
-        (0..BLOCKS).for_each(|_| counts[rng::below(random, BLOCKS)] += 1.0);
-        let weights: Vec<f64> = (0..pairs.len()).map(|i| counts[i * BLOCKS / pairs.len()]).collect();
-        best(&pairs, &weights).angle_between(found).to_degrees()
-    };
-    let mut off: Vec<f64> = (0..REPLICATES).into_par_iter().map(replicate).collect();
-    off.sort_by(f64::total_cmp);
-    quantile(&off, 0.95)
+    vec![angle(COLUMNS, false), angle(ROWS, true)]
 }
 
 /// Median angle of `pairs` once the first of each is turned, degrees.

@@ -1,7 +1,7 @@
 //! One pass over the spectra: range, normalisation, strongest direction, and those that are constant or equal.
 
 use glam::DVec3;
-use pwrfgs_core::{Dataset, Image, ImagePlane, Number, Progress, Real, Result, evenly};
+use pwrfgs_core::{Dataset, Image, ImagePlane, Progress, Real, Result, evenly};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hasher as _};
@@ -68,14 +68,8 @@ fn strongest(image: &Image, directions: &[DVec3]) -> ((f64, f64), Option<DVec3>)
 
 /// Storage, normalisation and unusual spectra, a name and its text each.
 pub(crate) fn facts(data: &Dataset, all: &[SpectrumSummary]) -> Vec<(&'static str, String)> {
-    let stored = match data.observations.number() {
-        Number::U8 => "8-bit grey",
-        Number::U16 => "16-bit grey",
-        Number::F32 => "32-bit floats",
-        Number::F64 => "64-bit floats",
-    };
-    let low = all.iter().map(|s| s.range.0).fold(f64::INFINITY, f64::min);
-    let high = all.iter().map(|s| s.range.1).fold(f64::NEG_INFINITY, f64::max);
+    let ends = |(low, high): (f64, f64), s: &SpectrumSummary| (low.min(s.range.0), high.max(s.range.1));
+    let (low, high) = all.iter().fold((f64::INFINITY, f64::NEG_INFINITY), ends);
     let id = |summary: &SpectrumSummary| data.sample(summary.sample).id;
     let constant: Vec<u32> = all.iter().filter(|s| s.strongest.is_none()).map(id).collect();
     let mut groups: BTreeMap<u64, Vec<u32>> = BTreeMap::new();
@@ -84,7 +78,7 @@ pub(crate) fn facts(data: &Dataset, all: &[SpectrumSummary]) -> Vec<(&'static st
     equal.sort_unstable();
     vec![
         ("elevations", format!("{}° to {}°, top row to bottom", data.elevation.first, data.elevation.last)),
-        ("grey values", format!("{stored}, {low:.3} to {high:.3}")),
+        ("grey values", format!("{low:.3} to {high:.3}, stored as {:?}", data.observations.number())),
         ("normalisation", normalization(all, constant.len()).into()),
         ("unusual", [listed("constant", &constant), listed("equal to another", &equal)].join(", ")),
     ]

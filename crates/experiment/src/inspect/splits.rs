@@ -6,9 +6,7 @@ use crate::scores::{Summary, quantile};
 use crate::text::{aligned, number};
 use crate::{Bench, CEILING, Session, ceiling};
 use pwrfgs_core::plugin::to_ron;
-use pwrfgs_core::{
-    Dataset, Goal, Measurement, Metric, Partition, Plugin, Result, Scope, Split, Values, evenly, registered, rng,
-};
+use pwrfgs_core::{Dataset, Metric, Partition, Plugin, Result, Scope, Split, Values, evenly, registered, rng};
 use pwrfgs_pipeline::Pipeline;
 use std::fmt::Write as _;
 use std::sync::atomic::AtomicBool;
@@ -34,23 +32,15 @@ pub fn length(metres: f64) -> String {
     }
 }
 
-/// The split of `pipeline` if it is not a default one, then all registered splits with their defaults.
+/// The split of `pipeline`, marked, and all other registered splits with their defaults.
 fn splits(pipeline: &Pipeline) -> Vec<(Plugin<dyn Split>, String)> {
-    let standard = registered::<dyn Split>().into_iter().filter_map(|name| {
-        let name = format!("{name}()");
-        let split = Plugin::<dyn Split>::parse(&name).ok()?;
-        split.ready().is_ok().then_some((split, name))
-    });
-    let mut all: Vec<_> = standard.collect();
     let own = to_ron(&pipeline.split);
-    match all.iter_mut().find(|(split, _)| to_ron(split) == own) {
-        Some((_, name)) => name.push_str(" *"),
-        None => {
-            let name = own.split_whitespace().collect::<Vec<_>>().join(" ").replace("( ", "(").replace(", )", ")");
-            all.insert(0, (pipeline.split.clone(), name + " *"));
-        }
-    }
-    all
+    let name = own.split_whitespace().collect::<Vec<_>>().join(" ").replace("( ", "(").replace(", )", ")");
+    let others = registered::<dyn Split>().into_iter().filter_map(|name| {
+        let split = Plugin::<dyn Split>::parse(&format!("{name}()")).ok()?;
+        (split.ready().is_ok() && to_ron(&split) != own).then(|| (split, format!("{name}()")))
+    });
+    [(pipeline.split.clone(), name + " *")].into_iter().chain(others).collect()
 }
 
 /// One line per split: sizes, distance and the mean of the first metric of every baseline, then the noise ceiling.
@@ -60,12 +50,12 @@ fn splits(pipeline: &Pipeline) -> Vec<(Plugin<dyn Split>, String)> {
 pub(super) fn table(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer) -> Result<String> {
     let of_predictions = |m: &&Plugin<dyn Metric>| m.scope() != Scope::Model;
     let metrics: Vec<Plugin<dyn Metric>> = pipeline.metrics.iter().filter(of_predictions).take(1).cloned().collect();
-    let names = pipeline.baselines.iter().map(|baseline| baseline.name_for(data.task()));
-    let head = ["split", "train", "test", "nearest training"].map(str::to_owned);
-    let mut lines: Vec<Vec<String>> = vec![head.into_iter().chain(names).chain([CEILING.to_owned()]).collect()];
-    let (mut refused, mut key) = (String::new(), None);
-    let seed = pipeline.split_seed.unwrap_or(pipeline.seed);
+    let names: Vec<String> = pipeline.baselines.iter().map(|baseline| baseline.name_for(data.task())).collect();
+    let head = ["split", "train", "test", "nearest training"].map(str::to_owned).into_iter();
+    let mut lines: Vec<Vec<String>> = vec![head.chain(names.clone()).chain([CEILING.to_owned()]).collect()];
+    let (mut refused, mut key, plane) = (String::new(), String::new(), data.plane());
     for (split, name) in splits(pipeline) {
+        let seed = pipeline.split_seed.unwrap_or(pipeline.seed);
         let partition = match split.split(data, &mut rng::stream(seed, "split", 0)) {
             Ok(partition) => partition,
             Err(why) => {
@@ -75,46 +65,24 @@ pub(super) fn table(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Obse
         };
         let mut line = vec![name, partition.train.len().to_string(), partition.test.len().to_string()];
         line.push(length(test_distance(data, &partition)));
-        let tested = evenly(&partition.test, TESTED);
-        for (name, mean) in means(pipeline, &metrics, data, &partition, &tested, observer)? {
-            key = key.or(name);
-            line.push(number(mean));
+        let bench = Bench::new(data, &evenly(&partition.test, TESTED), &plane);
+        for (baseline, name) in pipeline.baselines.iter().zip(&names) {
+            let fitted = baseline.fit(data, partition.known())?;
+            let found = bench.baseline(name, &*fitted, &metrics, &mut Session::new(observer))?;
+            found.first().into_iter().for_each(|measurement| key.clone_from(&measurement.key));
+            line.push(match found.first().map(|measurement| &measurement.values) {
+                Some(Values::PerSample(values)) => number(Summary::of(values, true).mean),
+                _ => "n/a".into(),
+            });
         }
         let limit = ceiling(data, &partition, &metrics, &AtomicBool::new(false))?;
         line.push(limit.of.first().map_or_else(|| "n/a".into(), |(_, at_zero)| number(at_zero.mean)));
         lines.push(line);
     }
-    let Some(key) = key else { return Ok(refused) };
     Ok(format!(
         "{}{refused}note: mean {key} of baselines on up to {TESTED} test {}; nearest training: median distance from a test \
          transmitter; *: the split of the pipeline\n",
         aligned(&lines, 1),
         data.task().counted[1]
     ))
-}
-
-/// Key of the metric and mean over `tested` of each baseline of `pipeline`; NaN if it has no value per sample.
-fn means(
-    pipeline: &Pipeline,
-    metrics: &[Plugin<dyn Metric>],
-    data: &Dataset,
-    partition: &Partition,
-    tested: &[usize],
-    observer: &mut dyn Observer,
-) -> Result<Vec<(Option<String>, f64)>> {
-    let plane = data.plane();
-    let bench = Bench::new(data, tested, &plane);
-    let mut means = Vec::new();
-    for baseline in &pipeline.baselines {
-        let fitted = baseline.fit(data, partition.known())?;
-        let name = baseline.name_for(data.task()); // the same for all splits, whatever it chooses in each
-        let found = bench.baseline(&name, &*fitted, metrics, &mut Session::new(observer))?;
-        means.push(match found.into_iter().next() {
-            Some(Measurement { key, goal, values: Values::PerSample(values), .. }) => {
-                (Some(key), Summary::of(&values, goal == Goal::Higher).mean)
-            }
-            _ => (None, f64::NAN),
-        });
-    }
-    Ok(means)
 }

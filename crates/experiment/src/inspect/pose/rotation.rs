@@ -21,23 +21,18 @@ pub(super) fn angle(a: DVec3, b: DVec3) -> f64 {
     a.cross(b).length().atan2(a.dot(b))
 }
 
-/// The rotation R with the least Σ w·angle(R a, b).
-pub(super) fn best(pairs: &[Pair], weights: &[f64]) -> DQuat {
-    let cost = |r: &DQuat| pairs.iter().zip(weights).map(|((a, b), w)| w * angle(*r * *a, *b)).sum::<f64>();
+/// The rotation R with the least Σ angle(R a, b).
+pub(super) fn best(pairs: &[Pair]) -> DQuat {
+    let cost = |r: &DQuat| pairs.iter().map(|(a, b)| angle(*r * *a, *b)).sum::<f64>();
     // Two starts: no rotation, and the one with the least squares.
-    let starts = [DQuat::IDENTITY, wahba(pairs, weights)].map(|start| refined(start, pairs, weights));
-    let [a, b] = starts;
+    let [a, b] = [DQuat::IDENTITY, wahba(pairs, &vec![1.0; pairs.len()])].map(|start| refined(start, pairs));
     if cost(&b) < cost(&a) { b } else { a }
 }
 
-fn refined(start: DQuat, pairs: &[Pair], weights: &[f64]) -> DQuat {
-    let mut rotation = start;
-    let mut own = vec![0.0; pairs.len()];
+fn refined(mut rotation: DQuat, pairs: &[Pair]) -> DQuat {
     for _ in 0..ROUNDS {
-        for (own, ((a, b), w)) in own.iter_mut().zip(pairs.iter().zip(weights)) {
-            *own = w / angle(rotation * *a, *b).max(LEAST);
-        }
-        let next = wahba(pairs, &own);
+        let weights: Vec<f64> = pairs.iter().map(|(a, b)| 1.0 / angle(rotation * *a, *b).max(LEAST)).collect();
+        let next = wahba(pairs, &weights);
         let change = next.angle_between(rotation);
         rotation = next;
         if change < 1e-6 {
@@ -99,7 +94,7 @@ mod tests {
                 (a, if i.is_multiple_of(3) { direction(random) } else { truth * a })
             };
             let pairs: Vec<Pair> = (0..300).map(|i| pair(i, &mut random)).collect();
-            let found = best(&pairs, &vec![1.0; pairs.len()]);
+            let found = best(&pairs);
             assert!(found.angle_between(truth).to_degrees() < 0.1, "{k}: {found} is not {truth}");
         }
     }
