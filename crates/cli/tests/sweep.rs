@@ -164,7 +164,7 @@ fn mistakes_are_refused_where_they_stand_before_anything_runs() {
         (
             "(label: \"more (8)\")",
             "(label: \"more\", set: {\"training.prune_until\": 5})",
-            &["e.ron:13:30: axis `start`, variant `more`: ", "densify_until"],
+            &["e.ron:13:35: axis `start`, variant `more`: ", "densify_until"],
         ),
         ("(label: \"more (8)\")", "(label: \"Few\")", &["e.ron:14:", "two labels", "`few`"]),
         ("(label: \"more (8)\")", "(label: \"()\")", &["e.ron:13:", "cannot name a folder"]),
@@ -178,7 +178,7 @@ fn mistakes_are_refused_where_they_stand_before_anything_runs() {
         (
             "(label: \"more (8)\")",
             "(label: \"b\", set: {\"data\": Nerf2Spectrum(root: \"nowhere\")})",
-            &["e.ron:13:27: axis `start`, variant `b`: ", "start=b", "nowhere", "no such folder"],
+            &["e.ron:13:32: axis `start`, variant `b`: ", "start=b", "nowhere", "no such folder"],
         ),
         ("seeds: [4]", "seeds: []", &["e.ron:", "`seeds` is empty"]),
         ("seeds: [4]", "seeds: [4, 4]", &["the seed 4 comes twice"]),
