@@ -103,7 +103,9 @@ fn try_each<R>(
             loaded = Some((key, data, partition));
         }
         if let Some((_, data, partition)) = &loaded {
-            pipeline.check_data(data).map_err(named)?;
+            // Baselines are scored with the joined model alone.
+            let mut scored = std::iter::once(pipeline).chain(&plan.joined);
+            scored.try_for_each(|own| own.check_data(data)).map_err(named)?;
             let sketch = || Trainer::sketch(&pipeline.plan()?, data, partition);
             let (mut trainer, _) = fitting(pipeline, sketch).map_err(named)?;
             all.push(then(run, &mut trainer).map_err(named)?);
