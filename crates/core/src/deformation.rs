@@ -58,6 +58,7 @@ plugin_kind!(Deformation);
 
 /// What a [`Deformation`] depends on, and what it gives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[allow(clippy::struct_excessive_bools)] // independent properties
 pub struct DeformationTraits {
     /// Numbers that it reads of a transmitter: 3, its position, or the width of the features of the data
     /// ([`Features`](crate::Features)).

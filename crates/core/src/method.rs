@@ -241,6 +241,7 @@ plugin_kind!(Method);
 
 /// What a [`Method`] gives, and what it can be asked for.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(clippy::struct_excessive_bools)] // independent properties
 pub struct MethodTraits {
     /// What it gives, where that does not depend on the frame.
     pub task: Option<Task>,

@@ -34,7 +34,7 @@ pub(super) static POWER: Description = Description {
 
 impl Columns for Vec<Real> {
     fn len(&self) -> usize {
-        Vec::len(self)
+        Self::len(self)
     }
 
     fn size(&self) -> (usize, usize) {

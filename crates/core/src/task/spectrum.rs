@@ -31,7 +31,7 @@ pub(super) static SPECTRUM: Description = Description {
 
 impl Columns for Spectra {
     fn len(&self) -> usize {
-        Spectra::len(self)
+        Self::len(self)
     }
 
     fn size(&self) -> (usize, usize) {
@@ -39,30 +39,30 @@ impl Columns for Spectra {
     }
 
     fn image(&self, i: usize) -> Image {
-        Spectra::image(self, i)
+        Self::image(self, i)
     }
 
     fn sampled(&self, i: usize, sampling: Sampling, out: &mut [Real]) {
-        Spectra::sampled(self, i, sampling, out);
+        Self::sampled(self, i, sampling, out);
     }
 
     fn add(&self, i: usize, weight: f64, sum: &mut [f64]) {
-        Spectra::add(self, i, weight, sum);
+        Self::add(self, i, weight, sum);
     }
 
     fn number(&self) -> Number {
-        Spectra::number(self)
+        Self::number(self)
     }
 
     fn raw(&self, i: usize) -> Cow<'_, [u8]> {
-        Spectra::raw(self, i)
+        Self::raw(self, i)
     }
 
     fn bytes_in_memory(&self) -> usize {
-        Spectra::bytes_in_memory(self)
+        Self::bytes_in_memory(self)
     }
 
     fn check(&self) -> Result<()> {
-        Spectra::check(self)
+        Self::check(self)
     }
 }
