@@ -97,7 +97,7 @@ impl Plan {
     }
 
     /// The picture in the middle of one so wide: a page then scales maps of any shape alike.
-    pub(crate) fn widened(&self, canvas: &Canvas, width: f64) -> Canvas {
+    pub(crate) fn widened(canvas: &Canvas, width: f64) -> Canvas {
         let mut wide = Canvas::new(width.max(canvas.width), canvas.height);
         wide.put([(wide.width - canvas.width) / 2.0, 0.0], 1.0, canvas);
         wide

@@ -26,14 +26,13 @@ pub(super) struct Example {
 pub(super) fn examples(run: &LoadedRun<'_>) -> Result<Vec<Example>> {
     let (data, part, model) = (run.data, &run.partition.test, run.model.prepare());
     let headline = data.task().headline;
-    let scores = match run.record.scores.samples(MODEL, headline.key) {
-        Some(scores) => scores.to_vec(),
-        // The pipeline does not ask for it.
-        None => {
-            let mut scores = Vec::with_capacity(part.len());
-            each(run, part, |_, truth, prediction| scores.push(data.task().score(prediction, truth)));
-            scores
-        }
+    let scores = if let Some(scores) = run.record.scores.samples(MODEL, headline.key) {
+        scores.to_vec()
+    } else {
+        // The pipeline does not name this metric.
+        let mut scores = Vec::with_capacity(part.len());
+        each(run, part, |_, truth, prediction| scores.push(data.task().score(prediction, truth)));
+        scores
     };
     let mut order: Vec<usize> = (0..scores.len()).collect();
     let by_score = |a: usize, b: usize| {

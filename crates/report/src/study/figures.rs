@@ -110,10 +110,8 @@ pub fn all(setting: &Setting, progress: Progress<'_>) -> Drawn {
         distribution::figure,
         distance::figure,
     ];
-    let from_data: &[FromData] = match setting.task().has_pixels {
-        true => &[room::figure, spectra::figure, rate::figure],
-        false => &[room::figure],
-    };
+    let of_spectra: &[FromData] = &[room::figure, spectra::figure, rate::figure];
+    let from_data = if setting.task().has_pixels { of_spectra } else { &of_spectra[..1] };
     let count = from_scores.len() + from_data.len();
     let mut figures = Vec::new();
     for (done, make) in from_scores.iter().enumerate() {
@@ -129,9 +127,10 @@ pub fn all(setting: &Setting, progress: Progress<'_>) -> Drawn {
         Ok(drawn)
     });
     let left_out = drawn.map(|drawn| figures.extend(drawn)).err();
-    let missing = match setting.task().has_pixels {
-        true => "are no figures of the room, the spectra and the rate ratio",
-        false => "is no figure of the room",
+    let missing = if setting.task().has_pixels {
+        "are no figures of the room, the spectra and the rate ratio"
+    } else {
+        "is no figure of the room"
     };
     let left_out = left_out.map(|e| format!("There {missing}: {e}."));
     Drawn { figures, left_out }

@@ -93,7 +93,7 @@ fn draw(run: &LoadedRun<'_>, found: &[Found], names: [&'static str; 2], axes: [u
         plan.receiver(&mut canvas, flat(scene.origin.world_pose(receiver.pose).position));
     }
     plan.axes(&mut canvas);
-    (plan.widened(&canvas, WIDTH), outside)
+    (Plan::widened(&canvas, WIDTH), outside)
 }
 
 /// The room and what lies around it, mirror images too, but for the few farthest.

@@ -66,7 +66,7 @@ fn draw(run: &LoadedRun<'_>, receiver: usize, heard: &[Heard], limit: f64) -> Ca
     }
     plan.receiver(&mut canvas, flat(own));
     plan.axes(&mut canvas);
-    plan.widened(&canvas, WIDTH)
+    Plan::widened(&canvas, WIDTH)
 }
 
 /// A triangle that points up where the model predicts too much and down where too little, the larger the farther off: its

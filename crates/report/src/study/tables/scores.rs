@@ -81,7 +81,7 @@ fn table(
     let words = context! {
         name,
         observations => comparison.setting.task().counted[1],
-        sampled => comparison.metrics.iter().any(|m| m.is_per_sample()),
+        sampled => comparison.metrics.iter().any(MetricRow::is_per_sample),
         least,
         most,
         floors => table.has(Kind::Floor),
