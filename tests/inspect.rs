@@ -104,7 +104,7 @@ fn the_pose_of_the_measured_set_cannot_be_told() {
     let data = Nerf2Spectrum { root, ..Nerf2Spectrum::default() }.load(Path::new(""), &|_, _| {}).unwrap();
     let near = |value: f64, expected: f64, by: f64| assert!((value - expected).abs() < by, "{value}, not {expected}");
     let summary = DataSummary::of(&data, 20_000, &mut Silent).unwrap();
-    let text = summary.facts.iter().map(|(name, words)| format!("{name}: {words}\n")).collect::<String>();
+    let text = summary.facts.iter().map(|(name, words)| format!("{name}: {words}")).collect::<Vec<_>>().join("\n");
     for words in [
         "10.6 mm from an id to the next",
         "ids follow a trajectory",

@@ -10,9 +10,9 @@ use serde_json::Value;
 #[expect(dead_code, reason = "its schema alone is of use")]
 enum File {
     /// A run, as `pwrfgs run` reads it.
-    Pipeline(Pipeline),
+    Pipeline(Box<Pipeline>),
     /// A sweep, as `pwrfgs sweep` reads it.
-    Experiment(Experiment),
+    Experiment(Box<Experiment>),
 }
 
 /// The schema as text.
