@@ -48,7 +48,7 @@ pub trait Split:
         false
     }
 
-    /// Whether it can be asked at all, as [`Pruner::ready`](crate::Pruner::ready).
+    /// Checks that the baseline can run here, for example that a file it reads exists.
     ///
     /// # Errors
     /// Why not, and what to do.
