@@ -178,13 +178,15 @@ fn close(found: &[Real], expected: &[Real], what: &str) {
 #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
 fn sensitivity_and_fisher_agree_with_central_differences() {
     for readout in [Readout::Magnitude, Readout::Power, Readout::Received { sky_deg: 15, filter_deg2: 67.5 }] {
-        let mut sight = Sight::new("Fixed()", readout);
-        if readout.task() == Task::Power {
-            let stages = Arc::get_mut(&mut sight.stages).unwrap();
+        let is_power = readout.task() == Task::Power;
+        let mut sight = Sight::new("Fixed()", if is_power { Readout::Magnitude } else { readout });
+        if is_power {
+            let mut stages = sight.stages.with(|splatting| splatting.readout = readout);
             let receivers = vec![Receiver::new("a", stages.frame.receivers[0].pose)];
             let plane = ImagePlane { width: 1, height: 1, wraps: false, angles: None, sampling: Sampling::WHOLE };
             stages.frame = Frame { task: Task::Power, plane, receivers, ..stages.frame.clone() };
             sight.weights = stages.layout().init(&mut rng::stream(4, "network", 0));
+            sight.stages = Arc::new(stages);
             sight.batch.truths.truncate(2);
         }
         let found = sight.survey(&[Statistic::Sensitivity, Statistic::Fisher]);
