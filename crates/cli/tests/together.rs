@@ -20,7 +20,7 @@ impl Place {
         let here = folder.path();
         let shim = shim(here)?;
         write(&here.join("a.ron"), TINY);
-        write(&here.join("b.ron"), TINY.replace("keep: 6", "keep: 5"));
+        write(&here.join("b.ron"), TINY.replace("target: 6", "target: 5"));
         write(&here.join("e.ron"), "Experiment(name: \"pair\", base: \"a.ron\", seeds: [0, 1], axes: [])");
         let place = Self { folder, shim };
         if !place.start(&["check", "a.ron"], ("a.ron", 1)).is_held() {
