@@ -48,7 +48,7 @@ pub trait Split:
         false
     }
 
-    /// Checks that the baseline can run here, for example that a file it reads exists.
+    /// Checks that the split can run here, for example that its Python class exists.
     ///
     /// # Errors
     /// Why not, and what to do.
