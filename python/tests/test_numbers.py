@@ -42,7 +42,7 @@ def test_ssim_is_that_of_scikit_image():
 
 
 def test_metrics_refuse_what_does_not_fit():
-    for given, said in [((P, T[:2]), "differ in shape"), ((P[:, :3], T), "differ in shape"), ((P[0, 0], T[0, 0]), "wanted"), ((P[:0], T[:0]), "nothing")]:
+    for given, said in [((P, T[:2]), "differ in shape"), ((P[:, :3], T), "differ in shape"), ((P[0, 0], T[0, 0]), "a spectrum has 2"), ((P[:0], T[:0]), "nothing")]:
         with pytest.raises(pwrfgs.InputError) as told:
             pwrfgs.metrics.ssim(*given)
         assert said in str(told.value)

@@ -28,7 +28,7 @@ def test_every_plugin_is_a_class_whose_text_is_its_value():
 
 def test_values():
     mask = pwrfgs.LearnableMask(lambda_=0.02)
-    assert mask.lambda_ == 0.02 and mask.adam is True and mask.target is None
+    assert mask.lambda_ == 0.02 and mask.adam is True
     assert repr(mask).startswith("LearnableMask(lambda: 0.02, ")
     assert "lambda_" in dir(mask) and mask == pwrfgs.LearnableMask(lambda_=0.02) != mask.replace(lambda_=0.1)
     assert pwrfgs.Random(count=5).count == 5 and pwrfgs.Random(test=0.3).test == 0.3

@@ -122,7 +122,7 @@ def test_the_loop_in_ones_own_hands(pipeline, run):
 def test_sweeps_reports_and_simulations(tmp_path):
     (tmp_path / "small.ron").write_text(SMALL.replace("steps: 60", "steps: 40"))
     (tmp_path / "e.ron").write_text(
-        'Experiment(name: "e", base: "small.ron", seeds: [0, 1], set: {"pruners": [TopK()]}, axes: [Axis(name: "n", '
+        'Experiment(name: "e", base: "small.ron", seeds: [0, 1], set: {"pruners": [TopK()], "training.target": 20}, axes: [Axis(name: "n", '
         'variants: [(label: "20", set: {"training.target": 20}), (label: "40", set: {"training.target": 40})])])'
     )
     runs = pwrfgs.sweep(tmp_path / "e.ron", out=tmp_path / "sweep", jobs=1)
