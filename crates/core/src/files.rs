@@ -257,6 +257,18 @@ pub fn digest(bytes: &[u8]) -> String {
     digits.iter().fold(String::with_capacity(64), |text, byte| text + &format!("{byte:02x}"))
 }
 
+/// What was read from `path`; `None` if there is no such file.
+///
+/// # Errors
+/// [`Error::Read`].
+pub fn if_found<T>(path: &Path, read: io::Result<T>) -> Result<Option<T>> {
+    match read {
+        Ok(found) => Ok(Some(found)),
+        Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => Ok(None),
+        Err(e) => Err(Error::read(path, e)),
+    }
+}
+
 /// A text file as a person writes it: UTF-8, with or without a byte order mark, of at most [`MAX_TEXT`] bytes.
 ///
 /// # Errors

@@ -7,11 +7,10 @@ use crate::folder::{
 };
 use crate::memory;
 use crate::scores::ScoreTable;
-use pwrfgs_core::files::{self, digest, write_atomically};
+use pwrfgs_core::files::{self, digest, if_found, write_atomically};
 use pwrfgs_core::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::io::ErrorKind;
 use std::path::Path;
 
 /// The facts of a run. `finished` is empty until model, scores and report are written.
@@ -143,11 +142,7 @@ impl Facts {
     /// A file that is damaged, or cannot be read.
     pub fn read(folder: &Path) -> Result<Option<Self>> {
         let path = folder.join(FACTS);
-        let bytes = match files::read_at_most(&path, MAX_BYTES) {
-            Ok(bytes) => bytes,
-            Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => return Ok(None),
-            Err(e) => return Err(Error::read(&path, e)),
-        };
+        let Some(bytes) = if_found(&path, files::read_at_most(&path, MAX_BYTES))? else { return Ok(None) };
         serde_json::from_slice(&bytes).map(Some).map_err(|e| {
             let why =
                 format!("is damaged, or of another version ({e}); remove it, and `pwrfgs run` scores the run again");
@@ -196,12 +191,11 @@ impl Facts {
     pub fn verify_file(&self, folder: &Path, name: &str) -> Result<()> {
         let Some(mark) = self.files.get(name) else { return Ok(()) };
         let path = folder.join(name);
-        let found = match files::read(&path) {
-            Ok(bytes) if Mark::of(&bytes) == *mark => return Ok(()),
-            Ok(bytes) if bytes.len() as u64 == mark.bytes => "its bytes are others".to_owned(),
-            Ok(bytes) => format!("it has {} bytes and not {}", bytes.len(), mark.bytes),
-            Err(e) if e.kind() == ErrorKind::NotFound => "it is missing".into(),
-            Err(e) => return Err(Error::read(&path, e)),
+        let found = match if_found(&path, files::read(&path))? {
+            Some(bytes) if Mark::of(&bytes) == *mark => return Ok(()),
+            Some(bytes) if bytes.len() as u64 == mark.bytes => "its bytes are others".to_owned(),
+            Some(bytes) => format!("it has {} bytes and not {}", bytes.len(), mark.bytes),
+            None => "it is missing".into(),
         };
         let advice = if MADE_AGAIN.contains(&name) {
             "copy it anew, or remove it, and `pwrfgs run` makes it again"

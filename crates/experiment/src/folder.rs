@@ -116,18 +116,14 @@ impl RunFolder {
     /// Where it is no folder, or holds something else, or a run of another pipeline.
     pub fn inspect(path: &Path, pipeline: &Pipeline) -> Result<RunState> {
         let own = path.join(PIPELINE);
-        let text = match files::read_string(&own) {
-            Ok(text) => text,
-            Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => {
-                return match refuse_foreign(path, "a run folder") {
-                    // Another process has made the run since.
-                    Err(_) if own.is_file() => Self::inspect(path, pipeline),
-                    foreign => foreign.map(|()| RunState::New),
-                };
-            }
-            Err(e) => return Err(Error::read(&own, e)),
-        };
-        compare(path, &own, &text, pipeline)
+        match files::if_found(&own, files::read_string(&own))? {
+            Some(text) => compare(path, &own, &text, pipeline),
+            None => match refuse_foreign(path, "a run folder") {
+                // Another process has made the run since.
+                Err(_) if own.is_file() => Self::inspect(path, pipeline),
+                foreign => foreign.map(|()| RunState::New),
+            },
+        }
     }
 
     /// Makes the folder where it is missing, writes `pipeline.ron` into it and locks it. Of several processes that claim

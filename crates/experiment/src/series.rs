@@ -21,11 +21,8 @@ impl Series {
     /// # Errors
     /// Where a row before the last kept one, or the header, is damaged: it would be lost without a word.
     pub(crate) fn open(path: &Path, header: &str, done: u64) -> Result<(Self, Option<String>)> {
-        let old = match files::read(path) {
-            Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => String::new(),
-            Err(e) => return Err(Error::read(path, e)),
-        };
+        let old = files::if_found(path, files::read(path))?.unwrap_or_default();
+        let old = String::from_utf8_lossy(&old);
         let mut text = format!("{header}\n");
         let (mut last, mut broken) = (None, None);
         let damaged = |line: usize, what: &str| {

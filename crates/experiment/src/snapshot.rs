@@ -98,11 +98,8 @@ impl Snapshot {
     /// # Errors
     /// [`Error::Read`], or [`Error::Input`] for a file that is not a whole snapshot.
     pub fn read(path: &Path) -> Result<Option<Self>> {
-        match files::read(path) {
-            Ok(bytes) => Self::from_bytes(&bytes).map(Some).map_err(|why| Error::input(path, why)),
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
-            Err(e) => Err(Error::read(path, e)),
-        }
+        let bytes = files::if_found(path, files::read(path))?;
+        bytes.map(|bytes| Self::from_bytes(&bytes).map_err(|why| Error::input(path, why))).transpose()
     }
 
     fn from_bytes(bytes: &[u8]) -> Result<Self, String> {

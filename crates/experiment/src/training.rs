@@ -51,11 +51,7 @@ impl<'a> Training<'a, '_> {
 
     /// The trainer of the checkpoint at `path`, if there is one.
     fn restored(&self, path: &Path) -> Result<Option<Trainer<'a>>> {
-        let bytes = match files::read(path) {
-            Ok(bytes) => bytes,
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-            Err(e) => return Err(Error::read(path, e)),
-        };
+        let Some(bytes) = files::if_found(path, files::read(path))? else { return Ok(None) };
         let restored = Trainer::restore(&self.pipeline.plan()?, self.data, self.partition, &bytes);
         restored.map(Some).map_err(|e| Error::input(path, format!("{e}; remove it to start again")))
     }

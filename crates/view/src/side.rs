@@ -243,11 +243,7 @@ impl Known {
     /// The model as the last checkpoint of a run in `folder` has it; nothing before the first.
     fn checkpoint(&self, folder: &Path) -> Result<Option<Predictor>> {
         let path = folder.join(CHECKPOINT);
-        let bytes = match files::read(&path) {
-            Ok(bytes) => bytes,
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-            Err(e) => return Err(Error::read(&path, e)),
-        };
+        let Some(bytes) = files::if_found(&path, files::read(&path))? else { return Ok(None) };
         let trainer = Trainer::restore(&self.pipeline.plan()?, &self.data, &self.partition, &bytes);
         let trainer = trainer.map_err(|why| Error::input(&path, why.to_string()))?;
         Ok(Some(ready(Ensemble::of(trainer.model()))))

@@ -53,23 +53,15 @@ impl Listing {
     /// A file that cannot be read, or is not such a listing.
     pub fn read(folder: &Path) -> Result<Option<Self>> {
         let path = folder.join(LISTING);
-        match files::read_string(&path) {
-            Ok(text) => {
-                let listing: Self = serde_json::from_str(&text)
-                    .map_err(|e| Error::at(&path, e.line(), e.column(), format!("not the listing of a sweep: {e}")))?;
-                match listing.runs.iter().find(|run| !run.lies_in(folder)) {
-                    None => Ok(Some(listing)),
-                    Some(run) => Err(Error::input(
-                        &path,
-                        format!(
-                            "`{}` is not below the sweep's folder; name runs that lie elsewhere by themselves",
-                            run.folder
-                        ),
-                    )),
-                }
+        let Some(text) = files::if_found(&path, files::read_string(&path))? else { return Ok(None) };
+        let listing: Self = serde_json::from_str(&text)
+            .map_err(|e| Error::at(&path, e.line(), e.column(), format!("not the listing of a sweep: {e}")))?;
+        match listing.runs.iter().find(|run| !run.lies_in(folder)) {
+            None => Ok(Some(listing)),
+            Some(run) => {
+                let what = "is not below the sweep's folder; name runs that lie elsewhere by themselves";
+                Err(Error::input(&path, format!("`{}` {what}", run.folder)))
             }
-            Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => Ok(None),
-            Err(e) => Err(Error::read(&path, e)),
         }
     }
 

@@ -12,7 +12,6 @@ use pwrfgs_core::{Error, Result};
 use pwrfgs_experiment::Observer;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
-use std::io::ErrorKind;
 use std::path::Path;
 
 /// The file that makes a folder a report's folder.
@@ -103,17 +102,14 @@ fn refuse_links(out: &Path) -> Result<()> {
 /// says that a report made them.
 fn owned(out: &Path) -> Result<Owned> {
     let path = out.join(OWN);
-    match files::read_string(&path) {
-        // Only names of a report's files: whatever the list says, nothing else is removed.
-        Ok(text) => serde_json::from_str::<Owned>(&text)
-            .ok()
-            .filter(|list| list.files.iter().all(|name| is_ours(name)))
-            .ok_or_else(|| Error::input(&path, "not the list of a report's files; choose another --out")),
-        Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => {
-            refuse_foreign(out, "a report's folder").map(|()| Owned::default())
-        }
-        Err(e) => Err(Error::read(&path, e)),
-    }
+    let Some(text) = files::if_found(&path, files::read_string(&path))? else {
+        return refuse_foreign(out, "a report's folder").map(|()| Owned::default());
+    };
+    // Only names of a report's files: whatever the list says, nothing else is removed.
+    serde_json::from_str::<Owned>(&text)
+        .ok()
+        .filter(|list| list.files.iter().all(|name| is_ours(name)))
+        .ok_or_else(|| Error::input(&path, "not the list of a report's files; choose another --out"))
 }
 
 /// Whether a report writes files of this name.
