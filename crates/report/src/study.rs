@@ -19,7 +19,6 @@ pub use output::{Options, write};
 use grouping::{Labels, listed, named, setting_key, settings};
 use pwrfgs_core::{Error, Headline, Result, Task, plugin::ron_options};
 use pwrfgs_experiment::folder::{MODEL_FILE, PIPELINE};
-use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::sweep::{JOINED, LISTING, Listing};
 use pwrfgs_experiment::{Mark, Record};
 use std::path::{Path, PathBuf};
@@ -76,10 +75,9 @@ impl Setting {
         self.variants[..k].iter().find(|other| other.models().as_ref() == Some(&own))
     }
 
-    /// What was observed: that whose first metric the runs have.
+    /// What was observed: the same in all runs.
     fn task(&self) -> Task {
-        let scored = |task: &Task| self.runs().any(|run| run.scores.value(MODEL, task.headline.key).is_some());
-        Task::ALL.into_iter().find(scored).unwrap_or_default()
+        self.runs().next().map_or_else(Task::default, |run| run.scores.table.task)
     }
 
     /// The first metric of what was observed.
