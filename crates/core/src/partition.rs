@@ -17,6 +17,11 @@ impl Partition {
         Known { train: &self.train, validation: &self.validation }
     }
 
+    /// Numbers of training, validation and test links.
+    pub fn sizes(&self) -> [usize; 3] {
+        [&self.train, &self.validation, &self.test].map(Vec::len)
+    }
+
     /// Returns the set that holds a link.
     pub fn set_of(&self, link: usize) -> LinkSet {
         let sets =

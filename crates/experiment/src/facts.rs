@@ -8,7 +8,7 @@ use crate::folder::{
 use crate::memory;
 use crate::scores::ScoreTable;
 use pwrfgs_core::files::{self, digest, if_found, write_atomically};
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Dataset, Error, Partition, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -203,6 +203,13 @@ impl Facts {
             "copy it anew, or remove the folder and run again"
         };
         Err(Error::input(&path, format!("is not what {FACTS} says was written: {found}; {advice}")))
+    }
+
+    /// Notes what the data call themselves and how they are divided.
+    pub(crate) fn note_data(&mut self, data: &Dataset, partition: &Partition) {
+        self.data.clone_from(&data.title);
+        self.simulated = data.is_simulated();
+        self.samples = partition.sizes();
     }
 
     /// Looks at the largest resident memory so far.

@@ -1,6 +1,6 @@
 //! `preview`: what a run will do and take, without doing it; and the refusal of what cannot fit the machine.
 
-use crate::input::rebase;
+use crate::input::prepared;
 use crate::inspect::{DataSummary, test_distance};
 use crate::load::load;
 use crate::memory;
@@ -48,8 +48,7 @@ pub struct Preview {
 /// # Errors
 /// Whatever [`crate::run`] would refuse before its first step.
 pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Result<Preview> {
-    let mut pipeline = pipeline.resolved()?;
-    rebase(&mut pipeline, base);
+    let pipeline = prepared(pipeline, base)?;
     let (data, partition) = load(&pipeline, base, observer)?;
     pipeline.check_data(&data)?;
     let mut loaded_bytes = 0;
@@ -62,7 +61,7 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
     Ok(Preview {
         title: data.title.clone(),
         observed: observed(&data),
-        samples: [&partition.train, &partition.validation, &partition.test].map(Vec::len),
+        samples: partition.sizes(),
         points: data.scene.points.len(),
         weights,
         summary: DataSummary::of(&data, SUMMARIZED, observer)?,

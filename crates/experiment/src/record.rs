@@ -87,7 +87,7 @@ impl Record {
 
     /// Step and another column of `curve.csv` along the training, such as 2, the loss, or 4, the number of Gaussians.
     pub fn curve_of(&self, column: usize) -> Vec<(f64, f64)> {
-        self.curve.iter().filter_map(|row| Some(((*row.first()?)?, (*row.get(column)?)?))).collect()
+        series::column(&self.curve, column)
     }
 
     /// The data of the run, read or simulated again.
@@ -105,8 +105,7 @@ impl Record {
     /// The data have changed since the run.
     pub fn partition(&self, data: &Dataset) -> Result<Partition> {
         let partition = self.pipeline.partition(data)?;
-        let sizes = [&partition.train, &partition.validation, &partition.test].map(Vec::len);
-        if sizes != self.facts.samples || data.title != self.facts.data {
+        if partition.sizes() != self.facts.samples || data.title != self.facts.data {
             return Err(Error::input(&self.folder, "the data have changed since this run; run it again"));
         }
         Ok(partition)

@@ -96,9 +96,7 @@ fn attempt(
     };
     let path = folder.path().to_owned();
     let facts = folder.begin(pipeline, |facts, earlier| {
-        facts.data.clone_from(&data.title);
-        facts.simulated = data.is_simulated();
-        facts.samples = [&partition.train, &partition.validation, &partition.test].map(Vec::len);
+        facts.note_data(&data, &partition);
         if trainer.is_none() { earlier.verify_file(&path, MODEL_FILE) } else { Ok(()) }
     });
     let facts = folder.settle(facts)?;

@@ -91,6 +91,11 @@ pub fn whole(path: &Path, last: u64) -> Result<Vec<Vec<Option<f64>>>> {
     Ok(rows)
 }
 
+/// Step and another column of the rows where both are numbers.
+pub fn column(rows: &[Vec<Option<f64>>], column: usize) -> Vec<(f64, f64)> {
+    rows.iter().filter_map(|row| Some(((*row.first()?)?, (*row.get(column)?)?))).collect()
+}
+
 /// Reads the rows of a series as numbers, `None` for fields that are none; nothing where there is no such file.
 pub fn read(path: &Path) -> Vec<Vec<Option<f64>>> {
     let Ok(text) = files::read_string(path) else { return Vec::new() };

@@ -40,7 +40,7 @@ pub fn page(run: &LoadedRun<'_>) -> Result<String> {
         facts => Serde(facts),
         gaussians => model.gaussians(),
         bytes => [model.gaussian_bytes(), model.network_bytes()],
-        samples => [&partition.train, &partition.validation, &partition.test].map(Vec::len),
+        samples => partition.sizes(),
         has_pixels => data.task().has_pixels,
         words => words(run),
         split => one_line(&pipeline.split),

@@ -154,9 +154,7 @@ impl Join<'_, '_> {
         let counted = data.task().counted[1];
         self.session.observer.on_message(&format!("scoring {} test {counted}", partition.test.len()));
         let (scores, confidence) = evaluate(ensemble, self.pipeline, &data, &partition, self.session)?;
-        facts.data.clone_from(&data.title);
-        facts.simulated = data.is_simulated();
-        facts.samples = [&partition.train, &partition.validation, &partition.test].map(Vec::len);
+        facts.note_data(&data, &partition);
         (facts.steps, facts.training_seconds) = (0, 0.0);
         for place in 0..self.plan.runs.len() {
             let own = Facts::read(&self.plan.folder_of(place))?.unwrap_or_default();

@@ -10,6 +10,7 @@ use minijinja::{Value, context};
 use pwrfgs_core::Appearance;
 use pwrfgs_experiment::LoadedRun;
 use pwrfgs_experiment::scores::quantile;
+use pwrfgs_experiment::series::column;
 
 /// At most this many stretches of the loss are averaged.
 const STRETCHES: usize = 150;
@@ -80,13 +81,12 @@ fn gaussians(run: &LoadedRun<'_>, points: &[(f64, f64)]) -> Option<Figure> {
 /// SSIM on the validation samples, with the floors on the very same samples.
 fn validation(run: &LoadedRun<'_>) -> Option<Figure> {
     let rows = &run.record.validation;
-    let column = |k: usize| rows.iter().filter_map(|r| Some(((*r.first()?)?, (*r.get(k)?)?))).collect::<Vec<_>>();
     if rows.is_empty() {
         return None;
     }
     let mut lines = vec![
-        line(column(1), MODEL_COLOUR, 3.0).named("model, mean"),
-        line(column(2), LIGHT, 2.0).named("model, median"),
+        line(column(rows, 1), MODEL_COLOUR, 3.0).named("model, mean"),
+        line(column(rows, 2), LIGHT, 2.0).named("model, median"),
     ];
     for ((name, mean), colour) in run.record.facts.validation_baselines.iter().zip(FLOOR_COLOURS.into_iter().cycle()) {
         lines.push(Line::level(*mean, Style::line(Colour::hex(colour), 2.0, Stroke::DASHED)).named(name));
