@@ -155,3 +155,14 @@ pub enum Values {
     /// Does not apply here, and why; reported as `n/a`.
     NotApplicable(String),
 }
+
+impl Values {
+    /// The mean over the test samples, or the one number; NaN if the metric does not apply.
+    pub fn mean(&self) -> f64 {
+        match self {
+            Self::PerSample(values) => values.iter().sum::<f64>() / values.len() as f64,
+            Self::Whole(value) => *value,
+            Self::NotApplicable(_) => f64::NAN,
+        }
+    }
+}

@@ -8,7 +8,7 @@ use crate::confidence::Confidence;
 use crate::paired::Paired;
 use crate::scores::{MODEL, ScoreTable, Scores};
 use crate::session::Session;
-use pwrfgs_core::{Dataset, Error, ImagePlane, Known, ModelFacts, Partition, Result, Values, evenly, words::clean};
+use pwrfgs_core::{Dataset, Error, ImagePlane, Known, ModelFacts, Partition, Result, evenly, words::clean};
 use pwrfgs_model::{Ensemble, Prepared};
 use pwrfgs_pipeline::{Pipeline, defaults};
 
@@ -100,12 +100,7 @@ pub(crate) fn validation_baselines(
         let fitted = baseline.fit(data, Known::train(&partition.train))?;
         let name = baseline.name_for(data.task());
         let measured = bench.baseline(&name, &*fitted, &metrics, session)?;
-        let mean = match measured.first().map(|m| &m.values) {
-            Some(Values::PerSample(values)) => values.iter().sum::<f64>() / values.len() as f64,
-            Some(Values::Whole(value)) => *value,
-            _ => f64::NAN,
-        };
-        all.extend(mean.is_finite().then_some((name, mean)));
+        all.extend(measured.first().map(|m| m.values.mean()).filter(|mean| mean.is_finite()).map(|mean| (name, mean)));
     }
     Ok(all)
 }

@@ -25,14 +25,17 @@ pub struct Scores {
     pub predictors: Vec<(String, Vec<Measurement>)>,
 }
 
-/// Mean, median and bad tail of numbers a sample.
+/// Mean, median and bad tail of numbers a sample. Infinite values (a perfect PSNR) are stored as `null`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// Arithmetic mean.
+    #[serde(deserialize_with = "null_is_infinite")]
     pub mean: f64,
     /// Middle value.
+    #[serde(deserialize_with = "null_is_infinite")]
     pub median: f64,
     /// A tenth of the samples are this bad or worse: the 10th percentile where larger is better, else the 90th.
+    #[serde(deserialize_with = "null_is_infinite")]
     pub p10: f64,
 }
 
@@ -106,18 +109,8 @@ pub struct MetricRow {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Cell {
-    /// Over the test samples. Infinite values (a perfect PSNR) are stored as `null`.
-    Samples {
-        /// Arithmetic mean.
-        #[serde(deserialize_with = "null_is_infinite")]
-        mean: f64,
-        /// Middle value.
-        #[serde(deserialize_with = "null_is_infinite")]
-        median: f64,
-        /// A tenth of the samples are this bad or worse.
-        #[serde(deserialize_with = "null_is_infinite")]
-        p10: f64,
-    },
+    /// Over the test samples.
+    Samples(Summary),
     /// One number for the whole model.
     Whole(#[serde(deserialize_with = "null_is_infinite")] f64),
     /// Does not apply, and why.
@@ -132,10 +125,7 @@ impl Cell {
     /// The summary of a measurement.
     pub(crate) fn of(measurement: &Measurement) -> Self {
         match &measurement.values {
-            Values::PerSample(values) => {
-                let Summary { mean, median, p10 } = Summary::of(values, measurement.goal == Goal::Higher);
-                Self::Samples { mean, median, p10 }
-            }
+            Values::PerSample(values) => Self::Samples(Summary::of(values, measurement.goal == Goal::Higher)),
             Values::Whole(value) => Self::Whole(*value),
             Values::NotApplicable(why) => Self::NotApplicable(why.clone()),
         }
@@ -144,7 +134,7 @@ impl Cell {
     /// Mean, median, bad tail of numbers a sample; the one number of a whole model; nothing.
     pub fn numbers(&self) -> Vec<f64> {
         match self {
-            Self::Samples { mean, median, p10 } => vec![*mean, *median, *p10],
+            Self::Samples(Summary { mean, median, p10 }) => vec![*mean, *median, *p10],
             Self::Whole(value) => vec![*value],
             Self::NotApplicable(_) => Vec::new(),
         }
@@ -154,7 +144,7 @@ impl Cell {
 impl MetricRow {
     /// Whether some predictor has a number a sample.
     pub fn is_per_sample(&self) -> bool {
-        self.cells.iter().any(|c| matches!(c, Cell::Samples { .. }))
+        self.cells.iter().any(|c| matches!(c, Cell::Samples(_)))
     }
 }
 
@@ -209,10 +199,8 @@ impl ScoreTable {
         self.predictors.push(CEILING.into());
         for row in &mut self.metrics {
             let found = of.iter().find(|(key, _)| *key == row.key);
-            let cell = |(_, AtZero { mean, median, p10, .. }): &(String, AtZero)| Cell::Samples {
-                mean: *mean,
-                median: *median,
-                p10: *p10,
+            let cell = |&(_, AtZero { mean, median, p10, .. }): &(String, AtZero)| {
+                Cell::Samples(Summary { mean, median, p10 })
             };
             row.cells.push(found.map_or_else(|| Cell::NotApplicable("no estimate".into()), cell));
         }

@@ -14,12 +14,13 @@ pub(crate) fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize])
     let bench = Bench::new(data, part, &model.stages.plane);
     let (task, model, metrics) = (data.task(), &model.prepare(), defaults::validation(data.task()));
     let measured = bench.model("the model", model, None, &metrics, &mut Session::new(&mut Silent))?;
-    let of = |k: usize| match measured.get(k).map(|m| &m.values) {
+    let Summary { mean, median, p10 } = match measured.first().map(|m| &m.values) {
         Some(Values::PerSample(values)) => Summary::of(values, task.headline.higher),
-        Some(Values::Whole(value)) => Summary { mean: *value, median: *value, p10: *value },
-        _ => Summary { mean: f64::NAN, median: f64::NAN, p10: f64::NAN },
+        other => {
+            let mean = other.map_or(f64::NAN, Values::mean);
+            Summary { mean, median: mean, p10: mean }
+        }
     };
-    let first = of(0);
-    let third = if measured.len() > 1 { of(1).mean } else { first.p10 };
-    Ok(Validation { step, task, values: [first.mean, first.median, third] })
+    let third = measured.get(1).map_or(p10, |m| m.values.mean());
+    Ok(Validation { step, task, values: [mean, median, third] })
 }

@@ -48,10 +48,11 @@ fn group(scores: &ScoreTable, metric: &MetricRow) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use pwrfgs_experiment::scores::Summary;
 
     #[test]
     fn a_bound_is_neither_best_nor_second_and_a_single_rival_no_best() {
-        let cell = |v: f64| Cell::Samples { mean: v, median: v, p10: v };
+        let cell = |v: f64| Cell::Samples(Summary { mean: v, median: v, p10: v });
         let cells = vec![cell(0.7), cell(0.99), cell(0.8)];
         let row = MetricRow { key: "ssim".into(), unit: String::new(), higher_is_better: true, cells };
         let marks = |bounds: &[&str]| -> Vec<String> {

@@ -5,7 +5,7 @@ use crate::draw::charts::{Axis, Chart, Line};
 use crate::study::Setting;
 use minijinja::context;
 use pwrfgs_core::Dataset;
-use pwrfgs_core::{Error, Measurement, Metric, Plugin, Result, Values, evenly};
+use pwrfgs_core::{Error, Measurement, Metric, Plugin, Result, evenly};
 use pwrfgs_experiment::{Bench, Session, Silent};
 
 /// Ends of the axis and steps between, dB.
@@ -64,12 +64,7 @@ fn snrs() -> impl Iterator<Item = f64> {
 
 /// Mean over the samples of each measurement, at its ratio.
 fn curve(measured: &[Measurement]) -> Vec<(f64, f64)> {
-    let mean = |m: &Measurement| match &m.values {
-        Values::PerSample(values) => values.iter().sum::<f64>() / values.len() as f64,
-        Values::Whole(value) => *value,
-        Values::NotApplicable(_) => f64::NAN,
-    };
-    snrs().zip(measured.iter().map(mean)).collect()
+    snrs().zip(measured.iter().map(|m| m.values.mean())).collect()
 }
 
 /// The mean of curves over the same places.
