@@ -14,14 +14,16 @@ const CHUNK: usize = 64;
 /// The digest of everything in `plan` that changes a training, of the `data` and of which of them are trained on.
 /// Where the data lie, how they are scored and how often one looks or saves is left out.
 pub(crate) fn fingerprint(plan: &TrainingPlan, data: &Dataset, train: &[usize]) -> String {
+    // In full: a new field of a plan is either part of the digest or named here as one that changes nothing.
+    let TrainingPlan { name: _, seed, method, initializer, pruners, training } = plan;
     let looks = Training::default();
     let training = Training {
         checkpoint_every: looks.checkpoint_every,
         validate_every: looks.validate_every,
         validation_samples: looks.validation_samples,
-        ..Training::clone(&plan.training)
+        ..Training::clone(training)
     };
-    let said = to_ron(&(plan.seed, &plan.initializer, &plan.method, &plan.pruners, training));
+    let said = to_ron(&(seed, initializer, method, pruners, training));
     let columns: Vec<_> = specs_of(plan).into_iter().map(|spec| (spec.name, spec.width)).collect();
     let parts = [said, format!("{columns:?} {train:?} {}", size_of::<Real>()), of_data(data)];
     digest(parts.join("\n").as_bytes())
