@@ -1,8 +1,9 @@
 //! Whether the parts of a pipeline go together: data, method and metrics of one task, and pruners.
 
-use crate::Pipeline;
-use pwrfgs_core::plugin::name_of;
+use crate::{Pipeline, defaults};
+use pwrfgs_core::plugin::{name_of, to_ron};
 use pwrfgs_core::{Dataset, Error, Task};
+use pwrfgs_model::Calibration;
 use pwrfgs_train::Rays;
 
 /// The first field that does not support the data, and what to do about it; nothing where the source does not know
@@ -36,12 +37,31 @@ fn other_kinds(pipeline: &Pipeline) -> Option<(&'static str, String)> {
         let what = format!("it gives {}, and the data are {}; use {}", own.plural, task.plural, task.method);
         return Some((field, what));
     }
+    if let Some(field) = unused(pipeline, task) {
+        let what = format!("the method of {} has none; leave it out, or at its default", task.plural);
+        return Some((field, what));
+    }
     if !pipeline.initializer.supports(task) {
         let name = name_of(&pipeline.initializer);
         let what = format!("`{name}` does not search {}; use another, such as Random()", task.plural);
         return Some(("initializer", what));
     }
     pipeline.unsupported(task)
+}
+
+/// The first field of splats that is not at its default, although [`Pipeline::method`] takes a method without it.
+fn unused(pipeline: &Pipeline, task: Task) -> Option<&'static str> {
+    if pipeline.method.is_some() || !task.is_complex {
+        return None;
+    }
+    let Pipeline { projector, rasterizer, calibration, readout, .. } = pipeline;
+    let is_default = [
+        ("projector", to_ron(projector) == to_ron(&defaults::projector())),
+        ("rasterizer", to_ron(rasterizer) == to_ron(&defaults::rasterizer())),
+        ("calibration", *calibration == Calibration::default()),
+        ("readout", *readout == defaults::readout(task)),
+    ];
+    is_default.into_iter().find(|(_, is_default)| !is_default).map(|(field, _)| field)
 }
 
 impl Pipeline {

@@ -394,4 +394,23 @@ mod tests {
         assert!(said.starts_with("a.ron:5:11: metrics: "), "{said}");
         assert!(refused("name: \"a/b\", data: Teacher(), initializer: Random()").starts_with("a.ron:2:7: name: "));
     }
+
+    #[test]
+    fn fields_that_the_method_of_channels_lacks_are_refused_unless_at_their_default() {
+        let channels = |field: &str| {
+            let data = "Channels(root: \"x\", carrier_hz: 3e8, spacing_hz: 1e7, receiver: ())";
+            parse(&format!("name: \"a\", data: {data}, initializer: Random(),\n{field}"))
+        };
+        for field in
+            ["projector: Mercator(blur: 1)", "rasterizer: ArrayResponse()", "calibration: AsReleased", "readout: Real"]
+        {
+            let (name, message) = (field.split(':').next().unwrap(), channels(field).unwrap_err());
+            assert!(
+                message.starts_with("a.ron:3:") && message.contains(&format!("{name}: the method of channels")),
+                "{message}"
+            );
+        }
+        let written = channels("").unwrap().to_ron();
+        assert_eq!(Pipeline::parse(&written, Path::new("a.ron")).unwrap().to_ron(), written);
+    }
 }
