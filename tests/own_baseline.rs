@@ -4,13 +4,14 @@ use pwrfgs::core::Query;
 use pwrfgs::experiment::Outcome;
 use pwrfgs::prelude::*;
 use pwrfgs::run;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 
 /// Always one grey, which a file holds.
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 struct GreyOfAFile {
+    #[schemars(extend("format" = "path"))]
     path: PathBuf,
 }
 
@@ -26,10 +27,6 @@ impl Baseline for GreyOfAFile {
             pixels: vec![text.trim().parse().unwrap(); data.width * data.height],
             ..data.image(0)
         })))
-    }
-
-    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn Baseline>> {
-        Some(Box::new(Self { path: absolute(&self.path) }))
     }
 }
 

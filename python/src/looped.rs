@@ -53,11 +53,11 @@ impl Trainer {
 impl Trainer {
     #[new]
     fn new(py: Python<'_>, pipeline: &Pipeline, dataset: &Dataset) -> PyResult<Self> {
-        let mut inner = pipeline.now();
-        pwrfgs::experiment::rebase(&mut inner, pipeline.base());
+        let (inner, base) = (pipeline.now(), pipeline.base().to_owned());
         let data = Arc::clone(&dataset.data);
         crate::strategies::forget();
         let begin = move || -> Result<Held> {
+            let inner = pwrfgs::experiment::rebased(&inner, &base)?;
             let partition: Partition = inner.partition(&data)?;
             Held::try_new(data, |data| inner.trainer(data, &partition))
         };

@@ -1,12 +1,13 @@
 //! Plugins, pipelines and their text.
 
 use crate::border::{free, wrong};
+use pwrfgs::experiment::rebased;
 use pwrfgs::pipeline::Change;
 use pwrfgs::pipeline::ron_tree::{Body as Parts, Tree};
 use pwrfgs::prelude::Pipeline as Inner;
 use pwrfgs_core::docs::{Body, Docs, Kind};
 use pwrfgs_core::files::{check_new_file, write_atomically};
-use pwrfgs_core::plugin::{Family, PluginKind, inventory, ron_options};
+use pwrfgs_core::plugin::{Family, PluginKind, inventory, ron_options, to_ron};
 use pwrfgs_core::{Error, Plugin, Result};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
@@ -95,11 +96,9 @@ impl Pipeline {
 
     /// A new file of it, whose relative paths mean what they mean here.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
-        let mut inner = self.now();
-        pwrfgs::experiment::rebase(&mut inner, &self.base);
         free(py, || {
             check_new_file(&path)?;
-            write_atomically(&path, inner.to_ron().as_bytes())
+            write_atomically(&path, rebased(&self.now(), &self.base)?.to_ron().as_bytes())
         })
     }
 
@@ -109,10 +108,11 @@ impl Pipeline {
 
     /// The data, loaded.
     fn data(&self, py: Python<'_>) -> PyResult<crate::data::Dataset> {
-        let mut inner = self.now();
-        pwrfgs::experiment::rebase(&mut inner, &self.base);
-        let data = free(py, || inner.data.load(&self.base, &|_, _| {}))?;
-        Ok(crate::data::Dataset::new(data, Some(pwrfgs_core::plugin::to_ron(&inner.data))))
+        let (data, source) = free(py, || {
+            let source = rebased(&self.now(), &self.base)?.data;
+            Ok((source.load(&self.base, &|_, _| {})?, source))
+        })?;
+        Ok(crate::data::Dataset::new(data, Some(to_ron(&source))))
     }
 }
 

@@ -205,6 +205,33 @@ fn mistakes_are_refused_where_they_stand_before_anything_runs() {
     assert!(!here.join("runs/tiny").join(RUNS[0]).exists());
 }
 
+#[test]
+fn values_for_all_runs_are_checked_together_with_those_of_the_axes() {
+    let of_target = |last: &str| {
+        format!(
+            "Experiment(name: \"t\", base: \"base/p.ron\",\nset: {{\"pruners\": [TopK()]}},\naxes: [Axis(name: \"n\", variants: [
+            (label: \"3\", set: {{\"training.target\": 3}}), {last}])])"
+        )
+    };
+    let folder = folder(&of_target("(label: \"4\", set: {\"training.target\": 4})"), SMALL);
+    let here = folder.path();
+    succeed(here, &["sweep", "e.ron", "--dry-run"]);
+    write(&here.join("e.ron"), of_target("(label: \"none\")"));
+    refuse(
+        here,
+        &["sweep", "e.ron", "--dry-run"],
+        2,
+        &["e.ron:2:7: set: pruners: `TopK` keeps at most training.target"],
+    );
+    let set = ["--set", "pruners=[TopK(score: Opacity)]"];
+    refuse(
+        here,
+        &[&["sweep", "e.ron", "--dry-run"][..], &set].concat(),
+        2,
+        &["error: --set pruners=", "training.target"],
+    );
+}
+
 /// Every file below a folder.
 fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     let mut all = Vec::new();

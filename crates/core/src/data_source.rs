@@ -1,12 +1,15 @@
 //! `DataSource`, `Split`, `Baseline`: what is known, how it is divided, and what must be beaten.
 
 use crate::{Dataset, Image, Known, Partition, Query, Result, Task, plugin_kind, rng::Rng};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Told (done, of how many) while something long is under way, from any thread and in any order.
 pub type Progress<'a> = &'a (dyn Fn(usize, usize) + Sync);
 
 /// Loads or makes a data set.
+///
+/// Of any plugin, a field that holds a path has the attribute `#[schemars(extend("format" = "path"))]`: a pipeline file
+/// takes it from its own folder.
 #[typetag::serde]
 pub trait DataSource:
     erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
@@ -18,13 +21,6 @@ pub trait DataSource:
     /// What it observes, if that is known before it is loaded: a pipeline that does not fit is then refused when it is read,
     /// at its place.
     fn task(&self) -> Option<Task> {
-        None
-    }
-
-    /// The same source with its paths made relative to another folder: `absolute` maps a path of `base` to one that
-    /// holds everywhere. A source without paths returns `None`.
-    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {
-        let _ = absolute;
         None
     }
 
@@ -96,13 +92,6 @@ pub trait Baseline:
     /// Learns from all `known` links, and makes its choices, if it has any, on their validation part; where that is
     /// empty, on samples of the training part that it leaves out meanwhile.
     fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>>;
-
-    /// The same baseline with its paths made relative to another folder, as [`DataSource::rebased`] does. A baseline
-    /// without paths returns `None`.
-    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn Baseline>> {
-        let _ = absolute;
-        None
-    }
 
     /// Refuses settings that cannot work, when the pipeline is read.
     fn check(&self) -> Result<(), String> {

@@ -1,7 +1,6 @@
 //! `Initializer`: where the Gaussians start.
 
 use crate::{Dataset, GaussianCloud, ImagePlane, Method, Progress, Real, Result, Scene, Task, plugin_kind, rng::Rng};
-use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
 /// What an initialiser may look at that reads observations.
@@ -57,12 +56,6 @@ pub trait Initializer:
     fn weights(&self, seen: &Seen<'_>) -> Result<Option<Vec<Real>>> {
         let _ = seen;
         Ok(None)
-    }
-
-    /// The same with its paths made relative to another folder, as [`DataSource::rebased`](crate::DataSource::rebased) does.
-    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn Initializer>> {
-        let _ = absolute;
-        None
     }
 
     /// How many Gaussians it makes, where its settings alone say so.

@@ -96,14 +96,6 @@ impl DataSource for Arrays {
         Ok(Dataset { elevation, official, simulation, ..data })
     }
 
-    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {
-        Some(Box::new(Self {
-            root: absolute(&self.root),
-            points: self.points.as_deref().map(absolute),
-            ..self.clone()
-        }))
-    }
-
     fn check(&self) -> Result<(), String> {
         if self.root.as_os_str().is_empty() {
             return Err("`root` is empty; name the folder of the data set, or `.` for this one".into());

@@ -49,10 +49,8 @@ pub struct Channels {
     #[schemars(extend("format" = "path"))]
     pub root: PathBuf,
     /// The array, relative to `root`.
-    #[schemars(extend("format" = "path"))]
     pub file: PathBuf,
     /// The table of places, relative to `root`.
-    #[schemars(extend("format" = "path"))]
     pub positions: PathBuf,
     /// Point cloud of the room (PLY, XYZ or CSV, metres, world frame), relative to the pipeline file.
     #[schemars(extend("format" = "path"))]
@@ -149,11 +147,6 @@ impl DataSource for Channels {
         let data = Dataset::of_links(title, vec![receiver], points, &samples, channels.into())?;
         progress(data.len(), data.len());
         Ok(Dataset { simulation, official: rows, ..data })
-    }
-
-    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {
-        let (root, points) = (absolute(&self.root), self.points.as_deref().map(absolute));
-        Some(Box::new(Self { root, points, ..self.clone() }))
     }
 
     fn check(&self) -> Result<(), String> {

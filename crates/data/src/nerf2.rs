@@ -122,11 +122,6 @@ impl DataSource for Nerf2Spectrum {
         Ok(Dataset { elevation, official, simulation, unmatched, ..data })
     }
 
-    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {
-        let (root, points) = (absolute(&self.root), self.points.as_deref().map(absolute));
-        Some(Box::new(Self { root, points, ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
         if self.root.as_os_str().is_empty() {
             return Err("`root` is empty; name the folder of the data set, or `.` for this one".into());

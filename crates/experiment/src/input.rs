@@ -1,7 +1,7 @@
 //! From files and `--set` arguments to pipelines whose paths hold everywhere.
 
 use pwrfgs_core::{Result, files::read_text};
-use pwrfgs_pipeline::{Changes, Draft, Fault, Pipeline};
+use pwrfgs_pipeline::{Change, Draft, Fault, Pipeline};
 use std::path::{Path, PathBuf};
 
 /// Reads the pipeline in `path`, applies `--set` arguments and then `training.scale`. Paths in the file are relative to the
@@ -15,72 +15,54 @@ pub fn read_pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
 
 /// [`read_pipeline`] of text that was read from `path`.
 pub(crate) fn parse(text: &str, path: &Path, set: &[String]) -> Result<Pipeline> {
-    let mut pipeline = parse_base(text, path)?;
-    set_all(&mut pipeline, set)?;
-    pipeline.resolved()
+    let mut draft = parse_base(text, path)?;
+    set_all(&mut draft, set)?;
+    draft.finish().map_err(Fault::in_arguments)?.resolved()
 }
 
-/// The pipeline in `path` as it stands there, with `training.scale` still to be multiplied in.
-pub(crate) fn read_base(path: &Path) -> Result<Pipeline> {
+/// The pipeline in `path` as it stands there, its paths absolute.
+pub(crate) fn read_base(path: &Path) -> Result<Draft> {
     parse_base(&read_text(path)?, path)
 }
 
-fn parse_base(text: &str, path: &Path) -> Result<Pipeline> {
-    let mut pipeline = Pipeline::parse(text, path)?;
-    rebase(&mut pipeline, path.parent().unwrap_or(Path::new("")));
-    Ok(pipeline)
+fn parse_base(text: &str, path: &Path) -> Result<Draft> {
+    let mut draft = Draft::of(&Pipeline::parse(text, path)?);
+    change(&mut draft, &[], path.parent().unwrap_or(Path::new(""))).map_err(Fault::in_arguments)?;
+    Ok(draft)
 }
 
-/// Makes the changes of a file in `here` in a draft whose own paths are absolute.
+/// Makes changes of a file in `here`, from where their paths are meant.
 ///
 /// # Errors
 /// What is wrong with a change by itself.
-pub(crate) fn change(draft: &mut Draft, changes: &Changes, here: &Path) -> Result<(), Fault> {
-    changes.0.iter().try_for_each(|change| draft.set(change))?;
-    if ["data", "initializer", "baselines"].iter().any(|field| changes.change(field)) {
-        draft.rebase(&|path| absolute(here, path))?;
-    }
-    Ok(())
+pub(crate) fn change(draft: &mut Draft, changes: &[Change], here: &Path) -> Result<(), Fault> {
+    changes.iter().try_for_each(|change| draft.set(change))?;
+    draft.rebase(&|path| absolute(here, path))
 }
 
-/// Applies `--set` arguments to a pipeline whose own paths are absolute; theirs are relative to where one stands.
+/// Makes the changes of `--set` arguments; their paths are relative to the current directory.
 ///
 /// # Errors
-/// What is wrong with an argument.
-pub(crate) fn set_all(pipeline: &mut Pipeline, set: &[String]) -> Result<()> {
-    if set.is_empty() {
-        return Ok(());
-    }
-    pipeline.set_all(set)?;
-    rebase(pipeline, Path::new(""));
-    Ok(())
+/// What is wrong with an argument by itself.
+pub(crate) fn set_all(draft: &mut Draft, set: &[String]) -> Result<()> {
+    let changes: Vec<Change> = set.iter().map(|argument| Change::argument(argument)).collect::<Result<_>>()?;
+    change(draft, &changes, Path::new("")).map_err(Fault::in_arguments)
 }
 
-/// The pipeline as it is run: paths from `base` on, the scale multiplied in, and fit to be written down.
+/// The pipeline as it is run: paths from `base` on, and the scale multiplied in.
 ///
 /// # Errors
-/// As [`Pipeline::resolved`] and [`Pipeline::check_text`].
+/// As [`Pipeline::rebased`] and [`Pipeline::resolved`].
 pub(crate) fn prepared(pipeline: &Pipeline, base: &Path) -> Result<Pipeline> {
-    let mut pipeline = pipeline.clone();
-    rebase(&mut pipeline, base);
-    let pipeline = pipeline.resolved()?;
-    pipeline.check_text()?;
-    Ok(pipeline)
+    rebased(pipeline, base)?.resolved()
 }
 
-/// Takes every relative path of the pipeline from `base` and makes it absolute.
-pub fn rebase(pipeline: &mut Pipeline, base: &Path) {
-    if let Some(rebased) = pipeline.data.rebased(&|path| absolute(base, path)) {
-        pipeline.data = rebased.into();
-    }
-    if let Some(rebased) = pipeline.initializer.rebased(&|path| absolute(base, path)) {
-        pipeline.initializer = rebased.into();
-    }
-    for baseline in &mut pipeline.baselines {
-        if let Some(rebased) = baseline.rebased(&|path| absolute(base, path)) {
-            *baseline = rebased.into();
-        }
-    }
+/// The pipeline with every relative path taken from `base`.
+///
+/// # Errors
+/// As [`Pipeline::rebased`].
+pub fn rebased(pipeline: &Pipeline, base: &Path) -> Result<Pipeline> {
+    pipeline.rebased(&|path| absolute(base, path))
 }
 
 /// `path`, relative to `base`, as one that holds everywhere.

@@ -48,7 +48,7 @@ pub use data_warnings::{data_warnings, equality_warning, position_warning};
 pub use evaluate::{check_alike, evaluate};
 pub use facts::{Facts, Machine, Mark};
 pub use folder::RunFolder;
-pub use input::{read_pipeline, rebase};
+pub use input::{read_pipeline, rebased};
 pub use load::load;
 pub use observed::observed;
 pub use observer::{Observer, Silent, Start, Validation, staged};

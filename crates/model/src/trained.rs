@@ -3,7 +3,7 @@
 use crate::file;
 use pwrfgs_core::{Error, GaussianCloud, ImagePlane, Initializer, JsonSchema, Real, Result, Scene, Seen, rng::Rng};
 use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Gaussians and weights of a trained model.
 ///
@@ -54,9 +54,5 @@ impl Initializer for Trained {
             return Err(Error::input(&self.model, what));
         }
         Ok(Some(model.weights))
-    }
-
-    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn Initializer>> {
-        Some(Box::new(Self { model: absolute(&self.model) }))
     }
 }

@@ -4,10 +4,11 @@
 
 use crate::changes::Change;
 use crate::pipeline::{Misfit, Pipeline, TypeHint};
-use crate::place::{Edit, Place, quoted};
+use crate::place::{Edit, Place, paths, quoted};
 use crate::ron_tree::Tree;
-use pwrfgs_core::plugin::{ron_options, to_ron};
-use pwrfgs_core::{Baseline, DataSource, Error, Initializer, Plugin, Result};
+use pwrfgs_core::docs::{Docs, Kind};
+use pwrfgs_core::plugin::{ron_options, try_to_ron};
+use pwrfgs_core::{Error, Result};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -41,38 +42,30 @@ impl Draft {
         let edits = edits(&tree, change).map_err(|message| Fault { message, blamed: vec![change.clone()] })?;
         self.edit(edits);
         self.changes.push(change.clone());
+        // With the defaults that the value leaves out, the next change finds their fields.
+        if let Some(whole) =
+            ron_options().from_str::<Pipeline>(&self.text).ok().and_then(|pipeline| pipeline.text().ok())
+        {
+            self.text = whole;
+        }
         Ok(())
     }
 
-    /// Makes relative paths of data, initializer and baselines absolute.
+    /// Makes relative paths absolute.
     ///
     /// # Errors
-    /// Where these plugins do not pass their own checks.
+    /// A path that cannot be written as text.
     pub fn rebase(&mut self, absolute: &dyn Fn(&Path) -> PathBuf) -> Result<(), Fault> {
         let tree = self.tree();
-        let text = |field: &str| tree.field(field).map_or("", |t| t.of(&self.text));
-        let wrong = |field: &str, e| self.fault(field, format!("{field}: {e}"));
-        let mut edits = Vec::new();
-        let data = Plugin::<dyn DataSource>::parse(text("data")).map_err(|e| wrong("data", e))?;
-        if let (Some(rebased), Some(old)) = (data.rebased(absolute), tree.field("data")) {
-            edits.push((old.span.clone(), to_ron(&Plugin::from(rebased))));
-        }
-        if let Some(old) = tree.field("initializer") {
-            let given = Plugin::<dyn Initializer>::parse(text("initializer")).map_err(|e| wrong("initializer", e))?;
-            if let Some(rebased) = given.rebased(absolute) {
-                edits.push((old.span.clone(), to_ron(&Plugin::from(rebased))));
-            }
-        }
-        let list = text("baselines");
-        let baselines: Vec<Plugin<dyn Baseline>> =
-            ron_options().from_str(list).map_err(|e| wrong("baselines", e.code.to_string()))?;
-        let items = tree.field("baselines").map_or(&[][..], Tree::items);
-        for (baseline, old) in baselines.iter().zip(items) {
-            if let Some(rebased) = baseline.rebased(absolute) {
-                edits.push((old.span.clone(), to_ron(&Plugin::from(rebased))));
-            }
-        }
-        self.edit(edits);
+        let moved = |path: &Tree| {
+            let old: PathBuf = ron_options().from_str(path.of(&self.text)).map_err(|e| e.code.to_string())?;
+            Ok((path.span.clone(), try_to_ron(&absolute(&old))?))
+        };
+        let places = paths(&Kind::Of(Docs::of::<Pipeline>()), &tree, &self.text);
+        let edits: Result<Vec<Edit>, (usize, String)> =
+            places.into_iter().map(|path| moved(path).map_err(|why: String| (path.span.start, why))).collect();
+        let unwritten = |(at, message)| self.blame(Misfit { message, at: Some(at), hint: TypeHint::Never });
+        self.edit(edits.map_err(unwritten)?);
         Ok(())
     }
 
@@ -140,9 +133,12 @@ impl Fault {
         Error::Config(self.to_string())
     }
 
-    /// The same as an error of the file at `path`, which holds the changes.
+    /// The same as an error of the file at `path`, if that holds one of the changes or there are none.
     pub fn in_file(self, path: &Path) -> Error {
         let at = self.blamed.iter().rev().find_map(|change| change.at);
+        if at.is_none() && !self.blamed.is_empty() {
+            return self.in_arguments();
+        }
         let message = self.to_string();
         Error::Input { path: path.into(), at, message }
     }

@@ -14,7 +14,7 @@ use pwrfgs_model::{Calibration, Readout, SplattedChannel, Splatting, Stages, che
 use pwrfgs_train::{Trainer, Training, TrainingPlan};
 use ron::error::SpannedError;
 use serde::{Deserialize, Serialize};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Everything a run needs to know. Plugins are named in the words of the registry; plain settings are nested structs. A
 /// field that is left out takes what [`defaults`] says; name, data and initializer have no default. Read it with
@@ -178,7 +178,7 @@ impl Pipeline {
         self.text().map(|_| ()).map_err(Error::Config)
     }
 
-    fn text(&self) -> Result<String, String> {
+    pub(crate) fn text(&self) -> Result<String, String> {
         let why = "this pipeline cannot be written as text";
         try_to_ron(self).map_err(|e| format!("{why}: {e}"))
     }
@@ -192,6 +192,16 @@ impl Pipeline {
         let made = changes.iter().try_for_each(|change| draft.set(change)).and_then(|()| draft.finish());
         *self = made.map_err(Fault::in_arguments)?;
         Ok(())
+    }
+
+    /// The same with absolute paths; `absolute` maps a path as it stands.
+    ///
+    /// # Errors
+    /// [`Error::Config`] if the pipeline, or a path, cannot be written as text.
+    pub fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Result<Self> {
+        self.check_text()?;
+        let mut draft = Draft::of(self);
+        draft.rebase(absolute).and_then(|()| draft.finish()).map_err(Fault::in_arguments)
     }
 
     /// Applies `--set` arguments, such as `training.steps=1000` or `pruners.LearnableMask.lambda=0.05`.
@@ -393,6 +403,17 @@ mod tests {
         let said = refused("name: \"a\",\n data: Teacher(),\n initializer: Random(),\n metrics: [PowerError()]");
         assert!(said.starts_with("a.ron:5:11: metrics: "), "{said}");
         assert!(refused("name: \"a/b\", data: Teacher(), initializer: Random()").starts_with("a.ron:2:7: name: "));
+    }
+
+    #[test]
+    fn paths_of_plugins_become_absolute() {
+        let data = "Channels(root: \"r\", points: \"p.ply\", carrier_hz: 3e8, spacing_hz: 1e7, receiver: ())";
+        let relative = parse(&format!("name: \"a\", data: {data}, initializer: Trained(model: \"m\")")).unwrap();
+        let absolute = relative.rebased(&|path| Path::new("/base").join(path)).unwrap().to_ron();
+        for field in ["root: \"/base/r\"", "points: \"/base/p.ply\"", "model: \"/base/m\""] {
+            assert!(absolute.contains(field), "{field}: {absolute}");
+        }
+        assert_eq!(absolute.matches("/base/").count(), 3, "`file` and `positions` start at `root`: {absolute}");
     }
 
     #[test]

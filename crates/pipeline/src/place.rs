@@ -101,7 +101,7 @@ impl<'a> Place<'a> {
         let settings = matches!(self.kind, Some(Kind::Of(Docs { body: Parts::Fields(_), .. })));
         let merges = settings || new.name.is_none();
         if !merges || new.fields().is_empty() || self.tree.fields().is_empty() {
-            edits.push((self.tree.span.clone(), written_out(self.kind.as_ref(), new, text)));
+            edits.push((self.tree.span.clone(), new.of(text).to_owned()));
             return Ok(());
         }
         for (field, value) in new.fields() {
@@ -112,19 +112,22 @@ impl<'a> Place<'a> {
     }
 }
 
-/// A value with the defaults of its plugins, so that the next change finds their fields.
-fn written_out(kind: Option<&Kind>, new: &Tree, text: &str) -> String {
-    let own = new.of(text);
-    match kind.map(inside) {
-        Some(Kind::Plugin(kind)) => {
-            Family::find(kind).and_then(|family| (family.complete)(own).ok()).unwrap_or_else(|| own.to_owned())
-        }
-        Some(Kind::List(kind)) if !new.items().is_empty() => {
-            let items: Vec<String> = new.items().iter().map(|item| written_out(Some(kind), item, text)).collect();
-            format!("[{}]", items.join(", "))
-        }
-        _ => own.to_owned(),
+/// Where the paths in the value `tree` of `text` stand, as the fields that take a path say.
+pub(crate) fn paths<'a>(kind: &Kind, tree: &'a Tree, text: &str) -> Vec<&'a Tree> {
+    let kind = inside(kind);
+    if let (Some("Some"), [inner]) = (tree.name.as_deref(), tree.items()) {
+        return paths(kind, inner, text);
     }
+    let docs = match kind {
+        Kind::Plain("path") if tree.quoted => return vec![tree],
+        Kind::Plugin(kind) => Family::find(kind).and_then(|family| (family.docs)(tree.of(text))),
+        kind => kind.docs(),
+    };
+    let variant = tree.name.as_deref();
+    let of_field = |(name, value)| Some((docs?.field(variant, name)?.kind.clone(), value));
+    let fields = tree.fields().iter().map(|(name, value)| (name.as_str(), value)).filter_map(of_field);
+    let items = tree.items().iter().enumerate().map(|(place, item)| (part(kind, &place.to_string()), item));
+    fields.chain(items).flat_map(|(kind, value)| paths(&kind, value, text)).collect()
 }
 
 /// What the source says about a field of the value `tree`.

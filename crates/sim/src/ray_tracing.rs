@@ -148,11 +148,6 @@ impl Baseline for RayTracing {
         Ok(Box::new(Traced { simulator, listeners, what, noise: self.noise, seed: self.seed, note, knows_scene }))
     }
 
-    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn Baseline>> {
-        let scene = self.scene.as_deref().map(absolute);
-        Some(Box::new(Self { scene, ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
         for (field, value) in [("material_error", self.material_error), ("position_error_m", self.position_error_m)] {
             if !(0.0..=2.0).contains(&value) {

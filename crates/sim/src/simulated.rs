@@ -141,10 +141,6 @@ impl DataSource for Simulated {
         cache::open_or_make(&recipe, root.as_deref(), progress, |folder| self.read(&recipe, folder))
     }
 
-    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {
-        Some(Box::new(Self { scene: absolute(&self.scene), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
         recipe::check(self.samples, self.points)?;
         self.observe.check().map_err(|why| format!("observe: {why}"))

@@ -18,6 +18,8 @@ pub struct Family {
     /// # Errors
     /// As [`read_ron`], with the position in the text.
     pub complete: fn(&str) -> Result<String>,
+    /// What the source says of the plugin in a text of this kind; nothing if the text is none.
+    pub docs: fn(&str) -> Option<&'static Docs>,
 }
 inventory::collect!(Family);
 
@@ -42,6 +44,7 @@ impl Family {
             kind: T::KIND,
             members: members::<T>,
             complete: |text| read_ron::<Plugin<T>>(text, Path::new(T::KIND)).map(|p| to_ron(&p)),
+            docs: |text| Plugin::<T>::parse(text).ok().map(|plugin| plugin.get().docs()),
         }
     }
 

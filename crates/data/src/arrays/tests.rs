@@ -135,12 +135,5 @@ fn mistakes_are_told() {
         folder.write("test_index.txt", "5\n");
     });
     assert_eq!(said, "DIR/s/test_index.txt:1:1: id 5 has no row in tx.npy, which has 4; add the row or remove the id");
-}
-
-#[test]
-fn it_is_a_plugin_whose_paths_move_with_the_pipeline() {
-    let source = Plugin::<dyn DataSource>::parse(r#"Arrays(root: "a", points: "b.ply")"#).unwrap();
-    let moved = source.rebased(&|path| Path::new("base").join(path)).unwrap();
-    assert_eq!(format!("{moved:?}"), r#"Arrays { root: "base/a", points: Some("base/b.ply"), elevation: None }"#);
     assert!(Plugin::<dyn DataSource>::parse(r#"Arrays(root: "")"#).is_err());
 }

@@ -102,10 +102,6 @@ impl DataSource for Nerf2Csi {
         Ok(Dataset { official, simulation, features, placed: positions.is_some(), ..data })
     }
 
-    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {
-        Some(Box::new(Self { root: absolute(&self.root), ..self.clone() }))
-    }
-
     fn check(&self) -> Result<(), String> {
         check_root(&self.root)?;
         check_frequencies(self.carrier_hz, self.spacing_hz)

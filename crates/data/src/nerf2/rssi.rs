@@ -88,10 +88,6 @@ impl DataSource for Nerf2Rssi {
         Ok(Dataset { official, simulation, ..data })
     }
 
-    fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Option<Box<dyn DataSource>> {
-        Some(Box::new(Self { root: absolute(&self.root), points: self.points.as_deref().map(absolute) }))
-    }
-
     fn check(&self) -> Result<(), String> {
         check_root(&self.root)
     }

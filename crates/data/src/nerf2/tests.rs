@@ -190,16 +190,6 @@ fn points_widen_the_bounds() {
 }
 
 #[test]
-fn paths_move_with_the_pipeline() {
-    let source = Plugin::<dyn DataSource>::parse(r#"Nerf2Spectrum(root: "a", points: "b.ply")"#).unwrap();
-    let moved = source.rebased(&|path| Path::new("base").join(path)).unwrap();
-    assert_eq!(
-        format!("{moved:?}"),
-        r#"Nerf2Spectrum { root: "base/a", points: Some("base/b.ply"), gateway: None, elevation: None }"#
-    );
-}
-
-#[test]
 fn a_missing_file_is_named() {
     let of = |name: &str| {
         let folder = Folder::new();

@@ -70,9 +70,9 @@ impl Plan {
         let here = path.parent().unwrap_or(Path::new(""));
         let tree = Tree::parse(&text).map_err(|why| Error::input(path, why))?;
         let source = Source { path, here, experiment: &experiment, text: &text, tree: &tree, set };
-        let base = source.base(&experiment.base)?;
+        let draft = source.base(&experiment.base)?;
         source.refuse_too_many()?;
-        let mut combinations = vec![Combination { labels: Vec::new(), start: None, draft: Draft::of(&base) }];
+        let mut combinations = vec![Combination { labels: Vec::new(), start: None, draft }];
         for axis in 0..experiment.axes.len() {
             combinations = source.cross(axis, &combinations)?;
         }
@@ -157,18 +157,18 @@ struct Source<'a> {
 }
 
 impl Source<'_> {
-    /// The pipeline in `file`, relative to the experiment file, with what is set for all runs.
-    fn base(&self, file: &Path) -> Result<Pipeline> {
-        let base = read_base(&self.here.join(file))?;
-        let mut draft = Draft::of(&base);
+    /// The pipeline in `file`, relative to the experiment file, with what is set for all runs. Values that do not fit by
+    /// themselves are still changes, and are checked with those of the axes.
+    fn base(&self, file: &Path) -> Result<Draft> {
+        let mut draft = read_base(&self.here.join(file))?;
         let set = self.experiment.set.located("set", self.tree.field("set"), self.text);
-        let common = change(&mut draft, &set, self.here).and_then(|()| draft.finish());
-        let mut common = common.map_err(|fault| fault.in_file(self.path))?;
-        set_all(&mut common, self.set)?;
-        if (&base.name, base.seed) != (&common.name, common.seed) {
+        change(&mut draft, &set.0, self.here).map_err(|fault| fault.in_file(self.path))?;
+        set_all(&mut draft, self.set)?;
+        let is_own = |change: Change| ["name", "seed"].contains(&change.field());
+        if self.set.iter().any(|argument| Change::argument(argument).is_ok_and(is_own)) {
             return Err(Error::Config("--set: a sweep gives names and seeds itself; change them in its file".into()));
         }
-        Ok(common)
+        Ok(draft.finish().map_or(draft, |base| Draft::of(&base)))
     }
 
     /// Each of `combinations` with each variant of `axis`.
@@ -183,13 +183,10 @@ impl Source<'_> {
                 let tree = axis.as_ref().and_then(|axis| item(axis, "variants", k));
                 let set = variant.set.located(&title, tree.as_ref().and_then(|tree| tree.field("set")), self.text);
                 let mut draft = match &variant.base {
-                    Some(file) => {
-                        let base = self.base(file).map_err(|e| Error::input(self.path, format!("{title}: {e}")))?;
-                        Draft::of(&base)
-                    }
+                    Some(file) => self.base(file).map_err(|e| Error::input(self.path, format!("{title}: {e}")))?,
                     None => combination.draft.clone(),
                 };
-                change(&mut draft, &set, self.here).map_err(|fault| fault.in_file(self.path))?;
+                change(&mut draft, &set.0, self.here).map_err(|fault| fault.in_file(self.path))?;
                 let starts = |change: &&Change| ["data", "split", "initializer"].contains(&change.field());
                 let start = match set.0.iter().rfind(starts) {
                     Some(change) => Some(Start { title, at: change.at }),
