@@ -8,7 +8,7 @@ use crate::folder::{
 use crate::memory;
 use crate::scores::ScoreTable;
 use pwrfgs_core::files::{self, digest, if_found, write_atomically};
-use pwrfgs_core::{Dataset, Error, Partition, Result};
+use pwrfgs_core::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -118,10 +118,10 @@ impl Machine {
 }
 
 impl Facts {
-    /// The facts of a run that goes on in `folder`, and those that earlier starts left there (or fresh ones).
-    pub(crate) fn open(folder: &Path, seed: u64) -> Result<(Self, Self)> {
+    /// The facts of a run that goes on in `folder`.
+    pub(crate) fn open(folder: &Path, seed: u64) -> Result<Self> {
         let old = Self::read(folder)?.unwrap_or_else(|| Self { started: clock::now(), ..Self::default() });
-        let facts = Self {
+        Ok(Self {
             version: env!("CARGO_PKG_VERSION").into(),
             commit: commit(),
             real_bytes: size_of::<pwrfgs_core::Real>(),
@@ -131,9 +131,8 @@ impl Facts {
             finished: None,
             scores: None,
             files: BTreeMap::new(),
-            ..old.clone()
-        };
-        Ok((facts, old))
+            ..old
+        })
     }
 
     /// The facts in `folder`, if there are any.
@@ -205,13 +204,6 @@ impl Facts {
         Err(Error::input(&path, format!("is not what {FACTS} says was written: {found}; {advice}")))
     }
 
-    /// Notes what the data call themselves and how they are divided.
-    pub(crate) fn note_data(&mut self, data: &Dataset, partition: &Partition) {
-        self.data.clone_from(&data.title);
-        self.simulated = data.is_simulated();
-        self.samples = partition.sizes();
-    }
-
     /// Looks at the largest resident memory so far.
     pub(crate) fn note_memory(&mut self) {
         self.peak_memory_bytes = self.peak_memory_bytes.max(memory::peak());
@@ -245,10 +237,10 @@ mod tests {
     #[test]
     fn facts_accumulate_over_starts() {
         let folder = tempfile::tempdir().unwrap();
-        let (mut first, _) = Facts::open(folder.path(), 7).unwrap();
+        let mut first = Facts::open(folder.path(), 7).unwrap();
         first.wall_seconds = 12.5;
         first.write(folder.path()).unwrap();
-        let (second, _) = Facts::open(folder.path(), 7).unwrap();
+        let second = Facts::open(folder.path(), 7).unwrap();
         assert_eq!((second.starts, second.wall_seconds, &second.started), (2, 12.5, &first.started));
         assert!(second.machine.threads >= 1);
     }

@@ -5,7 +5,7 @@ use crate::input;
 use crate::scores::ScoreTable;
 use pwrfgs_core::files::{self, HeldFolder, refuse_foreign, write_new};
 use pwrfgs_core::words::clean;
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_pipeline::Pipeline;
 use std::fs::{File, TryLockError};
 use std::io::ErrorKind;
@@ -140,21 +140,27 @@ impl RunFolder {
         Ok(Self { folder, lock, is_new, state })
     }
 
-    /// Opens `run.json` for another start, as `describe` completes it from what earlier starts left, and replaces
+    /// Opens `run.json` for another start on `data`, of a joined model with the folders of its `members`, and replaces
     /// `pipeline.ron` where its baselines or metrics are not those of `pipeline`. From here on the run is not finished: what
     /// an earlier end says of files, and of baselines, is about to be wrong.
     ///
     /// The new `pipeline.ron` is locked before it takes the name, so that at no instant another process can hold the folder.
     ///
     /// # Errors
-    /// A damaged `run.json`; what `describe` refuses; [`Error::Write`], the old file is then untouched.
+    /// A damaged `run.json`; [`Error::Write`], the old file is then untouched.
     pub(crate) fn begin(
         &mut self,
         pipeline: &Pipeline,
-        describe: impl FnOnce(&mut Facts, &Facts) -> Result<()>,
+        (data, partition): (&Dataset, &Partition),
+        members: Vec<String>,
     ) -> Result<Facts> {
-        let (mut facts, earlier) = Facts::open(self.path(), pipeline.seed)?;
-        describe(&mut facts, &earlier)?;
+        let facts = Facts {
+            data: data.title.clone(),
+            simulated: data.is_simulated(),
+            samples: partition.sizes(),
+            members,
+            ..Facts::open(self.path(), pipeline.seed)?
+        };
         facts.write(self.path())?;
         if self.state == RunState::ScoredOtherwise {
             self.lock = files::replace(&self.file(PIPELINE), pipeline.to_ron().as_bytes(), |file| {

@@ -4,10 +4,13 @@ use crate::events::{Events, TEST};
 use crate::folder::{CURVE, EVENTS, RunFolder, VALIDATION};
 use crate::observer::Validation;
 use crate::scores::ScoreTable;
-use crate::series::Series;
-use pwrfgs_core::{Result, Task};
+use pwrfgs_core::files::{self, write_atomically};
+use pwrfgs_core::{Error, Result, Task};
 use pwrfgs_pipeline::Pipeline;
 use pwrfgs_train::StepReport;
+use std::fs::{File, OpenOptions};
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
 
 /// Up to this many steps every one has its row in `curve.csv`, beyond every tenth.
 const DENSE_STEPS: u64 = 2_000;
@@ -89,14 +92,103 @@ fn has_row(step: u64, steps: u64) -> bool {
     steps <= DENSE_STEPS || step == 1 || step == steps || step.is_multiple_of(10)
 }
 
+/// An open series; the first field of each row is the step.
+#[derive(Debug)]
+struct Series {
+    path: PathBuf,
+    file: File,
+}
+
+impl Series {
+    /// Opens `path`, keeping the rows up to step `done`; returns the last of them. What follows them is dropped: rows of
+    /// later steps, and what a killed run or a lost machine left half-written.
+    ///
+    /// # Errors
+    /// Where a row before the last kept one, or the header, is damaged: it would be lost without a word.
+    fn open(path: &Path, header: &str, done: u64) -> Result<(Self, Option<String>)> {
+        let old = files::if_found(path, files::read(path))?.unwrap_or_default();
+        let old = String::from_utf8_lossy(&old);
+        let mut text = format!("{header}\n");
+        let (mut last, mut broken) = (None, None);
+        let damaged = |line: usize, what: &str| {
+            Error::at(path, line, 1, format!("{what}; put the file right, or remove it to go on without its rows"))
+        };
+        let mut lines = old.split_inclusive('\n').zip(1..);
+        if done > 0 && lines.next().is_some_and(|(first, _)| first != text) {
+            return Err(damaged(1, &format!("the first line is not `{header}`")));
+        }
+        for (line, place) in lines {
+            match line.split(',').next().and_then(|step| step.parse::<u64>().ok()) {
+                Some(step) if step <= done && line.ends_with('\n') => {
+                    if let Some(place) = broken {
+                        return Err(damaged(place, "this row begins with no step, and rows follow"));
+                    }
+                    text.push_str(line);
+                    last = Some(line.trim_end().to_owned());
+                }
+                Some(_) => {}
+                None => broken = broken.or(Some(place)),
+            }
+        }
+        write_atomically(path, text.as_bytes())?;
+        let file = OpenOptions::new().append(true).open(path).map_err(|e| Error::write(path, e))?;
+        Ok((Self { path: path.into(), file }, last))
+    }
+
+    /// Appends one row.
+    fn push(&mut self, row: &str) -> Result<()> {
+        self.file.write_all(format!("{row}\n").as_bytes()).map_err(|e| Error::write(&self.path, e))
+    }
+
+    /// Brings the rows to the disk; called before each checkpoint, which must never know more than the series.
+    fn sync(&self) -> Result<()> {
+        self.file.sync_data().map_err(|e| Error::write(&self.path, e))
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::has_row;
+    use super::*;
+    use crate::series::{read, whole};
 
     #[test]
     fn rows_depend_on_the_step_alone() {
         assert!((1..=2000).all(|step| has_row(step, 2000)));
         let sparse: Vec<u64> = (1..=2001).filter(|&s| has_row(s, 2001)).collect();
         assert_eq!((sparse[0], sparse[1], *sparse.last().unwrap(), sparse.len()), (1, 10, 2001, 202));
+    }
+
+    #[test]
+    fn a_series_is_cut_back_to_the_checkpoint() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("curve.csv");
+        let (mut series, last) = Series::open(&path, "step,loss", 0).unwrap();
+        assert_eq!(last, None);
+        for row in ["10,0.5", "20,0.4", "30,0.3"] {
+            series.push(row).unwrap();
+        }
+        series.file.write_all(b"40,0.").unwrap();
+        let (mut series, last) = Series::open(&path, "step,loss", 20).unwrap();
+        assert_eq!(last.as_deref(), Some("20,0.4"));
+        series.push("30,0.3").unwrap();
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "step,loss\n10,0.5\n20,0.4\n30,0.3\n");
+        assert_eq!(read(&path)[2], vec![Some(30.0), Some(0.3)]);
+        assert_eq!(whole(&path, 30).unwrap(), read(&path));
+    }
+
+    #[test]
+    fn a_damaged_row_is_told_unless_it_comes_after_all_that_are_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("curve.csv");
+        let open = |text: &[u8], done| {
+            std::fs::write(&path, text).unwrap();
+            Series::open(&path, "step,loss", done).map(|(_, last)| last).map_err(|e| e.to_string())
+        };
+        assert_eq!(open(b"step,loss\n10,0.5\n\0\xff\0\n", 20), Ok(Some("10,0.5".into())));
+        assert_eq!(open(b"stop,loss\n10,0.5\n", 0), Ok(None), "nothing is kept");
+        let said = open(b"step,loss\n1\xff0,0.5\n20,0.4\n", 20).unwrap_err();
+        assert!(said.contains("curve.csv:2:1: this row begins with no step"), "{said}");
+        let said = open(b"stop,loss\n10,0.5\n", 20).unwrap_err();
+        assert!(said.contains("curve.csv:1:1: the first line is not `step,loss`; put the file right"), "{said}");
     }
 }

@@ -39,6 +39,7 @@ mod snapshot;
 pub mod statistics;
 pub mod sweep;
 pub mod text;
+mod trainer;
 mod training;
 mod validation;
 

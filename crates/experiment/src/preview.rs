@@ -1,4 +1,4 @@
-//! `preview`: what a run will do and take, without doing it; and the refusal of what cannot fit the machine.
+//! `preview`: what a run will do and take, without doing it.
 
 use crate::input::prepared;
 use crate::inspect::{DataSummary, test_distance};
@@ -6,9 +6,10 @@ use crate::load::load;
 use crate::memory;
 use crate::observed::observed;
 use crate::observer::Observer;
-use pwrfgs_core::{Error, Result};
+use crate::trainer::fitting;
+use pwrfgs_core::Result;
 use pwrfgs_pipeline::Pipeline;
-use pwrfgs_train::{Estimate, Trainer, network_bytes};
+use pwrfgs_train::{Estimate, Trainer};
 use std::path::Path;
 
 /// Most spectra that a preview reads for its summary.
@@ -72,34 +73,4 @@ pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) ->
         free_bytes: memory::free(),
         pipeline,
     })
-}
-
-/// The trainer that `make` gives, and what its next step takes. Refuses what does not fit the machine: the network before it is
-/// made, then the step.
-///
-/// # Errors
-/// What does not fit; those of `make`.
-pub(crate) fn fitting<'a>(
-    pipeline: &Pipeline,
-    make: impl FnOnce() -> Result<Trainer<'a>>,
-) -> Result<(Trainer<'a>, Estimate)> {
-    let needed = if pipeline.method.is_some() { 0 } else { network_bytes(&*pipeline.deformation) };
-    refuse_beyond_memory(needed, "the network", "a smaller `width` or `depth` of the deformation")?;
-    let trainer = make()?;
-    let estimate = trainer.estimate()?;
-    let what = format!("a training step with N = {}", estimate.gaussians);
-    let advice = "fewer Gaussians (`max_points` of PointCloud, `count` of the others) or a smaller `training.batch`";
-    refuse_beyond_memory(estimate.step_bytes, &what, advice)?;
-    Ok((trainer, estimate))
-}
-
-fn refuse_beyond_memory(needed: u64, what: &str, advice: &str) -> Result<()> {
-    match memory::free() {
-        Some(free) if needed > free => Err(Error::Config(format!(
-            "{what} needs about {:.1} GB of memory, and {:.1} GB are left here; take {advice}",
-            needed as f64 / 1e9,
-            free as f64 / 1e9
-        ))),
-        _ => Ok(()),
-    }
 }

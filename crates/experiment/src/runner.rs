@@ -9,6 +9,7 @@ use crate::load::load;
 use crate::page::conclude;
 use crate::scores::ScoreTable;
 use crate::session::Session;
+use crate::trainer::trainer;
 use crate::training::Training;
 use pwrfgs_core::{Error, Result};
 use pwrfgs_model::{Ensemble, file};
@@ -72,17 +73,20 @@ fn attempt(
         if let Some(scores) = folder.settle(folder.state().verified(folder.path(), reported))? {
             return Ok(already(scores));
         }
-        if Facts::read(folder.path())?.is_some_and(|facts| !facts.members.is_empty()) {
+        let facts = Facts::read(folder.path())?.unwrap_or_default();
+        if !facts.members.is_empty() {
             return Err(Error::input(out, "holds the joined model of a sweep; repeat `pwrfgs sweep` with its file"));
+        }
+        if folder.file(MODEL_FILE).is_file() {
+            folder.settle(facts.verify_file(folder.path(), MODEL_FILE))?;
         }
     }
     let (data, partition) = load(pipeline, base, session.observer)?;
     pipeline.check_data(&data)?;
-    let mut training = Training { pipeline, data: &data, partition: &partition, session, begun };
     // Made before a new folder is claimed: settings that cannot work must leave nothing behind.
     let trainer = match &held {
         Some(folder) if folder.file(MODEL_FILE).is_file() => None,
-        held => match training.trainer(held.as_ref()) {
+        held => match trainer(pipeline, (&data, &partition), held.as_ref(), session) {
             Err(Error::Stopped) => return Ok(Some(Outcome::Interrupted { step: 0 })),
             trainer => Some(trainer?),
         },
@@ -94,12 +98,9 @@ fn attempt(
             _ => return Ok(None), // another process has begun this run since, and may have ended it
         },
     };
-    let path = folder.path().to_owned();
-    let facts = folder.begin(pipeline, |facts, earlier| {
-        facts.note_data(&data, &partition);
-        if trainer.is_none() { earlier.verify_file(&path, MODEL_FILE) } else { Ok(()) }
-    });
+    let facts = folder.begin(pipeline, (&data, &partition), Vec::new());
     let facts = folder.settle(facts)?;
+    let training = Training { pipeline, data: &data, partition: &partition, session, begun };
     let ended = complete(training, trainer, (&folder, facts));
     folder.settle(ended).map(Some)
 }

@@ -1,5 +1,4 @@
-//! The training of a run: its trainer, new or from the checkpoint, and the loop that writes curve, validation, snapshots and
-//! checkpoint.
+//! The training of a run: the loop that writes curve, validation, snapshots and checkpoint.
 //!
 //! Order at every step: train, validation, curve, checkpoint. Rows reach the disk before the checkpoint that counts
 //! them, and a resumed run cuts the series back to its checkpoint: so it ends in the same files as one never stopped.
@@ -8,17 +7,15 @@
 use crate::facts::Facts;
 use crate::folder::{CHECKPOINT, MODEL_FILE, RunFolder, START_SNAPSHOT, UNPRUNED_SNAPSHOT, pruned_snapshot};
 use crate::journal::Journal;
-use crate::observer::{Start, staged};
-use crate::preview::fitting;
+use crate::observer::Start;
 use crate::session::Session;
 use crate::snapshot::Snapshot;
 use crate::validation::validate;
-use pwrfgs_core::files::{self, write_atomically};
-use pwrfgs_core::{Dataset, Error, GaussianCloud, Partition, Progress, Result, evenly};
+use pwrfgs_core::files::write_atomically;
+use pwrfgs_core::{Dataset, GaussianCloud, Partition, Result, evenly};
 use pwrfgs_model::{Model, file};
 use pwrfgs_pipeline::Pipeline;
-use pwrfgs_train::{Estimate, Pruned, Trainer, check_available};
-use std::path::Path;
+use pwrfgs_train::{Estimate, Pruned, Trainer};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
@@ -32,30 +29,7 @@ pub(crate) struct Training<'a, 's> {
     pub(crate) begun: Instant,
 }
 
-impl<'a> Training<'a, '_> {
-    /// A trainer at the start, or where the checkpoint in the folder left it, and what a step will take.
-    pub(crate) fn trainer(&mut self, held: Option<&RunFolder>) -> Result<(Trainer<'a>, Estimate)> {
-        // A strategy that cannot be asked is refused before a checkpoint is blamed for it.
-        check_available(&self.pipeline.pruners)?;
-        let (pipeline, data, partition) = (self.pipeline, self.data, self.partition);
-        fitting(pipeline, || {
-            let restored = match held {
-                Some(folder) => folder.settle(self.restored(&folder.file(CHECKPOINT)))?,
-                None => None,
-            };
-            let stop = self.session.stop;
-            let begin = |progress: Progress<'_>| Trainer::begin(&pipeline.plan()?, data, partition, progress, stop);
-            restored.map_or_else(|| staged(self.session.observer, "initialising", begin), Ok)
-        })
-    }
-
-    /// The trainer of the checkpoint at `path`, if there is one.
-    fn restored(&self, path: &Path) -> Result<Option<Trainer<'a>>> {
-        let Some(bytes) = files::if_found(path, files::read(path))? else { return Ok(None) };
-        let restored = Trainer::restore(&self.pipeline.plan()?, self.data, self.partition, &bytes);
-        restored.map(Some).map_err(|e| Error::input(path, format!("{e}; remove it to start again")))
-    }
-
+impl Training<'_, '_> {
     /// Trains to the end and writes the model, or returns nothing where it was asked to stop.
     pub(crate) fn train(
         &mut self,

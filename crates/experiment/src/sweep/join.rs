@@ -13,7 +13,7 @@ use crate::scores::ScoreTable;
 use crate::session::Session;
 use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::plugin::to_ron;
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_model::Ensemble;
 use pwrfgs_model::file::{self, MOST_MEMBERS};
 use pwrfgs_pipeline::Pipeline;
@@ -122,12 +122,12 @@ impl Join<'_, '_> {
         {
             return Ok(Outcome::Finished { scores, already: true });
         }
-        let mut facts = folder.begin(self.pipeline, |facts, _| {
-            facts.members = self.plan.runs.iter().map(|run| run.folder.clone()).collect();
-            Ok(())
-        })?;
+        let (data, partition) = load(self.pipeline, Path::new(""), self.session.observer)?;
+        self.pipeline.check_data(&data)?;
+        let members = self.plan.runs.iter().map(|run| run.folder.clone()).collect();
+        let facts = folder.begin(self.pipeline, (&data, &partition), members)?;
         write_atomically(&folder.file(MODEL_FILE), &bytes)?;
-        match self.assess(&ensemble, folder, &mut facts) {
+        match self.assess(&ensemble, (&data, &partition), folder, facts) {
             Ok(scores) => Ok(Outcome::Finished { scores, already: false }),
             Err(Error::Stopped) => Ok(Outcome::Unscored),
             Err(error) => Err(error),
@@ -148,13 +148,16 @@ impl Join<'_, '_> {
     }
 
     /// Scores the model on the test set and writes scores, samples, report and facts.
-    fn assess(&mut self, ensemble: &Ensemble, folder: &RunFolder, facts: &mut Facts) -> Result<ScoreTable> {
-        let (data, partition) = load(self.pipeline, Path::new(""), self.session.observer)?;
-        self.pipeline.check_data(&data)?;
+    fn assess(
+        &mut self,
+        ensemble: &Ensemble,
+        (data, partition): (&Dataset, &Partition),
+        folder: &RunFolder,
+        mut facts: Facts,
+    ) -> Result<ScoreTable> {
         let counted = data.task().counted[1];
         self.session.observer.on_message(&format!("scoring {} test {counted}", partition.test.len()));
-        let (scores, confidence) = evaluate(ensemble, self.pipeline, &data, &partition, self.session)?;
-        facts.note_data(&data, &partition);
+        let (scores, confidence) = evaluate(ensemble, self.pipeline, data, partition, self.session)?;
         (facts.steps, facts.training_seconds) = (0, 0.0);
         for place in 0..self.plan.runs.len() {
             let own = Facts::read(&self.plan.folder_of(place))?.unwrap_or_default();
@@ -163,6 +166,6 @@ impl Join<'_, '_> {
             facts.peak_memory_bytes = facts.peak_memory_bytes.max(own.peak_memory_bytes);
         }
         facts.wall_seconds += self.begun.elapsed().as_secs_f64();
-        conclude(folder, self.pipeline, facts, (&data, &partition, ensemble), (scores, confidence), self.session)
+        conclude(folder, self.pipeline, &mut facts, (data, partition, ensemble), (scores, confidence), self.session)
     }
 }
