@@ -8,7 +8,7 @@ use crate::side::{Known, Predictor, Side};
 use hyper::StatusCode;
 use pwrfgs_core::{Appearance, Image, LinkSet, Query, Real, neighbours};
 use pwrfgs_experiment::folder::CURVE;
-use pwrfgs_experiment::{Snapshot, series};
+use pwrfgs_experiment::series;
 use pwrfgs_live::{self as live, Pack};
 use serde_json::{Value, json};
 use std::sync::Arc;
@@ -75,7 +75,8 @@ fn about(side: &Side) -> Value {
         "ellipsoids": splats,
         "by_position": predictor.as_ref().is_none_or(|predictor| predictor.by_position()),
         "floor": predictor.as_ref().is_some_and(|p| p.ensemble().is_none()),
-        "moments": moments(side).iter().map(|(_, m)| json!({ "title": m.title, "step": m.step, "gaussians": m.gaussians }))
+        "moments": moments(side).iter()
+            .map(|(title, shown)| json!({ "title": title, "step": shown.step, "gaussians": shown.means.len() }))
             .collect::<Vec<_>>(),
         "running": side.folder.as_ref().is_some_and(|folder| !folder.join(pwrfgs_experiment::folder::MODEL_FILE).is_file()),
         "steps": side.known.as_ref().map(|known| known.pipeline.training.steps),
@@ -86,10 +87,8 @@ fn gaussians(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
     let origin = live::origin(&side.frame, side.known.as_ref().map(|known| &*known.data));
     if let Some(k) = asked.moment {
         let all = moments(side);
-        let (path, _) = all.get(k).ok_or_else(|| wrong("there is no such moment"))?;
-        let snapshot = Snapshot::read(path).map_err(|e| crate::server::internal(&e))?;
-        let snapshot = snapshot.ok_or_else(|| wrong("the snapshot is gone"))?;
-        return Ok(live::moment(&snapshot, origin));
+        let (_, snapshot) = all.get(k).ok_or_else(|| wrong("there is no such moment"))?;
+        return Ok(live::moment(snapshot, origin));
     }
     let predictor = predictor(side)?;
     let ensemble = predictor.ensemble().ok_or_else(|| wrong("a floor has no Gaussians"))?;
