@@ -28,7 +28,9 @@ pub fn room(frame: &Frame, known: Option<Known<'_>>, means: &[[Real; 3]], points
     let plane = &frame.plane;
     let mut note = json!({
         "format": "pwrfgs-room",
-        "kind": frame.task.name,
+        "has_pixels": frame.task.has_pixels,
+        "is_scalar": frame.task.is_scalar,
+        "unit": frame.task.level_name[1],
         "score": { "name": frame.task.headline.name, "higher": frame.task.headline.higher },
         "origin": origin.0,
         "plane": { "width": plane.width, "height": plane.height, "wraps": plane.wraps, "angles": plane.angles },

@@ -89,10 +89,10 @@ class StageSide {
 
   /** Shows what was predicted, what was measured nearest, and their difference. */
   show(found, truth) {
-    const { kind } = this.stage.note;
-    if (kind === "spectrum") this.showSpectra(found, truth);
-    if (kind === "power") this.showPowers(found, truth);
-    if (kind === "channel") this.showChannels(found, truth);
+    const { has_pixels: pixels, is_scalar: scalar } = this.stage.note;
+    if (pixels) this.showSpectra(found, truth);
+    else if (scalar) this.showPowers(found, truth);
+    else this.showChannels(found, truth);
     this.numbers.textContent = this.stage.sentence(found, truth);
   }
 
@@ -144,7 +144,7 @@ class StageSide {
 
   /** What is heard of a transmitter anywhere at this height, as squares in the room. */
   async showMap(z, receiver) {
-    if (!this.room || this.stage.note.kind === "spectrum" || !this.stage.source.map || !this.about.by_position) return;
+    if (!this.room || this.stage.note.has_pixels || !this.stage.source.map || !this.about.by_position) return;
     const pack = await this.stage.source.map(this.place, z, receiver);
     const [values, [rows, columns]] = [pack.get("map"), pack.shape("map")];
     const finite = values.filter(Number.isFinite);
@@ -433,7 +433,7 @@ export class Stage {
     else if (this.abouts.some((about) => about.gaussians)) all.push(` · Gaussians by ${this.colouring}:`, ...mark(this.rgb(0), "least"), ...mark(this.rgb(255), "most"));
     if (this.mapEnds) {
       const [low, high] = this.mapEnds.map((v) => chartNumber(Math.round(v)));
-      const unit = this.note.kind === "power" ? "dBm" : "dB";
+      const { unit } = this.note;
       all.push(` · Squares: what ${this.note.receivers[this.receiver].name} hears of a transmitter there at this height,`);
       all.push(...mark(this.rgb(0), `${low} ${unit}`), ...mark(this.rgb(255), `${high} ${unit}`));
     }
@@ -551,7 +551,7 @@ export class Stage {
     this.resting = setTimeout(async () => {
       this.say(this.sides.map((side) => `${side.about.name}: ${side.numbers.textContent}`).join(". "));
       const z = this.world(this.tx)[2];
-      if (this.note.kind === "spectrum" || (z === this.mapped?.[0] && this.receiver === this.mapped?.[1])) return;
+      if (this.note.has_pixels || (z === this.mapped?.[0] && this.receiver === this.mapped?.[1])) return;
       this.mapped = [z, this.receiver];
       for (const side of this.sides) await side.showMap(z, this.receiver).catch((error) => this.say(error.message));
     }, 150);
