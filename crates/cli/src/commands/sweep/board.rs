@@ -47,7 +47,10 @@ impl<'a> Table<'a> {
                     State::Finished(end) => format!("  {}", duration(end.1.wall_seconds)),
                     _ => String::new(),
                 };
-                let words = ["ssim", "eta_0db", "gaussians"].into_iter().filter_map(score).collect::<String>();
+                let words = [scores.task.headline.key, "eta_0db", "gaussians"]
+                    .into_iter()
+                    .filter_map(score)
+                    .collect::<String>();
                 format!("{name}: done{words}{time}")
             }
             Ok(Outcome::Interrupted { step }) => format!("{name}: stopped after step {step}"),

@@ -4,33 +4,38 @@ use pwrfgs::experiment::Facts;
 use pwrfgs::experiment::clock::duration;
 use pwrfgs::experiment::sweep::{JOINED, Plan, State};
 use pwrfgs::experiment::text::{aligned, grouped, number};
+use pwrfgs_core::Task;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
 /// How far each of `runs` is; `queued` names those that a scheduler has.
 pub(super) fn status(plan: &Plan, runs: &[usize], queued: &BTreeSet<String>) -> String {
-    let mut lines = vec![["run", "state", "step", "N", "SSIM", "eta_0db", "time"].map(str::to_owned).to_vec()];
-    let mut finished = 0;
-    for &run in runs {
+    let states: Vec<State> = runs.iter().map(|&run| plan.state(run)).collect();
+    let ends = states.iter().filter_map(|state| if let State::Finished(end) = state { Some(end) } else { None });
+    let task = ends.clone().next().map_or_else(Task::default, |end| end.0.task);
+    let head = ["run", "state", "step", "N", task.headline.short, "eta_0db", "time"];
+    let mut lines = vec![head.map(str::to_owned).to_vec()];
+    let finished = ends.count();
+    for (&run, state) in runs.iter().zip(&states) {
         let (name, steps) = (&plan.runs[run].folder, plan.runs[run].pipeline.training.steps);
         let of = |step: u64| format!("{}/{}", grouped(step as i64), grouped(steps as i64));
         let mut line = vec![String::new(); lines[0].len()];
         line[0].clone_from(name);
         let waits = queued.contains(name);
-        match plan.state(run) {
+        match state {
             State::Waiting => line[1] = if waits { "queued".into() } else { "waiting".into() },
-            State::Running { step } => (line[1], line[2]) = ("running".into(), of(step)),
+            State::Running { step } => (line[1], line[2]) = ("running".into(), of(*step)),
             State::Stopped { step } => {
-                (line[1], line[2]) = (if waits { "queued again" } else { "stopped" }.into(), of(step));
+                (line[1], line[2]) = (if waits { "queued again" } else { "stopped" }.into(), of(*step));
             }
             State::Failed(why) => line[1] = format!("failed: {why}"),
             State::Finished(end) => {
-                finished += 1;
-                let (scores, facts) = *end;
+                let (scores, facts) = &**end;
                 let score = |key| scores.of_model(key).map_or_else(|| "n/a".into(), number);
                 line[1] = "finished".into();
                 (line[2], line[3]) = (of(facts.steps), grouped(facts.gaussians as i64));
-                (line[4], line[5], line[6]) = (score("ssim"), score("eta_0db"), duration(facts.wall_seconds));
+                (line[4], line[5], line[6]) =
+                    (score(scores.task.headline.key), score("eta_0db"), duration(facts.wall_seconds));
             }
         }
         lines.push(line);
