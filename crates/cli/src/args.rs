@@ -60,6 +60,12 @@ pub(crate) fn count(text: &str) -> Result<usize, String> {
     }
 }
 
+/// `a,b,c`: as many numbers as are wanted.
+pub(crate) fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
+    numbers?.try_into().ok()
+}
+
 impl Arguments {
     pub(crate) fn verbosity(&self) -> Verbosity {
         match (self.quiet, self.verbose) {

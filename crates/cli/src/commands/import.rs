@@ -1,7 +1,7 @@
 //! `pwrfgs import`: positions and spectra of other programs become a data folder.
 
 use super::predict::position;
-use crate::args::Verbosity;
+use crate::args::{Verbosity, numbers};
 use crate::output;
 use crate::progress::Progress;
 use clap::Args;
@@ -97,9 +97,7 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<ExitCod
 
 /// `first,last` of the command line.
 fn elevation(text: &str) -> Result<Elevation> {
-    let degrees: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
-    let degrees: Option<[f64; 2]> = degrees.and_then(|degrees| degrees.try_into().ok());
-    let [first, last] = degrees.ok_or_else(|| {
+    let [first, last] = numbers(text).ok_or_else(|| {
         Error::Config(format!("--elevation {text}: give two numbers in degrees, such as -90,90 for a full sphere"))
     })?;
     Ok(Elevation { first, last })
@@ -107,8 +105,7 @@ fn elevation(text: &str) -> Result<Elevation> {
 
 /// `x,y,z,w` of the command line.
 fn quaternion(text: &str) -> Result<[f64; 4]> {
-    let numbers: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
-    numbers.and_then(|numbers| numbers.try_into().ok()).ok_or_else(|| {
+    numbers(text).ok_or_else(|| {
         Error::Config(format!("--orientation {text}: give a unit quaternion x,y,z,w, such as 0,0,0,1 for no rotation"))
     })
 }

@@ -125,13 +125,12 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitC
         return Err(Error::Config(why.into()));
     }
     let folder = Folder::claim(&arguments.out, count, !arguments.no_png)?;
-    let members = ensemble.members().len();
     let mut writer: Box<dyn Writer + '_> = if task.has_pixels {
-        Box::new(spectra::Spectra::begin(&folder, &model, count, members, arguments.stacked)?)
+        Box::new(spectra::Spectra::begin(&folder, &model, count, arguments.stacked)?)
     } else if task.is_complex {
-        Box::new(channels::Channels::begin(&folder, &model, count, members, arguments.stacked)?)
+        Box::new(channels::Channels::begin(&folder, &model, count, arguments.stacked)?)
     } else {
-        Box::new(powers::Powers { has_spread: members > 1 })
+        Box::new(powers::Powers { has_spread: model.models().count() > 1 })
     };
     let mut progress = Progress::new(verbosity);
     let mut list = writer.header();

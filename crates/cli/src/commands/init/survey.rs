@@ -1,7 +1,7 @@
 //! What lies in a folder of data, and which split suits it.
 
 use pwrfgs::data::{Nerf2Spectrum, read_points, source_in};
-use pwrfgs::experiment::samples::nearest_train;
+use pwrfgs::experiment::inspect::test_distance;
 use pwrfgs::experiment::{Observer, data_warnings, observed, staged};
 use pwrfgs_core::{DataSource, Dataset, Partition, Plugin, Result, Split, Task, rng};
 use std::collections::BTreeSet;
@@ -34,9 +34,8 @@ pub(super) struct Survey {
     pub(super) split: String,
     /// Transmitters to train on.
     pub(super) transmitters: usize,
-    train: usize,
-    validation: usize,
-    test: usize,
+    /// Links to train on, to validate and to test.
+    samples: [usize; 3],
     /// Median distance of a test transmitter to the nearest training one, metres.
     pub(super) nearest: f64,
     /// Files that hold a point cloud, and how many points.
@@ -60,11 +59,6 @@ impl Survey {
         let data = staged(observer, "observations", |progress| reader.load(Path::new(""), progress))?;
         let (split, partition) = suggested(&data)?;
         data_warnings(&data, Some(&partition)).iter().for_each(|warning| observer.on_warning(warning));
-        let mut distances: Vec<f64> = {
-            let all = nearest_train(&data, &partition);
-            partition.test.iter().map(|&i| f64::from(all[i])).collect()
-        };
-        distances.sort_by(f64::total_cmp);
         Ok(Self {
             name: name_of(folder),
             task: data.task(),
@@ -76,10 +70,8 @@ impl Survey {
             official: data.official.is_some(),
             split,
             transmitters: partition.train.iter().map(|&i| data.links[i].transmitter).collect::<BTreeSet<_>>().len(),
-            train: partition.train.len(),
-            validation: partition.validation.len(),
-            test: partition.test.len(),
-            nearest: distances.get(distances.len() / 2).copied().unwrap_or(f64::NAN),
+            samples: partition.sizes(),
+            nearest: test_distance(&data, &partition),
             clouds: clouds(folder),
             title: data.title,
         })
@@ -87,7 +79,7 @@ impl Survey {
 
     /// In one line.
     pub(super) fn sentence(&self) -> String {
-        let Self { observations, train, validation, test, .. } = self;
+        let Self { observations, samples: [train, validation, test], .. } = self;
         format!("{observations}: {train} to train on, {validation} to validate, {test} to test")
     }
 

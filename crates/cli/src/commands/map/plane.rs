@@ -1,5 +1,6 @@
 //! The plane of a map: an axis-parallel one, and a grid of places on it.
 
+use crate::args::numbers;
 use pwrfgs_core::origin::coordinate_fault;
 use pwrfgs_core::{Error, Result};
 
@@ -73,15 +74,11 @@ impl Bounds {
                  0,8,0,6"
             ))
         };
-        let numbers: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
-        match <[f64; 4]>::try_from(numbers.unwrap_or_default()) {
-            Ok([x0, x1, y0, y1])
-                if [x0, x1, y0, y1].iter().all(|v| coordinate_fault(*v).is_none()) && x0 <= x1 && y0 <= y1 =>
-            {
-                Ok(Self([[x0, x1], [y0, y1]]))
-            }
-            _ => Err(wrong()),
-        }
+        let fits = |ends: &[f64; 4]| {
+            ends.iter().all(|v| coordinate_fault(*v).is_none()) && ends[0] <= ends[1] && ends[2] <= ends[3]
+        };
+        let [x0, x1, y0, y1] = numbers(text).filter(fits).ok_or_else(wrong)?;
+        Ok(Self([[x0, x1], [y0, y1]]))
     }
 
     /// Out to the next multiples of `step`.

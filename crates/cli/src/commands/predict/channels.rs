@@ -3,33 +3,28 @@
 use super::folder::{Folder, SPREAD, Stack, name};
 use super::{Drawn, Row, Writer};
 use pwrfgs::model::Prepared;
-use pwrfgs_core::{Image, Real, Result, gains_of};
+use pwrfgs_core::{Image, Real, Result, Task, gains_of};
 use std::fmt::Write as _;
 
 const STACKS: [&str; 2] = ["channels.npy", "spread.npy"];
 
 /// Channels under way.
 pub(super) struct Channels {
+    task: Task,
     stacks: Vec<Stack>,
 }
 
 impl Channels {
-    pub(super) fn begin(
-        folder: &Folder<'_>,
-        model: &Prepared<'_>,
-        count: usize,
-        members: usize,
-        stacked: bool,
-    ) -> Result<Self> {
+    pub(super) fn begin(folder: &Folder<'_>, model: &Prepared<'_>, count: usize, stacked: bool) -> Result<Self> {
         let size = [count, model.plane().height / 2, model.plane().width];
         let mut stacks = Vec::new();
         if stacked {
             stacks.push(Stack::complex(folder, STACKS[0], size)?);
-            if members > 1 {
+            if model.models().count() > 1 {
                 stacks.push(Stack::floats(folder, STACKS[1], size)?);
             }
         }
-        Ok(Self { stacks })
+        Ok(Self { task: model.task(), stacks })
     }
 }
 
@@ -52,8 +47,7 @@ impl Writer for Channels {
                 (None, Some(spread)) => folder.array(&(name + SPREAD), spread)?,
                 _ => {}
             }
-            let mean = gains.iter().flatten().map(|v| (*v as f64).powi(2)).sum::<f64>() / gains.len() as f64;
-            _ = writeln!(list, "{},{:.4},{milliseconds:.3}", row.begin(), 10.0 * mean.log10());
+            _ = writeln!(list, "{},{:.4},{milliseconds:.3}", row.begin(), self.task.level(image));
         }
         Ok(())
     }

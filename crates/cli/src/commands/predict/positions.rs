@@ -1,5 +1,6 @@
 //! Where the transmitters stand: one position on the command line, or a CSV file of them.
 
+use crate::args::numbers;
 use pwrfgs_core::origin::{coordinate_fault, place_fault};
 use pwrfgs_core::{Error, Result, files};
 use std::path::Path;
@@ -11,11 +12,7 @@ pub(in crate::commands) fn position(option: &str, text: &str) -> Result<[f64; 3]
             "{option} {text}: give three finite numbers of at most 1e8 in metres, such as 3.5,2.2,1.2"
         ))
     };
-    let numbers: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
-    match <[f64; 3]>::try_from(numbers.unwrap_or_default()) {
-        Ok([x, y, z]) if place_fault([x, y, z]).is_none() => Ok([x, y, z]),
-        _ => Err(wrong()),
-    }
+    numbers(text).filter(|place| place_fault(*place).is_none()).ok_or_else(wrong)
 }
 
 /// Columns x, y, z of a CSV file.

@@ -16,16 +16,10 @@ pub(super) struct Spectra<'a> {
 }
 
 impl<'a> Spectra<'a> {
-    pub(super) fn begin(
-        folder: &Folder<'_>,
-        model: &Prepared<'a>,
-        count: usize,
-        members: usize,
-        stacked: bool,
-    ) -> Result<Self> {
+    pub(super) fn begin(folder: &Folder<'_>, model: &Prepared<'a>, count: usize, stacked: bool) -> Result<Self> {
         let plane = model.plane();
         let size = [count, plane.height, plane.width];
-        let names = STACKS.into_iter().take(if members > 1 { 2 } else { 1 }).filter(|_| stacked);
+        let names = STACKS.into_iter().take(model.models().count().min(2)).filter(|_| stacked);
         let stacks = names.map(|name| Stack::floats(folder, name, size)).collect::<Result<_>>()?;
         Ok(Self { plane, has_names: model.receivers().len() > 1, stacks })
     }
