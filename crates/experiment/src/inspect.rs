@@ -11,7 +11,7 @@ pub use splits::{length, test_distance};
 use crate::observer::{Observer, staged};
 use crate::repeatability::in_order;
 use crate::scores::quantile;
-use crate::text::{grouped, number};
+use crate::text::{grouped, number, wrapped};
 use pwrfgs_core::{Dataset, Result, Unmatched, neighbours::distance};
 use pwrfgs_pipeline::Pipeline;
 use std::fmt::Write as _;
@@ -70,11 +70,11 @@ pub fn inspect(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer)
     let is_marked = !data.is_simulated() || data.title.to_lowercase().contains("simulated");
     let mut text = format!("{}{}\n\n", data.title, if is_marked { "" } else { " (simulated)" });
     let ids = [data.transmitters.first(), data.transmitters.last()].map(|t| t.map_or(0, |t| t.id));
-    text += &wrapped("samples", &format!("{}, ids {} to {}", crate::observed(data), ids[0], ids[1]));
-    summary.facts.iter().for_each(|(name, words)| text += &wrapped(name, words));
+    text += &entry("samples", &format!("{}, ids {} to {}", crate::observed(data), ids[0], ids[1]));
+    summary.facts.iter().for_each(|(name, words)| text += &entry(name, words));
     if let Some(pose) = &summary.pose {
-        text += &wrapped("pose", pose.verdict.title());
-        pose.sentences().iter().for_each(|sentence| text += &wrapped("", sentence));
+        text += &entry("pose", pose.verdict.title());
+        pose.sentences().iter().for_each(|sentence| text += &entry("", sentence));
     }
     Ok(text + "\n" + &splits::table(pipeline, data, observer)?)
 }
@@ -128,34 +128,7 @@ fn levels(data: &Dataset) -> (&'static str, String) {
     ("level", format!("{name} {middle} {unit} (median; {tenth} to {last}, 10 % to 90 %; {low} to {high} in all)"))
 }
 
-/// Words broken into lines, the first with `name` before it and the others as far in.
-fn wrapped(name: &str, words: &str) -> String {
-    let mut lines = vec![format!("{name:<INDENT$}")];
-    for word in words.split_whitespace() {
-        let column = lines.last().map_or(0, |line| line.chars().count());
-        if column > INDENT && column + 1 + word.chars().count() > WIDTH {
-            lines.push(" ".repeat(INDENT));
-        } else if column > INDENT {
-            lines.last_mut().into_iter().for_each(|line| line.push(' '));
-        }
-        lines.last_mut().into_iter().for_each(|line| line.push_str(word));
-    }
-    lines.join("\n") + "\n"
-}
-
-#[cfg(test)]
-mod tests {
-    use super::wrapped;
-
-    #[test]
-    fn prose_is_broken_and_indented() {
-        let text = wrapped("pose", &"twelve chars ".repeat(20));
-        assert!(text.starts_with("pose           twelve") && text.lines().count() > 2);
-        assert!(text.lines().all(|line| line.chars().count() <= super::WIDTH));
-        assert!(
-            text.lines()
-                .skip(1)
-                .all(|line| line.starts_with("               t") || line.starts_with("               c"))
-        );
-    }
+/// Words in lines, the first with `name` before it and the others as far in.
+fn entry(name: &str, words: &str) -> String {
+    wrapped(words, [&format!("{name:<INDENT$}"), &" ".repeat(INDENT)], WIDTH)
 }

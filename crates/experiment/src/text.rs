@@ -94,6 +94,22 @@ pub fn aligned(lines: &[Vec<String>], left: usize) -> String {
     texts.filter(|text| text.len() > 1).collect()
 }
 
+/// Words in lines of at most `width` characters; `starts` begin the first line and the others.
+pub fn wrapped(words: &str, starts: [&str; 2], width: usize) -> String {
+    let (mut out, mut used) = (String::new(), String::new());
+    for word in words.split_whitespace() {
+        if used.is_empty() {
+            used = starts[0].to_owned() + word;
+        } else if used.chars().count() + 1 + word.chars().count() > width {
+            out = out + &used + "\n";
+            used = starts[1].to_owned() + word;
+        } else {
+            used = used + " " + word;
+        }
+    }
+    out + &used + "\n"
+}
+
 /// A CSV file with K columns.
 #[derive(Debug)]
 pub struct Lines<const K: usize>(csv::Writer<Vec<u8>>);
@@ -171,6 +187,15 @@ mod tests {
         let found = all.map(|(value, decimals)| fixed(value, decimals));
         assert_eq!(found, ["0.801", "0.0035", "12", "8.7", "8", "12,346", "−0.25", "0.000", "0.000"]);
         assert_eq!([f64::INFINITY, f64::NEG_INFINITY].map(|v| fixed(v, 3)), ["∞", "−∞"]);
+    }
+
+    #[test]
+    fn words_are_broken_into_lines() {
+        assert_eq!(wrapped("aa bb cc", ["// "; 2], 8), "// aa bb\n// cc\n");
+        let text = wrapped(&"twelve chars ".repeat(20), ["pose  ", "      "], 100);
+        assert!(text.starts_with("pose  twelve") && text.lines().count() > 2);
+        assert!(text.lines().all(|line| line.chars().count() <= 100));
+        assert!(text.lines().skip(1).all(|line| line.starts_with("      t") || line.starts_with("      c")));
     }
 
     #[test]

@@ -6,8 +6,9 @@ use crate::args::Verbosity;
 use crate::output;
 use crate::progress::Progress;
 use crate::reference::commented::Style;
-use crate::reference::{Value, example, prose};
+use crate::reference::{Value, example};
 use clap::Args;
+use pwrfgs::experiment::text::wrapped;
 use pwrfgs::prelude::Pipeline;
 use pwrfgs_core::docs::Docs;
 use pwrfgs_core::files::check_place;
@@ -167,7 +168,7 @@ fn written(survey: &Survey, pipeline: &Pipeline) -> Result<String> {
     let body = style.write(&value, Some(Docs::of::<Pipeline>()), "");
     let mut text = String::new();
     for line in survey.notes() {
-        text += &prose::wrapped(&line, "// ", 100);
+        text += &wrapped(&line, ["// "; 2], 100);
     }
     text += "//\n// What is left out has its default: `pwrfgs plugins` shows everything that could stand here, and \
              `pwrfgs plugins NAME`\n// a part of it. What a line takes stands in brackets.\n";

@@ -4,6 +4,7 @@ use crate::output;
 use crate::reference::commented::Style;
 use crate::reference::{Chapter, Topic, chapters, markdown, prose, schema};
 use clap::Args;
+use pwrfgs::experiment::text::wrapped;
 use pwrfgs_core::docs::{Body, Docs};
 use pwrfgs_core::{Error, Result, did_you_mean};
 use std::fmt::Write as _;
@@ -64,14 +65,14 @@ fn write_topic(out: &mut String, topic: &Topic, full: bool) {
     _ = writeln!(out, "  {}{}{about}", markdown::title(topic), if about.is_empty() { "" } else { ": " });
     if full {
         for paragraph in &paragraphs {
-            out.push_str(&prose::wrapped(paragraph, "      ", WIDTH));
+            out.push_str(&wrapped(paragraph, ["      "; 2], WIDTH));
         }
     }
     match (topic.docs, &topic.value) {
         (Some(Docs { body: Body::Variants(variants), .. }), _) => {
             for variant in *variants {
                 let words = format!("{}: {}", markdown::form(variant), markdown::meaning(variant));
-                out.push_str(&prose::wrapped(&words, "      ", WIDTH));
+                out.push_str(&wrapped(&words, ["      "; 2], WIDTH));
             }
         }
         (docs, Ok(value)) => {
@@ -82,7 +83,7 @@ fn write_topic(out: &mut String, topic: &Topic, full: bool) {
             for field in docs.fields() {
                 let takes = crate::reference::takes(&field.kind);
                 let words = format!("{}: {} [{takes}]", field.name, prose::line(field.text));
-                out.push_str(&prose::wrapped(&words, "      ", WIDTH));
+                out.push_str(&wrapped(&words, ["      "; 2], WIDTH));
             }
         }
         (None, Err(why)) => _ = writeln!(out, "      (not without fields: {why})"),

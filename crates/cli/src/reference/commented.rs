@@ -1,6 +1,7 @@
 //! RON with a comment above every field: what it takes and what it does.
 
 use super::{Value, prose, takes};
+use pwrfgs::experiment::text::wrapped;
 use pwrfgs::pipeline::ron_tree::{Body, Tree};
 use pwrfgs_core::docs::{Docs, Field, Kind};
 use pwrfgs_core::plugin::Family;
@@ -66,7 +67,7 @@ impl Style<'_> {
 /// A field's comment, with what it takes.
 fn comment(field: &Field, indent: &str) -> String {
     let words = format!("{} [{}]", prose::line(field.text), takes(&field.kind));
-    prose::wrapped(&words, &format!("{indent}// "), WIDTH)
+    wrapped(&words, [&format!("{indent}// "); 2], WIDTH)
 }
 
 /// The comments on what stands in a place of this kind.

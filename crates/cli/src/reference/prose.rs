@@ -73,23 +73,6 @@ fn without_links(text: &str) -> String {
     plain + rest
 }
 
-/// Lines of at most `width` signs, each after `start`.
-pub(crate) fn wrapped(text: &str, start: &str, width: usize) -> String {
-    let mut out = String::new();
-    let mut used = 0;
-    for word in text.split_whitespace() {
-        let length = word.chars().count();
-        if used > 0 && used + 1 + length > width {
-            out.push('\n');
-            used = 0;
-        }
-        out.push_str(if used == 0 { start } else { " " });
-        out.push_str(word);
-        used += if used == 0 { start.chars().count() + length } else { 1 + length };
-    }
-    out + "\n"
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -98,6 +81,5 @@ mod tests {
     fn comments_become_prose() {
         let text = "One [`crate::TopK`] of\ntwo [`Random`](x::Random).\n\n```\nlet a;\n```\n\n| a |\n| b |";
         assert_eq!(paragraphs(text), ["One `TopK` of two `Random`.", "| a |", "| b |"]);
-        assert_eq!(wrapped("aa bb cc", "// ", 8), "// aa bb\n// cc\n");
     }
 }
