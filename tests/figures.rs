@@ -104,7 +104,7 @@ fn published_numbers_belong_to_s23(mut study: Study) {
 /// Whatever a label holds, pages and documents show it and nothing obeys it.
 fn labels_stay_text(folder: &Path) {
     let (study, out) = (Study::read(&[folder.into()]).unwrap(), folder.join("report"));
-    let said = pwrfgs::report::write(&study, &pwrfgs::report::Options::default(), &out, &mut Silent).unwrap();
+    let said = pwrfgs::report::write(&study, None, &out, &mut Silent).unwrap();
     assert!(!said.contains('\u{1b}') && said.contains("<script>"), "a terminal gets the words alone: {said}");
     let read = |name: &str| std::fs::read_to_string(out.join(name)).unwrap();
     let html = read("report.html");

@@ -4,7 +4,7 @@ use crate::border::{raised, waited, wrong};
 use pwrfgs::experiment::sweep::{JOINED, Plan, SweepEnd, check, execute};
 use pwrfgs::experiment::{Outcome, Session};
 use pwrfgs::prelude::Silent;
-use pwrfgs::report::{Options, Study, write};
+use pwrfgs::report::{Study, write};
 use pwrfgs::sim::output::{self as folder, Layout};
 use pwrfgs::sim::{Observe, Recipe};
 use pyo3::prelude::*;
@@ -76,7 +76,7 @@ pub(crate) fn sweep(
         if whole {
             let _held = plan.claim()?;
             let study = Study::read(std::slice::from_ref(&plan.folder))?;
-            write(&study, &Options::default(), &plan.folder.join("report"), &mut Silent)?;
+            write(&study, None, &plan.folder.join("report"), &mut Silent)?;
         }
         Ok((ends, joined))
     };
@@ -96,7 +96,7 @@ pub(crate) fn sweep(
 pub(crate) fn report(py: Python<'_>, runs: Vec<PathBuf>, out: PathBuf, reference: Option<String>) -> PyResult<String> {
     let work = |_: std::sync::mpsc::SyncSender<()>, _: &_| {
         let study = Study::read(&runs)?;
-        write(&study, &Options { reference }, &out, &mut Silent)
+        write(&study, reference.as_deref(), &out, &mut Silent)
     };
     waited(py, work, |()| Ok(()))
 }

@@ -10,4 +10,4 @@ mod study;
 mod templates;
 
 pub use run_page::page;
-pub use study::{Options, Setting, Study, Variant, figures, write};
+pub use study::{Setting, Study, Variant, figures, write};

@@ -14,11 +14,13 @@ mod page;
 mod race;
 mod tables;
 
-pub use output::{Options, write};
+pub use output::write;
 
 use grouping::{Labels, listed, named, setting_key, settings};
 use pwrfgs_core::{Error, Headline, Result, Task, plugin::ron_options};
 use pwrfgs_experiment::folder::{MODEL_FILE, PIPELINE};
+use pwrfgs_experiment::scores::MODEL;
+use pwrfgs_experiment::statistics::Spread;
 use pwrfgs_experiment::sweep::{JOINED, LISTING, Listing};
 use pwrfgs_experiment::{Mark, Record};
 use std::path::{Path, PathBuf};
@@ -68,6 +70,12 @@ impl Setting {
         distinct(self.runs().flat_map(|run| run.scores.table.baselines()))
     }
 
+    /// What a baseline reaches by a metric, in the mean over all runs.
+    fn floor(&self, name: &str, key: &str) -> Option<f64> {
+        let values: Vec<f64> = self.runs().filter_map(|run| run.scores.value(name, key)).collect();
+        Some(Spread::of(&values)?.mean)
+    }
+
     /// The first variant before number `k` whose models have the same bytes, seed by seed: what the two differ in changed
     /// nothing.
     fn twin(&self, k: usize) -> Option<&Variant> {
@@ -93,6 +101,16 @@ impl Setting {
 }
 
 impl Variant {
+    /// A number of each run, by `of`.
+    fn spread(&self, of: impl Fn(&Record) -> Option<f64>) -> Option<Spread> {
+        Spread::of(&self.runs.iter().filter_map(of).collect::<Vec<_>>())
+    }
+
+    /// What the models reach by a metric.
+    fn score(&self, key: &str) -> Option<Spread> {
+        self.spread(|run| run.scores.value(MODEL, key))
+    }
+
     /// Seeds and model file of each run; `None` where a run folder of an earlier version does not say.
     fn models(&self) -> Option<Vec<(u64, &Mark)>> {
         self.runs.iter().map(|run| Some((run.pipeline.seed, run.facts.files.get(MODEL_FILE)?))).collect()

@@ -6,7 +6,7 @@ use crate::progress::Progress;
 use clap::Args;
 use pwrfgs::experiment::folder::{PIPELINE, REPORT};
 use pwrfgs::experiment::rebuild_page;
-use pwrfgs::report::{Options, Study, write};
+use pwrfgs::report::{Study, write};
 use pwrfgs_core::Result;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -46,13 +46,13 @@ pub(crate) fn report(arguments: &Report, verbosity: Verbosity) -> Result<ExitCod
     {
         rebuild(run, verbosity)?;
     }
-    compare(&study, &Options { reference: arguments.reference.clone() }, &out, verbosity)?;
+    compare(&study, arguments.reference.as_deref(), &out, verbosity)?;
     Ok(ExitCode::SUCCESS)
 }
 
 /// The report of a whole sweep, as it is written when its last run has ended.
 pub(super) fn of_sweep(folder: &Path, verbosity: Verbosity) -> Result<()> {
-    compare(&Study::read(&[folder.into()])?, &Options::default(), &folder.join(FOLDER), verbosity)
+    compare(&Study::read(&[folder.into()])?, None, &folder.join(FOLDER), verbosity)
 }
 
 /// Makes the page of a run again; without its data the tables are worth having still.
@@ -69,9 +69,9 @@ fn rebuild(run: &Path, verbosity: Verbosity) -> Result<()> {
     }
 }
 
-fn compare(study: &Study, options: &Options, out: &Path, verbosity: Verbosity) -> Result<()> {
+fn compare(study: &Study, reference: Option<&str>, out: &Path, verbosity: Verbosity) -> Result<()> {
     let mut progress = Progress::new(verbosity);
-    let written = write(study, options, out, &mut progress);
+    let written = write(study, reference, out, &mut progress);
     progress.finish();
     output::result(&format!("{}\nreport: {}\n", written?, out.join("report.html").display()))?;
     Ok(())

@@ -17,14 +17,6 @@ use std::path::Path;
 /// The file that makes a folder a report's folder.
 const OWN: &str = "report.json";
 
-/// What can be chosen about a report.
-#[derive(Clone, Debug, Default)]
-pub struct Options {
-    /// Label of the variant, or name of the floor, that paired differences are from; the first variant of each setting
-    /// where nothing is named.
-    pub reference: Option<String>,
-}
-
 /// The content of [`OWN`].
 #[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
 struct Owned {
@@ -35,16 +27,17 @@ struct Owned {
 }
 
 /// Writes the report of a study into `out`: `report.csv`, `report.tex` with `tables/`, `report.html` and
-/// `figures/`. Gives the tables as text for a terminal.
+/// `figures/`. Gives the tables as text for a terminal. Paired differences are from the variant or the floor that `reference`
+/// names, or from the first variant of each setting.
 ///
 /// The same runs give the same bytes.
 ///
 /// # Errors
 /// A reference that does not exist, a folder that is not the report's, or a file that cannot be written.
-pub fn write(study: &Study, options: &Options, out: &Path, observer: &mut dyn Observer) -> Result<String> {
+pub fn write(study: &Study, reference: Option<&str>, out: &Path, observer: &mut dyn Observer) -> Result<String> {
     refuse_links(out)?;
     let before = owned(out)?;
-    let page = Page::new(study, options.reference.as_deref(), observer)?;
+    let page = Page::new(study, reference, observer)?;
     let files = files(study, &page)?;
     let names: BTreeSet<String> = files.iter().map(|(name, _)| name.clone()).collect();
     if let Some(foreign) = names.difference(&before.files).find(|name| out.join(name).symlink_metadata().is_ok()) {
@@ -154,7 +147,7 @@ mod tests {
         own(folder.path(), BTreeSet::from(["figures/1-old.svg".to_owned()])).unwrap();
         own(elsewhere.path(), BTreeSet::new()).unwrap();
         let study = Study { title: "none".into(), ..Study::default() };
-        let write = |out: &Path| write(&study, &Options::default(), out, &mut pwrfgs_experiment::Silent);
+        let write = |out: &Path| write(&study, None, out, &mut pwrfgs_experiment::Silent);
         let whole = |name: &str| {
             let link = folder.path().join(name);
             std::os::unix::fs::symlink(elsewhere.path(), &link).unwrap();

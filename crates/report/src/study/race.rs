@@ -1,8 +1,6 @@
 //! `Race`: variants of a setting that come to the same numbers of Gaussians in different ways.
 
 use super::{Setting, Variant};
-use pwrfgs_experiment::Record;
-use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::statistics::Spread;
 
 /// At least so many ways, at so many numbers of Gaussians, are a race.
@@ -42,11 +40,6 @@ pub(super) fn family(label: &str) -> String {
     label.split_whitespace().filter(is_number).collect::<Vec<_>>().join(" ")
 }
 
-/// A number of each run of a variant, by `of`.
-pub(super) fn spread(variant: &Variant, of: impl Fn(&Record) -> Option<f64>) -> Option<Spread> {
-    Spread::of(&variant.runs.iter().filter_map(of).collect::<Vec<_>>())
-}
-
 /// N of a variant, where its seeds agree.
 fn number(variant: &Variant) -> Option<usize> {
     let first = variant.runs.first()?.facts.gaussians;
@@ -73,7 +66,7 @@ impl<'a> Race<'a> {
         if ways.len() < LEAST[0] || numbers.len() < LEAST[1] {
             return None;
         }
-        let score = |variant: &Variant| spread(variant, |run| run.scores.value(MODEL, headline.key));
+        let score = |variant: &Variant| variant.score(headline.key);
         for &n in &numbers {
             let at = |way: &Way<'_>| way.variants.iter().find(|v| number(v) == Some(n)).and_then(|v| score(v));
             let scores: Vec<Option<Spread>> = ways.iter().map(at).collect();

@@ -7,7 +7,6 @@ use crate::draw::legend::{Legend, SYMBOL, Symbol};
 use crate::draw::ticks::ticks;
 use crate::study::{Setting, Variant, distinct};
 use minijinja::context;
-use pwrfgs_experiment::scores::MODEL;
 use pwrfgs_experiment::statistics::Spread;
 use pwrfgs_experiment::text::number;
 
@@ -38,12 +37,8 @@ struct Bar<'a> {
 impl<'a> Bar<'a> {
     /// Of a variant; nothing where it was not timed.
     fn of(variant: &'a Variant) -> Option<Self> {
-        let spread = |key: &str| {
-            let values: Vec<f64> = variant.runs.iter().filter_map(|r| r.scores.value(MODEL, key)).collect();
-            Spread::of(&values)
-        };
-        let stages: Option<Vec<f64>> = STAGES.iter().map(|(_, key)| Some(spread(key)?.mean)).collect();
-        Some(Self { label: &variant.label, stages: stages?, total: spread(TOTAL)? })
+        let stages: Option<Vec<f64>> = STAGES.iter().map(|(_, key)| Some(variant.score(key)?.mean)).collect();
+        Some(Self { label: &variant.label, stages: stages?, total: variant.score(TOTAL)? })
     }
 
     /// Where its bar ends.

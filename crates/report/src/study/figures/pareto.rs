@@ -4,7 +4,7 @@ use super::tradeoff::floors;
 use super::{Figure, looks};
 use crate::draw::charts::{Axis, Chart, Line};
 use crate::study::Setting;
-use crate::study::race::{Race, Way, spread};
+use crate::study::race::{Race, Way};
 use minijinja::context;
 use pwrfgs_experiment::Record;
 use pwrfgs_experiment::scores::MODEL;
@@ -79,17 +79,14 @@ fn figure(setting: &Setting, price: &Price) -> Option<Figure> {
 /// The mean score of the floor that is easiest to beat.
 fn worst_floor(setting: &Setting) -> Option<f64> {
     let headline = setting.headline();
-    let of = |name: &str| {
-        let values: Vec<f64> = setting.runs().filter_map(|run| run.scores.value(name, headline.key)).collect();
-        Some(Spread::of(&values)?.mean)
-    };
+    let of = |name: &str| setting.floor(name, headline.key);
     setting.floors().into_iter().filter_map(of).reduce(if headline.higher { f64::min } else { f64::max })
 }
 
 /// A way through its variants, with bars over seeds.
 fn line(way: &Way<'_>, k: usize, price: &Price, key: &str, shown: bool) -> Option<Line> {
     let place = |variant: &&crate::study::Variant| {
-        let (paid, score) = (spread(variant, price.of)?, spread(variant, |run| run.scores.value(MODEL, key))?);
+        let (paid, score) = (variant.spread(price.of)?, variant.score(key)?);
         (paid.mean > 0.0).then_some((paid.mean, score))
     };
     let mut places: Vec<_> = way.variants.iter().filter_map(place).collect();

@@ -107,10 +107,8 @@ fn without_digits(label: &str) -> String {
 
 /// Level lines over the whole width, with their names at the right.
 pub(super) fn floors(setting: &Setting, key: &str) -> Vec<Line> {
-    let line = |(k, name): (usize, &str)| {
-        let values: Vec<f64> = setting.runs().filter_map(|r| r.scores.value(name, key)).collect();
-        Some(Line::level(Spread::of(&values)?.mean, looks::floor(k)).named_at_end(name))
-    };
+    let line =
+        |(k, name): (usize, &str)| Some(Line::level(setting.floor(name, key)?, looks::floor(k)).named_at_end(name));
     setting.floors().into_iter().enumerate().filter_map(line).collect()
 }
 
