@@ -53,7 +53,7 @@ pub use input::{read_pipeline, rebased};
 pub use load::load;
 pub use observed::observed;
 pub use observer::{Observer, Silent, Start, Validation, staged};
-pub use page::{LoadedRun, Page, rebuild_page, write_page, write_scores};
+pub use page::{LoadedRun, Page, rebuild_page, write_results};
 pub use paired::Paired;
 pub use preview::{Preview, preview};
 pub use record::{Record, TestSamples};

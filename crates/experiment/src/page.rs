@@ -32,28 +32,25 @@ pub struct LoadedRun<'a> {
 /// Makes the page of a run, HTML in one file.
 pub type Page = fn(&LoadedRun<'_>) -> Result<String>;
 
-/// Writes what an evaluation found: `samples.csv`, `scores.csv`, of an ensemble `confidence.csv`.
+/// Writes what an evaluation found into `folder`: `samples.csv`, `scores.csv`, of an ensemble `confidence.csv`, and what `page`
+/// makes of them, `report.html`.
 ///
 /// # Errors
-/// [`Error::Write`].
-pub fn write_scores(
+/// A damaged file of the training; [`Error::Write`].
+pub fn write_results(
     folder: &Path,
+    (pipeline, facts): (&Pipeline, &Facts),
+    (data, partition, model): (&Dataset, &Partition, &Ensemble),
     (scores, confidence): (&Scores, Option<&Confidence>),
-    data: &Dataset,
-    partition: &Partition,
+    page: Option<Page>,
 ) -> Result<()> {
     let put = |name: &str, text: String| write_atomically(&folder.join(name), text.as_bytes());
     put(SAMPLES, to_csv(data, partition))?;
     put(SCORES, scores.to_csv())?;
-    confidence.map_or(Ok(()), |confidence| put(CONFIDENCE, confidence.to_csv()))
-}
-
-/// Makes `report.html` from what lies in the folder of `run`, and writes it there.
-///
-/// # Errors
-/// A damaged snapshot; [`Error::Write`].
-pub fn write_page(run: &LoadedRun<'_>, page: Page) -> Result<()> {
-    write_atomically(&run.record.folder.join(REPORT), page(run)?.as_bytes())
+    confidence.map_or(Ok(()), |confidence| put(CONFIDENCE, confidence.to_csv()))?;
+    let Some(page) = page else { return Ok(()) };
+    let record = Record::of(folder, pipeline, facts.clone())?;
+    put(REPORT, page(&LoadedRun { record: &record, data, partition, model })?)
 }
 
 /// Ends the run of `pipeline` in `folder` with what its evaluation found: writes the scores, makes the page if the session asks
@@ -75,11 +72,8 @@ pub(crate) fn conclude(
     facts.finished = Some(clock::now());
     facts.report = session.page.is_some();
     facts.note_memory(); // here, so that the page says what run.json says
-    write_scores(path, (&scores, confidence.as_ref()), data, partition)?;
-    if let Some(page) = session.page {
-        let record = Record::of(path, pipeline, facts.clone())?;
-        write_page(&LoadedRun { record: &record, data, partition, model }, page)?;
-    }
+    let (found, context) = ((&scores, confidence.as_ref()), (data, partition, model));
+    write_results(path, (pipeline, facts), context, found, session.page)?;
     facts.seal(path)?;
     facts.write(path)?;
     session.observer.on_evaluation(&scores.table);

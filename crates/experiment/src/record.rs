@@ -25,8 +25,6 @@ pub struct Record {
     pub folder: PathBuf,
     /// What was run, every default written out; paths are absolute. Of a joined model, what it is scored by.
     pub pipeline: Pipeline,
-    /// How the model was made, every setting as RON text.
-    pub settings: String,
     /// Circumstances.
     pub facts: Facts,
     /// Every score.
@@ -40,9 +38,6 @@ pub struct Record {
     /// Spread and error of an ensemble.
     pub confidence: Option<Confidence>,
 }
-
-/// What stands above the pipeline of a joined model.
-const JOINED_SETTINGS: &str = "// each run has its own pipeline; this one scores the mean of their predictions:\n";
 
 impl Record {
     /// Reads the folder of a finished run; `None` if the run has not finished, or not begun.
@@ -67,8 +62,6 @@ impl Record {
         Ok(Self {
             folder: folder.into(),
             pipeline: pipeline.clone(),
-            settings: if facts.members.is_empty() { String::new() } else { JOINED_SETTINGS.into() }
-                + &pipeline.to_ron(),
             scores: Scores::read(&path(SCORES), facts.scores.clone().unwrap_or_default())?,
             test: TestSamples::read(&path(SAMPLES))?,
             curve: if trained { series::whole(&path(CURVE), facts.steps)? } else { Vec::new() },

@@ -14,7 +14,7 @@ pub mod slurm;
 mod status;
 
 pub use check::{check, estimate};
-pub use execute::{Board, SweepEnd, execute};
+pub use execute::{Board, SweepEnd, execute, pool};
 pub use experiment::{Axis, Experiment, Slurm, Variant};
 pub use join::JOINED;
 pub use listing::{LISTING, ListedRun, Listing};

@@ -63,7 +63,7 @@ pub fn page(run: &LoadedRun<'_>) -> Result<String> {
         error_bar => Scale::Error(limit).bar().svg("bar", "colours of the error"),
         live => live::section(run),
         angles => model.plane().angles.is_some(),
-        pipeline => run.record.settings.clone(),
+        pipeline => settings(run),
         members => members(run),
         confidence => curves::confidence(run),
     };
@@ -80,6 +80,13 @@ fn words(run: &LoadedRun<'_>) -> Value {
     let none = run.model.gaussians() == 0;
     let parts = if splats || none { "Gaussians" } else { "Virtual transmitters" };
     context! { plural, singular, size, title => first.to_uppercase() + rest, parts, none }
+}
+
+/// The pipeline; of several models the one that scores them.
+fn settings(run: &LoadedRun<'_>) -> String {
+    let is_joined = run.model.members().len() > 1;
+    let note = "// each run has its own pipeline; this one scores the mean of their predictions:\n";
+    if is_joined { note } else { "" }.to_owned() + &run.record.pipeline.to_ron()
 }
 
 /// Name, Gaussians and page of each model of a joined model.

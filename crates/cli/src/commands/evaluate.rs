@@ -7,10 +7,7 @@ use clap::Args;
 use pwrfgs::experiment::folder::{PIPELINE, REPORT};
 use pwrfgs::experiment::samples::data_key;
 use pwrfgs::experiment::text::number;
-use pwrfgs::experiment::{
-    Facts, LoadedRun, Machine, Record, Session, evaluate as score, load as load_data, read_pipeline, write_page,
-    write_scores,
-};
+use pwrfgs::experiment::{Facts, Machine, Session, evaluate as score, load as load_data, read_pipeline, write_results};
 use pwrfgs::model::{Ensemble, file};
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs_core::words::clean;
@@ -88,15 +85,9 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
             scores: Some(scores.table.clone()),
             ..Facts::default()
         };
-        write_scores(out, (&scores, confidence.as_ref()), &data, &partition)?;
-        if let Some(page) = pwrfgs::PAGE {
-            let mut record = Record::of(out, &pipeline, facts)?;
-            if arguments.models.len() > 1 {
-                let count = arguments.models.len();
-                record.settings =
-                    format!("// the mean of {count} models, scored by this pipeline:\n{}", pipeline.to_ron());
-            }
-            write_page(&LoadedRun { record: &record, data: &data, partition: &partition, model: &ensemble }, page)?;
+        let (found, context) = ((&scores, confidence.as_ref()), (&data, &partition, &ensemble));
+        write_results(out, (&pipeline, &facts), context, found, pwrfgs::PAGE)?;
+        if pwrfgs::PAGE.is_some() {
             _ = writeln!(text, "\nreport: {}", out.join(REPORT).display());
         }
     }

@@ -11,7 +11,7 @@ use crate::progress::Progress;
 use board::Table;
 use clap::Args;
 use pwrfgs::experiment::folder::REPORT;
-use pwrfgs::experiment::sweep::{JOINED, Plan, State, SweepEnd, check, estimate, execute, slurm};
+use pwrfgs::experiment::sweep::{JOINED, Plan, State, SweepEnd, check, estimate, execute, pool, slurm};
 use pwrfgs::experiment::{Outcome, Session};
 use pwrfgs_core::{Error, Result};
 use std::collections::BTreeSet;
@@ -171,10 +171,7 @@ fn here(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Resul
 /// Lists all runs with the time they would take.
 fn dry_run(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<ExitCode> {
     let mut progress = Progress::new(verbosity);
-    let threads = (rayon::current_num_threads() / jobs).max(1);
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-    let pool = pool.map_err(|e| Error::Config(format!("cannot start {threads} threads: {e}")))?;
-    let seconds = pool.install(|| estimate(plan, runs, &mut progress));
+    let seconds = pool(jobs)?.install(|| estimate(plan, runs, &mut progress));
     progress.finish();
     output::result(&table::plan(plan, runs, &seconds?, jobs))?;
     Ok(ExitCode::SUCCESS)

@@ -7,6 +7,7 @@ use crate::observer::{Observer, Silent};
 use crate::runner::{Outcome, run};
 use crate::session::Session;
 use pwrfgs_core::{Error, Result};
+use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::Mutex;
@@ -54,11 +55,7 @@ pub fn execute(
 ) -> Result<SweepEnd> {
     drop(plan.claim()?);
     let jobs = jobs.clamp(1, runs.len().max(1));
-    let threads = (rayon::current_num_threads() / jobs).max(1);
-    let pool = || rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-    let pools = (0..jobs)
-        .map(|_| pool().map_err(|e| Error::Config(format!("cannot start {threads} threads: {e}"))))
-        .collect::<Result<Vec<_>>>()?;
+    let pools = (0..jobs).map(|_| pool(jobs)).collect::<Result<Vec<_>>>()?;
     let (stop, page) = (session.stop, session.page);
     let next = AtomicUsize::new(0);
     let ends = Mutex::new(Vec::new());
@@ -85,6 +82,16 @@ pub fn execute(
     let mut ends = ends.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
     ends.sort_by_key(|(run, _)| *run);
     Ok(SweepEnd { runs: ends, joined: join(plan, session)? })
+}
+
+/// The threads of one of `jobs` runs that share those of the calling pool.
+///
+/// # Errors
+/// Where threads cannot be started.
+pub fn pool(jobs: usize) -> Result<ThreadPool> {
+    let threads = (rayon::current_num_threads() / jobs).max(1);
+    let pool = ThreadPoolBuilder::new().num_threads(threads).build();
+    pool.map_err(|e| Error::Config(format!("cannot start {threads} threads: {e}")))
 }
 
 /// Does one run.

@@ -30,6 +30,19 @@ pub enum State {
     Finished(Box<(ScoreTable, Facts)>),
 }
 
+impl State {
+    /// In a word.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Waiting => "waiting",
+            Self::Running { .. } => "running",
+            Self::Stopped { .. } => "stopped",
+            Self::Failed(_) => "failed",
+            Self::Finished(_) => "finished",
+        }
+    }
+}
+
 /// Below the sweep folder: a file for each run that failed, with the reason.
 const FAILURES: &str = "failures";
 

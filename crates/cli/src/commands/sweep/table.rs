@@ -21,18 +21,17 @@ pub(super) fn status(plan: &Plan, runs: &[usize], queued: &BTreeSet<String>) -> 
         let of = |step: u64| format!("{}/{}", grouped(step as i64), grouped(steps as i64));
         let mut line = vec![String::new(); lines[0].len()];
         line[0].clone_from(name);
+        line[1] = state.name().into();
         let waits = queued.contains(name);
         match state {
-            State::Waiting => line[1] = if waits { "queued".into() } else { "waiting".into() },
-            State::Running { step } => (line[1], line[2]) = ("running".into(), of(*step)),
-            State::Stopped { step } => {
-                (line[1], line[2]) = (if waits { "queued again" } else { "stopped" }.into(), of(*step));
-            }
+            State::Waiting if waits => line[1] = "queued".into(),
+            State::Waiting => {}
+            State::Stopped { step } if waits => (line[1], line[2]) = ("queued again".into(), of(*step)),
+            State::Running { step } | State::Stopped { step } => line[2] = of(*step),
             State::Failed(why) => line[1] = format!("failed: {why}"),
             State::Finished(end) => {
                 let (scores, facts) = &**end;
                 let score = |key| scores.of_model(key).map_or_else(|| "n/a".into(), number);
-                line[1] = "finished".into();
                 (line[2], line[3]) = (of(facts.steps), grouped(facts.gaussians as i64));
                 (line[4], line[5], line[6]) =
                     (score(scores.task.headline.key), score("eta_0db"), duration(facts.wall_seconds));
@@ -52,15 +51,8 @@ pub(super) fn status(plan: &Plan, runs: &[usize], queued: &BTreeSet<String>) -> 
 pub(super) fn plan(plan: &Plan, runs: &[usize], seconds: &[f64], jobs: usize) -> String {
     let mut lines = vec![["run", "state", "time"].map(str::to_owned).to_vec()];
     for (&run, seconds) in runs.iter().zip(seconds) {
-        let state = match plan.state(run) {
-            State::Waiting => "waiting",
-            State::Running { .. } => "running",
-            State::Stopped { .. } => "stopped",
-            State::Failed(_) => "failed",
-            State::Finished(_) => "finished",
-        };
         let time = if *seconds > 0.0 { format!("about {}", duration(*seconds)) } else { String::new() };
-        lines.push(vec![plan.runs[run].folder.clone(), state.into(), time]);
+        lines.push(vec![plan.runs[run].folder.clone(), plan.state(run).name().into(), time]);
     }
     let combinations = runs.iter().map(|&run| plan.runs[run].combination).collect::<BTreeSet<_>>().len();
     let mut text =
