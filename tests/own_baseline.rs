@@ -4,7 +4,7 @@ use pwrfgs::core::Query;
 use pwrfgs::experiment::Outcome;
 use pwrfgs::prelude::*;
 use pwrfgs::run;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
 /// Always one grey, which a file holds.
