@@ -38,14 +38,14 @@ fn everything_that_a_pipeline_may_name_can_be_asked_for() {
     let here = Path::new(".");
     let said = |name: &str| stdout(&succeed(here, &["plugins", name]));
     let asked: [(&str, &[&str]); 9] = [
-        ("training", &["Training(", "// M, the number of steps. [whole number]", "steps: 200000"]),
+        ("training", &["Training(", "// Number of training steps M. [whole number]", "steps: 200000"]),
         ("optimizer", &["log_scales: Constant(0.005)", "Schedule: Constant, LogLinear, Cosine"]),
         ("densify", &["gradient_threshold"]),
         ("loss", &["ssim_weight: 0.2"]),
         ("readout", &["MinMax: "]),
         ("Schedule", &["LogLinear(first: number"]),
         ("pruner", &["LearnableMask(", "TopK(", "// Weight λ of the penalty"]),
-        ("Pipeline", &["// The one seed that decides everything."]),
+        ("Pipeline", &["// Random seed of the run"]),
         ("slurm", &["cpus: 2"]),
     ];
     for (name, words) in asked {
@@ -66,7 +66,7 @@ fn init_writes_a_pipeline_that_runs_and_never_overwrites() {
     let said = stdout(&succeed(here, &["init", "my \"data\""]));
     assert!(said.contains("6 spectra of 12 x 6 pixels: 3 to train on, 1 to validate, 2 to test"), "{said}");
     let text = std::fs::read_to_string(here.join("my--data-.ron")).unwrap();
-    for words in ["split: Official(", "// Transmitters a step. [whole number]", "batch: 3,", "points: None", "Grid("] {
+    for words in ["split: Official(", "// Batch size: transmitters per step. [whole number]", "batch: 3,", "points: None", "Grid("] {
         assert!(text.contains(words), "{words} is not in {text}");
     }
     let few = ["training.steps=6", "training.densify_until=2", "training.prune_until=5", "deformation.width=8"];

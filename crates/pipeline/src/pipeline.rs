@@ -16,58 +16,58 @@ use ron::error::SpannedError;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// Everything a run needs to know. Plugins are named in the words of the registry; plain settings are nested structs. A
-/// field that is left out takes what [`defaults`] says; name, data and initializer have no default. Read it with
-/// [`Pipeline::parse`]: defaults of readout, baselines and metrics depend on the data.
+/// All settings of one run. `name`, `data` and, for methods with Gaussians, `initializer` are required; all other
+/// fields have defaults. The defaults of method, readout, baselines and metrics depend on the data. Read a file with
+/// [`Pipeline::parse`].
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Pipeline {
-    /// Names the run folder: letters, digits, `.`, `-` and `_`.
+    /// Name of the run folder: letters, digits, `.`, `-` and `_`.
     pub name: String,
-    /// The one seed that decides everything.
+    /// Random seed of the run: split, initial Gaussians, batches and all other random draws.
     #[serde(default)]
     pub seed: u64,
-    /// Seed of the split alone; left out, the one seed. Members of an ensemble are divided alike by it.
+    /// Random seed of the split, if it differs from `seed`. All models of an ensemble need the same split.
     pub split_seed: Option<u64>,
-    /// Where the observations come from.
+    /// Data source: measured or simulated spectra, powers or channels.
     pub data: Plugin<dyn DataSource>,
-    /// Training, validation and test.
+    /// Split into training, validation and test set.
     #[serde(default = "defaults::split")]
     pub split: Plugin<dyn Split>,
-    /// The way from Gaussians to observations; left out, they are drawn as splats by the five fields that follow the
-    /// initializer.
+    /// Method that predicts observations. If omitted, Gaussians are rasterized as splats (channels: `SplattedChannel`)
+    /// with the fields `projector`, `rasterizer`, `deformation`, `calibration` and `readout`.
     pub method: Option<Plugin<dyn Method>>,
-    /// Where the Gaussians start; a method without Gaussians needs none.
+    /// Initial Gaussians. Omit it for a method without Gaussians.
     #[serde(default = "defaults::initializer")]
     pub initializer: Plugin<dyn Initializer>,
-    /// From space to the picture.
+    /// Projection of Gaussians to the image plane.
     #[serde(default = "defaults::projector")]
     pub projector: Plugin<dyn Projector>,
-    /// From splats to pixels.
+    /// Blending of projected Gaussians into pixels.
     #[serde(default = "defaults::rasterizer")]
     pub rasterizer: Plugin<dyn Rasterizer>,
-    /// What the transmitter changes.
+    /// Effect of the transmitter on signals and geometry of the Gaussians, usually a network.
     #[serde(default = "defaults::deformation")]
     pub deformation: Plugin<dyn Deformation>,
-    /// How calibration terms meet the base parameters.
+    /// How outputs of the deformation network are combined with the learned parameters.
     #[serde(default)]
     pub calibration: Calibration,
-    /// From blended signals to a spectrum.
+    /// Conversion of the blended signals to a spectrum or a received power.
     #[serde(default)]
     pub readout: Readout,
-    /// Who decides which Gaussians stay; all must agree.
+    /// Pruning strategies. A Gaussian is kept if all strategies keep it.
     #[serde(default)]
     pub pruners: Vec<Plugin<dyn Pruner>>,
-    /// Algorithm 1.
+    /// Training settings (algorithm 1 of the paper).
     #[serde(default)]
     pub training: Checked<Training>,
-    /// Scored beside the model.
+    /// Baselines in the score table.
     #[serde(default)]
     pub baselines: Vec<Plugin<dyn Baseline>>,
-    /// How all are scored.
+    /// Metrics that score the model and the baselines.
     #[serde(default)]
     pub metrics: Vec<Plugin<dyn Metric>>,
-    /// Whether the run folder gets an event file that TensorBoard opens.
+    /// Whether the run writes an event file for TensorBoard.
     #[serde(default)]
     pub tensorboard: bool,
 }

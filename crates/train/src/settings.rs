@@ -3,26 +3,26 @@
 use pwrfgs_core::{JsonSchema, Real, plugin::Check};
 use serde::{Deserialize, Serialize};
 
-/// How errors count.
+/// Pixel or power loss.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Errors {
-    /// |Δ|: deaf to outliers.
+    /// Absolute error |Δ|; robust to outliers.
     #[default]
     Absolute,
-    /// Δ².
+    /// Squared error Δ².
     Squared,
 }
 
-/// Which pixels of the spectra a step looks at, for a method that can draw some alone.
+/// Pixels of the spectra used in a training step, for methods that can predict single pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Rays {
-    /// All that `stride` leaves.
+    /// All pixels of the strided spectra.
     #[default]
     All,
-    /// So many, drawn anew at each step, the same of all spectra of the batch: what does not depend on the transmitter is
-    /// then worked out once.
+    /// This number of pixels, drawn again in each step and equal for all spectra of the batch. Computations that do not
+    /// depend on the transmitter are shared.
     Same(usize),
-    /// In place of a batch so many pairs of a spectrum and a pixel, as NeRF2 draws them.
+    /// This number of random pairs of spectrum and pixel, in place of a batch, as in NeRF2.
     Each(usize),
 }
 
@@ -48,25 +48,27 @@ macro_rules! settings {
 /// A learning rate as a function of the step.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub enum Schedule {
-    /// The same at every step.
+    /// Constant rate.
     Constant(Real),
-    /// Falls geometrically from `first` to `last` over `steps` steps, then stays; 0 steps means the whole training.
+    /// Decays exponentially from `first` to `last` over `steps` steps, then stays constant; 0 steps means the whole
+    /// training.
     LogLinear {
         /// Rate at step 1.
         first: Real,
         /// Rate from step `steps` on.
         last: Real,
-        /// Steps the fall takes; 0 for `training.steps`.
+        /// Number of steps of the decay; 0 for `training.steps`.
         #[serde(default)]
         steps: u64,
     },
-    /// Falls along half a cosine from `first` to `last` over `steps` steps, and periodically on, as released.
+    /// Cosine decay from `first` to `last` over `steps` steps; afterwards the rate continues periodically, as in the
+    /// released code.
     Cosine {
         /// Rate at step 1.
         first: Real,
         /// Rate at step `steps`.
         last: Real,
-        /// Half a period; 0 for `training.steps`.
+        /// Steps of half a period; 0 for `training.steps`.
         #[serde(default)]
         steps: u64,
     },
@@ -114,120 +116,121 @@ impl Schedule {
 }
 
 settings! {
-    /// What training makes small: of spectra the rendering loss (1-w)·L1 + w·(1-SSIM), of powers an error in dB, of channels
-    /// the squared error over the mean squared channel of the training part.
+    /// Loss function. Spectra: rendering loss (1-w)·L1 + w·(1-SSIM). Powers: error in dB. Channels: squared error over
+    /// the mean squared channel of the training set.
     Loss {
-        /// w of eq. (9), between 0 and 1; spectra only, and 0 with `rays` other than `All`.
+        /// Weight w of 1-SSIM, eq. (9), between 0 and 1. Only for spectra; must be 0 if `rays` is not `All`.
         ssim_weight: Real = 0.2,
-        /// How errors of a pixel count, beside SSIM.
+        /// Loss of a pixel of a spectrum, in addition to SSIM.
         pixel: Errors = Errors::Absolute,
-        /// How errors of a received power count.
+        /// Loss of a received power.
         power: Errors = Errors::Absolute,
     }
 }
 
 settings! {
-    /// Adam with a rate for each column.
+    /// Adam optimizer with one learning rate per parameter.
     Optimizer {
-        /// Rate of the centres, metres a step, as WRF-GS+ has it.
+        /// Learning rate of the Gaussian centres, metres per step, as in WRF-GS+.
         means: Schedule = Schedule::LogLinear { first: 8e-4, last: 8e-6, steps: 30_000 },
-        /// Rate of the logarithmic scales.
+        /// Learning rate of the logarithmic scales.
         log_scales: Schedule = Schedule::Constant(0.005),
-        /// Rate of the quaternions.
+        /// Learning rate of the quaternions.
         quats: Schedule = Schedule::Constant(0.001),
-        /// Rate of the opacity logits.
+        /// Learning rate of the opacity logits.
         opacity_logits: Schedule = Schedule::Constant(0.025),
-        /// Rate of the signals.
+        /// Learning rate of the signals.
         signals: Schedule = Schedule::Constant(0.0025),
-        /// Rate of the deformation network.
+        /// Learning rate of the network weights.
         network: Schedule = Schedule::LogLinear { first: 8e-4, last: 1.6e-6, steps: 0 },
-        /// Steps over which the network's rate rises from 0 to what its schedule says.
+        /// Warm-up steps: the learning rate of the network rises from 0 to its schedule.
         network_warmup: u64 = 0,
-        /// Floor of the denominator, Gaussians.
+        /// ε in the denominator of Adam, for the Gaussians.
         eps: Real = 1e-15,
-        /// Floor of the denominator, network.
+        /// ε in the denominator of Adam, for the network.
         network_eps: Real = 1e-15,
-        /// L2 weight decay of the network, added to the gradient (as WRF-GS does it: 5e-5).
+        /// L2 weight decay of the network, added to the gradient. WRF-GS uses 5e-5.
         network_l2: Real = 0.0,
-        /// Decoupled weight decay of the network (AdamW): each step takes rate · decay · weight away.
+        /// Decoupled weight decay of the network (AdamW): each step subtracts rate · decay · weight.
         network_decay: Real = 0.0,
     }
 }
 
 settings! {
-    /// Densification of 3DGS, algorithm 1 line 9.
+    /// Densification as in 3DGS (algorithm 1, line 9): clone, split and remove Gaussians.
     Densify {
-        /// First step after which Gaussians may be cloned or split.
+        /// Densification starts after this step.
         from: u64 = 500,
-        /// Steps between two densifications; 0 for none at all.
+        /// Steps between two densifications; 0 disables densification.
         every: u64 = 100,
-        /// Mean norm of the 2-D gradient, in normalised device coordinates, from which on a Gaussian is densified.
+        /// Gaussians with at least this mean norm of the 2-D gradient are densified, in normalised device coordinates.
         gradient_threshold: Real = 0.0002,
         /// Size of the scene, metres; 0 for half the diagonal of its bounds. The released code has 2.
         extent_m: Real = 0.0,
-        /// Up to this share of the extent a Gaussian is cloned, above it is split.
+        /// Gaussians up to this share of the extent are cloned, larger ones are split.
         clone_below: Real = 0.01,
-        /// A Gaussian less opaque than this is removed while densifying.
+        /// Densification removes Gaussians with a lower opacity.
         opacity_floor: Real = 0.005,
-        /// After `large_after` steps, a Gaussian larger than this share of the extent is removed; 0 for never.
+        /// After `large_after` steps, Gaussians larger than this share of the extent are removed; 0 disables this.
         large_above: Real = 0.1,
-        /// See `large_above`.
+        /// Step after which `large_above` applies.
         large_after: u64 = 3_000,
-        /// Steps between two opacity resets; 0 for none.
+        /// Steps between two opacity resets; 0 disables resets.
         reset_every: u64 = 3_000,
         /// Largest opacity after a reset.
         reset_opacity: Real = 0.01,
-        /// No densification beyond this many Gaussians (the largest gradients go first); 0 for no limit.
+        /// Maximum number of Gaussians during densification; those with the largest gradients are densified first. 0
+        /// for no limit.
         max_gaussians: usize = 0,
     }
 }
 
 settings! {
-    /// Algorithm 1 with every constant a field.
+    /// Training settings: all constants of algorithm 1.
     Training {
-        /// M, the number of steps.
+        /// Number of training steps M.
         steps: u64 = 200_000,
-        /// Multiplies every count of steps here, in `densify` and in the schedules of `optimizer`, as the last thing that
-        /// is done to them: 0.25 for a quarter of the training in the same proportions. Counts are rounded, and those
-        /// above 0 stay at least 1. Below 1 it also divides the learning rates of masks, up to 0.1 (without Adam: ten times
-        /// the rate), so that they close within the shorter training.
+        /// Factor on all numbers of steps: here, in `densify` and in the schedules of `optimizer`. It is applied last:
+        /// 0.25 gives a quarter of the training in the same proportions. Results are rounded; values above 0 stay at
+        /// least 1. A factor below 1 also divides the learning rates of masks, up to 0.1 (without Adam: ten times the
+        /// rate), so that masks close within the shorter training.
         scale: f64 = 1.0,
-        /// Transmitters a step.
+        /// Batch size: transmitters per step.
         batch: usize = 1,
-        /// `M_d`: densification ends after this step.
+        /// Densification ends after this step (`M_d`).
         densify_until: u64 = 20_000,
-        /// `M_p`: pruning ends with this step.
+        /// Pruning ends with this step (`M_p`).
         prune_until: u64 = 40_000,
-        /// `I_p`: steps between two prunes.
+        /// Steps between two prune steps (`I_p`).
         prune_every: u64 = 1_000,
-        /// The exact number of Gaussians at the end of pruning, as the `target` of the first pruner that takes one; 0 to
-        /// leave it to the pruners.
+        /// Number of Gaussians at the end of pruning, reached by the first pruner that supports a target; 0 leaves the
+        /// number to the pruners.
         target: usize = 0,
-        /// Training looks at every `stride`-th row and column of the spectra, and draws these only; a divisor of both
-        /// sides. Spectra of a small array are smooth: with 3 a step is nine times cheaper and learns as much. The
-        /// projector's filter and the window of SSIM stay those of the whole image. Scores are of whole images always.
+        /// Training uses every `stride`-th row and column of the spectra; must divide both sides. Spectra of a small
+        /// array are smooth: with 3, a step is nine times cheaper and learns as much. The projector's filter and the
+        /// window of SSIM stay those of the whole image. Scores always use whole images.
         stride: usize = 1,
-        /// Whether each step draws a new first row and column for the stride, so that every pixel is trained. Gaussians
-        /// narrower than the stride need it; for a few wide ones `false` has less noise.
+        /// Whether each step draws a new first row and column for `stride`, so that every pixel is trained. Gaussians
+        /// narrower than the stride need it; for a few wide Gaussians, `false` has less noise.
         moving_stride: bool = true,
-        /// Which of the pixels that are left a step looks at.
+        /// Pixels of the strided spectra used in a step.
         rays: Rays = Rays::All,
-        /// Standard deviation of a random shift of the transmitters in training, metres.
+        /// Standard deviation of a random shift of the training transmitters, metres. Reduces overfitting.
         tx_jitter_m: Real = 0.0,
-        /// Share of the network's hidden units that a step does without, drawn anew each step; 0 for none. Against
-        /// memorising, where few transmitters are noisy; of `Factored`.
+        /// Dropout: share of hidden units switched off in a step, drawn again in each step; 0 disables it. Reduces
+        /// overfitting if there are few, noisy transmitters. Only for `Factored`.
         dropout: Real = 0.0,
-        /// Steps between two looks at the validation part; 0 for none.
+        /// Steps between two evaluations on the validation set; 0 disables them.
         validate_every: u64 = 1_000,
-        /// Validation samples looked at, spread evenly over the part.
+        /// Validation samples per evaluation, spread evenly over the validation set.
         validation_samples: usize = 100,
         /// Steps between two checkpoints.
         checkpoint_every: u64 = 1_000,
-        /// What is made small.
+        /// Loss function.
         loss: Loss = Loss::default(),
-        /// Learning rates.
+        /// Optimizer and learning rates.
         optimizer: Optimizer = Optimizer::default(),
-        /// Clone, split, remove.
+        /// Densification.
         densify: Densify = Densify::default(),
     }
 }

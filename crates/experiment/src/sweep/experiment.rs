@@ -6,7 +6,7 @@ use pwrfgs_pipeline::Changes;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// What a sweep runs: every combination of one variant an axis, with every seed.
+/// A sweep: all combinations of one variant per axis, each with every seed.
 ///
 /// ```
 /// # use pwrfgs_experiment::sweep::Experiment;
@@ -33,50 +33,50 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Experiment {
-    /// Names the sweep folder: letters, digits, `.`, `-` and `_`.
+    /// Name of the sweep folder: letters, digits, `.`, `-` and `_`.
     pub name: String,
-    /// The pipeline that all runs start from, relative to the experiment file.
+    /// Base pipeline of all runs, relative to the experiment file.
     #[schemars(extend("format" = "path"))]
     pub base: PathBuf,
-    /// Every combination is run with each of these.
+    /// Random seeds; every combination runs with each seed.
     #[serde(default = "zero")]
     pub seeds: Vec<u64>,
-    /// Joins the models of all runs into one, which predicts their mean: an ensemble. Runs then have the same data, split and
-    /// projector.
+    /// Whether to combine the models of all runs into one ensemble that predicts their mean. All runs need the same
+    /// data, split and projector.
     #[serde(default)]
     pub join: bool,
-    /// Values for all runs by their path, as `--set` takes them: `{"training.steps": 500, "split": Voxel(size_m: 0.2)}`.
+    /// Settings of all runs by path, as in `--set`: `{"training.steps": 500, "split": Voxel(size_m: 0.2)}`.
     #[serde(default)]
     pub set: Changes,
-    /// What varies; left out, the seeds alone. Later axes win where two set the same path.
+    /// Axes of the sweep; if omitted, only the seeds vary. If two axes set the same path, the later axis applies.
     #[serde(default)]
     pub axes: Vec<Checked<Axis>>,
-    /// What a run may ask of a cluster.
+    /// Slurm resources of each run, for `--launcher slurm`.
     #[serde(default)]
     pub slurm: Checked<Slurm>,
 }
 
-/// One thing that varies.
+/// Axis of a sweep: one thing that varies.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Axis {
-    /// What it is called in folders, tables and figures.
+    /// Name in folders, tables and figures.
     pub name: String,
-    /// The choices, each a label with what it changes: `(label: "0.05", set: {"pruners.LearnableMask.lambda": 0.05})`.
+    /// Variants, each with a label and its changes: `(label: "0.05", set: {"pruners.LearnableMask.lambda": 0.05})`.
     pub variants: Vec<Checked<Variant>>,
 }
 
-/// One choice of an axis; with nothing but a label it is the base itself.
+/// Variant of an axis. A variant with only a label is the unchanged base.
 #[derive(Clone, Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Variant {
     /// Name in folders, tables and figures.
     pub label: String,
-    /// The pipeline that it starts from in place of the experiment's, relative to the experiment file; in the first axis only.
+    /// Pipeline that replaces the base of the experiment, relative to the experiment file; only in the first axis.
     #[serde(default)]
     #[schemars(extend("format" = "path"))]
     pub base: Option<PathBuf>,
-    /// Values by their path, applied in this order.
+    /// Settings by path, applied in this order.
     #[serde(default)]
     pub set: Changes,
 }
@@ -85,21 +85,22 @@ pub struct Variant {
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Slurm {
-    /// Processors of a run, `--cpus-per-task`; the run uses as many threads.
+    /// Processors per run, `--cpus-per-task`; also the number of threads.
     pub cpus: usize,
-    /// Memory of a run, `--mem`, such as `4G`.
+    /// Memory per run, `--mem`, such as `4G`.
     pub memory: String,
-    /// Longest time of a run, `--time`; a run that needs longer is put back in the queue and goes on.
+    /// Time limit per run, `--time`. A longer run returns to the queue and resumes.
     pub time: String,
-    /// `--partition`; the cluster's own where it is left out.
+    /// Partition, `--partition`; if omitted, the cluster selects it.
     pub partition: Option<String>,
-    /// `--account`.
+    /// Account, `--account`.
     pub account: Option<String>,
-    /// Most runs at the same time.
+    /// Maximum number of parallel runs.
     pub at_once: Option<usize>,
     /// More options for `sbatch`, such as `--qos=long`.
     pub options: Vec<String>,
-    /// Lines of shell before the run, such as `module load gcc`. They run with your rights: read them in a file from elsewhere.
+    /// Shell lines before the run, such as `module load gcc`. They run with your permissions: check files from other
+    /// people.
     pub setup: Vec<String>,
 }
 
