@@ -64,9 +64,9 @@ pub struct Axis {
 #[schemars(inline, with = "(f64, f64)", title = "two numbers")]
 #[serde(from = "(f64, f64)", into = "(f64, f64)")]
 pub struct Elevation {
-    /// Of the top row.
+    /// Elevation of the top row, degrees.
     pub first: f64,
-    /// One step beyond the bottom row.
+    /// Elevation one step beyond the bottom row, degrees.
     pub last: f64,
 }
 

@@ -40,11 +40,11 @@ const MAX_PIXELS: usize = 1 << 32;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Teacher {
-    /// Gaussians of the answer.
+    /// Number of true Gaussians.
     pub gaussians: usize,
-    /// Spectra.
+    /// Number of spectra.
     pub samples: usize,
-    /// Which scene; the pipeline's seed does not change it.
+    /// Random seed of the scene, independent of the seed of the pipeline.
     pub seed: u64,
     /// Columns of a spectrum.
     pub width: usize,
@@ -54,11 +54,11 @@ pub struct Teacher {
     pub tx_box: ([f64; 3], [f64; 3]),
     /// Shortest and longest wavelength of the signals, metres; shorter is harder to learn.
     pub wavelength_m: (f64, f64),
-    /// Where the receiver stands and how it looks.
+    /// Pose of the receiver.
     pub receiver: Pose,
-    /// What projects; `None` for `Mercator()`.
+    /// Projector of the true spectra; `None` for `Mercator()`.
     pub projector: Option<Plugin<dyn Projector>>,
-    /// What draws; `None` for `AlphaBlending()`.
+    /// Rasterizer of the true spectra; `None` for `AlphaBlending()`.
     pub rasterizer: Option<Plugin<dyn Rasterizer>>,
 }
 

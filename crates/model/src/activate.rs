@@ -6,7 +6,7 @@
 use pwrfgs_core::{Deltas, GaussianCloud, JsonSchema, Primitives, Real, sigmoid};
 use serde::{Deserialize, Serialize};
 
-/// How calibration terms meet the base parameters.
+/// How outputs of the deformation network are combined with the learned parameters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Calibration {
     /// Scales exp(log s) + Δ, not below 0.1 mm; rotations normalise(q/|q| + Δ); signals s + Δ, signed.

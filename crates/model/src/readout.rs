@@ -4,10 +4,10 @@ use pwrfgs_core::{JsonSchema, Real, Task};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// How the two real channels of a blended signal become one grey value.
+/// Conversion of the two real channels of a blended signal to one pixel value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub enum Readout {
-    /// The first channel alone: WRF-GS.
+    /// First channel only, as in WRF-GS.
     Real,
     /// √(c₀² + c₁²): P-WRFGS, since the files hold amplitudes. Its derivative at (0, 0) is 0: most pixels of a sparse
     /// picture are empty and must not give NaN.
@@ -23,7 +23,7 @@ pub enum Readout {
     /// A received power in dBm: 10 log₁₀ of c₀² + c₁² summed over a whole sky, times solid angle, and for each receiver an
     /// offset and an exponent of distance that are learned too. The sky is drawn in pixels of so many degrees.
     Received {
-        /// Sides of a pixel, degrees: a divisor of 180.
+        /// Pixel size of the sky, degrees; a divisor of 180.
         #[serde(default = "sky_deg")]
         sky_deg: u32,
         /// Added to both diagonal entries of the 2-D covariance of a Gaussian on this sky, in place of the projector's

@@ -39,7 +39,7 @@ use waves::Waves;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SplattedChannel {
-    /// What the transmitter changes.
+    /// Effect of the transmitter on the Gaussians, usually a network.
     pub deformation: Plugin<dyn Deformation>,
 }
 

@@ -33,15 +33,15 @@ use std::time::Instant;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Splatting {
-    /// What the transmitter changes.
+    /// Effect of the transmitter on the Gaussians, usually a network.
     pub deformation: Plugin<dyn Deformation>,
-    /// From space to the picture.
+    /// Projection of Gaussians to the image plane.
     pub projector: Plugin<dyn Projector>,
-    /// From splats to pixels.
+    /// Blending of projected Gaussians into pixels.
     pub rasterizer: Plugin<dyn Rasterizer>,
-    /// How calibration terms meet the base parameters.
+    /// How outputs of the deformation network are combined with the learned parameters.
     pub calibration: Calibration,
-    /// From blended signals to grey values.
+    /// Conversion of the blended signals to pixel values or a received power.
     pub readout: Readout,
 }
 

@@ -48,19 +48,19 @@ use std::time::Instant;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Nerf2 {
-    /// Layers of the trunk; from 6 on the place comes in once more at the sixth.
+    /// Layers of the trunk; with 6 or more, the position is a second input of the sixth layer.
     pub depth: usize,
-    /// Units of each, an even number.
+    /// Units per layer; an even number.
     pub width: usize,
     /// Samples of a ray, from the receiver to the far end, both included.
     pub samples: usize,
-    /// Where rays end, metres.
+    /// Length of a ray, metres.
     pub far_m: Real,
     /// Metres of the network's unit of length; the released settings have 60 for BLE.
     pub unit_m: Real,
-    /// Directions around, of powers and channels.
+    /// Number of azimuths of the rays, for powers and channels.
     pub azimuths: usize,
-    /// Rings above the horizon, up to the zenith.
+    /// Number of elevations of the rays above the horizon, up to the zenith, for powers and channels.
     pub elevations: usize,
     /// Whether powers see the lowest ring alone, as the released renderer does by a slip in its number of chunks; for the
     /// comparison with it in `oracle.rs`.
@@ -72,7 +72,7 @@ pub struct Nerf2 {
     /// Numbers that describe a transmitter in place of its position: 52 for the uplinks of NeRF2's channels; 0: the
     /// position.
     pub features: usize,
-    /// What predictions may keep of the trunk, MiB a model; where all of it is more, nothing is kept.
+    /// Cache of the trunk for predictions, MiB per model. If the trunk needs more, nothing is cached.
     pub cache_mb: usize,
 }
 

@@ -15,7 +15,7 @@ const COUNT: &str = "control_count";
 /// The column that says how pruning goes: 0, not many are gone yet; −1, they are going; 1, it has settled.
 const TREND: &str = "control_trend";
 
-/// Pulls all opacities down a little and drops what has faded, until a prune step takes next to nothing (ControlGS).
+/// Decreases all opacities and removes faint Gaussians, until a prune step removes almost none (ControlGS).
 ///
 /// The loss gains lambda · Σ o; what is below `epsilon` goes, at each prune step, as long as the one before took at least the
 /// share `settle` of all (ControlGS, Zhang et al., 2025: 3e-7, and 2,000 of some million a round). Then the pull and the
@@ -33,9 +33,9 @@ const TREND: &str = "control_trend";
 pub struct ControlGs {
     /// Weight λ of the sum of opacities, 0 or more.
     pub lambda: Real,
-    /// Opacity ε below which a Gaussian goes, from 0 to below 1.
+    /// Gaussians with an opacity below ε are removed; from 0 to below 1.
     pub epsilon: Real,
-    /// A prune step that takes less than this share of all is the last, from 0 to 1.
+    /// Pruning ends with the first prune step that removes less than this share of all Gaussians, from 0 to 1.
     pub settle: Real,
 }
 

@@ -6,7 +6,7 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Drops what stands, again and again, where the pictures are wrong (FastGS).
+/// Removes Gaussians that repeatedly cover pixels with large errors (FastGS).
 ///
 /// For each training transmitter the Gaussian's pixels of high error are counted and multiplied by the picture's mean absolute
 /// error; the sums, stretched from 0 to 1, are its blame, and what has more than `blame` goes (FastGS, Ren et al., 2025,
@@ -22,11 +22,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct FastGs {
-    /// Blame above which a Gaussian goes, from 0 to 1.
+    /// Gaussians with a larger blame score are removed, from 0 to 1.
     pub blame: Real,
-    /// Share of the way from a picture's smallest error to its largest from which an error is high, from 0 to 1.
+    /// Threshold of a large error, between the smallest (0) and the largest (1) error of a spectrum.
     pub high: Real,
-    /// Training transmitters that a pass looks at; 0: all.
+    /// Number of training transmitters used for the score; 0 for all.
     pub transmitters: usize,
 }
 

@@ -14,7 +14,7 @@ const SPARSE: &str = "spa_sparse";
 /// The column of u, the scaled dual.
 const DUAL: &str = "spa_dual";
 
-/// Opacities are drawn, a little at every step, towards a vector in which only the best few are not 0 (GaussianSpa).
+/// Drives opacities towards a sparse vector with few non-zero entries, by ADMM (GaussianSpa).
 ///
 /// The alternating direction method of multipliers on the opacities o: every `every` steps of the pruning phase z becomes
 /// o + u with all but the largest k set to 0, and u gains o − z; in between the loss has rho/2 · Σ (o − z + u)², which the
@@ -31,11 +31,11 @@ const DUAL: &str = "spa_dual";
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GaussianSpa {
-    /// Weight ρ of the distance, above 0.
+    /// Weight ρ of the distance to the sparse vector, above 0.
     pub rho: Real,
-    /// Steps between two projections, 1 or more.
+    /// Steps between two projections to the sparse vector, 1 or more.
     pub every: u64,
-    /// The share that goes, without `training.target`, from 0 to below 1.
+    /// Share of Gaussians removed without `training.target`, from 0 to below 1.
     pub share: Real,
 }
 

@@ -6,7 +6,7 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Takes one Gaussian at a time: always that one without which the training loss is smallest.
+/// Removes one Gaussian at a time: the one whose removal gives the smallest training loss.
 ///
 /// The reference from above for small numbers, for any method and any observation: nothing is estimated, the loss of
 /// `transmitters` is worked out without each Gaussian in turn, N(N+1)/2 times in all. Above `most` Gaussians that is too much,
@@ -23,11 +23,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct GreedyElimination {
-    /// Gaussians from which on the true loss decides, from 2 to 1,000.
+    /// The exact loss is used for at most this many Gaussians, from 2 to 1,000.
     pub most: usize,
-    /// The share that goes at each prune step, from the first on; after the last of them nothing goes.
+    /// Share of Gaussians removed at each prune step, in order; after the last entry nothing is removed.
     pub shares: Vec<Real>,
-    /// Training transmitters whose loss it is, from 1 to 1,000: they are held in memory.
+    /// Number of training transmitters of the loss, from 1 to 1,000; their observations are held in memory.
     pub transmitters: usize,
 }
 

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 /// The column of mask logits m.
 const COLUMN: &str = "mask_logits";
 
-/// One learned mask a Gaussian, under pressure from a penalty: the pruning of P-WRFGS.
+/// Learns one mask per Gaussian under a penalty: the pruning strategy of P-WRFGS.
 ///
 /// While training, opacity and scale are multiplied by M = sg(1[σ(m) ≥ threshold] − σ(m)) + σ(m), eq. (11): forward 0 or
 /// 1, derivative σ′(m). The loss gains lambda · mean σ(m), eqs. (12) and (13). At a prune step what has M = 0 is
@@ -47,13 +47,13 @@ const COLUMN: &str = "mask_logits";
 pub struct LearnableMask {
     /// Weight λ of the penalty, 0 or more.
     pub lambda: Real,
-    /// A Gaussian stays where σ(m) is at least this; between 0 and 1.
+    /// Gaussians with σ(m) of at least this value are kept; between 0 and 1.
     pub threshold: Real,
-    /// m at the start; σ(1) is 0.73.
+    /// Initial mask logit m; σ(1) is 0.73.
     pub initial_logit: Real,
-    /// Rate of m; without Adam some 3 to 10.
+    /// Learning rate of the mask logit m; without Adam about 3 to 10.
     pub learning_rate: Real,
-    /// Whether Adam moves m; without it m −= rate · N · derivative.
+    /// Whether Adam updates the mask logit m. Without it, m −= rate · N · gradient.
     pub adam: bool,
 }
 

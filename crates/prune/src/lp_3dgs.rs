@@ -14,8 +14,7 @@ const COLUMN: &str = "lp_logits";
 /// The column of ln(S/S̃).
 const IMPORTANCE: &str = "lp_importance";
 
-/// A mask is learned whose odds are those of an importance score, so that learning starts from what the pictures
-/// say (LP-3DGS).
+/// Learns masks that start from an importance score per Gaussian (LP-3DGS).
 ///
 /// The chance to stay is σ(m + ln(S/S̃)): the importance S of a Gaussian, its largest blending weight in any pixel of any
 /// transmitter as RadSplat has it, over the median S̃, multiplies the odds of a learned logit m. While training, the light
@@ -35,13 +34,13 @@ const IMPORTANCE: &str = "lp_importance";
 pub struct Lp3dgs {
     /// Weight λ of the penalty, 0 or more.
     pub lambda: Real,
-    /// How far throws are from 0 and 1: from 0.2 to 5.
+    /// Temperature of the Gumbel-sigmoid, 0.2 to 5. Lower values give samples closer to 0 or 1.
     pub temperature: Real,
-    /// m at the start.
+    /// Initial mask logit m.
     pub initial_logit: Real,
-    /// Adam's rate for m.
+    /// Learning rate of the mask logit m (Adam).
     pub learning_rate: Real,
-    /// Training transmitters that a pass looks at; 0: all.
+    /// Number of training transmitters used for the score; 0 for all.
     pub transmitters: usize,
 }
 

@@ -12,8 +12,7 @@ use serde::{Deserialize, Serialize};
 /// The column of logits m.
 const COLUMN: &str = "presence_logits";
 
-/// A Gaussian is there with a probability that is learned, and one that is not there still learns whether it should
-/// be (MaskGaussian).
+/// Learns an existence probability per Gaussian; masked Gaussians still receive gradients (MaskGaussian).
 ///
 /// At every step M = 1[m + g > 0] with logistic noise g, so that M = 1 with probability σ(m); its derivative is that of the
 /// relaxed throw σ(m + g). M multiplies the light that a Gaussian takes and nothing else, [`Gate::Presence`]: where M = 0 the
@@ -35,11 +34,11 @@ const COLUMN: &str = "presence_logits";
 pub struct MaskGaussian {
     /// Weight λ of the penalty, 0 or more.
     pub lambda: Real,
-    /// m at the start; σ(1) is 0.73.
+    /// Initial mask logit m; σ(1) is 0.73.
     pub initial_logit: Real,
-    /// Adam's rate for m.
+    /// Learning rate of the mask logit m (Adam).
     pub learning_rate: Real,
-    /// Throws at a prune step, 1 or more.
+    /// Number of samples of each mask at a prune step, 1 or more.
     pub draws: usize,
 }
 

@@ -10,8 +10,7 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Moves what has faded onto others, drawn by their opacity, so that the picture stays the same and the work is
-/// shared (3DGS-MCMC).
+/// Moves faint Gaussians onto others, drawn by opacity, without changing the spectra (3DGS-MCMC).
 ///
 /// At a prune step each Gaussian of opacity `dead` or less moves onto one drawn in proportion to opacity. Of a place that k
 /// now share, each takes the opacity 1 − (1 − o)^(1/k), so that together they let through what one did, and scales that keep
@@ -32,7 +31,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Mcmc {
-    /// Opacity up to which a Gaussian is dead, from 0 to below 1.
+    /// Gaussians with at most this opacity are moved; from 0 to below 1.
     pub dead: Real,
     /// Share of N that may be added at a prune step, from 0 to 1.
     pub grow: Real,
@@ -40,8 +39,8 @@ pub struct Mcmc {
     pub opacity_weight: Real,
     /// Weight of the mean scale in the loss, 1/m, 0 or more.
     pub scale_weight: Real,
-    /// How much faint centres are stirred at each step, 1/m, 0 or more. The paper lets it fall with the rate of the means,
-    /// from 80 to 0.8; here it stays, as the pruning phase is short.
+    /// Random motion of faint Gaussians per step, 1/m, 0 or more. The paper decreases it from 80 to 0.8 with the
+    /// learning rate of the means; here it is constant, because the pruning phase is short.
     pub noise: Real,
 }
 

@@ -8,7 +8,7 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Replaces the nearest pairs by one Gaussian each, of their joint mean and covariance.
+/// Merges the nearest pairs of Gaussians into one Gaussian with their joint mean and covariance.
 ///
 /// The mass of a Gaussian is its opacity times the product of its scales. Pairs are taken in the order of Ward's criterion,
 /// m₁m₂/(m₁+m₂) · ‖μ₁ − μ₂‖², each Gaussian with its nearest other and once a pass, until enough are gone. The one that takes
@@ -25,7 +25,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MergeByMoments {
-    /// The share of Gaussians that are merged away at each prune step, from the first on.
+    /// Share of Gaussians removed by merging at each prune step, in order.
     pub shares: Vec<Real>,
 }
 

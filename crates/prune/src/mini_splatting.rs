@@ -6,14 +6,14 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Who stays, by weight.
+/// Selection rule by weight.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub enum Rule {
-    /// This share of all Gaussians, drawn with probabilities in proportion to weight.
+    /// Random sample of this share of all Gaussians, with probability proportional to weight.
     Sampled(Real),
-    /// The best, until they have this share of the weight of all.
+    /// Gaussians with the largest weights that together have this share of the total weight.
     Cumulated(Real),
-    /// All above this quantile of the weight.
+    /// All Gaussians above this quantile of the weight.
     Above(Real),
 }
 
@@ -24,7 +24,7 @@ impl Rule {
     }
 }
 
-/// Keeps Gaussians by chance, in proportion to their weight, or those that together have nearly all of it (Mini-Splatting).
+/// Keeps a random sample of Gaussians by weight, or the Gaussians with nearly all of the weight (Mini-Splatting).
 ///
 /// Weight is Σ w, or per pixel that the Gaussian touches, over the training transmitters. `Sampled` draws without
 /// replacement with that probability, so that a thin cover of the scene remains where the best alone would crowd together;
@@ -42,11 +42,11 @@ impl Rule {
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MiniSplatting {
-    /// Who stays.
+    /// Selection rule.
     pub rule: Rule,
-    /// Whether the weight is that of a pixel in the mean of those it touches, and not their sum.
+    /// Whether to use the mean weight over the covered pixels instead of the sum.
     pub per_area: bool,
-    /// Training transmitters that a pass looks at; 0: all.
+    /// Number of training transmitters used for the score; 0 for all.
     pub transmitters: usize,
 }
 

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 /// The column of lives: moving averages of opacity.
 const LIFE: &str = "life";
 
-/// All opacities decay alike, and the derivative of the picture holds up those that are needed (Natural Selection).
+/// Decreases all opacities equally; gradients preserve the Gaussians that are needed (Natural Selection).
 ///
 /// The loss gains `pressure` times the mean opacity logit, so that every logit is pulled by the same amount however opaque its
 /// Gaussian is; what the loss does not hold falls without end. Life is a moving average of opacity, so that a Gaussian is not
@@ -29,9 +29,9 @@ const LIFE: &str = "life";
 pub struct NaturalSelection {
     /// Weight of the mean logit, 0 or more.
     pub pressure: Real,
-    /// Life below which a Gaussian dies, from 0 to below 1.
+    /// Gaussians whose averaged opacity is below ε are removed; from 0 to below 1.
     pub epsilon: Real,
-    /// What is left of life after a step, from 0 to below 1; the rest is the opacity of that step.
+    /// Decay factor of the moving average of opacity per step, from 0 to below 1.
     pub memory: Real,
 }
 

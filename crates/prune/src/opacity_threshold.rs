@@ -3,7 +3,7 @@
 use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, PrunerTraits, Real, sigmoid};
 use serde::{Deserialize, Serialize};
 
-/// A Gaussian stays where its opacity o = σ(logit) is at least epsilon (WRF-GS).
+/// Keeps Gaussians with an opacity o = σ(logit) of at least `epsilon` (WRF-GS).
 ///
 /// With the paper's 0.005 it takes dead weight away and goes beside [`crate::LearnableMask`] (section IV; a Gaussian
 /// must satisfy both to stay). Alone, with 0.005 to 0.5, it is the WRF-GS baseline of fig. 2b: simple, but opacity is
@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct OpacityThreshold {
-    /// Smallest opacity ε that stays, from 0 (keeps all) to below 1.
+    /// Smallest opacity ε that is kept, from 0 (all Gaussians) to below 1.
     pub epsilon: Real,
 }
 

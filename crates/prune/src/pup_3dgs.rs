@@ -6,7 +6,7 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Drops the Gaussians whose place and size the pictures say least about (PUP-3DGS).
+/// Removes the Gaussians whose position and scale have the least influence on the spectra (PUP-3DGS).
 ///
 /// The score is log det of the 6 × 6 Fisher matrix Σ J Jᵀ, J = ∂P̂/∂(mean, log scale) with signals held, over pixels and
 /// training transmitters (PUP-3DGS, Hanson et al., CVPR 2025, eq. (11), with the scale where we have its logarithm). 80 % go
@@ -23,11 +23,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Pup3dgs {
-    /// The share that goes at each prune step, from the first on; after the last of them nothing goes.
+    /// Share of Gaussians removed at each prune step, in order; after the last entry nothing is removed.
     pub shares: Vec<Real>,
-    /// What is added to the diagonal, over its own mean; above 0.
+    /// Ridge added to the diagonal of the Fisher matrix, relative to its mean; above 0.
     pub ridge: Real,
-    /// Training transmitters that a pass looks at; 0: all.
+    /// Number of training transmitters used for the score; 0 for all.
     pub transmitters: usize,
 }
 

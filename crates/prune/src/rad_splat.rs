@@ -6,7 +6,7 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// A Gaussian stays where it has at least `threshold` of some pixel for some transmitter (RadSplat).
+/// Keeps Gaussians with a blending weight of at least `threshold` in any pixel of any transmitter (RadSplat).
 ///
 /// The score is max w, the largest blending weight γ·T over all pixels and training transmitters (RadSplat, Niemeyer et al.,
 /// 3DV 2025, eq. (12); 0.01 there, 0.25 for a light model). A maximum keeps what a single pixel needs, where a sum keeps what
@@ -21,9 +21,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RadSplat {
-    /// Smallest weight that counts, from 0 to 1.
+    /// Smallest blending weight that is kept, from 0 to 1.
     pub threshold: Real,
-    /// Training transmitters that a pass looks at; 0: all.
+    /// Number of training transmitters used for the score; 0 for all.
     pub transmitters: usize,
 }
 

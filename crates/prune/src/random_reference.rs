@@ -4,7 +4,7 @@ use crate::rounds::{check_shares, share_at, without_share};
 use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, PrunerTraits, Real, rng};
 use serde::{Deserialize, Serialize};
 
-/// Drops Gaussians by chance: the reference from below that every strategy has to beat.
+/// Removes random Gaussians: the lower reference for all strategies.
 ///
 /// Each prune step draws anew from the pipeline's seed. What a strategy gains over it at equal N and equal training is what
 /// its score knows; the reference from above is [`crate::GreedyElimination`].
@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RandomReference {
-    /// The share that goes at each prune step, from the first on; after the last of them nothing goes.
+    /// Share of Gaussians removed at each prune step, in order; after the last entry nothing is removed.
     pub shares: Vec<Real>,
 }
 

@@ -6,7 +6,7 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Thins out where Gaussians crowd: of those with many overlaps, the less opaque half goes (Reduced-3DGS).
+/// Removes the less opaque half of the Gaussians with many overlaps (Reduced-3DGS).
 ///
 /// Two Gaussians overlap where their centres are nearer than the sum of their largest scales; of each the `neighbours`
 /// nearest are looked at. Whose count lies more than `deviations` standard deviations above the mean is crowded, and of the
@@ -23,11 +23,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Reduced3dgs {
-    /// Neighbours that are looked at, 1 or more.
+    /// Number of nearest neighbours tested for overlap, 1 or more.
     pub neighbours: usize,
-    /// How far above the mean a count is crowded, in standard deviations.
+    /// Gaussians with an overlap count this many standard deviations above the mean are crowded.
     pub deviations: Real,
-    /// Share of the crowded that goes, from 0 to 1.
+    /// Share of the crowded Gaussians that is removed, from 0 to 1.
     pub share: Real,
 }
 

@@ -6,7 +6,7 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Keeps whatever is among the first few of some pixel of some transmitter (SafeguardGS).
+/// Keeps the top-ranked Gaussians of every pixel of every transmitter (SafeguardGS).
 ///
 /// In each pixel splats are ranked by exp(−|‖s‖ − P|) · w, with the splat's own strength ‖s‖, what was measured there P, and
 /// the blending weight w = γ·T: those that show, and show what is there. The first `of_pixel` are safe (SafeguardGS, Lee et
@@ -22,9 +22,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SafeguardGs {
-    /// How many of each pixel are safe, from 1 to 64.
+    /// Number of Gaussians kept per pixel, from 1 to 64.
     pub of_pixel: usize,
-    /// Training transmitters that a pass looks at; 0: all.
+    /// Number of training transmitters used for the score; 0 for all.
     pub transmitters: usize,
 }
 

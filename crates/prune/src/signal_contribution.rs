@@ -6,18 +6,18 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// How the numbers of all transmitters become one.
+/// Reduction of the scores over transmitters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Over {
-    /// Their mean.
+    /// Mean over transmitters.
     #[default]
     Mean,
-    /// The largest.
+    /// Maximum over transmitters.
     Max,
 }
 
-/// Drops what sends least into the pictures: signal times weight, in the mean over transmitters or for the one that needs
-/// it most.
+/// Removes the Gaussians with the smallest contribution (signal times blending weight), as mean or maximum over
+/// transmitters.
 ///
 /// The score is Σ ‖s(tx)‖ · w over the pixels, with the Gaussian's signal s for a transmitter and its blending weights w = γ·T.
 /// In radiance fields of radio a Gaussian's signal depends on the transmitter, so opacity alone, the score of the baseline in
@@ -33,11 +33,11 @@ pub enum Over {
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SignalContribution {
-    /// How transmitters are put together.
+    /// Reduction over transmitters.
     pub over: Over,
-    /// The share that goes at each prune step, from the first on; after the last of them nothing goes.
+    /// Share of Gaussians removed at each prune step, in order; after the last entry nothing is removed.
     pub shares: Vec<Real>,
-    /// Training transmitters that a pass looks at; 0: all.
+    /// Number of training transmitters used for the score; 0 for all.
     pub transmitters: usize,
 }
 

@@ -6,7 +6,7 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Drops the least by a weighted sum of what may matter, each number over its own median (Taming 3DGS).
+/// Removes the Gaussians with the lowest weighted sum of several scores, each divided by its median (Taming 3DGS).
 ///
 /// Gradient 25, opacity 100, radius 10, scale 25, loss 10 (weights times errors), count 0.1 (pictures that it is seen in),
 /// blend 50 (blending weights): the score of Taming 3DGS (Mallick et al., SIGGRAPH Asia 2024, section 4.2), which uses it to
@@ -22,9 +22,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Taming3dgs {
-    /// The share that goes at each prune step, from the first on; after the last of them nothing goes.
+    /// Share of Gaussians removed at each prune step, in order; after the last entry nothing is removed.
     pub shares: Vec<Real>,
-    /// Training transmitters that a pass looks at; 0: all.
+    /// Number of training transmitters used for the score; 0 for all.
     pub transmitters: usize,
 }
 

@@ -18,20 +18,20 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TopK {
-    /// What makes one Gaussian better than another.
+    /// Score by which Gaussians are ranked.
     pub score: Score,
 }
 
-/// How much a Gaussian matters.
+/// Importance score of a Gaussian.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Score {
-    /// Its part in the pictures: the sum of its blending weights γ·T over pixels and renders since the last
-    /// densification. Opacity where no picture has been drawn since.
+    /// Sum of the blending weights γ·T over pixels and renders since the last densification; opacity if nothing was
+    /// rendered since.
     #[default]
     Weight,
-    /// Its opacity.
+    /// Opacity.
     Opacity,
-    /// Its opacity times the product of its scales.
+    /// Opacity times the product of the scales.
     OpacityVolume,
 }
 

@@ -4,7 +4,7 @@ use crate::rounds::{check_share, quantile};
 use pwrfgs_core::{Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Pruner, PrunerTraits, Real};
 use serde::{Deserialize, Serialize};
 
-/// Drops what is faint and has a small gradient, in rounds with training between them (Trimming the Fat).
+/// Removes faint Gaussians with small gradients, in rounds with training in between (Trimming the Fat).
 ///
 /// A Gaussian goes where its opacity is below a quantile of all opacities and its mean positional gradient since the last
 /// densification below a quantile of all gradients: what is still being moved gets its chance (Trimming the Fat, Salman et

@@ -27,7 +27,7 @@ use std::sync::Arc;
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct AlphaBlending {
-    /// Which pixels a Gaussian can reach.
+    /// Pixels that a Gaussian covers.
     pub support: Support,
 }
 

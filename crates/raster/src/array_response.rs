@@ -11,7 +11,7 @@ use std::sync::{Arc, PoisonError, RwLock};
 use wave::Antennas;
 pub use wave::Wavefront;
 
-/// The field of all Gaussians on a planar array, and what the array hears from every direction.
+/// Field of all Gaussians on a planar antenna array, and the spatial spectrum that the array computes from it.
 ///
 /// Each splat is a wave from its direction u with the complex signal s of its two channels and the opacity o as
 /// amplitude. The waves add up at the antennas, h = Σ o·s·a(u) with aₖ(u) = exp(+j2π pₖ·u), pₖ in wavelengths
@@ -49,9 +49,9 @@ pub struct ArrayResponse {
     pub columns: usize,
     /// Distance of neighbours, wavelengths; 0.491 as measured (0.16 m at 920 MHz).
     pub spacing_wavelengths: Real,
-    /// Whether a Gaussian is as wide as its covariance, or a point.
+    /// Whether Gaussians have the width of their covariance (true) or are points (false).
     pub widened: bool,
-    /// How phases at the antennas follow.
+    /// Wavefront at the antennas: plane or spherical.
     pub wavefront: Wavefront,
 }
 

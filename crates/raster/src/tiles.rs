@@ -9,13 +9,13 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
-/// Which pixels a Gaussian can reach.
+/// Pixels that a Gaussian covers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Support {
-    /// Those where γ ≥ 1/255.
+    /// Pixels with γ ≥ 1/255.
     #[default]
     Exact,
-    /// Those of whole tiles around the square of radius 3σ, as released.
+    /// Pixels of all tiles that meet the square of radius 3σ, as released.
     TileSquares,
 }
 

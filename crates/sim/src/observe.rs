@@ -13,7 +13,7 @@ pub const SILENT_DBM: f64 = -100.0;
 /// Readings of a power are multiples of this, dB, so that the decimals of a file are the same numbers.
 const GRAINS: f64 = 1e3;
 
-/// What is observed of every pair of a transmitter and a receiver.
+/// Observation of each pair of transmitter and receiver.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub enum Observe {

@@ -36,14 +36,14 @@ pub struct RayTracing {
     /// that `pwrfgs simulate` wrote. A scene with meshes has to be named for such a folder, which does not hold them.
     #[schemars(extend("format" = "path"))]
     pub scene: Option<PathBuf>,
-    /// Whether the scene's receiver errors are drawn, anew.
+    /// Whether receiver errors of the scene are drawn again.
     pub noise: bool,
     /// Standard deviation of the logarithm of every permittivity, conductivity and thickness; 0.2 is about
     /// 20 %.
     pub material_error: f64,
     /// Standard deviation of the place of every wall and object along each horizontal axis, metres.
     pub position_error_m: f64,
-    /// Which errors.
+    /// Random seed of the errors.
     pub seed: u64,
 }
 

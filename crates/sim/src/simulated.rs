@@ -39,13 +39,13 @@ pub struct Simulated {
     /// The scene file, relative to the pipeline file.
     #[schemars(extend("format" = "path"))]
     pub scene: PathBuf,
-    /// Transmitters; with one receiver, spectra.
+    /// Number of transmitters; with one receiver, of spectra.
     pub samples: usize,
-    /// Which transmitter positions and receiver errors; the pipeline's seed does not change them.
+    /// Random seed of transmitter positions and receiver errors, independent of the seed of the pipeline.
     pub seed: u64,
     /// Points of the cloud, spread over all surfaces; the paper has 190,000.
     pub points: usize,
-    /// What is observed: `Spectrum`, `Power(noise_db: 3)` or `Channel(snr_db: 30)`.
+    /// Observation: `Spectrum`, `Power(noise_db: 3)` or `Channel(snr_db: 30)`.
     pub observe: Observe,
     /// Whether the data set is kept on disk.
     pub cache: bool,

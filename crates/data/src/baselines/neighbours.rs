@@ -41,13 +41,13 @@ pub struct NearestNeighbours {
     pub k: Neighbours,
 }
 
-/// How many neighbours: a number, or `Auto`.
+/// Number of neighbours: a number, or `Auto`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, JsonSchema)]
 #[schemars(inline, with = "usize", title = "whole number or Auto", extend("type" = ["integer", "string"]))]
 pub enum Neighbours {
-    /// As many as predict the validation part best.
+    /// The number with the best score on the validation set.
     Auto,
-    /// So many.
+    /// This number of neighbours.
     Number(usize),
 }
 

@@ -12,7 +12,7 @@ use pwrfgs_layers::plan::{laid_out, planned};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// A network that runs once a transmitter and not once a Gaussian: `Δsᵢ(p) = G(μᵢ)·T(p) + G₀(μᵢ)`.
+/// A network that runs once per transmitter instead of once per Gaussian: `Δsᵢ(p) = G(μᵢ)·T(p) + G₀(μᵢ)`.
 ///
 /// A stack of ReLU layers makes `width` features T of the transmitter's encoded position γ(p); one linear layer on the
 /// waves φ(μ) of the encoded centre makes each Gaussian's factors G, two rows (real and imaginary part) of `width` + 1
@@ -34,7 +34,7 @@ use std::sync::Arc;
 pub struct Factored {
     /// ReLU layers of the transmitter's stack, 1 or more.
     pub depth: usize,
-    /// Numbers a layer, and features.
+    /// Units per layer, and number of features.
     pub width: usize,
     /// How the transmitter's position is encoded.
     pub tx_encoding: Encoding,

@@ -31,7 +31,7 @@ use serde::{Deserialize, Serialize};
 pub struct Mlp {
     /// Number of ReLU layers, 1 or more.
     pub depth: usize,
-    /// Numbers a layer.
+    /// Units per layer.
     pub width: usize,
     /// Frequencies 2⁰…2^(L-1) rad/m in the encoding of the centre; 0 gives the bare coordinates.
     pub position_frequencies: usize,
@@ -43,7 +43,7 @@ pub struct Mlp {
     pub tx_features: usize,
     /// Both inputs enter again after this layer (counted from 0); `None` for a plain stack.
     pub skip: Option<usize>,
-    /// What depends on the transmitter.
+    /// Outputs of the network, which depend on the transmitter.
     pub outputs: Outputs,
     /// Factor on the initial weights and biases of the heads. 1 is PyTorch's start; with small values training starts
     /// near the undeformed Gaussians.

@@ -20,7 +20,7 @@ pub enum Outputs {
     /// Rotations (4), scales (3) and signals (2).
     #[default]
     All,
-    /// Signals (2) alone.
+    /// Signals (2) only.
     Signals,
 }
 

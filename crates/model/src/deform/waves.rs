@@ -17,9 +17,9 @@ pub enum Encoding {
     Waves {
         /// Number of wave vectors.
         count: usize,
-        /// Longest of them, rad/m; a little above 2π/λ.
+        /// Length of the longest wave vector, rad/m; slightly above 2π/λ.
         reach: f64,
-        /// Decides the directions.
+        /// Random seed of the wave vectors.
         #[serde(default)]
         seed: u64,
     },
@@ -28,26 +28,26 @@ pub enum Encoding {
     Wavelengths {
         /// Number of wavelengths.
         count: usize,
-        /// Metres; about the size of the site.
+        /// Longest wavelength, metres; about the size of the site.
         longest_m: f64,
-        /// Metres; what varies faster cannot be followed, which keeps a network from learning noise.
+        /// Shortest wavelength, metres. Faster variations cannot be represented, which reduces overfitting to noise.
         shortest_m: f64,
     },
     /// No position, but the vector that the data have in its place, as it is; of the transmitter only. The network's
     /// features then hold it too, so that signals may be linear in it.
     Features {
-        /// Numbers of the vector.
+        /// Length of the feature vector.
         width: usize,
-        /// What they are multiplied by, so that they are about 1.
+        /// Factor that scales the features to about 1.
         #[serde(default = "one")]
         gain: f64,
     },
     /// No position, but the vector that the data have in its place, made a pseudo-position: 2 tanh of three learned linear
     /// maps of it, then sine and cosine of `octaves` frequencies, as `GSRF` has it. Of the transmitter only.
     PseudoPosition {
-        /// Numbers of the vector.
+        /// Length of the feature vector.
         width: usize,
-        /// What they are multiplied by, so that they are about 1.
+        /// Factor that scales the features to about 1.
         #[serde(default = "one")]
         gain: f64,
         /// Frequencies 2⁰…2^(L-1) of the encoding.

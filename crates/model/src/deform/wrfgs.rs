@@ -12,7 +12,7 @@ use pwrfgs_layers::trunk::{Trunk, TrunkShape};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// The network of WRF-GS, the released ancestor: it replaces the signals and leaves geometry alone.
+/// The network of WRF-GS as released: it replaces the signals and does not change the geometry.
 ///
 /// A stack of ReLU layers sees γ(X) of the Gaussian's centre and gives an attenuation A and a feature; the feature,
 /// γ(p) of the transmitter and γ(X - p) pass two more layers that give an amplitude S. The signal is g·S·A ≥ 0 in the

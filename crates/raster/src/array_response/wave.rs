@@ -13,13 +13,13 @@ const BOUNDLESS: Real = 1e9;
 /// Closest that a Gaussian comes to an antenna, wavelengths.
 const CLOSEST: Real = 1e-3;
 
-/// How the phase at an antenna follows from a Gaussian.
+/// Wavefront of a Gaussian at the antennas.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub enum Wavefront {
-    /// From its direction, as if it were infinitely far away.
+    /// Plane wave: the phase depends on the direction only.
     #[default]
     Plane,
-    /// From its position.
+    /// Spherical wave: the phase depends on the position.
     Spherical {
         /// Wavelength of the carrier, metres.
         wavelength_m: Real,
