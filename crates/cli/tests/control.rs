@@ -66,7 +66,13 @@ fn init_writes_a_pipeline_that_runs_and_never_overwrites() {
     let said = stdout(&succeed(here, &["init", "my \"data\""]));
     assert!(said.contains("6 spectra of 12 x 6 pixels: 3 to train on, 1 to validate, 2 to test"), "{said}");
     let text = std::fs::read_to_string(here.join("my--data-.ron")).unwrap();
-    for words in ["split: Official(", "// Batch size: transmitters per step. [whole number]", "batch: 3,", "points: None", "Grid("] {
+    for words in [
+        "split: Official(",
+        "// Batch size: transmitters per step. [whole number]",
+        "batch: 3,",
+        "points: None",
+        "Grid(",
+    ] {
         assert!(text.contains(words), "{words} is not in {text}");
     }
     let few = ["training.steps=6", "training.densify_until=2", "training.prune_until=5", "deformation.width=8"];
