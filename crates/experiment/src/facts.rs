@@ -1,10 +1,7 @@
 //! `run.json`: with what, on what and how long.
 
 use crate::clock;
-use crate::folder::{
-    CONFIDENCE, CURVE, FACTS, MODEL_FILE, PRUNED_SNAPSHOTS, REPORT, SAMPLES, SCORES, START_SNAPSHOT, UNPRUNED_SNAPSHOT,
-    VALIDATION,
-};
+use crate::folder::{FACTS, MODEL_FILE, REMADE, REPORT, SAMPLES, SCORES, sealed};
 use crate::memory;
 use crate::scores::ScoreTable;
 use pwrfgs_core::files::{self, digest, if_found, write_atomically};
@@ -83,13 +80,6 @@ impl Mark {
 /// The longest `run.json` that is read: its own has some kilobytes.
 const MAX_BYTES: u64 = 1 << 19;
 
-/// The files that are known by a mark. Of the others, `pipeline.ron` is compared with the pipeline at hand, the checkpoint
-/// has a digest of its own, and TensorBoard alone reads the events.
-const MARKED: [&str; 9] =
-    [MODEL_FILE, SCORES, SAMPLES, CONFIDENCE, REPORT, CURVE, VALIDATION, START_SNAPSHOT, UNPRUNED_SNAPSHOT];
-/// Those of them that the run makes again where they are missing.
-const MADE_AGAIN: [&str; 5] = [MODEL_FILE, SCORES, SAMPLES, CONFIDENCE, REPORT];
-
 /// A computer.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Machine {
@@ -159,7 +149,7 @@ impl Facts {
         let marked = |name: &&str| facts.files.contains_key(*name);
         let complete = [MODEL_FILE, SCORES, SAMPLES].into_iter().all(stands)
             && (!facts.report || stands(REPORT))
-            && MADE_AGAIN.into_iter().filter(marked).all(stands);
+            && REMADE.into_iter().filter(marked).all(stands);
         let scores = facts.scores.clone().filter(|_| complete && facts.finished.is_some());
         Ok(scores.map(|scores| (scores, facts)))
     }
@@ -167,7 +157,7 @@ impl Facts {
     /// Marks the files of a run that has just finished.
     pub(crate) fn seal(&mut self, folder: &Path) -> Result<()> {
         self.files.clear();
-        for name in MARKED.into_iter().chain(PRUNED_SNAPSHOTS).filter(|name| folder.join(name).is_file()) {
+        for name in sealed().filter(|name| folder.join(name).is_file()) {
             let path = folder.join(name);
             let bytes = files::read(&path).map_err(|e| Error::read(&path, e))?;
             self.files.insert(name.into(), Mark::of(&bytes));
@@ -196,7 +186,7 @@ impl Facts {
             Some(bytes) => format!("it has {} bytes and not {}", bytes.len(), mark.bytes),
             None => "it is missing".into(),
         };
-        let advice = if MADE_AGAIN.contains(&name) {
+        let advice = if REMADE.contains(&name) {
             "copy it anew, or remove it, and `pwrfgs run` makes it again"
         } else {
             "copy it anew, or remove the folder and run again"

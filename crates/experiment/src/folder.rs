@@ -53,6 +53,17 @@ pub const FACTS: &str = "run.json";
 /// The report.
 pub const REPORT: &str = "report.html";
 
+/// Files without a seal: `pipeline.ron` is compared with the pipeline at hand, and the checkpoint has a digest of its own.
+const UNSEALED: [&str; 3] = [PIPELINE, CHECKPOINT, FACTS];
+/// Sealed files that the run makes again where they are missing.
+pub(crate) const REMADE: [&str; 5] = [MODEL_FILE, SCORES, SAMPLES, CONFIDENCE, REPORT];
+
+/// Files that `run.json` seals; TensorBoard's events grow, and nothing but TensorBoard reads them.
+pub(crate) fn sealed() -> impl Iterator<Item = &'static str> {
+    let written_once = [CURVE, VALIDATION, START_SNAPSHOT, UNPRUNED_SNAPSHOT];
+    REMADE.into_iter().chain(written_once).chain(PRUNED_SNAPSHOTS)
+}
+
 /// Every snapshot that a training may leave, in the order of their steps, and what it shows.
 pub fn snapshots() -> impl Iterator<Item = (&'static str, &'static str)> {
     let first = [(START_SNAPSHOT, "At the start"), (UNPRUNED_SNAPSHOT, "Before pruning")];
@@ -269,9 +280,7 @@ fn scored_as(pipeline: &Pipeline, other: &Pipeline) -> Pipeline {
 /// Removes the temporary files of starts that were killed while writing, `.checkpoint.safetensors.123.tmp` say; the lock
 /// tells that nobody is writing them any more. What cannot be removed does no harm.
 fn remove_leftovers(folder: &Path) {
-    let own = [PIPELINE, CHECKPOINT, MODEL_FILE, START_SNAPSHOT, UNPRUNED_SNAPSHOT, CURVE, VALIDATION, SCORES, SAMPLES];
-    let own = [&own[..], &[CONFIDENCE, REPORT, FACTS], &PRUNED_SNAPSHOTS].concat();
-    files::remove_temporaries(folder, &own);
+    files::remove_temporaries(folder, &UNSEALED.into_iter().chain(sealed()).collect::<Vec<_>>());
 }
 
 #[cfg(test)]
