@@ -89,6 +89,7 @@ fn table(
         bounds => table.has(Kind::Bound),
         twins => !comparison.twins().is_empty(),
         ceiling => table.has(Kind::Ceiling),
+        perfect => comparison.setting.task().ceiling.share < 1.0,
         machines_differ => !same_machine && wanted.iter().any(|w| is_time(w.0)),
     };
     table.legend = sentences("legend.txt", words);
