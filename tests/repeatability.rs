@@ -48,8 +48,8 @@ fn measured_spectra_at_one_place_are_alike_only_near_in_time() {
     assert_eq!(seen, 8);
     let [near, far] = [&found.near, &found.far].map(|likeness| at_zero(likeness, "ssim").clone().unwrap());
     println!("at zero: near {near:.3?}, far {far:.3?}, unrelated {:.3}", found.far.metrics[0].unrelated);
-    assert!(near.interval[0] > 0.88 && near.mean > 0.94, "{near:?}");
-    assert!((0.69..0.76).contains(&far.mean) && far.interval[1] < near.interval[0], "{far:?}");
+    assert!(near.interval[0] > 0.88 && near.summary.mean > 0.94, "{near:?}");
+    assert!((0.69..0.76).contains(&far.summary.mean) && far.interval[1] < near.interval[0], "{far:?}");
 }
 
 /// A transmitter goes over one line in steps of 4 mm, `turns` times; the spectrum is a smooth function of its place, plus
@@ -70,8 +70,8 @@ fn without_noise_spectra_repeat() {
     let found = measure(&line(5, |_| 0.0), &["Ssim()", "L1()"]);
     for likeness in [&found.near, &found.far] {
         let (ssim, l1) = (at_zero(likeness, "ssim").clone().unwrap(), at_zero(likeness, "l1").clone().unwrap());
-        assert!(ssim.mean > 0.999 && ssim.interval[0] > 0.999, "{ssim:?}");
-        assert!(l1.mean < 1e-3 && l1.interval[1] < 1e-3, "{l1:?}");
+        assert!(ssim.summary.mean > 0.999 && ssim.interval[0] > 0.999, "{ssim:?}");
+        assert!(l1.summary.mean < 1e-3 && l1.interval[1] < 1e-3, "{l1:?}");
     }
 }
 
@@ -82,7 +82,7 @@ fn noise_of_every_spectrum_is_found_in_pairs_of_any_time() {
     let found = measure(&line(5, noise), &["L1()"]);
     for likeness in [&found.near, &found.far] {
         let l1 = at_zero(likeness, "l1").clone().unwrap();
-        assert!(l1.interval[0] < 0.05 && 0.05 < l1.interval[1] && (l1.mean - 0.05).abs() < 0.015, "{l1:?}");
+        assert!(l1.interval[0] < 0.05 && 0.05 < l1.interval[1] && (l1.summary.mean - 0.05).abs() < 0.015, "{l1:?}");
     }
 }
 
@@ -91,9 +91,9 @@ fn noise_of_every_spectrum_is_found_in_pairs_of_any_time() {
 fn what_changes_slowly_parts_pairs_near_in_time_from_those_far_apart() {
     let found = measure(&line(6, |id| 0.02 * (id / 200) as f32), &["L1()"]);
     let [near, far] = [&found.near, &found.far].map(|likeness| at_zero(likeness, "l1").clone().unwrap());
-    assert!(near.mean < 0.005, "{near:?}");
+    assert!(near.summary.mean < 0.005, "{near:?}");
     // Mean of |a - b| over pairs of different passes of six: 7/3 of a fiftieth.
-    assert!((far.mean - 0.14 / 3.0).abs() < 0.008, "{far:?}");
+    assert!((far.summary.mean - 0.14 / 3.0).abs() < 0.008, "{far:?}");
 }
 
 #[test]

@@ -189,8 +189,8 @@ pub(crate) fn repeatability<'py>(
             entry.set_item("unrelated", metric.unrelated)?;
             match &metric.at_zero {
                 Ok(zero) => {
-                    entry.set_item("mean", zero.mean)?;
-                    entry.set_item("median", zero.median)?;
+                    entry.set_item("mean", zero.summary.mean)?;
+                    entry.set_item("median", zero.summary.median)?;
                     entry.set_item("interval", zero.interval.to_vec())?;
                 }
                 Err(why) => entry.set_item("why_not", why)?,

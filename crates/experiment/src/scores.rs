@@ -199,9 +199,7 @@ impl ScoreTable {
         self.predictors.push(CEILING.into());
         for row in &mut self.metrics {
             let found = of.iter().find(|(key, _)| *key == row.key);
-            let cell = |&(_, AtZero { mean, median, p10, .. }): &(String, AtZero)| {
-                Cell::Samples(Summary { mean, median, p10 })
-            };
+            let cell = |(_, at_zero): &(String, AtZero)| Cell::Samples(at_zero.summary);
             row.cells.push(found.map_or_else(|| Cell::NotApplicable("no estimate".into()), cell));
         }
     }
@@ -292,7 +290,7 @@ mod tests {
 
     #[test]
     fn the_ceiling_stands_last_and_in_no_ranking() {
-        let at_zero = AtZero { mean: 0.9, median: 0.95, p10: 0.8, interval: [0.85, 0.95] };
+        let at_zero = AtZero { summary: Summary { mean: 0.9, median: 0.95, p10: 0.8 }, interval: [0.85, 0.95] };
         let mut scores = scores();
         scores.table.add_ceiling(&[("ssim".into(), at_zero)]);
         let table = &scores.table;

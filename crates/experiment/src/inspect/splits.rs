@@ -76,7 +76,7 @@ pub(super) fn table(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Obse
             });
         }
         let limit = ceiling(data, &partition, &metrics, &AtomicBool::new(false))?;
-        line.push(limit.of.first().map_or_else(|| "n/a".into(), |(_, at_zero)| number(at_zero.mean)));
+        line.push(limit.of.first().map_or_else(|| "n/a".into(), |(_, at_zero)| number(at_zero.summary.mean)));
         lines.push(line);
     }
     Ok(format!(

@@ -15,12 +15,8 @@ const DEVIATIONS: f64 = 1.96;
 /// A metric of pairs at distance zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AtZero {
-    /// Mean over pairs.
-    pub mean: f64,
-    /// Their middle.
-    pub median: f64,
-    /// A tenth of the pairs are this bad or worse.
-    pub p10: f64,
+    /// Over pairs.
+    pub summary: Summary,
     /// Where the mean lies with 95 % confidence.
     pub interval: [f64; 2],
 }
@@ -71,10 +67,10 @@ pub(super) fn at_zero(pairs: &[Pair], values: &[f64], scale: &Scale) -> Result<A
         scale.moved(*value, capped(there), mean)
     };
     let moved: Vec<f64> = pairs.iter().zip(values).map(moved).collect();
-    let Summary { median, p10, .. } = Summary::of(&moved, scale.goal == Goal::Higher);
+    let summary = Summary { mean, ..Summary::of(&moved, scale.goal == Goal::Higher) };
     let half = DEVIATIONS * line.deviation(pairs, values, &weights);
     let interval = [line.at_zero - half, line.at_zero + half].map(capped);
-    Ok(AtZero { mean, median, p10, interval })
+    Ok(AtZero { summary, interval })
 }
 
 /// 1 at zero, 0 at one; for NaN, where all distances are zero, 1.
@@ -153,12 +149,14 @@ mod tests {
         let pairs: Vec<Pair> = (1..=30).map(|k| pair(k, k + 40, f64::from(k as u32) * 1e-3)).collect();
         let values: Vec<f64> = pairs.iter().map(|pair| 0.8 - 3.0 * pair.distance).collect();
         let found = at_zero(&pairs, &values, &HIGHER).unwrap();
-        for (found, expected) in [(found.mean, 0.8), (found.median, 0.8), (found.p10, 0.8), (found.interval[1], 0.8)] {
+        for (found, expected) in
+            [(found.summary.mean, 0.8), (found.summary.median, 0.8), (found.summary.p10, 0.8), (found.interval[1], 0.8)]
+        {
             assert!((found - expected).abs() < 1e-12, "{found}");
         }
         let over: Vec<f64> = values.iter().map(|value| value + 0.25).collect();
         assert_eq!(
-            at_zero(&pairs, &over, &HIGHER).unwrap().mean,
+            at_zero(&pairs, &over, &HIGHER).unwrap().summary.mean,
             1.0,
             "no pair is more alike than a spectrum to itself"
         );
@@ -167,7 +165,7 @@ mod tests {
         assert_eq!((psnr.moved(30.0, 20.0, 25.0), HIGHER.moved(0.5, 1.0, 1.0)), (35.0, 0.5));
         let error = Scale { goal: Goal::Lower, best: 0.0, unrelated: 1.0 };
         let errors: Vec<f64> = pairs.iter().map(|pair| 0.1 + 2.0 * pair.distance).collect();
-        assert!((at_zero(&pairs, &errors, &error).unwrap().mean - 0.1).abs() < 1e-12);
+        assert!((at_zero(&pairs, &errors, &error).unwrap().summary.mean - 0.1).abs() < 1e-12);
     }
 
     #[test]
@@ -175,7 +173,10 @@ mod tests {
         let pairs: Vec<Pair> = (0..40).map(|k| pair(k, k + 100, 0.0)).collect();
         let values: Vec<f64> = (0..40).map(|k| if k < 30 { 0.9 } else { 0.5 }).collect();
         let found = at_zero(&pairs, &values, &HIGHER).unwrap();
-        assert!((found.mean - 0.8).abs() < 1e-12 && found.median == 0.9 && found.p10 == 0.5, "{found:?}");
+        assert!(
+            (found.summary.mean - 0.8).abs() < 1e-12 && found.summary.median == 0.9 && found.summary.p10 == 0.5,
+            "{found:?}"
+        );
     }
 
     /// Pairs that share a sample are worth less than as many that share none.
