@@ -76,8 +76,7 @@ pub(crate) fn chapters() -> Vec<Chapter> {
     let pipeline = example();
     let mut settings = Vec::new();
     let mut plugins = Vec::new();
-    let fields = Some(Docs::of::<Pipeline>()).map_or(&[][..], Docs::fields);
-    for field in fields {
+    for field in Docs::of::<Pipeline>().fields() {
         match inner(&field.kind) {
             Kind::Plugin(kind) => plugins.extend(Family::find(kind).map(|family| plugin_chapter(family, field))),
             Kind::Of(docs) => {
@@ -87,13 +86,12 @@ pub(crate) fn chapters() -> Vec<Chapter> {
             _ => {}
         }
     }
-    let topic =
-        |name: &str, kind: &Kind, value| Topic { name: name.into(), fields: Vec::new(), docs: kind.docs(), value };
+    let docs = Some(Docs::of::<Pipeline>());
     let whole = Chapter {
         name: "Pipeline".into(),
         field: None,
         about: "A run, as `pwrfgs run` reads it.".into(),
-        topics: vec![topic("Pipeline", &Kind::Of(Docs::of::<Pipeline>()), pipeline)],
+        topics: vec![Topic { name: "Pipeline".into(), fields: Vec::new(), docs, value: pipeline }],
     };
     let settings = Chapter {
         name: "Settings".into(),
@@ -134,9 +132,7 @@ fn plugin_chapter(family: &'static Family, field: &'static Field) -> Chapter {
 fn experiment() -> Chapter {
     use pwrfgs::experiment::sweep::{Experiment, Slurm};
     let mut topics = Vec::new();
-    if let Some(docs) = Kind::Of(Docs::of::<Experiment>()).docs() {
-        collect(docs, EXPERIMENT, None, &mut topics);
-    }
+    collect(Docs::of::<Experiment>(), EXPERIMENT, None, &mut topics);
     if let Some(slurm) = topics.iter_mut().find(|topic| topic.name == "Slurm") {
         slurm.value = Value::new(to_ron(&Slurm::default()));
     }
