@@ -35,11 +35,6 @@ impl Goal {
     }
 }
 
-/// Whether a training ends pruning with an exact number of Gaussians.
-pub(crate) fn is_exact(plan: &TrainingPlan) -> bool {
-    Goal::of(plan).is_some_and(|goal| goal.is_exact())
-}
-
 /// Refuses pruners that this program cannot run.
 ///
 /// # Errors

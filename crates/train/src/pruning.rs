@@ -67,13 +67,12 @@ impl Trainer<'_> {
         let pruners = self.plan.pruners.clone();
         let Some(first) = pruners.first() else { return Ok(None) };
         let (before, n) = (self.before(), self.cloud.len());
-        let goal = Goal::of(&self.plan);
-        let known = self.edits((&pruners, goal), moment)?;
-        let (mut keep, rules) = votes((&pruners, goal), &self.cloud, &known, moment);
+        let known = self.edits(&pruners, moment)?;
+        let (mut keep, rules) = votes((&pruners, self.goal), &self.cloud, &known, moment);
         crate::densify::ensure_one(&mut keep, &first.score(&self.cloud, &known[0], moment), "pruning");
         self.take_away(&keep);
         self.report_removal(moment.step, keep.len(), &rules)?;
-        if let Some(Goal { target, .. }) = goal.filter(Goal::is_exact) {
+        if let Some(Goal { target, .. }) = self.goal.filter(Goal::is_exact) {
             let n = self.cloud.len();
             if moment.round > 0 && moment.round == moment.rounds && n != target {
                 tracing::warn!("{target} Gaussians were wanted at the end of pruning, and there are {n}");
@@ -83,14 +82,10 @@ impl Trainer<'_> {
     }
 
     /// Lets every pruner change rows, and gives what each knows of the Gaussians after that.
-    fn edits(
-        &mut self,
-        (pruners, goal): (&[Plugin<dyn Pruner>], Option<Goal>),
-        moment: &Moment,
-    ) -> Result<Vec<CloudStats>> {
+    fn edits(&mut self, pruners: &[Plugin<dyn Pruner>], moment: &Moment) -> Result<Vec<CloudStats>> {
         let mut known = vec![None; pruners.len()];
         for (k, pruner) in pruners.iter().enumerate() {
-            let moment = Goal::moment(goal, k, moment);
+            let moment = Goal::moment(self.goal, k, moment);
             let stats = self.stats_for(pruner, &moment)?;
             match pruner.edit(&self.cloud, &stats, &moment) {
                 Some(edit) => {
@@ -110,7 +105,7 @@ impl Trainer<'_> {
         }
         let known = known.into_iter().zip(pruners).enumerate();
         let of = |(k, (known, pruner)): (usize, (Option<CloudStats>, _))| {
-            known.map_or_else(|| self.stats_for(pruner, &Goal::moment(goal, k, moment)), Ok)
+            known.map_or_else(|| self.stats_for(pruner, &Goal::moment(self.goal, k, moment)), Ok)
         };
         known.map(of).collect()
     }

@@ -4,7 +4,7 @@ use crate::TrainingPlan;
 use crate::adam::Adam;
 use crate::batches::{Batches, check_stride, plane_of_step};
 use crate::births::Births;
-use crate::budgets::{Goal, check_available, is_exact, target_fault, too_many};
+use crate::budgets::{Goal, check_available, target_fault, too_many};
 use crate::checks::{check_inputs, check_rays};
 use crate::densify;
 use crate::edit::{self, Beside};
@@ -13,7 +13,7 @@ use crate::graph::{drawn_gates, loss_and_gradients, open_gates};
 use crate::loss::{Objective, objective};
 use pwrfgs_core::{
     CloudStats, ColumnSpec, Dataset, Error, ExtraColumn, GaussianCloud, ImagePlane, Moment, Partition, Phase, Progress,
-    Real, Result, Seen, rng,
+    Real, Result, Seen, rng, rng::Rng,
 };
 use pwrfgs_model::{Model, Stages};
 use std::sync::atomic::AtomicBool;
@@ -56,6 +56,7 @@ pub(crate) type Before = (GaussianCloud, Vec<u32>);
 #[derive(Debug)]
 pub struct Trainer<'a> {
     pub(crate) plan: TrainingPlan,
+    pub(crate) goal: Option<Goal>,
     pub(crate) data: &'a Dataset,
     batches: Batches,
     pub(crate) objective: Box<dyn Objective>,
@@ -95,18 +96,8 @@ impl<'a> Trainer<'a> {
         progress: Progress<'_>,
         stop: &AtomicBool,
     ) -> Result<Self> {
-        let mut blank = Self::blank(plan, data, partition)?;
-        let random = &mut rng::stream(plan.seed, "init", 0);
-        let method = &*blank.stages.method;
-        let seen = Seen { data, train: &partition.train, plane: &blank.plane, method, progress, stop };
-        let cloud = if method.traits().has_gaussians() {
-            plan.initializer.search(&seen, random)?
-        } else {
-            GaussianCloud::zeros(0)
-        };
-        let weights = plan.initializer.weights(&seen)?;
-        blank.fill(cloud, weights)?;
-        Ok(blank)
+        let make = |seen: &Seen<'_>, random: &mut Rng| plan.initializer.search(seen, random);
+        Self::started((plan, data, partition), make, progress, stop)
     }
 
     /// With what the initializer makes of the scene alone: as large as the real one, to estimate what a step takes.
@@ -114,15 +105,25 @@ impl<'a> Trainer<'a> {
     /// # Errors
     /// As [`Self::new`].
     pub fn sketch(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition) -> Result<Self> {
+        let make = |seen: &Seen<'_>, random: &mut Rng| plan.initializer.initialize(&data.scene, seen.plane, random);
+        Self::started((plan, data, partition), make, &|_, _| {}, &AtomicBool::new(false))
+    }
+
+    /// With the Gaussians that `make` gives to a method that has some.
+    fn started(
+        (plan, data, partition): (&TrainingPlan, &'a Dataset, &Partition),
+        make: impl FnOnce(&Seen<'_>, &mut Rng) -> Result<GaussianCloud>,
+        progress: Progress<'_>,
+        stop: &AtomicBool,
+    ) -> Result<Self> {
         let mut blank = Self::blank(plan, data, partition)?;
-        let random = &mut rng::stream(plan.seed, "init", 0);
-        let (method, stop) = (&*blank.stages.method, &AtomicBool::new(false));
+        let method = &*blank.stages.method;
+        let seen = Seen { data, train: &partition.train, plane: &blank.plane, method, progress, stop };
         let cloud = if method.traits().has_gaussians() {
-            plan.initializer.initialize(&data.scene, &blank.plane, random)?
+            make(&seen, &mut rng::stream(plan.seed, "init", 0))?
         } else {
             GaussianCloud::zeros(0)
         };
-        let seen = Seen { data, train: &partition.train, plane: &blank.plane, method, progress: &|_, _| {}, stop };
         let weights = plan.initializer.weights(&seen)?;
         blank.fill(cloud, weights)?;
         Ok(blank)
@@ -166,13 +167,14 @@ impl<'a> Trainer<'a> {
             stages: Arc::new(stages),
             plane,
             specs: specs_of(&plan),
+            goal: Goal::of(&plan),
             plan,
             cloud,
             weights: Arc::default(),
             done: 0,
             fingerprint: OnceLock::new(),
         };
-        if is_exact(&blank.plan) && blank.moment(1).rounds == 0 {
+        if blank.is_exact() && blank.moment(1).rounds == 0 {
             return Err(Error::Config(
                 "an exact number of Gaussians is wanted, and there is no prune step; set training.prune_until above \
                  densify_until, or a larger scale"
@@ -335,9 +337,8 @@ impl<'a> Trainer<'a> {
                 (Arc::make_mut(&mut self.weights).as_mut_slice(), &found.d_weights, self.stages.network_weights()),
             )
             .map_err(|what| Error::NonFinite { what, step })?;
-        let goal = Goal::of(&self.plan);
         for (k, pruner) in pruners.iter().enumerate() {
-            pruner.update(&mut self.cloud, &self.stats, &Goal::moment(goal, k, &moment));
+            pruner.update(&mut self.cloud, &self.stats, &Goal::moment(self.goal, k, &moment));
         }
         let pruned = self.edit(&moment)?.map(|(cloud, births)| {
             let gates = self.gates_of(&cloud, &moment);
@@ -401,8 +402,7 @@ impl<'a> Trainer<'a> {
         if step == training.prune_until {
             // Fine-tuning starts with M = 1 everywhere: closed gates go, but for those that an exact number needs, and then
             // the masks.
-            let exact = is_exact(&self.plan);
-            if let Some(mut open) = self.open_gates(moment).filter(|_| !exact) {
+            if let Some(mut open) = self.open_gates(moment).filter(|_| !self.is_exact()) {
                 densify::ensure_one(&mut open, &self.cloud.opacity_logits, "closing the gates");
                 let closed = open.contains(&false).then(|| self.before());
                 self.take_away(&open);
@@ -414,6 +414,11 @@ impl<'a> Trainer<'a> {
             self.adam.cloud.iter_mut().for_each(|moments| edit::drop_state(moments, &lasting));
         }
         Ok(unpruned)
+    }
+
+    /// Whether pruning ends with an exact number of Gaussians.
+    pub(crate) fn is_exact(&self) -> bool {
+        self.goal.is_some_and(|goal| goal.is_exact())
     }
 
     /// Whether columns of pruners are there still.

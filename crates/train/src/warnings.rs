@@ -1,7 +1,7 @@
 //! What a training will not do although its pipeline asks for it, said before its first step; and what a step removed.
 
 use crate::adam::BETAS;
-use crate::budgets::{Goal, idle_target, is_exact};
+use crate::budgets::idle_target;
 use crate::densify::{self, extent_of, largest};
 use crate::settings::Densify;
 use crate::trainer::Trainer;
@@ -29,7 +29,7 @@ impl Trainer<'_> {
     fn slow_mask(&self, k: usize) -> Option<String> {
         let (training, pruner) = (&self.plan.training, &self.plan.pruners[k]);
         let (needed, until) = (pruner.traits().mask_fall?.steps(BETAS), training.prune_until);
-        (needed > until && Goal::of(&self.plan).is_none_or(|goal| goal.pruner != k)).then(|| {
+        (needed > until && self.goal.is_none_or(|goal| goal.pruner != k)).then(|| {
             format!(
                 "pruners: a mask of `{}` needs about {needed} steps to close and pruning ends after step {until}, so it \
                  removes none; raise its `learning_rate`, or training.prune_until",
@@ -86,7 +86,7 @@ impl Trainer<'_> {
         if 2 * left < before {
             let (name, removed) = (&self.plan.name, before - left);
             let said = format!("{name}: step {step} removed {removed} of {before} Gaussians ({rules})");
-            if is_exact(&self.plan) && step > self.plan.training.densify_until {
+            if self.is_exact() && step > self.plan.training.densify_until {
                 tracing::info!("{said}"); // as was asked for
             } else {
                 tracing::warn!("{said}");
