@@ -103,7 +103,7 @@ fn a_picture_is_its_pixels_and_a_batch_its_links_bit_for_bit() {
     let some = [11, 3, 3, 20, 0];
     let own: Vec<Real> = some.iter().enumerate().map(|(l, p)| all[l * pixels + p]).collect();
     assert_eq!(room.numbers(&room.weights, &LINKS, Pixels::Own(&some)), own);
-    for kind in [Task::Spectrum, Task::Power, Task::Channel] {
+    for kind in Task::ALL {
         let room = Room::new(kind, "far_m: 3");
         let all = room.numbers(&room.weights, &LINKS, Pixels::All);
         for (l, link) in LINKS.iter().enumerate() {
@@ -115,7 +115,7 @@ fn a_picture_is_its_pixels_and_a_batch_its_links_bit_for_bit() {
 
 #[test]
 fn what_is_kept_changes_no_bit_of_a_prediction() {
-    for kind in [Task::Spectrum, Task::Power, Task::Channel] {
+    for kind in Task::ALL {
         for cache in ["cache_mb: 100", "cache_mb: 0"] {
             let (room, cloud) = (Room::new(kind, cache), GaussianCloud::zeros(0));
             let p = Parameters { cloud: &cloud, gate: None, presence: None, weights: &room.weights };
