@@ -1,8 +1,9 @@
-"""The types that editors and type checkers see: the package contains its stubs, and mypy finds what it should."""
+"""The types that editors and type checkers see: the package contains its stubs, and pyright finds what it should."""
 
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import re
 import subprocess
@@ -17,6 +18,8 @@ from pwrfgs import _stubs
 SETTINGS = str(Path(__file__).resolve().parent.parent / "pyproject.toml")
 INSTALLED = Path(pwrfgs.__file__).resolve().parent.parent
 needs_mypy = pytest.mark.skipif(importlib.util.find_spec("mypy") is None, reason="mypy is not installed")
+# Pyright as a wheel that contains Node.js.
+needs_pyright = pytest.mark.skipif(importlib.util.find_spec("basedpyright") is None, reason="basedpyright is not installed")
 
 # Code of a user's. A line with a mistake says so; nothing else may be found.
 SAMPLE = """
@@ -155,15 +158,15 @@ def test_the_package_passes(cache: Path) -> None:
     assert mypy(cache, "--package", "pwrfgs") == ""
 
 
-@needs_mypy
-def test_mistakes_of_users_are_found(cache: Path, tmp_path: Path) -> None:
-    sample = tmp_path / "sample.py"
-    sample.write_text(SAMPLE, encoding="utf-8")
-    wanted = [number for number, line in enumerate(SAMPLE.splitlines(), 1) if line.endswith("# error")]
-    said = mypy(cache, str(sample))
-    found = [int(number) for number in re.findall(r"sample\.py:(\d+): error: ", said)]
-    assert found == wanted, said
-    assert said.count(" error: ") == len(wanted), said
+@needs_pyright
+def test_mistakes_of_users_are_found(tmp_path: Path) -> None:
+    rules = {"typeCheckingMode": "standard", "reportUnnecessaryComparison": "error", "extraPaths": [str(INSTALLED)]}
+    (tmp_path / "pyrightconfig.json").write_text(json.dumps(rules), encoding="utf-8")
+    (tmp_path / "sample.py").write_text(SAMPLE, encoding="utf-8")
+    wanted = [number for number, line in enumerate(SAMPLE.splitlines()) if line.endswith("# error")]
+    done = python(tmp_path, "basedpyright", "--outputjson", "--pythonpath", sys.executable)
+    found = [fault["range"]["start"]["line"] for fault in json.loads(done.stdout)["generalDiagnostics"]]
+    assert found == wanted, done.stdout
 
 
 @needs_mypy
