@@ -158,17 +158,9 @@ impl Deltas {
         [self.scales.as_flattened_mut(), self.quats.as_flattened_mut(), self.signals.as_flattened_mut()]
     }
 
-    /// The columns that are not empty, one after the other.
-    pub fn to_columns(&self) -> impl Iterator<Item = Vec<Real>> {
-        self.columns().into_iter().filter(|column| !column.is_empty()).map(<[Real]>::to_vec)
-    }
-
-    /// Terms of the same shape from what [`Self::to_columns`] gives.
-    pub fn from_columns(&self, columns: Vec<Vec<Real>>) -> Self {
-        let mut deltas = self.zeros_like();
-        let own = deltas.columns_mut().into_iter().filter(|column| !column.is_empty());
-        own.zip(columns).for_each(|(own, column)| own.copy_from_slice(&column));
-        deltas
+    /// Whether the deformation leaves every quantity alone.
+    pub fn is_empty(&self) -> bool {
+        self.columns().iter().all(|column| column.is_empty())
     }
 
     /// Zeros of the same shape.

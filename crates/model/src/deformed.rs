@@ -23,7 +23,7 @@ pub(crate) fn vjp(
     sums: &mut MethodVjp,
 ) {
     let mut d_means = vec![[0.0; 3]; inputs.means.len()];
-    if own.deltas.to_columns().next().is_some() {
+    if !own.deltas.is_empty() {
         let d_network = &mut sums.weights[..inputs.weights.len()];
         deformation.vjp(inputs, &own.deltas, d_network, Some(&mut d_means));
     }

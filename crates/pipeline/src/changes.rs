@@ -55,7 +55,7 @@ pub struct Changes(pub Vec<Change>);
 
 impl Changes {
     /// Whether one of them changes `field` of a pipeline, or a part of it.
-    pub fn change(&self, field: &str) -> bool {
+    pub fn has(&self, field: &str) -> bool {
         self.0.iter().any(|change| change.field() == field)
     }
 

@@ -43,10 +43,9 @@ impl Draft {
         self.edit(edits);
         self.changes.push(change.clone());
         // With the defaults that the value leaves out, the next change finds their fields.
-        if let Some(whole) =
-            ron_options().from_str::<Pipeline>(&self.text).ok().and_then(|pipeline| pipeline.text().ok())
-        {
-            self.text = whole;
+        let whole = ron_options().from_str(&self.text).ok();
+        if let Some(Ok(text)) = whole.map(|pipeline: Pipeline| pipeline.text()) {
+            self.text = text;
         }
         Ok(())
     }

@@ -139,7 +139,7 @@ impl Check for Variant {
         if slug(label).is_empty() {
             return Err(format!("the label `{label}` cannot name a folder; use some letters"));
         }
-        if set.change("name") || set.change("seed") {
+        if set.has("name") || set.has("seed") {
             return Err("a variant gives neither `name` nor `seed`: seeds stand in `seeds`".into());
         }
         Ok(())
@@ -205,7 +205,7 @@ impl Check for Experiment {
         let Self { name, seeds, set, axes, .. } = self;
         check_name(name)?;
         check_seeds(seeds)?;
-        if set.change("name") || set.change("seed") {
+        if set.has("name") || set.has("seed") {
             return Err("`set` is for all runs: it cannot give `name` or `seed`".into());
         }
         if let Some(axis) = axes.iter().skip(1).find(|axis| axis.variants.iter().any(|v| v.base.is_some())) {
