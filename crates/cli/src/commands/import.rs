@@ -6,11 +6,10 @@ use crate::output;
 use crate::progress::Progress;
 use clap::Args;
 use pwrfgs::data::import::Import as Work;
-use pwrfgs::experiment::{Observer as _, equality_warning, position_warning};
+use pwrfgs::experiment::{equality_warning, position_warning, staged};
 use pwrfgs_core::{Elevation, Error, Number, Pose, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::{Mutex, PoisonError};
 
 #[derive(Debug, Args)]
 #[command(
@@ -70,11 +69,9 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<ExitCod
         scale: arguments.scale,
         simulated: arguments.simulated,
     };
-    let bar = Mutex::new(Progress::new(verbosity));
-    let tell = |done, total| bar.lock().unwrap_or_else(PoisonError::into_inner).on_stage("spectra", done, total);
-    tell(0, 0);
-    let imported = work.write(&arguments.out, &tell);
-    bar.lock().unwrap_or_else(PoisonError::into_inner).finish();
+    let mut progress = Progress::new(verbosity);
+    let imported = staged(&mut progress, "spectra", |progress| work.write(&arguments.out, progress));
+    progress.finish();
     let imported = imported?;
     if verbosity != Verbosity::Quiet {
         let equality = equality_warning("spectra", imported.tx.len(), imported.are_equal);

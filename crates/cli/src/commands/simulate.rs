@@ -5,13 +5,12 @@ use crate::interrupt::{INTERRUPTED, stop_flag};
 use crate::output;
 use crate::progress::Progress;
 use clap::{Args, ValueEnum};
-use pwrfgs::experiment::Observer as _;
+use pwrfgs::experiment::staged;
 use pwrfgs::sim::output::{self as folder, Layout};
 use pwrfgs::sim::{Observe, Recipe};
 use pwrfgs_core::{Error, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 #[derive(Debug, Args)]
@@ -108,11 +107,11 @@ pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<Exi
     let (observe, layout) = arguments.wanted()?;
     let recipe =
         Recipe::read(&arguments.scene, arguments.samples, arguments.seed, arguments.points)?.observing(observe)?;
-    let bar = Mutex::new(Progress::new(verbosity));
-    let tell = |done, total| bar.lock().unwrap_or_else(PoisonError::into_inner).on_stage("simulating", done, total);
-    tell(0, 0);
-    let written = folder::write_as(&recipe, layout, !arguments.no_paths, &arguments.out, &tell, &stop);
-    bar.lock().unwrap_or_else(PoisonError::into_inner).finish();
+    let mut progress = Progress::new(verbosity);
+    let written = staged(&mut progress, "simulating", |progress| {
+        folder::write_as(&recipe, layout, !arguments.no_paths, &arguments.out, progress, &stop)
+    });
+    progress.finish();
     if matches!(written, Err(Error::Stopped)) {
         output::note("stopped; nothing is left behind, and the same command begins anew");
         return Ok(ExitCode::from(INTERRUPTED));
