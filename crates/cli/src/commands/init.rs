@@ -11,11 +11,9 @@ use clap::Args;
 use pwrfgs::experiment::text::wrapped;
 use pwrfgs::prelude::Pipeline;
 use pwrfgs_core::docs::Docs;
-use pwrfgs_core::files::check_place;
+use pwrfgs_core::files::{check_place, write_new};
 use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{Error, Result};
-use std::fs::OpenOptions;
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use survey::Survey;
@@ -37,7 +35,7 @@ pub(crate) struct Init {
     pub(crate) out: Option<PathBuf>,
 }
 
-/// Settings that do on two cores in a few minutes: those of `pipelines/quickstart.ron`.
+/// Settings that do on two cores in a few minutes.
 const LAPTOP: [&str; 8] = [
     "readout=Magnitude",
     "training=(densify_until: 400, prune_until: 2000, prune_every: 200, densify: (every: 0))",
@@ -52,7 +50,7 @@ const LAPTOP: [&str; 8] = [
 /// Where test transmitters stand this close to training ones, metres, fine detail between them can be learnt.
 const CLOSE_M: f64 = 0.03;
 
-/// Detail, as in `pipelines/s23-laptop.ron`.
+/// Detail.
 const FINE: [&str; 4] = [
     "deformation=Factored(depth: 5, width: 360, tx_encoding: Waves(count: 64, reach: 24.0))",
     "training.steps=12000",
@@ -60,7 +58,7 @@ const FINE: [&str; 4] = [
     "training.optimizer=(network: Cosine(first: 0.002, last: 0.000001), network_warmup: 2000, network_decay: 0.1)",
 ];
 
-/// None, as in `pipelines/quickstart.ron`: it would only be memorised.
+/// None: it would only be memorised.
 const COARSE: [&str; 4] = [
     "deformation=Factored(depth: 4, width: 240, tx_encoding: Octaves(2))",
     "training.steps=6000",
@@ -81,18 +79,24 @@ const CHANNELS: &str = include_str!("../../../../pipelines/office-channel.ron");
 const UPLINKS: &str = include_str!("../../../../pipelines/uplink.ron");
 
 pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<ExitCode> {
+    let out = arguments.out.clone().unwrap_or_else(|| PathBuf::from(format!("{}.ron", name_of(&arguments.folder))));
+    let exists = || Error::input(&out, "exists, and nothing is overwritten; name another file with --out");
+    if out.symlink_metadata().is_ok() {
+        return Err(exists());
+    }
+    check_place(&out)?;
     let mut progress = Progress::new(verbosity);
     let survey = Survey::of(&arguments.folder, &mut progress);
     progress.finish();
     let survey = survey?;
-    let out = arguments.out.clone().unwrap_or_else(|| PathBuf::from(format!("{}.ron", survey.name)));
-    if out.symlink_metadata().is_ok() {
-        return Err(Error::input(&out, "exists, and nothing is overwritten; name another file with --out"));
-    }
-    check_place(&out)?;
     let pipeline = pipeline(&survey, &arguments.folder, &out)?;
     let text = written(&survey, &pipeline)?;
-    write_new(&out, &text)?;
+    if let Some(parent) = out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
+        std::fs::create_dir_all(parent).map_err(|e| Error::write(parent, e))?;
+    }
+    if !write_new(&out, text.as_bytes())? {
+        return Err(exists());
+    }
     output::result(&format!("{}: {}\nnext: pwrfgs run {}\n", out.display(), survey.sentence(), out.display()))?;
     Ok(ExitCode::SUCCESS)
 }
@@ -109,7 +113,7 @@ fn pipeline(survey: &Survey, folder: &Path, out: &Path) -> Result<Pipeline> {
     };
     let (source, settings) = survey.source;
     let mut set = vec![
-        format!("name={}", survey.name),
+        format!("name={}", name_of(folder)),
         format!("data={source}(root: {}{settings})", path(&root)?),
         format!("split={}", survey.split),
     ];
@@ -180,17 +184,4 @@ fn written(survey: &Survey, pipeline: &Pipeline) -> Result<String> {
         return Err(Error::Config("the new pipeline does not read as it was meant; please report this".into()));
     }
     Ok(text)
-}
-
-/// Writes a file that must not be there yet.
-fn write_new(path: &Path, text: &str) -> Result<()> {
-    let failed = |e| Error::write(path, e);
-    if let Some(parent) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
-        std::fs::create_dir_all(parent).map_err(|e| Error::write(parent, e))?;
-    }
-    let mut file = OpenOptions::new().write(true).create_new(true).open(path).map_err(failed)?;
-    file.write_all(text.as_bytes()).and_then(|()| file.sync_all()).map_err(|e| {
-        _ = std::fs::remove_file(path); // half a file is worse than none
-        failed(e)
-    })
 }

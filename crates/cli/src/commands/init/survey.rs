@@ -16,8 +16,6 @@ const NEAR: f64 = 0.05;
 
 /// The data and what is suggested for them.
 pub(super) struct Survey {
-    /// A name for the pipeline.
-    pub(super) name: String,
     title: String,
     /// What was observed.
     pub(super) task: Task,
@@ -60,7 +58,6 @@ impl Survey {
         let (split, partition) = suggested(&data)?;
         data_warnings(&data, Some(&partition)).iter().for_each(|warning| observer.on_warning(warning));
         Ok(Self {
-            name: name_of(folder),
             task: data.task(),
             source: (source, settings),
             features: data.features.as_ref().map(|features| features.width),
