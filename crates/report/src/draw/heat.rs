@@ -1,6 +1,6 @@
 //! Values over a plane as a coloured map with a bar, axes in metres and receivers.
 
-use super::canvas::{Anchor, BLACK, Canvas, Colour, Paint, Path, Pixels, Point, WHITE};
+use super::canvas::{Anchor, BLACK, Canvas, INK, Paint, Path, Pixels, Point, WHITE};
 use super::plan::Plan;
 use super::ticks::{label, linear_ticks};
 use pwrfgs_experiment::colour::{Rgb, cyclic, sequential};
@@ -143,7 +143,7 @@ impl Heat<'_> {
         canvas.letters.size = 10.0;
         for v in numbers.into_iter().filter(|v| (low..=high).contains(v)).step_by(stride) {
             let x = left + width * (v - low) / (high - low);
-            canvas.line(&[[x, top + 9.0], [x, top + 12.0]], Paint::stroke(Colour::hex(0x46_4a52), 0.8));
+            canvas.line(&[[x, top + 9.0], [x, top + 12.0]], Paint::stroke(INK, 0.8));
             canvas.text([x, top + 22.0], Anchor::Middle, label(v));
         }
         canvas.text([canvas.width / 2.0, top + 36.0], Anchor::Middle, &self.unit);

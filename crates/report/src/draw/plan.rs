@@ -1,6 +1,6 @@
 //! A flat map in metres: a floor plan, the side of a room, a plane. A metre is as long across as upwards.
 
-use super::canvas::{Anchor, Canvas, Colour, INK, Paint, Path, Point, WHITE};
+use super::canvas::{Anchor, BLACK, Canvas, Colour, INK, Paint, Path, Point, WHITE};
 use super::font::LINE;
 use super::ticks::{label, linear_ticks};
 
@@ -121,8 +121,8 @@ impl Plan {
 /// The mark of a receiver.
 pub(crate) fn draw_receiver(canvas: &mut Canvas, [x, y]: Point) {
     let r = RECEIVER;
-    canvas.rect([x - r, y - r], [2.0 * r; 2], Paint::fill(WHITE).outlined(Colour::hex(0x10_1318), 1.6));
-    canvas.circle([x, y], 2.0, Paint::fill(Colour::hex(0x10_1318)));
+    canvas.rect([x - r, y - r], [2.0 * r; 2], Paint::fill(WHITE).outlined(BLACK, 1.6));
+    canvas.circle([x, y], 2.0, Paint::fill(BLACK));
 }
 
 /// Corners that are apart along both axes.

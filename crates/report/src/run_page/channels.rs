@@ -6,7 +6,7 @@ mod profile;
 mod virtual_map;
 
 use super::examples::Example;
-use crate::draw::canvas::Colour;
+use crate::draw::canvas::{BLACK, Colour};
 use crate::draw::charts::{Axis, Chart, Line, Look};
 use crate::draw::marks::{Marker, Stroke, Style};
 use curves::Gains;
@@ -17,7 +17,7 @@ use pwrfgs_experiment::text::number;
 
 /// Links on the plane of complex numbers.
 const DOTS: usize = 150;
-const MEASURED: Colour = Colour::hex(0x10_1318);
+const MEASURED: Colour = BLACK;
 const PREDICTED: Colour = Colour::hex(0xd5_5e00);
 /// Three beside each other.
 const LOOK: Look = Look { size: [380.0, 250.0], margins: [56.0, 10.0, 16.0, 38.0] };

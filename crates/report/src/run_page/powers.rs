@@ -4,7 +4,7 @@ mod maps;
 
 use super::examples::Example;
 use super::predicted;
-use crate::draw::canvas::Colour;
+use crate::draw::canvas::{BLACK, Colour};
 use crate::draw::charts::{Axis, Chart, Line};
 use crate::draw::marks::{Stroke, Style};
 use minijinja::{Value, context};
@@ -17,7 +17,6 @@ const DOTS: usize = 3_000;
 /// Bars of the histogram.
 const BARS: usize = 48;
 const BLUE: Colour = Colour::hex(0x18_4ea3);
-const GREY: Colour = Colour::hex(0x10_1318);
 
 /// A test link: what was measured, what is predicted, dBm.
 #[derive(Clone, Copy)]
@@ -79,7 +78,7 @@ fn histogram(errors: &[f64]) -> Option<(&'static str, String)> {
     outline.push((edge(counts.len()), 0.0));
     let most = counts.iter().map(|&count| share(count)).fold(0.0, f64::max);
     let median = quantile(errors, 0.5);
-    let upright = |x: f64, stroke| Line::new(vec![(x, 0.0), (x, 1.05 * most)], Style::line(GREY, 1.3, stroke));
+    let upright = |x: f64, stroke| Line::new(vec![(x, 0.0), (x, 1.05 * most)], Style::line(BLACK, 1.3, stroke));
     let lines = vec![
         upright(0.0, Stroke::FULL),
         upright(median, Stroke::DASHED).named(&format!("median, {} dB", signed(median))),
@@ -102,7 +101,7 @@ fn scatter(heard: &[Heard]) -> Option<(&'static str, String)> {
     let air = (0.04 * (high - low)).max(1.0);
     let ends = (low - air, high + air);
     let lines = vec![
-        Line::new(vec![(ends.0, ends.0), (ends.1, ends.1)], Style::line(GREY, 1.3, Stroke::DASHED))
+        Line::new(vec![(ends.0, ends.0), (ends.1, ends.1)], Style::line(BLACK, 1.3, Stroke::DASHED))
             .named("predicted = measured"),
         Line::new(dots, Style::line(BLUE.faint(0.55), 2.6, Stroke::Dots)),
     ];

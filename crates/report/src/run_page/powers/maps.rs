@@ -1,7 +1,7 @@
 //! Where errors lie on the floor: a small map a receiver, with its test transmitters.
 
 use super::Heard;
-use crate::draw::canvas::{Anchor, Canvas, Colour, Paint};
+use crate::draw::canvas::{Anchor, Canvas, Colour, INK, Paint};
 use crate::draw::plan::{Plan, draw_receiver};
 use crate::draw::spectra::Scale;
 use minijinja::{Value, context};
@@ -77,7 +77,7 @@ fn draw_error(canvas: &mut Canvas, [x, y]: [f64; 2], error: f64) {
     let [r, g, b] = diverging(error.clamp(-1.0, 1.0));
     let fill = Colour { rgb: [r, g, b], opacity: 1.0 };
     let corners = [[x, y - up * size], [x + 0.9 * size, y + 0.65 * up * size], [x - 0.9 * size, y + 0.65 * up * size]];
-    canvas.polygon(&corners, Paint::fill(fill).outlined(Colour::hex(0x46_4a52).faint(0.7), 0.5));
+    canvas.polygon(&corners, Paint::fill(fill).outlined(INK.faint(0.7), 0.5));
 }
 
 /// What the marks mean.
