@@ -71,7 +71,7 @@ mod tests {
         let table = Table { name: "scores", title: "50 % of a_b".into(), columns, lines, legend: vec!["a<b".into()] };
         let title = "office (simulated)".to_owned();
         let section = Section { name: "1".into(), title, tables: vec![table], ..Section::default() };
-        Page { title: "a & b".into(), sections: vec![section], left_out: vec![] }
+        Page { title: "a & b".into(), sections: vec![section], ..Page::default() }
     }
 
     fn document(page: &Page, name: &str) -> String {

@@ -4,7 +4,6 @@
 //! folder that holds something and has no such list is refused.
 
 use super::Study;
-use super::comparison::Comparison;
 use super::format;
 use super::page::Page;
 use pwrfgs_core::files::{self, refuse_foreign, write_atomically};
@@ -38,7 +37,7 @@ pub fn write(study: &Study, reference: Option<&str>, out: &Path, observer: &mut 
     refuse_links(out)?;
     let before = owned(out)?;
     let page = Page::new(study, reference, observer)?;
-    let files = files(study, &page)?;
+    let files = files(&page)?;
     let names: BTreeSet<String> = files.iter().map(|(name, _)| name.clone()).collect();
     if let Some(foreign) = names.difference(&before.files).find(|name| out.join(name).symlink_metadata().is_ok()) {
         let path = out.join(foreign);
@@ -64,11 +63,8 @@ pub fn write(study: &Study, reference: Option<&str>, out: &Path, observer: &mut 
 }
 
 /// Names and bytes of everything but [`OWN`].
-fn files(study: &Study, page: &Page) -> Result<Vec<(String, Vec<u8>)>> {
-    let comparisons: Vec<_> = study.settings.iter().map(Comparison::new).collect();
-    let references = page.sections.iter().map(|section| section.reference.as_str());
-    let csv = format::csv(&comparisons.into_iter().zip(references).collect::<Vec<_>>());
-    let mut files = vec![("report.csv".into(), csv.into())];
+fn files(page: &Page) -> Result<Vec<(String, Vec<u8>)>> {
+    let mut files = vec![("report.csv".into(), page.csv.clone().into())];
     files.extend(format::documents(page)?.into_iter().map(|(name, text)| (name, text.into())));
     for section in &page.sections {
         for figure in &section.figures {

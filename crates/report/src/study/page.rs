@@ -2,6 +2,7 @@
 
 use super::comparison::{Comparison, Kind, Row};
 use super::figures::{self, Drawn, Figure};
+use super::format::csv;
 use super::tables::{self, Table};
 use super::{Setting, Study, distinct};
 use crate::templates::sentences;
@@ -13,11 +14,13 @@ use pwrfgs_experiment::{Observer, Record, staged};
 use serde::Serialize;
 
 /// The report of a study.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Page {
     pub(super) title: String,
     /// One a setting.
     pub(super) sections: Vec<Section>,
+    /// Every number of all settings.
+    pub(super) csv: String,
     /// Runs that are not in it, and why.
     pub(super) left_out: Vec<String>,
 }
@@ -57,7 +60,9 @@ impl Page {
         }
         let unfinished = study.unfinished.iter().map(|path| format!("{}: has not finished", path.display()));
         let repeated = study.repeated.iter().map(|path| format!("{}: a run named before, or its twin", path.display()));
-        Ok(Self { title: study.title.clone(), sections, left_out: unfinished.chain(repeated).collect() })
+        let references = sections.iter().map(|section| section.reference.as_str());
+        let csv = csv(comparisons.iter().zip(references));
+        Ok(Self { title: study.title.clone(), sections, csv, left_out: unfinished.chain(repeated).collect() })
     }
 }
 

@@ -12,7 +12,7 @@ use pwrfgs_experiment::text::Lines;
 const HEADER: &str = "setting simulated variant kind metric unit statistic value std n reference low high";
 
 /// All numbers of all settings, with the reference of each.
-pub(in super::super) fn csv(comparisons: &[(Comparison<'_>, &str)]) -> String {
+pub(in super::super) fn csv<'a>(comparisons: impl Iterator<Item = (&'a Comparison<'a>, &'a str)>) -> String {
     let mut names = HEADER.split(' ');
     let mut lines = Lines::<13>::new(std::array::from_fn(|_| names.next().unwrap_or_default()));
     for (comparison, reference) in comparisons {
