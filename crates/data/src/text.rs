@@ -2,6 +2,7 @@
 //!
 //! The `csv` crate gives no column of a field, so rows are split here; a quoted field may hold commas but no line end.
 
+use crate::checks::{NOT_RECEIVED, power_fault};
 use pwrfgs_core::{
     Error, Real, Result, files,
     origin::{MAX_COORDINATE_M, coordinate_fault},
@@ -115,6 +116,39 @@ pub(crate) fn no_longer(path: &Path, line: usize, row: &[Field<'_>], header: usi
     }
 }
 
+/// The field of a row in a column with this name.
+fn cell<'a>(
+    path: &Path,
+    line: usize,
+    row: &[Field<'a>],
+    (column, name): (usize, &str),
+    advice: &str,
+) -> Result<Field<'a>> {
+    row.get(column).copied().ok_or_else(|| {
+        let end = row.last().map_or(1, |f| f.column + f.text.chars().count());
+        let (have, need, name) = (row.len(), column + 1, quoted(name));
+        Error::at(
+            path,
+            line,
+            end,
+            format!("the row ends after {have} of the {need} columns that {name} needs; {advice}"),
+        )
+    })
+}
+
+/// The power in the column of the receiver `name`, dBm; -100 if it received nothing.
+pub(crate) fn power(path: &Path, line: usize, row: &[Field<'_>], (column, name): (usize, &str)) -> Result<f64> {
+    let advice = "give the power in dBm, or -100 where the gateway heard nothing";
+    let field = cell(path, line, row, (column, name), advice)?;
+    let dbm = number(path, line, field, advice)?;
+    let stored = dbm as Real as f64; // rounding may make it the number that stands for nothing received
+    if dbm != NOT_RECEIVED && [dbm, stored].into_iter().find_map(power_fault).is_some() {
+        let what = format!("{} is no power in dBm; {advice}", quoted(field.text));
+        return Err(Error::at(path, line, field.column, what));
+    }
+    Ok(dbm)
+}
+
 /// Where a row holds x, y and z.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct XyzColumns(pub(crate) [usize; 3]);
@@ -142,13 +176,7 @@ impl XyzColumns {
     pub(crate) fn read(self, path: &Path, line: usize, row: &[Field<'_>], advice: &str) -> Result<[f64; 3]> {
         let mut point = [0.0; 3];
         for ((value, column), name) in point.iter_mut().zip(self.0).zip(["x", "y", "z"]) {
-            let field = row.get(column).copied().ok_or_else(|| {
-                let end = row.last().map_or(1, |f| f.column + f.text.chars().count());
-                let (have, need) = (row.len(), column + 1);
-                let what = format!("the row ends after {have} of the {need} columns that `{name}` needs; {advice}");
-                Error::at(path, line, end, what)
-            })?;
-            *value = coordinate(path, line, field, advice)?;
+            *value = coordinate(path, line, cell(path, line, row, (column, name), advice)?, advice)?;
         }
         Ok(point)
     }

@@ -1,13 +1,11 @@
 //! `gateway_rssi.csv`: a column a gateway, a row a transmitter.
 
-use crate::checks::{NOT_RECEIVED, Unheard, power_fault, unheard};
-use crate::text::{Field, lines, no_longer, number, read_text, split_commas};
+use crate::checks::{NOT_RECEIVED, Unheard, unheard};
+use crate::text::{Field, lines, no_longer, power, read_text, split_commas};
 use pwrfgs_core::words::{clean, quoted, text_of};
-use pwrfgs_core::{Error, Real, Result, did_you_mean, files::MAX_TEXT};
+use pwrfgs_core::{Error, Result, did_you_mean, files::MAX_TEXT};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
-
-const ADVICE: &str = "give the power in dBm, or -100 where the gateway heard nothing";
 
 /// One power that was received.
 pub(super) struct Heard {
@@ -36,7 +34,7 @@ pub(super) fn read(path: &Path, gateways: &[String], rows: usize, advice: &str) 
         let fields = split_commas(content);
         no_longer(path, line, &fields, header.len())?;
         for (gateway, &column) in column_of.iter().enumerate() {
-            let dbm = power(path, line, &fields, column)?;
+            let dbm = power(path, line, &fields, (column, &gateways[gateway]))?;
             heard.extend((dbm != NOT_RECEIVED).then_some(Heard { row, gateway, dbm }));
         }
         lines_of.push(line);
@@ -86,29 +84,4 @@ fn columns(path: &Path, line: usize, header: &[Field<'_>], gateways: &[String]) 
         })
     };
     names().map(column).collect()
-}
-
-/// One power of a row.
-fn power(path: &Path, line: usize, row: &[Field<'_>], column: usize) -> Result<f64> {
-    let Some(field) = row.get(column).copied() else {
-        let end = row.last().map_or(1, |f| f.column + f.text.chars().count());
-        let (have, need) = (row.len(), column + 1);
-        return Err(Error::at(
-            path,
-            line,
-            end,
-            format!("the row ends after {have} of at least {need} columns; {ADVICE}"),
-        ));
-    };
-    let dbm = number(path, line, field, ADVICE)?;
-    let stored = dbm as Real as f64; // rounding may make it the number that stands for nothing received
-    if dbm != NOT_RECEIVED && [dbm, stored].into_iter().find_map(power_fault).is_some() {
-        return Err(Error::at(
-            path,
-            line,
-            field.column,
-            format!("{} is no power in dBm; {ADVICE}", quoted(field.text)),
-        ));
-    }
-    Ok(dbm)
 }
