@@ -51,6 +51,7 @@ const fn program(file: &'static str, form: Form, arguments: &'static [&'static s
 
 use Form::{Plain, Png, Tensors};
 const MODEL: &str = "models/model.safetensors";
+const CSI: &[&str] = &["Nerf2Csi(root: \"csi\")", "Nerf2Csi(root: \"csi\", together: true)"];
 const PREDICT: &[&str] = &["predict", MODEL, "--tx-csv", "positions.csv", "--out", "heard", "-q"];
 
 /// Every format.
@@ -68,8 +69,8 @@ pub const TARGETS: &[Target] = &[
     of(4, "rssi/train_index.txt", &["rssi/test_index.txt"], Plain, powers),
     of(16, "channels/receiver.yml", &[], Plain, channels),
     of(16, "channels/channel.npy", &[], Plain, channels),
-    of(8, "csi/base-station.yml", &[], Plain, snapshots),
-    of(8, "csi/csidata.npy", &[], Plain, snapshots),
+    of(8, "csi/base-station.yml", &[], Plain, |bench| load_all(bench, CSI)),
+    of(8, "csi/csidata.npy", &[], Plain, |bench| load_all(bench, CSI)),
     of(32, "cloud/mesh.ply", &["cloud/binary/mesh.ply"], Plain, surface::<true>),
     of(24, "cloud/points.xyz", &[], Plain, cloud),
     of(24, "cloud/points.csv", &[], Plain, cloud),
@@ -165,18 +166,15 @@ fn channels(bench: &Path) -> Result<()> {
         "initializer: MatchingPursuit(most: 1, reach: 0.1, step: 1.0, hold_out: 0), method: VirtualTransmitters()";
     // The grid of a search is as fine as the file says that waves are: a coarse one of few places is all that is tried.
     let read = |carrier: &str| on_links(bench, &format!("data: Channels(root: \"channels\"{carrier}), {rest}"));
-    read(", carrier_hz: 3e8, spacing_hz: 1e6").and_then(|()| load_links(bench, "Channels(root: \"channels\")"))
+    read(", carrier_hz: 3e8, spacing_hz: 1e6").and_then(|()| load_all(bench, &["Channels(root: \"channels\")"]))
 }
 
-fn snapshots(bench: &Path) -> Result<()> {
-    load_links(bench, "Nerf2Csi(root: \"csi\")")?;
-    load_links(bench, "Nerf2Csi(root: \"csi\", together: true)")
-}
-
-fn load_links(bench: &Path, source: &str) -> Result<()> {
-    let text = format!("Pipeline(name: \"links\", data: {source}, initializer: Random())");
-    let data = Pipeline::parse(&text, Path::new("links.ron"))?.data.load(bench, &|_, _| {})?;
-    data.observations.check()
+/// Loads the data of each of these sources.
+fn load_all(bench: &Path, sources: &[&str]) -> Result<()> {
+    sources.iter().try_for_each(|source| {
+        let source = Plugin::<dyn DataSource>::parse(source).map_err(Error::Config)?;
+        source.load(bench, &|_, _| {})?.observations.check()
+    })
 }
 
 /// Loads, starts, trains a step and predicts.
