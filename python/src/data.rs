@@ -6,10 +6,10 @@ use crate::arrays::{array, numbers, observations, places};
 use crate::border::{free, wrong};
 use crate::settings::{plugin, text_of};
 use numpy::PyArrayDyn;
-use pwrfgs::data::{check, save, shape_fault, source_in};
+use pwrfgs::data::{check, save, shape_fault};
 use pwrfgs_core::{
     DataSource, Dataset as Data, Elevation, Error, Observations, Partition, Plugin, Pose, Real, Receiver, Sample,
-    Simulation, Split, rng,
+    Simulation, Split, recognise, rng,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyTuple};
@@ -58,12 +58,11 @@ impl Dataset {
                 let what = "there is no such folder; a data source such as pwrfgs.Arrays(root=..) is given as a value";
                 return Err(crate::border::raised(py, Error::input(&path, what)));
             }
-            let Some((_, _, reader)) = source_in(&there) else {
+            let Some(reader) = recognise(&there) else {
                 let what = "holds no data of a layout that is known; docs/data.md says which there are, and \
                             Dataset.from_arrays takes arrays";
                 return Err(crate::border::raised(py, Error::input(&path, what)));
             };
-            let reader = Plugin::from(reader);
             (pwrfgs_core::plugin::to_ron(&reader), reader)
         } else {
             let text = text_of("DataSource", source, None)?;

@@ -1,5 +1,6 @@
 //! `DataSource`, `Split`, `Baseline`: what is known, how it is divided, and what must be beaten.
 
+use crate::plugin::{Plugin, registered};
 use crate::{Dataset, Image, Known, Partition, Query, Result, Task, plugin_kind, rng::Rng};
 use std::path::Path;
 
@@ -24,12 +25,24 @@ pub trait DataSource:
         None
     }
 
+    /// This source for the data in `folder`, if the folder holds files of its layout. See [`recognise`].
+    fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
+        let _ = folder;
+        None
+    }
+
     /// Refuses settings that cannot work, when the pipeline is read.
     fn check(&self) -> Result<(), String> {
         Ok(())
     }
 }
 plugin_kind!(DataSource);
+
+/// The source that reads `folder`: the first by name, of all that are linked, that recognises its layout.
+pub fn recognise(folder: &Path) -> Option<Plugin<dyn DataSource>> {
+    let source = |name| Plugin::<dyn DataSource>::parse(&format!("{name}()")).ok()?.recognise(folder);
+    registered::<dyn DataSource>().into_iter().find_map(source).map(Plugin::from)
+}
 
 /// Divides links into training, validation and test.
 #[typetag::serde]

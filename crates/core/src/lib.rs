@@ -53,7 +53,7 @@ pub mod words;
 pub use cholesky::Cholesky;
 pub use cloud::{COLUMN_NAMES, ExtraColumn, GaussianCloud};
 pub use conditions::Conditions;
-pub use data_source::{Baseline, DataSource, Predict, Progress, Split};
+pub use data_source::{Baseline, DataSource, Predict, Progress, Split, recognise};
 pub use dataset::{Dataset, Simulation, Unmatched};
 pub use deformation::{Deformation, DeformationInputs, DeformationTraits, Deltas, LinearPart};
 pub use docs::{JsonSchema, schemars};

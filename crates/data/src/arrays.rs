@@ -4,9 +4,9 @@
 mod tests;
 
 use crate::checks::value_fault;
-use crate::nerf2::{check_shape, gateway, index, read_transmitters, simulation};
+use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
+use crate::nerf2::{check_shape, gateway, index, read_transmitters};
 use crate::npy;
-use crate::points::read_points;
 use pwrfgs_core::{DataSource, Dataset, Elevation, Error, JsonSchema, Progress, Result, Sample, Spectra};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -64,10 +64,7 @@ impl DataSource for Arrays {
     }
 
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
-        let root = base.join(&self.root);
-        if !root.is_dir() {
-            return Err(Error::input(&root, format!("no such folder; set `root` of Arrays ({LAYOUT})")));
-        }
+        let root = open_root(base, &self.root, "Arrays", LAYOUT)?;
         let gateway = gateway::read(&root.join("gateway_info.yml"), None, LAYOUT)?;
         let (csv, npy) = (root.join("tx_pos.csv"), root.join("tx.npy"));
         let table = if npy.exists() || !csv.exists() { "tx.npy" } else { "tx_pos.csv" };
@@ -82,25 +79,25 @@ impl DataSource for Arrays {
         let pictures = ids.iter().copied().collect();
         let known = index::Known { table, rows: ids.len(), pictures: &pictures, samples: &ids };
         let official = index::read(&root, &|word| known.find(word))?;
-        let points = self.points.as_ref().map_or(Ok(Vec::new()), |points| read_points(&base.join(points)))?;
+        let points = points_of(base, self.points.as_deref())?;
         let spectra = checked(spectra, &path, progress)?;
         let stated = self.elevation.or(gateway.elevation);
         let elevation = stated.unwrap_or(Elevation::UPPER);
         check_shape(&path, elevation, stated.is_some(), (spectra.width(), spectra.height()))?;
         let samples: Vec<Sample> = ids.iter().zip(positions).map(|(&id, tx)| Sample::new(id, tx)).collect();
-        let folder = || root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
-        let name = gateway.name.clone().unwrap_or_else(folder);
+        let name = gateway.name.clone().unwrap_or_else(|| folder_name(&root));
         let simulation = simulation(&root, &name);
-        let title = format!("{name} ({}arrays)", if simulation.is_some() { "" } else { "measured, " });
+        let title = title(&name, simulation.as_ref(), "arrays");
         let data = Dataset::of_links(title, vec![gateway.receiver()], points, &samples, spectra.into())?;
         Ok(Dataset { elevation, official, simulation, ..data })
     }
 
+    fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
+        source_in(folder, &["spectra.npy"], |root, points| Self { root, points, ..self.clone() })
+    }
+
     fn check(&self) -> Result<(), String> {
-        if self.root.as_os_str().is_empty() {
-            return Err("`root` is empty; name the folder of the data set, or `.` for this one".into());
-        }
-        Ok(())
+        check_root(&self.root)
     }
 }
 

@@ -4,9 +4,9 @@
 mod tests;
 
 use crate::checks::name_fault;
-use crate::nerf2::{check_root, folder_name, index, read_transmitters, simulation, yaml};
+use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
+use crate::nerf2::{index, read_transmitters, yaml};
 use crate::npy::read_complex;
-use crate::points::read_points;
 use pwrfgs_core::{
     Channels as Observed, DataSource, Dataset, Error, JsonSchema, Pose, Progress, Real, Receiver, Result, Sample,
     Simulation,
@@ -14,6 +14,7 @@ use pwrfgs_core::{
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
+const LAYOUT: &str = "a folder of channels holds channel.npy, tx_pos.csv and receiver.yml";
 const SHAPE: &str = "channels are [M, A, F]: M transmitters, A antennas of the receiver, F subcarriers";
 
 /// Channels (CSI) at one receiver as an array of NumPy, with a table of the transmitter's places.
@@ -86,7 +87,8 @@ impl Default for ReceiverPlace {
 }
 
 impl ReceiverPlace {
-    fn pose(&self) -> Pose {
+    /// Where the receiver is and how it is turned, world frame.
+    pub fn pose(&self) -> Pose {
         Pose { position: self.position, orientation: self.orientation }
     }
 }
@@ -113,10 +115,7 @@ impl DataSource for Channels {
     }
 
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
-        let root = base.join(&self.root);
-        if !root.is_dir() {
-            return Err(Error::input(&root, "no such folder; set `root` of Channels"));
-        }
+        let root = open_root(base, &self.root, "Channels", LAYOUT)?;
         let (path, table) = (root.join(&self.file), root.join(&self.positions));
         let positions = read_transmitters(&table)?;
         let array = read_complex(&path, SHAPE)?;
@@ -142,11 +141,15 @@ impl DataSource for Channels {
         let channels = Observed { antennas, frequencies_hz, gains };
         let name = folder_name(&root);
         let simulation = simulation(&root, &name).or_else(|| self.simulated.then(Simulation::default));
-        let title = format!("{name} ({}channels)", if simulation.is_some() { "" } else { "measured, " });
-        let points = self.points.as_ref().map_or(Ok(Vec::new()), |points| read_points(&base.join(points)))?;
+        let title = title(&name, simulation.as_ref(), "channels");
+        let points = points_of(base, self.points.as_deref())?;
         let data = Dataset::of_links(title, vec![receiver], points, &samples, channels.into())?;
         progress(data.len(), data.len());
         Ok(Dataset { simulation, official: rows, ..data })
+    }
+
+    fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
+        source_in(folder, &["channel.npy", "receiver.yml"], |root, points| Self { root, points, ..self.clone() })
     }
 
     fn check(&self) -> Result<(), String> {

@@ -12,14 +12,12 @@ pub(crate) mod yaml;
 
 pub use csi::Nerf2Csi;
 pub use rssi::Nerf2Rssi;
-pub(crate) use rssi::{check_root, folder_name};
 
 use crate::checks::shape_fault;
-use crate::points::read_points;
+use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
 use crate::text::{XyzColumns, lines, no_longer, read_text, split_commas};
 use pwrfgs_core::{
-    DataSource, Dataset, Elevation, Error, JsonSchema, Progress, Result, Sample, Simulation, Unmatched, files,
-    words::clean,
+    DataSource, Dataset, Elevation, Error, JsonSchema, Progress, Result, Sample, Unmatched, files, words::clean,
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -83,10 +81,7 @@ impl DataSource for Nerf2Spectrum {
     }
 
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
-        let root = base.join(&self.root);
-        if !root.is_dir() {
-            return Err(Error::input(&root, format!("no such folder; set `root` of Nerf2Spectrum ({LAYOUT})")));
-        }
+        let root = open_root(base, &self.root, "Nerf2Spectrum", LAYOUT)?;
         let gateway = gateway::read(&root.join("gateway_info.yml"), self.gateway.as_deref(), LAYOUT)?;
         let positions = read_transmitters(&root.join("tx_pos.csv"))?;
         let files = pictures::list(&root.join("spectrum"), LAYOUT)?;
@@ -106,7 +101,7 @@ impl DataSource for Nerf2Spectrum {
                 root.display()
             );
         }
-        let points = self.points.as_ref().map_or(Ok(Vec::new()), |points| read_points(&base.join(points)))?;
+        let points = points_of(base, self.points.as_deref())?;
         let paths: Vec<&Path> = ids.iter().map(|id| files[id].as_path()).collect();
         let spectra = pictures::load(&paths, progress)?;
         let stated = self.elevation.or(gateway.elevation);
@@ -114,18 +109,19 @@ impl DataSource for Nerf2Spectrum {
         check_shape(paths[0], elevation, stated.is_some(), (spectra.width(), spectra.height()))?;
         let unmatched = Unmatched { positions: positions.len() - ids.len(), pictures: files.len() - ids.len() };
         let samples: Vec<Sample> = ids.iter().map(|&id| Sample::new(id, positions[id as usize - 1])).collect();
-        let folder = || root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
-        let name = clean(&gateway.name.clone().unwrap_or_else(folder));
+        let name = gateway.name.as_deref().map_or_else(|| folder_name(&root), clean);
         let simulation = simulation(&root, &name);
-        let title = format!("{name} ({}NeRF2 layout)", if simulation.is_some() { "" } else { "measured, " });
+        let title = title(&name, simulation.as_ref(), "NeRF2 layout");
         let data = Dataset::of_links(title, vec![gateway.receiver()], points, &samples, spectra.into())?;
         Ok(Dataset { elevation, official, simulation, unmatched, ..data })
     }
 
+    fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
+        source_in(folder, &["spectrum", "gateway_info.yml"], |root, points| Self { root, points, ..self.clone() })
+    }
+
     fn check(&self) -> Result<(), String> {
-        if self.root.as_os_str().is_empty() {
-            return Err("`root` is empty; name the folder of the data set, or `.` for this one".into());
-        }
+        check_root(&self.root)?;
         self.elevation.and_then(Elevation::fault).map_or(Ok(()), Err)
     }
 }
@@ -135,22 +131,6 @@ pub(crate) fn check_shape(path: &Path, elevation: Elevation, stated: bool, size:
     let say =
         "`elevation: (-90, 90)` of the data source for a full sphere, or `elevation: [-90, 90]` in gateway_info.yml";
     shape_fault(elevation, stated, size, say).map_or(Ok(()), |what| Err(Error::input(path, what)))
-}
-
-/// `manifest.json`, as `pwrfgs simulate` writes it.
-#[derive(Deserialize)]
-struct Manifest {
-    simulated: bool,
-    scene: Option<String>,
-}
-
-/// What the data set says of itself: in a manifest, or in its name where there is none.
-pub(crate) fn simulation(root: &Path, name: &str) -> Option<Simulation> {
-    let manifest =
-        files::read_string(root.join("manifest.json")).ok().and_then(|text| serde_json::from_str(&text).ok());
-    let by_name = || Manifest { simulated: name.to_lowercase().contains("simulated"), scene: None };
-    let Manifest { simulated, scene } = manifest.unwrap_or_else(by_name);
-    simulated.then_some(Simulation { scene })
 }
 
 /// `tx_pos.csv`: transmitter positions `[rows,3]`, metres.

@@ -4,6 +4,7 @@
 mod tests;
 
 use crate::checks::{NOT_RECEIVED, check};
+use crate::folder::POINTS;
 use crate::layout::{gateway_positions_yaml, gateway_yaml, receiver_yaml};
 use crate::nerf2::yaml;
 use crate::npy::{MAX_BYTES, npy_header, npy_header_as};
@@ -15,9 +16,6 @@ use std::fmt::Write as _;
 use std::fs;
 use std::io::{BufWriter, Write as _};
 use std::path::{Path, PathBuf};
-
-/// A point cloud, where there is one.
-const POINTS: &str = "points.csv";
 
 /// Writes the new folder `out`, whole or not at all, and gives what reads it: spectra as [`Arrays`], powers as
 /// [`Nerf2Rssi`], channels as [`Channels`]. Transmitters are numbered anew, in their order.
@@ -190,26 +188,4 @@ impl Folder<'_> {
         }
         Ok(())
     }
-}
-
-/// The plugin that reads a folder, by the files in it, and its settings besides `root`; nothing where it holds no data.
-pub fn source_in(folder: &Path) -> Option<(&'static str, &'static str, Box<dyn DataSource>)> {
-    let holds = |names: [&str; 2]| names.iter().any(|name| folder.join(name).exists());
-    let root = || folder.to_owned();
-    let points = || [POINTS, "points.ply"].map(|name| folder.join(name)).into_iter().find(|path| path.exists());
-    Some(if holds(["gateway_rssi.csv", "gateway_position.yml"]) {
-        ("Nerf2Rssi", "", Box::new(Nerf2Rssi { root: root(), points: points() }))
-    } else if holds(["csidata.npy", "base-station.yml"]) {
-        let csi = crate::Nerf2Csi { root: root(), together: true, ..crate::Nerf2Csi::default() };
-        ("Nerf2Csi", ", together: true", Box::new(csi))
-    } else if holds(["channel.npy", "receiver.yml"]) {
-        ("Channels", "", Box::new(Channels { root: root(), points: points(), ..Channels::default() }))
-    } else if holds(["spectra.npy"; 2]) {
-        ("Arrays", "", Box::new(Arrays { root: root(), points: points(), ..Arrays::default() }))
-    } else if holds(["spectrum", "gateway_info.yml"]) {
-        let spectra = crate::Nerf2Spectrum { root: root(), points: points(), ..crate::Nerf2Spectrum::default() };
-        ("Nerf2Spectrum", "", Box::new(spectra))
-    } else {
-        return None;
-    })
 }

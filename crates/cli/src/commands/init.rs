@@ -12,8 +12,8 @@ use pwrfgs::experiment::text::wrapped;
 use pwrfgs::prelude::Pipeline;
 use pwrfgs_core::docs::Docs;
 use pwrfgs_core::files::{check_place, write_new};
-use pwrfgs_core::plugin::to_ron;
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::plugin::{to_ron, try_to_ron};
+use pwrfgs_core::{Error, Result, recognise};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use survey::Survey;
@@ -111,10 +111,11 @@ fn pipeline(survey: &Survey, folder: &Path, out: &Path) -> Result<Pipeline> {
         let text = path.to_str().map(|text| format!("{text:?}"));
         text.ok_or_else(|| Error::input(path, "not UTF-8; rename the folder"))
     };
-    let (source, settings) = survey.source;
+    path(&root)?;
+    let source = recognise(&root).unwrap_or_else(|| survey.source.clone());
     let mut set = vec![
         format!("name={}", name_of(folder)),
-        format!("data={source}(root: {}{settings})", path(&root)?),
+        format!("data={}", try_to_ron(&source).map_err(Error::Config)?),
         format!("split={}", survey.split),
     ];
     let example = example().map_err(Error::Config)?;

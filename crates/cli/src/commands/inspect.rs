@@ -6,12 +6,11 @@ use crate::args::Verbosity;
 use crate::output;
 use crate::progress::Progress;
 use clap::Args;
-use pwrfgs::data::source_in;
 use pwrfgs::experiment::inspect as summary;
 use pwrfgs::experiment::{Observer as _, data_warnings, read_pipeline, staged};
 use pwrfgs::prelude::Pipeline;
-use pwrfgs_core::plugin::{Plugin, try_to_ron};
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::plugin::try_to_ron;
+use pwrfgs_core::{Error, Result, recognise};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -48,7 +47,7 @@ pub(crate) fn inspect(arguments: &Inspect, verbosity: Verbosity) -> Result<ExitC
 
 /// The pipeline that `path` names, or one of all defaults for the data in that folder.
 fn pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
-    let Some((_, _, source)) = source_in(path) else {
+    let Some(source) = recognise(path) else {
         let pipeline = named(path).map_err(|_neither| {
             let what = "holds neither data (spectra, received powers or channels) nor a run; give a folder of data";
             Error::input(path, format!("{what}, a pipeline file, or the folder of a run"))
@@ -56,7 +55,7 @@ fn pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
         return read_pipeline(&pipeline?.0, set);
     };
     // Fields that are left out then get the defaults for this kind of data.
-    let data = try_to_ron(&Plugin::from(source)).map_err(|why| Error::input(path, why))?;
+    let data = try_to_ron(&source).map_err(|why| Error::input(path, why))?;
     let text = format!("Pipeline(name: {:?}, data: {data}, initializer: Random())", name_of(path));
     let mut pipeline = Pipeline::parse(&text, path)?;
     pipeline.set_all(set)?;

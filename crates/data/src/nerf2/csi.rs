@@ -3,9 +3,9 @@
 #[cfg(test)]
 mod tests;
 
-use super::rssi::{check_root, folder_name};
-use super::{index, places, read_transmitters, simulation};
+use super::{index, places, read_transmitters};
 use crate::channels::{check_frequencies, subcarriers};
+use crate::folder::{check_root, folder_name, open_root, simulation, source_in, title};
 use crate::npy::{Complex, read_complex};
 use pwrfgs_core::{
     Channels, DataSource, Dataset, Error, Features, JsonSchema, Pose, Progress, Real, Receiver, Result, Sample,
@@ -72,10 +72,7 @@ impl DataSource for Nerf2Csi {
     }
 
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
-        let root = base.join(&self.root);
-        if !root.is_dir() {
-            return Err(Error::input(&root, format!("no such folder; set `root` of Nerf2Csi ({LAYOUT})")));
-        }
+        let root = open_root(base, &self.root, "Nerf2Csi", LAYOUT)?;
         let antennas = places::antennas(&root.join("base-station.yml"), LAYOUT)?;
         let path = root.join("csidata.npy");
         let mut all = read_all(&path, antennas.len())?;
@@ -94,12 +91,16 @@ impl DataSource for Nerf2Csi {
         let channels = Channels { antennas: of_each, frequencies_hz, gains };
         let name = folder_name(&root);
         let simulation = simulation(&root, &name);
-        let title = format!("{name} ({}NeRF2 layout)", if simulation.is_some() { "" } else { "measured, " });
+        let title = title(&name, simulation.as_ref(), "NeRF2 layout");
         let data = Dataset::of_links(title, receivers, vec![], &samples, channels.into())?;
         let official = rows.map(|(train, test)| (data.links_of(&train), data.links_of(&test)));
         progress(data.len(), data.len());
         let features = Some(Features { width, values: features });
         Ok(Dataset { official, simulation, features, placed: positions.is_some(), ..data })
+    }
+
+    fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
+        source_in(folder, &["csidata.npy", "base-station.yml"], |root, _| Self { root, together: true, ..self.clone() })
     }
 
     fn check(&self) -> Result<(), String> {

@@ -4,10 +4,9 @@ mod table;
 #[cfg(test)]
 mod tests;
 
-use super::{index, places, read_transmitters, simulation};
-use crate::points::read_points;
-use pwrfgs_core::words::clean;
-use pwrfgs_core::{DataSource, Dataset, Error, JsonSchema, Progress, Real, Receiver, Result, Sample};
+use super::{index, places, read_transmitters};
+use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
+use pwrfgs_core::{DataSource, Dataset, JsonSchema, Progress, Real, Receiver, Result, Sample};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -63,16 +62,13 @@ impl DataSource for Nerf2Rssi {
     }
 
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
-        let root = base.join(&self.root);
-        if !root.is_dir() {
-            return Err(Error::input(&root, format!("no such folder; set `root` of Nerf2Rssi ({LAYOUT})")));
-        }
+        let root = open_root(base, &self.root, "Nerf2Rssi", LAYOUT)?;
         let gateways = places::gateways(&root.join("gateway_position.yml"), LAYOUT)?;
         let positions = read_transmitters(&root.join("tx_pos.csv"))?;
         let names: Vec<String> = gateways.iter().map(|(name, _)| name.clone()).collect();
         let heard = table::read(&root.join("gateway_rssi.csv"), &names, positions.len(), LAYOUT)?;
         let rows = index::read(&root, &|word| index::row(word, "tx_pos.csv", positions.len()))?;
-        let points = self.points.as_ref().map_or(Ok(Vec::new()), |points| read_points(&base.join(points)))?;
+        let points = points_of(base, self.points.as_deref())?;
         let samples: Vec<Sample> = heard
             .iter()
             .map(|link| Sample { id: link.row as u32, tx: positions[link.row], receiver: link.gateway })
@@ -81,27 +77,18 @@ impl DataSource for Nerf2Rssi {
         let receivers = gateways.into_iter().map(|(name, pose)| Receiver::new(name, pose)).collect();
         let name = folder_name(&root);
         let simulation = simulation(&root, &name);
-        let title = format!("{name} ({}NeRF2 layout)", if simulation.is_some() { "" } else { "measured, " });
+        let title = title(&name, simulation.as_ref(), "NeRF2 layout");
         let data = Dataset::of_links(title, receivers, points, &samples, powers.into())?;
         let official = rows.map(|(train, test)| (data.links_of(&train), data.links_of(&test)));
         progress(data.len(), data.len());
         Ok(Dataset { official, simulation, ..data })
     }
 
+    fn recognise(&self, folder: &Path) -> Option<Box<dyn DataSource>> {
+        source_in(folder, &["gateway_rssi.csv", "gateway_position.yml"], |root, points| Self { root, points })
+    }
+
     fn check(&self) -> Result<(), String> {
         check_root(&self.root)
     }
-}
-
-/// What a folder is called.
-pub(crate) fn folder_name(root: &Path) -> String {
-    clean(&root.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy()))
-}
-
-/// Refuses an empty path.
-pub(crate) fn check_root(root: &Path) -> Result<(), String> {
-    if root.as_os_str().is_empty() {
-        return Err("`root` is empty; name the folder of the data set, or `.` for this one".into());
-    }
-    Ok(())
 }

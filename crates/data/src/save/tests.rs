@@ -1,7 +1,6 @@
 //! What passes the checks is saved and read back as it was, and what does not is refused before anything is written.
 
 use super::*;
-use crate::source_in;
 use proptest::prelude::*;
 use pwrfgs_core::{Channels as Gains, Pose, Receiver, Sample, Simulation};
 
@@ -10,7 +9,7 @@ fn again(data: &Dataset) -> Dataset {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("saved");
     let source = save(data, &out).unwrap();
-    let (_, _, found) = source_in(&out).unwrap();
+    let found = pwrfgs_core::recognise(&out).unwrap();
     let alike = format!("{:?}", found.load(Path::new(""), &|_, _| {}).unwrap());
     assert_eq!(alike, format!("{:?}", source.load(Path::new(""), &|_, _| {}).unwrap()), "found as written");
     assert!(save(data, &out).is_err(), "what lies there stays");

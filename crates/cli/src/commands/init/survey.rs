@@ -1,9 +1,10 @@
 //! What lies in a folder of data, and which split suits it.
 
-use pwrfgs::data::{Nerf2Spectrum, read_points, source_in};
+use pwrfgs::data::{Nerf2Spectrum, read_points};
 use pwrfgs::experiment::inspect::test_distance;
 use pwrfgs::experiment::{Observer, data_warnings, observed, staged};
-use pwrfgs_core::{DataSource, Dataset, Partition, Plugin, Result, Split, Task, rng};
+use pwrfgs_core::plugin::name_of as plugin_name;
+use pwrfgs_core::{DataSource, Dataset, Partition, Plugin, Result, Split, Task, recognise, rng};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -19,8 +20,8 @@ pub(super) struct Survey {
     title: String,
     /// What was observed.
     pub(super) task: Task,
-    /// The plugin that reads the folder, and its settings besides `root`.
-    pub(super) source: (&'static str, &'static str),
+    /// The plugin that reads the folder.
+    pub(super) source: Plugin<dyn DataSource>,
     /// Numbers that describe a transmitter in place of its position.
     pub(super) features: Option<usize>,
     /// Size of the box of positions, metres.
@@ -50,16 +51,16 @@ impl Survey {
     /// Loads the data in `folder`.
     pub(super) fn of(folder: &Path, observer: &mut dyn Observer) -> Result<Self> {
         // What holds nothing known is told by the reader of spectra, which says what it expects.
-        let spectra = || -> (_, _, Box<dyn DataSource>) {
-            ("Nerf2Spectrum", "", Box::new(Nerf2Spectrum { root: folder.to_owned(), ..Nerf2Spectrum::default() }))
+        let spectra = || -> Box<dyn DataSource> {
+            Box::new(Nerf2Spectrum { root: folder.to_owned(), ..Nerf2Spectrum::default() })
         };
-        let (source, settings, reader) = source_in(folder).unwrap_or_else(spectra);
-        let data = staged(observer, "observations", |progress| reader.load(Path::new(""), progress))?;
+        let source = recognise(folder).unwrap_or_else(|| spectra().into());
+        let data = staged(observer, "observations", |progress| source.load(Path::new(""), progress))?;
         let (split, partition) = suggested(&data)?;
         data_warnings(&data, Some(&partition)).iter().for_each(|warning| observer.on_warning(warning));
         Ok(Self {
             task: data.task(),
-            source: (source, settings),
+            source,
             features: data.features.as_ref().map(|features| features.width),
             extent: extent(&data),
             observations: observed(&data),
@@ -95,7 +96,7 @@ impl Survey {
                  training one by chance; with it {near}."
             ),
         });
-        if self.source.0 == "Nerf2Csi" {
+        if plugin_name(&self.source) == "Nerf2Csi" {
             notes.push(
                 "The files do not say the frequencies: correct `carrier_hz` and `spacing_hz` of the data.".into(),
             );
