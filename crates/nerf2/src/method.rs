@@ -62,10 +62,6 @@ pub struct Nerf2 {
     pub azimuths: usize,
     /// Number of elevations of the rays above the horizon, up to the zenith, for powers and channels.
     pub elevations: usize,
-    /// Whether powers see the lowest ring alone, as the released renderer does by a slip in its number of chunks; for the
-    /// comparison with it in `oracle.rs`.
-    #[serde(skip)]
-    pub(crate) first_ring: bool,
     /// Frequency whose phase turns along a ray of powers and channels, Hz; the distance counts in the network's unit, as
     /// released.
     pub carrier_hz: f64,
@@ -86,7 +82,6 @@ impl Default for Nerf2 {
             unit_m: 1.0,
             azimuths: 36,
             elevations: 9,
-            first_ring: false,
             carrier_hz: 2.4e9,
             features: 0,
             cache_mb: 2_500,
@@ -120,15 +115,14 @@ type Ready = Vec<Vec<Still>>;
 
 impl Nerf2 {
     /// Directions of powers and channels, ring by ring from the horizon up.
-    pub(crate) fn sky(&self, task: Task) -> Vec<[Real; 3]> {
-        let rings = if self.first_ring && task.is_scalar { 1 } else { self.elevations };
+    pub(crate) fn sky(&self) -> Vec<[Real; 3]> {
         let direction = |i: usize| {
             let (ring, column) = ((i / self.azimuths + 1) as Real, (i % self.azimuths) as Real);
             let el = consts::PI / 2.0 * ring / self.elevations as Real;
             let az = 2.0 * consts::PI * column / self.azimuths as Real;
             [el.cos() * az.cos(), el.cos() * az.sin(), el.sin()]
         };
-        (0..rings * self.azimuths).map(direction).collect()
+        (0..self.elevations * self.azimuths).map(direction).collect()
     }
 
     fn law(&self, task: Task) -> Law {
@@ -267,7 +261,7 @@ impl Method for Nerf2 {
         let (rays, passes) = match (frame.task.has_pixels, pixels) {
             (true, 1) => (links, 1),
             (true, pixels) => (pixels, links),
-            _ => (self.sky(frame.task).len() * frame.receivers.len(), links.div_ceil(frame.receivers.len().max(1))),
+            _ => (self.sky().len() * frame.receivers.len(), links.div_ceil(frame.receivers.len().max(1))),
         };
         Cost {
             pixels,
@@ -356,7 +350,7 @@ impl Method for Nerf2 {
 
     fn prepare(&self, frame: &Frame, p: &Parameters<'_>) -> Cache {
         let network = laid_out(p.weights, |plan| self.network(frame, plan));
-        let rays = if frame.task.has_pixels { frame.numbers() } else { self.sky(frame.task).len() };
+        let rays = if frame.task.has_pixels { frame.numbers() } else { self.sky().len() };
         let of_sample = network.width() + network.outputs;
         let bytes = frame.receivers.len() * rays * self.samples * of_sample * size_of::<Real>();
         if bytes > self.cache_mb << 20 {

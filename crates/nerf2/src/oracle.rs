@@ -7,7 +7,7 @@ use crate::path::Law;
 use crate::rays::Rays;
 use crate::walk::{Sums, Walk};
 use pwrfgs_core::testing::shared;
-use pwrfgs_core::{Conditions, Real, SPEED_OF_LIGHT, Task};
+use pwrfgs_core::{Conditions, Real, SPEED_OF_LIGHT};
 use pwrfgs_layers::plan::planned;
 use std::fs::File;
 use std::io::BufReader;
@@ -58,7 +58,7 @@ fn reproduce(mode: &str, bands: usize, law: Law) {
     let features = if mode == "csi" { tx.len() / links } else { 0 };
     let samples = if mode == "spectrum" { 64 } else { 32 };
     let far_m = if mode == "rssi" { 1.0 } else { 5.0 };
-    let method = Nerf2 { width: 32, samples, far_m, features, first_ring: mode == "rssi", ..Nerf2::default() };
+    let method = Nerf2 { width: 32, samples, far_m, features, ..Nerf2::default() };
     let (network, plan) = planned(|plan| Network::new(&method, bands, plan));
     let names: Vec<String> = plan.layout().weights.into_iter().map(|spec| spec.name).collect();
     let weights = oracle.weights("w", &names);
@@ -68,15 +68,15 @@ fn reproduce(mode: &str, bands: usize, law: Law) {
         .map(|link| {
             let all: Vec<[Real; 3]> = directions.as_chunks().0.to_vec();
             let of_link = all.len() / links;
-            // The released renderer draws the first ring of powers alone.
-            let used = if mode == "rssi" { method.sky(Task::Power).len() } else { of_link };
+            // The released renderer draws the first ring of powers alone, by a slip in its number of chunks.
+            let used = if mode == "rssi" { method.azimuths } else { of_link };
             let rays = Rays {
                 origin: origins[3 * link..3 * link + 3].try_into().unwrap(),
                 directions: all[link * of_link..][..used].to_vec(),
                 samples: (0..samples).map(|i| far_m * i as Real / (samples - 1) as Real).collect(),
             };
             if mode != "spectrum" {
-                let sky = method.sky(if mode == "rssi" { Task::Power } else { Task::Channel });
+                let sky = method.sky();
                 let off =
                     rays.directions.iter().zip(&sky).map(|(a, b)| (0..3).map(|k| (a[k] - b[k]).abs()).sum::<Real>());
                 assert!(off.fold(0.0, Real::max) < 1e-6, "the sky is the released one");

@@ -1,7 +1,7 @@
 //! `Rays`: from where, in which directions, and where along them samples lie.
 
 use crate::method::Nerf2;
-use pwrfgs_core::{Frame, Pixels, Pose, Real};
+use pwrfgs_core::{Frame, Pixels, Real};
 
 /// Rays from one place, with the same samples on each.
 #[derive(Clone, Debug)]
@@ -30,12 +30,8 @@ impl Rays {
                 Pixels::Same(places) | Pixels::Own(places) => places.iter().map(|&p| at(p)).collect(),
             }
         } else {
-            method.sky(frame.task).into_iter().map(turned).collect()
+            method.sky().into_iter().map(turned).collect()
         };
-        Self::new(method, pose, directions)
-    }
-
-    fn new(method: &Nerf2, pose: &Pose, directions: Vec<[Real; 3]>) -> Self {
         let origin = pose.position.map(|x| x as Real / method.unit_m);
         let (far, last) = (method.far_m / method.unit_m, (method.samples - 1) as Real);
         Self { origin, directions, samples: (0..method.samples).map(|i| far * i as Real / last).collect() }
