@@ -34,12 +34,12 @@ pub enum Readout {
 }
 
 /// A power needs no finer sky.
-fn sky_deg() -> u32 {
+const fn sky_deg() -> u32 {
     10
 }
 
 /// A standard deviation of half a pixel of 10 degrees: a narrower Gaussian would fall between pixels.
-fn filter_deg2() -> Real {
+const fn filter_deg2() -> Real {
     30.0
 }
 
@@ -48,7 +48,7 @@ const NO_CONTRAST: Real = 1e-6;
 
 impl Readout {
     /// The readout of a received power by default.
-    pub const RECEIVED: Self = Self::Received { sky_deg: 10, filter_deg2: 30.0 };
+    pub const RECEIVED: Self = Self::Received { sky_deg: sky_deg(), filter_deg2: filter_deg2() };
 
     /// What it gives.
     pub fn task(self) -> Task {

@@ -34,10 +34,10 @@ impl DerefMut for Stages {
 
 /// The most pixels of a picture: a file may promise more than memory holds.
 const MAX_PIXELS: usize = 1 << 24;
-/// The most receivers, and antennas of one.
-/// What the names of weights begin with that belong to receivers: they come last, and decay does not touch them.
-pub(crate) const RECEIVERS: &str = "receiver.";
+/// The most receivers of a frame.
 const MAX_RECEIVERS: usize = 1 << 16;
+/// What the names of weights begin with that belong to receivers: they come last, and decay does not touch them.
+const RECEIVERS: &str = "receiver.";
 
 impl Stages {
     /// Gaussians drawn as splats.
