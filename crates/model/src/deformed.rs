@@ -1,9 +1,10 @@
 //! What methods share whose Gaussians pass a [`Deformation`] and an [`Activation`].
 
+use crate::prepared::asked;
 use crate::{Activation, ActivationVjp};
 use pwrfgs_core::{
-    Conditions, Dataset, Deformation, DeformationInputs, Deltas, Frame, GaussianCloud, Link, MethodVjp, Parameters,
-    Primitives, Real,
+    Activated, Asked, Conditions, Dataset, Deformation, DeformationInputs, Deltas, Frame, GaussianCloud, Method,
+    MethodVjp, Parameters, Pixels, Real,
 };
 
 /// The name of what is learned of every receiver's gain.
@@ -35,35 +36,39 @@ pub(crate) fn vjp(
     sums.presence.iter_mut().zip(&own.presence).for_each(|(sum, d)| *sum += d);
 }
 
-/// Gaussians in space and their signals `[N, channels]`, for a transmitter at `tx` or without any; `p.weights` begin with
-/// those of the network.
+/// The Gaussians as they are drawn for a transmitter at `tx` or without any; `p.weights` begin with those of the network.
+/// `strengths` makes grey values `[N]` of signals `[N, channels]`.
 pub(crate) fn gaussians(
     deformation: &dyn Deformation,
     activation: Activation,
     frame: &Frame,
     p: &Parameters<'_>,
     tx: Option<[Real; 3]>,
-) -> (Primitives, Vec<Real>) {
+    strengths: impl Fn(&[Real]) -> Vec<Real>,
+) -> Activated {
     let network = &p.weights[..deformation.layout().numbers()];
     let deform = |tx: [Real; 3]| {
         deformation.forward(&DeformationInputs::new(network, &p.cloud.means, &[tx], &frame.pose()), &None)
     };
     let deltas = tx.map_or_else(Deltas::default, deform);
-    (activation.geometry(p.cloud, &deltas, 0, None), activation.signals(p.cloud, &deltas, 0..1))
+    let signals = activation.signals(p.cloud, &deltas, 0..1);
+    let is_known = tx.is_some() || !activation.replaces_signals;
+    let strengths = is_known.then(|| strengths(&signals));
+    Activated { primitives: activation.geometry(p.cloud, &deltas, 0, None), signals, strengths }
 }
 
-/// What describes the transmitters of the links `part`, one after the other, and the links.
-pub(crate) fn asked_of(frame: &Frame, data: &Dataset, part: &[usize]) -> (Vec<Real>, Vec<Link>) {
-    let (mut conditions, mut links) = (Vec::new(), Vec::with_capacity(part.len()));
-    for (transmitter, &i) in part.iter().enumerate() {
-        let query = data.query(i);
-        match query.features {
-            [] => conditions.extend(frame.origin.local(query.tx)),
-            own => conditions.extend_from_slice(own),
-        }
-        links.push(Link { transmitter, receiver: query.receiver });
-    }
-    (conditions, links)
+/// What `method` predicts of the links `part` before the first step, `[part, numbers]`.
+pub(crate) fn untrained(
+    method: &dyn Method,
+    frame: &Frame,
+    data: &Dataset,
+    part: &[usize],
+    (cloud, weights): (&GaussianCloud, &[Real]),
+) -> Vec<Real> {
+    let inputs = method.traits().inputs;
+    let (conditions, links) = asked(frame, inputs, part.iter().map(|&i| data.query(i)));
+    let asked = Asked { conditions: Conditions::new(inputs, &conditions), links: &links, pixels: Pixels::All };
+    method.forward(frame, &Parameters { cloud, gate: None, presence: None, weights }, &asked).numbers
 }
 
 /// Sets what the network can be told of the features of the training part.

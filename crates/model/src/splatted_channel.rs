@@ -14,9 +14,9 @@ use crate::groups::Group;
 use crate::readout::magnitudes;
 use crate::{Activation, ActivationVjp, Calibration};
 use pwrfgs_core::{
-    Activated, Appearance, Asked, Cache, Conditions, Cost, Dataset, Deformation, DeformationInputs, Deltas, Frame,
-    GaussianCloud, JsonSchema, Layout, Method, MethodTraits, MethodVjp, Observed, Parameters, Pixels, Plugin, Real,
-    StageTimes, Task, WeightSpec, cached, consts, evenly,
+    Activated, Appearance, Asked, Cache, Cost, Dataset, Deformation, DeformationInputs, Deltas, Frame, GaussianCloud,
+    JsonSchema, Layout, Method, MethodTraits, MethodVjp, Observed, Parameters, Plugin, Real, StageTimes, Task,
+    WeightSpec, cached, consts, evenly,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -81,18 +81,25 @@ impl SplattedChannel {
         Activation { calibration: Calibration::Physical, replaces_signals, channels: 2 }
     }
 
-    fn signals(&self, p: &Parameters<'_>, deltas: &Deltas, group: &Group) -> Vec<Real> {
+    /// Channels `[links, numbers]` of a group whose receiver has this level, and signals `[N, links, 2]`.
+    fn sum(
+        &self,
+        p: &Parameters<'_>,
+        deltas: &Deltas,
+        group: &Group,
+        (waves, level): (&Waves, Real),
+    ) -> (Vec<Real>, Vec<Real>) {
         let (terms, batch) = group.terms(deltas, p.cloud.len());
-        self.activation().signals(p.cloud, &terms, batch)
+        let signals = self.activation().signals(p.cloud, &terms, batch);
+        let mut numbers = waves.sum(&signals, group.links.len());
+        numbers.iter_mut().for_each(|v| *v *= level);
+        (numbers, signals)
     }
 
     /// Begins with channels as strong as the measured ones, whatever unit these have.
     fn start_level(&self, frame: &Frame, data: &Dataset, train: &[usize], cloud: &GaussianCloud, weights: &mut [Real]) {
         let part = evenly(train, LEVEL_LINKS);
-        let (conditions, links) = deformed::asked_of(frame, data, &part);
-        let conditions = Conditions::new(self.deformation.traits().inputs, &conditions);
-        let asked = Asked { conditions, links: &links, pixels: Pixels::All };
-        let numbers = self.forward(frame, &Parameters { cloud, gate: None, presence: None, weights }, &asked).numbers;
+        let numbers = deformed::untrained(self, frame, data, &part, (cloud, weights));
         let energy = |values: &[Real]| values.iter().map(|v| (*v as f64).powi(2)).sum::<f64>();
         let measured: f64 = part.iter().map(|&i| energy(&data.image(i).pixels)).sum();
         let ratio = measured / energy(&numbers);
@@ -116,6 +123,7 @@ fn offsets_mut<'a>(frame: &Frame, weights: &'a mut [Real]) -> &'a mut [Real] {
 impl Method for SplattedChannel {
     fn traits(&self) -> MethodTraits {
         let (task, inputs) = (Some(Task::Channel), self.deformation.traits().inputs);
+        // Pages call `Points` virtual transmitters; these are Gaussians, with the scales and rotations of their start.
         MethodTraits { task, inputs, appearance: Appearance::Ellipsoids, ..MethodTraits::default() }
     }
 
@@ -150,10 +158,7 @@ impl Method for SplattedChannel {
         let mut received = Vec::new();
         for group in Group::all(asked.links, frame.receivers.len(), true) {
             let waves = Waves::new(frame, &frame.receivers[group.receiver], p.cloud, p.gate);
-            let signals = self.signals(p, &deltas, &group);
-            let mut own = waves.sum(&signals, group.links.len());
-            let level = level(offsets, group.receiver);
-            own.iter_mut().for_each(|v| *v *= level);
+            let (own, signals) = self.sum(p, &deltas, &group, (&waves, level(offsets, group.receiver)));
             group.scatter(&own, frame.numbers(), &mut numbers);
             received.push((group, waves, signals));
         }
@@ -218,10 +223,7 @@ impl Method for SplattedChannel {
         let network = start.elapsed().as_secs_f64();
         let mut numbers = vec![0.0; asked.links.len() * frame.numbers()];
         for group in Group::all(asked.links, frame.receivers.len(), true) {
-            let signals = self.signals(p, &deltas, &group);
-            let level = level(offsets, group.receiver);
-            let mut own = waves[group.receiver].sum(&signals, group.links.len());
-            own.iter_mut().for_each(|v| *v *= level);
+            let (own, _) = self.sum(p, &deltas, &group, (&waves[group.receiver], level(offsets, group.receiver)));
             group.scatter(&own, frame.numbers(), &mut numbers);
         }
         let blending = start.elapsed().as_secs_f64() - network;
@@ -237,9 +239,6 @@ impl Method for SplattedChannel {
     }
 
     fn gaussians(&self, frame: &Frame, p: &Parameters<'_>, tx: Option<[Real; 3]>) -> Option<Activated> {
-        let (primitives, signals) = deformed::gaussians(&*self.deformation, self.activation(), frame, p, tx);
-        let known = tx.is_some() || !self.deformation.traits().replaces_signals;
-        let strengths = known.then(|| magnitudes(&signals));
-        Some(Activated { primitives, signals, strengths })
+        Some(deformed::gaussians(&*self.deformation, self.activation(), frame, p, tx, magnitudes))
     }
 }

@@ -273,13 +273,13 @@ impl Method for Splatting {
     }
 
     fn gaussians(&self, frame: &Frame, p: &Parameters<'_>, tx: Option<[Real; 3]>) -> Option<Activated> {
-        let (primitives, signals) = deformed::gaussians(&*self.deformation, self.activation(), frame, p, tx);
-        let known = tx.is_some() || !self.deformation.traits().replaces_signals;
         let (n, channels) = (p.cloud.len(), self.readout.channels());
-        let planar = || (0..channels).flat_map(|c| signals.iter().skip(c).step_by(channels).copied()).collect();
-        let strengths = |planar: Vec<Real>| if n == 0 { planar } else { self.readout.forward(&planar, n) };
-        let strengths = known.then(|| strengths(planar()));
-        Some(Activated { primitives, signals, strengths })
+        let strengths = |signals: &[Real]| {
+            let planar: Vec<Real> =
+                (0..channels).flat_map(|c| signals.iter().skip(c).step_by(channels).copied()).collect();
+            if n == 0 { planar } else { self.readout.forward(&planar, n) }
+        };
+        Some(deformed::gaussians(&*self.deformation, self.activation(), frame, p, tx, strengths))
     }
 }
 

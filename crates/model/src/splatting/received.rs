@@ -6,11 +6,8 @@
 //! differs from that. d is the distance in metres, at least half a metre; without positions the law is β alone.
 
 use super::Splatting;
-use crate::deformed::asked_of;
-use pwrfgs_core::{
-    Asked, Conditions, Dataset, Frame, GaussianCloud, ImagePlane, Link, Method, Parameters, Pixels, Real, consts,
-    evenly,
-};
+use crate::deformed::untrained;
+use pwrfgs_core::{Dataset, Frame, GaussianCloud, ImagePlane, Real, Vec3, consts, evenly};
 
 /// What is left of a sky without any signal: -120 dB.
 const FLOOR: Real = 1e-12;
@@ -106,39 +103,35 @@ impl Splatting {
         let Some(powers) = data.observations.powers() else { return };
         let Some(last) = weights.len().checked_sub(2 * frame.receivers.len()) else { return };
         let part = evenly(train, FITTED);
-        let (conditions, links) = asked_of(frame, data, &part);
-        let inputs = self.deformation.traits().inputs;
-        let conditions = Conditions::new(inputs, &conditions);
-        let parameters = Parameters { cloud, gate: None, presence: None, weights };
-        let sky = self.forward(frame, &parameters, &Asked { conditions, links: &links, pixels: Pixels::All }).numbers;
+        let sky = untrained(self, frame, data, &part, (cloud, weights));
         let receivers = &frame.receivers;
-        let txs = if inputs == 3 { conditions.positions() } else { &[] };
-        // Without positions the law is the offset alone.
-        let log = |k: usize| {
-            let Some(tx) = txs.get(k) else { return 0.0 };
-            let way = receivers[links[k].receiver].pose.origin() - pwrfgs_core::Vec3::from_array(*tx);
-            f64::from(way.length().max(NEAREST_M) as f32).log10()
+        let row = |(&i, sky): (&usize, Real)| {
+            let query = data.query(i);
+            let way = receivers[query.receiver].pose.origin() - Vec3::from_array(frame.origin.local(query.tx));
+            let distance = f64::from(way.length().max(NEAREST_M) as f32).log10();
+            // Without positions the law is the offset alone.
+            let x = if query.features.is_empty() { distance } else { 0.0 };
+            (query.receiver, [x, f64::from((powers[i] - sky) as f32) / 10.0])
         };
-        let rows: Vec<[f64; 2]> =
-            (0..part.len()).map(|k| [log(k), f64::from((powers[part[k]] - sky[k]) as f32) / 10.0]).collect();
-        let (offsets, exponent) = fit(&rows, &links, receivers.len());
+        let rows: Vec<(usize, [f64; 2])> = part.iter().zip(sky).map(row).collect();
+        let (offsets, exponent) = fit(&rows, receivers.len());
         weights[last..last + receivers.len()].iter_mut().zip(offsets).for_each(|(w, offset)| *w += offset as Real);
         weights[last + receivers.len()..].iter_mut().for_each(|w| *w = exponent as Real);
     }
 }
 
-/// Least squares of y = offset(receiver) − n x over `rows` [x, y]: the slope of what is left when each receiver's means are
-/// taken away.
-fn fit(rows: &[[f64; 2]], links: &[Link], receivers: usize) -> (Vec<f64>, f64) {
+/// Least squares of y = offset(receiver) − n x over `rows` (receiver, [x, y]): the slope of what is left when each
+/// receiver's means are taken away.
+fn fit(rows: &[(usize, [f64; 2])], receivers: usize) -> (Vec<f64>, f64) {
     let mut sums = vec![[0.0; 3]; receivers];
-    for ([x, y], link) in rows.iter().zip(links) {
-        let [n, sx, sy] = &mut sums[link.receiver];
+    for (receiver, [x, y]) in rows {
+        let [n, sx, sy] = &mut sums[*receiver];
         (*n, *sx, *sy) = (*n + 1.0, *sx + x, *sy + y);
     }
     let means: Vec<Option<[f64; 2]>> = sums.iter().map(|[n, x, y]| (*n > 0.0).then(|| [x / n, y / n])).collect();
     let (mut xx, mut xy) = (0.0, 0.0);
-    for ([x, y], link) in rows.iter().zip(links) {
-        if let Some([mx, my]) = means[link.receiver] {
+    for (receiver, [x, y]) in rows {
+        if let Some([mx, my]) = means[*receiver] {
             xx += (x - mx) * (x - mx);
             xy += (x - mx) * (y - my);
         }
