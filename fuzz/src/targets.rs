@@ -7,7 +7,7 @@ use pwrfgs::experiment::sweep::Plan;
 use pwrfgs::experiment::{Session, load, read_pipeline};
 use pwrfgs::model::file;
 use pwrfgs::prelude::*;
-use pwrfgs::report::{Options, Study};
+use pwrfgs::report::Study;
 use std::fs;
 use std::path::Path;
 
@@ -239,5 +239,5 @@ fn read_back(bench: &Path) -> Result<()> {
 /// The finished run is compared, with every figure.
 fn compared(bench: &Path) -> Result<()> {
     let study = Study::read(&[bench.join("sweep")])?;
-    pwrfgs::report::write(&study, &Options::default(), &bench.join("compared"), &mut Silent).map(drop)
+    pwrfgs::report::write(&study, None, &bench.join("compared"), &mut Silent).map(drop)
 }
