@@ -81,7 +81,7 @@ pub(super) fn table(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Obse
     }
     Ok(format!(
         "{}{refused}note: mean {key} of baselines on up to {TESTED} test {}; nearest training: median distance from a test \
-         transmitter; *: the split of the pipeline\n",
+         transmitter; *: the split of the pipeline, or the default for a folder of data\n",
         aligned(&lines, 1),
         data.task().counted[1]
     ))
