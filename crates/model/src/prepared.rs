@@ -11,8 +11,8 @@ use std::time::Instant;
 
 /// One model, or an ensemble, made ready for many predictions.
 ///
-/// Gaussians that no observation can show are left out ([`Stages::drawable`]). What follows from the others alone is
-/// computed once ([`Method::prepare`]): the network's share of it, and, where geometry does not depend on the transmitter,
+/// Gaussians that no observation can show are left out ([`Stages::drawable`](crate::Stages::drawable)). What follows from the
+/// others alone is computed once ([`Method::prepare`]): the network's share of it, and, where geometry does not depend on the transmitter,
 /// projection and whatever the rasterizer finds before it sees signals. Every prediction has the bits of
 /// [`Model::predict`].
 ///
