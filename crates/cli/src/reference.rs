@@ -49,11 +49,6 @@ impl Value {
         Ok(Self { tree: Tree::parse(&text)?, text })
     }
 
-    /// Its text.
-    pub(crate) fn text(&self) -> &str {
-        &self.text
-    }
-
     /// The text of a value inside.
     pub(crate) fn at(&self, path: &[&str]) -> Option<&str> {
         let inside = path.iter().try_fold(&self.tree, |tree, field| tree.field(field));

@@ -35,36 +35,8 @@ pub(crate) struct Init {
     pub(crate) out: Option<PathBuf>,
 }
 
-/// Settings that do on two cores in a few minutes.
-const LAPTOP: [&str; 8] = [
-    "readout=Magnitude",
-    "training=(densify_until: 400, prune_until: 2000, prune_every: 200, densify: (every: 0))",
-    "training=(validate_every: 500, validation_samples: 200, checkpoint_every: 500)",
-    "training.loss.ssim_weight=0.9",
-    "training.optimizer=(means: Cosine(first: 0.002, last: 0.000001), log_scales: Cosine(first: 0.01, last: 0.00001))",
-    "training.optimizer=(quats: Cosine(first: 0.002, last: 0.00001), opacity_logits: Cosine(first: 0.01, last: 0.00001))",
-    "training.optimizer.signals=Cosine(first: 0.004, last: 0.00001)",
-    "pruners=[LearnableMask(lambda: 0.1, learning_rate: 0.02), OpacityThreshold(epsilon: 0.005)]",
-];
-
-/// Where test transmitters stand this close to training ones, metres, fine detail between them can be learnt.
+/// Median distance from a test transmitter to the nearest training one, metres, below which training learns fine detail.
 const CLOSE_M: f64 = 0.03;
-
-/// Detail.
-const FINE: [&str; 4] = [
-    "deformation=Factored(depth: 5, width: 360, tx_encoding: Waves(count: 64, reach: 24.0))",
-    "training.steps=12000",
-    "training.tx_jitter_m=0.004",
-    "training.optimizer=(network: Cosine(first: 0.002, last: 0.000001), network_warmup: 2000, network_decay: 0.1)",
-];
-
-/// None: it would only be memorised.
-const COARSE: [&str; 4] = [
-    "deformation=Factored(depth: 4, width: 240, tx_encoding: Octaves(2))",
-    "training.steps=6000",
-    "training.tx_jitter_m=0.02",
-    "training.optimizer=(network: Cosine(first: 0.004, last: 0.000001), network_warmup: 400, network_decay: 0.4)",
-];
 
 /// Fields of a pipeline that the file shows; the others have their defaults.
 const SHOWN: [&str; 9] =
@@ -73,7 +45,9 @@ const SHOWN: [&str; 9] =
 /// Those of them that another method does not read.
 const OF_SPLATS: [&str; 2] = ["deformation", "readout"];
 
-/// What shipped pipelines make of anything but spectra.
+/// The shipped pipelines that new ones start from.
+const FINE_SPECTRA: &str = include_str!("../../../../pipelines/s23-laptop.ron");
+const COARSE_SPECTRA: &str = include_str!("../../../../pipelines/quickstart.ron");
 const POWERS: &str = include_str!("../../../../pipelines/ble.ron");
 const CHANNELS: &str = include_str!("../../../../pipelines/office-channel.ron");
 const UPLINKS: &str = include_str!("../../../../pipelines/uplink.ron");
@@ -118,13 +92,17 @@ fn pipeline(survey: &Survey, folder: &Path, out: &Path) -> Result<Pipeline> {
         format!("data={}", try_to_ron(&source).map_err(Error::Config)?),
         format!("split={}", survey.split),
     ];
-    let example = example().map_err(Error::Config)?;
     let start = match survey.features {
         _ if survey.task.has_pixels => {
-            let detail = if survey.nearest < CLOSE_M { FINE } else { COARSE };
-            set.extend(LAPTOP.iter().chain(&detail).copied().map(str::to_owned));
-            set.push(format!("training.stride={}", survey.stride()));
+            let stride = survey.stride();
+            set.push(format!("training.stride={stride}"));
             set.push(format!("training.batch={}", survey.transmitters.clamp(1, 32)));
+            set.push(
+                "baselines=[MeanSpectrum(), NearestNeighbours(k: 1), NearestNeighbours(k: Auto), Kriging()]".into(),
+            );
+            if stride == 1 {
+                set.push("projector=Mercator()".into());
+            }
             match survey.clouds.first() {
                 Some((name, _)) => {
                     set.push(format!("data.points={}", path(&root.join(name))?));
@@ -132,7 +110,7 @@ fn pipeline(survey: &Survey, folder: &Path, out: &Path) -> Result<Pipeline> {
                 }
                 None => set.push("initializer=Grid(count: 220, overlap: 1.0, opacity: 0.12)".into()),
             }
-            example.text()
+            if survey.nearest < CLOSE_M { FINE_SPECTRA } else { COARSE_SPECTRA }
         }
         _ if survey.task.is_scalar => {
             // Waves from the size of the site to 2 m, or to an eighth of a small one.
