@@ -61,7 +61,7 @@ fn links(criterion: &mut Criterion) {
             plane: ImagePlane { width: 1, height: 1, wraps: false, angles: None, sampling: Sampling::WHOLE },
             frequencies_hz: Vec::new(),
         };
-        let stages = Stages::splats(splatting, frame);
+        let stages = Stages::new(splatting, frame);
         let weights = stages.layout().init(&mut rng::stream(1, "weights", 0));
         let model = Model { stages, cloud: seeded_cloud(500), weights };
         let (ready, queries) = (model.prepare(), (0..21).map(|r| Query::at(TX, r)).collect::<Vec<_>>());
@@ -76,7 +76,7 @@ fn network(criterion: &mut Criterion, name: &str, outputs: Outputs) {
     let mut group = criterion.benchmark_group(name);
     for n in SIZES {
         let model = untrained(seeded_cloud(n), outputs);
-        let deformation = &model.stages.splatting().expect("it draws splats").deformation;
+        let deformation = &model.stages.settings::<Splatting>().expect("it draws splats").deformation;
         let (tx, pose) = ([TX.map(|x| x as Real)], &model.stages.pose());
         let inputs = DeformationInputs::new(&model.weights, &model.cloud.means, &tx, pose);
         let deltas = deformation.forward(&inputs, &None);
@@ -96,7 +96,7 @@ fn stages(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("stages");
     for n in SIZES {
         let model = untrained(seeded_cloud(n), Outputs::All);
-        let splatting = model.stages.splatting().expect("it draws splats");
+        let splatting = model.stages.settings::<Splatting>().expect("it draws splats");
         let Splatting { deformation, projector, rasterizer, .. } = splatting;
         let (tx, pose, plane) = ([TX.map(|x| x as Real)], &model.stages.pose(), &model.stages.plane);
         let deltas = deformation.forward(&DeformationInputs::new(&model.weights, &model.cloud.means, &tx, pose), &None);

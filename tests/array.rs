@@ -286,7 +286,7 @@ fn an_ensemble_is_the_mean_of_its_members_and_knows_where_they_differ() {
 #[test]
 fn a_closed_gate_leaves_the_field_and_an_open_one_changes_nothing() {
     let model = train("", 1);
-    let splatting = model.stages.splatting().unwrap();
+    let splatting = model.stages.settings::<Splatting>().unwrap();
     let (Splatting { projector, rasterizer, .. }, pose, plane) = (splatting, &model.stages.pose(), &model.stages.plane);
     let activation: Activation = splatting.activation();
     let (cloud, deltas) = (&model.cloud, Deltas::default());

@@ -68,7 +68,7 @@ fn what_no_picture_can_show_changes_neither_picture_nor_derivative() {
         };
         assert_eq!(picture(&few), picture(&more), "{deformation}");
         // The stages themselves, with every Gaussian, agree that those are not seen.
-        let splatting = stages.splatting().unwrap();
+        let splatting = stages.settings::<Splatting>().unwrap();
         let txs = [[0.3, 0.2, 0.9]];
         let deltas =
             splatting.deformation.forward(&DeformationInputs::new(&weights, &more.means, &txs, &stages.pose()), &None);

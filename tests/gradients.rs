@@ -277,7 +277,7 @@ fn waves_on_an_array_differentiate_in_every_column() {
     let spherical = "ArrayResponse(rows: 3, columns: 4, wavefront: Spherical(wavelength_m: 0.8))";
     for (rasterizer, readout) in [("ArrayResponse()", Readout::MinMax), (spherical, Readout::Magnitude)] {
         let mut step = Step::new(factored, readout, 2, 0.2, 10);
-        step.stages = Arc::new(step.stages.with(|splatting| splatting.rasterizer = plugin(rasterizer)));
+        step.stages = Arc::new(step.stages.with(|splatting: &mut Splatting| splatting.rasterizer = plugin(rasterizer)));
         step.check(rasterizer, None);
     }
 }

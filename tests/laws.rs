@@ -117,7 +117,7 @@ fn deformations_keep_their_own_shapes() {
 #[test]
 fn projectors_and_rasterizers_answer_row_for_row() {
     let stages = stages("Fixed()", Readout::Real);
-    let geometry = stages.splatting().unwrap().activation().geometry(&cloud(7, 5), &Deltas::default(), 0, None);
+    let geometry = stages.settings::<Splatting>().unwrap().activation().geometry(&cloud(7, 5), &Deltas::default(), 0, None);
     for (name, projector) in all::<dyn Projector>() {
         let plane = projector.plane(90, 24);
         assert_eq!((plane.width, plane.height), (90, 24), "{name}");

@@ -112,7 +112,7 @@ impl Start {
             calibration: Calibration::AsReleased,
             readout: Readout::Real,
         };
-        let stages = Stages::splats(splatting, Frame::spectra(Origin::ZERO, pose(reference), plane));
+        let stages = Stages::new(splatting, Frame::spectra(Origin::ZERO, pose(reference), plane));
         let means = reference.rows("in_xyz");
         let mask = reference.optional("in_mask_logit");
         let pruners = mask.iter().map(|_| plugin(MASK)).collect();
@@ -137,7 +137,7 @@ impl Start {
 
     /// The picture's stages by hand: what is projected, what it becomes, and what is blended (not clamped).
     fn draw(&self) -> (Primitives, Splats, Vec<Real>, Vec<Real>) {
-        let splatting = self.stages.splatting().unwrap();
+        let splatting = self.stages.settings::<Splatting>().unwrap();
         let Splatting { deformation, projector, rasterizer, .. } = splatting;
         let (pose, plane) = (&self.stages.pose(), &self.stages.plane);
         let gate =

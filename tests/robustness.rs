@@ -20,7 +20,7 @@ fn finite(values: &[Real]) -> bool {
 
 /// Geometry of N Gaussians.
 fn geometry(seed: u64) -> Primitives {
-    stages("Fixed()", Readout::Real).splatting().unwrap().activation().geometry(
+    stages("Fixed()", Readout::Real).settings::<Splatting>().unwrap().activation().geometry(
         &cloud(N, seed),
         &Deltas::default(),
         0,

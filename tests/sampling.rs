@@ -18,11 +18,11 @@ fn every_way(mut check: impl FnMut(&str, &Stages)) {
     for projector in built_in::<dyn Projector>() {
         for rasterizer in built_in::<dyn Rasterizer>() {
             let way = format!("{projector} and {rasterizer}");
-            let mut whole = stages("Fixed()", Readout::Magnitude).with(|splatting| {
+            let mut whole = stages("Fixed()", Readout::Magnitude).with(|splatting: &mut Splatting| {
                 splatting.projector = plugin(&format!("{projector}()"));
                 splatting.rasterizer = plugin(&format!("{rasterizer}()"));
             });
-            whole.frame.plane = whole.splatting().unwrap().projector.plane(90, 24);
+            whole.frame.plane = whole.settings::<Splatting>().unwrap().projector.plane(90, 24);
             let coarse = whole.frame.plane.strided(STRIDE, [0, 0]);
             let frame = Frame { plane: coarse, ..whole.frame.clone() };
             if whole.method.layout(&frame).is_ok() {
@@ -162,7 +162,7 @@ fn a_prune_step_with_a_stride_keeps_what_one_without_keeps() {
 
 #[test]
 fn whole_tiles_refuse_a_stride() {
-    let mut whole = stages("Fixed()", Readout::Magnitude).with(|splatting| {
+    let mut whole = stages("Fixed()", Readout::Magnitude).with(|splatting: &mut Splatting| {
         splatting.projector = plugin("WrfgsCompat()");
         splatting.rasterizer = plugin("AlphaBlending(support: TileSquares)");
     });
@@ -185,7 +185,7 @@ fn a_strided_plane_knows_its_whole_image() {
 /// The power of one Gaussian at an elevation, on a sky of so many degrees per pixel.
 fn power(elevation_deg: Real, sky_deg: u32) -> Real {
     let readout = Readout::Received { sky_deg, filter_deg2: 270.0 };
-    let base = stages("Fixed()", Readout::Magnitude).with(|splatting| splatting.readout = readout);
+    let base = stages("Fixed()", Readout::Magnitude).with(|splatting: &mut Splatting| splatting.readout = readout);
     let plane = ImagePlane { width: 1, height: 1, wraps: false, angles: None, ..base.frame.plane.clone() };
     let receivers = vec![Receiver::new("gateway", Pose::IDENTITY)];
     let frame = Frame {
@@ -211,8 +211,8 @@ fn power(elevation_deg: Real, sky_deg: u32) -> Real {
 fn the_sky_of_a_power_covers_the_sphere_with_one_filter_at_any_resolution() {
     for sky_deg in [6, 10, 30] {
         let base = stages("Fixed()", Readout::Magnitude)
-            .with(|splatting| splatting.readout = Readout::Received { sky_deg, filter_deg2: 30.0 });
-        let sky = base.splatting().unwrap().sky(&base.frame);
+            .with(|splatting: &mut Splatting| splatting.readout = Readout::Received { sky_deg, filter_deg2: 30.0 });
+        let sky = base.settings::<Splatting>().unwrap().sky(&base.frame);
         let last = sky.azimuth_elevation_deg(0.0, sky.height as Real - 1.0).unwrap().1;
         assert_eq!((sky.height, last), (180 / sky_deg as usize + 1, 90.0), "the poles have rows");
     }

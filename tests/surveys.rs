@@ -71,7 +71,7 @@ impl Sight {
 
     /// Blending weights of each Gaussian, `[N][pixels]`, of link `b`: each draws a channel of its own.
     fn one_hot(&self, b: usize) -> Vec<Vec<Real>> {
-        let splatting = self.stages.splatting().unwrap();
+        let splatting = self.stages.settings::<Splatting>().unwrap();
         let view = &splatting.views(&self.stages.frame)[0];
         let deltas = self.deltas(splatting);
         let splats = splatting.geometry(view, &self.cloud, &deltas, b, Gates::default()).splats;
@@ -82,7 +82,7 @@ impl Sight {
 
     /// ‖s‖ of each Gaussian for link `b`.
     fn strengths(&self, b: usize) -> Vec<Real> {
-        let splatting = self.stages.splatting().unwrap();
+        let splatting = self.stages.settings::<Splatting>().unwrap();
         let deltas = self.deltas(splatting);
         let signals = splatting.activation().signals(&self.cloud, &deltas, b..b + 1);
         signals.chunks_exact(2).map(|s| s[0].hypot(s[1])).collect()
@@ -181,7 +181,7 @@ fn sensitivity_and_fisher_agree_with_central_differences() {
         let is_power = readout.task() == Task::Power;
         let mut sight = Sight::new("Fixed()", if is_power { Readout::Magnitude } else { readout });
         if is_power {
-            let mut stages = sight.stages.with(|splatting| splatting.readout = readout);
+            let mut stages = sight.stages.with(|splatting: &mut Splatting| splatting.readout = readout);
             let receivers = vec![Receiver::new("a", stages.frame.receivers[0].pose)];
             let plane = ImagePlane { width: 1, height: 1, wraps: false, angles: None, sampling: Sampling::WHOLE };
             stages.frame = Frame { task: Task::Power, plane, receivers, ..stages.frame.clone() };
@@ -245,7 +245,7 @@ fn present(sight: &Sight, presence: &[Real]) -> pwrfgs::train::LossAndGradients 
 fn who_is_not_there_still_has_a_derivative() {
     for rasterizer in ["AlphaBlending()", "ArrayResponse()"] {
         let mut sight = Sight::new("Factored(width: 12, depth: 2)", Readout::Magnitude);
-        sight.stages = Arc::new(sight.stages.with(|splatting| splatting.rasterizer = plugin(rasterizer)));
+        sight.stages = Arc::new(sight.stages.with(|splatting: &mut Splatting| splatting.rasterizer = plugin(rasterizer)));
         derivatives_of_presence(&sight);
     }
 }

@@ -62,7 +62,7 @@ pub(crate) fn untrained(cloud: GaussianCloud, outputs: Outputs) -> Model {
         calibration: pwrfgs::model::Calibration::Physical,
         readout: pwrfgs::model::Readout::Magnitude,
     };
-    let stages = Stages::splats(splatting, Frame::spectra(Origin::ZERO, RECEIVER, plane));
+    let stages = Stages::new(splatting, Frame::spectra(Origin::ZERO, RECEIVER, plane));
     Model { stages, cloud, weights }
 }
 
@@ -71,7 +71,7 @@ pub(crate) fn wrfgs(cloud: GaussianCloud) -> Model {
     let network = Wrfgs { gain: Some(1.0), ..Wrfgs::default() };
     let mut model = untrained(cloud, Outputs::Signals);
     model.weights = network.layout().init(&mut pwrfgs::core::rng::stream(0, "network", 0));
-    model.stages = model.stages.with(|s| {
+    model.stages = model.stages.with(|s: &mut Splatting| {
         s.deformation = boxed(network);
         s.readout = pwrfgs::model::Readout::Real;
     });
@@ -84,14 +84,14 @@ pub(crate) fn waves(n: usize) -> Model {
         Factored { width: 240, tx_encoding: Encoding::Waves { count: 64, reach: 24.0, seed: 0 }, ..Default::default() };
     let mut model = on_array(untrained(seeded_cloud(n), Outputs::Signals));
     model.weights = network.layout().init(&mut pwrfgs::core::rng::stream(0, "network", 0));
-    model.stages = model.stages.with(|s| s.deformation = boxed(network));
+    model.stages = model.stages.with(|s: &mut Splatting| s.deformation = boxed(network));
     model
 }
 
 /// The model with its Gaussians heard by an array in place of blended.
 pub(crate) fn on_array(mut model: Model) -> Model {
     let array = ArrayResponse { widened: false, ..ArrayResponse::default() };
-    model.stages = model.stages.with(|s| {
+    model.stages = model.stages.with(|s: &mut Splatting| {
         s.rasterizer = Plugin::from(Box::new(array) as Box<dyn Rasterizer>);
         s.readout = pwrfgs::model::Readout::MinMax;
     });

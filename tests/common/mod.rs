@@ -52,7 +52,7 @@ pub(crate) fn stages(deformation: &str, readout: Readout) -> Arc<Stages> {
         calibration: Calibration::Physical,
         readout,
     };
-    Arc::new(Stages::splats(splatting, Frame::spectra(Origin::ZERO, Pose::IDENTITY, plane)))
+    Arc::new(Stages::new(splatting, Frame::spectra(Origin::ZERO, Pose::IDENTITY, plane)))
 }
 
 /// `n` Gaussians in front of that receiver, of all shapes.

@@ -103,7 +103,7 @@ fn model(
         calibration,
         readout,
     };
-    let stages = Stages::splats(splatting, frame);
+    let stages = Stages::new(splatting, frame);
     let weights: Vec<Real> = stages.layout().init(&mut rng::stream(1, "weights", 0));
     Model { stages, cloud: cloud(), weights }
 }

@@ -5,8 +5,8 @@ use crate::harmonics::{HIGHEST, terms};
 use crate::links::Links;
 use crate::options::Pursuit;
 use pwrfgs_core::{
-    Asked, Cache, Frame, JsonSchema, Layout, Method, MethodTraits, MethodVjp, Observed, Parameters, Real, Receiver,
-    Task, gains_of, rows_of,
+    Activated, Asked, Cache, Frame, JsonSchema, Layout, Method, MethodTraits, MethodVjp, Observed, Parameters, Primitives, Real, Receiver,
+    Task, gains_of, rows_of, sigmoid,
 };
 use serde::{Deserialize, Serialize};
 
@@ -58,10 +58,26 @@ fn positions(asked: &Asked<'_>) -> Vec<[Real; 3]> {
 
 #[typetag::serde]
 impl Method for VirtualTransmitters {
-    fn traits(&self) -> MethodTraits {
+    fn traits(&self) -> MethodTraits<'_> {
         let more = 2 * (terms(self.order.min(HIGHEST)) - 1);
         let columns = if more == 0 { Vec::new() } else { vec![(HARMONICS, more)] };
         MethodTraits { task: Some(Task::Channel), columns, ..MethodTraits::default() }
+    }
+
+    /// As the cloud says, whatever the transmitter.
+    fn gaussians(&self, _: &Frame, p: &Parameters<'_>, _: Option<[Real; 3]>) -> Activated {
+        let own = p.cloud;
+        let unit = |q: &[Real; 4]| q.map(|v| v / q.iter().map(|v| v * v).sum::<Real>().sqrt());
+        Activated {
+            primitives: Primitives {
+                means: own.means.clone(),
+                scales: own.log_scales.iter().map(|s| s.map(Real::exp)).collect(),
+                quats: own.quats.iter().map(unit).collect(),
+                opacities: own.opacity_logits.iter().map(|o| sigmoid(*o)).collect(),
+            },
+            signals: own.signals.as_flattened().to_vec(),
+            strengths: Some(own.signals.iter().map(|[a, b]| (a * a + b * b).sqrt()).collect()),
+        }
     }
 
     fn check(&self) -> Result<(), String> {

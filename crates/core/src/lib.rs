@@ -44,6 +44,7 @@ mod splats;
 pub mod ssim;
 mod statistics;
 mod stats;
+pub mod stretch;
 pub mod tape;
 mod task;
 pub mod testing;

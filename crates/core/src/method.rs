@@ -1,8 +1,8 @@
 //! `Method`: the one seam between training and what is trained. From parameters and links to observations, and back.
 
 use crate::{
-    Cache, CloudStats, Conditions, Dataset, Elevation, GaussianCloud, ImagePlane, Layout, Link, Needs, Origin, Pose,
-    Primitives, Real, Receiver, StageTimes, Statistics, Task, plugin_kind,
+    Cache, CloudStats, Conditions, Dataset, Deformation, Elevation, GaussianCloud, ImagePlane, Layout, Link, Needs, Origin,
+    Plugin, Pose, Primitives, Projector, Query, Real, Receiver, StageTimes, Statistics, Task, plugin_kind,
 };
 
 /// Where observations are made, and what they are: all of a data set that a trained model has to know.
@@ -52,6 +52,31 @@ impl Frame {
     /// The elevations that rows of a spectrum are.
     pub fn elevation(&self) -> Elevation {
         self.plane.elevation().unwrap_or(Elevation::UPPER)
+    }
+
+    /// Conditions `[T, inputs]` of the transmitters of these links, and the links. Equal transmitters that follow one another are
+    /// one.
+    pub fn conditions<'q>(
+        &self,
+        inputs: usize,
+        queries: impl Iterator<Item = Query<'q>>,
+    ) -> (Vec<Real>, Vec<Link>) {
+        let mut conditions: Vec<Real> = Vec::new();
+        let mut links: Vec<Link> = Vec::with_capacity(queries.size_hint().0);
+        let mut last: Option<Query<'_>> = None;
+        for query in queries {
+            if last.is_none_or(|last| (last.tx, last.features) != (query.tx, query.features)) {
+                if query.features.is_empty() {
+                    conditions.extend(self.origin.local(query.tx));
+                } else {
+                    conditions.extend_from_slice(query.features);
+                }
+            }
+            let transmitter = conditions.len() / inputs.max(1) - 1;
+            links.push(Link { transmitter, receiver: query.receiver.min(self.receivers.len() - 1) });
+            last = Some(query);
+        }
+        (conditions, links)
     }
 }
 
@@ -149,7 +174,7 @@ pub trait Method:
     erased_serde::Serialize + crate::docs::Documented + std::any::Any + std::fmt::Debug + Send + Sync
 {
     /// What does not depend on the frame.
-    fn traits(&self) -> MethodTraits {
+    fn traits(&self) -> MethodTraits<'_> {
         MethodTraits::default()
     }
 
@@ -225,11 +250,10 @@ pub trait Method:
         let _ = (frame, data, train, cloud, weights);
     }
 
-    /// The Gaussians as they are drawn for a transmitter at `tx` (metres from the origin), or without any. `None`: as the
-    /// cloud says, whatever the transmitter.
-    fn gaussians(&self, frame: &Frame, parameters: &Parameters<'_>, tx: Option<[Real; 3]>) -> Option<Activated> {
+    /// The Gaussians as they are drawn for a transmitter at `tx` (metres from the origin), or without any; none by default.
+    fn gaussians(&self, frame: &Frame, parameters: &Parameters<'_>, tx: Option<[Real; 3]>) -> Activated {
         let _ = (frame, parameters, tx);
-        None
+        Activated::default()
     }
 
     /// Refuses settings that cannot work, when the pipeline is read.
@@ -240,15 +264,19 @@ pub trait Method:
 plugin_kind!(Method);
 
 /// What a [`Method`] gives, and what it can be asked for.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 #[allow(clippy::struct_excessive_bools)] // independent properties
-pub struct MethodTraits {
+pub struct MethodTraits<'a> {
     /// What it gives, where that does not depend on the frame.
     pub task: Option<Task>,
     /// Numbers that it reads of a transmitter: 3 for its position.
     pub inputs: usize,
     /// What its parameters look like in a room.
     pub appearance: Appearance,
+    /// What draws its spectra and so gives them their [plane](ImagePlane); the plane of the data by default.
+    pub projector: Option<&'a Plugin<dyn Projector>>,
+    /// What changes its Gaussians with the transmitter.
+    pub deformation: Option<&'a Plugin<dyn Deformation>>,
     /// More columns of the cloud that it reads, by name and width: zero until something sets them, learned at the rate of
     /// `signals`, and saved with the model.
     pub columns: Vec<(&'static str, usize)>,
@@ -263,20 +291,22 @@ pub struct MethodTraits {
     pub stretches: bool,
 }
 
-impl MethodTraits {
+impl MethodTraits<'_> {
     /// Whether there are Gaussians. If not, there is no initializer, nothing is pruned, and clouds are empty.
     pub fn has_gaussians(&self) -> bool {
         self.appearance != Appearance::Nothing
     }
 }
 
-impl Default for MethodTraits {
+impl Default for MethodTraits<'_> {
     /// Those of a method that reads positions and whose Gaussians are points.
     fn default() -> Self {
         Self {
             task: None,
             inputs: 3,
             appearance: Appearance::Points,
+            projector: None,
+            deformation: None,
             columns: Vec::new(),
             chooses_pixels: false,
             knows_presence: false,
@@ -298,7 +328,7 @@ pub enum Appearance {
 }
 
 /// Gaussians as they are drawn.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Activated {
     /// In space.
     pub primitives: Primitives,

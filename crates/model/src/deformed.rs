@@ -1,6 +1,5 @@
 //! What methods share whose Gaussians pass a [`Deformation`] and an [`Activation`].
 
-use crate::prepared::asked;
 use crate::{Activation, ActivationVjp};
 use pwrfgs_core::{
     Activated, Asked, Conditions, Dataset, Deformation, DeformationInputs, Deltas, Frame, GaussianCloud, Method,
@@ -66,7 +65,7 @@ pub(crate) fn untrained(
     (cloud, weights): (&GaussianCloud, &[Real]),
 ) -> Vec<Real> {
     let inputs = method.traits().inputs;
-    let (conditions, links) = asked(frame, inputs, part.iter().map(|&i| data.query(i)));
+    let (conditions, links) = frame.conditions(inputs, part.iter().map(|&i| data.query(i)));
     let asked = Asked { conditions: Conditions::new(inputs, &conditions), links: &links, pixels: Pixels::All };
     method.forward(frame, &Parameters { cloud, gate: None, presence: None, weights }, &asked).numbers
 }

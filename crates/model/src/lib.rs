@@ -24,7 +24,7 @@ pub use activate::{Activation, ActivationVjp, Calibration};
 pub use ensemble::Ensemble;
 pub use model::Model;
 pub use prepared::Prepared;
-pub use readout::{Readout, stretch};
+pub use readout::Readout;
 pub use splatted_channel::SplattedChannel;
 pub use splatting::{Drawing, Gates, Geometry, Splatting, View, check_kind, check_together};
 pub use stages::Stages;

@@ -1,8 +1,7 @@
 //! `Model`: what is saved and predicts.
 
-use crate::readout::magnitudes;
-use crate::{Activation, Calibration, Stages};
-use pwrfgs_core::{Activated, Deltas, GaussianCloud, Origin, Parameters, Real};
+use crate::Stages;
+use pwrfgs_core::{Activated, GaussianCloud, Origin, Parameters, Real};
 
 /// A trained model: predicts, and needs nothing else to do so.
 #[derive(Clone, Debug)]
@@ -21,13 +20,7 @@ impl Model {
         let Stages { method, frame } = &self.stages;
         let parameters = Parameters { cloud: &self.cloud, gate: None, presence: None, weights: &self.weights };
         let local = tx.map(|tx| frame.origin.local(tx));
-        method.gaussians(frame, &parameters, local).unwrap_or_else(|| {
-            let activation = Activation { calibration: Calibration::Physical, replaces_signals: false, channels: 2 };
-            let none = Deltas::default();
-            let signals = activation.signals(&self.cloud, &none, 0..1);
-            let strengths = Some(magnitudes(&signals));
-            Activated { primitives: activation.geometry(&self.cloud, &none, 0, None), signals, strengths }
-        })
+        method.gaussians(frame, &parameters, local)
     }
 
     /// The centres `[N,3]`, metres from `origin`.

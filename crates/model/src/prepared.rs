@@ -2,7 +2,7 @@
 
 use crate::Model;
 use pwrfgs_core::{
-    Asked, Cache, Conditions, Frame, GaussianCloud, Image, ImagePlane, Link, Parameters, Pixels, Predict, Query, Real,
+    Asked, Cache, Conditions, GaussianCloud, Image, ImagePlane, Parameters, Pixels, Predict, Query, Real,
     Receiver, StageTimes, Task,
 };
 use rayon::prelude::*;
@@ -210,36 +210,11 @@ impl<'a> Member<'a> {
     fn numbers(&self, queries: &[Query<'_>]) -> (Vec<Real>, StageTimes) {
         let Model { stages, weights, .. } = self.model;
         let inputs = stages.method.traits().inputs;
-        let (conditions, links) = asked(stages, inputs, queries.iter().copied());
+        let (conditions, links) = stages.frame.conditions(inputs, queries.iter().copied());
         let asked = Asked { conditions: Conditions::new(inputs, &conditions), links: &links, pixels: Pixels::All };
         let parameters = Parameters { cloud: &self.cloud, gate: None, presence: None, weights };
         stages.method.predict(&stages.frame, &parameters, &asked, &self.ready)
     }
-}
-
-/// Conditions `[T, inputs]` of the transmitters of these links, and the links. Equal transmitters that follow one another are
-/// one.
-pub(crate) fn asked<'q>(
-    frame: &Frame,
-    inputs: usize,
-    queries: impl Iterator<Item = Query<'q>>,
-) -> (Vec<Real>, Vec<Link>) {
-    let mut conditions: Vec<Real> = Vec::new();
-    let mut links: Vec<Link> = Vec::with_capacity(queries.size_hint().0);
-    let mut last: Option<Query<'_>> = None;
-    for query in queries {
-        if last.is_none_or(|last| (last.tx, last.features) != (query.tx, query.features)) {
-            if query.features.is_empty() {
-                conditions.extend(frame.origin.local(query.tx));
-            } else {
-                conditions.extend_from_slice(query.features);
-            }
-        }
-        let transmitter = conditions.len() / inputs.max(1) - 1;
-        links.push(Link { transmitter, receiver: query.receiver.min(frame.receivers.len() - 1) });
-        last = Some(query);
-    }
-    (conditions, links)
 }
 
 /// One observation as it is, or the mean of several; pictures each clamped to [0, 1].

@@ -1,5 +1,6 @@
 //! Readout: from blended signals to a spectrum, and back.
 
+use pwrfgs_core::stretch::{gain, range};
 use pwrfgs_core::{JsonSchema, Real, Task};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -42,9 +43,6 @@ const fn sky_deg() -> u32 {
 const fn filter_deg2() -> Real {
     30.0
 }
-
-/// A picture whose values differ by less than this share of the largest shows nothing but rounding.
-const NO_CONTRAST: Real = 1e-6;
 
 impl Readout {
     /// The readout of a received power by default.
@@ -183,44 +181,6 @@ fn turn(d0: &mut [Real], d1: &mut [Real], (c0, c1): (&[Real], &[Real]), magnitud
             }
         },
     );
-}
-
-/// Smallest and largest value; zeros for none. NaN stays out, and shows in the picture itself.
-fn range(values: &[Real]) -> (Real, Real) {
-    let first = values.first().copied().unwrap_or(0.0);
-    let (mut low, mut high) = ([first; 16], [first; 16]);
-    pulp::Arch::new().dispatch(
-        #[inline(always)]
-        || {
-            let (whole, rest) = values.as_chunks::<16>();
-            let mut widen = |lane: usize, v: Real| {
-                low[lane] = if v < low[lane] { v } else { low[lane] };
-                high[lane] = if v > high[lane] { v } else { high[lane] };
-            };
-            for chunk in whole {
-                for lane in 0..16 {
-                    widen(lane, chunk[lane]);
-                }
-            }
-            for (lane, v) in rest.iter().enumerate() {
-                widen(lane, *v);
-            }
-        },
-    );
-    (low.into_iter().fold(first, Real::min), high.into_iter().fold(first, Real::max))
-}
-
-/// 1/(max - min), or 0 where the picture has no contrast.
-fn gain(low: Real, high: Real) -> Real {
-    if high - low > NO_CONTRAST * high { 1.0 / (high - low) } else { 0.0 }
-}
-
-/// Stretches a picture from its smallest value to its largest, as [`Readout::MinMax`] does: one that is looked at in few
-/// places has to be stretched again, because between them lie its darkest and its brightest.
-pub fn stretch(image: &mut [Real]) {
-    let (low, high) = range(image);
-    let gain = gain(low, high);
-    image.iter_mut().for_each(|v| *v = (*v - low) * gain);
 }
 
 /// Cotangents of the magnitude, given those of the stretched picture.

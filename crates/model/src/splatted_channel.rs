@@ -121,10 +121,11 @@ fn offsets_mut<'a>(frame: &Frame, weights: &'a mut [Real]) -> &'a mut [Real] {
 
 #[typetag::serde]
 impl Method for SplattedChannel {
-    fn traits(&self) -> MethodTraits {
+    fn traits(&self) -> MethodTraits<'_> {
         let (task, inputs) = (Some(Task::Channel), self.deformation.traits().inputs);
         // Pages call `Points` virtual transmitters; these are Gaussians, with the scales and rotations of their start.
-        MethodTraits { task, inputs, appearance: Appearance::Ellipsoids, ..MethodTraits::default() }
+        let deformation = Some(&self.deformation);
+        MethodTraits { task, inputs, appearance: Appearance::Ellipsoids, deformation, ..MethodTraits::default() }
     }
 
     fn cost(&self, frame: &Frame, _: usize, _: usize) -> Cost {
@@ -238,7 +239,7 @@ impl Method for SplattedChannel {
         }
     }
 
-    fn gaussians(&self, frame: &Frame, p: &Parameters<'_>, tx: Option<[Real; 3]>) -> Option<Activated> {
-        Some(deformed::gaussians(&*self.deformation, self.activation(), frame, p, tx, magnitudes))
+    fn gaussians(&self, frame: &Frame, p: &Parameters<'_>, tx: Option<[Real; 3]>) -> Activated {
+        deformed::gaussians(&*self.deformation, self.activation(), frame, p, tx, magnitudes)
     }
 }

@@ -1,9 +1,8 @@
 //! `Stages`: a method and its frame, the whole way from parameters to observations.
 
-use crate::{SplattedChannel, Splatting};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
-    Axis, Dataset, Deformation, Error, Frame, GaussianCloud, ImagePlane, Layout, Method, Real, Receiver, Result,
+    Axis, Dataset, Deformation, Error, Frame, GaussianCloud, ImagePlane, Layout, Method, Projector, Real, Receiver, Result,
     WeightSpec,
 };
 use std::any::Any;
@@ -40,9 +39,9 @@ const MAX_RECEIVERS: usize = 1 << 16;
 const RECEIVERS: &str = "receiver.";
 
 impl Stages {
-    /// Gaussians drawn as splats.
-    pub fn splats(splatting: Splatting, frame: Frame) -> Self {
-        Self { method: Plugin::from(Box::new(splatting) as Box<dyn Method>), frame }
+    /// Settings of a method, and its frame.
+    pub fn new(method: impl Method, frame: Frame) -> Self {
+        Self { method: Plugin::from(Box::new(method) as Box<dyn Method>), frame }
     }
 
     /// A method for `data`, with the whole image as its plane.
@@ -50,39 +49,34 @@ impl Stages {
     /// # Errors
     /// [`Error::Config`] where splats cannot be drawn on an image of this size.
     pub fn of(method: Plugin<dyn Method>, data: &Dataset) -> Result<Self> {
-        let mut stages = Self { method, frame: Frame::of(data, data.plane()) };
-        if let (true, Some(splatting)) = (data.task().has_pixels, stages.splatting()) {
-            let plane = splatting.projector.plane_of(data.width, data.height, data.elevation);
-            let plane = plane.map_err(|why| Error::Config(format!("the projector {why}")))?;
-            let fits = splatting.rasterizer.check_plane(&plane);
-            fits.map_err(|why| Error::Config(format!("rasterizer: {why}")))?;
-            stages.frame.plane = plane;
+        let mut plane = data.plane();
+        if let (true, Some(projector)) = (data.task().has_pixels, method.traits().projector) {
+            let drawn = projector.plane_of(data.width, data.height, data.elevation);
+            plane = drawn.map_err(|why| Error::Config(format!("the projector {why}")))?;
         }
-        Ok(stages)
-    }
-
-    /// The settings of Gaussians that are drawn as splats, where that is the method.
-    pub fn splatting(&self) -> Option<&Splatting> {
-        let method: &dyn Any = self.method.get();
-        method.downcast_ref()
+        Ok(Self { frame: Frame::of(data, plane), method })
     }
 
     /// What the transmitter changes, where the method has Gaussians that a network changes.
     pub fn deformation(&self) -> Option<&Plugin<dyn Deformation>> {
-        let method: &dyn Any = self.method.get();
-        let of_channel = || method.downcast_ref::<SplattedChannel>().map(|own| &own.deformation);
-        self.splatting().map(|own| &own.deformation).or_else(of_channel)
+        self.method.traits().deformation
     }
 
-    /// The same with other settings of splatting.
+    /// The settings of the method, where it is an `M`.
+    pub fn settings<M: Method>(&self) -> Option<&M> {
+        let method: &dyn Any = self.method.get();
+        method.downcast_ref()
+    }
+
+    /// The same with other settings of the method.
     ///
     /// # Panics
-    /// Where the method is another.
+    /// Where the method is no `M`.
     #[must_use]
-    pub fn with(&self, change: impl FnOnce(&mut Splatting)) -> Self {
-        let mut splatting = self.splatting().expect("a model of splats").clone();
-        change(&mut splatting);
-        Self::splats(splatting, self.frame.clone())
+    pub fn with<M: Method + Clone>(&self, change: impl FnOnce(&mut M)) -> Self {
+        let mut method = self.settings::<M>().expect("this method").clone();
+        change(&mut method);
+        Self::new(method, self.frame.clone())
     }
 
     /// Holds together what a file says that need not come from this program.
@@ -95,8 +89,8 @@ impl Stages {
         if pixels.is_none() {
             return Err(format!("plane: {width} x {height} pixels; there are 1 to {MAX_PIXELS}"));
         }
-        if let (true, Some(splatting)) = (self.task.has_pixels, self.splatting()) {
-            check_plane(&self.frame.plane, splatting)?;
+        if let (true, Some(projector)) = (self.task.has_pixels, self.method.traits().projector) {
+            check_plane(&self.frame.plane, &**projector)?;
         }
         if !(1..=MAX_RECEIVERS).contains(&self.receivers.len()) {
             return Err(format!("{} receivers; there are 1 to {MAX_RECEIVERS}", self.receivers.len()));
@@ -135,7 +129,7 @@ impl Stages {
 }
 
 /// Whether the projector draws such a picture.
-fn check_plane(plane: &ImagePlane, splatting: &Splatting) -> Result<(), String> {
+fn check_plane(plane: &ImagePlane, projector: &dyn Projector) -> Result<(), String> {
     let ImagePlane { width, height, .. } = *plane;
     let near = |a: Axis, b: Axis| (a.first - b.first).abs() < 1e-9 && (a.step - b.step).abs() < 1e-9;
     let is_own = |drawn: &ImagePlane| {
@@ -146,8 +140,8 @@ fn check_plane(plane: &ImagePlane, splatting: &Splatting) -> Result<(), String> 
         alike && plane.wraps == drawn.wraps
     };
     let elevation = plane.elevation().filter(|elevation| elevation.fault().is_none());
-    let stated = elevation.and_then(|elevation| splatting.projector.plane_of(width, height, elevation).ok());
-    if is_own(&splatting.projector.plane(width, height)) || stated.is_some_and(|drawn| is_own(&drawn)) {
+    let stated = elevation.and_then(|elevation| projector.plane_of(width, height, elevation).ok());
+    if is_own(&projector.plane(width, height)) || stated.is_some_and(|drawn| is_own(&drawn)) {
         return Ok(());
     }
     Err("plane: its angles are none that the projector draws".into())

@@ -246,7 +246,7 @@ fn bytes_of(network: &Network, samples: usize, rays: usize, passes: usize) -> us
 
 #[typetag::serde]
 impl Method for Nerf2 {
-    fn traits(&self) -> MethodTraits {
+    fn traits(&self) -> MethodTraits<'_> {
         MethodTraits {
             inputs: if self.features == 0 { 3 } else { self.features },
             appearance: Appearance::Nothing,

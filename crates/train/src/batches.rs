@@ -3,8 +3,8 @@
 use crate::TrainingPlan;
 use crate::graph::{Batch, Places};
 use crate::settings::Rays;
-use pwrfgs_core::{Dataset, Error, ImagePlane, Link, Moment, Needs, Real, Result, Task, rng};
-use pwrfgs_model::{Stages, stretch};
+use pwrfgs_core::{Dataset, Error, ImagePlane, Link, Moment, Needs, Real, Result, Task, rng, stretch::stretch};
+use pwrfgs_model::Stages;
 use rayon::prelude::*;
 use std::ops::Range;
 

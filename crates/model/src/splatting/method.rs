@@ -111,11 +111,13 @@ impl Splatting {
 
 #[typetag::serde]
 impl Method for Splatting {
-    fn traits(&self) -> MethodTraits {
+    fn traits(&self) -> MethodTraits<'_> {
         MethodTraits {
             task: Some(self.readout.task()),
             inputs: self.deformation.traits().inputs,
             appearance: Appearance::Ellipsoids,
+            projector: Some(&self.projector),
+            deformation: Some(&self.deformation),
             knows_presence: true,
             blends: self.rasterizer.blends(),
             stretches: self.readout == Readout::MinMax,
@@ -272,14 +274,14 @@ impl Method for Splatting {
         }
     }
 
-    fn gaussians(&self, frame: &Frame, p: &Parameters<'_>, tx: Option<[Real; 3]>) -> Option<Activated> {
+    fn gaussians(&self, frame: &Frame, p: &Parameters<'_>, tx: Option<[Real; 3]>) -> Activated {
         let (n, channels) = (p.cloud.len(), self.readout.channels());
         let strengths = |signals: &[Real]| {
             let planar: Vec<Real> =
                 (0..channels).flat_map(|c| signals.iter().skip(c).step_by(channels).copied()).collect();
             if n == 0 { planar } else { self.readout.forward(&planar, n) }
         };
-        Some(deformed::gaussians(&*self.deformation, self.activation(), frame, p, tx, strengths))
+        deformed::gaussians(&*self.deformation, self.activation(), frame, p, tx, strengths)
     }
 }
 
