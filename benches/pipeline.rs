@@ -12,7 +12,9 @@ use criterion::{BatchSize, BenchmarkGroup, BenchmarkId, Criterion};
 use pwrfgs::core::{
     DeformationInputs, Frame, ImagePlane, Origin, Pose, Query, Receiver, RenderVjp, Sampling, Task, rng,
 };
-use pwrfgs::model::{Calibration, Ensemble, Model, Readout, Splatting, Stages, deform::Outputs};
+use pwrfgs::methods::{Calibration, Readout, Splatting};
+use pwrfgs::model::{Ensemble, Model, Stages};
+use pwrfgs::networks::Outputs;
 use pwrfgs::prelude::*;
 use scene::{SIZES, TX, on_array, seeded_cloud, trained, untrained, waves, wrfgs};
 use std::cell::OnceCell;

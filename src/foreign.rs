@@ -3,8 +3,6 @@
 //! The Python package sets a [`Host`] that can run them. A program without one reads such a pipeline, reports it and
 //! predicts with its model; to train it, or to divide and score data by a class of Python's, it refuses.
 
-#![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
-
 use pwrfgs_core::tape::{TraceScalar, Traced};
 use pwrfgs_core::{
     Baseline, CloudStats, Dataset, Error, Evaluation, Gate, GaussianCloud, ImagePlane, Initializer, JsonSchema, Known,
@@ -22,7 +20,7 @@ use std::sync::{Arc, OnceLock};
 ///
 /// ```
 /// # use pwrfgs_core::{Plugin, Pruner};
-/// # use pwrfgs_foreign as _;
+/// # use pwrfgs as _;
 /// let text = r#"Python(module: "strategies", class: "Thin", settings: "{\"share\": 0.1}", source: "5f1c")"#;
 /// let pruner = Plugin::<dyn Pruner>::parse(text).unwrap();
 /// assert!(pruner.traits().unavailable.unwrap().contains("Thin"));

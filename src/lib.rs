@@ -15,25 +15,26 @@
 //! # }
 //! ```
 
-pub use pwrfgs_coherent as coherent;
 pub use pwrfgs_core as core;
 pub use pwrfgs_data as data;
 pub use pwrfgs_experiment as experiment;
-pub use pwrfgs_foreign as foreign;
 pub use pwrfgs_init as init;
+pub use pwrfgs_methods as methods;
 pub use pwrfgs_metrics as metrics;
 pub use pwrfgs_model as model;
-pub use pwrfgs_nerf2 as nerf2;
+pub use pwrfgs_networks as networks;
 pub use pwrfgs_pipeline as pipeline;
 pub use pwrfgs_prune as prune;
 pub use pwrfgs_raster as raster;
+#[cfg(feature = "raytrace")]
+pub use pwrfgs_raytrace as raytrace;
 #[cfg(feature = "report")]
 pub use pwrfgs_report as report;
-#[cfg(feature = "sim")]
-pub use pwrfgs_sim as sim;
 pub use pwrfgs_train as train;
-#[cfg(feature = "view")]
-pub use pwrfgs_view as view;
+#[cfg(feature = "viewer")]
+pub use pwrfgs_viewer as viewer;
+
+pub mod foreign;
 
 use prelude::{Observer, Pipeline, Result};
 use std::path::Path;
@@ -72,7 +73,8 @@ pub mod prelude {
         Sample, Sampling, Scene, Scope, Simulation, Spectra, Splats, Split, Statistic, Statistics, Task, Values, rng,
     };
     pub use pwrfgs_experiment::{Observer, Silent};
-    pub use pwrfgs_model::{Ensemble, Model, Prepared, Readout, Stages};
+    pub use pwrfgs_methods::Readout;
+    pub use pwrfgs_model::{Ensemble, Model, Prepared, Stages};
     pub use pwrfgs_pipeline::Pipeline;
     pub use pwrfgs_train::{StepReport, Trainer};
     pub use serde::{Deserialize, Serialize};

@@ -11,7 +11,7 @@ beside=(a_plugin_of_ones_own_is_swept_by_name a_sweep_on_slurm_ends_as_one_witho
     a_disk_that_is_full_from_any_call_on_is_told_and_the_run_goes_on_later
     ten_thousand_broken_files_are_told_from_whole_ones)
 # The program is here for its dependencies alone: with it all crates of others are those of the first pass.
-formulas=(-p pwrfgs -p pwrfgs-coherent -p pwrfgs-core -p pwrfgs-layers -p pwrfgs-model -p pwrfgs-nerf2 -p pwrfgs-prune -p pwrfgs-raster -p pwrfgs-train -p pwrfgs-cli)
+formulas=(-p pwrfgs -p pwrfgs-core -p pwrfgs-methods -p pwrfgs-networks -p pwrfgs-prune -p pwrfgs-raster -p pwrfgs-train -p pwrfgs-cli)
 
 notes=$(mktemp -d)
 export PWRFGS_SKIPPED=$notes/skipped # pwrfgs_core::testing::skipped writes there

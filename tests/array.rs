@@ -3,7 +3,8 @@
 use crate::common::pipeline;
 use pwrfgs::core::testing::shared;
 use pwrfgs::core::{Splats, rng};
-use pwrfgs::model::{Activation, Ensemble, Model, Readout, Splatting};
+use pwrfgs::methods::{Activation, Readout, Splatting};
+use pwrfgs::model::{Ensemble, Model};
 use pwrfgs::prelude::*;
 use std::f64::consts::TAU;
 use std::path::Path;

@@ -2,7 +2,8 @@
 
 use crate::common::{MOMENT, batch, cloud, pipeline, plugin, stages, with_column};
 use pwrfgs::core::{DeformationInputs, rng};
-use pwrfgs::model::{Readout, tensors::Tensors};
+use pwrfgs::methods::{Readout, Splatting};
+use pwrfgs::model::tensors::Tensors;
 use pwrfgs::prelude::*;
 use pwrfgs::train::{RenderingLoss, loss_and_gradients};
 use std::path::Path;

@@ -9,7 +9,8 @@ use pwrfgs::core::{
     Cache, ColumnSpec, DeformationInputs, DeformationTraits, Frame, GaussianCloud, ImagePlane, Link, Receiver,
     Sampling, Task, rng, sigmoid,
 };
-use pwrfgs::model::{Readout, Stages};
+use pwrfgs::methods::{Readout, Splatting};
+use pwrfgs::model::Stages;
 use pwrfgs::prelude::*;
 use pwrfgs::train::{
     Batch, ChannelLoss, Errors, LinkLoss, LossAndGradients, Objective, RenderingLoss, loss_and_gradients,

@@ -4,7 +4,7 @@ use crate::common::{MOMENT, built_in, cloud, plugin, stages, with_column};
 use pwrfgs::core::plugin::PluginKind;
 use pwrfgs::core::tape::values;
 use pwrfgs::core::{DeformationInputs, rng};
-use pwrfgs::model::Readout;
+use pwrfgs::methods::{Readout, Splatting};
 use pwrfgs::prelude::*;
 use std::path::Path;
 
@@ -117,7 +117,8 @@ fn deformations_keep_their_own_shapes() {
 #[test]
 fn projectors_and_rasterizers_answer_row_for_row() {
     let stages = stages("Fixed()", Readout::Real);
-    let geometry = stages.settings::<Splatting>().unwrap().activation().geometry(&cloud(7, 5), &Deltas::default(), 0, None);
+    let geometry =
+        stages.settings::<Splatting>().unwrap().activation().geometry(&cloud(7, 5), &Deltas::default(), 0, None);
     for (name, projector) in all::<dyn Projector>() {
         let plane = projector.plane(90, 24);
         assert_eq!((plane.width, plane.height), (90, 24), "{name}");

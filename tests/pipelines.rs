@@ -49,10 +49,11 @@ fn small(kind: Option<Task>, inputs: usize, folder: &Path) -> String {
             "data=Simulated(scene: \"../scenes/office-links.ron\", samples: 20, points: 100, observe: Power())".into()
         }
         Some(Task::Channel) if inputs != 3 => {
-            let recipe = pwrfgs::sim::Recipe::read(Path::new("scenes/office-csi.ron"), 20, 0, 100).unwrap();
-            let recipe = recipe.observing(pwrfgs::sim::Observe::Channel { snr_db: Some(30.0) }).unwrap();
-            let (out, layout) = (folder.join("csi simulated"), pwrfgs::sim::output::Layout::Csi);
-            pwrfgs::sim::output::write_as(&recipe, layout, false, &out, &|_, _| {}, &AtomicBool::new(false)).unwrap();
+            let recipe = pwrfgs::raytrace::Recipe::read(Path::new("scenes/office-csi.ron"), 20, 0, 100).unwrap();
+            let recipe = recipe.observing(pwrfgs::raytrace::Observe::Channel { snr_db: Some(30.0) }).unwrap();
+            let (out, layout) = (folder.join("csi simulated"), pwrfgs::raytrace::output::Layout::Csi);
+            pwrfgs::raytrace::output::write_as(&recipe, layout, false, &out, &|_, _| {}, &AtomicBool::new(false))
+                .unwrap();
             format!("data.root={:?}", out.display().to_string())
         }
         Some(Task::Channel) => {

@@ -11,7 +11,7 @@ mod npy;
 use crate::common::{MOMENT, plugin};
 use npy::Reference;
 use pwrfgs::core::{Conditions, DeformationInputs, ExtraColumn, Frame, Mat3, Origin, Vec3};
-use pwrfgs::model::{Calibration, Readout, Splatting};
+use pwrfgs::methods::{Calibration, Readout, Splatting};
 use pwrfgs::prelude::*;
 use pwrfgs::raster::{self, CameraModel, FullSphere, View};
 use pwrfgs::train::{Batch, LossAndGradients, RenderingLoss, loss_and_gradients};

@@ -5,9 +5,9 @@ use std::path::Path;
 
 /// The first plugin trait and name after each `#[typetag::serde]` of the sources, such as `Pruner TopK`.
 fn in_sources() -> Vec<String> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("crates");
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut found = Vec::new();
-    let mut folders = vec![root];
+    let mut folders = vec![root.join("crates"), root.join("src")];
     while let Some(folder) = folders.pop() {
         for entry in std::fs::read_dir(folder).unwrap() {
             let path = entry.unwrap().path();

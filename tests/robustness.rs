@@ -3,7 +3,7 @@
 use crate::common::{MOMENT, batch, cloud, plugin, stages, with_column};
 use proptest::prelude::*;
 use pwrfgs::core::{Query, rng};
-use pwrfgs::model::Readout;
+use pwrfgs::methods::{Readout, Splatting};
 use pwrfgs::prelude::*;
 use pwrfgs::train::{RenderingLoss, loss_and_gradients};
 use std::sync::Arc;

@@ -6,7 +6,8 @@ use pwrfgs::core::{
     Axis, Conditions, Elevation, Frame, Link, MethodVjp, Observed, Origin, Parameters, Pixels, Projector, Rasterizer,
     Receiver, rng,
 };
-use pwrfgs::model::{Readout, Stages};
+use pwrfgs::methods::{Readout, Splatting};
+use pwrfgs::model::Stages;
 use pwrfgs::prelude::*;
 use std::path::Path;
 

@@ -7,7 +7,8 @@ use pwrfgs::core::{
     Asked, ColumnSpec, Conditions, DeformationInputs, Frame, ImagePlane, Parameters, Pixels, Receiver, Sampling,
     Statistic, Statistics, Task, rng,
 };
-use pwrfgs::model::{Gates, Readout, Splatting, Stages};
+use pwrfgs::methods::{Gates, Readout, Splatting};
+use pwrfgs::model::Stages;
 use pwrfgs::prelude::*;
 use pwrfgs::train::{Batch, RenderingLoss, loss_and_gradients};
 use std::sync::Arc;
@@ -245,7 +246,8 @@ fn present(sight: &Sight, presence: &[Real]) -> pwrfgs::train::LossAndGradients 
 fn who_is_not_there_still_has_a_derivative() {
     for rasterizer in ["AlphaBlending()", "ArrayResponse()"] {
         let mut sight = Sight::new("Factored(width: 12, depth: 2)", Readout::Magnitude);
-        sight.stages = Arc::new(sight.stages.with(|splatting: &mut Splatting| splatting.rasterizer = plugin(rasterizer)));
+        sight.stages =
+            Arc::new(sight.stages.with(|splatting: &mut Splatting| splatting.rasterizer = plugin(rasterizer)));
         derivatives_of_presence(&sight);
     }
 }

@@ -3,8 +3,8 @@
 pub(crate) mod table;
 
 use pwrfgs::core::{Frame, Origin};
-use pwrfgs::model::Splatting;
-use pwrfgs::model::deform::{Encoding, Factored, Mlp, Outputs, Wrfgs};
+use pwrfgs::methods::Splatting;
+use pwrfgs::networks::{Encoding, Factored, Mlp, Outputs, Wrfgs};
 use pwrfgs::prelude::*;
 use pwrfgs::raster::{AlphaBlending, ArrayResponse, Mercator};
 use std::path::Path;
@@ -59,8 +59,8 @@ pub(crate) fn untrained(cloud: GaussianCloud, outputs: Outputs) -> Model {
         deformation: boxed(network),
         projector: Plugin::from(Box::new(projector) as Box<dyn Projector>),
         rasterizer: Plugin::from(Box::new(AlphaBlending::default()) as Box<dyn Rasterizer>),
-        calibration: pwrfgs::model::Calibration::Physical,
-        readout: pwrfgs::model::Readout::Magnitude,
+        calibration: pwrfgs::methods::Calibration::Physical,
+        readout: pwrfgs::methods::Readout::Magnitude,
     };
     let stages = Stages::new(splatting, Frame::spectra(Origin::ZERO, RECEIVER, plane));
     Model { stages, cloud, weights }
@@ -73,7 +73,7 @@ pub(crate) fn wrfgs(cloud: GaussianCloud) -> Model {
     model.weights = network.layout().init(&mut pwrfgs::core::rng::stream(0, "network", 0));
     model.stages = model.stages.with(|s: &mut Splatting| {
         s.deformation = boxed(network);
-        s.readout = pwrfgs::model::Readout::Real;
+        s.readout = pwrfgs::methods::Readout::Real;
     });
     model
 }
@@ -93,7 +93,7 @@ pub(crate) fn on_array(mut model: Model) -> Model {
     let array = ArrayResponse { widened: false, ..ArrayResponse::default() };
     model.stages = model.stages.with(|s: &mut Splatting| {
         s.rasterizer = Plugin::from(Box::new(array) as Box<dyn Rasterizer>);
-        s.readout = pwrfgs::model::Readout::MinMax;
+        s.readout = pwrfgs::methods::Readout::MinMax;
     });
     model
 }

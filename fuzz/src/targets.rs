@@ -2,9 +2,9 @@
 //! next is done too, as far as it stays small.
 
 use crate::mutate::Form;
-use pwrfgs::experiment::export::{npz, ply};
 use pwrfgs::experiment::sweep::Plan;
 use pwrfgs::experiment::{Session, load, read_pipeline};
+use pwrfgs::model::export::{npz, ply};
 use pwrfgs::model::file;
 use pwrfgs::prelude::*;
 use pwrfgs::report::Study;
@@ -134,7 +134,7 @@ fn experiment(bench: &Path) -> Result<()> {
 }
 
 fn scene(bench: &Path) -> Result<()> {
-    let one = pwrfgs::sim::Simulated {
+    let one = pwrfgs::raytrace::Simulated {
         scene: "scene.ron".into(),
         samples: 5, // fewer are refused before the scene is read
         points: 16,

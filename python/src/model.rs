@@ -4,7 +4,7 @@ use crate::arrays::{Gain, array, axes, numbers, observations, places, room};
 use crate::border::{LOOK, carried, free, wrong};
 use crate::data::angles;
 use numpy::PyArrayDyn;
-use pwrfgs::experiment::export;
+use pwrfgs::model::export;
 use pwrfgs::model::{Ensemble, Prepared, Stages, file};
 use pwrfgs_core::files::{check_file_place, write_atomically};
 use pwrfgs_core::{Activated, Error, Frame, Query, Real, Result};

@@ -4,9 +4,9 @@ use crate::border::{raised, waited, wrong};
 use pwrfgs::experiment::sweep::{JOINED, Plan, SweepEnd, check, execute};
 use pwrfgs::experiment::{Outcome, Session};
 use pwrfgs::prelude::Silent;
+use pwrfgs::raytrace::output::{self as folder, Layout};
+use pwrfgs::raytrace::{Observe, Recipe};
 use pwrfgs::report::{Study, write};
-use pwrfgs::sim::output::{self as folder, Layout};
-use pwrfgs::sim::{Observe, Recipe};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 

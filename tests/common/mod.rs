@@ -4,7 +4,8 @@ use pwrfgs::core::plugin::PluginKind;
 use pwrfgs::core::{
     ExtraColumn, Frame, GaussianCloud, Mat3, Moment, Origin, Phase, Plugin, Pose, Real, registered, rng,
 };
-use pwrfgs::model::{Calibration, Readout, Splatting, Stages};
+use pwrfgs::methods::{Calibration, Readout, Splatting};
+use pwrfgs::model::Stages;
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs::train::Batch;
 use std::path::Path;
@@ -24,7 +25,7 @@ where
 /// Plugins of these tests themselves.
 pub(crate) const OF_TESTS: [&str; 6] = ["Counted", "Factor", "GreyOfAFile", "Literal", "Terms", "There"];
 
-/// What another language has to fill (`crates/foreign`).
+/// What another language has to fill (`src/foreign.rs`).
 pub(crate) const FOREIGN: &str = "Python";
 
 /// The linked plugins of a kind without those of these tests and of other languages.

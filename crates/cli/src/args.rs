@@ -2,9 +2,9 @@
 //! the first documentation that a user meets.
 
 use crate::commands::Inspect;
-#[cfg(feature = "sim")]
+#[cfg(feature = "raytrace")]
 use crate::commands::Simulate;
-#[cfg(feature = "view")]
+#[cfg(feature = "viewer")]
 use crate::commands::View;
 use crate::commands::{Check, Completions, Evaluate, Export, Import, Init, Man, Plugins, Predict, Run, Sweep};
 #[cfg(feature = "report")]
@@ -89,7 +89,7 @@ pub(crate) enum Command {
     #[cfg(feature = "report")]
     /// Map what a trained model predicts over a plane: power, level or strongest direction, as pictures and arrays
     Map(Map),
-    #[cfg(feature = "view")]
+    #[cfg(feature = "viewer")]
     /// Open a page where the transmitter can be dragged and the spectrum follows; compare two models
     View(View),
     /// Score a trained model, and the baselines beside it, on data of your choice
@@ -101,7 +101,7 @@ pub(crate) enum Command {
     Export(Export),
     /// Make a data set of your own spectra: NumPy arrays or PNG pictures, and positions
     Import(Import),
-    #[cfg(feature = "sim")]
+    #[cfg(feature = "raytrace")]
     /// Simulate what is measured in a room that is known exactly, in the layout of measured data
     Simulate(Simulate),
     /// Show everything that a pipeline may name: plugins, settings, defaults, what each field does

@@ -16,10 +16,10 @@ mod receivers;
 #[cfg(feature = "report")]
 mod report;
 mod run;
-#[cfg(feature = "sim")]
+#[cfg(feature = "raytrace")]
 mod simulate;
 mod sweep;
-#[cfg(feature = "view")]
+#[cfg(feature = "viewer")]
 mod view;
 
 pub(crate) use check::{Check, check, memory, pace};
@@ -36,8 +36,8 @@ pub(crate) use predict::{Predict, predict};
 #[cfg(feature = "report")]
 pub(crate) use report::{Report, report};
 pub(crate) use run::{Run, run};
-#[cfg(feature = "sim")]
+#[cfg(feature = "raytrace")]
 pub(crate) use simulate::{Simulate, simulate};
 pub(crate) use sweep::{Sweep, sweep};
-#[cfg(feature = "view")]
+#[cfg(feature = "viewer")]
 pub(crate) use view::{View, view};

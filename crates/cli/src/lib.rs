@@ -34,14 +34,14 @@ pub fn main() -> ExitCode {
         Command::Predict(predict) => commands::predict(predict, arguments.verbosity()),
         #[cfg(feature = "report")]
         Command::Map(map) => commands::map(map, arguments.verbosity()),
-        #[cfg(feature = "view")]
+        #[cfg(feature = "viewer")]
         Command::View(view) => commands::view(view, arguments.verbosity()),
         Command::Evaluate(evaluate) => commands::evaluate(evaluate, arguments.verbosity()),
         #[cfg(feature = "report")]
         Command::Report(report) => commands::report(report, arguments.verbosity()),
         Command::Export(export) => commands::export(export, arguments.verbosity()),
         Command::Import(import) => commands::import(import, arguments.verbosity()),
-        #[cfg(feature = "sim")]
+        #[cfg(feature = "raytrace")]
         Command::Simulate(simulate) => commands::simulate(simulate, arguments.verbosity()),
         Command::Plugins(plugins) => commands::plugins(plugins),
         Command::Inspect(inspect) => commands::inspect(inspect, arguments.verbosity()),

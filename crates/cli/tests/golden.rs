@@ -7,7 +7,7 @@
 //!
 //! If a change alters stored values on purpose, run this test with `PWRFGS_GOLDEN=write` and say why in the commit.
 
-#![cfg(all(feature = "sim", not(feature = "f64")))]
+#![cfg(all(feature = "raytrace", not(feature = "f64")))]
 
 use crate::common::{succeed, write};
 use pwrfgs_core::files::digest;

@@ -1,6 +1,6 @@
 //! Every command over every kind of data: it does its work, or says with exit code 2 why it cannot.
 
-#![cfg(all(feature = "report", feature = "view"))]
+#![cfg(all(feature = "report", feature = "viewer"))]
 
 use crate::common::{refuse, succeed, write};
 use pwrfgs::data::{base_station_yaml, npy_header_as, save};

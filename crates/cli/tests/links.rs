@@ -209,7 +209,7 @@ fn a_pipeline_is_suggested_for_every_layout() {
     let text = read(&here.join("powers.ron"));
     assert!(text.contains("Nerf2Rssi(") && text.contains("Received(") && text.contains("longest_m: 10.0"), "{text}");
     succeed(here, &["run", "powers.ron", "--out", "powers", "--scale", "0.005"]);
-    #[cfg(feature = "sim")]
+    #[cfg(feature = "raytrace")]
     {
         let scene = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenes/office-csi.ron");
         for (layout, words) in [("channels", ["Channels(", "MatchingPursuit("]), ("csi", ["Nerf2Csi(", "Features("])] {
@@ -292,7 +292,7 @@ fn maps_powers(here: &Path) {
 }
 
 #[test]
-#[cfg(feature = "sim")]
+#[cfg(feature = "raytrace")]
 fn channels_are_reported_predicted_and_mapped() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();

@@ -1,9 +1,10 @@
 //! Whoever follows `docs/model-format.md` gets the program's spectra: `model_format.py` does, with `NumPy` alone.
 
 use crate::common::{SMALL, python, refuse, succeed, write};
-use pwrfgs::model::Calibration::{AsReleased, Physical};
+use pwrfgs::methods::Calibration::{AsReleased, Physical};
+use pwrfgs::methods::{Calibration, Readout, Splatting};
 use pwrfgs::model::tensors::Tensors;
-use pwrfgs::model::{Calibration, Ensemble, Model, Readout, Splatting, Stages, file};
+use pwrfgs::model::{Ensemble, Model, Stages, file};
 use pwrfgs_core::{
     Frame, GaussianCloud, ImagePlane, Method, Origin, Plugin, Pose, Projector, Real, Receiver, Sampling, Task, Vec3,
     rng,

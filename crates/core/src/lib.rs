@@ -11,6 +11,7 @@
 
 mod cholesky;
 mod cloud;
+pub mod colour;
 mod conditions;
 mod data_source;
 mod dataset;

@@ -1,8 +1,8 @@
 //! `Method`: the one seam between training and what is trained. From parameters and links to observations, and back.
 
 use crate::{
-    Cache, CloudStats, Conditions, Dataset, Deformation, Elevation, GaussianCloud, ImagePlane, Layout, Link, Needs, Origin,
-    Plugin, Pose, Primitives, Projector, Query, Real, Receiver, StageTimes, Statistics, Task, plugin_kind,
+    Cache, CloudStats, Conditions, Dataset, Deformation, Elevation, GaussianCloud, ImagePlane, Layout, Link, Needs,
+    Origin, Plugin, Pose, Primitives, Projector, Query, Real, Receiver, StageTimes, Statistics, Task, plugin_kind,
 };
 
 /// Where observations are made, and what they are: all of a data set that a trained model has to know.
@@ -56,11 +56,7 @@ impl Frame {
 
     /// Conditions `[T, inputs]` of the transmitters of these links, and the links. Equal transmitters that follow one another are
     /// one.
-    pub fn conditions<'q>(
-        &self,
-        inputs: usize,
-        queries: impl Iterator<Item = Query<'q>>,
-    ) -> (Vec<Real>, Vec<Link>) {
+    pub fn conditions<'q>(&self, inputs: usize, queries: impl Iterator<Item = Query<'q>>) -> (Vec<Real>, Vec<Link>) {
         let mut conditions: Vec<Real> = Vec::new();
         let mut links: Vec<Link> = Vec::with_capacity(queries.size_hint().0);
         let mut last: Option<Query<'_>> = None;

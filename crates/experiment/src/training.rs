@@ -9,10 +9,10 @@ use crate::folder::{CHECKPOINT, MODEL_FILE, RunFolder, START_SNAPSHOT, UNPRUNED_
 use crate::journal::Journal;
 use crate::observer::Start;
 use crate::session::Session;
-use crate::snapshot::Snapshot;
 use crate::validation::validate;
 use pwrfgs_core::files::write_atomically;
 use pwrfgs_core::{Dataset, GaussianCloud, Partition, Result, evenly};
+use pwrfgs_model::Snapshot;
 use pwrfgs_model::{Model, file};
 use pwrfgs_pipeline::Pipeline;
 use pwrfgs_train::{Estimate, Pruned, Trainer};

@@ -1,11 +1,11 @@
 //! The table of `NeWRF`'s conference room: how many virtual transmitters are found, how fast and how good they are.
 //!
-//! `PWRFGS_SHARED=../shared cargo run --release -p pwrfgs-coherent --example newrf -- 433 928 2400`
+//! `PWRFGS_SHARED=../shared cargo run --release -p pwrfgs-methods --example newrf -- 433 928 2400`
 
 #![allow(clippy::print_stdout, clippy::print_stderr, clippy::unwrap_used, clippy::disallowed_methods)] // a table for developers
 
-use pwrfgs_coherent::{Links, Pursuit, field, pursue, snr_of};
 use pwrfgs_core::{Real, testing::shared};
+use pwrfgs_methods::virtual_transmitters::{Links, Pursuit, field, pursue, snr_of};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
@@ -60,7 +60,7 @@ fn main() {
             ..default
         };
         let start = Instant::now();
-        let mut tell = |p: &pwrfgs_coherent::Progress| {
+        let mut tell = |p: &pwrfgs_methods::virtual_transmitters::Progress| {
             if verbose {
                 eprintln!("{:6.1} s {p:?}", start.elapsed().as_secs_f64());
             }

@@ -8,7 +8,6 @@
 mod linear_start;
 mod waves;
 
-use crate::deform::Mlp;
 use crate::deformed::{self, OFFSETS};
 use crate::groups::Group;
 use crate::readout::magnitudes;
@@ -18,6 +17,7 @@ use pwrfgs_core::{
     JsonSchema, Layout, Method, MethodTraits, MethodVjp, Observed, Parameters, Plugin, Real, StageTimes, Task,
     WeightSpec, cached, consts, evenly,
 };
+use pwrfgs_networks::Mlp;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::time::Instant;

@@ -10,7 +10,6 @@ mod method;
 mod received;
 mod survey;
 
-use crate::deform::Mlp;
 use crate::deformed;
 use crate::{Activation, ActivationVjp, Calibration, Readout};
 use pwrfgs_core::plugin::Plugin;
@@ -18,6 +17,7 @@ use pwrfgs_core::{
     Cache, Deformation, Deltas, Elevation, Frame, GaussianCloud, ImagePlane, JsonSchema, Parameters, Pose, Primitives,
     Projector, Rasterizer, Real, Render, RenderVjp, Splats, Task, sigmoid,
 };
+use pwrfgs_networks::Mlp;
 use pwrfgs_raster::{AlphaBlending, Mercator};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;

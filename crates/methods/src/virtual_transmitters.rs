@@ -1,7 +1,5 @@
 //! Gaussians as virtual transmitters, coherent over the room: the field, its derivative, gains, search and refinement.
 
-#![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
-
 mod cis;
 mod descent;
 mod field;
@@ -9,6 +7,7 @@ mod harmonics;
 mod images;
 mod links;
 mod matching_pursuit;
+mod method;
 mod normal;
 mod options;
 mod pursuit;
@@ -16,12 +15,11 @@ mod rows;
 mod solve;
 mod sweep;
 mod turn;
-mod virtual_transmitters;
 
 pub use field::{FieldVjp, HARMONICS, field, field_vjp};
 pub use links::{Links, Sources};
 pub use matching_pursuit::MatchingPursuit;
+pub use method::VirtualTransmitters;
 pub use options::{Progress, Pursuit};
 pub use pursuit::{pursue, snr_of};
 pub use solve::solve_gains;
-pub use virtual_transmitters::VirtualTransmitters;

@@ -1,8 +1,8 @@
 //! The field against closed forms and central differences.
 
-use pwrfgs_coherent::{HARMONICS, Links, field, field_vjp};
 use pwrfgs_core::testing::check_vjp;
 use pwrfgs_core::{GaussianCloud, Real, SPEED_OF_LIGHT, rng};
+use pwrfgs_methods::virtual_transmitters::{HARMONICS, Links, field, field_vjp};
 
 /// A few Gaussians, some metres off, their quaternions of no particular length, gains of `terms` harmonics.
 fn cloud(n: usize, terms: usize, seed: u64) -> GaussianCloud {

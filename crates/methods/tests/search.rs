@@ -1,7 +1,7 @@
 //! The search finds what made the channel: positions, gains, turned arrays; and is the same on any number of threads.
 
-use pwrfgs_coherent::{Links, Progress, Pursuit, Sources, field, pursue, snr_of, solve_gains};
 use pwrfgs_core::{Real, rng};
+use pwrfgs_methods::virtual_transmitters::{Links, Progress, Pursuit, Sources, field, pursue, snr_of, solve_gains};
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
 static NEVER: AtomicBool = AtomicBool::new(false);

@@ -5,27 +5,19 @@
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
-mod activate;
-pub mod deform;
-mod deformed;
 mod ensemble;
+pub mod export;
 pub mod file;
-mod groups;
 mod model;
 mod prepared;
-mod readout;
-mod splatted_channel;
-mod splatting;
+mod snapshot;
 mod stages;
 pub mod tensors;
 mod trained;
 
-pub use activate::{Activation, ActivationVjp, Calibration};
 pub use ensemble::Ensemble;
 pub use model::Model;
 pub use prepared::Prepared;
-pub use readout::Readout;
-pub use splatted_channel::SplattedChannel;
-pub use splatting::{Drawing, Gates, Geometry, Splatting, View, check_kind, check_together};
+pub use snapshot::Snapshot;
 pub use stages::Stages;
 pub use trained::Trained;

@@ -2,8 +2,8 @@
 
 use crate::Model;
 use pwrfgs_core::{
-    Asked, Cache, Conditions, GaussianCloud, Image, ImagePlane, Parameters, Pixels, Predict, Query, Real,
-    Receiver, StageTimes, Task,
+    Asked, Cache, Conditions, GaussianCloud, Image, ImagePlane, Parameters, Pixels, Predict, Query, Real, Receiver,
+    StageTimes, Task,
 };
 use rayon::prelude::*;
 use std::borrow::Cow;

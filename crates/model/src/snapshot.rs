@@ -1,8 +1,8 @@
 //! `Snapshot`: where the Gaussians are at one moment of a training, for figures. `docs/model-format.md` describes the file.
 
+use crate::{Ensemble, tensors::Tensors};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Error, GaussianCloud, Origin, Real, Result, sigmoid};
-use pwrfgs_model::{Ensemble, tensors::Tensors};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 

@@ -2,8 +2,8 @@
 
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
-    Axis, Dataset, Deformation, Error, Frame, GaussianCloud, ImagePlane, Layout, Method, Projector, Real, Receiver, Result,
-    WeightSpec,
+    Axis, Dataset, Deformation, Error, Frame, GaussianCloud, ImagePlane, Layout, Method, Projector, Real, Receiver,
+    Result, WeightSpec,
 };
 use std::any::Any;
 use std::ops::{Deref, DerefMut};

@@ -4,11 +4,11 @@ use super::factored_network::{Basis, Network};
 use super::mlp::check_stack;
 use super::waves::Encoding;
 use super::whiten::whitening;
+use crate::layers::plan::{laid_out, planned};
 use pwrfgs_core::{
     Cache, Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout, LinearPart, Pose,
     Real, cached,
 };
-use pwrfgs_layers::plan::{laid_out, planned};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 

@@ -10,12 +10,12 @@
 
 use super::factored::Factored;
 use super::waves::{Encoder, Encoding};
+use crate::layers::dense::{self, Matrix, MatrixMut, Store, product};
+use crate::layers::encoding::encode_vjp;
+use crate::layers::linear::Linear;
+use crate::layers::plan::Plan;
 use pwrfgs_core::simd::{Lanes, widest};
 use pwrfgs_core::{Conditions, DeformationInputs, Deltas, LinearPart, Real};
-use pwrfgs_layers::dense::{self, Matrix, MatrixMut, Store, product};
-use pwrfgs_layers::encoding::encode_vjp;
-use pwrfgs_layers::linear::Linear;
-use pwrfgs_layers::plan::Plan;
 use rayon::prelude::*;
 use std::ops::Range;
 

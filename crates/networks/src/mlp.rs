@@ -1,10 +1,10 @@
 //! `Mlp`: the deformation network of P-WRFGS, `(Δs, ΔR, ΔS) = D_Θ(γ(μ), γ(p_tx))` of eq. (5).
 
 use super::mlp_network::{Network, Outputs};
+use crate::layers::encoding::{self, MOST_FREQUENCIES};
+use crate::layers::plan::{Plan, laid_out, planned};
+use crate::layers::trunk::{Trunk, TrunkShape};
 use pwrfgs_core::{Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout, Real};
-use pwrfgs_layers::encoding::{self, MOST_FREQUENCIES};
-use pwrfgs_layers::plan::{Plan, laid_out, planned};
-use pwrfgs_layers::trunk::{Trunk, TrunkShape};
 use serde::{Deserialize, Serialize};
 
 /// The network of P-WRFGS: for each Gaussian and transmitter a change of signal, rotation and scale, to be added.

@@ -5,12 +5,12 @@
 //! γ(μ) ─────────────────────────────┴→ trunk.0 … trunk.{depth-1} → heads: rotation 4, scaling 3, signal 2
 //! ```
 
+use crate::layers::dense::{self, Matrix, MatrixMut, Store, product};
+use crate::layers::encoding::{self, encode};
+use crate::layers::linear::Linear;
+use crate::layers::plan::{Item, items, items_per_sum};
+use crate::layers::trunk::{Joints, Trunk, TrunkGradient};
 use pwrfgs_core::{DeformationInputs, Deltas, JsonSchema, Real};
-use pwrfgs_layers::dense::{self, Matrix, MatrixMut, Store, product};
-use pwrfgs_layers::encoding::{self, encode};
-use pwrfgs_layers::linear::Linear;
-use pwrfgs_layers::plan::{Item, items, items_per_sum};
-use pwrfgs_layers::trunk::{Joints, Trunk, TrunkGradient};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 

@@ -1,9 +1,9 @@
 //! The reference renders of WRF-GS: network inputs, weights, outputs and derivatives in double precision.
 
 use super::Wrfgs;
+use crate::layers::plan::Plan;
 use pwrfgs_core::testing::shared;
 use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Pose, Real, rng};
-use pwrfgs_layers::plan::Plan;
 use std::path::Path;
 
 fn array(folder: &Path, name: &str) -> Vec<Real> {

@@ -1,8 +1,8 @@
 //! `Encoding`: what a network sees of a position.
 
 use super::mlp::{WIDEST, check_frequencies};
+use crate::layers::encoding::{self, encode, encode_vjp};
 use pwrfgs_core::{Conditions, JsonSchema, Real, WeightSpec, rng};
-use pwrfgs_layers::encoding::{self, encode, encode_vjp};
 use serde::{Deserialize, Serialize};
 
 /// The encoding γ(p) of a position: the coordinates, and waves over the room.

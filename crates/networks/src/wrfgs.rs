@@ -3,12 +3,12 @@
 use super::mlp::{check_frequencies, check_stack};
 use super::wrfgs_branch::Branch;
 use super::wrfgs_network::{Ahead, Network};
+use crate::layers::encoding;
+use crate::layers::plan::{Plan, laid_out, planned};
+use crate::layers::trunk::{Trunk, TrunkShape};
 use pwrfgs_core::{
     Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout, Pose, Real, cached,
 };
-use pwrfgs_layers::encoding;
-use pwrfgs_layers::plan::{Plan, laid_out, planned};
-use pwrfgs_layers::trunk::{Trunk, TrunkShape};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 

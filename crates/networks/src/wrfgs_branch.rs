@@ -6,10 +6,10 @@
 //! γ(X - p) ────────────────────────┘
 //! ```
 
+use crate::layers::dense::{self, Store};
+use crate::layers::encoding::{self, encode, encode_vjp};
+use crate::layers::linear::{Linear, Part};
 use pwrfgs_core::Real;
-use pwrfgs_layers::dense::{self, Store};
-use pwrfgs_layers::encoding::{self, encode, encode_vjp};
-use pwrfgs_layers::linear::{Linear, Part};
 use rayon::prelude::*;
 
 /// The layers and where their weights lie.

@@ -6,12 +6,12 @@
 //! ```
 
 use super::wrfgs_branch::{Branch, Room, TxSide, amplitude, amplitude_slope};
+use crate::layers::dense::{self, Store};
+use crate::layers::encoding::{self, encode, encode_vjp};
+use crate::layers::linear::Linear;
+use crate::layers::plan::{Item, items, items_per_sum};
+use crate::layers::trunk::{Joints, Trunk, TrunkGradient};
 use pwrfgs_core::{DeformationInputs, Real};
-use pwrfgs_layers::dense::{self, Store};
-use pwrfgs_layers::encoding::{self, encode, encode_vjp};
-use pwrfgs_layers::linear::Linear;
-use pwrfgs_layers::plan::{Item, items, items_per_sum};
-use pwrfgs_layers::trunk::{Joints, Trunk, TrunkGradient};
 use rayon::prelude::*;
 
 /// The layers and where their weights lie.

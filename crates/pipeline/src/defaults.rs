@@ -3,11 +3,11 @@
 use pwrfgs_core::{Baseline, Deformation, Initializer, Metric, Plugin, Projector, Rasterizer, Split, Task};
 use pwrfgs_data::{Kriging, LogDistance, MeanSpectrum, NearestNeighbours, Official, Zero};
 use pwrfgs_init::NoGaussians;
+use pwrfgs_methods::Readout;
 use pwrfgs_metrics::{
     Chamfer, ChannelSnr, DirectionError, GaussianCount, L1, Latency, ModelSize, PowerError, Psnr, RateRatio, Ssim,
 };
-use pwrfgs_model::Readout;
-use pwrfgs_model::deform::Mlp;
+use pwrfgs_networks::Mlp;
 use pwrfgs_raster::{AlphaBlending, Mercator};
 
 /// Plugins of one kind, each with the settings given here.

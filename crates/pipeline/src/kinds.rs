@@ -3,7 +3,7 @@
 use crate::{Pipeline, defaults};
 use pwrfgs_core::plugin::{name_of, to_ron};
 use pwrfgs_core::{Dataset, Error, Task};
-use pwrfgs_model::Calibration;
+use pwrfgs_methods::Calibration;
 use pwrfgs_train::Rays;
 
 /// The first field that does not support the data, and what to do about it; nothing where the source does not know

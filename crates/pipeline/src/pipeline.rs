@@ -10,7 +10,8 @@ use pwrfgs_core::{
     Baseline, DataSource, Dataset, Deformation, Error, ImagePlane, Initializer, JsonSchema, MaskRate, Method, Metric,
     Partition, Projector, Pruner, Rasterizer, Result, Split, plugin::name_of, rng,
 };
-use pwrfgs_model::{Calibration, Readout, SplattedChannel, Splatting, Stages, check_together};
+use pwrfgs_methods::{Calibration, Readout, SplattedChannel, Splatting, check_together};
+use pwrfgs_model::Stages;
 use pwrfgs_train::{Trainer, Training, TrainingPlan};
 use ron::error::SpannedError;
 use serde::{Deserialize, Serialize};

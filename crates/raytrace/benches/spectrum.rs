@@ -1,11 +1,11 @@
 //! One spectrum of 360 x 90 pixels from the channel of 4 x 4 antennas, on one thread.
 //!
-//! `cargo bench -p pwrfgs-sim --bench spectrum`
+//! `cargo bench -p pwrfgs-raytrace --bench spectrum`
 
 use criterion::Criterion;
-use pwrfgs_sim::Complex;
-use pwrfgs_sim::array::Array;
-use pwrfgs_sim::spectrum::{Beamformer, SpectrumKind};
+use pwrfgs_raytrace::Complex;
+use pwrfgs_raytrace::array::Array;
+use pwrfgs_raytrace::spectrum::{Beamformer, SpectrumKind};
 use std::hint::black_box;
 
 fn main() {

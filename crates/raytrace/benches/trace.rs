@@ -1,12 +1,12 @@
 //! All paths of one transmitter, and a whole simulated spectrum, on one thread.
 //!
-//! `cargo bench -p pwrfgs-sim --bench trace`. The empty room is that of the reference paths: 6 x 5 x 3 m, order 3.
+//! `cargo bench -p pwrfgs-raytrace --bench trace`. The empty room is that of the reference paths: 6 x 5 x 3 m, order 3.
 
 #![allow(clippy::print_stdout)] // a benchmark reports
 
 use criterion::Criterion;
 use glam::DVec3;
-use pwrfgs_sim::{Scene, Simulator};
+use pwrfgs_raytrace::{Scene, Simulator};
 use std::hint::black_box;
 use std::path::Path;
 

@@ -25,7 +25,7 @@ const SAME_FREQUENCY: f64 = 1e-7;
 ///
 /// ```
 /// # use pwrfgs_core::{Baseline, Plugin};
-/// # use pwrfgs_sim as _;
+/// # use pwrfgs_raytrace as _;
 /// Plugin::<dyn Baseline>::parse("RayTracing(material_error: 0.2, position_error_m: 0.05)")?;
 /// # Ok::<(), String>(())
 /// ```

@@ -29,7 +29,7 @@ use std::path::{Path, PathBuf};
 ///
 /// ```
 /// # use pwrfgs_core::{DataSource, Plugin};
-/// # use pwrfgs_sim as _;
+/// # use pwrfgs_raytrace as _;
 /// Plugin::<dyn DataSource>::parse(r#"Simulated(scene: "../scenes/office.ron", samples: 200)"#)?;
 /// # Ok::<(), String>(())
 /// ```

@@ -37,7 +37,7 @@ const SMALLEST_STEP: f64 = 1e-3;
 ///   reflect, and the walk turns away from what is in the way. A longer draw begins with the shorter one.
 ///
 /// ```
-/// # use pwrfgs_sim::transmitters::Transmitters;
+/// # use pwrfgs_raytrace::transmitters::Transmitters;
 /// let text = "Walk(low: (-0.9, -0.9, 0.8), high: (0.7, 0.5, 1.7), step_m: 0.0104)";
 /// let walk: Transmitters = ron::from_str(text)?;
 /// assert_eq!(walk.draw(200, 0, &|_| Ok(()))?.len(), 200);

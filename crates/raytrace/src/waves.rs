@@ -6,4 +6,4 @@ pub mod diffraction;
 pub mod fresnel;
 pub mod material;
 pub mod scattering;
-pub mod wave;
+pub(crate) mod wave;

@@ -2,9 +2,9 @@
 
 use crate::common::law_scene as scene;
 use glam::DVec3;
-use pwrfgs_sim::fresnel::{reflection, transmission};
-use pwrfgs_sim::world::Triangle;
-use pwrfgs_sim::{Complex, Interaction, Path, Scene, Simulator};
+use pwrfgs_raytrace::fresnel::{reflection, transmission};
+use pwrfgs_raytrace::world::Triangle;
+use pwrfgs_raytrace::{Complex, Interaction, Path, Scene, Simulator};
 use std::f64::consts::PI;
 
 const WALLS: &str = "(outline: Box(low: (-10, -8, 0), high: (10, 8, 6)), walls: (material: \"concrete\"), \
@@ -44,7 +44,7 @@ fn bounced(paths: &[Path], x: f64) -> Vec<&Path> {
 
 /// The path from (4, -y) by the plane x = 10 to (4, y), at one height: TE, with this gain.
 fn expected(material: &str, thickness: Option<f64>, y: f64) -> Complex {
-    let eta = pwrfgs_sim::material::named(material).unwrap().permittivity(2e9);
+    let eta = pwrfgs_raytrace::material::named(material).unwrap().permittivity(2e9);
     let length = 2.0 * 6.0_f64.hypot(y);
     reflection(eta, thickness, 6.0 / 6.0_f64.hypot(y), WAVELENGTH).te * WAVELENGTH / (4.0 * PI * length)
 }
@@ -102,7 +102,7 @@ fn waves_pass_both_of_two_sheets_that_lie_on_each_other() {
         found[0].gain
     };
     let t = |material: &str| {
-        let eta = pwrfgs_sim::material::named(material).unwrap().permittivity(2e9);
+        let eta = pwrfgs_raytrace::material::named(material).unwrap().permittivity(2e9);
         transmission(eta, 0.01, 1.0, WAVELENGTH).te
     };
     let free = WAVELENGTH / (4.0 * PI * 8.0);

@@ -2,8 +2,8 @@
 
 use glam::DVec3;
 use pwrfgs_core::{Baseline, DataSource, Dataset, Known, Plugin, Simulation};
-use pwrfgs_sim::output::{Layout, MANIFEST, POINTS, write, write_as};
-use pwrfgs_sim::{Recipe, Scene, Simulator, cache, simulate};
+use pwrfgs_raytrace::output::{Layout, MANIFEST, POINTS, write, write_as};
+use pwrfgs_raytrace::{Recipe, Scene, Simulator, cache, simulate};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -175,7 +175,7 @@ fn rooms_may_have_niches_and_panels_in_line_with_walls() {
     let simulator = Simulator::new(&Scene::parse(&text, Path::new("niche.ron")).unwrap()).unwrap();
     assert_eq!(simulator.world().faces.len(), 8 + 2 + 5);
     // Two corners of the niche stand out into the room.
-    let upright = |e: &&pwrfgs_sim::world::Edge| (e.ends[0].z - e.ends[1].z).abs() > 2.0;
+    let upright = |e: &&pwrfgs_raytrace::world::Edge| (e.ends[0].z - e.ends[1].z).abs() > 2.0;
     assert_eq!(simulator.world().edges.iter().filter(upright).count(), 2);
     let crossed = text.replace("(2, -1), (2, 0)", "(2, -1), (0.5, 0)");
     assert!(Scene::parse(&crossed, Path::new("s.ron")).unwrap_err().to_string().contains("cross or touch"));

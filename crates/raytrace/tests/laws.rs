@@ -3,8 +3,8 @@
 use crate::common::law_scene as scene;
 use glam::DVec3;
 use proptest::prelude::*;
-use pwrfgs_sim::fresnel::reflection;
-use pwrfgs_sim::{Complex, Interaction, Path, Simulator};
+use pwrfgs_raytrace::fresnel::reflection;
+use pwrfgs_raytrace::{Complex, Interaction, Path, Simulator};
 use std::f64::consts::{PI, TAU};
 
 const WALLS: &str = "(outline: Box(low: (-10, -8, 0), high: (10, 8, 6)), walls: (material: \"concrete\"), \

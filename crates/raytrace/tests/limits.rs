@@ -1,7 +1,7 @@
 //! Scenes that nobody means: told as wrong input, before memory or minutes are spent.
 
 use crate::common::law_scene;
-use pwrfgs_sim::{Scene, Simulator};
+use pwrfgs_raytrace::{Scene, Simulator};
 use std::fs;
 use std::path::Path;
 use std::time::{Duration, Instant};

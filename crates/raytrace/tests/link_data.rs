@@ -3,7 +3,7 @@
 use crate::common::{CSI, small_room};
 use pwrfgs_core::{Baseline, DataSource, Dataset, Known, Link, Observations, Plugin, Real, Split, Task, rng};
 use pwrfgs_data as _;
-use pwrfgs_sim::Scene;
+use pwrfgs_raytrace::Scene;
 use std::fs;
 use std::path::Path;
 

@@ -1,8 +1,8 @@
 //! Folders of powers and channels: the same bytes always, what they hold, and mistakes told clearly.
 
 use crate::common::{CSI, small_room};
-use pwrfgs_sim::output::{Layout, write_as};
-use pwrfgs_sim::{Heard, Observe, Observed, Recipe, SILENT_DBM, Scene, Simulator, Wanted, simulate_links};
+use pwrfgs_raytrace::output::{Layout, write_as};
+use pwrfgs_raytrace::{Heard, Observe, Observed, Recipe, SILENT_DBM, Scene, Simulator, Wanted, simulate_links};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;

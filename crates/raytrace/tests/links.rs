@@ -3,7 +3,7 @@
 use crate::common::{CSI, small_room};
 use glam::DVec3;
 use pwrfgs_core::plugin::Checked;
-use pwrfgs_sim::{Complex, Listener, Observe, Observed, SPEED_OF_LIGHT, Scene, Simulator};
+use pwrfgs_raytrace::{Complex, Listener, Observe, Observed, SPEED_OF_LIGHT, Scene, Simulator};
 use std::f64::consts::{PI, TAU};
 use std::path::Path;
 

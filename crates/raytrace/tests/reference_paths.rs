@@ -4,7 +4,7 @@
 use crate::common::reference_room;
 use glam::DVec3;
 use pwrfgs_core::testing::shared;
-use pwrfgs_sim::{Complex, Interaction, Path, Simulator};
+use pwrfgs_raytrace::{Complex, Interaction, Path, Simulator};
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 

@@ -12,6 +12,3 @@ pub(crate) mod ruler;
 pub(crate) mod spectra;
 pub(crate) mod steps;
 pub(crate) mod ticks;
-
-pub use pwrfgs_canvas as canvas;
-pub(crate) use pwrfgs_canvas::font;

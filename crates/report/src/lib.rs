@@ -4,7 +4,9 @@
 //! [`Study`]. Both draw with `draw`.
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
+pub mod canvas;
 pub mod draw;
+pub mod live;
 mod run_page;
 mod study;
 mod templates;

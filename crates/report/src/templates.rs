@@ -2,12 +2,12 @@
 
 mod latex;
 
+use crate::canvas::text::{plain, xml};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use minijinja::syntax::SyntaxConfig;
 use minijinja::value::Value;
 use minijinja::{AutoEscape, Environment};
-use pwrfgs_canvas::text::{plain, xml};
 use pwrfgs_core::{Error, Result};
 use pwrfgs_experiment::clock::duration;
 use pwrfgs_experiment::text::grouped;

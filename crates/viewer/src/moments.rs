@@ -1,9 +1,9 @@
 //! The snapshots that a training left, in the order of its steps.
 
 use crate::side::Side;
-use pwrfgs_experiment::Snapshot;
 use pwrfgs_experiment::folder::snapshots;
 use pwrfgs_experiment::text::grouped;
+use pwrfgs_model::Snapshot;
 
 /// Titles and snapshots; a damaged one is left out.
 pub(crate) fn moments(side: &Side) -> Vec<(String, Snapshot)> {

@@ -1,8 +1,8 @@
 //! The page itself: the stage with our scripts beside it.
 
 use crate::house::House;
-use pwrfgs_canvas::text::xml;
-use pwrfgs_live::STAGE;
+use pwrfgs_report::canvas::text::xml;
+use pwrfgs_report::live::STAGE;
 
 /// Style of the page around the stage.
 pub(crate) const STYLE: &str = include_str!("view.css");

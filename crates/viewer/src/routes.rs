@@ -10,7 +10,7 @@ use http_body_util::{BodyExt as _, Full, combinators::BoxBody};
 use hyper::body::Bytes;
 use hyper::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY};
 use hyper::{Response, StatusCode};
-use pwrfgs_live::{FILES, STYLE};
+use pwrfgs_report::live::{FILES, STYLE};
 use std::convert::Infallible;
 use std::sync::Arc;
 

@@ -5,7 +5,7 @@ use super::receivers::check_positions;
 use crate::args::Verbosity;
 use crate::output;
 use clap::Args;
-use pwrfgs::experiment::export::{npz, ply};
+use pwrfgs::model::export::{npz, ply};
 use pwrfgs::model::{Ensemble, file};
 use pwrfgs_core::files::{check_new_file, write_atomically};
 use pwrfgs_core::{Error, Result};

@@ -5,7 +5,7 @@ use crate::interrupt::stop_flag;
 use crate::output;
 use crate::progress::Progress;
 use clap::Args;
-use pwrfgs::view::{Side, view as show};
+use pwrfgs::viewer::{Side, view as show};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::words::clean;
 use pwrfgs_core::{Baseline, Error, Result};
@@ -64,15 +64,15 @@ fn open(named: &[String], progress: &mut Progress) -> Result<Vec<Side>> {
 }
 
 /// The surfaces of the room that simulated data come from.
-#[cfg(feature = "sim")]
+#[cfg(feature = "raytrace")]
 fn show_walls(side: &mut Side) -> Result<()> {
     let Some(text) = side.scene() else { return Ok(()) };
-    let surfaces = pwrfgs::sim::Scene::parse(text, Path::new("the scene of the data"))?.open_surfaces()?;
+    let surfaces = pwrfgs::raytrace::Scene::parse(text, Path::new("the scene of the data"))?.open_surfaces()?;
     side.set_surfaces(surfaces);
     Ok(())
 }
 
-#[cfg(not(feature = "sim"))]
+#[cfg(not(feature = "raytrace"))]
 #[allow(clippy::unnecessary_wraps)] // as the other
 fn show_walls(_side: &mut Side) -> Result<()> {
     Ok(())

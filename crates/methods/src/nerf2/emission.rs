@@ -1,6 +1,6 @@
 //! What the samples of a ray emit towards the receiver: Σ s·exp(jψ)·c.
 
-use crate::path::{amplitude, amplitude_slope, turn, turn_slope};
+use crate::nerf2::path::{amplitude, amplitude_slope, turn, turn_slope};
 use pwrfgs_core::Real;
 
 /// Σ over samples, given raw amplitudes and phases `[n]` and the factors of the path; `back` is taken from the phase.

@@ -1,6 +1,6 @@
 //! `Group`: links whose rays are the same, chunk by chunk through the network and back.
 
-use crate::walk::{Signal, Still, Sums, Trunked, Walk};
+use crate::nerf2::walk::{Signal, Still, Sums, Trunked, Walk};
 use pwrfgs_core::Real;
 use std::ops::Range;
 

@@ -1,16 +1,16 @@
 //! `Nerf2`: the method, from links to observations.
 
-use crate::group::{Group, Links, Passes, Scratch, Walked};
-use crate::network::Network;
-use crate::path::Law;
-use crate::rays::Rays;
-use crate::walk::{Still, Sums, Trunked, Walk};
+use crate::nerf2::group::{Group, Links, Passes, Scratch, Walked};
+use crate::nerf2::network::Network;
+use crate::nerf2::path::Law;
+use crate::nerf2::rays::Rays;
+use crate::nerf2::walk::{Still, Sums, Trunked, Walk};
 use pwrfgs_core::{
     Appearance, Asked, Cache, Cost, Frame, JsonSchema, Layout, Method, MethodTraits, MethodVjp, Observed, Parameters,
     Pixels, Real, SPEED_OF_LIGHT, StageTimes, Task, cached, consts,
 };
-use pwrfgs_layers::dense::add_in_order;
-use pwrfgs_layers::plan::{Plan, items_per_sum, laid_out, planned};
+use pwrfgs_networks::layers::dense::add_in_order;
+use pwrfgs_networks::layers::plan::{Plan, items_per_sum, laid_out, planned};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
@@ -40,7 +40,7 @@ use std::time::Instant;
 ///
 /// ```
 /// # use pwrfgs_core::{Method, Plugin};
-/// # use pwrfgs_nerf2 as _;
+/// # use pwrfgs_methods as _;
 /// Plugin::<dyn Method>::parse("Nerf2(width: 128, samples: 32)")?;
 /// assert!(Plugin::<dyn Method>::parse("Nerf2(samples: 1)").is_err());
 /// # Ok::<(), String>(())

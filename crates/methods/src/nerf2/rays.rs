@@ -1,6 +1,6 @@
 //! `Rays`: from where, in which directions, and where along them samples lie.
 
-use crate::method::Nerf2;
+use crate::nerf2::method::Nerf2;
 use pwrfgs_core::{Frame, Pixels, Real};
 
 /// Rays from one place, with the same samples on each.

@@ -1,13 +1,13 @@
 //! A chunk of rays through the network and back.
 
-use crate::emission::{sum, sum_vjp};
-use crate::network::{FREQUENCIES, Network};
-use crate::path::Law;
-use crate::rays::Rays;
+use crate::nerf2::emission::{sum, sum_vjp};
+use crate::nerf2::network::{FREQUENCIES, Network};
+use crate::nerf2::path::Law;
+use crate::nerf2::rays::Rays;
 use pwrfgs_core::Real;
-use pwrfgs_layers::dense::{self, Store};
-use pwrfgs_layers::encoding::{encode, width};
-use pwrfgs_layers::trunk::{Joints, TrunkGradient};
+use pwrfgs_networks::layers::dense::{self, Store};
+use pwrfgs_networks::layers::encoding::{encode, width};
+use pwrfgs_networks::layers::trunk::{Joints, TrunkGradient};
 use std::ops::Range;
 
 /// Points a chunk, as far as whole rays allow: see `rows_per_chunk` of the layers.

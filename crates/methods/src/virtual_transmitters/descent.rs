@@ -3,11 +3,11 @@
 //! One step solves the equations of gains and moves together, with damping on the moves alone, which is variable
 //! projection in Kaufman's form; after a step the gains are solved exactly for the new places. Double precision.
 
-use crate::links::Sources;
-use crate::rows::Rows;
-use crate::solve::{Unknowns, equations, gains};
-use crate::sweep::Grid;
-use crate::turn::nudged;
+use crate::virtual_transmitters::links::Sources;
+use crate::virtual_transmitters::rows::Rows;
+use crate::virtual_transmitters::solve::{Unknowns, equations, gains};
+use crate::virtual_transmitters::sweep::Grid;
+use crate::virtual_transmitters::turn::nudged;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// How [`refine`] walks.
@@ -64,7 +64,12 @@ pub(crate) fn refine(rows: &Rows, sources: &mut Sources, ridge: &[f64], walk: Wa
 }
 
 /// The equations, those of the gains with their ridge.
-fn with_ridge(rows: &Rows, sources: &Sources, unknowns: Unknowns, ridge: &[f64]) -> crate::normal::Normal {
+fn with_ridge(
+    rows: &Rows,
+    sources: &Sources,
+    unknowns: Unknowns,
+    ridge: &[f64],
+) -> crate::virtual_transmitters::normal::Normal {
     let mut normal = equations(rows, sources, unknowns);
     let p = normal.unknowns();
     for (i, gain) in sources.gains.as_flattened().iter().enumerate() {

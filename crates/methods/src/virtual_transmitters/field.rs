@@ -8,10 +8,10 @@
 //! Both directions go over Gaussians in groups of [`LANES`], items on threads; sums have an order that does not depend on
 //! the number of threads.
 
-use crate::cis::{Cis, widest};
-use crate::harmonics::{MOST, by_place, direction, harmonics, slopes};
-use crate::links::Links;
-use crate::turn::{matrix, matrix_vjp, turned, unit};
+use crate::virtual_transmitters::cis::{Cis, widest};
+use crate::virtual_transmitters::harmonics::{MOST, by_place, direction, harmonics, slopes};
+use crate::virtual_transmitters::links::Links;
+use crate::virtual_transmitters::turn::{matrix, matrix_vjp, turned, unit};
 use pwrfgs_core::{GaussianCloud, Real, SPEED_OF_LIGHT, consts::TAU};
 use rayon::prelude::*;
 

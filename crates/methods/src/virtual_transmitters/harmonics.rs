@@ -79,16 +79,16 @@ pub(crate) fn gain(gains: &[[f64; 2]], v: [f64; 3], p: [f64; 3]) -> [f64; 2] {
     gains.iter().zip(y).fold([0.0; 2], |sum, (c, y)| [sum[0] + c[0] * y, sum[1] + c[1] * y])
 }
 
-/// The unit vector from `v` to `p`, and the distance, never below [`CLOSEST`](crate::field::CLOSEST).
+/// The unit vector from `v` to `p`, and the distance, never below [`CLOSEST`](crate::virtual_transmitters::field::CLOSEST).
 pub(crate) fn direction(v: [f64; 3], p: [f64; 3]) -> ([f64; 3], f64) {
     let by = [0, 1, 2].map(|k| p[k] - v[k]);
-    let d = (by[0] * by[0] + by[1] * by[1] + by[2] * by[2]).sqrt().max(crate::field::CLOSEST);
+    let d = (by[0] * by[0] + by[1] * by[1] + by[2] * by[2]).sqrt().max(crate::virtual_transmitters::field::CLOSEST);
     (by.map(|x| x / d), d)
 }
 
 /// The derivative by `v` of something whose derivative by the direction from it is `d_u`.
 pub(crate) fn by_place(u: [f64; 3], d: f64, d_u: [f64; 3]) -> [f64; 3] {
-    if d <= crate::field::CLOSEST {
+    if d <= crate::virtual_transmitters::field::CLOSEST {
         return [0.0; 3];
     }
     let along = u[0] * d_u[0] + u[1] * d_u[1] + u[2] * d_u[2];

@@ -3,7 +3,7 @@
 //! If v' is the image of v behind a wall, that wall is the plane half-way between them, and every other source has an
 //! image behind it too. So few places need so little proof that weak images of a second mirroring are told from noise.
 
-use crate::sweep::Peak;
+use crate::virtual_transmitters::sweep::Peak;
 
 /// Share of the moving positions that may lie behind a wall, as over the edge of a table.
 const BEHIND: f64 = 0.02;

@@ -1,9 +1,9 @@
 //! `MatchingPursuit`: virtual transmitters found in channels, the start of training.
 
-use crate::links::{Links, Sources};
-use crate::options::{Progress as Told, Pursuit};
-use crate::pursuit::pursue;
-use crate::virtual_transmitters::{VirtualTransmitters, array, order_of};
+use crate::virtual_transmitters::links::{Links, Sources};
+use crate::virtual_transmitters::method::{VirtualTransmitters, array, order_of};
+use crate::virtual_transmitters::options::{Progress as Told, Pursuit};
+use crate::virtual_transmitters::pursuit::pursue;
 use pwrfgs_core::{
     Error, GaussianCloud, ImagePlane, Initializer, JsonSchema, Real, Result, Scene, Seen, Task, rng, rng::Rng,
 };
@@ -19,7 +19,7 @@ use std::sync::atomic::Ordering;
 ///
 /// ```
 /// # use pwrfgs_core::{Initializer, Plugin};
-/// # use pwrfgs_coherent as _;
+/// # use pwrfgs_methods as _;
 /// assert!(Plugin::<dyn Initializer>::parse("MatchingPursuit(most: 32, reach: 2.0)").is_ok());
 /// assert!(Plugin::<dyn Initializer>::parse("MatchingPursuit(step: 2.0)").is_err());
 /// ```

@@ -1,12 +1,12 @@
 //! `VirtualTransmitters`: the method that adds up waves from Gaussians to wherever the transmitter stands.
 
-use crate::field::{HARMONICS, field, field_vjp};
-use crate::harmonics::{HIGHEST, terms};
-use crate::links::Links;
-use crate::options::Pursuit;
+use crate::virtual_transmitters::field::{HARMONICS, field, field_vjp};
+use crate::virtual_transmitters::harmonics::{HIGHEST, terms};
+use crate::virtual_transmitters::links::Links;
+use crate::virtual_transmitters::options::Pursuit;
 use pwrfgs_core::{
-    Activated, Asked, Cache, Frame, JsonSchema, Layout, Method, MethodTraits, MethodVjp, Observed, Parameters, Primitives, Real, Receiver,
-    Task, gains_of, rows_of, sigmoid,
+    Activated, Asked, Cache, Frame, JsonSchema, Layout, Method, MethodTraits, MethodVjp, Observed, Parameters,
+    Primitives, Real, Receiver, Task, gains_of, rows_of, sigmoid,
 };
 use serde::{Deserialize, Serialize};
 
@@ -27,7 +27,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// ```
 /// # use pwrfgs_core::{Method, Plugin};
-/// # use pwrfgs_coherent as _;
+/// # use pwrfgs_methods as _;
 /// let method = Plugin::<dyn Method>::parse("VirtualTransmitters(order: 2)").unwrap();
 /// assert_eq!(method.traits().columns, [("harmonics", 16)]);
 /// assert!(Plugin::<dyn Method>::parse("VirtualTransmitters(order: 4)").is_err());

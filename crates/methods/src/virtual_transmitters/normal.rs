@@ -1,6 +1,6 @@
 //! Linear least squares in double precision: normal equations `JᵀJ δ = Jᵀr`, gathered row by row, and Cholesky.
 
-use crate::cis::widest;
+use crate::virtual_transmitters::cis::widest;
 
 /// `JᵀJ` `[P,P]` (the lower half, by rows) and Jᵀr `[P]`; and Σr².
 #[derive(Clone, Debug)]

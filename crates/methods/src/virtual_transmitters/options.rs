@@ -1,11 +1,11 @@
 //! How the search for virtual transmitters goes, and what it tells of itself.
 
-use crate::harmonics::HIGHEST;
+use crate::virtual_transmitters::harmonics::HIGHEST;
 
 /// Sources at most.
 const MOST: usize = 1_000;
 
-/// How [`crate::pursue`] searches.
+/// How [`crate::virtual_transmitters::pursue`] searches.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pursuit {
     /// How far beyond the positions of the moving end the grid reaches in every direction, in the longest side of their box.

@@ -1,9 +1,9 @@
 //! The measured numbers, one row each, in double precision: what gains and positions are fitted to.
 
-use crate::field::CLOSEST;
-use crate::harmonics::gain;
-use crate::links::{Links, Sources};
-use crate::turn::{matrix, turned};
+use crate::virtual_transmitters::field::CLOSEST;
+use crate::virtual_transmitters::harmonics::gain;
+use crate::virtual_transmitters::links::{Links, Sources};
+use crate::virtual_transmitters::turn::{matrix, turned};
 use pwrfgs_core::{Real, SPEED_OF_LIGHT, evenly, rng};
 use rayon::prelude::*;
 

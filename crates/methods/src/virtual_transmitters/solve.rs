@@ -3,11 +3,11 @@
 //! With positions fixed, h is linear in the signals: min Σ|h − Σ s·e|² + Σ ridge·|s|², whose normal equations are
 //! `(EᴴE + ridge)·s = Eᴴh`. They are written with s as two reals, so that one Cholesky serves gains and moves alike.
 
-use crate::harmonics::{MOST, by_place, direction, harmonics, slopes};
-use crate::links::{Links, Sources};
-use crate::normal::Normal;
-use crate::rows::Rows;
-use crate::turn::{matrix, turned};
+use crate::virtual_transmitters::harmonics::{MOST, by_place, direction, harmonics, slopes};
+use crate::virtual_transmitters::links::{Links, Sources};
+use crate::virtual_transmitters::normal::Normal;
+use crate::virtual_transmitters::rows::Rows;
+use crate::virtual_transmitters::turn::{matrix, turned};
 use pwrfgs_core::Real;
 use rayon::prelude::*;
 

@@ -4,9 +4,9 @@
 //! precision; only the best are kept, no two of one hill, so memory does not grow with the grid. The farther a place is
 //! from what was heard, the wider are the hills about it: each shell of the grid is twice as coarse as the one within.
 
-use crate::cis::{Cis, widest};
-use crate::rows::Rows;
-use crate::turn::{matrix, turned};
+use crate::virtual_transmitters::cis::{Cis, widest};
+use crate::virtual_transmitters::rows::Rows;
+use crate::virtual_transmitters::turn::{matrix, turned};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 

@@ -1,8 +1,8 @@
 //! The numbers of a model as an NPZ file, which `numpy.load` opens.
 
+use crate::{Ensemble, Model};
 use npyz::{AutoSerialize, WriterBuilder as _};
 use pwrfgs_core::{Activated, Error, Pose, Real, Result};
-use pwrfgs_model::{Ensemble, Model};
 use std::io::{self, Cursor};
 use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 

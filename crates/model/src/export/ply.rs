@@ -1,8 +1,8 @@
 //! The Gaussians as a PLY file in the layout of 3D Gaussian splatting, which viewers of splats open.
 
-use crate::colour::sequential;
+use crate::{Ensemble, Model};
+use pwrfgs_core::colour::sequential;
 use pwrfgs_core::{Activated, Error, Origin, Primitives, Real, Result};
-use pwrfgs_model::{Ensemble, Model};
 
 /// Properties in the order in which viewers expect them, all of them `float`. Normals are there for the layout, and 0.
 const PROPERTIES: [&str; 17] = [

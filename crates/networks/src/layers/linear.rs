@@ -1,6 +1,6 @@
 //! `Linear`: one layer inside the flat weight vector, and its products with chunks.
 
-use crate::dense::{Matrix, MatrixMut, Store, product};
+use crate::layers::dense::{Matrix, MatrixMut, Store, product};
 use pwrfgs_core::Real;
 use std::ops::Range;
 

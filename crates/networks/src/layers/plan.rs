@@ -1,6 +1,6 @@
 //! Where the layers lie in the flat weight vector, and how the vector is divided over chunks and threads.
 
-use crate::linear::Linear;
+use crate::layers::linear::Linear;
 use pwrfgs_core::{Layout, Real, WeightSpec};
 use std::ops::Range;
 

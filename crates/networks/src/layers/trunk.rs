@@ -4,9 +4,9 @@
 //! γ depends on the Gaussian alone and e on the transmitter alone. So W·γ is computed once a chunk and serves every
 //! transmitter of the batch, W·e once a transmitter and becomes part of the bias; only h → h is left for each pair.
 
-use crate::dense::{self, Matrix, MatrixMut, Store, product};
-use crate::linear::{Linear, Part};
-use crate::plan::Plan;
+use crate::layers::dense::{self, Matrix, MatrixMut, Store, product};
+use crate::layers::linear::{Linear, Part};
+use crate::layers::plan::Plan;
 use pwrfgs_core::Real;
 use std::ops::Range;
 

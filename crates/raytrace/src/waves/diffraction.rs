@@ -4,8 +4,8 @@
 mod tests;
 mod transition;
 
-use crate::fresnel::Polarized;
-use crate::wave::Complex;
+use crate::waves::fresnel::Polarized;
+use crate::waves::wave::Complex;
 use glam::DVec3;
 use std::f64::consts::{FRAC_PI_4, PI};
 

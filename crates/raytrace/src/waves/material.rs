@@ -3,7 +3,7 @@
 #[cfg(test)]
 mod tests;
 
-use crate::wave::Complex;
+use crate::waves::wave::Complex;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
@@ -20,9 +20,9 @@ const EVERYWHERE: (f64, f64) = (0.0, f64::INFINITY);
 /// S/m.
 ///
 /// ```
-/// # use pwrfgs_waves::material::Material;
+/// # use pwrfgs_raytrace::material::Material;
 /// let concrete: Material = ron::from_str("(a: 5.24, c: 0.0462, d: 0.7822, range_ghz: (1, 100))").unwrap();
-/// assert_eq!(Some(concrete), pwrfgs_waves::material::named("concrete"));
+/// assert_eq!(Some(concrete), pwrfgs_raytrace::material::named("concrete"));
 /// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

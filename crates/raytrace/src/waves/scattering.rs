@@ -12,7 +12,7 @@ const NARROWEST: u32 = 256;
 /// Where the scattered power goes: Degli-Esposti, Fuschini, Vitucci and Falciasecca, IEEE TAP 55 (2007), pp. 143-153.
 ///
 /// ```
-/// # use pwrfgs_waves::scattering::Lobe;
+/// # use pwrfgs_raytrace::scattering::Lobe;
 /// assert_eq!(ron::from_str("Directive(exponent: 4)"), Ok(Lobe::Directive { exponent: 4 }));
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -1,6 +1,6 @@
 //! Rooms of the tests.
 
-use pwrfgs_sim::Scene;
+use pwrfgs_raytrace::Scene;
 use std::path::Path;
 
 /// The room of the reference, empty, with specular reflections up to `order` alone.

@@ -10,7 +10,7 @@ pub const TEXT: f64 = 11.3;
 pub const LINE: f64 = 14.0;
 
 static FACE: LazyLock<Face<'static>> =
-    LazyLock::new(|| Face::parse(include_bytes!("../assets/labels.ttf"), 0).expect("the built-in font is one"));
+    LazyLock::new(|| Face::parse(include_bytes!("../../assets/labels.ttf"), 0).expect("the built-in font is one"));
 
 /// A letter and its width for text of height 1; a box where the font has no such letter.
 fn glyph(letter: char) -> (GlyphId, f64) {

@@ -236,7 +236,7 @@ impl File {
 
 #[cfg(test)]
 mod tests {
-    use crate::{Anchor, BLACK, Canvas, INK, Paint, Pixels, WHITE};
+    use crate::canvas::{Anchor, BLACK, Canvas, INK, Paint, Pixels, WHITE};
     use std::io::Read as _;
 
     fn place(bytes: &[u8], wanted: &str) -> Option<usize> {

@@ -1,9 +1,9 @@
 //! Grid and axes of a chart, laid out by plotters, and where data lie between them.
 
 use super::backend::{GRID, Hand};
-use super::canvas::{Canvas, Colour, INK, Point};
-use super::font::{TEXT, text_width};
 use super::ticks::{Tick, ticks};
+use crate::canvas::font::{TEXT, text_width};
+use crate::canvas::{Canvas, Colour, INK, Point};
 use plotters::prelude::*;
 
 /// One axis.

@@ -4,8 +4,8 @@
 //! would show: it is told that a unit has [`GRID`] of them, and they are divided again. Its SVG writer shrinks text by
 //! 1.24 and writes a root of fixed size: neither it nor plotters' fonts are compiled in, since a canvas does both.
 
-use super::canvas::{Anchor, Canvas, Colour, Paint, Point};
-use super::font::TEXT;
+use crate::canvas::font::TEXT;
+use crate::canvas::{Anchor, Canvas, Colour, Paint, Point};
 use plotters_backend::text_anchor::{HPos, VPos};
 use plotters_backend::{
     BackendColor, BackendCoord, BackendStyle, BackendTextStyle, DrawingBackend, DrawingErrorKind, FontTransform,

@@ -5,10 +5,10 @@
 
 pub(crate) use super::axes::Axis;
 use super::axes::{Frame, Scale};
-use super::canvas::{Anchor, Canvas, Colour, INK, Paint, Point};
-use super::font::{TEXT, cut, text_width};
 use super::legend::{Legend, SYMBOL, Symbol};
 use super::marks::Style;
+use crate::canvas::font::{TEXT, cut, text_width};
+use crate::canvas::{Anchor, Canvas, Colour, INK, Paint, Point};
 
 /// How large a chart and its parts are.
 #[derive(Clone, Copy, Debug)]
@@ -215,7 +215,7 @@ fn moved_apart(wanted: &[f64], step: f64, ends: (f64, f64)) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::draw::canvas::BLACK;
+    use crate::canvas::BLACK;
     use crate::draw::marks::{Marker, Stroke};
 
     fn chart() -> Chart {

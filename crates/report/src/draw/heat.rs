@@ -1,9 +1,9 @@
 //! Values over a plane as a coloured map with a bar, axes in metres and receivers.
 
-use super::canvas::{Anchor, BLACK, Canvas, INK, Paint, Path, Pixels, Point, WHITE};
 use super::plan::Plan;
 use super::ticks::{label, linear_ticks};
-use pwrfgs_experiment::colour::{Rgb, cyclic, sequential};
+use crate::canvas::{Anchor, BLACK, Canvas, INK, Paint, Path, Pixels, Point, WHITE};
+use pwrfgs_core::colour::{Rgb, cyclic, sequential};
 
 /// Width of the picture, and the largest height of the map.
 const WIDTH: f64 = 470.0;

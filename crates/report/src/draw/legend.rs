@@ -1,7 +1,7 @@
 //! What symbols mean, in columns below a picture.
 
-use super::canvas::{Anchor, Canvas, Letters};
-use super::font::{TEXT, cut, text_width};
+use crate::canvas::font::{TEXT, cut, text_width};
+use crate::canvas::{Anchor, Canvas, Letters};
 
 /// Height of text, a little less than on axes, and of a row.
 const SIZE: f64 = 10.5;

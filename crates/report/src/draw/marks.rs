@@ -1,6 +1,6 @@
 //! How a line looks: colour, stroke and marker, each enough to tell it from others, so that greyscale does.
 
-use super::canvas::{Canvas, Colour, Paint, Path, Point, WHITE};
+use crate::canvas::{Canvas, Colour, Paint, Path, Point, WHITE};
 
 /// Of a mark, about.
 const RADIUS: f64 = 3.6;

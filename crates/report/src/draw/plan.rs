@@ -1,8 +1,8 @@
 //! A flat map in metres: a floor plan, the side of a room, a plane. A metre is as long across as upwards.
 
-use super::canvas::{Anchor, BLACK, Canvas, Colour, INK, Paint, Path, Point, WHITE};
-use super::font::LINE;
 use super::ticks::{label, linear_ticks};
+use crate::canvas::font::LINE;
+use crate::canvas::{Anchor, BLACK, Canvas, Colour, INK, Paint, Path, Point, WHITE};
 
 /// The shorter side of a frame has at least this share of the longer one: a corridor stays visible.
 const FLATTEST: f64 = 0.12;

@@ -5,12 +5,12 @@ mod receiver;
 mod tests;
 mod view;
 
-use super::canvas::{Canvas, Colour, Paint, Path, Point, WHITE};
 use super::legend::{SYMBOL, Symbol};
 use super::plan::draw_receiver;
+use crate::canvas::{Canvas, Colour, Paint, Path, Point, WHITE};
 use pwrfgs_core::{Dataset, Evaluation, Metric, ModelFacts, Partition, Plugin, Pose, Real, Values, evenly};
-use pwrfgs_experiment::Snapshot;
 use pwrfgs_experiment::text::{grouped, number};
+use pwrfgs_model::Snapshot;
 use receiver::Receiver;
 use std::fmt::Write as _;
 use view::{Place, View};

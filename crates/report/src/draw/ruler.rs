@@ -1,7 +1,7 @@
 //! The axes of a spectrum: degrees, or pixels where the plane has no angles.
 
-use super::canvas::{Anchor, Canvas, INK, Paint, Point};
-use super::font::LINE;
+use crate::canvas::font::LINE;
+use crate::canvas::{Anchor, Canvas, INK, Paint, Point};
 use pwrfgs_core::{Axis, ImagePlane};
 
 /// Where values lie along an axis of `n` pixels, from edge to edge.

@@ -1,9 +1,9 @@
 //! A spectrum as a map (azimuth by elevation) and as a polar sky plot.
 
-use super::canvas::{Anchor, BLACK, Canvas, Colour, INK, Letters, Paint, Path, Pixels, Point, WHITE};
 use super::ruler::{draw_azimuth, draw_elevation, names, rulers};
+use crate::canvas::{Anchor, BLACK, Canvas, Colour, INK, Letters, Paint, Path, Pixels, Point, WHITE};
+use pwrfgs_core::colour::{Rgb, diverging, sequential};
 use pwrfgs_core::{Image, ImagePlane};
-use pwrfgs_experiment::colour::{Rgb, diverging, sequential};
 
 /// Width of a map's picture.
 const MAP: f64 = 360.0;

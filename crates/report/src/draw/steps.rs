@@ -1,7 +1,7 @@
 //! What charts over training steps share: the phases of algorithm 1 and step functions.
 
-use super::canvas::Colour;
 use super::charts::Band;
+use crate::canvas::Colour;
 use pwrfgs_train::Training;
 
 /// The three phases of algorithm 1, shaded.

@@ -1,10 +1,10 @@
 //! The Gaussians of a model on their way to a page: as they are, or as a transmitter makes them.
 
-use crate::Pack;
+use crate::live::Pack;
 use pwrfgs_core::{
     Activated, Asked, Conditions, Link, MethodTraits, Needs, Origin, Parameters, Pixels, Real, Statistic,
 };
-use pwrfgs_experiment::Snapshot;
+use pwrfgs_model::Snapshot;
 use pwrfgs_model::{Ensemble, Model};
 use serde_json::json;
 

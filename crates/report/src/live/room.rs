@@ -1,8 +1,8 @@
 //! What a page knows of data and split: the room, who sends and who listens.
 
-use crate::Pack;
+use crate::live::Pack;
+use pwrfgs_core::colour::{diverging, sequential};
 use pwrfgs_core::{Dataset, Frame, Origin, Partition, Pose, Real, evenly};
-use pwrfgs_experiment::colour::{diverging, sequential};
 use serde_json::{Value, json};
 
 /// Data and how they are divided.

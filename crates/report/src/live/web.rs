@@ -1,21 +1,21 @@
 //! The files of the page: plain modules without a build step.
 
 /// Markup of the stage, the part of a page that moves.
-pub const STAGE: &str = include_str!("../web/stage.html");
+pub const STAGE: &str = include_str!("../../web/stage.html");
 /// Its style.
-pub const STYLE: &str = include_str!("../web/stage.css");
+pub const STYLE: &str = include_str!("../../web/stage.css");
 /// Modules by name, each after those that it imports.
 pub const FILES: [(&str, &str); 10] = [
-    ("tensors.js", include_str!("../web/tensors.js")),
-    ("predict.js", include_str!("../web/predict.js")),
-    ("ssim.js", include_str!("../web/ssim.js")),
-    ("room.js", include_str!("../web/room.js")),
-    ("spectrum.js", include_str!("../web/spectrum.js")),
-    ("chart.js", include_str!("../web/chart.js")),
-    ("source.js", include_str!("../web/source.js")),
-    ("stage.js", include_str!("../web/stage.js")),
-    ("tables.js", include_str!("../web/tables.js")),
-    ("report.js", include_str!("../web/report.js")),
+    ("tensors.js", include_str!("../../web/tensors.js")),
+    ("predict.js", include_str!("../../web/predict.js")),
+    ("ssim.js", include_str!("../../web/ssim.js")),
+    ("room.js", include_str!("../../web/room.js")),
+    ("spectrum.js", include_str!("../../web/spectrum.js")),
+    ("chart.js", include_str!("../../web/chart.js")),
+    ("source.js", include_str!("../../web/source.js")),
+    ("stage.js", include_str!("../../web/stage.js")),
+    ("tables.js", include_str!("../../web/tables.js")),
+    ("report.js", include_str!("../../web/report.js")),
 ];
 
 /// All modules as one script, for a page that has nothing outside it: without their imports, and with `last` at the end.

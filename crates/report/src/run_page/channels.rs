@@ -6,7 +6,7 @@ mod profile;
 mod virtual_map;
 
 use super::examples::Example;
-use crate::draw::canvas::{BLACK, Colour};
+use crate::canvas::{BLACK, Colour};
 use crate::draw::charts::{Axis, Chart, Line, Look};
 use crate::draw::marks::{Marker, Stroke, Style};
 use curves::Gains;

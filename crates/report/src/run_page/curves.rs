@@ -2,7 +2,7 @@
 
 mod distribution;
 
-use crate::draw::canvas::Colour;
+use crate::canvas::Colour;
 use crate::draw::charts::{Axis, Chart, Line};
 use crate::draw::marks::{Stroke, Style};
 use crate::draw::steps::{phases, stairs};

@@ -1,6 +1,7 @@
 //! The part of the page that moves: the room to turn, samples to step through, and where it is one small model a transmitter to
 //! drag. Everything lies in the page; without scripts it is not there.
 
+use crate::live::{Known, Pack, STAGE, STYLE, bundle, gaussians, origin, room};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use minijinja::{Value, context};
@@ -8,7 +9,6 @@ use pwrfgs_core::files::digest;
 use pwrfgs_core::{Appearance, Image, Query, evenly, plugin::name_of};
 use pwrfgs_experiment::LoadedRun;
 use pwrfgs_experiment::scores::MODEL;
-use pwrfgs_live::{Known, Pack, STAGE, STYLE, bundle, gaussians, origin, room};
 use pwrfgs_model::{Ensemble, file};
 use serde_json::json;
 

@@ -4,7 +4,7 @@ mod maps;
 
 use super::examples::Example;
 use super::predicted;
-use crate::draw::canvas::{BLACK, Colour};
+use crate::canvas::{BLACK, Colour};
 use crate::draw::charts::{Axis, Chart, Line};
 use crate::draw::marks::{Stroke, Style};
 use minijinja::{Value, context};

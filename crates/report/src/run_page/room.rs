@@ -5,9 +5,9 @@ use crate::draw::room::{Panel, Room};
 use minijinja::{Value, context};
 use pwrfgs_core::Result;
 use pwrfgs_experiment::LoadedRun;
-use pwrfgs_experiment::Snapshot;
 use pwrfgs_experiment::folder::{START_SNAPSHOT, UNPRUNED_SNAPSHOT};
 use pwrfgs_experiment::text::grouped;
+use pwrfgs_model::Snapshot;
 
 /// Height of text on the axes.
 const TEXT: f64 = 10.5;

@@ -15,7 +15,7 @@ mod spectra;
 mod tradeoff;
 
 use super::Setting;
-use crate::draw::canvas::Canvas;
+use crate::canvas::Canvas;
 use crate::draw::charts::{Chart, Look};
 use crate::templates::sentences;
 use minijinja::{Value, context};

@@ -9,7 +9,7 @@ use hyper::StatusCode;
 use pwrfgs_core::{Appearance, Image, LinkSet, Query, Real, neighbours};
 use pwrfgs_experiment::folder::CURVE;
 use pwrfgs_experiment::series;
-use pwrfgs_live::{self as live, Pack};
+use pwrfgs_report::live::{self, Pack};
 use serde_json::{Value, json};
 use std::sync::Arc;
 

@@ -1,5 +1,5 @@
 use super::*;
-use crate::wave::SPEED_OF_LIGHT;
+use crate::waves::wave::SPEED_OF_LIGHT;
 use pwrfgs_core::testing::shared;
 
 const METAL: Polarized = Polarized::PERFECT_CONDUCTOR;

@@ -1,6 +1,6 @@
 //! The transition function of the uniform theory of diffraction.
 
-use crate::wave::Complex;
+use crate::waves::wave::Complex;
 use std::f64::consts::{FRAC_PI_4, PI};
 
 /// Nodes of the trapezium rule.

@@ -1,6 +1,6 @@
 use super::*;
-use crate::material::named;
-use crate::wave::SPEED_OF_LIGHT;
+use crate::waves::material::named;
+use crate::waves::wave::SPEED_OF_LIGHT;
 use glam::DVec3;
 use pwrfgs_core::testing::shared;
 
@@ -48,7 +48,7 @@ fn a_lossless_slab_keeps_the_energy_and_a_lossy_one_takes_some() {
                     assert!((energy - 1.0).abs() < 1e-12, "η {eta}, cos {cos}, d {depth}: {energy}");
                 }
             }
-            for name in crate::material::names() {
+            for name in crate::waves::material::names() {
                 let eta = named(name).unwrap().permittivity(SPEED_OF_LIGHT / WAVELENGTH);
                 let back = both(reflection(eta, Some(depth), cos, WAVELENGTH));
                 let on = both(transmission(eta, depth, cos, WAVELENGTH));

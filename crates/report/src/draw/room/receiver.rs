@@ -1,7 +1,7 @@
 //! The receiver on a picture of the room, and where it looks.
 
 use super::view::{View, facing};
-use crate::draw::canvas::{BLACK, Canvas, Paint, Path, Point, WHITE};
+use crate::canvas::{BLACK, Canvas, Paint, Path, Point, WHITE};
 use crate::draw::legend::{SYMBOL, Symbol};
 use pwrfgs_core::Pose;
 
@@ -68,7 +68,7 @@ impl Receiver {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::draw::canvas::{Shape, Step};
+    use crate::canvas::{Shape, Step};
 
     /// A receiver whose boresight is turned by an angle, degrees, about an axis of the world.
     fn turned(axis: [f64; 3], degrees: f64) -> Pose {

@@ -1,6 +1,6 @@
 //! A box in space seen from above at an angle, in parallel projection: lengths along an axis stay comparable.
 
-use crate::draw::canvas::{Anchor, Canvas, Colour, Paint, Path, Point};
+use crate::canvas::{Anchor, Canvas, Colour, Paint, Path, Point};
 use crate::draw::ticks::{label, linear_ticks};
 
 /// Where the eye is, degrees: azimuth from the x axis, elevation above the floor.

@@ -1,7 +1,7 @@
 //! Where a model without splats puts its transmitters: the room from above and from the side.
 
-use crate::draw::canvas::{Anchor, Canvas, Colour, Paint, WHITE};
-use crate::draw::font::text_width;
+use crate::canvas::font::text_width;
+use crate::canvas::{Anchor, Canvas, Colour, Paint, WHITE};
 use crate::draw::plan::{Plan, draw_receiver};
 use minijinja::{Value, context};
 use pwrfgs_core::Appearance;

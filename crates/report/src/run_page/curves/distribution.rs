@@ -1,7 +1,7 @@
 //! How the first metric of the kind is spread over the test part, for the model and every baseline.
 
 use super::{Chart, FLOOR_COLOURS, Figure, MODEL_COLOUR, figure, line};
-use crate::draw::canvas::Colour;
+use crate::canvas::Colour;
 use crate::draw::charts::Axis;
 use pwrfgs_core::Headline;
 use pwrfgs_experiment::LoadedRun;

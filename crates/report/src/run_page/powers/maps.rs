@@ -1,13 +1,13 @@
 //! Where errors lie on the floor: a small map a receiver, with its test transmitters.
 
 use super::Heard;
-use crate::draw::canvas::{Anchor, Canvas, Colour, INK, Paint};
+use crate::canvas::{Anchor, Canvas, Colour, INK, Paint};
 use crate::draw::plan::{Plan, draw_receiver};
 use crate::draw::spectra::Scale;
 use minijinja::{Value, context};
+use pwrfgs_core::colour::diverging;
 use pwrfgs_core::evenly;
 use pwrfgs_experiment::LoadedRun;
-use pwrfgs_experiment::colour::diverging;
 use pwrfgs_experiment::scores::quantile;
 
 /// Most maps, and most transmitters on each.
@@ -94,7 +94,7 @@ fn legend(limit: f64) -> Canvas {
     ] {
         draw_error(&mut canvas, [x, 9.0], error);
         canvas.text([x + 9.0, 13.0], Anchor::Start, &words);
-        x += 24.0 + crate::draw::font::text_width(&words);
+        x += 24.0 + crate::canvas::font::text_width(&words);
     }
     draw_receiver(&mut canvas, [x + 2.0, 9.0]);
     canvas.text([x + 13.0, 13.0], Anchor::Start, "receiver");

@@ -1,8 +1,8 @@
 //! Time of a prediction by stage: stacked bars.
 
 use super::{COLUMN, Figure, looks};
-use crate::draw::canvas::{Anchor, Canvas, Colour, INK, Paint, Point};
-use crate::draw::font::{text_width, wrapped};
+use crate::canvas::font::{text_width, wrapped};
+use crate::canvas::{Anchor, Canvas, Colour, INK, Paint, Point};
 use crate::draw::legend::{Legend, SYMBOL, Symbol};
 use crate::draw::ticks::ticks;
 use crate::study::{Setting, Variant, distinct};

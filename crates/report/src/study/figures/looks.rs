@@ -1,6 +1,6 @@
 //! How variants and baselines look in every figure of a study.
 
-use crate::draw::canvas::Colour;
+use crate::canvas::Colour;
 use crate::draw::marks::{Marker, Stroke, Style};
 
 /// Told apart by the colour-blind (Okabe and Ito, without yellow, which is lost on white); neighbours differ in lightness.

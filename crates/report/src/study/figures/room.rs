@@ -1,15 +1,15 @@
 //! Gaussians over the scene's point cloud with their Chamfer distances: figure 3 of the paper.
 
 use super::{COLUMN, Figure, PAGE};
-use crate::draw::canvas::{Anchor, Canvas};
-use crate::draw::font::{LINE, TEXT, wrapped};
+use crate::canvas::font::{LINE, TEXT, wrapped};
+use crate::canvas::{Anchor, Canvas};
 use crate::draw::legend::Legend;
 use crate::draw::room::{Panel, Room};
 use crate::study::{Setting, Variant};
 use minijinja::context;
 use pwrfgs_core::Dataset;
 use pwrfgs_core::Result;
-use pwrfgs_experiment::Snapshot;
+use pwrfgs_model::Snapshot;
 
 /// At most so many variants are shown.
 const MOST: usize = 6;

@@ -1,8 +1,8 @@
 //! Spectra side by side, as measured and as each variant predicts them: figure 4 of the paper.
 
 use super::{COLUMN, Figure, PAGE};
-use crate::draw::canvas::{Anchor, Canvas};
-use crate::draw::font::{LINE, wrapped};
+use crate::canvas::font::{LINE, wrapped};
+use crate::canvas::{Anchor, Canvas};
 use crate::draw::ruler::{draw_azimuth, draw_elevation, names};
 use crate::draw::spectra::{Scale, pixels};
 use crate::study::{Setting, Variant};

@@ -2,7 +2,7 @@
 
 use super::super::page::Page;
 use super::super::tables::{Column, Line, Mark, Shown, Table};
-use pwrfgs_canvas::text::plain;
+use crate::canvas::text::plain;
 use pwrfgs_experiment::text::aligned;
 use std::fmt::Write as _;
 

@@ -1,0 +1,21 @@
+//! Methods: how Gaussians or rays become observations.
+//!
+//! [`Splatting`] draws Gaussians as splats, [`SplattedChannel`] sums the waves of the same Gaussians. Both pass the Gaussians
+//! through a deformation and an [`Activation`]. [`VirtualTransmitters`] are Gaussians that emit spherical waves, and
+//! [`Nerf2`] has rays and no Gaussians.
+
+mod activate;
+mod deformed;
+mod groups;
+mod nerf2;
+mod readout;
+mod splatted_channel;
+mod splatting;
+pub mod virtual_transmitters;
+
+pub use activate::{Activation, ActivationVjp, Calibration};
+pub use nerf2::Nerf2;
+pub use readout::Readout;
+pub use splatted_channel::SplattedChannel;
+pub use splatting::{Drawing, Gates, Geometry, Splatting, View, check_kind, check_together};
+pub use virtual_transmitters::{MatchingPursuit, VirtualTransmitters};
