@@ -1,0 +1,312 @@
+//! The structure of the tree: which crate may use which, how large files and crates are, and no circles of files.
+//!
+//! Code lines are lines that are neither blank, nor a comment, nor part of a test.
+
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::process::Command;
+
+/// Each crate and the crates of this project that it may use. A plugin kind is a crate, a stage is a crate.
+const ALLOWED: &[(&str, &[&str])] = &[
+    ("core", &[]),
+    ("raster", &["core"]),
+    ("networks", &["core"]),
+    ("init", &["core"]),
+    ("prune", &["core"]),
+    ("metrics", &["core"]),
+    ("data", &["core"]),
+    ("model", &["core"]),
+    ("methods", &["core", "networks", "raster"]),
+    ("raytrace", &["core", "data"]),
+    ("train", &["core", "model"]),
+    ("pipeline", &["core", "data", "init", "methods", "metrics", "model", "networks", "raster", "train"]),
+    ("experiment", &["core", "model", "pipeline", "train"]),
+    ("report", &["core", "experiment", "model", "pipeline", "train"]),
+    ("viewer", &["core", "experiment", "model", "pipeline", "report", "train"]),
+];
+/// Code lines of a file, of a crate, and of all Rust files. A change that needs more states the new total and the reason in its
+/// commit; 50,000 is the bound for all planned features.
+const OF_FILE: usize = 300;
+const OF_CRATE: usize = 5_000;
+const IN_TOTAL: usize = 47_000;
+/// Files, and files of fewer than 50 code lines.
+const FILES: usize = 520;
+const SMALL: usize = 145;
+/// Files that use each other in a circle, and how many such circles there are.
+const OF_CIRCLE: usize = 2;
+const CIRCLES: usize = 8;
+
+/// A Rust file that is no test.
+struct Source {
+    /// Such as `crates/train`, and `train/trainer` as `["train", "trainer"]`.
+    package: String,
+    module: Vec<String>,
+    name: String,
+    code: String,
+}
+
+impl Source {
+    fn lines(&self) -> usize {
+        self.code.lines().count()
+    }
+}
+
+/// `text` without blank lines, comments and items under `#[cfg(test)]`.
+fn without_tests(text: &str) -> String {
+    let is_code = |line: &&str| !line.trim().is_empty() && !line.trim_start().starts_with("//");
+    let lines: Vec<&str> = text.lines().filter(is_code).collect();
+    let (mut kept, mut i) = (Vec::new(), 0);
+    let indent = |line: &str| line.len() - line.trim_start().len();
+    while i < lines.len() {
+        let attribute = lines[i].trim();
+        if attribute.starts_with("#[cfg(test") || attribute.starts_with("#[cfg(all(test") {
+            let item = (i + 1..lines.len()).find(|k| !lines[*k].trim().starts_with("#["));
+            let ends = |line: &str| line.ends_with([';', '}', ',']);
+            let end = |k: &usize| indent(lines[*k]) == indent(lines[i]) && ends(lines[*k]);
+            i = (item.unwrap_or(i)..lines.len()).find(end).unwrap_or(lines.len()) + 1;
+        } else {
+            kept.push(lines[i]);
+            i += 1;
+        }
+    }
+    kept.join("\n")
+}
+
+/// The names of modules that exist only in tests.
+fn test_modules(text: &str) -> impl Iterator<Item = &str> {
+    text.split("#[cfg(test)]").skip(1).filter_map(|rest| rest.trim_start().strip_prefix("mod ")?.split_once(';')).map(|(n, _)| n)
+}
+
+/// All Rust files below `folder`, tests and benchmarks excluded.
+fn read(package: &str, folder: &Path, module: &[String], found: &mut Vec<Source>) {
+    let mut entries: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    entries.sort();
+    let text_of = |path: &Path| std::fs::read_to_string(path).unwrap();
+    let sources = entries.iter().filter(|path| path.extension().is_some_and(|e| e == "rs"));
+    let roots = ["lib", "main", "mod"];
+    let of_tests: BTreeSet<String> = sources
+        .clone()
+        .filter(|path| roots.contains(&path.file_stem().unwrap().to_str().unwrap()))
+        .flat_map(|path| test_modules(&text_of(path)).map(str::to_owned).collect::<Vec<_>>())
+        .collect();
+    for path in sources {
+        let stem = path.file_stem().unwrap().to_str().unwrap();
+        if stem == "tests" || of_tests.contains(stem) {
+            continue;
+        }
+        let text = text_of(path);
+        let mut own = module.to_vec();
+        if !roots.contains(&stem) {
+            own.push(stem.to_owned());
+        }
+        let below = folder.join(stem);
+        if below.is_dir() && !roots.contains(&stem) {
+            read(package, &below, &own, found);
+            let tests: BTreeSet<&str> = test_modules(&text).collect();
+            found.retain(|f| f.package != package || !tests.iter().any(|t| f.module == [&own[..], &[(*t).into()]].concat()));
+        }
+        found.push(Source { package: package.into(), module: own, name: path.display().to_string(), code: without_tests(&text) });
+    }
+    for path in entries.iter().filter(|path| path.is_dir() && path.join("mod.rs").is_file()) {
+        let name = path.file_name().unwrap().to_str().unwrap().to_owned();
+        read(package, path, &[module, &[name]].concat(), found);
+    }
+}
+
+fn sources() -> Vec<Source> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut found = Vec::new();
+    for folder in ["crates", "examples"] {
+        for entry in std::fs::read_dir(root.join(folder)).unwrap() {
+            let path = entry.unwrap().path();
+            let name = format!("{folder}/{}", path.file_name().unwrap().to_str().unwrap());
+            if path.join("src").is_dir() {
+                read(&name, &path.join("src"), &[], &mut found);
+            }
+        }
+    }
+    for package in ["python", "fuzz", "."] {
+        read(package, &root.join(package).join("src"), &[], &mut found);
+    }
+    found
+}
+
+/// The paths of a `use` tree.
+fn expand(tree: &str, prefix: &[String], paths: &mut Vec<Vec<String>>) {
+    let (mut depth, mut start) = (0, 0);
+    let mut branch = |branch: &str| {
+        let branch = branch.trim();
+        if branch.is_empty() {
+            return;
+        }
+        let names = |path: &str| path.split("::").map(|n| n.trim().to_owned()).filter(|n| !n.is_empty()).collect::<Vec<_>>();
+        match branch.split_once('{') {
+            Some((path, rest)) => expand(rest.strip_suffix('}').unwrap_or(rest), &[prefix, &names(path)].concat(), paths),
+            None => paths.push([prefix, &names(branch.split(" as ").next().unwrap())].concat()),
+        }
+    };
+    for (i, c) in tree.char_indices() {
+        match c {
+            '{' => depth += 1,
+            '}' => depth -= 1,
+            ',' if depth == 0 => {
+                branch(&tree[start..i]);
+                start = i + 1;
+            }
+            _ => {}
+        }
+    }
+    branch(&tree[start..]);
+}
+
+/// The paths of `code` that are used, and those that are exported again.
+fn paths(code: &str) -> [Vec<Vec<String>>; 2] {
+    let mut all = [Vec::new(), Vec::new()];
+    let is_name = |c: char| c.is_alphanumeric() || c == '_';
+    for (at, _) in code.match_indices("use ").filter(|(at, _)| !code[..*at].ends_with(is_name)) {
+        let before = code[..at].trim_end_matches(' ').lines().last().unwrap_or_default().trim();
+        let exported = before == "pub" || (before.starts_with("pub(") && before.ends_with(')'));
+        if let Some((tree, _)) = code[at + 4..].split_once(';') {
+            expand(tree, &[], &mut all[usize::from(exported)]);
+        }
+    }
+    for start in ["crate::", "super::"] {
+        for (at, _) in code.match_indices(start).filter(|(at, _)| !code[..*at].ends_with(|c| is_name(c) || c == ':')) {
+            let path = code[at..].split(|c: char| !is_name(c) && c != ':').next().unwrap();
+            all[0].push(path.split("::").map(str::to_owned).filter(|n| !n.is_empty()).collect());
+        }
+    }
+    all
+}
+
+/// Which file of a package a path means.
+struct Modules<'a> {
+    files: BTreeMap<Vec<String>, usize>,
+    exports: BTreeMap<(Vec<String>, String), Vec<String>>,
+    sources: &'a [Source],
+}
+
+impl Modules<'_> {
+    /// `path` as it stands in `module`, counted from the root of the crate.
+    fn absolute(&self, module: &[String], path: &[String]) -> Option<Vec<String>> {
+        let ups = path.iter().take_while(|n| *n == "super").count();
+        Some(match path.first()?.as_str() {
+            "crate" => path[1..].to_vec(),
+            "self" => [module, &path[1..]].concat(),
+            "super" => [&module[..module.len().checked_sub(ups)?], &path[ups..]].concat(),
+            first if self.files.contains_key(&[module, &[first.to_owned()]].concat()) => [module, path].concat(),
+            _ => return None,
+        })
+    }
+
+    fn file(&self, path: &[String], depth: usize) -> Option<usize> {
+        let known = (0..=path.len()).rev().find(|k| self.files.contains_key(&path[..*k]))?;
+        let (module, rest) = path.split_at(known);
+        let exported = rest.first().and_then(|name| self.exports.get(&(module.to_vec(), name.clone())));
+        let further = exported.filter(|_| depth < 6).and_then(|other| self.file(other, depth + 1));
+        further.or_else(|| self.files.get(module).copied())
+    }
+
+    fn of(sources: &[Source]) -> Modules<'_> {
+        let files = sources.iter().enumerate().map(|(i, s)| (s.module.clone(), i)).collect();
+        let mut modules = Modules { files, exports: BTreeMap::new(), sources };
+        for source in sources {
+            for path in &paths(&source.code)[1] {
+                let name = path.iter().rfind(|n| *n != "self").cloned().unwrap_or_default();
+                if let Some(target) = modules.absolute(&source.module, path) {
+                    modules.exports.insert((source.module.clone(), name), target);
+                }
+            }
+        }
+        modules
+    }
+
+    /// Files that use each other, directly or through others.
+    fn circles(&self) -> Vec<Vec<&str>> {
+        let used = |i: usize| -> BTreeSet<usize> {
+            let source = &self.sources[i];
+            let absolute = paths(&source.code)[0].iter().filter_map(|p| self.absolute(&source.module, p)).collect::<Vec<_>>();
+            absolute.iter().filter_map(|p| self.file(p, 0)).filter(|j| *j != i).collect()
+        };
+        let next: Vec<BTreeSet<usize>> = (0..self.sources.len()).map(used).collect();
+        let reached: Vec<BTreeSet<usize>> = (0..next.len())
+            .map(|i| {
+                let (mut seen, mut stack) = (BTreeSet::new(), vec![i]);
+                while let Some(k) = stack.pop() {
+                    stack.extend(next[k].iter().filter(|j| seen.insert(**j)));
+                }
+                seen
+            })
+            .collect();
+        let circle = |i: usize| (0..next.len()).filter(move |j| *j == i || (reached[i].contains(j) && reached[*j].contains(&i)));
+        let whole = (0..next.len()).map(|i| circle(i).collect::<Vec<_>>()).filter(|all| all.len() > 1).collect::<BTreeSet<_>>();
+        whole.into_iter().map(|all| all.into_iter().map(|i| self.sources[i].name.as_str()).collect()).collect()
+    }
+}
+
+#[test]
+fn files_and_crates_keep_their_size() {
+    let all = sources();
+    let small: Vec<&str> = all.iter().filter(|s| s.lines() < 50).map(|s| s.name.as_str()).collect();
+    for source in &all {
+        let lines = source.lines();
+        assert!(lines <= OF_FILE, "{}: {lines} code lines; split it by purpose, at most {OF_FILE}", source.name);
+    }
+    let mut packages: BTreeMap<&str, usize> = BTreeMap::new();
+    all.iter().for_each(|s| *packages.entry(&s.package).or_default() += s.lines());
+    for (package, lines) in &packages {
+        assert!(*lines <= OF_CRATE, "{package}: {lines} code lines; move a part to the crate it belongs to, at most {OF_CRATE}");
+    }
+    let total: usize = packages.values().sum();
+    assert!(total <= IN_TOTAL, "{total} code lines; delete what is not needed, or raise IN_TOTAL and state why (now {IN_TOTAL})");
+    assert!(all.len() <= FILES, "{} files; join small ones, at most {FILES}", all.len());
+    assert!(
+        small.len() <= SMALL,
+        "{} files of fewer than 50 code lines; join them with their only user, at most {SMALL}:\n{}",
+        small.len(),
+        small.join("\n")
+    );
+}
+
+#[test]
+fn files_use_each_other_in_one_direction() {
+    let mut all = sources();
+    all.sort_by(|a, b| a.package.cmp(&b.package));
+    let packages = all.chunk_by(|a, b| a.package == b.package);
+    let circles: Vec<String> = packages
+        .flat_map(|sources| Modules::of(sources).circles().iter().map(|files| files.join("\n  ")).collect::<Vec<_>>())
+        .collect();
+    for circle in &circles {
+        let files = circle.lines().count();
+        assert!(files <= OF_CIRCLE, "{files} files use each other; move what they share to one of them or below them:\n  {circle}");
+    }
+    assert!(circles.len() <= CIRCLES, "{} circles of files, at most {CIRCLES}:\n{}", circles.len(), circles.join("\n"));
+}
+
+#[test]
+fn crates_depend_on_each_other_as_drawn() {
+    let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
+    let output = Command::new(cargo)
+        .args(["metadata", "--no-deps", "--offline", "--format-version", "1"])
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .output()
+        .unwrap();
+    let metadata: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let mut seen = 0;
+    for package in metadata["packages"].as_array().unwrap() {
+        let Some(name) = package["name"].as_str().unwrap().strip_prefix("pwrfgs-") else { continue };
+        let Some((_, allowed)) = ALLOWED.iter().find(|(n, _)| *n == name) else { continue };
+        seen += 1;
+        for dependency in package["dependencies"].as_array().unwrap() {
+            // Tests may link what they like.
+            if dependency["kind"] == "dev" {
+                continue;
+            }
+            if let Some(other) = dependency["name"].as_str().unwrap().strip_prefix("pwrfgs-") {
+                assert!(allowed.contains(&other), "pwrfgs-{name} depends on pwrfgs-{other}");
+            }
+        }
+    }
+    assert_eq!(seen, ALLOWED.len());
+}
