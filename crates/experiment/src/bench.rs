@@ -3,8 +3,7 @@
 //! Predictions and spectra of a chunk are held together, those of the whole part never (unless a metric asks for that),
 //! so that memory does not grow with the number of samples.
 
-use crate::observer::staged;
-use crate::session::{Session, check_stopped};
+use crate::session::{Session, check_stopped, staged};
 use pwrfgs_core::{
     Dataset, Error, Evaluation, Image, ImagePlane, Link, Measurement, Metric, ModelFacts, Plugin, Predict, Progress,
     Query, Result, Scope, StageTimes, Values,

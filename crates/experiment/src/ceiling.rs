@@ -5,12 +5,10 @@
 //! apart in time are.
 
 use crate::repeatability::{AtZero, FAR_IDS, Lapse, Likeness, in_order, likeness};
+use crate::scores::CEILING;
 use crate::text::{grouped, number};
 use pwrfgs_core::{Dataset, Metric, Partition, Plugin, Result, Task};
 use std::sync::atomic::AtomicBool;
-
-/// Its name in every table, and in no ranking.
-pub const CEILING: &str = "ceiling (repeatability)";
 
 /// What the best predictor of a test part may be expected to reach.
 #[derive(Clone, Debug, Default)]

@@ -4,13 +4,17 @@
 
 use crate::bench::Bench;
 use crate::ceiling::ceiling;
-use crate::confidence::Confidence;
-use crate::paired::Paired;
+use crate::record::Confidence;
 use crate::scores::{MODEL, ScoreTable, Scores};
-use crate::session::Session;
-use pwrfgs_core::{Dataset, Error, ImagePlane, Known, ModelFacts, Partition, Result, evenly, words::clean};
+use crate::session::{Session, check_stopped, staged};
+use pwrfgs_core::{Dataset, Error, Image, ImagePlane, Known, ModelFacts, Partition, Result, evenly, words::clean};
 use pwrfgs_model::{Ensemble, Prepared};
 use pwrfgs_pipeline::{Pipeline, defaults};
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Test spectra that are predicted together.
+const CHUNK: usize = 64;
 
 /// Scores `model`, or an ensemble and each of its members, and the pipeline's baselines on the test set of `data`. Of an
 /// ensemble also measures whether its members differ where it is wrong.
@@ -71,9 +75,10 @@ pub fn evaluate(
     let samples = [partition.train.len(), partition.known().all().len(), ids.len()];
     let known = ScoreTable { task: data.task(), bounds, members, samples, notes, ..ScoreTable::default() };
     let mut scores = Scores::new(ids, predictors, known);
-    scores.table.add_ceiling(&ceiling.of);
+    let summaries: Vec<_> = ceiling.of.into_iter().map(|(key, at_zero)| (key, at_zero.summary)).collect();
+    scores.table.add_ceiling(&summaries);
     let position = |&i: &usize| (data.label(i), data.placed.then(|| data.sample(i).tx));
-    scores.table.paired = Paired::of(&scores, &partition.test.iter().map(position).collect());
+    scores.table.paired = scores.paired(&partition.test.iter().map(position).collect());
     Ok((scores, confidence))
 }
 
@@ -145,4 +150,44 @@ pub fn check_alike(model: &Prepared<'_>, data: &Dataset) -> Result<()> {
         ));
     }
     Ok(())
+}
+
+impl Confidence {
+    /// Of the samples `part`.
+    ///
+    /// # Errors
+    /// A spectrum that cannot be read; [`pwrfgs_core::Error::Stopped`] once the session is.
+    pub fn measure(model: &Prepared<'_>, data: &Dataset, part: &[usize], session: &mut Session<'_>) -> Result<Self> {
+        let stop = session.stop;
+        staged(session.observer, "measuring the spread of members", |progress| {
+            let mut all = Self { ids: part.iter().map(|&i| data.label(i)).collect(), ..Self::default() };
+            let done = AtomicUsize::new(0);
+            let of = |&i: &usize| {
+                let (mean, deviation, _) = model.predict_with_deviation(data.query(i));
+                let pair = (size(&deviation), distance(&data.task().shown(mean), &data.image(i)));
+                progress(done.fetch_add(1, Ordering::Relaxed) + 1, part.len());
+                pair
+            };
+            for chunk in part.chunks(CHUNK) {
+                check_stopped(stop)?;
+                let pairs: Vec<(f64, f64)> = chunk.par_iter().map(of).collect();
+                all.spreads.extend(pairs.iter().map(|pair| pair.0));
+                all.errors.extend(pairs.iter().map(|pair| pair.1));
+            }
+            data.observations.check()?;
+            Ok(all)
+        })
+    }
+}
+
+/// Root mean square of the pixels.
+fn size(image: &Image) -> f64 {
+    let sum: f64 = image.pixels.iter().map(|p| (*p as f64).powi(2)).sum();
+    (sum / image.pixels.len() as f64).sqrt()
+}
+
+/// Root mean square of the difference.
+fn distance(a: &Image, b: &Image) -> f64 {
+    let sum: f64 = a.pixels.iter().zip(&b.pixels).map(|(a, b)| (*a as f64 - *b as f64).powi(2)).sum();
+    (sum / a.pixels.len() as f64).sqrt()
 }

@@ -1,14 +1,13 @@
-//! `run.json`: with what, on what and how long.
+//! `run.json`: with what, on what machine, when and how long a run was made.
 
-use crate::clock;
 use crate::folder::{FACTS, MODEL_FILE, REMADE, REPORT, SAMPLES, SCORES, sealed};
-use crate::memory;
 use crate::scores::ScoreTable;
 use pwrfgs_core::files::{self, digest, if_found, write_atomically};
 use pwrfgs_core::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 /// The facts of a run. `finished` is empty until model, scores and report are written.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -110,7 +109,7 @@ impl Machine {
 impl Facts {
     /// The facts of a run that goes on in `folder`.
     pub(crate) fn open(folder: &Path, seed: u64) -> Result<Self> {
-        let old = Self::read(folder)?.unwrap_or_else(|| Self { started: clock::now(), ..Self::default() });
+        let old = Self::read(folder)?.unwrap_or_else(|| Self { started: now(), ..Self::default() });
         Ok(Self {
             version: env!("CARGO_PKG_VERSION").into(),
             commit: commit(),
@@ -196,7 +195,7 @@ impl Facts {
 
     /// Looks at the largest resident memory so far.
     pub(crate) fn note_memory(&mut self) {
-        self.peak_memory_bytes = self.peak_memory_bytes.max(memory::peak());
+        self.peak_memory_bytes = self.peak_memory_bytes.max(peak_memory());
     }
 
     /// Writes `run.json`.
@@ -218,6 +217,71 @@ fn commit() -> Option<String> {
     }
     let packed = files::read_string(git.join("packed-refs")).ok()?;
     packed.lines().find_map(|l| l.strip_suffix(name).map(|id| id.trim().to_owned()))
+}
+
+/// Now, such as `2026-11-21T09:49:19Z`.
+pub(crate) fn now() -> String {
+    let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
+    rfc3339(seconds)
+}
+
+/// Seconds since 1970 as a date of the Gregorian calendar.
+fn rfc3339(seconds: u64) -> String {
+    let (mut days, rest) = (seconds / 86_400, seconds % 86_400);
+    let leap = |year: u64| year.is_multiple_of(4) && !year.is_multiple_of(100) || year.is_multiple_of(400);
+    let mut year = 1970;
+    while days >= 365 + u64::from(leap(year)) {
+        days -= 365 + u64::from(leap(year));
+        year += 1;
+    }
+    let february = 28 + u64::from(leap(year));
+    let mut month = 1;
+    for length in [31, february, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31] {
+        if days < length {
+            break;
+        }
+        days -= length;
+        month += 1;
+    }
+    let (hours, minutes, seconds) = (rest / 3600, rest / 60 % 60, rest % 60);
+    format!("{year:04}-{month:02}-{:02}T{hours:02}:{minutes:02}:{seconds:02}Z", days + 1)
+}
+
+/// Largest resident memory of this process, bytes; 0 where the system does not tell.
+pub(crate) fn peak_memory() -> u64 {
+    let status = files::read_string("/proc/self/status").unwrap_or_default();
+    kib(&status, "VmHWM:").unwrap_or(0)
+}
+
+/// Bytes that this process can still take: what the machine has free, the control group allows (a job of Slurm, a
+/// container) and `ulimit -v` leaves, whichever is least; `None` where the system does not tell.
+pub(crate) fn free_memory() -> Option<u64> {
+    let machine = kib(&files::read_string("/proc/meminfo").unwrap_or_default(), "MemAvailable:");
+    [machine, control_group(), address_space()].into_iter().flatten().min()
+}
+
+/// The number behind `name` in a file of lines such as `VmHWM:  1234 kB`.
+fn kib(text: &str, name: &str) -> Option<u64> {
+    let line = text.lines().find_map(|line| line.strip_prefix(name))?;
+    line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)
+}
+
+/// What is left of the limit of the control group (version 2), where there is one.
+fn control_group() -> Option<u64> {
+    let own = files::read_string("/proc/self/cgroup").ok()?;
+    let path = own.lines().find_map(|line| line.strip_prefix("0::"))?.trim();
+    let number =
+        |file: &str| files::read_string(format!("/sys/fs/cgroup{path}/{file}")).ok()?.trim().parse::<u64>().ok();
+    Some(number("memory.max")?.saturating_sub(number("memory.current")?))
+}
+
+/// What is left of `ulimit -v`, where it is set.
+fn address_space() -> Option<u64> {
+    let limits = files::read_string("/proc/self/limits").ok()?;
+    let line = limits.lines().find_map(|line| line.strip_prefix("Max address space"))?;
+    let limit = line.split_whitespace().next()?.parse::<u64>().ok()?;
+    let used = kib(&files::read_string("/proc/self/status").ok()?, "VmSize:")?;
+    Some(limit.saturating_sub(used))
 }
 
 #[cfg(test)]
@@ -244,5 +308,21 @@ mod tests {
             let text = serde_json::to_string(&value).unwrap();
             assert_eq!(serde_json::from_str::<f64>(&text).unwrap().to_bits(), value.to_bits(), "{text}");
         }
+    }
+
+    #[test]
+    fn dates_follow_the_calendar() {
+        assert_eq!(rfc3339(0), "1970-01-01T00:00:00Z");
+        assert_eq!(rfc3339(951_782_400), "2000-02-29T00:00:00Z");
+        assert_eq!(rfc3339(1_795_254_559), "2026-11-21T09:49:19Z");
+    }
+
+    #[test]
+    fn linux_tells() {
+        if cfg!(target_os = "linux") {
+            assert!(peak_memory() > 1_000_000 && free_memory().is_some_and(|bytes| bytes > 1_000_000));
+        }
+        assert_eq!(kib("VmRSS:\t  12 kB\nVmHWM:\t    7 kB\n", "VmHWM:"), Some(7 * 1024));
+        assert_eq!(kib("VmHWM: unlimited\n", "VmHWM:"), None);
     }
 }

@@ -1,26 +1,104 @@
-//! What to check in a data set before training: [`DataSummary`] for `pwrfgs check`, and with all splits [`inspect`] for
-//! `pwrfgs inspect`.
+//! What to check before training: [`preview`] for `pwrfgs check` (what a run will do and take, with a [`DataSummary`]), and
+//! [`inspect`] for `pwrfgs inspect` (the summary, and all splits with their baselines).
 
 mod pose;
+mod rotation;
 mod spectra;
-mod splits;
 
 pub use pose::{PoseCheck, Verdict};
-pub use splits::{length, test_distance};
 
-use crate::observer::{Observer, staged};
+use crate::bench::Bench;
+use crate::ceiling::ceiling;
+use crate::facts::{free_memory, peak_memory};
+use crate::input::prepared;
+use crate::load::{load, observed};
 use crate::repeatability::in_order;
-use crate::scores::quantile;
-use crate::text::{grouped, number, wrapped};
-use pwrfgs_core::{Dataset, Result, Unmatched, neighbours::distance};
+use crate::samples::nearest_train;
+use crate::scores::CEILING;
+use crate::session::{Observer, Session, staged};
+use crate::statistics::{Summary, quantile};
+use crate::text::{aligned, grouped, number, wrapped};
+use crate::training::fitting;
+use pwrfgs_core::neighbours::distance;
+use pwrfgs_core::plugin::to_ron;
+use pwrfgs_core::{
+    Dataset, Metric, Partition, Plugin, Result, Scope, Split, Unmatched, Values, evenly, registered, rng,
+};
 use pwrfgs_pipeline::Pipeline;
+use pwrfgs_train::{Estimate, Trainer};
 use std::fmt::Write as _;
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
 
 /// Most spectra that `inspect` reads.
 const INSPECTED: usize = 20_000;
 /// Width of lines of prose, and of the names before them.
 const WIDTH: usize = 100;
 const INDENT: usize = 15;
+/// Most test samples that baselines are scored on.
+const TESTED: usize = 300;
+/// Most spectra that a preview reads for its summary.
+const SUMMARIZED: usize = 1_000;
+
+/// What a run will do and take.
+#[derive(Clone, Debug)]
+pub struct Preview {
+    /// The pipeline, with every default and its scale.
+    pub pipeline: Pipeline,
+    /// What the data call themselves.
+    pub title: String,
+    /// How much of what they hold.
+    pub observed: String,
+    /// Samples for training, validation, test.
+    pub samples: [usize; 3],
+    /// Points of the cloud.
+    pub points: usize,
+    /// Numbers of the network.
+    pub weights: usize,
+    /// Warnings of settings without effect.
+    pub warnings: Vec<String>,
+    /// What a step takes, with the Gaussians it starts from.
+    pub estimate: Estimate,
+    /// Positions, values and pose of the data.
+    pub summary: DataSummary,
+    /// Median distance from a test transmitter to the nearest training transmitter, metres.
+    pub test_distance: f64,
+    /// Memory that the process has taken with all data loaded, bytes; 0 where the system does not tell.
+    pub loaded_bytes: u64,
+    /// Memory that is left beyond that, bytes; `None` where the system does not tell.
+    pub free_bytes: Option<u64>,
+}
+
+/// Reads, loads and initialises everything that a run of `pipeline` would, and tries a step.
+///
+/// # Errors
+/// Whatever [`crate::run`] would refuse before its first step.
+pub fn preview(pipeline: &Pipeline, base: &Path, observer: &mut dyn Observer) -> Result<Preview> {
+    let pipeline = prepared(pipeline, base)?;
+    let (data, partition) = load(&pipeline, base, observer)?;
+    pipeline.check_data(&data)?;
+    let mut loaded_bytes = 0;
+    let (trainer, estimate) = fitting(&pipeline, || {
+        let trainer = Trainer::sketch(&pipeline.plan()?, &data, &partition)?;
+        loaded_bytes = peak_memory(); // before a step is tried, which is counted by itself
+        Ok(trainer)
+    })?;
+    let weights = trainer.weights();
+    Ok(Preview {
+        title: data.title.clone(),
+        observed: observed(&data),
+        samples: partition.sizes(),
+        points: data.scene.points.len(),
+        weights,
+        summary: DataSummary::of(&data, SUMMARIZED, observer)?,
+        test_distance: test_distance(&data, &partition),
+        warnings: trainer.warnings(),
+        estimate,
+        loaded_bytes,
+        free_bytes: free_memory(),
+        pipeline,
+    })
+}
 
 /// Positions, values and pose of a data set.
 #[derive(Clone, Debug)]
@@ -70,13 +148,13 @@ pub fn inspect(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer)
     let is_marked = !data.is_simulated() || data.title.to_lowercase().contains("simulated");
     let mut text = format!("{}{}\n\n", data.title, if is_marked { "" } else { " (simulated)" });
     let ids = [data.transmitters.first(), data.transmitters.last()].map(|t| t.map_or(0, |t| t.id));
-    text += &entry("samples", &format!("{}, ids {} to {}", crate::observed(data), ids[0], ids[1]));
+    text += &entry("samples", &format!("{}, ids {} to {}", observed(data), ids[0], ids[1]));
     summary.facts.iter().for_each(|(name, words)| text += &entry(name, words));
     if let Some(pose) = &summary.pose {
         text += &entry("pose", pose.verdict.title());
         pose.sentences().iter().for_each(|sentence| text += &entry("", sentence));
     }
-    Ok(text + "\n" + &splits::table(pipeline, data, observer)?)
+    Ok(text + "\n" + &splits_table(pipeline, data, observer)?)
 }
 
 /// Extent, steps from an id to the next, and positions that occur twice.
@@ -131,4 +209,77 @@ fn levels(data: &Dataset) -> (&'static str, String) {
 /// Words in lines, the first with `name` before it and the others as far in.
 fn entry(name: &str, words: &str) -> String {
     wrapped(words, [&format!("{name:<INDENT$}"), &" ".repeat(INDENT)], WIDTH)
+}
+
+/// Median distance from a test transmitter to the nearest training transmitter, metres.
+pub fn test_distance(data: &Dataset, partition: &Partition) -> f64 {
+    let nearest = nearest_train(data, partition);
+    let mut distances: Vec<f64> = partition.test.iter().map(|&i| nearest[i] as f64).collect();
+    distances.sort_by(f64::total_cmp);
+    quantile(&distances, 0.5)
+}
+
+/// A length in the unit that suits it.
+pub fn length(metres: f64) -> String {
+    match metres {
+        m if !m.is_finite() => "n/a".into(),
+        m if m < 0.1 => format!("{:.1} mm", m * 1e3),
+        m if m < 1.0 => format!("{:.0} cm", m * 1e2),
+        m => format!("{m:.2} m"),
+    }
+}
+
+/// The split of `pipeline`, marked, and all other registered splits with their defaults.
+fn splits(pipeline: &Pipeline) -> Vec<(Plugin<dyn Split>, String)> {
+    let own = to_ron(&pipeline.split);
+    let name = own.split_whitespace().collect::<Vec<_>>().join(" ").replace("( ", "(").replace(", )", ")");
+    let others = registered::<dyn Split>().into_iter().filter_map(|name| {
+        let split = Plugin::<dyn Split>::parse(&format!("{name}()")).ok()?;
+        (split.ready().is_ok() && to_ron(&split) != own).then(|| (split, format!("{name}()")))
+    });
+    [(pipeline.split.clone(), name + " *")].into_iter().chain(others).collect()
+}
+
+/// One line per split: sizes, distance and the mean of the first metric of every baseline, then the noise ceiling.
+///
+/// # Errors
+/// If a baseline or a metric refuses, or a spectrum cannot be read.
+fn splits_table(pipeline: &Pipeline, data: &Dataset, observer: &mut dyn Observer) -> Result<String> {
+    let of_predictions = |m: &&Plugin<dyn Metric>| m.scope() != Scope::Model;
+    let metrics: Vec<Plugin<dyn Metric>> = pipeline.metrics.iter().filter(of_predictions).take(1).cloned().collect();
+    let names: Vec<String> = pipeline.baselines.iter().map(|baseline| baseline.name_for(data.task())).collect();
+    let head = ["split", "train", "test", "nearest training"].map(str::to_owned).into_iter();
+    let mut lines: Vec<Vec<String>> = vec![head.chain(names.clone()).chain([CEILING.to_owned()]).collect()];
+    let (mut refused, mut key, plane) = (String::new(), String::new(), data.plane());
+    for (split, name) in splits(pipeline) {
+        let seed = pipeline.split_seed.unwrap_or(pipeline.seed);
+        let partition = match split.split(data, &mut rng::stream(seed, "split", 0)) {
+            Ok(partition) => partition,
+            Err(why) => {
+                _ = writeln!(refused, "{name}: {why}");
+                continue;
+            }
+        };
+        let mut line = vec![name, partition.train.len().to_string(), partition.test.len().to_string()];
+        line.push(length(test_distance(data, &partition)));
+        let bench = Bench::new(data, &evenly(&partition.test, TESTED), &plane);
+        for (baseline, name) in pipeline.baselines.iter().zip(&names) {
+            let fitted = baseline.fit(data, partition.known())?;
+            let found = bench.baseline(name, &*fitted, &metrics, &mut Session::new(observer))?;
+            found.first().into_iter().for_each(|measurement| key.clone_from(&measurement.key));
+            line.push(match found.first().map(|measurement| &measurement.values) {
+                Some(Values::PerSample(values)) => number(Summary::of(values, true).mean),
+                _ => "n/a".into(),
+            });
+        }
+        let limit = ceiling(data, &partition, &metrics, &AtomicBool::new(false))?;
+        line.push(limit.of.first().map_or_else(|| "n/a".into(), |(_, at_zero)| number(at_zero.summary.mean)));
+        lines.push(line);
+    }
+    Ok(format!(
+        "{}{refused}note: mean {key} of baselines on up to {TESTED} test {}; nearest training: median distance from a test \
+         transmitter; *: the split of the pipeline, or the default for a folder of data\n",
+        aligned(&lines, 1),
+        data.task().counted[1]
+    ))
 }

@@ -1,9 +1,10 @@
 //! `Journal`: what a training writes as it goes: `curve.csv`, `validation.csv` and, where asked for, TensorBoard events.
 
 use crate::events::{Events, TEST};
-use crate::folder::{CURVE, EVENTS, RunFolder, VALIDATION};
-use crate::observer::Validation;
+use crate::folder::{CURVE, EVENTS, VALIDATION};
+use crate::run_folder::RunFolder;
 use crate::scores::ScoreTable;
+use crate::session::Validation;
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Error, Result, Task};
 use pwrfgs_pipeline::Pipeline;
@@ -149,7 +150,7 @@ impl Series {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::series::{read, whole};
+    use crate::record::{read_series, whole_series};
 
     #[test]
     fn rows_depend_on_the_step_alone() {
@@ -172,8 +173,8 @@ mod tests {
         assert_eq!(last.as_deref(), Some("20,0.4"));
         series.push("30,0.3").unwrap();
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "step,loss\n10,0.5\n20,0.4\n30,0.3\n");
-        assert_eq!(read(&path)[2], vec![Some(30.0), Some(0.3)]);
-        assert_eq!(whole(&path, 30).unwrap(), read(&path));
+        assert_eq!(read_series(&path)[2], vec![Some(30.0), Some(0.3)]);
+        assert_eq!(whole_series(&path, 30).unwrap(), read_series(&path));
     }
 
     #[test]

@@ -1,36 +1,30 @@
 //! The page of a run, made from its folder: at the end of a run, and again by `pwrfgs report`.
 
-use crate::clock;
-use crate::confidence::Confidence;
-use crate::facts::{Facts, Mark};
-use crate::folder::{CONFIDENCE, PIPELINE, REPORT, RunFolder, SAMPLES, SCORES};
+use crate::facts::{Facts, Mark, now};
+use crate::folder::{CONFIDENCE, PIPELINE, REPORT, SAMPLES, SCORES};
 use crate::input::read_pipeline;
-use crate::observer::Observer;
-use crate::record::Record;
+use crate::load::load;
+use crate::record::{Confidence, Record};
+use crate::run_folder::RunFolder;
 use crate::samples::to_csv;
 use crate::scores::{ScoreTable, Scores};
-use crate::session::Session;
+use crate::session::{LoadedRun, Observer, Page, Session};
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_model::Ensemble;
 use pwrfgs_pipeline::Pipeline;
 use std::path::Path;
 
-/// A record with the data and the model behind it: what a page is made of.
-#[derive(Clone, Copy, Debug)]
-pub struct LoadedRun<'a> {
-    /// What lies in the folder.
-    pub record: &'a Record,
-    /// The data it was scored on.
-    pub data: &'a Dataset,
-    /// Their split.
-    pub partition: &'a Partition,
-    /// The model, or several that predict together.
-    pub model: &'a Ensemble,
+impl Record {
+    /// The data of the run, read or simulated again.
+    ///
+    /// # Errors
+    /// Whatever is wrong with them, or that they have changed since the run.
+    pub fn load_data(&self, observer: &mut dyn Observer) -> Result<Dataset> {
+        let (data, _) = load(&self.pipeline, Path::new(""), observer)?;
+        self.partition(&data).map(|_| data)
+    }
 }
-
-/// Makes the page of a run, HTML in one file.
-pub type Page = fn(&LoadedRun<'_>) -> Result<String>;
 
 /// Writes what an evaluation found into `folder`: `samples.csv`, `scores.csv`, of an ensemble `confidence.csv`, and what `page`
 /// makes of them, `report.html`.
@@ -69,7 +63,7 @@ pub(crate) fn conclude(
     let path = folder.path();
     facts.gaussians = model.gaussians();
     facts.scores = Some(scores.table.clone());
-    facts.finished = Some(clock::now());
+    facts.finished = Some(now());
     facts.report = session.page.is_some();
     facts.note_memory(); // here, so that the page says what run.json says
     let (found, context) = ((&scores, confidence.as_ref()), (data, partition, model));

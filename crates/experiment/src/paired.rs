@@ -3,13 +3,10 @@
 //! A table of means says which number is larger. Whether that is more than chance is told from pairs: easy and hard places
 //! cancel, and far smaller differences can be told from nothing.
 
-use crate::blocks::Blocks;
-use crate::scores::{MODEL, Scores};
-use crate::statistics::{CONFIDENCE, Difference};
+use crate::statistics::CONFIDENCE;
 use crate::text::fixed;
-use pwrfgs_core::{Goal, Task};
+use pwrfgs_core::Task;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 
 /// Decimals of a difference: one more than scores have.
 const DECIMALS: usize = 4;
@@ -44,27 +41,6 @@ pub struct PairedRow {
 }
 
 impl Paired {
-    /// Of the metrics that [`is_compared`] selects; `positions` are those of the test transmitters, metres, by id. `None`
-    /// if there is no baseline or no such metric.
-    pub(crate) fn of(scores: &Scores, positions: &BTreeMap<u32, Option<[f64; 3]>>) -> Option<Self> {
-        let blocks = Blocks::new(positions);
-        let (_, own) = scores.predictors.first()?;
-        let wanted = own.iter().filter(|m| is_compared(&m.key, scores.table.task));
-        let row = |baseline: &str, key: &str, goal: Goal| {
-            let pairs = scores.samples(MODEL, key)?.iter().zip(scores.samples(baseline, key)?);
-            let differences = scores.ids.iter().zip(pairs).map(|(id, (model, floor))| (*id, model - floor));
-            let Difference { mean, interval, .. } = Difference::of(&[blocks.cells(differences)])?;
-            let (baseline, metric, higher_is_better) = (baseline.to_owned(), key.to_owned(), goal == Goal::Higher);
-            Some(PairedRow { baseline, metric, higher_is_better, mean, interval: interval.map(|(a, b)| [a, b]) })
-        };
-        let rows: Vec<PairedRow> = scores
-            .table
-            .baselines()
-            .flat_map(|name| wanted.clone().filter_map(move |m| row(name, &m.key, m.goal)))
-            .collect();
-        (!rows.is_empty()).then_some(Self { edge_m: blocks.edge_m, cubes: blocks.count, rows })
-    }
-
     /// A table: a line of heads, then a line for each baseline, with the number and the verdict of each metric.
     pub fn lines(&self, bounds: &[String]) -> Vec<Vec<String>> {
         let mut metrics: Vec<(&str, bool)> = Vec::new();
@@ -143,7 +119,8 @@ pub fn signed(value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pwrfgs_core::{Measurement, Values};
+    use crate::scores::{MODEL, Scores};
+    use pwrfgs_core::{Goal, Measurement, Values};
 
     /// 64 test samples on a grid of a metre; the model is `ahead` of the baseline, give or take `noise`.
     fn paired(ahead: f64, noise: f64, goal: Goal) -> PairedRow {
@@ -158,7 +135,7 @@ mod tests {
         ];
         let scores = Scores::new((0..64).collect(), predictors, crate::scores::ScoreTable::default());
         let places = (0..64).map(|id| (id, Some([f64::from(id % 8), f64::from(id / 8), 0.0]))).collect();
-        let mut found = Paired::of(&scores, &places).unwrap();
+        let mut found = scores.paired(&places).unwrap();
         assert!(found.cubes >= 30 && found.note(Task::Spectrum).contains("95 %"), "{found:?}");
         assert_eq!(found.lines(&["1-NN".into()])[1][0], "1-NN †");
         found.rows.remove(0)

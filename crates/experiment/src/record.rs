@@ -1,22 +1,17 @@
-//! `Record`: a run read back from its folder, as it was measured; `scores.csv` and `samples.csv` both ways.
+//! `Record`: a run read back from its folder, as it was measured: its scores, the series that its training wrote, and the
+//! confidence of an ensemble.
 
-use crate::confidence::Confidence;
 use crate::facts::Facts;
 use crate::folder::{CONFIDENCE, CURVE, MODEL_FILE, PIPELINE, REPORT, SAMPLES, SCORES, VALIDATION};
 use crate::input::read_pipeline;
-use crate::load::load;
-use crate::observer::Observer;
-use crate::scores::{Cell, ScoreTable, Scores};
-use crate::series;
+use crate::samples::TestSamples;
+use crate::scores::Scores;
 use crate::text::{Lines, csv_rows, damaged};
-use pwrfgs_core::words::text_of;
-use pwrfgs_core::{Dataset, Error, Goal, Measurement, Partition, Result, Values};
+use pwrfgs_core::files::{self, read_text};
+use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_model::{Ensemble, file};
 use pwrfgs_pipeline::Pipeline;
-use serde::{Deserialize, Deserializer};
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 
 /// What lies in the folder of an evaluated model, as it was measured.
 #[derive(Clone, Debug)]
@@ -64,8 +59,8 @@ impl Record {
             pipeline: pipeline.clone(),
             scores: Scores::read(&path(SCORES), facts.scores.clone().unwrap_or_default())?,
             test: TestSamples::read(&path(SAMPLES))?,
-            curve: if trained { series::whole(&path(CURVE), facts.steps)? } else { Vec::new() },
-            validation: if trained { series::read(&path(VALIDATION)) } else { Vec::new() },
+            curve: if trained { whole_series(&path(CURVE), facts.steps)? } else { Vec::new() },
+            validation: if trained { read_series(&path(VALIDATION)) } else { Vec::new() },
             confidence: confidence.is_file().then(|| Confidence::read(&confidence)).transpose()?,
             facts,
         })
@@ -80,16 +75,7 @@ impl Record {
 
     /// Step and another column of `curve.csv` along the training, such as 2, the loss, or 4, the number of Gaussians.
     pub fn curve_of(&self, column: usize) -> Vec<(f64, f64)> {
-        series::column(&self.curve, column)
-    }
-
-    /// The data of the run, read or simulated again.
-    ///
-    /// # Errors
-    /// Whatever is wrong with them, or that they have changed since the run.
-    pub fn load_data(&self, observer: &mut dyn Observer) -> Result<Dataset> {
-        let (data, _) = load(&self.pipeline, Path::new(""), observer)?;
-        self.partition(&data).map(|_| data)
+        self::column(&self.curve, column)
     }
 
     /// How the run split `data`.
@@ -119,145 +105,123 @@ impl Record {
     }
 }
 
-impl Scores {
-    /// The text of `scores.csv`.
-    pub fn to_csv(&self) -> String {
-        let mut lines = Lines::new(["predictor", "metric", "sample", "value"]);
-        for (predictor, measurements) in &self.predictors {
-            for m in measurements {
-                let mut line = |sample: &str, value: &str| lines.put([predictor, &m.key, sample, value]);
-                match &m.values {
-                    Values::PerSample(values) => {
-                        let rows = self.ids.iter().zip(values);
-                        rows.for_each(|(id, value)| line(&id.to_string(), &value.to_string()));
-                    }
-                    Values::Whole(value) => line("", &value.to_string()),
-                    Values::NotApplicable(_) => line("", "n/a"),
-                }
-            }
-        }
-        lines.text()
+/// Reads a series that is complete: rows of ascending steps, each whole, up to step `last`.
+///
+/// # Errors
+/// [`pwrfgs_core::Error::Read`], or [`pwrfgs_core::Error::Input`] with the place where it is not as it was written.
+pub fn whole_series(path: &Path, last: u64) -> Result<Vec<Vec<Option<f64>>>> {
+    let text = read_text(path)?;
+    let wrong = |line: usize, what: &str| Err(damaged(path, line, what));
+    let names: Vec<&str> = text.lines().next().unwrap_or_default().split(',').collect();
+    if !text.ends_with('\n') || names[0] != "step" {
+        return wrong(text.lines().count().max(1), "the file ends before the end of a row, or begins without names");
     }
-
-    /// Reads `scores.csv` in `path`, of which `table` is the summary.
-    ///
-    /// # Errors
-    /// [`Error::Input`] with the line if the file is damaged, or `table` is of other scores.
-    pub fn read(path: &Path, table: ScoreTable) -> Result<Self> {
-        let mut found = Self { table, ..Self::default() };
-        let (rows, mut line) = (csv_rows::<ScoreRow>(path)?, 2);
-        for group in rows.chunk_by(|a, b| (&a.predictor, &a.metric) == (&b.predictor, &b.metric)) {
-            // A metric that is listed twice has its samples twice.
-            let again = group[1..].iter().position(|row| row.sample == group[0].sample);
-            for rows in group.chunks(again.map_or(group.len(), |k| k + 1)) {
-                found.take(rows).map_err(|what| damaged(path, line, &what))?;
-                line += rows.len();
-            }
+    let mut rows = Vec::new();
+    let mut done = 0;
+    for (k, line) in text.lines().enumerate().skip(1) {
+        let row: Vec<Option<f64>> = line.split(',').map(|field| field.parse().ok()).collect();
+        // Names of phases are the only words.
+        let is_whole =
+            row.len() == names.len() && row.iter().zip(&names).all(|(v, name)| v.is_some() || *name == "phase");
+        match line.split(',').next().and_then(|step| step.parse::<u64>().ok()) {
+            Some(step) if is_whole && step > done => done = step,
+            _ => return wrong(k + 1, "this row is not one that the run wrote"),
         }
-        Ok(found)
+        rows.push(row);
     }
-
-    /// Adds the rows of one metric of one predictor.
-    fn take(&mut self, rows: &[ScoreRow]) -> Result<(), String> {
-        let ScoreRow { predictor, metric, sample, value } = &rows[0];
-        let (predictor, key) = (text_of(predictor), text_of(metric));
-        let place = self.table.predictors.iter().position(|name| name == predictor);
-        let row = self.table.metrics.iter_mut().find(|row| row.key == key);
-        let (Some(place), Some(row)) = (place, row) else {
-            return Err(format!("run.json has no {key} of {predictor}"));
-        };
-        let values = match (sample, value, row.cells.get(place)) {
-            (Some(_), Some(_), _) => {
-                let ids: Vec<u32> = rows.iter().filter_map(|row| row.sample).collect();
-                if self.ids.is_empty() {
-                    self.ids.clone_from(&ids);
-                }
-                let values: Vec<f64> = rows.iter().filter_map(|row| row.value).collect();
-                if ids != self.ids || values.len() != ids.len() {
-                    return Err(format!("{key} of {predictor} is of other samples than the first metric"));
-                }
-                Values::PerSample(values)
-            }
-            (None, Some(value), _) => Values::Whole(*value),
-            (_, None, Some(Cell::NotApplicable(why))) => Values::NotApplicable(why.clone()),
-            (_, None, _) => return Err(format!("run.json has a value of {key} of {predictor}")),
-        };
-        let goal = if row.higher_is_better { Goal::Higher } else { Goal::Lower };
-        let measurement = Measurement { key: key.to_owned(), unit: row.unit.clone(), goal, values };
-        // JSON has neither infinity nor NaN: the summary is that of the values.
-        if let Some(cell) = row.cells.get_mut(place) {
-            *cell = Cell::of(&measurement);
-        }
-        match self.predictors.last_mut().filter(|(name, _)| name == predictor) {
-            Some((_, measured)) => measured.push(measurement),
-            None => self.predictors.push((predictor.to_owned(), vec![measurement])),
-        }
-        Ok(())
+    if done != last {
+        return wrong(rows.len() + 1, &format!("the last row is of step {done} instead of {last}"));
     }
+    Ok(rows)
 }
 
-/// A row of `scores.csv`.
-#[derive(Deserialize)]
-struct ScoreRow {
-    predictor: String,
-    metric: String,
-    #[serde(deserialize_with = "unless_empty")]
-    sample: Option<u32>,
-    /// `None` where the metric does not apply.
-    #[serde(deserialize_with = "unless_not_applicable")]
-    value: Option<f64>,
+/// Step and another column of the rows where both are numbers.
+pub fn column(rows: &[Vec<Option<f64>>], column: usize) -> Vec<(f64, f64)> {
+    rows.iter().filter_map(|row| Some(((*row.first()?)?, (*row.get(column)?)?))).collect()
 }
 
-fn unless_empty<'de, D: Deserializer<'de>>(field: D) -> Result<Option<u32>, D::Error> {
-    number_unless("", &String::deserialize(field)?)
+/// Reads the rows of a series as numbers, `None` for fields that are none; nothing where there is no such file.
+pub fn read_series(path: &Path) -> Vec<Vec<Option<f64>>> {
+    let Ok(text) = files::read_string(path) else { return Vec::new() };
+    text.lines().skip(1).map(|line| line.split(',').map(|field| field.parse().ok()).collect()).collect()
 }
 
-fn unless_not_applicable<'de, D: Deserializer<'de>>(field: D) -> Result<Option<f64>, D::Error> {
-    number_unless("n/a", &String::deserialize(field)?)
-}
-
-fn number_unless<T: FromStr, E: serde::de::Error>(none: &str, text: &str) -> Result<Option<T>, E> {
-    (text != none).then(|| text.parse().ok().ok_or_else(|| E::custom(format!("`{text}` is no number")))).transpose()
-}
-
-/// The test samples, by label as in `scores.csv`.
+/// Spread of the members and error of their mean, one of each a test sample.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct TestSamples {
-    /// Distance to the nearest training transmitter, metres; infinity if there is none.
-    pub nearest_train_m: BTreeMap<u32, f64>,
-    /// Transmitter position, metres; `None` if unknown.
-    pub positions: BTreeMap<u32, Option<[f64; 3]>>,
+pub struct Confidence {
+    /// Ids of the test samples.
+    pub ids: Vec<u32>,
+    /// Root mean square over the pixels of the standard deviation between members (n in the denominator).
+    pub spreads: Vec<f64>,
+    /// Root mean square over the pixels of prediction minus measurement, the prediction clamped to [0, 1].
+    pub errors: Vec<f64>,
 }
 
-/// A row of `samples.csv`.
-#[derive(Deserialize)]
-struct SampleRow {
-    /// Label in `scores.csv` if there are several receivers, else `id` is.
-    link: Option<u32>,
-    id: u32,
-    x: Option<f64>,
-    y: Option<f64>,
-    z: Option<f64>,
-    split: String,
-    nearest_train_m: Option<f64>,
-}
+impl Confidence {
+    /// Spearman's rank correlation of spread and error: 1 where the order by spread is the order by error, 0 where spread
+    /// says nothing; NaN where all are equal.
+    pub fn rank_correlation(&self) -> f64 {
+        correlation(&ranks(&self.spreads), &ranks(&self.errors))
+    }
 
-impl TestSamples {
-    /// Reads `samples.csv`.
+    /// Equally many samples a group, by spread: mean spread and the sorted errors of each.
+    pub fn groups(&self, count: usize) -> Vec<(f64, Vec<f64>)> {
+        let mut order: Vec<usize> = (0..self.spreads.len()).collect();
+        order.sort_by(|&a, &b| self.spreads[a].total_cmp(&self.spreads[b]).then(a.cmp(&b)));
+        let group = |k: usize| {
+            let rows = &order[k * order.len() / count..(k + 1) * order.len() / count];
+            let mut errors: Vec<f64> = rows.iter().map(|&i| self.errors[i]).collect();
+            errors.sort_by(f64::total_cmp);
+            (rows.iter().map(|&i| self.spreads[i]).sum::<f64>() / rows.len() as f64, errors)
+        };
+        (0..count).map(group).filter(|(_, errors)| !errors.is_empty()).collect()
+    }
+
+    /// Reads `confidence.csv`.
     ///
     /// # Errors
     /// [`pwrfgs_core::Error::Read`], or [`pwrfgs_core::Error::Input`] with the line if the file is damaged.
     pub fn read(path: &Path) -> Result<Self> {
-        let mut found = Self::default();
-        for SampleRow { link, id, x, y, z, split, nearest_train_m } in csv_rows(path)? {
-            if split == "test" {
-                let label = link.unwrap_or(id);
-                found.nearest_train_m.insert(label, nearest_train_m.unwrap_or(f64::INFINITY));
-                found.positions.insert(label, x.zip(y).zip(z).map(|((x, y), z)| [x, y, z]));
-            }
+        let mut all = Self::default();
+        for (id, spread, error) in csv_rows(path)? {
+            all.ids.push(id);
+            all.spreads.push(spread);
+            all.errors.push(error);
         }
-        Ok(found)
+        Ok(all)
     }
+
+    /// The text of `confidence.csv`: a test id, spread and error.
+    pub fn to_csv(&self) -> String {
+        let mut lines = Lines::new(["sample", "spread", "error"]);
+        for ((id, spread), error) in self.ids.iter().zip(&self.spreads).zip(&self.errors) {
+            lines.put([&id.to_string(), &spread.to_string(), &error.to_string()]);
+        }
+        lines.text()
+    }
+}
+
+/// The rank of each value; equal ones share the mean of theirs.
+fn ranks(values: &[f64]) -> Vec<f64> {
+    let mut order: Vec<usize> = (0..values.len()).collect();
+    order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
+    let mut ranks = vec![0.0; values.len()];
+    let mut first = 0;
+    for equal in order.chunk_by(|&a, &b| values[a].total_cmp(&values[b]).is_eq()) {
+        let mean = first as f64 + (equal.len() - 1) as f64 / 2.0;
+        equal.iter().for_each(|&i| ranks[i] = mean);
+        first += equal.len();
+    }
+    ranks
+}
+
+/// Pearson's.
+fn correlation(a: &[f64], b: &[f64]) -> f64 {
+    let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
+    let (mean_a, mean_b) = (mean(a), mean(b));
+    let product =
+        |f: &dyn Fn(f64, f64) -> f64| -> f64 { a.iter().zip(b).map(|(a, b)| f(a - mean_a, b - mean_b)).sum() };
+    product(&|a, b| a * b) / (product(&|a, _| a * a) * product(&|_, b| b * b)).sqrt()
 }
 
 #[cfg(test)]
@@ -265,13 +229,47 @@ mod tests {
     use super::*;
 
     #[test]
-    fn test_samples_have_distances_and_positions() {
+    fn a_damaged_series_is_told() {
         let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("samples.csv");
-        let text = "id,x,y,z,split,nearest_train_m\n1,0,0,0,train,2\n5,2.5,0,1,test,0.5\n6,,,,test,\n";
-        std::fs::write(&path, text).unwrap();
-        let found = TestSamples::read(&path).unwrap();
-        assert_eq!(found.nearest_train_m, BTreeMap::from([(5, 0.5), (6, f64::INFINITY)]));
-        assert_eq!(found.positions, BTreeMap::from([(5, Some([2.5, 0.0, 1.0])), (6, None)]));
+        let path = folder.path().join("curve.csv");
+        let wrong = [
+            ("", ":1:1: the file ends"),
+            ("step,phase,loss\n", ":1:1: the last row is of step 0 instead of 20"),
+            ("step,phase,loss\n10,densify,0.5\n", ":2:1: the last row is of step 10"),
+            ("step,phase,loss\n10,densify,0.5\n20,prune,0.", ":3:1: the file ends"),
+            ("step,phase,loss\n10,densify\n20,prune,0.4\n", ":2:1: this row"),
+            ("step,phase,loss\n10,densify,x\n20,prune,0.4\n", ":2:1: this row"),
+            ("step,phase,loss\n10,densify,0.5\n10,densify,0.5\n20,prune,0.4\n", ":3:1: this row"),
+        ];
+        for (text, why) in wrong {
+            std::fs::write(&path, text).unwrap();
+            let said = whole_series(&path, 20).unwrap_err();
+            assert!(said.is_input() && said.to_string().contains(why), "{said}");
+        }
+        std::fs::write(&path, "step,phase,loss\n10,densify,NaN\n20,prune,inf\n").unwrap();
+        assert_eq!(whole_series(&path, 20).unwrap().len(), 2);
+        assert!(whole_series(&folder.path().join("missing.csv"), 20).unwrap_err().is_input());
+    }
+
+    fn confidence(spreads: &[f64], errors: &[f64]) -> Confidence {
+        Confidence { ids: (1..).take(spreads.len()).collect(), spreads: spreads.to_vec(), errors: errors.to_vec() }
+    }
+
+    #[test]
+    fn correlations_are_those_of_scipy() {
+        // scipy.stats.spearmanr([1, 2, 2, 4, 5, 3], [2, 1, 3, 9, 4, 4]) = 0.7941176470588235
+        let c = confidence(&[1.0, 2.0, 2.0, 4.0, 5.0, 3.0], &[2.0, 1.0, 3.0, 9.0, 4.0, 4.0]);
+        assert!((c.rank_correlation() - 0.794_117_647_058_823_5).abs() < 1e-12, "{}", c.rank_correlation());
+        assert!((confidence(&[1.0, 2.0, 3.0], &[3.0, 5.0, 50.0]).rank_correlation() - 1.0).abs() < 1e-12);
+        assert!(confidence(&[1.0, 1.0], &[3.0, 5.0]).rank_correlation().is_nan());
+    }
+
+    #[test]
+    fn groups_are_of_equal_size_and_rise_in_spread() {
+        let c = confidence(&[0.4, 0.1, 0.3, 0.2], &[4.0, 1.0, 3.0, 2.0]);
+        let groups = c.groups(2);
+        assert!((groups[0].0 - 0.15).abs() < 1e-12 && (groups[1].0 - 0.35).abs() < 1e-12);
+        assert_eq!((&groups[0].1, &groups[1].1), (&vec![1.0, 2.0], &vec![3.0, 4.0]));
+        assert_eq!(c.groups(9).len(), 4, "no group is empty");
     }
 }

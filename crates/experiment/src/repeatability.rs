@@ -9,17 +9,19 @@
 //! each of them than they are to one another, so a perfect predictor of the mean would reach a little more.
 
 mod extrapolate;
-mod measure;
 mod pairs;
 
 pub use extrapolate::AtZero;
-pub use pairs::{FAR_IDS, NEAR_IDS, in_order};
+pub use pairs::{FAR_IDS, Lapse, NEAR_IDS, in_order};
 
-use crate::scores::Summary;
+use crate::session::check_stopped;
+use crate::statistics::Summary;
 use extrapolate::{Scale, at_zero};
-use measure::Measured;
 use pairs::Pair;
-use pwrfgs_core::{Dataset, Goal, Metric, Plugin, Result, Task, evenly};
+use pwrfgs_core::{
+    Dataset, Evaluation, Goal, Image, ImagePlane, Measurement, Metric, Plugin, Result, Scope, Task, Values, evenly,
+};
+use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::atomic::AtomicBool;
 
@@ -32,25 +34,9 @@ const LEAST: usize = 20;
 pub const REACH_M: f64 = 0.02;
 /// Pairs measured in a range of distances beyond those.
 const A_BIN: usize = 100;
-
-/// Which pairs of samples.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Lapse {
-    /// Near in time: at most [`NEAR_IDS`] ids apart.
-    Near,
-    /// Far apart in time: more than [`FAR_IDS`] ids apart.
-    Far,
-}
-
-impl Lapse {
-    /// What its pairs are.
-    pub fn words(self) -> String {
-        match self {
-            Self::Near => format!("near in time (at most {NEAR_IDS} ids apart)"),
-            Self::Far => format!("far apart in time (more than {FAR_IDS} ids)"),
-        }
-    }
-}
+/// Pairs in memory at once, and their pixels.
+const CHUNK: usize = 64;
+const PIXELS: usize = 1 << 21;
 
 /// Likeness of pairs near in time and of pairs far apart in time.
 #[derive(Clone, Debug)]
@@ -151,7 +137,7 @@ pub(crate) fn likeness(
         };
         Similarity { key, unit, goal, bins: ranges.iter().map(bin).collect(), unrelated, at_zero }
     };
-    let metrics = measure::measure(data, &wanted, metrics, stop)?.into_iter().map(similarity).collect();
+    let metrics = measure(data, &wanted, metrics, stop)?.into_iter().map(similarity).collect();
     let reach_m = wanted[..closest].last().map_or(0.0, |pair| pair.distance);
     Ok(Likeness { closest, reach_m, metrics })
 }
@@ -170,4 +156,56 @@ fn closest(pairs: &[Pair]) -> Vec<Pair> {
         [nearest, .., farthest] if nearest.distance > 0.5 * farthest.distance => evenly(within, CLOSEST),
         _ => first.to_vec(),
     }
+}
+
+/// One metric of all pairs, in their order.
+struct Measured {
+    key: String,
+    unit: String,
+    goal: Goal,
+    /// What a spectrum scores as a prediction of itself.
+    best: f64,
+    values: Vec<f64>,
+}
+
+/// Takes the earlier spectrum of each pair as a prediction of the later one, by the metrics of single samples.
+fn measure(data: &Dataset, pairs: &[Pair], metrics: &[Plugin<dyn Metric>], stop: &AtomicBool) -> Result<Vec<Measured>> {
+    let metrics: Vec<&Plugin<dyn Metric>> = metrics.iter().filter(|m| m.scope() == Scope::Sample).collect();
+    let plane = data.plane();
+    let itself = [data.image(0)];
+    let best = evaluate(data, &plane, &metrics, &itself, &itself)?;
+    let started = |m: Measurement| match m.values {
+        Values::PerSample(best) if best.len() == 1 => {
+            Some(Measured { key: m.key, unit: m.unit, goal: m.goal, best: best[0], values: Vec::new() })
+        }
+        _ => None,
+    };
+    let mut all: Vec<Measured> = best.into_iter().filter_map(started).collect();
+    let size = (PIXELS / (data.width * data.height).max(1)).clamp(1, CHUNK);
+    for some in pairs.chunks(size) {
+        check_stopped(stop)?;
+        let images = |side: fn(&Pair) -> usize| some.par_iter().map(|pair| data.image(side(pair))).collect();
+        let (earlier, later): (Vec<Image>, Vec<Image>) = (images(|pair| pair.earlier), images(|pair| pair.later));
+        data.observations.check()?;
+        for found in evaluate(data, &plane, &metrics, &earlier, &later)? {
+            if let (Some(of), Values::PerSample(values)) = (all.iter_mut().find(|m| m.key == found.key), found.values) {
+                of.values.extend(values);
+            }
+        }
+    }
+    // A metric that did not give one number a pair has said nothing of pairs.
+    all.retain(|measured| measured.values.len() == pairs.len());
+    Ok(all)
+}
+
+fn evaluate(
+    data: &Dataset,
+    plane: &ImagePlane,
+    metrics: &[&Plugin<dyn Metric>],
+    predictions: &[Image],
+    truths: &[Image],
+) -> Result<Vec<Measurement>> {
+    let seen = Evaluation { predictions, truths, ..Evaluation::of(data, plane) };
+    let found: Result<Vec<_>> = metrics.iter().map(|metric| metric.evaluate(&seen)).collect();
+    Ok(found?.concat())
 }

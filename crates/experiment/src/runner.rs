@@ -2,15 +2,15 @@
 
 use crate::evaluate::{evaluate, validation_baselines};
 use crate::facts::Facts;
-use crate::folder::{MODEL_FILE, RunFolder, RunState};
+use crate::folder::MODEL_FILE;
 use crate::input::prepared;
 use crate::journal::note_scores;
 use crate::load::load;
 use crate::page::conclude;
+use crate::run_folder::{RunFolder, RunState};
 use crate::scores::ScoreTable;
 use crate::session::Session;
-use crate::trainer::trainer;
-use crate::training::Training;
+use crate::training::{Training, trainer};
 use pwrfgs_core::{Error, Result};
 use pwrfgs_model::{Ensemble, file};
 use pwrfgs_pipeline::Pipeline;

@@ -1,9 +1,12 @@
 //! Samples of a data set: `samples.csv` (position and set of each sample, distance to the nearest training transmitter).
 
-use crate::text::field;
-use pwrfgs_core::{Dataset, Partition, Real, neighbours};
+use crate::text::{csv_rows, field};
+use pwrfgs_core::{Dataset, Partition, Real, Result, neighbours};
 use pwrfgs_pipeline::Pipeline;
+use serde::Deserialize;
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
+use std::path::Path;
 
 /// Columns where there is one receiver.
 const HEADER: &str = "id,x,y,z,split,nearest_train_m\n";
@@ -62,6 +65,46 @@ pub fn nearest_train(data: &Dataset, partition: &Partition) -> Vec<Real> {
     data.links.iter().zip(own).map(of).map(Real::sqrt).collect()
 }
 
+/// The test samples, by label as in `scores.csv`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TestSamples {
+    /// Distance to the nearest training transmitter, metres; infinity if there is none.
+    pub nearest_train_m: BTreeMap<u32, f64>,
+    /// Transmitter position, metres; `None` if unknown.
+    pub positions: BTreeMap<u32, Option<[f64; 3]>>,
+}
+
+/// A row of `samples.csv`.
+#[derive(Deserialize)]
+struct SampleRow {
+    /// Label in `scores.csv` if there are several receivers, else `id` is.
+    link: Option<u32>,
+    id: u32,
+    x: Option<f64>,
+    y: Option<f64>,
+    z: Option<f64>,
+    split: String,
+    nearest_train_m: Option<f64>,
+}
+
+impl TestSamples {
+    /// Reads `samples.csv`.
+    ///
+    /// # Errors
+    /// [`pwrfgs_core::Error::Read`], or [`pwrfgs_core::Error::Input`] with the line if the file is damaged.
+    pub fn read(path: &Path) -> Result<Self> {
+        let mut found = Self::default();
+        for SampleRow { link, id, x, y, z, split, nearest_train_m } in csv_rows(path)? {
+            if split == "test" {
+                let label = link.unwrap_or(id);
+                found.nearest_train_m.insert(label, nearest_train_m.unwrap_or(f64::INFINITY));
+                found.positions.insert(label, x.zip(y).zip(z).map(|((x, y), z)| [x, y, z]));
+            }
+        }
+        Ok(found)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -78,5 +121,16 @@ mod tests {
         let expected = "id,x,y,z,split,nearest_train_m\n1,0,0,0,train,2\n2,2,0,0,train,2\n5,2.5,0,0,test,0.5\n\
                         6,9,0,0,unused,7\n";
         assert_eq!(text, expected);
+    }
+
+    #[test]
+    fn test_samples_have_distances_and_positions() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("samples.csv");
+        let text = "id,x,y,z,split,nearest_train_m\n1,0,0,0,train,2\n5,2.5,0,1,test,0.5\n6,,,,test,\n";
+        std::fs::write(&path, text).unwrap();
+        let found = TestSamples::read(&path).unwrap();
+        assert_eq!(found.nearest_train_m, BTreeMap::from([(5, 0.5), (6, f64::INFINITY)]));
+        assert_eq!(found.positions, BTreeMap::from([(5, Some([2.5, 0.0, 1.0])), (6, None)]));
     }
 }

@@ -1,7 +1,6 @@
 //! A table of scores as text for a terminal.
 
-use crate::ceiling::CEILING;
-use crate::scores::{Cell, MetricRow, ScoreTable};
+use crate::scores::{CEILING, Cell, MetricRow, ScoreTable};
 use crate::text::{aligned, grouped, number};
 
 impl ScoreTable {

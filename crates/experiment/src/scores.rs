@@ -2,13 +2,18 @@
 //!
 //! Columns of `scores.csv`: predictor, metric, sample (a test id, or empty for a number about the whole model), value.
 
-use crate::ceiling::CEILING;
-use crate::paired::Paired;
-use crate::repeatability::AtZero;
-use pwrfgs_core::{Goal, Measurement, Task, Values};
+use crate::paired::{Paired, PairedRow, is_compared};
+use crate::statistics::{Blocks, Difference, Summary, null_is_infinite};
+use crate::text::{Lines, csv_rows, damaged};
+use pwrfgs_core::words::text_of;
+use pwrfgs_core::{Goal, Measurement, Result, Task, Values};
 use serde::{Deserialize, Deserializer, Serialize};
 use std::collections::BTreeMap;
+use std::path::Path;
+use std::str::FromStr;
 
+/// The name of the noise ceiling in every table; it is in no ranking.
+pub const CEILING: &str = "ceiling (repeatability)";
 /// The name of the trained model in every table.
 pub const MODEL: &str = "model";
 
@@ -23,41 +28,6 @@ pub struct Scores {
     pub ids: Vec<u32>,
     /// Predictors with their measurements; the model comes first.
     pub predictors: Vec<(String, Vec<Measurement>)>,
-}
-
-/// Mean, median and bad tail of numbers a sample. Infinite values (a perfect PSNR) are stored as `null`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Summary {
-    /// Arithmetic mean.
-    #[serde(deserialize_with = "null_is_infinite")]
-    pub mean: f64,
-    /// Middle value.
-    #[serde(deserialize_with = "null_is_infinite")]
-    pub median: f64,
-    /// A tenth of the samples are this bad or worse: the 10th percentile where larger is better, else the 90th.
-    #[serde(deserialize_with = "null_is_infinite")]
-    pub p10: f64,
-}
-
-impl Summary {
-    /// Of any number of values; NaN for none. Quantiles are interpolated linearly between order statistics.
-    pub fn of(values: &[f64], higher_is_better: bool) -> Self {
-        let mut sorted = values.to_vec();
-        sorted.sort_by(f64::total_cmp);
-        Self {
-            mean: values.iter().sum::<f64>() / values.len() as f64,
-            median: quantile(&sorted, 0.5),
-            p10: quantile(&sorted, if higher_is_better { 0.1 } else { 0.9 }),
-        }
-    }
-}
-
-/// The `q` quantile of ascending values.
-pub fn quantile(sorted: &[f64], q: f64) -> f64 {
-    let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
-    let place = q * last as f64;
-    let (low, part) = (place as usize, place.fract());
-    if part == 0.0 { sorted[low] } else { sorted[low] * (1.0 - part) + sorted[low + 1] * part }
 }
 
 /// Scores without per-sample values, as `run.json` holds them.
@@ -115,10 +85,6 @@ pub enum Cell {
     Whole(#[serde(deserialize_with = "null_is_infinite")] f64),
     /// Does not apply, and why.
     NotApplicable(String),
-}
-
-fn null_is_infinite<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
-    Ok(Option::<f64>::deserialize(d)?.unwrap_or(f64::INFINITY))
 }
 
 impl Cell {
@@ -184,6 +150,27 @@ impl Scores {
         Some(self.ids.iter().copied().zip(self.samples(predictor, key)?.iter().copied()).collect())
     }
 
+    /// The model less each baseline by the metrics that [`is_compared`] selects; `positions` are those of the test transmitters, metres, by id. `None`
+    /// if there is no baseline or no such metric.
+    pub(crate) fn paired(&self, positions: &BTreeMap<u32, Option<[f64; 3]>>) -> Option<Paired> {
+        let blocks = Blocks::new(positions);
+        let (_, own) = self.predictors.first()?;
+        let wanted = own.iter().filter(|m| is_compared(&m.key, self.table.task));
+        let row = |baseline: &str, key: &str, goal: Goal| {
+            let pairs = self.samples(MODEL, key)?.iter().zip(self.samples(baseline, key)?);
+            let differences = self.ids.iter().zip(pairs).map(|(id, (model, floor))| (*id, model - floor));
+            let Difference { mean, interval, .. } = Difference::of(&[blocks.cells(differences)])?;
+            let (baseline, metric, higher_is_better) = (baseline.to_owned(), key.to_owned(), goal == Goal::Higher);
+            Some(PairedRow { baseline, metric, higher_is_better, mean, interval: interval.map(|(a, b)| [a, b]) })
+        };
+        let rows: Vec<PairedRow> = self
+            .table
+            .baselines()
+            .flat_map(|name| wanted.clone().filter_map(move |m| row(name, &m.key, m.goal)))
+            .collect();
+        (!rows.is_empty()).then_some(Paired { edge_m: blocks.edge_m, cubes: blocks.count, rows })
+    }
+
     /// One metric of one predictor as one number: that of the whole model, or the mean over test samples.
     pub fn value(&self, predictor: &str, key: &str) -> Option<f64> {
         self.table.numbers(predictor, key)?.first().copied()
@@ -192,14 +179,14 @@ impl Scores {
 
 impl ScoreTable {
     /// Adds the noise ceiling of each metric that has one, as the last predictor.
-    pub(crate) fn add_ceiling(&mut self, of: &[(String, AtZero)]) {
+    pub(crate) fn add_ceiling(&mut self, of: &[(String, Summary)]) {
         if of.is_empty() {
             return;
         }
         self.predictors.push(CEILING.into());
         for row in &mut self.metrics {
             let found = of.iter().find(|(key, _)| *key == row.key);
-            let cell = |(_, at_zero): &(String, AtZero)| Cell::Samples(at_zero.summary);
+            let cell = |(_, summary): &(String, Summary)| Cell::Samples(*summary);
             row.cells.push(found.map_or_else(|| Cell::NotApplicable("no estimate".into()), cell));
         }
     }
@@ -239,6 +226,107 @@ impl ScoreTable {
     }
 }
 
+impl Scores {
+    /// The text of `scores.csv`.
+    pub fn to_csv(&self) -> String {
+        let mut lines = Lines::new(["predictor", "metric", "sample", "value"]);
+        for (predictor, measurements) in &self.predictors {
+            for m in measurements {
+                let mut line = |sample: &str, value: &str| lines.put([predictor, &m.key, sample, value]);
+                match &m.values {
+                    Values::PerSample(values) => {
+                        let rows = self.ids.iter().zip(values);
+                        rows.for_each(|(id, value)| line(&id.to_string(), &value.to_string()));
+                    }
+                    Values::Whole(value) => line("", &value.to_string()),
+                    Values::NotApplicable(_) => line("", "n/a"),
+                }
+            }
+        }
+        lines.text()
+    }
+
+    /// Reads `scores.csv` in `path`, of which `table` is the summary.
+    ///
+    /// # Errors
+    /// [`Error::Input`] with the line if the file is damaged, or `table` is of other scores.
+    pub fn read(path: &Path, table: ScoreTable) -> Result<Self> {
+        let mut found = Self { table, ..Self::default() };
+        let (rows, mut line) = (csv_rows::<ScoreRow>(path)?, 2);
+        for group in rows.chunk_by(|a, b| (&a.predictor, &a.metric) == (&b.predictor, &b.metric)) {
+            // A metric that is listed twice has its samples twice.
+            let again = group[1..].iter().position(|row| row.sample == group[0].sample);
+            for rows in group.chunks(again.map_or(group.len(), |k| k + 1)) {
+                found.take(rows).map_err(|what| damaged(path, line, &what))?;
+                line += rows.len();
+            }
+        }
+        Ok(found)
+    }
+
+    /// Adds the rows of one metric of one predictor.
+    fn take(&mut self, rows: &[ScoreRow]) -> Result<(), String> {
+        let ScoreRow { predictor, metric, sample, value } = &rows[0];
+        let (predictor, key) = (text_of(predictor), text_of(metric));
+        let place = self.table.predictors.iter().position(|name| name == predictor);
+        let row = self.table.metrics.iter_mut().find(|row| row.key == key);
+        let (Some(place), Some(row)) = (place, row) else {
+            return Err(format!("run.json has no {key} of {predictor}"));
+        };
+        let values = match (sample, value, row.cells.get(place)) {
+            (Some(_), Some(_), _) => {
+                let ids: Vec<u32> = rows.iter().filter_map(|row| row.sample).collect();
+                if self.ids.is_empty() {
+                    self.ids.clone_from(&ids);
+                }
+                let values: Vec<f64> = rows.iter().filter_map(|row| row.value).collect();
+                if ids != self.ids || values.len() != ids.len() {
+                    return Err(format!("{key} of {predictor} is of other samples than the first metric"));
+                }
+                Values::PerSample(values)
+            }
+            (None, Some(value), _) => Values::Whole(*value),
+            (_, None, Some(Cell::NotApplicable(why))) => Values::NotApplicable(why.clone()),
+            (_, None, _) => return Err(format!("run.json has a value of {key} of {predictor}")),
+        };
+        let goal = if row.higher_is_better { Goal::Higher } else { Goal::Lower };
+        let measurement = Measurement { key: key.to_owned(), unit: row.unit.clone(), goal, values };
+        // JSON has neither infinity nor NaN: the summary is that of the values.
+        if let Some(cell) = row.cells.get_mut(place) {
+            *cell = Cell::of(&measurement);
+        }
+        match self.predictors.last_mut().filter(|(name, _)| name == predictor) {
+            Some((_, measured)) => measured.push(measurement),
+            None => self.predictors.push((predictor.to_owned(), vec![measurement])),
+        }
+        Ok(())
+    }
+}
+
+/// A row of `scores.csv`.
+#[derive(Deserialize)]
+struct ScoreRow {
+    predictor: String,
+    metric: String,
+    #[serde(deserialize_with = "unless_empty")]
+    sample: Option<u32>,
+    /// `None` where the metric does not apply.
+    #[serde(deserialize_with = "unless_not_applicable")]
+    value: Option<f64>,
+}
+
+fn unless_empty<'de, D: Deserializer<'de>>(field: D) -> Result<Option<u32>, D::Error> {
+    number_unless("", &String::deserialize(field)?)
+}
+
+fn unless_not_applicable<'de, D: Deserializer<'de>>(field: D) -> Result<Option<f64>, D::Error> {
+    number_unless("n/a", &String::deserialize(field)?)
+}
+
+fn number_unless<T: FromStr, E: serde::de::Error>(none: &str, text: &str) -> Result<Option<T>, E> {
+    (text != none).then(|| text.parse().ok().ok_or_else(|| E::custom(format!("`{text}` is no number")))).transpose()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -269,18 +357,6 @@ mod tests {
     }
 
     #[test]
-    fn quantiles_interpolate_as_numpy_does() {
-        let s = Summary::of(&[4.0, 1.0, 2.0, 3.0], true);
-        assert_eq!((s.mean, s.median), (2.5, 2.5));
-        assert!((s.p10 - 1.3).abs() < 1e-12);
-        assert!(
-            (Summary::of(&[4.0, 1.0, 2.0, 3.0], false).p10 - 3.7).abs() < 1e-12,
-            "the bad tail is at the other end"
-        );
-        assert!(Summary::of(&[], true).mean.is_nan());
-    }
-
-    #[test]
     fn a_bound_is_in_no_ranking() {
         let table = ScoreTable { bounds: vec![MODEL.into()], ..scores().table };
         assert_eq!(table.ranks(&table.metrics[0], 0), vec![None, Some(0)]);
@@ -290,9 +366,9 @@ mod tests {
 
     #[test]
     fn the_ceiling_stands_last_and_in_no_ranking() {
-        let at_zero = AtZero { summary: Summary { mean: 0.9, median: 0.95, p10: 0.8 }, interval: [0.85, 0.95] };
+        let ceiling = Summary { mean: 0.9, median: 0.95, p10: 0.8 };
         let mut scores = scores();
-        scores.table.add_ceiling(&[("ssim".into(), at_zero)]);
+        scores.table.add_ceiling(&[("ssim".into(), ceiling)]);
         let table = &scores.table;
         assert_eq!(table.predictors, [MODEL, "k, far", CEILING]);
         assert_eq!(table.metrics[0].cells[2].numbers(), [0.9, 0.95, 0.8]);

@@ -1,4 +1,4 @@
-//! Mean and deviation over seeds, and bootstrap intervals of paired differences.
+//! Summaries of test samples, mean and deviation over seeds, and bootstrap intervals of paired differences.
 //!
 //! A difference has two sources of chance: the seed of the training, and which transmitters were tested. All seeds may
 //! be tested at the same places, so seeds and places are *crossed*: a replicate draws seeds, and once for all of them
@@ -10,14 +10,54 @@
 //! What remains optimistic with few seeds is the shape: the percentiles of three values know nothing of the long tails
 //! of Student's distribution. `coverage_over_repetitions` measures it.
 
-use crate::scores::quantile;
 use pwrfgs_core::rng::{self, Rng};
+use serde::{Deserialize, Deserializer, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
 use std::iter::repeat_with;
 
 /// Bootstrap replicates behind an interval.
 pub const REPLICATES: usize = 10_000;
 /// Share of the replicates inside an interval.
 pub const CONFIDENCE: f64 = 0.95;
+
+/// Mean, median and bad tail of numbers a sample. Infinite values (a perfect PSNR) are stored as `null`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Summary {
+    /// Arithmetic mean.
+    #[serde(deserialize_with = "null_is_infinite")]
+    pub mean: f64,
+    /// Middle value.
+    #[serde(deserialize_with = "null_is_infinite")]
+    pub median: f64,
+    /// A tenth of the samples are this bad or worse: the 10th percentile where larger is better, else the 90th.
+    #[serde(deserialize_with = "null_is_infinite")]
+    pub p10: f64,
+}
+
+impl Summary {
+    /// Of any number of values; NaN for none. Quantiles are interpolated linearly between order statistics.
+    pub fn of(values: &[f64], higher_is_better: bool) -> Self {
+        let mut sorted = values.to_vec();
+        sorted.sort_by(f64::total_cmp);
+        Self {
+            mean: values.iter().sum::<f64>() / values.len() as f64,
+            median: quantile(&sorted, 0.5),
+            p10: quantile(&sorted, if higher_is_better { 0.1 } else { 0.9 }),
+        }
+    }
+}
+
+pub(crate) fn null_is_infinite<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
+    Ok(Option::<f64>::deserialize(d)?.unwrap_or(f64::INFINITY))
+}
+
+/// The `q` quantile of ascending values.
+pub fn quantile(sorted: &[f64], q: f64) -> f64 {
+    let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
+    let place = q * last as f64;
+    let (low, part) = (place as usize, place.fract());
+    if part == 0.0 { sorted[low] } else { sorted[low] * (1.0 - part) + sorted[low + 1] * part }
+}
 
 /// Mean and sample standard deviation.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -119,6 +159,69 @@ fn mean(cells: &[&[Cell]], seeds: &[usize], blocks: &[usize]) -> Option<f64> {
     };
     let (sum, count) = seeds.iter().filter_map(of_seed).fold((0.0, 0), |(sum, count), m| (sum + m, count + 1));
     (count > 0).then(|| sum / f64::from(count))
+}
+
+/// Cubes with test transmitters that there should be.
+const WANTED: usize = 30;
+/// The edge is not made smaller than this part of the room.
+const FINEST: u32 = 256;
+
+/// Test samples in cubes of space, or single ones if their positions are unknown: the bootstrap draws those of a block together.
+///
+/// Spectra of neighbouring transmitters are alike, and so are the errors of a model there. How far that reaches is not
+/// known; a longer reach than the edge of a cube leaves intervals too narrow. Larger cubes are fewer, and from few
+/// nothing can be drawn: the edge is the largest that leaves 30 of them. Reports print it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Blocks {
+    /// Edge of a cube in metres; `None` if each test sample is a block.
+    pub edge_m: Option<f64>,
+    /// Number of blocks that hold test transmitters.
+    pub count: usize,
+    /// The block of each test sample, by id.
+    of: BTreeMap<u32, usize>,
+}
+
+impl Blocks {
+    /// Creates the blocks of test samples from their positions by id, metres. If any position is unknown, each sample is a
+    /// block.
+    pub fn new(positions: &BTreeMap<u32, Option<[f64; 3]>>) -> Self {
+        let known: Option<_> = positions.iter().map(|(id, position)| Some((*id, (*position)?))).collect();
+        let single = || Self { edge_m: None, count: positions.len(), of: positions.keys().copied().zip(0..).collect() };
+        known.map_or_else(single, |places| Self::cubes(&places))
+    }
+
+    fn cubes(places: &BTreeMap<u32, [f64; 3]>) -> Self {
+        let end = |pick: fn(f64, f64) -> f64, start: f64| {
+            [0, 1, 2].map(|k| places.values().fold(start, |end, place| pick(end, place[k])))
+        };
+        let (low, high) = (end(f64::min, f64::INFINITY), end(f64::max, f64::NEG_INFINITY));
+        let extent = (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max);
+        let cube = |place: &[f64; 3], edge: f64| [0, 1, 2].map(|k| ((place[k] - low[k]) / edge) as i64);
+        let edge = |parts: u32| if extent > 0.0 { extent / f64::from(parts) } else { 1.0 };
+        let cubes = |edge: f64| places.values().map(|place| cube(place, edge)).collect::<BTreeSet<_>>();
+        let distinct = cubes(edge(FINEST)).len();
+        let parts = (1..FINEST).find(|parts| cubes(edge(*parts)).len() >= WANTED.min(distinct)).unwrap_or(FINEST);
+        let edge_m = edge(parts);
+        let number: BTreeMap<_, usize> = cubes(edge_m).into_iter().zip(0..).collect();
+        let of = places.iter().map(|(id, place)| (*id, number[&cube(place, edge_m)])).collect();
+        Self { edge_m: Some(edge_m), count: number.len(), of }
+    }
+
+    /// Differences of test samples, by id, gathered by block; those that are not finite are left out.
+    pub fn cells(&self, differences: impl IntoIterator<Item = (u32, f64)>) -> Vec<Cell> {
+        let mut cells = vec![Cell::default(); self.count];
+        for (id, difference) in differences.into_iter().filter(|(_, difference)| difference.is_finite()) {
+            if let Some(block) = self.of(id) {
+                cells[block].add(difference);
+            }
+        }
+        cells
+    }
+
+    /// The block of a test sample.
+    pub fn of(&self, id: u32) -> Option<usize> {
+        self.of.get(&id).copied()
+    }
 }
 
 #[cfg(test)]
@@ -245,5 +348,47 @@ mod tests {
         // Blocks that only one of the seeds has: the other does not count where it has nothing.
         let found = Difference::of(&[vec![one(1.0), Cell::default()], vec![Cell::default(), one(3.0)]]).unwrap();
         assert_eq!((found.mean, found.interval, found.is_clear()), (2.0, Some((1.0, 3.0)), true));
+    }
+
+    #[test]
+    fn quantiles_interpolate_as_numpy_does() {
+        let s = Summary::of(&[4.0, 1.0, 2.0, 3.0], true);
+        assert_eq!((s.mean, s.median), (2.5, 2.5));
+        assert!((s.p10 - 1.3).abs() < 1e-12);
+        assert!(
+            (Summary::of(&[4.0, 1.0, 2.0, 3.0], false).p10 - 3.7).abs() < 1e-12,
+            "the bad tail is at the other end"
+        );
+        assert!(Summary::of(&[], true).mean.is_nan());
+    }
+
+    #[test]
+    fn neighbours_share_a_cube() {
+        // 10 x 10 places, 1 m apart, in clumps of two that are 1 cm apart.
+        let places =
+            (0..200u32).map(|id| (id, Some([f64::from(id / 2 % 10), f64::from(id / 20), 0.01 * f64::from(id % 2)])));
+        let blocks = Blocks::new(&places.collect());
+        assert!((0..100).all(|k| blocks.of(2 * k) == blocks.of(2 * k + 1)));
+        assert!((30..=50).contains(&blocks.count), "{}", blocks.count);
+        assert!((1.0..2.0).contains(&blocks.edge_m.unwrap()), "{:?}", blocks.edge_m);
+        assert_eq!((blocks.of(0), blocks.of(199), blocks.of(200)), (Some(0), Some(blocks.count - 1), None));
+    }
+
+    #[test]
+    fn few_places_have_a_cube_each_and_one_place_has_one() {
+        let places = BTreeMap::from([(1, [0.0; 3]), (5, [0.1, 0.0, 0.0]), (9, [3.0, 0.0, 1.0])]);
+        let places = places.into_iter().map(|(id, place)| (id, Some(place))).collect();
+        let blocks = Blocks::new(&places);
+        assert_eq!(BTreeSet::from([1, 5, 9].map(|id| blocks.of(id).unwrap())).len(), 3);
+        assert_eq!(Blocks::new(&BTreeMap::from([1, 2].map(|id| (id, Some([2.0; 3]))))).count, 1);
+        assert_eq!(Blocks::new(&BTreeMap::new()).count, 0);
+    }
+
+    #[test]
+    fn samples_without_positions_are_blocks_of_their_own() {
+        let positions = (0..1_000).map(|id| (id, if id < 2 { Some([0.0; 3]) } else { None })).collect();
+        let blocks = Blocks::new(&positions);
+        assert_eq!((blocks.edge_m, blocks.count), (None, 1_000));
+        assert_eq!((0..1_000).map(|id| blocks.of(id).unwrap()).collect::<BTreeSet<_>>().len(), 1_000);
     }
 }

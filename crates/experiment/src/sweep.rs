@@ -1,22 +1,226 @@
 //! A sweep: many runs from one experiment file, in one folder, on one machine or on many.
 //!
 //! `experiment.rs` reads the file, `plan.rs` works out all runs, `status.rs` looks at what is done, `check.rs` tries what
-//! is left before anything starts, `execute.rs` does it, `join.rs` makes one model of all. Nothing but the run folders remembers what was done, so the
-//! same command goes on after any end.
+//! is left before anything starts, [`execute`] does it, several runs at once, each with its own threads, and with `join: true` makes one
+//! model of all, which predicts their mean. Nothing but the run folders remembers what was done, so the same command goes on after any
+//! end.
 
 mod check;
-mod execute;
 mod experiment;
-mod join;
 mod listing;
 mod plan;
 pub mod slurm;
 mod status;
 
 pub use check::{check, estimate};
-pub use execute::{Board, SweepEnd, execute, pool};
 pub use experiment::{Axis, Experiment, Slurm, Variant};
-pub use join::JOINED;
 pub use listing::{LISTING, ListedRun, Listing};
-pub use plan::{Plan, PlannedRun};
+pub use plan::{JOINED, Plan, PlannedRun};
 pub use status::State;
+
+use crate::evaluate::evaluate;
+use crate::facts::{Facts, Mark};
+use crate::folder::MODEL_FILE;
+use crate::load::load;
+use crate::page::conclude;
+use crate::run_folder::RunFolder;
+use crate::runner::{Outcome, run};
+use crate::scores::ScoreTable;
+use crate::session::{Observer, Session, Silent};
+use pwrfgs_core::files::write_atomically;
+use pwrfgs_core::{Dataset, Error, Partition, Result};
+use pwrfgs_model::{Ensemble, file};
+use pwrfgs_pipeline::Pipeline;
+use rayon::{ThreadPool, ThreadPoolBuilder};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
+
+/// How a sweep ended, as far as this process did it.
+#[derive(Debug)]
+pub struct SweepEnd {
+    /// Each run, by its place in the plan: [`Error::Busy`] if another process is at work in its folder; why another one
+    /// failed is kept in the sweep folder too.
+    pub runs: Vec<(usize, Result<Outcome>)>,
+    /// The joined model, if the plan joins models and all runs have finished.
+    pub joined: Option<Outcome>,
+}
+
+/// Hears of all runs at once.
+pub trait Board: Sync {
+    /// A run, a place in the plan, starts; what it gets hears of its steps.
+    fn starts(&self, run: usize) -> Box<dyn Observer>;
+
+    /// It ended.
+    fn ends(&self, run: usize, end: &Result<Outcome>);
+}
+
+impl Board for Silent {
+    fn starts(&self, _: usize) -> Box<dyn Observer> {
+        Box::new(Self)
+    }
+
+    fn ends(&self, _: usize, _: &Result<Outcome>) {}
+}
+
+/// Does the runs `runs` of the plan, `jobs` at a time, in their order. They share the threads of the calling pool. A run
+/// that fails does not stop the others; the session stops all at their next step, or where they are scored. `board` observes
+/// the runs, the observer of the session what follows: joining their models.
+///
+/// # Errors
+/// As [`Plan::claim`], or where threads cannot be started, or models cannot be joined.
+pub fn execute(
+    plan: &Plan,
+    runs: &[usize],
+    jobs: usize,
+    board: &dyn Board,
+    session: &mut Session<'_>,
+) -> Result<SweepEnd> {
+    drop(plan.claim()?);
+    let jobs = jobs.clamp(1, runs.len().max(1));
+    let pools = (0..jobs).map(|_| pool(jobs)).collect::<Result<Vec<_>>>()?;
+    let (stop, page) = (session.stop, session.page);
+    let next = AtomicUsize::new(0);
+    let ends = Mutex::new(Vec::new());
+    std::thread::scope(|scope| {
+        for pool in &pools {
+            scope.spawn(|| {
+                while let Some(&run) = runs.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    if stop.load(Ordering::Relaxed) {
+                        break;
+                    }
+                    let folder = plan.folder_of(run);
+                    let end = if RunFolder::is_busy(&folder) {
+                        Err(Error::Busy(folder))
+                    } else {
+                        let mut observer = board.starts(run);
+                        pool.install(|| one(plan, run, &mut Session { observer: &mut *observer, stop, page }))
+                    };
+                    board.ends(run, &end);
+                    ends.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push((run, end));
+                }
+            });
+        }
+    });
+    let mut ends = ends.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    ends.sort_by_key(|(run, _)| *run);
+    Ok(SweepEnd { runs: ends, joined: join(plan, session)? })
+}
+
+/// The threads of one of `jobs` runs that share those of the calling pool.
+///
+/// # Errors
+/// Where threads cannot be started.
+pub fn pool(jobs: usize) -> Result<ThreadPool> {
+    let threads = (rayon::current_num_threads() / jobs).max(1);
+    let pool = ThreadPoolBuilder::new().num_threads(threads).build();
+    pool.map_err(|e| Error::Config(format!("cannot start {threads} threads: {e}")))
+}
+
+/// Does one run.
+fn one(plan: &Plan, place: usize, session: &mut Session<'_>) -> Result<Outcome> {
+    let (folder, pipeline) = (plan.folder_of(place), &plan.runs[place].pipeline);
+    plan.forget_failure(place);
+    // A panic is a broken invariant of one run, a plugin's say; the others have none of it.
+    let work = || run(pipeline, Path::new(""), &folder, session);
+    let outcome = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
+        let said = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
+        Err(Error::Config(format!("the program panicked: {}", said.unwrap_or("no message"))))
+    });
+    // Another process may have claimed it since it was looked at.
+    if let Err(error) = &outcome
+        && !matches!(error, Error::Busy(_))
+    {
+        // The failure itself is reported in any case.
+        _ = plan.note_failure(place, error);
+    }
+    outcome
+}
+
+/// Joins the models of a plan with `join: true` in the folder [`JOINED`] and scores the result. Returns `None` if the plan
+/// joins nothing, a run has not finished, or another process joins them.
+///
+/// # Errors
+/// As [`crate::run`].
+fn join(plan: &Plan, session: &mut Session<'_>) -> Result<Option<Outcome>> {
+    let Some(pipeline) = &plan.joined else { return Ok(None) };
+    if !plan.states().iter().all(|state| matches!(state, State::Finished(_))) {
+        return Ok(None);
+    }
+    let out = plan.folder.join(JOINED);
+    let mut folder = match RunFolder::claim(&out, pipeline) {
+        Err(Error::Busy(_)) => return Ok(None),
+        folder => folder?,
+    };
+    let ended = Join { plan, pipeline, session, begun: Instant::now() }.end(&mut folder);
+    folder.settle(ended).map(Some)
+}
+
+/// The work of [`join`] in a claimed folder.
+struct Join<'a, 's> {
+    plan: &'a Plan,
+    pipeline: &'a Pipeline,
+    session: &'a mut Session<'s>,
+    begun: Instant,
+}
+
+impl Join<'_, '_> {
+    /// Writes and scores the model, unless that very model lies there with these scores.
+    fn end(&mut self, folder: &mut RunFolder) -> Result<Outcome> {
+        let ensemble = self.assemble()?;
+        let bytes = file::ensemble_to_bytes(&ensemble);
+        let is_joined = |earlier: Facts| earlier.files.get(MODEL_FILE) == Some(&Mark::of(&bytes));
+        if Facts::read(folder.path())?.is_some_and(is_joined)
+            && let Some(scores) = folder.state().verified(folder.path(), self.session.page.is_some())?
+        {
+            return Ok(Outcome::Finished { scores, already: true });
+        }
+        let (data, partition) = load(self.pipeline, Path::new(""), self.session.observer)?;
+        self.pipeline.check_data(&data)?;
+        let members = self.plan.runs.iter().map(|run| run.folder.clone()).collect();
+        let facts = folder.begin(self.pipeline, (&data, &partition), members)?;
+        write_atomically(&folder.file(MODEL_FILE), &bytes)?;
+        match self.assess(&ensemble, (&data, &partition), folder, facts) {
+            Ok(scores) => Ok(Outcome::Finished { scores, already: false }),
+            Err(Error::Stopped) => Ok(Outcome::Unscored),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// The trained models, in the order of the plan.
+    fn assemble(&self) -> Result<Ensemble> {
+        let member = |(place, run): (usize, &PlannedRun)| {
+            let folder = self.plan.folder_of(place);
+            if let Some(facts) = Facts::read(&folder)? {
+                facts.verify_file(&folder, MODEL_FILE)?;
+            }
+            Ok((run.member_name(), file::read(&folder.join(MODEL_FILE))?))
+        };
+        let members = self.plan.runs.iter().enumerate().map(member).collect::<Result<_>>()?;
+        Ensemble::named(members).map_err(Error::Config)
+    }
+
+    /// Scores the model on the test set and writes scores, samples, report and facts.
+    fn assess(
+        &mut self,
+        ensemble: &Ensemble,
+        (data, partition): (&Dataset, &Partition),
+        folder: &RunFolder,
+        mut facts: Facts,
+    ) -> Result<ScoreTable> {
+        let counted = data.task().counted[1];
+        self.session.observer.on_message(&format!("scoring {} test {counted}", partition.test.len()));
+        let (scores, confidence) = evaluate(ensemble, self.pipeline, data, partition, self.session)?;
+        (facts.steps, facts.training_seconds) = (0, 0.0);
+        for place in 0..self.plan.runs.len() {
+            let own = Facts::read(&self.plan.folder_of(place))?.unwrap_or_default();
+            facts.steps += own.steps;
+            facts.training_seconds += own.training_seconds;
+            facts.peak_memory_bytes = facts.peak_memory_bytes.max(own.peak_memory_bytes);
+        }
+        facts.wall_seconds += self.begun.elapsed().as_secs_f64();
+        conclude(folder, self.pipeline, &mut facts, (data, partition, ensemble), (scores, confidence), self.session)
+    }
+}

@@ -1,4 +1,4 @@
-//! Numbers, tables and CSV as text: one way for all of them.
+//! Numbers, durations, tables and CSV as text: one way for all of them.
 
 use pwrfgs_core::files::read_text;
 use pwrfgs_core::words::cell;
@@ -63,6 +63,16 @@ pub fn grouped(value: i64) -> String {
         out.push(digit);
     }
     out
+}
+
+/// A duration for people: `42 s`, `3 min 20 s`, `2 h 05 min`.
+pub fn duration(seconds: f64) -> String {
+    let s = seconds.max(0.0).round() as u64;
+    match s {
+        0..60 => format!("{s} s"),
+        60..3600 => format!("{} min {:02} s", s / 60, s % 60),
+        _ => format!("{} h {:02} min", s / 3600, s / 60 % 60),
+    }
 }
 
 /// The longest cell of a table, characters: a name of a file is not cut, the contents of one are.
@@ -187,6 +197,11 @@ mod tests {
         let found = all.map(|(value, decimals)| fixed(value, decimals));
         assert_eq!(found, ["0.801", "0.0035", "12", "8.7", "8", "12,346", "−0.25", "0.000", "0.000"]);
         assert_eq!([f64::INFINITY, f64::NEG_INFINITY].map(|v| fixed(v, 3)), ["∞", "−∞"]);
+    }
+
+    #[test]
+    fn durations_are_readable() {
+        assert_eq!([42.2, 200.0, 7530.0].map(duration), ["42 s", "3 min 20 s", "2 h 05 min"]);
     }
 
     #[test]

@@ -1,23 +1,85 @@
-//! The training of a run: the loop that writes curve, validation, snapshots and checkpoint.
+//! The training of a run: its trainer, refused if it cannot fit the machine, and the loop that writes curve, validation, snapshots and
+//! checkpoint.
 //!
 //! Order at every step: train, validation, curve, checkpoint. Rows reach the disk before the checkpoint that counts
 //! them, and a resumed run cuts the series back to its checkpoint: so it ends in the same files as one never stopped.
 //! Snapshots are functions of the step, and written before the checkpoint of that step: a resumed run writes them again.
 
-use crate::facts::Facts;
-use crate::folder::{CHECKPOINT, MODEL_FILE, RunFolder, START_SNAPSHOT, UNPRUNED_SNAPSHOT, pruned_snapshot};
+use crate::bench::Bench;
+use crate::facts::{Facts, free_memory};
+use crate::folder::{CHECKPOINT, MODEL_FILE, START_SNAPSHOT, UNPRUNED_SNAPSHOT, pruned_snapshot};
 use crate::journal::Journal;
-use crate::observer::Start;
-use crate::session::Session;
-use crate::validation::validate;
-use pwrfgs_core::files::write_atomically;
-use pwrfgs_core::{Dataset, GaussianCloud, Partition, Result, evenly};
+use crate::run_folder::RunFolder;
+use crate::session::{Session, Silent, Start, Validation, staged};
+use crate::statistics::Summary;
+use pwrfgs_core::files::{self, if_found, write_atomically};
+use pwrfgs_core::{Dataset, Error, GaussianCloud, Partition, Progress, Result, Values, evenly};
 use pwrfgs_model::Snapshot;
 use pwrfgs_model::{Model, file};
-use pwrfgs_pipeline::Pipeline;
-use pwrfgs_train::{Estimate, Pruned, Trainer};
+use pwrfgs_pipeline::{Pipeline, defaults};
+use pwrfgs_train::{Estimate, Pruned, Trainer, check_available, network_bytes};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
+
+/// A trainer at the start, or where the checkpoint in the folder left it, and what a step will take.
+///
+/// # Errors
+/// Settings that cannot work, a damaged checkpoint, what does not fit; [`Error::Stopped`] once the session is.
+pub(crate) fn trainer<'a>(
+    pipeline: &Pipeline,
+    (data, partition): (&'a Dataset, &'a Partition),
+    held: Option<&RunFolder>,
+    session: &mut Session<'_>,
+) -> Result<(Trainer<'a>, Estimate)> {
+    // A strategy that cannot be asked is refused before a checkpoint is blamed for it.
+    check_available(&pipeline.pruners)?;
+    let restored = |folder: &RunFolder| {
+        let path = folder.file(CHECKPOINT);
+        let Some(bytes) = if_found(&path, files::read(&path))? else { return Ok(None) };
+        let restored = Trainer::restore(&pipeline.plan()?, data, partition, &bytes);
+        restored.map(Some).map_err(|e| Error::input(&path, format!("{e}; remove it to start again")))
+    };
+    fitting(pipeline, || {
+        if let Some(folder) = held
+            && let Some(trainer) = folder.settle(restored(folder))?
+        {
+            return Ok(trainer);
+        }
+        let stop = session.stop;
+        let begin = |progress: Progress<'_>| Trainer::begin(&pipeline.plan()?, data, partition, progress, stop);
+        staged(session.observer, "initialising", begin)
+    })
+}
+
+/// The trainer that `make` gives, and what its next step takes. Refuses what does not fit the machine: the network before it is
+/// made, then the step.
+///
+/// # Errors
+/// What does not fit; those of `make`.
+pub(crate) fn fitting<'a>(
+    pipeline: &Pipeline,
+    make: impl FnOnce() -> Result<Trainer<'a>>,
+) -> Result<(Trainer<'a>, Estimate)> {
+    let needed = if pipeline.method.is_some() { 0 } else { network_bytes(&*pipeline.deformation) };
+    refuse_beyond_memory(needed, "the network", "a smaller `width` or `depth` of the deformation")?;
+    let trainer = make()?;
+    let estimate = trainer.estimate()?;
+    let what = format!("a training step with N = {}", estimate.gaussians);
+    let advice = "fewer Gaussians (`max_points` of PointCloud, `count` of the others) or a smaller `training.batch`";
+    refuse_beyond_memory(estimate.step_bytes, &what, advice)?;
+    Ok((trainer, estimate))
+}
+
+fn refuse_beyond_memory(needed: u64, what: &str, advice: &str) -> Result<()> {
+    match free_memory() {
+        Some(free) if needed > free => Err(Error::Config(format!(
+            "{what} needs about {:.1} GB of memory, and {:.1} GB are left here; take {advice}",
+            needed as f64 / 1e9,
+            free as f64 / 1e9
+        ))),
+        _ => Ok(()),
+    }
+}
 
 /// What is trained, on what, and who follows it.
 pub(crate) struct Training<'a, 's> {
@@ -123,4 +185,21 @@ impl Training<'_, '_> {
             self.session.observer.on_message(&format!("the last checkpoint is kept in {}", path.display()));
         }
     }
+}
+
+/// Scores the samples `part`: mean and median of the first metric, then the mean of the second, or the bad tail of the first if
+/// there is no second.
+fn validate(step: u64, model: &Model, data: &Dataset, part: &[usize]) -> Result<Validation> {
+    let bench = Bench::new(data, part, &model.stages.plane);
+    let (task, model, metrics) = (data.task(), &model.prepare(), defaults::validation(data.task()));
+    let measured = bench.model("the model", model, None, &metrics, &mut Session::new(&mut Silent))?;
+    let Summary { mean, median, p10 } = match measured.first().map(|m| &m.values) {
+        Some(Values::PerSample(values)) => Summary::of(values, task.headline.higher),
+        other => {
+            let mean = other.map_or(f64::NAN, Values::mean);
+            Summary { mean, median: mean, p10: mean }
+        }
+    };
+    let third = measured.get(1).map_or(p10, |m| m.values.mean());
+    Ok(Validation { step, task, values: [mean, median, third] })
 }

@@ -9,8 +9,7 @@ use minijinja::syntax::SyntaxConfig;
 use minijinja::value::Value;
 use minijinja::{AutoEscape, Environment};
 use pwrfgs_core::{Error, Result};
-use pwrfgs_experiment::clock::duration;
-use pwrfgs_experiment::text::grouped;
+use pwrfgs_experiment::text::{duration, grouped};
 use std::sync::LazyLock;
 
 const TEMPLATES: [(&str, &str); 12] = [

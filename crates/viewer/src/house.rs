@@ -2,7 +2,7 @@
 
 use crate::side::{Side, facts};
 use pwrfgs_experiment::folder::{CHECKPOINT, CURVE, FACTS, MODEL_FILE};
-use pwrfgs_experiment::series;
+use pwrfgs_experiment::record::read_series;
 use serde_json::json;
 use std::path::Path;
 use std::sync::Arc;
@@ -67,7 +67,7 @@ impl House {
         *seen = now;
         let ended = reload && self.sides[side].reload().unwrap_or(false);
         let known = self.sides[side].known.as_ref();
-        let rows = series::read(&folder.join(CURVE));
+        let rows = read_series(&folder.join(CURVE));
         let field = |k: usize| rows.last().and_then(|row| row.get(k).copied().flatten());
         let finished = ended && folder.join(FACTS).is_file() && facts(folder).is_some();
         let news = json!({

@@ -1,7 +1,7 @@
 //! From pairs at small distances to distance zero.
 
 use super::pairs::Pair;
-use crate::scores::Summary;
+use crate::statistics::Summary;
 use pwrfgs_core::Goal;
 use std::collections::BTreeMap;
 

@@ -1,7 +1,6 @@
 //! Which pairs of samples are compared.
 
-use super::Lapse;
-use crate::scores::quantile;
+use crate::statistics::quantile;
 use pwrfgs_core::{Dataset, Real, evenly, neighbours, rng};
 use std::ops::Range;
 
@@ -18,6 +17,25 @@ const NEIGHBOURS: usize = 16;
 const DRAWN: usize = 20_000;
 /// Pairs drawn at random that say what spectra have in common that have nothing to do with each other.
 const UNRELATED: usize = 200;
+
+/// Which pairs of samples.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Lapse {
+    /// Near in time: at most [`NEAR_IDS`] ids apart.
+    Near,
+    /// Far apart in time: more than [`FAR_IDS`] ids apart.
+    Far,
+}
+
+impl Lapse {
+    /// What its pairs are.
+    pub fn words(self) -> String {
+        match self {
+            Self::Near => format!("near in time (at most {NEAR_IDS} ids apart)"),
+            Self::Far => format!("far apart in time (more than {FAR_IDS} ids)"),
+        }
+    }
+}
 
 /// Two samples, the earlier one first.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,13 +1,12 @@
 //! Trying the runs of a sweep before the first starts: load their data, initialise, and time a few steps if asked.
 
-use super::join::JOINED;
-use super::plan::{Plan, PlannedRun};
+use super::plan::{JOINED, Plan, PlannedRun};
 use super::status::State;
-use crate::folder::RunFolder;
 use crate::load::load;
-use crate::observer::Observer;
+use crate::run_folder::RunFolder;
 use crate::samples::data_key;
-use crate::trainer::fitting;
+use crate::session::Observer;
+use crate::training::fitting;
 use pwrfgs_core::{Dataset, Error, Partition, Result};
 use pwrfgs_train::Trainer;
 use std::path::Path;

@@ -1,15 +1,19 @@
 //! `Plan`: every run of an experiment as a resolved pipeline with a folder of its own.
 
 use super::experiment::{Axis, Experiment, Slurm, slug};
-use super::join::align;
 use super::listing::{ListedRun, Listing};
 use crate::input::{change, read_base, set_all};
+use pwrfgs_core::plugin::to_ron;
 use pwrfgs_core::{Error, Result, did_you_mean, files::read_text};
+use pwrfgs_model::file::MOST_MEMBERS;
 use pwrfgs_pipeline::ron_tree::Tree;
 use pwrfgs_pipeline::{Change, Draft, Pipeline};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
+
+/// The run folder of the joined model, below the sweep folder.
+pub const JOINED: &str = "joined";
 
 /// The longest name of a folder that common file systems take, in bytes.
 const LONGEST_NAME: usize = 255;
@@ -274,4 +278,65 @@ fn title(axis: &str, label: &str) -> String {
 /// `lambda 0.02, init random`.
 fn named(labels: &[(String, String)]) -> String {
     labels.iter().map(|(axis, label)| format!("{axis} {label}")).collect::<Vec<_>>().join(", ")
+}
+
+impl PlannedRun {
+    /// Name of its model within a joined model: labels and seed, such as `waves-0`.
+    pub(super) fn member_name(&self) -> String {
+        let labels = self.labels.iter().map(|(_, label)| slug(label).replace('+', "-"));
+        let words: Vec<String> = labels.chain([self.pipeline.seed.to_string()]).collect();
+        if self.labels.is_empty() { format!("seed-{}", self.pipeline.seed) } else { words.join("-") }
+    }
+}
+
+/// Gives all `runs` the same split and returns the pipeline that scores their joined model, called `name`. Baselines are
+/// scored with that model alone.
+///
+/// # Errors
+/// Runs that cannot predict together.
+fn align(name: &str, runs: &mut [PlannedRun]) -> Result<Pipeline, String> {
+    if !(2..=MOST_MEMBERS).contains(&runs.len()) {
+        return Err(format!("there are {} runs; give variants and seeds that make 2 to {MOST_MEMBERS}", runs.len()));
+    }
+    let pipelines = || runs.iter().map(|run| &run.pipeline);
+    let split_seed = pipelines().find_map(|own| own.split_seed).unwrap_or(runs[0].pipeline.seed);
+    if pipelines().any(|own| own.split_seed.is_some_and(|own| own != split_seed)) {
+        return Err("the runs differ in `split_seed`; give all the same value, or none".into());
+    }
+    let first = &runs[0];
+    let trained: Vec<String> = pipelines().map(trained).collect();
+    for (place, run) in runs.iter().enumerate() {
+        let PlannedRun { folder, pipeline, .. } = run;
+        let called = run.member_name();
+        if runs[..place].iter().any(|other| other.member_name().eq_ignore_ascii_case(&called)) {
+            return Err(format!("two models are called `{called}`; change a label"));
+        }
+        if let Some(twin) = trained[..place].iter().position(|other| *other == trained[place]) {
+            let twin = &runs[twin].folder;
+            return Err(format!("`{twin}` and `{folder}` train the same model; change a setting of one"));
+        }
+        let differ =
+            |field: &str| Err(format!("`{}` and `{folder}` differ in `{field}`; give it once, in `set`", first.folder));
+        if to_ron(&first.pipeline.data) != to_ron(&pipeline.data) {
+            return differ("data");
+        }
+        if to_ron(&first.pipeline.split) != to_ron(&pipeline.split) {
+            return differ("split");
+        }
+        if first.pipeline.projector.plane(360, 90) != pipeline.projector.plane(360, 90) {
+            return differ("projector");
+        }
+    }
+    let scored = Pipeline { name: name.to_owned(), split_seed: Some(split_seed), ..first.pipeline.clone() };
+    for PlannedRun { pipeline, .. } in runs {
+        pipeline.split_seed = Some(split_seed);
+        pipeline.baselines.clear();
+    }
+    Ok(scored)
+}
+
+/// Everything of a pipeline that decides the model, once all have the same split.
+fn trained(pipeline: &Pipeline) -> String {
+    let (name, baselines, metrics) = Default::default();
+    to_ron(&Pipeline { name, split_seed: None, baselines, metrics, ..pipeline.essential() })
 }

@@ -2,9 +2,10 @@
 
 use super::plan::Plan;
 use crate::facts::Facts;
-use crate::folder::{CURVE, PIPELINE, RunFolder};
+use crate::folder::{CURVE, PIPELINE};
+use crate::record::read_series;
+use crate::run_folder::RunFolder;
 use crate::scores::ScoreTable;
-use crate::series;
 use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Error, Result};
 use std::path::PathBuf;
@@ -60,7 +61,7 @@ impl Plan {
             Ok(None) => {}
             Err(error) => return State::Failed(error.to_string()),
         }
-        let curve = series::read(&folder.join(CURVE));
+        let curve = read_series(&folder.join(CURVE));
         let step = curve.last().and_then(|row| *row.first()?).map_or(0, |step| step as u64);
         if RunFolder::is_busy(&folder) {
             return State::Running { step };

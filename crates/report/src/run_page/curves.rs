@@ -9,8 +9,8 @@ use crate::draw::steps::{phases, stairs};
 use minijinja::{Value, context};
 use pwrfgs_core::Appearance;
 use pwrfgs_experiment::LoadedRun;
-use pwrfgs_experiment::scores::quantile;
-use pwrfgs_experiment::series::column;
+use pwrfgs_experiment::record::column;
+use pwrfgs_experiment::statistics::quantile;
 
 /// At most this many stretches of the loss are averaged.
 const STRETCHES: usize = 150;

@@ -10,7 +10,7 @@ use crate::draw::marks::{Stroke, Style};
 use minijinja::{Value, context};
 use pwrfgs_core::evenly;
 use pwrfgs_experiment::LoadedRun;
-use pwrfgs_experiment::scores::quantile;
+use pwrfgs_experiment::statistics::quantile;
 
 /// At most so many dots of the scatter.
 const DOTS: usize = 3_000;

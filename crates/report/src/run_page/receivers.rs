@@ -2,7 +2,7 @@
 
 use minijinja::{Value, context};
 use pwrfgs_experiment::LoadedRun;
-use pwrfgs_experiment::scores::Summary;
+use pwrfgs_experiment::statistics::Summary;
 use pwrfgs_experiment::text::number;
 
 /// Most rows; the others are counted.

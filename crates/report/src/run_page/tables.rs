@@ -48,7 +48,7 @@ fn group(scores: &ScoreTable, metric: &MetricRow) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use pwrfgs_experiment::scores::Summary;
+    use pwrfgs_experiment::statistics::Summary;
 
     #[test]
     fn a_bound_is_neither_best_nor_second_and_a_single_rival_no_best() {

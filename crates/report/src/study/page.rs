@@ -8,8 +8,7 @@ use super::{Setting, Study, distinct};
 use crate::templates::sentences;
 use minijinja::{Value, context};
 use pwrfgs_core::{Error, Result, did_you_mean};
-use pwrfgs_experiment::clock::duration;
-use pwrfgs_experiment::text::grouped;
+use pwrfgs_experiment::text::{duration, grouped};
 use pwrfgs_experiment::{Observer, Record, staged};
 use serde::Serialize;
 

@@ -8,7 +8,7 @@ use crate::side::{Known, Predictor, Side};
 use hyper::StatusCode;
 use pwrfgs_core::{Appearance, Image, LinkSet, Query, Real, neighbours};
 use pwrfgs_experiment::folder::CURVE;
-use pwrfgs_experiment::series;
+use pwrfgs_experiment::record::read_series;
 use pwrfgs_report::live::{self, Pack};
 use serde_json::{Value, json};
 use std::sync::Arc;
@@ -207,7 +207,7 @@ fn map(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
 
 /// Step, loss and N of the training so far.
 fn curve(side: &Side) -> Pack {
-    let rows = side.folder.as_ref().map_or(Vec::new(), |folder| series::read(&folder.join(CURVE)));
+    let rows = side.folder.as_ref().map_or(Vec::new(), |folder| read_series(&folder.join(CURVE)));
     let stride = rows.len().div_ceil(ROWS).max(1);
     let shown: Vec<_> =
         rows.iter().enumerate().filter(|(k, _)| (k + 1).is_multiple_of(stride) || k + 1 == rows.len()).collect();

@@ -1,9 +1,8 @@
 //! The runs of a sweep as aligned text.
 
 use pwrfgs::experiment::Facts;
-use pwrfgs::experiment::clock::duration;
 use pwrfgs::experiment::sweep::{JOINED, Plan, State};
-use pwrfgs::experiment::text::{aligned, grouped, number};
+use pwrfgs::experiment::text::{aligned, duration, grouped, number};
 use pwrfgs_core::Task;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;

@@ -7,7 +7,7 @@ use minijinja::{Value, context};
 use pwrfgs_core::Appearance;
 use pwrfgs_core::evenly;
 use pwrfgs_experiment::LoadedRun;
-use pwrfgs_experiment::scores::quantile;
+use pwrfgs_experiment::statistics::quantile;
 use pwrfgs_experiment::text::grouped;
 
 /// Most transmitters and surface points that are drawn, the strongest first.

@@ -5,7 +5,8 @@ use crate::canvas::Colour;
 use crate::draw::charts::Axis;
 use pwrfgs_core::Headline;
 use pwrfgs_experiment::LoadedRun;
-use pwrfgs_experiment::scores::{MODEL, quantile};
+use pwrfgs_experiment::scores::MODEL;
+use pwrfgs_experiment::statistics::quantile;
 
 /// At most this many places along a curve are drawn.
 const PLACES: usize = 400;

@@ -8,7 +8,7 @@ use minijinja::{Value, context};
 use pwrfgs_core::colour::diverging;
 use pwrfgs_core::evenly;
 use pwrfgs_experiment::LoadedRun;
-use pwrfgs_experiment::scores::quantile;
+use pwrfgs_experiment::statistics::quantile;
 
 /// Most maps, and most transmitters on each.
 const MAPS: usize = 24;

@@ -10,7 +10,8 @@ use crate::study::Setting;
 use minijinja::context;
 use pwrfgs_core::{Headline, Task};
 use pwrfgs_experiment::Record;
-use pwrfgs_experiment::scores::{MODEL, quantile};
+use pwrfgs_experiment::scores::MODEL;
+use pwrfgs_experiment::statistics::quantile;
 
 /// Test samples in a bin, and bins at most.
 const PER_BIN: usize = 10;

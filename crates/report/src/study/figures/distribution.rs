@@ -5,7 +5,8 @@ use crate::draw::charts::{Axis, Chart, Line};
 use crate::study::Setting;
 use minijinja::context;
 use pwrfgs_experiment::Record;
-use pwrfgs_experiment::scores::{MODEL, quantile};
+use pwrfgs_experiment::scores::MODEL;
+use pwrfgs_experiment::statistics::quantile;
 use std::collections::BTreeMap;
 
 /// Shares of the test part that are drawn.
