@@ -1,6 +1,5 @@
 //! What reaches the terminal: results on stdout, all else on stderr, logs above the progress bar.
 
-use crate::args::Verbosity;
 use indicatif::MultiProgress;
 use pwrfgs_core::{Error, Result, words::plain};
 use std::collections::BTreeSet;
@@ -10,6 +9,26 @@ use std::sync::{Mutex, OnceLock, PoisonError};
 use tracing::Level;
 use tracing_subscriber::filter::Targets;
 use tracing_subscriber::prelude::*;
+
+/// How much is said.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd)]
+pub(crate) enum Verbosity {
+    /// Errors and results.
+    Quiet,
+    /// Progress too.
+    Normal,
+    /// What happens inside too.
+    Verbose,
+}
+
+impl Verbosity {
+    /// A line on stderr, unless only errors and results are wanted.
+    pub(crate) fn note(self, line: &str) {
+        if self != Self::Quiet {
+            note(line);
+        }
+    }
+}
 
 /// All progress bars, so that lines can be printed above them.
 pub(crate) fn bars() -> &'static MultiProgress {

@@ -1,9 +1,7 @@
 //! Progress of a run: a bar on a terminal, a plain line every few seconds elsewhere.
 
-use crate::args::Verbosity;
-use crate::commands::{memory, pace};
 use crate::interrupt::Training;
-use crate::output::{self, bars, note};
+use crate::output::{self, Verbosity, bars, note};
 use indicatif::{ProgressBar, ProgressStyle};
 use pwrfgs::experiment::text::{duration, grouped};
 use pwrfgs::experiment::{Observer, Start, Validation};
@@ -59,6 +57,11 @@ impl Progress {
             stage: now,
             training: None,
         }
+    }
+
+    /// Does `work`, which reports its progress here.
+    pub(crate) fn during<R>(verbosity: Verbosity, work: impl FnOnce(&mut Self) -> R) -> R {
+        work(&mut Self::new(verbosity))
     }
 
     /// Of one run among several, which is called `name`.
@@ -244,4 +247,14 @@ impl Observer for Progress {
             output::warning(warning);
         }
     }
+}
+
+/// `0.41 GB`.
+pub(crate) fn memory(bytes: u64) -> String {
+    format!("{:.2} GB", bytes as f64 / 1e9)
+}
+
+/// `12 ms` or `26.1 s`.
+pub(crate) fn pace(seconds: f64) -> String {
+    if seconds < 1.0 { format!("{:.1} ms", 1e3 * seconds) } else { format!("{seconds:.1} s") }
 }

@@ -4,9 +4,8 @@
 pub(crate) mod commented;
 pub(crate) mod markdown;
 pub(crate) mod prose;
-pub(crate) mod schema;
 
-use pwrfgs::pipeline::ron_tree::Tree;
+use commented::Value;
 use pwrfgs::prelude::Pipeline;
 use pwrfgs_core::docs::{Body, Docs, Field, Kind};
 use pwrfgs_core::plugin::{Family, to_ron};
@@ -34,36 +33,6 @@ pub(crate) struct Topic {
     pub(crate) docs: Option<&'static Docs>,
     /// How it reads with its defaults, or why there are none.
     pub(crate) value: Result<Value, String>,
-}
-
-/// A value in its own text.
-#[derive(Clone)]
-pub(crate) struct Value {
-    text: String,
-    tree: Tree,
-}
-
-impl Value {
-    /// The value that `text` is, which a serialiser or parser has seen.
-    pub(crate) fn new(text: String) -> Result<Self, String> {
-        Ok(Self { tree: Tree::parse(&text)?, text })
-    }
-
-    /// The text of a value inside.
-    pub(crate) fn at(&self, path: &[&str]) -> Option<&str> {
-        let inside = path.iter().try_fold(&self.tree, |tree, field| tree.field(field));
-        inside.map(|tree| tree.of(&self.text))
-    }
-
-    /// One of its fields, in one line.
-    fn field(&self, field: &Field) -> Option<String> {
-        self.tree.field(field.name).map(|tree| commented::short(Some(&field.kind), tree, &self.text))
-    }
-
-    /// One of its fields as a value of its own.
-    fn part(&self, name: &str) -> Option<Self> {
-        Self::new(self.tree.field(name)?.of(&self.text).to_owned()).ok()
-    }
 }
 
 /// The whole, in the order of a pipeline's fields.
@@ -183,17 +152,5 @@ impl Topic {
     /// Whether it is meant by `name`, in lower case.
     pub(crate) fn is_called(&self, name: &str) -> bool {
         self.name.to_lowercase() == name || self.fields.contains(&name)
-    }
-}
-
-/// What a field takes, in words; an enum by its variants.
-pub(crate) fn takes(kind: &Kind) -> String {
-    match kind {
-        Kind::Of(Docs { name, body: Body::Variants(variants), .. }) => {
-            let names: Vec<&str> = variants.iter().map(|v| v.name).collect();
-            format!("{name}: {}", names.join(", "))
-        }
-        Kind::Optional(inner) => format!("{} or None", takes(inner)),
-        other => other.words(),
     }
 }

@@ -1,17 +1,18 @@
-//! `pwrfgs check`: what a pipeline would do and take, without training.
+//! `pwrfgs check`: what a pipeline would do and take, without training. `pwrfgs inspect`: a summary of data before training.
 
-use super::changes::{Changes, named};
-use crate::args::Verbosity;
-use crate::output;
-use crate::progress::Progress;
+use super::init::name_of;
+use super::options::{Changes, named};
+use crate::output::{self, Verbosity};
+use crate::progress::{Progress, memory, pace};
 use clap::Args;
-use pwrfgs::experiment::inspect::length;
+use pwrfgs::experiment::inspect::{inspect as summary, length};
 use pwrfgs::experiment::text::{aligned, duration, grouped};
-use pwrfgs::experiment::{Observer as _, Preview, preview, read_pipeline};
+use pwrfgs::experiment::{Observer as _, Preview, data_warnings, preview, read_pipeline, staged};
+use pwrfgs::prelude::Pipeline;
 use pwrfgs::train::Rays;
-use pwrfgs_core::Result;
+use pwrfgs_core::plugin::try_to_ron;
+use pwrfgs_core::{Error, Result, recognise};
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 
 #[derive(Debug, Args)]
 #[command(
@@ -29,16 +30,12 @@ pub(crate) struct Check {
     pub(crate) changes: Changes,
 }
 
-pub(crate) fn check(arguments: &Check, verbosity: Verbosity) -> Result<ExitCode> {
+pub(crate) fn check(arguments: &Check, verbosity: Verbosity) -> Result<()> {
     let (file, _) = named(&arguments.pipeline)?;
     let pipeline = read_pipeline(&file, &arguments.changes.all())?;
-    let mut progress = Progress::new(verbosity);
-    let found = preview(&pipeline, Path::new(""), &mut progress);
-    progress.finish();
-    let found = found?;
-    found.warnings.iter().for_each(|warning| progress.on_warning(warning));
-    output::result(&text(&found))?;
-    Ok(ExitCode::SUCCESS)
+    let found = Progress::during(verbosity, |progress| preview(&pipeline, Path::new(""), progress))?;
+    found.warnings.iter().for_each(|warning| Progress::new(verbosity).on_warning(warning));
+    output::result(&text(&found))
 }
 
 /// The plan as a table.
@@ -94,12 +91,47 @@ fn plugin_name(pruner: &pwrfgs_core::Plugin<dyn pwrfgs_core::Pruner>) -> String 
     text.split([' ', '(', '{']).next().unwrap_or_default().to_owned()
 }
 
-/// `0.41 GB`.
-pub(crate) fn memory(bytes: u64) -> String {
-    format!("{:.2} GB", bytes as f64 / 1e9)
+#[derive(Debug, Args)]
+#[command(
+    after_long_help = "Prints positions, values, unusual spectra, whether the recorded pose can be right, and for each split \
+    the distance from test to training transmitters and the scores of baselines. Trains nothing and writes nothing.\n\n\
+    A pipeline gives its data, split, baselines, metrics and seed; a folder of data is read with all defaults.\n\nEXAMPLES\n  \
+    pwrfgs inspect data/s23\n  pwrfgs inspect pipelines/quickstart.ron\n  pwrfgs inspect pipelines/s23-array.ron \
+    --set data.root=/where/it/is/s23"
+)]
+pub(crate) struct Inspect {
+    /// A folder of data (the layouts of NeRF2, arrays as `pwrfgs import` writes them, channels), a pipeline file, or a run folder
+    #[arg(value_name = "DATA")]
+    pub(crate) data: PathBuf,
+    /// Change a setting, such as data.root=data/other or 'split=Random(test: 0.3)'
+    #[arg(long = "set", value_name = "FIELD=VALUE")]
+    pub(crate) set: Vec<String>,
 }
 
-/// `12 ms` or `26.1 s`.
-pub(crate) fn pace(seconds: f64) -> String {
-    if seconds < 1.0 { format!("{:.1} ms", 1e3 * seconds) } else { format!("{seconds:.1} s") }
+pub(crate) fn inspect(arguments: &Inspect, verbosity: Verbosity) -> Result<()> {
+    let pipeline = pipeline(&arguments.data, &arguments.set)?;
+    let text = Progress::during(verbosity, |progress| {
+        let data = staged(progress, "spectra", |progress| pipeline.data.load(Path::new(""), progress))?;
+        let partition = pipeline.partition(&data).ok().filter(|_| !pipeline.split.is_sparse());
+        data_warnings(&data, partition.as_ref()).iter().for_each(|warning| progress.on_warning(warning));
+        summary(&pipeline, &data, progress)
+    });
+    output::result(&text?)
+}
+
+/// The pipeline that `path` names, or one of all defaults for the data in that folder.
+fn pipeline(path: &Path, set: &[String]) -> Result<Pipeline> {
+    let Some(source) = recognise(path) else {
+        let pipeline = named(path).map_err(|_neither| {
+            let what = "holds neither data (spectra, received powers or channels) nor a run; give a folder of data";
+            Error::input(path, format!("{what}, a pipeline file, or the folder of a run"))
+        });
+        return read_pipeline(&pipeline?.0, set);
+    };
+    // Fields that are left out then get the defaults for this kind of data.
+    let data = try_to_ron(&source).map_err(|why| Error::input(path, why))?;
+    let text = format!("Pipeline(name: {:?}, data: {data}, initializer: Random())", name_of(path));
+    let mut pipeline = Pipeline::parse(&text, path)?;
+    pipeline.set_all(set)?;
+    Ok(pipeline)
 }

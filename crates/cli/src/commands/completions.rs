@@ -1,12 +1,10 @@
 //! `pwrfgs completions` and `pwrfgs man`: what a shell and a manual want to know, from the command line's own definition.
 
-use crate::args::Arguments;
 use crate::output;
-use clap::{Args, CommandFactory as _};
+use clap::{Args, Command};
 use clap_complete::Shell;
 use pwrfgs_core::{Error, Result, files};
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 
 #[derive(Debug, Args)]
 #[command(
@@ -30,15 +28,13 @@ pub(crate) struct Man {
     pub(crate) out: Option<PathBuf>,
 }
 
-pub(crate) fn completions(arguments: &Completions) -> Result<ExitCode> {
+pub(crate) fn completions(arguments: &Completions, mut program: Command) -> Result<()> {
     let mut script = Vec::new();
-    clap_complete::generate(arguments.shell, &mut Arguments::command(), "pwrfgs", &mut script);
-    output::result(&String::from_utf8_lossy(&script))?;
-    Ok(ExitCode::SUCCESS)
+    clap_complete::generate(arguments.shell, &mut program, "pwrfgs", &mut script);
+    output::result(&String::from_utf8_lossy(&script))
 }
 
-pub(crate) fn man(arguments: &Man) -> Result<ExitCode> {
-    let mut command = Arguments::command();
+pub(crate) fn man(arguments: &Man, mut command: Command) -> Result<()> {
     command.build();
     let failed = |path: &Path| {
         let path = path.to_owned();
@@ -47,8 +43,7 @@ pub(crate) fn man(arguments: &Man) -> Result<ExitCode> {
     let Some(folder) = &arguments.out else {
         let mut page = Vec::new();
         clap_mangen::Man::new(command).render(&mut page).map_err(failed(Path::new("the page")))?;
-        output::result(&String::from_utf8_lossy(&page))?;
-        return Ok(ExitCode::SUCCESS);
+        return output::result(&String::from_utf8_lossy(&page));
     };
     pwrfgs_core::files::check_place(folder)?;
     let mut pages = Vec::new();
@@ -61,8 +56,7 @@ pub(crate) fn man(arguments: &Man) -> Result<ExitCode> {
         pages.push((path, text));
     }
     std::fs::create_dir_all(folder).map_err(failed(folder))?;
-    pages.iter().try_for_each(|(path, text)| files::write_atomically(path, text))?;
-    Ok(ExitCode::SUCCESS)
+    pages.iter().try_for_each(|(path, text)| files::write_atomically(path, text))
 }
 
 /// Refuses to replace anything but an earlier version of the same page, whose title names it.

@@ -1,20 +1,19 @@
 //! `pwrfgs evaluate`: scores of a trained model on data of one's choice.
 
-use crate::args::Verbosity;
-use crate::output;
+use super::options::read_models;
+use crate::output::{self, Verbosity};
 use crate::progress::Progress;
 use clap::Args;
 use pwrfgs::experiment::folder::{PIPELINE, REPORT};
 use pwrfgs::experiment::samples::data_key;
 use pwrfgs::experiment::text::number;
 use pwrfgs::experiment::{Facts, Machine, Session, evaluate as score, load as load_data, read_pipeline, write_results};
-use pwrfgs::model::{Ensemble, file};
+use pwrfgs::model::Ensemble;
 use pwrfgs::pipeline::Pipeline;
 use pwrfgs_core::words::clean;
 use pwrfgs_core::{Dataset, Error, Result, files::refuse_foreign};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 
 #[derive(Debug, Args)]
 #[command(
@@ -41,7 +40,7 @@ pub(crate) struct Evaluate {
     pub(crate) out: Option<PathBuf>,
 }
 
-pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<ExitCode> {
+pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<()> {
     let ensemble = read_models(&arguments.models)?;
     let first = &arguments.models[0];
     let beside = first.parent().unwrap_or(Path::new("")).join(PIPELINE);
@@ -91,8 +90,7 @@ pub(crate) fn evaluate(arguments: &Evaluate, verbosity: Verbosity) -> Result<Exi
             _ = writeln!(text, "\nreport: {}", out.join(REPORT).display());
         }
     }
-    output::result(&text)?;
-    Ok(ExitCode::SUCCESS)
+    output::result(&text)
 }
 
 /// Samples that all models were trained on, as their runs say; 0 if they differ, or nobody knows.
@@ -136,14 +134,4 @@ fn warn_of_receivers(data: &Dataset, ensemble: &Ensemble) {
             "warning: receivers have another name or pose than the model was trained with: {shown}{more}"
         ));
     }
-}
-
-/// All models as one; a file may hold several. Those of several files are called by their numbers.
-pub(super) fn read_models(paths: &[PathBuf]) -> Result<Ensemble> {
-    if let [path] = paths {
-        return file::read_ensemble(path);
-    }
-    let files: Vec<Ensemble> = paths.iter().map(|path| file::read_ensemble(path)).collect::<Result<_>>()?;
-    let members = files.iter().flat_map(|file| file.members().iter().cloned()).collect();
-    Ensemble::new(members).and_then(Ensemble::distinct).map_err(Error::Config)
 }

@@ -1,16 +1,13 @@
 //! `pwrfgs export`: a trained model for splat viewers and for Python.
 
-use super::predict::position;
-use super::receivers::check_positions;
-use crate::args::Verbosity;
-use crate::output;
+use super::options::{check_positions, position};
+use crate::output::Verbosity;
 use clap::Args;
 use pwrfgs::model::export::{npz, ply};
 use pwrfgs::model::{Ensemble, file};
 use pwrfgs_core::files::{check_new_file, write_atomically};
 use pwrfgs_core::{Error, Result};
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 
 /// A way to turn a model into a file.
 type Writer = fn(&Ensemble, Option<[f64; 3]>) -> Result<Vec<u8>>;
@@ -49,7 +46,7 @@ pub(crate) struct Export {
     pub(crate) tx: Option<String>,
 }
 
-pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<ExitCode> {
+pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<()> {
     let tx = arguments.tx.as_deref().map(|text| position("--tx", text)).transpose()?;
     let half: Writer = |model, _| file::to_bytes_half(model);
     let files: Vec<(&Path, Writer)> =
@@ -75,19 +72,18 @@ pub(crate) fn export(arguments: &Export, verbosity: Verbosity) -> Result<ExitCod
     // All are made before the first is written: what cannot be exported leaves nothing behind.
     let made: Vec<Vec<u8>> = files.iter().map(|(_, writer)| writer(&model, tx)).collect::<Result<_>>()?;
     let origin = model.members()[0].stages.origin;
-    if arguments.ply.is_some() && !origin.is_zero() && verbosity != Verbosity::Quiet {
+    if arguments.ply.is_some() && !origin.is_zero() {
         let [x, y, z] = origin.0;
-        output::note(&format!("places in the PLY file count from {x}, {y}, {z}: viewers compute in single precision"));
+        verbosity
+            .note(&format!("places in the PLY file count from {x}, {y}, {z}: viewers compute in single precision"));
     }
     for ((path, _), bytes) in files.iter().zip(made) {
         write_atomically(path, &bytes)?;
-        if verbosity != Verbosity::Quiet {
-            let what =
-                if model.gaussians() == 0 { "the network".into() } else { format!("{} Gaussians", model.gaussians()) };
-            output::note(&format!("{what} in {}", path.display()));
-        }
+        let what =
+            if model.gaussians() == 0 { "the network".into() } else { format!("{} Gaussians", model.gaussians()) };
+        verbosity.note(&format!("{what} in {}", path.display()));
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(())
 }
 
 /// The same for every way to name a file that does not exist yet, `a.npz` and `./a.npz` say.

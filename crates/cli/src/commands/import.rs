@@ -1,15 +1,13 @@
 //! `pwrfgs import`: positions and spectra of other programs become a data folder.
 
-use super::predict::position;
-use crate::args::{Verbosity, numbers};
-use crate::output;
+use super::options::{numbers, position};
+use crate::output::{self, Verbosity};
 use crate::progress::Progress;
 use clap::Args;
 use pwrfgs::data::import::Import as Work;
 use pwrfgs::experiment::{equality_warning, position_warning, staged};
 use pwrfgs_core::{Elevation, Error, Number, Pose, Result};
 use std::path::PathBuf;
-use std::process::ExitCode;
 
 #[derive(Debug, Args)]
 #[command(
@@ -55,7 +53,7 @@ pub(crate) struct Import {
     pub(crate) simulated: bool,
 }
 
-pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<ExitCode> {
+pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<()> {
     let name = || arguments.out.file_name().map_or_else(|| "unnamed".into(), |n| n.to_string_lossy().into_owned());
     let work = Work {
         spectra: arguments.spectra.clone(),
@@ -69,10 +67,9 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<ExitCod
         scale: arguments.scale,
         simulated: arguments.simulated,
     };
-    let mut progress = Progress::new(verbosity);
-    let imported = staged(&mut progress, "spectra", |progress| work.write(&arguments.out, progress));
-    progress.finish();
-    let imported = imported?;
+    let imported = Progress::during(verbosity, |progress| {
+        staged(progress, "spectra", |progress| work.write(&arguments.out, progress))
+    })?;
     if verbosity != Verbosity::Quiet {
         let equality = equality_warning("spectra", imported.tx.len(), imported.are_equal);
         position_warning(&imported.tx).iter().chain(&equality).for_each(|warning| output::warning(warning));
@@ -89,7 +86,7 @@ pub(crate) fn import(arguments: &Import, verbosity: Verbosity) -> Result<ExitCod
         output::note(&format!("    data: Arrays(root: {:?}),", arguments.out.to_string_lossy()));
         output::note("    split: Random(test: 0.2),");
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(())
 }
 
 /// `first,last` of the command line.

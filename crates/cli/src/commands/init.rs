@@ -2,11 +2,10 @@
 
 mod survey;
 
-use crate::args::Verbosity;
-use crate::output;
+use crate::output::{self, Verbosity};
 use crate::progress::Progress;
-use crate::reference::commented::Style;
-use crate::reference::{Value, example};
+use crate::reference::commented::{Style, Value};
+use crate::reference::example;
 use clap::Args;
 use pwrfgs::experiment::text::wrapped;
 use pwrfgs::prelude::Pipeline;
@@ -15,7 +14,6 @@ use pwrfgs_core::files::{check_place, write_new};
 use pwrfgs_core::plugin::{to_ron, try_to_ron};
 use pwrfgs_core::{Error, Result, recognise};
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 use survey::Survey;
 pub(super) use survey::name_of;
 
@@ -52,17 +50,14 @@ const POWERS: &str = include_str!("../../../../pipelines/ble.ron");
 const CHANNELS: &str = include_str!("../../../../pipelines/office-channel.ron");
 const UPLINKS: &str = include_str!("../../../../pipelines/uplink.ron");
 
-pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<ExitCode> {
+pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<()> {
     let out = arguments.out.clone().unwrap_or_else(|| PathBuf::from(format!("{}.ron", name_of(&arguments.folder))));
     let exists = || Error::input(&out, "exists, and nothing is overwritten; name another file with --out");
     if out.symlink_metadata().is_ok() {
         return Err(exists());
     }
     check_place(&out)?;
-    let mut progress = Progress::new(verbosity);
-    let survey = Survey::of(&arguments.folder, &mut progress);
-    progress.finish();
-    let survey = survey?;
+    let survey = Progress::during(verbosity, |progress| Survey::of(&arguments.folder, progress))?;
     let pipeline = pipeline(&survey, &arguments.folder, &out)?;
     let text = written(&survey, &pipeline)?;
     if let Some(parent) = out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
@@ -71,8 +66,7 @@ pub(crate) fn init(arguments: &Init, verbosity: Verbosity) -> Result<ExitCode> {
     if !write_new(&out, text.as_bytes())? {
         return Err(exists());
     }
-    output::result(&format!("{}: {}\nnext: pwrfgs run {}\n", out.display(), survey.sentence(), out.display()))?;
-    Ok(ExitCode::SUCCESS)
+    output::result(&format!("{}: {}\nnext: pwrfgs run {}\n", out.display(), survey.sentence(), out.display()))
 }
 
 /// What is suggested for these data.

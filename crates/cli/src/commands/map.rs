@@ -1,23 +1,28 @@
 //! `pwrfgs map`: what a model predicts everywhere on a plane, as pictures and arrays.
 
 mod layers;
-mod output;
 mod plane;
 
-use super::evaluate::read_models;
-use super::receivers::{check_positions, chosen};
-use crate::args::Verbosity;
-use crate::output as terminal;
+use super::options::{check_positions, chosen, read_models};
+use crate::output::Verbosity;
 use crate::progress::Progress;
 use clap::Args;
-use layers::{Of, layers, quantities};
+use layers::{Layer, Of, layers, quantities};
 use plane::{Bounds, Grid, Plane};
+use pwrfgs::data::npy_header;
 use pwrfgs::experiment::Observer as _;
-use pwrfgs::experiment::text::grouped;
+use pwrfgs::experiment::text::{field, grouped};
+use pwrfgs::report::draw::heat::{Colours, Heat};
 use pwrfgs_core::files::NewFolder;
-use pwrfgs_core::{Pose, Result};
-use std::path::PathBuf;
-use std::process::ExitCode;
+use pwrfgs_core::{Error, Number, Pose, Receiver, Result};
+use std::collections::BTreeSet;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Width of a picture in print.
+const WIDTH_MM: f64 = 120.0;
+const HEADER: &str = "array,picture,quantity,unit,receiver,columns_axis,first_column_m,columns,rows_axis,first_row_m,rows,\
+                      step_m,plane,smallest,largest\n";
 
 #[derive(Debug, Args)]
 #[command(
@@ -58,7 +63,7 @@ pub(crate) struct Map {
     pub(crate) out: PathBuf,
 }
 
-pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<ExitCode> {
+pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<()> {
     let plane = Plane::parse(&arguments.plane)?;
     let bounds = arguments.bounds.as_ref().map(|text| Bounds::parse(text, plane.names())).transpose()?;
     let ensemble = read_models(&arguments.models)?;
@@ -70,7 +75,7 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<ExitCode> {
     let poses: Vec<Pose> = model.receivers().iter().map(|receiver| origin.world_pose(receiver.pose)).collect();
     if bounds.is_none() && ensemble.gaussians() == 0 {
         let what = "the model has no Gaussians that would say where the room is; give --bounds";
-        return Err(pwrfgs_core::Error::Config(what.into()));
+        return Err(Error::Config(what.into()));
     }
     let bounds = bounds.unwrap_or_else(|| {
         let means =
@@ -78,31 +83,26 @@ pub(crate) fn map(arguments: &Map, verbosity: Verbosity) -> Result<ExitCode> {
         let listening: Vec<[f64; 2]> = receivers.iter().map(|&r| plane.flat(poses[r].position)).collect();
         let bounds =
             Bounds::around(means.map(|place| plane.flat(place)).collect(), &listening).outwards(arguments.step);
-        if verbosity != Verbosity::Quiet {
-            terminal::note(&said(plane, bounds));
-        }
+        verbosity.note(&said(plane, bounds));
         bounds
     });
     let grid = Grid::new(plane, bounds, arguments.step, receivers.len())?;
     let folder = NewFolder::begin(&arguments.out)?;
-    let mut progress = Progress::new(verbosity);
-    let layers = layers(&model, &grid, &receivers, &of, |done| progress.on_stage("mapping", done, grid.len()));
-    progress.finish();
-    output::write(folder.path(), &grid, &layers, model.receivers(), &poses, &receivers)?;
+    let layers = Progress::during(verbosity, |progress| {
+        layers(&model, &grid, &receivers, &of, |done| progress.on_stage("mapping", done, grid.len()))
+    });
+    write(folder.path(), &grid, &layers, model.receivers(), &poses, &receivers)?;
     folder.publish()?;
-    if verbosity != Verbosity::Quiet {
-        let missing = layers.iter().flat_map(|layer| &layer.values).filter(|v| !v.is_finite()).count();
-        if missing > 0 {
-            let missing = grouped(missing as i64);
-            terminal::note(&format!(
-                "warning: {missing} values are not finite and grey: numbers of the model overflow there"
-            ));
-        }
-        let (columns, rows) = (grouped(grid.columns as i64), grouped(grid.rows as i64));
-        let maps = if layers.len() == 1 { "1 map".into() } else { format!("{} maps", layers.len()) };
-        terminal::note(&format!("{maps} of {columns} by {rows} places in {}", arguments.out.display()));
+    let missing = layers.iter().flat_map(|layer| &layer.values).filter(|v| !v.is_finite()).count();
+    if missing > 0 {
+        let missing = grouped(missing as i64);
+        verbosity
+            .note(&format!("warning: {missing} values are not finite and grey: numbers of the model overflow there"));
     }
-    Ok(ExitCode::SUCCESS)
+    let (columns, rows) = (grouped(grid.columns as i64), grouped(grid.rows as i64));
+    let maps = if layers.len() == 1 { "1 map".into() } else { format!("{} maps", layers.len()) };
+    verbosity.note(&format!("{maps} of {columns} by {rows} places in {}", arguments.out.display()));
+    Ok(())
 }
 
 /// What is mapped where nobody says.
@@ -115,4 +115,97 @@ fn said(plane: Plane, Bounds([across, up]): Bounds) -> String {
         short(up[0]),
         short(up[1])
     )
+}
+
+/// Writes everything into `folder`; `poses` are the receivers' in the user's frame.
+fn write(
+    folder: &Path,
+    grid: &Grid,
+    layers: &[Layer],
+    receivers: &[Receiver],
+    poses: &[Pose],
+    mapped: &[usize],
+) -> Result<()> {
+    let mut list = HEADER.to_owned();
+    let mut taken = BTreeSet::new();
+    for layer in layers {
+        let receiver = layer.receiver.map(|r| receivers[r].name.as_str());
+        let name = file_name(layer.name, receiver.filter(|_| receivers.len() > 1), &mut taken);
+        let put = |file: String, bytes: &[u8]| {
+            let path = folder.join(file);
+            std::fs::write(&path, bytes).map_err(|e| Error::write(&path, e))
+        };
+        put(format!("{name}.npy"), &array(grid, &layer.values))?;
+        let shown: Vec<usize> = layer.receiver.map_or_else(|| mapped.to_vec(), |r| vec![r]);
+        put(format!("{name}.png"), &picture(grid, layer, receiver, shown.iter().map(|&r| poses[r].position)))?;
+        list += &line(grid, layer, &name, receiver.unwrap_or(""));
+    }
+    let path = folder.join("map.csv");
+    std::fs::write(&path, list).map_err(|e| Error::write(&path, e))
+}
+
+/// A name of letters, digits, points and dashes that no other layer has, upper and lower case being the same.
+fn file_name(layer: &str, receiver: Option<&str>, taken: &mut BTreeSet<String>) -> String {
+    let plain = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
+    let own = receiver.map(|name| name.chars().take(60).map(plain).collect::<String>());
+    let name = own.map_or_else(|| layer.to_owned(), |own| format!("{layer}-{own}"));
+    let numbered = (1..).map(|k| if k == 1 { name.clone() } else { format!("{name}-{k}") });
+    numbered.into_iter().find(|name| taken.insert(name.to_lowercase())).unwrap_or(name)
+}
+
+/// `[rows, columns]` of 32-bit numbers, the lowest row first.
+fn array(grid: &Grid, values: &[f32]) -> Vec<u8> {
+    let mut npy = npy_header(Number::F32, &[grid.rows, grid.columns]);
+    npy.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+    npy
+}
+
+fn picture(grid: &Grid, layer: &Layer, receiver: Option<&str>, places: impl Iterator<Item = [f64; 3]>) -> Vec<u8> {
+    let at = receiver.map_or_else(String::new, |name| format!(" at {name}"));
+    let heat = Heat {
+        title: format!("{}{at}, {}", layer.words, grid.plane.words()),
+        unit: layer.unit.into(),
+        names: grid.plane.names(),
+        first: grid.first,
+        step: grid.step,
+        columns: grid.columns,
+        values: &layer.values,
+        colours: if layer.name == "azimuth" { Colours::Cyclic } else { Colours::Sequential },
+        receivers: places.map(|place| grid.plane.flat(place)).collect(),
+        arrows: &layer.arrows,
+    };
+    heat.draw().png(WIDTH_MM)
+}
+
+fn line(grid: &Grid, layer: &Layer, name: &str, receiver: &str) -> String {
+    let [across, up] = grid.plane.names();
+    let finite = || layer.values.iter().copied().filter(|v| v.is_finite());
+    let ends = [finite().reduce(f32::min), finite().reduce(f32::max)];
+    let [low, high] = ends.map(|end| end.map_or_else(String::new, |v| v.to_string()));
+    let mut line = format!("{name}.npy,{name}.png,{},{},{}", layer.words, layer.unit, field(receiver));
+    _ = writeln!(
+        line,
+        ",{across},{},{},{up},{},{},{},{},{low},{high}",
+        grid.first[0],
+        grid.columns,
+        grid.first[1],
+        grid.rows,
+        grid.step,
+        grid.plane.words()
+    );
+    line
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_files_are_plain_and_differ() {
+        let mut taken = BTreeSet::new();
+        let mut name = |receiver| file_name("power", receiver, &mut taken);
+        let names = [name(Some("../a b")), name(Some("../a/b")), name(None), name(Some(&"x".repeat(500)))];
+        assert_eq!(names[..3], ["power-.._a_b", "power-.._a_b-2", "power"].map(str::to_owned));
+        assert!(names[3].len() < 80);
+    }
 }

@@ -1,14 +1,17 @@
 //! `pwrfgs plugins`: everything that a pipeline may name, written as a pipeline would have it.
 
 use crate::output;
-use crate::reference::commented::Style;
-use crate::reference::{Chapter, Topic, chapters, markdown, prose, schema};
+use crate::reference::commented::{Style, takes};
+use crate::reference::{Chapter, Topic, chapters, markdown, prose};
 use clap::Args;
+use pwrfgs::experiment::sweep::Experiment;
 use pwrfgs::experiment::text::wrapped;
+use pwrfgs::prelude::Pipeline;
 use pwrfgs_core::docs::{Body, Docs};
+use pwrfgs_core::schemars::{self, JsonSchema, schema_for};
 use pwrfgs_core::{Error, Result, did_you_mean};
+use serde_json::Value;
 use std::fmt::Write as _;
-use std::process::ExitCode;
 
 #[derive(Debug, Args)]
 #[command(
@@ -32,10 +35,9 @@ pub(crate) struct Plugins {
 /// Signs a line.
 const WIDTH: usize = 110;
 
-pub(crate) fn plugins(arguments: &Plugins) -> Result<ExitCode> {
+pub(crate) fn plugins(arguments: &Plugins) -> Result<()> {
     if arguments.markdown || arguments.schema {
-        output::result(&if arguments.schema { schema::text() } else { markdown::page() })?;
-        return Ok(ExitCode::SUCCESS);
+        return output::result(&if arguments.schema { schema() } else { markdown::page(&chapters()) });
     }
     let chapters = chapters();
     let wanted = arguments.name.as_deref().map(str::to_lowercase);
@@ -53,8 +55,7 @@ pub(crate) fn plugins(arguments: &Plugins) -> Result<ExitCode> {
     if out.is_empty() {
         return Err(unknown(arguments.name.as_deref().unwrap_or_default(), &chapters));
     }
-    output::result(&out)?;
-    Ok(ExitCode::SUCCESS)
+    output::result(&out)
 }
 
 /// A topic; `full` with all of its comment.
@@ -81,8 +82,7 @@ fn write_topic(out: &mut String, topic: &Topic, full: bool) {
         }
         (Some(docs), Err(_)) => {
             for field in docs.fields() {
-                let takes = crate::reference::takes(&field.kind);
-                let words = format!("{}: {} [{takes}]", field.name, prose::line(field.text));
+                let words = format!("{}: {} [{}]", field.name, prose::line(field.text), takes(&field.kind));
                 out.push_str(&wrapped(&words, ["      "; 2], WIDTH));
             }
         }
@@ -99,4 +99,37 @@ fn unknown(name: &str, chapters: &[Chapter]) -> Error {
     let hint = did_you_mean(name, names);
     let name: String = name.chars().filter(|c| !c.is_control()).take(100).collect();
     Error::Config(format!("nothing that a pipeline may name is called `{name}`{hint} (`pwrfgs plugins` lists all)"))
+}
+
+/// A file of pwrfgs: `Name(field: value)` in RON is `{"Name": {"field": value}}` here.
+#[derive(JsonSchema)]
+#[expect(dead_code, reason = "its schema alone is of use")]
+enum File {
+    /// A run, as `pwrfgs run` reads it.
+    Pipeline(Box<Pipeline>),
+    /// A sweep, as `pwrfgs sweep` reads it.
+    Experiment(Box<Experiment>),
+}
+
+/// The JSON schema of pipeline and experiment files, for editors and programs that write such files.
+fn schema() -> String {
+    let mut schema = schema_for!(File).to_value();
+    shorten(&mut schema);
+    format!("{schema:#}\n")
+}
+
+/// Writes defaults in single precision with the digits of single precision.
+fn shorten(value: &mut Value) {
+    match value {
+        Value::Number(number) if number.is_f64() => {
+            let exact = number.as_f64().unwrap_or_default();
+            let short = (exact as f32).to_string().parse::<f64>();
+            if let (true, Ok(short)) = (f64::from(exact as f32) == exact, short) {
+                *value = short.into();
+            }
+        }
+        Value::Array(items) => items.iter_mut().for_each(shorten),
+        Value::Object(fields) => fields.values_mut().for_each(shorten),
+        _ => {}
+    }
 }

@@ -1,25 +1,19 @@
 //! `pwrfgs predict`: what is observed of transmitter positions, from the model file alone.
 
-mod channels;
 mod folder;
-mod positions;
-mod powers;
-mod spectra;
+mod writers;
 
-use super::evaluate::read_models;
-use super::receivers::{check_positions, chosen};
-use crate::args::Verbosity;
-use crate::output;
+use super::options::{check_positions, chosen, position, positions, read_models};
+use crate::output::Verbosity;
 use crate::progress::Progress;
 use clap::Args;
 use folder::Folder;
-pub(super) use positions::{position, positions};
 use pwrfgs::experiment::Observer as _;
-use pwrfgs::experiment::text::{field, grouped};
+use pwrfgs::experiment::text::grouped;
 use pwrfgs::model::Prepared;
-use pwrfgs_core::{Error, Image, Query, Result, Task};
+use pwrfgs_core::{Error, Query, Result, Task};
 use std::path::PathBuf;
-use std::process::ExitCode;
+use writers::{Drawn, Row, writer};
 
 /// Predictions held in memory at once.
 const CHUNK: usize = 64;
@@ -68,47 +62,7 @@ pub(crate) struct Predict {
     pub(crate) no_png: bool,
 }
 
-/// A row of `predictions.csv`: who sends, and who listens.
-#[derive(Clone, Copy, Debug)]
-struct Row<'a> {
-    /// From 1.
-    number: usize,
-    tx: [f64; 3],
-    receiver: usize,
-    /// The receiver's name; nothing of spectra at the only one.
-    name: Option<&'a str>,
-}
-
-impl Row<'_> {
-    /// The first columns.
-    fn begin(&self) -> String {
-        let ([x, y, z], number) = (self.tx, self.number);
-        self.name
-            .map_or_else(|| format!("{number},{x},{y},{z}"), |name| format!("{number},{x},{y},{z},{}", field(name)))
-    }
-}
-
-/// A prediction.
-struct Drawn {
-    image: Image,
-    /// How far members differ, where there are several.
-    spread: Option<Image>,
-    milliseconds: f64,
-}
-
-/// Writes predictions as their kind wants them.
-trait Writer {
-    /// The first line of `predictions.csv`.
-    fn header(&self) -> String;
-
-    /// Takes the next rows and adds their lines to the list.
-    fn take(&mut self, folder: &Folder<'_>, rows: &[Row<'_>], drawn: &[Drawn], list: &mut String) -> Result<()>;
-
-    /// Everything is there but the list.
-    fn finish(self: Box<Self>) -> Result<()>;
-}
-
-pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitCode> {
+pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     let txs = match (&arguments.tx, &arguments.tx_csv) {
         (Some(text), _) => vec![position("--tx", text)?],
         (_, Some(path)) => positions(path)?,
@@ -125,13 +79,7 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitC
         return Err(Error::Config(why.into()));
     }
     let folder = Folder::claim(&arguments.out, count, !arguments.no_png)?;
-    let mut writer: Box<dyn Writer + '_> = if task.has_pixels {
-        Box::new(spectra::Spectra::begin(&folder, &model, count, arguments.stacked)?)
-    } else if task.is_complex {
-        Box::new(channels::Channels::begin(&folder, &model, count, arguments.stacked)?)
-    } else {
-        Box::new(powers::Powers { has_spread: model.models().count() > 1 })
-    };
+    let mut writer = writer(&folder, &model, count, arguments.stacked)?;
     let mut progress = Progress::new(verbosity);
     let mut list = writer.header();
     let is_named = !task.has_pixels || model.receivers().len() > 1;
@@ -148,11 +96,8 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<ExitC
     progress.finish();
     writer.finish()?;
     folder.finish(&list)?;
-    if verbosity != Verbosity::Quiet {
-        let (count, things) = (grouped(count as i64), task.plural);
-        output::note(&format!("{count} {things} in {}", arguments.out.display()));
-    }
-    Ok(ExitCode::SUCCESS)
+    verbosity.note(&format!("{} {} in {}", grouped(count as i64), task.plural, arguments.out.display()));
+    Ok(())
 }
 
 /// Observations, one after another: the time of a prediction is that of a program that has nothing else to do.

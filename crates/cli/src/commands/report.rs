@@ -1,7 +1,6 @@
 //! `pwrfgs report`: finished runs become tables and figures.
 
-use crate::args::Verbosity;
-use crate::output;
+use crate::output::{self, Verbosity};
 use crate::progress::Progress;
 use clap::Args;
 use pwrfgs::experiment::folder::{PIPELINE, REPORT};
@@ -9,7 +8,6 @@ use pwrfgs::experiment::rebuild_page;
 use pwrfgs::report::{Study, write};
 use pwrfgs_core::Result;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 
 /// Where the report of a sweep lies, below its folder.
 const FOLDER: &str = "report";
@@ -38,7 +36,7 @@ pub(crate) struct Report {
     pub(crate) reference: Option<String>,
 }
 
-pub(crate) fn report(arguments: &Report, verbosity: Verbosity) -> Result<ExitCode> {
+pub(crate) fn report(arguments: &Report, verbosity: Verbosity) -> Result<()> {
     let out = arguments.out.clone().unwrap_or_else(|| arguments.runs[0].join(FOLDER));
     let study = Study::read(&arguments.runs)?;
     if let ([run], None) = (&arguments.runs[..], &arguments.out)
@@ -46,8 +44,7 @@ pub(crate) fn report(arguments: &Report, verbosity: Verbosity) -> Result<ExitCod
     {
         rebuild(run, verbosity)?;
     }
-    compare(&study, arguments.reference.as_deref(), &out, verbosity)?;
-    Ok(ExitCode::SUCCESS)
+    compare(&study, arguments.reference.as_deref(), &out, verbosity)
 }
 
 /// The report of a whole sweep, as it is written when its last run has ended.
@@ -57,10 +54,7 @@ pub(super) fn of_sweep(folder: &Path, verbosity: Verbosity) -> Result<()> {
 
 /// Makes the page of a run again; without its data the tables are worth having still.
 fn rebuild(run: &Path, verbosity: Verbosity) -> Result<()> {
-    let mut progress = Progress::new(verbosity);
-    let rebuilt = rebuild_page(run, pwrfgs::report::page, &mut progress);
-    progress.finish();
-    match rebuilt {
+    match Progress::during(verbosity, |progress| rebuild_page(run, pwrfgs::report::page, progress)) {
         Err(error) if error.is_input() => {
             output::note(&format!("warning: {} is kept as it is: {error}", run.join(REPORT).display()));
             Ok(())
@@ -70,9 +64,6 @@ fn rebuild(run: &Path, verbosity: Verbosity) -> Result<()> {
 }
 
 fn compare(study: &Study, reference: Option<&str>, out: &Path, verbosity: Verbosity) -> Result<()> {
-    let mut progress = Progress::new(verbosity);
-    let written = write(study, reference, out, &mut progress);
-    progress.finish();
-    output::result(&format!("{}\nreport: {}\n", written?, out.join("report.html").display()))?;
-    Ok(())
+    let written = Progress::during(verbosity, |progress| write(study, reference, out, progress))?;
+    output::result(&format!("{written}\nreport: {}\n", out.join("report.html").display()))
 }

@@ -1,9 +1,8 @@
 //! `pwrfgs run`: a pipeline becomes a run folder.
 
-use super::changes::{Changes, named};
-use crate::args::Verbosity;
+use super::options::{Changes, named};
 use crate::interrupt::{INTERRUPTED, stop_flag};
-use crate::output;
+use crate::output::{self, Verbosity};
 use crate::progress::Progress;
 use clap::Args;
 use pwrfgs::experiment::folder::REPORT;
@@ -40,9 +39,7 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
     let pipeline = read_pipeline(&file, &arguments.changes.all())?;
     let out = arguments.out.clone().or(folder).unwrap_or_else(|| Path::new("runs").join(&pipeline.name));
     let stop = stop_flag();
-    let mut progress = Progress::new(verbosity);
-    let outcome = pwrfgs::run(&pipeline, Path::new(""), &out, &mut progress, &stop);
-    progress.finish();
+    let outcome = Progress::during(verbosity, |progress| pwrfgs::run(&pipeline, Path::new(""), &out, progress, &stop));
     match outcome? {
         Outcome::Unscored => {
             output::note(&format!(
@@ -64,8 +61,8 @@ pub(crate) fn run(arguments: &Run, verbosity: Verbosity) -> Result<ExitCode> {
             Ok(ExitCode::from(INTERRUPTED))
         }
         Outcome::Finished { scores, already } => {
-            if already && verbosity != Verbosity::Quiet {
-                output::note(&format!("{} holds this very run, finished: nothing to do", out.display()));
+            if already {
+                verbosity.note(&format!("{} holds this very run, finished: nothing to do", out.display()));
             }
             let report = pwrfgs::PAGE.map(|_| format!("\nreport: {}\n", out.join(REPORT).display()));
             output::result(&(scores.to_text() + &report.unwrap_or_default()))?;

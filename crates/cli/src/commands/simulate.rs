@@ -1,8 +1,7 @@
 //! `pwrfgs simulate`: a scene becomes a data set on disk.
 
-use crate::args::Verbosity;
 use crate::interrupt::{INTERRUPTED, stop_flag};
-use crate::output;
+use crate::output::{self, Verbosity};
 use crate::progress::Progress;
 use clap::{Args, ValueEnum};
 use pwrfgs::experiment::staged;
@@ -107,19 +106,17 @@ pub(crate) fn simulate(arguments: &Simulate, verbosity: Verbosity) -> Result<Exi
     let (observe, layout) = arguments.wanted()?;
     let recipe =
         Recipe::read(&arguments.scene, arguments.samples, arguments.seed, arguments.points)?.observing(observe)?;
-    let mut progress = Progress::new(verbosity);
-    let written = staged(&mut progress, "simulating", |progress| {
-        folder::write_as(&recipe, layout, !arguments.no_paths, &arguments.out, progress, &stop)
+    let written = Progress::during(verbosity, |progress| {
+        staged(progress, "simulating", |progress| {
+            folder::write_as(&recipe, layout, !arguments.no_paths, &arguments.out, progress, &stop)
+        })
     });
-    progress.finish();
     if matches!(written, Err(Error::Stopped)) {
         output::note("stopped; nothing is left behind, and the same command begins anew");
         return Ok(ExitCode::from(INTERRUPTED));
     }
     written?;
-    if verbosity != Verbosity::Quiet {
-        output::note(&told(arguments, &recipe, layout, begun.elapsed().as_secs_f64()));
-    }
+    verbosity.note(&told(arguments, &recipe, layout, begun.elapsed().as_secs_f64()));
     Ok(ExitCode::SUCCESS)
 }
 

@@ -1,14 +1,11 @@
 //! `pwrfgs sweep`: an experiment becomes a folder of runs.
 
-mod board;
 mod table;
 
-use super::changes::Changes;
-use crate::args::{Verbosity, count};
+use super::options::{Changes, count};
 use crate::interrupt::{INTERRUPTED, stop_flag};
-use crate::output;
+use crate::output::{self, Verbosity};
 use crate::progress::Progress;
-use board::Table;
 use clap::Args;
 use pwrfgs::experiment::folder::REPORT;
 use pwrfgs::experiment::sweep::{JOINED, Plan, State, SweepEnd, check, estimate, execute, pool, slurm};
@@ -18,6 +15,7 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;
+use table::Table;
 
 #[derive(Debug, Args)]
 #[command(
@@ -103,10 +101,7 @@ pub(crate) fn sweep(arguments: &Sweep, threads: Option<usize>, verbosity: Verbos
     if arguments.dry_run {
         return dry_run(&plan, &runs, arguments.jobs, verbosity);
     }
-    let mut progress = Progress::new(verbosity);
-    let open = check(&plan, &runs, &mut progress);
-    progress.finish();
-    let open = open?;
+    let open = Progress::during(verbosity, |progress| check(&plan, &runs, progress))?;
     match arguments.launcher {
         Some(Launcher::Slurm) => submit(&plan, &open, arguments, threads),
         None => here(&plan, &runs, arguments.jobs, verbosity),
@@ -134,11 +129,11 @@ fn chosen(plan: &Plan, arguments: &Sweep) -> Result<Vec<usize>> {
 fn here(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<ExitCode> {
     let stop = stop_flag();
     let board = Table::new(plan, runs.len(), verbosity);
-    let mut progress = Progress::new(verbosity);
-    let mut session = Session { observer: &mut progress, stop: &stop, page: pwrfgs::PAGE };
-    let end = execute(plan, runs, jobs, &board, &mut session);
+    let end = Progress::during(verbosity, |progress| {
+        let mut session = Session { observer: progress, stop: &stop, page: pwrfgs::PAGE };
+        execute(plan, runs, jobs, &board, &mut session)
+    });
     board.finish();
-    progress.finish();
     let SweepEnd { runs: ends, joined } = end?;
     #[cfg(feature = "report")]
     if plan.states().iter().all(|state| matches!(state, State::Finished(_))) {
@@ -170,10 +165,9 @@ fn here(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Resul
 
 /// Lists all runs with the time they would take.
 fn dry_run(plan: &Plan, runs: &[usize], jobs: usize, verbosity: Verbosity) -> Result<ExitCode> {
-    let mut progress = Progress::new(verbosity);
-    let seconds = pool(jobs)?.install(|| estimate(plan, runs, &mut progress));
-    progress.finish();
-    output::result(&table::plan(plan, runs, &seconds?, jobs))?;
+    let pool = pool(jobs)?;
+    let seconds = Progress::during(verbosity, |progress| pool.install(|| estimate(plan, runs, progress)))?;
+    output::result(&table::plan(plan, runs, &seconds, jobs))?;
     Ok(ExitCode::SUCCESS)
 }
 

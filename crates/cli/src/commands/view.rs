@@ -1,8 +1,7 @@
 //! `pwrfgs view`: a page where the transmitter can be dragged.
 
-use crate::args::Verbosity;
 use crate::interrupt::stop_flag;
-use crate::output;
+use crate::output::{self, Verbosity};
 use crate::progress::Progress;
 use clap::Args;
 use pwrfgs::viewer::{Side, view as show};
@@ -10,7 +9,7 @@ use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::words::clean;
 use pwrfgs_core::{Baseline, Error, Result};
 use std::path::Path;
-use std::process::{Command, ExitCode, Stdio};
+use std::process::{Command, Stdio};
 
 #[derive(Debug, Args)]
 #[command(
@@ -32,24 +31,18 @@ pub(crate) struct View {
     pub(crate) open: bool,
 }
 
-pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<ExitCode> {
-    let mut progress = Progress::new(verbosity);
-    let sides = open(&arguments.sides, &mut progress);
-    progress.finish();
-    let sides = sides?;
+pub(crate) fn view(arguments: &View, verbosity: Verbosity) -> Result<()> {
+    let sides = Progress::during(verbosity, |progress| open(&arguments.sides, progress))?;
     let stop = stop_flag();
     let ready = |address: &str| {
         // Whoever pipes it wants the address alone.
         _ = output::result(&format!("{address}\n"));
-        if verbosity != Verbosity::Quiet {
-            output::note("open this address in a browser; Ctrl-C, or closing the page, ends it");
-        }
+        verbosity.note("open this address in a browser; Ctrl-C, or closing the page, ends it");
         if arguments.open && !opened(address) {
             output::note("no browser could be started here; open the address yourself");
         }
     };
-    show(sides, ready, &stop)?;
-    Ok(ExitCode::SUCCESS)
+    show(sides, ready, &stop)
 }
 
 fn open(named: &[String], progress: &mut Progress) -> Result<Vec<Side>> {

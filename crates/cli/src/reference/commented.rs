@@ -1,14 +1,44 @@
-//! RON with a comment above every field: what it takes and what it does.
+//! A value as RON, with a comment above every field: what it takes and what it does.
 
-use super::{Value, prose, takes};
+use super::prose;
 use pwrfgs::experiment::text::wrapped;
 use pwrfgs::pipeline::ron_tree::{Body, Tree};
-use pwrfgs_core::docs::{Docs, Field, Kind};
+use pwrfgs_core::docs::{Body as Shape, Docs, Field, Kind};
 use pwrfgs_core::plugin::Family;
 use std::fmt::Write as _;
 
 /// Signs a line.
 const WIDTH: usize = 110;
+
+/// A value in its own text.
+#[derive(Clone)]
+pub(crate) struct Value {
+    pub(super) text: String,
+    tree: Tree,
+}
+
+impl Value {
+    /// The value that `text` is, which a serialiser or parser has seen.
+    pub(crate) fn new(text: String) -> Result<Self, String> {
+        Ok(Self { tree: Tree::parse(&text)?, text })
+    }
+
+    /// The text of a value inside.
+    pub(crate) fn at(&self, path: &[&str]) -> Option<&str> {
+        let inside = path.iter().try_fold(&self.tree, |tree, field| tree.field(field));
+        inside.map(|tree| tree.of(&self.text))
+    }
+
+    /// One of its fields, in one line.
+    pub(super) fn field(&self, field: &Field) -> Option<String> {
+        self.tree.field(field.name).map(|tree| short(Some(&field.kind), tree, &self.text))
+    }
+
+    /// One of its fields as a value of its own.
+    pub(super) fn part(&self, name: &str) -> Option<Self> {
+        Self::new(self.tree.field(name)?.of(&self.text).to_owned()).ok()
+    }
+}
 
 /// How a value is written.
 pub(crate) struct Style<'a> {
@@ -84,7 +114,7 @@ fn docs_at(kind: Option<&Kind>, value: &Tree) -> Option<&'static Docs> {
 }
 
 /// A value in one line; settings that need not say anything say nothing.
-pub(crate) fn short(kind: Option<&Kind>, tree: &Tree, text: &str) -> String {
+fn short(kind: Option<&Kind>, tree: &Tree, text: &str) -> String {
     match kind {
         Some(Kind::Of(docs)) if !docs.fields().is_empty() && docs.fields().iter().all(|f| f.optional) => {
             format!("{}()", docs.name)
@@ -94,7 +124,7 @@ pub(crate) fn short(kind: Option<&Kind>, tree: &Tree, text: &str) -> String {
 }
 
 /// A value in one line.
-pub(crate) fn compact(tree: &Tree, text: &str) -> String {
+fn compact(tree: &Tree, text: &str) -> String {
     let name = tree.name.as_deref().unwrap_or_default();
     let list = |items: &[Tree]| items.iter().map(|item| compact(item, text)).collect::<Vec<_>>().join(", ");
     match &tree.body {
@@ -106,5 +136,17 @@ pub(crate) fn compact(tree: &Tree, text: &str) -> String {
         }
         Body::Items(items) if tree.of(text).starts_with('[') => format!("[{}]", list(items)),
         Body::Items(items) => format!("{name}({})", list(items)),
+    }
+}
+
+/// What a field takes, in words; an enum by its variants.
+pub(crate) fn takes(kind: &Kind) -> String {
+    match kind {
+        Kind::Of(Docs { name, body: Shape::Variants(variants), .. }) => {
+            let names: Vec<&str> = variants.iter().map(|v| v.name).collect();
+            format!("{name}: {}", names.join(", "))
+        }
+        Kind::Optional(inner) => format!("{} or None", takes(inner)),
+        other => other.words(),
     }
 }

@@ -1,24 +1,24 @@
 //! The reference as a page of Markdown.
 
-use super::{Chapter, Topic, Value, chapters, prose, takes};
+use super::commented::{Value, takes};
+use super::{Chapter, Topic, prose};
 use pwrfgs::prelude::Pipeline;
 use pwrfgs_core::docs::{Body, Docs, Field, Variant};
 use std::fmt::Write as _;
 
 /// The page.
-pub(crate) fn page() -> String {
+pub(crate) fn page(chapters: &[Chapter]) -> String {
     let mut out = String::from(
         "# Reference\n\nEverything that a pipeline or an experiment can name, with defaults.\nThis page is \
          printed by `pwrfgs plugins --markdown` from the comments in the source; `pwrfgs plugins NAME` prints a part of \
          it.\n\n",
     );
-    let chapters = chapters();
-    for chapter in &chapters {
+    for chapter in chapters {
         let topics: Vec<String> = chapter.topics.iter().map(|t| format!("`{}`", t.name)).collect();
         let field = chapter.field.map_or_else(String::new, |field| format!(" (`{field}`)"));
         _ = writeln!(out, "- **{}**{field}: {}", chapter.name, topics.join(", "));
     }
-    for chapter in &chapters {
+    for chapter in chapters {
         let field = chapter.field.map_or_else(String::new, |field| format!(": field `{field}`"));
         _ = writeln!(out, "\n## {}{field}\n\n{}", chapter.name, prose::sentences(&chapter.about));
         chapter.topics.iter().for_each(|topic| write_topic(&mut out, chapter, topic));

@@ -1,6 +1,6 @@
 //! The plane of a map: an axis-parallel one, and a grid of places on it.
 
-use crate::args::numbers;
+use crate::commands::options::numbers;
 use pwrfgs_core::origin::coordinate_fault;
 use pwrfgs_core::{Error, Result};
 

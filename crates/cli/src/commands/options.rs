@@ -1,0 +1,190 @@
+//! What several commands are told alike: pipelines and changes, counts, positions, models and their receivers.
+
+use clap::Args;
+use pwrfgs::experiment::folder::PIPELINE;
+use pwrfgs::experiment::sweep::LISTING;
+use pwrfgs::model::{Ensemble, file};
+use pwrfgs_core::origin::{coordinate_fault, place_fault};
+use pwrfgs_core::threads::COUNTS;
+use pwrfgs_core::words::clean;
+use pwrfgs_core::{Error, Receiver, Result, did_you_mean, files};
+use std::path::{Path, PathBuf};
+
+/// Most names that an error lists.
+const LISTED: usize = 12;
+
+#[derive(Debug, Args)]
+pub(crate) struct Changes {
+    /// Change a setting, such as training.batch=16 or pruners.LearnableMask.lambda=0.05; a plugin with other fields is
+    /// given whole, such as 'split=Random(test: 0.3)'. What the axis of a sweep says wins
+    #[arg(long = "set", value_name = "FIELD=VALUE")]
+    set: Vec<String>,
+    /// Multiply every count of steps, the schedules' too: 0.25 for a quarter of the training. Below 1 it also divides the
+    /// learning rates of masks, up to 0.1, so that they close in time
+    #[arg(long, value_name = "FACTOR")]
+    scale: Option<f64>,
+}
+
+impl Changes {
+    /// All of them as `--set` takes them.
+    pub(super) fn all(&self) -> Vec<String> {
+        let scale = self.scale.map(|scale| format!("training.scale={scale:?}"));
+        self.set.iter().cloned().chain(scale).collect()
+    }
+}
+
+/// The pipeline file that `path` names, and the run folder where it is one.
+pub(super) fn named(path: &Path) -> Result<(PathBuf, Option<PathBuf>)> {
+    if !path.is_dir() {
+        return Ok((path.into(), None));
+    }
+    let own = path.join(PIPELINE);
+    if own.is_file() {
+        return Ok((own, Some(path.into())));
+    }
+    if path.join(LISTING).is_file() {
+        return Err(Error::input(
+            path,
+            "is the folder of a sweep; repeat `pwrfgs sweep` with its file, or give the folder of a run in it",
+        ));
+    }
+    let why = format!("is a folder without {PIPELINE}, so no run folder; give a pipeline file, or the folder of a run");
+    Err(Error::input(path, why))
+}
+
+/// A number of threads or jobs.
+pub(crate) fn count(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(count) if COUNTS.contains(&count) => Ok(count),
+        _ => Err(format!("give a number from {} to {}", COUNTS.start(), COUNTS.end())),
+    }
+}
+
+/// `a,b,c`: as many numbers as are wanted.
+pub(super) fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|t| t.trim().parse().ok()).collect();
+    numbers?.try_into().ok()
+}
+
+/// `x,y,z` of the command line, the value of `option`.
+pub(super) fn position(option: &str, text: &str) -> Result<[f64; 3]> {
+    let wrong = || {
+        Error::Config(format!(
+            "{option} {text}: give three finite numbers of at most 1e8 in metres, such as 3.5,2.2,1.2"
+        ))
+    };
+    numbers(text).filter(|place| place_fault(*place).is_none()).ok_or_else(wrong)
+}
+
+/// Columns x, y, z of a CSV file.
+pub(super) fn positions(path: &Path) -> Result<Vec<[f64; 3]>> {
+    let text = files::read_at_most(path, files::MAX_TEXT).map_err(|e| Error::read(path, e))?;
+    let text = text.strip_prefix("\u{feff}".as_bytes()).unwrap_or(&text);
+    let mut reader = csv::ReaderBuilder::new().flexible(true).trim(csv::Trim::All).from_reader(text);
+    let broken = |e: csv::Error| {
+        let line = e.position().map_or(1, csv::Position::line) as usize;
+        Error::at(path, line, 1, format!("this is not CSV text: {e}"))
+    };
+    let headers = reader.headers().map_err(broken)?.clone();
+    let mut columns = [0; 3];
+    for (column, name) in columns.iter_mut().zip(["x", "y", "z"]) {
+        *column = headers.iter().position(|h| h.eq_ignore_ascii_case(name)).ok_or_else(|| {
+            let found = headers.iter().collect::<Vec<_>>().join(",");
+            Error::at(path, 1, 1, format!("no column `{name}` in `{found}`; the first line must name x, y and z"))
+        })?;
+    }
+    let mut txs = Vec::new();
+    for record in reader.records() {
+        let record = record.map_err(broken)?;
+        let line = record.position().map_or(1, csv::Position::line) as usize;
+        let mut tx = [0.0; 3];
+        for (value, &column) in tx.iter_mut().zip(&columns) {
+            let field = record.get(column).ok_or_else(|| {
+                let (has, needs) = (record.len(), headers.len());
+                Error::at(path, line, 1, format!("this row has {has} fields and the first line names {needs}"))
+            })?;
+            *value = field.parse().ok().filter(|v| coordinate_fault(*v).is_none()).ok_or_else(|| {
+                let what =
+                    format!("`{field}` in column `{}` is no finite number of metres, 1e8 at most", &headers[column]);
+                Error::at(path, line, column + 1, what)
+            })?;
+        }
+        txs.push(tx);
+    }
+    if txs.is_empty() {
+        return Err(Error::input(path, "there is no row; give one position a line"));
+    }
+    Ok(txs)
+}
+
+/// All models as one; a file may hold several. Those of several files are called by their numbers.
+pub(super) fn read_models(paths: &[PathBuf]) -> Result<Ensemble> {
+    if let [path] = paths {
+        return file::read_ensemble(path);
+    }
+    let files: Vec<Ensemble> = paths.iter().map(|path| file::read_ensemble(path)).collect::<Result<_>>()?;
+    let members = files.iter().flat_map(|file| file.members().iter().cloned()).collect();
+    Ensemble::new(members).and_then(Ensemble::distinct).map_err(Error::Config)
+}
+
+/// The receivers of these names, in the model's order; all of them where nothing or `all` is said.
+pub(super) fn chosen(known: &[Receiver], names: &[String]) -> Result<Vec<usize>> {
+    let place = |name: &str| known.iter().position(|receiver| receiver.name == name);
+    if names.iter().all(|name| name == "all" && place(name).is_none()) {
+        return Ok((0..known.len()).collect());
+    }
+    let mut chosen = Vec::new();
+    for name in names {
+        chosen.push(place(name).ok_or_else(|| unknown(known, name))?);
+    }
+    chosen.sort_unstable();
+    chosen.dedup();
+    Ok(chosen)
+}
+
+fn unknown(known: &[Receiver], name: &str) -> Error {
+    let near = did_you_mean(name, known.iter().map(|receiver| receiver.name.as_str()));
+    let list = known.iter().take(LISTED).map(|r| clean(&r.name)).collect::<Vec<_>>().join(", ");
+    let more = known.len().saturating_sub(LISTED);
+    let list = if more > 0 { format!("{list} and {more} more") } else { list };
+    Error::Config(format!(
+        "--receiver {}: the model knows no receiver of this name{near}; it knows {list}",
+        clean(name)
+    ))
+}
+
+/// Refuses models that are not asked by position.
+pub(super) fn check_positions(model: &Ensemble) -> Result<()> {
+    match model.members().iter().map(|member| member.stages.method.traits().inputs).find(|inputs| *inputs != 3) {
+        None => Ok(()),
+        Some(inputs) => Err(Error::Config(format!(
+            "this model is told {inputs} numbers in place of a transmitter's position, so that there is nothing to ask of \
+             a position; `pwrfgs evaluate` scores it on data that have them"
+        ))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pwrfgs_core::Pose;
+
+    #[test]
+    fn positions_are_three_finite_numbers() {
+        assert_eq!(position("--tx", "1, -2.5,3e0").unwrap(), [1.0, -2.5, 3.0]);
+        for wrong in ["", "1,2", "1,2,3,4", "1,2,x", "1,2,NaN", "1,inf,2", "1,2,1e9"] {
+            assert!(position("--tx", wrong).unwrap_err().is_input(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn receivers_are_found_by_name_and_the_nearest_is_told() {
+        let known: Vec<Receiver> = (1..=21).map(|k| Receiver::new(format!("g{k:02}"), Pose::IDENTITY)).collect();
+        let chosen = |names: &[&str]| chosen(&known, &names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>());
+        assert_eq!(chosen(&["g03", "g01", "g03"]).unwrap(), [0, 2]);
+        assert_eq!(chosen(&[]).unwrap().len(), 21);
+        assert_eq!(chosen(&["all"]).unwrap().len(), 21);
+        let said = chosen(&["g3"]).unwrap_err().to_string();
+        assert!(said.contains("did you mean `g03`?") && said.contains("and 9 more"), "{said}");
+    }
+}

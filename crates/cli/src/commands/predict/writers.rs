@@ -1,0 +1,204 @@
+//! What is written of spectra, received powers and channels: arrays, pictures and the lines of `predictions.csv`.
+
+use super::folder::{Folder, SPREAD, Stack, name};
+use pwrfgs::experiment::text::field;
+use pwrfgs::model::Prepared;
+use pwrfgs_core::{Image, ImagePlane, Real, Result, Task, gains_of};
+use rayon::prelude::*;
+use std::fmt::Write as _;
+
+/// A row of `predictions.csv`: who sends, and who listens.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Row<'a> {
+    /// From 1.
+    pub(super) number: usize,
+    pub(super) tx: [f64; 3],
+    pub(super) receiver: usize,
+    /// The receiver's name; nothing of spectra at the only one.
+    pub(super) name: Option<&'a str>,
+}
+
+impl Row<'_> {
+    /// The first columns.
+    fn begin(&self) -> String {
+        let ([x, y, z], number) = (self.tx, self.number);
+        self.name
+            .map_or_else(|| format!("{number},{x},{y},{z}"), |name| format!("{number},{x},{y},{z},{}", field(name)))
+    }
+}
+
+/// A prediction.
+pub(super) struct Drawn {
+    pub(super) image: Image,
+    /// How far members differ, where there are several.
+    pub(super) spread: Option<Image>,
+    pub(super) milliseconds: f64,
+}
+
+/// Writes predictions as their kind wants them.
+pub(super) trait Writer {
+    /// The first line of `predictions.csv`.
+    fn header(&self) -> String;
+
+    /// Takes the next rows and adds their lines to the list.
+    fn take(&mut self, folder: &Folder<'_>, rows: &[Row<'_>], drawn: &[Drawn], list: &mut String) -> Result<()>;
+
+    /// Everything is there but the list.
+    fn finish(self: Box<Self>) -> Result<()>;
+}
+
+/// The writer of what `model` predicts, `count` rows.
+pub(super) fn writer<'a>(
+    folder: &Folder<'_>,
+    model: &Prepared<'a>,
+    count: usize,
+    stacked: bool,
+) -> Result<Box<dyn Writer + 'a>> {
+    let task = model.task();
+    Ok(if task.has_pixels {
+        Box::new(Spectra::begin(folder, model, count, stacked)?)
+    } else if task.is_complex {
+        Box::new(Channels::begin(folder, model, count, stacked)?)
+    } else {
+        Box::new(Powers { has_spread: model.models().count() > 1 })
+    })
+}
+
+/// Spectra under way.
+struct Spectra<'a> {
+    plane: &'a ImagePlane,
+    has_names: bool,
+    stacks: Vec<Stack>,
+}
+
+impl<'a> Spectra<'a> {
+    fn begin(folder: &Folder<'_>, model: &Prepared<'a>, count: usize, stacked: bool) -> Result<Self> {
+        let plane = model.plane();
+        let size = [count, plane.height, plane.width];
+        let names = ["spectra.npy", "spread.npy"].into_iter().take(model.models().count().min(2)).filter(|_| stacked);
+        let stacks = names.map(|name| Stack::floats(folder, name, size)).collect::<Result<_>>()?;
+        Ok(Self { plane, has_names: model.receivers().len() > 1, stacks })
+    }
+}
+
+impl Writer for Spectra<'_> {
+    fn header(&self) -> String {
+        let receiver = if self.has_names { "receiver," } else { "" };
+        format!("row,x,y,z,{receiver}azimuth_deg,elevation_deg,peak,milliseconds\n")
+    }
+
+    fn take(&mut self, folder: &Folder<'_>, rows: &[Row<'_>], drawn: &[Drawn], list: &mut String) -> Result<()> {
+        let images: Vec<&Image> = drawn.iter().map(|drawn| &drawn.image).collect();
+        let spreads: Vec<&Image> = drawn.iter().filter_map(|drawn| drawn.spread.as_ref()).collect();
+        let kinds = [("", 1.0, images), (SPREAD, 2.0, spreads)];
+        for (k, (suffix, gain, images)) in kinds.iter().enumerate() {
+            let one = |(image, row): (&&Image, &Row<'_>)| {
+                let name = name(row.number) + suffix;
+                if self.stacks.is_empty() {
+                    folder.array(&name, image)?;
+                }
+                folder.picture(&name, image, *gain as Real)
+            };
+            images.par_iter().zip(rows).map(one).collect::<Result<Vec<()>>>()?;
+            if let Some(stack) = self.stacks.get_mut(k) {
+                images.iter().try_for_each(|image| stack.push_floats(image))?;
+            }
+        }
+        for (row, drawn) in rows.iter().zip(drawn) {
+            *list += &line(self.plane, row, &drawn.image, drawn.milliseconds);
+        }
+        Ok(())
+    }
+
+    fn finish(self: Box<Self>) -> Result<()> {
+        self.stacks.into_iter().try_for_each(Stack::finish)
+    }
+}
+
+/// A row of `predictions.csv`; without angles where the model's plane has none.
+fn line(plane: &ImagePlane, row: &Row<'_>, image: &Image, milliseconds: f64) -> String {
+    let strongest = image.argmax();
+    let (column, line) = ((strongest % image.width) as Real, (strongest / image.width) as Real);
+    let angles = plane.azimuth_elevation_deg(column, line);
+    let angles = angles.map_or_else(|| ",".into(), |(az, el)| format!("{az},{el}"));
+    format!("{},{angles},{},{milliseconds:.3}\n", row.begin(), image.pixels[strongest])
+}
+
+/// Powers under way.
+struct Powers {
+    /// Whether several models say how far they differ.
+    has_spread: bool,
+}
+
+impl Writer for Powers {
+    fn header(&self) -> String {
+        format!("row,x,y,z,receiver,dbm,{}ms\n", if self.has_spread { "spread_db," } else { "" })
+    }
+
+    fn take(&mut self, _: &Folder<'_>, rows: &[Row<'_>], drawn: &[Drawn], list: &mut String) -> Result<()> {
+        for (row, Drawn { image, spread, milliseconds }) in rows.iter().zip(drawn) {
+            let spread = spread.as_ref().map_or_else(String::new, |spread| format!("{},", spread.pixels[0]));
+            _ = writeln!(list, "{},{},{spread}{milliseconds:.3}", row.begin(), image.pixels[0]);
+        }
+        Ok(())
+    }
+
+    fn finish(self: Box<Self>) -> Result<()> {
+        Ok(())
+    }
+}
+
+/// Channels under way.
+struct Channels {
+    task: Task,
+    stacks: Vec<Stack>,
+}
+
+impl Channels {
+    fn begin(folder: &Folder<'_>, model: &Prepared<'_>, count: usize, stacked: bool) -> Result<Self> {
+        let size = [count, model.plane().height / 2, model.plane().width];
+        let mut stacks = Vec::new();
+        if stacked {
+            stacks.push(Stack::complex(folder, "channels.npy", size)?);
+            if model.models().count() > 1 {
+                stacks.push(Stack::floats(folder, "spread.npy", size)?);
+            }
+        }
+        Ok(Self { task: model.task(), stacks })
+    }
+}
+
+impl Writer for Channels {
+    fn header(&self) -> String {
+        "row,x,y,z,receiver,db,ms\n".into()
+    }
+
+    fn take(&mut self, folder: &Folder<'_>, rows: &[Row<'_>], drawn: &[Drawn], list: &mut String) -> Result<()> {
+        for (row, Drawn { image, spread, milliseconds }) in rows.iter().zip(drawn) {
+            let (gains, name) = (gains_of(&image.pixels, image.width), name(row.number));
+            let spread = spread.as_ref().map(lengths);
+            if let Some(stack) = self.stacks.first_mut() {
+                stack.push_complex(&gains)?;
+            } else {
+                folder.gains(&name, [image.height / 2, image.width], &gains)?;
+            }
+            match (self.stacks.get_mut(1), &spread) {
+                (Some(stack), Some(spread)) => stack.push_floats(spread)?,
+                (None, Some(spread)) => folder.array(&(name + SPREAD), spread)?,
+                _ => {}
+            }
+            _ = writeln!(list, "{},{:.4},{milliseconds:.3}", row.begin(), self.task.level(image));
+        }
+        Ok(())
+    }
+
+    fn finish(self: Box<Self>) -> Result<()> {
+        self.stacks.into_iter().try_for_each(Stack::finish)
+    }
+}
+
+/// How far complex gains are apart, from the standard deviations of their two parts.
+fn lengths(parts: &Image) -> Image {
+    let pixels: Vec<Real> = gains_of(&parts.pixels, parts.width).iter().map(|[re, im]| re.hypot(*im)).collect();
+    Image { width: parts.width, height: parts.height / 2, pixels }
+}
