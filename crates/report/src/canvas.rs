@@ -4,17 +4,88 @@
 //! them reads anything from outside: the only pictures in a picture are pixels in memory.
 //! Lengths are SVG units, of which a column of print has 380; y points down.
 
-pub mod font;
-mod paint;
+mod font;
 mod pdf;
 mod png;
 mod svg;
-pub mod text;
 
-pub use paint::{BLACK, Colour, INK, Paint, WHITE};
+pub use font::{cut, text_width, wrapped};
+use pwrfgs_core::words;
+pub use svg::xml;
+
+/// Height of text: 7.5 pt where a column of 380 is 3.5 in wide.
+pub const TEXT: f64 = 11.3;
+/// Height of a line of text.
+pub const LINE: f64 = 14.0;
 
 /// Across and down.
 pub type Point = [f64; 2];
+
+/// A colour and how much it covers, 0 to 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Colour {
+    /// Red, green and blue.
+    pub rgb: [u8; 3],
+    /// 0 where nothing shows.
+    pub opacity: f64,
+}
+
+impl Colour {
+    /// From `0xrrggbb`.
+    pub const fn hex(rgb: u32) -> Self {
+        Self { rgb: [(rgb >> 16) as u8, (rgb >> 8) as u8, rgb as u8], opacity: 1.0 }
+    }
+
+    /// The same, see-through.
+    pub const fn faint(self, opacity: f64) -> Self {
+        Self { opacity, ..self }
+    }
+
+    /// As CSS writes it, without its opacity.
+    pub fn css(self) -> String {
+        let [r, g, b] = self.rgb;
+        format!("#{r:02x}{g:02x}{b:02x}")
+    }
+}
+
+/// Colour of text and axes.
+pub const INK: Colour = Colour::hex(0x46_4a52);
+/// The darkest there is.
+pub const BLACK: Colour = Colour::hex(0x10_1318);
+/// Paper.
+pub const WHITE: Colour = Colour::hex(0xff_ffff);
+
+/// How a shape is filled and stroked.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Paint {
+    /// Within, where it is filled.
+    pub fill: Option<Colour>,
+    /// Along its outline, where it is stroked.
+    pub stroke: Option<Colour>,
+    /// Of the stroke.
+    pub width: f64,
+    /// Lengths of strokes and gaps in turn; nothing for a full line.
+    pub dash: &'static [f64],
+    /// Whether strokes end round: a line without length is then a dot.
+    pub round: bool,
+}
+
+impl Paint {
+    /// Filled alone.
+    pub fn fill(colour: Colour) -> Self {
+        Self { fill: Some(colour), ..Self::default() }
+    }
+
+    /// Stroked alone.
+    pub fn stroke(colour: Colour, width: f64) -> Self {
+        Self { stroke: Some(colour), width, ..Self::default() }
+    }
+
+    /// With this outline as well.
+    pub fn outlined(self, colour: Colour, width: f64) -> Self {
+        Self { stroke: Some(colour), width, ..self }
+    }
+}
 
 /// A piece of a path.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -161,7 +232,7 @@ pub struct Canvas {
 impl Canvas {
     /// An empty one, with text as charts have it.
     pub fn new(width: f64, height: f64) -> Self {
-        let letters = Letters { size: font::TEXT, colour: INK };
+        let letters = Letters { size: TEXT, colour: INK };
         Self { width, height, letters, shapes: Vec::new() }
     }
 
@@ -196,7 +267,7 @@ impl Canvas {
 
     fn write(&mut self, at: Point, anchor: Anchor, upright: bool, words: &str) {
         if is_place(&at) {
-            let words = text::plain(words);
+            let words = plain(words);
             self.shapes.push(Shape::Text(Text { at, anchor, letters: self.letters, upright, words }));
         }
     }
@@ -213,10 +284,9 @@ impl Canvas {
 
     /// Lines of text, the middle of all of them at the height of `at`.
     pub fn lines(&mut self, [x, y]: Point, anchor: Anchor, lines: &[String]) {
-        let step = font::LINE;
-        let first = y + 0.35 * self.letters.size - step * (lines.len() as f64 - 1.0) / 2.0;
+        let first = y + 0.35 * self.letters.size - LINE * (lines.len() as f64 - 1.0) / 2.0;
         for (k, line) in lines.iter().enumerate() {
-            self.text([x, first + step * k as f64], anchor, line);
+            self.text([x, first + LINE * k as f64], anchor, line);
         }
     }
 
@@ -235,6 +305,11 @@ impl Canvas {
     pub fn put(&mut self, at: Point, scale: f64, other: &Self) {
         self.shapes.push(Shape::Group(at, scale, other.shapes.clone()));
     }
+}
+
+/// A name or a label, from files that anybody may have written: on one line, without anything that a terminal obeys.
+pub fn plain(text: &str) -> String {
+    words::plain(&text.replace(char::is_whitespace, " "))
 }
 
 /// Whether there is such a place.
@@ -263,5 +338,10 @@ mod tests {
         assert_eq!(canvas.shapes.len(), 2);
         let svg = canvas.svg("x", "\"/><script>");
         assert!(svg.contains("two lines") && svg.contains("aria-label=\"&quot;/&gt;&lt;script&gt;\""), "{svg}");
+    }
+
+    #[test]
+    fn a_terminal_gets_one_line_and_no_commands() {
+        assert_eq!(plain("a\r\nb\t\u{1b}]0;x\u{7}\u{9b}1m\u{202e}c"), "a  b \u{fffd}]0;x\u{fffd}\u{fffd}1m\u{fffd}c");
     }
 }

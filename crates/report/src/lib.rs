@@ -5,7 +5,15 @@
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
 pub mod canvas;
-pub mod draw;
+/// Pictures, shared by all pages and figures of the toolkit: all of them on one [`canvas`].
+pub mod draw {
+    pub(crate) mod axes;
+    pub(crate) mod charts;
+    pub(crate) mod marks;
+    pub mod plan;
+    pub(crate) mod room;
+    pub(crate) mod spectra;
+}
 pub mod live;
 mod run_page;
 mod study;

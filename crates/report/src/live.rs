@@ -2,12 +2,206 @@
 //!
 //! `pwrfgs view` serves it with a program behind it; `report.html` holds it with everything inside. Both show the same
 //! stage: a room to turn, a transmitter to drag, and what a receiver observes of it.
-mod gaussians;
-mod pack;
-mod room;
-mod web;
 
-pub use gaussians::{contributions, gaussians, moment};
-pub use pack::Pack;
-pub use room::{Known, origin, room};
-pub use web::{FILES, STAGE, STYLE, bundle};
+use pwrfgs_core::colour::{diverging, sequential};
+use pwrfgs_core::{Activated, Dataset, Frame, Origin, Partition, Pose, Real, evenly};
+use pwrfgs_model::Ensemble;
+use safetensors::tensor::{Dtype, TensorView};
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, HashMap};
+
+/// Named arrays and what is to be said of them, on their way to a page as one safetensors file; `web/tensors.js` reads it, as it
+/// reads models.
+#[derive(Clone, Debug, Default)]
+pub struct Pack {
+    /// Whatever is no array.
+    pub note: Value,
+    arrays: BTreeMap<String, (Dtype, Vec<usize>, Vec<u8>)>,
+}
+
+impl Pack {
+    /// No arrays yet.
+    pub fn new(note: Value) -> Self {
+        Self { note, arrays: BTreeMap::new() }
+    }
+
+    /// Adds numbers, in single precision; they fill `shape` row by row.
+    pub fn put(&mut self, name: &str, shape: &[usize], values: impl IntoIterator<Item = Real>) {
+        let bytes: Vec<u8> = values.into_iter().flat_map(|v| (v as f32).to_le_bytes()).collect();
+        self.insert(name, Dtype::F32, shape, bytes);
+    }
+
+    /// Adds bytes; they fill `shape` row by row.
+    pub fn put_bytes(&mut self, name: &str, shape: &[usize], bytes: Vec<u8>) {
+        self.insert(name, Dtype::U8, shape, bytes);
+    }
+
+    fn insert(&mut self, name: &str, dtype: Dtype, shape: &[usize], bytes: Vec<u8>) {
+        let size = if dtype == Dtype::F32 { 4 } else { 1 };
+        assert_eq!(shape.iter().product::<usize>() * size, bytes.len(), "an array fills its shape");
+        self.arrays.insert(name.into(), (dtype, shape.to_vec(), bytes));
+    }
+
+    /// The file.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let views = self.arrays.iter().map(|(name, (dtype, shape, bytes))| {
+            (name.as_str(), TensorView::new(*dtype, shape.clone(), bytes).expect("an array fills its shape"))
+        });
+        let note = HashMap::from([("pwrfgs".to_owned(), self.note.to_string())]);
+        safetensors::serialize(views, Some(note)).expect("shapes fit their data")
+    }
+}
+
+/// Data and how they are divided.
+#[derive(Clone, Copy, Debug)]
+pub struct Known<'a> {
+    /// What was observed.
+    pub data: &'a Dataset,
+    /// The parts.
+    pub partition: &'a Partition,
+    /// A score of the first metric for each link, NaN where there is none; `[L]`.
+    pub scores: &'a [f64],
+    /// The links that the page knows, which calls them by their places in this list.
+    pub links: &'a [usize],
+}
+
+/// The room: receivers, bounds, surface points (`points` of them at most), and of every link its transmitter, part and score.
+/// `frame` is that of the model, and `means` places that the room must hold where there are no data.
+pub fn room(frame: &Frame, known: Option<Known<'_>>, means: &[[Real; 3]], points: usize) -> Pack {
+    let origin = origin(frame, known.map(|known| known.data));
+    let receivers = known.map_or(&frame.receivers, |known| &known.data.scene.receivers);
+    let own = known.map_or(frame.origin, |known| known.data.scene.origin);
+    let poses: Vec<(&str, Pose)> = receivers.iter().map(|r| (r.name.as_str(), own.world_pose(r.pose))).collect();
+    let plane = &frame.plane;
+    let mut note = json!({
+        "format": "pwrfgs-room",
+        "has_pixels": frame.task.has_pixels,
+        "is_scalar": frame.task.is_scalar,
+        "unit": frame.task.level_name[1],
+        "score": { "name": frame.task.headline.name, "higher": frame.task.headline.higher },
+        "origin": origin.0,
+        "plane": { "width": plane.width, "height": plane.height, "wraps": plane.wraps, "angles": plane.angles },
+        "receivers": poses.iter().map(|(name, pose)| receiver(name, pose, origin)).collect::<Vec<_>>(),
+        "frequencies_hz": frame.frequencies_hz,
+    });
+    let places = poses.iter().map(|(_, pose)| origin.local(pose.position));
+    note["bounds"] = match known {
+        Some(known) => json!([known.data.scene.bounds.0, known.data.scene.bounds.1]),
+        None => bounds(means.iter().copied().chain(places)),
+    };
+    if let Some(known) = known {
+        note["title"] = json!(known.data.title);
+        note["simulated"] = json!(known.data.is_simulated());
+        note["placed"] = json!(known.data.placed);
+    }
+    let mut pack = Pack::new(note);
+    for (name, colour) in [("power", sequential as fn(f64) -> [u8; 3]), ("error", |t| diverging(2.0 * t - 1.0))] {
+        let all = (0..256).flat_map(|i| colour(f64::from(i) / 255.0)).collect();
+        pack.put_bytes(&format!("colours.{name}"), &[256, 3], all);
+    }
+    if let Some(known) = known {
+        put_data(&mut pack, known, points);
+    }
+    pack
+}
+
+/// What all places of a page count from.
+pub fn origin(frame: &Frame, data: Option<&Dataset>) -> Origin {
+    data.map_or(frame.origin, |data| data.scene.origin)
+}
+
+fn put_data(pack: &mut Pack, Known { data, partition, scores, links }: Known<'_>, points: usize) {
+    let shown = evenly(&(0..data.scene.points.len()).collect::<Vec<_>>(), points);
+    pack.put("points", &[shown.len(), 3], shown.iter().flat_map(|&i| data.scene.points[i]));
+    let (n, samples) = (links.len(), || links.iter().map(|&i| data.sample(i)));
+    pack.put("links.tx", &[n, 3], samples().flat_map(|sample| data.scene.origin.local(sample.tx)));
+    pack.put("links.id", &[n], samples().map(|sample| sample.id as Real));
+    pack.put("links.receiver", &[n], samples().map(|sample| sample.receiver as Real));
+    pack.put("links.score", &[n], links.iter().map(|&i| scores[i] as Real));
+    pack.put_bytes("links.part", &[n], links.iter().map(|&i| partition.set_of(i) as u8).collect());
+}
+
+fn receiver(name: &str, pose: &Pose, origin: Origin) -> Value {
+    json!({ "name": name, "position": origin.local(pose.position), "boresight": pose.turned([0.0, 0.0, 1.0]) })
+}
+
+/// Corners around some places; of none a metre.
+fn bounds(places: impl Iterator<Item = [Real; 3]>) -> Value {
+    let start = ([Real::INFINITY; 3], [Real::NEG_INFINITY; 3]);
+    let (low, high) = places.fold(start, |(low, high), p| {
+        (std::array::from_fn(|k| low[k].min(p[k])), std::array::from_fn(|k| high[k].max(p[k])))
+    });
+    if low[0] > high[0] { json!([[-1, -1, -1], [1, 1, 1]]) } else { json!([low, high]) }
+}
+
+/// Means, scales, rotations, opacities and strengths `[N]` of all members, metres from `origin`; with `tx` (metres, world
+/// frame) as they are drawn for a transmitter there. A strength is the grey value that a Gaussian would give alone, were it
+/// opaque.
+pub fn gaussians(ensemble: &Ensemble, origin: Origin, tx: Option<[f64; 3]>) -> Pack {
+    let mut pack = Pack::new(json!({ "gaussians": ensemble.gaussians() }));
+    let n = ensemble.gaussians();
+    let all: Vec<_> = ensemble.members().iter().map(|model| model.gaussians(tx)).collect();
+    let put = |pack: &mut Pack, name: &str, width: usize, values: Vec<Real>| pack.put(name, &[n, width], values);
+    put(&mut pack, "means", 3, ensemble.means_from(origin).into_flattened());
+    put(&mut pack, "scales", 3, all.iter().flat_map(|own| own.primitives.scales.as_flattened().to_vec()).collect());
+    put(&mut pack, "quats", 4, all.iter().flat_map(|own| own.primitives.quats.as_flattened().to_vec()).collect());
+    put(&mut pack, "opacities", 1, all.iter().flat_map(|own| own.primitives.opacities.clone()).collect());
+    put(&mut pack, "strengths", 1, all.iter().flat_map(strengths).collect());
+    pack
+}
+
+/// The strength `[N]` of each Gaussian; 0 where the method has none.
+pub fn strengths(own: &Activated) -> Vec<Real> {
+    own.strengths.clone().unwrap_or_else(|| vec![0.0; own.primitives.len()])
+}
+
+/// Markup of the stage, the part of a page that moves.
+pub const STAGE: &str = include_str!("../web/stage.html");
+/// Its style.
+pub const STYLE: &str = include_str!("../web/stage.css");
+/// Modules by name, plain ones without a build step, each after those that it imports.
+pub const FILES: [(&str, &str); 10] = [
+    ("tensors.js", include_str!("../web/tensors.js")),
+    ("predict.js", include_str!("../web/predict.js")),
+    ("ssim.js", include_str!("../web/ssim.js")),
+    ("room.js", include_str!("../web/room.js")),
+    ("spectrum.js", include_str!("../web/spectrum.js")),
+    ("chart.js", include_str!("../web/chart.js")),
+    ("source.js", include_str!("../web/source.js")),
+    ("stage.js", include_str!("../web/stage.js")),
+    ("tables.js", include_str!("../web/tables.js")),
+    ("report.js", include_str!("../web/report.js")),
+];
+
+/// All modules as one script, for a page that has nothing outside it: without their imports, and with `last` at the end.
+pub fn bundle(last: &str) -> String {
+    let mut script = String::from("\"use strict\";\n");
+    for (_, text) in FILES {
+        for line in text.lines().filter(|line| !line.starts_with("import ")) {
+            script.push_str(line.strip_prefix("export ").unwrap_or(line));
+            script.push('\n');
+        }
+    }
+    script + last
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn modules_become_one_script_and_each_has_its_own_names() {
+        let script = bundle("start();");
+        assert!(script.ends_with("start();") && !script.contains("\nimport ") && !script.contains("\nexport "));
+        assert!(!script.contains("</script"), "a page would end there");
+        let mut names: Vec<&str> = Vec::new();
+        for line in script.lines() {
+            let declared = ["function ", "class ", "const "].iter().find_map(|word| line.strip_prefix(word));
+            let name = declared.map(|rest| rest.split(|c: char| !c.is_alphanumeric() && c != '_').next().unwrap_or(""));
+            names.extend(name.filter(|name| !name.is_empty()));
+        }
+        names.sort_unstable();
+        let twice = names.windows(2).find(|pair| pair[0] == pair[1]);
+        assert_eq!(twice, None, "two modules declare the same name, and a report has them in one script");
+    }
+}

@@ -6,20 +6,19 @@ mod curves;
 mod examples;
 mod live;
 mod powers;
-mod predicted;
-mod receivers;
-mod room;
 mod tables;
 
-use crate::draw::spectra::{self, Mark, Scale};
+use crate::draw::charts::Symbol;
+use crate::draw::room::{Panel, Room};
+use crate::draw::spectra::Scale;
 use crate::study::one_line;
 use crate::templates::render;
-use examples::Example;
 use minijinja::value::Serde;
 use minijinja::{Value, context};
-use pwrfgs_core::{Appearance, Image, Result};
-use pwrfgs_experiment::{CEILING, LoadedRun, folder::REPORT};
-use pwrfgs_model::Model;
+use pwrfgs_core::{Appearance, Result};
+use pwrfgs_experiment::folder::{REPORT, START_SNAPSHOT, UNPRUNED_SNAPSHOT};
+use pwrfgs_experiment::{CEILING, LoadedRun, text::grouped};
+use pwrfgs_model::{Model, Snapshot};
 
 /// The page of a run, from what lies in its folder.
 ///
@@ -29,7 +28,7 @@ pub fn page(run: &LoadedRun<'_>) -> Result<String> {
     let LoadedRun { record, model, data, partition } = run;
     let (scores, facts, pipeline) = (&record.scores.table, &record.facts, &record.pipeline);
     let chosen = examples::examples(run)?;
-    let (examples, limit) = spectra_of(run, &chosen);
+    let (examples, limit) = examples::spectra(run, &chosen);
     let bounds = [data.scene.bounds.0, data.scene.bounds.1]
         .map(|p| data.scene.origin.world(p).map(|v| (v * 10.0).round() / 10.0));
     let draws_splats = model.is_drawn_as(Appearance::Ellipsoids);
@@ -54,9 +53,9 @@ pub fn page(run: &LoadedRun<'_>) -> Result<String> {
         bounds_known => scores.bounds.clone(),
         notes => scores.notes.clone(),
         figures => curves::all(run),
-        room => if draws_splats { Some(room::figure(run)?) } else { None },
+        room => if draws_splats { Some(room(run)?) } else { None },
         powers => data.task().is_scalar.then(|| powers::section(run, &chosen)),
-        receivers => receivers::table(run),
+        receivers => tables::receivers(run),
         channels => data.task().is_complex.then(|| channels::section(run, &chosen)),
         examples,
         power_bar => Scale::Power.bar().svg("bar", "colours of power"),
@@ -99,55 +98,28 @@ fn members(run: &LoadedRun<'_>) -> Vec<Value> {
     run.record.facts.members.iter().zip(models).map(member).collect()
 }
 
-/// Best, median and worst test spectrum by SSIM, and the limit of the error scale that they share.
-fn spectra_of(run: &LoadedRun<'_>, chosen: &[Example]) -> (Vec<Value>, f64) {
-    let chosen = if run.data.task().has_pixels { chosen } else { &[] };
-    let errors: Vec<Image> = chosen.iter().map(|e| difference(&e.prediction.clamped(), &e.truth)).collect();
-    let largest = errors.iter().flat_map(|e| &e.pixels).fold(0.0, |m: f64, e| m.max(e.abs() as f64));
-    let limit = ((largest * 10.0).ceil() / 10.0).max(0.1);
-    let example = |(example, error): (&Example, &Image)| {
-        let Example { which, sample: index, score, nearest_m, truth, prediction } = example;
-        let sample = &run.data.sample(*index);
-        let marks = [Mark::Measured(truth.argmax()), Mark::Predicted(prediction.argmax())];
-        let plane = run.model.plane();
-        let panel = |name: &str, image: &Image, scale, marks: &[Mark]| {
-            let map = spectra::map(image, plane, scale, marks).svg("map", name);
-            let sky = spectra::sky(image, plane, scale, marks).map(|canvas| canvas.svg("sky", name));
-            context! { name, map, sky }
-        };
-        context! {
-            which => *which,
-            id => sample.id,
-            ssim => format!("{score:.3}"),
-            tx => sample.tx.map(|v| format!("{v:.2}")).join(", "),
-            nearest => nearest_m.map_or("n/a".into(), |distance| format!("{distance:.2} m")),
-            peaks => peaks(run, truth, prediction),
-            panels => vec![
-                panel("Ground truth", truth, Scale::Power, &marks[..1]),
-                panel("Predicted", &prediction.clamped(), Scale::Power, &marks),
-                panel("Predicted − truth", error, Scale::Error(limit), &[]),
-            ],
-        }
-    };
-    (chosen.iter().zip(&errors).map(example).collect(), limit)
-}
+/// Height of text on the axes.
+const TEXT: f64 = 10.5;
 
-/// `a` minus `b`.
-fn difference(a: &Image, b: &Image) -> Image {
-    Image { width: a.width, height: a.height, pixels: a.pixels.iter().zip(&b.pixels).map(|(a, b)| a - b).collect() }
-}
-
-/// The strongest directions in words; nothing where the plane has no angles.
-fn peaks(run: &LoadedRun<'_>, truth: &Image, prediction: &Image) -> String {
-    let plane = run.model.plane();
-    let direction = |image: &Image| {
-        let i = image.argmax();
-        plane.azimuth_elevation_deg((i % image.width) as _, (i / image.width) as _)
+/// Three panels, what their symbols mean and what a reader must know besides; the last panel alone where nothing is
+/// known of the training.
+fn room(run: &LoadedRun<'_>) -> Result<Value> {
+    let last = Snapshot::of_ensemble(run.record.facts.steps, run.model);
+    let read = |name: &str| Snapshot::read(&run.record.folder.join(name));
+    let step = |s: &Snapshot| grouped(s.step as i64);
+    let mut moments: Vec<(String, Snapshot)> = Vec::new();
+    moments.extend(read(START_SNAPSHOT)?.map(|s| ("At the start".into(), s)));
+    moments.extend(read(UNPRUNED_SNAPSHOT)?.map(|s| (format!("Before pruning, step {}", step(&s)), s)));
+    moments.push((if moments.is_empty() { "The Gaussians".into() } else { "In the end".into() }, last));
+    let clouds: Vec<&Snapshot> = moments.iter().map(|m| &m.1).collect();
+    let room = Room::new(run.data, run.partition, &clouds, TEXT);
+    let panel = |(title, snapshot): &(String, Snapshot)| {
+        let Panel { title, numbers, picture, caption } = room.panel(title, snapshot, run.data);
+        let svg = picture.svg("room", &title);
+        context! { title, numbers, svg, caption }
     };
-    match (direction(truth), direction(prediction)) {
-        (Some((az, el)), Some((az2, el2))) => {
-            format!("strongest at {az:.0}° / {el:.0}°, predicted {az2:.0}° / {el2:.0}°")
-        }
-        _ => String::new(),
-    }
+    let panels: Vec<Value> = moments.iter().map(panel).collect();
+    let symbol = |s: Symbol| (s.picture.svg("symbol", &s.meaning), s.meaning);
+    let legend: Vec<(String, String)> = room.legend().into_iter().map(symbol).collect();
+    Ok(context! { panels, legend, note => room.note(run.data) })
 }

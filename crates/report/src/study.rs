@@ -8,21 +8,20 @@
 mod comparison;
 pub mod figures;
 mod format;
-mod grouping;
 mod output;
 mod page;
 mod race;
+mod setting;
 mod tables;
 
 pub use output::write;
+pub use setting::{Setting, Variant};
+pub(crate) use setting::{distinct, one_line};
 
-use grouping::{Labels, listed, named, setting_key, settings};
-use pwrfgs_core::{Error, Headline, Result, Task, plugin::ron_options};
-use pwrfgs_experiment::folder::{MODEL_FILE, PIPELINE};
-use pwrfgs_experiment::scores::MODEL;
-use pwrfgs_experiment::statistics::Spread;
+use pwrfgs_core::{Error, Result};
 use pwrfgs_experiment::sweep::{JOINED, LISTING, Listing};
-use pwrfgs_experiment::{Mark, Record};
+use pwrfgs_experiment::{Record, folder::PIPELINE};
+use setting::{Labels, listed, named, setting_key, settings};
 use std::path::{Path, PathBuf};
 
 /// Runs to compare.
@@ -37,84 +36,6 @@ pub struct Study {
     /// Runs that are in none of the settings because they are there already: named twice, or the same seed of the same
     /// variant again.
     pub repeated: Vec<PathBuf>,
-}
-
-/// Runs on the same data and the same split.
-#[derive(Clone, Debug)]
-pub struct Setting {
-    /// What the data call themselves, and the split as RON; of runs that differ in `validation`, all splits.
-    pub title: String,
-    /// Whether the spectra are simulated.
-    pub simulated: bool,
-    /// In the order of the plan; none is empty.
-    pub variants: Vec<Variant>,
-}
-
-/// Runs that differ in nothing but their seed.
-#[derive(Clone, Debug)]
-pub struct Variant {
-    /// What tells it from the others of its setting, such as `lambda 0.02`.
-    pub label: String,
-    /// One a seed, in ascending order of seeds.
-    pub runs: Vec<Record>,
-}
-
-impl Setting {
-    /// All runs.
-    pub fn runs(&self) -> impl Iterator<Item = &Record> {
-        self.variants.iter().flat_map(|v| &v.runs)
-    }
-
-    /// Names of the baselines, each once.
-    fn floors(&self) -> Vec<&str> {
-        distinct(self.runs().flat_map(|run| run.scores.table.baselines()))
-    }
-
-    /// What a baseline reaches by a metric, in the mean over all runs.
-    fn floor(&self, name: &str, key: &str) -> Option<f64> {
-        let values: Vec<f64> = self.runs().filter_map(|run| run.scores.value(name, key)).collect();
-        Some(Spread::of(&values)?.mean)
-    }
-
-    /// The first variant before number `k` whose models have the same bytes, seed by seed: what the two differ in changed
-    /// nothing.
-    fn twin(&self, k: usize) -> Option<&Variant> {
-        let own = self.variants[k].models()?;
-        self.variants[..k].iter().find(|other| other.models().as_ref() == Some(&own))
-    }
-
-    /// What was observed: the same in all runs.
-    fn task(&self) -> Task {
-        self.runs().next().map_or_else(Task::default, |run| run.scores.table.task)
-    }
-
-    /// The first metric of what was observed.
-    fn headline(&self) -> Headline {
-        self.task().headline
-    }
-
-    /// The fewest and the most seeds of a variant.
-    fn seeds(&self) -> (Option<usize>, Option<usize>) {
-        let counts = self.variants.iter().map(|v| v.runs.len());
-        (counts.clone().min(), counts.max())
-    }
-}
-
-impl Variant {
-    /// A number of each run, by `of`.
-    fn spread(&self, of: impl Fn(&Record) -> Option<f64>) -> Option<Spread> {
-        Spread::of(&self.runs.iter().filter_map(of).collect::<Vec<_>>())
-    }
-
-    /// What the models reach by a metric.
-    fn score(&self, key: &str) -> Option<Spread> {
-        self.spread(|run| run.scores.value(MODEL, key))
-    }
-
-    /// Seeds and model file of each run; `None` where a run folder of an earlier version does not say.
-    fn models(&self) -> Option<Vec<(u64, &Mark)>> {
-        self.runs.iter().map(|run| Some((run.pipeline.seed, run.facts.files.get(MODEL_FILE)?))).collect()
-    }
 }
 
 impl Study {
@@ -197,21 +118,4 @@ impl Study {
         }
         Ok(kept)
     }
-}
-
-/// Each once, in the order in which it came first.
-fn distinct<T: PartialEq>(all: impl IntoIterator<Item = T>) -> Vec<T> {
-    let mut found = Vec::new();
-    for one in all {
-        if !found.contains(&one) {
-            found.push(one);
-        }
-    }
-    found
-}
-
-/// A value as RON on one line.
-pub(crate) fn one_line(value: &impl serde::Serialize) -> String {
-    let config = ron::ser::PrettyConfig::new().struct_names(true).depth_limit(0);
-    ron_options().to_string_pretty(value, config).unwrap_or_default()
 }

@@ -1,8 +1,6 @@
 //! Templates of everything that is read as a page, with one escaper for each kind of file.
 
-mod latex;
-
-use crate::canvas::text::{plain, xml};
+use crate::canvas::{plain, xml};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use minijinja::syntax::SyntaxConfig;
@@ -42,7 +40,7 @@ static ENVIRONMENT: LazyLock<Environment<'static>> = LazyLock::new(|| {
         let text = match state.auto_escape() {
             _ if value.is_safe() => text,
             AutoEscape::Html => xml(&text),
-            AutoEscape::Custom(kind) if kind == "tex" => latex::escaped(&text),
+            AutoEscape::Custom(kind) if kind == "tex" => tex(&text),
             _ => plain(&text),
         };
         Ok(out.write_str(&text)?)
@@ -69,6 +67,45 @@ pub(crate) fn sentences(name: &str, context: Value) -> Vec<String> {
     text.lines().map(str::to_owned).collect()
 }
 
+/// Signs that mean something to LaTeX, each with what shows it. Two dashes in a row would become one long dash.
+const SIGNS: &str = r#"
+    \ \textbackslash{} ~ \textasciitilde{} ^ \textasciicircum{} & \& % \% $ \$ # \# _ \_ { \{ } \} < \textless{}
+    > \textgreater{} | \textbar{} " \textquotedbl{} - -{} ' \textquotesingle{} ` \textasciigrave{} / /\allowbreak{}
+    [ {[} ] {]}"#;
+
+/// Letters and signs that only formulas have.
+const SYMBOLS: &str = r"
+    − - ± \pm × \times · \cdot ° ^\circ ² ^2 ³ ^3 ∞ \infty ≤ \le ≥ \ge ≈ \approx ≡ \equiv → \rightarrow ↑ \uparrow ↓ \downarrow
+    √ \surd ∈ \in Δ \Delta Σ \Sigma Ω \Omega Φ \Phi α \alpha β \beta γ \gamma δ \delta ε \varepsilon η \eta θ \theta
+    λ \lambda μ \mu µ \mu ν \nu π \pi ρ \rho σ \sigma τ \tau φ \varphi ψ \psi ω \omega ¹ ^1 ⁻ ^-";
+
+/// What stands behind `c` in a list of pairs.
+fn paired(list: &'static str, c: char) -> Option<&'static str> {
+    let mut words = list.split_whitespace();
+    while let (Some(key), Some(value)) = (words.next(), words.next()) {
+        if key.chars().eq([c]) {
+            return Some(value);
+        }
+    }
+    None
+}
+
+/// Text that LaTeX takes as it is, with T1 fonts and textcomp. Letters that the fonts lack are written by their number.
+fn tex(text: &str) -> String {
+    let escape = |c: char| match (paired(SIGNS, c), paired(SYMBOLS, c)) {
+        (Some(shown), _) => shown.to_owned(),
+        (_, Some(symbol)) => format!("\\ensuremath{{{symbol}}}"),
+        // Latin-1 and Latin Extended-A but for the few that T1 has no command for.
+        _ if (' '..='~').contains(&c) || ('\u{a1}'..='\u{17e}').contains(&c) && !"ĦħĸĿŀŉŦŧ".contains(c) => {
+            c.into()
+        }
+        _ if "–—‘’“”…†‡•".contains(c) => c.into(),
+        _ if c.is_whitespace() => " ".into(),
+        _ => format!("{{[}}U+{:04X}{{]}}", u32::from(c)),
+    };
+    text.chars().map(escape).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -84,5 +121,14 @@ mod tests {
         let nowhere = context! { edge => None::<String>, observations => "channels", ..words };
         let said = sentences("legend.txt", nowhere);
         assert!(said[1].contains("single channels (20 of them), because positions are unknown"), "{said:#?}");
+    }
+
+    #[test]
+    fn every_special_character_is_tex() {
+        let found = tex(r"\ { } $ & # ^ _ % ~");
+        let expected = r"\textbackslash{} \{ \} \$ \& \# \textasciicircum{} \_ \% \textasciitilde{}";
+        assert_eq!(found, expected);
+        assert_eq!(tex("RT ±20% λ=0.1 --x"), "RT \\ensuremath{\\pm}20\\% \\ensuremath{\\lambda}=0.1 -{}-{}x");
+        assert_eq!(tex("«ü» 模"), "«ü» {[}U+6A21{]}");
     }
 }

@@ -1,19 +1,16 @@
 //! `pwrfgs view`: a page behind which a model predicts while a transmitter is dragged.
 //!
-//! The page is that of `pwrfgs-live`; here are what it asks for (`routes`), who may ask (`guard`), and what is shown
+//! The page is that of `pwrfgs_report::live`; here are what it asks for (`routes`), who may ask (`guard`), and what is shown
 //! (`Side`). It listens on the loopback alone and writes nothing.
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
 mod guard;
-mod house;
-mod moments;
-mod page;
 mod routes;
 mod server;
 mod side;
 
-use house::House;
 use pwrfgs_core::Result;
+use side::House;
 pub use side::Side;
 use std::sync::atomic::AtomicBool;
 

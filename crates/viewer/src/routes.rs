@@ -1,18 +1,23 @@
-//! What the page asks for, and what it is given.
+//! What the page asks for, and what it is given: files of the page, arrays, and news for as long as somebody looks.
 
-mod asked;
 mod packs;
-mod stream;
 
-use crate::house::House;
-use asked::Asked;
-use http_body_util::{BodyExt as _, Full, combinators::BoxBody};
-use hyper::body::Bytes;
+use crate::side::{House, Watcher};
+use http_body_util::combinators::BoxBody;
+use http_body_util::{BodyExt as _, Full};
+use hyper::body::{Body as _, Bytes, Frame};
 use hyper::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY};
 use hyper::{Response, StatusCode};
-use pwrfgs_report::live::{FILES, STYLE};
+use pwrfgs_report::canvas::xml;
+use pwrfgs_report::live::{FILES, STAGE, STYLE};
 use std::convert::Infallible;
+use std::future::Future;
+use std::pin::Pin;
 use std::sync::Arc;
+use std::task::{Context, Poll};
+use std::time::Duration;
+use tokio::sync::broadcast::Receiver;
+use tokio::sync::broadcast::error::RecvError;
 
 pub(crate) type Body = BoxBody<Bytes, Infallible>;
 
@@ -29,17 +34,22 @@ pub(crate) async fn answer(path: &str, query: &str, house: &Arc<House>) -> Resul
         return Ok(text_of("text/javascript", text));
     }
     match path {
-        "" => return Ok(text_of("text/html", &crate::page::html(house))),
+        "" => return Ok(text_of("text/html", &html(house))),
         "stage.css" => return Ok(text_of("text/css", STYLE)),
-        "view.css" => return Ok(text_of("text/css", crate::page::STYLE)),
-        "events" => return Ok(stream::events(house)),
+        "view.css" => return Ok(text_of("text/css", PAGE_STYLE)),
+        "events" => return Ok(events(house)),
         _ => {}
     }
     let asked = Asked::parse(query).map_err(|why| (StatusCode::BAD_REQUEST, why))?;
     let (path, house) = (path.to_owned(), Arc::clone(house));
     let made = tokio::task::spawn_blocking(move || packs::pack(&path, &asked, &house)).await;
-    let pack = made.map_err(|e| crate::server::internal(&e))??;
+    let pack = made.map_err(|e| internal(&e))??;
     Ok(response(StatusCode::OK, "application/octet-stream", pack.to_bytes()))
+}
+
+/// What went wrong inside, in a line.
+fn internal(why: &dyn std::fmt::Display) -> (StatusCode, String) {
+    (StatusCode::INTERNAL_SERVER_ERROR, why.to_string())
 }
 
 /// A sentence.
@@ -74,4 +84,141 @@ pub(crate) fn sealed(mut response: Response<Body>) -> Response<Body> {
         response.headers_mut().insert(name, HeaderValue::from_static(value));
     }
     response
+}
+
+/// Style of the page around the stage.
+const PAGE_STYLE: &str = include_str!("view.css");
+
+/// The page itself: the stage with our scripts beside it.
+fn html(house: &House) -> String {
+    let names: Vec<String> = house.sides.iter().map(|side| xml(&side.name)).collect();
+    format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta name=\"viewport\" \
+         content=\"width=device-width, initial-scale=1\">\n<meta name=\"color-scheme\" content=\"light dark\">\n\
+         <title>{} · pwrfgs view</title>\n<link rel=\"icon\" href=\"data:,\">\n<link rel=\"stylesheet\" href=\"view.css\">\n<link rel=\"stylesheet\" \
+         href=\"stage.css\">\n<script type=\"module\" src=\"stage.js\"></script>\n</head>\n<body>\n<main \
+         data-source=\"server\">\n{STAGE}\n</main>\n</body>\n</html>\n",
+        names.join(" | ")
+    )
+}
+
+/// Everything that may be asked with.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Asked {
+    pub(super) side: usize,
+    pub(super) receiver: usize,
+    /// A position in metres, world frame.
+    pub(super) tx: Option<[f64; 3]>,
+    /// A link of the data.
+    pub(super) link: Option<usize>,
+    /// A snapshot of the training.
+    pub(super) moment: Option<usize>,
+    /// Height of a plane, metres, world frame.
+    pub(super) z: Option<f64>,
+    /// What is wanted besides, such as `contribution`.
+    pub(super) with: String,
+}
+
+impl Asked {
+    /// Reads `side=0&tx=1,2,3`.
+    ///
+    /// # Errors
+    /// The field that is wrong.
+    pub(super) fn parse(query: &str) -> Result<Self, String> {
+        let mut asked = Self::default();
+        for pair in query.split('&').filter(|pair| !pair.is_empty()) {
+            let (name, value) = pair.split_once('=').ok_or_else(|| format!("`{pair}` has no value"))?;
+            let index = || value.parse::<usize>().map_err(|e| format!("`{name}`: {e}"));
+            match name {
+                "side" => asked.side = index()?,
+                "receiver" => asked.receiver = index()?,
+                "link" => asked.link = Some(index()?),
+                "moment" => asked.moment = Some(index()?),
+                "z" => asked.z = Some(metres(name, value)?),
+                "tx" => {
+                    let all: Vec<f64> = value.split(',').map(|v| metres(name, v)).collect::<Result<_, _>>()?;
+                    asked.tx = Some(
+                        all.try_into()
+                            .map_err(|all: Vec<f64>| format!("`tx` wants x,y,z, not {} numbers", all.len()))?,
+                    );
+                }
+                "with" => value.clone_into(&mut asked.with),
+                _ => return Err(format!("`{name}` means nothing here")),
+            }
+        }
+        Ok(asked)
+    }
+}
+
+/// A number within what arithmetic in single precision bears.
+fn metres(name: &str, value: &str) -> Result<f64, String> {
+    let number = value.parse::<f64>().ok().filter(|v| v.abs() < 1e9);
+    number.ok_or_else(|| format!("`{name}` wants metres"))
+}
+
+/// How often something is said, whether there is news or not: so a closed page is found out.
+const BEAT: Duration = Duration::from_secs(1);
+
+type Next = Pin<Box<dyn Future<Output = (Option<Bytes>, Receiver<String>)> + Send + Sync>>;
+
+/// News as they come.
+struct Stream {
+    next: Next,
+    _watcher: Watcher,
+}
+
+impl hyper::body::Body for Stream {
+    type Data = Bytes;
+    type Error = Infallible;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, Infallible>>> {
+        match self.next.as_mut().poll(context) {
+            Poll::Pending => Poll::Pending,
+            Poll::Ready((None, _)) => Poll::Ready(None),
+            Poll::Ready((Some(bytes), receiver)) => {
+                self.next = next(receiver);
+                Poll::Ready(Some(Ok(Frame::data(bytes))))
+            }
+        }
+    }
+}
+
+fn next(mut receiver: Receiver<String>) -> Next {
+    Box::pin(async move {
+        let said = match tokio::time::timeout(BEAT, receiver.recv()).await {
+            Ok(Ok(news)) => Some(format!("data: {news}\n\n")),
+            Ok(Err(RecvError::Closed)) => None,
+            Ok(Err(RecvError::Lagged(_))) | Err(_) => Some(":\n\n".into()),
+        };
+        (said.map(Bytes::from), receiver)
+    })
+}
+
+/// The stream of a page that was opened.
+fn events(house: &Arc<House>) -> Response<Body> {
+    let (receiver, watcher) = house.watch();
+    let stream = Stream { next: next(receiver), _watcher: watcher };
+    debug_assert!(!stream.is_end_stream());
+    let mut answer = response(StatusCode::OK, "text/event-stream", Vec::new());
+    *answer.body_mut() = stream.boxed();
+    answer
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Asked;
+
+    #[test]
+    fn what_is_asked_is_read_or_refused() {
+        let asked = Asked::parse("side=1&tx=1,-2.5,3e0&with=strength").unwrap();
+        assert_eq!((asked.side, asked.tx, asked.with.as_str()), (1, Some([1.0, -2.5, 3.0]), "strength"));
+        assert_eq!(Asked::parse("").unwrap(), Asked::default());
+        for wrong in ["tx=1,2", "tx=1,2,nan", "tx=1,2,inf", "tx=1,2,1e30", "side=-1", "side", "link=x", "z=", "other=1"]
+        {
+            assert!(Asked::parse(wrong).is_err(), "{wrong}");
+        }
+    }
 }

@@ -1,12 +1,13 @@
 //! The server: one page, on the loopback, for as long as somebody looks at it.
 
 use crate::guard::Guard;
-use crate::house::House;
 use crate::routes::{self, Body};
+use crate::side::House;
+use hyper::body::Incoming;
 use hyper::header::{CONNECTION, HeaderValue};
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
-use hyper::{Request, Response, StatusCode, body::Incoming};
+use hyper::{Request, Response, StatusCode};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use pwrfgs_core::{Error, Result};
 use std::cell::RefCell;
@@ -137,9 +138,4 @@ async fn answer(request: Request<Incoming>, entry: &Entry, guard: &Guard, house:
         }
     };
     routes::sealed(answer.unwrap_or_else(|(status, why)| routes::plain(status, &why)))
-}
-
-/// What went wrong inside, in a line.
-pub(crate) fn internal(why: &dyn std::fmt::Display) -> (StatusCode, String) {
-    (StatusCode::INTERNAL_SERVER_ERROR, why.to_string())
 }

@@ -12,7 +12,7 @@ use plane::{Bounds, Grid, Plane};
 use pwrfgs::data::npy_header;
 use pwrfgs::experiment::Observer as _;
 use pwrfgs::experiment::text::{field, grouped};
-use pwrfgs::report::draw::heat::{Colours, Heat};
+use pwrfgs::report::draw::plan::{Colours, Heat};
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::{Error, Number, Pose, Receiver, Result};
 use std::collections::BTreeSet;

@@ -1,13 +1,8 @@
 //! The built-in font: how wide text is, its outlines, and where long text is broken.
 
-use super::{Anchor, Path, Point, Step, Text};
+use super::{Anchor, Path, Point, Step, TEXT, Text};
 use std::sync::LazyLock;
 use ttf_parser::{Face, GlyphId, OutlineBuilder};
-
-/// Height of text: 7.5 pt where a column of 380 is 3.5 in wide.
-pub const TEXT: f64 = 11.3;
-/// Height of a line of text.
-pub const LINE: f64 = 14.0;
 
 static FACE: LazyLock<Face<'static>> =
     LazyLock::new(|| Face::parse(include_bytes!("../../assets/labels.ttf"), 0).expect("the built-in font is one"));
@@ -24,7 +19,7 @@ pub fn text_width(words: &str) -> f64 {
 }
 
 /// The outlines of a text where it stands.
-pub fn outlines(text: &Text) -> Path {
+pub(super) fn outlines(text: &Text) -> Path {
     let size = text.letters.size;
     let whole = size / TEXT * text_width(&text.words);
     let part = match text.anchor {

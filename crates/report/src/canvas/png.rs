@@ -12,22 +12,12 @@ const PIXELS_PER_MM: f64 = 300.0 / 25.4;
 impl Canvas {
     /// On white, `width_mm` wide.
     pub fn png(&self, width_mm: f64) -> Vec<u8> {
-        let paper = self.painted(width_mm * PIXELS_PER_MM / self.width);
-        encoded(paper.width(), paper.height(), paper.data())
-    }
-
-    /// On white, four bytes a pixel, `scale` pixels a unit: width, height and bytes.
-    pub fn rgba(&self, scale: f64) -> (u32, u32, Vec<u8>) {
-        let paper = self.painted(scale);
-        (paper.width(), paper.height(), paper.data().to_vec())
-    }
-
-    fn painted(&self, scale: f64) -> skia::Pixmap {
+        let scale = width_mm * PIXELS_PER_MM / self.width;
         let [width, height] = [self.width, self.height].map(|length| (length * scale).round() as u32);
         let mut paper = skia::Pixmap::new(width, height).expect("a canvas has a size");
         paper.fill(skia::Color::WHITE);
         draw(&mut paper, &self.shapes, skia::Transform::from_scale(scale as f32, scale as f32));
-        paper
+        encoded(width, height, paper.data())
     }
 }
 

@@ -2,10 +2,10 @@
 
 use super::font::outlines;
 use super::png::encoded;
-use super::text::xml;
 use super::{Anchor, Canvas, Colour, Paint, Path, Pixels, Point, Shape, Step, Text};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
+use pwrfgs_core::words;
 use std::fmt::Write as _;
 
 impl Canvas {
@@ -158,5 +158,37 @@ pub(super) struct Short(pub(super) f64);
 impl std::fmt::Display for Short {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{}", (self.0 * 100.0).round() / 100.0 + 0.0) // without the sign of a zero
+    }
+}
+
+/// Text in XML and HTML, between tags and in quoted attributes alike. Lines stay lines.
+pub fn xml(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for c in words::plain(text).chars() {
+        match c {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            '\'' => out.push_str("&#39;"),
+            // XML forbids both.
+            '\u{fffe}' | '\u{ffff}' => out.push('\u{fffd}'),
+            c => out.push(c),
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::xml;
+
+    #[test]
+    fn nothing_ends_an_attribute_or_begins_a_tag() {
+        assert_eq!(
+            xml("\"/><a href='x'> & \u{1b}[2J\n\0"),
+            "&quot;/&gt;&lt;a href=&#39;x&#39;&gt; &amp; \u{fffd}[2J\n\u{fffd}"
+        );
+        assert_eq!(xml("λ = 0,1 – 模"), "λ = 0,1 – 模");
     }
 }

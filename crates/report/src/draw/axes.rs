@@ -1,10 +1,18 @@
-//! Grid and axes of a chart, laid out by plotters, and where data lie between them.
+//! Grid and axes of a chart, laid out by plotters on a canvas, and where data lie between them.
+//!
+//! Three things of plotters do not suit print, and are settled here alone. It knows whole pixels only, which print
+//! would show: it is told that a unit has [`GRID`] of them, and they are divided again. Its SVG writer shrinks text by
+//! 1.24 and writes a root of fixed size: neither it nor plotters' fonts are compiled in, since a canvas does both.
+//! Round numbers on axes are ours too: a logarithmic axis over less than a decade (N from 60 to 12) still needs numbers.
 
-use super::backend::{GRID, Hand};
-use super::ticks::{Tick, ticks};
-use crate::canvas::font::{TEXT, text_width};
-use crate::canvas::{Canvas, Colour, INK, Point};
+use crate::canvas::{Anchor, Canvas, Colour, INK, Paint, Point, TEXT, text_width};
 use plotters::prelude::*;
+use plotters_backend::text_anchor::{HPos, VPos};
+use plotters_backend::{
+    BackendColor, BackendCoord, BackendStyle, BackendTextStyle, DrawingBackend, DrawingErrorKind, FontTransform,
+};
+use pwrfgs_experiment::text::grouped;
+use std::convert::Infallible;
 
 /// One axis.
 #[derive(Clone, Debug, Default)]
@@ -86,7 +94,7 @@ impl Frame {
         let label = |keys: &[i32], labels: &[String], key: i32| {
             keys.iter().position(|k| *k == key).map_or_else(String::new, |k| labels[k].clone())
         };
-        let line = |colour| plain(colour).stroke_width(GRID as u32);
+        let line = |colour| Color::stroke_width(&plain(colour), GRID as u32);
         let letters = ("sans-serif", TEXT * GRID).into_font().color(&plain(INK));
         let (beside, below) = (canvas.width - self.right, canvas.height - height);
         let root = Hand(canvas).into_drawing_area();
@@ -117,4 +125,161 @@ impl Frame {
 fn plain(colour: Colour) -> RGBColor {
     let [r, g, b] = colour.rgb;
     RGBColor(r, g, b)
+}
+
+/// Pixels of plotters for each unit of the canvas.
+pub(super) const GRID: f64 = 100.0;
+
+/// What plotters draws with.
+pub(super) struct Hand<'a>(pub(super) &'a mut Canvas);
+
+/// Drawing into memory cannot fail.
+type Drawn = Result<(), DrawingErrorKind<Infallible>>;
+
+fn point((x, y): BackendCoord) -> Point {
+    [f64::from(x) / GRID, f64::from(y) / GRID]
+}
+
+fn colour(colour: BackendColor) -> Colour {
+    let (r, g, b) = colour.rgb;
+    Colour { rgb: [r, g, b], opacity: colour.alpha }
+}
+
+fn stroke(style: &impl BackendStyle) -> Paint {
+    Paint::stroke(colour(style.color()), f64::from(style.stroke_width()) / GRID)
+}
+
+impl DrawingBackend for Hand<'_> {
+    type ErrorType = Infallible;
+
+    fn get_size(&self) -> (u32, u32) {
+        ((self.0.width * GRID) as u32, (self.0.height * GRID) as u32)
+    }
+
+    fn ensure_prepared(&mut self) -> Drawn {
+        Ok(())
+    }
+
+    fn present(&mut self) -> Drawn {
+        Ok(())
+    }
+
+    fn draw_pixel(&mut self, at: BackendCoord, ink: BackendColor) -> Drawn {
+        self.0.rect(point(at), [1.0 / GRID; 2], Paint::fill(colour(ink)));
+        Ok(())
+    }
+
+    fn draw_line<S: BackendStyle>(&mut self, from: BackendCoord, to: BackendCoord, style: &S) -> Drawn {
+        self.draw_path([from, to], style)
+    }
+
+    fn draw_path<S: BackendStyle, I: IntoIterator<Item = BackendCoord>>(&mut self, path: I, style: &S) -> Drawn {
+        let points: Vec<Point> = path.into_iter().map(point).collect();
+        self.0.line(&points, stroke(style));
+        Ok(())
+    }
+
+    fn draw_text<T: BackendTextStyle>(&mut self, words: &str, style: &T, at: BackendCoord) -> Drawn {
+        let [x, y] = point(at);
+        // From the place that is named down to the base line; the middle is that of small letters.
+        let down = TEXT
+            * match style.anchor().v_pos {
+                VPos::Top => 0.76,
+                VPos::Center => 0.27,
+                VPos::Bottom => -0.27,
+            };
+        let anchor = match style.anchor().h_pos {
+            HPos::Left => Anchor::Start,
+            HPos::Center => Anchor::Middle,
+            HPos::Right => Anchor::End,
+        };
+        match style.transform() {
+            FontTransform::None => self.0.text([x, y + down], anchor, words),
+            _ => self.0.upright([x + down, y], words),
+        }
+        Ok(())
+    }
+}
+
+/// A place on the axis (the logarithm where it is logarithmic) and its label.
+pub(crate) type Tick = (f64, String);
+
+/// Ticks between two places, as many as `fits` lets stand beside each other.
+pub(crate) fn ticks((low, high): (f64, f64), log: bool, fits: &dyn Fn(&[Tick]) -> bool) -> Vec<Tick> {
+    let decades = high - low;
+    let all: Vec<Vec<Tick>> = if log && decades >= 0.5 {
+        let digits: [&[f64]; 4] = [&[1.0, 1.5, 2.0, 3.0, 5.0, 7.0], &[1.0, 2.0, 5.0], &[1.0, 3.0], &[1.0]];
+        let densest = if decades > 3.5 { 3 } else { usize::from(decades > 1.5) };
+        digits[densest..].iter().map(|digits| powers((low, high), digits)).collect()
+    } else {
+        let (from, to) = if log { (10f64.powf(low), 10f64.powf(high)) } else { (low, high) };
+        let place = |v: f64| (if log { v.log10() } else { v }, label(v));
+        [6.0, 4.0, 2.0].iter().map(|&n| multiples(from, to, n).into_iter().map(place).collect()).collect()
+    };
+    let sparsest = all.last().cloned().unwrap_or_default();
+    all.into_iter().find(|ticks| fits(ticks)).unwrap_or(sparsest)
+}
+
+/// Powers of ten times each of `digits`, within logarithms.
+fn powers((low, high): (f64, f64), digits: &[f64]) -> Vec<Tick> {
+    let stride = if high - low > 8.0 { 2 } else { 1 };
+    (low.floor() as i32..=high.ceil() as i32)
+        .filter(|power| power.rem_euclid(stride) == 0)
+        .flat_map(|power| digits.iter().map(move |d| d * 10f64.powi(power)))
+        .map(|v| (v.log10(), label(v)))
+        .filter(|(place, _)| (low..=high).contains(place))
+        .collect()
+}
+
+/// Multiples of 1, 2 or 5 times a power of ten, four to nine of them.
+pub(crate) fn linear_ticks(low: f64, high: f64) -> Vec<f64> {
+    multiples(low, high, 6.0)
+}
+
+/// The same, `wanted` or less.
+fn multiples(low: f64, high: f64, wanted: f64) -> Vec<f64> {
+    let rough = (high - low) / wanted;
+    let power = 10f64.powf(rough.log10().floor());
+    let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|d| d * power).find(|s| *s >= rough).unwrap_or(power);
+    let (first, last) = ((low / step - 1e-9).ceil() as i64, (high / step + 1e-9).floor() as i64);
+    (first..=last).map(|k| k as f64 * step).collect()
+}
+
+/// A short number.
+pub(crate) fn label(value: f64) -> String {
+    let text = match value.abs() {
+        0.0 => "0".into(),
+        s if s >= 1e6 => format!("{}M", (value / 1e4).round() / 100.0),
+        s if s >= 1e4 => format!("{}k", (value / 10.0).round() / 100.0),
+        s if s >= 1e3 => grouped(value.round() as i64),
+        s if s >= 1e-4 => format!("{}", (value * 1e6).round() / 1e6),
+        _ => format!("{value:.0e}"),
+    };
+    text.replace('-', "−")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn labels(range: (f64, f64), log: bool, most: usize) -> Vec<String> {
+        ticks(range, log, &|ticks| ticks.len() <= most).into_iter().map(|t| t.1).collect()
+    }
+
+    #[test]
+    fn ticks_are_round_numbers() {
+        assert_eq!(labels((0.0, 1.0), false, 99), ["0", "0.2", "0.4", "0.6", "0.8", "1"]);
+        assert_eq!(labels((0.0, 200_000.0), false, 99), ["0", "50k", "100k", "150k", "200k"]);
+        assert_eq!(labels((1.0, 3.0), true, 99), ["10", "20", "50", "100", "200", "500", "1,000"]);
+        assert_eq!(labels((-20.0, 30.0), false, 99), ["−20", "−10", "0", "10", "20", "30"]);
+        assert!(labels((1.1, 1.3), true, 99).len() >= 3);
+    }
+
+    #[test]
+    fn where_room_is_short_there_are_fewer() {
+        assert_eq!(labels((1.0, 3.0), true, 6), ["10", "30", "100", "300", "1,000"]);
+        assert_eq!(labels((1.0, 3.0), true, 3), ["10", "100", "1,000"]);
+        assert_eq!(labels((1.0, 3.0), true, 0), ["10", "100", "1,000"], "the sparsest rather than none");
+        assert_eq!(labels((0.0, 1.0), false, 4), ["0", "0.5", "1"]);
+    }
 }

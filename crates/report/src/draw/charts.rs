@@ -1,14 +1,13 @@
-//! Charts: lines, marks, bars and shaded areas on two axes.
+//! Charts: lines, marks, bars and shaded areas on two axes; their legends, and what charts over training steps share.
 //!
 //! plotters lays out the axes (`axes.rs`); lines, marks and names are ours, because it knows neither dashes
 //! and dots in turn nor names that keep apart.
 
 pub(crate) use super::axes::Axis;
 use super::axes::{Frame, Scale};
-use super::legend::{Legend, SYMBOL, Symbol};
 use super::marks::Style;
-use crate::canvas::font::{TEXT, cut, text_width};
-use crate::canvas::{Anchor, Canvas, Colour, INK, Paint, Point};
+use crate::canvas::{Anchor, Canvas, Colour, INK, Letters, Paint, Point, TEXT, cut, text_width};
+use pwrfgs_train::Training;
 
 /// How large a chart and its parts are.
 #[derive(Clone, Copy, Debug)]
@@ -212,6 +211,108 @@ fn moved_apart(wanted: &[f64], step: f64, ends: (f64, f64)) -> Vec<f64> {
     places
 }
 
+/// Height of text, a little less than on axes, and of a row.
+const SIZE: f64 = 10.5;
+const ROW: f64 = 17.0;
+/// From a symbol to its meaning, between two columns, and at both sides.
+const INDENT: f64 = 5.0;
+const GAP: f64 = 12.0;
+const MARGIN: f64 = 4.0;
+/// Height of a symbol.
+pub(crate) const SYMBOL: f64 = 14.0;
+
+/// A symbol and its meaning.
+pub(crate) struct Symbol {
+    pub(crate) picture: Canvas,
+    pub(crate) meaning: String,
+}
+
+/// Symbols in columns.
+pub(crate) struct Legend {
+    symbols: Vec<Symbol>,
+    rows: usize,
+    /// Where each column begins.
+    columns: Vec<f64>,
+}
+
+impl Legend {
+    /// In as few rows as fit a picture of this width.
+    pub(crate) fn new(symbols: Vec<Symbol>, width: f64) -> Self {
+        let wide = |s: &Symbol| s.picture.width + INDENT + text_width(&s.meaning) * SIZE / TEXT;
+        let columns = |rows: usize| -> Vec<f64> {
+            symbols.chunks(rows).map(|column| column.iter().map(wide).fold(0.0, f64::max)).collect()
+        };
+        let whole = |columns: &[f64]| columns.iter().map(|w| w + GAP).sum::<f64>() - GAP;
+        let most = symbols.len().max(1);
+        let rows = (1..most).find(|rows| whole(&columns(*rows)) + 2.0 * MARGIN <= width).unwrap_or(most);
+        let widths = columns(rows);
+        let mut x = ((width - whole(&widths)) / 2.0).max(MARGIN);
+        let begin = |w: &f64| {
+            x += w + GAP;
+            x - w - GAP
+        };
+        Self { rows, columns: widths.iter().map(begin).collect(), symbols }
+    }
+
+    pub(crate) fn height(&self) -> f64 {
+        if self.symbols.is_empty() { 0.0 } else { ROW * self.rows as f64 + 8.0 }
+    }
+
+    /// Draws it below `top`, column by column.
+    pub(crate) fn draw(&self, canvas: &mut Canvas, top: f64) {
+        canvas.letters = Letters { size: SIZE, ..canvas.letters };
+        for (k, Symbol { picture, meaning }) in self.symbols.iter().enumerate() {
+            let (x, middle) = (self.columns[k / self.rows], top + 4.0 + ROW * ((k % self.rows) as f64 + 0.5));
+            canvas.put([x, middle - SYMBOL / 2.0], 1.0, picture);
+            let left = x + picture.width + INDENT;
+            let room = (canvas.width - left) * TEXT / SIZE;
+            canvas.text([left, middle + 0.27 * SIZE], Anchor::Start, cut(meaning, room));
+        }
+    }
+}
+
+/// The three phases of algorithm 1, shaded.
+pub(crate) fn phases(training: &Training) -> Vec<Band> {
+    let (d, p, end) = (training.densify_until as f64, training.prune_until as f64, training.steps as f64);
+    let band = |name, x, colour| Band { name, x, colour };
+    vec![
+        band("densify", (0.0, d), Colour::hex(0xe9_f0fa)),
+        band("prune", (d, p), Colour::hex(0xfc_f0e2)),
+        band("fine-tune", (p, end), Colour::hex(0xee_f6ee)),
+    ]
+}
+
+/// More corners than this no print can show apart.
+const CORNERS: usize = 4_000;
+
+/// The corners of a step function through `points`: each change keeps the value before it up to its step. Of very many
+/// the ends and extremes of short stretches remain.
+pub(crate) fn stairs(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let mut drawn: Vec<(f64, f64)> = Vec::new();
+    for (i, &(step, n)) in points.iter().enumerate() {
+        let changes = |k: usize| points.get(k).is_none_or(|p| p.1 != n);
+        if i == 0 || changes(i - 1) || changes(i + 1) {
+            if let Some(last) = drawn.last().filter(|last| last.1 != n) {
+                drawn.push((step, last.1));
+            }
+            drawn.push((step, n));
+        }
+    }
+    if drawn.len() <= CORNERS { drawn } else { drawn.chunks(4 * drawn.len() / CORNERS).flat_map(extremes).collect() }
+}
+
+/// First and last of some places, and the lowest and the highest between, in their order.
+fn extremes(places: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let by_height = |a: &usize, b: &usize| places[*a].1.total_cmp(&places[*b].1);
+    let all = 0..places.len();
+    let mut kept = vec![0, places.len() - 1];
+    kept.extend(all.clone().min_by(by_height));
+    kept.extend(all.max_by(by_height));
+    kept.sort_unstable();
+    kept.dedup();
+    kept.into_iter().map(|k| places[k]).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -259,5 +360,40 @@ mod tests {
         assert_eq!(apart(&[90.0, 95.0, 99.0], (0.0, 100.0)), [80.0, 90.0, 100.0]);
         assert_eq!(apart(&[5.0, 5.0, 5.0], (0.0, 15.0)), [0.0, 10.0, 20.0], "too many for the room");
         assert!(apart(&[], (0.0, 15.0)).is_empty());
+    }
+
+    #[test]
+    fn rows_are_as_few_as_fit() {
+        let symbol = |meaning: String| Symbol { picture: Canvas::new(24.0, SYMBOL), meaning };
+        let legend = Legend::new((0..7).map(|k| symbol(format!("no. {k}"))).collect(), 380.0);
+        assert!((2..=3).contains(&legend.rows), "{} rows", legend.rows);
+        assert!(legend.columns.windows(2).all(|w| w[0] < w[1]));
+        let long = (0..3).map(|_| symbol("a very long name ".repeat(9))).collect();
+        let legend = Legend::new(long, 380.0);
+        assert_eq!(legend.columns, [MARGIN]);
+        let mut canvas = Canvas::new(380.0, 100.0);
+        legend.draw(&mut canvas, 0.0);
+        let svg = canvas.svg("legend", "");
+        assert!(svg.matches("..</text>").count() == 3 && !svg.contains(&"a very long name ".repeat(4)), "{svg}");
+        assert_eq!(Legend::new(vec![], 380.0).height(), 0.0);
+    }
+
+    #[test]
+    fn a_step_function_has_corners_alone() {
+        let points = [(1.0, 5.0), (2.0, 5.0), (3.0, 5.0), (4.0, 2.0), (5.0, 2.0)];
+        assert_eq!(stairs(&points), [(1.0, 5.0), (3.0, 5.0), (4.0, 5.0), (4.0, 2.0), (5.0, 2.0)]);
+        assert!(stairs(&[]).is_empty());
+    }
+
+    #[test]
+    fn of_very_many_corners_the_extremes_remain() {
+        let points: Vec<(f64, f64)> = (0..100_000).map(|k| (f64::from(k), f64::from(k * 7_919 % 1_000))).collect();
+        let drawn = stairs(&points);
+        assert!((1_000..=CORNERS).contains(&drawn.len()), "{} corners", drawn.len());
+        assert_eq!((drawn[0], drawn.last()), (points[0], points.last()));
+        assert!(drawn.windows(2).all(|pair| pair[0].0 <= pair[1].0));
+        for height in [0.0, 999.0] {
+            assert!(drawn.iter().any(|p| p.1 == height));
+        }
     }
 }

@@ -2,6 +2,17 @@
 
 use crate::canvas::{Canvas, Colour, Paint, Path, Point, WHITE};
 
+/// Told apart by the colour-blind (Okabe and Ito, without yellow, which is lost on white); neighbours differ in lightness.
+const COLOURS: [u32; 8] = [0x00_5aa0, 0xd5_5e00, 0x00_9e73, 0x78_286e, 0xe6_9f00, 0x10_1318, 0x56_b4e9, 0xcc_79a7];
+/// Greys and dashes of baselines.
+const GREYS: [u32; 2] = [0x3c_3f46, 0x8c_9098];
+const DASHES: [Stroke; 3] = [Stroke::DASHED, Stroke::DOTTED, Stroke::DASH_DOTTED];
+/// Published numbers.
+const GREY: Colour = Colour::hex(0x6e_727a);
+
+/// Four stages from dark to light: told apart by lightness alone.
+pub(crate) const SHADES: [u32; 4] = [0x12_3a6b, 0x3f_7fb8, 0x93_c0de, 0xe6_f0f7];
+
 /// Of a mark, about.
 const RADIUS: f64 = 3.6;
 
@@ -106,6 +117,33 @@ impl Style {
         Self { colour, width, stroke, marker: None, hollow: false }
     }
 
+    /// The `k`-th variant: eight colours with eight markers, then the same dashed.
+    pub(crate) fn variant(k: usize) -> Self {
+        let strokes = [Stroke::FULL, Stroke::DASHED, Stroke::DASH_DOTTED, Stroke::DOTTED];
+        Self {
+            colour: Colour::hex(COLOURS[k % COLOURS.len()]),
+            width: 2.0,
+            stroke: strokes[k / COLOURS.len() % strokes.len()],
+            marker: Some(Marker::ALL[k % Marker::ALL.len()]),
+            hollow: k / COLOURS.len() % 2 == 1,
+        }
+    }
+
+    /// The `k`-th baseline.
+    pub(crate) fn floor(k: usize) -> Self {
+        Self::line(Colour::hex(GREYS[k / DASHES.len() % GREYS.len()]), 1.0, DASHES[k % DASHES.len()])
+    }
+
+    /// Published points.
+    pub(crate) fn published() -> Self {
+        Self { marker: Some(Marker::Star), hollow: true, ..Self::line(GREY, 1.0, Stroke::None) }
+    }
+
+    /// The line that joins variants.
+    pub(crate) fn thread() -> Self {
+        Self::line(Colour::hex(0xaf_b3bb), 1.0, Stroke::FULL)
+    }
+
     /// Draws the line through `points`, or the area within them.
     pub(crate) fn draw_line(&self, canvas: &mut Canvas, points: &[Point]) {
         match self.stroke {
@@ -161,6 +199,14 @@ mod tests {
             assert!((2.4..6.4).contains(&twice), "{marker:?} has an area of {}", twice / 2.0);
             let reach = corners.iter().map(|c| c.0.hypot(c.1)).fold(0.0, f64::max);
             assert!((0.9..1.4).contains(&reach), "{marker:?} reaches {reach}");
+        }
+    }
+
+    #[test]
+    fn twelve_variants_differ_without_colour() {
+        let shapes: Vec<_> = (0..12).map(Style::variant).map(|s| (s.marker, s.stroke, s.hollow)).collect();
+        for (k, shape) in shapes.iter().enumerate() {
+            assert!(!shapes[..k].contains(shape), "variant {k}");
         }
     }
 }

@@ -1,19 +1,17 @@
 //! The room and the Gaussians in it.
 
-mod receiver;
 #[cfg(test)]
 mod tests;
 mod view;
 
-use super::legend::{SYMBOL, Symbol};
+use super::charts::{SYMBOL, Symbol};
 use super::plan::draw_receiver;
-use crate::canvas::{Canvas, Colour, Paint, Path, Point, WHITE};
+use crate::canvas::{BLACK, Canvas, Colour, Paint, Path, Point, WHITE};
 use pwrfgs_core::{Dataset, Evaluation, Metric, ModelFacts, Partition, Plugin, Pose, Real, Values, evenly};
 use pwrfgs_experiment::text::{grouped, number};
 use pwrfgs_model::Snapshot;
-use receiver::Receiver;
 use std::fmt::Write as _;
-use view::{Place, View};
+use view::{Place, View, facing};
 
 /// At most so many of each are drawn.
 const POINTS: usize = 3_000;
@@ -243,4 +241,64 @@ fn scattered(n: usize) -> Vec<usize> {
     let mut order: Vec<usize> = (0..n).collect();
     order.sort_by_key(|&i| (i as u32).wrapping_mul(2_654_435_769));
     order
+}
+
+/// Beyond this an arrow would be too short to show a direction: it looks along the line of sight within 20 degrees.
+const HEAD_ON: f64 = 0.94;
+/// Of the ring.
+const RADIUS: f64 = 5.0;
+
+/// An arrow along the boresight as the picture shows it. Along the line of sight it is what physics draws: a ring with a
+/// dot where the arrow's tip would be seen, with a cross where its feathers would.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Receiver {
+    /// From the receiver to the end of its arrow, on the picture.
+    along: Point,
+    /// 1 where it looks straight at the eye, -1 where straight away from it.
+    facing: f64,
+}
+
+impl Receiver {
+    /// With an arrow so long, metres.
+    pub(super) fn new(pose: &Pose, view: &View, length: f64) -> Self {
+        let boresight = pose.world_from_receiver().z_axis.to_array().map(f64::from);
+        let end = [0, 1, 2].map(|k| pose.position[k] + length * boresight[k]);
+        let (from, to) = (view.place(pose.position), view.place(end));
+        Self { along: [to[0] - from[0], to[1] - from[1]], facing: facing(boresight) }
+    }
+
+    /// Draws it where it stands.
+    pub(super) fn draw(self, canvas: &mut Canvas, at: Point) {
+        if self.facing.abs() > HEAD_ON {
+            canvas.circle(at, RADIUS, Paint::fill(WHITE).outlined(BLACK, 1.4));
+            if self.facing > 0.0 {
+                canvas.circle(at, 2.0, Paint::fill(BLACK));
+            } else {
+                let mut feathers = Path::default();
+                feathers.add_cross(at, RADIUS * 0.7);
+                canvas.path(feathers, Paint::stroke(BLACK, 1.4));
+            }
+            return;
+        }
+        let [x, y] = self.along;
+        let length = x.hypot(y);
+        let [u, v] = [x / length, y / length];
+        let place = |forward: f64, aside: f64| [at[0] + forward * u - aside * v, at[1] + forward * v + aside * u];
+        canvas.line(&[at, place(length, 0.0)], Paint::stroke(WHITE, 3.5));
+        let head = [place(7.0, 0.0), place(-4.0, 4.6), place(-4.0, -4.6)];
+        canvas.polygon(&head, Paint::fill(BLACK).outlined(WHITE, 1.0));
+        canvas.line(&[at, place(length, 0.0)], Paint::stroke(BLACK, 1.4));
+    }
+
+    /// What it looks like, for the legend: an arrow lies there.
+    pub(super) fn symbol(self) -> Symbol {
+        let mut picture = Canvas::new(21.0, SYMBOL);
+        Self { along: [15.0, 0.0], ..self }.draw(&mut picture, [6.0, SYMBOL / 2.0]);
+        let meaning = match self.facing {
+            f if f > HEAD_ON => "receiver, looking out of the picture",
+            f if f < -HEAD_ON => "receiver, looking into the picture",
+            _ => "receiver and its boresight",
+        };
+        Symbol { picture, meaning: meaning.into() }
+    }
 }

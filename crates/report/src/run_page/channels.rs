@@ -1,19 +1,16 @@
 //! What the page shows of channels: magnitude and phase of a few links, their power delay profiles, and where a model
 //! without splats puts its transmitters.
 
-mod curves;
-mod profile;
 mod virtual_map;
 
 use super::examples::Example;
 use crate::canvas::{BLACK, Colour};
 use crate::draw::charts::{Axis, Chart, Line, Look};
 use crate::draw::marks::{Marker, Stroke, Style};
-use curves::Gains;
 use minijinja::{Value, context};
-use pwrfgs_core::{Image, evenly};
-use pwrfgs_experiment::LoadedRun;
-use pwrfgs_experiment::text::number;
+use pwrfgs_core::{Image, evenly, gains_of};
+use pwrfgs_experiment::{LoadedRun, text::number};
+use std::f64::consts::TAU;
 
 /// Links on the plane of complex numbers.
 const DOTS: usize = 150;
@@ -30,7 +27,7 @@ pub(super) fn section(run: &LoadedRun<'_>, chosen: &[Example]) -> Value {
         examples => if single { Vec::new() } else { examples(run, chosen) },
         plane => if single { plane(run) } else { None },
         over => if data.width > 1 { "subcarriers" } else { "antennas" },
-        delays => profile::spacing(frequencies(run)).is_some(),
+        delays => spacing(frequencies(run)).is_some(),
         transmitters => virtual_map::map(run),
     }
 }
@@ -70,13 +67,13 @@ fn examples(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
         let receivers = &run.data.scene.receivers;
         let frequencies = frequencies(run);
         let (measured, predicted) = (Gains::of(truth), Gains::of(prediction));
-        let (lines, along, antenna) = curves::lines(&measured, &predicted, frequencies);
+        let (lines, along, antenna) = lines(&measured, &predicted, frequencies);
         let of = antenna.map(|k| format!("antenna {} of {}, the strongest", k + 1, measured.antennas));
         let mut charts = vec![
             chart("Magnitude", &along, "dB over the strongest", pair(lines[0].0.clone(), lines[0].1.clone())),
             chart("Phase", &along, "degrees, unwrapped", pair(lines[1].0.clone(), lines[1].1.clone())),
         ];
-        if let Some([a, b]) = profile::profiles(&measured, &predicted, frequencies) {
+        if let Some([a, b]) = profiles(&measured, &predicted, frequencies) {
             charts.push(chart("Power delay profile", "delay, ns", "dB over the measured peak", pair(a, b)));
         }
         context! {
@@ -96,7 +93,7 @@ fn examples(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
 /// Channels of one number each, as dots on the plane of complex numbers; measured and predicted are joined.
 fn plane(run: &LoadedRun<'_>) -> Option<Value> {
     let (mut measured, mut predicted) = (Vec::new(), Vec::new());
-    super::predicted::each(run, &evenly(&run.partition.test, DOTS), |_, truth, prediction| {
+    super::examples::each(run, &evenly(&run.partition.test, DOTS), |_, truth, prediction| {
         let place = |image: &Image| (image.pixels[0] as f64, image.pixels[1] as f64);
         measured.push(place(truth));
         predicted.push(place(prediction));
@@ -116,4 +113,179 @@ fn plane(run: &LoadedRun<'_>) -> Option<Value> {
         return None;
     }
     Some(context! { svg => chart.draw()?.svg("chart", "channels on the complex plane"), links => measured.len() })
+}
+
+/// Weaker than this below the strongest is drawn as this, dB.
+const FLOOR_DB: f64 = -60.0;
+
+/// Channel gains `[A, F]`.
+pub(super) struct Gains {
+    pub(super) antennas: usize,
+    pub(super) subcarriers: usize,
+    values: Vec<[f64; 2]>,
+}
+
+/// A line through what was measured, and one through what is predicted.
+pub(super) type Pair = (Vec<(f64, f64)>, Vec<(f64, f64)>);
+
+impl Gains {
+    pub(super) fn of(rows: &Image) -> Self {
+        let values = gains_of(&rows.pixels, rows.width).into_iter().map(|gain| gain.map(|v| v as f64)).collect();
+        Self { antennas: rows.height / 2, subcarriers: rows.width, values }
+    }
+
+    /// Those of an antenna over the subcarriers.
+    pub(super) fn antenna(&self, a: usize) -> &[[f64; 2]] {
+        &self.values[a * self.subcarriers..][..self.subcarriers]
+    }
+
+    /// The antenna that hears most.
+    fn strongest(&self) -> usize {
+        let energy = |a: usize| self.antenna(a).iter().map(square).sum::<f64>();
+        (0..self.antennas).max_by(|a, b| energy(*a).total_cmp(&energy(*b)).then(b.cmp(a))).unwrap_or(0)
+    }
+}
+
+/// |h|².
+pub(super) fn square([re, im]: &[f64; 2]) -> f64 {
+    re * re + im * im
+}
+
+/// Magnitude and phase of both, what runs across, and which antenna it is where one of several is shown.
+pub(super) fn lines(measured: &Gains, predicted: &Gains, frequencies: &[f64]) -> ([Pair; 2], String, Option<usize>) {
+    let over_antennas = measured.subcarriers == 1;
+    let k = if over_antennas { 0 } else { measured.strongest() };
+    let pick = |gains: &Gains| if over_antennas { gains.values.clone() } else { gains.antenna(k).to_vec() };
+    let (a, b) = (pick(measured), pick(predicted));
+    let middle = frequencies.iter().sum::<f64>() / frequencies.len().max(1) as f64;
+    let span = frequencies.iter().map(|f| (f - middle).abs()).fold(0.0, f64::max);
+    let (unit, name) = if span < 1e6 { (1e3, "kHz") } else { (1e6, "MHz") };
+    let (across, words): (Vec<f64>, String) = if over_antennas {
+        ((1..=a.len()).map(|n| n as f64).collect(), "antenna".into())
+    } else {
+        let from = format!("{name} from {:.3} MHz", middle / 1e6);
+        (frequencies.iter().map(|f| (f - middle) / unit).collect(), from)
+    };
+    let peak = a.iter().map(square).fold(0.0, f64::max);
+    let level = |gains: &[[f64; 2]]| gains.iter().map(|gain| decibels(square(gain), peak)).collect::<Vec<_>>();
+    let (phase_a, phase_b) = (unwrapped(&a, None), unwrapped(&b, a.first().map(angle)));
+    let on = |values: Vec<f64>| across.iter().copied().zip(values).collect::<Vec<_>>();
+    (
+        [(on(level(&a)), on(level(&b))), (on(phase_a), on(phase_b))],
+        words,
+        (!over_antennas && measured.antennas > 1).then_some(k),
+    )
+}
+
+/// 10 log₁₀ of a share, cut where it is nothing.
+pub(super) fn decibels(power: f64, of: f64) -> f64 {
+    if of > 0.0 { (10.0 * (power / of).log10()).max(FLOOR_DB) } else { FLOOR_DB }
+}
+
+fn angle([re, im]: &[f64; 2]) -> f64 {
+    im.atan2(*re).to_degrees()
+}
+
+/// Phases that never jump by more than half a turn, the first of them as near to `from` as whole turns allow.
+fn unwrapped(gains: &[[f64; 2]], from: Option<f64>) -> Vec<f64> {
+    let mut last = from.unwrap_or(0.0);
+    let near = |phase: f64, last: f64| phase + 360.0 * ((last - phase) / 360.0).round();
+    let of_each = |gain| {
+        last = near(angle(gain), last);
+        last
+    };
+    gains.iter().map(of_each).collect()
+}
+
+/// With fewer subcarriers there is nothing to see.
+const FEWEST: usize = 4;
+/// Places along a delay, a subcarrier.
+const FINE: usize = 4;
+/// This part of all delays is drawn before 0.
+const BEFORE: usize = 6;
+/// Most places along a delay.
+const PLACES: usize = 2_048;
+
+/// Hz between subcarriers; nothing where there are too few, or they are not equally far apart.
+pub(super) fn spacing(frequencies: &[f64]) -> Option<f64> {
+    let step = (frequencies.last()? - frequencies.first()?) / (frequencies.len().max(2) - 1) as f64;
+    let is_even = frequencies.windows(2).all(|pair| (pair[1] - pair[0] - step).abs() < 1e-3 * step.abs());
+    (frequencies.len() >= FEWEST && is_even && step.is_finite() && step != 0.0).then_some(step.abs())
+}
+
+/// Power delay profile: the inverse Fourier transform over subcarriers, its power summed over antennas. Delay in ns and power
+/// in dB over the measured peak: measured, then predicted.
+pub(super) fn profiles(measured: &Gains, predicted: &Gains, frequencies: &[f64]) -> Option<[Vec<(f64, f64)>; 2]> {
+    let step = spacing(frequencies)?;
+    let forward = frequencies.first() <= frequencies.last();
+    let places = (FINE * frequencies.len()).min(PLACES);
+    let power = |gains: &Gains| -> Vec<f64> {
+        let at = |place: usize| (0..gains.antennas).map(|a| tap(gains.antenna(a), place, places, forward)).sum();
+        (0..places).map(at).collect()
+    };
+    let (measured, predicted) = (power(measured), power(predicted));
+    let peak = measured.iter().copied().fold(0.0, f64::max);
+    // What came round stands before 0, so that a first path there is whole.
+    let before = places / BEFORE;
+    let line = |powers: Vec<f64>| {
+        let delay = |k: usize| 1e9 * (k as f64 - before as f64) / (places as f64 * step);
+        (0..places).map(|k| (delay(k), decibels(powers[(k + places - before) % places], peak))).collect()
+    };
+    Some([line(measured), line(predicted)])
+}
+
+/// |Σ h w exp(j 2π k place/places)|² with a raised cosine w, which keeps one path from hiding all others.
+fn tap(gains: &[[f64; 2]], place: usize, places: usize, forward: bool) -> f64 {
+    let count = gains.len() as f64;
+    let sum = gains.iter().enumerate().fold([0.0; 2], |[x, y], (k, [re, im])| {
+        let weight = 0.5 - 0.5 * (TAU * (k as f64 + 0.5) / count).cos();
+        let turn = TAU * (k * place % places) as f64 / places as f64;
+        let (sin, cos) = (if forward { turn } else { -turn }).sin_cos();
+        [x + weight * (re * cos - im * sin), y + weight * (re * sin + im * cos)]
+    });
+    square(&sum)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn phases_are_unwrapped_and_nothing_is_cut_at_the_floor() {
+        let turning: Vec<[f64; 2]> =
+            (0..5).map(|k| f64::from(150 * k).to_radians().sin_cos()).map(|(sin, cos)| [cos, sin]).collect();
+        let found = unwrapped(&turning, None);
+        assert!(found.iter().zip([0.0, 150.0, 300.0, 450.0, 600.0]).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?}");
+        assert!((unwrapped(&turning, Some(350.0))[0] - 360.0).abs() < 1e-9);
+        assert_eq!((decibels(0.0, 1.0), decibels(1.0, 0.0)), (FLOOR_DB, FLOOR_DB));
+    }
+
+    #[test]
+    fn one_subcarrier_is_drawn_over_antennas() {
+        let rows = |v: f32| Image { width: 1, height: 4, pixels: [v, 0.0, 0.0, 2.0 * v].map(|v| v as _).to_vec() };
+        let (lines, along, antenna) = lines(&Gains::of(&rows(1.0)), &Gains::of(&rows(0.0)), &[1e9]);
+        assert_eq!((along.as_str(), antenna, lines[0].0.len()), ("antenna", None, 2));
+        assert_eq!(lines[0].0[1], (2.0, 0.0));
+    }
+
+    #[test]
+    fn one_path_peaks_at_its_delay() {
+        let delay_s = 100e-9;
+        let frequencies: Vec<f64> = (0..16).map(|k| 2.4e9 + 1.25e6 * f64::from(k)).collect();
+        let phases: Vec<f64> = frequencies.iter().map(|f| -TAU * f * delay_s).collect();
+        let parts = phases.iter().map(|p| p.cos()).chain(phases.iter().map(|p| p.sin()));
+        let gains = Gains::of(&Image { width: 16, height: 2, pixels: parts.map(|v| v as _).collect() });
+        let [profile, same] = profiles(&gains, &gains, &frequencies).unwrap();
+        let peak = profile.iter().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
+        assert!((peak.0 - 100.0).abs() < 13.0 && peak.1.abs() < 1e-9, "{peak:?}");
+        assert_eq!(profile, same);
+    }
+
+    #[test]
+    fn uneven_and_few_subcarriers_have_no_profile() {
+        assert_eq!(spacing(&[1e9, 2e9, 3e9, 4e9]), Some(1e9));
+        for none in [&[][..], &[1e9], &[1e9, 2e9, 3e9], &[1e9, 2e9, 3e9, 9e9], &[1e9; 5]] {
+            assert_eq!(spacing(none), None, "{none:?}");
+        }
+    }
 }

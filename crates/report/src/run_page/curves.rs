@@ -1,16 +1,11 @@
 //! Which curves the report shows: loss and N over the steps, the first metric on validation, its spread over the test part.
 
-mod distribution;
-
 use crate::canvas::Colour;
-use crate::draw::charts::{Axis, Chart, Line};
+use crate::draw::charts::{Axis, Chart, Line, phases, stairs};
 use crate::draw::marks::{Stroke, Style};
-use crate::draw::steps::{phases, stairs};
 use minijinja::{Value, context};
-use pwrfgs_core::Appearance;
-use pwrfgs_experiment::LoadedRun;
-use pwrfgs_experiment::record::column;
-use pwrfgs_experiment::statistics::quantile;
+use pwrfgs_core::{Appearance, Headline};
+use pwrfgs_experiment::{LoadedRun, record::column, scores::MODEL, statistics::quantile};
 
 /// At most this many stretches of the loss are averaged.
 const STRETCHES: usize = 150;
@@ -33,7 +28,7 @@ pub(super) fn all(run: &LoadedRun<'_>) -> Vec<Figure> {
         figures.extend(gaussians(run, &run.record.curve_of(4)));
         figures.extend(validation(run));
     }
-    figures.extend(distribution::figure_of(run));
+    figures.extend(distribution(run));
     figures
 }
 
@@ -122,4 +117,57 @@ pub(super) fn confidence(run: &LoadedRun<'_>) -> Option<Value> {
     let rank = measured.rank_correlation();
     let svg = chart.draw()?.svg("chart", "Error against the spread of the members");
     Some(context! { svg, rank => rank.is_finite().then(|| format!("{rank:.2}")), samples => measured.ids.len() })
+}
+
+/// At most this many places along a curve are drawn.
+const PLACES: usize = 400;
+/// Of errors and ratios, which have no ends of their own, this share of each predictor's is within the axis.
+const INSIDE: f64 = 0.98;
+
+/// Which share of the test part stays below each value.
+fn distribution(run: &LoadedRun<'_>) -> Option<Figure> {
+    let scores = &run.record.scores;
+    let task = run.data.task();
+    let headline = task.headline;
+    let mut sorted: Vec<(&String, Vec<f64>)> = Vec::new();
+    for (name, _) in &scores.predictors {
+        let Some(values) = scores.samples(name, headline.key) else { continue };
+        let mut values = values.to_vec();
+        values.sort_by(f64::total_cmp);
+        sorted.push((name, values));
+    }
+    let ends = ends(&headline, &sorted);
+    let mut floors = FLOOR_COLOURS.into_iter().map(Colour::hex).cycle();
+    let mut lines = Vec::new();
+    for (name, sorted) in &sorted {
+        let stride = sorted.len().div_ceil(PLACES).max(1);
+        let share = |i: usize| (i + 1) as f64 / sorted.len() as f64;
+        let mut points: Vec<_> = (0..sorted.len()).step_by(stride).map(|i| (sorted[i], share(i))).collect();
+        points.extend(sorted.last().map(|v| (*v, 1.0)));
+        points.retain(|(value, _)| (ends.0..=ends.1).contains(value));
+        let own = *name == MODEL;
+        let colour = if own { MODEL_COLOUR } else { floors.next().unwrap_or(MODEL_COLOUR) };
+        lines.push(line(points, colour, if own { 3.0 } else { 2.0 }).named(name));
+    }
+    let x = Axis { name: headline.name.into(), ends: Some(ends), log: false };
+    let y = Axis { ends: Some((0.0, 1.0)), ..Axis::default() };
+    let title = format!("Share of test {} below an {}", task.counted[1], headline.short);
+    figure(title, &Chart { x, y, lines, ..Chart::default() })
+}
+
+/// Where the axis begins and ends.
+fn ends(headline: &Headline, sorted: &[(&String, Vec<f64>)]) -> (f64, f64) {
+    let at = |q: f64| sorted.iter().map(move |(_, values)| quantile(values, q)).filter(|v| v.is_finite());
+    match (headline.best, headline.higher) {
+        (Some(best), true) => {
+            let first = sorted.iter().map(|(_, values)| values.first().map_or(best, |v| (v * 10.0).floor() / 10.0));
+            (first.fold(best, |low: f64, own| low.min(own).max(-best)), best)
+        }
+        (Some(best), false) => (best, at(INSIDE).fold(1.0, f64::max).ceil()),
+        (None, _) => {
+            let low = at(1.0 - INSIDE).fold(f64::INFINITY, f64::min).floor();
+            let high = at(1.0).fold(f64::NEG_INFINITY, f64::max).ceil();
+            if low < high { (low, high) } else { (-1.0, 1.0) }
+        }
+    }
 }

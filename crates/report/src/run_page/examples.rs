@@ -1,9 +1,9 @@
 //! `Example`: the best, the median and the worst prediction of a test link, to look at.
 
-use super::predicted::each;
-use pwrfgs_core::{Image, Result};
-use pwrfgs_experiment::LoadedRun;
-use pwrfgs_experiment::scores::MODEL;
+use crate::draw::spectra::{self, Mark, Scale};
+use minijinja::{Value, context};
+use pwrfgs_core::{Image, Query, Result};
+use pwrfgs_experiment::{LoadedRun, scores::MODEL};
 
 /// A test link and what the model predicts of it.
 pub(super) struct Example {
@@ -52,4 +52,71 @@ pub(super) fn examples(run: &LoadedRun<'_>) -> Result<Vec<Example>> {
     let examples = chosen.into_iter().map(example).collect();
     data.observations.check()?;
     Ok(examples)
+}
+
+/// Links that are predicted together.
+const CHUNK: usize = 512;
+
+/// Shows `look` every one of these links with its measurement and its prediction, in order.
+pub(super) fn each(run: &LoadedRun<'_>, links: &[usize], mut look: impl FnMut(usize, &Image, &Image)) {
+    let (model, data) = (run.model.prepare(), run.data);
+    for chunk in links.chunks(CHUNK) {
+        let queries: Vec<Query<'_>> = chunk.iter().map(|&i| data.query(i)).collect();
+        for (&i, predicted) in chunk.iter().zip(model.predict_many(&queries)) {
+            look(i, &data.image(i), &predicted);
+        }
+    }
+}
+
+/// Best, median and worst test spectrum by SSIM, and the limit of the error scale that they share.
+pub(super) fn spectra(run: &LoadedRun<'_>, chosen: &[Example]) -> (Vec<Value>, f64) {
+    let chosen = if run.data.task().has_pixels { chosen } else { &[] };
+    let errors: Vec<Image> = chosen.iter().map(|e| difference(&e.prediction.clamped(), &e.truth)).collect();
+    let largest = errors.iter().flat_map(|e| &e.pixels).fold(0.0, |m: f64, e| m.max(e.abs() as f64));
+    let limit = ((largest * 10.0).ceil() / 10.0).max(0.1);
+    let example = |(example, error): (&Example, &Image)| {
+        let Example { which, sample: index, score, nearest_m, truth, prediction } = example;
+        let sample = &run.data.sample(*index);
+        let marks = [Mark::Measured(truth.argmax()), Mark::Predicted(prediction.argmax())];
+        let plane = run.model.plane();
+        let panel = |name: &str, image: &Image, scale, marks: &[Mark]| {
+            let map = spectra::map(image, plane, scale, marks).svg("map", name);
+            let sky = spectra::sky(image, plane, scale, marks).map(|canvas| canvas.svg("sky", name));
+            context! { name, map, sky }
+        };
+        context! {
+            which => *which,
+            id => sample.id,
+            ssim => format!("{score:.3}"),
+            tx => sample.tx.map(|v| format!("{v:.2}")).join(", "),
+            nearest => nearest_m.map_or("n/a".into(), |distance| format!("{distance:.2} m")),
+            peaks => peaks(run, truth, prediction),
+            panels => vec![
+                panel("Ground truth", truth, Scale::Power, &marks[..1]),
+                panel("Predicted", &prediction.clamped(), Scale::Power, &marks),
+                panel("Predicted − truth", error, Scale::Error(limit), &[]),
+            ],
+        }
+    };
+    (chosen.iter().zip(&errors).map(example).collect(), limit)
+}
+
+/// `a` minus `b`.
+fn difference(a: &Image, b: &Image) -> Image {
+    Image { width: a.width, height: a.height, pixels: a.pixels.iter().zip(&b.pixels).map(|(a, b)| a - b).collect() }
+}
+
+/// The strongest directions in words; nothing where the plane has no angles.
+fn peaks(run: &LoadedRun<'_>, truth: &Image, prediction: &Image) -> String {
+    let plane = run.model.plane();
+    let direction = |image: &Image| {
+        let i = image.argmax();
+        plane.azimuth_elevation_deg((i % image.width) as _, (i / image.width) as _)
+    };
+    match (direction(truth), direction(prediction)) {
+        (Some((az, el)), Some((az2, el2))) => {
+            format!("strongest at {az:.0}° / {el:.0}°, predicted {az2:.0}° / {el2:.0}°")
+        }
+        _ => String::new(),
+    }
 }

@@ -5,10 +5,8 @@ use crate::live::{Known, Pack, STAGE, STYLE, bundle, gaussians, origin, room};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use minijinja::{Value, context};
-use pwrfgs_core::files::digest;
-use pwrfgs_core::{Appearance, Image, Query, evenly, plugin::name_of};
-use pwrfgs_experiment::LoadedRun;
-use pwrfgs_experiment::scores::MODEL;
+use pwrfgs_core::{Appearance, Image, Query, evenly, files::digest, plugin::name_of};
+use pwrfgs_experiment::{LoadedRun, scores::MODEL};
 use pwrfgs_model::{Ensemble, file};
 use serde_json::json;
 

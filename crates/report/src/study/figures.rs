@@ -3,15 +3,11 @@
 //! A variant keeps its colour, marker and dashes in all of them; each of the three tells variants apart without the
 //! others, so that greyscale does. Headings are left to the page: a figure has a title and a caption beside it.
 
-mod distance;
-mod distribution;
+mod errors;
 mod gaussians;
 mod latency;
-mod looks;
-mod pareto;
+mod panels;
 mod rate;
-mod room;
-mod spectra;
 mod tradeoff;
 
 use super::Setting;
@@ -19,8 +15,7 @@ use crate::canvas::Canvas;
 use crate::draw::charts::{Chart, Look};
 use crate::templates::sentences;
 use minijinja::{Value, context};
-use pwrfgs_core::files::write_atomically;
-use pwrfgs_core::{Dataset, Error, Progress, Result};
+use pwrfgs_core::{Dataset, Error, Progress, Result, files::write_atomically};
 use pwrfgs_experiment::Silent;
 use serde::Serialize;
 use std::path::Path;
@@ -103,14 +98,14 @@ pub fn all(setting: &Setting, progress: Progress<'_>) -> Drawn {
         gaussians::figure,
         tradeoff::first_metric,
         tradeoff::rate_ratio,
-        pareto::by_number,
-        pareto::by_bytes,
-        pareto::by_time,
+        tradeoff::by_number,
+        tradeoff::by_bytes,
+        tradeoff::by_time,
         latency::figure,
-        distribution::figure,
-        distance::figure,
+        errors::distribution,
+        errors::distance,
     ];
-    let of_spectra: &[FromData] = &[room::figure, spectra::figure, rate::figure];
+    let of_spectra: &[FromData] = &[panels::room, panels::spectra, rate::figure];
     let from_data = if setting.task().has_pixels { of_spectra } else { &of_spectra[..1] };
     let count = from_scores.len() + from_data.len();
     let mut figures = Vec::new();

@@ -1,8 +1,8 @@
 //! `Page`: everything that the report says, before it takes the form of a format.
 
-use super::comparison::{Comparison, Kind, Row};
+use super::comparison::{Comparison, Kind, Row, csv};
 use super::figures::{self, Drawn, Figure};
-use super::format::csv;
+use super::race::ranks;
 use super::tables::{self, Table};
 use super::{Setting, Study, distinct};
 use crate::templates::sentences;
@@ -112,7 +112,7 @@ impl Section {
         warnings.extend(comparison.ambiguous());
         warnings.extend(drawn.left_out);
         let tables = [
-            tables::ranks(setting),
+            ranks(setting),
             tables::scores(comparison, same_machine),
             tables::differences(comparison, compared),
             tables::further(comparison, same_machine),

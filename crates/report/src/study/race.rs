@@ -1,7 +1,12 @@
-//! `Race`: variants of a setting that come to the same numbers of Gaussians in different ways.
+//! `Race`: variants of a setting that come to the same numbers of Gaussians in different ways, and the table of their ranks.
 
+use super::comparison::Kind;
+use super::tables::{Column, Line, Mark, Shown, Table, title};
 use super::{Setting, Variant};
+use crate::templates::sentences;
+use minijinja::context;
 use pwrfgs_experiment::statistics::Spread;
+use pwrfgs_experiment::text::{grouped, number};
 
 /// At least so many ways, at so many numbers of Gaussians, are a race.
 const LEAST: [usize; 2] = [4, 2];
@@ -41,7 +46,7 @@ pub(super) fn family(label: &str) -> String {
 }
 
 /// N of a variant, where its seeds agree.
-fn number(variant: &Variant) -> Option<usize> {
+fn count(variant: &Variant) -> Option<usize> {
     let first = variant.runs.first()?.facts.gaussians;
     variant.runs.iter().all(|run| run.facts.gaussians == first).then_some(first)
 }
@@ -58,17 +63,17 @@ impl<'a> Race<'a> {
                 None => ways.push(Way { name, variants: vec![variant], places: Vec::new() }),
             }
         }
-        let mut numbers: Vec<usize> = setting.variants.iter().filter_map(number).collect();
+        let mut numbers: Vec<usize> = setting.variants.iter().filter_map(count).collect();
         numbers.sort_unstable();
         numbers.dedup();
-        let comes_to = |way: &Way<'_>, n: usize| way.variants.iter().any(|v| number(v) == Some(n));
+        let comes_to = |way: &Way<'_>, n: usize| way.variants.iter().any(|v| count(v) == Some(n));
         numbers.retain(|&n| ways.iter().filter(|way| comes_to(way, n)).count() * 2 > ways.len());
         if ways.len() < LEAST[0] || numbers.len() < LEAST[1] {
             return None;
         }
         let score = |variant: &Variant| variant.score(headline.key);
         for &n in &numbers {
-            let at = |way: &Way<'_>| way.variants.iter().find(|v| number(v) == Some(n)).and_then(|v| score(v));
+            let at = |way: &Way<'_>| way.variants.iter().find(|v| count(v) == Some(n)).and_then(|v| score(v));
             let scores: Vec<Option<Spread>> = ways.iter().map(at).collect();
             let better = |a: f64, b: f64| if headline.higher { a > b } else { a < b };
             for (way, own) in ways.iter_mut().zip(&scores) {
@@ -94,6 +99,45 @@ fn shorten(ways: &mut [Way<'_>]) {
     for (way, own) in ways.iter_mut().zip(&all).filter(|(_, own)| own.len() > first + last) {
         own[first..own.len() - last].join(" ").trim_end_matches(',').clone_into(&mut way.name);
     }
+}
+
+/// Score and rank of each way at each number of Gaussians, best mean rank first; nothing where there is no race.
+pub(super) fn ranks(setting: &Setting) -> Option<Table> {
+    let race = Race::of(setting)?;
+    let headline = setting.headline();
+    let arrow = if headline.higher { "↑" } else { "↓" };
+    let column = |n: &usize| Column {
+        title: format!("N = {}", grouped(*n as i64)),
+        detail: format!("{} (rank)", headline.name),
+        arrow,
+    };
+    let mut columns: Vec<Column> = race.numbers.iter().map(column).collect();
+    columns.push(Column { title: "mean rank".into(), detail: String::new(), arrow: "↓" });
+    let lines = race.ways.iter().map(|way| {
+        let cell = |place: &Option<_>| {
+            place.map_or_else(Shown::default, |(score, rank): (Spread, usize)| Shown {
+                value: format!("{} ({rank})", number(score.mean)),
+                deviation: score.deviation.map_or_else(String::new, number),
+                mark: match rank {
+                    1 => Mark::Best,
+                    2 => Mark::Second,
+                    _ => Mark::None,
+                },
+                ..Shown::default()
+            })
+        };
+        let mut cells: Vec<Shown> = way.places.iter().map(cell).collect();
+        let mean = way.mean_rank();
+        let value = if mean.is_finite() { format!("{mean:.1}") } else { String::new() };
+        cells.push(Shown { value, ..Shown::default() });
+        Line { label: way.name.clone(), kind: Kind::Variant, cells }
+    });
+    let lines: Vec<Line> = lines.collect();
+    let mut table =
+        Table { name: "ranks", title: title("Ranks at equal N", setting), columns, lines, legend: Vec::new() };
+    let (least, most) = setting.seeds();
+    table.legend = sentences("legend.txt", context! { name => "ranks", ways => race.ways.len(), least, most });
+    Some(table)
 }
 
 #[cfg(test)]

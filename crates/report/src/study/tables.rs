@@ -1,12 +1,9 @@
 //! `Table`: what every format of the report writes, with the marks already made.
 
-mod columns;
 mod differences;
-mod ranks;
 mod scores;
 
 pub(super) use differences::differences;
-pub(super) use ranks::ranks;
 pub(super) use scores::{further, latency, scores};
 
 use super::Setting;
@@ -73,7 +70,7 @@ pub(super) enum Mark {
 }
 
 /// A title that says where the data are simulated.
-fn title(words: &str, setting: &Setting) -> String {
+pub(super) fn title(words: &str, setting: &Setting) -> String {
     format!(
         "{words}{}",
         if setting.simulated { format!(" (simulated {})", setting.task().counted[1]) } else { String::new() }
@@ -101,7 +98,7 @@ impl Table {
         self.lines.iter().flat_map(|line| &line.cells).any(|cell| cell.mark == Mark::Best)
     }
 
-    fn has(&self, kind: Kind) -> bool {
+    pub(super) fn has(&self, kind: Kind) -> bool {
         self.lines.iter().any(|line| line.kind == kind)
     }
 }

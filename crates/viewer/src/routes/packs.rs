@@ -1,14 +1,15 @@
 //! Arrays for the page: room, Gaussians, predictions, what was observed.
 
-use super::Refusal;
-use super::asked::Asked;
-use crate::house::House;
-use crate::moments::moments;
-use crate::side::{Known, Predictor, Side};
+use super::{Asked, Refusal};
+use crate::side::{House, Known, Predictor, Side};
 use hyper::StatusCode;
-use pwrfgs_core::{Appearance, Image, LinkSet, Query, Real, neighbours};
-use pwrfgs_experiment::folder::CURVE;
-use pwrfgs_experiment::record::read_series;
+use pwrfgs_core::{
+    Appearance, Asked as Request, Conditions, Image, Link, LinkSet, MethodTraits, Needs, Origin, Parameters, Pixels,
+    Query, Real, Statistic, neighbours,
+};
+use pwrfgs_experiment::folder::{CURVE, snapshots};
+use pwrfgs_experiment::{record::read_series, text::grouped};
+use pwrfgs_model::{Ensemble, Model, Snapshot};
 use pwrfgs_report::live::{self, Pack};
 use serde_json::{Value, json};
 use std::sync::Arc;
@@ -88,16 +89,63 @@ fn gaussians(side: &Side, asked: &Asked) -> Result<Pack, Refusal> {
     if let Some(k) = asked.moment {
         let all = moments(side);
         let (_, snapshot) = all.get(k).ok_or_else(|| wrong("there is no such moment"))?;
-        return Ok(live::moment(snapshot, origin));
+        return Ok(moment(snapshot, origin));
     }
     let predictor = predictor(side)?;
     let ensemble = predictor.ensemble().ok_or_else(|| wrong("a floor has no Gaussians"))?;
     let mut pack = live::gaussians(ensemble, origin, asked.tx);
     if let Some(tx) = asked.tx.filter(|_| asked.with == "contribution") {
-        let all = live::contributions(ensemble, tx, receiver(side, asked)?);
+        let all = contributions(ensemble, tx, receiver(side, asked)?);
         pack.put("contributions", &[all.len()], all);
     }
     Ok(pack)
+}
+
+/// What each Gaussian of all members adds to what `receiver` observes of a transmitter at `tx`: the sum of its blending
+/// weights times its strength where Gaussians are blended, opacity times strength elsewhere.
+fn contributions(ensemble: &Ensemble, tx: [f64; 3], receiver: usize) -> Vec<Real> {
+    ensemble.members().iter().flat_map(|model| contributions_of(model, tx, receiver)).collect()
+}
+
+fn contributions_of(model: &Model, tx: [f64; 3], receiver: usize) -> Vec<Real> {
+    let own = model.gaussians(Some(tx));
+    let (primitives, strengths) = (&own.primitives, live::strengths(&own));
+    let stages = &model.stages;
+    let MethodTraits { blends, inputs, .. } = stages.method.traits();
+    if !blends {
+        return strengths.iter().zip(&primitives.opacities).map(|(s, o)| s * o).collect();
+    }
+    let condition = stages.origin.local(tx);
+    let request = Request {
+        conditions: Conditions::new(inputs, &condition),
+        links: &[Link { transmitter: 0, receiver }],
+        pixels: Pixels::All,
+    };
+    let parameters = Parameters { cloud: &model.cloud, gate: None, presence: None, weights: &model.weights };
+    let truth = vec![0.0; stages.frame.numbers()];
+    let needs = Needs::of(&[Statistic::Weight], 0);
+    let seen = stages.method.survey(&stages.frame, &parameters, &request, &truth, &needs);
+    strengths.iter().zip(&seen.weight).map(|(s, w)| s * w).collect()
+}
+
+/// The Gaussians of a snapshot, metres from `origin`: means and opacities, and where the file knows them scales, rotations,
+/// gates, and who they are.
+fn moment(snapshot: &Snapshot, origin: Origin) -> Pack {
+    let n = snapshot.means.len();
+    let mut pack = Pack::new(json!({ "gaussians": n, "step": snapshot.step }));
+    pack.put("means", &[n, 3], (0..n).flat_map(|i| origin.local(snapshot.place(i))));
+    pack.put("opacities", &[n], snapshot.opacities.iter().copied());
+    if snapshot.scales.len() == n {
+        pack.put("scales", &[n, 3], snapshot.scales.as_flattened().iter().copied());
+        pack.put("quats", &[n, 4], snapshot.quats.as_flattened().iter().copied());
+    }
+    if snapshot.births.len() == n {
+        pack.put("births", &[n], snapshot.births.iter().map(|birth| *birth as Real));
+    }
+    if snapshot.gates.len() == n {
+        pack.put("gates", &[n], snapshot.gates.iter().copied());
+    }
+    pack
 }
 
 fn receiver(side: &Side, asked: &Asked) -> Result<usize, Refusal> {
@@ -215,4 +263,16 @@ fn curve(side: &Side) -> Pack {
     let mut pack = Pack::new(json!({ "rows": shown.len() }));
     pack.put("curve", &[shown.len(), 3], shown.iter().flat_map(|(_, row)| [0, 2, 4].map(|k| field(row, k))));
     pack
+}
+
+/// Titles and snapshots; a damaged one is left out.
+fn moments(side: &Side) -> Vec<(String, Snapshot)> {
+    let Some(folder) = &side.folder else { return Vec::new() };
+    let found = snapshots().filter_map(|(name, what)| {
+        let snapshot = Snapshot::read(&folder.join(name)).ok().flatten()?;
+        Some((format!("{what}, step {}", grouped(snapshot.step as i64)), snapshot))
+    });
+    let mut all: Vec<_> = found.collect();
+    all.sort_by_key(|(_, snapshot)| snapshot.step);
+    all
 }

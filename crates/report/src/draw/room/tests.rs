@@ -1,6 +1,7 @@
 //! What the figure of the room shows and what it leaves out.
 
 use super::*;
+use crate::canvas::{Shape, Step};
 use pwrfgs_core::{GaussianCloud, Origin, Pose, Sample, Spectra};
 
 /// A room of 4 x 3 x 2 m with `points` points and one transmitter of each kind.
@@ -80,4 +81,45 @@ fn a_flat_scene_and_no_gaussian_are_drawn() {
     let panel = Room::new(&data, &partition, &[], 10.5).panel("At the start", &snapshot([]), &data);
     let svg = svg(&panel);
     assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+}
+
+/// A receiver whose boresight is turned by an angle, degrees, about an axis of the world.
+fn turned(axis: [f64; 3], degrees: f64) -> Pose {
+    let (sin, cos) = (degrees.to_radians() / 2.0).sin_cos();
+    Pose { position: [2.0, 1.0, 1.0], orientation: [axis[0] * sin, axis[1] * sin, axis[2] * sin, cos] }
+}
+
+#[test]
+fn the_arrow_points_where_the_receiver_looks() {
+    let view = View::new([0.0; 3], [4.0, 3.0, 2.0], 10.0);
+    // Up, down, along x, against x, along y, against y.
+    let poses = [([1.0, 0.0, 0.0], 0.0), ([1.0, 0.0, 0.0], 180.0), ([0.0, 1.0, 0.0], 90.0), ([0.0, 1.0, 0.0], -90.0)];
+    let sides = [([1.0, 0.0, 0.0], -90.0), ([1.0, 0.0, 0.0], 90.0)];
+    let ahead =
+        [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]];
+    for ((axis, degrees), ahead) in poses.into_iter().chain(sides).zip(ahead) {
+        let pose = turned(axis, degrees);
+        let at = view.place(pose.position);
+        let [x, y] = view.place([0, 1, 2].map(|k| pose.position[k] + ahead[k]));
+        let mut canvas = Canvas::new(10.0, 10.0);
+        Receiver::new(&pose, &view, 0.5).draw(&mut canvas, at);
+        let Shape::Path(head, _) = &canvas.shapes[1] else { panic!("no arrow for {ahead:?}") };
+        let Step::Move(tip) = head.0[0] else { panic!("{head:?}") };
+        let (wanted, found) = ((y - at[1]).atan2(x - at[0]), (tip[1] - at[1]).atan2(tip[0] - at[0]));
+        assert!((wanted - found).abs() < 1e-5, "{ahead:?}: {wanted} {found}");
+    }
+}
+
+#[test]
+fn along_the_line_of_sight_it_is_a_ring() {
+    let view = View::new([0.0; 3], [4.0, 3.0, 2.0], 10.0);
+    // From straight up, turned by 63 degrees in the vertical plane of the eye.
+    let axis = [58f64.to_radians().sin(), 58f64.to_radians().cos(), 0.0];
+    for (degrees, shapes, meaning) in [(63.0, 2, "out of"), (63.0 - 180.0, 2, "into"), (20.0, 3, "boresight")] {
+        let receiver = Receiver::new(&turned(axis, degrees), &view, 0.5);
+        let mut canvas = Canvas::new(10.0, 10.0);
+        receiver.draw(&mut canvas, [5.0, 5.0]);
+        assert_eq!(canvas.shapes.len(), shapes, "{degrees}: {receiver:?}");
+        assert!(receiver.symbol().meaning.contains(meaning), "{degrees}: {receiver:?}");
+    }
 }

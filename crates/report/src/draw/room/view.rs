@@ -1,7 +1,7 @@
 //! A box in space seen from above at an angle, in parallel projection: lengths along an axis stay comparable.
 
 use crate::canvas::{Anchor, Canvas, Colour, Paint, Path, Point};
-use crate::draw::ticks::{label, linear_ticks};
+use crate::draw::axes::{label, linear_ticks};
 
 /// Where the eye is, degrees: azimuth from the x axis, elevation above the floor.
 const AZIMUTH: f64 = -58.0;

@@ -1,14 +1,10 @@
 //! Where a model without splats puts its transmitters: the room from above and from the side.
 
-use crate::canvas::font::text_width;
-use crate::canvas::{Anchor, Canvas, Colour, Paint, WHITE};
+use crate::canvas::{Anchor, Canvas, Colour, Paint, WHITE, text_width};
 use crate::draw::plan::{Plan, draw_receiver};
 use minijinja::{Value, context};
-use pwrfgs_core::Appearance;
-use pwrfgs_core::evenly;
-use pwrfgs_experiment::LoadedRun;
-use pwrfgs_experiment::statistics::quantile;
-use pwrfgs_experiment::text::grouped;
+use pwrfgs_core::{Appearance, evenly};
+use pwrfgs_experiment::{LoadedRun, statistics::quantile, text::grouped};
 
 /// Most transmitters and surface points that are drawn, the strongest first.
 const SHOWN: usize = 600;

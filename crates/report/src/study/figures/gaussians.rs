@@ -1,9 +1,8 @@
 //! N against the iteration: figure 2a of the paper.
 
-use super::{Figure, looks};
-use crate::draw::charts::{Axis, Band, Chart, Line};
+use super::Figure;
+use crate::draw::charts::{Axis, Band, Chart, Line, phases, stairs};
 use crate::draw::marks::{Stroke, Style};
-use crate::draw::steps::{phases, stairs};
 use crate::study::{Setting, Variant};
 use minijinja::context;
 use std::collections::BTreeMap;
@@ -18,7 +17,7 @@ pub(super) fn figure(setting: &Setting) -> Option<Figure> {
     let mut lines = Vec::new();
     let count = setting.variants.len();
     for (k, variant) in setting.variants.iter().enumerate().filter(|(_, v)| v.runs[0].facts.gaussians > 0) {
-        let style = looks::variant(k);
+        let style = Style::variant(k);
         let [low, middle, high] = curves(variant);
         let mut line = Line::new(stairs(&middle), style).named(&variant.label);
         line.marks = marks(&middle, end, (k as f64 + 0.5) / count as f64);

@@ -1,14 +1,13 @@
 //! Time of a prediction by stage: stacked bars.
 
-use super::{COLUMN, Figure, looks};
-use crate::canvas::font::{text_width, wrapped};
-use crate::canvas::{Anchor, Canvas, Colour, INK, Paint, Point};
-use crate::draw::legend::{Legend, SYMBOL, Symbol};
-use crate::draw::ticks::ticks;
+use super::{COLUMN, Figure};
+use crate::canvas::{Anchor, Canvas, Colour, INK, Paint, Point, text_width, wrapped};
+use crate::draw::axes::ticks;
+use crate::draw::charts::{Legend, SYMBOL, Symbol};
+use crate::draw::marks::SHADES;
 use crate::study::{Setting, Variant, distinct};
 use minijinja::context;
-use pwrfgs_experiment::statistics::Spread;
-use pwrfgs_experiment::text::number;
+use pwrfgs_experiment::{statistics::Spread, text::number};
 
 /// Stages with their keys in `scores.csv`.
 const STAGES: [(&str, &str); 4] = [
@@ -72,7 +71,7 @@ fn draw(bars: &[Bar<'_>], longest: f64) -> Canvas {
     let bottom = top + row * bars.len() as f64;
     let key = |(k, (name, _)): (usize, &(&str, &str))| {
         let mut picture = Canvas::new(13.0, SYMBOL);
-        boxed(&mut picture, [0.0, 2.0], [13.0, 10.0], looks::SHADES[k]);
+        boxed(&mut picture, [0.0, 2.0], [13.0, 10.0], SHADES[k]);
         Symbol { picture, meaning: (*name).to_owned() }
     };
     let legend = Legend::new(STAGES.iter().enumerate().map(key).collect(), COLUMN);
@@ -91,7 +90,7 @@ fn draw(bars: &[Bar<'_>], longest: f64) -> Canvas {
         canvas.lines([left - 6.0, y], Anchor::End, &labels[k]);
         let mut begun = 0.0;
         for (stage, ms) in bar.stages.iter().enumerate() {
-            boxed(&mut canvas, [x(begun), y - BAR / 2.0], [x(begun + ms) - x(begun), BAR], looks::SHADES[stage]);
+            boxed(&mut canvas, [x(begun), y - BAR / 2.0], [x(begun + ms) - x(begun), BAR], SHADES[stage]);
             begun += ms;
         }
         canvas.text([x(begun) + 5.0, y + 4.0], Anchor::Start, bar.end());

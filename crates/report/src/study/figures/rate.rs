@@ -1,11 +1,11 @@
 //! Rate ratio against signal-to-noise ratio: what steering by the prediction costs a weak and a strong transmitter.
 
-use super::{Figure, looks};
+use super::Figure;
 use crate::draw::charts::{Axis, Chart, Line};
+use crate::draw::marks::Style;
 use crate::study::Setting;
 use minijinja::context;
-use pwrfgs_core::Dataset;
-use pwrfgs_core::{Error, Measurement, Metric, Plugin, Result, evenly};
+use pwrfgs_core::{Dataset, Error, Measurement, Metric, Plugin, Result, evenly};
 use pwrfgs_experiment::{Bench, Session, Silent};
 
 /// Ends of the axis and steps between, dB.
@@ -31,7 +31,7 @@ pub(super) fn figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>
             let model = &model.prepare();
             curves.push(curve(&bench.model("the model", model, None, &metrics, &mut Session::new(&mut Silent))?));
         }
-        let mut line = Line::new(mean_of(&curves), looks::variant(k)).named(&variant.label);
+        let mut line = Line::new(mean_of(&curves), Style::variant(k)).named(&variant.label);
         // Every fourth, each line from another on.
         line.marks = line.points.iter().skip(k % 4).step_by(4).copied().collect();
         lines.push(line);
@@ -52,7 +52,7 @@ fn baselines(setting: &Setting, data: &Dataset, metrics: &[Plugin<dyn Metric>]) 
         let fitted = baseline.fit(data, partition.known())?;
         let name = baseline.name();
         let measured = bench.baseline(&name, &*fitted, metrics, &mut Session::new(&mut Silent))?;
-        Ok(Line::new(curve(&measured), looks::floor(k)).named_at_end(&name))
+        Ok(Line::new(curve(&measured), Style::floor(k)).named_at_end(&name))
     };
     run.pipeline.baselines.iter().enumerate().map(line).collect()
 }

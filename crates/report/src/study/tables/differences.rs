@@ -1,8 +1,8 @@
 //! The table of paired differences against a reference.
 
-use super::super::comparison::{Comparison, Kind, Row};
-use super::columns::words;
+use super::scores::words;
 use super::{Column, Line, Mark, Shown, Table, title};
+use crate::study::comparison::{Comparison, Kind, Row};
 use crate::templates::sentences;
 use minijinja::context;
 use pwrfgs_experiment::paired::{is_compared, signed};

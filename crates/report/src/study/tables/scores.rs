@@ -1,11 +1,132 @@
 //! The table of scores, that of all other metrics, and table I: latency by stage.
 
-use super::super::comparison::{Comparison, Kind, TRAINED_ON, TRAINING, is_ranked, is_time, statistics};
-use super::columns::{Wanted, filled};
-use super::{Table, title};
+use super::{Column, Line, Mark, Shown, Table, title};
+use crate::study::comparison::{
+    Comparison, Kind, Row, Statistic, TRAINED_ON, TRAINING, is_ranked, is_time, statistics,
+};
 use crate::templates::sentences;
 use minijinja::context;
-use pwrfgs_experiment::scores::MetricRow;
+use pwrfgs_experiment::text::{fixed, grouped};
+use pwrfgs_experiment::{scores::MetricRow, statistics::Spread};
+
+/// A column to be.
+pub(super) type Wanted<'a> = (&'a MetricRow, Statistic);
+
+/// A metric in words, and its unit.
+pub(super) fn words(metric: &MetricRow) -> (String, String) {
+    let key = metric.key.as_str();
+    let words = match key {
+        "ssim" | "psnr" | "l1" => key.to_uppercase(),
+        "gaussians" => "N".into(),
+        "gaussian_bytes" => "size of Gaussians".into(),
+        "model_bytes" => "model size".into(),
+        "latency_total_ms" => "latency".into(),
+        TRAINING => "training".into(),
+        "chamfer" => "Chamfer".into(),
+        "power_error_db" => "error".into(),
+        "snr_db" => "SNR".into(),
+        "snr_all_db" => "SNR over all".into(),
+        _ => match key.strip_prefix("eta_").and_then(|snr| snr.strip_suffix("db")) {
+            Some(snr) => format!("η at {snr} dB"),
+            None => key.trim_end_matches(&format!("_{}", metric.unit)).trim_start_matches("latency_").replace('_', " "),
+        },
+    };
+    (words, metric.unit.clone())
+}
+
+/// Unit to print in and the factor to it, by the largest number.
+fn scale(unit: &str, largest: f64) -> (&str, f64) {
+    match unit {
+        "B" => ("kB", 1e-3),
+        "s" if largest >= 600.0 => ("min", 1.0 / 60.0),
+        other => (other, 1.0),
+    }
+}
+
+/// Decimals of a column: three digits of the largest number, at most three decimals; whole numbers of Gaussians.
+fn decimals(metric: &MetricRow, largest: f64) -> usize {
+    if ["gaussians", TRAINED_ON].contains(&metric.key.as_str()) || largest >= 100.0 {
+        0
+    } else if largest >= 10.0 {
+        1
+    } else if largest > 1.0 {
+        2
+    } else {
+        3
+    }
+}
+
+/// One column of all rows: its head, and a cell each row.
+fn column(rows: &[Row<'_>], (metric, statistic): Wanted<'_>, ranked: bool) -> Option<(Column, Vec<Shown>)> {
+    let spreads: Vec<Option<Spread>> = rows.iter().map(|row| row.spread(metric, statistic)).collect();
+    let finite = spreads.iter().flatten().map(|s| s.mean.abs()).filter(|m| m.is_finite());
+    let largest = finite.reduce(f64::max).or_else(|| spreads.iter().flatten().next().map(|_| 0.0))?;
+    let (words, unit) = words(metric);
+    let (unit, factor) = scale(&unit, largest);
+    let decimals = decimals(metric, largest * factor);
+    let shown = |spread: &Option<Spread>| {
+        let Some(Spread { mean, deviation, .. }) = *spread else { return Shown::default() };
+        let value = fixed(mean * factor, decimals);
+        let places = value.rsplit_once('.').map_or(0, |(_, places)| places.len());
+        let deviation = deviation.map(|d| d * factor).map_or_else(String::new, |d| match places {
+            0 => grouped(d.round() as i64),
+            _ => format!("{d:.places$}"),
+        });
+        Shown { value, deviation, ..Shown::default() }
+    };
+    let mut cells: Vec<Shown> = spreads.iter().map(shown).collect();
+    if ranked {
+        let rivals = |row: &Row<'_>| [Kind::Variant, Kind::Floor].contains(&row.kind) && row.twin.is_none();
+        mark(&mut cells, &spreads, &rows.iter().map(rivals).collect::<Vec<_>>(), metric.higher_is_better);
+    }
+    let detail = match (statistic, unit) {
+        (Statistic::Whole, "") => String::new(),
+        (Statistic::Whole, unit) => format!("[{unit}]"),
+        (statistic, "") => statistic.words().into(),
+        (statistic, unit) => format!("{} [{unit}]", statistic.words()),
+    };
+    let arrow = match metric.key.as_str() {
+        TRAINED_ON => "",
+        _ if metric.higher_is_better => "↑",
+        _ => "↓",
+    };
+    Some((Column { title: words, detail, arrow }, cells))
+}
+
+/// Marks best and second best of those that compete. Numbers that are printed alike are equal: what cannot be seen does
+/// not decide. Several best leave no second; a single number is no best.
+pub(super) fn mark(cells: &mut [Shown], spreads: &[Option<Spread>], competes: &[bool], higher_is_better: bool) {
+    let means: Vec<(usize, f64)> =
+        (0..cells.len()).filter(|i| competes[*i]).filter_map(|i| Some((i, spreads[i]?.mean))).collect();
+    if means.len() < 2 {
+        return;
+    }
+    let printed: Vec<String> = cells.iter().map(|c| c.value.clone()).collect();
+    for (i, mean) in &means {
+        let better = |other: f64| if higher_is_better { other > *mean } else { other < *mean };
+        let rank = means.iter().filter(|(j, other)| printed[*j] != printed[*i] && better(*other)).count();
+        cells[*i].mark = [Mark::Best, Mark::Second].get(rank).copied().unwrap_or_default();
+    }
+    if means.iter().all(|(i, _)| cells[*i].mark == Mark::Best) {
+        means.iter().for_each(|(i, _)| cells[*i].mark = Mark::None);
+    }
+}
+
+/// The columns that have a number, and all rows that have one in any of them.
+pub(super) fn filled(
+    comparison: &Comparison<'_>,
+    wanted: &[Wanted<'_>],
+    is_ranked: impl Fn(&MetricRow) -> bool,
+) -> (Vec<Column>, Vec<Line>) {
+    let rows = &comparison.rows;
+    let columns: Vec<(Column, Vec<Shown>)> = wanted.iter().filter_map(|w| column(rows, *w, is_ranked(w.0))).collect();
+    let line = |(i, row): (usize, &Row<'_>)| {
+        let cells: Vec<Shown> = columns.iter().map(|(_, cells)| cells[i].clone()).collect();
+        cells.iter().any(|c| !c.value.is_empty()).then(|| Line::new(row, cells))
+    };
+    let lines = rows.iter().enumerate().filter_map(line).collect();
+    (columns.into_iter().map(|(column, _)| column).collect(), lines)
+}
 
 /// Numbers of a whole model that are shown first.
 const WHOLE: [&str; 3] = [TRAINED_ON, "gaussians", "model_bytes"];
@@ -94,4 +215,38 @@ fn table(
     };
     table.legend = sentences("legend.txt", words);
     Some(table)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Marks of a column of these printed numbers and means.
+    fn marks(column: &[(&str, f64)], competes: &[bool], higher_is_better: bool) -> Vec<Mark> {
+        let mut cells: Vec<Shown> =
+            column.iter().map(|(value, _)| Shown { value: (*value).into(), ..Shown::default() }).collect();
+        let spreads: Vec<Option<Spread>> =
+            column.iter().map(|(value, mean)| Spread::of(&[*mean]).filter(|_| !value.is_empty())).collect();
+        mark(&mut cells, &spreads, competes, higher_is_better);
+        cells.iter().map(|c| c.mark).collect()
+    }
+
+    #[test]
+    fn best_and_second_are_marked_among_those_that_compete() {
+        use Mark::{Best, None, Second};
+        let column = [("0.80", 0.8), ("0.70", 0.7), ("0.99", 0.99), ("0.75", 0.75), ("", 0.0)];
+        let all_but_third = [true, true, false, true, true];
+        assert_eq!(marks(&column, &all_but_third, true), [Best, None, None, Second, None]);
+        assert_eq!(marks(&column, &all_but_third, false), [None, Best, None, Second, None]);
+    }
+
+    #[test]
+    fn what_is_printed_alike_is_equal() {
+        use Mark::{Best, None, Second};
+        let all = [true; 3];
+        assert_eq!(marks(&[("0.80", 0.801), ("0.80", 0.799), ("0.70", 0.7)], &all, true), [Best, Best, None]);
+        assert_eq!(marks(&[("0.90", 0.9), ("0.80", 0.801), ("0.80", 0.799)], &all, true), [Best, Second, Second]);
+        assert_eq!(marks(&[("8", 8.0), ("8", 8.0), ("8", 8.0)], &all, false), [None; 3], "no best among equals");
+        assert_eq!(marks(&[("8", 8.0), ("", 0.0), ("", 0.0)], &all, false), [None; 3], "nor of one alone");
+    }
 }

@@ -1,19 +1,79 @@
-//! Spectra side by side, as measured and as each variant predicts them: figure 4 of the paper.
+//! Panels side by side: Gaussians in the room (figure 3 of the paper) and spectra (figure 4).
 
 use super::{COLUMN, Figure, PAGE};
-use crate::canvas::font::{LINE, wrapped};
-use crate::canvas::{Anchor, Canvas};
-use crate::draw::ruler::{draw_azimuth, draw_elevation, names};
-use crate::draw::spectra::{Scale, pixels};
+use crate::canvas::{Anchor, Canvas, LINE, TEXT, wrapped};
+use crate::draw::charts::Legend;
+use crate::draw::room::{Panel, Room};
+use crate::draw::spectra::{Scale, draw_azimuth, draw_elevation, names, pixels};
 use crate::study::{Setting, Variant};
 use minijinja::context;
-use pwrfgs_core::Dataset;
-use pwrfgs_core::{Image, ImagePlane, Result};
+use pwrfgs_core::{Dataset, Image, ImagePlane, Result};
 use pwrfgs_experiment::scores::MODEL;
+use pwrfgs_model::Snapshot;
 use std::collections::BTreeMap;
 
 /// At most so many variants are shown.
-const MOST: usize = 5;
+const MOST_ROOMS: usize = 6;
+
+/// Gaussians over the scene's point cloud with their Chamfer distances: figure 3 of the paper.
+pub(super) fn room(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
+    let with = || setting.variants.iter().filter(|v| v.runs[0].facts.gaussians > 0);
+    let shown: Vec<&Variant> = with().take(MOST_ROOMS).collect();
+    if shown.is_empty() {
+        return Ok(None);
+    }
+    let snapshot = |v: &&Variant| {
+        let run = &v.runs[0];
+        Ok(Snapshot::of_ensemble(run.facts.steps, &run.model(data)?))
+    };
+    let clouds: Vec<Snapshot> = shown.iter().map(snapshot).collect::<Result<_>>()?;
+    let mut canvas = Canvas::new(if shown.len() == 1 { COLUMN } else { PAGE }, 0.0);
+    let columns = match shown.len() {
+        n @ 1..=3 => n,
+        4 => 2,
+        _ => 3,
+    };
+    let width = canvas.width / columns as f64;
+    let partition = setting.variants[0].runs[0].partition(data)?;
+    let all: Vec<&Snapshot> = clouds.iter().collect();
+    let room = Room::new(data, &partition, &all, TEXT * COLUMN / width);
+    let panels: Vec<Panel> = shown.iter().zip(&clouds).map(|(v, cloud)| room.panel(&v.label, cloud, data)).collect();
+    let mut top = 0.0;
+    for row in panels.chunks(columns) {
+        top = draw_rooms(&mut canvas, row, width, top);
+    }
+    let legend = Legend::new(room.legend(), canvas.width);
+    legend.draw(&mut canvas, top);
+    canvas.height = top + legend.height();
+    let words = context! { more => with().count() - shown.len(), note => room.note(data) };
+    Ok(Some(Figure::new("room", setting, words, &canvas)))
+}
+
+/// Draws panels beside each other, each with its name above and numbers below; returns where the row ends.
+fn draw_rooms(canvas: &mut Canvas, row: &[Panel], width: f64, top: f64) -> f64 {
+    let mut bottom = top;
+    let names: Vec<Vec<String>> = row.iter().map(|panel| wrapped(&panel.title, width - 10.0)).collect();
+    let head = LINE * names.iter().map(Vec::len).max().unwrap_or(1) as f64 + 4.0;
+    for (k, panel) in row.iter().enumerate() {
+        let (left, middle) = (k as f64 * width, (k as f64 + 0.5) * width);
+        canvas.lines([middle, top + head / 2.0], Anchor::Middle, &names[k]);
+        canvas.put([left, top + head], width / COLUMN, &panel.picture);
+        // The numbers of the axes leave room below.
+        let mut y = top + head + panel.picture.height * width / COLUMN - 8.0;
+        let lines = std::iter::once(panel.numbers.as_str()).chain(panel.caption.split("; "));
+        for line in lines.filter(|line| !line.is_empty()) {
+            for line in wrapped(line, width - 6.0) {
+                y += LINE;
+                canvas.text([middle, y], Anchor::Middle, line);
+            }
+        }
+        bottom = f64::max(bottom, y + 8.0);
+    }
+    bottom
+}
+
+/// At most so many variants are shown.
+const MOST_COLUMNS: usize = 5;
 /// Room for the names of rows and the axis of elevation.
 const LEFT: f64 = 94.0;
 /// Between panels.
@@ -32,8 +92,9 @@ struct Row {
     predicted: Vec<(Image, f64)>,
 }
 
-pub(super) fn figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
-    let shown = &setting.variants[..setting.variants.len().min(MOST)];
+/// Spectra side by side, as measured and as each variant predicts them: figure 4 of the paper.
+pub(super) fn spectra(setting: &Setting, data: &Dataset) -> Result<Option<Figure>> {
+    let shown = &setting.variants[..setting.variants.len().min(MOST_COLUMNS)];
     let scores: Option<Vec<BTreeMap<u32, f64>>> = shown.iter().map(|v| v.runs[0].scores.by_id(MODEL, "ssim")).collect();
     let Some(scores) = scores else { return Ok(None) };
     let models = shown.iter().map(|v| v.runs[0].model(data)).collect::<Result<Vec<_>>>()?;
@@ -50,7 +111,7 @@ pub(super) fn figure(setting: &Setting, data: &Dataset) -> Result<Option<Figure>
     if rows.is_empty() {
         return Ok(None);
     }
-    let canvas = draw(shown, &rows, models[0].plane());
+    let canvas = draw_spectra(shown, &rows, models[0].plane());
     let words = context! { first => setting.variants[0].label.clone(), more => setting.variants.len() - shown.len() };
     Ok(Some(Figure::new("spectra", setting, words, &canvas)))
 }
@@ -67,13 +128,13 @@ fn chosen(scores: &[BTreeMap<u32, f64>]) -> Vec<(&'static str, u32)> {
     chosen
 }
 
-fn draw(variants: &[Variant], rows: &[Row], plane: &ImagePlane) -> Canvas {
+fn draw_spectra(variants: &[Variant], rows: &[Row], plane: &ImagePlane) -> Canvas {
     let columns = 1 + variants.len();
     let mut canvas = Canvas::new(if columns == 2 { COLUMN } else { PAGE }, 0.0);
-    let room = (canvas.width - LEFT - 14.0 + GAP) / columns as f64 - GAP;
-    let width = room.min(WIDEST);
+    let space = (canvas.width - LEFT - 14.0 + GAP) / columns as f64 - GAP;
+    let width = space.min(WIDEST);
     let height = (width * plane.height as f64 / plane.width as f64).min(width);
-    let left = LEFT + columns as f64 * (room - width) / 2.0;
+    let left = LEFT + columns as f64 * (space - width) / 2.0;
     let x = |column: usize| left + column as f64 * (width + GAP);
     let labels = std::iter::once("ground truth").chain(variants.iter().map(|v| v.label.as_str()));
     let labels: Vec<Vec<String>> = labels.map(|name| wrapped(name, width + GAP - 2.0)).collect();

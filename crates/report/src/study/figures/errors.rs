@@ -1,17 +1,16 @@
-//! Error against the distance to the nearest training transmitter: what exposes a leaking split.
+//! How errors are spread, and where: against the distance to the nearest training transmitter, and their distribution.
 //!
 //! Where test transmitters stand millimetres from those trained on, a copy of the nearest spectrum scores best, and a
-//! score averaged over the test part says little about places further off.
+//! score averaged over the test part says little about places further off. A mean of powers or channels hides a tail.
 
-use super::{Figure, looks};
+use super::Figure;
 use crate::draw::charts::{Axis, Chart, Line};
 use crate::draw::marks::{Stroke, Style};
 use crate::study::Setting;
 use minijinja::context;
 use pwrfgs_core::{Headline, Task};
-use pwrfgs_experiment::Record;
-use pwrfgs_experiment::scores::MODEL;
-use pwrfgs_experiment::statistics::quantile;
+use pwrfgs_experiment::{Record, scores::MODEL, statistics::quantile};
+use std::collections::BTreeMap;
 
 /// Test samples in a bin, and bins at most.
 const PER_BIN: usize = 10;
@@ -19,12 +18,13 @@ const MOST_BINS: usize = 8;
 /// With more variants than this the bands of quartiles would cover each other.
 const MOST_BANDS: usize = 4;
 
-pub(super) fn figure(setting: &Setting) -> Option<Figure> {
+/// Error against the distance to the nearest training transmitter: what exposes a leaking split.
+pub(super) fn distance(setting: &Setting) -> Option<Figure> {
     let mut lines = Vec::new();
     let banded = setting.variants.len() <= MOST_BANDS;
     let task = setting.task();
     for (k, variant) in setting.variants.iter().enumerate() {
-        let (style, bins) = (looks::variant(k), bins(&variant.runs, MODEL, task));
+        let (style, bins) = (Style::variant(k), bins(&variant.runs, MODEL, task));
         let quartile = |q: usize| bins.iter().map(move |b| (b.distance, b.quartiles[q]));
         let mut line = Line::new(quartile(1).collect(), style).named(&variant.label);
         line.marks.clone_from(&line.points);
@@ -38,7 +38,7 @@ pub(super) fn figure(setting: &Setting) -> Option<Figure> {
         // The same in every variant, up to splits that depend on the seed.
         let bins = bins(&setting.variants[0].runs, name, task);
         let points = bins.iter().map(|b| (b.distance, b.quartiles[1])).collect();
-        lines.push(Line::new(points, looks::floor(k)).named_at_end(name));
+        lines.push(Line::new(points, Style::floor(k)).named_at_end(name));
     }
     let x = Axis { name: "distance to the nearest training transmitter [m]".into(), log: true, ends: None };
     let Headline { name, higher, best, .. } = task.headline;
@@ -82,6 +82,41 @@ fn binned(mut pairs: Vec<(f64, f64)>, count: usize) -> Vec<Bin> {
         Bin { distance: quantile(&distances, 0.5), quartiles: [0.25, 0.5, 0.75].map(|q| quantile(&errors, q)) }
     };
     (0..count).map(bin).collect()
+}
+
+/// Shares of the test part that are drawn.
+const PLACES: usize = 200;
+/// This share of every predictor is within the axis.
+const INSIDE: f64 = 0.98;
+
+/// The share of the test part below each value of the first metric; nothing of spectra, whose SSIM has a figure of its own.
+pub(super) fn distribution(setting: &Setting) -> Option<Figure> {
+    if setting.task().has_pixels {
+        return None;
+    }
+    let headline = setting.headline();
+    let tail = if headline.higher { 1.0 - INSIDE..=1.0 } else { 0.0..=INSIDE };
+    let points = |runs: &[Record], predictor: &str| -> Vec<(f64, f64)> {
+        let samples = runs.iter().filter_map(|run| run.scores.by_id(predictor, headline.key));
+        let mut values: Vec<f64> = samples.flat_map(BTreeMap::into_values).filter(|v| v.is_finite()).collect();
+        values.sort_by(f64::total_cmp);
+        let shares = (0..=PLACES).map(|k| k as f64 / PLACES as f64).filter(|share| tail.contains(share));
+        if values.is_empty() { Vec::new() } else { shares.map(|share| (quantile(&values, share), share)).collect() }
+    };
+    let mut lines = Vec::new();
+    for (k, variant) in setting.variants.iter().enumerate() {
+        let mut line = Line::new(points(&variant.runs, MODEL), Style::variant(k)).named(&variant.label);
+        line.marks = line.points.iter().skip(10 + 5 * (k % 4)).step_by(20).copied().collect();
+        lines.push(line);
+    }
+    for (k, name) in setting.floors().into_iter().enumerate() {
+        lines.push(Line::new(points(&setting.variants[0].runs, name), Style::floor(k)).named(name));
+    }
+    let x = Axis { name: headline.name.into(), ..Axis::default() };
+    let y = Axis { name: "share of the test part below".into(), ends: Some((0.0, 1.0)), log: false };
+    let percent = (INSIDE * 100.0).round() as u32;
+    let chart = Chart { x, y, lines, ..Chart::default() };
+    Figure::chart("distribution", setting, context! { axis => headline.name, percent }, chart)
 }
 
 #[cfg(test)]
