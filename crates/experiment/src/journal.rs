@@ -1,6 +1,6 @@
 //! `Journal`: what a training writes as it goes: `curve.csv`, `validation.csv` and, where asked for, TensorBoard events.
 
-use crate::events::{Events, TEST};
+use crate::events::Events;
 use crate::folder::{CURVE, EVENTS, VALIDATION};
 use crate::run_folder::RunFolder;
 use crate::scores::ScoreTable;
@@ -17,6 +17,8 @@ use std::path::{Path, PathBuf};
 const DENSE_STEPS: u64 = 2_000;
 /// Header of `curve.csv`.
 const CURVE_HEADER: &str = "step,phase,loss,penalty,gaussians,seconds";
+/// Begins the tags of `validation.csv` in TensorBoard.
+const LOOK: &str = "validation/";
 
 /// The open files.
 #[derive(Debug)]
@@ -31,12 +33,32 @@ pub(crate) struct Journal {
 impl Journal {
     /// Opens the files, cut back to step `done`.
     pub(crate) fn open(folder: &RunFolder, pipeline: &Pipeline, task: Task, done: u64) -> Result<Self> {
-        let (curve, last) = Series::open(&folder.file(CURVE), CURVE_HEADER, done)?;
-        let (looks, _) =
-            Series::open(&folder.file(VALIDATION), &format!("step,{}", task.headline.columns.join(",")), done)?;
-        let events = pipeline.tensorboard.then(|| Events::open(&folder.file(EVENTS), done)).transpose()?;
-        let seconds = last.and_then(|row| row.rsplit(',').next().and_then(|s| s.parse().ok())).unwrap_or_default();
-        Ok(Self { curve, looks, events, steps: pipeline.training.steps, seconds })
+        let (curve, rows) = Series::open(&folder.file(CURVE), CURVE_HEADER, done)?;
+        let columns = format!("step,{}", task.headline.columns.join(","));
+        let (looks, seen) = Series::open(&folder.file(VALIDATION), &columns, done)?;
+        let seconds = rows.last().map_or(0.0, |row| seconds_of(row));
+        let mut journal = Self { curve, looks, events: None, steps: pipeline.training.steps, seconds };
+        if pipeline.tensorboard {
+            journal.events = Some(Events::create(&folder.file(EVENTS))?);
+            journal.replay(&rows, &seen)?;
+        }
+        Ok(journal)
+    }
+
+    /// Writes the events of earlier rows again, those of a step in the order in which it wrote them.
+    fn replay(&mut self, rows: &[String], seen: &[String]) -> Result<()> {
+        let of_curve = rows.iter().map(|row| (step_of(row), "", &self.curve.header, row));
+        let of_looks = seen.iter().map(|row| (step_of(row), LOOK, &self.looks.header, row));
+        let mut all: Vec<_> = of_curve.chain(of_looks).collect();
+        all.sort_by_key(|(step, ..)| *step);
+        let mut ago = 0.0;
+        for (step, prefix, header, row) in all {
+            if prefix.is_empty() {
+                ago = self.seconds - seconds_of(row);
+            }
+            self.events.as_mut().map_or(Ok(()), |events| events.push(step, &scalars(prefix, header, row), ago))?;
+        }
+        Ok(())
     }
 
     /// Seconds inside training steps, all starts together.
@@ -51,17 +73,28 @@ impl Journal {
         if !has_row(*step, self.steps) {
             return Ok(());
         }
-        self.curve.push(&format!("{step},{},{loss},{penalty},{gaussians},{seconds:.3}", phase.name()))?;
-        self.scalars(*step, &[("loss", *loss), ("penalty", *penalty), ("gaussians", *gaussians as f64)])
+        let row = format!("{step},{},{loss},{penalty},{gaussians},{seconds:.3}", phase.name());
+        self.curve.push(&row)?;
+        self.events.as_mut().map_or(Ok(()), |events| events.push(*step, &scalars("", &self.curve.header, &row), 0.0))
     }
 
     /// Notes a look at the validation part.
     pub(crate) fn validation(&mut self, seen: &Validation) -> Result<()> {
         let Validation { step, values: [mean, median, third], .. } = seen;
-        self.looks.push(&format!("{step},{mean},{median},{third}"))?;
-        let names = seen.task.headline.columns.map(|column| format!("validation/{column}"));
-        let scalars: Vec<(&str, f64)> = names.iter().map(String::as_str).zip(seen.values).collect();
-        self.scalars(seen.step, &scalars)
+        let row = format!("{step},{mean},{median},{third}");
+        self.looks.push(&row)?;
+        self.events.as_mut().map_or(Ok(()), |events| events.push(*step, &scalars(LOOK, &self.looks.header, &row), 0.0))
+    }
+
+    /// Notes what the model reached on the test part, for TensorBoard: the mean of each metric, at the last step.
+    pub(crate) fn scores(&mut self, scores: &ScoreTable) -> Result<()> {
+        let mean = |row: &crate::scores::MetricRow| {
+            let value = row.cells.first()?.numbers().first().copied()?;
+            Some((format!("test/{}", row.key), value))
+        };
+        let scalars: Vec<(String, f64)> = scores.metrics.iter().filter_map(mean).collect();
+        self.events.as_mut().map_or(Ok(()), |events| events.push(self.steps, &scalars, 0.0))?;
+        self.sync()
     }
 
     /// Brings all of it to the disk; called before each checkpoint, which must never know more.
@@ -70,22 +103,22 @@ impl Journal {
         self.looks.sync()?;
         self.events.as_ref().map_or(Ok(()), Events::sync)
     }
-
-    fn scalars(&mut self, step: u64, scalars: &[(&str, f64)]) -> Result<()> {
-        self.events.as_mut().map_or(Ok(()), |events| events.push(step, scalars))
-    }
 }
 
-/// Adds what the model reached on the test part to the events: the mean of each metric, at the last step.
-pub(crate) fn note_scores(folder: &RunFolder, steps: u64, scores: &ScoreTable) -> Result<()> {
-    let mean = |row: &crate::scores::MetricRow| {
-        let value = row.cells.first()?.numbers().first().copied()?;
-        Some((format!("{TEST}{}", row.key), value))
-    };
-    let scalars: Vec<(String, f64)> = scores.metrics.iter().filter_map(mean).collect();
-    let mut events = Events::open(&folder.file(EVENTS), steps)?;
-    events.push(steps, &scalars)?;
-    events.sync()
+/// The number that a row begins with.
+fn step_of(row: &str) -> u64 {
+    row.split(',').next().and_then(|step| step.parse().ok()).unwrap_or(0)
+}
+
+/// The number that a row of `curve.csv` ends with.
+fn seconds_of(row: &str) -> f64 {
+    row.rsplit(',').next().and_then(|seconds| seconds.parse().ok()).unwrap_or(0.0)
+}
+
+/// The numbers of a row, by `prefix` and the names of their columns.
+fn scalars(prefix: &str, header: &str, row: &str) -> Vec<(String, f64)> {
+    let named = header.split(',').zip(row.split(',')).filter(|(name, _)| !["step", "phase", "seconds"].contains(name));
+    named.filter_map(|(name, value)| Some((format!("{prefix}{name}"), value.parse().ok()?))).collect()
 }
 
 /// Whether `step` has a row in `curve.csv`: a function of the step alone, so that a resumed run writes the same rows.
@@ -97,20 +130,21 @@ fn has_row(step: u64, steps: u64) -> bool {
 #[derive(Debug)]
 struct Series {
     path: PathBuf,
+    header: String,
     file: File,
 }
 
 impl Series {
-    /// Opens `path`, keeping the rows up to step `done`; returns the last of them. What follows them is dropped: rows of
+    /// Opens `path`, keeping the rows up to step `done`; returns them. What follows them is dropped: rows of
     /// later steps, and what a killed run or a lost machine left half-written.
     ///
     /// # Errors
     /// Where a row before the last kept one, or the header, is damaged: it would be lost without a word.
-    fn open(path: &Path, header: &str, done: u64) -> Result<(Self, Option<String>)> {
+    fn open(path: &Path, header: &str, done: u64) -> Result<(Self, Vec<String>)> {
         let old = files::if_found(path, files::read(path))?.unwrap_or_default();
         let old = String::from_utf8_lossy(&old);
         let mut text = format!("{header}\n");
-        let (mut last, mut broken) = (None, None);
+        let (mut rows, mut broken) = (Vec::new(), None);
         let damaged = |line: usize, what: &str| {
             Error::at(path, line, 1, format!("{what}; put the file right, or remove it to go on without its rows"))
         };
@@ -125,7 +159,7 @@ impl Series {
                         return Err(damaged(place, "this row begins with no step, and rows follow"));
                     }
                     text.push_str(line);
-                    last = Some(line.trim_end().to_owned());
+                    rows.push(line.trim_end().to_owned());
                 }
                 Some(_) => {}
                 None => broken = broken.or(Some(place)),
@@ -133,7 +167,7 @@ impl Series {
         }
         write_atomically(path, text.as_bytes())?;
         let file = OpenOptions::new().append(true).open(path).map_err(|e| Error::write(path, e))?;
-        Ok((Self { path: path.into(), file }, last))
+        Ok((Self { path: path.into(), header: header.into(), file }, rows))
     }
 
     /// Appends one row.
@@ -163,14 +197,14 @@ mod tests {
     fn a_series_is_cut_back_to_the_checkpoint() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("curve.csv");
-        let (mut series, last) = Series::open(&path, "step,loss", 0).unwrap();
-        assert_eq!(last, None);
+        let (mut series, rows) = Series::open(&path, "step,loss", 0).unwrap();
+        assert!(rows.is_empty());
         for row in ["10,0.5", "20,0.4", "30,0.3"] {
             series.push(row).unwrap();
         }
         series.file.write_all(b"40,0.").unwrap();
-        let (mut series, last) = Series::open(&path, "step,loss", 20).unwrap();
-        assert_eq!(last.as_deref(), Some("20,0.4"));
+        let (mut series, rows) = Series::open(&path, "step,loss", 20).unwrap();
+        assert_eq!(rows, ["10,0.5", "20,0.4"]);
         series.push("30,0.3").unwrap();
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "step,loss\n10,0.5\n20,0.4\n30,0.3\n");
         assert_eq!(read_series(&path)[2], vec![Some(30.0), Some(0.3)]);
@@ -183,10 +217,10 @@ mod tests {
         let path = folder.path().join("curve.csv");
         let open = |text: &[u8], done| {
             std::fs::write(&path, text).unwrap();
-            Series::open(&path, "step,loss", done).map(|(_, last)| last).map_err(|e| e.to_string())
+            Series::open(&path, "step,loss", done).map(|(_, rows)| rows).map_err(|e| e.to_string())
         };
-        assert_eq!(open(b"step,loss\n10,0.5\n\0\xff\0\n", 20), Ok(Some("10,0.5".into())));
-        assert_eq!(open(b"stop,loss\n10,0.5\n", 0), Ok(None), "nothing is kept");
+        assert_eq!(open(b"step,loss\n10,0.5\n\0\xff\0\n", 20), Ok(vec!["10,0.5".into()]));
+        assert_eq!(open(b"stop,loss\n10,0.5\n", 0), Ok(vec![]), "nothing is kept");
         let said = open(b"step,loss\n1\xff0,0.5\n20,0.4\n", 20).unwrap_err();
         assert!(said.contains("curve.csv:2:1: this row begins with no step"), "{said}");
         let said = open(b"stop,loss\n10,0.5\n", 20).unwrap_err();

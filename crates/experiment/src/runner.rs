@@ -4,7 +4,7 @@ use crate::evaluate::{evaluate, validation_baselines};
 use crate::facts::Facts;
 use crate::folder::MODEL_FILE;
 use crate::input::prepared;
-use crate::journal::note_scores;
+use crate::journal::Journal;
 use crate::load::load;
 use crate::page::conclude;
 use crate::run_folder::{RunFolder, RunState};
@@ -131,7 +131,7 @@ fn complete<'a>(
     facts.steps = pipeline.training.steps;
     facts.wall_seconds += begun.elapsed().as_secs_f64();
     if pipeline.tensorboard {
-        note_scores(folder, pipeline.training.steps, &found.0.table)?;
+        Journal::open(folder, pipeline, data.task(), pipeline.training.steps)?.scores(&found.0.table)?;
     }
     let scores = conclude(folder, pipeline, &mut facts, (data, partition, &model), found, session)?;
     Ok(Outcome::Finished { scores, already: false })

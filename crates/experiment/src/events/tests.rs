@@ -1,6 +1,7 @@
 //! The event file through a reader of its own: a table for the checksum, and fields in their fixed order.
 
 use super::*;
+use std::io::Read as _;
 
 /// CRC-32C by table, eight bits at a time, its polynomial the other way round.
 fn crc32c(bytes: &[u8]) -> u32 {
@@ -115,11 +116,12 @@ fn checksums_are_those_of_rfc_3720() {
 fn events_come_back_as_they_were_written() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("events");
-    let mut events = Events::open(&path, 0).unwrap();
+    std::fs::write(&path, "of an earlier start").unwrap();
+    let mut events = Events::create(&path).unwrap();
     let large = u64::from(u32::MAX) * 1000;
-    events.push(1, &[("loss", 0.25), ("gaussians", 65_469.0)]).unwrap();
-    events.push(large, &[("a tag longer than 127 bytes ".repeat(9), -1e-3)]).unwrap();
-    events.push::<&str>(large, &[]).unwrap();
+    events.push(1, &[("loss", 0.25), ("gaussians", 65_469.0)], 0.0).unwrap();
+    events.push(large, &[("a tag longer than 127 bytes ".repeat(9), -1e-3)], 60.0).unwrap();
+    events.push::<&str>(large, &[], 0.0).unwrap();
     let expected = [
         (0, vec![]),
         (1, vec![("loss".to_owned(), 0.25), ("gaussians".to_owned(), 65_469.0)]),
@@ -127,59 +129,4 @@ fn events_come_back_as_they_were_written() {
         (large, vec![]),
     ];
     assert_eq!(read(&path), expected);
-}
-
-#[test]
-fn a_file_is_cut_back_to_the_checkpoint_wherever_it_was_torn() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("events");
-    let mut events = Events::open(&path, 0).unwrap();
-    let mut ends = vec![std::fs::metadata(&path).unwrap().len() as usize];
-    for step in [10, 20, 30] {
-        events.push(step, &[("loss", step as f64)]).unwrap();
-        ends.push(std::fs::metadata(&path).unwrap().len() as usize);
-    }
-    let whole = std::fs::read(&path).unwrap();
-    let steps = |path: &Path| read(path).iter().map(|(step, _)| *step).collect::<Vec<_>>();
-    for torn in 0..=whole.len() {
-        std::fs::write(&path, &whole[..torn]).unwrap();
-        Events::open(&path, 20).unwrap().push(30, &[("loss", 3.0)]).unwrap();
-        let complete = ends[1..3].iter().filter(|end| **end <= torn).count();
-        assert_eq!(steps(&path), [&[0, 10, 20][..=complete], &[30]].concat(), "torn at {torn}");
-    }
-    // A flipped bit ends what can be trusted, and a file of somebody else is begun anew.
-    let mut flipped = whole.clone();
-    flipped[ends[1] + 20] ^= 1;
-    std::fs::write(&path, &flipped).unwrap();
-    Events::open(&path, 30).unwrap();
-    assert_eq!(steps(&path), [0, 10]);
-    for foreign in [b"step,loss\n".to_vec(), record(b"no event"), whole[ends[0]..].to_vec()] {
-        std::fs::write(&path, &foreign).unwrap();
-        Events::open(&path, 30).unwrap();
-        assert_eq!(steps(&path), [0]);
-    }
-}
-
-#[test]
-fn final_scores_are_never_there_twice() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("events");
-    let mut events = Events::open(&path, 0).unwrap();
-    events.push(10, &[("loss", 0.5)]).unwrap();
-    for score in [0.7, 0.8] {
-        Events::open(&path, 10).unwrap().push(10, &[("test/ssim", score)]).unwrap();
-    }
-    assert_eq!(read(&path)[1..], [(10, vec![("loss".into(), 0.5)]), (10, vec![("test/ssim".into(), 0.8)])]);
-}
-
-#[cfg(unix)]
-#[test]
-fn a_link_is_not_followed() {
-    let folder = tempfile::tempdir().unwrap();
-    let (precious, link) = (folder.path().join("precious"), folder.path().join("events"));
-    std::fs::write(&precious, "mine").unwrap();
-    std::os::unix::fs::symlink(&precious, &link).unwrap();
-    let said = Events::open(&link, 0).unwrap_err();
-    assert!(said.is_input() && said.to_string().contains("a symbolic link"), "{said}");
-    assert_eq!(std::fs::read(&precious).unwrap(), b"mine");
 }
