@@ -196,10 +196,7 @@ fn submit(plan: &Plan, open: &[usize], arguments: &Sweep, threads: Option<usize>
 /// What a task calls; the name of its run comes last.
 fn task_command(plan: &Plan, arguments: &Sweep, threads: usize) -> Result<Vec<String>> {
     let text = |path: &std::path::Path| {
-        let path = std::path::absolute(path).map_err(|e| Error::read(path, e))?;
-        path.into_os_string()
-            .into_string()
-            .map_err(|path| Error::Config(format!("{}: Slurm needs a path in UTF-8", path.display())))
+        std::path::absolute(path).map(|path| path.display().to_string()).map_err(|e| Error::read(path, e))
     };
     let program = std::env::current_exe().map_err(|e| Error::Config(format!("where is this program? {e}")))?;
     let here = std::env::current_dir().map_err(|e| Error::Config(format!("where are we? {e}")))?;

@@ -89,7 +89,8 @@ pub struct Slurm {
     pub cpus: usize,
     /// Memory per run, `--mem`, such as `4G`.
     pub memory: String,
-    /// Time limit per run, `--time`. A longer run returns to the queue and resumes.
+    /// Time limit per run, `--time`, at least 5 minutes: a run is warned a minute or two before. A longer run returns to the queue and
+    /// resumes.
     pub time: String,
     /// Partition, `--partition`; if omitted, the cluster selects it.
     pub partition: Option<String>,
@@ -223,12 +224,6 @@ impl Check for Slurm {
         if self.cpus == 0 || self.at_once == Some(0) {
             return Err("`cpus` and `at_once` must be at least 1".into());
         }
-        match minutes(&self.time) {
-            // The warning comes a minute before the limit, and up to a minute early: a run must get on in between.
-            Some(minutes) if minutes >= 5.0 => {}
-            Some(_) => return Err(format!("`time` is {}; give at least 5 minutes, such as \"00:05:00\"", self.time)),
-            None => return Err(format!("`time` is {}; write it as hours:minutes:seconds or days-hours", self.time)),
-        }
         let words = [Some(&self.memory), Some(&self.time), self.partition.as_ref(), self.account.as_ref()];
         let words = words.into_iter().flatten().chain(&self.options);
         for word in words {
@@ -240,42 +235,9 @@ impl Check for Slurm {
     }
 }
 
-/// A time as `sbatch` reads it: minutes, minutes:seconds, hours:minutes:seconds, days-hours, days-hours:minutes and
-/// days-hours:minutes:seconds.
-fn minutes(time: &str) -> Option<f64> {
-    let numbers =
-        |text: &str| text.split(':').map(|n| n.parse::<u32>().ok().map(f64::from)).collect::<Option<Vec<_>>>();
-    let day = 24.0 * 60.0;
-    match time.split_once('-') {
-        Some((days, rest)) => {
-            let days = f64::from(days.parse::<u32>().ok()?) * day;
-            match numbers(rest)?[..] {
-                [h] => Some(days + 60.0 * h),
-                [h, m] => Some(days + 60.0 * h + m),
-                [h, m, s] => Some(days + 60.0 * h + m + s / 60.0),
-                _ => None,
-            }
-        }
-        None => match numbers(time)?[..] {
-            [m] => Some(m),
-            [m, s] => Some(m + s / 60.0),
-            [h, m, s] => Some(60.0 * h + m + s / 60.0),
-            _ => None,
-        },
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use super::{minutes, slug};
-
-    #[test]
-    fn times_are_those_of_sbatch() {
-        let all = ["90", "90:30", "02:00:00", "1-12", "1-12:30", "0-0:5:0", "soon", "1:2:3:4", "-5", ""].map(minutes);
-        let expected =
-            [Some(90.0), Some(90.5), Some(120.0), Some(2160.0), Some(2190.0), Some(5.0), None, None, None, None];
-        assert_eq!(all, expected);
-    }
+    use super::slug;
 
     #[test]
     fn labels_become_folders() {

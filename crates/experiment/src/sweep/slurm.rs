@@ -9,7 +9,6 @@ use pwrfgs_core::files::{self, write_atomically};
 use pwrfgs_core::{Error, Result};
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -84,20 +83,13 @@ fn tasks(job: &str) -> Result<Vec<usize>> {
     Ok(numbers)
 }
 
-/// A folder for one more submission.
+/// A folder for one more submission; nobody else makes one while the sweep folder is held.
 fn new_submission(plan: &Plan) -> Result<PathBuf> {
-    let folder = std::path::absolute(&plan.folder).map_err(|e| Error::read(&plan.folder, e))?.join(FOLDER);
-    std::fs::create_dir_all(&folder).map_err(|e| Error::write(&folder, e))?;
-    let mut number = submissions(plan).last().map_or(1, |(number, _)| number + 1);
-    loop {
-        let own = folder.join(number.to_string());
-        match std::fs::create_dir(&own) {
-            Ok(()) => return Ok(own),
-            // Of another submission, made since they were counted.
-            Err(e) if e.kind() == ErrorKind::AlreadyExists => number += 1,
-            Err(e) => return Err(Error::write(&own, e)),
-        }
-    }
+    let number = submissions(plan).last().map_or(1, |(number, _)| number + 1);
+    let folder = std::path::absolute(&plan.folder).map_err(|e| Error::read(&plan.folder, e))?;
+    let own = folder.join(FOLDER).join(number.to_string());
+    std::fs::create_dir_all(&own).map_err(|e| Error::write(&own, e))?;
+    Ok(own)
 }
 
 /// Earlier submissions by number.
@@ -111,10 +103,6 @@ fn submissions(plan: &Plan) -> Vec<(u32, PathBuf)> {
 
 /// The script of a job array of `tasks` tasks.
 fn script(plan: &Plan, tasks: usize, command: &[String], own: &Path) -> Result<String> {
-    if own.to_str().is_none() {
-        let what = format!("{} is no text, so it cannot stand in a script for sbatch", own.display());
-        return Err(Error::Config(what + "; rename the folder"));
-    }
     let slurm = &plan.slurm;
     let mut text = format!("#!/bin/bash\n# {} runs of the sweep `{}`, a task each.\n", tasks, plan.name);
     let at_once = slurm.at_once.map_or_else(String::new, |n| format!("%{n}"));
