@@ -86,15 +86,7 @@ fn predicts(here: &Path) {
     for (pixel, value) in grey.as_raw().iter().zip(&values) {
         assert!((f32::from(*pixel) - 255.0 * value.clamp(0.0, 1.0)).abs() <= 0.51);
     }
-    // What a killed command left is made anew; beside anything else, a finished prediction too, nothing is touched.
-    refuse(&lonely, &["predict", "m.safetensors", "--tx", "0,0,1", "--out", "many"], 2, &["many holds a prediction"]);
-    std::fs::rename(lonely.join("many/predictions.csv"), lonely.join("kept.csv")).unwrap();
-    write(&lonely.join("many/.predictions.partial"), "2\n");
-    write(&lonely.join("many/20240101.png"), "a holiday");
-    refuse(&lonely, &["predict", "m.safetensors", "--tx", "0,0,1", "--out", "many"], 2, &["`20240101.png`"]);
-    std::fs::remove_file(lonely.join("many/20240101.png")).unwrap();
-    succeed(&lonely, &["predict", "m.safetensors", "--tx", "0,0,1", "--out", "many"]);
-    assert!(!lonely.join("many/00002.png").exists() && lonely.join("many/00001.png").exists());
+    refuse(&lonely, &["predict", "m.safetensors", "--tx", "0,0,1", "--out", "many"], 2, &["many is not empty"]);
     stacked(&lonely, &values);
     // A folder of somebody else's pictures is left alone.
     crate::common::picture(&lonely.join("spectra/00001.png"), 4, 4);

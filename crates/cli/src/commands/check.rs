@@ -10,7 +10,7 @@ use pwrfgs::experiment::text::{aligned, duration, grouped};
 use pwrfgs::experiment::{Observer as _, Preview, data_warnings, preview, read_pipeline, staged};
 use pwrfgs::prelude::Pipeline;
 use pwrfgs::train::Rays;
-use pwrfgs_core::plugin::try_to_ron;
+use pwrfgs_core::plugin::{name_of as plugin_name, try_to_ron};
 use pwrfgs_core::{Error, Result, recognise};
 use std::path::{Path, PathBuf};
 
@@ -83,12 +83,6 @@ fn text(p: &Preview) -> String {
     let pose = p.summary.pose.as_ref().map(|pose| ("pose", pose.verdict.title().to_owned()));
     rows.splice(1..1, p.summary.facts.iter().cloned().chain(pose));
     aligned(&rows.into_iter().map(|(name, value)| vec![name.to_owned(), value]).collect::<Vec<_>>(), 2)
-}
-
-/// `LearnableMask` of `LearnableMask(lambda: 0.02, ..)`.
-fn plugin_name(pruner: &pwrfgs_core::Plugin<dyn pwrfgs_core::Pruner>) -> String {
-    let text = format!("{:?}", pruner.get());
-    text.split([' ', '(', '{']).next().unwrap_or_default().to_owned()
 }
 
 #[derive(Debug, Args)]

@@ -1,19 +1,18 @@
 //! `pwrfgs predict`: what is observed of transmitter positions, from the model file alone.
 
-mod folder;
 mod writers;
 
 use super::options::{check_positions, chosen, position, positions, read_models};
 use crate::output::Verbosity;
 use crate::progress::Progress;
 use clap::Args;
-use folder::Folder;
 use pwrfgs::experiment::Observer as _;
 use pwrfgs::experiment::text::grouped;
 use pwrfgs::model::Prepared;
+use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::{Error, Query, Result, Task};
 use std::path::PathBuf;
-use writers::{Drawn, Row, writer};
+use writers::{Drawn, Folder, Row, writer};
 
 /// Predictions held in memory at once.
 const CHUNK: usize = 64;
@@ -21,8 +20,7 @@ const CHUNK: usize = 64;
 #[derive(Debug, Args)]
 #[command(
     after_long_help = "Needs nothing but the model file. What is written depends on what the model was trained on; \
-    predictions.csv comes last and says that all is there. A folder that holds anything, an earlier prediction too, is not \
-    touched; what a killed command left is made anew.\n\nSPECTRA\n  For the first position 00001.npy (float32, rows are \
+    the folder is whole or not there. One that holds anything, an earlier prediction too, is not touched.\n\nSPECTRA\n  For the first position 00001.npy (float32, rows are \
     elevation, columns azimuth) and 00001.png (8-bit grey), and so on; predictions.csv has row, x, y, z, strongest \
     direction (azimuth and elevation in degrees), its value, and the milliseconds it took. With --stacked all arrays are \
     one, spectra.npy [positions, rows, columns], which may be larger than memory.\nRECEIVED POWERS\n  predictions.csv has a \
@@ -78,7 +76,8 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
         let why = "--stacked: a received power is one number, and predictions.csv has them all; leave --stacked out";
         return Err(Error::Config(why.into()));
     }
-    let folder = Folder::claim(&arguments.out, count, !arguments.no_png)?;
+    let made = NewFolder::begin(&arguments.out)?;
+    let folder = Folder { path: made.path(), has_png: !arguments.no_png };
     let mut writer = writer(&folder, &model, count, arguments.stacked)?;
     let mut progress = Progress::new(verbosity);
     let mut list = writer.header();
@@ -95,7 +94,8 @@ pub(crate) fn predict(arguments: &Predict, verbosity: Verbosity) -> Result<()> {
     }
     progress.finish();
     writer.finish()?;
-    folder.finish(&list)?;
+    folder.put("predictions.csv", list.as_bytes())?;
+    made.publish()?;
     verbosity.note(&format!("{} {} in {}", grouped(count as i64), task.plural, arguments.out.display()));
     Ok(())
 }

@@ -1,11 +1,20 @@
 //! What is written of spectra, received powers and channels: arrays, pictures and the lines of `predictions.csv`.
 
-use super::folder::{Folder, SPREAD, Stack, name};
+use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
+use pwrfgs::data::{npy_header, npy_header_as};
 use pwrfgs::experiment::text::field;
 use pwrfgs::model::Prepared;
-use pwrfgs_core::{Image, ImagePlane, Real, Result, Task, gains_of};
+use pwrfgs_core::{Error, Image, ImagePlane, Number, Real, Result, Task, gains_of};
 use rayon::prelude::*;
 use std::fmt::Write as _;
+use std::fs::File;
+use std::io::{BufWriter, Write as _};
+use std::path::{Path, PathBuf};
+
+/// What NumPy calls pairs of 32-bit numbers.
+const COMPLEX: &str = "<c8";
+/// What the pictures of an ensemble's disagreement are called besides their row.
+const SPREAD: &str = "-spread";
 
 /// A row of `predictions.csv`: who sends, and who listens.
 #[derive(Clone, Copy, Debug)]
@@ -201,4 +210,104 @@ impl Writer for Channels {
 fn lengths(parts: &Image) -> Image {
     let pixels: Vec<Real> = gains_of(&parts.pixels, parts.width).iter().map(|[re, im]| re.hypot(*im)).collect();
     Image { width: parts.width, height: parts.height / 2, pixels }
+}
+
+/// A folder that is being filled.
+pub(super) struct Folder<'a> {
+    pub(super) path: &'a Path,
+    pub(super) has_png: bool,
+}
+
+impl Folder<'_> {
+    /// `NAME.npy` (as it is), where it is not stacked.
+    fn array(&self, name: &str, image: &Image) -> Result<()> {
+        let mut npy = npy_header(Number::F32, &[image.height, image.width]);
+        npy.extend(floats(image));
+        self.put(&format!("{name}.npy"), &npy)
+    }
+
+    /// `NAME.npy` of complex gains `[A, F]`.
+    fn gains(&self, name: &str, shape: [usize; 2], gains: &[[Real; 2]]) -> Result<()> {
+        let mut npy = npy_header_as(COMPLEX, &shape);
+        npy.extend(pairs(gains));
+        self.put(&format!("{name}.npy"), &npy)
+    }
+
+    /// `NAME.png` (times `gain`, clamped to [0, 1]), where pictures are wanted.
+    fn picture(&self, name: &str, image: &Image, gain: Real) -> Result<()> {
+        if !self.has_png {
+            return Ok(());
+        }
+        let mut png = Vec::new();
+        let shown = Image { pixels: image.pixels.iter().map(|p| gain * p).collect(), ..*image };
+        PngEncoder::new(&mut png)
+            .write_image(&shown.to_bytes(), image.width as u32, image.height as u32, ExtendedColorType::L8)
+            .map_err(|e| Error::write(self.path, std::io::Error::other(e)))?;
+        self.put(&format!("{name}.png"), &png)
+    }
+
+    /// Writes a file.
+    pub(super) fn put(&self, name: &str, bytes: &[u8]) -> Result<()> {
+        let path = self.path.join(name);
+        std::fs::write(&path, bytes).map_err(|e| Error::write(&path, e))
+    }
+}
+
+fn name(row: usize) -> String {
+    format!("{row:05}")
+}
+
+/// One array `[M, height, width]` of 32-bit or complex numbers, written row by row: it may be larger than memory.
+struct Stack {
+    path: PathBuf,
+    file: BufWriter<File>,
+}
+
+impl Stack {
+    /// Of pictures.
+    fn floats(folder: &Folder<'_>, name: &str, shape: [usize; 3]) -> Result<Self> {
+        Self::create(folder, name, &npy_header(Number::F32, &shape))
+    }
+
+    /// Of channels.
+    fn complex(folder: &Folder<'_>, name: &str, shape: [usize; 3]) -> Result<Self> {
+        Self::create(folder, name, &npy_header_as(COMPLEX, &shape))
+    }
+
+    fn create(folder: &Folder<'_>, name: &str, header: &[u8]) -> Result<Self> {
+        let path = folder.path.join(name);
+        let file = File::create(&path).map_err(|e| Error::write(&path, e))?;
+        let mut stack = Self { path, file: BufWriter::new(file) };
+        stack.write(header)?;
+        Ok(stack)
+    }
+
+    /// The next picture.
+    fn push_floats(&mut self, image: &Image) -> Result<()> {
+        self.write(&floats(image).collect::<Vec<u8>>())
+    }
+
+    /// The next channel.
+    fn push_complex(&mut self, gains: &[[Real; 2]]) -> Result<()> {
+        self.write(&pairs(gains).collect::<Vec<u8>>())
+    }
+
+    /// All is there.
+    fn finish(mut self) -> Result<()> {
+        self.file.flush().map_err(|e| Error::write(&self.path, e))
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> Result<()> {
+        self.file.write_all(bytes).map_err(|e| Error::write(&self.path, e))
+    }
+}
+
+/// The pixels as 32-bit numbers.
+fn floats(image: &Image) -> impl Iterator<Item = u8> {
+    image.pixels.iter().flat_map(|p| (*p as f32).to_le_bytes())
+}
+
+/// Complex numbers of 32 bits a part.
+fn pairs(gains: &[[Real; 2]]) -> impl Iterator<Item = u8> {
+    gains.as_flattened().iter().flat_map(|v| (*v as f32).to_le_bytes())
 }
