@@ -1,7 +1,7 @@
 //! Map coordinates: a scene far from zero is the same scene.
 
 use crate::common::pipeline;
-use pwrfgs::core::origin::MAX_COORDINATE_M;
+use pwrfgs::core::MAX_COORDINATE_M;
 use pwrfgs::core::rng;
 use pwrfgs::model::file;
 use pwrfgs::prelude::*;

@@ -1,10 +1,9 @@
 //! `Dataset`: what was measured, and where, in columns.
 
-use crate::origin::{Origin, place_fault};
 use crate::words::clean;
 use crate::{
-    Elevation, Error, Features, Image, ImagePlane, Link, Observations, Pose, Query, Real, Receiver, Result, Sample,
-    Scene, Spectra, Task, Transmitter, Vec3,
+    Elevation, Error, Features, Image, ImagePlane, Link, Observations, Origin, Pose, Query, Real, Receiver, Result,
+    Sample, Scene, Spectra, Task, Transmitter, Vec3, place_fault,
 };
 
 /// Everything a data source gives, in columns: transmitters, receivers, links of one with the other, and what was observed

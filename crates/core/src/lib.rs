@@ -12,28 +12,19 @@
 mod cholesky;
 mod cloud;
 pub mod colour;
-mod conditions;
 mod data_source;
 mod dataset;
 mod deformation;
 pub mod docs;
-mod edit;
 mod error;
-mod evenly;
 pub mod files;
-mod gate;
 mod image;
 mod initializer;
 mod layout;
-mod link;
 mod method;
 mod metric;
 pub mod neighbours;
-pub mod origin;
-mod partition;
 pub mod plugin;
-mod pose;
-mod projector;
 mod pruner;
 mod rasterizer;
 mod real;
@@ -43,9 +34,7 @@ pub mod simd;
 mod spectra;
 mod splats;
 pub mod ssim;
-mod statistics;
 mod stats;
-pub mod stretch;
 pub mod tape;
 mod task;
 pub mod testing;
@@ -53,37 +42,32 @@ pub mod threads;
 pub mod words;
 
 pub use cholesky::Cholesky;
-pub use cloud::{COLUMN_NAMES, ExtraColumn, GaussianCloud};
-pub use conditions::Conditions;
-pub use data_source::{Baseline, DataSource, Predict, Progress, Split, recognise};
+pub use cloud::{COLUMN_NAMES, Edit, ExtraColumn, GaussianCloud, Row};
+pub use data_source::{Baseline, DataSource, Known, LinkSet, Partition, Predict, Progress, Split, recognise};
 pub use dataset::{Dataset, Simulation, Unmatched};
-pub use deformation::{Deformation, DeformationInputs, DeformationTraits, Deltas, LinearPart};
+pub use deformation::{Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, LinearPart};
 pub use docs::{JsonSchema, schemars};
-pub use edit::{Edit, Row};
 pub use error::{Error, Result, did_you_mean};
-pub use evenly::evenly;
-pub use gate::Gate;
-pub use image::{Axis, Elevation, Image, ImagePlane, Sampling};
+pub use image::{Axis, Elevation, Image, ImagePlane, Sampling, stretch};
 pub use initializer::{Initializer, Seen};
 pub use layout::{Layout, WeightSpec};
-pub use link::{Features, Link, Query, Receiver, Sample, Transmitter};
 pub use method::{
     Activated, Appearance, Asked, Cost, Frame, Method, MethodTraits, MethodVjp, Observed, Parameters, Pixels,
 };
 pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, Scope, StageTimes, Values};
-pub use origin::Origin;
-pub use partition::{Known, LinkSet, Partition};
 pub use plugin::{Cache, Checked, Plugin, cached, registered};
-pub use pose::Pose;
-pub use projector::Projector;
 pub use pruner::{Budget, ColumnSpec, MaskFall, MaskRate, Pruner, PrunerTraits, best};
-pub use rasterizer::{Looked, Rasterizer, Render, RenderVjp, Survey};
+pub use rasterizer::{Looked, Projector, Rasterizer, Render, RenderVjp, Survey};
 pub use real::{Mat3, Real, Vec3, consts, logit, sigmoid};
-pub use scene::Scene;
+pub use rng::evenly;
+pub use scene::{
+    Features, Link, MAX_COORDINATE_M, Origin, Pose, Query, Receiver, Sample, Scene, Transmitter, coordinate_fault,
+    place_fault,
+};
 pub use spectra::{Number, Spectra};
 pub use splats::{Primitives, Splats};
-pub use statistics::{Needs, Statistic, Statistics};
-pub use stats::{CloudStats, Moment, Phase};
+pub use stats::{CloudStats, Moment, Needs, Phase, Statistic, Statistics};
+pub use tape::Gate;
 pub use task::{
     Channels, Columns, Description, Headline, Observations, SPEED_OF_LIGHT, Task, gain_at, gain_fault, gains_of,
     rows_of,

@@ -4,12 +4,10 @@
 //! positions in error messages stay right, and asks the plugin to check itself, so that a value out of range is
 //! reported where it stands.
 mod adapter;
-mod family;
 
 use crate::did_you_mean;
-use crate::docs::{Documented, JsonSchema, PLUGINS};
+use crate::docs::{Docs, Documented, JsonSchema, PLUGINS};
 use adapter::{Name, Tagged};
-pub use family::{Family, Member};
 pub use inventory;
 use schemars::{Schema, SchemaGenerator, json_schema};
 use serde::de::{self, Deserializer, EnumAccess, Visitor};
@@ -278,4 +276,63 @@ pub type Cache = Option<Arc<dyn Any + Send + Sync>>;
 /// Where another plugin made it.
 pub fn cached<T: 'static>(cache: &Cache) -> &T {
     cache.as_ref().and_then(|found| found.downcast_ref()).expect("what is handed back came from this plugin")
+}
+
+/// A family of plugins that are linked into this program, whatever its trait.
+#[derive(Debug)]
+pub struct Family {
+    /// The trait's name, such as `Pruner`.
+    pub kind: &'static str,
+    /// All of it that are linked into this program, sorted by name.
+    pub members: fn() -> Vec<Member>,
+    /// A plugin of this kind with every default written out.
+    ///
+    /// # Errors
+    /// As [`read_ron`], with the position in the text.
+    pub complete: fn(&str) -> crate::Result<String>,
+    /// What the source says of the plugin in a text of this kind; nothing if the text is none.
+    pub docs: fn(&str) -> Option<&'static Docs>,
+}
+inventory::collect!(Family);
+
+/// One plugin.
+#[derive(Clone, Debug)]
+pub struct Member {
+    /// Its name.
+    pub name: &'static str,
+    /// What its source says; nothing where it has no defaults.
+    pub docs: Option<&'static Docs>,
+    /// The plugin with its defaults as RON, or why it has none.
+    pub text: Result<String, String>,
+}
+
+impl Family {
+    /// That of `T`.
+    pub const fn of<T: ?Sized + PluginKind + erased_serde::Serialize>() -> Self
+    where
+        Box<T>: for<'de> Deserialize<'de>,
+    {
+        Self {
+            kind: T::KIND,
+            members: members::<T>,
+            complete: |text| read_ron::<Plugin<T>>(text, Path::new(T::KIND)).map(|p| to_ron(&p)),
+            docs: |text| Plugin::<T>::parse(text).ok().map(|plugin| plugin.get().docs()),
+        }
+    }
+
+    /// That of this kind, where there is one.
+    pub fn find(kind: &str) -> Option<&'static Self> {
+        inventory::iter::<Self>().find(|family| family.kind == kind)
+    }
+}
+
+fn members<T: ?Sized + PluginKind + erased_serde::Serialize>() -> Vec<Member>
+where
+    Box<T>: for<'de> Deserialize<'de>,
+{
+    let describe = |name| match Plugin::<T>::parse(&format!("{name}()")) {
+        Ok(plugin) => Member { name, docs: Some(plugin.get().docs()), text: Ok(to_ron(&plugin)) },
+        Err(why) => Member { name, docs: None, text: Err(why) },
+    };
+    registered::<T>().into_iter().map(describe).collect()
 }

@@ -1,5 +1,5 @@
 //! Random streams: a stream is a function of (seed, name, step), so a draw added in one place shifts no other, and a
-//! resumed run continues without any saved state.
+//! resumed run continues without any saved state. And what is chosen without chance: `evenly`.
 
 use crate::Real;
 use rand::{Rng as _, SeedableRng};
@@ -17,18 +17,29 @@ pub fn stream(seed: u64, name: &str, step: u64) -> Rng {
     Rng::seed_from_u64(mixed)
 }
 
-/// Uniform in [0, 1), with 53 bits; the same draw in both precisions.
+/// Uniform in [0, 1), with 53 bits.
+#[inline]
+pub fn uniform_f64(rng: &mut Rng) -> f64 {
+    (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+}
+
+/// Uniform in [0, 1); the same draw in both precisions.
 #[inline]
 pub fn uniform(rng: &mut Rng) -> Real {
-    ((rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64) as Real
+    uniform_f64(rng) as Real
 }
 
 /// Standard normal (Box and Muller), two uniforms a draw.
 #[inline]
+pub fn normal_f64(rng: &mut Rng) -> f64 {
+    let u = 1.0 - uniform_f64(rng);
+    (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * uniform_f64(rng)).cos()
+}
+
+/// Standard normal; the same draw in both precisions.
+#[inline]
 pub fn normal(rng: &mut Rng) -> Real {
-    let u = 1.0 - (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
-    let v = (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
-    ((-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()) as Real
+    normal_f64(rng) as Real
 }
 
 /// Uniform among 0..n; `n` must not be 0.
@@ -41,5 +52,24 @@ pub fn below(rng: &mut Rng, n: usize) -> usize {
 pub fn shuffle<T>(rng: &mut Rng, items: &mut [T]) {
     for i in (1..items.len()).rev() {
         items.swap(i, below(rng, i + 1));
+    }
+}
+
+/// At most `count` of `all`, evenly spread.
+pub fn evenly<T: Clone>(all: &[T], count: usize) -> Vec<T> {
+    let n = all.len().min(count);
+    (0..n).map(|i| all[i * all.len() / n].clone()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_are_chosen_evenly() {
+        let part: Vec<usize> = (100..110).collect();
+        assert_eq!(evenly(&part, 3), [100, 103, 106]);
+        assert_eq!(evenly(&part, 50), part);
+        assert!(evenly(&part, 0).is_empty() && evenly::<usize>(&[], 5).is_empty());
     }
 }

@@ -6,7 +6,7 @@ mod truth;
 
 use pwrfgs_core::{
     DataSource, Dataset, Error, GaussianCloud, ImagePlane, JsonSchema, Origin, Plugin, Pose, Primitives, Progress,
-    Projector, Rasterizer, Real, Result, Sample, Simulation, Spectra, origin::place_fault, rng, sigmoid,
+    Projector, Rasterizer, Real, Result, Sample, Simulation, Spectra, place_fault, rng, sigmoid,
 };
 use serde::{Deserialize, Serialize};
 use std::path::Path;

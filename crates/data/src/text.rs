@@ -3,11 +3,7 @@
 //! The `csv` crate gives no column of a field, so rows are split here; a quoted field may hold commas but no line end.
 
 use crate::checks::{NOT_RECEIVED, power_fault};
-use pwrfgs_core::{
-    Error, Real, Result, files,
-    origin::{MAX_COORDINATE_M, coordinate_fault},
-    words::quoted,
-};
+use pwrfgs_core::{Error, MAX_COORDINATE_M, Real, Result, coordinate_fault, files, words::quoted};
 use std::{io::ErrorKind, path::Path};
 
 pub(crate) const POINT_ADVICE: &str = "give every point a finite x, y and z in metres, or remove it";

@@ -2,7 +2,7 @@
 
 use super::yaml::{self, place_of};
 use crate::checks::name_fault;
-use pwrfgs_core::origin::place_fault;
+use pwrfgs_core::place_fault;
 use pwrfgs_core::{Error, Pose, Result, words::clean};
 use serde::Deserialize;
 use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};

@@ -1,8 +1,7 @@
 //! The plane of a map: an axis-parallel one, and a grid of places on it.
 
 use crate::commands::options::numbers;
-use pwrfgs_core::origin::coordinate_fault;
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::{Error, Result, coordinate_fault};
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 /// Most places of a map.
