@@ -11,9 +11,7 @@
 
 pub mod array;
 pub mod cache;
-mod field;
 pub mod images;
-pub mod kept;
 mod listener;
 pub mod mesh;
 pub mod noise;
@@ -21,12 +19,9 @@ mod observe;
 pub mod output;
 mod patches;
 mod path;
-mod path_table;
 mod perturb;
-mod random;
 mod ray_tracing;
 mod recipe;
-mod room;
 pub mod scene;
 mod simulated;
 mod simulator;
@@ -37,14 +32,19 @@ pub mod transmitters;
 mod waves;
 pub mod world;
 
-pub use listener::Listener;
+pub use listener::{Listener, Reception};
 pub use observe::{Heard, Observe, Observed, SILENT_DBM};
 pub use path::{Interaction, Path};
 pub use ray_tracing::RayTracing;
 pub use recipe::Recipe;
 pub use scene::Scene;
 pub use simulated::Simulated;
-pub use simulator::{HEIGHT, Reception, Simulator, WIDTH, Wanted, simulate, simulate_links};
-pub use wave::{Complex, SPEED_OF_LIGHT};
-use waves::wave;
+pub use simulator::{Simulator, Wanted, simulate_links};
+pub use spectrum::{HEIGHT, WIDTH};
 pub use waves::{diffraction, fresnel, material, scattering};
+
+/// A complex number in double precision.
+pub type Complex = num_complex::Complex<f64>;
+
+/// Speed of light in vacuum, m/s.
+pub const SPEED_OF_LIGHT: f64 = 299_792_458.0;

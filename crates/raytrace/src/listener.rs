@@ -5,11 +5,10 @@ use crate::noise::{self, Draw, Noise};
 use crate::observe::{Heard, Observe, Observed, reading};
 use crate::path::Path;
 use crate::scene::{Receiver, Scene};
-use crate::simulator::{HEIGHT, Reception, WIDTH};
-use crate::spectrum::Beamformer;
+use crate::spectrum::{Beamformer, HEIGHT, Spectrum, WIDTH};
 use crate::tracer::{Antenna, Tracer};
-use crate::wave::{Complex, SPEED_OF_LIGHT};
 use crate::world::World;
+use crate::{Complex, SPEED_OF_LIGHT};
 use glam::{DMat3, DQuat, DVec3};
 use pwrfgs_core::{Error, Pose, Result};
 use std::sync::Arc;
@@ -25,6 +24,15 @@ pub struct Listener {
     /// The tracer of the array's centre, and with [`Wavefront::Traced`] one for each element behind it.
     tracers: Vec<Tracer>,
     beamformer: Beamformer,
+}
+
+/// What an array receives from one transmitter.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Reception {
+    /// Its picture.
+    pub spectrum: Spectrum,
+    /// Paths to the centre of the array.
+    pub paths: Vec<Path>,
 }
 
 impl Listener {

@@ -5,7 +5,7 @@ mod tests;
 
 use glam::{DMat3, DVec3};
 use pwrfgs_core::{Error, Result};
-use std::{collections::HashMap, path::Path};
+use std::{collections::HashMap, fs, path::Path};
 
 /// A triangle whose height is less than this part of its longest side has no area.
 const FLAT: f64 = 1e-9;
@@ -13,7 +13,7 @@ const FLAT: f64 = 1e-9;
 /// Most triangles of a scene: more take minutes and gigabytes before the first path.
 pub(crate) const MOST_TRIANGLES: usize = 300_000;
 /// Most bytes of a mesh file.
-const MOST_BYTES: u64 = 128 << 20;
+pub(crate) const MOST_BYTES: u64 = 128 << 20;
 /// Most triangles that share an edge.
 const MOST_SHARED: usize = 64;
 
@@ -31,7 +31,11 @@ pub struct Mesh {
 /// # Errors
 /// Those of [`pwrfgs_data::read_mesh`] and of [`Mesh::check`].
 pub fn read(path: &Path) -> Result<Mesh> {
-    check_file(path)?;
+    let bytes = fs::metadata(path).map_err(|e| Error::read(path, e))?.len();
+    if bytes > MOST_BYTES {
+        let what = format!("has {} MB, and at most {} can be read; simplify it", bytes >> 20, MOST_BYTES >> 20);
+        return Err(Error::input(path, what));
+    }
     let (vertices, triangles) = pwrfgs_data::read_mesh(path)?;
     if triangles.len() > MOST_TRIANGLES {
         let what = format!("has {} triangles; simplify it to {MOST_TRIANGLES} at most", triangles.len());
@@ -40,11 +44,6 @@ pub fn read(path: &Path) -> Result<Mesh> {
     let mesh = Mesh { vertices: vertices.into_iter().map(DVec3::from_array).collect(), triangles }.welded();
     mesh.check(path)?;
     Ok(mesh)
-}
-
-/// Refuses what is no mesh file by its kind or size.
-pub(crate) fn check_file(path: &Path) -> Result<()> {
-    crate::scene::check_file(path, MOST_BYTES)
 }
 
 impl Mesh {

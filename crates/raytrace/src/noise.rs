@@ -3,8 +3,8 @@
 #[cfg(test)]
 mod tests;
 
+use crate::Complex;
 use crate::scene::Receiver;
-use crate::wave::Complex;
 use pwrfgs_core::plugin::Check;
 use pwrfgs_core::rng::{self, Rng};
 use serde::{Deserialize, Serialize};

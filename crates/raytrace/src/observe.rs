@@ -1,10 +1,10 @@
 //! What is observed of a link: a picture, a power or a channel.
 
+use crate::Complex;
 use crate::noise::{Draw, mean_power};
 use crate::path::Path;
-use crate::random::normal;
 use crate::spectrum::Spectrum;
-use crate::wave::Complex;
+use pwrfgs_core::rng::normal_f64;
 use pwrfgs_core::{JsonSchema, Task};
 use serde::{Deserialize, Serialize};
 
@@ -104,7 +104,7 @@ pub(crate) fn reading(channel: &[Complex], sent_dbm: f64, noise_db: f64, draw: O
         return power; // told by who asks
     }
     let error = draw.filter(|_| noise_db > 0.0);
-    let error = error.map_or(0.0, |(seed, draw)| noise_db * normal(&mut draw.stream(seed, "power reading")));
+    let error = error.map_or(0.0, |(seed, draw)| noise_db * normal_f64(&mut draw.stream(seed, "power reading")));
     let exact = sent_dbm + 10.0 * power.log10() + error;
     ((exact * GRAINS).round() / GRAINS).max(SILENT_DBM)
 }

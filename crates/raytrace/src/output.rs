@@ -1,98 +1,24 @@
 //! A simulated data set as a folder: the layouts of NeRF2, and what only a simulation knows.
 
-mod channels;
-mod powers;
-mod spectra;
-mod tables;
+mod files;
 
-use crate::observe::{Heard, Observe};
+pub(crate) use files::{CHANNELS, POSITIONS, POWERS, SPECTRA, is_test};
+use files::{Files, check_powers, put};
+pub use files::{Layout, PATHS, POWER};
+
 use crate::recipe::Recipe;
 use crate::simulator::{Simulator, Wanted, simulate_links};
 use crate::surface_points;
-pub(crate) use channels::CHANNELS;
-use channels::Channels;
-pub(crate) use powers::POWERS;
-use powers::Powers;
 use pwrfgs_core::{Error, Progress, Result, files::NewFolder, files::refuse_occupied};
-pub use spectra::POWER;
-use spectra::Spectra;
-pub(crate) use spectra::{PICTURES, SPECTRA};
 use std::fs;
 use std::io::{BufWriter, Write as _};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-pub use tables::PATHS;
-use tables::{Numbers, Tables};
-pub(crate) use tables::{POSITIONS, is_test};
 
 /// Everything about how the folder was made; written last, so that a folder without it is not whole.
 pub const MANIFEST: &str = "manifest.json";
 /// The point cloud.
 pub const POINTS: &str = "points.ply";
-/// Most pictures: their names have five digits.
-const MOST_PICTURES: usize = 99_999;
-
-/// Which files hold what is observed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Layout {
-    /// Spectra, a picture each, as NeRF2 has them.
-    Pictures,
-    /// Spectra as one array, `spectra.npy`: however many there are, memory need not hold them.
-    Array,
-    /// Powers in a table, as NeRF2 has those of its BLE set; a column a receiver.
-    Rssi,
-    /// Channels as one array, `channel.npy`.
-    Channels,
-    /// Channels as NeRF2 has those of its MIMO set: the first half of the subcarriers is the uplink.
-    Csi,
-}
-
-impl Layout {
-    /// The layout of the folders that programs keep for themselves.
-    pub(crate) fn of(what: &Observe) -> Self {
-        match what {
-            Observe::Spectrum => Self::Array,
-            Observe::Power { .. } => Self::Rssi,
-            Observe::Channel { .. } => Self::Channels,
-        }
-    }
-
-    /// Whether `recipe` can be written this way.
-    fn check(self, recipe: &Recipe) -> Result<()> {
-        let fits = match self {
-            Self::Pictures | Self::Array => recipe.observe == Observe::Spectrum,
-            Self::Rssi => matches!(recipe.observe, Observe::Power { .. }),
-            Self::Channels | Self::Csi => matches!(recipe.observe, Observe::Channel { .. }),
-        };
-        if !fits {
-            let what = "is not the layout of what is observed; choose another";
-            return Err(Error::Config(format!("{self:?} {what}")));
-        }
-        if self == Self::Pictures && recipe.samples > MOST_PICTURES {
-            return Err(Error::Config(format!(
-                "{} spectra are more than the {MOST_PICTURES} pictures that have a name; write one array, with --npy",
-                recipe.samples
-            )));
-        }
-        let subcarriers = recipe.scene.frequencies().len();
-        if self == Self::Csi && !subcarriers.is_multiple_of(2) {
-            return Err(Error::Config(format!(
-                "scene `{}` has {subcarriers} subcarriers, and half of them are the uplink, half the downlink; give an even \
-                 number in `subcarriers`, such as (count: 52, bandwidth_hz: 20e6)",
-                recipe.scene.name
-            )));
-        }
-        Ok(())
-    }
-}
-
-/// Simulates `recipe` into the new folder `out`, a picture each spectrum.
-///
-/// # Errors
-/// As [`write_as`].
-pub fn write(recipe: &Recipe, paths: bool, out: &Path, progress: Progress<'_>) -> Result<()> {
-    write_as(recipe, Layout::Pictures, paths, out, progress, &AtomicBool::new(false))
-}
 
 /// Simulates `recipe` into the new folder `out`.
 ///
@@ -142,7 +68,7 @@ pub fn write_as(
     if receivers == 1 || layout == Layout::Rssi {
         let making = filled(recipe, layout, paths, out, progress, stop)?;
         if layout == Layout::Rssi {
-            powers::check(making.path())?;
+            check_powers(making.path())?;
         }
         return making.publish();
     }
@@ -192,14 +118,6 @@ fn filled(
     Ok(making)
 }
 
-/// Takes what is observed, transmitter by transmitter.
-trait Sink {
-    /// Adds what the receivers hear of the `i`th transmitter, counted from 0.
-    fn add(&mut self, i: usize, heard: &[Heard]) -> Result<()>;
-    /// Writes what is left.
-    fn finish(self: Box<Self>) -> Result<()>;
-}
-
 /// Simulates `recipe` into `folder`, which is there and empty.
 fn fill(
     recipe: &Recipe,
@@ -211,24 +129,15 @@ fn fill(
     stop: &AtomicBool,
 ) -> Result<()> {
     let &Recipe { samples, seed, observe, .. } = recipe;
-    let (mut sink, numbers): (Box<dyn Sink>, _) = match layout {
-        Layout::Pictures => (Box::new(Spectra::new(folder, simulator, true, samples)?), Numbers::FromOne),
-        Layout::Array => (Box::new(Spectra::new(folder, simulator, false, samples)?), Numbers::FromOne),
-        Layout::Rssi => (Box::new(Powers::new(folder, simulator)), Numbers::FromZero),
-        Layout::Channels => (Box::new(Channels::new(folder, simulator, samples)?), Numbers::FromZero),
-        Layout::Csi => (Box::new(Channels::csi(folder, simulator, samples)?), Numbers::FromZero),
-    };
-    let mut tables = Tables::new(folder, simulator, numbers, paths)?;
+    let mut written = Files::begin(folder, simulator, layout, samples, paths)?;
     let go_on = || if stop.load(Ordering::Relaxed) { Err(Error::Stopped) } else { Ok(()) };
     simulate_links(simulator, &Wanted { what: observe, samples, seed }, stop, |i, tx, heard| {
         go_on()?;
-        sink.add(i, &heard)?;
-        tables.add(i, tx, &heard)?;
+        written.add(i, tx, &heard)?;
         progress(i + 1, samples);
         Ok(())
     })?;
-    sink.finish()?;
-    tables.finish(folder, samples)?;
+    written.finish(samples)?;
     write_points(recipe, simulator, folder)?;
     put(&folder.join(MANIFEST), recipe.to_json())?;
     go_on()
@@ -244,13 +153,4 @@ fn write_points(recipe: &Recipe, simulator: &Simulator, folder: &Path) -> Result
         file.flush()
     });
     written.map_err(|e| Error::write(&path, e))
-}
-
-fn put(path: &Path, bytes: impl AsRef<[u8]>) -> Result<()> {
-    fs::write(path, bytes).map_err(|e| Error::write(path, e))
-}
-
-/// Numbers in brackets: YAML.
-fn list(values: &[f64]) -> String {
-    format!("[{}]", values.iter().map(|v| format!("{v:?}")).collect::<Vec<_>>().join(", "))
 }

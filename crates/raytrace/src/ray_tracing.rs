@@ -3,7 +3,8 @@
 use crate::observe::{Observe, Observed};
 use crate::perturb::{Errors, perturbed};
 use crate::scene::Scene;
-use crate::simulator::{HEIGHT, Simulator, WIDTH};
+use crate::simulator::Simulator;
+use crate::spectrum::{HEIGHT, WIDTH};
 use glam::DVec3;
 use pwrfgs_core::{
     Baseline, Channels, Dataset, Elevation, Error, Image, JsonSchema, Known, Observations, Predict, Query, Real,

@@ -1,31 +1,24 @@
 //! A scene file: the room, what stands in it, who sends, who listens.
 
 mod antennas;
-mod fault;
-mod object;
 mod propagation;
 mod room;
-mod subcarriers;
 
 pub use antennas::{Orientation, Receiver, Transmitter};
-pub use object::{Finish, Object};
-pub use propagation::Propagation;
-pub use room::{Outline, Room};
-pub use subcarriers::Subcarriers;
+pub use propagation::{Propagation, Subcarriers};
+pub(crate) use room::FAR;
+pub use room::{Finish, Object, Outline, Room};
 
+use crate::SPEED_OF_LIGHT;
 use crate::material::{self, Material};
 use crate::noise::Noise;
 use crate::spectrum::SpectrumKind;
-use crate::wave::SPEED_OF_LIGHT;
-use fault::{Fault, place};
 use pwrfgs_core::plugin::{Checked, read_ron};
 use pwrfgs_core::{Error, Pose, Result, did_you_mean, files};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// Farthest coordinate, metres.
-const FAR: f64 = 1e6;
 /// Most letters of a name.
 const LONGEST_NAME: usize = 200;
 /// Most bytes of a scene file.
@@ -85,8 +78,7 @@ impl Scene {
     /// # Errors
     /// Names the file, line and column of the mistake.
     pub fn read(path: &Path) -> Result<Self> {
-        check_file(path, MOST_BYTES)?;
-        let mut scene = Self::parse(&files::read_text(path)?, path)?;
+        let mut scene = Self::parse(&files::read_text_at_most(path, MOST_BYTES)?, path)?;
         let folder = path.parent().unwrap_or(Path::new(""));
         for object in &mut scene.objects {
             if let Object::Mesh { file, .. } = object {
@@ -107,17 +99,6 @@ impl Scene {
             None => Error::input(path, fault.what),
         })?;
         Ok(scene)
-    }
-
-    /// Corners of the triangles of all surfaces but the ceiling, metres: what one sees who looks in from above.
-    ///
-    /// # Errors
-    /// A mesh that cannot be read, or surfaces that make no room.
-    pub fn open_surfaces(&self) -> Result<Vec<[[f64; 3]; 3]>> {
-        let world = crate::room::world(self)?;
-        let shown =
-            world.triangles.iter().filter(|triangle| !world.faces[triangle.face as usize].name.contains("ceiling"));
-        Ok(shown.map(|triangle| triangle.corners().map(|corner| corner.to_array())).collect())
     }
 
     /// The scene as RON text, every default written out.
@@ -287,15 +268,22 @@ impl Scene {
     }
 }
 
-/// Refuses what is no file, such as a pipe that nobody writes to, and more than `most` bytes.
-pub(crate) fn check_file(path: &Path, most: u64) -> Result<()> {
-    let about = std::fs::metadata(path).map_err(|e| Error::read(path, e))?;
-    if !about.is_file() {
-        return Err(Error::input(path, "is no file; name one"));
+/// What is wrong, and a word of the file near which it stands.
+struct Fault {
+    what: String,
+    near: String,
+}
+
+impl Fault {
+    fn of(what: impl Into<String>, near: &str) -> Self {
+        Self { what: what.into(), near: near.into() }
     }
-    if about.len() > most {
-        let what = format!("has {} MB, and at most {} can be read; simplify it", about.len() >> 20, most >> 20);
-        return Err(Error::input(path, what));
-    }
-    Ok(())
+}
+
+/// Line and column of the first place where `word` stands outside comments.
+fn place(text: &str, word: &str) -> Option<(usize, usize)> {
+    text.lines().enumerate().find_map(|(i, line)| {
+        let code = line.split("//").next().unwrap_or_default();
+        code.find(word).map(|at| (i + 1, code[..at].chars().count() + 1))
+    })
 }

@@ -1,18 +1,24 @@
 //! `Simulated`: spectra, powers or channels of a known room as a data source.
 
+#[cfg(test)]
+mod tests;
+
 use crate::cache;
-use crate::kept::{Kept, Values};
 use crate::observe::{Observe, SILENT_DBM};
-use crate::output::{PICTURES, POINTS, is_test};
+use crate::output::{CHANNELS, POINTS, POSITIONS, POWERS, SPECTRA, is_test};
 use crate::recipe::{self, Recipe};
 use crate::scene::{self, Scene};
+use crate::spectrum::{HEIGHT, WIDTH};
 use pwrfgs_core::{
-    Channels, DataSource, Dataset, Error, JsonSchema, Observations, Progress, Real, Receiver, Result, Sample,
-    Simulation, words::clean,
+    Channels, DataSource, Dataset, Error, JsonSchema, Number, Observations, Progress, Real, Receiver, Result, Sample,
+    Simulation, Spectra, files, words::clean,
 };
-use pwrfgs_data::{Arrays, Nerf2Spectrum, read_points};
+use pwrfgs_data::{Arrays, npy_header, npy_header_as, read_points};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+
+/// Most bytes of spectra that memory holds; more stay in the file.
+const IN_MEMORY: u64 = 512 << 20;
 
 /// *Simulated* spectra, powers or channels of a room that is known exactly: ray tracing in a scene file.
 ///
@@ -69,7 +75,11 @@ impl Simulated {
     fn read(&self, recipe: &Recipe, folder: &Path) -> Result<Dataset> {
         let points = (self.points > 0).then(|| folder.join(POINTS));
         let one = self.observe == Observe::Spectrum && recipe.scene.more_receivers.is_empty();
-        let mut data = if one { spectra(folder, points)? } else { links(recipe, folder, points)? };
+        let mut data = if one {
+            Arrays { root: folder.to_owned(), points, elevation: None }.load(Path::new(""), &|_, _| {})?
+        } else {
+            links(recipe, folder, points)?
+        };
         if (one && data.len() != self.samples) || data.scene.points.len() != self.points {
             return Err(Error::input(folder, "holds another number of spectra or points than were simulated"));
         }
@@ -79,39 +89,19 @@ impl Simulated {
     }
 }
 
-/// Spectra of one receiver: the layout that other sources read, too.
-fn spectra(folder: &Path, points: Option<PathBuf>) -> Result<Dataset> {
-    let (root, nobody) = (folder.to_owned(), |_, _| {});
-    // An entry of an earlier version has a picture each.
-    if folder.join(PICTURES).exists() {
-        Nerf2Spectrum { root, points, ..Nerf2Spectrum::default() }.load(Path::new(""), &nobody)
-    } else {
-        Arrays { root, points, elevation: None }.load(Path::new(""), &nobody)
-    }
-}
-
 /// Anything else: all links of all receivers. Who is not heard has no link.
 fn links(recipe: &Recipe, folder: &Path, points: Option<PathBuf>) -> Result<Dataset> {
     let scene = &recipe.scene;
     let receivers: Vec<Receiver> = scene.receivers().map(|receiver| of_data(scene, receiver)).collect();
-    let Kept { transmitters, values } = Kept::read(recipe, folder)?;
+    let (transmitters, mut observations) = read_links(recipe, folder)?;
     let pairs = transmitters.iter().enumerate().flat_map(|(t, tx)| (0..receivers.len()).map(move |r| (t, *tx, r)));
     let mut samples: Vec<Sample> = pairs.map(|(t, tx, receiver)| Sample { id: t as u32 + 1, tx, receiver }).collect();
-    let observations: Observations = match values {
-        Values::Spectra(spectra) => spectra.into(),
-        Values::Channels(gains) => Channels {
-            antennas: scene.receiver.array.elements(),
-            frequencies_hz: scene.frequencies(),
-            gains: gains.into_iter().map(|gain| gain.map(Real::from)).collect(),
-        }
-        .into(),
-        Values::Powers(all) => {
-            let mut heard = all.iter().map(|dbm| *dbm > SILENT_DBM);
-            samples.retain(|_| heard.next().unwrap_or(false));
-            let heard = all.into_iter().filter(|dbm| *dbm > SILENT_DBM);
-            heard.map(|dbm| dbm as Real).collect::<Vec<Real>>().into()
-        }
-    };
+    if let Observations::Powers(all) = &mut observations {
+        let is_heard = |dbm: &Real| f64::from(*dbm) > SILENT_DBM;
+        let mut heard = all.iter().map(is_heard);
+        samples.retain(|_| heard.next().unwrap_or(false));
+        all.retain(is_heard);
+    }
     if samples.is_empty() {
         let what = "no receiver hears any transmitter; raise `power_dbm` of its transmitter";
         return Err(Error::Config(format!("scene `{}`: {what}", scene.name)));
@@ -120,6 +110,57 @@ fn links(recipe: &Recipe, folder: &Path, points: Option<PathBuf>) -> Result<Data
     let points = points.map_or_else(|| Ok(Vec::new()), |path| read_points(&path))?;
     let data = Dataset::of_links(scene.name.clone(), receivers, points, &samples, observations)?;
     Ok(Dataset { official: Some((train, test)), ..data })
+}
+
+/// Positions of the transmitters and what was observed of every link of a folder that the cache keeps; link
+/// `transmitter * receivers + receiver` is that of this pair. Only what this very program wrote is read here: anything else
+/// is damage, and the cache makes it anew.
+fn read_links(recipe: &Recipe, folder: &Path) -> Result<(Vec<[f64; 3]>, Observations)> {
+    let (scene, samples) = (&recipe.scene, recipe.samples);
+    let receivers = scene.receivers().count();
+    let observations = match recipe.observe {
+        Observe::Spectrum => spectra(&folder.join(SPECTRA), samples * receivers)?.into(),
+        Observe::Power { .. } => {
+            let powers = table(&folder.join(POWERS), samples, receivers)?;
+            powers.into_iter().map(|dbm| dbm as Real).collect::<Vec<Real>>().into()
+        }
+        Observe::Channel { .. } => {
+            let (antennas, frequencies_hz) = (scene.receiver.array.elements(), scene.frequencies());
+            let gains = channels(&folder.join(CHANNELS), [samples * receivers, antennas, frequencies_hz.len()])?;
+            Channels { antennas, frequencies_hz, gains }.into()
+        }
+    };
+    let places = table(&folder.join(POSITIONS), samples, 3)?;
+    Ok((places.as_chunks().0.to_vec(), observations))
+}
+
+fn spectra(path: &Path, links: usize) -> Result<Spectra> {
+    let shape = [links, HEIGHT, WIDTH];
+    let spectra = Spectra::open(path, npy_header(Number::U8, &shape).len() as u64, Number::U8, shape)?;
+    if (links * HEIGHT * WIDTH) as u64 <= IN_MEMORY { spectra.into_memory() } else { Ok(spectra) }
+}
+
+fn channels(path: &Path, shape: [usize; 3]) -> Result<Vec<[Real; 2]>> {
+    let header = npy_header_as("<c8", &shape);
+    let length = header.len() + 8 * shape.iter().product::<usize>();
+    let bytes = files::read_at_most(path, length as u64).map_err(|e| Error::read(path, e))?;
+    match bytes.strip_prefix(&*header) {
+        Some(numbers) if bytes.len() == length => {
+            let parts = numbers.as_chunks().0.as_chunks().0.iter();
+            Ok(parts.map(|part| part.map(|bytes| Real::from(f32::from_le_bytes(bytes)))).collect())
+        }
+        _ => Err(Error::input(path, "holds other channels than were simulated")),
+    }
+}
+
+/// The numbers `[rows, columns]` of a table with a header.
+fn table(path: &Path, rows: usize, columns: usize) -> Result<Vec<f64>> {
+    let text = files::read_text(path)?;
+    let cells = text.lines().skip(1).flat_map(|row| row.split(','));
+    let numbers = cells.map(|cell| cell.parse::<f64>().ok().filter(|v| v.is_finite())).collect::<Option<Vec<_>>>();
+    // The last number of a file that is cut short may still be one.
+    let whole = numbers.filter(|numbers| numbers.len() == rows * columns && text.ends_with('\n'));
+    whole.ok_or_else(|| Error::input(path, "holds another table than was simulated"))
 }
 
 /// A receiver as data sets have it.

@@ -1,28 +1,22 @@
 //! `Simulator`: a scene made ready, and what its receivers observe of every transmitter position.
 
-use crate::listener::{Listener, MOST_BYTES};
-use crate::observe::{Heard, Observe, Observed};
+use crate::Complex;
+use crate::listener::{Listener, MOST_BYTES, Reception};
+use crate::observe::{Heard, Observe};
 use crate::patches;
 use crate::path::Path;
-use crate::room;
 use crate::scene::Scene;
-use crate::spectrum::Spectrum;
 use crate::surface_points::{self, SurfacePoints};
-use crate::wave::Complex;
-use crate::world::{MARGIN, Triangle, World};
+use crate::world::{self, MARGIN, Triangle, World};
 use glam::{DMat3, DVec3};
 use pwrfgs_core::{Error, Result};
 use rayon::prelude::*;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Columns of a spectrum: azimuths 0 to 359 degrees.
-pub const WIDTH: usize = 360;
-/// Rows of a spectrum: elevations 0 to 89 degrees.
-pub const HEIGHT: usize = 90;
-
 /// Transmitters simulated at a time.
 const CHUNK: usize = 32;
+
 /// A scene made ready: geometry and receivers, everything that no transmitter changes.
 #[derive(Debug)]
 pub struct Simulator {
@@ -32,15 +26,6 @@ pub struct Simulator {
     listeners: Vec<Listener>,
 }
 
-/// What an array receives from one transmitter.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Reception {
-    /// Its picture.
-    pub spectrum: Spectrum,
-    /// Paths to the centre of the array.
-    pub paths: Vec<Path>,
-}
-
 impl Simulator {
     /// Makes `scene` ready.
     ///
@@ -48,7 +33,7 @@ impl Simulator {
     /// A mesh that cannot be read or is not closed where it must be, a receiver inside something, more images or patches
     /// than can be handled.
     pub fn new(scene: &Scene) -> Result<Self> {
-        let (scene, world) = (Arc::new(scene.clone()), Arc::new(room::world(scene)?));
+        let (scene, world) = (Arc::new(scene.clone()), Arc::new(world::from_scene(scene)?));
         check_patches(&scene, &world)?;
         let mut listeners: Vec<Listener> = Vec::new();
         for receiver in scene.receivers() {
@@ -134,25 +119,6 @@ impl Simulator {
     }
 }
 
-/// Simulates spectra of `samples` transmitters at the first receiver, with the scene's receiver errors, and shows each with
-/// its position to `each`, in order. Memory holds a few at a time; bits do not depend on threads.
-///
-/// # Errors
-/// Those of [`Simulator::positions`] and of `each`; a channel that is not finite.
-pub fn simulate(
-    simulator: &Simulator,
-    samples: usize,
-    seed: u64,
-    mut each: impl FnMut(usize, DVec3, Reception) -> Result<()>,
-) -> Result<()> {
-    let wanted = Wanted { what: Observe::Spectrum, samples, seed };
-    let listeners = &simulator.listeners[..1];
-    run(simulator, listeners, &wanted, &AtomicBool::new(false), |i, tx, heard| match heard.into_iter().next() {
-        Some(Heard { observed: Observed::Spectrum(spectrum), paths }) => each(i, tx, Reception { spectrum, paths }),
-        _ => Ok(()), // one spectrum was wanted
-    })
-}
-
 /// What is simulated.
 #[derive(Clone, Copy, Debug)]
 pub struct Wanted {
@@ -174,16 +140,6 @@ pub fn simulate_links(
     simulator: &Simulator,
     wanted: &Wanted,
     stop: &AtomicBool,
-    each: impl FnMut(usize, DVec3, Vec<Heard>) -> Result<()>,
-) -> Result<()> {
-    run(simulator, &simulator.listeners, wanted, stop, each)
-}
-
-fn run(
-    simulator: &Simulator,
-    listeners: &[Listener],
-    wanted: &Wanted,
-    stop: &AtomicBool,
     mut each: impl FnMut(usize, DVec3, Vec<Heard>) -> Result<()>,
 ) -> Result<()> {
     let &Wanted { what, samples, seed } = wanted;
@@ -194,7 +150,7 @@ fn run(
             if stop.load(Ordering::Relaxed) {
                 return Err(Error::Stopped);
             }
-            Ok(listeners.iter().map(|listener| listener.observe(*tx, &what, Some(draw(i)))).collect())
+            Ok(simulator.listeners.iter().map(|listener| listener.observe(*tx, &what, Some(draw(i)))).collect())
         };
         let all: Vec<Vec<Heard>> = chunk.par_iter().enumerate().map(hear).collect::<Result<_>>()?;
         for ((i, tx), heard) in chunk.iter().enumerate().zip(all) {

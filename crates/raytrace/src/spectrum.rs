@@ -1,17 +1,24 @@
 //! The spatial spectrum: how strongly an array hears each direction, and the picture made of it.
 
-mod kernel;
 #[cfg(test)]
 mod tests;
 
+use crate::Complex;
 use crate::array::Array;
-use crate::wave::Complex;
-use kernel::Steering;
+use glam::DVec3;
+use pulp::{Arch, Simd, WithSimd};
 use pwrfgs_core::Axis;
 use serde::{Deserialize, Serialize};
+use std::f64::consts::TAU;
 
 /// A picture whose values differ by less than this share of the largest shows nothing but rounding.
 const NO_CONTRAST: f64 = 1e-12;
+/// Columns of a spectrum: azimuths 0 to 359 degrees.
+pub const WIDTH: usize = 360;
+/// Rows of a spectrum: elevations 0 to 89 degrees.
+pub const HEIGHT: usize = 90;
+/// Directions are padded to a multiple of this, the widest vector of any processor.
+const LANES: usize = 8;
 
 /// What a picture holds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -65,7 +72,7 @@ impl Beamformer {
             let (sin, cos) = angle(elevation, row).sin_cos();
             (0..width).map(move |column| {
                 let azimuth = angle(azimuth, column);
-                glam::DVec3::new(cos * azimuth.cos(), cos * azimuth.sin(), sin)
+                DVec3::new(cos * azimuth.cos(), cos * azimuth.sin(), sin)
             })
         });
         let steering = Steering::new(directions, array.spacing_wavelengths);
@@ -111,4 +118,95 @@ fn stretch(values: &[f64], black: f64, white: f64) -> Vec<u8> {
         return vec![0; values.len()];
     }
     values.iter().map(|v| ((v - black) / contrast * 255.0) as u8).collect()
+}
+
+/// aᴴh of a uniform planar array for many directions at once, by Horner's rule in two variables: phase factors between
+/// neighbours in x and in y, one of each a direction.
+#[derive(Clone, Debug)]
+struct Steering {
+    x: Lanes,
+    y: Lanes,
+}
+
+/// Complex numbers, parts apart.
+#[derive(Clone, Debug, Default)]
+struct Lanes {
+    re: Vec<f64>,
+    im: Vec<f64>,
+}
+
+impl Lanes {
+    fn push(&mut self, value: Complex) {
+        self.re.push(value.re);
+        self.im.push(value.im);
+    }
+}
+
+impl Steering {
+    /// `directions` are unit vectors in the receiver frame, `spacing` is in wavelengths.
+    fn new(directions: impl Iterator<Item = DVec3>, spacing: f64) -> Self {
+        let (mut x, mut y) = (Lanes::default(), Lanes::default());
+        for direction in directions {
+            x.push(Complex::cis(-TAU * spacing * direction.x));
+            y.push(Complex::cis(-TAU * spacing * direction.y));
+        }
+        let padded = x.re.len().next_multiple_of(LANES);
+        for column in [&mut x.re, &mut x.im, &mut y.re, &mut y.im] {
+            column.resize(padded, 0.0);
+        }
+        Self { x, y }
+    }
+
+    /// |aᴴh| for every direction, with zeros or more behind up to a multiple of `LANES`. `channel` has rows of `columns`.
+    fn magnitude(&self, channel: &[Complex], columns: usize) -> Vec<f64> {
+        let mut magnitude = vec![0.0; self.x.re.len()];
+        Arch::new().dispatch(Horner { steering: self, channel, columns, magnitude: &mut magnitude });
+        magnitude
+    }
+}
+
+/// The phase of the array's corner, as against its centre, is left out: it does not change the magnitude.
+struct Horner<'a> {
+    steering: &'a Steering,
+    channel: &'a [Complex],
+    columns: usize,
+    magnitude: &'a mut [f64],
+}
+
+impl WithSimd for Horner<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Steering { x, y } = self.steering;
+        let x = S::as_simd_f64s(&x.re).0.iter().zip(S::as_simd_f64s(&x.im).0);
+        let y = S::as_simd_f64s(&y.re).0.iter().zip(S::as_simd_f64s(&y.im).0);
+        let zero = simd.splat_f64s(0.0);
+        for (out, (x, y)) in S::as_mut_simd_f64s(self.magnitude).0.iter_mut().zip(x.zip(y)) {
+            let mut sum = (zero, zero);
+            for row in self.channel.chunks(self.columns.max(1)).rev() {
+                let mut inner = (zero, zero);
+                for value in row.iter().rev() {
+                    let value = (simd.splat_f64s(value.re), simd.splat_f64s(value.im));
+                    inner = multiply_add(simd, inner, x, value);
+                }
+                sum = multiply_add(simd, sum, y, inner);
+            }
+            let squared = simd.add_f64s(simd.mul_f64s(sum.0, sum.0), simd.mul_f64s(sum.1, sum.1));
+            *out = simd.sqrt_f64s(squared);
+        }
+    }
+}
+
+/// a·b + c. Multiplications and additions round on their own, so that every processor computes the same bits.
+#[inline(always)]
+fn multiply_add<S: Simd>(
+    simd: S,
+    a: (S::f64s, S::f64s),
+    b: (&S::f64s, &S::f64s),
+    c: (S::f64s, S::f64s),
+) -> (S::f64s, S::f64s) {
+    let re = simd.sub_f64s(simd.mul_f64s(a.0, *b.0), simd.mul_f64s(a.1, *b.1));
+    let im = simd.add_f64s(simd.mul_f64s(a.0, *b.1), simd.mul_f64s(a.1, *b.0));
+    (simd.add_f64s(re, c.0), simd.add_f64s(im, c.1))
 }

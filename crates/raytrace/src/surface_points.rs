@@ -3,7 +3,6 @@
 #[cfg(test)]
 mod tests;
 
-use crate::random::uniform;
 use glam::DVec3;
 use pwrfgs_core::rng;
 use std::io::{self, Write};
@@ -44,7 +43,7 @@ pub fn sample(triangles: &[[DVec3; 3]], normals: &[DVec3], count: usize, seed: u
     found.points.reserve_exact(count);
     found.normals.reserve_exact(count);
     let mut random = rng::stream(seed, "surface", 0);
-    let comb = uniform(&mut random);
+    let comb = rng::uniform_f64(&mut random);
     for ((triangle, normal), area) in triangles.iter().zip(normals).zip(areas) {
         // Tooth k of the comb stands at k + comb of `count` equal parts of the area; the last part ends at 1 exactly.
         let end = (area / cumulated * count as f64 - comb).ceil().max(0.0) as usize;

@@ -1,13 +1,13 @@
 //! From a transmitter to all paths that reach a receiver.
 
+use crate::Complex;
 use crate::array::{self, Element};
-use crate::field::Ray;
 use crate::images::{ImageTree, Orders};
 use crate::patches::{Patch, patches};
 use crate::path::{Interaction, Path};
 use crate::scattering::amplitude;
 use crate::scene::Propagation;
-use crate::wave::Complex;
+use crate::waves::Ray;
 use crate::world::{Edge, World};
 use crate::{diffraction, fresnel};
 use glam::{DMat3, DVec3};

@@ -2,14 +2,17 @@
 
 mod build;
 mod contact;
+mod from_scene;
 mod hierarchy;
 mod opening;
 
+use crate::Complex;
 use crate::scattering::Lobe;
-use crate::wave::Complex;
 pub use build::{Builder, Part};
 pub(crate) use contact::TOUCHING;
+pub(crate) use from_scene::from_scene;
 use glam::DVec3;
+pub use hierarchy::Triangle;
 use hierarchy::{Hierarchy, crossing};
 use std::cmp::Ordering;
 use std::f64::consts::PI;
@@ -103,40 +106,6 @@ impl Edge {
         let (sin, cos) = (self.outer_angle * PI).sin_cos();
         let is_rim = self.faces[0] == self.faces[1];
         [self.along, if is_rim { self.along } else { cos * self.along + sin * self.normal }]
-    }
-}
-
-/// A triangle with its face.
-#[derive(Clone, Copy, Debug)]
-pub struct Triangle {
-    /// First corner, metres.
-    pub corner: DVec3,
-    /// From the first corner to the other two.
-    pub sides: [DVec3; 2],
-    /// Index into [`World::faces`].
-    pub face: u32,
-}
-
-impl Triangle {
-    /// Its corners, metres.
-    pub fn corners(&self) -> [DVec3; 3] {
-        [self.corner, self.corner + self.sides[0], self.corner + self.sides[1]]
-    }
-
-    /// Its area, m².
-    pub fn area(&self) -> f64 {
-        0.5 * self.sides[0].cross(self.sides[1]).length()
-    }
-
-    /// Whether a point of its plane lies in it, the border included.
-    fn contains(&self, point: DVec3) -> bool {
-        const BORDER: f64 = 1e-12;
-        let n = self.sides[0].cross(self.sides[1]);
-        let p = point - self.corner;
-        let scale = 1.0 / n.length_squared();
-        let u = p.cross(self.sides[1]).dot(n) * scale;
-        let v = self.sides[0].cross(p).dot(n) * scale;
-        u >= -BORDER && v >= -BORDER && u + v <= 1.0 + BORDER
     }
 }
 

@@ -2,11 +2,11 @@
 
 use glam::DVec3;
 use pwrfgs_core::{Baseline, DataSource, Dataset, Known, Plugin, Simulation};
-use pwrfgs_raytrace::output::{Layout, MANIFEST, POINTS, write, write_as};
-use pwrfgs_raytrace::{Recipe, Scene, Simulator, cache, simulate};
+use pwrfgs_raytrace::output::{Layout, MANIFEST, POINTS, write_as};
+use pwrfgs_raytrace::{Recipe, Scene, Simulator, cache};
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// A small room with one of everything; `more` are further fields of the scene.
 fn scene_text(more: &str) -> String {
@@ -39,6 +39,10 @@ fn recipe(folder: &Path) -> Recipe {
     Recipe::read(&file(folder, "small.ron", &scene_text(noise)), 12, 7, 500).unwrap()
 }
 
+fn write(recipe: &Recipe, layout: Layout, paths: bool, out: &Path) -> pwrfgs_core::Result<()> {
+    write_as(recipe, layout, paths, out, &|_, _| {}, &AtomicBool::new(false))
+}
+
 /// Every file of a folder with its bytes.
 fn contents(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     let mut all = Vec::new();
@@ -64,7 +68,7 @@ fn the_same_seed_gives_the_same_bytes_at_any_thread_count() {
     let made = [1, 2, 5].map(|threads| {
         let out = folder.path().join(format!("out{threads}"));
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| write(&recipe, true, &out, &|_, _| {})).unwrap();
+        pool.install(|| write(&recipe, Layout::Pictures, true, &out)).unwrap();
         contents(&out)
     });
     assert_eq!(made[0].len(), 12 + 8);
@@ -77,7 +81,7 @@ fn the_same_seed_gives_the_same_bytes_at_any_thread_count() {
 fn a_folder_that_holds_something_is_not_touched() {
     let folder = tempfile::tempdir().unwrap();
     let recipe = recipe(folder.path());
-    let message = write(&recipe, true, folder.path(), &|_, _| {}).unwrap_err();
+    let message = write(&recipe, Layout::Pictures, true, folder.path()).unwrap_err();
     assert!(message.is_input() && message.to_string().contains("is not empty (it holds `small.ron`)"), "{message}");
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
 }
@@ -130,9 +134,9 @@ fn a_kept_data_set_is_used_only_while_it_is_whole() {
 fn an_array_holds_what_the_pictures_hold() {
     let folder = tempfile::tempdir().unwrap();
     let recipe = recipe(folder.path());
-    let load = |source: &str, pictures| {
+    let load = |source: &str, layout| {
         let out = folder.path().join(source);
-        write_as(&recipe, pictures, false, &out, &|_, _| {}, &std::sync::atomic::AtomicBool::new(false)).unwrap();
+        write(&recipe, layout, false, &out).unwrap();
         let source = Plugin::<dyn DataSource>::parse(&format!("{source}(root: {out:?})")).unwrap();
         source.load(Path::new(""), &|_, _| {}).unwrap()
     };
@@ -143,7 +147,7 @@ fn an_array_holds_what_the_pictures_hold() {
     }
     // Names have five digits; an array has no names.
     let many = Recipe::read(&folder.path().join("small.ron"), 100_000, 0, 0).unwrap();
-    let said = write(&many, false, &folder.path().join("many"), &|_, _| {}).unwrap_err();
+    let said = write(&many, Layout::Pictures, false, &folder.path().join("many")).unwrap_err();
     assert!(said.is_input() && said.to_string().contains("write one array, with --npy"), "{said}");
 }
 
@@ -152,17 +156,13 @@ fn the_shipped_scenes_are_simulated() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap().join("scenes");
     for name in ["office", "conference", "lab-s23"] {
         let simulator = Simulator::new(&Scene::read(&root.join(format!("{name}.ron"))).unwrap()).unwrap();
-        let mut seen = 0;
-        simulate(&simulator, 4, 0, |_, tx, reception| {
-            seen += 1;
+        for tx in simulator.positions(2, 0).unwrap() {
+            let reception = simulator.spectrum(tx, Some(0));
             assert!(reception.paths.len() > 50, "{name}: {} paths", reception.paths.len());
             let (low, high) = (reception.spectrum.pixels.iter().min(), reception.spectrum.pixels.iter().max());
             assert_eq!((low, high), (Some(&0), Some(&255)), "{name}");
             assert!(simulator.world().check_free(tx).is_ok());
-            Ok(())
-        })
-        .unwrap();
-        assert_eq!(seen, 4);
+        }
         let points = simulator.surface_points(1000, 0);
         assert!(points.points.len() == 1000 && points.normals.len() == 1000);
     }
@@ -232,7 +232,8 @@ fn ray_tracing_in_the_exact_scene_is_the_generator() {
     assert!(knows(&moved, "meshes.ron") && !knows(&moved, "small.ron"));
     // A folder that was written says from which scene.
     let out = folder.path().join("written");
-    write(&Recipe::read(&folder.path().join("small.ron"), 10, 0, 100).unwrap(), false, &out, &|_, _| {}).unwrap();
+    let recipe = Recipe::read(&folder.path().join("small.ron"), 10, 0, 100).unwrap();
+    write(&recipe, Layout::Pictures, false, &out).unwrap();
     let read = pwrfgs_data::Nerf2Spectrum { root: out, ..Default::default() }.load(Path::new(""), &|_, _| {}).unwrap();
     assert!(knows(&read, "small.ron") && !knows(&read, "other.ron"));
     let baseline: Plugin<dyn Baseline> = Plugin::parse("RayTracing()").unwrap();

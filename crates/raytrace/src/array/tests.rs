@@ -1,5 +1,5 @@
 use super::*;
-use crate::wave::SPEED_OF_LIGHT;
+use crate::SPEED_OF_LIGHT;
 use pwrfgs_core::testing::shared;
 use std::collections::HashMap;
 
@@ -181,8 +181,8 @@ fn the_channel_of_the_reference_array_is_that_of_the_reference() {
         assert_eq!((rows.len(), paths.len()), (16, 63));
         let rel = |row: &&Row| DVec3::new(number(row, "rel_x"), number(row, "rel_y"), number(row, "rel_z"));
         let elements: Vec<DVec3> = rows.iter().map(|row| CENTER + rel(row)).collect();
-        let plane = channel_at(&paths, &elements, CENTER, wavelength, Wavefront::Plane);
-        let spherical = channel_at(&paths, &elements, CENTER, wavelength, Wavefront::Spherical);
+        let plane = band_at(&paths, &elements, CENTER, &[wavelength], Wavefront::Plane);
+        let spherical = band_at(&paths, &elements, CENTER, &[wavelength], Wavefront::Spherical);
         for ((row, plane), spherical) in rows.iter().zip(plane).zip(spherical) {
             let expected =
                 |name: &str| Complex::new(number(row, &format!("{name}_re")), number(row, &format!("{name}_im")));

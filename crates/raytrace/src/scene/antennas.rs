@@ -1,6 +1,6 @@
 //! Who listens and who sends.
 
-use super::FAR;
+use super::room::FAR;
 use crate::array::{Array, Element};
 use crate::transmitters::Transmitters;
 use glam::{DMat3, DQuat, DVec3};

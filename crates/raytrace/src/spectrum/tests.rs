@@ -5,7 +5,7 @@ use pwrfgs_core::{Projector as _, rng};
 use std::f64::consts::TAU;
 
 /// Spacing of the measured array, 0.16 m at 920 MHz.
-const MEASURED: f64 = 0.16 * 920e6 / crate::wave::SPEED_OF_LIGHT;
+const MEASURED: f64 = 0.16 * 920e6 / crate::SPEED_OF_LIGHT;
 
 /// Sample phases of the published script.
 const PHASES: [f64; 16] = [

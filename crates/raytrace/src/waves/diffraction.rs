@@ -2,15 +2,16 @@
 
 #[cfg(test)]
 mod tests;
-mod transition;
 
+use crate::Complex;
 use crate::waves::fresnel::Polarized;
-use crate::waves::wave::Complex;
 use glam::DVec3;
 use std::f64::consts::{FRAC_PI_4, PI};
 
 /// An incoming ray closer to a face than this, radians, grazes it.
 const GRAZING: f64 = 1e-9;
+/// Nodes of the trapezium rule for the transition function.
+const NODES: u32 = 12;
 
 /// The two faces of an edge, as a wave meets them: coefficients (te soft, tm hard).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -81,7 +82,26 @@ fn boundary_term(n: f64, angle: f64, scale: f64) -> Complex {
     let (wide, narrow) = (0.5 * delta.abs(), 0.5 * delta.abs() / n);
     let ratio = if narrow > 0.0 { wide.sin() / narrow.sin() } else { n };
     let sign = if delta < 0.0 { -1.0 } else { 1.0 };
-    transition::over_root(scale * wide.sin()) * (sign * narrow.cos() * ratio)
+    over_root(scale * wide.sin()) * (sign * narrow.cos() * ratio)
+}
+
+/// F(v²)/v, smooth down to √π e^{jπ/4} at v = 0; v ≥ 0 and finite. F(x) = 2j√x e^{jx} ∫ e^{-jt²} dt from √x to ∞,
+/// Kouyoumjian and Pathak (1974). Relative error below 10⁻¹⁴.
+///
+/// The Fresnel integral by the trapezium rule with a correction for its pole, Alazah, Chandler-Wilde and La Porte,
+/// Numerische Mathematik 128 (2014): errors fall like e^{-πN}, whatever v.
+fn over_root(v: f64) -> Complex {
+    let eighth = Complex::cis(FRAC_PI_4);
+    let a = ((f64::from(NODES) + 0.5) * PI).sqrt();
+    let mut sum = Complex::ZERO;
+    for k in 1..=NODES {
+        let node = (f64::from(k) - 0.5) * PI / a;
+        let square = node * node;
+        sum += (-square).exp() / Complex::new(v * v, square);
+    }
+    let pole = (eighth.conj() * (-2.0 * a * v)).exp();
+    let integral = eighth * (v / a) * sum + Complex::cis(-v * v) * pole / (1.0 + pole);
+    2.0 * PI.sqrt() * eighth * integral.conj()
 }
 
 /// Where the path from `tx` by the line a + t(b - a) to `rx` is shortest, and meets the line at the same angle before

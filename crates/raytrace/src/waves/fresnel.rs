@@ -3,7 +3,7 @@
 #[cfg(test)]
 mod tests;
 
-use crate::waves::wave::Complex;
+use crate::Complex;
 use std::f64::consts::TAU;
 
 /// A pair of coefficients, one for each polarisation.

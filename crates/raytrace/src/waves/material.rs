@@ -3,7 +3,7 @@
 #[cfg(test)]
 mod tests;
 
-use crate::waves::wave::Complex;
+use crate::Complex;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 

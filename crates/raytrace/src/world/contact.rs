@@ -152,9 +152,9 @@ fn pairs_of(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Complex;
     use crate::mesh::Mesh;
     use crate::scattering::Lobe;
-    use crate::wave::Complex;
     use crate::world::{Builder, Part, Surface};
 
     /// A zigzag fan of `count` triangles about one vertex.

@@ -1,12 +1,45 @@
-//! Which triangles a segment may cross: a hierarchy of boxes.
+//! Triangles, and which of them a segment may cross: a hierarchy of boxes.
 
-use super::Triangle;
 use glam::DVec3;
 
 /// Boxes are made wider by this, metres: axis-aligned faces would have none.
 const PADDING: f64 = 1e-6;
 /// From this depth on groups are halved: no arrangement of triangles makes a tree that is much deeper.
 const DEEP: u32 = 64;
+
+/// A triangle with its face.
+#[derive(Clone, Copy, Debug)]
+pub struct Triangle {
+    /// First corner, metres.
+    pub corner: DVec3,
+    /// From the first corner to the other two.
+    pub sides: [DVec3; 2],
+    /// Index into [`World::faces`].
+    pub face: u32,
+}
+
+impl Triangle {
+    /// Its corners, metres.
+    pub fn corners(&self) -> [DVec3; 3] {
+        [self.corner, self.corner + self.sides[0], self.corner + self.sides[1]]
+    }
+
+    /// Its area, m².
+    pub fn area(&self) -> f64 {
+        0.5 * self.sides[0].cross(self.sides[1]).length()
+    }
+
+    /// Whether a point of its plane lies in it, the border included.
+    pub(super) fn contains(&self, point: DVec3) -> bool {
+        const BORDER: f64 = 1e-12;
+        let n = self.sides[0].cross(self.sides[1]);
+        let p = point - self.corner;
+        let scale = 1.0 / n.length_squared();
+        let u = p.cross(self.sides[1]).dot(n) * scale;
+        let v = self.sides[0].cross(p).dot(n) * scale;
+        u >= -BORDER && v >= -BORDER && u + v <= 1.0 + BORDER
+    }
+}
 
 /// The tree in depth-first order.
 #[derive(Debug)]

@@ -1,5 +1,5 @@
 use super::*;
-use crate::waves::wave::SPEED_OF_LIGHT;
+use crate::SPEED_OF_LIGHT;
 use pwrfgs_core::testing::shared;
 
 const METAL: Polarized = Polarized::PERFECT_CONDUCTOR;
@@ -12,7 +12,7 @@ fn opaque(r0: &Polarized, rn: &Polarized) -> Sides {
 
 /// F(x) as it is usually written; x ≥ 0.
 fn transition(x: f64) -> Complex {
-    x.sqrt() * transition::over_root(x.sqrt())
+    x.sqrt() * over_root(x.sqrt())
 }
 
 fn both(pair: Polarized) -> [Complex; 2] {

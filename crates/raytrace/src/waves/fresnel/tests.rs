@@ -1,6 +1,6 @@
 use super::*;
+use crate::SPEED_OF_LIGHT;
 use crate::waves::material::named;
-use crate::waves::wave::SPEED_OF_LIGHT;
 use glam::DVec3;
 use pwrfgs_core::testing::shared;
 

@@ -1,8 +1,9 @@
 //! From a scene file to a world: the room and what stands in it, as meshes.
 
+use super::build::{Builder, Part};
+use super::{Surface, World};
 use crate::mesh::{self, MOST_TRIANGLES, Mesh};
 use crate::scene::{Finish, Object, Outline, Room, Scene};
-use crate::world::{Builder, Part, Surface, World};
 use earcut::Earcut;
 use glam::{DMat3, DVec2, DVec3};
 use pwrfgs_core::{Error, Result};
@@ -12,7 +13,7 @@ use std::path::Path;
 ///
 /// # Errors
 /// A mesh that cannot be read, or that is solid and not closed; an opening that opens nothing; too many triangles.
-pub(crate) fn world(scene: &Scene) -> Result<World> {
+pub(crate) fn from_scene(scene: &Scene) -> Result<World> {
     let mut builder = Builder::default();
     add_room(&mut builder, scene);
     for object in &scene.objects {
@@ -27,6 +28,19 @@ pub(crate) fn world(scene: &Scene) -> Result<World> {
         }
     }
     builder.build().map_err(|why| Error::Config(format!("scene `{}`: {why}", scene.name)))
+}
+
+impl Scene {
+    /// Corners of the triangles of all surfaces but the ceiling, metres: what one sees who looks in from above.
+    ///
+    /// # Errors
+    /// A mesh that cannot be read, or surfaces that make no room.
+    pub fn open_surfaces(&self) -> Result<Vec<[[f64; 3]; 3]>> {
+        let world = from_scene(self)?;
+        let shown =
+            world.triangles.iter().filter(|triangle| !world.faces[triangle.face as usize].name.contains("ceiling"));
+        Ok(shown.map(|triangle| triangle.corners().map(|corner| corner.to_array())).collect())
+    }
 }
 
 fn surface(scene: &Scene, owner: &str, finish: &Finish) -> Surface {

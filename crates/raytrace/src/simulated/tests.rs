@@ -1,5 +1,4 @@
 use super::*;
-use crate::cache;
 use crate::noise::Noise;
 use crate::observe::Observed;
 use crate::simulator::{Simulator, Wanted, simulate_links};
@@ -19,11 +18,11 @@ const SCENE: &str = r#"(
 )"#;
 
 /// The observations as numbers, a row a link.
-fn rows(kept: &Kept, links: usize) -> Vec<Vec<f64>> {
-    let flat: Vec<f64> = match &kept.values {
-        Values::Spectra(all) => (0..all.len()).flat_map(|i| all.raw(i).into_owned()).map(f64::from).collect(),
-        Values::Powers(all) => all.clone(),
-        Values::Channels(all) => all.as_flattened().iter().map(|v| f64::from(*v)).collect(),
+fn rows(observations: &Observations, links: usize) -> Vec<Vec<f64>> {
+    let flat: Vec<f64> = match observations {
+        Observations::Pictures(all) => (0..all.len()).flat_map(|i| all.raw(i).into_owned()).map(f64::from).collect(),
+        Observations::Powers(all) => all.iter().map(|v| *v as f64).collect(),
+        Observations::Channels(all) => all.gains.as_flattened().iter().map(|v| *v as f64).collect(),
     };
     flat.chunks(flat.len() / links).map(<[f64]>::to_vec).collect()
 }
@@ -40,8 +39,9 @@ fn every_kind_is_kept_and_read_back_and_made_anew_where_it_is_damaged() {
         let load = || {
             let made = AtomicUsize::new(0);
             let count = |done, _| made.store(done, Ordering::Relaxed);
-            let kept = cache::open_or_make(&recipe, Some(&root), &count, |folder| Kept::read(&recipe, folder)).unwrap();
-            ((kept.transmitters.clone(), rows(&kept, 12)), made.into_inner() > 0)
+            let read = |folder: &Path| read_links(&recipe, folder);
+            let (transmitters, observations) = cache::open_or_make(&recipe, Some(&root), &count, read).unwrap();
+            ((transmitters, rows(&observations, 12)), made.into_inner() > 0)
         };
         let (truth, made) = load();
         assert!(made && load() == (truth.clone(), false), "{observe:?}");
@@ -62,7 +62,7 @@ fn heard(recipe: &Recipe) -> (Vec<[f64; 3]>, Vec<Vec<f64>>) {
         places.push(tx.to_array());
         rows.extend(heard.into_iter().map(|heard| match heard.observed {
             Observed::Spectrum(spectrum) => spectrum.pixels.into_iter().map(f64::from).collect(),
-            Observed::Power(dbm) => vec![dbm],
+            Observed::Power(dbm) => vec![dbm as Real as f64],
             Observed::Channel(h) => h.iter().flat_map(|h| [h.re as f32, h.im as f32]).map(f64::from).collect(),
         }));
         Ok(())

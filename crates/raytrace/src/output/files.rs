@@ -1,0 +1,310 @@
+//! The files of a simulated data set, which grow by a transmitter at a time: what is observed, in the layouts of NeRF2 or as
+//! arrays, positions, lists of numbers, and paths.
+
+use crate::Complex;
+use crate::listener::Listener;
+use crate::observe::{Heard, Observe, Observed, SILENT_DBM};
+use crate::path::PathTable;
+use crate::recipe::Recipe;
+use crate::simulator::Simulator;
+use crate::spectrum::{HEIGHT, WIDTH};
+use glam::DVec3;
+use image::{ExtendedColorType, ImageEncoder as _, codecs::png::PngEncoder};
+use pwrfgs_core::{Error, Number, Result, files};
+use pwrfgs_data::{base_station_yaml, gateway_yaml, npy_header, npy_header_as};
+use std::fmt::Write as _;
+use std::fs;
+use std::io::{BufWriter, Write as _};
+use std::path::{Path, PathBuf};
+
+/// Every path of every transmitter.
+pub const PATHS: &str = "paths.csv";
+/// Absolute power of every spectrum.
+pub const POWER: &str = "power.csv";
+/// The array of all spectra.
+pub(crate) const SPECTRA: &str = "spectra.npy";
+/// Channels, complex64 `[links, antennas, subcarriers]`.
+pub(crate) const CHANNELS: &str = "channel.npy";
+/// Readings in dBm: a row a transmitter, a column a receiver.
+pub(crate) const POWERS: &str = "gateway_rssi.csv";
+/// Positions of the transmitters.
+pub(crate) const POSITIONS: &str = "tx_pos.csv";
+/// The folder of the pictures.
+const PICTURES: &str = "spectrum";
+/// Most pictures: their names have five digits.
+const MOST_PICTURES: usize = 99_999;
+/// Every how-manieth sample belongs to the test list.
+const TEST_EVERY: usize = 5;
+
+/// Which files hold what is observed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Layout {
+    /// Spectra, a picture each, as NeRF2 has them.
+    Pictures,
+    /// Spectra as one array, `spectra.npy`: however many there are, memory need not hold them.
+    Array,
+    /// Powers in a table, as NeRF2 has those of its BLE set; a column a receiver.
+    Rssi,
+    /// Channels as one array, `channel.npy`.
+    Channels,
+    /// Channels as NeRF2 has those of its MIMO set: the first half of the subcarriers is the uplink.
+    Csi,
+}
+
+impl Layout {
+    /// The layout of the folders that programs keep for themselves.
+    pub(crate) fn of(what: &Observe) -> Self {
+        match what {
+            Observe::Spectrum => Self::Array,
+            Observe::Power { .. } => Self::Rssi,
+            Observe::Channel { .. } => Self::Channels,
+        }
+    }
+
+    /// Whether `recipe` can be written this way.
+    pub(super) fn check(self, recipe: &Recipe) -> Result<()> {
+        let fits = match self {
+            Self::Pictures | Self::Array => recipe.observe == Observe::Spectrum,
+            Self::Rssi => matches!(recipe.observe, Observe::Power { .. }),
+            Self::Channels | Self::Csi => matches!(recipe.observe, Observe::Channel { .. }),
+        };
+        if !fits {
+            let what = "is not the layout of what is observed; choose another";
+            return Err(Error::Config(format!("{self:?} {what}")));
+        }
+        if self == Self::Pictures && recipe.samples > MOST_PICTURES {
+            return Err(Error::Config(format!(
+                "{} spectra are more than the {MOST_PICTURES} pictures that have a name; write one array, with --npy",
+                recipe.samples
+            )));
+        }
+        let subcarriers = recipe.scene.frequencies().len();
+        if self == Self::Csi && !subcarriers.is_multiple_of(2) {
+            return Err(Error::Config(format!(
+                "scene `{}` has {subcarriers} subcarriers, and half of them are the uplink, half the downlink; give an even \
+                 number in `subcarriers`, such as (count: 52, bandwidth_hz: 20e6)",
+                recipe.scene.name
+            )));
+        }
+        Ok(())
+    }
+
+    /// Number of the first sample, as NeRF2 counts them: names of pictures from 1, rows from 0.
+    fn first(self) -> usize {
+        usize::from(matches!(self, Self::Pictures | Self::Array))
+    }
+}
+
+/// Whether the `i`th transmitter, counted from 0, is for testing.
+pub(crate) fn is_test(i: usize) -> bool {
+    (i + 1).is_multiple_of(TEST_EVERY)
+}
+
+/// Files under way in a folder that is there and empty; with several receivers, what they observe of a transmitter stands
+/// one after the other.
+pub(super) struct Files {
+    folder: PathBuf,
+    layout: Layout,
+    /// Spectra or channels, unless each spectrum is a picture.
+    array: Option<Growing>,
+    /// The table of powers, or of absolute powers of spectra.
+    table: Option<(&'static str, String)>,
+    /// What a reader of the observations has to know: poses, frequencies, antennas.
+    facts: Option<(&'static str, String)>,
+    positions: String,
+    /// A table a receiver, or none.
+    paths: Vec<(PathTable, Growing)>,
+}
+
+impl Files {
+    pub(super) fn begin(
+        folder: &Path,
+        simulator: &Simulator,
+        layout: Layout,
+        samples: usize,
+        paths: bool,
+    ) -> Result<Self> {
+        let (listeners, scene) = (simulator.listeners(), simulator.scene());
+        let (links, is_alone) = (samples * listeners.len(), listeners.len() == 1);
+        let array = |name, header: Vec<u8>| Growing::begin(folder.join(name), &header).map(Some);
+        let shape = [links, listeners[0].receiver().array.elements(), scene.frequencies().len()];
+        let channels = |name| array(name, npy_header_as("<c8", &shape));
+        // Of one receiver; several have places of their own elsewhere.
+        let gateway = || ("gateway_info.yml", gateway_yaml(&format!("{} (simulated)", scene.name), &scene.pose()));
+        let absolute = || (POWER, "id,path_gain_db,low,high\n".to_owned());
+        let (array, table, facts) = match layout {
+            Layout::Pictures => {
+                let path = folder.join(PICTURES);
+                fs::create_dir(&path).map_err(|e| Error::write(&path, e))?;
+                (None, Some(absolute()), Some(gateway()))
+            }
+            Layout::Array => {
+                let array = array(SPECTRA, npy_header(Number::U8, &[links, HEIGHT, WIDTH]))?;
+                (array, is_alone.then(absolute), is_alone.then(gateway))
+            }
+            Layout::Rssi => {
+                let receivers = || listeners.iter().map(Listener::receiver);
+                let names: Vec<&str> = receivers().map(|receiver| &*receiver.name).collect();
+                let places = receivers().map(|receiver| format!("{}: {}\n", receiver.name, list(&receiver.position)));
+                (None, Some((POWERS, names.join(",") + "\n")), Some(("gateway_position.yml", places.collect())))
+            }
+            Layout::Channels => {
+                let facts = is_alone.then(|| ("receiver.yml", receiver_yaml(simulator, &listeners[0])));
+                (channels(CHANNELS)?, None, facts)
+            }
+            Layout::Csi => {
+                let antennas: Vec<[f64; 3]> = listeners[0].antennas().iter().map(|place| place.to_array()).collect();
+                (channels("csidata.npy")?, None, Some(("base-station.yml", base_station_yaml(&antennas))))
+            }
+        };
+        let table_of = |listener: &Listener| {
+            let own = format!("paths-{}.csv", listener.receiver().name);
+            let path = folder.join(if is_alone { PATHS } else { &own });
+            let file = Growing::begin(path, format!("{}\n", PathTable::HEADER).as_bytes())?;
+            Ok((PathTable::new(simulator.world(), listener.world_from_receiver()), file))
+        };
+        let paths = if paths { listeners.iter().map(table_of).collect::<Result<_>>()? } else { Vec::new() };
+        Ok(Self { folder: folder.into(), layout, array, table, facts, positions: "x,y,z\n".into(), paths })
+    }
+
+    /// Adds what the receivers hear of the `i`th transmitter, counted from 0.
+    pub(super) fn add(&mut self, i: usize, tx: DVec3, all: &[Heard]) -> Result<()> {
+        let id = i + self.layout.first();
+        writeln!(self.positions, "{},{},{}", tx.x, tx.y, tx.z).expect("text grows");
+        for ((table, file), heard) in self.paths.iter_mut().zip(all) {
+            file.add(table.rows(id, &heard.paths).as_bytes())?;
+        }
+        for (receiver, heard) in all.iter().enumerate() {
+            match (&heard.observed, &mut self.array) {
+                (Observed::Spectrum(spectrum), Some(array)) => array.add(&spectrum.pixels)?,
+                (Observed::Spectrum(spectrum), None) => {
+                    write_png(&self.folder.join(format!("{PICTURES}/{id:05}.png")), &spectrum.pixels)?;
+                }
+                (Observed::Channel(channel), Some(array)) => {
+                    let bytes = |h: &Complex| [(h.re as f32).to_le_bytes(), (h.im as f32).to_le_bytes()];
+                    array.add(&channel.iter().flat_map(bytes).flatten().collect::<Vec<u8>>())?;
+                }
+                _ => {}
+            }
+            match (&heard.observed, &mut self.table) {
+                (Observed::Spectrum(spectrum), Some((_, rows))) => {
+                    let decibel = 10.0 * spectrum.power.log10();
+                    writeln!(rows, "{id},{decibel:.4},{:.6e},{:.6e}", spectrum.low, spectrum.high)
+                }
+                (Observed::Power(dbm), Some((_, rows))) => {
+                    let end = if receiver + 1 == all.len() { "\n" } else { "," };
+                    if *dbm > SILENT_DBM {
+                        // Rounded, none is what stands for nothing received.
+                        write!(rows, "{:.3}{end}", dbm.max(SILENT_DBM + 1e-3))
+                    } else {
+                        write!(rows, "{SILENT_DBM:.1}{end}")
+                    }
+                }
+                _ => Ok(()),
+            }
+            .expect("text grows");
+        }
+        Ok(())
+    }
+
+    /// Writes what is left.
+    pub(super) fn finish(self, samples: usize) -> Result<()> {
+        self.array.into_iter().chain(self.paths.into_iter().map(|(_, file)| file)).try_for_each(Growing::finish)?;
+        for (name, text) in self.facts.into_iter().chain(self.table).chain([(POSITIONS, self.positions)]) {
+            put(&self.folder.join(name), text)?;
+        }
+        for (name, is_wanted) in [("train_index.txt", false), ("test_index.txt", true)] {
+            let mut text = String::new();
+            for i in (0..samples).filter(|i| is_test(*i) == is_wanted) {
+                match self.layout.first() {
+                    0 => writeln!(text, "{i}"),
+                    first => writeln!(text, "{:05}", i + first),
+                }
+                .expect("text grows");
+            }
+            put(&self.folder.join(name), text)?;
+        }
+        Ok(())
+    }
+}
+
+/// A file that is written bit by bit.
+struct Growing {
+    file: BufWriter<fs::File>,
+    path: PathBuf,
+}
+
+impl Growing {
+    fn begin(path: PathBuf, start: &[u8]) -> Result<Self> {
+        let file = fs::File::create(&path).map_err(|e| Error::write(&path, e))?;
+        let mut growing = Self { file: BufWriter::with_capacity(1 << 20, file), path };
+        growing.add(start).map(|()| growing)
+    }
+
+    fn add(&mut self, bytes: &[u8]) -> Result<()> {
+        self.file.write_all(bytes).map_err(|e| Error::write(&self.path, e))
+    }
+
+    fn finish(mut self) -> Result<()> {
+        self.file.flush().map_err(|e| Error::write(&self.path, e))
+    }
+}
+
+/// Refuses a table with transmitters that no receiver receives, or receivers that receive none: who reads the layout cannot
+/// tell them from mistakes.
+pub(super) fn check_powers(folder: &Path) -> Result<()> {
+    let text = files::read_string(folder.join(POWERS)).map_err(|e| Error::read(folder, e))?;
+    let silent = format!("{SILENT_DBM:.1}");
+    let rows = || text.lines().skip(1);
+    let columns = rows().next().map_or(0, |row| row.split(',').count());
+    let is_deaf = |column: &usize| rows().all(|row| row.split(',').nth(*column) == Some(&*silent));
+    if let Some(column) = (0..columns).find(is_deaf) {
+        let name = text.lines().next().and_then(|names| names.split(',').nth(column)).unwrap_or_default();
+        return Err(Error::Config(format!(
+            "receiver `{name}` receives no transmitter above {SILENT_DBM} dBm, which the layout cannot say; raise `power_dbm` \
+             of the transmitter, or leave the receiver out"
+        )));
+    }
+    match rows().filter(|row| row.split(',').all(|cell| cell == silent)).count() {
+        0 => Ok(()),
+        unheard => Err(Error::Config(format!(
+            "{unheard} of {} transmitters are heard by no receiver above {SILENT_DBM} dBm, which the layout cannot say; raise \
+             `power_dbm` of the transmitter, or keep it nearer to receivers",
+            rows().count()
+        ))),
+    }
+}
+
+/// What the axes of an array of channels are: YAML.
+fn receiver_yaml(simulator: &Simulator, listener: &Listener) -> String {
+    let (scene, pose) = (simulator.scene(), listener.pose());
+    let spacing = scene.subcarriers.as_ref().map_or(0.0, |band| band.spacing_hz());
+    let antennas: Vec<String> = listener.antennas().iter().map(|place| list(&place.to_array())).collect();
+    format!(
+        "name: {}\nposition: {}\norientation: {} # quaternion x, y, z, w\ncarrier_hz: {:?}\nspacing_hz: {spacing:?}\n\
+         frequencies_hz: {}\nantennas: [{}] # in the world, metres\n",
+        listener.receiver().name,
+        list(&pose.position),
+        list(&pose.orientation),
+        scene.carrier_hz,
+        list(&scene.frequencies()),
+        antennas.join(", ")
+    )
+}
+
+/// Numbers in brackets: YAML.
+fn list(values: &[f64]) -> String {
+    format!("[{}]", values.iter().map(|v| format!("{v:?}")).collect::<Vec<_>>().join(", "))
+}
+
+fn write_png(path: &Path, pixels: &[u8]) -> Result<()> {
+    let mut bytes = Vec::new();
+    PngEncoder::new(&mut bytes)
+        .write_image(pixels, WIDTH as u32, HEIGHT as u32, ExtendedColorType::L8)
+        .map_err(|e| Error::write(path, std::io::Error::other(e)))?;
+    put(path, bytes)
+}
+
+pub(super) fn put(path: &Path, bytes: impl AsRef<[u8]>) -> Result<()> {
+    fs::write(path, bytes).map_err(|e| Error::write(path, e))
+}
