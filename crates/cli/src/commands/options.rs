@@ -4,10 +4,10 @@ use clap::Args;
 use pwrfgs::experiment::folder::PIPELINE;
 use pwrfgs::experiment::sweep::LISTING;
 use pwrfgs::model::{Ensemble, file};
-use pwrfgs_core::{coordinate_fault, place_fault};
 use pwrfgs_core::threads::COUNTS;
 use pwrfgs_core::words::clean;
 use pwrfgs_core::{Error, Receiver, Result, did_you_mean, files};
+use pwrfgs_core::{coordinate_fault, place_fault};
 use std::path::{Path, PathBuf};
 
 /// Most names that an error lists.
