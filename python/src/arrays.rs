@@ -82,6 +82,15 @@ pub(crate) fn axes(value: &Bound<'_, PyAny>) -> PyResult<usize> {
     count.map_err(|e| wrong(py, &format!("this is no array: {e}")))?.extract()
 }
 
+/// One place, metres, finite.
+pub(crate) fn place(what: &str, value: &Bound<'_, PyAny>) -> PyResult<[f64; 3]> {
+    let all = numbers::<f64>(what, value, &[Some(3)])?;
+    if !all.iter().all(|v| v.is_finite()) {
+        return Err(wrong(value.py(), &format!("{what} is {all:?}; give finite numbers")));
+    }
+    Ok([all[0], all[1], all[2]])
+}
+
 /// Places `[.., 3]`, metres, all of them finite.
 pub(crate) fn places(what: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<[f64; 3]>> {
     let array = given::<f64>(what, value, &[None, Some(3)])?;

@@ -1,20 +1,33 @@
-//! Between Rust and Python: errors, the interpreter's lock, Ctrl-C, and processes that forked.
+//! Between Rust and Python: errors and warnings, plugins, the interpreter's lock, Ctrl-C, and processes that forked.
 
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::plugin::{PluginKind, read_ron};
+use pwrfgs_core::{Error, Plugin, Result};
 use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError};
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 use std::any::Any;
+use std::cell::Cell;
+use std::fmt::{Debug, Write as _};
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
 use std::process;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Duration;
+use tracing::field::{Field, Visit};
+use tracing::span::{Attributes, Id, Record};
+use tracing::{Event, Level, Metadata, Subscriber};
 
 /// How often Ctrl-C is looked for.
 pub(crate) const LOOK: Duration = Duration::from_millis(50);
 /// Events that may wait for a slow listener.
 const WAITING: usize = 64;
+
+thread_local! {
+    /// Strategies that are being asked on this thread.
+    static ASKED: Cell<usize> = const { Cell::new(0) };
+}
 
 /// The process that loaded the library. Threads do not survive a fork.
 static HOME: OnceLock<u32> = OnceLock::new();
@@ -36,6 +49,24 @@ pub(crate) fn at_home() -> PyResult<()> {
     ))
 }
 
+/// Whether a strategy is being asked on this thread: what it does then must not wait for the run that asks it.
+pub(crate) fn asked() -> bool {
+    ASKED.get() > 0
+}
+
+/// Does `work` as a strategy that is being asked.
+pub(crate) fn asking<T>(work: impl FnOnce() -> T) -> T {
+    struct Asking;
+    impl Drop for Asking {
+        fn drop(&mut self) {
+            ASKED.set(ASKED.get() - 1);
+        }
+    }
+    ASKED.set(ASKED.get() + 1);
+    let _asking = Asking;
+    work()
+}
+
 /// Does `work` without the interpreter's lock.
 pub(crate) fn free<T: Send>(py: Python<'_>, work: impl FnOnce() -> Result<T> + Send) -> PyResult<T> {
     at_home()?;
@@ -53,7 +84,7 @@ pub(crate) fn free_once_there<T: Send>(
     loop {
         match py.detach(|| catch_unwind(AssertUnwindSafe(&mut work))).transpose() {
             Some(done) => return settled(py, done),
-            None if crate::strategies::asked() => {
+            None if asked() => {
                 return Err(wrong(
                     py,
                     "this trainer is in the middle of a step, and the strategy that it asks cannot use it",
@@ -192,4 +223,73 @@ pub(crate) fn throw(error: PyErr) -> ! {
 /// The same as an error of the toolkit.
 pub(crate) fn carried(error: PyErr) -> Error {
     Error::Plugin(Box::new(error))
+}
+
+/// The RON text of what a user gives for a plugin of this kind: a value, a name with settings, or an object of a class of
+/// their own.
+pub(crate) fn text_of(kind: &str, value: &Bound<'_, PyAny>, settings: Option<&Bound<'_, PyDict>>) -> PyResult<String> {
+    let helper = value.py().import("pwrfgs._values")?.getattr("plugin_text")?;
+    helper.call1((kind, value, settings))?.extract()
+}
+
+/// A plugin from its text.
+pub(crate) fn plugin<T: ?Sized + PluginKind>(py: Python<'_>, text: &str) -> PyResult<Plugin<T>>
+where
+    Box<T>: for<'de> pwrfgs::prelude::Deserialize<'de>,
+{
+    free(py, || read_ron(text, Path::new(T::KIND)).map_err(unplaced))
+}
+
+/// Without the position, which would count in a text that nobody has seen.
+pub(crate) fn unplaced(error: Error) -> Error {
+    match error {
+        Error::Input { message, .. } => Error::Config(message),
+        other => other,
+    }
+}
+
+/// Hears warnings from now on, as records of Python's `logging` under the name "pwrfgs": printed on the error stream where
+/// nobody has said otherwise.
+pub(crate) fn log_warnings() {
+    _ = tracing::subscriber::set_global_default(Logger); // whoever was there first stays
+}
+
+/// Hands warnings on; spans it does not look at.
+struct Logger;
+
+/// The text of an event.
+#[derive(Default)]
+struct Text(String);
+
+impl Visit for Text {
+    fn record_debug(&mut self, field: &Field, value: &dyn Debug) {
+        if field.name() == "message" {
+            _ = write!(self.0, "{value:?}");
+        }
+    }
+}
+
+impl Subscriber for Logger {
+    fn enabled(&self, metadata: &Metadata<'_>) -> bool {
+        *metadata.level() <= Level::WARN && metadata.target().starts_with("pwrfgs")
+    }
+
+    fn event(&self, event: &Event<'_>) {
+        let mut text = Text::default();
+        event.record(&mut text);
+        // Where logging fails there is nobody left to tell.
+        Python::attach(|py| {
+            let logger = py.import("logging").and_then(|logging| logging.call_method1("getLogger", ("pwrfgs",)));
+            _ = logger.and_then(|logger| logger.call_method1("warning", ("%s", text.0)));
+        });
+    }
+
+    fn new_span(&self, _: &Attributes<'_>) -> Id {
+        Id::from_u64(1)
+    }
+
+    fn record(&self, _: &Id, _: &Record<'_>) {}
+    fn record_follows_from(&self, _: &Id, _: &Id) {}
+    fn enter(&self, _: &Id) {}
+    fn exit(&self, _: &Id) {}
 }

@@ -3,8 +3,7 @@
 mod given;
 
 use crate::arrays::{array, numbers, observations, places};
-use crate::border::{free, wrong};
-use crate::settings::{plugin, text_of};
+use crate::border::{free, plugin, text_of, wrong};
 use numpy::PyArrayDyn;
 use pwrfgs::data::{check, save, shape_fault};
 use pwrfgs_core::{

@@ -1,8 +1,7 @@
 //! `project` and `rasterize`: the differentiable kernels, for methods of one's own.
 
 use crate::arrays::{array, axes, given, numbers, room};
-use crate::border::{free, wrong};
-use crate::settings::{plugin, text_of};
+use crate::border::{free, plugin, text_of, wrong};
 use numpy::PyUntypedArrayMethods as _;
 use pwrfgs_core::{Elevation, ImagePlane, Plugin, Pose, Primitives, Projector, Rasterizer, Real, Render, Splats};
 use pyo3::prelude::*;

@@ -19,8 +19,6 @@ mod run;
 mod scores;
 mod settings;
 mod strategies;
-mod told;
-mod tools;
 
 use pyo3::prelude::*;
 
@@ -35,20 +33,18 @@ mod _pwrfgs {
     #[pymodule_export]
     use super::model::Model;
     #[pymodule_export]
-    use super::run::{facts, run};
+    use super::run::{facts, report, run, simulate, sweep};
     #[pymodule_export]
     use super::scores::{chamfer, measure, predict_baseline, repeatability};
     #[pymodule_export]
     use super::settings::{Pipeline, complete, parse_ron, registry, types};
-    #[pymodule_export]
-    use super::tools::{report, simulate, sweep};
     use pyo3::prelude::*;
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         super::border::begin(module.py())?;
         super::strategies::begin();
-        super::told::begin();
+        super::border::log_warnings();
         module.add("__version__", env!("CARGO_PKG_VERSION"))?;
         module.add("real_bytes", size_of::<pwrfgs_core::Real>())
     }

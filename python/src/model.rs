@@ -1,6 +1,6 @@
 //! `Model`: a trained model, or several that predict together.
 
-use crate::arrays::{Gain, array, axes, numbers, observations, places, room};
+use crate::arrays::{Gain, array, axes, numbers, observations, place, places, room};
 use crate::border::{LOOK, carried, free, wrong};
 use crate::data::angles;
 use numpy::PyArrayDyn;
@@ -81,15 +81,7 @@ impl Model {
         let (txs, features, one) = match (tx, features) {
             (Some(tx), None) if inputs == 3 => {
                 let one = axes(tx)? == 1;
-                let txs = if one {
-                    let place = numbers::<f64>("tx", tx, &[Some(3)])?;
-                    if !place.iter().all(|v| v.is_finite()) {
-                        return Err(wrong(py, &format!("tx is {place:?}; give finite numbers")));
-                    }
-                    vec![[place[0], place[1], place[2]]]
-                } else {
-                    places("tx", tx)?
-                };
+                let txs = if one { vec![place("tx", tx)?] } else { places("tx", tx)? };
                 (txs, Vec::new(), one)
             }
             (None, Some(features)) if inputs != 3 => {
@@ -262,16 +254,7 @@ impl Model {
         let Some(model) = self.ensemble.members().get(member) else {
             return Err(wrong(py, &format!("there is no member {member}; there are {count}, counted from 0")));
         };
-        let tx = match tx {
-            None => None,
-            Some(tx) => {
-                let place = numbers::<f64>("tx", tx, &[Some(3)])?;
-                if !place.iter().all(|v| v.is_finite()) {
-                    return Err(wrong(py, &format!("tx is {place:?}; give finite numbers")));
-                }
-                Some([place[0], place[1], place[2]])
-            }
-        };
+        let tx = tx.map(|tx| place("tx", tx)).transpose()?;
         let Activated { primitives, signals, .. } = free(py, || Ok(model.gaussians(tx)))?;
         let (n, origin) = (primitives.len(), model.stages.origin);
         let channels = signals.len().checked_div(n).unwrap_or(2);

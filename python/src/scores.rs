@@ -1,9 +1,8 @@
 //! Metrics, baselines and repeatability of any arrays.
 
 use crate::arrays::{Gain, array, axes, given, observations, places};
-use crate::border::{free, waited, wrong};
+use crate::border::{free, plugin, text_of, waited, wrong};
 use crate::data::Dataset;
-use crate::settings::{plugin, text_of};
 use numpy::PyUntypedArrayMethods as _;
 use pwrfgs::experiment::repeatability as work;
 use pwrfgs_core::{

@@ -1,42 +1,19 @@
 //! Plugins, pipelines and their text.
 
-use crate::border::{free, wrong};
+use crate::border::{free, unplaced, wrong};
 use pwrfgs::experiment::rebased;
 use pwrfgs::pipeline::Change;
 use pwrfgs::pipeline::ron_tree::{Body as Parts, Tree};
 use pwrfgs::prelude::Pipeline as Inner;
+use pwrfgs_core::Result;
 use pwrfgs_core::docs::{Body, Docs, Kind};
 use pwrfgs_core::files::{check_new_file, write_atomically};
-use pwrfgs_core::plugin::{Family, PluginKind, inventory, ron_options, to_ron};
-use pwrfgs_core::{Error, Plugin, Result};
+use pwrfgs_core::plugin::{Family, inventory, ron_options, to_ron};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
-
-/// The RON text of what a user gives for a plugin of this kind: a value, a name with settings, or an object of a class of
-/// their own.
-pub(crate) fn text_of(kind: &str, value: &Bound<'_, PyAny>, settings: Option<&Bound<'_, PyDict>>) -> PyResult<String> {
-    let helper = value.py().import("pwrfgs._values")?.getattr("plugin_text")?;
-    helper.call1((kind, value, settings))?.extract()
-}
-
-/// A plugin from its text.
-pub(crate) fn plugin<T: ?Sized + PluginKind>(py: Python<'_>, text: &str) -> PyResult<Plugin<T>>
-where
-    Box<T>: for<'de> pwrfgs::prelude::Deserialize<'de>,
-{
-    free(py, || pwrfgs_core::plugin::read_ron(text, Path::new(T::KIND)).map_err(unplaced))
-}
-
-/// Without the position, which would count in a text that nobody has seen.
-fn unplaced(error: Error) -> Error {
-    match error {
-        Error::Input { message, .. } => Error::Config(message),
-        other => other,
-    }
-}
 
 /// A pipeline and its text; what the Python class `Pipeline` is about.
 #[pyclass(frozen, module = "pwrfgs._pwrfgs")]

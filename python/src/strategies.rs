@@ -3,21 +3,18 @@
 //! An exception has no place in the signatures of those traits; where there is none it unwinds to the border, and the run
 //! ends as by any other failed step, its checkpoint kept.
 
-mod baseline;
+mod evaluation;
 mod initializer;
-mod metric;
 mod objects;
 mod pruner;
-mod split;
 
-use crate::border::{carried, throw, wrong};
+use crate::border::{asked, asking, carried, throw, wrong};
 pub(crate) use objects::{cloud_object, stats_object};
 use pwrfgs::foreign::{Host, Python as Named, set_host};
 use pwrfgs_core::{
     Baseline, ColumnSpec, GaussianCloud, Initializer, JsonSchema, Metric, Pruner, Real, Result, Split, schemars,
 };
 use pyo3::prelude::*;
-use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -34,16 +31,6 @@ struct Interpreter;
 
 /// The objects of what goes on, each made once.
 static MADE: Mutex<BTreeMap<(&'static str, Named), Arc<Object>>> = Mutex::new(BTreeMap::new());
-
-thread_local! {
-    /// Strategies that are being asked on this thread.
-    static ASKED: Cell<usize> = const { Cell::new(0) };
-}
-
-/// Whether a strategy is being asked on this thread: what it does then must not wait for the run that asks it.
-pub(crate) fn asked() -> bool {
-    ASKED.get() > 0
-}
 
 /// Begins something that has objects of its own: what others remember outside of columns and state is not there.
 pub(crate) fn forget() {
@@ -187,15 +174,7 @@ impl Strategy {
     }
 
     fn ask<T>(&self, work: impl FnOnce(Python<'_>, &Bound<'_, PyAny>) -> PyResult<T>) -> PyResult<T> {
-        struct Asking;
-        impl Drop for Asking {
-            fn drop(&mut self) {
-                ASKED.set(ASKED.get() - 1);
-            }
-        }
-        ASKED.set(ASKED.get() + 1);
-        let _asking = Asking;
-        Python::attach(|py| work(py, self.object.own.bind(py)))
+        asking(|| Python::attach(|py| work(py, self.object.own.bind(py))))
     }
 }
 

@@ -1,0 +1,152 @@
+//! Classes of Python's as a split, as a baseline and as a metric: by what a model is judged.
+
+use super::Strategy;
+use super::objects::{generator, links_object};
+use crate::arrays::{Gain, array, axes, numbers, observations};
+use crate::border::{throw, wrong};
+use pwrfgs_core::{
+    Baseline, Dataset, Error, Evaluation, Goal, Image, Known, Measurement, Metric, Partition, Predict, Query, Real,
+    Result, Split, Task, Values, rng, rows_of,
+};
+use pyo3::prelude::*;
+impl Split for Strategy {
+    fn typetag_name(&self) -> &'static str {
+        "Python"
+    }
+
+    fn typetag_deserialize(&self) {}
+
+    fn split(&self, data: &Dataset, random: &mut rng::Rng) -> Result<Partition> {
+        let count = data.len();
+        let lists = self.try_with(|py, own| {
+            let links = links_object(py, data, &(0..count).collect::<Vec<_>>())?;
+            let found = own.call_method1("split", (links, generator(py, random)?))?;
+            let lists = found.try_iter()?.map(|part| part_of(&part?, count)).collect::<PyResult<Vec<_>>>()?;
+            match lists.len() {
+                2 | 3 => Ok(lists),
+                n => Err(wrong(py, &format!("split gave {n} parts; give (train, test) or (train, validation, test)"))),
+            }
+        })?;
+        let mut lists = lists.into_iter();
+        let train = lists.next().unwrap_or_default();
+        let (validation, test) = match (lists.next(), lists.next()) {
+            (Some(validation), Some(test)) => (validation, test),
+            (Some(test), None) => (Vec::new(), test),
+            _ => Default::default(),
+        };
+        let mut all: Vec<usize> = [&train, &validation, &test].into_iter().flatten().copied().collect();
+        all.sort_unstable();
+        let twice = all.windows(2).find_map(|pair| (pair[0] == pair[1]).then(|| pair[0]));
+        if let Some(twice) = twice {
+            return Err(Error::Config(format!("split: link {twice} is in two parts")));
+        }
+        Ok(Partition { train, validation, test })
+    }
+}
+
+/// Places of links, sorted, from a mask or from places.
+fn part_of(part: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<usize>> {
+    if let Ok(mask) = numbers::<bool>("a part", part, &[Some(count)]) {
+        return Ok((0..count).filter(|&i| mask[i]).collect());
+    }
+    let places =
+        numbers::<i64>("a part of a split, which is places of links or a mask of all of them,", part, &[None])?;
+    if let Some(bad) = places.iter().find(|i| usize::try_from(**i).is_err() || **i as usize >= count) {
+        return Err(wrong(part.py(), &format!("split: there is no link {bad}; there are {count}, counted from 0")));
+    }
+    let mut places: Vec<usize> = places.into_iter().map(|i| i as usize).collect();
+    places.sort_unstable();
+    Ok(places)
+}
+
+impl Baseline for Strategy {
+    fn typetag_name(&self) -> &'static str {
+        "Python"
+    }
+
+    fn typetag_deserialize(&self) {}
+
+    fn name(&self) -> String {
+        self.with(|_, own| match own.getattr("name") {
+            Ok(name) => name.extract(),
+            Err(_) => Ok(self.named.class.clone()),
+        })
+    }
+
+    fn fit<'a>(&self, data: &'a Dataset, known: Known<'_>) -> Result<Box<dyn Predict + 'a>> {
+        let own = self.try_with(|py, own| {
+            let links = known.all();
+            let seen = crate::data::observed(py, data, &links)?;
+            let predictor = own.call_method1("fit", (links_object(py, data, &links)?, seen))?;
+            Ok(if predictor.is_none() { own.clone().unbind() } else { predictor.unbind() })
+        })?;
+        Ok(Box::new(Predictor { own, task: data.task(), size: (data.width, data.height) }))
+    }
+}
+
+/// What a baseline of Python's predicts with.
+struct Predictor {
+    own: Py<PyAny>,
+    task: Task,
+    size: (usize, usize),
+}
+
+impl Predict for Predictor {
+    fn predict(&self, query: Query<'_>) -> Image {
+        let (width, height) = self.size;
+        let asked = |py: Python<'_>| {
+            let tx = array(py, query.tx.to_vec(), &[3])?;
+            let found = self.own.bind(py).call_method1("predict", (tx, query.receiver))?;
+            let what = "what predict gave";
+            let shape: Vec<Option<usize>> = self.task.shape(self.size).into_iter().map(Some).collect();
+            let pixels = if self.task.is_complex {
+                let gains = numbers::<Gain>(what, &found, &shape)?;
+                rows_of(&gains.iter().map(|gain| [gain.re, gain.im]).collect::<Vec<_>>(), width)
+            } else if shape.is_empty() {
+                vec![found.extract::<Real>()?]
+            } else {
+                numbers::<Real>(what, &found, &shape)?
+            };
+            Ok(Image { width, height, pixels })
+        };
+        Python::attach(asked).unwrap_or_else(|error: PyErr| throw(error))
+    }
+}
+
+impl Metric for Strategy {
+    fn typetag_name(&self) -> &'static str {
+        "Python"
+    }
+
+    fn typetag_deserialize(&self) {}
+
+    fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
+        self.try_with(|py, own| {
+            let stack = |images: &[Image]| stacked(py, images, evaluation.task);
+            let found = own.call_method1("evaluate", (stack(evaluation.predictions)?, stack(evaluation.truths)?))?;
+            let text = |name: &str, none: &str| match own.getattr(name) {
+                Ok(own) => own.extract::<String>(),
+                Err(_) => Ok(none.to_owned()),
+            };
+            let higher = own.getattr("higher_is_better").map_or(Ok(true), |own| own.extract::<bool>())?;
+            let values = if axes(&found)? == 0 {
+                Values::Whole(found.extract()?)
+            } else {
+                Values::PerSample(numbers::<f64>("what evaluate gave", &found, &[Some(evaluation.truths.len())])?)
+            };
+            Ok(vec![Measurement {
+                key: text("name", &self.named.class)?,
+                unit: text("unit", "")?,
+                goal: if higher { Goal::Higher } else { Goal::Lower },
+                values,
+            }])
+        })
+    }
+}
+
+/// Observations as one array.
+fn stacked<'py>(py: Python<'py>, images: &[Image], task: Task) -> PyResult<Bound<'py, PyAny>> {
+    let rows = images.iter().flat_map(|image| image.pixels.iter().copied()).collect();
+    let size = images.first().map_or((0, 0), |image| (image.width, image.height));
+    observations(py, task, size, &[images.len()], rows)
+}
