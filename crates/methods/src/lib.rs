@@ -5,7 +5,6 @@
 //! [`Nerf2`] has rays and no Gaussians.
 
 mod activate;
-mod deformed;
 mod groups;
 mod nerf2;
 mod readout;

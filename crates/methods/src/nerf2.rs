@@ -6,20 +6,189 @@
 //! transmitter, view ──────────────────────────────┴─► signal net ─► what each sample emits ──────┘
 //! ```
 //!
-//! [`Nerf2`] is the method, `rays` says which rays a receiver has, `network` holds the layers, `path` is what lies between a
-//! sample and the receiver, `emission` what the samples emit, `walk` takes a chunk of rays through all of it and back, `group`
+//! [`Nerf2`] is the method, [`Rays`] are those of a receiver, `network` holds the layers, `path` is what samples emit and what
+//! lies between them and the receiver, `walk` takes a chunk of rays through all of it and back, `group`
 //! all links that see the same rays.
 //! The trunk does not know the transmitter: it is worked out once for all transmitters of a call, and kept for predictions.
 
-mod emission;
 mod group;
 mod method;
 mod network;
 mod path;
-mod rays;
 mod walk;
 
 #[cfg(test)]
 mod oracle;
 
-pub use method::Nerf2;
+use pwrfgs_core::{Frame, JsonSchema, Pixels, Real, consts};
+use serde::{Deserialize, Serialize};
+use std::ops::Range;
+
+/// Rays from the receiver through a network that says of every place how it weakens a wave and what it emits (NeRF2, Zhao
+/// et al., MobiCom 2023): the baseline that everybody compares with. It has no Gaussians, so nothing is pruned, and N and
+/// Chamfer are n/a.
+///
+/// A trunk of `depth` layers reads a sample's place and gives its attenuation; with the direction of the ray and the
+/// transmitter (or its `features`) a smaller net says what the sample emits. A pixel of a spectrum is the modulus of the sum
+/// along its ray; a received power the modulus of the sum over a coarse sky, as 100 |R| − 100 dBm; a channel the sum itself,
+/// with a weight of its own for each subcarrier. The rate of `optimizer.network` counts, `rays` says which pixels a step looks
+/// at, and projector, rasterizer, deformation, calibration and readout do not count.
+///
+/// As released, but for this: the sky of powers and channels is that of `azimuths` and `elevations`, of which the released
+/// code draws only the first ring for powers; directions of pixels are those of the data, which are
+/// one degree from the released ones; behind a trillionth of the amplitude, and at the endless last sample of powers and
+/// channels, nothing counts; losses are those of this program, in dB² of powers (10⁴ times the released one) and relative of
+/// channels. The rate that falls and rises again is `Cosine` with its `steps`
+/// below those of the training; channels are normalised by training data alone.
+///
+/// The trunk does not know the transmitter: it is worked out once for all that are asked for together, and kept between
+/// predictions where all of it fits in `cache_mb`. Training at full size wants some 10¹² multiply-adds a step; `nerf2-laptop.ron` is
+/// a size for two cores.
+///
+/// ```
+/// # use pwrfgs_core::{Method, Plugin};
+/// # use pwrfgs_methods as _;
+/// Plugin::<dyn Method>::parse("Nerf2(width: 128, samples: 32)")?;
+/// assert!(Plugin::<dyn Method>::parse("Nerf2(samples: 1)").is_err());
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Nerf2 {
+    /// Layers of the trunk; with 6 or more, the position is a second input of the sixth layer.
+    pub depth: usize,
+    /// Units per layer; an even number.
+    pub width: usize,
+    /// Samples of a ray, from the receiver to the far end, both included.
+    pub samples: usize,
+    /// Length of a ray, metres.
+    pub far_m: Real,
+    /// Metres of the network's unit of length; the released settings have 60 for BLE.
+    pub unit_m: Real,
+    /// Number of azimuths of the rays, for powers and channels.
+    pub azimuths: usize,
+    /// Number of elevations of the rays above the horizon, up to the zenith, for powers and channels.
+    pub elevations: usize,
+    /// Frequency whose phase turns along a ray of powers and channels, Hz; the distance counts in the network's unit, as
+    /// released.
+    pub carrier_hz: f64,
+    /// Numbers that describe a transmitter in place of its position: 52 for the uplinks of NeRF2's channels; 0: the
+    /// position.
+    pub features: usize,
+    /// Cache of the trunk for predictions, MiB per model. If the trunk needs more, nothing is cached.
+    pub cache_mb: usize,
+}
+
+impl Default for Nerf2 {
+    fn default() -> Self {
+        Self {
+            depth: 8,
+            width: 256,
+            samples: 64,
+            far_m: 5.0,
+            unit_m: 1.0,
+            azimuths: 36,
+            elevations: 9,
+            carrier_hz: 2.4e9,
+            features: 0,
+            cache_mb: 2_500,
+        }
+    }
+}
+
+/// Samples of a ray, units of a layer, layers, and directions: more is a slip.
+const MOST: usize = 4_096;
+/// Weights of a network; the released one has 0.7 million.
+const LARGEST: usize = 1 << 28;
+
+impl Nerf2 {
+    /// Directions of powers and channels, ring by ring from the horizon up.
+    fn sky(&self) -> Vec<[Real; 3]> {
+        let direction = |i: usize| {
+            let (ring, column) = ((i / self.azimuths + 1) as Real, (i % self.azimuths) as Real);
+            let el = consts::PI / 2.0 * ring / self.elevations as Real;
+            let az = 2.0 * consts::PI * column / self.azimuths as Real;
+            [el.cos() * az.cos(), el.cos() * az.sin(), el.sin()]
+        };
+        (0..self.elevations * self.azimuths).map(direction).collect()
+    }
+
+    /// What is wrong with the settings.
+    fn check_settings(&self) -> Result<(), String> {
+        let counts = [
+            ("depth", self.depth, 1),
+            ("width", self.width, 2),
+            ("samples", self.samples, 2),
+            ("azimuths", self.azimuths, 1),
+            ("elevations", self.elevations, 1),
+        ];
+        if let Some((name, value, least)) = counts.iter().find(|(_, value, least)| !(*least..=MOST).contains(value)) {
+            return Err(format!("`{name}` is {value}; give {least} to {MOST}"));
+        }
+        let weights = (self.depth + 2) * self.width * self.width;
+        if weights > LARGEST {
+            return Err(format!("depth {} and width {} make {weights} weights; give less", self.depth, self.width));
+        }
+        if self.width % 2 == 1 {
+            return Err(format!("`width` is {}; give an even number: a layer has half of it", self.width));
+        }
+        let lengths =
+            [("far_m", f64::from(self.far_m)), ("unit_m", f64::from(self.unit_m)), ("carrier_hz", self.carrier_hz)];
+        if let Some((name, value)) = lengths.iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
+            return Err(format!("`{name}` is {value}; give a positive number"));
+        }
+        if (1..=3).contains(&self.features) || self.features > MOST {
+            return Err(format!("`features` is {}; give 0 for the position, or 4 to {MOST}", self.features));
+        }
+        Ok(())
+    }
+}
+
+/// Rays from one place, with the same samples on each.
+#[derive(Clone, Debug)]
+pub(crate) struct Rays {
+    /// Where all begin, in the network's unit of length.
+    pub(crate) origin: [Real; 3],
+    /// Unit vectors away from there, in the room.
+    pub(crate) directions: Vec<[Real; 3]>,
+    /// Distances of the samples `[n]`, in the network's unit.
+    pub(crate) samples: Vec<Real>,
+}
+
+impl Rays {
+    /// Those of receiver `receiver`, as far as `pixels` are wanted of a spectrum.
+    pub(crate) fn of(method: &Nerf2, frame: &Frame, receiver: usize, pixels: &Pixels<'_>) -> Self {
+        let pose = &frame.receivers[receiver].pose;
+        let turned = |direction: [Real; 3]| pose.turned(direction.map(f64::from)).map(|x| x as Real);
+        let directions = if frame.task.has_pixels {
+            let plane = &frame.plane;
+            let at = |p: usize| {
+                let (column, row) = (p % plane.width, p / plane.width);
+                turned(plane.direction(column as Real, row as Real).unwrap_or([0.0, 0.0, 1.0]))
+            };
+            match pixels {
+                Pixels::All => (0..frame.numbers()).map(at).collect(),
+                Pixels::Same(places) | Pixels::Own(places) => places.iter().map(|&p| at(p)).collect(),
+            }
+        } else {
+            method.sky().into_iter().map(turned).collect()
+        };
+        let origin = pose.position.map(|x| x as Real / method.unit_m);
+        let (far, last) = (method.far_m / method.unit_m, (method.samples - 1) as Real);
+        Self { origin, directions, samples: (0..method.samples).map(|i| far * i as Real / last).collect() }
+    }
+
+    /// Samples of a ray.
+    pub(crate) fn samples(&self) -> usize {
+        self.samples.len()
+    }
+
+    /// Where the samples of some rays are, ray by ray.
+    pub(crate) fn points(&self, rays: Range<usize>) -> Vec<[Real; 3]> {
+        let along = |d: &[Real; 3]| {
+            let (origin, d) = (self.origin, *d);
+            self.samples.iter().map(move |t| std::array::from_fn(|k| origin[k] + t * d[k]))
+        };
+        self.directions[rays].iter().flat_map(along).collect()
+    }
+}

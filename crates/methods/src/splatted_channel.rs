@@ -8,8 +8,7 @@
 mod linear_start;
 mod waves;
 
-use crate::deformed::{self, OFFSETS};
-use crate::groups::Group;
+use crate::groups::{self, Group, OFFSETS};
 use crate::readout::magnitudes;
 use crate::{Activation, ActivationVjp, Calibration};
 use pwrfgs_core::{
@@ -99,7 +98,7 @@ impl SplattedChannel {
     /// Begins with channels as strong as the measured ones, whatever unit these have.
     fn start_level(&self, frame: &Frame, data: &Dataset, train: &[usize], cloud: &GaussianCloud, weights: &mut [Real]) {
         let part = evenly(train, LEVEL_LINKS);
-        let numbers = deformed::untrained(self, frame, data, &part, (cloud, weights));
+        let numbers = groups::untrained(self, frame, data, &part, (cloud, weights));
         let energy = |values: &[Real]| values.iter().map(|v| (*v as f64).powi(2)).sum::<f64>();
         let measured: f64 = part.iter().map(|&i| energy(&data.image(i).pixels)).sum();
         let ratio = measured / energy(&numbers);
@@ -137,7 +136,7 @@ impl Method for SplattedChannel {
         if !frame.task.is_complex {
             return Err(format!("method: SplattedChannel gives channels, and the data are {}", frame.task.plural));
         }
-        deformed::check_receivers(&*self.deformation, frame)?;
+        groups::check_receivers(&*self.deformation, frame)?;
         if frame.receivers.iter().any(|own| own.antennas.len() != frame.receivers[0].antennas.len()) {
             return Err("receivers with different numbers of antennas; give all the same".into());
         }
@@ -147,7 +146,7 @@ impl Method for SplattedChannel {
     }
 
     fn drawable(&self, _: &Frame, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
-        deformed::rows(&*self.deformation, cloud, gate)
+        groups::rows(&*self.deformation, cloud, gate)
     }
 
     fn forward(&self, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>) -> Observed {
@@ -199,7 +198,7 @@ impl Method for SplattedChannel {
         }
         let pose = frame.pose();
         let inputs = DeformationInputs::new(network, &p.cloud.means, asked.conditions, &pose);
-        deformed::vjp(&*self.deformation, &inputs, &own, sums);
+        groups::vjp(&*self.deformation, &inputs, &own, sums);
     }
 
     fn prepare(&self, frame: &Frame, p: &Parameters<'_>) -> Cache {
@@ -233,13 +232,13 @@ impl Method for SplattedChannel {
 
     fn start(&self, frame: &Frame, data: &Dataset, train: &[usize], cloud: &mut GaussianCloud, weights: &mut [Real]) {
         let network = parts(frame, weights).0.len();
-        deformed::start(&*self.deformation, data, train, &mut weights[..network]);
+        groups::start(&*self.deformation, data, train, &mut weights[..network]);
         if !self.start_linear(frame, data, train, cloud, weights) {
             self.start_level(frame, data, train, cloud, weights);
         }
     }
 
     fn gaussians(&self, frame: &Frame, p: &Parameters<'_>, tx: Option<[Real; 3]>) -> Activated {
-        deformed::gaussians(&*self.deformation, self.activation(), frame, p, tx, magnitudes)
+        groups::gaussians(&*self.deformation, self.activation(), frame, p, tx, magnitudes)
     }
 }

@@ -10,8 +10,7 @@ mod method;
 mod received;
 mod survey;
 
-use crate::deformed;
-use crate::{Activation, ActivationVjp, Calibration, Readout};
+use crate::{Activation, ActivationVjp, Calibration, Readout, groups};
 use pwrfgs_core::plugin::Plugin;
 use pwrfgs_core::{
     Cache, Deformation, Deltas, Elevation, Frame, GaussianCloud, ImagePlane, JsonSchema, Parameters, Pose, Primitives,
@@ -196,7 +195,7 @@ impl Splatting {
     /// The rows of `cloud` that can show in a picture, whatever the network says: gate open, not too faint for the
     /// rasterizer, seen by the projector. Only they need to pass the network; all, where it couples them.
     pub fn drawable(&self, frame: &Frame, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
-        let open = deformed::rows(&*self.deformation, cloud, gate);
+        let open = groups::rows(&*self.deformation, cloud, gate);
         if self.deformation.traits().couples_gaussians {
             return open;
         }

@@ -1,25 +1,258 @@
 //! Gaussians as virtual transmitters, coherent over the room: the field, its derivative, gains, search and refinement.
 
 mod cis;
-mod descent;
+mod equations;
 mod field;
 mod harmonics;
-mod images;
 mod links;
-mod matching_pursuit;
-mod method;
-mod normal;
 mod options;
 mod pursuit;
-mod rows;
 mod solve;
 mod sweep;
 mod turn;
 
-pub use field::{FieldVjp, HARMONICS, field, field_vjp};
+pub use field::{FieldVjp, field, field_vjp};
+pub use harmonics::HARMONICS;
 pub use links::{Links, Sources};
-pub use matching_pursuit::MatchingPursuit;
-pub use method::VirtualTransmitters;
 pub use options::{Progress, Pursuit};
 pub use pursuit::{pursue, snr_of};
 pub use solve::solve_gains;
+
+use crate::{Activation, Calibration};
+use harmonics::{HIGHEST, terms};
+use pwrfgs_core::rng::{self, Rng};
+use pwrfgs_core::{
+    Activated, Asked, Cache, Deltas, Error, Frame, GaussianCloud, ImagePlane, Initializer, JsonSchema, Layout, Method,
+    MethodTraits, MethodVjp, Observed, Parameters, Real, Receiver, Result, Scene, Seen, Task, gains_of, rows_of,
+};
+use serde::{Deserialize, Serialize};
+use std::sync::atomic::Ordering;
+
+/// Channels as sums of spherical waves from virtual transmitters: `h(p) = Σ s·exp(−j k d)/d`, eq. (1) of the paper in space,
+/// coherent over the whole room.
+///
+/// By reciprocity the fixed node and the moving one change roles: each Gaussian is the fixed node (the receiver of the
+/// data), a mirror image of it, or something that scatters. Its mean is its position, its signal a complex gain, and its
+/// quaternion turns the array about it (a mirrored planar array is a turned one). Every subcarrier has its own wavenumber, so
+/// delays come for free. Scales and opacities are not looked at, and there is no network: projector, rasterizer,
+/// deformation, calibration and readout do not count. The basin of a position is a quarter of a wavelength wide, so start
+/// from `MatchingPursuit`; a rate of `means` beyond a hundredth of the wavelength loses it again.
+///
+/// One receiver with any number of antennas. Exact for flat walls as long as nothing hides an image, and what reflects does
+/// so in all directions alike. Real walls, antennas and things in the way do not: with an `order` the gain is a sum of
+/// spherical harmonics of the direction from the virtual transmitter, at the price of (order + 1)² complex numbers each,
+/// which want data: some ten measured numbers for each unknown.
+///
+/// ```
+/// # use pwrfgs_core::{Method, Plugin};
+/// # use pwrfgs_methods as _;
+/// let method = Plugin::<dyn Method>::parse("VirtualTransmitters(order: 2)").unwrap();
+/// assert_eq!(method.traits().columns, [("harmonics", 16)]);
+/// assert!(Plugin::<dyn Method>::parse("VirtualTransmitters(order: 4)").is_err());
+/// ```
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct VirtualTransmitters {
+    /// Order of the harmonics of a gain over direction, at most 3; 0: the same in all directions.
+    pub order: usize,
+}
+
+/// The order of harmonics whose gains are among `columns`.
+pub(crate) fn order_of(columns: &[(&str, usize)]) -> usize {
+    let width = columns.iter().find(|(name, _)| *name == HARMONICS).map_or(0, |(_, width)| *width);
+    (0..HIGHEST).find(|order| 2 * (terms(*order) - 1) >= width).unwrap_or(HIGHEST)
+}
+
+/// Places of a receiver's antennas about its own, along the axes of the room, metres.
+pub(crate) fn array(receiver: &Receiver) -> Vec<[Real; 3]> {
+    receiver.array().iter().map(|place| place.map(|x| x as Real)).collect()
+}
+
+/// Where the moving end is in each link.
+fn positions(asked: &Asked<'_>) -> Vec<[Real; 3]> {
+    let txs = asked.conditions.positions();
+    asked.links.iter().filter_map(|link| txs.get(link.transmitter)).copied().collect()
+}
+
+#[typetag::serde]
+impl Method for VirtualTransmitters {
+    fn traits(&self) -> MethodTraits<'_> {
+        let more = 2 * (terms(self.order.min(HIGHEST)) - 1);
+        let columns = if more == 0 { Vec::new() } else { vec![(HARMONICS, more)] };
+        MethodTraits { task: Some(Task::Channel), columns, ..MethodTraits::default() }
+    }
+
+    /// As the cloud says, whatever the transmitter.
+    fn gaussians(&self, _: &Frame, p: &Parameters<'_>, _: Option<[Real; 3]>) -> Activated {
+        let (none, calibration) = (Deltas::default(), Calibration::AsReleased); // without a floor of the scales
+        let activation = Activation { calibration, replaces_signals: false, channels: 2 };
+        let signals = &p.cloud.signals;
+        Activated {
+            primitives: activation.geometry(p.cloud, &none, 0, None),
+            signals: signals.as_flattened().to_vec(),
+            strengths: Some(signals.iter().map(|[a, b]| (a * a + b * b).sqrt()).collect()),
+        }
+    }
+
+    fn check(&self) -> Result<(), String> {
+        Pursuit { order: self.order, ..Pursuit::default() }.check()
+    }
+
+    fn forward(&self, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>) -> Observed {
+        let (positions, antennas) = (positions(asked), array(&frame.receivers[0]));
+        let links = Links { positions: &positions, antennas: &antennas, frequencies: &frame.frequencies_hz };
+        let numbers = rows_of(&field(p.cloud, p.gate, &links), frame.frequencies_hz.len());
+        Observed { numbers, cache: None as Cache }
+    }
+
+    fn vjp(&self, frame: &Frame, p: &Parameters<'_>, asked: &Asked<'_>, _: Observed, d: &[Real], sums: &mut MethodVjp) {
+        let (positions, antennas) = (positions(asked), array(&frame.receivers[0]));
+        let links = Links { positions: &positions, antennas: &antennas, frequencies: &frame.frequencies_hz };
+        let found = field_vjp(p.cloud, p.gate, &links, &gains_of(d, frame.frequencies_hz.len()));
+        for ((_, _, sum), (_, _, d)) in sums.cloud.columns_mut().zip(found.cloud.columns()) {
+            sum.iter_mut().zip(d).for_each(|(sum, d)| *sum += d);
+        }
+        sums.gate.iter_mut().zip(&found.gate).for_each(|(sum, d)| *sum += d);
+        sums.seen.visible.iter_mut().for_each(|seen| *seen += 1.0);
+        // How much of the channel is each one's, the mean over directions: pruners that go by what is seen see this.
+        let more = p.cloud.extra(HARMONICS);
+        for (i, [x, y]) in p.cloud.signals.iter().enumerate() {
+            let more = more.map_or(&[][..], |c| &c.values[i * c.width..(i + 1) * c.width]);
+            let square = more.iter().fold(x * x + y * y, |sum, c| sum + c * c);
+            sums.seen.weight[i] += p.gate.map_or(1.0, |gate| gate[i]) * square.sqrt();
+        }
+    }
+
+    fn layout(&self, frame: &Frame) -> Result<Layout, String> {
+        if !frame.task.is_complex {
+            return Err(format!("method: VirtualTransmitters gives channels, and the data are {}", frame.task.plural));
+        }
+        if frame.receivers.len() != 1 {
+            return Err(format!(
+                "method: VirtualTransmitters serves one receiver, and the data have {}; train a model for each",
+                frame.receivers.len()
+            ));
+        }
+        Ok(Layout::default())
+    }
+}
+
+/// Finds the virtual transmitters of the training channels greedily: the one that explains most, all gains anew by least
+/// squares, all places refined, and the next one, as many as a held-out part of the training links wants.
+///
+/// For `method: VirtualTransmitters()`, with gains of its `order`. Candidates are the receiver itself, places of a grid about the transmitters, coarser
+/// the farther they are, and mirror images of what was found. It reads the training part alone; the part held out for the count is learned from at the end. Where the
+/// scene alone is asked (`pwrfgs check`), it puts `most` of them anywhere.
+///
+/// ```
+/// # use pwrfgs_core::{Initializer, Plugin};
+/// # use pwrfgs_methods as _;
+/// assert!(Plugin::<dyn Initializer>::parse("MatchingPursuit(most: 32, reach: 2.0)").is_ok());
+/// assert!(Plugin::<dyn Initializer>::parse("MatchingPursuit(step: 2.0)").is_err());
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct MatchingPursuit {
+    /// Virtual transmitters at most, of each search.
+    pub most: usize,
+    /// How far beyond the positions of the transmitters the grid reaches in every direction, in the longest side of their
+    /// box.
+    pub reach: f64,
+    /// Distance of the places of the grid near those positions, in the shortest wavelength; a quarter or less finds every
+    /// hill.
+    pub step: f64,
+    /// Additions without a better score on the held-out part after which the search stops.
+    pub patience: usize,
+    /// One of so many training links is held out while the number is chosen; 0 or 1: none, all `most` are kept.
+    pub hold_out: usize,
+    /// Times that the least needed are taken away again and others searched in their place.
+    pub rounds: usize,
+    /// Weight of the ridge on gains, in the share of noise to signal that the fit itself shows.
+    pub ridge: f64,
+    /// Whether mirror images of what was found are tried too.
+    pub images: bool,
+    /// Searches, each with another part held out: the start is the mean of what they find, as many Gaussians as all of them
+    /// found. What is found by accident differs from search to search, and fades in the mean.
+    pub searches: usize,
+}
+
+impl Default for MatchingPursuit {
+    fn default() -> Self {
+        let Pursuit { most, reach, step, patience, hold_out, rounds, ridge, images, .. } = Pursuit::default();
+        Self { most, reach, step, patience, hold_out, rounds, ridge, images, searches: 1 }
+    }
+}
+
+impl MatchingPursuit {
+    fn options(&self, order: usize, seed: u64) -> Pursuit {
+        let Self { most, reach, step, patience, hold_out, rounds, ridge, images, searches: _ } = *self;
+        Pursuit { reach, step, most, patience, hold_out, ridge, rounds, images, order, seed, ..Pursuit::default() }
+    }
+}
+
+#[typetag::serde]
+impl Initializer for MatchingPursuit {
+    fn initialize(&self, scene: &Scene, _: &ImagePlane, rng: &mut Rng) -> Result<GaussianCloud> {
+        let (low, high) = scene.bounds;
+        let mut cloud = GaussianCloud::zeros(self.searches * self.most);
+        for (mean, signal) in cloud.means.iter_mut().zip(&mut cloud.signals) {
+            *mean = std::array::from_fn(|k| low[k] + (high[k] - low[k]) * rng::uniform(rng));
+            *signal = [0.1 * rng::normal(rng), 0.1 * rng::normal(rng)];
+        }
+        cloud.quats.iter_mut().for_each(|quat| *quat = [1.0, 0.0, 0.0, 0.0]);
+        Ok(cloud)
+    }
+
+    fn search(&self, seen: &Seen<'_>, rng: &mut Rng) -> Result<GaussianCloud> {
+        let Some(channels) = seen.data.observations.channels() else {
+            let what = seen.data.task().plural;
+            return Err(Error::Config(format!(
+                "initializer: MatchingPursuit searches channels, and the data are {what}"
+            )));
+        };
+        let method: &dyn std::any::Any = seen.method;
+        if !method.is::<VirtualTransmitters>() {
+            return Err(Error::Config(
+                "initializer: MatchingPursuit finds virtual transmitters; add `method: VirtualTransmitters()`".into(),
+            ));
+        }
+        let scene = &seen.data.scene;
+        if scene.receivers.len() != 1 || !seen.data.placed {
+            return Err(Error::Config(
+                "initializer: MatchingPursuit needs one receiver, and transmitters whose positions are known".into(),
+            ));
+        }
+        let positions: Vec<[Real; 3]> =
+            seen.train.iter().map(|&i| scene.origin.local(seen.data.sample(i).tx)).collect();
+        let antennas = array(&scene.receivers[0]);
+        let links = Links { positions: &positions, antennas: &antennas, frequencies: &channels.frequencies_hz };
+        let channel: Vec<[Real; 2]> = seen.train.iter().flat_map(|&i| channels.of(i)).copied().collect();
+        let node = Some(scene.receivers[0].pose.position);
+        let order = order_of(&seen.method.traits().columns);
+        let mut all = Sources::new(order);
+        for search in 0..self.searches {
+            let seed = (0..4).fold(0, |seed, _| seed << 16 | rng::below(rng, 1 << 16) as u64);
+            let options = Pursuit { node, ..self.options(order, seed) };
+            let total = self.searches * self.most;
+            let tell = &mut |told: &Progress| (seen.progress)(search * self.most + told.sources, total);
+            let found = pursue(&links, &channel, &options, seen.stop, tell);
+            if seen.stop.load(Ordering::Relaxed) {
+                return Err(Error::Stopped);
+            }
+            all.extend(found.map_err(|why| Error::Config(format!("initializer: MatchingPursuit: {why}")))?);
+        }
+        all.gains.as_flattened_mut().iter_mut().for_each(|x| *x /= self.searches as f64);
+        Ok(all.to_cloud())
+    }
+
+    fn supports(&self, task: Task) -> bool {
+        task.is_complex
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if !(1..=100).contains(&self.searches) {
+            return Err(format!("`searches` is {}; give 1 to 100", self.searches));
+        }
+        self.options(0, 0).check()
+    }
+}

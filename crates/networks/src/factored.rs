@@ -1,13 +1,12 @@
 //! `Factored`: signals as products of what depends on the transmitter and what depends on the Gaussian.
 
-use super::factored_network::{Basis, Network};
-use super::mlp::check_stack;
-use super::waves::Encoding;
-use super::whiten::whitening;
-use crate::layers::plan::{laid_out, planned};
+use crate::encoding::{Encoder, Encoding, Pseudo};
+use crate::factored_network::{Basis, Network, WAVE_MEAN};
+use crate::linear::{Plan, laid_out, planned};
+use crate::trunk::check_stack;
 use pwrfgs_core::{
-    Cache, Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout, LinearPart, Pose,
-    Real, cached,
+    Cache, Cholesky, Conditions, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout,
+    LinearPart, Pose, Real, cached,
 };
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -50,6 +49,33 @@ impl Default for Factored {
     }
 }
 
+impl Factored {
+    /// The layers, in the order in which they lie in the weight vector.
+    fn network(&self, plan: &mut Plan) -> Network {
+        let width = self.width;
+        let tx_encoding = self.tx_encoding.encoder();
+        let own = self.tx_encoding.width();
+        let inputs = |l| if l == 0 { own } else { width };
+        let pseudo = match self.tx_encoding {
+            Encoding::PseudoPosition { width, gain, octaves } => {
+                Some(Pseudo { layer: plan.linear("tx.pseudo", width, 3), gain: gain as Real, octaves })
+            }
+            _ => None,
+        };
+        let white = matches!(tx_encoding, Encoder::Features(..))
+            .then(|| plan.unbiased("tx.white", own, own, (3.0 / own as f64).sqrt()));
+        let stack = (0..self.depth).map(|l| plan.relu(&format!("tx.{l}"), inputs(l), width)).collect();
+        let waves = self.position_encoding.width() - 3;
+        // Signals begin about as large as one feature: factors have the variance 1/width.
+        let bound = WAVE_MEAN * (6.0 * waves as f64 / width as f64).sqrt();
+        let direct = if white.is_some() { own } else { 0 };
+        let features = width + direct;
+        let branch = plan.unbiased("branch", waves, 2 * (features + 1), bound);
+        let position_encoding = self.position_encoding.encoder();
+        Network { tx_encoding, position_encoding, pseudo, white, stack, branch, features, direct }
+    }
+}
+
 #[typetag::serde]
 impl Deformation for Factored {
     fn traits(&self) -> DeformationTraits {
@@ -63,7 +89,7 @@ impl Deformation for Factored {
     fn layout(&self) -> Layout {
         let encodings = [("tx_encoding", &self.tx_encoding), ("position_encoding", &self.position_encoding)];
         let constants = encodings.into_iter().filter_map(|(field, encoding)| encoding.constants(field)).collect();
-        Layout { constants, ..planned(|plan| Network::new(self, plan)).1.layout() }
+        Layout { constants, ..planned(|plan| self.network(plan)).1.layout() }
     }
 
     fn forward(&self, inputs: &DeformationInputs<'_>, prepared: &Cache) -> Deltas {
@@ -74,7 +100,7 @@ impl Deformation for Factored {
     }
 
     fn prepare(&self, weights: &[Real], means: &[[Real; 3]], _: &Pose) -> Cache {
-        let network = laid_out(weights, |plan| Network::new(self, plan));
+        let network = laid_out(weights, |plan| self.network(plan));
         let basis = network.basis(means);
         Some(Arc::new((network, basis)))
     }
@@ -86,15 +112,15 @@ impl Deformation for Factored {
         d_weights: &mut [Real],
         d_means: Option<&mut [[Real; 3]]>,
     ) {
-        laid_out(inputs.weights, |plan| Network::new(self, plan)).vjp(inputs, d, d_weights, d_means);
+        laid_out(inputs.weights, |plan| self.network(plan)).vjp(inputs, d, d_weights, d_means);
     }
 
     fn linear_part(&self, weights: &[Real], means: &[[Real; 3]], training: Conditions<'_>) -> Option<LinearPart> {
-        laid_out(weights, |plan| Network::new(self, plan)).linear_part(weights, means, training)
+        laid_out(weights, |plan| self.network(plan)).linear_part(weights, means, training)
     }
 
     fn start(&self, training: Conditions<'_>, weights: &mut [Real]) {
-        let (network, _) = planned(|plan| Network::new(self, plan));
+        let (network, _) = planned(|plan| self.network(plan));
         let (Some(white), Encoding::Features { gain, .. }) = (network.white, &self.tx_encoding) else { return };
         if let Some((matrix, bias)) = whitening(training, *gain) {
             weights[white.weight..][..matrix.len()].copy_from_slice(&matrix);
@@ -115,5 +141,73 @@ impl Deformation for Factored {
             return Err("position_encoding needs a wave: give Waves(count: 32, reach: 4.0) or Octaves(4)".into());
         }
         Ok(())
+    }
+}
+
+/// Share of the mean variance that is added to every variance: fainter directions are noise, and are not made as loud.
+const FAINTEST: f64 = 1e-3;
+/// Vectors that it is worked out on, at most.
+const MOST: usize = 4_000;
+
+/// W `[D,D]` and b `[D]` such that W·(gain·x) + b has mean zero and nearly the covariance 1: W = L⁻¹ of the Cholesky factor
+/// L of the covariance. `None` for no vectors, and for vectors that are all the same.
+pub(super) fn whitening(vectors: Conditions<'_>, gain: f64) -> Option<(Vec<Real>, Vec<Real>)> {
+    let d = vectors.width();
+    let stride = vectors.len().div_ceil(MOST).max(1);
+    let rows: Vec<Vec<f64>> = vectors
+        .values()
+        .chunks_exact(d)
+        .step_by(stride)
+        .map(|row| row.iter().map(|v| gain * f64::from(*v as f32)).collect())
+        .collect();
+    let n = rows.len() as f64;
+    if rows.is_empty() {
+        return None;
+    }
+    let mean: Vec<f64> = (0..d).map(|k| rows.iter().map(|row| row[k]).sum::<f64>() / n).collect();
+    let mut covariance = vec![0.0; d * d];
+    for row in &rows {
+        for i in 0..d {
+            let x = (row[i] - mean[i]) / n;
+            (0..=i).for_each(|j| covariance[i * d + j] += x * (row[j] - mean[j]));
+        }
+    }
+    let variance = (0..d).map(|k| covariance[k * d + k]).sum::<f64>() / d as f64;
+    if variance.is_nan() || variance <= 0.0 {
+        return None; // vectors that are all the same have no direction that could be made as loud as another
+    }
+    (0..d).for_each(|k| covariance[k * d + k] += FAINTEST * variance);
+    let inverse = Cholesky::new(covariance, d)?.inverse_of_factor();
+    let bias = (0..d).map(|i| -(0..=i).map(|j| inverse[i * d + j] * mean[j]).sum::<f64>() as Real).collect();
+    Some((inverse.into_iter().map(|v| v as Real).collect(), bias))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pwrfgs_core::rng;
+
+    #[test]
+    fn correlated_numbers_of_any_size_become_uncorrelated_ones() {
+        let random = &mut rng::stream(0, "whiten", 0);
+        let mut values: Vec<Real> = Vec::new();
+        for _ in 0..2000 {
+            let [a, b] = [rng::normal(random), rng::normal(random)];
+            values.extend([3.0 + 10.0 * a, 0.5 * a + 4.0 * b]);
+        }
+        let (w, bias) = whitening(Conditions::new(2, &values), 2.0).unwrap();
+        let white = |row: &[Real]| [0, 1].map(|i| (w[2 * i] * row[0] + w[2 * i + 1] * row[1]) * 2.0 + bias[i]);
+        let mut sums = [0.0; 5];
+        for row in values.chunks(2) {
+            let [x, y] = white(row).map(|v| v as f64);
+            [x, y, x * x, x * y, y * y].iter().zip(&mut sums).for_each(|(v, sum)| *sum += v / 2000.0);
+        }
+        let expected = [0.0, 0.0, 1.0, 0.0, 1.0];
+        assert!(sums.iter().zip(expected).all(|(sum, e)| (sum - e).abs() < 0.01), "{sums:?}");
+        assert!(whitening(Conditions::new(2, &[]), 1.0).is_none());
+        assert!(
+            whitening(Conditions::new(2, &[1.0, 2.0, 1.0, 2.0]), 1.0).is_none(),
+            "constants have no direction at all"
+        );
     }
 }

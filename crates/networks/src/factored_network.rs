@@ -8,37 +8,34 @@
 //! Factors G = branch·φ are linear in the waves, so G·T = φ·(branchᵀ·T): what the transmitter says of the waves is worked
 //! out once, and a Gaussian costs two products of as many numbers as it has waves, however wide the stack is.
 
-use super::factored::Factored;
-use super::waves::{Encoder, Encoding};
-use crate::layers::dense::{self, Matrix, MatrixMut, Store, product};
-use crate::layers::encoding::encode_vjp;
-use crate::layers::linear::Linear;
-use crate::layers::plan::Plan;
+use crate::dense::{self, Matrix, MatrixMut, Store, product};
+use crate::encoding::{Encoder, Pseudo};
+use crate::linear::Linear;
 use pwrfgs_core::simd::{Lanes, widest};
 use pwrfgs_core::{Conditions, DeformationInputs, Deltas, LinearPart, Real};
 use rayon::prelude::*;
 use std::ops::Range;
 
 /// Mean magnitude of a sine.
-const WAVE_MEAN: f64 = std::f64::consts::FRAC_2_PI;
+pub(super) const WAVE_MEAN: f64 = std::f64::consts::FRAC_2_PI;
 
 /// Transmitters that share one pass of the derivative. Depends on nothing, so that threads do not show in the bits.
 const GROUP: usize = 32;
 
 /// The layers in the flat weight vector.
 pub(super) struct Network {
-    tx_encoding: Encoder,
-    position_encoding: Encoder,
+    pub(super) tx_encoding: Encoder,
+    pub(super) position_encoding: Encoder,
     /// Makes a position of features of the data, where that is asked for.
-    pseudo: Option<Pseudo>,
+    pub(super) pseudo: Option<Pseudo>,
     /// Makes features of the data uncorrelated; nothing of a position.
     pub(super) white: Option<Linear>,
     pub(super) stack: Vec<Linear>,
     pub(super) branch: Linear,
     /// Numbers of T.
-    features: usize,
+    pub(super) features: usize,
     /// Of these the last ones, which are the transmitter's own numbers; none of a position.
-    direct: usize,
+    pub(super) direct: usize,
 }
 
 /// Gaussians that a kernel takes side by side.
@@ -76,66 +73,7 @@ impl Mixed {
     }
 }
 
-/// Features of the data as a position: 2 tanh of a layer.
-struct Pseudo {
-    layer: Linear,
-    gain: Real,
-    octaves: usize,
-}
-
-impl Pseudo {
-    /// Features `[width, B]`, times the gain.
-    fn inputs(&self, txs: Conditions<'_>) -> Vec<Real> {
-        let (rows, width) = (txs.len(), self.layer.inputs);
-        let value = |i: usize| txs.values()[(i % rows) * width + i / rows] * self.gain;
-        (0..rows * width).map(value).collect()
-    }
-
-    fn positions(&self, weights: &[Real], txs: Conditions<'_>) -> Vec<[Real; 3]> {
-        let rows = txs.len();
-        let mut y = vec![0.0; 3 * rows];
-        self.layer.whole().apply(weights, &self.inputs(txs), &mut y, Store::Set);
-        dense::add_bias(&mut y, self.layer.bias(weights));
-        (0..rows).map(|r| std::array::from_fn(|k| 2.0 * y[k * rows + r].tanh())).collect()
-    }
-
-    /// Adds to `d_weights`, given the encoding γ and its cotangent.
-    fn vjp(&self, weights: &[Real], txs: Conditions<'_>, (gamma, d_gamma): (&[Real], &[Real]), d_weights: &mut [Real]) {
-        let (rows, positions) = (txs.len(), self.positions(weights, txs));
-        let mut d_positions = vec![[0.0; 3]; rows];
-        encode_vjp(gamma, d_gamma, self.octaves, &mut d_positions);
-        let slope = |k: usize, r: usize| d_positions[r][k] * 2.0 * (1.0 - (positions[r][k] / 2.0).powi(2));
-        let d_y: Vec<Real> = (0..3 * rows).map(|i| slope(i / rows, i % rows)).collect();
-        dense::add_bias_vjp(&d_y, self.layer.bias_mut(d_weights));
-        self.layer.whole().weight_vjp(d_weights, &self.inputs(txs), &d_y);
-    }
-}
-
 impl Network {
-    pub(super) fn new(settings: &Factored, plan: &mut Plan) -> Self {
-        let width = settings.width;
-        let tx_encoding = settings.tx_encoding.encoder();
-        let own = settings.tx_encoding.width();
-        let inputs = |l| if l == 0 { own } else { width };
-        let pseudo = match settings.tx_encoding {
-            Encoding::PseudoPosition { width, gain, octaves } => {
-                Some(Pseudo { layer: plan.linear("tx.pseudo", width, 3), gain: gain as Real, octaves })
-            }
-            _ => None,
-        };
-        let white = matches!(tx_encoding, Encoder::Features(..))
-            .then(|| plan.unbiased("tx.white", own, own, (3.0 / own as f64).sqrt()));
-        let stack = (0..settings.depth).map(|l| plan.relu(&format!("tx.{l}"), inputs(l), width)).collect();
-        let waves = settings.position_encoding.width() - 3;
-        // Signals begin about as large as one feature: factors have the variance 1/width.
-        let bound = WAVE_MEAN * (6.0 * waves as f64 / width as f64).sqrt();
-        let direct = if white.is_some() { own } else { 0 };
-        let features = width + direct;
-        let branch = plan.unbiased("branch", waves, 2 * (features + 1), bound);
-        let position_encoding = settings.position_encoding.encoder();
-        Self { tx_encoding, position_encoding, pseudo, white, stack, branch, features, direct }
-    }
-
     pub(super) fn basis(&self, means: &[[Real; 3]]) -> Basis {
         let (n, waves, scale) = (means.len(), self.branch.inputs, self.wave_scale());
         let mut lanes = vec![[0.0; LANES]; n.div_ceil(LANES) * waves];

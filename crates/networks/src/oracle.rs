@@ -1,7 +1,7 @@
 //! The reference renders of WRF-GS: network inputs, weights, outputs and derivatives in double precision.
 
 use super::Wrfgs;
-use crate::layers::plan::Plan;
+use crate::linear::Plan;
 use pwrfgs_core::testing::shared;
 use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Pose, Real, rng};
 use std::path::Path;

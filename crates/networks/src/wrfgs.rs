@@ -1,11 +1,10 @@
 //! `Wrfgs`: the network of WRF-GS (Wen et al., IEEE INFOCOM 2025) as the released code has it.
 
-use super::mlp::{check_frequencies, check_stack};
-use super::wrfgs_branch::Branch;
-use super::wrfgs_network::{Ahead, Network};
-use crate::layers::encoding;
-use crate::layers::plan::{Plan, laid_out, planned};
-use crate::layers::trunk::{Trunk, TrunkShape};
+use crate::encoding::{self, check_frequencies};
+use crate::linear::{Plan, laid_out, planned};
+use crate::trunk::{Trunk, TrunkShape, check_stack};
+use crate::wrfgs_branch::Branch;
+use crate::wrfgs_network::{Ahead, Network};
 use pwrfgs_core::{
     Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Layout, Pose, Real, cached,
 };

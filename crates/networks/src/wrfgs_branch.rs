@@ -6,9 +6,9 @@
 //! γ(X - p) ────────────────────────┘
 //! ```
 
-use crate::layers::dense::{self, Store};
-use crate::layers::encoding::{self, encode, encode_vjp};
-use crate::layers::linear::{Linear, Part};
+use crate::dense::{self, Store};
+use crate::encoding::{self, encode, encode_vjp};
+use crate::linear::{Linear, Part};
 use pwrfgs_core::Real;
 use rayon::prelude::*;
 

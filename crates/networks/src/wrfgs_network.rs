@@ -5,12 +5,11 @@
 //!                          └→ feat → signal branch → S    (once a Gaussian and transmitter, see `wrfgs_branch`)
 //! ```
 
-use super::wrfgs_branch::{Branch, Room, TxSide, amplitude, amplitude_slope};
-use crate::layers::dense::{self, Store};
-use crate::layers::encoding::{self, encode, encode_vjp};
-use crate::layers::linear::Linear;
-use crate::layers::plan::{Item, items, items_per_sum};
-use crate::layers::trunk::{Joints, Trunk, TrunkGradient};
+use crate::dense::{self, Store};
+use crate::encoding::{self, encode, encode_vjp};
+use crate::linear::{Item, Linear, items, items_per_sum};
+use crate::trunk::{Joints, Trunk, TrunkGradient};
+use crate::wrfgs_branch::{Branch, Room, TxSide, amplitude, amplitude_slope};
 use pwrfgs_core::{DeformationInputs, Real};
 use rayon::prelude::*;
 

@@ -1,101 +1,23 @@
-//! `Nerf2`: the method, from links to observations.
+//! `Nerf2` as a method: from links to observations.
 
 use crate::nerf2::group::{Group, Links, Passes, Scratch, Walked};
 use crate::nerf2::network::Network;
 use crate::nerf2::path::Law;
-use crate::nerf2::rays::Rays;
 use crate::nerf2::walk::{Still, Sums, Trunked, Walk};
+use crate::nerf2::{Nerf2, Rays};
 use pwrfgs_core::{
-    Appearance, Asked, Cache, Cost, Frame, JsonSchema, Layout, Method, MethodTraits, MethodVjp, Observed, Parameters,
-    Pixels, Real, SPEED_OF_LIGHT, StageTimes, Task, cached, consts,
+    Appearance, Asked, Cache, Cost, Frame, Layout, Method, MethodTraits, MethodVjp, Observed, Parameters, Pixels, Real,
+    SPEED_OF_LIGHT, StageTimes, Task, cached,
 };
-use pwrfgs_networks::layers::dense::add_in_order;
-use pwrfgs_networks::layers::plan::{Plan, items_per_sum, laid_out, planned};
+use pwrfgs_networks::dense::add_in_order;
+use pwrfgs_networks::linear::{Plan, items_per_sum, laid_out, planned};
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Rays from the receiver through a network that says of every place how it weakens a wave and what it emits (NeRF2, Zhao
-/// et al., MobiCom 2023): the baseline that everybody compares with. It has no Gaussians, so nothing is pruned, and N and
-/// Chamfer are n/a.
-///
-/// A trunk of `depth` layers reads a sample's place and gives its attenuation; with the direction of the ray and the
-/// transmitter (or its `features`) a smaller net says what the sample emits. A pixel of a spectrum is the modulus of the sum
-/// along its ray; a received power the modulus of the sum over a coarse sky, as 100 |R| − 100 dBm; a channel the sum itself,
-/// with a weight of its own for each subcarrier. The rate of `optimizer.network` counts, `rays` says which pixels a step looks
-/// at, and projector, rasterizer, deformation, calibration and readout do not count.
-///
-/// As released, but for this: the sky of powers and channels is that of `azimuths` and `elevations`, of which the released
-/// code draws only the first ring for powers; directions of pixels are those of the data, which are
-/// one degree from the released ones; behind a trillionth of the amplitude, and at the endless last sample of powers and
-/// channels, nothing counts; losses are those of this program, in dB² of powers (10⁴ times the released one) and relative of
-/// channels. The rate that falls and rises again is `Cosine` with its `steps`
-/// below those of the training; channels are normalised by training data alone.
-///
-/// The trunk does not know the transmitter: it is worked out once for all that are asked for together, and kept between
-/// predictions where all of it fits in `cache_mb`. Training at full size wants some 10¹² multiply-adds a step; `nerf2-laptop.ron` is
-/// a size for two cores.
-///
-/// ```
-/// # use pwrfgs_core::{Method, Plugin};
-/// # use pwrfgs_methods as _;
-/// Plugin::<dyn Method>::parse("Nerf2(width: 128, samples: 32)")?;
-/// assert!(Plugin::<dyn Method>::parse("Nerf2(samples: 1)").is_err());
-/// # Ok::<(), String>(())
-/// ```
-#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Nerf2 {
-    /// Layers of the trunk; with 6 or more, the position is a second input of the sixth layer.
-    pub depth: usize,
-    /// Units per layer; an even number.
-    pub width: usize,
-    /// Samples of a ray, from the receiver to the far end, both included.
-    pub samples: usize,
-    /// Length of a ray, metres.
-    pub far_m: Real,
-    /// Metres of the network's unit of length; the released settings have 60 for BLE.
-    pub unit_m: Real,
-    /// Number of azimuths of the rays, for powers and channels.
-    pub azimuths: usize,
-    /// Number of elevations of the rays above the horizon, up to the zenith, for powers and channels.
-    pub elevations: usize,
-    /// Frequency whose phase turns along a ray of powers and channels, Hz; the distance counts in the network's unit, as
-    /// released.
-    pub carrier_hz: f64,
-    /// Numbers that describe a transmitter in place of its position: 52 for the uplinks of NeRF2's channels; 0: the
-    /// position.
-    pub features: usize,
-    /// Cache of the trunk for predictions, MiB per model. If the trunk needs more, nothing is cached.
-    pub cache_mb: usize,
-}
-
-impl Default for Nerf2 {
-    fn default() -> Self {
-        Self {
-            depth: 8,
-            width: 256,
-            samples: 64,
-            far_m: 5.0,
-            unit_m: 1.0,
-            azimuths: 36,
-            elevations: 9,
-            carrier_hz: 2.4e9,
-            features: 0,
-            cache_mb: 2_500,
-        }
-    }
-}
-
 /// What a step may keep for its way back, bytes; the rest is worked out again.
 const KEPT: usize = 1_340_000_000;
-/// Samples of a ray, units of a layer, layers, and directions: more is a slip.
-const MOST: usize = 4_096;
-/// Weights of a network; the released one has 0.7 million.
-const LARGEST: usize = 1 << 28;
-
 /// A chunk of a group, and what was worked out of it.
 struct Chunk {
     group: usize,
@@ -114,17 +36,6 @@ struct Forward {
 type Ready = Vec<Vec<Still>>;
 
 impl Nerf2 {
-    /// Directions of powers and channels, ring by ring from the horizon up.
-    pub(crate) fn sky(&self) -> Vec<[Real; 3]> {
-        let direction = |i: usize| {
-            let (ring, column) = ((i / self.azimuths + 1) as Real, (i % self.azimuths) as Real);
-            let el = consts::PI / 2.0 * ring / self.elevations as Real;
-            let az = 2.0 * consts::PI * column / self.azimuths as Real;
-            [el.cos() * az.cos(), el.cos() * az.sin(), el.sin()]
-        };
-        (0..self.elevations * self.azimuths).map(direction).collect()
-    }
-
     fn law(&self, task: Task) -> Law {
         if task.has_pixels {
             return Law::Spectrum;
@@ -393,31 +304,6 @@ impl Method for Nerf2 {
     }
 
     fn check(&self) -> Result<(), String> {
-        let counts = [
-            ("depth", self.depth, 1),
-            ("width", self.width, 2),
-            ("samples", self.samples, 2),
-            ("azimuths", self.azimuths, 1),
-            ("elevations", self.elevations, 1),
-        ];
-        if let Some((name, value, least)) = counts.iter().find(|(_, value, least)| !(*least..=MOST).contains(value)) {
-            return Err(format!("`{name}` is {value}; give {least} to {MOST}"));
-        }
-        let weights = (self.depth + 2) * self.width * self.width;
-        if weights > LARGEST {
-            return Err(format!("depth {} and width {} make {weights} weights; give less", self.depth, self.width));
-        }
-        if self.width % 2 == 1 {
-            return Err(format!("`width` is {}; give an even number: a layer has half of it", self.width));
-        }
-        let lengths =
-            [("far_m", f64::from(self.far_m)), ("unit_m", f64::from(self.unit_m)), ("carrier_hz", self.carrier_hz)];
-        if let Some((name, value)) = lengths.iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
-            return Err(format!("`{name}` is {value}; give a positive number"));
-        }
-        if (1..=3).contains(&self.features) || self.features > MOST {
-            return Err(format!("`features` is {}; give 0 for the position, or 4 to {MOST}", self.features));
-        }
-        Ok(())
+        self.check_settings()
     }
 }

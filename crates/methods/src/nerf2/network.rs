@@ -1,12 +1,12 @@
 //! `Network`: the layers of NeRF2, and where their weights lie.
 
-use crate::nerf2::method::Nerf2;
+use crate::nerf2::Nerf2;
 use pwrfgs_core::{Conditions, Real};
-use pwrfgs_networks::layers::dense::{self, Matrix, MatrixMut, Store, product};
-use pwrfgs_networks::layers::encoding::{encode, width};
-use pwrfgs_networks::layers::linear::{Linear, Part};
-use pwrfgs_networks::layers::plan::Plan;
-use pwrfgs_networks::layers::trunk::{Trunk, TrunkShape};
+use pwrfgs_networks::dense::{self, Matrix, MatrixMut, Store, product};
+use pwrfgs_networks::encoding::{encode, width};
+use pwrfgs_networks::linear::Plan;
+use pwrfgs_networks::linear::{Linear, Part};
+use pwrfgs_networks::trunk::{Trunk, TrunkShape};
 
 /// Frequencies of every encoding.
 pub(crate) const FREQUENCIES: usize = 10;

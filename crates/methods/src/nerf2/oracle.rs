@@ -1,14 +1,14 @@
 //! What NeRF2's released code makes in double precision: outputs, losses, and the gradient of every weight.
 
+use crate::nerf2::Nerf2;
+use crate::nerf2::Rays;
 use crate::nerf2::group::{Group, Links, Scratch};
-use crate::nerf2::method::Nerf2;
 use crate::nerf2::network::Network;
 use crate::nerf2::path::Law;
-use crate::nerf2::rays::Rays;
 use crate::nerf2::walk::{Sums, Walk};
 use pwrfgs_core::testing::shared;
 use pwrfgs_core::{Conditions, Real, SPEED_OF_LIGHT};
-use pwrfgs_networks::layers::plan::planned;
+use pwrfgs_networks::linear::planned;
 use std::fs::File;
 use std::io::BufReader;
 use zip::ZipArchive;

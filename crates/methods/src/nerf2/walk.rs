@@ -1,13 +1,12 @@
 //! A chunk of rays through the network and back.
 
-use crate::nerf2::emission::{sum, sum_vjp};
+use crate::nerf2::Rays;
 use crate::nerf2::network::{FREQUENCIES, Network};
-use crate::nerf2::path::Law;
-use crate::nerf2::rays::Rays;
+use crate::nerf2::path::{Law, sum, sum_vjp};
 use pwrfgs_core::Real;
-use pwrfgs_networks::layers::dense::{self, Store};
-use pwrfgs_networks::layers::encoding::{encode, width};
-use pwrfgs_networks::layers::trunk::{Joints, TrunkGradient};
+use pwrfgs_networks::dense::{self, Store};
+use pwrfgs_networks::encoding::{encode, width};
+use pwrfgs_networks::trunk::{Joints, TrunkGradient};
 use std::ops::Range;
 
 /// Points a chunk, as far as whole rays allow: see `rows_per_chunk` of the layers.

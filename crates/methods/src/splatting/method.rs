@@ -3,8 +3,7 @@
 use super::received::{self, Laws};
 use super::survey::Question;
 use super::{Drawing, Geometry, Splatting, View, check_kind, check_together};
-use crate::deformed::{self, OFFSETS};
-use crate::groups::Group;
+use crate::groups::{self, Group, OFFSETS};
 use crate::{ActivationVjp, Calibration, Readout};
 use pwrfgs_core::{
     Activated, Appearance, Asked, Cache, Conditions, Cost, Dataset, DeformationInputs, Deltas, Frame, GaussianCloud,
@@ -99,7 +98,7 @@ impl Splatting {
                 "calibration: AsReleased is that of spectra as released, and the data are {what}; use Physical"
             ));
         }
-        deformed::check_receivers(&*self.deformation, frame)?;
+        groups::check_receivers(&*self.deformation, frame)?;
         check_together(&*self.rasterizer, self.readout, self.calibration, &self.whole_sky(frame)?)
     }
 
@@ -199,7 +198,7 @@ impl Method for Splatting {
         }
         let pose = frame.pose();
         let inputs = DeformationInputs::new(network, &p.cloud.means, asked.conditions, &pose);
-        deformed::vjp(&*self.deformation, &inputs, &own, sums);
+        groups::vjp(&*self.deformation, &inputs, &own, sums);
     }
 
     fn survey(
@@ -268,7 +267,7 @@ impl Method for Splatting {
 
     fn start(&self, frame: &Frame, data: &Dataset, train: &[usize], cloud: &mut GaussianCloud, weights: &mut [Real]) {
         let network = self.parts(frame, weights).0.len();
-        deformed::start(&*self.deformation, data, train, &mut weights[..network]);
+        groups::start(&*self.deformation, data, train, &mut weights[..network]);
         if matches!(self.readout, Readout::Received { .. }) {
             self.start_law(frame, data, train, cloud, weights);
         }
@@ -281,7 +280,7 @@ impl Method for Splatting {
                 (0..channels).flat_map(|c| signals.iter().skip(c).step_by(channels).copied()).collect();
             if n == 0 { planar } else { self.readout.forward(&planar, n) }
         };
-        deformed::gaussians(&*self.deformation, self.activation(), frame, p, tx, strengths)
+        groups::gaussians(&*self.deformation, self.activation(), frame, p, tx, strengths)
     }
 }
 

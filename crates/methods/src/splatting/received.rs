@@ -6,7 +6,7 @@
 //! differs from that. d is the distance in metres, at least half a metre; without positions the law is β alone.
 
 use super::Splatting;
-use crate::deformed::untrained;
+use crate::groups::untrained;
 use pwrfgs_core::{Dataset, Frame, GaussianCloud, ImagePlane, Real, Vec3, consts, evenly};
 
 /// What is left of a sky without any signal: -120 dB.

@@ -9,19 +9,14 @@
 //! the number of threads.
 
 use crate::virtual_transmitters::cis::{Cis, widest};
-use crate::virtual_transmitters::harmonics::{MOST, by_place, direction, harmonics, slopes};
+use crate::virtual_transmitters::harmonics::{CLOSEST, HARMONICS, MOST, by_place, direction, harmonics, slopes};
 use crate::virtual_transmitters::links::Links;
 use crate::virtual_transmitters::turn::{matrix, matrix_vjp, turned, unit};
 use pwrfgs_core::{GaussianCloud, Real, SPEED_OF_LIGHT, consts::TAU};
 use rayon::prelude::*;
 
-/// The extra column `[N, 2(K−1)]` of gains beyond the mean: of each harmonic but the first, its real and imaginary part.
-pub const HARMONICS: &str = "harmonics";
-
 /// Gaussians that are worked on at once.
 const LANES: usize = 16;
-/// As near as a transmitter comes to what hears it, metres: nearer, it is heard as from here, and is not moved.
-pub(crate) const CLOSEST: f64 = 1e-3;
 /// Blocks of items whose derivatives are summed apart, then in order.
 const BLOCKS: usize = 16;
 

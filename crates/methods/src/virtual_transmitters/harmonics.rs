@@ -2,6 +2,11 @@
 //!
 //! Their mean square over the sphere is 1, and the first of them is 1: what it multiplies is the mean gain.
 
+/// The extra column `[N, 2(K−1)]` of gains beyond the mean: of each harmonic but the first, its real and imaginary part.
+pub const HARMONICS: &str = "harmonics";
+
+/// As near as a transmitter comes to what hears it, metres: nearer, it is heard as from here, and is not moved.
+pub(crate) const CLOSEST: f64 = 1e-3;
 /// The highest order.
 pub(crate) const HIGHEST: usize = 3;
 /// Harmonics up to [`HIGHEST`].
@@ -79,16 +84,16 @@ pub(crate) fn gain(gains: &[[f64; 2]], v: [f64; 3], p: [f64; 3]) -> [f64; 2] {
     gains.iter().zip(y).fold([0.0; 2], |sum, (c, y)| [sum[0] + c[0] * y, sum[1] + c[1] * y])
 }
 
-/// The unit vector from `v` to `p`, and the distance, never below [`CLOSEST`](crate::virtual_transmitters::field::CLOSEST).
+/// The unit vector from `v` to `p`, and the distance, never below [`CLOSEST`](CLOSEST).
 pub(crate) fn direction(v: [f64; 3], p: [f64; 3]) -> ([f64; 3], f64) {
     let by = [0, 1, 2].map(|k| p[k] - v[k]);
-    let d = (by[0] * by[0] + by[1] * by[1] + by[2] * by[2]).sqrt().max(crate::virtual_transmitters::field::CLOSEST);
+    let d = (by[0] * by[0] + by[1] * by[1] + by[2] * by[2]).sqrt().max(CLOSEST);
     (by.map(|x| x / d), d)
 }
 
 /// The derivative by `v` of something whose derivative by the direction from it is `d_u`.
 pub(crate) fn by_place(u: [f64; 3], d: f64, d_u: [f64; 3]) -> [f64; 3] {
-    if d <= crate::virtual_transmitters::field::CLOSEST {
+    if d <= CLOSEST {
         return [0.0; 3];
     }
     let along = u[0] * d_u[0] + u[1] * d_u[1] + u[2] * d_u[2];

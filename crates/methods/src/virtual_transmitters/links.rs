@@ -1,7 +1,6 @@
 //! `Links`: where the waves are heard, and `Sources`: where they come from.
 
-use crate::virtual_transmitters::field::HARMONICS;
-use crate::virtual_transmitters::harmonics;
+use crate::virtual_transmitters::harmonics::{self, HARMONICS};
 use pwrfgs_core::{ExtraColumn, GaussianCloud, Real, SPEED_OF_LIGHT};
 
 /// Everything that a channel h `[M,A,F]` is a function of, but for the room.

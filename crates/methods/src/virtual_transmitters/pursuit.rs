@@ -1,14 +1,12 @@
 //! Orthogonal matching pursuit over the room: the transmitter that explains most, all gains anew, all places refined,
 //! and the next one; as many as a part of the data that nothing was fitted to wants.
 
-use crate::virtual_transmitters::descent::{Walk, refine};
+use crate::virtual_transmitters::equations::Rows;
 use crate::virtual_transmitters::field::field;
-use crate::virtual_transmitters::images::{as_peaks, images};
 use crate::virtual_transmitters::links::{Links, Sources};
 use crate::virtual_transmitters::options::{Progress, Pursuit};
-use crate::virtual_transmitters::rows::Rows;
-use crate::virtual_transmitters::solve::gains;
-use crate::virtual_transmitters::sweep::{Grid, Peak, sweep, thin};
+use crate::virtual_transmitters::solve::{Walk, gains, refine};
+use crate::virtual_transmitters::sweep::{Grid, Peak, as_peaks, images, sweep, thin};
 use crate::virtual_transmitters::turn;
 use pwrfgs_core::{Real, rng};
 use rayon::prelude::*;

@@ -4,9 +4,8 @@
 //! γ depends on the Gaussian alone and e on the transmitter alone. So W·γ is computed once a chunk and serves every
 //! transmitter of the batch, W·e once a transmitter and becomes part of the bias; only h → h is left for each pair.
 
-use crate::layers::dense::{self, Matrix, MatrixMut, Store, product};
-use crate::layers::linear::{Linear, Part};
-use crate::layers::plan::Plan;
+use crate::dense::{self, Matrix, MatrixMut, Store, product};
+use crate::linear::{Linear, Part, Plan, WIDEST};
 use pwrfgs_core::Real;
 use std::ops::Range;
 
@@ -228,5 +227,25 @@ impl Joints {
     pub fn of_tx(&mut self, b: usize, width: usize) -> [&mut [Real]; 2] {
         let part = b * width..(b + 1) * width;
         [&mut self.first[part.clone()], self.joined.get_mut(part).unwrap_or_default()]
+    }
+}
+
+/// The largest number of layers of a stack.
+const DEEPEST: usize = 256;
+
+/// Refuses a stack that cannot be built.
+pub(crate) fn check_stack(depth: usize, width: usize, skip: Option<usize>) -> Result<(), String> {
+    if !(1..=DEEPEST).contains(&depth) {
+        return Err(format!("depth is {depth}; give a number of layers from 1 to {DEEPEST}"));
+    }
+    if !(1..=WIDEST).contains(&width) {
+        return Err(format!("width is {width}; give a number from 1 to {WIDEST}"));
+    }
+    match skip {
+        Some(skip) if skip >= depth - 1 => Err(format!(
+            "skip is {skip}, but after that layer none of the {depth} is left to join; give a smaller one or \
+             `skip: None`"
+        )),
+        _ => Ok(()),
     }
 }
