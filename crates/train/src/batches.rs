@@ -1,7 +1,7 @@
 //! `Batches`: which transmitters a step sees, and what was observed of their links.
 
-use crate::TrainingPlan;
 use crate::graph::{Batch, Places};
+use crate::plan::TrainingPlan;
 use crate::settings::Rays;
 use pwrfgs_core::{Dataset, Error, ImagePlane, Link, Moment, Needs, Real, Result, Task, rng, stretch::stretch};
 use pwrfgs_model::Stages;

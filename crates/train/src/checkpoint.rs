@@ -1,12 +1,20 @@
 //! Checkpoints: everything needed to go on as if nothing had happened, in one safetensors file.
 //!
-//! Random streams are functions of (seed, name, step), so a step number is all the state they have.
+//! Random streams are functions of (seed, name, step), so a step number is all the state they have. A [`fingerprint`] holds a
+//! checkpoint to the training that it comes from.
 
+use crate::adam::Adam;
+use crate::edit::Births;
+use crate::plan::TrainingPlan;
+use crate::plan::specs_of;
+use crate::settings::Training;
 use crate::trainer::Trainer;
-use crate::{TrainingPlan, adam::Adam, births::Births};
-use pwrfgs_core::{CloudStats, Dataset, Error, Partition, Real, Result};
+use pwrfgs_core::files::digest;
+use pwrfgs_core::plugin::to_ron;
+use pwrfgs_core::{CloudStats, Dataset, Error, Partition, Real, Result, Sample};
 use pwrfgs_model::file::{put_weights, take_columns, take_weights};
 use pwrfgs_model::tensors::Tensors;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -35,6 +43,11 @@ const FORMAT: &str = "pwrfgs-checkpoint";
 const VERSION: u32 = 6;
 
 impl<'a> Trainer<'a> {
+    /// What this training follows from.
+    pub(crate) fn fingerprint(&self) -> &str {
+        self.fingerprint.get_or_init(|| fingerprint(&self.plan, self.data, self.batches.train()))
+    }
+
     /// Everything needed to go on, as bytes.
     pub fn checkpoint(&self) -> Vec<u8> {
         let note = Note {
@@ -112,4 +125,47 @@ impl<'a> Trainer<'a> {
 
 fn json(note: &impl Serialize) -> String {
     serde_json::to_string(note).expect("plain data")
+}
+
+/// Samples whose digests are taken together.
+const CHUNK: usize = 64;
+
+/// The digest of everything in `plan` that changes a training, of the `data` and of which of them are trained on.
+/// Where the data lie, how they are scored and how often one looks or saves is left out.
+pub(crate) fn fingerprint(plan: &TrainingPlan, data: &Dataset, train: &[usize]) -> String {
+    // In full: a new field of a plan is either part of the digest or named here as one that changes nothing.
+    let TrainingPlan { name: _, seed, method, initializer, pruners, training } = plan;
+    let looks = Training::default();
+    let training = Training {
+        checkpoint_every: looks.checkpoint_every,
+        validate_every: looks.validate_every,
+        validation_samples: looks.validation_samples,
+        ..Training::clone(training)
+    };
+    let said = to_ron(&(seed, initializer, method, pruners, training));
+    let columns: Vec<_> = specs_of(plan).into_iter().map(|spec| (spec.name, spec.width)).collect();
+    let parts = [said, format!("{columns:?} {train:?} {}", size_of::<Real>()), of_data(data)];
+    digest(parts.join("\n").as_bytes())
+}
+
+/// Receivers, size, points, and every link.
+fn of_data(data: &Dataset) -> String {
+    let part = |samples: &[(usize, Sample)]| {
+        let mut bytes = Vec::new();
+        for (i, sample) in samples {
+            bytes.extend(sample.tx.iter().flat_map(|v| v.to_le_bytes()));
+            bytes.extend(data.query(*i).features.iter().flat_map(|v| v.to_le_bytes()));
+            bytes.extend_from_slice(&data.observations.raw(*i));
+        }
+        digest(&bytes)
+    };
+    let samples: Vec<(usize, Sample)> = data.samples().enumerate().collect();
+    let parts: Vec<String> = samples.par_chunks(CHUNK).map(part).collect();
+    let points: Vec<u8> = data.scene.points.as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
+    let scene = &data.scene;
+    let frequencies = data.observations.frequencies_hz();
+    let links = digest(format!("{:?}", data.links).as_bytes());
+    let size = (data.width, data.height, data.elevation);
+    let frame = format!("{:?} {:?} {:?} {size:?} {frequencies:?} {links}", data.task(), scene.receivers, scene.origin);
+    [frame, digest(&points), parts.join(" ")].join(" ")
 }

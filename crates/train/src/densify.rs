@@ -135,7 +135,7 @@ pub(crate) fn extent_of((low, high): ([Real; 3], [Real; 3])) -> Real {
 mod tests {
     use super::*;
     use crate::adam::Adam;
-    use crate::births::Births;
+    use crate::edit::Births;
     use pwrfgs_core::ExtraColumn;
 
     /// A small, a large, a quiet and a transparent Gaussian, with a mask column and moments of 1.

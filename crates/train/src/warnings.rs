@@ -1,8 +1,8 @@
 //! What a training will not do although its pipeline asks for it, said before its first step; and what a step removed.
 
 use crate::adam::BETAS;
-use crate::budgets::idle_target;
 use crate::densify::{self, extent_of, largest};
+use crate::plan::idle_target;
 use crate::settings::Densify;
 use crate::trainer::Trainer;
 use pwrfgs_core::plugin::name_of;

@@ -1,0 +1,153 @@
+//! `Trainer` before its first step: what plan and data must have in common, Gaussians and weights.
+
+use crate::adam::Adam;
+use crate::batches::{Batches, check_stride, plane_of_step};
+use crate::edit::Births;
+use crate::loss::objective;
+use crate::plan::{Goal, TrainingPlan, check_available, check_inputs, check_rays, specs_of, target_fault, too_many};
+use crate::trainer::Trainer;
+use pwrfgs_core::{
+    CloudStats, Dataset, Error, ExtraColumn, GaussianCloud, Partition, Progress, Real, Result, Seen, rng, rng::Rng,
+};
+use pwrfgs_model::Stages;
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, OnceLock};
+
+impl<'a> Trainer<'a> {
+    /// Initialises cloud and network.
+    ///
+    /// # Errors
+    /// What the initializer lacks, or an empty training part.
+    pub fn new(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition) -> Result<Self> {
+        Self::begin(plan, data, partition, &|_, _| {}, &AtomicBool::new(false))
+    }
+
+    /// The same for an initializer that may search for long.
+    ///
+    /// # Errors
+    /// As [`Self::new`]; [`Error::Stopped`] once `stop` is set.
+    pub fn begin(
+        plan: &TrainingPlan,
+        data: &'a Dataset,
+        partition: &Partition,
+        progress: Progress<'_>,
+        stop: &AtomicBool,
+    ) -> Result<Self> {
+        let make = |seen: &Seen<'_>, random: &mut Rng| plan.initializer.search(seen, random);
+        Self::started((plan, data, partition), make, progress, stop)
+    }
+
+    /// With what the initializer makes of the scene alone: as large as the real one, to estimate what a step takes.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn sketch(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition) -> Result<Self> {
+        let make = |seen: &Seen<'_>, random: &mut Rng| plan.initializer.initialize(&data.scene, seen.plane, random);
+        Self::started((plan, data, partition), make, &|_, _| {}, &AtomicBool::new(false))
+    }
+
+    /// With the Gaussians that `make` gives to a method that has some.
+    fn started(
+        (plan, data, partition): (&TrainingPlan, &'a Dataset, &Partition),
+        make: impl FnOnce(&Seen<'_>, &mut Rng) -> Result<GaussianCloud>,
+        progress: Progress<'_>,
+        stop: &AtomicBool,
+    ) -> Result<Self> {
+        let mut blank = Self::blank(plan, data, partition)?;
+        let method = &*blank.stages.method;
+        let seen = Seen { data, train: &partition.train, plane: &blank.plane, method, progress, stop };
+        let cloud = if method.traits().has_gaussians() {
+            make(&seen, &mut rng::stream(plan.seed, "init", 0))?
+        } else {
+            GaussianCloud::zeros(0)
+        };
+        let weights = plan.initializer.weights(&seen)?;
+        blank.fill(cloud, weights)?;
+        Ok(blank)
+    }
+
+    /// Everything but parameters.
+    pub(crate) fn blank(plan: &TrainingPlan, data: &'a Dataset, partition: &Partition) -> Result<Self> {
+        let plan = plan.clone();
+        check_available(&plan.pruners)?;
+        if let Some(why) = target_fault(&plan) {
+            return Err(Error::Config(why));
+        }
+        let whole = Stages::of(plan.method.clone(), data)?;
+        check_inputs(&whole, data)?;
+        if partition.train.is_empty() {
+            return Err(Error::Config("the training part is empty; use another split".into()));
+        }
+        let batches = Batches::new(data, partition.train.clone());
+        if plan.training.batch > batches.transmitters() {
+            return Err(Error::Config(format!(
+                "training.batch is {}, but the training part has {} samples only; give at most so many",
+                plan.training.batch,
+                batches.transmitters()
+            )));
+        }
+        let plane = whole.plane.clone();
+        check_stride(&plane, &plan, data.task())?;
+        let mut stages = whole.clone();
+        stages.frame.plane = plane_of_step(&plane, &plan, data.task(), 1);
+        check_rays(plan.training.rays, &stages)?;
+        stages.method.layout(&stages.frame).map_err(Error::Config)?;
+        whole.check().map_err(Error::Config)?;
+        let cloud = GaussianCloud::zeros(0);
+        let blank = Self {
+            adam: Adam::new(&cloud, &[]),
+            stats: CloudStats::zeros(0),
+            births: Births::default(),
+            data,
+            objective: objective(&plan.training, data, &partition.train),
+            batches,
+            stages: Arc::new(stages),
+            plane,
+            specs: specs_of(&plan),
+            goal: Goal::of(&plan),
+            plan,
+            cloud,
+            weights: Arc::default(),
+            done: 0,
+            fingerprint: OnceLock::new(),
+        };
+        if blank.is_exact() && blank.moment(1).rounds == 0 {
+            return Err(Error::Config(
+                "an exact number of Gaussians is wanted, and there is no prune step; set training.prune_until above \
+                 densify_until, or a larger scale"
+                    .into(),
+            ));
+        }
+        Ok(blank)
+    }
+
+    /// The parameters before the first step; where the initializer has weights, as it has them.
+    fn fill(&mut self, mut cloud: GaussianCloud, trained: Option<Vec<Real>>) -> Result<()> {
+        if cloud.is_empty() && self.stages.method.traits().has_gaussians() {
+            return Err(Error::Config("the initializer made no Gaussian; raise its count, or take Random()".into()));
+        }
+        if let Some(what) = too_many(&self.plan, cloud.len()) {
+            return Err(Error::Config(format!("pruners: {what}")));
+        }
+        let Stages { method, frame } = &*self.stages;
+        cloud.complete(&method.traits().columns).map_err(Error::Config)?;
+        for spec in &self.specs {
+            let values = vec![spec.init; cloud.len() * spec.width];
+            cloud.extra.push(ExtraColumn { name: spec.name.into(), width: spec.width, values });
+        }
+        let mut weights = self.stages.layout().init(&mut rng::stream(self.plan.seed, "network", 0));
+        match trained {
+            Some(trained) if trained.len() == weights.len() => weights = trained,
+            Some(trained) => {
+                let (has, wants) = (trained.len(), weights.len());
+                return Err(Error::Config(format!("initializer: {has} weights, and the method has {wants}")));
+            }
+            None => method.start(frame, self.data, self.batches.train(), &mut cloud, &mut weights),
+        }
+        self.adam = Adam::new(&cloud, &weights);
+        self.stats = CloudStats::zeros(cloud.len());
+        self.births = Births::of(cloud.len());
+        (self.cloud, self.weights) = (cloud, Arc::new(weights));
+        Ok(())
+    }
+}
