@@ -7,53 +7,39 @@
 
 mod control_gs;
 mod covariance;
-mod fast_gs;
 mod gaussian_spa;
-mod greedy_elimination;
+mod gradients;
 mod learnable_mask;
-mod light_gaussian;
 mod lp_3dgs;
 mod mask_gaussian;
 mod mcmc;
 mod merge_by_moments;
 mod mini_splatting;
 mod natural_selection;
-mod opacity_threshold;
+mod pixels;
 mod pup_3dgs;
-mod rad_splat;
-mod random_reference;
 mod reduced_3dgs;
+mod references;
 mod rounds;
-mod safeguard_gs;
-mod signal_contribution;
-mod speedy_splat;
-mod taming_3dgs;
-mod top_k;
-mod trimming_the_fat;
+mod shares;
+mod thresholds;
 
 pub use control_gs::ControlGs;
-pub use fast_gs::FastGs;
 pub use gaussian_spa::GaussianSpa;
-pub use greedy_elimination::GreedyElimination;
+pub use gradients::{Taming3dgs, TrimmingTheFat};
 pub use learnable_mask::LearnableMask;
-pub use light_gaussian::LightGaussian;
 pub use lp_3dgs::Lp3dgs;
 pub use mask_gaussian::MaskGaussian;
 pub use mcmc::Mcmc;
 pub use merge_by_moments::MergeByMoments;
 pub use mini_splatting::{MiniSplatting, Rule};
 pub use natural_selection::NaturalSelection;
-pub use opacity_threshold::OpacityThreshold;
+pub use pixels::{FastGs, SafeguardGs};
 pub use pup_3dgs::Pup3dgs;
-pub use rad_splat::RadSplat;
-pub use random_reference::RandomReference;
 pub use reduced_3dgs::Reduced3dgs;
-pub use safeguard_gs::SafeguardGs;
-pub use signal_contribution::{Over, SignalContribution};
-pub use speedy_splat::SpeedySplat;
-pub use taming_3dgs::Taming3dgs;
-pub use top_k::{Score, TopK};
-pub use trimming_the_fat::TrimmingTheFat;
+pub use references::{GreedyElimination, RandomReference};
+pub use shares::{LightGaussian, Over, SignalContribution, SpeedySplat};
+pub use thresholds::{OpacityThreshold, RadSplat, Score, TopK};
 
 /// What tests prune.
 #[cfg(test)]

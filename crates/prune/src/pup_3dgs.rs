@@ -1,6 +1,6 @@
 //! How well the pictures fix mean and scale.
 
-use crate::rounds::{check_shares, share_at, without_share};
+use crate::rounds::{check_shares, needs, share_at, without_share};
 use pwrfgs_core::{
     Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic,
 };
@@ -48,10 +48,7 @@ impl Pruner for Pup3dgs {
     }
 
     fn needs(&self, _: &GaussianCloud, moment: &Moment) -> Needs {
-        if moment.target.is_none() && share_at(&self.shares, moment) == 0.0 {
-            return Needs::nothing();
-        }
-        Needs::of(&[Statistic::Fisher], self.transmitters)
+        needs(&[Statistic::Fisher], self.transmitters, &self.shares, moment)
     }
 
     fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {

@@ -1,6 +1,6 @@
 //! What strategies by score have in common: a share at each prune step, the best of a list, checks of settings.
 
-use pwrfgs_core::{GaussianCloud, Moment, Real, best};
+use pwrfgs_core::{GaussianCloud, Moment, Needs, Real, Statistic, best};
 
 /// The share that goes at this prune step: `shares` has those of the first ones, and after them nothing goes.
 pub(crate) fn share_at(shares: &[Real], moment: &Moment) -> Real {
@@ -18,6 +18,14 @@ pub(crate) fn share_of(n: usize, share: Real) -> f64 {
 pub(crate) fn without_share(scores: &[Real], share: Real) -> Vec<bool> {
     let gone = share_of(scores.len(), share).floor() as usize;
     best(scores.len() - gone.min(scores.len()), scores, |_| true)
+}
+
+/// `statistics` over so many `transmitters`; nothing at a step at which no share goes and there is no target.
+pub(crate) fn needs(statistics: &[Statistic], transmitters: usize, shares: &[Real], moment: &Moment) -> Needs {
+    if moment.target.is_none() && share_at(shares, moment) == 0.0 {
+        return Needs::nothing();
+    }
+    Needs::of(statistics, transmitters)
 }
 
 /// A column of a pass; opacity where there was none, so that nothing is decided by zeros.

@@ -1,0 +1,143 @@
+//! Pruners whose scores hold the gradient of the position.
+
+use crate::rounds::{check_share, check_shares, needs, quantile, share_at, without_share};
+use pwrfgs_core::{
+    Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic, sigmoid,
+};
+use serde::{Deserialize, Serialize};
+
+/// Removes faint Gaussians with small gradients, in rounds with training in between (Trimming the Fat).
+///
+/// A Gaussian goes where its opacity is below a quantile of all opacities and its mean positional gradient since the last
+/// densification below a quantile of all gradients: what is still being moved gets its chance (Trimming the Fat, Salman et
+/// al., BMVC 2024). Under `training.target` the score is the larger of its two ranks. Needs no pass.
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
+/// Plugin::<dyn Pruner>::parse("TrimmingTheFat(opacity_quantile: 0.1)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrimmingTheFat {
+    /// Opacities below this quantile, from 0 to 1, are faint.
+    pub opacity_quantile: Real,
+    /// Gradients below this quantile, from 0 to 1, are small.
+    pub gradient_quantile: Real,
+}
+
+impl Default for TrimmingTheFat {
+    fn default() -> Self {
+        Self { opacity_quantile: 0.1, gradient_quantile: 0.5 }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for TrimmingTheFat {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
+    }
+
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
+        if moment.round == 0 {
+            return vec![true; cloud.len()];
+        }
+        let gradients = gradients(stats, cloud.len());
+        let faint = quantile(&cloud.opacity_logits, self.opacity_quantile);
+        let small = quantile(&gradients, self.gradient_quantile);
+        cloud.opacity_logits.iter().zip(&gradients).map(|(o, g)| *o >= faint || *g >= small).collect()
+    }
+
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
+        let ranks = [ranks(&cloud.opacity_logits), ranks(&gradients(stats, cloud.len()))];
+        ranks[0].iter().zip(&ranks[1]).map(|(a, b)| a.max(*b)).collect()
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_share("opacity_quantile", self.opacity_quantile)?;
+        check_share("gradient_quantile", self.gradient_quantile)
+    }
+}
+
+/// Mean positional gradient of each picture it was seen in.
+fn gradients(stats: &CloudStats, n: usize) -> Vec<Real> {
+    (0..n).map(|i| if stats.visible[i] > 0.0 { stats.gradient[i] / stats.visible[i] } else { 0.0 }).collect()
+}
+
+/// How many are smaller, of all; equal values have equal ranks.
+fn ranks(values: &[Real]) -> Vec<Real> {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(Real::total_cmp);
+    values.iter().map(|v| sorted.partition_point(|s| s.total_cmp(v).is_lt()) as Real).collect()
+}
+
+/// Removes the Gaussians with the lowest weighted sum of several scores, each divided by its median (Taming 3DGS).
+///
+/// Gradient 25, opacity 100, radius 10, scale 25, loss 10 (weights times errors), count 0.1 (pictures that it is seen in),
+/// blend 50 (blending weights): the score of Taming 3DGS (Mallick et al., SIGGRAPH Asia 2024, section 4.2), which uses it to
+/// choose what to densify under an exact budget. Its terms for depth and for distance are left out: they tell cameras apart
+/// that go round a scene, and a receiver stands still.
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
+/// Plugin::<dyn Pruner>::parse("Taming3dgs(shares: [0.5])")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Taming3dgs {
+    /// Share of Gaussians removed at each prune step, in order; after the last entry nothing is removed.
+    pub shares: Vec<Real>,
+    /// Number of training transmitters used for the score; 0 for all.
+    pub transmitters: usize,
+}
+
+impl Default for Taming3dgs {
+    fn default() -> Self {
+        Self { shares: vec![0.5], transmitters: 256 }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for Taming3dgs {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
+    }
+
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
+        without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
+    }
+
+    fn needs(&self, _: &GaussianCloud, moment: &Moment) -> Needs {
+        needs(&[Statistic::Weight, Statistic::Error { high: 1.0 }], self.transmitters, &self.shares, moment)
+    }
+
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
+        let n = cloud.len();
+        let scale = |s: &[Real; 3]| s.iter().copied().fold(Real::NEG_INFINITY, Real::max).exp();
+        let terms: [(Real, Vec<Real>); 7] = [
+            (25.0, gradients(stats, n)),
+            (100.0, cloud.opacity_logits.iter().map(|o| sigmoid(*o)).collect()),
+            (10.0, stats.radius.clone()),
+            (25.0, cloud.log_scales.iter().map(scale).collect()),
+            (10.0, stats.asked.error.clone()),
+            (0.1, stats.visible.clone()),
+            (50.0, stats.asked.weight.clone()),
+        ];
+        let mut sums = vec![0.0; n];
+        for (weight, values) in terms.iter().filter(|(_, values)| values.len() == n) {
+            let positive: Vec<Real> = values.iter().copied().filter(|v| *v > 0.0).collect();
+            let median = quantile(&positive, 0.5);
+            if median > 0.0 {
+                sums.iter_mut().zip(values).for_each(|(sum, v)| *sum += weight * v / median);
+            }
+        }
+        sums
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_shares(&self.shares)
+    }
+}

@@ -1,0 +1,185 @@
+//! Pruners that remove a share at each prune step, by what a Gaussian does to the spectra: its weight in them, the signal that
+//! it sends into them, and how much they change with its own strength.
+
+use crate::rounds::{asked, check_shares, check_weight, needs, quantile, share_at, without_share};
+use pwrfgs_core::{
+    Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic,
+};
+use serde::{Deserialize, Serialize};
+
+/// Removes a share of the Gaussians with the smallest blending weight, weighted by volume (LightGaussian).
+///
+/// The score is Σ w · min(V/V₉₀, 1)^`volume_power`, w = γ·T the blending weights over all pixels and training transmitters, V
+/// the product of the scales and V₉₀ the volume that nine tenths do not reach (LightGaussian, Fan et al., NeurIPS 2024,
+/// eq. (4)). It prunes two thirds at once there, then a decaying share, and fine-tunes. What hardly shows goes, however
+/// opaque it is; what shows a little to every transmitter stays before what one transmitter alone needs: for that see
+/// [`crate::SignalContribution`].
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
+/// Plugin::<dyn Pruner>::parse("LightGaussian(volume_power: 0.1)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct LightGaussian {
+    /// Share of Gaussians removed at each prune step, in order; after the last entry nothing is removed.
+    pub shares: Vec<Real>,
+    /// Exponent of the volume, 0 or more; 0 ignores the volume.
+    pub volume_power: Real,
+    /// Number of training transmitters used for the score; 0 for all.
+    pub transmitters: usize,
+}
+
+impl Default for LightGaussian {
+    fn default() -> Self {
+        Self { shares: vec![0.66, 0.4, 0.24], volume_power: 0.1, transmitters: 0 }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for LightGaussian {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
+    }
+
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
+        without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
+    }
+
+    fn needs(&self, _: &GaussianCloud, moment: &Moment) -> Needs {
+        needs(&[Statistic::Weight], self.transmitters, &self.shares, moment)
+    }
+
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
+        let volumes: Vec<Real> = cloud.log_scales.iter().map(|s| s.iter().sum::<Real>().exp()).collect();
+        let large = quantile(&volumes, 0.9);
+        let factor = |v: Real| (v / large).min(1.0).powf(self.volume_power);
+        let weight = asked(&stats.asked.weight, cloud);
+        if stats.asked.weight.len() != cloud.len() {
+            return weight;
+        }
+        weight.iter().zip(volumes).map(|(w, v)| w * factor(v)).collect()
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_shares(&self.shares)?;
+        check_weight("volume_power", self.volume_power)
+    }
+}
+
+/// Reduction of the scores over transmitters.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub enum Over {
+    /// Mean over transmitters.
+    #[default]
+    Mean,
+    /// Maximum over transmitters.
+    Max,
+}
+
+/// Removes the Gaussians with the smallest contribution (signal times blending weight), as mean or maximum over
+/// transmitters.
+///
+/// The score is Σ ‖s(tx)‖ · w over the pixels, with the Gaussian's signal s for a transmitter and its blending weights w = γ·T.
+/// In radiance fields of radio a Gaussian's signal depends on the transmitter, so opacity alone, the score of the baseline in
+/// the paper's fig. 2b, says little: an opaque Gaussian may be silent. `Mean` asks for what helps in general, `Max` keeps what
+/// a single transmitter cannot do without, as RadSplat does with pixels.
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
+/// Plugin::<dyn Pruner>::parse("SignalContribution(over: Max)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct SignalContribution {
+    /// Reduction over transmitters.
+    pub over: Over,
+    /// Share of Gaussians removed at each prune step, in order; after the last entry nothing is removed.
+    pub shares: Vec<Real>,
+    /// Number of training transmitters used for the score; 0 for all.
+    pub transmitters: usize,
+}
+
+impl Default for SignalContribution {
+    fn default() -> Self {
+        Self { over: Over::Mean, shares: vec![0.5, 0.5, 0.5], transmitters: 0 }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for SignalContribution {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
+    }
+
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
+        without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
+    }
+
+    fn needs(&self, _: &GaussianCloud, moment: &Moment) -> Needs {
+        needs(&[Statistic::SignalWeight], self.transmitters, &self.shares, moment)
+    }
+
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
+        asked(if self.over == Over::Max { &stats.asked.signal_max } else { &stats.asked.signal_mean }, cloud)
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_shares(&self.shares)
+    }
+}
+
+/// Removes the Gaussians to which the spectra are least sensitive (Speedy-Splat).
+///
+/// The score is Σ (∂P̂/∂a)² over pixels and training transmitters, with a factor a on the Gaussian's γ, at 1: one number a
+/// Gaussian, of second order, as it is the diagonal of the Gauss-Newton Hessian along its own strength (Speedy-Splat, Hanson
+/// et al., CVPR 2025, eq. (10), whose derivative is by the Gaussian's value). 80 % may go at once ("soft", while training
+/// goes on), then 30 % at a time ("hard"). It sees hiding: a Gaussian before another of the same signal hardly counts.
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
+/// Plugin::<dyn Pruner>::parse("SpeedySplat(shares: [0.8])")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct SpeedySplat {
+    /// Share of Gaussians removed at each prune step, in order; after the last entry nothing is removed.
+    pub shares: Vec<Real>,
+    /// Number of training transmitters used for the score; 0 for all.
+    pub transmitters: usize,
+}
+
+impl Default for SpeedySplat {
+    fn default() -> Self {
+        Self { shares: vec![0.8, 0.3, 0.3, 0.3], transmitters: 256 }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for SpeedySplat {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
+    }
+
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
+        without_share(&self.score(cloud, stats, moment), share_at(&self.shares, moment))
+    }
+
+    fn needs(&self, _: &GaussianCloud, moment: &Moment) -> Needs {
+        needs(&[Statistic::Sensitivity], self.transmitters, &self.shares, moment)
+    }
+
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
+        asked(&stats.asked.sensitivity, cloud)
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_shares(&self.shares)
+    }
+}

@@ -1,0 +1,210 @@
+//! Floors and a budget: what is nearly transparent, what no pixel needs, and what is not among the best.
+
+use crate::rounds::{asked, check_share};
+use pwrfgs_core::{
+    Budget, CloudStats, GaussianCloud, JsonSchema, Moment, Needs, Pruner, PrunerTraits, Real, Statistic, best, sigmoid,
+};
+use serde::{Deserialize, Serialize};
+
+/// Keeps Gaussians with an opacity o = σ(logit) of at least `epsilon` (WRF-GS).
+///
+/// With the paper's 0.005 it takes dead weight away and goes beside [`crate::LearnableMask`] (section IV; a Gaussian
+/// must satisfy both to stay). Alone, with 0.005 to 0.5, it is the WRF-GS baseline of fig. 2b: simple, but opacity is
+/// not importance, and quality falls fast. It is asked at the prune steps only; densification has its own floor,
+/// `opacity_floor`, because every Gaussian starts at 0.1 and each opacity reset sets it to 0.01 at most.
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
+/// Plugin::<dyn Pruner>::parse("OpacityThreshold(epsilon: 0.1)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct OpacityThreshold {
+    /// Smallest opacity ε that is kept, from 0 (all Gaussians) to below 1.
+    pub epsilon: Real,
+}
+
+impl Default for OpacityThreshold {
+    fn default() -> Self {
+        Self { epsilon: 0.005 }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for OpacityThreshold {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
+    }
+
+    fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
+        cloud.opacity_logits.iter().map(|logit| sigmoid(*logit) >= self.epsilon).collect()
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if (0.0..1.0).contains(&self.epsilon) {
+            return Ok(());
+        }
+        Err(format!("`epsilon` is {}; give an opacity from 0 to below 1, such as 0.005", self.epsilon))
+    }
+}
+
+/// Keeps Gaussians with a blending weight of at least `threshold` in any pixel of any transmitter (RadSplat).
+///
+/// The score is max w, the largest blending weight γ·T over all pixels and training transmitters (RadSplat, Niemeyer et al.,
+/// 3DV 2025, eq. (12); 0.01 there, 0.25 for a light model). A maximum keeps what a single pixel needs, where a sum keeps what
+/// is seen often: of two like Gaussians behind each other the front one stays.
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
+/// Plugin::<dyn Pruner>::parse("RadSplat(threshold: 0.01)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct RadSplat {
+    /// Smallest blending weight that is kept, from 0 to 1.
+    pub threshold: Real,
+    /// Number of training transmitters used for the score; 0 for all.
+    pub transmitters: usize,
+}
+
+impl Default for RadSplat {
+    fn default() -> Self {
+        Self { threshold: 0.01, transmitters: 0 }
+    }
+}
+
+#[typetag::serde]
+impl Pruner for RadSplat {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: Some(Budget::Rounds), ..PrunerTraits::default() }
+    }
+
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<bool> {
+        let known = stats.asked.largest_weight.len() == cloud.len();
+        (0..cloud.len()).map(|i| !known || stats.asked.largest_weight[i] >= self.threshold).collect()
+    }
+
+    fn needs(&self, _: &GaussianCloud, _: &Moment) -> Needs {
+        Needs::of(&[Statistic::LargestWeight], self.transmitters)
+    }
+
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
+        asked(&stats.asked.largest_weight, cloud)
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_share("threshold", self.threshold)
+    }
+}
+
+/// Keeps the best-scored Gaussians at each prune step, at most `training.target`.
+///
+/// Use it where memory or time is given; `densify.max_gaussians` is its companion, which keeps densification from growing
+/// far beyond. Equal scores are taken in the order of the Gaussians. `Weight`, the part in the image that importance-based
+/// pruning of visual splatting uses, is the best guide; `Opacity` and `OpacityVolume` need no image.
+///
+/// ```
+/// # use pwrfgs_prune as _;
+/// # use pwrfgs_core::{Plugin, Pruner, PrunerTraits};
+/// Plugin::<dyn Pruner>::parse("TopK(score: Weight)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct TopK {
+    /// Score by which Gaussians are ranked.
+    pub score: Score,
+}
+
+/// Importance score of a Gaussian.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub enum Score {
+    /// Sum of the blending weights γ·T over pixels and renders since the last densification; opacity if nothing was
+    /// rendered since.
+    #[default]
+    Weight,
+    /// Opacity.
+    Opacity,
+    /// Opacity times the product of the scales.
+    OpacityVolume,
+}
+
+#[typetag::serde]
+impl Pruner for TopK {
+    fn traits(&self) -> PrunerTraits {
+        PrunerTraits { budget: Some(Budget::AtMost), ..PrunerTraits::default() }
+    }
+
+    fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
+        best(moment.target.unwrap_or(cloud.len()), &self.score(cloud, stats, moment), |_| true)
+    }
+
+    fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
+        // What is not a number counts as least.
+        let number = |s: Real| if s.is_nan() { Real::NEG_INFINITY } else { s };
+        let seen = stats.weight.len() == cloud.len() && stats.weight.iter().any(|w| *w > 0.0);
+        let volume = |(logit, scales): (&Real, &[Real; 3])| sigmoid(*logit) * scales.iter().sum::<Real>().exp();
+        match self.score {
+            Score::Weight if seen => stats.weight.iter().copied().map(number).collect(),
+            // The logit orders as the opacity does, and tells apart what rounds to 1.
+            Score::Weight | Score::Opacity => cloud.opacity_logits.iter().copied().map(number).collect(),
+            Score::OpacityVolume => {
+                cloud.opacity_logits.iter().zip(&cloud.log_scales).map(volume).map(number).collect()
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixture::{cloud, moment};
+    use pwrfgs_core::{Phase, logit};
+
+    #[test]
+    fn opacities_from_epsilon_on_stay() {
+        let cloud = cloud(&[logit(0.0049), logit(0.0051), 0.0, 40.0, -40.0]);
+        let keep = |epsilon| OpacityThreshold { epsilon }.keep(&cloud, &CloudStats::zeros(5), &moment(Phase::Prune));
+        assert_eq!(keep(0.005), [false, true, true, true, false]);
+        assert_eq!(keep(0.5), [false, false, true, true, false]);
+        assert_eq!(keep(0.0), [true; 5]);
+    }
+
+    fn kept(keep: usize, score: Score, cloud: &GaussianCloud, weight: &[Real]) -> Vec<usize> {
+        let stats = CloudStats { weight: weight.to_vec(), ..CloudStats::zeros(cloud.len()) };
+        let moment = Moment { target: Some(keep), ..moment(Phase::Prune) };
+        let kept = TopK { score }.keep(cloud, &stats, &moment);
+        (0..cloud.len()).filter(|&i| kept[i]).collect()
+    }
+
+    #[test]
+    fn each_score_has_its_own_best() {
+        let mut cloud = cloud(&[0.0, 2.0, 1.0, -3.0]);
+        cloud.log_scales[3] = [2.0; 3];
+        let weight = [5.0, 0.0, 7.0, 6.0];
+        assert_eq!(kept(2, Score::Weight, &cloud, &weight), [2, 3]);
+        assert_eq!(kept(2, Score::Opacity, &cloud, &weight), [1, 2]);
+        assert_eq!(kept(1, Score::OpacityVolume, &cloud, &weight), [3]);
+        assert_eq!(kept(2, Score::Weight, &cloud, &[0.0; 4]), [1, 2], "nothing drawn: opacity decides");
+    }
+
+    #[test]
+    fn the_budget_is_exact_even_among_equals() {
+        let cloud = cloud(&[1.0; 9]);
+        for score in [Score::Weight, Score::Opacity, Score::OpacityVolume] {
+            assert_eq!(kept(4, score, &cloud, &[2.0; 9]), [0, 1, 2, 3]);
+            assert_eq!(kept(9, score, &cloud, &[2.0; 9]).len(), 9);
+            assert_eq!(kept(90, score, &cloud, &[2.0; 9]).len(), 9);
+        }
+    }
+
+    #[test]
+    fn what_is_not_a_number_goes_first() {
+        let cloud = cloud(&[Real::NAN, 0.0, -1.0]);
+        assert_eq!(kept(2, Score::Opacity, &cloud, &[0.0; 3]), [1, 2]);
+    }
+}
