@@ -6,17 +6,39 @@
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
 mod grid;
-mod no_gaussians;
 mod point_cloud;
 mod random;
-mod site;
 mod start;
 
 pub use grid::Grid;
-pub use no_gaussians::NoGaussians;
 pub use point_cloud::PointCloud;
-pub use random::Random;
-pub use site::Site;
+pub use random::{Random, Site};
+
+use pwrfgs_core::{GaussianCloud, ImagePlane, Initializer, JsonSchema, Result, Scene, rng::Rng};
+use serde::{Deserialize, Serialize};
+
+/// No Gaussians, for a method that has none, such as `Nerf2`; it is what such a pipeline takes that leaves `initializer` out.
+///
+/// ```
+/// # use pwrfgs_init as _;
+/// # use pwrfgs_core::{Initializer, Plugin};
+/// Plugin::<dyn Initializer>::parse("NoGaussians()")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct NoGaussians {}
+
+#[typetag::serde]
+impl Initializer for NoGaussians {
+    fn initialize(&self, _: &Scene, _: &ImagePlane, _: &mut Rng) -> Result<GaussianCloud> {
+        Ok(GaussianCloud::zeros(0))
+    }
+
+    fn count(&self) -> Option<usize> {
+        Some(0)
+    }
+}
 
 #[cfg(test)]
 mod tests {

@@ -1,33 +1,19 @@
 //! Scores: how good a prediction is, and how big and how fast the model that made it.
 //!
-//! One metric a file. Metrics of a prediction give one number a test sample and run over samples in parallel; those of
+//! One file for each kind of score. Metrics of a prediction give one number a test sample and run over samples in parallel; those of
 //! the model give one number, or say why they do not apply to a baseline.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
-mod chamfer;
-mod channel_snr;
-mod direction_error;
-mod gaussian_count;
-mod l1;
 mod latency;
-mod model_size;
-mod power_error;
-mod psnr;
-mod rate_ratio;
-mod ssim;
+mod model;
+mod signal;
+mod spectrum;
 
-pub use chamfer::Chamfer;
-pub use channel_snr::ChannelSnr;
-pub use direction_error::DirectionError;
-pub use gaussian_count::GaussianCount;
-pub use l1::L1;
 pub use latency::Latency;
-pub use model_size::ModelSize;
-pub use power_error::PowerError;
-pub use psnr::Psnr;
-pub use rate_ratio::RateRatio;
-pub use ssim::Ssim;
+pub use model::{Chamfer, GaussianCount, ModelSize};
+pub use signal::{ChannelSnr, PowerError};
+pub use spectrum::{DirectionError, L1, Psnr, RateRatio, Ssim};
 
 use pwrfgs_core::{Error, Evaluation, Goal, Image, Measurement, Metric, Result, Values};
 use rayon::prelude::*;

@@ -1,7 +1,202 @@
-//! Exports: a trained model as bytes that other programs open. `docs/model-format.md` says what the fields mean.
+//! Exports: a trained model as bytes that other programs open, as an NPZ file for `numpy.load` and as a PLY file in the layout of 3D
+//! Gaussian splatting. `docs/model-format.md` says what the fields mean.
 
-mod npz;
-mod ply;
+use crate::{Ensemble, Model};
+use npyz::{AutoSerialize, WriterBuilder as _};
+use pwrfgs_core::colour::sequential;
+use pwrfgs_core::{Activated, Error, Origin, Pose, Primitives, Real, Result};
+use std::io::{self, Cursor};
+use zip::write::SimpleFileOptions;
+use zip::{CompressionMethod, ZipWriter};
 
-pub use npz::npz;
-pub use ply::ply;
+/// The NPZ file of `model`, one or several (the arrays of member 0 are then called `members.0.means` and so on): the
+/// tensors of the model file, pose and plane; and where `tx` (metres, world frame) is given, what a transmitter there
+/// makes of the Gaussians. All places are in the user's frame, in double precision where
+/// the model has an origin. The same model gives the same bytes.
+///
+/// # Errors
+/// An array of more than 4 GiB.
+pub fn npz(model: &Ensemble, tx: Option<[f64; 3]>) -> Result<Vec<u8>> {
+    let mut file = Npz { archive: ZipWriter::new(Cursor::new(Vec::new())), prefix: String::new() };
+    let whole = file.members(model, tx).and_then(|()| Ok(file.archive.finish()?.into_inner()));
+    whole.map_err(|why| Error::Config(format!("this model cannot be an NPZ file: {why}")))
+}
+
+/// An archive under way.
+struct Npz {
+    archive: ZipWriter<Cursor<Vec<u8>>>,
+    /// What the names of the arrays begin with.
+    prefix: String,
+}
+
+impl Npz {
+    /// One model, or several, each under a prefix.
+    fn members(&mut self, ensemble: &Ensemble, tx: Option<[f64; 3]>) -> io::Result<()> {
+        for (place, model) in ensemble.members().iter().enumerate() {
+            if ensemble.members().len() > 1 {
+                self.prefix = format!("members.{place}.");
+            }
+            self.model(model)?;
+            tx.map_or(Ok(()), |tx| self.transmitter(model, tx))?;
+        }
+        Ok(())
+    }
+
+    /// What the model file holds.
+    fn model(&mut self, model: &Model) -> io::Result<()> {
+        let n = model.cloud.len();
+        let origin = model.stages.origin;
+        for (name, width, values) in model.cloud.columns() {
+            let shape = if width == 1 { vec![n] } else { vec![n, width] };
+            if name == "means" && !origin.is_zero() {
+                let places: Vec<[f64; 3]> = model.cloud.means.iter().map(|mean| origin.world(*mean)).collect();
+                self.put(name, &shape, places.as_flattened())?;
+                self.put("origin", &[3], &origin.0)?;
+            } else {
+                self.put(name, &shape, values)?;
+            }
+        }
+        let mut rest = model.weights.as_slice();
+        for spec in model.stages.layout().weights {
+            let (own, tail) = rest.split_at(spec.len());
+            self.put(&format!("network.{}", spec.name), &spec.shape, own)?;
+            rest = tail;
+        }
+        for (spec, values) in model.stages.layout().constants {
+            self.put(&format!("constants.{}", spec.name), &spec.shape, &values)?;
+        }
+        let (pose, plane) = (&model.stages.receiver(), &model.stages.plane);
+        self.put("pose.position", &[3], &pose.position)?;
+        self.put("pose.orientation", &[4], &pose.orientation)?;
+        if !model.stages.task.has_pixels || model.stages.receivers.len() > 1 {
+            self.links(model)?;
+        }
+        self.put("plane.size", &[2], &[plane.width as u64, plane.height as u64])?;
+        self.put("plane.wraps", &[], &[plane.wraps])?;
+        let Some((azimuth, elevation)) = plane.angles else { return Ok(()) };
+        self.put("plane.azimuth_deg", &[2], &[azimuth.first, azimuth.step])?;
+        self.put("plane.elevation_deg", &[2], &[elevation.first, elevation.step])
+    }
+
+    /// Of links: what is observed of them, and who listens. Names are letters, since an array holds no text of any length.
+    fn links(&mut self, model: &Model) -> io::Result<()> {
+        let frame = &model.stages.frame;
+        let text = |file: &mut Self, name: &str, text: &str| file.put(name, &[text.len()], text.as_bytes());
+        text(self, "kind", frame.task.name)?;
+        let names = frame.receivers.iter().map(|receiver| receiver.name.as_str()).collect::<Vec<_>>().join("\n");
+        text(self, "receivers.names", &names)?;
+        let poses: Vec<Pose> = frame.receivers.iter().map(|receiver| frame.origin.world_pose(receiver.pose)).collect();
+        let [positions, orientations]: [Vec<f64>; 2] = [
+            poses.iter().flat_map(|pose| pose.position).collect(),
+            poses.iter().flat_map(|pose| pose.orientation).collect(),
+        ];
+        self.put("receivers.positions", &[poses.len(), 3], &positions)?;
+        self.put("receivers.orientations", &[poses.len(), 4], &orientations)?;
+        let antennas: Vec<u64> = frame.receivers.iter().map(|receiver| receiver.antennas.len() as u64).collect();
+        let places: Vec<[f64; 3]> =
+            frame.receivers.iter().flat_map(|receiver| receiver.antennas.iter().copied()).collect();
+        self.put("receivers.antenna_counts", &[antennas.len()], &antennas)?;
+        self.put("receivers.antennas", &[places.len(), 3], places.as_flattened())?;
+        if frame.frequencies_hz.is_empty() {
+            return Ok(());
+        }
+        self.put("frequencies_hz", &[frame.frequencies_hz.len()], &frame.frequencies_hz)
+    }
+
+    /// What is drawn for a transmitter.
+    fn transmitter(&mut self, model: &Model, tx: [f64; 3]) -> io::Result<()> {
+        let Activated { primitives: p, signals, .. } = model.gaussians(Some(tx));
+        let n = p.len();
+        if model.stages.origin.is_zero() {
+            self.put("tx.position", &[3], &tx.map(|v| v as Real))?;
+        } else {
+            self.put("tx.position", &[3], &tx)?;
+        }
+        self.put("tx.scales", &[n, 3], p.scales.as_flattened())?;
+        self.put("tx.quats", &[n, 4], p.quats.as_flattened())?;
+        self.put("tx.opacities", &[n], &p.opacities)?;
+        self.put("tx.signals", &[n, signals.len() / n.max(1)], &signals)
+    }
+
+    fn put<T: AutoSerialize + Copy>(&mut self, name: &str, shape: &[usize], values: &[T]) -> io::Result<()> {
+        // Stored, as `numpy.savez` does; without a clock, so that the date is always that of the format's beginning.
+        let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
+        let name = format!("{}{name}", self.prefix);
+        self.archive.start_file(npyz::npz::file_name_from_array_name(&name), options)?;
+        let shape: Vec<u64> = shape.iter().map(|n| *n as u64).collect();
+        let mut writer =
+            npyz::WriteOptions::new().default_dtype().shape(&shape).writer(&mut self.archive).begin_nd()?;
+        writer.extend(values.iter().copied())?;
+        writer.finish()
+    }
+}
+
+/// Properties in the order in which viewers expect them, all of them `float`. Normals are there for the layout, and 0.
+const PROPERTIES: [&str; 17] = [
+    "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0",
+    "rot_1", "rot_2", "rot_3",
+];
+/// Y₀₀, the constant spherical harmonic: a viewer shows 0.5 + Y₀₀ · `f_dc`.
+const SH_C0: f64 = 0.282_094_791_773_878_14;
+
+/// The PLY file of `model`, one or several, as it is for a transmitter at `tx` (metres, world frame), or of its base
+/// parameters.
+///
+/// The Gaussians of an ensemble stand one member after the other; `member` says whose each is, counted from 0.
+///
+/// Centres count from the model's origin, which a comment of the header names where it is not zero.
+///
+/// Colour tells how strong the signal of a Gaussian is: the pixel that it would give alone, were it opaque, from dark
+/// violet at 0 to yellow at 1, the full scale of the spectra. Mid-grey where the signals exist for a transmitter only.
+///
+/// # Errors
+/// A number that is not finite.
+pub fn ply(model: &Ensemble, tx: Option<[f64; 3]>) -> Result<Vec<u8>> {
+    let several = model.members().len() > 1;
+    let mut out = header(model.gaussians(), model.members()[0].stages.origin, several).into_bytes();
+    for (place, member) in model.members().iter().enumerate() {
+        let marked = several.then_some(place as f32);
+        put_rows(&mut out, member, tx, marked)?;
+    }
+    Ok(out)
+}
+
+/// The rows of one model, each with the number of the member at its end where there are several.
+fn put_rows(out: &mut Vec<u8>, model: &Model, tx: Option<[f64; 3]>, member: Option<f32>) -> Result<()> {
+    let Activated { primitives, strengths, .. } = model.gaussians(tx);
+    for i in 0..primitives.len() {
+        let colour = strengths.as_ref().map_or([0.0; 3], |strengths| colour(strengths[i]));
+        let row = row(&primitives, i, model.cloud.opacity_logits[i], colour);
+        if let Some(k) = row.iter().position(|v| !v.is_finite()) {
+            return Err(Error::Config(format!(
+                "`{}` of Gaussian {i} is not finite: training went wrong, or the transmitter is far from all it was trained on",
+                PROPERTIES[k]
+            )));
+        }
+        out.extend(row.into_iter().chain(member).flat_map(f32::to_le_bytes));
+    }
+    Ok(())
+}
+
+/// Viewers of splats compute in single precision, so centres stay near zero: a comment says what they count from.
+fn header(n: usize, origin: Origin, several: bool) -> String {
+    let [x, y, z] = origin.0;
+    let comment = if origin.is_zero() { String::new() } else { format!("comment origin {x} {y} {z}\n") };
+    let properties = PROPERTIES.into_iter().chain(several.then_some("member"));
+    let properties = properties.map(|name| format!("property float {name}\n")).collect::<Vec<_>>().concat();
+    format!("ply\nformat binary_little_endian 1.0\n{comment}element vertex {n}\n{properties}end_header\n")
+}
+
+/// `f_dc` of a strength.
+fn colour(strength: Real) -> [f32; 3] {
+    sequential(strength as f64).map(|c| ((f64::from(c) / 255.0 - 0.5) / SH_C0) as f32)
+}
+
+fn row(p: &Primitives, i: usize, opacity_logit: Real, colour: [f32; 3]) -> [f32; PROPERTIES.len()] {
+    // The sign of a scale changes no ellipsoid; the released calibration may give a negative one.
+    let log_scales = p.scales[i].map(|s| s.abs().max(Real::MIN_POSITIVE).ln());
+    let values = [&p.means[i][..], &[0.0; 3], &colour.map(Real::from), &[opacity_logit], &log_scales, &p.quats[i]];
+    let mut row = [0.0; PROPERTIES.len()];
+    row.iter_mut().zip(values.concat()).for_each(|(to, from)| *to = from as f32);
+    row
+}

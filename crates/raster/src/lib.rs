@@ -11,7 +11,6 @@ mod array_response;
 mod blend;
 mod canvas;
 mod ewa;
-mod exp;
 mod mercator;
 mod survey;
 mod tiles;

@@ -1,4 +1,4 @@
-//! Chamfer distance between the Gaussians and the point cloud, eq. (16).
+//! What the Gaussians of a model are: their distance from the point cloud, eq. (16), their number N, and their bytes.
 
 use crate::{no_gaussians, not_a_model, one};
 use pwrfgs_core::{Evaluation, Goal, JsonSchema, Measurement, Metric, Real, Result, Scope, Values, neighbours};
@@ -42,6 +42,72 @@ impl Metric for Chamfer {
 fn mean_squared(from: &[[Real; 3]], to: &[[Real; 3]]) -> f64 {
     let sum: f64 = neighbours::nearest_squared(from, to).iter().map(|d| *d as f64).sum();
     sum / from.len() as f64
+}
+
+/// Number of Gaussians of the model: the horizontal axis of the paper's trade-off (fig. 2b).
+///
+/// Key `gaussians`. `n/a` for baselines, and for a method without Gaussians.
+///
+/// ```
+/// # use pwrfgs_metrics as _;
+/// # use pwrfgs_core::{Metric, Plugin};
+/// Plugin::<dyn Metric>::parse("GaussianCount()")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct GaussianCount {}
+
+#[typetag::serde]
+impl Metric for GaussianCount {
+    fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
+        let values = match evaluation.model {
+            None => not_a_model(),
+            Some(model) if model.means.is_empty() => no_gaussians(),
+            Some(model) => Values::Whole(model.means.len() as f64),
+        };
+        Ok(one("gaussians", "", Goal::Lower, values))
+    }
+
+    fn scope(&self) -> Scope {
+        Scope::Model
+    }
+}
+
+/// Bytes of the Gaussians alone, and of Gaussians and network together.
+///
+/// Keys `gaussian_bytes` and `model_bytes`. Both, because the paper's 100-fold storage reduction counts the Gaussians
+/// alone: the deformation network does not shrink with N and soon outweighs them. `n/a` for baselines, which keep the
+/// measured spectra instead.
+///
+/// ```
+/// # use pwrfgs_metrics as _;
+/// # use pwrfgs_core::{Metric, Plugin};
+/// Plugin::<dyn Metric>::parse("ModelSize()")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct ModelSize {}
+
+#[typetag::serde]
+impl Metric for ModelSize {
+    fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
+        let bytes = evaluation.model.map(|m| (m.gaussian_bytes, m.gaussian_bytes + m.network_bytes));
+        let measurement = |key: &str, bytes: Option<usize>| {
+            let values = match bytes {
+                None => not_a_model(),
+                Some(0) => no_gaussians(),
+                Some(bytes) => Values::Whole(bytes as f64),
+            };
+            Measurement { key: key.to_owned(), unit: "B".to_owned(), goal: Goal::Lower, values }
+        };
+        Ok(vec![measurement("gaussian_bytes", bytes.map(|b| b.0)), measurement("model_bytes", bytes.map(|b| b.1))])
+    }
+
+    fn scope(&self) -> Scope {
+        Scope::Model
+    }
 }
 
 #[cfg(test)]
@@ -119,5 +185,25 @@ mod tests {
         };
         let found = between(&sphere(2.0), &sphere(2.3));
         assert!((found - 2.0 * 0.3 * 0.3).abs() < 1e-5, "{found}");
+    }
+
+    #[test]
+    fn centres_are_counted() {
+        let means = [[0.0; 3]; 5];
+        let model = ModelFacts { means: &means, gaussian_bytes: 0, network_bytes: 0 };
+        assert_eq!(value(&of_model(&GaussianCount {}, Some(model), &scene(&[]))[0]), 5.0);
+        let baseline = of_model(&GaussianCount {}, None, &scene(&[]));
+        assert!(matches!(baseline[0].values, Values::NotApplicable(_)));
+    }
+
+    #[test]
+    fn the_network_counts_in_the_second() {
+        let model = ModelFacts { means: &[], gaussian_bytes: 560, network_bytes: 40 };
+        let found = of_model(&ModelSize {}, Some(model), &scene(&[]));
+        assert_eq!((found[0].key.as_str(), value(&found[0])), ("gaussian_bytes", 560.0));
+        assert_eq!((found[1].key.as_str(), value(&found[1])), ("model_bytes", 600.0));
+        assert!(
+            of_model(&ModelSize {}, None, &scene(&[])).iter().all(|m| matches!(m.values, Values::NotApplicable(_)))
+        );
     }
 }

@@ -1,0 +1,313 @@
+//! How well a spectrum is predicted: SSIM, mean absolute error, PSNR, and the strongest direction by its angle and by the rate
+//! that steering to it reaches.
+
+use crate::{one, per_sample};
+use pwrfgs_core::{
+    Evaluation, Goal, Image, ImagePlane, JsonSchema, Measurement, Metric, Real, Result, Scope, Task, Values, ssim,
+};
+use serde::{Deserialize, Serialize};
+
+/// Structural similarity of predicted and measured spectrum, 1 where they are equal.
+///
+/// Key `ssim`. Uniform 7x7 windows, data range 1, sample covariance, mean over the picture without its border of 3 px:
+/// scikit-image's `structural_similarity(a, b, data_range=1)`, which is what the released test prints. The prediction is
+/// clamped to [0, 1]. It is not the SSIM of the training loss, whose Gaussian window gives other values. Papers often
+/// print the median without saying so; the report gives both. Read it beside the baselines: neighbouring transmitters
+/// have nearly equal spectra.
+///
+/// ```
+/// # use pwrfgs_metrics as _;
+/// # use pwrfgs_core::{Metric, Plugin};
+/// Plugin::<dyn Metric>::parse("Ssim()")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Ssim {}
+
+#[typetag::serde]
+impl Metric for Ssim {
+    fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
+        let values = per_sample(self, evaluation, |p, t| ssim::evaluation(&p.clamped(), t))?;
+        Ok(one("ssim", "", Goal::Higher, values))
+    }
+
+    fn supports(&self, task: Task) -> bool {
+        task.has_pixels
+    }
+
+    fn scope(&self) -> Scope {
+        Scope::Sample
+    }
+}
+
+/// Mean absolute difference of predicted and measured pixels; the L₁ of eq. (9) with the prediction clamped to [0, 1].
+///
+/// Key `l1`. Use it beside SSIM: it sees a wrong overall level that SSIM forgives.
+///
+/// ```
+/// # use pwrfgs_metrics as _;
+/// # use pwrfgs_core::{Metric, Plugin};
+/// Plugin::<dyn Metric>::parse("L1()")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct L1 {}
+
+#[typetag::serde]
+impl Metric for L1 {
+    fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
+        let values = per_sample(self, evaluation, |p, t| {
+            let differences = p.pixels.iter().zip(&t.pixels).map(|(p, t)| (p.clamp(0.0, 1.0) - t).abs() as f64);
+            differences.sum::<f64>() / p.pixels.len().max(1) as f64
+        })?;
+        Ok(one("l1", "", Goal::Lower, values))
+    }
+
+    fn supports(&self, task: Task) -> bool {
+        task.has_pixels
+    }
+
+    fn scope(&self) -> Scope {
+        Scope::Sample
+    }
+}
+
+/// Smallest mean squared error that counts; below the 8-bit rounding of measured spectra (about 1.3e-6).
+const LEAST_ERROR: f64 = 1e-10;
+
+/// Peak signal-to-noise ratio −10·log₁₀(mean squared error) in dB, for a peak of 1.
+///
+/// Key `psnr`. The prediction is clamped to [0, 1]. An exact prediction counts as 100 dB rather than infinity, so that
+/// means stay finite. Use it to compare with image-like results of other fields.
+///
+/// ```
+/// # use pwrfgs_metrics as _;
+/// # use pwrfgs_core::{Metric, Plugin};
+/// Plugin::<dyn Metric>::parse("Psnr()")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Psnr {}
+
+#[typetag::serde]
+impl Metric for Psnr {
+    fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
+        let values = per_sample(self, evaluation, |p, t| {
+            let squares = p.pixels.iter().zip(&t.pixels).map(|(p, t)| ((p.clamp(0.0, 1.0) - t) as f64).powi(2));
+            let error = squares.sum::<f64>() / p.pixels.len().max(1) as f64;
+            if error < LEAST_ERROR { -10.0 * LEAST_ERROR.log10() } else { -10.0 * error.log10() }
+        })?;
+        Ok(one("psnr", "dB", Goal::Higher, values))
+    }
+
+    fn supports(&self, task: Task) -> bool {
+        task.has_pixels
+    }
+
+    fn scope(&self) -> Scope {
+        Scope::Sample
+    }
+}
+
+/// Great-circle angle in degrees between the strongest directions of prediction and measurement.
+///
+/// Key `direction_error`. A distance in pixels would misjudge both the seam in azimuth and the zenith, where many
+/// columns are one direction; this does not. The strongest pixel is taken before clamping, the first in row-major order
+/// where several are equal. Two equally strong paths make it jump, so look at the median. `n/a` with the released
+/// projection, whose pixels mean no angle.
+///
+/// ```
+/// # use pwrfgs_metrics as _;
+/// # use pwrfgs_core::{Metric, Plugin};
+/// Plugin::<dyn Metric>::parse("DirectionError()")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct DirectionError {}
+
+#[typetag::serde]
+impl Metric for DirectionError {
+    fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
+        let plane = evaluation.plane;
+        let values = if plane.angles.is_some() {
+            per_sample(self, evaluation, |p, t| match (strongest(plane, p), strongest(plane, t)) {
+                (Some(a), Some(b)) => angle_deg(a, b),
+                _ => f64::NAN,
+            })?
+        } else {
+            Values::NotApplicable("a pixel of this projection means no angle".to_owned())
+        };
+        Ok(one("direction_error", "deg", Goal::Lower, values))
+    }
+
+    fn supports(&self, task: Task) -> bool {
+        task.has_pixels
+    }
+
+    fn scope(&self) -> Scope {
+        Scope::Sample
+    }
+}
+
+/// Unit vector of the strongest pixel.
+fn strongest(plane: &ImagePlane, image: &Image) -> Option<[f64; 3]> {
+    let (best, width) = (image.argmax(), image.width.max(1));
+    let direction = plane.direction((best % width) as Real, (best / width) as Real)?;
+    Some(direction.map(|v| v as f64))
+}
+
+/// Angle between two unit vectors; exact for small ones, as the arc cosine is not.
+fn angle_deg(a: [f64; 3], b: [f64; 3]) -> f64 {
+    let cross = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+    let dot: f64 = a.iter().zip(b).map(|(a, b)| a * b).sum();
+    cross.iter().map(|c| c * c).sum::<f64>().sqrt().atan2(dot).to_degrees()
+}
+
+/// Rate reached by steering to the strongest predicted direction, over the rate of the truly strongest one.
+///
+/// η(ρ) = log₂(1 + ρ·P(predicted direction)) / log₂(1 + ρ·max P), eq. (15), in [0, 1]; ρ is the transmit
+/// signal-to-noise ratio. Key `eta_0db` for 0 dB, and so on. The direction is the strongest pixel of the prediction
+/// before clamping (clamping would make ties), the first in row-major order where several are equal. Where the
+/// measured spectrum is 0 everywhere no direction is better than another: 1. It is a forgiving number: even the mean
+/// training spectrum reaches 0.8 to 0.9, so read it beside the baselines.
+///
+/// ```
+/// # use pwrfgs_metrics as _;
+/// # use pwrfgs_core::{Metric, Plugin};
+/// Plugin::<dyn Metric>::parse("RateRatio(snr_db: 10.0)")?;
+/// # Ok::<(), String>(())
+/// ```
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct RateRatio {
+    /// Transmit signal-to-noise ratio ρ in dB, −100 to 100; the paper reports 0.
+    pub snr_db: f64,
+}
+
+impl RateRatio {
+    fn ratio(&self, prediction: &Image, truth: &Image) -> f64 {
+        let snr = 10f64.powf(self.snr_db / 10.0);
+        let rate = |image: &Image| truth.pixels.get(image.argmax()).map_or(0.0, |p| (snr * *p as f64).ln_1p());
+        let best = rate(truth);
+        if best > 0.0 { rate(prediction) / best } else { 1.0 }
+    }
+}
+
+#[typetag::serde]
+impl Metric for RateRatio {
+    fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
+        let values = per_sample(self, evaluation, |p, t| self.ratio(p, t))?;
+        let snr = self.snr_db + 0.0; // no `-0` in the name
+        Ok(one(&format!("eta_{snr}db"), "", Goal::Higher, values))
+    }
+
+    fn supports(&self, task: Task) -> bool {
+        task.has_pixels
+    }
+
+    fn scope(&self) -> Scope {
+        Scope::Sample
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if !(-100.0..=100.0).contains(&self.snr_db) {
+            return Err(format!("`snr_db` is {}; give a ratio between -100 and 100 dB", self.snr_db));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixture::{self, of_pictures, of_plane, plane, spots, value};
+    use pwrfgs_core::Plugin;
+
+    #[test]
+    fn constant_pictures_have_a_closed_form() {
+        let constant = |v| Image { width: 9, height: 8, pixels: vec![v; 72] };
+        let found = fixture::value(&fixture::of_pictures(&Ssim {}, &constant(0.25), &constant(0.5)));
+        let expected = (2.0 * 0.25 * 0.5 + 1e-4) / (0.25 * 0.25 + 0.5 * 0.5 + 1e-4);
+        assert!((found - expected).abs() < 1e-9);
+        let too_bright = fixture::value(&fixture::of_pictures(&Ssim {}, &constant(7.0), &constant(1.0)));
+        assert!((too_bright - 1.0).abs() < 1e-12, "a prediction is clamped first");
+    }
+
+    #[test]
+    fn differences_are_averaged_after_clamping() {
+        let (p, t) = (spots(2, 2, &[(0, 0, 3.0), (1, 1, -2.0)]), spots(2, 2, &[(0, 0, 0.5), (1, 0, 0.25)]));
+        assert_eq!(value(&of_pictures(&L1 {}, &p, &t)), (0.5 + 0.25) / 4.0);
+    }
+
+    #[test]
+    fn squares_are_averaged_and_an_exact_picture_stays_finite() {
+        let (p, t) = (spots(2, 2, &[(0, 0, 0.5)]), spots(2, 2, &[(0, 0, 0.25), (1, 0, 0.25)]));
+        let expected = -10.0 * (0.125f64 / 4.0).log10();
+        assert!((value(&of_pictures(&Psnr {}, &p, &t)) - expected).abs() < 1e-12);
+        assert_eq!(value(&of_pictures(&Psnr {}, &t, &t)), 100.0);
+    }
+
+    fn error(a: (usize, usize), b: (usize, usize)) -> f64 {
+        let peak = |(x, y)| spots(360, 90, &[(x, y, 1.0)]);
+        value(&of_pictures(&DirectionError {}, &peak(a), &peak(b)))
+    }
+
+    #[test]
+    fn angles_are_measured_on_the_sphere() {
+        let close = |a: f64, b: f64| assert!((a - b).abs() < 2e-4, "{a} instead of {b}");
+        close(error((10, 20), (10, 20)), 0.0);
+        close(error((359, 0), (1, 0)), 2.0); // across the seam
+        close(error((7, 30), (7, 75)), 45.0);
+        close(error((0, 89), (180, 89)), 2.0); // over the zenith
+        close(error((0, 60), (90, 60)), (0.75f64).acos().to_degrees());
+    }
+
+    #[test]
+    fn a_plane_without_angles_has_no_direction() {
+        let peak = spots(4, 3, &[(1, 1, 1.0)]);
+        let blind = ImagePlane { angles: None, ..plane(4, 3) };
+        let found = of_plane(&DirectionError {}, &peak, &peak, &blind);
+        assert!(matches!(found.values, Values::NotApplicable(_)));
+    }
+
+    #[test]
+    fn the_ratio_is_that_of_the_two_rates() {
+        let truth = spots(4, 3, &[(1, 1, 1.0), (2, 2, 0.5)]);
+        let prediction = spots(4, 3, &[(1, 1, 1.5), (2, 2, 1.6)]);
+        let found = of_pictures(&RateRatio::default(), &prediction, &truth);
+        assert_eq!(found.key, "eta_0db");
+        assert!((value(&found) - 1.5f64.log2()).abs() < 1e-12, "both peaks clamp to 1: the unclamped one decides");
+        let found = of_pictures(&RateRatio { snr_db: 10.0 }, &prediction, &truth);
+        assert_eq!(found.key, "eta_10db");
+        assert!((value(&found) - 6f64.ln() / 11f64.ln()).abs() < 1e-12);
+        assert_eq!(value(&of_pictures(&RateRatio::default(), &truth, &truth)), 1.0);
+    }
+
+    #[test]
+    fn equal_pixels_count_as_the_first() {
+        let truth = spots(4, 3, &[(1, 1, 1.0), (2, 0, 0.25)]);
+        let prediction = spots(4, 3, &[(1, 1, 0.7), (2, 0, 0.7)]);
+        assert!((value(&of_pictures(&RateRatio::default(), &prediction, &truth)) - 1.25f64.log2()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_dark_spectrum_gives_one() {
+        let (dark, prediction) = (spots(4, 3, &[]), spots(4, 3, &[(1, 1, 0.7)]));
+        assert_eq!(value(&of_pictures(&RateRatio::default(), &prediction, &dark)), 1.0);
+        assert_eq!(value(&of_pictures(&RateRatio::default(), &spots(0, 0, &[]), &spots(0, 0, &[]))), 1.0);
+    }
+
+    #[test]
+    fn absurd_ratios_are_refused() {
+        for snr in ["NaN", "inf", "-101.0"] {
+            let why = Plugin::<dyn Metric>::parse(&format!("RateRatio(snr_db: {snr})")).unwrap_err();
+            assert!(why.contains("between -100 and 100"), "{why}");
+        }
+        let key = of_pictures(&RateRatio { snr_db: -0.0 }, &spots(1, 1, &[]), &spots(1, 1, &[])).key;
+        assert_eq!(key, "eta_0db");
+    }
+}
