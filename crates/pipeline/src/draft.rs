@@ -3,12 +3,14 @@
 //! once, after all changes.
 
 use crate::changes::Change;
-use crate::pipeline::{Misfit, Pipeline, TypeHint};
+use crate::pipeline::Pipeline;
 use crate::place::{Edit, Place, paths, quoted};
+use crate::read::{Misfit, TypeHint};
 use crate::ron_tree::Tree;
 use pwrfgs_core::docs::{Docs, Kind};
-use pwrfgs_core::plugin::{ron_options, try_to_ron};
-use pwrfgs_core::{Error, Result};
+use pwrfgs_core::plugin::{Checked, ron_options, to_ron, try_to_ron};
+use pwrfgs_core::{Dataset, Error, MaskRate, Partition, Result};
+use pwrfgs_train::{Trainer, TrainingPlan};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -150,5 +152,91 @@ impl std::fmt::Display for Fault {
         names.dedup();
         let colon = if names.is_empty() { "" } else { ": " };
         write!(f, "{}{colon}{}", names.join(" and "), self.message)
+    }
+}
+
+impl Pipeline {
+    /// Makes all of `changes`, or none of them, and checks the outcome once.
+    ///
+    /// # Errors
+    /// [`Error::Config`] naming the changes that do not fit.
+    pub fn change(&mut self, changes: &[Change]) -> Result<()> {
+        let mut draft = Draft::of(self);
+        let made = changes.iter().try_for_each(|change| draft.set(change)).and_then(|()| draft.finish());
+        *self = made.map_err(Fault::in_arguments)?;
+        Ok(())
+    }
+
+    /// The same with absolute paths; `absolute` maps a path as it stands.
+    ///
+    /// # Errors
+    /// [`Error::Config`] if the pipeline, or a path, cannot be written as text.
+    pub fn rebased(&self, absolute: &dyn Fn(&Path) -> PathBuf) -> Result<Self> {
+        self.check_text()?;
+        let mut draft = Draft::of(self);
+        draft.rebase(absolute).and_then(|()| draft.finish()).map_err(Fault::in_arguments)
+    }
+
+    /// Applies `--set` arguments, such as `training.steps=1000` or `pruners.LearnableMask.lambda=0.05`.
+    ///
+    /// # Errors
+    /// As [`Self::change`].
+    pub fn set_all<S: AsRef<str>>(&mut self, arguments: &[S]) -> Result<()> {
+        let changes: Result<Vec<Change>> = arguments.iter().map(|one| Change::argument(one.as_ref())).collect();
+        self.change(&changes?)
+    }
+
+    /// [`Self::set_all`] with one argument.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn set(&mut self, argument: &str) -> Result<()> {
+        self.set_all(&[argument])
+    }
+
+    /// What is trained, with `training.scale` multiplied in.
+    ///
+    /// # Errors
+    /// As [`Self::resolved`].
+    pub fn plan(&self) -> Result<TrainingPlan> {
+        self.resolved().map(|resolved| resolved.as_plan())
+    }
+
+    /// A trainer before its first step.
+    ///
+    /// # Errors
+    /// As [`Self::plan`] and [`Trainer::new`].
+    pub fn trainer<'a>(&self, data: &'a Dataset, partition: &Partition) -> Result<Trainer<'a>> {
+        Trainer::new(&self.plan()?, data, partition)
+    }
+
+    /// The pipeline as it is trained: `training.scale` multiplied into every count of steps, and below 1 divided out of the
+    /// rates of masks.
+    ///
+    /// # Errors
+    /// [`Error::Config`] where training ends before the pruners are done: such a run would be scored unpruned.
+    pub fn resolved(&self) -> Result<Self> {
+        let training = self.training.resolved();
+        let (steps, until) = (training.steps, training.prune_until);
+        if !self.pruners.is_empty() && until > steps {
+            return Err(Error::Config(format!(
+                "training: it ends after step {steps}, but the pruners are at work until step {until} (`prune_until`), so \
+                 the model would be scored unpruned; for a shorter training in the same proportions leave `steps` alone \
+                 and give `scale`, such as --scale 0.25"
+            )));
+        }
+        let training = Checked::new(training).map_err(|why| Error::Config(format!("training: {why}")))?;
+        let (scale, mut resolved) = (self.training.scale, Self { training, ..self.clone() });
+        let rates = self.pruners.iter().enumerate().filter_map(|(k, pruner)| Some((k, pruner.traits().mask_rate?)));
+        let rates: Vec<(usize, MaskRate)> = rates.filter(|_| scale < 1.0).collect();
+        if rates.is_empty() {
+            return Ok(resolved);
+        }
+        let change = |(k, rate): (usize, MaskRate)| {
+            Change::new(&format!("pruners.{k}.{}", rate.field), &to_ron(&rate.shortened(scale)))
+        };
+        let changes: Vec<Change> = rates.into_iter().map(change).collect();
+        resolved.change(&changes)?;
+        Ok(resolved)
     }
 }

@@ -9,9 +9,9 @@
 mod changes;
 pub mod defaults;
 mod draft;
-mod kinds;
 mod pipeline;
 mod place;
+mod read;
 pub mod ron_tree;
 
 pub use changes::{Change, Changes};

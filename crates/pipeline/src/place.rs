@@ -1,7 +1,7 @@
 //! `Place`: a value in the text of a pipeline, reached by its path, and what may stand there.
 
-use crate::Pipeline;
 use crate::changes::shortened;
+use crate::pipeline::Pipeline;
 use crate::ron_tree::{Body, Tree};
 use pwrfgs_core::did_you_mean;
 use pwrfgs_core::docs::{Body as Parts, Docs, Field, Kind};

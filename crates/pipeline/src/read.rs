@@ -1,0 +1,301 @@
+//! A pipeline from its text, and whether its parts go together: data, method and metrics of one task, and pruners.
+
+use crate::changes::{line_and_column, shortened};
+use crate::defaults;
+use crate::pipeline::Pipeline;
+use crate::ron_tree::Tree;
+use pwrfgs_core::plugin::{explain, name_of, ron_options, to_ron};
+use pwrfgs_core::{Dataset, Error, Result, Task};
+use pwrfgs_methods::{Calibration, check_together};
+use pwrfgs_train::Rays;
+use ron::error::SpannedError;
+use std::path::Path;
+
+/// Why a text is no pipeline.
+#[derive(Debug)]
+pub(crate) struct Misfit {
+    pub(crate) message: String,
+    /// Where, as a byte of the text.
+    pub(crate) at: Option<usize>,
+    pub(crate) hint: TypeHint,
+}
+
+/// Whether a message should add what a value may be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum TypeHint {
+    /// The message says it.
+    Never,
+    /// If the value has no parts.
+    AtLeaf,
+    /// The value is of another type.
+    Always,
+}
+
+impl Misfit {
+    /// Of a text that is no pipeline by its grammar or the types of its values.
+    fn reading(error: &SpannedError, text: &str) -> Self {
+        let hint = match error.code {
+            ron::Error::Message(_) => TypeHint::AtLeaf,
+            ron::Error::NoSuchEnumVariant { .. }
+            | ron::Error::NoSuchStructField { .. }
+            | ron::Error::MissingStructField { .. } => TypeHint::Never,
+            _ => TypeHint::Always,
+        };
+        let end = error.span.end;
+        let line = text.split_inclusive('\n').take(end.line - 1).map(str::len).sum::<usize>();
+        let column = text[line..].char_indices().nth(end.col - 1).map_or(text.len() - line, |(i, _)| i);
+        Self { message: explain(error), at: Some(line + column), hint }
+    }
+
+    /// Of a `field` that does not fit the others; it stands at the data if the field was left out.
+    pub(crate) fn of(field: &str, message: String, tree: &Tree) -> Self {
+        let place = tree.field(field).or_else(|| tree.field("data"));
+        Self { message, at: place.map(|place| place.span.start), hint: TypeHint::Never }
+    }
+}
+
+impl Pipeline {
+    /// Reads a pipeline; `path` is for messages only.
+    ///
+    /// # Errors
+    /// [`Error::Input`] with line and column.
+    pub fn parse(text: &str, path: &Path) -> Result<Self> {
+        Self::read(text).map_err(|Misfit { message, at, .. }| Error::Input {
+            path: path.into(),
+            at: at.map(|at| line_and_column(text, at)),
+            message,
+        })
+    }
+
+    /// [`Self::parse`] with the place in bytes.
+    pub(crate) fn read(text: &str) -> Result<Self, Misfit> {
+        let mut pipeline: Self = ron_options().from_str(text).map_err(|e| Misfit::reading(&e, text))?;
+        let tree = Tree::parse(text).map_err(|message| Misfit { message, at: None, hint: TypeHint::Never })?;
+        pipeline.complete(&|field| tree.field(field).is_none()).map_err(|message| Misfit {
+            message,
+            at: Some(tree.span.end),
+            hint: TypeHint::Never,
+        })?;
+        pipeline.check().map_err(|(field, message)| Misfit::of(field, message, &tree))?;
+        Ok(pipeline)
+    }
+
+    /// Fills in the fields that were `left_out` and whose default depends on others.
+    fn complete(&mut self, left_out: &dyn Fn(&str) -> bool) -> Result<(), String> {
+        if left_out("initializer") && self.method.as_ref().is_none_or(|method| method.traits().has_gaussians()) {
+            return Err("the field `initializer` is missing".into());
+        }
+        let task = self.data.task().unwrap_or_default();
+        if left_out("readout") {
+            self.readout = defaults::readout(task);
+        }
+        if left_out("baselines") {
+            self.baselines = defaults::baselines(task);
+        }
+        if left_out("metrics") {
+            self.metrics = defaults::metrics(task);
+        }
+        Ok(())
+    }
+
+    /// The first baseline or metric that does not support observations of `task`: its field, and what to do.
+    pub fn unsupported(&self, task: Task) -> Option<(&'static str, String)> {
+        let what = |name: String, role: &str| format!("`{name}` is no {role} of {}; leave it out", task.plural);
+        let baseline = self.baselines.iter().find(|baseline| !baseline.supports(task));
+        let metric = || self.metrics.iter().find(|metric| !metric.supports(task));
+        let of_baseline = baseline.map(|baseline| ("baselines", what(name_of(baseline), "baseline")));
+        of_baseline.or_else(|| Some(("metrics", what(name_of(metric()?), "metric"))))
+    }
+
+    /// Refuses baselines and metrics that cannot work on `data`, before a model is trained for their table.
+    ///
+    /// # Errors
+    /// The first that refuses, by the name of its field.
+    pub fn check_data(&self, data: &Dataset) -> Result<(), Error> {
+        let named = |field: &str, error: Error| match error {
+            Error::Config(_) | Error::Input { .. } | Error::Read { .. } => Error::Config(format!("{field}: {error}")),
+            other => other, // an exception of Python's stays one
+        };
+        for baseline in &self.baselines {
+            baseline.check_data(data).map_err(|error| named("baselines", error))?;
+        }
+        for metric in &self.metrics {
+            metric.check_data(data).map_err(|error| named("metrics", error))?;
+        }
+        match self.unsupported(data.task()) {
+            Some((field, what)) => Err(Error::Config(format!("{field}: {what}"))),
+            None => Ok(()),
+        }
+    }
+
+    /// What plugins cannot see of each other: the field and what is wrong.
+    fn check(&self) -> Result<(), (&'static str, String)> {
+        if let Some((field, what)) = mixed(self) {
+            return Err((field, format!("{field}: {what}")));
+        }
+        let good = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
+        if self.name.is_empty() || self.name.starts_with('.') || !self.name.chars().all(good) {
+            let name = shortened(&self.name);
+            let what = format!("name: `{name}` cannot name a folder; use letters, digits, `.`, `-` and `_`");
+            return Err(("name", what));
+        }
+        self.readout.check().map_err(|what| ("readout", what))?;
+        if self.method.as_ref().is_some_and(|method| name_of(method) == "Splatting") {
+            let what = "method: `Splatting` is what the fields projector, rasterizer, deformation, calibration and readout \
+                        say; leave `method` out";
+            return Err(("method", what.into()));
+        }
+        let plane = self.projector.plane(360, 90);
+        let fits = check_together(&*self.rasterizer, self.readout, self.calibration, &plane);
+        fits.map_err(|what| ("rasterizer", what))
+    }
+}
+
+/// The first field that does not support the data, and what to do about it; nothing where the source does not know
+/// before it loads.
+fn mixed(pipeline: &Pipeline) -> Option<(&'static str, String)> {
+    let pruners = || pipeline.as_plan().check().err().map(|what| ("pruners", what));
+    other_kinds(pipeline).or_else(pruners).or_else(|| unable(pipeline))
+}
+
+/// What the method cannot do that the pipeline wants of it.
+fn unable(pipeline: &Pipeline) -> Option<(&'static str, String)> {
+    let method = pipeline.method();
+    let traits = method.traits();
+    let chooses = traits.chooses_pixels && pipeline.data.task().is_none_or(|task| task.has_pixels);
+    if pipeline.training.rays != Rays::All && !chooses {
+        let what = "`rays` wants single pixels of spectra, which Nerf2 draws; leave it out".to_owned();
+        return Some(("training", what));
+    }
+    let nobody_prunes = pipeline.pruners.is_empty() && pipeline.training.target == 0;
+    if !traits.has_gaussians() && !nobody_prunes {
+        let what = format!("{} has no Gaussians, so there is nothing to prune; leave them out", name_of(&method));
+        return Some(("pruners", what));
+    }
+    None
+}
+
+fn other_kinds(pipeline: &Pipeline) -> Option<(&'static str, String)> {
+    let task = pipeline.data.task()?;
+    let field = if pipeline.method.is_some() { "method" } else { "readout" };
+    if let Some(own) = pipeline.method().traits().task.filter(|own| *own != task) {
+        let what = format!("it gives {}, and the data are {}; use {}", own.plural, task.plural, task.method);
+        return Some((field, what));
+    }
+    if let Some(field) = unused(pipeline, task) {
+        let what = format!("the method of {} has none; leave it out, or at its default", task.plural);
+        return Some((field, what));
+    }
+    if !pipeline.initializer.supports(task) {
+        let name = name_of(&pipeline.initializer);
+        let what = format!("`{name}` does not search {}; use another, such as Random()", task.plural);
+        return Some(("initializer", what));
+    }
+    pipeline.unsupported(task)
+}
+
+/// The first field of splats that is not at its default, although [`Pipeline::method`] takes a method without it.
+fn unused(pipeline: &Pipeline, task: Task) -> Option<&'static str> {
+    if pipeline.method.is_some() || !task.is_complex {
+        return None;
+    }
+    let Pipeline { projector, rasterizer, calibration, readout, .. } = pipeline;
+    let is_default = [
+        ("projector", to_ron(projector) == to_ron(&defaults::projector())),
+        ("rasterizer", to_ron(rasterizer) == to_ron(&defaults::rasterizer())),
+        ("calibration", *calibration == Calibration::default()),
+        ("readout", *readout == defaults::readout(task)),
+    ];
+    is_default.into_iter().find(|(_, is_default)| !is_default).map(|(field, _)| field)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Pipeline;
+    use pwrfgs_core::plugin::{ron_options, to_ron};
+    use pwrfgs_core::{Baseline, Metric, Plugin};
+    use std::path::Path;
+
+    fn parse(fields: &str) -> Result<Pipeline, String> {
+        Pipeline::parse(&format!("Pipeline(\n{fields})"), Path::new("a.ron")).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn fields_left_out_take_the_defaults_of_the_task() {
+        let cases = [
+            (
+                "Teacher()",
+                "[MeanSpectrum(), NearestNeighbours(k: 1), NearestNeighbours(k: 3), NearestNeighbours(k: 5)]",
+                "[Ssim(), L1(), Psnr(), RateRatio(), DirectionError(), Chamfer(), GaussianCount(), ModelSize(), Latency()]",
+                "Magnitude",
+            ),
+            (
+                "Nerf2Rssi(root: \"x\")",
+                "[MeanSpectrum(), LogDistance(), NearestNeighbours(k: 5), Kriging()]",
+                "[PowerError(), Chamfer(), GaussianCount(), ModelSize(), Latency()]",
+                "Received(",
+            ),
+            (
+                "Channels(root: \"x\", carrier_hz: 3e8, spacing_hz: 1e7, receiver: ())",
+                "[Zero(), NearestNeighbours(k: 1), NearestNeighbours(k: 5)]",
+                "[ChannelSnr(), Chamfer(), GaussianCount(), ModelSize(), Latency()]",
+                "",
+            ),
+        ];
+        for (data, baselines, metrics, readout) in cases {
+            let pipeline = parse(&format!("name: \"a\", data: {data}, initializer: Random()")).unwrap();
+            let baselines: Vec<Plugin<dyn Baseline>> = ron_options().from_str(baselines).unwrap();
+            let metrics: Vec<Plugin<dyn Metric>> = ron_options().from_str(metrics).unwrap();
+            assert_eq!(to_ron(&pipeline.baselines), to_ron(&baselines), "{data}");
+            assert_eq!(to_ron(&pipeline.metrics), to_ron(&metrics), "{data}");
+            assert!(to_ron(&pipeline.readout).starts_with(readout), "{data}");
+            let parts = (&pipeline.split, &pipeline.projector, &pipeline.rasterizer, &pipeline.deformation);
+            let text = to_ron(&parts);
+            for name in ["Official(", "Mercator(", "AlphaBlending(", "Mlp("] {
+                assert!(text.contains(name), "{data}: {text}");
+            }
+            let given = parse(&format!("name: \"a\", data: {data}, initializer: Random(), baselines: [], metrics: []"));
+            assert!(given.is_ok_and(|own| own.baselines.is_empty() && own.metrics.is_empty()), "{data}");
+        }
+    }
+
+    #[test]
+    fn missing_and_unsupported_fields_have_a_place() {
+        let refused = |fields: &str| parse(fields).unwrap_err();
+        assert_eq!(refused("name: \"a\", initializer: Random()"), "a.ron:2:33: the field `data` is missing");
+        assert!(refused("name: \"a\", data: Teacher()").ends_with("the field `initializer` is missing"));
+        let said = refused("name: \"a\",\n data: Teacher(),\n initializer: Random(),\n metrics: [PowerError()]");
+        assert!(said.starts_with("a.ron:5:11: metrics: "), "{said}");
+        assert!(refused("name: \"a/b\", data: Teacher(), initializer: Random()").starts_with("a.ron:2:7: name: "));
+    }
+
+    #[test]
+    fn paths_of_plugins_become_absolute() {
+        let data = "Channels(root: \"r\", points: \"p.ply\", carrier_hz: 3e8, spacing_hz: 1e7, receiver: ())";
+        let relative = parse(&format!("name: \"a\", data: {data}, initializer: Trained(model: \"m\")")).unwrap();
+        let absolute = relative.rebased(&|path| Path::new("/base").join(path)).unwrap().to_ron();
+        for field in ["root: \"/base/r\"", "points: \"/base/p.ply\"", "model: \"/base/m\""] {
+            assert!(absolute.contains(field), "{field}: {absolute}");
+        }
+        assert_eq!(absolute.matches("/base/").count(), 3, "`file` and `positions` start at `root`: {absolute}");
+    }
+
+    #[test]
+    fn fields_that_the_method_of_channels_lacks_are_refused_unless_at_their_default() {
+        let channels = |field: &str| {
+            let data = "Channels(root: \"x\", carrier_hz: 3e8, spacing_hz: 1e7, receiver: ())";
+            parse(&format!("name: \"a\", data: {data}, initializer: Random(),\n{field}"))
+        };
+        for field in
+            ["projector: Mercator(blur: 1)", "rasterizer: ArrayResponse()", "calibration: AsReleased", "readout: Real"]
+        {
+            let (name, message) = (field.split(':').next().unwrap(), channels(field).unwrap_err());
+            assert!(
+                message.starts_with("a.ron:3:") && message.contains(&format!("{name}: the method of channels")),
+                "{message}"
+            );
+        }
+        let written = channels("").unwrap().to_ron();
+        assert_eq!(Pipeline::parse(&written, Path::new("a.ron")).unwrap().to_ron(), written);
+    }
+}
