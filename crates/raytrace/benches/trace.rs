@@ -50,7 +50,7 @@ fn main() {
     for (name, scene) in [("empty room, order 3", empty), ("office", office), ("30 boxes", thirty_boxes())] {
         let simulator = Simulator::new(&scene).expect("the scene is sound");
         let positions = simulator.positions(24, 0).expect("there is room");
-        println!("{name}: {} faces, {} images", simulator.world().faces.len(), simulator.images());
+        println!("{name}: {} faces", simulator.world().faces.len());
         let mut next = 0;
         let mut tx = || -> DVec3 {
             next += 1;
@@ -58,7 +58,7 @@ fn main() {
         };
         let mut group = criterion.benchmark_group(name);
         group.bench_function("paths", |b| b.iter(|| simulator.trace(black_box(tx()))));
-        group.bench_function("spectrum", |b| b.iter(|| simulator.spectrum(black_box(tx()), Some(0))));
+        group.bench_function("spectrum", |b| b.iter(|| simulator.listeners()[0].spectrum(black_box(tx()), Some(0))));
         group.bench_function("new scene", |b| b.iter(|| Simulator::new(black_box(&scene))));
         group.finish();
     }

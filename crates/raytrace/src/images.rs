@@ -105,11 +105,6 @@ impl ImageTree {
         Some(tree)
     }
 
-    /// Number of images, the point itself not counted.
-    pub fn count(&self) -> usize {
-        self.nodes.len()
-    }
-
     /// About how much memory it takes, bytes.
     pub fn bytes(&self) -> usize {
         self.nodes.len() * size_of::<Node>() + self.planes.len() * size_of::<(DVec3, f64)>()

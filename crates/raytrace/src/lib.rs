@@ -10,11 +10,9 @@
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
 pub mod array;
-pub mod cache;
 pub mod images;
 mod listener;
 pub mod mesh;
-pub mod noise;
 mod observe;
 pub mod output;
 mod patches;
@@ -33,12 +31,12 @@ mod waves;
 pub mod world;
 
 pub use listener::{Listener, Reception};
-pub use observe::{Heard, Observe, Observed, SILENT_DBM};
+pub use observe::{Heard, Noise, Observe, Observed, SILENT_DBM};
 pub use path::{Interaction, Path};
 pub use ray_tracing::RayTracing;
 pub use recipe::Recipe;
 pub use scene::Scene;
-pub use simulated::Simulated;
+pub use simulated::{Simulated, cache_root, open_or_make};
 pub use simulator::{Simulator, Wanted, simulate_links};
 pub use spectrum::{HEIGHT, WIDTH};
 pub use waves::{diffraction, fresnel, material, scattering};

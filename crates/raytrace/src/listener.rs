@@ -1,8 +1,7 @@
 //! `Listener`: one receiver of a scene made ready.
 
 use crate::array::{self, Wavefront};
-use crate::noise::{self, Draw, Noise};
-use crate::observe::{Heard, Observe, Observed, reading};
+use crate::observe::{Draw, Heard, Noise, Observe, Observed, add_noise, reading};
 use crate::path::Path;
 use crate::scene::{Receiver, Scene};
 use crate::spectrum::{Beamformer, HEIGHT, Spectrum, WIDTH};
@@ -96,11 +95,6 @@ impl Listener {
         world_from_receiver(&self.pose())
     }
 
-    /// Images of the receiver that are tried for each transmitter.
-    pub fn images(&self) -> usize {
-        self.tracers[0].images()
-    }
-
     /// About how much memory the tracers take, bytes.
     pub(crate) fn bytes(&self) -> usize {
         self.tracers.iter().map(Tracer::bytes).sum()
@@ -160,7 +154,7 @@ impl Listener {
         let paths = self.trace(tx);
         let mut channel = self.channel(tx, &paths, hz);
         if let Some(sample) = sample {
-            noise::add(noise, &mut channel, hz.len(), Draw { receiver: &self.receiver, sample });
+            add_noise(noise, &mut channel, hz.len(), Draw { receiver: &self.receiver, sample });
         }
         (channel, paths)
     }

@@ -6,6 +6,7 @@ pub(crate) use files::{CHANNELS, POSITIONS, POWERS, SPECTRA, is_test};
 use files::{Files, check_powers, put};
 pub use files::{Layout, PATHS, POWER};
 
+use crate::observe::Observe;
 use crate::recipe::Recipe;
 use crate::simulator::{Simulator, Wanted, simulate_links};
 use crate::surface_points;
@@ -64,16 +65,17 @@ pub fn write_as(
 ) -> Result<()> {
     layout.check(recipe)?;
     refuse_occupied(out)?; // before the scene is looked at
+    let simulator = Simulator::new(&recipe.scene)?; // what is wrong with the last receiver is told before the first takes its time
+    let making = NewFolder::begin(out)?;
     let receivers = recipe.scene.receivers().count();
     if receivers == 1 || layout == Layout::Rssi {
-        let making = filled(recipe, layout, paths, out, progress, stop)?;
+        fill(recipe, &simulator, layout, paths, making.path(), progress, stop)?;
         if layout == Layout::Rssi {
             check_powers(making.path())?;
         }
         return making.publish();
     }
-    drop(Simulator::new(&recipe.scene)?); // what is wrong with the last receiver is told before the first takes its time
-    let making = NewFolder::begin(out)?;
+    drop(simulator);
     for (i, receiver) in recipe.scene.receivers().enumerate() {
         let recipe = recipe.with_receiver(receiver);
         let simulator = Simulator::new(&recipe.scene)?;
@@ -86,36 +88,20 @@ pub fn write_as(
     making.publish()
 }
 
-/// As [`write_as`], all receivers in one folder: in arrays, those of a transmitter stand one after the other.
+/// Simulates `recipe` into the new folder `out` as arrays and tables of all receivers: those of a transmitter stand one after
+/// the other.
 ///
 /// # Errors
 /// As [`write_as`].
-pub(crate) fn write_links(
-    recipe: &Recipe,
-    layout: Layout,
-    paths: bool,
-    out: &Path,
-    progress: Progress<'_>,
-    stop: &AtomicBool,
-) -> Result<()> {
-    filled(recipe, layout, paths, out, progress, stop)?.publish()
-}
-
-/// A folder that is whole and not yet where it belongs.
-fn filled(
-    recipe: &Recipe,
-    layout: Layout,
-    paths: bool,
-    out: &Path,
-    progress: Progress<'_>,
-    stop: &AtomicBool,
-) -> Result<NewFolder> {
-    layout.check(recipe)?;
-    refuse_occupied(out)?;
-    let simulator = Simulator::new(&recipe.scene)?;
-    let making = NewFolder::begin(out)?;
-    fill(recipe, &simulator, layout, paths, making.path(), progress, stop)?;
-    Ok(making)
+pub(crate) fn write_links(recipe: &Recipe, out: &Path, progress: Progress<'_>) -> Result<()> {
+    let (simulator, making) = (Simulator::new(&recipe.scene)?, NewFolder::begin(out)?);
+    let layout = match recipe.observe {
+        Observe::Spectrum => Layout::Array,
+        Observe::Power { .. } => Layout::Rssi,
+        Observe::Channel { .. } => Layout::Channels,
+    };
+    fill(recipe, &simulator, layout, false, making.path(), progress, &AtomicBool::new(false))?;
+    making.publish()
 }
 
 /// Simulates `recipe` into `folder`, which is there and empty.

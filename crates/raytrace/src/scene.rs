@@ -11,7 +11,7 @@ pub use room::{Finish, Object, Outline, Room};
 
 use crate::SPEED_OF_LIGHT;
 use crate::material::{self, Material};
-use crate::noise::Noise;
+use crate::observe::Noise;
 use crate::spectrum::SpectrumKind;
 use pwrfgs_core::plugin::{Checked, read_ron};
 use pwrfgs_core::{Error, Pose, Result, did_you_mean, files};

@@ -1,17 +1,19 @@
-//! `Simulated`: spectra, powers or channels of a known room as a data source.
+//! `Simulated`: spectra, powers or channels of a known room as a data source, kept on disk under a key of everything that
+//! decides them.
 
 #[cfg(test)]
 mod tests;
 
-use crate::cache;
 use crate::observe::{Observe, SILENT_DBM};
-use crate::output::{CHANNELS, POINTS, POSITIONS, POWERS, SPECTRA, is_test};
+use crate::output::{self, CHANNELS, MANIFEST, POINTS, POSITIONS, POWERS, SPECTRA, is_test};
 use crate::recipe::{self, Recipe};
 use crate::scene::{self, Scene};
 use crate::spectrum::{HEIGHT, WIDTH};
+use etcetera::BaseStrategy as _;
+use pwrfgs_core::files::{self, NewFolder};
 use pwrfgs_core::{
     Channels, DataSource, Dataset, Error, JsonSchema, Number, Observations, Progress, Real, Receiver, Result, Sample,
-    Simulation, Spectra, files, words::clean,
+    Simulation, Spectra, words::clean,
 };
 use pwrfgs_data::{Arrays, npy_header, npy_header_as, read_points};
 use serde::{Deserialize, Serialize};
@@ -178,12 +180,76 @@ impl DataSource for Simulated {
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let recipe = Recipe::read(&base.join(&self.scene), self.samples, self.seed, self.points)?;
         let recipe = recipe.observing(self.observe)?;
-        let root = if self.cache { cache::root() } else { None };
-        cache::open_or_make(&recipe, root.as_deref(), progress, |folder| self.read(&recipe, folder))
+        let root = if self.cache { cache_root() } else { None };
+        open_or_make(&recipe, root.as_deref(), progress, |folder| self.read(&recipe, folder))
     }
 
     fn check(&self) -> Result<(), String> {
         recipe::check(self.samples, self.points)?;
         self.observe.check().map_err(|why| format!("observe: {why}"))
     }
+}
+
+/// The folder of all kept data sets: `$PWRFGS_CACHE`, else `pwrfgs` in the user's cache folder; `None` where there is no
+/// such thing.
+pub fn cache_root() -> Option<PathBuf> {
+    match std::env::var_os("PWRFGS_CACHE") {
+        Some(path) if !path.is_empty() => Some(path.into()),
+        _ => etcetera::choose_base_strategy().ok().map(|base| base.cache_dir().join("pwrfgs")),
+    }
+}
+
+/// What `read` makes of the data set of `recipe`, simulated now or taken from the folder `root`.
+///
+/// An entry is a folder as [`output::write_as`] makes it, with one array or table of all links: the receivers of a
+/// transmitter one after the other. It is used only if its manifest is that of the recipe, word for
+/// word, and `read` finds nothing wrong with it; else it is made anew. Entries appear by renaming, so none is half
+/// written, what killed programs left is removed, and of two programs that make the same one the second finds it there.
+/// Where the disk refuses, the data set is made in the system's folder for temporary files instead, and lost.
+///
+/// # Errors
+/// Those of the simulation and of `read`.
+pub fn open_or_make<T>(
+    recipe: &Recipe,
+    root: Option<&Path>,
+    progress: Progress<'_>,
+    read: impl Fn(&Path) -> Result<T>,
+) -> Result<T> {
+    let Some(root) = root else { return make_for_now(recipe, progress, read) };
+    NewFolder::clear(root);
+    let folder = root.join(recipe.folder_name());
+    if is_of(&folder, recipe) {
+        match read(&folder) {
+            Ok(data) => return Ok(data),
+            Err(e) => tracing::warn!("the kept data set {} is damaged ({e}) and made anew", folder.display()),
+        }
+    }
+    if let Err(e) = files::check_place(&folder) {
+        tracing::warn!("simulated data are not kept: {e}");
+        return make_for_now(recipe, progress, read);
+    }
+    let cleared = if folder.exists() { NewFolder::remove(&folder) } else { Ok(()) }; // a damaged entry
+    let made = cleared.and_then(|()| output::write_links(recipe, &folder, progress));
+    match made {
+        Ok(()) => read(&folder),
+        // Somebody else was faster.
+        Err(_) if is_of(&folder, recipe) => read(&folder),
+        Err(e @ Error::Write { .. }) => {
+            tracing::warn!("simulated data are not kept: {e}");
+            make_for_now(recipe, progress, read)
+        }
+        Err(e) => Err(e),
+    }
+}
+
+/// Whether the folder holds the data set of the recipe, as far as its manifest says.
+fn is_of(folder: &Path, recipe: &Recipe) -> bool {
+    files::read(folder.join(MANIFEST)).is_ok_and(|bytes| bytes == recipe.to_json().as_bytes())
+}
+
+fn make_for_now<T>(recipe: &Recipe, progress: Progress<'_>, read: impl Fn(&Path) -> Result<T>) -> Result<T> {
+    let making = NewFolder::beside(&std::env::temp_dir().join("pwrfgs"))?;
+    let folder = making.path().join("data");
+    output::write_links(recipe, &folder, progress)?;
+    read(&folder)
 }

@@ -1,14 +1,13 @@
 //! `Simulator`: a scene made ready, and what its receivers observe of every transmitter position.
 
-use crate::Complex;
-use crate::listener::{Listener, MOST_BYTES, Reception};
+use crate::listener::{Listener, MOST_BYTES};
 use crate::observe::{Heard, Observe};
 use crate::patches;
 use crate::path::Path;
 use crate::scene::Scene;
 use crate::surface_points::{self, SurfacePoints};
 use crate::world::{self, MARGIN, Triangle, World};
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use pwrfgs_core::{Error, Result};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -58,30 +57,9 @@ impl Simulator {
         &self.listeners
     }
 
-    /// From the first receiver's axes to the world's.
-    pub fn world_from_receiver(&self) -> DMat3 {
-        self.listeners[0].world_from_receiver()
-    }
-
-    /// Images of the first receiver that are tried for each transmitter.
-    pub fn images(&self) -> usize {
-        self.listeners[0].images()
-    }
-
     /// Paths from `tx` to the centre of the first receiver's array.
     pub fn trace(&self, tx: DVec3) -> Vec<Path> {
         self.listeners[0].trace(tx)
-    }
-
-    /// The channel h of the first receiver's antennas at the carrier, without errors, from the paths of `tx`.
-    pub fn channel(&self, tx: DVec3, paths: &[Path]) -> Vec<Complex> {
-        self.listeners[0].channel(tx, paths, &[self.scene.carrier_hz])
-    }
-
-    /// The spectrum of `tx` at the first receiver. `noise` is the number of the draw of the scene's receiver errors;
-    /// `None`: without any.
-    pub fn spectrum(&self, tx: DVec3, noise: Option<u64>) -> Reception {
-        self.listeners[0].spectrum(tx, noise)
     }
 
     /// Positions of `count` transmitters.

@@ -72,11 +72,6 @@ impl Tracer {
         Some(Self { world, wavelength, transmitter, receiver, tree, propagation: propagation.clone(), patches })
     }
 
-    /// Images of the receiver that are tried for each transmitter.
-    pub fn images(&self) -> usize {
-        self.tree.count()
-    }
-
     /// About how much memory it takes, bytes.
     pub fn bytes(&self) -> usize {
         self.tree.bytes() + self.patches.len() * size_of::<Patch>()

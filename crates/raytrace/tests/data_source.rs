@@ -3,7 +3,7 @@
 use glam::DVec3;
 use pwrfgs_core::{Baseline, DataSource, Dataset, Known, Plugin, Simulation};
 use pwrfgs_raytrace::output::{Layout, MANIFEST, POINTS, write_as};
-use pwrfgs_raytrace::{Recipe, Scene, Simulator, cache};
+use pwrfgs_raytrace::{Recipe, Scene, Simulator, open_or_make};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -43,40 +43,6 @@ fn write(recipe: &Recipe, layout: Layout, paths: bool, out: &Path) -> pwrfgs_cor
     write_as(recipe, layout, paths, out, &|_, _| {}, &AtomicBool::new(false))
 }
 
-/// Every file of a folder with its bytes.
-fn contents(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
-    let mut all = Vec::new();
-    let mut folders = vec![folder.to_owned()];
-    while let Some(next) = folders.pop() {
-        for entry in fs::read_dir(next).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                folders.push(path);
-            } else {
-                all.push((path.strip_prefix(folder).unwrap().to_owned(), fs::read(&path).unwrap()));
-            }
-        }
-    }
-    all.sort();
-    all
-}
-
-#[test]
-fn the_same_seed_gives_the_same_bytes_at_any_thread_count() {
-    let folder = tempfile::tempdir().unwrap();
-    let recipe = recipe(folder.path());
-    let made = [1, 2, 5].map(|threads| {
-        let out = folder.path().join(format!("out{threads}"));
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| write(&recipe, Layout::Pictures, true, &out)).unwrap();
-        contents(&out)
-    });
-    assert_eq!(made[0].len(), 12 + 8);
-    assert!(made[0] == made[1] && made[0] == made[2]);
-    // Nothing but the three folders and the scene is left.
-    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 4);
-}
-
 #[test]
 fn a_folder_that_holds_something_is_not_touched() {
     let folder = tempfile::tempdir().unwrap();
@@ -98,7 +64,7 @@ fn a_kept_data_set_is_used_only_while_it_is_whole() {
             let text = format!("Arrays(root: {:?}, points: {:?})", entry, entry.join(POINTS));
             Plugin::<dyn DataSource>::parse(&text).unwrap().load(Path::new(""), &|_, _| {})
         };
-        let data = cache::open_or_make(&recipe, Some(&root), &count, read).unwrap();
+        let data = open_or_make(&recipe, Some(&root), &count, read).unwrap();
         let spectra: Vec<Vec<u8>> = (0..data.len()).map(|i| data.observations.raw(i).into_owned()).collect();
         (spectra, simulated.swap(0, Ordering::Relaxed) > 0)
     };
@@ -127,7 +93,7 @@ fn a_kept_data_set_is_used_only_while_it_is_whole() {
     // Where nothing can be kept, the data are made all the same.
     let blocked = file(folder.path(), "blocked", "a file where the cache should be");
     let read = |entry: &Path| Ok(fs::read(entry.join("spectra.npy")).unwrap().len());
-    assert!(cache::open_or_make(&recipe, Some(&blocked), &|_, _| {}, read).unwrap() > 0);
+    assert!(open_or_make(&recipe, Some(&blocked), &|_, _| {}, read).unwrap() > 0);
 }
 
 #[test]
@@ -157,7 +123,7 @@ fn the_shipped_scenes_are_simulated() {
     for name in ["office", "conference", "lab-s23"] {
         let simulator = Simulator::new(&Scene::read(&root.join(format!("{name}.ron"))).unwrap()).unwrap();
         for tx in simulator.positions(2, 0).unwrap() {
-            let reception = simulator.spectrum(tx, Some(0));
+            let reception = simulator.listeners()[0].spectrum(tx, Some(0));
             assert!(reception.paths.len() > 50, "{name}: {} paths", reception.paths.len());
             let (low, high) = (reception.spectrum.pixels.iter().min(), reception.spectrum.pixels.iter().max());
             assert_eq!((low, high), (Some(&0), Some(&255)), "{name}");

@@ -114,7 +114,7 @@ fn at_the_carrier_a_channel_is_that_of_the_spectrum() {
         let paths = listener.trace(tx);
         let band = channel(listener, tx, None, None);
         let middle: Vec<Complex> = band.chunks(3).map(|h| h[1]).collect();
-        let alone = simulator.channel(tx, &paths);
+        let alone = listener.channel(tx, &paths, &[scene.carrier_hz]);
         assert!(middle == alone && alone.len() == 8, "{wavefront}");
         if wavefront != "Traced" {
             let array = &scene.receiver.array;

@@ -52,15 +52,6 @@ pub enum Layout {
 }
 
 impl Layout {
-    /// The layout of the folders that programs keep for themselves.
-    pub(crate) fn of(what: &Observe) -> Self {
-        match what {
-            Observe::Spectrum => Self::Array,
-            Observe::Power { .. } => Self::Rssi,
-            Observe::Channel { .. } => Self::Channels,
-        }
-    }
-
     /// Whether `recipe` can be written this way.
     pub(super) fn check(self, recipe: &Recipe) -> Result<()> {
         let fits = match self {

@@ -1,6 +1,5 @@
 use super::*;
-use crate::noise::Noise;
-use crate::observe::Observed;
+use crate::observe::{Noise, Observed};
 use crate::simulator::{Simulator, Wanted, simulate_links};
 use pwrfgs_core::plugin::Checked;
 use std::fs;
@@ -40,7 +39,7 @@ fn every_kind_is_kept_and_read_back_and_made_anew_where_it_is_damaged() {
             let made = AtomicUsize::new(0);
             let count = |done, _| made.store(done, Ordering::Relaxed);
             let read = |folder: &Path| read_links(&recipe, folder);
-            let (transmitters, observations) = cache::open_or_make(&recipe, Some(&root), &count, read).unwrap();
+            let (transmitters, observations) = open_or_make(&recipe, Some(&root), &count, read).unwrap();
             ((transmitters, rows(&observations, 12)), made.into_inner() > 0)
         };
         let (truth, made) = load();

@@ -18,7 +18,7 @@ fn receiver(name: &str) -> Receiver {
 }
 
 fn draw_into(noise: &Noise, channel: &mut [Complex], sample: u64) {
-    add(noise, channel, 1, Draw { receiver: &receiver("gateway1"), sample });
+    add_noise(noise, channel, 1, Draw { receiver: &receiver("gateway1"), sample });
 }
 
 #[test]
@@ -91,7 +91,7 @@ fn receivers_have_errors_of_their_own_and_subcarriers_share_those_of_phase() {
     let noise = Noise { phase_error_deg: 10.0, ..Noise::default() };
     let of = |noise: &Noise, name: &str, subcarriers: usize| {
         let mut found = channel(16);
-        add(noise, &mut found, subcarriers, Draw { receiver: &receiver(name), sample: 2 });
+        add_noise(noise, &mut found, subcarriers, Draw { receiver: &receiver(name), sample: 2 });
         found
     };
     assert_ne!(of(&noise, "north", 1), of(&noise, "south", 1));
