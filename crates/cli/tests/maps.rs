@@ -64,7 +64,7 @@ fn coordinates_beyond_all_maps_are_wrong_input() {
     measured(here);
     let run = ["run", "p.ron", "--out", "r", "-q"];
     gateway(here, "[1e308, 0, 0]");
-    refuse(here, &run, 2, &["gateway_info.yml:1:12: the position is 1e308 m, beyond 1e8 m"]);
+    refuse(here, &run, 2, &["gateway_info.yml:1:11: the position is 1e308 m, beyond 1e8 m"]);
     measured(here);
     let table = std::fs::read_to_string(here.join("data/tx_pos.csv")).unwrap();
     write(&here.join("data/tx_pos.csv"), table.replace("0.3,1.0", "0.3,-2e8"));

@@ -5,7 +5,7 @@ mod tests;
 
 use crate::checks::value_fault;
 use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
-use crate::nerf2::{check_shape, gateway, index, read_transmitters};
+use crate::nerf2::{check_shape, index, receivers::Gateway, read_transmitters};
 use crate::npy;
 use pwrfgs_core::{DataSource, Dataset, Elevation, Error, JsonSchema, Progress, Result, Sample, Spectra};
 use rayon::prelude::*;
@@ -65,7 +65,7 @@ impl DataSource for Arrays {
 
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = open_root(base, &self.root, "Arrays", LAYOUT)?;
-        let gateway = gateway::read(&root.join("gateway_info.yml"), None, LAYOUT)?;
+        let gateway = Gateway::read(&root.join("gateway_info.yml"), None, LAYOUT)?;
         let (csv, npy) = (root.join("tx_pos.csv"), root.join("tx.npy"));
         let table = if npy.exists() || !csv.exists() { "tx.npy" } else { "tx_pos.csv" };
         let positions = if table == "tx.npy" { npy::read_positions(&npy)? } else { read_transmitters(&csv)? };

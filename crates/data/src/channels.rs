@@ -5,13 +5,15 @@ mod tests;
 
 use crate::checks::name_fault;
 use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
-use crate::nerf2::{index, read_transmitters, yaml};
+use crate::nerf2::{index, read_transmitters};
 use crate::npy::read_complex;
+use crate::text::{at, read_yaml};
 use pwrfgs_core::{
     Channels as Observed, DataSource, Dataset, Error, JsonSchema, Pose, Progress, Real, Receiver, Result, Sample,
     Simulation,
 };
 use serde::{Deserialize, Serialize};
+use serde_saphyr::Spanned;
 use std::path::{Path, PathBuf};
 
 const LAYOUT: &str = "a folder of channels holds channel.npy, tx_pos.csv and receiver.yml";
@@ -180,9 +182,9 @@ struct Said {
 /// The file of that name; places of antennas are of the world.
 #[derive(Deserialize)]
 struct File {
-    name: String,
-    position: [f64; 3],
-    orientation: [f64; 4],
+    name: Spanned<String>,
+    position: Spanned<[f64; 3]>,
+    orientation: Spanned<[f64; 4]>,
     antennas: Vec<[f64; 3]>,
     carrier_hz: f64,
     spacing_hz: f64,
@@ -204,14 +206,16 @@ impl Said {
         let advice = "Channels reads it for what its `carrier_hz`, `spacing_hz` and `receiver` leave out; say all three, or \
                       give the file";
         let expected = "expected name, position, orientation, antennas, carrier_hz and spacing_hz";
-        let text = yaml::text(&path, advice, expected)?;
-        let file = yaml::parse(&path, &text, std::marker::PhantomData::<File>, expected)?;
-        let mut place = ReceiverPlace { position: file.position, orientation: file.orientation, antennas: vec![] };
+        let file: File = read_yaml(&path, advice, expected)?;
+        if let Some(fault) = name_fault(&file.name.value) {
+            return Err(at(&path, &file.name, fault));
+        }
+        let (position, orientation) = (file.position.value, file.orientation.value);
+        let mut place = ReceiverPlace { position, orientation, antennas: vec![] };
         let pose = place.pose();
-        let fault = name_fault(&file.name).map(|fault| ("name", fault));
-        if let Some((field, fault)) = fault.or(pose.fault()) {
-            let (line, column) = yaml::place_of(&text, field, "");
-            return Err(Error::at(&path, line, column, fault));
+        if let Some((field, fault)) = pose.fault() {
+            let is_position = field == "position";
+            return Err(if is_position { at(&path, &file.position, fault) } else { at(&path, &file.orientation, fault) });
         }
         let finite = |place: &[f64; 3]| place.iter().all(|x| x.is_finite());
         if !(file.antennas.iter().all(finite) && file.carrier_hz.is_finite() && file.spacing_hz.is_finite()) {
@@ -223,7 +227,7 @@ impl Said {
             frequencies_hz: file.frequencies_hz.filter(|_| is_spaced),
             carrier_hz: source.carrier_hz.unwrap_or(file.carrier_hz),
             spacing_hz: source.spacing_hz.unwrap_or(file.spacing_hz),
-            name: if source.receiver.is_some() { "receiver".into() } else { file.name },
+            name: if source.receiver.is_some() { "receiver".into() } else { file.name.value },
             place: source.receiver.clone().unwrap_or(place),
         })
     }

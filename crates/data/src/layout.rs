@@ -1,7 +1,6 @@
 //! What every writer of a data folder writes alike.
 
 use pwrfgs_core::{Origin, Pose, Receiver};
-use std::fmt::Write as _;
 
 /// The text of `gateway_info.yml` for a data set called `name`.
 pub fn gateway_yaml(name: &str, pose: &Pose) -> String {
@@ -25,19 +24,11 @@ pub fn gateway_positions_yaml<'a>(gateways: impl IntoIterator<Item = (&'a str, P
     gateways.into_iter().map(line).collect()
 }
 
-/// A text of YAML: a JSON string is one. Marks by which a reader counts how deep a file is nested are written as numbers.
+/// A text of YAML: a JSON string is one, but for some signs that are written as numbers.
 pub(crate) fn yaml(text: &str) -> String {
-    let (mut out, mut before) = (String::new(), ' ');
-    for c in serde_json::Value::from(text).to_string().chars() {
-        let counts = "[]{}".contains(c) || ("-?:".contains(c) && before.is_whitespace());
-        if counts || c.is_control() || matches!(c, '\u{2028}' | '\u{2029}' | '\u{feff}' | '\u{fffe}' | '\u{ffff}') {
-            write!(out, "\\u{:04x}", u32::from(c)).expect("text grows");
-        } else {
-            out.push(c);
-        }
-        before = c;
-    }
-    out
+    let is_number = |c: char| c.is_control() || "\u{2028}\u{2029}\u{feff}\u{fffe}\u{ffff}".contains(c);
+    let write = |c: char| if is_number(c) { format!("\\u{:04x}", u32::from(c)) } else { c.into() };
+    serde_json::Value::from(text).to_string().chars().map(write).collect()
 }
 
 /// The text of `base-station.yml`: places of the antennas, metres.

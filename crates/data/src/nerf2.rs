@@ -1,20 +1,19 @@
 //! `Nerf2Spectrum`: measured spectra in the folder layout of NeRF2, as found in the wild.
 
 mod csi;
-pub(crate) mod gateway;
 pub(crate) mod index;
 pub(crate) mod pictures;
-mod places;
+pub(crate) mod receivers;
 mod rssi;
 #[cfg(test)]
 mod tests;
-pub(crate) mod yaml;
 
 pub use csi::Nerf2Csi;
 pub use rssi::Nerf2Rssi;
 
 use crate::checks::shape_fault;
 use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
+use receivers::Gateway;
 use crate::text::{XyzColumns, lines, no_longer, read_text, split_commas};
 use pwrfgs_core::{
     DataSource, Dataset, Elevation, Error, JsonSchema, Progress, Result, Sample, Unmatched, files, words::clean,
@@ -82,7 +81,7 @@ impl DataSource for Nerf2Spectrum {
 
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = open_root(base, &self.root, "Nerf2Spectrum", LAYOUT)?;
-        let gateway = gateway::read(&root.join("gateway_info.yml"), self.gateway.as_deref(), LAYOUT)?;
+        let gateway = Gateway::read(&root.join("gateway_info.yml"), self.gateway.as_deref(), LAYOUT)?;
         let positions = read_transmitters(&root.join("tx_pos.csv"))?;
         let files = pictures::list(&root.join("spectrum"), LAYOUT)?;
         let known_pictures = files.keys().copied().collect();

@@ -6,7 +6,7 @@ mod tests;
 use crate::checks::{NOT_RECEIVED, check};
 use crate::folder::POINTS;
 use crate::layout::{gateway_positions_yaml, gateway_yaml, receiver_yaml};
-use crate::nerf2::yaml;
+use crate::text::MAX_YAML;
 use crate::npy::{MAX_BYTES, npy_header, npy_header_as};
 use crate::{Arrays, Channels, Nerf2Rssi};
 use pwrfgs_core::files::{MAX_TEXT, NewFolder};
@@ -72,7 +72,7 @@ impl Folder<'_> {
     fn put(&self, name: &str, bytes: impl AsRef<[u8]>) -> Result<()> {
         let (path, length) = (self.path.join(name), bytes.as_ref().len() as u64);
         let limit = match path.extension().and_then(|extension| extension.to_str()) {
-            Some("yml") => yaml::MAX_SIZE,
+            Some("yml") => MAX_YAML,
             Some("npy") => MAX_BYTES,
             _ => MAX_TEXT,
         };

@@ -4,7 +4,12 @@
 
 use crate::checks::{NOT_RECEIVED, power_fault};
 use pwrfgs_core::{Error, MAX_COORDINATE_M, Real, Result, coordinate_fault, files, words::quoted};
-use std::{io::ErrorKind, path::Path};
+use serde::de::DeserializeOwned;
+use serde_saphyr::{Spanned, UserMessageFormatter};
+use std::{fmt::Display, io::ErrorKind, path::Path};
+
+/// Largest YAML file that is read, bytes. It says a few numbers.
+pub(crate) const MAX_YAML: u64 = 1 << 20;
 
 pub(crate) const POINT_ADVICE: &str = "give every point a finite x, y and z in metres, or remove it";
 pub(crate) const VERTEX_ADVICE: &str = "give every vertex a finite x, y and z";
@@ -37,6 +42,24 @@ pub(crate) fn read_text(path: &Path, limit: u64, advice: &str) -> Result<String>
         Error::Read { source, .. } => unreadable(path, source, "file", advice),
         other => other,
     })
+}
+
+/// What a YAML file says; `advice` says what to do where it does not exist, `expected` what it should hold. Depth, number of
+/// values and repetitions by aliases are limited by the parser.
+pub(crate) fn read_yaml<T: DeserializeOwned>(path: &Path, advice: &str, expected: &str) -> Result<T> {
+    let text = read_text(path, MAX_YAML, advice)?;
+    let options = serde_saphyr::options! { with_snippet: false };
+    serde_saphyr::from_str_with_options(&text, options).map_err(|e| {
+        let words = e.render_with_formatter(&UserMessageFormatter);
+        let what = format!("{}; {expected}", words.split(" at line ").next().unwrap_or_default());
+        let place = e.location().map(|place| (place.line() as usize, place.column() as usize));
+        place.map_or_else(|| Error::input(path, &what), |(line, column)| Error::at(path, line, column, &what))
+    })
+}
+
+/// What is wrong with a value of a YAML file.
+pub(crate) fn at<T>(path: &Path, value: &Spanned<T>, what: impl Display) -> Error {
+    Error::at(path, value.referenced.line() as usize, value.referenced.column() as usize, what)
 }
 
 /// Lines that hold something, with their numbers.

@@ -78,8 +78,8 @@ fn what_settings_leave_out_stands_in_a_file_beside() {
     let pwrfgs_core::Observations::Channels(channels) = &mine.observations else { unreachable!() };
     assert_eq!(channels.frequencies_hz[2], 2e9 + 5e5);
     for (from, to, word) in [
-        ("0, 0, 1, 0", "0, 0, 0, 0", ":3:1: the quaternion is zero"),
-        ("[1, 2, 3]\no", "[1, .nan, 3]\no", ":2:1: the position"),
+        ("0, 0, 1, 0", "0, 0, 0, 0", ":3:14: the quaternion is zero"),
+        ("[1, 2, 3]\no", "[1, .nan, 3]\no", ":2:11: the position"),
         ("name: tower\n", "", "missing field `name`"),
         ("2.0e9", "fast", ":4:13:"),
         ("spacing_hz: 1.0e6", "spacing_hz: 1e6\nfrequencies_hz: [1e9, 2e9]", "lists 2 `frequencies_hz`"),

@@ -3,7 +3,7 @@
 #[cfg(test)]
 mod tests;
 
-use super::{index, places, read_transmitters};
+use super::{index, read_transmitters, receivers};
 use crate::channels::{check_frequencies, subcarriers};
 use crate::folder::{check_root, folder_name, open_root, simulation, source_in, title};
 use crate::npy::{Complex, read_complex};
@@ -73,7 +73,7 @@ impl DataSource for Nerf2Csi {
 
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = open_root(base, &self.root, "Nerf2Csi", LAYOUT)?;
-        let antennas = places::antennas(&root.join("base-station.yml"), LAYOUT)?;
+        let antennas = receivers::antennas(&root.join("base-station.yml"), LAYOUT)?;
         let path = root.join("csidata.npy");
         let mut all = read_all(&path, antennas.len())?;
         let [snapshots, _, both] = all.shape;

@@ -4,7 +4,7 @@ mod table;
 #[cfg(test)]
 mod tests;
 
-use super::{index, places, read_transmitters};
+use super::{index, read_transmitters, receivers::gateways};
 use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
 use pwrfgs_core::{DataSource, Dataset, JsonSchema, Progress, Real, Receiver, Result, Sample};
 use serde::{Deserialize, Serialize};
@@ -63,7 +63,7 @@ impl DataSource for Nerf2Rssi {
 
     fn load(&self, base: &Path, progress: Progress<'_>) -> Result<Dataset> {
         let root = open_root(base, &self.root, "Nerf2Rssi", LAYOUT)?;
-        let gateways = places::gateways(&root.join("gateway_position.yml"), LAYOUT)?;
+        let gateways = gateways(&root.join("gateway_position.yml"), LAYOUT)?;
         let positions = read_transmitters(&root.join("tx_pos.csv"))?;
         let names: Vec<String> = gateways.iter().map(|(name, _)| name.clone()).collect();
         let heard = table::read(&root.join("gateway_rssi.csv"), &names, positions.len(), LAYOUT)?;

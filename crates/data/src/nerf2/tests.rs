@@ -160,7 +160,7 @@ fn pictures_must_suit_their_angles() {
     assert_eq!(load(Some((-90.0, 90.0))), Ok((-90.0, 90.0)), "the pipeline overrules the file");
     folder.write("s/gateway_info.yml", format!("{gateway}elevation: [0, 91]\n"));
     let said = load(None).unwrap_err();
-    assert!(said.starts_with("DIR/s/gateway_info.yml:4:1: `elevation` is (0, 91); give the elevations"), "{said}");
+    assert!(said.starts_with("DIR/s/gateway_info.yml:4:12: `elevation` is (0, 91); give the elevations"), "{said}");
     folder.write("s/gateway_info.yml", format!("{gateway}elevation: 90\n"));
     assert!(load(None).unwrap_err().starts_with("DIR/s/gateway_info.yml:4:"));
     folder.write("s/gateway_info.yml", gateway);

@@ -160,16 +160,14 @@ fn a_receiver_whose_name_cannot_be_saved_is_not_read() {
     let gains = Gains { antennas: 1, frequencies_hz: vec![1e9], gains: vec![[1.0, 0.0]; 2] };
     let channels =
         Dataset::of_links("channels", vec![at("receiver")], vec![], &samples, Observations::Channels(gains)).unwrap();
-    for (data, file) in [(spectra, "gateway_info.yml"), (channels, "receiver.yml")] {
+    for (data, place) in [(spectra, "gateway_info.yml:6:11"), (channels, "receiver.yml:1:7")] {
         let folder = tempfile::tempdir().unwrap();
         let source = save(&data, &folder.path().join("saved")).unwrap();
-        let path = folder.path().join("saved").join(file);
+        let path = folder.path().join("saved").join(place.split(':').next().unwrap());
         let text = fs::read_to_string(&path).unwrap();
         fs::write(&path, text.replacen("\"receiver\"", "'a\"b'", 1)).unwrap();
         let said = source.load(Path::new(""), &|_, _| {}).unwrap_err();
-        let place =
-            format!("{}:{}:1: a receiver is called `a\"b`", path.display(), if file == "receiver.yml" { 1 } else { 6 });
-        assert!(said.is_input() && said.to_string().starts_with(&place), "{said}");
+        assert!(said.is_input() && said.to_string().contains(&format!("{place}: a receiver is called `a\"b`")), "{said}");
     }
 }
 

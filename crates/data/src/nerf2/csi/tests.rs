@@ -114,7 +114,7 @@ fn mistakes_are_told_with_their_place() {
         (
             "base-station.yml",
             "base_station: [[0, 0, 0], [0, .inf, 0]]",
-            "DIR/base-station.yml:1:1: antenna 2 is not finite",
+            "DIR/base-station.yml:1:27: antenna 2 is not finite",
         ),
         ("base-station.yml", "station: 1\n", "DIR/base-station.yml:1:1: missing field `base_station`"),
         ("base-station.yml", "base_station: []", "DIR/base-station.yml: names no antenna"),

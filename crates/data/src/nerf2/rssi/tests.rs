@@ -65,13 +65,13 @@ fn mistakes_are_told_with_their_place() {
             "a: [1, 2, 3]\n",
             "DIR/gateway_rssi.csv:1:1: `b` has no position in gateway_position.yml",
         ),
-        ("gateway_position.yml", "a: [1, 2]\n", "DIR/gateway_position.yml:1:4: a: invalid length 2"),
+        ("gateway_position.yml", "a: [1, 2]\n", "DIR/gateway_position.yml:1:4: neither a position nor a pose"),
         ("gateway_position.yml", "a: [1, 2, 3]\na: [1, 2, 3]\n", "DIR/gateway_position.yml:"),
-        ("gateway_position.yml", "a: [1, 2, 3]\nb: [1, .nan, 3]\n", "DIR/gateway_position.yml:2:1: `b` is not finite"),
+        ("gateway_position.yml", "a: [1, 2, 3]\nb: [1, .nan, 3]\n", "DIR/gateway_position.yml:2:8: number is not finite"),
         (
             "gateway_position.yml",
             "a: [1, 2, 3]\n'b\"': [1, 2, 3]\n",
-            "DIR/gateway_position.yml:2:2: a receiver is called `b\"`; give it a name of 1 to 100 characters",
+            "DIR/gateway_position.yml:2:7: a receiver is called `b\"`; give it a name of 1 to 100 characters",
         ),
         ("gateway_position.yml", "{}", "DIR/gateway_position.yml: names no gateway"),
         (

@@ -1,0 +1,278 @@
+//! Where receivers and antennas are, in YAML: `gateway_info.yml`, `gateway_position.yml` and `base-station.yml`.
+
+use crate::checks::name_fault;
+use crate::text::{at, read_yaml};
+use pwrfgs_core::place_fault;
+use pwrfgs_core::{Elevation, Error, Pose, Receiver, Result, words::clean};
+use serde::Deserialize;
+use serde::de::IgnoredAny;
+use serde_saphyr::Spanned;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+const GATEWAY: &str = "expected `gateway1: {position: [x, y, z], orientation: [x, y, z, w]}` (metres; unit quaternion)";
+const GATEWAYS: &str = "expected one gateway a line, such as `g01: [x, y, z]` (metres), or `g01: {position: [x, y, z], \
+                        orientation: [x, y, z, w]}`";
+const ANTENNAS: &str = "expected `base_station: [[x, y, z], ..]` (metres), a place for each antenna";
+
+/// What `gateway_info.yml` says: name of the data set, position and orientation of the receiver.
+#[derive(Debug, PartialEq)]
+pub(crate) struct Gateway {
+    pub(crate) name: Option<String>,
+    pub(crate) pose: Pose,
+    /// What the receiver is called, where it says so.
+    receiver: Option<String>,
+    /// Of the pictures' rows, where it says so.
+    pub(crate) elevation: Option<Elevation>,
+}
+
+/// A value of `gateway_info.yml`.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Value {
+    Pose(Pose),
+    /// A gateway whose pose is not understood.
+    Gateway {
+        #[serde(rename = "position")]
+        _position: IgnoredAny,
+    },
+    Range(Elevation),
+    Text(String),
+    Number(f64),
+    Other(IgnoredAny),
+}
+
+impl Value {
+    fn text(&self) -> Option<String> {
+        match self {
+            Self::Text(text) => Some(text.clone()).filter(|text| !text.trim().is_empty()),
+            Self::Number(number) => Some(number.to_string()),
+            _ => None,
+        }
+    }
+}
+
+impl Gateway {
+    /// Reads the file; `wanted` is the gateway that the user names, `gateway1` where none is named.
+    pub(crate) fn read(path: &Path, wanted: Option<&str>, advice: &str) -> Result<Self> {
+        let file: BTreeMap<String, Spanned<Value>> = read_yaml(path, advice, GATEWAY)?;
+        let name = wanted.unwrap_or("gateway1");
+        let is_other = |key: &str, value: &Value| {
+            let has_position = matches!(value, Value::Pose(_) | Value::Gateway { .. });
+            key != name && (has_position || key.to_lowercase().starts_with("gateway"))
+        };
+        let others = in_order(file.iter().filter(|(key, value)| is_other(key, &value.value)));
+        let listed = others.iter().map(|(other, _)| format!("`{}`", clean(other))).collect::<Vec<_>>().join(", ");
+        let Some(value) = file.get(name) else {
+            let advice = others.first().map_or_else(String::new, |(one, _)| {
+                format!("name {listed}: Nerf2Spectrum(gateway: \"{}\", ..), or else ", clean(one))
+            });
+            return Err(Error::at(path, 1, 1, format!("missing field `{}`; {advice}{GATEWAY}", clean(name))));
+        };
+        if let (None, Some((_, other))) = (wanted, others.first()) {
+            let what = format!(
+                "there are more receivers than one, `{name}` and {listed}, and a model hears at one; name it: \
+                 Nerf2Spectrum(gateway: \"{name}\", ..)"
+            );
+            return Err(at(path, other, what));
+        }
+        let Value::Pose(pose) = value.value else { return Err(at(path, value, GATEWAY)) };
+        if let Some((_, fault)) = pose.fault() {
+            return Err(at(path, value, fault));
+        }
+        let mut elevation = None;
+        if let Some(value) = file.get("elevation") {
+            let Value::Range(range) = value.value else {
+                return Err(at(path, value, "expected `elevation: [first, last]`, degrees"));
+            };
+            if let Some(fault) = range.fault() {
+                return Err(at(path, value, fault));
+            }
+            elevation = Some(range);
+        }
+        let named = file.get("receiver").and_then(|value| Some((value, value.value.text()?)));
+        if let Some((value, fault)) = named.as_ref().and_then(|(value, name)| Some((value, name_fault(name)?))) {
+            return Err(at(path, value, fault));
+        }
+        let title = file.get("dataset_name").and_then(|value| value.value.text());
+        Ok(Self { name: title, pose, receiver: named.map(|(_, name)| name), elevation })
+    }
+
+    pub(crate) fn receiver(&self) -> Receiver {
+        Receiver::new(self.receiver.as_deref().unwrap_or("receiver"), self.pose)
+    }
+}
+
+/// Keys with their values, as they follow each other in the file.
+fn in_order<K, V: std::ops::Deref<Target = Spanned<T>>, T>(all: impl Iterator<Item = (K, V)>) -> Vec<(K, V)> {
+    let mut all: Vec<(K, V)> = all.collect();
+    all.sort_by_key(|(_, value)| (value.referenced.line(), value.referenced.column()));
+    all
+}
+
+/// A gateway of `gateway_position.yml`.
+#[derive(Deserialize)]
+#[serde(untagged, expecting = "neither a position nor a pose")]
+enum Place {
+    Position([f64; 3]),
+    Pose(Pose),
+}
+
+/// Names and poses of the gateways in the order of the file; without an orientation, axes are those of the world.
+pub(super) fn gateways(path: &Path, advice: &str) -> Result<Vec<(String, Pose)>> {
+    let file: BTreeMap<String, Spanned<Place>> = read_yaml(path, advice, GATEWAYS)?;
+    if file.is_empty() {
+        return Err(Error::input(path, format!("names no gateway; {GATEWAYS}")));
+    }
+    let read = |(name, value): (&String, &Spanned<Place>)| {
+        let pose = match value.value {
+            Place::Position(position) => Pose { position, ..Pose::IDENTITY },
+            Place::Pose(pose) => pose,
+        };
+        let place = place_fault(pose.position);
+        let fault = place.or_else(|| pose.fault().map(|(_, fault)| format!("is turned: {fault}")));
+        let fault = fault.map(|fault| format!("`{}` {fault}", clean(name)));
+        name_fault(name).or(fault).map_or_else(|| Ok((name.clone(), pose)), |fault| Err(at(path, value, fault)))
+    };
+    in_order(file.iter()).into_iter().map(read).collect()
+}
+
+/// `base-station.yml`.
+#[derive(Deserialize)]
+struct BaseStation {
+    base_station: Vec<Spanned<[f64; 3]>>,
+}
+
+/// Places of the antennas of a base station `[A,3]`, metres.
+pub(super) fn antennas(path: &Path, advice: &str) -> Result<Vec<[f64; 3]>> {
+    let BaseStation { base_station } = read_yaml(path, advice, ANTENNAS)?;
+    if base_station.is_empty() {
+        return Err(Error::input(path, format!("names no antenna; {ANTENNAS}")));
+    }
+    let read = |(k, place): (usize, &Spanned<[f64; 3]>)| {
+        let fault = |fault| Err(at(path, place, format!("antenna {} {fault}", k + 1)));
+        place_fault(place.value).map_or(Ok(place.value), fault)
+    };
+    base_station.iter().enumerate().map(read).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read_str(text: &str) -> Result<Gateway, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("g.yml");
+        std::fs::write(&path, text).unwrap();
+        Gateway::read(&path, None, "").map_err(|e| e.to_string().replace(&folder.path().display().to_string(), "DIR"))
+    }
+
+    #[test]
+    fn the_released_file_is_read() {
+        let text = "dataset_name: s23\ngateway1:\n  position: [5.0, 0.26, 0]\n  \
+                    orientation: [0.51291602, -0.48674136, -0.48674136, 0.51291602]  # quaternion\n";
+        let gateway = read_str(text).unwrap();
+        assert_eq!(gateway.name.as_deref(), Some("s23"));
+        assert_eq!(gateway.pose.position, [5.0, 0.26, 0.0]);
+        assert_eq!(gateway.pose.orientation[1], -0.486_741_36);
+        let crlf = read_str(&text.replace('\n', "\r\n")).unwrap();
+        assert_eq!(crlf, gateway);
+    }
+
+    #[test]
+    fn mistakes_are_told_with_their_place() {
+        let file = |orientation: &str| format!("gateway1:\n  position: [0, 0, 0]\n  orientation: {orientation}\n");
+        let cases = [
+            (
+                file("[0, 0, 0, 0]"),
+                "DIR/g.yml:2:3: the quaternion is zero; write x, y, z, w of length 1, such as [0, 0, 0, 1] for no rotation",
+            ),
+            (
+                file("[0, 0, 0, 1.002]"),
+                "DIR/g.yml:2:3: the quaternion has length 1.002000, further than 0.001 from 1; divide x, y, z, w by it",
+            ),
+            (
+                file("[0, .nan, 0, 1]"),
+                "DIR/g.yml:3:20: number is not finite; expected",
+            ),
+            (
+                "gateway1: {position: [.inf, 0, 0], orientation: [0, 0, 0, 1]}".into(),
+                "DIR/g.yml:1:23: number is not finite; expected",
+            ),
+        ];
+        for (text, message) in cases {
+            let said = read_str(&text).unwrap_err();
+            assert!(said.starts_with(message), "{said}");
+        }
+        assert!(read_str(&file("[0, 0, 0, 1.0009]")).is_ok());
+    }
+
+    #[test]
+    fn deep_nesting_and_large_files_are_refused_at_once() {
+        let start = std::time::Instant::now();
+        let spaces = (0..1_400).map(|i| format!("{:i$}a:\n", ""));
+        let cases = [
+            ("[".repeat(100_000), "DIR/g.yml:1:256: recursion limit exceeded; "),
+            (format!("a: b\nc: {}", "{a: ".repeat(100_000)), "DIR/g.yml:2:256: "),
+            ("[\n".repeat(100_000), "DIR/g.yml:256:1: recursion limit exceeded; "),
+            ("- ".repeat(100_000), "DIR/g.yml:1:1: "),
+            ("? ".repeat(100_000), "DIR/g.yml:1:129: "),
+            (spaces.collect(), "DIR/g.yml"),
+            ("&a [*a]\n".repeat(10_000), "DIR/g.yml"),
+            ("#".repeat(1 << 20) + "\n", "cannot read DIR/g.yml: it is larger than the 1048576 bytes"),
+        ];
+        for (text, message) in cases {
+            let said = read_str(&text).unwrap_err();
+            assert!(said.starts_with(message), "{said}");
+        }
+        assert!(start.elapsed().as_secs() < 5, "{:?}", start.elapsed());
+    }
+
+    #[test]
+    fn the_parsers_words_are_kept() {
+        let cases = [
+            ("gateway2: 1\n", "DIR/g.yml:1:1: missing field `gateway1`"),
+            ("gateway1:\n  position: [0, 0]\n", "DIR/g.yml:2:3: expected `gateway1"),
+            ("gateway1: [\n", "DIR/g.yml:"),
+        ];
+        for (text, start) in cases {
+            let message = read_str(text).unwrap_err();
+            assert!(message.starts_with(start) && message.ends_with(GATEWAY), "{message}");
+            assert!(!message.contains("at line"), "{message}");
+        }
+    }
+
+    #[test]
+    fn a_second_gateway_is_refused_unless_one_is_named() {
+        let pose = |x: u8| format!("{{position: [{x}, 0, 0], orientation: [0, 0, 0, 1]}}");
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("g.yml");
+        let read = |text: &str, wanted| {
+            std::fs::write(&path, text).unwrap();
+            let read = Gateway::read(&path, wanted, "").map(|gateway| gateway.pose.position[0]);
+            read.map_err(|e| e.to_string().replace(&folder.path().display().to_string(), "DIR"))
+        };
+        let two = format!("gateway1: {}\ndataset_name: two\nroof: {}\ncarrier: 9e8\n", pose(1), pose(2));
+        assert_eq!(
+            read(&two, None).unwrap_err(),
+            "DIR/g.yml:3:7: there are more receivers than one, `gateway1` and `roof`, and a model hears at one; name it: \
+             Nerf2Spectrum(gateway: \"gateway1\", ..)"
+        );
+        assert_eq!((read(&two, Some("gateway1")), read(&two, Some("roof"))), (Ok(1.0), Ok(2.0)));
+        let said = read(&two, Some("gateway3")).unwrap_err();
+        assert_eq!(
+            said,
+            format!(
+                "DIR/g.yml:1:1: missing field `gateway3`; name `gateway1`, `roof`: Nerf2Spectrum(gateway: \"gateway1\", ..), or else {GATEWAY}"
+            )
+        );
+        // Whatever is called a gateway counts as one, other keys are left alone, and aliases that would grow are refused.
+        let odd = format!("gateway1: {}\nGateway_2: 5\n", pose(1));
+        assert!(read(&odd, None).unwrap_err().contains("`Gateway_2`"));
+        let nine = |i: u8| format!("b{}: &b{} [{}]\n", i + 1, i + 1, vec![format!("*b{i}"); 9].join(", "));
+        let grows = (0..20).map(nine).collect::<Vec<_>>().concat();
+        let other = format!("gateway1: {}\nb0: &b0 [1, 2]\n{grows}note: {{a: [1, {{b: 2}}]}}\n", pose(1));
+        assert!(read(&other, None).unwrap_err().starts_with("DIR/g.yml:8:10: "));
+        assert!(read(&format!("gateway1: {0}\ngateway1: {0}\n", pose(1)), None).unwrap_err().contains("duplicate"));
+    }
+}
