@@ -75,7 +75,10 @@ fn without_tests(text: &str) -> String {
 
 /// The names of modules that exist only in tests.
 fn test_modules(text: &str) -> impl Iterator<Item = &str> {
-    text.split("#[cfg(test)]").skip(1).filter_map(|rest| rest.trim_start().strip_prefix("mod ")?.split_once(';')).map(|(n, _)| n)
+    text.split("#[cfg(test)]")
+        .skip(1)
+        .filter_map(|rest| rest.trim_start().strip_prefix("mod ")?.split_once(';'))
+        .map(|(n, _)| n)
 }
 
 /// All Rust files below `folder`, tests and benchmarks excluded.
@@ -104,9 +107,16 @@ fn read(package: &str, folder: &Path, module: &[String], found: &mut Vec<Source>
         if below.is_dir() && !roots.contains(&stem) {
             read(package, &below, &own, found);
             let tests: BTreeSet<&str> = test_modules(&text).collect();
-            found.retain(|f| f.package != package || !tests.iter().any(|t| f.module == [&own[..], &[(*t).into()]].concat()));
+            found.retain(|f| {
+                f.package != package || !tests.iter().any(|t| f.module == [&own[..], &[(*t).into()]].concat())
+            });
         }
-        found.push(Source { package: package.into(), module: own, name: path.display().to_string(), code: without_tests(&text) });
+        found.push(Source {
+            package: package.into(),
+            module: own,
+            name: path.display().to_string(),
+            code: without_tests(&text),
+        });
     }
     for path in entries.iter().filter(|path| path.is_dir() && path.join("mod.rs").is_file()) {
         let name = path.file_name().unwrap().to_str().unwrap().to_owned();
@@ -140,9 +150,12 @@ fn expand(tree: &str, prefix: &[String], paths: &mut Vec<Vec<String>>) {
         if branch.is_empty() {
             return;
         }
-        let names = |path: &str| path.split("::").map(|n| n.trim().to_owned()).filter(|n| !n.is_empty()).collect::<Vec<_>>();
+        let names =
+            |path: &str| path.split("::").map(|n| n.trim().to_owned()).filter(|n| !n.is_empty()).collect::<Vec<_>>();
         match branch.split_once('{') {
-            Some((path, rest)) => expand(rest.strip_suffix('}').unwrap_or(rest), &[prefix, &names(path)].concat(), paths),
+            Some((path, rest)) => {
+                expand(rest.strip_suffix('}').unwrap_or(rest), &[prefix, &names(path)].concat(), paths)
+            }
             None => paths.push([prefix, &names(branch.split(" as ").next().unwrap())].concat()),
         }
     };
@@ -226,7 +239,8 @@ impl Modules<'_> {
     fn circles(&self) -> Vec<Vec<&str>> {
         let used = |i: usize| -> BTreeSet<usize> {
             let source = &self.sources[i];
-            let absolute = paths(&source.code)[0].iter().filter_map(|p| self.absolute(&source.module, p)).collect::<Vec<_>>();
+            let absolute =
+                paths(&source.code)[0].iter().filter_map(|p| self.absolute(&source.module, p)).collect::<Vec<_>>();
             absolute.iter().filter_map(|p| self.file(p, 0)).filter(|j| *j != i).collect()
         };
         let next: Vec<BTreeSet<usize>> = (0..self.sources.len()).map(used).collect();
@@ -239,8 +253,10 @@ impl Modules<'_> {
                 seen
             })
             .collect();
-        let circle = |i: usize| (0..next.len()).filter(move |j| *j == i || (reached[i].contains(j) && reached[*j].contains(&i)));
-        let whole = (0..next.len()).map(|i| circle(i).collect::<Vec<_>>()).filter(|all| all.len() > 1).collect::<BTreeSet<_>>();
+        let circle =
+            |i: usize| (0..next.len()).filter(move |j| *j == i || (reached[i].contains(j) && reached[*j].contains(&i)));
+        let whole =
+            (0..next.len()).map(|i| circle(i).collect::<Vec<_>>()).filter(|all| all.len() > 1).collect::<BTreeSet<_>>();
         whole.into_iter().map(|all| all.into_iter().map(|i| self.sources[i].name.as_str()).collect()).collect()
     }
 }
@@ -256,10 +272,16 @@ fn files_and_crates_keep_their_size() {
     let mut packages: BTreeMap<&str, usize> = BTreeMap::new();
     all.iter().for_each(|s| *packages.entry(&s.package).or_default() += s.lines());
     for (package, lines) in &packages {
-        assert!(*lines <= OF_CRATE, "{package}: {lines} code lines; move a part to the crate it belongs to, at most {OF_CRATE}");
+        assert!(
+            *lines <= OF_CRATE,
+            "{package}: {lines} code lines; move a part to the crate it belongs to, at most {OF_CRATE}"
+        );
     }
     let total: usize = packages.values().sum();
-    assert!(total <= IN_TOTAL, "{total} code lines; delete what is not needed, or raise IN_TOTAL and state why (now {IN_TOTAL})");
+    assert!(
+        total <= IN_TOTAL,
+        "{total} code lines; delete what is not needed, or raise IN_TOTAL and state why (now {IN_TOTAL})"
+    );
     assert!(all.len() <= FILES, "{} files; join small ones, at most {FILES}", all.len());
     assert!(
         small.len() <= SMALL,
@@ -279,7 +301,10 @@ fn files_use_each_other_in_one_direction() {
         .collect();
     for circle in &circles {
         let files = circle.lines().count();
-        assert!(files <= OF_CIRCLE, "{files} files use each other; move what they share to one of them or below them:\n  {circle}");
+        assert!(
+            files <= OF_CIRCLE,
+            "{files} files use each other; move what they share to one of them or below them:\n  {circle}"
+        );
     }
     assert!(circles.len() <= CIRCLES, "{} circles of files, at most {CIRCLES}:\n{}", circles.len(), circles.join("\n"));
 }

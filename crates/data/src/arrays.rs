@@ -5,7 +5,7 @@ mod tests;
 
 use crate::checks::value_fault;
 use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
-use crate::nerf2::{check_shape, index, receivers::Gateway, read_transmitters};
+use crate::nerf2::{check_shape, index, read_transmitters, receivers::Gateway};
 use crate::npy;
 use pwrfgs_core::{DataSource, Dataset, Elevation, Error, JsonSchema, Progress, Result, Sample, Spectra};
 use rayon::prelude::*;

@@ -215,7 +215,11 @@ impl Said {
         let pose = place.pose();
         if let Some((field, fault)) = pose.fault() {
             let is_position = field == "position";
-            return Err(if is_position { at(&path, &file.position, fault) } else { at(&path, &file.orientation, fault) });
+            return Err(if is_position {
+                at(&path, &file.position, fault)
+            } else {
+                at(&path, &file.orientation, fault)
+            });
         }
         let finite = |place: &[f64; 3]| place.iter().all(|x| x.is_finite());
         if !(file.antennas.iter().all(finite) && file.carrier_hz.is_finite() && file.spacing_hz.is_finite()) {

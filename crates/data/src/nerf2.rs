@@ -13,11 +13,11 @@ pub use rssi::Nerf2Rssi;
 
 use crate::checks::shape_fault;
 use crate::folder::{check_root, folder_name, open_root, points_of, simulation, source_in, title};
-use receivers::Gateway;
 use crate::text::{XyzColumns, lines, no_longer, read_text, split_commas};
 use pwrfgs_core::{
     DataSource, Dataset, Elevation, Error, JsonSchema, Progress, Result, Sample, Unmatched, files, words::clean,
 };
+use receivers::Gateway;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 

@@ -3,11 +3,7 @@
 //! The header is a Python dictionary: `{'descr': '<f4', 'fortran_order': False, 'shape': (3, 90, 360), }`. The crate
 //! `npyz` reads the whole of Python's literals with recursion and believes the header's length; these three are enough.
 
-mod complex;
-
-pub(crate) use complex::{Complex, read_complex};
-
-use pwrfgs_core::{Error, Number, Result, Spectra, files};
+use pwrfgs_core::{Error, Number, Real, Result, Spectra, files, gain_fault};
 use std::io::Read;
 use std::path::Path;
 
@@ -181,6 +177,102 @@ pub fn npy_header_as(descr: &str, shape: &[usize]) -> Vec<u8> {
     bytes.extend((length as u16).to_le_bytes());
     bytes.extend(format!("{text:<width$}\n", width = length - 1).into_bytes());
     bytes
+}
+
+/// A complex array `[M,A,F]`, row-major.
+#[derive(Debug, PartialEq)]
+pub(crate) struct Complex {
+    pub(crate) shape: [usize; 3],
+    /// Real and imaginary part of every number.
+    pub(crate) values: Vec<[f64; 2]>,
+}
+
+/// The complex array of a file; `shape` says in words what its three sizes are.
+pub(crate) fn read_complex(path: &Path, shape: &str) -> Result<Complex> {
+    let refuse = |e| Error::read(path, e);
+    let mut file = files::open(path).map_err(refuse)?;
+    let header = Header::read(path, &mut file)?;
+    let left = file.metadata().map_err(refuse)?.len().saturating_sub(header.offset);
+    header.complex(path, &mut file, left, shape)
+}
+
+impl Header {
+    /// The numbers behind the header, `left` bytes of them.
+    fn complex(&self, path: &Path, file: &mut dyn Read, left: u64, words: &str) -> Result<Complex> {
+        let refuse = |what: String| Error::input(path, what);
+        let name = path.file_stem().unwrap_or_default().to_string_lossy();
+        let double = match self.descr.as_str() {
+            "<c8" => false,
+            "<c16" => true,
+            other => {
+                let what = "channels are complex64 or complex128, little endian: save a.astype('<c8')";
+                return Err(refuse(format!("holds numbers of type `{other}`; {what}")));
+            }
+        };
+        let Ok(shape) = <[usize; 3]>::try_from(self.shape.as_slice()) else {
+            return Err(refuse(format!("has shape {}; {words}; use a.reshape", self.shape_text())));
+        };
+        if self.fortran {
+            return Err(refuse(format!("is in Fortran order; save numpy.ascontiguousarray({name})")));
+        }
+        if shape.contains(&0) {
+            return Err(refuse(format!("has shape {} and holds nothing; {words}", self.shape_text())));
+        }
+        let of_one = if double { 16_u64 } else { 8 };
+        if self.shape.iter().try_fold(of_one, |all, n| all.checked_mul(*n as u64)) != Some(left) {
+            let what = "do not fit its length; it is cut short or damaged: copy it anew";
+            return Err(refuse(format!("numbers of shape {} {what}", self.shape_text())));
+        }
+        if left > MAX_BYTES {
+            return Err(refuse(format!("holds {left} bytes, more than {MAX_BYTES}; give fewer channels")));
+        }
+        let mut bytes = vec![0; left as usize];
+        file.read_exact(&mut bytes).map_err(|e| Error::read(path, e))?;
+        let single = |b: &[u8; 4]| f64::from(f32::from_le_bytes(*b));
+        let parts: Vec<f64> = if double {
+            bytes.as_chunks().0.iter().map(|b| f64::from_le_bytes(*b)).collect()
+        } else {
+            bytes.as_chunks().0.iter().map(single).collect()
+        };
+        let all = Complex { shape, values: parts.as_chunks().0.to_vec() };
+        if let Some(i) = parts.iter().position(|v| !(*v as Real).is_finite()) {
+            let [re, im] = all.values[i / 2];
+            return Err(refuse(format!("{} is {:?}; give finite numbers", all.place(path, i / 2), (re, im))));
+        }
+        Ok(all)
+    }
+}
+
+impl Complex {
+    /// Refuses numbers that are too large to compute with.
+    pub(crate) fn check_size(&self, path: &Path) -> Result<()> {
+        let mut faults = self.values.iter().map(|gain| gain_fault(*gain)).enumerate();
+        match faults.find_map(|(i, fault)| Some((i, fault?))) {
+            Some((i, fault)) => Err(Error::input(path, format!("{} {fault}", self.place(path, i)))),
+            None => Ok(()),
+        }
+    }
+
+    /// Number `i` as Python writes it.
+    fn place(&self, path: &Path, i: usize) -> String {
+        let [_, a, f] = self.shape;
+        let name = path.file_stem().unwrap_or_default().to_string_lossy();
+        format!("{name}[{}, {}, {}]", i / (a * f), i / f % a, i % f)
+    }
+
+    /// Divides all by the largest modulus of the rows `seen`, or of all where none are named; refuses what is zero there.
+    pub(crate) fn normalise(&mut self, path: &Path, seen: Option<&[usize]>) -> Result<()> {
+        let largest_of = |values: &[[f64; 2]]| values.iter().map(|[re, im]| re.hypot(*im)).fold(0.0, f64::max);
+        let [_, antennas, frequencies] = self.shape;
+        let row = |&i: &usize| largest_of(&self.values[i * antennas * frequencies..][..antennas * frequencies]);
+        let largest = seen.map_or_else(|| largest_of(&self.values), |rows| rows.iter().map(row).fold(0.0, f64::max));
+        if largest == 0.0 {
+            let part = if seen.is_some() { "in its training part" } else { "throughout" };
+            return Err(Error::input(path, format!("is zero {part}; give channels that were measured")));
+        }
+        self.values.iter_mut().flatten().for_each(|v| *v /= largest);
+        Ok(())
+    }
 }
 
 #[cfg(test)]

@@ -4,10 +4,9 @@
 mod tests;
 
 use crate::checks::{NOT_RECEIVED, check};
-use crate::folder::POINTS;
-use crate::layout::{gateway_positions_yaml, gateway_yaml, receiver_yaml};
-use crate::text::MAX_YAML;
+use crate::folder::{POINTS, gateway_positions_yaml, gateway_yaml, receiver_yaml, yaml};
 use crate::npy::{MAX_BYTES, npy_header, npy_header_as};
+use crate::text::MAX_YAML;
 use crate::{Arrays, Channels, Nerf2Rssi};
 use pwrfgs_core::files::{MAX_TEXT, NewFolder};
 use pwrfgs_core::words::cell;
@@ -119,7 +118,7 @@ impl Folder<'_> {
         let pose = scene.origin.world_pose(scene.pose());
         let Elevation { first, last } = self.data.elevation;
         let elevation = format!("elevation: [{first:?}, {last:?}]\n"); // stated, pixels need not be square either
-        let name = format!("receiver: {}\n", crate::layout::yaml(&scene.receivers[0].name));
+        let name = format!("receiver: {}\n", yaml(&scene.receivers[0].name));
         self.put("gateway_info.yml", gateway_yaml(&self.data.title, &pose) + &elevation + &name)?;
         let numbers = self.data.transmitters.iter().flat_map(|tx| tx.position).flat_map(f64::to_le_bytes);
         let header = npy_header(Number::F64, &[self.data.transmitters.len(), 3]);

@@ -7,30 +7,21 @@
 //! [`TimeBlock`], [`Voxel`] and [`Sparse`] ask for more. Every split can hold out a `validation` share of its training
 //! part by its own rule.
 
-mod leave_receiver_out;
+mod blocks;
+mod links;
 #[cfg(test)]
 mod many_receivers;
-mod official;
 mod random;
-mod random_links;
-mod sparse;
 #[cfg(test)]
 pub(crate) mod testing;
-mod time_block;
-mod voxel;
 
-pub use leave_receiver_out::LeaveReceiverOut;
-pub use official::Official;
-pub use random::Random;
-pub use random_links::RandomLinks;
-pub use sparse::Sparse;
-pub use time_block::TimeBlock;
-pub use voxel::Voxel;
+pub use blocks::{TimeBlock, Voxel};
+pub use links::{LeaveReceiverOut, RandomLinks};
+pub use random::{Random, Sparse};
 
-use pwrfgs_core::{
-    Dataset, Error, Partition, Result,
-    rng::{self, Rng},
-};
+use pwrfgs_core::rng::{self, Rng};
+use pwrfgs_core::{Dataset, Error, JsonSchema, Partition, Result, Split};
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
 /// Share of the training part that a split holds out unless told otherwise.
@@ -95,4 +86,49 @@ fn check_test(name: &str, share: f64) -> Result<(), String> {
         return Ok(());
     }
     Err(format!("`{name}` is {share}; it is a share of all samples: use a number between 0 and 1, such as 0.2"))
+}
+
+/// The split that comes with the data: `train_index.txt` and `test_index.txt` of the NeRF2 layout.
+///
+/// Validation is drawn over transmitters, with all links of each. Use it to compare with published figures. Samples that neither list names are left out. The index files of the
+/// NeRF2 spectra are random, so their test samples lie 8 mm from a training sample: read every score beside
+/// [`NearestNeighbours`](crate::NearestNeighbours).
+///
+/// ```
+/// # use pwrfgs_core::{Plugin, Split};
+/// # use pwrfgs_data as _;
+/// assert!(Plugin::<dyn Split>::parse("Official(validation: 0.1)").is_ok());
+/// ```
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Official {
+    /// Share of the training list held out at random, in [0, 1); 0 for none.
+    pub validation: f64,
+}
+
+impl Default for Official {
+    fn default() -> Self {
+        Self { validation: DEFAULT_VALIDATION }
+    }
+}
+
+#[typetag::serde]
+impl Split for Official {
+    fn split(&self, data: &Dataset, rng: &mut Rng) -> Result<Partition> {
+        let Some((train, test)) = data.official.clone() else {
+            return Err(Error::Config(format!(
+                "{} comes without a split of its own (train_index.txt and test_index.txt); \
+                 use Random(), TimeBlock(), Voxel() or Sparse()",
+                data.title
+            )));
+        };
+        let (_, held) = hold_out(transmitters(data, &train), self.validation, rng);
+        let held: BTreeSet<usize> = held.into_iter().collect();
+        let (validation, train) = train.into_iter().partition(|i| held.contains(&data.links[*i].transmitter));
+        finish_links(train, validation, test)
+    }
+
+    fn check(&self) -> Result<(), String> {
+        check_validation(self.validation)
+    }
 }

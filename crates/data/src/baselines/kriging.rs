@@ -1,18 +1,14 @@
 //! `Kriging`: a Gaussian process over the transmitter's position.
 
-mod correlation;
+mod equations;
 mod likelihood;
-mod system;
-mod trend;
 
-use super::by_receiver::{ByReceiver, Fitted};
-use super::nearest::Nearest;
-use super::{all_of, choosing, weighted_mean};
-use correlation::Correlation;
+use super::neighbours::Nearest;
+use super::{ByReceiver, Fitted, all_of, choosing, weighted_mean};
+use equations::{Correlation, Trend, solve};
 use likelihood::Cases;
 use pwrfgs_core::{Baseline, Dataset, Error, Image, JsonSchema, Known, Predict, Query, Real, Result};
 use serde::{Deserialize, Serialize};
-use trend::Trend;
 
 /// Ordinary kriging: the best linear unbiased prediction of a Gaussian process over the transmitter's position, as maps of
 /// radio coverage are made.
@@ -105,7 +101,7 @@ impl Predict for Process<'_> {
         let at = self.correlation.scaled(query.tx);
         let samples: Vec<usize> = self.nearest.find(&at, self.neighbours).1.into_iter().map(|(_, i)| i).collect();
         let places: Vec<[f64; 3]> = samples.iter().map(|&i| self.correlation.scaled(data.sample(i).tx)).collect();
-        let solution = system::solve(&self.correlation, &places, at);
+        let solution = solve(&self.correlation, &places, at);
         if self.trend.law.is_none() {
             return weighted_mean(data, &samples.into_iter().zip(solution.weights).collect::<Vec<_>>());
         }

@@ -1,6 +1,6 @@
 //! Of the mean and of the nearest.
 
-use super::nearest::Nearest;
+use super::neighbours::Nearest;
 use super::*;
 use crate::splits::testing::{line_of_samples, samples_at};
 use pwrfgs_core::neighbours::distance;

@@ -167,7 +167,10 @@ fn a_receiver_whose_name_cannot_be_saved_is_not_read() {
         let text = fs::read_to_string(&path).unwrap();
         fs::write(&path, text.replacen("\"receiver\"", "'a\"b'", 1)).unwrap();
         let said = source.load(Path::new(""), &|_, _| {}).unwrap_err();
-        assert!(said.is_input() && said.to_string().contains(&format!("{place}: a receiver is called `a\"b`")), "{said}");
+        assert!(
+            said.is_input() && said.to_string().contains(&format!("{place}: a receiver is called `a\"b`")),
+            "{said}"
+        );
     }
 }
 

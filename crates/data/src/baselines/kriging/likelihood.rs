@@ -1,9 +1,7 @@
 //! Correlation, length scales and noise by likelihood.
 
-use super::super::nearest::Nearest;
-use super::correlation::{Correlation, Kind};
-use super::system;
-use super::trend::Trend;
+use super::super::neighbours::Nearest;
+use super::equations::{Correlation, Kind, Trend, solve};
 use pwrfgs_core::{Real, evenly, neighbours, rng};
 use rayon::prelude::*;
 
@@ -108,7 +106,7 @@ impl Case {
     /// Square of the error of its prediction, summed over pixels, and the variance that the process gives it.
     fn error(&self, correlation: &Correlation) -> (f64, f64) {
         let places: Vec<[f64; 3]> = self.places.iter().map(|place| correlation.scaled(*place)).collect();
-        let solution = system::solve(correlation, &places, correlation.scaled(self.at));
+        let solution = solve(correlation, &places, correlation.scaled(self.at));
         // Weights add up to 1, so that the error is the weighted sum of differences from the one to be predicted.
         let n = places.len() + 1;
         let row = |(i, weight): (usize, &f64)| {

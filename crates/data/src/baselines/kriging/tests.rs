@@ -1,8 +1,7 @@
 //! Against closed forms, and against scikit-learn 1.9.1.
 
-use super::correlation::{Correlation, Kind};
+use super::equations::Kind;
 use super::likelihood::{Cases, most_likely};
-use super::system::solve;
 use super::*;
 use crate::splits::testing::line_of_samples;
 use pwrfgs_core::{Pose, Sample, Spectra, rng};

@@ -1,7 +1,7 @@
 //! A small base station, and what is said when something in its folder is wrong.
 
 use super::*;
-use crate::layout::base_station_yaml;
+use crate::folder::base_station_yaml;
 use crate::npy::{npy_header, npy_header_as};
 use crate::splits::Voxel;
 use pwrfgs_core::{Number, Split, rng};

@@ -1,7 +1,7 @@
 //! A small folder of powers, and what is said when something in it is wrong.
 
 use super::*;
-use crate::layout::gateway_positions_yaml;
+use crate::folder::gateway_positions_yaml;
 use pwrfgs_core::{Link, Pose};
 use std::fs;
 
@@ -67,7 +67,11 @@ fn mistakes_are_told_with_their_place() {
         ),
         ("gateway_position.yml", "a: [1, 2]\n", "DIR/gateway_position.yml:1:4: neither a position nor a pose"),
         ("gateway_position.yml", "a: [1, 2, 3]\na: [1, 2, 3]\n", "DIR/gateway_position.yml:"),
-        ("gateway_position.yml", "a: [1, 2, 3]\nb: [1, .nan, 3]\n", "DIR/gateway_position.yml:2:8: number is not finite"),
+        (
+            "gateway_position.yml",
+            "a: [1, 2, 3]\nb: [1, .nan, 3]\n",
+            "DIR/gateway_position.yml:2:8: number is not finite",
+        ),
         (
             "gateway_position.yml",
             "a: [1, 2, 3]\n'b\"': [1, 2, 3]\n",

@@ -1,0 +1,289 @@
+//! Point clouds (PLY, XYZ, CSV) and triangle meshes (OBJ, PLY); coordinates in metres, world frame, unless the reader's
+//! caller scales them.
+//!
+//! Read here rather than with a crate, because a mesh that is read wrongly is a wrong room. What was tried: `tobj` 4.0.5
+//! panics on a texture index out of range, makes a triangle of two corners and takes a web page for an empty mesh;
+//! `mesh-loader` 0.1.13 refuses an OBJ file in which only some objects have textures. Neither reports line and column of
+//! every error.
+
+use crate::ply;
+use crate::polygons::{Polygons, Triangles};
+use crate::text::{
+    Field, POINT_ADVICE, VERTEX_ADVICE, XyzColumns, lines, no_longer, read_bytes, read_text, split_blanks, split_commas,
+};
+use pwrfgs_core::files::MAX_NUMBERS;
+use pwrfgs_core::words::quoted;
+use pwrfgs_core::{Error, Result};
+use std::path::Path;
+
+const MESH_ADVICE: &str = "check the path of the mesh";
+
+/// Reads the surface of a mesh file; polygons are cut into triangles.
+///
+/// * `.obj`: `v` and `f`, with positive and negative indices; groups, normals, textures, materials, lines and points are
+///   left out, and free-form surfaces are an error.
+/// * `.ply`: ascii or binary of either byte order, with an element `face` and its list `vertex_indices`.
+///
+/// # Errors
+/// Names the file, and line and column in text: truncated, not a number, not finite, an index out of range, a face of
+/// fewer than three corners, a polygon that no fan of triangles fills, unknown extension. A file without faces is read.
+pub fn read_mesh(path: &Path) -> Result<Triangles> {
+    let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+    let parse = match extension.as_str() {
+        "obj" => parse_obj,
+        "ply" => ply::parse_mesh,
+        _ => return Err(Error::input(path, "unsupported mesh format; export it as .obj or .ply")),
+    };
+    parse(path, &read_bytes(path, MAX_NUMBERS, MESH_ADVICE)?)
+}
+
+/// Statements that say nothing about the surface.
+const LEFT_OUT: &str =
+    "vn vt vp o g s mg l p usemtl mtllib usemap maplib bevel c_interp d_interp lod shadow_obj trace_obj";
+
+fn parse_obj(path: &Path, bytes: &[u8]) -> Result<Triangles> {
+    let text = String::from_utf8_lossy(bytes);
+    let rows = || lines(&text).map(|(line, row)| (line, split_blanks(row.split('#').next().unwrap_or(row))));
+    // A face may name a vertex that comes after it.
+    let count = rows().filter(|(_, fields)| fields.first().is_some_and(|f| f.text == "v")).count();
+    let (mut vertices, mut polygons) = (Vec::with_capacity(count), Polygons::default());
+    for (line, fields) in rows() {
+        let Some(keyword) = fields.first() else { continue };
+        match keyword.text {
+            "v" => vertices.push(XyzColumns([1, 2, 3]).read(path, line, &fields, VERTEX_ADVICE)?),
+            "f" => {
+                let corner = |field: &Field<'_>| corner(path, line, *field, vertices.len());
+                let corners = fields[1..].iter().map(corner).collect::<Result<Vec<i64>>>()?;
+                polygons.push(&corners, count).map_err(|what| Error::at(path, line, keyword.column, what))?;
+            }
+            word if LEFT_OUT.split(' ').any(|left_out| left_out == word) => {}
+            word => {
+                let what = "is no statement for vertices and faces; export triangles from the modelling program";
+                return Err(Error::at(path, line, keyword.column, format!("{} {what}", quoted(word))));
+            }
+        }
+    }
+    polygons.triangulate(path, vertices)
+}
+
+/// The vertex of a corner such as `3`, `-1`, `3/1` or `3//2`, counted from 0. A negative one counts back from the last
+/// vertex so far.
+fn corner(path: &Path, line: usize, field: Field<'_>, so_far: usize) -> Result<i64> {
+    let mut parts = field.text.split('/');
+    let index = parts.next().and_then(|text| text.parse::<i64>().ok()).filter(|&index| index != 0);
+    // Texture and normal, each of which may be left out, and nothing more.
+    let is_whole = parts.clone().count() <= 2 && parts.all(|part| part.is_empty() || part.parse::<i64>().is_ok());
+    let index = index.filter(|_| is_whole);
+    let index = index.ok_or_else(|| {
+        let what = "is no vertex, which are counted from 1 or, backwards, from -1; correct the index";
+        Error::at(path, line, field.column, format!("{} {what}", quoted(field.text)))
+    })?;
+    Ok(if index > 0 { index - 1 } else { index.saturating_add_unsigned(so_far as u64) })
+}
+
+const ADVICE: &str = "check the path of the point cloud";
+
+/// Reads the points `[P,3]` of a file, which holds at least one.
+///
+/// * `.ply`: ascii or binary of either byte order; `x`, `y` and `z` anywhere among the properties of `vertex`.
+/// * `.xyz`, `.txt`: x y z and anything else, a point a line; lines that start with `#` or `//` are left out.
+/// * `.csv`: the same between commas, or with a header that names x, y and z in any order.
+///
+/// # Errors
+/// Names the file, and line and column in text: truncated, empty, not a number, not finite, beyond 1e8 m, unknown extension.
+pub fn read_points(path: &Path) -> Result<Vec<[f64; 3]>> {
+    let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+    let points = match extension.as_str() {
+        "ply" => ply::parse(path, &read_bytes(path, MAX_NUMBERS, ADVICE)?)?,
+        "xyz" | "txt" => parse_xyz(path, &read_text(path, MAX_NUMBERS, ADVICE)?)?,
+        "csv" => parse_csv(path, &read_text(path, MAX_NUMBERS, ADVICE)?)?,
+        _ => return Err(Error::input(path, "is no point cloud by its extension; use .ply, .xyz or .csv")),
+    };
+    if points.is_empty() {
+        return Err(Error::input(path, "holds no point; give at least one, or leave `points` out"));
+    }
+    Ok(points)
+}
+
+fn parse_xyz(path: &Path, text: &str) -> Result<Vec<[f64; 3]>> {
+    let is_comment = |row: &str| row.starts_with('#') || row.starts_with("//");
+    lines(text)
+        .filter(|(_, row)| !is_comment(row.trim_start()))
+        .map(|(line, row)| XyzColumns([0, 1, 2]).read(path, line, &split_blanks(row), POINT_ADVICE))
+        .collect()
+}
+
+fn parse_csv(path: &Path, text: &str) -> Result<Vec<[f64; 3]>> {
+    let mut rows = lines(text).peekable();
+    let (mut columns, mut header) = (XyzColumns([0, 1, 2]), usize::MAX);
+    if let Some(&(line, first)) = rows.peek() {
+        let fields = split_commas(first);
+        if fields.iter().all(|f| f.text.parse::<f64>().is_err()) {
+            columns = XyzColumns::from_header(path, line, &fields)?;
+            header = fields.len();
+            rows.next();
+        }
+    }
+    let read = |(line, row)| {
+        let row = split_commas(row);
+        no_longer(path, line, &row, header)?;
+        columns.read(path, line, &row, POINT_ADVICE)
+    };
+    rows.map(read).collect()
+}
+
+#[cfg(test)]
+mod mesh_tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn a_file_is_read_by_its_extension() {
+        let folder = tempfile::tempdir().unwrap();
+        let triangle: Triangles = (vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 0.1, 0.0]], vec![[0, 1, 2]]);
+        let files = [
+            ("a.OBJ", "v 0 0 0\nv 1 0 0\nv 0 .1 0\nf 1 2 3\n"),
+            (
+                "a.ply",
+                "ply\nformat ascii 1.0\nelement vertex 3\nproperty double x\nproperty double y\nproperty double z\n\
+                 element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 .1 0\n3 0 1 2\n",
+            ),
+        ];
+        for (name, text) in files {
+            let path = folder.path().join(name);
+            std::fs::write(&path, text).unwrap();
+            assert_eq!(read_mesh(&path).unwrap(), triangle, "{name}");
+        }
+        let message = |name: &str| read_mesh(Path::new(name)).unwrap_err().to_string();
+        assert_eq!(message("a.step"), "a.step: unsupported mesh format; export it as .obj or .ply");
+        assert_eq!(message("no/a.obj"), "cannot read no/a.obj: no such file; check the path of the mesh");
+    }
+
+    proptest! {
+        /// Every parser gives triangles over vertices it has, or an error; whatever the bytes.
+        #[test]
+        fn noise_never_panics(
+            noise in prop::collection::vec(any::<u8>(), 0..300),
+            words in "(v |f |-?[0-9]{1,20} |[0-9]/|nan |\\.|\n){0,60}",
+            header in 0..2usize,
+        ) {
+            let ply = "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty char x\nproperty char y\n\
+                       property char z\nelement face 9\nproperty list char char vertex_indices\nend_header\n";
+            let head = ["", ply][header];
+            for body in [&noise[..], words.as_bytes()] {
+                let bytes = [head.as_bytes(), body].concat();
+                for parse in [parse_obj, ply::parse_mesh] {
+                    if let Ok((vertices, triangles)) = parse(Path::new("a"), &bytes) {
+                        prop_assert!(triangles.iter().flatten().all(|&v| (v as usize) < vertices.len()));
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod obj_tests {
+    use super::*;
+
+    fn read(text: &str) -> Result<Triangles, String> {
+        parse_obj(Path::new("a.obj"), text.as_bytes()).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn vertices_and_faces_of_all_forms_are_read_in_double_precision() {
+        let text = "# desk\r\nmtllib desk.mtl\no top\nv 0 0 0.1\nv 1 0 .1 1.0\nv 1 1 1e-1 0.5 0.5 0.5\nvt 0 0\n\
+                    vn 0 0 1\nf 1/1/1 2//1 3/1 4 # forward\nv 0 1 0.1\nusemtl oak\ns off\nf -4 -3 -1\n";
+        let (vertices, triangles) = read(text).unwrap();
+        assert_eq!(vertices, [[0.0, 0.0, 0.1], [1.0, 0.0, 0.1], [1.0, 1.0, 0.1], [0.0, 1.0, 0.1]]);
+        assert_eq!(triangles, [[0, 1, 2], [0, 2, 3], [0, 1, 3]]);
+    }
+
+    #[test]
+    fn mistakes_are_told_with_their_place() {
+        let v = "v 0 0 0\nv 1 0 0\nv 0 1 0\n";
+        let index = "is no vertex, which are counted from 1 or, backwards, from -1; correct the index";
+        let range =
+            |found: &str| format!("a.obj:4:1: a face names vertex {found}, counted from 0, of 3; correct the index");
+        let cases = [
+            (format!("{v}f 1 2 0\n"), format!("a.obj:4:7: `0` {index}")),
+            (format!("{v}f 1 2 x/1\n"), format!("a.obj:4:7: `x/1` {index}")),
+            (format!("{v}f 1 2 /1\n"), format!("a.obj:4:7: `/1` {index}")),
+            (format!("{v}f 1 2 3/a\n"), format!("a.obj:4:7: `3/a` {index}")),
+            (format!("{v}f 1 2 3/1/1/1\n"), format!("a.obj:4:7: `3/1/1/1` {index}")),
+            (format!("{v}f 1 2 4\n"), range("3")),
+            (format!("{v}f 1 2 -4\n"), range("-1")),
+            (format!("{v}f 1 2 {}\n", i64::MIN), range(&(i64::MIN + 3).to_string())),
+            (format!("{v}f 1 2\n"), "a.obj:4:1: a face has 2 corners; give at least three, or remove it".into()),
+            (format!("{v}v 1 nan 0\n"), format!("a.obj:4:5: `nan` is not finite; {VERTEX_ADVICE}")),
+            (format!("{v}v 1 o 0\n"), format!("a.obj:4:5: `o` is not a number; {VERTEX_ADVICE}")),
+            (
+                format!("{v}v 1 0\n"),
+                format!("a.obj:4:6: the row ends after 3 of the 4 columns that `z` needs; {VERTEX_ADVICE}"),
+            ),
+            (
+                "<html>\n".into(),
+                "a.obj:1:1: `<html>` is no statement for vertices and faces; export triangles from the modelling program"
+                    .into(),
+            ),
+        ];
+        for (text, message) in cases {
+            assert_eq!(read(&text).unwrap_err(), message);
+        }
+    }
+}
+
+#[cfg(test)]
+mod point_tests {
+    use super::*;
+
+    fn read(name: &str, bytes: &[u8]) -> Result<Vec<[f64; 3]>, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        read_points(&path).map_err(|e| e.to_string().replace(&folder.path().display().to_string(), "DIR"))
+    }
+
+    #[test]
+    fn xyz_and_csv_say_the_same() {
+        let points = vec![[1.0, -2.0, 0.5], [0.0, 1e-3, 3.0]];
+        assert_eq!(read("a.xyz", b"# room\n1 -2 0.5 255 0 0\n\n0\t1e-3 3\n").unwrap(), points);
+        assert_eq!(read("a.csv", b"1,-2,0.5\r\n0,1e-3,3,extra\r\n").unwrap(), points);
+        assert_eq!(read("a.CSV", b"\"z\",name,X,y\n0.5,\"a,b\",1,-2\n3,c,0,1e-3\n").unwrap(), points);
+    }
+
+    #[test]
+    fn mistakes_in_text_are_told_with_their_place() {
+        let advice = POINT_ADVICE;
+        let cases: [(&str, &[u8], String); 11] = [
+            ("a.csv", b"x,y,z,X\n1,2,3,4\n", "DIR/a.csv:1:7: a second column `x`; name each of x, y and z once".into()),
+            (
+                "a.csv",
+                b"x,y,z\n1,2,3,,\n1,5,2,3\n",
+                "DIR/a.csv:3:7: the row has 4 fields, its header 3; write decimals with a point, and one value a column".into(),
+            ),
+            ("a.xyz", b"1 2 3\n-1e30 2 3\n", format!("DIR/a.xyz:2:1: `-1e30` is beyond 1e8 m; {advice}")),
+            (
+                "a.xyz",
+                b"1 2 3\n1 2\n",
+                format!("DIR/a.xyz:2:4: the row ends after 2 of the 3 columns that `z` needs; {advice}"),
+            ),
+            ("a.xyz", b"1 2 nan\n", format!("DIR/a.xyz:1:5: `nan` is not finite; {advice}")),
+            ("a.csv", b"x,y,z\n1,inf,2\n", format!("DIR/a.csv:2:3: `inf` is not finite; {advice}")),
+            ("a.csv", b"1,2,3\n1,two,3\n", format!("DIR/a.csv:2:3: `two` is not a number; {advice}")),
+            (
+                "a.csv",
+                b"x,y\n1,2\n",
+                "DIR/a.csv:1:1: no column `z`; the first line must name the columns x, y and z".into(),
+            ),
+            ("a.csv", b"x,y,z\n", "DIR/a.csv: holds no point; give at least one, or leave `points` out".into()),
+            ("a.xyz", b"", "DIR/a.xyz: holds no point; give at least one, or leave `points` out".into()),
+            ("a.las", b"", "DIR/a.las: is no point cloud by its extension; use .ply, .xyz or .csv".into()),
+        ];
+        for (name, bytes, message) in cases {
+            assert_eq!(read(name, bytes).unwrap_err(), message);
+        }
+        let missing = read_points(Path::new("no/such.ply")).unwrap_err();
+        assert_eq!(missing.to_string(), "cannot read no/such.ply: no such file; check the path of the point cloud");
+    }
+}
