@@ -191,10 +191,10 @@ mod tests {
                 file("[0, 0, 0, 1.002]"),
                 "DIR/g.yml:2:3: the quaternion has length 1.002000, further than 0.001 from 1; divide x, y, z, w by it",
             ),
-            (file("[0, .nan, 0, 1]"), "DIR/g.yml:3:20: number is not finite; expected"),
+            (file("[0, .nan, 0, 1]"), "DIR/g.yml:3:20: value `.nan` is not a finite number; expected"),
             (
                 "gateway1: {position: [.inf, 0, 0], orientation: [0, 0, 0, 1]}".into(),
-                "DIR/g.yml:1:23: number is not finite; expected",
+                "DIR/g.yml:1:23: value `.inf` is not a finite number; expected",
             ),
         ];
         for (text, message) in cases {

@@ -70,7 +70,7 @@ fn mistakes_are_told_with_their_place() {
         (
             "gateway_position.yml",
             "a: [1, 2, 3]\nb: [1, .nan, 3]\n",
-            "DIR/gateway_position.yml:2:8: number is not finite",
+            "DIR/gateway_position.yml:2:8: value `.nan` is not a finite number",
         ),
         (
             "gateway_position.yml",
