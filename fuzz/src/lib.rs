@@ -2,14 +2,232 @@
 //!
 //! A case is a number: it decides which file is broken and how, so that a case which fails is tried again by its number.
 //! (Three files tell the time, and so differ in these digits from one bench to the next: `run.json`, `curve.csv` and the
-//! events.)
-//!
-//! A case passes where the reader takes the file or says what is wrong with it: no panic, no abort, no hang, no failure
-//! that blames the machine, no message without end.
+//! events.) A case passes where the reader takes the file or says what is wrong with it: no panic, no abort, no hang, no
+//! failure that blames the machine, no message without end.
 
 #![allow(clippy::disallowed_methods)] // it reads its own files
 
-pub mod bench;
-pub mod cases;
 pub mod mutate;
 pub mod targets;
+
+use mutate::mutate;
+use pwrfgs::experiment::read_pipeline;
+use pwrfgs::experiment::sweep::{ListedRun, Listing};
+use pwrfgs::model::file;
+use pwrfgs::prelude::*;
+use pwrfgs_core::rng;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::atomic::{AtomicBool, Ordering};
+use targets::{Reader, TARGETS, Target};
+
+/// The variable that makes the fuzzer be `pwrfgs`.
+pub const AS_PROGRAM: &str = "PWRFGS_FUZZ_AS_PROGRAM";
+/// What calls of the program write; a call is refused beside what an earlier one left.
+const WRITTEN: [&str; 6] = ["ran", "simulated", "compared", "heard", "out.npz", "out.ply"];
+/// Longest processor time of a case, seconds.
+const PATIENCE: f64 = 10.0;
+/// Longest message, bytes.
+const LONGEST_MESSAGE: usize = 2_000;
+/// Other models than that of the pipeline.
+const MODELS: [&[&str]; 5] = [
+    &["deformation=Fixed()", "readout=Real", "calibration=AsReleased", "projector=WrfgsCompat()"],
+    &["deformation=Factored(depth: 2, width: 8, position_encoding: Waves(count: 3, reach: 4.0, seed: 0))"],
+    &["deformation=Wrfgs(depth: 2, width: 8, frequencies: 2, skip: None)", "readout=Power"],
+    &["rasterizer=ArrayResponse(rows: 2, columns: 2)", "readout=Magnitude"],
+    &["readout=MinMax", "initializer=Random(count: 5, std: 1.0)"],
+];
+
+/// The folder that cases are tried in, with one small file of every format, and what every file on it was.
+#[derive(Debug)]
+pub struct Bench {
+    folder: PathBuf,
+    /// For each target the bytes it is made from, its own first.
+    seeds: Vec<Vec<Vec<u8>>>,
+}
+
+impl Bench {
+    /// Makes the folder, from `fuzz/seeds`, what a user begins with, and files that the library itself makes.
+    ///
+    /// # Errors
+    /// A file that cannot be read or written.
+    pub fn new(folder: &Path) -> Result<Self> {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+        copy(&root.join("seeds"), folder)?;
+        for name in ["pipelines", "experiments", "scenes"] {
+            copy(&root.join("..").join(name), &folder.join(name))?;
+        }
+        fs::create_dir_all(folder.join("data/spectrum")).map_err(|e| Error::write(folder, e))?;
+        for id in 1..=5 {
+            let path = folder.join(format!("data/spectrum/{id:05}.png"));
+            let picture = image::GrayImage::from_fn(12, 6, |x, y| image::Luma([(7 * x + 11 * y * id) as u8]));
+            picture.save(&path).map_err(|e| Error::input(&path, e))?;
+        }
+        runs(folder)?;
+        models(folder)?;
+        let seeds = TARGETS.iter().map(|target| seeds(folder, target)).collect::<Result<_>>()?;
+        Ok(Self { folder: folder.into(), seeds })
+    }
+
+    /// What target number `target` is made from.
+    pub fn seeds(&self, target: usize) -> &[Vec<u8>] {
+        &self.seeds[target]
+    }
+
+    /// Tries case `n` and leaves the bench as it was, or the broken file where `keep` says so; what is wrong, if anything.
+    ///
+    /// # Errors
+    /// Where the bench cannot be written.
+    pub fn try_case(&self, n: u64, keep: bool) -> Result<Option<String>> {
+        let target = target_of(n);
+        let seeds = &self.seeds[target];
+        let mut random = rng::stream(0, "fuzz", n);
+        let (seed, other) = (rng::below(&mut random, seeds.len()), rng::below(&mut random, seeds.len()));
+        self.try_bytes(target, &mutate(&seeds[seed], &seeds[other], TARGETS[target].form, &mut random), keep)
+    }
+
+    /// Tries `bytes` as the file of target number `target`, as [`Self::try_case`] does.
+    ///
+    /// # Errors
+    /// Where the bench cannot be written.
+    pub fn try_bytes(&self, target: usize, bytes: &[u8], keep: bool) -> Result<Option<String>> {
+        let path = self.folder.join(TARGETS[target].file);
+        let put = |bytes: &[u8]| fs::write(&path, bytes).map_err(|e| Error::write(&path, e));
+        put(bytes)?;
+        let begun = processor_seconds();
+        let refusal = self.refusal(target)?;
+        if !keep {
+            put(&self.seeds[target][0])?;
+        }
+        let slow = (processor_seconds() - begun > PATIENCE).then(|| "takes too long".into());
+        Ok(refusal.and_then(|refusal| refusal.fault()).or(slow))
+    }
+
+    /// What the reader of target number `target` says against its file, if anything. One that refuses its whole file may
+    /// never come to read the file, so that its cases test nothing.
+    ///
+    /// # Errors
+    /// Where the program cannot be called.
+    pub fn refusal(&self, target: usize) -> Result<Option<Refusal>> {
+        let arguments = match TARGETS[target].reader {
+            Reader::Library(read) => {
+                return Ok(read(&self.folder).err().map(|e| Refusal { is_input: e.is_input(), text: e.to_string() }));
+            }
+            Reader::Program(arguments) => arguments,
+        };
+        let failed = |e| Error::Config(format!("the program cannot be called: {e}"));
+        let mut command = Command::new(std::env::current_exe().map_err(failed)?);
+        command.args(arguments).current_dir(&self.folder).env(AS_PROGRAM, "1").env_remove("RUST_LOG");
+        let output = command.output().map_err(failed)?;
+        for path in WRITTEN.map(|name| self.folder.join(name)) {
+            let _ = fs::remove_dir_all(&path).or_else(|_| fs::remove_file(&path));
+        }
+        let text = String::from_utf8_lossy(&output.stderr).trim_end().replace('\n', "; ");
+        let is_input = matches!(output.status.code(), Some(0..=2));
+        let text = if is_input { text } else { format!("{}: {text}", output.status) };
+        Ok((!output.status.success()).then_some(Refusal { is_input, text }))
+    }
+}
+
+/// What a reader says against a file.
+#[derive(Debug)]
+pub struct Refusal {
+    is_input: bool,
+    /// The message.
+    pub text: String,
+}
+
+impl Refusal {
+    /// What is wrong with the message.
+    fn fault(&self) -> Option<String> {
+        let start: String = self.text.chars().take(200).collect();
+        match () {
+            () if !self.is_input => Some(format!("blames the machine: {start:?}")),
+            () if self.text.len() > LONGEST_MESSAGE => Some(format!("says {} bytes: {start:?}", self.text.len())),
+            () if self.text.contains(char::is_control) => Some(format!("says a control character: {start:?}")),
+            () => None,
+        }
+    }
+}
+
+/// Processor time of this process, seconds; 0 where the system does not tell.
+fn processor_seconds() -> f64 {
+    let stat = fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    let fields = stat.rsplit_once(')').map_or("", |(_, fields)| fields);
+    // User and system time in hundredths.
+    fields.split_whitespace().skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok()).sum::<f64>() / 100.0
+}
+
+/// Which target a case is of: targets take turns, as often in a round as their share.
+pub fn target_of(n: u64) -> usize {
+    let places = || TARGETS.iter().enumerate().flat_map(|(place, target)| std::iter::repeat_n(place, target.share));
+    // Spread by a step that has no divisor in common with most rounds, so that any stretch of cases is of all.
+    places().nth((n.wrapping_mul(7_919) % places().count() as u64) as usize).unwrap_or_default()
+}
+
+/// The files below a folder, or the file itself, in order.
+fn files(path: &Path) -> Result<Vec<PathBuf>> {
+    if !path.is_dir() {
+        return Ok(vec![path.into()]);
+    }
+    let mut all: Vec<_> = fs::read_dir(path).map_err(|e| Error::read(path, e))?.flatten().map(|e| e.path()).collect();
+    all.sort();
+    Ok(all.iter().map(|path| files(path)).collect::<Result<Vec<_>>>()?.concat())
+}
+
+/// Copies all files below a folder; not their permissions: a checkout may be read-only.
+fn copy(from: &Path, to: &Path) -> Result<()> {
+    for path in files(from)? {
+        let copied = to.join(path.strip_prefix(from).unwrap_or(&path));
+        let folder = copied.parent().unwrap_or(to);
+        let copy = || fs::create_dir_all(folder).and_then(|()| fs::write(&copied, fs::read(&path)?));
+        copy().map_err(|e| Error::write(&copied, e))?;
+    }
+    Ok(())
+}
+
+/// The bytes of a target's own file, and of the files that its seeds name.
+fn seeds(folder: &Path, target: &Target) -> Result<Vec<Vec<u8>>> {
+    let all = std::iter::once(&target.file).chain(target.seeds).map(|name| files(&folder.join(name)));
+    let read = |path: &PathBuf| fs::read(path).map_err(|e| Error::read(path, e));
+    all.collect::<Result<Vec<_>>>()?.concat().iter().map(read).collect()
+}
+
+/// A sweep folder with one finished run, and a run that was stopped half-way.
+fn runs(folder: &Path) -> Result<()> {
+    let pipeline = read_pipeline(&folder.join("p.ron"), &[])?;
+    pwrfgs::run(&pipeline, folder, &folder.join("sweep/a"), &mut Silent, &AtomicBool::new(false))?;
+    let run = ListedRun { folder: "a".into(), labels: vec![("steps".into(), "4".into())], seed: 1 };
+    Listing { name: "sweep".into(), runs: vec![run] }.write(&folder.join("sweep"))?;
+    let stop = AtomicBool::new(false);
+    pwrfgs::run(&pipeline, folder, &folder.join("half"), &mut Stopper(&stop), &stop)?;
+    Ok(())
+}
+
+/// Stops a run after its third step: pruned, and a look at the validation part behind it.
+struct Stopper<'a>(&'a AtomicBool);
+
+impl Observer for Stopper<'_> {
+    fn on_step(&mut self, report: &StepReport) {
+        self.0.store(report.step >= 3, Ordering::Relaxed);
+    }
+}
+
+/// Untrained models of every kind, and the trained one in other forms.
+fn models(folder: &Path) -> Result<()> {
+    let path = |name: &str| folder.join("models").join(name);
+    fs::create_dir_all(folder.join("models")).map_err(|e| Error::write(folder, e))?;
+    for (i, settings) in MODELS.iter().enumerate() {
+        let mut pipeline = read_pipeline(&folder.join("p.ron"), &[])?;
+        settings.iter().try_for_each(|setting| pipeline.set(setting))?;
+        let (data, partition) = pwrfgs::experiment::load(&pipeline, folder, &mut Silent)?;
+        file::write(&path(&format!("{i}.safetensors")), &pipeline.trainer(&data, &partition)?.model())?;
+    }
+    let trained = file::read_ensemble(&folder.join("sweep/a/model.safetensors"))?;
+    let half = path("half.safetensors");
+    fs::write(&half, file::to_bytes_half(&trained)?).map_err(|e| Error::write(&half, e))?;
+    let pair = Ensemble::new([trained.members(), trained.members()].concat()).map_err(Error::Config)?;
+    file::write_ensemble(&path("pair.safetensors"), &pair)?;
+    file::write_ensemble(&path("model.safetensors"), &trained)
+}

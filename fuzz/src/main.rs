@@ -1,5 +1,5 @@
-//! The driver: cases are tried in processes of their own with little memory, so that one that aborts or hangs is known by
-//! its number and the others go on.
+//! The driver: cases are tried in processes of their own with little memory, so that one that panics, aborts or hangs is
+//! known by its number and the others go on.
 //!
 //! ```text
 //! pwrfgs-fuzz [--cases N] [--first N]   tries cases and lists what is wrong; exit code 1 where something is
@@ -7,180 +7,113 @@
 //! pwrfgs-fuzz --whole                   tries files that are not broken and lists those that are refused
 //! ```
 
-#![allow(clippy::print_stdout, clippy::print_stderr, clippy::disallowed_methods)] // a program that reads its own files
+#![allow(clippy::print_stdout, clippy::disallowed_methods)] // a program that reads its own files
 
-use pwrfgs_core::Result;
-use pwrfgs_fuzz::bench;
-use pwrfgs_fuzz::cases::{AS_PROGRAM, Begun, Bench, name_of, own_frame, title};
-use pwrfgs_fuzz::targets::TARGETS;
-use std::collections::BTreeMap;
-use std::io::{BufRead as _, BufReader, Write as _};
+use pwrfgs_fuzz::{AS_PROGRAM, Bench, target_of, targets::TARGETS};
+use std::io::Result;
 use std::path::Path;
-use std::process::{Child, Command, ExitCode, Stdio};
-use std::sync::mpsc::{RecvTimeoutError, channel};
-use std::sync::{Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::process::{Command, ExitCode, Output};
 
-/// Address space of a process that tries cases, KiB.
-const MEMORY_KIB: u64 = 4_000_000;
-/// Exit code where the fuzzer itself cannot work.
-const BROKEN: u8 = 3;
+/// Limits of a process that tries cases: address space, KiB, and processor time, seconds.
+const LIMITS: &str = "ulimit -v 4000000; ulimit -t";
 
-fn main() -> ExitCode {
+fn main() -> Result<ExitCode> {
     if std::env::var_os(AS_PROGRAM).is_some() {
-        return pwrfgs_cli::main();
+        return Ok(pwrfgs_cli::main());
     }
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let number = |name: &str| {
-        let place = arguments.iter().position(|a| a == name)?;
-        arguments.get(place + 1)?.parse::<u64>().ok()
+    let number = |name: &str| arguments.iter().skip_while(|a| *a != name).nth(1)?.parse::<u64>().ok();
+    let (first, cases) = (number("--first").unwrap_or(0), number("--cases").unwrap_or(10_000));
+    let wrong = match arguments.first().map(String::as_str) {
+        Some("work") => work(Path::new(&arguments[1]), first, number("--step").unwrap_or(1), first + cases),
+        Some("--whole") => whole()?,
+        Some("--case") => {
+            let case = number("--case").unwrap_or(0);
+            let folder = std::env::temp_dir().join(format!("pwrfgs-fuzz-{case}"));
+            println!("case {case} breaks {} in {}", name_of(case), folder.display());
+            let fault = bench(&folder).try_case(case, true).expect("the bench can be written");
+            println!("{}", fault.as_deref().unwrap_or("fine"));
+            usize::from(fault.is_some())
+        }
+        _ => drive(first, cases)?,
     };
-    let done = match (arguments.first().map(String::as_str), number("--case")) {
-        (Some("work"), _) => work(&arguments[1..]),
-        (Some("--whole"), _) => whole(),
-        (_, Some(case)) => repeat(case),
-        _ => drive(number("--first").unwrap_or(0), number("--cases").unwrap_or(10_000)),
-    };
-    done.unwrap_or_else(|error| {
-        eprintln!("error: {error}");
-        ExitCode::from(BROKEN)
-    })
-}
-
-/// One case, here.
-fn repeat(case: u64) -> Result<ExitCode> {
-    let folder = std::env::temp_dir().join(format!("pwrfgs-fuzz-{case}"));
-    bench::make(&folder)?;
-    println!("case {case} breaks {} in {}", name_of(case), folder.display());
-    let fault = Bench::open(&folder)?.try_case(case, true)?;
-    println!("{}", fault.as_deref().unwrap_or("fine"));
-    Ok(ExitCode::from(u8::from(fault.is_some())))
-}
-
-/// The whole file of every target, twice: an earlier call must not be what refuses the next.
-fn whole() -> Result<ExitCode> {
-    let folder = tempfile::tempdir().map_err(|e| pwrfgs_core::Error::write(&std::env::temp_dir(), e))?;
-    bench::make(folder.path())?;
-    let bench = Bench::open(folder.path())?;
-    let mut refused = 0;
-    for (place, target) in TARGETS.iter().enumerate().chain(TARGETS.iter().enumerate()) {
-        if let Some(why) = bench.refusal(place)? {
-            println!("{}: {}", title(target), why.trim());
-            refused += 1;
-        }
-    }
-    Ok(ExitCode::from(u8::from(refused > 0)))
-}
-
-/// Every `step`-th case from `first` to below `end`: tells which it tries, and what is wrong with it.
-fn work(arguments: &[String]) -> Result<ExitCode> {
-    let [folder, first, step, end] = arguments else { return Ok(ExitCode::from(BROKEN)) };
-    let [first, step, end] = [first, step, end].map(|text| text.parse::<u64>().unwrap_or(1));
-    let bench = Bench::open(Path::new(folder))?;
-    for case in (first..end).step_by(step as usize) {
-        println!("case {case}");
-        if let Some(fault) = bench.try_case(case, false)? {
-            println!("fault {}", fault.replace('\n', " "));
-        }
-    }
-    Ok(ExitCode::SUCCESS)
-}
-
-/// What was found wrong: how often, by target and kind.
-#[derive(Default)]
-struct Faults(Mutex<BTreeMap<(String, String), u64>>);
-
-impl Faults {
-    /// Counts one, and tells the first of its kind.
-    fn note(&self, case: u64, fault: &str) {
-        // The same but for numbers, paths and quotations is the same; of what is said too long or badly, the first words.
-        let words = fault.split(['`', '"']).step_by(2).flat_map(|part| part.split(' '));
-        let words = words.filter(|word| !word.contains('/') || word.contains(".rs:"));
-        let kind: String = words.take(if fault.starts_with("says") { 2 } else { 30 }).collect();
-        let kind = kind.chars().filter(char::is_ascii_alphabetic).collect();
-        let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let count = all.entry((name_of(case), kind)).or_insert(0);
-        *count += 1;
-        if *count == 1 {
-            println!("case {case}, {}: {}", name_of(case), fault.chars().take(400).collect::<String>());
-        }
-    }
-}
-
-/// All cases, in as many processes at a time as there are processors.
-fn drive(first: u64, cases: u64) -> Result<ExitCode> {
-    let (begun, end, faults) = (Instant::now(), first + cases, Faults::default());
-    let workers = std::thread::available_parallelism().map_or(1, usize::from) as u64;
-    let ended: Vec<Result<()>> = std::thread::scope(|scope| {
-        let faults = &faults;
-        let all: Vec<_> =
-            (0..workers).map(|w| scope.spawn(move || all_of([first + w, workers, end], faults))).collect();
-        all.into_iter().map(|worker| worker.join().expect("a worker that fails says so")).collect()
-    });
-    ended.into_iter().collect::<Result<()>>()?;
-    let faults = faults.0.into_inner().unwrap_or_else(PoisonError::into_inner);
-    let wrong: u64 = faults.values().sum();
-    let seconds = begun.elapsed().as_secs_f64();
-    println!("{wrong} of {cases} cases are wrong in {} ways, {seconds:.0} s", faults.len());
     Ok(ExitCode::from(u8::from(wrong > 0)))
 }
 
-/// Every `step`-th case, in as many processes as it takes.
-fn all_of([mut next, step, end]: [u64; 3], faults: &Faults) -> Result<()> {
-    let folder = tempfile::tempdir().map_err(|e| pwrfgs_core::Error::write(&std::env::temp_dir(), e))?;
-    while next < end {
-        // A new one: what a process that was stopped leaves behind must not fail the next.
-        let bench = folder.path().join(next.to_string());
-        bench::make(&bench)?;
-        let Some((case, why)) = one_process(&bench, [next, step, end], faults) else { break };
-        faults.note(case, &why);
-        next = case + step;
-    }
-    Ok(())
+/// What a case breaks, for people.
+fn name_of(case: u64) -> String {
+    let target = TARGETS[target_of(case)];
+    format!("{}{}", target.file, target.command())
 }
 
-/// Runs one process to its end; the case that it died of, if it did.
-fn one_process(bench: &Path, range: [u64; 3], faults: &Faults) -> Option<(u64, String)> {
-    let mut child = spawn(bench, range).expect("a shell can be started");
-    let (send, receive) = channel();
-    let lines = BufReader::new(child.stdout.take().expect("piped")).lines();
-    std::thread::spawn(move || lines.map_while(std::result::Result::ok).try_for_each(|line| send.send(line)));
-    let (mut case, mut begun) = (range[0], Begun::now(child.id()));
-    loop {
-        match receive.recv_timeout(Duration::from_secs(1)) {
-            Ok(line) => match line.split_once(' ') {
-                Some(("case", number)) => {
-                    (case, begun) = (number.parse().unwrap_or(case), Begun::now(child.id()));
-                }
-                Some(("fault", why)) => faults.note(case, why),
-                _ => {}
-            },
-            Err(RecvTimeoutError::Timeout) if !begun.is_hanging(child.id()) => {}
-            Err(RecvTimeoutError::Timeout) => {
-                _ = child.kill().and_then(|()| child.wait());
-                return Some((case, "hangs".into()));
-            }
-            Err(RecvTimeoutError::Disconnected) => {
-                let status = child.wait().expect("a child can be waited for");
-                let said = std::fs::read(bench.join("stderr.txt")).unwrap_or_default();
-                let said = String::from_utf8_lossy(&said);
-                let first = said.lines().next().unwrap_or_default();
-                let why = format!("ends the process ({status}): {first}{}", own_frame(&said));
-                assert_ne!(status.code(), Some(i32::from(BROKEN)), "{why}");
-                return (!status.success()).then_some((case, why));
-            }
+fn bench(folder: &Path) -> Bench {
+    Bench::new(folder).expect("the bench can be made")
+}
+
+/// The whole file of every target, twice: an earlier call must not be what refuses the next.
+fn whole() -> Result<usize> {
+    let folder = tempfile::tempdir()?;
+    let bench = bench(folder.path());
+    let try_one = |k: usize| bench.refusal(k % TARGETS.len()).expect("the program can be called").map(|why| (k, why));
+    let refused: Vec<_> = (0..2 * TARGETS.len()).filter_map(try_one).collect();
+    refused.iter().for_each(|(k, why)| println!("{}: {}", TARGETS[k % TARGETS.len()].file, why.text));
+    Ok(refused.len())
+}
+
+/// Every `step`-th case from `first` to below `end`: tells which it tries, and what is wrong with it.
+fn work(folder: &Path, first: u64, step: u64, end: u64) -> usize {
+    let bench = bench(folder);
+    for case in (first..end).step_by(step as usize) {
+        println!("case {case}");
+        if let Some(fault) = bench.try_case(case, false).expect("the bench can be written") {
+            println!("fault {case}, {}: {fault}", name_of(case));
         }
     }
+    0
 }
 
-/// This program as one that works, on one thread and with little memory.
-fn spawn(bench: &Path, range: [u64; 3]) -> std::io::Result<Child> {
-    let stderr = std::fs::File::create(bench.join("stderr.txt"))?;
-    let limited = format!("ulimit -v {MEMORY_KIB}; exec \"$@\"");
+/// All cases, in as many processes at a time as there are processors; how many are wrong.
+fn drive(first: u64, cases: u64) -> Result<usize> {
+    let workers = std::thread::available_parallelism().map_or(1, usize::from) as u64;
+    let faults: Vec<Result<Vec<String>>> = std::thread::scope(|scope| {
+        let all: Vec<_> =
+            (0..workers).map(|w| scope.spawn(move || all_of(first + w, workers, first + cases))).collect();
+        all.into_iter().map(|worker| worker.join().expect("a worker that fails says so")).collect()
+    });
+    let faults = faults.into_iter().collect::<Result<Vec<_>>>()?.concat();
+    faults.iter().take(50).for_each(|fault| println!("{fault}"));
+    println!("{} of {cases} cases are wrong", faults.len());
+    Ok(faults.len())
+}
+
+/// Every `step`-th case, in as many processes as it takes; what is wrong.
+fn all_of(mut next: u64, step: u64, end: u64) -> Result<Vec<String>> {
+    let mut faults = Vec::new();
+    while next < end {
+        let Output { status, stdout, stderr } = one_process(next, step, end)?;
+        let (said, errors) = (String::from_utf8_lossy(&stdout), String::from_utf8_lossy(&stderr));
+        faults.extend(said.lines().filter_map(|line| line.strip_prefix("fault ")).map(Into::into));
+        if status.success() {
+            break;
+        }
+        let last = said.lines().filter_map(|line| line.strip_prefix("case ")?.parse::<u64>().ok()).next_back();
+        let case = last.unwrap_or_else(|| panic!("no case was tried ({status}): {errors}"));
+        faults.push(format!("{case}, {}: ends the process ({status}): {errors}", name_of(case)));
+        next = case + step;
+    }
+    Ok(faults)
+}
+
+/// This program as one that works in a new folder, on one thread and with little memory.
+fn one_process(first: u64, step: u64, end: u64) -> Result<Output> {
+    let folder = tempfile::tempdir()?;
     let mut command = Command::new("sh");
-    command.args(["-c", &limited, "sh"]).arg(std::env::current_exe()?).arg("work").arg(bench);
-    command.args(range.map(|number| number.to_string())).env("RAYON_NUM_THREADS", "1").env("RUST_BACKTRACE", "1");
-    command.env("PWRFGS_CACHE", bench.join("cache")).stdout(Stdio::piped()).stderr(stderr).stdin(Stdio::null());
-    std::io::stdout().flush()?;
-    command.spawn()
+    // A case takes some milliseconds, the bench a few seconds.
+    command.args(["-c", &format!("{LIMITS} {}; exec \"$@\"", 60 + (end - first) / step / 20), "sh"]);
+    command.arg(std::env::current_exe()?).arg("work").arg(folder.path());
+    for (name, value) in [("--first", first), ("--step", step), ("--cases", end - first)] {
+        command.args([name, &value.to_string()]);
+    }
+    command.env("RAYON_NUM_THREADS", "1").env("RUST_BACKTRACE", "1").env("PWRFGS_CACHE", folder.path().join("cache"));
+    command.output()
 }

@@ -3,7 +3,7 @@
 
 use crate::mutate::Form;
 use pwrfgs::experiment::sweep::Plan;
-use pwrfgs::experiment::{Session, load, read_pipeline};
+use pwrfgs::experiment::{self, Session, read_pipeline};
 use pwrfgs::model::export::{npz, ply};
 use pwrfgs::model::file;
 use pwrfgs::prelude::*;
@@ -35,6 +35,17 @@ pub enum Reader {
     Program(&'static [&'static str]),
 }
 
+impl Target {
+    /// The command that reads it, if the program does.
+    pub fn command(&self) -> String {
+        if let Reader::Program(arguments) = self.reader {
+            format!(" for pwrfgs {}", arguments[0])
+        } else {
+            String::new()
+        }
+    }
+}
+
 const fn of(
     share: usize,
     file: &'static str,
@@ -51,7 +62,6 @@ const fn program(file: &'static str, form: Form, arguments: &'static [&'static s
 
 use Form::{Plain, Png, Tensors};
 const MODEL: &str = "models/model.safetensors";
-const CSI: &[&str] = &["Nerf2Csi(root: \"csi\")", "Nerf2Csi(root: \"csi\", together: true)"];
 const PREDICT: &[&str] = &["predict", MODEL, "--tx-csv", "positions.csv", "--out", "heard", "-q"];
 
 /// Every format.
@@ -59,22 +69,22 @@ pub const TARGETS: &[Target] = &[
     of(48, "p.ron", &["pipelines"], Plain, pipeline),
     of(32, "e.ron", &["experiments"], Plain, experiment),
     of(16, "scene.ron", &[], Plain, scene),
-    of(32, "data/gateway_info.yml", &[], Plain, measured),
-    of(32, "data/tx_pos.csv", &[], Plain, measured),
-    of(16, "data/train_index.txt", &["data/test_index.txt"], Plain, measured),
-    of(8, "data/manifest.json", &[], Plain, measured),
-    of(40, "data/spectrum/00002.png", &["data/spectrum"], Png, measured),
-    of(8, "rssi/gateway_position.yml", &[], Plain, powers),
-    of(24, "rssi/gateway_rssi.csv", &[], Plain, powers),
-    of(4, "rssi/train_index.txt", &["rssi/test_index.txt"], Plain, powers),
+    of(32, "data/gateway_info.yml", &[], Plain, |bench| step(bench, "measured.ron")),
+    of(32, "data/tx_pos.csv", &[], Plain, |bench| step(bench, "measured.ron")),
+    of(16, "data/train_index.txt", &["data/test_index.txt"], Plain, |bench| step(bench, "measured.ron")),
+    of(8, "data/manifest.json", &[], Plain, |bench| step(bench, "measured.ron")),
+    of(40, "data/spectrum/00002.png", &["data/spectrum"], Png, |bench| step(bench, "measured.ron")),
+    of(8, "rssi/gateway_position.yml", &[], Plain, |bench| step(bench, "powers.ron")),
+    of(24, "rssi/gateway_rssi.csv", &[], Plain, |bench| step(bench, "powers.ron")),
+    of(4, "rssi/train_index.txt", &["rssi/test_index.txt"], Plain, |bench| step(bench, "powers.ron")),
     of(16, "channels/receiver.yml", &[], Plain, channels),
     of(16, "channels/channel.npy", &[], Plain, channels),
-    of(8, "csi/base-station.yml", &[], Plain, |bench| load_all(bench, CSI)),
-    of(8, "csi/csidata.npy", &[], Plain, |bench| load_all(bench, CSI)),
-    of(32, "cloud/mesh.ply", &["cloud/binary/mesh.ply"], Plain, surface::<true>),
+    of(8, "csi/base-station.yml", &[], Plain, csi),
+    of(8, "csi/csidata.npy", &[], Plain, csi),
+    of(32, "cloud/mesh.ply", &["cloud/binary/mesh.ply"], Plain, surface),
     of(24, "cloud/points.xyz", &[], Plain, cloud),
     of(24, "cloud/points.csv", &[], Plain, cloud),
-    of(24, "cloud/mesh.obj", &[], Plain, surface::<false>),
+    of(24, "cloud/mesh.obj", &[], Plain, surface),
     of(64, MODEL, &["models"], Tensors, model),
     of(32, "half/checkpoint.safetensors", &[], Tensors, checkpoint),
     of(4, "half/checkpoint.safetensors", &[], Tensors, resumed),
@@ -120,11 +130,16 @@ fn is_small(pipeline: &Pipeline) -> bool {
 
 /// Loads, starts, trains a step and predicts.
 fn first_step(pipeline: &Pipeline, bench: &Path) -> Result<()> {
-    let (data, partition) = load(pipeline, bench, &mut Silent)?;
+    let (data, partition) = experiment::load(pipeline, bench, &mut Silent)?;
     let mut trainer = pipeline.trainer(&data, &partition)?;
     trainer.step()?;
     trainer.model().prepare().predict_many(&[[0.5, 0.5, 0.5].into()]);
     Ok(())
+}
+
+/// The first step of a pipeline on the bench.
+fn step(bench: &Path, name: &str) -> Result<()> {
+    first_step(&read_pipeline(&bench.join(name), &[])?, bench)
 }
 
 fn experiment(bench: &Path) -> Result<()> {
@@ -144,60 +159,34 @@ fn scene(bench: &Path) -> Result<()> {
     one.load(bench, &|_, _| {}).map(drop)
 }
 
-/// The small pipeline on the measured data, with the cloud named by `start`.
-fn on_measured(bench: &Path, data: &str, start: &str) -> Result<()> {
-    let settings = [format!("data=Nerf2Spectrum(root: \"data\"{data})"), format!("initializer={start}")];
-    let mut pipeline = read_pipeline(&bench.join("sweep/a/pipeline.ron"), &[])?;
-    settings.iter().try_for_each(|setting| pipeline.set(setting))?;
-    first_step(&pipeline, bench)
-}
-
-fn measured(bench: &Path) -> Result<()> {
-    on_measured(bench, "", "Grid(count: 3)")
-}
-
-fn powers(bench: &Path) -> Result<()> {
-    let rest = "initializer: Site(count: 3), deformation: Factored(depth: 1, width: 4, tx_encoding: Octaves(1)), readout: Received()";
-    on_links(bench, &format!("data: Nerf2Rssi(root: \"rssi\"), {rest}"))
-}
-
 fn channels(bench: &Path) -> Result<()> {
-    let rest =
-        "initializer: MatchingPursuit(most: 1, reach: 0.1, step: 1.0, hold_out: 0), method: VirtualTransmitters()";
-    // The grid of a search is as fine as the file says that waves are: a coarse one of few places is all that is tried.
-    let read = |carrier: &str| on_links(bench, &format!("data: Channels(root: \"channels\"{carrier}), {rest}"));
-    read(", carrier_hz: 3e8, spacing_hz: 1e6").and_then(|()| load_all(bench, &["Channels(root: \"channels\")"]))
+    step(bench, "channels.ron").and_then(|()| load(bench, "Channels(root: \"channels\")"))
 }
 
-/// Loads the data of each of these sources.
-fn load_all(bench: &Path, sources: &[&str]) -> Result<()> {
-    sources.iter().try_for_each(|source| {
-        let source = Plugin::<dyn DataSource>::parse(source).map_err(Error::Config)?;
-        source.load(bench, &|_, _| {})?.observations.check()
+fn csi(bench: &Path) -> Result<()> {
+    load(bench, "Nerf2Csi(root: \"csi\")")?;
+    load(bench, "Nerf2Csi(root: \"csi\", together: true)")
+}
+
+fn load(bench: &Path, source: &str) -> Result<()> {
+    let source = Plugin::<dyn DataSource>::parse(source).map_err(Error::Config)?;
+    source.load(bench, &|_, _| {})?.observations.check()
+}
+
+/// All files of points: the one at hand is broken.
+fn cloud(bench: &Path) -> Result<()> {
+    ["points.xyz", "points.csv", "mesh.ply"].into_iter().try_for_each(|name| {
+        let text = format!("data=Nerf2Spectrum(root: \"data\", points: \"cloud/{name}\")");
+        first_step(&read_pipeline(&bench.join("points.ron"), &[text])?, bench)
     })
 }
 
-/// Loads, starts, trains a step and predicts.
-fn on_links(bench: &Path, parts: &str) -> Result<()> {
-    let text = format!("Pipeline(name: \"links\", {parts}, split: Official(), training: (steps: 2, batch: 1))");
-    first_step(&Pipeline::parse(&text, Path::new("links.ron"))?, bench)
-}
-
-/// Both files of points: the one at hand is broken.
-fn cloud(bench: &Path) -> Result<()> {
-    on_measured(bench, ", points: \"cloud/points.xyz\"", "PointCloud(max_points: 8)")?;
-    on_measured(bench, ", points: \"cloud/points.csv\"", "PointCloud(max_points: 8)")
-}
-
 /// All meshes: the one at hand is broken; one of them is a cloud as well.
-fn surface<const CLOUD: bool>(bench: &Path) -> Result<()> {
+fn surface(bench: &Path) -> Result<()> {
     for name in ["mesh.ply", "mesh.obj"] {
         pwrfgs::data::read_mesh(&bench.join("cloud").join(name))?;
     }
-    if CLOUD {
-        return on_measured(bench, ", points: \"cloud/mesh.ply\"", "PointCloud(max_points: 8)");
-    }
-    Ok(())
+    cloud(bench)
 }
 
 fn model(bench: &Path) -> Result<()> {
@@ -209,7 +198,7 @@ fn model(bench: &Path) -> Result<()> {
 
 fn checkpoint(bench: &Path) -> Result<()> {
     let pipeline = read_pipeline(&bench.join("p.ron"), &[])?;
-    let (data, partition) = load(&pipeline, bench, &mut Silent)?;
+    let (data, partition) = experiment::load(&pipeline, bench, &mut Silent)?;
     let path = bench.join("half/checkpoint.safetensors");
     let bytes = fs::read(&path).map_err(|e| Error::read(&path, e))?;
     let mut trainer = Trainer::restore(&pipeline.plan()?, &data, &partition, &bytes)?;
@@ -224,12 +213,9 @@ fn checkpoint(bench: &Path) -> Result<()> {
 fn resumed(bench: &Path) -> Result<()> {
     let again = bench.join("again");
     let _ = fs::remove_dir_all(&again);
-    fs::create_dir(&again).map_err(|e| Error::write(&again, e))?;
-    for entry in fs::read_dir(bench.join("half")).map_err(|e| Error::read(bench, e))?.flatten() {
-        fs::copy(entry.path(), again.join(entry.file_name())).map_err(|e| Error::write(&again, e))?;
-    }
+    crate::copy(&bench.join("half"), &again)?;
     let pipeline = read_pipeline(&bench.join("p.ron"), &[])?;
-    pwrfgs::experiment::run(&pipeline, bench, &again, &mut Session::new(&mut Silent)).map(drop)
+    experiment::run(&pipeline, bench, &again, &mut Session::new(&mut Silent)).map(drop)
 }
 
 fn read_back(bench: &Path) -> Result<()> {
