@@ -2,10 +2,8 @@
 //! `cargo run --release -p pwrfgs --example predict -- MODEL.safetensors [SPECTRA.npy]`. Several models make an ensemble.
 #![allow(clippy::print_stdout)] // it is a program
 
-use npyz::WriterBuilder as _;
-use pwrfgs::core::Query;
+use pwrfgs::core::{Query, npy::npy_header_as};
 use pwrfgs::prelude::*;
-use std::fs::File;
 use std::path::Path;
 
 /// 10 × 10 positions in one plane, metres.
@@ -24,14 +22,9 @@ fn main() -> Result<()> {
     let spectra = prepared.predict_many(&positions().into_iter().map(Query::from).collect::<Vec<_>>());
 
     let ImagePlane { width, height, .. } = prepared.plane();
-    let mut array = npyz::WriteOptions::new()
-        .default_dtype()
-        .shape(&[spectra.len() as u64, *height as u64, *width as u64])
-        .writer(File::create(out).expect("a folder to write to"))
-        .begin_nd()
-        .expect("three axes");
-    array.extend(spectra.iter().flat_map(|s| &s.pixels)).expect("room on the disk");
-    array.finish().expect("room on the disk");
+    let mut array = npy_header_as("<f4", &[spectra.len(), *height, *width]);
+    array.extend(spectra.iter().flat_map(|s| &s.pixels).flat_map(|v| (*v as f32).to_le_bytes()));
+    std::fs::write(out, array).expect("room on the disk");
 
     for (position, spectrum) in positions().iter().zip(&spectra).step_by(33) {
         let (x, y) = (spectrum.argmax() % width, spectrum.argmax() / width);

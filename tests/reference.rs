@@ -206,7 +206,7 @@ fn splats_are_those_of_the_released_projection() {
     for (reference, start) in references() {
         let (_, splats, ..) = start.draw();
         let seen: Vec<Real> = splats.radii.iter().map(|r| Real::from(u8::from(*r > 0.0))).collect();
-        assert_eq!(seen, reference.integers("geo_visible"), "{}", reference.name);
+        assert_eq!(seen, reference.array("geo_visible"), "{}", reference.name);
         let rows: Vec<usize> = (0..seen.len()).filter(|&i| seen[i] > 0.0).collect();
         let held = |what: &str, found: Vec<Real>, width: usize, single: Real| {
             let expected = reference.array(what);
@@ -259,7 +259,7 @@ fn the_loss_and_every_derivative_are_those_of_the_reference() {
         }
         let norms: Vec<Real> = reference.array("grad_ndc").chunks_exact(2).map(|d| d[0].hypot(d[1])).collect();
         hold(&format!("{name} grad_ndc"), &outcome.seen.gradient, &norms, 1e-11, 5e-2);
-        assert_eq!(outcome.seen.visible, reference.integers("geo_visible"), "{name}");
+        assert_eq!(outcome.seen.visible, reference.array("geo_visible"), "{name}");
         assert!(d.signals.as_flattened().iter().all(|d| *d == 0.0), "the network replaces the cloud's signals");
         let mut rest = outcome.d_weights.as_slice();
         for spec in start.stages.layout().weights {

@@ -1,9 +1,7 @@
 //! One folder of reference renders: `.npy` arrays and a manifest.
 
 use pwrfgs::core::Real;
-use pwrfgs::core::testing::shared;
-use std::fs::File;
-use std::io::BufReader;
+use pwrfgs::core::testing::{npy, shared};
 use std::path::PathBuf;
 
 /// A reference render.
@@ -18,19 +16,10 @@ impl Reference {
         Some(Self { name: name.into(), folder: shared(&format!("oracle/{name}"))? })
     }
 
-    fn file(&self, what: &str) -> npyz::NpyFile<BufReader<File>> {
-        let path = self.folder.join(format!("{what}.npy"));
-        npyz::NpyFile::new(BufReader::new(File::open(path).unwrap())).unwrap()
-    }
-
     /// An array of numbers, flat.
     pub(crate) fn array(&self, what: &str) -> Vec<Real> {
-        self.file(what).into_vec::<f64>().unwrap().into_iter().map(|v| v as Real).collect()
-    }
-
-    /// An array of integers, flat, as numbers.
-    pub(crate) fn integers(&self, what: &str) -> Vec<Real> {
-        self.file(what).into_vec::<i64>().unwrap().into_iter().map(|v| v as Real).collect()
+        let bytes = std::fs::read(self.folder.join(format!("{what}.npy"))).unwrap();
+        npy(&bytes).1.into_iter().map(|v| v as Real).collect()
     }
 
     /// An array that not every reference has.

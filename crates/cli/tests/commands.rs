@@ -1,5 +1,6 @@
 //! What each verb does when all is well, and that nothing of the user's is overwritten.
 use crate::common::{SMALL, call, refuse, stderr, stdout, succeed, write};
+use pwrfgs_core::testing::npy;
 use std::path::Path;
 
 fn read(path: &Path) -> String {
@@ -77,14 +78,13 @@ fn predicts(here: &Path) {
     assert!(list.starts_with("row,x,y,z,azimuth_deg,elevation_deg,peak,milliseconds\n1,0.2,0.1,0.9,"), "{list}");
     assert_eq!(list.lines().count(), 3);
     let bytes = std::fs::read(lonely.join("many/00002.npy")).unwrap();
-    let npy = npyz::NpyFile::new(&bytes[..]).unwrap();
-    assert_eq!(npy.shape(), [12, 48]);
-    let values: Vec<f32> = npy.into_vec().unwrap();
+    let (shape, values) = npy(&bytes);
+    assert_eq!(shape, [12, 48]);
     let png = image::open(lonely.join("many/00002.png")).unwrap();
     assert_eq!(png.color(), image::ColorType::L8);
     let grey = png.into_luma8();
     for (pixel, value) in grey.as_raw().iter().zip(&values) {
-        assert!((f32::from(*pixel) - 255.0 * value.clamp(0.0, 1.0)).abs() <= 0.51);
+        assert!((f64::from(*pixel) - 255.0 * value.clamp(0.0, 1.0)).abs() <= 0.51);
     }
     refuse(&lonely, &["predict", "m.safetensors", "--tx", "0,0,1", "--out", "many"], 2, &["many is not empty"]);
     stacked(&lonely, &values);
@@ -96,16 +96,15 @@ fn predicts(here: &Path) {
 }
 
 /// One array in place of many, the same numbers, and no picture.
-fn stacked(here: &Path, second: &[f32]) {
+fn stacked(here: &Path, second: &[f64]) {
     let all = ["predict", "m.safetensors", "--tx-csv", "tx.csv", "--stacked", "--no-png", "--out", "stack"];
     succeed(here, &all);
     let names: std::collections::BTreeSet<String> =
         here.join("stack").read_dir().unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
     assert_eq!(names, ["predictions.csv", "spectra.npy"].map(str::to_owned).into());
     let bytes = std::fs::read(here.join("stack/spectra.npy")).unwrap();
-    let npy = npyz::NpyFile::new(&bytes[..]).unwrap();
-    assert_eq!(npy.shape(), [2, 12, 48]);
-    let values: Vec<f32> = npy.into_vec().unwrap();
+    let (shape, values) = npy(&bytes);
+    assert_eq!(shape, [2, 12, 48]);
     assert_eq!(&values[12 * 48..], second);
 }
 

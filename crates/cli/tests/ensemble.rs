@@ -6,7 +6,7 @@ use std::path::Path;
 /// Values of an NPY file in 32 bits.
 fn npy(path: &Path) -> Vec<f32> {
     let bytes = std::fs::read(path).unwrap();
-    npyz::NpyFile::new(&bytes[..]).unwrap().into_vec().unwrap()
+    pwrfgs::core::testing::npy(&bytes).1.into_iter().map(|v| v as f32).collect()
 }
 
 #[test]

@@ -2,6 +2,7 @@
 use crate::common::{SMALL, refuse, succeed, write};
 use pwrfgs::data::read_points;
 use pwrfgs::model::{Model, file};
+use pwrfgs_core::testing::npy;
 use pwrfgs_core::{Activated, DeformationInputs, Real, sigmoid};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -127,26 +128,17 @@ fn signals_that_exist_for_a_transmitter_only_are_grey_without_one() {
     let at = ply(&here.join("at.ply"));
     assert!(colours(&at).iter().flatten().any(|c| *c != 0.5));
     assert!(at.values().flatten().all(|v| v.is_finite()));
-    assert_eq!(npz(&here.join("at.npz"))["tx.signals"].0, [at["x"].len() as u64, 1], "one channel");
+    assert_eq!(npz(&here.join("at.npz"))["tx.signals"].0, [at["x"].len(), 1], "one channel");
 }
 
 /// The arrays of an NPZ file: shapes, and numbers of any type in double precision.
-fn npz(path: &Path) -> BTreeMap<String, (Vec<u64>, Vec<f64>)> {
+fn npz(path: &Path) -> BTreeMap<String, (Vec<usize>, Vec<f64>)> {
     let mut archive = zip::ZipArchive::new(std::fs::File::open(path).unwrap()).unwrap();
     let names: Vec<String> = archive.file_names().map(|name| name.unwrap().into_owned()).collect();
     let read = |name: String| {
         let mut bytes = Vec::new();
         std::io::Read::read_to_end(&mut archive.by_name(&name).unwrap(), &mut bytes).unwrap();
-        let npy = || npyz::NpyFile::new(&bytes[..]).unwrap();
-        let shape = npy().shape().to_vec();
-        let values = match npy().dtype().descr().as_str() {
-            "'<f4'" => npy().into_vec::<f32>().unwrap().into_iter().map(f64::from).collect(),
-            "'<f8'" => npy().into_vec::<f64>().unwrap(),
-            "'<u8'" => npy().into_vec::<u64>().unwrap().into_iter().map(|v| v as f64).collect(),
-            "'|b1'" => npy().into_vec::<bool>().unwrap().into_iter().map(f64::from).collect(),
-            other => panic!("{name} is {other}"),
-        };
-        (name.strip_suffix(".npy").unwrap().to_owned(), (shape, values))
+        (name.strip_suffix(".npy").unwrap().to_owned(), npy(&bytes))
     };
     names.into_iter().map(read).collect()
 }
@@ -159,15 +151,15 @@ fn an_npz_file_holds_every_number_of_the_model() {
     succeed(here, &["export", MODEL, "--npz", "base.npz"]);
     succeed(here, &["export", MODEL, "--npz", "at.npz", "--tx=0.3,-0.25,1.5"]);
     let (base, at) = (npz(&here.join("base.npz")), npz(&here.join("at.npz")));
-    let n = model.cloud.len() as u64;
+    let n = model.cloud.len();
     for (name, width, values) in model.cloud.columns() {
-        let shape = if width == 1 { vec![n] } else { vec![n, width as u64] };
+        let shape = if width == 1 { vec![n] } else { vec![n, width] };
         assert_eq!(base[name], (shape, values.iter().map(|v| *v as f64).collect()), "{name}");
     }
     let mut weights = Vec::new();
     for spec in model.stages.layout().weights {
         let (shape, values) = &base[&format!("network.{}", spec.name)];
-        assert_eq!(*shape, spec.shape.iter().map(|n| *n as u64).collect::<Vec<_>>());
+        assert_eq!(*shape, spec.shape);
         weights.extend(values.iter().map(|v| *v as Real));
     }
     assert_eq!(weights, model.weights);

@@ -46,10 +46,10 @@ fn names(folder: &Path) -> BTreeSet<String> {
     folder.read_dir().unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect()
 }
 
-fn floats(path: &Path) -> (Vec<u64>, Vec<f32>) {
+fn floats(path: &Path) -> (Vec<usize>, Vec<f32>) {
     let bytes = std::fs::read(path).unwrap();
-    let npy = npyz::NpyFile::new(&bytes[..]).unwrap();
-    (npy.shape().to_vec(), npy.into_vec().unwrap())
+    let (shape, values) = pwrfgs::core::testing::npy(&bytes);
+    (shape, values.into_iter().map(|v| v as f32).collect())
 }
 
 #[test]

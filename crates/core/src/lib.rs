@@ -24,6 +24,7 @@ mod layout;
 mod method;
 mod metric;
 pub mod neighbours;
+pub mod npy;
 pub mod plugin;
 mod pruner;
 mod rasterizer;

@@ -1,7 +1,7 @@
 //! What tests of all crates share: central differences against the hand-written derivative, where data too large for
 //! the repository lie, and one way to say that a test did nothing.
 
-use crate::{Real, rng};
+use crate::{Real, npy::Header, rng};
 use std::fs::OpenOptions;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -17,6 +17,22 @@ pub fn shared(what: &str) -> Option<PathBuf> {
     }
     skipped(&format!("no {what} here, set PWRFGS_SHARED"));
     None
+}
+
+/// An array of NumPy, `shape` and numbers: floats, whole numbers of 8 and 64 bits, truth values.
+pub fn npy(bytes: &[u8]) -> (Vec<usize>, Vec<f64>) {
+    let header = Header::read(Path::new("array"), &mut &*bytes).unwrap_or_else(|e| panic!("{e}"));
+    let (width, number): (usize, fn([u8; 8]) -> f64) = match header.descr.as_str() {
+        "<f4" => (4, |b| f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]]))),
+        "<f8" => (8, f64::from_le_bytes),
+        "<u8" => (8, |b| u64::from_le_bytes(b) as f64),
+        "<i8" => (8, |b| i64::from_le_bytes(b) as f64),
+        "|u1" | "|b1" => (1, |b| f64::from(b[0])),
+        other => panic!("numbers of type {other}"),
+    };
+    let padded = |raw: &[u8]| std::array::from_fn(|k| raw.get(k).copied().unwrap_or(0));
+    let values = bytes[header.offset as usize..].chunks_exact(width).map(|raw| number(padded(raw))).collect();
+    (header.shape, values)
 }
 
 /// Says that the test which calls it goes no further, and why: on the terminal, where cargo hides nothing, and as a line

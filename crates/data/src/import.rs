@@ -9,7 +9,7 @@ mod tests;
 
 use crate::checks::{ROUNDING, shape_fault};
 use crate::folder::gateway_yaml;
-use crate::npy::npy_header;
+use crate::npy_header;
 use pwrfgs_core::files::NewFolder;
 use pwrfgs_core::{Elevation, Error, Number, Pose, Progress, Result};
 use std::fs::{self, File};

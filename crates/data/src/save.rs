@@ -5,9 +5,10 @@ mod tests;
 
 use crate::checks::{NOT_RECEIVED, check};
 use crate::folder::{POINTS, gateway_positions_yaml, gateway_yaml, receiver_yaml, yaml};
-use crate::npy::{MAX_BYTES, npy_header, npy_header_as};
+use crate::npy::MAX_BYTES;
 use crate::text::MAX_YAML;
 use crate::{Arrays, Channels, Nerf2Rssi};
+use crate::{npy_header, npy_header_as};
 use pwrfgs_core::files::{MAX_TEXT, NewFolder};
 use pwrfgs_core::words::cell;
 use pwrfgs_core::{DataSource, Dataset, Elevation, Error, Number, Observations, Real, Result, Spectra};

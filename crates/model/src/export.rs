@@ -2,10 +2,10 @@
 //! Gaussian splatting. `docs/model-format.md` says what the fields mean.
 
 use crate::{Ensemble, Model};
-use npyz::{AutoSerialize, WriterBuilder as _};
 use pwrfgs_core::colour::sequential;
+use pwrfgs_core::npy::npy_header_as;
 use pwrfgs_core::{Activated, Error, Origin, Pose, Primitives, Real, Result};
-use std::io::{self, Cursor};
+use std::io::{self, Cursor, Write as _};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
@@ -118,17 +118,42 @@ impl Npz {
         self.put("tx.signals", &[n, signals.len() / n.max(1)], &signals)
     }
 
-    fn put<T: AutoSerialize + Copy>(&mut self, name: &str, shape: &[usize], values: &[T]) -> io::Result<()> {
+    fn put<T: Element>(&mut self, name: &str, shape: &[usize], values: &[T]) -> io::Result<()> {
         // Stored, as `numpy.savez` does; without a clock, so that the date is always that of the format's beginning.
         let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
         let name = format!("{}{name}", self.prefix);
-        self.archive.start_file(npyz::npz::file_name_from_array_name(&name), options)?;
-        let shape: Vec<u64> = shape.iter().map(|n| *n as u64).collect();
-        let mut writer =
-            npyz::WriteOptions::new().default_dtype().shape(&shape).writer(&mut self.archive).begin_nd()?;
-        writer.extend(values.iter().copied())?;
-        writer.finish()
+        self.archive.start_file(format!("{name}.npy"), options)?;
+        let mut bytes = npy_header_as(T::DESCR, shape);
+        values.iter().for_each(|value| value.write(&mut bytes));
+        self.archive.write_all(&bytes)
     }
+}
+
+/// A number of an array.
+trait Element: Copy {
+    /// Its type, as NumPy calls it.
+    const DESCR: &'static str;
+    fn write(self, bytes: &mut Vec<u8>);
+}
+
+macro_rules! elements {
+    ($($number:ty: $descr:literal, $value:ident => $bytes:expr;)*) => {$(
+        impl Element for $number {
+            const DESCR: &'static str = $descr;
+            fn write(self, bytes: &mut Vec<u8>) {
+                let $value = self;
+                bytes.extend($bytes);
+            }
+        }
+    )*};
+}
+
+elements! {
+    f32: "<f4", v => v.to_le_bytes();
+    f64: "<f8", v => v.to_le_bytes();
+    u64: "<u8", v => v.to_le_bytes();
+    u8: "|u1", v => [v];
+    bool: "|b1", v => [u8::from(v)];
 }
 
 /// Properties in the order in which viewers expect them, all of them `float`. Normals are there for the layout, and 0.

@@ -2,14 +2,13 @@
 
 use super::Wrfgs;
 use crate::linear::Plan;
-use pwrfgs_core::testing::shared;
+use pwrfgs_core::testing::{npy, shared};
 use pwrfgs_core::{Deformation, DeformationInputs, Deltas, Pose, Real, rng};
 use std::path::Path;
 
 fn array(folder: &Path, name: &str) -> Vec<Real> {
-    let file = std::fs::File::open(folder.join(format!("{name}.npy"))).unwrap();
-    let values = npyz::NpyFile::new(std::io::BufReader::new(file)).unwrap().into_vec::<f64>().unwrap();
-    values.into_iter().map(|v| v as Real).collect()
+    let bytes = std::fs::read(folder.join(format!("{name}.npy"))).unwrap();
+    npy(&bytes).1.into_iter().map(|v| v as Real).collect()
 }
 
 fn rows(values: &[Real]) -> Vec<[Real; 3]> {

@@ -1,7 +1,7 @@
 //! A small folder of arrays, and what is said when something in it is wrong.
 
 use super::*;
-use crate::npy::npy_header;
+use crate::npy_header;
 use pwrfgs_core::{Number, Plugin};
 use std::fs;
 

@@ -1,7 +1,7 @@
 //! Channels in files, good and bad, and those of `NeWRF` where they are at hand.
 
 use super::*;
-use crate::npy::npy_header_as;
+use crate::npy_header_as;
 use crate::{NearestNeighbours, Zero};
 use pwrfgs_core::testing::shared;
 use pwrfgs_core::{Baseline, Known};

@@ -3,7 +3,8 @@
 use super::Sink;
 use crate::nerf2::pictures::{self, Depth};
 use crate::nerf2::read_transmitters;
-use crate::npy::{Header, read_positions};
+use crate::npy;
+use pwrfgs_core::npy::Header;
 use pwrfgs_core::{Error, Number, Result, did_you_mean, files};
 use std::collections::BTreeSet;
 use std::ffi::OsStr;
@@ -21,13 +22,13 @@ pub(super) fn positions(path: &Path, beside: bool) -> Result<Vec<[f64; 3]>> {
     let txs = match extension(&file) {
         "npz" => in_archive(&file, if beside { None } else { name }, "tx", |path, array, bytes| {
             let header = Header::read(path, array)?;
-            header.positions(path, array, bytes.saturating_sub(header.offset))
+            npy::positions(&header, path, array, bytes.saturating_sub(header.offset))
         }),
         _ if beside => {
             let what = "name the transmitters with --tx: an array .npy [M, 3], or a table .csv with columns x, y, z";
             return Err(Error::Config(what.into()));
         }
-        "npy" => read_positions(path),
+        "npy" => npy::read_positions(path),
         "csv" | "txt" => read_transmitters(path),
         _ => Err(Error::input(path, "positions are an array .npy, an archive .npz, or a table .csv")),
     }?;
@@ -59,7 +60,7 @@ pub(super) fn pictures(path: &Path, count: usize, sink: &mut Sink<'_>) -> Result
 /// The spectra of an array of `bytes` bytes, header included.
 fn each(path: &Path, array: &mut dyn Read, bytes: u64, count: usize, sink: &mut Sink<'_>) -> Result<()> {
     let header = Header::read(path, array)?;
-    let (number, shape) = header.spectra(path)?;
+    let (number, shape) = npy::spectra(&header, path)?;
     let [m, h, w] = shape;
     let refuse = |what: String| Err(Error::input(path, format!("has shape [{m}, {h}, {w}]{what}")));
     if m != count {

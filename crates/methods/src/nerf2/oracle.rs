@@ -6,7 +6,7 @@ use crate::nerf2::group::{Group, Links, Scratch};
 use crate::nerf2::network::Network;
 use crate::nerf2::path::Law;
 use crate::nerf2::walk::{Sums, Walk};
-use pwrfgs_core::testing::shared;
+use pwrfgs_core::testing::{npy, shared};
 use pwrfgs_core::{Conditions, Real, SPEED_OF_LIGHT};
 use pwrfgs_networks::linear::planned;
 use std::fs::File;
@@ -22,9 +22,10 @@ impl Oracle {
     }
 
     fn array(&mut self, name: &str) -> Vec<Real> {
-        let array = self.0.by_name(&format!("{name}.npy")).unwrap_or_else(|e| panic!("{name}: {e}"));
-        let values: Vec<f64> = npyz::NpyFile::new(array).unwrap().into_vec().unwrap();
-        values.into_iter().map(|v| v as Real).collect()
+        let mut array = self.0.by_name(&format!("{name}.npy")).unwrap_or_else(|e| panic!("{name}: {e}"));
+        let mut bytes = Vec::new();
+        std::io::Read::read_to_end(&mut array, &mut bytes).unwrap();
+        npy(&bytes).1.into_iter().map(|v| v as Real).collect()
     }
 
     /// All weights, or all gradients, in our order.

@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::folder::base_station_yaml;
-use crate::npy::{npy_header, npy_header_as};
 use crate::splits::Voxel;
+use crate::{npy_header, npy_header_as};
 use pwrfgs_core::{Number, Split, rng};
 use std::fs;
 
