@@ -62,9 +62,9 @@ fn chart(title: &str, x: &str, y: &str, lines: Vec<Line>) -> Option<Value> {
 
 /// The best, the median and the worst test link.
 fn examples(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
-    let example = |Example { which, sample, score, nearest_m, truth, prediction }: &Example| {
-        let own = run.data.sample(*sample);
-        let receivers = &run.data.scene.receivers;
+    let several = run.data.scene.receivers.len() > 1;
+    let example = |example: &Example| {
+        let Example { score, truth, prediction, .. } = example;
         let frequencies = frequencies(run);
         let (measured, predicted) = (Gains::of(truth), Gains::of(prediction));
         let (lines, along, antenna) = lines(&measured, &predicted, frequencies);
@@ -77,14 +77,11 @@ fn examples(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
             charts.push(chart("Power delay profile", "delay, ns", "dB over the measured peak", pair(a, b)));
         }
         context! {
-            which => *which,
-            id => own.id,
-            receiver => (receivers.len() > 1).then(|| receivers[own.receiver].name.clone()),
-            tx => run.data.placed.then(|| own.tx.map(|v| format!("{v:.2}")).join(", ")),
-            nearest => nearest_m.map(|distance| format!("{distance:.2} m")),
+            several,
             score => number(*score),
             antenna => of,
             charts => charts.into_iter().flatten().collect::<Vec<_>>(),
+            ..example.words(run)
         }
     };
     chosen.iter().map(example).collect()

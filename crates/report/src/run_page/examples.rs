@@ -21,6 +21,20 @@ pub(super) struct Example {
     pub(super) prediction: Image,
 }
 
+impl Example {
+    /// What every page says of it.
+    pub(super) fn words(&self, run: &LoadedRun<'_>) -> Value {
+        let sample = run.data.sample(self.sample);
+        context! {
+            which => self.which,
+            id => sample.id,
+            receiver => run.data.scene.receivers[sample.receiver].name.clone(),
+            tx => run.data.placed.then(|| sample.tx.map(|v| format!("{v:.2}")).join(", ")),
+            nearest => self.nearest_m.map(|distance| format!("{distance:.2} m")),
+        }
+    }
+}
+
 /// The examples of a run, as far as they are different; none of no test sample. They are predicted again, which gives the
 /// same bits.
 pub(super) fn examples(run: &LoadedRun<'_>) -> Result<Vec<Example>> {
@@ -75,8 +89,7 @@ pub(super) fn spectra(run: &LoadedRun<'_>, chosen: &[Example]) -> (Vec<Value>, f
     let largest = errors.iter().flat_map(|e| &e.pixels).fold(0.0, |m: f64, e| m.max(e.abs() as f64));
     let limit = ((largest * 10.0).ceil() / 10.0).max(0.1);
     let example = |(example, error): (&Example, &Image)| {
-        let Example { which, sample: index, score, nearest_m, truth, prediction } = example;
-        let sample = &run.data.sample(*index);
+        let Example { score, truth, prediction, .. } = example;
         let marks = [Mark::Measured(truth.argmax()), Mark::Predicted(prediction.argmax())];
         let plane = run.model.plane();
         let panel = |name: &str, image: &Image, scale, marks: &[Mark]| {
@@ -85,17 +98,14 @@ pub(super) fn spectra(run: &LoadedRun<'_>, chosen: &[Example]) -> (Vec<Value>, f
             context! { name, map, sky }
         };
         context! {
-            which => *which,
-            id => sample.id,
             ssim => format!("{score:.3}"),
-            tx => sample.tx.map(|v| format!("{v:.2}")).join(", "),
-            nearest => nearest_m.map_or("n/a".into(), |distance| format!("{distance:.2} m")),
             peaks => peaks(run, truth, prediction),
             panels => vec![
                 panel("Ground truth", truth, Scale::Power, &marks[..1]),
                 panel("Predicted", &prediction.clamped(), Scale::Power, &marks),
                 panel("Predicted − truth", error, Scale::Error(limit), &[]),
             ],
+            ..example.words(run)
         }
     };
     (chosen.iter().zip(&errors).map(example).collect(), limit)

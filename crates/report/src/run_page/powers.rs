@@ -111,17 +111,13 @@ fn scatter(heard: &[Heard]) -> Option<(&'static str, String)> {
 
 /// The best, the median and the worst link as rows.
 fn examples(run: &LoadedRun<'_>, chosen: &[Example]) -> Vec<Value> {
-    let row = |Example { which, sample, score, nearest_m, truth, prediction }: &Example| {
-        let own = run.data.sample(*sample);
+    let row = |example: &Example| {
+        let Example { score, truth, prediction, .. } = example;
         context! {
-            which => *which,
-            id => own.id,
-            receiver => run.data.scene.receivers[own.receiver].name.clone(),
-            tx => run.data.placed.then(|| own.tx.map(|v| format!("{v:.2}")).join(", ")),
-            nearest => nearest_m.map(|distance| format!("{distance:.2} m")),
             measured => format!("{:.1}", truth.pixels[0]).replace('-', "−"),
             predicted => format!("{:.1}", prediction.pixels[0]).replace('-', "−"),
             error => format!("{score:.2}"),
+            ..example.words(run)
         }
     };
     chosen.iter().map(row).collect()

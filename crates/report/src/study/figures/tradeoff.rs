@@ -142,20 +142,9 @@ const PRICES: [Price; 3] = [
     Price { name: "pareto-ms", axis: "one prediction [ms]", of: |run| run.scores.value(MODEL, "latency_total_ms") },
 ];
 
-pub(super) fn by_number(setting: &Setting) -> Option<Figure> {
-    race_figure(setting, &PRICES[0])
-}
-
-pub(super) fn by_bytes(setting: &Setting) -> Option<Figure> {
-    race_figure(setting, &PRICES[1])
-}
-
-pub(super) fn by_time(setting: &Setting) -> Option<Figure> {
-    race_figure(setting, &PRICES[2])
-}
-
-/// Ways to the same numbers of Gaussians: the first metric against N, bytes or milliseconds.
-fn race_figure(setting: &Setting, price: &Price) -> Option<Figure> {
+/// Ways to the same numbers of Gaussians: the first metric against price number `K`: N, bytes or milliseconds.
+pub(super) fn race<const K: usize>(setting: &Setting) -> Option<Figure> {
+    let price = &PRICES[K];
     let mut race = Race::of(setting)?;
     let headline = setting.headline();
     // What is worse than every floor wherever it was tried would take the whole axis.
