@@ -19,5 +19,6 @@ mod run_page;
 mod study;
 mod templates;
 
+pub use pwrfgs_experiment::{Setting, Study, Variant};
 pub use run_page::page;
-pub use study::{Setting, Study, Variant, figures, write};
+pub use study::{figures, write};

@@ -11,13 +11,12 @@ mod tables;
 use crate::draw::charts::Symbol;
 use crate::draw::room::{Panel, Room};
 use crate::draw::spectra::Scale;
-use crate::study::one_line;
 use crate::templates::render;
 use minijinja::value::Serde;
 use minijinja::{Value, context};
 use pwrfgs_core::{Appearance, Result};
 use pwrfgs_experiment::folder::{REPORT, START_SNAPSHOT, UNPRUNED_SNAPSHOT};
-use pwrfgs_experiment::{CEILING, LoadedRun, text::grouped};
+use pwrfgs_experiment::{CEILING, LoadedRun, one_line, text::grouped};
 use pwrfgs_model::{Model, Snapshot};
 
 /// The page of a run, from what lies in its folder.

@@ -1,9 +1,8 @@
 //! `Comparison`: the rows of a setting (variants, then floors) and every number of theirs, as `report.csv` has them.
 
-use super::{Setting, Variant, distinct};
 use pwrfgs_experiment::scores::{MODEL, MetricRow};
 use pwrfgs_experiment::statistics::{Blocks, Difference, Spread};
-use pwrfgs_experiment::{CEILING, Record, text::Lines};
+use pwrfgs_experiment::{CEILING, Record, Setting, Variant, distinct, text::Lines};
 use serde::Serialize;
 use std::collections::BTreeMap;
 

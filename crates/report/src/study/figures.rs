@@ -10,13 +10,12 @@ mod panels;
 mod rate;
 mod tradeoff;
 
-use super::Setting;
 use crate::canvas::Canvas;
 use crate::draw::charts::{Chart, Look};
 use crate::templates::sentences;
 use minijinja::{Value, context};
 use pwrfgs_core::{Dataset, Error, Progress, Result, files::write_atomically};
-use pwrfgs_experiment::Silent;
+use pwrfgs_experiment::{Setting, Silent};
 use serde::Serialize;
 use std::path::Path;
 

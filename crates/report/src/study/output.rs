@@ -3,11 +3,11 @@
 //! `report.json` lists the files that the report wrote. Only these are replaced or removed, each whole or not at all; a
 //! folder that holds something and has no such list is refused.
 
+use super::format;
 use super::page::Page;
-use super::{Study, format};
 use pwrfgs_core::files::{self, refuse_foreign, write_atomically};
 use pwrfgs_core::{Error, Result};
-use pwrfgs_experiment::Observer;
+use pwrfgs_experiment::{Observer, Study};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::path::Path;

@@ -2,14 +2,12 @@
 
 use super::comparison::{Comparison, Kind, Row, csv};
 use super::figures::{self, Drawn, Figure};
-use super::race::ranks;
 use super::tables::{self, Table};
-use super::{Setting, Study, distinct};
 use crate::templates::sentences;
 use minijinja::{Value, context};
 use pwrfgs_core::{Error, Result, did_you_mean};
 use pwrfgs_experiment::text::{duration, grouped};
-use pwrfgs_experiment::{Observer, Record, staged};
+use pwrfgs_experiment::{Observer, Record, Setting, Study, distinct, staged};
 use serde::Serialize;
 
 /// The report of a study.
@@ -112,7 +110,7 @@ impl Section {
         warnings.extend(comparison.ambiguous());
         warnings.extend(drawn.left_out);
         let tables = [
-            ranks(setting),
+            tables::ranks(setting),
             tables::scores(comparison, same_machine),
             tables::differences(comparison, compared),
             tables::further(comparison, same_machine),

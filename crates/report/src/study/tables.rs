@@ -6,8 +6,11 @@ mod scores;
 pub(super) use differences::differences;
 pub(super) use scores::{further, latency, scores};
 
-use super::Setting;
 use super::comparison::{Kind, Row};
+use crate::templates::sentences;
+use minijinja::context;
+use pwrfgs_experiment::text::{grouped, number};
+use pwrfgs_experiment::{Race, Setting, statistics::Spread};
 use serde::Serialize;
 
 /// A table of numbers.
@@ -70,7 +73,7 @@ pub(super) enum Mark {
 }
 
 /// A title that says where the data are simulated.
-pub(super) fn title(words: &str, setting: &Setting) -> String {
+fn title(words: &str, setting: &Setting) -> String {
     format!(
         "{words}{}",
         if setting.simulated { format!(" (simulated {})", setting.task().counted[1]) } else { String::new() }
@@ -98,7 +101,46 @@ impl Table {
         self.lines.iter().flat_map(|line| &line.cells).any(|cell| cell.mark == Mark::Best)
     }
 
-    pub(super) fn has(&self, kind: Kind) -> bool {
+    fn has(&self, kind: Kind) -> bool {
         self.lines.iter().any(|line| line.kind == kind)
     }
+}
+
+/// Score and rank of each way at each number of Gaussians, best mean rank first; nothing where there is no race.
+pub(super) fn ranks(setting: &Setting) -> Option<Table> {
+    let race = Race::of(setting)?;
+    let headline = setting.headline();
+    let arrow = if headline.higher { "↑" } else { "↓" };
+    let column = |n: &usize| Column {
+        title: format!("N = {}", grouped(*n as i64)),
+        detail: format!("{} (rank)", headline.name),
+        arrow,
+    };
+    let mut columns: Vec<Column> = race.numbers.iter().map(column).collect();
+    columns.push(Column { title: "mean rank".into(), detail: String::new(), arrow: "↓" });
+    let lines = race.ways.iter().map(|way| {
+        let cell = |place: &Option<_>| {
+            place.map_or_else(Shown::default, |(score, rank): (Spread, usize)| Shown {
+                value: format!("{} ({rank})", number(score.mean)),
+                deviation: score.deviation.map_or_else(String::new, number),
+                mark: match rank {
+                    1 => Mark::Best,
+                    2 => Mark::Second,
+                    _ => Mark::None,
+                },
+                ..Shown::default()
+            })
+        };
+        let mut cells: Vec<Shown> = way.places.iter().map(cell).collect();
+        let mean = way.mean_rank();
+        let value = if mean.is_finite() { format!("{mean:.1}") } else { String::new() };
+        cells.push(Shown { value, ..Shown::default() });
+        Line { label: way.name.clone(), kind: Kind::Variant, cells }
+    });
+    let lines: Vec<Line> = lines.collect();
+    let mut table =
+        Table { name: "ranks", title: title("Ranks at equal N", setting), columns, lines, legend: Vec::new() };
+    let (least, most) = setting.seeds();
+    table.legend = sentences("legend.txt", context! { name => "ranks", ways => race.ways.len(), least, most });
+    Some(table)
 }

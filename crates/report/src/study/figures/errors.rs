@@ -6,10 +6,9 @@
 use super::Figure;
 use crate::draw::charts::{Axis, Chart, Line};
 use crate::draw::marks::{Stroke, Style};
-use crate::study::Setting;
 use minijinja::context;
 use pwrfgs_core::{Headline, Task};
-use pwrfgs_experiment::{Record, scores::MODEL, statistics::quantile};
+use pwrfgs_experiment::{Record, Setting, scores::MODEL, statistics::quantile};
 use std::collections::BTreeMap;
 
 /// Test samples in a bin, and bins at most.

@@ -3,8 +3,8 @@
 use super::Figure;
 use crate::draw::charts::{Axis, Band, Chart, Line, phases, stairs};
 use crate::draw::marks::{Stroke, Style};
-use crate::study::{Setting, Variant};
 use minijinja::context;
+use pwrfgs_experiment::{Setting, Variant};
 use std::collections::BTreeMap;
 
 /// Marks on a line that show which it is.

@@ -5,9 +5,8 @@ use crate::canvas::{Anchor, Canvas, Colour, INK, Paint, Point, text_width, wrapp
 use crate::draw::axes::ticks;
 use crate::draw::charts::{Legend, SYMBOL, Symbol};
 use crate::draw::marks::SHADES;
-use crate::study::{Setting, Variant, distinct};
 use minijinja::context;
-use pwrfgs_experiment::{statistics::Spread, text::number};
+use pwrfgs_experiment::{Setting, Variant, distinct, statistics::Spread, text::number};
 
 /// Stages with their keys in `scores.csv`.
 const STAGES: [(&str, &str); 4] = [

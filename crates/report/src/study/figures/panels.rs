@@ -5,10 +5,9 @@ use crate::canvas::{Anchor, Canvas, LINE, TEXT, wrapped};
 use crate::draw::charts::Legend;
 use crate::draw::room::{Panel, Room};
 use crate::draw::spectra::{Scale, draw_azimuth, draw_elevation, names, pixels};
-use crate::study::{Setting, Variant};
 use minijinja::context;
 use pwrfgs_core::{Dataset, Image, ImagePlane, Result};
-use pwrfgs_experiment::scores::MODEL;
+use pwrfgs_experiment::{Setting, Variant, scores::MODEL};
 use pwrfgs_model::Snapshot;
 use std::collections::BTreeMap;
 

@@ -3,10 +3,9 @@
 use super::Figure;
 use crate::draw::charts::{Axis, Chart, Line};
 use crate::draw::marks::Style;
-use crate::study::Setting;
 use minijinja::context;
 use pwrfgs_core::{Dataset, Error, Measurement, Metric, Plugin, Result, evenly};
-use pwrfgs_experiment::{Bench, Session, Silent};
+use pwrfgs_experiment::{Bench, Session, Setting, Silent};
 
 /// Ends of the axis and steps between, dB.
 const LOW_DB: f64 = -20.0;

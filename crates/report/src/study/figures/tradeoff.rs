@@ -3,11 +3,9 @@
 use super::Figure;
 use crate::draw::charts::{Axis, Chart, Line};
 use crate::draw::marks::Style;
-use crate::study::race::{Race, Way};
-use crate::study::{Setting, Variant};
 use minijinja::context;
 use pwrfgs_core::Headline;
-use pwrfgs_experiment::{Record, scores::MODEL, statistics::Spread};
+use pwrfgs_experiment::{Race, Record, Setting, Variant, Way, scores::MODEL, statistics::Spread};
 
 /// Bian, Hua and Gündüz, "P-WRFGS: Pruning 3D Gaussians for Efficient Wireless Radiance Field Construction", section
 /// IV-A, its source and table I, for weights of 0, 0.02 and 0.04 of the mask loss; with 0 it is WRF-GS started from
@@ -191,7 +189,7 @@ fn worst_floor(setting: &Setting) -> Option<f64> {
 
 /// A way through its variants, with bars over seeds.
 fn way_line(way: &Way<'_>, k: usize, price: &Price, key: &str, shown: bool) -> Option<Line> {
-    let place = |variant: &&crate::study::Variant| {
+    let place = |variant: &&Variant| {
         let (paid, score) = (variant.spread(price.of)?, variant.score(key)?);
         (paid.mean > 0.0).then_some((paid.mean, score))
     };

@@ -1,7 +1,11 @@
-//! `Setting` and `Variant`: puts runs in settings and variants, and gives both their names.
+//! `Setting` and `Variant`: puts runs in settings and variants, and gives both their names; `Race`: variants that come to the same
+//! numbers of Gaussians in different ways.
 
+use crate::folder::MODEL_FILE;
+use crate::scores::MODEL;
+use crate::statistics::Spread;
+use crate::{Mark, Record};
 use pwrfgs_core::{Error, Headline, Result, Task, plugin::ron_options};
-use pwrfgs_experiment::{Mark, Record, folder::MODEL_FILE, scores::MODEL, statistics::Spread};
 use pwrfgs_pipeline::Pipeline;
 use serde::Serialize;
 use serde_json::Value;
@@ -33,35 +37,35 @@ impl Setting {
     }
 
     /// Names of the baselines, each once.
-    pub(super) fn floors(&self) -> Vec<&str> {
+    pub fn floors(&self) -> Vec<&str> {
         distinct(self.runs().flat_map(|run| run.scores.table.baselines()))
     }
 
     /// What a baseline reaches by a metric, in the mean over all runs.
-    pub(super) fn floor(&self, name: &str, key: &str) -> Option<f64> {
+    pub fn floor(&self, name: &str, key: &str) -> Option<f64> {
         let values: Vec<f64> = self.runs().filter_map(|run| run.scores.value(name, key)).collect();
         Some(Spread::of(&values)?.mean)
     }
 
     /// The first variant before number `k` whose models have the same bytes, seed by seed: what the two differ in changed
     /// nothing.
-    pub(super) fn twin(&self, k: usize) -> Option<&Variant> {
+    pub fn twin(&self, k: usize) -> Option<&Variant> {
         let own = self.variants[k].models()?;
         self.variants[..k].iter().find(|other| other.models().as_ref() == Some(&own))
     }
 
     /// What was observed: the same in all runs.
-    pub(super) fn task(&self) -> Task {
+    pub fn task(&self) -> Task {
         self.runs().next().map_or_else(Task::default, |run| run.scores.table.task)
     }
 
     /// The first metric of what was observed.
-    pub(super) fn headline(&self) -> Headline {
+    pub fn headline(&self) -> Headline {
         self.task().headline
     }
 
     /// The fewest and the most seeds of a variant.
-    pub(super) fn seeds(&self) -> (Option<usize>, Option<usize>) {
+    pub fn seeds(&self) -> (Option<usize>, Option<usize>) {
         let counts = self.variants.iter().map(|v| v.runs.len());
         (counts.clone().min(), counts.max())
     }
@@ -69,12 +73,12 @@ impl Setting {
 
 impl Variant {
     /// A number of each run, by `of`.
-    pub(super) fn spread(&self, of: impl Fn(&Record) -> Option<f64>) -> Option<Spread> {
+    pub fn spread(&self, of: impl Fn(&Record) -> Option<f64>) -> Option<Spread> {
         Spread::of(&self.runs.iter().filter_map(of).collect::<Vec<_>>())
     }
 
     /// What the models reach by a metric.
-    pub(super) fn score(&self, key: &str) -> Option<Spread> {
+    pub fn score(&self, key: &str) -> Option<Spread> {
         self.spread(|run| run.scores.value(MODEL, key))
     }
 
@@ -244,7 +248,7 @@ fn names(variants: &[&Labels]) -> Vec<String> {
 }
 
 /// Each once, in the order in which it came first.
-pub(crate) fn distinct<T: PartialEq>(all: impl IntoIterator<Item = T>) -> Vec<T> {
+pub fn distinct<T: PartialEq>(all: impl IntoIterator<Item = T>) -> Vec<T> {
     let mut found = Vec::new();
     for one in all {
         if !found.contains(&one) {
@@ -255,9 +259,102 @@ pub(crate) fn distinct<T: PartialEq>(all: impl IntoIterator<Item = T>) -> Vec<T>
 }
 
 /// A value as RON on one line.
-pub(crate) fn one_line(value: &impl serde::Serialize) -> String {
+pub fn one_line(value: &impl serde::Serialize) -> String {
     let config = ron::ser::PrettyConfig::new().struct_names(true).depth_limit(0);
     ron_options().to_string_pretty(value, config).unwrap_or_default()
+}
+
+/// At least so many ways, at so many numbers of Gaussians, are a race.
+const LEAST: [usize; 2] = [4, 2];
+
+/// Ways to the same numbers of Gaussians.
+#[derive(Clone, Debug)]
+pub struct Race<'a> {
+    /// Numbers of Gaussians that most ways come to, ascending.
+    pub numbers: Vec<usize>,
+    /// Best mean rank first, of equals in the order of the plan.
+    pub ways: Vec<Way<'a>>,
+}
+
+/// One way: variants whose labels differ in numbers alone.
+#[derive(Clone, Debug)]
+pub struct Way<'a> {
+    /// What its labels share.
+    pub name: String,
+    /// In the order of the plan.
+    pub variants: Vec<&'a Variant>,
+    /// Of each number of the race the score and the rank, from 1; nothing where it does not come to it.
+    pub places: Vec<Option<(Spread, usize)>>,
+}
+
+impl Way<'_> {
+    /// Over the numbers that it comes to; infinite where it comes to none.
+    pub fn mean_rank(&self) -> f64 {
+        let ranks: Vec<f64> = self.places.iter().flatten().map(|(_, rank)| *rank as f64).collect();
+        if ranks.is_empty() { f64::INFINITY } else { ranks.iter().sum::<f64>() / ranks.len() as f64 }
+    }
+}
+
+/// The label without its numbers.
+fn family(label: &str) -> String {
+    let is_number = |word: &&str| word.trim_end_matches(',').parse::<f64>().is_err();
+    label.split_whitespace().filter(is_number).collect::<Vec<_>>().join(" ")
+}
+
+/// N of a variant, where its seeds agree.
+fn count(variant: &Variant) -> Option<usize> {
+    let first = variant.runs.first()?.facts.gaussians;
+    variant.runs.iter().all(|run| run.facts.gaussians == first).then_some(first)
+}
+
+impl<'a> Race<'a> {
+    /// Nothing where the variants are none.
+    pub fn of(setting: &'a Setting) -> Option<Self> {
+        let headline = setting.headline();
+        let mut ways: Vec<Way<'a>> = Vec::new();
+        for variant in &setting.variants {
+            let name = family(&variant.label);
+            match ways.iter_mut().find(|way| way.name == name) {
+                Some(way) => way.variants.push(variant),
+                None => ways.push(Way { name, variants: vec![variant], places: Vec::new() }),
+            }
+        }
+        let mut numbers: Vec<usize> = setting.variants.iter().filter_map(count).collect();
+        numbers.sort_unstable();
+        numbers.dedup();
+        let comes_to = |way: &Way<'_>, n: usize| way.variants.iter().any(|v| count(v) == Some(n));
+        numbers.retain(|&n| ways.iter().filter(|way| comes_to(way, n)).count() * 2 > ways.len());
+        if ways.len() < LEAST[0] || numbers.len() < LEAST[1] {
+            return None;
+        }
+        let score = |variant: &Variant| variant.score(headline.key);
+        for &n in &numbers {
+            let at = |way: &Way<'_>| way.variants.iter().find(|v| count(v) == Some(n)).and_then(|v| score(v));
+            let scores: Vec<Option<Spread>> = ways.iter().map(at).collect();
+            let better = |a: f64, b: f64| if headline.higher { a > b } else { a < b };
+            for (way, own) in ways.iter_mut().zip(&scores) {
+                let rank = |own: &Spread| 1 + scores.iter().flatten().filter(|s| better(s.mean, own.mean)).count();
+                way.places.push(own.map(|own| (own, rank(&own))));
+            }
+        }
+        ways.sort_by(|a, b| a.mean_rank().total_cmp(&b.mean_rank()));
+        shorten(&mut ways);
+        Some(Self { numbers, ways })
+    }
+}
+
+/// Takes words away that all names begin or end with.
+fn shorten(ways: &mut [Way<'_>]) {
+    let words = |way: &Way<'_>| way.name.split(' ').map(str::to_owned).collect::<Vec<_>>();
+    let all: Vec<Vec<String>> = ways.iter().map(words).collect();
+    let least = all.iter().map(Vec::len).min().unwrap_or(0);
+    let same = |at: &dyn Fn(&Vec<String>) -> String| all.iter().all(|own| at(own) == at(&all[0]));
+    let first = (0..least).take_while(|&k| same(&|own| own[k].clone())).count();
+    let last =
+        (0..least.saturating_sub(first + 1)).take_while(|&k| same(&|own| own[own.len() - 1 - k].clone())).count();
+    for (way, own) in ways.iter_mut().zip(&all).filter(|(_, own)| own.len() > first + last) {
+        own[first..own.len() - last].join(" ").trim_end_matches(',').clone_into(&mut way.name);
+    }
 }
 
 #[cfg(test)]
@@ -316,5 +413,13 @@ mod tests {
         assert_eq!(of(&["x_seed=1", "x_seed=2"]), "x");
         assert_eq!(of(&["run7", "run7"]), "run7");
         assert_eq!(of(&["0", "1"]), "");
+    }
+
+    #[test]
+    fn families_differ_in_more_than_numbers() {
+        assert_eq!(family("lambda 0.02, cloud"), family("lambda 0.4, cloud"));
+        assert_ne!(family("lambda 0.02, cloud"), family("lambda 0.02, random"));
+        assert_ne!(family("method Pup3dgs, target 24"), family("method Pup2dgs, target 24"));
+        assert_eq!(family("method Pup3dgs, target 24"), "method Pup3dgs, target");
     }
 }
