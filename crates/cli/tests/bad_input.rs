@@ -16,13 +16,6 @@ fn third_picture(here: &Path) -> PathBuf {
 }
 
 #[test]
-fn the_unspoilt_folder_is_good() {
-    let folder = tempfile::tempdir().unwrap();
-    measured(folder.path());
-    succeed(folder.path(), &["run", "p.ron", "--out", "r", "-q"]);
-}
-
-#[test]
 fn missing_and_unreadable_files_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();

@@ -1,5 +1,5 @@
 //! Exit code 1: the machine fails, and everything written so far stays intact.
-use crate::common::{SMALL, call, refuse, stderr, succeed, write};
+use crate::common::{SMALL, call, copy_small_run, refuse, stderr, write};
 
 #[test]
 fn a_folder_that_cannot_be_written_is_a_failure() {
@@ -15,8 +15,7 @@ fn a_folder_that_cannot_be_written_is_a_failure() {
 fn a_full_disk_leaves_what_is_written_and_the_run_goes_on_later() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    write(&here.join("p.ron"), SMALL);
-    succeed(here, &["run", "p.ron", "--out", "whole", "-q"]);
+    copy_small_run(here, "whole");
     let checkpoint = std::fs::metadata(here.join("whole/checkpoint.safetensors")).unwrap().len();
     let blocks = checkpoint / 1024 / 2; // in KiB: settings and curve fit, the checkpoint does not
     let script = format!("ulimit -f {blocks}; exec {} run p.ron --out r -q", env!("CARGO_BIN_EXE_pwrfgs"));

@@ -135,7 +135,7 @@ impl Faults {
 
 #[test]
 fn a_run_killed_at_any_call_that_writes_ends_as_one_never_stopped() {
-    for (mode, spread) in [("kill", 6), ("half", 12)] {
+    for (mode, spread) in [("kill", 13), ("half", 25)] {
         let Some(faults) = Faults::prepare(mode, spread) else { return };
         faults.each(|out, ended| {
             assert!(!ended.status.success() && ended.status.code().is_none(), "{out}: {}", ended.status);
@@ -145,7 +145,7 @@ fn a_run_killed_at_any_call_that_writes_ends_as_one_never_stopped() {
 
 #[test]
 fn a_disk_that_is_full_from_any_call_on_is_told_and_the_run_goes_on_later() {
-    let Some(faults) = Faults::prepare("full", 6) else { return };
+    let Some(faults) = Faults::prepare("full", 17) else { return };
     faults.each(|out, ended| {
         let said = stderr(ended);
         // The last call brings the folder to the disk, and a file system that cannot do that is no failure.

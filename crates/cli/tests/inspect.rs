@@ -1,18 +1,8 @@
 //! `pwrfgs inspect` on a folder, on arrays and on a pipeline: what it prints and refuses.
 use crate::common::{SMALL, refuse, stdout, succeed, write};
+use pwrfgs::data::npy_header;
+use pwrfgs_core::Number;
 use std::path::Path;
-
-/// A picture of 8-bit numbers `[m, h, w]` as a file of NumPy.
-fn npy(path: &Path, kind: &str, shape: &str, bytes: &[u8]) {
-    let mut header = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}");
-    header += &" ".repeat(64 - (header.len() + 11) % 64);
-    header.push('\n');
-    let mut file = b"\x93NUMPY\x01\x00".to_vec();
-    file.extend((header.len() as u16).to_le_bytes());
-    file.extend(header.as_bytes());
-    file.extend(bytes);
-    write(path, file);
-}
 
 #[test]
 fn a_simulated_office_is_looked_at_as_folder_and_as_pipeline() {
@@ -59,10 +49,10 @@ fn odd_pictures_of_an_array_are_named() {
     let mut pixels: Vec<u8> = (0..count * width * height).map(pixel).collect();
     pixels[5 * 64..6 * 64].fill(9); // id 6 is constant
     pixels.copy_within(0..64, 9 * 64); // id 10 equals id 1
-    npy(&here.join("s.npy"), "|u1", "(24, 4, 16)", &pixels);
+    write(&here.join("s.npy"), [npy_header(Number::U8, &[count, height, width]), pixels].concat());
     let places = (0..count).flat_map(|i| [(i / 2) as f64 * 0.01, 0.0, 1.0]);
     let bytes: Vec<u8> = places.flat_map(f64::to_le_bytes).collect();
-    npy(&here.join("tx.npy"), "<f8", "(24, 3)", &bytes);
+    write(&here.join("tx.npy"), [npy_header(Number::F64, &[count, 3]), bytes].concat());
     let pose = ["--receiver", "0,0,0", "--orientation", "0,0,0,1"];
     succeed(here, &[&["import", "--spectra", "s.npy", "--tx", "tx.npy", "--out", "mine", "-q"], &pose[..]].concat());
     let said = stdout(&succeed(here, &["inspect", "mine", "-q"])).replace("\n               ", " ");

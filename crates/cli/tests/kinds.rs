@@ -49,14 +49,12 @@ fn folders(here: &Path) {
 const NO_POSITION: (&str, &str) = ("uplinks", "in place of a transmitter");
 
 /// Commands in the order of a user, KIND for the kind of data; who cannot do them, and the words that say so.
-const COMMANDS: [(&str, &[(&str, &str)]); 15] = [
+const COMMANDS: [(&str, &[(&str, &str)]); 13] = [
     ("inspect KIND", &[]),
     ("init KIND --out KIND.ron", &[]),
     ("check KIND.ron", &[]),
-    ("inspect KIND.ron", &[]),
     ("run KIND.ron --out run/KIND", &[]),
     ("check run/KIND", &[]),
-    ("inspect run/KIND", &[]),
     ("evaluate run/KIND/model.safetensors --out scored/KIND", &[]),
     ("predict run/KIND/model.safetensors --tx-csv walk.csv --out heard/KIND", &[NO_POSITION]),
     (

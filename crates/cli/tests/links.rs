@@ -1,6 +1,6 @@
 //! Received powers and channels by the same commands as spectra: page, predictions, maps, exports.
 
-use crate::common::{pwrfgs, refuse, stderr, succeed, wait_for_step, write};
+use crate::common::{npy, pwrfgs, refuse, stderr, succeed, wait_for_step, write};
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::process::Stdio;
@@ -44,12 +44,6 @@ fn page_of(run: &Path) -> String {
 
 fn names(folder: &Path) -> BTreeSet<String> {
     folder.read_dir().unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect()
-}
-
-fn floats(path: &Path) -> (Vec<usize>, Vec<f32>) {
-    let bytes = std::fs::read(path).unwrap();
-    let (shape, values) = pwrfgs::core::testing::npy(&bytes);
-    (shape, values.into_iter().map(|v| v as f32).collect())
 }
 
 #[test]
@@ -100,7 +94,7 @@ fn free_space(here: &Path) {
     let text = "Pipeline(name: \"waves\", data: Channels(root: \"waves\", carrier_hz: 3e8, spacing_hz: 1e7, receiver: ()), \
                 split: Random(test: 0.25), initializer: MatchingPursuit(most: 3, reach: 1.0, hold_out: 0), \
                 method: VirtualTransmitters(order: 1), pruners: [LearnableMask(learning_rate: 0.01)], \
-                training: (steps: 1200, batch: 8, densify_until: 0, prune_until: 600, prune_every: 50, validate_every: 100, \
+                training: (steps: 700, batch: 8, densify_until: 0, prune_until: 350, prune_every: 50, validate_every: 100, \
                 checkpoint_every: 35, densify: (every: 0)), baselines: [Zero()], metrics: [ChannelSnr()])";
     write(&here.join("waves.ron"), text);
 }
@@ -151,11 +145,11 @@ fn killed_runs_of_powers_and_channels_end_as_those_never_stopped() {
     let here = folder.path();
     hall(here);
     free_space(here);
-    let longer = "training=(steps: 1200, prune_until: 600, prune_every: 50, validate_every: 100, checkpoint_every: 35)";
+    let longer = "training=(steps: 700, prune_until: 350, prune_every: 50, validate_every: 100, checkpoint_every: 35)";
     for (pipeline, settings) in [("p.ron", &["--set", longer][..]), ("waves.ron", &[])] {
         let arguments = |out: &'static str| [&["run", pipeline, "--out", out, "-q"][..], settings].concat();
         succeed(here, &arguments("whole"));
-        for step in [20, 310, 900] {
+        for step in [20, 310, 500] {
             let mut child = pwrfgs(here).args(arguments("killed")).stdout(Stdio::null()).spawn().unwrap();
             wait_for_step(&mut child, &here.join("killed"), step);
             child.kill().unwrap();
@@ -257,8 +251,8 @@ fn maps_powers(here: &Path) {
         "strongest.png",
     ];
     assert_eq!(names(&here.join("map")), maps.map(str::to_owned).into());
-    let (shape, north) = floats(&here.join("map/power-north.npy"));
-    let (south, strongest) = (floats(&here.join("map/power-south.npy")).1, floats(&here.join("map/strongest.npy")).1);
+    let (shape, north) = npy(&here.join("map/power-north.npy"));
+    let (south, strongest) = (npy(&here.join("map/power-south.npy")).1, npy(&here.join("map/strongest.npy")).1);
     assert_eq!(shape, [3, 5]);
     assert!(strongest.iter().zip(north.iter().zip(&south)).all(|(s, (a, b))| *s == a.max(*b)));
     // The place x = 1, y = 2 is the third of the third row.
@@ -332,8 +326,8 @@ fn channels_are_reported_predicted_and_mapped() {
     assert!(header(&all).contains("'<c8'") && header(&all).contains("(2, 16, 16)"), "{}", header(&all));
     assert_eq!(one[one.len() - 2048..], all[all.len() - 2048..], "stacked or not, the same numbers");
     succeed(here, &["map", MODEL, "--plane", "z=1", "--step", "0.5", "--bounds", "3,4,2,3", "--out", "map"]);
-    assert_eq!(floats(&here.join("map/power.npy")).0, [3, 3]);
+    assert_eq!(npy(&here.join("map/power.npy")).0, [3, 3]);
     let db: f32 =
         read(&here.join("each/predictions.csv")).lines().nth(1).unwrap().split(',').nth(5).unwrap().parse().unwrap();
-    assert!((floats(&here.join("map/power.npy")).1[0] - db).abs() < 1e-2);
+    assert!((npy(&here.join("map/power.npy")).1[0] - db).abs() < 1e-2);
 }

@@ -20,9 +20,10 @@ fn cargo(example: &Path, command: &str) -> Output {
     if !cfg!(debug_assertions) {
         cargo.arg("--release");
     }
-    for name in CRATES {
-        cargo.args(["--config", &format!("profile.dev.package.{name}.opt-level=0")]);
+    for name in std::fs::read_dir(root().join("crates")).unwrap().map(|entry| entry.unwrap().file_name()) {
+        cargo.args(["--config", &format!("profile.dev.package.pwrfgs-{}.opt-level=0", name.display())]);
     }
+    cargo.args(["--config", "profile.dev.package.pwrfgs.opt-level=0"]);
     let output = cargo.output().unwrap();
     assert!(
         output.status.success(),
@@ -32,25 +33,6 @@ fn cargo(example: &Path, command: &str) -> Output {
     );
     output
 }
-
-/// The crates of pwrfgs.
-const CRATES: [&str; 15] = [
-    "pwrfgs",
-    "pwrfgs-canvas",
-    "pwrfgs-cli",
-    "pwrfgs-core",
-    "pwrfgs-data",
-    "pwrfgs-experiment",
-    "pwrfgs-init",
-    "pwrfgs-metrics",
-    "pwrfgs-model",
-    "pwrfgs-prune",
-    "pwrfgs-raster",
-    "pwrfgs-report",
-    "pwrfgs-sim",
-    "pwrfgs-train",
-    "pwrfgs-waves",
-];
 
 #[test]
 fn the_page_on_plugins_shows_what_is_built_here() {

@@ -1,7 +1,7 @@
 //! `pwrfgs report` on small runs: what it writes, that its numbers are those of the runs, and what it refuses.
-use crate::common::{SMALL, refuse, stdout, succeed, write};
+use crate::common::{SMALL, files, refuse, stdout, succeed, write};
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 const RUNS: [&str; 6] =
     ["runs/whole-0", "runs/whole-1", "runs/half_grid-0", "runs/half_grid-1", "runs/other-0", "runs/other-1"];
@@ -28,20 +28,6 @@ fn runs(here: &Path) {
 fn rows(text: &str) -> Vec<BTreeMap<String, String>> {
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     reader.deserialize().map(|row| row.unwrap()).collect()
-}
-
-/// All files below a folder, with their bytes.
-fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
-    let mut all = BTreeMap::new();
-    for entry in std::fs::read_dir(folder).unwrap().map(Result::unwrap) {
-        let name = entry.file_name().into_string().unwrap();
-        if entry.path().is_dir() {
-            all.extend(files(&entry.path()).into_iter().map(|(below, bytes)| (format!("{name}/{below}"), bytes)));
-        } else {
-            all.insert(name, std::fs::read(entry.path()).unwrap());
-        }
-    }
-    all
 }
 
 /// SSIM of a predictor in `scores.csv`, by test id.
@@ -75,7 +61,7 @@ fn runs_become_a_report() {
 
     let out = here.join(RUNS[0]).join("report");
     let first = files(&out);
-    let text = |name: &str| String::from_utf8(first[name].clone()).unwrap();
+    let text = |name: &str| String::from_utf8(first[&out.join(name)].clone()).unwrap();
     numbers_are_those_of_the_runs(here, &text("report.csv"));
     let html = text("report.html");
     for outside in ["src=\"http", "href=\"http", "<link", "<script", "url("] {
@@ -132,14 +118,18 @@ fn numbers_are_those_of_the_runs(here: &Path, report: &str) {
 }
 
 /// The same bytes again; what was there before and is no more goes, what the report has not made stays.
-fn replaced(here: &Path, arguments: &[&str], out: &Path, first: &BTreeMap<String, Vec<u8>>) {
+fn replaced(here: &Path, arguments: &[&str], out: &Path, first: &BTreeMap<PathBuf, Vec<u8>>) {
     succeed(here, arguments);
     assert!(files(out) == *first, "the same runs give the same bytes");
     write(&out.join("report.aux"), "of LaTeX");
     let one = ["report", "runs/whole-0", "-q"];
     let said = stdout(&succeed(here, &one));
     let after = files(out);
-    assert!(after.contains_key("report.aux") && after["report.html"] != first["report.html"], "{said}");
+    assert!(
+        after.contains_key(&out.join("report.aux"))
+            && after[&out.join("report.html")] != first[&out.join("report.html")],
+        "{said}"
+    );
     // Another reference, somewhere else.
     let other = ["report", "runs/whole-0", "runs/half_grid-0", "--reference", "3-NN", "--out", "elsewhere/deep"];
     assert!(stdout(&succeed(here, &other)).contains("Paired differences from 3-NN"));

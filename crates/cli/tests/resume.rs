@@ -1,7 +1,8 @@
 //! Killed, interrupted, resumed: the end is the same, byte for byte.
 use crate::common::{SMALL, pwrfgs, refuse, succeed, wait_for_step, write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Stdio;
+use std::sync::OnceLock;
 
 /// A few seconds of training in small steps, with densification, pruning and checkpoints on the way.
 fn longer() -> String {
@@ -38,6 +39,18 @@ pub(crate) fn events(run: &Path) -> Vec<Vec<u8>> {
     records
 }
 
+/// Such a run that was never stopped, made once for all tests.
+fn whole() -> &'static Path {
+    static RUN: OnceLock<PathBuf> = OnceLock::new();
+    RUN.get_or_init(|| {
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("longer-run");
+        _ = std::fs::remove_dir_all(&folder);
+        write(&folder.join("p.ron"), longer());
+        succeed(&folder, &["run", "p.ron", "--out", "whole", "-q", "--threads", "2"]);
+        folder.join("whole")
+    })
+}
+
 fn same_end(a: &Path, b: &Path) {
     assert!(curve(a) == curve(b), "curves differ");
     assert_eq!(events(a).len(), 1 + (curve(a).len() - 1) + 2_400 / 300, "the version, each row, each validation");
@@ -52,7 +65,6 @@ fn a_killed_run_ends_as_one_never_stopped() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(&here.join("p.ron"), longer());
-    succeed(here, &["run", "p.ron", "--out", "whole", "-q"]);
     // Between two checkpoints: densifying, pruning, fine-tuning; and right at a checkpoint, a prune and a validation.
     for step in [40, 330, 900, 1050, 1520, 2100] {
         let mut child =
@@ -62,8 +74,8 @@ fn a_killed_run_ends_as_one_never_stopped() {
         assert!(!child.wait().unwrap().success(), "killed after step {step}");
     }
     succeed(here, &["run", "p.ron", "--out", "killed", "-q"]);
-    same_end(&here.join("whole"), &here.join("killed"));
-    let rows = curve(&here.join("whole"));
+    same_end(whole(), &here.join("killed"));
+    let rows = curve(whole());
     assert_eq!(rows.len(), 1 + 1 + 240, "a header, step 1 and every tenth");
     assert!(rows.iter().any(|r| r.contains("prune")) && rows.iter().any(|r| r.contains("finetune")));
 }
@@ -85,6 +97,5 @@ fn an_interrupted_run_says_how_to_go_on() {
     assert_eq!(output.status.code(), Some(130), "{said}");
     assert!(said.contains("stopped after step") && said.contains("the same command goes on"), "{said}");
     succeed(here, &["run", "p.ron", "--out", "r", "-q", "--threads", "1"]);
-    succeed(here, &["run", "p.ron", "--out", "whole", "-q", "--threads", "2"]);
-    same_end(&here.join("r"), &here.join("whole"));
+    same_end(&here.join("r"), whole());
 }

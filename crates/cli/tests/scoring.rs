@@ -1,5 +1,5 @@
 //! Baselines and metrics: asked before the first step, and changed without training again.
-use crate::common::{SMALL, measured, pwrfgs, refuse, stderr, stdout, succeed, wait_for_step, write};
+use crate::common::{SMALL, copy_small_run, measured, pwrfgs, refuse, stderr, stdout, succeed, wait_for_step, write};
 use std::path::Path;
 use std::process::Stdio;
 use std::time::SystemTime;
@@ -145,9 +145,9 @@ fn sweeps_and_joined_models_are_scored_anew_too() {
 
 #[test]
 fn a_run_killed_while_its_model_is_made_and_scored_anew_is_not_finished() {
-    let folder = folder();
+    let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    succeed(here, &["run", "p.ron", "--out", "r", "-q"]);
+    copy_small_run(here, "r");
     let ended = |json: &str| json.contains("\"finished\": \"");
     assert!(ended(&text(&here.join("r/run.json"))));
     std::fs::remove_file(here.join("r/model.safetensors")).unwrap(); // the checkpoint makes it again
@@ -164,9 +164,9 @@ fn a_run_killed_while_its_model_is_made_and_scored_anew_is_not_finished() {
 
 #[test]
 fn a_folder_that_is_scored_anew_is_held_and_survives_a_kill() {
-    let folder = folder();
+    let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    succeed(here, &["run", "p.ron", "--out", "r", "-q"]);
+    copy_small_run(here, "r");
     let before = trained(&here.join("r"));
     // Each baseline is timed for two seconds.
     let slow = ["run", "p.ron", "--out", "r", "-q", "--set", "metrics=[Latency(repeats: 10_000, warm_up: 10_000)]"];

@@ -1,6 +1,6 @@
 //! Sweeps: what they run, what they skip, what stops them and what does not.
-use crate::common::{SMALL, call, pwrfgs, refuse, stderr, stdout, succeed, wait_for_step, write};
-use std::path::{Path, PathBuf};
+use crate::common::{SMALL, call, files, pwrfgs, refuse, stderr, stdout, succeed, wait_for_step, write};
+use std::path::Path;
 use std::process::Stdio;
 
 /// Two axes of two variants, one seed.
@@ -77,12 +77,12 @@ fn every_combination_is_run_once_and_variants_change_what_they_name() {
 
 #[test]
 fn a_killed_sweep_goes_on_and_ends_as_one_never_stopped() {
-    let base = SMALL.replace("steps: 60", "steps: 700").replace("prune_until: 40", "prune_until: 400");
+    let base = SMALL.replace("steps: 60", "steps: 500").replace("prune_until: 40", "prune_until: 300");
     let folder = folder(EXPERIMENT, &base);
     let here = folder.path();
     succeed(here, &["sweep", "e.ron", "--out", "whole", "-q"]);
     // In the first run, and twice in the second.
-    for (run, step) in [(RUNS[0], 300), (RUNS[1], 150), (RUNS[1], 420)] {
+    for (run, step) in [(RUNS[0], 250), (RUNS[1], 150), (RUNS[1], 350)] {
         let mut child =
             pwrfgs(here).args(["sweep", "e.ron", "--out", "killed", "-q"]).stdout(Stdio::null()).spawn().unwrap();
         wait_for_step(&mut child, &here.join("killed").join(run), step);
@@ -139,7 +139,7 @@ fn shards_share_the_runs_out() {
 
 #[test]
 fn two_sweeps_in_one_folder_share_the_work() {
-    let base = SMALL.replace("steps: 60", "steps: 400");
+    let base = SMALL.replace("steps: 60", "steps: 200");
     let folder = folder(EXPERIMENT, &base);
     let here = folder.path();
     let start = || pwrfgs(here).args(["sweep", "e.ron"]).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
@@ -230,21 +230,6 @@ fn values_for_all_runs_are_checked_together_with_those_of_the_axes() {
         2,
         &["error: --set pruners=", "training.target"],
     );
-}
-
-/// Every file below a folder.
-fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
-    let mut all = Vec::new();
-    for entry in std::fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        if path.is_dir() {
-            all.extend(files(&path));
-        } else {
-            all.push((path.clone(), std::fs::read(path).unwrap()));
-        }
-    }
-    all.sort();
-    all
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! `pwrfgs view` and the part of a report that moves: in a real browser where there is one, and against whoever means ill.
 
 use crate::common::browser::Browser;
-use crate::common::{SMALL, pwrfgs, refuse, succeed, write};
+use crate::common::{SMALL, copy_small_run, pwrfgs, refuse, small_run, write};
 use crate::links::hall;
 use crate::model_format::models;
 use pwrfgs::model::file;
@@ -76,13 +76,6 @@ impl Drop for Served {
     }
 }
 
-fn small_run() -> tempfile::TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    write(&folder.path().join("small.ron"), SMALL);
-    succeed(folder.path(), &["run", "small.ron", "--out", "run", "-q"]);
-    folder
-}
-
 /// Number of the first sample of a run in one of its sets, such as `test`.
 fn first_of(run: &Path, set: &str) -> usize {
     let samples = std::fs::read_to_string(run.join("samples.csv")).unwrap();
@@ -92,11 +85,11 @@ fn first_of(run: &Path, set: &str) -> usize {
 #[test]
 fn a_baseline_is_not_scored_against_samples_that_it_stores() {
     let folder = small_run();
-    let served = Served::start(folder.path(), &["run", "NearestNeighbours(k: 1)"]);
+    let served = Served::start(folder, &["run", "NearestNeighbours(k: 1)"]);
     let (_, token) = served.parts();
-    let samples = std::fs::read_to_string(folder.path().join("run/samples.csv")).unwrap();
+    let samples = std::fs::read_to_string(folder.join("run/samples.csv")).unwrap();
     let asked = |side: usize, set: &str, by_position: bool| {
-        let link = first_of(&folder.path().join("run"), set);
+        let link = first_of(&folder.join("run"), set);
         let fields: Vec<&str> = samples.lines().nth(link + 1).unwrap().split(',').collect();
         let place = if by_position { format!("tx={}", fields[1..4].join(",")) } else { format!("link={link}") };
         served.body(&format!("/{token}/predict?side={side}&{place}"), "")
@@ -114,10 +107,10 @@ fn a_baseline_is_not_scored_against_samples_that_it_stores() {
 }
 
 #[test]
-fn pages_open_on_a_test_sample_and_name_the_set() {
+fn pages_open_on_a_test_sample_name_the_set_and_move_together() {
     let folder = small_run();
-    let run = folder.path().join("run");
-    let served = Served::start(folder.path(), &["run", "NearestNeighbours(k: 1)"]);
+    let run = folder.join("run");
+    let served = Served::start(folder, &["run", "NearestNeighbours(k: 1)"]);
     let Some(page) = Browser::open(&served.address, [1300, 900]) else { return skipped(NO_BROWSER) };
     let opens_on_a_test_sample = |stage: &str| {
         page.wait("document.querySelector('[data-ready]')");
@@ -139,6 +132,12 @@ fn pages_open_on_a_test_sample_and_name_the_set() {
     assert!(baseline.starts_with("not scored: the baseline learned from sample "), "{baseline}");
     let [_, baseline] = said("test").try_into().unwrap();
     assert!(baseline.starts_with("SSIM ") && baseline.contains("(test), 0.00 m away"), "{baseline}");
+    page.eval(&format!("{stage}.goTo({stage}.ordered('id')[3])"));
+    page.wait(&format!("{stage}.link === {stage}.ordered('id')[3] && !{stage}.busy"));
+    let names = page.eval("[...document.querySelectorAll('[data-name]')].map((own) => own.textContent).join()");
+    assert_eq!(names, json!("run,1-NN"));
+    let differ = format!("{stage}.sides[0].picture.some((v, k) => v !== {stage}.sides[1].picture[k])");
+    assert_eq!(page.eval(&differ), json!(true), "both sides move, each to its own prediction");
     assert_eq!(page.console(), Vec::<String>::new());
     // The same stage in reports, which predict in the page or show samples alone.
     let powers = tempfile::tempdir().unwrap();
@@ -165,7 +164,7 @@ fn grip(page: &Browser, stage: &str) -> [f64; 2] {
 #[test]
 fn the_page_follows_the_transmitter_and_ends_with_its_window() {
     let folder = small_run();
-    let mut served = Served::start(folder.path(), &["run"]);
+    let mut served = Served::start(folder, &["run"]);
     let Some(page) = Browser::open(&served.address, [1300, 900]) else { return skipped(NO_BROWSER) };
     page.wait("document.querySelector('[data-ready]')");
     let stage = "document.querySelector('main').stage";
@@ -176,7 +175,7 @@ fn the_page_follows_the_transmitter_and_ends_with_its_window() {
     let tx = numbers(&page.eval(&format!("{stage}.tx")));
     assert!(tx[0] != before[0] && tx[1] != before[1] && tx[2] == before[2], "{before:?} {tx:?}");
     let shown = numbers(&page.eval(&format!("Array.from({stage}.sides[0].picture)")));
-    let model = file::read(&folder.path().join("run/model.safetensors")).unwrap();
+    let model = file::read(&folder.join("run/model.safetensors")).unwrap();
     let predicted = model.predict(pwrfgs_core::Query::at([tx[0], tx[1], tx[2]], 0));
     assert_eq!(shown.len(), predicted.pixels.len());
     for (shown, own) in shown.iter().zip(&predicted.pixels) {
@@ -215,25 +214,9 @@ fn the_page_follows_the_transmitter_and_ends_with_its_window() {
 }
 
 #[test]
-fn two_sides_move_together_and_a_floor_may_be_one() {
-    let folder = small_run();
-    let served = Served::start(folder.path(), &["run", "NearestNeighbours(k: 1)"]);
-    let Some(page) = Browser::open(&served.address, [1300, 900]) else { return skipped(NO_BROWSER) };
-    page.wait("document.querySelector('[data-ready]')");
-    let stage = "document.querySelector('main').stage";
-    page.eval(&format!("{stage}.goTo({stage}.ordered('id')[3])"));
-    page.wait(&format!("{stage}.updates > 1 && !{stage}.busy"));
-    let names = page.eval("[...document.querySelectorAll('[data-name]')].map((own) => own.textContent).join()");
-    assert_eq!(names, json!("run,1-NN"));
-    let differ = format!("{stage}.sides[0].picture.some((v, k) => v !== {stage}.sides[1].picture[k])");
-    assert_eq!(page.eval(&differ), json!(true));
-    assert_eq!(page.console(), Vec::<String>::new());
-}
-
-#[test]
 fn models_predict_in_the_page_as_in_the_program() {
     let folder = small_run();
-    let served = Served::start(folder.path(), &["run"]);
+    let served = Served::start(folder, &["run"]);
     let Some(page) = Browser::open(&served.address, [600, 400]) else { return skipped(NO_BROWSER) };
     page.wait("document.querySelector('[data-ready]')");
     let mut seen = 0;
@@ -266,13 +249,13 @@ fn models_predict_in_the_page_as_in_the_program() {
 #[test]
 fn a_report_is_alive_without_a_server_and_still_without_scripts() {
     let folder = small_run();
-    let path = folder.path().join("run/report.html");
+    let path = folder.join("run/report.html");
     assert!(std::fs::metadata(&path).unwrap().len() < 8_000_000);
     let address = format!("file://{}", path.display());
     let Some(page) = Browser::open(&address, [1300, 900]) else { return skipped(NO_BROWSER) };
     page.wait("document.querySelector('[data-ready]')");
     let stage = "document.querySelector('[data-source=file]').stage";
-    let model = file::read(&folder.path().join("run/model.safetensors")).unwrap();
+    let model = file::read(&folder.join("run/model.safetensors")).unwrap();
     page.eval("document.querySelector('[data-room]').scrollIntoView({ block: 'center' })");
     let [x, y] = grip(&page, stage);
     page.drag([x, y], [x + 40.0, y + 10.0], 6, false);
@@ -303,10 +286,11 @@ fn a_report_is_alive_without_a_server_and_still_without_scripts() {
 #[test]
 fn a_run_under_way_is_followed() {
     let folder = tempfile::tempdir().unwrap();
-    write(&folder.path().join("small.ron"), SMALL.replace("steps: 60", "steps: 100_000"));
-    let mut run = pwrfgs(folder.path()).args(["run", "small.ron", "--out", "run", "-q"]).spawn().unwrap();
-    crate::common::wait_for_step(&mut run, &folder.path().join("run"), 30);
-    let served = Served::start(folder.path(), &["run"]);
+    let folder = folder.path();
+    write(&folder.join("small.ron"), SMALL.replace("steps: 60", "steps: 100_000"));
+    let mut run = pwrfgs(folder).args(["run", "small.ron", "--out", "run", "-q"]).spawn().unwrap();
+    crate::common::wait_for_step(&mut run, &folder.join("run"), 30);
+    let served = Served::start(folder, &["run"]);
     let page = Browser::open(&served.address, [1000, 700]);
     if let Some(page) = &page {
         page.wait("document.querySelector('[data-ready]')");
@@ -324,7 +308,7 @@ fn a_run_under_way_is_followed() {
 #[test]
 fn whoever_means_ill_is_refused_and_the_page_goes_on() {
     let folder = small_run();
-    let served = Served::start(folder.path(), &["run/model.safetensors"]);
+    let served = Served::start(folder, &["run/model.safetensors"]);
     let (host, token) = served.parts();
     let room = format!("/{token}/room");
     let good = || assert_eq!(served.get(&room, ""), "HTTP/1.1 200 OK");
@@ -383,7 +367,7 @@ fn next_head(stream: &mut BufReader<TcpStream>) -> String {
 #[test]
 fn silent_connections_do_not_block_the_page() {
     let folder = small_run();
-    let served = Served::start(folder.path(), &["run/model.safetensors"]);
+    let served = Served::start(folder, &["run/model.safetensors"]);
     let (host, token) = served.parts();
     let room = format!("/{token}/room");
     let connect = || {
@@ -414,8 +398,9 @@ fn silent_connections_do_not_block_the_page() {
 
 #[test]
 fn what_cannot_be_viewed_is_told() {
-    let folder = small_run();
+    let folder = tempfile::tempdir().unwrap();
     let path = folder.path();
+    copy_small_run(path, "run");
     write(&path.join("broken.safetensors"), "no model");
     std::fs::create_dir(path.join("empty")).unwrap();
     refuse(path, &["view", "nothing"], 2, &["nothing"]);

@@ -249,7 +249,7 @@ impl Scores {
     /// Reads `scores.csv` in `path`, of which `table` is the summary.
     ///
     /// # Errors
-    /// [`Error::Input`] with the line if the file is damaged, or `table` is of other scores.
+    /// [`pwrfgs_core::Error::Input`] with the line if the file is damaged, or `table` is of other scores.
     pub fn read(path: &Path, table: ScoreTable) -> Result<Self> {
         let mut found = Self { table, ..Self::default() };
         let (rows, mut line) = (csv_rows::<ScoreRow>(path)?, 2);

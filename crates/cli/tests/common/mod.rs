@@ -3,8 +3,10 @@
 pub(crate) mod browser;
 
 use pwrfgs_core::testing::skipped;
-use std::path::Path;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output};
+use std::sync::OnceLock;
 use std::time::Duration;
 
 /// A pipeline of seconds: spectra of 48x12 pixels, 8 Gaussians.
@@ -61,6 +63,28 @@ pub(crate) fn refuse(folder: &Path, arguments: &[&str], code: i32, words: &[&str
     }
 }
 
+/// A folder with `SMALL` in `p.ron` and its finished run in `run`, trained once for all tests, which change nothing in it.
+pub(crate) fn small_run() -> &'static Path {
+    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
+    FOLDER.get_or_init(|| {
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("small-run");
+        _ = std::fs::remove_dir_all(&folder);
+        write(&folder.join("p.ron"), SMALL);
+        succeed(&folder, &["run", "p.ron", "--out", "run", "-q"]);
+        folder
+    })
+}
+
+/// `SMALL` in `p.ron`, and a copy of its finished run in `out`.
+pub(crate) fn copy_small_run(here: &Path, out: &str) {
+    let whole = small_run();
+    write(&here.join("p.ron"), SMALL);
+    std::fs::create_dir_all(here.join(out)).unwrap();
+    for entry in std::fs::read_dir(whole.join("run")).unwrap().map(Result::unwrap) {
+        std::fs::copy(entry.path(), here.join(out).join(entry.file_name())).unwrap();
+    }
+}
+
 /// Waits until the curve of a run that `child` is at work on has the row of `step`.
 pub(crate) fn wait_for_step(child: &mut Child, run: &Path, step: u64) {
     let reached = || {
@@ -78,6 +102,25 @@ pub(crate) fn wait_for_step(child: &mut Child, run: &Path, step: u64) {
 pub(crate) fn write(path: &Path, content: impl AsRef<[u8]>) {
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
     std::fs::write(path, content).unwrap();
+}
+
+/// Shape and values of an NPY file in 32 bits.
+pub(crate) fn npy(path: &Path) -> (Vec<usize>, Vec<f32>) {
+    let (shape, values) = pwrfgs_core::testing::npy(&std::fs::read(path).unwrap());
+    (shape, values.into_iter().map(|v| v as f32).collect())
+}
+
+/// Every file below a folder, with its bytes.
+pub(crate) fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut all = BTreeMap::new();
+    for path in std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
+        if path.is_dir() {
+            all.extend(files(&path));
+        } else {
+            all.insert(path.clone(), std::fs::read(path).unwrap());
+        }
+    }
+    all
 }
 
 /// A grey picture.
