@@ -31,7 +31,6 @@ mod rasterizer;
 mod real;
 pub mod rng;
 mod scene;
-pub mod simd;
 mod spectra;
 mod splats;
 pub mod ssim;
@@ -59,7 +58,7 @@ pub use metric::{Evaluation, Goal, Measurement, Metric, ModelFacts, Scope, Stage
 pub use plugin::{Cache, Checked, Plugin, cached, registered};
 pub use pruner::{Budget, ColumnSpec, MaskFall, MaskRate, Pruner, PrunerTraits, best};
 pub use rasterizer::{Looked, Projector, Rasterizer, Render, RenderVjp, Survey};
-pub use real::{Mat3, Real, Vec3, consts, logit, sigmoid};
+pub use real::{Lanes, Mat3, Real, Vec3, consts, logit, sigmoid, widest};
 pub use rng::evenly;
 pub use scene::{
     Features, Link, MAX_COORDINATE_M, Origin, Pose, Query, Receiver, Sample, Scene, Transmitter, coordinate_fault,

@@ -1,4 +1,5 @@
-//! The one floating-point type of all kernels.
+//! The one floating-point type of all kernels, kernels over lanes of vectors, and the dispatch to the widest vectors that the
+//! processor has.
 //!
 //! `f32` by default; the crate feature `f64` turns every formula into double precision so that hand-written
 //! derivatives can be checked against central differences. Feature-gated rather than generic: a kernel stays a
@@ -53,4 +54,87 @@ pub fn sigmoid(x: Real) -> Real {
 #[inline]
 pub fn logit(p: Real) -> Real {
     (p / (1.0 - p)).ln()
+}
+
+/// Multiply and add over the lanes of a row, with explicit vectors: left to itself the compiler vectorises across
+/// channels instead, by gathering.
+pub trait Lanes: Sized {
+    /// sum += scale · x.
+    fn add_scaled<S: pulp::Simd, const N: usize>(simd: S, sum: &mut [Self; N], scale: Self, x: &[Self; N]);
+    /// sum += x · y.
+    fn add_product<S: pulp::Simd, const N: usize>(simd: S, sum: &mut [Self; N], x: &[Self; N], y: &[Self; N]);
+    /// Two weighted sums of the same rows, each row loaded once: `sums[c] = Σ scales[c][k] · rows[k]`. N is a multiple of
+    /// 64, so that every vector width makes whole groups of four, which stay in registers.
+    fn two_sums<S: pulp::Simd, const N: usize>(
+        simd: S,
+        sums: &mut [[Self; N]; 2],
+        scales: [&[Self]; 2],
+        rows: &[[Self; N]],
+    );
+}
+
+macro_rules! lanes {
+    ($real:ty, $vectors:ident, $vectors_mut:ident, $splat:ident, $mul_add:ident) => {
+        impl Lanes for $real {
+            #[inline(always)]
+            fn add_scaled<S: pulp::Simd, const N: usize>(simd: S, sum: &mut [Self; N], scale: Self, x: &[Self; N]) {
+                let (sum, sum_rest) = S::$vectors_mut(sum);
+                let (x, x_rest) = S::$vectors(x);
+                let many = simd.$splat(scale);
+                for i in 0..sum.len() {
+                    sum[i] = simd.$mul_add(many, x[i], sum[i]);
+                }
+                for i in 0..sum_rest.len() {
+                    sum_rest[i] = scale.mul_add(x_rest[i], sum_rest[i]);
+                }
+            }
+            #[inline(always)]
+            fn add_product<S: pulp::Simd, const N: usize>(simd: S, sum: &mut [Self; N], x: &[Self; N], y: &[Self; N]) {
+                let (sum, sum_rest) = S::$vectors_mut(sum);
+                let ((x, x_rest), (y, y_rest)) = (S::$vectors(x), S::$vectors(y));
+                for i in 0..sum.len() {
+                    sum[i] = simd.$mul_add(x[i], y[i], sum[i]);
+                }
+                for i in 0..sum_rest.len() {
+                    sum_rest[i] = x_rest[i].mul_add(y_rest[i], sum_rest[i]);
+                }
+            }
+            #[inline(always)]
+            fn two_sums<S: pulp::Simd, const N: usize>(
+                simd: S,
+                sums: &mut [[Self; N]; 2],
+                scales: [&[Self]; 2],
+                rows: &[[Self; N]],
+            ) {
+                const { assert!(N.is_multiple_of(64), "whole groups of four vectors") };
+                let [first, second] = sums;
+                let first = S::$vectors_mut(first).0.as_chunks_mut::<4>().0;
+                let second = S::$vectors_mut(second).0.as_chunks_mut::<4>().0;
+                let (xs, ys) = (&scales[0][..rows.len()], &scales[1][..rows.len()]);
+                for g in 0..first.len() {
+                    let (mut a, mut b) = ([simd.$splat(0.0); 4], [simd.$splat(0.0); 4]);
+                    for k in 0..rows.len() {
+                        let (x, y) = (simd.$splat(xs[k]), simd.$splat(ys[k]));
+                        let row = &S::$vectors(&rows[k]).0.as_chunks::<4>().0[g];
+                        for v in 0..4 {
+                            a[v] = simd.$mul_add(row[v], x, a[v]);
+                            b[v] = simd.$mul_add(row[v], y, b[v]);
+                        }
+                    }
+                    (first[g], second[g]) = (a, b);
+                }
+            }
+        }
+    };
+}
+lanes!(f32, as_simd_f32s, as_mut_simd_f32s, splat_f32s, mul_add_f32s);
+lanes!(f64, as_simd_f64s, as_mut_simd_f64s, splat_f64s, mul_add_f64s);
+
+/// Runs `work` at the widest vectors of this processor. `with_simd` must be `#[inline(always)]`, and so must all it
+/// calls: what is not inlined into the dispatch is compiled for the narrowest. (A closure is not, hence the structs.)
+/// The standard library does not promise it of `zip`, `array::map` and `array::from_fn`, which become calls where a
+/// crate's parts are not optimised together: kernels count their lanes.
+#[inline(always)]
+pub fn widest<W: pulp::WithSimd>(work: W) -> W::Output {
+    pulp::Arch::new().dispatch(work)
 }

@@ -11,8 +11,7 @@
 use crate::dense::{self, Matrix, MatrixMut, Store, product};
 use crate::encoding::{Encoder, Pseudo};
 use crate::linear::Linear;
-use pwrfgs_core::simd::{Lanes, widest};
-use pwrfgs_core::{Conditions, DeformationInputs, Deltas, LinearPart, Real};
+use pwrfgs_core::{Conditions, DeformationInputs, Deltas, Lanes, LinearPart, Real, widest};
 use rayon::prelude::*;
 use std::ops::Range;
 

@@ -4,8 +4,9 @@ use crate::blend::{ALPHA_MIN, Backward, Forward, GEOMETRY, PIXELS, TILE, Tile};
 use crate::canvas::{gather, patches};
 use crate::survey::Look;
 use crate::tiles::{Support, TileLists};
-use pwrfgs_core::simd::widest;
-use pwrfgs_core::{Cache, ImagePlane, JsonSchema, Looked, Rasterizer, Real, Render, RenderVjp, Splats, Survey, cached};
+use pwrfgs_core::{
+    Cache, ImagePlane, JsonSchema, Looked, Rasterizer, Real, Render, RenderVjp, Splats, Survey, cached, widest,
+};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;

@@ -5,8 +5,7 @@
 //! back once more: with q = ⟨∂L/∂pixel, sᵢ⟩ and the picture itself known, Σ behind i = total − Σ up to i, so
 //! ∂L/∂γᵢ = Tᵢ q − (total − prefix)/(1−γᵢ) needs neither division back to front nor stored weights.
 
-use pwrfgs_core::simd::Lanes;
-use pwrfgs_core::{ImagePlane, Real, Splats};
+use pwrfgs_core::{ImagePlane, Lanes, Real, Splats};
 
 /// Pixels along the side of a tile, and lanes of the kernel.
 pub(crate) const TILE: usize = 16;

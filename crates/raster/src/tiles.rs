@@ -3,8 +3,7 @@
 //! Bookkeeping only: the lists are conservative, and whether a splat is drawn in a pixel is decided there, by its alpha.
 
 use crate::blend::{ALPHA_MIN, TILE, nearest_image};
-use pwrfgs_core::simd::widest;
-use pwrfgs_core::{ImagePlane, JsonSchema, Real, Splats};
+use pwrfgs_core::{ImagePlane, JsonSchema, Real, Splats, widest};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;

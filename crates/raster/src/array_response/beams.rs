@@ -7,8 +7,7 @@
 //! cost K multiply-adds a channel, and the table covers half of the picture.
 
 use super::wave::Antennas;
-use pwrfgs_core::simd::{Lanes, widest};
-use pwrfgs_core::{ImagePlane, Real, Vec3};
+use pwrfgs_core::{ImagePlane, Lanes, Real, Vec3, widest};
 use rayon::prelude::*;
 use std::ops::Range;
 

@@ -144,7 +144,7 @@ impl Files {
                 (channels(CHANNELS)?, None, facts)
             }
             Layout::Csi => {
-                let antennas: Vec<[f64; 3]> = listeners[0].antennas().iter().map(|place| place.to_array()).collect();
+                let antennas: Vec<[f64; 3]> = listeners[0].antennas().iter().map(DVec3::to_array).collect();
                 (channels("csidata.npy")?, None, Some(("base-station.yml", base_station_yaml(&antennas))))
             }
         };
