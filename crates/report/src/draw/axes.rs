@@ -236,7 +236,14 @@ pub(crate) fn linear_ticks(low: f64, high: f64) -> Vec<f64> {
     multiples(low, high, 6.0)
 }
 
-/// The same, `wanted` or less.
+/// Round numbers within an axis, `most` or less.
+pub(crate) fn few_ticks(low: f64, high: f64, most: usize) -> Vec<f64> {
+    let all = linear_ticks(low, high);
+    let stride = all.len().div_ceil(most).max(1);
+    all.into_iter().filter(|v| (low..=high).contains(v)).step_by(stride).collect()
+}
+
+/// Multiples of 1, 2 or 5 times a power of ten, `wanted` or less.
 fn multiples(low: f64, high: f64, wanted: f64) -> Vec<f64> {
     let rough = (high - low) / wanted;
     let power = 10f64.powf(rough.log10().floor());

@@ -1,7 +1,7 @@
 //! A flat map in metres: a floor plan, the side of a room, a plane (a metre is as long across as upwards), and values over
 //! a plane as a coloured map with a bar, axes and receivers.
 
-use super::axes::{label, linear_ticks};
+use super::axes::{few_ticks, label, linear_ticks};
 use crate::canvas::{Anchor, BLACK, Canvas, Colour, INK, LINE, Paint, Path, Pixels, Point, WHITE};
 use pwrfgs_core::colour::{Rgb, cyclic, sequential};
 
@@ -82,19 +82,29 @@ impl Plan {
         let (at, size) = self.area();
         canvas.rect(at, size, Paint::stroke(INK, 0.7));
         let [left, bottom] = [at[0], at[1] + size[1]];
-        let [x, y] = [0, 1].map(|k| Marked::new(self.low[k], self.high[k], self.scale, self.names[k]));
-        for (value, words) in &x.ticks {
+        let [(x_ticks, x_title), (y_ticks, y_title)] = [0, 1].map(|k| self.marked(k));
+        for (value, words) in &x_ticks {
             let [px, _] = self.place([*value, self.low[1]]);
             canvas.line(&[[px, bottom], [px, bottom + 3.0]], Paint::stroke(INK, 0.7));
             canvas.text([px, bottom + LINE], Anchor::Middle, words);
         }
-        for (value, words) in &y.ticks {
+        for (value, words) in &y_ticks {
             let [_, py] = self.place([self.low[0], *value]);
             canvas.line(&[[left - 3.0, py], [left, py]], Paint::stroke(INK, 0.7));
             canvas.text([left - 5.0, py + 3.5], Anchor::End, words);
         }
-        canvas.text([left + size[0] / 2.0, bottom + 2.0 * LINE + 1.0], Anchor::Middle, x.title);
-        canvas.upright([12.0, at[1] + size[1] / 2.0], y.title);
+        canvas.text([left + size[0] / 2.0, bottom + 2.0 * LINE + 1.0], Anchor::Middle, x_title);
+        canvas.upright([12.0, at[1] + size[1] / 2.0], y_title);
+    }
+
+    /// Numbers along an axis and its title.
+    fn marked(&self, axis: usize) -> (Vec<(f64, String)>, String) {
+        let (low, high, name) = (self.low[axis], self.high[axis], self.names[axis]);
+        let far = low.abs().max(high.abs()) > 9_999.0;
+        let from = if far { ((low + high) / 2e3).round() * 1e3 } else { 0.0 };
+        let wanted = (((high - low) * self.scale / 34.0) as usize).max(2);
+        let ticks = few_ticks(low - from, high - from, wanted).into_iter().map(|v| (v + from, label(v))).collect();
+        (ticks, if far { format!("{name} − {from} [m]") } else { format!("{name} [m]") })
     }
 
     /// The picture in the middle of one so wide: a page then scales maps of any shape alike.
@@ -135,26 +145,6 @@ fn no_line(mut low: Point, mut high: Point) -> [Point; 2] {
         (low[k], high[k]) = (low[k] - missing, high[k] + missing);
     }
     [low, high]
-}
-
-/// Numbers along an axis and its title.
-struct Marked {
-    ticks: Vec<(f64, String)>,
-    title: String,
-}
-
-impl Marked {
-    fn new(low: f64, high: f64, scale: f64, name: &str) -> Self {
-        let far = low.abs().max(high.abs()) > 9_999.0;
-        let from = if far { ((low + high) / 2e3).round() * 1e3 } else { 0.0 };
-        let ticks = linear_ticks(low - from, high - from);
-        let wanted = (((high - low) * scale / 34.0) as usize).max(2);
-        let stride = ticks.len().div_ceil(wanted).max(1);
-        let inside = ticks.into_iter().filter(|v| (low - from..=high - from).contains(v));
-        let ticks = inside.step_by(stride).map(|v| (v + from, label(v))).collect();
-        let title = if far { format!("{name} − {from} [m]") } else { format!("{name} [m]") };
-        Self { ticks, title }
-    }
 }
 
 /// Width of the picture, and the largest height of the map.

@@ -28,12 +28,7 @@ pub(super) enum Kind {
 impl Kind {
     /// As the CSV has it.
     pub(super) fn name(self) -> &'static str {
-        match self {
-            Self::Variant => "variant",
-            Self::Floor => "floor",
-            Self::Bound => "bound",
-            Self::Ceiling => "ceiling",
-        }
+        ["variant", "floor", "bound", "ceiling"][self as usize]
     }
 }
 
@@ -66,12 +61,7 @@ pub(super) enum Statistic {
 impl Statistic {
     /// As the CSV has it.
     pub(super) fn name(self) -> &'static str {
-        match self {
-            Self::Mean => "mean",
-            Self::Median => "median",
-            Self::P10 => "p10",
-            Self::Whole => "value",
-        }
+        ["mean", "median", "p10", "value"][self as usize]
     }
 
     /// Its place among the numbers of a cell.

@@ -1,7 +1,7 @@
 //! A box in space seen from above at an angle, in parallel projection: lengths along an axis stay comparable.
 
 use crate::canvas::{Anchor, Canvas, Colour, Paint, Path, Point};
-use crate::draw::axes::{label, linear_ticks};
+use crate::draw::axes::{few_ticks, label};
 
 /// Where the eye is, degrees: azimuth from the x axis, elevation above the floor.
 const AZIMUTH: f64 = -58.0;
@@ -101,7 +101,7 @@ impl View {
         // Larger text, fewer numbers.
         let most = ((60.0 / em) as usize).clamp(2, 6);
         let o = self.origin;
-        let ticks = [0, 1, 2].map(|k| linear_ticks_between(low[k] - o[k], high[k] - o[k], most));
+        let ticks = [0, 1, 2].map(|k| few_ticks(low[k] - o[k], high[k] - o[k], most));
         let mut grid = Path::default();
         let mut mark = |[x, y]: Point, [dx, dy]: Point, anchor, words: &str| {
             canvas.text([x + dx * em, y + dy * em], anchor, words);
@@ -151,13 +151,6 @@ fn flat(p: Place) -> Point {
     let [az, el] = [AZIMUTH, ELEVATION].map(f64::to_radians);
     let towards = az.cos() * p[0] + az.sin() * p[1];
     [az.cos() * p[1] - az.sin() * p[0], el.cos() * p[2] - el.sin() * towards]
-}
-
-/// Round numbers within an axis, `most` or less.
-fn linear_ticks_between(low: f64, high: f64, most: usize) -> Vec<f64> {
-    let all = linear_ticks(low, high);
-    let stride = all.len().div_ceil(most).max(1);
-    all.into_iter().filter(|v| (low..=high).contains(v)).step_by(stride).collect()
 }
 
 #[cfg(test)]
