@@ -108,10 +108,10 @@ fn a_finished_run_is_scored_anew_without_training() {
 fn a_stopped_run_goes_on_with_other_metrics() {
     let folder = folder();
     let here = folder.path();
-    write(&here.join("p.ron"), SMALL.replace("steps: 60", "steps: 700"));
+    write(&here.join("p.ron"), SMALL.replace("steps: 60", "steps: 400"));
     succeed(here, &["run", "p.ron", "--out", "whole", "-q"]);
     let mut child = pwrfgs(here).args(["run", "p.ron", "--out", "killed", "-q"]).stdout(Stdio::null()).spawn().unwrap();
-    wait_for_step(&mut child, &here.join("killed"), 300);
+    wait_for_step(&mut child, &here.join("killed"), 150);
     child.kill().unwrap();
     assert!(!child.wait().unwrap().success());
     let said = succeed(here, &["run", "p.ron", "--out", "killed", "--set", "metrics=[L1()]"]);
@@ -126,20 +126,21 @@ fn a_stopped_run_goes_on_with_other_metrics() {
 fn sweeps_and_joined_models_are_scored_anew_too() {
     let folder = folder();
     let here = folder.path();
-    let runs = [
-        ("runs/both/seed=0", ["sweep", "both.ron"], "runs/both/joined"),
-        ("runs/tiny/batch=1,seed=0", ["sweep", "e.ron"], "runs/tiny/batch=1,seed=0"),
-    ];
-    for (trains, command, scored) in runs {
-        succeed(here, &[&command[..], &["-q"]].concat());
-        let before = trained(&here.join(trains));
-        let set = ["-q", "--set", "baselines=[NearestNeighbours(k: 2)]", "--set", "metrics=[L1()]"];
-        succeed(here, &[&command[..], &set].concat());
-        let scores = text(&here.join(scored).join("scores.csv"));
-        assert!(scores.contains("2-NN,l1,") && !scores.contains("ssim"), "{scores}");
-        assert_eq!(trained(&here.join(trains)), before, "{trains} was not trained again");
+    succeed(here, &["sweep", "both.ron", "-q"]);
+    let before = trained(&here.join("runs/both/seed=0"));
+    let set = ["-q", "--set", "baselines=[NearestNeighbours(k: 2)]", "--set", "metrics=[L1()]"];
+    succeed(here, &[&["sweep", "both.ron"][..], &set].concat());
+    for scored in ["joined", "seed=0"] {
+        let scores = text(&here.join("runs/both").join(scored).join("scores.csv"));
+        assert!(scores.contains("model,l1,") && !scores.contains("ssim"), "{scores}");
+        assert_eq!(
+            scores.contains("2-NN,l1,"),
+            scored == "joined",
+            "baselines stand beside the joined model: {scores}"
+        );
     }
-    let status = stdout(&succeed(here, &["sweep", "e.ron", "--status"]));
+    assert_eq!(trained(&here.join("runs/both/seed=0")), before, "nothing was trained again");
+    let status = stdout(&succeed(here, &["sweep", "both.ron", "--status"]));
     assert!(status.contains("0 of 2 runs finished"), "with the metrics of the file they are not scored: {status}");
 }
 
