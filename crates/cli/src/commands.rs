@@ -1,5 +1,5 @@
-//! The commands, one file a verb: what can be said to it, and what it does. The help texts are the first documentation that a user
-//! meets.
+//! The commands, one file a verb: what can be said to it, and what it does. The help texts are the first documentation
+//! that a user meets.
 
 mod check;
 mod completions;

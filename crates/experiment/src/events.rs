@@ -1,5 +1,6 @@
-//! `Events`: numbers over steps as a TensorBoard event file. It holds what `curve.csv` and `validation.csv` hold, and is written anew
-//! from them when a run goes on: the records have the same lengths again, so that a TensorBoard that was watching reads on.
+//! `Events`: numbers over steps as a TensorBoard event file. It holds what `curve.csv` and `validation.csv` hold, and
+//! is written anew from them when a run goes on: the records have the same lengths again, so that a TensorBoard that
+//! was watching reads on.
 //!
 //! The file is a row of `TFRecord`s: length (u64), its checksum, the record, its checksum; little-endian. A record is a
 //! protobuf `Event`: wall time (1), step (2), and the file version (3) or a `Summary` (5) of `Value`s (1) with a tag

@@ -1,5 +1,5 @@
-//! The data of a pipeline: loaded and split, how much of what they hold, and warnings of wrong units or a wrong order, which every
-//! reader accepts.
+//! The data of a pipeline: loaded and split, how much of what they hold, and warnings of wrong units or a wrong order,
+//! which every reader accepts.
 
 use crate::session::{Observer, staged};
 use crate::statistics::quantile;

@@ -16,9 +16,9 @@ pub fn data_key(pipeline: &Pipeline) -> String {
     format!("{:?} {:?} {}", pipeline.data, pipeline.split, pipeline.split_seed.unwrap_or(pipeline.seed))
 }
 
-/// The text of `samples.csv`: id, x, y, z in metres (empty where not known), split, and the distance to the nearest other training transmitter
-/// in metres (empty where there is none). Of several receivers a row is a link: its number, as in `scores.csv`, comes first, and
-/// the receiver's name after the id.
+/// The text of `samples.csv`: id, x, y, z in metres (empty where not known), split, and the distance to the nearest
+/// other training transmitter in metres (empty where there is none). Of several receivers a row is a link: its number,
+/// as in `scores.csv`, comes first, and the receiver's name after the id.
 pub(crate) fn to_csv(data: &Dataset, partition: &Partition) -> String {
     let mut split = vec!["unused"; data.len()];
     for (part, name) in [(&partition.train, "train"), (&partition.validation, "validation"), (&partition.test, "test")]

@@ -1,5 +1,5 @@
-//! `Session`: what accompanies a run from outside: who follows it, what stops it, who makes its page. The library prints nothing;
-//! `cli` draws a progress bar.
+//! `Session`: what accompanies a run from outside: who follows it, what stops it, who makes its page. The library
+//! prints nothing; `cli` draws a progress bar.
 
 use crate::record::Record;
 use crate::scores::ScoreTable;

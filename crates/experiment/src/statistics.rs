@@ -166,7 +166,8 @@ const WANTED: usize = 30;
 /// The edge is not made smaller than this part of the room.
 const FINEST: u32 = 256;
 
-/// Test samples in cubes of space, or single ones if their positions are unknown: the bootstrap draws those of a block together.
+/// Test samples in cubes of space, or single ones if their positions are unknown: the bootstrap draws those of a block
+/// together.
 ///
 /// Spectra of neighbouring transmitters are alike, and so are the errors of a model there. How far that reaches is not
 /// known; a longer reach than the edge of a cube leaves intervals too narrow. Larger cubes are fewer, and from few

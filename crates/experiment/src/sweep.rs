@@ -1,9 +1,9 @@
 //! A sweep: many runs from one experiment file, in one folder, on one machine or on many.
 //!
-//! `experiment.rs` reads the file, `plan.rs` works out all runs, `status.rs` looks at what is done, `check.rs` tries what
-//! is left before anything starts, [`execute`] does it, several runs at once, each with its own threads, and with `join: true` makes one
-//! model of all, which predicts their mean. Nothing but the run folders remembers what was done, so the same command goes on after any
-//! end.
+//! `experiment.rs` reads the file, `plan.rs` works out all runs, `status.rs` looks at what is done, `check.rs` tries
+//! what is left before anything starts, [`execute`] does it, several runs at once, each with its own threads, and with
+//! `join: true` makes one model of all, which predicts their mean. Nothing but the run folders remembers what was done,
+//! so the same command goes on after any end.
 
 mod check;
 mod experiment;

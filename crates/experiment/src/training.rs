@@ -1,5 +1,5 @@
-//! The training of a run: its trainer, refused if it cannot fit the machine, and the loop that writes curve, validation, snapshots and
-//! checkpoint.
+//! The training of a run: its trainer, refused if it cannot fit the machine, and the loop that writes curve,
+//! validation, snapshots and checkpoint.
 //!
 //! Order at every step: train, validation, curve, checkpoint. Rows reach the disk before the checkpoint that counts
 //! them, and a resumed run cuts the series back to its checkpoint: so it ends in the same files as one never stopped.

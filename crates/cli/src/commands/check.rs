@@ -1,4 +1,5 @@
-//! `pwrfgs check`: what a pipeline would do and take, without training. `pwrfgs inspect`: a summary of data before training.
+//! `pwrfgs check`: what a pipeline would do and take, without training. `pwrfgs inspect`: a summary of data before
+//! training.
 
 use super::init::name_of;
 use super::options::{Changes, named};

@@ -89,8 +89,8 @@ pub struct Slurm {
     pub cpus: usize,
     /// Memory per run, `--mem`, such as `4G`.
     pub memory: String,
-    /// Time limit per run, `--time`, at least 5 minutes: a run is warned a minute or two before. A longer run returns to the queue and
-    /// resumes.
+    /// Time limit per run, `--time`, at least 5 minutes: a run is warned a minute or two before. A longer run returns
+    /// to the queue and resumes.
     pub time: String,
     /// Partition, `--partition`; if omitted, the cluster selects it.
     pub partition: Option<String>,
