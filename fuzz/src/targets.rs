@@ -176,8 +176,9 @@ fn load(bench: &Path, source: &str) -> Result<()> {
 /// All files of points: the one at hand is broken.
 fn cloud(bench: &Path) -> Result<()> {
     ["points.xyz", "points.csv", "mesh.ply"].into_iter().try_for_each(|name| {
-        let text = format!("data=Nerf2Spectrum(root: \"data\", points: \"cloud/{name}\")");
-        first_step(&read_pipeline(&bench.join("points.ron"), &[text])?, bench)
+        let mut pipeline = read_pipeline(&bench.join("points.ron"), &[])?;
+        pipeline.set(&format!("data=Nerf2Spectrum(root: \"data\", points: \"cloud/{name}\")"))?;
+        first_step(&pipeline, bench)
     })
 }
 
