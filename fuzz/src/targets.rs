@@ -38,10 +38,9 @@ pub enum Reader {
 impl Target {
     /// The command that reads it, if the program does.
     pub fn command(&self) -> String {
-        if let Reader::Program(arguments) = self.reader {
-            format!(" for pwrfgs {}", arguments[0])
-        } else {
-            String::new()
+        match self.reader {
+            Reader::Program([command, ..]) => format!(" for pwrfgs {command}"),
+            _ => String::new(),
         }
     }
 }
