@@ -10,7 +10,7 @@ fn room(points: usize) -> (Dataset, Partition) {
     let spectra = Spectra::grey((1, 1), vec![0; 2]).unwrap();
     let mut data = Dataset::new("room", Pose::IDENTITY, vec![], vec![sample(1), sample(2)], spectra).unwrap();
     data.scene.bounds = ([0.0; 3], [4.0, 3.0, 2.0]);
-    data.scene.points = vec![[1.0, 2.0, 0.0]; points];
+    data.scene.points = (0..points).map(|k| [4.0 * k as Real / points as Real, 2.0, 0.0]).collect();
     (data, Partition { train: vec![0], validation: vec![], test: vec![1] })
 }
 
@@ -64,7 +64,7 @@ fn without_a_cloud_the_frame_holds_all_gaussians_that_lie_together() {
 
 #[test]
 fn a_picture_stays_small() {
-    let (data, partition) = room(190_000);
+    let (data, partition) = room(20_000);
     let cloud = snapshot((0..65_000).map(|i| [i as Real / 16_250.0, 1.0, 1.0]));
     let panel = Room::new(&data, &partition, &[&cloud], 10.5).panel("At the start", &cloud, &data);
     assert!(svg(&panel).len() < 300_000, "{} bytes", svg(&panel).len());
