@@ -3,6 +3,17 @@
 //! An exception has no place in the signatures of those traits; where there is none it unwinds to the border, and the run
 //! ends as by any other failed step, its checkpoint kept.
 
+/// What typetag asks of every plugin; a strategy is never written as text.
+macro_rules! named_python {
+    () => {
+        fn typetag_name(&self) -> &'static str {
+            "Python"
+        }
+
+        fn typetag_deserialize(&self) {}
+    };
+}
+
 mod evaluation;
 mod initializer;
 mod objects;

@@ -10,11 +10,7 @@ use pwrfgs_core::{
 };
 use pyo3::prelude::*;
 impl Split for Strategy {
-    fn typetag_name(&self) -> &'static str {
-        "Python"
-    }
-
-    fn typetag_deserialize(&self) {}
+    named_python!();
 
     fn split(&self, data: &Dataset, random: &mut rng::Rng) -> Result<Partition> {
         let count = data.len();
@@ -60,11 +56,7 @@ fn part_of(part: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<usize>> {
 }
 
 impl Baseline for Strategy {
-    fn typetag_name(&self) -> &'static str {
-        "Python"
-    }
-
-    fn typetag_deserialize(&self) {}
+    named_python!();
 
     fn name(&self) -> String {
         self.with(|_, own| match own.getattr("name") {
@@ -114,11 +106,7 @@ impl Predict for Predictor {
 }
 
 impl Metric for Strategy {
-    fn typetag_name(&self) -> &'static str {
-        "Python"
-    }
-
-    fn typetag_deserialize(&self) {}
+    named_python!();
 
     fn evaluate(&self, evaluation: &Evaluation<'_>) -> Result<Vec<Measurement>> {
         self.try_with(|py, own| {

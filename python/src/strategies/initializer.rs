@@ -9,11 +9,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 impl Initializer for Strategy {
-    fn typetag_name(&self) -> &'static str {
-        "Python"
-    }
-
-    fn typetag_deserialize(&self) {}
+    named_python!();
 
     fn initialize(&self, scene: &Scene, _: &ImagePlane, random: &mut rng::Rng) -> Result<GaussianCloud> {
         self.try_with(|py, own| {

@@ -99,11 +99,7 @@ fn kind_of(value: &Bound<'_, PyAny>) -> String {
 }
 
 impl Pruner for Strategy {
-    fn typetag_name(&self) -> &'static str {
-        "Python"
-    }
-
-    fn typetag_deserialize(&self) {}
+    named_python!();
 
     fn keep(&self, cloud: &GaussianCloud, stats: &CloudStats, moment: &Moment) -> Vec<bool> {
         self.with(|py, own| {
