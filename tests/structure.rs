@@ -253,10 +253,10 @@ impl Modules<'_> {
                 seen
             })
             .collect();
-        let circle =
-            |i: usize| (0..next.len()).filter(move |j| *j == i || (reached[i].contains(j) && reached[*j].contains(&i)));
-        let whole =
-            (0..next.len()).map(|i| circle(i).collect::<Vec<_>>()).filter(|all| all.len() > 1).collect::<BTreeSet<_>>();
+        let circle = |i: usize| -> Vec<usize> {
+            (0..next.len()).filter(|j| *j == i || (reached[i].contains(j) && reached[*j].contains(&i))).collect()
+        };
+        let whole = (0..next.len()).map(circle).filter(|all| all.len() > 1).collect::<BTreeSet<_>>();
         whole.into_iter().map(|all| all.into_iter().map(|i| self.sources[i].name.as_str()).collect()).collect()
     }
 }
