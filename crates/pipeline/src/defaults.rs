@@ -19,32 +19,27 @@ macro_rules! plugins {
 
 /// The split that the data come with.
 pub fn split() -> Plugin<dyn Split> {
-    let split: Box<dyn Split> = Box::new(Official::default());
-    split.into()
+    Plugin::from(Box::new(Official::default()) as Box<dyn Split>)
 }
 
 /// The initializer of a method without Gaussians.
 pub fn initializer() -> Plugin<dyn Initializer> {
-    let initializer: Box<dyn Initializer> = Box::new(NoGaussians::default());
-    initializer.into()
+    Plugin::from(Box::new(NoGaussians::default()) as Box<dyn Initializer>)
 }
 
 /// The projector of splats.
 pub fn projector() -> Plugin<dyn Projector> {
-    let projector: Box<dyn Projector> = Box::new(Mercator::default());
-    projector.into()
+    Plugin::from(Box::new(Mercator::default()) as Box<dyn Projector>)
 }
 
 /// The rasterizer of splats.
 pub fn rasterizer() -> Plugin<dyn Rasterizer> {
-    let rasterizer: Box<dyn Rasterizer> = Box::new(AlphaBlending::default());
-    rasterizer.into()
+    Plugin::from(Box::new(AlphaBlending::default()) as Box<dyn Rasterizer>)
 }
 
 /// The deformation of splats.
 pub fn deformation() -> Plugin<dyn Deformation> {
-    let deformation: Box<dyn Deformation> = Box::new(Mlp::default());
-    deformation.into()
+    Plugin::from(Box::new(Mlp::default()) as Box<dyn Deformation>)
 }
 
 /// The readout of splats for observations of `task`.
