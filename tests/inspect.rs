@@ -7,20 +7,18 @@ use pwrfgs_core::testing::shared;
 use pwrfgs_core::{DataSource, Dataset, Plugin, Pose, Sample, Spectra};
 use pwrfgs_data::Nerf2Spectrum;
 use std::path::Path;
+use std::sync::LazyLock;
 
 fn found(data: &Dataset) -> PoseCheck {
     DataSummary::of(data, 20_000, &mut Silent).unwrap().pose.unwrap()
 }
 
-fn load(source: &str) -> Dataset {
+/// The office of the quickstart, a few spectra.
+static OFFICE: LazyLock<Dataset> = LazyLock::new(|| {
+    let source = r#"Simulated(scene: "scenes/office.ron", samples: 160, cache: false)"#;
     let base = Path::new(env!("CARGO_MANIFEST_DIR"));
     Plugin::<dyn DataSource>::parse(source).unwrap().load(base, &|_, _| {}).unwrap()
-}
-
-/// The office of the quickstart, a few spectra.
-fn office() -> Dataset {
-    load(r#"Simulated(scene: "scenes/office.ron", samples: 160, cache: false)"#)
-}
+});
 
 /// The same with another recorded orientation.
 fn recorded_as(data: &Dataset, orientation: DQuat) -> Dataset {
@@ -31,14 +29,14 @@ fn recorded_as(data: &Dataset, orientation: DQuat) -> Dataset {
 
 #[test]
 fn the_pose_of_a_simulated_office_comes_out_right_and_a_wrong_one_is_mended() {
-    let data = office();
-    let right = found(&data);
+    let data = &*OFFICE;
+    let right = found(data);
     assert_eq!(right.verdict, Verdict::Right, "{right:?}");
     assert!(right.turn < 1.0 && right.recorded < 4.0 && right.constant > 3.0 * right.turned, "{right:?}");
 
     let truth = DQuat::from_array(data.scene.pose().orientation);
     let error = DQuat::from_axis_angle(DVec3::new(1.0, -2.0, 0.5).normalize(), 0.6);
-    let wrong = found(&recorded_as(&data, (truth * error).normalize()));
+    let wrong = found(&recorded_as(data, (truth * error).normalize()));
     assert_eq!(wrong.verdict, Verdict::Off);
     let mended = DQuat::from_array(wrong.orientation).angle_between(truth).to_degrees();
     assert!(mended < 1.0 && (wrong.turn - 0.6f64.to_degrees()).abs() < 1.0, "{mended}, {wrong:?}");
@@ -47,9 +45,9 @@ fn the_pose_of_a_simulated_office_comes_out_right_and_a_wrong_one_is_mended() {
 
 #[test]
 fn a_quaternion_in_another_order_is_recognised() {
-    let data = office();
+    let data = &*OFFICE;
     let [x, y, z, w] = data.scene.pose().orientation;
-    let found = found(&recorded_as(&data, DQuat::from_xyzw(w, x, y, z)));
+    let found = found(&recorded_as(data, DQuat::from_xyzw(w, x, y, z)));
     assert_eq!(found.verdict, Verdict::Off);
     assert!(
         found.sentences().iter().any(|s| s.contains("If the recorded numbers are w, x, y, z, the")),
@@ -71,23 +69,26 @@ fn flipped(data: &Dataset, flip: impl Fn(&mut [u8], usize)) -> Dataset {
 
 #[test]
 fn spectra_that_run_the_other_way_are_named() {
-    let data = office();
+    let data = &*OFFICE;
     let columns = |pixels: &mut [u8], width| pixels.chunks_exact_mut(width).for_each(<[u8]>::reverse);
     let rows = |pixels: &mut [u8], width| {
         pixels.reverse();
         columns(pixels, width);
     };
-    let said = |data: &Dataset| (found(data).verdict, found(data).sentences().concat());
-    let mirrored = said(&flipped(&data, columns));
+    let said = |data: &Dataset| {
+        let found = found(data);
+        (found.verdict, found.sentences().concat())
+    };
+    let mirrored = said(&flipped(data, columns));
     assert!(mirrored.0 == Verdict::Flipped && mirrored.1.contains("save the spectra as s[:, :, ::-1]"), "{mirrored:?}");
-    let upside_down = said(&flipped(&data, rows));
+    let upside_down = said(&flipped(data, rows));
     assert!(upside_down.0 == Verdict::Flipped && upside_down.1.contains("s[:, ::-1, :]"), "{upside_down:?}");
     // Beside an orientation that is off, too.
     let turn = DQuat::from_axis_angle(DVec3::new(1.0, -2.0, 0.5).normalize(), 0.6);
     let truth = DQuat::from_array(data.scene.pose().orientation);
-    let both = said(&recorded_as(&flipped(&data, columns), (truth * turn).normalize()));
+    let both = said(&recorded_as(&flipped(data, columns), (truth * turn).normalize()));
     assert!(both.0 == Verdict::Flipped && both.1.contains("and the rotation that then fits best"), "{both:?}");
-    assert!(!said(&data).1.contains("reversed"), "nothing is said of spectra that are right");
+    assert!(!said(data).1.contains("reversed"), "nothing is said of spectra that are right");
 }
 
 #[test]
