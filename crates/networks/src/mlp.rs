@@ -126,7 +126,7 @@ impl Deformation for Mlp {
     }
 }
 
-/// What an [`Mlp`](super::Mlp) changes.
+/// What an [`Mlp`] changes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Outputs {
     /// Rotations (4), scales (3) and signals (2).

@@ -84,7 +84,7 @@ pub(crate) fn gain(gains: &[[f64; 2]], v: [f64; 3], p: [f64; 3]) -> [f64; 2] {
     gains.iter().zip(y).fold([0.0; 2], |sum, (c, y)| [sum[0] + c[0] * y, sum[1] + c[1] * y])
 }
 
-/// The unit vector from `v` to `p`, and the distance, never below [`CLOSEST`](CLOSEST).
+/// The unit vector from `v` to `p`, and the distance, never below [`CLOSEST`].
 pub(crate) fn direction(v: [f64; 3], p: [f64; 3]) -> ([f64; 3], f64) {
     let by = [0, 1, 2].map(|k| p[k] - v[k]);
     let d = (by[0] * by[0] + by[1] * by[1] + by[2] * by[2]).sqrt().max(CLOSEST);
