@@ -29,13 +29,13 @@ const ALLOWED: &[(&str, &[&str])] = &[
 /// commit; 50,000 is the bound for all planned features.
 const OF_FILE: usize = 300;
 const OF_CRATE: usize = 5_000;
-const IN_TOTAL: usize = 47_000;
+const IN_TOTAL: usize = 45_500;
 /// Files, and files of fewer than 50 code lines.
-const FILES: usize = 520;
-const SMALL: usize = 145;
+const FILES: usize = 360;
+const SMALL: usize = 35;
 /// Files that use each other in a circle, and how many such circles there are.
 const OF_CIRCLE: usize = 2;
-const CIRCLES: usize = 8;
+const CIRCLES: usize = 0;
 
 /// A Rust file that is no test.
 struct Source {
@@ -253,10 +253,9 @@ impl Modules<'_> {
                 seen
             })
             .collect();
-        let circle = |i: usize| -> Vec<usize> {
-            (0..next.len()).filter(|j| *j == i || (reached[i].contains(j) && reached[*j].contains(&i))).collect()
-        };
-        let whole = (0..next.len()).map(circle).filter(|all| all.len() > 1).collect::<BTreeSet<_>>();
+        let together = |i: usize, j: usize| i == j || (reached[i].contains(&j) && reached[j].contains(&i));
+        let circle = |i: usize| (0..next.len()).filter(|j| together(i, *j)).collect::<Vec<_>>();
+        let whole: BTreeSet<Vec<usize>> = (0..next.len()).map(circle).filter(|all| all.len() > 1).collect();
         whole.into_iter().map(|all| all.into_iter().map(|i| self.sources[i].name.as_str()).collect()).collect()
     }
 }
