@@ -30,7 +30,7 @@ use waves::Waves;
 ///
 /// ```
 /// use pwrfgs_core::{Method, Plugin};
-/// # use pwrfgs_model as _;
+/// # use pwrfgs_methods as _;
 /// let method = "SplattedChannel(deformation: Factored(tx_encoding: Features(width: 416)))";
 /// let method = Plugin::<dyn Method>::parse(method).unwrap();
 /// assert_eq!(method.traits().inputs, 416);

@@ -24,7 +24,7 @@ use std::sync::Arc;
 ///
 /// ```
 /// use pwrfgs_core::{Deformation, Plugin};
-/// # use pwrfgs_model as _;
+/// # use pwrfgs_networks as _;
 /// let small = Plugin::<dyn Deformation>::parse("Factored(depth: 3, width: 128, tx_encoding: Waves(count: 64, reach: 24.0))").unwrap();
 /// assert!(!small.traits().varies_geometry);
 /// ```

@@ -35,7 +35,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// ```
 /// use pwrfgs_core::{Deformation, Plugin};
-/// # use pwrfgs_model as _;
+/// # use pwrfgs_networks as _;
 /// let none = Plugin::<dyn Deformation>::parse("Fixed()").unwrap();
 /// assert!(none.layout().weights.is_empty());
 /// ```

@@ -27,7 +27,7 @@ use serde::{Deserialize, Serialize};
 ///
 /// ```
 /// use pwrfgs_core::{Deformation, Plugin};
-/// # use pwrfgs_model as _;
+/// # use pwrfgs_networks as _;
 /// let small = "Mlp(depth: 4, width: 64, skip: None, outputs: Signals, head_init: 0.1)";
 /// let small = Plugin::<dyn Deformation>::parse(small).unwrap();
 /// assert!(!small.traits().varies_geometry);

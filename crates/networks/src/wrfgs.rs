@@ -24,7 +24,7 @@ use std::sync::Arc;
 ///
 /// ```
 /// use pwrfgs_core::{Deformation, Plugin};
-/// # use pwrfgs_model as _;
+/// # use pwrfgs_networks as _;
 /// let released = Plugin::<dyn Deformation>::parse("Wrfgs()").unwrap();
 /// assert!(released.traits().replaces_signals);
 /// let usable = Plugin::<dyn Deformation>::parse("Wrfgs(width: 64, gain: 100)").unwrap();
