@@ -1,4 +1,4 @@
-//! A pull on all opacities until nothing more goes.
+//! Pruner that decreases all opacities until pruning settles.
 
 use crate::rounds::{check_below_one, check_share, check_weight};
 use dfdx::prelude::{Rank0, SumTo};
@@ -8,19 +8,19 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// The column that says whether the pull is on.
+/// Column that states whether the opacity penalty is active.
 const PULL: &str = "control_pull";
-/// The column of the number of Gaussians before the prune step that was taken last; 0 once it is counted.
+/// Column with the number of Gaussians before the previous prune step; 0 once that step is evaluated.
 const COUNT: &str = "control_count";
-/// The column that says how pruning goes: 0, not many are gone yet; −1, they are going; 1, it has settled.
+/// Column with the state of pruning: 0, few Gaussians removed so far; −1, many are being removed; 1, settled.
 const TREND: &str = "control_trend";
 
 /// Decreases all opacities and removes faint Gaussians, until a prune step removes almost none (ControlGS).
 ///
-/// The loss gains lambda · Σ o; what is below `epsilon` goes, at each prune step, as long as the one before took at least the
-/// share `settle` of all (ControlGS, Zhang et al., 2025: 3e-7, and 2,000 of some million a round). Then the pull and the
-/// pruning stop: the number of Gaussians follows from lambda alone and not from how long one waits. That it has stopped is
-/// kept in a column, checkpoints included.
+/// The loss gains lambda · Σ o. Each prune step removes the Gaussians below `epsilon`. The penalty and the pruning stop
+/// after the first prune step that removes less than the share `settle` of all Gaussians. The number of Gaussians thus
+/// follows from lambda alone, not from the length of the pruning phase. A column stores this state, so that checkpoints
+/// keep it. Source: ControlGS, Zhang et al., 2025, with 3e-7 and 2,000 of some million Gaussians per round.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -48,7 +48,7 @@ impl Default for ControlGs {
 #[typetag::serde]
 impl Pruner for ControlGs {
     fn traits(&self) -> PrunerTraits {
-        // Of all Gaussians the same: what is remembered of the pipeline.
+        // All Gaussians have equal values in these columns: they store the state of the pruner.
         let columns = vec![ColumnSpec::state(PULL, 1.0), ColumnSpec::state(COUNT, 0.0), ColumnSpec::state(TREND, 0.0)];
         PrunerTraits { columns, budget: Some(Budget::Rounds), ..PrunerTraits::default() }
     }
@@ -66,7 +66,7 @@ impl Pruner for ControlGs {
     fn update(&self, cloud: &mut GaussianCloud, _: &CloudStats, moment: &Moment) {
         let (n, before, mut trend) = (cloud.len(), number(cloud, COUNT), number(cloud, TREND));
         if before > 0.0 {
-            // Before many have faded, few that go are no sign that it has settled.
+            // Before many Gaussians have faded, a small number of removals does not mean that pruning has settled.
             let many = (before - n as Real).max(0.0) >= self.settle * before;
             trend = match (many, trend < 0.0) {
                 (true, _) => -1.0,
@@ -93,7 +93,7 @@ impl Pruner for ControlGs {
     }
 }
 
-/// The value of a column that all Gaussians have; 0 without it.
+/// Returns the value that all Gaussians share in a column; 0 without the column.
 fn number(cloud: &GaussianCloud, column: &str) -> Real {
     cloud.extra(column).and_then(|column| column.values.first()).copied().unwrap_or(0.0)
 }

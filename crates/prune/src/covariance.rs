@@ -1,16 +1,16 @@
-//! A Gaussian's covariance, and back from one to scales and rotation.
+//! Covariance of a Gaussian, and conversion back to scales and rotation.
 
 use pwrfgs_core::GaussianCloud;
 
-/// Σ = R diag(s²) Rᵀ, m².
+/// Covariance matrix Σ = R diag(s²) Rᵀ, m².
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Covariance(pub(crate) [[f64; 3]; 3]);
 
-/// Sweeps of Jacobi's rotations; a 3 × 3 matrix needs five or six to the last bit.
+/// Maximum number of sweeps of Jacobi rotations; a 3 × 3 matrix needs five or six for full precision.
 const SWEEPS: usize = 12;
 
 impl Covariance {
-    /// Of row `i`.
+    /// Computes the covariance of Gaussian `i`.
     pub(crate) fn of(cloud: &GaussianCloud, i: usize) -> Self {
         let r = rotation(cloud.quats[i].map(f64::from));
         let squares = cloud.log_scales[i].map(|s| (2.0 * f64::from(s)).exp());
@@ -18,7 +18,8 @@ impl Covariance {
         Self(std::array::from_fn(|a| std::array::from_fn(|b| at(a, b))))
     }
 
-    /// Scales along its axes, and the rotation to them as a quaternion w, x, y, z: eigenvalues by Jacobi's method.
+    /// Returns the scales along the principal axes and the rotation to them (quaternion w, x, y, z), by Jacobi's
+    /// eigenvalue method.
     pub(crate) fn axes(&self) -> ([f64; 3], [f64; 4]) {
         let mut a = self.0;
         let mut v = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
@@ -35,7 +36,7 @@ impl Covariance {
     }
 }
 
-/// One rotation that makes the element (p, q) zero.
+/// Applies one Jacobi rotation that makes the element (p, q) zero.
 fn turn(a: &mut [[f64; 3]; 3], v: &mut [[f64; 3]; 3], p: usize, q: usize) {
     if a[p][q] == 0.0 {
         return;
@@ -57,7 +58,7 @@ fn determinant(m: &[[f64; 3]; 3]) -> f64 {
     m[0][0] * minor(1, 2) - m[0][1] * minor(0, 2) + m[0][2] * minor(0, 1)
 }
 
-/// The rotation of a quaternion of any length above 0.
+/// Returns the rotation matrix of a quaternion of any length above 0.
 fn rotation(q: [f64; 4]) -> [[f64; 3]; 3] {
     let norm = q.iter().map(|v| v * v).sum::<f64>().sqrt();
     let [w, x, y, z] = if norm > 1e-12 { q.map(|v| v / norm) } else { [1.0, 0.0, 0.0, 0.0] };
@@ -68,7 +69,7 @@ fn rotation(q: [f64; 4]) -> [[f64; 3]; 3] {
     ]
 }
 
-/// The quaternion of a rotation, from its largest component (Shepperd's method).
+/// Returns the quaternion of a rotation matrix, from its largest component (Shepperd's method).
 fn quaternion(r: &[[f64; 3]; 3]) -> [f64; 4] {
     let trace = r[0][0] + r[1][1] + r[2][2];
     let squares = [trace, r[0][0], r[1][1], r[2][2]];

@@ -1,4 +1,4 @@
-//! Opacities drawn towards their own best few.
+//! Pruner that drives opacities towards a sparse vector.
 
 use crate::rounds::share_of;
 use dfdx::prelude::{Rank0, SumTo};
@@ -9,18 +9,19 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// The column of z, the sparse opacities.
+/// Column of z, the sparse opacities.
 const SPARSE: &str = "spa_sparse";
-/// The column of u, the scaled dual.
+/// Column of u, the scaled dual variable.
 const DUAL: &str = "spa_dual";
 
 /// Drives opacities towards a sparse vector with few non-zero entries, by ADMM (GaussianSpa).
 ///
-/// The alternating direction method of multipliers on the opacities o: every `every` steps of the pruning phase z becomes
-/// o + u with all but the largest k set to 0, and u gains o − z; in between the loss has rho/2 · Σ (o − z + u)², which the
-/// optimiser works off. What shall go fades while training makes up for it, so that the cut at the last prune step, to the k
-/// largest o + u, changes little (GaussianSpa, Zhang et al., CVPR 2025, algorithm 1: rho 5e-4, 80 % pruned after a first
-/// half). Nothing goes before the last prune step.
+/// Applies the alternating direction method of multipliers to the opacities o. Every `every` steps of the pruning
+/// phase, z becomes o + u with all but the largest k entries set to 0, and u gains o − z. Between these steps the loss
+/// gains rho/2 · Σ (o − z + u)². The opacities of superfluous Gaussians fade while training compensates for them. The
+/// cut at the last prune step, to the k largest o + u, therefore changes little. Earlier prune steps remove no
+/// Gaussians. Source: GaussianSpa, Zhang et al., CVPR 2025, algorithm 1, with rho 5e-4 and 80 % pruned after a first
+/// half.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -49,7 +50,7 @@ impl Default for GaussianSpa {
 impl Pruner for GaussianSpa {
     fn traits(&self) -> PrunerTraits {
         PrunerTraits {
-            // No opacity is negative: until the first projection there is nothing to be drawn to.
+            // Opacities are never negative: −1 means that no projection has been computed yet.
             columns: vec![ColumnSpec::state(SPARSE, -1.0), ColumnSpec::state(DUAL, 0.0)],
             budget: Some(Budget::AtLast),
             ..PrunerTraits::default()
@@ -106,7 +107,7 @@ impl Pruner for GaussianSpa {
 }
 
 impl GaussianSpa {
-    /// k, of `n`.
+    /// Returns k, the number of Gaussians to keep of `n`.
     fn count(&self, n: usize, moment: &Moment) -> usize {
         let by_share = || n - share_of(n, self.share).floor() as usize;
         moment.target.unwrap_or_else(by_share).clamp(1, n.max(1))

@@ -1,4 +1,4 @@
-//! Pruners whose scores hold the gradient of the position.
+//! Pruners whose scores include the gradient of the position.
 
 use crate::rounds::{check_share, check_shares, needs, quantile, share_at, without_share};
 use pwrfgs_core::{
@@ -8,9 +8,10 @@ use serde::{Deserialize, Serialize};
 
 /// Removes faint Gaussians with small gradients, in rounds with training in between (Trimming the Fat).
 ///
-/// A Gaussian goes where its opacity is below a quantile of all opacities and its mean positional gradient since the last
-/// densification below a quantile of all gradients: what is still being moved gets its chance (Trimming the Fat, Salman et
-/// al., BMVC 2024). Under `training.target` the score is the larger of its two ranks. Needs no pass.
+/// A Gaussian is removed if its opacity is below a quantile of all opacities and its mean positional gradient since the
+/// last densification is below a quantile of all gradients. Gaussians that are still moving are kept. Under
+/// `training.target` the score is the larger of the two ranks. The score needs no pass over the training set. Source:
+/// Trimming the Fat, Salman et al., BMVC 2024.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -60,12 +61,12 @@ impl Pruner for TrimmingTheFat {
     }
 }
 
-/// Mean positional gradient of each picture it was seen in.
+/// Returns the mean positional gradient over the spectra in which each Gaussian is visible, `[N]`.
 fn gradients(stats: &CloudStats, n: usize) -> Vec<Real> {
     (0..n).map(|i| if stats.visible[i] > 0.0 { stats.gradient[i] / stats.visible[i] } else { 0.0 }).collect()
 }
 
-/// How many are smaller, of all; equal values have equal ranks.
+/// Returns the number of smaller values for each value; equal values have equal ranks.
 fn ranks(values: &[Real]) -> Vec<Real> {
     let mut sorted = values.to_vec();
     sorted.sort_by(Real::total_cmp);
@@ -74,10 +75,10 @@ fn ranks(values: &[Real]) -> Vec<Real> {
 
 /// Removes the Gaussians with the lowest weighted sum of several scores, each divided by its median (Taming 3DGS).
 ///
-/// Gradient 25, opacity 100, radius 10, scale 25, loss 10 (weights times errors), count 0.1 (pictures that it is seen in),
-/// blend 50 (blending weights): the score of Taming 3DGS (Mallick et al., SIGGRAPH Asia 2024, section 4.2), which uses it to
-/// choose what to densify under an exact budget. Its terms for depth and for distance are left out: they tell cameras apart
-/// that go round a scene, and a receiver stands still.
+/// The score is that of Taming 3DGS (Mallick et al., SIGGRAPH Asia 2024, section 4.2), which uses it to choose
+/// Gaussians to densify under an exact budget. Weights of the terms: gradient 25, opacity 100, radius 10, scale 25,
+/// loss 10 (blending weights times errors), count 0.1 (spectra in which the Gaussian is visible), blend 50 (blending
+/// weights). The terms for depth and distance are left out: they distinguish moving cameras, and a receiver is fixed.
 ///
 /// ```
 /// # use pwrfgs_prune as _;

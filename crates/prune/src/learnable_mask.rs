@@ -1,7 +1,8 @@
-//! The paper's mask: m `[N]` is learned, M = 1[σ(m) ≥ threshold] multiplies opacity and scale (eqs. (10)–(13)).
+//! Learnable mask of the paper: m `[N]` is learned, M = 1[σ(m) ≥ threshold] multiplies opacity and scale (eqs.
+//! (10)–(13)).
 //!
-//! The worked example of a pruner that learns: a column, a gate and a penalty, written forward-only on the step's tape,
-//! and a decision. dfdx differentiates; nothing is derived by hand here.
+//! This file is the worked example of a pruner that learns: a column, a gate and a penalty, written forward-only on the
+//! tape of the step, and a decision. dfdx differentiates; the file contains no derivative by hand.
 
 use crate::rounds::{check_rate, check_weight, learned};
 use dfdx::prelude::{MeanTo, Rank0};
@@ -12,29 +13,35 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// The column of mask logits m.
+/// Column of mask logits m.
 const COLUMN: &str = "mask_logits";
 
 /// Learns one mask per Gaussian under a penalty: the pruning strategy of P-WRFGS.
 ///
-/// While training, opacity and scale are multiplied by M = sg(1[σ(m) ≥ threshold] − σ(m)) + σ(m), eq. (11): forward 0 or
-/// 1, derivative σ′(m). The loss gains lambda · mean σ(m), eqs. (12) and (13). At a prune step what has M = 0 is
-/// discarded, eq. (10). A mask that crosses the threshold cannot come back: a Gaussian with M = 0 is not drawn, has no
-/// derivative from the picture, and only the penalty is left to move it. The pressure on one Gaussian is
-/// lambda/N · σ(1−σ), and Adam divides it by its running size. Masks of Gaussians that the spectra do not need therefore
-/// reach the threshold about 1,410 steps after the start at a rate of 0.01, for any lambda above 0 (730 steps at 0.02).
+/// During training, opacity and scale are multiplied by M = sg(1[σ(m) ≥ threshold] − σ(m)) + σ(m), eq. (11). Its
+/// forward value is 0 or 1 and its derivative is σ′(m). The loss gains lambda · mean σ(m), eqs. (12) and (13). Prune
+/// steps remove the Gaussians with M = 0, eq. (10). A mask that has closed cannot reopen: a Gaussian with M = 0 is not
+/// drawn and has no gradient from the spectrum, so that only the penalty moves it. The penalty gradient of one Gaussian
+/// is lambda/N · σ(1−σ), and Adam divides it by its running magnitude. Masks of Gaussians that the spectra do not need
+/// therefore close about 1,410 steps after the start at a rate of 0.01, for any lambda above 0 (730 steps at 0.02).
 ///
-/// Use it to let training find how many Gaussians a quality is worth; a larger lambda leaves fewer (the paper: 2,613 at
-/// 0.01, 157 at 0.02, 8 at 0.04). For a number given beforehand set `training.target`; [`crate::LightGaussian`] and others come to
-/// one with less loss. Threshold and initial logit are those of Compact-3DGS, where the paper is silent.
+/// Use this pruner if training shall find the number of Gaussians for a quality. A larger lambda keeps fewer Gaussians
+/// (the paper: 2,613 at 0.01, 157 at 0.02, 8 at 0.04). To fix the number beforehand, set `training.target`;
+/// [`crate::LightGaussian`] and other pruners reach a fixed number with less loss of quality. The paper does not give
+/// threshold and initial logit; their values are those of Compact-3DGS.
 ///
-/// With tens of thousands of Gaussians lambda/N is small against the noise of the picture's derivative, and Adam divides
-/// by that noise: the rate of 0.01 then wants the paper's 20,000 steps of one transmitter. What makes it affordable: train
-/// first and press then, from a trained model (`Trained` as the initializer), with 16
-/// transmitters a step at 0.03 for 4,000 steps; or leave Adam's division out, `LearnableMask(adam: false, learning_rate: 5)`,
-/// whose end is the same within a tenth of N and 0.002 of SSIM. N goes on falling as long as it is pressed, slowly, so the
-/// length of the pressure belongs to lambda. A rate of 0.1 is faster still, and chance then closes masks, which do not come
-/// back: fewer are left, and SSIM at equal N is worse. `docs/reproduce.md` has the figures, under "Masks in a hurry".
+/// With tens of thousands of Gaussians, lambda/N is small against the noise of the gradient, and Adam divides by that
+/// noise. The rate of 0.01 then needs the 20,000 steps of one transmitter that the paper uses. Two ways reduce the
+/// cost:
+///
+/// - Train first and prune the trained model (`Trained` as the initializer), with 16 transmitters per step at 0.03 for
+///   4,000 steps.
+/// - Disable Adam for the masks, `LearnableMask(adam: false, learning_rate: 5)`. The result agrees within a tenth of N
+///   and 0.002 of SSIM.
+///
+/// N decreases slowly for as long as the pruning phase lasts, so the length of this phase belongs to lambda. A rate of
+/// 0.1 is faster still, but noise then closes masks for good: fewer Gaussians are left, and SSIM at equal N is lower.
+/// The figures are in `docs/lab/paper.md`.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -69,7 +76,7 @@ impl Pruner for LearnableMask {
         let &Self { initial_logit: from, threshold: to, learning_rate: rate, lambda, adam, .. } = self;
         let mut mask_rate = MaskRate::adam(rate);
         if !adam {
-            // Without Adam a mask moves by its derivative, whose size is not known here.
+            // Without Adam a mask moves by its gradient, whose magnitude is unknown here.
             mask_rate.most = 10.0 * rate;
         }
         let pressure = if adam { None } else { Some(lambda) };
@@ -83,7 +90,8 @@ impl Pruner for LearnableMask {
     }
 
     fn keep(&self, cloud: &GaussianCloud, _: &CloudStats, _: &Moment) -> Vec<bool> {
-        // The same formula as the tape's sigmoid, so that exactly what was drawn is kept.
+        // Uses the same formula as the sigmoid of the tape, so that the kept Gaussians are exactly those that were
+        // drawn.
         let open = |m: &Real| 1.0 / (1.0 + (-m).exp()) >= self.threshold;
         cloud.extra(COLUMN).map_or_else(|| vec![true; cloud.len()], |c| c.values.iter().map(open).collect())
     }
@@ -123,7 +131,7 @@ mod tests {
     use crate::fixture::{cloud, moment, with_column};
     use dfdx::prelude::{AsArray, Backward, SumTo};
 
-    /// Around the threshold at −4.595, far from it on both sides, and at it.
+    /// Logits around the threshold at −4.595, far from it on both sides, and at it.
     const LOGITS: [Real; 7] = [1.0, -4.0, -4.594, -4.596, -9.0, 3.0, 0.0];
 
     fn masked(logits: &[Real]) -> GaussianCloud {
@@ -131,7 +139,7 @@ mod tests {
         with_column(cloud(&vec![0.0; logits.len()]), column, logits)
     }
 
-    /// ∂/∂m of the sum of a gate, or of a penalty.
+    /// Returns ∂/∂m of the sum of a gate, or of a penalty.
     fn derivative(traced: &Traced, scalar: TraceScalar) -> Vec<Real> {
         scalar.backward().get(traced.leaf(COLUMN)).as_vec()
     }
@@ -141,7 +149,7 @@ mod tests {
         let (mask, traced) = (LearnableMask::default(), Traced::new(&masked(&LOGITS)));
         let gate = mask.gate(&traced, &moment(Phase::Densify)).unwrap().factor();
         assert_eq!(gate.as_vec(), [1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0]);
-        // Cotangents that differ, so that a mixed-up order would show.
+        // Unequal cotangents reveal a wrong order.
         let weights: Vec<Real> = (0..LOGITS.len()).map(|i| i as Real - 2.5).collect();
         let found = derivative(&traced, (gate * traced.constant(weights.clone())).sum());
         for ((found, m), weight) in found.iter().zip(LOGITS).zip(weights) {
@@ -179,13 +187,14 @@ mod tests {
 
     #[test]
     fn a_mask_that_nothing_needs_closes_after_the_steps_that_are_counted() {
-        // The paper's rate, the quickstart's, and both without Adam's division: by a simulation in another language.
+        // Rates of the paper and of the quickstart, and both without Adam; expected values from an independent
+        // simulation.
         let steps = |rate, adam| {
             let mask = LearnableMask { learning_rate: rate, adam, ..LearnableMask::default() };
             mask.traits().mask_fall.map(|fall| fall.steps([0.9, 0.999]))
         };
         assert_eq!([steps(0.01, true), steps(0.02, true)], [Some(1_410), Some(730)]);
-        // dm/dt = −rate·lambda·σ(1−σ), so that t = (eᵐ − e⁻ᵐ + 2m)/(rate·lambda) between the ends.
+        // dm/dt = −rate·lambda·σ(1−σ), so that t = (eᵐ − e⁻ᵐ + 2m)/(rate·lambda) between the end points.
         let integral = |m: f64| m.exp() - (-m).exp() + 2.0 * m;
         let expected = (integral(1.0) - integral((0.01_f64 / 0.99).ln())) / (5.0 * 0.01);
         let found = steps(5.0, false).unwrap() as f64;

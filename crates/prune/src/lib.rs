@@ -1,7 +1,8 @@
-//! Which Gaussians stay: the paper's learnable mask, a floor on opacity, a budget, and strategies of others.
+//! Pruners, which choose the Gaussians to keep: the learnable mask of the paper, opacity thresholds, budgets and
+//! published strategies.
 //!
-//! A pruner decides; the trainer asks it at the prune steps of algorithm 1, removes what any pruner of the list gives
-//! up, and keeps the best-scored Gaussian where all together would leave none.
+//! The trainer calls the pruners at the prune steps of algorithm 1. It removes each Gaussian that at least one pruner
+//! of the list rejects. If all Gaussians would be removed, it keeps the one with the best score.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
@@ -41,7 +42,7 @@ pub use references::{GreedyElimination, RandomReference};
 pub use shares::{LightGaussian, Over, SignalContribution, SpeedySplat};
 pub use thresholds::{OpacityThreshold, RadSplat, Score, TopK};
 
-/// What tests prune.
+/// Gaussian clouds and pruning contexts for tests.
 #[cfg(test)]
 mod fixture {
     use pwrfgs_core::{ColumnSpec, ExtraColumn, GaussianCloud, Moment, Phase, Real, Vec3};
@@ -50,7 +51,7 @@ mod fixture {
         Moment::new(21_000, phase, 0)
     }
 
-    /// N Gaussians of unit scale with these opacity logits.
+    /// Creates a cloud of N Gaussians with unit scale and these opacity logits.
     pub(crate) fn cloud(opacity_logits: &[Real]) -> GaussianCloud {
         let n = opacity_logits.len();
         GaussianCloud {
@@ -63,7 +64,7 @@ mod fixture {
         }
     }
 
-    /// Adds a column, as the trainer does.
+    /// Adds a column as the trainer does.
     pub(crate) fn with_column(mut cloud: GaussianCloud, column: &ColumnSpec, values: &[Real]) -> GaussianCloud {
         let (name, width) = (column.name.to_owned(), column.width);
         cloud.extra.push(ExtraColumn { name, width, values: values.to_vec() });

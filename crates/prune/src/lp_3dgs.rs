@@ -1,4 +1,4 @@
-//! A learned mask on top of an importance.
+//! Learned mask on top of an importance score.
 
 use crate::rounds::{check_rate, check_weight, logistic_noise, quantile};
 use dfdx::prelude::{MeanTo, Rank0};
@@ -9,19 +9,20 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// The column of logits m.
+/// Column of logits m.
 const COLUMN: &str = "lp_logits";
-/// The column of ln(S/S̃).
+/// Column of ln(S/S̃).
 const IMPORTANCE: &str = "lp_importance";
 
 /// Learns masks that start from an importance score per Gaussian (LP-3DGS).
 ///
-/// The chance to stay is σ(m + ln(S/S̃)): the importance S of a Gaussian, its largest blending weight in any pixel of any
-/// transmitter as RadSplat has it, over the median S̃, multiplies the odds of a learned logit m. While training, the light
-/// that it takes is multiplied by the relaxed throw σ((m + ln(S/S̃) + g)/temperature) with logistic noise g (LP-3DGS, Zhang et
-/// al., NeurIPS 2024, section 3.2: a Gumbel-sigmoid mask on an importance score, which finds the share to prune by itself),
-/// and the loss gains lambda times the mean chance. At a prune step what stays has a chance of one half or more. S is measured
-/// at the first prune step and again at each; before the first it counts as 1.
+/// The keep probability is σ(m + ln(S/S̃)). The importance S of a Gaussian is its largest blending weight in any pixel
+/// of any transmitter, as in RadSplat; S̃ is the median. The ratio S/S̃ multiplies the odds of a learned logit m.
+/// During training, the light that a Gaussian absorbs is multiplied by the relaxed sample σ((m + ln(S/S̃) +
+/// g)/temperature) with logistic noise g. The loss gains lambda times the mean keep probability. Prune steps keep the
+/// Gaussians with a probability of at least one half. S is measured at each prune step; before the first it counts as
+/// 1. Source: LP-3DGS, Zhang et al., NeurIPS 2024, section 3.2, whose Gumbel-sigmoid mask finds the share to prune by
+/// itself.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -86,7 +87,7 @@ impl Pruner for Lp3dgs {
             .then(|| odds(cloud).sigmoid().mean::<Rank0, _>() * self.lambda)
     }
 
-    /// Not another cloud, but the importance of the same Gaussians, measured anew.
+    /// Updates the importance of the Gaussians without changing the Gaussians.
     fn edit(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Option<Edit> {
         let importance = &stats.asked.largest_weight;
         if importance.len() != cloud.len() || cloud.is_empty() {
@@ -114,7 +115,7 @@ impl Pruner for Lp3dgs {
     }
 }
 
-/// m + ln(S/S̃), of which m is learned.
+/// Returns m + ln(S/S̃), of which m is learned.
 fn odds(cloud: &Traced) -> Trace {
     cloud.column(COLUMN) + cloud.leaf(IMPORTANCE).clone()
 }

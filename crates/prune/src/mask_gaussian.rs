@@ -1,4 +1,4 @@
-//! A coin a Gaussian, thrown at every step; who loses still learns.
+//! Pruner with one Bernoulli sample per Gaussian and step; masked Gaussians still learn.
 
 use crate::rounds::{check_rate, check_weight, learned, logistic_noise};
 use dfdx::prelude::{MeanTo, Rank0};
@@ -9,19 +9,21 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// The column of logits m.
+/// Column of logits m.
 const COLUMN: &str = "presence_logits";
 
 /// Learns an existence probability per Gaussian; masked Gaussians still receive gradients (MaskGaussian).
 ///
-/// At every step M = 1[m + g > 0] with logistic noise g, so that M = 1 with probability σ(m); its derivative is that of the
-/// relaxed throw σ(m + g). M multiplies the light that a Gaussian takes and nothing else, [`Gate::Presence`]: where M = 0 the
-/// picture is drawn without it, and the derivative still says what it would have changed, so that it can come back. The loss
-/// gains lambda · (mean M)², whose pressure fades as fewer are there. At a prune step goes what `draws` throws never find
-/// open (MaskGaussian, Liu et al., CVPR 2025, section 3.2, where the two logits of each Gaussian are one here). The fair
-/// upgrade of [`crate::LearnableMask`], whose closed masks cannot come back; it costs more, as nothing is left out of a step.
+/// In each step M = 1[m + g > 0] with logistic noise g, so that M = 1 with probability σ(m). Its derivative is that of
+/// the relaxed sample σ(m + g). M multiplies only the light that a Gaussian absorbs, [`Gate::Presence`]. A Gaussian
+/// with M = 0 is not drawn, but still receives the gradient of its absence, so that it can come back. The loss gains
+/// lambda · (mean M)²; this penalty weakens as the number of Gaussians decreases. Prune steps remove the Gaussians
+/// whose masks are closed in all of `draws` samples. Compared with [`crate::LearnableMask`], whose closed masks cannot
+/// reopen, a step costs more, because no Gaussian is skipped. Source: MaskGaussian, Liu et al., CVPR 2025, section 3.2,
+/// with one logit per Gaussian in place of two.
 ///
-/// In fine-tuning all that are left are there. Under `training.target` the largest m stay at the last prune step.
+/// Fine-tuning uses all remaining Gaussians without masks. Under `training.target` the last prune step keeps the
+/// Gaussians with the largest m.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -90,7 +92,7 @@ impl Pruner for MaskGaussian {
     }
 }
 
-/// M of this step: the same throw for the gate and for the penalty.
+/// Returns M of this step: the same sample for the gate and for the penalty.
 fn throw(cloud: &Traced, moment: &Moment) -> Trace {
     let mut random = rng::stream(moment.seed, "pruner MaskGaussian", moment.step);
     let noise = cloud.constant(logistic_noise(cloud.len(), &mut random));

@@ -1,4 +1,4 @@
-//! Nothing dies: what has faded is moved onto what has not.
+//! Pruner that relocates faint Gaussians to opaque ones.
 
 use crate::covariance::Covariance;
 use crate::rounds::{check_below_one, check_share, check_weight};
@@ -12,15 +12,17 @@ use serde::{Deserialize, Serialize};
 
 /// Moves faint Gaussians onto others, drawn by opacity, without changing the spectra (3DGS-MCMC).
 ///
-/// At a prune step each Gaussian of opacity `dead` or less moves onto one drawn in proportion to opacity. Of a place that k
-/// now share, each takes the opacity 1 − (1 − o)^(1/k), so that together they let through what one did, and scales that keep
-/// the blended amplitude: s · o / Σᵢ Σⱼ (i−1 over j) (−1)^j o′^(j+1) / √(j+1), i from 1 to k, j below i (3D Gaussian splatting
-/// as Markov chain Monte Carlo, Kheradmand et al., NeurIPS 2024, eq. (9)). The loss gains `opacity_weight` times the mean
-/// opacity and `scale_weight` times the mean scale, and centres are stirred, the faint ones more:
-/// noise · σ(100 (0.005 − o)) · Σ · N(0, 1).
+/// At a prune step, each Gaussian of opacity `dead` or less moves onto another Gaussian, drawn with probability
+/// proportional to opacity. If k Gaussians then share a position, each takes the opacity 1 − (1 − o)^(1/k), so that
+/// their joint transmittance is that of the original. Their scales preserve the blended amplitude: s · o / Σᵢ Σⱼ (i−1
+/// over j) (−1)^j o′^(j+1) / √(j+1), i from 1 to k, j below i. The loss gains `opacity_weight` times the mean opacity
+/// and `scale_weight` times the mean scale. Noise moves the centres, of faint Gaussians more than of opaque ones: noise
+/// · σ(100 (0.005 − o)) · Σ · N(0, 1). Source: 3D Gaussian splatting as Markov chain Monte Carlo, Kheradmand et al.,
+/// NeurIPS 2024, eq. (9).
 ///
-/// `training.target` is the cap on N: with more, the least opaque go by rounds; with fewer, at most `grow` of N are added at a prune
-/// step, in the same way as the dead are moved. Without one N stays as it is.
+/// `training.target` is the maximum N. Above it, prune steps remove the Gaussians of lowest opacity in rounds. Below
+/// it, each prune step adds at most the share `grow` of N, in the same way as faint Gaussians move. Without a target, N
+/// is constant.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -102,7 +104,7 @@ impl Pruner for Mcmc {
         let drawn = draws(&alive, &opacities, n - alive.len() + added, &mut random);
         let mut shared = vec![1usize; n];
         drawn.iter().for_each(|&i| shared[i] += 1);
-        // The dead take the places of the first draws, and new rows those of the others.
+        // Faint Gaussians take the positions of the first draws, new rows those of the others.
         let mut sources = drawn.into_iter();
         let mut rows: Vec<Row> = (0..n).map(Row::Kept).collect();
         for (i, row) in rows.iter_mut().enumerate() {
@@ -131,7 +133,7 @@ impl Pruner for Mcmc {
     }
 }
 
-/// `count` of `alive`, each drawn with a probability in proportion to its opacity.
+/// Draws `count` of `alive`, each with probability proportional to its opacity.
 fn draws(alive: &[usize], opacities: &[f64], count: usize, random: &mut rng::Rng) -> Vec<usize> {
     let mut sum = 0.0;
     let sums: Vec<f64> = alive
@@ -148,7 +150,7 @@ fn draws(alive: &[usize], opacities: &[f64], count: usize, random: &mut rng::Rng
     (0..count).map(draw).collect()
 }
 
-/// Opacity of each of `k` that share a place, and the factor on its scales.
+/// Returns the opacity of each of `k` Gaussians that share a position, and the factor on their scales.
 fn share_out(opacity: f64, k: usize) -> (f64, f64) {
     let k = k.min(50); // beyond, the alternating sum is lost in rounding
     let own = (1.0 - (1.0 - opacity).powf(1.0 / k as f64)).clamp(1e-6, 1.0 - 1e-6);
@@ -170,7 +172,7 @@ mod tests {
 
     #[test]
     fn two_in_one_place_look_like_one() {
-        // The amplitude over a line through both: o₂ = 1 − √(1−o); 2 o₂ s′ − o₂² s′/√2 = o s.
+        // Amplitude over a line through both: o₂ = 1 − √(1−o); 2 o₂ s′ − o₂² s′/√2 = o s.
         for opacity in [0.05, 0.3, 0.8] {
             let (own, shrink) = share_out(opacity, 2);
             assert!((1.0 - (1.0 - own).powi(2) - opacity).abs() < 1e-12);

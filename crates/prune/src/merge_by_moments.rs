@@ -1,4 +1,4 @@
-//! Two near ones become one of their joint mean and covariance.
+//! Pruner that merges close Gaussians into one with their joint mean and covariance.
 
 use crate::covariance::Covariance;
 use crate::rounds::{check_shares, share_at, share_of};
@@ -10,11 +10,11 @@ use serde::{Deserialize, Serialize};
 
 /// Merges the nearest pairs of Gaussians into one Gaussian with their joint mean and covariance.
 ///
-/// The mass of a Gaussian is its opacity times the product of its scales. Pairs are taken in the order of Ward's criterion,
-/// m₁m₂/(m₁+m₂) · ‖μ₁ − μ₂‖², each Gaussian with its nearest other and once a pass, until enough are gone. The one that takes
-/// their place has the mean and the covariance of both as a mixture, their mean signal, and an opacity that keeps the mass, at
-/// most 0.99. Nothing is lost from a place where something was, as with any other strategy; detail is. Its network's signals
-/// are those of the new centre.
+/// The mass of a Gaussian is its opacity times the product of its scales. Pairs are merged in the order of Ward's
+/// criterion, m₁m₂/(m₁+m₂) · ‖μ₁ − μ₂‖², each Gaussian with its nearest neighbour and once per pass, until the number
+/// is reached. The merged Gaussian has the mean and covariance of the mixture, the mean signal, and an opacity that
+/// preserves the mass, at most 0.99. Merging loses detail, but unlike removal it leaves no empty regions. The network
+/// computes the signals of a merged Gaussian from its new centre.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -64,13 +64,14 @@ impl Pruner for MergeByMoments {
     }
 }
 
-/// Opacity times the product of the scales.
+/// Returns opacity times the product of the scales.
 fn mass(cloud: &GaussianCloud, i: usize) -> f64 {
     let volume: f64 = cloud.log_scales[i].iter().map(|s| f64::from(*s)).sum::<f64>().exp();
     f64::from(sigmoid(cloud.opacity_logits[i])) * volume
 }
 
-/// Merges pairs of nearest, cheapest first, none twice, until `count` are left or every pair is taken.
+/// Merges pairs of nearest neighbours, lowest cost first and each Gaussian once, until `count` are left or no pair
+/// remains.
 fn merge_pass(edit: &mut Edit, count: usize) {
     let Edit { cloud, rows } = edit;
     let n = cloud.len();
@@ -98,7 +99,7 @@ fn merge_pass(edit: &mut Edit, count: usize) {
     *rows = stay.iter().map(|&i| rows[i]).collect();
 }
 
-/// Row `i` becomes what both were together.
+/// Replaces row `i` by the merged Gaussian of rows `i` and `j`.
 fn join(cloud: &mut GaussianCloud, [i, j]: [usize; 2], [a, b]: [f64; 2]) {
     let whole = (a + b).max(f64::MIN_POSITIVE);
     let (a, b) = if a + b > 0.0 { (a / whole, b / whole) } else { (0.5, 0.5) };

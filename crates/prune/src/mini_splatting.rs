@@ -1,4 +1,4 @@
-//! A lottery by weight, or the few that have nearly all of it.
+//! Pruners by blending weight: weighted random sample, cumulated weight or quantile.
 
 use crate::rounds::{asked, check_share, quantile, without_share};
 use pwrfgs_core::{
@@ -26,12 +26,18 @@ impl Rule {
 
 /// Keeps a random sample of Gaussians by weight, or the Gaussians with nearly all of the weight (Mini-Splatting).
 ///
-/// Weight is Σ w, or per pixel that the Gaussian touches, over the training transmitters. `Sampled` draws without
-/// replacement with that probability, so that a thin cover of the scene remains where the best alone would crowd together;
-/// `Cumulated` keeps the best until they have that share of all weight (Mini-Splatting, Fang and Wang, ECCV 2024,
-/// section 3.3: half drawn at step 15,000, 0.99 of the weight kept at 20,000). Draws come from the pipeline's seed.
-/// `Above(0.05)` is the rule of EAGLES (Girish et al., ECCV 2024, section 3.3: 5 % every 3,000 steps), in which Gaussians
-/// that nobody sees go together. With `training.target`, `Cumulated` and `Above` are the same: the largest weights stay.
+/// The weight is Σ w over the training transmitters; with `per_area` it is divided by the number of covered pixels. The
+/// rules are:
+///
+/// - `Sampled` draws without replacement with probability proportional to weight. It keeps a sparse cover of the scene,
+///   whereas the largest weights alone may cluster.
+/// - `Cumulated` keeps the largest weights until they sum to that share of the total. Source of both: Mini-Splatting,
+///   Fang and Wang, ECCV 2024, section 3.3, with half drawn at step 15,000 and 0.99 of the weight kept at 20,000.
+/// - `Above(0.05)` is the rule of EAGLES (Girish et al., ECCV 2024, section 3.3: 5 % every 3,000 steps). It removes all
+///   invisible Gaussians at once.
+///
+/// Samples follow from the seed of the pipeline. With `training.target`, `Cumulated` and `Above` are equal: the largest
+/// weights are kept.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -97,7 +103,7 @@ impl Pruner for MiniSplatting {
         let weights = asked(if self.per_area { &stats.asked.weight_per_area } else { &stats.asked.weight }, cloud);
         match self.rule {
             Rule::Cumulated(_) | Rule::Above(_) => weights,
-            // The largest of these keys are a draw without replacement (Efraimidis and Spirakis, 2006).
+            // The largest of these keys are a sample without replacement (Efraimidis and Spirakis, 2006).
             Rule::Sampled(_) => {
                 let mut random = rng::stream(moment.seed, "pruner MiniSplatting", moment.step);
                 weights.iter().map(|w| rng::uniform(&mut random).max(Real::MIN_POSITIVE).ln() / w.max(0.0)).collect()

@@ -1,4 +1,4 @@
-//! All opacities decay, and what the pictures need resists.
+//! Pruner that lets all opacities decay against the gradient of the loss.
 
 use crate::rounds::{check_below_one, check_weight};
 use dfdx::prelude::{MeanTo, Rank0};
@@ -8,15 +8,16 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// The column of lives: moving averages of opacity.
+/// Column of lives: moving averages of opacity.
 const LIFE: &str = "life";
 
 /// Decreases all opacities equally; gradients preserve the Gaussians that are needed (Natural Selection).
 ///
-/// The loss gains `pressure` times the mean opacity logit, so that every logit is pulled by the same amount however opaque its
-/// Gaussian is; what the loss does not hold falls without end. Life is a moving average of opacity, so that a Gaussian is not
-/// lost to one bad batch; it dies where life is below `epsilon` (Gaussian Natural Selection, 2025, whose field of decay is this
-/// pull, and whose count is set by a final cut to a budget: `training.target`).
+/// The loss gains `pressure` times the mean opacity logit. Every logit thus decreases at the same rate, whatever the
+/// opacity of its Gaussian, unless the gradient of the loss opposes it. Life is a moving average of opacity, so that
+/// one noisy batch does not remove a Gaussian. Prune steps remove the Gaussians with a life below `epsilon`. Source:
+/// Gaussian Natural Selection, 2025, whose decay field is this penalty; a final cut to a budget (`training.target`)
+/// sets its number of Gaussians.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -45,7 +46,7 @@ impl Default for NaturalSelection {
 impl Pruner for NaturalSelection {
     fn traits(&self) -> PrunerTraits {
         PrunerTraits {
-            // Born with a full life: the average then forgets it.
+            // Lives start at 1; the moving average soon forgets this value.
             columns: vec![ColumnSpec::state(LIFE, 1.0)],
             budget: Some(Budget::AtLast),
             ..PrunerTraits::default()

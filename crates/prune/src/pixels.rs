@@ -1,4 +1,4 @@
-//! Pruners that go by single pixels: the Gaussians that matter most to each pixel stay, and those where errors are large go.
+//! Pruners based on single pixels: the most important Gaussians per pixel (SafeguardGS), or large errors (FastGS).
 
 use crate::rounds::{asked, check_share};
 use pwrfgs_core::{
@@ -8,10 +8,10 @@ use serde::{Deserialize, Serialize};
 
 /// Keeps the top-ranked Gaussians of every pixel of every transmitter (SafeguardGS).
 ///
-/// In each pixel splats are ranked by exp(−|‖s‖ − P|) · w, with the splat's own strength ‖s‖, what was measured there P, and
-/// the blending weight w = γ·T: those that show, and show what is there. The first `of_pixel` are safe (SafeguardGS, Lee et
-/// al., 2024, with amplitudes in place of colours). No pixel is left empty, which matters most when few are left. With
-/// `training.target` those that are safe come first, by weight.
+/// In each pixel, splats are ranked by exp(−|‖s‖ − P|) · w, with the strength ‖s‖ of the splat, the measured value P of
+/// the pixel and the blending weight w = γ·T. The first `of_pixel` splats are kept: visible ones that agree with the
+/// measurement. No pixel loses all its Gaussians, which matters most for small N. With `training.target`, the kept
+/// Gaussians rank first, ordered by weight. Source: SafeguardGS, Lee et al., 2024, with amplitudes in place of colours.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -71,10 +71,11 @@ fn check_places(of_pixel: usize) -> Result<(), String> {
 
 /// Removes Gaussians that repeatedly cover pixels with large errors (FastGS).
 ///
-/// For each training transmitter the Gaussian's pixels of high error are counted and multiplied by the picture's mean absolute
-/// error; the sums, stretched from 0 to 1, are its blame, and what has more than `blame` goes (FastGS, Ren et al., 2025,
-/// view-consistent pruning). An error of a pixel is high above `high` of the way from the picture's smallest to its largest.
-/// It takes the large, misplaced ones, and is no measure of use: as a way down to a small number it is the wrong tool.
+/// For each training transmitter, the pixels of high error that a Gaussian covers are counted and multiplied by the
+/// mean absolute error of the spectrum. The sums, scaled to 0 to 1, are the blame score; Gaussians above `blame` are
+/// removed. A pixel has a high error if its error exceeds the fraction `high` of the range from the smallest to the
+/// largest error of the spectrum. The score finds large, misplaced Gaussians. It does not measure importance, so it is
+/// unsuitable for reaching a small N. Source: FastGS, Ren et al., 2025, view-consistent pruning.
 ///
 /// ```
 /// # use pwrfgs_prune as _;

@@ -1,4 +1,4 @@
-//! How well the pictures fix mean and scale.
+//! Pruner by the sensitivity of the spectra to position and scale.
 
 use crate::rounds::{check_shares, needs, share_at, without_share};
 use pwrfgs_core::{
@@ -8,11 +8,11 @@ use serde::{Deserialize, Serialize};
 
 /// Removes the Gaussians whose position and scale have the least influence on the spectra (PUP-3DGS).
 ///
-/// The score is log det of the 6 × 6 Fisher matrix Σ J Jᵀ, J = ∂P̂/∂(mean, log scale) with signals held, over pixels and
-/// training transmitters (PUP-3DGS, Hanson et al., CVPR 2025, eq. (11), with the scale where we have its logarithm). 80 % go
-/// at once, then half of the rest, each followed by fine-tuning. Where a direction is not seen at all, such as the distance
-/// from a single receiver, the determinant would be 0 for every Gaussian: `ridge` times the matrix' own mean diagonal is
-/// added.
+/// The score is log det of the 6 × 6 Fisher matrix Σ J Jᵀ, J = ∂P̂/∂(mean, log scale) with constant signals, over
+/// pixels and training transmitters. The method removes 80 % of the Gaussians at once, then half of the rest, each time
+/// followed by fine-tuning. If the spectra do not depend on a direction, such as the distance from a single receiver,
+/// every determinant would be 0. Therefore `ridge` times the mean diagonal of the matrix is added. Source: PUP-3DGS,
+/// Hanson et al., CVPR 2025, eq. (11), with the logarithm of the scale in place of the scale.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -71,8 +71,8 @@ fn check_ridge(ridge: Real) -> Result<(), String> {
     Err(format!("`ridge` is {ridge}; give a small number above 0, such as 1e-6"))
 }
 
-/// log det of a symmetric 6 × 6 matrix given by its upper triangle, its diagonal raised by `ridge` times its mean; −∞ of
-/// zeros. By Cholesky's factors.
+/// Returns log det of a symmetric 6 × 6 matrix given by its upper triangle, with `ridge` times the mean diagonal added
+/// to its diagonal; −∞ for zeros. Uses the Cholesky decomposition.
 fn log_det(triangle: &[Real; 21], ridge: f64) -> f64 {
     let mut a = [[0.0f64; 6]; 6];
     let mut own = triangle.iter();
@@ -86,7 +86,7 @@ fn log_det(triangle: &[Real; 21], ridge: f64) -> f64 {
     let mut sum = 0.0;
     for j in 0..6 {
         let pivot = a[j][j] + ridge * mean - (0..j).map(|k| a[j][k] * a[j][k]).sum::<f64>();
-        // Rounding may leave a little less than the ridge put in.
+        // Rounding may leave slightly less than the added ridge.
         let pivot = pivot.max(0.5 * ridge * mean);
         sum += pivot.ln();
         let root = pivot.sqrt();
@@ -105,7 +105,8 @@ mod tests {
 
     #[test]
     fn determinants_of_known_matrices() {
-        // diag(1, 2, .., 6) has 720; a product of two known factors has the square of the product of the diagonal.
+        // diag(1, 2, .., 6) has determinant 720; that of a product of two known factors is the squared product of the
+        // diagonal.
         let mut diagonal = [0.0; 21];
         let mut place = 0;
         for i in 0..6 {

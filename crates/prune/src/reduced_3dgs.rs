@@ -1,4 +1,4 @@
-//! Too many in one place.
+//! Pruner for crowded regions.
 
 use crate::rounds::{check_share, without_share};
 use pwrfgs_core::{
@@ -8,11 +8,12 @@ use serde::{Deserialize, Serialize};
 
 /// Removes the less opaque half of the Gaussians with many overlaps (Reduced-3DGS).
 ///
-/// Two Gaussians overlap where their centres are nearer than the sum of their largest scales; of each the `neighbours`
-/// nearest are looked at. Whose count lies more than `deviations` standard deviations above the mean is crowded, and of the
-/// crowded the `share` that is least opaque goes (Reducing the memory footprint of 3DGS, Papantonakis et al., I3D 2024, with
-/// spheres for its ray test). It looks at the cloud alone, so that it works for any method. Under `training.target` the most crowded
-/// go first, then the least opaque.
+/// Two Gaussians overlap if their centres are closer than the sum of their largest scales. For each Gaussian the
+/// `neighbours` nearest ones are tested. A Gaussian is crowded if its overlap count exceeds the mean by more than
+/// `deviations` standard deviations. Prune steps remove the `share` of the crowded Gaussians with the lowest opacity.
+/// The score uses only the cloud, so it works for any method. Under `training.target` the Gaussians with the highest
+/// counts are removed first, then those of lowest opacity. Source: Reducing the memory footprint of 3DGS, Papantonakis
+/// et al., I3D 2024, with spheres in place of its ray test.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -77,7 +78,7 @@ fn check_neighbours(settings: &Reduced3dgs) -> Result<(), String> {
     Ok(())
 }
 
-/// How many of its nearest others each Gaussian overlaps.
+/// Returns the number of nearest neighbours that each Gaussian overlaps.
 fn overlaps(cloud: &GaussianCloud, count: usize) -> Vec<Real> {
     let finite = cloud.means.as_flattened().iter().all(|v| v.is_finite());
     if !finite || cloud.len() < 2 {

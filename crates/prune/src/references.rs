@@ -1,4 +1,4 @@
-//! References for all strategies: chance, which every strategy has to beat, and the Gaussian that is missed least.
+//! Reference strategies: random removal as the lower reference, and greedy elimination as the upper reference.
 
 use crate::rounds::{asked, check_shares, share_at, without_share};
 use pwrfgs_core::{
@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 
 /// Removes random Gaussians: the lower reference for all strategies.
 ///
-/// Each prune step draws anew from the pipeline's seed. What a strategy gains over it at equal N and equal training is what
-/// its score knows; the reference from above is [`crate::GreedyElimination`].
+/// Each prune step draws a new sample from the seed of the pipeline. The gain of a strategy over random removal, at
+/// equal N and equal training, is the value of its score. The upper reference is [`crate::GreedyElimination`].
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -53,11 +53,10 @@ impl Pruner for RandomReference {
 
 /// Removes one Gaussian at a time: the one whose removal gives the smallest training loss.
 ///
-/// The reference from above for small numbers, for any method and any observation: nothing is estimated, the loss of
-/// `transmitters` is worked out without each Gaussian in turn, N(N+1)/2 times in all. Above `most` Gaussians that is too much,
-/// and it goes by what the pictures are sensitive to, as [`crate::SpeedySplat`] does (by opacity, where nothing is blended),
-/// until `most` are left. It is greedy and looks no step ahead, so that it can be beaten by training with fewer from the
-/// start.
+/// This is the upper reference for small numbers, for any method and any observation. It computes the exact loss of
+/// `transmitters` without each Gaussian in turn, N(N+1)/2 times in all. Above `most` Gaussians this is too expensive;
+/// it then removes Gaussians by sensitivity, as [`crate::SpeedySplat`] does (by opacity if the method does not blend),
+/// until `most` are left. The search is greedy, so that training with fewer Gaussians from the start can be better.
 ///
 /// ```
 /// # use pwrfgs_prune as _;

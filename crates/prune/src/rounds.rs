@@ -1,26 +1,26 @@
-//! What strategies by score have in common: a share at each prune step, the best of a list, checks of settings.
+//! Shared parts of score-based strategies: share per prune step, ranking, checks of settings.
 
 use pwrfgs_core::{GaussianCloud, Moment, Needs, Real, Statistic, best};
 
-/// The share that goes at this prune step: `shares` has those of the first ones, and after them nothing goes.
+/// Returns the share to remove at this prune step: an entry of `shares`, or 0 after the last entry.
 pub(crate) fn share_at(shares: &[Real], moment: &Moment) -> Real {
     let place = moment.round.checked_sub(1).map(|place| place as usize);
     place.and_then(|place| shares.get(place)).copied().unwrap_or(0.0)
 }
 
-/// A share of `n`; a whole number where it is one but for the rounding of the share.
+/// Returns a share of `n`, rounded to a whole number if it differs from one only by the rounding of the share.
 pub(crate) fn share_of(n: usize, share: Real) -> f64 {
     let part = n as f64 * f64::from(share);
     if (part - part.round()).abs() <= 1e-6 * n as f64 { part.round() } else { part }
 }
 
-/// All but the worst `share` by `scores`.
+/// Keeps all Gaussians except the lowest `share` by `scores`.
 pub(crate) fn without_share(scores: &[Real], share: Real) -> Vec<bool> {
     let gone = share_of(scores.len(), share).floor() as usize;
     best(scores.len() - gone.min(scores.len()), scores, |_| true)
 }
 
-/// `statistics` over so many `transmitters`; nothing at a step at which no share goes and there is no target.
+/// Requests `statistics` over this number of `transmitters`; requests nothing if this step has no share and no target.
 pub(crate) fn needs(statistics: &[Statistic], transmitters: usize, shares: &[Real], moment: &Moment) -> Needs {
     if moment.target.is_none() && share_at(shares, moment) == 0.0 {
         return Needs::nothing();
@@ -28,17 +28,17 @@ pub(crate) fn needs(statistics: &[Statistic], transmitters: usize, shares: &[Rea
     Needs::of(statistics, transmitters)
 }
 
-/// A column of a pass; opacity where there was none, so that nothing is decided by zeros.
+/// Returns a requested statistic; the opacity if the pass did not compute it, so that zeros never decide.
 pub(crate) fn asked(column: &[Real], cloud: &GaussianCloud) -> Vec<Real> {
     if column.len() == cloud.len() { column.to_vec() } else { cloud.opacity_logits.clone() }
 }
 
-/// A learned column; opacity where a cloud has none.
+/// Returns a learned column; the opacity if the cloud does not have it.
 pub(crate) fn learned(cloud: &GaussianCloud, column: &str) -> Vec<Real> {
     cloud.extra(column).map_or_else(|| cloud.opacity_logits.clone(), |column| column.values.clone())
 }
 
-/// The value below which a share `q` of `values` lies; −∞ of none.
+/// Returns the quantile `q` of `values`; −∞ if `values` is empty.
 pub(crate) fn quantile(values: &[Real], q: Real) -> Real {
     let mut sorted = values.to_vec();
     sorted.sort_by(Real::total_cmp);
@@ -46,7 +46,7 @@ pub(crate) fn quantile(values: &[Real], q: Real) -> Real {
     sorted.get(place.max(1) - 1).copied().unwrap_or(Real::NEG_INFINITY)
 }
 
-/// A logistic draw of each of `n`: the difference of two Gumbel draws.
+/// Draws `n` samples of the logistic distribution, each the difference of two Gumbel samples.
 pub(crate) fn logistic_noise(n: usize, random: &mut pwrfgs_core::rng::Rng) -> Vec<Real> {
     const EDGE: Real = 1e-6;
     let draw = |_| pwrfgs_core::rng::uniform(random).clamp(EDGE, 1.0 - EDGE);
@@ -62,12 +62,12 @@ pub(crate) fn check_shares(shares: &[Real]) -> Result<(), String> {
     }
 }
 
-/// A number from 0 to 1.
+/// Checks for a number from 0 to 1.
 pub(crate) fn check_share(field: &str, value: Real) -> Result<(), String> {
     if (0.0..=1.0).contains(&value) { Ok(()) } else { Err(format!("`{field}` is {value}; give a number from 0 to 1")) }
 }
 
-/// A number from 0 to below 1.
+/// Checks for a number from 0 to below 1.
 pub(crate) fn check_below_one(field: &str, value: Real) -> Result<(), String> {
     if (0.0..1.0).contains(&value) {
         return Ok(());
@@ -75,12 +75,12 @@ pub(crate) fn check_below_one(field: &str, value: Real) -> Result<(), String> {
     Err(format!("`{field}` is {value}; give a number from 0 to below 1"))
 }
 
-/// A finite number, 0 or more.
+/// Checks for a finite number, 0 or more.
 pub(crate) fn check_weight(field: &str, value: Real) -> Result<(), String> {
     if value.is_finite() && value >= 0.0 { Ok(()) } else { Err(format!("`{field}` is {value}; give 0 or more")) }
 }
 
-/// A rate of Adam.
+/// Checks a learning rate of Adam.
 pub(crate) fn check_rate(value: Real) -> Result<(), String> {
     if value.is_finite() && value > 0.0 {
         return Ok(());

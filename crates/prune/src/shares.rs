@@ -1,5 +1,5 @@
-//! Pruners that remove a share at each prune step, by what a Gaussian does to the spectra: its weight in them, the signal that
-//! it sends into them, and how much they change with its own strength.
+//! Pruners that remove a share at each prune step, by the effect of a Gaussian on the spectra: blending weight
+//! (LightGaussian), contributed signal (SignalContribution), or sensitivity (SpeedySplat).
 
 use crate::rounds::{asked, check_shares, check_weight, needs, quantile, share_at, without_share};
 use pwrfgs_core::{
@@ -9,11 +9,11 @@ use serde::{Deserialize, Serialize};
 
 /// Removes a share of the Gaussians with the smallest blending weight, weighted by volume (LightGaussian).
 ///
-/// The score is Σ w · min(V/V₉₀, 1)^`volume_power`, w = γ·T the blending weights over all pixels and training transmitters, V
-/// the product of the scales and V₉₀ the volume that nine tenths do not reach (LightGaussian, Fan et al., NeurIPS 2024,
-/// eq. (4)). It prunes two thirds at once there, then a decaying share, and fine-tunes. What hardly shows goes, however
-/// opaque it is; what shows a little to every transmitter stays before what one transmitter alone needs: for that see
-/// [`crate::SignalContribution`].
+/// The score is Σ w · min(V/V₉₀, 1)^`volume_power`. Here w = γ·T are the blending weights over all pixels and training
+/// transmitters, V is the product of the scales, and V₉₀ is the 90th percentile of V. The method prunes two thirds at
+/// once, then a decaying share, and fine-tunes. It removes Gaussians of low visibility, however opaque they are. It
+/// prefers Gaussians that are weakly visible for every transmitter to Gaussians that one transmitter needs;
+/// [`crate::SignalContribution`] can keep the latter. Source: LightGaussian, Fan et al., NeurIPS 2024, eq. (4).
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -82,10 +82,10 @@ pub enum Over {
 /// Removes the Gaussians with the smallest contribution (signal times blending weight), as mean or maximum over
 /// transmitters.
 ///
-/// The score is Σ ‖s(tx)‖ · w over the pixels, with the Gaussian's signal s for a transmitter and its blending weights w = γ·T.
-/// In radiance fields of radio a Gaussian's signal depends on the transmitter, so opacity alone, the score of the baseline in
-/// the paper's fig. 2b, says little: an opaque Gaussian may be silent. `Mean` asks for what helps in general, `Max` keeps what
-/// a single transmitter cannot do without, as RadSplat does with pixels.
+/// The score is Σ ‖s(tx)‖ · w over the pixels, with the signal s of the Gaussian for a transmitter and its blending
+/// weights w = γ·T. The signal of a Gaussian depends on the transmitter. Opacity alone, the score of the baseline in
+/// fig. 2b of the paper, is therefore a weak measure: an opaque Gaussian may emit no signal. `Mean` keeps the Gaussians
+/// that contribute on average. `Max` keeps those that a single transmitter needs, as RadSplat does per pixel.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -135,10 +135,11 @@ impl Pruner for SignalContribution {
 
 /// Removes the Gaussians to which the spectra are least sensitive (Speedy-Splat).
 ///
-/// The score is Σ (∂P̂/∂a)² over pixels and training transmitters, with a factor a on the Gaussian's γ, at 1: one number a
-/// Gaussian, of second order, as it is the diagonal of the Gauss-Newton Hessian along its own strength (Speedy-Splat, Hanson
-/// et al., CVPR 2025, eq. (10), whose derivative is by the Gaussian's value). 80 % may go at once ("soft", while training
-/// goes on), then 30 % at a time ("hard"). It sees hiding: a Gaussian before another of the same signal hardly counts.
+/// The score is Σ (∂P̂/∂a)² over pixels and training transmitters, with a factor a = 1 on γ of the Gaussian. It has one
+/// value per Gaussian, the diagonal of the Gauss-Newton Hessian with respect to a, and is of second order. The paper
+/// removes 80 % at once ("soft", during training), then 30 % per prune step ("hard"). The score includes occlusion: a
+/// Gaussian in front of another one with the same signal counts little. Source: Speedy-Splat, Hanson et al., CVPR 2025,
+/// eq. (10), with the derivative by the value of the Gaussian.
 ///
 /// ```
 /// # use pwrfgs_prune as _;

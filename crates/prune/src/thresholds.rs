@@ -1,4 +1,4 @@
-//! Floors and a budget: what is nearly transparent, what no pixel needs, and what is not among the best.
+//! Pruners by threshold or budget: low opacity, low blending weight, or a fixed number of best-scored Gaussians.
 
 use crate::rounds::{asked, check_share};
 use pwrfgs_core::{
@@ -8,10 +8,11 @@ use serde::{Deserialize, Serialize};
 
 /// Keeps Gaussians with an opacity o = σ(logit) of at least `epsilon` (WRF-GS).
 ///
-/// With the paper's 0.005 it takes dead weight away and goes beside [`crate::LearnableMask`] (section IV; a Gaussian
-/// must satisfy both to stay). Alone, with 0.005 to 0.5, it is the WRF-GS baseline of fig. 2b: simple, but opacity is
-/// not importance, and quality falls fast. It is asked at the prune steps only; densification has its own floor,
-/// `opacity_floor`, because every Gaussian starts at 0.1 and each opacity reset sets it to 0.01 at most.
+/// At the value 0.005 of the paper this pruner removes nearly transparent Gaussians and complements
+/// [`crate::LearnableMask`] (section IV; a Gaussian is kept only if both pruners keep it). Alone, with 0.005 to 0.5, it
+/// is the WRF-GS baseline of fig. 2b. Opacity is not importance, so quality falls quickly. It acts at prune steps only.
+/// Densification has its own threshold, `opacity_floor`, because every Gaussian starts at 0.1 and each opacity reset
+/// sets it to 0.01 at most.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -52,9 +53,10 @@ impl Pruner for OpacityThreshold {
 
 /// Keeps Gaussians with a blending weight of at least `threshold` in any pixel of any transmitter (RadSplat).
 ///
-/// The score is max w, the largest blending weight γ·T over all pixels and training transmitters (RadSplat, Niemeyer et al.,
-/// 3DV 2025, eq. (12); 0.01 there, 0.25 for a light model). A maximum keeps what a single pixel needs, where a sum keeps what
-/// is seen often: of two like Gaussians behind each other the front one stays.
+/// The score is max w, the largest blending weight γ·T over all pixels and training transmitters. A maximum keeps
+/// Gaussians that a single pixel needs; a sum keeps Gaussians that are often visible. Of two equal Gaussians in one
+/// direction, the front one is kept. Source: RadSplat, Niemeyer et al., 3DV 2025, eq. (12), with a threshold of 0.01,
+/// and 0.25 for a light model.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -103,9 +105,9 @@ impl Pruner for RadSplat {
 
 /// Keeps the best-scored Gaussians at each prune step, at most `training.target`.
 ///
-/// Use it where memory or time is given; `densify.max_gaussians` is its companion, which keeps densification from growing
-/// far beyond. Equal scores are taken in the order of the Gaussians. `Weight`, the part in the image that importance-based
-/// pruning of visual splatting uses, is the best guide; `Opacity` and `OpacityVolume` need no image.
+/// Use it for a fixed memory or time budget. `densify.max_gaussians` complements it: it limits growth during
+/// densification. Ties follow the order of the Gaussians. `Weight`, the blending weight used by importance-based
+/// pruning of visual splatting, ranks best; `Opacity` and `OpacityVolume` need no render.
 ///
 /// ```
 /// # use pwrfgs_prune as _;
@@ -144,13 +146,13 @@ impl Pruner for TopK {
     }
 
     fn score(&self, cloud: &GaussianCloud, stats: &CloudStats, _: &Moment) -> Vec<Real> {
-        // What is not a number counts as least.
+        // NaN ranks lowest.
         let number = |s: Real| if s.is_nan() { Real::NEG_INFINITY } else { s };
         let seen = stats.weight.len() == cloud.len() && stats.weight.iter().any(|w| *w > 0.0);
         let volume = |(logit, scales): (&Real, &[Real; 3])| sigmoid(*logit) * scales.iter().sum::<Real>().exp();
         match self.score {
             Score::Weight if seen => stats.weight.iter().copied().map(number).collect(),
-            // The logit orders as the opacity does, and tells apart what rounds to 1.
+            // The logit has the order of the opacity, and distinguishes opacities that round to 1.
             Score::Weight | Score::Opacity => cloud.opacity_logits.iter().copied().map(number).collect(),
             Score::OpacityVolume => {
                 cloud.opacity_logits.iter().zip(&cloud.log_scales).map(volume).map(number).collect()
