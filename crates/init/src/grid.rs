@@ -1,17 +1,18 @@
-//! Gaussians in evenly spread directions: a start in which every one can be seen.
+//! Gaussians in evenly spaced directions, all of them visible.
 
 use crate::start;
 use pwrfgs_core::{GaussianCloud, ImagePlane, Initializer, JsonSchema, Real, Result, Scene, Vec3, consts, rng::Rng};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-/// A regular grid of directions on a sphere about the receiver.
+/// Regular grid of directions on a sphere about the receiver.
 ///
-/// Rings of equal elevation, each with as many azimuths as its share of the solid angle, so that directions are nearly
-/// uniform. Every Gaussian covers about the same part of the picture, and none is hidden or wasted: the best start for
-/// few Gaussians without a point cloud. Not of the paper. Where pixels are angles of the true pose, the grid is the
-/// hemisphere in front of the receiver, or the sphere where the picture shows what is behind; with the released projection it is the whole sphere about that projection's
-/// real centre, −R·r with R and r the receiver's orientation and position.
+/// The grid has rings of equal elevation, each with a number of azimuths in proportion to its solid angle, so that
+/// directions are nearly uniform. Every Gaussian covers about the same part of the spectrum, and none is hidden. It is
+/// the best start for few Gaussians without a point cloud; it is not part of the paper. If pixels are angles of the
+/// true pose, the grid covers the hemisphere in front of the receiver, or the sphere if the spectrum includes
+/// directions behind it. With the released projection it covers the whole sphere about the actual centre of that
+/// projection, −R·r with R and r the orientation and position of the receiver.
 ///
 /// ```
 /// # use pwrfgs_init as _;
@@ -26,11 +27,11 @@ pub struct Grid {
     pub count: usize,
     /// Distance from the receiver, metres.
     pub distance_m: Real,
-    /// Scale (one standard deviation) over the spacing of the grid: 1 leaves no gap, 0.5 little overlap.
+    /// Scale (one standard deviation) relative to the grid spacing: 1 leaves no gap, 0.5 gives little overlap.
     pub overlap: Real,
     /// Opacity of every Gaussian, above 0 and below 1.
     pub opacity: Real,
-    /// Width of the interval about 0 in which each channel of a signal is drawn uniformly. The released colours have
+    /// Width of the interval about 0 from which each channel of a signal is drawn uniformly. The released colours have
     /// 1/0.28209479 = 3.5449.
     pub signal_scale: Real,
 }
@@ -54,7 +55,8 @@ impl Initializer for Grid {
             (centre + world_from_receiver * direction * self.distance_m).to_array()
         };
         let means: Vec<[Real; 3]> = directions(self.count, lowest).into_iter().map(place).collect();
-        // Each Gaussian has 2π or 4π over count of solid angle; the root is the side of that patch at unit distance.
+        // Each Gaussian has 2π or 4π over count of solid angle; the square root is the side of that patch at unit
+        // distance.
         let spacing = (consts::TAU * (1.0 - lowest.sin() as Real) / self.count as Real).sqrt();
         let scales = vec![self.overlap * spacing * self.distance_m; means.len()];
         Ok(start::cloud(means, &scales, self.opacity, self.signal_scale, rng))
@@ -72,7 +74,7 @@ impl Initializer for Grid {
     }
 }
 
-/// `count` unit vectors, nearly uniform above the elevation `lowest` (radians).
+/// Returns `count` unit vectors, nearly uniform above the elevation `lowest` (radians).
 fn directions(count: usize, lowest: f64) -> Vec<[f64; 3]> {
     let area_below = |elevation: f64| (elevation.sin() - lowest.sin()) / (1.0 - lowest.sin());
     let patch = (TAU * (1.0 - lowest.sin()) / count as f64).sqrt();
@@ -80,10 +82,10 @@ fn directions(count: usize, lowest: f64) -> Vec<[f64; 3]> {
     let step = (FRAC_PI_2 - lowest) / rings as f64;
     let mut all = Vec::with_capacity(count);
     for ring in 0..rings {
-        // Rounding the running share, not each ring's own, makes the total exact.
+        // Rounding the cumulative share instead of each ring makes the total exact.
         let until = (count as f64 * area_below(lowest + (ring + 1) as f64 * step)).round() as usize;
         let (elevation, n) = (lowest + (ring as f64 + 0.5) * step, until.min(count) - all.len());
-        // Every second ring is turned by half a step, like bricks.
+        // Every second ring is rotated by half a step.
         let turn = 0.25 + 0.5 * (ring % 2) as f64;
         all.extend((0..n).map(|k| {
             let azimuth = TAU * (k as f64 + turn) / n as f64;

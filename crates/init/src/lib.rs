@@ -1,7 +1,7 @@
-//! Where the Gaussians start: on the surfaces of the scene, at random, or on a grid of directions.
+//! Initialisers of the Gaussian cloud: on surfaces of the scene, at random, or on a grid of directions.
 //!
-//! An initialiser chooses centres and isotropic scales; opacity, rotation and signals start alike in all of them
-//! (module `start`). Columns that pruners ask for are added by the trainer.
+//! An initialiser chooses centres and isotropic scales; opacity, rotation and signals are initialised alike by all of
+//! them (module `start`). The trainer adds the columns that pruners request.
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))] // readers go through `files`
 
@@ -17,7 +17,7 @@ pub use random::{Random, Site};
 use pwrfgs_core::{GaussianCloud, ImagePlane, Initializer, JsonSchema, Result, Scene, rng::Rng};
 use serde::{Deserialize, Serialize};
 
-/// No Gaussians, for a method that has none, such as `Nerf2`; it is what such a pipeline takes that leaves `initializer` out.
+/// No Gaussians, for methods without Gaussians such as `Nerf2`. Such a pipeline uses it if `initializer` is not set.
 ///
 /// ```
 /// # use pwrfgs_init as _;
@@ -44,7 +44,7 @@ impl Initializer for NoGaussians {
 mod tests {
     use pwrfgs_core::{Axis, ImagePlane, Initializer, Origin, Plugin, Pose, Receiver, Sampling, Scene};
 
-    /// The measured receiver, with three points.
+    /// Scene with the measured receiver and three points.
     pub(crate) fn scene() -> Scene {
         let orientation = [0.512_916_02, -0.486_741_36, -0.486_741_36, 0.512_916_02];
         Scene {
@@ -55,7 +55,7 @@ mod tests {
         }
     }
 
-    /// With angles (the true pose), or without (the released projection).
+    /// Creates an image plane with angles (true pose) or without (released projection).
     pub(crate) fn plane(angles: bool) -> ImagePlane {
         let axis = Axis { first: 0.0, step: 1.0 };
         ImagePlane {

@@ -1,4 +1,4 @@
-//! Gaussians on the surfaces of the scene: the paper's initialisation.
+//! Gaussians on the surfaces of the scene: the initialisation of the paper.
 
 use crate::start;
 use pwrfgs_core::{
@@ -7,13 +7,12 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// One Gaussian on each point of the scene's point cloud.
+/// One Gaussian per point of the scene's point cloud.
 ///
 /// Mean = point, covariance = d²·I with d the distance to the nearest neighbour (section III-C and eq. (14) of the
-/// paper), floored at sqrt(1e-7) m, so that duplicates are safe; a single point gets 1 m. Reflection and scattering
-/// happen on surfaces, so this is the better start wherever a scan of the scene is at hand. It makes as many Gaussians
-/// as there are points: `max_points` takes a random part of them, without repetition, and measures distances within
-/// that part.
+/// paper). d has a lower limit of sqrt(1e-7) m for duplicate points; a single point has 1 m. Reflection and scattering
+/// occur on surfaces, so use it if a scan of the scene is available. The number of Gaussians equals the number of
+/// points. `max_points` selects a random subset without replacement; distances are those within the subset.
 ///
 /// ```
 /// # use pwrfgs_init as _;
@@ -24,13 +23,14 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct PointCloud {
-    /// Most Gaussians to start with; `None` takes every point.
+    /// Maximum number of initial Gaussians; `None` for all points.
     pub max_points: Option<usize>,
-    /// Neighbours whose root mean squared distance is the scale: 1 as in the paper, 3 as in the released WRF-GS.
+    /// Number of neighbours whose root mean squared distance is the scale: 1 as in the paper, 3 as in the released
+    /// WRF-GS.
     pub nearest: usize,
     /// Opacity of every Gaussian, above 0 and below 1.
     pub opacity: Real,
-    /// Width of the interval about 0 in which each channel of a signal is drawn uniformly. The released colours have
+    /// Width of the interval about 0 from which each channel of a signal is drawn uniformly. The released colours have
     /// 1/0.28209479 = 3.5449.
     pub signal_scale: Real,
 }
@@ -68,7 +68,7 @@ impl Initializer for PointCloud {
     }
 }
 
-/// `k` different indices of 0..n, ascending.
+/// Returns `k` distinct indices of 0..n, ascending.
 fn subset(rng: &mut Rng, n: usize, k: usize) -> Vec<usize> {
     let mut all: Vec<usize> = (0..n).collect();
     for i in 0..k {

@@ -1,5 +1,4 @@
-//! Gaussians drawn at random: anywhere (the released initialisation, and the one for scenes without a scan), or about every
-//! receiver and all over the site.
+//! Random Gaussians: from a normal distribution (released initialisation), or near all receivers and over the site.
 
 use crate::start;
 use pwrfgs_core::rng::{self, Rng};
@@ -8,11 +7,12 @@ use serde::{Deserialize, Serialize};
 
 /// Gaussians drawn from a normal distribution about the receiver.
 ///
-/// Where pixels are angles of the true pose (`Mercator`), centres are normal about the receiver, and (unless the picture shows what is behind) those behind it are
-/// mirrored to its front (local z > 0), so that none starts out of sight. With the released projection (`WrfgsCompat`)
-/// they are normal about the origin of the world, as released: count 20,000 and 10 m for WRF-GS, 200,000 and 20 m for
-/// WRF-GS+. The scale is the root mean squared distance to the three nearest neighbours, as released. Use it where
-/// there is no point cloud; the paper finds it slightly inferior to [`crate::PointCloud`].
+/// If pixels are angles of the true pose (`Mercator`), centres are normal about the receiver. Centres behind it are
+/// mirrored to its front (local z > 0), so that none is out of view, unless the spectrum includes directions behind it.
+/// With the released projection (`WrfgsCompat`), centres are normal about the origin of the world, as released: count
+/// 20,000 and 10 m for WRF-GS, 200,000 and 20 m for WRF-GS+. The scale is the root mean squared distance to the three
+/// nearest neighbours, as released. Use it without a point cloud; the paper finds it slightly inferior to
+/// [`crate::PointCloud`].
 ///
 /// ```
 /// # use pwrfgs_init as _;
@@ -27,11 +27,12 @@ pub struct Random {
     pub count: usize,
     /// Standard deviation along each axis, metres.
     pub std: Real,
-    /// Neighbours whose root mean squared distance is the scale: 3 as released, 1 as the paper does with points.
+    /// Number of neighbours whose root mean squared distance is the scale: 3 as released, 1 as in the paper with
+    /// points.
     pub nearest: usize,
     /// Opacity of every Gaussian, above 0 and below 1.
     pub opacity: Real,
-    /// Width of the interval about 0 in which each channel of a signal is drawn uniformly. The released colours have
+    /// Width of the interval about 0 from which each channel of a signal is drawn uniformly. The released colours have
     /// 1/0.28209479 = 3.5449.
     pub signal_scale: Real,
 }
@@ -67,10 +68,11 @@ impl Initializer for Random {
     }
 }
 
-/// Some Gaussians about each receiver, the others all over the box that holds receivers, transmitters and points.
+/// Random Gaussians near each receiver and over the bounding box of receivers, transmitters and points.
 ///
-/// For one cloud that many receivers look at, where no point cloud is known: what happens near a receiver decides most of
-/// what it hears, so each has its share. Of one receiver and spectra, [`crate::Random`] is the released start.
+/// Use it if several receivers share one cloud and no point cloud is available. The surroundings of a receiver affect
+/// its received signal most, so that every receiver has its share of Gaussians. For one receiver and spectra,
+/// [`crate::Random`] is the released initialisation.
 ///
 /// ```
 /// # use pwrfgs_init as _;
@@ -83,7 +85,7 @@ impl Initializer for Random {
 pub struct Site {
     /// Number of Gaussians.
     pub count: usize,
-    /// Share of them that stand about the receivers, 0 to 1.
+    /// Share of the Gaussians near the receivers, 0 to 1.
     pub near: Real,
     /// Standard deviation about a receiver along each axis, metres.
     pub spread_m: Real,
@@ -91,7 +93,7 @@ pub struct Site {
     pub scale_m: Real,
     /// Opacity of every Gaussian, above 0 and below 1.
     pub opacity: Real,
-    /// Width of the interval about 0 in which each channel of a signal is drawn uniformly.
+    /// Width of the interval about 0 from which each channel of a signal is drawn uniformly.
     pub signal_scale: Real,
 }
 
@@ -171,7 +173,7 @@ mod tests {
         let cloud = Random::default().initialize(&scene(), &plane(false), &mut rng::stream(1, "init", 0)).unwrap();
         let mut scales: Vec<Real> = cloud.log_scales.iter().map(|l| l[0].exp()).collect();
         scales.sort_by(Real::total_cmp);
-        // Measured on the released start: quantiles 1 and 50 % are 0.46 and 1.02 m.
+        // Measured on the released initialisation: the 1 % and 50 % quantiles are 0.46 and 1.02 m.
         assert!((scales[200] - 0.46).abs() < 0.03, "{}", scales[200]);
         assert!((scales[10_000] - 1.02).abs() < 0.03, "{}", scales[10_000]);
     }

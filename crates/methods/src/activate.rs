@@ -1,7 +1,9 @@
-//! Activation: from a cloud and its calibration terms to [`Primitives`] and signals, and back. Eq. (6) of the paper.
+//! Activation: from a cloud and its calibration terms to [`Primitives`] and signals, and the backward pass. Eq. (6) of
+//! the paper.
 //!
-//! Base parameters are unconstrained; here they become scales, unit quaternions and opacities, meet the deformation's
-//! terms, and are multiplied by the pruners' gate M (opacity and scale alike, as in Compact-3DGS).
+//! Base parameters are unconstrained. Here they become scales, unit quaternions and opacities, are combined with the
+//! outputs of the deformation, and are multiplied by the gate M of the pruners (opacity and scale alike, as in
+//! Compact-3DGS).
 
 use pwrfgs_core::{Deltas, GaussianCloud, JsonSchema, Primitives, Real, sigmoid};
 use serde::{Deserialize, Serialize};
@@ -12,42 +14,42 @@ pub enum Calibration {
     /// Scales exp(log s) + Δ, not below 0.1 mm; rotations normalise(q/|q| + Δ); signals s + Δ, signed.
     #[default]
     Physical,
-    /// As the released code has it: scales may go negative, rotations are not normalised again, signals become colours
-    /// max(0, 0.2821·s + 0.5), and the blended picture is clamped to [0, 1] before the loss.
+    /// As in the released code: scales may become negative, rotations are not normalised again, signals become colours
+    /// max(0, 0.2821·s + 0.5), and the blended spectrum is clamped to [0, 1] before the loss.
     AsReleased,
 }
 
 /// Smallest scale of [`Calibration::Physical`], metres: far below a pixel at any distance in a room.
 const SCALE_FLOOR: Real = 1e-4;
-/// Y₀₀, the constant spherical harmonic.
+/// Constant spherical harmonic Y₀₀.
 const SH_C0: Real = 0.282_094_791_773_878_14;
 
-/// Which of a batch's transmitters, and how its signals are to be read.
+/// Settings of the activation of Gaussians.
 #[derive(Clone, Copy, Debug)]
 pub struct Activation {
-    /// How terms are added.
+    /// Combination of the outputs of the deformation with the learned parameters.
     pub calibration: Calibration,
     /// Whether the deformation's signals replace the cloud's.
     pub replaces_signals: bool,
-    /// Channels kept of each signal: 1 or 2.
+    /// Number of channels per signal: 1 or 2.
     pub channels: usize,
 }
 
-/// Derivatives in what an [`Activation`] is given, where its `_vjp`s add them up.
+/// Accumulated derivatives with respect to the inputs of an [`Activation`].
 #[derive(Clone, Debug)]
 pub struct ActivationVjp {
-    /// In the cloud; extra columns stay 0.
+    /// Derivative with respect to the cloud; extra columns stay 0.
     pub cloud: GaussianCloud,
-    /// In the calibration terms.
+    /// Derivative with respect to the calibration terms.
     pub deltas: Deltas,
-    /// In the gate, `[N]`.
+    /// Derivative with respect to the gate, `[N]`.
     pub gate: Vec<Real>,
-    /// In the presence, `[N]`, which no activation sees.
+    /// Derivative with respect to the existence probability, `[N]`, which no activation uses.
     pub presence: Vec<Real>,
 }
 
 impl ActivationVjp {
-    /// Zeros for `cloud` and `deltas`.
+    /// Creates zeros of the shapes of `cloud` and `deltas`.
     pub fn zeros(cloud: &GaussianCloud, deltas: &Deltas) -> Self {
         let (gate, presence) = (vec![0.0; cloud.len()], vec![0.0; cloud.len()]);
         Self { cloud: cloud.zeros_like(), deltas: deltas.zeros_like(), gate, presence }
@@ -55,7 +57,7 @@ impl ActivationVjp {
 }
 
 impl Activation {
-    /// The geometry of row `b` of the batch in `deltas`, gated by `gate` `[N]` (`None`: all open).
+    /// Returns the geometry of row `b` of the batch in `deltas`, gated by `gate` `[N]` (`None`: all open).
     pub fn geometry(&self, cloud: &GaussianCloud, deltas: &Deltas, b: usize, gate: Option<&[Real]>) -> Primitives {
         let n = cloud.len();
         let mut out = Primitives::zeros(n);
@@ -78,7 +80,7 @@ impl Activation {
         out
     }
 
-    /// Adds to `sums` (of its deltas the rows of `b`), given the cotangents `d` of [`Self::geometry`].
+    /// Adds to `sums` (row `b` of its deltas), given the cotangents `d` of [`Self::geometry`].
     pub fn geometry_vjp(
         &self,
         cloud: &GaussianCloud,
@@ -121,7 +123,7 @@ impl Activation {
         }
     }
 
-    /// Signals of the transmitters `batch` of `deltas`, `[N, batch · channels]`: what the rasterizer blends.
+    /// Returns the signals of the transmitters `batch` of `deltas` for the rasterizer, `[N, batch · channels]`.
     pub fn signals(&self, cloud: &GaussianCloud, deltas: &Deltas, batch: std::ops::Range<usize>) -> Vec<Real> {
         let n = cloud.len();
         let mut out = Vec::with_capacity(n * batch.len() * self.channels);
@@ -188,7 +190,7 @@ fn divided(q: [Real; 4], norm: Real) -> [Real; 4] {
     [q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm]
 }
 
-/// q/|q|; a quaternion too short to have a direction is the identity.
+/// Returns q/|q|; the identity for a quaternion close to zero.
 fn normalise(q: [Real; 4]) -> [Real; 4] {
     let norm = dot(q, q).sqrt();
     if norm > 1e-12 { divided(q, norm) } else { [1.0, 0.0, 0.0, 0.0] }
@@ -214,7 +216,7 @@ mod tests {
     const N: usize = 3;
     const BATCH: usize = 2;
 
-    /// Cloud, deltas and gate from one flat vector, so that every input is differentiated.
+    /// Splits one flat vector into cloud, deltas and gate, to differentiate with respect to every input.
     fn unpack(x: &[Real]) -> (GaussianCloud, Deltas, Vec<Real>) {
         let mut x = x.iter().copied();
         let mut next = || x.next().unwrap();

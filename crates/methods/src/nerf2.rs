@@ -1,4 +1,4 @@
-//! NeRF2 (Zhao et al., MobiCom 2023) as a method: no Gaussians, rays through a network.
+//! NeRF2 (Zhao et al., MobiCom 2023) as a method: no Gaussians, ray marching through a network.
 //!
 //! ```text
 //! receiver ── rays, samples ─► trunk ─► attenuation ─► what is left of the light at each sample ─┐
@@ -6,10 +6,10 @@
 //! transmitter, view ──────────────────────────────┴─► signal net ─► what each sample emits ──────┘
 //! ```
 //!
-//! [`Nerf2`] is the method, [`Rays`] are those of a receiver, `network` holds the layers, `path` is what samples emit and what
-//! lies between them and the receiver, `walk` takes a chunk of rays through all of it and back, `group`
-//! all links that see the same rays.
-//! The trunk does not know the transmitter: it is worked out once for all transmitters of a call, and kept for predictions.
+//! [`Nerf2`] is the method and [`Rays`] are the rays of a receiver. `network` holds the layers, `path` the emission of
+//! samples and the attenuation along the ray, `walk` the forward and backward pass of a chunk of rays, `group` the
+//! links that share rays. The trunk does not depend on the transmitter: it is computed once for all transmitters of a
+//! call, and cached for predictions.
 
 mod group;
 mod method;
@@ -24,26 +24,33 @@ use pwrfgs_core::{Frame, JsonSchema, Pixels, Real, consts};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
-/// Rays from the receiver through a network that says of every place how it weakens a wave and what it emits (NeRF2, Zhao
-/// et al., MobiCom 2023): the baseline that everybody compares with. It has no Gaussians, so nothing is pruned, and N and
-/// Chamfer are n/a.
+/// Ray marching through a neural radiance field of attenuation and emission (NeRF2, Zhao et al., MobiCom 2023), a
+/// common baseline. It has no Gaussians, so nothing is pruned, and N and Chamfer are n/a.
 ///
-/// A trunk of `depth` layers reads a sample's place and gives its attenuation; with the direction of the ray and the
-/// transmitter (or its `features`) a smaller net says what the sample emits. A pixel of a spectrum is the modulus of the sum
-/// along its ray; a received power the modulus of the sum over a coarse sky, as 100 |R| − 100 dBm; a channel the sum itself,
-/// with a weight of its own for each subcarrier. The rate of `optimizer.network` counts, `rays` says which pixels a step looks
-/// at, and projector, rasterizer, deformation, calibration and readout do not count.
+/// A trunk of `depth` layers computes the attenuation from the position of a sample. A smaller network computes the
+/// emission of the sample from the direction of the ray and the transmitter position (or its `features`). Outputs per
+/// data type:
 ///
-/// As released, but for this: the sky of powers and channels is that of `azimuths` and `elevations`, of which the released
-/// code draws only the first ring for powers; directions of pixels are those of the data, which are
-/// one degree from the released ones; behind a trillionth of the amplitude, and at the endless last sample of powers and
-/// channels, nothing counts; losses are those of this program, in dB² of powers (10⁴ times the released one) and relative of
-/// channels. The rate that falls and rises again is `Cosine` with its `steps`
-/// below those of the training; channels are normalised by training data alone.
+/// - Spectrum: the pixel is the modulus of the sum along its ray.
+/// - Received power: the modulus R of the sum over a coarse sky, as 100 |R| − 100 dBm.
+/// - Channel: the complex sum, with a separate weight per subcarrier.
 ///
-/// The trunk does not know the transmitter: it is worked out once for all that are asked for together, and kept between
-/// predictions where all of it fits in `cache_mb`. Training at full size wants some 10¹² multiply-adds a step; `nerf2-laptop.ron` is
-/// a size for two cores.
+/// Training uses the rate `optimizer.network` and the pixels selected by `rays`. Projector, rasterizer, deformation,
+/// calibration and readout are ignored.
+///
+/// Differences from the released code:
+///
+/// - The sky of powers and channels has `azimuths` and `elevations`; the released code uses only the first ring for
+///   powers.
+/// - Directions of pixels are those of the data, which differ by one degree from the released ones.
+/// - Samples behind a remaining amplitude of 10⁻¹² are ignored, as is the infinite last sample of powers and channels.
+/// - Losses are those of this program: in dB² for powers (10⁴ times the released loss) and relative for channels.
+/// - The rate that falls and rises again is `Cosine` with `steps` below those of the training.
+/// - Channels are normalised by training data only.
+///
+/// The trunk does not depend on the transmitter. It is computed once for all transmitters of a call, and cached between
+/// predictions if it fits in `cache_mb`. Training at full size needs some 10¹² multiply-adds per step;
+/// `nerf2-laptop.ron` is sized for two cores.
 ///
 /// ```
 /// # use pwrfgs_core::{Method, Plugin};
@@ -59,21 +66,21 @@ pub struct Nerf2 {
     pub depth: usize,
     /// Units per layer; an even number.
     pub width: usize,
-    /// Samples of a ray, from the receiver to the far end, both included.
+    /// Samples per ray, from the receiver to the far end, both included.
     pub samples: usize,
     /// Length of a ray, metres.
     pub far_m: Real,
-    /// Metres of the network's unit of length; the released settings have 60 for BLE.
+    /// Length of the network's unit, metres; the released settings have 60 for BLE.
     pub unit_m: Real,
     /// Number of azimuths of the rays, for powers and channels.
     pub azimuths: usize,
     /// Number of elevations of the rays above the horizon, up to the zenith, for powers and channels.
     pub elevations: usize,
-    /// Frequency whose phase turns along a ray of powers and channels, Hz; the distance counts in the network's unit, as
+    /// Frequency of the phase along a ray of powers and channels, Hz; distances count in the network's unit, as
     /// released.
     pub carrier_hz: f64,
-    /// Numbers that describe a transmitter in place of its position: 52 for the uplinks of NeRF2's channels; 0: the
-    /// position.
+    /// Length of the feature vector that replaces the transmitter position: 52 for the uplinks of NeRF2's channels; 0
+    /// for positions.
     pub features: usize,
     /// Cache of the trunk for predictions, MiB per model. If the trunk needs more, nothing is cached.
     pub cache_mb: usize,
@@ -96,13 +103,14 @@ impl Default for Nerf2 {
     }
 }
 
-/// Samples of a ray, units of a layer, layers, and directions: more is a slip.
+/// Maximum number of samples per ray, units per layer, layers, and directions; larger values are rejected as typing
+/// errors.
 const MOST: usize = 4_096;
-/// Weights of a network; the released one has 0.7 million.
+/// Maximum number of network weights; the released network has 0.7 million.
 const LARGEST: usize = 1 << 28;
 
 impl Nerf2 {
-    /// Directions of powers and channels, ring by ring from the horizon up.
+    /// Returns the directions of powers and channels, ring by ring from the horizon up.
     fn sky(&self) -> Vec<[Real; 3]> {
         let direction = |i: usize| {
             let (ring, column) = ((i / self.azimuths + 1) as Real, (i % self.azimuths) as Real);
@@ -113,7 +121,7 @@ impl Nerf2 {
         (0..self.elevations * self.azimuths).map(direction).collect()
     }
 
-    /// What is wrong with the settings.
+    /// Checks the settings; the error names the invalid one.
     fn check_settings(&self) -> Result<(), String> {
         let counts = [
             ("depth", self.depth, 1),
@@ -144,19 +152,19 @@ impl Nerf2 {
     }
 }
 
-/// Rays from one place, with the same samples on each.
+/// Rays from one position, with equal samples on each.
 #[derive(Clone, Debug)]
 pub(crate) struct Rays {
-    /// Where all begin, in the network's unit of length.
+    /// Origin of all rays, in the network's unit of length.
     pub(crate) origin: [Real; 3],
-    /// Unit vectors away from there, in the room.
+    /// Unit vectors of the rays, world frame.
     pub(crate) directions: Vec<[Real; 3]>,
     /// Distances of the samples `[n]`, in the network's unit.
     pub(crate) samples: Vec<Real>,
 }
 
 impl Rays {
-    /// Those of receiver `receiver`, as far as `pixels` are wanted of a spectrum.
+    /// Creates the rays of receiver `receiver`; for a spectrum only those of `pixels`.
     pub(crate) fn of(method: &Nerf2, frame: &Frame, receiver: usize, pixels: &Pixels<'_>) -> Self {
         let pose = &frame.receivers[receiver].pose;
         let turned = |direction: [Real; 3]| pose.turned(direction.map(f64::from)).map(|x| x as Real);
@@ -178,12 +186,12 @@ impl Rays {
         Self { origin, directions, samples: (0..method.samples).map(|i| far * i as Real / last).collect() }
     }
 
-    /// Samples of a ray.
+    /// Returns the number of samples per ray.
     pub(crate) fn samples(&self) -> usize {
         self.samples.len()
     }
 
-    /// Where the samples of some rays are, ray by ray.
+    /// Returns the sample positions of a range of rays, ray by ray.
     pub(crate) fn points(&self, rays: Range<usize>) -> Vec<[Real; 3]> {
         let along = |d: &[Real; 3]| {
             let (origin, d) = (self.origin, *d);

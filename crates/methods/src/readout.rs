@@ -1,4 +1,4 @@
-//! Readout: from blended signals to a spectrum, and back.
+//! Readout: from blended signals to a spectrum, and the backward pass.
 
 use pwrfgs_core::stretch::{gain, range};
 use pwrfgs_core::{JsonSchema, Real, Task};
@@ -10,45 +10,45 @@ use serde::{Deserialize, Serialize};
 pub enum Readout {
     /// First channel only, as in WRF-GS.
     Real,
-    /// √(c₀² + c₁²): P-WRFGS, since the files hold amplitudes. Its derivative at (0, 0) is 0: most pixels of a sparse
-    /// picture are empty and must not give NaN.
+    /// Magnitude √(c₀² + c₁²), as in P-WRFGS, since the files hold amplitudes. Its derivative at (0, 0) is 0, because
+    /// most pixels of a sparse spectrum are empty and must not give NaN.
     #[default]
     Magnitude,
-    /// c₀² + c₁², as eq. (2) of the paper has it.
+    /// Power c₀² + c₁², eq. (2) of the paper.
     Power,
-    /// The magnitude m of each picture stretched from its smallest value to its largest, (m - min)/(max - min): what the
-    /// measured files hold, so that absolute power is neither needed nor learned. Every picture then has a 0 and a 1.
-    /// All zero, without derivative, where all directions are equally strong. Differentiable wherever the smallest and
-    /// the largest pixel are the only ones; of several, the first counts.
+    /// Magnitude m of each spectrum, scaled from its smallest to its largest value: (m - min)/(max - min). The measured
+    /// files are scaled in this way, so that absolute power is neither needed nor learned. Every spectrum then contains
+    /// a 0 and a 1. If all directions are equally strong, the result is zero without derivative. Differentiable if
+    /// smallest and largest pixel are unique; otherwise the first one counts.
     MinMax,
-    /// A received power in dBm: 10 log₁₀ of c₀² + c₁² summed over a whole sky, times solid angle, and for each receiver an
-    /// offset and an exponent of distance that are learned too. The sky is drawn in pixels of so many degrees.
+    /// Received power in dBm: 10 log₁₀ of c₀² + c₁² integrated over solid angle, plus a learned offset and path-loss
+    /// term per receiver. The sky is a grid of directions with a pixel size of `sky_deg`.
     Received {
         /// Pixel size of the sky, degrees; a divisor of 180.
         #[serde(default = "sky_deg")]
         sky_deg: u32,
-        /// Added to both diagonal entries of the 2-D covariance of a Gaussian on this sky, in place of the projector's
-        /// filter, degrees².
+        /// Variance added to both diagonal entries of the 2-D covariance of a Gaussian on this sky, in place of the
+        /// projector's filter, degrees².
         #[serde(default = "filter_deg2")]
         filter_deg2: Real,
     },
 }
 
-/// A power needs no finer sky.
+/// A received power needs no finer sky.
 const fn sky_deg() -> u32 {
     10
 }
 
-/// A standard deviation of half a pixel of 10 degrees: a narrower Gaussian would fall between pixels.
+/// A standard deviation of half a pixel of 10 degrees; narrower Gaussians would fall between pixels.
 const fn filter_deg2() -> Real {
     30.0
 }
 
 impl Readout {
-    /// The readout of a received power by default.
+    /// Readout of a received power with the standard settings.
     pub const RECEIVED: Self = Self::Received { sky_deg: sky_deg(), filter_deg2: filter_deg2() };
 
-    /// What it gives.
+    /// Returns the measurement type of the output.
     pub fn task(self) -> Task {
         match self {
             Self::Received { .. } => Task::Power,
@@ -56,10 +56,10 @@ impl Readout {
         }
     }
 
-    /// Refuses a sky that has no whole number of pixels.
+    /// Rejects a sky without a whole number of pixels.
     ///
     /// # Errors
-    /// What to give.
+    /// The message states the valid values.
     pub fn check(self) -> Result<(), String> {
         match self {
             Self::Received { sky_deg, .. } if sky_deg == 0 || !180u32.is_multiple_of(sky_deg) || sky_deg > 60 => {
@@ -72,12 +72,12 @@ impl Readout {
         }
     }
 
-    /// Channels a transmitter needs.
+    /// Returns the number of channels per transmitter.
     pub fn channels(self) -> usize {
         if self == Self::Real { 1 } else { 2 }
     }
 
-    /// Grey values `[B, H·W]` of blended signals `[B·channels, H·W]`.
+    /// Returns the pixel values `[B, H·W]` of blended signals `[B·channels, H·W]`.
     pub fn forward(self, signals: &[Real], pixels: usize) -> Vec<Real> {
         if self == Self::Real {
             return signals.to_vec();
@@ -98,8 +98,8 @@ impl Readout {
         image
     }
 
-    /// For each pixel the derivative of its grey value in its own channels, `[channels, H·W]`; [`Self::MinMax`] with its
-    /// smallest and its largest value held.
+    /// Returns the derivative of each pixel value with respect to its channels, `[channels, H·W]`; [`Self::MinMax`]
+    /// with constant smallest and largest value.
     pub(crate) fn slopes(self, signals: &[Real], pixels: usize) -> Vec<Real> {
         let gain = if self == Self::MinMax {
             let mut image = vec![0.0; pixels];
@@ -113,7 +113,7 @@ impl Readout {
         readout.vjp(signals, pixels, &vec![gain; pixels])
     }
 
-    /// Cotangents of the signals, given those of the image.
+    /// Returns the cotangents of the signals, given those of the image.
     pub fn vjp(self, signals: &[Real], pixels: usize, d_image: &[Real]) -> Vec<Real> {
         if self == Self::Real {
             return d_image.to_vec();
@@ -148,12 +148,12 @@ impl Readout {
     }
 }
 
-/// Magnitudes `[N]` of signals `[N, 2]`.
+/// Returns the magnitudes `[N]` of signals `[N, 2]`.
 pub(crate) fn magnitudes(signals: &[Real]) -> Vec<Real> {
     signals.as_chunks::<2>().0.iter().map(|[a, b]| (a * a + b * b).sqrt()).collect()
 }
 
-/// The squared magnitude of every pixel.
+/// Computes the squared magnitude of every pixel.
 fn powers(image: &mut [Real], (c0, c1): (&[Real], &[Real])) {
     pulp::Arch::new().dispatch(
         #[inline(always)]
@@ -161,7 +161,7 @@ fn powers(image: &mut [Real], (c0, c1): (&[Real], &[Real])) {
     );
 }
 
-/// From powers to magnitudes, and these stretched to [0, 1] from `low` to `high`; 0 and 1 leave them as they are.
+/// Converts powers to magnitudes, scaled from `low`..`high` to [0, 1]; the limits 0 and 1 do not scale.
 fn stretched_roots(image: &mut [Real], low: Real, high: Real) {
     let gain = gain(low, high);
     pulp::Arch::new().dispatch(
@@ -170,7 +170,7 @@ fn stretched_roots(image: &mut [Real], low: Real, high: Real) {
     );
 }
 
-/// The derivative of the magnitude: d along the signal's own direction.
+/// Derivative of the magnitude: d along the direction of the signal.
 fn turn(d0: &mut [Real], d1: &mut [Real], (c0, c1): (&[Real], &[Real]), magnitude: &[Real], d: &[Real]) {
     pulp::Arch::new().dispatch(
         #[inline(always)]
@@ -183,13 +183,13 @@ fn turn(d0: &mut [Real], d1: &mut [Real], (c0, c1): (&[Real], &[Real]), magnitud
     );
 }
 
-/// Cotangents of the magnitude, given those of the stretched picture.
+/// Returns the cotangents of the magnitude, given those of the scaled image.
 fn stretch_vjp(magnitude: &[Real], d_image: &[Real], out: &mut Vec<Real>) {
     let (low, high) = range(magnitude);
     let gain = gain(low, high);
     out.clear();
     out.extend(d_image.iter().map(|d| d * gain));
-    // Σ d and Σ d·v, each in 16 fixed lanes.
+    // Σ d and Σ d·v, each summed in 16 fixed lanes.
     let (mut all, mut weighted) = ([0.0; 16], [0.0; 16]);
     for (d, m) in out.chunks(16).zip(magnitude.chunks(16)) {
         let (d, m) = (&d[..d.len().min(16)], &m[..d.len().min(16)]);

@@ -22,11 +22,11 @@ use std::sync::Arc;
 use std::time::Instant;
 use waves::Waves;
 
-/// Channels as sums over Gaussians: each sends a spherical wave with its complex signal, summed on the antennas of the
-/// receiver for every subcarrier, times a level that is learned for each receiver.
+/// Channels as sums over Gaussians. Each Gaussian emits a spherical wave with its complex signal; the waves are summed
+/// per antenna and subcarrier and multiplied by a learned level per receiver.
 ///
-/// Nothing is projected: scales, rotations and opacities do not count. A pipeline for channels that leaves `method` out
-/// has it with its `deformation`.
+/// Nothing is projected: scales, rotations and opacities are ignored. A pipeline for channels without `method` uses
+/// this method with its `deformation`.
 ///
 /// ```
 /// use pwrfgs_core::{Method, Plugin};
@@ -49,27 +49,27 @@ impl Default for SplattedChannel {
     }
 }
 
-/// What no transmitter changes.
+/// Values that do not depend on the transmitter.
 struct Ready {
     deformation: Cache,
-    /// Of each receiver.
+    /// Waves per receiver.
     waves: Vec<Waves>,
 }
 
-/// What the derivative finds again.
+/// Results of the forward pass for the backward pass.
 struct Kept {
     deltas: Deltas,
-    /// Of each group: its waves, and signals `[N, links, 2]`.
+    /// Per group: its links, its waves, and signals `[N, links, 2]`.
     received: Vec<(Group, Waves, Vec<Real>)>,
 }
 
-/// Links that the level is set by, at most.
+/// Maximum number of links from which the level is initialised.
 const LEVEL_LINKS: usize = 256;
 
-/// Numbers a Gaussian and complex number of a channel: waves and their derivatives.
+/// Numbers per Gaussian and complex channel value: waves and their derivatives.
 const PER_WAVE: usize = 4;
 
-/// What a receiver multiplies every channel by: its offset is a decimal logarithm.
+/// Returns the factor on all channels of a receiver; its offset is a decimal logarithm.
 fn level(offsets: &[Real], receiver: usize) -> Real {
     offsets.get(receiver).map_or(1.0, |offset| (offset * consts::LN_10).exp())
 }
@@ -80,7 +80,7 @@ impl SplattedChannel {
         Activation { calibration: Calibration::Physical, replaces_signals, channels: 2 }
     }
 
-    /// Channels `[links, numbers]` of a group whose receiver has this level, and signals `[N, links, 2]`.
+    /// Returns the channels `[links, numbers]` of a group, from the level of its receiver and signals `[N, links, 2]`.
     fn sum(
         &self,
         p: &Parameters<'_>,
@@ -95,7 +95,7 @@ impl SplattedChannel {
         (numbers, signals)
     }
 
-    /// Begins with channels as strong as the measured ones, whatever unit these have.
+    /// Initialises the levels so that predicted channels are as strong as the measured ones, in any unit.
     fn start_level(&self, frame: &Frame, data: &Dataset, train: &[usize], cloud: &GaussianCloud, weights: &mut [Real]) {
         let part = evenly(train, LEVEL_LINKS);
         let numbers = groups::untrained(self, frame, data, &part, (cloud, weights));
@@ -108,7 +108,7 @@ impl SplattedChannel {
     }
 }
 
-/// The network's weights, and the receivers' offsets behind them.
+/// Splits the weights into those of the network and the offsets of the receivers.
 fn parts<'a>(frame: &Frame, weights: &'a [Real]) -> (&'a [Real], &'a [Real]) {
     weights.split_at(weights.len() - frame.receivers.len())
 }
@@ -122,7 +122,7 @@ fn offsets_mut<'a>(frame: &Frame, weights: &'a mut [Real]) -> &'a mut [Real] {
 impl Method for SplattedChannel {
     fn traits(&self) -> MethodTraits<'_> {
         let (task, inputs) = (Some(Task::Channel), self.deformation.traits().inputs);
-        // Pages call `Points` virtual transmitters; these are Gaussians, with the scales and rotations of their start.
+        // `Points` are virtual transmitters in the viewer; these are Gaussians with their initial scales and rotations.
         let deformation = Some(&self.deformation);
         MethodTraits { task, inputs, appearance: Appearance::Ellipsoids, deformation, ..MethodTraits::default() }
     }

@@ -23,8 +23,8 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Gaussians drawn as splats: what the fields `projector`, `rasterizer`, `deformation`, `calibration` and `readout` of a
-/// pipeline say, and what a pipeline does that leaves `method` out.
+/// Gaussian splatting with the projector, rasterizer, deformation, calibration and readout of the pipeline. A pipeline
+/// without `method` uses it.
 ///
 /// ```ron
 /// Splatting(calibration: Physical, readout: Magnitude)
@@ -59,21 +59,21 @@ impl Default for Splatting {
     }
 }
 
-/// What a receiver looks at: from where, and at which pixels.
+/// Viewpoint and image plane of a receiver.
 #[derive(Clone, Debug, PartialEq)]
 pub struct View {
-    /// Of the receiver, from the origin.
+    /// Pose of the receiver, relative to the origin of the frame.
     pub pose: Pose,
-    /// Of the sky.
+    /// Image plane of the sky.
     pub plane: ImagePlane,
 }
 
-/// What pruners multiply Gaussians by, `[N]` each; `None`: all open.
+/// Factors of the pruners on Gaussians, `[N]` each; `None` if all are 1.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Gates<'a> {
-    /// Opacity and scale.
+    /// Factors on opacity and scale.
     pub whole: Option<&'a [Real]>,
-    /// Their part in the picture alone.
+    /// Factors on the blending weight only (existence).
     pub presence: Option<&'a [Real]>,
 }
 
@@ -89,38 +89,39 @@ impl<'a> From<&Parameters<'a>> for Gates<'a> {
     }
 }
 
-/// Gaussians in space and on the picture, before their signals are looked at.
+/// Gaussians in space and on the image, without their signals.
 #[derive(Debug)]
 pub struct Geometry {
-    /// In space.
+    /// Gaussians in space.
     pub primitives: Primitives,
-    /// On the picture.
+    /// Gaussians on the image.
     pub splats: Splats,
-    /// Opacities `[N]` before presence, where the rasterizer does not know of any and it was multiplied into them.
+    /// Opacities `[N]` before the existence factor, if the rasterizer does not support it and it was multiplied into
+    /// them.
     pub unveiled: Vec<Real>,
-    /// What the rasterizer found of them.
+    /// Cache of the rasterizer for these splats.
     pub cache: Cache,
-    /// Seconds that activation and projection took, and the rasterizer.
+    /// Seconds of activation and projection, and of the rasterizer.
     pub seconds: [f64; 2],
 }
 
-/// Blended signals of transmitters that share one geometry, and what the way back needs.
+/// Blended signals of transmitters with a common geometry, and the state for the backward pass.
 #[derive(Debug)]
 pub struct Drawing {
-    /// Which transmitters of the batch.
+    /// Range of transmitters in the batch.
     pub batch: Range<usize>,
-    /// What is drawn.
+    /// Geometry of the splats.
     pub geometry: Arc<Geometry>,
     /// Signals `[N, batch · channels]`.
     pub signals: Vec<Real>,
-    /// What is seen of it.
+    /// Output of the rasterizer.
     pub render: Render,
 }
 
-/// What rasterizer, readout, calibration and plane cannot see of each other: one check for pipelines and model files.
+/// Checks the combination of rasterizer, readout, calibration and image plane, for pipelines and model files.
 ///
 /// # Errors
-/// Which of them does not suit, and what to do.
+/// The message names the unsuitable part and the next step.
 pub fn check_together(
     rasterizer: &dyn Rasterizer,
     readout: Readout,
@@ -143,10 +144,10 @@ pub fn check_together(
     Ok(())
 }
 
-/// Whether a readout gives what the data are.
+/// Checks that a readout produces the measurement type of the data.
 ///
 /// # Errors
-/// Which readout would.
+/// The message names the suitable readout.
 pub fn check_kind(readout: Readout, task: Task) -> Result<(), String> {
     let own = readout.task();
     if own == task {
@@ -156,15 +157,15 @@ pub fn check_kind(readout: Readout, task: Task) -> Result<(), String> {
 }
 
 impl Splatting {
-    /// What is drawn of a receiver's sky: the spectrum itself, or a coarse sky that is summed up to a power.
+    /// Returns the image plane of a receiver: the spectrum, or a coarse sky that is integrated to a power.
     pub fn sky(&self, frame: &Frame) -> ImagePlane {
         self.whole_sky(frame).expect("`layout` refuses what draws no whole sky")
     }
 
-    /// The same.
+    /// Returns the image plane of a receiver.
     ///
     /// # Errors
-    /// Where the projector does not draw a whole sky.
+    /// The projector does not cover the whole sky.
     fn whole_sky(&self, frame: &Frame) -> Result<ImagePlane, String> {
         let Readout::Received { sky_deg, filter_deg2 } = self.readout else { return Ok(frame.plane.clone()) };
         self.readout.check()?;
@@ -177,7 +178,7 @@ impl Splatting {
         Ok(sky)
     }
 
-    /// How a cloud is activated here.
+    /// Returns the activation settings of this method.
     pub fn activation(&self) -> Activation {
         Activation {
             calibration: self.calibration,
@@ -186,14 +187,15 @@ impl Splatting {
         }
     }
 
-    /// What the frame's receivers see.
+    /// Returns the views of all receivers of the frame.
     pub fn views(&self, frame: &Frame) -> Vec<View> {
         let plane = self.sky(frame);
         frame.receivers.iter().map(|receiver| View { pose: receiver.pose, plane: plane.clone() }).collect()
     }
 
-    /// The rows of `cloud` that can show in a picture, whatever the network says: gate open, not too faint for the
-    /// rasterizer, seen by the projector. Only they need to pass the network; all, where it couples them.
+    /// Returns the rows of `cloud` that may be visible for any output of the network: gate open, opacity above the
+    /// limit of the rasterizer, inside the view of the projector. Only these rows pass through the network; all rows if
+    /// the network couples them.
     pub fn drawable(&self, frame: &Frame, cloud: &GaussianCloud, gate: Option<&[Real]>) -> Vec<usize> {
         let open = groups::rows(&*self.deformation, cloud, gate);
         if self.deformation.traits().couples_gaussians {
@@ -212,7 +214,7 @@ impl Splatting {
         open.into_iter().filter(drawn).collect()
     }
 
-    /// The geometry of transmitter `b` of the batch in `deltas`, gated, in a view.
+    /// Returns the gated geometry of transmitter `b` of the batch in `deltas`, in a view.
     pub fn geometry(
         &self,
         view: &View,
@@ -240,8 +242,8 @@ impl Splatting {
         Geometry { primitives, splats, unveiled, cache, seconds }
     }
 
-    /// Draws the transmitters `batch` of `deltas`, which share the geometry of the first; `still` is that geometry where
-    /// it is known.
+    /// Draws the transmitters `batch` of `deltas`, which share the geometry of the first; `still` is that geometry if
+    /// it is available.
     pub fn draw(
         &self,
         view: &View,
@@ -259,7 +261,7 @@ impl Splatting {
         Drawing { batch, geometry, signals, render }
     }
 
-    /// The derivative of [`Self::draw`]: adds to `sums`, given the cotangents of the blended signals, and gives those of
+    /// Derivative of [`Self::draw`]: adds to `sums`, given the cotangents of the blended signals, and returns those of
     /// the splats.
     #[allow(clippy::too_many_arguments)] // what `draw` has, what it gave, and the two ends of the derivative
     pub fn draw_vjp(
@@ -287,7 +289,7 @@ impl Splatting {
         d
     }
 
-    /// Cotangents of the primitives, given those of the splats in the pixels of the view's plane.
+    /// Returns the cotangents of the primitives, given those of the splats in pixels of the view's plane.
     pub(crate) fn project_vjp(&self, view: &View, geometry: &Geometry, d: &Splats) -> Primitives {
         let Geometry { primitives, splats, .. } = geometry;
         let (splats, d) = (splats.unsampled(&view.plane), d.sampled_vjp(&view.plane));

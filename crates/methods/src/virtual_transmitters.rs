@@ -1,4 +1,4 @@
-//! Gaussians as virtual transmitters, coherent over the room: the field, its derivative, gains, search and refinement.
+//! Gaussians as virtual transmitters that are coherent over the room: field, derivative, gains, search and refinement.
 
 mod cis;
 mod equations;
@@ -28,20 +28,21 @@ use pwrfgs_core::{
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::Ordering;
 
-/// Channels as sums of spherical waves from virtual transmitters: `h(p) = Σ s·exp(−j k d)/d`, eq. (1) of the paper in space,
-/// coherent over the whole room.
+/// Channels as sums of spherical waves from virtual transmitters: `h(p) = Σ s·exp(−j k d)/d`, eq. (1) of the paper in
+/// space, coherent over the whole room.
 ///
-/// By reciprocity the fixed node and the moving one change roles: each Gaussian is the fixed node (the receiver of the
-/// data), a mirror image of it, or something that scatters. Its mean is its position, its signal a complex gain, and its
-/// quaternion turns the array about it (a mirrored planar array is a turned one). Every subcarrier has its own wavenumber, so
-/// delays come for free. Scales and opacities are not looked at, and there is no network: projector, rasterizer,
-/// deformation, calibration and readout do not count. The basin of a position is a quarter of a wavelength wide, so start
-/// from `MatchingPursuit`; a rate of `means` beyond a hundredth of the wavelength loses it again.
+/// By reciprocity, fixed and moving node change roles: each Gaussian is the fixed node (the receiver of the data), a
+/// mirror image of it, or a scatterer. Its mean is its position, its signal a complex gain, and its quaternion rotates
+/// the array (the mirror image of a planar array is a rotated one). Every subcarrier has its own wavenumber, so that
+/// delays are modelled without further parameters. Scales and opacities are ignored and there is no network; projector,
+/// rasterizer, deformation, calibration and readout are ignored too. The basin of attraction of a position is a quarter of
+/// a wavelength wide, so start from `MatchingPursuit`. A rate of `means` above a hundredth of the wavelength leaves it
+/// again.
 ///
-/// One receiver with any number of antennas. Exact for flat walls as long as nothing hides an image, and what reflects does
-/// so in all directions alike. Real walls, antennas and things in the way do not: with an `order` the gain is a sum of
-/// spherical harmonics of the direction from the virtual transmitter, at the price of (order + 1)² complex numbers each,
-/// which want data: some ten measured numbers for each unknown.
+/// The method supports one receiver with any number of antennas. It is exact for flat walls that reflect equally in all
+/// directions if nothing occludes an image. Real walls, antennas and obstacles deviate from this. With an `order`, the
+/// gain is a sum of spherical harmonics of the direction from the virtual transmitter. This adds (order + 1)² complex
+/// numbers per Gaussian; provide about ten measured numbers per unknown.
 ///
 /// ```
 /// # use pwrfgs_core::{Method, Plugin};
@@ -53,22 +54,22 @@ use std::sync::atomic::Ordering;
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct VirtualTransmitters {
-    /// Order of the harmonics of a gain over direction, at most 3; 0: the same in all directions.
+    /// Order of the spherical harmonics of a gain over direction, at most 3; 0 for a constant gain.
     pub order: usize,
 }
 
-/// The order of harmonics whose gains are among `columns`.
+/// Returns the order of the harmonics whose gains are among `columns`.
 pub(crate) fn order_of(columns: &[(&str, usize)]) -> usize {
     let width = columns.iter().find(|(name, _)| *name == HARMONICS).map_or(0, |(_, width)| *width);
     (0..HIGHEST).find(|order| 2 * (terms(*order) - 1) >= width).unwrap_or(HIGHEST)
 }
 
-/// Places of a receiver's antennas about its own, along the axes of the room, metres.
+/// Returns the antenna positions of a receiver relative to its position, along the axes of the room, metres.
 pub(crate) fn array(receiver: &Receiver) -> Vec<[Real; 3]> {
     receiver.array().iter().map(|place| place.map(|x| x as Real)).collect()
 }
 
-/// Where the moving end is in each link.
+/// Returns the position of the moving node in each link.
 fn positions(asked: &Asked<'_>) -> Vec<[Real; 3]> {
     let txs = asked.conditions.positions();
     asked.links.iter().filter_map(|link| txs.get(link.transmitter)).copied().collect()
@@ -82,7 +83,7 @@ impl Method for VirtualTransmitters {
         MethodTraits { task: Some(Task::Channel), columns, ..MethodTraits::default() }
     }
 
-    /// As the cloud says, whatever the transmitter.
+    /// The cloud is independent of the transmitter.
     fn gaussians(&self, _: &Frame, p: &Parameters<'_>, _: Option<[Real; 3]>) -> Activated {
         let (none, calibration) = (Deltas::default(), Calibration::AsReleased); // without a floor of the scales
         let activation = Activation { calibration, replaces_signals: false, channels: 2 };
@@ -114,7 +115,7 @@ impl Method for VirtualTransmitters {
         }
         sums.gate.iter_mut().zip(&found.gate).for_each(|(sum, d)| *sum += d);
         sums.seen.visible.iter_mut().for_each(|seen| *seen += 1.0);
-        // How much of the channel is each one's, the mean over directions: pruners that go by what is seen see this.
+        // Contribution of each Gaussian to the channel, averaged over directions, for pruners by blending weight.
         let more = p.cloud.extra(HARMONICS);
         for (i, [x, y]) in p.cloud.signals.iter().enumerate() {
             let more = more.map_or(&[][..], |c| &c.values[i * c.width..(i + 1) * c.width]);
@@ -137,12 +138,13 @@ impl Method for VirtualTransmitters {
     }
 }
 
-/// Finds the virtual transmitters of the training channels greedily: the one that explains most, all gains anew by least
-/// squares, all places refined, and the next one, as many as a held-out part of the training links wants.
+/// Greedy search for the virtual transmitters of the training channels (orthogonal matching pursuit).
 ///
-/// For `method: VirtualTransmitters()`, with gains of its `order`. Candidates are the receiver itself, places of a grid about the transmitters, coarser
-/// the farther they are, and mirror images of what was found. It reads the training part alone; the part held out for the count is learned from at the end. Where the
-/// scene alone is asked (`pwrfgs check`), it puts `most` of them anywhere.
+/// Each step adds the virtual transmitter that explains most of the residual, recomputes all gains by least squares,
+/// and refines all positions. Held-out training links select the number. Candidates are the receiver itself, positions
+/// of a grid about the transmitters, coarser with distance, and mirror images of virtual transmitters already found. It
+/// uses training data only, and the final fit includes the held-out links. For `method: VirtualTransmitters()`, with
+/// gains of its `order`. If only the scene is needed (`pwrfgs check`), it places `most` of them arbitrarily.
 ///
 /// ```
 /// # use pwrfgs_core::{Initializer, Plugin};
@@ -153,26 +155,27 @@ impl Method for VirtualTransmitters {
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MatchingPursuit {
-    /// Virtual transmitters at most, of each search.
+    /// Maximum number of virtual transmitters per search.
     pub most: usize,
-    /// How far beyond the positions of the transmitters the grid reaches in every direction, in the longest side of their
-    /// box.
+    /// Extension of the grid beyond the positions of the transmitters in every direction, relative to the longest side
+    /// of their bounding box.
     pub reach: f64,
-    /// Distance of the places of the grid near those positions, in the shortest wavelength; a quarter or less finds every
-    /// hill.
+    /// Grid spacing near the transmitter positions, in units of the shortest wavelength; a quarter or less finds every
+    /// maximum.
     pub step: f64,
-    /// Additions without a better score on the held-out part after which the search stops.
+    /// The search stops after this number of additions without a better score on the held-out links.
     pub patience: usize,
-    /// One of so many training links is held out while the number is chosen; 0 or 1: none, all `most` are kept.
+    /// One of this number of training links is held out to choose the number of virtual transmitters. With 0 or 1, none
+    /// is held out and all `most` are kept.
     pub hold_out: usize,
-    /// Times that the least needed are taken away again and others searched in their place.
+    /// Number of rounds that remove the least important virtual transmitters and search for replacements.
     pub rounds: usize,
-    /// Weight of the ridge on gains, in the share of noise to signal that the fit itself shows.
+    /// Weight of the ridge penalty on gains, relative to the noise-to-signal ratio estimated by the fit.
     pub ridge: f64,
-    /// Whether mirror images of what was found are tried too.
+    /// Whether mirror images of virtual transmitters already found are candidates.
     pub images: bool,
-    /// Searches, each with another part held out: the start is the mean of what they find, as many Gaussians as all of them
-    /// found. What is found by accident differs from search to search, and fades in the mean.
+    /// Number of searches, each with other held-out links. The initial model is their average, with the Gaussians of
+    /// all searches. Averaging suppresses spurious sources.
     pub searches: usize,
 }
 

@@ -1,23 +1,23 @@
-//! `Encoding`: what a network sees of a position; first γ of octaves,
-//! γ(x) = [x, sin 2⁰x, cos 2⁰x, …, sin 2^(L-1)x, cos 2^(L-1)x], each block three wide.
+//! `Encoding`: positional encodings. First γ of octaves, γ(x) = [x, sin 2⁰x, cos 2⁰x, …, sin 2^(L-1)x, cos 2^(L-1)x],
+//! each block three wide.
 //!
-//! No factor π, no scaling: x is in metres and 2^k x in radians (spec of WRF-GS, 3.1). The result is feature-major,
-//! `[3 + 6L, R]`, as the layers take it (see `dense`).
+//! γ has no factor π and no scaling: x is in metres and 2^k x in radians (as in WRF-GS). The result is feature-major,
+//! `[3 + 6L, R]`, as the layers expect it (see `dense`).
 //!
-//! Only the sine and cosine of x itself are computed by the library, in double precision; each next frequency follows
-//! by sin 2a = 2 sin a cos a, cos 2a = 1 - 2 sin² a. Each doubling multiplies the error by two to four, which in single
-//! precision would cost more than 3e-5 after nine of them. From the 1e-16 of double precision, for coordinates up to
-//! 40 m, the largest error found is 1.2e-12 at L = 10 and 2e-10 at L = 16: below the rounding of the result to `f32`.
+//! Only sine and cosine of x itself are computed by the library, in double precision. Each next frequency follows by
+//! sin 2a = 2 sin a cos a, cos 2a = 1 - 2 sin² a. Each doubling multiplies the error by two to four, which in single
+//! precision would exceed 3e-5 after nine doublings. In double precision, for coordinates up to 40 m, the largest error
+//! found is 1.2e-12 at L = 10 and 2e-10 at L = 16, below the rounding of the result to `f32`.
 
 use crate::dense::{self, Store};
 use crate::linear::{Linear, WIDEST};
 use pwrfgs_core::{Conditions, JsonSchema, Real, WeightSpec, rng};
 use serde::{Deserialize, Serialize};
 
-/// The most that angle doubling carries to full single precision; 2¹⁵ rad/m is a period of 0.2 mm.
+/// Maximum number of frequencies for which angle doubling gives full single precision; 2¹⁵ rad/m is a period of 0.2 mm.
 pub const MOST_FREQUENCIES: usize = 16;
 
-/// Refuses frequencies beyond what the arithmetic resolves.
+/// Rejects frequencies beyond the resolution of the arithmetic.
 pub(crate) fn check_frequencies(name: &str, frequencies: usize) -> Result<(), String> {
     if frequencies > MOST_FREQUENCIES {
         return Err(format!("{name} is {frequencies}; give a number from 0 to {MOST_FREQUENCIES}"));
@@ -25,12 +25,12 @@ pub(crate) fn check_frequencies(name: &str, frequencies: usize) -> Result<(), St
     Ok(())
 }
 
-/// How many numbers γ has for one point.
+/// Returns the number of components of γ per point.
 pub fn width(frequencies: usize) -> usize {
     3 + 6 * frequencies
 }
 
-/// γ of R points into `out` `[3 + 6L, R]`.
+/// Encodes R points into `out` `[3 + 6L, R]`.
 pub fn encode(points: impl ExactSizeIterator<Item = [Real; 3]>, frequencies: usize, out: &mut [Real]) {
     let rows = points.len();
     assert_eq!(out.len(), rows * width(frequencies), "one column a point");
@@ -54,7 +54,7 @@ pub fn encode(points: impl ExactSizeIterator<Item = [Real; 3]>, frequencies: usi
     }
 }
 
-/// Stores sine and cosine, then doubles their angle.
+/// Stores sine and cosine, then doubles the angle.
 fn double(s_out: &mut [Real], c_out: &mut [Real], sines: &mut [f64], cosines: &mut [f64]) {
     pulp::Arch::new().dispatch(
         #[inline(always)]
@@ -67,7 +67,7 @@ fn double(s_out: &mut [Real], c_out: &mut [Real], sines: &mut [f64], cosines: &m
     );
 }
 
-/// Adds to `d_points` the derivative through γ: `encoded` is what [`encode`] gave, `d` its cotangent.
+/// Adds the derivative through γ to `d_points`; `encoded` is the result of [`encode`], `d` its cotangent.
 pub fn encode_vjp(encoded: &[Real], d: &[Real], frequencies: usize, d_points: &mut [[Real; 3]]) {
     let rows = d_points.len();
     assert!(encoded.len() == rows * width(frequencies) && d.len() == encoded.len(), "one column a point");
@@ -85,15 +85,15 @@ pub fn encode_vjp(encoded: &[Real], d: &[Real], frequencies: usize, d_points: &m
     }
 }
 
-/// The encoding γ(p) of a position: the coordinates, and waves over the room.
+/// Positional encoding γ(p).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub enum Encoding {
-    /// Sine and cosine of 2⁰…2^(L-1) rad/m along each axis (`NeRF`). 5 ends at 16 rad/m, near 2π/λ at 920 MHz, beyond
-    /// which no wave from a transmitter varies.
+    /// Sine and cosine of 2⁰…2^(L-1) rad/m along each axis (`NeRF`). L = 5 ends at 16 rad/m, close to 2π/λ at 920 MHz;
+    /// the field of a transmitter varies no faster.
     Octaves(usize),
-    /// Sine and cosine of kᵢ·p for `count` wave vectors k of any direction, their lengths evenly from 0 to `reach`
-    /// (random Fourier features, shaped for a band-limited field). Drawn from `seed`: networks of one ensemble had
-    /// better each have their own. They are not learned.
+    /// Sine and cosine of kᵢ·p for `count` wave vectors k of random direction (random Fourier features for a
+    /// band-limited field). Their lengths are evenly spaced from 0 to `reach`. They follow from `seed` and are not
+    /// learned; use different seeds for the models of an ensemble.
     Waves {
         /// Number of wave vectors.
         count: usize,
@@ -103,8 +103,8 @@ pub enum Encoding {
         #[serde(default)]
         seed: u64,
     },
-    /// Sine and cosine of 2π/λ along each axis for `count` wavelengths in equal ratios, and the coordinates times 2π over
-    /// the longest: for fields that vary slowly over tens of metres, such as received powers.
+    /// Sine and cosine of 2π/λ along each axis for `count` wavelengths in geometric sequence, and the coordinates times
+    /// 2π over the longest wavelength. For fields that vary slowly over tens of metres, such as received powers.
     Wavelengths {
         /// Number of wavelengths.
         count: usize,
@@ -113,8 +113,8 @@ pub enum Encoding {
         /// Shortest wavelength, metres. Faster variations cannot be represented, which reduces overfitting to noise.
         shortest_m: f64,
     },
-    /// No position, but the vector that the data have in its place, as it is; of the transmitter only. The network's
-    /// features then hold it too, so that signals may be linear in it.
+    /// The feature vector that the data hold in place of the transmitter position, unchanged. Only for the transmitter.
+    /// The features of the network then include it, so that signals may be linear in it.
     Features {
         /// Length of the feature vector.
         width: usize,
@@ -122,15 +122,16 @@ pub enum Encoding {
         #[serde(default = "one")]
         gain: f64,
     },
-    /// No position, but the vector that the data have in its place, made a pseudo-position: 2 tanh of three learned linear
-    /// maps of it, then sine and cosine of `octaves` frequencies, as `GSRF` has it. Of the transmitter only.
+    /// The feature vector that the data hold in place of the transmitter position, mapped to a pseudo-position as in
+    /// `GSRF`: 2 tanh of three learned linear maps, then sine and cosine of `octaves` frequencies. Only for the
+    /// transmitter.
     PseudoPosition {
         /// Length of the feature vector.
         width: usize,
         /// Factor that scales the features to about 1.
         #[serde(default = "one")]
         gain: f64,
-        /// Frequencies 2⁰…2^(L-1) of the encoding.
+        /// Number of frequencies 2⁰…2^(L-1) of the encoding.
         octaves: usize,
     },
 }
@@ -146,7 +147,7 @@ impl Default for Encoding {
 }
 
 impl Encoding {
-    /// How many numbers γ has.
+    /// Returns the number of components of γ.
     pub(super) fn width(&self) -> usize {
         match *self {
             Self::Octaves(frequencies) => width(frequencies),
@@ -157,7 +158,7 @@ impl Encoding {
         }
     }
 
-    /// Numbers that it reads of a transmitter.
+    /// Returns the number of values per transmitter that the encoding reads.
     pub(super) fn inputs(&self) -> usize {
         match *self {
             Self::Features { width, .. } | Self::PseudoPosition { width, .. } => width,
@@ -198,7 +199,8 @@ impl Encoding {
         }
     }
 
-    /// The wave vectors `[count, 3]`, rad/m, as the model file holds them: nobody else can draw them from the seed.
+    /// Returns the wave vectors `[count, 3]`, rad/m, for the model file; other programs cannot reproduce them from the
+    /// seed.
     pub(super) fn constants(&self, field: &str) -> Option<(WeightSpec, Vec<Real>)> {
         let Encoder::Waves(vectors, _) = self.encoder() else { return None };
         let spec = WeightSpec::zeros(field, vec![vectors.len(), 3]);
@@ -230,23 +232,23 @@ impl Encoding {
     }
 }
 
-/// Length of wave vector `i` of `count`, over the reach.
+/// Returns the length of wave vector `i` of `count`, relative to the reach.
 fn length(i: usize, count: usize) -> f64 {
     (i as f64 + 0.5) / count as f64
 }
 
-/// A [`Encoding`] ready for use.
+/// Encoding with its constants computed.
 #[derive(Debug)]
 pub(super) enum Encoder {
     Octaves(usize),
     /// Wave vectors, and the factor on the coordinates.
     Waves(Vec<[f64; 3]>, f64),
-    /// Width and gain.
+    /// Width and gain of the features.
     Features(usize, f64),
 }
 
 impl Encoder {
-    /// γ of B transmitters into `out` `[·, B]`.
+    /// Encodes B transmitters into `out` `[·, B]`.
     pub(super) fn encode_all(&self, txs: Conditions<'_>, out: &mut [Real]) {
         let Self::Features(width, gain) = *self else { return self.encode(txs.positions(), out) };
         let rows = txs.len();
@@ -255,7 +257,7 @@ impl Encoder {
         }
     }
 
-    /// γ of B points into `out` `[·, B]`.
+    /// Encodes B points into `out` `[·, B]`.
     pub(super) fn encode(&self, points: &[[Real; 3]], out: &mut [Real]) {
         let (vectors, scale) = match self {
             Self::Octaves(frequencies) => return encode(points.iter().copied(), *frequencies, out),
@@ -274,8 +276,8 @@ impl Encoder {
         }
     }
 
-    /// Adds to `d_points` the derivative through the waves, given their values `[·, N]` (γ without its first three rows)
-    /// and their cotangents.
+    /// Adds the derivative through the waves to `d_points`, given their values `[·, N]` (γ without its first three
+    /// rows) and their cotangents.
     pub(super) fn waves_vjp(&self, waves: &[Real], d_waves: &[Real], d_points: &mut [[Real; 3]]) {
         let rows = d_points.len();
         match self {
@@ -297,7 +299,7 @@ impl Encoder {
     }
 }
 
-/// Features of the data as a position: 2 tanh of a layer.
+/// Pseudo-position from the features of the data: 2 tanh of a linear layer.
 pub(super) struct Pseudo {
     pub(super) layer: Linear,
     pub(super) gain: Real,
@@ -305,7 +307,7 @@ pub(super) struct Pseudo {
 }
 
 impl Pseudo {
-    /// Features `[width, B]`, times the gain.
+    /// Returns the features times the gain, `[width, B]`.
     fn inputs(&self, txs: Conditions<'_>) -> Vec<Real> {
         let (rows, width) = (txs.len(), self.layer.inputs);
         let value = |i: usize| txs.values()[(i % rows) * width + i / rows] * self.gain;
@@ -348,7 +350,7 @@ mod tests {
         (0..n).map(|_| std::array::from_fn(|_| size * (2.0 * rng::uniform(&mut random) - 1.0))).collect()
     }
 
-    /// The largest error over points in a cube of ±40 m.
+    /// Returns the largest error over points in a cube of ±40 m.
     fn worst_error(frequencies: usize) -> f64 {
         let points = points(2000, 40.0);
         let mut out = vec![0.0; points.len() * width(frequencies)];

@@ -1,4 +1,4 @@
-//! `Factored`: signals as products of what depends on the transmitter and what depends on the Gaussian.
+//! `Factored`: signals as products of transmitter features and Gaussian factors.
 
 use crate::encoding::{Encoder, Encoding, Pseudo};
 use crate::factored_network::{Basis, Network, WAVE_MEAN};
@@ -13,14 +13,15 @@ use std::sync::Arc;
 
 /// A network that runs once per transmitter instead of once per Gaussian: `Δsᵢ(p) = G(μᵢ)·T(p) + G₀(μᵢ)`.
 ///
-/// A stack of ReLU layers makes `width` features T of the transmitter's encoded position γ(p); one linear layer on the
-/// waves φ(μ) of the encoded centre makes each Gaussian's factors G, two rows (real and imaginary part) of `width` + 1
-/// numbers. A signal is then a scalar product. Waves short against the distances of Gaussians make their factors
-/// independent, long ones let neighbours agree. The cost of a prediction is that of one pass through the stack, whatever N is, and
-/// sixteen Gaussians on a 4 x 4 array can follow all that the network knows of the transmitter: the shape for
-/// `ArrayResponse`. Geometry does not depend on the transmitter. Known elsewhere as branch and trunk (`DeepONet`).
+/// A stack of ReLU layers computes `width` features T from the encoded position γ(p) of the transmitter. One linear
+/// layer on the encoding φ(μ) of the centre gives the factors G of each Gaussian: two rows (real and imaginary part) of
+/// `width` + 1 numbers. A signal is then a scalar product. Waves that are short compared with the distance between
+/// Gaussians make their factors independent; long waves make neighbours similar. A prediction costs one pass through
+/// the stack, whatever N is. Sixteen Gaussians on a 4 x 4 array can represent every function of the transmitter that
+/// the network can learn, so it suits `ArrayResponse`. Geometry does not depend on the transmitter. The architecture is
+/// also known as branch and trunk (`DeepONet`).
 ///
-/// Centres are differentiated through the network.
+/// Centres receive gradients through the network.
 ///
 /// ```
 /// use pwrfgs_core::{Deformation, Plugin};
@@ -31,13 +32,13 @@ use std::sync::Arc;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Factored {
-    /// ReLU layers of the transmitter's stack, 1 or more.
+    /// Number of ReLU layers of the transmitter stack, 1 or more.
     pub depth: usize,
     /// Units per layer, and number of features.
     pub width: usize,
-    /// How the transmitter's position is encoded.
+    /// Encoding of the transmitter position.
     pub tx_encoding: Encoding,
-    /// How the centre is encoded; without the coordinates, which would drown the waves.
+    /// Encoding of the centre, without the bare coordinates, which would dominate the waves.
     pub position_encoding: Encoding,
 }
 
@@ -50,7 +51,7 @@ impl Default for Factored {
 }
 
 impl Factored {
-    /// The layers, in the order in which they lie in the weight vector.
+    /// Plans the layers in the order of the weight vector.
     fn network(&self, plan: &mut Plan) -> Network {
         let width = self.width;
         let tx_encoding = self.tx_encoding.encoder();
@@ -66,7 +67,7 @@ impl Factored {
             .then(|| plan.unbiased("tx.white", own, own, (3.0 / own as f64).sqrt()));
         let stack = (0..self.depth).map(|l| plan.relu(&format!("tx.{l}"), inputs(l), width)).collect();
         let waves = self.position_encoding.width() - 3;
-        // Signals begin about as large as one feature: factors have the variance 1/width.
+        // Factors have the variance 1/width, so that initial signals have the magnitude of one feature.
         let bound = WAVE_MEAN * (6.0 * waves as f64 / width as f64).sqrt();
         let direct = if white.is_some() { own } else { 0 };
         let features = width + direct;
@@ -144,13 +145,13 @@ impl Deformation for Factored {
     }
 }
 
-/// Share of the mean variance that is added to every variance: fainter directions are noise, and are not made as loud.
+/// Share of the mean variance that is added to every variance: weaker directions are noise and are not amplified.
 const FAINTEST: f64 = 1e-3;
-/// Vectors that it is worked out on, at most.
+/// Maximum number of vectors from which the covariance is computed.
 const MOST: usize = 4_000;
 
-/// W `[D,D]` and b `[D]` such that W·(gain·x) + b has mean zero and nearly the covariance 1: W = L⁻¹ of the Cholesky factor
-/// L of the covariance. `None` for no vectors, and for vectors that are all the same.
+/// Returns W `[D,D]` and b `[D]` such that W·(gain·x) + b has zero mean and nearly unit covariance: W = L⁻¹ of the
+/// Cholesky factor L of the covariance. `None` if there are no vectors or all vectors are equal.
 pub(super) fn whitening(vectors: Conditions<'_>, gain: f64) -> Option<(Vec<Real>, Vec<Real>)> {
     let d = vectors.width();
     let stride = vectors.len().div_ceil(MOST).max(1);

@@ -1,10 +1,10 @@
-//! Deformations `D_Θ` of eq. (5): what the transmitter's position changes.
+//! Deformation networks `D_Θ` of eq. (5), which model the effect of the transmitter position.
 //!
-//! [`Mlp`] is the network of P-WRFGS, [`Wrfgs`] the one of its ancestor, [`Factored`] runs once a transmitter and not once
-//! a Gaussian, [`Fixed`] is none. A network is a [`linear::Plan`] of tensors
-//! in one flat vector of weights, [`linear::Linear`] layers that know where theirs lie, and passes over chunks whose points lie
-//! next to each other ([`dense`]); [`trunk`] is the ReLU stack. NeRF2 has the same layers. Derivatives are written by hand.
-//! Nothing is kept between calls: the derivative recomputes each chunk's activations while they fit the cache.
+//! [`Mlp`] is the network of P-WRFGS and [`Wrfgs`] that of WRF-GS. [`Factored`] runs once per transmitter instead of
+//! once per Gaussian, and [`Fixed`] has no network. A network is a [`linear::Plan`] of tensors in one flat weight
+//! vector, [`linear::Linear`] layers with their offsets, and passes over chunks of contiguous points ([`dense`]);
+//! [`trunk`] is the ReLU stack. NeRF2 uses the same layers. Derivatives are written by hand. Nothing is stored between
+//! calls: the backward pass recomputes the activations of each chunk while they fit the cache.
 
 pub mod dense;
 pub mod encoding;
@@ -29,9 +29,9 @@ pub use wrfgs::Wrfgs;
 use pwrfgs_core::{Cache, Deformation, DeformationInputs, DeformationTraits, Deltas, JsonSchema, Real};
 use serde::{Deserialize, Serialize};
 
-/// No deformation: every transmitter sees the same Gaussians and the same signals. No weights, no settings.
+/// No deformation: geometry and signals are equal for all transmitters. No weights, no settings.
 ///
-/// Of use to fit a single spectrum, to test everything else, and as the floor below which no network may fall.
+/// Use it to fit a single spectrum, for tests, and as the baseline for all networks.
 ///
 /// ```
 /// use pwrfgs_core::{Deformation, Plugin};

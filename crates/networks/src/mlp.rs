@@ -13,17 +13,18 @@ use pwrfgs_core::{Cache, Deformation, DeformationInputs, DeformationTraits, Delt
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// The network of P-WRFGS: for each Gaussian and transmitter a change of signal, rotation and scale, to be added.
+/// The network of P-WRFGS: additive changes of signal, rotation and scale per Gaussian and transmitter.
 ///
-/// The transmitter's encoding γ(p) passes two small layers of its own and joins the encoding γ(μ) of the Gaussian's
-/// centre; a stack of ReLU layers follows, in which both enter once more after layer `skip`; linear heads end it. The
-/// defaults are those of the released WRF-GS+, on which the paper builds (574,819 weights; its two heads that never
-/// reach the picture are left out).
+/// Two small layers process the encoding γ(p) of the transmitter. The result is concatenated with the encoding γ(μ) of
+/// the centre. A stack of ReLU layers follows, in which both inputs enter again after layer `skip`, and linear heads
+/// give the outputs. The default values are those of the released WRF-GS+, the basis of the paper (574,819 weights; its
+/// two heads that do not affect the spectrum are left out).
 ///
-/// With `outputs: Signals` only signals depend on the transmitter: a whole batch then shares one projection and one
-/// sorting, which is several times faster. Smaller networks are faster too; the cost grows with `depth · width²`.
+/// With `outputs: Signals` only the signals depend on the transmitter. A whole batch then shares one projection and one
+/// depth sort, which is several times faster. Smaller networks are faster too; the cost is proportional to `depth ·
+/// width²`.
 ///
-/// Centres are not differentiated through the network (the released code detaches them): `d_means` stays as it is.
+/// Centres receive no gradient through the network (the released code detaches them): `d_means` is unchanged.
 ///
 /// ```
 /// use pwrfgs_core::{Deformation, Plugin};
@@ -39,20 +40,20 @@ pub struct Mlp {
     pub depth: usize,
     /// Units per layer.
     pub width: usize,
-    /// Frequencies 2⁰…2^(L-1) rad/m in the encoding of the centre; 0 gives the bare coordinates.
+    /// Number of frequencies 2⁰…2^(L-1) rad/m in the encoding of the centre; 0 for the bare coordinates.
     pub position_frequencies: usize,
-    /// Frequencies in the encoding of the transmitter, likewise.
+    /// Number of frequencies 2⁰…2^(L-1) rad/m in the encoding of the transmitter; 0 for the bare coordinates.
     pub tx_frequencies: usize,
-    /// Numbers in the hidden layer of the transmitter's branch.
+    /// Units of the hidden layer of the transmitter branch.
     pub tx_hidden: usize,
-    /// Numbers that the transmitter's branch hands to the stack.
+    /// Number of outputs of the transmitter branch, which are inputs of the stack.
     pub tx_features: usize,
-    /// Both inputs enter again after this layer (counted from 0); `None` for a plain stack.
+    /// Index of the layer (from 0) after which both inputs enter again; `None` for a plain stack.
     pub skip: Option<usize>,
     /// Outputs of the network, which depend on the transmitter.
     pub outputs: Outputs,
-    /// Factor on the initial weights and biases of the heads. 1 is PyTorch's start; with small values training starts
-    /// near the undeformed Gaussians.
+    /// Factor on the initial weights and biases of the heads. 1 is the PyTorch initialisation; with small values,
+    /// training starts near the undeformed Gaussians.
     pub head_init: f64,
 }
 
@@ -73,7 +74,7 @@ impl Default for Mlp {
 }
 
 impl Mlp {
-    /// The layers, in the order in which they lie in the weight vector.
+    /// Plans the layers in the order of the weight vector.
     fn network(&self, plan: &mut Plan) -> Network {
         let tx_inputs = encoding::width(self.tx_frequencies);
         let tx =
@@ -126,7 +127,7 @@ impl Deformation for Mlp {
     }
 }
 
-/// What an [`Mlp`] changes.
+/// Outputs of an [`Mlp`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum Outputs {
     /// Rotations (4), scales (3) and signals (2).
@@ -136,7 +137,7 @@ pub enum Outputs {
     Signals,
 }
 
-/// The layers and where their weights lie.
+/// Layers and the offsets of their weights.
 #[derive(Debug)]
 pub(super) struct Network {
     pub(super) position_frequencies: usize,
@@ -147,19 +148,19 @@ pub(super) struct Network {
     pub(super) heads: Linear,
 }
 
-/// What depends on a transmitter alone.
+/// Activations that depend on the transmitter only.
 struct TxSide {
-    /// γ of its position.
+    /// Encoding γ of the transmitter position.
     gamma: Vec<Real>,
-    /// After `tx.0`.
+    /// Activations after `tx.0`.
     hidden: Vec<Real>,
-    /// e, after `tx.1`.
+    /// Features e, after `tx.1`.
     features: Vec<Real>,
-    /// Biases of the trunk with W·e in them.
+    /// Biases of the trunk including W·e.
     folded: Joints,
 }
 
-/// Room for one chunk, kept from item to item of a task.
+/// Buffers for one chunk, reused for all items of a task.
 #[derive(Default)]
 struct Scratch {
     gamma: Vec<Real>,
@@ -170,15 +171,15 @@ struct Scratch {
     spare: Vec<Real>,
 }
 
-/// One accumulator of the backward pass.
+/// Accumulator of the backward pass.
 struct Sum {
     weights: Vec<Real>,
-    /// Of the folded biases, `[B, width]` each.
+    /// Cotangents of the folded biases, `[B, width]` each.
     folded: Joints,
 }
 
 impl Network {
-    /// The transmitter's branch. One transmitter at a time: a batch then gives the bits of single calls.
+    /// Runs the transmitter branch for one transmitter, so that batches are bit-identical to single calls.
     fn tx_side(&self, weights: &[Real], tx: [Real; 3]) -> TxSide {
         let mut gamma = vec![0.0; self.tx[0].inputs];
         encode([tx].into_iter(), self.tx_frequencies, &mut gamma);
@@ -199,7 +200,7 @@ impl Network {
         txs.par_iter().map(|&tx| self.tx_side(weights, tx)).collect()
     }
 
-    /// γ and W·γ of a chunk's centres.
+    /// Computes γ and W·γ of the centres of a chunk.
     fn begin(&self, weights: &[Real], means: &[[Real; 3]], scratch: &mut Scratch) {
         scratch.gamma.resize(means.len() * encoding::width(self.position_frequencies), 0.0);
         encode(means.iter().copied(), self.position_frequencies, &mut scratch.gamma);
@@ -233,7 +234,7 @@ impl Network {
         all
     }
 
-    /// The heads' outputs for the chunk in `scratch` and one transmitter.
+    /// Returns the outputs of the heads for the chunk in `scratch` and one transmitter.
     fn deltas(&self, weights: &[Real], side: &TxSide, scratch: &mut Scratch) -> Deltas {
         let Scratch { shared, slots, out, .. } = scratch;
         slots.resize_with(2, Vec::new);
@@ -275,7 +276,7 @@ impl Network {
         self.tx_vjp(weights, &sides, &folded, d_weights);
     }
 
-    /// One chunk for some transmitters: the forward pass once more, then back.
+    /// Backward pass of one chunk for some transmitters; recomputes its forward pass first.
     fn item_vjp(
         &self,
         inputs: &DeformationInputs<'_>,
@@ -314,7 +315,7 @@ impl Network {
         self.trunk.share_vjp(weights, gamma, &d_shared, &mut sum.weights, None);
     }
 
-    /// Back through the transmitters' branch, all of them at once.
+    /// Backward pass of the transmitter branch, for all transmitters at once.
     fn tx_vjp(&self, weights: &[Real], sides: &[TxSide], d_folded: &Joints, d_weights: &mut [Real]) {
         let batch = sides.len();
         let stack = |of: fn(&TxSide) -> &[Real]| -> Vec<Real> { sides.iter().flat_map(of).copied().collect() };
@@ -335,12 +336,12 @@ impl Network {
     }
 }
 
-/// Features `from..from + K` of `[F, R]` as R rows.
+/// Returns the features `from..from + K` of `[F, R]` as R rows.
 fn gather<const K: usize>(out: &[Real], from: usize, rows: usize) -> Vec<[Real; K]> {
     (0..rows).map(|r| std::array::from_fn(|k| out[(from + k) * rows + r])).collect()
 }
 
-/// The reverse of [`gather`]; zeros where there is no cotangent.
+/// Inverse of [`gather`]; writes zeros without a cotangent.
 fn scatter<const K: usize>(d: Option<&[[Real; K]]>, out: &mut [Real], from: usize, rows: usize) {
     for (k, out) in out[from * rows..(from + K) * rows].chunks_exact_mut(rows).enumerate() {
         match d {

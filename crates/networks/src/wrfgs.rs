@@ -1,4 +1,4 @@
-//! `Wrfgs`: the network of WRF-GS (Wen et al., IEEE INFOCOM 2025) as the released code has it.
+//! `Wrfgs`: the network of WRF-GS (Wen et al., IEEE INFOCOM 2025) as in the released code.
 
 use crate::encoding::{self, check_frequencies};
 use crate::linear::{Plan, laid_out, planned};
@@ -11,16 +11,16 @@ use pwrfgs_core::{
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// The network of WRF-GS as released: it replaces the signals and does not change the geometry.
+/// The released network of WRF-GS: it replaces the signals and does not change the geometry.
 ///
-/// A stack of ReLU layers sees γ(X) of the Gaussian's centre and gives an attenuation A and a feature; the feature,
-/// γ(p) of the transmitter and γ(X - p) pass two more layers that give an amplitude S. The signal is g·S·A ≥ 0 in the
-/// first channel and 0 in the second. As released, g = 40·F with F = √Σᵢ|Xᵢ - r|², one number for the whole cloud with
-/// r the receiver's position: it grows with √N and makes most starts saturate. A fixed `gain` gives a model that can be
-/// used.
+/// A stack of ReLU layers computes an attenuation A and a feature from γ(X) of the centre of the Gaussian. Two more
+/// layers compute an amplitude S from the feature, γ(p) of the transmitter and γ(X - p). The signal is g·S·A ≥ 0 in the
+/// first channel and 0 in the second. In the released code, g = 40·F with F = √Σᵢ|Xᵢ - r|² and r the position of the
+/// receiver. This single number for the whole cloud grows with √N and saturates most initial models. Set a fixed `gain`
+/// for a usable model.
 ///
-/// The defaults are the released network, 189,636 weights; its two phases per Gaussian are computed and not used
-/// (their weights are kept, so that the layout is the released one).
+/// The default values are those of the released network, 189,636 weights. Its two phases per Gaussian are not used;
+/// their weights are kept, so that the layout is that of the released network.
 ///
 /// ```
 /// use pwrfgs_core::{Deformation, Plugin};
@@ -34,13 +34,13 @@ use std::sync::Arc;
 pub struct Wrfgs {
     /// Number of ReLU layers before attenuation and feature, 1 or more.
     pub depth: usize,
-    /// Numbers a layer, 2 or more; the last hidden layer has half of them.
+    /// Units per layer, 2 or more; the last hidden layer has half of them.
     pub width: usize,
-    /// Frequencies 2⁰…2^(L-1) rad/m of all three encodings; 0 gives the bare coordinates.
+    /// Number of frequencies 2⁰…2^(L-1) rad/m of all three encodings; 0 for the bare coordinates.
     pub frequencies: usize,
-    /// γ(X) enters again after this layer (counted from 0); `None` for a plain stack.
+    /// Index of the layer (from 0) after which γ(X) enters again; `None` for a plain stack.
     pub skip: Option<usize>,
-    /// The factor g on every signal; `None` for 40·F as released.
+    /// Factor g on every signal; `None` for 40·F as released.
     pub gain: Option<f64>,
 }
 
@@ -50,21 +50,21 @@ impl Default for Wrfgs {
     }
 }
 
-/// 1 over the released 0.025.
+/// Reciprocal of 0.025 in the released code.
 const RELEASED_GAIN: f64 = 40.0;
 
 impl Wrfgs {
-    /// F, the norm of all centres seen from the receiver at once, metres.
+    /// Returns F, the norm of all centres relative to the receiver, metres.
     fn norm(means: &[[Real; 3]], pose: &Pose) -> f64 {
         means.iter().flat_map(|x| (0..3).map(|k| (f64::from(x[k]) - pose.position[k]).powi(2))).sum::<f64>().sqrt()
     }
 
-    /// The factor g.
+    /// Returns the factor g.
     fn gain(&self, means: &[[Real; 3]], pose: &Pose) -> f64 {
         self.gain.unwrap_or_else(|| RELEASED_GAIN * Self::norm(means, pose))
     }
 
-    /// The layers, in the order in which they lie in the weight vector.
+    /// Plans the layers in the order of the weight vector.
     pub(super) fn network(&self, plan: &mut Plan) -> Network {
         let &Self { depth, width, frequencies, skip, .. } = self;
         let gamma = encoding::width(frequencies);
@@ -76,7 +76,7 @@ impl Wrfgs {
         Network { trunk, attenuation, feature, branch }
     }
 
-    /// The same for weights of that length.
+    /// Plans the layers for a weight vector of that length.
     fn network_of(&self, weights: &[Real]) -> Network {
         laid_out(weights, |plan| self.network(plan))
     }
@@ -133,7 +133,7 @@ impl Deformation for Wrfgs {
         let along_gain = network.vjp(inputs, &d_products, d_weights, Some(&mut *d_means));
         let norm = Self::norm(inputs.means, inputs.pose);
         if self.gain.is_none() && norm > 0.0 {
-            // g·∂L/∂g is known; with g = 40·F, ∂g/∂X = g·(X - r)/F².
+            // g·∂L/∂g is available; with g = 40·F, ∂g/∂X = g·(X - r)/F².
             let scale = along_gain / (norm * norm);
             for (d, x) in d_means.iter_mut().zip(inputs.means) {
                 for k in 0..3 {

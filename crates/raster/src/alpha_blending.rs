@@ -1,4 +1,4 @@
-//! `AlphaBlending`: the rasterizer of the paper, eq. (7) and (8).
+//! `AlphaBlending`: the rasterizer of the paper, eqs. (7) and (8).
 
 use crate::blend::{ALPHA_MIN, Backward, Forward, GEOMETRY, PIXELS, TILE, Tile};
 use crate::canvas::{gather, patches};
@@ -11,14 +11,15 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// Front-to-back alpha blending in order of depth, tile by tile, with an exact backward pass.
+/// Front-to-back alpha blending in depth order, tile by tile, with an exact backward pass.
 ///
-/// `Exact`: those where its γ is at least 1/255; tiles are bookkeeping that no picture shows. `TileSquares`: those of
-/// the 16 × 16 tiles that meet the square of three standard deviations, as released; the picture then shows tile edges,
-/// and azimuth does not come round. It exists to compare with published code.
+/// `Exact` draws a Gaussian in all pixels where its γ is at least 1/255; tiles do not affect the spectra. `TileSquares`
+/// draws it in all 16 × 16 tiles that intersect the square of three standard deviations, as in the released code. The
+/// spectra then show tile edges, and azimuth does not wrap around. Use `TileSquares` only to compare with published
+/// code.
 ///
-/// *Differentiable* in means, conics, opacities and signals. *Discontinuous* where γ crosses 1/255, where a pixel fills
-/// up (T < 10⁻⁴) and where two Gaussians swap depth; the 0.99 ceiling of γ passes the gradient, as in 3DGS.
+/// *Differentiable* in means, conics, opacities and signals. *Discontinuous* if γ crosses 1/255, if a pixel becomes
+/// opaque (T < 10⁻⁴) and if two Gaussians swap depth. The upper limit 0.99 of γ passes the gradient, as in 3DGS.
 ///
 /// ```
 /// use pwrfgs_core::{Plugin, Rasterizer};
@@ -119,7 +120,7 @@ impl Rasterizer for AlphaBlending {
             widest(Look { tile: &tile, picture: &render.pixels, survey })
         };
         let found: Vec<Vec<Looked>> = (0..lists.len()).into_par_iter().map(look).collect();
-        // In the order of the tiles, whatever thread looked at which.
+        // Sums in tile order do not depend on the assignment of tiles to threads.
         let mut sums = vec![Looked::default(); splats.len()];
         for (t, found) in found.iter().enumerate() {
             lists.of(t).0.iter().zip(found).for_each(|(&i, own)| sums[i as usize].add(own));
@@ -156,7 +157,7 @@ fn tile<'a>(
     Tile { splats, signals, channels, plane, list, rows, corner: lists.corner(t) }
 }
 
-/// Adds up each splat's cotangents over the tiles it meets, in tile order, whatever thread made them.
+/// Sums the cotangents of each splat over its tiles, in tile order, independent of the threads.
 fn sum_over_tiles(lists: &TileLists, n: usize, channels: usize, parts: &[Real]) -> RenderVjp {
     let stride = GEOMETRY + channels;
     let mut first = vec![0usize; n + 1];

@@ -1,4 +1,4 @@
-//! `ArrayResponse`: Gaussians as virtual transmitters, eq. (1), heard by an antenna array, eq. (2).
+//! `ArrayResponse`: Gaussians as virtual transmitters, eq. (1), received by an antenna array, eq. (2).
 
 mod beams;
 mod wave;
@@ -13,26 +13,28 @@ pub use wave::Wavefront;
 
 /// Field of all Gaussians on a planar antenna array, and the spatial spectrum that the array computes from it.
 ///
-/// Each splat is a wave from its direction u with the complex signal s of its two channels and the opacity o as
-/// amplitude. The waves add up at the antennas, h = Σ o·s·a(u) with aₖ(u) = exp(+j2π pₖ·u), pₖ in wavelengths
-/// (eq. 1), and pixel by pixel the array is steered back: aᴴh/K (eq. 2 before the square). No tiles, no order, nothing
-/// hides anything: the cost is O(N·K + H·W·K). The measured spectra are such pictures, with K = 16 antennas and to the
-/// rounding of their 8 bits; sixteen Gaussians in different directions therefore suffice for any of them.
+/// Each splat is a wave from its direction u. Its complex signal s has two channels, and its opacity o is the
+/// amplitude. The waves add up at the antennas, h = Σ o·s·a(u) with aₖ(u) = exp(+j2π pₖ·u) and pₖ in wavelengths, eq.
+/// (1). Each pixel steers the array to its direction: aᴴh/K, eq. (2) before the square. The method has no tiles, no
+/// depth order and no occlusion; the cost is O(N·K + H·W·K). The measured spectra are such spectra with K = 16
+/// antennas, up to the rounding of their 8 bits. Sixteen Gaussians in different directions can therefore represent each
+/// of them.
 ///
-/// *Widened*: waves from all over the Gaussian, in equal phase, average to aₖ·exp(-(2π)² pₖᵀ Σᵤ pₖ / 2), with Σᵤ the
-/// covariance of u (along x and y) to first order; wide Gaussians are heard by the middle of the array only. It stays finite at
-/// the zenith, where the picture's azimuth does not. The projector's blur (a fraction of a degree) counts as width.
+/// *Widened*: the waves of a wide Gaussian, in equal phase, average to aₖ·exp(-(2π)² pₖᵀ Σᵤ pₖ / 2). Σᵤ is the
+/// first-order covariance of u along x and y. Wide Gaussians are received mainly by the central antennas. The
+/// expression is finite at the zenith, where the azimuth of the spectrum is not. The filter of the projector (a
+/// fraction of a degree) counts as width.
 ///
-/// *Spherical*: the phase follows from the way between the Gaussian and each antenna; amplitude and width are those of a
-/// plane wave. Distances then matter, and are differentiated.
+/// *Spherical*: the phase follows from the distance between the Gaussian and each antenna; amplitude and width are
+/// those of a plane wave. The spectra then depend on distances, which receive gradients.
 ///
-/// *Needs* a projector whose pixels are directions (`Mercator`), signals with two channels (`readout: MinMax`,
-/// `Magnitude` or `Power`) and `calibration: Physical`. *Differentiable* in means, conics, depths, opacities and signals.
-/// *Discontinuous* where a Gaussian leaves the projector's view. A flat array cannot tell u from its mirror image below
-/// the horizon. For densification, the gradient that counts is that along the direction, in pixels as always; there is
-/// no depth order to resolve and rarely a reason to densify.
+/// *Requires* a projector whose pixels are directions (`Mercator`), signals with two channels (`readout: MinMax`,
+/// `Magnitude` or `Power`) and `calibration: Physical`. *Differentiable* in means, conics, depths, opacities and
+/// signals. *Discontinuous* if a Gaussian leaves the field of view of the projector. A flat array cannot distinguish u
+/// from its mirror image below the horizon. Densification uses the gradient along the direction, in pixels; without a
+/// depth order there is rarely a reason to densify.
 ///
-/// Source: eq. (1) and (2) of the paper. Neither the paper nor its ancestors draw like this: they blend.
+/// Source: eq. (1) and (2) of the paper. The paper, WRF-GS and WRF-GS+ use alpha blending instead.
 ///
 /// ```
 /// use pwrfgs_core::{Plugin, Rasterizer};
@@ -43,30 +45,31 @@ pub use wave::Wavefront;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ArrayResponse {
-    /// Antennas along y of the receiver.
+    /// Number of antennas along y of the receiver.
     pub rows: usize,
-    /// Antennas along x of the receiver.
+    /// Number of antennas along x of the receiver.
     pub columns: usize,
-    /// Distance of neighbours, wavelengths; 0.491 as measured (0.16 m at 920 MHz).
+    /// Antenna spacing, wavelengths; 0.491 as measured (0.16 m at 920 MHz).
     pub spacing_wavelengths: Real,
-    /// Whether Gaussians have the width of their covariance (true) or are points (false).
+    /// Whether Gaussians have the width of their covariance (`true`) or are points (`false`).
     pub widened: bool,
     /// Wavefront at the antennas: plane or spherical.
     pub wavefront: Wavefront,
 }
 
-/// The beams of the last few arrays and pictures, for all who draw: they follow from these alone, making them takes
-/// longer than a picture, and models of one ensemble had better read the same. No result depends on what is kept.
-/// Training with a stride that moves needs one for each of its places, which together are as large as that of the whole image.
+/// Cache of the beams for the last few arrays and image planes, shared by all threads. Beams depend on the geometry
+/// only, computing them takes longer than a spectrum, and models of one ensemble share them. Results do not depend on
+/// the cache. Training with a moving stride needs one table per offset; together these are as large as that of the
+/// whole image.
 static TABLES: RwLock<Vec<Known>> = RwLock::new(Vec::new());
 
-/// Tables of whole images that are kept, or as many pixels of others.
+/// Number of cached tables of whole images, or as many pixels of smaller ones.
 const KEPT: usize = 4;
 
-/// A table and what it is for.
+/// Grid and its table.
 type Known = (Grid, Arc<Beams>);
 
-/// Rows, columns and spacing of an array, and the picture.
+/// Rows, columns and spacing of an array, and the image plane.
 type Grid = (usize, usize, Real, ImagePlane);
 
 impl Default for ArrayResponse {
@@ -75,7 +78,7 @@ impl Default for ArrayResponse {
     }
 }
 
-/// Most rows, and most columns.
+/// Maximum number of rows, and of columns.
 const LARGEST: usize = 32;
 
 #[typetag::serde]
@@ -209,13 +212,13 @@ impl ArrayResponse {
     }
 }
 
-/// What follows from geometry alone: the waves of all splats `[N, K]`, and the beams.
+/// Values that depend on geometry only: the waves of all splats `[N, K]`, and the beams.
 struct Steered {
     waves: Vec<[Real; 2]>,
     beams: Arc<Beams>,
 }
 
-/// h: the sum of all waves, `[channels/2, K]` complex numbers, from `waves` `[N, K]`.
+/// Returns h, the sum of all waves, `[channels/2, K]` complex numbers, from `waves` `[N, K]`.
 fn field(splats: &Splats, signals: &[Real], waves: &[[Real; 2]], elements: usize, channels: usize) -> Vec<[Real; 2]> {
     assert!(channels.is_multiple_of(2), "complex signals come as pairs of channels");
     let mut field = vec![[0.0; 2]; channels / 2 * elements];
@@ -235,8 +238,8 @@ fn field(splats: &Splats, signals: &[Real], waves: &[[Real; 2]], elements: usize
     field
 }
 
-/// The derivative of [`field`] for one splat: fills `d_signals` `[channels]`, adds to `d_wave` `[K]`, gives that of the
-/// opacity.
+/// Derivative of [`field`] for one splat: fills `d_signals` `[channels]`, adds to `d_wave` `[K]`, returns the cotangent
+/// of the opacity.
 fn superpose_vjp(
     opacity: Real,
     signals: &[Real],

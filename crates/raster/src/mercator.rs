@@ -1,4 +1,4 @@
-//! `Mercator`: the projector of the paper, azimuth and elevation linear in the pixel.
+//! `Mercator`: the projector of the paper; azimuth and elevation are linear in the pixel.
 
 use crate::ewa::{self, CameraModel};
 use pwrfgs_core::{
@@ -6,27 +6,27 @@ use pwrfgs_core::{
 };
 use serde::{Deserialize, Serialize};
 
-/// cos 89.5°: the floor of cos(elevation) in the Jacobian.
+/// Lower limit of cos(elevation) in the Jacobian: cos 89.5°.
 const COS_FLOOR: Real = 0.008_726_535_498_373_935;
-/// Below this share of the distance from the axis, azimuth has no meaning and counts as 0.
+/// Smallest ratio of distance from the axis to range for which azimuth is defined; below it azimuth is 0.
 const ON_AXIS: Real = 1e-6;
 
-/// Equirectangular picture of the hemisphere in front of the receiver, the paper's «Mercator» projection; or of other
-/// elevations, behind it too, where the data say so.
+/// Equirectangular image of the hemisphere in front of the receiver, the paper's «Mercator» projection. If the data
+/// define other elevations, the image covers those, also behind the receiver.
 ///
-/// Column c is azimuth c·360/W degrees, row r is elevation r·90/H degrees above the array plane: with the measured
-/// 360 × 90 spectra one degree a pixel, row 0 the horizon of the array, row 89 almost its boresight. The receiver's true
-/// pose is used and azimuth comes round: a splat at the seam is drawn on both sides of it, once.
+/// Column c is azimuth c·360/W degrees; row r is elevation r·90/H degrees above the array plane. The measured 360 × 90
+/// spectra have one degree per pixel: row 0 is the horizon of the array, row 89 is almost its boresight. The projector
+/// uses the true pose of the receiver. Azimuth wraps around: a splat at the seam is drawn once on both sides of it.
 ///
-/// *Differentiable* in means, scales, rotations and opacities. *Discontinuous* where a Gaussian crosses `near_m`, the
+/// *Differentiable* in means, scales, rotations and opacities. *Discontinuous* if a Gaussian crosses `near_m`, the
 /// margin, or the axis of the array.
 ///
 /// # Near the zenith
-/// The measured line of sight lies at 70 to 81 degrees of elevation, so this matters. A linear map of a sphere onto a
-/// plane stretches azimuth by 1/cos(elevation). That factor is floored at cos 89.5°, and its derivative is that of what
-/// is computed; a splat wider than the circle covers every column once. What the first-order picture loses is shown by a
-/// round Gaussian of 5° (opacity 0.99, a single splat) against the exact one, exp(-angle²/(2·5²)), on the sphere; error is
-/// the mean of |difference| over the picture divided by the mean of the exact picture, both weighted by cos(elevation):
+/// The measured line of sight has an elevation of 70 to 81 degrees. A linear map of a sphere onto a plane stretches
+/// azimuth by 1/cos(elevation). This factor is limited at cos 89.5°, and its derivative includes the limit; a splat
+/// wider than the circle covers every column once. The table compares the first-order image of a round Gaussian of 5°
+/// (opacity 0.99, a single splat) with the exact one on the sphere, exp(-angle²/(2·5²)). The relative error is the mean
+/// of |difference| divided by the mean of the exact image, both weighted by cos(elevation):
 ///
 /// | elevation of the centre | relative error | largest error |
 /// |---|---|---|
@@ -34,7 +34,7 @@ const ON_AXIS: Real = 1e-6;
 /// | 75° | 0.134 | 0.090 |
 /// | 88° | 0.292 | 0.384 |
 ///
-/// (The test `what_is_lost_near_the_zenith` prints these figures and holds them.)
+/// (The test `what_is_lost_near_the_zenith` prints and checks these values.)
 ///
 /// ```
 /// use pwrfgs_core::{Plugin, Projector};
@@ -44,8 +44,8 @@ const ON_AXIS: Real = 1e-6;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Mercator {
-    /// Added to both diagonal entries of the 2-D covariance, px² of the whole spectrum, whatever `training.stride` is.
-    /// `readout: Received` has a filter of its own.
+    /// Variance added to both diagonal entries of the 2-D covariance, px² of the whole spectrum, independent of
+    /// `training.stride`. `readout: Received` has its own filter.
     pub blur: Real,
     /// Gaussians nearer to the receiver than this are not drawn, metres.
     pub near_m: Real,
@@ -104,16 +104,16 @@ fn plane(width: usize, height: usize, elevation: Elevation) -> ImagePlane {
     }
 }
 
-/// The camera model with its constants at hand.
+/// Camera model with precomputed constants.
 struct Hemisphere {
-    /// Columns and rows a radian.
+    /// Columns and rows per radian.
     per_radian: [Real; 2],
     width: Real,
-    /// How many rows lie between elevation 0 and row 0.
+    /// Number of rows between elevation 0 and row 0.
     above: Real,
     blur: Real,
     near: Real,
-    /// Sine of the lowest elevation drawn.
+    /// Sine of the lowest drawn elevation.
     lowest: Real,
 }
 
@@ -129,7 +129,7 @@ impl Hemisphere {
     }
 }
 
-/// Distance from the axis and from the receiver, and whether azimuth has a meaning.
+/// Returns the distances from the axis and from the receiver, and whether azimuth is defined.
 fn radii(v: Vec3) -> (Real, Real, bool) {
     let (rho, r) = ((v.x * v.x + v.y * v.y).sqrt(), v.length());
     (rho, r, rho > ON_AXIS * r)
@@ -216,7 +216,7 @@ mod tests {
         of((0.0, 90.0)).1
     }
 
-    /// One degree a pixel.
+    /// Creates a plane of one degree per pixel.
     fn of(elevation: (f64, f64)) -> (ImagePlane, Hemisphere) {
         let plugin = Mercator::default();
         let plane = plugin.plane_of(360, (elevation.1 - elevation.0).abs() as usize, elevation.into()).unwrap();
@@ -256,7 +256,8 @@ mod tests {
     #[test]
     #[cfg_attr(not(feature = "f64"), ignore = "needs double precision")]
     fn derivatives_agree_with_differences_up_to_the_zenith() {
-        // 10°, 45°, 88°, and inside the floor at 89.7°; also behind, and with the zenith on top.
+        // Elevations of 10°, 45°, 88°, and 89.7° (inside the limit); also behind the receiver, and with the zenith in
+        // row 0.
         let up = |el| (el, (0.0, 90.0));
         for (el, elevation) in [up(10.0), up(45.0), up(88.0), up(89.7), (-45.0, (-90.0, 90.0)), (-88.0, (90.0, -90.0))]
         {

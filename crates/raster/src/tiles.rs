@@ -1,6 +1,6 @@
-//! Tiles: which splats may touch which 16 × 16 block of pixels, in depth order.
+//! Tile lists: the splats that may cover each block of 16 × 16 pixels, in depth order.
 //!
-//! Bookkeeping only: the lists are conservative, and whether a splat is drawn in a pixel is decided there, by its alpha.
+//! The lists are conservative; the alpha of a splat decides in each pixel whether it is drawn.
 
 use crate::blend::{ALPHA_MIN, TILE, nearest_image};
 use pwrfgs_core::{ImagePlane, JsonSchema, Real, Splats, widest};
@@ -14,51 +14,51 @@ pub enum Support {
     /// Pixels with γ ≥ 1/255.
     #[default]
     Exact,
-    /// Pixels of all tiles that meet the square of radius 3σ, as released.
+    /// Pixels of all tiles that intersect the square of radius 3σ, as in the released code.
     TileSquares,
 }
 
 /// Depth-ordered splats of every tile.
 #[derive(Debug)]
 pub(crate) struct TileLists {
-    /// Tiles a row.
+    /// Tiles per row.
     columns: usize,
-    /// Entries `offsets[t]..offsets[t + 1]` are those of tile t; tiles are row-major.
+    /// Range of each tile in `splats`: `offsets[t]..offsets[t + 1]`; tiles are row-major.
     offsets: Vec<usize>,
-    /// Indices of splats.
+    /// Indices of splats, grouped by tile.
     pub(crate) splats: Vec<u32>,
-    /// First row of the tile that the splat may touch, and the row after the last.
+    /// First row of the tile that the splat may cover, and the row after the last.
     rows: Vec<[u8; 2]>,
 }
 
-/// Pixels that a splat may touch in one column of tiles.
+/// Pixels that a splat may cover in one column of tiles.
 struct Strip {
     splat: u32,
     column: u32,
     rows: Range<u32>,
 }
 
-/// Splats whose strips one task lists.
+/// Number of splats per task of the listing.
 const CHUNK: usize = 2048;
 
 impl TileLists {
-    /// Number of tiles.
+    /// Returns the number of tiles.
     pub(crate) fn len(&self) -> usize {
         self.offsets.len() - 1
     }
 
-    /// First column and row of tile `t`.
+    /// Returns the first pixel column and row of tile `t`.
     pub(crate) fn corner(&self, t: usize) -> (usize, usize) {
         (t % self.columns * TILE, t / self.columns * TILE)
     }
 
-    /// Splats of tile `t`, nearest first, and the rows that each may touch.
+    /// Returns the splats of tile `t`, nearest first, and the rows that each may cover.
     pub(crate) fn of(&self, t: usize) -> (&[u32], &[[u8; 2]]) {
         let entries = self.offsets[t]..self.offsets[t + 1];
         (&self.splats[entries.clone()], &self.rows[entries])
     }
 
-    /// Sorts splats by depth (ties by index) and lists them by tile.
+    /// Sorts splats by depth (ties by index) and lists them per tile.
     pub(crate) fn build(splats: &Splats, plane: &ImagePlane, support: Support) -> Self {
         let (columns, tile_rows) = (plane.width.div_ceil(TILE), plane.height.div_ceil(TILE));
         let list = |chunk: &[u32]| widest(Listing { splats, chunk, plane, support });
@@ -83,7 +83,7 @@ impl TileLists {
     }
 }
 
-/// The strips of some splats, to be run with the rounding instructions that not every processor has.
+/// Strips of a range of splats, computed with rounding instructions that not every processor has.
 struct Listing<'a> {
     splats: &'a Splats,
     chunk: &'a [u32],
@@ -108,7 +108,7 @@ impl pulp::WithSimd for Listing<'_> {
 }
 
 impl Strip {
-    /// Tile rows, and the rows within each.
+    /// Visits tile rows with the pixel rows within each.
     fn tiles(&self, mut visit: impl FnMut(usize, [u8; 2])) {
         const SIDE: u32 = TILE as u32;
         for tile in self.rows.start / SIDE..self.rows.end.div_ceil(SIDE) {
@@ -118,7 +118,7 @@ impl Strip {
     }
 }
 
-/// Indices of the splats that reach the picture, nearest first by depths in single precision; equal depths in index order.
+/// Returns the indices of the splats in the image, nearest first by single-precision depth; ties in index order.
 fn depth_order(splats: &Splats) -> Vec<u32> {
     // The bits of positive floats are ordered like the floats.
     let key = |i: usize| (splats.depths[i] as f32).to_bits();
@@ -132,7 +132,8 @@ fn depth_order(splats: &Splats) -> Vec<u32> {
     keys.into_iter().map(|(_, i)| i).collect()
 }
 
-/// All pixels where alpha may reach 1/255: those inside the ellipse dᵀ conic d ≤ 2 ln(255 o), one strip a column of tiles.
+/// Lists all pixels where alpha may reach 1/255, as one strip per column of tiles: those inside the ellipse dᵀ conic d
+/// ≤ 2 ln(255 o).
 #[inline(always)]
 fn exact(splats: &Splats, i: u32, plane: &ImagePlane, strips: &mut Vec<Strip>) {
     let Some(ellipse) = Ellipse::of(splats, i as usize) else { return };
@@ -142,7 +143,7 @@ fn exact(splats: &Splats, i: u32, plane: &ImagePlane, strips: &mut Vec<Strip>) {
     }
     let (x, width) = (ellipse.mean[0], plane.width as Real);
     let columns = columns_of(x - ellipse.half[0], x + ellipse.half[0], plane);
-    // The box is good enough for one column, and where a column may see the splat from both sides.
+    // The bounding box suffices for one column, and for columns that may contain the splat from both sides.
     let boxed = columns.iter().map(Range::len).sum::<usize>() == 1
         || plane.wraps && 2.0 * (ellipse.half[0] + TILE as Real) >= width;
     for column in columns.into_iter().flatten() {
@@ -161,22 +162,22 @@ fn exact(splats: &Splats, i: u32, plane: &ImagePlane, strips: &mut Vec<Strip>) {
     }
 }
 
-/// From the middle of a tile to its outermost pixels.
+/// Distance from the centre of a tile to its outermost pixels, pixels.
 const REACH: Real = (TILE - 1) as Real / 2.0;
 
-/// The ellipse in which a splat counts.
+/// Ellipse in which a splat is drawn.
 struct Ellipse {
     mean: [Real; 2],
     conic: [Real; 3],
     sigmas: [Real; 2],
-    /// dᵀ conic d on the rim.
+    /// Value of dᵀ conic d on the boundary.
     level: Real,
-    /// Half the sides of the box around it and a hundredth of a pixel, pixels.
+    /// Half the sides of the bounding box, enlarged by a hundredth of a pixel; pixels.
     half: [Real; 2],
 }
 
 impl Ellipse {
-    /// `None` where no pixel can count.
+    /// Returns the ellipse of splat `i`; `None` if it reaches no pixel.
     #[inline(always)]
     fn of(splats: &Splats, i: usize) -> Option<Self> {
         let opacity = splats.opacities[i];
@@ -184,14 +185,14 @@ impl Ellipse {
             return None;
         }
         let (mean, conic, sigmas) = (splats.means2d[i], splats.conics[i], splats.sigmas2d[i]);
-        // The kernel's dᵀ conic d is a small difference of large numbers where the splat is thin and slanting; a·σ² says
-        // how much larger they are. The rest is a margin for what is rounded here, and in the exponential of the kernel.
+        // For a thin, slanted splat, dᵀ conic d of the kernel is a small difference of large numbers; a·σ² bounds their
+        // ratio. The rest is a margin for rounding here and in the exponential of the kernel.
         let margin = 1.002 + 4.0 * Real::from(f32::EPSILON) * conic[0] * sigmas[0] * sigmas[0];
         let level = 2.0 * (opacity / ALPHA_MIN).ln().max(0.0) * margin + 1e-5;
         Some(Self { mean, conic, sigmas, level, half: sigmas.map(|s| s * level.sqrt() + 0.01) })
     }
 
-    /// The largest and the smallest dy = mean − pixel of its points with dx from `low` to `high`.
+    /// Returns the largest and the smallest dy = mean − pixel of the points with dx from `low` to `high`.
     #[inline(always)]
     fn between(&self, low: Real, high: Real) -> Option<[Real; 2]> {
         let (low, high) = (low.max(-self.half[0]), high.min(self.half[0]));
@@ -205,7 +206,8 @@ impl Ellipse {
         Some([-b / c * highest + rim(highest), -b / c * lowest - rim(lowest)])
     }
 
-    /// Rows of the picture with dy from `below` to `above`, and a hundredth of a pixel more; all of them where both are NaN.
+    /// Returns the image rows with dy from `below` to `above`, with a margin of a hundredth of a pixel; all rows if
+    /// both are NaN.
     #[inline(always)]
     fn rows(&self, above: Real, below: Real, plane: &ImagePlane) -> Range<u32> {
         let y = self.mean[1];
@@ -214,7 +216,7 @@ impl Ellipse {
     }
 }
 
-/// The released rule: every pixel of every tile that the square of the splat's radius meets.
+/// Lists the pixels by the released rule: every pixel of every tile that intersects the square of the splat's radius.
 fn released(splats: &Splats, i: u32, plane: &ImagePlane, strips: &mut Vec<Strip>) {
     let index = i as usize;
     if splats.opacities[index].is_nan() {
@@ -227,7 +229,8 @@ fn released(splats: &Splats, i: u32, plane: &ImagePlane, strips: &mut Vec<Strip>
     }
 }
 
-/// Tile columns that meet the pixel columns from `low` to `high`, brought round the seam where the plane wraps.
+/// Returns the tile columns that intersect the pixel columns from `low` to `high`, wrapped at the seam if the plane
+/// wraps.
 #[inline(always)]
 fn columns_of(low: Real, high: Real, plane: &ImagePlane) -> [Range<usize>; 2] {
     let width = plane.width as Real;
@@ -249,15 +252,15 @@ fn columns_of(low: Real, high: Real, plane: &ImagePlane) -> [Range<usize>; 2] {
     if around(low) <= around(high) {
         [first..last + 1, 0..0]
     } else if last >= first {
-        // Both ends share a tile: everything is covered, and no tile may be listed twice.
+        // Both ends share a tile: all columns are covered, and each tile is listed once.
         [0..tiles, 0..0]
     } else {
         [0..last + 1, first..tiles]
     }
 }
 
-/// Tile columns and rows that meet the square of `radius` about `centre`, as the released kernels of WRF-GS and 3DGS count
-/// them; empty for radius 0.
+/// Returns the tile columns and rows that intersect the square of `radius` about `centre`, by the rule of the released
+/// kernels of WRF-GS and 3DGS; empty for radius 0.
 pub(crate) fn square(centre: [Real; 2], radius: Real, plane: &ImagePlane) -> (Range<usize>, Range<usize>) {
     let along = |centre: Real, pixels: usize| {
         let tiles = pixels.div_ceil(TILE) as Real;
@@ -274,7 +277,7 @@ mod tests {
     use proptest::prelude::*;
     use pwrfgs_core::Sampling;
 
-    /// One splat with standard deviations `sigmas` along axes turned by `angle`.
+    /// Creates one splat with standard deviations `sigmas` along axes rotated by `angle`.
     fn one(mean: [f64; 2], sigmas: [f64; 2], angle: f64, opacity: f64) -> Splats {
         let (s, c) = angle.sin_cos();
         let [p, q] = sigmas.map(|s| s * s);
@@ -288,7 +291,7 @@ mod tests {
         splats
     }
 
-    /// Pixels that the lists offer to the kernel.
+    /// Returns a mask of the pixels that the tile lists pass to the kernel.
     fn offered(splats: &Splats, plane: &ImagePlane) -> Vec<bool> {
         let lists = TileLists::build(splats, plane, Support::Exact);
         let mut offered = vec![false; plane.width * plane.height];
@@ -303,7 +306,7 @@ mod tests {
         offered
     }
 
-    /// γ of the splat where the kernel draws it, by its own formula.
+    /// Returns whether the kernel draws the splat in a pixel, computed from its own formula.
     fn counts(splats: &Splats, plane: &ImagePlane, (x, y): (usize, usize)) -> bool {
         let ([mx, my], [a, b, c]) = (splats.means2d[0], splats.conics[0]);
         let (dx, dy) = (mx - x as Real, my - y as Real);
@@ -321,7 +324,7 @@ mod tests {
             angle in 0.0..3.2f64, opacity in 0.004..1.0f64, width in 20usize..150, height in 5usize..80, wraps: bool,
             faint in prop::option::of((-9.0..-5.0f64, prop::array::uniform2(-6.0..-3.0f64))),
         ) {
-            // Some are just bright enough, and almost centred on a pixel.
+            // Some splats are just bright enough, and almost centred on a pixel.
             let (mean, opacity) = match faint {
                 Some((more, off)) => {
                     let mean = [0, 1].map(|k| mean[k].round() + 10f64.powf(off[k]));

@@ -1,4 +1,4 @@
-//! `WrfgsCompat`: the projection of the released WRF-GS code, quirks and all.
+//! `WrfgsCompat`: the projection of the released WRF-GS code, including its errors.
 
 use crate::ewa::{self, CameraModel, View};
 use crate::tiles::square;
@@ -7,10 +7,15 @@ use serde::{Deserialize, Serialize};
 
 /// The released WRF-GS projection, for comparison with published code only.
 ///
-/// It differs from [`crate::Mercator`] in all that matters for geometry: the receiver's position is used as the camera's
-/// translation (`v = Rᵀx + r_o`, so the centre is at `-R r_o`), the polar axis is the receiver's y axis, the *full* sphere is
-/// squeezed onto the rows (2° a row with 90 of them), and azimuth does not come round. A pixel therefore has no angle in
-/// the receiver frame, and whatever needs one refuses this plane. Pair it with
+/// It differs from [`crate::Mercator`] in its geometry:
+///
+/// - The position of the receiver is used as the translation of the camera (`v = Rᵀx + r_o`), so that the centre is at
+///   `-R r_o`.
+/// - The polar axis is the y axis of the receiver.
+/// - The rows cover the *full* sphere (2° per row for 90 rows).
+/// - Azimuth does not wrap around.
+///
+/// Pixels have no angle in the receiver frame; plugins that need angles reject this image plane. Combine it with
 /// `AlphaBlending(support: TileSquares)` and `calibration: AsReleased`.
 ///
 /// ```
@@ -41,12 +46,12 @@ impl Projector for WrfgsCompat {
     }
 }
 
-/// Added to denominators by the released kernel.
+/// Constant that the released kernel adds to denominators.
 const EPS: Real = 1e-7;
-/// Floor of squares that vanish on the polar axis, where no angle has a derivative.
+/// Lower limit of squares that vanish on the polar axis, where angles have no derivative.
 const LEAST: Real = 1e-14;
 
-/// The camera model of [`WrfgsCompat`]: longitude about the receiver's y axis, the full sphere on the picture.
+/// Camera model of [`WrfgsCompat`]: longitude about the y axis of the receiver, full sphere on the image.
 #[derive(Clone, Copy, Debug)]
 pub struct FullSphere {
     width: Real,
@@ -54,7 +59,7 @@ pub struct FullSphere {
 }
 
 impl FullSphere {
-    /// For pictures of this size.
+    /// Creates the camera model for an image plane.
     pub fn new(plane: &ImagePlane) -> Self {
         Self { width: plane.width as Real, height: plane.height as Real }
     }
@@ -65,7 +70,7 @@ impl CameraModel for FullSphere {
         View { rotation: pose.world_from_receiver().transpose(), offset: pose.origin() }
     }
 
-    /// The distance from −R·r, where v is 0.
+    /// Returns the distance from −R·r, where v is 0.
     fn depth(&self, mean: [Real; 3], pose: &Pose) -> Real {
         ewa::distance(mean, pose.turned(pose.position).map(|v| -v))
     }
@@ -125,7 +130,7 @@ impl CameraModel for FullSphere {
     }
 }
 
-/// ρ = √(x² + z²), and the reciprocals of ρ², ρ and |v|² as the released kernel takes them.
+/// Returns ρ = √(x² + z²), and the reciprocals of ρ², ρ and |v|² with the guards of the released kernel.
 fn reciprocals(v: Vec3) -> [Real; 4] {
     let rho2 = v.x * v.x + v.z * v.z;
     let rho = rho2.sqrt();

@@ -1,4 +1,4 @@
-//! The plain settings of a training: every constant of the method with the paper's value.
+//! Training settings, with the values of the paper for every constant of the method.
 
 use pwrfgs_core::{JsonSchema, Real, plugin::Check};
 use serde::{Deserialize, Serialize};
@@ -19,14 +19,14 @@ pub enum Rays {
     /// All pixels of the strided spectra.
     #[default]
     All,
-    /// This number of pixels, drawn again in each step and equal for all spectra of the batch. Computations that do not
+    /// This number of pixels, drawn anew in each step and equal for all spectra of the batch. Computations that do not
     /// depend on the transmitter are shared.
     Same(usize),
     /// This number of random pairs of spectrum and pixel, in place of a batch, as in NeRF2.
     Each(usize),
 }
 
-/// Declares settings with their defaults.
+/// Declares settings structs with default values.
 macro_rules! settings {
     ($(#[$meta:meta])* $name:ident {
         $($(#[$doc:meta])* $field:ident : $ty:ty = $default:expr,)*
@@ -75,7 +75,7 @@ pub enum Schedule {
 }
 
 impl Schedule {
-    /// The rate at `step` (from 1) of a training of `total` steps.
+    /// Returns the rate at `step` (from 1) of a training of `total` steps.
     pub fn rate(&self, step: u64, total: u64) -> Real {
         let part =
             |steps: u64| (step.saturating_sub(1)) as f64 / (if steps == 0 { total } else { steps }).max(1) as f64;
@@ -92,7 +92,7 @@ impl Schedule {
         }
     }
 
-    /// With its steps multiplied.
+    /// Multiplies the numbers of steps of the schedule.
     fn scaled(self, scale: f64) -> Self {
         match self {
             Self::Constant(rate) => Self::Constant(rate),
@@ -235,13 +235,13 @@ settings! {
     }
 }
 
-/// A count of steps, multiplied: what happens at all still happens.
+/// Multiplies a number of steps; a value above 0 stays at least 1.
 fn scaled(steps: u64, scale: f64) -> u64 {
     if steps == 0 { 0 } else { ((steps as f64 * scale).round() as u64).max(1) }
 }
 
 impl Training {
-    /// The same with `scale` multiplied in, and 1 from then on.
+    /// Returns the settings with `scale` applied to all numbers of steps, and `scale` set to 1.
     pub fn resolved(&self) -> Self {
         let mut own = self.clone();
         if self.scale == 1.0 {
@@ -270,7 +270,7 @@ impl Training {
     }
 }
 
-/// Ok, or the sentence.
+/// Returns the sentence as an error unless `ok`.
 fn need(ok: bool, sentence: &str) -> Result<(), String> {
     if ok { Ok(()) } else { Err(sentence.into()) }
 }

@@ -1,4 +1,4 @@
-//! The wave that one splat leaves on the antennas, and its derivative.
+//! Wave of one splat at the antennas, and its derivative.
 
 use crate::ewa::inverse_vjp;
 use pwrfgs_core::{
@@ -8,9 +8,9 @@ use pwrfgs_core::{
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// Variance of a splat too wide for its conic to be inverted, px²: it is heard by the middle of the array only.
+/// Variance of a splat whose conic cannot be inverted, px². Only the central antennas receive it.
 const BOUNDLESS: Real = 1e9;
-/// Closest that a Gaussian comes to an antenna, wavelengths.
+/// Smallest distance between a Gaussian and an antenna, wavelengths.
 const CLOSEST: Real = 1e-3;
 
 /// Wavefront of a Gaussian at the antennas.
@@ -21,36 +21,36 @@ pub enum Wavefront {
     Plane,
     /// Spherical wave: the phase depends on the position.
     Spherical {
-        /// Wavelength of the carrier, metres.
+        /// Carrier wavelength, metres.
         wavelength_m: Real,
     },
 }
 
-/// A planar array in the x-y plane of the receiver, centred, and the grid whose pixels are directions.
+/// Planar array in the x-y plane of the receiver, centred, and the grid whose pixels are directions.
 pub(super) struct Antennas {
-    /// `[K]`, wavelengths, x fastest. Element K-1-k stands opposite to element k.
+    /// Antenna positions `[K]`, wavelengths, x fastest. Element K-1-k is opposite to element k.
     positions: Vec<Vec3>,
     widened: bool,
-    /// Metres, where wavefronts are spherical.
+    /// Carrier wavelength for spherical wavefronts, metres.
     wavelength: Option<Real>,
-    /// Azimuth and elevation of pixel 0, and of a pixel more; radians.
+    /// Azimuth and elevation of pixel 0, and their increments per pixel; radians.
     first: [Real; 2],
     step: [Real; 2],
 }
 
-/// A direction and how it turns with column and row.
+/// Direction of a splat, and its derivatives along column and row.
 struct Aim {
     u: Vec3,
     around: Vec3,
     up: Vec3,
     /// Second derivatives: column twice, column and row, row twice.
     bends: [Vec3; 3],
-    /// Covariance (a, b, c) on the picture, px².
+    /// Covariance (a, b, c) on the image, px².
     cov: [Real; 3],
 }
 
 impl Antennas {
-    /// Antennas along y and x, and how far they stand apart, wavelengths.
+    /// Creates the array from the numbers of antennas along y and x and their spacing, wavelengths.
     pub(super) fn new(
         (rows, columns): (usize, usize),
         spacing: Real,
@@ -74,7 +74,7 @@ impl Antennas {
         }
     }
 
-    /// K.
+    /// Returns the number of antennas K.
     pub(super) fn len(&self) -> usize {
         self.positions.len()
     }
@@ -83,13 +83,14 @@ impl Antennas {
         &self.positions
     }
 
-    /// Whether a picture of this width goes once round, so that half of it further on lies the opposite azimuth.
+    /// Returns whether an image of this width covers the full circle, so that the opposite azimuth is half a width
+    /// away.
     pub(super) fn repeat_after_half(&self, width: usize) -> bool {
         let turn = self.step[0] * width as Real / TAU;
         width.is_multiple_of(2) && (turn.abs() - 1.0).abs() < 1e-6
     }
 
-    /// The waves of all splats, `[N, K]` complex numbers; zeros for those out of view.
+    /// Returns the waves of all splats, `[N, K]` complex numbers; zeros for splats out of view.
     pub(super) fn waves(&self, splats: &Splats) -> Vec<[Real; 2]> {
         let mut waves = vec![[0.0; 2]; splats.len() * self.len()];
         waves.par_chunks_exact_mut(self.len()).enumerate().with_min_len(64).for_each(|(i, wave)| {
@@ -100,7 +101,7 @@ impl Antennas {
         waves
     }
 
-    /// The wave of splat `i` with signal and opacity 1.
+    /// Computes the wave of splat `i` with signal and opacity 1.
     pub(super) fn wave(&self, splats: &Splats, i: usize, out: &mut [[Real; 2]]) {
         let aim = self.aim(splats, i);
         let distance = splats.depths[i];
@@ -111,7 +112,7 @@ impl Antennas {
         }
     }
 
-    /// Cotangents of mean, conic and depth of splat `i`, given its wave and the cotangent of that.
+    /// Returns the cotangents of mean, conic and depth of splat `i`, given its wave and the cotangent of the wave.
     pub(super) fn wave_vjp(
         &self,
         splats: &Splats,
@@ -142,7 +143,7 @@ impl Antennas {
             aim.up.dot(d_u) + both.dot(d_around) + twice_up.dot(d_up),
         ];
         let bounded = a < BOUNDLESS || c < BOUNDLESS;
-        // The conic is the inverse of the covariance, and so the other way round.
+        // The conic is the inverse of the covariance, and vice versa.
         let d_conic = if self.widened && bounded { inverse_vjp(aim.cov, d_cov) } else { [0.0; 3] };
         (d_mean, d_conic, d_depth)
     }
@@ -168,19 +169,20 @@ impl Antennas {
         }
     }
 
-    /// Phase at an antenna relative to the centre, and its derivatives along the direction and the distance.
+    /// Returns the phase at an antenna relative to the centre, and its derivatives along the direction and the
+    /// distance.
     fn phase(&self, p: Vec3, aim: &Aim, distance: Real) -> (Real, Vec3, Real) {
         let along = p.dot(aim.u);
         let Some(wavelength) = self.wavelength else { return (TAU * along, p * TAU, 0.0) };
         let r = distance / wavelength;
         let square = p.length_squared();
         let way = (r * r - 2.0 * r * along + square).max(CLOSEST * CLOSEST).sqrt();
-        // way - r, without the loss of digits.
+        // Computes `way - r` without cancellation.
         let extra = (square - 2.0 * r * along) / (way + r);
         (-TAU * extra, p * (TAU * r / way), TAU * (extra + along) / (way * wavelength))
     }
 
-    /// The exponent by which width weakens the wave at an antenna, and (p·∂u/∂column, p·∂u/∂row).
+    /// Returns the exponent by which width attenuates the wave at an antenna, and (p·∂u/∂column, p·∂u/∂row).
     fn fading(&self, p: Vec3, aim: &Aim) -> (Real, [Real; 2]) {
         if !self.widened {
             return (0.0, [0.0; 2]);
@@ -191,7 +193,7 @@ impl Antennas {
     }
 }
 
-/// The covariance whose inverse is the conic; boundless where that is lost to rounding.
+/// Returns the covariance whose inverse is the conic; `BOUNDLESS` if it is lost to rounding.
 fn covariance([a, b, c]: [Real; 3]) -> [Real; 3] {
     let det = a * c - b * b;
     let cov = [c / det, -b / det, a / det];
